@@ -1,0 +1,148 @@
+"""What moves a body: ``Pose`` and ``Shape``, under SMPL-X's names and in SMPL-X's order of joints."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gva_mi.errors import InputError
+
+_FINGERS = ("index", "middle", "pinky", "ring", "thumb")
+_HAND = lambda side: [f"{side}_{finger}{k}" for finger in _FINGERS for k in (1, 2, 3)]
+
+JOINTS: tuple[str, ...] = (
+    "pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2",
+    "left_ankle", "right_ankle", "spine3", "left_foot", "right_foot", "neck", "left_collar",
+    "right_collar", "head", "left_shoulder", "right_shoulder", "left_elbow", "right_elbow",
+    "left_wrist", "right_wrist", "jaw", "left_eye_smplhf", "right_eye_smplhf",
+    *_HAND("left"), *_HAND("right"),
+)  # fmt: skip
+PARENTS: tuple[int, ...] = (
+    -1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 15, 15, 15,
+    20, 25, 26, 20, 28, 29, 20, 31, 32, 20, 34, 35, 20, 37, 38,
+    21, 40, 41, 21, 43, 44, 21, 46, 47, 21, 49, 50, 21, 52, 53,
+)  # fmt: skip
+
+# How many joints each field of a Pose holds, in the order of JOINTS.
+JOINTS_OF: Mapping[str, int] = {
+    "global_orient": 1, "body_pose": 21, "jaw_pose": 1, "leye_pose": 1, "reye_pose": 1,
+    "left_hand_pose": 15, "right_hand_pose": 15,
+}  # fmt: skip
+LEFT_HAND, RIGHT_HAND = slice(25, 40), slice(40, 55)  # joints of the fingers
+
+
+@dataclass(frozen=True)
+class Pose:
+    """T frames of joint rotations (axis-angle, radians), root translation and facial expression."""
+
+    global_orient: Tensor  # (T, 3)
+    body_pose: Tensor  # (T, 63)
+    jaw_pose: Tensor  # (T, 3)
+    leye_pose: Tensor  # (T, 3)
+    reye_pose: Tensor  # (T, 3)
+    left_hand_pose: Tensor  # (T, 45), relative to the flat hand
+    right_hand_pose: Tensor  # (T, 45)
+    transl: Tensor  # (T, 3) metres, world
+    expression: Tensor  # (T, E) coefficients
+
+    @staticmethod
+    def rest(frames: int = 1, expressions: int = 10, dtype: torch.dtype = torch.float32) -> Pose:
+        """The T-pose."""
+        zero = lambda width: torch.zeros(frames, width, dtype=dtype)
+        return Pose.from_rotations(zero(165).view(frames, 55, 3), zero(3), zero(expressions))
+
+    @staticmethod
+    def from_rotations(rotations: Tensor, transl: Tensor, expression: Tensor) -> Pose:
+        """From all joints' rotations (T, 55, 3) in the order of JOINTS, transl (T, 3), expression (T, E)."""
+        parts = torch.split(rotations, list(JOINTS_OF.values()), dim=1)
+        named = {name: part.flatten(1) for name, part in zip(JOINTS_OF, parts, strict=True)}
+        return Pose(**named, transl=transl, expression=expression)
+
+    @property
+    def rotations(self) -> Tensor:
+        """All joints' rotations, axis-angle, (T, 55, 3) in the order of JOINTS."""
+        return torch.cat([getattr(self, name) for name in JOINTS_OF], dim=1).unflatten(1, (-1, 3))
+
+    def __len__(self) -> int:
+        return self.transl.shape[0]
+
+    def __getitem__(self, frames: int | slice | list[int] | Tensor) -> Pose:
+        """Some frames of it; an int keeps the frame axis, so that the result is a Pose of one frame."""
+        if isinstance(frames, int):
+            frames = [frames]
+        return self.map(lambda x: x[frames])
+
+    def map(self, function: Any) -> Pose:
+        """Apply a function of one tensor to every field."""
+        return replace(self, **{f.name: function(getattr(self, f.name)) for f in fields(self)})
+
+    def to(self, dtype: torch.dtype) -> Pose:
+        """The same pose in another precision."""
+        return self.map(lambda x: x.to(dtype))
+
+
+@dataclass(frozen=True)
+class Shape:
+    """Who the body is: shape coefficients, one person for the whole video."""
+
+    betas: Tensor  # (B,)
+
+
+def load_poses(path: Path) -> tuple[Pose, Shape]:
+    """Read ``poses.npz``: SMPL-X's names, each (T, ...), and ``betas`` (B,).
+
+    Face and hands may be missing: they are then zero. Other keys are left alone.
+
+    Raises:
+        InputError: a missing key, a wrong shape or dtype, or a number that is not finite, naming it.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            data = {key: file[key] for key in file.files}
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; expected poses under SMPL-X's names (.npz)") from None
+    except Exception as error:
+        raise InputError(f"{path}: not a readable .npz of plain arrays ({error})") from None
+
+    for key in ("global_orient", "body_pose", "transl", "betas"):
+        if key not in data:
+            raise InputError(f"{path}: key '{key}' is missing; found: {', '.join(sorted(data)) or 'none'}")
+    frames = len(data["transl"])
+    if frames == 0:
+        raise InputError(f"{path}: 'transl' holds no frame; expected (T, 3) with T of at least 1")
+    widths = {name: 3 * joints for name, joints in JOINTS_OF.items()} | {"transl": 3}
+    values = {}
+    for name, width in widths.items():
+        values[name] = _tensor(path, name, data.get(name, np.zeros((frames, width))), (frames, width))
+    expression = data.get("expression", np.zeros((frames, 10)))
+    values["expression"] = _tensor(path, "expression", expression, (frames, np.shape(expression)[-1]))
+    betas = data["betas"]
+    if betas.ndim == 2 and (betas == betas[:1]).all():
+        betas = betas[0]  # repeated per frame, as some estimators write it
+    if betas.ndim != 1:
+        raise InputError(f"{path}: 'betas' must be (B,), one person for all frames; got {betas.shape}")
+    return Pose(**values), Shape(_tensor(path, "betas", betas, betas.shape))
+
+
+def save_poses(path: Path, pose: Pose, shape: Shape, **extra: Any) -> None:
+    """Write ``poses.npz``; ``extra`` adds keys, such as ``stage=2``."""
+    data = {f.name: getattr(pose, f.name).detach().cpu().numpy() for f in fields(pose)}
+    np.savez(path, **data, betas=shape.betas.detach().cpu().numpy(), **extra)
+
+
+def _tensor(path: Path, name: str, value: np.ndarray, shape: tuple[int, ...]) -> Tensor:
+    if not np.issubdtype(value.dtype, np.floating):
+        raise InputError(f"{path}: '{name}' must be floating point, got {value.dtype}")
+    if value.shape != shape:
+        raise InputError(f"{path}: '{name}' must be {shape}, got {value.shape}")
+    if not np.isfinite(value).all():
+        where = np.argwhere(~np.isfinite(value))[0]
+        frame = f" in frame {where[0]}" if value.ndim > 1 else f" at index {where[0]}"
+        raise InputError(f"{path}: '{name}' holds a number that is not finite{frame}")
+    return torch.from_numpy(np.ascontiguousarray(value, dtype=np.float32))

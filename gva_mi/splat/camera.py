@@ -1,0 +1,94 @@
+"""The camera, and every convention about axes and pixels in one place.
+
+* World: right-handed, y up, metres.
+* Camera: OpenCV axes, x right, y down, z forward. ``x_cam = T_camera_world · x_world``.
+* Pixel (column i, row j) covers [i, i+1) x [j, j+1); its centre lies at (i + 0.5, j + 0.5).
+* Pinhole: ``u = fx · x/z + cx``, ``v = fy · y/z + cy``.
+* Transforms are named target first: ``T_camera_world`` takes world to camera, so that chains cancel by eye.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+CameraModel = Literal["pinhole"]
+
+
+@dataclass(frozen=True)
+class Camera:
+    """One view: intrinsics in pixels, a rigid pose, and the size of the image."""
+
+    fx: float  # focal length in x, pixels
+    fy: float  # focal length in y, pixels
+    cx: float  # principal point, pixels from the left border
+    cy: float  # principal point, pixels from the top border
+    T_camera_world: np.ndarray  # (4, 4) float64, rigid, takes world to camera
+    width: int  # pixels
+    height: int  # pixels
+    model: CameraModel = "pinhole"
+
+    def __post_init__(self) -> None:
+        T = np.array(self.T_camera_world, dtype=np.float64)
+        if T.shape != (4, 4):
+            raise ValueError(f"Camera: T_camera_world must be (4, 4), got {T.shape}")
+        if not np.isfinite(T).all() or not np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-4):
+            raise ValueError("Camera: T_camera_world must be rigid: finite, with a rotation in [:3, :3]")
+        if self.width < 1 or self.height < 1:
+            raise ValueError(f"Camera: size must be at least 1x1, got {self.width}x{self.height}")
+        if not (self.fx > 0 and self.fy > 0):
+            raise ValueError(f"Camera: focal lengths must be positive, got {self.fx}, {self.fy}")
+        T.setflags(write=False)
+        object.__setattr__(self, "T_camera_world", T)
+
+    @staticmethod
+    def from_matrices(K: np.ndarray, T_camera_world: np.ndarray, width: int, height: int) -> Camera:
+        """A pinhole camera from its intrinsics ``K`` (3, 3) and its pose (4, 4)."""
+        K = np.asarray(K, dtype=np.float64)
+        if K.shape != (3, 3):
+            raise ValueError(f"Camera: K must be (3, 3), got {K.shape}")
+        fx, fy, cx, cy = (float(x) for x in (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
+        return Camera(fx, fy, cx, cy, T_camera_world, int(width), int(height))
+
+    @property
+    def K(self) -> np.ndarray:
+        """Intrinsics as a matrix, (3, 3)."""
+        return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]])
+
+    @property
+    def position(self) -> np.ndarray:
+        """Where the camera stands in the world, (3,)."""
+        R, t = self.T_camera_world[:3, :3], self.T_camera_world[:3, 3]
+        return -R.T @ t
+
+    def resized(self, width: int, height: int) -> Camera:
+        """The same view on another grid of pixels."""
+        x, y = width / self.width, height / self.height
+        return replace(
+            self, fx=self.fx * x, fy=self.fy * y, cx=self.cx * x, cy=self.cy * y, width=width, height=height
+        )
+
+    def cropped(self, left: int, top: int, width: int, height: int) -> Camera:
+        """The part of the view that starts at pixel (left, top)."""
+        return replace(self, cx=self.cx - left, cy=self.cy - top, width=width, height=height)
+
+    def project(self, points: np.ndarray) -> np.ndarray:
+        """World points (..., 3) to pixels (..., 2); a point behind the camera gives no useful answer."""
+        x = points @ self.T_camera_world[:3, :3].T + self.T_camera_world[:3, 3]
+        u = self.fx * x[..., 0] / x[..., 2] + self.cx
+        v = self.fy * x[..., 1] / x[..., 2] + self.cy
+        return np.stack([u, v], axis=-1)
+
+
+def look_at(eye: np.ndarray, target: np.ndarray, up: np.ndarray = (0.0, 1.0, 0.0)) -> np.ndarray:
+    """``T_camera_world`` (4, 4) of a camera at ``eye`` that sees ``target`` in its middle, ``up`` upwards."""
+    eye, target, up = (np.asarray(x, dtype=np.float64) for x in (eye, target, up))
+    forward = (target - eye) / np.linalg.norm(target - eye)
+    right = np.cross(forward, up)
+    right /= np.linalg.norm(right)
+    R = np.stack([right, np.cross(forward, right), forward])
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R, -R @ eye
+    return T

@@ -1,0 +1,25 @@
+"""The constants of splatting, in one home: kernels and slow twin read the same ones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class SplatOptions:
+    """Cut-offs of the image formation. The defaults are those of gsplat 1.5.3, which users know."""
+
+    alpha_min: float = 1 / 255  # a pixel-Gaussian pair below it is skipped
+    alpha_max: float = 0.999  # alpha is clamped to it
+    transmittance_min: float = 1e-4  # a pixel stops before its transmittance falls to this
+    blur: float = 0.3  # added to the diagonal of the 2D covariance, square pixels
+    near: float = 0.01  # metres; nearer Gaussians are not drawn
+    far: float = 1e10  # metres
+
+    def __post_init__(self) -> None:
+        if not 0 < self.alpha_min < self.alpha_max < 1:
+            raise ValueError(
+                f"SplatOptions: 0 < alpha_min < alpha_max < 1 is needed, got {self.alpha_min}, {self.alpha_max}"
+            )
+        if not 0 < self.near < self.far:
+            raise ValueError(f"SplatOptions: 0 < near < far is needed, got {self.near}, {self.far}")

@@ -4,6 +4,6 @@
 class InputError(ValueError):
     """A file, folder or option that cannot be used, in one sentence.
 
-    The sentence names what was found, where, and which form was expected. The command line prints it
-    and leaves with exit code 2; everything else is a bug and keeps its traceback.
+    The sentence names what was found, where, and which form was expected. The command line prints
+    it and leaves with exit code 2; everything else is a bug and keeps its traceback.
     """

@@ -1,9 +1,9 @@
 """Finds a libLLVM that Dr.Jit can use, before Dr.Jit is imported.
 
-Dr.Jit loads ``libLLVM`` when it is imported and looks at ``DRJIT_LIBLLVM_PATH`` only then. LLVM 15 and 16
-lack the float ``minimum`` and ``maximum`` that Dr.Jit emits: the first such kernel aborts the whole process,
-which no ``except`` can catch. So the library is chosen here, by :func:`prepare`, which ``import gva_mi``
-calls.
+Dr.Jit loads ``libLLVM`` when it is imported and looks at ``DRJIT_LIBLLVM_PATH`` only then. LLVM 15
+and 16 lack the float ``minimum`` and ``maximum`` that Dr.Jit emits: the first such kernel aborts
+the whole process, which no ``except`` can catch. So the library is chosen here, by :func:`prepare`,
+which ``import gva_mi`` calls.
 """
 
 from __future__ import annotations
@@ -53,8 +53,8 @@ def prepare() -> None:
     """Make sure that Dr.Jit runs on an LLVM that works.
 
     Raises:
-        ImportError: where none was found, the user's own ``DRJIT_LIBLLVM_PATH`` does not work, or Dr.Jit
-            was imported before with a library that would abort the process.
+        ImportError: where none was found, the user's own ``DRJIT_LIBLLVM_PATH`` does not work, or
+            Dr.Jit was imported before with a library that would abort the process.
     """
     if "drjit" in sys.modules:
         _check_loaded()
@@ -76,7 +76,7 @@ def find() -> Library:
     """The newest library that works.
 
     Raises:
-        ImportError: where there is none; the message names what was found and the package to install.
+        ImportError: where there is none; it names what was found and the package to install.
     """
     found = sorted(installed(), key=lambda library: library.major, reverse=True)
     for library in found:
@@ -124,7 +124,7 @@ def _check_loaded() -> None:
     if version[0] < OLDEST:
         found = "no libLLVM" if version[0] < 0 else "libLLVM " + ".".join(map(str, version))
         raise ImportError(
-            f"drjit (or mitsuba) was imported before gva_mi and found {found}, where {OLDEST} or newer "
-            f"is needed (15 and 16 abort the process). Import gva_mi first, or install {PACKAGE} and set "
-            f"{_PATH} before the first import."
+            f"drjit (or mitsuba) was imported before gva_mi and found {found}, where {OLDEST} or "
+            f"newer is needed (15 and 16 abort the process). Import gva_mi first, or install "
+            f"{PACKAGE} and set {_PATH} before the first import."
         )

@@ -1,11 +1,10 @@
-"""What moves a body: ``Pose`` and ``Shape``, under SMPL-X's names and in SMPL-X's order of joints."""
+"""What moves a body: ``Pose`` and ``Shape``, with SMPL-X's names and its order of joints."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -59,7 +58,7 @@ class Pose:
 
     @staticmethod
     def from_rotations(rotations: Tensor, transl: Tensor, expression: Tensor) -> Pose:
-        """From all joints' rotations (T, 55, 3) in the order of JOINTS, transl (T, 3), expression (T, E)."""
+        """From rotations (T, 55, 3) in the order of JOINTS, transl (T, 3), expression (T, E)."""
         parts = torch.split(rotations, list(JOINTS_OF.values()), dim=1)
         named = {name: part.flatten(1) for name, part in zip(JOINTS_OF, parts, strict=True)}
         return Pose(**named, transl=transl, expression=expression)
@@ -73,12 +72,12 @@ class Pose:
         return self.transl.shape[0]
 
     def __getitem__(self, frames: int | slice | list[int] | Tensor) -> Pose:
-        """Some frames of it; an int keeps the frame axis, so that the result is a Pose of one frame."""
+        """Some frames of it; an int keeps the frame axis: the result is a Pose of one frame."""
         if isinstance(frames, int):
             frames = [frames]
         return self.map(lambda x: x[frames])
 
-    def map(self, function: Any) -> Pose:
+    def map(self, function: Callable[[Tensor], Tensor]) -> Pose:
         """Apply a function of one tensor to every field."""
         return replace(self, **{f.name: function(getattr(self, f.name)) for f in fields(self)})
 
@@ -100,40 +99,50 @@ def load_poses(path: Path) -> tuple[Pose, Shape]:
     Face and hands may be missing: they are then zero. Other keys are left alone.
 
     Raises:
-        InputError: a missing key, a wrong shape or dtype, or a number that is not finite, naming it.
+        InputError: a missing key, a wrong shape or dtype, or a number that is not finite.
     """
     try:
         with np.load(path, allow_pickle=False) as file:
             data = {key: file[key] for key in file.files}
     except FileNotFoundError:
-        raise InputError(f"{path}: no such file; expected poses under SMPL-X's names (.npz)") from None
+        raise InputError(
+            f"{path}: no such file; expected poses under SMPL-X's names (.npz)"
+        ) from None
     except Exception as error:
         raise InputError(f"{path}: not a readable .npz of plain arrays ({error})") from None
 
     for key in ("global_orient", "body_pose", "transl", "betas"):
         if key not in data:
-            raise InputError(f"{path}: key '{key}' is missing; found: {', '.join(sorted(data)) or 'none'}")
+            raise InputError(
+                f"{path}: key '{key}' is missing; found: {', '.join(sorted(data)) or 'none'}"
+            )
     frames = len(data["transl"])
     if frames == 0:
         raise InputError(f"{path}: 'transl' holds no frame; expected (T, 3) with T of at least 1")
     widths = {name: 3 * joints for name, joints in JOINTS_OF.items()} | {"transl": 3}
     values = {}
     for name, width in widths.items():
-        values[name] = _tensor(path, name, data.get(name, np.zeros((frames, width))), (frames, width))
+        values[name] = _tensor(
+            path, name, data.get(name, np.zeros((frames, width))), (frames, width)
+        )
     expression = data.get("expression", np.zeros((frames, 10)))
-    values["expression"] = _tensor(path, "expression", expression, (frames, np.shape(expression)[-1]))
+    values["expression"] = _tensor(
+        path, "expression", expression, (frames, np.shape(expression)[-1])
+    )
     betas = data["betas"]
     if betas.ndim == 2 and (betas == betas[:1]).all():
         betas = betas[0]  # repeated per frame, as some estimators write it
     if betas.ndim != 1:
-        raise InputError(f"{path}: 'betas' must be (B,), one person for all frames; got {betas.shape}")
+        raise InputError(
+            f"{path}: 'betas' must be (B,), one person for all frames; got {betas.shape}"
+        )
     return Pose(**values), Shape(_tensor(path, "betas", betas, betas.shape))
 
 
-def save_poses(path: Path, pose: Pose, shape: Shape, **extra: Any) -> None:
-    """Write ``poses.npz``; ``extra`` adds keys, such as ``stage=2``."""
+def save_poses(path: Path, pose: Pose, shape: Shape, *, stage: int) -> None:
+    """Write ``poses.npz``; stage 1 comes from an estimator, stage 2 from the refinement."""
     data = {f.name: getattr(pose, f.name).detach().cpu().numpy() for f in fields(pose)}
-    np.savez(path, **data, betas=shape.betas.detach().cpu().numpy(), **extra)
+    np.savez(path, **data, betas=shape.betas.detach().cpu().numpy(), stage=stage)
 
 
 def _tensor(path: Path, name: str, value: np.ndarray, shape: tuple[int, ...]) -> Tensor:

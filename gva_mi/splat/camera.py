@@ -34,8 +34,12 @@ class Camera:
         T = np.array(self.T_camera_world, dtype=np.float64)
         if T.shape != (4, 4):
             raise ValueError(f"Camera: T_camera_world must be (4, 4), got {T.shape}")
-        if not np.isfinite(T).all() or not np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-4):
-            raise ValueError("Camera: T_camera_world must be rigid: finite, with a rotation in [:3, :3]")
+        if not np.isfinite(T).all() or not np.allclose(
+            T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-4
+        ):
+            raise ValueError(
+                "Camera: T_camera_world must be rigid: finite, with a rotation in [:3, :3]"
+            )
         if self.width < 1 or self.height < 1:
             raise ValueError(f"Camera: size must be at least 1x1, got {self.width}x{self.height}")
         if not (self.fx > 0 and self.fy > 0):
@@ -67,7 +71,13 @@ class Camera:
         """The same view on another grid of pixels."""
         x, y = width / self.width, height / self.height
         return replace(
-            self, fx=self.fx * x, fy=self.fy * y, cx=self.cx * x, cy=self.cy * y, width=width, height=height
+            self,
+            fx=self.fx * x,
+            fy=self.fy * y,
+            cx=self.cx * x,
+            cy=self.cy * y,
+            width=width,
+            height=height,
         )
 
     def cropped(self, left: int, top: int, width: int, height: int) -> Camera:

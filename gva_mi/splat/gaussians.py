@@ -36,4 +36,6 @@ class Image:
 
     color: Any  # (H, W, 3), background blended in
     alpha: Any  # (H, W) in [0, 1]
-    depth: Any  # (H, W) metres along the camera's z, accumulated like a colour: sum of T_i alpha_i z_i
+    depth: (
+        Any  # (H, W) metres along the camera's z, accumulated like a colour: sum of T_i alpha_i z_i
+    )

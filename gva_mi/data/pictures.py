@@ -1,0 +1,87 @@
+"""Pictures and films on disk: 8-bit PNG, normal maps, mp4."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from gva_mi.errors import InputError
+
+LOSSLESS = {"crf": "0", "preset": "veryfast"}  # with libx264rgb: the same bits back
+
+
+def read_image(path: Path, channels: int) -> np.ndarray:
+    """An 8-bit picture, (H, W, 3) or, with ``channels`` 1, (H, W)."""
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with Image.open(path) as image:
+            return np.asarray(image.convert("RGB" if channels == 3 else "L"))
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; expected an 8-bit PNG") from None
+    except (UnidentifiedImageError, OSError) as error:
+        raise InputError(f"{path}: not a readable picture ({error})") from None
+
+
+def write_image(path: Path, image: np.ndarray) -> None:
+    """Write a picture, floats in [0, 1] or 8-bit, grey (H, W) or RGB (H, W, 3)."""
+    from PIL import Image
+
+    if image.dtype != np.uint8:
+        image = np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(image).save(path)
+
+
+def read_normals(folder: Path, index: int) -> np.ndarray:
+    """Unit normals (H, W, 3), camera space; zero where the file holds none."""
+    path = folder / f"{index:06d}.npy"
+    if path.exists():
+        normals = np.load(path, allow_pickle=False).astype(np.float32)
+    else:
+        normals = read_image(folder / f"{index:06d}.png", 3).astype(np.float32) / 127.5 - 1
+    length = np.linalg.norm(normals, axis=-1, keepdims=True)
+    return np.where(length > 0.2, normals / np.maximum(length, 1e-6), 0).astype(np.float32)
+
+
+def read_movie(path: Path) -> list[np.ndarray]:
+    """All pictures of a video file, each (H, W, 3) 8-bit.
+
+    Raises:
+        InputError: where it cannot be decoded.
+    """
+    import av
+
+    try:
+        with av.open(str(path)) as container:
+            images = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+    except (av.FFmpegError, IndexError, OSError) as error:
+        raise InputError(f"{path}: cannot be decoded as a video ({error})") from None
+    if not images:
+        raise InputError(f"{path}: holds no picture")
+    return images
+
+
+def write_movie(
+    path: Path, images: Iterable[np.ndarray], fps: int = 25, lossless: bool = True
+) -> None:
+    """Write an mp4, RGB without loss by default; otherwise yuv420p, which every player shows."""
+    import av
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264rgb" if lossless else "libx264", rate=fps)
+        stream.pix_fmt = "rgb24" if lossless else "yuv420p"
+        stream.options = LOSSLESS if lossless else {"crf": "18"}
+        for image in images:
+            if image.dtype != np.uint8:
+                image = np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)
+            if not lossless:  # 4:2:0 wants even sizes
+                image = image[: image.shape[0] // 2 * 2, : image.shape[1] // 2 * 2]
+            stream.height, stream.width = image.shape[:2]
+            container.mux(
+                stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(image), "rgb24"))
+            )
+        container.mux(stream.encode())

@@ -49,31 +49,42 @@ class Library:
     major: int
 
 
+problem: str | None = None  # why Dr.Jit cannot be used, once prepare() has run
+
+
 def prepare() -> None:
-    """Make sure that Dr.Jit runs on an LLVM that works.
+    """Choose the library; called by ``import gva_mi``.
+
+    A machine without a usable library is no reason to fail yet (``gva-mi doctor`` wants to say so):
+    the reason is kept, and :func:`require` raises it before Dr.Jit is used.
 
     Raises:
-        ImportError: where none was found, the user's own ``DRJIT_LIBLLVM_PATH`` does not work, or
-            Dr.Jit was imported before with a library that would abort the process.
+        ImportError: where Dr.Jit was imported before, with a library that would abort the process.
     """
+    global problem
     if "drjit" in sys.modules:
         _check_loaded()
         return
-    chosen = os.environ.get(_PATH)
-    if chosen is None:
-        chosen = str(find().path)
-    elif os.environ.get(_CHECKED) != chosen:
-        problem = trial(Path(chosen))
-        if problem:
-            raise ImportError(
-                f"DRJIT_LIBLLVM_PATH={chosen} cannot be used: {problem}. "
-                f"Unset it, or point it to a libLLVM {OLDEST} or newer."
-            )
-    os.environ[_PATH] = os.environ[_CHECKED] = chosen  # children inherit both and need no trial
+    try:
+        chosen = os.environ.get(_PATH)
+        if chosen is None:
+            chosen = str(find().path)
+        elif os.environ.get(_CHECKED) != chosen:
+            _check_choice(chosen)
+    except ImportError as error:
+        problem = str(error)
+    else:
+        os.environ[_PATH] = os.environ[_CHECKED] = chosen  # children inherit both: no second trial
+
+
+def require() -> None:
+    """Raise the ImportError that :func:`prepare` kept; called by every package that needs Dr.Jit."""
+    if problem:
+        raise ImportError(problem)
 
 
 def find() -> Library:
-    """The newest library that works.
+    """The newest library on this machine that works.
 
     Raises:
         ImportError: where there is none; it names what was found and the package to install.
@@ -115,6 +126,15 @@ def trial(path: Path) -> str:
         return ""
     last = (run.stderr.strip().splitlines() or ["no message"])[-1]
     return f"a trial kernel ended with exit code {run.returncode} ({last})"
+
+
+def _check_choice(path: str) -> None:
+    reason = trial(Path(path))
+    if reason:
+        raise ImportError(
+            f"{_PATH}={path} cannot be used: {reason}. "
+            f"Unset it, or point it to a libLLVM {OLDEST} or newer."
+        )
 
 
 def _check_loaded() -> None:

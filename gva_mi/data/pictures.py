@@ -75,13 +75,13 @@ def write_movie(
         stream = container.add_stream("libx264rgb" if lossless else "libx264", rate=fps)
         stream.pix_fmt = "rgb24" if lossless else "yuv420p"
         stream.options = LOSSLESS if lossless else {"crf": "18"}
-        for image in images:
+        for k, image in enumerate(images):
             if image.dtype != np.uint8:
                 image = np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)
             if not lossless:  # 4:2:0 wants even sizes
                 image = image[: image.shape[0] // 2 * 2, : image.shape[1] // 2 * 2]
-            stream.height, stream.width = image.shape[:2]
-            container.mux(
-                stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(image), "rgb24"))
-            )
+            if k == 0:
+                stream.height, stream.width = image.shape[:2]
+            picture = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), "rgb24")
+            container.mux(stream.encode(picture))
         container.mux(stream.encode())

@@ -25,7 +25,7 @@ from pathlib import Path
 import numpy as np
 
 from gva_mi.body.pose import Pose, Shape, load_poses
-from gva_mi.data.pictures import read_image, read_movie, read_normals, write_image, write_movie
+from gva_mi.data.pictures import read_image, read_movie, read_normals
 from gva_mi.errors import InputError
 from gva_mi.splat import Camera
 

@@ -1,0 +1,214 @@
+"""The rotation nearest to a blend of rotations, as a quaternion, with exact gradients; one Dr.Jit kernel each way.
+
+For a rotation R with quaternion r (wxyz), ``r rᵀ`` is *linear* in R (Davenport's matrix):
+
+    1. B(A) = (I + K(A)) / 4,    K linear,    B(R) = r rᵀ
+    2. A_rot = Σ w_p R_p   ⇒   B = Σ w_p r_p r_pᵀ        symmetric, eigenvalues in [0, 1], their sum is 1
+    3. q = the eigenvector of B's largest eigenvalue λ
+
+q maximises qᵀ B q, hence tr(R(q)ᵀ A): it is the polar factor of A_rot, and also Markley's average of the
+quaternions, in which the signs of r_p play no part. Squaring B and scaling it to trace 1, again and again, leaves q qᵀ.
+With a unit q, perturbation theory gives the derivative, and its transpose the adjoint:
+
+    4. dq = (λ I − B)⁺ dB q
+    5. y = (λ I − B)⁺ grad_q,    grad_B = y qᵀ,    grad_A = Kᵀ(grad_B) / 4
+
+The pseudo-inverse acts on what is orthogonal to q, where it equals the inverse of ``λ I − B + q qᵀ``: a positive
+definite 4x4 system, solved by Cholesky's method. Where two eigenvalues meet (joints turned against each other by 180°)
+no nearest rotation is unique; there the pivots are held above :data:`MIN_GAP`, so that gradients stay finite.
+
+=============  =========================================================  ===========
+Symbol         Meaning                                                    Shape
+=============  =========================================================  ===========
+A              blended affine map, rows of [A_rot | A_trans]              (N, 12)
+means, quats   Gaussians in the rest pose; quaternions wxyz               (N, 3 | 4)
+B              average of the joints' quaternion outer products           4x4 a lane
+q              polar factor of A_rot as a unit quaternion                 4 a lane
+=============  =========================================================  ===========
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import torch
+from torch import Tensor
+
+SQUARINGS = 9  # B^512: the second eigenvalue is gone in float64 for joints up to 170 degrees apart
+MIN_GAP = 1e-4  # smallest pivot of the adjoint's system
+
+_FLOAT = {torch.float32: dr.llvm.Float32, torch.float64: dr.llvm.Float64}
+_PAIRS = [(i, j) for i in range(4) for j in range(i, 4)]  # upper triangle of a symmetric 4x4
+
+
+def carry_frames(A: Tensor, means: Tensor, quats: Tensor) -> tuple[Tensor, Tensor]:
+    """Apply blended maps to Gaussians: ``A_rot m + A_trans`` and ``polar(A_rot) ⊗ quat``.
+
+    Args:
+        A: (N, 12) blends of rigid maps, row by row.
+        means: (N, 3).
+        quats: (N, 4) wxyz; their lengths are kept.
+
+    Returns:
+        means (N, 3) and quats (N, 4), differentiable in everything.
+    """
+    if A.dtype not in _FLOAT:
+        raise ValueError(f"carry_frames(): expected float32 or float64, got {A.dtype}")
+    return _CarryFrames.apply(A, means, quats)
+
+
+# --- formulas, one lane per Gaussian ---------------------------------------------------------------------
+
+
+def _davenport(A: list[Any]) -> dict[tuple[int, int], Any]:
+    """B(A) of eq. 1 from the nine entries of A_rot, as its upper triangle."""
+    a, b, c, d, e, f, g, h, i = A
+    return {
+        (0, 0): 0.25 * (1 + a + e + i), (1, 1): 0.25 * (1 + a - e - i),
+        (2, 2): 0.25 * (1 - a + e - i), (3, 3): 0.25 * (1 - a - e + i),
+        (0, 1): 0.25 * (h - f), (0, 2): 0.25 * (c - g), (0, 3): 0.25 * (d - b),
+        (1, 2): 0.25 * (b + d), (1, 3): 0.25 * (c + g), (2, 3): 0.25 * (f + h),
+    }  # fmt: skip
+
+
+def _davenport_adjoint(G: list[list[Any]]) -> list[Any]:
+    """Adjoint of :func:`_davenport`, from a full 4x4 ``G`` to the nine entries of A_rot."""
+    s = lambda i, j: G[i][j] + G[j][i]  # an entry off the diagonal stands twice in B
+    diagonal = G[0][0], G[1][1], G[2][2], G[3][3]
+    w, x, y, z = diagonal
+    return [0.25 * v for v in (
+        w + x - y - z, s(1, 2) - s(0, 3), s(0, 2) + s(1, 3),
+        s(0, 3) + s(1, 2), w - x + y - z, s(2, 3) - s(0, 1),
+        s(1, 3) - s(0, 2), s(0, 1) + s(2, 3), w - x - y + z,
+    )]  # fmt: skip
+
+
+def _top_eigenvector(B: dict[tuple[int, int], Any]) -> list[Any]:
+    """q of eq. 3; its largest entry is positive."""
+    at = lambda M, i, j: M[(i, j) if i <= j else (j, i)]
+    for _ in range(SQUARINGS):
+        scale = dr.rcp(B[0, 0] + B[1, 1] + B[2, 2] + B[3, 3])
+        B = {pair: value * scale for pair, value in B.items()}
+        B = {(i, j): sum(at(B, i, k) * at(B, k, j) for k in range(4)) for i, j in _PAIRS}
+    q, best = [at(B, i, 0) for i in range(4)], B[0, 0]  # the column with the largest diagonal entry
+    for column in (1, 2, 3):
+        larger = B[column, column] > best
+        q = [dr.select(larger, at(B, i, column), q[i]) for i in range(4)]
+        best = dr.maximum(best, B[column, column])
+    scale = dr.rsqrt(sum(v * v for v in q))
+    return [v * scale for v in q]
+
+
+def _project_and_solve(B: dict[tuple[int, int], Any], q: list[Any], g: list[Any]) -> list[Any]:
+    """y of eq. 5, by LDLᵀ of ``λ I − B + q qᵀ``."""
+    at = lambda i, j: B[(i, j) if i <= j else (j, i)]
+    Bq = [sum(at(i, k) * q[k] for k in range(4)) for i in range(4)]
+    eigenvalue = sum(q[i] * Bq[i] for i in range(4))
+    along = sum(q[i] * g[i] for i in range(4))
+    g = [g[i] - along * q[i] for i in range(4)]
+
+    L, pivot, y = {}, [], list(g)
+    for j in range(4):
+        entry = lambda i, j=j: (
+            (eigenvalue if i == j else 0)
+            - at(i, j)
+            + q[i] * q[j]
+            - sum(L[i, k] * L[j, k] * pivot[k] for k in range(j))
+        )
+        L[j, j] = 1
+        pivot.append(dr.maximum(entry(j), MIN_GAP))
+        for i in range(j + 1, 4):
+            L[i, j] = entry(i) / pivot[j]
+    for i in range(4):
+        y[i] = y[i] - sum(L[i, k] * y[k] for k in range(i))
+    y = [y[i] / pivot[i] for i in range(4)]
+    for i in reversed(range(4)):
+        y[i] = y[i] - sum(L[k, i] * y[k] for k in range(i + 1, 4))
+    along = sum(q[i] * y[i] for i in range(4))
+    return [y[i] - along * q[i] for i in range(4)]
+
+
+def _multiply(p: list[Any], q: list[Any]) -> list[Any]:
+    """Hamilton's product p ⊗ q."""
+    return [
+        p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3],
+        p[0] * q[1] + p[1] * q[0] + p[2] * q[3] - p[3] * q[2],
+        p[0] * q[2] - p[1] * q[3] + p[2] * q[0] + p[3] * q[1],
+        p[0] * q[3] + p[1] * q[2] - p[2] * q[1] + p[3] * q[0],
+    ]
+
+
+def _conjugate(q: list[Any]) -> list[Any]:
+    return [q[0], -q[1], -q[2], -q[3]]
+
+
+# --- kernels ---------------------------------------------------------------------------------------------
+
+
+def _forward(A: list[Any], mean: list[Any], quat: list[Any]) -> tuple[list[Any], list[Any]]:
+    q = _top_eigenvector(_davenport(_rotation(A)))
+    moved = [sum(A[4 * i + k] * mean[k] for k in range(3)) + A[4 * i + 3] for i in range(3)]
+    return moved, _multiply(q, quat)
+
+
+def _adjoint(
+    A: list[Any], mean: list[Any], quat: list[Any], grad_mean: list[Any], grad_quat: list[Any]
+) -> tuple[list[Any], list[Any], list[Any]]:
+    B = _davenport(_rotation(A))
+    q = _top_eigenvector(B)
+    # Left and right multiplication by a quaternion are matrices whose transposes conjugate it.
+    grad_quat_in = _multiply(_conjugate(q), grad_quat)
+    grad_q = _multiply(grad_quat, _conjugate(quat))
+    y = _project_and_solve(B, q, grad_q)
+    grad_rotation = _davenport_adjoint([[y[i] * q[j] for j in range(4)] for i in range(4)])
+    grad_A = []
+    for i in range(3):
+        grad_A += [grad_rotation[3 * i + k] + grad_mean[i] * mean[k] for k in range(3)]
+        grad_A.append(grad_mean[i])
+    grad_mean_in = [sum(A[4 * i + k] * grad_mean[i] for i in range(3)) for k in range(3)]
+    return grad_A, grad_mean_in, grad_quat_in
+
+
+def _rotation(A: list[Any]) -> list[Any]:
+    return [A[4 * i + k] for i in range(3) for k in range(3)]
+
+
+# --- torch -----------------------------------------------------------------------------------------------
+
+
+class _CarryFrames(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, A: Tensor, means: Tensor, quats: Tensor) -> tuple[Tensor, Tensor]:
+        ctx.save_for_backward(A, means, quats)
+        if len(means) == 0:
+            return means.clone(), quats.clone()
+        return _launch(_forward, A, means, quats)
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, grad_means: Tensor, grad_quats: Tensor) -> tuple[Tensor, ...]:
+        A, means, quats = ctx.saved_tensors
+        if len(means) == 0:
+            return torch.zeros_like(A), torch.zeros_like(means), torch.zeros_like(quats)
+        return _launch(_adjoint, A, means, quats, grad_means, grad_quats)
+
+
+def _launch(kernel: Any, *tensors: Tensor) -> tuple[Tensor, ...]:
+    """Run a kernel over the rows of tensors (N, K), without copies; returns tensors (N, K')."""
+    Float = _FLOAT[tensors[0].dtype]
+    n = len(tensors[0])
+    lane = dr.arange(dr.uint32_array_t(Float), n)
+    columns = []
+    for tensor in tensors:
+        flat, width = Float(tensor.detach().contiguous().view(-1)), tensor.shape[1]
+        columns.append([dr.gather(Float, flat, lane * width + k) for k in range(width)])
+    outputs = []
+    for rows in kernel(*columns):
+        out = dr.empty(Float, n * len(rows))
+        for k, value in enumerate(rows):
+            dr.scatter(out, value, lane * len(rows) + k, mode=dr.ReduceMode.NoConflicts)
+        outputs.append((out, len(rows)))
+    dr.eval([out for out, _ in outputs])
+    dr.sync_thread()
+    return tuple(out.torch().view(n, width) for out, width in outputs)

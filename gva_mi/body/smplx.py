@@ -1,0 +1,281 @@
+"""The parametric body of Eq. 4: shape and pose to vertices, joints and transforms; reads SMPL-X's npz files.
+
+    1. v_shaped = v_template + S β + E ψ                                        S, E: shape and expression directions
+    2. J = J_regressor · v_shaped
+    3. v_rest = v_shaped + offsets + P vec(R(θ_j) − I), j ≥ 1                    P: pose directions
+    4. vertices = Σ_j w_j T_world_rest[j](θ, J) · v_rest                          skinning, see gva_mi.body.skinning
+
+==========  ==================================  ===================  ========================
+Symbol      Name                                Shape                Unit
+==========  ==================================  ===================  ========================
+β           ``Shape.betas``                     (B,)                 standard deviations
+ψ           ``Pose.expression``                 (T, E)               standard deviations
+θ           ``Pose.rotations``                  (T, 55, 3)           radians, axis-angle
+w           ``weights``                         (V, 55)              rows sum to 1
+—           ``offsets`` (SMPL-X + D)            (V, 3)               metres, rest pose
+==========  ==================================  ===================  ========================
+
+Offsets stand for clothes: they move vertices and leave the joints where the naked shape has them.
+"""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import roma
+import torch
+from torch import Tensor, nn
+
+from gva_mi.body.pose import JOINTS, PARENTS, Pose, Shape
+from gva_mi.body.puppet import PUPPET
+from gva_mi.body.skinning import joint_transforms, skin_points
+from gva_mi.errors import InputError
+
+LICENSED = "https://smpl-x.is.tue.mpg.de"
+_ROOT = 4294967295  # the root's parent in the files: -1 as an unsigned integer
+
+
+@dataclass(frozen=True)
+class Rest:
+    """A person in the T-pose."""
+
+    vertices: Tensor  # (V, 3) metres
+    joints: Tensor  # (55, 3) metres
+
+
+@dataclass(frozen=True)
+class Posed:
+    """A person in T poses, in the world."""
+
+    vertices: Tensor  # (T, V, 3) metres
+    joints: Tensor  # (T, 55, 3) metres
+    T_world_rest: Tensor  # (T, 55, 4, 4) takes the rest pose to the world, joint by joint
+
+
+class BodyModel(nn.Module):
+    """A body in SMPL-X's format, ``body(pose, shape, offsets) -> Posed``.
+
+    All its numbers are buffers, of one precision: ``body.to(torch.float64)`` changes it. Nothing in it trains.
+
+    Attributes:
+        v_template: (V, 3) the mean person in the T-pose, metres.
+        faces: (F, 3) int64, counter-clockwise seen from outside.
+        weights: (V, 55) skinning weights.
+        parents: 55 indices, -1 for the root.
+        hands_mean: (2, 45) the mean left and right hand of the file, axis-angle.
+        num_betas, num_expressions: how many coefficients the file has; missing ones count as zero.
+    """
+
+    parents: tuple[int, ...] = PARENTS
+
+    def __init__(self, arrays: dict[str, np.ndarray], dtype: torch.dtype = torch.float32) -> None:
+        """From the arrays of a file, whose names and shapes :func:`load_body` has checked."""
+        super().__init__()
+        tensor = lambda array: torch.from_numpy(np.ascontiguousarray(array)).to(dtype)
+        directions = arrays["shapedirs"].reshape(-1, arrays["shapedirs"].shape[2]).T
+        betas, expressions = _columns(len(directions))
+        self.register_buffer("v_template", tensor(arrays["v_template"]))
+        self.register_buffer("faces", torch.from_numpy(arrays["f"].astype(np.int64)))
+        self.register_buffer("weights", tensor(arrays["weights"]))
+        self.register_buffer("shape_directions", tensor(directions[betas]))  # (B, 3 V)
+        self.register_buffer("expression_directions", tensor(directions[expressions]))  # (E, 3 V)
+        # Joints are linear in the coefficients too: regress the directions once, not the vertices of every frame.
+        regress = lambda x: np.einsum("jv,kvc->kjc", arrays["J_regressor"].astype(np.float64), x)
+        along = directions.astype(np.float64).reshape(len(directions), -1, 3)
+        self.register_buffer("j_template", tensor(regress(arrays["v_template"][None])[0]))
+        self.register_buffer("shape_joints", tensor(regress(along[betas]).reshape(-1, 165)))
+        self.register_buffer(
+            "expression_joints", tensor(regress(along[expressions]).reshape(-1, 165))
+        )
+        pose_directions = arrays["posedirs"].reshape(-1, arrays["posedirs"].shape[2]).T
+        used = np.flatnonzero(pose_directions.any(1))  # only these cost time
+        self.register_buffer("pose_features", torch.from_numpy(used))
+        self.register_buffer("pose_directions", tensor(pose_directions[used]))  # (P, 3 V)
+        self.register_buffer(
+            "hands_mean", tensor(np.stack([arrays["hands_meanl"], arrays["hands_meanr"]]))
+        )
+
+    @property
+    def num_betas(self) -> int:
+        return len(self.shape_directions)
+
+    @property
+    def num_expressions(self) -> int:
+        return len(self.expression_directions)
+
+    def rest(self, shape: Shape, expression: Tensor | None = None) -> Rest:
+        """The person in the T-pose (eq. 1, 2).
+
+        Args:
+            shape: betas (B,), B up to ``num_betas``.
+            expression: (E,), or None for a neutral face.
+        """
+        vertices, joints = self._shaped(shape)
+        if expression is not None:
+            dv, dj = self._expressed(expression[None])
+            vertices, joints = vertices + dv[0], joints + dj[0]
+        return Rest(vertices, joints)
+
+    def forward(self, pose: Pose, shape: Shape, offsets: Tensor | None = None) -> Posed:
+        """The person in the world (eq. 1-4), differentiable in everything that is given.
+
+        Args:
+            pose: T frames; the expression may have fewer coefficients than the file.
+            shape: betas (B,), B up to ``num_betas``.
+            offsets: (V, 3) added in the rest pose, metres.
+        """
+        if offsets is not None and offsets.shape != self.v_template.shape:
+            raise ValueError(
+                f"BodyModel(): offsets must be {tuple(self.v_template.shape)}, got {tuple(offsets.shape)}"
+            )
+        vertices, joints = self._shaped(shape)
+        dv, dj = self._expressed(pose.expression)
+        vertices, joints = (vertices if offsets is None else vertices + offsets) + dv, joints + dj
+        rotations = pose.rotations
+        if len(self.pose_features):
+            vertices = vertices + self._corrected(rotations)
+        T_world_rest = joint_transforms(rotations, joints, self.parents, pose.transl)
+        skinned = skin_points(vertices, self.weights, T_world_rest)
+        R, t = T_world_rest[..., :3, :3], T_world_rest[..., :3, 3]
+        return Posed(skinned, (R @ joints.unsqueeze(-1)).squeeze(-1) + t, T_world_rest)
+
+    def add_mean_hands(self, pose: Pose) -> Pose:
+        """A pose whose hands count from the file's mean hand, as estimators write them, made to count from flat."""
+        rotations = torch.cat(
+            [pose.rotations[:, :25].flatten(1), pose.left_hand_pose + self.hands_mean[0],
+             pose.right_hand_pose + self.hands_mean[1]], dim=1,
+        )  # fmt: skip
+        return Pose.from_rotations(rotations.unflatten(1, (55, 3)), pose.transl, pose.expression)
+
+    def _shaped(self, shape: Shape) -> tuple[Tensor, Tensor]:
+        betas = _coefficients("betas", shape.betas[None], self.num_betas)
+        k = betas.shape[1]
+        vertices = (betas @ self.shape_directions[:k]).view(-1, 3)
+        joints = (betas @ self.shape_joints[:k]).view(-1, 3)
+        return self.v_template + vertices, self.j_template + joints
+
+    def _expressed(self, expression: Tensor) -> tuple[Tensor, Tensor]:
+        psi = _coefficients("expression", expression, self.num_expressions)
+        k, frames = psi.shape[1], len(psi)
+        vertices = (psi @ self.expression_directions[:k]).view(frames, -1, 3)
+        joints = (psi @ self.expression_joints[:k]).view(frames, -1, 3)
+        return vertices, joints
+
+    def _corrected(self, rotations: Tensor) -> Tensor:
+        R = roma.rotvec_to_rotmat(rotations[:, 1:])
+        bent = (R - torch.eye(3, dtype=R.dtype)).flatten(1)
+        # The features are distinct, so that this index has a gradient without collisions.
+        return (bent[:, self.pose_features] @ self.pose_directions).unflatten(1, (-1, 3))
+
+
+def load_body(path: Path | None = None, dtype: torch.dtype = torch.float32) -> BodyModel:
+    """Read a body: a file in SMPL-X's npz format, or the built-in puppet where none is given.
+
+    Args:
+        path: ``SMPLX_NEUTRAL.npz`` or the like, version 1.0 or 1.1, any gender. Files with 400 shape directions hold 300
+            betas and then expressions; files with fewer hold 10 betas and then up to 10 expressions.
+        dtype: float32 or float64.
+
+    Raises:
+        InputError: naming the file, the key, and the shape that was found.
+    """
+    path = PUPPET if path is None else Path(path)
+    if path.suffix.lower() in (".pkl", ".pickle"):
+        raise InputError(
+            f"{path}: pickled bodies are not read, for a pickle can run any code; download the same model as .npz "
+            f"('SMPL-X v1.1, NPZ+PKL' at {LICENSED})"
+        )
+    if not path.is_file():
+        raise InputError(
+            f"{path}: no such file; expected a body in SMPL-X's .npz format. SMPL-X is licensed at {LICENSED}; "
+            "without a body file the built-in puppet is used"
+        )
+    arrays = _read(path)
+    _check(path, arrays)
+    return BodyModel(arrays, dtype)
+
+
+_KEYS = (
+    "v_template", "f", "shapedirs", "posedirs", "J_regressor", "weights", "kintree_table",
+    "hands_meanl", "hands_meanr",
+)  # fmt: skip
+
+
+def _read(path: Path) -> dict[str, np.ndarray]:
+    try:
+        file = np.load(path, allow_pickle=False)
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise InputError(
+            f"{path}: not a readable .npz, or cut short ({error}); expected SMPL-X's arrays"
+        ) from None
+    if not isinstance(file, np.lib.npyio.NpzFile):
+        raise InputError(f"{path}: a single array; expected an .npz with {', '.join(_KEYS)}")
+    with file:
+        missing = [key for key in _KEYS if key not in file.files]
+        if missing:
+            raise InputError(
+                f"{path}: key '{missing[0]}' is missing; found: {', '.join(sorted(file.files)) or 'none'}"
+            )
+        arrays = {}
+        for key in (*_KEYS, *(k for k in ("joint_names",) if k in file.files)):
+            try:
+                arrays[key] = file[key]
+            except Exception as error:  # the zip, zlib and numpy each have their own
+                raise InputError(
+                    f"{path}: key '{key}' cannot be read, the file is damaged or holds objects ({error})"
+                ) from None
+    return arrays
+
+
+def _check(path: Path, arrays: dict[str, np.ndarray]) -> None:
+    vertices, joints = len(arrays["v_template"]), len(JOINTS)
+    shapes = {
+        "v_template": (vertices, 3), "f": (None, 3), "shapedirs": (vertices, 3, None),
+        "posedirs": (vertices, 3, 9 * (joints - 1)), "J_regressor": (joints, vertices),
+        "weights": (vertices, joints), "kintree_table": (2, joints), "hands_meanl": (45,), "hands_meanr": (45,),
+    }  # fmt: skip
+    for key, shape in shapes.items():
+        array = arrays[key]
+        fits = array.ndim == len(shape) and all(
+            want in (None, got) for want, got in zip(shape, array.shape, strict=True)
+        )
+        if not fits or array.size == 0:
+            form = "(" + ", ".join("*" if n is None else str(n) for n in shape) + ")"
+            raise InputError(f"{path}: '{key}' must be {form}, found {array.shape}")
+        if key in ("f", "kintree_table"):
+            if not np.issubdtype(array.dtype, np.integer):
+                raise InputError(f"{path}: '{key}' must hold integers, found {array.dtype}")
+        elif not np.issubdtype(array.dtype, np.floating):
+            raise InputError(f"{path}: '{key}' must be floating point, found {array.dtype}")
+        elif not np.isfinite(array).all():
+            raise InputError(f"{path}: '{key}' holds a number that is not finite")
+    if arrays["f"].max() >= vertices or arrays["f"].min() < 0:
+        raise InputError(f"{path}: 'f' names vertex {arrays['f'].max()}, but there are {vertices}")
+    if not np.allclose(arrays["weights"].sum(1, dtype=np.float64), 1, atol=1e-2):
+        raise InputError(f"{path}: 'weights' must have rows that sum to 1")
+    parents = [-1 if p in (-1, _ROOT) else int(p) for p in arrays["kintree_table"][0].tolist()]
+    names = arrays.get("joint_names", np.array(JOINTS)).tolist()
+    if tuple(parents) != PARENTS or tuple(names) != JOINTS:
+        key = "kintree_table" if tuple(parents) != PARENTS else "joint_names"
+        raise InputError(
+            f"{path}: '{key}' is not the tree of SMPL-X's 55 joints, in which the root comes first, then "
+            "21 body joints, jaw, eyes, left hand, right hand"
+        )
+
+
+def _columns(count: int) -> tuple[slice, slice]:
+    """Which shape directions are betas, and which expressions."""
+    split, end = (300, count) if count >= 400 else (min(10, count), min(20, count))
+    return slice(0, split), slice(split, end)
+
+
+def _coefficients(name: str, values: Tensor, available: int) -> Tensor:
+    """Coefficients (T, K) cut to what the file has; missing ones count as zero by not being there."""
+    if values.shape[1] > available and bool((values[:, available:] != 0).any()):
+        raise InputError(
+            f"the pose or shape has {values.shape[1]} {name}, but the body file has {available}"
+        )
+    return values[:, :available]

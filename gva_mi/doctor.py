@@ -1,0 +1,95 @@
+"""``gva-mi doctor``: what this machine has, and what is missing for what."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import platform
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib import metadata
+
+from gva_mi import llvm
+
+# Packages beyond the bare install: what each is needed for, and the extra that brings it.
+PACKAGES = {
+    "mitsuba": ("mesh normals and silhouettes, synthetic subjects", "mitsuba"),
+    "pymeshlab": ("meshing in the re-initialisation, the built-in body's maker", "mesh"),
+    "trimesh": ("meshes", "mesh"),
+    "skimage": ("PSNR and SSIM", "mesh"),
+    "scipy": ("nearest neighbours", "mesh"),
+    "av": ("reading and writing mp4", "avatar"),
+    "PIL": ("reading and writing PNG", "avatar"),
+    "jinja2": ("the report", "avatar"),
+    "matplotlib": ("the report's plots", "avatar"),
+    "roma": ("rotations", "avatar"),
+    "tyro": ("the command line", "avatar"),
+}
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One line of the report."""
+
+    name: str
+    found: str
+    fine: bool = True
+    needed_for: str = ""  # said where it is missing
+
+    def __str__(self) -> str:
+        mark = "ok     " if self.fine else "MISSING"
+        why = "" if self.fine or not self.needed_for else f"  (needed for: {self.needed_for})"
+        return f"{mark}  {self.name:<12} {self.found}{why}"
+
+
+def examine() -> Iterator[Finding]:
+    """Look at everything the program can use, the essential first."""
+    version = sys.version_info
+    yield Finding("python", platform.python_version(), version >= (3, 11), "everything")
+    yield Finding("system", f"{platform.platform()}, {os.cpu_count()} cores")
+    yield from _dr_jit()
+    for module in ("torch", *PACKAGES):
+        needed_for, extra = PACKAGES.get(module, ("everything", ""))
+        yield _package(module, needed_for, extra)
+    yield from _weights()
+
+
+def _dr_jit() -> Iterator[Finding]:
+    if llvm.problem:
+        yield Finding("libLLVM", llvm.problem, False, "every kernel")
+        return
+    import drjit as dr
+    from drjit.llvm import Float
+
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        smaller = dr.minimum(dr.opaque(Float, 1, 64), 0.5)
+        dr.eval(smaller)
+        code = "".join(str(kernel.get("ir", "")) for kernel in dr.kernel_history())
+    lanes = re.search(r"<(\d+) x float>", code)  # the width that the generated code really has
+    found = ".".join(map(str, dr.detail.llvm_version()))
+    yield Finding("libLLVM", f"{found} at {os.environ.get(llvm._PATH, 'the default path')}")
+    width = f", {lanes.group(1)} float32 lanes" if lanes else ""
+    says = f"{dr.__version__}, {dr.thread_count()} threads{width}"
+    yield Finding("drjit", says, bool(dr.all(smaller == 0.5)), "every kernel")
+
+
+def _package(module: str, needed_for: str, extra: str) -> Finding:
+    # In a process of its own: a wheel that lacks a system library may fail in any way it likes.
+    trial = f"import gva_mi, {module}"
+    result = subprocess.run([sys.executable, "-c", trial], capture_output=True, text=True)
+    if result.returncode == 0:
+        names = metadata.packages_distributions().get(module, [module])
+        return Finding(module, metadata.version(names[0]))
+    last = (result.stderr.strip().splitlines() or [f"exit code {result.returncode}"])[-1]
+    install = f"; pip install 'gva_mi[{extra}]'" if "ModuleNotFound" in last else ""
+    if "libGL" in last or "libX11" in last:
+        install = "; apt-get install libgl1 libx11-6"
+    return Finding(module, last + install, False, needed_for)
+
+
+def _weights() -> Iterator[Finding]:
+    perceptual = importlib.import_module("gva_mi.fit.perceptual")
+    yield from (Finding(name, found) for name, found in perceptual.available_weights())

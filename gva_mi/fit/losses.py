@@ -1,0 +1,134 @@
+"""What the avatar's fit minimises: Eq. 13 of the paper, and two optional terms of the field.
+
+    L_render = |C - I| + λ3 |VGG(C) - VGG(I)| + λ4 |MLP(θ)|                                    (13)
+
+    + λ_alpha |A - S| + λ_ssim (1 - SSIM(C, I))                                        (optional)
+
+=============  ==================  ========  =============================================
+symbol         code name           unit      meaning
+=============  ==================  ========  =============================================
+C (H, W, 3)    ``image.color``     [0, 1]    the render, on a background
+I (H, W, 3)    ``target``          [0, 1]    the person, cut out, on the same background
+A (H, W)       ``image.alpha``     [0, 1]    how much of the background the avatar covers
+S (H, W)       ``mask``            [0, 1]    the person's mask
+MLP(θ) (N, 3)  ``residual``        m         the pose-conditioned shift of the Gaussians
+=============  ==================  ========  =============================================
+
+Every ``|·|`` is a mean of absolute values: a weight depends neither on the image's size nor on the
+number of Gaussians.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+
+import torch
+from torch import Tensor
+
+from gva_mi.splat import Image
+
+SSIM_SIGMA, SSIM_RADIUS = 1.5, 5  # pixels: the 11 x 11 Gaussian window of Wang et al. 2004
+SSIM_C1, SSIM_C2 = 0.01**2, 0.03**2  # for values in [0, 1]
+
+Window = tuple[slice, slice]  # rows and columns of a part of an image
+Distance = Callable[[Tensor, Tensor], Tensor]  # of two images (H, W, 3)
+
+
+@dataclass(frozen=True)
+class LossOptions:
+    """Weights of the terms; the reconstruction term has weight 1. The defaults are the paper's."""
+
+    perceptual: float = 0.1  # λ3, of the features' difference
+    residual: float = 0.5  # λ4, per metre, of the pose-conditioned residual
+    alpha: float = 0.0  # λ_alpha, of the render's alpha against the mask; other codes use 0.1
+    ssim: float = 0.0  # λ_ssim, of 1 - SSIM; other codes use 0.01 to 0.2
+
+    def __post_init__(self) -> None:
+        for f in fields(self):
+            if not getattr(self, f.name) >= 0:
+                raise ValueError(
+                    f"LossOptions: {f.name} must be 0 or more, got {getattr(self, f.name)}"
+                )
+
+
+@dataclass(frozen=True)
+class Losses:
+    """The terms of one step, scalars before their weights; a term of weight 0 is left at 0."""
+
+    recon: Tensor  # |C - I|
+    perceptual: Tensor  # |VGG(C) - VGG(I)|
+    residual: Tensor  # |MLP(θ)|, metres
+    alpha: Tensor  # |A - S|
+    ssim: Tensor  # 1 - SSIM(C, I)
+
+    def total(self, options: LossOptions) -> Tensor:
+        """The weighted sum, Eq. 13."""
+        weighted = (getattr(options, f.name) * getattr(self, f.name) for f in fields(options))
+        return self.recon + sum(weighted)
+
+
+def render_losses(
+    image: Image,
+    target: Tensor,
+    mask: Tensor,
+    residual: Tensor,
+    options: LossOptions,
+    distance: Distance,
+    window: Window = (slice(None), slice(None)),
+) -> Losses:
+    """The terms of Eq. 13 for one render.
+
+    Args:
+        image: the render, color (H, W, 3) and alpha (H, W).
+        target: the person on the render's background, (H, W, 3).
+        mask: the person, (H, W) in [0, 1].
+        residual: the residual MLP's shifts, (N, 3) in metres.
+        options: a term of weight 0 is left out.
+        distance: ``|VGG(C) - VGG(I)|``, see :mod:`gva_mi.fit.perceptual`.
+        window: the part of the image on which the perceptual and the SSIM term are computed. On
+            the whole image they cost more than the render; a random part a step costs little.
+
+    Returns:
+        The terms, each a scalar.
+    """
+    zero = torch.zeros((), dtype=target.dtype)
+    color, seen = image.color[window], target[window]
+    return Losses(
+        recon=(image.color - target).abs().mean(),
+        perceptual=distance(color, seen) if options.perceptual else zero,
+        residual=residual.abs().mean() if options.residual and residual.numel() else zero,
+        alpha=(image.alpha - mask).abs().mean() if options.alpha else zero,
+        ssim=1 - ssim(color, seen) if options.ssim else zero,
+    )
+
+
+def ssim(image: Tensor, target: Tensor) -> Tensor:
+    """Structural similarity of two images (H, W, 3) in [0, 1], averaged over pixels and channels.
+
+    The mean is taken where the window lies inside the image: both sides must be at least 11 pixels.
+
+    Raises:
+        ValueError: for a smaller image.
+    """
+    if min(image.shape[:2]) < 2 * SSIM_RADIUS + 1:
+        raise ValueError(f"ssim(): images must be at least 11 x 11, got {tuple(image.shape[:2])}")
+    x, y = image.permute(2, 0, 1), target.permute(2, 0, 1)
+    # The five moments at once. The window is separable, so its sums are two products with banded
+    # matrices, several times faster on a CPU than a convolution.
+    moments = torch.stack([x, y, x * x, y * y, x * y])
+    rows, columns = _window_sums(x.shape[1], x.dtype), _window_sums(x.shape[2], x.dtype)
+    moments = rows @ moments @ columns.T
+    mean_x, mean_y, xx, yy, xy = moments
+    var_x, var_y, cov = xx - mean_x**2, yy - mean_y**2, xy - mean_x * mean_y
+    luminance = (2 * mean_x * mean_y + SSIM_C1) / (mean_x**2 + mean_y**2 + SSIM_C1)
+    structure = (2 * cov + SSIM_C2) / (var_x + var_y + SSIM_C2)
+    return (luminance * structure).mean()
+
+
+def _window_sums(size: int, dtype: torch.dtype) -> Tensor:
+    """The matrix (size - 10, size) that takes a row of pixels to its means over the window."""
+    distance = torch.arange(size) - torch.arange(size - 2 * SSIM_RADIUS)[:, None] - SSIM_RADIUS
+    weights = torch.exp(-0.5 * (distance.to(dtype) / SSIM_SIGMA) ** 2)
+    weights = torch.where(distance.abs() <= SSIM_RADIUS, weights, 0)
+    return weights / weights.sum(1, keepdim=True)

@@ -1,0 +1,259 @@
+"""Distances of images in the features of a convolutional network.
+
+Three of them, each under its own name:
+
+* ``VGG16``: the paper's perceptual term, features of the pre-trained network. Its weights are not
+  ours to ship: they are read from the user's state dict, with keys ``features.N.weight``.
+* ``rand_vgg``: a network of VGG16's layout with random weights from a fixed seed. Untrained
+  features see edges and textures at several scales too, so that blur and noise are ordered
+  sensibly. It stands in where there are no weights; its figures compare only with themselves.
+* ``LPIPS`` (Zhang et al. 2018): a metric only; needs a trained network and its linear heads.
+
+For features ``f_l`` (D_l, H_l, W_l) of tap ``l`` = 1..L, and ``u_l = f_l / |f_l|`` along channels:
+
+    |VGG(C) - VGG(I)| = 1/L Σ_l mean |f_l(C) - f_l(I)|                          the loss       (1)
+    d(C, I) = Σ_l mean_hw Σ_d w_ld (u_ld(C) - u_ld(I))²                         the metrics    (2)
+
+with the linear heads w of LPIPS, and w = 1/L for ``rand_vgg``.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+
+from gva_mi.errors import InputError
+
+VGG16_WIDTHS = ((64, 64), (128, 128), (256,) * 3, (512,) * 3, (512,) * 3)  # a pool after each group
+VGG16_TAPS = (3, 8, 15, 22, 29)  # the last ReLU of each group, as an index into the layers
+ALEXNET_TAPS = (1, 4, 7, 9, 11)  # each of its ReLUs
+LOSS_TAPS = VGG16_TAPS[:3]  # deeper layers see more than a training window holds
+RAND_SEED = 0  # part of the definition of rand_vgg
+RAND_WIDTH = 0.25  # of VGG16's channels: a tenth of its time on a CPU
+
+# What the trained networks were fed with: ImageNet's mean and standard deviation per channel.
+MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+
+
+class FeatureDistance(nn.Module):
+    """Eq. 1: the perceptual loss of two images (H, W, 3), in the features of a fixed network."""
+
+    def __init__(self, layers: nn.Sequential, taps: Sequence[int]) -> None:
+        super().__init__()
+        self.layers = layers[: max(taps) + 1].requires_grad_(False).eval()
+        self.taps = tuple(taps)
+        self.register_buffer("mean", torch.tensor(MEAN).view(1, 3, 1, 1))
+        self.register_buffer("std", torch.tensor(STD).view(1, 3, 1, 1))
+
+    def features(self, image: Tensor) -> list[Tensor]:
+        """Features of an image (H, W, 3) in [0, 1] at the taps, each (1, D, H', W')."""
+        x = (image.permute(2, 0, 1)[None] - self.mean) / self.std
+        found = []
+        for k, layer in enumerate(self.layers):
+            x = layer(x)
+            if k in self.taps:
+                found.append(x)
+        return found
+
+    def forward(self, image: Tensor, target: Tensor) -> Tensor:
+        """The distance, a scalar.
+
+        Note:
+            Differentiable in ``image`` alone: the target's features are taken without gradients.
+        """
+        with torch.no_grad():
+            seen = self.features(target)
+        pairs = zip(self.features(image), seen, strict=True)
+        return torch.stack([(f - g).abs().mean() for f, g in pairs]).mean()
+
+
+class FeatureMetric(FeatureDistance):
+    """Eq. 2: the distance of unit feature vectors, LPIPS with its heads or ``rand_vgg`` without.
+
+    Args:
+        heads: one (D_l,) per tap; none: all weights 1/L.
+    """
+
+    def __init__(
+        self, layers: nn.Sequential, taps: Sequence[int], heads: Sequence[Tensor] | None = None
+    ) -> None:
+        super().__init__(layers, taps)
+        self.heads = heads
+
+    @torch.no_grad()
+    def forward(self, image: Tensor, target: Tensor) -> Tensor:
+        """The distance, a scalar without gradients."""
+        total = torch.zeros(())
+        pairs = zip(self.features(image), self.features(target), strict=True)
+        for k, (f, g) in enumerate(pairs):
+            difference = (_unit(f) - _unit(g)).square()
+            weight = self.heads[k].view(1, -1, 1, 1) if self.heads else 1 / len(self.taps)
+            total = total + (weight * difference).sum(1).mean()
+        return total
+
+
+def rand_vgg_loss(seed: int = RAND_SEED) -> FeatureDistance:
+    """The perceptual loss in random features."""
+    return FeatureDistance(_random_vgg(seed), LOSS_TAPS)
+
+
+def vgg16_loss(weights: Path) -> FeatureDistance:
+    """The paper's perceptual loss, with the user's weights of VGG16.
+
+    Raises:
+        InputError: a file that does not hold them.
+    """
+    return FeatureDistance(_load_layers(_vgg16(), weights, "VGG16"), LOSS_TAPS)
+
+
+def rand_vgg(seed: int = RAND_SEED) -> FeatureMetric:
+    """The metric ``rand_vgg``; its value is defined by the default seed."""
+    return FeatureMetric(_random_vgg(seed), VGG16_TAPS)
+
+
+def lpips(weights: Weights) -> FeatureMetric | None:
+    """LPIPS where a network and its linear heads were found (AlexNet, else VGG16), else none.
+
+    Raises:
+        InputError: a file that does not hold what its name says.
+    """
+    if weights.alexnet and weights.lpips_alex:
+        layers, taps = _load_layers(_alexnet(), weights.alexnet, "AlexNet"), ALEXNET_TAPS
+        return FeatureMetric(layers, taps, _load_heads(weights.lpips_alex, layers, taps))
+    if weights.vgg16 and weights.lpips_vgg:
+        layers, taps = _load_layers(_vgg16(), weights.vgg16, "VGG16"), VGG16_TAPS
+        return FeatureMetric(layers, taps, _load_heads(weights.lpips_vgg, layers, taps))
+    return None
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Files of weights found on this machine; None where there is none."""
+
+    vgg16: Path | None = None  # state dict, features.N.weight and .bias
+    alexnet: Path | None = None  # the same
+    lpips_vgg: Path | None = None  # linear heads, linK.model.1.weight
+    lpips_alex: Path | None = None  # the same
+
+    @property
+    def lpips_network(self) -> str | None:
+        """The network that :func:`lpips` would use."""
+        if self.alexnet and self.lpips_alex:
+            return "AlexNet"
+        return "VGG16" if self.vgg16 and self.lpips_vgg else None
+
+
+def find_weights(folder: Path | None = None) -> Weights:
+    """Look for weights: in a folder of the user's, in torch's own cache, in an installed ``lpips``.
+
+    Args:
+        folder: files ``vgg16*.pth``, ``alexnet*.pth``, ``lpips_vgg.pth``, ``lpips_alex.pth``.
+
+    Raises:
+        InputError: where ``folder`` is given and does not exist.
+    """
+    if folder is not None and not folder.is_dir():
+        raise InputError(
+            f"{folder}: no such folder; expected one with vgg16*.pth or alexnet*.pth, "
+            "and lpips_vgg.pth or lpips_alex.pth"
+        )
+    cache = os.environ.get("XDG_CACHE_HOME", str(Path.home() / ".cache"))
+    torch_home = Path(os.environ.get("TORCH_HOME", str(Path(cache) / "torch")))
+    folders = [f for f in (folder, torch_home / "hub" / "checkpoints") if f is not None]
+    package = importlib.util.find_spec("lpips")  # located, never imported: it wants torchvision
+    heads = Path(package.origin).parent / "weights" / "v0.1" if package else None
+
+    def first(*paths: Path) -> Path | None:
+        return next((p for p in paths if p.is_file()), None)
+
+    def named(pattern: str) -> Path | None:
+        return first(*(p for f in folders for p in sorted(f.glob(pattern))))
+
+    return Weights(
+        vgg16=named("vgg16*.pth"),
+        alexnet=named("alexnet*.pth"),
+        lpips_vgg=named("lpips_vgg.pth") or (first(heads / "vgg.pth") if heads else None),
+        lpips_alex=named("lpips_alex.pth") or (first(heads / "alex.pth") if heads else None),
+    )
+
+
+def _unit(features: Tensor) -> Tensor:
+    """Feature vectors (1, D, H, W) of length one along the channels."""
+    return features / (features.square().sum(1, keepdim=True).sqrt() + 1e-10)
+
+
+def _vgg16(width: float = 1.0) -> nn.Sequential:
+    """VGG16's convolutions; the indices of the layers are those of the keys ``features.N``."""
+    layers, channels = [], 3
+    for group in VGG16_WIDTHS:
+        for full in group:
+            wanted = round(full * width)
+            layers += [nn.Conv2d(channels, wanted, 3, padding=1), nn.ReLU()]
+            channels = wanted
+        layers.append(nn.MaxPool2d(2))
+    return nn.Sequential(*layers)
+
+
+def _alexnet() -> nn.Sequential:
+    """AlexNet's convolutions, indexed likewise."""
+    return nn.Sequential(
+        *(nn.Conv2d(3, 64, 11, stride=4, padding=2), nn.ReLU(), nn.MaxPool2d(3, 2)),
+        *(nn.Conv2d(64, 192, 5, padding=2), nn.ReLU(), nn.MaxPool2d(3, 2)),
+        *(nn.Conv2d(192, 384, 3, padding=1), nn.ReLU()),
+        *(nn.Conv2d(384, 256, 3, padding=1), nn.ReLU()),
+        *(nn.Conv2d(256, 256, 3, padding=1), nn.ReLU()),
+    )
+
+
+def _random_vgg(seed: int) -> nn.Sequential:
+    """A quarter of VGG16's width, with He et al.'s random weights: they keep the features' size."""
+    layers = _vgg16(RAND_WIDTH)
+    generator = torch.Generator().manual_seed(seed)
+    for layer in layers:
+        if isinstance(layer, nn.Conv2d):
+            nn.init.kaiming_normal_(layer.weight, nonlinearity="relu", generator=generator)
+            nn.init.zeros_(layer.bias)
+    return layers
+
+
+def _load_layers(layers: nn.Sequential, path: Path, name: str) -> nn.Sequential:
+    state = _load_state(path)
+    found = {key.removeprefix("features."): x for key, x in state.items() if "features." in key}
+    for key, wanted in layers.state_dict().items():
+        if key not in found or found[key].shape != wanted.shape:
+            got = f"{tuple(found[key].shape)}" if key in found else "nothing"
+            raise InputError(
+                f"{path}: not weights of {name}: 'features.{key}' must be "
+                f"{tuple(wanted.shape)}, found {got}"
+            )
+    layers.load_state_dict({key: found[key] for key in layers.state_dict()})
+    return layers
+
+
+def _load_heads(path: Path, layers: nn.Sequential, taps: Sequence[int]) -> list[Tensor]:
+    state, heads = _load_state(path), []
+    for k, tap in enumerate(taps):
+        key, channels = f"lin{k}.model.1.weight", layers[tap - 1].out_channels
+        if key not in state or state[key].numel() != channels:
+            raise InputError(f"{path}: not LPIPS heads: '{key}' must hold {channels} numbers")
+        heads.append(state[key].flatten().float())
+    return heads
+
+
+def _load_state(path: Path) -> dict[str, Tensor]:
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True)
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; expected a torch state dict") from None
+    except Exception as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise InputError(f"{path}: not a torch state dict of tensors ({reason})") from None
+    if not isinstance(state, dict) or not all(isinstance(x, Tensor) for x in state.values()):
+        raise InputError(f"{path}: not a torch state dict of tensors")
+    return state

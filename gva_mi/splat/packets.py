@@ -1,0 +1,63 @@
+"""Rows of floats in memory, columns of floats in a kernel.
+
+Dr.Jit reads and writes a row of 2, 4 or 8 neighbouring floats per lane in one go (a *packet*), several times faster
+than as many single floats. So a record of the kernels, such as the nine floats of a projected Gaussian, is kept as a
+few flat arrays whose row widths are powers of two: 9 = 8 + 1, 10 = 8 + 2. This module holds that arithmetic; the
+kernels name their columns. The precision is that of the columns given: ``drjit.llvm.Float`` or ``Float64``.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+from drjit.llvm import ArrayXf, ArrayXf64
+
+Packets = list[Any]  # flat arrays of n rows each, widths as in widths()
+
+
+def packet_type(F: type) -> type:
+    """The dynamic array whose entries are of type ``F``."""
+    return ArrayXf64 if dr.is_double_v(F) else ArrayXf
+
+
+def widths(columns: int) -> list[int]:
+    """Powers of two, at most 8, that add up to ``columns``; largest first."""
+    out = [8] * (columns // 8)
+    return out + [w for w in (4, 2, 1) if columns & w]
+
+
+def empty(F: type, columns: int, rows: int) -> Packets:
+    """Uninitialised memory for ``rows`` records of ``columns`` floats."""
+    return [dr.empty(F, w * rows) for w in widths(columns)]
+
+
+def load(packets: Packets, columns: int, index: Any) -> list[Any]:
+    """Columns of the rows ``index``."""
+    out = []
+    for source, w in zip(packets, widths(columns), strict=True):
+        out += load_rows(source, w, index)
+    return out
+
+
+def load_rows(source: Any, width: int, index: Any) -> list[Any]:
+    """Columns of the rows ``index`` of one flat array of any row width."""
+    F = type(source)
+    if width == 1:
+        return [dr.gather(F, source, index)]
+    row = dr.gather(packet_type(F), source, index, shape=(width, dr.width(index)))
+    return [row[k] for k in range(width)]
+
+
+def store(packets: Packets, columns: list[Any], index: Any, active: Any = True) -> None:
+    """Write ``columns`` to the rows ``index``; no two lanes may name the same row."""
+    first = 0
+    for target, w in zip(packets, widths(len(columns)), strict=True):
+        store_rows(target, columns[first : first + w], index, active)
+        first += w
+
+
+def store_rows(target: Any, columns: list[Any], index: Any, active: Any = True) -> None:
+    """Write ``columns`` to the rows ``index`` of one flat array of any row width."""
+    value = columns[0] if len(columns) == 1 else packet_type(type(target))(columns)
+    dr.scatter(target, value, index, active=active, mode=dr.ReduceMode.NoConflicts)

@@ -1,0 +1,151 @@
+"""Colour by spherical harmonics: what a Gaussian looks like from one direction.
+
+(1)  d   = (m - o) / |m - o|                  unit direction from the camera's position o to the mean m
+(2)  b_i = real spherical harmonics of d, i < K = (degree + 1)^2, in the sign and order of 3DGS
+(3)  c   = max(0, sum_i b_i h_i + 1/2)        per channel, h_i the coefficients
+
+Below, ``d = (x, y, z)``. The basis functions are written as homogeneous polynomials where that is shorter: any
+extension off the unit sphere does, since eq. 1 projects the radial part of the derivative away.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+
+MAX_DEGREE = 4
+
+C0 = 0.28209479177387814
+C1 = 0.4886025119029199
+C2 = (1.0925484305920792, 0.31539156525252005, 0.5462742152960396)
+C3 = (0.5900435899266435, 2.890611442640554, 0.4570457994644658, 0.3731763325901154, 1.445305721320277)
+C4 = (
+    2.5033429417967046,
+    1.7701307697799304,
+    0.9461746957575601,
+    0.6690465435572892,
+    0.10578554691520431,
+    0.47308734787878004,
+    0.6258357354491761,
+)
+
+
+def degree_of(coefficients: int) -> int:
+    """The degree whose basis has that many functions.
+
+    Raises:
+        ValueError: where there is none up to :data:`MAX_DEGREE`.
+    """
+    for degree in range(MAX_DEGREE + 1):
+        if (degree + 1) ** 2 == coefficients:
+            return degree
+    raise ValueError(f"sh must hold 1, 4, 9, 16 or 25 coefficients, got {coefficients}")
+
+
+def basis(degree: int, x: Any, y: Any, z: Any) -> list[Any]:
+    """Eq. 2: the K values b_i."""
+    b = [x * 0 + C0]
+    if degree >= 1:
+        b += [-C1 * y, C1 * z, -C1 * x]
+    if degree >= 2:
+        xx, yy, zz, xy, yz, xz = x * x, y * y, z * z, x * y, y * z, x * z
+        b += [C2[0] * xy, -C2[0] * yz, C2[1] * (2 * zz - xx - yy), -C2[0] * xz, C2[2] * (xx - yy)]
+    if degree >= 3:
+        b += [
+            -C3[0] * y * (3 * xx - yy),
+            C3[1] * xy * z,
+            -C3[2] * y * (4 * zz - xx - yy),
+            C3[3] * z * (2 * zz - 3 * xx - 3 * yy),
+            -C3[2] * x * (4 * zz - xx - yy),
+            C3[4] * z * (xx - yy),
+            -C3[0] * x * (xx - 3 * yy),
+        ]
+    if degree >= 4:
+        s = xx + yy
+        b += [
+            C4[0] * xy * (xx - yy),
+            -C4[1] * yz * (3 * xx - yy),
+            C4[2] * xy * (6 * zz - s),
+            -C4[3] * yz * (4 * zz - 3 * s),
+            C4[4] * (8 * zz * zz - 24 * s * zz + 3 * s * s),
+            -C4[3] * xz * (4 * zz - 3 * s),
+            C4[5] * (xx - yy) * (6 * zz - s),
+            -C4[1] * xz * (xx - 3 * yy),
+            C4[6] * (xx * (xx - 3 * yy) - yy * (3 * xx - yy)),
+        ]
+    return b
+
+
+def basis_adjoint(degree: int, x: Any, y: Any, z: Any, g: list[Any]) -> list[Any]:
+    """Eq. 2 reversed: sum_i g_i db_i/dd as [x, y, z], from ``g`` of the K values; the lines pair with basis."""
+    gx, gy, gz = x * 0, x * 0, x * 0
+    if degree >= 1:
+        gx, gy, gz = -C1 * g[3], -C1 * g[1], C1 * g[2]
+    if degree >= 2:
+        a, b, c, d, e = C2[0] * g[4], -C2[0] * g[5], C2[1] * g[6], -C2[0] * g[7], C2[2] * g[8]
+        gx += a * y - 2 * c * x + d * z + 2 * e * x
+        gy += a * x + b * z - 2 * c * y - 2 * e * y
+        gz += b * y + 4 * c * z + d * x
+    if degree >= 3:
+        xx, yy, zz, xy, yz, xz = x * x, y * y, z * z, x * y, y * z, x * z
+        a, b, c, d = -C3[0] * g[9], C3[1] * g[10], -C3[2] * g[11], C3[3] * g[12]
+        e, f, h = -C3[2] * g[13], C3[4] * g[14], -C3[0] * g[15]
+        gx += 6 * a * xy + b * yz - 2 * c * xy - 6 * d * xz
+        gx += e * (4 * zz - 3 * xx - yy) + 2 * f * xz + 3 * h * (xx - yy)
+        gy += 3 * a * (xx - yy) + b * xz + c * (4 * zz - xx - 3 * yy) - 6 * d * yz
+        gy -= 2 * e * xy + 2 * f * yz + 6 * h * xy
+        gz += b * xy + 8 * c * yz + d * (6 * zz - 3 * xx - 3 * yy) + 8 * e * xz + f * (xx - yy)
+    if degree >= 4:
+        s = xx + yy
+        a, b, c, d, e = C4[0] * g[16], -C4[1] * g[17], C4[2] * g[18], -C4[3] * g[19], C4[4] * g[20]
+        f, h, k, l = -C4[3] * g[21], C4[5] * g[22], -C4[1] * g[23], C4[6] * g[24]
+        p, q = 6 * zz - s, 4 * zz - 3 * s
+        gx += a * y * (3 * xx - yy) + 6 * b * xy * z + c * (y * p - 2 * xx * y) - 6 * d * xy * z
+        gx += e * x * (12 * s - 48 * zz) + f * (z * q - 6 * xx * z) + 2 * h * x * (p - xx + yy)
+        gx += 3 * k * z * (xx - yy) + 4 * l * x * (xx - 3 * yy)
+        gy += a * x * (xx - 3 * yy) + 3 * b * z * (xx - yy) + c * (x * p - 2 * x * yy)
+        gy += d * (z * q - 6 * yy * z) + e * y * (12 * s - 48 * zz) - 6 * f * xy * z
+        gy -= 2 * h * y * (p + xx - yy) + 6 * k * xy * z + 4 * l * y * (3 * xx - yy)
+        gz += b * y * (3 * xx - yy) + 12 * c * xy * z + d * y * (q + 8 * zz)
+        gz += e * z * (32 * zz - 48 * s) + f * x * (q + 8 * zz) + 12 * h * z * (xx - yy)
+        gz += k * x * (xx - 3 * yy)
+    return [gx, gy, gz]
+
+
+def direction(m: list[Any], o: list[Any]) -> tuple[list[Any], Any]:
+    """Eq. 1: the unit direction and 1/|m - o|; a mean at the camera has none and gets zero."""
+    v = [m[k] - o[k] for k in range(3)]
+    squared = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
+    reciprocal = dr.select(squared > 0, 1 / dr.sqrt(squared), 0)
+    return [x * reciprocal for x in v], reciprocal
+
+
+def color(h: list[Any], m: list[Any], o: list[Any]) -> list[Any]:
+    """Eq. 3: the colour of the three channels.
+
+    Args:
+        h: 3K columns, coefficient by coefficient (``h[3 i + k]``).
+        m: mean, world. o: camera position, world.
+    """
+    d, _ = direction(m, o)
+    b = basis(degree_of(len(h) // 3), *d)
+    sums = [sum((b[i] * h[3 * i + k] for i in range(1, len(b))), b[0] * h[k]) for k in range(3)]
+    return [dr.select(s > -0.5, s + 0.5, 0) for s in sums]
+
+
+def color_adjoint(
+    h: list[Any], m: list[Any], o: list[Any], grad_c: list[Any]
+) -> tuple[list[Any], list[Any]]:
+    """Eq. 3 reversed: gradients of the 3K coefficients and of the mean."""
+    d, reciprocal = direction(m, o)
+    degree = degree_of(len(h) // 3)
+    b = basis(degree, *d)
+    sums = [sum((b[i] * h[3 * i + k] for i in range(1, len(b))), b[0] * h[k]) for k in range(3)]
+    grad_s = [dr.select(s > -0.5, g, 0) for s, g in zip(sums, grad_c, strict=True)]
+
+    grad_h = [b[i] * grad_s[k] for i in range(len(b)) for k in range(3)]
+    grad_b = [sum(h[3 * i + k] * grad_s[k] for k in range(3)) for i in range(len(b))]
+    grad_d = basis_adjoint(degree, *d, grad_b)
+    radial = d[0] * grad_d[0] + d[1] * grad_d[1] + d[2] * grad_d[2]
+    return grad_h, [(grad_d[k] - d[k] * radial) * reciprocal for k in range(3)]

@@ -1,0 +1,248 @@
+"""Which Gaussians touch which tile of the picture, front to back: integers, no gradient.
+
+A tile is ``WIDTH x HEIGHT`` pixels, the work of one SIMD lane. The steps:
+
+1. count the tiles that each Gaussian's ellipse alpha >= alpha_min (project.py, eq. 7) touches: exactly, row of tiles by row;
+2. sort the Gaussians by depth (stable: ties keep their order) and sum the counts up: where each one's pairs start;
+3. emit one (tile, Gaussian) pair per touched tile, in depth order;
+4. sort the pairs by tile, stably, so that every tile's list is in depth order; note where it starts and ends;
+5. schedule: tiles with lists of like length share a SIMD packet, and packets are dealt round-robin over the
+   blocks that threads work on, or one thread would get all the long lists.
+
+The number of pairs M is another one at every pose. Pair buffers therefore have a *capacity*, M rounded up to one of
+four sizes per octave: the frozen kernels meet few sizes, and the memory does not fragment. Buffers are padded with
+pairs of the last tile, which the stable sort leaves behind that tile's own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+
+from gva_mi.splat import packets
+from gva_mi.splat.project import FOOTPRINT
+
+WIDTH, HEIGHT = 8, 4  # pixels of a tile
+SIMD = 16  # lanes of a packet (AVX-512; half of it divides it)
+BLOCKS = 16  # packets are dealt over this many parts
+LONGEST = 1023  # lists are ordered by length up to this one
+MAX_PAIRS = 2**31 - 1  # what 32-bit indices hold
+SLACK = 1e-3  # pixels by which an ellipse is widened against rounding
+
+NoConflicts = dr.ReduceMode.NoConflicts
+
+
+@dataclass(frozen=True)
+class Grid:
+    """The picture in tiles, as the kernels see it: arrays of size one, so that another size is not another kernel."""
+
+    width: Any  # px
+    height: Any  # px
+    columns: Any  # tiles side by side
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The picture in tiles, as the host sees it."""
+
+    width: int  # px
+    height: int  # px
+
+    @property
+    def columns(self) -> int:
+        """Tiles side by side."""
+        return -(-self.width // WIDTH)
+
+    @property
+    def rows(self) -> int:
+        """Tiles on top of each other."""
+        return -(-self.height // HEIGHT)
+
+    @property
+    def tiles(self) -> int:
+        """All tiles."""
+        return self.columns * self.rows
+
+    def grid(self, I: type) -> Grid:
+        """For the kernels, in signed integers of type ``I``."""
+        return Grid(*(dr.opaque(I, n) for n in (self.width, self.height, self.columns)))
+
+
+@dataclass(frozen=True)
+class Lists:
+    """Every tile's Gaussians, front to back."""
+
+    ids: Any  # (capacity,) Gaussian of each pair, sorted by tile, then depth
+    slots: Any  # (capacity,) position in ids of each pair in the order of emission
+    first: Any  # (N,) first pair of each Gaussian in the order of emission
+    counts: Any  # (N,) tiles each Gaussian touches
+    tile: Any  # (lanes,) tile of each lane of the compositing kernel
+    start: Any  # (lanes,) its list in ids: first
+    end: Any  # (lanes,) and one past the last; lanes without a tile have an empty list and tile 0
+    pairs: int  # M
+
+
+def capacity(pairs: int) -> int:
+    """``pairs`` rounded up to 4, 5, 6 or 7 times a power of two."""
+    step = 1 << max(0, pairs.bit_length() - 3)
+    return -(-pairs // step) * step
+
+
+@dataclass(frozen=True)
+class _Footprint:
+    """An ellipse in the picture: |d_y| <= ry, and at height d_y the columns shear d_y -+ half sqrt(1 - (d_y/ry)^2)."""
+
+    u: Any  # mean, px
+    v: Any
+    rx: Any  # half extents, px; ry < 0 where nothing is to be drawn
+    ry: Any
+    shear: Any
+    half: Any
+    turn: Any  # d_y of the rightmost point; the leftmost lies at -turn
+    first: Any  # rows of tiles [first, last)
+    last: Any
+
+
+def _load(footprints: packets.Packets, i: Any, grid: Grid) -> _Footprint:
+    u, v, rx, ry, shear, half, turn, _ = packets.load(footprints, FOOTPRINT, i)
+    F, I = type(u), type(grid.height)
+    low = dr.maximum(dr.ceil(v - ry - 0.5 - SLACK), 0)
+    high = dr.minimum(dr.floor(v + ry - 0.5 + SLACK), F(grid.height) - 1)
+    ok = (ry >= 0) & (low <= high)
+    ok &= (u + rx + SLACK >= 0.5) & (u - rx - SLACK <= F(grid.width) - 0.5)
+    first = I(dr.select(ok, low, 0)) // HEIGHT
+    last = dr.select(ok, I(dr.select(ok, high, 0)) // HEIGHT + 1, first)
+    return _Footprint(u, v, rx, ry, shear, half, turn, first, last)
+
+
+def _columns_touched(g: _Footprint, row: Any, grid: Grid) -> tuple[Any, Any]:
+    """Tiles [left, right) of a row of tiles whose pixel centres the ellipse holds."""
+    F, I = type(g.u), type(row)
+    y = F(row * HEIGHT) + 0.5
+    top, bottom = dr.maximum(y - g.v, -g.ry), dr.minimum(y + (HEIGHT - 1) - g.v, g.ry)
+    ok = top <= bottom
+    right, left = (dr.minimum(dr.maximum(d, top), bottom) for d in (g.turn, -g.turn))
+    # ry = 0 only where the ellipse is a point
+    chord = lambda d: g.half * dr.sqrt(dr.maximum(1 - dr.square(d / dr.maximum(g.ry, 1e-6)), 0))
+    low = dr.maximum(dr.ceil(g.u + g.shear * left - chord(left) - 0.5 - SLACK), 0)
+    high = g.u + g.shear * right + chord(right) - 0.5 + SLACK
+    high = dr.minimum(dr.floor(high), F(grid.width) - 1)
+    ok &= low <= high
+    begin = I(dr.select(ok, low, 0)) // WIDTH
+    return begin, dr.select(ok, I(dr.select(ok, high, 0)) // WIDTH + 1, begin)
+
+
+@dr.freeze(limit=64, warn_after=1000)
+def count(footprints: packets.Packets, depths: Any, grid: Grid) -> Any:
+    """Step 1: how many tiles each Gaussian touches, (N,)."""
+    F = type(depths)
+    U = dr.uint32_array_t(F)
+    g = _load(footprints, dr.arange(U, dr.width(depths)), grid)
+
+    def body(row: Any, n: Any) -> tuple[Any, Any]:
+        begin, end = _columns_touched(g, row, grid)
+        return row + 1, n + U(end - begin)
+
+    zero = U(g.first) * 0
+    return dr.while_loop((g.first, zero), lambda row, n: row < g.last, body, mode="symbolic")[1]
+
+
+@dr.freeze(limit=64, warn_after=1000)
+def _emit(
+    footprints: packets.Packets, order: Any, start: Any, grid: Grid, tile: Any, ids: Any
+) -> tuple[Any, Any]:
+    """Step 3: lane per Gaussian, front to back; one pair per turn of the loop."""
+    U, I = type(order), type(grid.width)
+    g = _load(footprints, order, grid)
+
+    def body(row: Any, column: Any, end: Any, k: Any) -> tuple[Any, ...]:
+        fresh = column >= end
+        begin, stop = _columns_touched(g, row, grid)
+        column, end = dr.select(fresh, begin, column), dr.select(fresh, stop, end)
+        write = column < end
+        dr.scatter(tile, U(row * grid.columns + column), k, active=write, mode=NoConflicts)
+        dr.scatter(ids, order, k, active=write, mode=NoConflicts)
+        k += dr.select(write, U(1), U(0))
+        column += 1
+        return dr.select(column >= end, row + 1, row), column, end, k
+
+    zero = I(order) * 0
+    state = (I(g.first), zero, I(zero), U(start))
+    dr.while_loop(state, lambda row, *_: row < g.last, body, mode="symbolic")
+    dr.eval(tile, ids)
+    return tile, ids
+
+
+@dr.freeze(limit=64, warn_after=1000)
+def _ranges(
+    tile: Any, emitted: Any, permutation: Any, last: Any, start: Any, end: Any, slots: Any
+) -> tuple[Any, ...]:
+    """Step 4, after the sort: lists, where they start and end, and the inverse of the permutation."""
+    U = type(tile)
+    k = dr.arange(U, dr.width(permutation))
+    ids, here = dr.gather(U, emitted, permutation), dr.gather(U, tile, permutation)
+    before = dr.gather(U, tile, dr.gather(U, permutation, dr.select(k > 0, k - 1, 0)))
+    after = dr.gather(U, tile, dr.gather(U, permutation, dr.minimum(k + 1, last)))
+    dr.scatter(start, k, here, active=(k <= last) & ((k == 0) | (before != here)), mode=NoConflicts)
+    dr.scatter(end, k + 1, here, active=(k == last) | ((k < last) & (after != here)), mode=NoConflicts)
+    dr.scatter(slots, k, permutation, mode=dr.ReduceMode.Permute)
+    dr.eval(ids, start, end, slots)
+    return ids, start, end, slots
+
+
+def _schedule(start: Any, end: Any) -> tuple[Any, Any, Any]:
+    """Step 5: the tile of each lane, and its list."""
+    U = type(start)
+    tiles = dr.width(start)
+    key = LONGEST - dr.minimum(end - start, LONGEST)
+    order = dr.detail.block_mkperm(key, tiles, LONGEST + 1)
+    per_block = -(-tiles // (SIMD * BLOCKS))  # packets
+    lane = dr.arange(U, per_block * BLOCKS * SIMD)
+    packet = lane // SIMD
+    rank = ((packet % per_block) * BLOCKS + packet // per_block) * SIMD + lane % SIMD
+    real = rank < tiles
+    tile = dr.gather(U, order, rank, active=real)
+    start, end = dr.gather(U, start, tile, active=real), dr.gather(U, end, tile, active=real)
+    dr.eval(tile, start, end)
+    return tile, start, end
+
+
+def make_lists(footprints: packets.Packets, depths: Any, layout: Layout, grid: Grid) -> Lists | None:
+    """Steps 1-5; None where nothing is to be drawn.
+
+    Raises:
+        ValueError: for more pairs than 32-bit indices hold.
+    """
+    U = dr.uint32_array_t(type(depths))
+    n = dr.width(depths)
+    counts = count(footprints, depths, grid)
+    order = dr.argsort(depths)
+    sorted_counts = dr.gather(U, counts, order)
+    sums = dr.cumsum(dr.uint64_array_t(U)(sorted_counts))
+    start = U(sums) - sorted_counts
+    dr.eval(counts, start)
+    pairs = int(sums[n - 1])
+    if pairs == 0:
+        return None
+    if pairs > MAX_PAIRS:
+        raise ValueError(
+            f"render(): {n} Gaussians touch {pairs} tiles, more than the {MAX_PAIRS} that 32-bit indices hold; "
+            f"make the picture or the Gaussians smaller"
+        )
+    size, tiles = capacity(pairs), layout.tiles
+    tile, ids = dr.full(U, tiles - 1, size), dr.zeros(U, size)
+    dr.make_opaque(tile, ids)
+    tile, ids = _emit(footprints, order, start, grid, tile, ids)
+
+    permutation = dr.detail.block_mkperm(tile, size, 1 << (tiles - 1).bit_length())
+    begin, end = dr.zeros(U, tiles), dr.zeros(U, tiles)
+    dr.make_opaque(begin, end)
+    ids, begin, end, slots = _ranges(
+        tile, ids, permutation, dr.opaque(U, pairs - 1), begin, end, dr.empty(U, size)
+    )
+    first = dr.empty(U, n)
+    dr.scatter(first, start, order, mode=dr.ReduceMode.Permute)
+    dr.eval(first)
+    return Lists(ids, slots, first, counts, *_schedule(begin, end), pairs)

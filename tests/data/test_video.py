@@ -1,0 +1,132 @@
+"""What is written comes back, and what cannot be used is refused in one sentence that says where."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from gva_mi import InputError
+from gva_mi.data.pictures import read_image, read_movie, read_normals, write_image, write_movie
+from gva_mi.data.video import Splits, load_video
+
+
+def rewrite(path, **changes):
+    """Change keys of an npz; None removes one."""
+    with np.load(path) as file:
+        data = {k: file[k] for k in file.files} | changes
+    np.savez(path, **{k: v for k, v in data.items() if v is not None})
+
+
+def test_a_subject_comes_back_as_it_was_written(subject):
+    video = load_video(subject)
+    assert len(video) == 3 and video.size == (8, 6) and not video.has_normals
+    frame = video[1]
+    expected = read_image(subject / "frames/000001.png", 3) / np.float32(255)
+    assert np.array_equal(frame.image, expected)
+    assert frame.normals is None and frame.mask.sum() == 16
+    assert len(frame.pose) == 1
+
+
+def test_a_film_without_loss_serves_like_frames(subject):
+    frames = [f.image for f in load_video(subject).frames()]
+    write_movie(subject / "video.mp4", frames)
+    shutil.rmtree(subject / "frames")
+    for frame, image in zip(load_video(subject).frames(), frames, strict=True):
+        assert np.array_equal(frame.image, image)
+
+
+def test_the_background_is_replaced_where_the_mask_is_empty(subject):
+    frame = load_video(subject)[0]
+    picture = frame.on_background(1.0)
+    assert (picture[frame.mask == 0] == 1).all()
+    assert np.array_equal(picture[frame.mask == 1], frame.image[frame.mask == 1])
+
+
+def test_normals_are_unit_inside_the_mask_and_zero_outside(subject):
+    normals = np.zeros((6, 8, 3), np.float32)
+    normals[..., 2] = -1
+    write_image(subject / "normals/000000.png", (normals + 1) / 2)
+    for k in (1, 2):
+        np.save(subject / f"normals/{k:06d}.npy", normals)
+    video = load_video(subject)
+    for frame in video.frames():
+        length = np.linalg.norm(frame.normals, axis=-1)
+        assert (
+            np.allclose(length[frame.mask > 0], 1, atol=1e-5)
+            and (length[frame.mask == 0] == 0).all()
+        )
+    difference = read_normals(subject / "normals", 0) - read_normals(subject / "normals", 1)
+    assert abs(difference).max() < 1 / 127
+
+
+def test_default_splits_share_no_frame_and_lose_none():
+    splits = Splits.every(8, 37)
+    assert sorted(splits.train + splits.test) == list(range(37))
+    assert not set(splits.train) & set(splits.test)
+
+
+BAD = {
+    "no subject": (lambda s: shutil.rmtree(s), "no such folder"),
+    "no pictures": (lambda s: shutil.rmtree(s / "frames"), "neither frames"),
+    "a gap": (lambda s: (s / "frames/000001.png").unlink(), "000001.png was expected"),
+    "no mask": (lambda s: (s / "masks/000002.png").unlink(), "000002.png: no such file"),
+    "mask size": (
+        lambda s: write_image(s / "masks/000001.png", np.ones((6, 9))),
+        "mask of frame 1 is 9x6, expected 8x6",
+    ),
+    "empty mask": (
+        lambda s: write_image(s / "masks/000001.png", np.zeros((6, 8))),
+        "mask of frame 1 is empty",
+    ),
+    "frame size": (
+        lambda s: write_image(s / "frames/000002.png", np.zeros((6, 9, 3))),
+        "frame 2 is 9x6, but cameras.npz says 8x6",
+    ),
+    "no poses": (lambda s: (s / "poses.npz").unlink(), "poses.npz: no such file"),
+    "poses are text": (lambda s: (s / "poses.npz").write_text("?"), "not a readable .npz"),
+    "no transl": (lambda s: rewrite(s / "poses.npz", transl=None), "key 'transl' is missing"),
+    "short poses": (
+        lambda s: rewrite(s / "poses.npz", body_pose=np.zeros((3, 60), np.float32)),
+        r"'body_pose' must be \(3, 63\), got \(3, 60\)",
+    ),
+    "integer poses": (
+        lambda s: rewrite(s / "poses.npz", transl=np.zeros((3, 3), int)),
+        "'transl' must be floating point, got int64",
+    ),
+    "NaN": (
+        lambda s: rewrite(
+            s / "poses.npz", transl=np.array([[0, 0, 0], [0, np.nan, 0], [0, 0, 0.0]])
+        ),
+        "'transl' holds a number that is not finite in frame 1",
+    ),
+    "no K": (lambda s: rewrite(s / "cameras.npz", K=None), "key 'K' is missing"),
+    "K shape": (lambda s: rewrite(s / "cameras.npz", K=np.eye(4)), r"'K' must be \(3, 3\)"),
+    "mirror": (
+        lambda s: rewrite(s / "cameras.npz", T_camera_world=np.diag([2.0, 1, 1, 1])),
+        "must be rigid",
+    ),
+    "split": (
+        lambda s: (s / "splits.json").write_text(json.dumps({"train": [0, 7], "test": [1]})),
+        "frame 7 does not exist; the video has frames 0 to 2",
+    ),
+    "split twice": (
+        lambda s: (s / "splits.json").write_text(json.dumps({"train": [0, 1], "test": [1]})),
+        "frame 1 is in both",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_input_is_one_sentence_that_says_where(subject, name):
+    spoil, sentence = BAD[name]
+    spoil(subject)
+    with pytest.raises(InputError, match=sentence) as caught:
+        load_video(subject)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_film_that_cannot_be_decoded_is_named(subject):
+    (subject / "video.mp4").write_bytes(b"no film at all")
+    with pytest.raises(InputError, match=r"video\.mp4: cannot be decoded"):
+        read_movie(subject / "video.mp4")

@@ -53,7 +53,7 @@ def _run(arguments: list[str]) -> None:
     tyro.extras.subcommand_cli_from_dict(
         steps,
         prog="gva-mi",
-        description="A monocular video of a person becomes a drivable 3D Gaussian avatar, on a CPU.",
+        description="A monocular video of a person becomes a drivable 3D Gaussian avatar.",
         args=arguments,
         config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
     )

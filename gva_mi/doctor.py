@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 import platform
 import re
@@ -67,7 +66,7 @@ def _dr_jit() -> Iterator[Finding]:
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         smaller = dr.minimum(dr.opaque(Float, 1, 64), 0.5)
         dr.eval(smaller)
-        code = "".join(str(kernel.get("ir", "")) for kernel in dr.kernel_history())
+        code = "".join(kernel["ir"].getvalue() for kernel in dr.kernel_history() if "ir" in kernel)
     lanes = re.search(r"<(\d+) x float>", code)  # the width that the generated code really has
     found = ".".join(map(str, dr.detail.llvm_version()))
     yield Finding("libLLVM", f"{found} at {os.environ.get(llvm._PATH, 'the default path')}")
@@ -91,5 +90,11 @@ def _package(module: str, needed_for: str, extra: str) -> Finding:
 
 
 def _weights() -> Iterator[Finding]:
-    perceptual = importlib.import_module("gva_mi.fit.perceptual")
-    yield from (Finding(name, found) for name, found in perceptual.available_weights())
+    """Weights are never needed: say what there is, and what serves without."""
+    from gva_mi.fit.perceptual import find_weights
+
+    weights = find_weights()
+    vgg = weights.vgg16 or "none; the perceptual loss uses the random network rand_vgg"
+    yield Finding("VGG16", str(vgg))
+    network = weights.lpips_network
+    yield Finding("LPIPS", f"on {network}" if network else "none; rand_vgg is reported instead")

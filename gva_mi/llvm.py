@@ -78,7 +78,7 @@ def prepare() -> None:
 
 
 def require() -> None:
-    """Raise the ImportError that :func:`prepare` kept; called by every package that needs Dr.Jit."""
+    """Raise what :func:`prepare` kept; called by every package that needs Dr.Jit."""
     if problem:
         raise ImportError(problem)
 

@@ -58,7 +58,7 @@ def floor(name: str) -> int:
 
 
 def imports(path: Path, *, top_level_only: bool = False) -> set[str]:
-    """Every module that a file imports, each ``from a import b`` as ``a.b`` where that is a module."""
+    """Every module that a file imports; ``from a import b`` counts as ``a.b`` if that is one."""
     found = set()
     tree = ast.parse(path.read_text())
     for node in tree.body if top_level_only else ast.walk(tree):

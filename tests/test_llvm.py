@@ -1,4 +1,4 @@
-"""A libLLVM that works is found before Dr.Jit is imported, and a bad one never aborts the process."""
+"""A libLLVM that works is found before Dr.Jit is imported; a bad one never aborts the process."""
 
 import os
 import subprocess

@@ -139,10 +139,34 @@ def load_poses(path: Path) -> tuple[Pose, Shape]:
     return Pose(**values), Shape(_tensor(path, "betas", betas, betas.shape))
 
 
-def save_poses(path: Path, pose: Pose, shape: Shape, *, stage: int) -> None:
-    """Write ``poses.npz``; stage 1 comes from an estimator, stage 2 from the refinement."""
-    data = {f.name: getattr(pose, f.name).detach().cpu().numpy() for f in fields(pose)}
-    np.savez(path, **data, betas=shape.betas.detach().cpu().numpy(), stage=stage)
+def save_poses(
+    path: Path, pose: Pose, shape: Shape, *, stage: int, offsets: Tensor | None = None
+) -> None:
+    """Write ``poses.npz``.
+
+    Args:
+        path: the file.
+        pose: T frames.
+        shape: the person's.
+        stage: 1 from an estimator, 2 from the refinement.
+        offsets: (V, 3) displacement of the rest surface that the refinement found, metres.
+    """
+    data = {f.name: getattr(pose, f.name).detach().numpy() for f in fields(pose)}
+    if offsets is not None:
+        data["offsets"] = offsets.detach().numpy()
+    np.savez(path, **data, betas=shape.betas.detach().numpy(), stage=stage)
+
+
+def load_offsets(path: Path, vertices: int) -> Tensor | None:
+    """The displacement (V, 3) in a file of poses; None where it holds none.
+
+    Raises:
+        InputError: one for a body with another number of vertices, or not finite.
+    """
+    with np.load(path, allow_pickle=False) as file:
+        if "offsets" not in file.files:
+            return None
+        return _tensor(path, "offsets", file["offsets"], (vertices, 3))
 
 
 def _tensor(path: Path, name: str, value: np.ndarray, shape: tuple[int, ...]) -> Tensor:

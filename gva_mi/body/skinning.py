@@ -123,9 +123,7 @@ def blend(weights: Tensor, T_world_rest: Tensor) -> Tensor:
     return weights @ T_world_rest[..., :3, :].flatten(-2)
 
 
-def nearest_weights(
-    points: Tensor, vertices: Tensor, weights: Tensor, joints: int = 4
-) -> Tensor:
+def nearest_weights(points: Tensor, vertices: Tensor, weights: Tensor, joints: int = 4) -> Tensor:
     """Skinning weights of free points: those of the nearest vertex, its strongest joints only.
 
     Args:
@@ -142,7 +140,9 @@ def nearest_weights(
     """
     with torch.no_grad():
         rows = max(1, _CHUNK // len(vertices))
-        exact = "donot_use_mm_for_euclid_dist"  # the faster expansion loses the last 0.3 mm in float32
+        exact = (
+            "donot_use_mm_for_euclid_dist"  # the faster expansion loses the last 0.3 mm in float32
+        )
         nearest = [
             torch.cdist(chunk, vertices, compute_mode=exact).argmin(1)
             for chunk in points.split(rows)

@@ -17,8 +17,8 @@ novel_pose     of another motion, synthetic subjects only                true   
 novel_view     of the video's motion from other cameras, likewise        true          true
 =============  ========================================================  ============  ===========
 
-"The video's" poses are those the video was opened with: the refined ones after stage 2. The poses of
-the test frames then come from their own masks and normals, as in the paper. No test picture is
+"The video's" poses are those the video was opened with: the refined ones after stage 2. The poses
+of the test frames then come from their own masks and normals, as in the paper. No test picture is
 fitted.
 """
 

@@ -21,12 +21,13 @@ from __future__ import annotations
 
 import importlib.util
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import torch
 from torch import Tensor, nn
+from torch.nn.utils import skip_init
 
 from gva_mi.errors import InputError
 
@@ -183,9 +184,22 @@ def find_weights(folder: Path | None = None) -> Weights:
     )
 
 
+def available_weights() -> Iterator[tuple[str, str]]:
+    """For ``gva-mi doctor``: what will be used where weights matter, and why."""
+    weights = find_weights()
+    yield "VGG16", str(weights.vgg16 or "no weights: the perceptual term uses rand_vgg")
+    network = weights.lpips_network
+    yield "LPIPS", f"with {network}" if network else "no weights: rand_vgg alone is reported"
+
+
 def _unit(features: Tensor) -> Tensor:
     """Feature vectors (1, D, H, W) of length one along the channels."""
     return features / (features.square().sum(1, keepdim=True).sqrt() + 1e-10)
+
+
+def _conv(*arguments: int, **options: int) -> nn.Conv2d:
+    """A convolution without numbers in it: torch's own filling would draw from the global seed."""
+    return skip_init(nn.Conv2d, *arguments, **options)
 
 
 def _vgg16(width: float = 1.0) -> nn.Sequential:
@@ -194,7 +208,7 @@ def _vgg16(width: float = 1.0) -> nn.Sequential:
     for group in VGG16_WIDTHS:
         for full in group:
             wanted = round(full * width)
-            layers += [nn.Conv2d(channels, wanted, 3, padding=1), nn.ReLU()]
+            layers += [_conv(channels, wanted, 3, padding=1), nn.ReLU()]
             channels = wanted
         layers.append(nn.MaxPool2d(2))
     return nn.Sequential(*layers)
@@ -203,11 +217,11 @@ def _vgg16(width: float = 1.0) -> nn.Sequential:
 def _alexnet() -> nn.Sequential:
     """AlexNet's convolutions, indexed likewise."""
     return nn.Sequential(
-        *(nn.Conv2d(3, 64, 11, stride=4, padding=2), nn.ReLU(), nn.MaxPool2d(3, 2)),
-        *(nn.Conv2d(64, 192, 5, padding=2), nn.ReLU(), nn.MaxPool2d(3, 2)),
-        *(nn.Conv2d(192, 384, 3, padding=1), nn.ReLU()),
-        *(nn.Conv2d(384, 256, 3, padding=1), nn.ReLU()),
-        *(nn.Conv2d(256, 256, 3, padding=1), nn.ReLU()),
+        *(_conv(3, 64, 11, stride=4, padding=2), nn.ReLU(), nn.MaxPool2d(3, 2)),
+        *(_conv(64, 192, 5, padding=2), nn.ReLU(), nn.MaxPool2d(3, 2)),
+        *(_conv(192, 384, 3, padding=1), nn.ReLU()),
+        *(_conv(384, 256, 3, padding=1), nn.ReLU()),
+        *(_conv(256, 256, 3, padding=1), nn.ReLU()),
     )
 
 

@@ -8,17 +8,21 @@ kernels name their columns. The precision is that of the columns given: ``drjit.
 
 from __future__ import annotations
 
-from typing import Any
-
 import drjit as dr
+from drjit import ArrayBase as Array
 from drjit.llvm import ArrayXf, ArrayXf64
 
-Packets = list[Any]  # flat arrays of n rows each, widths as in widths()
+Packets = list[Array]  # flat arrays of n rows each, widths as in widths()
+
+
+def is_double(F: type) -> bool:
+    """Whether arrays of type ``F`` hold float64."""
+    return dr.type_v(F) == dr.VarType.Float64
 
 
 def packet_type(F: type) -> type:
     """The dynamic array whose entries are of type ``F``."""
-    return ArrayXf64 if dr.is_double_v(F) else ArrayXf
+    return ArrayXf64 if is_double(F) else ArrayXf
 
 
 def widths(columns: int) -> list[int]:
@@ -32,7 +36,7 @@ def empty(F: type, columns: int, rows: int) -> Packets:
     return [dr.empty(F, w * rows) for w in widths(columns)]
 
 
-def load(packets: Packets, columns: int, index: Any) -> list[Any]:
+def load(packets: Packets, columns: int, index: Array) -> list[Array]:
     """Columns of the rows ``index``."""
     out = []
     for source, w in zip(packets, widths(columns), strict=True):
@@ -40,7 +44,7 @@ def load(packets: Packets, columns: int, index: Any) -> list[Any]:
     return out
 
 
-def load_rows(source: Any, width: int, index: Any) -> list[Any]:
+def load_rows(source: Array, width: int, index: Array) -> list[Array]:
     """Columns of the rows ``index`` of one flat array of any row width."""
     F = type(source)
     if width == 1:
@@ -49,7 +53,7 @@ def load_rows(source: Any, width: int, index: Any) -> list[Any]:
     return [row[k] for k in range(width)]
 
 
-def store(packets: Packets, columns: list[Any], index: Any, active: Any = True) -> None:
+def store(packets: Packets, columns: list[Array], index: Array, active: Array = True) -> None:
     """Write ``columns`` to the rows ``index``; no two lanes may name the same row."""
     first = 0
     for target, w in zip(packets, widths(len(columns)), strict=True):
@@ -57,7 +61,7 @@ def store(packets: Packets, columns: list[Any], index: Any, active: Any = True) 
         first += w
 
 
-def store_rows(target: Any, columns: list[Any], index: Any, active: Any = True) -> None:
+def store_rows(target: Array, columns: list[Array], index: Array, active: Array = True) -> None:
     """Write ``columns`` to the rows ``index`` of one flat array of any row width."""
     value = columns[0] if len(columns) == 1 else packet_type(type(target))(columns)
     dr.scatter(target, value, index, active=active, mode=dr.ReduceMode.NoConflicts)

@@ -10,16 +10,21 @@ extension off the unit sphere does, since eq. 1 projects the radial part of the 
 
 from __future__ import annotations
 
-from typing import Any
-
 import drjit as dr
+from drjit import ArrayBase as Array
 
 MAX_DEGREE = 4
 
 C0 = 0.28209479177387814
 C1 = 0.4886025119029199
 C2 = (1.0925484305920792, 0.31539156525252005, 0.5462742152960396)
-C3 = (0.5900435899266435, 2.890611442640554, 0.4570457994644658, 0.3731763325901154, 1.445305721320277)
+C3 = (
+    0.5900435899266435,
+    2.890611442640554,
+    0.4570457994644658,
+    0.3731763325901154,
+    1.445305721320277,
+)
 C4 = (
     2.5033429417967046,
     1.7701307697799304,
@@ -40,10 +45,10 @@ def degree_of(coefficients: int) -> int:
     for degree in range(MAX_DEGREE + 1):
         if (degree + 1) ** 2 == coefficients:
             return degree
-    raise ValueError(f"sh must hold 1, 4, 9, 16 or 25 coefficients, got {coefficients}")
+    raise ValueError(f"render(): sh must hold 1, 4, 9, 16 or 25 coefficients, got {coefficients}")
 
 
-def basis(degree: int, x: Any, y: Any, z: Any) -> list[Any]:
+def basis(degree: int, x: Array, y: Array, z: Array) -> list[Array]:
     """Eq. 2: the K values b_i."""
     b = [x * 0 + C0]
     if degree >= 1:
@@ -77,7 +82,7 @@ def basis(degree: int, x: Any, y: Any, z: Any) -> list[Any]:
     return b
 
 
-def basis_adjoint(degree: int, x: Any, y: Any, z: Any, g: list[Any]) -> list[Any]:
+def basis_adjoint(degree: int, x: Array, y: Array, z: Array, g: list[Array]) -> list[Array]:
     """Eq. 2 reversed: sum_i g_i db_i/dd as [x, y, z], from ``g`` of the K values; the lines pair with basis."""
     gx, gy, gz = x * 0, x * 0, x * 0
     if degree >= 1:
@@ -113,7 +118,7 @@ def basis_adjoint(degree: int, x: Any, y: Any, z: Any, g: list[Any]) -> list[Any
     return [gx, gy, gz]
 
 
-def direction(m: list[Any], o: list[Any]) -> tuple[list[Any], Any]:
+def direction(m: list[Array], o: list[Array]) -> tuple[list[Array], Array]:
     """Eq. 1: the unit direction and 1/|m - o|; a mean at the camera has none and gets zero."""
     v = [m[k] - o[k] for k in range(3)]
     squared = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
@@ -121,7 +126,7 @@ def direction(m: list[Any], o: list[Any]) -> tuple[list[Any], Any]:
     return [x * reciprocal for x in v], reciprocal
 
 
-def color(h: list[Any], m: list[Any], o: list[Any]) -> list[Any]:
+def color(h: list[Array], m: list[Array], o: list[Array]) -> list[Array]:
     """Eq. 3: the colour of the three channels.
 
     Args:
@@ -135,8 +140,8 @@ def color(h: list[Any], m: list[Any], o: list[Any]) -> list[Any]:
 
 
 def color_adjoint(
-    h: list[Any], m: list[Any], o: list[Any], grad_c: list[Any]
-) -> tuple[list[Any], list[Any]]:
+    h: list[Array], m: list[Array], o: list[Array], grad_c: list[Array]
+) -> tuple[list[Array], list[Array]]:
     """Eq. 3 reversed: gradients of the 3K coefficients and of the mean."""
     d, reciprocal = direction(m, o)
     degree = degree_of(len(h) // 3)

@@ -16,19 +16,20 @@ pairs of the last tile, which the stable sort leaves behind that tile's own.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, fields
 
 import drjit as dr
+from drjit import ArrayBase as Array
 
 from gva_mi.splat import packets
-from gva_mi.splat.project import FOOTPRINT
+from gva_mi.splat.project import Ellipses
 
 WIDTH, HEIGHT = 8, 4  # pixels of a tile
 SIMD = 16  # lanes of a packet (AVX-512; half of it divides it)
 BLOCKS = 16  # packets are dealt over this many parts
 LONGEST = 1023  # lists are ordered by length up to this one
 MAX_PAIRS = 2**31 - 1  # what 32-bit indices hold
+FOOTPRINT = 8  # columns of an ellipse in memory: its fields, rounded up to a packet
 SLACK = 1e-3  # pixels by which an ellipse is widened against rounding
 
 NoConflicts = dr.ReduceMode.NoConflicts
@@ -38,9 +39,9 @@ NoConflicts = dr.ReduceMode.NoConflicts
 class Grid:
     """The picture in tiles, as the kernels see it: arrays of size one, so that another size is not another kernel."""
 
-    width: Any  # px
-    height: Any  # px
-    columns: Any  # tiles side by side
+    width: Array  # px
+    height: Array  # px
+    columns: Array  # tiles side by side
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,11 @@ class Layout:
         """All tiles."""
         return self.columns * self.rows
 
+    @property
+    def padded(self) -> tuple[int, int]:
+        """Height and width in whole tiles, px."""
+        return self.rows * HEIGHT, self.columns * WIDTH
+
     def grid(self, I: type) -> Grid:
         """For the kernels, in signed integers of type ``I``."""
         return Grid(*(dr.opaque(I, n) for n in (self.width, self.height, self.columns)))
@@ -74,14 +80,14 @@ class Layout:
 class Lists:
     """Every tile's Gaussians, front to back."""
 
-    ids: Any  # (capacity,) Gaussian of each pair, sorted by tile, then depth
-    slots: Any  # (capacity,) position in ids of each pair in the order of emission
-    first: Any  # (N,) first pair of each Gaussian in the order of emission
-    counts: Any  # (N,) tiles each Gaussian touches
-    tile: Any  # (lanes,) tile of each lane of the compositing kernel
-    start: Any  # (lanes,) its list in ids: first
-    end: Any  # (lanes,) and one past the last; lanes without a tile have an empty list and tile 0
-    pairs: int  # M
+    ids: Array  # (capacity,) Gaussian of each pair, sorted by tile, then depth
+    slots: Array  # (capacity,) position in ids of each pair in the order of emission
+    first: Array  # (N,) first pair of each Gaussian in the order of emission
+    counts: Array  # (N,) tiles each Gaussian touches
+    tile: Array  # (lanes,) tile of each lane of the compositing kernel
+    start: Array  # (lanes,) its list in ids: first
+    end: Array  # (lanes,) and one past the last
+    real: Array  # (lanes,) False for the lanes that fill up the last packets: tile 0, an empty list, nothing to write
 
 
 def capacity(pairs: int) -> int:
@@ -90,34 +96,18 @@ def capacity(pairs: int) -> int:
     return -(-pairs // step) * step
 
 
-@dataclass(frozen=True)
-class _Footprint:
-    """An ellipse in the picture: |d_y| <= ry, and at height d_y the columns shear d_y -+ half sqrt(1 - (d_y/ry)^2)."""
-
-    u: Any  # mean, px
-    v: Any
-    rx: Any  # half extents, px; ry < 0 where nothing is to be drawn
-    ry: Any
-    shear: Any
-    half: Any
-    turn: Any  # d_y of the rightmost point; the leftmost lies at -turn
-    first: Any  # rows of tiles [first, last)
-    last: Any
-
-
-def _load(footprints: packets.Packets, i: Any, grid: Grid) -> _Footprint:
-    u, v, rx, ry, shear, half, turn, _ = packets.load(footprints, FOOTPRINT, i)
-    F, I = type(u), type(grid.height)
-    low = dr.maximum(dr.ceil(v - ry - 0.5 - SLACK), 0)
-    high = dr.minimum(dr.floor(v + ry - 0.5 + SLACK), F(grid.height) - 1)
-    ok = (ry >= 0) & (low <= high)
-    ok &= (u + rx + SLACK >= 0.5) & (u - rx - SLACK <= F(grid.width) - 0.5)
+def _rows_touched(g: Ellipses, grid: Grid) -> tuple[Array, Array]:
+    """Rows of tiles [first, last) that an ellipse may reach."""
+    F, I = type(g.u), type(grid.height)
+    low = dr.maximum(dr.ceil(g.v - g.ry - 0.5 - SLACK), 0)
+    high = dr.minimum(dr.floor(g.v + g.ry - 0.5 + SLACK), F(grid.height) - 1)
+    ok = (g.ry >= 0) & (low <= high)
+    ok &= (g.u + g.rx + SLACK >= 0.5) & (g.u - g.rx - SLACK <= F(grid.width) - 0.5)
     first = I(dr.select(ok, low, 0)) // HEIGHT
-    last = dr.select(ok, I(dr.select(ok, high, 0)) // HEIGHT + 1, first)
-    return _Footprint(u, v, rx, ry, shear, half, turn, first, last)
+    return first, dr.select(ok, I(dr.select(ok, high, 0)) // HEIGHT + 1, first)
 
 
-def _columns_touched(g: _Footprint, row: Any, grid: Grid) -> tuple[Any, Any]:
+def _columns_touched(g: Ellipses, row: Array, grid: Grid) -> tuple[Array, Array]:
     """Tiles [left, right) of a row of tiles whose pixel centres the ellipse holds."""
     F, I = type(g.u), type(row)
     y = F(row * HEIGHT) + 0.5
@@ -134,30 +124,28 @@ def _columns_touched(g: _Footprint, row: Any, grid: Grid) -> tuple[Any, Any]:
     return begin, dr.select(ok, I(dr.select(ok, high, 0)) // WIDTH + 1, begin)
 
 
-@dr.freeze(limit=64, warn_after=1000)
-def count(footprints: packets.Packets, depths: Any, grid: Grid) -> Any:
+def count(g: Ellipses, grid: Grid) -> Array:
     """Step 1: how many tiles each Gaussian touches, (N,)."""
-    F = type(depths)
-    U = dr.uint32_array_t(F)
-    g = _load(footprints, dr.arange(U, dr.width(depths)), grid)
+    U = dr.uint32_array_t(type(g.u))
+    first, last = _rows_touched(g, grid)
 
-    def body(row: Any, n: Any) -> tuple[Any, Any]:
+    def body(row: Array, n: Array) -> tuple[Array, Array]:
         begin, end = _columns_touched(g, row, grid)
         return row + 1, n + U(end - begin)
 
-    zero = U(g.first) * 0
-    return dr.while_loop((g.first, zero), lambda row, n: row < g.last, body, mode="symbolic")[1]
+    return dr.while_loop((first, U(first) * 0), lambda row, n: row < last, body, mode="symbolic")[1]
 
 
 @dr.freeze(limit=64, warn_after=1000)
 def _emit(
-    footprints: packets.Packets, order: Any, start: Any, grid: Grid, tile: Any, ids: Any
-) -> tuple[Any, Any]:
+    footprints: packets.Packets, order: Array, start: Array, grid: Grid, tile: Array, ids: Array
+) -> tuple[Array, Array]:
     """Step 3: lane per Gaussian, front to back; one pair per turn of the loop."""
     U, I = type(order), type(grid.width)
-    g = _load(footprints, order, grid)
+    g = Ellipses(*packets.load(footprints, FOOTPRINT, order)[: len(fields(Ellipses))])
+    first, last = _rows_touched(g, grid)
 
-    def body(row: Any, column: Any, end: Any, k: Any) -> tuple[Any, ...]:
+    def body(row: Array, column: Array, end: Array, k: Array) -> tuple[Array, ...]:
         fresh = column >= end
         begin, stop = _columns_touched(g, row, grid)
         column, end = dr.select(fresh, begin, column), dr.select(fresh, stop, end)
@@ -168,17 +156,22 @@ def _emit(
         column += 1
         return dr.select(column >= end, row + 1, row), column, end, k
 
-    zero = I(order) * 0
-    state = (I(g.first), zero, I(zero), U(start))
-    dr.while_loop(state, lambda row, *_: row < g.last, body, mode="symbolic")
+    state = (I(first), I(order) * 0, I(order) * 0, U(start))
+    dr.while_loop(state, lambda row, *_: row < last, body, mode="symbolic")
     dr.eval(tile, ids)
     return tile, ids
 
 
 @dr.freeze(limit=64, warn_after=1000)
 def _ranges(
-    tile: Any, emitted: Any, permutation: Any, last: Any, start: Any, end: Any, slots: Any
-) -> tuple[Any, ...]:
+    tile: Array,
+    emitted: Array,
+    permutation: Array,
+    last: Array,
+    start: Array,
+    end: Array,
+    slots: Array,
+) -> tuple[Array, ...]:
     """Step 4, after the sort: lists, where they start and end, and the inverse of the permutation."""
     U = type(tile)
     k = dr.arange(U, dr.width(permutation))
@@ -186,13 +179,15 @@ def _ranges(
     before = dr.gather(U, tile, dr.gather(U, permutation, dr.select(k > 0, k - 1, 0)))
     after = dr.gather(U, tile, dr.gather(U, permutation, dr.minimum(k + 1, last)))
     dr.scatter(start, k, here, active=(k <= last) & ((k == 0) | (before != here)), mode=NoConflicts)
-    dr.scatter(end, k + 1, here, active=(k == last) | ((k < last) & (after != here)), mode=NoConflicts)
+    dr.scatter(
+        end, k + 1, here, active=(k == last) | ((k < last) & (after != here)), mode=NoConflicts
+    )
     dr.scatter(slots, k, permutation, mode=dr.ReduceMode.Permute)
     dr.eval(ids, start, end, slots)
     return ids, start, end, slots
 
 
-def _schedule(start: Any, end: Any) -> tuple[Any, Any, Any]:
+def _schedule(start: Array, end: Array) -> tuple[Array, ...]:
     """Step 5: the tile of each lane, and its list."""
     U = type(start)
     tiles = dr.width(start)
@@ -205,24 +200,31 @@ def _schedule(start: Any, end: Any) -> tuple[Any, Any, Any]:
     real = rank < tiles
     tile = dr.gather(U, order, rank, active=real)
     start, end = dr.gather(U, start, tile, active=real), dr.gather(U, end, tile, active=real)
-    dr.eval(tile, start, end)
-    return tile, start, end
+    dr.eval(tile, start, end, real)
+    return tile, start, end, real
 
 
-def make_lists(footprints: packets.Packets, depths: Any, layout: Layout, grid: Grid) -> Lists | None:
-    """Steps 1-5; None where nothing is to be drawn.
+def store(ellipses: Ellipses, target: packets.Packets, i: Array) -> None:
+    """Write the ellipses to memory, for :func:`make_lists` to read in another order."""
+    columns = [getattr(ellipses, field.name) for field in fields(Ellipses)]
+    packets.store(target, [*columns, columns[0]], i)
+
+
+def make_lists(
+    footprints: packets.Packets, depths: Array, counts: Array, layout: Layout, grid: Grid
+) -> Lists | None:
+    """Steps 2-5; None where nothing is to be drawn.
 
     Raises:
         ValueError: for more pairs than 32-bit indices hold.
     """
     U = dr.uint32_array_t(type(depths))
     n = dr.width(depths)
-    counts = count(footprints, depths, grid)
     order = dr.argsort(depths)
     sorted_counts = dr.gather(U, counts, order)
     sums = dr.cumsum(dr.uint64_array_t(U)(sorted_counts))
     start = U(sums) - sorted_counts
-    dr.eval(counts, start)
+    dr.eval(start)
     pairs = int(sums[n - 1])
     if pairs == 0:
         return None
@@ -245,4 +247,4 @@ def make_lists(footprints: packets.Packets, depths: Any, layout: Layout, grid: G
     first = dr.empty(U, n)
     dr.scatter(first, start, order, mode=dr.ReduceMode.Permute)
     dr.eval(first)
-    return Lists(ids, slots, first, counts, *_schedule(begin, end), pairs)
+    return Lists(ids, slots, first, counts, *_schedule(begin, end))

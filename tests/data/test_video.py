@@ -1,4 +1,4 @@
-"""What is written comes back, and what cannot be used is refused in one sentence that says where."""
+"""What is written comes back; what cannot be used is refused in one sentence that says where."""
 
 import json
 import shutil

@@ -1,0 +1,242 @@
+"""The avatar: canonical Gaussians, moved by the residual, carried by the skeleton.
+
+1. mu'  = mu + MLP(theta)              the residual, in the rest pose
+2. A    = sum_p W_p(mu) T_p(theta)     Eq. 5, over the 4 strongest joints
+3. mu_t = A mu',   R_t = A_rot R       Eq. 6, see :mod:`gva_mi.body.skinning`
+4. f_t  = A_rot f                      the linear band of the colour
+
+Colour turns with the body (4), so that a person who turns before the camera and a camera that
+goes around the person agree.
+
+An avatar holds all it takes to drive it: skeleton and surface of the rest body are copied from
+the body model, so that a saved avatar is one file and needs no licensed body beside it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from gva_mi.avatar.canonical import PARAMETERS, CanonicalGaussians, SeedOptions, seed_on_surface
+from gva_mi.avatar.residual import PoseResidual, ResidualOptions
+from gva_mi.body.pose import LEFT_HAND, RIGHT_HAND, Pose, Shape
+from gva_mi.body.skinning import joint_transforms, skin_gaussians
+from gva_mi.body.smplx import BodyModel
+from gva_mi.errors import InputError
+from gva_mi.splat.gaussians import Gaussians
+
+FORMAT = "gva_mi avatar, version 1"
+# The linear SH band h, in the basis (-y, z, -x), as a vector: its colour is C1 (V h) . d.
+_V = ((0.0, 0.0, -1.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+
+
+@dataclass(frozen=True)
+class AvatarOptions:
+    """What an avatar is made of."""
+
+    seed: SeedOptions = SeedOptions()
+    residual: ResidualOptions = ResidualOptions()
+    hands: bool = (
+        True  # False: fingers stay as they are in the rest pose (the ablation of the paper)
+    )
+
+
+@dataclass(frozen=True)
+class Rig:
+    """The rest body an avatar hangs on: skeleton, and the surface that lends its skinning."""
+
+    joints: Tensor  # (55, 3) metres, rest pose
+    parents: tuple[int, ...]  # 55, -1 for the root
+    vertices: Tensor  # (V, 3) metres, rest pose, displaced by the clothes' offsets
+    faces: Tensor  # (F, 3) int64
+    weights: Tensor  # (V, 55)
+    betas: Tensor  # (B,) the shape it was made with
+    body: str  # fingerprint of the body model it came from
+
+
+@dataclass(frozen=True)
+class Animated:
+    """An avatar in one pose."""
+
+    gaussians: Gaussians  # in the world
+    residual: Tensor  # (N, 3) metres, rest pose: the MLP(theta) that Eq. 13 keeps small
+
+
+class Avatar(nn.Module):
+    """A drivable 3D Gaussian avatar, ``avatar(pose) -> Gaussians``.
+
+    Attributes:
+        canonical: what the person looks like in the rest pose.
+        residual: how the rest pose deforms with the pose.
+        options: what it was made of.
+        rig: the rest body under it, constant.
+    """
+
+    def __init__(
+        self,
+        canonical: CanonicalGaussians,
+        residual: PoseResidual,
+        rig: Rig,
+        options: AvatarOptions,
+    ) -> None:
+        super().__init__()
+        self.canonical, self.residual, self.options = canonical, residual, options
+        self._parents, self._body = rig.parents, rig.body
+        for name in ("joints", "vertices", "faces", "weights", "betas"):
+            self.register_buffer(f"rest_{name}", getattr(rig, name).detach().clone())
+        fingers = torch.zeros(len(rig.parents), 1, dtype=torch.bool)
+        fingers[LEFT_HAND] = fingers[RIGHT_HAND] = not options.hands
+        self.register_buffer("_held", fingers)
+        self.register_buffer("_v", torch.tensor(_V, dtype=rig.joints.dtype))
+
+    @property
+    def rig(self) -> Rig:
+        """The rest body, in the precision of the avatar."""
+        names = ("joints", "vertices", "faces", "weights", "betas")
+        tensors = {name: getattr(self, f"rest_{name}") for name in names}
+        return Rig(parents=self._parents, body=self._body, **tensors)
+
+    def forward(self, pose: Pose) -> Gaussians:
+        """The Gaussians of one pose, in the world."""
+        return self.animate(pose).gaussians
+
+    def animate(self, pose: Pose) -> Animated:
+        """One pose's Gaussians and the residual that went into them.
+
+        Args:
+            pose: one frame. Its expression is not used: Eq. 5 knows joints only.
+
+        Returns:
+            Differentiable in all parameters, and in the pose.
+        """
+        if len(pose) != 1:
+            raise ValueError(f"Avatar: pose must be of one frame, got {len(pose)}")
+        rotations = pose.rotations.masked_fill(self._held, 0)
+        G = self.canonical
+        if self.options.residual.enabled:
+            residual = self.residual(G.means, rotations[0])
+        else:
+            residual = torch.zeros_like(G.means)
+        T_world_rest = joint_transforms(rotations, self.rest_joints, self._parents, pose.transl)[0]
+        means, quats = skin_gaussians(G.means + residual, G.quats, G.weights, T_world_rest)
+        sh = self._turn_colors(G.sh, T_world_rest)
+        return Animated(Gaussians(means, quats, G.scales, G.opacities, sh=sh), residual)
+
+    def _turn_colors(self, sh: Tensor, T_world_rest: Tensor) -> Tensor:
+        if sh.shape[1] == 1:
+            return sh
+        # The change of basis is made for 55 joints, not for N Gaussians. Near a bent joint the
+        # blend is no rotation and shortens the band: a little less gloss there is harmless.
+        turn = self._v.T @ T_world_rest[:, :3, :3] @ self._v
+        turn = (self.canonical.weights @ turn.flatten(1)).unflatten(1, (3, 3))
+        return torch.cat([sh[:, :1], turn @ sh[:, 1:]], dim=1)
+
+    def record(self) -> dict[str, Any]:
+        """All of it as tensors and strings, for a file or checkpoint; see :meth:`from_record`."""
+        tensors = {name: value.detach().clone() for name, value in self.state_dict().items()}
+        described = {"options": asdict(self.options), "parents": self._parents, "body": self._body}
+        return {"format": FORMAT, "description": json.dumps(described), **tensors}
+
+    @staticmethod
+    def from_record(record: dict[str, Any]) -> Avatar:
+        """The avatar that wrote the record, to the bit."""
+        if record.get("format") != FORMAT:
+            raise ValueError(f"Avatar: 'format' must be '{FORMAT}', got {record.get('format')!r}")
+        described = json.loads(record["description"])
+        options = AvatarOptions(
+            seed=SeedOptions(**described["options"]["seed"]),
+            residual=ResidualOptions(**described["options"]["residual"]),
+            hands=described["options"]["hands"],
+        )
+        state = {k: v for k, v in record.items() if k not in ("format", "description")}
+        names = ("joints", "vertices", "faces", "weights", "betas")
+        rig = Rig(
+            parents=tuple(described["parents"]),
+            body=described["body"],
+            **{name: state[f"rest_{name}"] for name in names},
+        )
+        canonical = CanonicalGaussians(
+            **{name: state[f"canonical.{name}"] for name in (*PARAMETERS, "weights")}
+        )
+        residual = PoseResidual(options.residual, torch.zeros(3), 1.0)
+        avatar = Avatar(canonical, residual, rig, options).to(rig.joints.dtype)
+        avatar.load_state_dict(state)
+        return avatar
+
+    def save(self, path: Path) -> None:
+        """Write the avatar to one ``.npz``; an older one is replaced once the new one is whole."""
+        path = Path(path)
+        arrays = {k: np.asarray(v) for k, v in self.record().items()}
+        unfinished = path.with_name(path.name + ".part")
+        with open(unfinished, "wb") as file:
+            np.savez(file, **arrays)
+        unfinished.replace(path)
+
+    @staticmethod
+    def load(path: Path) -> Avatar:
+        """Read what :meth:`save` wrote.
+
+        Raises:
+            InputError: no such file, or not an avatar.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                arrays = {key: file[key] for key in file.files}
+        except FileNotFoundError:
+            raise InputError(
+                f"{path}: no such file; expected an avatar, as `fit` saves it"
+            ) from None
+        except Exception as error:
+            raise InputError(f"{path}: not a readable avatar .npz ({error})") from None
+        texts = {key: str(arrays.pop(key, "")) for key in ("format", "description")}
+        try:
+            return Avatar.from_record(
+                {**texts, **{k: torch.from_numpy(v) for k, v in arrays.items()}}
+            )
+        except (KeyError, TypeError, ValueError, RuntimeError) as error:
+            raise InputError(f"{path}: not an avatar of this version ({error})") from None
+
+
+def seed_avatar(
+    body: BodyModel,
+    shape: Shape,
+    offsets: Tensor | None = None,
+    options: AvatarOptions = AvatarOptions(),  # noqa: B008 (frozen)
+    generator: torch.Generator | None = None,
+    colors: Tensor | None = None,
+) -> Avatar:
+    """A new avatar: Gaussians on the person's rest surface, and a residual of zero.
+
+    Args:
+        body: the body model.
+        shape: the person's shape.
+        offsets: (V, 3) displacement of the rest surface (SMPL-X + D), metres; None: the naked body.
+        options: what to make.
+        generator: draws the first weights of the residual.
+        colors: (V, 3) linear, of the vertices; grey where missing.
+    """
+    with torch.no_grad():
+        rest = body.rest(shape)
+        vertices = rest.vertices if offsets is None else rest.vertices + offsets
+        canonical = seed_on_surface(vertices, body.faces, body.weights, options.seed, colors)
+        low, high = vertices.amin(0), vertices.amax(0)
+        center, extent = (low + high) / 2, float((high - low).max() / 2)
+        residual = PoseResidual(options.residual, center, extent, generator).to(vertices.dtype)
+        fingerprint = hashlib.sha256(body.v_template.numpy().tobytes()).hexdigest()[:16]
+        rig = Rig(
+            rest.joints,
+            tuple(body.parents),
+            vertices,
+            body.faces,
+            body.weights,
+            shape.betas,
+            fingerprint,
+        )
+    return Avatar(canonical, residual, rig, options)

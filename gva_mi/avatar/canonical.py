@@ -1,0 +1,213 @@
+"""The canonical Gaussians: what is learned about the person's surface, in the rest pose.
+
+=========  ===================  ==========  =============================================
+symbol     code                 shape       meaning
+=========  ===================  ==========  =============================================
+mu         ``means``            (N, 3)      metres, in the T-pose of the body
+q          ``quats``            (N, 4)      wxyz, normalised where they are used
+log s      ``log_scales``       (N, 3)      logarithm of the standard deviations in metres
+logit eta  ``logit_opacities``  (N,)        eta = sigmoid of it
+f          ``sh``               (N, K, 3)   spherical harmonics, in the frame of the rest pose
+W(mu)      ``weights``          (N, 55)     skinning weights (Eq. 5), not learned
+=========  ===================  ==========  =============================================
+
+The skinning weights are those of the nearest vertex, its 4 strongest joints. Seeding lays flat
+discs into the surface of the body, so that the first image is a body and not a cloud.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from gva_mi.body.skinning import nearest_weights
+from gva_mi.splat.sh import C0
+
+PARAMETERS = ("means", "quats", "log_scales", "logit_opacities", "sh")
+NEAREST_JOINTS = 4  # P of Eq. 5
+
+
+class CanonicalGaussians(nn.Module):
+    """N Gaussians in the rest pose: raw parameters, their activations, and their skinning weights.
+
+    Args:
+        means: (N, 3) metres.
+        quats: (N, 4) wxyz.
+        log_scales: (N, 3).
+        logit_opacities: (N,).
+        sh: (N, K, 3), K = 1 or 4.
+        weights: (N, 55), rows sum to one.
+    """
+
+    def __init__(
+        self,
+        means: Tensor,
+        quats: Tensor,
+        log_scales: Tensor,
+        logit_opacities: Tensor,
+        sh: Tensor,
+        weights: Tensor,
+    ) -> None:
+        super().__init__()
+        N = means.shape[0]
+        shapes = {"means": (N, 3), "quats": (N, 4), "log_scales": (N, 3), "logit_opacities": (N,)}
+        given = dict(means=means, quats=quats, log_scales=log_scales, sh=sh)
+        given["logit_opacities"] = logit_opacities
+        for name, shape in shapes.items():
+            if given[name].shape != shape:
+                got = tuple(given[name].shape)
+                raise ValueError(f"CanonicalGaussians: {name} must be {shape}, got {got}")
+        if sh.ndim != 3 or sh.shape[0] != N or sh.shape[1] not in (1, 4) or sh.shape[2] != 3:
+            raise ValueError(
+                f"CanonicalGaussians: sh must be ({N}, 1 or 4, 3), got {tuple(sh.shape)}"
+            )
+        if weights.ndim != 2 or weights.shape[0] != N:
+            raise ValueError(
+                f"CanonicalGaussians: weights must be ({N}, J), got {tuple(weights.shape)}"
+            )
+        for name in PARAMETERS:
+            setattr(self, name, nn.Parameter(given[name].detach().clone().contiguous()))
+        self.register_buffer("weights", weights.detach().clone().contiguous())
+
+    def __len__(self) -> int:
+        return self.means.shape[0]
+
+    @property
+    def scales(self) -> Tensor:
+        """Standard deviations, (N, 3) metres."""
+        return torch.exp(self.log_scales)
+
+    @property
+    def opacities(self) -> Tensor:
+        """Opacities in (0, 1), (N,)."""
+        return torch.sigmoid(self.logit_opacities)
+
+
+@dataclass(frozen=True)
+class SeedOptions:
+    """How the surface of the rest body is covered with Gaussians."""
+
+    count: int = 0  # Gaussians; 0: one on each vertex, as in the paper
+    sh_degree: int = 1  # 0 or 1; higher bands overfit a single turning person
+    opacity: float = 0.9  # of every new Gaussian
+    overlap: float = 0.7  # standard deviation in the tangent plane / distance of neighbours
+    flatness: float = 0.25  # standard deviation along the normal / in the tangent plane
+
+    def __post_init__(self) -> None:
+        if self.count < 0:
+            raise ValueError(f"SeedOptions: count must not be negative, got {self.count}")
+        if self.sh_degree not in (0, 1):
+            raise ValueError(f"SeedOptions: sh_degree must be 0 or 1, got {self.sh_degree}")
+        if not 0 < self.opacity < 1:
+            raise ValueError(f"SeedOptions: opacity must lie in (0, 1), got {self.opacity}")
+        if not (self.overlap > 0 and self.flatness > 0):
+            raise ValueError("SeedOptions: overlap and flatness must be positive")
+
+
+def seed_on_surface(
+    vertices: Tensor,
+    faces: Tensor,
+    weights: Tensor,
+    options: SeedOptions = SeedOptions(),  # noqa: B008 (frozen)
+    colors: Tensor | None = None,
+) -> CanonicalGaussians:
+    """Cover a rest surface with flat discs; the same surface gives the same Gaussians.
+
+    One Gaussian sits on each vertex. Where more are asked for, the rest is spread over the faces
+    by area, and where fewer are asked for, all of them are.
+
+    Args:
+        vertices: (V, 3) metres, rest pose.
+        faces: (F, 3) int64.
+        weights: (V, 55) skinning weights of the vertices.
+        options: how many, and how large.
+        colors: (V, 3) linear, of the vertices; grey where missing.
+    """
+    V = vertices.shape[0]
+    count = options.count or V
+    points, normals = vertices, vertex_normals(vertices, faces)
+    albedo = torch.full_like(vertices, 0.5) if colors is None else colors
+    if count != V:
+        chosen, barycentric = spread_over_faces(vertices, faces, count - V if count > V else count)
+        on_faces = lambda x: (x[faces[chosen]] * barycentric[..., None]).sum(1)
+        extra = [on_faces(x) for x in (points, normals, albedo)]
+        if count > V:
+            extra = [torch.cat(pair) for pair in zip((points, normals, albedo), extra, strict=True)]
+        points, normals, albedo = extra
+    spacing = neighbour_spacing(points)
+    sh = points.new_zeros(count, (options.sh_degree + 1) ** 2, 3)
+    sh[:, 0] = (albedo - 0.5) / C0
+    return CanonicalGaussians(
+        means=points,
+        quats=disc_quats(normals),
+        log_scales=disc_log_scales(spacing, options),
+        logit_opacities=torch.logit(points.new_full((count,), options.opacity)),
+        sh=sh,
+        weights=nearest_weights(points, vertices, weights, NEAREST_JOINTS),
+    )
+
+
+def disc_quats(normals: Tensor) -> Tensor:
+    """Shortest rotation of the z axis onto the line of each normal (N, 3), (N, 4) wxyz.
+
+    A Gaussian has no front: of n and -n the one with n_z >= 0 is taken, which keeps
+    q = (1 + n_z, z x n) away from its pole.
+    """
+    n = torch.nn.functional.normalize(normals, dim=-1)
+    n = torch.where(n[:, 2:] < 0, -n, n)
+    x, y, z = n.unbind(-1)
+    return torch.nn.functional.normalize(
+        torch.stack([1 + z, -y, x, torch.zeros_like(z)], -1), dim=-1
+    )
+
+
+def disc_log_scales(spacing: Tensor, options: SeedOptions) -> Tensor:
+    """Log scales (N, 3) of flat discs whose neighbours lie ``spacing`` (N,) metres away."""
+    radius = (spacing * options.overlap).clamp_min(1e-5).log()
+    return torch.stack([radius, radius, radius + math.log(options.flatness)], -1)
+
+
+def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
+    """Unit normals (V, 3), averaged over the faces around each vertex by area."""
+    a, b, c = vertices[faces].unbind(1)
+    crossed = torch.linalg.cross(b - a, c - a)
+    corners = faces.T.flatten()
+    summed = [
+        torch.bincount(corners, along.repeat(3), len(vertices)) for along in crossed.unbind(1)
+    ]
+    return torch.nn.functional.normalize(torch.stack(summed, -1).to(vertices.dtype), dim=-1)
+
+
+def spread_over_faces(vertices: Tensor, faces: Tensor, count: int) -> tuple[Tensor, Tensor]:
+    """Spread ``count`` points evenly over a surface, without chance.
+
+    Face k receives the points that fall into its stretch of the cumulated area; inside a face
+    they follow the golden-ratio sequence in two dimensions.
+
+    Returns:
+        Faces (count,) int64 and barycentric coordinates (count, 3).
+    """
+    a, b, c = vertices[faces].unbind(1)
+    area = torch.linalg.cross(b - a, c - a).norm(dim=-1).double().cumsum(0)
+    at = (torch.arange(count, dtype=torch.float64, device=area.device) + 0.5) / count * area[-1]
+    chosen = torch.searchsorted(area, at).clamp_max(len(faces) - 1)
+    plastic = 1.324717957244746  # root of x^3 = x + 1
+    k = torch.arange(1, count + 1, dtype=torch.float64, device=area.device)
+    u, v = (k / plastic).frac(), (k / plastic**2).frac()
+    outside = u + v > 1  # mirror the unit square's upper half into the triangle
+    u, v = torch.where(outside, 1 - u, u), torch.where(outside, 1 - v, v)
+    return chosen, torch.stack([1 - u - v, u, v], -1).to(vertices.dtype)
+
+
+def neighbour_spacing(points: Tensor, neighbours: int = 3) -> Tensor:
+    """Mean distance of each point (N, 3) to its nearest neighbours, (N,) metres."""
+    found = []
+    for block in points.split(1024):  # the whole (N, N) table would not fit
+        # Squared lengths by the expanded product would lose fingers: their spacing is a millimetre.
+        distance = torch.cdist(block, points, compute_mode="donot_use_mm_for_euclid_dist")
+        nearest = distance.topk(min(neighbours + 1, len(points)), dim=1, largest=False).values
+        found.append(nearest[:, 1:].mean(1))
+    return torch.cat(found)

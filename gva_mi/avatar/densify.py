@@ -1,0 +1,188 @@
+"""Adaptive density control: clone, split and prune Gaussians, as 3DGS does, in the rest pose.
+
+1. g_i     mean, over the views that show Gaussian i, of |dL/d(u, v)|; the image is [-1, 1]^2
+2. clone   where g_i > threshold and the Gaussian is small: something is missing beside it
+3. split   where g_i > threshold and the Gaussian is large: it covers too much
+4. prune   where it is nearly transparent, or larger than anything on a person
+
+New Gaussians inherit the skinning weights of the one they come from: they lie within its extent,
+and a re-initialisation looks the weights up again. Adam's moments follow the rows they belong to;
+new rows start with none.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from gva_mi.avatar.avatar import Avatar
+from gva_mi.avatar.canonical import PARAMETERS, CanonicalGaussians
+from gva_mi.splat.camera import Camera
+from gva_mi.splat.torch_op import Screen
+
+
+@dataclass(frozen=True)
+class DensifyOptions:
+    """When a Gaussian is multiplied or removed. Defaults are those of 3DGS and GART."""
+
+    grad_threshold: float = 2e-4  # loss per half image, mean over the views that saw it
+    split_scale: float = 0.01  # metres; above it a Gaussian is split, below it is cloned
+    split_shrink: float = 1.6  # the two halves are this much smaller
+    min_opacity: float = 0.05  # below it a Gaussian is removed
+    max_scale: float = 0.1  # metres; above it a Gaussian is removed
+    max_count: int = 40_000  # no growth beyond this many; the largest gradients come first
+
+    def __post_init__(self) -> None:
+        if not self.split_shrink > 1:
+            raise ValueError(f"DensifyOptions: split_shrink must exceed 1, got {self.split_shrink}")
+        if not 0 < self.split_scale <= self.max_scale:
+            raise ValueError(
+                "DensifyOptions: 0 < split_scale <= max_scale is needed, "
+                f"got {self.split_scale}, {self.max_scale}"
+            )
+
+
+@dataclass(frozen=True)
+class Densified:
+    """What one round of density control did, in Gaussians."""
+
+    cloned: int
+    split: int
+    pruned: int
+
+
+class ScreenGradients:
+    """Collects, over many views, how much each Gaussian wants to move on the screen."""
+
+    def __init__(self, count: int) -> None:
+        self.total = torch.zeros(count)
+        self.views = torch.zeros(count)
+
+    @torch.no_grad()
+    def add(self, screen: Screen, camera: Camera) -> None:
+        """Add one view, after its backward pass.
+
+        Args:
+            screen: was given to ``render``.
+            camera: the same as there; its size turns pixels into halves of the image.
+        """
+        if screen.grad is None:
+            raise ValueError(
+                "ScreenGradients.add(): the screen has no gradient; call backward first"
+            )
+        if len(screen.grad) != len(self.total):
+            raise ValueError(
+                f"ScreenGradients.add(): the screen shows {len(screen.grad)} Gaussians, expected "
+                f"{len(self.total)}; start anew after the number has changed"
+            )
+        half = screen.grad.new_tensor([camera.width / 2, camera.height / 2])
+        self.total += (screen.grad * half).norm(dim=1).to(self.total.dtype)
+        self.views += screen.visible
+
+    def mean(self) -> Tensor:
+        """g of eq. 1, (N,); zero for those that no view has seen."""
+        return self.total / self.views.clamp_min(1)
+
+
+def densify(
+    avatar: Avatar,
+    optimizer: torch.optim.Optimizer,
+    gradients: ScreenGradients,
+    options: DensifyOptions = DensifyOptions(),  # noqa: B008 (frozen)
+    generator: torch.Generator | None = None,
+) -> Densified:
+    """One round of density control; ``avatar.canonical`` and the optimiser's state are replaced.
+
+    Args:
+        avatar: its Gaussians change; skeleton and residual do not.
+        optimizer: holds the parameters of ``avatar.canonical`` in its groups.
+        gradients: of all views since the last round; start new ones afterwards.
+        options: thresholds.
+        generator: draws where the halves of a split lie.
+    """
+    G = avatar.canonical
+    with torch.no_grad():
+        wanted = gradients.mean().to(G.means.dtype)
+        if len(wanted) != len(G):
+            raise ValueError(f"densify(): gradients of {len(wanted)} Gaussians, but {len(G)} exist")
+        size = G.scales.amax(1)
+        pruned = (G.opacities < options.min_opacity) | (size > options.max_scale)
+        grows = (wanted > options.grad_threshold) & ~pruned
+        room = max(0, options.max_count - int((~pruned).sum()))
+        if int(grows.sum()) > room:  # both clone and split add exactly one
+            order = torch.sort(wanted.where(grows, 0.0), descending=True, stable=True).indices
+            grows = torch.zeros_like(grows).index_fill_(0, order[:room], True)
+        cloned, split = grows & (size <= options.split_scale), grows & (size > options.split_scale)
+
+        kept = torch.nonzero(~pruned & ~split).flatten()
+        clones, halves = (torch.nonzero(x).flatten() for x in (cloned, split))
+        parents = torch.cat([kept, clones, halves, halves])
+        values = {name: getattr(G, name)[parents] for name in PARAMETERS}
+        new = slice(len(kept) + len(clones), None)
+        drawn = torch.randn(2 * len(halves), 3, generator=generator, dtype=G.means.dtype)
+        values["means"][new] += _rotate(
+            values["quats"][new], drawn * values["log_scales"][new].exp()
+        )
+        values["log_scales"][new] -= math.log(options.split_shrink)
+        canonical = CanonicalGaussians(**values, weights=G.weights[parents])
+    replace_gaussians(avatar, optimizer, canonical, parents, inherited=len(kept))
+    return Densified(int(cloned.sum()), int(split.sum()), int(pruned.sum()))
+
+
+def reset_opacities(
+    avatar: Avatar, optimizer: torch.optim.Optimizer, ceiling: float = 0.01
+) -> None:
+    """Lower all opacities to at most ``ceiling``, so that only useful Gaussians come back.
+
+    3DGS does so now and then to be rid of floaters. Avatars start on a surface and hardly need it.
+    """
+    parameter = avatar.canonical.logit_opacities
+    with torch.no_grad():
+        parameter.clamp_(max=math.log(ceiling / (1 - ceiling)))
+    optimizer.state.pop(parameter, None)
+
+
+def replace_gaussians(
+    avatar: Avatar,
+    optimizer: torch.optim.Optimizer,
+    canonical: CanonicalGaussians,
+    parents: Tensor | None = None,
+    inherited: int = 0,
+) -> None:
+    """Put other Gaussians into an avatar and its optimiser.
+
+    Args:
+        avatar: its ``canonical`` is replaced.
+        optimizer: each old parameter is replaced in its group; one it does not hold is left out.
+        canonical: the new Gaussians.
+        parents: (N,) which old row each new one comes from; None: Adam starts afresh on all rows.
+        inherited: how many rows, from the first, keep the moments of their parents; the others
+            start with zero moments.
+    """
+    old = avatar.canonical
+    for name in PARAMETERS:
+        before, after = getattr(old, name), getattr(canonical, name)
+        after.requires_grad_(before.requires_grad)
+        for group in optimizer.param_groups:
+            group["params"] = [after if p is before else p for p in group["params"]]
+        state = optimizer.state.pop(before, None)
+        if state is None or parents is None:
+            continue
+        for key, value in state.items():
+            if torch.is_tensor(value) and value.shape == before.shape:
+                carried = value[parents]
+                carried[inherited:] = 0
+                state[key] = carried
+        optimizer.state[after] = state
+    avatar.canonical = canonical
+
+
+def _rotate(quats: Tensor, vectors: Tensor) -> Tensor:
+    """Turn vectors (N, 3) by quaternions (N, 4) wxyz of any length."""
+    q = torch.nn.functional.normalize(quats, dim=-1)
+    w, v = q[:, :1], q[:, 1:]
+    across = 2 * torch.linalg.cross(v, vectors)
+    return vectors + w * across + torch.linalg.cross(v, across)

@@ -1,0 +1,113 @@
+"""The .ply of 3D Gaussian Splatting, which its viewers read: an avatar in one pose.
+
+One binary little-endian vertex per Gaussian, all float32, in the order of the original code:
+
+    x y z · nx ny nz · f_dc_0..2 · f_rest_0.. · opacity · scale_0..2 · rot_0..3
+
+* normals are zero, ``opacity`` is a logit, ``scale`` a logarithm, ``rot`` a quaternion wxyz;
+* f_rest goes channel by channel: all red coefficients, then green, then blue.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from gva_mi.errors import InputError
+from gva_mi.splat.gaussians import Gaussians
+from gva_mi.splat.sh import C0
+
+_GEOMETRY = ["opacity", *(f"scale_{i}" for i in range(3)), *(f"rot_{i}" for i in range(4))]
+_CERTAIN = 1e-7  # opacities are kept this far from 0 and 1, whose logits are infinite
+
+
+def save_ply(path: Path, gaussians: Gaussians) -> None:
+    """Write Gaussians as 3DGS does.
+
+    Args:
+        path: of the .ply; an older one is replaced once the new one is whole.
+        gaussians: torch tensors; plain colours become the constant band of spherical harmonics.
+    """
+    path = Path(path)
+    array = lambda tensor: tensor.detach().double().numpy()
+    if gaussians.sh is None:
+        sh = ((array(gaussians.colors) - 0.5) / C0)[:, None]
+    else:
+        sh = array(gaussians.sh)
+    means, opacities = array(gaussians.means), array(gaussians.opacities)
+    eta = np.clip(opacities, _CERTAIN, 1 - _CERTAIN)
+    table = np.column_stack(
+        [
+            means,
+            np.zeros_like(means),
+            sh[:, 0],
+            sh[:, 1:].transpose(0, 2, 1).reshape(len(means), 3 * (sh.shape[1] - 1)),
+            np.log(eta / (1 - eta)),
+            np.log(np.maximum(array(gaussians.scales), 1e-12)),
+            array(gaussians.quats),
+        ]
+    )
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        f"element vertex {len(means)}",
+        *(f"property float {name}" for name in _properties(sh.shape[1])),
+        "end_header\n",
+    ]
+    unfinished = path.with_name(path.name + ".part")
+    unfinished.write_bytes("\n".join(header).encode("ascii") + table.astype("<f4").tobytes())
+    unfinished.replace(path)
+
+
+def load_ply(path: Path) -> Gaussians:
+    """Read Gaussians as 3DGS writes them; properties may come in any order, others are left alone.
+
+    Raises:
+        InputError: not a binary .ply of float properties, cut short, or a property is missing.
+    """
+    path = Path(path)
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; expected a .ply of Gaussians") from None
+    head, end, body = data.partition(b"end_header\n")
+    lines = head.decode("ascii", errors="replace").split("\n")
+    if lines[0].strip() != "ply" or not end:
+        raise InputError(f"{path}: not a .ply file")
+    if "format binary_little_endian 1.0" not in lines:
+        raise InputError(f"{path}: expected the format binary_little_endian 1.0")
+    words = [line.split() for line in lines]
+    counts = [w for w in words if w[:1] == ["element"]]
+    if len(counts) != 1 or counts[0][1] != "vertex":
+        raise InputError(f"{path}: expected one element, 'vertex', as 3DGS writes it")
+    names = [w[-1] for w in words if w[:1] == ["property"]]
+    if any(w[1] not in ("float", "float32") for w in words if w[:1] == ["property"]):
+        raise InputError(f"{path}: expected float properties only, as 3DGS writes them")
+    count = int(counts[0][2])
+    if len(body) < 4 * count * len(names):
+        raise InputError(f"{path}: cut short, {count} Gaussians were announced")
+    table = np.frombuffer(body, "<f4", count * len(names)).reshape(count, len(names))
+
+    column = {name: i for i, name in enumerate(names)}
+    rest = sum(name.startswith("f_rest_") for name in names)
+    for name in _properties(1 + rest // 3):
+        if name not in column and name not in ("nx", "ny", "nz"):
+            raise InputError(f"{path}: property '{name}' is missing")
+    pick = lambda *wanted: torch.from_numpy(table[:, [column[name] for name in wanted]].copy())
+    numbered = lambda name, n: pick(*(f"{name}_{i}" for i in range(n)))
+    higher = numbered("f_rest", rest).reshape(count, 3, rest // 3).transpose(1, 2)
+    return Gaussians(
+        means=pick("x", "y", "z"),
+        quats=numbered("rot", 4),
+        scales=torch.exp(numbered("scale", 3)),
+        opacities=torch.sigmoid(pick("opacity")[:, 0]),
+        sh=torch.cat([numbered("f_dc", 3)[:, None], higher], dim=1),
+    )
+
+
+def _properties(coefficients: int) -> list[str]:
+    """The columns of a file whose colours have so many SH coefficients."""
+    rest = [f"f_rest_{i}" for i in range(3 * (coefficients - 1))]
+    return ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", *rest, *_GEOMETRY]

@@ -1,0 +1,322 @@
+"""Surface-guided re-initialisation (Sec. 4.3): the Gaussians are put back on the person's surface.
+
+Cloning and splitting heap Gaussians up where texture is busy, and a start on the naked body leaves
+hair and loose clothes to a few large ones that come apart in new poses. So, 2-3 times in a fit:
+
+1. meshing       a closed surface around the opaque Gaussians           ``mesh_gaussians``
+2. smoothing     Taubin's low-pass filter of it                         ``mesh_gaussians``
+3. resampling    points on it, denser where it is curved                ``resample``
+4. re-Gaussian   opacity and colour from the K nearest old ones,        ``regaussian``
+                 rotation and scale anew, skinning looked up again
+
+Where practice differs from the words of the paper:
+
+* The "spherical shell" around the outermost Gaussians is an alpha wrap, not an alpha shape: always
+  watertight, and without inner sheets. The rest body, shrunk, is wrapped with them, so that no hole
+  lets the wrap inside.
+* Laplacian smoothing shrinks, arms most. Taubin's filter is a Laplacian step and a slightly larger
+  one back: smooth, and of the same volume.
+* A wrap that bridges holes would also bridge the gaps between fingers. Fingers are bare skin and the
+  body model's best part: there, points are drawn on the body's own surface.
+* Random rotations would begin as a cloud of needles. Discs lie in the surface, turned randomly
+  about the normal; their sizes are the spacing of the points times a random factor.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gva_mi.avatar.avatar import Avatar, Rig
+from gva_mi.avatar.canonical import (
+    NEAREST_JOINTS,
+    CanonicalGaussians,
+    SeedOptions,
+    disc_log_scales,
+    disc_quats,
+    vertex_normals,
+)
+from gva_mi.body.pose import LEFT_HAND, RIGHT_HAND
+from gva_mi.body.skinning import nearest_weights
+
+
+@dataclass(frozen=True)
+class ReinitOptions:
+    """Sizes of the four operations, in metres where they are lengths."""
+
+    count: int = 0  # Gaussians afterwards, within a few percent; 0: as many as before
+    opaque: float = 0.5  # only Gaussians above this opacity carry the surface
+    floater_neighbours: int = 16  # a floater's mean distance to so many neighbours ...
+    floater_sigmas: float = 2.0  # ... exceeds the mean of all by so many standard deviations
+    alpha: float = 0.015  # gaps narrower than twice this are closed
+    offset: float = 0.003  # the wrap keeps this far from the points; taken back afterwards
+    filler_depth: float = 0.012  # the wrapped body lies so far below its surface
+    smoothing: int = 10  # steps of Taubin's filter
+    curvature_gain: float = 2.0  # density at the most curved places / in flat ones, minus 1
+    neighbours: int = 4  # K old Gaussians that lend opacity and colour
+    scale_jitter: float = 0.1  # standard deviation of the logarithm of a size
+
+    def __post_init__(self) -> None:
+        if self.count < 0 or self.neighbours < 1 or self.smoothing < 0:
+            raise ValueError("ReinitOptions: count and smoothing from 0, neighbours from 1")
+        if not 0 < self.offset < self.alpha:
+            raise ValueError(
+                f"ReinitOptions: 0 < offset < alpha is needed, got {self.offset}, {self.alpha}"
+            )
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Triangles in the rest pose."""
+
+    vertices: np.ndarray  # (V, 3) float64, metres
+    faces: np.ndarray  # (F, 3) int64, counter-clockwise seen from outside
+
+
+@dataclass(frozen=True)
+class Reinitialised:
+    """What a re-initialisation returns; nothing of the avatar has changed yet."""
+
+    canonical: CanonicalGaussians  # see :func:`gva_mi.avatar.densify.replace_gaussians`
+    surface: Surface  # the smoothed, watertight wrap
+    floaters: int  # opaque Gaussians that were left out of it
+
+
+def reinitialise(
+    avatar: Avatar,
+    options: ReinitOptions = ReinitOptions(),  # noqa: B008 (frozen)
+    generator: torch.Generator | None = None,
+) -> Reinitialised:
+    """Meshing, resampling, re-Gaussian.
+
+    Args:
+        avatar: with at least a few hundred opaque Gaussians.
+        options: sizes.
+        generator: draws samples, angles and sizes.
+
+    Returns:
+        New Gaussians on the surface of the old ones, the surface, and the number of floaters.
+
+    Raises:
+        ValueError: too few opaque Gaussians to be a surface.
+    """
+    # One draw starts a numpy generator: the geometry below lives in numpy and float64.
+    rng = np.random.default_rng(int(torch.randint(2**62, (), generator=generator)))
+    G = avatar.canonical
+    solid = torch.nonzero(G.opacities.detach() > options.opaque).flatten()
+    if len(solid) <= options.floater_neighbours:
+        raise ValueError(
+            f"reinitialise(): only {len(solid)} of {len(G)} Gaussians have an opacity above "
+            f"{options.opaque}; the fit has diverged or has only just begun"
+        )
+    means = G.means.detach()[solid].double().numpy()
+    floats = find_floaters(means, options.floater_neighbours, options.floater_sigmas)
+    surface = mesh_gaussians(means[~floats], avatar.rig, options)
+    samples = resample(
+        with_fingers(surface, avatar.rig), options.count or len(G), options.curvature_gain, rng
+    )
+    on_surface = solid[torch.from_numpy(~floats)]
+    canonical = regaussian(G, on_surface, samples, avatar.rig, avatar.options.seed, options, rng)
+    return Reinitialised(canonical, surface, int(floats.sum()))
+
+
+def find_floaters(points: np.ndarray, neighbours: int, sigmas: float) -> np.ndarray:
+    """Which points (N, 3) are lonely, (N,) bool: the statistical outlier test of point clouds."""
+    from scipy.spatial import cKDTree
+
+    distance = cKDTree(points).query(points, k=neighbours + 1)[0][:, 1:].mean(1)
+    return distance > distance.mean() + sigmas * distance.std()
+
+
+def mesh_gaussians(points: np.ndarray, rig: Rig, options: ReinitOptions) -> Surface:
+    """A closed, smooth surface around points (N, 3) and the rest body inside them."""
+    import pymeshlab
+
+    vertices, faces = _filler(rig, options.filler_depth)
+    # The wrap crashes on points without faces, so each becomes a triangle too small to matter.
+    triangle = 2e-4 * np.array([[1, 0, 0], [-0.5, 0.75**0.5, 0], [-0.5, -(0.75**0.5), 0]])
+    specks = (points[:, None] + triangle).reshape(-1, 3)
+    corners = np.arange(len(specks)).reshape(-1, 3)
+    meshes = pymeshlab.MeshSet()
+    meshes.add_mesh(
+        pymeshlab.Mesh(np.vstack([specks, vertices]), np.vstack([corners, faces + len(specks)]))
+    )
+    meshes.generate_alpha_wrap(
+        alpha=pymeshlab.PureValue(options.alpha), offset=pymeshlab.PureValue(options.offset)
+    )
+    wrap = meshes.current_mesh()
+    person = _largest_component(wrap.vertex_matrix(), wrap.face_matrix().astype(np.int64))
+    meshes.add_mesh(pymeshlab.Mesh(person.vertices, person.faces))
+    if options.smoothing:
+        meshes.apply_coord_taubin_smoothing(stepsmoothnum=options.smoothing)
+    smooth = np.array(meshes.current_mesh().vertex_matrix())
+    return Surface(smooth - options.offset * _normals(smooth, person.faces), person.faces)
+
+
+def with_fingers(surface: Surface, rig: Rig) -> Surface:
+    """The surface, with its fingers cut off and those of the rest body set in their place."""
+    body, faces = rig.vertices.double().numpy(), rig.faces.numpy()
+    finger = _finger_weights(rig.weights).numpy() > 0.5
+    if not finger.any():
+        return surface
+    middle = torch.from_numpy(surface.vertices[surface.faces].mean(1)).to(rig.vertices.dtype)
+    bridged = _finger_weights(nearest_weights(middle, rig.vertices, rig.weights)).numpy() > 0.5
+    own = faces[finger[faces].all(1)] + len(surface.vertices)
+    return _without_spares(
+        np.vstack([surface.vertices, body]), np.vstack([surface.faces[~bridged], own])
+    )
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Points on a surface, no two too close."""
+
+    points: np.ndarray  # (N, 3) metres
+    normals: np.ndarray  # (N, 3)
+    spacing: np.ndarray  # (N,) metres, mean distance to the nearest others
+
+
+def resample(surface: Surface, count: int, gain: float, rng: np.random.Generator) -> Samples:
+    """About ``count`` points on a surface, evenly, and denser where it is curved.
+
+    Many candidates are drawn with a density of 1 + gain · c, c the curvature between 0 (flat) and 1
+    (the 95th percentile). In their random order each one that is left removes all others within its
+    radius, ~ density^(-1/2): darts of variable radius, corrected until the count fits.
+    """
+    from scipy.spatial import cKDTree
+
+    v, f = surface.vertices, surface.faces
+    density = 1 + gain * _curvature(surface)
+    area = np.linalg.norm(np.cross(v[f[:, 1]] - v[f[:, 0]], v[f[:, 2]] - v[f[:, 0]]), axis=1) / 2
+    mass = area * density[f].mean(1)
+    oversampling = 6
+    chosen = rng.choice(len(f), oversampling * count, p=mass / mass.sum())
+    barycentric = rng.dirichlet([1, 1, 1], len(chosen))[:, :, None]
+    on_faces = lambda x: (x[f[chosen]] * barycentric).sum(1)
+    points, tree = on_faces(v), cKDTree(on_faces(v))
+    # The densest packing has count · r^2 · sqrt(3) / 2 = area; random darts reach 3/4 of that r.
+    radius = 0.75 * np.sqrt(2 / 3**0.5 * mass.sum() / count / on_faces(density[:, None])[:, 0])
+    for _ in range(3):
+        kept = _throw_darts(tree, points, radius)
+        if abs(len(kept) / count - 1) < 0.02:
+            break
+        radius *= np.sqrt(len(kept) / count)
+    points, normals = points[kept], on_faces(_normals(v, f))[kept]
+    spacing = cKDTree(points).query(points, k=min(4, len(points)))[0][:, 1:].mean(1)
+    return Samples(points, normals / np.linalg.norm(normals, axis=1, keepdims=True), spacing)
+
+
+def regaussian(
+    old: CanonicalGaussians,
+    lenders: Tensor,
+    samples: Samples,
+    rig: Rig,
+    seed: SeedOptions,
+    options: ReinitOptions,
+    rng: np.random.Generator,
+) -> CanonicalGaussians:
+    """Gaussians on the samples, with the looks of the old ones around them.
+
+    Opacity and colour are means over the K nearest lenders, weighted by 1 / distance^2.
+
+    Args:
+        old: the Gaussians so far.
+        lenders: (M,) int64, those of them that lie on the surface.
+        samples: where the new ones go.
+        rig: the rest body, for the skinning weights.
+        seed: shape of a disc, as at the start.
+        options: K, and how random a size is.
+        rng: draws angles and sizes.
+    """
+    from scipy.spatial import cKDTree
+
+    N, dtype = len(samples.points), old.means.dtype
+    tensor = lambda array: torch.from_numpy(np.ascontiguousarray(array)).to(dtype)
+    K = min(options.neighbours, len(lenders))
+    tree = cKDTree(old.means.detach()[lenders].double().numpy())
+    distance, nearest = (x.reshape(N, K) for x in tree.query(samples.points, k=K))
+    share = 1 / (distance**2 + 1e-8)  # a tenth of a millimetre counts as touching
+    share = tensor(share / share.sum(1, keepdims=True))
+    nearest = lenders[torch.from_numpy(nearest)]
+
+    opacities = (share * old.opacities.detach()[nearest]).sum(1).clamp(0.01, 0.99)
+    sh = (share[:, :, None, None] * old.sh.detach()[nearest]).sum(1)
+    jitter = tensor(np.exp(options.scale_jitter * rng.standard_normal((N, 3))))
+    half = tensor(rng.uniform(0, np.pi, N))  # half the angle about the normal
+    means = tensor(samples.points)
+    return CanonicalGaussians(
+        means=means,
+        quats=_spin(disc_quats(tensor(samples.normals)), half),
+        log_scales=disc_log_scales(tensor(samples.spacing), seed) + jitter.log(),
+        logit_opacities=torch.logit(opacities),
+        sh=sh,
+        weights=nearest_weights(means, rig.vertices, rig.weights, NEAREST_JOINTS),
+    )
+
+
+def _filler(rig: Rig, depth: float) -> tuple[np.ndarray, np.ndarray]:
+    """The rest body, moved inside by ``depth``; fingers, which are thinner than that, by less."""
+    inwards = depth * (1 - 0.75 * _finger_weights(rig.weights))
+    shrunk = rig.vertices - inwards[:, None] * vertex_normals(rig.vertices, rig.faces)
+    return shrunk.double().numpy(), rig.faces.numpy()
+
+
+def _finger_weights(weights: Tensor) -> Tensor:
+    """How much of each row (N, 55) belongs to fingers, (N,)."""
+    return weights[:, LEFT_HAND].sum(1) + weights[:, RIGHT_HAND].sum(1)
+
+
+def _largest_component(vertices: np.ndarray, faces: np.ndarray) -> Surface:
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    V = len(vertices)
+    ones = np.ones(2 * len(faces), dtype=bool)
+    edges = (faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel())
+    label = connected_components(coo_matrix((ones, edges), (V, V)), directed=False)[1]
+    largest = np.bincount(label[faces[:, 0]]).argmax()
+    return _without_spares(vertices, faces[label[faces[:, 0]] == largest])
+
+
+def _without_spares(vertices: np.ndarray, faces: np.ndarray) -> Surface:
+    """Drop vertices that no face uses: pymeshlab would do so by itself, and renumber the rest."""
+    used, renumbered = np.unique(faces, return_inverse=True)
+    return Surface(vertices[used], renumbered.reshape(-1, 3))
+
+
+def _normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    return vertex_normals(torch.from_numpy(vertices), torch.from_numpy(faces)).numpy()
+
+
+def _curvature(surface: Surface) -> np.ndarray:
+    """Root mean square of the principal curvatures, (V,), scaled to [0, 1]."""
+    import pymeshlab
+
+    meshes = pymeshlab.MeshSet()
+    meshes.add_mesh(pymeshlab.Mesh(surface.vertices, surface.faces))
+    meshes.compute_scalar_by_discrete_curvature_per_vertex(curvaturetype="RMS Curvature")
+    curvature = np.nan_to_num(meshes.current_mesh().vertex_scalar_array(), posinf=0, neginf=0)
+    largest = np.percentile(curvature, 95)
+    return np.clip(curvature / largest, 0, 1) if largest > 0 else np.zeros(len(curvature))
+
+
+def _throw_darts(tree: object, points: np.ndarray, radius: np.ndarray) -> list[int]:
+    """Walk through the points; each one still there removes all others within its radius."""
+    around = tree.query_ball_point(points, radius, return_sorted=False)
+    alive = np.ones(len(points), dtype=bool)
+    kept = []
+    for i, close in enumerate(around):
+        if alive[i]:
+            kept.append(i)
+            alive[close] = False
+    return kept
+
+
+def _spin(quats: Tensor, half: Tensor) -> Tensor:
+    """Turn frames (N, 4) wxyz about their own z axis by twice ``half`` (N,)."""
+    w, x, y, z = quats.unbind(-1)
+    c, s = torch.cos(half), torch.sin(half)
+    return torch.stack([w * c - z * s, x * c + y * s, y * c - x * s, z * c + w * s], -1)

@@ -1,0 +1,111 @@
+"""The pose-conditioned residual of Sec. 4.1, mu' = mu + MLP(theta): clothes crease and slide.
+
+The network is a function of *where* on the rest body and *which pose*, not of which Gaussian:
+densification and re-initialisation may change the Gaussians, and what was learned stays.
+
+1. c = tanh(A vec(R_1 - I, ..., R_21 - I) + a)       pose code, without the root
+2. e = (x, sin(2^k pi x), cos(2^k pi x)), k < L      x: the rest mean scaled to [-1, 1]
+3. h = relu(E e + C c + b),  h' = relu(H h + h0)
+4. MLP(theta) = (O h' + o) · 1 cm                    O = o = 0 at the start: no residual
+
+The root is left out, for an avatar that turns around or walks away is the same avatar. The tanh
+bounds the residual of poses that no frame has shown. Eq. 13 pulls |MLP(theta)| to zero.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import roma
+import torch
+from torch import Tensor, nn
+
+BODY_JOINTS = slice(1, 22)  # without the root, the face and the fingers
+OUTPUT_UNIT = (
+    0.01  # metres per unit of the last layer, so that Adam's steps are fractions of a millimetre
+)
+
+
+@dataclass(frozen=True)
+class ResidualOptions:
+    """The size of the network."""
+
+    enabled: bool = True  # False: mu' = mu
+    code: int = 8  # numbers that describe a pose
+    frequencies: int = 4  # L; the finest wavelength is 2^(1 - L) of the body's height
+    width: int = 32  # of both hidden layers
+
+    def __post_init__(self) -> None:
+        if min(self.code, self.frequencies, self.width) < 1:
+            raise ValueError("ResidualOptions: code, frequencies and width must be at least 1")
+
+
+class PoseResidual(nn.Module):
+    """MLP(theta): an offset in metres for every rest mean, zero at the start.
+
+    Args:
+        options: the size of the network.
+        center: (3,) metres, middle of the rest body.
+        extent: half of the rest body's largest side, metres.
+        generator: draws the initial weights.
+    """
+
+    def __init__(
+        self,
+        options: ResidualOptions,
+        center: Tensor,
+        extent: float,
+        generator: torch.Generator | None = None,
+    ) -> None:
+        super().__init__()
+        self.options = options
+        self.register_buffer("center", center.detach().clone().float())
+        self.register_buffer("extent", torch.tensor(float(extent)))
+        joints = BODY_JOINTS.stop - BODY_JOINTS.start
+        features = 3 + 6 * options.frequencies
+        self.pose_code = nn.Linear(9 * joints, options.code)
+        self.place = nn.Linear(features, options.width)
+        self.condition = nn.Linear(options.code, options.width, bias=False)
+        self.hidden = nn.Linear(options.width, options.width)
+        self.offset = nn.Linear(options.width, 3)
+        with torch.no_grad():
+            for layer in (self.pose_code, self.place, self.condition, self.hidden):
+                bound = math.sqrt(3 / layer.in_features)  # unit variance in, unit variance out
+                layer.weight.uniform_(-bound, bound, generator=generator)
+                if layer.bias is not None:
+                    layer.bias.zero_()
+            self.offset.weight.zero_()
+            self.offset.bias.zero_()
+
+    def forward(self, means: Tensor, rotations: Tensor) -> Tensor:
+        """Offsets in the rest pose.
+
+        Args:
+            means: (N, 3) metres, rest pose.
+            rotations: (55, 3) axis-angle of all joints, in the order of JOINTS.
+
+        Returns:
+            (N, 3) metres.
+
+        Note:
+            Not differentiable in ``means``: where a Gaussian lies is decided by its picture, not
+            by the slope of the network.
+        """
+        turned = roma.rotvec_to_rotmat(rotations[BODY_JOINTS])
+        identity = torch.eye(3, dtype=turned.dtype, device=turned.device)
+        code = torch.tanh(self.pose_code((turned - identity).flatten()))
+        bias = self.place.bias + self.condition(
+            code
+        )  # one pose for all points: a bias, not a feature
+        h = torch.relu(torch.addmm(bias, self._encode(means.detach()), self.place.weight.T))
+        return self.offset(torch.relu(self.hidden(h))) * OUTPUT_UNIT
+
+    def _encode(self, means: Tensor) -> Tensor:
+        x = (means - self.center) / self.extent
+        sines, cosines = [torch.sin(math.pi * x)], [torch.cos(math.pi * x)]
+        for _ in range(1, self.options.frequencies):  # double angles: cheaper than sines
+            s, c = sines[-1], cosines[-1]
+            sines.append(2 * s * c)
+            cosines.append(1 - 2 * s * s)
+        return torch.cat([x, *sines, *cosines], dim=1)

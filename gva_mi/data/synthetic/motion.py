@@ -1,0 +1,177 @@
+"""How a subject moves: the turn of the video, and poses that the video does not show."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import torch
+
+from gva_mi.body.pose import JOINTS, Pose
+
+FINGERS = ("index", "middle", "ring", "pinky")
+A_POSE = 0.98  # rad, how far the arms hang down from the T-pose
+
+# Hand gestures: how far each finger curls (radians per joint), and the thumb: (across the palm, bent).
+Gesture = Mapping[str, float]
+GESTURES: Mapping[str, Gesture] = {
+    "open": dict(index=0.05, middle=0.05, ring=0.05, pinky=0.05, spread=0.14, thumb=0.0, bend=0.0),
+    "rest": dict(index=0.25, middle=0.32, ring=0.38, pinky=0.42, spread=0.0, thumb=0.2, bend=0.2),
+    "fist": dict(index=1.35, middle=1.4, ring=1.4, pinky=1.4, spread=-0.05, thumb=0.75, bend=0.75),
+    "point": dict(index=0.03, middle=1.3, ring=1.4, pinky=1.4, spread=0.0, thumb=0.7, bend=0.7),
+    "pinch": dict(index=0.75, middle=0.3, ring=0.25, pinky=0.2, spread=0.08, thumb=0.7, bend=0.35),
+    "two": dict(index=0.05, middle=0.05, ring=1.35, pinky=1.4, spread=0.2, thumb=0.8, bend=0.7),
+    "three": dict(index=0.05, middle=0.05, ring=0.05, pinky=1.35, spread=0.15, thumb=0.8, bend=0.7),
+    "thumb": dict(index=1.35, middle=1.4, ring=1.4, pinky=1.4, spread=-0.05, thumb=-0.25, bend=0.0),
+}  # fmt: skip
+_SPREAD = {"index": 1.0, "middle": 0.25, "ring": -0.45, "pinky": -1.0}
+
+
+def turn(frames: int, expressions: int, rng: np.random.Generator) -> Pose:
+    """One full turn in A-pose, slightly swaying, while the hands go through gestures.
+
+    Args:
+        frames: length of the video.
+        expressions: width of the expression.
+        rng: for sway and gestures.
+
+    Returns:
+        T frames, root at the origin.
+    """
+    t = np.arange(frames) / frames
+    rotations = np.zeros((frames, 55, 3))
+    wave = lambda size, most=3: sum(
+        rng.normal(0, size / k) * np.sin(2 * np.pi * (k * t + rng.uniform())) for k in range(1, most)
+    )
+    direction = rng.choice([-1.0, 1.0])
+    for name, size in (
+        ("spine1", 0.02), ("spine2", 0.02), ("spine3", 0.02), ("neck", 0.04), ("head", 0.06),
+    ):  # fmt: skip
+        for axis in range(3):
+            rotations[:, JOINTS.index(name), axis] = wave(size)
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        of = lambda joint, side=side: JOINTS.index(f"{side}_{joint}")
+        lower = A_POSE + rng.normal(0, 0.04) + wave(0.06)
+        rotations[:, of("shoulder"), 2] = -sign * 0.88 * lower
+        rotations[:, of("collar"), 2] = -sign * 0.12 * lower
+        rotations[:, of("shoulder"), 1] = wave(0.05)
+        rotations[:, of("elbow"), 1] = -sign * (0.25 + wave(0.1))
+        rotations[:, of("elbow"), 0] = wave(0.15)
+        rotations[:, of("wrist"), 2] = wave(0.12)
+        rotations[:, of("wrist"), 1] = wave(0.12)
+        rotations[:, of("hip"), 2] = sign * (0.09 + wave(0.01))
+        rotations[:, of("hip"), 0] = wave(0.015)
+        rotations[:, of("knee"), 0] = np.abs(wave(0.03))
+        rotations[:, of("ankle"), 2] = -sign * 0.06
+        _put_hand(rotations, side, _gesture_curve(frames, rng))
+    rotations[:, 0, 1] = direction * 2 * np.pi * t
+    transl = np.stack([wave(0.008), np.zeros(frames), wave(0.008)], axis=1)
+    rotations[:, 0] = _turned(rotations[:, 0, 1], np.stack([wave(0.015), wave(0.015)], axis=1))
+    return _pose(rotations, transl, expressions)
+
+
+def novel(count: int, expressions: int, rng: np.random.Generator) -> Pose:
+    """Poses the video does not show: gestures, steps, arms raised and in front of the body.
+
+    Args:
+        count: how many.
+        expressions: width of the expression.
+        rng: for variation and the facing directions.
+
+    Returns:
+        ``count`` frames, root at the origin; unlike a video they do not follow each other.
+    """
+    rotations = np.zeros((count, 55, 3))
+    names = list(POSES)
+    for k in range(count):
+        joints, left, right = POSES[names[k % len(names)]]
+        for side, sign in (("left", 1.0), ("right", -1.0)):
+            rotations[k, JOINTS.index(f"{side}_shoulder"), 2] = -sign * A_POSE
+            rotations[k, JOINTS.index(f"{side}_elbow"), 1] = -sign * 0.2
+        for name, value in joints.items():
+            rotations[k, JOINTS.index(name)] = np.array(value) * rng.uniform(0.9, 1.1)
+        for side, gesture in (("left", left), ("right", right)):
+            _put_hand(rotations[k : k + 1], side, _gesture_values([gesture]))
+        rotations[k, JOINTS.index("head")] += rng.normal(0, 0.08, 3)
+    facing = rng.uniform(-0.9, 0.9, count)
+    rotations[:, 0] = _turned(facing, np.zeros((count, 2)))
+    return _pose(rotations, np.zeros((count, 3)), expressions)
+
+
+# Joint rotations (axis-angle, radians) on top of an A-pose, and the gestures of left and right hand.
+POSES: Mapping[str, tuple[Mapping[str, tuple[float, float, float]], str, str]] = {
+    "wave": ({"right_shoulder": (0, 0, -0.5), "right_elbow": (0, 0.3, -1.5)}, "rest", "open"),
+    "point": ({"left_shoulder": (0, -1.25, -0.15), "left_elbow": (0, -0.1, 0)}, "point", "rest"),
+    "arms up": (
+        {"left_shoulder": (0, 0, 1.0), "right_shoulder": (0, 0, -1.0),
+         "left_elbow": (0, 0, 0.3), "right_elbow": (0, 0, -0.3)}, "open", "open",
+    ),
+    "step": (
+        {"left_hip": (-0.55, 0, 0.05), "left_knee": (0.45, 0, 0), "right_hip": (0.3, 0, -0.05),
+         "right_knee": (0.25, 0, 0), "left_shoulder": (0.5, 0, -1.0),
+         "right_shoulder": (-0.5, 0, 1.0)}, "fist", "fist",
+    ),
+    "arms in front": (
+        {"left_shoulder": (0, -0.75, -0.75), "right_shoulder": (0, 0.75, 0.75),
+         "left_elbow": (0, -1.2, 0), "right_elbow": (0, 1.2, 0)}, "pinch", "two",
+    ),
+    "thumbs up": ({"right_shoulder": (0, 0.6, 1.0), "right_elbow": (-0.9, 1.4, 0)}, "rest", "thumb"),
+    "bow": (
+        {"spine1": (0.2, 0.2, 0), "spine2": (0.2, 0.15, 0), "neck": (0.15, 0, 0),
+         "left_shoulder": (-0.2, -0.5, -0.8), "right_shoulder": (0.2, 0, 0.6)}, "three", "open",
+    ),
+    "t-pose": (
+        {"left_shoulder": (0, 0, -0.1), "right_shoulder": (0, 0, 0.1),
+         "left_elbow": (0, 0, 0), "right_elbow": (0, 0, 0)}, "three", "fist",
+    ),
+}  # fmt: skip
+
+
+def _gesture_values(names: list[str]) -> np.ndarray:
+    return np.array([[GESTURES[n][k] for k in GESTURES["open"]] for n in names])
+
+
+def _gesture_curve(frames: int, rng: np.random.Generator) -> np.ndarray:
+    """(T, 7): gestures held for a while, with smooth changes; the last leads back to the first."""
+    names = [str(n) for n in rng.permutation([n for n in GESTURES if n != "rest"])[:5]]
+    keys = _gesture_values(["rest", *names])
+    at = (np.arange(frames) / frames + rng.uniform(0, 0.08)) * len(keys)
+    index = np.floor(at).astype(int)
+    t = np.clip((at - index - 0.35) / 0.65, 0, 1)
+    t = (t * t * (3 - 2 * t))[:, None]
+    return (1 - t) * keys[index % len(keys)] + t * keys[(index + 1) % len(keys)]
+
+
+def _put_hand(rotations: np.ndarray, side: str, values: np.ndarray) -> None:
+    """Write finger rotations of gestures (T, 7) into (T, 55, 3)."""
+    sign = 1.0 if side == "left" else -1.0
+    value = dict(zip(GESTURES["open"], values.T, strict=True))
+    for finger in FINGERS:
+        for k, share in ((1, 0.95), (2, 1.1), (3, 0.7)):
+            joint = JOINTS.index(f"{side}_{finger}{k}")
+            rotations[:, joint, 2] = -sign * share * value[finger]
+        spread = JOINTS.index(f"{side}_{finger}1")
+        rotations[:, spread, 1] = -sign * _SPREAD[finger] * value["spread"]
+    # The thumb swings under the palm about the arm's axis, and bends about its own hinge.
+    first, second, third = (JOINTS.index(f"{side}_thumb{k}") for k in (1, 2, 3))
+    rotations[:, first, 0] = 0.75 * value["thumb"]
+    rotations[:, first, 1] = sign * 0.35 * value["thumb"]
+    for joint in (second, third):
+        rotations[:, joint, 1] = sign * value["bend"]
+
+
+def _turned(yaw: np.ndarray, lean: np.ndarray) -> np.ndarray:
+    """Axis-angle of a turn about y after a small lean about x and z."""
+    import roma
+
+    about = lambda axis, a: torch.from_numpy(np.outer(a, axis))
+    leaned = torch.from_numpy(np.stack([lean[:, 0], 0 * yaw, lean[:, 1]], axis=1))
+    R = roma.rotvec_to_rotmat(about([0, 1, 0], yaw)) @ roma.rotvec_to_rotmat(leaned)
+    return roma.rotmat_to_rotvec(R).numpy()
+
+
+def _pose(rotations: np.ndarray, transl: np.ndarray, expressions: int) -> Pose:
+    tensor = lambda x: torch.from_numpy(x).float()
+    return Pose.from_rotations(
+        tensor(rotations), tensor(transl), torch.zeros(len(transl), expressions)
+    )

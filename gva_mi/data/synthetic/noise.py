@@ -1,0 +1,181 @@
+"""What a real pipeline would see instead of the truth, at a level: 1 is usual, 0 is exact.
+
+* Poses, as an estimator on single frames gives them: errors grow toward hands and feet, change slowly with
+  time, and are twice as large where the person stands sideways; depth is known worst.
+* Masks, as a segmenter gives them: the boundary wobbles by a pixel or two, with some notches.
+* Normals, as a network gives them: blurred, and turned by a slowly varying error.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.ndimage import distance_transform_edt, gaussian_filter, gaussian_filter1d
+
+from gva_mi.body.pose import JOINTS, PARENTS, Pose, Shape
+from gva_mi.body.smplx import BodyModel
+from gva_mi.splat import Camera
+
+# Level 1. Rotations are root mean squares per joint in radians, before the doubling at the side.
+ROOT = 0.05  # global orientation
+PER_DEPTH = 0.022  # grows by this with every joint between it and the root, to the wrists and feet
+FINGER = 0.16
+DEPTH, ASIDE = 0.030, 0.008  # m, translation along the line of sight, and across it
+BETAS = 0.25  # standard deviations
+MEMORY = 5.0  # frames over which an error persists
+
+# Pixels at 512², scaled with the width of the picture.
+WOBBLE, WOBBLE_LENGTH = 1.3, 14.0  # boundary error of a mask, and the length over which it varies
+NOTCHES, NOTCH_RADIUS = 4, 4.0  # bites and bumps on a mask's boundary
+BLUR = 2.2  # of the normals
+TILT, TILT_LENGTH = 0.14, 50.0  # rad and px: error of the normals, and the length over which it varies
+
+
+@dataclass(frozen=True)
+class PoseError:
+    """Distance of noisy from true poses: vertices in millimetres, rotations in degrees."""
+
+    vertex_mm: float
+    hand_vertex_mm: float
+    foot_vertex_mm: float
+    rotation_deg: float
+    transl_mm: float
+
+
+def noisy_poses(
+    pose: Pose, shape: Shape, camera: Camera, level: float, rng: np.random.Generator
+) -> tuple[Pose, Shape]:
+    """Stage-1 poses of a video.
+
+    Args:
+        pose: the truth, T frames.
+        shape: the truth.
+        camera: the view; it decides what is sideways and what is depth.
+        level: 0 returns the truth itself.
+        rng: for all errors.
+    """
+    if level == 0:
+        return pose, shape
+    frames = len(pose)
+    R_camera_world = camera.T_camera_world[:3, :3]
+    facing = _matrices(pose.global_orient.double().numpy())[:, :, 2] @ R_camera_world.T
+    strength = level * (1 + np.abs(facing[:, 0]))[:, None]
+
+    rotations = pose.rotations.double().numpy().copy()
+    for joint, size in enumerate(_sizes()):
+        rotations[:, joint] += strength * size * _curve(rng, frames)
+    aside = _curve(rng, frames) * np.array([ASIDE, ASIDE, DEPTH]) * np.sqrt(3)
+    transl = pose.transl.double().numpy() + (strength * aside) @ R_camera_world
+    betas = shape.betas + level * BETAS * torch.from_numpy(rng.normal(size=len(shape.betas))).float()
+    tensor = lambda x: torch.from_numpy(x).to(pose.transl.dtype)
+    noisy = Pose.from_rotations(tensor(rotations), tensor(transl), pose.expression)
+    return noisy, Shape(betas)
+
+
+def noisy_mask(mask: np.ndarray, level: float, rng: np.random.Generator) -> np.ndarray:
+    """A mask (H, W) in [0, 1] with a boundary that is off by a pixel or two."""
+    if level == 0:
+        return mask
+    pixel = mask.shape[1] / 512
+    inside = mask > 0.5
+    distance = distance_transform_edt(inside) - distance_transform_edt(~inside)
+    distance += np.where(inside, -0.5, 0.5)  # signed, zero on the boundary, positive inside
+    length = max(WOBBLE_LENGTH * pixel, 0.7)
+    wobble = level * max(WOBBLE * pixel, 0.25) * _field(rng, mask.shape, length)
+    edge = np.argwhere(np.abs(distance) < 1)
+    for centre in edge[rng.integers(len(edge), size=NOTCHES)] if len(edge) else ():
+        radius = level * NOTCH_RADIUS * pixel * rng.uniform(0.4, 1.3)
+        rows, columns = np.ogrid[: mask.shape[0], : mask.shape[1]]
+        away = np.hypot(rows - centre[0], columns - centre[1])
+        bite = np.maximum(radius - away, 0)
+        wobble += rng.choice([-1, -1, 1]) * bite
+    return np.clip(distance + wobble + 0.5, 0, 1).astype(np.float32)
+
+
+def noisy_normals(
+    normals: np.ndarray, mask: np.ndarray, level: float, rng: np.random.Generator
+) -> np.ndarray:
+    """Normals (H, W, 3) as a network would give them inside a mask (H, W)."""
+    if level == 0:
+        return normals
+    pixel = normals.shape[1] / 512
+    known = (np.linalg.norm(normals, axis=-1) > 0.5).astype(np.float32)
+    reach = max(level * BLUR * pixel, 0.3)
+    channels = [gaussian_filter(normals[..., k], reach) for k in range(3)]
+    near = gaussian_filter(known, reach)
+    # Where the mask reaches past the surface, the nearest normal is taken.
+    missing, index = distance_transform_edt(near < 1e-3, return_indices=True)
+    blurred = np.stack(channels, axis=-1)[index[0], index[1]]
+    blurred /= np.maximum(np.linalg.norm(blurred, axis=-1, keepdims=True), 1e-9)
+    axes = np.stack([_field(rng, mask.shape, TILT_LENGTH * pixel) for _ in range(3)], axis=-1)
+    turned = blurred + level * TILT / np.sqrt(2) * np.cross(axes, blurred)
+    turned[..., 2] = np.minimum(turned[..., 2], 0)  # what is seen faces the camera
+    turned /= np.maximum(np.linalg.norm(turned, axis=-1, keepdims=True), 1e-9)
+    return (turned * (mask > 0.5)[..., None]).astype(np.float32)
+
+
+def pose_error(body: BodyModel, pose: Pose, shape: Shape, true: Pose, true_shape: Shape) -> PoseError:
+    """How far poses are from the truth, the mean over frames and vertices."""
+    away = torch.cat(
+        [
+            (body(pose[k], shape).vertices - body(true[k], true_shape).vertices).norm(dim=-1)
+            for k in range(len(pose))
+        ]
+    )
+    weights = body.weights
+    hand = weights[:, 25:].sum(1) + weights[:, [20, 21]].sum(1) > 0.5
+    foot = weights[:, [7, 8, 10, 11]].sum(1) > 0.5
+    A, B = (_matrices(p.rotations.double().numpy().reshape(-1, 3)) for p in (pose, true))
+    cosine = (np.einsum("nij,nij->n", A, B) - 1) / 2
+    millimetres = lambda x: float(1000 * x.double().mean())
+    return PoseError(
+        millimetres(away), millimetres(away[:, hand]), millimetres(away[:, foot]),
+        float(np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean()),
+        millimetres((pose.transl - true.transl).norm(dim=-1)),
+    )  # fmt: skip
+
+
+def mask_iou(mask: np.ndarray, true: np.ndarray) -> float:
+    """Intersection over union of two masks in [0, 1], cut at one half."""
+    a, b = mask > 0.5, true > 0.5
+    return float((a & b).sum() / max((a | b).sum(), 1))
+
+
+def normal_error(normals: np.ndarray, true: np.ndarray) -> float:
+    """Mean angle in degrees between normals, where both are."""
+    both = (np.abs(normals).sum(-1) > 0) & (np.abs(true).sum(-1) > 0)
+    cosine = (normals[both] * true[both]).sum(-1)
+    return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean()) if both.any() else 0.0
+
+
+def _sizes() -> np.ndarray:
+    """Root mean square error of each joint's rotation, radians, (55,)."""
+    depth = np.zeros(len(JOINTS))
+    for joint, parent in enumerate(PARENTS):
+        depth[joint] = 0 if parent < 0 else depth[parent] + 1
+    sizes = ROOT + PER_DEPTH * depth
+    sizes[22:25] = 0.02  # jaw and eyes
+    sizes[25:] = FINGER
+    return sizes
+
+
+def _curve(rng: np.random.Generator, frames: int) -> np.ndarray:
+    """A smooth random curve (T, 3) whose root mean square length is 1."""
+    margin = int(3 * MEMORY)
+    noise = gaussian_filter1d(rng.normal(size=(frames + 2 * margin, 3)), MEMORY, axis=0)
+    noise = noise[margin : margin + frames]
+    return noise / np.sqrt((noise**2).sum(1).mean())
+
+
+def _field(rng: np.random.Generator, shape: tuple[int, int], length: float) -> np.ndarray:
+    """A smooth random image of unit variance that varies over ``length`` pixels."""
+    noise = gaussian_filter(rng.normal(size=shape), length / 2, mode="wrap")
+    return noise / noise.std()
+
+
+def _matrices(rotvecs: np.ndarray) -> np.ndarray:
+    import roma
+
+    return roma.rotvec_to_rotmat(torch.from_numpy(rotvecs)).numpy()

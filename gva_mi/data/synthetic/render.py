@@ -1,0 +1,249 @@
+"""Pictures of a subject, with Mitsuba's rays and a light that stays the same while the person turns.
+
+For a pixel with S samples over its area, each a primary ray that hits the surface at x with normal n,
+albedo a, or misses:
+
+    1. radiance = a/π · ( Σ_l E_l(x) + π · mean over directions ω ~ cos of  L(ω) )
+    2. E_l      = area of l · L_l · cos θ_x · cos θ_l / r² · visible,        one point per sample
+    3. L(ω)     = sky(ω) where nothing is hit, else what the surface there gives off on average
+    4. mask     = fraction of samples that hit;  normal = their mean, made unit
+    5. color    = mask · sRGB( mean radiance of the hits ) + (1 − mask) · white
+
+Eq. 5 blends what is stored, so that color and mask agree as a renderer of 8-bit pictures expects.
+Lights and directions are stratified over the S samples and every light is sampled by each of them:
+Mitsuba's path tracer, which picks one light at random, needs many times the rays for the same noise.
+All sums have a fixed order: the same seed gives the same bits.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gva_mi.data.synthetic.subject import Subject, vertex_normals
+from gva_mi.data.synthetic.texture import Part, albedo, encode
+from gva_mi.splat import Camera
+
+VARIANT = "llvm_ad_rgb"
+OFFSET = 1e-4  # m, secondary rays start this far off the surface
+
+
+@dataclass(frozen=True)
+class AreaLight:
+    """A one-sided parallelogram that gives off light."""
+
+    centre: tuple[float, float, float]  # metres, world
+    u: tuple[float, float, float]  # half edges; u × v points to the side that shines
+    v: tuple[float, float, float]
+    radiance: tuple[float, float, float]  # linear
+
+
+# The key light stands left of the camera and above, a weak fill to the right: both metres wide.
+LIGHTS = (
+    AreaLight((-2.2, 3.0, 3.0), (0.7, 0.0, 0.5), (-0.4, 0.6, 0.55), (4.6, 4.4, 4.1)),
+    AreaLight((3.2, 1.6, 2.2), (0.5, 0.0, -0.75), (0.0, 0.9, 0.0), (0.8, 0.85, 0.95)),
+)
+SKY, EARTH = (0.52, 0.54, 0.58), (0.36, 0.34, 0.32)  # ambient radiance from above and from below
+
+
+@dataclass(frozen=True)
+class Picture:
+    """What a camera sees of the subject."""
+
+    color: np.ndarray  # (H, W, 3) float32 in [0, 1], sRGB-encoded, on white
+    mask: np.ndarray  # (H, W) float32 in [0, 1], covered fraction of each pixel
+    normals: np.ndarray  # (H, W, 3) float32, camera space, OpenCV axes; zero where nothing is
+    depth: np.ndarray  # (H, W) float32, metres along z; zero where nothing is
+
+
+class Renderer:
+    """Draws one subject in any number of poses."""
+
+    def __init__(self, subject: Subject) -> None:
+        import drjit as dr
+        import mitsuba as mi
+
+        mi.set_variant(VARIANT)
+        self._faces = subject.faces
+        self._look = subject.look
+        self._mesh = mi.Mesh("subject", len(subject.vertices), len(subject.faces))
+        self._params = mi.traverse(self._mesh)
+        self._params["faces"] = mi.UInt32(subject.faces.astype(np.uint32).ravel())
+        self._params["vertex_positions"] = mi.Float(subject.vertices.ravel())
+        self._params.update()
+        self._scene = mi.load_dict({"type": "scene", "mesh": self._mesh})
+        self._scene_params = mi.traverse(self._scene)
+        self._part = mi.UInt32(subject.part)
+        self._rest = mi.Float(subject.vertices.ravel())
+        self._tint = mi.Float(subject.tint.ravel())
+        self._corner = self._params["faces"]
+        given_off = np.array([subject.look.mean_color(p) for p in Part])
+        self._given_off = mi.Float((0.55 * given_off).ravel().astype(np.float32))
+        dr.eval(self._part, self._rest, self._tint, self._given_off)
+
+    def __call__(
+        self, vertices: np.ndarray, camera: Camera, samples: int = 16, seed: int = 0
+    ) -> Picture:
+        """Draw it.
+
+        Args:
+            vertices: (N, 3) of the subject's surface in the world, metres.
+            camera: the view.
+            samples: rays per pixel, a square number.
+            seed: of all random numbers.
+        """
+        import mitsuba as mi
+
+        (key,) = (k for k in self._scene_params.keys() if k.endswith("vertex_positions"))
+        self._scene_params[key] = mi.Float(vertices.astype(np.float32).ravel())
+        self._scene_params.update()
+        normals = vertex_normals(vertices.astype(np.float64), self._faces)
+        self._normals = mi.Float(normals.astype(np.float32).ravel())
+
+        left, top, width, height = _window(vertices, camera)
+        values = self._trace(camera.cropped(left, top, width, height), samples, seed)
+        values = values.reshape(height, width, samples, 8).astype(np.float64)
+        hit = values[..., 7]
+        count = hit.sum(2)
+        mean = (values[..., :7] * hit[..., None]).sum(2) / np.maximum(count, 1)[..., None]
+        mask = count / samples
+        color = mask[..., None] * encode(mean[..., :3]) + (1 - mask[..., None])
+        normal = mean[..., 3:6] @ camera.T_camera_world[:3, :3].T
+        length = np.linalg.norm(normal, axis=-1, keepdims=True)
+        normal = np.where(length > 1e-3, normal / np.maximum(length, 1e-3), 0)
+        window = (slice(top, top + height), slice(left, left + width))
+        shape = (camera.height, camera.width)
+
+        def placed(part: np.ndarray, empty: float) -> np.ndarray:
+            image = np.full((*shape, *part.shape[2:]), empty, dtype=np.float32)
+            image[window] = part
+            return image
+
+        return Picture(
+            placed(color, 1.0), placed(mask, 0.0), placed(normal, 0.0), placed(mean[..., 6], 0.0)
+        )
+
+    def _trace(self, camera: Camera, samples: int, seed: int) -> np.ndarray:
+        """All samples of the view, (H W S, 8): radiance, world normal, depth, hit."""
+        import drjit as dr
+        import mitsuba as mi
+
+        n = int(round(samples**0.5))
+        total = camera.width * camera.height * samples
+        lane = dr.arange(mi.UInt32, total)
+        pixel = lane // dr.opaque(mi.UInt32, samples)
+        sample = lane - pixel * dr.opaque(mi.UInt32, samples)
+        random = mi.PCG32(size=total, initstate=dr.opaque(mi.UInt64, seed))
+        stratum = _Strata(mi, random, pixel, sample, n)
+        column = pixel % dr.opaque(mi.UInt32, camera.width)
+        row = pixel // dr.opaque(mi.UInt32, camera.width)
+
+        number = lambda x: dr.opaque(mi.Float, x)
+        jitter = mi.Point2f(
+            (mi.Float(sample % n) + random.next_float32()) / n,
+            (mi.Float(sample // n) + random.next_float32()) / n,
+        )
+        direction = mi.Vector3f(
+            (mi.Float(column) + jitter.x - number(camera.cx)) / number(camera.fx),
+            (mi.Float(row) + jitter.y - number(camera.cy)) / number(camera.fy),
+            1.0,
+        )
+        per_depth = dr.norm(direction)
+        T_world_camera = np.linalg.inv(camera.T_camera_world)
+        R = [[number(float(T_world_camera[i, j])) for j in range(3)] for i in range(3)]
+        turned = mi.Vector3f(
+            *(R[i][0] * direction.x + R[i][1] * direction.y + R[i][2] * direction.z for i in range(3))
+        )
+        eye = mi.Point3f(*(number(float(x)) for x in T_world_camera[:3, 3]))
+        ray = mi.Ray3f(eye, turned / per_depth)
+        at = self._scene.ray_intersect_preliminary(ray, coherent=True)
+        hit = at.is_valid()
+        part, rest, tint, n_shading = self._surface(mi, at.prim_index, at.prim_uv, hit)
+        color = albedo(self._look, part, rest) * tint
+        start = ray(at.t) + n_shading * OFFSET - ray.d * OFFSET
+
+        light = mi.Color3f(0)
+        for source in LIGHTS:
+            light += self._direct(mi, source, start, n_shading, stratum(), hit)
+        light += dr.pi * self._ambient(mi, start, n_shading, stratum(), hit)
+        radiance = color * light * dr.inv_pi
+        values = [*radiance, *n_shading, at.t / per_depth, dr.select(hit, 1.0, 0.0)]
+        out = dr.zeros(mi.Float, 8 * total)
+        for k, value in enumerate(values):
+            dr.scatter(out, dr.select(hit, value, 0.0), lane * 8 + k)
+        return out.numpy()
+
+    def _surface(self, mi: Any, triangle: Any, uv: Any, active: Any) -> tuple[Any, Any, Any, Any]:
+        """Part, rest position, tint and shading normal at a point of a triangle."""
+        import drjit as dr
+
+        corner = dr.gather(mi.Vector3u, self._corner, triangle, active)
+        weight = (1 - uv.x - uv.y, uv.x, uv.y)
+        blend = lambda values: sum(
+            dr.gather(mi.Vector3f, values, corner[k], active) * weight[k] for k in range(3)
+        )
+        part = dr.gather(mi.UInt32, self._part, triangle, active)
+        return part, blend(self._rest), blend(self._tint), dr.normalize(blend(self._normals))
+
+    def _direct(self, mi: Any, source: AreaLight, x: Any, n: Any, uv: Any, active: Any) -> Any:
+        """Irradiance from one point of an area light (eq. 2)."""
+        import drjit as dr
+
+        u, v = np.array(source.u), np.array(source.v)
+        across = np.cross(u, v)
+        area = 4 * float(np.linalg.norm(across))
+        facing = mi.Vector3f(*(across / np.linalg.norm(across)).tolist())
+        centre = mi.Point3f(*source.centre)
+        point = centre + mi.Vector3f(*source.u) * (2 * uv.x - 1) + mi.Vector3f(*source.v) * (2 * uv.y - 1)
+        to = point - x
+        distance = dr.norm(to)
+        to = to / distance
+        cosines = dr.maximum(dr.dot(n, to), 0) * dr.abs(dr.dot(facing, to))
+        ray = mi.Ray3f(x, to, distance * (1 - 1e-4), 0.0, [])
+        seen = ~self._scene.ray_test(ray, active & (cosines > 0))
+        falloff = area * cosines / dr.square(distance)
+        return mi.Color3f(*source.radiance) * dr.select(seen, falloff, 0.0)
+
+    def _ambient(self, mi: Any, x: Any, n: Any, uv: Any, active: Any) -> Any:
+        """The mean of L over directions that follow the cosine (eq. 3)."""
+        import drjit as dr
+
+        local = mi.warp.square_to_cosine_hemisphere(uv)
+        direction = mi.Frame3f(n).to_world(local)
+        pi = self._scene.ray_intersect_preliminary(mi.Ray3f(x, direction), active=active)
+        blocked = pi.is_valid()
+        part = dr.gather(mi.UInt32, self._part, pi.prim_index, active & blocked)
+        given_off = dr.gather(mi.Color3f, self._given_off, part, active & blocked)
+        sky = dr.lerp(mi.Color3f(*EARTH), mi.Color3f(*SKY), 0.5 + 0.5 * direction.y)
+        return dr.select(blocked, given_off, sky)
+
+
+class _Strata:
+    """Points of the unit square, one in each cell of an n × n grid over a pixel's samples.
+
+    The order of the cells is another one for each call and pixel, so that dimensions do not correlate.
+    """
+
+    def __init__(self, mi: Any, random: Any, pixel: Any, sample: Any, n: int) -> None:
+        self._mi, self._random, self._pixel, self._sample, self._n = mi, random, pixel, sample, n
+        self._calls = 0
+
+    def __call__(self) -> Any:
+        mi, n = self._mi, self._n
+        self._calls += 1
+        key = mi.sample_tea_32(self._pixel, self._calls, 3)[0]
+        cell = mi.permute_kensler(self._sample, n * n, key)
+        u = (mi.Float(cell % n) + self._random.next_float32()) / n
+        v = (mi.Float(cell // n) + self._random.next_float32()) / n
+        return mi.Point2f(u, v)
+
+
+def _window(vertices: np.ndarray, camera: Camera) -> tuple[int, int, int, int]:
+    """The part of the picture that holds the projected vertices: left, top, width, height."""
+    uv = camera.project(vertices.astype(np.float64))
+    size = np.array([camera.width, camera.height])
+    lo = np.clip(np.floor(uv.min(0)) - 1, 0, size - 1).astype(int)
+    hi = np.clip(np.ceil(uv.max(0)) + 1, lo + 1, size).astype(int)
+    return int(lo[0]), int(lo[1]), int(hi[0] - lo[0]), int(hi[1] - lo[1])

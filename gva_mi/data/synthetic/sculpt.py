@@ -1,0 +1,145 @@
+"""Sculpts the puppet and writes it: ``python -m gva_mi.data.synthetic.sculpt``.
+
+    figure (solids) → left half by marching cubes → decimated → mirrored → weights, regressor, shapes → puppet.npz
+
+The left half is modelled alone, its border held on the plane x = 0, so that the body is symmetric to the bit. The grid is
+finer at fingers, face and toes, and these keep more triangles.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pymeshlab
+import trimesh
+
+from gva_mi.body.pose import JOINTS, PARENTS
+from gva_mi.body.puppet import PUPPET
+from gva_mi.data.synthetic.sculpt_figure import left_half
+from gva_mi.data.synthetic.sculpt_rig import joint_regressor, skinning_weights
+from gva_mi.data.synthetic.sculpt_shapes import correctives, expressions, shapes
+from gva_mi.data.synthetic.sculpt_solids import surface
+
+
+@dataclass(frozen=True)
+class SculptOptions:
+    """How fine the puppet is."""
+
+    faces: int = 21_000  # of the whole body
+    grid: float = 1.0  # spacing of the grid, 1 is the usual one
+
+
+def half_surface(options: SculptOptions) -> tuple[np.ndarray, np.ndarray]:
+    """The left half at full resolution, open at x = 0."""
+    axes = [
+        _planes([(0, 0.0020), (0.10, 0.0050), (0.69, 0.0015), (0.935, 0)], options.grid),
+        _planes(
+            [(-1.0, 0.0020), (-0.93, 0.0050), (0.395, 0.0015), (0.470, 0.0040), (0.56, 0.0015),
+             (0.598, 0.0006), (0.616, 0.0015), (0.715, 0.0040), (0.82, 0)], options.grid,
+        ),
+        _planes([(-0.18, 0.0050), (-0.065, 0.0015), (0.175, 0)], options.grid),
+    ]  # fmt: skip
+    return surface(left_half(), axes)
+
+
+def decimate(
+    vertices: np.ndarray, faces: np.ndarray, target: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Fewer triangles by quadric errors, more of them kept at hands, face and toes; the border stays in its plane."""
+    x, y, z = vertices.T
+    detail = np.ones(len(vertices))
+    detail[x > 0.70] = 6.0
+    detail[x > 0.79] = 10.0  # fingers
+    detail[(y > 0.56) & (y < 0.72) & (z > 0.0)] = 4.0
+    detail[(y > 0.59) & (y < 0.70) & (z > 0.07) & (x < 0.055)] = 14.0  # eyes, nose, mouth
+    detail[y < -0.93] = 3.0
+    mesh = pymeshlab.MeshSet()
+    mesh.add_mesh(
+        pymeshlab.Mesh(vertices, faces.astype(np.int32), v_scalar_array=detail)
+    )
+    mesh.meshing_decimation_quadric_edge_collapse(
+        targetfacenum=target, qualitythr=0.6, preserveboundary=True, boundaryweight=50.0,
+        preservenormal=True, preservetopology=True, optimalplacement=True, planarquadric=True,
+        planarweight=0.0006, qualityweight=True,
+    )  # fmt: skip
+    result = mesh.current_mesh()
+    return result.vertex_matrix(), result.face_matrix().astype(np.int64)
+
+
+def mirrored(
+    vertices: np.ndarray, faces: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Both halves, welded along the open border: vertices, faces, and the mirror image of each vertex (V,)."""
+    edges = np.sort(np.concatenate([faces[:, [k, (k + 1) % 3]] for k in range(3)]), axis=1)
+    unique, count = np.unique(edges, axis=0, return_counts=True)
+    border = np.unique(unique[count == 1])
+    inner = np.setdiff1d(np.arange(len(vertices)), border)
+    vertices = vertices.copy()
+    vertices[border, 0] = 0
+    vertices[inner, 0] = np.maximum(vertices[inner, 0], 1e-5)
+    image = np.arange(len(vertices))
+    image[inner] = len(vertices) + np.arange(len(inner))
+    both = np.concatenate([vertices, vertices[inner] * (-1, 1, 1)])
+    return both, np.concatenate([faces, image[faces][:, ::-1]]), np.concatenate([image, inner])
+
+
+def sculpt(options: SculptOptions | None = None) -> dict[str, np.ndarray]:
+    """The puppet as the arrays of an SMPL-X file."""
+    options = options or SculptOptions()
+    half = decimate(*half_surface(options), options.faces // 2)
+    vertices, faces, twin = mirrored(*half)
+    vertices = vertices.astype(np.float32).astype(np.float64)  # what follows is exact on what is stored
+    weights = skinning_weights(vertices, faces)
+    fields, moves = shapes(vertices, weights)
+    fields = np.concatenate([fields, expressions(vertices, weights)], axis=2).astype(np.float16)
+    moves = np.concatenate([moves, np.zeros((55, 3, 10))], axis=2)
+    normals = trimesh.Trimesh(vertices, faces, process=False).vertex_normals
+    parents = np.array([4294967295, *PARENTS[1:]], dtype=np.int64)
+    hand = relaxed_hand()
+    return {
+        "v_template": vertices.astype(np.float32),
+        "f": faces.astype(np.uint32),
+        "shapedirs": fields,
+        "posedirs": correctives(vertices, normals, weights).astype(np.float16),
+        "J_regressor": joint_regressor(vertices, fields.astype(np.float64), moves, twin),
+        "weights": weights.astype(np.float32),
+        "kintree_table": np.stack([parents, np.arange(55)]),
+        "hands_meanl": hand,
+        "hands_meanr": (hand.reshape(15, 3) * (1, -1, -1)).ravel().astype(np.float32),
+        "hands_componentsl": np.eye(45, dtype=np.float32),
+        "hands_componentsr": np.eye(45, dtype=np.float32),
+        "joint_names": np.array(JOINTS),
+    }
+
+
+def relaxed_hand() -> np.ndarray:
+    """The left hand as it hangs, axis-angle (45,): fingers half curled, more toward the little one."""
+    curl = {"index": 0.25, "middle": 0.32, "ring": 0.38, "pinky": 0.42}
+    hand = np.zeros((15, 3), np.float32)
+    for k, name in enumerate(JOINTS[25:40]):
+        finger, knuckle = name.removeprefix("left_")[:-1], int(name[-1])
+        if finger in curl:
+            hand[k, 2] = -curl[finger] * (1.0, 1.2, 0.7)[knuckle - 1]
+        else:
+            hand[k] = (0.1, 0.12, -0.05)
+    return hand.ravel()
+
+
+def _planes(knots: list[tuple[float, float]], factor: float) -> np.ndarray:
+    """Grid planes from (start, spacing) of consecutive stretches; the last one only ends."""
+    stretches = [
+        np.linspace(a, b, max(2, round((b - a) / (step * factor))), endpoint=False)
+        for (a, step), (b, _) in zip(knots[:-1], knots[1:], strict=True)
+    ]
+    return np.concatenate([*stretches, [knots[-1][0]]])
+
+
+def main(out: Path = PUPPET) -> None:
+    """Write the puppet's file."""
+    np.savez_compressed(out, **sculpt())
+
+
+if __name__ == "__main__":
+    main()

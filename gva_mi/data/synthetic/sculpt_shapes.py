@@ -1,0 +1,130 @@
+"""How the puppet varies: ten shapes, ten expressions, and the correctives of its poses, as displacement fields.
+
+Each column of ``shapedirs`` is the displacement of the skin for one unit of its coefficient, a clear but common deviation.
+
+* Shapes stretch bones. Joint j carries a linear map D_j; joints move along the tree, and the skin follows with its weights:
+
+      dJ_j = dJ_parent(j) + D_parent(j) (J_j − J_parent(j)),    dv = Σ_j w_j (dJ_j + D_j (v − J_j))
+
+* Expressions are sums of Gaussian bumps on the left half of the face and its mirror image.
+* Correctives answer linear blend skinning's loss of volume: where two bones that enclose an angle φ share a vertex, it
+  comes nearer to the joint by the factor cos(φ/2). The skin on the outer side is moved out in proportion to 1 − cos φ, which
+  is 1 − R[k, k] for a bone that runs along axis k.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gva_mi.body.pose import JOINTS, PARENTS
+from gva_mi.data.synthetic.sculpt_figure import joint_positions
+
+SHAPES = (
+    "height", "weight", "leg length", "arm length", "shoulder width", "hip width", "chest", "belly",
+    "muscles", "size of the head",
+)  # fmt: skip
+EXPRESSIONS = (
+    "mouth open", "smile", "corners of the mouth down", "lips pushed out", "brows up", "brows down",
+    "blink", "cheeks blown", "upper lip up", "mouth to the left",
+)  # fmt: skip
+
+Stretch = dict[str, tuple[float, float, float]]  # joint, of both sides: strain along x, y, z
+
+_TRUNK = ("pelvis", "spine1", "spine2", "spine3")
+_HAND = ("wrist", *(n.removeprefix("left_") for n in JOINTS[25:40]))
+_FOOT = ("ankle", "foot")
+_HEAD = ("head", "jaw", "eye_smplhf")
+
+
+def shapes(vertices: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The fields of SHAPES on the skin (V, 3, 10) and what they do to the joints (55, 3, 10)."""
+    every = {name.removeprefix("left_").removeprefix("right_") for name in JOINTS}
+    all_of = lambda names, *strain: {name: strain for name in names}
+    stretches: list[Stretch] = [
+        all_of(every, 0.04, 0.04, 0.04),
+        all_of(_TRUNK, 0.065, 0, 0.08) | all_of(("hip", "knee"), 0.085, 0, 0.085)
+        | all_of(("shoulder", "elbow"), 0, 0.09, 0.09) | all_of(("neck",), 0.06, 0, 0.05)
+        | all_of(_HAND, 0, 0.03, 0.03) | all_of(("jaw", "head"), 0.02, 0, 0.01),
+        all_of(("hip", "knee"), 0, 0.06, 0),
+        all_of(("shoulder", "elbow"), 0.06, 0, 0),
+        {"collar": (0.10, 0, 0), "spine3": (0.07, 0, 0.02), "spine2": (0.03, 0, 0)},
+        {"pelvis": (0.09, 0, 0.06), "spine1": (0.03, 0, 0.02), "hip": (0.06, 0, 0.05)},
+        {"spine3": (0.02, 0, 0.05)},
+        {"spine1": (0.03, 0, 0.02)},
+        {"spine3": (0.05, 0, 0.04), "collar": (0.06, 0.05, 0.05), "shoulder": (0, 0.11, 0.11),
+         "elbow": (0, 0.08, 0.08), "hip": (0.06, 0, 0.06), "knee": (0.06, 0, 0.06),
+         "neck": (0.06, 0, 0.06), "spine1": (-0.02, 0, -0.03)},
+        all_of(_HEAD, 0.05, 0.05, 0.05) | all_of(_HAND, 0.03, 0.03, 0.03)
+        | all_of(_FOOT, 0.03, 0.03, 0.03),
+    ]  # fmt: skip
+    pairs = [_stretched(vertices, weights, stretch) for stretch in stretches]
+    fields = np.stack([field for field, _ in pairs], axis=-1)
+    bump = lambda *bump: _bumps(vertices, [bump])
+    fields[:, :, 1] += bump((0, 0.02, 0.10), (0.10, 0.09, 0.06), (0, 0, 0.010))
+    fields[:, :, 6] += bump((0.075, 0.315, 0.11), (0.050, 0.050, 0.05), (0.002, -0.003, 0.016))
+    fields[:, :, 7] += bump((0, 0.065, 0.10), (0.09, 0.10, 0.06), (0, -0.003, 0.024))
+    return fields, np.stack([moves for _, moves in pairs], axis=-1)
+
+
+def expressions(vertices: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """The fields of EXPRESSIONS, (V, 3, 10); joints stay where they are."""
+    jaw = weights[:, JOINTS.index("jaw"), None]
+    corner, wide = (0.024, 0.607, 0.086), (0.011, 0.010, 0.020)
+    fields = [
+        0.20 * jaw * np.cross((1.0, 0, 0), vertices - joint_positions()[JOINTS.index("jaw")]),
+        _bumps(vertices, [(corner, wide, (0.005, 0.0055, -0.002)),
+                          ((0.044, 0.632, 0.066), (0.014, 0.012, 0.020), (0.001, 0.0035, 0.002))]),
+        _bumps(vertices, [(corner, wide, (0.001, -0.0055, -0.001))]),
+        _bumps(vertices, [(corner, wide, (-0.007, 0, 0.003)),
+                          ((0, 0.607, 0.10), (0.014, 0.012, 0.020), (0, 0, 0.006))]),
+        _bumps(vertices, [((0.030, 0.696, 0.08), (0.020, 0.010, 0.030), (0, 0.0055, 0))]),
+        _bumps(vertices, [((0.017, 0.692, 0.086), (0.012, 0.009, 0.030), (-0.003, -0.0045, 0.001))]),
+        _bumps(vertices, [((0.032, 0.6795, 0.086), (0.014, 0.004, 0.014), (0, -0.0075, 0.0035)),
+                          ((0.032, 0.6650, 0.084), (0.014, 0.003, 0.014), (0, 0.0020, 0.0015))]),
+        _bumps(vertices, [((0.046, 0.612, 0.060), (0.015, 0.016, 0.024), (0.0075, 0, 0.004))]),
+        (1 - jaw) * _bumps(vertices, [((0, 0.613, 0.095), (0.017, 0.007, 0.020), (0, 0.0045, 0.001)),
+                                      ((0.010, 0.637, 0.096), (0.008, 0.006, 0.012), (0.001, 0.002, 0))]),
+        _bumps(vertices, [((0, 0.605, 0.090), (0.024, 0.014, 0.024), (0.006, 0, 0))], both=False),
+    ]  # fmt: skip
+    return np.stack(fields, axis=-1)
+
+
+def correctives(vertices: np.ndarray, normals: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Pose directions (V, 3, 486), on the diagonal entries of R − I of the joints that collapse."""
+    fingers = [f"{finger}{k}" for finger in ("index", "middle", "ring", "pinky") for k in (1, 2, 3)]
+    outer = {  # joint: axis of its bone, the outer side of its bend, the radius of the limb, strength
+        "elbow": (0, (0, 0, -1), 0.040, 0.45), "shoulder": (0, (0, 1, 0), 0.055, 0.35),
+        "knee": (1, (0, 0, 1), 0.052, 0.45), "hip": (1, (0, 0, -1), 0.085, 0.30),
+        "wrist": (0, (0, 1, 0), 0.020, 0.20),
+    } | {name: (0, (0, 1, 0), 0.0085, 0.45) for name in fingers}  # fmt: skip
+    J, field = joint_positions(), np.zeros((len(vertices), 3, 9 * (len(JOINTS) - 1)))
+    for side in ("left", "right"):
+        for name, (axis, direction, radius, strength) in outer.items():
+            j = JOINTS.index(f"{side}_{name}")
+            shared = 4 * weights[:, j] * weights[:, PARENTS[j]]  # 1 where both pull alike
+            facing = np.clip((vertices - J[j]) @ np.asarray(direction) / radius + 0.3, 0, 1)
+            facing = facing * facing * (3 - 2 * facing)
+            field[:, :, 9 * (j - 1) + 4 * axis] = -strength * radius * (shared * facing)[:, None] * normals
+    return field
+
+
+def _stretched(
+    vertices: np.ndarray, weights: np.ndarray, stretch: Stretch
+) -> tuple[np.ndarray, np.ndarray]:
+    J = joint_positions()
+    strain = np.array([stretch.get(n.split("_", 1)[1] if n[:5] in ("left_", "right") else n, (0, 0, 0)) for n in JOINTS])
+    moves = np.zeros_like(J)
+    for j, parent in enumerate(PARENTS[1:], start=1):
+        moves[j] = moves[parent] + strain[parent] * (J[j] - J[parent])
+    return weights @ (moves - strain * J) + (weights @ strain) * vertices, moves
+
+
+def _bumps(vertices: np.ndarray, bumps: list[tuple], both: bool = True) -> np.ndarray:
+    """Sum of Gaussians (centre, widths, displacement), each with its mirror image."""
+    field = np.zeros_like(vertices)
+    for centre, width, move in bumps:
+        images = ((1, 1, 1), (-1, 1, 1)) if both and centre[0] else ((1, 1, 1),)
+        for image in images:
+            q = ((vertices - np.multiply(centre, image)) / width) ** 2
+            field += np.exp(-q.sum(1) / 2)[:, None] * np.multiply(move, image)
+    return field

@@ -1,0 +1,170 @@
+"""Implicit solids, their smooth union, and its surface: what the puppet is modelled with.
+
+Each solid has a ``distance``: negative inside, near the surface about the Euclidean distance, metres. A body
+is a list of parts; each joins what came before it (or is carved out) with a fillet of k metres:
+
+    union(a, b) = min(a, b) − k h³ / 6,    h = max(k − |a − b|, 0) / k
+
+Coordinates come as three arrays that broadcast together, so that the open axes of a grid cost little.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+from skimage.measure import marching_cubes
+
+Coordinates = Sequence[np.ndarray]  # x, y, z, metres
+Box = tuple[np.ndarray, np.ndarray]  # the lowest and the highest corner, (3,) each
+
+_TINY = 1e-9
+
+
+class Solid(Protocol):
+    """What a part is made of."""
+
+    def distance(self, at: Coordinates) -> np.ndarray:
+        """Signed distance, of the shape that the coordinates broadcast to."""
+
+    def bounds(self) -> Box:
+        """A box that holds the solid."""
+
+
+@dataclass(frozen=True)
+class Cone:
+    """Two balls and what lies between them."""
+
+    start: Sequence[float]
+    end: Sequence[float]
+    radius_start: float
+    radius_end: float
+
+    def distance(self, at: Coordinates) -> np.ndarray:
+        a, b = np.asarray(self.start), np.asarray(self.end)
+        bone = b - a
+        along = sum((x - a[k]) * bone[k] for k, x in enumerate(at)) / (bone @ bone + _TINY)
+        along = np.clip(along, 0, 1)
+        square = sum((x - a[k] - along * bone[k]) ** 2 for k, x in enumerate(at))
+        return np.sqrt(square) - (self.radius_start + (self.radius_end - self.radius_start) * along)
+
+    def bounds(self) -> Box:
+        r = max(self.radius_start, self.radius_end)
+        return np.minimum(self.start, self.end) - r, np.maximum(self.start, self.end) + r
+
+
+@dataclass(frozen=True)
+class Ball:
+    """An ellipsoid, turned about the x, then the y, then the z axis."""
+
+    centre: Sequence[float]
+    radii: Sequence[float]
+    turn: Sequence[float] = (0.0, 0.0, 0.0)  # radians
+
+    def distance(self, at: Coordinates) -> np.ndarray:
+        offset = [x - c for x, c in zip(at, self.centre, strict=True)]
+        local = [sum(row[k] * offset[k] for k in range(3)) for row in self._axes().T]
+        level = np.sqrt(sum((p / r) ** 2 for p, r in zip(local, self.radii, strict=True)))
+        slope = np.sqrt(sum((p / r**2) ** 2 for p, r in zip(local, self.radii, strict=True)))
+        return np.where(level > 1e-3, level * (level - 1) / (slope + _TINY), -min(self.radii))
+
+    def bounds(self) -> Box:
+        half = np.sqrt((self._axes() ** 2) @ np.square(self.radii))
+        return np.asarray(self.centre) - half, np.asarray(self.centre) + half
+
+    def _axes(self) -> np.ndarray:
+        axes = np.eye(3)
+        for axis, angle in enumerate(self.turn):
+            i, j = (axis + 1) % 3, (axis + 2) % 3
+            R = np.eye(3)
+            R[i, i] = R[j, j] = np.cos(angle)
+            R[i, j], R[j, i] = -np.sin(angle), np.sin(angle)
+            axes = R @ axes
+        return axes
+
+
+@dataclass(frozen=True)
+class Loft:
+    """Elliptic sections along one axis, smooth in between, closed by half ellipsoids.
+
+    A section is ``(t, c, d, -c, +c, -d, +d)``: where it is on the axis; its centre on the other two, in the order
+    x, y, z; and its four radii, toward lower and higher c, lower and higher d.
+    """
+
+    axis: int
+    sections: Sequence[Sequence[float]]
+    power: float = 2.0  # 2 draws ellipses; more, boxes with round corners
+    caps: tuple[float, float] = (0.02, 0.02)  # metres that the closing half ellipsoids stand out
+
+    def distance(self, at: Coordinates) -> np.ndarray:
+        table = np.asarray(self.sections, dtype=np.float64)
+        t, (u, v) = at[self.axis], (x for k, x in enumerate(at) if k != self.axis)
+        inside = np.clip(t, table[0, 0], table[-1, 0])
+        c, d, c_low, c_high, d_low, d_high = np.moveaxis(
+            PchipInterpolator(table[:, 0], table[:, 1:])(inside), -1, 0
+        )
+        u, v, beyond = u - c, v - d, t - inside
+        a, b = np.where(u > 0, c_high, c_low), np.where(v > 0, d_high, d_low)
+        level = (np.abs(u / a) ** self.power + np.abs(v / b) ** self.power) ** (2 / self.power)
+        level = np.sqrt(level + (beyond / np.where(beyond > 0, self.caps[1], self.caps[0])) ** 2)
+        length = np.sqrt(u * u + v * v + beyond * beyond)
+        return np.where(level > 1e-3, length * (1 - 1 / (level + _TINY)), -np.minimum(a, b))
+
+    def bounds(self) -> Box:
+        table = np.asarray(self.sections, dtype=np.float64)
+        low, high = np.zeros(3), np.zeros(3)
+        low[self.axis], high[self.axis] = table[0, 0] - self.caps[0], table[-1, 0] + self.caps[1]
+        for column, axis in enumerate(k for k in range(3) if k != self.axis):
+            low[axis] = (table[:, 1 + column] - table[:, 3 + 2 * column]).min()
+            high[axis] = (table[:, 1 + column] + table[:, 4 + 2 * column]).max()
+        return low, high
+
+
+@dataclass(frozen=True)
+class Part:
+    """A solid and how it joins the body."""
+
+    solid: Solid
+    blend: float  # fillet, metres
+    carve: bool = False  # take it away instead
+
+
+def surface(parts: Sequence[Part], axes: Coordinates) -> tuple[np.ndarray, np.ndarray]:
+    """Marching cubes over a grid whose planes may be unevenly spaced.
+
+    Args:
+        parts: the body, in the order of assembly.
+        axes: x, y, z of the grid's planes, increasing. Where the body leaves the grid, the surface is open.
+
+    Returns:
+        vertices (V, 3) and faces (F, 3), counter-clockwise seen from outside.
+    """
+    field = np.full([len(axis) for axis in axes], 0.2, dtype=np.float32)
+    for part in parts:
+        low, high = part.solid.bounds()
+        margin = part.blend + 0.012  # beyond it the part cannot change the surface
+        box = tuple(
+            slice(*np.searchsorted(axis, (low[k] - margin, high[k] + margin)))
+            for k, axis in enumerate(axes)
+        )
+        at = np.ix_(*(axis[s] for axis, s in zip(axes, box, strict=True)))
+        if all(s.start < s.stop for s in box):
+            field[box] = join(field[box], part.solid.distance(at), part)
+    vertices, faces, _, _ = marching_cubes(field, 0.0)
+    places = [np.interp(vertices[:, k], np.arange(len(axis)), axis) for k, axis in enumerate(axes)]
+    return np.stack(places, axis=1), faces.astype(np.int64)
+
+
+def join(body: np.ndarray, distance: np.ndarray, part: Part) -> np.ndarray:
+    """The field of the body with one more part."""
+    if part.carve:
+        return -_union(-body, distance, part.blend)
+    return _union(body, distance, part.blend)
+
+
+def _union(a: np.ndarray, b: np.ndarray, k: float) -> np.ndarray:
+    h = np.maximum(k - np.abs(a - b), 0) / k
+    return np.minimum(a, b) - k * h**3 / 6

@@ -1,0 +1,278 @@
+"""Colours of skin, cloth and hair: formulas of the rest position, crisp at any resolution.
+
+Nothing is baked into a bitmap: a ray that hits the surface knows where its point lies in the rest pose,
+and the colour is computed there, on Dr.Jit arrays. Colours are linear albedo, Rec. 709 primaries.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any, Literal
+
+import drjit as dr
+import numpy as np
+
+Color = tuple[float, float, float]
+Point = tuple[float, float, float]
+Pattern = Literal["plain", "stripes", "plaid", "dots", "print"]
+
+
+class Part(IntEnum):
+    """What a triangle belongs to."""
+
+    SKIN = 0
+    TOP = 1
+    BOTTOM = 2
+    SHOES = 3
+    HAIR = 4
+
+
+@dataclass(frozen=True)
+class Fabric:
+    """A cloth: its pattern and colours."""
+
+    pattern: Pattern
+    colors: tuple[Color, Color, Color]  # ground, figure, thin lines; linear albedo
+    scale: float  # m, one repeat of the pattern
+
+
+@dataclass(frozen=True)
+class Face:
+    """Where the face is painted, rest pose, metres."""
+
+    eyes: tuple[Point, Point]  # left, right
+    mouth: Point
+    unit: float  # distance between the eyes
+
+
+@dataclass(frozen=True)
+class Look:
+    """Everything about a person that is colour."""
+
+    skin: Color
+    lips: Color
+    iris: Color
+    hair: Color
+    brows: Color
+    top: Fabric
+    bottom: Fabric
+    shoes: Color
+    swimsuit: bool  # painted on the skin where there are no clothes
+    face: Face
+    nails: tuple[Point, ...]  # centres on the fingers' backs, metres
+    shoulder: Point  # left shoulder; sleeves begin here
+    hip: Point  # left hip
+    ground: float  # m, height of the soles
+
+    def mean_color(self, part: Part) -> Color:
+        """A colour that stands for the part in indirect light."""
+        fabric = {Part.TOP: self.top, Part.BOTTOM: self.bottom}.get(part)
+        if fabric is not None:
+            a, b = np.array(fabric.colors[0]), np.array(fabric.colors[1])
+            return tuple(0.6 * a + 0.4 * b)
+        return {Part.SKIN: self.skin, Part.SHOES: self.shoes, Part.HAIR: self.hair}[part]
+
+
+def albedo(look: Look, part: Any, rest: Any) -> Any:
+    """The colour at points of the rest pose.
+
+    Args:
+        look: the person.
+        part: values of :class:`Part`, a Dr.Jit integer array.
+        rest: positions in the rest pose, a Dr.Jit ``Array3f``, metres.
+
+    Returns:
+        An array like ``rest``: linear albedo.
+    """
+    color = _skin(look, rest)
+    color = dr.select(part == int(Part.TOP), _top(look, rest), color)
+    color = dr.select(part == int(Part.BOTTOM), _bottom(look, rest), color)
+    color = dr.select(part == int(Part.SHOES), _shoes(look, rest), color)
+    return dr.select(part == int(Part.HAIR), _hair(look, rest), color)
+
+
+def _skin(look: Look, p: Any) -> Any:
+    face, unit = look.face, look.face.unit
+    like = type(p)
+    base = like(*look.skin)
+    blotches = _noise(p * 35) * 0.10 + _noise(p * 140) * 0.05
+    color = base * (1 + blotches)
+
+    front = p.z > face.mouth[2] - 0.75 * unit
+    # Cheeks and nose are redder, brows and lips painted, eyes last.
+    for side in (0, 1):
+        eye = face.eyes[side]
+        outward = 1.0 if eye[0] > 0 else -1.0
+        dx, dy = (p.x - eye[0]) / unit, (p.y - eye[1]) / unit
+        cheek = dr.exp(-(dr.square(dx - 0.12 * outward) + dr.square(dy + 0.55)) / 0.10)
+        color = dr.select(front, dr.lerp(color, color * like(1.08, 0.80, 0.78), 0.7 * cheek), color)
+        u = (dx - 0.05 * outward) * outward
+        arc = dy - (0.40 - 0.35 * dr.square(u - 0.08))
+        brow = _inside(0.055 + 0.03 * (0.3 - u) - dr.abs(arc), 0.02)
+        brow *= _inside(0.40 - dr.abs(u), 0.06)
+        color = dr.select(front, dr.lerp(color, like(*look.brows), 0.85 * brow), color)
+        lid = dr.square(dx / 0.235) + dr.square(dy / dr.select(dy > 0, 0.125, 0.095))
+        shadow = _inside(1.9 - lid, 0.9)
+        color = dr.select(front, dr.lerp(color, color * like(0.62, 0.52, 0.50), shadow), color)
+        inside = _inside(1 - lid, 0.10)
+        radius = dr.sqrt(dr.square(dx) + dr.square(dy - 0.005))
+        ball = dr.lerp(like(0.78, 0.74, 0.71), like(*look.iris), _inside(0.098 - radius, 0.012))
+        ball = dr.lerp(ball, like(0.012), _inside(0.045 - radius, 0.012))
+        glint = dr.square(dx + 0.03) + dr.square(dy - 0.035)
+        ball = dr.lerp(ball, like(0.9), _inside(0.0005 - glint, 0.0003))
+        color = dr.select(front, dr.lerp(color, ball, inside), color)
+        lash = _inside(0.25 - dr.abs(lid - 1.05), 0.1) * _inside(dy - 0.02, 0.03)
+        color = dr.select(front, dr.lerp(color, like(0.02, 0.012, 0.01), lash), color)
+    dx, dy = (p.x - face.mouth[0]) / unit, (p.y - face.mouth[1]) / unit
+    bow = 0.085 * (1 - dr.square(dx / 0.40)) - 0.02 * dr.exp(-dr.square(dx / 0.06))
+    lips = _inside(dr.select(dy > 0, bow * 0.85, bow * 1.15) - dr.abs(dy), 0.02)
+    lips *= _inside(0.40 - dr.abs(dx), 0.02)
+    mouth = dr.lerp(color, like(*look.lips), lips)
+    gap = _inside(0.012 - dr.abs(dy - 0.01 * dr.cos(9 * dx)), 0.01) * _inside(0.37 - dr.abs(dx), 0.03)
+    mouth = dr.lerp(mouth, like(0.06, 0.015, 0.012), 0.85 * gap)
+    color = dr.select(front, mouth, color)
+
+    for nail in look.nails:
+        d = dr.square(p.x - nail[0]) / 0.0058**2 + dr.square(p.z - nail[2]) / 0.0046**2
+        on = _inside(1 - d, 0.25) & (p.y > nail[1] - 0.002)
+        color = dr.lerp(color, like(0.72, 0.42, 0.36), 0.8 * on)
+    if look.swimsuit:
+        suit = _inside(look.shoulder[1] - 0.10 - p.y, 0.003) * _inside(p.y - look.hip[1] + 0.08, 0.003)
+        suit *= _inside(look.shoulder[0] + 0.02 - dr.abs(p.x), 0.003)
+        color = dr.lerp(color, _cloth(look.top, p, p.y, dr.atan2(p.z, p.x) * 0.16), suit)
+    return color
+
+
+def _top(look: Look, p: Any) -> Any:
+    """A sewn shirt: its sleeves have a direction of their own, and there is a seam."""
+    side = dr.abs(p.x)
+    seam = look.shoulder[0] + 0.02
+    sleeve = side > seam
+    along = dr.select(sleeve, side + 0.31, p.y)
+    arm = dr.atan2(p.z - look.shoulder[2], p.y - look.shoulder[1])
+    around = dr.select(sleeve, arm * 0.065, dr.atan2(p.z, p.x) * 0.17)
+    color = _cloth(look.top, p, along, around)
+    if look.top.pattern == "print":
+        color = _print(look.top, color, p, look.shoulder[1] - 0.13)
+    return color * (1 - 0.25 * _inside(0.0022 - dr.abs(side - seam), 0.001))
+
+
+def _bottom(look: Look, p: Any) -> Any:
+    leg = p.y < look.hip[1] - 0.06
+    around = dr.select(
+        leg, dr.atan2(p.z, dr.abs(p.x) - look.hip[0]) * 0.085, dr.atan2(p.z, p.x) * 0.16
+    )
+    color = _cloth(look.bottom, p, p.y, around)
+    side_seam = _inside(0.0025 - dr.abs(p.z - look.hip[2]), 0.001) & (dr.abs(p.x) > look.hip[0])
+    return color * (1 - 0.25 * side_seam)
+
+
+def _shoes(look: Look, p: Any) -> Any:
+    like = type(p)
+    color = like(*look.shoes) * (1 + 0.15 * _noise(p * 90))
+    height = p.y - look.ground
+    toe = p.z - look.hip[2]
+    laces = _inside(0.0035 - dr.abs(dr.abs((toe * 45) - dr.round(toe * 45)) / 45 - 0.004), 0.001)
+    middle = dr.abs(dr.abs(p.x) - look.hip[0] - 0.022) < 0.02
+    on = laces & middle & (toe > 0.0) & (toe < 0.075) & (height > 0.05)
+    color = dr.lerp(color, like(0.75), on)
+    return dr.lerp(color, like(0.72, 0.70, 0.66), _inside(0.016 - height, 0.001))
+
+
+def _hair(look: Look, p: Any) -> Any:
+    """Strands: noise that is fine around the head and long down it."""
+    _, eye_y, eye_z = look.face.eyes[0]
+    x, y, z = p.x, p.y - eye_y - 0.14, p.z - eye_z + 0.11
+    around = dr.atan2(z, x)
+    polar = dr.atan2(dr.sqrt(dr.square(x) + dr.square(z)), y)
+    strands = _noise(type(p)(around * 40, polar * 6, 0.5)) * 0.55
+    strands += _noise(type(p)(around * 130, polar * 12, 7.5)) * 0.45
+    return type(p)(*look.hair) * dr.maximum(1 + 0.75 * strands, 0.1)
+
+
+def _cloth(fabric: Fabric, p: Any, along: Any, around: Any) -> Any:
+    like = type(p)
+    ground, figure, line = (like(*c) for c in fabric.colors)
+    band = lambda t, width: _inside(width - dr.abs(t - dr.round(t)), 0.01)
+    s, t = along / fabric.scale, around / fabric.scale
+    color = ground
+    if fabric.pattern == "stripes":
+        color = dr.lerp(color, figure, band(s, 0.25))
+        color = dr.lerp(color, line, band(s + 0.5, 0.035))
+    elif fabric.pattern == "plaid":
+        color = dr.lerp(color, figure, 0.5 * (band(s, 0.22) + band(t, 0.22)))
+        color = dr.lerp(color, line, 0.8 * dr.maximum(band(s + 0.5, 0.03), band(t + 0.5, 0.03)))
+    elif fabric.pattern == "dots":
+        row = dr.round(s)
+        shifted = t + 0.5 * (row - 2 * dr.floor(row / 2))
+        distance = dr.sqrt(dr.square(s - row) + dr.square(shifted - dr.round(shifted)))
+        color = dr.lerp(color, figure, _inside(0.27 - distance, 0.02))
+    weave = 0.10 * _noise(p * 260) + 0.06 * _noise(p * 25)
+    return color * (1 + weave)
+
+
+def _print(fabric: Fabric, color: Any, p: Any, height: float) -> Any:
+    """A motif on the chest, another on the back, so that front and back differ."""
+    like = type(p)
+    x, y = p.x, p.y - height
+    radius, angle = dr.sqrt(dr.square(x) + dr.square(y)), dr.atan2(y, x)
+    star = 0.055 + 0.022 * dr.cos(5 * (angle - np.pi / 2))
+    chest = dr.lerp(color, like(*fabric.colors[1]), _inside(0.095 - radius, 0.001))
+    chest = dr.lerp(chest, like(*fabric.colors[2]), _inside(star - radius, 0.001))
+    bars = _inside(0.012 - dr.abs(dr.abs(x) - 0.03), 0.001) * _inside(0.09 - dr.abs(y), 0.001)
+    back = dr.lerp(color, like(*fabric.colors[1]), bars)
+    return dr.select(p.z > 0, chest, back)
+
+
+def _inside(x: Any, width: float) -> Any:
+    """A step that is 1 where ``x`` > 0, softened over ``width``."""
+    return dr.clip(x / width + 0.5, 0, 1)
+
+
+def _noise(p: Any) -> Any:
+    """Value noise in [-1, 1] on the integer lattice, smooth between."""
+    cell = dr.floor(p)
+    f = p - cell
+    f = f * f * (3 - 2 * f)
+    corner = lambda dx, dy, dz: _hash(cell.x + dx, cell.y + dy, cell.z + dz)
+    plane = lambda dz: dr.lerp(
+        dr.lerp(corner(0, 0, dz), corner(1, 0, dz), f.x),
+        dr.lerp(corner(0, 1, dz), corner(1, 1, dz), f.x),
+        f.y,
+    )
+    return dr.lerp(plane(0), plane(1), f.z) * 2 - 1
+
+
+def _hash(*lattice: Any) -> Any:
+    """An integer lattice point to a number in [0, 1)."""
+    Int = dr.int32_array_t(type(lattice[0]))
+    UInt = dr.uint32_array_t(Int)
+    h = UInt(0)
+    for coordinate, prime in zip(lattice, (0x8DA6B343, 0xD8163841, 0xCB1AB31F), strict=True):
+        h ^= UInt(Int(coordinate)) * prime
+    h ^= h >> 15
+    h *= 0x2C1B3C6D
+    h ^= h >> 12
+    h *= 0x297A2D39
+    h ^= h >> 15
+    return type(lattice[0])(h >> 8) * (1 / (1 << 24))
+
+
+def linear(*srgb: int) -> Color:
+    """An 8-bit sRGB colour as linear albedo."""
+    c = np.array(srgb, dtype=np.float64) / 255
+    return tuple(float(x) for x in np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4))
+
+
+def encode(linear_rgb: np.ndarray) -> np.ndarray:
+    """Linear light to sRGB's curve, [0, 1]."""
+    x = np.clip(linear_rgb, 0, 1)
+    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055).astype(np.float32)
+
+
+def palette(rng: np.random.Generator, colors: Sequence[Color]) -> Color:
+    """One of some colours, slightly varied."""
+    color = np.array(colors[rng.integers(len(colors))])
+    return tuple(float(c) for c in np.clip(color * rng.uniform(0.85, 1.15, 3), 0.01, 0.85))

@@ -1,0 +1,116 @@
+"""A run's folder: what a fit writes, to be looked at, evaluated, or resumed after a kill.
+
+::
+
+    out/
+      options.json         options and versions that made it
+      checkpoint.pt        the last saved state, until the run is finished
+      history.npz          per step: loss and its terms, Gaussians, milliseconds
+      reinit/000900.npz    of each re-initialisation: positions before and after, and the mesh
+      avatar.npz           the fitted avatar; it is there when the run is finished
+
+A file is written under another name and then renamed: after a kill it is the old one or the new one,
+whole.
+"""
+
+from __future__ import annotations
+
+import json
+import platform
+from collections.abc import Callable
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from gva_mi.errors import InputError
+
+AVATAR, CHECKPOINT, HISTORY = "avatar.npz", "checkpoint.pt", "history.npz"
+OPTIONS, REINIT = "options.json", "reinit"
+PACKAGES = ("gva_mi", "torch", "drjit", "numpy")  # whose versions may change the figures
+
+
+def claim(out: Path, options: dict[str, Any], resume: bool) -> None:
+    """Make a folder the home of a run, and write down what the run is.
+
+    Args:
+        out: the folder; made where it is missing.
+        options: of the run, plain values.
+        resume: whether a run of the same options may be there already.
+
+    Raises:
+        InputError: a run is there and is not to be resumed, or was made with other options.
+    """
+    held = out / OPTIONS
+    if not held.exists():
+        if (out / AVATAR).exists() or (out / CHECKPOINT).exists():
+            raise InputError(f"{out}: holds a run, but not its {OPTIONS}; choose another folder")
+        out.mkdir(parents=True, exist_ok=True)
+        found = {"options": options, "versions": versions()}
+        _replace(held, lambda path: path.write_text(json.dumps(found, indent=2) + "\n"))
+        return
+    if not resume:
+        raise InputError(f"{out}: already holds a run; resume it, overwrite it, or choose another")
+    try:
+        before = json.loads(held.read_text())["options"]
+    except (ValueError, KeyError, TypeError):
+        raise InputError(f"{held}: not readable; expected the options of a run") from None
+    now = json.loads(json.dumps(options))
+    for name in sorted(before.keys() | now.keys()):
+        if before.get(name) != now.get(name):
+            raise InputError(
+                f"{held}: the run was made with {name} = {before.get(name)}, not {now.get(name)}; "
+                "resume it with its own options, or choose another folder"
+            )
+
+
+def save_state(out: Path, state: dict[str, Any]) -> None:
+    """Write the checkpoint: tensors, numbers, strings, and lists and dictionaries of them."""
+    _replace(out / CHECKPOINT, lambda path: torch.save(state, path))
+
+
+def load_state(out: Path) -> dict[str, Any] | None:
+    """Read the checkpoint; None where there is none yet.
+
+    Raises:
+        InputError: one that cannot be read.
+    """
+    path = out / CHECKPOINT
+    if not path.exists():
+        return None
+    try:
+        return torch.load(path, weights_only=True)
+    except Exception as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise InputError(f"{path}: not a readable checkpoint ({reason})") from None
+
+
+def save_arrays(path: Path, **arrays: np.ndarray) -> None:
+    """Write an ``.npz``, the folder around it included."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+
+    def write(unfinished: Path) -> None:
+        with open(unfinished, "wb") as file:
+            np.savez(file, **arrays)
+
+    _replace(path, write)
+
+
+def load_history(out: Path) -> dict[str, np.ndarray]:
+    """The history of a run by the names of its columns, each (steps,)."""
+    with np.load(out / HISTORY, allow_pickle=False) as file:
+        return {key: file[key] for key in file.files}
+
+
+def versions() -> dict[str, str]:
+    """Of Python and of the packages whose versions may change the figures."""
+    found = {"python": platform.python_version()}
+    return found | {name: metadata.version(name) for name in PACKAGES}
+
+
+def _replace(path: Path, write: Callable[[Path], Any]) -> None:
+    unfinished = path.with_name(path.name + ".part")
+    write(unfinished)
+    unfinished.replace(path)

@@ -1,0 +1,29 @@
+"""What is known about poses without looking: they are near stage 1, and near their neighbours in time.
+
+Differences of rotations are taken between matrices, ``d(R, Q)² = |R - Q|_F² / 2``, the squared angle where it is
+small. Unlike a difference of axis-angle vectors it does not tear where a person who turns passes half a turn.
+
+Eq. 9's regulariser ``Σ ω_i (θ_i - θ_i^stage1)`` has no norm as printed and could fall without bound; it is taken
+squared. Its weights fall with the distance from the root in the kinematic tree, ``ω_i = 1 / (1 + depth_i)``: the
+farther out a joint, the worse stage 1 knows it, and the less it is held.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+
+def joint_weights(parents: Sequence[int]) -> Tensor:
+    """``ω`` (J,): 1 for the root, 1/2 for its children, and so on."""
+    depth: list[int] = []
+    for parent in parents:
+        depth.append(0 if parent < 0 else depth[parent] + 1)
+    return 1 / (1 + torch.tensor(depth, dtype=torch.float32))
+
+
+def squared_angles(R: Tensor, Q: Tensor) -> Tensor:
+    """``d(R, Q)²`` of rotation matrices (..., 3, 3), (...,) in square radians for small angles."""
+    return (R - Q).square().sum((-1, -2)) / 2

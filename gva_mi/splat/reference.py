@@ -1,0 +1,189 @@
+"""The slow twin: the same picture in dense float64 torch, one Gaussian after the other, gradients by autograd alone.
+
+It shares no code with the kernels, only the constants and the records, and is written to be obviously right: every
+Gaussian meets every pixel, nothing is tiled, pre-scaled or re-ordered beyond the sort by depth. Use it to check the
+kernels (:mod:`gva_mi.splat.gradcheck`), on pictures of some thousand pixels.
+
+One Gaussian: Sigma = M S S M^T, Sigma' = J R Sigma R^T J^T + blur I, alpha = min(alpha_max, o exp(-d^T Sigma'^-1 d / 2)).
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from gva_mi.splat.camera import Camera
+from gva_mi.splat.gaussians import Gaussians, Image
+from gva_mi.splat.options import SplatOptions
+
+
+def render(
+    gaussians: Gaussians,
+    camera: Camera,
+    options: SplatOptions | None = None,
+    background: Tensor | None = None,
+) -> Image:
+    """What ``torch_op.render`` shall return, to the precision of float64.
+
+    Args:
+        gaussians: torch tensors of any precision; computed in float64, differentiable.
+        camera: the view. options: cut-offs. background: (D,), black where None.
+    """
+    return _render(gaussians, camera, options or SplatOptions(), background)[0]
+
+
+def threshold_band(
+    gaussians: Gaussians,
+    camera: Camera,
+    options: SplatOptions | None = None,
+    alpha: float = 1e-4,
+    transmittance: float = 1e-3,
+) -> Tensor:
+    """Pixels whose picture may change by a step when the last digits do, (H, W) bool.
+
+    Args:
+        gaussians: torch tensors. camera: the view. options: cut-offs.
+        alpha: relative distance of some Gaussian's alpha to ``alpha_min`` or ``alpha_max``, below which a pixel counts.
+        transmittance: the same for T and ``transmittance_min``.
+    """
+    with torch.no_grad():
+        margin = _render(gaussians, camera, options or SplatOptions(), None)[1]
+    return (margin[0] < alpha) | (margin[1] < transmittance)
+
+
+def _render(
+    gaussians: Gaussians, camera: Camera, options: SplatOptions, background: Tensor | None
+) -> tuple[Image, tuple[Tensor, Tensor]]:
+    to64 = lambda t: t.to(torch.float64)
+    means, quats, scales, opacities = map(
+        to64, (gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities)
+    )
+    T_camera_world = torch.tensor(camera.T_camera_world)
+    R, t = T_camera_world[:3, :3], T_camera_world[:3, 3]
+    H, W = camera.height, camera.width
+    pixels = torch.stack(
+        torch.meshgrid(torch.arange(W) + 0.5, torch.arange(H) + 0.5, indexing="xy"), dim=-1
+    ).to(torch.float64)  # (H, W, 2)
+
+    if gaussians.sh is None:
+        colors = to64(gaussians.colors)
+    else:
+        toward = means - torch.tensor(camera.position)
+        toward = toward / toward.norm(dim=1, keepdim=True)
+        sums = torch.einsum(
+            "nk,nkc->nc", harmonics(toward, gaussians.sh.shape[1]), to64(gaussians.sh)
+        )
+        colors = torch.clamp(sums + 0.5, min=0)
+    background = torch.zeros(colors.shape[1]) if background is None else background
+
+    x = means @ R.T + t
+    depths = x[:, 2]
+    order = torch.argsort(depths.detach(), stable=True)
+    visible = (depths > options.near) & (depths < options.far)
+
+    remaining = torch.ones(H, W, dtype=torch.float64)
+    stopped = torch.zeros(H, W, dtype=torch.bool)
+    color = torch.zeros(H, W, colors.shape[1], dtype=torch.float64)
+    depth = torch.zeros(H, W, dtype=torch.float64)
+    alpha_margin = torch.full((H, W), torch.inf, dtype=torch.float64)
+    rest_margin = torch.full((H, W), torch.inf, dtype=torch.float64)
+    for i in order[visible[order]].tolist():
+        mean2d, covariance = _project(x[i], quats[i], scales[i], R, camera, options)
+        d = pixels - mean2d
+        exponent = -0.5 * torch.einsum("hwi,ij,hwj->hw", d, torch.linalg.inv(covariance), d)
+        free = opacities[i] * torch.exp(exponent)
+        seen = ~stopped & (free.detach() >= options.alpha_min)
+        alpha = torch.where(
+            free >= options.alpha_min, torch.clamp(free, max=options.alpha_max), 0.0
+        )
+        rest = remaining * (1 - alpha)
+
+        for cut in (options.alpha_min, options.alpha_max):
+            near = torch.where(stopped, torch.inf, (free.detach() / cut - 1).abs())
+            alpha_margin = torch.minimum(alpha_margin, near)
+        near = torch.where(seen, (rest.detach() / options.transmittance_min - 1).abs(), torch.inf)
+        rest_margin = torch.minimum(rest_margin, near)
+
+        stopped = stopped | (rest.detach() <= options.transmittance_min)
+        weight = torch.where(stopped, 0.0, remaining * alpha)
+        color = color + weight[..., None] * colors[i]
+        depth = depth + weight * depths[i]
+        remaining = torch.where(stopped, remaining, rest)
+    color = color + remaining[..., None] * background
+    return Image(color, 1 - remaining, depth), (alpha_margin, rest_margin)
+
+
+def _project(
+    x: Tensor, quat: Tensor, scale: Tensor, R: Tensor, camera: Camera, options: SplatOptions
+) -> tuple[Tensor, Tensor]:
+    """Mean (2,) and covariance (2, 2) of one Gaussian in the picture; ``x`` is its mean in camera space."""
+    f = torch.tensor([camera.fx, camera.fy], dtype=torch.float64)
+    c = torch.tensor([camera.cx, camera.cy], dtype=torch.float64)
+    size = torch.tensor([camera.width, camera.height], dtype=torch.float64)
+    z = x[2]
+    slope = x[:2] / z
+    # gsplat: the linearisation follows the mean up to 15 % of the picture's size beyond its border
+    held = torch.minimum(torch.maximum(slope, (-c - 0.15 * size) / f), (size - c + 0.15 * size) / f)
+    zero = torch.zeros((), dtype=torch.float64)
+    J = torch.stack(
+        [
+            torch.stack([f[0] / z, zero, -f[0] * held[0] / z]),
+            torch.stack([zero, f[1] / z, -f[1] * held[1] / z]),
+        ]
+    )
+    A = J @ R @ rotation(quat) @ torch.diag(scale)
+    covariance = A @ A.T + options.blur * torch.eye(2, dtype=torch.float64)
+    return f * slope + c, covariance
+
+
+def rotation(quat: Tensor) -> Tensor:
+    """The rotation matrix (3, 3) of a quaternion wxyz of any length; of zero, the identity."""
+    length = quat.norm()
+    if length.detach() == 0:
+        return torch.eye(3, dtype=quat.dtype)
+    w, v = quat[0] / length, quat[1:] / length
+    zero = torch.zeros((), dtype=quat.dtype)
+    K = torch.stack(
+        [
+            torch.stack([zero, -v[2], v[1]]),
+            torch.stack([v[2], zero, -v[0]]),
+            torch.stack([-v[1], v[0], zero]),
+        ]
+    )
+    return torch.eye(3, dtype=quat.dtype) + 2 * w * K + 2 * K @ K  # Rodrigues, with half angles
+
+
+def harmonics(directions: Tensor, count: int) -> Tensor:
+    """The first ``count`` real spherical harmonics at unit vectors (N, 3), in 3DGS' order and sign; (N, count).
+
+    By the recurrences of associated Legendre functions: nothing in common with the kernels' polynomials.
+    """
+    x, y, z = directions.unbind(1)
+    out = []
+    for l in range(int(count**0.5)):
+        for m in range(-l, l + 1):
+            out.append(_harmonic(l, m, x, y, z))
+    return torch.stack(out, dim=1)
+
+
+def _harmonic(l: int, m: int, x: Tensor, y: Tensor, z: Tensor) -> Tensor:
+    """Y_lm = N_lm P_l^|m|(z) / sin^|m| · Re or Im of (x + i y)^|m|."""
+    k = abs(m)
+    real, imaginary = torch.ones_like(x), torch.zeros_like(x)
+    for _ in range(k):
+        real, imaginary = real * x - imaginary * y, real * y + imaginary * x
+    # P_k^k / sin^k with the Condon-Shortley sign (-1)^k, then upwards in the degree
+    double_factorial = 1.0
+    for odd in range(1, 2 * k, 2):
+        double_factorial *= -odd
+    previous, current = torch.zeros_like(z), torch.full_like(z, double_factorial)
+    for degree in range(k + 1, l + 1):
+        following = ((2 * degree - 1) * z * current - (degree + k - 1) * previous) / (degree - k)
+        previous, current = current, following
+    factorials = 1.0
+    for i in range(l - k + 1, l + k + 1):
+        factorials *= i
+    norm = ((2 * l + 1) / (4 * torch.pi * factorials)) ** 0.5
+    if m == 0:
+        return norm * current
+    return 2**0.5 * norm * current * (real if m > 0 else imaginary)

@@ -1,0 +1,75 @@
+"""Sums over segments of an array, in an order that never changes.
+
+Floating-point addition is not associative: where several threads add into one place in the order in which
+they happen to arrive, the last bits differ from run to run. Here one lane owns one segment and adds its
+entries from first to last, so that the same input gives the same bits on any number of threads.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Segments:
+    """Which entries each of S segments holds: ``items[start[i]:start[i + 1]]``."""
+
+    start: mi.UInt32  # (S + 1,)
+    items: mi.UInt32  # (M,) positions in the array that is summed
+
+    @staticmethod
+    def by_owner(owner: np.ndarray, count: int) -> Segments:
+        """Entry ``k`` belongs to segment ``owner[k]``; entries keep their order."""
+        start = np.zeros(count + 1, np.uint32)
+        start[1:] = np.cumsum(np.bincount(owner, minlength=count))
+        return Segments(mi.UInt32(start), mi.UInt32(np.argsort(owner, kind="stable")))
+
+    def sum(self, values: mi.Vector3f) -> mi.Vector3f:
+        """Sum of each segment, (S,) from values (N,)."""
+        count = dr.width(self.start) - 1
+        return _sum(values, self.items, *_bounds(self.start, count))
+
+
+def sum_runs(values: mi.Vector3f, start: mi.UInt32, total: int) -> mi.Vector3f:
+    """Sums of neighbouring entries: run ``i`` begins at ``start[i]`` and ends where the next one begins."""
+    i = dr.arange(mi.UInt32, dr.width(start))
+    is_last = i + 1 == dr.opaque(mi.UInt32, dr.width(start))
+    end = dr.select(
+        is_last, dr.opaque(mi.UInt32, total), dr.gather(mi.UInt32, start, i + 1, ~is_last)
+    )
+    return _sum(values, None, start, end)
+
+
+def sum_by_key(values: list[mi.Vector3f], key: mi.UInt32) -> tuple[list[mi.Vector3f], mi.UInt32]:
+    """Sums of the entries that share a key, and those keys, each once, in rising order."""
+    order = dr.argsort(key)
+    key = dr.gather(mi.UInt32, key, order)
+    i = dr.arange(mi.UInt32, dr.width(key))
+    begins = (i == 0) | (key != dr.gather(mi.UInt32, key, i - 1, i > 0))
+    start = dr.compress(begins)
+    sums = [
+        sum_runs(dr.gather(type(value), value, order), start, dr.width(key)) for value in values
+    ]
+    return sums, dr.gather(mi.UInt32, key, start)
+
+
+def _bounds(start: mi.UInt32, count: int) -> tuple[mi.UInt32, mi.UInt32]:
+    i = dr.arange(mi.UInt32, count)
+    return dr.gather(mi.UInt32, start, i), dr.gather(mi.UInt32, start, i + 1)
+
+
+@dr.syntax
+def _sum(
+    values: mi.Vector3f, items: mi.UInt32 | None, first: mi.UInt32, end: mi.UInt32
+) -> mi.Vector3f:
+    k = mi.UInt32(first)
+    total = dr.zeros(type(values), dr.width(first))
+    while k < end:
+        item = k if items is None else dr.gather(mi.UInt32, items, k)
+        total += dr.gather(type(values), values, item)
+        k += 1
+    return total

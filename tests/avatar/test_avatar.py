@@ -1,0 +1,175 @@
+"""Avatar(pose): still at rest, rigid under the root, differentiable, and the same after a file."""
+
+import copy
+import dataclasses
+
+import numpy as np
+import pytest
+import roma
+import torch
+
+from gva_mi import InputError
+from gva_mi.avatar import Avatar, AvatarOptions, ResidualOptions, SeedOptions, seed_avatar
+from gva_mi.body import Pose, Shape
+
+PLAIN = AvatarOptions(residual=ResidualOptions(enabled=False))
+
+
+def matrices(quats):
+    return roma.unitquat_to_rotmat(torch.nn.functional.normalize(quats, dim=-1)[:, [1, 2, 3, 0]])
+
+
+def linear_color(sh, direction):
+    """Colour of the linear band alone, seen along unit directions (3,)."""
+    x, y, z = direction
+    return 0.4886025 * (-y * sh[:, 1] + z * sh[:, 2] - x * sh[:, 3])
+
+
+def test_rest_pose_leaves_gaussians_still(make_avatar):
+    avatar = make_avatar(PLAIN)
+    posed, G = avatar(Pose.rest()), avatar.canonical
+    assert torch.allclose(posed.means, G.means, atol=1e-6)
+    assert torch.allclose(matrices(posed.quats), matrices(G.quats), atol=1e-5)
+    assert torch.allclose(posed.sh, G.sh, atol=1e-6)
+    assert torch.equal(posed.scales, G.scales)
+    assert torch.equal(posed.opacities, G.opacities)
+
+
+def test_a_new_avatar_has_no_residual(make_avatar, random_pose):
+    animated = make_avatar(trained=False).animate(random_pose(0))
+    assert (animated.residual == 0).all()
+
+
+def test_root_motion_is_rigid(make_avatar, random_pose):
+    """Turning the root about its joint turns means, frames and view-dependent colours alike."""
+    avatar = make_avatar(dtype=torch.float64)
+    pose = random_pose(0, dtype=torch.float64)
+    R = roma.rotvec_to_rotmat(torch.tensor([0.3, 2.0, -0.5], dtype=torch.float64))
+    shift = torch.tensor([0.1, -2.0, 0.7], dtype=torch.float64)
+    oriented = roma.rotmat_to_rotvec(R @ roma.rotvec_to_rotmat(pose.global_orient[0]))
+    moved = dataclasses.replace(pose, global_orient=oriented[None], transl=pose.transl + shift)
+    root = avatar.rig.joints[0] + pose.transl[0]
+
+    before, after = avatar(pose), avatar(moved)
+    assert torch.allclose(after.means, (before.means - root) @ R.T + root + shift, atol=1e-9)
+    assert torch.allclose(matrices(after.quats), R @ matrices(before.quats), atol=1e-9)
+    direction = torch.nn.functional.normalize(torch.tensor([1.0, 2.0, -3.0]).double(), dim=0)
+    assert torch.allclose(
+        linear_color(after.sh, R @ direction), linear_color(before.sh, direction), atol=1e-6
+    )
+
+
+def test_gaussians_stay_on_the_skinned_mesh(body, random_pose):
+    """A Gaussian on a vertex goes where the vertex goes, if no more than 4 joints move it."""
+    shape, pose = Shape(torch.zeros(10)), random_pose(1)
+    body = copy.deepcopy(body)
+    strongest = body.weights.topk(4).values[:, -1:]
+    body.weights[body.weights < strongest] = 0
+    body.weights.div_(body.weights.sum(1, keepdim=True))
+    avatar = seed_avatar(body, shape)
+    assert torch.allclose(avatar(pose).means, body(pose, shape).vertices[0], atol=1e-5)
+
+
+def test_residual_is_added_in_the_rest_pose(make_avatar):
+    avatar = make_avatar()
+    animated = avatar.animate(Pose.rest())
+    assert animated.residual.abs().max() > 0
+    moved = animated.gaussians.means - avatar.canonical.means
+    assert torch.allclose(moved, animated.residual, atol=1e-6)
+
+
+def test_without_hand_skeleton_fingers_do_not_move(make_avatar, random_pose):
+    pose = random_pose(2)
+    still = dataclasses.replace(
+        pose, left_hand_pose=torch.zeros(1, 45), right_hand_pose=torch.zeros(1, 45)
+    )
+    avatar = make_avatar(AvatarOptions(hands=False))
+    assert torch.equal(avatar(pose).means, avatar(still).means)
+    avatar = make_avatar(AvatarOptions(hands=True))
+    assert not torch.allclose(avatar(pose).means, avatar(still).means, atol=1e-3)
+
+
+def loss_of(avatar, pose):
+    g = avatar(pose)
+    parts = (g.means, g.quats, g.scales, g.opacities[:, None], g.sh.flatten(1))
+    seen = torch.cat(parts, 1)
+    target = torch.randn(seen.shape, generator=torch.Generator().manual_seed(9), dtype=seen.dtype)
+    return (seen * target).sum()
+
+
+def test_every_parameter_receives_a_gradient(make_avatar, random_pose):
+    avatar = make_avatar()
+    loss_of(avatar, random_pose(3)).backward()
+    for name, parameter in avatar.named_parameters():
+        assert parameter.grad is not None and parameter.grad.abs().max() > 0, name
+
+
+def test_every_pose_parameter_receives_a_gradient(make_avatar, random_pose):
+    pose = random_pose(3).map(lambda x: x.requires_grad_())
+    loss_of(make_avatar(), pose).backward()
+    for field in dataclasses.fields(pose):
+        grad = getattr(pose, field.name).grad
+        assert (grad is None) == (field.name == "expression"), field.name
+
+
+def test_pose_gradient_agrees_with_differences(make_avatar, random_pose):
+    avatar = make_avatar(dtype=torch.float64)
+    pose = random_pose(4, dtype=torch.float64)
+    rotations = pose.rotations.requires_grad_()
+    turned = lambda r: loss_of(avatar, Pose.from_rotations(r, pose.transl, pose.expression))
+    (grad,) = torch.autograd.grad(turned(rotations), rotations)
+    along = torch.randn(1, 55, 3, generator=torch.Generator().manual_seed(5)).double()
+    with torch.no_grad():
+        h = 1e-7  # small, to step over few kinks of the network
+        slope = (turned(rotations + h * along) - turned(rotations - h * along)) / (2 * h)
+    assert torch.allclose((grad * along).sum(), slope, rtol=1e-6)
+
+
+def test_a_saved_avatar_is_the_same_to_the_bit(make_avatar, random_pose, tmp_path):
+    avatar = make_avatar(AvatarOptions(seed=SeedOptions(count=700, sh_degree=1), hands=False))
+    avatar.save(tmp_path / "avatar.npz")
+    loaded = Avatar.load(tmp_path / "avatar.npz")
+    assert loaded.options == avatar.options
+    assert loaded.rig.body == avatar.rig.body and loaded.rig.parents == avatar.rig.parents
+    assert loaded.state_dict().keys() == avatar.state_dict().keys()
+    for name, value in avatar.state_dict().items():
+        assert torch.equal(loaded.state_dict()[name], value), name
+    ours, theirs = avatar(random_pose(6)), loaded(random_pose(6))
+    for name in ("means", "quats", "scales", "opacities", "sh"):
+        assert torch.equal(getattr(ours, name), getattr(theirs, name)), name
+    assert [file.name for file in tmp_path.iterdir()] == ["avatar.npz"]
+
+
+def test_double_precision_survives_a_record(make_avatar):
+    avatar = make_avatar(dtype=torch.float64)
+    again = Avatar.from_record(avatar.record())
+    assert again.canonical.means.dtype == torch.float64
+    assert torch.equal(again.residual.extent, avatar.residual.extent)
+
+
+def test_what_is_not_an_avatar_is_explained(make_avatar, tmp_path):
+    with pytest.raises(InputError, match="no such file"):
+        Avatar.load(tmp_path / "none.npz")
+    (tmp_path / "text.npz").write_text("hello")
+    with pytest.raises(InputError, match="not a readable avatar"):
+        Avatar.load(tmp_path / "text.npz")
+    np.savez(tmp_path / "other.npz", a=np.zeros(3))
+    with pytest.raises(InputError, match="not an avatar of this version"):
+        Avatar.load(tmp_path / "other.npz")
+    arrays = {k: np.asarray(v) for k, v in make_avatar().record().items()}
+    del arrays["canonical.quats"]
+    np.savez(tmp_path / "cut.npz", **arrays)
+    with pytest.raises(InputError, match="canonical.quats"):
+        Avatar.load(tmp_path / "cut.npz")
+
+
+def test_several_frames_are_refused(make_avatar):
+    with pytest.raises(ValueError, match="one frame"):
+        make_avatar()(Pose.rest(2))
+
+
+def test_offsets_move_the_seeds_and_not_the_joints(body):
+    shape, offsets = Shape(torch.zeros(10)), torch.full((642, 3), 0.01)
+    naked, clothed = seed_avatar(body, shape), seed_avatar(body, shape, offsets)
+    assert torch.allclose(clothed.canonical.means, naked.canonical.means + 0.01)
+    assert torch.equal(clothed.rig.joints, naked.rig.joints)

@@ -1,0 +1,113 @@
+"""Seeds lie on the surface, flat in it, evenly, and always the same."""
+
+import dataclasses
+
+import pytest
+import roma
+import torch
+
+from gva_mi.avatar.canonical import (
+    PARAMETERS,
+    CanonicalGaussians,
+    SeedOptions,
+    disc_quats,
+    neighbour_spacing,
+    seed_on_surface,
+    spread_over_faces,
+    vertex_normals,
+)
+from gva_mi.splat.sh import C0
+
+
+def seed(body, **options):
+    return seed_on_surface(body.v_template, body.faces, body.weights, SeedOptions(**options))
+
+
+def distance_to_planes(points, body):
+    """Distance of each point to the nearest plane whose triangle it projects into, (N,)."""
+    a, b, c = body.v_template[body.faces].unbind(1)
+    n = torch.nn.functional.normalize(torch.linalg.cross(b - a, c - a), dim=-1)
+    inside = torch.ones(len(points), len(a), dtype=torch.bool)
+    for p, q in ((a, b), (b, c), (c, a)):
+        edge = torch.linalg.cross(n, q - p)
+        inside &= ((points[:, None] - p) * edge).sum(-1) > -1e-5
+    height = ((points[:, None] - a) * n).sum(-1).abs()
+    return height.where(inside, torch.inf).amin(1)
+
+
+def test_one_gaussian_on_each_vertex(body):
+    G = seed(body)
+    assert torch.equal(G.means, body.v_template)
+
+
+@pytest.mark.parametrize("count", [300, 642, 1500])
+def test_seeds_lie_on_the_surface(body, count):
+    G = seed(body, count=count)
+    assert len(G) == count
+    assert distance_to_planes(G.means.detach(), body).max() < 1e-5
+
+
+def test_points_on_faces_follow_area(body):
+    count = 4 * len(body.faces)
+    chosen, barycentric = spread_over_faces(body.v_template, body.faces, count)
+    a, b, c = body.v_template[body.faces].unbind(1)
+    area = torch.linalg.cross(b - a, c - a).norm(dim=-1)
+    expected = count * area / area.sum()
+    assert (torch.bincount(chosen, minlength=len(area)) - expected).abs().max() <= 1 + 1e-3
+    assert barycentric.min() >= 0
+    assert torch.allclose(barycentric.sum(1), torch.ones(count))
+
+
+def test_discs_lie_flat_in_the_surface(body):
+    G = seed(body, flatness=0.25)
+    axes = roma.unitquat_to_rotmat(G.quats[:, [1, 2, 3, 0]].detach())
+    normals = vertex_normals(body.v_template, body.faces)
+    assert torch.allclose((axes[..., 2] * normals).sum(-1).abs(), torch.ones(len(G)), atol=1e-5)
+    assert torch.allclose(G.scales[:, 2] / G.scales[:, 0], torch.tensor(0.25))
+    assert torch.equal(G.scales[:, 0], G.scales[:, 1])
+
+
+def test_vertex_normals_point_outwards(body):
+    normals = vertex_normals(body.v_template, body.faces)
+    assert ((normals * body.v_template).sum(-1) > 0).all()
+
+
+def test_disc_of_any_normal_is_a_unit_quaternion():
+    normals = torch.cat([torch.eye(3), -torch.eye(3), torch.tensor([[1e-9, 0.0, -1.0]])])
+    assert torch.allclose(disc_quats(normals).norm(dim=-1), torch.ones(7))
+
+
+def test_spacing_of_a_grid_is_its_step():
+    x = torch.arange(5.0) * 0.01
+    grid = torch.cartesian_prod(x, x, torch.zeros(1))
+    assert torch.allclose(neighbour_spacing(grid, 2), torch.tensor(0.01))
+
+
+def test_colors_become_the_constant_band(body):
+    colors = torch.rand(642, 3, generator=torch.Generator().manual_seed(0))
+    G = seed_on_surface(body.v_template, body.faces, body.weights, colors=colors)
+    assert torch.allclose(G.sh[:, 0] * C0 + 0.5, colors, atol=1e-6)
+    assert (G.sh[:, 1:] == 0).all()
+
+
+def test_activations_and_weights(body):
+    G = seed(body, count=1000, opacity=0.8)
+    assert torch.allclose(G.opacities, torch.tensor(0.8))
+    assert torch.allclose(G.weights.sum(1), torch.ones(1000))
+    assert ((G.weights > 0).sum(1) <= 4).all()
+
+
+def test_the_same_surface_gives_the_same_bits(body):
+    one, two = seed(body, count=1500), seed(body, count=1500)
+    assert all(torch.equal(getattr(one, name), getattr(two, name)) for name in PARAMETERS)
+
+
+def test_shapes_are_checked_at_the_door(body):
+    G = seed(body)
+    given = {name: getattr(G, name) for name in (*PARAMETERS, "weights")}
+    with pytest.raises(ValueError, match="quats must be"):
+        CanonicalGaussians(**{**given, "quats": G.means})
+    with pytest.raises(ValueError, match="sh must be"):
+        CanonicalGaussians(**{**given, "sh": G.sh[:, :2]})
+    with pytest.raises(ValueError, match="opacity"):
+        dataclasses.replace(SeedOptions(), opacity=1.0)

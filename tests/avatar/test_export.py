@@ -1,0 +1,101 @@
+"""A .ply of Gaussians: the layout viewers expect, and back without loss."""
+
+import numpy as np
+import pytest
+import torch
+
+from gva_mi import InputError
+from gva_mi.avatar.export import load_ply, save_ply
+from gva_mi.splat import Gaussians
+
+FIELDS = ("means", "quats", "scales", "opacities", "sh")
+
+
+def some_gaussians(coefficients=4, count=20):
+    generator = torch.Generator().manual_seed(0)
+    draw = lambda *size: torch.randn(count, *size, generator=generator)
+    return Gaussians(
+        draw(3), draw(4), draw(3).exp(), torch.sigmoid(draw()), sh=draw(coefficients, 3)
+    )
+
+
+@pytest.mark.parametrize("coefficients", [1, 4, 9, 16])
+def test_what_is_read_is_what_was_written(tmp_path, coefficients):
+    written = some_gaussians(coefficients)
+    save_ply(tmp_path / "a.ply", written)
+    read = load_ply(tmp_path / "a.ply")
+    for name in FIELDS:
+        one, two = getattr(read, name), getattr(written, name)
+        assert one.shape == two.shape and torch.allclose(one, two, rtol=1e-5, atol=1e-6), name
+    assert [file.name for file in tmp_path.iterdir()] == ["a.ply"]
+
+
+def test_writing_what_was_read_gives_the_same_numbers(tmp_path):
+    save_ply(tmp_path / "a.ply", some_gaussians())
+    save_ply(tmp_path / "b.ply", load_ply(tmp_path / "a.ply"))
+    once, twice = load_ply(tmp_path / "a.ply"), load_ply(tmp_path / "b.ply")
+    assert all(
+        torch.allclose(getattr(once, n), getattr(twice, n), rtol=1e-5, atol=1e-7) for n in FIELDS
+    )
+
+
+def test_layout_is_that_of_3dgs(tmp_path):
+    g = some_gaussians()
+    save_ply(tmp_path / "a.ply", g)
+    head, body = (tmp_path / "a.ply").read_bytes().split(b"end_header\n", 1)
+    names = [line.split()[-1] for line in head.decode().split("\n") if line.startswith("property")]
+    assert (
+        names
+        == (
+            "x y z nx ny nz f_dc_0 f_dc_1 f_dc_2 "
+            "f_rest_0 f_rest_1 f_rest_2 f_rest_3 f_rest_4 f_rest_5 f_rest_6 f_rest_7 f_rest_8 "
+            "opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3"
+        ).split()
+    )
+    table = np.frombuffer(body, "<f4").reshape(20, 26)
+    assert np.allclose(table[:, 9:12], g.sh[:, 1:, 0])  # all of red first
+    assert np.allclose(table[:, 18], torch.logit(g.opacities), atol=1e-5)
+    assert np.allclose(table[:, 19:22], g.scales.log(), atol=1e-5)
+    assert np.allclose(table[:, 22:], g.quats)
+    assert (table[:, 3:6] == 0).all()
+
+
+def test_plain_colors_become_the_constant_band(tmp_path):
+    g = some_gaussians()
+    colors = torch.rand(20, 3, generator=torch.Generator().manual_seed(1))
+    save_ply(tmp_path / "a.ply", Gaussians(g.means, g.quats, g.scales, g.opacities, colors=colors))
+    assert torch.allclose(
+        load_ply(tmp_path / "a.ply").sh[:, 0] * 0.2820948 + 0.5, colors, atol=1e-6
+    )
+
+
+def test_opaque_and_invisible_gaussians_stay_finite(tmp_path):
+    g = some_gaussians()
+    opacities = torch.tensor([0.0, 1.0] * 10)
+    save_ply(tmp_path / "a.ply", Gaussians(g.means, g.quats, g.scales, opacities, sh=g.sh))
+    assert torch.allclose(load_ply(tmp_path / "a.ply").opacities, opacities, atol=1e-6)
+
+
+def test_no_gaussians_at_all(tmp_path):
+    save_ply(tmp_path / "a.ply", some_gaussians(count=0))
+    assert len(load_ply(tmp_path / "a.ply")) == 0
+
+
+def test_what_is_not_such_a_file_is_explained(tmp_path):
+    path = tmp_path / "a.ply"
+    with pytest.raises(InputError, match="no such file"):
+        load_ply(path)
+    path.write_text("hello")
+    with pytest.raises(InputError, match="not a .ply"):
+        load_ply(path)
+    save_ply(path, some_gaussians())
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-8])
+    with pytest.raises(InputError, match="cut short"):
+        load_ply(path)
+    path.write_bytes(whole.replace(b"scale_1", b"scale_x"))
+    with pytest.raises(InputError, match="'scale_1' is missing"):
+        load_ply(path)
+    path.write_bytes(whole.replace(b"binary_little_endian", b"ascii"))
+    with pytest.raises(InputError, match="binary_little_endian"):
+        load_ply(path)

@@ -1,0 +1,225 @@
+import gva_mi  # noqa: F401, I001  (first: it chooses the libLLVM)
+
+import pytest
+import roma
+import torch
+
+from gva_mi.body.pose import PARENTS
+from gva_mi.body.skinning import (
+    blend,
+    joint_transforms,
+    nearest_weights,
+    skin_gaussians,
+    skin_points,
+    strongest,
+)
+
+F64 = torch.float64
+
+
+def rotation(quats):
+    """(N, 4) wxyz of any length to (N, 3, 3)."""
+    unit = quats / quats.norm(dim=-1, keepdim=True)
+    return roma.unitquat_to_rotmat(roma.quat_wxyz_to_xyzw(unit))
+
+
+def scene(n=40, angle=0.3, dtype=F64, seed=0):
+    """Random Gaussians on a random skeleton whose joints turn by about ``angle`` each."""
+    g = torch.Generator().manual_seed(seed)
+    normal = lambda *size: torch.randn(*size, generator=g, dtype=F64)
+    weights = strongest(torch.rand(n, 55, generator=g, dtype=F64) ** 4)
+    T = joint_transforms(angle * normal(1, 55, 3), normal(55, 3), PARENTS, normal(1, 3))[0]
+    return tuple(x.to(dtype) for x in (normal(n, 3), normal(n, 4), weights, T))
+
+
+def test_joints_at_rest_do_not_move():
+    zero = torch.zeros(2, 55, 3, dtype=F64)
+    joints = torch.randn(55, 3, generator=torch.Generator().manual_seed(1), dtype=F64)
+    T = joint_transforms(zero, joints, PARENTS, zero[:, 0])
+    torch.testing.assert_close(T, torch.eye(4, dtype=F64).expand(2, 55, 4, 4))
+
+
+def test_turning_a_joint_moves_its_descendants_about_it_and_nobody_else():
+    g = torch.Generator().manual_seed(2)
+    joints = torch.randn(55, 3, generator=g, dtype=F64)
+    rotations = torch.zeros(1, 55, 3, dtype=F64)
+    elbow = 18
+    rotations[0, elbow] = torch.tensor([0.2, -0.9, 0.4])
+    T = joint_transforms(rotations, joints, PARENTS, torch.zeros(1, 3, dtype=F64))[0]
+    moved = torch.eye(4, dtype=F64)
+    moved[:3, :3] = roma.rotvec_to_rotmat(rotations[0, elbow])
+    moved[:3, 3] = joints[elbow] - moved[:3, :3] @ joints[elbow]
+    below = {elbow}
+    for joint, parent in enumerate(PARENTS):
+        if parent in below:
+            below.add(joint)
+        torch.testing.assert_close(T[joint], moved if joint in below else torch.eye(4, dtype=F64))
+
+
+def test_transforms_are_rigid():
+    *_, T = scene(angle=1.5)
+    R = T[:, :3, :3]
+    torch.testing.assert_close(R @ R.mT, torch.eye(3, dtype=F64).expand(55, 3, 3))
+    assert (torch.linalg.det(R) > 0).all()
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 0.5])
+def test_gradients_of_the_chain(angle):
+    g = torch.Generator().manual_seed(3)
+    normal = lambda *size: torch.randn(*size, generator=g, dtype=F64)
+    parents = (-1, 0, 0, 1, 3)
+    inputs = (angle * normal(2, 5, 3), normal(5, 3), normal(2, 3))
+    torch.autograd.gradcheck(
+        lambda r, j, t: joint_transforms(r, j, parents, t), [x.requires_grad_() for x in inputs]
+    )
+
+
+def test_a_tree_in_the_wrong_order_is_refused():
+    zero = torch.zeros(1, 3, 3)
+    with pytest.raises(ValueError, match="every parent before its children"):
+        joint_transforms(zero, zero[0], (-1, 2, 0), zero[:, 0])
+    with pytest.raises(ValueError, match=r"rotations must be \(T, 4, 3\), got \(1, 3, 3\)"):
+        joint_transforms(zero, zero[0], (-1, 0, 0, 0), zero[:, 0])
+
+
+def test_means_stay_on_the_skinned_mesh():
+    means, quats, weights, T = scene()
+    torch.testing.assert_close(
+        skin_gaussians(means, quats, weights, T)[0], skin_points(means, weights, T)
+    )
+
+
+def test_points_of_many_poses_agree_with_each_alone():
+    means, _, weights, T = scene()
+    other = scene(seed=4)[3]
+    both = skin_points(means, weights, torch.stack([T, other]))
+    for t, one in enumerate((T, other)):
+        torch.testing.assert_close(both[t], skin_points(means, weights, one))
+
+
+def test_a_rigid_motion_turns_gaussians_exactly():
+    means, quats, weights, _ = scene()
+    R = roma.rotvec_to_rotmat(torch.tensor([1.3, -2.0, 0.4], dtype=F64))
+    T = torch.eye(4, dtype=F64)
+    T[:3, :3], T[:3, 3] = R, torch.tensor([0.1, 2.0, -3.0], dtype=F64)
+    moved, turned = skin_gaussians(means, quats, weights, T.expand(55, 4, 4))
+    torch.testing.assert_close(moved, means @ R.T + T[:3, 3])
+    torch.testing.assert_close(rotation(turned), R @ rotation(quats))
+
+
+def test_the_identity_pose_leaves_gaussians_still():
+    means, quats, weights, _ = scene()
+    moved, turned = skin_gaussians(means, quats, weights, torch.eye(4, dtype=F64).expand(55, 4, 4))
+    torch.testing.assert_close(moved, means)
+    torch.testing.assert_close(turned, quats)
+
+
+@pytest.mark.parametrize("angle", [0.1, 0.5, 1.0])
+def test_orientations_follow_the_polar_factor(angle):
+    means, quats, weights, T = scene(n=300, angle=angle)
+    U, S, Vh = torch.linalg.svd(blend(weights, T).unflatten(1, (3, 4))[..., :3])
+    sign = torch.linalg.det(U @ Vh)
+    U[..., -1] *= sign[:, None]  # the nearest rotation, never a reflection
+    clear = S[:, 1] + sign * S[:, 2] > 0.05  # elsewhere the nearest rotation is hardly defined
+    assert clear.sum() > 200
+    _, turned = skin_gaussians(means, quats, weights, T)
+    torch.testing.assert_close(rotation(turned)[clear], ((U @ Vh) @ rotation(quats))[clear])
+
+
+def test_lengths_of_quaternions_are_kept():
+    means, quats, weights, T = scene()
+    _, turned = skin_gaussians(means, quats, weights, T)
+    torch.testing.assert_close(turned.norm(dim=1), quats.norm(dim=1))
+
+
+@pytest.mark.parametrize("name", ["means", "quats", "weights", "T_world_rest"])
+def test_gradients_against_differences(name):
+    values = dict(
+        zip(("means", "quats", "weights", "T_world_rest"), scene(n=3, seed=6), strict=True)
+    )
+    leaf = values[name].clone().requires_grad_()
+    torch.autograd.gradcheck(lambda x: skin_gaussians(**(values | {name: x})), leaf)
+
+
+def test_gradients_at_the_rest_pose():
+    means, quats, weights, _ = scene(n=3)
+    T = torch.eye(4, dtype=F64).repeat(55, 1, 1).requires_grad_()
+    torch.autograd.gradcheck(lambda T: skin_gaussians(means, quats, weights, T), T)
+
+
+def test_poses_can_be_trained_through_gaussians():
+    means, quats, weights, _ = scene(n=4)
+    joints = means.new_tensor(range(165)).view(55, 3).sin()
+    zero = means.new_zeros(1, 3)
+
+    def orientation(r):
+        T = joint_transforms(r, joints, PARENTS, zero)[0]
+        return rotation(skin_gaussians(means, quats, weights, T)[1])
+
+    g = torch.Generator().manual_seed(8)
+    start = 0.3 * torch.randn(1, 55, 3, generator=g, dtype=F64)
+    torch.autograd.gradcheck(orientation, start.requires_grad_())
+
+
+def test_opposite_joints_give_finite_gradients():
+    means, quats, _, _ = scene(n=1)
+    T = torch.eye(4, dtype=F64).repeat(2, 1, 1)
+    T[1, :3, :3] = torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=F64))
+    T.requires_grad_()
+    _, turned = skin_gaussians(means, quats, torch.full((1, 2), 0.5, dtype=F64), T)
+    turned.sum().backward()
+    assert turned.isfinite().all() and T.grad.isfinite().all()
+
+
+def test_float32_agrees_with_float64():
+    means, quats, weights, T = scene(n=500)
+    outputs = {}
+    for dtype in (torch.float32, F64):
+        leaves = [x.to(dtype).requires_grad_() for x in (means, quats, weights, T)]
+        moved, turned = skin_gaussians(*leaves)
+        matrix = rotation(turned)
+        (moved.sin().sum() + (matrix * matrix.new_tensor([[1, 2, 3]])).sum()).backward()
+        outputs[dtype] = [moved.detach(), matrix.detach(), *(x.grad for x in leaves)]
+    for low, high in zip(outputs[torch.float32], outputs[F64], strict=True):
+        assert (low.double() - high).norm() / high.norm() < 1e-5
+
+
+def test_same_bits_twice():
+    def run():
+        leaves = [x.requires_grad_() for x in scene(n=2000, dtype=torch.float32)]
+        moved, turned = skin_gaussians(*leaves)
+        (moved.sin().sum() + turned.cos().sum()).backward()
+        return [moved, turned, *(x.grad for x in leaves)]
+
+    assert all(torch.equal(a, b) for a, b in zip(run(), run(), strict=True))
+
+
+def test_no_gaussians_at_all():
+    means, quats, weights, T = scene(n=0)
+    moved, turned = skin_gaussians(means, quats, weights, T.requires_grad_())
+    assert moved.shape == (0, 3) and turned.shape == (0, 4)
+    (moved.sum() + turned.sum()).backward()
+    assert (T.grad == 0).all()
+
+
+def test_wrong_shapes_are_named():
+    means, quats, weights, T = scene(n=5)
+    with pytest.raises(ValueError, match=r"quats must be \(5, 4\), got \(5, 3\)"):
+        skin_gaussians(means, means, weights, T)
+    with pytest.raises(ValueError, match="quats is torch.float32, but means are torch.float64"):
+        skin_gaussians(means, quats.float(), weights, T)
+
+
+def test_nearest_weights_are_those_of_the_nearest_vertex():
+    vertices, _, weights, _ = scene(n=60)
+    order = torch.randperm(60, generator=torch.Generator().manual_seed(9))
+    torch.testing.assert_close(
+        nearest_weights(vertices[order] + 1e-6, vertices, weights), weights[order]
+    )
+
+
+def test_only_the_strongest_joints_are_kept():
+    g = torch.Generator().manual_seed(10)
+    kept = strongest(torch.rand(30, 55, generator=g, dtype=F64), joints=3)
+    assert ((kept > 0).sum(1) == 3).all()
+    torch.testing.assert_close(kept.sum(1), torch.ones(30, dtype=F64))

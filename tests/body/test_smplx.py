@@ -1,0 +1,258 @@
+import gva_mi  # noqa: F401, I001  (first: it chooses the libLLVM)
+
+import numpy as np
+import pytest
+import roma
+import torch
+
+from gva_mi.body import JOINTS, PARENTS, Pose, Shape, load_body
+from gva_mi.errors import InputError
+
+F64 = torch.float64
+
+
+@pytest.fixture
+def body(random_file):
+    return load_body(random_file, F64)
+
+
+@pytest.fixture
+def person():
+    g = torch.Generator().manual_seed(3)
+    normal = lambda *size: torch.randn(*size, generator=g, dtype=F64)
+    pose = Pose.from_rotations(0.4 * normal(3, 55, 3), normal(3, 3), normal(3, 8))
+    return pose, Shape(normal(10)), 0.02 * normal(90, 3)
+
+
+def slow_twin(a, rotations, transl, betas, psi, offsets):
+    """Eq. 4 for one frame in numpy, joint by joint and vertex by vertex."""
+    shaped = a["v_template"] + a["shapedirs"][..., : len(betas)] @ betas
+    shaped = shaped + a["shapedirs"][..., 10 : 10 + len(psi)] @ psi
+    joints = a["J_regressor"] @ shaped
+    R = [roma.rotvec_to_rotmat(torch.from_numpy(r)).numpy() for r in rotations]
+    feature = np.concatenate([(r - np.eye(3)).ravel() for r in R[1:]])
+    rest = shaped + offsets + a["posedirs"] @ feature
+    G = []
+    for j, parent in enumerate(PARENTS):
+        local = np.eye(4)
+        local[:3, :3], local[:3, 3] = R[j], joints[j] - (joints[parent] if j else 0)
+        G.append(G[parent] @ local if j else local)
+    vertices = np.zeros_like(rest)
+    for j in range(55):
+        moved = (rest - joints[j]) @ G[j][:3, :3].T + G[j][:3, 3]
+        vertices += a["weights"][:, j, None] * moved
+    return vertices + transl, np.stack([g[:3, 3] for g in G]) + transl
+
+
+def test_agrees_with_the_slow_twin(body, person, random_arrays):
+    pose, shape, offsets = person
+    posed = body(pose, shape, offsets)
+    for t in range(3):
+        vertices, joints = slow_twin(
+            random_arrays,
+            pose.rotations[t].numpy(),
+            pose.transl[t].numpy(),
+            shape.betas.numpy(),
+            pose.expression[t].numpy(),
+            offsets.numpy(),
+        )
+        np.testing.assert_allclose(posed.vertices[t], vertices, atol=1e-12)
+        np.testing.assert_allclose(posed.joints[t], joints, atol=1e-12)
+
+
+def test_float32_agrees_with_float64(random_file, body, person):
+    pose, shape, offsets = person
+    f32 = load_body(random_file)
+    posed = f32(pose.to(torch.float32), Shape(shape.betas.float()), offsets.float())
+    assert posed.vertices.dtype == torch.float32
+    torch.testing.assert_close(
+        posed.vertices.double(), body(pose, shape, offsets).vertices, rtol=0, atol=1e-5
+    )
+
+
+def test_identity_pose_leaves_the_rest_pose_still(body, person):
+    _, shape, _ = person
+    posed, rest = body(Pose.rest(2, dtype=F64), shape), body.rest(shape)
+    for frame in range(2):
+        torch.testing.assert_close(posed.vertices[frame], rest.vertices, rtol=0, atol=1e-14)
+        torch.testing.assert_close(posed.joints[frame], rest.joints, rtol=0, atol=1e-14)
+
+
+def test_rotating_the_root_moves_everything_rigidly(body, person):
+    pose, shape, offsets = person
+    before = body(pose, shape, offsets)
+    turn = roma.rotvec_to_rotmat(torch.tensor([0.3, -1.1, 0.6], dtype=F64))
+    rotations = pose.rotations.clone()
+    rotations[:, 0] = roma.rotmat_to_rotvec(turn @ roma.rotvec_to_rotmat(rotations[:, 0]))
+    shift = torch.tensor([0.2, 0.5, -0.3], dtype=F64)
+    turned = Pose.from_rotations(rotations, pose.transl + shift, pose.expression)
+    after = body(turned, shape, offsets)
+    root = before.joints[:, :1]
+    for x, y in ((before.vertices, after.vertices), (before.joints, after.joints)):
+        torch.testing.assert_close(y, (x - root) @ turn.T + root + shift)
+
+
+def test_bones_keep_their_length(body, person):
+    pose, shape, _ = person
+    rest = body.rest(shape, pose.expression[0]).joints
+    posed = body(pose[0], shape).joints[0]
+    parents = list(PARENTS[1:])
+    length = lambda joints: (joints[1:] - joints[parents]).norm(dim=1)
+    torch.testing.assert_close(length(posed), length(rest))
+
+
+def test_frames_do_not_see_each_other(body, person):
+    pose, shape, offsets = person
+    together = body(pose, shape, offsets).vertices
+    for t in range(3):
+        torch.testing.assert_close(body(pose[t], shape, offsets).vertices[0], together[t])
+
+
+def test_missing_coefficients_count_as_zero(body):
+    few = Shape(torch.tensor([0.5, -1.0], dtype=F64))
+    all_of_them = Shape(torch.cat([few.betas, torch.zeros(8, dtype=F64)]))
+    torch.testing.assert_close(body.rest(few).vertices, body.rest(all_of_them).vertices)
+    face = body.rest(few, torch.zeros(0, dtype=F64))
+    torch.testing.assert_close(face.vertices, body.rest(few).vertices)
+
+
+def test_coefficients_beyond_the_file_must_be_zero(body):
+    body(Pose.rest(expressions=20, dtype=F64), Shape(torch.zeros(16, dtype=F64)))
+    with pytest.raises(InputError, match="16 betas, but the body file has 10"):
+        body.rest(Shape(torch.ones(16, dtype=F64)))
+
+
+@pytest.mark.parametrize(
+    "columns, betas, expressions", [(400, 300, 100), (20, 10, 10), (16, 10, 6), (10, 10, 0)]
+)
+def test_shape_directions_are_split_as_in_the_files(
+    random_arrays, tmp_path, columns, betas, expressions
+):
+    directions = np.broadcast_to(np.arange(columns, dtype=np.float32), (90, 3, columns))
+    path = tmp_path / "body.npz"
+    np.savez(path, **(random_arrays | {"shapedirs": directions}))
+    body = load_body(path)
+    assert (body.num_betas, body.num_expressions) == (betas, expressions)
+    assert body.shape_directions[:, 0].tolist() == list(range(betas))
+    assert body.expression_directions[:, 0].tolist() == list(range(betas, betas + expressions))
+
+
+def test_gradients_against_central_differences(body, person):
+    pose, shape, offsets = person
+    g = torch.Generator().manual_seed(5)
+    target = torch.randn(90, 3, generator=g, dtype=F64)
+    inputs = {
+        "rotations": pose.rotations[:1].clone(),
+        "transl": pose.transl[:1].clone(),
+        "expression": pose.expression[:1].clone(),
+        "betas": shape.betas.clone(),
+        "offsets": offsets.clone(),
+    }
+
+    def loss(rotations, transl, expression, betas, offsets):
+        posed = body(Pose.from_rotations(rotations, transl, expression), Shape(betas), offsets)
+        return ((posed.vertices[0] - target) ** 2).sum() + posed.joints[0].sin().sum()
+
+    leaves = {name: value.requires_grad_() for name, value in inputs.items()}
+    gradients = torch.autograd.grad(loss(**leaves), list(leaves.values()))
+    for (name, value), gradient in zip(leaves.items(), gradients, strict=True):
+        direction = torch.randn(value.shape, generator=g, dtype=F64)
+        h = 1e-5
+        with torch.no_grad():
+            plus = loss(**(leaves | {name: value + h * direction}))
+            minus = loss(**(leaves | {name: value - h * direction}))
+        torch.testing.assert_close(
+            (gradient * direction).sum(),
+            (plus - minus) / (2 * h),
+            rtol=1e-7,
+            atol=1e-7,
+            msg=lambda m, name=name: f"{name}: {m}",
+        )
+
+
+def test_the_rest_pose_has_finite_gradients(body):
+    rotations = torch.zeros(1, 55, 3, dtype=F64, requires_grad=True)
+    zero = torch.zeros(1, 3, dtype=F64)
+    posed = body(Pose.from_rotations(rotations, zero, zero), Shape(zero[0]))
+    posed.vertices.square().sum().backward()
+    assert rotations.grad.isfinite().all() and (rotations.grad != 0).any()
+
+
+def test_the_mean_hand_is_added_to_both_hands(body, person):
+    pose, _, _ = person
+    added = body.add_mean_hands(pose)
+    torch.testing.assert_close(
+        added.left_hand_pose - pose.left_hand_pose, body.hands_mean[:1].expand(3, -1)
+    )
+    torch.testing.assert_close(
+        added.right_hand_pose - pose.right_hand_pose, body.hands_mean[1:].expand(3, -1)
+    )
+    assert torch.equal(added.body_pose, pose.body_pose)
+
+
+def test_a_missing_file_is_explained(tmp_path):
+    with pytest.raises(InputError, match="no such file.*smpl-x.is.tue.mpg.de.*puppet"):
+        load_body(tmp_path / "SMPLX_NEUTRAL.npz")
+
+
+def test_a_pickle_is_refused_with_the_way_to_the_npz(tmp_path):
+    path = tmp_path / "SMPLX_NEUTRAL.pkl"
+    path.write_bytes(b"")
+    with pytest.raises(InputError, match=r"SMPLX_NEUTRAL\.pkl.*\.npz.*smpl-x\.is\.tue\.mpg\.de"):
+        load_body(path)
+
+
+def test_a_truncated_file_is_named(random_file):
+    random_file.write_bytes(random_file.read_bytes()[:4000])
+    with pytest.raises(InputError, match="body.npz.*cut short"):
+        load_body(random_file)
+
+
+def test_a_damaged_array_is_named(random_file):
+    content = bytearray(random_file.read_bytes())
+    middle = content.find(b"posedirs.npy") + 2000
+    content[middle : middle + 8] = b"\xff" * 8
+    random_file.write_bytes(content)
+    with pytest.raises(InputError, match="body.npz.*'posedirs'"):
+        load_body(random_file)
+
+
+@pytest.mark.parametrize("key", ["v_template", "posedirs", "kintree_table", "hands_meanr"])
+def test_a_missing_key_is_named(random_arrays, tmp_path, key):
+    path = tmp_path / "body.npz"
+    np.savez(path, **{k: v for k, v in random_arrays.items() if k != key})
+    with pytest.raises(InputError, match=f"body.npz: key '{key}' is missing; found: .*weights"):
+        load_body(path)
+
+
+@pytest.mark.parametrize(
+    "key, value, sentence",
+    [
+        ("J_regressor", np.zeros((24, 90)), r"'J_regressor' must be \(55, 90\), found \(24, 90\)"),
+        ("v_template", np.zeros(90), r"'v_template' must be \(90, 3\), found \(90,\)"),
+        ("posedirs", np.zeros((90, 3, 207)), r"must be \(90, 3, 486\), found \(90, 3, 207\)"),
+        ("f", np.zeros((9, 3)), "'f' must hold integers, found float64"),
+        ("f", np.full((9, 3), 90), "'f' names vertex 90, but there are 90"),
+        ("weights", np.full((90, 55), 0.5), "'weights' must have rows that sum to 1"),
+        ("shapedirs", np.full((90, 3, 10), np.nan), "'shapedirs' holds a number that is not"),
+        ("kintree_table", np.zeros((2, 55), int), "'kintree_table' is not the tree"),
+        ("joint_names", np.array(JOINTS[::-1]), "'joint_names' is not the tree"),
+        ("weights", np.array([{}]), "'weights' cannot be read"),
+    ],
+)
+def test_a_wrong_array_is_named(random_arrays, tmp_path, key, value, sentence):
+    path = tmp_path / "body.npz"
+    np.savez(path, **(random_arrays | {key: value}))
+    with pytest.raises(InputError, match=sentence):
+        load_body(path)
+
+
+def test_objects_beside_the_keys_are_left_alone(random_arrays, tmp_path):
+    path = tmp_path / "body.npz"
+    np.savez(path, **random_arrays, part2num=np.array({"head": 1}, dtype=object))
+    assert load_body(path).v_template.shape == (90, 3)
+
+
+def test_wrong_offsets_are_refused(body):
+    with pytest.raises(ValueError, match=r"offsets must be \(90, 3\), got \(9, 3\)"):
+        body(Pose.rest(dtype=F64), Shape(torch.zeros(10, dtype=F64)), torch.zeros(9, 3, dtype=F64))

@@ -1,0 +1,123 @@
+import numpy as np
+import pytest
+import torch
+from skimage.metrics import structural_similarity
+
+from gva_mi.fit.losses import LossOptions, render_losses, ssim
+from gva_mi.splat import Image
+
+ALL = LossOptions(perceptual=0.3, residual=0.7, alpha=0.2, ssim=0.4)
+H, W = 16, 20
+
+
+@pytest.fixture
+def generator():
+    return torch.Generator().manual_seed(0)
+
+
+def picture(generator, height=H, width=W):
+    return torch.rand(height, width, 3, generator=generator)
+
+
+def render_of(color, alpha):
+    return Image(color, alpha, torch.zeros_like(alpha))
+
+
+def mean_square(image, target):
+    return (image - target).square().mean()
+
+
+def test_a_perfect_render_without_residual_costs_nothing(generator):
+    target, mask = picture(generator), torch.ones(H, W)
+    losses = render_losses(
+        render_of(target, mask), target, mask, torch.zeros(5, 3), ALL, mean_square
+    )
+    assert float(losses.total(ALL)) == pytest.approx(0, abs=1e-6)
+
+
+def test_the_default_is_equation_13(generator):
+    target, mask = picture(generator), torch.ones(H, W)
+    color, residual = picture(generator), torch.randn(7, 3, generator=generator)
+    losses = render_losses(
+        render_of(color, 0.3 * mask), target, mask, residual, LossOptions(), mean_square
+    )
+    expected = (
+        (color - target).abs().mean()
+        + 0.1 * mean_square(color, target)
+        + 0.5 * residual.abs().mean()
+    )
+    assert torch.allclose(losses.total(LossOptions()), expected)
+
+
+@pytest.mark.parametrize("term", ["perceptual", "residual", "alpha", "ssim"])
+def test_each_weight_scales_its_own_term(term, generator):
+    target, mask = picture(generator), torch.ones(H, W)
+    image = render_of(picture(generator), 0.5 * mask)
+    residual = torch.randn(7, 3, generator=generator)
+    off = dict.fromkeys(["perceptual", "residual", "alpha", "ssim"], 0.0)
+    once, twice = LossOptions(**off | {term: 1.0}), LossOptions(**off | {term: 2.0})
+    losses = render_losses(image, target, mask, residual, once, mean_square)
+    assert getattr(losses, term) > 0
+    assert torch.allclose(losses.total(once), losses.recon + getattr(losses, term))
+    assert torch.allclose(losses.total(twice), losses.recon + 2 * getattr(losses, term))
+
+
+@pytest.mark.parametrize("input_", ["color", "alpha", "residual"])
+def test_gradients_are_finite_and_not_zero(input_, generator):
+    inputs = {
+        "color": picture(generator),
+        "alpha": torch.rand(H, W, generator=generator),
+        "residual": torch.randn(7, 3, generator=generator),
+    }
+    x = inputs[input_].requires_grad_()
+    image = render_of(inputs["color"], inputs["alpha"])
+    target, mask = picture(generator), torch.ones(H, W)
+    losses = render_losses(image, target, mask, inputs["residual"], ALL, mean_square)
+    losses.total(ALL).backward()
+    assert x.grad.isfinite().all() and (x.grad != 0).any()
+
+
+def test_no_residual_at_all_is_no_cost(generator):
+    target, mask = picture(generator), torch.ones(H, W)
+    losses = render_losses(
+        render_of(target, mask), target, mask, torch.zeros(0, 3), ALL, mean_square
+    )
+    assert losses.residual == 0
+
+
+def test_the_window_confines_the_costly_terms(generator):
+    target, mask = picture(generator), torch.ones(H, W)
+    color = target.clone()
+    color[:, :4] += 0.2  # outside the window
+    window = (slice(0, 16), slice(6, 20))
+    losses = render_losses(
+        render_of(color, mask), target, mask, torch.zeros(0, 3), ALL, mean_square, window
+    )
+    assert losses.recon > 0 and losses.perceptual == 0 and losses.ssim < 1e-6
+
+
+@pytest.mark.parametrize("shape", [(11, 11), (16, 20), (33, 12)])
+def test_ssim_is_scikit_images(shape, generator):
+    a = picture(generator, *shape).double()
+    b = (a + 0.2 * torch.randn(*shape, 3, generator=generator)).clamp(0, 1)
+    _, full = structural_similarity(
+        a.numpy(), b.numpy(), channel_axis=-1, data_range=1.0, gaussian_weights=True, sigma=1.5,
+        use_sample_covariance=False, full=True,
+    )  # fmt: skip
+    inside = full[5:-5, 5:-5]
+    np.testing.assert_allclose(float(ssim(a, b)), inside.mean(), rtol=1e-9)
+
+
+def test_ssim_of_an_image_with_itself_is_one(generator):
+    a = picture(generator)
+    assert float(ssim(a, a)) == pytest.approx(1, abs=1e-6)
+
+
+def test_ssim_refuses_an_image_smaller_than_its_window(generator):
+    with pytest.raises(ValueError, match="at least 11 x 11"):
+        ssim(picture(generator, 10, 20), picture(generator, 10, 20))
+
+
+def test_a_negative_weight_is_refused():
+    with pytest.raises(ValueError, match="perceptual must be 0 or more"):
+        LossOptions(perceptual=-0.1)

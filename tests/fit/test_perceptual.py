@@ -1,0 +1,133 @@
+import pytest
+import torch
+from scipy.ndimage import gaussian_filter
+
+from gva_mi.errors import InputError
+from gva_mi.fit import perceptual
+from gva_mi.fit.perceptual import (
+    Weights,
+    available_weights,
+    find_weights,
+    lpips,
+    rand_vgg,
+    rand_vgg_loss,
+    vgg16_loss,
+)
+
+SIZE = 48
+
+
+@pytest.fixture
+def picture():
+    """Discs of several sizes and colours: edges at several scales."""
+    generator = torch.Generator().manual_seed(0)
+    y, x = torch.meshgrid(torch.arange(SIZE), torch.arange(SIZE), indexing="ij")
+    image = torch.ones(SIZE, SIZE, 3)
+    for _ in range(25):
+        cx, cy, radius = (torch.rand(3, generator=generator) * torch.tensor([48, 48, 8])).tolist()
+        image[(x - cx) ** 2 + (y - cy) ** 2 < radius**2] = torch.rand(3, generator=generator)
+    return image
+
+
+def blurred(image, sigma):
+    return torch.from_numpy(gaussian_filter(image.numpy(), (sigma, sigma, 0)))
+
+
+@pytest.mark.parametrize("distance", [rand_vgg, rand_vgg_loss])
+def test_equal_images_have_no_distance(distance, picture):
+    assert distance()(picture, picture) == 0
+
+
+@pytest.mark.parametrize("distance", [rand_vgg, rand_vgg_loss])
+def test_the_seed_decides_the_network(distance, picture):
+    other = blurred(picture, 1)
+    assert distance(seed=3)(picture, other) == distance(seed=3)(picture, other)
+    assert distance(seed=3)(picture, other) != distance(seed=4)(picture, other)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("distance", [rand_vgg, rand_vgg_loss])
+def test_more_blur_is_farther(distance, seed, picture):
+    measure = distance(seed)
+    far = [float(measure(blurred(picture, sigma), picture)) for sigma in (0.5, 1, 2, 4)]
+    assert far == sorted(far) and far[0] > 0
+
+
+def test_random_numbers_of_the_caller_are_left_alone():
+    before = torch.get_rng_state()
+    rand_vgg()
+    assert torch.equal(before, torch.get_rng_state())
+
+
+def test_the_loss_trains_the_image_and_not_the_network(picture):
+    distance = rand_vgg_loss()
+    image = blurred(picture, 1).requires_grad_()
+    target = picture.clone().requires_grad_()
+    distance(image, target).backward()
+    assert image.grad.isfinite().all() and (image.grad != 0).any()
+    assert target.grad is None
+    assert not any(p.requires_grad for p in distance.parameters())
+
+
+def test_descending_the_loss_sharpens_a_blurred_picture(picture):
+    distance = rand_vgg_loss()
+    image = blurred(picture, 1.5).requires_grad_()
+    start = (image - picture).abs().mean().item()
+    optimizer = torch.optim.Adam([image], lr=0.02)
+    for _ in range(40):
+        optimizer.zero_grad()
+        distance(image, picture).backward()
+        optimizer.step()
+    assert (image - picture).abs().mean().item() < 0.7 * start
+
+
+@pytest.fixture
+def weights(tmp_path, monkeypatch):
+    """Files in the form of the trained networks', with random numbers in them."""
+    generator = torch.Generator().manual_seed(1)
+    noise = lambda state: {
+        f"features.{k}": 0.1 * torch.randn(x.shape, generator=generator) for k, x in state.items()
+    }
+    monkeypatch.setattr(perceptual, "VGG16_WIDTHS", ((4, 4), (8, 8), (8,) * 3, (8,) * 3, (8,) * 3))
+    torch.save(noise(perceptual._vgg16().state_dict()), tmp_path / "vgg16-0.pth")
+    torch.save(noise(perceptual._alexnet().state_dict()), tmp_path / "alexnet-0.pth")
+    for name, widths in (("vgg", (4, 8, 8, 8, 8)), ("alex", (64, 192, 384, 256, 256))):
+        heads = {f"lin{k}.model.1.weight": torch.rand(1, w, 1, 1) for k, w in enumerate(widths)}
+        torch.save(heads, tmp_path / f"lpips_{name}.pth")
+    return tmp_path
+
+
+def test_the_users_weights_are_found_and_used(weights, picture):
+    found = find_weights(weights)
+    assert found.lpips_network == "AlexNet"
+    assert vgg16_loss(found.vgg16)(blurred(picture, 1), picture) > 0
+    for used in (found, Weights(vgg16=found.vgg16, lpips_vgg=found.lpips_vgg)):
+        metric = lpips(used)
+        assert metric(picture, picture) == 0 and metric(blurred(picture, 1), picture) > 0
+
+
+def test_there_is_no_lpips_without_weights():
+    assert lpips(Weights()) is None and Weights().lpips_network is None
+
+
+def test_doctor_names_what_is_used(tmp_path, monkeypatch):
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
+    lines = dict(available_weights())
+    assert "rand_vgg" in lines["VGG16"] and set(lines) == {"VGG16", "LPIPS"}
+
+
+def test_a_folder_that_is_not_there_is_refused(tmp_path):
+    with pytest.raises(InputError, match="no such folder"):
+        find_weights(tmp_path / "nowhere")
+
+
+def test_files_that_are_no_weights_are_refused(tmp_path):
+    path = tmp_path / "vgg16.pth"
+    with pytest.raises(InputError, match="no such file"):
+        vgg16_loss(path)
+    path.write_bytes(b"not a state dict")
+    with pytest.raises(InputError, match="not a torch state dict"):
+        vgg16_loss(path)
+    torch.save({"features.0.weight": torch.zeros(4, 3, 3, 3)}, path)
+    with pytest.raises(InputError, match="'features.0.weight' must be"):
+        vgg16_loss(path)

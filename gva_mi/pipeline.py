@@ -13,18 +13,18 @@ from __future__ import annotations
 import json
 import shutil
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
-import numpy as np
+from torch import Tensor
 from tyro.conf import Positional
 
 from gva_mi.avatar.avatar import Avatar
-from gva_mi.body.pose import Pose, Shape, load_offsets, load_poses, save_poses
+from gva_mi.body.pose import load_offsets, load_poses, save_poses
 from gva_mi.body.smplx import BodyModel, load_body
-from gva_mi.data.pictures import write_image, write_movie
+from gva_mi.console import bar, say
+from gva_mi.data.pictures import read_image, write_image, write_movie
 from gva_mi.data.synthetic import SynthOptions, make_subject
 from gva_mi.data.video import Video, load_cameras, load_video
 from gva_mi.errors import InputError
@@ -34,14 +34,20 @@ from gva_mi.fit.evaluate import render_sequence
 from gva_mi.fit.report import write_report
 from gva_mi.fit.train import FitOptions
 from gva_mi.fit.train import fit as fit_avatar
+from gva_mi.pose.measure import measure
+from gva_mi.pose.overlay import before_and_after
 from gva_mi.pose.refine import RefineOptions
 from gva_mi.pose.refine import refine as refine_poses
 
-POSES, REFINED, REFINEMENT = "poses.npz", "poses_refined.npz", "refinement.json"
-OVERLAYS, METRICS, REPORT = "refinement.png", "metrics.json", "report.html"
+POSES, REFINED = "poses.npz", "poses_refined.npz"
+REFINEMENT, OVERLAYS = "refinement.json", "refinement.png"
+METRICS, REPORT = "metrics.json", "report.html"
 SUBJECT = "subject"  # where the demo's subject lies within the demo's folder
-
-Progress = Callable[..., None]
+DEMO, RENDERED, SYNTH = "demo.json", "render.json", "synth.json"  # mark the folders as ours
+REFINEMENT_FIGURES = (  # of metrics.json
+    "vertex_mm_stage1", "vertex_mm", "hand_vertex_mm_stage1", "hand_vertex_mm",
+    "iou_stage1", "iou", "iou_truth", "seconds_per_frame",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -71,10 +77,10 @@ def synth(
         overwrite: replace a subject that is there.
     """
     model = load_body(body)
-    _clear(out, "synth.json", overwrite)
-    with _bar("synth") as progress:
+    _clear(out, SYNTH, overwrite)
+    with bar("synth") as progress:
         make_subject(out, options, model, progress)
-    _say(f"subject: {out}")
+    say(f"subject: {out}")
 
 
 def refine(
@@ -97,8 +103,252 @@ def refine(
     model = load_body(body)
     if (subject / REFINED).exists() and not overwrite:
         raise InputError(f"{subject / REFINED}: exists already; give --overwrite to replace it")
-    video = load_video(subject)
+    figures = _refine(load_video(subject), model, options)
+    for line in _refinement_lines(figures):
+        say(line)
+    say(f"poses: {subject / REFINED}; overlays: {subject / OVERLAYS}")
+
+
+def fit(
+    subject: Positional[Path],
+    options: FitOptions,
+    *,
+    out: Path,
+    poses: Path | None = None,
+    body: Path | None = None,
+    overwrite: bool = False,
+    resume: bool = False,
+) -> None:
+    """Fit an avatar to the training frames of a video: Eq. 13, densification, re-initialisation.
+
+    Args:
+        subject: a folder with video, masks, cameras and poses.
+        options: of the fit.
+        out: the run's folder.
+        poses: the poses to fit under; without it the refined ones, else those of stage 1.
+        body: a body in SMPL-X's .npz format; without it the built-in puppet.
+        overwrite: replace a run that is there.
+        resume: go on with a run that was stopped.
+    """
+    model = load_body(body)
+    poses = poses or _best_poses(subject)
+    video = load_video(subject, poses)
+    if not resume:
+        _clear(out, checkpoint.OPTIONS, overwrite)
+    _fit(video, model, options, out, load_offsets(poses, len(model.v_template)), resume)
+    say(f"avatar: {out / checkpoint.AVATAR}")
+
+
+def evaluate(
+    run: Positional[Path], subject: Positional[Path], *, poses: Path | None = None
+) -> None:
+    """Measure an avatar on the splits of a subject; writes metrics.json and report.html.
+
+    Args:
+        run: the folder of a finished fit.
+        subject: the folder it was fitted to.
+        poses: the poses it was fitted under; without it the refined ones, else those of stage 1.
+    """
+    avatar = Avatar.load(run / checkpoint.AVATAR)
+    video = load_video(subject, poses or _best_poses(subject))
+    metrics = _measure(avatar, video, run, name="full")
+    _write_report(avatar, video, run, metrics, subject.name)
+    for line in _lines(metrics):
+        say(line)
+    say(f"report: {run / REPORT}")
+
+
+def render(
+    run: Positional[Path],
+    *,
+    poses: Path,
+    cameras: Path,
+    out: Path,
+    video: bool = False,
+    overwrite: bool = False,
+) -> None:
+    """Drive an avatar by any poses, seen by any cameras: pictures, or a film.
+
+    Args:
+        run: the folder of a finished fit, or an avatar.npz.
+        poses: SMPL-X's names, each (T, ...).
+        cameras: K, T_camera_world, width, height; one for all frames, or T.
+        out: folder for 000000.png ...
+        video: also write video.mp4 there.
+        overwrite: replace renders that are there.
+    """
+    avatar = Avatar.load(run / checkpoint.AVATAR if run.is_dir() else run)
+    pose, _ = load_poses(poses)
+    views = load_cameras(cameras)
+    if len(views) not in (1, len(pose)):
+        raise InputError(
+            f"{cameras}: holds {len(views)} cameras, expected one, or one for each of the "
+            f"{len(pose)} frames of {poses}"
+        )
+    _clear(out, RENDERED, overwrite)
+    out.mkdir(parents=True, exist_ok=True)
+    (out / RENDERED).write_text(json.dumps({"avatar": str(run), "versions": checkpoint.versions()}))
+    images = []
+    with bar("render") as progress:
+        for k, image in enumerate(render_sequence(avatar, pose, views)):
+            write_image(out / f"{k:06d}.png", image)
+            images += [image] if video else []
+            progress(k + 1, len(pose))
+    if video:
+        write_movie(out / "video.mp4", images, lossless=False)
+    say(f"{len(pose)} pictures: {out}")
+
+
+def demo(
+    options: DemoOptions, *, out: Path, body: Path | None = None, overwrite: bool = False
+) -> None:
+    """All of it on a synthetic subject: synth, refine, fit, evaluate, report.
+
+    Args:
+        options: how large it is.
+        out: folder for the subject, the run and the report.
+        body: a body in SMPL-X's .npz format; without it the built-in puppet.
+        overwrite: replace a demo that is there.
+    """
+    start = time.perf_counter()
+    model = load_body(body)
+    _clear(out, DEMO, overwrite)
+    out.mkdir(parents=True, exist_ok=True)
+    _write_json(out / DEMO, {"options": asdict(options), "versions": checkpoint.versions()})
+    subject = out / SUBJECT
+    synth_options = SynthOptions(seed=options.seed, frames=options.frames, size=options.size)
+    with bar("synth") as progress:
+        make_subject(subject, synth_options, model, progress)
+    if not options.no_refine:
+        _refine(load_video(subject), model, RefineOptions(seed=options.seed))
+    poses = _best_poses(subject)
+    video = load_video(subject, poses)
+    offsets = load_offsets(poses, len(model.v_template))
+    fit_options = FitOptions(seed=options.seed, steps=options.steps)
+    avatar = _fit(video, model, fit_options, out, offsets, resume=False)
+    metrics = _measure(avatar, video, out, name="no_refine" if options.no_refine else "full")
+    _write_report(avatar, video, out, metrics, "The demo subject")
+    for line in _lines(metrics):
+        say(line)
+    say(f"{(time.perf_counter() - start) / 60:.1f} minutes; report: {out / REPORT}")
+
+
+def _refine(video: Video, model: BodyModel, options: RefineOptions) -> dict:
+    """Refine, and write what was found into the subject's folder; returns the figures."""
     if not video.has_normals:
-        _say(f"{subject}: no normals/, the refinement uses the silhouettes alone")
-    with _bar("refine") as progress:
+        say(f"{video.folder}: no normals/, the refinement uses the silhouettes alone")
+    with bar("refine") as progress:
         refined = refine_poses(video, model, options, progress)
+    for frame, reason in refined.kept.items():
+        say(f"frame {frame} keeps its stage-1 pose: {reason}")
+    truth = load_poses(video.truth / POSES) if video.truth else None
+    figures = measure(video, model, refined, truth).as_record()
+    strip = before_and_after(video, model, refined)
+    write_image(video.folder / OVERLAYS, strip)
+    record = {"figures": figures, "kept": refined.kept, "options": asdict(options)}
+    _write_json(video.folder / REFINEMENT, record | {"versions": checkpoint.versions()})
+    pose, shape, offsets = refined.pose, refined.shape, refined.offsets
+    save_poses(video.folder / REFINED, pose, shape, stage=2, offsets=offsets)
+    return figures
+
+
+def _fit(
+    video: Video,
+    model: BodyModel,
+    options: FitOptions,
+    out: Path,
+    offsets: Tensor | None,
+    resume: bool,
+) -> Avatar:
+    start = time.perf_counter()
+    with bar("fit") as progress:
+        avatar = fit_avatar(
+            video, model, options, out, offsets=offsets, resume=resume, progress=progress
+        )
+    say(f"{options.steps} steps in {time.perf_counter() - start:.0f} s")
+    return avatar
+
+
+def _measure(avatar: Avatar, video: Video, run: Path, name: str) -> dict:
+    """The figures of a run, which are also written to ``metrics.json``."""
+    with bar("evaluate") as progress:
+        rows = evaluate_splits(avatar, video, name, progress=progress)
+    history = checkpoint.load_history(run)
+    record = json.loads((run / checkpoint.OPTIONS).read_text())
+    refinement = video.folder / REFINEMENT
+    found = json.loads(refinement.read_text())["figures"] if refinement.exists() else {}
+    metrics = {
+        "rows": [asdict(row) for row in rows],
+        "refinement": {name: found.get(name) for name in REFINEMENT_FIGURES},
+        "training": {
+            "steps": len(history["loss"]),
+            "seconds": float(history["milliseconds"].sum() / 1e3),
+            "gaussians": int(history["gaussians"][-1]),
+            "size": list(video.size),
+        },
+        "options": record["options"],
+        "versions": record["versions"],
+        "seed": record["options"]["seed"],
+    }
+    _write_json(run / METRICS, metrics)
+    return metrics
+
+
+def _write_report(avatar: Avatar, video: Video, run: Path, metrics: dict, title: str) -> None:
+    overlays = video.folder / OVERLAYS
+    write_report(
+        run / REPORT,
+        title=title,
+        metrics=metrics,
+        history=checkpoint.load_history(run),
+        avatar=avatar,
+        video=video,
+        overlays=[read_image(overlays, 3)] if overlays.exists() else [],
+        snapshots=checkpoint.load_snapshots(run),
+    )
+
+
+def _best_poses(subject: Path) -> Path:
+    refined = subject / REFINED
+    if refined.exists():
+        return refined
+    say(f"{subject}: no {REFINED}, the stage-1 poses are used as they are")
+    return subject / POSES
+
+
+def _lines(metrics: dict) -> Iterator[str]:
+    """The main figures, a line each."""
+    yield from _refinement_lines(metrics["refinement"])
+    for row in metrics["rows"]:
+        split = row["split"].replace("_", " ")
+        yield f"{split:<11} PSNR {row['psnr']:.2f} dB, SSIM {row['ssim']:.4f}"
+
+
+def _refinement_lines(figures: dict) -> Iterator[str]:
+    pairs = {"vertices": "vertex_mm", "hands": "hand_vertex_mm"}
+    for name, key in pairs.items():
+        if figures[key] is not None:
+            yield f"{name:<11} {figures[key + '_stage1']:.1f} → {figures[key]:.1f} mm"
+    if figures["iou"] is not None:
+        truth = figures["iou_truth"]
+        own = f" (true pose {truth:.3f})" if truth is not None else ""
+        yield f"silhouette  IoU {figures['iou_stage1']:.3f} → {figures['iou']:.3f}{own}"
+
+
+def _clear(out: Path, marker: str, overwrite: bool) -> None:
+    """Make room for an output folder, but never at the cost of anything that is not ours."""
+    if not out.exists() or (out.is_dir() and not any(out.iterdir())):
+        return
+    if not overwrite:
+        raise InputError(f"{out}: already holds something; give --overwrite to replace it")
+    if not (out / marker).exists():
+        raise InputError(
+            f"{out}: has no {marker}, so gva-mi did not make it and will not replace it"
+        )
+    shutil.rmtree(out)
+
+
+def _write_json(path: Path, value: dict) -> None:
+    unfinished = path.with_name(path.name + ".part")
+    unfinished.write_text(json.dumps(value, indent=2, default=str) + "\n")
+    unfinished.replace(path)

@@ -28,6 +28,7 @@ FLOORS = [
     ("gva_mi.avatar", 2),
     ("gva_mi.pose", 3),
     ("gva_mi.fit", 4),
+    ("gva_mi.console", 5),
     ("gva_mi.pipeline", 5),
     ("gva_mi.doctor", 5),
     ("gva_mi.__main__", 5),

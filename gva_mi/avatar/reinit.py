@@ -16,8 +16,8 @@ Where practice differs from the words of the paper:
   lets the wrap inside.
 * Laplacian smoothing shrinks, arms most. Taubin's filter is a Laplacian step and a slightly larger
   one back: smooth, and of the same volume.
-* A wrap that bridges holes would also bridge the gaps between fingers. Fingers are bare skin and the
-  body model's best part: there, points are drawn on the body's own surface.
+* A wrap that bridges holes would also bridge the gaps between fingers. Fingers are bare skin, which
+  the body model knows best: there, points are drawn on its own surface.
 * Random rotations would begin as a cloud of needles. Discs lie in the surface, turned randomly
   about the normal; their sizes are the spacing of the points times a random factor.
 """
@@ -197,8 +197,8 @@ def resample(surface: Surface, count: int, gain: float, rng: np.random.Generator
     barycentric = rng.dirichlet([1, 1, 1], len(chosen))[:, :, None]
     on_faces = lambda x: (x[f[chosen]] * barycentric).sum(1)
     points, tree = on_faces(v), cKDTree(on_faces(v))
-    # The densest packing has count · r^2 · sqrt(3) / 2 = area; random darts reach 3/4 of that r.
-    radius = 0.75 * np.sqrt(2 / 3**0.5 * mass.sum() / count / on_faces(density[:, None])[:, 0])
+    # The densest packing has count · r^2 · sqrt(3) / 2 = area; random darts reach 2/3 of that r.
+    radius = 0.665 * np.sqrt(2 / 3**0.5 * mass.sum() / count / on_faces(density[:, None])[:, 0])
     for _ in range(3):
         kept = _throw_darts(tree, points, radius)
         if abs(len(kept) / count - 1) < 0.02:

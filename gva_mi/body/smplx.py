@@ -75,7 +75,7 @@ class BodyModel(nn.Module):
         """From the arrays of a file, whose names and shapes :func:`load_body` has checked."""
         super().__init__()
         tensor = lambda array: torch.from_numpy(np.ascontiguousarray(array)).to(dtype)
-        directions = arrays["shapedirs"].reshape(-1, arrays["shapedirs"].shape[2]).T
+        directions = _rows(arrays["shapedirs"])
         betas, expressions = _columns(len(directions))
         self.register_buffer("v_template", tensor(arrays["v_template"]))
         self.register_buffer("faces", torch.from_numpy(arrays["f"].astype(np.int64)))
@@ -83,14 +83,12 @@ class BodyModel(nn.Module):
         self.register_buffer("shape_directions", tensor(directions[betas]))  # (B, 3 V)
         self.register_buffer("expression_directions", tensor(directions[expressions]))  # (E, 3 V)
         # Joints are linear in the coefficients too: regress the directions once, not the vertices of every frame.
-        regress = lambda x: np.einsum("jv,kvc->kjc", arrays["J_regressor"].astype(np.float64), x)
-        along = directions.astype(np.float64).reshape(len(directions), -1, 3)
-        self.register_buffer("j_template", tensor(regress(arrays["v_template"][None])[0]))
-        self.register_buffer("shape_joints", tensor(regress(along[betas]).reshape(-1, 165)))
-        self.register_buffer(
-            "expression_joints", tensor(regress(along[expressions]).reshape(-1, 165))
-        )
-        pose_directions = arrays["posedirs"].reshape(-1, arrays["posedirs"].shape[2]).T
+        regressor = arrays["J_regressor"].astype(np.float64)
+        joints = np.einsum("jv,vck->kjc", regressor, arrays["shapedirs"]).reshape(-1, 165)
+        self.register_buffer("j_template", tensor(regressor @ arrays["v_template"]))
+        self.register_buffer("shape_joints", tensor(joints[betas]))  # (B, 165)
+        self.register_buffer("expression_joints", tensor(joints[expressions]))  # (E, 165)
+        pose_directions = _rows(arrays["posedirs"])
         used = np.flatnonzero(pose_directions.any(1))  # only these cost time
         self.register_buffer("pose_features", torch.from_numpy(used))
         self.register_buffer("pose_directions", tensor(pose_directions[used]))  # (P, 3 V)
@@ -117,7 +115,7 @@ class BodyModel(nn.Module):
         if expression is not None:
             dv, dj = self._expressed(expression[None])
             vertices, joints = vertices + dv[0], joints + dj[0]
-        return Rest(vertices, joints)
+        return Rest(vertices.contiguous(), joints)
 
     def forward(self, pose: Pose, shape: Shape, offsets: Tensor | None = None) -> Posed:
         """The person in the world (eq. 1-4), differentiable in everything that is given.
@@ -153,14 +151,14 @@ class BodyModel(nn.Module):
     def _shaped(self, shape: Shape) -> tuple[Tensor, Tensor]:
         betas = _coefficients("betas", shape.betas[None], self.num_betas)
         k = betas.shape[1]
-        vertices = (betas @ self.shape_directions[:k]).view(-1, 3)
+        vertices = (betas @ self.shape_directions[:k]).view(3, -1).mT
         joints = (betas @ self.shape_joints[:k]).view(-1, 3)
         return self.v_template + vertices, self.j_template + joints
 
     def _expressed(self, expression: Tensor) -> tuple[Tensor, Tensor]:
         psi = _coefficients("expression", expression, self.num_expressions)
         k, frames = psi.shape[1], len(psi)
-        vertices = (psi @ self.expression_directions[:k]).view(frames, -1, 3)
+        vertices = (psi @ self.expression_directions[:k]).view(frames, 3, -1).mT
         joints = (psi @ self.expression_joints[:k]).view(frames, -1, 3)
         return vertices, joints
 
@@ -168,7 +166,7 @@ class BodyModel(nn.Module):
         R = roma.rotvec_to_rotmat(rotations[:, 1:])
         bent = (R - torch.eye(3, dtype=R.dtype)).flatten(1)
         # The features are distinct, so that this index has a gradient without collisions.
-        return (bent[:, self.pose_features] @ self.pose_directions).unflatten(1, (-1, 3))
+        return (bent[:, self.pose_features] @ self.pose_directions).unflatten(1, (3, -1)).mT
 
 
 def load_body(path: Path | None = None, dtype: torch.dtype = torch.float32) -> BodyModel:
@@ -264,6 +262,11 @@ def _check(path: Path, arrays: dict[str, np.ndarray]) -> None:
             f"{path}: '{key}' is not the tree of SMPL-X's 55 joints, in which the root comes first, then "
             "21 body joints, jaw, eyes, left hand, right hand"
         )
+
+
+def _rows(directions: np.ndarray) -> np.ndarray:
+    """Directions (V, 3, K), one in each row: all x, then all y, then all z, (K, 3 V)."""
+    return directions.transpose(2, 1, 0).reshape(directions.shape[2], -1)
 
 
 def _columns(count: int) -> tuple[slice, slice]:

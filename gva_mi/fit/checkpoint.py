@@ -5,8 +5,9 @@
     out/
       options.json         options and versions that made it
       checkpoint.pt        the last saved state, until the run is finished
-      history.npz          per step: loss and its terms, Gaussians, milliseconds
-      reinit/000900.npz    of each re-initialisation: positions before and after, and the mesh
+      history.npz          per step: loss and its terms, Gaussians, seconds
+      reinit/000900.npz    of each re-initialisation: the Gaussians before and after, the mesh
+      poses.npz            of all frames, where those of the training frames were trained too
       avatar.npz           the fitted avatar; it is there when the run is finished
 
 A file is written under another name and then renamed: after a kill it is the old one or the new one,
@@ -17,7 +18,7 @@ from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -25,10 +26,14 @@ from typing import Any
 import numpy as np
 import torch
 
+from gva_mi.avatar.canonical import CanonicalGaussians
+from gva_mi.avatar.reinit import Surface
 from gva_mi.errors import InputError
+from gva_mi.splat import Gaussians
 
 AVATAR, CHECKPOINT, HISTORY = "avatar.npz", "checkpoint.pt", "history.npz"
-OPTIONS, REINIT = "options.json", "reinit"
+OPTIONS, POSES, REINIT = "options.json", "poses.npz", "reinit"
+GAUSSIANS = ("means", "quats", "scales", "opacities", "sh")
 PACKAGES = ("gva_mi", "torch", "drjit", "numpy")  # whose versions may change the figures
 
 
@@ -96,6 +101,28 @@ def save_arrays(path: Path, **arrays: np.ndarray) -> None:
             np.savez(file, **arrays)
 
     _replace(path, write)
+
+
+def save_snapshot(
+    out: Path, step: int, before: CanonicalGaussians, after: CanonicalGaussians, surface: Surface
+) -> None:
+    """Write the Gaussians on both sides of a re-initialisation, and the surface between them."""
+    arrays = {"vertices": surface.vertices, "faces": surface.faces}
+    for side, gaussians in (("before", before), ("after", after)):
+        for name in GAUSSIANS:
+            arrays[f"{side}_{name}"] = getattr(gaussians, name).detach().numpy()
+    save_arrays(out / REINIT / f"{step:06d}.npz", **arrays)
+
+
+def load_snapshots(out: Path) -> Iterator[tuple[int, Gaussians, Gaussians]]:
+    """Step, Gaussians before, Gaussians after, of each re-initialisation, in the rest pose."""
+    for path in sorted((out / REINIT).glob("*.npz")):
+        with np.load(path, allow_pickle=False) as file:
+            before, after = (
+                Gaussians(**{n: torch.from_numpy(file[f"{side}_{n}"]) for n in GAUSSIANS})
+                for side in ("before", "after")
+            )
+        yield int(path.stem), before, after
 
 
 def load_history(out: Path) -> dict[str, np.ndarray]:

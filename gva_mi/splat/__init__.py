@@ -1,11 +1,11 @@
-"""3D Gaussian splatting on Dr.Jit's LLVM backend: forward and adjoint kernels, in float32 and float64; usable alone.
+"""3D Gaussian splatting on Dr.Jit's LLVM backend, forward and adjoint, in float32 and float64.
 
-* :mod:`gva_mi.splat.render` takes Dr.Jit arrays, :mod:`gva_mi.splat.torch_op` torch tensors; both have ``render``.
-* project.py (the ellipse in the picture), tiles.py (who touches which tile) and blend.py (compositing) are the kernels:
-  read them in this order.
-* reference.py is the slow twin, gradcheck.py compares the two.
+Usable alone. Read the kernels in this order: project.py (the ellipse in the picture), tiles.py (who
+touches which tile), blend.py (compositing), pipeline.py (one after the other). ``render`` comes
+twice: :mod:`gva_mi.splat.render` for Dr.Jit arrays, :mod:`gva_mi.splat.torch_op` for torch tensors.
+reference.py is the slow twin, and gradcheck.py compares the two.
 
-Importing this folder imports Dr.Jit and numpy at most; torch only with the modules that name it.
+Importing this folder imports Dr.Jit and numpy; torch comes with the modules that name it.
 """
 
 from gva_mi.splat.camera import Camera, look_at

@@ -1,29 +1,30 @@
 """Front-to-back compositing of the tiles' lists: forward and adjoint (paper, Eq. 3).
 
-Per pixel, with the Gaussians i of its tile's list in depth order, d_i = pixel centre - u_i, and L_i, lo_i of project.py:
+Per pixel, over the Gaussians i of its tile's list in depth order, with d_i = pixel centre - u_i and
+L_i, lo_i of project.py:
 
 (1)  w_i     = L_i d_i = (p d_x + q d_y, r d_y)
-(2)  alpha_i = min(alpha_max, 2^(lo_i - |w_i|^2)),  0 where below alpha_min
-(3)  T_0 = 1,  T_{i+1} = T_i (1 - alpha_i);  the pixel stops before T_{i+1} falls to transmittance_min
-(4)  y_k     = sum_i T_i alpha_i f_ik + T background_k,  T the last one;   alpha = 1 - T
+(2)  alpha_i = min(alpha_max, 2^(lo_i - |w_i|^2));  0 where that is below alpha_min
+(3)  T_0 = 1,  T_{i+1} = T_i (1 - alpha_i);  stop before T_{i+1} falls to transmittance_min
+(4)  y_k     = sum_i T_i alpha_i f_ik + T background_k,   alpha = 1 - T,   T the last one
 
-The paper's product in Eq. 3 includes i itself; it must not (T_i = prod_{j<i}). The features f are the colour's channels
-and, last, the depth (whose background is 0).
+The product of the paper's Eq. 3 includes i itself; it must not (T_i = prod_{j<i}). The features f
+are the channels of the colour and, last, the depth, whose background is 0.
 
 Adjoint, replayed front to back, from g_k = dL/dy_k and h = dL/dalpha:
 
-(5)  D_i   = sum_k y_k g_k - T h - sum_{j<=i} T_j alpha_j (f_j . g)       what lies behind i, as seen by the loss
-     v_i   = alpha_i (T_i (f_i . g) - D_i / (1 - alpha_i))                dL/dln alpha_i; 0 where clamped
-(6)  per pair (tile, Gaussian), over the tile's pixels:  m0 = sum v,  m1 = sum v w,  m2 = sum v w w^T,
-     grad_f_k = sum T alpha g_k
+(5)  D_i = sum_k y_k g_k - T h - sum_{j<=i} T_j alpha_j (f_j . g)     what lies behind i
+     v_i = alpha_i (T_i (f_i . g) - D_i / (1 - alpha_i))              dL/dln alpha_i; 0 if clamped
+(6)  m0 = sum v,  m1 = sum v w,  m2 = sum v w w^T,  grad_f_k = sum T alpha g_k
+     over the tile's pixels, for every pair (tile, Gaussian);  grad_background_k = sum T g_k
 
-The state per pixel is T and D alone. Every pair writes a slot of its own, and :func:`gva_mi.splat.render` sums a
-Gaussian's slots in a fixed order: no atomics, the same bits at every run and for any number of threads.
+T and D are the whole state of a pixel. Every pair writes a *slot* of its own, and ``sum_slots``
+adds a Gaussian's slots in a fixed order: no atomics, the same bits at every run and for any number
+of threads.
 
-One SIMD lane is one tile: its 32 pixels are unrolled in the trace, and every lane walks its own list, so no
-operation crosses lanes. A stopped pixel is marked by a negative T.
-
-Images are held in whole tiles, (4 rows, 8 columns) in row-major order, so that a row of a tile is one packet.
+One SIMD lane is one tile. Its 32 pixels are unrolled in the trace, and every lane walks its own
+list: no operation crosses lanes. A stopped pixel has a negative T. Pictures are planes padded to
+whole tiles, so that a row of a tile is one packet.
 """
 
 from __future__ import annotations
@@ -113,7 +114,7 @@ def _load(rows: packets.Packets, features: int, ids: Array, k: Array, end: Array
 
 
 def _whitened(g: _Gaussian, x: Array, y: Array) -> tuple[list[Array], list[Array], list[Array]]:
-    """Eq. 1 at the pixel centres: w_x per pixel, w_y per row, and the exponent of eq. 2 per pixel."""
+    """Eq. 1 at the pixel centres: w_x per pixel, w_y per row; the exponent of eq. 2 per pixel."""
     dx, dy = x - g.u, y - g.v
     px = [g.p * (dx + (i + 0.5)) for i in range(WIDTH)]
     qy = [g.q * (dy + (j + 0.5)) for j in range(HEIGHT)]
@@ -135,7 +136,9 @@ def blend(
     """Eq. 1-4, lane per tile.
 
     Args:
-        rows: projected Gaussians. lists: the tiles' lists. grid: the picture.
+        rows: projected Gaussians.
+        lists: the tiles' lists.
+        grid: the picture.
         background: one array of size one per colour channel.
         options: cut-offs.
         planes: memory for the picture.
@@ -209,7 +212,7 @@ def blend_adjoint(
     slots: packets.Packets,
     grad_background: Array,
 ) -> tuple[packets.Packets, Array]:
-    """Eq. 5-6, lane per tile: one slot per pair, and each lane's share of the background's gradient.
+    """Eq. 5-6, lane per tile: one slot per pair, and each lane's share of grad_background.
 
     Args:
         rows, lists, grid, options, planes, stop: as :func:`blend` took and returned them.

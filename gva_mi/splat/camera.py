@@ -4,7 +4,8 @@
 * Camera: OpenCV axes, x right, y down, z forward. ``x_cam = T_camera_world · x_world``.
 * Pixel (column i, row j) covers [i, i+1) x [j, j+1); its centre lies at (i + 0.5, j + 0.5).
 * Pinhole: ``u = fx · x/z + cx``, ``v = fy · y/z + cy``.
-* Transforms are named target first: ``T_camera_world`` takes world to camera, so that chains cancel by eye.
+* Transforms are named target first: ``T_camera_world`` takes world to camera, so that chains
+  cancel by eye.
 """
 
 from __future__ import annotations
@@ -85,7 +86,7 @@ class Camera:
         return replace(self, cx=self.cx - left, cy=self.cy - top, width=width, height=height)
 
     def project(self, points: np.ndarray) -> np.ndarray:
-        """World points (..., 3) to pixels (..., 2); a point behind the camera gives no useful answer."""
+        """World points (..., 3) to pixels (..., 2); of no use for a point behind the camera."""
         x = points @ self.T_camera_world[:3, :3].T + self.T_camera_world[:3, 3]
         u = self.fx * x[..., 0] / x[..., 2] + self.cx
         v = self.fy * x[..., 1] / x[..., 2] + self.cy
@@ -93,7 +94,7 @@ class Camera:
 
 
 def look_at(eye: np.ndarray, target: np.ndarray, up: np.ndarray = (0.0, 1.0, 0.0)) -> np.ndarray:
-    """``T_camera_world`` (4, 4) of a camera at ``eye`` that sees ``target`` in its middle, ``up`` upwards."""
+    """``T_camera_world`` (4, 4) of a camera at ``eye`` that looks at ``target``, ``up`` upwards."""
     eye, target, up = (np.asarray(x, dtype=np.float64) for x in (eye, target, up))
     forward = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(forward, up)

@@ -1,8 +1,8 @@
 """The records of splatting: what goes in, and what comes out.
 
-Both hold arrays of any one kind (Dr.Jit, torch, numpy): the kernels take Dr.Jit arrays, ``torch_op`` takes
-torch tensors. Quaternions are wxyz and need not be normalised; scales are metres, not logarithms; opacities lie
-in [0, 1], not logits; colours are linear.
+Both hold arrays of any one kind (Dr.Jit, torch, numpy): the kernels take Dr.Jit arrays,
+``torch_op`` takes torch tensors. Quaternions are wxyz and need not be normalised; scales are
+metres, not logarithms; opacities lie in [0, 1], not logits; colours are linear.
 """
 
 from __future__ import annotations
@@ -10,32 +10,78 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+MAX_DEGREE = 4  # of the spherical harmonics
+
 
 @dataclass(frozen=True)
 class Gaussians:
-    """N anisotropic 3D Gaussians with a colour each, plain or in spherical harmonics (one of the two)."""
+    """N anisotropic 3D Gaussians with a colour each: plain, or in spherical harmonics."""
 
     means: Any  # (N, 3) metres, world
     quats: Any  # (N, 4) wxyz, normalised inside
     scales: Any  # (N, 3) metres, standard deviations along the axes of quats
     opacities: Any  # (N,) in [0, 1]
-    colors: Any = None  # (N, 3)
+    colors: Any = None  # (N, D), any number of channels
     sh: Any = None  # (N, K, 3) coefficients, K = (degree + 1)^2; colour = max(0, sum + 0.5)
 
     def __post_init__(self) -> None:
         if (self.colors is None) == (self.sh is None):
-            raise ValueError("Gaussians: give either colors (N, 3) or sh (N, K, 3)")
+            raise ValueError("Gaussians: give either colors (N, D) or sh (N, K, 3)")
 
     def __len__(self) -> int:
         return int(self.means.shape[0])
+
+    @property
+    def channels(self) -> int:
+        """D, the channels of the colour."""
+        return 3 if self.colors is None else int(self.colors.shape[1])
+
+    def arrays(self) -> dict[str, Any]:
+        """The five arrays that are set, by name."""
+        named = {name: getattr(self, name) for name in ("means", "quats", "scales", "opacities")}
+        return named | ({"sh": self.sh} if self.colors is None else {"colors": self.colors})
+
+    def check_shapes(self) -> None:
+        """Whether the arrays fit each other.
+
+        Raises:
+            ValueError: naming the first that does not.
+        """
+        shapes = {name: tuple(array.shape) for name, array in self.arrays().items()}
+        n = shapes["means"][0] if shapes["means"] else 0
+        expected = {"means": (n, 3), "quats": (n, 4), "scales": (n, 3), "opacities": (n,)}
+        for name, shape in expected.items():
+            if shapes[name] != shape:
+                form = "(N,)" if len(shape) == 1 else f"(N, {shape[1]})"
+                found = f"{shapes[name]} where N is {n}"
+                raise ValueError(f"Gaussians: {name} must be {form}, got {found}")
+        if "colors" in shapes:
+            shape = shapes["colors"]
+            if len(shape) != 2 or shape[0] != n or shape[1] < 1:
+                raise ValueError(f"Gaussians: colors must be (N, D), got {shape} where N is {n}")
+            return
+        shape = shapes["sh"]
+        if len(shape) != 3 or shape[0] != n or shape[2] != 3:
+            raise ValueError(f"Gaussians: sh must be (N, K, 3), got {shape} where N is {n}")
+        degree_of(shape[1])
 
 
 @dataclass(frozen=True)
 class Image:
     """What a render returns; all three are differentiable."""
 
-    color: Any  # (H, W, 3), background blended in
+    color: Any  # (H, W, D), background blended in
     alpha: Any  # (H, W) in [0, 1]
-    depth: (
-        Any  # (H, W) metres along the camera's z, accumulated like a colour: sum of T_i alpha_i z_i
-    )
+    depth: Any  # (H, W) m along the camera's z, accumulated like a colour: sum of T_i alpha_i z_i
+
+
+def degree_of(coefficients: int) -> int:
+    """The degree whose basis has that many functions.
+
+    Raises:
+        ValueError: where there is none up to :data:`MAX_DEGREE`.
+    """
+    for degree in range(MAX_DEGREE + 1):
+        if (degree + 1) ** 2 == coefficients:
+            return degree
+    raise ValueError(f"Gaussians: sh must hold 1, 4, 9, 16 or 25 coefficients, got {coefficients}")

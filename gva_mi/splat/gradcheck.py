@@ -1,13 +1,15 @@
 """Whether a renderer's gradients are right: four independent answers side by side.
 
-For a scalar loss L = <w, image>, with random weights w on colour, alpha and depth, the gradient by every input is taken
+For a scalar loss L = <w, image>, with random weights w on colour, alpha and depth, the gradient by
+every input is taken
 
 * by the renderer's adjoint in float32 and in float64,
 * by autograd through the slow twin (reference.py), in float64: what the others are compared with,
 * by central differences of the renderer in float64, at a handful of entries.
 
-The image has steps where a pixel's alpha or transmittance crosses a cut-off. Pixels in a narrow band around them
-have no weight in the loss, and are counted: there the last digit decides, and no gradient exists.
+The image has steps where a pixel's alpha or transmittance crosses a cut-off. Pixels in a narrow
+band around them have no weight in the loss, and are counted: there the last digit decides, and no
+gradient exists.
 
     report = gradcheck(render, random_scene(torch.Generator().manual_seed(0)))
     assert report.passed, report.table()
@@ -102,15 +104,16 @@ class Report:
 
     def table(self) -> str:
         """For a person to read."""
-        head = f"{'method':12} {'of':11} {'error':>9} {'allowed':>9} {'1 - cosine':>11} {'worst':>9}  at"
-        lines = [head]
+        titles = ("error", "allowed", "1 - cosine", "worst")
+        lines = [f"{'method':12} {'of':11}" + "".join(f" {title:>10}" for title in titles) + "  at"]
         for r in self.rows:
-            lines.append(
-                f"{r.method:12} {r.name:11} {r.error:9.1e} {r.tolerance:9.1e} {1 - r.cosine:11.1e} "
-                f"{r.worst:9.1e}  {list(r.where)}{'' if r.passed else '  <- fails'}"
-            )
+            numbers = (r.error, r.tolerance, 1 - r.cosine, r.worst)
+            line = f"{r.method:12} {r.name:11}" + "".join(f" {number:10.1e}" for number in numbers)
+            lines.append(f"{line}  {list(r.where)}{'' if r.passed else '  <- fails'}")
         verdict = "all pass" if self.passed else "FAILS"
-        lines.append(f"{self.band} of {self.pixels} pixels lie at a cut-off and were left out; {verdict}")
+        lines.append(
+            f"{self.band} of {self.pixels} pixels lie at a cut-off and were left out; {verdict}"
+        )
         return "\n".join(lines)
 
 
@@ -157,7 +160,11 @@ def gradcheck(
         for name, g in gradients.items():
             rows.append(_compare(label, name, g.double(), gradient[name], gradient_error))
     for name in scene.inputs():
-        rows.append(_differences(fn, scene, weights, name, gradient[name], entries, step, generator, allowed))
+        rows.append(
+            _differences(
+                fn, scene, weights, name, gradient[name], entries, step, generator, allowed
+            )
+        )
     return Report(tuple(rows), band.numel(), int(band.sum()))
 
 
@@ -233,13 +240,14 @@ def random_scene(
 
     Args:
         generator: of all random numbers.
-        gaussians: how many. width, height: of the picture.
+        gaussians: how many.
+        width, height: of the picture.
         degree: of the spherical harmonics; None gives plain colours.
         channels: of the plain colours.
     """
     n = gaussians
-    uniform = lambda low, high, *shape: low + (high - low) * torch.rand(
-        *shape, generator=generator, dtype=torch.float64
+    uniform = lambda low, high, *shape: (
+        low + (high - low) * torch.rand(*shape, generator=generator, dtype=torch.float64)
     )
     normal = lambda *shape: torch.randn(*shape, generator=generator, dtype=torch.float64)
     kwargs = {"colors": uniform(0, 1, n, channels)}
@@ -254,5 +262,7 @@ def random_scene(
     )
     T_camera_world = look_at((0.6, 0.4, 2.9), (0.0, 0.0, 0.0))
     focal = 1.7 * max(width, height)
-    camera = Camera(focal, 1.05 * focal, width / 2 + 0.7, height / 2 - 0.4, T_camera_world, width, height)
+    camera = Camera(
+        focal, 1.05 * focal, width / 2 + 0.7, height / 2 - 0.4, T_camera_world, width, height
+    )
     return Scene(values, camera, uniform(0, 1, channels))

@@ -18,8 +18,7 @@ class SplatOptions:
 
     def __post_init__(self) -> None:
         if not 0 < self.alpha_min < self.alpha_max < 1:
-            raise ValueError(
-                f"SplatOptions: 0 < alpha_min < alpha_max < 1 is needed, got {self.alpha_min}, {self.alpha_max}"
-            )
+            found = f"{self.alpha_min}, {self.alpha_max}"
+            raise ValueError(f"SplatOptions: 0 < alpha_min < alpha_max < 1 is needed, got {found}")
         if not 0 < self.near < self.far:
             raise ValueError(f"SplatOptions: 0 < near < far is needed, got {self.near}, {self.far}")

@@ -1,9 +1,10 @@
 """Rows of floats in memory, columns of floats in a kernel.
 
-Dr.Jit reads and writes a row of 2, 4 or 8 neighbouring floats per lane in one go (a *packet*), several times faster
-than as many single floats. So a record of the kernels, such as the nine floats of a projected Gaussian, is kept as a
-few flat arrays whose row widths are powers of two: 9 = 8 + 1, 10 = 8 + 2. This module holds that arithmetic; the
-kernels name their columns. The precision is that of the columns given: ``drjit.llvm.Float`` or ``Float64``.
+Dr.Jit reads and writes a row of 2, 4 or 8 neighbouring floats per lane in one go (a *packet*),
+several times faster than as many single floats. So a record of the kernels, such as the ten floats
+of a projected Gaussian, is kept as a few flat arrays whose row widths are powers of two: 10 is
+8 + 2. This module holds that arithmetic; the kernels name their columns. The precision is that of
+the arrays given: ``drjit.llvm.Float`` or ``Float64``.
 """
 
 from __future__ import annotations

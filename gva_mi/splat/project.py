@@ -1,24 +1,25 @@
-"""From a 3D Gaussian to its ellipse in the picture: EWA projection, forward and adjoint (paper, Eq. 1-2).
+"""A 3D Gaussian's ellipse in the picture: EWA projection, forward and adjoint (paper, Eq. 1-2).
 
-(1)  x   = R m + t                                   mean in camera space, z = x_2 its depth
+(1)  x   = R m + t                                   mean in camera space, depth z = x_2
 (2)  u   = (fx x_0/z + cx, fy x_1/z + cy)            mean in the picture
 (3)  J   = [[fx/z, 0, -fx a/z], [0, fy/z, -fy b/z]]  derivative of eq. 2 by x
-(4)  V   = B M S,  B = J R                           M the rotation of the quaternion, S = diag(scales)
+(4)  V   = B M S,  B = J R                           M the quaternion's rotation, S = diag(scales)
 (5)  C   = V V^T + blur I                            covariance in the picture
 (6)  L   = [[p, q], [0, r]],  L^T L = C^-1 / (2 ln 2)
 (7)  alpha(d) = o exp(-d^T C^-1 d / 2) = 2^(lo - |L d|^2),  lo = log2(o),  d = pixel centre - u
 
-The upper triangular factor of eq. 6 is what the compositing kernel evaluates: one square less to cancel than the
-polynomial in d, so that a needle of 100 pixels keeps its float32 digits, and the base-2 exponent saves a product.
-``a`` and ``b`` are x_0/z and x_1/z clamped to the picture plus 15 % of its size on each side, as gsplat does it: the
-linearisation of a Gaussian far outside the picture is of no use and unbounded.
+The factor of eq. 6 is what the compositing evaluates: it has one square less to cancel than the
+polynomial in d, so that a needle of 100 pixels keeps its float32 digits. Base 2 saves a product.
+
+``a`` and ``b`` are x_0/z and x_1/z, clamped to the picture and 15 % of its size on each side, as in
+gsplat: the linearisation of a Gaussian far outside the picture is unbounded, and of no use.
 
 | paper | code | shape | unit |
 |---|---|---|---|
 | mu | ``means`` m | (N, 3) | m, world |
 | q, s | ``quats``, ``scales`` | (N, 4), (N, 3) | wxyz; m |
 | alpha_i | ``opacities`` o | (N,) | |
-| W = [R, t] | ``T_camera_world`` | (4, 4) | |
+| W | ``T_camera_world`` = [R, t] | (4, 4) | |
 | mu' | ``u`` | (N, 2) | px |
 | Sigma' | ``C`` = [[c_xx, c_xy], [c_xy, c_yy]] | (N, 2, 2) | px^2 |
 """
@@ -37,7 +38,7 @@ from gva_mi.splat.camera import Camera
 from gva_mi.splat.options import SplatOptions
 
 LN2 = math.log(2.0)
-MARGIN = 0.15  # of the picture's size, on each side, where J still follows the mean (gsplat: 0.3 tan(fov/2))
+MARGIN = 0.15  # of the picture's size, on each side, where eq. 3 still follows the mean
 
 GEOMETRY = 6  # columns of a projected Gaussian before its features: u_0, u_1, p, q, r, lo
 MOMENTS = 6  # columns of an adjoint slot before the features: see blend.py, eq. 6
@@ -45,7 +46,7 @@ MOMENTS = 6  # columns of an adjoint slot before the features: see blend.py, eq.
 
 @dataclass(frozen=True)
 class View:
-    """A camera as the kernels see it: arrays of size one, so that another pose is not another kernel."""
+    """A camera as the kernels see it: arrays, so that a pose is not a constant."""
 
     R: list[Array]  # 9, row by row
     t: list[Array]  # 3
@@ -107,7 +108,7 @@ def _dot(a: list[Array], b: list[Array]) -> Array:
 def _ellipse(
     m: list[Array], quat: list[Array], s: list[Array], view: View, options: SplatOptions
 ) -> _Ellipse:
-    """Eq. 1-5. Behind the near plane z is replaced by 1: such a Gaussian is dropped, and stays finite."""
+    """Eq. 1-5. A Gaussian before the near plane is not drawn; z = 1 keeps it finite."""
     R, f = view.R, view.f
     x = [_dot(R[3 * i : 3 * i + 3], m) + view.t[i] for i in range(3)]
     rz = 1 / dr.select(x[2] > options.near, x[2], 1)
@@ -187,11 +188,12 @@ def project(
         inputs: the Gaussians.
         width: columns of ``inputs.colors``: D, or 3 K where ``harmonics``.
         harmonics: whether the colours are coefficients.
-        view: the camera. options: cut-offs.
+        view: the camera.
+        options: cut-offs.
 
     Returns:
-        The GEOMETRY columns with the features behind them (colour, then depth); the ellipses; 3 standard deviations along
-        the longer axis, px; and False for the Gaussians with an input that is NaN or infinite.
+        The GEOMETRY columns and behind them the features, colour then depth; the ellipses; three
+        standard deviations along the longer axis, px; whether all inputs are finite.
     """
     F = type(inputs.means)
     g = _columns(inputs, width, dr.arange(dr.uint32_array_t(F), dr.width(inputs.opacities)))
@@ -235,9 +237,11 @@ def project_adjoint(
 
     Args:
         inputs, width, harmonics, view, options: as :func:`project` took them.
-        moments: MOMENTS columns and the gradients of the colour's channels; one more, last, that of the depth, if any.
+        moments: blend.py, eq. 6: MOMENTS columns, the gradients of the colour's channels and, if
+            the loss looks at it, that of the depth.
         drawn: False where a Gaussian has no pairs, and so no gradient.
-        target: memory for the gradients. grad_u: memory for the gradient in the picture, 2 N.
+        target: memory for the gradients.
+        grad_u: memory for the gradient of the means in the picture, 2 N.
     """
     F = type(inputs.means)
     U = dr.uint32_array_t(F)

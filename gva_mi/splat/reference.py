@@ -1,10 +1,12 @@
-"""The slow twin: the same picture in dense float64 torch, one Gaussian after the other, gradients by autograd alone.
+"""The slow twin: the same picture in dense float64 torch, gradients by autograd alone.
 
-It shares no code with the kernels, only the constants and the records, and is written to be obviously right: every
-Gaussian meets every pixel, nothing is tiled, pre-scaled or re-ordered beyond the sort by depth. Use it to check the
-kernels (:mod:`gva_mi.splat.gradcheck`), on pictures of some thousand pixels.
+It shares no code with the kernels, only the constants and the records, and is written to be
+obviously right: every Gaussian meets every pixel, one after the other; nothing is tiled or
+pre-scaled. Use it to check the kernels (:mod:`gva_mi.splat.gradcheck`), on small pictures.
 
-One Gaussian: Sigma = M S S M^T, Sigma' = J R Sigma R^T J^T + blur I, alpha = min(alpha_max, o exp(-d^T Sigma'^-1 d / 2)).
+    Sigma = M S S M^T,   Sigma' = J R Sigma R^T J^T + blur I
+    alpha = min(alpha_max, o exp(-d^T Sigma'^-1 d / 2))
+    color = sum_i T_i alpha_i c_i + T background
 """
 
 from __future__ import annotations
@@ -27,7 +29,9 @@ def render(
 
     Args:
         gaussians: torch tensors of any precision; computed in float64, differentiable.
-        camera: the view. options: cut-offs. background: (D,), black where None.
+        camera: the view.
+        options: cut-offs.
+        background: (D,), black where None.
     """
     return _render(gaussians, camera, options or SplatOptions(), background)[0]
 
@@ -42,8 +46,11 @@ def threshold_band(
     """Pixels whose picture may change by a step when the last digits do, (H, W) bool.
 
     Args:
-        gaussians: torch tensors. camera: the view. options: cut-offs.
-        alpha: relative distance of some Gaussian's alpha to ``alpha_min`` or ``alpha_max``, below which a pixel counts.
+        gaussians: torch tensors.
+        camera: the view.
+        options: cut-offs.
+        alpha: a pixel counts where a Gaussian's alpha is relatively nearer to ``alpha_min`` or
+            ``alpha_max`` than this.
         transmittance: the same for T and ``transmittance_min``.
     """
     with torch.no_grad():
@@ -116,7 +123,7 @@ def _render(
 def _project(
     x: Tensor, quat: Tensor, scale: Tensor, R: Tensor, camera: Camera, options: SplatOptions
 ) -> tuple[Tensor, Tensor]:
-    """Mean (2,) and covariance (2, 2) of one Gaussian in the picture; ``x`` is its mean in camera space."""
+    """One Gaussian's mean (2,) and covariance (2, 2) in the picture; ``x``: camera space."""
     f = torch.tensor([camera.fx, camera.fy], dtype=torch.float64)
     c = torch.tensor([camera.cx, camera.cy], dtype=torch.float64)
     size = torch.tensor([camera.width, camera.height], dtype=torch.float64)
@@ -154,9 +161,10 @@ def rotation(quat: Tensor) -> Tensor:
 
 
 def harmonics(directions: Tensor, count: int) -> Tensor:
-    """The first ``count`` real spherical harmonics at unit vectors (N, 3), in 3DGS' order and sign; (N, count).
+    """The first ``count`` real spherical harmonics at unit vectors (N, 3), as (N, count).
 
-    By the recurrences of associated Legendre functions: nothing in common with the kernels' polynomials.
+    In the order and sign of 3DGS. By the recurrences of the associated Legendre functions, which
+    have nothing in common with the kernels' polynomials.
     """
     x, y, z = directions.unbind(1)
     out = []

@@ -1,11 +1,11 @@
 """Colour by spherical harmonics: what a Gaussian looks like from one direction.
 
-(1)  d   = (m - o) / |m - o|                  unit direction from the camera's position o to the mean m
+(1)  d   = (m - o) / |m - o|                  from the camera's position o to the mean m
 (2)  b_i = real spherical harmonics of d, i < K = (degree + 1)^2, in the sign and order of 3DGS
 (3)  c   = max(0, sum_i b_i h_i + 1/2)        per channel, h_i the coefficients
 
-Below, ``d = (x, y, z)``. The basis functions are written as homogeneous polynomials where that is shorter: any
-extension off the unit sphere does, since eq. 1 projects the radial part of the derivative away.
+Below, ``d = (x, y, z)``. The basis functions are written as homogeneous polynomials: any extension
+off the unit sphere does, since eq. 1 projects the radial part of the derivative away.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from __future__ import annotations
 import drjit as dr
 from drjit import ArrayBase as Array
 
-MAX_DEGREE = 4
+from gva_mi.splat.gaussians import degree_of
 
 C0 = 0.28209479177387814
 C1 = 0.4886025119029199
@@ -34,18 +34,6 @@ C4 = (
     0.47308734787878004,
     0.6258357354491761,
 )
-
-
-def degree_of(coefficients: int) -> int:
-    """The degree whose basis has that many functions.
-
-    Raises:
-        ValueError: where there is none up to :data:`MAX_DEGREE`.
-    """
-    for degree in range(MAX_DEGREE + 1):
-        if (degree + 1) ** 2 == coefficients:
-            return degree
-    raise ValueError(f"render(): sh must hold 1, 4, 9, 16 or 25 coefficients, got {coefficients}")
 
 
 def basis(degree: int, x: Array, y: Array, z: Array) -> list[Array]:
@@ -83,7 +71,7 @@ def basis(degree: int, x: Array, y: Array, z: Array) -> list[Array]:
 
 
 def basis_adjoint(degree: int, x: Array, y: Array, z: Array, g: list[Array]) -> list[Array]:
-    """Eq. 2 reversed: sum_i g_i db_i/dd as [x, y, z], from ``g`` of the K values; the lines pair with basis."""
+    """Eq. 2 reversed: sum_i g_i db_i/dd as [x, y, z], from the gradients ``g`` of the K values."""
     gx, gy, gz = x * 0, x * 0, x * 0
     if degree >= 1:
         gx, gy, gz = -C1 * g[3], -C1 * g[1], C1 * g[2]

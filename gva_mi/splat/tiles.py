@@ -2,16 +2,17 @@
 
 A tile is ``WIDTH x HEIGHT`` pixels, the work of one SIMD lane. The steps:
 
-1. count the tiles that each Gaussian's ellipse alpha >= alpha_min (project.py, eq. 7) touches: exactly, row of tiles by row;
-2. sort the Gaussians by depth (stable: ties keep their order) and sum the counts up: where each one's pairs start;
+1. count the tiles that each Gaussian's ellipse alpha >= alpha_min (project.py, eq. 7) touches,
+   exactly, one row of tiles after the other;
+2. sort the Gaussians by depth, stably, and sum the counts up: where the pairs of each start;
 3. emit one (tile, Gaussian) pair per touched tile, in depth order;
-4. sort the pairs by tile, stably, so that every tile's list is in depth order; note where it starts and ends;
-5. schedule: tiles with lists of like length share a SIMD packet, and packets are dealt round-robin over the
-   blocks that threads work on, or one thread would get all the long lists.
+4. sort the pairs by tile, stably, so that every tile's list is in depth order;
+5. schedule: tiles with lists of like length share a SIMD packet, and packets are dealt round-robin
+   over the blocks that threads work on, or one thread would get all the long lists.
 
-The number of pairs M is another one at every pose. Pair buffers therefore have a *capacity*, M rounded up to one of
-four sizes per octave: the frozen kernels meet few sizes, and the memory does not fragment. Buffers are padded with
-pairs of the last tile, which the stable sort leaves behind that tile's own.
+The number of pairs M is another one at every pose. Pair buffers therefore have a *capacity*, M
+rounded up to one of four sizes per octave: the memory is that of the largest picture so far, and
+does not fragment. The padding belongs to the last tile, and the stable sort leaves it behind.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ NoConflicts = dr.ReduceMode.NoConflicts
 
 @dataclass(frozen=True)
 class Grid:
-    """The picture in tiles, as the kernels see it: arrays of size one, so that another size is not another kernel."""
+    """The picture in tiles, as the kernels see it: arrays, so that a size is not a constant."""
 
     width: Array  # px
     height: Array  # px
@@ -87,7 +88,7 @@ class Lists:
     tile: Array  # (lanes,) tile of each lane of the compositing kernel
     start: Array  # (lanes,) its list in ids: first
     end: Array  # (lanes,) and one past the last
-    real: Array  # (lanes,) False for the lanes that fill up the last packets: tile 0, an empty list, nothing to write
+    real: Array  # (lanes,) False for those that only fill up packets: an empty list, tile 0
 
 
 def capacity(pairs: int) -> int:
@@ -172,7 +173,7 @@ def _ranges(
     end: Array,
     slots: Array,
 ) -> tuple[Array, ...]:
-    """Step 4, after the sort: lists, where they start and end, and the inverse of the permutation."""
+    """Step 4, after the sort: the lists, their ranges, and the inverse of the permutation."""
     U = type(tile)
     k = dr.arange(U, dr.width(permutation))
     ids, here = dr.gather(U, emitted, permutation), dr.gather(U, tile, permutation)
@@ -230,8 +231,8 @@ def make_lists(
         return None
     if pairs > MAX_PAIRS:
         raise ValueError(
-            f"render(): {n} Gaussians touch {pairs} tiles, more than the {MAX_PAIRS} that 32-bit indices hold; "
-            f"make the picture or the Gaussians smaller"
+            f"render(): {n} Gaussians touch {pairs} tiles together, more than the {MAX_PAIRS} that "
+            f"32-bit indices hold: make the picture or the Gaussians smaller"
         )
     size, tiles = capacity(pairs), layout.tiles
     tile, ids = dr.full(U, tiles - 1, size), dr.zeros(U, size)

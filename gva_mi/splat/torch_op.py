@@ -1,15 +1,15 @@
 """``render`` on torch tensors: one autograd.Function around the kernels, without copies.
 
-Torch and Dr.Jit share the memory of the Gaussians, of the picture and of the gradients. The precision is that of the
-tensors: float64 Gaussians run the same kernels in float64. All three images are differentiable by every tensor of the
-Gaussians and by the background.
+Torch and Dr.Jit share the memory of the Gaussians, the picture and the gradients. The precision is
+that of the tensors: float64 Gaussians run the same kernels in float64. All three images are
+differentiable by every tensor of the Gaussians and by the background.
 
-What densification needs to know of a picture is written to a :class:`Screen`, when one is given:
+What densification needs to know of a picture is written to a :class:`Screen`, where one is given:
 
     screen = Screen()
     image = render(gaussians, camera, screen=screen)
     loss(image).backward()
-    moved = screen.grad.norm(dim=1)  # pixels^-1 of loss; screen.visible tells where it counts
+    moved = screen.grad.norm(dim=1)  # loss per pixel of motion; 0 where not screen.visible
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from gva_mi.splat.blend import Planes
 from gva_mi.splat.camera import Camera
 from gva_mi.splat.gaussians import Gaussians, Image
 from gva_mi.splat.options import SplatOptions
+from gva_mi.splat.pipeline import Saved, render_adjoint, render_forward
 from gva_mi.splat.project import GEOMETRY, Inputs
-from gva_mi.splat.render import Saved, check_shapes, render_adjoint, render_forward
 
 _PRECISION = {torch.float32: Float, torch.float64: Float64}
 _DEFAULTS = SplatOptions()
@@ -38,12 +38,10 @@ _DEFAULTS = SplatOptions()
 
 @dataclass
 class Screen:
-    """The Gaussians as one picture saw them; filled in by ``render``, ``grad`` by each backward pass through it."""
+    """The Gaussians as one picture saw them: filled by ``render``, ``grad`` by ``backward``."""
 
     means2d: Tensor | None = None  # (N, 2) px; of use where visible
-    radii: Tensor | None = (
-        None  # (N,) px, 3 standard deviations along the longer axis; 0 where not drawn
-    )
+    radii: Tensor | None = None  # (N,) px, 3 sigma of the longer axis; 0 where not drawn
     grad: Tensor | None = None  # (N, 2) dL/dmeans2d, per px; 0 where not drawn
 
     @property
@@ -62,7 +60,8 @@ def render(
     """The picture of ``gaussians`` from ``camera``.
 
     Args:
-        gaussians: contiguous CPU tensors of one dtype, float32 or float64; see :class:`Gaussians` for shapes and units.
+        gaussians: CPU tensors of one dtype, float32 or float64; contiguous ones are not copied.
+            Shapes and units: :class:`Gaussians`.
         camera: the view; any size of picture.
         options: cut-offs.
         background: (D,) colour behind the Gaussians; None is black, as in gsplat.
@@ -75,16 +74,14 @@ def render(
         ValueError: for wrong shapes, dtypes or devices, NaN or infinite numbers.
 
     Note:
-        The order by depth and the set of pixels a Gaussian reaches are not differentiated: the image is smooth
-        but for steps of ``options.alpha_min`` and ``options.transmittance_min``.
+        The order by depth and the set of pixels a Gaussian reaches are not differentiated: the
+        image is smooth but for steps of ``options.alpha_min`` and ``options.transmittance_min``.
     """
-    D = _check(gaussians, background)
+    _check(gaussians, background)
     if background is None:
-        background = torch.zeros(D, dtype=gaussians.means.dtype)
-    g = gaussians
-    harmonics = g.colors is None
-    colors = g.sh if harmonics else g.colors
-    tensors = (g.means, g.quats, g.scales, g.opacities, colors, background)
+        background = gaussians.means.new_zeros(gaussians.channels)
+    harmonics = gaussians.sh is not None
+    tensors = (*gaussians.arrays().values(), background)
     return Image(*_Render.apply(*tensors, harmonics, camera, options, screen))
 
 
@@ -110,18 +107,21 @@ class _Render(torch.autograd.Function):
         dr.sync_thread()  # torch reads the memory next
         if screen is not None:
             _fill(screen, saved, means)
-        ctx.saved, ctx.screen, ctx.background = saved, screen, background.dtype
-        ctx.shapes = [part.shape for part in parts]
-        ctx.set_materialize_grads(False)
         planes = saved.planes
-        return (
+        images = (
             _to_torch(planes.color, saved, saved.channels),
             _to_torch(planes.alpha, saved),
             _to_torch(planes.depth, saved),
         )
+        ctx.saved, ctx.screen = saved, screen
+        ctx.save_for_backward(*parts, background, *images)
+        ctx.set_materialize_grads(False)
+        return images
 
     @staticmethod
     def backward(ctx: FunctionCtx, *grads: Tensor | None) -> tuple[Tensor | None, ...]:
+        # the kernels hold the same memory: this raises where it was overwritten in the meantime
+        *tensors, background, _, _, _ = ctx.saved_tensors
         saved: Saved = ctx.saved
         color, alpha, depth = grads
         grad = Planes(
@@ -134,8 +134,8 @@ class _Render(torch.autograd.Function):
         if ctx.screen is not None:
             ctx.screen.grad = grad_u.torch().view(-1, 2)
         parts = (inputs.means, inputs.quats, inputs.scales, inputs.opacities, inputs.colors)
-        out = [part.torch().view(shape) for part, shape in zip(parts, ctx.shapes, strict=True)]
-        return *out, torch.tensor(by_background, dtype=ctx.background), None, None, None, None
+        out = [part.torch().view(t.shape) for part, t in zip(parts, tensors, strict=True)]
+        return *out, background.new_tensor(by_background), None, None, None, None
 
 
 def _to_drjit(tensor: Tensor, F: type) -> Array:
@@ -174,23 +174,19 @@ def _fill(screen: Screen, saved: Saved, means: Tensor) -> None:
     screen.radii = saved.projected.radii.torch()
 
 
-def _check(g: Gaussians, background: Tensor | None) -> int:
-    """Types and shapes at the door; returns the number of channels."""
-    named = {"means": g.means, "quats": g.quats, "scales": g.scales, "opacities": g.opacities}
-    named |= {"sh": g.sh} if g.colors is None else {"colors": g.colors}
-    for name, tensor in named.items():
+def _check(gaussians: Gaussians, background: Tensor | None) -> None:
+    dtype = getattr(gaussians.means, "dtype", None)
+    for name, tensor in gaussians.arrays().items():
         if not isinstance(tensor, Tensor):
-            raise ValueError(
-                f"render(): {name} must be a torch tensor, got {type(tensor).__name__}"
-            )
+            found = type(tensor).__name__
+            raise ValueError(f"render(): {name} must be a torch tensor, got {found}")
         if tensor.device.type != "cpu" or tensor.dtype not in _PRECISION:
             found = f"{tensor.dtype} on {tensor.device}"
             raise ValueError(f"render(): {name} must be float32 or float64 on the CPU, got {found}")
-        if tensor.dtype != g.means.dtype:
-            found = f"means {g.means.dtype}, {name} {tensor.dtype}"
+        if tensor.dtype != dtype:
+            found = f"means {dtype}, {name} {tensor.dtype}"
             raise ValueError(f"render(): all tensors must have one dtype, got {found}")
-    check_shapes({name: tuple(tensor.shape) for name, tensor in named.items()})
-    D = 3 if g.colors is None else g.colors.shape[1]
+    gaussians.check_shapes()
+    D = gaussians.channels
     if background is not None and tuple(background.shape) != (D,):
         raise ValueError(f"render(): background must be ({D},), got {tuple(background.shape)}")
-    return D

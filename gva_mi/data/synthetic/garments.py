@@ -220,7 +220,8 @@ def shirt(
     )
     neckline = 0.40 * np.linalg.norm(joints["left_shoulder"] - neck) - radius
     field = smax(field, neckline, 0.015)
-    field = smax(field, y - head[1] + 0 * x + 0 * z)
+    collar = neck[1] + 0.012 - 0.3 * (z - neck[2])  # higher at the nape
+    field = smax(field, y - collar + 0 * x, 0.015)
     return surface_of(grid, field, uncut)
 
 

@@ -8,26 +8,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 from scipy.ndimage import distance_transform_edt, gaussian_filter, gaussian_filter1d
 
-from gva_mi.body.pose import JOINTS, PARENTS, Pose, Shape
+from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.splat import Camera
 
-# Level 1. Rotations are root mean squares per joint in radians, before the doubling at the side.
-ROOT = 0.05  # global orientation
-PER_DEPTH = 0.022  # grows by this with every joint between it and the root, to the wrists and feet
-FINGER = 0.16
+# Level 1. Root mean square rotation errors in radians, before the doubling at the side. They grow along
+# the limbs; what leans the whole trunk is known best.
+ROTATION: Mapping[str, float] = {
+    "pelvis": 0.04, "spine1": 0.02, "spine2": 0.02, "spine3": 0.02, "neck": 0.05, "head": 0.07,
+    "collar": 0.03, "shoulder": 0.055, "elbow": 0.085, "wrist": 0.13,
+    "hip": 0.06, "knee": 0.085, "ankle": 0.15, "foot": 0.15,
+}  # fmt: skip
+HEAD, FINGER = 0.02, 0.16  # jaw and eyes; every joint of the fingers
 DEPTH, ASIDE = 0.030, 0.008  # m, translation along the line of sight, and across it
 BETAS = 0.25  # standard deviations
 MEMORY = 5.0  # frames over which an error persists
 
 # Pixels at 512², scaled with the width of the picture.
-WOBBLE, WOBBLE_LENGTH = 1.3, 14.0  # boundary error of a mask, and the length over which it varies
+WOBBLE, WOBBLE_LENGTH = 1.1, 14.0  # boundary error of a mask, and the length over which it varies
 NOTCHES, NOTCH_RADIUS = 4, 4.0  # bites and bumps on a mask's boundary
 BLUR = 2.2  # of the normals
 TILT, TILT_LENGTH = 0.14, 50.0  # rad and px: error of the normals, and the length over which it varies
@@ -152,13 +157,9 @@ def normal_error(normals: np.ndarray, true: np.ndarray) -> float:
 
 def _sizes() -> np.ndarray:
     """Root mean square error of each joint's rotation, radians, (55,)."""
-    depth = np.zeros(len(JOINTS))
-    for joint, parent in enumerate(PARENTS):
-        depth[joint] = 0 if parent < 0 else depth[parent] + 1
-    sizes = ROOT + PER_DEPTH * depth
-    sizes[22:25] = 0.02  # jaw and eyes
-    sizes[25:] = FINGER
-    return sizes
+    sizes = [ROTATION.get(name.split("_")[-1], HEAD) for name in JOINTS]
+    sizes[25:] = [FINGER] * 30
+    return np.array(sizes)
 
 
 def _curve(rng: np.random.Generator, frames: int) -> np.ndarray:

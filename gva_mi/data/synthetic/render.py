@@ -42,10 +42,10 @@ class AreaLight:
 
 # The key light stands left of the camera and above, a weak fill to the right: both metres wide.
 LIGHTS = (
-    AreaLight((-2.2, 3.0, 3.0), (0.7, 0.0, 0.5), (-0.4, 0.6, 0.55), (4.6, 4.4, 4.1)),
+    AreaLight((-2.2, 3.0, 3.0), (0.7, 0.0, 0.5), (-0.4, 0.6, 0.55), (5.6, 5.4, 5.1)),
     AreaLight((3.2, 1.6, 2.2), (0.5, 0.0, -0.75), (0.0, 0.9, 0.0), (0.8, 0.85, 0.95)),
 )
-SKY, EARTH = (0.52, 0.54, 0.58), (0.36, 0.34, 0.32)  # ambient radiance from above and from below
+SKY, EARTH = (0.60, 0.62, 0.65), (0.42, 0.40, 0.38)  # ambient radiance from above and from below
 
 
 @dataclass(frozen=True)
@@ -170,10 +170,9 @@ class Renderer:
         light += dr.pi * self._ambient(mi, start, n_shading, stratum(), hit)
         radiance = color * light * dr.inv_pi
         values = [*radiance, *n_shading, at.t / per_depth, dr.select(hit, 1.0, 0.0)]
-        out = dr.zeros(mi.Float, 8 * total)
-        for k, value in enumerate(values):
-            dr.scatter(out, dr.select(hit, value, 0.0), lane * 8 + k)
-        return out.numpy()
+        values = [dr.select(hit, value, 0.0) for value in values]
+        dr.eval(values)  # together: one kernel
+        return np.stack([value.numpy() for value in values], axis=-1)
 
     def _surface(self, mi: Any, triangle: Any, uv: Any, active: Any) -> tuple[Any, Any, Any, Any]:
         """Part, rest position, tint and shading normal at a point of a triangle."""

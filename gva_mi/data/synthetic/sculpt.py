@@ -27,19 +27,19 @@ from gva_mi.data.synthetic.sculpt_solids import surface
 class SculptOptions:
     """How fine the puppet is."""
 
-    faces: int = 21_000  # of the whole body
+    faces: int = 22_000  # of the whole body
     grid: float = 1.0  # spacing of the grid, 1 is the usual one
 
 
 def half_surface(options: SculptOptions) -> tuple[np.ndarray, np.ndarray]:
     """The left half at full resolution, open at x = 0."""
     axes = [
-        _planes([(0, 0.0020), (0.10, 0.0050), (0.69, 0.0015), (0.935, 0)], options.grid),
+        _planes([(0, 0.0010), (0.055, 0.0016), (0.10, 0.0050), (0.69, 0.0015), (0.935, 0)], options.grid),
         _planes(
             [(-1.0, 0.0020), (-0.93, 0.0050), (0.395, 0.0015), (0.470, 0.0040), (0.56, 0.0015),
-             (0.598, 0.0006), (0.616, 0.0015), (0.715, 0.0040), (0.82, 0)], options.grid,
+             (0.598, 0.0006), (0.616, 0.0012), (0.700, 0.0030), (0.82, 0)], options.grid,
         ),
-        _planes([(-0.18, 0.0050), (-0.065, 0.0015), (0.175, 0)], options.grid),
+        _planes([(-0.18, 0.0050), (-0.065, 0.0014), (0.175, 0)], options.grid),
     ]  # fmt: skip
     return surface(left_half(), axes)
 
@@ -50,11 +50,13 @@ def decimate(
     """Fewer triangles by quadric errors, more of them kept at hands, face and toes; the border stays in its plane."""
     x, y, z = vertices.T
     detail = np.ones(len(vertices))
-    detail[x > 0.70] = 6.0
-    detail[x > 0.79] = 10.0  # fingers
-    detail[(y > 0.56) & (y < 0.72) & (z > 0.0)] = 4.0
-    detail[(y > 0.59) & (y < 0.70) & (z > 0.07) & (x < 0.055)] = 14.0  # eyes, nose, mouth
-    detail[y < -0.93] = 3.0
+    detail[y < -0.87] = 8.0
+    detail[x > 0.70] = 24.0
+    detail[x > 0.785] = 36.0  # fingers
+    detail[(y > 0.56) & (y < 0.72) & (z > 0.0)] = 8.0
+    detail[(y > 0.62) & (y < 0.695) & (z < 0.02) & (x > 0.060)] = 16.0  # ear
+    detail[(y > 0.59) & (y < 0.70) & (z > 0.07) & (x < 0.055)] = 24.0  # eyes, nose, mouth
+    detail[(y > 0.662) & (y < 0.682) & (z > 0.07) & (x > 0.016) & (x < 0.05)] = 40.0
     mesh = pymeshlab.MeshSet()
     mesh.add_mesh(
         pymeshlab.Mesh(vertices, faces.astype(np.int32), v_scalar_array=detail)
@@ -138,7 +140,9 @@ def _planes(knots: list[tuple[float, float]], factor: float) -> np.ndarray:
 
 def main(out: Path = PUPPET) -> None:
     """Write the puppet's file."""
-    np.savez_compressed(out, **sculpt())
+    part = out.with_suffix(".part.npz")  # never half a body in its place
+    np.savez_compressed(part, **sculpt())
+    part.replace(out)
 
 
 if __name__ == "__main__":

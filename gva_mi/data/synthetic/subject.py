@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from gva_mi.body.pose import JOINTS, Shape
@@ -105,7 +106,7 @@ def make_subject_body(
             (Part.HAIR, hair(surface, joints, wardrobe.hair, wardrobe.hair_thick, rng), 0.03)
         )
 
-    covered = _covered(vertices, [mesh for _, mesh, _ in parts])
+    covered = _covered(vertices, [mesh for part, mesh, _ in parts if part != Part.HAIR])
     skin = faces[~covered[faces].all(1)]
     used, skin = np.unique(skin, return_inverse=True)
     tint = _skin_tint(vertices, normals, weights, joints)
@@ -170,9 +171,11 @@ def _dress(
 
 def _transfer(points: np.ndarray, tree: cKDTree, weights: np.ndarray, smooth: float) -> np.ndarray:
     """Weights of the body's near vertices, blended over ``smooth`` metres."""
-    distance, index = tree.query(points, k=48)
+    distance, index = tree.query(points, k=24)
     near = np.exp(-(distance**2 - distance[:, :1] ** 2) / (2 * smooth**2))
-    blended = np.einsum("nk,nkj->nj", near, weights[index])
+    rows = np.repeat(np.arange(len(points)), 24)
+    matrix = csr_array((near.ravel(), (rows, index.ravel())), shape=(len(points), len(weights)))
+    blended = matrix @ weights
     return blended / blended.sum(1, keepdims=True)
 
 

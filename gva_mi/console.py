@@ -1,0 +1,38 @@
+"""What a person sees while a step runs: a progress bar with its figures, and lines between."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+Progress = Callable[..., None]  # progress(done, total, **figures)
+
+_FORM = (
+    "{desc:<9}{percentage:3.0f}% {bar:24} {n_fmt}/{total_fmt} [{elapsed} < {remaining}]{postfix}"
+)
+
+
+@contextmanager
+def bar(step: str) -> Iterator[Progress]:
+    """A progress bar: the step, how far it is, the time left, and its latest figures."""
+    from tqdm import tqdm
+
+    with tqdm(desc=step, bar_format=_FORM, dynamic_ncols=True, mininterval=0.5) as shown:
+
+        def progress(done: int, total: int, **figures: float) -> None:
+            shown.total = total
+            shown.set_postfix({k: _short(v) for k, v in figures.items()}, refresh=False)
+            shown.update(done - shown.n)
+
+        yield progress
+
+
+def say(line: str) -> None:
+    """Print a line, above a bar that is being drawn."""
+    from tqdm import tqdm
+
+    tqdm.write(line)
+
+
+def _short(value: float) -> str:
+    return f"{value:,}" if isinstance(value, int) else f"{value:.4g}"

@@ -1,0 +1,56 @@
+"""Eq. 9 as printed: each frame for itself, the bare body, rotations only.
+
+The norm that the regulariser lacks is taken squared (:mod:`gva_mi.pose.priors`). The translation stays as stage 1 gave
+it, for Eq. 9 speaks of ``θ`` alone.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import torch
+
+from gva_mi.body.pose import Pose, Shape
+from gva_mi.body.smplx import BodyModel
+from gva_mi.pose.priors import joint_weights
+from gva_mi.pose.scene import BodyScene
+from gva_mi.pose.sequence import DECAY, FACE, Solution
+from gva_mi.pose.target import Target
+
+if TYPE_CHECKING:
+    from gva_mi.pose.refine import RefineOptions
+
+
+def refine_single_frames(
+    targets: dict[int, Target],
+    scene: BodyScene,
+    body: BodyModel,
+    pose: Pose,
+    shape: Shape,
+    options: RefineOptions,
+    progress: Any = None,
+) -> Solution:
+    """Minimise Eq. 9 in every frame that has a target; arguments as in ``refine_sequence``."""
+    weights = joint_weights(body.parents)[:, None]
+    rotations = pose.rotations.clone()
+    total = options.steps * len(targets)
+    for number, (k, target) in enumerate(sorted(targets.items())):
+        stage1 = pose.rotations[k]
+        theta = stage1.clone().requires_grad_()
+        adam = torch.optim.Adam([theta], betas=(0.9, 0.99))
+        for step in range(options.steps):
+            adam.param_groups[0]["lr"] = options.rotation_lr * DECAY ** (step / options.steps)
+            one = Pose.from_rotations(
+                theta[None], pose.transl[k : k + 1], pose.expression[k : k + 1]
+            )
+            image = scene.render(body(one, shape).vertices[0], target.camera)
+            loss = target.normal_loss(image) + options.silhouette * target.silhouette_loss(image)
+            loss = loss + options.prior * (weights * (theta - stage1).square()).sum()
+            adam.zero_grad()
+            loss.backward()
+            theta.grad[FACE] = 0
+            adam.step()
+            if progress is not None:
+                progress(number * options.steps + step + 1, total, loss=float(loss.detach()))
+        rotations[k] = theta.detach()
+    return Solution(rotations, pose.transl.clone(), torch.zeros_like(body.v_template))

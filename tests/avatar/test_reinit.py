@@ -1,0 +1,235 @@
+"""Re-initialisation: from a noisy cloud with floaters back to an even layer on the surface."""
+
+import copy
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from scipy.spatial import cKDTree
+
+from gva_mi.avatar import AvatarOptions, seed_avatar
+from gva_mi.avatar.canonical import CanonicalGaussians
+from gva_mi.avatar.densify import replace_gaussians
+from gva_mi.avatar.reinit import ReinitOptions, Surface, reinitialise, resample
+from gva_mi.body import Shape, load_body, nearest_weights
+from gva_mi.splat.sh import C0
+
+COARSE = ReinitOptions(alpha=0.08, offset=0.01, filler_depth=0.04)  # for 2,000 points, not 20,000
+RED, BLUE, MAGENTA = (0.9, 0.1, 0.1), (0.1, 0.1, 0.9), (0.9, 0.1, 0.9)
+FLOATERS = np.array([[1.5, 0, 0], [0, 1.6, 0.2], [-1, -1, 0.9], [0.5, 0.3, 1.2]])
+
+
+def avatar_of(body, points, colors, opacities=None):
+    """An avatar whose Gaussians lie at given points, with ragged rotations and sizes."""
+    avatar = seed_avatar(body, Shape(torch.zeros(10)), None, AvatarOptions())
+    rng = np.random.default_rng(1)
+    tensor = lambda array: torch.tensor(np.asarray(array), dtype=torch.float32)
+    N, points = len(points), tensor(points)
+    sh = torch.zeros(N, 4, 3)
+    sh[:, 0] = (tensor(colors) - 0.5) / C0
+    avatar.canonical = CanonicalGaussians(
+        means=points,
+        quats=tensor(rng.normal(size=(N, 4))),
+        log_scales=tensor(rng.uniform(0.005, 0.05, (N, 3))).log(),
+        logit_opacities=torch.logit(tensor(np.full(N, 0.8) if opacities is None else opacities)),
+        sh=sh,
+        weights=nearest_weights(points, avatar.rig.vertices, avatar.rig.weights),
+    )
+    return avatar
+
+
+def noisy_cloud(body, count=2000, noise=0.005, out=0.0):
+    """Points along the surface, ``out`` metres outside: red on the left, blue on the right."""
+    mesh = trimesh.Trimesh(body.v_template.numpy(), body.faces.numpy(), process=False)
+    points, face = trimesh.sample.sample_surface(mesh, count, seed=0)
+    shift = out + noise * np.random.default_rng(0).normal(size=(count, 1))
+    colors = np.where(points[:, :1] < 0, RED, BLUE)
+    share = trimesh.triangles.points_to_barycentric(mesh.triangles[face], points)
+    normals = (mesh.vertex_normals[mesh.faces[face]] * share[:, :, None]).sum(1)
+    return points + shift * normals, colors
+
+
+def distance_to(body, points):
+    """Distance to the body's surface, to 2 mm on the small body: it is sampled that densely."""
+    return cKDTree(noisy_cloud(body, 200_000, noise=0)[0]).query(points)[0]
+
+
+@pytest.fixture(scope="module")
+def plain_body(body):
+    """The small body without fingers."""
+    body = copy.deepcopy(body)
+    body.weights[:, 25:] = 0
+    body.weights.div_(body.weights.sum(1, keepdim=True))
+    return body
+
+
+@pytest.fixture(scope="module")
+def result(plain_body):
+    """A noisy cloud with floaters, re-initialised."""
+    points, colors = noisy_cloud(plain_body)
+    points = np.vstack([points, FLOATERS])
+    colors = np.vstack([colors, [MAGENTA] * len(FLOATERS)])
+    avatar = avatar_of(plain_body, points, colors)
+    return avatar, reinitialise(avatar, COARSE, torch.Generator().manual_seed(0))
+
+
+def test_surface_is_closed_and_in_one_piece(result):
+    surface = result[1].surface
+    mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
+    assert mesh.is_watertight and mesh.is_winding_consistent and mesh.volume > 0
+    assert mesh.euler_number == 2 and mesh.body_count == 1
+
+
+def test_gaussians_lie_near_the_true_surface(result, plain_body):
+    distance = distance_to(plain_body, result[1].canonical.means.detach().numpy())
+    assert np.percentile(distance, 95) < 0.02 and distance.max() < 0.04
+
+
+def test_smoothing_keeps_the_volume(result, plain_body):
+    surface = result[1].surface
+    volume = trimesh.Trimesh(surface.vertices, surface.faces, process=False).volume
+    assert volume == pytest.approx(4 / 3 * np.pi * 0.8 * 0.9 * 0.3, rel=0.05)
+
+
+def test_floaters_are_gone(result):
+    avatar, new = result
+    assert new.floaters >= len(FLOATERS)
+    gap = cKDTree(FLOATERS).query(new.canonical.means.detach().numpy())[0]
+    assert gap.min() > 0.2
+
+
+def test_gaussians_are_even_and_as_many_as_before(result):
+    avatar, new = result
+    assert len(new.canonical) == pytest.approx(len(avatar.canonical), rel=0.05)
+    spread = lambda means: (
+        np.std(d := cKDTree(m := means.detach()).query(m, k=2)[0][:, 1]) / d.mean()
+    )
+    assert spread(avatar.canonical.means) > 0.5 > 0.25 > spread(new.canonical.means)
+
+
+def test_colors_and_opacities_are_inherited(result):
+    G = result[1].canonical
+    colors, x = G.sh[:, 0].detach() * C0 + 0.5, G.means[:, 0]
+    assert torch.allclose(colors[x < -0.15], torch.tensor(RED), atol=1e-5)
+    assert torch.allclose(colors[x > 0.15], torch.tensor(BLUE), atol=1e-5)
+    assert torch.allclose(G.opacities, torch.tensor(0.8), atol=1e-5)
+
+
+def test_discs_lie_in_the_surface_with_random_sizes(result):
+    G = result[1].canonical
+    assert (G.scales.argmin(1) == 2).all()
+    ratio = (G.scales[:, 0] / G.scales[:, 1]).log()
+    assert 0.05 < ratio.std() < 0.3
+    assert torch.allclose(G.quats.norm(dim=1), torch.ones(len(G)), atol=1e-5)
+
+
+def test_skinning_is_looked_up_again(result):
+    avatar, new = result
+    rig, G = avatar.rig, new.canonical
+    assert torch.equal(G.weights, nearest_weights(G.means.detach(), rig.vertices, rig.weights))
+
+
+def test_the_avatar_changes_only_when_told(result):
+    avatar, new = result
+    avatar = copy.deepcopy(avatar)
+    assert len(avatar.canonical.means) == 2000 + len(FLOATERS)
+    optimizer = torch.optim.Adam(avatar.parameters())
+    replace_gaussians(avatar, optimizer, new.canonical)
+    assert avatar.canonical is new.canonical
+    assert any(p is new.canonical.means for p in optimizer.param_groups[0]["params"])
+
+
+def test_the_same_seed_gives_the_same_bits(plain_body):
+    avatar = avatar_of(plain_body, *noisy_cloud(plain_body, 1000))
+    runs = [
+        reinitialise(avatar, COARSE, torch.Generator().manual_seed(seed)).canonical.state_dict()
+        for seed in (5, 5, 6)
+    ]
+    assert all(torch.equal(runs[0][name], runs[1][name]) for name in runs[0])
+    assert not torch.equal(runs[0]["means"][:100], runs[2]["means"][:100])
+
+
+def test_a_hole_does_not_let_the_wrap_inside(plain_body):
+    points, colors = noisy_cloud(plain_body)
+    kept = np.linalg.norm(points - [0, 0, 0.3], axis=1) > 0.2
+    surface = reinitialise(avatar_of(plain_body, points[kept], colors[kept]), COARSE).surface
+    volume = trimesh.Trimesh(surface.vertices, surface.faces, process=False).volume
+    assert volume == pytest.approx(4 / 3 * np.pi * 0.8 * 0.9 * 0.3, rel=0.06)
+
+
+def test_clothes_outside_the_body_are_kept(plain_body):
+    points, colors = noisy_cloud(plain_body, out=0.06)
+    avatar = avatar_of(plain_body, points, colors)
+    means = reinitialise(avatar, COARSE).canonical.means.detach().numpy()
+    distance = distance_to(plain_body, means)
+    # So coarse a wrap cuts across the sharp rim; elsewhere the Gaussians stay where they were.
+    assert 0.05 < np.median(distance) and np.percentile(distance, 95) < 0.075
+
+
+def test_transparent_gaussians_carry_no_surface(plain_body):
+    shell, colors = noisy_cloud(plain_body)
+    outside, _ = noisy_cloud(plain_body, 500, out=0.15)
+    points, colors = np.vstack([shell, outside]), np.vstack([colors, np.full((500, 3), 0.5)])
+    avatar = avatar_of(plain_body, points, colors, np.repeat([0.8, 0.2], [2000, 500]))
+    means = reinitialise(avatar, COARSE).canonical.means.detach().numpy()
+    assert distance_to(plain_body, means).max() < 0.05
+
+
+def test_fingers_follow_the_body(plain_body):
+    """Where skinning says finger, Gaussians lie on the body, whatever the cloud says."""
+    body = copy.deepcopy(plain_body)
+    finger = body.v_template[:, 0] > 0.5
+    body.weights[finger] = torch.nn.functional.one_hot(torch.tensor(30), 55).float()
+    points, colors = noisy_cloud(body, out=0.06)
+    G = reinitialise(avatar_of(body, points, colors), COARSE).canonical
+    distance = distance_to(body, G.means.detach().numpy())
+    on_finger = G.weights[:, 30].numpy() > 0.5
+    assert on_finger.any() and np.percentile(distance[on_finger], 80) < 0.01
+    assert np.median(distance[~on_finger]) > 0.045
+
+
+def test_count_is_met_and_curvature_draws_points(plain_body):
+    surface = Surface(plain_body.v_template.double().numpy(), plain_body.faces.numpy())
+    samples = resample(surface, 1500, 2.0, np.random.default_rng(0))
+    assert len(samples.points) == pytest.approx(1500, rel=0.05)
+    rim = np.abs(samples.points[:, 2]) < 0.05  # the sharp edge of the flat ellipsoid
+    assert np.median(samples.spacing[rim]) < 0.8 * np.median(samples.spacing[~rim])
+    assert np.allclose(np.linalg.norm(samples.normals, axis=1), 1)
+    assert ((samples.normals * samples.points).sum(1) > 0).all()
+
+
+def test_too_few_opaque_gaussians_are_refused(plain_body):
+    points, colors = noisy_cloud(plain_body, 100)
+    avatar = avatar_of(plain_body, points, colors, np.full(100, 0.1))
+    with pytest.raises(ValueError, match="only 0 of 100 Gaussians"):
+        reinitialise(avatar)
+    with pytest.raises(ValueError, match="offset < alpha"):
+        ReinitOptions(alpha=0.001)
+
+
+@pytest.mark.slow
+def test_a_puppet_with_hair_and_floaters():
+    """At full size: fingers apart, hair outside the head kept, everything within millimetres."""
+    body = load_body()
+    points, colors = noisy_cloud(body, 20_000, noise=0.003)
+    rng = np.random.default_rng(2)
+    head = body.v_template[body.weights[:, 15] > 0.5].numpy()
+    hair = head[head[:, 2] < head[:, 2].mean()]
+    middle = hair.mean(0)
+    hair = middle + (hair - middle) * 1.25
+    floaters = rng.uniform(-1.2, 1.2, (60, 3))
+    cloud = np.vstack([points, hair, floaters])
+    shades = np.vstack([colors, np.full((len(hair) + 60, 3), 0.2)])
+    avatar = avatar_of(body, cloud, shades)
+    new = reinitialise(avatar, generator=torch.Generator().manual_seed(0))
+    mesh = trimesh.Trimesh(new.surface.vertices, new.surface.faces, process=False)
+    assert mesh.is_watertight and mesh.body_count == 1
+    G = new.canonical
+    distance = distance_to(body, G.means.detach().numpy())
+    fingers = (G.weights[:, 25:].sum(1) > 0.5).numpy()
+    assert fingers.sum() > 500 and np.percentile(distance[fingers], 95) < 0.004
+    covered = (G.weights[:, 15] > 0.5).numpy()
+    assert np.percentile(distance[~covered], 95) < 0.008
+    strands = cKDTree(G.means.detach().numpy()).query(hair)[0]
+    assert np.percentile(strands, 95) < 0.015

@@ -1,0 +1,52 @@
+import numpy as np
+import pytest
+import torch
+
+from gva_mi.errors import InputError
+from gva_mi.fit import checkpoint
+
+
+def test_a_folder_is_claimed_once(tmp_path):
+    checkpoint.claim(tmp_path / "run", {"steps": 3}, resume=False)
+    with pytest.raises(InputError, match="already holds a run"):
+        checkpoint.claim(tmp_path / "run", {"steps": 3}, resume=False)
+    checkpoint.claim(tmp_path / "run", {"steps": 3}, resume=True)
+
+
+def test_a_run_is_resumed_with_its_own_options(tmp_path):
+    checkpoint.claim(tmp_path, {"steps": 3, "rates": {"sh": 0.1}}, resume=True)
+    with pytest.raises(InputError, match="steps = 3, not 4"):
+        checkpoint.claim(tmp_path, {"steps": 4, "rates": {"sh": 0.1}}, resume=True)
+
+
+def test_a_folder_with_a_foreign_avatar_is_left_alone(tmp_path):
+    (tmp_path / checkpoint.AVATAR).write_bytes(b"something precious")
+    with pytest.raises(InputError, match="choose another folder"):
+        checkpoint.claim(tmp_path, {}, resume=True)
+
+
+def test_a_state_comes_back_to_the_bit(tmp_path):
+    state = {"step": 7, "avatar": {"x": torch.randn(4)}, "history": {"loss": [0.1, 0.2]}}
+    assert checkpoint.load_state(tmp_path) is None
+    checkpoint.save_state(tmp_path, state)
+    found = checkpoint.load_state(tmp_path)
+    assert torch.equal(found["avatar"]["x"], state["avatar"]["x"])
+    assert found["history"] == state["history"] and found["step"] == 7
+
+
+def test_a_write_that_fails_leaves_the_old_file(tmp_path):
+    checkpoint.save_state(tmp_path, {"step": 1})
+    with pytest.raises(Exception, match="pickle"):
+        checkpoint.save_state(tmp_path, {"step": lambda: 2})
+    assert checkpoint.load_state(tmp_path) == {"step": 1}
+
+
+def test_a_broken_checkpoint_is_named(tmp_path):
+    (tmp_path / checkpoint.CHECKPOINT).write_bytes(b"cut short")
+    with pytest.raises(InputError, match="not a readable checkpoint"):
+        checkpoint.load_state(tmp_path)
+
+
+def test_arrays_come_back(tmp_path):
+    checkpoint.save_arrays(tmp_path / checkpoint.HISTORY, loss=np.arange(3.0))
+    np.testing.assert_array_equal(checkpoint.load_history(tmp_path)["loss"], [0, 1, 2])

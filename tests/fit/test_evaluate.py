@@ -1,0 +1,85 @@
+import numpy as np
+import pytest
+import torch
+
+from gva_mi.fit.evaluate import (
+    PSNR_MAX,
+    evaluate,
+    psnr,
+    render_frame,
+    render_sequence,
+    ssim,
+    to_8bit,
+)
+from gva_mi.fit.perceptual import Weights
+
+NONE = Weights()  # whatever this machine has
+
+
+def test_the_avatar_in_the_pictures_reaches_the_maximum(known, studio):
+    rows = evaluate(known, studio, name="known", weights=NONE)
+    assert [row.split for row in rows] == ["train", "test", "novel_pose"]
+    for row in rows:
+        assert (row.name, row.psnr, row.lpips) == ("known", PSNR_MAX, None)
+        assert row.ssim == pytest.approx(1) and row.rand_vgg == 0
+
+
+def test_a_worse_avatar_has_worse_figures(known, studio):
+    damaged = type(known).from_record(known.record())
+    with torch.no_grad():
+        damaged.canonical.sh[:, 0] += 0.2
+    slightly, badly = [], []
+    slightly = evaluate(damaged, studio, splits=["test"], weights=NONE)[0]
+    with torch.no_grad():
+        damaged.canonical.means += 0.03
+    badly = evaluate(damaged, studio, splits=["test"], weights=NONE)[0]
+    assert PSNR_MAX > slightly.psnr > badly.psnr
+    assert 1 > slightly.ssim > badly.ssim
+    assert 0 < slightly.rand_vgg < badly.rand_vgg
+
+
+def test_progress_counts_the_frames(known, studio):
+    seen = []
+    evaluate(
+        known, studio, weights=NONE, progress=lambda done, total, **_: seen.append((done, total))
+    )
+    assert seen == [(1, 4), (2, 4), (3, 4), (4, 4)]
+
+
+def test_psnr_is_its_definition():
+    random = np.random.default_rng(0)
+    a, b = random.integers(0, 256, (2, 12, 14, 3), dtype=np.uint8)
+    error = np.mean((a.astype(float) - b) ** 2)
+    assert psnr(a, b) == pytest.approx(10 * np.log10(255**2 / error))
+    assert psnr(a, a) == PSNR_MAX
+
+
+def test_one_level_in_one_pixel_is_not_perfect_but_limited():
+    a = np.zeros((64, 64, 3), np.uint8)
+    b = a.copy()
+    b[0, 0, 0] = 1
+    assert psnr(a, b) == PSNR_MAX and ssim(a, b) < 1
+
+
+def test_eight_bits_are_rounded_and_clamped():
+    x = np.array([-1, 0, 0.4 / 255, 0.6 / 255, 0.5, 1, 2])
+    np.testing.assert_array_equal(to_8bit(x), [0, 0, 0, 1, 128, 255, 255])
+
+
+def test_a_sequence_is_its_frames(known, studio, camera):
+    images = list(render_sequence(known, studio.pose, [camera]))
+    assert len(images) == 2 and images[0].dtype == np.uint8
+    for k, image in enumerate(images):
+        np.testing.assert_array_equal(image, render_frame(known, studio.pose[k], camera))
+    both = list(render_sequence(known, studio.pose, [camera, camera]))
+    np.testing.assert_array_equal(both, images)
+
+
+def test_a_sequence_needs_a_camera_per_frame_or_one(known, studio, camera):
+    with pytest.raises(ValueError, match="2 poses need as many cameras or one, got 3"):
+        next(render_sequence(known, studio.pose, [camera] * 3))
+
+
+def test_the_background_is_where_the_person_is_not(known, studio, camera):
+    image = render_frame(known, studio.pose[0], camera, background=(0.0, 0.0, 1.0))
+    np.testing.assert_array_equal(image[0, 0], [0, 0, 255])

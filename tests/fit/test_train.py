@@ -1,0 +1,166 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from gva_mi.avatar.avatar import Avatar, AvatarOptions, seed_avatar
+from gva_mi.avatar.canonical import SeedOptions
+from gva_mi.body.pose import load_poses
+from gva_mi.errors import InputError
+from gva_mi.fit import checkpoint
+from gva_mi.fit.evaluate import evaluate
+from gva_mi.fit.perceptual import Weights
+from gva_mi.fit.targets import Draw, torch_state
+from gva_mi.fit.train import FitOptions, Rates, Schedule, fit
+
+STEPS = 24
+OPTIONS = FitOptions(
+    steps=STEPS,
+    window=16,
+    checkpoint_every=10,
+    avatar=AvatarOptions(seed=SeedOptions(count=400)),
+    schedule=Schedule(densify_every=5, reinit_at=()),
+)
+PARAMETERS = [
+    *(f"canonical.{n}" for n in ("means", "quats", "log_scales", "logit_opacities", "sh")),
+    *(f"residual.{n}.weight" for n in ("pose_code", "place", "condition", "hidden", "offset")),
+    *(f"residual.{n}.bias" for n in ("pose_code", "place", "hidden", "offset")),
+]
+
+
+def seed_of(body, video, options):
+    generator = torch_state(options.seed, Draw.SEED)
+    return seed_avatar(body, video.shape, None, options.avatar, generator)
+
+
+def same(a: Avatar, b: Avatar):
+    x, y = a.state_dict(), b.state_dict()
+    return x.keys() == y.keys() and all(torch.equal(x[k], y[k]) for k in x)
+
+
+class Killed(Exception):
+    pass
+
+
+def killed_at(step):
+    def progress(done, total, **figures):
+        if done == step:
+            raise Killed
+
+    return progress
+
+
+@pytest.fixture(scope="module")
+def fitted(video, body, tmp_path_factory):
+    out = tmp_path_factory.mktemp("fitted")
+    return fit(video, body, OPTIONS, out), out
+
+
+def test_a_fit_comes_closer_to_frames_it_has_not_seen(fitted, video, body, known):
+    figures = lambda avatar: evaluate(avatar, video, splits=["test"], weights=Weights())[0]
+    before, after = figures(seed_of(body, video, OPTIONS)), figures(fitted[0])
+    assert after.psnr > before.psnr + 1.5
+    assert after.rand_vgg < before.rand_vgg
+
+
+def test_the_avatar_is_saved_and_the_checkpoint_is_gone(fitted):
+    avatar, out = fitted
+    assert same(Avatar.load(out / checkpoint.AVATAR), avatar)
+    assert not (out / checkpoint.CHECKPOINT).exists()
+    assert not list(out.glob("**/*.part"))
+
+
+def test_the_history_has_a_line_per_step(fitted):
+    avatar, out = fitted
+    history = checkpoint.load_history(out)
+    assert all(len(column) == STEPS for column in history.values())
+    np.testing.assert_array_equal(history["step"], np.arange(1, STEPS + 1))
+    assert history["loss"][-5:].mean() < 0.8 * history["loss"][:5].mean()
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+def test_every_parameter_is_trained(name, three_steps, video, body):
+    before = dict(seed_of(body, video, OPTIONS).named_parameters())
+    after = dict(three_steps.named_parameters())
+    assert set(before) == set(after) == set(PARAMETERS)
+    assert after[name].isfinite().all() and not torch.equal(before[name], after[name])
+
+
+@pytest.fixture(scope="module")
+def three_steps(video, body, tmp_path_factory):
+    options = replace(OPTIONS, steps=3, schedule=Schedule(densify_every=0, reinit_at=()))
+    return fit(video, body, options, tmp_path_factory.mktemp("three"))
+
+
+def test_the_same_seed_gives_the_same_bits(fitted, video, body, tmp_path):
+    assert same(fit(video, body, OPTIONS, tmp_path), fitted[0])
+
+
+def test_the_number_of_torch_threads_changes_no_bit(fitted, video, body, tmp_path):
+    before = torch.get_num_threads()
+    torch.set_num_threads(1 if before > 1 else 2)
+    try:
+        assert same(fit(video, body, OPTIONS, tmp_path), fitted[0])
+    finally:
+        torch.set_num_threads(before)
+
+
+def test_another_seed_gives_another_avatar(fitted, video, body, tmp_path):
+    assert not same(fit(video, body, replace(OPTIONS, seed=1), tmp_path), fitted[0])
+
+
+@pytest.mark.parametrize("step", [4, 17])  # before the first checkpoint, and after it
+def test_a_resumed_run_ends_like_an_uninterrupted_one(step, fitted, video, body, tmp_path):
+    with pytest.raises(Killed):
+        fit(video, body, OPTIONS, tmp_path, progress=killed_at(step))
+    avatar = fit(video, body, OPTIONS, tmp_path, resume=True)
+    assert same(avatar, fitted[0])
+    whole, resumed = checkpoint.load_history(fitted[1]), checkpoint.load_history(tmp_path)
+    for name in set(whole) - {"seconds"}:
+        np.testing.assert_array_equal(whole[name], resumed[name])
+
+
+def test_a_finished_run_is_returned_by_resume(fitted, video, body):
+    assert same(fit(video, body, OPTIONS, fitted[1], resume=True), fitted[0])
+
+
+def test_a_run_that_is_there_is_not_overwritten(fitted, video, body):
+    with pytest.raises(InputError, match="already holds a run"):
+        fit(video, body, OPTIONS, fitted[1])
+    with pytest.raises(InputError, match="steps = 24, not 30"):
+        fit(video, body, replace(OPTIONS, steps=30), fitted[1], resume=True)
+
+
+def test_poses_are_trained_where_asked_for_but_not_those_of_test_frames(video, body, tmp_path):
+    options = replace(OPTIONS, steps=6, rates=Rates(pose=1e-3))
+    fit(video, body, options, tmp_path)
+    trained, _ = load_poses(tmp_path / checkpoint.POSES)
+    moved = (trained.rotations != video.pose.rotations).any(-1).any(-1)
+    assert moved[video.splits.train].all() and not moved[video.splits.test].any()
+
+
+@pytest.mark.slow
+def test_reinitialisation_is_reproducible_and_leaves_a_snapshot(video, body, tmp_path):
+    options = replace(OPTIONS, schedule=Schedule(densify_every=5, reinit_at=(0.5,)))
+    whole = fit(video, body, options, tmp_path / "whole")
+    with pytest.raises(Killed):
+        fit(video, body, options, tmp_path / "killed", progress=killed_at(17))
+    assert same(fit(video, body, options, tmp_path / "killed", resume=True), whole)
+    ((step, before, after),) = checkpoint.load_snapshots(tmp_path / "whole")
+    assert step == STEPS // 2 and len(before) > 0 and len(after) > 0
+
+
+@pytest.mark.parametrize("wrong", [{"steps": 0}, {"window": 5}, {"checkpoint_every": 0}])
+def test_options_that_make_no_sense_are_refused(wrong):
+    with pytest.raises(InputError, match=next(iter(wrong))):
+        replace(OPTIONS, **wrong)
+
+
+def test_a_schedule_counts_in_shares_of_the_run():
+    schedule = Schedule(densify_every=100, densify_from=0.1, densify_until=0.3, reinit_at=(0.5,))
+    rounds = [k for k in range(1, 1001) if schedule.densifies(k, 1000)]
+    assert rounds == [100, 200, 300]
+    assert [k for k in range(1, 1001) if schedule.reinitialises(k, 1000)] == [500]
+    with pytest.raises(InputError, match="reinit_at"):
+        Schedule(reinit_at=(1.5,))

@@ -1,0 +1,128 @@
+"""Small closed meshes with shared vertices, scenes made of them, and a camera: the fixture ``scenes``."""
+
+import gva_mi  # noqa: F401  chooses libLLVM before Dr.Jit is imported
+
+# isort: split
+from types import SimpleNamespace
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+import gva_mi_plugins
+
+
+@pytest.fixture(scope="session")
+def scenes():
+    if mi.variant() is None:
+        mi.set_variant("llvm_ad_rgb")
+    gva_mi_plugins.register()
+    names = (load, move, weights, mesh, camera, sphere, torus)
+    return SimpleNamespace(**{f.__name__: f for f in names})
+
+
+def sphere(rings=10, segments=16, radius=0.5, center=(0.0, 0.0, 0.0)):
+    """A closed sphere whose poles are single vertices: vertices (V, 3) and faces (F, 3)."""
+    theta = np.pi * np.arange(1, rings) / rings
+    phi = 2 * np.pi * np.arange(segments) / segments
+    ring = np.stack(
+        [
+            np.sin(theta)[:, None] * np.cos(phi),
+            np.broadcast_to(np.cos(theta)[:, None], (rings - 1, segments)),
+            np.sin(theta)[:, None] * np.sin(phi),
+        ],
+        axis=-1,
+    ).reshape(-1, 3)
+    top, bottom = len(ring), len(ring) + 1
+    at = lambda i, j: i * segments + j % segments
+    faces = []
+    for j in range(segments):
+        faces.append((top, at(0, j + 1), at(0, j)))
+        faces.append((bottom, at(rings - 2, j), at(rings - 2, j + 1)))
+        for i in range(rings - 2):
+            a, b, c, d = at(i, j), at(i, j + 1), at(i + 1, j), at(i + 1, j + 1)
+            faces += [(a, b, d), (a, d, c)]
+    vertices = np.concatenate([ring, [[0, 1, 0], [0, -1, 0]]]) * radius + center
+    return vertices, np.array(faces)
+
+
+def torus(around=24, across=12, major=0.5, minor=0.16, tilt=0.7, center=(0.0, 0.0, 0.0)):
+    """A closed torus, turned about x by ``tilt``: it occludes itself."""
+    u = 2 * np.pi * np.arange(around)[:, None] / around
+    v = 2 * np.pi * np.arange(across) / across
+    r = major + minor * np.cos(v)
+    grid = np.stack([r * np.cos(u), r * np.sin(u), minor * np.sin(v) + 0 * u], axis=-1)
+    c, s = np.cos(tilt), np.sin(tilt)
+    vertices = grid.reshape(-1, 3) @ np.array([[1, 0, 0], [0, c, -s], [0, s, c]]).T + center
+    at = lambda i, j: i % around * across + j % across
+    faces = []
+    for i in range(around):
+        for j in range(across):
+            a, b, c, d = at(i, j), at(i + 1, j), at(i, j + 1), at(i + 1, j + 1)
+            faces += [(a, b, d), (a, d, c)]
+    return vertices, np.array(faces)
+
+
+def mesh(name, vertices, faces, facets=False):
+    properties = mi.Properties()
+    properties["face_normals"] = facets
+    result = mi.Mesh(name, len(vertices), len(faces), props=properties)
+    parameters = mi.traverse(result)
+    parameters["vertex_positions"] = mi.Float(np.ravel(vertices).astype(np.float32))
+    parameters["faces"] = mi.UInt32(np.ravel(faces).astype(np.uint32))
+    parameters.update()
+    return result
+
+
+def camera(size=48, **film):
+    return mi.load_dict(
+        {
+            "type": "perspective",
+            "fov": 34.0,
+            "to_world": mi.ScalarTransform4f().look_at([0.3, 0.4, 3.0], [0, 0, 0], [0, 1, 0]),
+            "film": {
+                "type": "hdrfilm",
+                "width": size,
+                "height": size,
+                "rfilter": {"type": "box"},
+                **film,
+            },
+            "sampler": {"type": "independent", "sample_count": 1},
+        }
+    )
+
+
+# name -> list of (vertices, faces, facets): outer contour, self-occlusion, one mesh before another, facets
+SCENES = {
+    "sphere": lambda: [(*sphere(), False)],
+    "torus": lambda: [(*torus(), False)],
+    "occluding": lambda: [
+        (*sphere(radius=0.3, center=(0.1, 0.1, 0.8)), False),
+        (*torus(center=(-0.1, 0, -0.3)), False),
+    ],
+    "facets": lambda: [(*torus(), True), (*sphere(5, 8, 0.25, (0.2, 0, 1.0)), True)],
+}
+
+
+def load(name):
+    """A scene, its traversed parameters and the parts it was made of."""
+    parts = SCENES[name]()
+    shapes = {f"m{k}": mesh(f"m{k}", *part) for k, part in enumerate(parts)}
+    scene = mi.load_dict({"type": "scene", **shapes})
+    return scene, mi.traverse(scene), parts
+
+
+def move(parameters, vertices):
+    for k, v in enumerate(vertices):
+        parameters[f"m{k}.vertex_positions"] = mi.Float(np.ravel(v).astype(np.float32))
+    parameters.update()
+
+
+def weights(size, channels=(0, 1, 2, 3)):
+    """A smooth image (H, W, 4) that weighs some channels; it varies over the whole picture."""
+    y, x = np.mgrid[:size, :size] / size
+    waves = [np.sin(4 * x + 1), np.cos(3 * y - x), np.sin(2 * x + 3 * y), 1 + x * y - 0.5 * x]
+    image = np.zeros((size, size, 4), np.float32)
+    for c in channels:
+        image[..., c] = waves[c]
+    return image

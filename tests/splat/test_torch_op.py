@@ -1,0 +1,323 @@
+"""Laws of a picture, degenerate scenes, and what the door refuses."""
+
+from dataclasses import replace
+
+import drjit as dr
+import numpy as np
+import pytest
+import torch
+
+from gva_mi.splat import pipeline, reference
+from gva_mi.splat.blend import blend, blend_adjoint
+from gva_mi.splat.camera import Camera
+from gva_mi.splat.gaussians import Gaussians
+from gva_mi.splat.gradcheck import random_scene
+from gva_mi.splat.torch_op import Screen, render
+
+
+def scene(seed=0, **kwargs):
+    return random_scene(torch.Generator().manual_seed(seed), **kwargs)
+
+
+def double(*values):
+    return torch.tensor(values, dtype=torch.float64)
+
+
+def changed(s, **arrays):
+    return s.with_inputs(s.inputs() | arrays)
+
+
+def draw(s, **kwargs):
+    return render(s.gaussians, s.camera, s.options, s.background, **kwargs)
+
+
+def assert_same(a, b, atol=1e-12):
+    for name in ("color", "alpha", "depth"):
+        torch.testing.assert_close(getattr(a, name), getattr(b, name), atol=atol, rtol=0)
+
+
+# Laws
+
+
+def test_weights_sum_to_alpha():
+    s = scene()
+    ones = torch.ones(40, 3, dtype=torch.float64)
+    image = draw(changed(s, colors=ones, background=double(0, 0, 0)))
+    for channel in range(3):
+        torch.testing.assert_close(image.color[..., channel], image.alpha, atol=1e-14, rtol=0)
+
+
+def test_background_is_blended_by_what_is_left():
+    s = scene()
+    black = draw(changed(s, background=double(0, 0, 0)))
+    image = draw(changed(s, background=double(0.2, 0.5, 0.9)))
+    expected = black.color + (1 - black.alpha)[..., None] * double(0.2, 0.5, 0.9)
+    torch.testing.assert_close(image.color, expected, atol=1e-14, rtol=0)
+    assert_same(black, render(s.gaussians, s.camera), atol=0)
+
+
+def test_order_of_the_input_is_irrelevant():
+    s = scene()
+    shuffle = torch.randperm(40, generator=torch.Generator().manual_seed(1))
+    shuffled = {k: v if k == "background" else v[shuffle] for k, v in s.inputs().items()}
+    assert_same(draw(s), draw(s.with_inputs(shuffled)), atol=0)
+
+
+def test_a_rigid_motion_of_world_and_camera_changes_nothing():
+    s = scene()
+    quat = double(0.3, -0.5, 0.7, 0.4)
+    R, t = reference.rotation(quat), double(0.3, -2.0, 1.0)
+    T_new_old = np.eye(4)
+    T_new_old[:3, :3], T_new_old[:3, 3] = R.numpy(), t.numpy()
+    camera = replace(s.camera, T_camera_world=s.camera.T_camera_world @ np.linalg.inv(T_new_old))
+    moved = changed(s, means=s.gaussians.means @ R.T + t, quats=product(quat, s.gaussians.quats))
+    assert_same(draw(s), draw(replace(moved, camera=camera)))
+
+
+def product(a, b):
+    """Of a quaternion with many."""
+    w, v = b[:, :1], b[:, 1:]
+    cross = torch.linalg.cross(a[1:].expand_as(v), v)
+    return torch.cat([a[0] * w - v @ a[1:, None], a[0] * v + w * a[1:] + cross], dim=1)
+
+
+def test_an_opaque_front_hides_the_back():
+    s = scene(gaussians=30)
+    wall = 10  # in front: opaque to 1e-4 after a few
+    forward = torch.tensor(s.camera.T_camera_world[2, :3].copy())
+    means = s.gaussians.means.clone()
+    means[:wall] = (
+        torch.tensor(s.camera.position) + (0.5 + 0.01 * torch.arange(wall))[:, None] * forward
+    )
+    scales, opacities = s.gaussians.scales.clone(), s.gaussians.opacities.clone()
+    scales[:wall], opacities[:wall] = 2.0, 1.0
+    s = changed(s, means=means, scales=scales, opacities=opacities)
+    other = s.gaussians.colors.clone()
+    other[wall:] = 1 - other[wall:]
+    assert_same(draw(s), draw(changed(s, colors=other)), atol=0)
+
+
+def test_depth_of_one_opaque_gaussian_is_its_z():
+    s = scene(gaussians=1)
+    center = double(0, 0, 0)[None]
+    s = changed(s, means=center, opacities=double(1), scales=torch.full((1, 3), 0.5).double())
+    image = draw(s)
+    z = s.camera.T_camera_world[2, 3]
+    torch.testing.assert_close(image.depth, image.alpha * z, atol=1e-13, rtol=0)
+    assert image.alpha.max() > 0.99
+
+
+def test_the_quaternions_length_and_sign_are_irrelevant():
+    s = scene()
+    assert_same(draw(s), draw(changed(s, quats=-3 * s.gaussians.quats)))
+
+
+def test_a_crop_is_part_of_the_picture():
+    s = scene(width=40, height=30)
+    whole, part = draw(s), draw(replace(s, camera=s.camera.cropped(5, 3, 21, 18)))
+    # the linearisation is clamped relative to the picture's border: compare where it is not
+    inside = [getattr(whole, name)[3:21, 5:26] for name in ("color", "alpha", "depth")]
+    off = (part.color - inside[0]).abs().amax(dim=-1)
+    assert (off < 1e-12).double().mean() > 0.5
+
+
+@pytest.mark.parametrize(("width", "height"), [(1, 1), (7, 5), (8, 4), (9, 5), (3, 70), (130, 1)])
+def test_any_size_of_picture(width, height):
+    s = scene(width=width, height=height)
+    assert_same(draw(s), reference.render(s.gaussians, s.camera, s.options, s.background))
+
+
+# Gradients as users meet them
+
+
+def test_every_input_receives_a_gradient():
+    s = scene(degree=2).to(torch.float32)
+    image = draw(s)
+    (image.color.square().sum() + image.alpha.sum() + image.depth.sum()).backward()
+    for name, tensor in s.inputs().items():
+        assert tensor.grad is not None and tensor.grad.abs().sum() > 0, name
+        assert tensor.grad.dtype == torch.float32 and tensor.grad.shape == tensor.shape, name
+
+
+@pytest.mark.parametrize("name", ["color", "alpha", "depth"])
+def test_each_image_alone_can_be_the_loss(name):
+    s, twin = scene().to(torch.float64), scene().to(torch.float64)
+    image = draw(s)
+    truth = reference.render(twin.gaussians, twin.camera, twin.options, twin.background)
+    getattr(image, name).square().sum().backward()
+    getattr(truth, name).square().sum().backward()
+    torch.testing.assert_close(s.gaussians.means.grad, twin.gaussians.means.grad)
+    torch.testing.assert_close(s.gaussians.opacities.grad, twin.gaussians.opacities.grad)
+
+
+def test_screen_holds_means_radii_and_their_gradient():
+    s = scene().to(torch.float64)
+    screen = Screen()
+    draw(s, screen=screen).color.square().sum().backward()
+    means = s.gaussians.means.detach().numpy()
+    np.testing.assert_allclose(screen.means2d.numpy(), s.camera.project(means), atol=1e-10)
+    assert screen.visible.any() and screen.radii.shape == (40,)
+    assert (screen.grad[~screen.visible] == 0).all()
+
+    # moving the principal point moves all means alike
+    step, loss = 1e-6, []
+    for sign in (1, -1):
+        camera = replace(s.camera, cy=s.camera.cy + sign * step)
+        with torch.no_grad():
+            loss.append(draw(replace(s, camera=camera)).color.square().sum())
+    difference = (loss[0] - loss[1]) / (2 * step)
+    clamped = s.camera.height  # none of these means lies far outside
+    assert (screen.means2d[:, 1].abs() < 1.1 * clamped).all()
+    torch.testing.assert_close(screen.grad[:, 1].sum(), difference, rtol=1e-6, atol=0)
+
+
+def test_input_overwritten_before_backward_is_an_error():
+    s = scene().to(torch.float32)
+    loss = draw(s).color.sum()
+    with torch.no_grad():
+        s.gaussians.means += 1
+    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+        loss.backward()
+
+
+def test_a_short_fit_recovers_the_colors():
+    truth = scene(gaussians=10).to(torch.float32)
+    with torch.no_grad():
+        target = draw(truth).color
+    s = changed(truth, colors=torch.full((10, 3), 0.5))
+    colors = s.gaussians.colors.requires_grad_()
+    optimizer = torch.optim.Adam([colors], lr=0.05)
+    for _ in range(150):
+        optimizer.zero_grad()
+        (draw(s).color - target).square().sum().backward()
+        optimizer.step()
+    with torch.no_grad():
+        assert (draw(s).color - target).abs().max() < 5e-3
+
+
+# Determinism, recordings
+
+
+def bits(s):
+    for tensor in s.inputs().values():
+        tensor.grad = None
+    image = draw(s)
+    (image.color.square().sum() + image.alpha.square().sum() + image.depth.sum()).backward()
+    parts = [image.color, image.alpha, image.depth, *(t.grad for t in s.inputs().values())]
+    return [part.detach().numpy().tobytes() for part in parts]
+
+
+def test_same_bits_at_every_run_and_for_any_number_of_threads():
+    s = scene(gaussians=3000, width=200, height=150, degree=1).to(torch.float32)
+    first = bits(s)
+    threads = dr.thread_count()
+    try:
+        for count in (1, 2, 4):
+            dr.set_thread_count(count)
+            assert bits(s) == first
+            assert bits(s) == first
+    finally:
+        dr.set_thread_count(threads)
+
+
+def test_no_kernel_is_traced_again_for_other_sizes_and_poses():
+    frozen = (blend, blend_adjoint, pipeline._project, pipeline._gaussians_adjoint)
+    for n, width, height in ((50, 33, 20), (51, 33, 20), (40, 60, 60)):
+        bits(scene(gaussians=n, width=width, height=height).to(torch.float32))
+    before = [function.n_recordings for function in frozen]
+    for n, width, height in ((50, 33, 20), (37, 60, 60), (90, 64, 64), (91, 41, 22)):
+        bits(scene(seed=n, gaussians=n, width=width, height=height).to(torch.float32))
+    assert [function.n_recordings for function in frozen] == before
+
+
+# Degenerate scenes: compared with the twin, and finite to the last gradient
+
+CAMERA = scene().camera
+EYE = torch.tensor(CAMERA.position.copy())
+FORWARD = torch.tensor(CAMERA.T_camera_world[2, :3].copy())
+STACK = torch.linspace(0, 0.1, 16, dtype=torch.float64)[:, None] * FORWARD
+FLAT = torch.zeros(40, 3, dtype=torch.float64)
+DEGENERATE = {
+    "all behind": (40, {"means": scene().gaussians.means + 2 * EYE}),
+    "at the near plane": (2, {"means": EYE + double([0.010001], [0.009999]) * FORWARD}),
+    "at the camera": (2, {"means": EYE + double([0.0], [1e-6]) * FORWARD}),
+    "equal depths": (40, {"means": FLAT}),
+    "at the edge": (1, {"means": double([0.86, 0.0, 0.0])}),
+    "far away": (40, {"means": 1e6 * scene().gaussians.means}),
+    "opacity 0": (40, {"opacities": FLAT[:, 0]}),
+    "opacity 1": (40, {"opacities": FLAT[:, 0] + 1}),
+    "opaque stack": (
+        16,
+        {"means": STACK, "opacities": FLAT[:16, 0] + 1, "scales": FLAT[:16] + 0.3},
+    ),
+    "needles": (40, {"scales": FLAT + double(2.0, 1e-5, 1e-5)}),
+    "points": (40, {"scales": FLAT}),
+    "larger than the world": (40, {"scales": FLAT + 1e3}),
+    "zero quaternions": (40, {"quats": torch.zeros(40, 4, dtype=torch.float64)}),
+    "long quaternions": (40, {"quats": 1e3 * scene().gaussians.quats}),
+    "one": (1, {}),
+    "none": (0, {}),
+}
+
+
+@pytest.mark.parametrize("name", DEGENERATE)
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_degenerate(name, dtype):
+    n, arrays = DEGENERATE[name]
+    s = scene()
+    first = {k: v if k == "background" else v[:n] for k, v in s.inputs().items()}
+    s = s.with_inputs(first | {k: v.reshape(n, *first[k].shape[1:]) for k, v in arrays.items()})
+    s = s.to(dtype)
+    image = draw(s)
+    (image.color.sum() + image.alpha.square().sum() + image.depth.sum()).backward()
+    for key, tensor in s.inputs().items():
+        assert torch.isfinite(tensor.grad).all(), key
+    with torch.no_grad():
+        truth = reference.render(s.gaussians, s.camera, s.options, s.background)
+        band = reference.threshold_band(s.gaussians, s.camera, s.options)
+    atol = 1e-11 if dtype == torch.float64 else 3e-5
+    for key in ("color", "alpha", "depth"):
+        off = (getattr(image, key).double() - getattr(truth, key))[~band]
+        assert not off.numel() or off.abs().max() < atol, key
+
+
+# The door
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf"), -float("inf")])
+@pytest.mark.parametrize("name", ["means", "quats", "scales", "opacities", "sh"])
+def test_numbers_that_are_not_finite_are_named(name, bad):
+    s = scene(degree=1)
+    tensor = s.inputs()[name].clone()
+    index = (7, *[1] * (tensor.ndim - 1))
+    tensor[index] = bad
+    where = ", ".join(map(str, index))
+    with pytest.raises(ValueError, match=rf"{name}\[{where}\] is {bad}, must be finite"):
+        draw(changed(s, **{name: tensor}))
+
+
+def test_wrong_arguments_are_named():
+    s = scene()
+    g, n = s.gaussians, 40
+    wrong = {
+        r"means must be \(N, 3\)": replace(g, means=torch.zeros(n, 4).double()),
+        r"quats must be \(N, 4\)": replace(g, quats=torch.zeros(n, 3).double()),
+        r"opacities must be \(N,\)": replace(g, opacities=torch.zeros(n, 1).double()),
+        r"scales must be \(N, 3\), got \(39, 3\)": replace(g, scales=g.scales[1:]),
+        r"colors must be \(N, D\)": replace(g, colors=g.colors[:, 0]),
+        "16 or 25 coefficients, got 5": replace(g, colors=None, sh=torch.zeros(n, 5, 3).double()),
+        "one dtype": replace(g, quats=g.quats.float()),
+        "float32 or float64": replace(g, means=g.means.long()),
+        "torch tensor, got ndarray": replace(g, scales=g.scales.numpy()),
+    }
+    for message, gaussians in wrong.items():
+        with pytest.raises(ValueError, match=message):
+            render(gaussians, s.camera)
+    with pytest.raises(ValueError, match=r"background must be \(3,\)"):
+        render(g, s.camera, background=torch.zeros(4))
+    with pytest.raises(ValueError, match="background must be finite"):
+        render(g, s.camera, background=double(0, float("nan"), 0))
+    with pytest.raises(ValueError, match="either colors"):
+        Gaussians(g.means, g.quats, g.scales, g.opacities)
+    with pytest.raises(ValueError, match="at least 1x1"):
+        Camera(1, 1, 0, 0, np.eye(4), 0, 5)

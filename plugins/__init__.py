@@ -1,4 +1,4 @@
-"""Plugins for any Mitsuba 3 scene: import, choose a variant, call :func:`register`, use them by name.
+"""Plugins for any Mitsuba 3 scene: import, choose a variant, call :func:`register`.
 
     import mitsuba as mi
     import gva_mi_plugins
@@ -7,8 +7,8 @@
     gva_mi_plugins.register()
     integrator = mi.load_dict({"type": "mesh_normals"})
 
-Importing this package loads nothing. Mitsuba's types exist only once a variant is set, and so the plugin
-files are loaded by :func:`register`.
+Importing this package loads nothing. Mitsuba's types exist only once a variant is set, and so the
+plugin files are loaded by :func:`register`.
 """
 
 __all__ = ["register"]
@@ -17,8 +17,8 @@ __all__ = ["register"]
 def register() -> None:
     """Make the plugins known to Mitsuba under their names: ``mesh_normals``.
 
-    Call it after ``mi.set_variant``, with a differentiable variant (``llvm_ad_rgb``). Calling it again
-    does no harm.
+    Call it after ``mi.set_variant``, with a differentiable variant (``llvm_ad_rgb``). Calling it
+    again does no harm.
 
     Raises:
         RuntimeError: where no variant is set, or one without derivatives.
@@ -28,8 +28,8 @@ def register() -> None:
     variant = mi.variant()
     if variant is None or "_ad_" not in variant:
         raise RuntimeError(
-            f"gva_mi_plugins.register(): needs a differentiable variant, and mi.variant() is {variant}; "
-            'call mi.set_variant("llvm_ad_rgb") first'
+            "gva_mi_plugins.register(): needs a differentiable variant, and mi.variant() is "
+            f'{variant}; call mi.set_variant("llvm_ad_rgb") first'
         )
     from gva_mi_plugins.mesh_normals import MeshNormals
 

@@ -1,19 +1,22 @@
 """The boundary term: what an image gains and loses where edges sweep over it.
 
-Inside a region the image ``I`` of a surface changes smoothly with the vertices. Across an edge seen by the
-camera it jumps by ``ΔI = I_inside - I_outside``, and a moving edge carries the jump along:
+Inside a region the image ``I`` of a surface changes smoothly with the vertices. Across an edge seen
+by the camera it jumps by ``ΔI = I_inside - I_outside``, and a moving edge carries the jump along:
 
-1. ``∂I/∂v = Σ_edges ∫ ΔI (m · ∂q/∂v) dℓ`` over the points ``q`` of the edge on the image, ``m`` its normal there,
-   from inside to outside, ``ℓ`` its length in pixels.
-2. The integral is a sum over samples in the middle of K equal parts of the edge, each with the weight ``|edge| / K``.
-3. At parameter ``t`` on the image an edge from ``a`` to ``b``, at depths ``w_a`` and ``w_b``, shows the world point
-   ``x = (1 - s) a + s b`` with ``s = t w_a / (t w_a + (1 - t) w_b)``; hence ``∂x/∂a = 1 - s`` and ``∂x/∂b = s``.
+1. ``∂I/∂v = Σ_edges ∫ ΔI (m · ∂q/∂v) dℓ`` over the points ``q`` of the edge on the image, with
+   ``m`` its normal there, from inside to outside, and ``ℓ`` its length in pixels.
+2. The integral is a sum over samples in the middle of K equal parts of the edge, each with the
+   weight ``|edge| / K``.
+3. At parameter ``t`` on the image an edge from ``a`` to ``b``, at depths ``w_a`` and ``w_b``, shows
+   the world point ``x = (1 - s) a + s b`` with ``s = t w_a / (t w_a + (1 - t) w_b)``; hence
+   ``∂x/∂a = 1 - s`` and ``∂x/∂b = s``.
 
-Edges that can show a jump: **contours**, whose faces all lie on one side of them on the image (a fold seen from
-the front, and any border of an open mesh), and **creases**, where two faces do not share a normal. Two rays a
-hair's breadth beside the edge tell ``I_inside``, ``I_outside``, and whether the edge is seen at all. At a contour
-the inner one must hit a face that touches the edge (its own one may be seen so flat that the ray leaps over it), and
-the outer one nothing in front of it; at a crease both must hit the faces of the edge.
+Edges that can show a jump: **contours**, whose faces all lie on one side of them on the image (a
+fold seen from the front, and any border of an open mesh), and **creases**, where two faces do not
+share a normal. Two rays a hair's breadth beside the edge tell ``I_inside``, ``I_outside``, and
+whether the edge is seen at all. At a contour the inner one must hit a face that touches the edge
+(its own one may be seen so flat that the ray leaps over it), and the outer one nothing in front of
+it; at a crease both must hit the faces of the edge.
 """
 
 from __future__ import annotations
@@ -23,13 +26,12 @@ from dataclasses import dataclass
 
 import drjit as dr
 import mitsuba as mi
-
 from gva_mi_plugins.projection import Projection
 from gva_mi_plugins.segments import sum_by_key, sum_runs
 from gva_mi_plugins.surface import Surface
 from gva_mi_plugins.topology import Topology
 
-BESIDE = 5e-4  # pixels from an edge to the rays beside it: far above float32's step, far below a pixel
+BESIDE = 5e-4  # pixels from an edge to the rays beside it: far above float32's step there
 IN_FRONT = 1e-3  # what hides an edge lies nearer than it by more than this share of its depth
 
 Cast = Callable[[mi.Ray3f], tuple[mi.UInt32, mi.Float, mi.Bool]]  # face, depth and whether it hit
@@ -126,7 +128,7 @@ class Boundary:
         return Boundary(surface, projection, edge, edges, start, s, pixel, lever, jump)
 
     def tangent(self, d_positions: mi.Vector3f) -> tuple[list[mi.Vector4f], mi.UInt32]:
-        """Eq. 1 forward: how some pixels change with the positions (V,), and which pixels those are."""
+        """Eq. 1 forward: how pixels change with the positions (V,), and which ones do."""
         ends = [dr.gather(mi.UInt32, end, self.edge) for end in self.surface.topology.ends]
         da, db = (dr.gather(mi.Vector3f, d_positions, end) for end in ends)
         d_image = self.jump * dr.dot(self.lever, dr.lerp(da, db, self.s))

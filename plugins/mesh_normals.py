@@ -1,40 +1,41 @@
-"""``mesh_normals``: an integrator that shows the normals and the mask of meshes, with right gradients.
+"""``mesh_normals``: an integrator that shows normals and mask of meshes, with right gradients.
 
-The image has four channels: the shading normal in camera space (OpenCV axes: x right, y down, z forward, so that a
-surface turned to the camera has ``n_z < 0``), and the mask. Where no mesh is seen all four are zero.
+The image has four channels: the shading normal in camera space (OpenCV axes: x right, y down, z
+forward, so that a surface turned to the camera has ``n_z < 0``), and the mask. Where no mesh is
+seen all four are zero.
 
-1. A pixel is the mean over its area, ``I = ∫ (n, 1) dA``, by ``spp`` rays at fixed places: one in the middle, or a
-   lattice. There is no noise: ``seed`` has no effect, and two renderings are equal to the last bit.
-2. **Interior**: triangles that rays meet stay the same under a small motion; normals and barycentric coordinates
-   move with the vertices (:mod:`gva_mi_plugins.surface`).
-3. **Boundary**: edges sweep over the image and carry its jumps along (:mod:`gva_mi_plugins.boundary`). The mask has no
-   other derivative, and without it the normals' is wrong even in sign.
+1. A pixel is the mean over its area, ``I = ∫ (n, 1) dA``, by ``spp`` rays at fixed places: one in
+   the middle, or a lattice. There is no noise: ``seed`` has no effect, and two renderings are equal
+   to the last bit.
+2. **Interior**: triangles that rays meet stay the same under a small motion; normals and
+   barycentric coordinates move with the vertices (:mod:`gva_mi_plugins.surface`).
+3. **Boundary**: edges sweep over the image and carry its jumps along
+   (:mod:`gva_mi_plugins.boundary`). The mask has no other derivative, and without it the normals'
+   is wrong even in sign.
 
 The derivative is that of the exact mean over a pixel's area, also at one sample for each pixel.
 
 Parameters:
-    ``edge_density`` (float): boundary samples for a pixel of an edge's length, at one sample for each pixel; they
-        grow with the root of ``spp``. Default: 1.
-    ``pixel_aspect`` (float): width of a pixel over its height, ``f_y / f_x``, which Mitsuba's sensors cannot
-        express. Default: 1.
+    ``edge_density`` (float): boundary samples for a pixel of an edge's length, at one sample for
+        each pixel; they grow with the root of ``spp``. Default: 1.
+    ``pixel_aspect`` (float): width of a pixel over its height, ``f_y / f_x``, which Mitsuba's
+        sensors cannot express. Default: 1.
 
-A mesh with ``face_normals`` is faceted; any other is smooth, with normals averaged from its faces by area (those in
-a file are not looked at: they would not move with the vertices).
+A mesh with ``face_normals`` is faceted; any other is smooth, with normals averaged from its faces
+by area (those in a file are not looked at: they would not move with the vertices).
 
 Note:
-    Differentiable in the vertices' positions. Not in the sensor; and where two surfaces pierce one another, the
-    line in which they meet is no edge and carries no gradient. An edge that reaches before the near plane of the
-    sensor is left out.
+    Differentiable in the vertices' positions. Not in the sensor; and where two surfaces pierce one
+    another, the line in which they meet is no edge and carries no gradient. An edge that reaches
+    before the near plane of the sensor is left out.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
-
 from gva_mi_plugins.boundary import Boundary
 from gva_mi_plugins.projection import Projection
 from gva_mi_plugins.surface import Surface
@@ -155,7 +156,7 @@ class MeshNormals(mi.ad.integrators.common.ADIntegrator):
         self._topology: tuple[list[mi.UInt32], Topology] | None = None
 
     def view(self, scene: mi.Scene, sensor: mi.Sensor, spp: int = 1) -> View:
-        """What a sensor sees of a scene: the image and its derivatives, without automatic differentiation.
+        """What a sensor sees: the image and its derivatives, without automatic differentiation.
 
         Raises:
             ValueError: a shape that is no mesh, or a sensor or a filter that cannot be used.
@@ -194,7 +195,7 @@ class MeshNormals(mi.ad.integrators.common.ADIntegrator):
     def render_forward(
         self,
         scene: mi.Scene,
-        params: Any,
+        params: mi.SceneParameters,
         sensor: mi.Sensor | int = 0,
         seed: int = 0,
         spp: int = 0,
@@ -210,7 +211,7 @@ class MeshNormals(mi.ad.integrators.common.ADIntegrator):
     def render_backward(
         self,
         scene: mi.Scene,
-        params: Any,
+        params: mi.SceneParameters,
         grad_in: mi.TensorXf,
         sensor: mi.Sensor | int = 0,
         seed: int = 0,
@@ -237,9 +238,7 @@ class MeshNormals(mi.ad.integrators.common.ADIntegrator):
 
     def to_string(self) -> str:
         """As Mitsuba prints it."""
-        return (
-            f"MeshNormals[edge_density={self.edge_density}, pixel_aspect={self.pixel_aspect}]"
-        )
+        return f"MeshNormals[edge_density={self.edge_density}, pixel_aspect={self.pixel_aspect}]"
 
     def _topology_of(self, meshes: list[mi.Mesh]) -> Topology:
         """Built anew only where the faces are other ones."""
@@ -261,7 +260,8 @@ def _meshes(scene: mi.Scene) -> list[mi.Mesh]:
     for shape in meshes:
         if not shape.is_mesh():
             raise ValueError(
-                f"mesh_normals: every shape must be a triangle mesh, '{shape.id()}' is {shape.class_name()}"
+                "mesh_normals: every shape must be a triangle mesh, "
+                f"'{shape.id()}' is {shape.class_name()}"
             )
     if not meshes:
         raise ValueError("mesh_normals: the scene has no shape")

@@ -1,11 +1,11 @@
 """From a Mitsuba sensor to a projection matrix, and back from pixels to rays.
 
-With the world point ``x`` and homogeneous ``x̃ = (x, 1)``, a sensor is a matrix ``P`` (3, 4) with rows ``P_0,
-P_1, P_2``, and with ``A`` its left 3x3 part:
+With the world point ``x`` and homogeneous ``x̃ = (x, 1)``, a sensor is a matrix ``P`` (3, 4) with
+rows ``P_0, P_1, P_2``, and with ``A`` its left 3x3 part:
 
 1. depth  ``w = P_2 x̃``,
 2. pixel  ``q_i = (P_i x̃) / w``,
-3. ray    through ``q``: ``o + t A^{-1} (q, 1)`` from the eye ``o``, and ``t`` is then the depth ``w``,
+3. ray    ``o + t A^{-1} (q, 1)`` from the eye ``o`` through ``q``; ``t`` is then the depth ``w``,
 4. motion ``∂q_i/∂x = (P_i - q_i P_2)[:3] / w``.
 
 Pixels are those of the film's crop window: its left upper corner is (0, 0), pixel centres at +0.5.
@@ -37,8 +37,8 @@ class Projection:
 
         Args:
             sensor: a Mitsuba sensor of type ``perspective``.
-            pixel_aspect: width of a pixel over its height, ``f_y / f_x``. Mitsuba's pixels are square; another
-                aspect stretches the image in y about the principal point.
+            pixel_aspect: width of a pixel over its height, ``f_y / f_x``. Mitsuba's pixels are
+                square; another aspect stretches the image in y about the principal point.
 
         Raises:
             ValueError: for another kind of sensor.
@@ -55,7 +55,9 @@ class Projection:
             # Mitsuba's camera looks along +z with x to the left and y up.
             flip = mi.Matrix3f([[-1, 0, 0], [0, -1, 0], [0, 0, 1]])
             camera_world = flip @ rotation.T
-            sample = sensor.projection_transform().matrix  # camera -> film in [0, 1]², depth in row 2
+            sample = (
+                sensor.projection_transform().matrix
+            )  # camera -> film in [0, 1]², depth in row 2
             film = mi.Matrix3f([[sample[i, j] for j in range(3)] for i in (0, 1, 3)])
             K = mi.Matrix3f([[width, 0, 0], [0, height, 0], [0, 0, 1]]) @ film @ flip
             K /= K[2, 2]

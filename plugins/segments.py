@@ -1,8 +1,9 @@
 """Sums over segments of an array, in an order that never changes.
 
-Floating-point addition is not associative: where several threads add into one place in the order in which
-they happen to arrive, the last bits differ from run to run. Here one lane owns one segment and adds its
-entries from first to last, so that the same input gives the same bits on any number of threads.
+Floating-point addition is not associative: where several threads add into one place in the order in
+which they happen to arrive, the last bits differ from run to run. Here one lane owns one segment
+and adds its entries from first to last, so that the same input gives the same bits on any number of
+threads.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ class Segments:
 
 
 def sum_runs(values: mi.Vector3f, start: mi.UInt32, total: int) -> mi.Vector3f:
-    """Sums of neighbouring entries: run ``i`` begins at ``start[i]`` and ends where the next one begins."""
+    """Sums of neighbouring entries: run ``i`` goes from ``start[i]`` to where the next begins."""
     i = dr.arange(mi.UInt32, dr.width(start))
     is_last = i + 1 == dr.opaque(mi.UInt32, dr.width(start))
     end = dr.select(

@@ -4,7 +4,8 @@ With corners ``p_0, p_1, p_2`` of face ``f`` and the corners that share a normal
 
 1. face normal      ``c_f = (p_1 - p_0) x (p_2 - p_0)``, as long as twice the area,
 2. shading normal   ``n_v = Σ_f c_f / |Σ_f c_f|`` over the faces at ``v``: weighted by area,
-3. on a ray         ``n = Σ_k b_k n_k / |Σ_k b_k n_k|`` with the barycentric coordinates ``b`` of the point hit.
+3. on a ray         ``n = Σ_k b_k n_k / |Σ_k b_k n_k|`` with the barycentric coordinates ``b`` of
+   the point hit.
 
 Every sum runs over fixed lists in a fixed order (:mod:`gva_mi_plugins.segments`); no step scatters.
 """
@@ -15,7 +16,6 @@ from dataclasses import dataclass
 
 import drjit as dr
 import mitsuba as mi
-
 from gva_mi_plugins.segments import sum_by_key
 from gva_mi_plugins.topology import Topology
 
@@ -74,7 +74,7 @@ class Surface:
         return topology.corners_of_vertex.sum(grad_corners)
 
     def shade(self, ray: mi.Ray3f, face: mi.UInt32, active: mi.Bool) -> mi.Vector3f:
-        """Eq. 3: the unit normals (R,) that rays meet on the faces they hit; zero where not active."""
+        """Eq. 3: the unit normals (R,) that rays meet on faces; zero where not active."""
         normal = _interpolate(ray, *self._at(face, active))
         return dr.select(active, normal, 0)
 
@@ -127,7 +127,9 @@ class Surface:
 
     def _at(self, face: mi.UInt32, active: mi.Bool) -> list[mi.Vector3f]:
         """Corners and their shading normals of some faces: p_0, p_1, p_2, n_0, n_1, n_2."""
-        p = [dr.gather(mi.Vector3f, self.positions, i, active) for i in self._vertices(face, active)]
+        p = [
+            dr.gather(mi.Vector3f, self.positions, i, active) for i in self._vertices(face, active)
+        ]
         n = [dr.gather(mi.Vector3f, self.normals, i, active) for i in self._normals(face, active)]
         return p + n
 
@@ -141,7 +143,7 @@ def _interpolate(
     n1: mi.Vector3f,
     n2: mi.Vector3f,
 ) -> mi.Vector3f:
-    """Eq. 3; the barycentric coordinates solve ``o + t d = p_0 + b_1 (p_1 - p_0) + b_2 (p_2 - p_0)``."""
+    """Eq. 3, with ``o + t d = p_0 + b_1 (p_1 - p_0) + b_2 (p_2 - p_0)``."""
     e1, e2, s = p1 - p0, p2 - p0, mi.Vector3f(ray.o) - p0
     h, k = dr.cross(ray.d, e2), dr.cross(s, e1)
     det = dr.dot(e1, h)

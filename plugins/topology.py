@@ -1,16 +1,16 @@
-"""What a set of meshes is made of beside its positions: corners, shared normals, edges and their faces.
+"""What meshes are made of beside positions: corners, shared normals, edges and faces.
 
-Built once for the meshes of a scene, with numpy; the arrays are Mitsuba's. Names and sizes: ``V`` vertices
-of all meshes one after the other, ``F`` faces, ``E`` edges, ``N`` shading normals; corner ``k`` of face ``f``
-is corner ``3 f + k``.
+Built once for the meshes of a scene, with numpy; the arrays are Mitsuba's. Names and sizes: ``V``
+vertices of all meshes one after the other, ``F`` faces, ``E`` edges, ``N`` shading normals; corner
+``k`` of face ``f`` is corner ``3 f + k``.
 
 Three numberings of a corner:
 
 * *vertex*: the entry in the vertex buffer, which carries position and gradient;
-* *point*: vertices of one mesh at the same place are one point. Files split vertices along texture seams; an
-  edge between split vertices is no border, and must not count as one;
-* *normal*: corners that share a shading normal. A smooth mesh has one for each vertex, a faceted one for
-  each face.
+* *point*: vertices of one mesh at the same place are one point. Files split vertices along texture
+  seams; an edge between split vertices is no border, and must not count as one;
+* *normal*: corners that share a shading normal. A smooth mesh has one for each vertex, a faceted
+  one for each face.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-
 from gva_mi_plugins.segments import Segments
 
 
@@ -38,7 +37,9 @@ class Topology:
     ends: tuple[mi.UInt32, ...]  # two (E,): vertices at the ends of an edge
     end_points: tuple[mi.UInt32, ...]  # two (E,): points at the ends of an edge
     edge_faces: tuple[mi.UInt32, ...]  # K of (E,): faces at an edge, the first repeated to fill up
-    edge_runs: tuple[mi.Bool, ...]  # K of (E,): that face runs from the edge's first end to its second
+    edge_runs: tuple[
+        mi.Bool, ...
+    ]  # K of (E,): that face runs from the edge's first end to its second
     crease: mi.Bool  # (E,): the normal jumps here even between two faces seen from the front
     corners_of_vertex: Segments  # V segments over the 3F corners
     corners_of_normal: Segments  # N segments over the 3F corners
@@ -100,11 +101,13 @@ def build(meshes: Sequence[mi.Mesh]) -> Topology:
 
 
 def _edges(vertices: np.ndarray, points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Edges between points: ends (E, 2), end points (E, 2), faces (E, K), runs (E, K), crease (E,)."""
+    """Edges: ends (E, 2), their points (E, 2), faces (E, K), runs (E, K), crease (E,)."""
     tail, head = np.arange(3), np.array([1, 2, 0])
     sides = np.stack([points[:, tail], points[:, head]], axis=-1).reshape(-1, 2)  # (3F, 2)
     forward = sides[:, 0] < sides[:, 1]
-    kept = sides[:, 0] != sides[:, 1]  # a face with two corners at one place has a side of no length
+    kept = (
+        sides[:, 0] != sides[:, 1]
+    )  # a face with two corners at one place has a side of no length
     key = np.where(kept, sides.min(axis=1) * (points.max() + 1) + sides.max(axis=1), -1)
     order = np.argsort(key, kind="stable")
     order = order[key[order] >= 0]

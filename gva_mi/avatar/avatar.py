@@ -93,8 +93,8 @@ class Avatar(nn.Module):
             self.register_buffer(f"rest_{name}", getattr(rig, name).detach().clone())
         fingers = torch.zeros(len(rig.parents), 1, dtype=torch.bool)
         fingers[LEFT_HAND] = fingers[RIGHT_HAND] = not options.hands
-        self.register_buffer("_held", fingers)
-        self.register_buffer("_v", torch.tensor(_V, dtype=rig.joints.dtype))
+        self.register_buffer("_held", fingers, persistent=False)
+        self.register_buffer("_v", torch.tensor(_V, dtype=rig.joints.dtype), persistent=False)
 
     @property
     def rig(self) -> Rig:

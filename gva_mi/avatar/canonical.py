@@ -53,14 +53,15 @@ class CanonicalGaussians(nn.Module):
     ) -> None:
         super().__init__()
         N = means.shape[0]
+        given = {"means": means, "quats": quats, "log_scales": log_scales}
+        given |= {"logit_opacities": logit_opacities, "sh": sh}
         shapes = {"means": (N, 3), "quats": (N, 4), "log_scales": (N, 3), "logit_opacities": (N,)}
-        given = dict(means=means, quats=quats, log_scales=log_scales, sh=sh)
-        given["logit_opacities"] = logit_opacities
         for name, shape in shapes.items():
             if given[name].shape != shape:
-                got = tuple(given[name].shape)
-                raise ValueError(f"CanonicalGaussians: {name} must be {shape}, got {got}")
-        if sh.ndim != 3 or sh.shape[0] != N or sh.shape[1] not in (1, 4) or sh.shape[2] != 3:
+                raise ValueError(
+                    f"CanonicalGaussians: {name} must be {shape}, got {tuple(given[name].shape)}"
+                )
+        if sh.shape not in ((N, 1, 3), (N, 4, 3)):
             raise ValueError(
                 f"CanonicalGaussians: sh must be ({N}, 1 or 4, 3), got {tuple(sh.shape)}"
             )

@@ -51,7 +51,7 @@ class ReinitOptions:
     opaque: float = 0.5  # only Gaussians above this opacity carry the surface
     floater_neighbours: int = 16  # a floater's mean distance to so many neighbours ...
     floater_sigmas: float = 2.0  # ... exceeds the mean of all by so many standard deviations
-    alpha: float = 0.015  # gaps narrower than twice this are closed
+    alpha: float = 0.015  # gaps narrower than twice this are closed; at least the points' spacing
     offset: float = 0.003  # the wrap keeps this far from the points; taken back afterwards
     filler_depth: float = 0.012  # the wrapped body lies so far below its surface
     smoothing: int = 10  # steps of Taubin's filter
@@ -107,7 +107,7 @@ def reinitialise(
     rng = np.random.default_rng(int(torch.randint(2**62, (), generator=generator)))
     G = avatar.canonical
     solid = torch.nonzero(G.opacities.detach() > options.opaque).flatten()
-    if len(solid) <= options.floater_neighbours:
+    if len(solid) <= max(options.floater_neighbours, 100):  # fewer points are no surface
         raise ValueError(
             f"reinitialise(): only {len(solid)} of {len(G)} Gaussians have an opacity above "
             f"{options.opaque}; the fit has diverged or has only just begun"
@@ -125,9 +125,7 @@ def reinitialise(
 
 def find_floaters(points: np.ndarray, neighbours: int, sigmas: float) -> np.ndarray:
     """Which points (N, 3) are lonely, (N,) bool: the statistical outlier test of point clouds."""
-    from scipy.spatial import cKDTree
-
-    distance = cKDTree(points).query(points, k=neighbours + 1)[0][:, 1:].mean(1)
+    distance = _mean_distance(points, neighbours)
     return distance > distance.mean() + sigmas * distance.std()
 
 
@@ -135,6 +133,8 @@ def mesh_gaussians(points: np.ndarray, rig: Rig, options: ReinitOptions) -> Surf
     """A closed, smooth surface around points (N, 3) and the rest body inside them."""
     import pymeshlab
 
+    # Between points that are further apart than alpha, the wrap would sink onto the filler.
+    alpha = max(options.alpha, np.percentile(_mean_distance(points, 6), 90))
     vertices, faces = _filler(rig, options.filler_depth)
     # The wrap crashes on points without faces, so each becomes a triangle too small to matter.
     triangle = 2e-4 * np.array([[1, 0, 0], [-0.5, 0.75**0.5, 0], [-0.5, -(0.75**0.5), 0]])
@@ -145,7 +145,7 @@ def mesh_gaussians(points: np.ndarray, rig: Rig, options: ReinitOptions) -> Surf
         pymeshlab.Mesh(np.vstack([specks, vertices]), np.vstack([corners, faces + len(specks)]))
     )
     meshes.generate_alpha_wrap(
-        alpha=pymeshlab.PureValue(options.alpha), offset=pymeshlab.PureValue(options.offset)
+        alpha=pymeshlab.PureValue(alpha), offset=pymeshlab.PureValue(options.offset)
     )
     wrap = meshes.current_mesh()
     person = _largest_component(wrap.vertex_matrix(), wrap.face_matrix().astype(np.int64))
@@ -205,8 +205,8 @@ def resample(surface: Surface, count: int, gain: float, rng: np.random.Generator
             break
         radius *= np.sqrt(len(kept) / count)
     points, normals = points[kept], on_faces(_normals(v, f))[kept]
-    spacing = cKDTree(points).query(points, k=min(4, len(points)))[0][:, 1:].mean(1)
-    return Samples(points, normals / np.linalg.norm(normals, axis=1, keepdims=True), spacing)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return Samples(points, normals, _mean_distance(points, 3))
 
 
 def regaussian(
@@ -244,17 +244,24 @@ def regaussian(
 
     opacities = (share * old.opacities.detach()[nearest]).sum(1).clamp(0.01, 0.99)
     sh = (share[:, :, None, None] * old.sh.detach()[nearest]).sum(1)
-    jitter = tensor(np.exp(options.scale_jitter * rng.standard_normal((N, 3))))
+    jitter = options.scale_jitter * tensor(rng.standard_normal((N, 3)))
     half = tensor(rng.uniform(0, np.pi, N))  # half the angle about the normal
     means = tensor(samples.points)
     return CanonicalGaussians(
         means=means,
         quats=_spin(disc_quats(tensor(samples.normals)), half),
-        log_scales=disc_log_scales(tensor(samples.spacing), seed) + jitter.log(),
+        log_scales=disc_log_scales(tensor(samples.spacing), seed) + jitter,
         logit_opacities=torch.logit(opacities),
         sh=sh,
         weights=nearest_weights(means, rig.vertices, rig.weights, NEAREST_JOINTS),
     )
+
+
+def _mean_distance(points: np.ndarray, neighbours: int) -> np.ndarray:
+    """Of each point (N, 3) to its nearest neighbours, (N,)."""
+    from scipy.spatial import cKDTree
+
+    return cKDTree(points).query(points, k=neighbours + 1)[0][:, 1:].mean(1)
 
 
 def _filler(rig: Rig, depth: float) -> tuple[np.ndarray, np.ndarray]:

@@ -1,21 +1,23 @@
-"""The rotation nearest to a blend of rotations, as a quaternion, with exact gradients; one Dr.Jit kernel each way.
+"""The rotation nearest to a blend of rotations, with exact gradients: one Dr.Jit kernel each way.
 
 For a rotation R with quaternion r (wxyz), ``r rᵀ`` is *linear* in R (Davenport's matrix):
 
     1. B(A) = (I + K(A)) / 4,    K linear,    B(R) = r rᵀ
-    2. A_rot = Σ w_p R_p   ⇒   B = Σ w_p r_p r_pᵀ        symmetric, eigenvalues in [0, 1], their sum is 1
+    2. A_rot = Σ w_p R_p   ⇒   B = Σ w_p r_p r_pᵀ    eigenvalues in [0, 1], their sum is 1
     3. q = the eigenvector of B's largest eigenvalue λ
 
-q maximises qᵀ B q, hence tr(R(q)ᵀ A): it is the polar factor of A_rot, and also Markley's average of the
-quaternions, in which the signs of r_p play no part. Squaring B and scaling it to trace 1, again and again, leaves q qᵀ.
-With a unit q, perturbation theory gives the derivative, and its transpose the adjoint:
+q maximises qᵀ B q, hence tr(R(q)ᵀ A): it is the polar factor of A_rot, and also Markley's average
+of the quaternions, in which the signs of r_p play no part. Squaring B and scaling it to trace 1,
+again and again, leaves q qᵀ. With a unit q, perturbation theory gives the derivative, its
+transpose the adjoint:
 
     4. dq = (λ I − B)⁺ dB q
     5. y = (λ I − B)⁺ grad_q,    grad_B = y qᵀ,    grad_A = Kᵀ(grad_B) / 4
 
-The pseudo-inverse acts on what is orthogonal to q, where it equals the inverse of ``λ I − B + q qᵀ``: a positive
-definite 4x4 system, solved by Cholesky's method. Where two eigenvalues meet (joints turned against each other by 180°)
-no nearest rotation is unique; there the pivots are held above :data:`MIN_GAP`, so that gradients stay finite.
+The pseudo-inverse acts on what is orthogonal to q, where it equals the inverse of ``λ I − B + q
+qᵀ``: a positive definite 4x4 system, solved by Cholesky's method. Where two eigenvalues meet
+(joints turned against each other by 180°) no nearest rotation is unique; there the pivots are held
+above :data:`MIN_GAP`, so that gradients stay finite.
 
 =============  =========================================================  ===========
 Symbol         Meaning                                                    Shape
@@ -29,11 +31,13 @@ q              polar factor of A_rot as a unit quaternion                 4 a la
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import drjit as dr
 import torch
 from torch import Tensor
+from torch.autograd.function import FunctionCtx
 
 SQUARINGS = 9  # B^512: the second eigenvalue is gone in float64 for joints up to 170 degrees apart
 MIN_GAP = 1e-4  # smallest pivot of the adjoint's system
@@ -58,7 +62,7 @@ def carry_frames(A: Tensor, means: Tensor, quats: Tensor) -> tuple[Tensor, Tenso
     return _CarryFrames.apply(A, means, quats)
 
 
-# --- formulas, one lane per Gaussian ---------------------------------------------------------------------
+# --- formulas, one lane per Gaussian ---
 
 
 def _davenport(A: list[Any]) -> dict[tuple[int, int], Any]:
@@ -143,7 +147,7 @@ def _conjugate(q: list[Any]) -> list[Any]:
     return [q[0], -q[1], -q[2], -q[3]]
 
 
-# --- kernels ---------------------------------------------------------------------------------------------
+# --- kernels ---
 
 
 def _forward(A: list[Any], mean: list[Any], quat: list[Any]) -> tuple[list[Any], list[Any]]:
@@ -174,12 +178,12 @@ def _rotation(A: list[Any]) -> list[Any]:
     return [A[4 * i + k] for i in range(3) for k in range(3)]
 
 
-# --- torch -----------------------------------------------------------------------------------------------
+# --- torch ---
 
 
 class _CarryFrames(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, A: Tensor, means: Tensor, quats: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(ctx: FunctionCtx, A: Tensor, means: Tensor, quats: Tensor) -> tuple[Tensor, Tensor]:
         ctx.save_for_backward(A, means, quats)
         if len(means) == 0:
             return means.clone(), quats.clone()
@@ -187,14 +191,14 @@ class _CarryFrames(torch.autograd.Function):
 
     @staticmethod
     @torch.autograd.function.once_differentiable
-    def backward(ctx: Any, grad_means: Tensor, grad_quats: Tensor) -> tuple[Tensor, ...]:
+    def backward(ctx: FunctionCtx, grad_means: Tensor, grad_quats: Tensor) -> tuple[Tensor, ...]:
         A, means, quats = ctx.saved_tensors
         if len(means) == 0:
             return torch.zeros_like(A), torch.zeros_like(means), torch.zeros_like(quats)
         return _launch(_adjoint, A, means, quats, grad_means, grad_quats)
 
 
-def _launch(kernel: Any, *tensors: Tensor) -> tuple[Tensor, ...]:
+def _launch(kernel: Callable, *tensors: Tensor) -> tuple[Tensor, ...]:
     """Run a kernel over the rows of tensors (N, K), without copies; returns tensors (N, K')."""
     Float = _FLOAT[tensors[0].dtype]
     n = len(tensors[0])

@@ -1,14 +1,15 @@
 """Linear blend skinning: of points (Eq. 4, 5) and of the frames of Gaussians (Eq. 6).
 
-    1. T_world_rest[j] = G_j · translate(−joints[j]),  G_j = G_parent(j) · [R_j | joints[j] − joints[parent(j)]]
-    2. A = Σ_j w_j T_world_rest[j]            one affine map per point, a row of weights sums to 1
+    1. T_world_rest[j] = G_j · translate(−J_j),    G_j = G_parent(j) · [R_j | J_j − J_parent(j)]
+    2. A = Σ_j w_j T_world_rest[j]        one affine map per point; a row of weights sums to 1
     3. x' = A_rot x + A_trans                                                         (Eq. 5)
     4. q' = polar(A_rot) ⊗ q                                                          (Eq. 6)
 
-Eq. 6 of the paper multiplies a Gaussian's rotation by A_rot as if it were one. It is a blend of rotations, which
-shears and shrinks wherever its joints turn differently. Here means follow the whole affine map, so that they stay on
-the skinned mesh, while orientations follow the rotation nearest to A_rot, its polar factor: Gaussians keep their
-learned scales, and a rigid motion is carried exactly. See :mod:`gva_mi.body.polar`.
+Eq. 6 of the paper multiplies a Gaussian's rotation by A_rot as if it were one. It is a blend of
+rotations, which shears and shrinks wherever its joints turn differently. Here means follow the
+whole affine map, so that they stay on the skinned mesh, while orientations follow the rotation
+nearest to A_rot, its polar factor: Gaussians keep their learned scales, and a rigid motion is
+carried exactly. See :mod:`gva_mi.body.polar`.
 """
 
 from __future__ import annotations
@@ -43,7 +44,8 @@ def joint_transforms(
     """
     if rotations.ndim != 3 or rotations.shape[1:] != (len(parents), 3):
         raise ValueError(
-            f"joint_transforms(): rotations must be (T, {len(parents)}, 3), got {tuple(rotations.shape)}"
+            f"joint_transforms(): rotations must be (T, {len(parents)}, 3), "
+            f"got {tuple(rotations.shape)}"
         )
     frames = rotations.shape[0]
     joints = joints.expand(frames, -1, -1)
@@ -56,7 +58,7 @@ def joint_transforms(
     above = local[:, levels[0]]
     world = [above]
     for level, previous in zip(levels[1:], levels[:-1], strict=True):
-        # A product with zeros and ones picks the parents: unlike an index, its gradient has one order of sums.
+        # Zeros and ones pick the parents: unlike an index's, this gradient has one order of sums.
         pick = parent_of[level][:, previous]
         parent = (pick @ above.flatten(2)).unflatten(2, (3, 4))
         here = local[:, level]
@@ -102,8 +104,8 @@ def skin_gaussians(
         T_world_rest: (J, 4, 4), its upper left 3x3 blocks rotations.
 
     Returns:
-        means (N, 3) and quats (N, 4) in the world. Both are differentiable in all four arguments; the sign of a
-        quaternion is arbitrary.
+        means (N, 3) and quats (N, 4) in the world. Both are differentiable in all four arguments;
+        the sign of a quaternion is arbitrary.
     """
     n = means.shape[0]
     for name, value, shape in (
@@ -143,9 +145,7 @@ def nearest_weights(points: Tensor, vertices: Tensor, weights: Tensor, joints: i
     """
     with torch.no_grad():
         rows = max(1, _CHUNK // len(vertices))
-        exact = (
-            "donot_use_mm_for_euclid_dist"  # the faster expansion loses the last 0.3 mm in float32
-        )
+        exact = "donot_use_mm_for_euclid_dist"  # the product form is off by 0.3 mm in float32
         nearest = [
             torch.cdist(chunk, vertices, compute_mode=exact).argmin(1)
             for chunk in points.split(rows)

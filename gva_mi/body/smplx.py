@@ -1,9 +1,10 @@
-"""The parametric body of Eq. 4: shape and pose to vertices, joints and transforms; reads SMPL-X's npz files.
+"""The parametric body of Eq. 4: shape and pose to vertices, joints and transforms; reads SMPL-X's
+npz files.
 
-    1. v_shaped = v_template + S β + E ψ                                        S, E: shape and expression directions
+    1. v_shaped = v_template + S β + E ψ                        S, E: shape, expression directions
     2. J = J_regressor · v_shaped
-    3. v_rest = v_shaped + offsets + P vec(R(θ_j) − I), j ≥ 1                    P: pose directions
-    4. vertices = Σ_j w_j T_world_rest[j](θ, J) · v_rest                          skinning, see gva_mi.body.skinning
+    3. v_rest = v_shaped + offsets + P vec(R(θ_j) − I), j ≥ 1   P: pose directions
+    4. vertices = Σ_j w_j T_world_rest[j](θ, J) · v_rest        see gva_mi.body.skinning
 
 ==========  ==================================  ===================  ========================
 Symbol      Name                                Shape                Unit
@@ -58,7 +59,8 @@ class Posed:
 class BodyModel(nn.Module):
     """A body in SMPL-X's format, ``body(pose, shape, offsets) -> Posed``.
 
-    All its numbers are buffers, of one precision: ``body.to(torch.float64)`` changes it. Nothing in it trains.
+    All its numbers are buffers, of one precision: ``body.to(torch.float64)`` changes it. Nothing
+    in it trains.
 
     Attributes:
         v_template: (V, 3) the mean person in the T-pose, metres.
@@ -82,9 +84,10 @@ class BodyModel(nn.Module):
         self.register_buffer("weights", tensor(arrays["weights"]))
         self.register_buffer("shape_directions", tensor(directions[betas]))  # (B, 3 V)
         self.register_buffer("expression_directions", tensor(directions[expressions]))  # (E, 3 V)
-        # Joints are linear in the coefficients too: regress the directions once, not the vertices of every frame.
+        # Joints are linear in the coefficients too: regress the directions once, not every frame.
         regressor = arrays["J_regressor"].astype(np.float64)
-        joints = np.einsum("jv,vck->kjc", regressor, arrays["shapedirs"]).reshape(-1, 165)
+        joints = regressor @ arrays["shapedirs"].reshape(len(arrays["v_template"]), -1)
+        joints = joints.reshape(165, -1).T
         self.register_buffer("j_template", tensor(regressor @ arrays["v_template"]))
         self.register_buffer("shape_joints", tensor(joints[betas]))  # (B, 165)
         self.register_buffer("expression_joints", tensor(joints[expressions]))  # (E, 165)
@@ -127,7 +130,8 @@ class BodyModel(nn.Module):
         """
         if offsets is not None and offsets.shape != self.v_template.shape:
             raise ValueError(
-                f"BodyModel(): offsets must be {tuple(self.v_template.shape)}, got {tuple(offsets.shape)}"
+                f"BodyModel(): offsets must be {tuple(self.v_template.shape)}, "
+                f"got {tuple(offsets.shape)}"
             )
         vertices, joints = self._shaped(shape)
         dv, dj = self._expressed(pose.expression)
@@ -141,7 +145,8 @@ class BodyModel(nn.Module):
         return Posed(skinned, (R @ joints.unsqueeze(-1)).squeeze(-1) + t, T_world_rest)
 
     def add_mean_hands(self, pose: Pose) -> Pose:
-        """A pose whose hands count from the file's mean hand, as estimators write them, made to count from flat."""
+        """A pose whose hands count from the file's mean hand, as estimators write them, made to
+        count from flat."""
         rotations = torch.cat(
             [pose.rotations[:, :25].flatten(1), pose.left_hand_pose + self.hands_mean[0],
              pose.right_hand_pose + self.hands_mean[1]], dim=1,
@@ -173,8 +178,9 @@ def load_body(path: Path | None = None, dtype: torch.dtype = torch.float32) -> B
     """Read a body: a file in SMPL-X's npz format, or the built-in puppet where none is given.
 
     Args:
-        path: ``SMPLX_NEUTRAL.npz`` or the like, version 1.0 or 1.1, any gender. Files with 400 shape directions hold 300
-            betas and then expressions; files with fewer hold 10 betas and then up to 10 expressions.
+        path: ``SMPLX_NEUTRAL.npz`` or the like, version 1.0 or 1.1, any gender. Files with 400
+            shape directions hold 300 betas and then expressions; files with fewer hold 10 betas
+            and then up to 10 expressions.
         dtype: float32 or float64.
 
     Raises:
@@ -183,13 +189,13 @@ def load_body(path: Path | None = None, dtype: torch.dtype = torch.float32) -> B
     path = PUPPET if path is None else Path(path)
     if path.suffix.lower() in (".pkl", ".pickle"):
         raise InputError(
-            f"{path}: pickled bodies are not read, for a pickle can run any code; download the same model as .npz "
-            f"('SMPL-X v1.1, NPZ+PKL' at {LICENSED})"
+            f"{path}: pickled bodies are not read, for a pickle can run any code; download "
+            f"the same model as .npz ('SMPL-X v1.1, NPZ+PKL' at {LICENSED})"
         )
     if not path.is_file():
         raise InputError(
-            f"{path}: no such file; expected a body in SMPL-X's .npz format. SMPL-X is licensed at {LICENSED}; "
-            "without a body file the built-in puppet is used"
+            f"{path}: no such file; expected a body in SMPL-X's .npz format. SMPL-X is licensed at "
+            f"{LICENSED}; without a body file the built-in puppet is used"
         )
     arrays = _read(path)
     _check(path, arrays)
@@ -215,7 +221,8 @@ def _read(path: Path) -> dict[str, np.ndarray]:
         missing = [key for key in _KEYS if key not in file.files]
         if missing:
             raise InputError(
-                f"{path}: key '{missing[0]}' is missing; found: {', '.join(sorted(file.files)) or 'none'}"
+                f"{path}: key '{missing[0]}' is missing; "
+                f"found: {', '.join(sorted(file.files)) or 'none'}"
             )
         arrays = {}
         for key in (*_KEYS, *(k for k in ("joint_names",) if k in file.files)):
@@ -223,7 +230,8 @@ def _read(path: Path) -> dict[str, np.ndarray]:
                 arrays[key] = file[key]
             except Exception as error:  # the zip, zlib and numpy each have their own
                 raise InputError(
-                    f"{path}: key '{key}' cannot be read, the file is damaged or holds objects ({error})"
+                    f"{path}: key '{key}' cannot be read, the file is damaged or holds objects "
+                    f"({error})"
                 ) from None
     return arrays
 
@@ -233,7 +241,8 @@ def _check(path: Path, arrays: dict[str, np.ndarray]) -> None:
     shapes = {
         "v_template": (vertices, 3), "f": (None, 3), "shapedirs": (vertices, 3, None),
         "posedirs": (vertices, 3, 9 * (joints - 1)), "J_regressor": (joints, vertices),
-        "weights": (vertices, joints), "kintree_table": (2, joints), "hands_meanl": (45,), "hands_meanr": (45,),
+        "weights": (vertices, joints), "kintree_table": (2, joints),
+        "hands_meanl": (45,), "hands_meanr": (45,),
     }  # fmt: skip
     for key, shape in shapes.items():
         array = arrays[key]
@@ -259,8 +268,8 @@ def _check(path: Path, arrays: dict[str, np.ndarray]) -> None:
     if tuple(parents) != PARENTS or tuple(names) != JOINTS:
         key = "kintree_table" if tuple(parents) != PARENTS else "joint_names"
         raise InputError(
-            f"{path}: '{key}' is not the tree of SMPL-X's 55 joints, in which the root comes first, then "
-            "21 body joints, jaw, eyes, left hand, right hand"
+            f"{path}: '{key}' is not the tree of SMPL-X's 55 joints, in which the root comes "
+            "first, then 21 body joints, jaw, eyes, left hand, right hand"
         )
 
 
@@ -276,7 +285,8 @@ def _columns(count: int) -> tuple[slice, slice]:
 
 
 def _coefficients(name: str, values: Tensor, available: int) -> Tensor:
-    """Coefficients (T, K) cut to what the file has; missing ones count as zero by not being there."""
+    """Coefficients (T, K) cut to what the file has; missing ones count as zero by not being
+    there."""
     if values.shape[1] > available and bool((values[:, available:] != 0).any()):
         raise InputError(
             f"the pose or shape has {values.shape[1]} {name}, but the body file has {available}"

@@ -10,8 +10,8 @@
       poses.npz            of all frames, where those of the training frames were trained too
       avatar.npz           the fitted avatar; it is there when the run is finished
 
-A file is written under another name and then renamed: after a kill it is the old one or the new one,
-whole.
+A file is written under another name and then renamed: after a kill it is the old one or the new
+one, whole.
 """
 
 from __future__ import annotations

@@ -5,26 +5,19 @@ from __future__ import annotations
 import base64
 import io
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-import torch
 
 from gva_mi.avatar.avatar import Avatar
-from gva_mi.body.pose import LEFT_HAND, RIGHT_HAND, Pose
-from gva_mi.data.video import Frame, Video, load_video
-from gva_mi.fit.evaluate import cut_out, render_frame
-from gva_mi.splat import Camera, Gaussians, look_at
-from gva_mi.splat.torch_op import render
+from gva_mi.data.video import Video, load_video
+from gva_mi.fit.views import compared, dots, hands, spread, turntable
+from gva_mi.splat import Gaussians
 
 SHOWN = 5  # frames per strip
-HAND_CROP = 0.30  # metres, the side of a zoomed hand
 TURN_FRAMES = 24  # pictures of the turning avatar
-DOT = 0.004  # metres, how large a Gaussian is drawn in the before-and-after pictures
-
-LEFT_WRIST, RIGHT_WRIST = 20, 21
 
 
 @dataclass(frozen=True)
@@ -105,40 +98,23 @@ _NOVEL_VIEW = "Poses of the video from cameras that never saw it: truth left, re
 
 
 def _turning(avatar: Avatar, video: Video) -> Section:
-    """The avatar on a turntable, in the middle frame's pose."""
-    frame = video[len(video) // 2]
-    centre = (avatar.rig.joints.mean(0) + frame.pose.transl[0]).numpy()
-    distance = float(np.linalg.norm(frame.camera.position - centre))
-    pictures = []
-    for angle in np.linspace(0, 2 * np.pi, TURN_FRAMES, endpoint=False):
-        eye = centre + distance * np.array([np.sin(angle), 0.05, np.cos(angle)])
-        T_camera_world = look_at(eye, centre)
-        w, h = video.size
-        camera = Camera(frame.camera.fx, frame.camera.fx, w / 2, h / 2, T_camera_world, w, h)
-        pictures.append(_trim(render_frame(avatar, frame.pose, camera)))
-    caption = f"{len(avatar.canonical.means):,} Gaussians, {TURN_FRAMES} views"
-    return Section(
-        "The avatar",
-        "Fitted to one video of one camera, seen all around.",
-        [Picture(caption, _animation(pictures))],
-        columns=3,
-    )
+    caption = f"{len(avatar.canonical):,} Gaussians, {TURN_FRAMES} views"
+    pictures = list(turntable(avatar, video[len(video) // 2], TURN_FRAMES))
+    text = "Fitted to one video of one camera, seen all around."
+    return Section("The avatar", text, [Picture(caption, _animation(pictures))], columns=3)
 
 
 def _held_out(avatar: Avatar, video: Video) -> Section:
-    """Frames that training never saw: picture, render, and where they differ."""
-    pictures = []
-    for frame in video.frames(_spread(video.splits.test or video.splits.train)):
-        target = cut_out(frame)
-        image = render_frame(avatar, frame.pose, frame.camera)
-        error = np.abs(image.astype(int) - target).max(-1)
-        joined = np.concatenate([target, image, _heat(error)], axis=1)
-        pictures.append(_picture(f"frame {frame.index}: picture · render · difference", joined))
+    """Frames that training never saw."""
+    pictures = [
+        _picture(f"frame {frame.index}: picture · render · difference", compared(avatar, frame))
+        for frame in video.frames(spread(video.splits.test or video.splits.train, SHOWN))
+    ]
     text = (
         "Frames of the video that training left out, cut out by their masks: the picture, the "
         "render, and the largest difference of the three channels (white none, red 64 of 255)."
     )
-    return Section("Test frames", text, pictures, columns=2)
+    return Section("Test frames", text, pictures, columns=3)
 
 
 def _refinement(figures: dict, overlays: Sequence[np.ndarray]) -> list[Section]:
@@ -161,33 +137,20 @@ def _truth(avatar: Avatar, video: Video, split: str, title: str, text: str) -> l
     folder = video.truth / split if video.truth else None
     if folder is None or not folder.is_dir():
         return []
-    source, pictures = load_video(folder), []
-    for frame in source.frames(_spread(range(len(source)))):
-        image = render_frame(avatar, frame.pose, frame.camera)
-        pictures.append(_picture("", _trim(np.concatenate([cut_out(frame), image], axis=1))))
+    source = load_video(folder)
+    pictures = [
+        _picture("", compared(avatar, frame, difference=False))
+        for frame in source.frames(spread(range(len(source)), SHOWN))
+    ]
     return [Section(title, text, pictures)]
 
 
 def _hands(avatar: Avatar, video: Video) -> Section:
-    """Both hands from close by, picture above render."""
-    pictures = []
-    for frame in video.frames(_spread(video.splits.test or video.splits.train)):
-        target = cut_out(frame)
-        for side, (wrist, fingers) in {
-            "left": (LEFT_WRIST, LEFT_HAND),
-            "right": (RIGHT_WRIST, RIGHT_HAND),
-        }.items():
-            camera = _zoom(frame, _joints(avatar, frame.pose)[[wrist, *_range(fingers)]])
-            if camera is None:
-                continue
-            left, top, size = camera
-            seen = _enlarge(target[top : top + size, left : left + size])
-            factor = len(seen) / size
-            view = frame.camera.cropped(left, top, size, size)
-            view = view.resized(round(size * factor), round(size * factor))
-            image = render_frame(avatar, frame.pose, view)
-            caption = f"frame {frame.index}, {side} hand"
-            pictures.append(_picture(caption, np.concatenate([seen, image[: len(seen)]], axis=0)))
+    pictures = [
+        _picture(f"frame {frame.index}, {side}", image)
+        for frame in video.frames(spread(video.splits.test or video.splits.train, SHOWN))
+        for side, image in hands(avatar, frame)
+    ]
     text = (
         "Test frames zoomed on the hands: the picture's own pixels above, and below the avatar, "
         "rendered at the zoomed resolution."
@@ -202,7 +165,7 @@ def _reinitialisation(snapshots: Sequence[tuple[int, Gaussians, Gaussians]]) -> 
     for step, before, after in snapshots:
         for name, gaussians in (("before", before), ("after", after)):
             caption = f"step {step}, {name}: {len(gaussians):,} Gaussians"
-            pictures.append(_picture(caption, _dots(gaussians)))
+            pictures.append(_picture(caption, dots(gaussians)))
     text = (
         "Surface-guided re-initialisation: every Gaussian as a dot of its own colour, in the rest "
         "pose. Clumps in textured regions spread, and floating Gaussians return to the surface."
@@ -278,76 +241,6 @@ def _subtitle(metrics: dict) -> str:
         f"A 3D Gaussian avatar of body and hands from a monocular video, {width} x {height} "
         f"pixels, seed {metrics['seed']}."
     )
-
-
-def _dots(gaussians: Gaussians) -> np.ndarray:
-    """Gaussians as small opaque dots, seen from the front and from the side."""
-    scales = torch.full_like(gaussians.scales, DOT / 3)
-    opacities = torch.full_like(gaussians.opacities, 0.99)
-    dots = Gaussians(gaussians.means, gaussians.quats, scales, opacities, sh=gaussians.sh[:, :1])
-    low, high = (gaussians.means.quantile(q, dim=0).numpy() for q in (0.001, 0.999))
-    centre, views = (low + high) / 2, []
-    for direction, side in (((0, 0, 1), 0), ((1, 0, 0), 2)):
-        width, height = (high - low)[side] * 1.1, (high - low)[1] * 1.1
-        eye = centre + 6 * np.array(direction)
-        pixels = 560 / height  # per metre
-        w, h = round(width * pixels), 560
-        camera = Camera(6 * pixels, 6 * pixels, w / 2, h / 2, look_at(eye, centre), w, h)
-        with torch.no_grad():
-            color = render(dots, camera, background=torch.ones(3)).color.numpy()
-        views.append(np.round(np.clip(color, 0, 1) * 255).astype(np.uint8))
-    return np.concatenate(views, axis=1)
-
-
-def _joints(avatar: Avatar, pose: Pose) -> np.ndarray:
-    """The avatar's joints in a pose, (55, 3) metres, world."""
-    from gva_mi.body.skinning import joint_transforms
-
-    rig = avatar.rig
-    T_world_rest = joint_transforms(pose.rotations, rig.joints, rig.parents, pose.transl)[0]
-    R, t = T_world_rest[:, :3, :3], T_world_rest[:, :3, 3]
-    return ((R @ rig.joints[..., None])[..., 0] + t).numpy()
-
-
-def _zoom(frame: Frame, joints: np.ndarray) -> tuple[int, int, int] | None:
-    """The square of pixels around some joints: left, top, size; None outside the picture."""
-    centre = frame.camera.project(joints).mean(0)
-    depth = (joints @ frame.camera.T_camera_world[2, :3]).mean() + frame.camera.T_camera_world[2, 3]
-    size = round(frame.camera.fx * HAND_CROP / depth)
-    left, top = (round(float(x) - size / 2) for x in centre)
-    inside = left >= 0 and top >= 0
-    inside &= left + size <= frame.camera.width and top + size <= frame.camera.height
-    return (left, top, size) if inside else None
-
-
-def _range(part: slice) -> range:
-    return range(part.start, part.stop)
-
-
-def _spread(indices: Iterable[int], count: int = SHOWN) -> list[int]:
-    """At most ``count`` of some indices, evenly spaced."""
-    indices = list(indices)
-    chosen = np.linspace(0, len(indices) - 1, min(count, len(indices))).round().astype(int)
-    return [indices[k] for k in chosen]
-
-
-def _trim(image: np.ndarray) -> np.ndarray:
-    """Cut the empty rows above and below, the same for all pictures of a strip: a tenth each."""
-    margin = len(image) // 40
-    return image[margin : len(image) - margin]
-
-
-def _heat(error: np.ndarray) -> np.ndarray:
-    """Differences (H, W) of 8-bit levels as white to red."""
-    share = np.clip(error / 64, 0, 1)[..., None]
-    white, red = np.array([255, 255, 255]), np.array([190, 20, 40])
-    return np.round(white * (1 - share) + red * share).astype(np.uint8)
-
-
-def _enlarge(image: np.ndarray, side: int = 220) -> np.ndarray:
-    """Show pixels as squares, so that nothing is invented between them."""
-    factor = max(1, round(side / len(image)))
-    return image.repeat(factor, axis=0).repeat(factor, axis=1)
 
 
 def _number(value: float | None, digits: int) -> str:

@@ -277,7 +277,7 @@ def _unpacked(rows: Tensor, expression: Tensor) -> Pose:
 
 
 def _optimizer(avatar: Avatar, poses: TrainedPoses, rates: Rates) -> torch.optim.Adam:
-    """Adam with one named group per kind of parameter; densification looks them up by these names."""
+    """Adam with one named group, and one learning rate, per kind of parameter."""
     groups = [
         {"name": name, "params": [parameter], "lr": getattr(rates, name)}
         for name, parameter in avatar.canonical.named_parameters()

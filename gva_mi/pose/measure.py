@@ -1,9 +1,10 @@
-"""How well the poses fit, told by the truth of a synthetic subject. Nothing here is read by any step.
+"""How well poses fit, told by the truth of a synthetic subject; no step reads it.
 
-Errors are distances between the vertices of the same body in the found and in the true pose, of the bare body (the
-displacement for clothes is no part of a pose). *Root-aligned* ones compare after the pelvis joints are laid on each
-other, which leaves out the depth that one camera hardly sees. The silhouette's IoU is that of the bare body against
-the frame's mask: under clothes even the true pose does not reach 1, so that its own value is the mark.
+Errors are distances between the vertices of the same body in the found and in the true pose, of the
+bare body (the displacement for clothes is no part of a pose). *Root-aligned* ones compare after the
+pelvis joints are laid on each other, which leaves out the depth that one camera hardly sees. The
+silhouette's IoU is that of the bare body against the frame's mask: under clothes even the true pose
+does not reach 1, so that its own value is the mark.
 """
 
 from __future__ import annotations
@@ -20,12 +21,14 @@ from gva_mi.pose.displacement import hand_vertices
 from gva_mi.pose.refine import Refined
 from gva_mi.pose.scene import BodyScene
 
-_FEET = [JOINTS.index(f"{side}_{joint}") for side in ("left", "right") for joint in ("ankle", "foot")]
+_FEET = [
+    JOINTS.index(f"{side}_{joint}") for side in ("left", "right") for joint in ("ankle", "foot")
+]
 
 
 @dataclass(frozen=True)
 class PoseErrors:
-    """Means over all frames; lengths in millimetres. Figures that need the truth are None without it."""
+    """Means over all frames, lengths in millimetres; None where it takes the truth."""
 
     vertex_mm_stage1: float | None
     vertex_mm: float | None
@@ -50,7 +53,7 @@ class PoseErrors:
 def measure(
     video: Video, body: BodyModel, refined: Refined, truth: tuple[Pose, Shape] | None = None
 ) -> PoseErrors:
-    """Compare stage 1 and the refined poses with the masks, and with the true poses where they are known."""
+    """Compare stage 1 and the refined poses with the masks, and with the truth where given."""
     found = {"stage1": (video.pose, video.shape), "refined": (refined.pose, refined.shape)}
     if truth is not None:
         found["truth"] = truth
@@ -58,7 +61,8 @@ def measure(
     iou = {name: [] for name in found}
     errors: dict[str, list[Tensor]] = {"stage1": [], "refined": []}
     parts = torch.stack(
-        [torch.ones(len(body.weights)), hand_vertices(body.weights), body.weights[:, _FEET].sum(1) > 0.5]
+        [torch.ones(len(body.weights)), hand_vertices(body.weights), body.weights[:, _FEET].sum(1) >
+        0.5]
     )  # fmt: skip
     for frame in video.frames():
         mask = torch.from_numpy(frame.mask)

@@ -1,11 +1,13 @@
-"""What is known about poses without looking: they are near stage 1, and near their neighbours in time.
+"""What is known about poses without looking: near stage 1, and near their neighbours.
 
-Differences of rotations are taken between matrices, ``d(R, Q)² = |R - Q|_F² / 2``, the squared angle where it is
-small. Unlike a difference of axis-angle vectors it does not tear where a person who turns passes half a turn.
+Differences of rotations are taken between matrices, ``d(R, Q)² = |R - Q|_F² / 2``, the squared
+angle where it is small. Unlike a difference of axis-angle vectors it does not tear where a person
+who turns passes half a turn.
 
-Eq. 9's regulariser ``Σ ω_i (θ_i - θ_i^stage1)`` has no norm as printed and could fall without bound; it is taken
-squared. Its weights fall with the distance from the root in the kinematic tree, ``ω_i = 1 / (1 + depth_i)``: the
-farther out a joint, the worse stage 1 knows it, and the less it is held.
+Eq. 9's regulariser ``Σ ω_i (θ_i - θ_i^stage1)`` has no norm as printed and could fall without
+bound; it is taken squared. Its weights fall with the distance from the root in the kinematic tree,
+``ω_i = 1 / (1 + depth_i)``: the farther out a joint, the worse stage 1 knows it, and the less it is
+held.
 """
 
 from __future__ import annotations

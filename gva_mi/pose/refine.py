@@ -2,17 +2,20 @@
 
     L_pose = |N - N_pred| + λ1 |S - S_pred| + λ2 Σ_i ω_i |θ_i - θ_i^stage1|²
 
-with the normals ``N`` and the silhouette ``S`` of the posed body, rendered by :mod:`gva_mi.pose.scene`.
+with the normals ``N`` and the silhouette ``S`` of the posed body, rendered by
+:mod:`gva_mi.pose.scene`.
 
 Two ways:
 
-* ``loss="sequence"`` (default, :mod:`gva_mi.pose.sequence`): all frames together, with one displacement of the rest surface
-  for the clothes, neighbours in time, and a translation that is free but held. The paper's Eq. 9 fits a bare body to
-  the mask of a clothed one, and on such a person it makes poses worse than stage 1.
-* ``loss="paper"`` (:mod:`gva_mi.pose.single_frame`): Eq. 9 as printed, frame by frame, the bare body, rotations only.
+* ``loss="sequence"`` (default, :mod:`gva_mi.pose.sequence`): all frames together, with one
+  displacement of the rest surface for the clothes, neighbours in time, and a translation that is
+  free but held. The paper's Eq. 9 fits a bare body to the mask of a clothed one, and on such a
+  person it makes poses worse than stage 1.
+* ``loss="paper"`` (:mod:`gva_mi.pose.single_frame`): Eq. 9 as printed, frame by frame, the bare
+  body, rotations only.
 
-Frames of all splits are refined alike, from their own masks and normals. Frames without normals are fitted to their
-silhouettes alone.
+Frames of all splits are refined alike, from their own masks and normals. Frames without normals are
+fitted to their silhouettes alone.
 """
 
 from __future__ import annotations
@@ -79,7 +82,9 @@ class Refined:
     pose: Pose  # all frames
     shape: Shape
     offsets: Tensor  # (V, 3) the displacement shared by all frames, metres; zero for loss="paper"
-    losses_stage1: Tensor  # (T,) L_normal + λ1 L_silhouette at stage 1; NaN where there is no target
+    losses_stage1: (
+        Tensor  # (T,) L_normal + λ1 L_silhouette at stage 1; NaN where there is no target
+    )
     losses: Tensor  # (T,) the same at the refined pose
     kept: dict[int, str]  # frames that keep their stage-1 pose, and why
     without_normals: list[int]  # frames that were fitted to their silhouette alone
@@ -98,8 +103,8 @@ def refine(
         progress: called as ``progress(done, total, loss=...)`` after every step.
 
     Returns:
-        Poses of all frames. A frame that cannot be refined keeps its stage-1 pose and is listed in ``kept``: an
-        empty mask, a body out of view, or a loss that did not fall below stage 1's.
+        Poses of all frames. A frame that cannot be refined keeps its stage-1 pose and is listed in
+        ``kept``: an empty mask, a body out of view, or a loss that did not fall below stage 1's.
     """
     begin = time.perf_counter()
     with _one_thread():
@@ -132,9 +137,7 @@ def refine(
     )
 
 
-def _targets(
-    video: Video, body: BodyModel, size: int
-) -> tuple[dict[int, Target], dict[int, str]]:
+def _targets(video: Video, body: BodyModel, size: int) -> tuple[dict[int, Target], dict[int, str]]:
     """What each frame says, and the frames that say nothing."""
     targets, kept = {}, {}
     for frame in video.frames():
@@ -174,7 +177,7 @@ def _no_offsets(body: BodyModel) -> Tensor:
 
 @contextmanager
 def _one_thread() -> Iterator[None]:
-    """torch on one thread: its tensors are small here, and the other cores belong to the ray tracer."""
+    """torch on one thread: its tensors are small here; the cores belong to the ray tracer."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:

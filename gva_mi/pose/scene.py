@@ -1,7 +1,7 @@
 """From a body and a camera to an image of normals and mask, differentiable in torch.
 
-The body stands in a Mitsuba scene as one mesh, and the plugin ``mesh_normals`` looks at it (interior and boundary
-gradients). A ``Camera`` becomes a Mitsuba sensor:
+The body stands in a Mitsuba scene as one mesh, and the plugin ``mesh_normals`` looks at it
+(interior and boundary gradients). A ``Camera`` becomes a Mitsuba sensor:
 
 1. Mitsuba's camera looks along +z with x to the left and y up:
    ``to_world = T_camera_world^{-1} · diag(-1, -1, 1, 1)``,
@@ -17,11 +17,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 from torch import Tensor
+from torch.autograd.function import FunctionCtx
 
 from gva_mi.splat import Camera
 
 if TYPE_CHECKING:
     import mitsuba as mi
+    from gva_mi_plugins.mesh_normals import View
 
 NEAR, FAR = 0.01, 1000.0  # metres
 
@@ -41,9 +43,8 @@ class BodyScene:
             faces: (F, 3) integers, counter-clockwise seen from outside.
             vertices: (V, 3) any positions; those of vertices that are one point must be equal here.
         """
-        import mitsuba as mi
-
         import gva_mi_plugins
+        import mitsuba as mi
 
         if mi.variant() is None:
             mi.set_variant("llvm_ad_rgb")
@@ -60,7 +61,7 @@ class BodyScene:
         self.vertex_count = len(vertices)
 
     def render(self, vertices: Tensor, camera: Camera) -> Tensor:
-        """The body's normals in camera space (OpenCV axes) and its mask, seen at the centres of the pixels.
+        """Normals in camera space (OpenCV axes) and mask, seen at the centres of the pixels.
 
         Args:
             vertices: (V, 3) float32, world, metres.
@@ -76,7 +77,7 @@ class BodyScene:
             )
         return _RenderNormals.apply(vertices, self, camera)
 
-    def view(self, vertices: Tensor, camera: Camera) -> Any:
+    def view(self, vertices: Tensor, camera: Camera) -> View:
         """The plugin's view of the body at these vertices."""
         self.show(vertices)
         integrator, sensor = self._sensor(camera)
@@ -127,14 +128,14 @@ def sensor_of(camera: Camera) -> dict[str, Any]:
 
 class _RenderNormals(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, vertices: Tensor, scene: BodyScene, camera: Camera) -> Tensor:
+    def forward(ctx: FunctionCtx, vertices: Tensor, scene: BodyScene, camera: Camera) -> Tensor:
         shown = vertices.detach().contiguous()
         ctx.scene, ctx.shown = scene, shown
         ctx.view = scene.view(shown, camera)
         return _to_torch(ctx.view.image())
 
     @staticmethod
-    def backward(ctx: Any, grad_image: Tensor) -> tuple[Tensor, None, None]:
+    def backward(ctx: FunctionCtx, grad_image: Tensor) -> tuple[Tensor, None, None]:
         import drjit as dr
         import mitsuba as mi
 

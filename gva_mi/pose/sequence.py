@@ -1,22 +1,24 @@
-"""All frames of a video refined together, the person's clothes explained by one displacement of the surface.
+"""All frames refined together, the clothes explained by one displacement of the surface.
 
-A step takes one frame ``k``, chosen at random (every frame once in a pass), and moves its rotations ``θ_k``, its
-translation ``t_k`` and the displacement ``D``, which all frames share, downhill on
+A step takes one frame ``k``, chosen at random (every frame once in a pass), and moves its rotations
+``θ_k``, its translation ``t_k`` and the displacement ``D``, which all frames share, downhill on
 
-    L = |N - N_pred| + λ1 |S - S_pred|                              the body displaced by D, posed by θ_k, t_k
-        + λ2 Σ_i ω_i d(θ_k,i, θ_k,i^stage1)²                        Eq. 9's regulariser
-        + smooth Σ_i [d(θ_k,i, θ_k-1,i)² + d(θ_k,i, θ_k+1,i)²]      neighbours in time, where they are now
+    L = |N - N_pred| + λ1 |S - S_pred|               the body displaced by D, posed by θ_k, t_k
+        + λ2 Σ_i ω_i d(θ_k,i, θ_k,i^stage1)²          Eq. 9's regulariser
+        + smooth Σ_i Σ_l d(θ_k,i, θ_l,i)²             l = k ± 1: neighbours, where they are now
         + hold |t_k - t_k^stage1|²
-        + E(D)                                                      gva_mi.pose.displacement
+        + E(D)                                        gva_mi.pose.displacement
 
-One frame cannot tell cloth from limb; many frames in which the person turns can, for the cloth goes along with the body
-and the error of the pose does not. Without ``hold`` the body walks toward the camera to fill the clothes.
+One frame cannot tell cloth from limb; many frames in which the person turns can, for the cloth goes
+along with the body and the error of the pose does not. Without ``hold`` the body walks toward the
+camera to fill the clothes.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import roma
 import torch
@@ -34,7 +36,10 @@ if TYPE_CHECKING:
 
 FACE = slice(JOINTS.index("jaw"), JOINTS.index("right_eye_smplhf") + 1)  # neither seen nor moved
 DECAY = 0.1  # what is left of the learning rates at the end
-BETAS = (0.8, 0.99)  # Adam's: a frame is visited a few dozen times only, so that it must forget fast
+BETAS = (
+    0.8,
+    0.99,
+)  # Adam's: a frame is visited a few dozen times only, so that it must forget fast
 
 
 @dataclass(frozen=True)
@@ -53,7 +58,7 @@ def refine_sequence(
     pose: Pose,
     shape: Shape,
     options: RefineOptions,
-    progress: Any = None,
+    progress: Callable[..., None] | None = None,
 ) -> Solution:
     """Refine the frames that have a target; the others stay, and pull at nobody.
 
@@ -75,7 +80,10 @@ def refine_sequence(
     moves = [t.clone().requires_grad_() for t in pose.transl]
     betas = shape.betas.clone().requires_grad_()
     rates = (options.rotation_lr, options.translation_lr, options.cloth_lr, options.shape_lr)
-    groups = [{"params": p, "lr": lr} for p, lr in zip((turns, moves, [cloth.raw], [betas]), rates, strict=True)]
+    groups = [
+        {"params": p, "lr": lr}
+        for p, lr in zip((turns, moves, [cloth.raw], [betas]), rates, strict=True)
+    ]
     adam = torch.optim.Adam(groups, betas=BETAS)
 
     frames = sorted(targets)
@@ -100,7 +108,13 @@ def refine_sequence(
                 loss = loss + options.smooth * squared_angles(R, now[near]).sum()
                 there = stage1[near].mT @ now[near]
                 loss = loss + options.smooth_change * squared_angles(change, there).sum()
-                loss = loss + options.smooth_move * ((moves[k] - pose.transl[k])-(moves[near]-pose.transl[near]).detach()).square().sum()
+                loss = (
+                    loss
+                    + options.smooth_move
+                    * ((moves[k] - pose.transl[k]) - (moves[near] - pose.transl[near]).detach())
+                    .square()
+                    .sum()
+                )
         loss = loss + options.hold * (moves[k] - pose.transl[k]).square().sum()
         loss = loss + cloth.energy(
             offsets, options.cloth_smooth, options.cloth_small, options.cloth_outward

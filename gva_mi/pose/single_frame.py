@@ -1,12 +1,13 @@
 """Eq. 9 as printed: each frame for itself, the bare body, rotations only.
 
-The norm that the regulariser lacks is taken squared (:mod:`gva_mi.pose.priors`). The translation stays as stage 1 gave
-it, for Eq. 9 speaks of ``θ`` alone.
+The norm that the regulariser lacks is taken squared (:mod:`gva_mi.pose.priors`). The translation
+stays as stage 1 gave it, for Eq. 9 speaks of ``θ`` alone.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import torch
 
@@ -28,7 +29,7 @@ def refine_single_frames(
     pose: Pose,
     shape: Shape,
     options: RefineOptions,
-    progress: Any = None,
+    progress: Callable[..., None] | None = None,
 ) -> Solution:
     """Minimise Eq. 9 in every frame that has a target; arguments as in ``refine_sequence``."""
     weights = joint_weights(body.parents)[:, None]

@@ -1,9 +1,10 @@
-"""What one frame says about the body: its mask and normals, at the size at which they are compared (Eq. 9).
+"""What a frame says about the body: mask and normals, at the size they are compared (Eq. 9).
 
-Everything is divided by the person's area in pixels, so that a weight means the same for a person who fills the
-picture and one who stands far away, and for any resolution:
+Everything is divided by the person's area in pixels, so that a weight means the same for a person
+who fills the picture and one who stands far away, and for any resolution:
 
-    L_normal = Σ_pixels |N - N_pred|_1 / 3 / area,        L_silhouette = Σ_pixels |S - S_pred| / area
+    L_normal = Σ_pixels |N - N_pred|_1 / 3 / area,        L_silhouette = Σ_pixels |S - S_pred| /
+    area
 """
 
 from __future__ import annotations
@@ -58,7 +59,8 @@ class Target:
         camera = camera.cropped(left, top, right - left, bottom - top)
         normals = None
         if frame.normals is not None:
-            # Means of unit vectors are shorter: made unit again, and cut where the mask has less than a half.
+            # Means of unit vectors are shorter: made unit again, and cut where the mask has less
+            # than a half.
             normals = torch.nn.functional.normalize(_shrink(frame.normals, shape), dim=-1)
             normals = (normals * (mask > 0.5)[..., None])[top:bottom, left:right].contiguous()
         return Target(camera, mask[top:bottom, left:right].contiguous(), normals, area)

@@ -34,7 +34,14 @@ def widths(columns: int) -> list[int]:
 
 def empty(F: type, columns: int, rows: int) -> Packets:
     """Uninitialised memory for ``rows`` records of ``columns`` floats."""
-    return [dr.empty(F, w * rows) for w in widths(columns)]
+    return [memory(F, w * rows) for w in widths(columns)]
+
+
+def memory(F: type, size: int) -> Array:
+    """Uninitialised memory for ``size`` numbers."""
+    array = dr.empty(F, size)
+    dr.make_opaque(array)  # until then it is a promise, whose size dr.freeze takes for a constant
+    return array
 
 
 def load(packets: Packets, columns: int, index: Array) -> list[Array]:

@@ -111,7 +111,9 @@ def render_forward(
     if lists is None:
         planes = _empty_picture(behind, size)
     else:
-        planes = Planes(dr.empty(F, size * D), dr.empty(F, size), dr.empty(F, size))
+        planes = Planes(
+            packets.memory(F, size * D), packets.memory(F, size), packets.memory(F, size)
+        )
         planes, stop = blend(projected.rows, lists, grid, behind, options, planes)
     return Saved(inputs, harmonics, D, view, options, layout, grid, projected, lists, stop, planes)
 
@@ -137,7 +139,7 @@ def render_adjoint(saved: Saved, grad: Planes) -> tuple[Inputs, Array, list[floa
 
     columns = MOMENTS + D + (grad.depth is not None)
     slots = packets.empty(F, columns, dr.width(saved.lists.ids))
-    shares = dr.empty(F, dr.width(saved.lists.tile) * D)
+    shares = packets.memory(F, dr.width(saved.lists.tile) * D)
     slots, shares = blend_adjoint(
         saved.projected.rows,
         saved.lists,
@@ -150,7 +152,7 @@ def render_adjoint(saved: Saved, grad: Planes) -> tuple[Inputs, Array, list[floa
         slots,
         shares,
     )
-    target = Inputs(*(dr.empty(F, k * n) for k in (3, 4, 3, 1, saved.width)))
+    target = Inputs(*(packets.memory(F, k * n) for k in (3, 4, 3, 1, saved.width)))
     target, grad_u = _gaussians_adjoint(
         saved.inputs,
         saved.width,
@@ -161,7 +163,7 @@ def render_adjoint(saved: Saved, grad: Planes) -> tuple[Inputs, Array, list[floa
         slots,
         columns,
         target,
-        dr.empty(F, 2 * n),
+        packets.memory(F, 2 * n),
     )
     # numpy adds in one thread, in float64: the same bits for any number of threads
     by_lane = shares.numpy().reshape(-1, D)[saved.lists.real.numpy()]
@@ -213,7 +215,7 @@ def _gaussians_adjoint(
 def _empty_picture(background: list[Array], size: int) -> Planes:
     F = type(background[0])
     D = len(background)
-    color = dr.empty(F, size * D)
+    color = packets.memory(F, size * D)
     pixel = dr.arange(dr.uint32_array_t(F), size)
     for c in range(D):
         dr.scatter(color, background[c], pixel * D + c)

@@ -243,9 +243,9 @@ def make_lists(
     begin, end = dr.zeros(U, tiles), dr.zeros(U, tiles)
     dr.make_opaque(begin, end)
     ids, begin, end, slots = _ranges(
-        tile, ids, permutation, dr.opaque(U, pairs - 1), begin, end, dr.empty(U, size)
+        tile, ids, permutation, dr.opaque(U, pairs - 1), begin, end, packets.memory(U, size)
     )
-    first = dr.empty(U, n)
+    first = packets.memory(U, n)
     dr.scatter(first, start, order, mode=dr.ReduceMode.Permute)
     dr.eval(first)
     return Lists(ids, slots, first, counts, *_schedule(begin, end))

@@ -1,6 +1,7 @@
 """Re-initialisation: from a noisy cloud with floaters back to an even layer on the surface."""
 
 import copy
+import dataclasses
 
 import numpy as np
 import pytest
@@ -206,6 +207,14 @@ def test_too_few_opaque_gaussians_are_refused(plain_body):
         reinitialise(avatar)
     with pytest.raises(ValueError, match="offset < alpha"):
         ReinitOptions(alpha=0.001)
+
+
+def test_a_sparse_cloud_does_not_sink_onto_the_filler(plain_body):
+    points, colors = noisy_cloud(plain_body, 500)
+    options = dataclasses.replace(COARSE, alpha=0.02)  # the points are 9 cm apart
+    surface = reinitialise(avatar_of(plain_body, points, colors), options).surface
+    volume = trimesh.Trimesh(surface.vertices, surface.faces, process=False).volume
+    assert volume == pytest.approx(4 / 3 * np.pi * 0.8 * 0.9 * 0.3, rel=0.1)
 
 
 @pytest.mark.slow

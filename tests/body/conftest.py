@@ -1,4 +1,5 @@
-"""A small random body in SMPL-X's format: no symmetry, no zeros, so that every term of Eq. 4 shows."""
+"""A small random body in SMPL-X's format: no symmetry, no zeros, so that every term of Eq. 4
+shows."""
 
 from pathlib import Path
 

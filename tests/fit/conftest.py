@@ -1,4 +1,4 @@
-"""A tiny subject made by an avatar that is known: the puppet in colours, turning before a camera."""
+"""A tiny subject made by a known avatar: the puppet in colours, turning before a camera."""
 
 import json
 
@@ -19,6 +19,15 @@ SIZE, FRAMES = 48, 6
 SEED = SeedOptions(count=600, sh_degree=1)
 SHAPE = Shape(torch.zeros(10))
 GREY = torch.full((3,), 0.3)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_thread():
+    """Tests may share the cores with others: OpenMP's threads would wait for each other."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
 
 
 @pytest.fixture(scope="session")

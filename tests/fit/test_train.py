@@ -21,6 +21,7 @@ OPTIONS = FitOptions(
     checkpoint_every=10,
     avatar=AvatarOptions(seed=SeedOptions(count=400)),
     schedule=Schedule(densify_every=5, reinit_at=()),
+    rates=Rates(means=2e-3, sh=0.05),  # a hurry that suits 24 steps
 )
 PARAMETERS = [
     *(f"canonical.{n}" for n in ("means", "quats", "log_scales", "logit_opacities", "sh")),
@@ -57,11 +58,11 @@ def fitted(video, body, tmp_path_factory):
     return fit(video, body, OPTIONS, out), out
 
 
-def test_a_fit_comes_closer_to_frames_it_has_not_seen(fitted, video, body, known):
+def test_a_fit_comes_closer_to_frames_it_has_not_seen(fitted, video, body):
     figures = lambda avatar: evaluate(avatar, video, splits=["test"], weights=Weights())[0]
     before, after = figures(seed_of(body, video, OPTIONS)), figures(fitted[0])
-    assert after.psnr > before.psnr + 1.5
-    assert after.rand_vgg < before.rand_vgg
+    assert after.psnr > before.psnr + 3
+    assert after.ssim > before.ssim and after.rand_vgg < before.rand_vgg
 
 
 def test_the_avatar_is_saved_and_the_checkpoint_is_gone(fitted):
@@ -133,7 +134,7 @@ def test_a_run_that_is_there_is_not_overwritten(fitted, video, body):
 
 
 def test_poses_are_trained_where_asked_for_but_not_those_of_test_frames(video, body, tmp_path):
-    options = replace(OPTIONS, steps=6, rates=Rates(pose=1e-3))
+    options = replace(OPTIONS, steps=6, rates=replace(OPTIONS.rates, pose=1e-3))
     fit(video, body, options, tmp_path)
     trained, _ = load_poses(tmp_path / checkpoint.POSES)
     moved = (trained.rotations != video.pose.rotations).any(-1).any(-1)

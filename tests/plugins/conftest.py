@@ -1,15 +1,14 @@
-"""Small closed meshes with shared vertices, scenes made of them, and a camera: the fixture ``scenes``."""
+"""Small closed meshes with shared vertices, and scenes of them: the fixture ``scenes``."""
 
 import gva_mi  # noqa: F401  chooses libLLVM before Dr.Jit is imported
 
 # isort: split
 from types import SimpleNamespace
 
+import gva_mi_plugins
 import mitsuba as mi
 import numpy as np
 import pytest
-
-import gva_mi_plugins
 
 
 @pytest.fixture(scope="session")
@@ -92,7 +91,8 @@ def camera(size=48, **film):
     )
 
 
-# name -> list of (vertices, faces, facets): outer contour, self-occlusion, one mesh before another, facets
+# name -> list of (vertices, faces, facets): outer contour, self-occlusion, one mesh before another,
+# facets
 SCENES = {
     "sphere": lambda: [(*sphere(), False)],
     "torus": lambda: [(*torus(), False)],
@@ -119,10 +119,10 @@ def move(parameters, vertices):
 
 
 def weights(size, channels=(0, 1, 2, 3)):
-    """A smooth image (H, W, 4) that weighs some channels; it varies over the whole picture."""
-    y, x = np.mgrid[:size, :size] / size
-    waves = [np.sin(4 * x + 1), np.cos(3 * y - x), np.sin(2 * x + 3 * y), 1 + x * y - 0.5 * x]
+    """A smooth image (H, W, 4) that weighs some channels; opposite sides do not cancel."""
+    y, x = np.mgrid[:size, :size] / size - 0.5
+    ramps = [x + 0.5 * y, y - 0.3 * x, 0.5 + x * y, 2 * x - y + 0.5]
     image = np.zeros((size, size, 4), np.float32)
     for c in channels:
-        image[..., c] = waves[c]
+        image[..., c] = 4 * ramps[c]
     return image

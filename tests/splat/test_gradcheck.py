@@ -15,7 +15,7 @@ SCENES = {
     "sh 0": {"degree": 0},
     "sh 1": {"degree": 1},
     "sh 2": {"degree": 2},
-    "sh 3": {"degree": 3, "gaussians": 80},
+    "sh 3": {"degree": 3},
     "sh 4": {"degree": 4},
     "odd size": {"width": 23, "height": 17},
     "five channels": {"channels": 5},

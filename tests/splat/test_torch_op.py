@@ -114,11 +114,12 @@ def test_the_quaternions_length_and_sign_are_irrelevant():
 
 def test_a_crop_is_part_of_the_picture():
     s = scene(width=40, height=30)
-    whole, part = draw(s), draw(replace(s, camera=s.camera.cropped(5, 3, 21, 18)))
-    # the linearisation is clamped relative to the picture's border: compare where it is not
-    inside = [getattr(whole, name)[3:21, 5:26] for name in ("color", "alpha", "depth")]
-    off = (part.color - inside[0]).abs().amax(dim=-1)
-    assert (off < 1e-12).double().mean() > 0.5
+    # near the middle: far outside a picture the linearisation depends on where its border lies
+    s = changed(s, means=0.3 * s.gaussians.means)
+    whole, part = draw(s), draw(replace(s, camera=s.camera.cropped(5, 3, 31, 25)))
+    for name in ("color", "alpha", "depth"):
+        inside = getattr(whole, name)[3:28, 5:36]
+        torch.testing.assert_close(getattr(part, name), inside, atol=1e-12, rtol=0)
 
 
 @pytest.mark.parametrize(("width", "height"), [(1, 1), (7, 5), (8, 4), (9, 5), (3, 70), (130, 1)])
@@ -151,7 +152,9 @@ def test_each_image_alone_can_be_the_loss(name):
 
 
 def test_screen_holds_means_radii_and_their_gradient():
-    s = scene().to(torch.float64)
+    s = scene()
+    # far outside a picture the linearisation depends on where its border lies: stay inside
+    s = changed(s, means=0.5 * s.gaussians.means).to(torch.float64)
     screen = Screen()
     draw(s, screen=screen).color.square().sum().backward()
     means = s.gaussians.means.detach().numpy()
@@ -166,8 +169,6 @@ def test_screen_holds_means_radii_and_their_gradient():
         with torch.no_grad():
             loss.append(draw(replace(s, camera=camera)).color.square().sum())
     difference = (loss[0] - loss[1]) / (2 * step)
-    clamped = s.camera.height  # none of these means lies far outside
-    assert (screen.means2d[:, 1].abs() < 1.1 * clamped).all()
     torch.testing.assert_close(screen.grad[:, 1].sum(), difference, rtol=1e-6, atol=0)
 
 
@@ -175,7 +176,7 @@ def test_input_overwritten_before_backward_is_an_error():
     s = scene().to(torch.float32)
     loss = draw(s).color.sum()
     with torch.no_grad():
-        s.gaussians.means += 1
+        s.gaussians.means.add_(1)
     with pytest.raises(RuntimeError, match="modified by an inplace operation"):
         loss.backward()
 
@@ -222,10 +223,10 @@ def test_same_bits_at_every_run_and_for_any_number_of_threads():
 
 def test_no_kernel_is_traced_again_for_other_sizes_and_poses():
     frozen = (blend, blend_adjoint, pipeline._project, pipeline._gaussians_adjoint)
-    for n, width, height in ((50, 33, 20), (51, 33, 20), (40, 60, 60)):
-        bits(scene(gaussians=n, width=width, height=height).to(torch.float32))
+    bits(scene(gaussians=500, width=150, height=100).to(torch.float32))
     before = [function.n_recordings for function in frozen]
-    for n, width, height in ((50, 33, 20), (37, 60, 60), (90, 64, 64), (91, 41, 22)):
+    # (arrays of equal size by chance, as in very small pictures, make Dr.Jit trace again)
+    for n, width, height in ((500, 150, 100), (501, 150, 100), (700, 99, 130), (650, 201, 80)):
         bits(scene(seed=n, gaussians=n, width=width, height=height).to(torch.float32))
     assert [function.n_recordings for function in frozen] == before
 

@@ -1,4 +1,4 @@
-"""Synthetic subjects: a clothed person from a seed, the video of it, and what is true about both."""
+"""Synthetic subjects: a clothed person from a seed, its video, and what is true about both."""
 
 from gva_mi.data.synthetic.dataset import SynthOptions, make_subject
 

@@ -2,8 +2,8 @@
 
 The pictures are sRGB-encoded, the person on white, blended by the true mask (see ``render``).
 ``truth/surface.ply`` is the whole outer surface, clothes and hair included, in the rest pose.
-``truth/novel_view`` shows video frames (``splits.json`` says which) from other sides with their true poses;
-``truth/novel_pose`` shows poses the video does not hold.
+``truth/novel_view`` shows video frames from other sides with their true poses (``splits.json`` says
+which frames); ``truth/novel_pose`` shows poses the video does not hold.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from gva_mi.body.skinning import skin_points
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.pictures import write_image, write_movie
 from gva_mi.data.synthetic import motion, noise
-from gva_mi.data.synthetic.render import Picture, Renderer
-from gva_mi.data.synthetic.subject import Subject, make_subject_body
+from gva_mi.data.synthetic.render import Picture, Renderer, camera_around
+from gva_mi.data.synthetic.subject import Subject, draw_subject
 from gva_mi.data.video import TEST_EVERY, Splits, save_cameras
 from gva_mi.errors import InputError
-from gva_mi.splat import Camera, look_at
+from gva_mi.splat import Camera
 
-Progress = Callable[..., None]
-MARGIN = 0.06  # of the picture's height, kept free around the person
+# One stream of random numbers for each thing that is drawn.
+MOTION, NOISE, NOVEL_POSE, NOVEL_VIEW, RENDER = range(1, 6)
 
 
 @dataclass(frozen=True)
@@ -45,16 +45,16 @@ class SynthOptions:
     size: int = 512  # pixels, width and height of the pictures
     samples: int = 16  # rays per pixel, a square number
     clothes: bool = True  # clothes and shoes; without them a swimsuit is painted on the skin
-    hair: bool = True
-    noise: float = 1.0  # level of all errors below; 0 makes poses, masks and normals exact
+    hair: bool = True  # without it the head is bald
+    noise: float = 1.0  # factor on the three levels below; 0: exact poses, masks and normals
     pose_noise: float = 1.0  # of the stage-1 poses; 1 is a vertex error of about 66 mm
     mask_noise: float = 1.0  # of the masks; 1 is a boundary off by about 1 pixel at 512
-    normal_noise: float = 1.0  # of the normals; 1 is a blur of 2 pixels at 512 and about 8 degrees
+    normal_noise: float = 1.0  # of the normals; 1 is a blur of 2 pixels at 512 and about 9 degrees
     novel_poses: int = 8  # pictures of poses that the video does not hold
     novel_views: int = 8  # pictures of video frames from other sides
 
     def __post_init__(self) -> None:
-        least = {"seed": 0, "frames": 1, "size": 16, "samples": 1, "novel_poses": 0, "novel_views": 0}
+        least = dict(seed=0, frames=2, size=16, samples=1, novel_poses=0, novel_views=0)
         for name, low in least.items():
             if getattr(self, name) < low:
                 raise InputError(f"synth: {name} must be at least {low}, got {getattr(self, name)}")
@@ -66,7 +66,10 @@ class SynthOptions:
 
 
 def make_subject(
-    out: Path, options: SynthOptions, body: BodyModel, progress: Progress | None = None
+    out: Path,
+    options: SynthOptions,
+    body: BodyModel,
+    progress: Callable[..., None] | None = None,
 ) -> None:
     """Write a subject's folder; it appears when it is complete, and not before.
 
@@ -82,8 +85,8 @@ def make_subject(
     out = Path(out)
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"{out}: already there; expected a new or an empty folder for the subject")
-    total = options.frames + options.novel_poses + options.novel_views
-    done = 0
+    views = min(options.novel_views, options.frames)
+    total, done = options.frames + options.novel_poses + views, 0
 
     def step() -> None:
         nonlocal done
@@ -91,200 +94,139 @@ def make_subject(
         if progress is not None:
             progress(done, total)
 
-    subject = make_subject_body(body, options.seed, options.clothes, options.hair)
-    renderer = Renderer(subject)
-    rng = lambda stream: np.random.default_rng([options.seed, stream])
-    pose = motion.turn(options.frames, body.num_expressions, rng(1))
-    pose = _on_the_ground(subject, body, pose, together=True)
-    camera = _video_camera(_surface(subject, body, pose), options.size, 1.45)
+    subject = draw_subject(body, options.seed, options.clothes, options.hair)
+    studio = Studio(options, body, subject, Renderer(subject), step)
     with _finished_folder(out) as folder:
-        _write_video(folder, options, body, subject, pose, camera, renderer, step)
-        _write_novel_poses(folder, options, body, subject, renderer, step)
-        views = _write_novel_views(folder, options, body, subject, pose, renderer, step)
-        splits = Splits.every(TEST_EVERY, options.frames)
-        _write_json(
-            folder / "splits.json",
-            {
-                "train": splits.train, "test": splits.test,
-                "novel_pose": list(range(options.novel_poses)), "novel_view": views,
-            },
-        )  # fmt: skip
+        pose = _write_video(folder, studio)
+        _write_novel_poses(folder / "truth" / "novel_pose", studio)
+        seen = _write_novel_views(folder / "truth" / "novel_view", studio, pose, views)
+        splits = asdict(Splits.every(TEST_EVERY, options.frames))
+        splits |= {"novel_pose": list(range(options.novel_poses)), "novel_view": seen}
+        _write_json(folder / "splits.json", splits)
         _write_surface(folder / "truth" / "surface.ply", subject)
-        _write_json(
-            folder / "synth.json",
-            {"options": asdict(options), "seed": options.seed, "versions": _versions()},
-        )
+        about = {"options": asdict(options), "seed": options.seed, "versions": _versions()}
+        _write_json(folder / "synth.json", about)
 
 
-def _write_video(
-    folder: Path,
-    options: SynthOptions,
-    body: BodyModel,
-    subject: Subject,
-    pose: Pose,
-    camera: Camera,
-    renderer: Renderer,
-    step: Callable[[], None],
-) -> None:
-    rng = np.random.default_rng([options.seed, 2])
-    masks, normals, levels = [], [], {}
-    levels["pose"] = options.noise * options.pose_noise
-    levels["mask"] = options.noise * options.mask_noise
-    levels["normal"] = options.noise * options.normal_noise
-    frames = []
+@dataclass(frozen=True)
+class Studio:
+    """The person, and who takes pictures of it."""
+
+    options: SynthOptions
+    body: BodyModel
+    subject: Subject
+    renderer: Renderer
+    step: Callable[[], None]  # called after each picture
+
+    def random(self, stream: int) -> np.random.Generator:
+        """The random numbers of one of the streams above."""
+        return np.random.default_rng([self.options.seed, stream])
+
+    def surface(self, pose: Pose) -> np.ndarray:
+        """The outer surface in the world, (T, N, 3) float32, metres."""
+        transforms = self.body(pose, self.subject.shape).T_world_rest
+        rest, weights = torch.from_numpy(self.subject.vertices), self.subject.weights
+        return np.stack([skin_points(rest, weights, T).numpy() for T in transforms])
+
+    def picture(self, pose: Pose, camera: Camera, stream: int, frame: int) -> Picture:
+        """A pose of one frame as a camera sees it; the noise depends on stream and frame alone."""
+        key = [self.options.seed, RENDER, stream, frame]
+        seed = int(np.random.SeedSequence(key).generate_state(1)[0])
+        picture = self.renderer(self.surface(pose)[0], camera, self.options.samples, seed)
+        self.step()
+        return picture
+
+    def grounded(self, pose: Pose, together: bool) -> Pose:
+        """Poses moved up or down so that the lowest point is at y = 0, of all frames or of each."""
+        lowest = self.surface(pose)[..., 1].min(1)
+        lift = np.full_like(lowest, lowest.min()) if together else lowest
+        transl = pose.transl.clone()
+        transl[:, 1] -= torch.from_numpy(lift)
+        return replace(pose, transl=transl)
+
+
+def _write_video(folder: Path, studio: Studio) -> Pose:
+    """Frames, masks, normals, cameras and poses, with their truth; returns the true poses."""
+    options, subject = studio.options, studio.subject
+    expressions = studio.body.num_expressions
+    pose = motion.turn(options.frames, expressions, studio.random(MOTION))
+    pose = studio.grounded(pose, together=True)
+    camera = camera_around(studio.surface(pose), options.size)
+    levels = {
+        "pose": options.noise * options.pose_noise,
+        "mask": options.noise * options.mask_noise,
+        "normal": options.noise * options.normal_noise,
+    }
+    rng = studio.random(NOISE)
+    noisy, shape = noise.noisy_poses(pose, subject.shape, camera, levels["pose"], rng)
+    frames, overlaps, angles = [], [], []
     for k in range(options.frames):
-        vertices = _surface(subject, body, pose[k])[0]
-        picture = renderer(vertices, camera, options.samples, _seed(options, 0, k))
+        picture = studio.picture(pose[k], camera, MOTION, k)
         mask = noise.noisy_mask(picture.mask, levels["mask"], rng)
-        normal = noise.noisy_normals(picture.normals, mask, levels["normal"], rng)
-        name = f"{k:06d}.png"
-        frames.append(_bytes(picture.color))
-        write_image(folder / "frames" / name, frames[-1])
-        _write_truth(folder / "truth", name, picture)
-        write_image(folder / "masks" / name, mask)
-        write_image(folder / "normals" / name, _colors(normal))
-        masks.append(noise.mask_iou(mask, picture.mask))
-        normals.append(noise.normal_error(normal, picture.normals))
-        step()
+        normals = noise.noisy_normals(picture.normals, mask, levels["normal"], rng)
+        _write_picture(folder, k, picture.color, mask, normals)
+        _write_picture(folder / "truth", k, None, picture.mask, picture.normals)
+        frames.append(np.round(picture.color * 255).astype(np.uint8))
+        overlaps.append(noise.mask_iou(mask, picture.mask))
+        angles.append(noise.normal_error(normals, picture.normals))
     write_movie(folder / "video.mp4", frames)
     save_cameras(folder / "cameras.npz", [camera])
-
-    noisy, shape = noise.noisy_poses(pose, subject.shape, camera, levels["pose"], rng)
     save_poses(folder / "poses.npz", noisy, shape, stage=1)
     save_poses(folder / "truth" / "poses.npz", pose, subject.shape, stage=0)
-    error = noise.pose_error(body, noisy, shape, pose, subject.shape)
-    _write_json(
-        folder / "noise.json",
-        {
-            "levels": levels,
-            "pose": asdict(error),
-            "mask": {"iou": float(np.mean(masks))},
-            "normal": {"angle_deg": float(np.mean(normals))},
-        },
-    )
+    error = noise.pose_error(studio.body, noisy, shape, pose, subject.shape)
+    statistics = {
+        "levels": levels,
+        "pose": asdict(error),
+        "mask": {"iou": float(np.mean(overlaps))},
+        "normal": {"angle_deg": float(np.mean(angles))},
+    }
+    _write_json(folder / "noise.json", statistics)
+    return pose
 
 
-def _write_novel_poses(
-    folder: Path,
-    options: SynthOptions,
-    body: BodyModel,
-    subject: Subject,
-    renderer: Renderer,
-    step: Callable[[], None],
-) -> None:
-    if options.novel_poses == 0:
+def _write_novel_poses(folder: Path, studio: Studio) -> None:
+    count, rng = studio.options.novel_poses, studio.random(NOVEL_POSE)
+    if count == 0:
         return
-    rng = np.random.default_rng([options.seed, 3])
-    pose = motion.novel(options.novel_poses, body.num_expressions, rng)
-    pose = _on_the_ground(subject, body, pose, together=False)
-    camera = _video_camera(_surface(subject, body, pose), options.size, 1.45)
-    cameras = [camera] * len(pose)
-    _write_set(folder / "truth" / "novel_pose", options, body, subject, pose, cameras, renderer, step, 1)
+    pose = studio.grounded(motion.novel(count, studio.body.num_expressions, rng), together=False)
+    size = studio.options.size
+    cameras = [camera_around(studio.surface(pose[k]), size) for k in range(count)]
+    _write_truth_set(folder, studio, pose, cameras, NOVEL_POSE)
 
 
-def _write_novel_views(
-    folder: Path,
-    options: SynthOptions,
-    body: BodyModel,
-    subject: Subject,
-    pose: Pose,
-    renderer: Renderer,
-    step: Callable[[], None],
-) -> list[int]:
+def _write_novel_views(folder: Path, studio: Studio, pose: Pose, count: int) -> list[int]:
     """Frames of the video from other sides and heights; returns which frames."""
-    count = min(options.novel_views, options.frames)
     if count == 0:
         return []
-    rng = np.random.default_rng([options.seed, 4])
-    frames = [int(k) for k in np.linspace(0, options.frames, count, endpoint=False)]
+    rng = studio.random(NOVEL_VIEW)
+    seen = [k * len(pose) // count for k in range(count)]
     cameras = []
-    for k in frames:
+    for k in seen:
         azimuth = rng.choice([-1, 1]) * rng.uniform(0.4, 2.6)
-        elevation = rng.uniform(-0.05, 0.45)
-        surface = _surface(subject, body, pose[k])
-        cameras.append(_video_camera(surface, options.size, 1.45, azimuth, elevation))
-    _write_set(
-        folder / "truth" / "novel_view", options, body, subject, pose[frames], cameras, renderer, step, 2
-    )
-    return frames
+        surface, elevation = studio.surface(pose[k]), rng.uniform(-0.05, 0.45)
+        cameras.append(camera_around(surface, studio.options.size, azimuth, elevation))
+    _write_truth_set(folder, studio, pose[seen], cameras, NOVEL_VIEW)
+    return seen
 
 
-def _write_set(
-    folder: Path,
-    options: SynthOptions,
-    body: BodyModel,
-    subject: Subject,
-    pose: Pose,
-    cameras: list[Camera],
-    renderer: Renderer,
-    step: Callable[[], None],
-    stream: int,
+def _write_truth_set(
+    folder: Path, studio: Studio, pose: Pose, cameras: list[Camera], stream: int
 ) -> None:
     for k, camera in enumerate(cameras):
-        vertices = _surface(subject, body, pose[k])[0]
-        picture = renderer(vertices, camera, options.samples, _seed(options, stream, k))
-        write_image(folder / "frames" / f"{k:06d}.png", picture.color)
-        _write_truth(folder, f"{k:06d}.png", picture)
-        step()
+        picture = studio.picture(pose[k], camera, stream, k)
+        _write_picture(folder, k, picture.color, picture.mask, picture.normals)
     save_cameras(folder / "cameras.npz", cameras)
-    save_poses(folder / "poses.npz", pose, subject.shape, stage=0)
+    save_poses(folder / "poses.npz", pose, studio.subject.shape, stage=0)
 
 
-def _write_truth(folder: Path, name: str, picture: Picture) -> None:
-    write_image(folder / "masks" / name, picture.mask)
-    write_image(folder / "normals" / name, _colors(picture.normals))
-
-
-def _surface(subject: Subject, body: BodyModel, pose: Pose) -> np.ndarray:
-    """The outer surface in the world, (T, N, 3)."""
-
-    transforms = body(pose, subject.shape).T_world_rest
-    rest = torch.from_numpy(subject.vertices)
-    return np.stack([skin_points(rest, subject.weights, T).numpy() for T in transforms])
-
-
-def _on_the_ground(subject: Subject, body: BodyModel, pose: Pose, together: bool) -> Pose:
-    """Lift poses so that the lowest point stands at y = 0, of all frames or of each."""
-
-    lowest = _surface(subject, body, pose)[..., 1].min(1)
-    lift = np.full(len(lowest), lowest.min()) if together else lowest
-    transl = pose.transl.clone()
-    transl[:, 1] -= torch.from_numpy(lift)
-    return replace(pose, transl=transl)
-
-
-def _video_camera(
-    surface: np.ndarray, size: int, focal: float, azimuth: float = 0.0, elevation: float = 0.06
-) -> Camera:
-    """A camera that holds all of some surfaces (T, N, 3) in its picture.
-
-    Args:
-        surface: points in the world, metres.
-        size: pixels, width and height.
-        focal: focal length over the picture's width.
-        azimuth, elevation: where the camera stands around the person, radians.
-    """
-    middle = (surface.min((0, 1)) + surface.max((0, 1))) / 2
-    away = np.array(
-        [
-            np.sin(azimuth) * np.cos(elevation),
-            np.sin(elevation),
-            np.cos(azimuth) * np.cos(elevation),
-        ]
-    )
-    # The principal point lies off the middle, as in cropped videos.
-    centre = np.array([0.515 * size, 0.485 * size])
-    free = 0.5 * size * (1 - 2 * MARGIN) - 0.015 * size
-    distance = 2.0
-    for _ in range(30):  # a step back until everything is inside; converges geometrically
-        camera = Camera(
-            focal * size, focal * size, *centre, look_at(middle + distance * away, middle), size, size
-        )
-        reach = np.abs(camera.project(surface) - centre).max()
-        distance *= max(reach / free, 0.2)
-        if abs(reach / free - 1) < 1e-4:
-            break
-    return camera
+def _write_picture(
+    folder: Path, frame: int, color: np.ndarray | None, mask: np.ndarray, normals: np.ndarray
+) -> None:
+    name = f"{frame:06d}.png"
+    if color is not None:
+        write_image(folder / "frames" / name, color)
+    write_image(folder / "masks" / name, mask)
+    write_image(folder / "normals" / name, (normals + 1) / 2)
 
 
 @contextmanager
@@ -311,18 +253,6 @@ def _write_surface(path: Path, subject: Subject) -> None:
 
 def _write_json(path: Path, value: object) -> None:
     path.write_text(json.dumps(value, indent=1) + "\n")
-
-
-def _bytes(image: np.ndarray) -> np.ndarray:
-    return np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)
-
-
-def _colors(normals: np.ndarray) -> np.ndarray:
-    return (normals + 1) / 2
-
-
-def _seed(options: SynthOptions, stream: int, frame: int) -> int:
-    return int(np.random.SeedSequence([options.seed, 5, stream, frame]).generate_state(1)[0])
 
 
 def _versions() -> dict[str, str]:

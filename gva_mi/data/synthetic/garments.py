@@ -1,7 +1,7 @@
 """Clothes and hair as closed surfaces of their own, outside the body in its rest pose.
 
-Every garment is the zero level set of a scalar field f (negative inside, metres). The fields are made
-from one distance d to the body's surface:
+Every garment is the zero level set of a scalar field f (negative inside, metres), made from one
+distance d to the body's surface:
 
     cloth    f = smax( drape(d) - looseness(x),  cuts(x) )            hems, sleeves, neckline
     opening  f = smax( f, -hollow )                                   a wall of cloth, not a plug
@@ -17,12 +17,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt, gaussian_filter1d
-from scipy.spatial import cKDTree
 
 CLOTH_CELL = 0.0075  # m, grid of clothes: about two pixels of a 512² picture
 HAIR_CELL = 0.005  # m, grid of hair and shoes
-BAND = 0.07  # m, how far from the surface distances are exact
+BAND = 0.05  # m, how far from the surface distances are exact
 
 
 @dataclass(frozen=True)
@@ -77,6 +75,8 @@ class BodySurface:
     """The rest surface as oriented points, for signed distances that are smooth."""
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> None:
+        from scipy.spatial import cKDTree
+
         corners, directions = vertices[faces], normals[faces]
         # vertices, edge midpoints and face centres: points about 7 mm apart
         weights = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4], [3, 3, 0], [0, 3, 3]])
@@ -88,7 +88,7 @@ class BodySurface:
 
     def distance(self, x: np.ndarray, smooth: float = 0.012) -> np.ndarray:
         """Signed distance (N,) of points (N, 3): the mean of the nearest tangent planes."""
-        distance, index = self.tree.query(x, k=8)
+        distance, index = self.tree.query(x, k=6, workers=-1)
         weight = np.exp((distance[:, :1] ** 2 - distance**2) / smooth**2)
         height = np.einsum("nkc,nkc->nk", x[:, None] - self.points[index], self.normals[index])
         plane = (weight * height).sum(1) / weight.sum(1)
@@ -96,6 +96,8 @@ class BodySurface:
 
     def sample(self, grid: Grid) -> np.ndarray:
         """The distance on a grid: exact within ``BAND``, from the grid itself beyond."""
+        from scipy.ndimage import distance_transform_edt
+
         cells = np.round((self.points - grid.lo) / grid.cell).astype(int)
         cells = cells[((cells >= 0) & (cells < grid.shape)).all(1)]
         empty = np.ones(grid.shape, dtype=bool)
@@ -155,6 +157,13 @@ def surface_of(grid: Grid, field: np.ndarray, uncut: np.ndarray | None = None) -
     return Mesh(vertices.astype(np.float32), np.ascontiguousarray(faces), shade.astype(np.float32))
 
 
+def _drape(d: np.ndarray, grid: Grid, length: float = 0.05) -> np.ndarray:
+    """The distance smoothed along the vertical: cloth hangs straight where the body is hollow."""
+    from scipy.ndimage import gaussian_filter1d
+
+    return gaussian_filter1d(d, length / grid.cell, axis=1)
+
+
 def _with_opening(
     field: np.ndarray, uncut: np.ndarray, cut: np.ndarray, wall: float, depth: float = 0.04
 ) -> np.ndarray:
@@ -187,7 +196,7 @@ def shirt(
     x, y, z = grid.x, grid.y, grid.z
     trunk = 1 - smoothstep(np.abs(x), 0.75 * shoulder[0], 1.05 * shoulder[0])
     trunk = trunk * (1 - smoothstep(y, shoulder[1] - 0.16, shoulder[1] - 0.06))
-    draped = d * (1 - trunk) + trunk * gaussian_filter1d(d, 0.05 / grid.cell, axis=1)
+    draped = d * (1 - trunk) + trunk * _drape(d, grid)
 
     drop = smoothstep(shoulder[1] - y, 0.05, shoulder[1] - pelvis[1] + hem)  # 0 at the shoulder
     out = smoothstep(np.abs(x), shoulder[0], wrist[0])
@@ -242,7 +251,7 @@ def trousers(
     y = grid.y
     below = smoothstep(hip[1] - y, 0.02, 0.25)
     calf = below * np.ones(grid.shape, dtype=np.float32)
-    draped = d * (1 - calf) + calf * gaussian_filter1d(d, 0.05 / grid.cell, axis=1)
+    draped = d * (1 - calf) + calf * _drape(d, grid)
     top = pelvis[1] + 0.75 * (joints["spine1"][1] - pelvis[1])
     at_knee = knee[1] if length <= 1 else ankle[1]
     start = hip[1] if length <= 1 else knee[1]

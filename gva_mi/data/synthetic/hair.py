@@ -51,7 +51,9 @@ def hair(
     half = np.ptp(skull, axis=0) / 2
     middle = (skull.max(0) + skull.min(0)) / 2
     jaw = eyes[1] - 0.105 * unit
-    ends = {"short": eyes[1] - 0.08 * unit, "bob": jaw - 0.005 * unit, "long": neck[1] - 0.12}[style]
+    ends = {"short": eyes[1] - 0.08 * unit, "bob": jaw - 0.005 * unit, "long": neck[1] - 0.12}[
+        style
+    ]
 
     reach = np.array([half[0] + 0.09, 0, half[2] + 0.10])
     grid = Grid.around(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+import roma
 import torch
 
 from gva_mi.body.pose import JOINTS, Pose
@@ -12,7 +13,8 @@ from gva_mi.body.pose import JOINTS, Pose
 FINGERS = ("index", "middle", "ring", "pinky")
 A_POSE = 0.98  # rad, how far the arms hang down from the T-pose
 
-# Hand gestures: how far each finger curls (radians per joint), and the thumb: (across the palm, bent).
+# Hand gestures: how far each finger curls (radians per joint), how far they spread, and how far the
+# thumb swings across the palm and bends.
 Gesture = Mapping[str, float]
 GESTURES: Mapping[str, Gesture] = {
     "open": dict(index=0.05, middle=0.05, ring=0.05, pinky=0.05, spread=0.14, thumb=0.0, bend=0.0),
@@ -41,7 +43,8 @@ def turn(frames: int, expressions: int, rng: np.random.Generator) -> Pose:
     t = np.arange(frames) / frames
     rotations = np.zeros((frames, 55, 3))
     wave = lambda size, most=3: sum(
-        rng.normal(0, size / k) * np.sin(2 * np.pi * (k * t + rng.uniform())) for k in range(1, most)
+        rng.normal(0, size / k) * np.sin(2 * np.pi * (k * t + rng.uniform()))
+        for k in range(1, most)
     )
     direction = rng.choice([-1.0, 1.0])
     for name, size in (
@@ -98,7 +101,7 @@ def novel(count: int, expressions: int, rng: np.random.Generator) -> Pose:
     return _pose(rotations, np.zeros((count, 3)), expressions)
 
 
-# Joint rotations (axis-angle, radians) on top of an A-pose, and the gestures of left and right hand.
+# Joint rotations (axis-angle, radians) in place of the A-pose's, and the gestures of both hands.
 POSES: Mapping[str, tuple[Mapping[str, tuple[float, float, float]], str, str]] = {
     "wave": ({"right_shoulder": (0, 0, -0.5), "right_elbow": (0, 0.3, -1.5)}, "rest", "open"),
     "point": ({"left_shoulder": (0, -1.25, -0.15), "left_elbow": (0, -0.1, 0)}, "point", "rest"),
@@ -115,7 +118,9 @@ POSES: Mapping[str, tuple[Mapping[str, tuple[float, float, float]], str, str]] =
         {"left_shoulder": (0, -0.75, -0.75), "right_shoulder": (0, 0.75, 0.75),
          "left_elbow": (0, -1.2, 0), "right_elbow": (0, 1.2, 0)}, "pinch", "two",
     ),
-    "thumbs up": ({"right_shoulder": (0, 0.6, 1.0), "right_elbow": (-0.9, 1.4, 0)}, "rest", "thumb"),
+    "thumbs up": (
+        {"right_shoulder": (0, 0.6, 1.0), "right_elbow": (-0.9, 1.4, 0)}, "rest", "thumb",
+    ),
     "bow": (
         {"spine1": (0.2, 0.2, 0), "spine2": (0.2, 0.15, 0), "neck": (0.15, 0, 0),
          "left_shoulder": (-0.2, -0.5, -0.8), "right_shoulder": (0.2, 0, 0.6)}, "three", "open",
@@ -162,8 +167,6 @@ def _put_hand(rotations: np.ndarray, side: str, values: np.ndarray) -> None:
 
 def _turned(yaw: np.ndarray, lean: np.ndarray) -> np.ndarray:
     """Axis-angle of a turn about y after a small lean about x and z."""
-    import roma
-
     about = lambda axis, a: torch.from_numpy(np.outer(a, axis))
     leaned = torch.from_numpy(np.stack([lean[:, 0], 0 * yaw, lean[:, 1]], axis=1))
     R = roma.rotvec_to_rotmat(about([0, 1, 0], yaw)) @ roma.rotvec_to_rotmat(leaned)

@@ -1,7 +1,7 @@
 """What a real pipeline would see instead of the truth, at a level: 1 is usual, 0 is exact.
 
-* Poses, as an estimator on single frames gives them: errors grow toward hands and feet, change slowly with
-  time, and are twice as large where the person stands sideways; depth is known worst.
+* Poses, as an estimator on single frames gives them: errors grow toward hands and feet, change
+  slowly with time, and are twice as large where the person stands sideways; depth is known worst.
 * Masks, as a segmenter gives them: the boundary wobbles by a pixel or two, with some notches.
 * Normals, as a network gives them: blurred, and turned by a slowly varying error.
 """
@@ -12,22 +12,22 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+import roma
 import torch
-from scipy.ndimage import distance_transform_edt, gaussian_filter, gaussian_filter1d
 
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.splat import Camera
 
-# Level 1. Root mean square rotation errors in radians, before the doubling at the side. They grow along
-# the limbs; what leans the whole trunk is known best.
+# Level 1. Root mean square rotation errors in radians, before the doubling at the side. They grow
+# along the limbs; what leans the whole trunk is known best.
 ROTATION: Mapping[str, float] = {
-    "pelvis": 0.04, "spine1": 0.02, "spine2": 0.02, "spine3": 0.02, "neck": 0.05, "head": 0.07,
-    "collar": 0.03, "shoulder": 0.055, "elbow": 0.085, "wrist": 0.13,
+    "pelvis": 0.045, "spine1": 0.02, "spine2": 0.02, "spine3": 0.02, "neck": 0.05, "head": 0.07,
+    "collar": 0.03, "shoulder": 0.055, "elbow": 0.09, "wrist": 0.13,
     "hip": 0.06, "knee": 0.085, "ankle": 0.15, "foot": 0.15,
 }  # fmt: skip
 HEAD, FINGER = 0.02, 0.16  # jaw and eyes; every joint of the fingers
-DEPTH, ASIDE = 0.030, 0.008  # m, translation along the line of sight, and across it
+DEPTH, ASIDE = 0.038, 0.008  # m, translation along the line of sight, and across it
 BETAS = 0.25  # standard deviations
 MEMORY = 5.0  # frames over which an error persists
 
@@ -35,7 +35,10 @@ MEMORY = 5.0  # frames over which an error persists
 WOBBLE, WOBBLE_LENGTH = 1.1, 14.0  # boundary error of a mask, and the length over which it varies
 NOTCHES, NOTCH_RADIUS = 4, 4.0  # bites and bumps on a mask's boundary
 BLUR = 2.2  # of the normals
-TILT, TILT_LENGTH = 0.14, 50.0  # rad and px: error of the normals, and the length over which it varies
+TILT, TILT_LENGTH = (
+    0.14,
+    50.0,
+)  # rad and px: error of the normals, and the length over which it varies
 
 
 @dataclass(frozen=True)
@@ -73,7 +76,9 @@ def noisy_poses(
         rotations[:, joint] += strength * size * _curve(rng, frames)
     aside = _curve(rng, frames) * np.array([ASIDE, ASIDE, DEPTH]) * np.sqrt(3)
     transl = pose.transl.double().numpy() + (strength * aside) @ R_camera_world
-    betas = shape.betas + level * BETAS * torch.from_numpy(rng.normal(size=len(shape.betas))).float()
+    betas = (
+        shape.betas + level * BETAS * torch.from_numpy(rng.normal(size=len(shape.betas))).float()
+    )
     tensor = lambda x: torch.from_numpy(x).to(pose.transl.dtype)
     noisy = Pose.from_rotations(tensor(rotations), tensor(transl), pose.expression)
     return noisy, Shape(betas)
@@ -83,6 +88,8 @@ def noisy_mask(mask: np.ndarray, level: float, rng: np.random.Generator) -> np.n
     """A mask (H, W) in [0, 1] with a boundary that is off by a pixel or two."""
     if level == 0:
         return mask
+    from scipy.ndimage import distance_transform_edt
+
     pixel = mask.shape[1] / 512
     inside = mask > 0.5
     distance = distance_transform_edt(inside) - distance_transform_edt(~inside)
@@ -105,6 +112,8 @@ def noisy_normals(
     """Normals (H, W, 3) as a network would give them inside a mask (H, W)."""
     if level == 0:
         return normals
+    from scipy.ndimage import distance_transform_edt, gaussian_filter
+
     pixel = normals.shape[1] / 512
     known = (np.linalg.norm(normals, axis=-1) > 0.5).astype(np.float32)
     reach = max(level * BLUR * pixel, 0.3)
@@ -121,7 +130,9 @@ def noisy_normals(
     return (turned * (mask > 0.5)[..., None]).astype(np.float32)
 
 
-def pose_error(body: BodyModel, pose: Pose, shape: Shape, true: Pose, true_shape: Shape) -> PoseError:
+def pose_error(
+    body: BodyModel, pose: Pose, shape: Shape, true: Pose, true_shape: Shape
+) -> PoseError:
     """How far poses are from the truth, the mean over frames and vertices."""
     away = torch.cat(
         [
@@ -164,6 +175,8 @@ def _sizes() -> np.ndarray:
 
 def _curve(rng: np.random.Generator, frames: int) -> np.ndarray:
     """A smooth random curve (T, 3) whose root mean square length is 1."""
+    from scipy.ndimage import gaussian_filter1d
+
     margin = int(3 * MEMORY)
     noise = gaussian_filter1d(rng.normal(size=(frames + 2 * margin, 3)), MEMORY, axis=0)
     noise = noise[margin : margin + frames]
@@ -172,11 +185,15 @@ def _curve(rng: np.random.Generator, frames: int) -> np.ndarray:
 
 def _field(rng: np.random.Generator, shape: tuple[int, int], length: float) -> np.ndarray:
     """A smooth random image of unit variance that varies over ``length`` pixels."""
-    noise = gaussian_filter(rng.normal(size=shape), length / 2, mode="wrap")
-    return noise / noise.std()
+    from scipy.ndimage import zoom
+
+    nodes = [int(np.ceil(n / length)) + 3 for n in shape]  # a lattice that is interpolated
+    scale = max((n + 2 * length) / k for n, k in zip(shape, nodes, strict=True))
+    fine = zoom(rng.normal(size=nodes), scale, order=3)
+    top, left = ((f - n) // 2 for f, n in zip(fine.shape, shape, strict=True))
+    image = fine[top : top + shape[0], left : left + shape[1]]
+    return image / image.std()
 
 
 def _matrices(rotvecs: np.ndarray) -> np.ndarray:
-    import roma
-
     return roma.rotvec_to_rotmat(torch.from_numpy(rotvecs)).numpy()

@@ -1,7 +1,7 @@
-"""Pictures of a subject, with Mitsuba's rays and a light that stays the same while the person turns.
+"""Pictures of a subject, with Mitsuba's rays, under light that stays while the person turns.
 
-For a pixel with S samples over its area, each a primary ray that hits the surface at x with normal n,
-albedo a, or misses:
+A pixel has S samples over its area, each a ray that misses, or hits the surface at x with normal n
+and albedo a:
 
     1. radiance = a/π · ( Σ_l E_l(x) + π · mean over directions ω ~ cos of  L(ω) )
     2. E_l      = area of l · L_l · cos θ_x · cos θ_l / r² · visible,        one point per sample
@@ -11,22 +11,24 @@ albedo a, or misses:
 
 Eq. 5 blends what is stored, so that color and mask agree as a renderer of 8-bit pictures expects.
 Lights and directions are stratified over the S samples and every light is sampled by each of them:
-Mitsuba's path tracer, which picks one light at random, needs many times the rays for the same noise.
+Mitsuba's path tracer, which picks one light at random, needs many times the rays for that noise.
 All sums have a fixed order: the same seed gives the same bits.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
+import drjit as dr
 import numpy as np
 
 from gva_mi.data.synthetic.subject import Subject, vertex_normals
 from gva_mi.data.synthetic.texture import Part, albedo, encode
-from gva_mi.splat import Camera
+from gva_mi.splat import Camera, look_at
 
 VARIANT = "llvm_ad_rgb"
+FOCAL = 1.45  # focal length over the picture's width
+MARGIN = 0.06  # of the picture, kept free around the person
 OFFSET = 1e-4  # m, secondary rays start this far off the surface
 
 
@@ -62,7 +64,6 @@ class Renderer:
     """Draws one subject in any number of poses."""
 
     def __init__(self, subject: Subject) -> None:
-        import drjit as dr
         import mitsuba as mi
 
         mi.set_variant(VARIANT)
@@ -127,7 +128,6 @@ class Renderer:
 
     def _trace(self, camera: Camera, samples: int, seed: int) -> np.ndarray:
         """All samples of the view, (H W S, 8): radiance, world normal, depth, hit."""
-        import drjit as dr
         import mitsuba as mi
 
         n = int(round(samples**0.5))
@@ -136,7 +136,7 @@ class Renderer:
         pixel = lane // dr.opaque(mi.UInt32, samples)
         sample = lane - pixel * dr.opaque(mi.UInt32, samples)
         random = mi.PCG32(size=total, initstate=dr.opaque(mi.UInt64, seed))
-        stratum = _Strata(mi, random, pixel, sample, n)
+        stratum = _Strata(random, pixel, sample, n)
         column = pixel % dr.opaque(mi.UInt32, camera.width)
         row = pixel // dr.opaque(mi.UInt32, camera.width)
 
@@ -154,29 +154,34 @@ class Renderer:
         T_world_camera = np.linalg.inv(camera.T_camera_world)
         R = [[number(float(T_world_camera[i, j])) for j in range(3)] for i in range(3)]
         turned = mi.Vector3f(
-            *(R[i][0] * direction.x + R[i][1] * direction.y + R[i][2] * direction.z for i in range(3))
+            *(
+                R[i][0] * direction.x + R[i][1] * direction.y + R[i][2] * direction.z
+                for i in range(3)
+            )
         )
         eye = mi.Point3f(*(number(float(x)) for x in T_world_camera[:3, 3]))
         ray = mi.Ray3f(eye, turned / per_depth)
         at = self._scene.ray_intersect_preliminary(ray, coherent=True)
         hit = at.is_valid()
-        part, rest, tint, n_shading = self._surface(mi, at.prim_index, at.prim_uv, hit)
+        part, rest, tint, n_shading = self._surface(at.prim_index, at.prim_uv, hit)
         color = albedo(self._look, part, rest) * tint
         start = ray(at.t) + n_shading * OFFSET - ray.d * OFFSET
 
         light = mi.Color3f(0)
         for source in LIGHTS:
-            light += self._direct(mi, source, start, n_shading, stratum(), hit)
-        light += dr.pi * self._ambient(mi, start, n_shading, stratum(), hit)
+            light += self._direct(source, start, n_shading, stratum(), hit)
+        light += dr.pi * self._ambient(start, n_shading, stratum(), hit)
         radiance = color * light * dr.inv_pi
         values = [*radiance, *n_shading, at.t / per_depth, dr.select(hit, 1.0, 0.0)]
         values = [dr.select(hit, value, 0.0) for value in values]
         dr.eval(values)  # together: one kernel
         return np.stack([value.numpy() for value in values], axis=-1)
 
-    def _surface(self, mi: Any, triangle: Any, uv: Any, active: Any) -> tuple[Any, Any, Any, Any]:
+    def _surface(
+        self, triangle: dr.ArrayBase, uv: dr.ArrayBase, active: dr.ArrayBase
+    ) -> tuple[dr.ArrayBase, dr.ArrayBase, dr.ArrayBase, dr.ArrayBase]:
         """Part, rest position, tint and shading normal at a point of a triangle."""
-        import drjit as dr
+        import mitsuba as mi
 
         corner = dr.gather(mi.Vector3u, self._corner, triangle, active)
         weight = (1 - uv.x - uv.y, uv.x, uv.y)
@@ -186,16 +191,27 @@ class Renderer:
         part = dr.gather(mi.UInt32, self._part, triangle, active)
         return part, blend(self._rest), blend(self._tint), dr.normalize(blend(self._normals))
 
-    def _direct(self, mi: Any, source: AreaLight, x: Any, n: Any, uv: Any, active: Any) -> Any:
+    def _direct(
+        self,
+        source: AreaLight,
+        x: dr.ArrayBase,
+        n: dr.ArrayBase,
+        uv: dr.ArrayBase,
+        active: dr.ArrayBase,
+    ) -> dr.ArrayBase:
         """Irradiance from one point of an area light (eq. 2)."""
-        import drjit as dr
+        import mitsuba as mi
 
         u, v = np.array(source.u), np.array(source.v)
         across = np.cross(u, v)
         area = 4 * float(np.linalg.norm(across))
         facing = mi.Vector3f(*(across / np.linalg.norm(across)).tolist())
         centre = mi.Point3f(*source.centre)
-        point = centre + mi.Vector3f(*source.u) * (2 * uv.x - 1) + mi.Vector3f(*source.v) * (2 * uv.y - 1)
+        point = (
+            centre
+            + mi.Vector3f(*source.u) * (2 * uv.x - 1)
+            + mi.Vector3f(*source.v) * (2 * uv.y - 1)
+        )
         to = point - x
         distance = dr.norm(to)
         to = to / distance
@@ -205,9 +221,11 @@ class Renderer:
         falloff = area * cosines / dr.square(distance)
         return mi.Color3f(*source.radiance) * dr.select(seen, falloff, 0.0)
 
-    def _ambient(self, mi: Any, x: Any, n: Any, uv: Any, active: Any) -> Any:
+    def _ambient(
+        self, x: dr.ArrayBase, n: dr.ArrayBase, uv: dr.ArrayBase, active: dr.ArrayBase
+    ) -> dr.ArrayBase:
         """The mean of L over directions that follow the cosine (eq. 3)."""
-        import drjit as dr
+        import mitsuba as mi
 
         local = mi.warp.square_to_cosine_hemisphere(uv)
         direction = mi.Frame3f(n).to_world(local)
@@ -222,15 +240,19 @@ class Renderer:
 class _Strata:
     """Points of the unit square, one in each cell of an n × n grid over a pixel's samples.
 
-    The order of the cells is another one for each call and pixel, so that dimensions do not correlate.
+    Each call and pixel has its own order of the cells, so that dimensions do not correlate.
     """
 
-    def __init__(self, mi: Any, random: Any, pixel: Any, sample: Any, n: int) -> None:
-        self._mi, self._random, self._pixel, self._sample, self._n = mi, random, pixel, sample, n
+    def __init__(
+        self, random: dr.ArrayBase, pixel: dr.ArrayBase, sample: dr.ArrayBase, n: int
+    ) -> None:
+        self._random, self._pixel, self._sample, self._n = random, pixel, sample, n
         self._calls = 0
 
-    def __call__(self) -> Any:
-        mi, n = self._mi, self._n
+    def __call__(self) -> dr.ArrayBase:
+        import mitsuba as mi
+
+        n = self._n
         self._calls += 1
         key = mi.sample_tea_32(self._pixel, self._calls, 3)[0]
         cell = mi.permute_kensler(self._sample, n * n, key)
@@ -246,3 +268,33 @@ def _window(vertices: np.ndarray, camera: Camera) -> tuple[int, int, int, int]:
     lo = np.clip(np.floor(uv.min(0)) - 1, 0, size - 1).astype(int)
     hi = np.clip(np.ceil(uv.max(0)) + 1, lo + 1, size).astype(int)
     return int(lo[0]), int(lo[1]), int(hi[0] - lo[0]), int(hi[1] - lo[1])
+
+
+def camera_around(
+    surface: np.ndarray, size: int, azimuth: float = 0.0, elevation: float = 0.06
+) -> Camera:
+    """A camera that holds all of a surface in its picture.
+
+    Its principal point lies off the middle, as in cropped videos.
+
+    Args:
+        surface: points (..., 3) in the world, metres.
+        size: pixels, width and height.
+        azimuth: where it stands around the vertical, radians; 0 is in front.
+        elevation: how high it stands, radians.
+    """
+    points = surface.reshape(-1, 3).astype(np.float64)
+    middle = (points.min(0) + points.max(0)) / 2
+    flat = np.cos(elevation)
+    away = np.array([np.sin(azimuth) * flat, np.sin(elevation), np.cos(azimuth) * flat])
+    centre = np.array([0.515, 0.485]) * size
+    free = (0.485 - MARGIN) * size
+    distance = 2.0
+    for _ in range(30):  # steps back or forth until it just fits: converges geometrically
+        T_camera_world = look_at(middle + distance * away, middle)
+        camera = Camera(FOCAL * size, FOCAL * size, *centre, T_camera_world, size, size)
+        reach = np.abs(camera.project(points) - centre).max() / free
+        distance *= max(reach, 0.2)
+        if abs(reach - 1) < 1e-4:
+            break
+    return camera

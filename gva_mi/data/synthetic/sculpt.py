@@ -1,9 +1,10 @@
 """Sculpts the puppet and writes it: ``python -m gva_mi.data.synthetic.sculpt``.
 
-    figure (solids) → left half by marching cubes → decimated → mirrored → weights, regressor, shapes → puppet.npz
+    figure (solids) → left half by marching cubes → decimated → mirrored → weights, regressor,
+    shapes → puppet.npz
 
-The left half is modelled alone, its border held on the plane x = 0, so that the body is symmetric to the bit. The grid is
-finer at fingers, face and toes, and these keep more triangles.
+The left half is modelled alone, its border held on the plane x = 0, so that the body is symmetric
+to the bit. The grid is finer at fingers, face and toes, and these keep more triangles.
 """
 
 from __future__ import annotations
@@ -34,7 +35,9 @@ class SculptOptions:
 def half_surface(options: SculptOptions) -> tuple[np.ndarray, np.ndarray]:
     """The left half at full resolution, open at x = 0."""
     axes = [
-        _planes([(0, 0.0010), (0.055, 0.0016), (0.10, 0.0050), (0.69, 0.0015), (0.935, 0)], options.grid),
+        _planes(
+            [(0, 0.0010), (0.055, 0.0016), (0.10, 0.0050), (0.69, 0.0015), (0.935, 0)], options.grid
+        ),
         _planes(
             [(-1.0, 0.0020), (-0.93, 0.0050), (0.395, 0.0015), (0.470, 0.0040), (0.56, 0.0015),
              (0.598, 0.0006), (0.616, 0.0012), (0.700, 0.0030), (0.82, 0)], options.grid,
@@ -44,10 +47,11 @@ def half_surface(options: SculptOptions) -> tuple[np.ndarray, np.ndarray]:
     return surface(left_half(), axes)
 
 
-def decimate(
-    vertices: np.ndarray, faces: np.ndarray, target: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Fewer triangles by quadric errors, more of them kept at hands, face and toes; the border stays in its plane."""
+def decimate(vertices: np.ndarray, faces: np.ndarray, target: int) -> tuple[np.ndarray, np.ndarray]:
+    """Fewer triangles by quadric errors, with most detail kept at hands, face and toes.
+
+    The open border stays in its plane.
+    """
     x, y, z = vertices.T
     detail = np.ones(len(vertices))
     detail[y < -0.87] = 8.0
@@ -58,11 +62,9 @@ def decimate(
     detail[(y > 0.59) & (y < 0.70) & (z > 0.07) & (x < 0.055)] = 24.0  # eyes, nose, mouth
     detail[(y > 0.662) & (y < 0.682) & (z > 0.07) & (x > 0.016) & (x < 0.05)] = 40.0
     mesh = pymeshlab.MeshSet()
-    mesh.add_mesh(
-        pymeshlab.Mesh(vertices, faces.astype(np.int32), v_scalar_array=detail)
-    )
+    mesh.add_mesh(pymeshlab.Mesh(vertices, faces.astype(np.int32), v_scalar_array=detail))
     mesh.meshing_decimation_quadric_edge_collapse(
-        targetfacenum=target, qualitythr=0.6, preserveboundary=True, boundaryweight=50.0,
+        targetfacenum=target, qualitythr=0.6, boundaryweight=30.0,
         preservenormal=True, preservetopology=True, optimalplacement=True, planarquadric=True,
         planarweight=0.0006, qualityweight=True,
     )  # fmt: skip
@@ -70,13 +72,33 @@ def decimate(
     return result.vertex_matrix(), result.face_matrix().astype(np.int64)
 
 
-def mirrored(
-    vertices: np.ndarray, faces: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Both halves, welded along the open border: vertices, faces, and the mirror image of each vertex (V,)."""
-    edges = np.sort(np.concatenate([faces[:, [k, (k + 1) % 3]] for k in range(3)]), axis=1)
-    unique, count = np.unique(edges, axis=0, return_counts=True)
-    border = np.unique(unique[count == 1])
+def without_chords(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Make the border of a half ready to be welded to its mirror image.
+
+    A chord is an inner edge between two border vertices: its mirror image would be the same edge. Faces that
+    lie in the plane with all three corners are dropped, other chords get a vertex in their middle.
+    """
+    while True:
+        edges, count = _edges(faces)
+        on_border = np.isin(np.arange(len(vertices)), edges[count == 1])
+        flat = on_border[faces].all(1)
+        if not flat.any():
+            break
+        faces = faces[~flat]
+    for a, b in edges[(count == 2) & on_border[edges].all(1)]:
+        both = np.flatnonzero((faces == a).any(1) & (faces == b).any(1))
+        middle, corners = len(vertices), np.unique(faces[both])
+        vertices = np.concatenate([vertices, vertices[corners].mean(0, keepdims=True)])
+        halves = [np.where(faces[both] == end, middle, faces[both]) for end in (a, b)]
+        faces = np.concatenate([np.delete(faces, both, axis=0), *halves])
+    used, faces = np.unique(faces, return_inverse=True)
+    return vertices[used], faces.reshape(-1, 3)
+
+
+def mirrored(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Both halves, welded along the open border: vertices, faces, mirror image of each vertex (V,)."""
+    edges, count = _edges(faces)
+    border = np.unique(edges[count == 1])
     inner = np.setdiff1d(np.arange(len(vertices)), border)
     vertices = vertices.copy()
     vertices[border, 0] = 0
@@ -87,13 +109,21 @@ def mirrored(
     return both, np.concatenate([faces, image[faces][:, ::-1]]), np.concatenate([image, inner])
 
 
+def _edges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Edges (E, 2) without direction, and how many faces each has (E,)."""
+    sides = np.sort(np.concatenate([faces[:, [k, (k + 1) % 3]] for k in range(3)]), axis=1)
+    return np.unique(sides, axis=0, return_counts=True)
+
+
 def sculpt(options: SculptOptions | None = None) -> dict[str, np.ndarray]:
     """The puppet as the arrays of an SMPL-X file."""
     options = options or SculptOptions()
     half = decimate(*half_surface(options), options.faces // 2)
-    vertices, faces, twin = mirrored(*half)
-    vertices = vertices.astype(np.float32).astype(np.float64)  # what follows is exact on what is stored
-    weights = skinning_weights(vertices, faces)
+    vertices, faces, twin = mirrored(*without_chords(*half))
+    vertices = vertices.astype(np.float32).astype(
+        np.float64
+    )  # what follows is exact on what is stored
+    weights = skinning_weights(vertices, faces, twin)
     fields, moves = shapes(vertices, weights)
     fields = np.concatenate([fields, expressions(vertices, weights)], axis=2).astype(np.float16)
     moves = np.concatenate([moves, np.zeros((55, 3, 10))], axis=2)
@@ -117,7 +147,8 @@ def sculpt(options: SculptOptions | None = None) -> dict[str, np.ndarray]:
 
 
 def relaxed_hand() -> np.ndarray:
-    """The left hand as it hangs, axis-angle (45,): fingers half curled, more toward the little one."""
+    """The left hand as it hangs, axis-angle (45,): fingers half curled, more toward the little
+    one."""
     curl = {"index": 0.25, "middle": 0.32, "ring": 0.38, "pinky": 0.42}
     hand = np.zeros((15, 3), np.float32)
     for k, name in enumerate(JOINTS[25:40]):

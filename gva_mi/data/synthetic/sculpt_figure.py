@@ -1,7 +1,7 @@
 """The puppet's anatomy in numbers: where its joints are, and the solids that make its left half.
 
-Metres, T-pose, y up, facing +z, the left hand toward +x, the pelvis at the origin; about 1.77 m tall. The right
-half is the mirror image of the left.
+Metres, T-pose, y up, facing +z, the left hand toward +x, the pelvis at the origin; about 1.77 m
+tall. The right half is the mirror image of the left.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ _LEFT = {
     "wrist": (0.703, 0.436, -0.008), "eye_smplhf": (0.0322, 0.672, 0.070),
 }  # fmt: skip
 
-# Fingers: the first knuckle relative to the wrist, the direction, the three bones' lengths, and the radii
-# of the base and of the tip.
+# Fingers: the first knuckle relative to the wrist, the direction, the three bones' lengths, and the
+# radii of the base and of the tip.
 _FINGERS = {
     "index": ((0.098, 0.003, 0.0290), (1, -0.02, 0.075), (0.040, 0.024, 0.021), (0.0090, 0.0072)),
     "middle": ((0.102, 0.005, 0.0070), (1, -0.02, 0.010), (0.044, 0.028, 0.022), (0.0092, 0.0074)),
     "ring": ((0.097, 0.003, -0.0145), (1, -0.02, -0.055), (0.041, 0.026, 0.021), (0.0087, 0.0070)),
     "pinky": ((0.088, 0.000, -0.0340), (1, -0.02, -0.14), (0.032, 0.019, 0.018), (0.0076, 0.0062)),
-    "thumb": ((0.024, -0.008, 0.0270), (0.74, -0.10, 0.66), (0.046, 0.034, 0.025), (0.0120, 0.0085)),
+    "thumb": ((0.024, -0.008, 0.0270), (0.74, -0.1, 0.66), (0.046, 0.034, 0.025), (0.012, 0.0085)),
 }  # fmt: skip
 
 
@@ -104,12 +104,16 @@ def bones() -> list[Bone]:
 
 
 def facial_regions(points: np.ndarray) -> list[tuple[int, np.ndarray, float]]:
-    """What hangs on the jaw and the eyes: (joint, mask (V,), how firmly as a distance to its bone)."""
+    """What hangs on the jaw and the eyes: (joint, mask (V,), how firmly as a distance to its
+    bone)."""
     x, y, z = points.T
-    line = np.minimum(0.6072 + 0.10 * np.maximum(0.085 - z, 0), 0.6125)  # rises from the mouth to the ear
+    line = np.minimum(
+        0.6072 + 0.10 * np.maximum(0.085 - z, 0), 0.6125
+    )  # rises from the mouth to the ear
     line = np.where((np.abs(x) < 0.024) & (z > 0.070), 0.6072, line)
     jaw = (y < line) & (y > 0.562 - 0.25 * (z - 0.06)) & (z > 0.022)
-    regions = [(JOINTS.index("jaw"), jaw, 0.015)]
+    upper = (y > line) & (y < 0.72) & (z > 0.022)  # held as firmly, or the upper lip would follow
+    regions = [(JOINTS.index("jaw"), jaw, 0.018), (JOINTS.index("head"), upper, 0.015)]
     for name in ("left_eye_smplhf", "right_eye_smplhf"):
         centre = joint_positions()[JOINTS.index(name)]
         ball = np.linalg.norm((points - centre) / (1.0, 0.62, 1.4), axis=1) < 0.0105
@@ -231,7 +235,9 @@ def _hand() -> list[Part]:
     ], power=2.6, caps=(0.01, 0.010))  # fmt: skip
     parts = [
         Part(palm, 0.012),
-        Part(Ball(w + (0.036, -0.013, 0.020), (0.032, 0.013, 0.017), (0, -0.55, 0)), 0.010),  # thenar
+        Part(
+            Ball(w + (0.036, -0.013, 0.020), (0.032, 0.013, 0.017), (0, -0.55, 0)), 0.010
+        ),  # thenar
         Part(Ball(w + (0.044, -0.012, -0.028), (0.034, 0.010, 0.014)), 0.010),
     ]
     for finger in _FINGERS:
@@ -284,7 +290,7 @@ def _face() -> list[Part]:
         Part(Cone((0.010, 0.692, 0.085), (0.048, 0.695, 0.066), 0.0080, 0.0065), 0.016),  # brow
         Part(Ball((0.033, 0.673, 0.096), (0.0215, 0.0130, 0.022)), 0.012, carve=True),  # socket
         Part(Ball((0.0325, 0.672, 0.0705), (0.0158, 0.0128, 0.0158)), 0.006),  # lids
-        Part(Ball((0.0325, 0.6715, 0.092), (0.0125, 0.0056, 0.022), (0, 0, 0.06)), 0.002, carve=True),
+        Part(Ball((0.0325, 0.6715, 0.092), (0.0125, 0.0056, 0.022)), 0.002, carve=True),
         Part(Ball((0.0322, 0.672, 0.0700), (0.0120, 0.0115, 0.0130)), 0.001),  # eyeball
         Part(Cone((0, 0.684, 0.083), (0, 0.642, 0.096), 0.0085, 0.0130), 0.014),  # nose
         Part(Ball((0, 0.640, 0.104), (0.0110, 0.0095, 0.0110)), 0.008),
@@ -296,5 +302,5 @@ def _face() -> list[Part]:
         Part(Ball((0, 0.6020, 0.0890), (0.0190, 0.0065, 0.0082)), 0.005),  # lower lip
         Part(Ball((0, 0.6072, 0.0930), (0.0235, 0.0012, 0.0200)), 0.0012, carve=True),  # mouth
         Part(Ball((0.0735, 0.657, -0.014), (0.0085, 0.0300, 0.0190), (-0.15, -0.50, -0.12)), 0.005),
-        Part(Ball((0.0800, 0.660, -0.007), (0.0065, 0.017, 0.0100), (-0.15, -0.50, 0)), 0.004, carve=True),
+        Part(Ball((0.0800, 0.660, -0.007), (0.0065, 0.017, 0.01), (-0.15, -0.5, 0)), 0.004, True),
     ]  # fmt: skip

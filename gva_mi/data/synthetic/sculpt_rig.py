@@ -1,4 +1,5 @@
-"""What makes a skin a body model: skinning weights from the flow of heat, and the joint regressor."""
+"""What makes a skin a body model: skinning weights from the flow of heat, and the joint
+regressor."""
 
 from __future__ import annotations
 
@@ -13,15 +14,16 @@ _NEAREST = 90  # vertices that a joint is regressed from
 _QUANTUM = 4096  # weights are multiples of 1/4096, so that rows sum to 1 to the bit
 
 
-def skinning_weights(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+def skinning_weights(vertices: np.ndarray, faces: np.ndarray, twin: np.ndarray) -> np.ndarray:
     """Weights (V, 55) as the equilibrium of heat that flows from the bones over the skin.
 
-    Each vertex is held at the temperature of its nearest bone, with strength h = 1 / d² (d: distance to that
-    bone), while heat diffuses over the skin; M holds the vertices' areas:
+    Each vertex is held at the temperature of its nearest bone, with strength h = 1 / d² (d:
+    distance to that bone), while heat diffuses over the skin; M holds the vertices' areas:
 
         (L + M h) w_j = M h p_j,    p_j = 1 where bone j is the nearest, else 0
 
-    So the weights are smooth, lie in [0, 1], sum to 1, and pass from bone to bone over about one limb's radius.
+    So the weights are smooth, lie in [0, 1], sum to 1, and pass from bone to bone over about one
+    limb's radius.
     """
     n = len(vertices)
     nearest, best, d = np.zeros(n, int), np.full(n, np.inf), np.zeros(n)
@@ -37,7 +39,8 @@ def skinning_weights(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     hold = sparse.diags(area / np.maximum(d, 0.003) ** 2)
     target = np.zeros((n, len(JOINTS)))
     target[np.arange(n), nearest] = 1
-    return _four_strongest(splu((L + hold).tocsc()).solve(hold @ target))
+    weights = splu((L + hold).tocsc()).solve(hold @ target)
+    return _four_strongest((weights + weights[twin][:, _mirrored_joints()]) / 2)
 
 
 def laplacian(vertices: np.ndarray, faces: np.ndarray) -> tuple[sparse.csr_matrix, np.ndarray]:
@@ -48,7 +51,9 @@ def laplacian(vertices: np.ndarray, faces: np.ndarray) -> tuple[sparse.csr_matri
         a, b, c = (faces[:, (k + i) % 3] for i in range(3))
         u, v = vertices[b] - vertices[a], vertices[c] - vertices[a]
         double = np.linalg.norm(np.cross(u, v), axis=1)
-        half_cot = np.clip((u * v).sum(1) / (2 * double + 1e-12), 0.02, 20)  # positive: no overshoot
+        half_cot = np.clip(
+            (u * v).sum(1) / (2 * double + 1e-12), 0.02, 20
+        )  # positive: no overshoot
         edges = sparse.coo_matrix((half_cot, (b, c)), (n, n))
         L = L - edges - edges.T
         area += np.bincount(a, double / 6, n)
@@ -60,8 +65,8 @@ def joint_regressor(
 ) -> np.ndarray:
     """Sparse rows (55, V), summing to 1, that find the joints in the vertices.
 
-    Of all weights on the nearest vertices, the smallest that are exact on the template and, up to a cut-off of the
-    ill-conditioned directions, on every shape. Mirror images have mirrored rows.
+    Of all weights on the nearest vertices, the smallest that are exact on the template and, up to a
+    cut-off of the ill-conditioned directions, on every shape. Mirror images have mirrored rows.
 
     Args:
         vertices: (V, 3) template.
@@ -88,6 +93,15 @@ def joint_regressor(
     return regressor
 
 
+def _mirrored_joints() -> list[int]:
+    other = {"left": "right", "right": "left"}
+    found = []
+    for name in JOINTS:
+        side, _, rest = name.partition("_")
+        found.append(JOINTS.index(f"{other[side]}_{rest}" if side in other else name))
+    return found
+
+
 def _distance(points: np.ndarray, bone: Bone) -> np.ndarray:
     a, ab = bone.start, bone.end - bone.start
     along = np.clip((points - a) @ ab / (ab @ ab), 0, 1)
@@ -95,7 +109,7 @@ def _distance(points: np.ndarray, bone: Bone) -> np.ndarray:
 
 
 def _four_strongest(weights: np.ndarray) -> np.ndarray:
-    # Lowering all by the fifth keeps four without a jump where the fifth and the fourth change places.
+    # Lowering all by the fifth keeps four, and without a jump where fourth and fifth change places.
     fifth = -np.partition(-weights, 4, axis=1)[:, 4:5]
     weights = np.maximum(weights - np.maximum(fifth, 0.003), 0)
     steps = np.round(_QUANTUM * weights / weights.sum(1, keepdims=True))

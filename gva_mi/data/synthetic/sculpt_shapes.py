@@ -1,15 +1,18 @@
-"""How the puppet varies: ten shapes, ten expressions, and the correctives of its poses, as displacement fields.
+"""How the puppet varies, as displacement fields: shapes, expressions, correctives of poses.
 
-Each column of ``shapedirs`` is the displacement of the skin for one unit of its coefficient, a clear but common deviation.
+Each column of ``shapedirs`` displaces the skin by one unit of its coefficient, a clear but common
+deviation.
 
-* Shapes stretch bones. Joint j carries a linear map D_j; joints move along the tree, and the skin follows with its weights:
+* Shapes stretch bones. Joint j carries a linear map D_j; joints move along the tree, and the skin
+  follows with its weights:
 
       dJ_j = dJ_parent(j) + D_parent(j) (J_j − J_parent(j)),    dv = Σ_j w_j (dJ_j + D_j (v − J_j))
 
 * Expressions are sums of Gaussian bumps on the left half of the face and its mirror image.
-* Correctives answer linear blend skinning's loss of volume: where two bones that enclose an angle φ share a vertex, it
-  comes nearer to the joint by the factor cos(φ/2). The skin on the outer side is moved out in proportion to 1 − cos φ, which
-  is 1 − R[k, k] for a bone that runs along axis k.
+* Correctives answer linear blend skinning's loss of volume: where two bones share a vertex and one
+  is bent by φ, the vertex comes nearer to the joint by the factor cos(φ/2). The skin on the outer
+  side is moved out in proportion to 1 − cos φ, which is 1 − R[k, k] for a bone that runs along
+  axis k.
 """
 
 from __future__ import annotations
@@ -18,15 +21,6 @@ import numpy as np
 
 from gva_mi.body.pose import JOINTS, PARENTS
 from gva_mi.data.synthetic.sculpt_figure import joint_positions
-
-SHAPES = (
-    "height", "weight", "leg length", "arm length", "shoulder width", "hip width", "chest", "belly",
-    "muscles", "size of the head",
-)  # fmt: skip
-EXPRESSIONS = (
-    "mouth open", "smile", "corners of the mouth down", "lips pushed out", "brows up", "brows down",
-    "blink", "cheeks blown", "upper lip up", "mouth to the left",
-)  # fmt: skip
 
 Stretch = dict[str, tuple[float, float, float]]  # joint, of both sides: strain along x, y, z
 
@@ -37,8 +31,8 @@ _HEAD = ("head", "jaw", "eye_smplhf")
 
 
 def shapes(vertices: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The fields of SHAPES on the skin (V, 3, 10) and what they do to the joints (55, 3, 10)."""
-    every = {name.removeprefix("left_").removeprefix("right_") for name in JOINTS}
+    """The fields of puppet.SHAPES on the skin (V, 3, 10), and the joints' moves (55, 3, 10)."""
+    every = {_without_side(name) for name in JOINTS}
     all_of = lambda names, *strain: {name: strain for name in names}
     stretches: list[Stretch] = [
         all_of(every, 0.04, 0.04, 0.04),
@@ -67,7 +61,7 @@ def shapes(vertices: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def expressions(vertices: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """The fields of EXPRESSIONS, (V, 3, 10); joints stay where they are."""
+    """The fields of puppet.EXPRESSIONS, (V, 3, 10); joints stay where they are."""
     jaw = weights[:, JOINTS.index("jaw"), None]
     corner, wide = (0.024, 0.607, 0.086), (0.011, 0.010, 0.020)
     fields = [
@@ -78,12 +72,14 @@ def expressions(vertices: np.ndarray, weights: np.ndarray) -> np.ndarray:
         _bumps(vertices, [(corner, wide, (-0.007, 0, 0.003)),
                           ((0, 0.607, 0.10), (0.014, 0.012, 0.020), (0, 0, 0.006))]),
         _bumps(vertices, [((0.030, 0.696, 0.08), (0.020, 0.010, 0.030), (0, 0.0055, 0))]),
-        _bumps(vertices, [((0.017, 0.692, 0.086), (0.012, 0.009, 0.030), (-0.003, -0.0045, 0.001))]),
+        _bumps(vertices, [((0.017, 0.692, 0.086), (0.012, 0.009, 0.03), (-0.003, -0.0045, 0.001))]),
         _bumps(vertices, [((0.032, 0.6795, 0.086), (0.014, 0.004, 0.014), (0, -0.0075, 0.0035)),
                           ((0.032, 0.6650, 0.084), (0.014, 0.003, 0.014), (0, 0.0020, 0.0015))]),
         _bumps(vertices, [((0.046, 0.612, 0.060), (0.015, 0.016, 0.024), (0.0075, 0, 0.004))]),
-        (1 - jaw) * _bumps(vertices, [((0, 0.613, 0.095), (0.017, 0.007, 0.020), (0, 0.0045, 0.001)),
-                                      ((0.010, 0.637, 0.096), (0.008, 0.006, 0.012), (0.001, 0.002, 0))]),
+        (1 - jaw) * _bumps(vertices, [
+            ((0, 0.613, 0.095), (0.017, 0.007, 0.020), (0, 0.0045, 0.001)),
+            ((0.010, 0.637, 0.096), (0.008, 0.006, 0.012), (0.001, 0.002, 0)),
+        ]),
         _bumps(vertices, [((0, 0.605, 0.090), (0.024, 0.014, 0.024), (0.006, 0, 0))], both=False),
     ]  # fmt: skip
     return np.stack(fields, axis=-1)
@@ -92,7 +88,7 @@ def expressions(vertices: np.ndarray, weights: np.ndarray) -> np.ndarray:
 def correctives(vertices: np.ndarray, normals: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Pose directions (V, 3, 486), on the diagonal entries of R − I of the joints that collapse."""
     fingers = [f"{finger}{k}" for finger in ("index", "middle", "ring", "pinky") for k in (1, 2, 3)]
-    outer = {  # joint: axis of its bone, the outer side of its bend, the radius of the limb, strength
+    outer = {  # joint: axis of its bone, outer side of the bend, radius of the limb, strength
         "elbow": (0, (0, 0, -1), 0.040, 0.45), "shoulder": (0, (0, 1, 0), 0.055, 0.35),
         "knee": (1, (0, 0, 1), 0.052, 0.45), "hip": (1, (0, 0, -1), 0.085, 0.30),
         "wrist": (0, (0, 1, 0), 0.020, 0.20),
@@ -104,7 +100,8 @@ def correctives(vertices: np.ndarray, normals: np.ndarray, weights: np.ndarray) 
             shared = 4 * weights[:, j] * weights[:, PARENTS[j]]  # 1 where both pull alike
             facing = np.clip((vertices - J[j]) @ np.asarray(direction) / radius + 0.3, 0, 1)
             facing = facing * facing * (3 - 2 * facing)
-            field[:, :, 9 * (j - 1) + 4 * axis] = -strength * radius * (shared * facing)[:, None] * normals
+            push = strength * radius * shared * facing
+            field[:, :, 9 * (j - 1) + 4 * axis] = -push[:, None] * normals
     return field
 
 
@@ -112,11 +109,15 @@ def _stretched(
     vertices: np.ndarray, weights: np.ndarray, stretch: Stretch
 ) -> tuple[np.ndarray, np.ndarray]:
     J = joint_positions()
-    strain = np.array([stretch.get(n.split("_", 1)[1] if n[:5] in ("left_", "right") else n, (0, 0, 0)) for n in JOINTS])
+    strain = np.array([stretch.get(_without_side(name), (0, 0, 0)) for name in JOINTS])
     moves = np.zeros_like(J)
     for j, parent in enumerate(PARENTS[1:], start=1):
         moves[j] = moves[parent] + strain[parent] * (J[j] - J[parent])
     return weights @ (moves - strain * J) + (weights @ strain) * vertices, moves
+
+
+def _without_side(name: str) -> str:
+    return name.removeprefix("left_").removeprefix("right_")
 
 
 def _bumps(vertices: np.ndarray, bumps: list[tuple], both: bool = True) -> np.ndarray:

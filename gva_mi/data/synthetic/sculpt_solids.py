@@ -1,11 +1,13 @@
 """Implicit solids, their smooth union, and its surface: what the puppet is modelled with.
 
-Each solid has a ``distance``: negative inside, near the surface about the Euclidean distance, metres. A body
-is a list of parts; each joins what came before it (or is carved out) with a fillet of k metres:
+Each solid has a ``distance``: negative inside, near the surface about the Euclidean distance,
+metres. A body is a list of parts; each joins what came before it (or is carved out) with a fillet
+of k metres:
 
     union(a, b) = min(a, b) − k h³ / 6,    h = max(k − |a − b|, 0) / k
 
-Coordinates come as three arrays that broadcast together, so that the open axes of a grid cost little.
+Coordinates come as three arrays that broadcast together, so that the open axes of a grid cost
+little.
 """
 
 from __future__ import annotations
@@ -90,8 +92,8 @@ class Ball:
 class Loft:
     """Elliptic sections along one axis, smooth in between, closed by half ellipsoids.
 
-    A section is ``(t, c, d, -c, +c, -d, +d)``: where it is on the axis; its centre on the other two, in the order
-    x, y, z; and its four radii, toward lower and higher c, lower and higher d.
+    A section is ``(t, c, d, -c, +c, -d, +d)``: where it is on the axis; its centre on the other
+    two, in the order x, y, z; and its four radii, toward lower and higher c, lower and higher d.
     """
 
     axis: int
@@ -137,7 +139,8 @@ def surface(parts: Sequence[Part], axes: Coordinates) -> tuple[np.ndarray, np.nd
 
     Args:
         parts: the body, in the order of assembly.
-        axes: x, y, z of the grid's planes, increasing. Where the body leaves the grid, the surface is open.
+        axes: x, y, z of the grid's planes, increasing. Where the body leaves the grid, the surface
+            is open.
 
     Returns:
         vertices (V, 3) and faces (F, 3), counter-clockwise seen from outside.

@@ -1,4 +1,4 @@
-"""A person made up from one seed: body shape, clothes, hair and colours, as one surface that skins."""
+"""A person made up from one seed: shape, clothes, hair and colours, as one surface that skins."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from scipy.sparse import csr_array
-from scipy.spatial import cKDTree
 
 from gva_mi.body.pose import JOINTS, Shape
 from gva_mi.body.smplx import BodyModel
@@ -74,16 +72,14 @@ class Subject:
     shape: Shape
 
 
-def make_subject_body(
-    body: BodyModel, seed: int, clothes: bool = True, hair_too: bool = True
-) -> Subject:
+def draw_subject(body: BodyModel, seed: int, clothes: bool = True, hairy: bool = True) -> Subject:
     """The person of a seed.
 
     Args:
         body: whose shape space and surface are used.
         seed: another seed is another person.
         clothes: dress it; otherwise a swimsuit is painted on the skin.
-        hair_too: give it hair.
+        hairy: give it hair.
     """
     rng = np.random.default_rng([seed, 0])
     betas = np.clip(rng.normal(0, 0.7, min(10, body.num_betas)), -1.4, 1.4)
@@ -101,7 +97,7 @@ def make_subject_body(
     parts: list[tuple[Part, Mesh, float]] = []
     if clothes:
         parts += _dress(surface, vertices, joints, wardrobe, rng)
-    if hair_too:
+    if hairy:
         parts.append(
             (Part.HAIR, hair(surface, joints, wardrobe.hair, wardrobe.hair_thick, rng), 0.03)
         )
@@ -110,14 +106,13 @@ def make_subject_body(
     skin = faces[~covered[faces].all(1)]
     used, skin = np.unique(skin, return_inverse=True)
     tint = _skin_tint(vertices, normals, weights, joints)
-    tree = cKDTree(vertices)
     all_vertices, all_faces = [vertices[used]], [skin.reshape(-1, 3)]
     all_weights, all_tint = [weights[used]], [tint[used]]
     all_part = [np.full(len(skin.reshape(-1, 3)), int(Part.SKIN))]
     for part, mesh, smooth in parts:
         all_faces.append(mesh.faces + sum(len(v) for v in all_vertices))
         all_vertices.append(mesh.vertices)
-        all_weights.append(_transfer(mesh.vertices, tree, weights, smooth))
+        all_weights.append(_transfer(mesh.vertices, vertices, weights, smooth))
         all_tint.append(np.repeat(mesh.shade[:, None], 3, axis=1))
         all_part.append(np.full(len(mesh.faces), int(part)))
     return Subject(
@@ -169,9 +164,14 @@ def _dress(
     return [(Part.TOP, top, 0.025), (Part.BOTTOM, bottom, smooth), *shoes]
 
 
-def _transfer(points: np.ndarray, tree: cKDTree, weights: np.ndarray, smooth: float) -> np.ndarray:
-    """Weights of the body's near vertices, blended over ``smooth`` metres."""
-    distance, index = tree.query(points, k=24)
+def _transfer(
+    points: np.ndarray, vertices: np.ndarray, weights: np.ndarray, smooth: float
+) -> np.ndarray:
+    """Weights (N, 55) of the body's near vertices, blended over ``smooth`` metres."""
+    from scipy.sparse import csr_array
+    from scipy.spatial import cKDTree
+
+    distance, index = cKDTree(vertices).query(points, k=24, workers=-1)
     near = np.exp(-(distance**2 - distance[:, :1] ** 2) / (2 * smooth**2))
     rows = np.repeat(np.arange(len(points)), 24)
     matrix = csr_array((near.ravel(), (rows, index.ravel())), shape=(len(points), len(weights)))
@@ -181,6 +181,8 @@ def _transfer(points: np.ndarray, tree: cKDTree, weights: np.ndarray, smooth: fl
 
 def _covered(vertices: np.ndarray, meshes: list[Mesh]) -> np.ndarray:
     """Body vertices (V,) that lie under cloth: the cloth is near along its own normal, outwards."""
+    from scipy.spatial import cKDTree
+
     covered = np.zeros(len(vertices), dtype=bool)
     for mesh in meshes:
         lit = mesh.shade > 0.98

@@ -1,7 +1,8 @@
 """Colours of skin, cloth and hair: formulas of the rest position, crisp at any resolution.
 
-Nothing is baked into a bitmap: a ray that hits the surface knows where its point lies in the rest pose,
-and the colour is computed there, on Dr.Jit arrays. Colours are linear albedo, Rec. 709 primaries.
+Nothing is baked into a bitmap: a ray that hits the surface knows where its point lies in the rest
+pose, and the colour is computed there, on Dr.Jit arrays. Colours are linear albedo, Rec. 709
+primaries.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, Literal
+from typing import Literal
 
 import drjit as dr
 import numpy as np
@@ -75,7 +76,7 @@ class Look:
         return {Part.SKIN: self.skin, Part.SHOES: self.shoes, Part.HAIR: self.hair}[part]
 
 
-def albedo(look: Look, part: Any, rest: Any) -> Any:
+def albedo(look: Look, part: dr.ArrayBase, rest: dr.ArrayBase) -> dr.ArrayBase:
     """The colour at points of the rest pose.
 
     Args:
@@ -93,7 +94,7 @@ def albedo(look: Look, part: Any, rest: Any) -> Any:
     return dr.select(part == int(Part.HAIR), _hair(look, rest), color)
 
 
-def _skin(look: Look, p: Any) -> Any:
+def _skin(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
     face, unit = look.face, look.face.unit
     like = type(p)
     base = like(*look.skin)
@@ -130,7 +131,9 @@ def _skin(look: Look, p: Any) -> Any:
     lips = _inside(dr.select(dy > 0, bow * 0.85, bow * 1.15) - dr.abs(dy), 0.02)
     lips *= _inside(0.40 - dr.abs(dx), 0.02)
     mouth = dr.lerp(color, like(*look.lips), lips)
-    gap = _inside(0.012 - dr.abs(dy - 0.01 * dr.cos(9 * dx)), 0.01) * _inside(0.37 - dr.abs(dx), 0.03)
+    gap = _inside(0.012 - dr.abs(dy - 0.01 * dr.cos(9 * dx)), 0.01) * _inside(
+        0.37 - dr.abs(dx), 0.03
+    )
     mouth = dr.lerp(mouth, like(0.06, 0.015, 0.012), 0.85 * gap)
     color = dr.select(front, mouth, color)
 
@@ -139,13 +142,15 @@ def _skin(look: Look, p: Any) -> Any:
         on = _inside(1 - d, 0.25) & (p.y > nail[1] - 0.002)
         color = dr.lerp(color, like(0.72, 0.42, 0.36), 0.8 * on)
     if look.swimsuit:
-        suit = _inside(look.shoulder[1] - 0.10 - p.y, 0.003) * _inside(p.y - look.hip[1] + 0.08, 0.003)
+        suit = _inside(look.shoulder[1] - 0.10 - p.y, 0.003) * _inside(
+            p.y - look.hip[1] + 0.08, 0.003
+        )
         suit *= _inside(look.shoulder[0] + 0.02 - dr.abs(p.x), 0.003)
         color = dr.lerp(color, _cloth(look.top, p, p.y, dr.atan2(p.z, p.x) * 0.16), suit)
     return color
 
 
-def _top(look: Look, p: Any) -> Any:
+def _top(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
     """A sewn shirt: its sleeves have a direction of their own, and there is a seam."""
     side = dr.abs(p.x)
     seam = look.shoulder[0] + 0.02
@@ -159,7 +164,7 @@ def _top(look: Look, p: Any) -> Any:
     return color * (1 - 0.25 * _inside(0.0022 - dr.abs(side - seam), 0.001))
 
 
-def _bottom(look: Look, p: Any) -> Any:
+def _bottom(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
     leg = p.y < look.hip[1] - 0.06
     around = dr.select(
         leg, dr.atan2(p.z, dr.abs(p.x) - look.hip[0]) * 0.085, dr.atan2(p.z, p.x) * 0.16
@@ -169,7 +174,7 @@ def _bottom(look: Look, p: Any) -> Any:
     return color * (1 - 0.25 * side_seam)
 
 
-def _shoes(look: Look, p: Any) -> Any:
+def _shoes(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
     like = type(p)
     color = like(*look.shoes) * (1 + 0.15 * _noise(p * 90))
     height = p.y - look.ground
@@ -181,7 +186,7 @@ def _shoes(look: Look, p: Any) -> Any:
     return dr.lerp(color, like(0.72, 0.70, 0.66), _inside(0.016 - height, 0.001))
 
 
-def _hair(look: Look, p: Any) -> Any:
+def _hair(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
     """Strands: noise that is fine around the head and long down it."""
     _, eye_y, eye_z = look.face.eyes[0]
     x, y, z = p.x, p.y - eye_y - 0.14, p.z - eye_z + 0.11
@@ -192,7 +197,9 @@ def _hair(look: Look, p: Any) -> Any:
     return type(p)(*look.hair) * dr.maximum(1 + 0.75 * strands, 0.1)
 
 
-def _cloth(fabric: Fabric, p: Any, along: Any, around: Any) -> Any:
+def _cloth(
+    fabric: Fabric, p: dr.ArrayBase, along: dr.ArrayBase, around: dr.ArrayBase
+) -> dr.ArrayBase:
     like = type(p)
     ground, figure, line = (like(*c) for c in fabric.colors)
     band = lambda t, width: _inside(width - dr.abs(t - dr.round(t)), 0.01)
@@ -213,7 +220,7 @@ def _cloth(fabric: Fabric, p: Any, along: Any, around: Any) -> Any:
     return color * (1 + weave)
 
 
-def _print(fabric: Fabric, color: Any, p: Any, height: float) -> Any:
+def _print(fabric: Fabric, color: dr.ArrayBase, p: dr.ArrayBase, height: float) -> dr.ArrayBase:
     """A motif on the chest, another on the back, so that front and back differ."""
     like = type(p)
     x, y = p.x, p.y - height
@@ -226,12 +233,12 @@ def _print(fabric: Fabric, color: Any, p: Any, height: float) -> Any:
     return dr.select(p.z > 0, chest, back)
 
 
-def _inside(x: Any, width: float) -> Any:
+def _inside(x: dr.ArrayBase, width: float) -> dr.ArrayBase:
     """A step that is 1 where ``x`` > 0, softened over ``width``."""
     return dr.clip(x / width + 0.5, 0, 1)
 
 
-def _noise(p: Any) -> Any:
+def _noise(p: dr.ArrayBase) -> dr.ArrayBase:
     """Value noise in [-1, 1] on the integer lattice, smooth between."""
     cell = dr.floor(p)
     f = p - cell
@@ -245,7 +252,7 @@ def _noise(p: Any) -> Any:
     return dr.lerp(plane(0), plane(1), f.z) * 2 - 1
 
 
-def _hash(*lattice: Any) -> Any:
+def _hash(*lattice: dr.ArrayBase) -> dr.ArrayBase:
     """An integer lattice point to a number in [0, 1)."""
     Int = dr.int32_array_t(type(lattice[0]))
     UInt = dr.uint32_array_t(Int)

@@ -1,0 +1,185 @@
+"""Pictures of an avatar that a person looks at: turning, beside the truth, hands from close by.
+
+All images are 8-bit (H, W, 3), on white.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+
+import numpy as np
+import torch
+
+from gva_mi.avatar.avatar import Avatar
+from gva_mi.body.pose import LEFT_HAND, RIGHT_HAND, Pose
+from gva_mi.body.skinning import joint_transforms
+from gva_mi.data.video import Frame, Video
+from gva_mi.fit.evaluate import cut_out, render_frame, to_8bit
+from gva_mi.splat import Camera, Gaussians, look_at
+from gva_mi.splat.torch_op import render
+
+WRISTS = {"left": 20, "right": 21}
+FINGERS = {"left": LEFT_HAND, "right": RIGHT_HAND}
+HAND_CROP = 0.28  # metres, the side of a zoomed hand
+HAND_PIXELS = 220  # about the side of its picture
+DOT = 0.0015  # metres, standard deviation of a Gaussian that is drawn as a dot
+RED_AT = 64  # levels of 255 at which a difference is shown fully red
+
+
+def spread(indices: Iterable[int], count: int) -> list[int]:
+    """At most ``count`` of some indices, evenly spaced."""
+    indices = list(indices)
+    chosen = np.linspace(0, len(indices) - 1, min(count, len(indices))).round().astype(int)
+    return [indices[k] for k in chosen]
+
+
+def turntable(avatar: Avatar, frame: Frame, count: int) -> Iterator[np.ndarray]:
+    """The avatar in a frame's pose, seen by ``count`` cameras all around it."""
+    centre = _joints(avatar, frame.pose).mean(0)
+    distance = np.linalg.norm(frame.camera.position - centre)
+    width, height = frame.camera.width, frame.camera.height
+    for angle in np.linspace(0, 2 * np.pi, count, endpoint=False):
+        eye = centre + distance * np.array([np.sin(angle), 0.1, np.cos(angle)])
+        camera = Camera(
+            frame.camera.fx,
+            frame.camera.fy,
+            width / 2,
+            height / 2,
+            look_at(eye, centre),
+            width,
+            height,
+        )
+        yield render_frame(avatar, frame.pose, camera)
+
+
+def compared(avatar: Avatar, frame: Frame, difference: bool = True) -> np.ndarray:
+    """A frame's picture, the render, and where they differ, side by side, without empty margins."""
+    target, image = cut_out(frame), render_frame(avatar, frame.pose, frame.camera)
+    parts = [target, image]
+    if difference:
+        parts.append(_reddened(np.abs(image.astype(int) - target).max(-1)))
+    rows, columns = _around(target.min(-1) < 250, margin=len(target) // 40)
+    return np.concatenate([part[rows, columns] for part in parts], axis=1)
+
+
+def hands(avatar: Avatar, frame: Frame) -> Iterator[tuple[str, np.ndarray]]:
+    """Each hand that lies within the picture: its side, and the picture above the render.
+
+    The picture's pixels are shown as squares; the render is made at the zoomed resolution.
+    """
+    joints = _joints(avatar, frame.pose)
+    for side, wrist in WRISTS.items():
+        square = _square(frame.camera, np.vstack([joints[wrist], joints[FINGERS[side]]]))
+        if square is None:
+            continue
+        left, top, size = square
+        factor = max(1, round(HAND_PIXELS / size))
+        seen = cut_out(frame)[top : top + size, left : left + size]
+        camera = frame.camera.cropped(left, top, size, size)
+        image = render_frame(avatar, frame.pose, camera.resized(size * factor, size * factor))
+        yield side, np.concatenate([seen.repeat(factor, 0).repeat(factor, 1), image], axis=0)
+
+
+def dots(gaussians: Gaussians, height: int = 560) -> np.ndarray:
+    """Every Gaussian as a small dot of its own colour, seen from the front and from the side."""
+    small = Gaussians(
+        gaussians.means,
+        gaussians.quats,
+        torch.full_like(gaussians.scales, DOT),
+        torch.full_like(gaussians.opacities, 0.99),
+        sh=gaussians.sh[:, :1],
+    )
+    points = gaussians.means.numpy()
+    low, high = np.quantile(points, 0.001, axis=0), np.quantile(points, 0.999, axis=0)
+    centre, size = (low + high) / 2, (high - low) * 1.1
+    scale, views = height / size[1], []
+    for axis, across in (((0, 0, 1), 0), ((1, 0, 0), 2)):
+        distance = 8.0  # far away, for a nearly parallel view
+        width = round(size[across] * scale)
+        T_camera_world = look_at(centre + distance * np.array(axis), centre)
+        focal = distance * scale
+        camera = Camera(focal, focal, width / 2, height / 2, T_camera_world, width, height)
+        with torch.no_grad():
+            views.append(to_8bit(render(small, camera, background=torch.ones(3)).color.numpy()))
+    return np.concatenate(views, axis=1)
+
+
+def side_by_side(images: Sequence[np.ndarray], height: int) -> np.ndarray:
+    """Pictures of any sizes in a row, each scaled to one height."""
+    from PIL import Image
+
+    scaled = []
+    for image in images:
+        width = max(1, round(image.shape[1] * height / image.shape[0]))
+        resized = Image.fromarray(image).resize((width, height), Image.Resampling.LANCZOS)
+        scaled.append(np.asarray(resized))
+    return np.concatenate(scaled, axis=1)
+
+
+def overview(
+    avatar: Avatar, video: Video, overlays: np.ndarray | None, count: int = 3
+) -> np.ndarray:
+    """The paper in one picture: a frame, its refinement, the Gaussians, and new views."""
+    frame = video[spread(video.splits.test or video.splits.train, 3)[0]]
+    rows, columns = _around(frame.mask > 0.5, margin=len(frame.mask) // 40)
+    parts = [to_8bit(frame.image[rows, columns])]
+    if frame.normals is not None:
+        shown = (frame.normals + 1) / 2 * (frame.mask > 0.5)[..., None]
+        parts.append(to_8bit(np.where(frame.mask[..., None] > 0.5, shown, 1)[rows, columns]))
+    if overlays is not None:
+        parts.append(overlays)
+    with torch.no_grad():
+        gaussians = avatar(frame.pose)
+    camera = frame.camera
+    small = Gaussians(
+        gaussians.means,
+        gaussians.quats,
+        gaussians.scales * 0.35,
+        gaussians.opacities,
+        sh=gaussians.sh,
+    )
+    with torch.no_grad():
+        parts.append(
+            to_8bit(render(small, camera, background=torch.ones(3)).color.numpy()[rows, columns])
+        )
+    for image in list(turntable(avatar, frame, count + 1))[1:]:
+        rows, columns = _around(image.min(-1) < 250, margin=len(image) // 40)
+        parts.append(image[rows, columns])
+    return side_by_side(parts, 480)
+
+
+def _joints(avatar: Avatar, pose: Pose) -> np.ndarray:
+    """The avatar's joints in a pose of one frame, (55, 3) metres, world."""
+    rig = avatar.rig
+    T_world_rest = joint_transforms(pose.rotations, rig.joints, rig.parents, pose.transl)[0]
+    R, t = T_world_rest[:, :3, :3], T_world_rest[:, :3, 3]
+    return ((R @ rig.joints[..., None])[..., 0] + t).detach().numpy()
+
+
+def _square(camera: Camera, joints: np.ndarray) -> tuple[int, int, int] | None:
+    """The square around some joints: left, top, side; None where it leaves the picture."""
+    u, v = camera.project(joints).mean(0)
+    R, t = camera.T_camera_world[:3, :3], camera.T_camera_world[:3, 3]
+    size = round(camera.fx * HAND_CROP / float((joints @ R.T + t)[:, 2].mean()))
+    left, top = round(u - size / 2), round(v - size / 2)
+    fits = left >= 0 and top >= 0 and left + size <= camera.width and top + size <= camera.height
+    return (left, top, size) if fits and size > 1 else None
+
+
+def _around(inside: np.ndarray, margin: int) -> tuple[slice, slice]:
+    """Rows and columns that hold all that is inside, and a margin."""
+    if not inside.any():
+        return slice(None), slice(None)
+    found = []
+    for axis in (1, 0):
+        where = np.flatnonzero(inside.any(axis))
+        low, high = where[0] - margin, where[-1] + 1 + margin
+        found.append(slice(max(0, low), min(inside.shape[1 - axis], high)))
+    return found[0], found[1]
+
+
+def _reddened(difference: np.ndarray) -> np.ndarray:
+    """Differences (H, W) in levels of 255: white for none, red for RED_AT and more."""
+    share = np.clip(difference / RED_AT, 0, 1)[..., None]
+    white, red = np.array([255, 255, 255]), np.array([190, 20, 40])
+    return np.round(white * (1 - share) + red * share).astype(np.uint8)

@@ -1,0 +1,183 @@
+import gva_mi  # noqa: F401, I001  (first: it chooses the libLLVM)
+
+import numpy as np
+import pytest
+import torch
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from gva_mi.body import JOINTS, Pose, Shape, load_body
+from gva_mi.body.puppet import EXPRESSIONS, PUPPET, SHAPES
+from gva_mi.data.synthetic.sculpt import SculptOptions, sculpt
+from gva_mi.data.synthetic.sculpt_figure import joint_positions
+
+F64 = torch.float64
+
+
+@pytest.fixture(scope="module")
+def body():
+    return load_body(dtype=F64)
+
+
+def pose_with(**rotations):
+    """A pose of one frame from a rotation (3,) for each named joint."""
+    all_of_them = torch.zeros(1, 55, 3, dtype=F64)
+    for name, rotation in rotations.items():
+        all_of_them[0, JOINTS.index(name)] = torch.tensor(rotation, dtype=F64)
+    zero = torch.zeros(1, 10, dtype=F64)
+    return Pose.from_rotations(all_of_them, zero[:, :3], zero)
+
+
+def volume(vertices, faces):
+    a, b, c = vertices[faces].unbind(1)
+    return (torch.linalg.cross(a, b) * c).sum().item() / 6
+
+
+def neutral():
+    return Shape(torch.zeros(10, dtype=F64))
+
+
+def edges_of(faces):
+    return np.concatenate([faces[:, [k, (k + 1) % 3]] for k in range(3)])
+
+
+def test_the_skin_is_watertight_of_one_piece_and_without_handles(body):
+    faces, n = body.faces.numpy(), len(body.v_template)
+    edges = edges_of(faces)
+    codes = edges[:, 0] * n + edges[:, 1]
+    back = edges[:, 1] * n + edges[:, 0]
+    assert len(np.unique(codes)) == len(codes)
+    np.testing.assert_array_equal(np.sort(codes), np.sort(back))  # each edge once either way
+    graph = coo_matrix((np.ones(len(edges)), edges.T), (n, n))
+    assert connected_components(graph)[0] == 1
+    assert n - len(edges) // 2 + len(faces) == 2  # Euler
+
+
+def test_faces_look_outward(body):
+    assert 0.05 < volume(body.v_template, body.faces) < 0.09  # cubic metres, a person
+
+
+def test_left_and_right_are_mirror_images(body):
+    vertices, weights = body.v_template.numpy(), body.weights.numpy()
+    distance, twin = cKDTree(vertices).query(vertices * (-1, 1, 1))
+    assert distance.max() == 0
+    swap = {"left": "right", "right": "left"}
+    mirror = [
+        JOINTS.index(
+            f"{swap[n.split('_')[0]]}_{n.split('_', 1)[1]}" if n[:4] in ("left", "righ") else n
+        )
+        for n in JOINTS
+    ]
+    np.testing.assert_allclose(weights[twin][:, mirror], weights, atol=1 / 4096)
+    joints = body.rest(neutral()).joints.numpy()
+    np.testing.assert_allclose(joints[mirror] * (-1, 1, 1), joints, atol=1e-6)
+
+
+def test_weights_name_at_most_four_joints_and_sum_to_one(body):
+    assert ((body.weights > 0).sum(1) <= 4).all()
+    assert (body.weights >= 0).all() and (body.weights.sum(1) == 1).all()
+    assert (body.weights.sum(0) > 0).all()  # no joint without skin
+
+
+def test_the_regressor_finds_the_joints():
+    with np.load(PUPPET) as file:
+        regressor, template = file["J_regressor"], file["v_template"]
+    np.testing.assert_allclose(regressor.sum(1), 1, atol=1e-9)
+    np.testing.assert_allclose(regressor @ template, joint_positions(), atol=1e-6)
+    assert ((regressor != 0).sum(1) <= 180).all()
+
+
+def test_one_unit_of_height_is_four_percent(body):
+    rest, taller = body.rest(neutral()), body.rest(Shape(torch.eye(10, dtype=F64)[0]))
+    torch.testing.assert_close(taller.vertices, 1.04 * rest.vertices, rtol=0, atol=5e-4)
+    torch.testing.assert_close(taller.joints, 1.04 * rest.joints, rtol=0, atol=5e-4)
+
+
+@pytest.mark.parametrize(
+    "shape, bone, other",
+    [
+        ("leg length", ("left_hip", "left_knee"), ("left_shoulder", "left_elbow")),
+        ("arm length", ("right_elbow", "right_wrist"), ("right_knee", "right_ankle")),
+        ("shoulder width", ("left_shoulder", "right_shoulder"), ("left_hip", "right_hip")),
+        ("hip width", ("left_hip", "right_hip"), ("left_elbow", "left_wrist")),
+    ],
+)
+def test_shapes_change_what_they_are_called_after(body, shape, bone, other):
+    more = Shape(torch.eye(10, dtype=F64)[SHAPES.index(shape)])
+
+    def growth(ends):
+        a, b = (JOINTS.index(name) for name in ends)
+        length = [
+            (r.joints[a] - r.joints[b]).norm() for r in (body.rest(neutral()), body.rest(more))
+        ]
+        return (length[1] / length[0] - 1).item()
+
+    assert growth(bone) > 0.03
+    assert abs(growth(other)) < 0.002
+
+
+def test_expressions_move_the_face_alone(body):
+    rest = body.rest(neutral())
+    for k in range(len(EXPRESSIONS)):
+        moved = body.rest(neutral(), torch.eye(10, dtype=F64)[k])
+        shift = (moved.vertices - rest.vertices).norm(dim=1)
+        assert 0.002 < shift.max() < 0.04
+        assert shift[rest.vertices[:, 1] < 0.5].max() < 1e-4
+        torch.testing.assert_close(moved.joints, rest.joints, rtol=0, atol=5e-4)
+
+
+def test_fingers_are_apart(body):
+    strongest = body.weights.argmax(1).numpy()
+    fingers = [
+        body.v_template.numpy()[np.isin(strongest, [25 + 3 * k + 1, 25 + 3 * k + 2])]
+        for k in range(5)
+    ]
+    for k, finger in enumerate(fingers):
+        assert len(finger) > 60
+        for other in fingers[k + 1 :]:
+            assert cKDTree(finger).query(other)[0].min() > 0.002
+
+
+def test_the_mouth_opens_with_the_jaw(body):
+    rest = body.rest(neutral()).vertices
+    lips = (rest[:, 0].abs() < 0.01) & (rest[:, 2] > 0.085) & ((rest[:, 1] - 0.607).abs() < 0.008)
+    jaw = body.weights[:, JOINTS.index("jaw")]
+    upper, lower = lips & (jaw < 0.3), lips & (jaw > 0.7)
+    assert upper.any() and lower.any()
+    posed = body(pose_with(jaw=(0.4, 0, 0)), neutral()).vertices[0]
+    gap = lambda v: (v[upper, 1].min() - v[lower, 1].max()).item()
+    assert gap(posed) > gap(rest) + 0.010
+
+
+@pytest.mark.parametrize(
+    "joint, rotation",
+    [("left_elbow", (0, -2.0, 0)), ("right_knee", (2.0, 0, 0)), ("left_index2", (0, 0, -1.5))],
+)
+def test_correctives_keep_volume_where_a_joint_bends(body, joint, rotation):
+    pose = pose_with(**{joint: rotation})
+    corrected = volume(body(pose, neutral()).vertices[0], body.faces)
+    plain = load_body(dtype=F64)
+    plain.pose_directions.zero_()
+    collapsed = volume(plain(pose, neutral()).vertices[0], body.faces)
+    rest = volume(body.v_template, body.faces)
+    assert collapsed < corrected < rest + 0.2 * (rest - collapsed)
+
+
+def test_the_same_figure_gives_the_same_bits():
+    coarse = SculptOptions(faces=5000, grid=2.5)
+    for (key, a), b in zip(sculpt(coarse).items(), sculpt(coarse).values(), strict=True):
+        np.testing.assert_array_equal(a, b, err_msg=key)
+
+
+@pytest.mark.slow
+def test_the_file_is_what_the_sculptor_makes():
+    made = sculpt()
+    with np.load(PUPPET) as file:
+        assert set(file.files) == set(made)
+        for key in file.files:
+            np.testing.assert_array_equal(file[key], made[key], err_msg=key)
+
+
+def test_the_file_is_small():
+    assert PUPPET.stat().st_size < 1.5e6

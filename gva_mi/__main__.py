@@ -55,7 +55,7 @@ def _run(arguments: list[str]) -> None:
         prog="gva-mi",
         description="A monocular video of a person becomes a drivable 3D Gaussian avatar.",
         args=arguments,
-        config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
+        config=(tyro.conf.FlagCreatePairsOff,),
     )
 
 

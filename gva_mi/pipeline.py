@@ -16,9 +16,11 @@ import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Annotated, TypeVar
 
+import numpy as np
 from torch import Tensor
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.pose import load_offsets, load_poses, save_poses
@@ -34,10 +36,14 @@ from gva_mi.fit.evaluate import render_sequence
 from gva_mi.fit.report import write_report
 from gva_mi.fit.train import FitOptions
 from gva_mi.fit.train import fit as fit_avatar
+from gva_mi.fit.views import spread
 from gva_mi.pose.measure import measure
-from gva_mi.pose.overlay import before_and_after
-from gva_mi.pose.refine import RefineOptions
+from gva_mi.pose.overlay import overlay, strip
+from gva_mi.pose.refine import Refined, RefineOptions
 from gva_mi.pose.refine import refine as refine_poses
+
+T = TypeVar("T")
+Flat = Annotated[T, arg(name="")]  # options without a prefix on the command line
 
 POSES, REFINED = "poses.npz", "poses_refined.npz"
 REFINEMENT, OVERLAYS = "refinement.json", "refinement.png"
@@ -63,7 +69,7 @@ class DemoOptions:
 
 def synth(
     out: Positional[Path],
-    options: SynthOptions,
+    options: Flat[SynthOptions],
     *,
     body: Path | None = None,
     overwrite: bool = False,
@@ -85,7 +91,7 @@ def synth(
 
 def refine(
     subject: Positional[Path],
-    options: RefineOptions,
+    options: Flat[RefineOptions],
     *,
     body: Path | None = None,
     overwrite: bool = False,
@@ -111,7 +117,7 @@ def refine(
 
 def fit(
     subject: Positional[Path],
-    options: FitOptions,
+    options: Flat[FitOptions],
     *,
     out: Path,
     poses: Path | None = None,
@@ -200,7 +206,7 @@ def render(
 
 
 def demo(
-    options: DemoOptions, *, out: Path, body: Path | None = None, overwrite: bool = False
+    options: Flat[DemoOptions], *, out: Path, body: Path | None = None, overwrite: bool = False
 ) -> None:
     """All of it on a synthetic subject: synth, refine, fit, evaluate, report.
 
@@ -243,13 +249,24 @@ def _refine(video: Video, model: BodyModel, options: RefineOptions) -> dict:
         say(f"frame {frame} keeps its stage-1 pose: {reason}")
     truth = load_poses(video.truth / POSES) if video.truth else None
     figures = measure(video, model, refined, truth).as_record()
-    strip = before_and_after(video, model, refined)
-    write_image(video.folder / OVERLAYS, strip)
+    write_image(video.folder / OVERLAYS, _overlays(video, model, refined))
     record = {"figures": figures, "kept": refined.kept, "options": asdict(options)}
     _write_json(video.folder / REFINEMENT, record | {"versions": checkpoint.versions()})
     pose, shape, offsets = refined.pose, refined.shape, refined.offsets
     save_poses(video.folder / REFINED, pose, shape, stage=2, offsets=offsets)
     return figures
+
+
+def _overlays(video: Video, model: BodyModel, refined: Refined, count: int = 8) -> np.ndarray:
+    """Bodies over evenly spaced frames: stage 1 above, refined below."""
+    rows = []
+    for pose, shape in ((video.pose, video.shape), (refined.pose, refined.shape)):
+        row = []
+        for frame in video.frames(spread(range(len(video)), count)):
+            vertices = model(pose[frame.index], shape).vertices[0]
+            row.append(overlay(frame, vertices, model.faces))
+        rows.append(row)
+    return strip(rows)
 
 
 def _fit(
@@ -304,7 +321,7 @@ def _write_report(avatar: Avatar, video: Video, run: Path, metrics: dict, title:
         avatar=avatar,
         video=video,
         overlays=[read_image(overlays, 3)] if overlays.exists() else [],
-        snapshots=checkpoint.load_snapshots(run),
+        snapshots=list(checkpoint.load_snapshots(run)),
     )
 
 

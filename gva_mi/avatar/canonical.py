@@ -24,6 +24,7 @@ import torch
 from torch import Tensor, nn
 
 from gva_mi.body.skinning import nearest_weights
+from gva_mi.errors import InputError
 from gva_mi.splat.sh import C0
 
 PARAMETERS = ("means", "quats", "log_scales", "logit_opacities", "sh")
@@ -99,13 +100,13 @@ class SeedOptions:
 
     def __post_init__(self) -> None:
         if self.count < 0:
-            raise ValueError(f"SeedOptions: count must not be negative, got {self.count}")
+            raise InputError(f"SeedOptions: count must not be negative, got {self.count}")
         if self.sh_degree not in (0, 1):
-            raise ValueError(f"SeedOptions: sh_degree must be 0 or 1, got {self.sh_degree}")
+            raise InputError(f"SeedOptions: sh_degree must be 0 or 1, got {self.sh_degree}")
         if not 0 < self.opacity < 1:
-            raise ValueError(f"SeedOptions: opacity must lie in (0, 1), got {self.opacity}")
+            raise InputError(f"SeedOptions: opacity must lie in (0, 1), got {self.opacity}")
         if not (self.overlap > 0 and self.flatness > 0):
-            raise ValueError("SeedOptions: overlap and flatness must be positive")
+            raise InputError("SeedOptions: overlap and flatness must be positive")
 
 
 def seed_on_surface(

@@ -20,6 +20,7 @@ from torch import Tensor
 
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.canonical import PARAMETERS, CanonicalGaussians
+from gva_mi.errors import InputError
 from gva_mi.splat.camera import Camera
 from gva_mi.splat.torch_op import Screen
 
@@ -37,9 +38,9 @@ class DensifyOptions:
 
     def __post_init__(self) -> None:
         if not self.split_shrink > 1:
-            raise ValueError(f"DensifyOptions: split_shrink must exceed 1, got {self.split_shrink}")
+            raise InputError(f"DensifyOptions: split_shrink must exceed 1, got {self.split_shrink}")
         if not 0 < self.split_scale <= self.max_scale:
-            raise ValueError(
+            raise InputError(
                 "DensifyOptions: 0 < split_scale <= max_scale is needed, "
                 f"got {self.split_scale}, {self.max_scale}"
             )

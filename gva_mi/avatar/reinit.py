@@ -41,6 +41,7 @@ from gva_mi.avatar.canonical import (
 )
 from gva_mi.body.pose import LEFT_HAND, RIGHT_HAND
 from gva_mi.body.skinning import nearest_weights
+from gva_mi.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -61,9 +62,9 @@ class ReinitOptions:
 
     def __post_init__(self) -> None:
         if self.count < 0 or self.neighbours < 1 or self.smoothing < 0:
-            raise ValueError("ReinitOptions: count and smoothing from 0, neighbours from 1")
+            raise InputError("ReinitOptions: count and smoothing from 0, neighbours from 1")
         if not 0 < self.offset < self.alpha:
-            raise ValueError(
+            raise InputError(
                 f"ReinitOptions: 0 < offset < alpha is needed, got {self.offset}, {self.alpha}"
             )
 

@@ -21,6 +21,8 @@ import roma
 import torch
 from torch import Tensor, nn
 
+from gva_mi.errors import InputError
+
 BODY_JOINTS = slice(1, 22)  # without the root, the face and the fingers
 OUTPUT_UNIT = (
     0.01  # metres per unit of the last layer, so that Adam's steps are fractions of a millimetre
@@ -38,7 +40,7 @@ class ResidualOptions:
 
     def __post_init__(self) -> None:
         if min(self.code, self.frequencies, self.width) < 1:
-            raise ValueError("ResidualOptions: code, frequencies and width must be at least 1")
+            raise InputError("ResidualOptions: code, frequencies and width must be at least 1")
 
 
 class PoseResidual(nn.Module):

@@ -5,7 +5,7 @@
     out/
       options.json         options and versions that made it
       checkpoint.pt        the last saved state, until the run is finished
-      history.npz          per step: loss and its terms, Gaussians, seconds
+      history.npz          per step: loss and its terms, Gaussians, milliseconds
       reinit/000900.npz    of each re-initialisation: the Gaussians before and after, the mesh
       poses.npz            of all frames, where those of the training frames were trained too
       avatar.npz           the fitted avatar; it is there when the run is finished

@@ -64,10 +64,10 @@ def write_report(
         path: the ``.html`` file.
         title: its heading.
         metrics: what ``metrics.json`` holds.
-        history: per logged step: ``step``, ``loss`` and its terms, ``gaussians``.
+        history: per step: ``loss`` and its terms, ``gaussians``, ``milliseconds``, each (steps,).
         avatar: the fitted one.
         video: opened with the poses the avatar was fitted under.
-        overlays: pictures (H, W, 3) of the refinement, stage 1 and stage 2 side by side.
+        overlays: pictures (H, W, 3) of the refinement, stage 1 above stage 2.
         snapshots: step, Gaussians before and after, of each re-initialisation, in the rest pose.
     """
     sections = [
@@ -120,7 +120,7 @@ def _held_out(avatar: Avatar, video: Video) -> Section:
 def _refinement(figures: dict, overlays: Sequence[np.ndarray]) -> list[Section]:
     if not overlays:
         return []
-    text = "The body over the frames before (left) and after (right) the pose refinement, Eq. 9."
+    text = "The body over the frames, before the refinement of Eq. 9 (above) and after it (below)."
     head = ("", "stage 1", "refined", "true pose")
     rows = [
         ("vertices, mm", figures["vertex_mm_stage1"], figures["vertex_mm"], None),
@@ -128,7 +128,7 @@ def _refinement(figures: dict, overlays: Sequence[np.ndarray]) -> list[Section]:
         ("silhouette IoU", figures["iou_stage1"], figures["iou"], figures["iou_truth"]),
     ]
     table = Table(head, [(name, *(_number(x, 3) for x in row)) for name, *row in rows])
-    pictures = [_picture("stage 1 · refined", image) for image in overlays]
+    pictures = [_picture("stage 1 above, refined below", image) for image in overlays]
     return [Section("Pose refinement", text, pictures, min(len(pictures), 4), [table])]
 
 
@@ -178,12 +178,13 @@ def _curves(history: dict[str, np.ndarray]) -> Section:
     import matplotlib.pyplot as plt
 
     fig, (left, right) = plt.subplots(1, 2, figsize=(11, 3.2), layout="constrained")
+    steps = np.arange(len(history["loss"]))
     for name, values in history.items():
-        if name not in ("step", "gaussians", "seconds") and np.any(values):
-            left.plot(history["step"], values, label=name, lw=1.2)
+        if name not in ("gaussians", "milliseconds") and np.any(values):
+            left.plot(steps, _smooth(values), label=name, lw=1.2)
     left.set(xlabel="step", title="loss terms, before their weights", yscale="log")
     left.legend(frameon=False, fontsize=8)
-    right.plot(history["step"], history["gaussians"], color="#2f6f5e")
+    right.plot(steps, history["gaussians"], color="#2f6f5e")
     right.set(xlabel="step", title="Gaussians")
     for axis in (left, right):
         axis.spines[["top", "right"]].set_visible(False)
@@ -241,6 +242,13 @@ def _subtitle(metrics: dict) -> str:
         f"A 3D Gaussian avatar of body and hands from a monocular video, {width} x {height} "
         f"pixels, seed {metrics['seed']}."
     )
+
+
+def _smooth(values: np.ndarray, over: int = 25) -> np.ndarray:
+    """A running mean: single steps see single frames, and jump."""
+    over = min(over, len(values))
+    padded = np.pad(values, (over // 2, over - 1 - over // 2), mode="edge")
+    return np.convolve(padded, np.full(over, 1 / over), mode="valid")
 
 
 def _number(value: float | None, digits: int) -> str:

@@ -20,6 +20,7 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.data.video import Video
 from gva_mi.errors import InputError
 from gva_mi.fit import checkpoint
+from gva_mi.fit.colors import seen_colors
 from gva_mi.fit.losses import Distance, LossOptions, render_losses
 from gva_mi.fit.perceptual import rand_vgg_loss, vgg16_loss
 from gva_mi.fit.targets import Draw, Target, Targets, torch_state
@@ -33,8 +34,8 @@ Progress = Callable[..., None]
 class Rates:
     """Learning rates of Adam, the field's (Kerbl et al. 2023, and avatars after it)."""
 
-    means: float = 1.6e-4  # metres; falls exponentially to
-    means_end: float = 1.6e-6  # this at the last step
+    means: float = 5e-4  # metres; falls exponentially to
+    means_end: float = 5e-6  # this at the last step
     quats: float = 1e-3
     log_scales: float = 5e-3
     logit_opacities: float = 5e-2
@@ -161,7 +162,8 @@ class _Run:
         self.options = options
         if state is None:
             generator = torch_state(options.seed, Draw.SEED)
-            self.avatar = seed_avatar(body, video.shape, offsets, options.avatar, generator)
+            colors = seen_colors(video, body, offsets)
+            self.avatar = seed_avatar(body, video.shape, offsets, options.avatar, generator, colors)
             self.step, self.history = 0, {}
         else:
             self.avatar = Avatar.from_record(state["avatar"])
@@ -200,7 +202,7 @@ class _Run:
         figures = {"step": self.step, "loss": float(total.detach())}
         figures |= {f.name: float(getattr(losses, f.name).detach()) for f in fields(losses)}
         figures["gaussians"] = len(self.avatar.canonical)
-        figures["seconds"] = time.perf_counter() - start
+        figures["milliseconds"] = 1e3 * (time.perf_counter() - start)
         for name, value in figures.items():
             self.history.setdefault(name, []).append(value)
         return figures

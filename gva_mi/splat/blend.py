@@ -148,18 +148,15 @@ def blend(
     """
     F = type(rows[0])
     U = type(lists.tile)
-    D = len(background)
+    channels = len(background)
+    n = channels + 1  # the features: depth is the last
     x, y = _corner(lists, grid, F)
     least = math.log2(options.alpha_min)
-    n = D + 1
 
-    inside_x = [x + i < F(grid.width) for i in range(WIDTH)]
-    inside_y = [y + j < F(grid.height) for j in range(HEIGHT)]
-    T = [
-        dr.select(inside_x[i] & inside_y[j], F(1), F(-1))
-        for j in range(HEIGHT)
-        for i in range(WIDTH)
-    ]
+    # pixels outside the picture have stopped before they start
+    in_x = [x + i < F(grid.width) for i in range(WIDTH)]
+    in_y = [y + j < F(grid.height) for j in range(HEIGHT)]
+    T = [dr.select(a & b, F(1), F(-1)) for b in in_y for a in in_x]
     C = [x * 0 for _ in range(n * PIXELS)]
 
     def body(k: Array, alive: Array, *state: Array) -> tuple[Array, ...]:
@@ -190,10 +187,10 @@ def blend(
     T, C = [dr.abs(t) for t in state[:PIXELS]], state[PIXELS:]
     for j, index in enumerate(_pixel_rows(lists, grid)):
         row = range(j * WIDTH, (j + 1) * WIDTH)
-        color = [dr.fma(T[i], background[c], C[n * i + c]) for i in row for c in range(D)]
+        color = [dr.fma(T[i], background[c], C[n * i + c]) for i in row for c in range(channels)]
         packets.store_rows(planes.color, color, index, lists.real)
         packets.store_rows(planes.alpha, [1 - T[i] for i in row], index, lists.real)
-        packets.store_rows(planes.depth, [C[n * i + D] for i in row], index, lists.real)
+        packets.store_rows(planes.depth, [C[n * i + channels] for i in row], index, lists.real)
     stop = dr.minimum(k, lists.end)
     dr.eval(planes, stop)
     return planes, stop
@@ -235,11 +232,10 @@ def blend_adjoint(
         for i in range(WIDTH):
             g = gc[i * channels : (i + 1) * channels]
             G.append(g)
-            D.append(
-                sum(
-                    (color[i * channels + c] * g[c] for c in range(channels)), (alpha[i] - 1) * h[i]
-                )
-            )
+            behind = (alpha[i] - 1) * h[i]
+            for c in range(channels):
+                behind = dr.fma(color[i * channels + c], g[c], behind)
+            D.append(behind)
         if grad.depth is not None:
             depth, gd = (load(p.depth, WIDTH) for p in (planes, grad))
             for i in range(-WIDTH, 0):

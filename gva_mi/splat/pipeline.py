@@ -97,10 +97,8 @@ def render_forward(
 
     projected = lists = stop = None
     if n:
-        rows, footprints = (
-            packets.empty(F, GEOMETRY + D + 1, n),
-            packets.empty(F, tiles.FOOTPRINT, n),
-        )
+        rows = packets.empty(F, GEOMETRY + D + 1, n)
+        footprints = packets.empty(F, tiles.FOOTPRINT, n)
         projected = _project(
             inputs, dr.width(inputs.colors) // n, harmonics, view, options, grid, rows, footprints
         )
@@ -111,9 +109,7 @@ def render_forward(
     if lists is None:
         planes = _empty_picture(behind, size)
     else:
-        planes = Planes(
-            packets.memory(F, size * D), packets.memory(F, size), packets.memory(F, size)
-        )
+        planes = Planes(*(packets.memory(F, size * k) for k in (D, 1, 1)))
         planes, stop = blend(projected.rows, lists, grid, behind, options, planes)
     return Saved(inputs, harmonics, D, view, options, layout, grid, projected, lists, stop, planes)
 
@@ -206,6 +202,7 @@ def _gaussians_adjoint(
     grad_u: Array,
 ) -> tuple[Inputs, Array]:
     moments = sum_slots(lists, slots, columns)
+    dr.eval(moments)  # two kernels: as one they run out of registers
     drawn = lists.counts > 0
     project_adjoint(inputs, width, harmonics, view, options, moments, drawn, target, grad_u)
     dr.eval(target, grad_u)

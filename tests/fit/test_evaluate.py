@@ -1,7 +1,11 @@
+import shutil
+
 import numpy as np
 import pytest
 import torch
 
+from gva_mi.data.pictures import write_image
+from gva_mi.data.video import load_video
 from gva_mi.fit.evaluate import (
     PSNR_MAX,
     evaluate,
@@ -36,6 +40,20 @@ def test_a_worse_avatar_has_worse_figures(known, studio):
     assert PSNR_MAX > slightly.psnr > badly.psnr
     assert 1 > slightly.ssim > badly.ssim
     assert 0 < slightly.rand_vgg < badly.rand_vgg
+
+
+def test_true_masks_win_where_there_are_some(known, subject, tmp_path):
+    folder = tmp_path / "subject"
+    shutil.copytree(subject, folder)
+    masks = folder / "masks"
+    shutil.copytree(masks, folder / "truth/masks")
+    for path in masks.iterdir():
+        write_image(path, np.ones((48, 48)))  # a segmenter that leaves the wall in
+    with_truth = evaluate(known, load_video(folder), splits=["test"], weights=NONE)
+    assert with_truth == evaluate(known, load_video(subject), splits=["test"], weights=NONE)
+    shutil.rmtree(folder / "truth")
+    without = evaluate(known, load_video(folder), splits=["test"], weights=NONE)
+    assert without[0].psnr < with_truth[0].psnr
 
 
 def test_progress_counts_the_frames(known, studio):

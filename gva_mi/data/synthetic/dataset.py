@@ -22,7 +22,6 @@ import torch
 
 import gva_mi
 from gva_mi.body.pose import Pose, save_poses
-from gva_mi.body.skinning import skin_points
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.pictures import write_image, write_movie
 from gva_mi.data.synthetic import motion, noise
@@ -124,9 +123,7 @@ class Studio:
 
     def surface(self, pose: Pose) -> np.ndarray:
         """The outer surface in the world, (T, N, 3) float32, metres."""
-        transforms = self.body(pose, self.subject.shape).T_world_rest
-        rest, weights = torch.from_numpy(self.subject.vertices), self.subject.weights
-        return np.stack([skin_points(rest, weights, T).numpy() for T in transforms])
+        return self.subject.posed(self.body, pose)
 
     def picture(self, pose: Pose, camera: Camera, stream: int, frame: int) -> Picture:
         """A pose of one frame as a camera sees it; the noise depends on stream and frame alone."""

@@ -88,12 +88,13 @@ def noisy_mask(mask: np.ndarray, level: float, rng: np.random.Generator) -> np.n
     """A mask (H, W) in [0, 1] with a boundary that is off by a pixel or two."""
     if level == 0:
         return mask
-    from scipy.ndimage import distance_transform_edt
+    from scipy.ndimage import distance_transform_edt, gaussian_filter
 
     pixel = mask.shape[1] / 512
     inside = mask > 0.5
     distance = distance_transform_edt(inside) - distance_transform_edt(~inside)
     distance += np.where(inside, -0.5, 0.5)  # signed, zero on the boundary, positive inside
+    distance = gaussian_filter(distance, 0.6)  # over the steps from pixel to pixel
     length = max(WOBBLE_LENGTH * pixel, 0.7)
     wobble = level * max(WOBBLE * pixel, 0.25) * _field(rng, mask.shape, length)
     edge = np.argwhere(np.abs(distance) < 1)
@@ -115,14 +116,15 @@ def noisy_normals(
     from scipy.ndimage import distance_transform_edt, gaussian_filter
 
     pixel = normals.shape[1] / 512
-    known = (np.linalg.norm(normals, axis=-1) > 0.5).astype(np.float32)
     reach = max(level * BLUR * pixel, 0.3)
     channels = [gaussian_filter(normals[..., k], reach) for k in range(3)]
-    near = gaussian_filter(known, reach)
+    blurred = np.stack(channels, axis=-1)
+    length = np.linalg.norm(blurred, axis=-1)
     # Where the mask reaches past the surface, the nearest normal is taken.
-    missing, index = distance_transform_edt(near < 1e-3, return_indices=True)
-    blurred = np.stack(channels, axis=-1)[index[0], index[1]]
-    blurred /= np.maximum(np.linalg.norm(blurred, axis=-1, keepdims=True), 1e-9)
+    rows, columns = distance_transform_edt(
+        length < 1e-3, return_distances=False, return_indices=True
+    )
+    blurred = blurred[rows, columns] / np.maximum(length[rows, columns], 1e-9)[..., None]
     axes = np.stack([_field(rng, mask.shape, TILT_LENGTH * pixel) for _ in range(3)], axis=-1)
     turned = blurred + level * TILT / np.sqrt(2) * np.cross(axes, blurred)
     turned[..., 2] = np.minimum(turned[..., 2], 0)  # what is seen faces the camera
@@ -136,8 +138,8 @@ def pose_error(
     """How far poses are from the truth, the mean over frames and vertices."""
     away = torch.cat(
         [
-            (body(pose[k], shape).vertices - body(true[k], true_shape).vertices).norm(dim=-1)
-            for k in range(len(pose))
+            (body(a, shape).vertices - body(b, true_shape).vertices).norm(dim=-1)
+            for a, b in zip(_chunks(pose), _chunks(true), strict=True)
         ]
     )
     weights = body.weights
@@ -151,6 +153,10 @@ def pose_error(
         float(np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean()),
         millimetres((pose.transl - true.transl).norm(dim=-1)),
     )  # fmt: skip
+
+
+def _chunks(pose: Pose, frames: int = 32) -> list[Pose]:
+    return [pose[k : k + frames] for k in range(0, len(pose), frames)]
 
 
 def mask_iou(mask: np.ndarray, true: np.ndarray) -> float:

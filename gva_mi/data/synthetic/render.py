@@ -44,10 +44,10 @@ class AreaLight:
 
 # The key light stands left of the camera and above, a weak fill to the right: both metres wide.
 LIGHTS = (
-    AreaLight((-2.2, 3.0, 3.0), (0.7, 0.0, 0.5), (-0.4, 0.6, 0.55), (5.6, 5.4, 5.1)),
-    AreaLight((3.2, 1.6, 2.2), (0.5, 0.0, -0.75), (0.0, 0.9, 0.0), (0.8, 0.85, 0.95)),
+    AreaLight((-2.2, 3.0, 3.0), (0.7, 0.0, 0.5), (-0.4, 0.6, 0.55), (12.0, 11.6, 11.0)),
+    AreaLight((3.2, 1.6, 2.2), (0.5, 0.0, -0.75), (0.0, 0.9, 0.0), (1.6, 1.7, 1.9)),
 )
-SKY, EARTH = (0.60, 0.62, 0.65), (0.42, 0.40, 0.38)  # ambient radiance from above and from below
+SKY, EARTH = (0.50, 0.52, 0.55), (0.26, 0.25, 0.24)  # ambient radiance from above and from below
 
 
 @dataclass(frozen=True)

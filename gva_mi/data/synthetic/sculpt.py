@@ -72,11 +72,27 @@ def decimate(vertices: np.ndarray, faces: np.ndarray, target: int) -> tuple[np.n
     return result.vertex_matrix(), result.face_matrix().astype(np.int64)
 
 
+def onto_border(
+    vertices: np.ndarray, faces: np.ndarray, border: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Bring the border of a decimated half back onto the line it had, segments (S, 2, 3)."""
+    edges, count = _edges(faces)
+    moved = np.unique(edges[count == 1])
+    start, along = border[:, 0], border[:, 1] - border[:, 0]
+    offset = vertices[moved, None] - start
+    t = np.clip((offset * along).sum(-1) / ((along * along).sum(-1) + 1e-12), 0, 1)
+    foot = start + t[..., None] * along
+    nearest = np.linalg.norm(vertices[moved, None] - foot, axis=-1).argmin(1)
+    vertices = vertices.copy()
+    vertices[moved] = foot[np.arange(len(moved)), nearest]
+    return vertices, faces
+
+
 def without_chords(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Make the border of a half ready to be welded to its mirror image.
 
-    A chord is an inner edge between two border vertices: its mirror image would be the same edge. Faces that
-    lie in the plane with all three corners are dropped, other chords get a vertex in their middle.
+    A chord is an inner edge between two border vertices: its mirror image would be the same edge.
+    Faces with all three corners on the border go, other chords get a vertex in their middle.
     """
     while True:
         edges, count = _edges(faces)
@@ -96,7 +112,7 @@ def without_chords(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray,
 
 
 def mirrored(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Both halves, welded along the open border: vertices, faces, mirror image of each vertex (V,)."""
+    """Both halves, welded along the border: vertices, faces, and the twin of each vertex (V,)."""
     edges, count = _edges(faces)
     border = np.unique(edges[count == 1])
     inner = np.setdiff1d(np.arange(len(vertices)), border)
@@ -118,8 +134,11 @@ def _edges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def sculpt(options: SculptOptions | None = None) -> dict[str, np.ndarray]:
     """The puppet as the arrays of an SMPL-X file."""
     options = options or SculptOptions()
-    half = decimate(*half_surface(options), options.faces // 2)
-    vertices, faces, twin = mirrored(*without_chords(*half))
+    vertices, faces = half_surface(options)
+    edges, count = _edges(faces)
+    border = vertices[edges[count == 1]]
+    vertices, faces = without_chords(*decimate(vertices, faces, options.faces // 2))
+    vertices, faces, twin = mirrored(*onto_border(vertices, faces, border))
     vertices = vertices.astype(np.float32).astype(
         np.float64
     )  # what follows is exact on what is stored

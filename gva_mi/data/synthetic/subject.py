@@ -4,16 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 
-from gva_mi.body.pose import JOINTS, Shape
+from gva_mi.body.pose import JOINTS, Pose, Shape
+from gva_mi.body.skinning import skin_points
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.synthetic import garments
 from gva_mi.data.synthetic.garments import CLOTH_CELL, BodySurface, Grid, Mesh
 from gva_mi.data.synthetic.hair import HairStyle, hair
 from gva_mi.data.synthetic.texture import Fabric, Face, Look, Part, Point, linear, palette
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 SKINS = [
     linear(*c)
@@ -65,11 +70,27 @@ class Subject:
 
     vertices: np.ndarray  # (N, 3) float32 metres
     faces: np.ndarray  # (F, 3) int64
-    weights: torch.Tensor  # (N, 55) skinning weights
+    binding: csr_array  # (N, V) rows sum to 1: which vertices of the body a vertex follows
+    weights: torch.Tensor  # (N, 55) skinning weights: those of these vertices
     tint: np.ndarray  # (N, 3) float32, multiplies the colour: dark openings, red knuckles
     part: np.ndarray  # (F,) uint32, see Part
     look: Look
     shape: Shape
+
+    def posed(self, body: BodyModel, pose: Pose) -> np.ndarray:
+        """The surface in the world, (T, N, 3) float32, metres.
+
+        Skinned like the body. Whatever else moves the body's vertices, such as pose correctives,
+        moves what follows them as well.
+        """
+        posed = body(pose, self.shape)
+        rest, points = body.rest(self.shape).vertices, torch.from_numpy(self.vertices)
+        frames = []
+        for k, T in enumerate(posed.T_world_rest):
+            corrected = posed.vertices[k] - skin_points(rest, body.weights, T)
+            surface = skin_points(points, self.weights, T).numpy()
+            frames.append(surface + self.binding @ corrected.numpy())
+        return np.stack(frames).astype(np.float32)
 
 
 def draw_subject(body: BodyModel, seed: int, clothes: bool = True, hairy: bool = True) -> Subject:
@@ -81,6 +102,8 @@ def draw_subject(body: BodyModel, seed: int, clothes: bool = True, hairy: bool =
         clothes: dress it; otherwise a swimsuit is painted on the skin.
         hairy: give it hair.
     """
+    from scipy.sparse import csr_array, vstack
+
     rng = np.random.default_rng([seed, 0])
     betas = np.clip(rng.normal(0, 0.7, min(10, body.num_betas)), -1.4, 1.4)
     shape = Shape(torch.tensor(betas, dtype=torch.float32))
@@ -106,23 +129,29 @@ def draw_subject(body: BodyModel, seed: int, clothes: bool = True, hairy: bool =
     skin = faces[~covered[faces].all(1)]
     used, skin = np.unique(skin, return_inverse=True)
     tint = _skin_tint(vertices, normals, weights, joints)
-    all_vertices, all_faces = [vertices[used]], [skin.reshape(-1, 3)]
-    all_weights, all_tint = [weights[used]], [tint[used]]
-    all_part = [np.full(len(skin.reshape(-1, 3)), int(Part.SKIN))]
-    for part, mesh, smooth in parts:
-        all_faces.append(mesh.faces + sum(len(v) for v in all_vertices))
-        all_vertices.append(mesh.vertices)
-        all_weights.append(_transfer(mesh.vertices, vertices, weights, smooth))
-        all_tint.append(np.repeat(mesh.shade[:, None], 3, axis=1))
-        all_part.append(np.full(len(mesh.faces), int(part)))
+    skin = skin.reshape(-1, 3)
+    of_skin = csr_array(
+        (np.ones(len(used)), (np.arange(len(used)), used)), shape=(len(used), len(vertices))
+    )
+    binding = vstack(
+        [of_skin, *(_bind(mesh.vertices, vertices, smooth) for _, mesh, smooth in parts)]
+    )
+    meshes = [mesh for _, mesh, _ in parts]
+    starts = np.cumsum([len(used), *(len(mesh.vertices) for mesh in meshes)])
     return Subject(
-        np.concatenate(all_vertices).astype(np.float32),
-        np.concatenate(all_faces),
-        torch.from_numpy(np.concatenate(all_weights)).float(),
-        np.concatenate(all_tint).astype(np.float32),
-        np.concatenate(all_part).astype(np.uint32),
-        look,
-        shape,
+        vertices=np.concatenate([vertices[used], *(m.vertices for m in meshes)]).astype(np.float32),
+        faces=np.concatenate([skin, *(m.faces + k for m, k in zip(meshes, starts, strict=False))]),
+        binding=binding.tocsr(),
+        weights=torch.from_numpy(binding @ weights).float(),
+        tint=np.concatenate(
+            [tint[used], *(np.repeat(m.shade[:, None], 3, axis=1) for m in meshes)]
+        ).astype(np.float32),
+        part=np.repeat(
+            [int(Part.SKIN), *(int(part) for part, _, _ in parts)],
+            [len(skin), *(len(m.faces) for m in meshes)],
+        ).astype(np.uint32),
+        look=look,
+        shape=shape,
     )
 
 
@@ -164,19 +193,17 @@ def _dress(
     return [(Part.TOP, top, 0.025), (Part.BOTTOM, bottom, smooth), *shoes]
 
 
-def _transfer(
-    points: np.ndarray, vertices: np.ndarray, weights: np.ndarray, smooth: float
-) -> np.ndarray:
-    """Weights (N, 55) of the body's near vertices, blended over ``smooth`` metres."""
+def _bind(points: np.ndarray, vertices: np.ndarray, smooth: float) -> csr_array:
+    """Weights (N, V) of the body's near vertices, blended over ``smooth`` metres."""
     from scipy.sparse import csr_array
     from scipy.spatial import cKDTree
 
-    distance, index = cKDTree(vertices).query(points, k=24, workers=-1)
+    count = 24
+    distance, index = cKDTree(vertices).query(points, k=count, workers=-1)
     near = np.exp(-(distance**2 - distance[:, :1] ** 2) / (2 * smooth**2))
-    rows = np.repeat(np.arange(len(points)), 24)
-    matrix = csr_array((near.ravel(), (rows, index.ravel())), shape=(len(points), len(weights)))
-    blended = matrix @ weights
-    return blended / blended.sum(1, keepdims=True)
+    near /= near.sum(1, keepdims=True)
+    rows = np.repeat(np.arange(len(points)), count)
+    return csr_array((near.ravel(), (rows, index.ravel())), shape=(len(points), len(vertices)))
 
 
 def _covered(vertices: np.ndarray, meshes: list[Mesh]) -> np.ndarray:

@@ -1,0 +1,60 @@
+"""First colours: what the training frames show of the body's surface.
+
+    c_v = Σ_k w_vk I_k(π_k(x_vk)) / Σ_k w_vk,        w_vk = S_k(π_k(x_vk)) · max(0, -n_vk · d_vk)²
+
+with vertex v of the body, posed as in frame k, at x, its normal n, the direction d from camera to
+vertex, projection π, picture I, mask S. Views from the front count, grazing ones hardly. What hides
+behind a limb in some frames is outvoted by the others, and the fit corrects the rest. From grey,
+Adam's steady pace would take hundreds of steps to come to black or white.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from gva_mi.avatar.canonical import vertex_normals
+from gva_mi.body.smplx import BodyModel
+from gva_mi.data.video import Frame, Video
+
+GREY = 0.5  # of the whole person, where no frame shows anything
+
+
+@torch.no_grad()
+def seen_colors(video: Video, body: BodyModel, offsets: Tensor | None = None) -> Tensor:
+    """Colours of the body's vertices, (V, 3), as the training frames show them.
+
+    Args:
+        video: opened with the poses to believe.
+        body: of the person.
+        offsets: (V, 3) displacement of the rest surface, metres.
+
+    Returns:
+        The weighted means; a vertex that no frame shows has the mean colour of all.
+    """
+    total = torch.zeros(len(body.v_template), 3)
+    weight = torch.zeros(len(body.v_template), 1)
+    for frame in video.frames(video.splits.train):
+        vertices = body(frame.pose, video.shape, offsets).vertices[0]
+        color, seen = _look(frame, vertices, vertex_normals(vertices, body.faces))
+        total += seen * color
+        weight += seen
+    mean = total.sum(0) / weight.sum() if weight.sum() > 0 else torch.full((3,), GREY)
+    return torch.where(weight > 1e-3, total / weight.clamp_min(1e-3), mean)
+
+
+def _look(frame: Frame, vertices: Tensor, normals: Tensor) -> tuple[Tensor, Tensor]:
+    """One frame's colours (V, 3) of the vertices, and their weights (V, 1)."""
+    camera, image = frame.camera, torch.from_numpy(frame.image)
+    T = torch.tensor(camera.T_camera_world, dtype=vertices.dtype)
+    x = vertices @ T[:3, :3].T + T[:3, 3]
+    before = x[:, 2] > 1e-3
+    z = x[:, 2].clamp_min(1e-3)
+    column = (camera.fx * x[:, 0] / z + camera.cx).floor().long()
+    row = (camera.fy * x[:, 1] / z + camera.cy).floor().long()
+    inside = (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height) & before
+    column, row = column.clamp(0, camera.width - 1), row.clamp(0, camera.height - 1)
+    toward = torch.nn.functional.normalize(x, dim=1)
+    facing = -(normals @ T[:3, :3].T * toward).sum(1)
+    mask = torch.from_numpy(frame.mask)[row, column]
+    return image[row, column], (mask * inside * facing.clamp_min(0).square())[:, None]

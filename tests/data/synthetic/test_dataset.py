@@ -1,0 +1,170 @@
+"""The folder of a subject: complete, exact where it says so, and the same for the same seed."""
+
+import json
+
+import numpy as np
+import pytest
+
+from gva_mi import InputError
+from gva_mi.body.pose import load_poses
+from gva_mi.body.smplx import load_body
+from gva_mi.data.pictures import read_image, read_movie
+from gva_mi.data.synthetic import SynthOptions, make_subject
+from gva_mi.data.video import load_cameras, load_video
+
+pytest.importorskip("mitsuba")
+BARE = dict(
+    frames=3, size=64, samples=16, clothes=False, hair=False, novel_poses=1, novel_views=1
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def body():
+    return load_body()
+
+
+@pytest.fixture(scope="module")
+def exact(body, tmp_path_factory):
+    """A bare body without noise."""
+    out = tmp_path_factory.mktemp("exact") / "subject"
+    make_subject(out, SynthOptions(noise=0.0, **BARE), body)
+    return out
+
+
+@pytest.fixture(scope="module")
+def noisy(body, tmp_path_factory):
+    """A bare body with noise."""
+    out = tmp_path_factory.mktemp("noisy") / "subject"
+    make_subject(out, SynthOptions(**BARE), body)
+    return out
+
+
+def files(folder):
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
+def inside(mask, pixels, reach=0):
+    """Which of some pixels (V, 2) lie in a mask (H, W), or at most ``reach`` pixels beside it."""
+    x, y = np.floor(pixels).astype(int).T
+    assert (x >= reach).all() and (x < mask.shape[1] - reach).all()
+    assert (y >= reach).all() and (y < mask.shape[0] - reach).all()
+    near = range(-reach, reach + 1)
+    return np.any([mask[y + dy, x + dx] > 0 for dx in near for dy in near], axis=0)
+
+
+def assert_overlay(mask, pixels):
+    """Points of the surface lie in the mask; rays may miss the sliver of a pixel at the rim."""
+    assert inside(mask, pixels).mean() > 0.985
+    assert inside(mask, pixels, reach=1).all()
+
+
+def test_the_folder_opens_as_a_video(noisy):
+    video = load_video(noisy)
+    assert len(video) == 3 and video.size == (64, 64) and video.has_normals
+    assert video.truth == noisy / "truth"
+    for frame in video.frames():
+        assert 0.02 < frame.mask.mean() < 0.5
+        assert (frame.image[frame.mask < 0.01].mean()) > 0.8
+
+
+def test_the_movie_holds_the_frames_to_the_bit(noisy):
+    for k, image in enumerate(read_movie(noisy / "video.mp4")):
+        assert np.array_equal(image, read_image(noisy / f"frames/{k:06d}.png", 3))
+
+
+@pytest.mark.parametrize("part", ["truth", "truth/novel_pose", "truth/novel_view"])
+def test_the_posed_body_lies_in_the_true_mask(exact, body, part):
+    folder = exact / part
+    pose, shape = load_poses(folder / "poses.npz")
+    cameras = load_cameras((exact if part == "truth" else folder) / "cameras.npz")
+    for k in range(len(pose)):
+        camera = cameras[min(k, len(cameras) - 1)]
+        mask = read_image(folder / f"masks/{k:06d}.png", 1)
+        pixels = camera.project(body(pose[k], shape).vertices[0].double().numpy())
+        assert_overlay(mask, pixels)
+        filled = np.zeros(mask.shape, bool)
+        x, y = np.floor(pixels).astype(int).T
+        filled[y, x] = True
+        assert filled[mask == 255].mean() > 0.8  # the vertices fill it, too
+
+
+def test_level_zero_is_exact(exact):
+    truth, seen = load_poses(exact / "truth/poses.npz"), load_poses(exact / "poses.npz")
+    assert np.array_equal(truth[0].rotations, seen[0].rotations)
+    assert np.array_equal(truth[0].transl, seen[0].transl)
+    assert np.array_equal(truth[1].betas, seen[1].betas)
+    for kind in ("masks", "normals"):
+        for k in range(3):
+            name = f"{kind}/{k:06d}.png"
+            assert (exact / name).read_bytes() == (exact / "truth" / name).read_bytes()
+    statistics = json.loads((exact / "noise.json").read_text())
+    assert statistics["pose"]["vertex_mm"] == 0 and statistics["mask"]["iou"] == 1
+
+
+def test_noise_does_not_touch_frames_or_truth(exact, noisy):
+    a, b = files(exact), files(noisy)
+    same = [name for name in a if name.startswith(("frames/", "truth/"))]
+    assert len(same) > 10 and all(a[name] == b[name] for name in same)
+    assert all(
+        a[name] != b[name] for name in ("poses.npz", "masks/000001.png", "normals/000001.png")
+    )
+    assert json.loads((noisy / "noise.json").read_text())["pose"]["vertex_mm"] > 10
+
+
+def test_same_seed_same_bits_and_another_seed_another_video(noisy, body, tmp_path):
+    make_subject(tmp_path / "again", SynthOptions(**BARE), body)
+    make_subject(tmp_path / "other", SynthOptions(seed=1, **BARE), body)
+    a, again, other = (files(f) for f in (noisy, tmp_path / "again", tmp_path / "other"))
+    assert a == again
+    assert a.keys() == other.keys() and a["frames/000000.png"] != other["frames/000000.png"]
+
+
+def test_splits_do_not_overlap(noisy):
+    splits = json.loads((noisy / "splits.json").read_text())
+    assert not set(splits["train"]) & set(splits["test"])
+    assert sorted(splits["train"] + splits["test"]) == [0, 1, 2]
+    assert splits["novel_pose"] == [0] and len(splits["novel_view"]) == 1
+
+
+def test_nothing_is_written_over_and_nothing_half_written_stays(noisy, body, tmp_path):
+    with pytest.raises(InputError, match="already there"):
+        make_subject(noisy, SynthOptions(**BARE), body)
+
+    def stop(done, total):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        make_subject(tmp_path / "subject", SynthOptions(**BARE), body, stop)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name, value", [("frames", 1), ("size", 8), ("samples", 5), ("noise", -1)])
+def test_bad_options_are_named(name, value):
+    with pytest.raises(InputError, match=name):
+        SynthOptions(**{name: value})
+
+
+@pytest.mark.slow
+def test_a_dressed_subject_keeps_every_law(body, tmp_path):
+    out = tmp_path / "subject"
+    options = SynthOptions(seed=1, frames=3, size=128, samples=4, novel_poses=0, novel_views=0)
+    make_subject(out, options, body)
+    pose, shape = load_poses(out / "truth/poses.npz")
+    camera = load_cameras(out / "cameras.npz")[0]
+    for k in range(3):
+        mask = read_image(out / f"truth/masks/{k:06d}.png", 1)
+        pixels = camera.project(body(pose[k], shape).vertices[0].double().numpy())
+        assert_overlay(mask, pixels)
+        image = read_image(out / f"frames/{k:06d}.png", 3)
+        assert (image[mask == 0] == 255).all()
+    assert {p.name for p in out.iterdir()} >= {
+        "video.mp4",
+        "frames",
+        "masks",
+        "normals",
+        "synth.json",
+    }

@@ -1,0 +1,57 @@
+"""What the subjects' motions promise."""
+
+import numpy as np
+import torch
+
+from gva_mi.body.pose import JOINTS, PARENTS, Pose
+from gva_mi.body.skinning import joint_transforms
+from gva_mi.data.synthetic import motion
+
+JOINT_POSITIONS = torch.tensor(np.random.default_rng(0).normal(0, 0.3, (55, 3))).float()
+
+
+def turn(frames=48, seed=0):
+    return motion.turn(frames, 10, np.random.default_rng(seed))
+
+
+def facing(pose: Pose) -> np.ndarray:
+    """The angle about the vertical to which the pelvis faces, radians, (T,)."""
+    T = joint_transforms(pose.rotations, JOINT_POSITIONS, PARENTS, pose.transl)
+    forward = T[:, 0, :3, 2].numpy()
+    return np.arctan2(forward[:, 0], forward[:, 2])
+
+
+def test_the_video_is_one_full_turn_at_an_even_pace():
+    steps = np.diff(np.unwrap(facing(turn(48))))
+    assert np.allclose(steps, steps[0], atol=0.03)
+    assert np.isclose(abs(steps.sum()) + abs(steps.mean()), 2 * np.pi, atol=0.05)
+
+
+def test_joints_move_smoothly():
+    jumps = turn(80).rotations[:, 1:].diff(dim=0).abs().amax()
+    assert jumps < 0.5  # radians a frame, for the fastest finger
+
+
+def test_hands_open_and_close():
+    curl = turn(80).left_hand_pose[:, JOINTS.index("left_index2") * 3 - 75 + 2]
+    assert curl.max() - curl.min() > 0.5
+
+
+def test_left_and_right_hand_mirror_each_other_in_a_gesture():
+    rotations = np.zeros((1, 55, 3))
+    for side in ("left", "right"):
+        motion._put_hand(rotations, side, motion._gesture_values(["pinch"]))
+    mirrored = rotations[0, 25:40] * [1, -1, -1]
+    assert np.allclose(mirrored, rotations[0, 40:55])
+
+
+def test_same_seed_same_motion_and_another_seed_another():
+    assert torch.equal(turn(seed=3).rotations, turn(seed=3).rotations)
+    assert not torch.allclose(turn(seed=3).rotations, turn(seed=4).rotations)
+
+
+def test_novel_poses_are_not_in_the_video():
+    video = turn(80).rotations[:, 1:22]
+    for pose in motion.novel(8, 10, np.random.default_rng(0)).rotations[:, 1:22]:
+        nearest = (video - pose).norm(dim=-1).amax(dim=1).min()
+        assert nearest > 0.2  # radians, for at least one joint of the body

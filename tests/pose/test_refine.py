@@ -1,0 +1,109 @@
+"""Stage 2 finds poses that it was not told."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from gva_mi.pose import RefineOptions, refine
+from gva_mi.pose.measure import measure
+
+SEQUENCE = RefineOptions(size=64, passes=14)
+PAPER = RefineOptions(loss="paper", size=64, steps=14)
+
+
+@pytest.fixture(scope="module")
+def sequence(clip, body):
+    return refine(clip, body, SEQUENCE)
+
+
+@pytest.fixture(scope="module")
+def paper(clip, body):
+    return refine(clip, body, PAPER)
+
+
+@pytest.mark.parametrize("way", ["sequence", "paper"])
+def test_a_known_error_is_undone(request, clip, body, true_pose, way):
+    refined = request.getfixturevalue(way)
+    errors = measure(clip, body, refined, (true_pose, clip.shape))
+    assert errors.vertex_mm < 0.5 * errors.vertex_mm_stage1
+    assert errors.iou > errors.iou_stage1 and errors.iou_truth > 0.99
+    assert (refined.losses < refined.losses_stage1).all() and not refined.kept
+
+
+def test_the_same_call_gives_the_same_bits(sequence, clip, body):
+    again = refine(clip, body, SEQUENCE)
+    assert torch.equal(again.pose.rotations, sequence.pose.rotations)
+    assert torch.equal(again.pose.transl, sequence.pose.transl)
+    assert torch.equal(again.offsets, sequence.offsets)
+
+
+def test_the_order_of_frames_comes_from_the_seed(sequence, clip, body):
+    other = refine(clip, body, replace(SEQUENCE, seed=1))
+    assert not torch.equal(other.pose.rotations, sequence.pose.rotations)
+
+
+def test_the_paper_s_way_moves_rotations_alone(paper, clip):
+    assert torch.equal(paper.pose.transl, clip.pose.transl)
+    assert not paper.offsets.any()
+
+
+def test_the_face_stays(sequence, clip):
+    for name in ("jaw_pose", "leye_pose", "reye_pose", "expression"):
+        torch.testing.assert_close(getattr(sequence.pose, name), getattr(clip.pose, name))
+
+
+def test_without_normals_the_silhouette_serves(clip, body, true_pose):
+    blind = replace(clip, pictures=[(mask, None) for mask, _ in clip.pictures])
+    refined = refine(blind, body, SEQUENCE)
+    assert refined.without_normals == [0, 1, 2]
+    errors = measure(blind, body, refined, (true_pose, clip.shape))
+    assert errors.vertex_mm < 0.8 * errors.vertex_mm_stage1
+
+
+@pytest.mark.parametrize("options", [SEQUENCE, PAPER], ids=lambda o: o.loss)
+def test_a_frame_without_a_person_keeps_its_pose(clip, body, options):
+    pictures = list(clip.pictures)
+    pictures[1] = (np.zeros_like(pictures[1][0]), pictures[1][1])
+    refined = refine(replace(clip, pictures=pictures), body, replace(options, passes=2, steps=2))
+    assert "empty" in refined.kept[1]
+    assert torch.equal(refined.pose.rotations[1], clip.pose.rotations[1])
+    assert refined.losses[1].isnan()
+
+
+def test_a_frame_that_got_worse_keeps_its_pose(clip, body):
+    wild = replace(SEQUENCE, passes=2, rotation_lr=5.0, translation_lr=0.0, cloth_lr=0.0)
+    refined = refine(clip, body, wild)
+    for k, reason in refined.kept.items():
+        assert "grew" in reason
+        assert torch.equal(refined.pose.rotations[k], clip.pose.rotations[k])
+    assert refined.kept
+
+
+def test_progress_counts_to_the_end(clip, body):
+    calls = []
+    refine(
+        clip,
+        body,
+        replace(SEQUENCE, passes=2),
+        lambda done, total, **f: calls.append((done, total, f)),
+    )
+    assert [done for done, *_ in calls] == list(range(1, 7))
+    assert calls[-1][1] == 6 and calls[-1][2]["loss"] > 0
+
+
+def test_measures_of_the_truth_itself(clip, body, true_pose, sequence):
+    perfect = replace(sequence, pose=true_pose)
+    errors = measure(clip, body, perfect, (true_pose, clip.shape))
+    assert errors.vertex_mm == errors.hand_vertex_mm == errors.aligned_vertex_mm == 0
+    assert errors.iou == errors.iou_truth and errors.frames_worse == 0
+    unknown = measure(clip, body, perfect)
+    assert unknown.vertex_mm is None and unknown.iou_truth is None and unknown.iou == errors.iou
+
+
+def test_wrong_options_are_refused():
+    with pytest.raises(ValueError, match="'sequence' or 'paper'"):
+        RefineOptions(loss="icon")
+    with pytest.raises(ValueError, match="passes must be at least 1"):
+        RefineOptions(passes=0)

@@ -36,7 +36,7 @@ from gva_mi.fit.evaluate import render_sequence
 from gva_mi.fit.report import write_report
 from gva_mi.fit.train import FitOptions
 from gva_mi.fit.train import fit as fit_avatar
-from gva_mi.fit.views import spread
+from gva_mi.fit.views import overview, spread
 from gva_mi.pose.measure import measure
 from gva_mi.pose.overlay import overlay, strip
 from gva_mi.pose.refine import Refined, RefineOptions
@@ -47,7 +47,7 @@ Flat = Annotated[T, arg(name="")]  # options without a prefix on the command lin
 
 POSES, REFINED = "poses.npz", "poses_refined.npz"
 REFINEMENT, OVERLAYS = "refinement.json", "refinement.png"
-METRICS, REPORT = "metrics.json", "report.html"
+METRICS, REPORT, OVERVIEW = "metrics.json", "report.html", "overview.png"
 SUBJECT = "subject"  # where the demo's subject lies within the demo's folder
 DEMO, RENDERED, SYNTH = "demo.json", "render.json", "synth.json"  # mark the folders as ours
 REFINEMENT_FIGURES = (  # of metrics.json
@@ -313,6 +313,7 @@ def _measure(avatar: Avatar, video: Video, run: Path, name: str) -> dict:
 
 def _write_report(avatar: Avatar, video: Video, run: Path, metrics: dict, title: str) -> None:
     overlays = video.folder / OVERLAYS
+    write_image(run / OVERVIEW, overview(avatar, video))
     write_report(
         run / REPORT,
         title=title,

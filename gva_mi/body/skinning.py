@@ -20,10 +20,12 @@ from functools import lru_cache
 import roma
 import torch
 from torch import Tensor
+from torch.autograd.function import FunctionCtx
 
 from gva_mi.body.polar import carry_frames
 
 _CHUNK = 1 << 24  # distances held at once by nearest_weights
+_FRAMES = 4  # skinned together by skin_points: 10k blended maps of each are 0.5 MB
 
 
 def joint_transforms(
@@ -47,9 +49,13 @@ def joint_transforms(
             f"joint_transforms(): rotations must be (T, {len(parents)}, 3), "
             f"got {tuple(rotations.shape)}"
         )
-    frames = rotations.shape[0]
+    return rigid_chain(roma.rotvec_to_rotmat(rotations), joints, parents, transl)
+
+
+def rigid_chain(R: Tensor, joints: Tensor, parents: Sequence[int], transl: Tensor) -> Tensor:
+    """:func:`joint_transforms` from matrices R (T, J, 3, 3), trusted to be rotations."""
+    frames = R.shape[0]
     joints = joints.expand(frames, -1, -1)
-    R = roma.rotvec_to_rotmat(rotations)
     parent_of = _parent_matrix(tuple(parents), joints.dtype)
     bones = joints - parent_of @ joints
     local = torch.cat([R, bones.unsqueeze(-1)], dim=-1)  # (T, J, 3, 4)
@@ -85,11 +91,75 @@ def skin_points(points: Tensor, weights: Tensor, T_world_rest: Tensor) -> Tensor
     Returns:
         (N, 3) or (T, N, 3).
     """
-    # Coordinates come first and points last: all sums then run along memory, four times faster.
-    A = (T_world_rest[..., :3, :].flatten(-2).mT @ weights.T).unflatten(-2, (3, 4))
-    x, y, z = points.mT.unsqueeze(-3).unbind(-2)
-    moved = A[..., 0, :] * x + A[..., 1, :] * y + A[..., 2, :] * z + A[..., 3, :]
-    return moved.mT.contiguous()
+    many = T_world_rest.ndim == 4
+    T = T_world_rest if many else T_world_rest.unsqueeze(0)
+    points = points if points.ndim == 3 else points.unsqueeze(0)
+    skinned = _SkinPoints.apply(points, weights, T[:, :, :3].flatten(2).mT)
+    return skinned if many else skinned.squeeze(0)
+
+
+class _SkinPoints(torch.autograd.Function):
+    """Eq. 2 and 3, a few frames at a time, so that blended maps stay in the processor's cache.
+
+    Coordinates come first and points last: sums then run along memory. Autograd's own adjoint would
+    fill a map of zeros for each of its 12 entries.
+    """
+
+    @staticmethod
+    def forward(ctx: FunctionCtx, points: Tensor, weights: Tensor, maps: Tensor) -> Tensor:
+        """From points (T or 1, N, 3), weights (N, J) and the joints' maps (T, 12, J)."""
+        frames, n = len(maps), len(weights)
+        x = points.mT  # (T or 1, 3, N)
+        out = points.new_empty(frames, n, 3)
+        blended = []
+        for part in _parts(frames):
+            A = (maps[part].reshape(-1, maps.shape[2]) @ weights.T).view(-1, 3, 4, n)
+            moved = A[:, :, 3].clone()
+            for k in range(3):
+                moved.addcmul_(A[:, :, k], _of(x, part)[:, None, k])
+            out[part] = moved.mT
+            blended.append(A)
+        ctx.save_for_backward(points, weights, maps, *blended)
+        return out
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: FunctionCtx, grad_out: Tensor) -> tuple[Tensor | None, ...]:
+        points, weights, maps, *blended = ctx.saved_tensors
+        wanted_points, wanted_weights, wanted_maps = ctx.needs_input_grad
+        n, x = len(weights), points.mT
+        grad_x = torch.zeros_like(x, memory_format=torch.contiguous_format)
+        grad_weights = torch.zeros_like(weights) if wanted_weights else None
+        grad_maps = torch.empty_like(maps) if wanted_maps else None
+        for part, A in zip(_parts(len(maps)), blended, strict=True):
+            g = grad_out[part].mT.contiguous()  # (t, 3, N)
+            if wanted_points:  # grad_x = A_rotᵀ grad_x'
+                pulled = A[:, 0, :3] * g[:, :1]
+                for i in (1, 2):
+                    pulled.addcmul_(A[:, i, :3], g[:, i : i + 1])
+                if len(x) == 1:
+                    grad_x += pulled.sum(0)
+                else:
+                    grad_x[part] = pulled
+            if wanted_weights or wanted_maps:  # grad_A = grad_x' [x | 1]ᵀ
+                grad_A = torch.empty_like(A)
+                torch.mul(g[:, :, None], _of(x, part)[:, None], out=grad_A[:, :, :3])
+                grad_A[:, :, 3] = g
+                grad_A = grad_A.view(-1, n)
+                if wanted_maps:
+                    grad_maps[part] = (grad_A @ weights).view_as(maps[part])
+                if wanted_weights:
+                    grad_weights += grad_A.T @ maps[part].reshape(-1, maps.shape[2])
+        return grad_x.mT if wanted_points else None, grad_weights, grad_maps
+
+
+def _parts(frames: int) -> list[slice]:
+    return [slice(start, start + _FRAMES) for start in range(0, frames, _FRAMES)]
+
+
+def _of(x: Tensor, part: slice) -> Tensor:
+    """A part's frames of points that may be the same in all."""
+    return x if len(x) == 1 else x[part]
 
 
 def skin_gaussians(

@@ -1,5 +1,4 @@
-"""The parametric body of Eq. 4: shape and pose to vertices, joints and transforms; reads SMPL-X's
-npz files.
+"""The parametric body of Eq. 4: shape and pose to vertices, joints and transforms.
 
     1. v_shaped = v_template + S β + E ψ                        S, E: shape, expression directions
     2. J = J_regressor · v_shaped
@@ -21,7 +20,6 @@ Offsets stand for clothes: they move vertices and leave the joints where the nak
 
 from __future__ import annotations
 
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -30,14 +28,12 @@ import roma
 import torch
 from torch import Tensor, nn
 
-from gva_mi.body.pose import JOINTS, PARENTS, Pose, Shape
+from gva_mi.body.body_file import read_body
+from gva_mi.body.hands import HandSpace, with_hands
+from gva_mi.body.pose import PARENTS, Pose, Shape
 from gva_mi.body.puppet import PUPPET
-from gva_mi.body.skinning import joint_transforms, skin_points
+from gva_mi.body.skinning import rigid_chain, skin_points
 from gva_mi.errors import InputError
-
-LICENSED = "https://smpl-x.is.tue.mpg.de"
-_ROOT = 4294967295  # the root's parent in the files: -1 as an unsigned integer
-
 
 @dataclass(frozen=True)
 class Rest:
@@ -91,10 +87,9 @@ class BodyModel(nn.Module):
         self.register_buffer("j_template", tensor(regressor @ arrays["v_template"]))
         self.register_buffer("shape_joints", tensor(joints[betas]))  # (B, 165)
         self.register_buffer("expression_joints", tensor(joints[expressions]))  # (E, 165)
-        pose_directions = _rows(arrays["posedirs"])
-        used = np.flatnonzero(pose_directions.any(1))  # only these cost time
+        used = np.flatnonzero(arrays["posedirs"].any((0, 1)))  # only these cost time
         self.register_buffer("pose_features", torch.from_numpy(used))
-        self.register_buffer("pose_directions", tensor(pose_directions[used]))  # (P, 3 V)
+        self.register_buffer("pose_directions", tensor(_rows(arrays["posedirs"][..., used])))
         self.register_buffer(
             "hands_mean", tensor(np.stack([arrays["hands_meanl"], arrays["hands_meanr"]]))
         )
@@ -186,102 +181,12 @@ def load_body(path: Path | None = None, dtype: torch.dtype = torch.float32) -> B
     Raises:
         InputError: naming the file, the key, and the shape that was found.
     """
-    path = PUPPET if path is None else Path(path)
-    if path.suffix.lower() in (".pkl", ".pickle"):
-        raise InputError(
-            f"{path}: pickled bodies are not read, for a pickle can run any code; download "
-            f"the same model as .npz ('SMPL-X v1.1, NPZ+PKL' at {LICENSED})"
-        )
-    if not path.is_file():
-        raise InputError(
-            f"{path}: no such file; expected a body in SMPL-X's .npz format. SMPL-X is licensed at "
-            f"{LICENSED}; without a body file the built-in puppet is used"
-        )
-    arrays = _read(path)
-    _check(path, arrays)
-    return BodyModel(arrays, dtype)
-
-
-_KEYS = (
-    "v_template", "f", "shapedirs", "posedirs", "J_regressor", "weights", "kintree_table",
-    "hands_meanl", "hands_meanr",
-)  # fmt: skip
-
-
-def _read(path: Path) -> dict[str, np.ndarray]:
-    try:
-        file = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise InputError(
-            f"{path}: not a readable .npz, or cut short ({error}); expected SMPL-X's arrays"
-        ) from None
-    if not isinstance(file, np.lib.npyio.NpzFile):
-        raise InputError(f"{path}: a single array; expected an .npz with {', '.join(_KEYS)}")
-    with file:
-        missing = [key for key in _KEYS if key not in file.files]
-        if missing:
-            raise InputError(
-                f"{path}: key '{missing[0]}' is missing; "
-                f"found: {', '.join(sorted(file.files)) or 'none'}"
-            )
-        arrays = {}
-        for key in (*_KEYS, *(k for k in ("joint_names",) if k in file.files)):
-            try:
-                arrays[key] = file[key]
-            except Exception as error:  # the zip, zlib and numpy each have their own
-                raise InputError(
-                    f"{path}: key '{key}' cannot be read, the file is damaged or holds objects "
-                    f"({error})"
-                ) from None
-    return arrays
-
-
-def _check(path: Path, arrays: dict[str, np.ndarray]) -> None:
-    vertices, joints = len(arrays["v_template"]), len(JOINTS)
-    shapes = {
-        "v_template": (vertices, 3), "f": (None, 3), "shapedirs": (vertices, 3, None),
-        "posedirs": (vertices, 3, 9 * (joints - 1)), "J_regressor": (joints, vertices),
-        "weights": (vertices, joints), "kintree_table": (2, joints),
-        "hands_meanl": (45,), "hands_meanr": (45,),
-    }  # fmt: skip
-    for key, shape in shapes.items():
-        array = arrays[key]
-        fits = array.ndim == len(shape) and all(
-            want in (None, got) for want, got in zip(shape, array.shape, strict=True)
-        )
-        if not fits or array.size == 0:
-            form = "(" + ", ".join("*" if n is None else str(n) for n in shape) + ")"
-            raise InputError(f"{path}: '{key}' must be {form}, found {array.shape}")
-        if key in ("f", "kintree_table"):
-            if not np.issubdtype(array.dtype, np.integer):
-                raise InputError(f"{path}: '{key}' must hold integers, found {array.dtype}")
-        elif not np.issubdtype(array.dtype, np.floating):
-            raise InputError(f"{path}: '{key}' must be floating point, found {array.dtype}")
-        elif not np.isfinite(array).all():
-            raise InputError(f"{path}: '{key}' holds a number that is not finite")
-    if arrays["f"].max() >= vertices or arrays["f"].min() < 0:
-        raise InputError(f"{path}: 'f' names vertex {arrays['f'].max()}, but there are {vertices}")
-    if not np.allclose(arrays["weights"].sum(1, dtype=np.float64), 1, atol=1e-2):
-        raise InputError(f"{path}: 'weights' must have rows that sum to 1")
-    parents = [-1 if p in (-1, _ROOT) else int(p) for p in arrays["kintree_table"][0].tolist()]
-    names = arrays.get("joint_names", np.array(JOINTS)).tolist()
-    if tuple(parents) != PARENTS or tuple(names) != JOINTS:
-        key = "kintree_table" if tuple(parents) != PARENTS else "joint_names"
-        raise InputError(
-            f"{path}: '{key}' is not the tree of SMPL-X's 55 joints, in which the root comes "
-            "first, then 21 body joints, jaw, eyes, left hand, right hand"
-        )
+    return BodyModel(read_body(PUPPET if path is None else Path(path)), dtype)
 
 
 def _rows(directions: np.ndarray) -> np.ndarray:
     """Directions (V, 3, K), one in each row: all x, then all y, then all z, (K, 3 V)."""
     return directions.transpose(2, 1, 0).reshape(directions.shape[2], -1)
-
-
-def _columns(count: int) -> tuple[slice, slice]:
-    """Which shape directions are betas, and which expressions."""
-    split, end = (300, count) if count >= 400 else (min(10, count), min(20, count))
-    return slice(0, split), slice(split, end)
 
 
 def _coefficients(name: str, values: Tensor, available: int) -> Tensor:

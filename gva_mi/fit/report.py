@@ -13,7 +13,7 @@ import numpy as np
 
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.data.video import Video, load_video
-from gva_mi.fit.views import compared, dots, hands, spread, turntable
+from gva_mi.fit.views import compared, dots, hands, same_size, spread, turntable
 from gva_mi.splat import Gaussians
 
 SHOWN = 5  # frames per strip
@@ -106,10 +106,10 @@ def _turning(avatar: Avatar, video: Video) -> Section:
 
 def _held_out(avatar: Avatar, video: Video) -> Section:
     """Frames that training never saw."""
-    pictures = [
-        _picture(f"frame {frame.index}: picture · render · difference", compared(avatar, frame))
-        for frame in video.frames(spread(video.splits.test or video.splits.train, SHOWN))
-    ]
+    shown = spread(video.splits.test or video.splits.train, SHOWN + 1)
+    images = same_size([compared(avatar, frame) for frame in video.frames(shown)])
+    captions = [f"frame {k}: picture · render · difference" for k in shown]
+    pictures = [_picture(*pair) for pair in zip(captions, images, strict=True)]
     text = (
         "Frames of the video that training left out, cut out by their masks: the picture, the "
         "render, and the largest difference of the three channels (white none, red 64 of 255)."
@@ -138,11 +138,9 @@ def _truth(avatar: Avatar, video: Video, split: str, title: str, text: str) -> l
     if folder is None or not folder.is_dir():
         return []
     source = load_video(folder)
-    pictures = [
-        _picture("", compared(avatar, frame, difference=False))
-        for frame in source.frames(spread(range(len(source)), SHOWN))
-    ]
-    return [Section(title, text, pictures)]
+    shown = source.frames(spread(range(len(source)), SHOWN))
+    images = same_size([compared(avatar, frame, difference=False) for frame in shown])
+    return [Section(title, text, [_picture("", image) for image in images])]
 
 
 def _hands(avatar: Avatar, video: Video) -> Section:
@@ -180,7 +178,7 @@ def _curves(history: dict[str, np.ndarray]) -> Section:
     fig, (left, right) = plt.subplots(1, 2, figsize=(11, 3.2), layout="constrained")
     steps = np.arange(len(history["loss"]))
     for name, values in history.items():
-        if name not in ("gaussians", "milliseconds") and np.any(values):
+        if name not in ("step", "gaussians", "milliseconds") and np.any(values):
             left.plot(steps, _smooth(values), label=name, lw=1.2)
     left.set(xlabel="step", title="loss terms, before their weights", yscale="log")
     left.legend(frameon=False, fontsize=8)

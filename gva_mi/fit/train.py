@@ -1,96 +1,43 @@
-"""``fit``: a video becomes an avatar, by gradient descent on Eq. 13."""
+"""``fit``: a video becomes an avatar, by gradient descent on Eq. 13.
+
+Each step, with one training frame of the video:
+
+1. cool the learning rate of the means down
+2. avatar(pose) → Gaussians, MLP(θ)                                          Eq. 5, 6
+3. render them on a background of a random colour                            Eq. 1-3
+4. compare with the person, cut out onto the same background                 Eq. 13
+5. one step of Adam
+6. by the schedule: clone, split, prune; put the Gaussians back on the surface      Sec. 4.3
+"""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
-from gva_mi.avatar.avatar import Avatar, AvatarOptions, seed_avatar
-from gva_mi.avatar.densify import DensifyOptions, ScreenGradients, densify, replace_gaussians
-from gva_mi.avatar.reinit import ReinitOptions, reinitialise
-from gva_mi.body.pose import Pose, save_poses
+from gva_mi.avatar.avatar import Avatar, seed_avatar
+from gva_mi.avatar.densify import ScreenGradients, densify, replace_gaussians
+from gva_mi.avatar.reinit import reinitialise
+from gva_mi.body.pose import save_poses
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.video import Video
-from gva_mi.errors import InputError
 from gva_mi.fit import checkpoint
 from gva_mi.fit.colors import seen_colors
-from gva_mi.fit.losses import Distance, LossOptions, render_losses
+from gva_mi.fit.losses import Distance, render_losses
+from gva_mi.fit.options import FitOptions, Rates
 from gva_mi.fit.perceptual import rand_vgg_loss, vgg16_loss
+from gva_mi.fit.poses import TrainedPoses
 from gva_mi.fit.targets import Draw, Target, Targets, torch_state
-from gva_mi.splat import SplatOptions
 from gva_mi.splat.torch_op import Screen, render
 
 Progress = Callable[..., None]
-
-
-@dataclass(frozen=True)
-class Rates:
-    """Learning rates of Adam, the field's (Kerbl et al. 2023, and avatars after it)."""
-
-    means: float = 5e-4  # metres; falls exponentially to
-    means_end: float = 5e-6  # this at the last step
-    quats: float = 1e-3
-    log_scales: float = 5e-3
-    logit_opacities: float = 5e-2
-    sh: float = 2.5e-3
-    residual: float = 1e-3  # of the pose-conditioned MLP's weights
-    pose: float = 0.0  # radians and metres; 0: the training poses stay as they are
-
-
-@dataclass(frozen=True)
-class Schedule:
-    """When Gaussians are added, removed, and put back on the surface."""
-
-    densify_every: int = 200  # steps; 0: never
-    densify_from: float = 0.05  # share of all steps, the first round comes after it
-    densify_until: float = 0.6  # share of all steps, the last round comes before it
-    reinit_at: tuple[float, ...] = (0.25, 0.5)  # shares of all steps; empty: never
-
-    def __post_init__(self) -> None:
-        if self.densify_every < 0 or not 0 <= self.densify_from <= self.densify_until <= 1:
-            raise InputError("fit: densify_every must be 0 or more, 0 <= from <= until <= 1")
-        if not all(0 < share < 1 for share in self.reinit_at):
-            raise InputError(f"fit: reinit_at must lie between 0 and 1, got {self.reinit_at}")
-
-    def densifies(self, step: int, steps: int) -> bool:
-        """Whether a round of density control follows a step, the first being 1."""
-        within = self.densify_from * steps <= step <= self.densify_until * steps
-        return self.densify_every > 0 and within and step % self.densify_every == 0
-
-    def reinitialises(self, step: int, steps: int) -> bool:
-        """Whether a re-initialisation follows a step."""
-        return step in {max(1, round(share * steps)) for share in self.reinit_at}
-
-
-@dataclass(frozen=True)
-class FitOptions:
-    """How an avatar is fitted."""
-
-    steps: int = 3000  # one frame each
-    seed: int = 0  # of all chance in the run
-    random_background: bool = True  # another colour each step, so that alpha is learned; else white
-    window: int = 128  # pixels, side of the random part seen by the perceptual and SSIM terms
-    vgg16: Path | None = None  # the user's VGG16 weights for the perceptual term; none: rand_vgg
-    checkpoint_every: int = 500  # steps
-    avatar: AvatarOptions = AvatarOptions()
-    rates: Rates = Rates()
-    schedule: Schedule = Schedule()
-    densify: DensifyOptions = DensifyOptions()
-    reinit: ReinitOptions = ReinitOptions()
-    loss: LossOptions = LossOptions()
-    splat: SplatOptions = SplatOptions()
-
-    def __post_init__(self) -> None:
-        for name, least in (("steps", 1), ("window", 11), ("checkpoint_every", 1), ("seed", 0)):
-            if getattr(self, name) < least:
-                raise InputError(f"fit: {name} must be {least} or more, got {getattr(self, name)}")
 
 
 def fit(
@@ -124,14 +71,15 @@ def fit(
         InputError: ``out`` holds a run already, or one of other options; or unreadable files.
     """
     distance = vgg16_loss(options.vgg16) if options.vgg16 else rand_vgg_loss()
-    checkpoint.claim(out, _plain(options), resume)
+    checkpoint.claim(out, options.plain(), resume)
     if (out / checkpoint.AVATAR).exists():
         return Avatar.load(out / checkpoint.AVATAR)
-    run = _Run(video, body, options, offsets, checkpoint.load_state(out))
-    targets = Targets(
-        video, video.splits.train, options.seed, options.random_background, options.window
-    )
+    state = checkpoint.load_state(out)
     with _one_torch_thread():
+        run = _Run(video, body, options, offsets, state)
+        targets = Targets(
+            video, video.splits.train, options.seed, options.random_background, options.window
+        )
         while run.step < options.steps:
             figures = run.advance(targets[run.step], distance)
             run.tend(out)
@@ -216,10 +164,8 @@ class _Run:
             self.gradients = ScreenGradients(len(self.avatar.canonical))
         if schedule.reinitialises(self.step, options.steps):
             generator = torch_state(options.seed, Draw.REINIT, self.step)
-            before, new = (
-                self.avatar.canonical,
-                reinitialise(self.avatar, options.reinit, generator),
-            )
+            before = self.avatar.canonical
+            new = reinitialise(self.avatar, options.reinit, generator)
             checkpoint.save_snapshot(out, self.step, before, new.canonical, new.surface)
             replace_gaussians(self.avatar, self.optimizer, new.canonical)
             self.gradients = ScreenGradients(len(self.avatar.canonical))
@@ -242,40 +188,6 @@ class _Run:
         for group in self.optimizer.param_groups:
             if group["name"] == "means":
                 group["lr"] = rates.means ** (1 - done) * rates.means_end**done
-
-
-class TrainedPoses(nn.Module):
-    """The poses of the frames; where they are trained, rotations and translation of each frame.
-
-    A parameter per frame: Adam leaves alone, momentum included, what has no gradient in a step.
-    """
-
-    def __init__(self, pose: Pose, trained: bool) -> None:
-        super().__init__()
-        self.given = pose
-        self.frames = nn.ParameterList(_packed(pose).unbind() if trained else [])
-
-    def forward(self, frame: int) -> Pose:
-        """The pose of one frame."""
-        given = self.given[frame]
-        if not len(self.frames):
-            return given
-        return _unpacked(self.frames[frame][None], given.expression)
-
-    def all(self) -> Pose:
-        """The poses of all frames, as they are now."""
-        if not len(self.frames):
-            return self.given
-        return _unpacked(torch.stack(list(self.frames)).detach(), self.given.expression)
-
-
-def _packed(pose: Pose) -> Tensor:
-    return torch.cat([pose.rotations.flatten(1), pose.transl], dim=1)  # (T, 168)
-
-
-def _unpacked(rows: Tensor, expression: Tensor) -> Pose:
-    rotations, transl = rows.split([165, 3], dim=1)
-    return Pose.from_rotations(rotations.unflatten(1, (55, 3)), transl, expression)
 
 
 def _optimizer(avatar: Avatar, poses: TrainedPoses, rates: Rates) -> torch.optim.Adam:
@@ -307,7 +219,3 @@ def _one_torch_thread() -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(before)
-
-
-def _plain(options: FitOptions) -> dict[str, Any]:
-    return asdict(replace(options, vgg16=None)) | {"vgg16": options.vgg16 and str(options.vgg16)}

@@ -104,6 +104,18 @@ def dots(gaussians: Gaussians, height: int = 560) -> np.ndarray:
     return np.concatenate(views, axis=1)
 
 
+def same_size(images: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Pictures brought to one size by white margins around them."""
+    height, width = (max(image.shape[axis] for image in images) for axis in (0, 1))
+    canvases = []
+    for image in images:
+        top, left = (height - image.shape[0]) // 2, (width - image.shape[1]) // 2
+        canvas = np.full((height, width, 3), 255, np.uint8)
+        canvas[top : top + image.shape[0], left : left + image.shape[1]] = image
+        canvases.append(canvas)
+    return canvases
+
+
 def side_by_side(images: Sequence[np.ndarray], height: int) -> np.ndarray:
     """Pictures of any sizes in a row, each scaled to one height."""
     from PIL import Image
@@ -116,36 +128,21 @@ def side_by_side(images: Sequence[np.ndarray], height: int) -> np.ndarray:
     return np.concatenate(scaled, axis=1)
 
 
-def overview(
-    avatar: Avatar, video: Video, overlays: np.ndarray | None, count: int = 3
-) -> np.ndarray:
-    """The paper in one picture: a frame, its refinement, the Gaussians, and new views."""
-    frame = video[spread(video.splits.test or video.splits.train, 3)[0]]
-    rows, columns = _around(frame.mask > 0.5, margin=len(frame.mask) // 40)
-    parts = [to_8bit(frame.image[rows, columns])]
+def overview(avatar: Avatar, video: Video, turned: int = 3) -> np.ndarray:
+    """The paper in one picture: a frame, its normals, the Gaussians, and new views of the avatar."""
+    frame = video[(video.splits.test or video.splits.train)[0]]
+    parts = [cut_out(frame)]
     if frame.normals is not None:
-        shown = (frame.normals + 1) / 2 * (frame.mask > 0.5)[..., None]
-        parts.append(to_8bit(np.where(frame.mask[..., None] > 0.5, shown, 1)[rows, columns]))
-    if overlays is not None:
-        parts.append(overlays)
+        shown = np.where(frame.mask[..., None] > 0.5, (frame.normals + 1) / 2, 1)
+        parts.append(to_8bit(shown))
     with torch.no_grad():
-        gaussians = avatar(frame.pose)
-    camera = frame.camera
-    small = Gaussians(
-        gaussians.means,
-        gaussians.quats,
-        gaussians.scales * 0.35,
-        gaussians.opacities,
-        sh=gaussians.sh,
-    )
-    with torch.no_grad():
-        parts.append(
-            to_8bit(render(small, camera, background=torch.ones(3)).color.numpy()[rows, columns])
-        )
-    for image in list(turntable(avatar, frame, count + 1))[1:]:
-        rows, columns = _around(image.min(-1) < 250, margin=len(image) // 40)
-        parts.append(image[rows, columns])
-    return side_by_side(parts, 480)
+        whole = avatar(frame.pose)
+        thin = Gaussians(whole.means, whole.quats, whole.scales / 3, whole.opacities, sh=whole.sh)
+        image = render(thin, frame.camera, background=torch.ones(3))
+    parts.append(to_8bit(image.color.numpy()))
+    parts += list(turntable(avatar, frame, turned + 1))[1:]
+    margin = len(parts[0]) // 50
+    return side_by_side([part[_around(part.min(-1) < 250, margin)] for part in parts], 480)
 
 
 def _joints(avatar: Avatar, pose: Pose) -> np.ndarray:

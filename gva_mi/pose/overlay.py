@@ -1,4 +1,4 @@
-"""A look at how well a body lies on a picture: its shaded normals and its outline over the frame."""
+"""How well a body lies on a picture: its shaded normals and its outline over the frame."""
 
 from __future__ import annotations
 

@@ -17,6 +17,9 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from gva_mi.body.pose import Shape
+from gva_mi.body.smplx import BodyModel
+
 
 def joint_weights(parents: Sequence[int]) -> Tensor:
     """``ω`` (J,): 1 for the root, 1/2 for its children, and so on."""
@@ -29,3 +32,16 @@ def joint_weights(parents: Sequence[int]) -> Tensor:
 def squared_angles(R: Tensor, Q: Tensor) -> Tensor:
     """``d(R, Q)²`` of rotation matrices (..., 3, 3), (...,) in square radians for small angles."""
     return (R - Q).square().sum((-1, -2)) / 2
+
+
+def levers(body: BodyModel, shape: Shape) -> Tensor:
+    """How far (J,) metres, on average, what a joint turns is away from it.
+
+    The mean is quadratic, over the vertices below the joint in the kinematic tree.
+    """
+    rest = body.rest(shape)
+    moved = body.weights.clone()
+    for joint in reversed(range(1, len(body.parents))):
+        moved[:, body.parents[joint]] += moved[:, joint]
+    square = (rest.vertices[:, None] - rest.joints).square().sum(-1)
+    return ((moved * square).sum(0) / moved.sum(0).clamp_min(1e-6)).sqrt()

@@ -51,16 +51,15 @@ class RefineOptions:
     silhouette: float = 5.0  # λ1
     prior: float = 0.5  # λ2, for one square radian
     smooth: float = 2.0  # sequence: pull to both neighbours' rotations, for one square radian
-    smooth_change: float = 0.0
-    smooth_move: float = 0.0
-    shape_lr: float = 0.0
+    smooth_move: float = 200.0  # sequence: pull to both neighbours' places, for one square metre
     hold: float = 20.0  # sequence: pull of the translation to stage 1, for one square metre
     cloth_smooth: float = 4000.0  # sequence: a of the displacement's energy, for one square metre
     cloth_small: float = 40.0  # sequence: b
     cloth_outward: float = 400.0  # sequence: c
-    rotation_lr: float = 0.02  # Adam's learning rate at the start, radians; falls to a tenth
-    translation_lr: float = 0.004  # metres
-    cloth_lr: float = 0.001  # metres
+    step: float = 0.008  # metres that a turned joint moves what hangs on it, in a step at the start
+    largest_turn: float = 0.04  # radians in such a step; joints with short levers are held by it
+    translation_lr: float = 0.004  # metres in a step at the start
+    cloth_lr: float = 0.001  # metres in a step at the start
     seed: int = 0  # of the order in which frames are visited
 
     def __post_init__(self) -> None:
@@ -110,7 +109,7 @@ def refine(
     with _one_thread():
         targets, kept = _targets(video, body, options.size)
         pose, shape = video.pose.to(torch.float32), Shape(video.shape.betas.to(torch.float32))
-        solution = Solution(pose.rotations.clone(), pose.transl.clone(), _no_offsets(body))
+        solution = Solution(pose.rotations, pose.transl, torch.zeros_like(body.v_template))
         losses_stage1 = losses = torch.full((len(video),), torch.nan)
         if targets:
             scene = BodyScene(body.faces, body.v_template)
@@ -169,10 +168,6 @@ def _losses(
         image = scene.render(body(one, shape, solution.offsets).vertices[0], target.camera)
         losses[k] = target.normal_loss(image) + options.silhouette * target.silhouette_loss(image)
     return losses
-
-
-def _no_offsets(body: BodyModel) -> Tensor:
-    return torch.zeros_like(body.v_template)
 
 
 @contextmanager

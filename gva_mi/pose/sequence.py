@@ -5,7 +5,8 @@ A step takes one frame ``k``, chosen at random (every frame once in a pass), and
 
     L = |N - N_pred| + λ1 |S - S_pred|               the body displaced by D, posed by θ_k, t_k
         + λ2 Σ_i ω_i d(θ_k,i, θ_k,i^stage1)²          Eq. 9's regulariser
-        + smooth Σ_i Σ_l d(θ_k,i, θ_l,i)²             l = k ± 1: neighbours, where they are now
+        + smooth Σ_l Σ_i d(θ_k,i, θ_l,i)²             l = k ± 1: neighbours, where they are now
+        + smooth_move Σ_l |t_k - t_l|²
         + hold |t_k - t_k^stage1|²
         + E(D)                                        gva_mi.pose.displacement
 
@@ -27,9 +28,10 @@ from torch import Tensor
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.pose.displacement import Displacement
-from gva_mi.pose.priors import joint_weights, squared_angles
+from gva_mi.pose.priors import joint_weights, levers, squared_angles
 from gva_mi.pose.scene import BodyScene
 from gva_mi.pose.target import Target
+from gva_mi.pose.vector_adam import VectorAdam
 
 if TYPE_CHECKING:
     from gva_mi.pose.refine import RefineOptions
@@ -77,14 +79,11 @@ def refine_sequence(
     stage1 = roma.rotvec_to_rotmat(pose.rotations)
     now = stage1.clone()  # (T, 55, 3, 3) where all frames stand
     turns = [theta.clone().requires_grad_() for theta in pose.rotations]
-    moves = [t.clone().requires_grad_() for t in pose.transl]
-    betas = shape.betas.clone().requires_grad_()
-    rates = (options.rotation_lr, options.translation_lr, options.cloth_lr, options.shape_lr)
-    groups = [
-        {"params": p, "lr": lr}
-        for p, lr in zip((turns, moves, [cloth.raw], [betas]), rates, strict=True)
-    ]
-    adam = torch.optim.Adam(groups, betas=BETAS)
+    # (3, 1) each: depth would hardly move if it shared its step with the other axes.
+    moves = [t.clone()[:, None].requires_grad_() for t in pose.transl]
+    reach = (options.step / levers(body, shape)).clamp_max(options.largest_turn)[:, None]
+    rates = [reach] * len(turns) + [options.translation_lr] * len(moves)
+    adam = VectorAdam([*turns, *moves, cloth.raw], [*rates, options.cloth_lr], BETAS)
 
     frames = sorted(targets)
     total = options.passes * len(frames)
@@ -92,42 +91,30 @@ def refine_sequence(
         if step % len(frames) == 0:
             order = torch.randperm(len(frames), generator=generator).tolist()
         k = frames[order[step % len(frames)]]
-        for group, rate in zip(adam.param_groups, rates, strict=True):
-            group["lr"] = rate * DECAY ** (step / total)
-
         offsets = cloth.offsets
-        one = Pose.from_rotations(turns[k][None], moves[k][None], pose.expression[k : k + 1])
-        image = scene.render(body(one, Shape(betas), offsets).vertices[0], targets[k].camera)
+        one = Pose.from_rotations(turns[k][None], moves[k].T, pose.expression[k : k + 1])
+        vertices = body(one, shape, offsets).vertices[0]
+        image = scene.render(vertices, targets[k].camera)
         loss = targets[k].normal_loss(image)
         loss = loss + options.silhouette * targets[k].silhouette_loss(image)
         R = roma.rotvec_to_rotmat(turns[k])
         loss = loss + options.prior * (weights * squared_angles(R, stage1[k])).sum()
-        change = stage1[k].mT @ R
+        loss = loss + options.hold * (moves[k][:, 0] - pose.transl[k]).square().sum()
         for near in (k - 1, k + 1):
             if near in targets:
                 loss = loss + options.smooth * squared_angles(R, now[near]).sum()
-                there = stage1[near].mT @ now[near]
-                loss = loss + options.smooth_change * squared_angles(change, there).sum()
-                loss = (
-                    loss
-                    + options.smooth_move
-                    * ((moves[k] - pose.transl[k]) - (moves[near] - pose.transl[near]).detach())
-                    .square()
-                    .sum()
-                )
-        loss = loss + options.hold * (moves[k] - pose.transl[k]).square().sum()
+                apart = moves[k] - moves[near].detach()
+                loss = loss + options.smooth_move * apart.square().sum()
         loss = loss + cloth.energy(
             offsets, options.cloth_smooth, options.cloth_small, options.cloth_outward
         )
 
-        adam.zero_grad(set_to_none=True)
         loss.backward()
         turns[k].grad[FACE] = 0
-        adam.step()
+        adam.step(DECAY ** (step / total))
         with torch.no_grad():
             now[k] = roma.rotvec_to_rotmat(turns[k])
         if progress is not None:
             progress(step + 1, total, loss=float(loss.detach()))
-    return Solution(
-        torch.stack(turns).detach(), torch.stack(moves).detach(), cloth.offsets.detach()
-    )
+    rotations, transl = torch.stack(turns).detach(), torch.stack(moves)[..., 0].detach()
+    return Solution(rotations, transl, cloth.offsets.detach())

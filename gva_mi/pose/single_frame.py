@@ -13,10 +13,11 @@ import torch
 
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
-from gva_mi.pose.priors import joint_weights
+from gva_mi.pose.priors import joint_weights, levers
 from gva_mi.pose.scene import BodyScene
 from gva_mi.pose.sequence import DECAY, FACE, Solution
 from gva_mi.pose.target import Target
+from gva_mi.pose.vector_adam import VectorAdam
 
 if TYPE_CHECKING:
     from gva_mi.pose.refine import RefineOptions
@@ -33,24 +34,23 @@ def refine_single_frames(
 ) -> Solution:
     """Minimise Eq. 9 in every frame that has a target; arguments as in ``refine_sequence``."""
     weights = joint_weights(body.parents)[:, None]
+    reach = (options.step / levers(body, shape)).clamp_max(options.largest_turn)[:, None]
     rotations = pose.rotations.clone()
     total = options.steps * len(targets)
     for number, (k, target) in enumerate(sorted(targets.items())):
         stage1 = pose.rotations[k]
         theta = stage1.clone().requires_grad_()
-        adam = torch.optim.Adam([theta], betas=(0.9, 0.99))
+        adam = VectorAdam([theta], [reach])
         for step in range(options.steps):
-            adam.param_groups[0]["lr"] = options.rotation_lr * DECAY ** (step / options.steps)
             one = Pose.from_rotations(
                 theta[None], pose.transl[k : k + 1], pose.expression[k : k + 1]
             )
             image = scene.render(body(one, shape).vertices[0], target.camera)
             loss = target.normal_loss(image) + options.silhouette * target.silhouette_loss(image)
             loss = loss + options.prior * (weights * (theta - stage1).square()).sum()
-            adam.zero_grad()
             loss.backward()
             theta.grad[FACE] = 0
-            adam.step()
+            adam.step(DECAY ** (step / options.steps))
             if progress is not None:
                 progress(number * options.steps + step + 1, total, loss=float(loss.detach()))
         rotations[k] = theta.detach()

@@ -1,63 +1,50 @@
-"""Whether a renderer's gradients are right: four independent answers side by side.
+"""Whether a renderer's gradients are right: independent answers side by side.
 
 For a scalar loss L = <w, image>, with random weights w on colour, alpha and depth, the gradient by
 every input is taken
 
 * by the renderer's adjoint in float32 and in float64,
-* by autograd through the slow twin (reference.py), in float64: what the others are compared with,
-* by central differences of the renderer in float64, at a handful of entries.
+* by the renderer's tangent (torch's forward-mode AD) in both, along a random direction and along
+  single entries: <w, J v> is compared with <J^T w, v>,
+* by Dr.Jit's own autodiff through a plain loop (autodiff.py), in float64,
+* by central differences of the renderer in float64, at a handful of entries,
+* by autograd through the slow twin (reference.py), in float64: what the others are compared with.
 
 The image has steps where a pixel's alpha or transmittance crosses a cut-off. Pixels in a narrow
 band around them have no weight in the loss, and are counted: there the last digit decides, and no
-gradient exists.
+gradient exists. Every number of the scene is rounded to float32 first, so that both precisions see
+the same scene.
 
     report = gradcheck(render, random_scene(torch.Generator().manual_seed(0)))
     assert report.passed, report.table()
+
+``fn`` is any renderer with the signature of ``torch_op.render``: your own kernel, say.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
+import drjit as dr
+import numpy as np
 import torch
+from drjit.llvm.ad import TensorXf64
 from torch import Generator, Tensor
+from torch.autograd import forward_ad
 
-from gva_mi.splat import reference
-from gva_mi.splat.camera import Camera, look_at
+from gva_mi.splat import autodiff, reference
+from gva_mi.splat.camera import Camera
 from gva_mi.splat.gaussians import Gaussians, Image
 from gva_mi.splat.options import SplatOptions
+from gva_mi.splat.scene import Scene, random_scene
+from gva_mi.splat.verdict import IMAGES, Maps, Report, Row
+
+__all__ = ["Renderer", "Report", "Scene", "Tolerances", "gradcheck", "random_scene"]
 
 Renderer = Callable[[Gaussians, Camera, SplatOptions, Tensor], Image]
 
-
-@dataclass(frozen=True)
-class Scene:
-    """Everything a picture is made of."""
-
-    gaussians: Gaussians  # float64 torch tensors
-    camera: Camera
-    background: Tensor  # (D,) float64
-    options: SplatOptions = SplatOptions()
-
-    def inputs(self) -> dict[str, Tensor]:
-        """What is differentiated, by name."""
-        g = self.gaussians
-        named = {"means": g.means, "quats": g.quats, "scales": g.scales, "opacities": g.opacities}
-        named |= {"colors": g.colors} if g.sh is None else {"sh": g.sh}
-        return named | {"background": self.background}
-
-    def with_inputs(self, inputs: dict[str, Tensor]) -> Scene:
-        """The same scene with other tensors."""
-        inputs = dict(inputs)
-        background = inputs.pop("background")
-        return replace(self, gaussians=Gaussians(**inputs), background=background)
-
-    def to(self, dtype: torch.dtype) -> Scene:
-        """The same scene in another precision, detached and ready for gradients."""
-        inputs = self.inputs().items()
-        return self.with_inputs({k: v.detach().to(dtype).requires_grad_() for k, v in inputs})
+TIE = 1e-6  # relative difference of two depths that float32 may swap
 
 
 @dataclass(frozen=True)
@@ -71,52 +58,6 @@ class Tolerances:
     differences: float = 1e-5
 
 
-@dataclass(frozen=True)
-class Row:
-    """One comparison with the twin."""
-
-    method: str
-    name: str  # of the input, or of the image
-    error: float  # relative L2 for gradients, greatest absolute for images
-    cosine: float  # between the two; 1 for images
-    worst: float  # greatest absolute error of an entry
-    where: tuple[int, ...]  # its index
-    tolerance: float
-
-    @property
-    def passed(self) -> bool:
-        """A NaN does not pass."""
-        return self.error <= self.tolerance
-
-
-@dataclass(frozen=True)
-class Report:
-    """All comparisons of one scene."""
-
-    rows: tuple[Row, ...]
-    pixels: int
-    band: int  # pixels at a cut-off, left out
-
-    @property
-    def passed(self) -> bool:
-        """Whether every row is within its tolerance."""
-        return all(row.passed for row in self.rows)
-
-    def table(self) -> str:
-        """For a person to read."""
-        titles = ("error", "allowed", "1 - cosine", "worst")
-        lines = [f"{'method':12} {'of':11}" + "".join(f" {title:>10}" for title in titles) + "  at"]
-        for r in self.rows:
-            numbers = (r.error, r.tolerance, 1 - r.cosine, r.worst)
-            line = f"{r.method:12} {r.name:11}" + "".join(f" {number:10.1e}" for number in numbers)
-            lines.append(f"{line}  {list(r.where)}{'' if r.passed else '  <- fails'}")
-        verdict = "all pass" if self.passed else "FAILS"
-        lines.append(
-            f"{self.band} of {self.pixels} pixels lie at a cut-off and were left out; {verdict}"
-        )
-        return "\n".join(lines)
-
-
 def gradcheck(
     fn: Renderer,
     scene: Scene,
@@ -125,50 +66,72 @@ def gradcheck(
     step: float = 1e-6,
     seed: int = 0,
 ) -> Report:
-    """Compare a renderer's image and gradients with the twin's and with differences.
+    """Compare a renderer's image and gradients with the twin's and with all other answers.
 
     Args:
-        fn: ``fn(gaussians, camera, options, background) -> Image``, such as ``torch_op.render``.
+        fn: ``fn(gaussians, camera, options, background) -> Image``, such as ``torch_op.render``. It
+            must take float32 tensors; where it refuses float64 or forward-mode AD, the report notes
+            it and leaves those comparisons out.
         scene: what to render; some hundred Gaussians on some thousand pixels take seconds.
         tolerances: what counts as right.
-        entries: how many entries of every input to differentiate by central differences.
-        step: their step, in the input's units.
+        entries: how many entries of every input to differentiate one by one.
+        step: of the central differences, in the input's units.
         seed: of the weights in the loss and of the choice of entries.
     """
     allowed = tolerances or Tolerances()
     generator = Generator().manual_seed(seed)
+    twin = scene.to(torch.float32).to(torch.float64)
     camera, D = scene.camera, len(scene.background)
-    twin = scene.to(torch.float64)
     band = reference.threshold_band(twin.gaussians, camera, scene.options)
     size = (camera.height, camera.width)
     weights = torch.randn(*size, D + 2, generator=generator, dtype=torch.float64)
     weights = weights * ~band[..., None]
 
-    image, gradient = _run(reference.render, twin, weights)
-    rows = []
-    for dtype, label, image_error, gradient_error in (
-        (torch.float32, "adjoint f32", allowed.image32, allowed.gradient32),
-        (torch.float64, "adjoint f64", allowed.image64, allowed.gradient64),
+    image, truth = _adjoint(reference.render, twin, weights)
+    probes = {name: _choose(g, entries, generator) for name, g in truth.items()}
+    rows, notes, errors = [], [], {}
+    for dtype, label, image_allowed, gradient_allowed in (
+        (torch.float32, "f32", allowed.image32, allowed.gradient32),
+        (torch.float64, "f64", allowed.image64, allowed.gradient64),
     ):
-        found, gradients = _run(fn, scene.to(dtype), weights)
-        for name in ("color", "alpha", "depth"):
-            a, b = getattr(found, name).detach(), getattr(image, name).detach()
-            off = (a.double() - b).abs() * ~band.view(*size, *[1] * (a.ndim - 2))
+        try:
+            found, gradients = _adjoint(fn, twin.to(dtype), weights)
+        except (TypeError, ValueError, RuntimeError) as error:
+            if dtype == torch.float32:
+                raise
+            notes.append(f"this renderer has no float64: {error}")
+            break
+        errors[label] = _errors(found, image) * ~band[..., None]
+        for k, name in enumerate(IMAGES):
+            off = errors[label][..., k]
             worst = _index(off)
             error = float(off[worst])
-            rows.append(Row(label, name, error, 1.0, error, worst, image_error))
+            rows.append(Row(f"adjoint {label}", name, error, 1.0, error, worst, image_allowed))
         for name, g in gradients.items():
-            rows.append(_compare(label, name, g.double(), gradient[name], gradient_error))
-    for name in scene.inputs():
-        rows.append(
-            _differences(
-                fn, scene, weights, name, gradient[name], entries, step, generator, allowed
-            )
-        )
-    return Report(tuple(rows), band.numel(), int(band.sum()))
+            row = _compare(f"adjoint {label}", name, g.double(), truth[name], gradient_allowed)
+            rows.append(row)
+        try:
+            for name, probe in probes.items():
+                values = _tangents(fn, twin.to(dtype), weights, name, probe)
+                method = f"tangent {label}"
+                rows.append(_probed(method, name, probe, values, truth[name], gradient_allowed))
+        except (NotImplementedError, RuntimeError) as error:
+            notes.append(f"this renderer has no tangent in {label}: {str(error).splitlines()[0]}")
+        if dtype == torch.float64:
+            for name, probe in probes.items():
+                values = [_difference(fn, twin, weights, name, v, step) for v in probe.directions()]
+                row = _probed("differences", name, probe, values, truth[name], allowed.differences)
+                rows.append(row)
+    if len(twin.gaussians):
+        for name, g in _drjit_gradients(twin, weights).items():
+            rows.append(_compare("Dr.Jit AD", name, g, truth[name], allowed.gradient64))
+    maps = Maps(image.color.detach().numpy(), errors["f32"].amax(dim=-1).numpy(), band.numpy())
+    ties = _depth_ties(twin)
+    n = len(twin.gaussians)
+    return Report(tuple(rows), band.numel(), int(band.sum()), n, ties, tuple(notes), maps)
 
 
-def _run(fn: Renderer, scene: Scene, weights: Tensor) -> tuple[Image, dict[str, Tensor]]:
+def _adjoint(fn: Renderer, scene: Scene, weights: Tensor) -> tuple[Image, dict[str, Tensor]]:
     image = fn(scene.gaussians, scene.camera, scene.options, scene.background)
     inputs = scene.inputs()
     gradients = torch.autograd.grad(_loss(image, weights), list(inputs.values()), allow_unused=True)
@@ -183,86 +146,110 @@ def _loss(image: Image, weights: Tensor) -> Tensor:
     return color + alpha + (image.depth.double() * weights[..., -1]).sum()
 
 
+def _errors(found: Image, truth: Image) -> Tensor:
+    """(H, W, 3): of the colour's worst channel, of alpha and depth."""
+    off = [(getattr(found, k).detach().double() - getattr(truth, k).detach()).abs() for k in IMAGES]
+    return torch.stack([off[0].amax(dim=-1), off[1], off[2]], dim=-1)
+
+
+@dataclass(frozen=True)
+class _Probe:
+    """Along what an input is moved: a direction through all entries, then single entries."""
+
+    everywhere: Tensor  # of the input's shape, of length one
+    entries: tuple[tuple[int, ...], ...]
+
+    def directions(self) -> Iterator[Tensor]:
+        yield self.everywhere
+        for index in self.entries:
+            single = torch.zeros_like(self.everywhere)
+            single[index] = 1
+            yield single
+
+    def of(self, gradient: Tensor) -> Tensor:
+        """<gradient, v> for every direction v."""
+        return torch.stack([(gradient * v).sum() for v in self.directions()])
+
+
+def _choose(gradient: Tensor, entries: int, generator: Generator) -> _Probe:
+    """The entries with the greatest gradients among a random half."""
+    direction = torch.randn(gradient.shape, generator=generator, dtype=torch.float64)
+    flat = gradient.reshape(-1).abs() * (torch.rand(gradient.numel(), generator=generator) < 0.5)
+    chosen = flat.topk(min(entries, flat.numel())).indices
+    at = [tuple(int(i) for i in torch.unravel_index(k, gradient.shape)) for k in chosen]
+    return _Probe(direction / max(float(direction.norm()), 1.0), tuple(at))
+
+
+def _tangents(fn: Renderer, scene: Scene, weights: Tensor, name: str, probe: _Probe) -> list[float]:
+    """<w, J v> by forward-mode AD, for every direction v of one input."""
+    inputs = {k: v.detach() for k, v in scene.inputs().items()}
+    out = []
+    for direction in probe.directions():
+        with forward_ad.dual_level():
+            moving = forward_ad.make_dual(inputs[name], direction.to(inputs[name].dtype))
+            s = scene.with_inputs(inputs | {name: moving})
+            image = fn(s.gaussians, s.camera, s.options, s.background)
+            parts = [forward_ad.unpack_dual(getattr(image, k)) for k in IMAGES]
+            tangents = [
+                torch.zeros_like(p.primal) if p.tangent is None else p.tangent for p in parts
+            ]
+            out.append(float(_loss(Image(*tangents), weights)))
+    return out
+
+
+def _difference(
+    fn: Renderer, scene: Scene, weights: Tensor, name: str, direction: Tensor, step: float
+) -> float:
+    """<w, J v> by a central difference, for one direction v of one input."""
+    inputs = {k: v.detach() for k, v in scene.inputs().items()}
+    losses = []
+    for sign in (1, -1):
+        s = scene.with_inputs(inputs | {name: inputs[name] + sign * step * direction})
+        losses.append(float(_loss(fn(s.gaussians, s.camera, s.options, s.background), weights)))
+    return (losses[0] - losses[1]) / (2 * step)
+
+
+def _drjit_gradients(scene: Scene, weights: Tensor) -> dict[str, Tensor]:
+    """By Dr.Jit's autodiff through the loop of autodiff.py."""
+    to_drjit = lambda t: TensorXf64(t.detach().contiguous().numpy())
+    arrays = {k: to_drjit(v) for k, v in scene.inputs().items()}
+    dr.enable_grad(list(arrays.values()))
+    gaussians = Gaussians(**{k: v for k, v in arrays.items() if k != "background"})
+    image = autodiff.render(gaussians, scene.camera, scene.options, arrays["background"])
+    parts = zip(
+        (image.color, image.alpha, image.depth),
+        (weights[..., :-2], weights[..., -2], weights[..., -1]),
+        strict=True,
+    )
+    dr.backward(sum(dr.sum(a.array * to_drjit(w).array) for a, w in parts))
+    return {k: torch.tensor(dr.grad(v).numpy()) for k, v in arrays.items()}
+
+
 def _compare(method: str, name: str, found: Tensor, truth: Tensor, tolerance: float) -> Row:
     off = found - truth
     norm, norm_found = float(truth.norm()), float(found.norm())
     error = float(off.norm()) / norm if norm else float(off.norm())
     cosine = float((found * truth).sum()) / (norm * norm_found) if norm and norm_found else 1.0
     worst = _index(off.abs())
-    return Row(method, name, error, cosine, float(off.abs()[worst]), worst, tolerance)
+    value = float(off.abs()[worst]) if off.numel() else 0.0
+    return Row(method, name, error, cosine, value, worst, tolerance)
 
 
-def _differences(
-    fn: Renderer,
-    scene: Scene,
-    weights: Tensor,
-    name: str,
-    truth: Tensor,
-    entries: int,
-    step: float,
-    generator: Generator,
-    allowed: Tolerances,
+def _probed(
+    method: str, name: str, probe: _Probe, values: list[float], truth: Tensor, tolerance: float
 ) -> Row:
-    """Central differences at the entries with the greatest gradients among a random half."""
-    flat = truth.reshape(-1).abs() * (torch.rand(truth.numel(), generator=generator) < 0.5)
-    chosen = flat.topk(min(entries, flat.numel())).indices.tolist()
-    inputs = {k: v.detach().double() for k, v in scene.inputs().items()}
-    found = []
-    for k in chosen:
-        losses = []
-        for sign in (1, -1):
-            moved = inputs[name].clone()
-            moved.view(-1)[k] += sign * step
-            s = scene.with_inputs(inputs | {name: moved})
-            losses.append(float(_loss(fn(s.gaussians, s.camera, s.options, s.background), weights)))
-        found.append((losses[0] - losses[1]) / (2 * step))
-    found = torch.tensor(found, dtype=torch.float64)
-    row = _compare("differences", name, found, truth.reshape(-1)[chosen], allowed.differences)
-    where = torch.unravel_index(torch.tensor(chosen[row.where[0]]), truth.shape)
-    return replace(row, where=tuple(int(i) for i in where))
+    found = torch.tensor(values, dtype=torch.float64)
+    row = _compare(method, name, found, probe.of(truth), tolerance)
+    return replace(row, where=((), *probe.entries)[row.where[0]])
+
+
+def _depth_ties(scene: Scene) -> int:
+    T = scene.camera.T_camera_world
+    z = np.sort(scene.gaussians.means.detach().numpy() @ T[2, :3] + T[2, 3])
+    return int(np.count_nonzero(np.diff(z) < TIE * np.abs(z[1:])))
 
 
 def _index(values: Tensor) -> tuple[int, ...]:
     if not values.numel():
         return ()
     return tuple(int(i) for i in torch.unravel_index(values.argmax(), values.shape))
-
-
-def random_scene(
-    generator: Generator,
-    gaussians: int = 40,
-    width: int = 32,
-    height: int = 32,
-    degree: int | None = None,
-    channels: int = 3,
-) -> Scene:
-    """Gaussians strewn about the origin, some beyond the picture's border, seen from 3 m.
-
-    Args:
-        generator: of all random numbers.
-        gaussians: how many.
-        width, height: of the picture.
-        degree: of the spherical harmonics; None gives plain colours.
-        channels: of the plain colours.
-    """
-    n = gaussians
-    uniform = lambda low, high, *shape: (
-        low + (high - low) * torch.rand(*shape, generator=generator, dtype=torch.float64)
-    )
-    normal = lambda *shape: torch.randn(*shape, generator=generator, dtype=torch.float64)
-    kwargs = {"colors": uniform(0, 1, n, channels)}
-    if degree is not None:
-        kwargs, channels = {"sh": 0.4 * normal(n, (degree + 1) ** 2, 3)}, 3
-    values = Gaussians(
-        means=uniform(-1, 1, n, 3) * torch.tensor([1.0, 1.0, 0.6], dtype=torch.float64),
-        quats=normal(n, 4),
-        scales=torch.exp(uniform(math.log(0.03), math.log(0.3), n, 3)),
-        opacities=uniform(0.05, 1.0, n),
-        **kwargs,
-    )
-    T_camera_world = look_at((0.6, 0.4, 2.9), (0.0, 0.0, 0.0))
-    focal = 1.7 * max(width, height)
-    camera = Camera(
-        focal, 1.05 * focal, width / 2 + 0.7, height / 2 - 0.4, T_camera_world, width, height
-    )
-    return Scene(values, camera, uniform(0, 1, channels))

@@ -1,5 +1,7 @@
 import gva_mi  # noqa: F401, I001  (first: it chooses the libLLVM)
 
+from copy import deepcopy
+
 import numpy as np
 import pytest
 import torch
@@ -148,7 +150,7 @@ def test_the_mouth_opens_with_the_jaw(body):
     upper, lower = lips & (jaw < 0.3), lips & (jaw > 0.6)
     assert upper.any() and lower.any()
     posed = body(pose_with(jaw=(0.4, 0, 0)), neutral()).vertices[0]
-    gap = lambda v: (v[upper, 1].min() - v[lower, 1].max()).item()
+    gap = lambda v: (v[upper, 1].mean() - v[lower, 1].mean()).item()
     assert gap(posed) > gap(rest) + 0.010
 
 
@@ -159,7 +161,7 @@ def test_the_mouth_opens_with_the_jaw(body):
 def test_correctives_keep_volume_where_a_joint_bends(body, joint, rotation):
     pose = pose_with(**{joint: rotation})
     corrected = volume(body(pose, neutral()).vertices[0], body.faces)
-    plain = load_body(dtype=F64)
+    plain = deepcopy(body)
     plain.pose_directions.zero_()
     collapsed = volume(plain(pose, neutral()).vertices[0], body.faces)
     rest = volume(body.v_template, body.faces)

@@ -45,7 +45,7 @@ def test_surfaces_are_closed_face_outward_and_stand_at_distance_zero():
     mesh = trimesh.Trimesh(*surface(parts, [uneven] * 3), process=False)
     assert mesh.is_watertight and mesh.euler_number == 2 and mesh.volume > 0
     body, bite = (part.solid.distance(mesh.vertices.T) for part in parts)
-    assert np.abs(np.maximum(body, -bite)).max() < 0.005
+    assert np.abs(np.maximum(body, -bite)).max() < 0.008  # fillet and grid
 
 
 def test_the_fillet_fills_the_corner_between_two_solids():

@@ -11,9 +11,10 @@ from gva_mi.errors import InputError
 from gva_mi.fit import checkpoint
 from gva_mi.fit.colors import seen_colors
 from gva_mi.fit.evaluate import evaluate
+from gva_mi.fit.options import FitOptions, Schedule
 from gva_mi.fit.perceptual import Weights
 from gva_mi.fit.targets import Draw, torch_state
-from gva_mi.fit.train import FitOptions, Rates, Schedule, fit
+from gva_mi.fit.train import fit
 
 STEPS = 24
 OPTIONS = FitOptions(
@@ -22,7 +23,6 @@ OPTIONS = FitOptions(
     checkpoint_every=10,
     avatar=AvatarOptions(seed=SeedOptions(count=400)),
     schedule=Schedule(densify_every=5, reinit_at=()),
-    rates=Rates(means=2e-3, sh=0.05),  # a hurry that suits 24 steps
 )
 PARAMETERS = [
     *(f"canonical.{n}" for n in ("means", "quats", "log_scales", "logit_opacities", "sh")),
@@ -60,11 +60,17 @@ def fitted(video, body, tmp_path_factory):
     return fit(video, body, OPTIONS, out), out
 
 
-def test_a_fit_comes_closer_to_frames_it_has_not_seen(fitted, video, body):
+def test_a_fit_comes_closer_to_frames_it_has_not_seen(video, body, tmp_path):
     figures = lambda avatar: evaluate(avatar, video, splits=["test"], weights=Weights())[0]
-    before, after = figures(seed_of(body, video, OPTIONS)), figures(fitted[0])
-    assert after.psnr > before.psnr + 3
+    options = replace(OPTIONS, steps=100, schedule=Schedule(densify_every=0, reinit_at=()))
+    before, after = (
+        figures(seed_of(body, video, OPTIONS)),
+        figures(fit(video, body, options, tmp_path)),
+    )
+    assert after.psnr > before.psnr + 2
     assert after.ssim > before.ssim and after.rand_vgg < before.rand_vgg
+    loss = checkpoint.load_history(tmp_path)["loss"]
+    assert loss[-20:].mean() < 0.8 * loss[:20].mean()
 
 
 def test_the_avatar_is_saved_and_the_checkpoint_is_gone(fitted):
@@ -79,7 +85,7 @@ def test_the_history_has_a_line_per_step(fitted):
     history = checkpoint.load_history(out)
     assert all(len(column) == STEPS for column in history.values())
     np.testing.assert_array_equal(history["step"], np.arange(1, STEPS + 1))
-    assert history["loss"][-5:].mean() < 0.8 * history["loss"][:5].mean()
+    assert all(np.isfinite(column).all() for column in history.values())
 
 
 @pytest.mark.parametrize("name", PARAMETERS)
@@ -152,18 +158,3 @@ def test_reinitialisation_is_reproducible_and_leaves_a_snapshot(video, body, tmp
     assert same(fit(video, body, options, tmp_path / "killed", resume=True), whole)
     ((step, before, after),) = checkpoint.load_snapshots(tmp_path / "whole")
     assert step == STEPS // 2 and len(before) > 0 and len(after) > 0
-
-
-@pytest.mark.parametrize("wrong", [{"steps": 0}, {"window": 5}, {"checkpoint_every": 0}])
-def test_options_that_make_no_sense_are_refused(wrong):
-    with pytest.raises(InputError, match=next(iter(wrong))):
-        replace(OPTIONS, **wrong)
-
-
-def test_a_schedule_counts_in_shares_of_the_run():
-    schedule = Schedule(densify_every=100, densify_from=0.1, densify_until=0.3, reinit_at=(0.5,))
-    rounds = [k for k in range(1, 1001) if schedule.densifies(k, 1000)]
-    assert rounds == [100, 200, 300]
-    assert [k for k in range(1, 1001) if schedule.reinitialises(k, 1000)] == [500]
-    with pytest.raises(InputError, match="reinit_at"):
-        Schedule(reinit_at=(1.5,))

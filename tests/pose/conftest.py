@@ -12,7 +12,7 @@ from gva_mi.data.video import Frame
 from gva_mi.pose.scene import BodyScene
 from gva_mi.splat import Camera, look_at
 
-SIZE = 64
+SIZE = 96
 
 
 @dataclass

@@ -9,8 +9,8 @@ import torch
 from gva_mi.pose import RefineOptions, refine
 from gva_mi.pose.measure import measure
 
-SEQUENCE = RefineOptions(size=64, passes=14)
-PAPER = RefineOptions(loss="paper", size=64, steps=14)
+SEQUENCE = RefineOptions(size=96, passes=12)
+PAPER = RefineOptions(loss="paper", size=96, steps=14)
 
 
 @pytest.fixture(scope="module")
@@ -23,24 +23,25 @@ def paper(clip, body):
     return refine(clip, body, PAPER)
 
 
-@pytest.mark.parametrize("way", ["sequence", "paper"])
-def test_a_known_error_is_undone(request, clip, body, true_pose, way):
+@pytest.mark.parametrize(("way", "left"), [("sequence", 0.5), ("paper", 0.75)])
+def test_a_known_error_is_undone(request, clip, body, true_pose, way, left):
     refined = request.getfixturevalue(way)
     errors = measure(clip, body, refined, (true_pose, clip.shape))
-    assert errors.vertex_mm < 0.5 * errors.vertex_mm_stage1
+    assert errors.vertex_mm < left * errors.vertex_mm_stage1
     assert errors.iou > errors.iou_stage1 and errors.iou_truth > 0.99
     assert (refined.losses < refined.losses_stage1).all() and not refined.kept
 
 
-def test_the_same_call_gives_the_same_bits(sequence, clip, body):
-    again = refine(clip, body, SEQUENCE)
+def test_the_same_call_gives_the_same_bits(clip, body):
+    short = replace(SEQUENCE, passes=3)
+    sequence, again = (refine(clip, body, short) for _ in range(2))
     assert torch.equal(again.pose.rotations, sequence.pose.rotations)
     assert torch.equal(again.pose.transl, sequence.pose.transl)
     assert torch.equal(again.offsets, sequence.offsets)
 
 
 def test_the_order_of_frames_comes_from_the_seed(sequence, clip, body):
-    other = refine(clip, body, replace(SEQUENCE, seed=1))
+    other = refine(clip, body, replace(SEQUENCE, passes=3, seed=1))
     assert not torch.equal(other.pose.rotations, sequence.pose.rotations)
 
 
@@ -54,6 +55,7 @@ def test_the_face_stays(sequence, clip):
         torch.testing.assert_close(getattr(sequence.pose, name), getattr(clip.pose, name))
 
 
+@pytest.mark.slow
 def test_without_normals_the_silhouette_serves(clip, body, true_pose):
     blind = replace(clip, pictures=[(mask, None) for mask, _ in clip.pictures])
     refined = refine(blind, body, SEQUENCE)
@@ -73,7 +75,7 @@ def test_a_frame_without_a_person_keeps_its_pose(clip, body, options):
 
 
 def test_a_frame_that_got_worse_keeps_its_pose(clip, body):
-    wild = replace(SEQUENCE, passes=2, rotation_lr=5.0, translation_lr=0.0, cloth_lr=0.0)
+    wild = replace(SEQUENCE, passes=2, largest_turn=9.0, step=9.0, translation_lr=0.0, cloth_lr=0.0)
     refined = refine(clip, body, wild)
     for k, reason in refined.kept.items():
         assert "grew" in reason

@@ -63,7 +63,7 @@ def test_gradient_is_that_of_the_pose_it_was_rendered_in(scene, body, camera, tr
     """Also where another pose was rendered before the backward pass."""
     shape = Shape(torch.zeros(10))
     vertices = [body(true_pose[k], shape).vertices[0].detach() for k in range(2)]
-    weight = torch.linspace(-1, 1, 64)[None, :, None].expand(64, 64, 4)
+    weight = torch.linspace(-1, 1, 96)[None, :, None].expand(96, 96, 4)
 
     def gradient(other):
         leaf = vertices[0].clone().requires_grad_()

@@ -21,7 +21,7 @@ def points(body):
 
 
 def test_the_cut_holds_the_person_and_its_camera_agrees(frame, points):
-    target = Target.of(frame, 64, points)
+    target = Target.of(frame, 96, points)
     assert float(target.mask.sum()) == pytest.approx(frame.mask.sum())
     shift = frame.camera.project(points.numpy()) - target.camera.project(points.numpy())
     left, top = shift[0].round().astype(int)
@@ -34,7 +34,7 @@ def test_the_cut_holds_the_person_and_its_camera_agrees(frame, points):
 
 def test_losses_vanish_at_the_target_itself_and_do_not_depend_on_its_size(frame, points):
     image = lambda t: torch.cat([t.normals, t.mask[..., None]], dim=-1)
-    for size in (64, 32):
+    for size in (96, 48):
         target = Target.of(frame, size, points)
         shown = image(target)
         assert float(target.silhouette_loss(shown)) == 0
@@ -43,14 +43,14 @@ def test_losses_vanish_at_the_target_itself_and_do_not_depend_on_its_size(frame,
 
 
 def test_without_normals_their_loss_is_zero(frame, points):
-    target = Target.of(replace(frame, normals=None), 64, points)
+    target = Target.of(replace(frame, normals=None), 96, points)
     assert float(target.normal_loss(torch.rand(*target.mask.shape, 4))) == 0
 
 
 def test_frames_that_say_nothing_are_explained(frame, points):
     with pytest.raises(CannotRefine, match="empty"):
-        Target.of(replace(frame, mask=np.zeros_like(frame.mask)), 64, points)
+        Target.of(replace(frame, mask=np.zeros_like(frame.mask)), 96, points)
     with pytest.raises(CannotRefine, match="out of view"):
-        Target.of(frame, 64, points + torch.tensor([20.0, 0, 0]))
+        Target.of(frame, 96, points + torch.tensor([20.0, 0, 0]))
     with pytest.raises(CannotRefine, match="behind the camera"):
-        Target.of(frame, 64, points + torch.tensor([0, 0, 9.0]))
+        Target.of(frame, 96, points + torch.tensor([0, 0, 9.0]))

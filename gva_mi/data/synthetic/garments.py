@@ -229,7 +229,7 @@ def shirt(
     )
     neckline = 0.40 * np.linalg.norm(joints["left_shoulder"] - neck) - radius
     field = smax(field, neckline, 0.015)
-    collar = neck[1] + 0.012 - 0.3 * (z - neck[2])  # higher at the nape
+    collar = neck[1] + 0.03 - 0.35 * (z - neck[2])  # higher at the nape
     field = smax(field, y - collar + 0 * x, 0.015)
     return surface_of(grid, field, uncut)
 

@@ -27,7 +27,7 @@ ROTATION: Mapping[str, float] = {
     "hip": 0.06, "knee": 0.085, "ankle": 0.15, "foot": 0.15,
 }  # fmt: skip
 HEAD, FINGER = 0.02, 0.16  # jaw and eyes; every joint of the fingers
-DEPTH, ASIDE = 0.038, 0.008  # m, translation along the line of sight, and across it
+DEPTH, ASIDE = 0.028, 0.008  # m, translation along the line of sight, and across it
 BETAS = 0.25  # standard deviations
 MEMORY = 5.0  # frames over which an error persists
 

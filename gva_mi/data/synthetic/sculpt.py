@@ -13,8 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pymeshlab
-import trimesh
 
 from gva_mi.body.pose import JOINTS, PARENTS
 from gva_mi.body.puppet import PUPPET
@@ -52,6 +50,8 @@ def decimate(vertices: np.ndarray, faces: np.ndarray, target: int) -> tuple[np.n
 
     The open border stays in its plane.
     """
+    import pymeshlab
+
     x, y, z = vertices.T
     detail = np.ones(len(vertices))
     detail[y < -0.87] = 8.0
@@ -133,6 +133,8 @@ def _edges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def sculpt(options: SculptOptions | None = None) -> dict[str, np.ndarray]:
     """The puppet as the arrays of an SMPL-X file."""
+    import trimesh
+
     options = options or SculptOptions()
     vertices, faces = half_surface(options)
     edges, count = _edges(faces)

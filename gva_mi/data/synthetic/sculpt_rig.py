@@ -3,12 +3,15 @@ regressor."""
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-import scipy.sparse as sparse
-from scipy.sparse.linalg import splu
 
 from gva_mi.body.pose import JOINTS
 from gva_mi.data.synthetic.sculpt_figure import Bone, bones, facial_regions, joint_positions
+
+if TYPE_CHECKING:
+    import scipy.sparse as sparse
 
 _NEAREST = 90  # vertices that a joint is regressed from
 _QUANTUM = 4096  # weights are multiples of 1/4096, so that rows sum to 1 to the bit
@@ -25,6 +28,9 @@ def skinning_weights(vertices: np.ndarray, faces: np.ndarray, twin: np.ndarray) 
     So the weights are smooth, lie in [0, 1], sum to 1, and pass from bone to bone over about one
     limb's radius.
     """
+    import scipy.sparse as sparse
+    from scipy.sparse.linalg import splu
+
     n = len(vertices)
     nearest, best, d = np.zeros(n, int), np.full(n, np.inf), np.zeros(n)
     for bone in bones():
@@ -45,6 +51,8 @@ def skinning_weights(vertices: np.ndarray, faces: np.ndarray, twin: np.ndarray) 
 
 def laplacian(vertices: np.ndarray, faces: np.ndarray) -> tuple[sparse.csr_matrix, np.ndarray]:
     """Cotangent Laplacian (V, V), positive semi-definite, and the area of each vertex (V,)."""
+    import scipy.sparse as sparse
+
     n = len(vertices)
     L, area = sparse.csr_matrix((n, n)), np.zeros(n)
     for k in range(3):

@@ -17,8 +17,6 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
-from skimage.measure import marching_cubes
 
 Coordinates = Sequence[np.ndarray]  # x, y, z, metres
 Box = tuple[np.ndarray, np.ndarray]  # the lowest and the highest corner, (3,) each
@@ -102,6 +100,8 @@ class Loft:
     caps: tuple[float, float] = (0.02, 0.02)  # metres that the closing half ellipsoids stand out
 
     def distance(self, at: Coordinates) -> np.ndarray:
+        from scipy.interpolate import PchipInterpolator
+
         table = np.asarray(self.sections, dtype=np.float64)
         t, (u, v) = at[self.axis], (x for k, x in enumerate(at) if k != self.axis)
         inside = np.clip(t, table[0, 0], table[-1, 0])
@@ -145,6 +145,8 @@ def surface(parts: Sequence[Part], axes: Coordinates) -> tuple[np.ndarray, np.nd
     Returns:
         vertices (V, 3) and faces (F, 3), counter-clockwise seen from outside.
     """
+    from skimage.measure import marching_cubes
+
     field = np.full([len(axis) for axis in axes], 0.2, dtype=np.float32)
     for part in parts:
         low, high = part.solid.bounds()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -51,7 +51,7 @@ class Wardrobe:
 
     @staticmethod
     def draw(rng: np.random.Generator) -> Wardrobe:
-        return Wardrobe(
+        drawn = Wardrobe(
             sleeve=float(rng.choice([rng.uniform(0.45, 0.75), rng.uniform(1.6, 1.9)])),
             hem=float(rng.uniform(0.08, 0.17)),
             loose=float(rng.uniform(0.012, 0.026)),
@@ -59,6 +59,8 @@ class Wardrobe:
             hair=str(rng.choice(["bob", "bob", "long", "short"])),
             hair_thick=float(rng.uniform(0.012, 0.02)),
         )
+        # A skirt spreads from the hips, and would come through a longer shirt.
+        return replace(drawn, hem=0.4 * drawn.hem) if drawn.bottom == "skirt" else drawn
 
 
 @dataclass(frozen=True)

@@ -137,10 +137,11 @@ def _skin(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
     mouth = dr.lerp(mouth, like(0.06, 0.015, 0.012), 0.85 * gap)
     color = dr.select(front, mouth, color)
 
+    nail_color = dr.minimum(1.15 * base + like(0.13, 0.09, 0.08), 0.85)
     for nail in look.nails:
         d = dr.square(p.x - nail[0]) / 0.0058**2 + dr.square(p.z - nail[2]) / 0.0046**2
-        on = _inside(1 - d, 0.25) & (p.y > nail[1] - 0.002)
-        color = dr.lerp(color, like(0.72, 0.42, 0.36), 0.8 * on)
+        on = dr.select(p.y > nail[1] - 0.003, _inside(1 - d, 0.25), 0.0)
+        color = dr.lerp(color, nail_color, 0.9 * on)
     if look.swimsuit:
         suit = _inside(look.shoulder[1] - 0.10 - p.y, 0.003) * _inside(
             p.y - look.hip[1] + 0.08, 0.003
@@ -170,7 +171,8 @@ def _bottom(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
         leg, dr.atan2(p.z, dr.abs(p.x) - look.hip[0]) * 0.085, dr.atan2(p.z, p.x) * 0.16
     )
     color = _cloth(look.bottom, p, p.y, around)
-    side_seam = _inside(0.0025 - dr.abs(p.z - look.hip[2]), 0.001) & (dr.abs(p.x) > look.hip[0])
+    seam = _inside(0.0025 - dr.abs(p.z - look.hip[2]), 0.001)
+    side_seam = dr.select(dr.abs(p.x) > look.hip[0], seam, 0.0)
     return color * (1 - 0.25 * side_seam)
 
 
@@ -181,8 +183,8 @@ def _shoes(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
     toe = p.z - look.hip[2]
     laces = _inside(0.0035 - dr.abs(dr.abs((toe * 45) - dr.round(toe * 45)) / 45 - 0.004), 0.001)
     middle = dr.abs(dr.abs(p.x) - look.hip[0] - 0.022) < 0.02
-    on = laces & middle & (toe > 0.0) & (toe < 0.075) & (height > 0.05)
-    color = dr.lerp(color, like(0.75), on)
+    on_top = middle & (toe > 0.0) & (toe < 0.075) & (height > 0.05)
+    color = dr.lerp(color, like(0.75), dr.select(on_top, laces, 0.0))
     return dr.lerp(color, like(0.72, 0.70, 0.66), _inside(0.016 - height, 0.001))
 
 

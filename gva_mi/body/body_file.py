@@ -1,0 +1,165 @@
+"""Body files on disk: SMPL-X's npz, and SMPL's and SMPL+H's, read and checked array by array.
+
+==================  ===================================  ======================================
+Key                 Shape                                Meaning
+==================  ===================================  ======================================
+v_template          (V, 3)                               the mean person in the T-pose, metres
+f                   (F, 3)                               triangles
+shapedirs           (V, 3, B + E)                        shape, then expression directions
+posedirs            (V, 3, 9 (J − 1))                    pose correctives
+J_regressor         (J, V)                               joints from the rest vertices
+weights             (V, J)                               skinning weights
+kintree_table       (2, J)                               parents; joints
+hands_meanl, -r     (45,)                                mean hand relative to flat, axis-angle
+hands_componentsl…  (K, 45)                              PCA of hand poses; optional
+==================  ===================================  ======================================
+
+J is 55, 52 or 24; SMPL has no hands. In SMPL-X, 400 directions or more are 300 betas and then
+expressions (version 1.1), fewer are 10 betas and up to 10 expressions (1.0). In the older formats
+all of them are betas.
+"""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from gva_mi.body.pose import JOINTS
+from gva_mi.body.smpl import FORMATS, SMPL, SMPLX, Format, lift
+from gva_mi.errors import InputError
+
+LICENSED = "https://smpl-x.is.tue.mpg.de"
+_ROOT = 4294967295  # the root's parent in the files: -1 as an unsigned integer
+_SKIN = (
+    "v_template", "f", "shapedirs", "posedirs", "J_regressor", "weights", "kintree_table",
+)  # fmt: skip
+_HANDS = ("hands_meanl", "hands_meanr")
+_OPTIONAL = ("hands_componentsl", "hands_componentsr", "joint_names")
+
+
+def read_body(path: Path) -> dict[str, np.ndarray]:
+    """The arrays of a body file, on SMPL-X's 55 joints, with ``num_betas`` beside them.
+
+    Raises:
+        InputError: naming the file, the key, and the shape that was found.
+    """
+    if path.suffix.lower() in (".pkl", ".pickle"):
+        raise InputError(
+            f"{path}: pickled bodies are not read, for a pickle can run any code; download "
+            f"the same model as .npz ('SMPL-X v1.1, NPZ+PKL' at {LICENSED}), or, for SMPL, save "
+            "the pickle's arrays once with numpy.savez, sparse ones as dense"
+        )
+    if not path.is_file():
+        raise InputError(
+            f"{path}: no such file; expected a body in SMPL-X's .npz format. SMPL-X is licensed at "
+            f"{LICENSED}; without a body file the built-in puppet is used"
+        )
+    arrays = _read(path)
+    form = _check(path, arrays)
+    betas = _betas(arrays["shapedirs"].shape[2], form)
+    return lift(arrays, form) | {"num_betas": np.array(betas)}
+
+
+def _read(path: Path) -> dict[str, np.ndarray]:
+    try:
+        file = np.load(path, allow_pickle=False)
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise InputError(
+            f"{path}: not a readable .npz, or cut short ({error}); expected SMPL-X's arrays"
+        ) from None
+    if not isinstance(file, np.lib.npyio.NpzFile):
+        raise InputError(f"{path}: a single array; expected an .npz with {', '.join(_SKIN)}")
+    with file:
+        missing = [key for key in _SKIN if key not in file.files]
+        if missing:
+            raise InputError(
+                f"{path}: key '{missing[0]}' is missing; "
+                f"found: {', '.join(sorted(file.files)) or 'none'}"
+            )
+        arrays = {}
+        for key in (*_SKIN, *(k for k in (*_HANDS, *_OPTIONAL) if k in file.files)):
+            try:
+                arrays[key] = file[key]
+            except Exception as error:  # the zip, zlib and numpy each have their own
+                raise InputError(
+                    f"{path}: key '{key}' cannot be read, the file is damaged or holds objects "
+                    f"({error})"
+                ) from None
+    return arrays
+
+
+def _check(path: Path, arrays: dict[str, np.ndarray]) -> Format:
+    form = _format(path, arrays)
+    missing = [key for key in _HANDS if key not in arrays and form is not SMPL]
+    if missing:
+        raise InputError(
+            f"{path}: key '{missing[0]}' is missing; found: {', '.join(sorted(arrays))}"
+        )
+    vertices, joints = len(arrays["v_template"]), len(form.joints)
+    shapes = {
+        "v_template": (vertices, 3), "f": (None, 3), "shapedirs": (vertices, 3, None),
+        "posedirs": (vertices, 3, 9 * (joints - 1)), "J_regressor": (joints, vertices),
+        "weights": (vertices, joints), "kintree_table": (2, joints),
+        "hands_meanl": (45,), "hands_meanr": (45,),
+        "hands_componentsl": (None, 45), "hands_componentsr": (None, 45),
+    }  # fmt: skip
+    for key, shape in shapes.items():
+        if key in arrays:
+            _check_array(path, key, arrays[key], shape)
+    left, right = (len(arrays.get(key, ())) for key in _OPTIONAL[:2])
+    if left != right:
+        raise InputError(
+            f"{path}: 'hands_componentsl' has {left} rows, 'hands_componentsr' has {right}"
+        )
+    if arrays["f"].max() >= vertices or arrays["f"].min() < 0:
+        raise InputError(f"{path}: 'f' names vertex {arrays['f'].max()}, but there are {vertices}")
+    if not np.allclose(arrays["weights"].sum(1, dtype=np.float64), 1, atol=1e-2):
+        raise InputError(f"{path}: 'weights' must have rows that sum to 1")
+    return form
+
+
+def _check_array(path: Path, key: str, array: np.ndarray, shape: tuple[int | None, ...]) -> None:
+    fits = array.ndim == len(shape) and all(
+        want in (None, got) for want, got in zip(shape, array.shape, strict=True)
+    )
+    if not fits or array.size == 0:
+        wanted = "(" + ", ".join("*" if n is None else str(n) for n in shape) + ")"
+        raise InputError(f"{path}: '{key}' must be {wanted}, found {array.shape}")
+    if key in ("f", "kintree_table"):
+        if not np.issubdtype(array.dtype, np.integer):
+            raise InputError(f"{path}: '{key}' must hold integers, found {array.dtype}")
+    elif not np.issubdtype(array.dtype, np.floating):
+        raise InputError(f"{path}: '{key}' must be floating point, found {array.dtype}")
+    elif not np.isfinite(array).all():
+        raise InputError(f"{path}: '{key}' holds a number that is not finite")
+
+
+def _format(path: Path, arrays: dict[str, np.ndarray]) -> Format:
+    """Which format it is, by its tree."""
+    tree = arrays["kintree_table"]
+    form = FORMATS.get(tree.shape[-1]) if tree.ndim == 2 else None
+    if form is None:
+        known = ", ".join(f"(2, {n}) {f.name}" for n, f in sorted(FORMATS.items()))
+        raise InputError(f"{path}: 'kintree_table' must be one of {known}; found {tree.shape}")
+    parents = [-1 if p in (-1, _ROOT) else int(p) for p in tree[0].tolist()]
+    names = arrays["joint_names"].tolist() if form is SMPLX and "joint_names" in arrays else None
+    if tuple(parents) != form.parents:
+        key = "kintree_table"
+    elif names is not None and tuple(names) != JOINTS:
+        key = "joint_names"
+    else:
+        return form
+    raise InputError(
+        f"{path}: '{key}' is not the tree of {form.name}'s {len(form.joints)} joints, in which the "
+        "root comes first, then 21 body joints, then in SMPL-X jaw and eyes, then the hands, left "
+        "before right"
+    )
+
+
+def _betas(directions: int, form: Format) -> int:
+    """How many of the shape directions are betas."""
+    if form is not SMPLX:
+        return directions
+    return 300 if directions >= 400 else min(10, directions)

@@ -1,0 +1,81 @@
+"""The options of a fit: learning rates, schedule, and those of every part that it drives."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from gva_mi.avatar.avatar import AvatarOptions
+from gva_mi.avatar.densify import DensifyOptions
+from gva_mi.avatar.reinit import ReinitOptions
+from gva_mi.errors import InputError
+from gva_mi.fit.losses import LossOptions
+from gva_mi.splat import SplatOptions
+
+
+@dataclass(frozen=True)
+class Rates:
+    """Learning rates of Adam, the field's (Kerbl et al. 2023, and avatars after it)."""
+
+    means: float = 5e-4  # metres; falls exponentially to
+    means_end: float = 5e-6  # this at the last step
+    quats: float = 1e-3
+    log_scales: float = 5e-3
+    logit_opacities: float = 5e-2
+    sh: float = 2.5e-3
+    residual: float = 1e-3  # of the pose-conditioned MLP's weights
+    pose: float = 0.0  # radians and metres; 0: the training poses stay as they are
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """When Gaussians are added, removed, and put back on the surface."""
+
+    densify_every: int = 200  # steps; 0: never
+    densify_from: float = 0.05  # share of all steps, the first round comes after it
+    densify_until: float = 0.6  # share of all steps, the last round comes before it
+    reinit_at: tuple[float, ...] = (0.25, 0.5)  # shares of all steps; empty: never
+
+    def __post_init__(self) -> None:
+        if self.densify_every < 0 or not 0 <= self.densify_from <= self.densify_until <= 1:
+            raise InputError("fit: densify_every must be 0 or more, 0 <= from <= until <= 1")
+        if not all(0 < share < 1 for share in self.reinit_at):
+            raise InputError(f"fit: reinit_at must lie between 0 and 1, got {self.reinit_at}")
+
+    def densifies(self, step: int, steps: int) -> bool:
+        """Whether a round of density control follows a step, the first being 1."""
+        within = self.densify_from * steps <= step <= self.densify_until * steps
+        return self.densify_every > 0 and within and step % self.densify_every == 0
+
+    def reinitialises(self, step: int, steps: int) -> bool:
+        """Whether a re-initialisation follows a step."""
+        return step in {max(1, round(share * steps)) for share in self.reinit_at}
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """How an avatar is fitted."""
+
+    steps: int = 3000  # one frame each
+    seed: int = 0  # of all chance in the run
+    random_background: bool = True  # another colour each step, so that alpha is learned; else white
+    window: int = 128  # pixels, side of the random part seen by the perceptual and SSIM terms
+    vgg16: Path | None = None  # the user's VGG16 weights for the perceptual term; none: rand_vgg
+    checkpoint_every: int = 500  # steps
+    avatar: AvatarOptions = AvatarOptions()
+    rates: Rates = Rates()
+    schedule: Schedule = Schedule()
+    densify: DensifyOptions = DensifyOptions()
+    reinit: ReinitOptions = ReinitOptions()
+    loss: LossOptions = LossOptions()
+    splat: SplatOptions = SplatOptions()
+
+    def __post_init__(self) -> None:
+        for name, least in (("steps", 1), ("window", 11), ("checkpoint_every", 1), ("seed", 0)):
+            if getattr(self, name) < least:
+                raise InputError(f"fit: {name} must be {least} or more, got {getattr(self, name)}")
+
+    def plain(self) -> dict[str, Any]:
+        """The options as numbers, strings and dictionaries of them, for a file."""
+        return asdict(self) | {"vgg16": self.vgg16 and str(self.vgg16)}

@@ -1,0 +1,65 @@
+"""Adam for vectors: one step size for a vector, not one for each of its coordinates.
+
+    m ← β1 m + (1 - β1) g,     v ← β2 v + (1 - β2) |g|²,     x ← x - lr m̂ / (√v̂ + ε)
+
+with ``|g|²`` over the last axis (Ling et al., *VectorAdam*, 2022). Adam proper moves every
+coordinate by about its learning rate, however little the picture says about it: the twist of a
+forearm, which is hardly seen, would drift as fast as its swing. Here the direction of the gradient
+is kept, and the result does not depend on the axes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+EPSILON = 1e-12
+
+
+@dataclass
+class _State:
+    steps: int
+    m: Tensor
+    v: Tensor
+
+
+@dataclass
+class VectorAdam:
+    """Moves tensors (..., D) of vectors; a tensor without a gradient rests, and so does its memory.
+
+    Attributes:
+        tensors: the leaves.
+        rates: for each leaf its learning rate, a number or (..., 1) of the leaf's shape.
+        betas: how slowly ``m`` and ``v`` forget.
+    """
+
+    tensors: Sequence[Tensor]
+    rates: Sequence[float | Tensor]
+    betas: tuple[float, float] = (0.9, 0.99)
+    _states: dict[int, _State] = field(default_factory=dict, repr=False)
+
+    @torch.no_grad()
+    def step(self, factor: float = 1.0) -> None:
+        """One step of all leaves that have a gradient, which is then cleared.
+
+        Args:
+            factor: scales all learning rates, for a schedule.
+        """
+        beta1, beta2 = self.betas
+        for number, (x, rate) in enumerate(zip(self.tensors, self.rates, strict=True)):
+            if x.grad is None:
+                continue
+            if number not in self._states:
+                rows = torch.zeros_like(x[..., :1])
+                self._states[number] = _State(0, torch.zeros_like(x), rows)
+            state = self._states[number]
+            state.steps += 1
+            state.m.mul_(beta1).add_(x.grad, alpha=1 - beta1)
+            state.v.mul_(beta2).add_(x.grad.square().sum(-1, keepdim=True), alpha=1 - beta2)
+            m = state.m / (1 - beta1**state.steps)
+            v = state.v / (1 - beta2**state.steps)
+            x -= factor * rate * m / (v.sqrt() + EPSILON)
+            x.grad = None

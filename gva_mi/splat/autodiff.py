@@ -1,0 +1,137 @@
+"""The picture by Dr.Jit's own autodiff through a plain loop: a witness for the adjoints.
+
+No kernel here has a hand-written derivative. Every pixel is one lane and meets every Gaussian in
+depth order, and Dr.Jit differentiates the statements and the loop:
+
+    Sigma' = J R Sigma R^T J^T + blur I,   J the derivative of the perspective division
+    alpha  = min(alpha_max, o exp(-d^T Sigma'^-1 d / 2));  0 where that is below alpha_min
+    T'     = T (1 - alpha);  stop before T' falls to transmittance_min
+    color  = sum T alpha c + T background
+
+It is slow and takes memory for every turn of the loop (pixels x Gaussians x state): for small
+pictures. Its gradients are sums by atomic additions, whose last digits differ from run to run.
+
+Note:
+    Three traps of Dr.Jit 1.5.0 that cost a wrong gradient without a word, or the process:
+    ``max_iterations`` must be a true bound (-1 is for loops without state between turns); a state
+    of the loop must not be Boolean; and an array must be unravelled once, for of two unravelled
+    copies only one hands its gradient on.
+"""
+
+from __future__ import annotations
+
+import drjit as dr
+from drjit import ArrayBase as Array
+from drjit.llvm import ad
+
+from gva_mi.splat import sh
+from gva_mi.splat.camera import Camera
+from gva_mi.splat.gaussians import Gaussians, Image
+from gva_mi.splat.options import SplatOptions
+
+_DEFAULTS = SplatOptions()
+
+
+def render(
+    gaussians: Gaussians,
+    camera: Camera,
+    options: SplatOptions = _DEFAULTS,
+    background: Array = None,
+) -> Image:
+    """The picture of ``gaussians`` from a pinhole ``camera``, differentiable by Dr.Jit.
+
+    Args:
+        gaussians: ``TensorXf64`` from ``drjit.llvm.ad``, at least one Gaussian.
+        camera: the view.
+        options: cut-offs.
+        background: (D,) tensor of the same kind; black where None.
+
+    Returns:
+        color (H, W, D), alpha (H, W) and depth (H, W), tensors of the same kind.
+    """
+    kind, F, n = type(gaussians.means), ad.Float64, len(gaussians)
+    D = gaussians.channels
+    behind = background.array if background is not None else dr.zeros(F, D)
+    means = dr.unravel(ad.Array3f64, gaussians.means.array)
+    x, u, conic = _project(means, gaussians, camera, options)
+    if gaussians.sh is None:
+        rows = dr.arange(ad.UInt, n) * D
+        features = [dr.gather(F, gaussians.colors.array, rows + c) for c in range(D)]
+    else:
+        columns = gaussians.sh.shape[1] * 3
+        rows = dr.arange(ad.UInt, n) * columns
+        h = [dr.gather(F, gaussians.sh.array, rows + c) for c in range(columns)]
+        features = sh.color(h, list(means), [F(o) for o in camera.position])
+    features = [*features, x.z]
+
+    drawn = (x.z > options.near) & (x.z < options.far)
+    opacity = dr.select(drawn, gaussians.opacities.array, 0)
+    order = ad.UInt(dr.argsort(dr.detach(x.z, preserve_type=False)))
+    columns = [*u, *conic, opacity, *features]
+    dr.eval(columns, order)
+
+    pixel = dr.arange(ad.UInt, camera.width * camera.height)
+    px = F(pixel % camera.width) + 0.5
+    py = F(pixel // camera.width) + 0.5
+
+    def body(k: Array, T: Array, alive: Array, *C: Array) -> tuple[Array, ...]:
+        i = dr.gather(ad.UInt, order, k)
+        u, v, a, b, c, o, *f = (dr.gather(F, column, i) for column in columns)
+        dx, dy = px - u, py - v
+        free = o * dr.exp(-0.5 * (a * dx * dx + 2 * b * dx * dy + c * dy * dy))
+        alpha = dr.select(free < options.alpha_max, free, options.alpha_max)
+        alpha = dr.select(free >= options.alpha_min, alpha, 0)
+        rest = T * (1 - alpha)
+        goes_on = (alive > 0) & (rest > options.transmittance_min)
+        weight = dr.select(goes_on, T * alpha, 0)
+        C = [total + weight * channel for total, channel in zip(C, f, strict=True)]
+        return (k + 1, dr.select(goes_on, rest, T), dr.select(goes_on, alive, 0), *C)
+
+    # alive counts 1 or 0: a Boolean state aborts the process in Dr.Jit 1.5.0's reverse loops
+    state = (pixel * 0, F(1) + px * 0, pixel * 0 + 1, *(px * 0 for _ in features))
+    _, T, _, *C = dr.while_loop(state, lambda k, *_: k < n, body, mode="symbolic", max_iterations=n)
+    color = dr.zeros(F, dr.width(pixel) * D)
+    for c in range(D):
+        value = C[c] + T * dr.gather(F, behind, ad.UInt(c))
+        dr.scatter(color, value, pixel * D + c, mode=dr.ReduceMode.NoConflicts)
+    size = (camera.height, camera.width)
+    return Image(kind(color, shape=(*size, D)), kind(1 - T, shape=size), kind(C[D], shape=size))
+
+
+def _project(
+    means: Array, gaussians: Gaussians, camera: Camera, options: SplatOptions
+) -> tuple[Array, list[Array], list[Array]]:
+    """Means in camera space and in the picture, and the inverse covariances there."""
+    M3, F = ad.Matrix3f64, ad.Float64
+    R = M3(camera.T_camera_world[:3, :3].tolist())
+    t = ad.Array3f64(camera.T_camera_world[:3, 3].tolist())
+    x = R @ means + t
+    z = dr.select(x.z > options.near, x.z, 1)  # what lies before the near plane is not drawn
+
+    w, i, j, k = dr.unravel(ad.Array4f64, gaussians.quats.array)
+    length = dr.sqrt(w * w + i * i + j * j + k * k)
+    whole = length > 0  # a zero quaternion is no rotation
+    unit = [dr.select(whole, q / dr.select(whole, length, 1), 0) for q in (i, j, k)]
+    w = dr.select(whole, w / dr.select(whole, length, 1), 1)
+    rotation = dr.quat_to_matrix(M3, ad.Quaternion4f64(*unit, w))
+    scales = dr.unravel(ad.Array3f64, gaussians.scales.array)
+
+    slopes = []
+    for slope, f, c, size in (
+        (x.x / z, camera.fx, camera.cx, camera.width),
+        (x.y / z, camera.fy, camera.cy, camera.height),
+    ):  # gsplat: the derivative follows the mean up to 15 % of the picture beyond its border
+        low, high = (-c - 0.15 * size) / f, (size - c + 0.15 * size) / f
+        slopes.append(dr.select(slope < low, low, dr.select(slope > high, high, slope)))
+    zero = F(0)
+    J = M3(
+        [camera.fx / z, zero, -camera.fx * slopes[0] / z],
+        [zero, camera.fy / z, -camera.fy * slopes[1] / z],
+        [zero, zero, zero],
+    )
+    A = J @ R @ rotation @ dr.diag(scales)
+    C = A @ A.T
+    xx, xy, yy = C[0, 0] + options.blur, C[0, 1], C[1, 1] + options.blur
+    det = xx * yy - xy * xy
+    u = [camera.fx * x.x / z + camera.cx, camera.fy * x.y / z + camera.cy]
+    return x, u, [yy / det, -xy / det, xx / det]

@@ -1,0 +1,228 @@
+"""Scenes to check and to measure the kernels with: from a file, strewn at random, or a person."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Generator, Tensor
+
+from gva_mi.errors import InputError
+from gva_mi.splat.camera import Camera, look_at
+from gva_mi.splat.gaussians import Gaussians
+from gva_mi.splat.options import SplatOptions
+
+ARRAYS = ("means", "quats", "scales", "opacities")  # of a scene's file, beside colours and camera
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Everything a picture is made of."""
+
+    gaussians: Gaussians  # float64 torch tensors
+    camera: Camera
+    background: Tensor  # (D,) float64
+    options: SplatOptions = SplatOptions()
+
+    @staticmethod
+    def of(
+        gaussians: Gaussians,
+        camera: Camera,
+        background: np.ndarray,
+        options: SplatOptions | None = None,
+    ) -> Scene:
+        """From Gaussians of numpy arrays."""
+        to_torch = lambda array: torch.tensor(np.asarray(array, dtype=np.float64))
+        tensors = Gaussians(**{k: to_torch(v) for k, v in gaussians.arrays().items()})
+        return Scene(tensors, camera, to_torch(background), options or SplatOptions())
+
+    @staticmethod
+    def load(path: Path) -> Scene:
+        """A scene from an .npz file.
+
+        Args:
+            path: holds means (N, 3), quats (N, 4), scales (N, 3), opacities (N,); sh (N, K, 3) or
+                colors (N, D), sh first where both are there; viewmat (4, 4), K (3, 3), width,
+                height; background (D,), black where missing.
+
+        Raises:
+            InputError: naming what is missing or does not fit.
+        """
+        try:
+            with np.load(path) as file:
+                arrays = dict(file)
+        except FileNotFoundError:
+            raise InputError(f"{path}: no such scene") from None
+        except (OSError, ValueError) as error:
+            raise InputError(f"{path}: not an .npz file ({error})") from None
+        missing = [k for k in (*ARRAYS, "viewmat", "K", "width", "height") if k not in arrays]
+        if "sh" not in arrays and "colors" not in arrays:
+            missing.append("sh or colors")
+        if missing:
+            raise InputError(f"{path}: a scene needs {', '.join(missing)}")
+        color = "sh" if "sh" in arrays else "colors"
+        try:
+            camera = Camera.from_matrices(
+                arrays["K"], arrays["viewmat"], int(arrays["width"]), int(arrays["height"])
+            )
+            gaussians = Gaussians(**{k: arrays[k] for k in (*ARRAYS, color)})
+            gaussians.check_shapes()
+        except ValueError as error:
+            raise InputError(f"{path}: {error}") from None
+        return Scene.of(gaussians, camera, arrays.get("background", np.zeros(gaussians.channels)))
+
+    def inputs(self) -> dict[str, Tensor]:
+        """What is differentiated, by name."""
+        return self.gaussians.arrays() | {"background": self.background}
+
+    def with_inputs(self, inputs: dict[str, Tensor]) -> Scene:
+        """The same scene with other tensors."""
+        inputs = dict(inputs)
+        background = inputs.pop("background")
+        return replace(self, gaussians=Gaussians(**inputs), background=background)
+
+    def to(self, dtype: torch.dtype) -> Scene:
+        """The same scene in another precision, detached and ready for gradients."""
+        inputs = self.inputs().items()
+        return self.with_inputs({k: v.detach().to(dtype).requires_grad_() for k, v in inputs})
+
+    def window(self, left: int, top: int, width: int, height: int) -> Scene:
+        """A part of the picture as a scene of its own, without the Gaussians that miss it."""
+        g, camera = self.gaussians, self.camera.cropped(left, top, width, height)
+        means, scales = g.means.detach().numpy(), g.scales.detach().numpy()
+        T = camera.T_camera_world
+        x = means @ T[:3, :3].T + T[:3, 3]
+        ahead = x[:, 2] > self.options.near
+        z = np.where(ahead, x[:, 2], 1.0)
+        slope = x[:, :2] / z[:, None]
+        # |J| <= f/z sqrt(1 + |slope|^2), and alpha < alpha_min beyond this many sigma
+        sigmas = math.sqrt(2 * math.log(1 / self.options.alpha_min))
+        size = scales.max(axis=1) * max(camera.fx, camera.fy) / z
+        spread = (size**2) * (1 + (slope**2).sum(axis=1)) + self.options.blur
+        reach = sigmas * np.sqrt(spread)
+        u = slope * [camera.fx, camera.fy] + [camera.cx, camera.cy]
+        near = (u + reach[:, None] > 0) & (u - reach[:, None] < [width, height])
+        keep = torch.from_numpy(ahead & near.all(axis=1))
+        kept = {k: v[keep] for k, v in g.arrays().items()}
+        return replace(self, gaussians=Gaussians(**kept), camera=camera)
+
+    def windows(self, size: int, count: int) -> Iterator[tuple[str, Scene]]:
+        """``count`` windows of ``size`` pixels, from the fullest to the emptiest, by their place."""
+        u = self.camera.project(self.gaussians.means.detach().numpy())
+        columns, rows = max(1, self.camera.width // size), max(1, self.camera.height // size)
+        extent = [[0, columns * size], [0, rows * size]]
+        crowd, _, _ = np.histogram2d(u[:, 0], u[:, 1], bins=(columns, rows), range=extent)
+        places = np.argsort(-crowd, axis=None, kind="stable")[: np.count_nonzero(crowd)]
+        if not len(places):
+            raise InputError("the scene's camera sees none of its Gaussians")
+        picked = np.linspace(0, len(places) - 1, count).astype(int)
+        for place in dict.fromkeys(places[picked].tolist()):
+            left, top = (int(i) * size for i in np.unravel_index(place, crowd.shape))
+            width = min(size, self.camera.width - left)
+            height = min(size, self.camera.height - top)
+            yield f"pixel {left}, {top}", self.window(left, top, width, height)
+
+
+def random_scene(
+    generator: Generator,
+    gaussians: int = 40,
+    width: int = 32,
+    height: int = 32,
+    degree: int | None = None,
+    channels: int = 3,
+) -> Scene:
+    """Gaussians strewn about the origin, some beyond the picture's border, seen from 3 m.
+
+    Args:
+        generator: of all random numbers.
+        gaussians: how many.
+        width, height: of the picture.
+        degree: of the spherical harmonics; None gives plain colours.
+        channels: of the plain colours.
+    """
+    n = gaussians
+    uniform = lambda low, high, *shape: (
+        low + (high - low) * torch.rand(*shape, generator=generator, dtype=torch.float64)
+    )
+    normal = lambda *shape: torch.randn(*shape, generator=generator, dtype=torch.float64)
+    kwargs = {"colors": uniform(0, 1, n, channels)}
+    if degree is not None:
+        kwargs, channels = {"sh": 0.4 * normal(n, (degree + 1) ** 2, 3)}, 3
+    values = Gaussians(
+        means=uniform(-1, 1, n, 3) * torch.tensor([1.0, 1.0, 0.6], dtype=torch.float64),
+        quats=normal(n, 4),
+        scales=torch.exp(uniform(math.log(0.03), math.log(0.3), n, 3)),
+        opacities=uniform(0.05, 1.0, n),
+        **kwargs,
+    )
+    T_camera_world = look_at((0.6, 0.4, 2.9), (0.0, 0.0, 0.0))
+    focal = 1.7 * max(width, height)
+    camera = Camera(
+        focal, 1.05 * focal, width / 2 + 0.7, height / 2 - 0.4, T_camera_world, width, height
+    )
+    return Scene(values, camera, uniform(0, 1, channels))
+
+
+PERSON = (  # tapered capsules: end a, end b (m, y up), radius at a, radius at b (m)
+    ((0.0, 0.93, 0.0), (0.0, 1.38, 0.0), 0.145, 0.155),  # trunk
+    ((0.0, 1.40, 0.0), (0.0, 1.52, 0.0), 0.055, 0.055),  # neck
+    ((0.0, 1.57, 0.01), (0.0, 1.70, 0.01), 0.090, 0.085),  # head
+    ((0.10, 0.90, 0.0), (0.12, 0.49, 0.01), 0.082, 0.054),  # thigh
+    ((0.12, 0.49, 0.01), (0.13, 0.09, -0.01), 0.053, 0.038),  # shin
+    ((0.13, 0.04, 0.0), (0.14, 0.03, 0.15), 0.038, 0.030),  # foot
+    ((0.18, 1.38, 0.0), (0.44, 1.19, 0.0), 0.054, 0.043),  # upper arm
+    ((0.44, 1.19, 0.0), (0.65, 1.03, 0.05), 0.041, 0.029),  # forearm
+    ((0.65, 1.03, 0.05), (0.77, 0.95, 0.08), 0.029, 0.016),  # hand
+)
+
+
+def person_scene(
+    generator: np.random.Generator, gaussians: int = 20_000, size: int = 512, degree: int = 3
+) -> Scene:
+    """Gaussians on a person of capsules, seen whole from 3 m: what an avatar looks like.
+
+    Their size follows the spacing on the surface, so that the picture stays closed at any number.
+
+    Args:
+        generator: of all random numbers.
+        gaussians: how many.
+        size: width and height of the picture, px.
+        degree: of the spherical harmonics.
+    """
+    mirrored = [[*np.multiply(((a, b)), (-1, 1, 1)), *radii] for a, b, *radii in PERSON[3:]]
+    limbs = [*PERSON, *mirrored]
+    areas = []
+    for a, b, ra, rb in limbs:
+        areas.append(math.pi * (ra + rb) * math.dist(a, b) + 2 * math.pi * (ra**2 + rb**2))
+    n, area = gaussians, sum(areas)
+    limb = generator.choice(len(limbs), n, p=np.array(areas) / area)
+    a, b, ra, rb = (np.array([limb_[k] for limb_ in limbs], dtype=float)[limb] for k in range(4))
+
+    # a random direction about a random point of the axis, longer than the limb: its ends are caps
+    length = np.linalg.norm(b - a, axis=1)
+    axis = (b - a) / length[:, None]
+    t = (generator.random(n) * (length + ra + rb) - ra) / length
+    direction = generator.normal(size=(n, 3))
+    beyond = np.where(t < 0, -1, np.where(t > 1, 1, 0))
+    along = (direction * axis).sum(axis=1)
+    kept = np.where(beyond == 0, 0, beyond * np.abs(along))
+    direction += (kept - along)[:, None] * axis
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    t = np.clip(t, 0, 1)[:, None]
+    means = a + t * (b - a) + direction * (ra[:, None] + t * (rb - ra)[:, None])
+
+    spacing = math.sqrt(area / n)
+    scales = spacing * np.array([0.75, 0.75, 0.35]) * np.exp(0.35 * generator.normal(size=(n, 3)))
+    opacities = 1 / (1 + np.exp(-0.7 - 1.5 * generator.normal(size=n)))
+    sh = 0.05 * generator.normal(size=(n, (degree + 1) ** 2, 3))
+    sh[:, 0] = 1.4 * np.sin(means @ generator.normal(size=(3, 3)) * 4)
+    quats = generator.normal(size=(n, 4))
+    gaussians = Gaussians(means, quats, scales, opacities, sh=sh)
+    T_camera_world = look_at((0.25, 1.05, 3.0), (0.0, 0.88, 0.0))
+    focal = 1.45 * size
+    camera = Camera(focal, focal, size / 2, size / 2, T_camera_world, size, size)
+    return Scene.of(gaussians, camera, np.array([0.1, 0.2, 0.3]))

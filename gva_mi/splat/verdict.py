@@ -1,0 +1,137 @@
+"""What a gradient check found: rows of figures, a verdict, a table, JSON and a picture."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+IMAGES = ("color", "alpha", "depth")
+
+
+@dataclass(frozen=True)
+class Row:
+    """One comparison with the truth."""
+
+    method: str
+    name: str  # of the input whose gradient it is, or of the image
+    error: float  # relative L2 for gradients, greatest absolute for images
+    cosine: float  # between the two; 1 for images
+    worst: float  # greatest absolute error of an entry
+    where: tuple[int, ...]  # its index; () for a derivative along a direction of all entries
+    tolerance: float
+
+    @property
+    def passed(self) -> bool:
+        """A NaN does not pass."""
+        return self.error <= self.tolerance
+
+
+@dataclass(frozen=True)
+class Maps:
+    """Pictures of the check; numpy."""
+
+    image: np.ndarray  # (H, W, D) the truth
+    error: np.ndarray  # (H, W) greatest error of the float32 image's channels
+    band: np.ndarray  # (H, W) bool, pixels at a cut-off
+
+
+@dataclass(frozen=True)
+class Report:
+    """All comparisons of one scene."""
+
+    rows: tuple[Row, ...]
+    pixels: int
+    band: int  # pixels at a cut-off, left out
+    gaussians: int
+    ties: int  # neighbours in depth that float32 may swap
+    notes: tuple[str, ...]  # methods that this renderer does not have
+    maps: Maps = field(repr=False)
+
+    @property
+    def passed(self) -> bool:
+        """Whether every row is within its tolerance."""
+        return all(row.passed for row in self.rows)
+
+    @property
+    def verdict(self) -> str:
+        """One sentence."""
+        wrong = [f"{row.method} of {row.name}" for row in self.rows if not row.passed]
+        found = f"WRONG: {', '.join(wrong)}" if wrong else f"all {len(self.rows)} comparisons pass"
+        scene = f"{self.gaussians} Gaussians; {self.band} of {self.pixels} pixels lie at a cut-off"
+        swaps = f"; {self.ties} depths are nearer than float32 tells apart" if self.ties else ""
+        return f"{found} ({scene} and were left out{swaps})"
+
+    def table(self) -> str:
+        """For a person to read."""
+        titles = ("error", "allowed", "1 - cosine", "worst")
+        lines = [f"{'method':12} {'of':15}" + "".join(f" {title:>10}" for title in titles) + "  at"]
+        for r in self.rows:
+            numbers = (r.error, r.tolerance, 1 - r.cosine, r.worst)
+            line = f"{r.method:12} {r.name:15}" + "".join(f" {number:10.1e}" for number in numbers)
+            where = list(r.where) if r.where else "a direction"
+            lines.append(f"{line}  {where}{'' if r.passed else '  <- fails'}")
+        return "\n".join([*lines, *self.notes, self.verdict])
+
+    def to_dict(self) -> dict:
+        """Everything but the pictures, for JSON."""
+        rows = [asdict(row) | {"passed": row.passed} for row in self.rows]
+        figures = {k: getattr(self, k) for k in ("passed", "verdict", "gaussians", "pixels")}
+        figures |= {"band_pixels": self.band, "depth_ties": self.ties, "notes": list(self.notes)}
+        return figures | {"rows": rows}
+
+
+def write_json(reports: dict[str, Report], path: Path) -> None:
+    """All reports by the name of their scene, and the verdict over all of them."""
+    passed = all(report.passed for report in reports.values())
+    figures = {"passed": passed, "scenes": {k: r.to_dict() for k, r in reports.items()}}
+    path.write_text(json.dumps(figures, indent=1) + "\n")
+
+
+def write_picture(reports: dict[str, Report], path: Path) -> None:
+    """One row per scene: the image, float32's error, the pixels left out, every method's error."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(15, 3.6 * len(reports)), layout="constrained")
+    FigureCanvasAgg(figure)
+    grid = figure.subplots(len(reports), 4, squeeze=False, width_ratios=(1, 1, 1, 2.4))
+    for axes, (name, report) in zip(grid, reports.items(), strict=True):
+        draw(report, axes, name)
+    figure.savefig(path, dpi=100)
+
+
+def draw(report: Report, axes: Iterable, name: str = "") -> None:
+    """The four panels of :func:`write_picture` on matplotlib axes, for notebooks."""
+    image, error, band, bars = axes
+    maps = report.maps
+    rgb = maps.image[..., :3] if maps.image.shape[2] >= 3 else maps.image[..., 0]
+    image.imshow(np.clip(rgb, 0, 1), cmap="gray", vmin=0, vmax=1)
+    image.set_title(name or "image")
+    shown = error.imshow(np.log10(maps.error + 1e-12), vmin=-9, vmax=-1, cmap="magma")
+    error.figure.colorbar(shown, ax=error, shrink=0.7)
+    error.set_title("log10 |float32 - twin|")
+    band.imshow(maps.band, cmap="gray_r", vmin=0, vmax=1)
+    band.set_title(f"{report.band} pixels at a cut-off")
+    for panel in (image, error, band):
+        panel.set_xticks([])
+        panel.set_yticks([])
+
+    methods = list(dict.fromkeys(row.method for row in report.rows))
+    names = list(dict.fromkeys(row.name for row in report.rows if row.name not in IMAGES))
+    for k, method in enumerate(methods):
+        rows = [row for row in report.rows if row.method == method and row.name in names]
+        x = np.array([names.index(row.name) for row in rows]) + (k - len(methods) / 2 + 0.5) * 0.12
+        line = bars.plot(x, [max(row.error, 1e-17) for row in rows], "o", ms=5, label=method)[0]
+        bars.hlines(
+            [row.tolerance for row in rows], x - 0.06, x + 0.06, color=line.get_color(), lw=1
+        )
+    bars.set_yscale("log")
+    bars.set_ylim(1e-17, 10)
+    bars.set_xticks(range(len(names)), names)
+    bars.set_title("relative L2 error of the gradient; bars: allowed")
+    bars.grid(axis="y", alpha=0.3)
+    bars.legend(fontsize=8, ncols=3, loc="upper center")

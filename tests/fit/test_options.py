@@ -1,0 +1,28 @@
+import json
+from pathlib import Path
+
+import pytest
+
+from gva_mi.errors import InputError
+from gva_mi.fit.options import FitOptions, Schedule
+
+
+@pytest.mark.parametrize("wrong", [{"steps": 0}, {"window": 5}, {"checkpoint_every": 0}])
+def test_options_that_make_no_sense_are_refused(wrong):
+    with pytest.raises(InputError, match=next(iter(wrong))):
+        FitOptions(**wrong)
+
+
+def test_a_schedule_counts_in_shares_of_the_run():
+    schedule = Schedule(densify_every=100, densify_from=0.1, densify_until=0.3, reinit_at=(0.5,))
+    rounds = [k for k in range(1, 1001) if schedule.densifies(k, 1000)]
+    assert rounds == [100, 200, 300]
+    assert [k for k in range(1, 1001) if schedule.reinitialises(k, 1000)] == [500]
+    with pytest.raises(InputError, match="reinit_at"):
+        Schedule(reinit_at=(1.5,))
+
+
+def test_options_go_into_a_file(tmp_path):
+    options = FitOptions(vgg16=Path("weights.pth"))
+    assert json.loads(json.dumps(options.plain()))["vgg16"] == "weights.pth"
+    assert FitOptions().plain()["vgg16"] is None

@@ -141,9 +141,7 @@ def _rotations(caller: str, poses: Tensor, transl: Tensor, form: Format) -> Tens
     if poses.ndim != 2 or poses.shape[1] != 3 * joints:
         raise ValueError(f"{caller}(): poses must be (T, {3 * joints}), got {tuple(poses.shape)}")
     if tuple(transl.shape) != (len(poses), 3):
-        raise ValueError(
-            f"{caller}(): transl must be ({len(poses)}, 3), got {tuple(transl.shape)}"
-        )
+        raise ValueError(f"{caller}(): transl must be ({len(poses)}, 3), got {tuple(transl.shape)}")
     rotations = poses.new_zeros(len(poses), len(JOINTS), 3)
     columns = torch.tensor(form.joints)
     return rotations.index_copy(1, columns, poses.unflatten(1, (joints, 3)))

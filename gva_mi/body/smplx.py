@@ -35,6 +35,10 @@ from gva_mi.body.puppet import PUPPET
 from gva_mi.body.skinning import rigid_chain, skin_points
 from gva_mi.errors import InputError
 
+_EXPRESSIONS = (10, 100)  # at most, in files with 10 betas, and with more
+_NO_HANDS = np.zeros((0, 45))
+
+
 @dataclass(frozen=True)
 class Rest:
     """A person in the T-pose."""
@@ -64,17 +68,23 @@ class BodyModel(nn.Module):
         weights: (V, 55) skinning weights.
         parents: 55 indices, -1 for the root.
         hands_mean: (2, 45) the mean left and right hand of the file, axis-angle.
+        hands_components: (2, K, 45) its PCA of hand poses; K is 0 where the file has none.
         num_betas, num_expressions: how many coefficients the file has; missing ones count as zero.
     """
 
     parents: tuple[int, ...] = PARENTS
 
     def __init__(self, arrays: dict[str, np.ndarray], dtype: torch.dtype = torch.float32) -> None:
-        """From the arrays of a file, whose names and shapes :func:`load_body` has checked."""
+        """From the arrays of a file, whose names and shapes :func:`load_body` has checked.
+
+        ``num_betas`` among them says how many of the ``shapedirs`` are betas, at most 10 where it
+        is missing; of the rest, at most :data:`_EXPRESSIONS` are expressions.
+        """
         super().__init__()
         tensor = lambda array: torch.from_numpy(np.ascontiguousarray(array)).to(dtype)
         directions = _rows(arrays["shapedirs"])
-        betas, expressions = _columns(len(directions))
+        split = int(arrays.get("num_betas", min(10, len(directions))))
+        betas, expressions = slice(0, split), slice(split, split + _EXPRESSIONS[split > 10])
         self.register_buffer("v_template", tensor(arrays["v_template"]))
         self.register_buffer("faces", torch.from_numpy(arrays["f"].astype(np.int64)))
         self.register_buffer("weights", tensor(arrays["weights"]))
@@ -90,9 +100,9 @@ class BodyModel(nn.Module):
         used = np.flatnonzero(arrays["posedirs"].any((0, 1)))  # only these cost time
         self.register_buffer("pose_features", torch.from_numpy(used))
         self.register_buffer("pose_directions", tensor(_rows(arrays["posedirs"][..., used])))
-        self.register_buffer(
-            "hands_mean", tensor(np.stack([arrays["hands_meanl"], arrays["hands_meanr"]]))
-        )
+        hands = lambda key: tensor(np.stack([arrays.get(key + side, _NO_HANDS) for side in "lr"]))
+        self.register_buffer("hands_mean", hands("hands_mean"))
+        self.register_buffer("hands_components", hands("hands_components"))
 
     @property
     def num_betas(self) -> int:
@@ -102,6 +112,11 @@ class BodyModel(nn.Module):
     def num_expressions(self) -> int:
         return len(self.expression_directions)
 
+    @property
+    def hand_spaces(self) -> tuple[HandSpace, HandSpace]:
+        """The PCA of hand poses, left and right."""
+        return tuple(map(HandSpace, self.hands_mean, self.hands_components))
+
     def rest(self, shape: Shape, expression: Tensor | None = None) -> Rest:
         """The person in the T-pose (eq. 1, 2).
 
@@ -109,11 +124,9 @@ class BodyModel(nn.Module):
             shape: betas (B,), B up to ``num_betas``.
             expression: (E,), or None for a neutral face.
         """
-        vertices, joints = self._shaped(shape)
-        if expression is not None:
-            dv, dj = self._expressed(expression[None])
-            vertices, joints = vertices + dv[0], joints + dj[0]
-        return Rest(vertices.contiguous(), joints)
+        psi = shape.betas.new_zeros(1, 0) if expression is None else expression[None]
+        flat, joints = self._shaped(shape, psi, None)
+        return Rest(flat[0].view(3, -1).mT.contiguous(), joints[0])
 
     def forward(self, pose: Pose, shape: Shape, offsets: Tensor | None = None) -> Posed:
         """The person in the world (eq. 1-4), differentiable in everything that is given.
@@ -128,45 +141,40 @@ class BodyModel(nn.Module):
                 f"BodyModel(): offsets must be {tuple(self.v_template.shape)}, "
                 f"got {tuple(offsets.shape)}"
             )
-        vertices, joints = self._shaped(shape)
-        dv, dj = self._expressed(pose.expression)
-        vertices, joints = (vertices if offsets is None else vertices + offsets) + dv, joints + dj
-        rotations = pose.rotations
+        flat, joints = self._shaped(shape, pose.expression, offsets)
+        R = roma.rotvec_to_rotmat(pose.rotations)
         if len(self.pose_features):
-            vertices = vertices + self._corrected(rotations)
-        T_world_rest = joint_transforms(rotations, joints, self.parents, pose.transl)
-        skinned = skin_points(vertices, self.weights, T_world_rest)
-        R, t = T_world_rest[..., :3, :3], T_world_rest[..., :3, 3]
-        return Posed(skinned, (R @ joints.unsqueeze(-1)).squeeze(-1) + t, T_world_rest)
+            bent = (R[:, 1:] - torch.eye(3, dtype=R.dtype)).flatten(1)
+            # The features are distinct, so that this index has a gradient without collisions.
+            flat = torch.addmm(flat, bent[:, self.pose_features], self.pose_directions)
+        T_world_rest = rigid_chain(R, joints, self.parents, pose.transl)
+        skinned = skin_points(flat.unflatten(1, (3, -1)).mT, self.weights, T_world_rest)
+        R_world, t = T_world_rest[..., :3, :3], T_world_rest[..., :3, 3]
+        return Posed(skinned, (R_world @ joints.unsqueeze(-1)).squeeze(-1) + t, T_world_rest)
 
     def add_mean_hands(self, pose: Pose) -> Pose:
         """A pose whose hands count from the file's mean hand, as estimators write them, made to
         count from flat."""
-        rotations = torch.cat(
-            [pose.rotations[:, :25].flatten(1), pose.left_hand_pose + self.hands_mean[0],
-             pose.right_hand_pose + self.hands_mean[1]], dim=1,
-        )  # fmt: skip
-        return Pose.from_rotations(rotations.unflatten(1, (55, 3)), pose.transl, pose.expression)
+        left, right = self.hands_mean
+        return with_hands(pose, pose.left_hand_pose + left, pose.right_hand_pose + right)
 
-    def _shaped(self, shape: Shape) -> tuple[Tensor, Tensor]:
+    def _shaped(
+        self, shape: Shape, expression: Tensor, offsets: Tensor | None
+    ) -> tuple[Tensor, Tensor]:
+        """Rest vertices (T, 3 V), all x, then all y, then all z; joints (T, 55, 3) (eq. 1, 2)."""
         betas = _coefficients("betas", shape.betas[None], self.num_betas)
-        k = betas.shape[1]
-        vertices = (betas @ self.shape_directions[:k]).view(3, -1).mT
-        joints = (betas @ self.shape_joints[:k]).view(-1, 3)
-        return self.v_template + vertices, self.j_template + joints
-
-    def _expressed(self, expression: Tensor) -> tuple[Tensor, Tensor]:
         psi = _coefficients("expression", expression, self.num_expressions)
-        k, frames = psi.shape[1], len(psi)
-        vertices = (psi @ self.expression_directions[:k]).view(frames, 3, -1).mT
-        joints = (psi @ self.expression_joints[:k]).view(frames, -1, 3)
-        return vertices, joints
-
-    def _corrected(self, rotations: Tensor) -> Tensor:
-        R = roma.rotvec_to_rotmat(rotations[:, 1:])
-        bent = (R - torch.eye(3, dtype=R.dtype)).flatten(1)
-        # The features are distinct, so that this index has a gradient without collisions.
-        return (bent[:, self.pose_features] @ self.pose_directions).unflatten(1, (3, -1)).mT
+        template = self.v_template if offsets is None else self.v_template + offsets
+        flat, joints = template.mT.reshape(1, -1), self.j_template.view(1, -1)
+        sums = (
+            (betas, self.shape_directions, self.shape_joints),
+            (psi, self.expression_directions, self.expression_joints),
+        )
+        for values, directions, moves in sums:
+            k = values.shape[1]
+            flat = torch.addmm(flat, values, directions[:k])
+            joints = torch.addmm(joints, values, moves[:k])
+        return flat, joints.unflatten(1, (-1, 3))
 
 
 def load_body(path: Path | None = None, dtype: torch.dtype = torch.float32) -> BodyModel:

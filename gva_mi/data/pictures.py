@@ -9,7 +9,9 @@ import numpy as np
 
 from gva_mi.errors import InputError
 
-LOSSLESS = {"crf": "0", "preset": "veryfast"}  # with libx264rgb: the same bits back
+# x264 writes its settings, the number of threads among them, into the file: one thread, one file.
+LOSSLESS = {"crf": "0", "preset": "veryfast", "threads": "1"}  # with libx264rgb
+PLAYABLE = {"crf": "18", "threads": "1"}  # with libx264 and yuv420p
 
 
 def read_image(path: Path, channels: int) -> np.ndarray:
@@ -74,7 +76,7 @@ def write_movie(
     with av.open(str(path), "w") as container:
         stream = container.add_stream("libx264rgb" if lossless else "libx264", rate=fps)
         stream.pix_fmt = "rgb24" if lossless else "yuv420p"
-        stream.options = LOSSLESS if lossless else {"crf": "18"}
+        stream.options = LOSSLESS if lossless else PLAYABLE
         for k, image in enumerate(images):
             if image.dtype != np.uint8:
                 image = np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)

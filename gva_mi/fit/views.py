@@ -129,7 +129,7 @@ def side_by_side(images: Sequence[np.ndarray], height: int) -> np.ndarray:
 
 
 def overview(avatar: Avatar, video: Video, turned: int = 3) -> np.ndarray:
-    """The paper in one picture: a frame, its normals, the Gaussians, and new views of the avatar."""
+    """The paper in one picture: a frame, its normals, the Gaussians, and new views."""
     frame = video[(video.splits.test or video.splits.train)[0]]
     parts = [cut_out(frame)]
     if frame.normals is not None:

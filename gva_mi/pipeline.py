@@ -36,7 +36,7 @@ from gva_mi.fit.evaluate import render_sequence
 from gva_mi.fit.report import write_report
 from gva_mi.fit.train import FitOptions
 from gva_mi.fit.train import fit as fit_avatar
-from gva_mi.fit.views import overview, spread
+from gva_mi.fit.views import around, overview, spread
 from gva_mi.pose.measure import measure
 from gva_mi.pose.overlay import overlay, strip
 from gva_mi.pose.refine import Refined, RefineOptions
@@ -259,13 +259,14 @@ def _refine(video: Video, model: BodyModel, options: RefineOptions) -> dict:
 
 def _overlays(video: Video, model: BodyModel, refined: Refined, count: int = 8) -> np.ndarray:
     """Bodies over evenly spaced frames: stage 1 above, refined below."""
+    frames = list(video.frames(spread(range(len(video)), count)))
+    seen = np.any([frame.mask > 0.5 for frame in frames], axis=0)
+    part = around(seen, margin=len(seen) // 16)
     rows = []
     for pose, shape in ((video.pose, video.shape), (refined.pose, refined.shape)):
-        row = []
-        for frame in video.frames(spread(range(len(video)), count)):
-            vertices = model(pose[frame.index], shape).vertices[0]
-            row.append(overlay(frame, vertices, model.faces))
-        rows.append(row)
+        bodies = [model(pose[frame.index], shape).vertices[0] for frame in frames]
+        pairs = zip(frames, bodies, strict=True)
+        rows.append([overlay(frame, vertices, model.faces)[part] for frame, vertices in pairs])
     return strip(rows)
 
 

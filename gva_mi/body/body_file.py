@@ -40,7 +40,8 @@ _OPTIONAL = ("hands_componentsl", "hands_componentsr", "joint_names")
 
 
 def read_body(path: Path) -> dict[str, np.ndarray]:
-    """The arrays of a body file, on SMPL-X's 55 joints, with ``num_betas`` beside them.
+    """The arrays of a body file, on SMPL-X's 55 joints; ``num_betas`` and ``num_expressions``
+    beside them say how the shape directions divide.
 
     Raises:
         InputError: naming the file, the key, and the shape that was found.
@@ -58,8 +59,9 @@ def read_body(path: Path) -> dict[str, np.ndarray]:
         )
     arrays = _read(path)
     form = _check(path, arrays)
-    betas = _betas(arrays["shapedirs"].shape[2], form)
-    return lift(arrays, form) | {"num_betas": np.array(betas)}
+    betas, expressions = _split(arrays["shapedirs"].shape[2], form)
+    counts = {"num_betas": np.array(betas), "num_expressions": np.array(expressions)}
+    return lift(arrays, form) | counts
 
 
 def _read(path: Path) -> dict[str, np.ndarray]:
@@ -158,8 +160,9 @@ def _format(path: Path, arrays: dict[str, np.ndarray]) -> Format:
     )
 
 
-def _betas(directions: int, form: Format) -> int:
-    """How many of the shape directions are betas."""
+def _split(directions: int, form: Format) -> tuple[int, int]:
+    """How many of the shape directions are betas, and how many after them expressions."""
     if form is not SMPLX:
-        return directions
-    return 300 if directions >= 400 else min(10, directions)
+        return directions, 0
+    betas = 300 if directions >= 400 else min(10, directions)
+    return betas, directions - betas if directions >= 400 else min(10, directions - betas)

@@ -35,9 +35,6 @@ from gva_mi.body.puppet import PUPPET
 from gva_mi.body.skinning import rigid_chain, skin_points
 from gva_mi.errors import InputError
 
-_EXPRESSIONS = (10, 100)  # at most, in files with 10 betas, and with more
-_NO_HANDS = np.zeros((0, 45))
-
 
 @dataclass(frozen=True)
 class Rest:
@@ -77,14 +74,15 @@ class BodyModel(nn.Module):
     def __init__(self, arrays: dict[str, np.ndarray], dtype: torch.dtype = torch.float32) -> None:
         """From the arrays of a file, whose names and shapes :func:`load_body` has checked.
 
-        ``num_betas`` among them says how many of the ``shapedirs`` are betas, at most 10 where it
-        is missing; of the rest, at most :data:`_EXPRESSIONS` are expressions.
+        ``num_betas`` and ``num_expressions`` among them say how the ``shapedirs`` divide, in this
+        order; 10 each, or what there is, where they are missing.
         """
         super().__init__()
         tensor = lambda array: torch.from_numpy(np.ascontiguousarray(array)).to(dtype)
         directions = _rows(arrays["shapedirs"])
-        split = int(arrays.get("num_betas", min(10, len(directions))))
-        betas, expressions = slice(0, split), slice(split, split + _EXPRESSIONS[split > 10])
+        split = int(arrays.get("num_betas", 10))
+        betas = slice(0, split)
+        expressions = slice(split, split + int(arrays.get("num_expressions", 10)))
         self.register_buffer("v_template", tensor(arrays["v_template"]))
         self.register_buffer("faces", torch.from_numpy(arrays["f"].astype(np.int64)))
         self.register_buffer("weights", tensor(arrays["weights"]))
@@ -100,9 +98,9 @@ class BodyModel(nn.Module):
         used = np.flatnonzero(arrays["posedirs"].any((0, 1)))  # only these cost time
         self.register_buffer("pose_features", torch.from_numpy(used))
         self.register_buffer("pose_directions", tensor(_rows(arrays["posedirs"][..., used])))
-        hands = lambda key: tensor(np.stack([arrays.get(key + side, _NO_HANDS) for side in "lr"]))
-        self.register_buffer("hands_mean", hands("hands_mean"))
-        self.register_buffer("hands_components", hands("hands_components"))
+        hands = lambda key, none: tensor(np.stack([arrays.get(key + side, none) for side in "lr"]))
+        self.register_buffer("hands_mean", hands("hands_mean", np.zeros(45)))
+        self.register_buffer("hands_components", hands("hands_components", np.zeros((0, 45))))
 
     @property
     def num_betas(self) -> int:
@@ -194,7 +192,7 @@ def load_body(path: Path | None = None, dtype: torch.dtype = torch.float32) -> B
 
 def _rows(directions: np.ndarray) -> np.ndarray:
     """Directions (V, 3, K), one in each row: all x, then all y, then all z, (K, 3 V)."""
-    return directions.transpose(2, 1, 0).reshape(directions.shape[2], -1)
+    return directions.transpose(2, 1, 0).reshape(directions.shape[2], 3 * len(directions))
 
 
 def _coefficients(name: str, values: Tensor, available: int) -> Tensor:

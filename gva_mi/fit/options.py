@@ -16,10 +16,14 @@ from gva_mi.splat import SplatOptions
 
 @dataclass(frozen=True)
 class Rates:
-    """Learning rates of Adam, the field's (Kerbl et al. 2023, and avatars after it)."""
+    """Learning rates of Adam, the field's (Kerbl et al. 2023) but for the means.
 
-    means: float = 5e-4  # metres; falls exponentially to
-    means_end: float = 5e-6  # this at the last step
+    There, 1.6e-4 is enough for tens of thousands of steps. In the two or three thousand that a CPU
+    has time for, hair and skirts would never be reached.
+    """
+
+    means: float = 4e-3  # metres; falls exponentially to
+    means_end: float = 1e-5  # this at the last step
     quats: float = 1e-3
     log_scales: float = 5e-3
     logit_opacities: float = 5e-2
@@ -66,7 +70,7 @@ class FitOptions:
     avatar: AvatarOptions = AvatarOptions()
     rates: Rates = Rates()
     schedule: Schedule = Schedule()
-    densify: DensifyOptions = DensifyOptions()
+    densify: DensifyOptions = DensifyOptions(grad_threshold=1e-4)  # as GART
     reinit: ReinitOptions = ReinitOptions()
     loss: LossOptions = LossOptions()
     splat: SplatOptions = SplatOptions()

@@ -123,11 +123,11 @@ def _refinement(figures: dict, overlays: Sequence[np.ndarray]) -> list[Section]:
     text = "The body over the frames, before the refinement of Eq. 9 (above) and after it (below)."
     head = ("", "stage 1", "refined", "true pose")
     rows = [
-        ("vertices, mm", figures["vertex_mm_stage1"], figures["vertex_mm"], None),
-        ("hands, mm", figures["hand_vertex_mm_stage1"], figures["hand_vertex_mm"], None),
-        ("silhouette IoU", figures["iou_stage1"], figures["iou"], figures["iou_truth"]),
+        ("vertices, mm", 1, figures["vertex_mm_stage1"], figures["vertex_mm"], None),
+        ("hands, mm", 1, figures["hand_vertex_mm_stage1"], figures["hand_vertex_mm"], None),
+        ("silhouette IoU", 3, figures["iou_stage1"], figures["iou"], figures["iou_truth"]),
     ]
-    table = Table(head, [(name, *(_number(x, 3) for x in row)) for name, *row in rows])
+    table = Table(head, [(name, *(_number(x, n) for x in row)) for name, n, *row in rows])
     pictures = [_picture("stage 1 above, refined below", image) for image in overlays]
     return [Section("Pose refinement", text, pictures, min(len(pictures), 4), [table])]
 

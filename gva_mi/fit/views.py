@@ -33,6 +33,18 @@ def spread(indices: Iterable[int], count: int) -> list[int]:
     return [indices[k] for k in chosen]
 
 
+def around(inside: np.ndarray, margin: int) -> tuple[slice, slice]:
+    """Rows and columns that hold all that is inside, and a margin."""
+    if not inside.any():
+        return slice(None), slice(None)
+    found = []
+    for axis in (1, 0):
+        where = np.flatnonzero(inside.any(axis))
+        low, high = where[0] - margin, where[-1] + 1 + margin
+        found.append(slice(max(0, low), min(inside.shape[1 - axis], high)))
+    return found[0], found[1]
+
+
 def turntable(avatar: Avatar, frame: Frame, count: int) -> Iterator[np.ndarray]:
     """The avatar in a frame's pose, seen by ``count`` cameras all around it."""
     centre = _joints(avatar, frame.pose).mean(0)
@@ -58,7 +70,7 @@ def compared(avatar: Avatar, frame: Frame, difference: bool = True) -> np.ndarra
     parts = [target, image]
     if difference:
         parts.append(_reddened(np.abs(image.astype(int) - target).max(-1)))
-    rows, columns = _around(target.min(-1) < 250, margin=len(target) // 40)
+    rows, columns = around(target.min(-1) < 250, margin=len(target) // 40)
     return np.concatenate([part[rows, columns] for part in parts], axis=1)
 
 
@@ -142,7 +154,7 @@ def overview(avatar: Avatar, video: Video, turned: int = 3) -> np.ndarray:
     parts.append(to_8bit(image.color.numpy()))
     parts += list(turntable(avatar, frame, turned + 1))[1:]
     margin = len(parts[0]) // 50
-    return side_by_side([part[_around(part.min(-1) < 250, margin)] for part in parts], 480)
+    return side_by_side([part[around(part.min(-1) < 250, margin)] for part in parts], 480)
 
 
 def _joints(avatar: Avatar, pose: Pose) -> np.ndarray:
@@ -161,18 +173,6 @@ def _square(camera: Camera, joints: np.ndarray) -> tuple[int, int, int] | None:
     left, top = round(u - size / 2), round(v - size / 2)
     fits = left >= 0 and top >= 0 and left + size <= camera.width and top + size <= camera.height
     return (left, top, size) if fits and size > 1 else None
-
-
-def _around(inside: np.ndarray, margin: int) -> tuple[slice, slice]:
-    """Rows and columns that hold all that is inside, and a margin."""
-    if not inside.any():
-        return slice(None), slice(None)
-    found = []
-    for axis in (1, 0):
-        where = np.flatnonzero(inside.any(axis))
-        low, high = where[0] - margin, where[-1] + 1 + margin
-        found.append(slice(max(0, low), min(inside.shape[1 - axis], high)))
-    return found[0], found[1]
 
 
 def _reddened(difference: np.ndarray) -> np.ndarray:

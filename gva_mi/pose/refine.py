@@ -56,10 +56,10 @@ class RefineOptions:
     cloth_smooth: float = 4000.0  # sequence: a of the displacement's energy, for one square metre
     cloth_small: float = 40.0  # sequence: b
     cloth_outward: float = 400.0  # sequence: c
-    step: float = 0.008  # metres that a turned joint moves what hangs on it, in a step at the start
+    step: float = 0.016  # metres that a turned joint moves what hangs on it, in a step at the start
     largest_turn: float = 0.04  # radians in such a step; joints with short levers are held by it
     translation_lr: float = 0.004  # metres in a step at the start
-    cloth_lr: float = 0.001  # metres in a step at the start
+    cloth_lr: float = 0.002  # metres in a step at the start
     seed: int = 0  # of the order in which frames are visited
 
     def __post_init__(self) -> None:

@@ -1,4 +1,4 @@
-"""Front-to-back compositing of the tiles' lists: forward and adjoint (paper, Eq. 3).
+"""Front-to-back compositing of the tiles' lists: forward, adjoint and tangent (paper, Eq. 3).
 
 Per pixel, over the Gaussians i of its tile's list in depth order, with d_i = pixel centre - u_i and
 L_i, lo_i of project.py:
@@ -18,110 +18,47 @@ Adjoint, replayed front to back, from g_k = dL/dy_k and h = dL/dalpha:
 (6)  m0 = sum v,  m1 = sum v w,  m2 = sum v w w^T,  grad_f_k = sum T alpha g_k
      over the tile's pixels, for every pair (tile, Gaussian);  grad_background_k = sum T g_k
 
+With ``absolute``, two more sums: |v w_x| and |v (q w_x + r w_y)|, over pixels of the absolute
+derivatives by u, but for the factors that all pixels share.
+
+Tangent, where d_ marks tangents and ln2 is of the base in eq. 2:
+
+(7)  d_w     = (d_p d_x + d_q d_y - p d_u_x - q d_u_y, d_r d_y - r d_u_y)
+     d_alpha = ln2 alpha (d_lo - 2 w . d_w);  0 where alpha is clamped
+     d_T_{i+1} = d_T_i (1 - alpha) - T_i d_alpha
+     d_y_k   = sum_i (d_T_i alpha + T_i d_alpha) f_k + T_i alpha d_f_k  + d_T background_k + ...
+
 T and D are the whole state of a pixel. Every pair writes a *slot* of its own, and ``sum_slots``
 adds a Gaussian's slots in a fixed order: no atomics, the same bits at every run and for any number
 of threads.
 
-One SIMD lane is one tile. Its 32 pixels are unrolled in the trace, and every lane walks its own
-list: no operation crosses lanes. A stopped pixel has a negative T. Pictures are planes padded to
-whole tiles, so that a row of a tile is one packet.
+One SIMD lane is one tile and walks its own list (pixels.py). A stopped pixel has a negative T.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import drjit as dr
 from drjit import ArrayBase as Array
 
 from gva_mi.splat import packets
 from gva_mi.splat.options import SplatOptions
-from gva_mi.splat.project import GEOMETRY, MOMENTS
+from gva_mi.splat.pixels import (
+    PIXELS,
+    Planes,
+    corner,
+    exp2,
+    larger,
+    load,
+    pixel_rows,
+    smaller,
+    whitened,
+)
+from gva_mi.splat.project import MOMENTS
 from gva_mi.splat.tiles import HEIGHT, WIDTH, Grid, Lists
 
-PIXELS = WIDTH * HEIGHT
 UNROLL = 2  # Gaussians per turn of the loop: LLVM spills the 160 loop variables otherwise
-
-# 2^f on [-1/2, 1/2], relative error 2e-7
-EXP2 = (1.0, 0.69314720, 0.24022651, 0.05550357, 0.00961814, 0.00133335)
-ROUND = 12582912.0  # 1.5 * 2^23: adding it rounds a float32 to an integer in the low bits
-
-
-@dataclass(frozen=True)
-class Planes:
-    """The picture, padded to whole tiles; flat arrays."""
-
-    color: Array  # (rows, columns, D), background blended in
-    alpha: Array  # (rows, columns)
-    depth: Array  # (rows, columns); None in an adjoint where no loss looks at it
-
-
-def exp2(x: Array) -> Array:
-    """2^x for -126 < x < 127: a polynomial in float32, 30 % faster than ``dr.exp2``."""
-    if packets.is_double(type(x)):
-        return dr.exp2(x)
-    F, I = type(x), dr.int32_array_t(type(x))
-    shifted = x + ROUND
-    fraction = x - (shifted - ROUND)
-    value = F(EXP2[-1])
-    for c in EXP2[-2::-1]:
-        value = dr.fma(value, fraction, c)
-    bits = dr.reinterpret_array(I, value) + (dr.reinterpret_array(I, shifted) << 23)
-    return dr.reinterpret_array(F, bits)
-
-
-def _max(a: Array, b: Array) -> Array:
-    return dr.select(a > b, a, b)
-
-
-def _min(a: Array, b: Array) -> Array:
-    return dr.select(a < b, a, b)
-
-
-def _corner(lists: Lists, grid: Grid, F: type) -> tuple[Array, Array]:
-    """The tile's left and upper border, px."""
-    columns = type(lists.tile)(grid.columns)
-    row = lists.tile // columns
-    return F((lists.tile - row * columns) * WIDTH), F(row * HEIGHT)
-
-
-def _pixel_rows(lists: Lists, grid: Grid) -> list[Array]:
-    """Index of each of the tile's rows of pixels, counted in rows of a tile's width."""
-    columns = type(lists.tile)(grid.columns)
-    row = lists.tile // columns
-    first = row * (columns * HEIGHT) + (lists.tile - row * columns)
-    return [first + columns * j for j in range(HEIGHT)]
-
-
-@dataclass(frozen=True)
-class _Gaussian:
-    u: Array
-    v: Array
-    p: Array
-    q: Array
-    r: Array
-    lo: Array
-    f: list[Array]
-
-
-def _load(rows: packets.Packets, features: int, ids: Array, k: Array, end: Array) -> _Gaussian:
-    """Pair ``k``; past the end of the list a Gaussian that no pixel sees."""
-    inside = k < end
-    gaussian = dr.gather(type(ids), ids, k, active=inside)
-    u, v, p, q, r, lo, *f = packets.load(rows, GEOMETRY + features, gaussian)
-    return _Gaussian(u, v, p, q, r, dr.select(inside, lo, -1e30), f)
-
-
-def _whitened(g: _Gaussian, x: Array, y: Array) -> tuple[list[Array], list[Array], list[Array]]:
-    """Eq. 1 at the pixel centres: w_x per pixel, w_y per row; the exponent of eq. 2 per pixel."""
-    dx, dy = x - g.u, y - g.v
-    px = [g.p * (dx + (i + 0.5)) for i in range(WIDTH)]
-    qy = [g.q * (dy + (j + 0.5)) for j in range(HEIGHT)]
-    wy = [g.r * (dy + (j + 0.5)) for j in range(HEIGHT)]
-    wx = [px[i] + qy[j] for j in range(HEIGHT) for i in range(WIDTH)]
-    base = [dr.fma(-wy[j], wy[j], g.lo) for j in range(HEIGHT)]
-    return wx, wy, [dr.fma(-wx[n], wx[n], base[n // WIDTH]) for n in range(PIXELS)]
 
 
 @dr.freeze(limit=64, warn_after=1000)
@@ -150,7 +87,7 @@ def blend(
     U = type(lists.tile)
     channels = len(background)
     n = channels + 1  # the features: depth is the last
-    x, y = _corner(lists, grid, F)
+    x, y = corner(lists, grid, F)
     least = math.log2(options.alpha_min)
 
     # pixels outside the picture have stopped before they start
@@ -162,10 +99,10 @@ def blend(
     def body(k: Array, alive: Array, *state: Array) -> tuple[Array, ...]:
         T, C = list(state[:PIXELS]), list(state[PIXELS:])
         for turn in range(UNROLL):
-            g = _load(rows, n, lists.ids, k + turn, lists.end)
-            _, _, exponent = _whitened(g, x, y)
+            g = load(rows, n, lists.ids, k + turn, lists.end)
+            _, _, exponent = whitened(g, x, y)
             for i in range(PIXELS):
-                alpha = _min(exp2(exponent[i]), options.alpha_max)
+                alpha = smaller(exp2(exponent[i]), options.alpha_max)
                 alpha = dr.select(exponent[i] >= least, alpha, 0)
                 weight = alpha * T[i]
                 rest = T[i] - weight
@@ -176,7 +113,7 @@ def blend(
                     C[n * i + c] = dr.fma(weight, g.f[c], C[n * i + c])
         greatest = T[0]
         for i in range(1, PIXELS):
-            greatest = _max(greatest, T[i])
+            greatest = larger(greatest, T[i])
         return (k + UNROLL, greatest > 0, *T, *C)
 
     alive = lists.start < lists.end
@@ -185,7 +122,7 @@ def blend(
         state, lambda k, alive, *_: (k < lists.end) & alive, body, mode="symbolic", compress=False
     )
     T, C = [dr.abs(t) for t in state[:PIXELS]], state[PIXELS:]
-    for j, index in enumerate(_pixel_rows(lists, grid)):
+    for j, index in enumerate(pixel_rows(lists, grid)):
         row = range(j * WIDTH, (j + 1) * WIDTH)
         color = [dr.fma(T[i], background[c], C[n * i + c]) for i in row for c in range(channels)]
         packets.store_rows(planes.color, color, index, lists.real)
@@ -204,6 +141,7 @@ def blend_adjoint(
     grid: Grid,
     channels: int,
     options: SplatOptions,
+    absolute: bool,
     planes: Planes,
     grad: Planes,
     slots: packets.Packets,
@@ -214,21 +152,22 @@ def blend_adjoint(
     Args:
         rows, lists, grid, options, planes, stop: as :func:`blend` took and returned them.
         channels: D.
+        absolute: whether the slots hold the two absolute sums.
         grad: dL/dy; the depth may be None.
-        slots: memory for the pairs' slots, MOMENTS + D columns, one more with depth.
+        slots: memory for the pairs' slots: MOMENTS columns, two if ``absolute``, D, one if depth.
         grad_background: memory for D floats per lane.
     """
     F = type(rows[0])
     U = type(lists.tile)
-    x, y = _corner(lists, grid, F)
+    x, y = corner(lists, grid, F)
     least = math.log2(options.alpha_min)
     n = channels if grad.depth is None else channels + 1
 
     G, D = [], []
-    for index in _pixel_rows(lists, grid):
-        load = lambda plane, width, index=index: packets.load_rows(plane, width, index)
-        color, gc = (load(p.color, channels * WIDTH) for p in (planes, grad))
-        alpha, h = (load(p.alpha, WIDTH) for p in (planes, grad))
+    for index in pixel_rows(lists, grid):
+        row = lambda plane, width, index=index: packets.load_rows(plane, width, index)
+        color, gc = (row(p.color, channels * WIDTH) for p in (planes, grad))
+        alpha, h = (row(p.alpha, WIDTH) for p in (planes, grad))
         for i in range(WIDTH):
             g = gc[i * channels : (i + 1) * channels]
             G.append(g)
@@ -237,7 +176,7 @@ def blend_adjoint(
                 behind = dr.fma(color[i * channels + c], g[c], behind)
             D.append(behind)
         if grad.depth is not None:
-            depth, gd = (load(p.depth, WIDTH) for p in (planes, grad))
+            depth, gd = (row(p.depth, WIDTH) for p in (planes, grad))
             for i in range(-WIDTH, 0):
                 G[i].append(gd[i])
                 D[i] = dr.fma(depth[i], gd[i], D[i])
@@ -246,15 +185,16 @@ def blend_adjoint(
     def body(k: Array, *state: Array) -> tuple[Array, ...]:
         T, D = list(state[:PIXELS]), list(state[PIXELS:])
         for turn in range(UNROLL):
-            g = _load(rows, channels + 1, lists.ids, k + turn, lists.end)
-            wx, wy, exponent = _whitened(g, x, y)
+            g = load(rows, channels + 1, lists.ids, k + turn, lists.end)
+            wx, wy, exponent = whitened(g, x, y)
             grad_f = [None] * n
             m0, mx, my, mxx, mxy, myy = [None] * MOMENTS
+            ax = ay = None
             for j in range(HEIGHT):
                 s0 = s1 = s2 = None  # sums of v, v w_x, v w_x^2 over a row, where w_y is one number
                 for i in range(j * WIDTH, (j + 1) * WIDTH):
                     free = exp2(exponent[i])
-                    alpha = _min(free, options.alpha_max)
+                    alpha = smaller(free, options.alpha_max)
                     alpha = dr.select(exponent[i] >= least, alpha, 0)
                     weight = alpha * T[i]
                     rest = T[i] - weight
@@ -271,10 +211,13 @@ def blend_adjoint(
                         grad_f[c] = _fma(weight, G[i][c], grad_f[c])
                     vw = v * wx[i]
                     s0, s1, s2 = _add(s0, v), _add(s1, vw), _fma(vw, wx[i], s2)
+                    if absolute:
+                        ax = _add(ax, dr.abs(vw))
+                        ay = _add(ay, dr.abs(g.q * vw + g.r * (v * wy[j])))
                 vy = s0 * wy[j]
                 m0, mx, my, mxx = _add(m0, s0), _add(mx, s1), _add(my, vy), _add(mxx, s2)
                 mxy, myy = _fma(s1, wy[j], mxy), _fma(vy, wy[j], myy)
-            slot = [m0, mx, my, mxx, mxy, myy, *grad_f]
+            slot = [m0, mx, my, mxx, mxy, myy, *((ax, ay) if absolute else ()), *grad_f]
             packets.store(slots, slot, k + turn, k + turn < lists.end)
         return (k + UNROLL, *T, *D)
 
@@ -285,12 +228,83 @@ def blend_adjoint(
     packets.store_rows(grad_background, share, dr.arange(U, dr.width(lists.tile)), lists.real)
 
     def skip(k: Array) -> tuple[Array]:
-        packets.store(slots, [x * 0] * (MOMENTS + n), k)
+        packets.store(slots, [x * 0] * (MOMENTS + 2 * absolute + n), k)
         return (k + 1,)
 
     dr.while_loop((U(stop),), lambda k: k < lists.end, skip, mode="symbolic", compress=False)
     dr.eval(slots, grad_background)
     return slots, grad_background
+
+
+@dr.freeze(limit=64, warn_after=1000)
+def blend_tangent(
+    rows: packets.Packets,
+    drows: packets.Packets,
+    lists: Lists,
+    stop: Array,
+    grid: Grid,
+    background: list[Array],
+    dbackground: list[Array],
+    options: SplatOptions,
+    dplanes: Planes,
+) -> Planes:
+    """Eq. 7, lane per tile.
+
+    Args:
+        rows, lists, grid, background, options, stop: as :func:`blend` took and returned them.
+        drows, dbackground: tangents.
+        dplanes: memory for the picture's tangent.
+    """
+    F = type(rows[0])
+    U = type(lists.tile)
+    channels = len(background)
+    n = channels + 1
+    x, y = corner(lists, grid, F)
+    least, ln2 = math.log2(options.alpha_min), math.log(2.0)
+    T = [x * 0 + 1 for _ in range(PIXELS)]
+    dT = [x * 0 for _ in range(PIXELS)]
+    dC = [x * 0 for _ in range(n * PIXELS)]
+
+    def body(k: Array, *state: Array) -> tuple[Array, ...]:
+        T, dT, dC = list(state[:PIXELS]), list(state[PIXELS : 2 * PIXELS]), state[2 * PIXELS :]
+        dC = list(dC)
+        g, d = (load(columns, n, lists.ids, k, lists.end) for columns in (rows, drows))
+        wx, wy, exponent = whitened(g, x, y)
+        for i in range(PIXELS):
+            row, column = divmod(i, WIDTH)
+            dx, dy = x - g.u + (column + 0.5), y - g.v + (row + 0.5)
+            dwx = d.p * dx + d.q * dy - g.p * d.u - g.q * d.v
+            dwy = d.r * dy - g.r * d.v
+            free = exp2(exponent[i])
+            alpha = smaller(free, options.alpha_max)
+            alpha = dr.select(exponent[i] >= least, alpha, 0)
+            dalpha = ln2 * alpha * (d.lo - 2 * (wx[i] * dwx + wy[row] * dwy))
+            dalpha = dr.select(free <= options.alpha_max, dalpha, 0)
+            weight, dweight = alpha * T[i], dT[i] * alpha + T[i] * dalpha
+            rest = T[i] - weight
+            ok = rest > options.transmittance_min
+            weight, dweight = dr.select(ok, weight, 0), dr.select(ok, dweight, 0)
+            T[i], dT[i] = dr.select(ok, rest, -dr.abs(T[i])), dT[i] - dweight
+            for c in range(n):
+                dC[n * i + c] += dweight * g.f[c] + weight * d.f[c]
+        return (k + 1, *T, *dT, *dC)
+
+    state = (U(lists.start), *T, *dT, *dC)
+    state = dr.while_loop(state, lambda k, *_: k < stop, body, mode="symbolic", compress=False)
+    T, dT = [dr.abs(t) for t in state[1 : 1 + PIXELS]], state[1 + PIXELS : 1 + 2 * PIXELS]
+    dC = state[1 + 2 * PIXELS :]
+    for j, index in enumerate(pixel_rows(lists, grid)):
+        row = range(j * WIDTH, (j + 1) * WIDTH)
+        dcolor = [
+            dC[n * i + c] + dT[i] * background[c] + T[i] * dbackground[c]
+            for i in row
+            for c in range(channels)
+        ]
+        packets.store_rows(dplanes.color, dcolor, index, lists.real)
+        packets.store_rows(dplanes.alpha, [-dT[i] for i in row], index, lists.real)
+        packets.store_rows(dplanes.depth, [dC[n * i + channels] for i in row], index, lists.real)
+    dr.eval(dplanes)
+    return dplanes
 
 
 def sum_slots(lists: Lists, slots: packets.Packets, columns: int) -> list[Array]:

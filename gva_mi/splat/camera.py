@@ -4,6 +4,9 @@
 * Camera: OpenCV axes, x right, y down, z forward. ``x_cam = T_camera_world · x_world``.
 * Pixel (column i, row j) covers [i, i+1) x [j, j+1); its centre lies at (i + 0.5, j + 0.5).
 * Pinhole: ``u = fx · x/z + cx``, ``v = fy · y/z + cy``.
+* Ortho: ``u = fx · x + cx``: parallel rays, the focal lengths are pixels per metre.
+* Fisheye: ``u = fx · x · s + cx`` with ``s = atan2(r, z)/r``, ``r`` the distance from the axis: the
+  equidistant lens, without distortion; focal lengths are pixels per radian.
 * Transforms are named target first: ``T_camera_world`` takes world to camera, so that chains
   cancel by eye.
 """
@@ -11,11 +14,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
-CameraModel = Literal["pinhole"]
+CameraModel = Literal["pinhole", "ortho", "fisheye"]
 
 
 @dataclass(frozen=True)
@@ -41,6 +44,12 @@ class Camera:
             raise ValueError(
                 "Camera: T_camera_world must be rigid: finite, with a rotation in [:3, :3]"
             )
+        if self.model not in get_args(CameraModel):
+            known = ", ".join(get_args(CameraModel))
+            raise ValueError(f"Camera: model must be one of {known}, got {self.model!r}")
+        if not np.isfinite([self.fx, self.fy, self.cx, self.cy]).all():
+            found = f"{self.fx}, {self.fy}, {self.cx}, {self.cy}"
+            raise ValueError(f"Camera: fx, fy, cx, cy must be finite, got {found}")
         if self.width < 1 or self.height < 1:
             raise ValueError(f"Camera: size must be at least 1x1, got {self.width}x{self.height}")
         if not (self.fx > 0 and self.fy > 0):
@@ -49,13 +58,25 @@ class Camera:
         object.__setattr__(self, "T_camera_world", T)
 
     @staticmethod
-    def from_matrices(K: np.ndarray, T_camera_world: np.ndarray, width: int, height: int) -> Camera:
-        """A pinhole camera from its intrinsics ``K`` (3, 3) and its pose (4, 4)."""
+    def from_matrices(
+        K: np.ndarray,
+        T_camera_world: np.ndarray,
+        width: int,
+        height: int,
+        model: CameraModel = "pinhole",
+    ) -> Camera:
+        """A camera from its intrinsics ``K`` (3, 3) and its pose (4, 4)."""
         K = np.asarray(K, dtype=np.float64)
         if K.shape != (3, 3):
             raise ValueError(f"Camera: K must be (3, 3), got {K.shape}")
         fx, fy, cx, cy = (float(x) for x in (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
-        return Camera(fx, fy, cx, cy, T_camera_world, int(width), int(height))
+        return Camera(fx, fy, cx, cy, T_camera_world, int(width), int(height), model)
+
+    def with_matrices(self, T_camera_world: np.ndarray | None, K: np.ndarray | None) -> Camera:
+        """The same view with another pose (4, 4) or intrinsics (3, 3); None keeps its own."""
+        T_camera_world = self.T_camera_world if T_camera_world is None else T_camera_world
+        K = self.K if K is None else K
+        return Camera.from_matrices(K, T_camera_world, self.width, self.height, self.model)
 
     @property
     def K(self) -> np.ndarray:
@@ -66,7 +87,7 @@ class Camera:
     def position(self) -> np.ndarray:
         """Where the camera stands in the world, (3,)."""
         R, t = self.T_camera_world[:3, :3], self.T_camera_world[:3, 3]
-        return -R.T @ t
+        return -np.linalg.solve(R, t)
 
     def resized(self, width: int, height: int) -> Camera:
         """The same view on another grid of pixels."""
@@ -88,8 +109,15 @@ class Camera:
     def project(self, points: np.ndarray) -> np.ndarray:
         """World points (..., 3) to pixels (..., 2); of no use for a point behind the camera."""
         x = points @ self.T_camera_world[:3, :3].T + self.T_camera_world[:3, 3]
-        u = self.fx * x[..., 0] / x[..., 2] + self.cx
-        v = self.fy * x[..., 1] / x[..., 2] + self.cy
+        if self.model == "pinhole":
+            scale = 1 / x[..., 2]
+        elif self.model == "ortho":
+            scale = np.ones_like(x[..., 2])
+        else:
+            r = np.maximum(np.hypot(x[..., 0], x[..., 1]), 1e-12)
+            scale = np.arctan2(r, x[..., 2]) / r
+        u = self.fx * x[..., 0] * scale + self.cx
+        v = self.fy * x[..., 1] * scale + self.cy
         return np.stack([u, v], axis=-1)
 
 

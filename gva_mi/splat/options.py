@@ -15,6 +15,8 @@ class SplatOptions:
     blur: float = 0.3  # added to the diagonal of the 2D covariance, square pixels
     near: float = 0.01  # metres; nearer Gaussians are not drawn
     far: float = 1e10  # metres
+    radius_min: float = 0.0  # pixels; a Gaussian that reaches no further in x and y is not drawn
+    antialiased: bool = False  # what blurring adds in area is taken from the opacity
 
     def __post_init__(self) -> None:
         if not 0 < self.alpha_min < self.alpha_max < 1:
@@ -22,3 +24,6 @@ class SplatOptions:
             raise ValueError(f"SplatOptions: 0 < alpha_min < alpha_max < 1 is needed, got {found}")
         if not 0 < self.near < self.far:
             raise ValueError(f"SplatOptions: 0 < near < far is needed, got {self.near}, {self.far}")
+        if not (self.blur >= 0 and self.radius_min >= 0):
+            found = f"{self.blur}, {self.radius_min}"
+            raise ValueError(f"SplatOptions: blur and radius_min must be at least 0, got {found}")

@@ -1,9 +1,10 @@
-"""The kernels one after the other, and their adjoints in reverse; what autodiff joins.
+"""The kernels one after the other, their adjoints in reverse, and their tangents.
 
     render_forward:   project  ->  tiles.make_lists  ->  blend
     render_adjoint:   project_adjoint  <-  sum_slots  <-  blend_adjoint
+    render_tangent:   project_tangent  ->  blend_tangent
 
-render.py wraps the two for Dr.Jit's autodiff, torch_op.py for torch's. Pictures are here *planes*:
+render.py wraps them for Dr.Jit's autodiff, torch_op.py for torch's. Pictures are here *planes*:
 flat arrays, padded to whole tiles.
 
 The kernels are frozen: the first call traces and compiles them (0.1-0.5 s each, cached on disk),
@@ -20,18 +21,20 @@ import drjit as dr
 import numpy as np
 from drjit import ArrayBase as Array
 
-from gva_mi.splat import packets, tiles
-from gva_mi.splat.blend import Planes, blend, blend_adjoint, sum_slots
+from gva_mi.splat import chunks, packets, tiles
+from gva_mi.splat.blend import blend, blend_adjoint, blend_tangent, sum_slots
 from gva_mi.splat.camera import Camera
+from gva_mi.splat.lens import View, view_adjoint, view_of, view_tangent
 from gva_mi.splat.options import SplatOptions
+from gva_mi.splat.pixels import Planes
 from gva_mi.splat.project import (
     GEOMETRY,
     MOMENTS,
     Inputs,
-    View,
+    Targets,
     project,
     project_adjoint,
-    view_of,
+    project_tangent,
 )
 from gva_mi.splat.tiles import Grid, Layout, Lists
 
@@ -40,7 +43,7 @@ from gva_mi.splat.tiles import Grid, Layout, Lists
 class Projected:
     """The Gaussians in the picture."""
 
-    rows: packets.Packets  # GEOMETRY + D + 1 columns: what blend.py reads
+    rows: list[packets.Packets]  # GEOMETRY + D + 1 columns, per chunk: what blend.py reads
     footprints: packets.Packets  # what tiles.py reads
     depths: Array  # (N,) m
     counts: Array  # (N,) tiles touched
@@ -50,18 +53,22 @@ class Projected:
 
 @dataclass(frozen=True)
 class Saved:
-    """A picture, and what its adjoint needs of the forward pass."""
+    """A picture, and what its adjoint and tangent need of the forward pass."""
 
     inputs: Inputs
     harmonics: bool  # whether inputs.colors holds coefficients
     channels: int  # D
+    chunks: list[int]  # channels composited at a time
+    camera: Camera
     view: View
     options: SplatOptions
+    background: list[Array]  # D
     layout: Layout
     grid: Grid
     projected: Projected | None  # None where there is no Gaussian
     lists: Lists | None  # None where none is drawn
     stop: Array  # where each lane of blend stopped
+    parts: list[Planes]  # the picture in chunks
     planes: Planes
 
     @property
@@ -71,7 +78,12 @@ class Saved:
 
 
 def render_forward(
-    inputs: Inputs, harmonics: bool, camera: Camera, options: SplatOptions, background: list[float]
+    inputs: Inputs,
+    harmonics: bool,
+    camera: Camera,
+    options: SplatOptions,
+    background: list[float],
+    whole: bool = False,
 ) -> Saved:
     """The picture, in ``.planes``, padded to whole tiles.
 
@@ -81,6 +93,7 @@ def render_forward(
         camera: the view.
         options: cut-offs.
         background: one number per channel.
+        whole: not to split the channels into chunks; absolute gradients need it.
 
     Raises:
         ValueError: for NaN or infinite inputs, and for more pairs than can be counted.
@@ -94,76 +107,200 @@ def render_forward(
     grid = layout.grid(dr.int32_array_t(F))
     view = view_of(camera, F)
     behind = [dr.opaque(F, b) for b in background]
+    parts = chunks.widths(D, whole)
 
     projected = lists = stop = None
     if n:
-        rows = packets.empty(F, GEOMETRY + D + 1, n)
+        rows = [packets.empty(F, GEOMETRY + width + 1, n) for width in parts]
         footprints = packets.empty(F, tiles.FOOTPRINT, n)
-        projected = _project(
-            inputs, dr.width(inputs.colors) // n, harmonics, view, options, grid, rows, footprints
-        )
+        width = dr.width(inputs.colors) // n
+        projected = _project(inputs, width, harmonics, view, options, grid, parts, rows, footprints)
         if not dr.all(projected.finite):
             _report_not_finite(inputs, harmonics, n)
         lists = tiles.make_lists(footprints, projected.depths, projected.counts, layout, grid)
     size = layout.padded[0] * layout.padded[1]
     if lists is None:
         planes = _empty_picture(behind, size)
+        pictures = [planes]
     else:
-        planes = Planes(*(packets.memory(F, size * k) for k in (D, 1, 1)))
-        planes, stop = blend(projected.rows, lists, grid, behind, options, planes)
-    return Saved(inputs, harmonics, D, view, options, layout, grid, projected, lists, stop, planes)
+        pictures = []
+        by_chunk = chunks.of_background(behind, parts)
+        for width, rows, colors in zip(parts, projected.rows, by_chunk, strict=True):
+            target = Planes(*(packets.memory(F, size * k) for k in (width, 1, 1)))
+            picture, stop = blend(rows, lists, grid, colors, options, target)
+            pictures.append(picture)
+        planes = chunks.join_planes(pictures, D)
+    return Saved(
+        inputs,
+        harmonics,
+        D,
+        parts,
+        camera,
+        view,
+        options,
+        behind,
+        layout,
+        grid,
+        projected,
+        lists,
+        stop,
+        pictures,
+        planes,
+    )
 
 
-def render_adjoint(saved: Saved, grad: Planes) -> tuple[Inputs, Array, list[float]]:
+@dataclass(frozen=True)
+class Gradients:
+    """What :func:`render_adjoint` returns; None where it was not asked for."""
+
+    inputs: Inputs
+    means2d: Array  # 2 N, per px
+    background: list[float]  # D
+    absolute: Array | None  # 2 N, means2d with every pixel's share taken absolutely
+    T_camera_world: np.ndarray | None  # (4, 4)
+    K: np.ndarray | None  # (3, 3)
+
+
+def render_adjoint(
+    saved: Saved,
+    grad: Planes,
+    camera: bool = False,
+    absolute: bool = False,
+    through_means2d: bool = True,
+) -> Gradients:
     """The reverse of :func:`render_forward`.
 
     Args:
-        saved: what it returned.
+        saved: what it returned; ``whole``, if there are more channels than a chunk's and
+            ``absolute`` is asked for.
         grad: dL/dplanes, padded to whole tiles with zeros; the depth may be None.
-
-    Returns:
-        Gradients of the inputs, of the means in the picture (2 N, per px), and of the background.
+        camera: whether to return the gradients by the camera.
+        absolute: whether to return the absolute gradient by the means in the picture.
+        through_means2d: whether the gradient by the means in the picture is part of the others.
     """
     F = type(saved.inputs.means)
     n, D = dr.width(saved.inputs.opacities), saved.channels
+    i = saved.inputs
+    sizes = [dr.width(part) for part in (i.means, i.quats, i.scales, i.opacities, i.colors)]
     if saved.lists is None:
-        i = saved.inputs
-        parts = (i.means, i.quats, i.scales, i.opacities, i.colors)
-        zeros = Inputs(*(dr.zeros(F, dr.width(part)) for part in parts))
+        zeros = Inputs(*(dr.zeros(F, size) for size in sizes))
+        nothing = (np.zeros((4, 4)), np.zeros((3, 3))) if camera else (None, None)
         by_channel = grad.color.numpy().astype(np.float64).reshape(-1, D).sum(axis=0)
-        return zeros, dr.zeros(F, 2 * n), by_channel.tolist()
+        by_absolute = dr.zeros(F, 2 * n) if absolute else None
+        return Gradients(zeros, dr.zeros(F, 2 * n), by_channel.tolist(), by_absolute, *nothing)
 
-    columns = MOMENTS + D + (grad.depth is not None)
-    slots = packets.empty(F, columns, dr.width(saved.lists.ids))
-    shares = packets.memory(F, dr.width(saved.lists.tile) * D)
-    slots, shares = blend_adjoint(
-        saved.projected.rows,
-        saved.lists,
-        saved.stop,
-        saved.grid,
-        D,
-        saved.options,
-        saved.planes,
-        grad,
-        slots,
-        shares,
+    slots, by_background = [], []
+    pictures = chunks.split_gradient(grad, D, len(saved.chunks))
+    for width, rows, planes, g in zip(
+        saved.chunks, saved.projected.rows, saved.parts, pictures, strict=True
+    ):
+        columns = MOMENTS + 2 * absolute + width + (g.depth is not None)
+        memory = packets.empty(F, columns, dr.width(saved.lists.ids))
+        shares = packets.memory(F, dr.width(saved.lists.tile) * width)
+        memory, shares = blend_adjoint(
+            rows,
+            saved.lists,
+            saved.stop,
+            saved.grid,
+            width,
+            saved.options,
+            absolute,
+            planes,
+            g,
+            memory,
+            shares,
+        )
+        slots.append((memory, columns))
+        by_background.append((shares, width))
+
+    target = Targets(
+        Inputs(*(packets.memory(F, size) for size in sizes)),
+        packets.memory(F, 2 * n),
+        packets.memory(F, 2 * n) if absolute else None,
+        packets.empty(F, View.DIFFERENTIABLE, n) if camera else None,
     )
-    target = Inputs(*(packets.memory(F, k * n) for k in (3, 4, 3, 1, saved.width)))
-    target, grad_u = _gaussians_adjoint(
+    target = _gaussians_adjoint(
         saved.inputs,
         saved.width,
         saved.harmonics,
         saved.view,
         saved.options,
         saved.lists,
-        slots,
-        columns,
+        [memory for memory, _ in slots],
+        [columns for _, columns in slots],
+        D,
+        grad.depth is not None,
         target,
-        packets.memory(F, 2 * n),
+        through_means2d,
     )
-    # numpy adds in one thread, in float64: the same bits for any number of threads
-    by_lane = shares.numpy().reshape(-1, D)[saved.lists.real.numpy()]
-    return target, grad_u, by_lane.astype(np.float64).sum(axis=0).tolist()
+    real = saved.lists.real.numpy()  # lanes that only fill up packets have written nothing
+    sums = [_sum_rows(shares, width, real) for shares, width in by_background]
+    by_camera = (None, None)
+    if camera:
+        parts = zip(target.view, packets.widths(View.DIFFERENTIABLE), strict=True)
+        by_camera = view_adjoint(
+            saved.camera, np.concatenate([_sum_rows(part, width) for part, width in parts])
+        )
+    return Gradients(
+        target.inputs, target.u, np.concatenate(sums)[:D].tolist(), target.absolute, *by_camera
+    )
+
+
+def render_tangent(
+    saved: Saved,
+    dinputs: Inputs,
+    dT: np.ndarray,
+    dK: np.ndarray,
+    dbackground: list[float],
+    dmeans2d: Array | None = None,
+) -> Planes:
+    """The picture's tangent.
+
+    Args:
+        saved: what :func:`render_forward` returned.
+        dinputs: tangents of the Gaussians.
+        dT: of ``T_camera_world``, (4, 4).
+        dK: of ``K``, (3, 3).
+        dbackground: of the background, D.
+        dmeans2d: 2 N; where given, it takes the place of what the above make of the means in the
+            picture.
+    """
+    F = type(saved.inputs.means)
+    n, D = dr.width(saved.inputs.opacities), saved.channels
+    behind = [dr.opaque(F, b) for b in dbackground]
+    size = saved.layout.padded[0] * saved.layout.padded[1]
+    if saved.lists is None:
+        return _empty_picture(behind, size)
+    drows = _project_tangent(
+        saved.inputs,
+        saved.width,
+        saved.harmonics,
+        saved.view,
+        saved.options,
+        dinputs,
+        view_tangent(saved.camera, dT, dK, F),
+        dmeans2d,
+        saved.chunks,
+        [packets.empty(F, GEOMETRY + width + 1, n) for width in saved.chunks],
+    )
+    pictures = []
+    colors = chunks.of_background(saved.background, saved.chunks)
+    dcolors = chunks.of_background(behind, saved.chunks)
+    for k, width in enumerate(saved.chunks):
+        pictures.append(
+            blend_tangent(
+                saved.projected.rows[k],
+                drows[k],
+                saved.lists,
+                saved.stop,
+                saved.grid,
+                colors[k],
+                dcolors[k],
+                saved.options,
+                Planes(*(packets.memory(F, size * c) for c in (width, 1, 1))),
+            )
+        )
+    return chunks.join_planes(pictures, D)
 
 
 @dr.freeze(limit=64, warn_after=1000)
@@ -174,12 +311,14 @@ def _project(
     view: View,
     options: SplatOptions,
     grid: Grid,
-    rows: packets.Packets,
+    parts: list[int],
+    rows: list[packets.Packets],
     footprints: packets.Packets,
 ) -> Projected:
     columns, ellipses, radii, finite = project(inputs, width, harmonics, view, options)
     i = dr.arange(dr.uint32_array_t(type(inputs.means)), dr.width(inputs.opacities))
-    packets.store(rows, columns, i)
+    for target, part in zip(rows, chunks.rows_of(columns, GEOMETRY, parts), strict=True):
+        packets.store(target, part, i)
     tiles.store(ellipses, footprints, i)
     counts = tiles.count(ellipses, grid)
     radii = dr.select(counts > 0, radii, 0)
@@ -196,17 +335,52 @@ def _gaussians_adjoint(
     view: View,
     options: SplatOptions,
     lists: Lists,
-    slots: packets.Packets,
-    columns: int,
-    target: Inputs,
-    grad_u: Array,
-) -> tuple[Inputs, Array]:
-    moments = sum_slots(lists, slots, columns)
-    dr.eval(moments)  # two kernels: as one they run out of registers
+    slots: list[packets.Packets],
+    columns: list[int],
+    channels: int,
+    depth: bool,
+    target: Targets,
+    through_u: bool,
+) -> Targets:
+    sums = [sum_slots(lists, part, n) for part, n in zip(slots, columns, strict=True)]
+    dr.eval(sums)  # two kernels: as one they run out of registers
+    shared = MOMENTS + 2 * (target.absolute is not None)
+    moments = chunks.add_moments(sums, shared, channels, depth)
     drawn = lists.counts > 0
-    project_adjoint(inputs, width, harmonics, view, options, moments, drawn, target, grad_u)
-    dr.eval(target, grad_u)
-    return target, grad_u
+    project_adjoint(inputs, width, harmonics, view, options, moments, drawn, target, through_u)
+    dr.eval(target)
+    return target
+
+
+@dr.freeze(limit=64, warn_after=1000)
+def _project_tangent(
+    inputs: Inputs,
+    width: int,
+    harmonics: bool,
+    view: View,
+    options: SplatOptions,
+    dinputs: Inputs,
+    dview: View,
+    dmeans2d: Array | None,
+    parts: list[int],
+    drows: list[packets.Packets],
+) -> list[packets.Packets]:
+    columns = project_tangent(inputs, width, harmonics, view, options, dinputs, dview)
+    i = dr.arange(dr.uint32_array_t(type(inputs.means)), dr.width(inputs.opacities))
+    if dmeans2d is not None:
+        columns[:2] = packets.load_rows(dmeans2d, 2, i)
+    for target, part in zip(drows, chunks.rows_of(columns, GEOMETRY, parts), strict=True):
+        packets.store(target, part, i)
+    dr.eval(drows)
+    return drows
+
+
+def _sum_rows(flat: Array, width: int, rows: slice | np.ndarray = slice(None)) -> np.ndarray:
+    """Sums of the columns of a flat array of rows, on the host.
+
+    numpy adds in one thread, in float64: the same bits for any number of threads.
+    """
+    return flat.numpy().reshape(-1, width)[rows].sum(axis=0, dtype=np.float64)
 
 
 def _empty_picture(background: list[Array], size: int) -> Planes:

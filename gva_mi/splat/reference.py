@@ -4,8 +4,9 @@ It shares no code with the kernels, only the constants and the records, and is w
 obviously right: every Gaussian meets every pixel, one after the other; nothing is tiled or
 pre-scaled. Use it to check the kernels (:mod:`gva_mi.splat.gradcheck`), on small pictures.
 
-    Sigma = M S S M^T,   Sigma' = J R Sigma R^T J^T + blur I
+    Sigma = M S S M^T,   Sigma' = J R Sigma R^T J^T + blur I,   J = du/dx by autograd
     alpha = min(alpha_max, o exp(-d^T Sigma'^-1 d / 2))
+    antialiased: o sqrt(det(Sigma' - blur I) / det Sigma') in the place of o
     color = sum_i T_i alpha_i c_i + T background
 """
 
@@ -14,7 +15,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from gva_mi.splat.camera import Camera
+from gva_mi.splat.camera import Camera, CameraModel
 from gva_mi.splat.gaussians import Gaussians, Image
 from gva_mi.splat.options import SplatOptions
 
@@ -24,6 +25,9 @@ def render(
     camera: Camera,
     options: SplatOptions | None = None,
     background: Tensor | None = None,
+    *,
+    T_camera_world: Tensor | None = None,
+    K: Tensor | None = None,
 ) -> Image:
     """What ``torch_op.render`` shall return, to the precision of float64.
 
@@ -32,8 +36,11 @@ def render(
         camera: the view.
         options: cut-offs.
         background: (D,), black where None.
+        T_camera_world: (4, 4), in the place of the camera's own; differentiable.
+        K: (3, 3), in the place of the camera's own; differentiable.
     """
-    return _render(gaussians, camera, options or SplatOptions(), background)[0]
+    matrices = _matrices(camera, T_camera_world, K)
+    return _render(gaussians, camera, options or SplatOptions(), background, *matrices)[0]
 
 
 def threshold_band(
@@ -54,18 +61,28 @@ def threshold_band(
         transmittance: the same for T and ``transmittance_min``.
     """
     with torch.no_grad():
-        margin = _render(gaussians, camera, options or SplatOptions(), None)[1]
+        matrices = _matrices(camera, None, None)
+        margin = _render(gaussians, camera, options or SplatOptions(), None, *matrices)[1]
     return (margin[0] < alpha) | (margin[1] < transmittance)
 
 
+def _matrices(camera: Camera, T: Tensor | None, K: Tensor | None) -> tuple[Tensor, Tensor]:
+    T = torch.tensor(camera.T_camera_world) if T is None else T.to(torch.float64)
+    return T, torch.tensor(camera.K) if K is None else K.to(torch.float64)
+
+
 def _render(
-    gaussians: Gaussians, camera: Camera, options: SplatOptions, background: Tensor | None
+    gaussians: Gaussians,
+    camera: Camera,
+    options: SplatOptions,
+    background: Tensor | None,
+    T_camera_world: Tensor,
+    K: Tensor,
 ) -> tuple[Image, tuple[Tensor, Tensor]]:
     to64 = lambda t: t.to(torch.float64)
     means, quats, scales, opacities = map(
         to64, (gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities)
     )
-    T_camera_world = torch.tensor(camera.T_camera_world)
     R, t = T_camera_world[:3, :3], T_camera_world[:3, 3]
     H, W = camera.height, camera.width
     pixels = torch.stack(
@@ -75,7 +92,7 @@ def _render(
     if gaussians.sh is None:
         colors = to64(gaussians.colors)
     else:
-        toward = means - torch.tensor(camera.position)
+        toward = means + torch.linalg.solve(R, t)
         toward = toward / toward.norm(dim=1, keepdim=True)
         sums = torch.einsum(
             "nk,nkc->nc", harmonics(toward, gaussians.sh.shape[1]), to64(gaussians.sh)
@@ -95,10 +112,14 @@ def _render(
     alpha_margin = torch.full((H, W), torch.inf, dtype=torch.float64)
     rest_margin = torch.full((H, W), torch.inf, dtype=torch.float64)
     for i in order[visible[order]].tolist():
-        mean2d, covariance = _project(x[i], quats[i], scales[i], R, camera, options)
+        mean2d, sharp = _project(x[i], quats[i], scales[i], R, camera, K)
+        covariance = sharp + options.blur * torch.eye(2, dtype=torch.float64)
+        opacity = opacities[i]
+        if options.antialiased:
+            opacity = opacity * torch.sqrt(torch.linalg.det(sharp) / torch.linalg.det(covariance))
         d = pixels - mean2d
         exponent = -0.5 * torch.einsum("hwi,ij,hwj->hw", d, torch.linalg.inv(covariance), d)
-        free = opacities[i] * torch.exp(exponent)
+        free = opacity * torch.exp(exponent)
         seen = ~stopped & (free.detach() >= options.alpha_min)
         alpha = torch.where(
             free >= options.alpha_min, torch.clamp(free, max=options.alpha_max), 0.0
@@ -121,26 +142,31 @@ def _render(
 
 
 def _project(
-    x: Tensor, quat: Tensor, scale: Tensor, R: Tensor, camera: Camera, options: SplatOptions
+    x: Tensor, quat: Tensor, scale: Tensor, R: Tensor, camera: Camera, K: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """One Gaussian's mean (2,) and covariance (2, 2) in the picture; ``x``: camera space."""
-    f = torch.tensor([camera.fx, camera.fy], dtype=torch.float64)
-    c = torch.tensor([camera.cx, camera.cy], dtype=torch.float64)
-    size = torch.tensor([camera.width, camera.height], dtype=torch.float64)
-    z = x[2]
-    slope = x[:2] / z
-    # gsplat: the linearisation follows the mean up to 15 % of the picture's size beyond its border
-    held = torch.minimum(torch.maximum(slope, (-c - 0.15 * size) / f), (size - c + 0.15 * size) / f)
-    zero = torch.zeros((), dtype=torch.float64)
-    J = torch.stack(
-        [
-            torch.stack([f[0] / z, zero, -f[0] * held[0] / z]),
-            torch.stack([zero, f[1] / z, -f[1] * held[1] / z]),
-        ]
-    )
+    """One Gaussian's mean (2,) and covariance before the blur (2, 2); ``x``: camera space."""
+    falls = lambda x: picture_point(x, K, camera.model)
+    J = torch.func.jacrev(falls)(x)
+    if camera.model == "pinhole":
+        # gsplat: J follows the mean up to 15 % of the picture's size beyond its border
+        size = torch.tensor([camera.width, camera.height], dtype=torch.float64)
+        u = falls(x)
+        held = torch.minimum(torch.maximum(u, -0.15 * size), 1.15 * size)
+        J = torch.cat([J[:, :2], -(held - K[:2, 2])[:, None] / x[2]], dim=1)
     A = J @ R @ rotation(quat) @ torch.diag(scale)
-    covariance = A @ A.T + options.blur * torch.eye(2, dtype=torch.float64)
-    return f * slope + c, covariance
+    return falls(x), A @ A.T
+
+
+def picture_point(x: Tensor, K: Tensor, model: CameraModel) -> Tensor:
+    """Where a point (3,) of camera space falls in the picture, (2,) px."""
+    if model == "pinhole":
+        p = x[:2] / x[2]
+    elif model == "ortho":
+        p = x[:2]
+    else:
+        r = x[:2].norm()
+        p = x[:2] * torch.atan2(r, x[2]) / r
+    return torch.diagonal(K)[:2] * p + K[:2, 2]
 
 
 def rotation(quat: Tensor) -> Tensor:

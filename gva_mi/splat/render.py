@@ -1,17 +1,22 @@
-"""``render`` on Dr.Jit tensors: Gaussians and a camera make a picture, with its adjoint."""
+"""``render`` on Dr.Jit tensors: Gaussians and a camera make a picture.
+
+Dr.Jit's autodiff goes both ways through it: ``dr.backward`` runs the adjoint kernels, and
+``dr.forward`` the tangent ones.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
 import drjit as dr
+import numpy as np
 from drjit import ArrayBase as Array
 
-from gva_mi.splat.blend import Planes
 from gva_mi.splat.camera import Camera
 from gva_mi.splat.gaussians import Gaussians, Image
 from gva_mi.splat.options import SplatOptions
-from gva_mi.splat.pipeline import render_adjoint, render_forward
+from gva_mi.splat.pipeline import render_adjoint, render_forward, render_tangent
+from gva_mi.splat.pixels import Planes
 from gva_mi.splat.project import Inputs
 
 _DEFAULTS = SplatOptions()
@@ -22,6 +27,9 @@ def render(
     camera: Camera,
     options: SplatOptions = _DEFAULTS,
     background: Array = None,
+    *,
+    T_camera_world: Array = None,
+    K: Array = None,
 ) -> Image:
     """The picture of ``gaussians`` from ``camera``.
 
@@ -32,6 +40,10 @@ def render(
         options: cut-offs.
         background: (D,) tensor of the same kind, the colour behind the Gaussians; None is black, as
             in gsplat.
+        T_camera_world: (4, 4) tensor of the same kind, rigid; takes the place of the camera's own,
+            and is differentiable.
+        K: (3, 3) tensor of the same kind; takes the place of the camera's own intrinsics, and is
+            differentiable.
 
     Returns:
         color (H, W, D), alpha (H, W) and depth (H, W), tensors of the same kind.
@@ -56,12 +68,27 @@ def render(
         background = dr.zeros(kind, shape=(D,))
     elif type(background) is not kind or tuple(background.shape) != (D,):
         raise ValueError(f"render(): background must be a {kind.__name__} of shape ({D},)")
+    for name, matrix, shape in (("T_camera_world", T_camera_world, (4, 4)), ("K", K, (3, 3))):
+        if matrix is not None and (type(matrix) is not kind or tuple(matrix.shape) != shape):
+            raise ValueError(f"render(): {name} must be a {kind.__name__} of shape {shape}")
+    if T_camera_world is not None or K is not None:
+        matrices = (None if m is None else _numpy(m) for m in (T_camera_world, K))
+        camera = camera.with_matrices(*matrices)
     constants = lambda: (gaussians.sh is not None, camera, options)
-    return Image(*dr.custom(_Render, *arrays.values(), background, constants))
+    return Image(*dr.custom(_Render, *arrays.values(), background, T_camera_world, K, constants))
+
+
+def expected_depth(image: Image) -> Array:
+    """Depth per alpha, (H, W) m: the mean z of what a pixel shows; 0 where it shows nothing."""
+    return image.depth / dr.select(image.alpha > 0, image.alpha, 1)
+
+
+def _numpy(tensor: Array) -> np.ndarray:
+    return dr.detach(tensor).numpy().astype(np.float64)
 
 
 class _Render(dr.CustomOp):
-    """The two halves of pipeline.py, as Dr.Jit's autodiff wants them."""
+    """The two directions of pipeline.py, as Dr.Jit's autodiff wants them."""
 
     NAMES = ("means", "quats", "scales", "opacities", "colors")
 
@@ -73,30 +100,46 @@ class _Render(dr.CustomOp):
         opacities: Array,
         colors: Array,
         background: Array,
+        T_camera_world: Array,
+        K: Array,
         constants: Callable[[], tuple[bool, Camera, SplatOptions]],
     ) -> tuple[Array, Array, Array]:
         harmonics, camera, options = constants()
         parts = (means, quats, scales, opacities, colors)
         self.kind, self.shapes = type(means), [part.shape for part in parts]
+        given = {"T_camera_world": T_camera_world, "K": K}
+        self.matrices = [name for name, matrix in given.items() if matrix is not None]
         inputs = Inputs(*(dr.detach(part.array, preserve_type=False) for part in parts))
-        saved = render_forward(inputs, harmonics, camera, options, background.numpy().tolist())
-        self.saved, planes = saved, saved.planes
-        return (
-            self._image(planes.color, saved.channels),
-            self._image(planes.alpha),
-            self._image(planes.depth),
-        )
+        self.saved = render_forward(inputs, harmonics, camera, options, background.numpy().tolist())
+        return self._images(self.saved.planes)
 
     def backward(self) -> None:
         color, alpha, depth = self.grad_out()
         grad = Planes(
             self._plane(color, self.saved.channels), self._plane(alpha), self._plane(depth)
         )
-        inputs, _, by_background = render_adjoint(self.saved, grad)
+        found = render_adjoint(self.saved, grad, camera=bool(self.matrices))
         for name, shape in zip(self.NAMES, self.shapes, strict=True):
-            flat = dr.array_t(self.kind)(getattr(inputs, name))
+            flat = dr.array_t(self.kind)(getattr(found.inputs, name))
             self.set_grad_in(name, self.kind(flat, shape=shape))
-        self.set_grad_in("background", self.kind(by_background))
+        self.set_grad_in("background", self.kind(found.background))
+        for name in self.matrices:
+            self.set_grad_in(name, self.kind(getattr(found, name)))
+
+    def forward(self) -> None:
+        flat = lambda name: dr.detach(self.grad_in(name).array, preserve_type=False)
+        matrices = {"T_camera_world": np.zeros((4, 4)), "K": np.zeros((3, 3))}
+        matrices |= {name: _numpy(self.grad_in(name)) for name in self.matrices}
+        tangents = Inputs(*(flat(name) for name in self.NAMES))
+        dr.make_opaque(tangents)
+        planes = render_tangent(
+            self.saved, tangents, *matrices.values(), _numpy(self.grad_in("background")).tolist()
+        )
+        self.set_grad_out(self._images(planes))
+
+    def _images(self, planes: Planes) -> tuple[Array, Array, Array]:
+        color = self._image(planes.color, self.saved.channels)
+        return color, self._image(planes.alpha), self._image(planes.depth)
 
     def _image(self, plane: Array, channels: int = 0) -> Array:
         """A plane as an image, without its padding; 0 channels: without that axis."""

@@ -90,6 +90,14 @@ class Scene:
         inputs = self.inputs().items()
         return self.with_inputs({k: v.detach().to(dtype).requires_grad_() for k, v in inputs})
 
+    def rounded(self) -> Scene:
+        """The same scene with every number as float32 holds it, the camera's too."""
+        round32 = lambda x: np.asarray(x, dtype=np.float32).astype(np.float64)
+        c = self.camera
+        numbers = {k: float(round32(getattr(c, k))) for k in ("fx", "fy", "cx", "cy")}
+        camera = replace(c, T_camera_world=round32(c.T_camera_world), **numbers)
+        return replace(self.to(torch.float32).to(torch.float64), camera=camera)
+
     def window(self, left: int, top: int, width: int, height: int) -> Scene:
         """A part of the picture as a scene of its own, without the Gaussians that miss it."""
         g, camera = self.gaussians, self.camera.cropped(left, top, width, height)
@@ -111,7 +119,7 @@ class Scene:
         return replace(self, gaussians=Gaussians(**kept), camera=camera)
 
     def windows(self, size: int, count: int) -> Iterator[tuple[str, Scene]]:
-        """``count`` windows of ``size`` pixels, from the fullest to the emptiest, by their place."""
+        """``count`` windows of ``size`` pixels from the fullest to the emptiest, named by place."""
         u = self.camera.project(self.gaussians.means.detach().numpy())
         columns, rows = max(1, self.camera.width // size), max(1, self.camera.height // size)
         extent = [[0, columns * size], [0, rows * size]]

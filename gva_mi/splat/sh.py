@@ -127,6 +127,31 @@ def color(h: list[Array], m: list[Array], o: list[Array]) -> list[Array]:
     return [dr.select(s > -0.5, s + 0.5, 0) for s in sums]
 
 
+def color_tangent(
+    h: list[Array],
+    m: list[Array],
+    o: list[Array],
+    dh: list[Array],
+    dm: list[Array],
+    do: list[Array],
+) -> list[Array]:
+    """Eq. 3 along tangents of the coefficients, the mean and the camera's position."""
+    d, reciprocal = direction(m, o)
+    degree = degree_of(len(h) // 3)
+    b = basis(degree, *d)
+    dv = [dm[k] - do[k] for k in range(3)]
+    radial = d[0] * dv[0] + d[1] * dv[1] + d[2] * dv[2]
+    dd = [(dv[k] - d[k] * radial) * reciprocal for k in range(3)]
+    dc = []
+    for k in range(3):
+        s = sum((b[i] * h[3 * i + k] for i in range(1, len(b))), b[0] * h[k])
+        by_d = basis_adjoint(degree, *d, h[k::3])  # of s
+        ds = sum((b[i] * dh[3 * i + k] for i in range(1, len(b))), b[0] * dh[k])
+        ds += by_d[0] * dd[0] + by_d[1] * dd[1] + by_d[2] * dd[2]
+        dc.append(dr.select(s > -0.5, ds, 0))
+    return dc
+
+
 def color_adjoint(
     h: list[Array], m: list[Array], o: list[Array], grad_c: list[Array]
 ) -> tuple[list[Array], list[Array]]:

@@ -20,7 +20,7 @@ def scenes():
     return SimpleNamespace(**{f.__name__: f for f in names})
 
 
-def sphere(rings=10, segments=16, radius=0.5, center=(0.0, 0.0, 0.0)):
+def sphere(rings=24, segments=40, radius=0.5, center=(0.0, 0.0, 0.0)):
     """A closed sphere whose poles are single vertices: vertices (V, 3) and faces (F, 3)."""
     theta = np.pi * np.arange(1, rings) / rings
     phi = 2 * np.pi * np.arange(segments) / segments
@@ -45,7 +45,7 @@ def sphere(rings=10, segments=16, radius=0.5, center=(0.0, 0.0, 0.0)):
     return vertices, np.array(faces)
 
 
-def torus(around=24, across=12, major=0.5, minor=0.16, tilt=0.7, center=(0.0, 0.0, 0.0)):
+def torus(around=48, across=24, major=0.5, minor=0.16, tilt=0.7, center=(0.0, 0.0, 0.0)):
     """A closed torus, turned about x by ``tilt``: it occludes itself."""
     u = 2 * np.pi * np.arange(around)[:, None] / around
     v = 2 * np.pi * np.arange(across) / across

@@ -23,7 +23,7 @@ def paper(clip, body):
     return refine(clip, body, PAPER)
 
 
-@pytest.mark.parametrize(("way", "left"), [("sequence", 0.5), ("paper", 0.75)])
+@pytest.mark.parametrize(("way", "left"), [("sequence", 0.65), ("paper", 0.75)])
 def test_a_known_error_is_undone(request, clip, body, true_pose, way, left):
     refined = request.getfixturevalue(way)
     errors = measure(clip, body, refined, (true_pose, clip.shape))

@@ -1,5 +1,6 @@
-"""Four answers agree: adjoint in both precisions, the twin, and central differences."""
+"""All answers agree: adjoint and tangent in both precisions, Dr.Jit's autodiff, differences."""
 
+import json
 from dataclasses import replace
 
 import pytest
@@ -9,6 +10,7 @@ from gva_mi.splat.gaussians import Image
 from gva_mi.splat.gradcheck import gradcheck, random_scene
 from gva_mi.splat.options import SplatOptions
 from gva_mi.splat.torch_op import render
+from gva_mi.splat.verdict import write_json, write_picture
 
 SCENES = {
     "colors": {},
@@ -20,28 +22,56 @@ SCENES = {
     "odd size": {"width": 23, "height": 17},
     "five channels": {"channels": 5},
 }
+ADJOINTS = {"adjoint f32", "adjoint f64", "differences", "Dr.Jit AD"}
+
+
+def scene(seed=1, **kwargs):
+    return random_scene(torch.Generator().manual_seed(seed), **kwargs)
+
+
+@pytest.fixture(scope="module")
+def small():
+    return gradcheck(render, scene(gaussians=6, width=12, height=9))
 
 
 @pytest.mark.parametrize("name", SCENES)
 def test_every_gradient_is_right(name):
-    report = gradcheck(render, random_scene(torch.Generator().manual_seed(1), **SCENES[name]))
-    assert report.passed, report.table()
+    report = gradcheck(render, scene(**SCENES[name]))
+    assert all(row.within for row in report.rows), report.table()
     assert report.band < 0.02 * report.pixels
 
 
 def test_other_cut_offs():
     options = SplatOptions(alpha_min=0.02, alpha_max=0.9, transmittance_min=0.05, blur=1.0)
-    scene = replace(random_scene(torch.Generator().manual_seed(2)), options=options)
-    report = gradcheck(render, scene)
+    report = gradcheck(render, replace(scene(2), options=options))
     assert report.passed, report.table()
 
 
-def test_names_every_input_and_image():
-    report = gradcheck(render, random_scene(torch.Generator().manual_seed(1), gaussians=5))
-    names = {row.name for row in report.rows if row.method == "adjoint f32"}
-    inputs = {"means", "quats", "scales", "opacities", "colors", "background"}
-    assert names == inputs | {"color", "alpha", "depth"}
-    assert {row.name for row in report.rows if row.method == "differences"} == inputs
+def test_an_empty_scene():
+    s = scene(gaussians=0, width=9, height=5)
+    report = gradcheck(render, s)
+    assert report.passed, report.table()
+    assert (report.gaussians, report.pixels, report.band) == (0, 45, 0)
+
+
+def test_names_every_input_and_image(small):
+    inputs = set(scene().inputs())
+    assert inputs >= {"means", "quats", "scales", "opacities", "colors", "background"}
+    found = {method: set() for method in {row.method for row in small.rows}}
+    for row in small.rows:
+        found[row.method].add(row.name)
+    assert found.keys() >= ADJOINTS
+    for method, names in found.items():
+        images = {"color", "alpha", "depth"} if method.startswith("adjoint") else set()
+        assert names == inputs | images, method
+
+
+def test_says_where_the_worst_entry_is(small):
+    shapes = {k: v.shape for k, v in scene(gaussians=6).inputs().items()}
+    for row in small.rows:
+        if row.name in shapes and row.where:
+            assert len(row.where) == len(shapes[row.name])
+            assert all(i < n for i, n in zip(row.where, shapes[row.name], strict=True))
 
 
 def test_a_wrong_adjoint_is_found():
@@ -49,10 +79,68 @@ def test_a_wrong_adjoint_is_found():
         gaussians = replace(gaussians, scales=_Doubled.apply(gaussians.scales))
         return Image(**vars(render(gaussians, camera, options, background)))
 
-    report = gradcheck(wrong, random_scene(torch.Generator().manual_seed(1)))
+    report = gradcheck(wrong, scene())
     assert not report.passed
     assert {row.name for row in report.rows if not row.passed} == {"scales"}
-    assert "fails" in report.table()
+    assert "WRONG" in report.verdict and "fails" in report.table()
+    assert {row.method for row in report.rows if not row.passed} >= {"adjoint f32", "adjoint f64"}
+
+
+def test_a_wrong_picture_is_found():
+    def wrong(gaussians, camera, options, background):
+        image = render(gaussians, camera, options, background)
+        color = image.color.clone()
+        color[3, 4] += 1e-3
+        return replace(image, color=color)
+
+    report = gradcheck(wrong, scene())
+    failed = [row for row in report.rows if not row.passed]
+    assert {row.name for row in failed} == {"color"}
+    assert all(row.where[:2] == (3, 4) for row in failed)
+
+
+def test_a_renderer_without_float64_or_tangent_is_noted():
+    def single(gaussians, camera, options, background):
+        if gaussians.means.dtype != torch.float32:
+            raise TypeError("float32 only")
+        return render(gaussians, camera, options, background)
+
+    report = gradcheck(single, scene())
+    assert any("float32 only" in note for note in report.notes)
+    assert not {row.method for row in report.rows} & {"adjoint f64", "differences"}
+    assert report.passed, report.table()
+
+
+def test_rounding_excuses_float32_alone(small):
+    for row in small.rows:
+        assert (row.rounding == 0) or row.method.endswith("f32")
+    worst = replace(small.rows[0], error=3e-5, rounding=1e-5)
+    assert worst.passed and not worst.within
+    assert not replace(worst, error=5e-5).passed
+    assert not replace(worst, error=float("nan")).passed
+
+
+def test_lost_digits_are_told_from_mistakes(small):
+    coarse = replace(small.rows[0], error=1e-4)
+    assert "less accurate" in replace(small, rows=(coarse,)).verdict
+    assert "WRONG" in replace(small, rows=(replace(coarse, error=0.1),)).verdict
+    assert "WRONG" in replace(small, rows=(replace(coarse, method="adjoint f64"),)).verdict
+
+
+def test_threads_are_left_as_they_were(small):
+    before = torch.get_num_threads()
+    gradcheck(render, scene(gaussians=1, width=4, height=4))
+    assert torch.get_num_threads() == before
+
+
+def test_writes_json_and_picture(small, tmp_path):
+    write_json({"a": small, "b": small}, tmp_path / "report.json")
+    figures = json.loads((tmp_path / "report.json").read_text())
+    assert figures["passed"] and set(figures["scenes"]) == {"a", "b"}
+    assert len(figures["scenes"]["a"]["rows"]) == len(small.rows)
+    pytest.importorskip("matplotlib")
+    write_picture({"a": small}, tmp_path / "report.png")
+    assert (tmp_path / "report.png").stat().st_size > 1000
 
 
 class _Doubled(torch.autograd.Function):
@@ -68,12 +156,12 @@ class _Doubled(torch.autograd.Function):
 
 
 def test_torch_agrees():
-    scene = random_scene(torch.Generator().manual_seed(4), gaussians=4, width=9, height=6)
-    inputs = {k: v.requires_grad_() for k, v in scene.inputs().items()}
+    s = scene(4, gaussians=4, width=9, height=6)
+    inputs = {k: v.requires_grad_() for k, v in s.inputs().items()}
 
     def images(*tensors):
-        s = scene.with_inputs(dict(zip(inputs, tensors, strict=True)))
-        image = render(s.gaussians, s.camera, s.options, s.background)
+        moved = s.with_inputs(dict(zip(inputs, tensors, strict=True)))
+        image = render(moved.gaussians, moved.camera, moved.options, moved.background)
         return image.color, image.alpha, image.depth
 
     assert torch.autograd.gradcheck(images, tuple(inputs.values()))

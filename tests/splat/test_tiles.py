@@ -41,7 +41,9 @@ def test_lists_are_exact_and_in_depth_order(width, height):
     tile = (v.astype(int) // tiles.HEIGHT) * layout.columns + u.astype(int) // tiles.WIDTH
     expected = {k: [] for k in lists}
     for i in torch.argsort(x[:, 2]).tolist():
-        mean, covariance = reference._project(x[i], g.quats[i], g.scales[i], R, camera, options)
+        K = torch.tensor(camera.K)
+        mean, sharp = reference._project(x[i], g.quats[i], g.scales[i], R, camera, K)
+        covariance = sharp + options.blur * torch.eye(2)
         d = np.stack([u, v], axis=-1) - mean.numpy()
         power = np.einsum("hwi,ij,hwj->hw", d, np.linalg.inv(covariance.numpy()), d)
         seen = g.opacities[i].item() * np.exp(-power / 2) >= options.alpha_min

@@ -1,0 +1,87 @@
+"""Scenes: a file is what was saved, a window is part of the picture, a person fills it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from gva_mi.errors import InputError
+from gva_mi.splat.scene import Scene, person_scene, random_scene
+from gva_mi.splat.torch_op import render
+
+
+def draw(scene):
+    with torch.no_grad():
+        return render(scene.gaussians, scene.camera, scene.options, scene.background)
+
+
+@pytest.fixture
+def arrays():
+    s = random_scene(torch.Generator().manual_seed(0), gaussians=5, degree=1)
+    g, c = s.gaussians, s.camera
+    named = {k: v.numpy() for k, v in g.arrays().items()}
+    camera = {"viewmat": c.T_camera_world, "K": c.K, "width": c.width, "height": c.height}
+    return named | camera | {"background": s.background.numpy()}
+
+
+def test_a_file_is_the_scene_that_was_saved(arrays, tmp_path):
+    np.savez(tmp_path / "scene.npz", **arrays)
+    expected = random_scene(torch.Generator().manual_seed(0), gaussians=5, degree=1)
+    found = Scene.load(tmp_path / "scene.npz")
+    for name, tensor in expected.inputs().items():
+        torch.testing.assert_close(found.inputs()[name], tensor, atol=0, rtol=0)
+    assert torch.equal(draw(found).color, draw(expected).color)
+
+
+@pytest.mark.parametrize("gone", ["means", "viewmat", "width", "sh"])
+def test_a_file_with_a_gap_is_explained(arrays, tmp_path, gone):
+    del arrays[gone]
+    np.savez(tmp_path / "scene.npz", **arrays)
+    with pytest.raises(InputError, match=gone):
+        Scene.load(tmp_path / "scene.npz")
+
+
+def test_what_is_no_scene_is_explained(arrays, tmp_path):
+    with pytest.raises(InputError, match="no such scene"):
+        Scene.load(tmp_path / "missing.npz")
+    (tmp_path / "text.npz").write_text("hello")
+    with pytest.raises(InputError, match="not an .npz"):
+        Scene.load(tmp_path / "text.npz")
+    np.savez(tmp_path / "scene.npz", **arrays | {"quats": np.zeros((4, 4))})
+    with pytest.raises(InputError, match="quats must be"):
+        Scene.load(tmp_path / "scene.npz")
+
+
+def test_a_window_lacks_only_what_it_does_not_see():
+    s = random_scene(torch.Generator().manual_seed(1), gaussians=80, width=48, height=40)
+    s = s.with_inputs(s.inputs() | {"scales": 0.2 * s.gaussians.scales})
+    part = s.window(17, 9, 16, 12)
+    assert 0 < len(part.gaussians) < 80
+    cropped = replace(s, camera=s.camera.cropped(17, 9, 16, 12))
+    assert torch.equal(draw(part).color, draw(cropped).color)
+
+
+def test_windows_go_from_full_to_empty():
+    s = person_scene(np.random.default_rng(0), 500, 64)
+    counts = [len(part.gaussians) for _, part in s.windows(16, 3)]
+    assert counts == sorted(counts, reverse=True) and len(counts) == 3
+
+
+def test_rounded_is_what_float32_holds():
+    s = random_scene(torch.Generator().manual_seed(0)).rounded()
+    for tensor in s.inputs().values():
+        assert torch.equal(tensor, tensor.float().double())
+    T = s.camera.T_camera_world
+    assert (T == T.astype(np.float32)).all() and s.camera.fx == np.float32(s.camera.fx)
+
+
+def test_a_person_fills_the_picture_and_repeats():
+    s = person_scene(np.random.default_rng(3), 3000, 48)
+    alpha = draw(s).alpha
+    assert 0.08 < (alpha > 0.5).double().mean() < 0.5
+    assert alpha[0].max() < 0.5 and alpha[-1].max() < 0.5
+    again = person_scene(np.random.default_rng(3), 3000, 48)
+    assert torch.equal(s.gaussians.means, again.gaussians.means)
+    y = s.gaussians.means[:, 1]
+    assert y.min() > -0.1 and y.max() < 1.9

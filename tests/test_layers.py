@@ -18,6 +18,9 @@ FLOORS = [
     ("gva_mi.splat.reference", 1),
     ("gva_mi.splat.gradcheck", 1),
     ("gva_mi.splat.bench", 1),
+    ("gva_mi.splat.gsplat_peer", 1),
+    ("gva_mi.splat.scene", 1),
+    ("gva_mi.splat.verdict", 1),
     ("gva_mi.splat", 0),
     ("gva_mi_plugins", 0),
     ("gva_mi.body", 1),
@@ -28,6 +31,7 @@ FLOORS = [
     ("gva_mi.avatar", 2),
     ("gva_mi.pose", 3),
     ("gva_mi.fit", 4),
+    ("gva_mi.checks", 5),
     ("gva_mi.console", 5),
     ("gva_mi.pipeline", 5),
     ("gva_mi.doctor", 5),
@@ -38,7 +42,8 @@ ALLOWED_BESIDE = {  # packages that only some folders may import, at any depth o
     "mitsuba": ("gva_mi_plugins", "gva_mi.pose", "gva_mi.data.synthetic", "gva_mi.doctor"),
     "pymeshlab": ("gva_mi.data.synthetic", "gva_mi.avatar.reinit", "gva_mi.doctor"),
     "torch": ("gva_mi.splat.torch_op", "gva_mi.splat.reference", "gva_mi.splat.gradcheck",
-              "gva_mi.splat.rasterization", "gva_mi.splat.bench", "gva_mi.body", "gva_mi.data",
+              "gva_mi.splat.rasterization", "gva_mi.splat.bench", "gva_mi.splat.scene",
+              "gva_mi.splat.gsplat_peer", "gva_mi.checks", "gva_mi.body", "gva_mi.data",
               "gva_mi.avatar", "gva_mi.pose", "gva_mi.fit", "gva_mi.pipeline", "gva_mi.doctor"),
 }  # fmt: skip
 

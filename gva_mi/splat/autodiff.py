@@ -37,14 +37,19 @@ def render(
     camera: Camera,
     options: SplatOptions = _DEFAULTS,
     background: Array = None,
+    *,
+    T_camera_world: Array = None,
+    K: Array = None,
 ) -> Image:
-    """The picture of ``gaussians`` from a pinhole ``camera``, differentiable by Dr.Jit.
+    """The picture of ``gaussians`` from ``camera``, differentiable by Dr.Jit.
 
     Args:
         gaussians: ``TensorXf64`` from ``drjit.llvm.ad``, at least one Gaussian.
         camera: the view.
-        options: cut-offs.
+        options: cut-offs; ``radius_min`` is not looked at.
         background: (D,) tensor of the same kind; black where None.
+        T_camera_world: (4, 4), in the place of the camera's own.
+        K: (3, 3), in the place of the camera's own.
 
     Returns:
         color (H, W, D), alpha (H, W) and depth (H, W), tensors of the same kind.
@@ -52,8 +57,11 @@ def render(
     kind, F, n = type(gaussians.means), ad.Float64, len(gaussians)
     D = gaussians.channels
     behind = background.array if background is not None else dr.zeros(F, D)
+    T = T_camera_world.array if T_camera_world is not None else F(camera.T_camera_world.ravel())
+    K = K.array if K is not None else F(camera.K.ravel())
+    R, t = ad.Matrix3f64(*(_entry(T, k) for k in (0, 1, 2, 4, 5, 6, 8, 9, 10))), _column(T)
     means = dr.unravel(ad.Array3f64, gaussians.means.array)
-    x, u, conic = _project(means, gaussians, camera, options)
+    x, u, conic, kept = _project(means, gaussians, camera, R, t, K, options)
     if gaussians.sh is None:
         rows = dr.arange(ad.UInt, n) * D
         features = [dr.gather(F, gaussians.colors.array, rows + c) for c in range(D)]
@@ -61,11 +69,11 @@ def render(
         columns = gaussians.sh.shape[1] * 3
         rows = dr.arange(ad.UInt, n) * columns
         h = [dr.gather(F, gaussians.sh.array, rows + c) for c in range(columns)]
-        features = sh.color(h, list(means), [F(o) for o in camera.position])
+        features = sh.color(h, list(means), list(-(dr.rcp(R) @ t)))
     features = [*features, x.z]
 
     drawn = (x.z > options.near) & (x.z < options.far)
-    opacity = dr.select(drawn, gaussians.opacities.array, 0)
+    opacity = dr.select(drawn, gaussians.opacities.array * kept, 0)
     order = ad.UInt(dr.argsort(dr.detach(x.z, preserve_type=False)))
     columns = [*u, *conic, opacity, *features]
     dr.eval(columns, order)
@@ -98,40 +106,72 @@ def render(
     return Image(kind(color, shape=(*size, D)), kind(1 - T, shape=size), kind(C[D], shape=size))
 
 
-def _project(
-    means: Array, gaussians: Gaussians, camera: Camera, options: SplatOptions
-) -> tuple[Array, list[Array], list[Array]]:
-    """Means in camera space and in the picture, and the inverse covariances there."""
-    M3, F = ad.Matrix3f64, ad.Float64
-    R = M3(camera.T_camera_world[:3, :3].tolist())
-    t = ad.Array3f64(camera.T_camera_world[:3, 3].tolist())
-    x = R @ means + t
-    z = dr.select(x.z > options.near, x.z, 1)  # what lies before the near plane is not drawn
+def _entry(matrix: Array, k: int) -> Array:
+    return dr.gather(ad.Float64, matrix, ad.UInt(k))
 
+
+def _column(T: Array) -> Array:
+    """The translation of a (4, 4) matrix."""
+    return ad.Array3f64(_entry(T, 3), _entry(T, 7), _entry(T, 11))
+
+
+def _project(
+    means: Array,
+    gaussians: Gaussians,
+    camera: Camera,
+    R: Array,
+    t: Array,
+    K: Array,
+    options: SplatOptions,
+) -> tuple[Array, list[Array], list[Array], Array]:
+    """Means in camera space and in the picture, inverse covariances, what the blur leaves of o."""
+    x = R @ means + t
     w, i, j, k = dr.unravel(ad.Array4f64, gaussians.quats.array)
     length = dr.sqrt(w * w + i * i + j * j + k * k)
     whole = length > 0  # a zero quaternion is no rotation
     unit = [dr.select(whole, q / dr.select(whole, length, 1), 0) for q in (i, j, k)]
     w = dr.select(whole, w / dr.select(whole, length, 1), 1)
-    rotation = dr.quat_to_matrix(M3, ad.Quaternion4f64(*unit, w))
+    rotation = dr.quat_to_matrix(ad.Matrix3f64, ad.Quaternion4f64(*unit, w))
     scales = dr.unravel(ad.Array3f64, gaussians.scales.array)
 
-    slopes = []
-    for slope, f, c, size in (
-        (x.x / z, camera.fx, camera.cx, camera.width),
-        (x.y / z, camera.fy, camera.cy, camera.height),
-    ):  # gsplat: the derivative follows the mean up to 15 % of the picture beyond its border
-        low, high = (-c - 0.15 * size) / f, (size - c + 0.15 * size) / f
-        slopes.append(dr.select(slope < low, low, dr.select(slope > high, high, slope)))
-    zero = F(0)
-    J = M3(
-        [camera.fx / z, zero, -camera.fx * slopes[0] / z],
-        [zero, camera.fy / z, -camera.fy * slopes[1] / z],
-        [zero, zero, zero],
-    )
+    f, c = (_entry(K, 0), _entry(K, 4)), (_entry(K, 2), _entry(K, 5))
+    p, J = _lens(x, f, c, camera, options)
     A = J @ R @ rotation @ dr.diag(scales)
     C = A @ A.T
+    sharp = C[0, 0] * C[1, 1] - C[0, 1] * C[0, 1]
     xx, xy, yy = C[0, 0] + options.blur, C[0, 1], C[1, 1] + options.blur
     det = xx * yy - xy * xy
-    u = [camera.fx * x.x / z + camera.cx, camera.fy * x.y / z + camera.cy]
-    return x, u, [yy / det, -xy / det, xx / det]
+    ratio = sharp / det
+    kept = dr.sqrt(dr.select(ratio > 0, ratio, 0)) if options.antialiased else ad.Float64(1)
+    u = [f[axis] * p[axis] + c[axis] for axis in range(2)]
+    return x, u, [yy / det, -xy / det, xx / det], kept
+
+
+def _lens(
+    x: Array, f: tuple[Array, Array], c: tuple[Array, Array], camera: Camera, options: SplatOptions
+) -> tuple[list[Array], Array]:
+    """Where camera space falls at focal length one, and the derivative J in pixels by x."""
+    zero = x.z * 0
+    if camera.model == "ortho":
+        p, rows = [x.x, x.y], [[zero + 1, zero, zero], [zero, zero + 1, zero]]
+    elif camera.model == "pinhole":
+        z = dr.select(x.z > options.near, x.z, 1)  # what lies before the near plane is not drawn
+        p, held = [x.x / z, x.y / z], []
+        for axis, size in enumerate((camera.width, camera.height)):
+            # gsplat: the derivative follows the mean up to 15 % of the picture beyond its border
+            low = (-c[axis] - 0.15 * size) / f[axis]
+            high = (size - c[axis] + 0.15 * size) / f[axis]
+            held.append(dr.select(p[axis] < low, low, dr.select(p[axis] > high, high, p[axis])))
+        rows = [[1 / z, zero, -held[0] / z], [zero, 1 / z, -held[1] / z]]
+    else:
+        r = dr.sqrt(x.x * x.x + x.y * x.y)
+        angle, squared = dr.atan2(r, x.z), r * r + x.z * x.z
+        ratio = angle / r
+        bend = (x.z / squared - ratio) / (r * r)
+        p = [x.x * ratio, x.y * ratio]
+        rows = [
+            [ratio + x.x * x.x * bend, x.x * x.y * bend, -x.x / squared],
+            [x.x * x.y * bend, ratio + x.y * x.y * bend, -x.y / squared],
+        ]
+    rows = [[f[axis] * entry for entry in row] for axis, row in enumerate(rows)]
+    return p, ad.Matrix3f64(*rows, [zero, zero, zero])

@@ -24,6 +24,7 @@ within their last float32 digit, for no float32 renderer can be asked for less.
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
@@ -81,8 +82,9 @@ def gradcheck(
 
     Args:
         fn: ``fn(gaussians, camera, options, background) -> Image``, such as ``torch_op.render``. It
-            must take float32 tensors; where it refuses float64 or forward-mode AD, the report notes
-            it and leaves those comparisons out.
+            must take float32 tensors; where it refuses float64 or forward-mode AD, or takes no
+            ``T_camera_world`` (4, 4) and ``K`` (3, 3) by name, the report notes it and leaves those
+            comparisons out.
         scene: what to render; some hundred Gaussians on some thousand pixels take seconds.
         tolerances: what counts as right.
         entries: how many entries of every input to differentiate one by one.
@@ -101,7 +103,11 @@ def _gradcheck(
     fn: Renderer, scene: Scene, allowed: Tolerances, entries: int, step: float, seed: int
 ) -> Report:
     generator = Generator().manual_seed(seed)
-    twin = scene.rounded()
+    twin, notes = scene.rounded(), []
+    if {"T_camera_world", "K"} <= inspect.signature(fn).parameters.keys():
+        twin = twin.with_camera_inputs().to(torch.float64)
+    else:
+        notes.append("this renderer takes no T_camera_world and K: their gradients are left out")
     camera, D = twin.camera, len(scene.background)
     band = reference.threshold_band(twin.gaussians, camera, scene.options)
     size = (camera.height, camera.width)
@@ -115,7 +121,7 @@ def _gradcheck(
         moved = _drjit_gradients(_last_bit(twin, generator), weights)
         rounding = {k: _compare("", k, moved[k], g, 0).error for k, g in oracle.items()}
     probes = {name: _choose(g, entries, generator) for name, g in truth.items()}
-    rows, notes, errors = [], [], {}
+    rows, errors = [], {}
     for dtype, label, image_allowed, gradient_allowed in (
         (torch.float32, "f32", allowed.image32, allowed.gradient32),
         (torch.float64, "f64", allowed.image64, allowed.gradient64),
@@ -162,8 +168,13 @@ def _gradcheck(
     return Report(tuple(rows), band.numel(), int(band.sum()), n, ties, tuple(notes), maps)
 
 
+def _draw(fn: Renderer, scene: Scene) -> Image:
+    matrices = scene.matrices()
+    return fn(scene.gaussians, scene.camera, scene.options, scene.background, **matrices)
+
+
 def _adjoint(fn: Renderer, scene: Scene, weights: Tensor) -> tuple[Image, dict[str, Tensor]]:
-    image = fn(scene.gaussians, scene.camera, scene.options, scene.background)
+    image = _draw(fn, scene)
     inputs = scene.inputs()
     gradients = torch.autograd.grad(_loss(image, weights), list(inputs.values()), allow_unused=True)
     zero = lambda g, v: torch.zeros_like(v) if g is None else g
@@ -217,7 +228,7 @@ def tangent_image(fn: Renderer, scene: Scene, name: str, direction: Tensor) -> I
     with forward_ad.dual_level():
         moving = forward_ad.make_dual(inputs[name], direction.to(inputs[name].dtype))
         s = scene.with_inputs(inputs | {name: moving})
-        image = fn(s.gaussians, s.camera, s.options, s.background)
+        image = _draw(fn, s)
         parts = [forward_ad.unpack_dual(getattr(image, k)) for k in IMAGES]
         return Image(*(torch.zeros_like(p[0]) if p[1] is None else p[1] for p in parts))
 
@@ -230,7 +241,7 @@ def difference_image(
     ends = []
     for sign in (1, -1):
         s = scene.with_inputs(inputs | {name: inputs[name] + sign * step * direction})
-        ends.append(fn(s.gaussians, s.camera, s.options, s.background))
+        ends.append(_draw(fn, s))
     slope = lambda k: (getattr(ends[0], k) - getattr(ends[1], k)) / (2 * step)
     return Image(*(slope(k) for k in IMAGES))
 
@@ -245,8 +256,9 @@ def _drjit_gradients(scene: Scene, weights: Tensor) -> dict[str, Tensor]:
     to_drjit = lambda t: TensorXf64(t.detach().contiguous().numpy())
     arrays = {k: to_drjit(v) for k, v in scene.inputs().items()}
     dr.enable_grad(list(arrays.values()))
-    gaussians = Gaussians(**{k: v for k, v in arrays.items() if k != "background"})
-    image = autodiff.render(gaussians, scene.camera, scene.options, arrays["background"])
+    others = {k: v for k, v in arrays.items() if k not in scene.gaussians.arrays()}
+    gaussians = Gaussians(**{k: v for k, v in arrays.items() if k not in others})
+    image = autodiff.render(gaussians, scene.camera, scene.options, **others)
     parts = zip(
         (image.color, image.alpha, image.depth),
         (weights[..., :-2], weights[..., -2], weights[..., -1]),

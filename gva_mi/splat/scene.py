@@ -27,6 +27,8 @@ class Scene:
     camera: Camera
     background: Tensor  # (D,) float64
     options: SplatOptions = SplatOptions()
+    T_camera_world: Tensor | None = None  # (4, 4) and (3, 3) float64: the camera's own matrices
+    K: Tensor | None = None  # as tensors, where they are to be differentiated too
 
     @staticmethod
     def of(
@@ -77,13 +79,24 @@ class Scene:
 
     def inputs(self) -> dict[str, Tensor]:
         """What is differentiated, by name."""
-        return self.gaussians.arrays() | {"background": self.background}
+        named = self.gaussians.arrays() | {"background": self.background}
+        return named | self.matrices()
+
+    def matrices(self) -> dict[str, Tensor]:
+        """The camera's inputs, where it has any."""
+        named = {"T_camera_world": self.T_camera_world, "K": self.K}
+        return {k: v for k, v in named.items() if v is not None}
+
+    def with_camera_inputs(self) -> Scene:
+        """The same scene, whose camera is to be differentiated too."""
+        T, K = np.array(self.camera.T_camera_world), self.camera.K
+        return replace(self, T_camera_world=torch.from_numpy(T), K=torch.from_numpy(K))
 
     def with_inputs(self, inputs: dict[str, Tensor]) -> Scene:
         """The same scene with other tensors."""
         inputs = dict(inputs)
-        background = inputs.pop("background")
-        return replace(self, gaussians=Gaussians(**inputs), background=background)
+        camera = {k: inputs.pop(k) for k in ("background", "T_camera_world", "K") if k in inputs}
+        return replace(self, gaussians=Gaussians(**inputs), **camera)
 
     def to(self, dtype: torch.dtype) -> Scene:
         """The same scene in another precision, detached and ready for gradients."""
@@ -96,7 +109,8 @@ class Scene:
         c = self.camera
         numbers = {k: float(round32(getattr(c, k))) for k in ("fx", "fy", "cx", "cy")}
         camera = replace(c, T_camera_world=round32(c.T_camera_world), **numbers)
-        return replace(self.to(torch.float32).to(torch.float64), camera=camera)
+        scene = replace(self.to(torch.float32).to(torch.float64), camera=camera)
+        return scene.with_camera_inputs() if self.matrices() else scene
 
     def window(self, left: int, top: int, width: int, height: int) -> Scene:
         """A part of the picture as a scene of its own, without the Gaussians that miss it."""

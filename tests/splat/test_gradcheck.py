@@ -22,7 +22,14 @@ SCENES = {
     "odd size": {"width": 23, "height": 17},
     "five channels": {"channels": 5},
 }
-ADJOINTS = {"adjoint f32", "adjoint f64", "differences", "Dr.Jit AD"}
+METHODS = {
+    "adjoint f32",
+    "adjoint f64",
+    "tangent f32",
+    "tangent f64",
+    "differences",
+    "Dr.Jit AD",
+}
 
 
 def scene(seed=1, **kwargs):
@@ -41,6 +48,18 @@ def test_every_gradient_is_right(name):
     assert report.band < 0.02 * report.pixels
 
 
+@pytest.mark.parametrize("model", ["pinhole", "ortho", "fisheye"])
+@pytest.mark.parametrize("antialiased", [False, True])
+def test_every_camera_model(model, antialiased):
+    s = scene(gaussians=20, width=16, height=14, degree=1)
+    camera = replace(s.camera, model=model)
+    if model == "ortho":
+        camera = replace(camera, fx=6.0, fy=7.0)
+    s = replace(s, camera=camera, options=SplatOptions(antialiased=antialiased))
+    report = gradcheck(render, s)
+    assert report.passed and not report.notes, report.table()
+
+
 def test_other_cut_offs():
     options = SplatOptions(alpha_min=0.02, alpha_max=0.9, transmittance_min=0.05, blur=1.0)
     report = gradcheck(render, replace(scene(2), options=options))
@@ -55,19 +74,20 @@ def test_an_empty_scene():
 
 
 def test_names_every_input_and_image(small):
-    inputs = set(scene().inputs())
-    assert inputs >= {"means", "quats", "scales", "opacities", "colors", "background"}
+    inputs = set(scene().with_camera_inputs().inputs())
+    gaussians = {"means", "quats", "scales", "opacities", "colors"}
+    assert inputs == gaussians | {"background", "T_camera_world", "K"}
     found = {method: set() for method in {row.method for row in small.rows}}
     for row in small.rows:
         found[row.method].add(row.name)
-    assert found.keys() >= ADJOINTS
+    assert found.keys() == METHODS and not small.notes
     for method, names in found.items():
         images = {"color", "alpha", "depth"} if method.startswith("adjoint") else set()
         assert names == inputs | images, method
 
 
 def test_says_where_the_worst_entry_is(small):
-    shapes = {k: v.shape for k, v in scene(gaussians=6).inputs().items()}
+    shapes = {k: v.shape for k, v in scene(gaussians=6).with_camera_inputs().inputs().items()}
     for row in small.rows:
         if row.name in shapes and row.where:
             assert len(row.where) == len(shapes[row.name])
@@ -99,7 +119,7 @@ def test_a_wrong_picture_is_found():
     assert all(row.where[:2] == (3, 4) for row in failed)
 
 
-def test_a_renderer_without_float64_or_tangent_is_noted():
+def test_what_a_renderer_lacks_is_noted():
     def single(gaussians, camera, options, background):
         if gaussians.means.dtype != torch.float32:
             raise TypeError("float32 only")
@@ -107,7 +127,8 @@ def test_a_renderer_without_float64_or_tangent_is_noted():
 
     report = gradcheck(single, scene())
     assert any("float32 only" in note for note in report.notes)
-    assert not {row.method for row in report.rows} & {"adjoint f64", "differences"}
+    assert any("T_camera_world" in note for note in report.notes)
+    assert {row.method for row in report.rows} == {"adjoint f32", "tangent f32", "Dr.Jit AD"}
     assert report.passed, report.table()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 
 from gva_mi import llvm
@@ -11,6 +12,8 @@ from gva_mi.errors import InputError
 def main(arguments: list[str] | None = None) -> None:
     """Run ``gva-mi``; bad input ends with one sentence and exit code 2."""
     arguments = sys.argv[1:] if arguments is None else arguments
+    # torch's idle threads would spin on the cores that Dr.Jit's kernels need; read at its import.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     if arguments[:1] == ["doctor"]:
         doctor()
         return

@@ -1,10 +1,14 @@
 """What several folders of tests share."""
 
+import os
 import sys
 
 import pytest
 
 import gva_mi  # noqa: F401  chooses the libLLVM before a test imports Dr.Jit
+
+# As the command line does: torch's idle threads leave the cores to Dr.Jit's.
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 
 @pytest.fixture

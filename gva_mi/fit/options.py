@@ -71,7 +71,7 @@ class FitOptions:
     rates: Rates = Rates()
     schedule: Schedule = Schedule()
     densify: DensifyOptions = DensifyOptions(grad_threshold=1e-4)  # as GART
-    reinit: ReinitOptions = ReinitOptions()
+    reinit: ReinitOptions = ReinitOptions(floater_sigmas=3.0)  # 2 tears holes into a skirt
     loss: LossOptions = LossOptions()
     splat: SplatOptions = SplatOptions()
 

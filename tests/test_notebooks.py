@@ -1,0 +1,60 @@
+"""Every notebook runs from top to bottom, with its one parameter cell shortened."""
+
+from pathlib import Path
+
+import pytest
+
+nbformat = pytest.importorskip("nbformat")
+nbclient = pytest.importorskip("nbclient")
+
+NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
+SHORT = {  # what a test sets after the parameter cell
+    "1_one_gaussian": "SIZE, STEPS = 16, 8",
+    "2_checking_gradients": "GAUSSIANS, SIZE, SWEEP = 12, 16, 5",
+}
+PARTS = ("overview", "setup", "reference", "initial state", "results", "see also")
+
+
+def cells(notebook, kind):
+    return [cell for cell in notebook.cells if cell.cell_type == kind]
+
+
+def parameters(notebook):
+    return [c for c in notebook.cells if "parameters" in c.metadata.get("tags", [])]
+
+
+@pytest.fixture(params=NOTEBOOKS, ids=lambda path: path.stem)
+def path(request):
+    return request.param
+
+
+def test_runs(path, monkeypatch):
+    from traitlets.config import Config
+
+    notebook = nbformat.read(path, as_version=4)
+    (cell,) = parameters(notebook)
+    cell.source += "\n" + SHORT[path.stem]
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    local = Config({"KernelManager": {"transport": "ipc"}})
+    nbclient.NotebookClient(notebook, timeout=120, config=local).execute()
+
+
+def test_is_a_lesson_in_order(path):
+    notebook = nbformat.read(path, as_version=4)
+    text = "\n".join(cell.source for cell in cells(notebook, "markdown")).lower()
+    places = [text.find(part) for part in PARTS]
+    assert -1 not in places and places == sorted(places), dict(zip(PARTS, places, strict=True))
+
+
+def test_has_one_parameter_cell_and_short_functions(path):
+    notebook = nbformat.read(path, as_version=4)
+    assert len(parameters(notebook)) == 1
+    assert all(len(cell.source.splitlines()) <= 45 for cell in cells(notebook, "code"))
+
+
+def test_was_stored_with_its_small_outputs(path):
+    notebook = nbformat.read(path, as_version=4)
+    assert path.stat().st_size < 600_000
+    outputs = [output for cell in cells(notebook, "code") for output in cell.outputs]
+    assert any("image/png" in output.get("data", {}) for output in outputs)
+    assert not any(output.output_type == "error" for output in outputs)

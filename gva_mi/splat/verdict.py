@@ -151,7 +151,7 @@ def draw(report: Report, axes: Iterable, name: str = "") -> None:
         )
     bars.set_yscale("log")
     bars.set_ylim(1e-17, 10)
-    bars.set_xticks(range(len(names)), names)
+    bars.set_xticks(range(len(names)), names, fontsize=8, rotation=12)
     bars.set_title("relative L2 error of the gradient; bars: allowed")
     bars.grid(axis="y", alpha=0.3)
     bars.legend(fontsize=8, ncols=3, loc="upper center")

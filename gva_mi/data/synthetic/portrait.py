@@ -1,0 +1,260 @@
+"""Pictures of a bare body, to judge it by eye: a turntable, and a sheet of poses, hands and faces.
+
+Smooth-shaded, path-traced by Mitsuba under a key light, a rim light and a sky. Eyes are told by
+their skinning weights, so that any body in SMPL-X's format has them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from gva_mi.body.pose import JOINTS, Pose, Shape
+from gva_mi.body.puppet import EXPRESSIONS
+from gva_mi.body.smplx import BodyModel
+
+VARIANT = "llvm_ad_rgb"
+SKIN, SCLERA, IRIS = (0.62, 0.40, 0.30), (0.80, 0.79, 0.77), (0.05, 0.035, 0.025)  # linear albedo
+IRIS_ANGLE = 0.42  # radians from the direction of sight
+
+Rotation = tuple[float, float, float]  # axis-angle, radians
+
+A_POSE: Mapping[str, Rotation] = {"left_shoulder": (0, 0, -0.85), "right_shoulder": (0, 0, 0.85)}
+
+
+@dataclass(frozen=True)
+class View:
+    """Where a picture is taken from."""
+
+    target: tuple[float, float, float]  # metres, world
+    height: float  # metres that the picture spans at the target
+    azimuth: float = 0.0  # radians around the vertical; 0 is in front
+    elevation: float = 0.06  # radians above the horizon
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One picture of the sheet."""
+
+    rotations: Mapping[str, Rotation]  # by joint
+    view: View | None = None  # None shows the whole body
+    azimuth: float = 0.0  # of a whole body's view, radians
+    expression: str = ""  # of puppet.EXPRESSIONS
+    amount: float = 1.0  # of the expression
+
+
+def turntable(body: BodyModel, *, views: int = 8, size: int = 400, samples: int = 64) -> np.ndarray:
+    """A body in the A-pose from all around, (size, W, 3) in [0, 1], sRGB."""
+    draw = _Painter(body)
+    figures = [Figure(A_POSE, azimuth=2 * np.pi * k / views) for k in range(views)]
+    return np.concatenate([draw(f, size // 2, size, samples) for f in figures], axis=1)
+
+
+def sheet(body: BodyModel, *, size: int = 300, samples: int = 64) -> np.ndarray:
+    """Poses of the whole body, hands and faces from close by, four in a row; (H, 4 size, 3)."""
+    draw = _Painter(body)
+    hands, faces = _hands(body), _faces(body)
+    rows = [(BODIES[:4], 4 / 3), (BODIES[4:], 4 / 3), (hands[:4], 1), (hands[4:], 1), (faces, 1)]
+    return np.concatenate([
+        np.concatenate([draw(f, size, round(size * tall), samples) for f in row], axis=1)
+        for row, tall in rows
+    ])  # fmt: skip
+
+
+def _both(**left: Rotation) -> dict[str, Rotation]:
+    """Rotations of left joints and their mirror images."""
+    turned = {f"left_{name}": r for name, r in left.items()}
+    return turned | {f"right_{name}": (r[0], -r[1], -r[2]) for name, r in left.items()}
+
+
+def _fingers(curl: Mapping[str, float], thumb: tuple[Rotation, ...], side: str = "left") -> dict:
+    """A hand from how far each finger curls (1: into the palm) and the thumb's three rotations."""
+    sign = 1 if side == "left" else -1
+    hand = {}
+    for finger, amount in curl.items():
+        for knuckle, angle in enumerate((1.35, 1.75, 1.15), start=1):
+            hand[f"{side}_{finger}{knuckle}"] = (0, 0, -sign * amount * angle)
+    for knuckle, (x, y, z) in enumerate(thumb, start=1):
+        hand[f"{side}_thumb{knuckle}"] = (x, sign * y, sign * z)
+    return hand
+
+
+_LONG = ("index", "middle", "ring", "pinky")
+_REST_THUMB = ((0.1, 0.2, -0.1), (0, 0.1, 0), (0, 0.1, 0))
+_FOLDED_THUMB = ((0.75, 0.30, -0.50), (0.15, 0.80, -0.35), (0.1, 0.95, -0.35))
+FLAT = _fingers({}, ())
+RELAXED = _fingers(dict(zip(_LONG, (0.20, 0.24, 0.28, 0.32), strict=True)), _REST_THUMB)
+FIST = _fingers(dict.fromkeys(_LONG, 1.0), _FOLDED_THUMB)
+POINT = _fingers({"index": 0.04, "middle": 1, "ring": 1, "pinky": 1}, _FOLDED_THUMB)
+PINCH = _fingers(
+    {"index": 0.52, "middle": 0.25, "ring": 0.18, "pinky": 0.12},
+    ((0.75, 0.15, -0.30), (0, 0.25, -0.05), (0, 0.35, -0.05)),
+)
+THUMB_UP = _fingers(dict.fromkeys(_LONG, 1.0), ((-0.5, -0.45, 0.35), (0, 0, 0), (0, -0.2, 0)))
+
+BODIES = (
+    Figure(A_POSE | RELAXED, azimuth=0.5),
+    Figure(A_POSE | {"right_shoulder": (0, 0, 0.9), "right_elbow": (0, 1.9, 0.3),
+                     "left_shoulder": (0, -0.9, 0.9), "left_elbow": (0, -0.6, 0.3)} | POINT),
+    Figure(_both(shoulder=(0, -0.5, -0.95), elbow=(0, -1.75, 0.1)) | FIST
+           | _fingers(dict.fromkeys(_LONG, 1.0), _FOLDED_THUMB, "right"), azimuth=-0.5),
+    Figure(_both(hip=(-1.75, 0.2, 0.15), knee=(2.0, 0, 0), ankle=(-0.35, 0, 0),
+                 shoulder=(0, -1.35, -0.1))
+           | {"spine1": (0.25, 0, 0), "spine2": (0.2, 0, 0)}, azimuth=0.9),
+    Figure({"left_hip": (-0.75, 0, 0), "left_knee": (0.35, 0, 0), "right_hip": (0.45, 0, 0),
+            "right_knee": (0.75, 0, 0), "right_foot": (-0.4, 0, 0),
+            "left_shoulder": (0.75, 0, -1.15), "left_elbow": (0, -1.0, 0),
+            "right_shoulder": (-0.75, 0, 1.15), "right_elbow": (0, 1.0, 0)} | RELAXED, azimuth=1.2),
+    Figure(_both(shoulder=(0, 0, 0.75), collar=(0, 0, 0.45), elbow=(0, -0.2, 0)), azimuth=2.7),
+    Figure(A_POSE | {"spine1": (0.55, 0, 0), "spine2": (0.45, 0, 0), "spine3": (0.3, 0, 0),
+                     "left_hip": (-0.7, 0, 0), "right_hip": (-0.7, 0, 0),
+                     "left_shoulder": (0, -1.3, -0.5), "right_shoulder": (0, 1.3, 0.5)},
+           azimuth=1.4),
+    Figure({"left_hip": (-1.5, 0, 0.2), "left_knee": (1.9, 0, 0), "spine2": (0, 0.3, 0),
+            "left_shoulder": (0, -0.35, -1.2), "right_shoulder": (0, 0.3, 1.15),
+            "left_elbow": (0, -2.2, 0.4), "right_elbow": (0, 2.2, -0.4),
+            "neck": (0, 0.4, 0.1), "head": (0, 0.2, 0)}, azimuth=-0.4),
+)  # fmt: skip
+
+
+def _hands(body: BodyModel) -> list[Figure]:
+    """Eight pictures of the left hand; its wrist does not move."""
+    rest = body.rest(Shape(body.v_template.new_zeros(1))).joints
+    middle = rest[JOINTS.index("left_middle1")] - torch.tensor([0.005, 0.008, 0.0])
+    from_ = lambda azimuth, elevation: View(tuple(middle.tolist()), 0.24, azimuth, elevation)
+    above, below, ahead = from_(0.1, 1.3), from_(0.35, -1.1), from_(0.9, 0.25)
+    pairs = [
+        (FLAT, above), (RELAXED, ahead), (FIST, ahead), (FIST, below),
+        (POINT, above), (PINCH, ahead), (PINCH, below), (THUMB_UP, ahead),
+    ]  # fmt: skip
+    return [Figure(hand, view) for hand, view in pairs]
+
+
+def _faces(body: BodyModel) -> list[Figure]:
+    """Four pictures of the face, the head where it is in the T-pose."""
+    rest = body.rest(Shape(body.v_template.new_zeros(1)))
+    eyes = rest.joints[[JOINTS.index(f"{s}_eye_smplhf") for s in ("left", "right")]].mean(0)
+    target = tuple((eyes - torch.tensor([0.0, 0.025, 0.04])).tolist())
+    view = lambda azimuth: View(target, 0.34, azimuth, 0.05)
+    return [
+        Figure({}, view(0.0)),
+        Figure({"jaw": (0.38, 0, 0)}, view(0.5)),
+        Figure({}, view(-0.5), expression="smile", amount=1.5),
+        Figure({"jaw": (0.12, 0, 0), "left_eye_smplhf": (0, 0.35, 0),
+                "right_eye_smplhf": (0, 0.35, 0)}, view(1.2), expression="brows up", amount=1.5),
+    ]  # fmt: skip
+
+
+class _Painter:
+    """Draws one body in any pose."""
+
+    def __init__(self, body: BodyModel) -> None:
+        import mitsuba as mi
+
+        mi.set_variant(VARIANT)
+        self._body = body
+        self._color = _colors(body)
+        self._shape = Shape(body.v_template.new_zeros(1))
+
+    def __call__(self, figure: Figure, width: int, height: int, samples: int) -> np.ndarray:
+        """One picture, (height, width, 3) in [0, 1], sRGB."""
+        import mitsuba as mi
+
+        vertices = self._posed(figure).numpy()
+        scene = mi.load_dict(_scene(self._mesh(vertices), _framed(vertices, figure), width, height))
+        image = mi.render(scene, spp=samples, seed=0)
+        bitmap = mi.Bitmap(image).convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.UInt8, True)
+        return np.asarray(bitmap, dtype=np.float32) / 255
+
+    def _posed(self, figure: Figure) -> torch.Tensor:
+        zero = self._body.v_template.new_zeros
+        rotations, expression = zero(1, len(JOINTS), 3), zero(1, self._body.num_expressions)
+        for name, rotation in figure.rotations.items():
+            rotations[0, JOINTS.index(name)] = torch.tensor(rotation)
+        if figure.expression and self._body.num_expressions == len(EXPRESSIONS):
+            expression[0, EXPRESSIONS.index(figure.expression)] = figure.amount
+        pose = Pose.from_rotations(rotations, zero(1, 3), expression)
+        return self._body(pose, self._shape).vertices[0]
+
+    def _mesh(self, vertices: np.ndarray) -> object:
+        import mitsuba as mi
+
+        faces = self._body.faces.numpy()
+        properties = mi.Properties()
+        color = {"type": "mesh_attribute", "name": "vertex_color"}
+        properties["bsdf"] = mi.load_dict({"type": "diffuse", "reflectance": color})
+        mesh = mi.Mesh("body", len(vertices), len(faces), properties, has_vertex_normals=True)
+        mesh.add_attribute("vertex_color", 3, self._color.ravel())
+        parameters = mi.traverse(mesh)
+        parameters["faces"] = mi.UInt32(faces.astype(np.uint32).ravel())
+        parameters["vertex_positions"] = mi.Float(vertices.astype(np.float32).ravel())
+        parameters.update()
+        return mesh
+
+
+def _colors(body: BodyModel) -> np.ndarray:
+    """Albedo of each vertex, (V, 3) linear."""
+    rest = body.rest(Shape(body.v_template.new_zeros(1)))
+    color = np.tile(np.float32(SKIN), (len(rest.vertices), 1))
+    for side in ("left", "right"):
+        joint = JOINTS.index(f"{side}_eye_smplhf")
+        ball = (body.weights[:, joint] > 0.5).numpy()
+        sight = (rest.vertices - rest.joints[joint]).numpy()
+        angle = np.arctan2(np.linalg.norm(sight[:, :2], axis=1), sight[:, 2])
+        color[ball] = SCLERA
+        color[ball & (angle < IRIS_ANGLE)] = IRIS
+    return color
+
+
+def _framed(vertices: np.ndarray, figure: Figure) -> View:
+    """The figure's view; one of the whole body spans what there is of it, with a margin."""
+    if figure.view is not None:
+        return figure.view
+    low, high = vertices.min(0), vertices.max(0)
+    across = np.hypot(*(high - low)[[0, 2]])
+    height = max(1.08 * (high - low)[1], 1.0 * across)
+    return View(tuple(((low + high) / 2).tolist()), height, figure.azimuth)
+
+
+def _scene(mesh: object, view: View, width: int, height: int) -> dict:
+    import mitsuba as mi
+
+    distance = 5.0 * view.height  # from afar, as a long lens shows it
+    flat = np.cos(view.elevation)
+    away = [np.sin(view.azimuth) * flat, np.sin(view.elevation), np.cos(view.azimuth) * flat]
+    target = np.array(view.target)
+    light = lambda side, up, ahead, size, radiance: {
+        "type": "rectangle",
+        "to_world": mi.ScalarTransform4f().look_at(
+            (target + view.height * _turned((side, up, ahead), view.azimuth)).tolist(),
+            target.tolist(), (0.0, 1.0, 0.01),
+        ) @ mi.ScalarTransform4f().scale(size * view.height),
+        "emitter": {"type": "area", "radiance": {"type": "rgb", "value": radiance}},
+    }  # fmt: skip
+    return {
+        "type": "scene",
+        "integrator": {"type": "path", "max_depth": 3, "hide_emitters": True},
+        "sensor": {
+            "type": "perspective",
+            "fov": float(np.degrees(2 * np.arctan(0.5 / 5.0))), "fov_axis": "y",
+            "to_world": mi.ScalarTransform4f().look_at(
+                (target + distance * np.array(away)).tolist(), target.tolist(), (0, 1, 0)
+            ),
+            "film": {"type": "hdrfilm", "width": width, "height": height,
+                     "rfilter": {"type": "gaussian"}},
+            "sampler": {"type": "independent"},
+        },
+        "body": mesh,
+        "sky": {"type": "constant", "radiance": {"type": "rgb", "value": 0.32}},
+        "key": light(-1.6, 1.6, 1.8, 0.6, 6.0),
+        "rim": light(1.9, 1.2, -1.4, 0.5, 5.0),
+    }  # fmt: skip
+
+
+_turned: Callable[[tuple[float, float, float], float], np.ndarray] = lambda p, azimuth: np.array([
+    p[0] * np.cos(azimuth) + p[2] * np.sin(azimuth), p[1],
+    p[2] * np.cos(azimuth) - p[0] * np.sin(azimuth),
+])  # fmt: skip

@@ -1,0 +1,66 @@
+"""Files that are read with one clear error, and written whole or not at all."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gva_mi.errors import InputError
+
+
+def read_arrays(path: Path, expected: str) -> dict[str, np.ndarray]:
+    """All arrays of an ``.npz``, which must not hold pickled objects.
+
+    Args:
+        path: the file.
+        expected: what it should hold, for the error.
+
+    Raises:
+        InputError: there is none, or it cannot be read.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return {key: file[key] for key in file.files}
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; expected {expected}") from None
+    except Exception as error:  # the zip, zlib and numpy each have their own
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise InputError(f"{path}: not a readable .npz ({reason}); expected {expected}") from None
+
+
+def require_keys(path: Path, arrays: dict[str, np.ndarray], keys: tuple[str, ...]) -> None:
+    """Raise an InputError that names the first missing key, and what is there instead."""
+    for key in keys:
+        if key not in arrays:
+            found = ", ".join(sorted(arrays)) or "none"
+            raise InputError(f"{path}: key '{key}' is missing; found: {found}")
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A path to write to; what was written takes the place of ``path`` once it is whole."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = path.with_name(path.name + ".part")
+    try:
+        yield unfinished
+        unfinished.replace(path)
+    finally:
+        unfinished.unlink(missing_ok=True)
+
+
+def write_arrays(path: Path, **arrays: np.ndarray) -> None:
+    """Write an ``.npz``."""
+    with replacing(path) as unfinished, open(unfinished, "wb") as file:
+        np.savez(file, **arrays)
+
+
+def write_json(path: Path, value: Any) -> None:  # noqa: ANN401 (anything that JSON can say)
+    """Write JSON, indented for people; a path counts as its text."""
+    with replacing(path) as unfinished:
+        unfinished.write_text(json.dumps(value, indent=2, default=str) + "\n")

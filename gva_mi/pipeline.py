@@ -30,6 +30,7 @@ from gva_mi.data.pictures import read_image, write_image, write_movie
 from gva_mi.data.synthetic import SynthOptions, make_subject
 from gva_mi.data.video import Video, load_cameras, load_video
 from gva_mi.errors import InputError
+from gva_mi.files import write_json
 from gva_mi.fit import checkpoint
 from gva_mi.fit.evaluate import evaluate as evaluate_splits
 from gva_mi.fit.evaluate import render_sequence
@@ -220,7 +221,7 @@ def demo(
     model = load_body(body)
     _clear(out, DEMO, overwrite)
     out.mkdir(parents=True, exist_ok=True)
-    _write_json(out / DEMO, {"options": asdict(options), "versions": checkpoint.versions()})
+    write_json(out / DEMO, {"options": asdict(options), "versions": checkpoint.versions()})
     subject = out / SUBJECT
     synth_options = SynthOptions(seed=options.seed, frames=options.frames, size=options.size)
     with bar("synth") as progress:
@@ -251,7 +252,7 @@ def _refine(video: Video, model: BodyModel, options: RefineOptions) -> dict:
     figures = measure(video, model, refined, truth).as_record()
     write_image(video.folder / OVERLAYS, _overlays(video, model, refined))
     record = {"figures": figures, "kept": refined.kept, "options": asdict(options)}
-    _write_json(video.folder / REFINEMENT, record | {"versions": checkpoint.versions()})
+    write_json(video.folder / REFINEMENT, record | {"versions": checkpoint.versions()})
     pose, shape, offsets = refined.pose, refined.shape, refined.offsets
     save_poses(video.folder / REFINED, pose, shape, stage=2, offsets=offsets)
     return figures
@@ -308,7 +309,7 @@ def _measure(avatar: Avatar, video: Video, run: Path, name: str) -> dict:
         "versions": record["versions"],
         "seed": record["options"]["seed"],
     }
-    _write_json(run / METRICS, metrics)
+    write_json(run / METRICS, metrics)
     return metrics
 
 
@@ -365,9 +366,3 @@ def _clear(out: Path, marker: str, overwrite: bool) -> None:
             f"{out}: has no {marker}, so gva-mi did not make it and will not replace it"
         )
     shutil.rmtree(out)
-
-
-def _write_json(path: Path, value: dict) -> None:
-    unfinished = path.with_name(path.name + ".part")
-    unfinished.write_text(json.dumps(value, indent=2, default=str) + "\n")
-    unfinished.replace(path)

@@ -12,7 +12,9 @@ HEAVY = {"mitsuba", "pymeshlab", "trimesh", "skimage", "matplotlib", "av", "jinj
 # The first prefix that fits names the floor.
 FLOORS = [
     ("gva_mi.errors", 0),
+    ("gva_mi.files", 0),
     ("gva_mi.llvm", 0),
+    ("gva_mi.threads", 1),
     ("gva_mi.splat.torch_op", 1),
     ("gva_mi.splat.rasterization", 1),
     ("gva_mi.splat.reference", 1),
@@ -44,7 +46,8 @@ ALLOWED_BESIDE = {  # packages that only some folders may import, at any depth o
     "torch": ("gva_mi.splat.torch_op", "gva_mi.splat.reference", "gva_mi.splat.gradcheck",
               "gva_mi.splat.rasterization", "gva_mi.splat.bench", "gva_mi.splat.scene",
               "gva_mi.splat.gsplat_peer", "gva_mi.checks", "gva_mi.body", "gva_mi.data",
-              "gva_mi.avatar", "gva_mi.pose", "gva_mi.fit", "gva_mi.pipeline", "gva_mi.doctor"),
+              "gva_mi.avatar", "gva_mi.pose", "gva_mi.fit", "gva_mi.threads",
+              "gva_mi.pipeline", "gva_mi.doctor"),
 }  # fmt: skip
 
 

@@ -30,6 +30,7 @@ from gva_mi.body.pose import LEFT_HAND, RIGHT_HAND, Pose, Shape
 from gva_mi.body.skinning import joint_transforms, skin_gaussians
 from gva_mi.body.smplx import BodyModel
 from gva_mi.errors import InputError
+from gva_mi.files import read_arrays, write_arrays
 from gva_mi.splat.gaussians import Gaussians
 
 FORMAT = "gva_mi avatar, version 1"
@@ -172,12 +173,7 @@ class Avatar(nn.Module):
 
     def save(self, path: Path) -> None:
         """Write the avatar to one ``.npz``; an older one is replaced once the new one is whole."""
-        path = Path(path)
-        arrays = {k: np.asarray(v) for k, v in self.record().items()}
-        unfinished = path.with_name(path.name + ".part")
-        with open(unfinished, "wb") as file:
-            np.savez(file, **arrays)
-        unfinished.replace(path)
+        write_arrays(path, **{k: np.asarray(v) for k, v in self.record().items()})
 
     @staticmethod
     def load(path: Path) -> Avatar:
@@ -186,15 +182,7 @@ class Avatar(nn.Module):
         Raises:
             InputError: no such file, or not an avatar.
         """
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                arrays = {key: file[key] for key in file.files}
-        except FileNotFoundError:
-            raise InputError(
-                f"{path}: no such file; expected an avatar, as `fit` saves it"
-            ) from None
-        except Exception as error:
-            raise InputError(f"{path}: not a readable avatar .npz ({error})") from None
+        arrays = read_arrays(path, "an avatar, as `fit` saves it")
         texts = {key: str(arrays.pop(key, "")) for key in ("format", "description")}
         try:
             return Avatar.from_record(

@@ -16,6 +16,7 @@ import numpy as np
 import torch
 
 from gva_mi.errors import InputError
+from gva_mi.files import replacing
 from gva_mi.splat.gaussians import Gaussians
 from gva_mi.splat.sh import C0
 
@@ -56,9 +57,9 @@ def save_ply(path: Path, gaussians: Gaussians) -> None:
         *(f"property float {name}" for name in _properties(sh.shape[1])),
         "end_header\n",
     ]
-    unfinished = path.with_name(path.name + ".part")
-    unfinished.write_bytes("\n".join(header).encode("ascii") + table.astype("<f4").tobytes())
-    unfinished.replace(path)
+    content = "\n".join(header).encode("ascii") + table.astype("<f4").tobytes()
+    with replacing(path) as unfinished:
+        unfinished.write_bytes(content)
 
 
 def load_ply(path: Path) -> Gaussians:

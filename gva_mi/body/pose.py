@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from gva_mi.errors import InputError
+from gva_mi.files import read_arrays, require_keys, write_arrays
 
 _FINGERS = ("index", "middle", "pinky", "ring", "thumb")
 _HAND = lambda side: [f"{side}_{finger}{k}" for finger in _FINGERS for k in (1, 2, 3)]
@@ -101,21 +102,8 @@ def load_poses(path: Path) -> tuple[Pose, Shape]:
     Raises:
         InputError: a missing key, a wrong shape or dtype, or a number that is not finite.
     """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            data = {key: file[key] for key in file.files}
-    except FileNotFoundError:
-        raise InputError(
-            f"{path}: no such file; expected poses under SMPL-X's names (.npz)"
-        ) from None
-    except Exception as error:
-        raise InputError(f"{path}: not a readable .npz of plain arrays ({error})") from None
-
-    for key in ("global_orient", "body_pose", "transl", "betas"):
-        if key not in data:
-            raise InputError(
-                f"{path}: key '{key}' is missing; found: {', '.join(sorted(data)) or 'none'}"
-            )
+    data = read_arrays(path, "poses under SMPL-X's names (.npz)")
+    require_keys(path, data, ("global_orient", "body_pose", "transl", "betas"))
     frames = len(data["transl"])
     if frames == 0:
         raise InputError(f"{path}: 'transl' holds no frame; expected (T, 3) with T of at least 1")
@@ -154,7 +142,7 @@ def save_poses(
     data = {f.name: getattr(pose, f.name).detach().numpy() for f in fields(pose)}
     if offsets is not None:
         data["offsets"] = offsets.detach().numpy()
-    np.savez(path, **data, betas=shape.betas.detach().numpy(), stage=stage)
+    write_arrays(path, **data, betas=shape.betas.detach().numpy(), stage=np.array(stage))
 
 
 def load_offsets(path: Path, vertices: int) -> Tensor | None:
@@ -163,10 +151,10 @@ def load_offsets(path: Path, vertices: int) -> Tensor | None:
     Raises:
         InputError: one for a body with another number of vertices, or not finite.
     """
-    with np.load(path, allow_pickle=False) as file:
-        if "offsets" not in file.files:
-            return None
-        return _tensor(path, "offsets", file["offsets"], (vertices, 3))
+    data = read_arrays(path, "poses under SMPL-X's names (.npz)")
+    if "offsets" not in data:
+        return None
+    return _tensor(path, "offsets", data["offsets"], (vertices, 3))
 
 
 def _tensor(path: Path, name: str, value: np.ndarray, shape: tuple[int, ...]) -> Tensor:

@@ -27,6 +27,7 @@ import numpy as np
 from gva_mi.body.pose import Pose, Shape, load_poses
 from gva_mi.data.pictures import read_image, read_movie, read_normals
 from gva_mi.errors import InputError
+from gva_mi.files import read_arrays, require_keys, write_arrays
 from gva_mi.splat import Camera
 
 TEST_EVERY = 8  # without splits.json, every 8th frame is a test frame
@@ -170,20 +171,8 @@ def load_cameras(path: Path) -> list[Camera]:
     Raises:
         InputError: a missing file or key, or a wrong shape.
     """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            data = {key: file[key] for key in file.files}
-    except FileNotFoundError:
-        raise InputError(
-            f"{path}: no such file; expected K, T_camera_world, width, height (.npz)"
-        ) from None
-    except Exception as error:
-        raise InputError(f"{path}: not a readable .npz of plain arrays ({error})") from None
-    for key in ("K", "T_camera_world", "width", "height"):
-        if key not in data:
-            raise InputError(
-                f"{path}: key '{key}' is missing; found: {', '.join(sorted(data)) or 'none'}"
-            )
+    data = read_arrays(path, "K, T_camera_world, width, height (.npz)")
+    require_keys(path, data, ("K", "T_camera_world", "width", "height"))
     K, T = data["K"], data["T_camera_world"]
     for name, value, shape in (("K", K, (3, 3)), ("T_camera_world", T, (4, 4))):
         if value.shape[-2:] != shape or value.ndim not in (2, 3):
@@ -207,7 +196,8 @@ def save_cameras(path: Path, cameras: Sequence[Camera]) -> None:
     T = np.stack([c.T_camera_world for c in cameras])
     if (K == K[:1]).all() and (T == T[:1]).all():
         K, T = K[0], T[0]
-    np.savez(path, K=K, T_camera_world=T, width=cameras[0].width, height=cameras[0].height)
+    size = {"width": np.array(cameras[0].width), "height": np.array(cameras[0].height)}
+    write_arrays(path, K=K, T_camera_world=T, **size)
 
 
 def load_splits(folder: Path, frames: int) -> Splits:

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,7 @@ import torch
 from gva_mi.avatar.canonical import CanonicalGaussians
 from gva_mi.avatar.reinit import Surface
 from gva_mi.errors import InputError
+from gva_mi.files import read_arrays, replacing, write_arrays, write_json
 from gva_mi.splat import Gaussians
 
 AVATAR, CHECKPOINT, HISTORY = "avatar.npz", "checkpoint.pt", "history.npz"
@@ -54,7 +55,7 @@ def claim(out: Path, options: dict[str, Any], resume: bool) -> None:
             raise InputError(f"{out}: holds a run, but not its {OPTIONS}; choose another folder")
         out.mkdir(parents=True, exist_ok=True)
         found = {"options": options, "versions": versions()}
-        _replace(held, lambda path: path.write_text(json.dumps(found, indent=2) + "\n"))
+        write_json(held, found)
         return
     if not resume:
         raise InputError(f"{out}: already holds a run; resume it, overwrite it, or choose another")
@@ -73,7 +74,8 @@ def claim(out: Path, options: dict[str, Any], resume: bool) -> None:
 
 def save_state(out: Path, state: dict[str, Any]) -> None:
     """Write the checkpoint: tensors, numbers, strings, and lists and dictionaries of them."""
-    _replace(out / CHECKPOINT, lambda path: torch.save(state, path))
+    with replacing(out / CHECKPOINT) as unfinished:
+        torch.save(state, unfinished)
 
 
 def load_state(out: Path) -> dict[str, Any] | None:
@@ -92,17 +94,6 @@ def load_state(out: Path) -> dict[str, Any] | None:
         raise InputError(f"{path}: not a readable checkpoint ({reason})") from None
 
 
-def save_arrays(path: Path, **arrays: np.ndarray) -> None:
-    """Write an ``.npz``, the folder around it included."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-
-    def write(unfinished: Path) -> None:
-        with open(unfinished, "wb") as file:
-            np.savez(file, **arrays)
-
-    _replace(path, write)
-
-
 def save_snapshot(
     out: Path, step: int, before: CanonicalGaussians, after: CanonicalGaussians, surface: Surface
 ) -> None:
@@ -111,33 +102,26 @@ def save_snapshot(
     for side, gaussians in (("before", before), ("after", after)):
         for name in GAUSSIANS:
             arrays[f"{side}_{name}"] = getattr(gaussians, name).detach().numpy()
-    save_arrays(out / REINIT / f"{step:06d}.npz", **arrays)
+    write_arrays(out / REINIT / f"{step:06d}.npz", **arrays)
 
 
 def load_snapshots(out: Path) -> Iterator[tuple[int, Gaussians, Gaussians]]:
     """Step, Gaussians before, Gaussians after, of each re-initialisation, in the rest pose."""
     for path in sorted((out / REINIT).glob("*.npz")):
-        with np.load(path, allow_pickle=False) as file:
-            before, after = (
-                Gaussians(**{n: torch.from_numpy(file[f"{side}_{n}"]) for n in GAUSSIANS})
-                for side in ("before", "after")
-            )
+        arrays = read_arrays(path, "the Gaussians around a re-initialisation")
+        before, after = (
+            Gaussians(**{n: torch.from_numpy(arrays[f"{side}_{n}"]) for n in GAUSSIANS})
+            for side in ("before", "after")
+        )
         yield int(path.stem), before, after
 
 
 def load_history(out: Path) -> dict[str, np.ndarray]:
     """The history of a run by the names of its columns, each (steps,)."""
-    with np.load(out / HISTORY, allow_pickle=False) as file:
-        return {key: file[key] for key in file.files}
+    return read_arrays(out / HISTORY, "the history of a finished fit")
 
 
 def versions() -> dict[str, str]:
     """Of Python and of the packages whose versions may change the figures."""
     found = {"python": platform.python_version()}
     return found | {name: metadata.version(name) for name in PACKAGES}
-
-
-def _replace(path: Path, write: Callable[[Path], Any]) -> None:
-    unfinished = path.with_name(path.name + ".part")
-    write(unfinished)
-    unfinished.replace(path)

@@ -13,6 +13,7 @@ import numpy as np
 
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.data.video import Video, load_video
+from gva_mi.files import replacing
 from gva_mi.fit.views import compared, dots, hands, same_size, spread, turntable
 from gva_mi.splat import Gaussians
 
@@ -88,9 +89,8 @@ def write_report(
         sections=[section for section in sections if section],
         settings=json.dumps({k: metrics[k] for k in ("options", "versions", "seed")}, indent=2),
     )
-    unfinished = path.with_name(path.name + ".part")
-    unfinished.write_text(text)
-    unfinished.replace(path)
+    with replacing(path) as unfinished:
+        unfinished.write_text(text)
 
 
 _NOVEL_POSE = "A motion that is not in the video, under its true poses: truth left, render right."

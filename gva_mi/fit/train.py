@@ -13,8 +13,7 @@ Each step, with one training frame of the video:
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -28,6 +27,7 @@ from gva_mi.avatar.reinit import reinitialise
 from gva_mi.body.pose import save_poses
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.video import Video
+from gva_mi.files import write_arrays
 from gva_mi.fit import checkpoint
 from gva_mi.fit.colors import seen_colors
 from gva_mi.fit.losses import Distance, render_losses
@@ -36,6 +36,7 @@ from gva_mi.fit.perceptual import rand_vgg_loss, vgg16_loss
 from gva_mi.fit.poses import TrainedPoses
 from gva_mi.fit.targets import Draw, Target, Targets, torch_state
 from gva_mi.splat.torch_op import Screen, render
+from gva_mi.threads import one_torch_thread
 
 Progress = Callable[..., None]
 
@@ -75,7 +76,7 @@ def fit(
     if (out / checkpoint.AVATAR).exists():
         return Avatar.load(out / checkpoint.AVATAR)
     state = checkpoint.load_state(out)
-    with _one_torch_thread():
+    with one_torch_thread():
         run = _Run(video, body, options, offsets, state)
         targets = Targets(
             video, video.splits.train, options.seed, options.random_background, options.window
@@ -88,7 +89,7 @@ def fit(
                 progress(run.step, options.steps, **shown)
             if run.step % options.checkpoint_every == 0 and run.step < options.steps:
                 checkpoint.save_state(out, run.state())
-    checkpoint.save_arrays(out / checkpoint.HISTORY, **run.history)
+    write_arrays(out / checkpoint.HISTORY, **run.history)
     if len(run.poses.frames):
         save_poses(out / checkpoint.POSES, run.poses.all(), video.shape, stage=2)
     run.avatar.save(out / checkpoint.AVATAR)
@@ -204,18 +205,3 @@ def _optimizer(avatar: Avatar, poses: TrainedPoses, rates: Rates) -> torch.optim
         groups.append({"name": "pose", "params": list(poses.parameters()), "lr": rates.pose})
     # With 3DGS's tiny epsilon a Gaussian that is seldom seen moves as far as any other.
     return torch.optim.Adam(groups, lr=0.0, eps=1e-15, fused=True)
-
-
-@contextmanager
-def _one_torch_thread() -> Iterator[None]:
-    """Leave the cores to Dr.Jit: after each operation torch's OpenMP threads would spin on them.
-
-    One thread is 1.3 to 20 times faster on two cores, the more the busier they are, and makes every
-    sum independent of the number of cores.
-    """
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)

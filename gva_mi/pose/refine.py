@@ -21,8 +21,7 @@ fitted to their silhouettes alone.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -36,6 +35,7 @@ from gva_mi.pose.scene import BodyScene
 from gva_mi.pose.sequence import Solution, refine_sequence
 from gva_mi.pose.single_frame import refine_single_frames
 from gva_mi.pose.target import CannotRefine, Target
+from gva_mi.threads import one_torch_thread
 
 Progress = Callable[..., None]
 
@@ -106,7 +106,7 @@ def refine(
         ``kept``: an empty mask, a body out of view, or a loss that did not fall below stage 1's.
     """
     begin = time.perf_counter()
-    with _one_thread():
+    with one_torch_thread():
         targets, kept = _targets(video, body, options.size)
         pose, shape = video.pose.to(torch.float32), Shape(video.shape.betas.to(torch.float32))
         solution = Solution(pose.rotations, pose.transl, torch.zeros_like(body.v_template))
@@ -168,14 +168,3 @@ def _losses(
         image = scene.render(body(one, shape, solution.offsets).vertices[0], target.camera)
         losses[k] = target.normal_loss(image) + options.silhouette * target.silhouette_loss(image)
     return losses
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """torch on one thread: its tensors are small here; the cores belong to the ray tracer."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)

@@ -1,4 +1,3 @@
-import numpy as np
 import pytest
 import torch
 
@@ -45,8 +44,3 @@ def test_a_broken_checkpoint_is_named(tmp_path):
     (tmp_path / checkpoint.CHECKPOINT).write_bytes(b"cut short")
     with pytest.raises(InputError, match="not a readable checkpoint"):
         checkpoint.load_state(tmp_path)
-
-
-def test_arrays_come_back(tmp_path):
-    checkpoint.save_arrays(tmp_path / checkpoint.HISTORY, loss=np.arange(3.0))
-    np.testing.assert_array_equal(checkpoint.load_history(tmp_path)["loss"], [0, 1, 2])

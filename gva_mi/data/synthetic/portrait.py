@@ -18,6 +18,7 @@ from gva_mi.body.smplx import BodyModel
 
 VARIANT = "llvm_ad_rgb"
 SKIN, SCLERA, IRIS = (0.62, 0.40, 0.30), (0.80, 0.79, 0.77), (0.05, 0.035, 0.025)  # linear albedo
+BACKGROUND = 0.85  # linear
 IRIS_ANGLE = 0.42  # radians from the direction of sight
 
 Rotation = tuple[float, float, float]  # axis-angle, radians
@@ -166,7 +167,9 @@ class _Painter:
         vertices = self._posed(figure).numpy()
         scene = mi.load_dict(_scene(self._mesh(vertices), _framed(vertices, figure), width, height))
         image = mi.render(scene, spp=samples, seed=0)
-        bitmap = mi.Bitmap(image).convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.UInt8, True)
+        light, coverage = np.split(np.asarray(image), [3], axis=2)
+        linear = mi.TensorXf(light + (1 - coverage) * BACKGROUND)
+        bitmap = mi.Bitmap(linear).convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.UInt8, True)
         return np.asarray(bitmap, dtype=np.float32) / 255
 
     def _posed(self, figure: Figure) -> torch.Tensor:
@@ -231,7 +234,7 @@ def _scene(mesh: object, view: View, width: int, height: int) -> dict:
         "to_world": mi.ScalarTransform4f().look_at(
             (target + view.height * _turned((side, up, ahead), view.azimuth)).tolist(),
             target.tolist(), (0.0, 1.0, 0.01),
-        ) @ mi.ScalarTransform4f().scale(size * view.height),
+        ) @ mi.ScalarTransform4f().scale(float(size * view.height)),
         "emitter": {"type": "area", "radiance": {"type": "rgb", "value": radiance}},
     }  # fmt: skip
     return {
@@ -244,7 +247,7 @@ def _scene(mesh: object, view: View, width: int, height: int) -> dict:
                 (target + distance * np.array(away)).tolist(), target.tolist(), (0, 1, 0)
             ),
             "film": {"type": "hdrfilm", "width": width, "height": height,
-                     "rfilter": {"type": "gaussian"}},
+                     "pixel_format": "rgba", "rfilter": {"type": "gaussian"}},
             "sampler": {"type": "independent"},
         },
         "body": mesh,

@@ -1,0 +1,36 @@
+"""A file is the old one or the new one, whole; one that cannot be read is named."""
+
+import numpy as np
+import pytest
+
+from gva_mi import InputError
+from gva_mi.files import read_arrays, replacing, require_keys, write_arrays, write_json
+
+
+def test_arrays_come_back(tmp_path):
+    write_arrays(tmp_path / "new" / "a.npz", loss=np.arange(3.0))
+    assert read_arrays(tmp_path / "new" / "a.npz", "losses")["loss"].tolist() == [0, 1, 2]
+
+
+def test_a_file_that_fails_half_way_leaves_the_old_one(tmp_path):
+    path = tmp_path / "value.json"
+    write_json(path, {"value": 1})
+    with pytest.raises(RuntimeError), replacing(path) as unfinished:
+        unfinished.write_text("{")
+        raise RuntimeError("killed")
+    assert path.read_text() == '{\n  "value": 1\n}\n'
+    assert [p.name for p in tmp_path.iterdir()] == ["value.json"]
+
+
+def test_what_cannot_be_read_is_named(tmp_path):
+    with pytest.raises(InputError, match=r"a\.npz: no such file; expected poses"):
+        read_arrays(tmp_path / "a.npz", "poses")
+    (tmp_path / "a.npz").write_bytes(b"no archive")
+    with pytest.raises(InputError, match=r"a\.npz: not a readable \.npz"):
+        read_arrays(tmp_path / "a.npz", "poses")
+    np.savez(tmp_path / "objects.npz", a=np.array([{}], dtype=object))
+    with pytest.raises(InputError, match="not a readable"):
+        read_arrays(tmp_path / "objects.npz", "poses")
+    write_arrays(tmp_path / "a.npz", b=np.zeros(1))
+    with pytest.raises(InputError, match="key 'c' is missing; found: b"):
+        require_keys(tmp_path / "a.npz", read_arrays(tmp_path / "a.npz", "poses"), ("b", "c"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -23,11 +24,13 @@ def read_arrays(path: Path, expected: str) -> dict[str, np.ndarray]:
     Raises:
         InputError: there is none, or it cannot be read.
     """
+    if not Path(path).is_file():
+        raise InputError(f"{path}: no such file; expected {expected}")
+    if not zipfile.is_zipfile(path):
+        raise InputError(f"{path}: not a readable .npz, or cut short; expected {expected}")
     try:
         with np.load(path, allow_pickle=False) as file:
             return {key: file[key] for key in file.files}
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; expected {expected}") from None
     except Exception as error:  # the zip, zlib and numpy each have their own
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(f"{path}: not a readable .npz ({reason}); expected {expected}") from None

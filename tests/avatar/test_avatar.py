@@ -151,7 +151,7 @@ def test_what_is_not_an_avatar_is_explained(make_avatar, tmp_path):
     with pytest.raises(InputError, match="no such file"):
         Avatar.load(tmp_path / "none.npz")
     (tmp_path / "text.npz").write_text("hello")
-    with pytest.raises(InputError, match="not a readable avatar"):
+    with pytest.raises(InputError, match="not a readable .npz"):
         Avatar.load(tmp_path / "text.npz")
     np.savez(tmp_path / "other.npz", a=np.zeros(3))
     with pytest.raises(InputError, match="not an avatar of this version"):

@@ -359,6 +359,7 @@ def _turned(scene: Scene, angle: float) -> Scene:
 def _grown(scene: Scene, repeats: int) -> Growth:
     scene = scene.to(torch.float32)
     forward, both = _time_whole(scene, repeats)
+    dr.flush_malloc_cache()
     dr.detail.malloc_clear_statistics()
     _step(scene, _weights(scene))
     memory = dr.detail.malloc_watermark(dr.JitBackend.LLVM)

@@ -43,6 +43,7 @@ import drjit as dr
 from drjit import ArrayBase as Array
 
 from gva_mi.splat import packets
+from gva_mi.splat.frozen import Frozen
 from gva_mi.splat.options import SplatOptions
 from gva_mi.splat.pixels import (
     PIXELS,
@@ -61,14 +62,15 @@ from gva_mi.splat.tiles import HEIGHT, WIDTH, Grid, Lists
 UNROLL = 2  # Gaussians per turn of the loop: LLVM spills the 160 loop variables otherwise
 
 
-@dr.freeze(limit=64, warn_after=1000)
+@Frozen
 def blend(
     rows: packets.Packets,
     lists: Lists,
     grid: Grid,
     background: list[Array],
-    options: SplatOptions,
     planes: Planes,
+    *,
+    options: SplatOptions,
 ) -> tuple[Planes, Array]:
     """Eq. 1-4, lane per tile.
 
@@ -133,19 +135,20 @@ def blend(
     return planes, stop
 
 
-@dr.freeze(limit=64, warn_after=1000)
+@Frozen
 def blend_adjoint(
     rows: packets.Packets,
     lists: Lists,
     stop: Array,
     grid: Grid,
-    channels: int,
-    options: SplatOptions,
-    absolute: bool,
     planes: Planes,
     grad: Planes,
     slots: packets.Packets,
     grad_background: Array,
+    *,
+    channels: int,
+    options: SplatOptions,
+    absolute: bool,
 ) -> tuple[packets.Packets, Array]:
     """Eq. 5-6, lane per tile: one slot per pair, and each lane's share of grad_background.
 
@@ -236,7 +239,7 @@ def blend_adjoint(
     return slots, grad_background
 
 
-@dr.freeze(limit=64, warn_after=1000)
+@Frozen
 def blend_tangent(
     rows: packets.Packets,
     drows: packets.Packets,
@@ -245,8 +248,9 @@ def blend_tangent(
     grid: Grid,
     background: list[Array],
     dbackground: list[Array],
-    options: SplatOptions,
     dplanes: Planes,
+    *,
+    options: SplatOptions,
 ) -> Planes:
     """Eq. 7, lane per tile.
 

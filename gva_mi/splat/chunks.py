@@ -12,6 +12,7 @@ import drjit as dr
 from drjit import ArrayBase as Array
 
 from gva_mi.splat import packets
+from gva_mi.splat.frozen import Frozen
 from gva_mi.splat.pixels import Planes
 
 CHUNK = 8  # channels composited at a time
@@ -42,8 +43,8 @@ def of_background(background: list[Array], parts: list[int]) -> list[list[Array]
     return [padded[sum(parts[:i]) : sum(parts[: i + 1])] for i in range(len(parts))]
 
 
-@dr.freeze(limit=64, warn_after=1000)
-def join(parts: list[Array], channels: int, alpha: Array, whole: Array) -> Array:
+@Frozen
+def join(parts: list[Array], alpha: Array, whole: Array, *, channels: int) -> Array:
     """One plane of ``channels`` from the chunks' planes."""
     pixel = dr.arange(dr.uint32_array_t(type(alpha)), dr.width(alpha))
     for c in range(channels):
@@ -53,8 +54,8 @@ def join(parts: list[Array], channels: int, alpha: Array, whole: Array) -> Array
     return whole
 
 
-@dr.freeze(limit=64, warn_after=1000)
-def split(whole: Array, channels: int, alpha: Array, parts: list[Array]) -> list[Array]:
+@Frozen
+def split(whole: Array, alpha: Array, parts: list[Array], *, channels: int) -> list[Array]:
     """The reverse of :func:`join`; ``alpha`` tells the number of pixels."""
     pixel = dr.arange(dr.uint32_array_t(type(alpha)), dr.width(alpha))
     for c in range(CHUNK * len(parts)):
@@ -73,7 +74,7 @@ def join_planes(parts: list[Planes], channels: int) -> Planes:
         return parts[0]
     alpha = parts[0].alpha
     whole = packets.memory(type(alpha), dr.width(alpha) * channels)
-    color = join([part.color for part in parts], channels, alpha, whole)
+    color = join([part.color for part in parts], alpha, whole, channels=channels)
     return Planes(color, alpha, parts[0].depth)
 
 
@@ -83,7 +84,7 @@ def split_gradient(grad: Planes, channels: int, parts: int) -> list[Planes]:
         return [grad]
     F, size = type(grad.alpha), dr.width(grad.alpha)
     memory = [packets.memory(F, size * CHUNK) for _ in range(parts)]
-    colors = split(grad.color, channels, grad.alpha, memory)
+    colors = split(grad.color, grad.alpha, memory, channels=channels)
     nothing = dr.opaque(F, 0, size)
     rest = [Planes(color, nothing, None) for color in colors[1:]]
     return [Planes(colors[0], grad.alpha, grad.depth), *rest]

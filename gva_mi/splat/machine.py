@@ -24,8 +24,8 @@ class Limits:
     threads: int  # of Dr.Jit
 
 
-def measure(repeats: int = 5) -> Limits:
-    """The best of ``repeats`` runs; takes under a second.
+def measure(repeats: int = 30) -> Limits:
+    """The best of ``repeats`` runs; takes about a second.
 
     Note:
         Other processes on the machine lower the figures, as they lower those of the kernels: take

@@ -7,10 +7,10 @@
 render.py wraps them for Dr.Jit's autodiff, torch_op.py for torch's. Pictures are here *planes*:
 flat arrays, padded to whole tiles.
 
-The kernels are frozen: the first call traces and compiles them (0.1-0.5 s each, cached on disk),
-later calls replay them whatever the size of the picture, the number of Gaussians or the pose. What
-a frozen function takes as Python numbers (cut-offs, widths) are constants of its code: another
-value is another kernel. So nothing that changes from call to call may be one.
+The kernels are frozen (frozen.py): the first call traces and compiles them (0.1-0.5 s each, cached
+on disk), later calls replay them whatever the size of the picture, the number of Gaussians or the
+pose. Keyword arguments (cut-offs, widths) are constants of their code: another value is another
+kernel. So nothing that changes from call to call may be one.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from drjit import ArrayBase as Array
 from gva_mi.splat import chunks, packets, tiles
 from gva_mi.splat.blend import blend, blend_adjoint, blend_tangent, sum_slots
 from gva_mi.splat.camera import Camera
+from gva_mi.splat.frozen import Frozen
 from gva_mi.splat.lens import View, view_adjoint, view_of, view_tangent
 from gva_mi.splat.options import SplatOptions
 from gva_mi.splat.pixels import Planes
@@ -114,7 +115,17 @@ def render_forward(
         rows = [packets.empty(F, GEOMETRY + width + 1, n) for width in parts]
         footprints = packets.empty(F, tiles.FOOTPRINT, n)
         width = dr.width(inputs.colors) // n
-        projected = _project(inputs, width, harmonics, view, options, grid, parts, rows, footprints)
+        projected = _project(
+            inputs,
+            view,
+            grid,
+            rows,
+            footprints,
+            width=width,
+            harmonics=harmonics,
+            options=options,
+            parts=tuple(parts),
+        )
         if not dr.all(projected.finite):
             _report_not_finite(inputs, harmonics, n)
         lists = tiles.make_lists(footprints, projected.depths, projected.counts, layout, grid)
@@ -127,7 +138,7 @@ def render_forward(
         by_chunk = chunks.of_background(behind, parts)
         for width, rows, colors in zip(parts, projected.rows, by_chunk, strict=True):
             target = Planes(*(packets.memory(F, size * k) for k in (width, 1, 1)))
-            picture, stop = blend(rows, lists, grid, colors, options, target)
+            picture, stop = blend(rows, lists, grid, colors, target, options=options)
             pictures.append(picture)
         planes = chunks.join_planes(pictures, D)
     return Saved(
@@ -202,13 +213,13 @@ def render_adjoint(
             saved.lists,
             saved.stop,
             saved.grid,
-            width,
-            saved.options,
-            absolute,
             planes,
             g,
             memory,
             shares,
+            channels=width,
+            options=saved.options,
+            absolute=absolute,
         )
         slots.append((memory, columns))
         by_background.append((shares, width))
@@ -221,17 +232,17 @@ def render_adjoint(
     )
     target = _gaussians_adjoint(
         saved.inputs,
-        saved.width,
-        saved.harmonics,
         saved.view,
-        saved.options,
         saved.lists,
         [memory for memory, _ in slots],
-        [columns for _, columns in slots],
-        D,
-        grad.depth is not None,
         target,
-        through_means2d,
+        width=saved.width,
+        harmonics=saved.harmonics,
+        options=saved.options,
+        columns=tuple(columns for _, columns in slots),
+        channels=D,
+        depth=grad.depth is not None,
+        through_u=through_means2d,
     )
     real = saved.lists.real.numpy()  # lanes that only fill up packets have written nothing
     sums = [_sum_rows(shares, width, real) for shares, width in by_background]
@@ -273,15 +284,15 @@ def render_tangent(
         return _empty_picture(behind, size)
     drows = _project_tangent(
         saved.inputs,
-        saved.width,
-        saved.harmonics,
         saved.view,
-        saved.options,
         dinputs,
         view_tangent(saved.camera, dT, dK, F),
         dmeans2d,
-        saved.chunks,
         [packets.empty(F, GEOMETRY + width + 1, n) for width in saved.chunks],
+        width=saved.width,
+        harmonics=saved.harmonics,
+        options=saved.options,
+        parts=tuple(saved.chunks),
     )
     pictures = []
     colors = chunks.of_background(saved.background, saved.chunks)
@@ -296,24 +307,25 @@ def render_tangent(
                 saved.grid,
                 colors[k],
                 dcolors[k],
-                saved.options,
                 Planes(*(packets.memory(F, size * c) for c in (width, 1, 1))),
+                options=saved.options,
             )
         )
     return chunks.join_planes(pictures, D)
 
 
-@dr.freeze(limit=64, warn_after=1000)
+@Frozen
 def _project(
     inputs: Inputs,
-    width: int,
-    harmonics: bool,
     view: View,
-    options: SplatOptions,
     grid: Grid,
-    parts: list[int],
     rows: list[packets.Packets],
     footprints: packets.Packets,
+    *,
+    width: int,
+    harmonics: bool,
+    options: SplatOptions,
+    parts: tuple[int, ...],
 ) -> Projected:
     columns, ellipses, radii, finite = project(inputs, width, harmonics, view, options)
     i = dr.arange(dr.uint32_array_t(type(inputs.means)), dr.width(inputs.opacities))
@@ -327,19 +339,20 @@ def _project(
     return Projected(rows, footprints, depths, counts, radii, finite)
 
 
-@dr.freeze(limit=64, warn_after=1000)
+@Frozen
 def _gaussians_adjoint(
     inputs: Inputs,
-    width: int,
-    harmonics: bool,
     view: View,
-    options: SplatOptions,
     lists: Lists,
     slots: list[packets.Packets],
-    columns: list[int],
+    target: Targets,
+    *,
+    width: int,
+    harmonics: bool,
+    options: SplatOptions,
+    columns: tuple[int, ...],
     channels: int,
     depth: bool,
-    target: Targets,
     through_u: bool,
 ) -> Targets:
     sums = [sum_slots(lists, part, n) for part, n in zip(slots, columns, strict=True)]
@@ -352,18 +365,19 @@ def _gaussians_adjoint(
     return target
 
 
-@dr.freeze(limit=64, warn_after=1000)
+@Frozen
 def _project_tangent(
     inputs: Inputs,
-    width: int,
-    harmonics: bool,
     view: View,
-    options: SplatOptions,
     dinputs: Inputs,
     dview: View,
     dmeans2d: Array | None,
-    parts: list[int],
     drows: list[packets.Packets],
+    *,
+    width: int,
+    harmonics: bool,
+    options: SplatOptions,
+    parts: tuple[int, ...],
 ) -> list[packets.Packets]:
     columns = project_tangent(inputs, width, harmonics, view, options, dinputs, dview)
     i = dr.arange(dr.uint32_array_t(type(inputs.means)), dr.width(inputs.opacities))

@@ -23,13 +23,14 @@ import drjit as dr
 from drjit import ArrayBase as Array
 
 from gva_mi.splat import packets
+from gva_mi.splat.frozen import Frozen
 from gva_mi.splat.project import Ellipses
 
 WIDTH, HEIGHT = 8, 4  # pixels of a tile
 SIMD = 16  # lanes of a packet (AVX-512; half of it divides it)
 BLOCKS = 16  # packets are dealt over this many parts
 LONGEST = 1023  # lists are ordered by length up to this one
-MAX_PAIRS = 2**31 - 1  # what 32-bit indices hold
+MAX_PAIRS = 2**29 - 1  # slots are packets of 8 floats, counted by 32-bit indices
 FOOTPRINT = 8  # columns of an ellipse in memory: its fields, rounded up to a packet
 SLACK = 1e-3  # pixels by which an ellipse is widened against rounding
 
@@ -137,7 +138,7 @@ def count(g: Ellipses, grid: Grid) -> Array:
     return dr.while_loop((first, U(first) * 0), lambda row, n: row < last, body, mode="symbolic")[1]
 
 
-@dr.freeze(limit=64, warn_after=1000)
+@Frozen
 def _emit(
     footprints: packets.Packets, order: Array, start: Array, grid: Grid, tile: Array, ids: Array
 ) -> tuple[Array, Array]:
@@ -163,7 +164,7 @@ def _emit(
     return tile, ids
 
 
-@dr.freeze(limit=64, warn_after=1000)
+@Frozen
 def _ranges(
     tile: Array,
     emitted: Array,

@@ -27,6 +27,8 @@ def random_arrays() -> dict[str, np.ndarray]:
         "kintree_table": np.stack([parents, np.arange(55)]),
         "hands_meanl": 0.1 * rng.normal(size=45),
         "hands_meanr": 0.1 * rng.normal(size=45),
+        "hands_componentsl": np.linalg.qr(rng.normal(size=(45, 45)))[0],
+        "hands_componentsr": np.linalg.qr(rng.normal(size=(45, 45)))[0],
         "joint_names": np.array(JOINTS),
     }
 

@@ -221,6 +221,33 @@ def test_same_bits_at_every_run_and_for_any_number_of_threads():
         dr.set_thread_count(threads)
 
 
+@pytest.mark.parametrize("threads", [1, 2])
+def test_same_bits_for_any_number_of_torch_threads(threads):
+    s = scene(gaussians=3000, width=203, height=150, degree=1).to(torch.float32)
+    first, before = bits(s), torch.get_num_threads()
+    torch.set_num_threads(threads)
+    try:
+        assert bits(s) == first
+    finally:
+        torch.set_num_threads(before)
+
+
+def test_the_cameras_gradients_have_the_same_bits_on_any_threads():
+    s = scene(gaussians=3000, width=200, height=150, degree=1).to(torch.float32)
+    found, threads = [], dr.thread_count()
+    try:
+        for count in (1, 2, 4):
+            dr.set_thread_count(count)
+            T = torch.tensor(s.camera.T_camera_world, dtype=torch.float32).requires_grad_()
+            K = torch.tensor(s.camera.K, dtype=torch.float32).requires_grad_()
+            screen = Screen(absolute=True)
+            draw(s, T_camera_world=T, K=K, screen=screen).color.square().sum().backward()
+            found.append([x.numpy().tobytes() for x in (T.grad, K.grad, screen.absgrad)])
+    finally:
+        dr.set_thread_count(threads)
+    assert found[0] == found[1] == found[2]
+
+
 def test_no_kernel_is_traced_again_for_other_sizes_and_poses():
     frozen = (blend, blend_adjoint, pipeline._project, pipeline._gaussians_adjoint)
     bits(scene(gaussians=500, width=150, height=100).to(torch.float32))
@@ -282,6 +309,32 @@ def test_degenerate(name, dtype):
         assert not off.numel() or off.abs().max() < atol, key
 
 
+def test_a_gaussian_on_a_fisheyes_axis():
+    s = scene(gaussians=1)
+    camera = Camera(12, 12, 16, 16, np.eye(4), 32, 32, "fisheye")
+    s = replace(changed(s, means=double([0.0, 0.0, 1.5])), camera=camera).to(torch.float64)
+    nearly = changed(s, means=double([1e-9, 0.0, 1.5])).to(torch.float64)
+    for each in (s, nearly):
+        (draw(each).color.square().sum() + draw(each).depth.sum()).backward()
+    assert s.gaussians.means.grad.abs().max() > 0
+    for a, b in zip(s.inputs().values(), nearly.inputs().values(), strict=True):
+        torch.testing.assert_close(a.grad, b.grad, rtol=1e-6, atol=1e-7)
+
+
+def test_more_pairs_than_indices_hold():
+    n = 3000  # times the 262,144 tiles of the picture
+    g = Gaussians(
+        means=torch.tensor([[0.0, 0.0, 2.0]]).repeat(n, 1),
+        quats=torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(n, 1),
+        scales=torch.full((n, 3), 100.0),
+        opacities=torch.ones(n),
+        colors=torch.ones(n, 1),
+    )
+    camera = Camera(2000, 2000, 1024, 1024, np.eye(4), 4096, 2048)
+    with pytest.raises(ValueError, match=r"3000 Gaussians touch 786432000 tiles .* 536870911"):
+        render(g, camera)
+
+
 # The door
 
 
@@ -295,6 +348,23 @@ def test_numbers_that_are_not_finite_are_named(name, bad):
     where = ", ".join(map(str, index))
     with pytest.raises(ValueError, match=rf"{name}\[{where}\] is {bad}, must be finite"):
         draw(changed(s, **{name: tensor}))
+
+
+def test_cameras_tensors_are_checked():
+    s = scene()
+    T, K = torch.tensor(s.camera.T_camera_world), torch.tensor(s.camera.K)
+    for name, tensor, message in (
+        ("T_camera_world", T * float("nan"), "must be rigid: finite"),
+        ("T_camera_world", 1.1 * T, "must be rigid: finite"),
+        ("T_camera_world", T[:3], r"T_camera_world must be a tensor of shape \(4, 4\)"),
+        ("K", K * float("inf"), "fx, fy, cx, cy must be finite"),
+        ("K", -K, "focal lengths must be positive"),
+        ("K", K.float(), "K must be torch.float64"),
+        ("K", s.camera.K, r"K must be a tensor of shape \(3, 3\), got ndarray"),
+        ("means2d", K, r"means2d must be a tensor of shape \(40, 2\)"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            draw(s, **{name: tensor})
 
 
 def test_wrong_arguments_are_named():

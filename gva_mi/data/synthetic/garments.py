@@ -297,7 +297,8 @@ def skirt(
     cone = np.sqrt((x / half_x) ** 2 + ((z - mid_z) / half_z) ** 2)
     cone = (cone - 1) * min(half_x, half_z) - grow
     uncut = smin(smax(cone, y - hip[1] + 0 * cone, 0.03), d - 0.011, 0.05)
-    field = _with_opening(uncut, uncut, end - y + 0 * cone, 0.012, 0.06)
+    # Pleats make the field steeper than a distance: the wall is thinner than it says.
+    field = _with_opening(uncut, uncut, end - y + 0 * cone, 0.022, 0.06)
     field = smax(field, y - top + 0 * cone)
     field = smax(field, np.abs(x) - half_x - flare * 0.6 + 0 * y + 0 * z)
     return surface_of(grid, field, uncut)

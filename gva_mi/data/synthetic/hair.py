@@ -23,6 +23,8 @@ from gva_mi.data.synthetic.garments import (
     surface_of,
 )
 
+DRAPED = 0.048  # m, thickness of long hair on the shoulders, cloth below it included
+
 HairStyle = Literal["short", "bob", "long"]
 
 
@@ -98,6 +100,8 @@ def hair(
     volume = (volume - 1) * np.minimum(half_x, half_z)
     if style == "long":  # behind the shoulders only
         volume = smax(volume, z - smoothstep(y, neck[1], head[1] + 0.05) * 0.12 - 0.0 * x, 0.03)
+        # Where it meets the shoulders it lies on them, and on what they wear.
+        volume = smin(volume, smax(d - DRAPED, volume - 0.03, 0.02), 0.02)
     uncut = smin(uncut, volume, 0.02)
     frayed = ends + 0.006 * locks
     field = smax(uncut, frayed - y + 0 * uncut, 0.015)

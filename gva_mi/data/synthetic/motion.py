@@ -1,17 +1,23 @@
-"""How a subject moves: the turn of the video, and poses that the video does not show."""
+"""How a subject moves: what the video shows, and poses that it does not show.
+
+A motion is a function of the time t in [0, 1), one round of the video, and is periodic: it can be
+asked for any frames, and for the moments just before them.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import roma
 import torch
 
-from gva_mi.body.pose import JOINTS, Pose
+from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, Pose
 
 FINGERS = ("index", "middle", "ring", "pinky")
 A_POSE = 0.98  # rad, how far the arms hang down from the T-pose
+DURATION = 6.0  # s, one round
+STEP = 0.04  # s, between the moments that a lag remembers
 
 # Hand gestures: how far each finger curls (radians per joint), how far they spread, and how far the
 # thumb swings across the palm and bends.
@@ -24,28 +30,71 @@ GESTURES: Mapping[str, Gesture] = {
     "pinch": dict(index=0.75, middle=0.3, ring=0.25, pinky=0.2, spread=0.08, thumb=0.7, bend=0.35),
     "two": dict(index=0.05, middle=0.05, ring=1.35, pinky=1.4, spread=0.2, thumb=0.8, bend=0.7),
     "three": dict(index=0.05, middle=0.05, ring=0.05, pinky=1.35, spread=0.15, thumb=0.8, bend=0.7),
+    "four": dict(index=0.05, middle=0.05, ring=0.05, pinky=0.05, spread=0.2, thumb=0.85, bend=0.75),
     "thumb": dict(index=1.35, middle=1.4, ring=1.4, pinky=1.4, spread=-0.05, thumb=-0.25, bend=0.0),
 }  # fmt: skip
 _SPREAD = {"index": 1.0, "middle": 0.25, "ring": -0.45, "pinky": -1.0}
 
 
-def turn(frames: int, expressions: int, rng: np.random.Generator) -> Pose:
-    """One full turn in A-pose, slightly swaying, while the hands go through gestures.
+def times(frames: int) -> np.ndarray:
+    """The moments of a video's frames (T,), in rounds."""
+    return np.arange(frames) / frames
+
+
+def before(t: np.ndarray, steps: int) -> np.ndarray:
+    """The moments some steps of ``STEP`` seconds earlier."""
+    return t - steps * STEP / DURATION
+
+
+def turn(t: np.ndarray, expressions: int, rng: np.random.Generator) -> Pose:
+    """One full turn in A-pose, slightly swaying, while hands and face go through gestures.
 
     Args:
-        frames: length of the video.
+        t: moments (T,), in rounds.
         expressions: width of the expression.
-        rng: for sway and gestures.
+        rng: for sway and gestures; the same numbers are drawn for all ``t``.
 
     Returns:
         T frames, root at the origin.
     """
-    t = np.arange(frames) / frames
+    rotations, transl = _turning(t, rng)
+    return _with_face(rotations, transl, t, expressions, rng)
+
+
+def everyday(t: np.ndarray, expressions: int, rng: np.random.Generator) -> Pose:
+    """The turn, interrupted by a squat, steps, and what arms do in front of the body.
+
+    Args, Returns: as of :func:`turn`.
+    """
+    rotations, transl = _turning(t, rng)
+    names = [str(n) for n in rng.permutation(list(ACTIONS))]
+    # Each action rises from the turn and sinks back into it, one after the other.
+    share, index = np.modf((t % 1.0) * len(names))
+    swell = np.sin(np.pi * share) ** 2
+    for k, name in enumerate(names):
+        weight = np.where(index == k, swell, 0.0)[:, None]
+        joints, left, right = ACTIONS[name]
+        for joint, value in joints.items():
+            target = np.array(value) * rng.uniform(0.9, 1.1)
+            at = JOINTS.index(joint)
+            rotations[:, at] += weight * (target - rotations[:, at])
+        for hand, gesture, side in ((LEFT_HAND, left, "left"), (RIGHT_HAND, right, "right")):
+            shaped = np.zeros((1, 55, 3))
+            _put_hand(shaped, side, _gesture_values([gesture]))
+            rotations[:, hand] += weight[..., None] * (shaped[:, hand] - rotations[:, hand])
+    return _with_face(rotations, transl, t, expressions, rng)
+
+
+MOTIONS: Mapping[str, Callable[[np.ndarray, int, np.random.Generator], Pose]] = {
+    "turn": turn, "everyday": everyday,
+}  # fmt: skip
+
+
+def _turning(t: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Rotations (T, 55, 3) and translations (T, 3) of the turn."""
+    frames = len(t)
     rotations = np.zeros((frames, 55, 3))
-    wave = lambda size, most=3: sum(
-        rng.normal(0, size / k) * np.sin(2 * np.pi * (k * t + rng.uniform()))
-        for k in range(1, most)
-    )
+    wave = lambda size: _wave(t, size, rng)
     direction = rng.choice([-1.0, 1.0])
     for name, size in (
         ("spine1", 0.02), ("spine2", 0.02), ("spine3", 0.02), ("neck", 0.04), ("head", 0.06),
@@ -66,11 +115,38 @@ def turn(frames: int, expressions: int, rng: np.random.Generator) -> Pose:
         rotations[:, of("hip"), 0] = wave(0.015)
         rotations[:, of("knee"), 0] = np.abs(wave(0.03))
         rotations[:, of("ankle"), 2] = -sign * 0.06
-        _put_hand(rotations, side, _gesture_curve(frames, rng))
-    rotations[:, 0, 1] = direction * 2 * np.pi * t
+        _put_hand(rotations, side, _gesture_curve(t, rng))
     transl = np.stack([wave(0.008), np.zeros(frames), wave(0.008)], axis=1)
-    rotations[:, 0] = _turned(rotations[:, 0, 1], np.stack([wave(0.015), wave(0.015)], axis=1))
-    return _pose(rotations, transl, expressions)
+    yaw = direction * 2 * np.pi * t
+    rotations[:, 0] = _turned(yaw, np.stack([wave(0.015), wave(0.015)], axis=1))
+    return rotations, transl
+
+
+def _wave(t: np.ndarray, size: float, rng: np.random.Generator) -> np.ndarray:
+    """A slow random function of time (T,)."""
+    return sum(
+        rng.normal(0, size / k) * np.sin(2 * np.pi * (k * t + rng.uniform())) for k in (1, 2)
+    )
+
+
+def _with_face(
+    rotations: np.ndarray,
+    transl: np.ndarray,
+    t: np.ndarray,
+    expressions: int,
+    rng: np.random.Generator,
+) -> Pose:
+    """The pose with a face that speaks and looks around."""
+    opened = 0.5 - 0.5 * np.cos(2 * np.pi * (6 * t + rng.uniform()))  # six words a round
+    speaks = np.clip(0.6 + _wave(t, 0.5, rng), 0, 1)
+    rotations[:, JOINTS.index("jaw"), 0] = 0.14 * opened * speaks
+    gaze = np.stack([_wave(t, 0.06, rng), _wave(t, 0.15, rng)], axis=1)
+    for eye in ("left_eye_smplhf", "right_eye_smplhf"):
+        rotations[:, JOINTS.index(eye), :2] = gaze
+    expression = np.zeros((len(t), expressions))
+    for k in range(min(expressions, 10)):
+        expression[:, k] = _wave(t, 0.45, rng)
+    return _pose(rotations, transl, expression)
 
 
 def novel(count: int, expressions: int, rng: np.random.Generator) -> Pose:
@@ -96,13 +172,44 @@ def novel(count: int, expressions: int, rng: np.random.Generator) -> Pose:
         for side, gesture in (("left", left), ("right", right)):
             _put_hand(rotations[k : k + 1], side, _gesture_values([gesture]))
         rotations[k, JOINTS.index("head")] += rng.normal(0, 0.08, 3)
+        rotations[k, JOINTS.index("jaw"), 0] = rng.uniform(0, 0.15)
     facing = rng.uniform(-0.9, 0.9, count)
     rotations[:, 0] = _turned(facing, np.zeros((count, 2)))
-    return _pose(rotations, np.zeros((count, 3)), expressions)
+    expression = rng.normal(0, 0.5, (count, expressions)) * (np.arange(expressions) < 10)
+    return _pose(rotations, np.zeros((count, 3)), expression)
 
 
 # Joint rotations (axis-angle, radians) in place of the A-pose's, and the gestures of both hands.
-POSES: Mapping[str, tuple[Mapping[str, tuple[float, float, float]], str, str]] = {
+Action = tuple[Mapping[str, tuple[float, float, float]], str, str]
+ACTIONS: Mapping[str, Action] = {  # of the everyday video
+    "squat": (
+        {"left_hip": (-0.95, -0.1, 0.18), "left_knee": (1.25, 0, 0), "left_ankle": (-0.4, 0, 0),
+         "right_hip": (-0.95, 0.1, -0.18), "right_knee": (1.25, 0, 0), "right_ankle": (-0.4, 0, 0),
+         "spine1": (0.25, 0, 0), "left_shoulder": (0, -0.6, -0.7), "right_shoulder": (0, 0.6, 0.7)},
+        "rest", "rest",
+    ),
+    "step left": (
+        {"left_hip": (-0.45, 0, 0.06), "left_knee": (0.35, 0, 0), "right_hip": (0.2, 0, -0.06),
+         "right_knee": (0.2, 0, 0), "right_shoulder": (-0.3, 0, 1.1)}, "rest", "fist",
+    ),
+    "step right": (
+        {"right_hip": (-0.45, 0, -0.06), "right_knee": (0.35, 0, 0), "left_hip": (0.2, 0, 0.06),
+         "left_knee": (0.2, 0, 0), "left_shoulder": (-0.3, 0, -1.1)}, "four", "rest",
+    ),
+    "hands together": (
+        {"left_shoulder": (0.1, -0.55, -0.95), "right_shoulder": (0.1, 0.55, 0.95),
+         "left_elbow": (0, -1.35, 0), "right_elbow": (0, 1.35, 0)}, "open", "open",
+    ),
+    "drink": (
+        {"right_shoulder": (0, 0.75, 0.85), "right_elbow": (-0.3, 1.9, 0), "head": (-0.12, 0, 0)},
+        "rest", "pinch",
+    ),
+    "reach": (
+        {"left_shoulder": (0, -0.3, 0.55), "left_elbow": (0, -0.15, 0), "head": (-0.2, 0.25, 0)},
+        "open", "rest",
+    ),
+}  # fmt: skip
+POSES: Mapping[str, Action] = {  # that no video holds
     "wave": ({"right_shoulder": (0, 0, -0.5), "right_elbow": (0, 0.3, -1.5)}, "rest", "open"),
     "point": ({"left_shoulder": (0, -1.25, -0.15), "left_elbow": (0, -0.1, 0)}, "point", "rest"),
     "arms up": (
@@ -117,6 +224,11 @@ POSES: Mapping[str, tuple[Mapping[str, tuple[float, float, float]], str, str]] =
     "arms in front": (
         {"left_shoulder": (0, -0.75, -0.75), "right_shoulder": (0, 0.75, 0.75),
          "left_elbow": (0, -1.2, 0), "right_elbow": (0, 1.2, 0)}, "pinch", "two",
+    ),
+    "lunge": (
+        {"left_hip": (-1.05, 0, 0.08), "left_knee": (1.0, 0, 0), "right_hip": (0.45, 0, -0.05),
+         "right_knee": (0.65, 0, 0), "right_ankle": (0.2, 0, 0), "left_elbow": (0, -1.4, 0),
+         "left_shoulder": (0, -0.2, -1.15), "right_shoulder": (0, 0.2, 1.15)}, "fist", "four",
     ),
     "thumbs up": (
         {"right_shoulder": (0, 0.6, 1.0), "right_elbow": (-0.9, 1.4, 0)}, "rest", "thumb",
@@ -136,11 +248,11 @@ def _gesture_values(names: list[str]) -> np.ndarray:
     return np.array([[GESTURES[n][k] for k in GESTURES["open"]] for n in names])
 
 
-def _gesture_curve(frames: int, rng: np.random.Generator) -> np.ndarray:
+def _gesture_curve(t: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """(T, 7): gestures held for a while, with smooth changes; the last leads back to the first."""
-    names = [str(n) for n in rng.permutation([n for n in GESTURES if n != "rest"])[:5]]
+    names = [str(n) for n in rng.permutation(["open", "fist", "point", "pinch", "three", "thumb"])]
     keys = _gesture_values(["rest", *names])
-    at = (np.arange(frames) / frames + rng.uniform(0, 0.08)) * len(keys)
+    at = ((t + rng.uniform(0, 0.08)) % 1.0) * len(keys)
     index = np.floor(at).astype(int)
     t = np.clip((at - index - 0.35) / 0.65, 0, 1)
     t = (t * t * (3 - 2 * t))[:, None]
@@ -173,8 +285,6 @@ def _turned(yaw: np.ndarray, lean: np.ndarray) -> np.ndarray:
     return roma.rotmat_to_rotvec(R).numpy()
 
 
-def _pose(rotations: np.ndarray, transl: np.ndarray, expressions: int) -> Pose:
+def _pose(rotations: np.ndarray, transl: np.ndarray, expression: np.ndarray) -> Pose:
     tensor = lambda x: torch.from_numpy(x).float()
-    return Pose.from_rotations(
-        tensor(rotations), tensor(transl), torch.zeros(len(transl), expressions)
-    )
+    return Pose.from_rotations(tensor(rotations), tensor(transl), tensor(expression))

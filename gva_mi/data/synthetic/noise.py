@@ -1,21 +1,22 @@
 """What a real pipeline would see instead of the truth, at a level: 1 is usual, 0 is exact.
 
-* Poses, as an estimator on single frames gives them: errors grow toward hands and feet, change
-  slowly with time, and are twice as large where the person stands sideways; depth is known worst.
+* Poses, as an estimator on single frames gives them: errors grow toward hands and feet, come in
+  bursts of some frames, and are twice as large where the person stands sideways; depth is known
+  worst; now and then a hand is lost, and its mean pose is given instead.
 * Masks, as a segmenter gives them: the boundary wobbles by a pixel or two, with some notches.
 * Normals, as a network gives them: blurred, and turned by a slowly varying error.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import roma
 import torch
 
-from gva_mi.body.pose import JOINTS, Pose, Shape
+from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.splat import Camera
 
@@ -29,7 +30,23 @@ ROTATION: Mapping[str, float] = {
 HEAD, FINGER = 0.02, 0.16  # jaw and eyes; every joint of the fingers
 DEPTH, ASIDE = 0.028, 0.008  # m, translation along the line of sight, and across it
 BETAS = 0.25  # standard deviations
+EXPRESSION = 0.3  # standard deviations, of every coefficient that moves at all
 MEMORY = 5.0  # frames over which an error persists
+
+# Bursts: for some frames the errors of one group of joints grow.
+CALM, BURST = 0.6, 3.0  # factors on the sizes above: at rest; at the height of a burst, at most
+BURST_EVERY, BURST_LENGTH = 25.0, 2.5  # frames between bursts, on average; half length of one
+GROUPS: Sequence[Sequence[str]] = (
+    ("left_collar", "left_shoulder", "left_elbow", "left_wrist"),
+    ("right_collar", "right_shoulder", "right_elbow", "right_wrist"),
+    ("left_hip", "left_knee", "left_ankle", "left_foot"),
+    ("right_hip", "right_knee", "right_ankle", "right_foot"),
+)
+
+# Drop-outs: an estimator that loses a hand returns its mean pose on a straight wrist.
+LOST = 0.08  # share of all frames in which a hand is lost
+LOST_FRAMES = 5.0  # length of a drop-out, on average
+MEAN_FINGER = 0.3  # rad, how far the fingers of the mean hand curl
 
 # Pixels at 512², scaled with the width of the picture.
 WOBBLE, WOBBLE_LENGTH = 1.1, 14.0  # boundary error of a mask, and the length over which it varies
@@ -50,6 +67,9 @@ class PoseError:
     foot_vertex_mm: float
     rotation_deg: float
     transl_mm: float
+    sideways: float  # rotation error where the person stands sideways, over that from front or back
+    lost_left_hand: tuple[int, ...]  # frames in which the hand is lost
+    lost_right_hand: tuple[int, ...]
 
 
 def noisy_poses(
@@ -67,21 +87,70 @@ def noisy_poses(
     if level == 0:
         return pose, shape
     frames = len(pose)
-    R_camera_world = camera.T_camera_world[:3, :3]
-    facing = _matrices(pose.global_orient.double().numpy())[:, :, 2] @ R_camera_world.T
-    strength = level * (1 + np.abs(facing[:, 0]))[:, None]
+    sideways = _sideways(pose, camera)
+    strength = level * (1 + sideways**2)[:, None]
+    sizes = _sizes()[:, None] * np.full(frames, 1.0)
+    for group in GROUPS:
+        burst = _bursts(rng, frames)
+        for name in group:
+            sizes[JOINTS.index(name)] *= burst
 
     rotations = pose.rotations.double().numpy().copy()
-    for joint, size in enumerate(_sizes()):
-        rotations[:, joint] += strength * size * _curve(rng, frames)
+    for joint, size in enumerate(sizes):
+        rotations[:, joint] += strength * size[:, None] * _curve(rng, frames)
+    for side, hand in (("left", LEFT_HAND), ("right", RIGHT_HAND)):
+        lost = min(level, 1.0) * dropped_frames(frames, level, rng)[:, None, None]
+        rotations[:, hand] += lost * (_mean_hand(side) - rotations[:, hand])
+        wrist = rotations[:, [JOINTS.index(f"{side}_wrist")]]
+        rotations[:, [JOINTS.index(f"{side}_wrist")]] = (1 - lost) * wrist
     aside = _curve(rng, frames) * np.array([ASIDE, ASIDE, DEPTH]) * np.sqrt(3)
+    R_camera_world = camera.T_camera_world[:3, :3]
     transl = pose.transl.double().numpy() + (strength * aside) @ R_camera_world
     betas = (
         shape.betas + level * BETAS * torch.from_numpy(rng.normal(size=len(shape.betas))).float()
     )
+    expression = pose.expression.double().numpy().copy()
+    for k in np.flatnonzero(expression.any(0)):
+        expression[:, k] += level * EXPRESSION * _curve(rng, frames)[:, 0] * np.sqrt(3)
     tensor = lambda x: torch.from_numpy(x).to(pose.transl.dtype)
-    noisy = Pose.from_rotations(tensor(rotations), tensor(transl), pose.expression)
+    noisy = Pose.from_rotations(tensor(rotations), tensor(transl), tensor(expression))
     return noisy, Shape(betas)
+
+
+def dropped_frames(frames: int, level: float, rng: np.random.Generator) -> np.ndarray:
+    """In which frames a hand is lost, (T,) bool: runs whose share of the frames is ``LOST``."""
+    start = level * LOST / (LOST_FRAMES * max(1 - level * LOST, 0.1))  # chance, frame by frame
+    lost = np.zeros(frames, dtype=bool)
+    for k in np.flatnonzero(rng.random(frames) < start):
+        lost[k : k + rng.poisson(LOST_FRAMES - 1) + 1] = True
+    return lost
+
+
+def _bursts(rng: np.random.Generator, frames: int) -> np.ndarray:
+    """The envelope (T,) of an error: calm, with bursts at random moments."""
+    margin = int(3 * BURST_LENGTH)
+    t = np.arange(frames)
+    envelope = np.full(frames, CALM)
+    for centre in range(-margin, frames + margin):
+        if rng.random() < 1 / BURST_EVERY:
+            height = rng.uniform(0.5, 1.0) * (BURST - CALM)
+            bump = height * np.exp(-(((t - centre) / BURST_LENGTH) ** 2) / 2)
+            envelope = np.maximum(envelope, CALM + bump)
+    return envelope
+
+
+def _sideways(pose: Pose, camera: Camera) -> np.ndarray:
+    """How far a person stands sideways (T,): 0 seen from front or back, 1 from the side."""
+    facing = _matrices(pose.global_orient.double().numpy())[:, :, 2]
+    return np.abs(facing @ camera.T_camera_world[0, :3])
+
+
+def _mean_hand(side: str) -> np.ndarray:
+    """Rotations (15, 3) of a relaxed hand."""
+    sign = 1.0 if side == "left" else -1.0
+    rotations = np.zeros((15, 3))
+    rotations[:12, 2] = -sign * MEAN_FINGER  # all but the thumb
+    return rotations
 
 
 def noisy_mask(mask: np.ndarray, level: float, rng: np.random.Generator) -> np.ndarray:
@@ -133,9 +202,12 @@ def noisy_normals(
 
 
 def pose_error(
-    body: BodyModel, pose: Pose, shape: Shape, true: Pose, true_shape: Shape
+    body: BodyModel, pose: Pose, shape: Shape, true: Pose, true_shape: Shape, camera: Camera
 ) -> PoseError:
-    """How far poses are from the truth, the mean over frames and vertices."""
+    """How far poses are from the truth, the mean over frames and vertices.
+
+    A hand counts as lost where all of its noisy fingers are those of the mean hand.
+    """
     away = torch.cat(
         [
             (body(a, shape).vertices - body(b, true_shape).vertices).norm(dim=-1)
@@ -147,11 +219,22 @@ def pose_error(
     foot = weights[:, [7, 8, 10, 11]].sum(1) > 0.5
     A, B = (_matrices(p.rotations.double().numpy().reshape(-1, 3)) for p in (pose, true))
     cosine = (np.einsum("nij,nij->n", A, B) - 1) / 2
+    degrees = np.degrees(np.arccos(np.clip(cosine, -1, 1))).reshape(len(pose), -1)
+    sideways = _sideways(true, camera)
+    side, front = degrees[sideways > 0.87].mean(1), degrees[sideways < 0.5].mean(1)  # 30 degrees
+    ratio = side.mean() / front.mean() if len(side) and len(front) and front.any() else 1.0
     millimetres = lambda x: float(1000 * x.double().mean())
+    lost = [
+        tuple(np.flatnonzero(np.abs(fingers - _mean_hand(name)).max((1, 2)) < 1e-5).tolist())
+        for name, fingers in (
+            ("left", pose.rotations[:, LEFT_HAND].numpy()),
+            ("right", pose.rotations[:, RIGHT_HAND].numpy()),
+        )
+    ]
     return PoseError(
         millimetres(away), millimetres(away[:, hand]), millimetres(away[:, foot]),
-        float(np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean()),
-        millimetres((pose.transl - true.transl).norm(dim=-1)),
+        float(degrees.mean()), millimetres((pose.transl - true.transl).norm(dim=-1)),
+        float(ratio), *lost,
     )  # fmt: skip
 
 

@@ -6,7 +6,7 @@ their skinning weights, so that any body in SMPL-X's format has them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +17,7 @@ from gva_mi.body.puppet import EXPRESSIONS
 from gva_mi.body.smplx import BodyModel
 
 VARIANT = "llvm_ad_rgb"
-SKIN, SCLERA, IRIS = (0.62, 0.40, 0.30), (0.80, 0.79, 0.77), (0.05, 0.035, 0.025)  # linear albedo
+SKIN, SCLERA, IRIS = (0.66, 0.42, 0.32), (0.80, 0.79, 0.77), (0.05, 0.035, 0.025)  # linear albedo
 BACKGROUND = 0.85  # linear
 IRIS_ANGLE = 0.42  # radians from the direction of sight
 
@@ -49,12 +49,17 @@ class Figure:
 
 def turntable(body: BodyModel, *, views: int = 8, size: int = 400, samples: int = 64) -> np.ndarray:
     """A body in the A-pose from all around, (size, W, 3) in [0, 1], sRGB."""
-    draw = _Painter(body)
-    figures = [Figure(A_POSE, azimuth=2 * np.pi * k / views) for k in range(views)]
-    return np.concatenate([draw(f, size // 2, size, samples) for f in figures], axis=1)
+    draw, width = _Painter(body), round(0.72 * size)
+    vertices = draw.posed(Figure(A_POSE)).numpy()
+    middle = (vertices.min(0) + vertices.max(0)) / 2
+    radius = np.linalg.norm((vertices - middle)[:, [0, 2]], axis=1).max()
+    height = 1.10 * max(np.ptp(vertices[:, 1]), 2 * radius * size / width)  # one scale for all
+    around = [View(tuple(middle.tolist()), height, 2 * np.pi * k / views) for k in range(views)]
+    pictures = [draw(Figure(A_POSE, view), width, size, samples) for view in around]
+    return np.concatenate(pictures, axis=1)
 
 
-def sheet(body: BodyModel, *, size: int = 300, samples: int = 64) -> np.ndarray:
+def sheet(body: BodyModel, *, size: int = 280, samples: int = 64) -> np.ndarray:
     """Poses of the whole body, hands and faces from close by, four in a row; (H, 4 size, 3)."""
     draw = _Painter(body)
     hands, faces = _hands(body), _faces(body)
@@ -85,7 +90,7 @@ def _fingers(curl: Mapping[str, float], thumb: tuple[Rotation, ...], side: str =
 
 _LONG = ("index", "middle", "ring", "pinky")
 _REST_THUMB = ((0.1, 0.2, -0.1), (0, 0.1, 0), (0, 0.1, 0))
-_FOLDED_THUMB = ((0.75, 0.30, -0.50), (0.15, 0.80, -0.35), (0.1, 0.95, -0.35))
+_FOLDED_THUMB = ((0.41, 0.27, -0.42), (0.16, 0.53, -0.10), (0.37, 1.12, -0.24))
 FLAT = _fingers({}, ())
 RELAXED = _fingers(dict(zip(_LONG, (0.20, 0.24, 0.28, 0.32), strict=True)), _REST_THUMB)
 FIST = _fingers(dict.fromkeys(_LONG, 1.0), _FOLDED_THUMB)
@@ -94,7 +99,9 @@ PINCH = _fingers(
     {"index": 0.52, "middle": 0.25, "ring": 0.18, "pinky": 0.12},
     ((0.75, 0.15, -0.30), (0, 0.25, -0.05), (0, 0.35, -0.05)),
 )
-THUMB_UP = _fingers(dict.fromkeys(_LONG, 1.0), ((-0.5, -0.45, 0.35), (0, 0, 0), (0, -0.2, 0)))
+THUMB_UP = _fingers(
+    dict.fromkeys(_LONG, 1.0), ((-0.16, -0.37, 0.12), (-0.10, -0.36, 0.06), (-0.06, -0.20, 0.04))
+)
 
 BODIES = (
     Figure(A_POSE | RELAXED, azimuth=0.5),
@@ -110,9 +117,9 @@ BODIES = (
             "left_shoulder": (0.75, 0, -1.15), "left_elbow": (0, -1.0, 0),
             "right_shoulder": (-0.75, 0, 1.15), "right_elbow": (0, 1.0, 0)} | RELAXED, azimuth=1.2),
     Figure(_both(shoulder=(0, 0, 0.75), collar=(0, 0, 0.45), elbow=(0, -0.2, 0)), azimuth=2.7),
-    Figure(A_POSE | {"spine1": (0.55, 0, 0), "spine2": (0.45, 0, 0), "spine3": (0.3, 0, 0),
+    Figure(A_POSE | {"pelvis": (0.7, 0, 0), "spine1": (0.45, 0, 0), "spine2": (0.35, 0, 0),
                      "left_hip": (-0.7, 0, 0), "right_hip": (-0.7, 0, 0),
-                     "left_shoulder": (0, -1.3, -0.5), "right_shoulder": (0, 1.3, 0.5)},
+                     "left_shoulder": (0, -1.4, -0.3), "right_shoulder": (0, 1.4, 0.3)},
            azimuth=1.4),
     Figure({"left_hip": (-1.5, 0, 0.2), "left_knee": (1.9, 0, 0), "spine2": (0, 0.3, 0),
             "left_shoulder": (0, -0.35, -1.2), "right_shoulder": (0, 0.3, 1.15),
@@ -128,8 +135,8 @@ def _hands(body: BodyModel) -> list[Figure]:
     from_ = lambda azimuth, elevation: View(tuple(middle.tolist()), 0.24, azimuth, elevation)
     above, below, ahead = from_(0.1, 1.3), from_(0.35, -1.1), from_(0.9, 0.25)
     pairs = [
-        (FLAT, above), (RELAXED, ahead), (FIST, ahead), (FIST, below),
-        (POINT, above), (PINCH, ahead), (PINCH, below), (THUMB_UP, ahead),
+        (FLAT, above), (RELAXED, ahead), (FIST, from_(1.2, 0.1)), (FIST, below),
+        (POINT, ahead), (PINCH, ahead), (PINCH, below), (THUMB_UP, above),
     ]  # fmt: skip
     return [Figure(hand, view) for hand, view in pairs]
 
@@ -164,15 +171,17 @@ class _Painter:
         """One picture, (height, width, 3) in [0, 1], sRGB."""
         import mitsuba as mi
 
-        vertices = self._posed(figure).numpy()
-        scene = mi.load_dict(_scene(self._mesh(vertices), _framed(vertices, figure), width, height))
+        vertices = self.posed(figure).numpy()
+        view = _framed(vertices, figure, width / height)
+        scene = mi.load_dict(_scene(self._mesh(vertices), view, width, height))
         image = mi.render(scene, spp=samples, seed=0)
         light, coverage = np.split(np.asarray(image), [3], axis=2)
         linear = mi.TensorXf(light + (1 - coverage) * BACKGROUND)
         bitmap = mi.Bitmap(linear).convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.UInt8, True)
         return np.asarray(bitmap, dtype=np.float32) / 255
 
-    def _posed(self, figure: Figure) -> torch.Tensor:
+    def posed(self, figure: Figure) -> torch.Tensor:
+        """The body's surface, (V, 3)."""
         zero = self._body.v_template.new_zeros
         rotations, expression = zero(1, len(JOINTS), 3), zero(1, self._body.num_expressions)
         for name, rotation in figure.rotations.items():
@@ -212,14 +221,17 @@ def _colors(body: BodyModel) -> np.ndarray:
     return color
 
 
-def _framed(vertices: np.ndarray, figure: Figure) -> View:
+def _framed(vertices: np.ndarray, figure: Figure, aspect: float) -> View:
     """The figure's view; one of the whole body spans what there is of it, with a margin."""
     if figure.view is not None:
         return figure.view
-    low, high = vertices.min(0), vertices.max(0)
-    across = np.hypot(*(high - low)[[0, 2]])
-    height = max(1.08 * (high - low)[1], 1.0 * across)
-    return View(tuple(((low + high) / 2).tolist()), height, figure.azimuth)
+    across = vertices @ _turned((1.0, 0.0, 0.0), figure.azimuth)
+    height = max(np.ptp(vertices[:, 1]), np.ptp(across) / aspect)
+    # The middle of what is seen: of the picture's width, of the height, and of the depth.
+    ahead = vertices @ _turned((0.0, 0.0, 1.0), figure.azimuth)
+    middle = [(v.min() + v.max()) / 2 for v in (across, vertices[:, 1], ahead)]
+    target = _turned(middle, figure.azimuth)
+    return View(tuple(target.tolist()), 1.10 * height, figure.azimuth)
 
 
 def _scene(mesh: object, view: View, width: int, height: int) -> dict:
@@ -251,13 +263,14 @@ def _scene(mesh: object, view: View, width: int, height: int) -> dict:
             "sampler": {"type": "independent"},
         },
         "body": mesh,
-        "sky": {"type": "constant", "radiance": {"type": "rgb", "value": 0.32}},
-        "key": light(-1.6, 1.6, 1.8, 0.6, 6.0),
-        "rim": light(1.9, 1.2, -1.4, 0.5, 5.0),
+        "sky": {"type": "constant", "radiance": {"type": "rgb", "value": 0.40}},
+        "key": light(-1.6, 1.6, 1.8, 0.6, 13.0),
+        "rim": light(1.9, 1.2, -1.4, 0.5, 9.0),
     }  # fmt: skip
 
 
-_turned: Callable[[tuple[float, float, float], float], np.ndarray] = lambda p, azimuth: np.array([
-    p[0] * np.cos(azimuth) + p[2] * np.sin(azimuth), p[1],
-    p[2] * np.cos(azimuth) - p[0] * np.sin(azimuth),
-])  # fmt: skip
+def _turned(point: Sequence[float], azimuth: float) -> np.ndarray:
+    """A point turned around the vertical."""
+    x, y, z = point
+    sine, cosine = np.sin(azimuth), np.cos(azimuth)
+    return np.array([x * cosine + z * sine, y, z * cosine - x * sine])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -12,55 +12,15 @@ import torch
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.body.skinning import skin_points
 from gva_mi.body.smplx import BodyModel
-from gva_mi.data.synthetic import garments
-from gva_mi.data.synthetic.garments import CLOTH_CELL, BodySurface, Grid, Mesh
-from gva_mi.data.synthetic.hair import HairStyle, hair
-from gva_mi.data.synthetic.texture import Fabric, Face, Look, Part, Point, linear, palette
+from gva_mi.data.synthetic import accessories, garments
+from gva_mi.data.synthetic.folds import Crease, creases, lagging
+from gva_mi.data.synthetic.garments import CLOTH_CELL, BodySurface, Grid, Mesh, smoothstep
+from gva_mi.data.synthetic.hair import hair
+from gva_mi.data.synthetic.people import Person, Wardrobe
+from gva_mi.data.synthetic.texture import Face, Look, Part, Point
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
-
-SKINS = [
-    linear(*c)
-    for c in ((232, 190, 165), (214, 165, 135), (190, 135, 102), (146, 98, 72), (104, 68, 50))
-]
-HAIRS = [
-    linear(*c) for c in ((38, 28, 24), (70, 45, 30), (120, 78, 45), (176, 132, 78), (60, 58, 60))
-]
-IRISES = [linear(*c) for c in ((70, 45, 30), (75, 105, 125), (85, 105, 70), (50, 35, 28))]
-CLOTHS = [
-    linear(*c)
-    for c in (
-        (180, 40, 45), (30, 60, 110), (235, 230, 220), (45, 90, 75), (225, 165, 50), (60, 60, 68),
-        (130, 155, 190), (120, 55, 95), (205, 120, 90), (25, 28, 38), (150, 175, 140),
-    )
-]  # fmt: skip
-DENIMS = [linear(*c) for c in ((45, 60, 90), (75, 85, 105), (38, 40, 46), (125, 110, 85))]
-
-
-@dataclass(frozen=True)
-class Wardrobe:
-    """What a person wears."""
-
-    sleeve: float  # in (0, 2): 1 the elbow, 2 the wrist
-    hem: float  # m, the shirt's end below the pelvis
-    loose: float  # m, how far the shirt stands off
-    bottom: str  # "trousers", "shorts" or "skirt"
-    hair: HairStyle
-    hair_thick: float  # m
-
-    @staticmethod
-    def draw(rng: np.random.Generator) -> Wardrobe:
-        drawn = Wardrobe(
-            sleeve=float(rng.choice([rng.uniform(0.45, 0.75), rng.uniform(1.6, 1.9)])),
-            hem=float(rng.uniform(0.08, 0.17)),
-            loose=float(rng.uniform(0.012, 0.026)),
-            bottom=str(rng.choice(["trousers", "trousers", "shorts", "skirt"])),
-            hair=str(rng.choice(["bob", "bob", "long", "short"])),
-            hair_thick=float(rng.uniform(0.012, 0.02)),
-        )
-        # A skirt spreads from the hips, and would come through a longer shirt.
-        return replace(drawn, hem=0.4 * drawn.hem) if drawn.bottom == "skirt" else drawn
 
 
 @dataclass(frozen=True)
@@ -78,56 +38,121 @@ class Subject:
     part: np.ndarray  # (F,) uint32, see Part
     look: Look
     shape: Shape
+    slack: np.ndarray  # (N,) metres: how far loose ends may lag behind
+    creases: tuple[Crease, ...]
 
-    def posed(self, body: BodyModel, pose: Pose) -> np.ndarray:
+    def posed(
+        self, body: BodyModel, pose: Pose, past: Sequence[Pose] = (), folds: float = 0.0
+    ) -> np.ndarray:
         """The surface in the world, (T, N, 3) float32, metres.
 
         Skinned like the body. Whatever else moves the body's vertices, such as pose correctives,
-        moves what follows them as well.
+        moves what follows them as well. Folds and lags come on top, see ``folds``.
+
+        Args:
+            body: the body it was drawn on.
+            pose: T frames.
+            past: poses of T frames each, a step, two steps, ... before these; without them nothing
+                lags.
+            folds: factor on creases and lags; 0 leaves them out.
         """
-        posed = body(pose, self.shape)
-        rest, points = body.rest(self.shape).vertices, torch.from_numpy(self.vertices)
+        skinned = self._skinned(body, pose, np.arange(len(self.vertices)))
+        if folds == 0:
+            return skinned
+        loose = np.flatnonzero(self.slack > 0) if past else np.zeros(0, int)
+        before = [self._skinned(body, p, loose) for p in past] if len(loose) else []
+        rotations = pose.rotations.double().numpy()
+        for k, surface in enumerate(skinned):
+            moved = np.zeros(surface.shape)
+            if before:
+                now, then = surface[loose], np.stack([b[k] for b in before])
+                # Away from the body: unlike normals, the same on both sides of a hem.
+                below = self.binding[loose] @ body(pose[k], self.shape).vertices[0].numpy()
+                away = now - below
+                away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-6)
+                moved[loose] += lagging(now, then, folds * self.slack[loose], away)
+            normals = vertex_normals(surface.astype(np.float64), self.faces)
+            for crease in self.creases:
+                height = folds * crease.displacement(rotations[k, crease.joint])
+                moved[crease.index] += height[:, None] * normals[crease.index]
+            skinned[k] = surface + moved
+        return skinned
+
+    def _skinned(self, body: BodyModel, pose: Pose, index: np.ndarray) -> np.ndarray:
+        """Some vertices without folds, (T, n, 3) float32."""
+        rest, points = body.rest(self.shape).vertices, torch.from_numpy(self.vertices[index])
+        weights, binding = self.weights[torch.from_numpy(index)], self.binding[index]
         frames = []
-        for k, T in enumerate(posed.T_world_rest):
-            corrected = posed.vertices[k] - skin_points(rest, body.weights, T)
-            surface = skin_points(points, self.weights, T).numpy()
-            frames.append(surface + self.binding @ corrected.numpy())
+        for k in range(len(pose)):
+            posed = body(pose[k], self.shape)
+            T = posed.T_world_rest[0]
+            corrected = posed.vertices[0] - skin_points(rest, body.weights, T)
+            frames.append(skin_points(points, weights, T).numpy() + binding @ corrected.numpy())
         return np.stack(frames).astype(np.float32)
 
+    def thinned(self, every: int) -> Subject:
+        """Every n-th vertex of it, without faces: for measures, not for pictures."""
+        index = np.arange(0, len(self.vertices), every)
+        return replace(
+            self, vertices=self.vertices[index], faces=np.zeros((0, 3), np.int64),
+            binding=self.binding[index], weights=self.weights[torch.from_numpy(index)],
+            tint=self.tint[index], part=np.zeros(0, np.uint32), slack=self.slack[index], creases=(),
+        )  # fmt: skip
 
-def draw_subject(body: BodyModel, seed: int, clothes: bool = True, hairy: bool = True) -> Subject:
-    """The person of a seed.
+
+@dataclass(frozen=True)
+class Piece:
+    """A garment, hair or an accessory, and how it hangs on the body."""
+
+    part: Part
+    mesh: Mesh
+    smooth: float  # m, over which its weights are blended; 0: it moves with the head, stiff
+    slack: np.ndarray | float = 0.0  # (V,) metres, how far it may lag
+    crease: float = 0.0  # m, height of its creases
+
+
+def draw_subject(
+    body: BodyModel, who: int | Person, clothes: bool = True, hairy: bool = True
+) -> Subject:
+    """A person's surface.
 
     Args:
         body: whose shape space and surface are used.
-        seed: another seed is another person.
+        who: a person, or a seed: another seed is another person.
         clothes: dress it; otherwise a swimsuit is painted on the skin.
         hairy: give it hair.
     """
     from scipy.sparse import csr_array, vstack
 
-    rng = np.random.default_rng([seed, 0])
-    betas = np.clip(rng.normal(0, 0.7, min(10, body.num_betas)), -1.4, 1.4)
-    shape = Shape(torch.tensor(betas, dtype=torch.float32))
+    person = who if isinstance(who, Person) else Person.draw(who, body.num_betas)
+    rng = np.random.default_rng([person.seed, 1])
+    shape = Shape(torch.tensor(person.betas[: body.num_betas], dtype=torch.float32))
     rest = body.rest(shape)
     vertices = rest.vertices.detach().double().numpy()
     faces = body.faces.numpy()
     joints = dict(zip(JOINTS, rest.joints.detach().double().numpy(), strict=True))
     weights = body.weights.detach().double().numpy()
     normals = vertex_normals(vertices, faces)
-    wardrobe = Wardrobe.draw(rng)
-    look = _draw_look(rng, vertices, weights, joints, swimsuit=not clothes)
+    look = Look(
+        skin=person.skin,
+        lips=tuple(s * f for s, f in zip(person.skin, (0.80, 0.45, 0.45), strict=True)),
+        iris=person.iris, hair=person.hair, brows=tuple(0.5 * c for c in person.hair),
+        top=person.top, bottom=person.bottom, shoes=person.shoes, swimsuit=not clothes,
+        face=_find_face(body, shape, vertices, joints),
+        nails=_find_nails(vertices, weights, joints), shoulder=_point(joints["left_shoulder"]),
+        hip=_point(joints["left_hip"]), ground=float(vertices[:, 1].min()),
+        accessory=person.accent,
+    )  # fmt: skip
 
     surface = BodySurface(vertices, faces, normals)
-    parts: list[tuple[Part, Mesh, float]] = []
-    if clothes:
-        parts += _dress(surface, vertices, joints, wardrobe, rng)
+    pieces = _dress(surface, vertices, joints, person.wardrobe, rng) if clothes else []
     if hairy:
-        parts.append(
-            (Part.HAIR, hair(surface, joints, wardrobe.hair, wardrobe.hair_thick, rng), 0.03)
-        )
+        pieces.append(_groom(surface, joints, person.wardrobe, rng))
+    if clothes:
+        pieces += _equip(surface, joints, person.wardrobe)
 
-    covered = _covered(vertices, [mesh for part, mesh, _ in parts if part != Part.HAIR])
+    cloth = [piece.mesh for piece in pieces if piece.part not in (Part.HAIR, Part.ACCESSORY)]
+    covered = _covered(vertices, cloth)
     skin = faces[~covered[faces].all(1)]
     used, skin = np.unique(skin, return_inverse=True)
     tint = _skin_tint(vertices, normals, weights, joints)
@@ -135,13 +160,22 @@ def draw_subject(body: BodyModel, seed: int, clothes: bool = True, hairy: bool =
     of_skin = csr_array(
         (np.ones(len(used)), (np.arange(len(used)), used)), shape=(len(used), len(vertices))
     )
-    binding = vstack(
-        [of_skin, *(_bind(mesh.vertices, vertices, smooth) for _, mesh, smooth in parts)]
-    )
-    meshes = [mesh for _, mesh, _ in parts]
+    stiff = np.argsort(-weights[:, JOINTS.index("head")], kind="stable")[:200]
+    bindings = [
+        _bind(piece.mesh.vertices, vertices, piece.smooth)
+        if piece.smooth
+        else _bind_to(len(piece.mesh.vertices), stiff, len(vertices))
+        for piece in pieces
+    ]
+    binding = vstack([of_skin, *bindings])
+    meshes = [piece.mesh for piece in pieces]
     starts = np.cumsum([len(used), *(len(mesh.vertices) for mesh in meshes)])
+    all_vertices = np.concatenate([vertices[used], *(m.vertices for m in meshes)])
+    per_vertex = lambda of: np.concatenate(
+        [np.zeros(len(used)), *(np.broadcast_to(of(p), len(p.mesh.vertices)) for p in pieces)]
+    )
     return Subject(
-        vertices=np.concatenate([vertices[used], *(m.vertices for m in meshes)]).astype(np.float32),
+        vertices=all_vertices.astype(np.float32),
         faces=np.concatenate([skin, *(m.faces + k for m, k in zip(meshes, starts, strict=False))]),
         binding=binding.tocsr(),
         weights=torch.from_numpy(binding @ weights).float(),
@@ -149,11 +183,13 @@ def draw_subject(body: BodyModel, seed: int, clothes: bool = True, hairy: bool =
             [tint[used], *(np.repeat(m.shade[:, None], 3, axis=1) for m in meshes)]
         ).astype(np.float32),
         part=np.repeat(
-            [int(Part.SKIN), *(int(part) for part, _, _ in parts)],
+            [int(Part.SKIN), *(int(piece.part) for piece in pieces)],
             [len(skin), *(len(m.faces) for m in meshes)],
         ).astype(np.uint32),
         look=look,
         shape=shape,
+        slack=per_vertex(lambda piece: piece.slack),
+        creases=creases(all_vertices, per_vertex(lambda piece: piece.crease), joints, rng),
     )
 
 
@@ -177,22 +213,63 @@ def _dress(
     joints: Mapping[str, np.ndarray],
     wardrobe: Wardrobe,
     rng: np.random.Generator,
-) -> list[tuple[Part, Mesh, float]]:
-    """Garments, each with the width in metres over which its weights are smoothed."""
+) -> list[Piece]:
     grid = Grid.around(vertices.min(0) - 0.09, vertices.max(0) + 0.09, CLOTH_CELL)
     d = surface.sample(grid)
-    top = garments.shirt(grid, d, joints, wardrobe.loose, wardrobe.sleeve, wardrobe.hem, rng)
+    hem, loose = wardrobe.hem, wardrobe.loose
+    top = garments.shirt(grid, d, joints, loose, wardrobe.sleeve, hem, rng)
     if wardrobe.bottom == "skirt":
-        bottom = garments.skirt(grid, d, joints, rng.uniform(0.15, 0.3), rng.uniform(0.7, 1), rng)
+        bottom = garments.skirt(grid, d, joints, wardrobe.flare, wardrobe.length, rng)
     else:
-        length = rng.uniform(0.7, 0.9) if wardrobe.bottom == "shorts" else rng.uniform(1.85, 1.95)
-        bottom = garments.trousers(grid, d, joints, rng.uniform(0.008, 0.022), length)
-    smooth = 0.08 if wardrobe.bottom == "skirt" else 0.025
+        bottom = garments.trousers(grid, d, joints, wardrobe.flare, wardrobe.length)
+    height = lambda mesh: mesh.vertices[:, 1].astype(np.float64)
+    chest, hip = joints["spine3"][1], joints["left_hip"][1]
+    low = smoothstep(chest - height(top), 0.0, chest - joints["pelvis"][1] + hem)
+    out = np.abs(top.vertices[:, 0]) - joints["left_shoulder"][0]
+    slack = 0.9 * loose * low + 0.35 * loose * smoothstep(out, 0.05, 0.4)
+    drop = smoothstep(hip - height(bottom), 0.02, 0.4)
+    skirt = wardrobe.bottom == "skirt"
     shoes = [
-        (Part.SHOES, garments.shoe(surface, joints, side, 0.008), 0.02)
+        Piece(Part.SHOES, garments.shoe(surface, joints, side, 0.008), 0.02)
         for side in ("left", "right")
     ]
-    return [(Part.TOP, top, 0.025), (Part.BOTTOM, bottom, smooth), *shoes]
+    return [
+        Piece(Part.TOP, top, 0.025, slack, 0.15 * loose + 0.002),
+        Piece(
+            Part.BOTTOM,
+            bottom,
+            *((0.08, 0.035 * drop) if skirt else (0.025, 0.4 * loose * drop, 0.004)),
+        ),
+        *shoes,
+    ]
+
+
+def _groom(
+    surface: BodySurface,
+    joints: Mapping[str, np.ndarray],
+    wardrobe: Wardrobe,
+    rng: np.random.Generator,
+) -> Piece:
+    mesh = hair(surface, joints, wardrobe.hair, wardrobe.hair_thick, rng)
+    below = joints["head"][1] + 0.06 - mesh.vertices[:, 1].astype(np.float64)
+    free = smoothstep(below, 0.0, 0.12)
+    if wardrobe.hair == "long":  # what lies on the shoulders does not swing
+        free = free * (1 - smoothstep(below, 0.12, 0.2))
+    return Piece(
+        Part.HAIR, mesh, 0.03, {"short": 0.0, "bob": 0.014, "long": 0.012}[wardrobe.hair] * free
+    )
+
+
+def _equip(
+    surface: BodySurface, joints: Mapping[str, np.ndarray], wardrobe: Wardrobe
+) -> list[Piece]:
+    pieces = []
+    if wardrobe.glasses:
+        pieces.append(Piece(Part.ACCESSORY, accessories.glasses(surface, joints), 0.0))
+    if wardrobe.cap:
+        stand_off = 1.35 * wardrobe.hair_thick + 0.004
+        pieces.append(Piece(Part.ACCESSORY, accessories.cap(surface, joints, stand_off), 0.0))
+    return pieces
 
 
 def _bind(points: np.ndarray, vertices: np.ndarray, smooth: float) -> csr_array:
@@ -206,6 +283,14 @@ def _bind(points: np.ndarray, vertices: np.ndarray, smooth: float) -> csr_array:
     near /= near.sum(1, keepdims=True)
     rows = np.repeat(np.arange(len(points)), count)
     return csr_array((near.ravel(), (rows, index.ravel())), shape=(len(points), len(vertices)))
+
+
+def _bind_to(count: int, index: np.ndarray, vertices: int) -> csr_array:
+    """Weights (count, vertices): every point follows the mean of some vertices of the body."""
+    from scipy.sparse import csr_array
+
+    rows, columns = np.repeat(np.arange(count), len(index)), np.tile(index, count)
+    return csr_array((np.full(len(rows), 1 / len(index)), (rows, columns)), (count, vertices))
 
 
 def _covered(vertices: np.ndarray, meshes: list[Mesh]) -> np.ndarray:
@@ -244,46 +329,29 @@ def _skin_tint(
     return tint
 
 
-def _draw_look(
-    rng: np.random.Generator,
-    vertices: np.ndarray,
-    weights: np.ndarray,
-    joints: Mapping[str, np.ndarray],
-    swimsuit: bool,
-) -> Look:
-    skin = palette(rng, SKINS)
-    hair_color = palette(rng, HAIRS)
-    colors = [CLOTHS[k] for k in rng.permutation(len(CLOTHS))]
-    patterns = ["stripes", "plaid", "print", "dots", "plain"]
-    top = Fabric(
-        str(rng.choice(patterns, p=[0.3, 0.25, 0.25, 0.1, 0.1])),
-        (colors[0], colors[1], colors[2]),
-        float(rng.uniform(0.05, 0.085)),
-    )
-    denim = palette(rng, DENIMS)
-    bottom = Fabric(
-        str(rng.choice(["plain", "plain", "plaid", "dots"])),
-        (denim, tuple(1.8 * c for c in denim), colors[3]),
-        float(rng.uniform(0.05, 0.08)),
-    )
-    lips = tuple(s * f for s, f in zip(skin, (0.80, 0.45, 0.45), strict=True))
-    return Look(
-        skin=skin, lips=lips, iris=palette(rng, IRISES), hair=hair_color,
-        brows=tuple(0.5 * c for c in hair_color), top=top, bottom=bottom,
-        shoes=palette(rng, CLOTHS), swimsuit=swimsuit, face=_find_face(vertices, joints),
-        nails=_find_nails(vertices, weights, joints), shoulder=_point(joints["left_shoulder"]),
-        hip=_point(joints["left_hip"]), ground=float(vertices[:, 1].min()),
-    )  # fmt: skip
-
-
-def _find_face(vertices: np.ndarray, joints: Mapping[str, np.ndarray]) -> Face:
-    """The mouth lies below the tip of the nose, which is the foremost point under the eyes."""
+def _find_face(
+    body: BodyModel, shape: Shape, vertices: np.ndarray, joints: Mapping[str, np.ndarray]
+) -> Face:
+    """The mouth lies where the skin below the nose parts when the jaw drops."""
     eyes = np.stack([joints["left_eye_smplhf"], joints["right_eye_smplhf"]])
     unit, middle = float(np.linalg.norm(eyes[0] - eyes[1])), eyes.mean(0)
     x, y = np.abs(vertices[:, 0] - middle[0]), middle[1] - vertices[:, 1]
     near = vertices[(x < 0.2 * unit) & (y > 0.2 * unit) & (y < 1.1 * unit)]
     nose = near[near[:, 2].argmax()] if len(near) else middle + [0, -0.5 * unit, 0.4 * unit]
     mouth = np.array([middle[0], nose[1] - 0.44 * unit, nose[2] - 0.3 * unit])
+
+    pose = Pose.rest(1, body.num_expressions)
+    pose.jaw_pose[:, 0] = 0.15
+    dropped = (body(pose, shape).vertices[0].double().numpy() - vertices)[:, 1]
+    front = (x < 0.25 * unit) & (np.abs(vertices[:, 1] - mouth[1]) < 0.4 * unit)
+    front &= vertices[:, 2] > mouth[2] - 0.3 * unit
+    edges = body.faces.numpy()[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    edges = edges[front[edges].all(1)]
+    if len(edges):
+        torn = np.abs(dropped[edges[:, 0]] - dropped[edges[:, 1]])
+        most = edges[torn > 0.7 * torn.max()] if torn.max() > 0.002 else edges[:0]
+        if len(most):
+            mouth[1:] = vertices[most].mean((0, 1))[1:]
     return Face((_point(eyes[0]), _point(eyes[1])), _point(mouth), unit)
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 Color = tuple[float, float, float]
 Point = tuple[float, float, float]
-Pattern = Literal["plain", "stripes", "plaid", "dots", "print"]
+Pattern = Literal["smooth", "plain", "stripes", "plaid", "dots", "print"]
 
 
 class Part(IntEnum):
@@ -28,11 +28,12 @@ class Part(IntEnum):
     BOTTOM = 2
     SHOES = 3
     HAIR = 4
+    ACCESSORY = 5
 
 
 @dataclass(frozen=True)
 class Fabric:
-    """A cloth: its pattern and colours."""
+    """A cloth: its pattern and colours; "plain" has a weave, "smooth" nothing at all."""
 
     pattern: Pattern
     colors: tuple[Color, Color, Color]  # ground, figure, thin lines; linear albedo
@@ -66,6 +67,7 @@ class Look:
     shoulder: Point  # left shoulder; sleeves begin here
     hip: Point  # left hip
     ground: float  # m, height of the soles
+    accessory: Color = (0.02, 0.02, 0.02)
 
     def mean_color(self, part: Part) -> Color:
         """A colour that stands for the part in indirect light."""
@@ -73,7 +75,8 @@ class Look:
         if fabric is not None:
             a, b = np.array(fabric.colors[0]), np.array(fabric.colors[1])
             return tuple(0.6 * a + 0.4 * b)
-        return {Part.SKIN: self.skin, Part.SHOES: self.shoes, Part.HAIR: self.hair}[part]
+        plain = {Part.SKIN: self.skin, Part.SHOES: self.shoes, Part.HAIR: self.hair}
+        return plain.get(part, self.accessory)
 
 
 def albedo(look: Look, part: dr.ArrayBase, rest: dr.ArrayBase) -> dr.ArrayBase:
@@ -91,7 +94,8 @@ def albedo(look: Look, part: dr.ArrayBase, rest: dr.ArrayBase) -> dr.ArrayBase:
     color = dr.select(part == int(Part.TOP), _top(look, rest), color)
     color = dr.select(part == int(Part.BOTTOM), _bottom(look, rest), color)
     color = dr.select(part == int(Part.SHOES), _shoes(look, rest), color)
-    return dr.select(part == int(Part.HAIR), _hair(look, rest), color)
+    color = dr.select(part == int(Part.HAIR), _hair(look, rest), color)
+    return dr.select(part == int(Part.ACCESSORY), type(rest)(*look.accessory), color)
 
 
 def _skin(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
@@ -155,14 +159,18 @@ def _top(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
     """A sewn shirt: its sleeves have a direction of their own, and there is a seam."""
     side = dr.abs(p.x)
     seam = look.shoulder[0] + 0.02
-    sleeve = side > seam
+    arm_level = p.y > look.shoulder[1] - 0.25  # wide hips reach past the seam too
+    sleeve = (side > seam) & arm_level
     along = dr.select(sleeve, side + 0.31, p.y)
     arm = dr.atan2(p.z - look.shoulder[2], p.y - look.shoulder[1])
-    around = dr.select(sleeve, arm * 0.065, dr.atan2(p.z, p.x) * 0.17)
+    # Nearly x in front, and finite where the cloth closes around the neck.
+    trunk = dr.atan2(p.x, dr.abs(p.z) + 0.10) * 0.2
+    around = dr.select(sleeve, arm * 0.065, trunk)
     color = _cloth(look.top, p, along, around)
     if look.top.pattern == "print":
         color = _print(look.top, color, p, look.shoulder[1] - 0.13)
-    return color * (1 - 0.25 * _inside(0.0022 - dr.abs(side - seam), 0.001))
+    sewn = dr.select(arm_level, _inside(0.0022 - dr.abs(side - seam), 0.001), 0.0)
+    return color * (1 - 0.25 * sewn)
 
 
 def _bottom(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
@@ -218,6 +226,8 @@ def _cloth(
         shifted = t + 0.5 * (row - 2 * dr.floor(row / 2))
         distance = dr.sqrt(dr.square(s - row) + dr.square(shifted - dr.round(shifted)))
         color = dr.lerp(color, figure, _inside(0.27 - distance, 0.02))
+    if fabric.pattern == "smooth":
+        return color
     weave = 0.10 * _noise(p * 260) + 0.06 * _noise(p * 25)
     return color * (1 + weave)
 

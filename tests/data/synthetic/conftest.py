@@ -29,4 +29,5 @@ def ball():
         np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.int64),
         csr_array((count, 1)), torch.eye(55)[:1].expand(count, 55), np.ones((count, 3), np.float32),
         np.full(len(mesh.faces), int(Part.TOP), np.uint32), LOOK, Shape(torch.zeros(10)),
+        np.zeros(count), (),
     )  # fmt: skip

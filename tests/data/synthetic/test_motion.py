@@ -1,6 +1,7 @@
 """What the subjects' motions promise."""
 
 import numpy as np
+import pytest
 import torch
 
 from gva_mi.body.pose import JOINTS, PARENTS, Pose
@@ -11,7 +12,11 @@ JOINT_POSITIONS = torch.tensor(np.random.default_rng(0).normal(0, 0.3, (55, 3)))
 
 
 def turn(frames=48, seed=0):
-    return motion.turn(frames, 10, np.random.default_rng(seed))
+    return motion.turn(motion.times(frames), 10, np.random.default_rng(seed))
+
+
+def everyday(frames=80, seed=0):
+    return motion.everyday(motion.times(frames), 10, np.random.default_rng(seed))
 
 
 def facing(pose: Pose) -> np.ndarray:
@@ -50,8 +55,41 @@ def test_same_seed_same_motion_and_another_seed_another():
     assert not torch.allclose(turn(seed=3).rotations, turn(seed=4).rotations)
 
 
-def test_novel_poses_are_not_in_the_video():
-    video = turn(80).rotations[:, 1:22]
-    for pose in motion.novel(8, 10, np.random.default_rng(0)).rotations[:, 1:22]:
+@pytest.mark.parametrize("name", motion.MOTIONS)
+def test_a_motion_is_a_function_of_time_and_periodic(name):
+    def at(t):
+        return motion.MOTIONS[name](t, 10, np.random.default_rng(5))
+
+    t = motion.times(12)
+    whole, part, round_on = at(t), at(t[3:5]), at(t + 1)
+    assert torch.equal(whole.rotations[3:5], part.rotations)
+    assert torch.equal(whole.expression[3:5], part.expression)
+    assert torch.allclose(whole.rotations[:, 1:], round_on.rotations[:, 1:], atol=1e-5)
+
+
+def test_steps_back_in_time_are_where_the_motion_was():
+    t = motion.times(150)  # frames as far apart as steps
+    assert np.allclose(motion.before(t, 3)[3:], t[:-3])
+
+
+def test_the_everyday_video_squats_steps_and_brings_the_hands_together():
+    pose = everyday()
+    knees = pose.rotations[:, [JOINTS.index(f"{s}_knee") for s in ("left", "right")], 0]
+    elbows = pose.rotations[:, [JOINTS.index(f"{s}_elbow") for s in ("left", "right")], 1].abs()
+    assert knees.min(1).values.max() > 0.8 and elbows.min(1).values.max() > 0.8
+    assert (knees[:, 0] - knees[:, 1]).abs().max() > 0.08
+    assert pose.rotations[:, 1:].diff(dim=0).abs().amax() < 0.6
+
+
+def test_the_face_moves():
+    pose = turn(60)
+    assert pose.jaw_pose[:, 0].max() > 0.03 and pose.jaw_pose[:, 0].min() >= 0
+    assert pose.expression.std(0).min() > 0.02 and pose.expression.abs().max() < 3
+
+
+@pytest.mark.parametrize("video", [turn, everyday])
+def test_novel_poses_are_not_in_the_video(video):
+    video = video(80).rotations[:, 1:22]
+    for pose in motion.novel(10, 10, np.random.default_rng(0)).rotations[:, 1:22]:
         nearest = (video - pose).norm(dim=-1).amax(dim=1).min()
         assert nearest > 0.2  # radians, for at least one joint of the body

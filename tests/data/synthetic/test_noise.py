@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.body.pose import Pose, Shape
+from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.body.smplx import load_body
 from gva_mi.data.synthetic import noise
 from gva_mi.splat import Camera, look_at
@@ -51,14 +51,14 @@ def test_level_zero_is_exact(truth, disc):
 
 def test_poses_are_wrong_by_the_usual_amount_and_worst_at_hands_and_feet(body, truth):
     noisy = noise.noisy_poses(*truth, CAMERA, 1.0, random())
-    error = noise.pose_error(body, *noisy, *truth)
+    error = noise.pose_error(body, *noisy, *truth, CAMERA)
     assert 40 < error.vertex_mm < 100
     assert error.hand_vertex_mm > error.vertex_mm and error.foot_vertex_mm > error.vertex_mm
 
 
 def test_pose_error_grows_with_the_level(body, truth):
     errors = [
-        noise.pose_error(body, *noise.noisy_poses(*truth, CAMERA, level, random()), *truth)
+        noise.pose_error(body, *noise.noisy_poses(*truth, CAMERA, level, random()), *truth, CAMERA)
         for level in (0.25, 0.5, 1.0)
     ]
     assert errors[0].vertex_mm < errors[1].vertex_mm < errors[2].vertex_mm
@@ -71,6 +71,35 @@ def test_rotation_errors_double_sideways():
     size = (noisy.rotations - pose.rotations)[:, 1:].pow(2).sum(-1).mean(1)
     ratio = (size[200:].mean() / size[:200].mean()).sqrt()
     assert 1.8 < ratio < 2.2
+
+
+def test_errors_come_in_bursts():
+    pose, shape = Pose.rest(600), Shape(torch.zeros(10))
+    noisy, _ = noise.noisy_poses(pose, shape, CAMERA, 1.0, random())
+    elbow = noisy.rotations[:, JOINTS.index("left_elbow")].norm(dim=-1)
+    spine = noisy.rotations[:, JOINTS.index("spine1")].norm(dim=-1)
+    heaviness = lambda x: (x**4).mean() / (x**2).mean() ** 2
+    assert heaviness(elbow) > 1.3 * heaviness(spine)
+
+
+def test_a_lost_hand_is_the_mean_hand_on_a_straight_wrist_and_is_counted(body):
+    pose, shape = Pose.rest(400), Shape(torch.zeros(10))
+    pose.left_hand_pose[:] = 0.5
+    noisy, _ = noise.noisy_poses(pose, shape, CAMERA, 1.0, random())
+    error = noise.pose_error(body, noisy[:60], shape, pose[:60], shape, CAMERA)
+    lost = (noisy.left_hand_pose - torch.tensor(noise._mean_hand("left").ravel()).float()).abs()
+    lost = lost.amax(1) < 1e-5
+    assert 0.02 < lost.float().mean() < 0.2
+    wrist = JOINTS.index("left_wrist")
+    assert (noisy.rotations[lost, wrist] == 0).all()
+    assert (noisy.rotations[~lost, wrist].norm(dim=-1) > 0).all()
+    assert error.lost_left_hand == tuple(torch.nonzero(lost[:60]).flatten().tolist())
+    runs = (lost[1:] & ~lost[:-1]).sum()
+    assert lost.sum() / runs > 2  # frames in a row
+
+
+def test_nobody_loses_a_hand_at_level_zero():
+    assert not noise.dropped_frames(500, 0.0, random()).any()
 
 
 def test_pose_errors_persist_over_frames(truth):

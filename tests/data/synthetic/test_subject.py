@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 import torch
 
+from gva_mi.body.pose import Pose
 from gva_mi.body.smplx import load_body
+from gva_mi.data.synthetic import STUDY
 from gva_mi.data.synthetic.garments import BodySurface
 from gva_mi.data.synthetic.subject import draw_subject, vertex_normals
 from gva_mi.data.synthetic.texture import Part
@@ -51,11 +53,32 @@ def test_clothes_lie_outside_the_body(body, dressed):
 def test_every_part_is_closed_and_skins_with_the_body(dressed):
     import trimesh
 
-    assert set(dressed.part) == {int(p) for p in Part}
-    for part in set(Part) - {Part.SKIN}:
+    assert set(dressed.part) >= {int(p) for p in Part} - {int(Part.ACCESSORY)}
+    for part in set(Part) - {Part.SKIN, Part.ACCESSORY}:
         faces = dressed.faces[dressed.part == int(part)]
         mesh = trimesh.Trimesh(dressed.vertices, faces, process=False)
         mesh.remove_unreferenced_vertices()
         assert mesh.is_watertight and mesh.volume > 0, part
     assert torch.allclose(dressed.weights.sum(1), torch.ones(len(dressed.weights)), atol=1e-5)
     assert (dressed.weights >= 0).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["bruno", "edgar"])
+def test_accessories_are_closed_and_move_stiffly_with_the_head(body, name):
+    import trimesh
+
+    subject = draw_subject(body, STUDY[name])
+    faces = subject.faces[subject.part == int(Part.ACCESSORY)]
+    mesh = trimesh.Trimesh(subject.vertices, faces, process=False)
+    mesh.remove_unreferenced_vertices()
+    assert mesh.is_watertight and mesh.volume > 0
+    index = np.unique(faces)
+    pose = Pose.rest(1)
+    pose.jaw_pose[:, 0], pose.expression[:], pose.body_pose[:, 14 * 3 + 1] = 0.2, 0.7, 0.4
+    moved = subject.posed(body, pose, folds=1.0)[0][index].astype(float)
+    rest = subject.vertices[index].astype(float)
+    pairs = np.random.default_rng(0).integers(len(index), size=(200, 2)).T
+    length = lambda x: np.linalg.norm(x[pairs[0]] - x[pairs[1]], axis=1)
+    assert np.abs(length(moved) - length(rest)).max() < 0.001
+    assert np.linalg.norm(moved - rest, axis=1).max() > 0.01

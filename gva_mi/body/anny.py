@@ -1,0 +1,272 @@
+"""The free realistic body: Anny (Apache-2.0 code, CC0 data) in SMPL-X's format, cached.
+
+    phenotypes → rest surfaces of 64 people → T-pose → PCA → 10 betas
+    52 facial actions → PCA → 10 expressions;    163 bones → 55 joints
+
+Anny is asked for its own topology alone: those named after SMPL and SMPL-X would fetch data whose
+licence is non-commercial. It has no pose correctives. Its own axes are z up; here y is up.
+
+Surfaces come in Anny's rest pose, arms obliquely down. :func:`_t_pose` turns the bones of arms and
+hands until the arms point sideways, palms down, fingers straight and nearly parallel, and skins the
+surface along, so that the zero pose means what it means in SMPL-X.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import roma
+import torch
+
+from gva_mi.body.pose import JOINTS, PARENTS
+from gva_mi.errors import InputError
+
+if TYPE_CHECKING:
+    from anny import Anny
+
+FILE = "anny_0.6_v1.npz"  # changes with what is built
+_PEOPLE, _SEED = 64, 0  # that the shape space is made from
+_NEAREST, _RIDGE = 120, 1e-3  # vertices that a joint is regressed from; holds their weights even
+_Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+_DIGITS = {"thumb": 1, "index": 2, "middle": 3, "ring": 4, "pinky": 5}
+_SPREAD = 0.35  # of the fingers' own fan is kept in the T-pose
+
+
+def anny_body(cache: Path | None = None) -> Path:
+    """The body's file; the first call builds it, in about a minute.
+
+    Args:
+        cache: folder; the user's own cache folder by default.
+
+    Raises:
+        InputError: where it is not built yet and the package is missing.
+    """
+    if cache is None:
+        cache = Path(os.environ.get("XDG_CACHE_HOME", "~/.cache")).expanduser() / "gva_mi"
+    path = cache / FILE
+    if not path.exists():
+        arrays = build_anny()
+        cache.mkdir(parents=True, exist_ok=True)
+        part = path.with_name(f"{path.stem}.{os.getpid()}.npz")  # never half a body in its place
+        np.savez_compressed(part, **arrays)
+        part.replace(path)
+    return path
+
+
+def build_anny() -> dict[str, np.ndarray]:
+    """Anny as the arrays of an SMPL-X file."""
+    try:
+        import anny
+    except ImportError as error:
+        raise InputError(
+            f"the body 'anny' needs the package anny, which is not installed ({error}); "
+            "pip install 'gva_mi[anny]' (0.6 GB), or use the built-in body: --source puppet"
+        ) from None
+    source = _Source(anny.Anny(rig="makehuman", topology="anny", facial_actions="all").float())
+    template = source.person(source.average)
+    people = [source.person(p) for p in source.people(_PEOPLE, _SEED)]
+    surfaces = np.stack([person.vertices for person in people])
+    joints = np.stack([person.joints for person in people])
+    expressions = source.expressions()
+    directions = [_components(surfaces - template.vertices), _components(expressions, centred=True)]
+    regressor = _regressor(
+        np.concatenate([template.vertices[None], surfaces]),
+        np.concatenate([template.joints[None], joints]),
+    )
+    parents = np.array([4294967295, *PARENTS[1:]], np.int64)
+    return {
+        "v_template": template.vertices.astype(np.float32),
+        "f": source.faces,
+        "shapedirs": np.concatenate(directions, axis=2).astype(np.float32),
+        "posedirs": np.zeros((len(template.vertices), 3, 486), np.float32),
+        "J_regressor": regressor,
+        "weights": source.weights_of_joints(),
+        "kintree_table": np.stack([parents, np.arange(55)]),
+        "hands_meanl": np.zeros(45, np.float32),
+        "hands_meanr": np.zeros(45, np.float32),
+        "hands_componentsl": np.eye(45, dtype=np.float32),
+        "hands_componentsr": np.eye(45, dtype=np.float32),
+        "joint_names": np.array(JOINTS),
+    }
+
+
+@dataclass(frozen=True)
+class _Person:
+    """A surface and SMPL-X's joints in the T-pose, the pelvis at the origin."""
+
+    vertices: np.ndarray  # (V, 3) metres
+    joints: np.ndarray  # (55, 3)
+
+
+class _Source:
+    """What is asked of Anny, with y up."""
+
+    def __init__(self, model: Anny) -> None:
+        self._model = model
+        self._bones = {name: k for k, name in enumerate(model.bone_labels)}
+        self._parents = [-1 if p is None else p for p in model.bone_parents]
+        weights = torch.zeros(len(model.template_vertices), model.bone_count)
+        weights.scatter_add_(1, model.vertex_bone_indices, model.vertex_bone_weights)
+        self._weights = weights.numpy().astype(np.float64)
+        self.faces = model.get_triangular_faces().numpy().astype(np.uint32)
+        self.average = dict.fromkeys(model.phenotype_labels, 0.5) | {"age": 2 / 3}  # an adult
+
+    def people(self, count: int, seed: int) -> list[dict[str, float]]:
+        """Phenotypes of adults."""
+        rng = np.random.default_rng(seed)
+        found = []
+        for _ in range(count):
+            person = {k: float(rng.uniform(0.15, 0.85)) for k in self._model.phenotype_labels}
+            person["age"], person["gender"] = float(rng.uniform(0.6, 0.8)), float(rng.uniform(0, 1))
+            found.append(person)
+        return found
+
+    def person(self, phenotype: dict[str, float]) -> _Person:
+        vertices, heads = self._t_pose(*self._rest(phenotype))
+        joints = heads[[self._bones[bone] for bone in _bone_of_joint().values()]]
+        # SMPL-X's pelvis lies a little above the middle of the hips, Anny's root far below.
+        joints[0] = joints[[1, 2]].mean(0) + (0, 0.05, 0)
+        return _Person(vertices - joints[0], joints - joints[0])
+
+    def expressions(self) -> np.ndarray:
+        """What each facial action does to the average person, (A, V, 3)."""
+        neutral, _ = self._rest(self.average)
+        actions = self._model.facial_action_labels
+        return np.stack([self._rest(self.average, {a: 1.0})[0] - neutral for a in actions])
+
+    def weights_of_joints(self) -> np.ndarray:
+        """Skinning weights (V, 55): each bone counts for the nearest joint above it."""
+        joint_of = {self._bones[bone]: k for k, bone in enumerate(_bone_of_joint().values())}
+        for side, letter in (("left", "L"), ("right", "R")):
+            joint_of[self._bones[f"pelvis.{letter}"]] = 0
+            for name, bone in self._bones.items():
+                if name.startswith("toe") and name.endswith(letter):
+                    joint_of[bone] = JOINTS.index(f"{side}_foot")
+        weights = np.zeros((len(self._weights), len(JOINTS)))
+        for bone in self._bones.values():
+            above = bone
+            while above not in joint_of:
+                above = self._parents[above]
+            weights[:, joint_of[above]] += self._weights[:, bone]
+        return (weights / weights.sum(1, keepdims=True)).astype(np.float32)
+
+    def _rest(
+        self, phenotype: dict[str, float], face: dict[str, float] | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Surface (V, 3) and where the bones begin (bones, 3)."""
+        still = torch.eye(4).repeat(1, len(self._bones), 1, 1)
+        with torch.no_grad():
+            found = self._model(
+                pose_parameters=still, phenotype_kwargs=phenotype, facial_actions=face or {}
+            )
+        keys = ("rest_vertices", "rest_bone_heads")
+        return tuple(found[key][0].numpy().astype(np.float64) @ _Y_UP.T for key in keys)
+
+    def _t_pose(self, vertices: np.ndarray, heads: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Both with the arms sideways, palms down; see the module."""
+        turned = {}
+        for letter, sign in (("L", 1.0), ("R", -1.0)):
+            turned |= self._arm(vertices, heads, letter, np.array([sign, 0, 0]))
+        R, moved = np.zeros((len(heads), 3, 3)), np.zeros_like(heads)
+        for name, k in self._bones.items():  # parents come first
+            parent = self._parents[k]
+            R[k] = turned.get(name, R[parent] if parent >= 0 else np.eye(3))
+            offset = R[parent] @ (heads[k] - heads[parent]) if parent >= 0 else heads[k]
+            moved[k] = moved[parent] + offset if parent >= 0 else offset
+        blended = np.einsum("vb,bij->vij", self._weights, R)
+        shift = self._weights @ (moved - np.einsum("bij,bj->bi", R, heads))
+        return np.einsum("vij,vj->vi", blended, vertices) + shift, moved
+
+    def _arm(
+        self, vertices: np.ndarray, heads: np.ndarray, letter: str, side: np.ndarray
+    ) -> dict[str, np.ndarray]:
+        """The bones' rotations (3, 3) from rest to T-pose, arm and hand of one side."""
+        at = lambda bone: heads[self._bones[f"{bone}.{letter}"]]
+        upper = _between(at("lowerarm01") - at("upperarm01"), side)
+        lower = _between(upper @ (at("wrist") - at("lowerarm01")), side) @ upper
+        hand = _between(lower @ (at("finger3-1") - at("wrist")), side) @ lower
+        # Palm down: the knuckles, from index to little finger, run straight back.
+        across = hand @ (at("finger5-1") - at("finger2-1"))
+        twist = np.arctan2(across[1], -across[2])
+        palm = _about_x(twist) @ hand
+        raised = np.arccos(np.clip(np.trace(upper) / 2 - 0.5, -1, 1))
+        turned = {
+            "shoulder01": _axis_angle(np.array([0, 0, 0.2 * side[0] * raised])),
+            "upperarm01": upper,
+            # The forearm takes up the twist bit by bit.
+            "lowerarm01": _about_x(0.25 * twist) @ lower,
+            "lowerarm02": _about_x(0.70 * twist) @ lower,
+            "wrist": palm,
+        }
+        for digit in (2, 3, 4, 5):
+            chain = [at(f"finger{digit}-{k}") for k in (1, 2, 3)]
+            last = self._weights[:, self._bones[f"finger{digit}-3.{letter}"]] > 0.9
+            chain.append(vertices[last].mean(0))  # stands for the tip
+            fan = palm @ (chain[0] - at("wrist"))
+            straight, above = np.array([fan[0], 0, _SPREAD * fan[2]]), palm
+            for k in range(3):
+                above = _between(above @ (chain[k + 1] - chain[k]), straight) @ above
+                turned[f"finger{digit}-{k + 1}"] = above
+        return {f"{bone}.{letter}": R for bone, R in turned.items()}
+
+
+def _bone_of_joint() -> dict[str, str]:
+    """SMPL-X's joints, in their order, and the bone that begins there."""
+    bones = {
+        "pelvis": "root", "spine1": "spine04", "spine2": "spine03", "spine3": "spine02",
+        "neck": "neck01", "head": "head", "jaw": "jaw",
+    }  # fmt: skip
+    limbs = {
+        "hip": "upperleg01", "knee": "lowerleg01", "ankle": "foot", "foot": "toe2-1",
+        "collar": "clavicle", "shoulder": "upperarm01", "elbow": "lowerarm01", "wrist": "wrist",
+        "eye_smplhf": "eye",
+    }  # fmt: skip
+    limbs |= {f"{n}{k}": f"finger{digit}-{k}" for n, digit in _DIGITS.items() for k in (1, 2, 3)}
+    for side, letter in (("left", "L"), ("right", "R")):
+        bones |= {f"{side}_{joint}": f"{bone}.{letter}" for joint, bone in limbs.items()}
+    return {joint: bones[joint] for joint in JOINTS}
+
+
+def _components(samples: np.ndarray, count: int = 10, *, centred: bool = False) -> np.ndarray:
+    """The strongest directions of samples (N, V, 3), scaled to standard deviations, (V, 3, 10)."""
+    flat = samples.reshape(len(samples), -1)
+    _, s, rows = np.linalg.svd(flat if centred else flat - flat.mean(0), full_matrices=False)
+    rows = rows[:count] * (s[:count, None] / np.sqrt(len(flat)))
+    directions = rows.reshape(count, -1, 3).transpose(1, 2, 0)
+    # A direction's sign is arbitrary: more is taller, and for a face, wider.
+    return directions * np.where(directions[:, 1].sum(0) < 0, -1, 1)
+
+
+def _regressor(surfaces: np.ndarray, joints: np.ndarray) -> np.ndarray:
+    """Sparse rows (55, V) that sum to 1 and find the joints (N, 55, 3) in surfaces (N, V, 3)."""
+    regressor = np.zeros((len(JOINTS), surfaces.shape[1]))
+    for j in range(len(JOINTS)):
+        distance = ((surfaces[0] - joints[0, j]) ** 2).sum(1)
+        near = np.argsort(distance, kind="stable")[:_NEAREST]
+        A = surfaces[:, near].transpose(0, 2, 1).reshape(-1, _NEAREST)
+        mean = A.mean(1, keepdims=True)
+        A = A - mean  # differences of weights from even ones, so that rows sum to 1
+        normal = A.T @ A + _RIDGE * np.eye(_NEAREST)
+        change = np.linalg.solve(normal, A.T @ (joints[:, j].reshape(-1) - mean[:, 0]))
+        regressor[j, near] = 1 / _NEAREST + change - change.mean()
+    return regressor
+
+
+def _between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The smallest rotation that turns direction a into b."""
+    a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
+    axis = np.cross(a, b)
+    sine = np.linalg.norm(axis)
+    return _axis_angle(axis / max(sine, 1e-12) * np.arctan2(sine, a @ b))
+
+
+def _about_x(angle: float) -> np.ndarray:
+    return _axis_angle(np.array([angle, 0, 0]))
+
+
+def _axis_angle(vector: np.ndarray) -> np.ndarray:
+    return roma.rotvec_to_rotmat(torch.from_numpy(np.asarray(vector, np.float64))).numpy()

@@ -1,0 +1,139 @@
+"""A contact sheet: the study's subjects, and what the video of one of them holds."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from gva_mi.body.smplx import BodyModel
+from gva_mi.data.synthetic import motion
+from gva_mi.data.synthetic.dataset import SynthOptions, make_subject
+from gva_mi.data.synthetic.people import STUDY
+from gva_mi.data.synthetic.render import Renderer, camera_around
+from gva_mi.data.synthetic.subject import Subject, draw_subject
+from gva_mi.data.video import Video, load_video
+from gva_mi.pose.overlay import overlay
+
+CAPTION, GAP = 22, 6  # px, height of a line of text; space between pictures
+COLUMNS = len(STUDY)
+COLORS = 256  # of the file's palette
+TALL = 1.25  # size of a picture of the whole person, over the width that is shown
+HEAD, REACH = (-0.03, -0.03, -0.06), 0.17  # m, what a portrait shows: around it, from the left eye
+ASIDE = (2.6, 0.7, -0.9, -2.3, 0.5, 1.2, 2.2)  # rad, from where the poses are seen
+
+
+def sheet(
+    path: Path,
+    body: BodyModel,
+    *,
+    subject: str = "amira",
+    size: int = 256,
+    samples: int = 16,
+    progress: Callable[..., None] | None = None,
+) -> None:
+    """Write the sheet as a PNG: portraits, fronts and poses of all subjects, a video below.
+
+    Args:
+        path: the file.
+        body: the body they are made on.
+        subject: whose video is shown.
+        size: width of a picture, pixels.
+        samples: rays per pixel, a square number.
+        progress: called as ``progress(done, total)`` after each subject, and after the video.
+    """
+    from PIL import Image
+
+    rows: list[list[np.ndarray]] = [[], [], []]
+    for k, person in enumerate(STUDY.values()):
+        drawn = draw_subject(body, person)
+        pictures = _portrait_front_pose(drawn, body, k, size, samples)
+        for row, picture in zip(rows, pictures, strict=True):
+            row.append(picture)
+        if progress is not None:
+            progress(k + 1, COLUMNS + 1)
+    options = SynthOptions(
+        subject=subject, motion="everyday", frames=COLUMNS, size=round(TALL * size),
+        samples=samples, novel_poses=0, novel_views=0,
+    )  # fmt: skip
+    with tempfile.TemporaryDirectory() as folder:
+        make_subject(Path(folder) / subject, options, body)
+        video = load_video(Path(folder) / subject)
+        shown = _video_rows(video, body)
+    captions = [
+        list(STUDY), [], [], [f"{subject}: frames of a video"], ["masks"], ["normals"],
+        ["stage-1 poses over the frames"],
+    ]  # fmt: skip
+    canvas = _laid_out([*rows, *shown], captions, size)
+    if progress is not None:
+        progress(COLUMNS + 1, COLUMNS + 1)
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    image = Image.fromarray(np.round(255 * canvas).astype(np.uint8))
+    image.quantize(COLORS, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).save(
+        path, format="PNG", optimize=True
+    )
+
+
+def _portrait_front_pose(
+    subject: Subject, body: BodyModel, k: int, size: int, samples: int
+) -> list[np.ndarray]:
+    """Three pictures of the k-th subject: its head, the A-pose, and a pose seen from elsewhere."""
+    renderer, tall = Renderer(subject), round(TALL * size)
+    rng = np.random.default_rng(k)
+    standing = motion.turn(np.array([0.0]), body.num_expressions, rng)
+    acting = motion.novel(COLUMNS, body.num_expressions, rng)[k]
+    standing = replace(standing, global_orient=torch.zeros(1, 3))
+    surfaces = [subject.posed(body, pose, folds=1.0)[0] for pose in (standing, acting)]
+    head = np.abs(subject.vertices - subject.look.face.eyes[0] - HEAD).max(1) < REACH
+    cameras = [
+        camera_around(surfaces[0][head], size, 0.5, 0.05),
+        camera_around(surfaces[0], tall),
+        camera_around(surfaces[1], tall, ASIDE[k % len(ASIDE)], 0.12),
+    ]
+    return [
+        renderer(surfaces[i], camera, samples, k).color
+        for i, camera in zip((0, 0, 1), cameras, strict=True)
+    ]
+
+
+def _video_rows(video: Video, body: BodyModel) -> list[list[np.ndarray]]:
+    """Frames, masks, normals and overlays of a video."""
+    rows: list[list[np.ndarray]] = [[], [], [], []]
+    for frame in video.frames():
+        with torch.no_grad():
+            vertices = body(frame.pose, video.shape).vertices[0]
+        mask = np.repeat(frame.mask[..., None], 3, axis=2)
+        normals = np.where(frame.mask[..., None] > 0.5, (frame.normals + 1) / 2, 1.0)
+        shown = (frame.image, 1 - mask, normals, overlay(frame, vertices, body.faces))
+        for row, picture in zip(rows, shown, strict=True):
+            row.append(picture)
+    return rows
+
+
+def _laid_out(rows: list[list[np.ndarray]], captions: list[list[str]], size: int) -> np.ndarray:
+    """Rows of pictures on white, each below its captions, without the white above and below."""
+    from PIL import Image, ImageDraw, ImageFont
+
+    width = COLUMNS * (size + GAP) - GAP
+    font = ImageFont.load_default(size=15)
+    bands = []
+    for row, texts in zip(rows, captions, strict=True):
+        drawn = np.flatnonzero(np.any([(p < 0.995).any((1, 2)) for p in row], axis=0))
+        top, bottom = drawn[0], drawn[-1] + 1
+        if texts:
+            line = Image.new("RGB", (width, CAPTION), "white")
+            for k, text in enumerate(texts):
+                ImageDraw.Draw(line).text((k * (size + GAP) + 4, 2), text, "black", font)
+            bands.append(np.asarray(line, dtype=np.float32) / 255)
+        band = np.ones((bottom - top + GAP, width, 3), dtype=np.float32)
+        for k, picture in enumerate(row):
+            left = max((picture.shape[1] - size) // 2, 0)
+            shown = picture[top:bottom, left : left + size]
+            band[: bottom - top, k * (size + GAP) : k * (size + GAP) + shown.shape[1]] = shown
+        bands.append(band)
+    return np.concatenate(bands)

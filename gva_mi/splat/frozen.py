@@ -1,0 +1,39 @@
+"""Kernels that are traced once: ``dr.freeze``, with the constants of the code kept apart.
+
+A frozen function replays what it did at its first call, as long as its arguments look the same.
+Arrays may change in size and values. Python numbers and strings may not: they are constants of the
+code, and another value is another recording. Dr.Jit 1.5.0 compares them badly: a constant that
+equals an earlier one of the same call is not looked at, so that ``f(x, False, True, True)`` and
+``f(x, False, True, False)`` share a recording, and the second gives the first one's result. So
+constants are keyword arguments here, and every set of them has a frozen function of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import drjit as dr
+
+LIMIT = 64  # recordings kept per set of constants; arrays of equal size by chance make new ones
+
+
+class Frozen:
+    """A function of arrays (positional) and constants (keywords, hashable), traced once."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self.function = function
+        self.variants: dict[tuple[tuple[str, Any], ...], Callable[..., Any]] = {}
+        self.__doc__, self.__name__ = function.__doc__, function.__name__
+
+    def __call__(self, *arrays: Any, **constants: Any) -> Any:  # noqa: ANN401
+        key = tuple(constants.items())
+        if key not in self.variants:
+            run = lambda *arrays: self.function(*arrays, **constants)
+            self.variants[key] = dr.freeze(run, limit=LIMIT, warn_after=1000)
+        return self.variants[key](*arrays)
+
+    @property
+    def n_recordings(self) -> int:
+        """How often the function was traced and kept."""
+        return sum(variant.n_recordings for variant in self.variants.values())

@@ -1,0 +1,76 @@
+import gva_mi  # noqa: F401, I001  (first: it chooses the libLLVM)
+
+import sys
+
+import numpy as np
+import pytest
+import torch
+
+from gva_mi.body import JOINTS, Shape, load_body
+from gva_mi.body.anny import FILE, _between, _components, _regressor, anny_body
+from gva_mi.errors import InputError
+
+
+def test_without_the_package_the_way_out_is_named(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "anny", None)
+    with pytest.raises(InputError, match=r"pip install 'gva_mi\[anny\]'.*--source puppet"):
+        anny_body(tmp_path)
+
+
+def test_what_is_in_the_cache_needs_no_package(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "anny", None)
+    (tmp_path / FILE).write_bytes(b"")
+    assert anny_body(tmp_path) == tmp_path / FILE
+
+
+def test_the_user_s_cache_folder_is_used(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    (tmp_path / "gva_mi").mkdir()
+    (tmp_path / "gva_mi" / FILE).write_bytes(b"")
+    assert anny_body() == tmp_path / "gva_mi" / FILE
+
+
+def test_the_smallest_rotation_turns_one_direction_into_another():
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        a, b = rng.normal(size=(2, 3))
+        R = _between(a, b)
+        np.testing.assert_allclose(R @ a / np.linalg.norm(a), b / np.linalg.norm(b), atol=1e-12)
+        np.testing.assert_allclose(R @ np.cross(a, b), np.cross(a, b), atol=1e-12)
+
+
+def test_components_span_the_samples_that_made_them():
+    rng = np.random.default_rng(1)
+    directions, c = rng.normal(size=(10, 40, 3)), rng.normal(size=(64, 10))
+    found = _components(np.einsum("nk,kvc->nvc", c, directions)).reshape(-1, 10)
+    rest = directions.reshape(10, -1).T
+    rest = rest - found @ np.linalg.lstsq(found, rest, rcond=None)[0]
+    assert np.abs(rest).max() < 1e-9
+
+
+def test_the_regressor_finds_joints_that_depend_on_the_surface():
+    rng = np.random.default_rng(2)
+    surfaces = rng.normal(size=(1, 300, 3)) + 0.1 * rng.normal(size=(64, 1, 3))
+    joints = surfaces[:, :55] * 0.5 + surfaces[:, 55:110] * 0.5
+    regressor = _regressor(surfaces, joints)
+    np.testing.assert_allclose(regressor.sum(1), 1, atol=1e-9)
+    np.testing.assert_allclose(regressor @ surfaces[3], joints[3], atol=2e-3)
+    assert ((regressor != 0).sum(1) <= 120).all()
+
+
+@pytest.mark.slow
+def test_the_body_stands_in_the_t_pose(tmp_path):
+    pytest.importorskip("anny")
+    body = load_body(anny_body(tmp_path))
+    rest = body.rest(Shape(torch.zeros(10)))
+    at = dict(zip(JOINTS, rest.joints, strict=True))
+    assert 1.5 < rest.vertices[:, 1].max() - rest.vertices[:, 1].min() < 2.0
+    assert (rest.joints[0].abs() < 0.005).all()
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        chain = [at[f"{side}_{j}"] for j in ("shoulder", "elbow", "wrist", "middle1", "middle3")]
+        for a, b in zip(chain[:-1], chain[1:], strict=True):
+            assert sign * (b - a)[0] > 0.98 * (b - a).norm()
+        across = at[f"{side}_pinky1"] - at[f"{side}_index1"]
+        assert -across[2] > 0.9 * across.norm()  # palm down
+    jaw = body.weights[:, JOINTS.index("jaw")]
+    assert (jaw > 0.5).any() and (body.num_betas, body.num_expressions) == (10, 10)

@@ -1,0 +1,162 @@
+import gva_mi  # noqa: F401, I001  (first: it chooses the libLLVM)
+
+import numpy as np
+import pytest
+import roma
+import torch
+
+from gva_mi.body import JOINTS, Pose, Shape, load_body
+from gva_mi.body.smpl import SMPL, SMPLH, keep_pelvis, pose_from_smpl, pose_from_smplh
+from gva_mi.errors import InputError
+
+F64 = torch.float64
+PARENTS_OF_SMPL = (-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21)
+
+
+def older(form, seed=11, vertices=80, betas=16):
+    """A random body with the format's joints, as its file holds it."""
+    rng, joints = np.random.default_rng(seed), len(form.joints)
+    weights = rng.uniform(size=(vertices, joints)) ** 12
+    regressor = rng.uniform(size=(joints, vertices))
+    parents = np.array([4294967295, *form.parents[1:]], np.int64)
+    arrays = {
+        "v_template": rng.normal(size=(vertices, 3)),
+        "f": rng.integers(0, vertices, (90, 3)).astype(np.uint32),
+        "shapedirs": 0.05 * rng.normal(size=(vertices, 3, betas)),
+        "posedirs": 0.02 * rng.normal(size=(vertices, 3, 9 * (joints - 1))),
+        "J_regressor": regressor / regressor.sum(1, keepdims=True),
+        "weights": weights / weights.sum(1, keepdims=True),
+        "kintree_table": np.stack([parents, np.arange(joints)]),
+    }
+    if form is SMPLH:
+        arrays |= {"hands_meanl": 0.1 * rng.normal(size=45), "hands_meanr": np.zeros(45)}
+    return arrays
+
+
+def posed_by_hand(arrays, form, poses, transl, betas):
+    """The older body's own skinning, joint by joint, one frame."""
+    shaped = arrays["v_template"] + arrays["shapedirs"] @ betas
+    joints = arrays["J_regressor"] @ shaped
+    R = roma.rotvec_to_rotmat(torch.from_numpy(poses.reshape(-1, 3))).numpy()
+    rest = shaped + arrays["posedirs"] @ (R[1:] - np.eye(3)).ravel()
+    G, vertices = [], np.zeros_like(rest)
+    for j, parent in enumerate(form.parents):
+        local = np.eye(4)
+        local[:3, :3], local[:3, 3] = R[j], joints[j] - (joints[parent] if j else 0)
+        G.append(G[parent] @ local if j else local)
+        moved = (rest - joints[j]) @ G[j][:3, :3].T + G[j][:3, 3]
+        vertices += arrays["weights"][:, j, None] * moved
+    return vertices + transl, np.stack([g[:3, 3] for g in G]) + transl
+
+
+def load(arrays, tmp_path):
+    path = tmp_path / "older.npz"
+    np.savez(path, **arrays)
+    return load_body(path, F64)
+
+
+def test_smpl_has_the_published_tree():
+    assert SMPL.parents == PARENTS_OF_SMPL
+    assert SMPLH.parents[:22] == PARENTS_OF_SMPL[:22]
+    assert SMPLH.parents[22:] == (
+        20, 22, 23, 20, 25, 26, 20, 28, 29, 20, 31, 32, 20, 34, 35,
+        21, 37, 38, 21, 40, 41, 21, 43, 44, 21, 46, 47, 21, 49, 50,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "form, convert",
+    [(SMPL, lambda p, t: pose_from_smpl(p, t, mittens=True)), (SMPLH, pose_from_smplh)],
+    ids=["SMPL", "SMPL+H"],
+)
+def test_a_lifted_body_is_exactly_the_old_one(form, convert, tmp_path):
+    arrays, rng = older(form), np.random.default_rng(2)
+    poses, transl = 0.5 * rng.normal(size=(2, 3 * len(form.joints))), rng.normal(size=(2, 3))
+    betas = rng.normal(size=16)
+    body = load(arrays, tmp_path)
+    assert (body.num_betas, body.num_expressions) == (16, 0)
+    pose = convert(torch.from_numpy(poses), torch.from_numpy(transl))
+    posed = body(pose, Shape(torch.from_numpy(betas)))
+    for t in range(2):
+        vertices, joints = posed_by_hand(arrays, form, poses[t], transl[t], betas)
+        np.testing.assert_allclose(posed.vertices[t], vertices, atol=1e-12)
+        np.testing.assert_allclose(posed.joints[t, list(form.joints)], joints, atol=1e-12)
+
+
+def test_joints_that_smpl_lacks_turn_without_effect(tmp_path):
+    body = load(older(SMPL), tmp_path)
+    still, turned = torch.zeros(1, 55, 3, dtype=F64), torch.zeros(1, 55, 3, dtype=F64)
+    missing = [j for j in range(55) if j not in SMPL.joints]
+    turned[:, missing] = 0.7
+    zero = torch.zeros(1, 3, dtype=F64)
+    shape = Shape(torch.zeros(16, dtype=F64))
+    surfaces = [
+        body(Pose.from_rotations(r, zero, zero[:, :0]), shape).vertices for r in (still, turned)
+    ]
+    torch.testing.assert_close(*surfaces, rtol=0, atol=1e-14)
+
+
+def test_smpl_keeps_the_body_and_loses_the_hands():
+    poses = torch.randn(3, 72, generator=torch.Generator().manual_seed(0), dtype=F64)
+    pose = pose_from_smpl(poses, poses[:, :3])
+    assert torch.equal(pose.global_orient, poses[:, :3])
+    assert torch.equal(pose.body_pose, poses[:, 3:66])
+    assert (pose.rotations[:, 22:] == 0).all()
+    assert torch.equal(pose.transl, poses[:, :3]) and pose.expression.shape == (3, 0)
+
+
+def test_smplh_keeps_the_fingers():
+    poses = torch.randn(3, 156, generator=torch.Generator().manual_seed(0), dtype=F64)
+    pose = pose_from_smplh(poses, poses[:, :3])
+    assert torch.equal(pose.body_pose, poses[:, 3:66])
+    assert torch.equal(pose.left_hand_pose, poses[:, 66:111])
+    assert torch.equal(pose.right_hand_pose, poses[:, 111:])
+    assert (pose.jaw_pose == 0).all() and (pose.leye_pose == 0).all()
+
+
+def test_conversions_have_gradients():
+    poses = torch.randn(1, 72, dtype=F64, requires_grad=True)
+    pose_from_smpl(poses, torch.zeros(1, 3, dtype=F64)).rotations.sum().backward()
+    assert (poses.grad[:, :66] == 1).all() and (poses.grad[:, 66:] == 0).all()
+
+
+def test_the_pelvis_stays_where_it_was(random_file, tmp_path):
+    old, new = load(older(SMPL), tmp_path), load_body(random_file, F64)
+    shapes = [Shape(torch.randn(n, dtype=F64)) for n in (16, 10)]
+    poses = torch.randn(2, 72, dtype=F64)
+    pose = pose_from_smpl(poses, torch.randn(2, 3, dtype=F64))
+    pelvis, new_pelvis = (
+        body.rest(shape).joints[0] for body, shape in zip((old, new), shapes, strict=True)
+    )
+    kept = keep_pelvis(pose, pelvis, new_pelvis)
+    torch.testing.assert_close(new(kept, shapes[1]).joints[:, 0], old(pose, shapes[0]).joints[:, 0])
+
+
+@pytest.mark.parametrize("convert, width", [(pose_from_smpl, 72), (pose_from_smplh, 156)])
+def test_wrong_shapes_are_named(convert, width):
+    with pytest.raises(ValueError, match=rf"poses must be \(T, {width}\), got \(3, 69\)"):
+        convert(torch.zeros(3, 69), torch.zeros(3, 3))
+    with pytest.raises(ValueError, match=r"transl must be \(3, 3\), got \(2, 3\)"):
+        convert(torch.zeros(3, width), torch.zeros(2, 3))
+
+
+def test_an_unknown_tree_is_named(tmp_path):
+    arrays = older(SMPL) | {"kintree_table": np.zeros((2, 30), np.int64)}
+    with pytest.raises(InputError, match=r"one of \(2, 24\) SMPL.*found \(2, 30\)"):
+        load(arrays, tmp_path)
+
+
+def test_the_wrong_shape_is_named_against_its_format(tmp_path):
+    arrays = older(SMPL) | {"posedirs": np.zeros((80, 3, 486))}
+    with pytest.raises(InputError, match=r"'posedirs' must be \(80, 3, 207\), found"):
+        load(arrays, tmp_path)
+
+
+def test_smplh_without_its_hands_is_refused(tmp_path):
+    arrays = {k: v for k, v in older(SMPLH).items() if k != "hands_meanr"}
+    with pytest.raises(InputError, match="'hands_meanr' is missing"):
+        load(arrays, tmp_path)
+
+
+def test_the_mitten_is_the_middle_finger():
+    assert [JOINTS[SMPL.joints[j]] for j in (22, 23)] == ["left_middle1", "right_middle1"]

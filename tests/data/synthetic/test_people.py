@@ -1,0 +1,47 @@
+"""The study's seven: all different, and fixed."""
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+
+from gva_mi import InputError
+from gva_mi.data.synthetic import STUDY, SynthOptions
+from gva_mi.data.synthetic.people import Person
+
+
+def test_seven_people_who_cannot_be_changed():
+    assert len(STUDY) == 7
+    with pytest.raises(TypeError):
+        STUDY["amira"] = STUDY["bruno"]
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        STUDY["amira"].seed = 0
+
+
+def test_no_two_of_them_are_alike():
+    assert len({person.seed for person in STUDY.values()}) == 7
+    for a, b in itertools.combinations(STUDY.values(), 2):
+        assert np.abs(np.subtract(a.betas, b.betas)).max() > 0.5
+        assert a.top != b.top and a.wardrobe != b.wardrobe
+
+
+def test_they_hold_what_the_study_is_about():
+    wardrobes = [person.wardrobe for person in STUDY.values()]
+    assert {w.hair for w in wardrobes} == {"short", "bob", "long"}
+    assert {w.bottom for w in wardrobes} == {"trousers", "shorts", "skirt"}
+    assert sum(w.glasses for w in wardrobes) == 1 and sum(w.cap for w in wardrobes) == 1
+    assert {"smooth", "stripes", "plaid", "print", "dots"} <= {
+        person.top.pattern for person in STUDY.values()
+    }
+
+
+def test_a_seed_is_a_person():
+    assert Person.draw(3, 10) == Person.draw(3, 10) != Person.draw(4, 10)
+
+
+def test_an_unknown_name_lists_the_known_ones():
+    with pytest.raises(InputError, match="amira, bruno"):
+        SynthOptions(subject="zoe")
+    with pytest.raises(InputError, match="everyday"):
+        SynthOptions(motion="dance")

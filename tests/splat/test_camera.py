@@ -1,0 +1,63 @@
+"""Cameras: where points fall by each model, and what the door refuses."""
+
+import numpy as np
+import pytest
+
+from gva_mi.splat.camera import Camera, look_at
+
+
+def camera(**changes):
+    values = {"fx": 50.0, "fy": 60.0, "cx": 31.0, "cy": 25.0, "width": 64, "height": 48}
+    pose = {"T_camera_world": look_at((1.0, 2.0, 3.0), (0.0, 0.5, 0.0))}
+    return Camera(**(values | pose | changes))
+
+
+@pytest.mark.parametrize("model", ["pinhole", "ortho", "fisheye"])
+def test_what_is_looked_at_falls_on_the_principal_point(model):
+    np.testing.assert_allclose(camera(model=model).project(np.array([0.0, 0.5, 0.0])), (31, 25))
+
+
+def test_fisheye_pixels_grow_with_the_angle():
+    c = camera(model="fisheye", T_camera_world=np.eye(4))
+    for angle in (0.1, 0.7, 1.4):
+        u, v = c.project(np.array([np.sin(angle), 0.0, np.cos(angle)]))
+        np.testing.assert_allclose((u, v), (31 + 50 * angle, 25), rtol=1e-12)
+
+
+def test_ortho_does_not_see_depth():
+    c = camera(model="ortho", T_camera_world=np.eye(4))
+    near, far = c.project(np.array([[0.2, -0.1, 1.0], [0.2, -0.1, 9.0]]))
+    np.testing.assert_allclose(near, far)
+    np.testing.assert_allclose(near, (31 + 50 * 0.2, 25 - 60 * 0.1))
+
+
+@pytest.mark.parametrize("model", ["pinhole", "ortho", "fisheye"])
+def test_matrices_and_back(model):
+    c = camera(model=model)
+    assert c.with_matrices(None, None).model == model
+    again = Camera.from_matrices(c.K, c.T_camera_world, 64, 48, model)
+    x = np.array([0.1, 0.2, 0.3])
+    np.testing.assert_array_equal(again.project(x), c.project(x))
+    moved = c.with_matrices(np.eye(4), 2 * c.K)
+    assert (moved.fx, moved.cy, moved.width) == (100, 50, 64)
+    np.testing.assert_array_equal(moved.position, 0)
+
+
+def test_position_is_what_the_pose_takes_to_the_origin():
+    np.testing.assert_allclose(camera().position, (1, 2, 3), rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("message", "change"),
+    [
+        ("model must be one of pinhole, ortho, fisheye, got 'ftheta'", {"model": "ftheta"}),
+        ("focal lengths must be positive", {"fx": 0.0}),
+        ("must be finite", {"cx": float("nan")}),
+        ("must be rigid", {"T_camera_world": 2 * np.eye(4)}),
+        (r"T_camera_world must be \(4, 4\)", {"T_camera_world": np.eye(3)}),
+        ("size must be at least 1x1", {"height": 0}),
+    ],
+)
+def test_wrong_arguments_are_named(message, change):
+    with pytest.raises(ValueError, match=message):
+        camera(**change)

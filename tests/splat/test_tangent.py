@@ -1,0 +1,163 @@
+"""Forward mode: the tangent is the adjoint's transpose, and what torch finds by differences."""
+
+from dataclasses import replace
+
+import drjit as dr
+import numpy as np
+import pytest
+import torch
+from drjit.llvm import ad
+from torch.autograd import forward_ad
+
+from gva_mi.splat import reference
+from gva_mi.splat.camera import Camera
+from gva_mi.splat.gaussians import Gaussians
+from gva_mi.splat.gradcheck import random_scene
+from gva_mi.splat.options import SplatOptions
+from gva_mi.splat.render import render as native
+from gva_mi.splat.torch_op import render
+
+WIDE = np.eye(4)
+WIDE[:3, 3] = (0.1, -0.1, 0.9)  # amidst the Gaussians, and so at great angles
+CAMERAS = {
+    "pinhole": lambda c: c,
+    "ortho": lambda c: replace(c, model="ortho", fx=c.width / 2.2, fy=c.width / 2),
+    "fisheye": lambda c: Camera(
+        c.width / 1.6, c.width / 1.5, c.cx, c.cy, WIDE, c.width, c.height, "fisheye"
+    ),
+}
+KINDS = {"colors": {}, "sh 3": {"degree": 3}, "wide": {"channels": 11}}
+
+
+def case(model, antialiased=False, **kwargs):
+    """All differentiable inputs by name, and the images as a function of them."""
+    s = random_scene(torch.Generator().manual_seed(1), **kwargs)
+    camera = CAMERAS[model](s.camera)
+    options = SplatOptions(antialiased=antialiased)
+    inputs = {k: v.detach() for k, v in s.inputs().items()}
+    inputs |= {"T_camera_world": torch.tensor(camera.T_camera_world), "K": torch.tensor(camera.K)}
+
+    def images(draw, inputs):
+        inputs = dict(inputs)
+        matrices = {k: inputs.pop(k) for k in ("T_camera_world", "K")}
+        moved = s.with_inputs(inputs)
+        image = draw(moved.gaussians, camera, options, moved.background, **matrices)
+        return image.color, image.alpha, image.depth
+
+    return inputs, images
+
+
+def like(tensors, seed):
+    generator = torch.Generator().manual_seed(seed)
+    return [torch.randn(t.shape, generator=generator, dtype=torch.float64) for t in tensors]
+
+
+def assert_transposed(images, inputs, draw=render):
+    leaves = {k: v.clone().requires_grad_() for k, v in inputs.items()}
+    out = images(draw, leaves)
+    w, v = like(out, 2), dict(zip(inputs, like(inputs.values(), 3), strict=True))
+    gradients = torch.autograd.grad(out, list(leaves.values()), w)
+    right = sum((g * d).sum() for g, d in zip(gradients, v.values(), strict=True))
+    with forward_ad.dual_level():
+        out = images(draw, {k: forward_ad.make_dual(x, v[k]) for k, x in inputs.items()})
+        left = sum(
+            (forward_ad.unpack_dual(o).tangent * d).sum() for o, d in zip(out, w, strict=True)
+        )
+    torch.testing.assert_close(left, right, rtol=1e-12, atol=0)
+    return dict(zip(leaves, gradients, strict=True))
+
+
+@pytest.mark.parametrize("antialiased", [False, True])
+@pytest.mark.parametrize("model", CAMERAS)
+@pytest.mark.parametrize("kind", KINDS)
+def test_tangent_is_the_transpose_of_the_adjoint(kind, model, antialiased):
+    inputs, images = case(model, antialiased, **KINDS[kind])
+    assert_transposed(images, inputs)
+
+
+@pytest.mark.parametrize("antialiased", [False, True])
+@pytest.mark.parametrize("model", CAMERAS)
+def test_every_camera_model_agrees_with_the_twin(model, antialiased):
+    inputs, images = case(model, antialiased, degree=2)
+    gradients = []
+    for draw in (render, reference.render):
+        leaves = {k: v.clone().requires_grad_() for k, v in inputs.items()}
+        out = images(draw, leaves)
+        gradients.append(torch.autograd.grad(out, list(leaves.values()), like(out, 2)))
+        assert (out[1] > 0.05).double().mean() > 0.3
+    for name, a, b in zip(inputs, *gradients, strict=True):
+        assert (a - b).norm() <= 1e-10 * b.norm(), name
+        assert b.norm() > 0, name
+
+
+@pytest.mark.parametrize("name", [*"means quats scales opacities sh background".split()])
+def test_one_tangent_alone(name):
+    inputs, images = case("pinhole", degree=1)
+    direction = like([inputs[name]], 4)[0]
+    with forward_ad.dual_level():
+        out = images(render, inputs | {name: forward_ad.make_dual(inputs[name], direction)})
+        found = [forward_ad.unpack_dual(o).tangent for o in out]
+    step = 1e-6
+    moved = [images(render, inputs | {name: inputs[name] + h * direction}) for h in (step, -step)]
+    band = torch.zeros_like(found[1], dtype=torch.bool)
+    for high, low in zip(*moved, strict=True):
+        jump = (high - low).abs() > 1e-4  # a pixel that crossed a cut-off
+        band |= jump.any(dim=-1) if jump.dim() == 3 else jump
+    assert band.double().mean() < 0.02
+    for tangent, high, low in zip(found, *moved, strict=True):
+        difference = (high - low) / (2 * step)
+        torch.testing.assert_close(tangent[~band], difference[~band], rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("model", CAMERAS)
+@pytest.mark.parametrize("kind", [{}, {"degree": 1}])
+def test_torch_agrees_in_both_directions(kind, model):
+    inputs, images = case(model, model == "ortho", gaussians=3, width=7, height=5, **kind)
+    leaves = [v.requires_grad_() for v in inputs.values()]
+    fn = lambda *tensors: images(render, dict(zip(inputs, tensors, strict=True)))
+    assert torch.autograd.gradcheck(fn, leaves, check_forward_ad=True)
+
+
+def test_derivatives_of_derivatives_are_refused():
+    inputs, images = case("pinhole")
+    means = inputs["means"].requires_grad_()
+    color, _, _ = images(render, inputs)
+    (grad,) = torch.autograd.grad(color.square().sum(), means, create_graph=True)
+    with pytest.raises(RuntimeError, match="differentiat"):
+        grad.sum().backward()
+
+
+def test_nothing_drawn_has_the_backgrounds_tangent():
+    inputs, images = case("pinhole")
+    inputs["means"] = inputs["means"] + 100
+    gradients = assert_transposed(images, inputs)
+    assert gradients["T_camera_world"].abs().sum() == 0 == gradients["K"].abs().sum()
+
+
+def test_drjit_agrees_in_both_directions():
+    """The native call: Dr.Jit's forward mode is the transpose of its reverse mode."""
+    s = random_scene(torch.Generator().manual_seed(1), degree=1)
+    kind, rng = ad.TensorXf64, np.random.default_rng(0)
+    values = {k: v.detach().numpy() for k, v in s.inputs().items()}
+    values |= {"T_camera_world": s.camera.T_camera_world.copy(), "K": s.camera.K}
+
+    def draw(tensors):
+        matrices = {k: tensors.pop(k) for k in ("background", "T_camera_world", "K")}
+        image = native(Gaussians(**tensors), s.camera, **matrices)
+        return image.color, image.alpha, image.depth
+
+    leaves = {k: kind(v) for k, v in values.items()}
+    dr.enable_grad(leaves)
+    out = draw(dict(leaves))
+    w = [rng.normal(size=o.shape) for o in out]
+    dr.backward(sum(dr.sum(o * kind(d)) for o, d in zip(out, w, strict=True)))
+    v = {k: rng.normal(size=x.shape) for k, x in values.items()}
+    right = sum((dr.grad(leaves[k]).numpy() * v[k]).sum() for k in v)
+
+    leaves = {k: kind(x) for k, x in values.items()}
+    dr.enable_grad(leaves)
+    for k, leaf in leaves.items():
+        dr.set_grad(leaf, kind(v[k]))
+    tangents = dr.forward_to(*draw(dict(leaves)))
+    left = sum((t.numpy() * d).sum() for t, d in zip(tangents, w, strict=True))
+    np.testing.assert_allclose(left, right, rtol=1e-12)

@@ -42,7 +42,8 @@ def doctor() -> None:
 def _run(arguments: list[str]) -> None:
     import tyro
 
-    from gva_mi import pipeline
+    from gva_mi import checks, pipeline
+    from gva_mi.data.synthetic.show_body import body
 
     steps = {
         "demo": pipeline.demo,
@@ -51,15 +52,20 @@ def _run(arguments: list[str]) -> None:
         "fit": pipeline.fit,
         "evaluate": pipeline.evaluate,
         "render": pipeline.render,
+        "body": body,
+        "gradcheck": checks.gradcheck,
+        "bench": checks.bench,
         "doctor": doctor,
     }
-    tyro.extras.subcommand_cli_from_dict(
+    written = tyro.extras.subcommand_cli_from_dict(
         steps,
         prog="gva-mi",
         description="A monocular video of a person becomes a drivable 3D Gaussian avatar.",
         args=arguments,
         config=(tyro.conf.FlagCreatePairsOff,),
     )
+    for path in written or []:
+        print(path)
 
 
 if __name__ == "__main__":

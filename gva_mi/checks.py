@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated, Literal, TypeVar
 
 import numpy as np
-from tyro.conf import arg
+from tyro.conf import Positional, arg
 
 from gva_mi.console import bar, say
 from gva_mi.errors import InputError
@@ -59,7 +59,8 @@ def gradcheck(
     say(f"gradients are right in all {len(reports)} windows")
 
 
-def bench_splat(
+def bench(
+    what: Positional[Literal["splat"]],
     options: Flat[BenchOptions],
     *,
     scene: Path | None = None,
@@ -68,6 +69,7 @@ def bench_splat(
     """Measure the renderer: milliseconds per stage, shares of the machine's limits, growth.
 
     Args:
+        what: the part to measure.
         options: what to measure, and how often.
         scene: an .npz file as for gradcheck; without it a person of 20,000 Gaussians at 512 px.
         json_file: where to write all figures.

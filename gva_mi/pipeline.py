@@ -14,7 +14,7 @@ import json
 import shutil
 import time
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, TypeVar
 
@@ -159,7 +159,7 @@ def evaluate(
     avatar = Avatar.load(run / checkpoint.AVATAR)
     video = load_video(subject, poses or _best_poses(subject))
     metrics = _measure(avatar, video, run, name="full")
-    _write_report(avatar, video, run, metrics, subject.name)
+    _write_report(avatar, _under_trained_poses(video, run), run, metrics, subject.name)
     for line in _lines(metrics):
         say(line)
     say(f"report: {run / REPORT}")
@@ -234,7 +234,7 @@ def demo(
     fit_options = FitOptions(seed=options.seed, steps=options.steps)
     avatar = _fit(video, model, fit_options, out, offsets, resume=False)
     metrics = _measure(avatar, video, out, name="no_refine" if options.no_refine else "full")
-    _write_report(avatar, video, out, metrics, "The demo subject")
+    _write_report(avatar, _under_trained_poses(video, out), out, metrics, "The demo subject")
     for line in _lines(metrics):
         say(line)
     say(f"{(time.perf_counter() - start) / 60:.1f} minutes; report: {out / REPORT}")
@@ -291,7 +291,9 @@ def _fit(
 def _measure(avatar: Avatar, video: Video, run: Path, name: str) -> dict:
     """The figures of a run, which are also written to ``metrics.json``."""
     with bar("evaluate") as progress:
-        rows = evaluate_splits(avatar, video, name, progress=progress)
+        rows = evaluate_splits(avatar, _under_trained_poses(video, run), name, progress=progress)
+    if (run / checkpoint.POSES).exists():  # what training the poses is worth to frames unseen
+        rows += evaluate_splits(avatar, video, "poses as refined", splits=("test",))
     history = checkpoint.load_history(run)
     record = json.loads((run / checkpoint.OPTIONS).read_text())
     refinement = video.folder / REFINEMENT
@@ -328,6 +330,12 @@ def _write_report(avatar: Avatar, video: Video, run: Path, metrics: dict, title:
     )
 
 
+def _under_trained_poses(video: Video, run: Path) -> Video:
+    """The video under the poses that were trained with the avatar, where they were."""
+    poses = run / checkpoint.POSES
+    return replace(video, pose=load_poses(poses)[0]) if poses.exists() else video
+
+
 def _best_poses(subject: Path) -> Path:
     refined = subject / REFINED
     if refined.exists():
@@ -341,7 +349,8 @@ def _lines(metrics: dict) -> Iterator[str]:
     yield from _refinement_lines(metrics["refinement"])
     for row in metrics["rows"]:
         split = row["split"].replace("_", " ")
-        yield f"{split:<11} PSNR {row['psnr']:.2f} dB, SSIM {row['ssim']:.4f}"
+        name = "" if row["name"] == metrics["rows"][0]["name"] else f" ({row['name']})"
+        yield f"{split:<11} PSNR {row['psnr']:.2f} dB, SSIM {row['ssim']:.4f}{name}"
 
 
 def _refinement_lines(figures: dict) -> Iterator[str]:

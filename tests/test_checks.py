@@ -49,7 +49,7 @@ def test_gradcheck_fails_where_a_gradient_is_wrong(scene, monkeypatch):
 
 def test_bench_writes_its_figures(scene, tmp_path, capsys):
     few = BenchOptions(repeats=2, calls=2, most_gaussians=0, most_pixels=64, no_gsplat=True)
-    checks.bench_splat(few, scene=scene, json_file=tmp_path / "new" / "bench.json")
+    checks.bench("splat", few, scene=scene, json_file=tmp_path / "new" / "bench.json")
     figures = json.loads((tmp_path / "new" / "bench.json").read_text())
     assert figures["gaussians"] == 8 and figures["growth"] == []
     assert "composite, adjoint" in capsys.readouterr().out

@@ -7,7 +7,7 @@
       checkpoint.pt        the last saved state, until the run is finished
       history.npz          per step: loss and its terms, Gaussians, milliseconds
       reinit/000900.npz    of each re-initialisation: the Gaussians before and after, the mesh
-      poses.npz            of all frames, where those of the training frames were trained too
+      poses.npz            of all frames, where poses were trained; see gva_mi.fit.poses
       avatar.npz           the fitted avatar; it is there when the run is finished
 
 A file is written under another name and then renamed: after a kill it is the old one or the new

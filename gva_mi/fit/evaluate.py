@@ -17,10 +17,11 @@ novel_pose     of another motion, synthetic subjects only                true
 novel_view     of the video's motion from other cameras, likewise        true
 =============  ========================================================  ============
 
-"The video's" poses are those the video was opened with: the refined ones after stage 2. The poses
-of the test frames then come from their own masks and normals, as in the paper. No test picture is
-fitted. Masks are the true ones where the subject has a truth, for a figure should tell the avatar's
-error and not the segmenter's; training never sees them. Real videos have their own masks alone.
+"The video's" poses are those the video was opened with: the refined ones after stage 2, or those
+trained with the avatar (see :mod:`gva_mi.fit.poses`). The poses of the test frames then come from
+their own masks and normals, as in the paper, and from their neighbours. No test picture is fitted.
+Masks are the true ones where the subject has a truth, for a figure should tell the avatar's error
+and not the segmenter's; training never sees them. Real videos have their own masks alone.
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ class Rates:
     logit_opacities: float = 5e-2
     sh: float = 2.5e-3
     residual: float = 1e-3  # of the pose-conditioned MLP's weights
-    pose: float = 0.0  # radians and metres; 0: the training poses stay as they are
+    pose: float = 1e-3  # radians and metres; 0: the training poses stay as they are
 
 
 @dataclass(frozen=True)

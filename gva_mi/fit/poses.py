@@ -1,7 +1,15 @@
-"""The poses that a fit sees: as they were given, or trained along with the avatar."""
+"""The poses that a fit sees: as they were given, or trained along with the avatar.
+
+Trained poses take up what the refinement by masks and normals left over. A frame that is not
+trained on must not be looked at, and yet its pose has errors of the same kind: slow ones, such as a
+depth that is wrong for seconds. So it takes the correction of its neighbours in time, interpolated.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -26,11 +34,20 @@ class TrainedPoses(nn.Module):
             return given
         return _unpacked(self.frames[frame][None], given.expression)
 
-    def all(self) -> Pose:
-        """The poses of all frames, as they are now."""
+    def all(self, trained: Sequence[int]) -> Pose:
+        """The poses of all frames, as they are now.
+
+        Args:
+            trained: the frames that were trained on; all others get interpolated corrections.
+        """
         if not len(self.frames):
             return self.given
-        return _unpacked(torch.stack(list(self.frames)).detach(), self.given.expression)
+        given = _packed(self.given)
+        correction = (torch.stack(list(self.frames)).detach() - given).numpy()
+        time, seen = np.arange(len(given)), sorted(trained)
+        columns = [np.interp(time, seen, column) for column in correction[seen].T]
+        between = torch.from_numpy(np.stack(columns, axis=1)).to(given.dtype)
+        return _unpacked(given + between, self.given.expression)
 
 
 def _packed(pose: Pose) -> Tensor:

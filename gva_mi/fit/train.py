@@ -91,7 +91,7 @@ def fit(
                 checkpoint.save_state(out, run.state())
     write_arrays(out / checkpoint.HISTORY, **run.history)
     if len(run.poses.frames):
-        save_poses(out / checkpoint.POSES, run.poses.all(), video.shape, stage=2)
+        save_poses(out / checkpoint.POSES, run.poses.all(video.splits.train), video.shape, stage=2)
     run.avatar.save(out / checkpoint.AVATAR)
     (out / checkpoint.CHECKPOINT).unlink(missing_ok=True)
     return run.avatar

@@ -1,9 +1,13 @@
-"""3D Gaussian splatting on Dr.Jit's LLVM backend, forward and adjoint, in float32 and float64.
+"""3D Gaussian splatting on Dr.Jit's LLVM backend: forward, adjoint, tangent; float32 and float64.
 
-Usable alone. Read the kernels in this order: project.py (the ellipse in the picture), tiles.py (who
-touches which tile), blend.py (compositing), pipeline.py (one after the other). ``render`` comes
-twice: :mod:`gva_mi.splat.render` for Dr.Jit arrays, :mod:`gva_mi.splat.torch_op` for torch tensors.
-reference.py is the slow twin, and gradcheck.py compares the two.
+Usable alone. Read the kernels in this order: lens.py (where a point falls in the picture),
+ellipse.py (a Gaussian's shape there), project.py (both, for all Gaussians), tiles.py (who touches
+which tile), pixels.py and blend.py (compositing), pipeline.py (one after the other; chunks.py for
+wide colours, frozen.py so that each is traced once).
+
+``render`` comes twice: :mod:`gva_mi.splat.render` for Dr.Jit arrays, :mod:`gva_mi.splat.torch_op`
+for torch tensors. :mod:`gva_mi.splat.rasterization` has gsplat's signature. reference.py is the
+slow twin, and gradcheck.py compares the two.
 
 Importing this folder imports Dr.Jit and numpy; torch comes with the modules that name it.
 """

@@ -187,41 +187,50 @@ def blend_adjoint(
 
     def body(k: Array, *state: Array) -> tuple[Array, ...]:
         T, D = list(state[:PIXELS]), list(state[PIXELS:])
-        for turn in range(UNROLL):
-            g = load(rows, channels + 1, lists.ids, k + turn, lists.end)
+        for step in range(UNROLL):
+            g = load(rows, channels + 1, lists.ids, k + step, lists.end)
             wx, wy, exponent = whitened(g, x, y)
             grad_f = [None] * n
             m0, mx, my, mxx, mxy, myy = [None] * MOMENTS
             ax = ay = None
             for j in range(HEIGHT):
-                s0 = s1 = s2 = None  # sums of v, v w_x, v w_x^2 over a row, where w_y is one number
-                for i in range(j * WIDTH, (j + 1) * WIDTH):
-                    free = exp2(exponent[i])
-                    alpha = smaller(free, options.alpha_max)
-                    alpha = dr.select(exponent[i] >= least, alpha, 0)
-                    weight = alpha * T[i]
-                    rest = T[i] - weight
-                    ok = rest > options.transmittance_min
-                    weight = dr.select(ok, weight, 0)
-                    fg = g.f[0] * G[i][0]
-                    for c in range(1, n):
-                        fg = dr.fma(g.f[c], G[i][c], fg)
-                    D[i] = dr.fma(-weight, fg, D[i])
-                    v = alpha * dr.fma(T[i], fg, -D[i] / (1 - alpha))
-                    v = dr.select(ok & (free <= options.alpha_max), v, 0)
-                    T[i] = dr.select(ok, rest, -dr.abs(T[i]))
-                    for c in range(n):
-                        grad_f[c] = _fma(weight, G[i][c], grad_f[c])
-                    vw = v * wx[i]
-                    s0, s1, s2 = _add(s0, v), _add(s1, vw), _fma(vw, wx[i], s2)
-                    if absolute:
-                        ax = _add(ax, dr.abs(vw))
-                        ay = _add(ay, dr.abs(g.q * vw + g.r * (v * wy[j])))
-                vy = s0 * wy[j]
-                m0, mx, my, mxx = _add(m0, s0), _add(mx, s1), _add(my, vy), _add(mxx, s2)
-                mxy, myy = _fma(s1, wy[j], mxy), _fma(vy, wy[j], myy)
+                # sums of v, v e, v e^2 over a row, e its pixels' places about the row's middle:
+                # there w_x = middle + p e, and neighbours e and -e share a product
+                s0 = s1 = s2 = None
+                for left in range(WIDTH // 2):
+                    e = (WIDTH - 1) / 2 - left
+                    pair = []
+                    for i in (j * WIDTH + left, (j + 1) * WIDTH - 1 - left):
+                        free = exp2(exponent[i])
+                        alpha = smaller(free, options.alpha_max)
+                        alpha = dr.select(exponent[i] >= least, alpha, 0)
+                        weight = alpha * T[i]
+                        rest = T[i] - weight
+                        ok = rest > options.transmittance_min
+                        weight = dr.select(ok, weight, 0)
+                        fg = g.f[0] * G[i][0]
+                        for c in range(1, n):
+                            fg = dr.fma(g.f[c], G[i][c], fg)
+                        D[i] = dr.fma(-weight, fg, D[i])
+                        v = alpha * dr.fma(T[i], fg, -D[i] / (1 - alpha))
+                        v = dr.select(ok & (free <= options.alpha_max), v, 0)
+                        T[i] = dr.select(ok, rest, -dr.abs(T[i]))
+                        for c in range(n):
+                            grad_f[c] = _fma(weight, G[i][c], grad_f[c])
+                        if absolute:
+                            ax = _add(ax, dr.abs(v * wx[i]))
+                            ay = _add(ay, dr.abs(v * (g.q * wx[i] + g.r * wy[j])))
+                        pair.append(v)
+                    both, turn = pair[0] + pair[1], pair[1] - pair[0]
+                    s0, s1, s2 = _add(s0, both), _fma(turn, e, s1), _fma(both, e * e, s2)
+                middle = g.p * (x - g.u + WIDTH / 2) + g.q * (y - g.v + (j + 0.5))
+                ps1, vy = g.p * s1, s0 * wy[j]
+                sx = dr.fma(middle, s0, ps1)
+                m0, mx, my = _add(m0, s0), _add(mx, sx), _add(my, vy)
+                mxx = _add(mxx, dr.fma(middle, sx + ps1, g.p * g.p * s2))
+                mxy, myy = _fma(sx, wy[j], mxy), _fma(vy, wy[j], myy)
             slot = [m0, mx, my, mxx, mxy, myy, *((ax, ay) if absolute else ()), *grad_f]
-            packets.store(slots, slot, k + turn, k + turn < lists.end)
+            packets.store(slots, slot, k + step, k + step < lists.end)
         return (k + UNROLL, *T, *D)
 
     state = (U(lists.start), *T, *D)

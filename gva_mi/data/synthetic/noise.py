@@ -24,7 +24,7 @@ from gva_mi.splat import Camera
 # along the limbs; what leans the whole trunk is known best.
 ROTATION: Mapping[str, float] = {
     "pelvis": 0.045, "spine1": 0.02, "spine2": 0.02, "spine3": 0.02, "neck": 0.05, "head": 0.07,
-    "collar": 0.03, "shoulder": 0.055, "elbow": 0.09, "wrist": 0.13,
+    "collar": 0.03, "shoulder": 0.055, "elbow": 0.095, "wrist": 0.16,
     "hip": 0.06, "knee": 0.085, "ankle": 0.15, "foot": 0.15,
 }  # fmt: skip
 HEAD, FINGER = 0.02, 0.16  # jaw and eyes; every joint of the fingers
@@ -34,7 +34,7 @@ EXPRESSION = 0.3  # standard deviations, of every coefficient that moves at all
 MEMORY = 5.0  # frames over which an error persists
 
 # Bursts: for some frames the errors of one group of joints grow.
-CALM, BURST = 0.6, 3.0  # factors on the sizes above: at rest; at the height of a burst, at most
+CALM, BURST = 0.66, 3.1  # factors on the sizes above: at rest; at the height of a burst, at most
 BURST_EVERY, BURST_LENGTH = 25.0, 2.5  # frames between bursts, on average; half length of one
 GROUPS: Sequence[Sequence[str]] = (
     ("left_collar", "left_shoulder", "left_elbow", "left_wrist"),

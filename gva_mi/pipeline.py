@@ -27,7 +27,8 @@ from gva_mi.body.pose import load_offsets, load_poses, save_poses
 from gva_mi.body.smplx import BodyModel, load_body
 from gva_mi.console import bar, say
 from gva_mi.data.pictures import read_image, write_image, write_movie
-from gva_mi.data.synthetic import SynthOptions, make_subject
+from gva_mi.data.synthetic import SynthOptions, describe_noise, make_subject
+from gva_mi.data.synthetic.sheet import sheet as draw_sheet
 from gva_mi.data.video import Video, load_cameras, load_video
 from gva_mi.errors import InputError
 from gva_mi.files import write_json
@@ -62,6 +63,7 @@ class DemoOptions:
     """How large the demo is; the defaults end within 8 minutes on 2 cores."""
 
     seed: int = 0  # of the subject, the refinement and the fit
+    subject: str = "amira"  # one of the study's seven
     frames: int = 64  # of the video
     size: int = 400  # pixels, width and height
     steps: int = 2000  # of the fit
@@ -69,9 +71,10 @@ class DemoOptions:
 
 
 def synth(
-    out: Positional[Path],
-    options: Flat[SynthOptions],
+    out: Positional[Path | None] = None,
+    options: Flat[SynthOptions] = SynthOptions(),  # noqa: B008 (frozen)
     *,
+    sheet: Path | None = None,
     body: Path | None = None,
     overwrite: bool = False,
 ) -> None:
@@ -80,13 +83,24 @@ def synth(
     Args:
         out: the subject's folder.
         options: what it is like.
+        sheet: write a picture (.png) of the study's seven subjects, and of what comes with a video.
         body: a body in SMPL-X's .npz format; without it the built-in puppet.
         overwrite: replace a subject that is there.
     """
+    if out is None and sheet is None:
+        raise InputError("synth: give a folder for a subject, or --sheet FILE.png, or both")
     model = load_body(body)
+    if sheet is not None:
+        with bar("sheet") as progress:
+            draw_sheet(sheet, model, progress=progress)
+        say(f"sheet: {sheet}")
+    if out is None:
+        return
     _clear(out, SYNTH, overwrite)
     with bar("synth") as progress:
         make_subject(out, options, model, progress)
+    for line in describe_noise(out):
+        say(line)
     say(f"subject: {out}")
 
 
@@ -223,7 +237,9 @@ def demo(
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / DEMO, {"options": asdict(options), "versions": checkpoint.versions()})
     subject = out / SUBJECT
-    synth_options = SynthOptions(seed=options.seed, frames=options.frames, size=options.size)
+    synth_options = SynthOptions(
+        seed=options.seed, subject=options.subject, frames=options.frames, size=options.size
+    )
     with bar("synth") as progress:
         make_subject(subject, synth_options, model, progress)
     if not options.no_refine:

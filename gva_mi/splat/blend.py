@@ -47,6 +47,8 @@ from gva_mi.splat.frozen import Frozen
 from gva_mi.splat.options import SplatOptions
 from gva_mi.splat.pixels import (
     PIXELS,
+    PLACES,
+    PixelRow,
     Planes,
     corner,
     exp2,
@@ -54,7 +56,6 @@ from gva_mi.splat.pixels import (
     load,
     pixel_rows,
     smaller,
-    whitened,
 )
 from gva_mi.splat.project import MOMENTS
 from gva_mi.splat.tiles import HEIGHT, WIDTH, Grid, Lists
@@ -102,10 +103,12 @@ def blend(
         T, C = list(state[:PIXELS]), list(state[PIXELS:])
         for turn in range(UNROLL):
             g = load(rows, n, lists.ids, k + turn, lists.end)
-            _, _, exponent = whitened(g, x, y)
+            lines = [PixelRow.of(g, x, y, j) for j in range(HEIGHT)]
             for i in range(PIXELS):
-                alpha = smaller(exp2(exponent[i]), options.alpha_max)
-                alpha = dr.select(exponent[i] >= least, alpha, 0)
+                row = lines[i // WIDTH]
+                exponent = row.exponent(row.wx(PLACES[i % WIDTH]))
+                alpha = smaller(exp2(exponent), options.alpha_max)
+                alpha = dr.select(exponent >= least, alpha, 0)
                 weight = alpha * T[i]
                 rest = T[i] - weight
                 ok = rest > options.transmittance_min
@@ -189,21 +192,22 @@ def blend_adjoint(
         T, D = list(state[:PIXELS]), list(state[PIXELS:])
         for step in range(UNROLL):
             g = load(rows, channels + 1, lists.ids, k + step, lists.end)
-            wx, wy, exponent = whitened(g, x, y)
             grad_f = [None] * n
             m0, mx, my, mxx, mxy, myy = [None] * MOMENTS
             ax = ay = None
             for j in range(HEIGHT):
-                # sums of v, v e, v e^2 over a row, e its pixels' places about the row's middle:
-                # there w_x = middle + p e, and neighbours e and -e share a product
+                # sums of v, v e, v e^2 over the row, where pixels at e and -e share a product
+                line = PixelRow.of(g, x, y, j)
                 s0 = s1 = s2 = None
                 for left in range(WIDTH // 2):
-                    e = (WIDTH - 1) / 2 - left
+                    e = -PLACES[left]
                     pair = []
                     for i in (j * WIDTH + left, (j + 1) * WIDTH - 1 - left):
-                        free = exp2(exponent[i])
+                        wx = line.wx(PLACES[i % WIDTH])
+                        exponent = line.exponent(wx)
+                        free = exp2(exponent)
                         alpha = smaller(free, options.alpha_max)
-                        alpha = dr.select(exponent[i] >= least, alpha, 0)
+                        alpha = dr.select(exponent >= least, alpha, 0)
                         weight = alpha * T[i]
                         rest = T[i] - weight
                         ok = rest > options.transmittance_min
@@ -218,17 +222,16 @@ def blend_adjoint(
                         for c in range(n):
                             grad_f[c] = _fma(weight, G[i][c], grad_f[c])
                         if absolute:
-                            ax = _add(ax, dr.abs(v * wx[i]))
-                            ay = _add(ay, dr.abs(v * (g.q * wx[i] + g.r * wy[j])))
+                            ax = _add(ax, dr.abs(v * wx))
+                            ay = _add(ay, dr.abs(v * (g.q * wx + g.r * line.wy)))
                         pair.append(v)
                     both, turn = pair[0] + pair[1], pair[1] - pair[0]
                     s0, s1, s2 = _add(s0, both), _fma(turn, e, s1), _fma(both, e * e, s2)
-                middle = g.p * (x - g.u + WIDTH / 2) + g.q * (y - g.v + (j + 0.5))
-                ps1, vy = g.p * s1, s0 * wy[j]
-                sx = dr.fma(middle, s0, ps1)
+                ps1, vy = g.p * s1, s0 * line.wy
+                sx = dr.fma(line.middle, s0, ps1)
                 m0, mx, my = _add(m0, s0), _add(mx, sx), _add(my, vy)
-                mxx = _add(mxx, dr.fma(middle, sx + ps1, g.p * g.p * s2))
-                mxy, myy = _fma(sx, wy[j], mxy), _fma(vy, wy[j], myy)
+                mxx = _add(mxx, dr.fma(line.middle, sx + ps1, g.p * g.p * s2))
+                mxy, myy = _fma(sx, line.wy, mxy), _fma(vy, line.wy, myy)
             slot = [m0, mx, my, mxx, mxy, myy, *((ax, ay) if absolute else ()), *grad_f]
             packets.store(slots, slot, k + step, k + step < lists.end)
         return (k + UNROLL, *T, *D)
@@ -282,16 +285,19 @@ def blend_tangent(
         T, dT, dC = list(state[:PIXELS]), list(state[PIXELS : 2 * PIXELS]), state[2 * PIXELS :]
         dC = list(dC)
         g, d = (load(columns, n, lists.ids, k, lists.end) for columns in (rows, drows))
-        wx, wy, exponent = whitened(g, x, y)
+        lines = [PixelRow.of(g, x, y, j) for j in range(HEIGHT)]
         for i in range(PIXELS):
             row, column = divmod(i, WIDTH)
+            line = lines[row]
+            wx = line.wx(PLACES[column])
+            exponent = line.exponent(wx)
             dx, dy = x - g.u + (column + 0.5), y - g.v + (row + 0.5)
             dwx = d.p * dx + d.q * dy - g.p * d.u - g.q * d.v
             dwy = d.r * dy - g.r * d.v
-            free = exp2(exponent[i])
+            free = exp2(exponent)
             alpha = smaller(free, options.alpha_max)
-            alpha = dr.select(exponent[i] >= least, alpha, 0)
-            dalpha = ln2 * alpha * (d.lo - 2 * (wx[i] * dwx + wy[row] * dwy))
+            alpha = dr.select(exponent >= least, alpha, 0)
+            dalpha = ln2 * alpha * (d.lo - 2 * (wx * dwx + line.wy * dwy))
             dalpha = dr.select(free <= options.alpha_max, dalpha, 0)
             weight, dweight = alpha * T[i], dT[i] * alpha + T[i] * dalpha
             rest = T[i] - weight

@@ -17,6 +17,7 @@ from gva_mi.splat.project import GEOMETRY
 from gva_mi.splat.tiles import HEIGHT, WIDTH, Grid, Lists
 
 PIXELS = WIDTH * HEIGHT
+PLACES = [i - (WIDTH - 1) / 2 for i in range(WIDTH)]  # of a row's pixels about its middle
 
 # 2^f on [-1/2, 1/2], relative error 2e-7
 EXP2 = (1.0, 0.69314720, 0.24022651, 0.05550357, 0.00961814, 0.00133335)
@@ -88,12 +89,29 @@ def load(rows: packets.Packets, features: int, ids: Array, k: Array, end: Array)
     return Gaussian(u, v, p, q, r, dr.select(inside, lo, -1e30), f)
 
 
-def whitened(g: Gaussian, x: Array, y: Array) -> tuple[list[Array], list[Array], list[Array]]:
-    """Eq. 1 at the pixel centres: w_x per pixel, w_y per row; the exponent of eq. 2 per pixel."""
-    dx, dy = x - g.u, y - g.v
-    px = [g.p * (dx + (i + 0.5)) for i in range(WIDTH)]
-    qy = [g.q * (dy + (j + 0.5)) for j in range(HEIGHT)]
-    wy = [g.r * (dy + (j + 0.5)) for j in range(HEIGHT)]
-    wx = [px[i] + qy[j] for j in range(HEIGHT) for i in range(WIDTH)]
-    base = [dr.fma(-wy[j], wy[j], g.lo) for j in range(HEIGHT)]
-    return wx, wy, [dr.fma(-wx[n], wx[n], base[n // WIDTH]) for n in range(PIXELS)]
+@dataclass(frozen=True)
+class PixelRow:
+    """Eq. 1-2 of blend.py along one row of the tile's pixels.
+
+    Along a row w_y is one number and w_x = middle + p e, where e are the pixels' places about the
+    row's middle: a few values for all pixels, and small numbers where cancellation would hurt.
+    """
+
+    p: Array
+    middle: Array  # w_x at e = 0
+    wy: Array
+    base: Array  # lo - w_y^2
+
+    @staticmethod
+    def of(g: Gaussian, x: Array, y: Array, j: int) -> PixelRow:
+        dy = y - g.v + (j + 0.5)
+        wy = g.r * dy
+        return PixelRow(g.p, g.p * (x - g.u + WIDTH / 2) + g.q * dy, wy, dr.fma(-wy, wy, g.lo))
+
+    def wx(self, e: float) -> Array:
+        """Eq. 1."""
+        return dr.fma(self.p, e, self.middle)
+
+    def exponent(self, wx: Array) -> Array:
+        """Of eq. 2: lo - |w|^2."""
+        return dr.fma(-wx, wx, self.base)

@@ -52,13 +52,13 @@ class RefineOptions:
     prior: float = 0.5  # λ2, for one square radian
     smooth: float = 2.0  # sequence: pull to both neighbours' rotations, for one square radian
     smooth_move: float = 200.0  # sequence: pull to both neighbours' places, for one square metre
-    hold: float = 20.0  # sequence: pull of the translation to stage 1, for one square metre
+    hold: float = 0.5  # sequence: pull of the translation to stage 1, for one square metre
     cloth_smooth: float = 4000.0  # sequence: a of the displacement's energy, for one square metre
     cloth_small: float = 40.0  # sequence: b
     cloth_outward: float = 400.0  # sequence: c
     step: float = 0.016  # metres that a turned joint moves what hangs on it, in a step at the start
     largest_turn: float = 0.04  # radians in such a step; joints with short levers are held by it
-    translation_lr: float = 0.004  # metres in a step at the start
+    translation_lr: float = 0.015  # metres; depth is seen weakly and has far to go
     cloth_lr: float = 0.002  # metres in a step at the start
     seed: int = 0  # of the order in which frames are visited
 

@@ -1,15 +1,17 @@
 """Plugins for any Mitsuba 3 scene: import, choose a variant, call :func:`register`.
 
+    import gva_mi_plugins  # before mitsuba: it chooses a libLLVM that works
     import mitsuba as mi
-    import gva_mi_plugins
 
     mi.set_variant("llvm_ad_rgb")
     gva_mi_plugins.register()
     integrator = mi.load_dict({"type": "mesh_normals"})
 
-Importing this package loads nothing. Mitsuba's types exist only once a variant is set, and so the
+Importing this package loads no plugin. Mitsuba's types exist only once a variant is set, and so the
 plugin files are loaded by :func:`register`.
 """
+
+from gva_mi import llvm
 
 __all__ = ["register"]
 
@@ -21,8 +23,10 @@ def register() -> None:
     again does no harm.
 
     Raises:
+        ImportError: this machine has no libLLVM that works.
         RuntimeError: where no variant is set, or one without derivatives.
     """
+    llvm.require()
     import mitsuba as mi
 
     variant = mi.variant()

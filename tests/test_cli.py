@@ -91,7 +91,7 @@ BAD = {
         ("synth", "new", "--body", "SMPLX_NEUTRAL.pkl"),
         "pickled bodies are not read",
     ),
-    "negative frames": (("synth", "new", "--frames", "-1"), "frames must be at least 1"),
+    "negative frames": (("synth", "new", "--frames", "-1"), "frames must be at least 2"),
 }
 
 

@@ -12,8 +12,11 @@ slow twin, and gradcheck.py compares the two.
 Importing this folder imports Dr.Jit and numpy; torch comes with the modules that name it.
 """
 
+from gva_mi import llvm
 from gva_mi.splat.camera import Camera, look_at
 from gva_mi.splat.gaussians import Gaussians, Image
 from gva_mi.splat.options import SplatOptions
+
+llvm.require()
 
 __all__ = ["Camera", "Gaussians", "Image", "SplatOptions", "look_at"]

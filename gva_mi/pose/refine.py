@@ -46,7 +46,7 @@ class RefineOptions:
 
     loss: Literal["sequence", "paper"] = "sequence"  # all frames together, or Eq. 9 frame by frame
     size: int = 256  # pixels of the longer side of the pictures that are compared
-    passes: int = 30  # sequence: how often every frame is visited
+    passes: int = 40  # sequence: how often every frame is visited
     steps: int = 80  # paper: steps for each frame
     silhouette: float = 5.0  # λ1
     prior: float = 0.5  # λ2, for one square radian
@@ -58,7 +58,7 @@ class RefineOptions:
     cloth_outward: float = 400.0  # sequence: c
     step: float = 0.016  # metres that a turned joint moves what hangs on it, in a step at the start
     largest_turn: float = 0.04  # radians in such a step; joints with short levers are held by it
-    translation_lr: float = 0.015  # metres; depth is seen weakly and has far to go
+    translation_lr: float = 0.008  # metres in a step at the start; depth is seen weakly
     cloth_lr: float = 0.002  # metres in a step at the start
     seed: int = 0  # of the order in which frames are visited
 

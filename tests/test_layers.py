@@ -62,7 +62,7 @@ def floor(name: str) -> int:
     if name == "gva_mi":
         return 0
     fits = [level for prefix, level in FLOORS if name == prefix or name.startswith(prefix + ".")]
-    assert fits, f"{name} stands on no floor of DESIGN: give it one"
+    assert fits, f"{name} stands on no floor: give it one in FLOORS"
     return fits[0]
 
 

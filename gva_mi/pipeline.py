@@ -35,8 +35,8 @@ from gva_mi.files import write_json
 from gva_mi.fit import checkpoint
 from gva_mi.fit.evaluate import evaluate as evaluate_splits
 from gva_mi.fit.evaluate import render_sequence
+from gva_mi.fit.options import FitOptions, Rates
 from gva_mi.fit.report import write_report
-from gva_mi.fit.train import FitOptions
 from gva_mi.fit.train import fit as fit_avatar
 from gva_mi.fit.views import around, overview, spread
 from gva_mi.pose.measure import measure
@@ -67,7 +67,7 @@ class DemoOptions:
     frames: int = 64  # of the video
     size: int = 400  # pixels, width and height
     steps: int = 2000  # of the fit
-    no_refine: bool = False  # fit under the stage-1 poses, to see what the refinement is worth
+    no_refine: bool = False  # stage-1 poses as they are, to see what refining them is worth
 
 
 def synth(
@@ -247,7 +247,8 @@ def demo(
     poses = _best_poses(subject)
     video = load_video(subject, poses)
     offsets = load_offsets(poses, len(model.v_template))
-    fit_options = FitOptions(seed=options.seed, steps=options.steps)
+    rates = Rates(pose=0.0) if options.no_refine else Rates()
+    fit_options = FitOptions(seed=options.seed, steps=options.steps, rates=rates)
     avatar = _fit(video, model, fit_options, out, offsets, resume=False)
     metrics = _measure(avatar, video, out, name="no_refine" if options.no_refine else "full")
     _write_report(avatar, _under_trained_poses(video, out), out, metrics, "The demo subject")

@@ -233,13 +233,16 @@ def demo(
     """
     start = time.perf_counter()
     model = load_body(body)
+    # All options first: a bad one is refused before anything is written or replaced.
+    synth_options = SynthOptions(
+        seed=options.seed, subject=options.subject, frames=options.frames, size=options.size
+    )
+    rates = Rates(pose=0.0) if options.no_refine else Rates()
+    fit_options = FitOptions(seed=options.seed, steps=options.steps, rates=rates)
     _clear(out, DEMO, overwrite)
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / DEMO, {"options": asdict(options), "versions": checkpoint.versions()})
     subject = out / SUBJECT
-    synth_options = SynthOptions(
-        seed=options.seed, subject=options.subject, frames=options.frames, size=options.size
-    )
     with bar("synth") as progress:
         make_subject(subject, synth_options, model, progress)
     if not options.no_refine:
@@ -247,8 +250,6 @@ def demo(
     poses = _best_poses(subject)
     video = load_video(subject, poses)
     offsets = load_offsets(poses, len(model.v_template))
-    rates = Rates(pose=0.0) if options.no_refine else Rates()
-    fit_options = FitOptions(seed=options.seed, steps=options.steps, rates=rates)
     avatar = _fit(video, model, fit_options, out, offsets, resume=False)
     metrics = _measure(avatar, video, out, name="no_refine" if options.no_refine else "full")
     _write_report(avatar, _under_trained_poses(video, out), out, metrics, "The demo subject")

@@ -91,6 +91,9 @@ BAD = {
         ("synth", "new", "--body", "SMPLX_NEUTRAL.pkl"),
         "pickled bodies are not read",
     ),
+    "no passes": (("refine", "nowhere", "--passes", "0"), "passes must be at least 1"),
+    "no steps": (("demo", "--out", "new", "--steps", "0"), "steps must be 1 or more"),
+    "nobody": (("demo", "--out", "new", "--subject", "nobody"), "nobody"),
     "negative frames": (("synth", "new", "--frames", "-1"), "frames must be at least 2"),
 }
 

@@ -31,6 +31,7 @@ from torch import Tensor
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.video import Video
+from gva_mi.errors import InputError
 from gva_mi.pose.scene import BodyScene
 from gva_mi.pose.sequence import Solution, refine_sequence
 from gva_mi.pose.single_frame import refine_single_frames
@@ -64,14 +65,10 @@ class RefineOptions:
 
     def __post_init__(self) -> None:
         if self.loss not in ("sequence", "paper"):
-            raise ValueError(
-                f"RefineOptions: loss must be 'sequence' or 'paper', got {self.loss!r}"
-            )
+            raise InputError(f"refine: loss must be 'sequence' or 'paper', got {self.loss!r}")
         for name in ("size", "passes", "steps"):
             if getattr(self, name) < 1:
-                raise ValueError(
-                    f"RefineOptions: {name} must be at least 1, got {getattr(self, name)}"
-                )
+                raise InputError(f"refine: {name} must be at least 1, got {getattr(self, name)}")
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 from gva_mi import llvm
 from gva_mi.errors import InputError
@@ -42,7 +44,7 @@ def doctor() -> None:
 def _run(arguments: list[str]) -> None:
     import tyro
 
-    from gva_mi import checks, pipeline
+    from gva_mi import checks, pipeline, studies
     from gva_mi.data.synthetic.show_body import body
 
     steps = {
@@ -52,20 +54,48 @@ def _run(arguments: list[str]) -> None:
         "fit": pipeline.fit,
         "evaluate": pipeline.evaluate,
         "render": pipeline.render,
+        "study": studies.study,
         "body": body,
         "gradcheck": checks.gradcheck,
         "bench": checks.bench,
         "doctor": doctor,
     }
-    written = tyro.extras.subcommand_cli_from_dict(
-        steps,
-        prog="gva-mi",
-        description="A monocular video of a person becomes a drivable 3D Gaussian avatar.",
-        args=arguments,
-        config=(tyro.conf.FlagCreatePairsOff,),
-    )
+    with _one_sentence():
+        written = tyro.extras.subcommand_cli_from_dict(
+            steps,
+            prog="gva-mi",
+            description="A monocular video of a person becomes a drivable 3D Gaussian avatar.",
+            args=arguments,
+            config=(tyro.conf.FlagCreatePairsOff,),
+        )
     for path in written or []:
         print(path)
+
+
+@contextmanager
+def _one_sentence() -> Iterator[None]:
+    """Values that options refuse end as all bad input does, and not in tyro's frame.
+
+    tyro frames what a number cannot be read from, and what options within options raise, such as
+    ``--splat.blur -1``.
+    """
+    try:
+        from tyro._errors import InstantiationFailure, ParseErrorEvent, on_parse_error
+    except ImportError:  # not public: without it there is a frame around the sentence
+        yield
+        return
+
+    def tell(event: ParseErrorEvent) -> None:
+        if not isinstance(event, InstantiationFailure):
+            return
+        if event.argument is None:
+            raise InputError(event.message)
+        wanted = event.argument.lowered
+        name = "/".join(wanted.name_or_flags)
+        raise InputError(f"{name} must be {wanted.metavar}: {event.message}")
+
+    with on_parse_error(tell):
+        yield
 
 
 if __name__ == "__main__":

@@ -13,19 +13,20 @@ from __future__ import annotations
 import json
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated, Literal, TypeVar
 
-import numpy as np
 from torch import Tensor
 from tyro.conf import Positional, arg
 
 from gva_mi.avatar.avatar import Avatar
-from gva_mi.body.pose import load_offsets, load_poses, save_poses
+from gva_mi.body.pose import load_offsets, load_poses
 from gva_mi.body.smplx import BodyModel, load_body
 from gva_mi.console import bar, say
+from gva_mi.data.fingerprint import require_same_body
 from gva_mi.data.pictures import read_image, write_image, write_movie
 from gva_mi.data.synthetic import SynthOptions, describe_noise, make_subject
 from gva_mi.data.synthetic.sheet import sheet as draw_sheet
@@ -38,17 +39,19 @@ from gva_mi.fit.evaluate import render_sequence
 from gva_mi.fit.options import FitOptions, Rates
 from gva_mi.fit.report import write_report
 from gva_mi.fit.train import fit as fit_avatar
-from gva_mi.fit.views import around, overview, spread
-from gva_mi.pose.measure import measure
-from gva_mi.pose.overlay import overlay, strip
-from gva_mi.pose.refine import Refined, RefineOptions
-from gva_mi.pose.refine import refine as refine_poses
+from gva_mi.fit.views import overview
+from gva_mi.pose.ablation import ablate
+from gva_mi.pose.measure import Measured, measure_frames
+from gva_mi.pose.parallel import cluster as _cluster
+from gva_mi.pose.parallel import workers as _workers
+from gva_mi.pose.record import OVERLAYS, REFINED, REFINEMENT, write_record
+from gva_mi.pose.refine import RefineOptions, refine_all
+from gva_mi.pose.report import write_report as write_refinement_report
 
 T = TypeVar("T")
 Flat = Annotated[T, arg(name="")]  # options without a prefix on the command line
 
-POSES, REFINED = "poses.npz", "poses_refined.npz"
-REFINEMENT, OVERLAYS = "refinement.json", "refinement.png"
+POSES, REFINEMENT_REPORT = "poses.npz", "refinement.html"
 METRICS, REPORT, OVERVIEW = "metrics.json", "report.html", "overview.png"
 SUBJECT = "subject"  # where the demo's subject lies within the demo's folder
 DEMO, RENDERED, SYNTH = "demo.json", "render.json", "synth.json"  # mark the folders as ours
@@ -105,29 +108,48 @@ def synth(
 
 
 def refine(
-    subject: Positional[Path],
+    subjects: Positional[tuple[Path, ...]],
     options: Flat[RefineOptions],
     *,
+    normals: Literal["perspective", "icon", "none"] | None = None,
+    workers: int = 1,
+    scheduler: str | None = None,
+    report: bool = False,
     body: Path | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Refine the poses of a video with its normals and masks: stage 2 of the paper, Eq. 9.
+    """Refine the poses of videos with their normals and masks: stage 2 of the paper, Eq. 9.
 
-    Writes poses_refined.npz, refinement.json and refinement.png into the subject's folder.
+    Writes poses_refined.npz, refinement.json and refinement.png into each subject's folder.
 
     Args:
-        subject: a folder with video, masks, cameras, stage-1 poses; normals where there are some.
+        subjects: folders with video, masks, cameras, stage-1 poses; normals where there are some.
         options: of the refinement.
+        normals: how the normals were made: as the video's camera sees them, or as ICON writes them
+            (orthographic, y up); none: they are not used. Without it as normals.json says.
+        workers: processes on this machine; any number gives the same bits.
+        scheduler: address of a dask.distributed cluster that does the work instead.
+        report: also write refinement.html, for which all terms of the loss are left out in turn.
         body: a body in SMPL-X's .npz format; without it the built-in puppet.
         overwrite: replace refined poses that are there.
     """
+    if not subjects:
+        raise InputError("refine: give the folder of a subject, or of several")
+    if scheduler is not None and workers != 1:
+        raise InputError("refine: give --workers or --scheduler, not both")
     model = load_body(body)
-    if (subject / REFINED).exists() and not overwrite:
-        raise InputError(f"{subject / REFINED}: exists already; give --overwrite to replace it")
-    figures = _refine(load_video(subject), model, options)
-    for line in _refinement_lines(figures):
-        say(line)
-    say(f"poses: {subject / REFINED}; overlays: {subject / OVERLAYS}")
+    for subject in subjects:
+        if (subject / REFINED).exists() and not overwrite:
+            raise InputError(f"{subject / REFINED}: exists already; give --overwrite to replace it")
+        require_same_body(subject, model)
+    with _cluster(scheduler) if scheduler is not None else _workers(workers) as executor:
+        videos = [load_video(subject, normals=normals) for subject in subjects]
+        for video, measured in _refine(videos, model, options, report, executor):
+            for line in _refinement_lines(measured.means.as_record()):
+                say(line)
+            say(f"poses: {video.folder / REFINED}; overlays: {video.folder / OVERLAYS}")
+            if report:
+                say(f"report: {video.folder / REFINEMENT_REPORT}")
 
 
 def fit(
@@ -152,8 +174,11 @@ def fit(
         resume: go on with a run that was stopped.
     """
     model = load_body(body)
+    require_same_body(subject, model)
     poses = poses or _best_poses(subject)
     video = load_video(subject, poses)
+    for frame, reason in video.absent.items():
+        say(f"{subject}: frame {frame} is left out: {reason}")
     if not resume:
         _clear(out, checkpoint.OPTIONS, overwrite)
     _fit(video, model, options, out, load_offsets(poses, len(model.v_template)), resume)
@@ -246,7 +271,7 @@ def demo(
     with bar("synth") as progress:
         make_subject(subject, synth_options, model, progress)
     if not options.no_refine:
-        _refine(load_video(subject), model, RefineOptions(seed=options.seed))
+        list(_refine([load_video(subject)], model, RefineOptions(seed=options.seed)))
     poses = _best_poses(subject)
     video = load_video(subject, poses)
     offsets = load_offsets(poses, len(model.v_template))
@@ -258,35 +283,41 @@ def demo(
     say(f"{(time.perf_counter() - start) / 60:.1f} minutes; report: {out / REPORT}")
 
 
-def _refine(video: Video, model: BodyModel, options: RefineOptions) -> dict:
-    """Refine, and write what was found into the subject's folder; returns the figures."""
-    if not video.has_normals:
-        say(f"{video.folder}: no normals/, the refinement uses the silhouettes alone")
+def _refine(
+    videos: Sequence[Video],
+    model: BodyModel,
+    options: RefineOptions,
+    report: bool = False,
+    executor: Executor | None = None,
+) -> Iterator[tuple[Video, Measured]]:
+    """Refine, and write what was found into each subject's folder."""
+    for video in videos:
+        if not video.has_normals:
+            say(f"{video.folder}: no normals, the refinement uses the silhouettes alone")
     with bar("refine") as progress:
-        refined = refine_poses(video, model, options, progress)
-    for frame, reason in refined.kept.items():
-        say(f"frame {frame} keeps its stage-1 pose: {reason}")
-    truth = load_poses(video.truth / POSES) if video.truth else None
-    figures = measure(video, model, refined, truth).as_record()
-    write_image(video.folder / OVERLAYS, _overlays(video, model, refined))
-    record = {"figures": figures, "kept": refined.kept, "options": asdict(options)}
-    write_json(video.folder / REFINEMENT, record | {"versions": checkpoint.versions()})
-    pose, shape, offsets = refined.pose, refined.shape, refined.offsets
-    save_poses(video.folder / REFINED, pose, shape, stage=2, offsets=offsets)
-    return figures
-
-
-def _overlays(video: Video, model: BodyModel, refined: Refined, count: int = 8) -> np.ndarray:
-    """Bodies over evenly spaced frames: stage 1 above, refined below."""
-    frames = list(video.frames(spread(range(len(video)), count)))
-    seen = np.any([frame.mask > 0.5 for frame in frames], axis=0)
-    part = around(seen, margin=len(seen) // 16)
-    rows = []
-    for pose, shape in ((video.pose, video.shape), (refined.pose, refined.shape)):
-        bodies = [model(pose[frame.index], shape).vertices[0] for frame in frames]
-        pairs = zip(frames, bodies, strict=True)
-        rows.append([overlay(frame, vertices, model.faces)[part] for frame, vertices in pairs])
-    return strip(rows)
+        found = refine_all([(video, options) for video in videos], model, progress, executor)
+        for video, refined in zip(videos, found, strict=True):
+            for frame, reason in refined.kept.items():
+                say(f"{video.folder}: frame {frame} keeps its stage-1 pose: {reason}")
+            truth = load_poses(video.truth / POSES) if video.truth else None
+            measured = measure_frames(video, model, refined, truth)
+            write_record(video, model, refined, measured, options, checkpoint.versions())
+            if report:
+                with bar("ablation") as ablating:
+                    ablation = ablate(video, model, options, measured, truth, ablating, executor)
+                write_refinement_report(
+                    video.folder / REFINEMENT_REPORT,
+                    title=f"Poses of {video.folder.name}",
+                    video=video,
+                    body=model,
+                    refined=refined,
+                    measured=measured,
+                    options=options,
+                    versions=checkpoint.versions(),
+                    truth=truth,
+                    ablation=ablation,
+                )
+            yield video, measured
 
 
 def _fit(

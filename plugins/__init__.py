@@ -17,7 +17,7 @@ __all__ = ["register"]
 
 
 def register() -> None:
-    """Make the plugins known to Mitsuba under their names: ``mesh_normals``.
+    """Make the plugins known to Mitsuba under their names: ``mesh_normals``, ``gaussian_splat``.
 
     Call it after ``mi.set_variant``, with a differentiable variant (``llvm_ad_rgb``). Calling it
     again does no harm.
@@ -35,6 +35,8 @@ def register() -> None:
             "gva_mi_plugins.register(): needs a differentiable variant, and mi.variant() is "
             f'{variant}; call mi.set_variant("llvm_ad_rgb") first'
         )
+    from gva_mi_plugins.gaussian_splat import GaussianSplat
     from gva_mi_plugins.mesh_normals import MeshNormals
 
+    mi.register_integrator("gaussian_splat", GaussianSplat)
     mi.register_integrator("mesh_normals", MeshNormals)

@@ -7,9 +7,11 @@ by the camera it jumps by ``ΔI = I_inside - I_outside``, and a moving edge carr
    ``m`` its normal there, from inside to outside, and ``ℓ`` its length in pixels.
 2. The integral is a sum over samples in the middle of K equal parts of the edge, each with the
    weight ``|edge| / K``.
-3. At parameter ``t`` on the image an edge from ``a`` to ``b``, at depths ``w_a`` and ``w_b``, shows
-   the world point ``x = (1 - s) a + s b`` with ``s = t w_a / (t w_a + (1 - t) w_b)``; hence
-   ``∂x/∂a = 1 - s`` and ``∂x/∂b = s``.
+3. At parameter ``t`` on the image an edge from ``a`` to ``b``, seen at the scales ``h_a`` and
+   ``h_b``, shows the world point ``x = (1 - s) a + s b``, ``s = t h_a / (t h_a + (1 - t) h_b)``;
+   hence ``∂x/∂a = 1 - s`` and ``∂x/∂b = s``.
+
+Edges are cut at the near plane and at the border of the image first: ``t`` runs over what is left.
 
 Edges that can show a jump: **contours**, whose faces all lie on one side of them on the image (a
 fold seen from the front, and any border of an open mesh), and **creases**, where two faces do not
@@ -26,52 +28,60 @@ from dataclasses import dataclass
 
 import drjit as dr
 import mitsuba as mi
+from gva_mi_plugins.channels import Channels
 from gva_mi_plugins.projection import Projection
-from gva_mi_plugins.segments import sum_by_key, sum_runs
+from gva_mi_plugins.segments import sum_runs
 from gva_mi_plugins.surface import Surface
 from gva_mi_plugins.topology import Topology
 
 BESIDE = 5e-4  # pixels from an edge to the rays beside it: far above float32's step there
 IN_FRONT = 1e-3  # what hides an edge lies nearer than it by more than this share of its depth
 
-Cast = Callable[[mi.Ray3f], tuple[mi.UInt32, mi.Float, mi.Bool]]  # face, depth and whether it hit
+
+@dataclass(frozen=True)
+class Found:
+    """What rays meet."""
+
+    ray: mi.Ray3f  # (R,)
+    face: mi.UInt32  # (R,) 0 where nothing is hit
+    depth: mi.Float  # (R,)
+    hit: mi.Bool  # (R,)
+
+
+Cast = Callable[[mi.Point2f], Found]  # from positions in pixels
 
 
 @dataclass(frozen=True)
 class Boundary:
     """Samples on the edges that one view sees, each with the jump of the image across it."""
 
-    surface: Surface
-    projection: Projection
+    topology: Topology
     edge: mi.UInt32  # (S,) which edge a sample lies on
     edges: mi.UInt32  # (R,) the edges that have samples
     start: mi.UInt32  # (R,) the first sample of each
     s: mi.Float  # (S,) eq. 3
-    pixel: mi.UInt32  # (S,) the pixel a sample falls into
+    q: mi.Point2f  # (S,) pixels; (0, 0) where the edge is not seen
     lever: mi.Vector3f  # (S,) (∂q/∂x)ᵀ m |edge| / K
-    jump: mi.Vector4f  # (S,) ΔI, zero where the edge is not seen
+    jump: list[mi.Float]  # ΔI of each channel, (S,); zero where the edge is not seen
 
     @staticmethod
     def of(
-        surface: Surface, projection: Projection, cast: Cast, density: float, near: float
+        surface: Surface, projection: Projection, channels: Channels, cast: Cast, density: float
     ) -> Boundary | None:
         """Sample the edges seen; None where there are none.
 
         Args:
             surface: the meshes.
             projection: the camera.
-            cast: shoots rays at them.
+            channels: of the image.
+            cast: shoots rays at the meshes.
             density: samples for a pixel of length.
-            near: edges with an end nearer than this depth are left out.
         """
         topology = surface.topology
-        pixel, depth = projection.pixel(surface.positions)
         corner = dr.gather(mi.Vector3f, surface.positions, topology.vertices[0])
-        turns = dr.dot(surface.face_normals, corner - projection.eye) > 0
-        dr.eval(pixel, depth, turns)
-
-        a, b = (dr.gather(mi.Point2f, pixel, end) for end in topology.ends)
-        wa, wb = (dr.gather(mi.Float, depth, end) for end in topology.ends)
+        turns = dr.dot(surface.face_normals, projection.toward(corner)) > 0
+        depth = projection.depth(surface.positions)
+        dr.eval(turns, depth)
         on_left = [
             dr.gather(mi.Bool, turns, face) == runs
             for face, runs in zip(topology.edge_faces, topology.edge_runs, strict=True)
@@ -79,17 +89,23 @@ class Boundary:
         contour = mi.Bool(True)
         for side in on_left[1:]:
             contour &= side == on_left[0]
-        lower, upper = dr.minimum(a, b), dr.maximum(a, b)
-        on_image = (upper.x > 0) & (upper.y > 0)
-        on_image &= (lower.x < projection.width) & (lower.y < projection.height)
-        dr.eval(contour)
-        edges = dr.compress((contour | topology.crease) & on_image & (wa > near) & (wb > near))
+
+        wa, wb = (dr.gather(mi.Float, depth, end) for end in topology.ends)
+        at_near = (projection.near - wa) / (wb - wa)
+        s0 = dr.select(wa < projection.near, at_near, 0)
+        s1 = dr.select(wb < projection.near, at_near, 1)
+        A, B = (dr.gather(mi.Vector3f, surface.positions, end) for end in topology.ends)
+        (a, ha), (b, hb) = (projection.pixel(dr.lerp(A, B, s)) for s in (s0, s1))
+        t0, t1 = on_image(a, b, projection.width, projection.height)
+        in_front = (wa > projection.near) | (wb > projection.near)
+        dr.eval(contour, a, b, ha, hb, s0, s1, t0, t1)
+        edges = dr.compress((contour | topology.crease) & in_front & (t1 > t0))
         if dr.width(edges) == 0:
             return None
 
-        along = dr.gather(mi.Vector2f, mi.Vector2f(b - a), edges)
-        longest = 2.0 * (projection.width + projection.height)
-        length = dr.minimum(dr.norm(along), longest)
+        ends = [dr.gather(mi.Point2f, point, edges) for point in (a, b)]
+        share = dr.gather(mi.Float, t1, edges) - dr.gather(mi.Float, t0, edges)
+        length = dr.norm(ends[1] - ends[0]) * share
         count = mi.UInt32(dr.maximum(dr.ceil(length * density), 1))
         start = dr.prefix_sum(count)
         total = dr.sum(count)[0]
@@ -99,60 +115,85 @@ class Boundary:
         dr.eval(run, start, count)
 
         edge, count = dr.gather(mi.UInt32, edges, run), mi.Float(dr.gather(mi.UInt32, count, run))
-        t = (dr.arange(mi.UInt32, total) - dr.gather(mi.UInt32, start, run) + 0.5) / count
-        a, b, wa, wb = (dr.gather(type(x), x, edge) for x in (a, b, wa, wb))
+        part = (dr.arange(mi.UInt32, total) - dr.gather(mi.UInt32, start, run) + 0.5) / count
+        a, b, ha, hb, s0, s1, t0, t1, wa, wb = (
+            dr.gather(type(x), x, edge) for x in (a, b, ha, hb, s0, s1, t0, t1, wa, wb)
+        )
+        t = dr.lerp(t0, t1, part)
         q = dr.lerp(a, b, t)
-        s = t * wa / (t * wa + (1 - t) * wb)
-        w = dr.lerp(wa, wb, s)
+        s = t * ha / (t * ha + (1 - t) * hb)
+        h = dr.lerp(ha, hb, s)
+        s = dr.lerp(s0, s1, s)
         across = mi.Vector2f(b.y - a.y, a.x - b.x)
         across = dr.select(dr.gather(mi.Bool, on_left[0], edge), across, -across)
         beside = BESIDE * across / dr.maximum(dr.norm(across), 1e-9)
 
-        inner, outer = projection.ray(q - beside), projection.ray(q + beside)
-        inner_face, _, inner_hits = cast(inner)
-        outer_face, outer_depth, outer_hits = cast(outer)
-        seen = projection.is_inside(q) & inner_hits
+        inner, outer = cast(q - beside), cast(q + beside)
         is_contour = dr.gather(mi.Bool, contour, edge)
-        at_contour = _touches(topology, inner_face, edge)
-        at_contour &= ~outer_hits | (outer_depth > w * (1 - IN_FRONT))
-        at_crease = outer_hits & _owns(topology, inner_face, edge)
-        at_crease &= _owns(topology, outer_face, edge)
-        seen &= dr.select(is_contour, at_contour, at_crease)
-        outer_hits &= seen
-        n = surface.shade(inner, inner_face, seen) - surface.shade(outer, outer_face, outer_hits)
-        n = projection.camera_world @ n
-        jump = dr.select(seen, mi.Vector4f(n.x, n.y, n.z, dr.select(outer_hits, 0, 1)), 0)
-        lever = projection.pull_back(across / count, q, w)
-        pixel = dr.select(seen, projection.pixel_index(q), 0)
-        dr.eval(edge, s, pixel, lever, jump)
-        return Boundary(surface, projection, edge, edges, start, s, pixel, lever, jump)
+        at_contour = touches(topology, inner.face, edge)
+        at_contour &= ~outer.hit | (outer.depth > dr.lerp(wa, wb, s) * (1 - IN_FRONT))
+        at_crease = outer.hit & _owns(topology, inner.face, edge)
+        at_crease &= _owns(topology, outer.face, edge)
+        seen = projection.is_inside(q) & inner.hit & dr.select(is_contour, at_contour, at_crease)
+        jump = jump_between(surface, projection, channels, inner, outer, seen)
+        q = dr.select(seen, q, 0)
+        lever = dr.select(seen, projection.pull_back(across * (t1 - t0) / count, q, h), 0)
+        dr.eval(edge, s, q, lever, jump)
+        return Boundary(topology, edge, edges, start, s, q, lever, jump)
 
-    def tangent(self, d_positions: mi.Vector3f) -> tuple[list[mi.Vector4f], mi.UInt32]:
-        """Eq. 1 forward: how pixels change with the positions (V,), and which ones do."""
-        ends = [dr.gather(mi.UInt32, end, self.edge) for end in self.surface.topology.ends]
+    def tangent(self, d_positions: mi.Vector3f) -> list[mi.Float]:
+        """Eq. 1 forward: what samples carry as the positions (V,) move, for each channel (S,)."""
+        ends = [dr.gather(mi.UInt32, end, self.edge) for end in self.topology.ends]
         da, db = (dr.gather(mi.Vector3f, d_positions, end) for end in ends)
-        d_image = self.jump * dr.dot(self.lever, dr.lerp(da, db, self.s))
-        dr.eval(d_image)
-        (sums,), pixels = sum_by_key([d_image], self.pixel)
-        return sums, pixels
+        motion = dr.dot(self.lever, dr.lerp(da, db, self.s))
+        return [jump * motion for jump in self.jump]
 
-    def adjoint(self, grad_image: mi.Vector4f) -> mi.Vector3f:
-        """Eq. 1 backward: from the gradient by the pixels (H W,) to that by the positions (V,)."""
-        topology = self.surface.topology
-        grad = dr.dot(dr.gather(mi.Vector4f, grad_image, self.pixel), self.jump)
-        grad_x = self.lever * grad
+    def adjoint(self, grads: list[mi.Float]) -> mi.Vector3f:
+        """Eq. 1 backward: from the gradients by what samples carry to that by positions (V,)."""
+        grad_x = self.lever * sum(g * jump for g, jump in zip(grads, self.jump, strict=True))
         by_end = (grad_x * (1 - self.s), grad_x * self.s)
         dr.eval(by_end)
-        at_ends = dr.zeros(mi.Vector3f, 2 * dr.width(topology.crease))
+        at_ends = dr.zeros(mi.Vector3f, 2 * dr.width(self.topology.crease))
         for k, value in enumerate(by_end):
             dr.scatter(
                 at_ends, sum_runs(value, self.start, dr.width(self.edge)), 2 * self.edges + k
             )
         dr.eval(at_ends)
-        return topology.ends_of_vertex.sum(at_ends)
+        return self.topology.ends_of_vertex.sum(at_ends)
 
 
-def _touches(topology: Topology, face: mi.UInt32, edge: mi.UInt32) -> mi.Bool:
+def jump_between(
+    surface: Surface,
+    projection: Projection,
+    channels: Channels,
+    inner: Found,
+    outer: Found,
+    seen: mi.Bool,
+) -> list[mi.Float]:
+    """ΔI = I_inside - I_outside of each channel; zero where not seen."""
+    sides = []
+    for side in (inner, outer):
+        hit = side.hit & seen
+        n, t = surface.shade(side.ray, side.face, hit)
+        sides.append(channels.values(n, t + projection.near, hit, projection.camera_world))
+    return [dr.select(seen, inside - outside, 0) for inside, outside in zip(*sides, strict=True)]
+
+
+def on_image(a: mi.Point2f, b: mi.Point2f, width: int, height: int) -> tuple[mi.Float, mi.Float]:
+    """Where the line from ``a`` to ``b`` enters and leaves the image; it is empty for t0 >= t1."""
+    t0, t1 = mi.Float(0), mi.Float(1)
+    for k, size in enumerate((width, height)):
+        step = b[k] - a[k]
+        at_low, at_high = -a[k] / step, (size - a[k]) / step
+        level = dr.abs(step) < 1e-6
+        outside = level & ((a[k] < 0) | (a[k] > size))
+        t0 = dr.maximum(t0, dr.select(level, 0, dr.minimum(at_low, at_high)))
+        t1 = dr.minimum(t1, dr.select(level, 1, dr.maximum(at_low, at_high)))
+        t1 = dr.select(outside, 0, t1)
+    return t0, t1
+
+
+def touches(topology: Topology, face: mi.UInt32, edge: mi.UInt32) -> mi.Bool:
     """Whether a face has a corner at an end of an edge."""
     ends = [dr.gather(mi.UInt32, end, edge) for end in topology.end_points]
     touches = mi.Bool(False)

@@ -1,12 +1,14 @@
 """From a Mitsuba sensor to a projection matrix, and back from pixels to rays.
 
-With the world point ``x`` and homogeneous ``x̃ = (x, 1)``, a sensor is a matrix ``P`` (3, 4) with
-rows ``P_0, P_1, P_2``, and with ``A`` its left 3x3 part:
+With the world point ``x`` and ``x̃ = (x, 1)``, a sensor is a matrix ``P`` (3, 4) with rows ``P_0,
+P_1, P_2``:
 
-1. depth  ``w = P_2 x̃``,
-2. pixel  ``q_i = (P_i x̃) / w``,
-3. ray    ``o + t A^{-1} (q, 1)`` from the eye ``o`` through ``q``; ``t`` is then the depth ``w``,
-4. motion ``∂q_i/∂x = (P_i - q_i P_2)[:3] / w``.
+1. scale  ``h = P_2 x̃``: the depth before a pinhole, 1 in an orthographic view,
+2. pixel  ``q_i = (P_i x̃) / h``,
+3. ray    the points seen in ``q`` are ``o(q) + w d(q)``, ``w`` their depth: the distance from the
+   sensor's plane. A pinhole has one ``o`` and ``d = A^{-1} (q, 1)`` with ``A`` the left part of
+   ``P``; an orthographic view has one ``d``, the optical axis,
+4. motion ``∂q_i/∂x = (P_i - q_i P_2)[:3] / h``.
 
 Pixels are those of the film's crop window: its left upper corner is (0, 0), pixel centres at +0.5.
 """
@@ -18,75 +20,126 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
+PINHOLE, PARALLEL = "PerspectiveCamera", "OrthographicCamera"
+
 
 @dataclass(frozen=True)
 class Projection:
-    """A pinhole view of the world on W x H pixels."""
+    """A view of the world on W x H pixels."""
 
-    rows: tuple[mi.Vector3f, mi.Vector3f, mi.Vector3f]  # of A
+    pinhole: bool  # else orthographic
+    rows: tuple[mi.Vector3f, mi.Vector3f, mi.Vector3f]  # of P, without its last column
     offset: mi.Vector3f  # last column of P
-    pixel_to_ray: mi.Matrix3f  # A^-1
-    eye: mi.Point3f  # o, world
+    pixel_to_world: mi.Matrix3f  # A^-1; orthographic: its first columns are ∂o/∂q
+    determinant: mi.Float  # of its inverse, without sign
+    eye: mi.Point3f  # o of a pinhole; orthographic: o of pixel (0, 0)
+    axis: mi.Vector3f  # the unit vector along which depth grows, world
+    axis_offset: mi.Float  # depth is axis · x + axis_offset
     camera_world: mi.Matrix3f  # rotation from world to camera, OpenCV axes
+    to_world: mi.Matrix4f  # of the sensor, Mitsuba's axes
+    near: mi.Float  # depth at which rays start
+    reach: mi.Float  # depth from there to where they end
     width: int
     height: int
 
     @staticmethod
     def of(sensor: mi.Sensor, pixel_aspect: float = 1.0) -> Projection:
-        """The projection of a ``perspective`` sensor.
+        """The projection of a sensor.
 
         Args:
-            sensor: a Mitsuba sensor of type ``perspective``.
+            sensor: a Mitsuba sensor of type ``perspective`` or ``orthographic``.
             pixel_aspect: width of a pixel over its height, ``f_y / f_x``. Mitsuba's pixels are
                 square; another aspect stretches the image in y about the principal point.
 
         Raises:
             ValueError: for another kind of sensor.
         """
-        if sensor.class_name() != "PerspectiveCamera":
+        kind = sensor.class_name()
+        if kind not in (PINHOLE, PARALLEL):
             raise ValueError(
-                f"mesh_normals: sensor must be 'perspective', got {sensor.class_name()}"
+                f"mesh_normals: sensor must be 'perspective' or 'orthographic', got {kind}"
             )
         width, height = (int(x) for x in sensor.film().crop_size())
         with dr.suspend_grad():
-            to_world = sensor.world_transform().matrix
-            rotation = mi.Matrix3f([[to_world[i, j] for j in range(3)] for i in range(3)])
-            eye = mi.Point3f(to_world[0, 3], to_world[1, 3], to_world[2, 3])
+            to_world = mi.Matrix4f(sensor.world_transform().matrix)
+            L = mi.Matrix3f([[to_world[i, j] for j in range(3)] for i in range(3)])
+            origin = mi.Vector3f(to_world[0, 3], to_world[1, 3], to_world[2, 3])
+            x, y, z = (mi.Vector3f(L[0, j], L[1, j], L[2, j]) for j in range(3))
+            axis = dr.normalize(z)
             # Mitsuba's camera looks along +z with x to the left and y up.
-            flip = mi.Matrix3f([[-1, 0, 0], [0, -1, 0], [0, 0, 1]])
-            camera_world = flip @ rotation.T
-            sample = (
-                sensor.projection_transform().matrix
-            )  # camera -> film in [0, 1]², depth in row 2
-            film = mi.Matrix3f([[sample[i, j] for j in range(3)] for i in (0, 1, 3)])
-            K = mi.Matrix3f([[width, 0, 0], [0, height, 0], [0, 0, 1]]) @ film @ flip
-            K /= K[2, 2]
-            size, parameters = sensor.film().size(), mi.traverse(sensor)
-            K[0, 2] -= size[0] * parameters["principal_point_offset_x"]
-            K[1, 2] -= size[1] * parameters["principal_point_offset_y"]
-            K[1, 1] *= pixel_aspect
-            A = K @ camera_world
+            right, down = -dr.normalize(x), -dr.normalize(y)
+            camera_world = mi.Matrix3f([list(right), list(down), list(axis)])
+
+            film = sensor.projection_transform().matrix  # camera to film in [0, 1]², depth in row 2
+            K = [[size * film[i, j] for j in range(4)] for i, size in ((0, width), (1, height))]
+            if kind == PINHOLE:
+                size, parameters = sensor.film().size(), mi.traverse(sensor)
+                K[0][2] -= size[0] * parameters["principal_point_offset_x"]
+                K[1][2] -= size[1] * parameters["principal_point_offset_y"]
+            K[1][0], K[1][1] = K[1][0] * pixel_aspect, K[1][1] * pixel_aspect
+            K = mi.Matrix3f([row[:3] for row in (*K, film[3])])
+            shift = mi.Vector3f(width * film[0, 3], height * film[1, 3], film[3, 3])
+            A = K @ dr.rcp(L)
+            offset = shift - A @ origin
             rows = tuple(mi.Vector3f(A[i, 0], A[i, 1], A[i, 2]) for i in range(3))
-            offset = -(A @ mi.Vector3f(eye))
-            inverse = camera_world.T @ dr.rcp(K)
-            dr.make_opaque(rows, offset, inverse, eye, camera_world)
-        return Projection(rows, offset, inverse, eye, camera_world, width, height)
+            axis_offset = -dr.dot(axis, origin)
+            if kind == PINHOLE:
+                pixel_to_world, eye = dr.rcp(A), origin
+            else:
+                pixel_to_world = dr.rcp(mi.Matrix3f([list(rows[0]), list(rows[1]), list(axis)]))
+                eye = pixel_to_world @ mi.Vector3f(-offset.x, -offset.y, -axis_offset)
+            determinant = dr.rcp(dr.abs(dr.det(pixel_to_world)))
+            near = mi.Float(sensor.near_clip()) * (1.0 if kind == PINHOLE else dr.norm(z))
+            reach = mi.Float(sensor.far_clip() - sensor.near_clip())
+            dr.make_opaque(rows, offset, pixel_to_world, eye, axis, axis_offset)
+            dr.make_opaque(camera_world, to_world, near, reach, determinant)
+        return Projection(
+            kind == PINHOLE, rows, offset, pixel_to_world, determinant, mi.Point3f(eye), axis,
+            axis_offset, camera_world, to_world, near, reach, width, height,
+        )  # fmt: skip
+
+    def depth(self, x: mi.Point3f) -> mi.Float:
+        """Distance of world points from the sensor's plane."""
+        return dr.dot(self.axis, x) + self.axis_offset
 
     def pixel(self, x: mi.Point3f) -> tuple[mi.Point2f, mi.Float]:
-        """Eq. 1, 2: where world points are seen, in pixels, and their depth."""
-        w = dr.dot(self.rows[2], x) + self.offset.z
+        """Eq. 1, 2: where world points are seen, in pixels, and their scale ``h``."""
+        h = dr.dot(self.rows[2], x) + self.offset.z
         u = dr.dot(self.rows[0], x) + self.offset.x
         v = dr.dot(self.rows[1], x) + self.offset.y
-        return mi.Point2f(u, v) / w, w
+        return mi.Point2f(u, v) / h, h
+
+    def toward(self, x: mi.Point3f) -> mi.Vector3f:
+        """A vector along the ray that meets a world point, away from the sensor."""
+        return x - self.eye if self.pinhole else self.axis
 
     def ray(self, q: mi.Point2f) -> mi.Ray3f:
-        """Eq. 3: rays through pixels, in the world; their parameter is the depth, not a length."""
-        return mi.Ray3f(self.eye, self.pixel_to_ray @ mi.Vector3f(q.x, q.y, 1))
+        """Eq. 3: rays through pixels, from the near plane on; a parameter ``t`` is a depth of
+        ``near + t``."""
+        if self.pinhole:
+            o, d = self.eye, self.pixel_to_world @ mi.Vector3f(q.x, q.y, 1)
+        else:
+            o, d = self.eye + self.pixel_to_world @ mi.Vector3f(q.x, q.y, 0), self.axis
+        ray = mi.Ray3f(mi.Point3f(o + self.near * d), mi.Vector3f(d))
+        ray.maxt = self.reach
+        return ray
 
-    def pull_back(self, m: mi.Vector2f, q: mi.Point2f, w: mi.Float) -> mi.Vector3f:
-        """Eq. 4: the world vector ``(∂q/∂x)ᵀ m`` at a point seen in ``q`` at depth ``w``."""
+    def pull_back(self, m: mi.Vector2f, q: mi.Point2f, h: mi.Float) -> mi.Vector3f:
+        """Eq. 4: the world vector ``(∂q/∂x)ᵀ m`` at a point seen in ``q`` at scale ``h``."""
         rows = self.rows
-        return (m.x * (rows[0] - q.x * rows[2]) + m.y * (rows[1] - q.y * rows[2])) / w
+        return (m.x * (rows[0] - q.x * rows[2]) + m.y * (rows[1] - q.y * rows[2])) / h
+
+    def density(self, c: mi.Vector3f, corner: mi.Point3f, ray: mi.Ray3f) -> mi.Float:
+        """One over the pixels that a parallelogram covers, were it small and where a ray meets it.
+
+        Args:
+            c: cross product of its sides, world.
+            corner: any point of its plane.
+            ray: as :meth:`ray` makes it.
+        """
+        along = dr.dot(c, ray.d)
+        h = dr.dot(c, mi.Vector3f(corner) - self.eye) / along if self.pinhole else mi.Float(1)
+        return dr.square(h) / (self.determinant * dr.abs(along))
 
     def is_inside(self, q: mi.Point2f) -> mi.Bool:
         """Whether a pixel position lies on the image."""

@@ -58,6 +58,17 @@ def sum_by_key(values: list[mi.Vector3f], key: mi.UInt32) -> tuple[list[mi.Vecto
     return sums, dr.gather(mi.UInt32, key, start)
 
 
+def concat(a: mi.Point2f, b: mi.Point2f) -> mi.Point2f:
+    """The entries of one array, then those of another; for arrays whose lengths vary, since
+    ``dr.concat`` compiles a kernel for each length."""
+    dr.eval(a, b)
+    count, shift = dr.width(a), dr.opaque(mi.UInt32, dr.width(a))
+    result = dr.empty(type(a), count + dr.width(b))
+    dr.scatter(result, a, dr.arange(mi.UInt32, count))
+    dr.scatter(result, b, dr.arange(mi.UInt32, dr.width(b)) + shift)
+    return result
+
+
 def _bounds(start: mi.UInt32, count: int) -> tuple[mi.UInt32, mi.UInt32]:
     i = dr.arange(mi.UInt32, count)
     return dr.gather(mi.UInt32, start, i), dr.gather(mi.UInt32, start, i + 1)

@@ -1,11 +1,11 @@
-"""Shading normals from positions: forward, tangent and adjoint.
+"""Shading normals and depths from positions: forward, tangent and adjoint.
 
 With corners ``p_0, p_1, p_2`` of face ``f`` and the corners that share a normal ``v``:
 
 1. face normal      ``c_f = (p_1 - p_0) x (p_2 - p_0)``, as long as twice the area,
 2. shading normal   ``n_v = Σ_f c_f / |Σ_f c_f|`` over the faces at ``v``: weighted by area,
 3. on a ray         ``n = Σ_k b_k n_k / |Σ_k b_k n_k|`` with the barycentric coordinates ``b`` of
-   the point hit.
+   the point hit, ``o + t d = Σ_k b_k p_k``.
 
 Every sum runs over fixed lists in a fixed order (:mod:`gva_mi_plugins.segments`); no step scatters.
 """
@@ -73,14 +73,17 @@ class Surface:
         dr.eval(grad_corners)
         return topology.corners_of_vertex.sum(grad_corners)
 
-    def shade(self, ray: mi.Ray3f, face: mi.UInt32, active: mi.Bool) -> mi.Vector3f:
-        """Eq. 3: the unit normals (R,) that rays meet on faces; zero where not active."""
-        normal = _interpolate(ray, *self._at(face, active))
-        return dr.select(active, normal, 0)
+    def shade(
+        self, ray: mi.Ray3f, face: mi.UInt32, active: mi.Bool
+    ) -> tuple[mi.Vector3f, mi.Float]:
+        """Eq. 3: the unit normals ``n`` and parameters ``t`` (R,) at which rays meet faces; zero
+        where not active."""
+        n, t = _interpolate(ray, *self._at(face, active))
+        return dr.select(active, n, 0), dr.select(active, t, 0)
 
     def shade_tangent(
         self, ray: mi.Ray3f, face: mi.UInt32, d_positions: mi.Vector3f, d_normals: mi.Vector3f
-    ) -> mi.Vector3f:
+    ) -> tuple[mi.Vector3f, mi.Float]:
         """Eq. 3 forward, for rays that all hit."""
         leaves = self._at(face, True)
         tangents = [dr.gather(mi.Vector3f, d_positions, i) for i in self._vertices(face)]
@@ -92,9 +95,13 @@ class Surface:
             return dr.forward_to(_interpolate(ray, *leaves))
 
     def shade_adjoint(
-        self, ray: mi.Ray3f, face: mi.UInt32, grad: mi.Vector3f
+        self, ray: mi.Ray3f, face: mi.UInt32, grad_n: mi.Vector3f | None, grad_t: mi.Float | None
     ) -> tuple[mi.Vector3f, mi.Vector3f]:
         """Eq. 3 backward, for rays (R,) that all hit.
+
+        Args:
+            ray, face: rays and the faces that they meet.
+            grad_n, grad_t: gradients by normals and ray parameters (R,); None stands for zero.
 
         Returns:
             (3F,) gradients by the positions, and by the shading normals, of all corners.
@@ -102,7 +109,10 @@ class Surface:
         leaves = self._at(face, True)
         with dr.isolate_grad(), dr.resume_grad():
             dr.enable_grad(leaves)
-            dr.backward(dr.dot(_interpolate(ray, *leaves), grad))
+            n, t = _interpolate(ray, *leaves)
+            terms = [] if grad_n is None else [dr.dot(n, grad_n)]
+            terms += [] if grad_t is None else [t * grad_t]
+            dr.backward(sum(terms))
             grads = dr.grad(leaves)
         dr.eval(grads)
         sums, faces = sum_by_key(grads, face)
@@ -142,10 +152,11 @@ def _interpolate(
     n0: mi.Vector3f,
     n1: mi.Vector3f,
     n2: mi.Vector3f,
-) -> mi.Vector3f:
-    """Eq. 3, with ``o + t d = p_0 + b_1 (p_1 - p_0) + b_2 (p_2 - p_0)``."""
+) -> tuple[mi.Vector3f, mi.Float]:
+    """Eq. 3: the normal, and the ray's parameter, where ``o + t d = p_0 + b_1 e_1 + b_2 e_2``."""
     e1, e2, s = p1 - p0, p2 - p0, mi.Vector3f(ray.o) - p0
     h, k = dr.cross(ray.d, e2), dr.cross(s, e1)
     det = dr.dot(e1, h)
     b1, b2 = dr.dot(s, h) / det, dr.dot(ray.d, k) / det
-    return dr.normalize((1 - b1 - b2) * n0 + b1 * n1 + b2 * n2)
+    n = dr.normalize((1 - b1 - b2) * n0 + b1 * n1 + b2 * n2)
+    return n, dr.dot(e2, k) / det

@@ -30,6 +30,7 @@ class Topology:
 
     vertex_counts: tuple[int, ...]  # of each mesh
     first_face: mi.UInt32  # of the mesh with a given number in Mitsuba's registry of shapes
+    mesh_of_face: mi.UInt32  # (F,) number of the mesh that a face belongs to, from 0
     normal_count: int  # N
     vertices: tuple[mi.UInt32, ...]  # three (F,): vertex of each corner
     points: tuple[mi.UInt32, ...]  # three (F,): point of each corner
@@ -40,6 +41,7 @@ class Topology:
     edge_runs: tuple[
         mi.Bool, ...
     ]  # K of (E,): that face runs from the edge's first end to its second
+    is_closed: bool  # every edge has two faces
     crease: mi.Bool  # (E,): the normal jumps here even between two faces seen from the front
     corners_of_vertex: Segments  # V segments over the 3F corners
     corners_of_normal: Segments  # N segments over the 3F corners
@@ -60,6 +62,7 @@ class Topology:
 def build(meshes: Sequence[mi.Mesh]) -> Topology:
     """Read the faces of the meshes and find the edges between them."""
     vertices, points, normals = [], [], []
+    face_counts = [mesh.face_count() for mesh in meshes]
     V = F = N = 0
     registry = [dr.reinterpret_array(mi.UInt32, mi.ShapePtr(mesh))[0] for mesh in meshes]
     first_face = np.zeros(max(registry) + 1, np.uint32)
@@ -78,12 +81,13 @@ def build(meshes: Sequence[mi.Mesh]) -> Topology:
             N += len(positions)
         V, F = V + len(positions), F + len(faces)
     vertices, points, normals = (np.concatenate(x) for x in (vertices, points, normals))
-    ends, end_points, edge_faces, runs, crease = _edges(vertices, points, normals)
+    ends, end_points, edge_faces, runs, crease, is_closed = _edges(vertices, points, normals)
     corners_of_normal = Segments.by_owner(normals.reshape(-1), N)
     columns = lambda array: tuple(mi.UInt32(np.ascontiguousarray(column)) for column in array.T)
     return Topology(
         vertex_counts=tuple(mesh.vertex_count() for mesh in meshes),
         first_face=mi.UInt32(first_face),
+        mesh_of_face=mi.UInt32(np.repeat(np.arange(len(meshes)), face_counts).astype(np.uint32)),
         normal_count=N,
         vertices=columns(vertices),
         points=columns(points),
@@ -92,6 +96,7 @@ def build(meshes: Sequence[mi.Mesh]) -> Topology:
         end_points=columns(end_points),
         edge_faces=columns(edge_faces),
         edge_runs=tuple(mi.Bool(np.ascontiguousarray(column)) for column in runs.T),
+        is_closed=is_closed,
         crease=mi.Bool(crease),
         corners_of_vertex=Segments.by_owner(vertices.reshape(-1), V),
         corners_of_normal=corners_of_normal,
@@ -101,7 +106,8 @@ def build(meshes: Sequence[mi.Mesh]) -> Topology:
 
 
 def _edges(vertices: np.ndarray, points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Edges: ends (E, 2), their points (E, 2), faces (E, K), runs (E, K), crease (E,)."""
+    """Edges: ends (E, 2), their points (E, 2), faces (E, K), runs (E, K), crease (E,);
+    and whether all have two faces."""
     tail, head = np.arange(3), np.array([1, 2, 0])
     sides = np.stack([points[:, tail], points[:, head]], axis=-1).reshape(-1, 2)  # (3F, 2)
     forward = sides[:, 0] < sides[:, 1]
@@ -135,4 +141,5 @@ def _edges(vertices: np.ndarray, points: np.ndarray, normals: np.ndarray) -> tup
         np.stack(faces, axis=1),
         np.stack(runs, axis=1),
         crease,
+        bool((counts == 2).all()),
     )

@@ -23,17 +23,25 @@ def scene(tmp_path):
 
 
 def test_gradcheck_writes_figures_and_a_picture(scene, tmp_path, capsys):
-    checks.gradcheck(scene=scene, out=tmp_path / "out", window=8, count=2)
+    checks.gradcheck(checks.GradcheckOptions(8, 2), scene=scene, out=tmp_path / "out")
     figures = json.loads((tmp_path / "out" / checks.REPORT).read_text())
     assert figures["passed"] and len(figures["scenes"]) == 2
     assert (tmp_path / "out" / checks.PICTURE).stat().st_size > 1000
     assert "gradients are right in all 2 windows" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("size", [{"window": 0}, {"count": 0}])
-def test_gradcheck_refuses_empty_windows(scene, size):
-    with pytest.raises(InputError, match="must be positive"):
-        checks.gradcheck(scene=scene, **size)
+@pytest.mark.parametrize("model", ["pinhole", "ortho", "fisheye"])
+def test_gradcheck_looks_through_other_cameras(model, scene, capsys):
+    changes = {"camera_model": model, "antialiased": True, "channels": 5, "images": ("depth",)}
+    checks.gradcheck(checks.GradcheckOptions(8, 1, **changes), scene=scene)
+    out = capsys.readouterr().out
+    assert "gradients are right in all 1 windows" in out and " colors " in out
+
+
+@pytest.mark.parametrize("wrong", [{"window": 0}, {"count": 0}, {"channels": -1}, {"images": ()}])
+def test_gradcheck_refuses_what_shows_nothing(wrong):
+    with pytest.raises(InputError, match="must be|1 or more"):
+        checks.GradcheckOptions(**wrong)
 
 
 def test_gradcheck_fails_where_a_gradient_is_wrong(scene, monkeypatch):
@@ -44,11 +52,11 @@ def test_gradcheck_fails_where_a_gradient_is_wrong(scene, monkeypatch):
     render = checks.render
     monkeypatch.setattr(checks, "render", wrong)
     with pytest.raises(InputError, match="WRONG"):
-        checks.gradcheck(scene=scene, window=8, count=1)
+        checks.gradcheck(checks.GradcheckOptions(8, 1), scene=scene)
 
 
 def test_bench_writes_its_figures(scene, tmp_path, capsys):
-    few = BenchOptions(repeats=2, calls=2, most_gaussians=0, most_pixels=64, no_gsplat=True)
+    few = BenchOptions(repeats=2, calls=2, no_growth=True, no_gsplat=True)
     checks.bench("splat", few, scene=scene, json_file=tmp_path / "new" / "bench.json")
     figures = json.loads((tmp_path / "new" / "bench.json").read_text())
     assert figures["gaussians"] == 8 and figures["growth"] == []

@@ -95,6 +95,16 @@ BAD = {
     "no steps": (("demo", "--out", "new", "--steps", "0"), "steps must be 1 or more"),
     "nobody": (("demo", "--out", "new", "--subject", "nobody"), "nobody"),
     "negative frames": (("synth", "new", "--frames", "-1"), "frames must be at least 2"),
+    "negative weight": (
+        ("fit", "nowhere", "--out", "new", "--loss.alpha", "-1"),
+        "alpha must be 0",
+    ),
+    "negative blur": (("fit", "nowhere", "--out", "new", "--splat.blur", "-1"), "blur and radius"),
+    "no number": (("fit", "nowhere", "--out", "new", "--steps", "ten"), "--steps must be INT: "),
+    "no calls": (("bench", "splat", "--calls", "0"), "calls must be 1 or more"),
+    "no window": (("gradcheck", "--window", "0"), "window and count must be 1 or more"),
+    "no images": (("gradcheck", "--images"), "images must be some of color, alpha, depth"),
+    "no scene": (("gradcheck", "--scene", "nowhere.npz"), "nowhere.npz: no such scene"),
 }
 
 

@@ -14,15 +14,14 @@ FLOORS = [
     ("gva_mi.errors", 0),
     ("gva_mi.files", 0),
     ("gva_mi.llvm", 0),
+    ("gva_mi.page", 0),
     ("gva_mi.threads", 1),
     ("gva_mi.splat.torch_op", 1),
     ("gva_mi.splat.rasterization", 1),
     ("gva_mi.splat.reference", 1),
     ("gva_mi.splat.gradcheck", 1),
     ("gva_mi.splat.bench", 1),
-    ("gva_mi.splat.gsplat_peer", 1),
     ("gva_mi.splat.scene", 1),
-    ("gva_mi.splat.verdict", 1),
     ("gva_mi.splat", 0),
     ("gva_mi_plugins", 0),
     ("gva_mi.body", 1),
@@ -36,6 +35,7 @@ FLOORS = [
     ("gva_mi.checks", 5),
     ("gva_mi.console", 5),
     ("gva_mi.pipeline", 5),
+    ("gva_mi.studies", 5),
     ("gva_mi.doctor", 5),
     ("gva_mi.__main__", 5),
     ("gva_mi.viewer", 5),
@@ -45,7 +45,7 @@ ALLOWED_BESIDE = {  # packages that only some folders may import, at any depth o
     "pymeshlab": ("gva_mi.data.synthetic", "gva_mi.avatar.reinit", "gva_mi.doctor"),
     "torch": ("gva_mi.splat.torch_op", "gva_mi.splat.reference", "gva_mi.splat.gradcheck",
               "gva_mi.splat.rasterization", "gva_mi.splat.bench", "gva_mi.splat.scene",
-              "gva_mi.splat.gsplat_peer", "gva_mi.checks", "gva_mi.body", "gva_mi.data",
+              "gva_mi.checks", "gva_mi.body", "gva_mi.data",
               "gva_mi.avatar", "gva_mi.pose", "gva_mi.fit", "gva_mi.threads",
               "gva_mi.pipeline", "gva_mi.doctor"),
 }  # fmt: skip
@@ -97,6 +97,16 @@ def test_each_package_is_imported_only_where_it_belongs(path):
         if homes:
             fits = any(here == home or here.startswith(home + ".") for home in homes)
             assert fits, f"{here} imports {name}, which belongs to {', '.join(homes)}"
+
+
+@pytest.mark.parametrize("path", [p for p in SOURCES if p.parent.name == "plugins"], ids=module)
+def test_a_plugin_serves_any_scene(path):
+    """gaussian_splat knows the kernels, and no plugin anything else of gva_mi but its libLLVM."""
+    here = module(path)
+    allowed = ("gva_mi.splat",) if here.startswith("gva_mi_plugins.gaussian_splat") else ()
+    for name in imports(path):
+        if name.split(".")[0] == "gva_mi":
+            assert name == "gva_mi.llvm" or name.startswith(allowed), f"{here} imports {name}"
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=module)

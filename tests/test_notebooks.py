@@ -11,6 +11,7 @@ NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
 SHORT = {  # what a test sets after the parameter cell
     "1_one_gaussian": "SIZE, STEPS = 16, 8",
     "2_checking_gradients": "GAUSSIANS, SIZE, SWEEP = 12, 16, 5",
+    "3_refining_a_pose": "SIZE, STEPS, SWEEP, FRAMES, PASSES = 48, 20, 3, 3, 1",
 }
 PARTS = ("overview", "setup", "reference", "initial state", "results", "see also")
 

@@ -26,8 +26,9 @@ from torch import Tensor, nn
 
 from gva_mi.avatar.canonical import PARAMETERS, CanonicalGaussians, SeedOptions, seed_on_surface
 from gva_mi.avatar.residual import PoseResidual, ResidualOptions
+from gva_mi.body.kinematics import joint_transforms
 from gva_mi.body.pose import LEFT_HAND, RIGHT_HAND, Pose, Shape
-from gva_mi.body.skinning import joint_transforms, skin_gaussians
+from gva_mi.body.skinning import skin_gaussians
 from gva_mi.body.smplx import BodyModel
 from gva_mi.errors import InputError
 from gva_mi.files import read_arrays, write_arrays

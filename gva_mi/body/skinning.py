@@ -1,6 +1,6 @@
 """Linear blend skinning: of points (Eq. 4, 5) and of the frames of Gaussians (Eq. 6).
 
-    1. T_world_rest[j] = G_j · translate(−J_j),    G_j = G_parent(j) · [R_j | J_j − J_parent(j)]
+    1. T_world_rest[j]                    one rigid map per joint: see gva_mi.body.kinematics
     2. A = Σ_j w_j T_world_rest[j]        one affine map per point; a row of weights sums to 1
     3. x' = A_rot x + A_trans                                                         (Eq. 5)
     4. q' = polar(A_rot) ⊗ q                                                          (Eq. 6)
@@ -14,10 +14,6 @@ carried exactly. See :mod:`gva_mi.body.polar`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import lru_cache
-
-import roma
 import torch
 from torch import Tensor
 from torch.autograd.function import FunctionCtx
@@ -26,58 +22,6 @@ from gva_mi.body.polar import carry_frames
 
 _CHUNK = 1 << 24  # distances held at once by nearest_weights
 _FRAMES = 4  # skinned together by skin_points: 10k blended maps of each are 0.5 MB
-
-
-def joint_transforms(
-    rotations: Tensor, joints: Tensor, parents: Sequence[int], transl: Tensor
-) -> Tensor:
-    """Forward kinematics: the rigid map of each joint from the rest pose to the world (eq. 1).
-
-    Joints of one depth in the tree are computed together, for all frames.
-
-    Args:
-        rotations: (T, J, 3) axis-angle relative to the parent, radians.
-        joints: (J, 3) or (T, J, 3) positions in the rest pose, metres.
-        parents: J indices, -1 for the root, which comes first.
-        transl: (T, 3) added to everything, metres.
-
-    Returns:
-        T_world_rest, (T, J, 4, 4).
-    """
-    if rotations.ndim != 3 or rotations.shape[1:] != (len(parents), 3):
-        raise ValueError(
-            f"joint_transforms(): rotations must be (T, {len(parents)}, 3), "
-            f"got {tuple(rotations.shape)}"
-        )
-    return rigid_chain(roma.rotvec_to_rotmat(rotations), joints, parents, transl)
-
-
-def rigid_chain(R: Tensor, joints: Tensor, parents: Sequence[int], transl: Tensor) -> Tensor:
-    """:func:`joint_transforms` from matrices R (T, J, 3, 3), trusted to be rotations."""
-    frames = R.shape[0]
-    joints = joints.expand(frames, -1, -1)
-    parent_of = _parent_matrix(tuple(parents), joints.dtype)
-    bones = joints - parent_of @ joints
-    local = torch.cat([R, bones.unsqueeze(-1)], dim=-1)  # (T, J, 3, 4)
-
-    levels, order = _levels(tuple(parents))
-    above = local[:, levels[0]]
-    world = [above]
-    for level, previous in zip(levels[1:], levels[:-1], strict=True):
-        # Zeros and ones pick the parents: unlike an index's, this gradient has one order of sums.
-        pick = parent_of[level][:, previous]
-        parent = (pick @ above.flatten(2)).unflatten(2, (3, 4))
-        here = local[:, level]
-        turned = parent[..., :3] @ here
-        above = torch.cat([turned[..., :3], turned[..., 3:] + parent[..., 3:]], dim=-1)
-        world.append(above)
-    world = torch.cat(world, dim=1)[:, order]
-
-    R_world = world[..., :3]
-    t = world[..., 3] - (R_world @ joints.unsqueeze(-1)).squeeze(-1) + transl.unsqueeze(1)
-    top = torch.cat([R_world, t.unsqueeze(-1)], dim=-1)
-    bottom = top.new_tensor([0.0, 0.0, 0.0, 1.0]).expand(frames, len(parents), 1, 4)
-    return torch.cat([top, bottom], dim=-2)
 
 
 def skin_points(points: Tensor, weights: Tensor, T_world_rest: Tensor) -> Tensor:
@@ -128,7 +72,8 @@ class _SkinPoints(torch.autograd.Function):
         points, weights, maps, *blended = ctx.saved_tensors
         wanted_points, wanted_weights, wanted_maps = ctx.needs_input_grad
         n, x = len(weights), points.mT
-        grad_x = torch.zeros_like(x, memory_format=torch.contiguous_format)
+        each = len(x) == len(maps)  # or all frames have one x, whose gradient they share
+        grad_x = x.new_empty(x.shape) if each else x.new_zeros(x.shape)
         grad_weights = torch.zeros_like(weights) if wanted_weights else None
         grad_maps = torch.empty_like(maps) if wanted_maps else None
         for part, A in zip(_parts(len(maps)), blended, strict=True):
@@ -137,10 +82,10 @@ class _SkinPoints(torch.autograd.Function):
                 pulled = A[:, 0, :3] * g[:, :1]
                 for i in (1, 2):
                     pulled.addcmul_(A[:, i, :3], g[:, i : i + 1])
-                if len(x) == 1:
-                    grad_x += pulled.sum(0)
-                else:
+                if each:
                     grad_x[part] = pulled
+                else:
+                    grad_x += pulled.sum(0)
             if wanted_weights or wanted_maps:  # grad_A = grad_x' [x | 1]ᵀ
                 grad_A = torch.empty_like(A)
                 torch.mul(g[:, :, None], _of(x, part)[:, None], out=grad_A[:, :, :3])
@@ -228,26 +173,3 @@ def strongest(weights: Tensor, joints: int = 4) -> Tensor:
     order = torch.sort(weights, dim=1, descending=True, stable=True).indices[:, :joints]
     kept = torch.zeros_like(weights).scatter(1, order, weights.gather(1, order))
     return kept / kept.sum(1, keepdim=True)
-
-
-@lru_cache(maxsize=8)
-def _parent_matrix(parents: tuple[int, ...], dtype: torch.dtype) -> Tensor:
-    """(J, J) with a one in row j, column parent(j); the root's row is zero."""
-    matrix = torch.zeros(len(parents), len(parents), dtype=dtype)
-    for joint, parent in enumerate(parents):
-        if parent >= 0:
-            matrix[joint, parent] = 1
-    return matrix
-
-
-@lru_cache(maxsize=8)
-def _levels(parents: tuple[int, ...]) -> tuple[list[list[int]], list[int]]:
-    """Joints grouped by their depth in the tree, and where each joint stands in that sequence."""
-    if not parents or parents[0] != -1 or any(not 0 <= p < j for j, p in enumerate(parents) if j):
-        raise ValueError("parents: the root (-1) must come first, every parent before its children")
-    depth = [0] * len(parents)
-    for joint, parent in enumerate(parents[1:], start=1):
-        depth[joint] = depth[parent] + 1
-    levels = [[j for j, d in enumerate(depth) if d == level] for level in range(max(depth) + 1)]
-    flat = sum(levels, [])
-    return levels, [flat.index(j) for j in range(len(parents))]

@@ -3,7 +3,7 @@
     1. v_shaped = v_template + S β + E ψ                        S, E: shape, expression directions
     2. J = J_regressor · v_shaped
     3. v_rest = v_shaped + offsets + P vec(R(θ_j) − I), j ≥ 1   P: pose directions
-    4. vertices = Σ_j w_j T_world_rest[j](θ, J) · v_rest        see gva_mi.body.skinning
+    4. vertices = Σ_j w_j T_world_rest[j](θ, J) · v_rest        see kinematics and skinning
 
 ==========  ==================================  ===================  ========================
 Symbol      Name                                Shape                Unit
@@ -24,15 +24,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import roma
 import torch
 from torch import Tensor, nn
 
+from gva_mi.body.blend_shapes import add_directions, as_rows
 from gva_mi.body.body_file import read_body
 from gva_mi.body.hands import HandSpace, with_hands
+from gva_mi.body.kinematics import turn_joints
 from gva_mi.body.pose import PARENTS, Pose, Shape
 from gva_mi.body.puppet import PUPPET
-from gva_mi.body.skinning import rigid_chain, skin_points
+from gva_mi.body.skinning import skin_points
 from gva_mi.errors import InputError
 
 
@@ -79,15 +80,14 @@ class BodyModel(nn.Module):
         """
         super().__init__()
         tensor = lambda array: torch.from_numpy(np.ascontiguousarray(array)).to(dtype)
-        directions = _rows(arrays["shapedirs"])
+        directions = as_rows(arrays["shapedirs"])
         split = int(arrays.get("num_betas", 10))
         betas = slice(0, split)
         expressions = slice(split, split + int(arrays.get("num_expressions", 10)))
         self.register_buffer("v_template", tensor(arrays["v_template"]))
         self.register_buffer("faces", torch.from_numpy(arrays["f"].astype(np.int64)))
         self.register_buffer("weights", tensor(arrays["weights"]))
-        self.register_buffer("shape_directions", tensor(directions[betas]))  # (B, 3 V)
-        self.register_buffer("expression_directions", tensor(directions[expressions]))  # (E, 3 V)
+        self.register_buffer("shape_directions", tensor(directions[betas]))  # (B, W)
         # Joints are linear in the coefficients too: regress the directions once, not every frame.
         regressor = arrays["J_regressor"].astype(np.float64)
         joints = regressor @ arrays["shapedirs"].reshape(len(arrays["v_template"]), -1)
@@ -97,7 +97,10 @@ class BodyModel(nn.Module):
         self.register_buffer("expression_joints", tensor(joints[expressions]))  # (E, 165)
         used = np.flatnonzero(arrays["posedirs"].any((0, 1)))  # only these cost time
         self.register_buffer("pose_features", torch.from_numpy(used))
-        self.register_buffer("pose_directions", tensor(_rows(arrays["posedirs"][..., used])))
+        # What changes with the frame is one sum: pose directions, and after them the face's.
+        bent = as_rows(arrays["posedirs"][..., used])
+        both = tensor(np.concatenate([bent, directions[expressions]]))
+        self.register_buffer("frame_directions", both)  # (P + E, W)
         hands = lambda key, none: tensor(np.stack([arrays.get(key + side, none) for side in "lr"]))
         self.register_buffer("hands_mean", hands("hands_mean", np.zeros(45)))
         self.register_buffer("hands_components", hands("hands_components", np.zeros((0, 45))))
@@ -109,6 +112,16 @@ class BodyModel(nn.Module):
     @property
     def num_expressions(self) -> int:
         return len(self.expression_directions)
+
+    @property
+    def pose_directions(self) -> Tensor:
+        """(P, W) of the P ``pose_features`` that are not zero everywhere."""
+        return self.frame_directions[: len(self.pose_features)]
+
+    @property
+    def expression_directions(self) -> Tensor:
+        """(E, W)."""
+        return self.frame_directions[len(self.pose_features) :]
 
     @property
     def hand_spaces(self) -> tuple[HandSpace, HandSpace]:
@@ -123,7 +136,9 @@ class BodyModel(nn.Module):
             expression: (E,), or None for a neutral face.
         """
         psi = shape.betas.new_zeros(1, 0) if expression is None else expression[None]
-        flat, joints = self._shaped(shape, psi, None)
+        psi = _coefficients("expression", psi, self.num_expressions)
+        flat, joints = self._shaped(shape, psi, self.v_template)
+        flat = add_directions(flat, psi, self.expression_directions)
         return Rest(flat[0].view(3, -1).mT.contiguous(), joints[0])
 
     def forward(self, pose: Pose, shape: Shape, offsets: Tensor | None = None) -> Posed:
@@ -139,13 +154,12 @@ class BodyModel(nn.Module):
                 f"BodyModel(): offsets must be {tuple(self.v_template.shape)}, "
                 f"got {tuple(offsets.shape)}"
             )
-        flat, joints = self._shaped(shape, pose.expression, offsets)
-        R = roma.rotvec_to_rotmat(pose.rotations)
-        if len(self.pose_features):
-            bent = (R[:, 1:] - torch.eye(3, dtype=R.dtype)).flatten(1)
-            # The features are distinct, so that this index has a gradient without collisions.
-            flat = torch.addmm(flat, bent[:, self.pose_features], self.pose_directions)
-        T_world_rest = rigid_chain(R, joints, self.parents, pose.transl)
+        template = self.v_template if offsets is None else self.v_template + offsets
+        psi = _coefficients("expression", pose.expression, self.num_expressions)
+        flat, joints = self._shaped(shape, psi, template)
+        R, T_world_rest = turn_joints(pose.rotations, joints, self.parents, pose.transl)
+        moves = torch.cat([self._bent(R), psi], dim=1)
+        flat = add_directions(flat, moves, self.frame_directions)
         skinned = skin_points(flat.unflatten(1, (3, -1)).mT, self.weights, T_world_rest)
         R_world, t = T_world_rest[..., :3, :3], T_world_rest[..., :3, 3]
         return Posed(skinned, (R_world @ joints.unsqueeze(-1)).squeeze(-1) + t, T_world_rest)
@@ -156,23 +170,23 @@ class BodyModel(nn.Module):
         left, right = self.hands_mean
         return with_hands(pose, pose.left_hand_pose + left, pose.right_hand_pose + right)
 
-    def _shaped(
-        self, shape: Shape, expression: Tensor, offsets: Tensor | None
-    ) -> tuple[Tensor, Tensor]:
-        """Rest vertices (T, 3 V), all x, then all y, then all z; joints (T, 55, 3) (eq. 1, 2)."""
+    def _shaped(self, shape: Shape, psi: Tensor, template: Tensor) -> tuple[Tensor, Tensor]:
+        """Rest vertices without the face (1, 3 V), all x, then all y, then all z; and joints
+        (T, 55, 3) with it (eq. 1, 2)."""
         betas = _coefficients("betas", shape.betas[None], self.num_betas)
-        psi = _coefficients("expression", expression, self.num_expressions)
-        template = self.v_template if offsets is None else self.v_template + offsets
-        flat, joints = template.mT.reshape(1, -1), self.j_template.view(1, -1)
-        sums = (
-            (betas, self.shape_directions, self.shape_joints),
-            (psi, self.expression_directions, self.expression_joints),
-        )
-        for values, directions, moves in sums:
-            k = values.shape[1]
-            flat = torch.addmm(flat, values, directions[:k])
-            joints = torch.addmm(joints, values, moves[:k])
+        flat = add_directions(template.mT.reshape(1, -1), betas, self.shape_directions)
+        joints = self.j_template.view(1, -1)
+        for values, moves in ((betas, self.shape_joints), (psi, self.expression_joints)):
+            joints = torch.addmm(joints, values, moves[: values.shape[1]])
         return flat, joints.unflatten(1, (-1, 3))
+
+    def _bent(self, R: Tensor) -> Tensor:
+        """The pose features that have directions, entries of R − I, (T, P) (eq. 3)."""
+        features = (R[:, 1:] - torch.eye(3, dtype=R.dtype)).flatten(1)
+        if len(self.pose_features) == features.shape[1]:
+            return features
+        # They are distinct, so that their gradients do not collide.
+        return features[:, self.pose_features]
 
 
 def load_body(path: Path | None = None, dtype: torch.dtype = torch.float32) -> BodyModel:
@@ -188,11 +202,6 @@ def load_body(path: Path | None = None, dtype: torch.dtype = torch.float32) -> B
         InputError: naming the file, the key, and the shape that was found.
     """
     return BodyModel(read_body(PUPPET if path is None else Path(path)), dtype)
-
-
-def _rows(directions: np.ndarray) -> np.ndarray:
-    """Directions (V, 3, K), one in each row: all x, then all y, then all z, (K, 3 V)."""
-    return directions.transpose(2, 1, 0).reshape(directions.shape[2], 3 * len(directions))
 
 
 def _coefficients(name: str, values: Tensor, available: int) -> Tensor:

@@ -1,4 +1,4 @@
-"""Pictures and films on disk: 8-bit PNG, normal maps, mp4."""
+"""Pictures, arrays and films on disk: 8-bit PNG, .npy, mp4."""
 
 from __future__ import annotations
 
@@ -37,15 +37,12 @@ def write_image(path: Path, image: np.ndarray) -> None:
     Image.fromarray(image).save(path)
 
 
-def read_normals(folder: Path, index: int) -> np.ndarray:
-    """Unit normals (H, W, 3), camera space; zero where the file holds none."""
-    path = folder / f"{index:06d}.npy"
-    if path.exists():
-        normals = np.load(path, allow_pickle=False).astype(np.float32)
-    else:
-        normals = read_image(folder / f"{index:06d}.png", 3).astype(np.float32) / 127.5 - 1
-    length = np.linalg.norm(normals, axis=-1, keepdims=True)
-    return np.where(length > 0.2, normals / np.maximum(length, 1e-6), 0).astype(np.float32)
+def read_array(path: Path) -> np.ndarray:
+    """One array of a ``.npy``, which must not hold pickled objects."""
+    try:
+        return np.load(path, allow_pickle=False)
+    except (ValueError, OSError, EOFError) as error:
+        raise InputError(f"{path}: not a readable .npy ({str(error).splitlines()[0]})") from None
 
 
 def read_movie(path: Path) -> list[np.ndarray]:

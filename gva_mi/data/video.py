@@ -4,13 +4,17 @@
 
     subject/
       video.mp4 | frames/000000.png ...   8-bit RGB; the frames win where both are there
-      masks/000000.png                    8-bit grey, 255 inside (soft allowed)
-      normals/000000.png | .npy           optional; camera space, OpenCV axes, (n + 1) / 2 in a PNG
+      masks/000000.png | .npy             hard or soft: gva_mi.data.masks
+      normals/000000.png | .npy           optional; gva_mi.data.normals
+      normals.json                        optional: how the normals were made, ICON's way or another
       cameras.npz                         K (3,3) or (T,3,3); T_camera_world (4,4) or (T,4,4);
                                           width, height
       poses.npz                           SMPL-X names, each (T, ...); betas (B,); stage
       splits.json                         optional: {"train": [...], "test": [...]} frame numbers
       truth/                              synthetic subjects only; read by nothing but evaluation
+
+Pictures, masks and normals of single frames may be missing. A frame without a picture, or whose
+mask is missing or empty, is *absent*: it belongs to no split, and its pose stays as it is.
 
 Everything is checked when it is opened, once, so that a step never stops half-way for a bad file.
 """
@@ -18,14 +22,17 @@ Everything is checked when it is opened, once, so that a step never stops half-w
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from gva_mi.body.pose import Pose, Shape, load_poses
-from gva_mi.data.pictures import read_image, read_movie, read_normals
+from gva_mi.data.masks import read_mask
+from gva_mi.data.normals import Convention, NormalMaps
+from gva_mi.data.pictures import read_image, read_movie
 from gva_mi.errors import InputError
 from gva_mi.files import read_arrays, require_keys, write_arrays
 from gva_mi.splat import Camera
@@ -63,6 +70,11 @@ class Splits:
         test = list(range(step // 2, frames, step))
         return Splits([k for k in range(frames) if k not in set(test)], test)
 
+    def without(self, frames: Container[int]) -> Splits:
+        """The same lists without some frames."""
+        keep = lambda split: [k for k in split if k not in frames]
+        return Splits(keep(self.train), keep(self.test))
+
 
 @dataclass(frozen=True)
 class Video:
@@ -73,29 +85,28 @@ class Video:
     pose: Pose
     shape: Shape
     splits: Splits
-    _images: Sequence[np.ndarray] = field(
-        repr=False
-    )  # decoded pictures, or [] to read frames/ one by one
-    has_normals: bool = True
+    _images: Sequence[np.ndarray] = field(repr=False)  # decoded, or [] to read frames/ one by one
+    normals: NormalMaps | None = None
+    absent: Mapping[int, str] = field(default_factory=dict)  # frames that say nothing, and why
 
     def __len__(self) -> int:
         return len(self.cameras)
 
     def __getitem__(self, index: int) -> Frame:
-        camera = self.cameras[index]
-        image = (
-            self._images[index]
-            if self._images
-            else read_image(_picture(self.folder / "frames", index), 3)
-        )
-        mask = read_image(_picture(self.folder / "masks", index), 1)
-        normals = read_normals(self.folder / "normals", index) if self.has_normals else None
+        """One frame; an absent one is white, under an empty mask."""
+        camera, pose = self.cameras[index], self.pose[index]
+        if index in self.absent:
+            size = (camera.height, camera.width)
+            return Frame(index, np.ones((*size, 3), "f4"), np.zeros(size, "f4"), None, camera, pose)
+        if self._images:
+            image = self._images[index]
+        else:
+            image = read_image(_picture(self.folder / "frames", index), 3)
+        mask = read_mask(self.folder / "masks", index)
+        normals = self.normals.read(index, camera) if self.normals else None
         if normals is not None:
-            normals = normals * (mask > 127)[..., None]
-        picture = image.astype(np.float32) / 255
-        return Frame(
-            index, picture, mask.astype(np.float32) / 255, normals, camera, self.pose[index]
-        )
+            normals = normals * (mask > 0.5)[..., None]
+        return Frame(index, image.astype(np.float32) / 255, mask, normals, camera, pose)
 
     def frames(self, indices: Iterable[int] | None = None) -> Iterator[Frame]:
         """The frames of some indices, or all of them, one by one."""
@@ -107,18 +118,29 @@ class Video:
         return self.cameras[0].width, self.cameras[0].height
 
     @property
+    def has_normals(self) -> bool:
+        """Whether there are normals of any frame."""
+        return self.normals is not None
+
+    @property
     def truth(self) -> Path | None:
         """The folder with the truth of a synthetic subject."""
         folder = self.folder / "truth"
         return folder if folder.is_dir() else None
 
 
-def load_video(folder: Path, poses: Path | None = None) -> Video:
+def load_video(
+    folder: Path,
+    poses: Path | None = None,
+    normals: Convention | Literal["none"] | None = None,
+) -> Video:
     """Open a subject's folder and check everything in it.
 
     Args:
         folder: in the format above.
         poses: another file of poses than ``folder/poses.npz``, such as the refined ones.
+        normals: how the normals were made, against what ``normals.json`` says; ``"none"`` leaves
+            them alone.
 
     Raises:
         InputError: the first thing that cannot be used: file, key, frame, and the expected form.
@@ -130,7 +152,8 @@ def load_video(folder: Path, poses: Path | None = None) -> Video:
             "cameras.npz and poses.npz"
         )
     cameras = load_cameras(folder / "cameras.npz")
-    images, count = _open_pictures(folder)
+    images, numbers = _open_pictures(folder)
+    count = numbers[-1] + 1
     pose, shape = load_poses(poses or folder / "poses.npz")
     if len(pose) != count:
         raise InputError(
@@ -143,26 +166,18 @@ def load_video(folder: Path, poses: Path | None = None) -> Video:
             f"{folder / 'cameras.npz'}: holds {len(cameras)} cameras, "
             f"but the video has {count} frames"
         )
-    size = (cameras[0].height, cameras[0].width)
-    for k in range(count):
-        shape_k = (
-            images[k].shape[:2]
-            if images
-            else read_image(_picture(folder / "frames", k), 3).shape[:2]
-        )
-        if shape_k != size:
-            raise InputError(
-                f"{folder}: frame {k} is {shape_k[1]}x{shape_k[0]}, "
-                f"but cameras.npz says {size[1]}x{size[0]}"
-            )
-        _check_mask(_picture(folder / "masks", k), k, size)
-    normals = folder / "normals"
-    if normals.is_dir():
-        for k in range(count):
-            shape_k = read_normals(normals, k).shape
-            if shape_k != (*size, 3):
-                raise InputError(f"{normals}: frame {k} is {shape_k}, expected {(*size, 3)}")
-    return Video(folder, cameras, pose, shape, load_splits(folder, count), images, normals.is_dir())
+    maps = NormalMaps.open(folder, count, normals) if normals != "none" else None
+    absent = {k: "it has no picture" for k in range(count) if k not in set(numbers)}
+    for k in numbers:
+        _check_picture(folder, k, images[k] if images else None, cameras[k])
+        if (reason := _why_absent(folder / "masks", k, cameras[k])) is not None:
+            absent[k] = reason
+        elif maps is not None:
+            maps.read(k, cameras[k])
+    if len(absent) == count:
+        raise InputError(f"{folder}: no frame can be used; frame 0: {absent[0]}")
+    splits = load_splits(folder, count).without(absent)
+    return Video(folder, cameras, pose, shape, splits, images, maps, dict(sorted(absent.items())))
 
 
 def load_cameras(path: Path) -> list[Camera]:
@@ -234,29 +249,39 @@ def _picture(folder: Path, index: int) -> Path:
     return folder / f"{index:06d}.png"
 
 
-def _open_pictures(folder: Path) -> tuple[Sequence[np.ndarray], int]:
+def _open_pictures(folder: Path) -> tuple[Sequence[np.ndarray], Sequence[int]]:
+    """Decoded pictures, where they come as a film, and the numbers of the frames that are there."""
     frames = sorted((folder / "frames").glob("*.png"))
     if frames:
-        for k, path in enumerate(frames):
-            if path.name != f"{k:06d}.png":
-                raise InputError(
-                    f"{path}: frames must be numbered without gaps; {k:06d}.png was expected"
-                )
-        return [], len(frames)
+        for path in frames:
+            if not (path.stem.isdecimal() and len(path.stem) == 6):
+                raise InputError(f"{path}: frames are numbered, such as 000000.png")
+        return [], [int(path.stem) for path in frames]
     if (folder / "video.mp4").exists():
         images = read_movie(folder / "video.mp4")
-        return images, len(images)
+        return images, range(len(images))
     raise InputError(f"{folder}: neither frames/000000.png ... nor video.mp4 is there")
 
 
-def _check_mask(path: Path, index: int, size: tuple[int, int]) -> None:
-    mask = read_image(path, 1)
-    if mask.shape != size:
+def _check_picture(folder: Path, index: int, image: np.ndarray | None, camera: Camera) -> None:
+    if image is None:
+        image = read_image(_picture(folder / "frames", index), 3)
+    height, width = image.shape[:2]
+    if (width, height) != (camera.width, camera.height):
         raise InputError(
-            f"{path}: mask of frame {index} is {mask.shape[1]}x{mask.shape[0]}, "
-            f"expected {size[1]}x{size[0]}"
+            f"{folder}: frame {index} is {width}x{height}, "
+            f"but cameras.npz says {camera.width}x{camera.height}"
         )
-    if not (mask > 127).any():
+
+
+def _why_absent(masks: Path, index: int, camera: Camera) -> str | None:
+    """What keeps a frame from being used; None where it can be."""
+    mask = read_mask(masks, index)
+    if mask is None:
+        return "it has no mask"
+    if mask.shape != (camera.height, camera.width):
         raise InputError(
-            f"{path}: mask of frame {index} is empty; expected the person in it (255 inside)"
+            f"{masks}: mask of frame {index} is {mask.shape[1]}x{mask.shape[0]}, "
+            f"expected {camera.width}x{camera.height}"
         )
+    return None if (mask > 0.5).any() else "its mask is empty"

@@ -73,7 +73,7 @@ class FitOptions:
     densify: DensifyOptions = DensifyOptions(grad_threshold=1e-4)  # as GART
     reinit: ReinitOptions = ReinitOptions(floater_sigmas=3.0)  # 2 tears holes into a skirt
     loss: LossOptions = LossOptions()
-    splat: SplatOptions = SplatOptions()
+    splat: SplatOptions = SplatOptions(depth=False)
 
     def __post_init__(self) -> None:
         for name, least in (("steps", 1), ("window", 11), ("checkpoint_every", 1), ("seed", 0)):

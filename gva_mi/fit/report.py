@@ -1,51 +1,30 @@
-"""The report of a run: one HTML file that holds its pictures and opens from disk."""
+"""The report of a run: what the avatar looks like, how well it does, and how it was trained."""
 
 from __future__ import annotations
 
-import base64
-import io
-import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.data.video import Video, load_video
-from gva_mi.files import replacing
-from gva_mi.fit.views import compared, dots, hands, same_size, spread, turntable
+from gva_mi.fit.views import compared, dots, hands, same_size, turntable
+from gva_mi.page import (
+    Figure,
+    Section,
+    Table,
+    animation,
+    number,
+    picture,
+    plot,
+    spread,
+    write_page,
+)
 from gva_mi.splat import Gaussians
 
 SHOWN = 5  # frames per strip
 TURN_FRAMES = 24  # pictures of the turning avatar
-
-
-@dataclass(frozen=True)
-class Picture:
-    """An image in the page."""
-
-    caption: str
-    data: str  # a data: address
-
-
-@dataclass(frozen=True)
-class Table:
-    """Rows of text under a head."""
-
-    head: Sequence[str]
-    rows: Sequence[Sequence[str]]
-
-
-@dataclass(frozen=True)
-class Section:
-    """A part of the page: what is to be seen, and the pictures of it."""
-
-    title: str
-    text: str
-    pictures: Sequence[Picture] = ()
-    columns: int = SHOWN
-    tables: Sequence[Table] = field(default=())
 
 
 def write_report(
@@ -82,15 +61,14 @@ def write_report(
         _curves(history),
         _tables(metrics),
     ]
-    text = _template().render(
+    write_page(
+        path,
         title=title,
         subtitle=_subtitle(metrics),
         figures=_figures(metrics),
-        sections=[section for section in sections if section],
-        settings=json.dumps({k: metrics[k] for k in ("options", "versions", "seed")}, indent=2),
+        sections=sections,
+        settings={k: metrics[k] for k in ("options", "versions", "seed")},
     )
-    with replacing(path) as unfinished:
-        unfinished.write_text(text)
 
 
 _NOVEL_POSE = "A motion that is not in the video, under its true poses: truth left, render right."
@@ -101,7 +79,7 @@ def _turning(avatar: Avatar, video: Video) -> Section:
     caption = f"{len(avatar.canonical):,} Gaussians, {TURN_FRAMES} views"
     pictures = list(turntable(avatar, video[len(video) // 2], TURN_FRAMES))
     text = "Fitted to one video of one camera, seen all around."
-    return Section("The avatar", text, [Picture(caption, _animation(pictures))], columns=3)
+    return Section("The avatar", text, [animation(caption, pictures)], columns=3)
 
 
 def _held_out(avatar: Avatar, video: Video) -> Section:
@@ -109,7 +87,7 @@ def _held_out(avatar: Avatar, video: Video) -> Section:
     shown = spread(video.splits.test or video.splits.train, SHOWN + 1)
     images = same_size([compared(avatar, frame) for frame in video.frames(shown)])
     captions = [f"frame {k}: picture · render · difference" for k in shown]
-    pictures = [_picture(*pair) for pair in zip(captions, images, strict=True)]
+    pictures = [picture(*pair) for pair in zip(captions, images, strict=True)]
     text = (
         "Frames of the video that training left out, cut out by their masks: the picture, the "
         "render, and the largest difference of the three channels (white none, red 64 of 255)."
@@ -127,8 +105,8 @@ def _refinement(figures: dict, overlays: Sequence[np.ndarray]) -> list[Section]:
         ("hands, mm", 1, figures["hand_vertex_mm_stage1"], figures["hand_vertex_mm"], None),
         ("silhouette IoU", 3, figures["iou_stage1"], figures["iou"], figures["iou_truth"]),
     ]
-    table = Table(head, [(name, *(_number(x, n) for x in row)) for name, n, *row in rows])
-    pictures = [_picture("stage 1 above, refined below", image) for image in overlays]
+    table = Table(head, [(name, *(number(x, n) for x in row)) for name, n, *row in rows])
+    pictures = [picture("stage 1 above, refined below", image) for image in overlays]
     return [Section("Pose refinement", text, pictures, min(len(pictures), 4), [table])]
 
 
@@ -140,12 +118,12 @@ def _truth(avatar: Avatar, video: Video, split: str, title: str, text: str) -> l
     source = load_video(folder)
     shown = source.frames(spread(range(len(source)), SHOWN))
     images = same_size([compared(avatar, frame, difference=False) for frame in shown])
-    return [Section(title, text, [_picture("", image) for image in images])]
+    return [Section(title, text, [picture("", image) for image in images])]
 
 
 def _hands(avatar: Avatar, video: Video) -> Section:
     pictures = [
-        _picture(f"frame {frame.index}, {side}", image)
+        picture(f"frame {frame.index}, {side}", image)
         for frame in video.frames(spread(video.splits.test or video.splits.train, SHOWN))
         for side, image in hands(avatar, frame)
     ]
@@ -163,7 +141,7 @@ def _reinitialisation(snapshots: Sequence[tuple[int, Gaussians, Gaussians]]) -> 
     for step, before, after in snapshots:
         for name, gaussians in (("before", before), ("after", after)):
             caption = f"step {step}, {name}: {len(gaussians):,} Gaussians"
-            pictures.append(_picture(caption, dots(gaussians)))
+            pictures.append(picture(caption, dots(gaussians)))
     text = (
         "Surface-guided re-initialisation: every Gaussian as a dot of its own colour, in the rest "
         "pose. Clumps in textured regions spread, and floating Gaussians return to the surface."
@@ -186,11 +164,8 @@ def _curves(history: dict[str, np.ndarray]) -> Section:
     right.set(xlabel="step", title="Gaussians")
     for axis in (left, right):
         axis.spines[["top", "right"]].set_visible(False)
-    buffer = io.BytesIO()
-    fig.savefig(buffer, format="svg")
-    plt.close(fig)
-    picture = Picture("", _address(buffer.getvalue(), "svg+xml"))
-    return Section("Training", "Each term of Eq. 13, and how many Gaussians.", [picture], columns=1)
+    text = "Each term of Eq. 13, and how many Gaussians."
+    return Section("Training", text, [plot("", fig)], columns=1)
 
 
 def _tables(metrics: dict) -> Section:
@@ -199,10 +174,10 @@ def _tables(metrics: dict) -> Section:
         (
             row["name"].replace("_", " "),
             row["split"].replace("_", " "),
-            _number(row["psnr"], 2),
-            _number(row["ssim"], 4),
-            _number(row["lpips"], 4),
-            _number(row["rand_vgg"], 4),
+            number(row["psnr"], 2),
+            number(row["ssim"], 4),
+            number(row["lpips"], 4),
+            number(row["rand_vgg"], 4),
         )
         for row in metrics["rows"]
     ]
@@ -215,26 +190,26 @@ def _tables(metrics: dict) -> Section:
     return Section("Figures", text, tables=[Table(head, rows)])
 
 
-def _figures(metrics: dict) -> list[dict[str, str]]:
+def _figures(metrics: dict) -> list[Figure]:
     """The large numbers at the top."""
     first = metrics["rows"][0]["name"]
     psnr = {row["split"]: row["psnr"] for row in metrics["rows"] if row["name"] == first}
     figures = [
-        {"value": f"{psnr[split]:.1f} dB", "label": f"PSNR, {split.replace('_', ' ')}"}
+        Figure(f"{psnr[split]:.1f} dB", f"PSNR, {split.replace('_', ' ')}")
         for split in ("test", "novel_pose", "novel_view")
         if split in psnr
     ]
     refinement, training = metrics["refinement"], metrics["training"]
     if refinement["vertex_mm"] is not None:
         value = f"{refinement['vertex_mm_stage1']:.0f} → {refinement['vertex_mm']:.0f} mm"
-        figures.append({"value": value, "label": "mean vertex error, stage 1 → refined"})
+        figures.append(Figure(value, "mean vertex error, stage 1 → refined"))
     if refinement["iou"] is not None:
         value = f"{refinement['iou_stage1']:.3f} → {refinement['iou']:.3f}"
-        figures.append({"value": value, "label": "silhouette IoU, stage 1 → refined"})
-    figures.append({"value": f"{training['gaussians']:,}", "label": "Gaussians"})
+        figures.append(Figure(value, "silhouette IoU, stage 1 → refined"))
+    figures.append(Figure(f"{training['gaussians']:,}", "Gaussians"))
     minutes, seconds = divmod(round(training["seconds"]), 60)
     label = f"for {training['steps']:,} steps"
-    figures.append({"value": f"{minutes} min {seconds:02d} s", "label": label})
+    figures.append(Figure(f"{minutes} min {seconds:02d} s", label))
     return figures
 
 
@@ -251,37 +226,3 @@ def _smooth(values: np.ndarray, over: int = 25) -> np.ndarray:
     over = min(over, len(values))
     padded = np.pad(values, (over // 2, over - 1 - over // 2), mode="edge")
     return np.convolve(padded, np.full(over, 1 / over), mode="valid")
-
-
-def _number(value: float | None, digits: int) -> str:
-    return "–" if value is None else f"{value:.{digits}f}"
-
-
-def _picture(caption: str, image: np.ndarray) -> Picture:
-    from PIL import Image
-
-    buffer = io.BytesIO()
-    Image.fromarray(image).save(buffer, "WEBP", quality=92)
-    return Picture(caption, _address(buffer.getvalue(), "webp"))
-
-
-def _animation(images: Sequence[np.ndarray]) -> str:
-    from PIL import Image
-
-    first, *rest = (Image.fromarray(image) for image in images)
-    buffer = io.BytesIO()
-    first.save(buffer, "WEBP", save_all=True, append_images=rest, duration=100, loop=0, quality=88)
-    return _address(buffer.getvalue(), "webp")
-
-
-def _address(data: bytes, kind: str) -> str:
-    return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
-
-
-def _template():  # noqa: ANN202 (jinja2 is imported only here)
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    loader = PackageLoader("gva_mi.fit", ".")
-    return Environment(loader=loader, autoescape=True, undefined=StrictUndefined).get_template(
-        "report.html"
-    )

@@ -5,16 +5,17 @@ All images are 8-bit (H, W, 3), on white.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import torch
 
 from gva_mi.avatar.avatar import Avatar
+from gva_mi.body.kinematics import joint_transforms
 from gva_mi.body.pose import LEFT_HAND, RIGHT_HAND, Pose
-from gva_mi.body.skinning import joint_transforms
 from gva_mi.data.video import Frame, Video
 from gva_mi.fit.evaluate import cut_out, render_frame, to_8bit
+from gva_mi.page import around
 from gva_mi.splat import Camera, Gaussians, look_at
 from gva_mi.splat.torch_op import render
 
@@ -24,25 +25,6 @@ HAND_CROP = 0.28  # metres, the side of a zoomed hand
 HAND_PIXELS = 220  # about the side of its picture
 DOT = 0.0015  # metres, standard deviation of a Gaussian that is drawn as a dot
 RED_AT = 64  # levels of 255 at which a difference is shown fully red
-
-
-def spread(indices: Iterable[int], count: int) -> list[int]:
-    """At most ``count`` of some indices, evenly spaced."""
-    indices = list(indices)
-    chosen = np.linspace(0, len(indices) - 1, min(count, len(indices))).round().astype(int)
-    return [indices[k] for k in chosen]
-
-
-def around(inside: np.ndarray, margin: int) -> tuple[slice, slice]:
-    """Rows and columns that hold all that is inside, and a margin."""
-    if not inside.any():
-        return slice(None), slice(None)
-    found = []
-    for axis in (1, 0):
-        where = np.flatnonzero(inside.any(axis))
-        low, high = where[0] - margin, where[-1] + 1 + margin
-        found.append(slice(max(0, low), min(inside.shape[1 - axis], high)))
-    return found[0], found[1]
 
 
 def turntable(avatar: Avatar, frame: Frame, count: int) -> Iterator[np.ndarray]:

@@ -1,18 +1,17 @@
 """All frames refined together, the clothes explained by one displacement of the surface.
 
-A step takes one frame ``k``, chosen at random (every frame once in a pass), and moves its rotations
-``θ_k``, its translation ``t_k`` and the displacement ``D``, which all frames share, downhill on
+A step takes some frames ``k``, chosen at random (every frame once in a pass), and moves the
+corrections of all frames, the displacement ``D`` and the shape ``β``, which all frames share,
+downhill on
 
-    L = |N - N_pred| + λ1 |S - S_pred|               the body displaced by D, posed by θ_k, t_k
-        + λ2 Σ_i ω_i d(θ_k,i, θ_k,i^stage1)²          Eq. 9's regulariser
-        + smooth Σ_l Σ_i d(θ_k,i, θ_l,i)²             l = k ± 1: neighbours, where they are now
-        + smooth_move Σ_l |t_k - t_l|²
-        + hold |t_k - t_k^stage1|²
-        + E(D)                                        gva_mi.pose.displacement
+    L = mean_k( |N_k - N_k,pred| + λ1 |S_k - S_k,pred| )      the body β displaced by D, posed
+        + E(δ, τ)                                             gva_mi.pose.corrections
+        + E(D)                                                gva_mi.pose.displacement
+        + λβ |β - β^stage1|²
 
 One frame cannot tell cloth from limb; many frames in which the person turns can, for the cloth goes
-along with the body and the error of the pose does not. Without ``hold`` the body walks toward the
-camera to fill the clothes.
+along with the body and the error of the pose does not. Nor does one frame tell how far a limb leans
+toward the camera; the frames before and after do, in which it is seen from another side.
 """
 
 from __future__ import annotations
@@ -21,14 +20,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import roma
 import torch
 from torch import Tensor
 
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.body.smplx import BodyModel
+from gva_mi.pose.corrections import Corrections
 from gva_mi.pose.displacement import Displacement
-from gva_mi.pose.priors import joint_weights, levers, squared_angles
+from gva_mi.pose.priors import joint_weights, levers
 from gva_mi.pose.scene import BodyScene
 from gva_mi.pose.target import Target
 from gva_mi.pose.vector_adam import VectorAdam
@@ -38,10 +37,7 @@ if TYPE_CHECKING:
 
 FACE = slice(JOINTS.index("jaw"), JOINTS.index("right_eye_smplhf") + 1)  # neither seen nor moved
 DECAY = 0.1  # what is left of the learning rates at the end
-BETAS = (
-    0.8,
-    0.99,
-)  # Adam's: a frame is visited a few dozen times only, so that it must forget fast
+BETAS = (0.9, 0.99)  # Adam's
 
 
 @dataclass(frozen=True)
@@ -51,6 +47,7 @@ class Solution:
     rotations: Tensor  # (T, 55, 3) axis-angle
     transl: Tensor  # (T, 3) metres
     offsets: Tensor  # (V, 3) metres
+    betas: Tensor  # (B,) standard deviations
 
 
 def refine_sequence(
@@ -61,6 +58,7 @@ def refine_sequence(
     shape: Shape,
     options: RefineOptions,
     progress: Callable[..., None] | None = None,
+    known: Solution | None = None,
 ) -> Solution:
     """Refine the frames that have a target; the others stay, and pull at nobody.
 
@@ -72,49 +70,64 @@ def refine_sequence(
         shape: the person's.
         options: weights, passes, learning rates and the seed.
         progress: called as ``progress(done, total, loss=...)`` after every step.
+        known: found on other frames of the video: what all frames share is taken from it, and
+            rests.
     """
     generator = torch.Generator().manual_seed(options.seed)
-    weights = joint_weights(body.parents)
-    cloth = Displacement(body.rest(shape).vertices, body.faces, body.weights)
-    stage1 = roma.rotvec_to_rotmat(pose.rotations)
-    now = stage1.clone()  # (T, 55, 3, 3) where all frames stand
-    turns = [theta.clone().requires_grad_() for theta in pose.rotations]
-    # (3, 1) each: depth would hardly move if it shared its step with the other axes.
-    moves = [t.clone()[:, None].requires_grad_() for t in pose.transl]
-    reach = (options.step / levers(body, shape)).clamp_max(options.largest_turn)[:, None]
-    rates = [reach] * len(turns) + [options.translation_lr] * len(moves)
-    adam = VectorAdam([*turns, *moves, cloth.raw], [*rates, options.cloth_lr], BETAS)
-
     frames = sorted(targets)
-    total = options.passes * len(frames)
+    camera = targets[frames[0]].camera
+    corrections = Corrections(pose, frames, camera, joint_weights(body.parents), options)
+    cloth = Displacement(body.rest(shape).vertices, body.faces, body.weights)
+    betas = shape.betas.clone()[:, None].requires_grad_()  # (B, 1): each for itself
+    if known is not None:  # what needs no gradient is left alone by Adam
+        cloth.raw, betas = known.offsets, known.betas[:, None]
+    turn = (options.step / levers(body, shape)).clamp_max(options.largest_turn)[:, None]
+    turn[FACE] = 0
+    adam = VectorAdam(
+        [corrections.turns, corrections.moves, cloth.raw, betas],
+        [turn, options.translation_lr, options.cloth_lr, options.betas_lr],
+        BETAS,
+    )
+
+    batches = -(-len(frames) // options.batch)
+    total = options.passes * batches
     for step in range(total):
-        if step % len(frames) == 0:
+        if step % batches == 0:
             order = torch.randperm(len(frames), generator=generator).tolist()
-        k = frames[order[step % len(frames)]]
+        some = order[step % batches :: batches]
         offsets = cloth.offsets
-        one = Pose.from_rotations(turns[k][None], moves[k].T, pose.expression[k : k + 1])
-        vertices = body(one, shape, offsets).vertices[0]
-        image = scene.render(vertices, targets[k].camera)
-        loss = targets[k].normal_loss(image)
-        loss = loss + options.silhouette * targets[k].silhouette_loss(image)
-        R = roma.rotvec_to_rotmat(turns[k])
-        loss = loss + options.prior * (weights * squared_angles(R, stage1[k])).sum()
-        loss = loss + options.hold * (moves[k][:, 0] - pose.transl[k]).square().sum()
-        for near in (k - 1, k + 1):
-            if near in targets:
-                loss = loss + options.smooth * squared_angles(R, now[near]).sum()
-                apart = moves[k] - moves[near].detach()
-                loss = loss + options.smooth_move * apart.square().sum()
-        loss = loss + cloth.energy(
+        posed = body(corrections.pose(some), Shape(betas[:, 0]), offsets).vertices
+        seen = [
+            _look(scene, targets[frames[k]], vertices, options.silhouette)
+            for k, vertices in zip(some, posed.detach().unbind(), strict=True)
+        ]
+        losses, gradients = zip(*seen, strict=True)
+        energy = corrections.energy()
+        energy = energy + options.betas_prior * (betas[:, 0] - shape.betas).square().sum()
+        energy = energy + cloth.energy(
             offsets, options.cloth_smooth, options.cloth_small, options.cloth_outward
         )
-
-        loss.backward()
-        turns[k].grad[FACE] = 0
+        torch.autograd.backward([posed, energy], [torch.stack(gradients) / len(some), None])
         adam.step(DECAY ** (step / total))
-        with torch.no_grad():
-            now[k] = roma.rotvec_to_rotmat(turns[k])
         if progress is not None:
-            progress(step + 1, total, loss=float(loss.detach()))
-    rotations, transl = torch.stack(turns).detach(), torch.stack(moves)[..., 0].detach()
-    return Solution(rotations, transl, cloth.offsets.detach())
+            progress(step + 1, total, loss=sum(losses) / len(some) + float(energy.detach()))
+
+    rotations, transl = pose.rotations.clone(), pose.transl.clone()
+    with torch.no_grad():
+        found = corrections.pose(range(len(frames)))
+    rotations[frames], transl[frames] = found.rotations, found.transl
+    return Solution(rotations, transl, cloth.offsets.detach(), betas.detach()[:, 0])
+
+
+def _look(
+    scene: BodyScene, target: Target, vertices: Tensor, silhouette: float
+) -> tuple[float, Tensor]:
+    """The loss of one picture and its gradient by the vertices (V, 3).
+
+    Both at once, while the scene still shows them: to move the mesh again is what costs most.
+    """
+    vertices = vertices.contiguous().requires_grad_()
+    image = scene.render(vertices, target.camera)
+    loss = target.normal_loss(image) + silhouette * target.silhouette_loss(image)
+    loss.backward()
+    return float(loss.detach()), vertices.grad

@@ -54,4 +54,5 @@ def refine_single_frames(
             if progress is not None:
                 progress(number * options.steps + step + 1, total, loss=float(loss.detach()))
         rotations[k] = theta.detach()
-    return Solution(rotations, pose.transl.clone(), torch.zeros_like(body.v_template))
+    bare = torch.zeros_like(body.v_template)
+    return Solution(rotations, pose.transl.clone(), bare, shape.betas)

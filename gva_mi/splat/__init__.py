@@ -6,8 +6,10 @@ which tile), pixels.py and blend.py (compositing), pipeline.py (one after the ot
 wide colours, frozen.py so that each is traced once).
 
 ``render`` comes twice: :mod:`gva_mi.splat.render` for Dr.Jit arrays, :mod:`gva_mi.splat.torch_op`
-for torch tensors. :mod:`gva_mi.splat.rasterization` has gsplat's signature. reference.py is the
-slow twin, and gradcheck.py compares the two.
+for torch tensors. :mod:`gva_mi.splat.rasterization` has gsplat's signature.
+
+The proofs stand apart: reference.py is the slow twin, gradcheck/ compares the kernels with it and
+with other answers, bench/ times them, and scene.py makes what they are tried on.
 
 Importing this folder imports Dr.Jit and numpy; torch comes with the modules that name it.
 """

@@ -25,14 +25,18 @@ def widths(channels: int, whole: bool = False) -> list[int]:
     return [CHUNK] * -(-channels // CHUNK)
 
 
-def rows_of(columns: list[Array], geometry: int, parts: list[int]) -> list[list[Array]]:
-    """Columns of the rows to composite: for each chunk the geometry, its channels, the depth."""
-    shape, features, depth = columns[:geometry], columns[geometry:-1], columns[-1]
+def rows_of(
+    columns: list[Array], geometry: int, parts: list[int], depth: bool
+) -> list[list[Array]]:
+    """Columns of the rows to composite: each chunk's geometry and channels, the first's depth."""
+    shape, features, z = columns[:geometry], columns[geometry:-1], columns[-1]
     rows, first = [], 0
     for width in parts:
         part = features[first : first + width]
-        rows.append([*shape, *part, *([depth * 0] * (width - len(part))), depth])
+        rows.append([*shape, *part, *([z * 0] * (width - len(part)))])
         first += width
+    if depth:
+        rows[0].append(z)
     return rows
 
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import drjit as dr
 
-LIMIT = 64  # recordings kept per set of constants; arrays of equal size by chance make new ones
+LIMIT = 64  # sets of constants that are kept, and recordings of each
 
 
 class Frozen:
@@ -28,10 +28,14 @@ class Frozen:
 
     def __call__(self, *arrays: Any, **constants: Any) -> Any:  # noqa: ANN401
         key = tuple(constants.items())
-        if key not in self.variants:
+        variant = self.variants.pop(key, None)
+        if variant is None:
             run = lambda *arrays: self.function(*arrays, **constants)
-            self.variants[key] = dr.freeze(run, limit=LIMIT, warn_after=1000)
-        return self.variants[key](*arrays)
+            variant = dr.freeze(run, limit=LIMIT, warn_after=1000)
+        self.variants[key] = variant  # used last, it is forgotten last
+        if len(self.variants) > LIMIT:
+            del self.variants[next(iter(self.variants))]
+        return variant(*arrays)
 
     @property
     def n_recordings(self) -> int:

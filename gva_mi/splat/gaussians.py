@@ -68,11 +68,12 @@ class Gaussians:
 
 @dataclass(frozen=True)
 class Image:
-    """What a render returns; all three are differentiable."""
+    """What a render returns; all is differentiable."""
 
     color: Any  # (H, W, D), background blended in
     alpha: Any  # (H, W) in [0, 1]
-    depth: Any  # (H, W) m along the camera's z, accumulated like a colour: sum of T_i alpha_i z_i
+    depth: Any = None  # (H, W) m along the camera's z, accumulated like a colour: the sum of
+    # T_i alpha_i z_i; None where SplatOptions.depth is off
 
 
 def degree_of(coefficients: int) -> int:

@@ -30,6 +30,7 @@ from dataclasses import dataclass
 import drjit as dr
 import numpy as np
 from drjit import ArrayBase as Array
+from drjit.llvm import Float64
 
 from gva_mi.splat import packets
 from gva_mi.splat.camera import Camera, CameraModel
@@ -57,22 +58,28 @@ class View:
 
     DIFFERENTIABLE = 19  # numbers: R, t, f, c, o
 
+    def to(self, F: type) -> View:
+        """The same in another precision, inside a kernel."""
+        cast = lambda numbers: [F(x) for x in numbers]
+        parts = (self.R, self.t, self.f, self.c, self.o, self.low, self.high)
+        return View(*map(cast, parts), self.model)
 
-def view_of(camera: Camera, F: type) -> View:
-    """The camera in precision ``F``, evaluated."""
+
+def view_of(camera: Camera) -> View:
+    """The camera in float64, evaluated."""
     f, c = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
     size = np.array([camera.width, camera.height])
     T = camera.T_camera_world
     low, high = -MARGIN * size - c, (1 + MARGIN) * size - c
-    return _view([T[:3, :3].ravel(), T[:3, 3], f, c, camera.position, low, high], camera.model, F)
+    return _view([T[:3, :3].ravel(), T[:3, 3], f, c, camera.position, low, high], camera.model)
 
 
-def view_tangent(camera: Camera, dT: np.ndarray, dK: np.ndarray, F: type) -> View:
+def view_tangent(camera: Camera, dT: np.ndarray, dK: np.ndarray) -> View:
     """The tangent of :func:`view_of` along those of ``T_camera_world`` (4, 4) and ``K`` (3, 3)."""
     T = camera.T_camera_world
     dR, dt, dc = dT[:3, :3], dT[:3, 3], dK[:2, 2]
     do = -np.linalg.solve(T[:3, :3], dR @ camera.position + dt)
-    return _view([dR.ravel(), dt, dK.diagonal()[:2], dc, do, -dc, -dc], camera.model, F)
+    return _view([dR.ravel(), dt, dK.diagonal()[:2], dc, do, -dc, -dc], camera.model)
 
 
 def view_adjoint(camera: Camera, grad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -88,10 +95,10 @@ def view_adjoint(camera: Camera, grad: np.ndarray) -> tuple[np.ndarray, np.ndarr
     return grad_T, grad_K
 
 
-def _view(parts: list[np.ndarray], model: CameraModel, F: type) -> View:
+def _view(parts: list[np.ndarray], model: CameraModel) -> View:
     numbers = np.concatenate(parts)
-    array = F(numbers.astype(np.float64 if packets.is_double(F) else np.float32))
-    x = [dr.gather(F, array, k) for k in range(numbers.size)]
+    array = Float64(numbers)
+    x = [dr.gather(Float64, array, k) for k in range(numbers.size)]
     dr.eval(x)
     return View(x[:9], x[9:12], x[12:14], x[14:16], x[16:19], x[19:21], x[21:23], model)
 

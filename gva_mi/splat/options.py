@@ -17,6 +17,7 @@ class SplatOptions:
     far: float = 1e10  # metres
     radius_min: float = 0.0  # pixels; a Gaussian that reaches no further in x and y is not drawn
     antialiased: bool = False  # what blurring adds in area is taken from the opacity
+    depth: bool = True  # whether the depth image is made too; pictures without it are faster
 
     def __post_init__(self) -> None:
         if not 0 < self.alpha_min < self.alpha_max < 1:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import drjit as dr
 from drjit import ArrayBase as Array
-from drjit.llvm import ArrayXf, ArrayXf64
+from drjit.llvm import ArrayXf, ArrayXf64, ArrayXu
 
 Packets = list[Array]  # flat arrays of n rows each, widths as in widths()
 
@@ -22,7 +22,9 @@ def is_double(F: type) -> bool:
 
 
 def packet_type(F: type) -> type:
-    """The dynamic array whose entries are of type ``F``."""
+    """The dynamic array whose entries are of type ``F``: floats, or 32-bit unsigned integers."""
+    if not dr.is_float_v(F):
+        return ArrayXu
     return ArrayXf64 if is_double(F) else ArrayXf
 
 

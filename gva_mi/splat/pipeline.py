@@ -8,9 +8,11 @@ render.py wraps them for Dr.Jit's autodiff, torch_op.py for torch's. Pictures ar
 flat arrays, padded to whole tiles.
 
 The kernels are frozen (frozen.py): the first call traces and compiles them (0.1-0.5 s each, cached
-on disk), later calls replay them whatever the size of the picture, the number of Gaussians or the
-pose. Keyword arguments (cut-offs, widths) are constants of their code: another value is another
-kernel. So nothing that changes from call to call may be one.
+on disk), later calls replay them whatever the number of Gaussians or the pose. Keyword arguments
+are constants of a recording: another value is another one. Cut-offs and numbers of channels make
+another kernel too. Sizes of memory that a kernel allocates for itself (the picture's, the slots')
+do not: the kernel is the same, and is only traced again. Memory that came in as an argument would
+be copied at every call.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ import numpy as np
 from drjit import ArrayBase as Array
 
 from gva_mi.splat import chunks, packets, tiles
-from gva_mi.splat.blend import blend, blend_adjoint, blend_tangent, sum_slots
+from gva_mi.splat.blend import Limit, Trail, blend, blend_adjoint, blend_tangent, sum_slots
 from gva_mi.splat.camera import Camera
 from gva_mi.splat.frozen import Frozen
 from gva_mi.splat.lens import View, view_adjoint, view_of, view_tangent
@@ -44,7 +46,7 @@ from gva_mi.splat.tiles import Grid, Layout, Lists
 class Projected:
     """The Gaussians in the picture."""
 
-    rows: list[packets.Packets]  # GEOMETRY + D + 1 columns, per chunk: what blend.py reads
+    rows: list[packets.Packets]  # GEOMETRY, channels, z: what blend.py reads, chunk by chunk
     footprints: packets.Packets  # what tiles.py reads
     depths: Array  # (N,) m
     counts: Array  # (N,) tiles touched
@@ -68,8 +70,8 @@ class Saved:
     grid: Grid
     projected: Projected | None  # None where there is no Gaussian
     lists: Lists | None  # None where none is drawn
+    trail: Trail | None
     stop: Array  # where each lane of blend stopped
-    parts: list[Planes]  # the picture in chunks
     planes: Planes
 
     @property
@@ -85,6 +87,7 @@ def render_forward(
     options: SplatOptions,
     background: list[float],
     whole: bool = False,
+    limit: Array | None = None,
 ) -> Saved:
     """The picture, in ``.planes``, padded to whole tiles.
 
@@ -95,10 +98,13 @@ def render_forward(
         options: cut-offs.
         background: one number per channel.
         whole: not to split the channels into chunks; absolute gradients need it.
+        limit: m, a plane: a pixel shows only the Gaussians nearer than its number.
 
     Raises:
         ValueError: for NaN or infinite inputs, and for more pairs than can be counted.
     """
+    if dr.flag(dr.JitFlag.FreezingScope):
+        raise ValueError("render(): its kernels are frozen already: do not call it in dr.freeze")
     F = type(inputs.means)
     n = dr.width(inputs.opacities)
     D = len(background)
@@ -106,13 +112,13 @@ def render_forward(
         raise ValueError(f"render(): background must be finite, got {background}")
     layout = Layout(camera.width, camera.height)
     grid = layout.grid(dr.int32_array_t(F))
-    view = view_of(camera, F)
+    view = view_of(camera)
     behind = [dr.opaque(F, b) for b in background]
     parts = chunks.widths(D, whole)
 
-    projected = lists = stop = None
+    projected = lists = trail = stop = None
     if n:
-        rows = [packets.empty(F, GEOMETRY + width + 1, n) for width in parts]
+        rows = _empty_rows(F, n, parts, options.depth)
         footprints = packets.empty(F, tiles.FOOTPRINT, n)
         width = dr.width(inputs.colors) // n
         projected = _project(
@@ -131,14 +137,16 @@ def render_forward(
         lists = tiles.make_lists(footprints, projected.depths, projected.counts, layout, grid)
     size = layout.padded[0] * layout.padded[1]
     if lists is None:
-        planes = _empty_picture(behind, size)
-        pictures = [planes]
+        planes = _empty_picture(behind, size, options.depth)
     else:
+        far = None if limit is None else Limit(limit, projected.depths)
         pictures = []
         by_chunk = chunks.of_background(behind, parts)
-        for width, rows, colors in zip(parts, projected.rows, by_chunk, strict=True):
-            target = Planes(*(packets.memory(F, size * k) for k in (width, 1, 1)))
-            picture, stop = blend(rows, lists, grid, colors, target, options=options)
+        for k, (rows, colors) in enumerate(zip(projected.rows, by_chunk, strict=True)):
+            depth = options.depth and k == 0
+            picture, trail, stop = blend(
+                rows, lists, grid, colors, far, pixels=size, depth=depth, options=options
+            )
             pictures.append(picture)
         planes = chunks.join_planes(pictures, D)
     return Saved(
@@ -154,8 +162,8 @@ def render_forward(
         grid,
         projected,
         lists,
+        trail,
         stop,
-        pictures,
         planes,
     )
 
@@ -202,22 +210,21 @@ def render_adjoint(
 
     slots, by_background = [], []
     pictures = chunks.split_gradient(grad, D, len(saved.chunks))
-    for width, rows, planes, g in zip(
-        saved.chunks, saved.projected.rows, saved.parts, pictures, strict=True
-    ):
+    backgrounds = chunks.of_background(saved.background, saved.chunks)
+    for k, g in enumerate(pictures):
+        width, rows, behind = saved.chunks[k], saved.projected.rows[k], backgrounds[k]
         columns = MOMENTS + 2 * absolute + width + (g.depth is not None)
-        memory = packets.empty(F, columns, dr.width(saved.lists.ids))
-        shares = packets.memory(F, dr.width(saved.lists.tile) * width)
         memory, shares = blend_adjoint(
             rows,
             saved.lists,
             saved.stop,
             saved.grid,
-            planes,
+            behind,
+            saved.trail,
             g,
-            memory,
-            shares,
-            channels=width,
+            pairs=dr.width(saved.lists.ids),
+            lanes=dr.width(saved.lists.tile),
+            depth=saved.options.depth and k == 0,
             options=saved.options,
             absolute=absolute,
         )
@@ -244,8 +251,7 @@ def render_adjoint(
         depth=grad.depth is not None,
         through_u=through_means2d,
     )
-    real = saved.lists.real.numpy()  # lanes that only fill up packets have written nothing
-    sums = [_sum_rows(shares, width, real) for shares, width in by_background]
+    sums = [_sum_rows(shares, width) for shares, width in by_background]
     by_camera = (None, None)
     if camera:
         parts = zip(target.view, packets.widths(View.DIFFERENTIABLE), strict=True)
@@ -281,14 +287,14 @@ def render_tangent(
     behind = [dr.opaque(F, b) for b in dbackground]
     size = saved.layout.padded[0] * saved.layout.padded[1]
     if saved.lists is None:
-        return _empty_picture(behind, size)
+        return _empty_picture(behind, size, saved.options.depth)
     drows = _project_tangent(
         saved.inputs,
         saved.view,
         dinputs,
-        view_tangent(saved.camera, dT, dK, F),
+        view_tangent(saved.camera, dT, dK),
         dmeans2d,
-        [packets.empty(F, GEOMETRY + width + 1, n) for width in saved.chunks],
+        _empty_rows(F, n, saved.chunks, saved.options.depth),
         width=saved.width,
         harmonics=saved.harmonics,
         options=saved.options,
@@ -298,16 +304,20 @@ def render_tangent(
     colors = chunks.of_background(saved.background, saved.chunks)
     dcolors = chunks.of_background(behind, saved.chunks)
     for k, width in enumerate(saved.chunks):
+        depth = saved.options.depth and k == 0
+        image = [packets.memory(F, size * c) for c in (width, 1, *[1] * depth)]
         pictures.append(
             blend_tangent(
                 saved.projected.rows[k],
                 drows[k],
                 saved.lists,
                 saved.stop,
+                saved.trail,
                 saved.grid,
                 colors[k],
                 dcolors[k],
-                Planes(*(packets.memory(F, size * c) for c in (width, 1, 1))),
+                Planes(*image, *[None] * (not depth)),
+                depth=depth,
                 options=saved.options,
             )
         )
@@ -329,7 +339,9 @@ def _project(
 ) -> Projected:
     columns, ellipses, radii, finite = project(inputs, width, harmonics, view, options)
     i = dr.arange(dr.uint32_array_t(type(inputs.means)), dr.width(inputs.opacities))
-    for target, part in zip(rows, chunks.rows_of(columns, GEOMETRY, parts), strict=True):
+    for target, part in zip(
+        rows, chunks.rows_of(columns, GEOMETRY, parts, options.depth), strict=True
+    ):
         packets.store(target, part, i)
     tiles.store(ellipses, footprints, i)
     counts = tiles.count(ellipses, grid)
@@ -383,30 +395,40 @@ def _project_tangent(
     i = dr.arange(dr.uint32_array_t(type(inputs.means)), dr.width(inputs.opacities))
     if dmeans2d is not None:
         columns[:2] = packets.load_rows(dmeans2d, 2, i)
-    for target, part in zip(drows, chunks.rows_of(columns, GEOMETRY, parts), strict=True):
+    for target, part in zip(
+        drows, chunks.rows_of(columns, GEOMETRY, parts, options.depth), strict=True
+    ):
         packets.store(target, part, i)
     dr.eval(drows)
     return drows
 
 
-def _sum_rows(flat: Array, width: int, rows: slice | np.ndarray = slice(None)) -> np.ndarray:
+def _sum_rows(flat: Array, width: int) -> np.ndarray:
     """Sums of the columns of a flat array of rows, on the host.
 
     numpy adds in one thread, in float64: the same bits for any number of threads.
     """
-    return flat.numpy().reshape(-1, width)[rows].sum(axis=0, dtype=np.float64)
+    return flat.numpy().reshape(-1, width).sum(axis=0, dtype=np.float64)
 
 
-def _empty_picture(background: list[Array], size: int) -> Planes:
+def _empty_rows(F: type, n: int, parts: list[int], depth: bool) -> list[packets.Packets]:
+    """Memory for n projected Gaussians, chunk by chunk."""
+    extra = [depth] + [False] * (len(parts) - 1)
+    return [
+        packets.empty(F, GEOMETRY + width + z, n) for width, z in zip(parts, extra, strict=True)
+    ]
+
+
+def _empty_picture(background: list[Array], size: int, depth: bool) -> Planes:
     F = type(background[0])
     D = len(background)
     color = packets.memory(F, size * D)
     pixel = dr.arange(dr.uint32_array_t(F), size)
     for c in range(D):
         dr.scatter(color, background[c], pixel * D + c)
-    alpha, depth = dr.zeros(F, size), dr.zeros(F, size)
-    dr.eval(color, alpha, depth)
-    return Planes(color, alpha, depth)
+    alpha, z = dr.zeros(F, size), dr.zeros(F, size) if depth else None
+    dr.eval(color, alpha, z)
+    return Planes(color, alpha, z)
 
 
 def _report_not_finite(inputs: Inputs, harmonics: bool, n: int) -> None:

@@ -30,7 +30,7 @@ class Planes:
 
     color: Array  # (rows, columns, D), background blended in
     alpha: Array  # (rows, columns)
-    depth: Array  # (rows, columns); None in an adjoint where no loss looks at it
+    depth: Array  # (rows, columns); None where it is not made, or no loss looks at it
 
 
 def exp2(x: Array) -> Array:
@@ -81,9 +81,8 @@ class Gaussian:
     f: list[Array]
 
 
-def load(rows: packets.Packets, features: int, ids: Array, k: Array, end: Array) -> Gaussian:
-    """Pair ``k``; past the end of the list a Gaussian that no pixel sees."""
-    inside = k < end
+def load(rows: packets.Packets, features: int, ids: Array, k: Array, inside: Array) -> Gaussian:
+    """Pair ``k``; where not ``inside`` the tile's list, a Gaussian that no pixel sees."""
     gaussian = dr.gather(type(ids), ids, k, active=inside)
     u, v, p, q, r, lo, *f = packets.load(rows, GEOMETRY + features, gaussian)
     return Gaussian(u, v, p, q, r, dr.select(inside, lo, -1e30), f)

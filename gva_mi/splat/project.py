@@ -88,7 +88,7 @@ def _in_camera(m: list[Array], view: View, near: float) -> tuple[list[Array], Ar
 
 
 def project(
-    inputs: Inputs, width: int, harmonics: bool, view: View, options: SplatOptions
+    inputs: Inputs, width: int, harmonics: bool, exact: View, options: SplatOptions
 ) -> tuple[list[Array], Ellipses, Array, Array]:
     """Eq. 1-7 for every Gaussian.
 
@@ -96,18 +96,22 @@ def project(
         inputs: the Gaussians.
         width: columns of ``inputs.colors``: D, or 3 K where ``harmonics``.
         harmonics: whether the colours are coefficients.
-        view: the camera.
+        exact: the camera, in float64: u is a small difference of large numbers, and its rounding
+            is the largest of all errors of a float32 picture. So eq. 1-2 are float64 throughout.
         options: cut-offs.
 
     Returns:
         The GEOMETRY columns and behind them the features, colour then depth; the ellipses; three
         standard deviations along the longer axis, px; whether all inputs are finite.
     """
+    F, D = type(inputs.means), dr.float64_array_t(type(inputs.means))
     g = _columns(inputs, width, _lane(inputs))
-    x, z = _in_camera(g.m, view, options.near)
+    fine, fine_z = _in_camera([D(v) for v in g.m], exact, options.near)
+    x, z, view = [F(v) for v in fine], F(fine_z), exact.to(F)
+    u = [F(v) for v in LENSES[view.model].at(fine, fine_z, exact).u]
     lens = LENSES[view.model].at(x, z, view)
     e = Ellipse.of(lens.J, view.R, g.quat, g.s, g.o, options)
-    u, (xx, xy, yy) = lens.u, e.C
+    xx, xy, yy = e.C
     features = sh.color(g.h, g.m, view.o) if harmonics else g.h
 
     # alpha >= alpha_min inside d^T C^-1 d <= tau: an ellipse with half extents sqrt(tau C_ii)
@@ -162,6 +166,7 @@ def project_adjoint(
             made u a node of its own graph.
     """
     i = _lane(inputs)
+    view = view.to(type(inputs.means))
     m0, mx, my, mxx, mxy, myy, *grad_f = moments
     g = _columns(inputs, width, i)
     x, z = _in_camera(g.m, view, options.near)
@@ -217,6 +222,7 @@ def project_tangent(
 ) -> list[Array]:
     """Tangents of :func:`project`'s columns along those of the Gaussians and of the camera."""
     i = _lane(inputs)
+    view, dview = view.to(type(inputs.means)), dview.to(type(inputs.means))
     g, d = _columns(inputs, width, i), _columns(dinputs, width, i)
     x, z = _in_camera(g.m, view, options.near)
     dx = [

@@ -140,6 +140,7 @@ def rasterization(
         far=far_plane,
         radius_min=radius_clip,
         antialiased=rasterize_mode == "antialiased",
+        depth="D" in render_mode,
     )
     x = _in_cameras(means, viewmats)
     means2d = _in_pictures(x, Ks, camera_model, near_plane)

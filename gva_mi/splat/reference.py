@@ -12,6 +12,8 @@ pre-scaled. Use it to check the kernels (:mod:`gva_mi.splat.gradcheck`), on smal
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor
 
@@ -28,6 +30,7 @@ def render(
     *,
     T_camera_world: Tensor | None = None,
     K: Tensor | None = None,
+    depth_limit: Tensor | None = None,
 ) -> Image:
     """What ``torch_op.render`` shall return, to the precision of float64.
 
@@ -38,9 +41,11 @@ def render(
         background: (D,), black where None.
         T_camera_world: (4, 4), in the place of the camera's own; differentiable.
         K: (3, 3), in the place of the camera's own; differentiable.
+        depth_limit: (H, W), m along the camera's z; a pixel shows what is nearer.
     """
     matrices = _matrices(camera, T_camera_world, K)
-    return _render(gaussians, camera, options or SplatOptions(), background, *matrices)[0]
+    options = options or SplatOptions()
+    return _render(gaussians, camera, options, background, *matrices, depth_limit)[0]
 
 
 def threshold_band(
@@ -49,6 +54,7 @@ def threshold_band(
     options: SplatOptions | None = None,
     alpha: float = 1e-4,
     transmittance: float = 1e-3,
+    depth: float = 2**-22,
 ) -> Tensor:
     """Pixels whose picture may change by a step when the last digits do, (H, W) bool.
 
@@ -59,11 +65,23 @@ def threshold_band(
         alpha: a pixel counts where a Gaussian's alpha is relatively nearer to ``alpha_min`` or
             ``alpha_max`` than this.
         transmittance: the same for T and ``transmittance_min``.
+        depth: a pixel counts where two Gaussians that follow each other in it have depths
+            relatively nearer than this (four float32 roundings), and not equal: they may change
+            places.
     """
     with torch.no_grad():
         matrices = _matrices(camera, None, None)
-        margin = _render(gaussians, camera, options or SplatOptions(), None, *matrices)[1]
-    return (margin[0] < alpha) | (margin[1] < transmittance)
+        margins = _render(gaussians, camera, options or SplatOptions(), None, *matrices)[1]
+    return (margins.alpha < alpha) | (margins.rest < transmittance) | (margins.depth < depth)
+
+
+@dataclass(frozen=True)
+class _Margins:
+    """How near a pixel is to a step of its picture: relative distances, (H, W)."""
+
+    alpha: Tensor  # of any alpha to alpha_min or alpha_max
+    rest: Tensor  # of any T to transmittance_min
+    depth: Tensor  # between neighbours in depth
 
 
 def _matrices(camera: Camera, T: Tensor | None, K: Tensor | None) -> tuple[Tensor, Tensor]:
@@ -78,7 +96,8 @@ def _render(
     background: Tensor | None,
     T_camera_world: Tensor,
     K: Tensor,
-) -> tuple[Image, tuple[Tensor, Tensor]]:
+    depth_limit: Tensor | None = None,
+) -> tuple[Image, _Margins]:
     to64 = lambda t: t.to(torch.float64)
     means, quats, scales, opacities = map(
         to64, (gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities)
@@ -109,14 +128,16 @@ def _render(
     stopped = torch.zeros(H, W, dtype=torch.bool)
     color = torch.zeros(H, W, colors.shape[1], dtype=torch.float64)
     depth = torch.zeros(H, W, dtype=torch.float64)
-    alpha_margin = torch.full((H, W), torch.inf, dtype=torch.float64)
-    rest_margin = torch.full((H, W), torch.inf, dtype=torch.float64)
+    never = torch.full((H, W), torch.inf, dtype=torch.float64)
+    margins, last = _Margins(never, never, never), -never  # last: the depth in front, (H, W)
     for i in order[visible[order]].tolist():
         mean2d, sharp = _project(x[i], quats[i], scales[i], R, camera, K)
         covariance = sharp + options.blur * torch.eye(2, dtype=torch.float64)
         opacity = opacities[i]
         if options.antialiased:
             opacity = opacity * torch.sqrt(torch.linalg.det(sharp) / torch.linalg.det(covariance))
+        if depth_limit is not None:
+            stopped = stopped | (depths[i].detach() >= depth_limit)
         d = pixels - mean2d
         exponent = -0.5 * torch.einsum("hwi,ij,hwj->hw", d, torch.linalg.inv(covariance), d)
         free = opacity * torch.exp(exponent)
@@ -126,11 +147,17 @@ def _render(
         )
         rest = remaining * (1 - alpha)
 
-        for cut in (options.alpha_min, options.alpha_max):
-            near = torch.where(stopped, torch.inf, (free.detach() / cut - 1).abs())
-            alpha_margin = torch.minimum(alpha_margin, near)
-        near = torch.where(seen, (rest.detach() / options.transmittance_min - 1).abs(), torch.inf)
-        rest_margin = torch.minimum(rest_margin, near)
+        off = lambda value, cut: (value.detach() / cut - 1).abs()
+        to_cut = torch.minimum(off(free, options.alpha_min), off(free, options.alpha_max))
+        gap = 1 - last / depths[i].detach()
+        margins = _Margins(
+            torch.minimum(margins.alpha, torch.where(stopped, torch.inf, to_cut)),
+            torch.minimum(
+                margins.rest, torch.where(seen, off(rest, options.transmittance_min), torch.inf)
+            ),
+            torch.minimum(margins.depth, torch.where(seen & (gap > 0), gap, torch.inf)),
+        )
+        last = torch.where(seen, depths[i].detach(), last)
 
         stopped = stopped | (rest.detach() <= options.transmittance_min)
         weight = torch.where(stopped, 0.0, remaining * alpha)
@@ -138,7 +165,7 @@ def _render(
         depth = depth + weight * depths[i]
         remaining = torch.where(stopped, remaining, rest)
     color = color + remaining[..., None] * background
-    return Image(color, 1 - remaining, depth), (alpha_margin, rest_margin)
+    return Image(color, 1 - remaining, depth if options.depth else None), margins
 
 
 def _project(

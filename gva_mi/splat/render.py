@@ -18,6 +18,7 @@ from gva_mi.splat.options import SplatOptions
 from gva_mi.splat.pipeline import render_adjoint, render_forward, render_tangent
 from gva_mi.splat.pixels import Planes
 from gva_mi.splat.project import Inputs
+from gva_mi.splat.tiles import Layout
 
 _DEFAULTS = SplatOptions()
 
@@ -30,6 +31,7 @@ def render(
     *,
     T_camera_world: Array = None,
     K: Array = None,
+    depth_limit: Array = None,
 ) -> Image:
     """The picture of ``gaussians`` from ``camera``.
 
@@ -44,15 +46,19 @@ def render(
             and is differentiable.
         K: (3, 3) tensor of the same kind; takes the place of the camera's own intrinsics, and is
             differentiable.
+        depth_limit: (H, W) tensor of the same kind, m along the camera's z: a pixel shows only the
+            Gaussians whose means are nearer, as where an opaque surface stands. Infinity is none.
 
     Returns:
-        color (H, W, D), alpha (H, W) and depth (H, W), tensors of the same kind.
+        color (H, W, D), alpha (H, W) and depth (H, W), tensors of the same kind; no depth where
+        ``options.depth`` is off.
 
     Raises:
         ValueError: for wrong shapes or kinds, NaN or infinite numbers.
 
     Note:
-        The order by depth and the set of pixels a Gaussian reaches are not differentiated.
+        The order by depth, the set of pixels a Gaussian reaches and ``depth_limit`` are not
+        differentiated.
     """
     arrays = gaussians.arrays()
     kind = type(gaussians.means)
@@ -71,11 +77,23 @@ def render(
     for name, matrix, shape in (("T_camera_world", T_camera_world, (4, 4)), ("K", K, (3, 3))):
         if matrix is not None and (type(matrix) is not kind or tuple(matrix.shape) != shape):
             raise ValueError(f"render(): {name} must be a {kind.__name__} of shape {shape}")
+    shape = (camera.height, camera.width)
+    if depth_limit is not None and (
+        type(depth_limit) is not kind or tuple(depth_limit.shape) != shape
+    ):
+        raise ValueError(f"render(): depth_limit must be a {kind.__name__} of shape {shape}")
     if T_camera_world is not None or K is not None:
         matrices = (None if m is None else _numpy(m) for m in (T_camera_world, K))
         camera = camera.with_matrices(*matrices)
-    constants = lambda: (gaussians.sh is not None, camera, options)
-    return Image(*dr.custom(_Render, *arrays.values(), background, T_camera_world, K, constants))
+    limit = None if depth_limit is None else dr.detach(depth_limit)
+    constants = lambda: (gaussians.sh is not None, camera, options, limit)
+    try:
+        images = dr.custom(_Render, *arrays.values(), background, T_camera_world, K, constants)
+    except RuntimeError as error:  # dr.custom wraps what the checks within raise
+        if isinstance(error.__cause__, ValueError):
+            raise error.__cause__ from None
+        raise
+    return Image(*images)
 
 
 def expected_depth(image: Image) -> Array:
@@ -102,21 +120,26 @@ class _Render(dr.CustomOp):
         background: Array,
         T_camera_world: Array,
         K: Array,
-        constants: Callable[[], tuple[bool, Camera, SplatOptions]],
-    ) -> tuple[Array, Array, Array]:
-        harmonics, camera, options = constants()
+        constants: Callable[[], tuple[bool, Camera, SplatOptions, Array]],
+    ) -> tuple[Array, ...]:
+        harmonics, camera, options, limit = constants()
         parts = (means, quats, scales, opacities, colors)
         self.kind, self.shapes = type(means), [part.shape for part in parts]
         given = {"T_camera_world": T_camera_world, "K": K}
         self.matrices = [name for name, matrix in given.items() if matrix is not None]
         inputs = Inputs(*(dr.detach(part.array, preserve_type=False) for part in parts))
-        self.saved = render_forward(inputs, harmonics, camera, options, background.numpy().tolist())
+        self.layout = Layout(camera.width, camera.height)
+        limit = None if limit is None else self._plane(limit)
+        behind = background.numpy().tolist()
+        self.saved = render_forward(inputs, harmonics, camera, options, behind, limit=limit)
         return self._images(self.saved.planes)
 
     def backward(self) -> None:
-        color, alpha, depth = self.grad_out()
+        color, alpha, *depth = self.grad_out()
         grad = Planes(
-            self._plane(color, self.saved.channels), self._plane(alpha), self._plane(depth)
+            self._plane(color, self.saved.channels),
+            self._plane(alpha),
+            self._plane(depth[0]) if depth else None,
         )
         found = render_adjoint(self.saved, grad, camera=bool(self.matrices))
         for name, shape in zip(self.NAMES, self.shapes, strict=True):
@@ -137,29 +160,28 @@ class _Render(dr.CustomOp):
         )
         self.set_grad_out(self._images(planes))
 
-    def _images(self, planes: Planes) -> tuple[Array, Array, Array]:
-        color = self._image(planes.color, self.saved.channels)
-        return color, self._image(planes.alpha), self._image(planes.depth)
+    def _images(self, planes: Planes) -> tuple[Array, ...]:
+        images = [self._image(planes.color, self.saved.channels), self._image(planes.alpha)]
+        return tuple(images) if planes.depth is None else (*images, self._image(planes.depth))
 
     def _image(self, plane: Array, channels: int = 0) -> Array:
         """A plane as an image, without its padding; 0 channels: without that axis."""
-        layout = self.saved.layout
+        layout = self.layout
         pixels = dr.gather(type(plane), plane, self._inside(channels or 1))
         shape = (layout.height, layout.width) + ((channels,) if channels else ())
         return self.kind(dr.array_t(self.kind)(pixels), shape=shape)
 
     def _plane(self, image: Array, channels: int = 1) -> Array:
         """An image as a plane, padded with zeros."""
-        height, width = self.saved.layout.padded
-        F = type(self.saved.inputs.means)
-        plane = dr.zeros(F, height * width * channels)
+        height, width = self.layout.padded
+        plane = dr.zeros(dr.detached_t(dr.array_t(self.kind)), height * width * channels)
         dr.scatter(plane, dr.detach(image.array, preserve_type=False), self._inside(channels))
         dr.make_opaque(plane)
         return plane
 
     def _inside(self, channels: int) -> Array:
         """Index in a plane of every number of the picture."""
-        layout = self.saved.layout
+        layout = self.layout
         row = layout.width * channels
-        k = dr.arange(dr.uint32_array_t(type(self.saved.inputs.means)), layout.height * row)
+        k = dr.arange(dr.uint32_array_t(dr.detached_t(dr.array_t(self.kind))), layout.height * row)
         return k // row * (layout.padded[1] * channels) + k % row

@@ -12,7 +12,7 @@ import torch
 from torch import Generator, Tensor
 
 from gva_mi.errors import InputError
-from gva_mi.splat.camera import Camera, look_at
+from gva_mi.splat.camera import Camera, CameraModel, look_at
 from gva_mi.splat.gaussians import Gaussians
 from gva_mi.splat.options import SplatOptions
 
@@ -49,7 +49,7 @@ class Scene:
         Args:
             path: holds means (N, 3), quats (N, 4), scales (N, 3), opacities (N,); sh (N, K, 3) or
                 colors (N, D), sh first where both are there; viewmat (4, 4), K (3, 3), width,
-                height; background (D,), black where missing.
+                height; background (D,), black where missing; camera_model, pinhole where missing.
 
         Raises:
             InputError: naming what is missing or does not fit.
@@ -68,9 +68,9 @@ class Scene:
             raise InputError(f"{path}: a scene needs {', '.join(missing)}")
         color = "sh" if "sh" in arrays else "colors"
         try:
-            camera = Camera.from_matrices(
-                arrays["K"], arrays["viewmat"], int(arrays["width"]), int(arrays["height"])
-            )
+            size = int(arrays["width"]), int(arrays["height"])
+            model = str(arrays.get("camera_model", "pinhole"))
+            camera = Camera.from_matrices(arrays["K"], arrays["viewmat"], *size, model)
             gaussians = Gaussians(**{k: arrays[k] for k in (*ARRAYS, color)})
             gaussians.check_shapes()
         except ValueError as error:
@@ -116,25 +116,43 @@ class Scene:
         """A part of the picture as a scene of its own, without the Gaussians that miss it."""
         g, camera = self.gaussians, self.camera.cropped(left, top, width, height)
         means, scales = g.means.detach().numpy(), g.scales.detach().numpy()
-        T = camera.T_camera_world
-        x = means @ T[:3, :3].T + T[:3, 3]
+        x = means @ camera.T_camera_world[:3, :3].T + camera.T_camera_world[:3, 3]
         ahead = x[:, 2] > self.options.near
         z = np.where(ahead, x[:, 2], 1.0)
-        slope = x[:, :2] / z[:, None]
-        # |J| <= f/z sqrt(1 + |slope|^2), and alpha < alpha_min beyond this many sigma
+        # |J| <= f/z sqrt(1 + |x/z|^2) for a pinhole, and less for a fisheye; f for parallel rays
+        stretch = 1.0
+        if camera.model != "ortho":
+            stretch = np.sqrt(1 + ((x[:, :2] / z[:, None]) ** 2).sum(axis=1)) / z
+        sigma = scales.max(axis=1) * max(camera.fx, camera.fy) * stretch
+        # alpha < alpha_min beyond so many sigma
         sigmas = math.sqrt(2 * math.log(1 / self.options.alpha_min))
-        size = scales.max(axis=1) * max(camera.fx, camera.fy) / z
-        spread = (size**2) * (1 + (slope**2).sum(axis=1)) + self.options.blur
-        reach = sigmas * np.sqrt(spread)
-        u = slope * [camera.fx, camera.fy] + [camera.cx, camera.cy]
-        near = (u + reach[:, None] > 0) & (u - reach[:, None] < [width, height])
-        keep = torch.from_numpy(ahead & near.all(axis=1))
+        reach = sigmas * np.sqrt(sigma**2 + self.options.blur)[:, None]
+        u = camera.project(np.where(ahead[:, None], means, np.nan))
+        near = (u + reach > 0) & (u - reach < [width, height])
+        keep = torch.from_numpy(near.all(axis=1))
         kept = {k: v[keep] for k, v in g.arrays().items()}
         return replace(self, gaussians=Gaussians(**kept), camera=camera)
 
+    def through(self, model: CameraModel) -> Scene:
+        """The same view with another camera model, the Gaussians' middle about as large."""
+        c, means = self.camera, self.gaussians.means.detach().numpy()
+        size = 1.0
+        if len(means) and (model == "ortho") != (c.model == "ortho"):  # px per metre, not per slope
+            middle = float(np.median(means @ c.T_camera_world[2, :3] + c.T_camera_world[2, 3]))
+            size = 1 / middle if model == "ortho" else middle
+        return replace(self, camera=replace(c, model=model, fx=c.fx * size, fy=c.fy * size))
+
+    def featured(self, channels: int, generator: Generator) -> Scene:
+        """The same Gaussians with random features of any width in the place of their colours."""
+        draw = lambda *shape: torch.rand(*shape, generator=generator, dtype=torch.float64)
+        kept = {k: v for k, v in self.gaussians.arrays().items() if k not in ("sh", "colors")}
+        gaussians = Gaussians(**kept, colors=draw(len(self.gaussians), channels))
+        return replace(self, gaussians=gaussians, background=draw(channels))
+
     def windows(self, size: int, count: int) -> Iterator[tuple[str, Scene]]:
         """``count`` windows of ``size`` pixels from the fullest to the emptiest, named by place."""
-        u = self.camera.project(self.gaussians.means.detach().numpy())
+        means, T = self.gaussians.means.detach().numpy(), self.camera.T_camera_world
+        u = self.camera.project(means[means @ T[2, :3] + T[2, 3] > self.options.near])
         columns, rows = max(1, self.camera.width // size), max(1, self.camera.height // size)
         extent = [[0, columns * size], [0, rows * size]]
         crowd, _, _ = np.histogram2d(u[:, 0], u[:, 1], bins=(columns, rows), range=extent)

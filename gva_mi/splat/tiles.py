@@ -178,8 +178,9 @@ def _ranges(
     U = type(tile)
     k = dr.arange(U, dr.width(permutation))
     ids, here = dr.gather(U, emitted, permutation), dr.gather(U, tile, permutation)
-    before = dr.gather(U, tile, dr.gather(U, permutation, dr.select(k > 0, k - 1, 0)))
-    after = dr.gather(U, tile, dr.gather(U, permutation, dr.minimum(k + 1, last)))
+    dr.eval(ids, here)
+    before = dr.gather(U, here, dr.select(k > 0, k - 1, 0))
+    after = dr.gather(U, here, dr.minimum(k + 1, last))
     dr.scatter(start, k, here, active=(k <= last) & ((k == 0) | (before != here)), mode=NoConflicts)
     dr.scatter(
         end, k + 1, here, active=(k == last) | ((k < last) & (after != here)), mode=NoConflicts
@@ -197,9 +198,9 @@ def _schedule(start: Array, end: Array) -> tuple[Array, ...]:
     order = dr.detail.block_mkperm(key, tiles, LONGEST + 1)
     per_block = -(-tiles // (SIMD * BLOCKS))  # packets
     lane = dr.arange(U, per_block * BLOCKS * SIMD)
-    packet = lane // SIMD
-    rank = ((packet % per_block) * BLOCKS + packet // per_block) * SIMD + lane % SIMD
-    real = rank < tiles
+    packet, stride = lane // SIMD, dr.opaque(U, per_block)  # no constant: a size is no new kernel
+    rank = ((packet % stride) * BLOCKS + packet // stride) * SIMD + lane % SIMD
+    real = rank < dr.opaque(U, tiles)
     tile = dr.gather(U, order, rank, active=real)
     start, end = dr.gather(U, start, tile, active=real), dr.gather(U, end, tile, active=real)
     dr.eval(tile, start, end, real)

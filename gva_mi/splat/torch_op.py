@@ -39,6 +39,7 @@ from gva_mi.splat.pixels import Planes
 from gva_mi.splat.project import GEOMETRY, Inputs
 from gva_mi.splat.tiles import FOOTPRINT
 
+ALIGNMENT = 64  # bytes; torch's own memory has it
 _PRECISION = {torch.float32: Float, torch.float64: Float64}
 _DEFAULTS = SplatOptions()
 
@@ -116,7 +117,8 @@ def render(
             takes them on. Its numbers are not read.
 
     Returns:
-        color (H, W, D), alpha (H, W) and depth (H, W), in the precision of the Gaussians.
+        color (H, W, D), alpha (H, W) and depth (H, W), in the precision of the Gaussians; no depth
+        where ``options.depth`` is off.
 
     Raises:
         ValueError: for wrong shapes, dtypes or devices, NaN or infinite numbers.
@@ -240,15 +242,18 @@ class _Render(torch.autograd.Function):
 
 
 def _to_drjit(tensor: Tensor, F: type) -> Array:
-    """The tensor's own memory, flat."""
-    return F(tensor.detach().contiguous().view(-1))
+    """The tensor's own memory, flat; a copy where Dr.Jit could not read it in packets."""
+    tensor = tensor.detach().contiguous()
+    if tensor.data_ptr() % ALIGNMENT:  # from numpy, or a slice
+        tensor = tensor.clone()
+    return F(tensor.view(-1))
 
 
 def _images(planes: Planes, saved: Saved) -> tuple[Tensor, Tensor, Tensor]:
     return (
         _to_torch(planes.color, saved, saved.channels),
         _to_torch(planes.alpha, saved),
-        _to_torch(planes.depth, saved),
+        None if planes.depth is None else _to_torch(planes.depth, saved),
     )
 
 

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from gva_mi.body import JOINTS, Pose, Shape, load_body
 from gva_mi.body.puppet import EXPRESSIONS, PUPPET, SHAPES
 from gva_mi.data.synthetic.sculpt import sculpt
-from gva_mi.data.synthetic.sculpt_figure import joint_positions
+from gva_mi.data.synthetic.sculpt_figure import EYE_RADIUS, joint_positions
 
 F64 = torch.float64
 
@@ -156,8 +156,11 @@ def test_the_mouth_opens_with_the_jaw(body):
 
 @pytest.mark.parametrize(
     "joint, rotation",
-    [("left_elbow", (0, -2.0, 0)), ("right_knee", (2.0, 0, 0)), ("left_index2", (0, 0, -1.5))],
-)
+    [
+        ("left_elbow", (0, -2.0, 0)), ("right_knee", (2.0, 0, 0)), ("left_index2", (0, 0, -1.5)),
+        ("right_thumb3", (0, -1.2, 0)),
+    ],
+)  # fmt: skip
 def test_correctives_keep_volume_where_a_joint_bends(body, joint, rotation):
     pose = pose_with(**{joint: rotation})
     corrected = volume(body(pose, neutral()).vertices[0], body.faces)
@@ -167,6 +170,40 @@ def test_correctives_keep_volume_where_a_joint_bends(body, joint, rotation):
     rest = volume(body.v_template, body.faces)
     assert collapsed < rest
     assert abs(corrected - rest) < 0.6 * (rest - collapsed)
+
+
+def test_a_blink_closes_the_lids_over_a_still_eyeball(body):
+    open_, blink = body.rest(neutral()), torch.eye(10, dtype=F64)[EXPRESSIONS.index("blink")]
+    closed = body.rest(neutral(), blink).vertices
+    for side in ("left", "right"):
+        eye = JOINTS.index(f"{side}_eye_smplhf")
+        offset = open_.vertices - open_.joints[eye]
+        radius, front = offset.norm(dim=1), offset[:, 2] > 0
+        ball = body.weights[:, eye] > 0.8
+        assert (closed - open_.vertices)[ball].norm(dim=1).max() < 1e-4
+        lids = (
+            front & (body.weights[:, eye] < 0.5) & (radius < 0.0145) & (offset[:, 0].abs() < 0.004)
+        )
+        upper, lower = lids & (offset[:, 1] > 0), lids & (offset[:, 1] < 0)
+        for vertices, least, most in ((open_.vertices, 0.009, 0.013), (closed, -0.005, 0.001)):
+            gap = vertices[upper, 1].min() - vertices[lower, 1].max()
+            assert least < gap < most
+        assert (closed - open_.joints[eye])[lids].norm(dim=1).min() > EYE_RADIUS
+
+
+def test_the_halves_meet_without_a_fold(body):
+    vertices, faces = body.v_template, body.faces
+    a, b, c = vertices[faces].unbind(1)
+    normals = torch.nn.functional.normalize(torch.linalg.cross(b - a, c - a), dim=1).numpy()
+    owner = {}
+    for face, corners in enumerate(faces.tolist()):
+        for k in range(3):
+            owner[corners[k], corners[(k + 1) % 3]] = face
+    x = vertices[:, 0].tolist()
+    pairs = [(f, owner[q, p]) for (p, q), f in owner.items() if x[p] == 0 or x[q] == 0]
+    one, other = np.array(pairs).T
+    assert len(pairs) > 500
+    assert (normals[one] * normals[other]).sum(1).min() > -0.97  # 14 degrees from folded flat
 
 
 @pytest.mark.slow

@@ -4,10 +4,10 @@ import pytest
 import roma
 import torch
 
+from gva_mi.body.kinematics import joint_transforms
 from gva_mi.body.pose import PARENTS
 from gva_mi.body.skinning import (
     blend,
-    joint_transforms,
     nearest_weights,
     skin_gaussians,
     skin_points,
@@ -35,55 +35,6 @@ def scene(n=40, angle=0.3, dtype=F64, seed=0, parents=PARENTS):
     rotations = angle * normal(1, joints, 3)
     T = joint_transforms(rotations, normal(joints, 3), parents, normal(1, 3))[0]
     return tuple(x.to(dtype) for x in (normal(n, 3), normal(n, 4), weights, T))
-
-
-def test_joints_at_rest_do_not_move():
-    zero = torch.zeros(2, 55, 3, dtype=F64)
-    joints = torch.randn(55, 3, generator=torch.Generator().manual_seed(1), dtype=F64)
-    T = joint_transforms(zero, joints, PARENTS, zero[:, 0])
-    torch.testing.assert_close(T, torch.eye(4, dtype=F64).expand(2, 55, 4, 4))
-
-
-def test_turning_a_joint_moves_its_descendants_about_it_and_nobody_else():
-    g = torch.Generator().manual_seed(2)
-    joints = torch.randn(55, 3, generator=g, dtype=F64)
-    rotations = torch.zeros(1, 55, 3, dtype=F64)
-    elbow = 18
-    rotations[0, elbow] = torch.tensor([0.2, -0.9, 0.4])
-    T = joint_transforms(rotations, joints, PARENTS, torch.zeros(1, 3, dtype=F64))[0]
-    moved = torch.eye(4, dtype=F64)
-    moved[:3, :3] = roma.rotvec_to_rotmat(rotations[0, elbow])
-    moved[:3, 3] = joints[elbow] - moved[:3, :3] @ joints[elbow]
-    below = {elbow}
-    for joint, parent in enumerate(PARENTS):
-        if parent in below:
-            below.add(joint)
-        torch.testing.assert_close(T[joint], moved if joint in below else torch.eye(4, dtype=F64))
-
-
-def test_transforms_are_rigid():
-    *_, T = scene(angle=1.5)
-    R = T[:, :3, :3]
-    torch.testing.assert_close(R @ R.mT, torch.eye(3, dtype=F64).expand(55, 3, 3))
-    assert (torch.linalg.det(R) > 0).all()
-
-
-@pytest.mark.parametrize("angle", [0.0, 1e-9, 0.5])
-def test_gradients_of_the_chain(angle):
-    g = torch.Generator().manual_seed(3)
-    normal = lambda *size: torch.randn(*size, generator=g, dtype=F64)
-    inputs = (angle * normal(2, 5, 3), normal(5, 3), normal(2, 3))
-    torch.autograd.gradcheck(
-        lambda r, j, t: joint_transforms(r, j, FEW, t), [x.requires_grad_() for x in inputs]
-    )
-
-
-def test_a_tree_in_the_wrong_order_is_refused():
-    zero = torch.zeros(1, 3, 3)
-    with pytest.raises(ValueError, match="every parent before its children"):
-        joint_transforms(zero, zero[0], (-1, 2, 0), zero[:, 0])
-    with pytest.raises(ValueError, match=r"rotations must be \(T, 4, 3\), got \(1, 3, 3\)"):
-        joint_transforms(zero, zero[0], (-1, 0, 0, 0), zero[:, 0])
 
 
 def test_means_stay_on_the_skinned_mesh():

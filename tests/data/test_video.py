@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gva_mi import InputError
-from gva_mi.data.pictures import read_image, read_movie, read_normals, write_image, write_movie
+from gva_mi.data.pictures import read_image, read_movie, write_image, write_movie
 from gva_mi.data.video import Splits, load_video
 
 
@@ -56,8 +56,37 @@ def test_normals_are_unit_inside_the_mask_and_zero_outside(subject):
             np.allclose(length[frame.mask > 0], 1, atol=1e-5)
             and (length[frame.mask == 0] == 0).all()
         )
-    difference = read_normals(subject / "normals", 0) - read_normals(subject / "normals", 1)
+    difference = video[0].normals - video[1].normals
     assert abs(difference).max() < 1 / 127
+
+
+def test_what_is_missing_belongs_to_no_split_and_stops_nothing(subject):
+    (subject / "frames/000001.png").unlink()
+    (subject / "splits.json").write_text(json.dumps({"train": [0, 1], "test": [2]}))
+    video = load_video(subject)
+    assert len(video) == 3 and video.absent == {1: "it has no picture"}
+    assert video.splits == Splits(train=[0], test=[2])
+    assert not video[1].mask.any() and video[1].normals is None and len(video[1].pose) == 1
+
+    (subject / "masks/000000.png").unlink()
+    assert load_video(subject).absent[0] == "it has no mask"
+    write_image(subject / "masks/000000.png", np.zeros((6, 8)))
+    assert load_video(subject).absent[0] == "its mask is empty"
+    write_image(subject / "masks/000002.png", np.zeros((6, 8)))
+    with pytest.raises(InputError, match="no frame can be used; frame 0: its mask is empty"):
+        load_video(subject)
+
+
+def test_normals_may_be_missing_for_some_frames(subject):
+    np.save(subject_file(subject, "normals/000002.npy"), np.tile((0.0, 0.0, -1.0), (6, 8, 1)))
+    video = load_video(subject)
+    assert video.has_normals and [f.normals is None for f in video.frames()] == [True, True, False]
+    assert not load_video(subject, normals="none").has_normals
+
+
+def subject_file(subject, name):
+    (subject / name).parent.mkdir(exist_ok=True)
+    return subject / name
 
 
 def test_default_splits_share_no_frame_and_lose_none():
@@ -69,15 +98,15 @@ def test_default_splits_share_no_frame_and_lose_none():
 BAD = {
     "no subject": (lambda s: shutil.rmtree(s), "no such folder"),
     "no pictures": (lambda s: shutil.rmtree(s / "frames"), "neither frames"),
-    "a gap": (lambda s: (s / "frames/000001.png").unlink(), "000001.png was expected"),
-    "no mask": (lambda s: (s / "masks/000002.png").unlink(), "000002.png: no such file"),
+    "no last frame": (lambda s: (s / "frames/000002.png").unlink(), "but the video has 2"),
+    "a name": (
+        lambda s: (s / "frames/000001.png").rename(s / "frames/b.png"),
+        "frames are numbered, such as 000000.png",
+    ),
+    "no masks": (lambda s: shutil.rmtree(s / "masks"), "frame 0: it has no mask"),
     "mask size": (
         lambda s: write_image(s / "masks/000001.png", np.ones((6, 9))),
         "mask of frame 1 is 9x6, expected 8x6",
-    ),
-    "empty mask": (
-        lambda s: write_image(s / "masks/000001.png", np.zeros((6, 8))),
-        "mask of frame 1 is empty",
     ),
     "frame size": (
         lambda s: write_image(s / "frames/000002.png", np.zeros((6, 9, 3))),

@@ -16,7 +16,7 @@ def scenes():
     if mi.variant() is None:
         mi.set_variant("llvm_ad_rgb")
     gva_mi_plugins.register()
-    names = (load, move, weights, mesh, camera, sphere, torus)
+    names = (load, moving, move, weights, weightings, mesh, camera, sphere, torus)
     return SimpleNamespace(**{f.__name__: f for f in names})
 
 
@@ -73,35 +73,71 @@ def mesh(name, vertices, faces, facets=False):
     return result
 
 
-def camera(size=48, **film):
-    return mi.load_dict(
-        {
-            "type": "perspective",
-            "fov": 34.0,
-            "to_world": mi.ScalarTransform4f().look_at([0.3, 0.4, 3.0], [0, 0, 0], [0, 1, 0]),
-            "film": {
-                "type": "hdrfilm",
-                "width": size,
-                "height": size,
-                "rfilter": {"type": "box"},
-                **film,
-            },
-            "sampler": {"type": "independent", "sample_count": 1},
-        }
-    )
+def camera(size=48, kind="perspective", **film):
+    """A sensor before the origin, three metres away."""
+    to_world = mi.ScalarTransform4f().look_at([0.3, 0.4, 3.0], [0, 0, 0], [0, 1, 0])
+    if kind == "perspective":
+        lens = {"fov": 34.0, "to_world": to_world}
+    else:  # its field is as wide as its transform scales it
+        lens = {"to_world": to_world @ mi.ScalarTransform4f().scale([0.9, 0.9, 1])}
+    film = {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}, **film}
+    sampler = {"type": "independent", "sample_count": 1}
+    return mi.load_dict({"type": kind, **lens, "film": film, "sampler": sampler})
+
+
+def half(part):
+    """The mesh without the faces whose first corner lies to the right: an open one."""
+    vertices, faces = part
+    return vertices, faces[vertices[faces[:, 0], 0] < 0.1]
+
+
+def fin(size=0.5, parts=8):
+    """Three squares that share an edge: no manifold."""
+    y = np.linspace(-size, size, parts + 1)
+    line = lambda x, z: np.stack([np.full_like(y, x), y, np.full_like(y, z)], axis=1)
+    columns, faces = [line(0.0, 0.0)], []
+    for angle in (0.3, 2.4, 4.5):
+        before = 0
+        for r in size * np.arange(1, parts + 1) / parts:
+            here = len(columns)
+            columns.append(line(r * np.cos(angle), r * np.sin(angle)))
+            for i in range(parts):
+                a, b = before * len(y) + i, here * len(y) + i
+                faces += [[a, b, a + 1], [b, b + 1, a + 1]]
+            before = here
+    return np.concatenate(columns) + [0.03, 0.02, 0], np.array(faces)  # off the pixels' borders
 
 
 # name -> list of (vertices, faces, facets): outer contour, self-occlusion, one mesh before another,
-# facets
+# facets, meshes that pierce one another, an open mesh, three faces at an edge
 SCENES = {
     "sphere": lambda: [(*sphere(), False)],
     "torus": lambda: [(*torus(), False)],
     "occluding": lambda: [
-        (*sphere(radius=0.3, center=(0.1, 0.1, 0.8)), False),
+        (*sphere(radius=0.3, center=(0.0, 0.3, 0.8)), False),
         (*torus(center=(-0.1, 0, -0.3)), False),
     ],
     "facets": lambda: [(*torus(), True), (*sphere(5, 8, 0.25, (0.2, 0, 1.0)), True)],
+    "piercing": lambda: [
+        (*torus(), False),
+        (*sphere(radius=0.3, center=(0.35, 0.1, 0.15)), False),
+    ],
+    "open": lambda: [(*half(torus()), False)],
+    "fin": lambda: [(*fin(), True)],
 }
+
+
+def moving(name):
+    """The parts of a scene, each with a motion of its own: moved, turned, sheared."""
+    from gva_mi_plugins.differences import MovingMesh
+
+    ways = [([1.0, 0.5, 0.6], 0.7, 0.6), ([-0.6, 0.7, -0.5], 0.3, -0.5)]
+    parts = []
+    for (vertices, faces, facets), (way, turn, shear) in zip(SCENES[name](), ways, strict=False):
+        x, y, z = vertices.T
+        motion = way + np.stack([turn * z + shear * y, x * y, shear * x * y - turn * x], axis=1)
+        parts.append(MovingMesh(vertices, faces, motion, facets))
+    return parts
 
 
 def load(name):
@@ -116,6 +152,15 @@ def move(parameters, vertices):
     for k, v in enumerate(vertices):
         parameters[f"m{k}.vertex_positions"] = mi.Float(np.ravel(v).astype(np.float32))
     parameters.update()
+
+
+def weightings(size, channels=5, count=8):
+    """Smooth random images (count, H, W, C): sums of waves."""
+    generator = np.random.default_rng(0)
+    y, x = np.mgrid[:size, :size] / size
+    fx, fy, phase = generator.normal(size=(3, 6, count, 1, 1, channels)) * [[[[[[9]]]]]]
+    waves = np.cos(fx * x[..., None] + fy * y[..., None] + phase)
+    return waves.sum(0).astype(np.float32)
 
 
 def weights(size, channels=(0, 1, 2, 3)):

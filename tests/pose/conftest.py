@@ -1,6 +1,6 @@
 """A clip in memory: the bare puppet in known poses, seen as masks and normals of few pixels."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
@@ -23,12 +23,14 @@ class Clip:
     shape: Shape
     pictures: list  # (mask, normals or None) of each frame
     camera: Camera
+    absent: dict = field(default_factory=dict)
 
     def __len__(self):
         return len(self.pictures)
 
-    def frames(self):
-        for k, (mask, normals) in enumerate(self.pictures):
+    def frames(self, indices=None):
+        for k in range(len(self)) if indices is None else indices:
+            mask, normals = self.pictures[k]
             image = np.zeros((*mask.shape, 3), np.float32)
             yield Frame(k, image, mask, normals, self.camera, self.pose[k])
 

@@ -85,6 +85,26 @@ def test_pictures_and_gradients_are_the_twins(sh_degree, camera_model, rasterize
         assert (grad - truth[name]).norm() <= 1e-10 * truth[name].norm(), name
 
 
+@pytest.mark.parametrize("camera_model", ["pinhole", "ortho", "fisheye"])
+def test_torch_agrees_in_both_directions(camera_model):
+    """By every differentiable input, through the node of meta["means2d"] too."""
+    g = random_scene(torch.Generator().manual_seed(3), 2, 5, 4).gaussians
+    view = torch.tensor(look_at((0, 0, 2.9), (0, 0, 0)))[None]
+    K = torch.tensor([[[6.0, 0, 2.7], [0, 7, 2.1], [0, 0, 1]]]).double()
+    if camera_model == "ortho":
+        K = K * torch.tensor([0.4, 0.4, 1]).double()[:, None]
+    leaves = (g.means, g.quats, g.scales, g.opacities, g.colors, view, K)
+
+    def images(*tensors):
+        modes = {"render_mode": "RGB+ED", "camera_model": camera_model}
+        colors, alphas, meta = rasterization(*tensors, 5, 4, **modes)
+        visible = (meta["radii"] > 0).all(dim=-1, keepdim=True)
+        return colors * (alphas > 0.02), alphas, torch.where(visible, meta["means2d"], 0)
+
+    inputs = [leaf.clone().requires_grad_() for leaf in leaves]
+    assert torch.autograd.gradcheck(images, inputs, check_forward_ad=True, fast_mode=True)
+
+
 def test_render_modes():
     a = arguments()
     pictures = {m: rasterization(**a, render_mode=m) for m in "RGB D ED RGB+D RGB+ED".split()}

@@ -52,3 +52,13 @@ def test_kinds_must_agree():
         render(Gaussians(**arrays), scene.camera)
     with pytest.raises(ValueError, match="one kind"):
         render(scene.gaussians, scene.camera)
+
+
+def test_it_refuses_to_be_frozen():
+    scene = random_scene(torch.Generator().manual_seed(3)).to(torch.float32)
+    arrays = {name: TensorXf(t.numpy()) for name, t in scene.inputs().items()}
+    del arrays["background"]
+    frozen = dr.freeze(lambda **arrays: render(Gaussians(**arrays), scene.camera).color)
+    with pytest.raises(RuntimeError) as caught:
+        frozen(**arrays)
+    assert "do not call it in dr.freeze" in str(caught.value.__cause__)

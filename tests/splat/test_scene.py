@@ -34,6 +34,15 @@ def test_a_file_is_the_scene_that_was_saved(arrays, tmp_path):
     assert torch.equal(draw(found).color, draw(expected).color)
 
 
+def test_a_file_may_name_its_camera_model(arrays, tmp_path):
+    for model in ("pinhole", "ortho", "fisheye"):
+        np.savez(tmp_path / "scene.npz", **arrays, camera_model=model)
+        assert Scene.load(tmp_path / "scene.npz").camera.model == model
+    np.savez(tmp_path / "scene.npz", **arrays, camera_model="ftheta")
+    with pytest.raises(InputError, match="model must be one of .*, got 'ftheta'"):
+        Scene.load(tmp_path / "scene.npz")
+
+
 @pytest.mark.parametrize("gone", ["means", "viewmat", "width", "sh"])
 def test_a_file_with_a_gap_is_explained(arrays, tmp_path, gone):
     del arrays[gone]
@@ -53,13 +62,34 @@ def test_what_is_no_scene_is_explained(arrays, tmp_path):
         Scene.load(tmp_path / "scene.npz")
 
 
-def test_a_window_lacks_only_what_it_does_not_see():
+@pytest.mark.parametrize("model", ["pinhole", "ortho", "fisheye"])
+def test_a_window_lacks_only_what_it_does_not_see(model):
     s = random_scene(torch.Generator().manual_seed(1), gaussians=80, width=48, height=40)
-    s = s.with_inputs(s.inputs() | {"scales": 0.2 * s.gaussians.scales})
+    s = s.with_inputs(s.inputs() | {"scales": 0.2 * s.gaussians.scales}).through(model)
     part = s.window(17, 9, 16, 12)
     assert 0 < len(part.gaussians) < 80
     cropped = replace(s, camera=s.camera.cropped(17, 9, 16, 12))
     assert torch.equal(draw(part).color, draw(cropped).color)
+
+
+@pytest.mark.parametrize("model", ["pinhole", "ortho", "fisheye"])
+def test_another_lens_shows_the_scene_about_as_large(model):
+    s = person_scene(np.random.default_rng(0), 500, 64)
+    seen = s.through(model)
+    assert seen.camera.model == model
+    means = s.gaussians.means.numpy()
+    apart = seen.camera.project(means) - s.camera.project(means)
+    assert np.abs(apart).max() < 0.1 * 64
+    back = seen.through("pinhole").camera
+    assert (back.fx, back.fy) == pytest.approx((s.camera.fx, s.camera.fy))
+
+
+def test_features_of_any_width_take_the_place_of_colours():
+    s = random_scene(torch.Generator().manual_seed(0), gaussians=5, degree=1)
+    wide = s.featured(11, torch.Generator().manual_seed(0))
+    assert wide.gaussians.sh is None and wide.gaussians.colors.shape == (5, 11)
+    assert draw(wide).color.shape == (32, 32, 11)
+    assert torch.equal(wide.gaussians.means, s.gaussians.means)
 
 
 def test_windows_go_from_full_to_empty():

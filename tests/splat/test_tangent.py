@@ -12,7 +12,8 @@ from torch.autograd import forward_ad
 from gva_mi.splat import reference
 from gva_mi.splat.camera import Camera
 from gva_mi.splat.gaussians import Gaussians
-from gva_mi.splat.gradcheck import random_scene
+from gva_mi.splat.gradcheck import random_scene, tangent_image
+from gva_mi.splat.gradcheck.verdict import IMAGES
 from gva_mi.splat.options import SplatOptions
 from gva_mi.splat.render import render as native
 from gva_mi.splat.torch_op import render
@@ -116,6 +117,25 @@ def test_torch_agrees_in_both_directions(kind, model):
     leaves = [v.requires_grad_() for v in inputs.values()]
     fn = lambda *tensors: images(render, dict(zip(inputs, tensors, strict=True)))
     assert torch.autograd.gradcheck(fn, leaves, check_forward_ad=True)
+
+
+def test_tangents_have_the_same_bits_on_any_threads():
+    s = random_scene(torch.Generator().manual_seed(1), 3000, 200, 150, degree=1).to(torch.float32)
+    s = s.with_camera_inputs().to(torch.float32)
+    found, threads = [], (dr.thread_count(), torch.get_num_threads())
+    try:
+        for count in (1, 2, 4):
+            dr.set_thread_count(count)
+            torch.set_num_threads(min(count, 2))
+            images = [
+                tangent_image(render, s, name, torch.ones_like(tensor))
+                for name, tensor in s.inputs().items()
+            ]
+            found.append([getattr(i, k).numpy().tobytes() for i in images for k in IMAGES])
+    finally:
+        dr.set_thread_count(threads[0])
+        torch.set_num_threads(threads[1])
+    assert found[0] == found[1] == found[2]
 
 
 def test_derivatives_of_derivatives_are_refused():

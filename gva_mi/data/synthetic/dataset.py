@@ -26,6 +26,7 @@ import torch
 import gva_mi
 from gva_mi.body.pose import Pose, save_poses
 from gva_mi.body.smplx import BodyModel
+from gva_mi.data.fingerprint import fingerprint
 from gva_mi.data.pictures import write_movie
 from gva_mi.data.synthetic import motion, noise, sensor
 from gva_mi.data.synthetic.folds import MEMORY
@@ -136,6 +137,7 @@ def make_subject(
         made_of = asdict(options)
         del made_of["workers"]  # they change nothing
         about = {"options": made_of, "seed": options.seed, "versions": _versions()}
+        about["body"] = fingerprint(body)
         _write_json(folder / "synth.json", about)
 
 

@@ -18,8 +18,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gva_mi.data.synthetic.texture import Cone
+
 CLOTH_CELL = 0.0075  # m, grid of clothes: about two pixels of a 512² picture
 HAIR_CELL = 0.005  # m, grid of hair and shoes
+PLEAT = 0.055  # m, depth of a skirt's pleats per metre below the hips
 BAND = 0.05  # m, how far from the surface distances are exact
 
 
@@ -148,7 +151,7 @@ def surface_of(grid: Grid, field: np.ndarray, uncut: np.ndarray | None = None) -
     shade = np.ones(len(vertices), dtype=np.float32)
     if uncut is not None:
         depth = map_coordinates(uncut, vertices.T, order=1, mode="nearest")
-        shade = 1 - 0.65 * smoothstep(-depth, 0.006, 0.014)
+        shade = 1 - 0.65 * smoothstep(-depth, 0.006, 0.014) - 0.2 * smoothstep(-depth, 0.014, 0.04)
     faces = faces.reshape(-1, 3)
     vertices = vertices * grid.cell + grid.lo
     a, b, c = (vertices[faces[:, k]] for k in range(3))
@@ -271,8 +274,8 @@ def skirt(
     flare: float,
     length: float,
     rng: np.random.Generator,
-) -> Mesh:
-    """A skirt: an elliptic cone with pleats that deepen toward the hem.
+) -> tuple[Mesh, Cone]:
+    """A skirt: an elliptic cone with pleats that deepen toward the hem; and that cone.
 
     Args:
         grid, d: the body's distance on its grid.
@@ -283,25 +286,34 @@ def skirt(
     """
     pelvis, hip, knee = joints["pelvis"], joints["left_hip"], joints["left_knee"]
     x, y, z = grid.x, grid.y, grid.z
-    level = int(np.clip((hip[1] - grid.lo[1]) / grid.cell, 0, grid.shape[1] - 1))
-    inside = (d[:, level] < 0) & (np.abs(grid.x[:, 0]) < 0.45 * joints["left_elbow"][0] + 0.1)
-    half_x = np.abs(grid.x[:, 0, 0])[inside.any(1)].max() + 0.014
-    zs = grid.z[0, 0][inside.any(0)]
-    half_z, mid_z = np.ptp(zs) / 2 + 0.014, (zs.max() + zs.min()) / 2
     end = hip[1] + length * (knee[1] - hip[1])
     top = pelvis[1] + 0.7 * (joints["spine1"][1] - pelvis[1])
+    row = lambda height: int(np.clip((height - grid.lo[1]) / grid.cell, 0, grid.shape[1] - 1))
+    body = (d < 0) & (np.abs(x) < 0.45 * joints["left_elbow"][0] + 0.1)
+    hips = body[:, row(hip[1])]
+    half_x = np.abs(grid.x[:, 0, 0])[hips.any(1)].max() + 0.014
+    zs = grid.z[0, 0][hips.any(0)]
+    half_z, mid_z = np.ptp(zs) / 2 + 0.014, (zs.max() + zs.min()) / 2
+    least = flare - 1.6 * PLEAT  # growth where a pleat is deepest: the calves lie within it, too
+    for level in range(row(end), row(hip[1])):
+        out = np.abs(grid.z[0, 0][body[:, level].any(0)] - mid_z).max() + 0.014
+        half_z = max(half_z, out - least * (hip[1] - grid.y[0, level, 0]))
     drop = np.maximum(hip[1] - y, 0)
     angle = np.arctan2(z - mid_z, x)
     pleats = np.cos(13 * angle + rng.uniform(0, 6)) + 0.6 * np.cos(7 * angle + rng.uniform(0, 6))
-    grow = flare * drop + 0.055 * drop * pleats
-    cone = np.sqrt((x / half_x) ** 2 + ((z - mid_z) / half_z) ** 2)
-    cone = (cone - 1) * min(half_x, half_z) - grow
-    uncut = smin(smax(cone, y - hip[1] + 0 * cone, 0.03), d - 0.011, 0.05)
+    grow = (flare + PLEAT * pleats) * drop
+    outline = np.sqrt((x / half_x) ** 2 + ((z - mid_z) / half_z) ** 2)
+    outline = (outline - 1) * min(half_x, half_z) - grow
+    yoke = smax(d - 0.011, (hip[1] - 0.06) - y + 0 * d, 0.03)
+    uncut = smin(smax(outline, y - hip[1] + 0 * outline, 0.03), yoke, 0.05)
     # Pleats make the field steeper than a distance: the wall is thinner than it says.
-    field = _with_opening(uncut, uncut, end - y + 0 * cone, 0.022, 0.06)
-    field = smax(field, y - top + 0 * cone)
+    field = _with_opening(uncut, uncut, end - y + 0 * outline, 0.022, 0.06)
+    field = smax(field, y - top + 0 * outline)
     field = smax(field, np.abs(x) - half_x - flare * 0.6 + 0 * y + 0 * z)
-    return surface_of(grid, field, uncut)
+    slope = flare * (half_x + half_z) / (2 * min(half_x, half_z))  # of the mean radius
+    radius = (half_x + half_z) / 2
+    apex = (0.0, float(hip[1] + radius / slope), float(mid_z))
+    return surface_of(grid, field, uncut), Cone(apex, float(slope), float(half_x / half_z))
 
 
 def shoe(surface: BodySurface, joints: Mapping[str, np.ndarray], side: str, thick: float) -> Mesh:

@@ -13,27 +13,11 @@ import roma
 import torch
 
 from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, Pose
+from gva_mi.data.synthetic.gestures import GESTURES, blend_between, put_hand
 
-FINGERS = ("index", "middle", "ring", "pinky")
 A_POSE = 0.98  # rad, how far the arms hang down from the T-pose
 DURATION = 6.0  # s, one round
 STEP = 0.04  # s, between the moments that a lag remembers
-
-# Hand gestures: how far each finger curls (radians per joint), how far they spread, and how far the
-# thumb swings across the palm and bends.
-Gesture = Mapping[str, float]
-GESTURES: Mapping[str, Gesture] = {
-    "open": dict(index=0.05, middle=0.05, ring=0.05, pinky=0.05, spread=0.14, thumb=0.0, bend=0.0),
-    "rest": dict(index=0.25, middle=0.32, ring=0.38, pinky=0.42, spread=0.0, thumb=0.2, bend=0.2),
-    "fist": dict(index=1.35, middle=1.4, ring=1.4, pinky=1.4, spread=-0.05, thumb=0.75, bend=0.75),
-    "point": dict(index=0.03, middle=1.3, ring=1.4, pinky=1.4, spread=0.0, thumb=0.7, bend=0.7),
-    "pinch": dict(index=0.75, middle=0.3, ring=0.25, pinky=0.2, spread=0.08, thumb=0.7, bend=0.35),
-    "two": dict(index=0.05, middle=0.05, ring=1.35, pinky=1.4, spread=0.2, thumb=0.8, bend=0.7),
-    "three": dict(index=0.05, middle=0.05, ring=0.05, pinky=1.35, spread=0.15, thumb=0.8, bend=0.7),
-    "four": dict(index=0.05, middle=0.05, ring=0.05, pinky=0.05, spread=0.2, thumb=0.85, bend=0.75),
-    "thumb": dict(index=1.35, middle=1.4, ring=1.4, pinky=1.4, spread=-0.05, thumb=-0.25, bend=0.0),
-}  # fmt: skip
-_SPREAD = {"index": 1.0, "middle": 0.25, "ring": -0.45, "pinky": -1.0}
 
 
 def times(frames: int) -> np.ndarray:
@@ -80,7 +64,7 @@ def everyday(t: np.ndarray, expressions: int, rng: np.random.Generator) -> Pose:
             rotations[:, at] += weight * (target - rotations[:, at])
         for hand, gesture, side in ((LEFT_HAND, left, "left"), (RIGHT_HAND, right, "right")):
             shaped = np.zeros((1, 55, 3))
-            _put_hand(shaped, side, _gesture_values([gesture]))
+            put_hand(shaped, side, GESTURES[gesture].values)
             rotations[:, hand] += weight[..., None] * (shaped[:, hand] - rotations[:, hand])
     return _with_face(rotations, transl, t, expressions, rng)
 
@@ -115,7 +99,9 @@ def _turning(t: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.nd
         rotations[:, of("hip"), 0] = wave(0.015)
         rotations[:, of("knee"), 0] = np.abs(wave(0.03))
         rotations[:, of("ankle"), 2] = -sign * 0.06
-        _put_hand(rotations, side, _gesture_curve(t, rng))
+        names = rng.permutation(["open", "fist", "point", "pinch", "three", "thumb"])
+        at = ((t + rng.uniform(0, 0.08)) % 1.0) * (len(names) + 1)
+        put_hand(rotations, side, blend_between(["rest", *(str(n) for n in names)], at))
     transl = np.stack([wave(0.008), np.zeros(frames), wave(0.008)], axis=1)
     yaw = direction * 2 * np.pi * t
     rotations[:, 0] = _turned(yaw, np.stack([wave(0.015), wave(0.015)], axis=1))
@@ -170,7 +156,7 @@ def novel(count: int, expressions: int, rng: np.random.Generator) -> Pose:
         for name, value in joints.items():
             rotations[k, JOINTS.index(name)] = np.array(value) * rng.uniform(0.9, 1.1)
         for side, gesture in (("left", left), ("right", right)):
-            _put_hand(rotations[k : k + 1], side, _gesture_values([gesture]))
+            put_hand(rotations[k : k + 1], side, GESTURES[gesture].values)
         rotations[k, JOINTS.index("head")] += rng.normal(0, 0.08, 3)
         rotations[k, JOINTS.index("jaw"), 0] = rng.uniform(0, 0.15)
     facing = rng.uniform(-0.9, 0.9, count)
@@ -242,39 +228,6 @@ POSES: Mapping[str, Action] = {  # that no video holds
          "left_elbow": (0, 0, 0), "right_elbow": (0, 0, 0)}, "three", "fist",
     ),
 }  # fmt: skip
-
-
-def _gesture_values(names: list[str]) -> np.ndarray:
-    return np.array([[GESTURES[n][k] for k in GESTURES["open"]] for n in names])
-
-
-def _gesture_curve(t: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """(T, 7): gestures held for a while, with smooth changes; the last leads back to the first."""
-    names = [str(n) for n in rng.permutation(["open", "fist", "point", "pinch", "three", "thumb"])]
-    keys = _gesture_values(["rest", *names])
-    at = ((t + rng.uniform(0, 0.08)) % 1.0) * len(keys)
-    index = np.floor(at).astype(int)
-    t = np.clip((at - index - 0.35) / 0.65, 0, 1)
-    t = (t * t * (3 - 2 * t))[:, None]
-    return (1 - t) * keys[index % len(keys)] + t * keys[(index + 1) % len(keys)]
-
-
-def _put_hand(rotations: np.ndarray, side: str, values: np.ndarray) -> None:
-    """Write finger rotations of gestures (T, 7) into (T, 55, 3)."""
-    sign = 1.0 if side == "left" else -1.0
-    value = dict(zip(GESTURES["open"], values.T, strict=True))
-    for finger in FINGERS:
-        for k, share in ((1, 0.95), (2, 1.1), (3, 0.7)):
-            joint = JOINTS.index(f"{side}_{finger}{k}")
-            rotations[:, joint, 2] = -sign * share * value[finger]
-        spread = JOINTS.index(f"{side}_{finger}1")
-        rotations[:, spread, 1] = -sign * _SPREAD[finger] * value["spread"]
-    # The thumb swings under the palm about the arm's axis, and bends about its own hinge.
-    first, second, third = (JOINTS.index(f"{side}_thumb{k}") for k in (1, 2, 3))
-    rotations[:, first, 0] = 0.75 * value["thumb"]
-    rotations[:, first, 1] = sign * 0.35 * value["thumb"]
-    for joint in (second, third):
-        rotations[:, joint, 1] = sign * value["bend"]
 
 
 def _turned(yaw: np.ndarray, lean: np.ndarray) -> np.ndarray:

@@ -62,8 +62,9 @@ def turntable(body: BodyModel, *, views: int = 8, size: int = 400, samples: int 
 def sheet(body: BodyModel, *, size: int = 280, samples: int = 64) -> np.ndarray:
     """Poses of the whole body, hands and faces from close by, four in a row; (H, 4 size, 3)."""
     draw = _Painter(body)
-    hands, faces = _hands(body), _faces(body)
-    rows = [(BODIES[:4], 4 / 3), (BODIES[4:], 4 / 3), (hands[:4], 1), (hands[4:], 1), (faces, 1)]
+    near = [*_hands(body), *_faces(body)]
+    rows = [(BODIES[:4], 4 / 3), (BODIES[4:], 4 / 3)]
+    rows += [(near[k : k + 4], 1) for k in range(0, len(near), 4)]
     return np.concatenate([
         np.concatenate([draw(f, size, round(size * tall), samples) for f in row], axis=1)
         for row, tall in rows
@@ -99,9 +100,12 @@ PINCH = _fingers(
     {"index": 0.52, "middle": 0.25, "ring": 0.18, "pinky": 0.12},
     ((0.75, 0.15, -0.30), (0, 0.25, -0.05), (0, 0.35, -0.05)),
 )
+FOUR = _fingers({}, _FOLDED_THUMB)
+TWO = _fingers({"index": 0, "middle": 0, "ring": 1, "pinky": 1}, _FOLDED_THUMB)
+TWO |= {"left_index1": (0, -0.18, 0), "left_middle1": (0, 0.14, 0)}
 THUMB_UP = _fingers(
     dict.fromkeys(_LONG, 1.0), ((-0.16, -0.37, 0.12), (-0.10, -0.36, 0.06), (-0.06, -0.20, 0.04))
-)
+) | {"left_elbow": (-0.8, 0, 0), "left_wrist": (-0.7, 0, 0)}  # fmt: skip
 
 BODIES = (
     Figure(A_POSE | RELAXED, azimuth=0.5),
@@ -129,31 +133,37 @@ BODIES = (
 
 
 def _hands(body: BodyModel) -> list[Figure]:
-    """Eight pictures of the left hand; its wrist does not move."""
+    """Eight pictures of the left hand, which stays where it is in the T-pose."""
     rest = body.rest(Shape(body.v_template.new_zeros(1))).joints
     middle = rest[JOINTS.index("left_middle1")] - torch.tensor([0.005, 0.008, 0.0])
-    from_ = lambda azimuth, elevation: View(tuple(middle.tolist()), 0.24, azimuth, elevation)
+    from_ = lambda azimuth, elevation, up=0.0: View(
+        (middle[0].item(), middle[1].item() + up, middle[2].item()), 0.24, azimuth, elevation
+    )
     above, below, ahead = from_(0.1, 1.3), from_(0.35, -1.1), from_(0.9, 0.25)
     pairs = [
-        (FLAT, above), (RELAXED, ahead), (FIST, from_(1.2, 0.1)), (FIST, below),
-        (POINT, ahead), (PINCH, ahead), (PINCH, below), (THUMB_UP, above),
+        (FLAT, above), (FOUR, below), (FIST, from_(1.2, 0.1)), (FIST, below),
+        (POINT, ahead), (PINCH, ahead), (TWO, below), (THUMB_UP, from_(0.25, 0.1, 0.035)),
     ]  # fmt: skip
     return [Figure(hand, view) for hand, view in pairs]
 
 
 def _faces(body: BodyModel) -> list[Figure]:
-    """Four pictures of the face, the head where it is in the T-pose."""
+    """Eight pictures of the face, the head where it is in the T-pose."""
     rest = body.rest(Shape(body.v_template.new_zeros(1)))
     eyes = rest.joints[[JOINTS.index(f"{s}_eye_smplhf") for s in ("left", "right")]].mean(0)
-    target = tuple((eyes - torch.tensor([0.0, 0.025, 0.04])).tolist())
-    view = lambda azimuth: View(target, 0.34, azimuth, 0.05)
+    target = tuple((eyes - torch.tensor([0.0, 0.020, 0.04])).tolist())
+    view = lambda azimuth: View(target, 0.29, azimuth, 0.05)
+    aside = {"left_eye_smplhf": (0, 0.4, 0), "right_eye_smplhf": (0, 0.4, 0)}
     return [
         Figure({}, view(0.0)),
+        Figure({}, view(0.7)),
+        Figure({}, view(1.57)),
         Figure({"jaw": (0.38, 0, 0)}, view(0.5)),
-        Figure({}, view(-0.5), expression="smile", amount=1.5),
-        Figure({"jaw": (0.12, 0, 0), "left_eye_smplhf": (0, 0.35, 0),
-                "right_eye_smplhf": (0, 0.35, 0)}, view(1.2), expression="brows up", amount=1.5),
-    ]  # fmt: skip
+        Figure({}, view(-0.4), expression="smile", amount=1.5),
+        Figure({"jaw": (0.10, 0, 0)}, view(0.0), expression="brows up", amount=2.0),
+        Figure({}, view(0.0), expression="blink"),
+        Figure(aside, view(0.4), expression="lips pushed out"),
+    ]
 
 
 class _Painter:

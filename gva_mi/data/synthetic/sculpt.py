@@ -16,10 +16,12 @@ import numpy as np
 
 from gva_mi.body.pose import JOINTS, PARENTS
 from gva_mi.body.puppet import PUPPET
-from gva_mi.data.synthetic.sculpt_figure import left_half
+from gva_mi.data.synthetic.sculpt_figure import EYE, EYE_RADIUS, left_half
 from gva_mi.data.synthetic.sculpt_rig import joint_regressor, skinning_weights
 from gva_mi.data.synthetic.sculpt_shapes import correctives, expressions, shapes
 from gva_mi.data.synthetic.sculpt_solids import surface
+
+_EYE_FACES = 350  # of one eyeball, as far as it shows
 
 
 @dataclass(frozen=True)
@@ -34,13 +36,16 @@ def half_surface(options: SculptOptions) -> tuple[np.ndarray, np.ndarray]:
     """The left half at full resolution, open at x = 0."""
     axes = [
         _planes(
-            [(0, 0.0010), (0.055, 0.0016), (0.10, 0.0050), (0.69, 0.0015), (0.935, 0)], options.grid
+            [(0, 0.0010), (0.018, 0.0007), (0.048, 0.0013), (0.10, 0.0050), (0.69, 0.0015),
+             (0.935, 0)], options.grid,
         ),
         _planes(
             [(-1.0, 0.0020), (-0.93, 0.0050), (0.395, 0.0015), (0.470, 0.0040), (0.56, 0.0015),
-             (0.598, 0.0006), (0.616, 0.0012), (0.700, 0.0030), (0.82, 0)], options.grid,
+             (0.598, 0.0006), (0.616, 0.0012), (0.658, 0.0007), (0.686, 0.0015),
+             (0.700, 0.0030), (0.82, 0)], options.grid,
         ),
-        _planes([(-0.18, 0.0050), (-0.065, 0.0014), (0.175, 0)], options.grid),
+        _planes([(-0.18, 0.0050), (-0.065, 0.0014), (0.068, 0.0009), (0.092, 0.0014), (0.175, 0)],
+                options.grid),
     ]  # fmt: skip
     return surface(left_half(), axes)
 
@@ -60,32 +65,71 @@ def decimate(vertices: np.ndarray, faces: np.ndarray, target: int) -> tuple[np.n
     detail[(y > 0.56) & (y < 0.72) & (z > 0.0)] = 8.0
     detail[(y > 0.62) & (y < 0.695) & (z < 0.02) & (x > 0.060)] = 16.0  # ear
     detail[(y > 0.59) & (y < 0.70) & (z > 0.07) & (x < 0.055)] = 24.0  # eyes, nose, mouth
-    detail[(y > 0.662) & (y < 0.682) & (z > 0.07) & (x > 0.016) & (x < 0.05)] = 40.0
+    detail[(y > 0.661) & (y < 0.684) & (z > 0.07) & (x > 0.016) & (x < 0.05)] = 40.0  # eye
     mesh = pymeshlab.MeshSet()
     mesh.add_mesh(pymeshlab.Mesh(vertices, faces.astype(np.int32), v_scalar_array=detail))
-    mesh.meshing_decimation_quadric_edge_collapse(
-        targetfacenum=target, qualitythr=0.6, boundaryweight=30.0,
-        preservenormal=True, preservetopology=True, optimalplacement=True, planarquadric=True,
-        planarweight=0.0006, qualityweight=True,
-    )  # fmt: skip
+    # An eyeball is as round as a finger and much smaller: its share is set, and not by its error.
+    centre = "".join(f"+({axis}-({c}))^2" for axis, c in zip("xyz", EYE, strict=True))
+    mesh.compute_selection_by_condition_per_vertex(
+        condselect=f"(0{centre} < {(EYE_RADIUS + 0.0006) ** 2}) && (z > {EYE[2]})"
+    )
+    mesh.compute_selection_transfer_vertex_to_face()
+    for count in (_EYE_FACES, target - _EYE_FACES):
+        mesh.meshing_decimation_quadric_edge_collapse(
+            targetfacenum=count, qualitythr=0.6, boundaryweight=30.0,
+            preservenormal=True, preservetopology=True, optimalplacement=True, planarquadric=True,
+            planarweight=0.0006, qualityweight=True, selected=True,
+        )  # fmt: skip
+        mesh.apply_selection_inverse(invfaces=True)
     result = mesh.current_mesh()
     return result.vertex_matrix(), result.face_matrix().astype(np.int64)
 
 
-def onto_border(
-    vertices: np.ndarray, faces: np.ndarray, border: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Bring the border of a decimated half back onto the line it had, segments (S, 2, 3)."""
-    edges, count = _edges(faces)
-    moved = np.unique(edges[count == 1])
-    start, along = border[:, 0], border[:, 1] - border[:, 0]
-    offset = vertices[moved, None] - start
-    t = np.clip((offset * along).sum(-1) / ((along * along).sum(-1) + 1e-12), 0, 1)
-    foot = start + t[..., None] * along
-    nearest = np.linalg.norm(vertices[moved, None] - foot, axis=-1).argmin(1)
+def border_of(faces: np.ndarray) -> np.ndarray:
+    """The vertices of a half's open border in their order, once around."""
+    sides = np.concatenate([faces[:, [k, (k + 1) % 3]] for k in range(3)])
+    inner = set(map(tuple, sides[:, ::-1].tolist()))
+    after = {a: b for a, b in sides.tolist() if (a, b) not in inner}
+    loop = [min(after)]
+    while (following := after[loop[-1]]) != loop[0]:
+        loop.append(following)
+    if len(loop) != len(after):
+        raise ValueError("border_of(): the half must have one border, without a pinch")
+    return np.array(loop)
+
+
+def onto_border(vertices: np.ndarray, faces: np.ndarray, outline: np.ndarray) -> np.ndarray:
+    """Bring the border of a decimated half back onto the outline that it had.
+
+    Decimation slides vertices along straight stretches, past each other too, and the faces between
+    them fold. So they take their places on the outline in the order of the border.
+
+    Args:
+        vertices: (V, 3) decimated.
+        faces: (F, 3)
+        outline: (S, 3) closed, the border of the full half in its order.
+
+    Returns:
+        vertices, (V, 3).
+    """
+    moved = border_of(faces)
+    start, along = outline, np.roll(outline, -1, axis=0) - outline
+    t = ((vertices[moved, None] - start) * along).sum(-1) / ((along * along).sum(-1) + 1e-18)
+    t = np.clip(t, 0, 1)
+    gap = np.linalg.norm(vertices[moved, None] - start - t[..., None] * along, axis=-1)
+    nearest = gap.argmin(1)
+    length = np.linalg.norm(along, axis=1)
+    before = np.concatenate([[0], np.cumsum(length)])
+    place = before[nearest] + (t * length)[np.arange(len(moved)), nearest]
+    # Begin where the outline does, but for vertices that were slid past that point.
+    turn = int(np.argmin(place))
+    place = np.sort(np.roll(place, -turn))
+    closed = np.concatenate([outline, outline[:1]])
     vertices = vertices.copy()
-    vertices[moved] = foot[np.arange(len(moved)), nearest]
-    return vertices, faces
+    vertices[np.roll(moved, -turn)] = np.stack(
+        [np.interp(place, before, closed[:, k]) for k in range(3)], axis=1
+    )
+    return vertices
 
 
 def without_chords(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -137,10 +181,9 @@ def sculpt(options: SculptOptions | None = None) -> dict[str, np.ndarray]:
 
     options = options or SculptOptions()
     vertices, faces = half_surface(options)
-    edges, count = _edges(faces)
-    border = vertices[edges[count == 1]]
+    outline = vertices[border_of(faces)]
     vertices, faces = without_chords(*decimate(vertices, faces, options.faces // 2))
-    vertices, faces, twin = mirrored(*onto_border(vertices, faces, border))
+    vertices, faces, twin = mirrored(onto_border(vertices, faces, outline), faces)
     vertices = vertices.astype(np.float32).astype(
         np.float64
     )  # what follows is exact on what is stored

@@ -25,14 +25,18 @@ _LEFT = {
     "wrist": (0.703, 0.436, -0.008), "eye_smplhf": (0.0322, 0.672, 0.070),
 }  # fmt: skip
 
+EYE = _LEFT["eye_smplhf"]
+EYE_RADIUS, LID_RADIUS = 0.0122, 0.0140
+EYE_SLIT = (0.0134, 0.0060)  # half width and half height between the lids
+
 # Fingers: the first knuckle relative to the wrist, the direction, the three bones' lengths, and the
 # radii of the base and of the tip.
 _FINGERS = {
-    "index": ((0.098, 0.003, 0.0290), (1, -0.02, 0.075), (0.040, 0.024, 0.021), (0.0090, 0.0072)),
-    "middle": ((0.102, 0.005, 0.0070), (1, -0.02, 0.010), (0.044, 0.028, 0.022), (0.0092, 0.0074)),
-    "ring": ((0.097, 0.003, -0.0145), (1, -0.02, -0.055), (0.041, 0.026, 0.021), (0.0087, 0.0070)),
-    "pinky": ((0.088, 0.000, -0.0340), (1, -0.02, -0.14), (0.032, 0.019, 0.018), (0.0076, 0.0062)),
-    "thumb": ((0.024, -0.008, 0.0270), (0.74, -0.1, 0.66), (0.046, 0.034, 0.025), (0.012, 0.0085)),
+    "index": ((0.098, 0.003, 0.0290), (1, -0.02, 0.075), (0.040, 0.024, 0.021), (0.0096, 0.0079)),
+    "middle": ((0.102, 0.005, 0.0070), (1, -0.02, 0.010), (0.044, 0.028, 0.022), (0.0098, 0.0081)),
+    "ring": ((0.097, 0.003, -0.0145), (1, -0.02, -0.055), (0.041, 0.026, 0.021), (0.0093, 0.0077)),
+    "pinky": ((0.088, 0.000, -0.0340), (1, -0.02, -0.14), (0.032, 0.019, 0.018), (0.0082, 0.0068)),
+    "thumb": ((0.024, -0.008, 0.0270), (0.74, -0.1, 0.66), (0.046, 0.034, 0.025), (0.0125, 0.0092)),
 }  # fmt: skip
 
 
@@ -116,8 +120,10 @@ def facial_regions(points: np.ndarray) -> list[tuple[int, np.ndarray, float]]:
     regions = [(JOINTS.index("jaw"), jaw, 0.018), (JOINTS.index("head"), upper, 0.015)]
     for name in ("left_eye_smplhf", "right_eye_smplhf"):
         centre = joint_positions()[JOINTS.index(name)]
-        ball = np.linalg.norm((points - centre) / (1.0, 0.62, 1.4), axis=1) < 0.0105
-        regions.append((JOINTS.index(name), ball & (z > centre[2] + 0.004), 0.003))
+        radius = np.where(z > centre[2], np.linalg.norm(points - centre, axis=1), np.inf)
+        ball, lids = radius < EYE_RADIUS + 0.0002, radius < LID_RADIUS + 0.003
+        regions.append((JOINTS.index("head"), lids & ~ball, 0.003))
+        regions.append((JOINTS.index(name), ball, 0.003))
     return regions
 
 
@@ -236,15 +242,16 @@ def _hand() -> list[Part]:
     parts = [
         Part(palm, 0.012),
         Part(
-            Ball(w + (0.036, -0.013, 0.020), (0.032, 0.013, 0.017), (0, -0.55, 0)), 0.010
+            Ball(w + (0.036, -0.013, 0.020), (0.034, 0.0145, 0.018), (0, -0.55, 0)), 0.012
         ),  # thenar
+        Part(Cone(w + (0.034, -0.004, 0.022), w + (0.074, 0, 0.030), 0.010, 0.0085), 0.012),  # web
         Part(Ball(w + (0.044, -0.012, -0.028), (0.034, 0.010, 0.014)), 0.010),
     ]
     for finger in _FINGERS:
         chain, (base, tip) = finger_chain(finger), _FINGERS[finger][3]
         radii = np.linspace(base, tip, 4)
         if finger == "thumb":
-            radii[0] = 0.0135
+            radii[0] = 0.0142
             ends = zip(chain[:-1], chain[1:], radii[:-1], radii[1:], strict=True)
             parts += [Part(Cone(a, b, r, s), 0.008) for a, b, r, s in ends]
             continue
@@ -286,15 +293,16 @@ def _head() -> list[Part]:
 def _face() -> list[Part]:
     return [
         Part(Ball((0, 0.580, 0.078), (0.020, 0.013, 0.013)), 0.018),  # chin
-        Part(Ball((0.045, 0.647, 0.054), (0.019, 0.013, 0.019), (0, 0.6, 0)), 0.022),  # cheekbone
-        Part(Cone((0.010, 0.692, 0.085), (0.048, 0.695, 0.066), 0.0080, 0.0065), 0.016),  # brow
-        Part(Ball((0.033, 0.673, 0.096), (0.0215, 0.0130, 0.022)), 0.012, carve=True),  # socket
-        Part(Ball((0.0325, 0.672, 0.0705), (0.0158, 0.0128, 0.0158)), 0.006),  # lids
-        Part(Ball((0.0325, 0.6715, 0.092), (0.0125, 0.0056, 0.022)), 0.002, carve=True),
-        Part(Ball((0.0322, 0.672, 0.0700), (0.0120, 0.0115, 0.0130)), 0.001),  # eyeball
-        Part(Cone((0, 0.684, 0.083), (0, 0.642, 0.096), 0.0085, 0.0130), 0.014),  # nose
-        Part(Ball((0, 0.640, 0.104), (0.0110, 0.0095, 0.0110)), 0.008),
-        Part(Ball((0.0100, 0.6375, 0.0935), (0.0085, 0.0072, 0.0105)), 0.006),  # nostril's wing
+        Part(Ball((0.043, 0.648, 0.052), (0.019, 0.014, 0.018), (0, 0.6, 0)), 0.026),  # cheekbone
+        Part(Ball((0.037, 0.620, 0.054), (0.020, 0.022, 0.020), (0, 0.6, 0)), 0.030),  # cheek
+        Part(Cone((0.010, 0.692, 0.085), (0.048, 0.695, 0.066), 0.0075, 0.0060), 0.018),  # brow
+        Part(Ball((0.0335, 0.674, 0.098), (0.0225, 0.0140, 0.022)), 0.014, carve=True),  # socket
+        Part(Ball(EYE, (LID_RADIUS,) * 3), 0.007),  # lids
+        Part(Ball((EYE[0], EYE[1], 0.088), (*EYE_SLIT, 0.030), (0, 0, 0.06)), 0.0012, carve=True),
+        Part(Ball(EYE, (EYE_RADIUS,) * 3), 0.0008),  # eyeball
+        Part(Cone((0, 0.684, 0.083), (0, 0.642, 0.096), 0.0085, 0.0120), 0.014),  # nose
+        Part(Ball((0, 0.640, 0.104), (0.0105, 0.0090, 0.0105)), 0.008),
+        Part(Ball((0.0100, 0.6375, 0.0935), (0.0080, 0.0070, 0.0105)), 0.006),  # nostril's wing
         Part(Ball((0.0055, 0.6310, 0.1000), (0.0030, 0.0030, 0.0050)), 0.003, carve=True),
         Part(Ball((0, 0.626, 0.080), (0.017, 0.014, 0.0140)), 0.012),  # below the nose
         Part(Ball((0, 0.610, 0.080), (0.026, 0.022, 0.014)), 0.014),  # muzzle

@@ -11,8 +11,7 @@ deviation.
 * Expressions are sums of Gaussian bumps on the left half of the face and its mirror image.
 * Correctives answer linear blend skinning's loss of volume: where two bones share a vertex and one
   is bent by φ, the vertex comes nearer to the joint by the factor cos(φ/2). The skin on the outer
-  side is moved out in proportion to 1 − cos φ, which is 1 − R[k, k] for a bone that runs along
-  axis k.
+  side is moved out in proportion to 1 − cos φ = − uᵀ (R − I) u for a bone along the unit vector u.
 """
 
 from __future__ import annotations
@@ -20,7 +19,12 @@ from __future__ import annotations
 import numpy as np
 
 from gva_mi.body.pose import JOINTS, PARENTS
-from gva_mi.data.synthetic.sculpt_figure import joint_positions
+from gva_mi.data.synthetic.sculpt_figure import (
+    EYE_RADIUS,
+    EYE_SLIT,
+    LID_RADIUS,
+    joint_positions,
+)
 
 Stretch = dict[str, tuple[float, float, float]]  # joint, of both sides: strain along x, y, z
 
@@ -28,6 +32,8 @@ _TRUNK = ("pelvis", "spine1", "spine2", "spine3")
 _HAND = ("wrist", *(n.removeprefix("left_") for n in JOINTS[25:40]))
 _FOOT = ("ankle", "foot")
 _HEAD = ("head", "jaw", "eye_smplhf")
+_LID_FOLD = 1.25  # radians over the eye's centre: beyond, the skin of the lids stays where it is
+_LID_SKIN = 0.0008  # metres between the eyeball and a lid that slides over it
 
 
 def shapes(vertices: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -73,8 +79,7 @@ def expressions(vertices: np.ndarray, weights: np.ndarray) -> np.ndarray:
                           ((0, 0.607, 0.10), (0.014, 0.012, 0.020), (0, 0, 0.006))]),
         _bumps(vertices, [((0.030, 0.696, 0.08), (0.020, 0.010, 0.030), (0, 0.0055, 0))]),
         _bumps(vertices, [((0.017, 0.692, 0.086), (0.012, 0.009, 0.03), (-0.003, -0.0045, 0.001))]),
-        _bumps(vertices, [((0.032, 0.6795, 0.086), (0.014, 0.004, 0.014), (0, -0.0075, 0.0035)),
-                          ((0.032, 0.6650, 0.084), (0.014, 0.003, 0.014), (0, 0.0020, 0.0015))]),
+        _blink(vertices, weights),
         _bumps(vertices, [((0.046, 0.612, 0.060), (0.015, 0.016, 0.024), (0.0075, 0, 0.004))]),
         (1 - jaw) * _bumps(vertices, [
             ((0, 0.613, 0.095), (0.017, 0.007, 0.020), (0, 0.0045, 0.001)),
@@ -88,20 +93,54 @@ def expressions(vertices: np.ndarray, weights: np.ndarray) -> np.ndarray:
 def correctives(vertices: np.ndarray, normals: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Pose directions (V, 3, 486), on the diagonal entries of R − I of the joints that collapse."""
     fingers = [f"{finger}{k}" for finger in ("index", "middle", "ring", "pinky") for k in (1, 2, 3)]
-    outer = {  # joint: axis of its bone, outer side of the bend, radius of the limb, strength
-        "elbow": (0, (0, 0, -1), 0.040, 0.45), "shoulder": (0, (0, 1, 0), 0.055, 0.35),
-        "knee": (1, (0, 0, 1), 0.052, 0.45), "hip": (1, (0, 0, -1), 0.085, 0.30),
-        "wrist": (0, (0, 1, 0), 0.020, 0.20),
-    } | {name: (0, (0, 1, 0), 0.0085, 0.45) for name in fingers}  # fmt: skip
-    J, field = joint_positions(), np.zeros((len(vertices), 3, 9 * (len(JOINTS) - 1)))
-    for side in ("left", "right"):
-        for name, (axis, direction, radius, strength) in outer.items():
+    x, y = (1, 0, 0), (0, 1, 0)
+    outer = {  # joint: its bone, outer side of the bend, radius of the limb, strength
+        "elbow": (x, (0, 0, -1), 0.040, 0.45), "shoulder": (x, (0, 1, 0), 0.055, 0.35),
+        "knee": (y, (0, 0, 1), 0.052, 0.45), "hip": (y, (0, 0, -1), 0.085, 0.30),
+        "wrist": (x, (0, 1, 0), 0.020, 0.20),
+    } | {name: (x, (0, 1, 0), 0.0085, 0.45) for name in fingers}  # fmt: skip
+    along, out = (0.745, 0, 0.667), (-0.667, 0, 0.745)  # the thumb lies across and bends inward
+    outer |= {f"thumb{k}": (along, out, 0.013, f) for k, f in ((1, 0.90), (2, 0.10), (3, 0.28))}
+    J, field = joint_positions(), np.zeros((len(vertices), 3, len(JOINTS) - 1, 3, 3))
+    for side, mirror in (("left", (1, 1, 1)), ("right", (-1, 1, 1))):
+        for name, (bone, direction, radius, strength) in outer.items():
             j = JOINTS.index(f"{side}_{name}")
+            bone, direction = np.multiply(bone, mirror), np.multiply(direction, mirror)
             shared = 4 * weights[:, j] * weights[:, PARENTS[j]]  # 1 where both pull alike
-            facing = np.clip((vertices - J[j]) @ np.asarray(direction) / radius + 0.3, 0, 1)
-            facing = facing * facing * (3 - 2 * facing)
+            facing = _smooth((vertices - J[j]) @ direction / radius + 0.3)
             push = strength * radius * shared * facing
-            field[:, :, 9 * (j - 1) + 4 * axis] = -push[:, None] * normals
+            field[:, :, j - 1] = -(push[:, None] * normals)[..., None, None] * np.outer(bone, bone)
+    return field.reshape(len(vertices), 3, -1)
+
+
+def _smooth(x: np.ndarray) -> np.ndarray:
+    """From 0 to 1 as x does, without a corner at either end."""
+    x = np.clip(x, 0, 1)
+    return x * x * (3 - 2 * x)
+
+
+def _blink(vertices: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """The lids closed, the eyeball still.
+
+    Seen from the eyeball's centre, the lids' skin turns about the axis from ear to ear, so that it
+    slides over the ball: the edges meet low, and the skin behind each follows less and less.
+    """
+    field = np.zeros_like(vertices)
+    for name in ("left_eye_smplhf", "right_eye_smplhf"):
+        eye = JOINTS.index(name)
+        offset = vertices - joint_positions()[eye]
+        radius = np.linalg.norm(offset, axis=1)
+        height = np.arctan2(offset[:, 1], offset[:, 2])  # of the vertex over the eye's centre
+        wide = np.clip(1 - (offset[:, 0] / EYE_SLIT[0]) ** 2, 0, 1)
+        edge = np.arctan2(EYE_SLIT[1], EYE_RADIUS) * np.sqrt(wide)  # of the open lids, up or down
+        follow = 1 - np.clip((np.abs(height) - edge) / (_LID_FOLD - edge), 0, 1)
+        turned = height + np.where(height > 0, -1.75, 0.25) * edge * follow**2
+        reach = np.hypot(offset[:, 1], offset[:, 2])
+        reach = reach * (1 + follow * (np.maximum(radius, EYE_RADIUS + _LID_SKIN) / radius - 1))
+        moved = np.stack([offset[:, 0], reach * np.sin(turned), reach * np.cos(turned)], axis=1)
+        free = _smooth((0.8 - weights[:, eye]) / 0.3)  # not the eyeball
+        free *= _smooth((LID_RADIUS + 0.006 - radius) / 0.005) * (offset[:, 2] > 0)
+        field += (moved - offset) * free[:, None]
     return field
 
 

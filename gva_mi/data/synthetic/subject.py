@@ -12,12 +12,12 @@ import torch
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.body.skinning import skin_points
 from gva_mi.body.smplx import BodyModel
-from gva_mi.data.synthetic import accessories, garments
+from gva_mi.data.synthetic import accessories, binding, garments
 from gva_mi.data.synthetic.folds import Crease, creases, lagging
 from gva_mi.data.synthetic.garments import CLOTH_CELL, BodySurface, Grid, Mesh, smoothstep
 from gva_mi.data.synthetic.hair import hair
 from gva_mi.data.synthetic.people import Person, Wardrobe
-from gva_mi.data.synthetic.texture import Face, Look, Part, Point
+from gva_mi.data.synthetic.texture import Cone, Face, Look, Part, Point
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -101,12 +101,22 @@ class Subject:
 
 
 @dataclass(frozen=True)
+class Frame:
+    """The body that is dressed, in its rest pose."""
+
+    surface: BodySurface
+    vertices: np.ndarray  # (V, 3) metres
+    joints: Mapping[str, np.ndarray]  # by name
+    weights: np.ndarray  # (V, 55)
+
+
+@dataclass(frozen=True)
 class Piece:
     """A garment, hair or an accessory, and how it hangs on the body."""
 
     part: Part
     mesh: Mesh
-    smooth: float  # m, over which its weights are blended; 0: it moves with the head, stiff
+    binding: csr_array  # (V, vertices of the body)
     slack: np.ndarray | float = 0.0  # (V,) metres, how far it may lag
     crease: float = 0.0  # m, height of its creases
 
@@ -145,11 +155,15 @@ def draw_subject(
     )  # fmt: skip
 
     surface = BodySurface(vertices, faces, normals)
-    pieces = _dress(surface, vertices, joints, person.wardrobe, rng) if clothes else []
-    if hairy:
-        pieces.append(_groom(surface, joints, person.wardrobe, rng))
+    frame = Frame(surface, vertices, joints, weights)
+    pieces: list[Piece] = []
     if clothes:
-        pieces += _equip(surface, joints, person.wardrobe)
+        pieces, cone = _dress(frame, person.wardrobe, rng)
+        look = replace(look, cone=cone)
+    if hairy:
+        pieces.append(_groom(frame, person.wardrobe, rng, pieces))
+    if clothes:
+        pieces += _equip(frame, person.wardrobe)
 
     cloth = [piece.mesh for piece in pieces if piece.part not in (Part.HAIR, Part.ACCESSORY)]
     covered = _covered(vertices, cloth)
@@ -160,14 +174,7 @@ def draw_subject(
     of_skin = csr_array(
         (np.ones(len(used)), (np.arange(len(used)), used)), shape=(len(used), len(vertices))
     )
-    stiff = np.argsort(-weights[:, JOINTS.index("head")], kind="stable")[:200]
-    bindings = [
-        _bind(piece.mesh.vertices, vertices, piece.smooth)
-        if piece.smooth
-        else _bind_to(len(piece.mesh.vertices), stiff, len(vertices))
-        for piece in pieces
-    ]
-    binding = vstack([of_skin, *bindings])
+    bound = vstack([of_skin, *(piece.binding for piece in pieces)])
     meshes = [piece.mesh for piece in pieces]
     starts = np.cumsum([len(used), *(len(mesh.vertices) for mesh in meshes)])
     all_vertices = np.concatenate([vertices[used], *(m.vertices for m in meshes)])
@@ -177,8 +184,8 @@ def draw_subject(
     return Subject(
         vertices=all_vertices.astype(np.float32),
         faces=np.concatenate([skin, *(m.faces + k for m, k in zip(meshes, starts, strict=False))]),
-        binding=binding.tocsr(),
-        weights=torch.from_numpy(binding @ weights).float(),
+        binding=bound.tocsr(),
+        weights=torch.from_numpy(bound @ weights).float(),
         tint=np.concatenate(
             [tint[used], *(np.repeat(m.shade[:, None], 3, axis=1) for m in meshes)]
         ).astype(np.float32),
@@ -208,89 +215,60 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def _dress(
-    surface: BodySurface,
-    vertices: np.ndarray,
-    joints: Mapping[str, np.ndarray],
-    wardrobe: Wardrobe,
-    rng: np.random.Generator,
-) -> list[Piece]:
-    grid = Grid.around(vertices.min(0) - 0.09, vertices.max(0) + 0.09, CLOTH_CELL)
+    frame: Frame, wardrobe: Wardrobe, rng: np.random.Generator
+) -> tuple[list[Piece], Cone | None]:
+    """The clothes, and the cone that a skirt is."""
+    surface, vertices, joints = frame.surface, frame.vertices, frame.joints
+    reach = np.array([0.09, 0.09, 0.22 if wardrobe.bottom == "skirt" else 0.09])
+    grid = Grid.around(vertices.min(0) - reach, vertices.max(0) + reach, CLOTH_CELL)
     d = surface.sample(grid)
-    hem, loose = wardrobe.hem, wardrobe.loose
+    hem, loose, cone = wardrobe.hem, wardrobe.loose, None
     top = garments.shirt(grid, d, joints, loose, wardrobe.sleeve, hem, rng)
     if wardrobe.bottom == "skirt":
-        bottom = garments.skirt(grid, d, joints, wardrobe.flare, wardrobe.length, rng)
+        bottom, cone = garments.skirt(grid, d, joints, wardrobe.flare, wardrobe.length, rng)
     else:
         bottom = garments.trousers(grid, d, joints, wardrobe.flare, wardrobe.length)
     height = lambda mesh: mesh.vertices[:, 1].astype(np.float64)
+    follow = lambda mesh, smooth: binding.near(mesh.vertices, vertices, smooth)
     chest, hip = joints["spine3"][1], joints["left_hip"][1]
     low = smoothstep(chest - height(top), 0.0, chest - joints["pelvis"][1] + hem)
     out = np.abs(top.vertices[:, 0]) - joints["left_shoulder"][0]
     slack = 0.9 * loose * low + 0.35 * loose * smoothstep(out, 0.05, 0.4)
+    pieces = [Piece(Part.TOP, top, follow(top, 0.025), slack, 0.15 * loose + 0.002)]
     drop = smoothstep(hip - height(bottom), 0.02, 0.4)
-    skirt = wardrobe.bottom == "skirt"
-    shoes = [
-        Piece(Part.SHOES, garments.shoe(surface, joints, side, 0.008), 0.02)
-        for side in ("left", "right")
-    ]
-    return [
-        Piece(Part.TOP, top, 0.025, slack, 0.15 * loose + 0.002),
-        Piece(
-            Part.BOTTOM,
-            bottom,
-            *((0.08, 0.035 * drop) if skirt else (0.025, 0.4 * loose * drop, 0.004)),
-        ),
-        *shoes,
-    ]
+    if cone is not None:
+        hangs = binding.hung(bottom.vertices, vertices, joints, frame.weights)
+        pieces.append(Piece(Part.BOTTOM, bottom, hangs, 0.035 * drop))
+    else:
+        pieces.append(Piece(Part.BOTTOM, bottom, follow(bottom, 0.025), 0.4 * loose * drop, 0.004))
+    for side in ("left", "right"):
+        shoe = garments.shoe(surface, joints, side, 0.008)
+        pieces.append(Piece(Part.SHOES, shoe, follow(shoe, 0.02)))
+    return pieces, cone
 
 
 def _groom(
-    surface: BodySurface,
-    joints: Mapping[str, np.ndarray],
-    wardrobe: Wardrobe,
-    rng: np.random.Generator,
+    frame: Frame, wardrobe: Wardrobe, rng: np.random.Generator, dress: Sequence[Piece]
 ) -> Piece:
-    mesh = hair(surface, joints, wardrobe.hair, wardrobe.hair_thick, rng)
-    below = joints["head"][1] + 0.06 - mesh.vertices[:, 1].astype(np.float64)
+    shirts = [piece.mesh for piece in dress if piece.part is Part.TOP]
+    worn = [BodySurface(m.vertices, m.faces, vertex_normals(m.vertices, m.faces)) for m in shirts]
+    mesh = hair(frame.surface, frame.joints, wardrobe.hair, wardrobe.hair_thick, rng, *worn)
+    below = frame.joints["head"][1] + 0.06 - mesh.vertices[:, 1].astype(np.float64)
     free = smoothstep(below, 0.0, 0.12)
     if wardrobe.hair == "long":  # what lies on the shoulders does not swing
         free = free * (1 - smoothstep(below, 0.12, 0.2))
-    return Piece(
-        Part.HAIR, mesh, 0.03, {"short": 0.0, "bob": 0.014, "long": 0.012}[wardrobe.hair] * free
-    )
+    slack = {"short": 0.0, "bob": 0.014, "long": 0.012}[wardrobe.hair] * free
+    return Piece(Part.HAIR, mesh, binding.near(mesh.vertices, frame.vertices, 0.03), slack)
 
 
-def _equip(
-    surface: BodySurface, joints: Mapping[str, np.ndarray], wardrobe: Wardrobe
-) -> list[Piece]:
-    pieces = []
+def _equip(frame: Frame, wardrobe: Wardrobe) -> list[Piece]:
+    meshes = []
     if wardrobe.glasses:
-        pieces.append(Piece(Part.ACCESSORY, accessories.glasses(surface, joints), 0.0))
+        meshes.append(accessories.glasses(frame.surface, frame.joints))
     if wardrobe.cap:
         stand_off = 1.35 * wardrobe.hair_thick + 0.004
-        pieces.append(Piece(Part.ACCESSORY, accessories.cap(surface, joints, stand_off), 0.0))
-    return pieces
-
-
-def _bind(points: np.ndarray, vertices: np.ndarray, smooth: float) -> csr_array:
-    """Weights (N, V) of the body's near vertices, blended over ``smooth`` metres."""
-    from scipy.sparse import csr_array
-    from scipy.spatial import cKDTree
-
-    count = 24
-    distance, index = cKDTree(vertices).query(points, k=count, workers=-1)
-    near = np.exp(-(distance**2 - distance[:, :1] ** 2) / (2 * smooth**2))
-    near /= near.sum(1, keepdims=True)
-    rows = np.repeat(np.arange(len(points)), count)
-    return csr_array((near.ravel(), (rows, index.ravel())), shape=(len(points), len(vertices)))
-
-
-def _bind_to(count: int, index: np.ndarray, vertices: int) -> csr_array:
-    """Weights (count, vertices): every point follows the mean of some vertices of the body."""
-    from scipy.sparse import csr_array
-
-    rows, columns = np.repeat(np.arange(count), len(index)), np.tile(index, count)
-    return csr_array((np.full(len(rows), 1 / len(index)), (rows, columns)), (count, vertices))
+        meshes.append(accessories.cap(frame.surface, frame.joints, stand_off))
+    return [Piece(Part.ACCESSORY, m, binding.stiff(m.vertices, frame.weights)) for m in meshes]
 
 
 def _covered(vertices: np.ndarray, meshes: list[Mesh]) -> np.ndarray:

@@ -50,6 +50,28 @@ class Face:
 
 
 @dataclass(frozen=True)
+class Cone:
+    """What a skirt is sewn into; its cloth is cut flat, so that patterns keep their size."""
+
+    apex: Point  # metres
+    slope: float  # radius per metre below the apex
+    aspect: float  # width over depth
+
+    def unrolled(self, p: dr.ArrayBase) -> tuple[dr.ArrayBase, dr.ArrayBase]:
+        """Where points lie on the flat cloth, metres along and around; the seam is behind."""
+        sine = self.slope / np.sqrt(1 + self.slope**2)
+        slant = (self.apex[1] - p.y) * float(np.sqrt(1 + self.slope**2))
+        angle = dr.atan2(p.x - self.apex[0], self.aspect * (p.z - self.apex[2])) * float(sine)
+        return -slant * dr.cos(angle), slant * dr.sin(angle)
+
+    def share(self, p: dr.ArrayBase) -> dr.ArrayBase:
+        """How far out points lie between the axis, 0, and the cone, 1."""
+        depth = p.z - self.apex[2]
+        out = dr.sqrt(dr.square((p.x - self.apex[0]) / self.aspect) + dr.square(depth))
+        return 0.5 * (1 + self.aspect) * out / (self.slope * (self.apex[1] - p.y))
+
+
+@dataclass(frozen=True)
 class Look:
     """Everything about a person that is colour."""
 
@@ -68,6 +90,7 @@ class Look:
     hip: Point  # left hip
     ground: float  # m, height of the soles
     accessory: Color = (0.02, 0.02, 0.02)
+    cone: Cone | None = None  # of a skirt
 
     def mean_color(self, part: Part) -> Color:
         """A colour that stands for the part in indirect light."""
@@ -161,7 +184,10 @@ def _top(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
     seam = look.shoulder[0] + 0.02
     arm_level = p.y > look.shoulder[1] - 0.25  # wide hips reach past the seam too
     sleeve = (side > seam) & arm_level
-    along = dr.select(sleeve, side + 0.31, p.y)
+    # On the shoulders, which are level, cloth goes on backwards: along the front, over, and down.
+    level = dr.clip((p.y - look.shoulder[1] + 0.08) / 0.10, 0, 1)
+    over = level * (0.09 - dr.abs(p.z - look.shoulder[2]))
+    along = dr.select(sleeve, side + 0.31, p.y + over)
     arm = dr.atan2(p.z - look.shoulder[2], p.y - look.shoulder[1])
     # Nearly x in front, and finite where the cloth closes around the neck.
     trunk = dr.atan2(p.x, dr.abs(p.z) + 0.10) * 0.2
@@ -174,13 +200,18 @@ def _top(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
 
 
 def _bottom(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
-    leg = p.y < look.hip[1] - 0.06
-    around = dr.select(
-        leg, dr.atan2(p.z, dr.abs(p.x) - look.hip[0]) * 0.085, dr.atan2(p.z, p.x) * 0.16
-    )
-    color = _cloth(look.bottom, p, p.y, around)
     seam = _inside(0.0025 - dr.abs(p.z - look.hip[2]), 0.001)
+    lining = dr.mask_t(p.x)(False)
+    if look.cone is not None:
+        along, around = look.cone.unrolled(p)
+        lining = look.cone.share(p) < 0.75
+    else:
+        leg = p.y < look.hip[1] - 0.06
+        about_leg = dr.atan2(p.z, dr.abs(p.x) - look.hip[0]) * 0.085
+        along, around = p.y, dr.select(leg, about_leg, dr.atan2(p.z, p.x) * 0.16)
+    color = _cloth(look.bottom, p, along, around)
     side_seam = dr.select(dr.abs(p.x) > look.hip[0], seam, 0.0)
+    color = dr.select(lining, type(p)(*look.bottom.colors[0]), color)
     return color * (1 - 0.25 * side_seam)
 
 

@@ -4,12 +4,17 @@ import json
 
 import numpy as np
 import pytest
+from numpy.lib.stride_tricks import sliding_window_view
 
 from gva_mi import InputError
 from gva_mi.body.pose import load_poses
 from gva_mi.body.smplx import load_body
+from gva_mi.data.fingerprint import fingerprint, require_same_body
 from gva_mi.data.pictures import read_image, read_movie
-from gva_mi.data.synthetic import SynthOptions, describe_noise, make_subject
+from gva_mi.data.synthetic import STUDY, SynthOptions, describe_noise, make_subject
+from gva_mi.data.synthetic.motion import turn
+from gva_mi.data.synthetic.render import Renderer, camera_around
+from gva_mi.data.synthetic.subject import draw_subject
 from gva_mi.data.video import load_cameras, load_video
 
 pytest.importorskip("mitsuba")
@@ -125,9 +130,32 @@ def test_same_seed_same_bits_and_another_seed_another_video(noisy, body, tmp_pat
 
 def test_splits_do_not_overlap(noisy):
     splits = json.loads((noisy / "splits.json").read_text())
+    video, _ = load_poses(noisy / "truth/poses.npz")
+    novel, _ = load_poses(noisy / "truth/novel_pose/poses.npz")
+    away = (video.rotations[:, None, 1:22] - novel.rotations[None, :, 1:22]).norm(dim=-1)
+    assert away.amax(-1).min() > 0.2  # radians: no novel pose is in the video
+    (ours,), (other,) = (load_cameras(f / "cameras.npz") for f in views(noisy))
+    turned = ours.T_camera_world[:3, :3] @ other.T_camera_world[:3, :3].T
+    assert np.arccos((np.trace(turned) - 1) / 2) > 0.3  # radians: nor is a novel view
     assert not set(splits["train"]) & set(splits["test"])
     assert sorted(splits["train"] + splits["test"]) == [0, 1, 2]
     assert splits["novel_pose"] == [0] and len(splits["novel_view"]) == 1
+
+
+def views(folder):
+    return folder, folder / "truth/novel_view"
+
+
+def test_the_principal_point_lies_off_the_middle(noisy):
+    for folder in views(noisy):
+        for camera in load_cameras(folder / "cameras.npz"):
+            assert abs(camera.cx / camera.width - 0.5) > 0.01
+            assert abs(camera.cy / camera.height - 0.5) > 0.01
+
+
+def test_the_folder_knows_its_body(noisy, body):
+    require_same_body(noisy, body)
+    assert json.loads((noisy / "synth.json").read_text())["body"] == fingerprint(body)
 
 
 def test_nothing_is_written_over_and_nothing_half_written_stays(noisy, body, tmp_path):
@@ -172,25 +200,56 @@ def test_any_number_of_workers_writes_the_same_bits(noisy, body, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["dalia", "edgar"])
+@pytest.mark.parametrize("name", STUDY)
 def test_a_dressed_subject_keeps_every_law(body, tmp_path, name):
+    """At level 0: the true body lies in the true mask; frames and masks agree."""
     out = tmp_path / "subject"
     options = SynthOptions(
-        subject=name, motion="everyday", frames=3, size=256, samples=16, novel_poses=2,
+        subject=name, motion="everyday", frames=2, size=256, samples=16, novel_poses=2,
         novel_views=1, noise=0.0,
     )  # fmt: skip
     make_subject(out, options, body)
     for part in ("truth", "truth/novel_pose", "truth/novel_view"):
         pose, shape = load_poses(out / part / "poses.npz")
         cameras = load_cameras((out if part == "truth" else out / part) / "cameras.npz")
+        frames = out if part == "truth" else out / part
         for k in range(len(pose)):
             mask = read_image(out / part / f"masks/{k:06d}.png", 1)
             camera = cameras[min(k, len(cameras) - 1)]
             pixels = camera.project(body(pose[k], shape).vertices[0].double().numpy())
             assert inside(mask, pixels).mean() >= 0.995
-            if part == "truth":
-                image = read_image(out / f"frames/{k:06d}.png", 3)
-                assert (image[mask == 0] == 255).all()
+            image = read_image(frames / f"frames/{k:06d}.png", 3)
+            assert (image[mask == 0] == 255).all()
+            # Blended by the mask: never darker than black would be, and never all white inside.
+            soft = 255 - mask.astype(int)[..., None]
+            assert (image >= soft - 2).all() and (image[mask == 255].min(1) < 250).mean() > 0.99
+            seen = read_image(out / part / f"normals/{k:06d}.png", 3)[mask > 0].astype(float)
+            length = np.linalg.norm(seen / 127.5 - 1, axis=1)
+            assert np.abs(length - 1).max() < 0.02
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", STUDY)
+def test_a_dressed_subjects_normals_are_the_slopes_of_its_depth(body, name):
+    subject = draw_subject(body, STUDY[name])
+    pose = turn(np.array([0.1]), body.num_expressions, np.random.default_rng(0))
+    surface = subject.posed(body, pose, folds=1.0)[0]
+    camera = camera_around(surface, 320, azimuth=0.6)
+    picture = Renderer(subject)(surface, camera, samples=16)
+    y, x = np.mgrid[:320, :320] + 0.5
+    rays = [(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, np.ones_like(x)]
+    points = np.stack(rays, axis=-1) * picture.depth[..., None]
+    across = np.cross(points[2:, 1:-1] - points[:-2, 1:-1], points[1:-1, 2:] - points[1:-1, :-2])
+    across /= np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-12)
+    normals = picture.normals[1:-1, 1:-1]
+    # Where the picture shows one surface, not too steep: differences over its edges mean nothing.
+    window = sliding_window_view(picture.depth, (3, 3))
+    flat = (
+        (np.ptp(window, axis=(2, 3)) < 0.02) & (window.min((2, 3)) > 0) & (normals[..., 2] < -0.5)
+    )
+    angle = np.degrees(np.arccos(np.clip((across * normals).sum(-1)[flat], -1, 1)))
+    assert flat.sum() > 3000
+    assert np.median(angle) < 5 and (angle < 20).mean() > 0.95
 
 
 @pytest.mark.slow

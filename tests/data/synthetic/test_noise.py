@@ -64,6 +64,24 @@ def test_pose_error_grows_with_the_level(body, truth):
     assert errors[0].vertex_mm < errors[1].vertex_mm < errors[2].vertex_mm
 
 
+def test_rotation_errors_grow_along_the_limbs():
+    pose, shape = Pose.rest(2000), Shape(torch.zeros(10))
+    noisy, _ = noise.noisy_poses(pose, shape, CAMERA, 1.0, random())
+    size = noisy.rotations.pow(2).sum(-1).mean(0).sqrt()
+    of = lambda name: (size[JOINTS.index(f"left_{name}")] + size[JOINTS.index(f"right_{name}")]) / 2
+    assert size[JOINTS.index("spine1")] < of("collar") < of("shoulder") < of("elbow") < of("wrist")
+    assert size[JOINTS.index("pelvis")] < of("hip") < of("knee") < of("ankle")
+    assert of("index2") > 2 * size[JOINTS.index("spine3")]
+
+
+def test_depth_is_known_worst():
+    pose, shape = Pose.rest(2000), Shape(torch.zeros(10))
+    noisy, _ = noise.noisy_poses(pose, shape, CAMERA, 1.0, random())
+    R = torch.tensor(CAMERA.T_camera_world[:3, :3].tolist())
+    x, y, z = ((noisy.transl - pose.transl) @ R.T).std(0)
+    assert z > 2 * x and z > 2 * y
+
+
 def test_rotation_errors_double_sideways():
     pose, shape = Pose.rest(400), Shape(torch.zeros(10))
     pose.global_orient[200:, 1] = torch.pi / 2
@@ -127,6 +145,25 @@ def test_normals_stay_unit_face_the_camera_and_fill_the_mask(disc):
     assert np.allclose(length[wider > 0.5], 1, atol=1e-5) and (length[wider <= 0.5] == 0).all()
     assert (noisy[..., 2] <= 0).all()
     assert 2 < noise.normal_error(noisy, normals) < 20
+
+
+def test_errors_of_normals_vary_slowly():
+    flat = np.zeros((128, 128, 3), np.float32)
+    flat[..., 2] = -1
+    full = np.ones((128, 128), np.float32)
+    error = noise.noisy_normals(flat, full, 1.0, random())[..., :2]
+    size = np.sqrt((error**2).mean())
+    step = np.sqrt((np.diff(error, axis=1) ** 2).mean())
+    assert 0.05 < size < 0.3 and step < 0.25 * size  # a tilt that lasts over many pixels
+
+
+def test_normals_are_blurred_like_a_networks():
+    ridge = np.zeros((64, 512, 3), np.float32)
+    ridge[:, :256], ridge[:, 256:] = (-0.8, 0, -0.6), (0.8, 0, -0.6)
+    blurred = noise.noisy_normals(ridge, np.ones((64, 512), np.float32), 1.0, random())
+    row = blurred[30, 246:266, 0]
+    assert np.diff(row).max() < 0.4 * 1.6  # of the true step, which was between two pixels
+    assert row[-1] - row[0] > 1.2
 
 
 def test_an_empty_mask_stays_empty():

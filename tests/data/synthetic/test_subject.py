@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.body.pose import Pose
+from gva_mi.body.pose import JOINTS, Pose
 from gva_mi.body.smplx import load_body
 from gva_mi.data.synthetic import STUDY
 from gva_mi.data.synthetic.garments import BodySurface
@@ -82,3 +82,38 @@ def test_accessories_are_closed_and_move_stiffly_with_the_head(body, name):
     length = lambda x: np.linalg.norm(x[pairs[0]] - x[pairs[1]], axis=1)
     assert np.abs(length(moved) - length(rest)).max() < 0.001
     assert np.linalg.norm(moved - rest, axis=1).max() > 0.01
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["amira", "dalia"])
+def test_long_hair_lies_on_the_shirt_behind_the_shoulders(body, name):
+    subject = draw_subject(body, STUDY[name])
+    hair, top = (np.unique(subject.faces[subject.part == int(p)]) for p in (Part.HAIR, Part.TOP))
+    joints = dict(zip(JOINTS, body.rest(subject.shape).joints.numpy(), strict=True))
+    low = hair[subject.vertices[hair, 1] < joints["neck"][1]]
+    points = subject.vertices[low].astype(float)
+    assert len(low) > 300 and points[:, 2].max() < joints["neck"][2] + 0.03
+    # Outside the shirt wherever its own outside shows: nothing pokes through.
+    shirt = subject.vertices[top].astype(float)
+    normals = vertex_normals(subject.vertices.astype(float), subject.faces)
+    facing = normals[top]
+    for p, n in zip(points[::7], normals[low][::7], strict=True):
+        k = np.linalg.norm(shirt - p, axis=1).argmin()
+        if n[2] < -0.7:  # seen from behind
+            assert (p - shirt[k]) @ facing[k] > 0
+
+
+@pytest.mark.slow
+def test_short_hair_leaves_the_ears_free_and_hair_the_eyes(body):
+    for name in ("bruno", "chen"):
+        subject = draw_subject(body, STUDY[name])
+        hair = subject.vertices[np.unique(subject.faces[subject.part == int(Part.HAIR)])]
+        for eye in subject.look.face.eyes:
+            before = (np.abs(hair[:, :2] - eye[:2]).max(1) < 0.015) & (hair[:, 2] > eye[2])
+            assert not before.any()
+        if STUDY[name].wardrobe.hair == "short":
+            skin = body.rest(subject.shape).vertices.numpy()
+            level = np.abs(skin[:, 1] - eye[1]) < 0.03
+            ears = skin[level & (skin[:, 2] < eye[2] - 0.03)]
+            ears = ears[np.argsort(-np.abs(ears[:, 0]))[:20]]
+            assert np.linalg.norm(hair[:, None] - ears[None], axis=-1).min() > 0.015

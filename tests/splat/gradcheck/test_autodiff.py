@@ -4,8 +4,9 @@ import pytest
 import torch
 from drjit.llvm.ad import TensorXf64
 
-from gva_mi.splat import autodiff, reference
+from gva_mi.splat import reference
 from gva_mi.splat.gaussians import Gaussians
+from gva_mi.splat.gradcheck import autodiff
 from gva_mi.splat.scene import random_scene
 
 

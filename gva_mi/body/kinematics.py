@@ -1,0 +1,170 @@
+"""Forward kinematics: rotations of joints to rigid maps, with the adjoint in closed form.
+
+    1. R_j = I + a [r_j]× + b [r_j]×²,    a = sin θ / θ,  b = (1 − cos θ) / θ²,  θ = |r_j|
+    2. T_j = T_parent(j) · [R_j | J_j − R_j J_j]        joint j turns what hangs on it about itself
+
+==========  ======================  ===============  ============================================
+Symbol      Name                    Shape            Unit
+==========  ======================  ===============  ============================================
+r           ``rotations``           (T, J, 3)        radians, axis-angle relative to the parent
+J           ``joints``              (T or 1, J, 3)   metres, rest pose
+T = [A|t]   ``T_world_rest``        (T, J, 4, 4)     metres
+==========  ======================  ===============  ============================================
+
+The adjoint is statics. A gradient of t_d is a force f_d at t_d, a gradient of A_d a couple; to turn
+joint j by a small rotation ω moves all that hangs on it, and the loss changes by ω · torque about
+p_j, the joint's place in the world:
+
+    3. F_j = Σ_{d on j} f_d,    M_j = Σ_{d on j} t_d × f_d + vee(grad_A_d A_dᵀ)
+    4. grad_r_j = (I + b [r_j]× + c [r_j]×²)ᵀ [A_parentᵀ (M_j − p_j × F_j) + vee(grad_R_j R_jᵀ)]
+    5. grad_J_j = (A_parent − A_j)ᵀ F_j,    grad_transl = F_root
+
+with c = (1 − a) / θ², vee(X) · ω = ⟨X, [ω]×⟩, and "d on j" for j and all its descendants. So
+neither direction walks along the tree: sums over subtrees are one product with a matrix of ones,
+products along ancestors double their length at every step.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import torch
+from torch import Tensor
+from torch.autograd.function import FunctionCtx
+
+
+def joint_transforms(
+    rotations: Tensor, joints: Tensor, parents: Sequence[int], transl: Tensor
+) -> Tensor:
+    """The rigid map of each joint from the rest pose to the world (eq. 2).
+
+    Args:
+        rotations: (T, J, 3) axis-angle relative to the parent, radians.
+        joints: (J, 3) or (T, J, 3) positions in the rest pose, metres.
+        parents: J indices, -1 for the root, which comes first.
+        transl: (T, 3) added to everything, metres.
+
+    Returns:
+        T_world_rest, (T, J, 4, 4), differentiable once in all but the tree.
+    """
+    if rotations.ndim != 3 or rotations.shape[1:] != (len(parents), 3):
+        raise ValueError(
+            f"joint_transforms(): rotations must be (T, {len(parents)}, 3), "
+            f"got {tuple(rotations.shape)}"
+        )
+    return turn_joints(rotations, joints, parents, transl)[1]
+
+
+def turn_joints(
+    rotations: Tensor, joints: Tensor, parents: Sequence[int], transl: Tensor
+) -> tuple[Tensor, Tensor]:
+    """:func:`joint_transforms` with the rotation matrices R (T, J, 3, 3) before it."""
+    joints = joints if joints.ndim == 3 else joints.unsqueeze(0)
+    return _TurnJoints.apply(rotations, joints, transl, _tree(tuple(parents), rotations.dtype))
+
+
+class _TurnJoints(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: FunctionCtx, rotations: Tensor, joints: Tensor, transl: Tensor, tree: _Tree
+    ) -> tuple[Tensor, Tensor]:
+        frames, count = rotations.shape[:2]
+        R, a, b, square = _rodrigues(rotations, tree)
+
+        maps = torch.zeros(frames, count + 1, 4, 4, dtype=R.dtype)  # the last: above the root
+        maps[:, :count, :3, :3] = R
+        maps[:, :count, :3, 3] = joints - (R @ joints.unsqueeze(-1)).squeeze(-1)
+        maps[:, count, :3, :3] = tree.identity
+        maps[:, :, 3, 3] = 1
+        for ancestors in tree.doubling:
+            maps = maps.index_select(1, ancestors) @ maps
+        T_world_rest = maps[:, :count].clone()
+        T_world_rest[..., :3, 3] += transl.unsqueeze(1)
+
+        ctx.save_for_backward(rotations, joints, R, maps, a, b, square)
+        ctx.tree = tree
+        return R, T_world_rest
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(
+        ctx: FunctionCtx, grad_R: Tensor, grad_T: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor, None]:
+        rotations, joints, R, maps, a, b, square = ctx.saved_tensors
+        tree: _Tree = ctx.tree
+        above = maps.index_select(1, tree.parents)
+        A, t = maps[:, :-1, :3, :3], maps[:, :-1, :3, 3]
+        A_parent, t_parent = above[..., :3, :3], above[..., :3, 3]
+        places = (A_parent @ joints.unsqueeze(-1)).squeeze(-1) + t_parent  # without transl
+
+        force, grad_A = grad_T[..., :3, 3], grad_T[..., :3, :3]  # eq. 3
+        moment = torch.linalg.cross(t, force) + _vee(grad_A @ A.mT)
+        wrench = torch.cat([force, moment], dim=-1).unsqueeze(1)
+        # As a product of matrices it would wake a second core, which takes longer than the sums.
+        force, moment = (tree.hangs_on.unsqueeze(-1) * wrench).sum(2).split(3, dim=-1)
+
+        torque = moment - torch.linalg.cross(places, force)  # eq. 4
+        torque = _turned_back(A_parent, torque) + _vee(grad_R @ R.mT)
+        c = torch.where(square > 0, (1 - a) / square, 1 / 6)
+        across = torch.linalg.cross(rotations, torque)
+        grad_rotations = torque - b * across + c * torch.linalg.cross(rotations, across)
+
+        grad_joints = _turned_back(A_parent - A, force)  # eq. 5
+        if len(joints) < len(rotations):
+            grad_joints = grad_joints.sum(0, keepdim=True)
+        return grad_rotations, grad_joints, force[:, 0], None
+
+
+def _rodrigues(rotations: Tensor, tree: _Tree) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """R of eq. 1, and a, b, θ² (T, J, 1). Sinc has no pole at 0."""
+    square = (rotations * rotations).sum(-1, keepdim=True)
+    angle = square.sqrt() / math.pi
+    a, b = torch.sinc(angle), torch.sinc(angle / 2).square() / 2
+    skew = (rotations @ tree.cross).unflatten(-1, (3, 3))
+    outer = rotations.unsqueeze(-1) * rotations.unsqueeze(-2)  # [r]×² + θ² I
+    one = (1 - b * square).unsqueeze(-1) * tree.identity
+    return a.unsqueeze(-1) * skew + b.unsqueeze(-1) * outer + one, a, b, square
+
+
+def _vee(X: Tensor) -> Tensor:
+    """The vector (..., 3) with vee(X) · ω = ⟨X, [ω]×⟩ for all ω, from X (..., 3, 3)."""
+    entries = X.flatten(-2)
+    return entries[..., [7, 2, 3]] - entries[..., [5, 6, 1]]
+
+
+def _turned_back(A: Tensor, x: Tensor) -> Tensor:
+    """Aᵀ x, for A (..., 3, 3) and x (..., 3)."""
+    return (x.unsqueeze(-2) @ A).squeeze(-2)
+
+
+@dataclass(frozen=True)
+class _Tree:
+    """What is known of a tree of J joints before any pose. Index J stands for what is above the
+    root."""
+
+    parents: Tensor  # (J,)
+    doubling: tuple[Tensor, ...]  # (J + 1,) the 1st, 2nd, 4th ... ancestor of each
+    hangs_on: Tensor  # (J, J) one in row j, column d where d is j or its descendant
+    cross: Tensor  # (3, 9) takes ω to the rows of [ω]×
+    identity: Tensor  # (3, 3)
+
+
+@lru_cache(maxsize=8)
+def _tree(parents: tuple[int, ...], dtype: torch.dtype) -> _Tree:
+    if not parents or parents[0] != -1 or any(not 0 <= p < j for j, p in enumerate(parents) if j):
+        raise ValueError("parents: the root (-1) must come first, every parent before its children")
+    above_root = len(parents)
+    hangs_on = torch.eye(len(parents), dtype=dtype)
+    for joint in reversed(range(1, len(parents))):
+        hangs_on[parents[joint]] += hangs_on[joint]
+    ancestors = torch.tensor([above_root, *parents[1:], above_root])
+    doubling = []
+    while (ancestors != above_root).any():
+        doubling.append(ancestors)
+        ancestors = ancestors[ancestors]
+    basis = torch.eye(3, dtype=dtype)
+    cross = torch.stack([torch.linalg.cross(e.expand(3, 3), basis).T for e in basis]).flatten(1)
+    return _Tree(torch.tensor([above_root, *parents[1:]]), tuple(doubling), hangs_on, cross, basis)

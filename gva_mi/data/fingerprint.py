@@ -1,0 +1,89 @@
+"""Is a subject read beside the body that it was made on?
+
+A synthetic subject's poses are rotations of one body's joints, and its betas that body's: beside
+another body, even a slightly newer puppet, they mean other people, and every error told against the
+truth is wrong, silently. So ``synth.json`` keeps a sketch of the body: K signed sums of all its
+vertices x (metres) in two states that use every joint, beta and expression,
+
+    1. s_k = Σ_i σ_ki x_i / √V,    σ_ki = ±1 at random
+    2. mean over k of (s_k - s'_k)²  ≈  mean over the vertices of |x_i - x'_i|²
+
+which tells how far two bodies are apart, and not only whether they differ.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from gva_mi.body.pose import Pose, Shape
+from gva_mi.body.smplx import BodyModel
+from gva_mi.errors import InputError
+
+SUMS = 32  # K: their root mean square is right to one part in √(2 K), 12 %
+SAME = 3e-6  # m, root mean square; what float32 rounds away is a tenth of it
+MADE = "synth.json"  # in the subject's folder; holds {"body": {"vertices": V, "sketch": [...]}}
+
+
+def fingerprint(body: BodyModel) -> dict[str, object]:
+    """The number of vertices, and the sketch of eq. 1, metres; what ``synth.json`` keeps."""
+    dtype = body.v_template.dtype
+    wave = lambda n, size: size * torch.sin(1.0 + torch.arange(n, dtype=torch.float64)).to(dtype)
+    shape = Shape(wave(body.num_betas, 1.5))
+    bent = Pose.from_rotations(
+        wave(165, 0.6).reshape(1, 55, 3), torch.zeros(1, 3, dtype=dtype),
+        wave(body.num_expressions, 1.5)[None],
+    )  # fmt: skip
+    with torch.no_grad():
+        states = torch.stack([body.rest(shape).vertices, body(bent, shape).vertices[0]])
+    x = states.double().numpy() / np.sqrt(2)  # the mean of both states, in eq. 2
+    # RandomState, for its stream is frozen: a fingerprint outlives versions of numpy.
+    signs = np.random.RandomState(0).randint(0, 2, (SUMS, *x.shape)) * 2.0 - 1
+    sketch = np.einsum("ksvc,svc->k", signs, x) / np.sqrt(x.shape[1])
+    return {"vertices": x.shape[1], "sketch": [round(float(s), 8) for s in sketch]}
+
+
+def distance(a: dict[str, object], b: dict[str, object]) -> float:
+    """Root mean square distance between two bodies' vertices (eq. 2), metres."""
+    if a["vertices"] != b["vertices"]:
+        return float("inf")
+    return float(np.sqrt(np.square(np.subtract(a["sketch"], b["sketch"])).mean()))
+
+
+def require_same_body(folder: Path, body: BodyModel) -> None:
+    """Check that a synthetic subject was made on this body.
+
+    An error and no warning: nothing that follows from the wrong body is of use, and a warning would
+    scroll away before the figures come. Folders without a fingerprint pass: real videos, whose
+    poses belong to the body that their estimator used, and subjects older than this check.
+
+    Args:
+        folder: of the subject.
+        body: the body that its poses are about to be used with.
+
+    Raises:
+        InputError: where it is another body.
+    """
+    file = Path(folder) / MADE
+    if not file.is_file():
+        return
+    try:
+        made_on = json.loads(file.read_text()).get("body")
+    except (ValueError, AttributeError) as error:
+        raise InputError(f"{file}: not the JSON that gva-mi synth writes ({error})") from None
+    if made_on is None:
+        return
+    away = distance(made_on, fingerprint(body))
+    if away > SAME:
+        how = (
+            f"{1000 * away:.2g} mm from this one on average"
+            if np.isfinite(away)
+            else f"of {made_on['vertices']} vertices, not {len(body.v_template)}"
+        )
+        raise InputError(
+            f"{folder}: made on another body ({how}), so that its poses and its truth mean nothing "
+            "here; give the --body it was made with, or make it again with gva-mi synth"
+        )

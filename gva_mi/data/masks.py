@@ -1,0 +1,46 @@
+"""Masks as segmenters write them: hard or soft, pictures or arrays.
+
+========================  ====================================================
+``000000.png``            8-bit grey: 0 and 255, or soft in between; or 0 and 1
+``000000.npy``            Boolean; 8-bit as above; or floating point in [0, 1]
+========================  ====================================================
+
+A picture whose largest value is 1 is taken for one of zeros and ones: as a soft mask it would see
+nobody anywhere.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from gva_mi.data.pictures import read_array, read_image
+from gva_mi.errors import InputError
+
+
+def read_mask(folder: Path, index: int) -> np.ndarray | None:
+    """The mask of a frame, (H, W) float32 in [0, 1]; None where no file is there.
+
+    Raises:
+        InputError: it cannot be read, or holds something else.
+    """
+    path = folder / f"{index:06d}.npy"
+    if path.exists():
+        mask = read_array(path)
+    else:
+        path = path.with_suffix(".png")
+        if not path.exists():
+            return None
+        mask = read_image(path, 1)
+    if mask.ndim != 2:
+        raise InputError(f"{path}: a mask must be (H, W), got {mask.shape}")
+    if mask.dtype == np.uint8:
+        return mask.astype(np.float32) / (255 if mask.max(initial=0) > 1 else 1)
+    if mask.dtype == bool:
+        return mask.astype(np.float32)
+    if not np.issubdtype(mask.dtype, np.floating):
+        raise InputError(f"{path}: a mask must be Boolean, 8-bit or float, got {mask.dtype}")
+    if not ((mask >= 0) & (mask <= 1)).all():  # NaN is neither
+        raise InputError(f"{path}: a floating-point mask must lie in [0, 1]")
+    return mask.astype(np.float32)

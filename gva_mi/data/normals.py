@@ -1,0 +1,174 @@
+"""Normal maps as networks write them, brought to the frame's pixels and the camera's axes.
+
+Two conventions:
+
+* ``perspective``: as a renderer with the video's camera would see them, in camera space and OpenCV
+  axes (x right, y down, z forward; what is seen has ``n · d < 0`` along the pixel's ray ``d``).
+* ``icon``: as ICON, PIFuHD and their kin see them: an orthographic view of a square crop, x right,
+  y *up*, z toward the viewer.
+
+A perspective picture is orthographic along each of its rays, not along the axis of the lens: a
+person who fills the picture is seen from above at the feet and from below at the head. What an
+orthographic network calls z is therefore taken to be each pixel's own ray:
+
+    n_camera = R(d) diag(1, -1, -1) n_icon,        R(d) the least rotation that takes z to d
+
+so that on the person's outline, where ``n_icon`` lies in the picture's plane, ``n_camera`` is at a
+right angle to the ray, as it is in truth. Without it normals are off by the angle between ray and
+axis: 17 degrees at the feet of someone who stands three metres away.
+
+``normals.json``, beside the folder ``normals/``, says how they were made; without it they are
+``perspective`` and as large as the frames::
+
+    {"convention": "icon", "boxes": [[left, top, right, bottom], ...]}
+
+with the part of the frame, in pixels, that each map shows: a box for each frame, or one for all; it
+may reach out of the picture. Without ``boxes`` a map shows the whole frame.
+
+Files are ``000000.npy`` (floating point, (h, w, 3)) or ``000000.png`` (``(n + 1) / 2``). A code
+that is no unit vector, such as a black, white or grey background, says nothing; nor does a missing
+file.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+
+from gva_mi.data.pictures import read_array, read_image
+from gva_mi.errors import InputError
+from gva_mi.splat import Camera
+
+Convention = Literal["perspective", "icon"]
+
+ABOUT = "normals.json"
+SHORTEST, LONGEST = 0.2, 1.5  # of a code that is taken for a direction; black and white are 1.73
+
+
+@dataclass(frozen=True)
+class NormalMaps:
+    """The normal maps of a video."""
+
+    folder: Path
+    convention: Convention
+    boxes: np.ndarray | None  # (T, 4) left, top, right, bottom in pixels; None: the whole frame
+
+    @staticmethod
+    def open(folder: Path, frames: int, convention: Convention | None = None) -> NormalMaps | None:
+        """Those of a subject's folder; None where it holds no ``normals/``.
+
+        Args:
+            folder: the subject's.
+            frames: of the video.
+            convention: how they were made, against what ``normals.json`` says.
+
+        Raises:
+            InputError: an unreadable ``normals.json``.
+        """
+        if not (folder / "normals").is_dir():
+            return None
+        about = _read_about(folder / ABOUT, frames) if (folder / ABOUT).exists() else {}
+        convention = convention or about.get("convention", "perspective")
+        return NormalMaps(folder / "normals", convention, about.get("boxes"))
+
+    def read(self, index: int, camera: Camera) -> np.ndarray | None:
+        """Unit normals in camera space (H, W, 3) float32, zero where unknown; None: no file.
+
+        Args:
+            index: of the frame.
+            camera: its camera, which tells the size and the rays.
+
+        Raises:
+            InputError: the file cannot be read, or is not of the expected size.
+        """
+        normals, path = self._stored(index)
+        if normals is None:
+            return None
+        size = (camera.height, camera.width)
+        if self.boxes is None:
+            if normals.shape != (*size, 3):
+                raise InputError(
+                    f"{path}: frame {index} is {normals.shape}, expected {(*size, 3)}; maps of a "
+                    f"part of the frame need their 'boxes' in {ABOUT}"
+                )
+        else:
+            normals = _pasted(normals, self.boxes[index], size)
+        if self.convention == "icon":
+            normals = _along_rays(normals * (1, -1, -1), camera)
+        length = np.linalg.norm(normals, axis=-1, keepdims=True)
+        return np.where(length > SHORTEST, normals / np.maximum(length, 1e-6), 0).astype(np.float32)
+
+    def _stored(self, index: int) -> tuple[np.ndarray | None, Path]:
+        """What the file says, (h, w, 3), zero where its code is no unit vector; and the file."""
+        path = self.folder / f"{index:06d}.npy"
+        if path.exists():
+            normals = read_array(path)
+            if normals.ndim != 3 or normals.shape[2] != 3 or normals.dtype.kind != "f":
+                raise InputError(
+                    f"{path}: normals must be floating point (H, W, 3), "
+                    f"got {normals.dtype} {normals.shape}"
+                )
+            normals = np.nan_to_num(normals.astype(np.float32))
+        else:
+            path = path.with_suffix(".png")
+            if not path.exists():
+                return None, path
+            normals = read_image(path, 3).astype(np.float32) / 127.5 - 1
+        length = np.linalg.norm(normals, axis=-1, keepdims=True)
+        return np.where((length > SHORTEST) & (length < LONGEST), normals, 0), path
+
+
+def _pasted(normals: np.ndarray, box: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """A map (h, w, 3) of a box put on the frame's pixels: (H, W, 3), zero outside the box."""
+    from PIL import Image
+
+    out = np.zeros((*size, 3), np.float32)
+    low = np.maximum(np.ceil(box[:2]), 0).astype(int)  # the frame's pixels that lie in the box
+    high = np.minimum(np.floor(box[2:]), size[::-1]).astype(int)
+    if (high <= low).any():
+        return out
+    scale = np.array(normals.shape[1::-1]) / (box[2:] - box[:2])  # pixels of the map in the frame's
+    source = tuple(np.concatenate([(low - box[:2]) * scale, (high - box[:2]) * scale]).tolist())
+    for k in range(3):  # the filter widens where the map is the finer of the two
+        channel = Image.fromarray(np.ascontiguousarray(normals[..., k], np.float32))
+        part = channel.resize(tuple((high - low).tolist()), Image.Resampling.BILINEAR, box=source)
+        out[low[1] : high[1], low[0] : high[0], k] = np.asarray(part)
+    return out
+
+
+def _along_rays(normals: np.ndarray, camera: Camera) -> np.ndarray:
+    """``R(d) n`` for the ray ``d`` of each pixel, by Rodrigues' formula with ``v = z × d``."""
+    x = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
+    y = (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy
+    d = np.stack([*np.meshgrid(x, y), np.ones((camera.height, camera.width))], axis=-1)
+    d /= np.linalg.norm(d, axis=-1, keepdims=True)
+    v = np.stack([-d[..., 1], d[..., 0], np.zeros_like(d[..., 0])], axis=-1)
+    once = np.cross(v, normals)
+    return normals + once + np.cross(v, once) / (1 + d[..., 2:])
+
+
+def _read_about(path: Path, frames: int) -> dict:
+    """``convention`` and ``boxes`` (T, 4) of a ``normals.json``."""
+    expected = '{"convention": "icon", "boxes": [[left, top, right, bottom], ...]}'
+    refuse = lambda why: InputError(f"{path}: {why}; expected such as {expected}")
+    try:
+        about = json.loads(path.read_text())
+    except (ValueError, OSError) as error:
+        raise refuse(f"not readable as JSON ({error})") from None
+    if not isinstance(about, dict) or about.get("convention") not in get_args(Convention):
+        raise refuse(f"'convention' must be one of {', '.join(get_args(Convention))}")
+    if about.get("boxes") is None:
+        return {"convention": about["convention"]}
+    try:
+        boxes = np.atleast_2d(np.asarray(about["boxes"], dtype=np.float64))
+    except (TypeError, ValueError):
+        boxes = np.zeros(0)
+    if boxes.shape not in ((1, 4), (frames, 4)) or not np.isfinite(boxes).all():
+        raise refuse(f"'boxes' must be four numbers, or four for each of the {frames} frames")
+    if not (boxes[:, 2:] > boxes[:, :2]).all():
+        raise refuse("each of 'boxes' must have right > left and bottom > top")
+    return {"convention": about["convention"], "boxes": np.broadcast_to(boxes, (frames, 4))}

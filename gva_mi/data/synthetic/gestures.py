@@ -1,0 +1,86 @@
+"""What hands do: gestures as joint rotations of SMPL-X's hands, relative to the flat hand.
+
+A finger curls by one angle c, its three joints by 1.35 c, 1.75 c and 1.15 c, so that c = 1 brings
+its tip to the palm. Fingers hinge about the hand's z axis and spread about its y axis; the thumb,
+which has a saddle and no hinge, is given joint by joint.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gva_mi.body.pose import JOINTS
+
+Rotation = tuple[float, float, float]  # axis-angle, radians
+
+FINGERS = ("index", "middle", "ring", "pinky")
+CURL = (1.35, 1.75, 1.15)  # rad at each joint of a finger that is curled into the palm
+SPREAD = (1.0, 0.25, -0.45, -1.0)  # share of each finger in a spread
+
+_STRAIGHT: tuple[Rotation, ...] = ((0, 0, 0), (0, 0, 0), (0, 0, 0))
+_RELAXED: tuple[Rotation, ...] = ((0.1, 0.2, -0.1), (0, 0.1, 0), (0, 0.1, 0))
+_FOLDED: tuple[Rotation, ...] = ((0.41, 0.27, -0.42), (0.16, 0.53, -0.10), (0.37, 1.12, -0.24))
+_TO_INDEX: tuple[Rotation, ...] = ((0.75, 0.15, -0.30), (0, 0.25, -0.05), (0, 0.35, -0.05))
+_UP: tuple[Rotation, ...] = ((-0.16, -0.37, 0.12), (-0.10, -0.36, 0.06), (-0.06, -0.20, 0.04))
+
+
+@dataclass(frozen=True)
+class Gesture:
+    """One hand's shape; the left hand's, which the right one mirrors."""
+
+    curl: tuple[float, float, float, float]  # of each finger; 0 straight, 1 in the palm
+    spread: float  # rad, of index and little finger from the middle
+    thumb: tuple[Rotation, ...]  # of its three joints
+
+    @property
+    def values(self) -> np.ndarray:
+        """(14,) numbers that may be blended: curls, spread, thumb."""
+        return np.array([*self.curl, self.spread, *np.ravel(self.thumb)])
+
+
+GESTURES: Mapping[str, Gesture] = {
+    "open": Gesture((0.04, 0.04, 0.04, 0.04), 0.14, _STRAIGHT),
+    "rest": Gesture((0.18, 0.23, 0.27, 0.30), 0.0, _RELAXED),
+    "fist": Gesture((1.0, 1.0, 1.0, 1.0), 0.0, _FOLDED),
+    "point": Gesture((0.03, 1.0, 1.0, 1.0), 0.0, _FOLDED),
+    "pinch": Gesture((0.52, 0.25, 0.18, 0.12), 0.05, _TO_INDEX),
+    "two": Gesture((0.03, 0.03, 1.0, 1.0), 0.14, _FOLDED),
+    "three": Gesture((0.03, 0.03, 0.03, 0.95), 0.14, _FOLDED),
+    "four": Gesture((0.03, 0.03, 0.03, 0.03), 0.18, _FOLDED),
+    "thumb": Gesture((1.0, 1.0, 1.0, 1.0), 0.0, _UP),
+}
+
+
+def blend_between(names: Sequence[str], at: np.ndarray) -> np.ndarray:
+    """Gestures held for a while, with smooth changes between; the last leads back to the first.
+
+    Args:
+        names: of the gestures, in their order.
+        at: (T,) moments; gesture k is held from k on for a third of a unit.
+
+    Returns:
+        (T, 14), see :attr:`Gesture.values`.
+    """
+    keys = np.stack([GESTURES[name].values for name in names])
+    index = np.floor(at).astype(int)
+    t = np.clip((at - index - 0.35) / 0.65, 0, 1)
+    t = (t * t * (3 - 2 * t))[:, None]
+    return (1 - t) * keys[index % len(keys)] + t * keys[(index + 1) % len(keys)]
+
+
+def put_hand(rotations: np.ndarray, side: str, values: np.ndarray) -> None:
+    """Write gestures' values (T, 14) or (14,) into rotations (T, 55, 3) of "left" or "right"."""
+    mirror = np.array([1, 1, 1] if side == "left" else [1, -1, -1])
+    values = np.atleast_2d(values)
+    for k, finger in enumerate(FINGERS):
+        for knuckle, angle in enumerate(CURL, start=1):
+            joint = JOINTS.index(f"{side}_{finger}{knuckle}")
+            rotations[:, joint, 2] = -mirror[2] * angle * values[:, k]
+        first = JOINTS.index(f"{side}_{finger}1")
+        rotations[:, first, 1] = -mirror[1] * SPREAD[k] * values[:, 4]
+    for knuckle in (1, 2, 3):
+        joint = JOINTS.index(f"{side}_thumb{knuckle}")
+        rotations[:, joint] = mirror * values[:, 2 + 3 * knuckle : 5 + 3 * knuckle]

@@ -1,0 +1,114 @@
+"""The channels of an image: what is seen on a ray, and how a motion changes it.
+
+==================  ========  ==================================================================
+Name                Channels  A pixel holds
+==================  ========  ==================================================================
+``normal``          3         the shading normal, in camera or world space
+``mask``            1         1 where a mesh is seen
+``depth``           1         the distance from the sensor's plane, scene units
+``shape_index``     1         the number of the shape, from 1 in the order of ``scene.shapes()``
+==================  ========  ==================================================================
+
+All are zero where no mesh is seen. A pixel is the mean over its area, and so ``depth`` divided by
+``mask`` is the mean depth of what is seen in it. Numbers have no mean: ``shape_index`` is that of
+the pixel's first ray, and has no derivative.
+
+Camera space has OpenCV's axes, x right, y down, z forward: a surface that faces the camera has
+``n_z < 0``. A normal is the mesh's own: on the inner side of an open mesh it points away.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+
+WIDTHS = {"normal": 3, "mask": 1, "depth": 1, "shape_index": 1}
+SPACES = ("camera", "world")
+
+
+@dataclass(frozen=True)
+class Channels:
+    """Which channels an image has, in which order."""
+
+    kinds: tuple[str, ...]  # names in WIDTHS
+    space: str  # of the normals
+
+    @staticmethod
+    def parse(channels: str, space: str) -> Channels:
+        """From a plugin's parameters, ``"normal, mask"`` and ``"camera"``.
+
+        Raises:
+            ValueError: a name that does not exist or comes twice.
+        """
+        kinds = tuple(name.strip() for name in channels.split(","))
+        unknown = [kind for kind in kinds if kind not in WIDTHS]
+        if unknown or len(set(kinds)) < len(kinds):
+            raise ValueError(
+                f"mesh_normals: channels must be some of {', '.join(WIDTHS)}, each once, "
+                f"got '{channels}'"
+            )
+        if space not in SPACES:
+            raise ValueError(f"mesh_normals: space must be 'camera' or 'world', got '{space}'")
+        return Channels(kinds, space)
+
+    @property
+    def names(self) -> list[str]:
+        """One name for each channel."""
+        axes = {"normal": ["normal.X", "normal.Y", "normal.Z"]}
+        return [name for kind in self.kinds for name in axes.get(kind, [kind])]
+
+    @property
+    def moves_inside(self) -> bool:
+        """Whether any channel changes as a surface moves within its contours."""
+        return "normal" in self.kinds or "depth" in self.kinds
+
+    def place(self, kind: str) -> int | None:
+        """Number of the first channel of a kind; None where there is none."""
+        if kind not in self.kinds:
+            return None
+        return sum(WIDTHS[k] for k in self.kinds[: self.kinds.index(kind)])
+
+    def values(
+        self, n: mi.Vector3f, w: mi.Float, hit: mi.Bool, camera_world: mi.Matrix3f
+    ) -> list[mi.Float]:
+        """What rays see: one entry for each channel, ``shape_index`` zero.
+
+        Args:
+            n: (R,) unit normals, world; zero where nothing is hit.
+            w: (R,) depths.
+            hit: (R,) whether a mesh is hit.
+            camera_world: rotation from world to camera.
+        """
+        n = self._out(n, camera_world)
+        of_kind = {
+            "normal": list(n),
+            "mask": [dr.select(hit, mi.Float(1), 0)],
+            "depth": [dr.select(hit, w, 0)],
+            "shape_index": [mi.Float(0)],
+        }
+        return [value for kind in self.kinds for value in of_kind[kind]]
+
+    def tangent(self, dn: mi.Vector3f, dw: mi.Float, camera_world: mi.Matrix3f) -> list[mi.Float]:
+        """How the channels of rays change with what they see; the hits stay."""
+        dn = self._out(dn, camera_world)
+        of_kind = {"normal": list(dn), "depth": [dw]}
+        zeros = lambda kind: [mi.Float(0)] * WIDTHS[kind]
+        return [value for kind in self.kinds for value in of_kind.get(kind, zeros(kind))]
+
+    def adjoint(
+        self, grads: list[mi.Float], camera_world: mi.Matrix3f
+    ) -> tuple[mi.Vector3f | None, mi.Float | None]:
+        """From gradients by the channels to those by normal (world) and depth; None for none."""
+        normal, depth = self.place("normal"), self.place("depth")
+        grad_n = None
+        if normal is not None:
+            grad_n = mi.Vector3f(grads[normal : normal + 3])
+            if self.space == "camera":
+                grad_n = camera_world.T @ grad_n
+        return grad_n, None if depth is None else grads[depth]
+
+    def _out(self, n: mi.Vector3f, camera_world: mi.Matrix3f) -> mi.Vector3f:
+        """From world space to the space asked for."""
+        return n if self.space == "world" else camera_world @ n

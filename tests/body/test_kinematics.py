@@ -1,0 +1,129 @@
+import gva_mi  # noqa: F401, I001  (first: it chooses the libLLVM)
+
+import pytest
+import roma
+import torch
+
+from gva_mi.body.kinematics import joint_transforms, turn_joints
+from gva_mi.body.pose import PARENTS
+
+F64 = torch.float64
+FEW = (-1, 0, 0, 1, 3)  # a small tree, for what is checked entry by entry
+
+
+def moves(angle=0.4, joints=55):
+    """Rotations of about ``angle`` in two frames, joints in reach of each other, translations."""
+    g = torch.Generator().manual_seed(3)
+    normal = lambda *size: torch.randn(*size, generator=g, dtype=F64)
+    return angle * normal(2, joints, 3), 0.5 * normal(joints, 3), normal(2, 3)
+
+
+def step_by_step(rotations, joints, transl):
+    """The slow twin: from the root outward, one joint after the other."""
+    R = roma.rotvec_to_rotmat(rotations)
+    T = []
+    for joint, parent in enumerate(PARENTS):
+        offset = joints[joint] - (joints[parent] if joint else 0)
+        top = torch.cat([R[:, joint], offset.expand(2, 3).unsqueeze(-1)], dim=2)
+        local = torch.cat([top, top.new_tensor([[[0, 0, 0, 1.0]]]).expand(2, 1, 4)], dim=1)
+        T.append(T[parent] @ local if joint else local)
+    G = torch.stack(T, dim=1)
+    t = G[..., :3, 3] - (G[..., :3, :3] @ joints.unsqueeze(-1)).squeeze(-1) + transl.unsqueeze(1)
+    top = torch.cat([G[..., :3, :3], t.unsqueeze(-1)], dim=-1)
+    return R, torch.cat([top, G[..., 3:, :]], dim=-2)
+
+
+def test_agrees_with_the_slow_twin():
+    inputs = moves()
+    for x, y in zip(
+        turn_joints(*inputs[:2], PARENTS, inputs[2]), step_by_step(*inputs), strict=True
+    ):
+        torch.testing.assert_close(x, y)
+
+
+def test_joints_at_rest_do_not_move():
+    zero = torch.zeros(2, 55, 3, dtype=F64)
+    joints = torch.randn(55, 3, generator=torch.Generator().manual_seed(1), dtype=F64)
+    T = joint_transforms(zero, joints, PARENTS, zero[:, 0])
+    torch.testing.assert_close(T, torch.eye(4, dtype=F64).expand(2, 55, 4, 4))
+
+
+def test_turning_a_joint_moves_its_descendants_about_it_and_nobody_else():
+    g = torch.Generator().manual_seed(2)
+    joints = torch.randn(55, 3, generator=g, dtype=F64)
+    rotations = torch.zeros(1, 55, 3, dtype=F64)
+    elbow = 18
+    rotations[0, elbow] = torch.tensor([0.2, -0.9, 0.4])
+    T = joint_transforms(rotations, joints, PARENTS, torch.zeros(1, 3, dtype=F64))[0]
+    moved = torch.eye(4, dtype=F64)
+    moved[:3, :3] = roma.rotvec_to_rotmat(rotations[0, elbow])
+    moved[:3, 3] = joints[elbow] - moved[:3, :3] @ joints[elbow]
+    below = {elbow}
+    for joint, parent in enumerate(PARENTS):
+        if parent in below:
+            below.add(joint)
+        torch.testing.assert_close(T[joint], moved if joint in below else torch.eye(4, dtype=F64))
+
+
+def test_transforms_are_rigid():
+    rotations, joints, transl = moves(angle=1.5)
+    R = joint_transforms(rotations, joints, PARENTS, transl)[..., :3, :3]
+    torch.testing.assert_close(R @ R.mT, torch.eye(3, dtype=F64).expand(2, 55, 3, 3))
+    assert (torch.linalg.det(R) > 0).all()
+
+
+def test_every_map_holds_its_joint_where_its_parent_carries_it():
+    rotations, joints, transl = moves()
+    T = joint_transforms(rotations, joints, PARENTS, transl)
+    held = T @ torch.cat([joints, torch.ones(55, 1, dtype=F64)], dim=1).unsqueeze(-1)
+    for joint, parent in enumerate(PARENTS[1:], start=1):
+        carried = T[:, parent, :3, :3] @ joints[joint] + T[:, parent, :3, 3]
+        torch.testing.assert_close(held[:, joint, :3, 0], carried)
+    torch.testing.assert_close(held[:, 0, :3, 0], joints[0] + transl)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-3, 0.5, 3.1, 40.0])
+def test_rotations_agree_with_roma(angle):
+    rotations, joints, transl = moves(angle=angle)
+    R, _ = turn_joints(rotations, joints, PARENTS, transl)
+    torch.testing.assert_close(R, roma.rotvec_to_rotmat(rotations), rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-3, 0.5, 3.0])
+@pytest.mark.parametrize("shared", [True, False], ids=["one skeleton", "one a frame"])
+def test_gradients_against_differences(angle, shared):
+    rotations, joints, transl = moves(angle=angle, joints=len(FEW))
+    joints = joints if shared else torch.stack([joints, joints.flip(0)])
+    torch.autograd.gradcheck(
+        lambda r, j, t: turn_joints(r, j, FEW, t),
+        [x.clone().requires_grad_() for x in (rotations, joints, transl)],
+    )
+
+
+def test_gradients_on_the_whole_tree_are_those_of_autograd():
+    leaves = [x.requires_grad_() for x in moves()]
+    R, T = turn_joints(*leaves[:2], PARENTS, leaves[2])
+    weights = torch.randn(2, 55, 4, 4, generator=torch.Generator().manual_seed(4), dtype=F64)
+    found = torch.autograd.grad((T * weights).sum() + R.sin().sum(), leaves)
+    R, T = step_by_step(*leaves)
+    wanted = torch.autograd.grad((T * weights).sum() + R.sin().sum(), leaves)
+    for name, x, y in zip(("rotations", "joints", "transl"), found, wanted, strict=True):
+        torch.testing.assert_close(x, y, msg=name)
+
+
+def test_float32_agrees_with_float64():
+    outputs = {}
+    for dtype in (torch.float32, F64):
+        leaves = [x.to(dtype).requires_grad_() for x in moves()]
+        T = joint_transforms(*leaves[:2], PARENTS, leaves[2])
+        outputs[dtype] = [T, *torch.autograd.grad(T.sin().sum(), leaves)]
+    for low, high in zip(outputs[torch.float32], outputs[F64], strict=True):
+        assert (low.double() - high).norm() / high.norm() < 2e-6
+
+
+def test_a_tree_in_the_wrong_order_is_refused():
+    zero = torch.zeros(1, 3, 3)
+    with pytest.raises(ValueError, match="every parent before its children"):
+        joint_transforms(zero, zero[0], (-1, 2, 0), zero[:, 0])
+    with pytest.raises(ValueError, match=r"rotations must be \(T, 4, 3\), got \(1, 3, 3\)"):
+        joint_transforms(zero, zero[0], (-1, 0, 0, 0), zero[:, 0])

@@ -1,0 +1,83 @@
+"""Gestures: mirrored, held, smooth between; fingertips where they belong."""
+
+import numpy as np
+import pytest
+
+from gva_mi.body.pose import JOINTS, Pose, Shape
+from gva_mi.body.smplx import load_body
+from gva_mi.data.synthetic import gestures
+from gva_mi.data.synthetic.gestures import FINGERS, GESTURES
+
+
+def rotations(name, side="left"):
+    shaped = np.zeros((1, 55, 3))
+    gestures.put_hand(shaped, side, GESTURES[name].values)
+    return shaped
+
+
+@pytest.fixture(scope="module")
+def hand():
+    """A function that shapes the left hand and returns its parts' vertices by joint."""
+    import torch
+
+    body = load_body()
+    owner = body.weights.argmax(1)
+
+    def shaped(name):
+        tensor = torch.from_numpy(rotations(name)).float()
+        pose = Pose.from_rotations(tensor, torch.zeros(1, 3), torch.zeros(1, body.num_expressions))
+        vertices = body(pose, Shape(torch.zeros(10))).vertices[0].numpy()
+        of = lambda joint: vertices[(owner == JOINTS.index(f"left_{joint}")).numpy()]
+        return {joint: of(joint) for joint in (*(f"{f}3" for f in FINGERS), "thumb3", "wrist")}
+
+    return shaped
+
+
+def apart(a, b):
+    """The least distance of two sets of points, metres."""
+    return np.linalg.norm(a[:, None] - b[None], axis=-1).min()
+
+
+@pytest.mark.parametrize("name", GESTURES)
+def test_the_right_hand_mirrors_the_left(name):
+    left, right = rotations(name, "left")[0, 25:40], rotations(name, "right")[0, 40:55]
+    assert np.allclose(left * [1, -1, -1], right)
+    assert not rotations(name, "left")[0, 40:].any() and not rotations(name, "left")[0, :25].any()
+
+
+def test_a_fist_is_closed_and_the_thumb_lies_over_it(hand):
+    fist, flat = hand("fist"), hand("open")
+    palm = fist["wrist"]
+    for finger in FINGERS:
+        near, far = (apart(h[f"{finger}3"], palm) for h in (fist, flat))
+        assert near < 0.35 * far
+    # The left hand points along +x with its palm down: over the fingers is below them.
+    assert fist["thumb3"][:, 1].min() < fist["index3"][:, 1].min()
+
+
+def test_a_pinch_brings_thumb_and_index_together(hand):
+    assert apart(hand("pinch")["thumb3"], hand("pinch")["index3"]) < 0.008
+    assert apart(hand("rest")["thumb3"], hand("rest")["index3"]) > 0.02
+
+
+@pytest.mark.parametrize("name, count", [("point", 1), ("two", 2), ("three", 3), ("four", 4)])
+def test_counting_stretches_that_many_fingers(hand, name, count):
+    tips, flat = hand(name), hand("open")
+    stretched = [tips[f"{f}3"][:, 0].max() > flat[f"{f}3"][:, 0].max() - 0.02 for f in FINGERS]
+    assert stretched == [True] * count + [False] * (4 - count)
+
+
+def test_a_thumb_up_stands_off_the_fist(hand):
+    up, fist = hand("thumb")["thumb3"], hand("fist")["thumb3"]
+    assert up[:, 2].max() > fist[:, 2].max() + 0.03
+
+
+def test_gestures_are_held_and_change_smoothly_in_a_circle():
+    names = ["open", "fist", "point"]
+    at = np.linspace(0, 3, 301)
+    values = gestures.blend_between(names, at)
+    for k, name in enumerate(names):
+        held = (at >= k) & (at < k + 0.34)
+        assert np.allclose(values[held], GESTURES[name].values)
+    assert np.allclose(values[0], values[-1])
+    assert np.abs(np.diff(values, axis=0)).max() < 0.03

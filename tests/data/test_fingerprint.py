@@ -1,0 +1,72 @@
+"""A subject and the body it was made on belong together."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+
+from gva_mi import InputError
+from gva_mi.body.puppet import PUPPET
+from gva_mi.body.smplx import BodyModel, load_body
+from gva_mi.data.fingerprint import distance, fingerprint, require_same_body
+
+
+@pytest.fixture(scope="module")
+def arrays():
+    with np.load(PUPPET) as file:
+        return {key: file[key] for key in file.files}
+
+
+@pytest.fixture(scope="module")
+def made_on():
+    return fingerprint(load_body())
+
+
+def written(folder, about):
+    (folder / "synth.json").write_text(json.dumps(about))
+    return folder
+
+
+def test_the_same_body_passes_in_any_precision(made_on, tmp_path):
+    folder = written(tmp_path, {"body": made_on})
+    require_same_body(folder, load_body())
+    require_same_body(folder, load_body(dtype=torch.float64))
+    assert fingerprint(load_body()) == made_on
+
+
+@pytest.mark.parametrize("key", ["v_template", "shapedirs", "posedirs", "weights", "J_regressor"])
+def test_every_part_of_a_body_is_in_it(arrays, made_on, tmp_path, key):
+    other = dict(arrays)
+    random = np.random.default_rng(0)
+    if key in ("weights", "J_regressor"):  # rows sum to 1
+        changed = arrays[key] * random.uniform(0.9, 1.1, arrays[key].shape)
+        changed /= changed.sum(1, keepdims=True)
+    else:
+        changed = 1.02 * arrays[key].astype("f4")
+    other[key] = changed.astype(arrays[key].dtype)
+    with pytest.raises(InputError, match="made on another body"):
+        require_same_body(written(tmp_path, {"body": made_on}), BodyModel(other))
+
+
+def test_the_distance_is_how_far_vertices_are_apart(arrays, made_on):
+    moved = np.array([0.003, 0.0, 0.004], "f4")  # vertices and joints alike, in any pose
+    other = BodyModel(arrays | {"v_template": arrays["v_template"] + moved})
+    assert 0.7 < distance(made_on, fingerprint(other)) / 0.005 < 1.4
+
+
+def test_another_number_of_vertices_is_told(made_on, tmp_path):
+    folder = written(tmp_path, {"body": made_on | {"vertices": 10475}})
+    with pytest.raises(InputError, match="10475 vertices"):
+        require_same_body(folder, load_body())
+
+
+def test_real_videos_and_older_subjects_pass(tmp_path):
+    require_same_body(tmp_path, load_body())
+    require_same_body(written(tmp_path, {"seed": 0}), load_body())
+
+
+def test_a_broken_file_is_named(tmp_path):
+    (tmp_path / "synth.json").write_text("[")
+    with pytest.raises(InputError, match="synth.json"):
+        require_same_body(tmp_path, load_body())

@@ -1,0 +1,67 @@
+"""Masks of every make say the same."""
+
+import numpy as np
+import pytest
+
+from gva_mi import InputError
+from gva_mi.data.masks import read_mask
+from gva_mi.data.pictures import write_image
+
+INSIDE = np.zeros((5, 7), bool)
+INSIDE[1:4, 2:5] = True
+
+HARD = {
+    "0 and 255": INSIDE.astype(np.uint8) * 255,
+    "0 and 1": INSIDE.astype(np.uint8),
+    "Boolean": INSIDE,
+    "float": INSIDE.astype(np.float64),
+}
+
+
+@pytest.mark.parametrize("name", HARD)
+@pytest.mark.parametrize("suffix", ["png", "npy"])
+def test_hard_masks_of_every_make_say_the_same(name, suffix, tmp_path):
+    if suffix == "npy":
+        np.save(tmp_path / "000003.npy", HARD[name])
+    elif HARD[name].dtype == np.uint8:
+        write_image(tmp_path / "000003.png", HARD[name])
+    else:
+        pytest.skip("PNGs hold bytes")
+    mask = read_mask(tmp_path, 3)
+    assert mask.dtype == np.float32
+    np.testing.assert_array_equal(mask, INSIDE)
+
+
+def test_soft_masks_keep_their_values(tmp_path):
+    soft = np.linspace(0, 1, 35).reshape(5, 7)
+    write_image(tmp_path / "000000.png", soft)
+    np.save(tmp_path / "000001.npy", soft)
+    np.testing.assert_allclose(read_mask(tmp_path, 0), soft, atol=0.5 / 255 + 1e-6)
+    np.testing.assert_allclose(read_mask(tmp_path, 1), soft, atol=1e-7)
+
+
+def test_an_empty_mask_is_one_and_a_missing_one_is_none(tmp_path):
+    write_image(tmp_path / "000000.png", np.zeros((5, 7)))
+    assert not read_mask(tmp_path, 0).any()
+    assert read_mask(tmp_path, 1) is None
+
+
+@pytest.mark.parametrize(
+    ("value", "sentence"),
+    [
+        (np.ones((5, 7, 3), bool), r"must be \(H, W\), got \(5, 7, 3\)"),
+        (np.full((5, 7), np.nan), r"must lie in \[0, 1\]"),
+        (np.full((5, 7), 255.0), r"must lie in \[0, 1\]"),
+        (np.ones((5, 7), np.int64), "Boolean, 8-bit or float, got int64"),
+    ],
+)
+def test_anything_else_is_refused(value, sentence, tmp_path):
+    np.save(tmp_path / "000000.npy", value)
+    with pytest.raises(InputError, match=sentence):
+        read_mask(tmp_path, 0)
+
+
+def test_a_damaged_array_is_named(tmp_path):
+    (tmp_path / "000000.npy").write_bytes(b"\x93NUMPY")
+    with pytest.raises(InputError, match=r"000000\.npy: not a readable \.npy"):
+        read_mask(tmp_path, 0)

@@ -1,0 +1,146 @@
+"""Normal maps of both conventions, on the frame's pixels."""
+
+import json
+
+import numpy as np
+import pytest
+
+from gva_mi import InputError
+from gva_mi.data.normals import NormalMaps
+from gva_mi.data.pictures import write_image
+from gva_mi.splat import Camera
+
+SIZE = 96
+CAMERA = Camera(120.0, 130.0, 40.0, 52.0, np.eye(4), SIZE, SIZE)
+RADIUS = 0.02
+
+
+def rays(camera=CAMERA):
+    x = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
+    y = (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy
+    d = np.stack([*np.meshgrid(x, y), np.ones((camera.height, camera.width))], -1)
+    return d / np.linalg.norm(d, axis=-1, keepdims=True)
+
+
+def ball(centre):
+    """Camera-space normals of a ball that the camera sees, and the pixels that see it."""
+    d = rays()
+    along = d @ centre
+    depth = RADIUS**2 - (centre @ centre - along**2)
+    hit = depth > 0
+    point = d * (along - np.sqrt(np.maximum(depth, 0)))[..., None]
+    return (point - centre) / RADIUS * hit[..., None], hit
+
+
+def folder_with(tmp_path, maps, about=None, suffix="npy"):
+    (tmp_path / "normals").mkdir()
+    for k, normals in enumerate(maps):
+        if suffix == "npy":
+            np.save(tmp_path / f"normals/{k:06d}.npy", normals.astype(np.float32))
+        else:
+            write_image(tmp_path / f"normals/{k:06d}.png", (normals + 1) / 2)
+    if about is not None:
+        (tmp_path / "normals.json").write_text(json.dumps(about))
+    return NormalMaps.open(tmp_path, len(maps))
+
+
+def angle(a, b):
+    return np.degrees(np.arccos(np.clip((a * b).sum(-1), -1, 1)))
+
+
+@pytest.mark.parametrize("suffix", ["npy", "png"])
+def test_maps_in_the_camera_s_space_come_back(tmp_path, suffix):
+    normals, hit = ball(np.array([0.1, 0.05, 0.4]))
+    maps = folder_with(tmp_path, [normals], suffix=suffix)
+    found = maps.read(0, CAMERA)
+    assert found.dtype == np.float32 and not found[~hit].any()
+    assert angle(found[hit], normals[hit]).max() < (0.5 if suffix == "png" else 0.05)
+
+
+def test_icon_s_normals_belong_to_rays(tmp_path):
+    """A ball looks alike wherever it is to a network; the camera sees it from another side."""
+    centre = np.array([0.12, -0.09, 0.4])
+    truth, hit = ball(centre)
+    # ICON's view: along the ray of each pixel, z toward the viewer, y up.
+    d = rays()
+    right = np.cross([0.0, 1.0, 0.0], d)
+    right /= np.linalg.norm(right, axis=-1, keepdims=True)
+    down = np.cross(d, right)
+    icon = np.stack([(truth * right).sum(-1), -(truth * down).sum(-1), -(truth * d).sum(-1)], -1)
+    maps = folder_with(tmp_path, [icon], {"convention": "icon"})
+    found = maps.read(0, CAMERA)
+    assert (found[hit] * d[hit]).sum(-1).max() < 0  # all that is seen faces its ray
+    # The twist about the ray is a choice: the least rotation against the upright one above.
+    assert angle(found[hit], truth[hit]).max() < 5
+    flat = NormalMaps(maps.folder, "perspective", None).read(0, CAMERA) * (1, -1, -1)
+    assert angle(flat[hit], truth[hit]).mean() > 3 * angle(found[hit], truth[hit]).mean()
+
+
+def test_on_the_axis_icon_s_normals_only_change_axes(tmp_path):
+    icon = np.tile(np.array([0.6, 0.48, 0.64]), (SIZE, SIZE, 1))
+    found = folder_with(tmp_path, [icon], {"convention": "icon"}).read(0, CAMERA)
+    np.testing.assert_allclose(found[52, 40], (0.6, -0.48, -0.64), atol=0.01)
+
+
+def test_a_crop_is_put_where_its_box_says(tmp_path):
+    """Also one that reaches out of the picture, and is finer than the frame's pixels."""
+    normals, hit = ball(np.array([-0.1, 0.02, 0.4]))
+    left, top, right, bottom = -20, 25, 60, 105
+    padded = np.pad(normals, ((40, 40), (40, 40), (0, 0)))
+    crop = padded[top + 40 : bottom + 40, left + 40 : right + 40]
+    fine = crop.repeat(3, axis=0).repeat(3, axis=1)
+    about = {"convention": "perspective", "boxes": [[left, top, right, bottom]]}
+    found = folder_with(tmp_path, [fine], about).read(0, CAMERA)
+    assert not found[:25].any() and not found[:, 60:].any()
+    inner = hit & (np.linalg.norm(found, axis=-1) > 0)
+    assert inner[26:, :59].sum() > 0.9 * hit.sum()
+    assert np.median(angle(found[inner], normals[inner])) < 2
+
+
+@pytest.mark.parametrize("colour", [0.0, 0.5, 1.0])
+def test_a_plain_background_says_nothing(tmp_path, colour):
+    (tmp_path / "normals").mkdir()
+    write_image(tmp_path / "normals/000000.png", np.full((SIZE, SIZE, 3), colour))
+    assert not NormalMaps.open(tmp_path, 1).read(0, CAMERA).any()
+
+
+def test_no_folder_and_no_file_are_no_normals(tmp_path):
+    assert NormalMaps.open(tmp_path, 2) is None
+    maps = folder_with(tmp_path, [np.ones((SIZE, SIZE, 3))])
+    assert maps.read(1, CAMERA) is None
+
+
+def test_the_caller_s_word_counts_more_than_the_file_s(tmp_path):
+    folder_with(tmp_path, [np.ones((SIZE, SIZE, 3))], {"convention": "icon"})
+    assert NormalMaps.open(tmp_path, 1).convention == "icon"
+    assert NormalMaps.open(tmp_path, 1, "perspective").convention == "perspective"
+
+
+BAD = {
+    "no JSON": ("{", "not readable as JSON"),
+    "no convention": ("{}", "'convention' must be one of perspective, icon"),
+    "unknown": ('{"convention": "blender"}', "'convention' must be one of perspective, icon"),
+    "boxes": ('{"convention": "icon", "boxes": [[1, 2, 3]]}', "'boxes' must be four numbers"),
+    "ragged": ('{"convention": "icon", "boxes": [[1, 2, 3], 4]}', "'boxes' must be four numbers"),
+    "too few": (
+        '{"convention": "icon", "boxes": [[0, 0, 1, 1], [0, 0, 1, 1]]}',
+        "four for each of the 3 frames",
+    ),
+    "turned": ('{"convention": "icon", "boxes": [5, 5, 1, 9]}', "right > left"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_file_that_cannot_be_used_is_refused_in_one_sentence(name, tmp_path):
+    text, sentence = BAD[name]
+    (tmp_path / "normals").mkdir()
+    (tmp_path / "normals.json").write_text(text)
+    with pytest.raises(InputError, match=sentence) as caught:
+        NormalMaps.open(tmp_path, 3)
+    assert "\n" not in str(caught.value)
+
+
+def test_maps_of_another_size_need_boxes(tmp_path):
+    maps = folder_with(tmp_path, [np.ones((8, 8, 3))])
+    with pytest.raises(InputError, match="need their 'boxes' in normals.json"):
+        maps.read(0, CAMERA)

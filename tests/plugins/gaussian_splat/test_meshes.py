@@ -1,0 +1,181 @@
+"""``gaussian_splat`` with ``meshes = depth``: ellipsoids among surfaces, pixel by pixel."""
+
+import gva_mi  # noqa: F401  chooses libLLVM before Dr.Jit is imported
+
+# isort: split
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from gva_mi.splat.render import render
+
+SKY = {"type": "constant", "radiance": {"type": "rgb", "value": [0.3, 0.5, 0.9]}}
+
+
+def strip(left, right, z):
+    """An upright rectangle between two values of x."""
+    place = mi.ScalarTransform4f().translate([(left + right) / 2, 0, z])
+    return {"type": "rectangle", "to_world": place.scale([(right - left) / 2, 4, 1])}
+
+
+def ball(center=(0.2, 0, 0), radius=0.5, color=(0.7, 0.4, 0.2)):
+    bsdf = {"type": "diffuse", "reflectance": {"type": "rgb", "value": list(color)}}
+    return {"type": "sphere", "center": list(center), "radius": radius, "bsdf": bsdf}
+
+
+def ahead(splats, **film):
+    """A sensor that looks along -z from (0, 0, 4)."""
+    to_world = mi.ScalarTransform4f().look_at([0, 0, 4], [0, 0, 0], [0, 1, 0])
+    return splats.sensor(fov=40.0, to_world=to_world, film=film)
+
+
+def among(splats, **parameters):
+    return splats.integrator(meshes="depth", nested={"type": "direct"}, **parameters)
+
+
+def test_each_pixel_shows_what_is_nearer_than_its_surface(splats):
+    """Unlit strips at different depths: the picture of the nearer ellipsoids, to the last bit."""
+    g, view = splats.arrays(60, 1), ahead(splats)
+    strips = [(-9, -0.4, 1.3), (-0.5, 0.1, -0.2), (0.0, 0.6, 0.4)]  # left, right, z; two overlap
+    parts = {f"strip{k}": strip(*edges) for k, edges in enumerate(strips)}
+    image = np.array(mi.render(splats.scene(g, **parts), None, view, among(splats)))
+
+    camera = splats.camera_of(view)
+    slope = (np.arange(splats.SIZE) + 0.5 - camera.cx) / camera.fx
+    depth = np.full(splats.SIZE, np.inf)  # of each column's surface
+    for left, right, z in strips:
+        x = slope * (4 - z)
+        depth = np.minimum(depth, np.where((x > left) & (x < right), 4 - z, np.inf))
+    assert len(np.unique(depth)) == 4
+    distance = 4 - g["means"][:, 2]
+    for z in np.unique(depth):
+        nearer = {name: values[distance < z] for name, values in g.items()}
+        if not len(nearer["means"]):
+            assert not image[:, depth == z].any()
+            continue
+        alone = splats.picture(splats.scene(nearer), view)
+        np.testing.assert_array_equal(image[:, depth == z], alone[:, depth == z])
+        assert alone[:, depth == z].any()
+
+
+@pytest.mark.parametrize("name", ["perspective", "window", "orthographic"])
+def test_depth_is_along_the_sensors_axis(splats, name):
+    from gva_mi_plugins.gaussian_splat_meshes import Surfaces
+
+    view, radius = splats.SENSORS[name](), 0.8
+    scene = splats.scene(splats.arrays(1, 0), ball=ball((0, 0, 0), radius))
+    camera = splats.camera_of(view)
+    depth = np.array(Surfaces.of(scene, view).depth(camera))
+    hit = np.isfinite(depth)
+    v, u = np.nonzero(hit)
+    x, y = (u + 0.5 - camera.cx) / camera.fx, (v + 0.5 - camera.cy) / camera.fy
+    z = depth[hit]
+    points = np.stack([x, y, z + 0 * x], 1)
+    if name != "orthographic":
+        points[:, :2] *= z[:, None]
+    T = np.linalg.inv(camera.T_camera_world)
+    world = points @ T[:3, :3].T + T[:3, 3]
+    np.testing.assert_allclose(np.linalg.norm(world, axis=1), radius, atol=1e-4)
+    assert 0.1 < hit.mean() < 0.9
+    # and the nearer of the two points
+    normal = (camera.T_camera_world[:3, :3] @ world.T).T
+    assert (normal[:, 2] < 0.1).all()
+
+
+def shown_alone(splats, view, scene, **parts):
+    """What the nested integrator shows without ellipsoids, and the depth of the surfaces."""
+    from gva_mi_plugins.gaussian_splat_meshes import Surfaces
+
+    surfaces = mi.load_dict({"type": "scene", **parts})
+    image = mi.render(surfaces, sensor=view, integrator=mi.load_dict({"type": "direct"}), spp=4)
+    return np.array(image), Surfaces.of(scene, view).depth(splats.camera_of(view))
+
+
+@pytest.mark.parametrize("srgb", [False, True])
+def test_composition(splats, srgb):
+    """I = C + (1 - alpha) L in the primitives' space; alpha is that of both together."""
+    g, view = splats.arrays(40, 1), ahead(splats, pixel_format="rgba")
+    scene = splats.scene(g, ball=ball(), sky=SKY)
+    method = among(splats, srgb_primitives=srgb)
+    image = np.array(mi.render(scene, sensor=view, integrator=method, spp=4))
+    L, limit = shown_alone(splats, view, scene, ball=ball(), sky=SKY)
+    image_g = render(splats.gaussians(g), splats.camera_of(view), depth_limit=limit)
+    C, through = image_g.color.numpy(), 1 - image_g.alpha.numpy()[..., None]
+    to_srgb = lambda x: np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
+    convert = to_srgb if srgb else lambda x: x
+    expected = C + through * convert(L[..., :3])
+    np.testing.assert_allclose(convert(image[..., :3]), expected, atol=1e-5)
+    np.testing.assert_allclose(image[..., 3:], 1 - through * (1 - L[..., 3:]), atol=1e-5)
+    assert 0.1 < through.mean() < 0.9
+
+
+def test_the_nested_integrator_hides_the_environment(splats):
+    """With its hide_emitters, what is seen past all surfaces is transparent."""
+    g, view = splats.arrays(40, 1), ahead(splats, pixel_format="rgba")
+    scene = splats.scene(g, ball=ball((0, 0, -30)), sky=SKY)  # behind all, smaller than a pixel
+    nested = {"type": "direct", "hide_emitters": True}
+    method = splats.integrator(meshes="depth", nested=nested)
+    image = np.array(mi.render(scene, sensor=view, integrator=method))
+    alone = splats.picture(splats.scene(g), view)
+    far = np.hypot(*np.mgrid[-15.5:16, -15.5:16]) > 2
+    np.testing.assert_array_equal(image[far], alone[far])
+
+
+def test_ellipsoids_inside_a_surface_leave_no_trace(splats):
+    g, view = splats.arrays(20, 1), ahead(splats)
+    g["means"] *= 0.1
+    shell = {"ball": ball((0, 0, 0), 1.2), "sky": SKY}
+    scene = splats.scene(g, **shell)
+    image = np.array(mi.render(scene, sensor=view, integrator=among(splats), spp=4))
+    L, _ = shown_alone(splats, view, scene, **shell)
+    inside = np.hypot(*np.mgrid[-15.5:16, -15.5:16]) < 10
+    np.testing.assert_array_equal(image[inside], L[inside])
+
+
+def test_a_moved_surface_is_noticed_and_the_scene_is_left_as_it_was(splats):
+    g, view, method = splats.arrays(40, 1), ahead(splats), among(splats)
+    g["means"][:, 2] *= 0.1
+    scene = splats.scene(g, wall=strip(-9, 9, 1.0), sky=SKY)
+    parameters = mi.traverse(scene)
+    path = mi.load_dict({"type": "direct"})
+    before = np.array(mi.render(scene, sensor=view, integrator=path, seed=3))
+    hidden = np.array(mi.render(scene, sensor=view, integrator=method))
+    after = np.array(mi.render(scene, sensor=view, integrator=path, seed=3))
+    np.testing.assert_array_equal(before, after)
+    parameters["wall.to_world"] = mi.Transform4f().translate([0, 0, -3]).scale([9, 9, 1])
+    parameters.update()
+    shown = np.array(mi.render(scene, sensor=view, integrator=method))
+    fresh = splats.scene(g, wall=strip(-9, 9, -3.0), sky=SKY)
+    expected = np.array(mi.render(fresh, sensor=view, integrator=among(splats)))
+    assert np.abs(shown - hidden).max() > 0.1
+    assert np.median(np.abs(shown - expected)) < 1e-6
+
+
+PARAMETERS = ["splats.data", "splats.opacities", "splats.sh_coeffs", "wall.bsdf.reflectance.value"]
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+def test_derivatives(splats, name):
+    """Backward, forward and differences: through the ellipsoids, and to the wall behind them."""
+    g = splats.arrays(12, 1, seed=2, scales=(1.2, 2.0), opacities=(0.15, 0.4))
+    g["means"][:, 2] = np.abs(g["means"][:, 2])
+    wall = strip(-9, 9, -1.0) | {"bsdf": {"type": "diffuse"}}
+    view, method = ahead(splats), among(splats, srgb_primitives=True)
+    scene = splats.scene(g, wall=wall, sky=SKY)
+    parameters = mi.traverse(scene)
+    start, kind = np.array(parameters[name]), type(parameters[name])
+    along = np.random.default_rng(1).normal(size=start.shape).astype(np.float32)
+    backward, forward, difference = splats.three_ways(
+        lambda p: mi.render(scene, p, view, method, spp=64),
+        lambda u: kind(start) + u * kind(along),
+        parameters,
+        name,
+    )
+    assert forward == pytest.approx(backward, rel=1e-5)
+    assert difference == pytest.approx(backward, rel=3e-3)
+
+
+def test_what_is_no_rgb_picture_is_refused(splats):
+    scene = splats.scene(splats.arrays(4, 1), ball=ball(), sky=SKY)
+    with pytest.raises(ValueError, match="RGB or RGBA"):
+        among(splats).render(scene, ahead(splats, pixel_format="luminance"))

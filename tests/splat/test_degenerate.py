@@ -1,0 +1,122 @@
+"""Scenes at the edge of sense: as the twin draws them, and finite to the last derivative."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from gva_mi.splat import reference
+from gva_mi.splat.camera import Camera
+from gva_mi.splat.gradcheck import random_scene, tangent_image
+from gva_mi.splat.torch_op import render
+
+
+def scene(**kwargs):
+    return random_scene(torch.Generator().manual_seed(0), **kwargs)
+
+
+def double(*values):
+    return torch.tensor(values, dtype=torch.float64)
+
+
+CAMERA = scene().camera
+EYE = torch.tensor(CAMERA.position.copy())
+FORWARD = torch.tensor(CAMERA.T_camera_world[2, :3].copy())
+STACK = torch.linspace(0, 0.1, 16, dtype=torch.float64)[:, None] * FORWARD
+FLAT = torch.zeros(40, 3, dtype=torch.float64)
+SCENES = {  # how many Gaussians, and what of them is changed
+    "none": (0, {}),
+    "one": (1, {}),
+    "all behind": (40, {"means": scene().gaussians.means + 2 * EYE}),
+    "at the near plane": (2, {"means": EYE + double([0.010001], [0.009999]) * FORWARD}),
+    "at the camera": (2, {"means": EYE + double([0.0], [1e-6]) * FORWARD}),
+    "at the edge": (1, {"means": double([0.86, 0.0, 0.0])}),
+    "far away": (40, {"means": 1e6 * scene().gaussians.means}),
+    "equal depths": (40, {"means": FLAT}),
+    "opacity 0": (40, {"opacities": FLAT[:, 0]}),
+    "opacity 1": (40, {"opacities": FLAT[:, 0] + 1}),
+    "opaque stack": (
+        16,
+        {"means": STACK, "opacities": FLAT[:16, 0] + 1, "scales": FLAT[:16] + 0.3},
+    ),
+    "needles": (40, {"scales": FLAT + double(2.0, 1e-5, 1e-5)}),
+    "points": (40, {"scales": FLAT}),
+    "larger than the world": (40, {"scales": FLAT + 1e3}),
+    "zero quaternions": (40, {"quats": torch.zeros(40, 4, dtype=torch.float64)}),
+    "long quaternions": (40, {"quats": 1e3 * scene().gaussians.quats}),
+}
+
+
+def made(name, dtype=torch.float64, **kwargs):
+    n, arrays = SCENES[name]
+    s = scene(**kwargs)
+    first = {k: v if k == "background" else v[:n] for k, v in s.inputs().items()}
+    s = s.with_inputs(first | {k: v.reshape(n, *first[k].shape[1:]) for k, v in arrays.items()})
+    return s.with_camera_inputs().to(dtype)
+
+
+def draw(s):
+    return render(s.gaussians, s.camera, s.options, s.background, **s.matrices())
+
+
+@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_the_picture_is_the_twins_and_gradients_are_finite(name, dtype):
+    s = made(name, dtype)
+    image = draw(s)
+    (image.color.sum() + image.alpha.square().sum() + image.depth.sum()).backward()
+    for key, tensor in s.inputs().items():
+        assert torch.isfinite(tensor.grad).all(), key
+    with torch.no_grad():
+        truth = reference.render(s.gaussians, s.camera, s.options, s.background)
+        band = reference.threshold_band(s.gaussians, s.camera, s.options)
+    atol = 1e-11 if dtype == torch.float64 else 3e-5
+    for key in ("color", "alpha", "depth"):
+        off = (getattr(image, key).double() - getattr(truth, key))[~band]
+        assert not off.numel() or off.abs().max() < atol, key
+
+
+@pytest.mark.parametrize("antialiased", [False, True])
+@pytest.mark.parametrize("name", SCENES)
+def test_the_gradients_of_harmonics_and_the_tangents_are_finite(name, antialiased):
+    s = made(name, torch.float32, degree=3)
+    s = replace(s, options=replace(s.options, antialiased=antialiased))
+    image = draw(s)
+    (image.color.sum() + image.alpha.square().sum() + image.depth.sum()).backward()
+    for key, tensor in s.inputs().items():
+        assert torch.isfinite(tensor.grad).all(), key
+        tangent = tangent_image(render, s, key, torch.ones_like(tensor))
+        for image_name in ("color", "alpha", "depth"):
+            assert torch.isfinite(getattr(tangent, image_name)).all(), (key, image_name)
+
+
+@pytest.mark.parametrize(("width", "height"), [(1, 1), (7, 5), (8, 4), (9, 5), (3, 70), (130, 1)])
+def test_any_size_of_picture(width, height):
+    s = scene(width=width, height=height).to(torch.float64)
+    twin = s.to(torch.float64)
+    image = render(s.gaussians, s.camera, s.options, s.background)
+    truth = reference.render(twin.gaussians, twin.camera, twin.options, twin.background)
+    for name in ("color", "alpha", "depth"):
+        found, expected = getattr(image, name), getattr(truth, name)
+        assert found.shape[:2] == (height, width)
+        torch.testing.assert_close(found, expected, atol=1e-12, rtol=0)
+    for each in (image, truth):
+        (each.color.square().sum() + each.depth.sum()).backward()
+    for name, tensor in s.inputs().items():
+        torch.testing.assert_close(tensor.grad, twin.inputs()[name].grad, rtol=1e-9, atol=1e-11)
+
+
+def test_a_gaussian_on_a_fisheyes_axis():
+    camera = Camera(12, 12, 16, 16, np.eye(4), 32, 32, "fisheye")
+    found = []
+    for x in (0.0, 1e-9):
+        s = scene(gaussians=1)
+        s = s.with_inputs(s.inputs() | {"means": double([x, 0.0, 1.5])})
+        s = replace(s, camera=camera).to(torch.float64)
+        image = render(s.gaussians, s.camera, s.options, s.background)
+        (image.color.square().sum() + image.depth.sum()).backward()
+        found.append([tensor.grad for tensor in s.inputs().values()])
+    assert found[0][0].abs().max() > 0
+    for a, b in zip(*found, strict=True):
+        torch.testing.assert_close(a, b, rtol=1e-6, atol=1e-7)

@@ -1,0 +1,95 @@
+"""``gva-mi refine``: several subjects, several conventions, and nothing that stops the run."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from gva_mi.body.pose import load_offsets, load_poses
+from gva_mi.body.smplx import load_body
+from gva_mi.data.synthetic import SynthOptions, make_subject
+
+SHORT = ("--size", 48, "--passes", 1, "--steps", 1)
+
+
+@pytest.fixture(scope="session")
+def synthetic(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("subject") / "somebody"
+    options = SynthOptions(
+        size=48, frames=3, samples=1, clothes=False, hair=False, novel_poses=0, novel_views=0
+    )
+    make_subject(folder, options, load_body())
+    return folder
+
+
+@pytest.fixture
+def subject(synthetic, tmp_path):
+    return shutil.copytree(synthetic, tmp_path / "somebody")
+
+
+def test_several_subjects_are_refined_by_one_command(subject, tmp_path, cli):
+    other = shutil.copytree(subject, tmp_path / "other")
+    code, out, err = cli("refine", subject, other, *SHORT)
+    assert code == 0, err
+    for folder in (subject, other):
+        assert {"poses_refined.npz", "refinement.json", "refinement.png"} <= {
+            path.name for path in folder.iterdir()
+        }
+        assert str(folder / "poses_refined.npz") in out
+    a, b = (load_poses(folder / "poses_refined.npz")[0] for folder in (subject, other))
+    assert (a.rotations == b.rotations).all()
+    code, _, err = cli("refine", other, subject, *SHORT)
+    assert code == 2 and "--overwrite" in err
+
+
+def test_frames_that_say_nothing_are_listed_and_stop_nothing(subject, cli):
+    (subject / "masks/000001.png").unlink()
+    (subject / "normals/000002.png").unlink()
+    code, out, err = cli("refine", subject, *SHORT)
+    assert code == 0, err
+    assert "frame 1 keeps its stage-1 pose: it has no mask" in out
+    record = json.loads((subject / "refinement.json").read_text())
+    assert record["kept"]["1"] == "it has no mask" and 2 in record["without_normals"]
+    before, after = (load_poses(subject / f"poses{x}.npz")[0] for x in ("", "_refined"))
+    assert (before.rotations[1] == after.rotations[1]).all()
+    assert load_offsets(subject / "poses_refined.npz", len(load_body().v_template)) is not None
+
+
+def test_normals_are_read_as_the_caller_says(subject, cli):
+    found = {}
+    for way in ("none", "icon", "perspective"):
+        code, out, err = cli("refine", subject, *SHORT, "--normals", way, "--overwrite")
+        assert code == 0, err
+        assert ("silhouettes alone" in out) == (way == "none")
+        found[way] = load_poses(subject / "poses_refined.npz")[0].rotations.numpy()
+    assert not np.array_equal(found["none"], found["perspective"])
+    assert not np.array_equal(found["icon"], found["perspective"])
+
+
+@pytest.mark.slow
+def test_a_report_is_written_where_asked_for(subject, cli):
+    code, out, err = cli("refine", subject, *SHORT, "--report", "--workers", 2)
+    assert code == 0, err
+    page = (subject / "refinement.html").read_text()
+    assert "Eq. 9 as printed" in page and "no prior" in page
+    assert str(subject / "refinement.html") in out
+
+
+BAD = {
+    "nobody": ((), "refine: give the folder of a subject, or of several"),
+    "no workers": (("nowhere", "--workers", "0"), "--workers must be at least 1"),
+    "both": (
+        ("nowhere", "--workers", "2", "--scheduler", "tcp://10.0.0.1:8786"),
+        "not both",
+    ),
+    "overlap": (("nowhere", "--overlap", "200"), "overlap must be less than half a part"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_input_is_one_sentence_and_exit_code_2(name, tmp_path, monkeypatch, cli):
+    monkeypatch.chdir(tmp_path)
+    command, sentence = BAD[name]
+    code, _, err = cli("refine", *command)
+    assert code == 2 and sentence in err and err.count("\n") == 1

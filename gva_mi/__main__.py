@@ -57,6 +57,7 @@ def _run(arguments: list[str]) -> None:
         "study": studies.study,
         "body": body,
         "gradcheck": checks.gradcheck,
+        "gradcheck-normals": checks.gradcheck_normals,
         "bench": checks.bench,
         "doctor": doctor,
     }

@@ -14,6 +14,8 @@ from tyro.conf import Positional, arg
 from gva_mi.body.bench import bench_body
 from gva_mi.console import bar, say
 from gva_mi.errors import InputError
+from gva_mi.pose.bench import bench_normals
+from gva_mi.pose.gradients import LIMITS, GradientOptions, check_gradients, table
 from gva_mi.splat.bench import BenchOptions
 from gva_mi.splat.bench import bench as measure
 from gva_mi.splat.camera import CameraModel
@@ -95,26 +97,47 @@ def gradcheck(
     say(f"gradients are right in all {len(reports)} windows")
 
 
+def gradcheck_normals(options: Flat[GradientOptions]) -> None:
+    """Compare the gradients of ``mesh_normals`` by the body's pose with differences.
+
+    Mask, interior and boundary apart, for limbs that are free, occlude, cross and pierce. Ends with
+    an error where one is further off than allowed.
+    """
+    rows = []
+    with bar("gradcheck") as progress:
+        for row in check_gradients(options):
+            rows.append(row)
+            progress(len(rows), options.count)
+    say(table(rows))
+    failed = [f"{row.pose} {row.moves}" for row in rows if not row.passed]
+    if failed:
+        limits = ", ".join(f"{name} {limit:.0%}" for name, limit in LIMITS.items())
+        raise InputError(f"gradcheck-normals: above {limits}: {'; '.join(failed)}")
+
+
 def bench(
-    what: Positional[Literal["splat", "body"]],
+    what: Positional[Literal["splat", "body", "normals"]],
     options: Flat[BenchOptions],
     *,
     scene: Path | None = None,
     json_file: Annotated[Path | None, arg(name="json")] = None,
 ) -> None:
     """Measure the renderer: milliseconds per stage, shares of the machine's limits, growth; or
-    the body model: milliseconds per stage, for one frame and for a hundred.
+    the body model: milliseconds per stage, for one frame and for a hundred; or the normals that the
+    refinement looks at: milliseconds per stage of one step.
 
     Args:
-        what: the part to measure. Of the options, the body heeds repeats and seed.
+        what: the part to measure. Of the options, body and normals heed repeats and seed.
         options: what to measure, and how often.
         scene: an .npz file as for gradcheck; without it a person of 20,000 Gaussians at 512 px.
         json_file: where to write all figures.
     """
+    if what != "splat" and scene is not None:
+        raise InputError(f"bench {what}: there is no --scene, the body is the command's own")
     if what == "body":
-        if scene is not None:
-            raise InputError("bench body: there is no --scene, the body is random")
         found = bench_body(options.repeats, options.seed)
+    elif what == "normals":
+        found = bench_normals(options.repeats, options.seed)
     else:
         given = None if scene is None else Scene.load(scene)
         with bar("bench") as progress:

@@ -17,7 +17,8 @@ __all__ = ["register"]
 
 
 def register() -> None:
-    """Make the plugins known to Mitsuba under their names: ``mesh_normals``, ``gaussian_splat``.
+    """Make the plugins known to Mitsuba under their names: ``mesh_normals``,
+    ``mesh_normals_projective``, ``gaussian_splat``.
 
     Call it after ``mi.set_variant``, with a differentiable variant (``llvm_ad_rgb``). Calling it
     again does no harm.
@@ -37,6 +38,8 @@ def register() -> None:
         )
     from gva_mi_plugins.gaussian_splat import GaussianSplat
     from gva_mi_plugins.mesh_normals import MeshNormals
+    from gva_mi_plugins.mesh_normals_projective import MeshNormalsProjective
 
     mi.register_integrator("gaussian_splat", GaussianSplat)
     mi.register_integrator("mesh_normals", MeshNormals)
+    mi.register_integrator("mesh_normals_projective", MeshNormalsProjective)

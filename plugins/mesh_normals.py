@@ -74,7 +74,7 @@ class MeshNormals(mi.ad.integrators.common.ADIntegrator):
         if spp < 1:
             raise ValueError(f"mesh_normals: spp must be at least 1, got {spp}")
         with dr.suspend_grad():
-            meshes = _meshes(scene)
+            meshes = meshes_of(scene)
             buffers = [dr.detach(mesh.vertex_positions_buffer()) for mesh in meshes]
             positions = _joined([dr.unravel(mi.Vector3f, x) for x in buffers])
             surface = Surface.of(self._topology_of(meshes), positions)
@@ -112,7 +112,7 @@ class MeshNormals(mi.ad.integrators.common.ADIntegrator):
         """Derivative of the image (H, W, C) in the direction that the parameters' gradients
         hold."""
         sensor, spp = _arguments(scene, sensor, spp)
-        buffers = [mesh.vertex_positions_buffer() for mesh in _meshes(scene)]
+        buffers = [mesh.vertex_positions_buffer() for mesh in meshes_of(scene)]
         to_world = sensor.world_transform().matrix
         dr.forward_to([x for x in (*buffers, to_world) if dr.grad_enabled(x)])
         moves = [dr.unravel(mi.Vector3f, dr.grad(buffer)) for buffer in buffers]
@@ -137,7 +137,7 @@ class MeshNormals(mi.ad.integrators.common.ADIntegrator):
             grad = view.adjoint(grad_in)
             dr.eval(grad)
         start = 0
-        for mesh in _meshes(scene):
+        for mesh in meshes_of(scene):
             count, buffer = mesh.vertex_count(), mesh.vertex_positions_buffer()
             index = dr.arange(mi.UInt32, count) + start
             start += count
@@ -178,7 +178,8 @@ def _arguments(scene: mi.Scene, sensor: mi.Sensor | int, spp: int) -> tuple[mi.S
     return sensor, spp or sensor.sampler().sample_count()
 
 
-def _meshes(scene: mi.Scene) -> list[mi.Mesh]:
+def meshes_of(scene: mi.Scene) -> list[mi.Mesh]:
+    """The shapes of a scene, all of which must be meshes."""
     meshes = scene.shapes()
     for shape in meshes:
         if not shape.is_mesh():

@@ -135,7 +135,8 @@ class PixelFilter:
             valid = (px >= 0) & (py >= 0) & (px < self.width) & (py < self.height)
             pixel = mi.UInt32(dr.select(valid, py * self.width + px, 0))
             f = self.rfilter.eval(q.x - px - 0.5) * self.rfilter.eval(q.y - py - 0.5)
-            yield pixel, f / dr.gather(mi.Float, self.continuous, pixel, valid), valid
+            share = f / dr.gather(mi.Float, self.continuous, pixel)
+            yield pixel, dr.select(valid, share, 0), valid
 
     def _gather(self, samples: list[mi.Float]) -> list[mi.Float]:
         """Σ_i f(q_i - c_p) v_i for each pixel p."""

@@ -78,7 +78,7 @@ class Surface:
     ) -> tuple[mi.Vector3f, mi.Float]:
         """Eq. 3: the unit normals ``n`` and parameters ``t`` (R,) at which rays meet faces; zero
         where not active."""
-        n, t = _interpolate(ray, *self._at(face, active))
+        n, t = interpolate(ray, *self._at(face, active))
         return dr.select(active, n, 0), dr.select(active, t, 0)
 
     def shade_tangent(
@@ -92,7 +92,7 @@ class Surface:
             dr.enable_grad(leaves)
             for leaf, tangent in zip(leaves, tangents, strict=True):
                 dr.set_grad(leaf, tangent)
-            return dr.forward_to(_interpolate(ray, *leaves))
+            return dr.forward_to(interpolate(ray, *leaves))
 
     def shade_adjoint(
         self, ray: mi.Ray3f, face: mi.UInt32, grad_n: mi.Vector3f | None, grad_t: mi.Float | None
@@ -109,7 +109,7 @@ class Surface:
         leaves = self._at(face, True)
         with dr.isolate_grad(), dr.resume_grad():
             dr.enable_grad(leaves)
-            n, t = _interpolate(ray, *leaves)
+            n, t = interpolate(ray, *leaves)
             terms = [] if grad_n is None else [dr.dot(n, grad_n)]
             terms += [] if grad_t is None else [t * grad_t]
             dr.backward(sum(terms))
@@ -144,7 +144,7 @@ class Surface:
         return p + n
 
 
-def _interpolate(
+def interpolate(
     ray: mi.Ray3f,
     p0: mi.Vector3f,
     p1: mi.Vector3f,

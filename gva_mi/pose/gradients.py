@@ -10,11 +10,14 @@ compared with :class:`gva_mi_plugins.differences.Differences`:
 2. each for WEIGHTINGS linear functions of the image, smooth random fields: the figure is
    ``|gradients - differences| / |differences|``, vectors over these functions. One function alone
    may be small by chance, where opposite sides of a limb cancel.
+
+A case must not lie where contours all but coincide on the picture, as those of neighbouring fingers
+do: there the differences themselves are off by as much as their step is wide.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -29,6 +32,7 @@ from gva_mi.splat import Camera, look_at
 if TYPE_CHECKING:
     pass
 
+LIMITS = {"mask": 0.03, "interior": 0.05, "boundary": 0.05}  # relative errors
 WEIGHTINGS = 16
 WIDTH = 0.025  # standard deviation of their blur, as a share of the image's width
 POSES: dict[str, dict[str, tuple[float, float, float]]] = {  # axis-angles of joints, radians
@@ -46,16 +50,15 @@ POSES: dict[str, dict[str, tuple[float, float, float]]] = {  # axis-angles of jo
     },
     "piercing": {
         "left_shoulder": (0, 0, -1.45), "right_shoulder": (0, 0, 1.45),
-        "left_hip": (0, 0, -0.12), "right_hip": (0, 0, 0.12),
     },
 }  # fmt: skip
 CASES = (  # pose, what moves, along or about which axis
     ("free", "transl", 0), ("free", "transl", 1), ("free", "transl", 2),
-    ("free", "left_shoulder", 2), ("free", "left_elbow", 1), ("free", "left_index1", 2),
+    ("free", "left_shoulder", 2), ("free", "left_elbow", 1), ("free", "left_pinky1", 2),
     ("occluding", "left_shoulder", 1), ("occluding", "left_elbow", 1),
     ("occluding", "left_index1", 2),
     ("crossing", "left_shoulder", 1), ("crossing", "right_elbow", 1), ("crossing", "left_hip", 2),
-    ("piercing", "left_shoulder", 2), ("piercing", "left_hip", 2),
+    ("piercing", "left_shoulder", 2),
 )  # fmt: skip
 
 
@@ -65,10 +68,10 @@ class GradientOptions:
 
     size: int = 512  # pixels, width and height
     spp: int = 16  # rays for a pixel of the gradient that is examined
-    step: float = 0.15  # of the differences: how far what moves fastest goes, pixels
-    rays: float = 4e7  # of a difference, over the rectangle that moves
+    step: float = 0.1  # of the differences: how far what moves fastest goes, pixels
+    rays: float = 1e8  # of a difference, over the rectangle that moves
     points: int = 89  # on each face, for the interior
-    cases: tuple[tuple[str, str, int], ...] = CASES
+    count: int = len(CASES)  # how many of the cases, from the first
 
 
 @dataclass(frozen=True)
@@ -80,6 +83,24 @@ class Row:
     mask: float | None  # None where the mask does not change
     interior: float
     boundary: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether each error is within its limit."""
+        return all(
+            error is None or error <= LIMITS[name]
+            for name, error in zip(LIMITS, (self.mask, self.interior, self.boundary), strict=True)
+        )
+
+
+def table(rows: Sequence[Row]) -> str:
+    """For a person to read."""
+    percent = lambda x: f"{'-':>10}" if x is None else f"{x:10.2%}"
+    lines = [f"{'pose':12}{'moves':18}{'mask':>10}{'interior':>10}{'boundary':>10}"]
+    for row in rows:
+        errors = "".join(percent(x) for x in (row.mask, row.interior, row.boundary))
+        lines.append(f"{row.pose:12}{row.moves:18}{errors}{'' if row.passed else '  too much'}")
+    return "\n".join(lines)
 
 
 def check_gradients(options: GradientOptions) -> Iterator[Row]:
@@ -97,7 +118,7 @@ def check_gradients(options: GradientOptions) -> Iterator[Row]:
         focal, focal, size / 2, size / 2, look_at((0.25, 0.1, 2.4), (0, -0.05, 0)), size, size
     )
     weightings = _weightings(size)
-    for pose, moves, axis in options.cases:
+    for pose, moves, axis in CASES[: options.count]:
         yield _row(body, camera, options, weightings, pose, moves, axis)
 
 
@@ -123,7 +144,7 @@ def _row(
     step = options.step * pixel / float(np.linalg.norm(motion, axis=1).max())
     interior = differences.interior(tiny, options.points)
     rays = options.rays / len(differences.window(step))
-    total = differences.total(step, int(np.clip(rays, 16, 4096)))
+    total = differences.total(step, int(np.clip(rays, 16, 8192)))
     truth = {"mask": total, "interior": interior, "boundary": total - interior}
 
     shape = mi.Mesh("body", len(mesh.vertices), len(mesh.faces))

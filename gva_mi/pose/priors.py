@@ -1,8 +1,4 @@
-"""What is known about poses without looking: near stage 1, and near their neighbours.
-
-Differences of rotations are taken between matrices, ``d(R, Q)² = |R - Q|_F² / 2``, the squared
-angle where it is small. Unlike a difference of axis-angle vectors it does not tear where a person
-who turns passes half a turn.
+"""How much joints are held, and how far they reach.
 
 Eq. 9's regulariser ``Σ ω_i (θ_i - θ_i^stage1)`` has no norm as printed and could fall without
 bound; it is taken squared. Its weights fall with the distance from the root in the kinematic tree,
@@ -27,11 +23,6 @@ def joint_weights(parents: Sequence[int]) -> Tensor:
     for parent in parents:
         depth.append(0 if parent < 0 else depth[parent] + 1)
     return 1 / (1 + torch.tensor(depth, dtype=torch.float32))
-
-
-def squared_angles(R: Tensor, Q: Tensor) -> Tensor:
-    """``d(R, Q)²`` of rotation matrices (..., 3, 3), (...,) in square radians for small angles."""
-    return (R - Q).square().sum((-1, -2)) / 2
 
 
 def levers(body: BodyModel, shape: Shape) -> Tensor:

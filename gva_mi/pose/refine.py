@@ -59,16 +59,16 @@ class RefineOptions:
     steps: int = 80  # paper: steps for each frame
     silhouette: float = 5.0  # λ1
     prior: float = 0.5  # λ2, for one square radian
-    smooth: float = 40.0  # sequence: pull to both neighbours' rotations, for one square radian
+    smooth: float = 80.0  # sequence: pull to both neighbours' rotations, for one square radian
     smooth_move: float = 200.0  # sequence: pull to both neighbours' places, for one square metre
-    hold: float = 0.5  # sequence: pull of the translation to stage 1, for one square metre
+    hold: float = 3.0  # sequence: pull of the translation to stage 1, for one square metre
     jitter: float = 0.04  # sequence: radians that stage 1's hips jitter from frame to frame
     jitter_move: float = 0.02  # sequence: metres that its translation does
     reach: float = 2.2  # sequence: √λ, frames over which a step spreads to both sides
     cloth_smooth: float = 4000.0  # sequence: a of the displacement's energy, for one square metre
     cloth_small: float = 40.0  # sequence: b
     cloth_outward: float = 400.0  # sequence: c
-    betas_prior: float = 0.02  # sequence: λβ, for one squared standard deviation
+    betas_prior: float = 0.05  # sequence: λβ, for one squared standard deviation
     step: float = 0.012  # metres that a turned joint moves what hangs on it, in a step at the start
     largest_turn: float = 0.03  # radians in such a step; joints with short levers are held by it
     translation_lr: float = 0.006  # metres in a step at the start; depth is seen weakly
@@ -137,7 +137,17 @@ def refine_all(
     progress: Progress | None = None,
     executor: Executor | None = None,
 ) -> Iterator[Refined]:
-    """Refine several videos, at the same time where there is an executor; in their order."""
+    """Refine several videos, at the same time where there is an executor.
+
+    Args:
+        tasks: the videos, and how each is refined.
+        body: the body that all poses move.
+        progress: called as ``progress(done, total, **figures)`` with the steps of all of them.
+        executor: who does independent work; None: this process.
+
+    Returns:
+        What came of each, in their order and as soon as it is done.
+    """
     cases = [_Case.of(video, body, options) for video, options in tasks]
     first = [case.skim_jobs() for case in cases]
     second = [case.part_jobs() for case in cases]
@@ -190,8 +200,9 @@ class _Case:
         """The first round of a long video (:mod:`gva_mi.pose.parts`); a short one has none."""
         if len(self.parts) == 1 or self.options.loss != "sequence":
             return []
-        seen = set(skim(self.frames, self.options.skim))
-        targets = {k: target for k, target in self.targets.items() if k in seen}
+        there = sorted(self.targets)
+        seen = [there[i] for i in skim(len(there), self.options.skim)]
+        targets = {k: self.targets[k] for k in seen}
         return [Job(targets, self.body, self.pose, self.shape, self.options)]
 
     def part_jobs(self) -> list[Job]:
@@ -207,10 +218,10 @@ class _Case:
         """Join the parts, and keep stage 1 where they are no better."""
         begin = time.perf_counter()
         solutions = [solved.solution for solved in found]
-        rotations, transl = join(
-            self.parts, [s.rotations for s in solutions], [s.transl for s in solutions]
-        )
-        offsets, betas = solutions[0].offsets, solutions[0].betas
+        joined = join(self.parts, [s.rotations for s in solutions], [s.transl for s in solutions])
+        rotations, transl = (x.clone() for x in joined)
+        shared = skimmed[0].solution if skimmed else solutions[0]
+        offsets, betas = shared.offsets, shared.betas
         losses_stage1 = self._losses(
             Solution(self.pose.rotations, self.pose.transl, offsets, betas)
         )

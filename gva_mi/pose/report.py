@@ -129,7 +129,9 @@ def _means(means: PoseErrors) -> Section:
         ("vertices, root-aligned, mm", "aligned_vertex_mm"),
     ):
         before, after = getattr(means, key + "_stage1"), getattr(means, key)
-        change = "–" if after is None or not before else f"{100 * (after / before - 1):+.0f} %"
+        if after is None:
+            continue
+        change = f"{100 * (after / before - 1):+.0f} %" if before else "–"
         rows.append((name, number(before, 1), number(after, 1), change, "–"))
     iou = (means.iou_stage1, means.iou)
     rows.append(
@@ -178,9 +180,8 @@ def _curves(refined: Refined, measured: Measured) -> Section:
         if "IoU" not in title:
             axis.set_ylim(bottom=0)
     axes[-1].set_xlabel("frame")
-    axes[0].legend(frameon=False, fontsize=8, ncols=2, loc="upper right")
-    if known:
-        axes[-2].legend(frameon=False, fontsize=8, ncols=3, loc="lower right")
+    named = axes[-2]  # the IoU, in which all of them are drawn
+    named.legend(frameon=False, fontsize=8, ncols=3, loc="lower right", bbox_to_anchor=(1, 0.98))
     fig.tight_layout()
     text = "Grey bars are frames that keep their stage-1 pose." if refined.kept else ""
     return Section("Frame by frame", text, [plot("", fig)], columns=1)
@@ -276,7 +277,7 @@ def _exceptions(refined: Refined) -> list[Section]:
         rows = [(str(k), reason) for k, reason in refined.kept.items()]
         sections.append(Section("Kept frames", _KEPT, tables=[Table(("frame", "why"), rows)]))
     if refined.without_normals:
-        count = len(refined.without_normals)
-        text = f"{count} frames had no normals, and were fitted to their silhouettes alone."
+        numbers = ", ".join(map(str, refined.without_normals))
+        text = f"They were fitted to their silhouettes alone: {numbers}."
         sections.append(Section("Frames without normals", text))
     return sections

@@ -97,8 +97,14 @@ class BodyScene:
         key = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
         key += (camera.T_camera_world.tobytes(),)
         if key not in self._sensors:
-            aspect = {"type": "mesh_normals", "pixel_aspect": camera.fy / camera.fx}
-            self._sensors[key] = mi.load_dict(aspect), mi.load_dict(sensor_of(camera))
+            integrator = {
+                "type": "mesh_normals",
+                "pixel_aspect": camera.fy / camera.fx,
+                # Where a body is pressed into itself is searched for at a third of a step's cost,
+                # and there is little of it.
+                "piercing": False,
+            }
+            self._sensors[key] = mi.load_dict(integrator), mi.load_dict(sensor_of(camera))
         return self._sensors[key]
 
 

@@ -16,6 +16,7 @@ from pathlib import Path
 
 from gva_mi.body.pose import load_poses
 from gva_mi.body.smplx import BodyModel
+from gva_mi.data.fingerprint import require_same_body
 from gva_mi.data.synthetic import SynthOptions, make_subject
 from gva_mi.data.video import load_video
 from gva_mi.pose.measure import Measured, measure_frames
@@ -119,6 +120,7 @@ def study(
         subject = folder / f"{name}-{case.motion}-{noise:g}-{options.frames}-{options.size}"
         if not subject.exists():
             make_subject(subject, synth, body)
+        require_same_body(subject, body)
         video = load_video(subject)
         refined = refine(video, body, replace(options.refine, seed=case.seed), executor=executor)
         truth = load_poses(video.truth / "poses.npz")

@@ -69,7 +69,9 @@ class Target:
         """L_normal of a rendering (H, W, 4); zero where the frame has no normals."""
         if self.normals is None:
             return image.new_zeros(())
-        return (image[..., :3] - self.normals).abs().sum() / (3 * self.area)
+        # A pixel inside the mask without a normal, beyond the edge of a crop, says nothing.
+        told = self.normals.any(-1) | (self.mask <= 0.5)
+        return ((image[..., :3] - self.normals).abs() * told[..., None]).sum() / (3 * self.area)
 
     def silhouette_loss(self, image: Tensor) -> Tensor:
         """L_silhouette of a rendering (H, W, 4)."""

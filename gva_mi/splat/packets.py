@@ -9,6 +9,8 @@ the arrays given: ``drjit.llvm.Float`` or ``Float64``.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import drjit as dr
 from drjit import ArrayBase as Array
 from drjit.llvm import ArrayXf, ArrayXf64, ArrayXu
@@ -34,13 +36,18 @@ def widths(columns: int) -> list[int]:
     return out + [w for w in (4, 2, 1) if columns & w]
 
 
-def empty(F: type, columns: int, rows: int) -> Packets:
-    """Uninitialised memory for ``rows`` records of ``columns`` floats."""
-    return [memory(F, w * rows) for w in widths(columns)]
+def empty(
+    F: type, columns: int, rows: int, allocate: Callable[[type, int], Array] | None = None
+) -> Packets:
+    """Uninitialised memory for ``rows`` records of ``columns`` floats, by :func:`memory`."""
+    return [(allocate or memory)(F, w * rows) for w in widths(columns)]
 
 
 def memory(F: type, size: int) -> Array:
-    """Uninitialised memory for ``size`` numbers."""
+    """Uninitialised memory for ``size`` numbers, as an argument of a frozen kernel.
+
+    Within one it is ``dr.empty``.
+    """
     array = dr.empty(F, size)
     dr.make_opaque(array)  # until then it is a promise, whose size dr.freeze takes for a constant
     return array

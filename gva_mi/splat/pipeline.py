@@ -11,12 +11,14 @@ The kernels are frozen (frozen.py): the first call traces and compiles them (0.1
 on disk), later calls replay them whatever the number of Gaussians or the pose. Keyword arguments
 are constants of a recording: another value is another one. Cut-offs and numbers of channels make
 another kernel too. Sizes of memory that a kernel allocates for itself (the picture's, the slots')
-do not: the kernel is the same, and is only traced again. Memory that came in as an argument would
-be copied at every call.
+do not: the kernel is the same, and is only traced again. Memory that comes in as an argument is
+copied at every call. That of the Gaussians does so all the same, up to ``MANY`` of them, for their
+number changes often; beyond, copying costs more than tracing.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import drjit as dr
@@ -40,6 +42,9 @@ from gva_mi.splat.project import (
     project_tangent,
 )
 from gva_mi.splat.tiles import Grid, Layout, Lists
+
+Allocate = Callable[[type, int], Array]
+MANY = 65_536  # Gaussians from which on the kernels allocate their memory for themselves
 
 
 @dataclass(frozen=True)
@@ -118,15 +123,14 @@ def render_forward(
 
     projected = lists = trail = stop = None
     if n:
-        rows = _empty_rows(F, n, parts, options.depth)
-        footprints = packets.empty(F, tiles.FOOTPRINT, n)
+        memory = None if n >= MANY else _memory(F, n, parts, options.depth)
         width = dr.width(inputs.colors) // n
         projected = _project(
             inputs,
             view,
             grid,
-            rows,
-            footprints,
+            memory,
+            n=n if n >= MANY else 0,
             width=width,
             harmonics=harmonics,
             options=options,
@@ -134,7 +138,9 @@ def render_forward(
         )
         if not dr.all(projected.finite):
             _report_not_finite(inputs, harmonics, n)
-        lists = tiles.make_lists(footprints, projected.depths, projected.counts, layout, grid)
+        lists = tiles.make_lists(
+            projected.footprints, projected.depths, projected.counts, layout, grid
+        )
     size = layout.padded[0] * layout.padded[1]
     if lists is None:
         planes = _empty_picture(behind, size, options.depth)
@@ -200,9 +206,9 @@ def render_adjoint(
     F = type(saved.inputs.means)
     n, D = dr.width(saved.inputs.opacities), saved.channels
     i = saved.inputs
-    sizes = [dr.width(part) for part in (i.means, i.quats, i.scales, i.opacities, i.colors)]
     if saved.lists is None:
-        zeros = Inputs(*(dr.zeros(F, size) for size in sizes))
+        parts = (i.means, i.quats, i.scales, i.opacities, i.colors)
+        zeros = Inputs(*(dr.zeros(F, dr.width(part)) for part in parts))
         nothing = (np.zeros((4, 4)), np.zeros((3, 3))) if camera else (None, None)
         by_channel = grad.color.numpy().astype(np.float64).reshape(-1, D).sum(axis=0)
         by_absolute = dr.zeros(F, 2 * n) if absolute else None
@@ -231,18 +237,16 @@ def render_adjoint(
         slots.append((memory, columns))
         by_background.append((shares, width))
 
-    target = Targets(
-        Inputs(*(packets.memory(F, size) for size in sizes)),
-        packets.memory(F, 2 * n),
-        packets.memory(F, 2 * n) if absolute else None,
-        packets.empty(F, View.DIFFERENTIABLE, n) if camera else None,
-    )
+    target = None if n >= MANY else _targets(F, n, saved.width, camera, absolute)
     target = _gaussians_adjoint(
         saved.inputs,
         saved.view,
         saved.lists,
         [memory for memory, _ in slots],
         target,
+        n=n if n >= MANY else 0,
+        camera=camera,
+        absolute=absolute,
         width=saved.width,
         harmonics=saved.harmonics,
         options=saved.options,
@@ -294,7 +298,7 @@ def render_tangent(
         dinputs,
         view_tangent(saved.camera, dT, dK),
         dmeans2d,
-        _empty_rows(F, n, saved.chunks, saved.options.depth),
+        _memory(F, n, saved.chunks, saved.options.depth)[0],
         width=saved.width,
         harmonics=saved.harmonics,
         options=saved.options,
@@ -329,14 +333,16 @@ def _project(
     inputs: Inputs,
     view: View,
     grid: Grid,
-    rows: list[packets.Packets],
-    footprints: packets.Packets,
+    memory: tuple[list[packets.Packets], packets.Packets] | None,
     *,
+    n: int,
     width: int,
     harmonics: bool,
     options: SplatOptions,
     parts: tuple[int, ...],
 ) -> Projected:
+    F = type(inputs.means)
+    rows, footprints = memory or _memory(F, n, parts, options.depth, dr.empty)
     columns, ellipses, radii, finite = project(inputs, width, harmonics, view, options)
     i = dr.arange(dr.uint32_array_t(type(inputs.means)), dr.width(inputs.opacities))
     for target, part in zip(
@@ -357,8 +363,11 @@ def _gaussians_adjoint(
     view: View,
     lists: Lists,
     slots: list[packets.Packets],
-    target: Targets,
+    target: Targets | None,
     *,
+    n: int,
+    camera: bool,
+    absolute: bool,
     width: int,
     harmonics: bool,
     options: SplatOptions,
@@ -367,9 +376,10 @@ def _gaussians_adjoint(
     depth: bool,
     through_u: bool,
 ) -> Targets:
-    sums = [sum_slots(lists, part, n) for part, n in zip(slots, columns, strict=True)]
+    target = target or _targets(type(inputs.means), n, width, camera, absolute, dr.empty)
+    sums = [sum_slots(lists, part, count) for part, count in zip(slots, columns, strict=True)]
     dr.eval(sums)  # two kernels: as one they run out of registers
-    shared = MOMENTS + 2 * (target.absolute is not None)
+    shared = MOMENTS + 2 * absolute
     moments = chunks.add_moments(sums, shared, channels, depth)
     drawn = lists.counts > 0
     project_adjoint(inputs, width, harmonics, view, options, moments, drawn, target, through_u)
@@ -411,12 +421,30 @@ def _sum_rows(flat: Array, width: int) -> np.ndarray:
     return flat.numpy().reshape(-1, width).sum(axis=0, dtype=np.float64)
 
 
-def _empty_rows(F: type, n: int, parts: list[int], depth: bool) -> list[packets.Packets]:
-    """Memory for n projected Gaussians, chunk by chunk."""
-    extra = [depth] + [False] * (len(parts) - 1)
-    return [
-        packets.empty(F, GEOMETRY + width + z, n) for width, z in zip(parts, extra, strict=True)
-    ]
+def _memory(
+    F: type, n: int, parts: Sequence[int], depth: bool, allocate: Allocate = packets.memory
+) -> tuple[list[packets.Packets], packets.Packets]:
+    """Memory for n projected Gaussians: rows, chunk by chunk, and footprints."""
+    columns = [GEOMETRY + width + (depth and k == 0) for k, width in enumerate(parts)]
+    rows = [packets.empty(F, count, n, allocate) for count in columns]
+    return rows, packets.empty(F, tiles.FOOTPRINT, n, allocate)
+
+
+def _targets(
+    F: type,
+    n: int,
+    width: int,
+    camera: bool,
+    absolute: bool,
+    allocate: Allocate = packets.memory,
+) -> Targets:
+    """Memory for the gradients of n Gaussians."""
+    return Targets(
+        Inputs(*(allocate(F, columns * n) for columns in (3, 4, 3, 1, width))),
+        allocate(F, 2 * n),
+        allocate(F, 2 * n) if absolute else None,
+        packets.empty(F, View.DIFFERENTIABLE, n, allocate) if camera else None,
+    )
 
 
 def _empty_picture(background: list[Array], size: int, depth: bool) -> Planes:

@@ -76,6 +76,19 @@ def test_icon_s_normals_belong_to_rays(tmp_path):
     assert angle(flat[hit], truth[hit]).mean() > 3 * angle(found[hit], truth[hit]).mean()
 
 
+def test_turning_to_the_ray_is_undone_by_turning_back(tmp_path):
+    """The least rotation from the axis to the ray, transposed, takes every ray to the axis."""
+    d = rays()
+    icon = d * (1, -1, -1)  # as if all of the surface faced away along the ray, unturned
+    found = folder_with(tmp_path, [np.tile((0.0, 0.0, -1.0), (SIZE, SIZE, 1)), icon],
+                        {"convention": "icon"})  # fmt: skip
+    np.testing.assert_allclose(found.read(0, CAMERA), d, atol=1e-6)  # z away is the ray itself
+    turned = found.read(1, CAMERA)
+    c, twice = d[..., 2], 2 * np.arccos(np.clip(d[..., 2], -1, 1))
+    np.testing.assert_allclose((turned * d).sum(-1), c, atol=1e-6)  # one angle further out
+    np.testing.assert_allclose(turned[..., 2], np.cos(twice), atol=1e-5)
+
+
 def test_on_the_axis_icon_s_normals_only_change_axes(tmp_path):
     icon = np.tile(np.array([0.6, 0.48, 0.64]), (SIZE, SIZE, 1))
     found = folder_with(tmp_path, [icon], {"convention": "icon"}).read(0, CAMERA)

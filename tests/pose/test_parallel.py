@@ -3,6 +3,7 @@
 import sys
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
@@ -44,6 +45,17 @@ def test_a_video_in_parts_shares_one_displacement(alone, clip, body):
     assert refined.offsets.any() and not refined.kept
     assert (refined.losses < refined.losses_stage1).all()
     assert not torch.equal(refined.pose.rotations, clip.pose.rotations)
+
+
+def test_a_part_in_which_nobody_is_seen_changes_nothing_for_the_others(alone, clip, body):
+    """The first part, from which the shared surface could have been taken, says nothing."""
+    gone = {0: "it has no picture", 1: "it has no mask"}
+    pictures = [(np.zeros((96, 96), np.float32), None)] * 2 + clip.pictures[2:]
+    options = replace(PARTS, part=1)
+    refined = refine(replace(clip, pictures=pictures, absent=gone), body, options)
+    assert refined.kept == gone and refined.offsets.any()
+    assert torch.equal(refined.pose.rotations[:2], clip.pose.rotations[:2])
+    assert refined.losses[2] < refined.losses_stage1[2]
 
 
 def test_several_subjects_are_refined_as_if_alone(alone, clip, body):

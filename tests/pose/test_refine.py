@@ -9,7 +9,7 @@ import torch
 from gva_mi.pose import RefineOptions, refine
 from gva_mi.pose.measure import measure
 
-SEQUENCE = RefineOptions(size=96, passes=12)
+SEQUENCE = RefineOptions(size=96, passes=12, batch=1)
 PAPER = RefineOptions(loss="paper", size=96, steps=14)
 
 
@@ -23,7 +23,7 @@ def paper(clip, body):
     return refine(clip, body, PAPER)
 
 
-@pytest.mark.parametrize(("way", "left"), [("sequence", 0.65), ("paper", 0.75)])
+@pytest.mark.parametrize(("way", "left"), [("sequence", 0.55), ("paper", 0.7)])
 def test_a_known_error_is_undone(request, clip, body, true_pose, way, left):
     refined = request.getfixturevalue(way)
     errors = measure(clip, body, refined, (true_pose, clip.shape))
@@ -61,7 +61,7 @@ def test_without_normals_the_silhouette_serves(clip, body, true_pose):
     refined = refine(blind, body, SEQUENCE)
     assert refined.without_normals == [0, 1, 2]
     errors = measure(blind, body, refined, (true_pose, clip.shape))
-    assert errors.vertex_mm < 0.8 * errors.vertex_mm_stage1
+    assert errors.vertex_mm < 0.55 * errors.vertex_mm_stage1
 
 
 @pytest.mark.parametrize("options", [SEQUENCE, PAPER], ids=lambda o: o.loss)
@@ -96,7 +96,7 @@ def test_progress_counts_to_the_end(clip, body):
 
 
 def test_measures_of_the_truth_itself(clip, body, true_pose, sequence):
-    perfect = replace(sequence, pose=true_pose)
+    perfect = replace(sequence, pose=true_pose, shape=clip.shape)
     errors = measure(clip, body, perfect, (true_pose, clip.shape))
     assert errors.vertex_mm == errors.hand_vertex_mm == errors.aligned_vertex_mm == 0
     assert errors.iou == errors.iou_truth and errors.frames_worse == 0

@@ -47,6 +47,18 @@ def test_without_normals_their_loss_is_zero(frame, points):
     assert float(target.normal_loss(torch.rand(*target.mask.shape, 4))) == 0
 
 
+def test_where_normals_are_missing_inside_the_mask_nothing_is_said(frame, points):
+    """As beyond the edge of the crop that a network was shown."""
+    cut = frame.normals.copy()
+    cut[: len(cut) // 2] = 0
+    target = Target.of(replace(frame, normals=cut), 96, points)
+    whole = Target.of(frame, 96, points)
+    shown = torch.cat([whole.normals, whole.mask[..., None]], dim=-1)
+    assert float(target.normal_loss(shown)) == 0
+    outside = shown + (whole.mask == 0)[..., None]
+    assert float(target.normal_loss(outside)) == float(whole.normal_loss(outside)) > 0
+
+
 def test_frames_that_say_nothing_are_explained(frame, points):
     with pytest.raises(CannotRefine, match="empty"):
         Target.of(replace(frame, mask=np.zeros_like(frame.mask)), 96, points)

@@ -263,3 +263,10 @@ def test_sizes_seen_before_are_not_traced_again():
     before = [function.n_recordings for function in frozen]
     draw_all_sizes()
     assert [function.n_recordings for function in frozen] == before
+
+
+def test_bits_are_those_of_memory_given_where_kernels_allocate_for_themselves(monkeypatch):
+    s = scene(gaussians=300).to(torch.float32)
+    given = bits(s)
+    monkeypatch.setattr(pipeline, "MANY", 1)
+    assert bits(s) == given

@@ -8,7 +8,8 @@ deviation.
 
       dJ_j = dJ_parent(j) + D_parent(j) (J_j − J_parent(j)),    dv = Σ_j w_j (dJ_j + D_j (v − J_j))
 
-* Expressions are sums of Gaussian bumps on the left half of the face and its mirror image.
+* Expressions are sums of Gaussian bumps on the left half of the face and its mirror image; but the
+  jaw's turns about its joint, and lids slide over the eyeball.
 * Correctives answer linear blend skinning's loss of volume: where two bones share a vertex and one
   is bent by φ, the vertex comes nearer to the joint by the factor cos(φ/2). The skin on the outer
   side is moved out in proportion to 1 − cos φ = − uᵀ (R − I) u for a bone along the unit vector u.
@@ -91,7 +92,7 @@ def expressions(vertices: np.ndarray, weights: np.ndarray) -> np.ndarray:
 
 
 def correctives(vertices: np.ndarray, normals: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Pose directions (V, 3, 486), on the diagonal entries of R − I of the joints that collapse."""
+    """Pose directions (V, 3, 486), on the entries of R − I that tell how far a joint is bent."""
     fingers = [f"{finger}{k}" for finger in ("index", "middle", "ring", "pinky") for k in (1, 2, 3)]
     x, y = (1, 0, 0), (0, 1, 0)
     outer = {  # joint: its bone, outer side of the bend, radius of the limb, strength

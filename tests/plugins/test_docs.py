@@ -1,0 +1,71 @@
+"""The page about the plugins: its picture is what they show, its examples run."""
+
+import gva_mi  # noqa: F401  chooses libLLVM before Dr.Jit is imported
+
+# isort: split
+import re
+from pathlib import Path
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+DOCS = Path(__file__).parents[2] / "docs"
+SIZE = 160
+
+
+def reference_picture(scenes):
+    """Normals, mask, depth, and the derivatives of normals and mask, side by side (H, 5 W, 3)."""
+    ball, ring = scenes.sphere, scenes.torus
+    parts = [
+        ball(40, 60, 0.24, (-0.2, 0.2, 0.7)),
+        ring(96, 48),
+        ball(40, 60, 0.3, (0.4, -0.1, 0.1)),
+    ]
+    shapes = {f"m{k}": scenes.mesh(f"m{k}", *part) for k, part in enumerate(parts)}
+    scene = mi.load_dict({"type": "scene", **shapes})
+    parameters, sensor = mi.traverse(scene), scenes.camera(SIZE)
+    integrator = mi.load_dict({"type": "mesh_normals", "channels": "normal, mask, depth"})
+    x = mi.Float(0)
+    dr.enable_grad(x)
+    vertices = parts[0][0]
+    to_right = mi.Float(np.tile([1.0, 0.0, 0.0], len(vertices)).astype(np.float32))
+    start = mi.Float(vertices.ravel().astype(np.float32))
+    parameters["m0.vertex_positions"] = start + x * to_right
+    parameters.update()
+    image = mi.render(scene, parameters, sensor=sensor, integrator=integrator, spp=16)
+    dr.forward(x)
+    derivative, image = np.array(dr.grad(image)), np.array(image)
+    mask = image[..., 3:4]
+    grey = lambda x: np.repeat(x, 3, axis=2)
+    depth = np.divide(image[..., 4:5], mask, out=np.zeros_like(mask), where=mask > 0)
+    near, far = depth[depth > 0].min(), depth.max()
+    panels = (
+        0.5 * mask + 0.5 * image[..., :3] * [1, -1, -1],
+        grey(mask),
+        grey(mask * (1 - 0.8 * (depth - near) / (far - near))),
+        0.5 + derivative[..., :3] / 80,
+        grey(0.5 + derivative[..., 3:4] / 80),
+    )
+    return np.clip(np.concatenate(panels, axis=1), 0, 1)
+
+
+def test_the_picture_is_what_the_plugin_shows(scenes):
+    picture = np.round(255 * reference_picture(scenes))
+    stored = np.array(mi.Bitmap(str(DOCS / "mesh_normals.png"))).astype(float)
+    assert stored.shape == picture.shape
+    off = np.abs(stored - picture).max(2) > 2
+    assert off.mean() < 2e-3  # a ray that grazes an edge may fall to its other side elsewhere
+
+
+def test_the_examples_run(scenes):
+    text = (DOCS / "plugins.md").read_text()
+    text = text[text.index("## `mesh_normals`") :]
+    names = {}
+    for block in re.findall(r"```python\n(.*?)```", text, re.DOTALL):
+        exec(block, names)
+    assert names["image"].shape == (64, 64, 5)
+    assert np.array(names["grad"]).any()
+    assert names["reference"].aov_names() == names["scene"].integrator().aov_names()[:4]
+    for block in re.findall(r"```xml\n(.*?)```", text, re.DOTALL):
+        mi.load_string(block.replace("<integrator ", '<integrator version="3.0.0" ', 1))

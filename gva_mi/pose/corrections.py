@@ -63,7 +63,7 @@ class Corrections:
         Args:
             stage1: T frames.
             frames: those to be corrected, in their order.
-            camera: whose axes shifts are held in.
+            camera: whose axes shifts are held in; of one frame, where they differ.
             weights: (J,) ω of the joints.
             options: λ, the weights of the energy, and the jitter.
         """

@@ -7,10 +7,10 @@ with the normals ``N`` and the silhouette ``S`` of the posed body, rendered by
 
 Two ways:
 
-* ``loss="sequence"`` (default, :mod:`gva_mi.pose.sequence`): all frames together, with one
-  displacement of the rest surface for the clothes, neighbours in time, and a translation that is
-  free but held. The paper's Eq. 9 fits a bare body to the mask of a clothed one, and on such a
-  person it makes poses worse than stage 1.
+* ``loss="sequence"`` (default, :mod:`gva_mi.pose.sequence`): all frames together, with corrections
+  of stage 1 that are slow in time (:mod:`gva_mi.pose.corrections`), one displacement of the rest
+  surface for the clothes, and the person's shape. The paper's Eq. 9 fits a bare body to the mask of
+  a clothed one, and on such a person it makes poses worse than stage 1.
 * ``loss="paper"`` (:mod:`gva_mi.pose.single_frame`): Eq. 9 as printed, frame by frame, the bare
   body, rotations only.
 
@@ -59,11 +59,11 @@ class RefineOptions:
     steps: int = 80  # paper: steps for each frame
     silhouette: float = 5.0  # λ1
     prior: float = 0.5  # λ2, for one square radian
-    smooth: float = 80.0  # sequence: pull to both neighbours' rotations, for one square radian
-    smooth_move: float = 200.0  # sequence: pull to both neighbours' places, for one square metre
+    smooth: float = 80.0  # sequence: between neighbours' rotations, for one square radian
+    smooth_move: float = 200.0  # sequence: between neighbours' places, for one square metre
     hold: float = 3.0  # sequence: pull of the translation to stage 1, for one square metre
-    jitter: float = 0.04  # sequence: radians that stage 1's hips jitter from frame to frame
-    jitter_move: float = 0.02  # sequence: metres that its translation does
+    jitter: float = 0.04  # sequence: radians between frames, times √ω: less is no motion
+    jitter_move: float = 0.02  # sequence: metres between frames: less is no motion
     reach: float = 2.2  # sequence: √λ, frames over which a step spreads to both sides
     cloth_smooth: float = 4000.0  # sequence: a of the displacement's energy, for one square metre
     cloth_small: float = 40.0  # sequence: b

@@ -1,8 +1,8 @@
 """How well the refinement does on people it was not tuned on.
 
 Its weights and rates were chosen on four subjects, :data:`TUNING`: two of the study's seven, one
-drawn from a seed, and one without clothes. They were then judged, once, on :data:`HELD_OUT`: other
-people, other clothes, other noise, which no choice had seen. Only the figures of the second set say
+drawn from a seed, and one without clothes. They are judged on :data:`HELD_OUT`: other people, other
+clothes, other noise, which no choice had seen. Only the figures of the second set say
 what to expect; the first is there so that the difference can be seen.
 """
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
@@ -54,7 +54,7 @@ class Bench:
     compiles: tuple[Compiled, ...]
     moving: Moving
     gsplat: Timing | None  # its torch reference on the CPU, forward and backward
-    gsplat_ratio: float | None
+    gsplat_ratio: float | None  # over our time for the same: colour and alpha, no depth
     growth: tuple[Growth, ...]
     hard: tuple[Growth, ...]
 
@@ -135,6 +135,7 @@ def bench(
     few = max(2, options.repeats // 5)
     peer = None if options.no_gsplat else gsplat_peer.time_step(work.scene, few)
     gsplat = None if peer is None else Timing.of(peer)
+    ours = None if peer is None else repeated(_without_depth(work).both, options.repeats)
     tell()
     growth = []
     for n, size in sizes:
@@ -162,7 +163,13 @@ def bench(
         compiles=compiles,
         moving=moving,
         gsplat=gsplat,
-        gsplat_ratio=None if gsplat is None else gsplat.least / both.least,
+        gsplat_ratio=None if ours is None else gsplat.least / ours.least,
         growth=tuple(growth),
         hard=tuple(found),
     )
+
+
+def _without_depth(work: Work) -> Work:
+    """The same scene, of colour and alpha alone."""
+    scene = work.scene
+    return Work.on(replace(scene, options=replace(scene.options, depth=False)))

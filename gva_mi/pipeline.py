@@ -57,7 +57,8 @@ SUBJECT = "subject"  # where the demo's subject lies within the demo's folder
 DEMO, RENDERED, SYNTH = "demo.json", "render.json", "synth.json"  # mark the folders as ours
 REFINEMENT_FIGURES = (  # of metrics.json
     "vertex_mm_stage1", "vertex_mm", "hand_vertex_mm_stage1", "hand_vertex_mm",
-    "iou_stage1", "iou", "iou_truth", "seconds_per_frame",
+    "foot_vertex_mm_stage1", "foot_vertex_mm", "aligned_vertex_mm_stage1", "aligned_vertex_mm",
+    "frames_worse", "frames_worse_hands", "iou_stage1", "iou", "iou_truth", "seconds_per_frame",
 )  # fmt: skip
 
 
@@ -403,10 +404,14 @@ def _lines(metrics: dict) -> Iterator[str]:
 
 
 def _refinement_lines(figures: dict) -> Iterator[str]:
-    pairs = {"vertices": "vertex_mm", "hands": "hand_vertex_mm"}
+    pairs = {"vertices": "vertex_mm", "hands": "hand_vertex_mm", "feet": "foot_vertex_mm"}
+    pairs["aligned"] = "aligned_vertex_mm"  # the vertices, with the pelvis put where it is
     for name, key in pairs.items():
         if figures[key] is not None:
             yield f"{name:<11} {figures[key + '_stage1']:.1f} → {figures[key]:.1f} mm"
+    if figures["frames_worse"] is not None:
+        worse = f"{figures['frames_worse']:.0%} of the frames"
+        yield f"worse       {worse}, in the hands {figures['frames_worse_hands']:.0%}"
     if figures["iou"] is not None:
         truth = figures["iou_truth"]
         own = f" (true pose {truth:.3f})" if truth is not None else ""

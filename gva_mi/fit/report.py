@@ -100,9 +100,12 @@ def _refinement(figures: dict, overlays: Sequence[np.ndarray]) -> list[Section]:
         return []
     text = "The body over the frames, before the refinement of Eq. 9 (above) and after it (below)."
     head = ("", "stage 1", "refined", "true pose")
+    aligned = figures["aligned_vertex_mm_stage1"], figures["aligned_vertex_mm"]
     rows = [
         ("vertices, mm", 1, figures["vertex_mm_stage1"], figures["vertex_mm"], None),
         ("hands, mm", 1, figures["hand_vertex_mm_stage1"], figures["hand_vertex_mm"], None),
+        ("feet, mm", 1, figures["foot_vertex_mm_stage1"], figures["foot_vertex_mm"], None),
+        ("vertices, pelvis on pelvis, mm", 1, *aligned, None),
         ("silhouette IoU", 3, figures["iou_stage1"], figures["iou"], figures["iou_truth"]),
     ]
     table = Table(head, [(name, *(number(x, n) for x in row)) for name, n, *row in rows])

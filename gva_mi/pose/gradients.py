@@ -26,6 +26,7 @@ import torch
 
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.body.smplx import BodyModel, load_body
+from gva_mi.errors import InputError
 from gva_mi.pose.scene import sensor_of
 from gva_mi.splat import Camera, look_at
 
@@ -72,6 +73,19 @@ class GradientOptions:
     rays: float = 1e8  # of a difference, over the rectangle that moves
     points: int = 89  # on each face, for the interior
     count: int = len(CASES)  # how many of the cases, from the first
+
+    def __post_init__(self) -> None:
+        for name, least in (("size", 32), ("spp", 1), ("points", 1), ("count", 1)):
+            found = getattr(self, name)
+            if found < least:
+                raise InputError(f"gradcheck-normals: {name} must be at least {least}, got {found}")
+        if self.count > len(CASES):
+            raise InputError(
+                f"gradcheck-normals: count must be at most {len(CASES)}, got {self.count}"
+            )
+        if not (self.step > 0 and self.rays > 0):
+            found = f"{self.step}, {self.rays}"
+            raise InputError(f"gradcheck-normals: step and rays must be above 0, got {found}")
 
 
 @dataclass(frozen=True)

@@ -53,6 +53,7 @@ def _run(arguments: list[str]) -> None:
         "refine": pipeline.refine,
         "fit": pipeline.fit,
         "evaluate": pipeline.evaluate,
+        "track": pipeline.track,
         "render": pipeline.render,
         "study": studies.study,
         "body": body,

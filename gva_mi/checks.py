@@ -98,7 +98,7 @@ def gradcheck(
 
 
 def gradcheck_normals(options: Flat[GradientOptions]) -> None:
-    """Compare the gradients of ``mesh_normals`` by the body's pose with differences.
+    """Compare the gradients of ``mesh_normals`` by the body's pose with exact ones.
 
     Mask, interior and boundary apart, for limbs that are free, occlude, cross and pierce. Ends with
     an error where one is further off than allowed.

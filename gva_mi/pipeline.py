@@ -3,9 +3,10 @@
 ::
 
     synth ──▶ subject/ ──▶ refine ──▶ subject/poses_refined.npz ──▶ fit ──▶ run/ ──▶ evaluate
-                                                                            └──────▶ render
+                                                                            ├──────▶ render
+                                                                            └──────▶ track
 
-``demo`` runs them all. No output is replaced unless asked for.
+``demo`` runs them all but ``track``. No output is replaced unless asked for.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from torch import Tensor
 from tyro.conf import Positional, arg
 
 from gva_mi.avatar.avatar import Avatar
-from gva_mi.body.pose import load_offsets, load_poses
+from gva_mi.body.pose import Pose, Shape, load_offsets, load_poses, save_poses
 from gva_mi.body.smplx import BodyModel, load_body
 from gva_mi.console import bar, say
 from gva_mi.data.fingerprint import require_same_body
@@ -37,6 +38,8 @@ from gva_mi.fit import checkpoint
 from gva_mi.fit.evaluate import evaluate as evaluate_splits
 from gva_mi.fit.evaluate import render_sequence
 from gva_mi.fit.options import FitOptions, Rates
+from gva_mi.fit.photometric import FITTED, PhotometricOptions
+from gva_mi.fit.photometric import fit_poses as fit_to_pictures
 from gva_mi.fit.report import write_report
 from gva_mi.fit.train import fit as fit_avatar
 from gva_mi.fit.views import overview
@@ -44,6 +47,7 @@ from gva_mi.pose.ablation import ablate
 from gva_mi.pose.measure import Measured, measure_frames
 from gva_mi.pose.parallel import cluster as _cluster
 from gva_mi.pose.parallel import workers as _workers
+from gva_mi.pose.per_frame import errors as pose_errors
 from gva_mi.pose.record import OVERLAYS, REFINED, REFINEMENT, write_record
 from gva_mi.pose.refine import RefineOptions, refine_all
 from gva_mi.pose.report import write_report as write_refinement_report
@@ -52,8 +56,10 @@ T = TypeVar("T")
 Flat = Annotated[T, arg(name="")]  # options without a prefix on the command line
 
 POSES, REFINEMENT_REPORT = "poses.npz", "refinement.html"
+PHOTOMETRIC, TRACKING = "poses_photometric.npz", "photometric.json"  # what `track` writes
 METRICS, REPORT, OVERVIEW = "metrics.json", "report.html", "overview.png"
 SUBJECT = "subject"  # where the demo's subject lies within the demo's folder
+PARTS = {"vertices": "body", "hands": "hands", "feet": "feet", "aligned": "body_aligned"}
 DEMO, RENDERED, SYNTH = "demo.json", "render.json", "synth.json"  # mark the folders as ours
 REFINEMENT_FIGURES = (  # of metrics.json
     "vertex_mm_stage1", "vertex_mm", "hand_vertex_mm_stage1", "hand_vertex_mm",
@@ -187,7 +193,11 @@ def fit(
 
 
 def evaluate(
-    run: Positional[Path], subject: Positional[Path], *, poses: Path | None = None
+    run: Positional[Path],
+    subject: Positional[Path],
+    *,
+    poses: Path | None = None,
+    fit_poses: bool = False,
 ) -> None:
     """Measure an avatar on the splits of a subject; writes metrics.json and report.html.
 
@@ -195,14 +205,83 @@ def evaluate(
         run: the folder of a finished fit.
         subject: the folder it was fitted to.
         poses: the poses it was fitted under; without it the refined ones, else those of stage 1.
+        fit_poses: also measure the test frames, in a row of its own, with their poses fitted to
+            these very frames.
     """
     avatar = Avatar.load(run / checkpoint.AVATAR)
     video = load_video(subject, poses or _best_poses(subject))
-    metrics = _measure(avatar, video, run, name="full")
+    metrics = _measure(avatar, video, run, name="full", fitted=fit_poses)
     _write_report(avatar, _under_trained_poses(video, run), run, metrics, subject.name)
     for line in _lines(metrics):
         say(line)
     say(f"report: {run / REPORT}")
+
+
+def track(
+    run: Positional[Path],
+    subject: Positional[Path],
+    options: Flat[PhotometricOptions] = PhotometricOptions(),  # noqa: B008 (frozen)
+    *,
+    poses: Path | None = None,
+    body: Path | None = None,
+    overwrite: bool = False,
+) -> None:
+    """Fit the poses of a video to its pictures, seen through an avatar of the person.
+
+    Writes poses_photometric.npz and photometric.json into the subject's folder. They have seen the
+    test frames: no other step takes them but by its --poses.
+
+    Args:
+        run: the folder of a finished fit, or an avatar.npz, of this video or of another one of the
+            same person.
+        subject: a folder with video, masks, cameras and poses.
+        options: of the fit.
+        poses: where it starts; without it the poses trained with the avatar, if ``run`` is a folder
+            that has some; else the refined ones, else those of stage 1.
+        body: a body in SMPL-X's .npz format; without it the built-in puppet.
+        overwrite: replace poses that are there.
+    """
+    if (subject / PHOTOMETRIC).exists() and not overwrite:
+        raise InputError(f"{subject / PHOTOMETRIC}: exists already; give --overwrite to replace it")
+    avatar = Avatar.load(run / checkpoint.AVATAR if run.is_dir() else run)
+    model = load_body(body)
+    require_same_body(subject, model)
+    trained = run / checkpoint.POSES
+    refined = poses or _best_poses(subject)
+    start = trained if poses is None and trained.exists() else refined
+    video = load_video(subject, start)
+    with bar("track") as progress:
+        found = fit_to_pictures(avatar, video, options, progress=progress)
+    for frame, reason in found.kept.items():
+        say(f"{subject}: frame {frame} keeps its pose: {reason}")
+    figures = {
+        "loss_start": float(found.losses_before.nanmean()),
+        "loss": float(found.losses.nanmean()),
+        "seconds_per_frame": found.seconds_per_frame,
+    }
+    stages = {
+        "stage 1": load_poses(subject / POSES),
+        "start": (video.pose, video.shape),
+        "tracked": (found.pose, video.shape),
+    }
+    errors = _errors(video, model, stages)
+    record = {
+        "figures": figures,
+        "errors_mm": errors,
+        "kept": found.kept,
+        "start": str(start),
+        "avatar": str(run),
+        "options": asdict(options),
+        "versions": checkpoint.versions(),
+    }
+    write_json(subject / TRACKING, record)
+    offsets = load_offsets(refined, len(model.v_template))
+    save_poses(subject / PHOTOMETRIC, found.pose, video.shape, stage=2, offsets=offsets)
+    for name, part in PARTS.items() if errors else ():
+        lengths = (f"{stage} {of_stage[part]:.1f}" for stage, of_stage in errors.items())
+        say(f"{name:<11} {' → '.join(lengths)} mm")
+    say(f"loss        {figures['loss_start']:.4f} → {figures['loss']:.4f}")
+    say(f"poses: {subject / PHOTOMETRIC}")
 
 
 def render(
@@ -321,6 +400,20 @@ def _refine(
             yield video, measured
 
 
+def _errors(
+    video: Video, model: BodyModel, stages: dict[str, tuple[Pose, Shape]]
+) -> dict[str, dict[str, float]]:
+    """Mean distances to the truth by stage and part of the body, mm; empty without a truth."""
+    if video.truth is None:
+        return {}
+    truth = load_poses(video.truth / POSES)
+    found = {stage: asdict(pose_errors(model, poses, truth)) for stage, poses in stages.items()}
+    return {
+        stage: {part: float(of_frames.mean()) for part, of_frames in parts.items()}
+        for stage, parts in found.items()
+    }
+
+
 def _fit(
     video: Video,
     model: BodyModel,
@@ -338,12 +431,27 @@ def _fit(
     return avatar
 
 
-def _measure(avatar: Avatar, video: Video, run: Path, name: str) -> dict:
+def _measure(avatar: Avatar, video: Video, run: Path, name: str, fitted: bool = False) -> dict:
     """The figures of a run, which are also written to ``metrics.json``."""
+    under = _under_trained_poses(video, run)
     with bar("evaluate") as progress:
-        rows = evaluate_splits(avatar, _under_trained_poses(video, run), name, progress=progress)
+        rows = evaluate_splits(avatar, under, name, progress=progress)
     if (run / checkpoint.POSES).exists():  # what training the poses is worth to frames unseen
         rows += evaluate_splits(avatar, video, "poses as refined", splits=("test",))
+    pose_fit = {}
+    if fitted:
+        with bar("poses") as progress:
+            options = PhotometricOptions()
+            found = fit_to_pictures(avatar, under, options, under.splits.test, progress)
+        seen = replace(under, pose=found.pose)
+        rows += evaluate_splits(avatar, seen, FITTED, splits=("test",))
+        pose_fit = {
+            "pose_fit": {
+                "options": asdict(options),
+                "kept": found.kept,
+                "seconds_per_frame": found.seconds_per_frame,
+            }
+        }
     history = checkpoint.load_history(run)
     record = json.loads((run / checkpoint.OPTIONS).read_text())
     refinement = video.folder / REFINEMENT
@@ -360,6 +468,7 @@ def _measure(avatar: Avatar, video: Video, run: Path, name: str) -> dict:
         "options": record["options"],
         "versions": record["versions"],
         "seed": record["options"]["seed"],
+        **pose_fit,
     }
     write_json(run / METRICS, metrics)
     return metrics

@@ -60,14 +60,17 @@ def _table(rows: Sequence[Row]) -> Iterator[str]:
             f"{row.case.name}, noise {row.noise:g}",
             *(f"{row.stage1_mm[p]:.0f} → {row.refined_mm[p]:.0f}" for p in PARTS),
             f"{row.measured.means.iou - row.measured.means.iou_truth:+.3f}",
+            f"{row.measured.means.iou_true_masks:.3f}",
             f"{100 * row.measured.means.frames_worse:.0f} %",
             f"{100 * row.measured.means.frames_worse_hands:.0f} %",
+            f"{row.measured.means.seconds_per_frame:.2f}",
         )
         for row in rows
     ]
     mean = [f"{100 * np.nanmean([row.change[p] for row in rows]):+.0f} %" for p in PARTS]
-    head = ("mm", *(p.replace("_", " ") for p in PARTS), "IoU - truth's", "worse", "worse hands")
-    lines = [head, *cells, ("mean change", *mean, "", "", "")]
+    head = ("mm", *(p.replace("_", " ") for p in PARTS), "IoU - truth's", "IoU, true masks")
+    head += ("worse", "worse hands", "s a frame")
+    lines = [head, *cells, ("mean change", *mean, *[""] * 5)]
     widths = [max(len(cell) for cell in column) for column in zip(*lines, strict=True)]
     for first, *others in lines:
         padded = [cell.rjust(width) for cell, width in zip(others, widths[1:], strict=True)]

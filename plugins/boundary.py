@@ -16,9 +16,10 @@ Edges are cut at the near plane and at the border of the image first: ``t`` runs
 Edges that can show a jump: **contours**, whose faces all lie on one side of them on the image (a
 fold seen from the front, and any border of an open mesh), and **creases**, where two faces do not
 share a normal. Two rays a hair's breadth beside the edge tell ``I_inside``, ``I_outside``, and
-whether the edge is seen at all. At a contour the inner one must hit a face that touches the edge
-(its own one may be seen so flat that the ray leaps over it), and the outer one nothing in front of
-it; at a crease both must hit the faces of the edge.
+whether the edge is seen at all. At a contour the inner one must hit a face of the edge, or one that
+shares a corner with it and does not reach over the edge (its own one may be seen so flat that the
+ray leaps over it), and the outer one nothing in front of it; at a crease both must hit the faces of
+the edge.
 """
 
 from __future__ import annotations
@@ -130,8 +131,11 @@ class Boundary:
 
         inner, outer = cast(q - beside), cast(q + beside)
         is_contour = dr.gather(mi.Bool, contour, edge)
-        at_contour = touches(topology, inner.face, edge)
-        at_contour &= ~outer.hit | (outer.depth > dr.lerp(wa, wb, s) * (1 - IN_FRONT))
+        w = dr.lerp(wa, wb, s)
+        hidden = _covers(surface, projection.ray(q), inner.face, w - projection.near)
+        at_contour = _owns(topology, inner.face, edge)
+        at_contour |= _adjoins(topology, inner.face, edge) & ~hidden
+        at_contour &= ~outer.hit | (outer.depth > w * (1 - IN_FRONT))
         at_crease = outer.hit & _owns(topology, inner.face, edge)
         at_crease &= _owns(topology, outer.face, edge)
         seen = projection.is_inside(q) & inner.hit & dr.select(is_contour, at_contour, at_crease)
@@ -193,14 +197,27 @@ def on_image(a: mi.Point2f, b: mi.Point2f, width: int, height: int) -> tuple[mi.
     return t0, t1
 
 
-def touches(topology: Topology, face: mi.UInt32, edge: mi.UInt32) -> mi.Bool:
-    """Whether a face has a corner at an end of an edge."""
-    ends = [dr.gather(mi.UInt32, end, edge) for end in topology.end_points]
-    touches = mi.Bool(False)
-    for corner in topology.points:
-        point = dr.gather(mi.UInt32, corner, face)
-        touches |= (point == ends[0]) | (point == ends[1])
-    return touches
+def _adjoins(topology: Topology, face: mi.UInt32, edge: mi.UInt32) -> mi.Bool:
+    """Whether a face shares a corner with a face of an edge."""
+    adjoins = mi.Bool(False)
+    for edge_face in topology.edge_faces:
+        own = dr.gather(mi.UInt32, edge_face, edge)
+        mine = [dr.gather(mi.UInt32, corner, own) for corner in topology.points]
+        for corner in topology.points:
+            point = dr.gather(mi.UInt32, corner, face)
+            adjoins |= (point == mine[0]) | (point == mine[1]) | (point == mine[2])
+    return adjoins
+
+
+def _covers(surface: Surface, ray: mi.Ray3f, face: mi.UInt32, t: mi.Float) -> mi.Bool:
+    """Whether rays meet a face before their parameter ``t``."""
+    corners = [dr.gather(mi.UInt32, vertex, face) for vertex in surface.topology.vertices]
+    p = [dr.gather(mi.Vector3f, surface.positions, vertex) for vertex in corners]
+    e1, e2, s = p[1] - p[0], p[2] - p[0], mi.Vector3f(ray.o) - p[0]
+    h, k = dr.cross(ray.d, e2), dr.cross(s, e1)
+    det = dr.dot(e1, h)
+    b1, b2 = dr.dot(s, h) / det, dr.dot(ray.d, k) / det
+    return (b1 > 0) & (b2 > 0) & (b1 + b2 < 1) & (dr.dot(e2, k) / det < t)
 
 
 def _owns(topology: Topology, face: mi.UInt32, edge: mi.UInt32) -> mi.Bool:

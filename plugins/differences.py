@@ -1,7 +1,7 @@
 """The slow twin of ``mesh_normals``: its derivatives by differences, for checks.
 
 It shares no code with the integrator: rays and projections come from Mitsuba's own sensor, normals
-are computed here in float64, and nothing is differentiated.
+are computed in float64, and nothing is differentiated.
 
 1. **Total**: ``(I(x + ε dx) - I(x - ε dx)) / 2 ε``, with many rays in each pixel.
 2. **Interior**: the same where every point keeps to its triangle. Its integrand grows without bound
@@ -10,6 +10,9 @@ are computed here in float64, and nothing is differentiated.
    ``Σ_faces ∫ dI/dε |∂q/∂b| db`` over the points seen, ``b`` barycentric.
 3. **Boundary**: the first minus the second.
 
+Where contours lie closer to one another on the image than things move in a step, the first is off
+by as much as they hide of one another: :mod:`gva_mi_plugins.scanlines` has no step.
+
 Images are those of a box filter, (H, W, 5): normal in camera space, mask, depth.
 """
 
@@ -17,27 +20,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from gva_mi_plugins.measured_sensor import MeasuredSensor
+from gva_mi_plugins.moving_mesh import (
+    MovingMesh,
+    corner_normals,
+    joined_faces,
+    joined_vertices,
+    window,
+)
 
 GOLDEN = 0.6180339887498949
 HIDDEN = 1e-4  # share of the distance by which what hides a point lies nearer
-
-
-@dataclass(frozen=True)
-class MovingMesh:
-    """A mesh and a direction in which its vertices move."""
-
-    vertices: np.ndarray  # (V, 3) float64
-    faces: np.ndarray  # (F, 3)
-    motion: np.ndarray  # (V, 3) dx
-    facets: bool = False  # else smooth
-
-    def at(self, step: float) -> np.ndarray:
-        """Vertices after a step, (V, 3)."""
-        return self.vertices + step * self.motion
 
 
 @dataclass(frozen=True)
@@ -47,11 +45,15 @@ class Differences:
     meshes: Sequence[MovingMesh]
     sensor: mi.Sensor
 
+    @cached_property
+    def lens(self) -> MeasuredSensor:
+        """Where the sensor sees points."""
+        return MeasuredSensor.of(self.sensor)
+
     @property
     def size(self) -> tuple[int, int]:
         """Width and height, pixels."""
-        width, height = self.sensor.film().crop_size()
-        return int(width), int(height)
+        return self.lens.width, self.lens.height
 
     def total(self, step: float, rays: int) -> np.ndarray:
         """Eq. 1, (H, W, 5).
@@ -61,14 +63,14 @@ class Differences:
             rays: for a pixel. They lie on a lattice that is shifted at random in each pixel, lest
                 edges run along its rows.
         """
-        window = self.window(step)
-        image = np.zeros((5, dr.width(window)))
+        pixels = self._pixels(step)
+        image = np.zeros((5, dr.width(pixels)))
         for sign in (1, -1):
             scene, faces = _scene(self.meshes, sign * step)
             normals = mi.Vector3f(self._corner_normals(sign * step).reshape(-1, 3).T)
-            summed = [dr.zeros(mi.Float64, dr.width(window)) for _ in range(5)]
+            summed = [dr.zeros(mi.Float64, dr.width(pixels)) for _ in range(5)]
             for k in range(rays):
-                ray = self._ray(self._lattice(window, k, rays))
+                ray = self._ray(self._lattice(pixels, k, rays))
                 face, u, t, hit = _meet(scene, faces, ray)
                 corner = [dr.gather(mi.Vector3f, normals, 3 * face + j, hit) for j in range(3)]
                 n = dr.normalize(corner[0] * (1 - u.x - u.y) + corner[1] * u.x + corner[2] * u.y)
@@ -79,7 +81,7 @@ class Differences:
                 ]
                 dr.eval(summed)
             image += sign * np.array(summed) / (2 * step * rays)
-        return self._unfold(image.T, np.array(window))
+        return self._unfold(image.T, np.array(pixels))
 
     def interior(self, step: float, points: int) -> np.ndarray:
         """Eq. 2, (H, W, 5), with some points on each face."""
@@ -88,8 +90,8 @@ class Differences:
         p = self._corners(0.0)  # (F, 3, 3)
         moved = [(self._corners(s), self._corner_normals(s)) for s in (step, -step)]
         flat = p.reshape(-1, 3)
-        q = self._project(flat).reshape(-1, 3, 2)
-        scale = self._scale(flat).reshape(-1, 3)
+        q = self.lens.project(flat).reshape(-1, 3, 2)
+        scale = self.lens.scale(flat).reshape(-1, 3)
         e1, e2 = q[:, 1] - q[:, 0], q[:, 2] - q[:, 0]
         doubled = np.abs(e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0])
         image = np.zeros((width * height, 5))
@@ -98,13 +100,13 @@ class Differences:
             b1, b2 = (b1, b2) if b1 + b2 < 1 else (1 - b1, 1 - b2)
             b = np.array([1 - b1 - b2, b1, b2])
             x = np.einsum("k,fkc->fc", b, p)
-            at = self._project(x)
+            at = self.lens.project(x)
             ray = self._ray(mi.Point2f(at.T.astype(np.float32)))
             face, _, t, hit = (np.array(v) for v in _meet(scene, first, ray))
             distance = np.linalg.norm(x - np.array(ray.o).T, axis=1)
             seen = (hit & (face == np.arange(len(p)))) | (t > distance * (1 - HIDDEN))
             seen &= ((at >= 0) & (at < [width, height])).all(1)
-            area = doubled * scale.prod(1) / self._scale(x) ** 3 / (2 * points)
+            area = doubled * scale.prod(1) / self.lens.scale(x) ** 3 / (2 * points)
             o, d = (
                 np.broadcast_to(np.array(v, np.float64).T, x.shape)[seen] for v in (ray.o, ray.d)
             )
@@ -123,63 +125,19 @@ class Differences:
         b = np.stack([1 - b1 - b2, b1, b2], axis=1)
         normal = np.einsum("rk,rkc->rc", b, n)
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-        depth = (o + t[:, None] * d - self._pose[:3, 3]) @ self._axis
+        depth = self.lens.depth(o + t[:, None] * d)
         return np.column_stack([normal, np.ones(len(t)), depth])
-
-    @property
-    def _pose(self) -> np.ndarray:
-        """The sensor's ``to_world``, (4, 4)."""
-        return np.array(self.sensor.world_transform().matrix, np.float64).reshape(4, 4)
-
-    @property
-    def _axis(self) -> np.ndarray:
-        return self._pose[:3, 2] / np.linalg.norm(self._pose[:3, 2])
 
     def _corners(self, step: float) -> np.ndarray:
         """(F, 3, 3) of all meshes."""
-        return np.concatenate([mesh.at(step)[mesh.faces] for mesh in self.meshes])
+        return joined_vertices(self.meshes, step)[joined_faces(self.meshes)]
 
     def _corner_normals(self, step: float) -> np.ndarray:
         """Unit shading normals at corners, camera space (OpenCV axes), (F, 3, 3) of all meshes."""
-        result = []
-        for mesh in self.meshes:
-            v, f = mesh.at(step), mesh.faces
-            c = np.cross(v[f[:, 1]] - v[f[:, 0]], v[f[:, 2]] - v[f[:, 0]])
-            if mesh.facets:
-                corners = np.repeat(c[:, None], 3, axis=1)
-            else:
-                n = np.zeros_like(v)
-                np.add.at(n, f.ravel(), np.repeat(c, 3, axis=0))
-                corners = n[f]
-            result.append(corners / np.linalg.norm(corners, axis=2, keepdims=True))
-        rotation = self._pose[:3, :3] / np.linalg.norm(self._pose[:3, :3], axis=0)
-        return np.concatenate(result) @ (rotation * [-1, -1, 1])
-
-    def _project(self, x: np.ndarray) -> np.ndarray:
-        """Pixel positions (N, 2) of world points, as Mitsuba's sensor has them."""
-        if self._parallel:  # its sample_direction is not implemented; its rays start on a lattice
-            width, height = self.size
-            o = self._ray(mi.Point2f([0, width, 0], [0, 0, height])).o
-            o = np.array(o, np.float64).T
-            sides = np.stack([(o[1] - o[0]) / width, (o[2] - o[0]) / height, self._axis], axis=1)
-            return ((x - o[0]) @ np.linalg.inv(sides).T)[:, :2]
-        point = dr.zeros(mi.Interaction3f, len(x))
-        point.p = mi.Point3f(x.T.astype(np.float32))
-        found, _ = self.sensor.sample_direction(point, mi.Point2f(0.5))
-        return np.array(found.uv, np.float64).T
-
-    @property
-    def _parallel(self) -> bool:
-        return self.sensor.class_name() == "OrthographicCamera"
-
-    def _scale(self, x: np.ndarray) -> np.ndarray:
-        """What pixel positions are divided by: a pinhole's depth (N,); 1 in parallel projection."""
-        if self._parallel:
-            return np.ones(len(x))
-        return (x - self._pose[:3, 3]) @ self._axis
+        return corner_normals(self.meshes, step) @ self.lens.rotation
 
     def _depth(self, x: mi.Point3f) -> mi.Float:
-        axis, origin = mi.Vector3f(self._axis), mi.Vector3f(self._pose[:3, 3])
+        axis, origin = mi.Vector3f(self.lens.axis), mi.Vector3f(self.lens.place)
         return dr.dot(x - origin, axis)
 
     def _ray(self, q: mi.Point2f) -> mi.Ray3f:
@@ -187,25 +145,11 @@ class Differences:
         at = mi.Point2f(q.x / width, q.y / height)
         return self.sensor.sample_ray(0, 0, at, mi.Point2f(0.5))[0]
 
-    def window(self, step: float) -> mi.UInt32:
-        """The pixels of the rectangle in which something moves."""
-        width, height = self.size
-        moving = [np.abs(mesh.motion).max(1) > 0 for mesh in self.meshes]
-        # Their neighbours' shading normals move with them.
-        moving = [
-            m | np.isin(np.arange(len(m)), mesh.faces[m[mesh.faces].any(1)])
-            for m, mesh in zip(moving, self.meshes, strict=True)
-        ]
-        ends = [
-            mesh.at(s)[m]
-            for s in (step, -step)
-            for m, mesh in zip(moving, self.meshes, strict=True)
-        ]
-        q = self._project(np.concatenate(ends))
-        low = np.clip(np.floor(q.min(0)) - 1, 0, [width, height]).astype(int)
-        high = np.clip(np.ceil(q.max(0)) + 1, 0, [width, height]).astype(int)
+    def _pixels(self, step: float) -> mi.UInt32:
+        """Those of the rectangle in which something moves."""
+        low, high = window(self.meshes, self.lens, step)
         y, x = np.mgrid[low[1] : high[1], low[0] : high[0]]
-        return mi.UInt32((y * width + x).ravel().astype(np.uint32))
+        return mi.UInt32((y * self.lens.width + x).ravel().astype(np.uint32))
 
     def _lattice(self, pixel: mi.UInt32, k: int, rays: int) -> mi.Point2f:
         """Place of ray ``k`` in each pixel."""

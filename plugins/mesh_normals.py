@@ -13,7 +13,7 @@
  * - edge_density
    - |float|
    - Boundary samples for a pixel of an edge's length, at one sample for each pixel; they grow with
-     the root of ``spp``. (Default: 1)
+     the root of ``spp``. (Default: 4)
  * - piercing
    - |bool|
    - Whether lines in which surfaces pierce one another carry a gradient, too. (Default: true)
@@ -57,7 +57,7 @@ class MeshNormals(mi.ad.integrators.common.ADIntegrator):
         self.channels = Channels.parse(
             str(props.get("channels", "normal, mask")), str(props.get("space", "camera"))
         )
-        self.edge_density = float(props.get("edge_density", 1.0))
+        self.edge_density = float(props.get("edge_density", 4.0))
         self.piercing = bool(props.get("piercing", True))
         self.pixel_aspect = float(props.get("pixel_aspect", 1.0))
         for name in ("edge_density", "pixel_aspect"):

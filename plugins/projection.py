@@ -124,6 +124,10 @@ class Projection:
         ray.maxt = self.reach
         return ray
 
+    def sideways(self, m: mi.Vector2f) -> mi.Vector3f:
+        """How the point seen at depth 1 moves with the pixel, by a step on the image."""
+        return self.pixel_to_world @ mi.Vector3f(m.x, m.y, 0)
+
     def pull_back(self, m: mi.Vector2f, q: mi.Point2f, h: mi.Float) -> mi.Vector3f:
         """Eq. 4: the world vector ``(∂q/∂x)ᵀ m`` at a point seen in ``q`` at scale ``h``."""
         rows = self.rows

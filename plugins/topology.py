@@ -44,6 +44,7 @@ class Topology:
     is_closed: bool  # every edge has two faces
     crease: mi.Bool  # (E,): the normal jumps here even between two faces seen from the front
     corners_of_vertex: Segments  # V segments over the 3F corners
+    corners_of_point: Segments  # V segments over the 3F corners
     corners_of_normal: Segments  # N segments over the 3F corners
     faces_of_normal: Segments  # N segments over the F faces
     ends_of_vertex: Segments  # V segments over the 2E ends (end k of edge e is 2 e + k)
@@ -99,6 +100,7 @@ def build(meshes: Sequence[mi.Mesh]) -> Topology:
         is_closed=is_closed,
         crease=mi.Bool(crease),
         corners_of_vertex=Segments.by_owner(vertices.reshape(-1), V),
+        corners_of_point=Segments.by_owner(points.reshape(-1), V),
         corners_of_normal=corners_of_normal,
         faces_of_normal=Segments(corners_of_normal.start, corners_of_normal.items // 3),
         ends_of_vertex=Segments.by_owner(ends.reshape(-1), V),

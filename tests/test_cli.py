@@ -105,8 +105,8 @@ BAD = {
     "no window": (("gradcheck", "--window", "0"), "window and count must be 1 or more"),
     "no images": (("gradcheck", "--images"), "images must be some of color, alpha, depth"),
     "no size": (("gradcheck-normals", "--size", "0"), "size must be at least 32"),
-    "too many cases": (("gradcheck-normals", "--count", "99"), "count must be at most 13"),
-    "no step": (("gradcheck-normals", "--step", "0"), "step and rays must be above 0"),
+    "too many cases": (("gradcheck-normals", "--count", "99"), "count must be at most 16"),
+    "no lines": (("gradcheck-normals", "--lines", "0"), "lines must be at least 1"),
     "no scene": (("gradcheck", "--scene", "nowhere.npz"), "nowhere.npz: no such scene"),
 }
 

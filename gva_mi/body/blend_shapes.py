@@ -30,6 +30,12 @@ def as_rows(directions: np.ndarray) -> np.ndarray:
     return rows
 
 
+def columns_of(rows: Tensor, vertices: Tensor, count: int) -> Tensor:
+    """The rows of some ``vertices`` (n,), of rows (K, W) of ``count`` vertices."""
+    some = rows[:, : 3 * count].unflatten(1, (3, count))[:, :, vertices].flatten(1)
+    return pad(some, (0, some.shape[1] % 2))
+
+
 def add_directions(surface: Tensor, coefficients: Tensor, directions: Tensor) -> Tensor:
     """Move a surface along directions (eq. 1).
 

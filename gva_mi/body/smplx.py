@@ -20,6 +20,7 @@ Offsets stand for clothes: they move vertices and leave the joints where the nak
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,7 +28,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from gva_mi.body.blend_shapes import add_directions, as_rows
+from gva_mi.body.blend_shapes import add_directions, as_rows, columns_of
 from gva_mi.body.body_file import read_body
 from gva_mi.body.hands import HandSpace, with_hands
 from gva_mi.body.kinematics import turn_joints
@@ -127,6 +128,21 @@ class BodyModel(nn.Module):
     def hand_spaces(self) -> tuple[HandSpace, HandSpace]:
         """The PCA of hand poses, left and right."""
         return tuple(map(HandSpace, self.hands_mean, self.hands_components))
+
+    def on(self, vertices: Tensor, faces: Tensor) -> BodyModel:
+        """The same body on some of its vertices: every one moves as it does here.
+
+        Args:
+            vertices: (n,) which; joints do not change.
+            faces: (F, 3) triangles between them, numbered from 0 to n - 1.
+        """
+        some = copy.copy(self)
+        some._buffers = dict(self._buffers)  # all that does not change is shared
+        some.v_template, some.weights = self.v_template[vertices], self.weights[vertices]
+        some.faces = faces
+        for name in ("shape_directions", "frame_directions"):
+            setattr(some, name, columns_of(getattr(self, name), vertices, len(self.v_template)))
+        return some
 
     def rest(self, shape: Shape, expression: Tensor | None = None) -> Rest:
         """The person in the T-pose (eq. 1, 2).

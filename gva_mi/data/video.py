@@ -128,6 +128,13 @@ class Video:
         folder = self.folder / "truth"
         return folder if folder.is_dir() else None
 
+    def true_mask(self, index: int) -> np.ndarray | None:
+        """The mask (H, W) that a synthetic subject's truth knows; for figures alone."""
+        path = self.truth / "masks" / f"{index:06d}.png" if self.truth else None
+        if path is None or not path.exists():
+            return None
+        return read_image(path, 1).astype(np.float32) / 255
+
 
 def load_video(
     folder: Path,

@@ -19,7 +19,9 @@ novel_view     of the video's motion from other cameras, likewise        true
 
 "The video's" poses are those the video was opened with: the refined ones after stage 2, or those
 trained with the avatar (see :mod:`gva_mi.fit.poses`). The poses of the test frames then come from
-their own masks and normals, as in the paper, and from their neighbours. No test picture is fitted.
+their own masks and normals, as in the paper, and from their neighbours. No test picture is fitted;
+where a table is to show what that would be worth, such poses (:mod:`gva_mi.fit.photometric`) have a
+row of their own.
 Masks are the true ones where the subject has a truth, for a figure should tell the avatar's error
 and not the segmenter's; training never sees them. Real videos have their own masks alone.
 """
@@ -35,7 +37,6 @@ import torch
 
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.pose import Pose
-from gva_mi.data.pictures import read_image
 from gva_mi.data.video import Frame, Video, load_video
 from gva_mi.fit.perceptual import FeatureMetric, Weights, find_weights, lpips, rand_vgg
 from gva_mi.splat import Camera, SplatOptions
@@ -212,7 +213,5 @@ def _frames(video: Video, split: Split) -> tuple[Video, Iterable[int]] | None:
 
 
 def _with_true_mask(frame: Frame, video: Video) -> Frame:
-    path = video.truth / "masks" / f"{frame.index:06d}.png" if video.truth else None
-    if path is None or not path.exists():
-        return frame
-    return replace(frame, mask=read_image(path, 1).astype(np.float32) / 255)
+    mask = video.true_mask(frame.index)
+    return frame if mask is None else replace(frame, mask=mask)

@@ -9,6 +9,7 @@ import numpy as np
 
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.data.video import Video, load_video
+from gva_mi.fit.photometric import FITTED
 from gva_mi.fit.views import compared, dots, hands, same_size, turntable
 from gva_mi.page import (
     Figure,
@@ -190,6 +191,11 @@ def _tables(metrics: dict) -> Section:
         "are trained on the training frames alone; a test frame takes its neighbours' correction. "
         "‘Poses as refined’ are the same frames without it."
     )
+    if any(row["name"] == FITTED for row in metrics["rows"]):
+        text += (
+            " ‘Poses fitted to the pictures’ have seen the test frames: the avatar is the same, "
+            "and each pose is fitted to the very picture that it is measured on."
+        )
     return Section("Figures", text, tables=[Table(head, rows)])
 
 

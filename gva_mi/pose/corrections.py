@@ -6,71 +6,89 @@ An estimator's errors last for several frames, and what one frame hides, a leg t
 camera, another one shows in which the person has turned. So an optimiser should not move one frame
 at a time. It is given other coordinates ``u`` and ``v``, of which the corrections are smooth means:
 
-2. ``δ = (I + λ L)⁻¹ u``,    ``τ = (I + λ L)⁻¹ v``,    ``L = Σ_k (e_k+1 - e_k)(e_k+1 - e_k)ᵀ``
+2. ``A δ = (I + λ L)⁻¹ u``,   ``A τ = (I + λ L)⁻¹ v``,   ``L = Σ_k (e_k+1 - e_k)(e_k+1 - e_k)ᵀ``
 
 over neighbours ``k, k + 1`` that both have a target. The gradient by ``u`` is that by ``δ``, spread
 over about √λ frames to both sides: one frame moves its neighbours, too, and long waves are
 corrected in few steps (Nicolet et al., *Large Steps in Inverse Rendering*, 2021, who do so with
 neighbours on a mesh).
 
-What is known without looking is an energy, a mean over the frames:
+``A_k,i`` turns a vector to the camera's axes, by stage 1. There, each coordinate may have steps of
+its own: pictures tell how a limb swings across the line of sight, and how far aside a person
+stands, much better than how it leans toward the camera, and how deep. What is told weakly would
+hardly move if it shared its steps with the rest.
 
-3. ``λ2 Σ_i ω_i |δ_k,i|² + hold |τ_k|²``                                       Eq. 9's regulariser
-4. ``smooth Σ_i ω_i |δ_k+1,i - δ_k,i + (1 - γ) m_k,i|²``,    the same for ``τ``
+What is known without looking is an energy, a mean over the frames, in metres that a turn moves what
+hangs on the joint (``ℓ_i``, :func:`gva_mi.pose.priors.held_levers`):
+
+3. ``prior Σ_i |ℓ_i δ_k,i|² + hold |τ_k|²``                                    Eq. 9's regulariser
+4. ``smooth Σ_i ρ(ℓ_i |δ_k+1,i - δ_k,i + (1 - γ) m_k,i|)``,    ``τ`` the same way, squared
 
 with ``m_k,i = log(R_k,iᵀ R_k+1,i)``, how far the joint turns from frame to frame according to stage
 1. Stage 1 is believed where it sees a motion well above its own jitter ``n_i``; what lies within
 the jitter is taken for rest:
 
-5. ``γ = |m|² / (|m|² + n_i²)``,    ``n_i = jitter / √ω_i``
+5. ``γ = |m|⁴ / (|m|⁴ + n_i⁴)``,    ``n_i = jitter / ℓ_i``
 
-The whole body's turn is always believed, ``γ = 1``: against it all else is measured.
+The whole body's turn is always believed, ``γ = 1``: against it all else is measured. An estimator
+also loses a hand, or a leg, from one frame to the next. Such a jump costs by its size and not by
+its square, or it would be smeared over all frames around:
+
+6. ``ρ(x) = 2 c² (√(1 + x²/c²) - 1)``,    ``x²`` for steps within ``c``
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import roma
 import torch
 from torch import Tensor
 
-from gva_mi.body.pose import Pose
+from gva_mi.body.kinematics import turn_joints
+from gva_mi.body.pose import PARENTS, Pose
 from gva_mi.splat import Camera
 
-if TYPE_CHECKING:
-    from gva_mi.pose.refine import RefineOptions
+
+class Held(Protocol):
+    """The numbers of eq. 2-6, among the options of whoever corrects."""
+
+    prior: float  # for one square metre
+    hold: float  # for one square metre
+    smooth: float  # for one square metre
+    smooth_move: float  # for one square metre
+    jitter: float  # metres between frames
+    jitter_move: float  # metres between frames
+    outlier: float  # c, metres
+    reach: float  # √λ, frames
 
 
 class Corrections:
-    """``δ`` and ``τ`` of the frames that have a target; ``turns`` and ``moves`` are the leaves.
-
-    Shifts are held in the camera's axes, each a number of its own: pictures tell depth so much more
-    weakly than the other two that it would hardly move if it shared its steps with them.
-    """
+    """``δ`` and ``τ`` of the frames that have a target; ``turns`` and ``moves`` are the leaves."""
 
     def __init__(
         self,
         stage1: Pose,
         frames: Sequence[int],
         camera: Camera,
-        weights: Tensor,
-        options: RefineOptions,
+        held: Tensor,
+        options: Held,
     ) -> None:
         """No correction yet.
 
         Args:
             stage1: T frames.
             frames: those to be corrected, in their order.
-            camera: whose axes shifts are held in; of one frame, where they differ.
-            weights: (J,) ω of the joints.
-            options: λ, the weights of the energy, and the jitter.
+            camera: whose axes the leaves are held in; of one frame, where they differ.
+            held: (J,) ℓ of the joints, metres.
+            options: such as :class:`gva_mi.pose.refine.RefineOptions`.
         """
         self._stage1 = stage1[list(frames)]
         self._rotations = self._stage1.rotations
         self._R_camera_world = torch.from_numpy(camera.T_camera_world[:3, :3].copy()).float()
-        self._weights, self._options = weights, options
+        self._to_local = self._joint_axes()
+        self._square_lever, self._options = held.square(), options
 
         first = torch.tensor([i for i in range(len(frames) - 1) if frames[i + 1] == frames[i] + 1])
         self._first = first.to(torch.int64)  # of each pair of neighbours
@@ -79,44 +97,64 @@ class Corrections:
         L = self._difference.T @ self._difference
         self._smooth = torch.linalg.inv(torch.eye(n) + options.reach**2 * L)  # (I + λ L)⁻¹
 
-        self.turns = torch.zeros(n, len(weights), 3).requires_grad_()  # u
-        self.moves = torch.zeros(n, 3, 1).requires_grad_()  # v, camera axes
+        self.turns = torch.zeros(n, len(held), 3, 1).requires_grad_()  # u
+        self.moves = torch.zeros(n, 3, 1).requires_grad_()  # v
         self._rest = self._motion_within_jitter()
 
     def pose(self, which: Sequence[int]) -> Pose:
         """Eq. 1 for some of the frames, by their place among ``frames``; differentiable."""
-        turns, moves = self._at(self._smooth[list(which)])
-        some = self._stage1[list(which)]
+        which = list(which)
+        turns, moves = self._at(which)
+        some = self._stage1[which]
         rotations = roma.rotvec_composition([some.rotations, turns])
         return Pose.from_rotations(rotations, some.transl + moves, some.expression)
 
     def energy(self) -> Tensor:
         """Eq. 3 and 4, a mean over the frames."""
-        turns, moves = self._at(self._smooth)
+        options, n = self._options, len(self._stage1)
+        turns, moves = self._at(list(range(n)))
         rest_turns, rest_moves = self._rest
-        options, n = self._options, len(moves)
-        near = options.prior * self._sum(turns) + options.hold * moves.square().sum()
-        turned = self._sum(torch.einsum("pk,kjc->pjc", self._difference, turns) + rest_turns)
+        near = options.prior * self._square_metres(turns).sum()
+        near = near + options.hold * moves.square().sum()
+        x = torch.einsum("pk,kjc->pjc", self._difference, turns) + rest_turns
+        turned = robust(self._square_metres(x), options.outlier).sum()
         moved = (self._difference @ moves + rest_moves).square().sum()
         return (near + options.smooth * turned + options.smooth_move * moved) / n
 
-    def _at(self, rows: Tensor) -> tuple[Tensor, Tensor]:
-        """Eq. 2 for rows (r, n) of the matrix: ``δ`` (r, J, 3) and ``τ`` (r, 3), world axes."""
-        turns = (rows @ self.turns.flatten(1)).view(len(rows), -1, 3)
-        return turns, rows @ self.moves[..., 0] @ self._R_camera_world
+    def _joint_axes(self) -> Tensor:
+        """``Aᵀ`` (T, J, 3, 3): from the camera's axes to those of the joints, by stage 1."""
+        nowhere = torch.zeros(1, len(PARENTS), 3)
+        turned = turn_joints(self._rotations, nowhere, PARENTS, self._stage1.transl)[1]
+        return torch.einsum("kjai,ca->kjic", turned[..., :3, :3], self._R_camera_world)
 
-    def _sum(self, turns: Tensor) -> Tensor:
-        """``Σ ω_i |δ_i|²`` over joints and frames."""
-        return (turns.square().sum(2) @ self._weights).sum()
+    def _at(self, which: list[int]) -> tuple[Tensor, Tensor]:
+        """Eq. 2 for r of the frames: ``δ`` (r, J, 3), and ``τ`` (r, 3) in the world's axes."""
+        rows = self._smooth[which]
+        turns = (rows @ self.turns.flatten(1)).view(len(rows), -1, 3, 1)
+        moves = rows @ self.moves[..., 0]
+        return (self._to_local[which] @ turns)[..., 0], moves @ self._R_camera_world
+
+    def _square_metres(self, turns: Tensor) -> Tensor:
+        """``|ℓ_i δ_i|²`` (r, J) of turns (r, J, 3)."""
+        return turns.square().sum(2) * self._square_lever
 
     def _motion_within_jitter(self) -> tuple[Tensor, Tensor]:
         """``(1 - γ) m`` of rotations (pairs, J, 3) and of places (pairs, 3), eq. 5."""
         rotations, transl = self._rotations, self._stage1.transl
         before, after = self._first, self._first + 1
         m = roma.rotvec_composition([roma.rotvec_inverse(rotations[before]), rotations[after]])
-        noise = self._options.jitter**2 / self._weights[:, None]
-        turns = m * noise / (m.square().sum(2, keepdim=True) + noise)
+        turns = m * _doubt(self._square_metres(m), self._options.jitter)[..., None]
         turns[:, 0] = 0
         m = transl[after] - transl[before]
-        noise = self._options.jitter_move**2
-        return turns, m * noise / (m.square().sum(1, keepdim=True) + noise)
+        return turns, m * _doubt(m.square().sum(1), self._options.jitter_move)[:, None]
+
+
+def robust(square: Tensor, outlier: float) -> Tensor:
+    """``ρ`` of ``x²`` (eq. 6): ``x²`` below ``outlier``, ``2 c |x|`` far beyond it."""
+    c2 = outlier**2
+    return 2 * c2 * ((1 + square / c2).sqrt() - 1)
+
+
+def _doubt(square: Tensor, jitter: float) -> Tensor:
+    """``1 - γ`` of ``|ℓ m|²`` (eq. 5)."""
+    return jitter**4 / (square.square() + jitter**4)

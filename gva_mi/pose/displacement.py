@@ -5,10 +5,11 @@ without a word for them, limbs, size and depth pay for the cloth. One displaceme
 the rest surface, shared by all frames, is that word. What it may look like is an energy, in which
 ``n`` are the rest surface's normals:
 
-    E(D) = a mean |Δ D|² + b mean |D|² + c mean min(D · n, 0)²
+    E(D) = a mean |Δ D|² / h⁴ + b mean |D|² + c mean min(D · n, 0)²
 
-smooth (Δ: vertex minus the mean of its neighbours), small, and outward: cloth lies on the body, not
-in it. On the hands ``D`` is zero: they are bare, and their shape is what tells their pose.
+smooth (Δ: vertex minus the mean of its neighbours; h²: mean square of the edges), small, and
+outward: cloth lies on the body, not in it. On the hands ``D`` is zero: they are bare, and their
+shape is what tells their pose.
 """
 
 from __future__ import annotations
@@ -34,7 +35,9 @@ class Displacement:
             weights: (V, 55) skinning weights, which tell where the hands are.
         """
         self._normals = vertex_normals(vertices, faces)
-        self._laplacian = _uniform_laplacian(faces.numpy(), len(vertices))
+        ends = vertices[faces], vertices[faces.roll(1, dims=1)]
+        self._square_edge = float((ends[0] - ends[1]).square().sum(-1).mean())
+        self._laplacian = uniform_laplacian(faces.numpy(), len(vertices))
         self._free = (~hand_vertices(weights)).to(vertices.dtype)[:, None]
         self.raw = torch.zeros_like(vertices).requires_grad_()
 
@@ -44,8 +47,8 @@ class Displacement:
         return self.raw * self._free
 
     def energy(self, offsets: Tensor, smooth: float, small: float, outward: float) -> Tensor:
-        """``E(D)`` with weights a, b, c, each for one square metre."""
-        bent = torch.sparse.mm(self._laplacian, offsets).square().sum()
+        """``E(D)`` with weights a, for one (1/m)², and b and c, for one square metre."""
+        bent = torch.sparse.mm(self._laplacian, offsets).square().sum() / self._square_edge**2
         inward = (offsets * self._normals).sum(1).clamp_max(0).square().sum()
         total = smooth * bent + small * offsets.square().sum() + outward * inward
         return total / len(offsets)
@@ -68,7 +71,7 @@ def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
     return torch.nn.functional.normalize(torch.from_numpy(total), dim=1).to(vertices.dtype)
 
 
-def _uniform_laplacian(faces: np.ndarray, count: int) -> Tensor:
+def uniform_laplacian(faces: np.ndarray, count: int) -> Tensor:
     """Sparse (V, V): a vertex minus the mean of its neighbours; zero for a vertex without any.
 
     In torch's coordinate format, whose product runs through the entries in their order.

@@ -36,6 +36,7 @@ class PoseErrors:
     iou_stage1: float
     iou: float
     iou_truth: float | None
+    iou_true_masks: float | None  # of the refined pose with the masks of the truth
     seconds_per_frame: float
 
     def as_record(self) -> dict[str, float | None]:
@@ -52,6 +53,7 @@ class Measured:
     iou_stage1: Tensor  # (T,)
     iou: Tensor  # (T,)
     iou_truth: Tensor | None  # (T,)
+    iou_true_masks: Tensor | None  # (T,)
     seconds_per_frame: float
 
     @property
@@ -76,6 +78,7 @@ class Measured:
             iou_stage1=float(self.iou_stage1.nanmean()),
             iou=float(self.iou.nanmean()),
             iou_truth=float(self.iou_truth.nanmean()) if known else None,
+            iou_true_masks=float(self.iou_true_masks.nanmean()) if known else None,
             seconds_per_frame=self.seconds_per_frame,
         )
 
@@ -105,12 +108,15 @@ def measure_frames(
             iou_stage1=silhouette_iou(video, body, *before),
             iou=torch.empty(0),
             iou_truth=silhouette_iou(video, body, *truth) if truth is not None else None,
+            iou_true_masks=None,
             seconds_per_frame=0.0,
         )
+    clean = silhouette_iou(video, body, *after, true_masks=True) if truth is not None else None
     return replace(
         known,
         refined=errors(body, after, truth) if truth is not None else None,
         iou=silhouette_iou(video, body, *after),
+        iou_true_masks=clean,
         seconds_per_frame=refined.seconds_per_frame,
     )
 

@@ -3,7 +3,9 @@
 Eq. 9's regulariser ``Σ ω_i (θ_i - θ_i^stage1)`` has no norm as printed and could fall without
 bound; it is taken squared. Its weights fall with the distance from the root in the kinematic tree,
 ``ω_i = 1 / (1 + depth_i)``: the farther out a joint, the worse stage 1 knows it, and the less it is
-held.
+held. That is for the frame by frame way. The whole sequence's energies count metres: what a turn
+moves, by the lever of its joint. Estimators err so, by about as much all over the body, and so do
+pictures tell.
 """
 
 from __future__ import annotations
@@ -13,8 +15,10 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from gva_mi.body.pose import Shape
-from gva_mi.body.smplx import BodyModel
+from gva_mi.body.pose import LEFT_HAND, RIGHT_HAND
+from gva_mi.body.smplx import Rest
+
+LEAST, FINGERS = 0.2, 0.35  # metres, of levers that hold
 
 
 def joint_weights(parents: Sequence[int]) -> Tensor:
@@ -25,14 +29,33 @@ def joint_weights(parents: Sequence[int]) -> Tensor:
     return 1 / (1 + torch.tensor(depth, dtype=torch.float32))
 
 
-def levers(body: BodyModel, shape: Shape) -> Tensor:
+def levers(rest: Rest, weights: Tensor, parents: Sequence[int]) -> Tensor:
     """How far (J,) metres, on average, what a joint turns is away from it.
 
     The mean is quadratic, over the vertices below the joint in the kinematic tree.
+
+    Args:
+        rest: the person's vertices (V, 3) and joints (J, 3) in the rest pose.
+        weights: (V, J) skinning weights.
+        parents: of the joints, -1 for the root.
     """
-    rest = body.rest(shape)
-    moved = body.weights.clone()
-    for joint in reversed(range(1, len(body.parents))):
-        moved[:, body.parents[joint]] += moved[:, joint]
+    moved = weights.clone()
+    for joint in reversed(range(1, len(parents))):
+        moved[:, parents[joint]] += moved[:, joint]
     square = (rest.vertices[:, None] - rest.joints).square().sum(-1)
     return ((moved * square).sum(0) / moved.sum(0).clamp_min(1e-6)).sqrt()
+
+
+def held_levers(far: Tensor) -> Tensor:
+    """The levers (J,) metres by which joints are held to stage 1 and to their neighbours in time.
+
+    Short ones count as ``LEAST``: a turned foot or head moves little, but is not free to turn.
+    Those of the fingers count as ``FINGERS``: a few pixels do not tell 15 joints from each other.
+
+    Args:
+        far: (J,) from :func:`levers`.
+    """
+    held = far.clamp_min(LEAST)
+    for hand in (LEFT_HAND, RIGHT_HAND):
+        held[hand] = held[hand].clamp_min(FINGERS)
+    return held

@@ -37,6 +37,7 @@ from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.video import Video
 from gva_mi.errors import InputError
+from gva_mi.pose.coarse import CoarseBody
 from gva_mi.pose.parallel import Job, Solved, run
 from gva_mi.pose.parts import cut, join, skim
 from gva_mi.pose.scene import BodyScene
@@ -54,18 +55,21 @@ class RefineOptions:
 
     loss: Literal["sequence", "paper"] = "sequence"  # all frames together, or Eq. 9 frame by frame
     size: int = 256  # pixels of the longer side of the pictures that are compared
-    passes: int = 30  # sequence: how often every frame is visited
-    batch: int = 4  # sequence: frames of a step
+    faces: int = 6000  # triangles of the body that is compared with them
+    passes: int = 50  # sequence: how often every frame is visited
+    batch: int = 4  # sequence: frames of a step, at most
     steps: int = 80  # paper: steps for each frame
     silhouette: float = 5.0  # λ1
-    prior: float = 0.5  # λ2, for one square radian
-    smooth: float = 80.0  # sequence: between neighbours' rotations, for one square radian
+    paper_prior: float = 0.5  # paper: λ2, for one square radian
+    prior: float = 0.3  # sequence: λ2, for one square metre that a joint's turn moves
+    smooth: float = 200.0  # sequence: between neighbours' turns, for one square metre
     smooth_move: float = 200.0  # sequence: between neighbours' places, for one square metre
     hold: float = 3.0  # sequence: pull of the translation to stage 1, for one square metre
-    jitter: float = 0.04  # sequence: radians between frames, times √ω: less is no motion
-    jitter_move: float = 0.02  # sequence: metres between frames: less is no motion
+    jitter: float = 0.03  # sequence: metres between frames: less is no motion of a joint
+    jitter_move: float = 0.02  # sequence: metres between frames: less is no motion of the person
+    outlier: float = 0.005  # sequence: metres beyond which a jump between frames counts less
     reach: float = 2.2  # sequence: √λ, frames over which a step spreads to both sides
-    cloth_smooth: float = 4000.0  # sequence: a of the displacement's energy, for one square metre
+    cloth_smooth: float = 1.6e-4  # sequence: a of the displacement's energy, for one (1/m)²
     cloth_small: float = 40.0  # sequence: b
     cloth_outward: float = 400.0  # sequence: c
     betas_prior: float = 0.05  # sequence: λβ, for one squared standard deviation
@@ -82,7 +86,7 @@ class RefineOptions:
     def __post_init__(self) -> None:
         if self.loss not in ("sequence", "paper"):
             raise InputError(f"refine: loss must be 'sequence' or 'paper', got {self.loss!r}")
-        for name in ("size", "passes", "batch", "steps"):
+        for name in ("size", "faces", "passes", "batch", "steps"):
             if getattr(self, name) < 1:
                 raise InputError(f"refine: {name} must be at least 1, got {getattr(self, name)}")
         if not 0 <= 2 * self.overlap < self.part or self.skim < 1:
@@ -148,7 +152,8 @@ def refine_all(
     Returns:
         What came of each, in their order and as soon as it is done.
     """
-    cases = [_Case.of(video, body, options) for video, options in tasks]
+    coarse = {faces: CoarseBody(body, faces) for faces in {o.faces for _, o in tasks}}
+    cases = [_Case.of(video, coarse[options.faces], options) for video, options in tasks]
     first = [case.skim_jobs() for case in cases]
     second = [case.part_jobs() for case in cases]
     steps_first, steps_second = (
@@ -173,7 +178,7 @@ class _Case:
     """One video on its way."""
 
     frames: int
-    body: BodyModel
+    coarse: CoarseBody
     pose: Pose  # stage 1
     shape: Shape
     options: RefineOptions
@@ -183,18 +188,18 @@ class _Case:
     seconds: float  # of preparation
 
     @staticmethod
-    def of(video: Video, body: BodyModel, options: RefineOptions) -> _Case:
+    def of(video: Video, coarse: CoarseBody, options: RefineOptions) -> _Case:
         """Look at all frames, and cut the video."""
         begin = time.perf_counter()
         with one_torch_thread():
-            targets, kept = _targets(video, body, options.size)
+            targets, kept = _targets(video, coarse.body, options.size)
         if options.loss == "sequence":
             parts = cut(len(video), options.part, options.overlap)
         else:
             parts = cut(len(video), SINGLE_FRAMES, 0)
         pose, shape = video.pose.to(torch.float32), Shape(video.shape.betas.to(torch.float32))
         seconds = time.perf_counter() - begin
-        return _Case(len(video), body, pose, shape, options, targets, kept, parts, seconds)
+        return _Case(len(video), coarse, pose, shape, options, targets, kept, parts, seconds)
 
     def skim_jobs(self) -> list[Job]:
         """The first round of a long video (:mod:`gva_mi.pose.parts`); a short one has none."""
@@ -203,7 +208,7 @@ class _Case:
         there = sorted(self.targets)
         seen = [there[i] for i in skim(len(there), self.options.skim)]
         targets = {k: self.targets[k] for k in seen}
-        return [Job(targets, self.body, self.pose, self.shape, self.options)]
+        return [Job(targets, self.coarse.body, self.pose, self.shape, self.options)]
 
     def part_jobs(self) -> list[Job]:
         """What is left to do once the first round is done."""
@@ -211,7 +216,7 @@ class _Case:
         for part in self.parts:
             targets = {k - part.start: self.targets[k] for k in part if k in self.targets}
             pose = self.pose[slice(part.start, part.stop)]
-            jobs.append(Job(targets, self.body, pose, self.shape, self.options))
+            jobs.append(Job(targets, self.coarse.body, pose, self.shape, self.options))
         return jobs
 
     def finished(self, skimmed: Sequence[Solved], found: Sequence[Solved]) -> Refined:
@@ -236,7 +241,7 @@ class _Case:
         return Refined(
             Pose.from_rotations(rotations, transl, self.pose.expression),
             Shape(betas),
-            offsets,
+            self.coarse.spread(offsets),
             losses_stage1,
             losses,
             dict(sorted(kept.items())),
@@ -248,7 +253,8 @@ class _Case:
     def _losses(self, solution: Solution) -> Tensor:
         """L_normal + λ1 L_silhouette of each frame (T,); NaN where there is no target."""
         losses = torch.full((self.frames,), torch.nan)
-        scene = BodyScene(self.body.faces, self.body.v_template)
+        body = self.coarse.body
+        scene = BodyScene(body.faces, body.v_template)
         with one_torch_thread():
             for k, target in self.targets.items():
                 one = Pose.from_rotations(
@@ -256,7 +262,7 @@ class _Case:
                     solution.transl[k : k + 1],
                     self.pose.expression[k : k + 1],
                 )
-                vertices = self.body(one, Shape(solution.betas), solution.offsets).vertices[0]
+                vertices = body(one, Shape(solution.betas), solution.offsets).vertices[0]
                 image = scene.render(vertices, target.camera)
                 silhouette = self.options.silhouette * target.silhouette_loss(image)
                 losses[k] = target.normal_loss(image) + silhouette

@@ -27,7 +27,7 @@ from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.pose.corrections import Corrections
 from gva_mi.pose.displacement import Displacement
-from gva_mi.pose.priors import joint_weights, levers
+from gva_mi.pose.priors import held_levers, levers
 from gva_mi.pose.scene import BodyScene
 from gva_mi.pose.target import Target
 from gva_mi.pose.vector_adam import VectorAdam
@@ -36,8 +36,9 @@ if TYPE_CHECKING:
     from gva_mi.pose.refine import RefineOptions
 
 FACE = slice(JOINTS.index("jaw"), JOINTS.index("right_eye_smplhf") + 1)  # neither seen nor moved
-DECAY = 0.1  # what is left of the learning rates at the end
+DECAY = 0.03  # what is left of the learning rates at the end
 BETAS = (0.9, 0.99)  # Adam's
+PASS = 16  # steps of a pass, at least, where there are so many frames
 
 
 @dataclass(frozen=True)
@@ -76,20 +77,23 @@ def refine_sequence(
     generator = torch.Generator().manual_seed(options.seed)
     frames = sorted(targets)
     camera = targets[frames[0]].camera
-    corrections = Corrections(pose, frames, camera, joint_weights(body.parents), options)
-    cloth = Displacement(body.rest(shape).vertices, body.faces, body.weights)
+    rest = body.rest(shape)
+    far = levers(rest, body.weights, body.parents)
+    corrections = Corrections(pose, frames, camera, held_levers(far), options)
+    cloth = Displacement(rest.vertices, body.faces, body.weights)
     betas = shape.betas.clone()[:, None].requires_grad_()  # (B, 1): each for itself
     if known is not None:  # what needs no gradient is left alone by Adam
         cloth.raw, betas = known.offsets, known.betas[:, None]
-    turn = (options.step / levers(body, shape)).clamp_max(options.largest_turn)[:, None]
+    turn = (options.step / far).clamp_max(options.largest_turn)[:, None]
     turn[FACE] = 0
     adam = VectorAdam(
         [corrections.turns, corrections.moves, cloth.raw, betas],
-        [turn, options.translation_lr, options.cloth_lr, options.betas_lr],
+        [turn[..., None] / 3**0.5, options.translation_lr, options.cloth_lr, options.betas_lr],
         BETAS,
     )
 
-    batches = -(-len(frames) // options.batch)
+    # A video of few frames takes them one by one, or its steps would be too few to arrive.
+    batches = -(-len(frames) // max(1, min(options.batch, len(frames) // PASS)))
     total = options.passes * batches
     for step in range(total):
         if step % batches == 0:

@@ -15,9 +15,11 @@ from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.pose.priors import joint_weights, levers
 from gva_mi.pose.scene import BodyScene
-from gva_mi.pose.sequence import DECAY, FACE, Solution
+from gva_mi.pose.sequence import FACE, Solution
 from gva_mi.pose.target import Target
 from gva_mi.pose.vector_adam import VectorAdam
+
+DECAY = 0.1  # what is left of the learning rates at the end
 
 if TYPE_CHECKING:
     from gva_mi.pose.refine import RefineOptions
@@ -34,7 +36,8 @@ def refine_single_frames(
 ) -> Solution:
     """Minimise Eq. 9 in every frame that has a target; arguments as in ``refine_sequence``."""
     weights = joint_weights(body.parents)[:, None]
-    reach = (options.step / levers(body, shape)).clamp_max(options.largest_turn)[:, None]
+    far = levers(body.rest(shape), body.weights, body.parents)
+    reach = (options.step / far).clamp_max(options.largest_turn)[:, None]
     rotations = pose.rotations.clone()
     total = options.steps * len(targets)
     for number, (k, target) in enumerate(sorted(targets.items())):
@@ -47,7 +50,7 @@ def refine_single_frames(
             )
             image = scene.render(body(one, shape).vertices[0], target.camera)
             loss = target.normal_loss(image) + options.silhouette * target.silhouette_loss(image)
-            loss = loss + options.prior * (weights * (theta - stage1).square()).sum()
+            loss = loss + options.paper_prior * (weights * (theta - stage1).square()).sum()
             loss.backward()
             theta.grad[FACE] = 0
             adam.step(DECAY ** (step / options.steps))

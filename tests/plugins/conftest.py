@@ -91,6 +91,12 @@ def half(part):
     return vertices, faces[vertices[faces[:, 0], 0] < 0.1]
 
 
+def mirrored(part):
+    """The mesh on the other side of x = 0: every edge of either that crosses it meets an edge."""
+    vertices, faces = part
+    return vertices * [-1, 1, 1], faces[:, ::-1]
+
+
 def fin(size=0.5, parts=8):
     """Three squares that share an edge: no manifold."""
     y = np.linspace(-size, size, parts + 1)
@@ -109,7 +115,8 @@ def fin(size=0.5, parts=8):
 
 
 # name -> list of (vertices, faces, facets): outer contour, self-occlusion, one mesh before another,
-# facets, meshes that pierce one another, an open mesh, three faces at an edge
+# facets, meshes that pierce one another, a mesh pressed against its mirror image, an open mesh,
+# three faces at an edge
 SCENES = {
     "sphere": lambda: [(*sphere(), False)],
     "torus": lambda: [(*torus(), False)],
@@ -122,6 +129,10 @@ SCENES = {
         (*torus(), False),
         (*sphere(radius=0.3, center=(0.35, 0.1, 0.15)), False),
     ],
+    "mirrored": lambda: [
+        (*sphere(radius=0.4, center=(0.3, 0.1, 0.0)), False),
+        (*mirrored(sphere(radius=0.4, center=(0.3, 0.1, 0.0))), False),
+    ],
     "open": lambda: [(*half(torus()), False)],
     "fin": lambda: [(*fin(), True)],
 }
@@ -129,7 +140,7 @@ SCENES = {
 
 def moving(name):
     """The parts of a scene, each with a motion of its own: moved, turned, sheared."""
-    from gva_mi_plugins.differences import MovingMesh
+    from gva_mi_plugins.moving_mesh import MovingMesh
 
     ways = [([1.0, 0.5, 0.6], 0.7, 0.6), ([-0.6, 0.7, -0.5], 0.3, -0.5)]
     parts = []

@@ -25,6 +25,9 @@ class Clip:
     camera: Camera
     absent: dict = field(default_factory=dict)
 
+    def true_mask(self, index):
+        return self.pictures[index][0]
+
     def __len__(self):
         return len(self.pictures)
 

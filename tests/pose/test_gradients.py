@@ -19,4 +19,4 @@ def test_gradients_by_the_pose_are_right():
     rows = list(check_gradients(GradientOptions()))
     assert len(rows) == len(CASES)
     assert all(row.passed for row in rows), table(rows)
-    assert sum(row.mask is not None for row in rows) >= 12
+    assert sum(row.mask is None for row in rows) == 1  # a finger before the body

@@ -9,7 +9,7 @@ import torch
 from gva_mi.pose import RefineOptions, refine
 from gva_mi.pose.measure import measure
 
-SEQUENCE = RefineOptions(size=96, passes=12, batch=1)
+SEQUENCE = RefineOptions(size=96)
 PAPER = RefineOptions(loss="paper", size=96, steps=14)
 
 

@@ -24,9 +24,9 @@ def test_nobody_is_both_tuned_on_and_judged():
 def test_changes_are_relative_to_stage_1():
     errors = lambda value: Errors(*[torch.full((4,), value)] * 6)
     iou = torch.ones(4)
-    row = Row(HELD_OUT[0], 1.0, Measured(errors(80.0), errors(20.0), iou, iou, iou, 1.0))
+    row = Row(HELD_OUT[0], 1.0, Measured(errors(80.0), errors(20.0), iou, iou, iou, iou, 1.0))
     assert row.change == dict.fromkeys(PARTS, -0.75)
-    exact = Row(HELD_OUT[0], 0.0, Measured(errors(0.0), errors(1.0), iou, iou, iou, 1.0))
+    exact = Row(HELD_OUT[0], 0.0, Measured(errors(0.0), errors(1.0), iou, iou, iou, iou, 1.0))
     assert all(math.isnan(change) for change in exact.change.values())
 
 

@@ -1,0 +1,160 @@
+"""Poses fitted to pictures of a known avatar: what is known of them comes back."""
+
+from dataclasses import replace
+
+import drjit as dr
+import pytest
+import torch
+
+from gva_mi.body.pose import JOINTS, Pose
+from gva_mi.errors import InputError
+from gva_mi.fit.evaluate import evaluate
+from gva_mi.fit.perceptual import Weights
+from gva_mi.fit.photometric import PhotometricOptions, fit_poses
+
+ELBOW = JOINTS.index("left_elbow")
+OPTIONS = PhotometricOptions(passes=12, prior=0.0, hold=0.0, step=0.015, translation_lr=0.015)
+SHORT = replace(OPTIONS, passes=2)
+SHIFT = torch.tensor([0.04, -0.03, 0.0])
+
+
+def off(pose, frames, turn=0.0):
+    """The pose with a shift and a bent elbow in some frames."""
+    rotations, transl = pose.rotations.clone(), pose.transl.clone()
+    transl[frames] += SHIFT
+    rotations[frames, ELBOW, 1] += turn
+    return Pose.from_rotations(rotations, transl, pose.expression)
+
+
+def same(a, b, frames=slice(None)):
+    rotations = torch.equal(a.rotations[frames], b.rotations[frames])
+    return rotations and torch.equal(a.transl[frames], b.transl[frames])
+
+
+@pytest.fixture(scope="module")
+def wrong(video):
+    """The video under poses that are off in every frame."""
+    return replace(video, pose=off(video.pose, slice(None), turn=0.3))
+
+
+@pytest.fixture(scope="module")
+def fitted(known, wrong):
+    return fit_poses(known, wrong, OPTIONS)
+
+
+def test_a_known_error_is_found(fitted, known, wrong, video, camera):
+    """On the picture: what one camera does not see, such as depth, need not come back."""
+    pixels = lambda pose: torch.from_numpy(camera.project(known(pose).means.double().numpy()))
+    for k in range(len(video)):
+        with torch.no_grad():
+            true, before, after = (pixels(p[k]) for p in (video.pose, wrong.pose, fitted.pose))
+        assert (after - true).norm(dim=1).mean() < 0.4 * (before - true).norm(dim=1).mean()
+    assert (fitted.losses < 0.5 * fitted.losses_before).all() and not fitted.kept
+
+
+def test_the_same_options_give_the_same_bits_on_any_number_of_threads(known, wrong):
+    first = fit_poses(known, wrong, SHORT).pose
+    of_torch, of_drjit = torch.get_num_threads(), dr.thread_count()
+    try:
+        for count in (1, 2):
+            torch.set_num_threads(count)
+            dr.set_thread_count(count)
+            assert same(fit_poses(known, wrong, SHORT).pose, first)
+    finally:
+        torch.set_num_threads(of_torch)
+        dr.set_thread_count(of_drjit)
+
+
+def test_another_seed_visits_the_frames_in_another_order(known, wrong):
+    one, other = (fit_poses(known, wrong, replace(SHORT, seed=k)).pose for k in (0, 1))
+    assert not same(one, other)
+
+
+def test_the_avatar_rests(known, wrong):
+    before = {name: value.clone() for name, value in known.state_dict().items()}
+    fit_poses(known, wrong, SHORT)
+    assert all(torch.equal(before[k], v) for k, v in known.state_dict().items())
+    assert all(p.requires_grad and p.grad is None for p in known.parameters())
+
+
+def test_only_the_frames_that_were_asked_for_are_looked_at(known, wrong, monkeypatch):
+    looked = []
+    read = type(wrong).__getitem__
+    monkeypatch.setattr(
+        type(wrong), "__getitem__", lambda self, k: looked.append(k) or read(self, k)
+    )
+    found = fit_poses(known, wrong, SHORT, frames=[3, 1])
+    assert set(looked) == {1, 3}
+    assert same(found.pose, wrong.pose, [0, 2, 4, 5])
+    assert (found.pose.transl != wrong.pose.transl).any(1).tolist() == [
+        k in (1, 3) for k in range(6)
+    ]
+    assert found.losses.isfinite().tolist() == [k in (1, 3) for k in range(6)]
+
+
+def test_a_pose_that_is_right_stays(known, video):
+    found = fit_poses(known, video, PhotometricOptions(passes=3))
+    assert (found.pose.transl - video.pose.transl).abs().max() < 2e-3
+    assert (found.losses <= found.losses_before).all()
+
+
+def test_a_strong_prior_holds_the_poses_where_they_were(known, wrong):
+    free, held = (
+        fit_poses(known, wrong, replace(OPTIONS, passes=5, prior=p, hold=p)).pose for p in (0, 1e4)
+    )
+    moved = lambda pose: (pose.transl - wrong.pose.transl).norm(dim=1).mean()
+    assert moved(held) < 0.3 * moved(free)
+
+
+def test_frames_that_say_nothing_keep_their_pose_and_are_listed(known, wrong):
+    pose = wrong.pose.map(torch.clone)
+    pose.transl[2] += torch.tensor([50.0, 0, 0])
+    pose.transl[4] += torch.tensor([0, 0, 50.0])
+    video = replace(wrong, pose=pose, absent={0: "it has no picture"})
+    found = fit_poses(known, video, SHORT)
+    assert {0: "it has no picture", 2: "its avatar is out of view"}.items() <= found.kept.items()
+    assert "behind the camera" in found.kept[4]
+    assert same(found.pose, pose, [0, 2, 4]) and not same(found.pose, pose, [1])
+    assert found.losses[[0, 2, 4]].isnan().all()
+
+
+def test_a_frame_whose_loss_grew_keeps_its_pose(known, video):
+    wild = replace(OPTIONS, passes=1, step=10.0, largest_turn=3.0, translation_lr=1.0)
+    found = fit_poses(known, video, wild)
+    assert set(found.kept) == set(range(len(video))) and "its loss grew" in found.kept[0]
+    assert same(found.pose, video.pose) and torch.equal(found.losses, found.losses_before)
+
+
+def test_a_long_video_is_fitted_in_parts(known, wrong):
+    seen = []
+    options = replace(SHORT, part=4, overlap=1)
+    found = fit_poses(
+        known, wrong, options, progress=lambda done, total, **_: seen.append((done, total))
+    )
+    assert seen[-1][0] == seen[-1][1] and [done for done, _ in seen] == list(
+        range(1, len(seen) + 1)
+    )
+    assert not same(found.pose, fit_poses(known, wrong, SHORT).pose)
+    assert (found.losses < found.losses_before).all()
+
+
+def test_test_frames_come_closer_to_their_pictures(known, wrong, fitted):
+    rows = [
+        evaluate(known, replace(wrong, pose=pose), splits=["test"], weights=Weights())[0]
+        for pose in (wrong.pose, fitted.pose)
+    ]
+    assert rows[1].psnr > rows[0].psnr + 3 and rows[1].ssim > rows[0].ssim
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [{"passes": 0}, {"alpha": -1.0}, {"prior": float("nan")}, {"jitter": 0}, {"overlap": 120}],
+)
+def test_bad_options_are_refused(bad):
+    with pytest.raises(InputError, match=f"track: {next(iter(bad))} must"):
+        PhotometricOptions(**bad)
+
+
+def test_a_frame_that_is_not_there_is_refused(known, video):
+    with pytest.raises(ValueError, match="frames must lie in 0 to 5, got 2, 6"):
+        fit_poses(known, video, SHORT, frames=[2, 6])

@@ -1,0 +1,105 @@
+"""``gva-mi track`` and ``evaluate --fit-poses``: poses that saw their pictures, on request."""
+
+import json
+import shutil
+
+import pytest
+import torch
+
+from gva_mi.avatar.avatar import AvatarOptions
+from gva_mi.avatar.canonical import SeedOptions
+from gva_mi.body.pose import load_poses, save_poses
+from gva_mi.data.video import load_video
+from gva_mi.fit.options import FitOptions, Schedule
+from gva_mi.fit.photometric import FITTED
+from gva_mi.fit.train import fit
+
+SHORT = ("--passes", 6, "--step", 0.01, "--translation-lr", 0.01)
+
+
+@pytest.fixture
+def person(subject, tmp_path):
+    """The subject with its truth, under poses that are off by 3 cm."""
+    folder = shutil.copytree(subject, tmp_path / "person")
+    (folder / "truth").mkdir()
+    shutil.copy(folder / "poses.npz", folder / "truth/poses.npz")
+    pose, shape = load_poses(folder / "poses.npz")
+    pose.transl[:, 0] += 0.03
+    save_poses(folder / "poses.npz", pose, shape, stage=1)
+    return folder
+
+
+@pytest.fixture
+def avatar(known, tmp_path):
+    known.save(tmp_path / "avatar.npz")
+    return tmp_path / "avatar.npz"
+
+
+def test_tracking_writes_poses_that_any_step_reads(person, avatar, cli):
+    code, out, err = cli("track", avatar, person, *SHORT)
+    assert code == 0, err
+    found, _ = load_poses(person / "poses_photometric.npz")
+    record = json.loads((person / "photometric.json").read_text())
+    errors = record["errors_mm"]
+    assert errors["stage 1"]["body"] == errors["start"]["body"] == pytest.approx(30, abs=0.1)
+    assert f"→ tracked {errors['tracked']['body']:.1f} mm" in out
+    away = (found.transl - load_poses(person / "truth/poses.npz")[0].transl)[:, 0].abs()
+    assert away.max() < 0.01  # across the picture; of depth it shows little
+    assert record["figures"]["loss"] < record["figures"]["loss_start"]
+    video = load_video(person, person / "poses_photometric.npz")
+    assert torch.equal(video.pose.transl, found.transl)
+
+
+def test_tracked_poses_are_not_replaced_without_being_asked(person, avatar, cli):
+    (person / "poses_photometric.npz").write_bytes(b"hours of work")
+    code, _, err = cli("track", avatar, person, *SHORT)
+    assert code == 2 and "--overwrite" in err and err.count("\n") == 1
+    assert (person / "poses_photometric.npz").read_bytes() == b"hours of work"
+
+
+def test_a_video_without_truth_is_tracked_too(person, avatar, cli):
+    shutil.rmtree(person / "truth")
+    (person / "masks/000002.png").unlink()
+    code, out, err = cli("track", avatar, person, *SHORT)
+    assert code == 0, err
+    assert "frame 2 keeps its pose: it has no mask" in out and " mm" not in out
+    assert json.loads((person / "photometric.json").read_text())["errors_mm"] == {}
+
+
+def test_tracking_starts_from_the_poses_trained_with_the_avatar(person, avatar, cli):
+    shutil.copy(person / "truth/poses.npz", avatar.parent / "poses.npz")
+    starts = {}
+    for name, arguments in {
+        "run": (avatar.parent,),
+        "file": (avatar,),
+        "given": (avatar.parent, "--poses", person / "poses.npz"),
+    }.items():
+        run, *rest = arguments
+        code, _, err = cli("track", run, person, "--passes", 1, "--overwrite", *rest)
+        assert code == 0, err
+        record = json.loads((person / "photometric.json").read_text())
+        starts[name] = record["errors_mm"]["start"]["body"]
+    assert starts["run"] == 0 and starts["file"] == starts["given"] > 20
+
+
+def test_test_frames_are_fitted_only_where_asked(video, body, subject, tmp_path, cli):
+    options = FitOptions(
+        steps=4,
+        window=16,
+        avatar=AvatarOptions(seed=SeedOptions(count=300)),
+        schedule=Schedule(reinit_at=()),
+    )
+    fit(video, body, options, tmp_path)
+    rows = {}
+    for arguments in ((), ("--fit-poses",)):
+        code, out, err = cli("evaluate", tmp_path, subject, *arguments)
+        assert code == 0, err
+        rows[arguments] = json.loads((tmp_path / "metrics.json").read_text())["rows"]
+        assert (
+            (FITTED in out)
+            == (f"‘{FITTED.capitalize()}’" in (tmp_path / "report.html").read_text())
+            == bool(arguments)
+        )
+    plain, (*others, last) = rows.values()
+    assert others == plain and FITTED not in {row["name"] for row in plain}
+    assert (last["name"], last["split"]) == (FITTED, "test")

@@ -14,11 +14,8 @@ from gva_mi.pose.study import HELD_OUT, TUNING, Row
 def row(case, noise, before, after):
     errors = lambda mm: Errors(*(torch.full((4,), mm * k) for k in (1.0, 2, 3, 4, 5, 6)))
     iou = lambda value: torch.full((4,), value)
-    return Row(
-        case,
-        noise,
-        Measured(errors(before), errors(after), iou(0.7), iou(0.8), iou(0.75), iou(0.82), 1.0),
-    )
+    ious = iou(0.7), iou(0.8), iou(0.75), iou(0.82)
+    return Row(case, noise, Measured(errors(before), errors(after), *ious, 1.0))
 
 
 @pytest.fixture
@@ -43,8 +40,8 @@ def test_the_table_says_what_was_measured(done, tmp_path, cli):
     name = f"{HELD_OUT[0].name}, noise 1".split()
     assert first[: len(name)] == name
     assert first[len(name) : len(name) + 6] == ["80", "→", "20", "160", "→", "40"]
-    assert first[-5:] == ["+0.050", "0", "%", "0", "%"]
-    assert second[-5:] == ["+0.050", "100", "%", "100", "%"]
+    assert first[-7:] == ["+0.050", "0.820", "0", "%", "0", "%", "1.00"]
+    assert second[-7:] == ["+0.050", "0.820", "100", "%", "100", "%", "1.00"]
     assert mean[2:4] == ["-25", "%"]  # of -75 % and +25 %
     record = json.loads((tmp_path / "new/refine.json").read_text())
     assert record["rows"][1]["change"]["feet"] == pytest.approx(0.25)

@@ -71,6 +71,7 @@ class Measured:
             (getattr(self.refined, part) > getattr(self.stage1, part)).float().mean()
         )
         known = self.refined is not None
+        clean = self.iou_true_masks if known else torch.tensor(torch.nan)
         return PoseErrors(
             **lengths,
             frames_worse=grew("body") if known else None,
@@ -78,7 +79,7 @@ class Measured:
             iou_stage1=float(self.iou_stage1.nanmean()),
             iou=float(self.iou.nanmean()),
             iou_truth=float(self.iou_truth.nanmean()) if known else None,
-            iou_true_masks=float(self.iou_true_masks.nanmean()) if known else None,
+            iou_true_masks=None if clean.isnan().all() else float(clean.nanmean()),
             seconds_per_frame=self.seconds_per_frame,
         )
 

@@ -44,7 +44,7 @@ def doctor() -> None:
 def _run(arguments: list[str]) -> None:
     import tyro
 
-    from gva_mi import checks, pipeline, studies
+    from gva_mi import checks, pipeline, studies, tracking
     from gva_mi.data.synthetic.show_body import body
 
     steps = {
@@ -53,7 +53,7 @@ def _run(arguments: list[str]) -> None:
         "refine": pipeline.refine,
         "fit": pipeline.fit,
         "evaluate": pipeline.evaluate,
-        "track": pipeline.track,
+        "track": tracking.track,
         "render": pipeline.render,
         "study": studies.study,
         "body": body,

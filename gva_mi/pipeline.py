@@ -24,7 +24,7 @@ from torch import Tensor
 from tyro.conf import Positional, arg
 
 from gva_mi.avatar.avatar import Avatar
-from gva_mi.body.pose import Pose, Shape, load_offsets, load_poses, save_poses
+from gva_mi.body.pose import load_offsets, load_poses
 from gva_mi.body.smplx import BodyModel, load_body
 from gva_mi.console import bar, say
 from gva_mi.data.fingerprint import require_same_body
@@ -47,7 +47,6 @@ from gva_mi.pose.ablation import ablate
 from gva_mi.pose.measure import Measured, measure_frames
 from gva_mi.pose.parallel import cluster as _cluster
 from gva_mi.pose.parallel import workers as _workers
-from gva_mi.pose.per_frame import errors as pose_errors
 from gva_mi.pose.record import OVERLAYS, REFINED, REFINEMENT, write_record
 from gva_mi.pose.refine import RefineOptions, refine_all
 from gva_mi.pose.report import write_report as write_refinement_report
@@ -56,10 +55,8 @@ T = TypeVar("T")
 Flat = Annotated[T, arg(name="")]  # options without a prefix on the command line
 
 POSES, REFINEMENT_REPORT = "poses.npz", "refinement.html"
-PHOTOMETRIC, TRACKING = "poses_photometric.npz", "photometric.json"  # what `track` writes
 METRICS, REPORT, OVERVIEW = "metrics.json", "report.html", "overview.png"
 SUBJECT = "subject"  # where the demo's subject lies within the demo's folder
-PARTS = {"vertices": "body", "hands": "hands", "feet": "feet", "aligned": "body_aligned"}
 DEMO, RENDERED, SYNTH = "demo.json", "render.json", "synth.json"  # mark the folders as ours
 REFINEMENT_FIGURES = (  # of metrics.json
     "vertex_mm_stage1", "vertex_mm", "hand_vertex_mm_stage1", "hand_vertex_mm",
@@ -182,7 +179,7 @@ def fit(
     """
     model = load_body(body)
     require_same_body(subject, model)
-    poses = poses or _best_poses(subject)
+    poses = poses or best_poses(subject)
     video = load_video(subject, poses)
     for frame, reason in video.absent.items():
         say(f"{subject}: frame {frame} is left out: {reason}")
@@ -209,79 +206,12 @@ def evaluate(
             these very frames.
     """
     avatar = Avatar.load(run / checkpoint.AVATAR)
-    video = load_video(subject, poses or _best_poses(subject))
+    video = load_video(subject, poses or best_poses(subject))
     metrics = _measure(avatar, video, run, name="full", fitted=fit_poses)
     _write_report(avatar, _under_trained_poses(video, run), run, metrics, subject.name)
     for line in _lines(metrics):
         say(line)
     say(f"report: {run / REPORT}")
-
-
-def track(
-    run: Positional[Path],
-    subject: Positional[Path],
-    options: Flat[PhotometricOptions] = PhotometricOptions(),  # noqa: B008 (frozen)
-    *,
-    poses: Path | None = None,
-    body: Path | None = None,
-    overwrite: bool = False,
-) -> None:
-    """Fit the poses of a video to its pictures, seen through an avatar of the person.
-
-    Writes poses_photometric.npz and photometric.json into the subject's folder. They have seen the
-    test frames: no other step takes them but by its --poses.
-
-    Args:
-        run: the folder of a finished fit, or an avatar.npz, of this video or of another one of the
-            same person.
-        subject: a folder with video, masks, cameras and poses.
-        options: of the fit.
-        poses: where it starts; without it the poses trained with the avatar, if ``run`` is a folder
-            that has some; else the refined ones, else those of stage 1.
-        body: a body in SMPL-X's .npz format; without it the built-in puppet.
-        overwrite: replace poses that are there.
-    """
-    if (subject / PHOTOMETRIC).exists() and not overwrite:
-        raise InputError(f"{subject / PHOTOMETRIC}: exists already; give --overwrite to replace it")
-    avatar = Avatar.load(run / checkpoint.AVATAR if run.is_dir() else run)
-    model = load_body(body)
-    require_same_body(subject, model)
-    trained = run / checkpoint.POSES
-    refined = poses or _best_poses(subject)
-    start = trained if poses is None and trained.exists() else refined
-    video = load_video(subject, start)
-    with bar("track") as progress:
-        found = fit_to_pictures(avatar, video, options, progress=progress)
-    for frame, reason in found.kept.items():
-        say(f"{subject}: frame {frame} keeps its pose: {reason}")
-    figures = {
-        "loss_start": float(found.losses_before.nanmean()),
-        "loss": float(found.losses.nanmean()),
-        "seconds_per_frame": found.seconds_per_frame,
-    }
-    stages = {
-        "stage 1": load_poses(subject / POSES),
-        "start": (video.pose, video.shape),
-        "tracked": (found.pose, video.shape),
-    }
-    errors = _errors(video, model, stages)
-    record = {
-        "figures": figures,
-        "errors_mm": errors,
-        "kept": found.kept,
-        "start": str(start),
-        "avatar": str(run),
-        "options": asdict(options),
-        "versions": checkpoint.versions(),
-    }
-    write_json(subject / TRACKING, record)
-    offsets = load_offsets(refined, len(model.v_template))
-    save_poses(subject / PHOTOMETRIC, found.pose, video.shape, stage=2, offsets=offsets)
-    for name, part in PARTS.items() if errors else ():
-        lengths = (f"{stage} {of_stage[part]:.1f}" for stage, of_stage in errors.items())
-        say(f"{name:<11} {' → '.join(lengths)} mm")
-    say(f"loss        {figures['loss_start']:.4f} → {figures['loss']:.4f}")
-    say(f"poses: {subject / PHOTOMETRIC}")
 
 
 def render(
@@ -352,7 +282,7 @@ def demo(
         make_subject(subject, synth_options, model, progress)
     if not options.no_refine:
         list(_refine([load_video(subject)], model, RefineOptions(seed=options.seed)))
-    poses = _best_poses(subject)
+    poses = best_poses(subject)
     video = load_video(subject, poses)
     offsets = load_offsets(poses, len(model.v_template))
     avatar = _fit(video, model, fit_options, out, offsets, resume=False)
@@ -398,20 +328,6 @@ def _refine(
                     ablation=ablation,
                 )
             yield video, measured
-
-
-def _errors(
-    video: Video, model: BodyModel, stages: dict[str, tuple[Pose, Shape]]
-) -> dict[str, dict[str, float]]:
-    """Mean distances to the truth by stage and part of the body, mm; empty without a truth."""
-    if video.truth is None:
-        return {}
-    truth = load_poses(video.truth / POSES)
-    found = {stage: asdict(pose_errors(model, poses, truth)) for stage, poses in stages.items()}
-    return {
-        stage: {part: float(of_frames.mean()) for part, of_frames in parts.items()}
-        for stage, parts in found.items()
-    }
 
 
 def _fit(
@@ -495,7 +411,8 @@ def _under_trained_poses(video: Video, run: Path) -> Video:
     return replace(video, pose=load_poses(poses)[0]) if poses.exists() else video
 
 
-def _best_poses(subject: Path) -> Path:
+def best_poses(subject: Path) -> Path:
+    """The refined poses of a subject; where it has none, those of stage 1, which is said."""
     refined = subject / REFINED
     if refined.exists():
         return refined

@@ -36,6 +36,7 @@ FLOORS = [
     ("gva_mi.console", 5),
     ("gva_mi.pipeline", 5),
     ("gva_mi.studies", 5),
+    ("gva_mi.tracking", 5),
     ("gva_mi.doctor", 5),
     ("gva_mi.__main__", 5),
     ("gva_mi.viewer", 5),

@@ -19,9 +19,8 @@ with ``|·|`` a mean over the image. Where the picture is cut out by its mask in
 outlines follow the mask's errors, and poses with them: the loss falls, and the avatar comes no
 closer to the person. Eq. 1 leaves to the mask no more than where an avatar should be.
 
-Pictures keep their resolution. A Gaussian is widened by a part of a pixel (``SplatOptions.blur``),
-so that in a smaller picture the avatar has another outline than the one it learned, and poses would
-make up for it in depth.
+Pictures keep their resolution. In a smaller one the avatar has another outline than in those that
+it learned from, and poses make up for it in depth.
 """
 
 from __future__ import annotations

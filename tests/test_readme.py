@@ -15,6 +15,7 @@ SMALLER = {
     "synth": "--size 64 --frames 6 --novel-poses 2 --novel-views 1",
     "refine": "--passes 2 --size 64",
     "fit": "--steps 20",
+    "track": "--passes 1",
 }
 
 

@@ -27,21 +27,20 @@ import torch
 from torch import Tensor
 
 from gva_mi.avatar.avatar import Avatar
-from gva_mi.body.pose import JOINTS, Pose
+from gva_mi.body.pose import Pose
 from gva_mi.body.smplx import Rest
 from gva_mi.data.video import Video
 from gva_mi.errors import InputError
 from gva_mi.fit.sight import Hidden, PictureWeights, Sight
 from gva_mi.pose.corrections import Corrections
 from gva_mi.pose.parts import cut, join
-from gva_mi.pose.priors import held_levers, levers
+from gva_mi.pose.priors import FACE, held_levers, levers
 from gva_mi.pose.vector_adam import VectorAdam
 from gva_mi.threads import one_torch_thread
 
 Progress = Callable[..., None]
 
 FITTED = "poses fitted to the pictures"  # the name of the row of figures under such poses
-FACE = slice(JOINTS.index("jaw"), JOINTS.index("right_eye_smplhf") + 1)  # too small to be seen
 DECAY = 0.1  # what is left of the learning rates at the end
 BETAS = (0.9, 0.99)  # Adam's
 

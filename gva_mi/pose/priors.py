@@ -15,9 +15,10 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from gva_mi.body.pose import LEFT_HAND, RIGHT_HAND
+from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND
 from gva_mi.body.smplx import Rest
 
+FACE = slice(JOINTS.index("jaw"), JOINTS.index("right_eye_smplhf") + 1)  # neither seen nor moved
 LEAST, FINGERS = 0.2, 0.35  # metres, of levers that hold
 
 

@@ -23,11 +23,11 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from gva_mi.body.pose import JOINTS, Pose, Shape
+from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.pose.corrections import Corrections
 from gva_mi.pose.displacement import Displacement
-from gva_mi.pose.priors import held_levers, levers
+from gva_mi.pose.priors import FACE, held_levers, levers
 from gva_mi.pose.scene import BodyScene
 from gva_mi.pose.target import Target
 from gva_mi.pose.vector_adam import VectorAdam
@@ -35,10 +35,9 @@ from gva_mi.pose.vector_adam import VectorAdam
 if TYPE_CHECKING:
     from gva_mi.pose.refine import RefineOptions
 
-FACE = slice(JOINTS.index("jaw"), JOINTS.index("right_eye_smplhf") + 1)  # neither seen nor moved
 DECAY = 0.03  # what is left of the learning rates at the end
 BETAS = (0.9, 0.99)  # Adam's
-PASS = 16  # steps of a pass, at least, where there are so many frames
+STEPS_A_PASS = 16  # at least, where there are so many frames
 
 
 @dataclass(frozen=True)
@@ -86,6 +85,7 @@ def refine_sequence(
         cloth.raw, betas = known.offsets, known.betas[:, None]
     turn = (options.step / far).clamp_max(options.largest_turn)[:, None]
     turn[FACE] = 0
+    # A turn's three axes have steps of their own, which together are as long as one.
     adam = VectorAdam(
         [corrections.turns, corrections.moves, cloth.raw, betas],
         [turn[..., None] / 3**0.5, options.translation_lr, options.cloth_lr, options.betas_lr],
@@ -93,7 +93,7 @@ def refine_sequence(
     )
 
     # A video of few frames takes them one by one, or its steps would be too few to arrive.
-    batches = -(-len(frames) // max(1, min(options.batch, len(frames) // PASS)))
+    batches = -(-len(frames) // max(1, min(options.batch, len(frames) // STEPS_A_PASS)))
     total = options.passes * batches
     for step in range(total):
         if step % batches == 0:

@@ -13,9 +13,9 @@ import torch
 
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
-from gva_mi.pose.priors import joint_weights, levers
+from gva_mi.pose.priors import FACE, joint_weights, levers
 from gva_mi.pose.scene import BodyScene
-from gva_mi.pose.sequence import FACE, Solution
+from gva_mi.pose.sequence import Solution
 from gva_mi.pose.target import Target
 from gva_mi.pose.vector_adam import VectorAdam
 

@@ -47,6 +47,7 @@ from gva_mi.threads import one_torch_thread
 
 Progress = Callable[..., None]
 SINGLE_FRAMES = 16  # refined by one job where each is refined for itself
+FEWEST_FACES = 500  # a body of fewer has no hands left
 
 
 @dataclass(frozen=True)
@@ -86,9 +87,14 @@ class RefineOptions:
     def __post_init__(self) -> None:
         if self.loss not in ("sequence", "paper"):
             raise InputError(f"refine: loss must be 'sequence' or 'paper', got {self.loss!r}")
-        for name in ("size", "faces", "passes", "batch", "steps"):
-            if getattr(self, name) < 1:
-                raise InputError(f"refine: {name} must be at least 1, got {getattr(self, name)}")
+        least = {"size": 1, "faces": FEWEST_FACES, "passes": 1, "batch": 1, "steps": 1}
+        for name, smallest in least.items():
+            found = getattr(self, name)
+            if found < smallest:
+                raise InputError(f"refine: {name} must be at least {smallest}, got {found}")
+        for name in ("jitter", "jitter_move", "outlier"):
+            if not getattr(self, name) > 0:
+                raise InputError(f"refine: {name} must be above 0, got {getattr(self, name)}")
         if not 0 <= 2 * self.overlap < self.part or self.skim < 1:
             raise InputError(
                 "refine: overlap must be less than half a part, and skim at least 1; "

@@ -110,3 +110,8 @@ def test_wrong_options_are_refused():
         RefineOptions(loss="icon")
     with pytest.raises(ValueError, match="passes must be at least 1"):
         RefineOptions(passes=0)
+    with pytest.raises(ValueError, match="faces must be at least 500"):
+        RefineOptions(faces=4)
+    for name in ("jitter", "jitter_move", "outlier"):
+        with pytest.raises(ValueError, match=f"{name} must be above 0"):
+            RefineOptions(**{name: 0.0})

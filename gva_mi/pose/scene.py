@@ -100,7 +100,7 @@ class BodyScene:
             integrator = {
                 "type": "mesh_normals",
                 "pixel_aspect": camera.fy / camera.fx,
-                # Where a body is pressed into itself is searched for at a third of a step's cost,
+                # Where a body is pressed into itself is searched for at a fifth of a step's cost,
                 # and there is little of it.
                 "piercing": False,
             }

@@ -58,7 +58,8 @@ def test_the_face_stays(sequence, clip):
 @pytest.mark.slow
 def test_without_normals_the_silhouette_serves(clip, body, true_pose):
     blind = replace(clip, pictures=[(mask, None) for mask, _ in clip.pictures])
-    # Arms sink by 6 cm a frame, which an outline alone does not tell from jitter at once.
+    # Arms sink by 6 cm a frame. The default jitter takes part of that for rest, and here, with an
+    # outline of 96 pixels to say otherwise, leaves 0.56 of the error.
     refined = refine(blind, body, replace(SEQUENCE, jitter=0.02))
     assert refined.without_normals == [0, 1, 2]
     errors = measure(blind, body, refined, (true_pose, clip.shape))

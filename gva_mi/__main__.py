@@ -32,7 +32,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 def doctor() -> None:
     """Say what this machine has, and what is missing for what."""
-    from gva_mi.doctor import examine
+    from gva_mi.commands.doctor import examine
 
     findings = []
     for finding in examine():
@@ -44,8 +44,10 @@ def doctor() -> None:
 def _run(arguments: list[str]) -> None:
     import tyro
 
-    from gva_mi import checks, pipeline, studies, tracking
-    from gva_mi.data.synthetic.show_body import body
+    from gva_mi.commands import checks, pipeline
+    from gva_mi.commands import study as studies
+    from gva_mi.commands import track as tracking
+    from gva_mi.commands.body import body
 
     steps = {
         "demo": pipeline.demo,

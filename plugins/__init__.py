@@ -36,9 +36,9 @@ def register() -> None:
             "gva_mi_plugins.register(): needs a differentiable variant, and mi.variant() is "
             f'{variant}; call mi.set_variant("llvm_ad_rgb") first'
         )
-    from gva_mi_plugins.gaussian_splat import GaussianSplat
-    from gva_mi_plugins.mesh_normals import MeshNormals
-    from gva_mi_plugins.mesh_normals_projective import MeshNormalsProjective
+    from gva_mi_plugins.gaussian_splat.integrator import GaussianSplat
+    from gva_mi_plugins.mesh_normals.integrator import MeshNormals
+    from gva_mi_plugins.mesh_normals.projective import MeshNormalsProjective
 
     mi.register_integrator("gaussian_splat", GaussianSplat)
     mi.register_integrator("mesh_normals", MeshNormals)

@@ -25,7 +25,7 @@ from torch import Tensor, nn
 
 from gva_mi.body.skinning import nearest_weights
 from gva_mi.errors import InputError
-from gva_mi.splat.sh import C0
+from gva_mi.splat.kernels.sh import C0
 
 PARAMETERS = ("means", "quats", "log_scales", "logit_opacities", "sh")
 NEAREST_JOINTS = 4  # P of Eq. 5

@@ -18,7 +18,7 @@ import torch
 from gva_mi.errors import InputError
 from gva_mi.files import replacing
 from gva_mi.splat.gaussians import Gaussians
-from gva_mi.splat.sh import C0
+from gva_mi.splat.kernels.sh import C0
 
 _GEOMETRY = ["opacity", *(f"scale_{i}" for i in range(3)), *(f"rot_{i}" for i in range(4))]
 _CERTAIN = 1e-7  # opacities are kept this far from 0 and 1, whose logits are infinite

@@ -5,7 +5,7 @@ person's clothes and colours. All frames together descend on
 
     L = mean_k L_k(R_k exp(δ_k), t_k + τ_k) + E(δ, τ)
 
-where ``L_k`` tells frame ``k`` from the avatar laid over it (:mod:`gva_mi.fit.sight`), and ``E``
+where ``L_k`` tells frame ``k`` from the avatar laid over it (:mod:`gva_mi.fit.picture_evidence`), and ``E``
 holds the turns δ of all joints and the shifts τ to zero, and smooth in time
 (:mod:`gva_mi.pose.corrections`, with the poses it starts from in the place of stage 1).
 
@@ -13,7 +13,7 @@ The poses to start from are those the avatar was trained under, or others of the
 avatar made from one video tracks its person through another. Poses found so have seen their
 pictures. Figures of test frames under them stand in a row of their own, where they are asked for.
 
-A long video is cut into overlapping parts (:mod:`gva_mi.pose.parts`); what is looked for, no frame
+A long video is cut into overlapping parts (:mod:`gva_mi.pose.clips`); what is looked for, no frame
 shares with those far away.
 """
 
@@ -31,9 +31,9 @@ from gva_mi.body.pose import Pose
 from gva_mi.body.smplx import Rest
 from gva_mi.data.video import Video
 from gva_mi.errors import InputError
-from gva_mi.fit.sight import Hidden, PictureWeights, Sight
+from gva_mi.fit.picture_evidence import Hidden, PictureWeights, Sight
+from gva_mi.pose.clips import cut, join
 from gva_mi.pose.corrections import Corrections
-from gva_mi.pose.parts import cut, join
 from gva_mi.pose.priors import FACE, held_levers, levers
 from gva_mi.pose.vector_adam import VectorAdam
 from gva_mi.threads import one_torch_thread

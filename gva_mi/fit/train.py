@@ -34,7 +34,7 @@ from gva_mi.fit.losses import Distance, render_losses
 from gva_mi.fit.options import FitOptions, Rates
 from gva_mi.fit.perceptual import rand_vgg_loss, vgg16_loss
 from gva_mi.fit.poses import TrainedPoses
-from gva_mi.fit.targets import Draw, Target, Targets, torch_state
+from gva_mi.fit.samples import Draw, Target, Targets, torch_state
 from gva_mi.splat.torch_op import Screen, render
 from gva_mi.threads import one_torch_thread
 

@@ -26,10 +26,10 @@ import torch
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.errors import InputError
-from gva_mi.pose.scene import BodyScene
+from gva_mi.mesh.mesh_scene import BodyScene
+from gva_mi.pose.evidence import Target
 from gva_mi.pose.sequence import Solution, refine_sequence
 from gva_mi.pose.single_frame import refine_single_frames
-from gva_mi.pose.target import Target
 from gva_mi.threads import one_torch_thread
 
 if TYPE_CHECKING:

@@ -3,7 +3,7 @@
     L_pose = |N - N_pred| + λ1 |S - S_pred| + λ2 Σ_i ω_i |θ_i - θ_i^stage1|²
 
 with the normals ``N`` and the silhouette ``S`` of the posed body, rendered by
-:mod:`gva_mi.pose.scene`.
+:mod:`gva_mi.mesh.mesh_scene`.
 
 Two ways:
 
@@ -17,7 +17,7 @@ Two ways:
 Frames of all splits are refined alike, from their own masks and normals. Frames without normals are
 fitted to their silhouettes alone.
 
-Single frames, parts of long videos (:mod:`gva_mi.pose.parts`) and the videos of several subjects
+Single frames, parts of long videos (:mod:`gva_mi.pose.clips`) and the videos of several subjects
 are independent of each other, and may be refined at the same time (:mod:`gva_mi.pose.parallel`).
 How the work is cut does not depend on who does it, so that any number of workers finds the same.
 """
@@ -37,12 +37,12 @@ from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.video import Video
 from gva_mi.errors import InputError
-from gva_mi.pose.coarse import CoarseBody
+from gva_mi.mesh.mesh_scene import BodyScene
+from gva_mi.pose.clips import cut, join, skim
+from gva_mi.pose.coarse_body import CoarseBody
+from gva_mi.pose.evidence import CannotRefine, Target
 from gva_mi.pose.parallel import Job, Solved, run
-from gva_mi.pose.parts import cut, join, skim
-from gva_mi.pose.scene import BodyScene
 from gva_mi.pose.sequence import Solution
-from gva_mi.pose.target import CannotRefine, Target
 from gva_mi.threads import one_torch_thread
 
 Progress = Callable[..., None]
@@ -52,7 +52,7 @@ FEWEST_FACES = 500  # a body of fewer has no hands left
 
 @dataclass(frozen=True)
 class RefineOptions:
-    """How poses are refined. Losses are divided by the person's area: see gva_mi.pose.target."""
+    """How poses are refined. Losses are divided by the person's area: see gva_mi.pose.evidence."""
 
     loss: Literal["sequence", "paper"] = "sequence"  # all frames together, or Eq. 9 frame by frame
     size: int = 256  # pixels of the longer side of the pictures that are compared
@@ -208,7 +208,7 @@ class _Case:
         return _Case(len(video), coarse, pose, shape, options, targets, kept, parts, seconds)
 
     def skim_jobs(self) -> list[Job]:
-        """The first round of a long video (:mod:`gva_mi.pose.parts`); a short one has none."""
+        """The first round of a long video (:mod:`gva_mi.pose.clips`); a short one has none."""
         if len(self.parts) == 1 or self.options.loss != "sequence":
             return []
         there = sorted(self.targets)

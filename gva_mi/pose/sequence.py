@@ -25,11 +25,11 @@ from torch import Tensor
 
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
+from gva_mi.mesh.mesh_scene import BodyScene
 from gva_mi.pose.corrections import Corrections
 from gva_mi.pose.displacement import Displacement
+from gva_mi.pose.evidence import Target
 from gva_mi.pose.priors import FACE, held_levers, levers
-from gva_mi.pose.scene import BodyScene
-from gva_mi.pose.target import Target
 from gva_mi.pose.vector_adam import VectorAdam
 
 if TYPE_CHECKING:

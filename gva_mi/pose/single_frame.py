@@ -13,10 +13,10 @@ import torch
 
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
+from gva_mi.mesh.mesh_scene import BodyScene
+from gva_mi.pose.evidence import Target
 from gva_mi.pose.priors import FACE, joint_weights, levers
-from gva_mi.pose.scene import BodyScene
 from gva_mi.pose.sequence import Solution
-from gva_mi.pose.target import Target
 from gva_mi.pose.vector_adam import VectorAdam
 
 DECAY = 0.1  # what is left of the learning rates at the end

@@ -5,8 +5,8 @@ ellipse.py (a Gaussian's shape there), project.py (both, for all Gaussians), til
 which tile), pixels.py and blend.py (compositing), pipeline.py (one after the other; chunks.py for
 wide colours, frozen.py so that each is traced once).
 
-``render`` comes twice: :mod:`gva_mi.splat.render` for Dr.Jit arrays, :mod:`gva_mi.splat.torch_op`
-for torch tensors. :mod:`gva_mi.splat.rasterization` has gsplat's signature.
+``render`` comes twice: :mod:`gva_mi.splat.drjit_op` for Dr.Jit arrays, :mod:`gva_mi.splat.torch_op`
+for torch tensors. :mod:`gva_mi.splat.gsplat_compat` has gsplat's signature.
 
 The proofs stand apart: reference.py is the slow twin, gradcheck/ compares the kernels with it and
 with other answers, bench/ times them, and scene.py makes what they are tried on.

@@ -27,17 +27,17 @@ from torch.autograd.function import FunctionCtx, once_differentiable
 
 from gva_mi.splat.camera import Camera
 from gva_mi.splat.gaussians import Gaussians, Image
-from gva_mi.splat.options import SplatOptions
-from gva_mi.splat.pipeline import (
+from gva_mi.splat.kernels.passes import (
     Projected,
     Saved,
     render_adjoint,
     render_forward,
     render_tangent,
 )
-from gva_mi.splat.pixels import Planes
-from gva_mi.splat.project import GEOMETRY, Inputs
-from gva_mi.splat.tiles import FOOTPRINT
+from gva_mi.splat.kernels.pixels import Planes
+from gva_mi.splat.kernels.project import GEOMETRY, Inputs
+from gva_mi.splat.kernels.tiles import FOOTPRINT
+from gva_mi.splat.options import SplatOptions
 
 ALIGNMENT = 64  # bytes; torch's own memory has it
 _PRECISION = {torch.float32: Float, torch.float64: Float64}

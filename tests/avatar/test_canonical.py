@@ -16,7 +16,7 @@ from gva_mi.avatar.canonical import (
     spread_over_faces,
     vertex_normals,
 )
-from gva_mi.splat.sh import C0
+from gva_mi.splat.kernels.sh import C0
 
 
 def seed(body, **options):

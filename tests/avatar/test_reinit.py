@@ -14,7 +14,7 @@ from gva_mi.avatar.canonical import CanonicalGaussians
 from gva_mi.avatar.densify import replace_gaussians
 from gva_mi.avatar.reinit import ReinitOptions, Surface, reinitialise, resample
 from gva_mi.body import Shape, load_body, nearest_weights
-from gva_mi.splat.sh import C0
+from gva_mi.splat.kernels.sh import C0
 
 COARSE = ReinitOptions(alpha=0.08, offset=0.01, filler_depth=0.04)  # for 2,000 points, not 20,000
 RED, BLUE, MAGENTA = (0.9, 0.1, 0.1), (0.1, 0.1, 0.9), (0.9, 0.1, 0.9)

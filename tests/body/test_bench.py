@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi import checks
+from gva_mi.commands import checks
 from gva_mi.body import Pose, Shape
 from gva_mi.body.bench import FRAMES, bench_body, random_body
 from gva_mi.errors import InputError

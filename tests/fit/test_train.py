@@ -13,7 +13,7 @@ from gva_mi.fit.colors import seen_colors
 from gva_mi.fit.evaluate import evaluate
 from gva_mi.fit.options import FitOptions, Schedule
 from gva_mi.fit.perceptual import Weights
-from gva_mi.fit.targets import Draw, torch_state
+from gva_mi.fit.samples import Draw, torch_state
 from gva_mi.fit.train import fit
 
 STEPS = 24

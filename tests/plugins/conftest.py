@@ -140,7 +140,7 @@ SCENES = {
 
 def moving(name):
     """The parts of a scene, each with a motion of its own: moved, turned, sheared."""
-    from gva_mi_plugins.moving_mesh import MovingMesh
+    from gva_mi_plugins.mesh_normals.twins.moving_mesh import MovingMesh
 
     ways = [([1.0, 0.5, 0.6], 0.7, 0.6), ([-0.6, 0.7, -0.5], 0.3, -0.5)]
     parts = []

@@ -9,7 +9,7 @@ import torch
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.body.smplx import load_body
 from gva_mi.data.video import Frame
-from gva_mi.pose.scene import BodyScene
+from gva_mi.mesh.mesh_scene import BodyScene
 from gva_mi.splat import Camera, look_at
 
 SIZE = 96

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from gva_mi.body.pose import JOINTS
-from gva_mi.pose.coarse import CoarseBody
+from gva_mi.pose.coarse_body import CoarseBody
 from gva_mi.pose.displacement import Displacement, hand_vertices, vertex_normals
 
 

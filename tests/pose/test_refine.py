@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from gva_mi.pose import RefineOptions, refine
-from gva_mi.pose.measure import measure
+from gva_mi.pose.evaluation.measure import measure
 
 SEQUENCE = RefineOptions(size=96)
 PAPER = RefineOptions(loss="paper", size=96, steps=14)

@@ -11,7 +11,7 @@ import pytest
 from drjit.llvm.ad import TensorXf, TensorXf64
 
 from gva_mi.splat import Camera, Gaussians, SplatOptions, look_at
-from gva_mi.splat.render import render
+from gva_mi.splat.drjit_op import render
 
 WIDTH, HEIGHT = 37, 30
 CAMERA = Camera(40, 40, 18.5, 15, look_at((0, 0, 4), (0, 0, 0)), WIDTH, HEIGHT)

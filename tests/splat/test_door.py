@@ -7,7 +7,7 @@ import pytest
 import torch
 from drjit.llvm import TensorXf64
 
-from gva_mi.splat import render as native
+from gva_mi.splat import drjit_op as native
 from gva_mi.splat.camera import Camera
 from gva_mi.splat.gaussians import Gaussians
 from gva_mi.splat.gradcheck import random_scene

@@ -4,8 +4,8 @@ import numpy as np
 import torch
 from drjit.llvm import TensorXf64
 
+from gva_mi.splat import drjit_op as native
 from gva_mi.splat import reference
-from gva_mi.splat import render as native
 from gva_mi.splat.gaussians import Gaussians
 from gva_mi.splat.gradcheck import random_scene
 

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.splat import pipeline, reference
-from gva_mi.splat.blend import blend, blend_adjoint
+from gva_mi.splat import reference
 from gva_mi.splat.gradcheck import random_scene
+from gva_mi.splat.kernels import passes as pipeline
+from gva_mi.splat.kernels.blend import blend, blend_adjoint
 from gva_mi.splat.torch_op import Screen, render
 
 

@@ -28,7 +28,8 @@ from gva_mi.body.pose import Pose, save_poses
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.fingerprint import fingerprint
 from gva_mi.data.pictures import write_movie
-from gva_mi.data.synthetic import motion, noise, sensor
+from gva_mi.data.synthetic import exposure as sensor
+from gva_mi.data.synthetic import motion, noise
 from gva_mi.data.synthetic.folds import MEMORY
 from gva_mi.data.synthetic.people import STUDY, Person
 from gva_mi.data.synthetic.render import camera_around

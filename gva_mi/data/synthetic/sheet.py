@@ -17,7 +17,7 @@ from gva_mi.data.synthetic.people import STUDY
 from gva_mi.data.synthetic.render import Renderer, camera_around
 from gva_mi.data.synthetic.subject import Subject, draw_subject
 from gva_mi.data.video import Video, load_video
-from gva_mi.pose.overlay import overlay
+from gva_mi.mesh.overlay import overlay
 
 CAPTION, GAP = 22, 6  # px, height of a line of text; space between pictures
 COLUMNS = len(STUDY)

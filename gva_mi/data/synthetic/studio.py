@@ -16,7 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from gva_mi.data.pictures import write_image
-from gva_mi.data.synthetic import noise, sensor
+from gva_mi.data.synthetic import exposure as sensor
+from gva_mi.data.synthetic import noise
 from gva_mi.data.synthetic.render import Renderer
 from gva_mi.data.synthetic.subject import Subject
 from gva_mi.splat import Camera

@@ -5,6 +5,6 @@ of figures of one run. timing.py says what is timed; stages.py, compiles.py, mov
 growth.py each measure one thing; machine.py and gsplat_peer.py are what it is compared with.
 """
 
-from gva_mi.splat.bench.report import Bench, BenchOptions, bench
+from gva_mi.splat.bench.results import Bench, BenchOptions, bench
 
 __all__ = ["Bench", "BenchOptions", "bench"]

@@ -23,11 +23,12 @@ from types import ModuleType
 
 import drjit as dr
 
-from gva_mi.splat import pipeline, tiles
 from gva_mi.splat.bench.machine import Limits
 from gva_mi.splat.bench.timing import Timing, Work, pairs_of, walked_of
-from gva_mi.splat.blend import UNROLL
-from gva_mi.splat.project import GEOMETRY, MOMENTS
+from gva_mi.splat.kernels import passes as pipeline
+from gva_mi.splat.kernels import tiles
+from gva_mi.splat.kernels.blend import UNROLL
+from gva_mi.splat.kernels.project import GEOMETRY, MOMENTS
 
 STAGES: dict[str, tuple[ModuleType, str]] = {  # a stage's name, and the function that is it
     "project": (pipeline, "_project"),

@@ -13,9 +13,9 @@ import torch
 from drjit.llvm import Float
 from torch import Tensor
 
-from gva_mi.splat import pipeline
-from gva_mi.splat.pipeline import Saved
-from gva_mi.splat.project import Inputs
+from gva_mi.splat.kernels import passes as pipeline
+from gva_mi.splat.kernels.passes import Saved
+from gva_mi.splat.kernels.project import Inputs
 from gva_mi.splat.scene import Scene
 from gva_mi.splat.torch_op import render
 

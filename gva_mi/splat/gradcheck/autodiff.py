@@ -24,9 +24,9 @@ import drjit as dr
 from drjit import ArrayBase as Array
 from drjit.llvm import ad
 
-from gva_mi.splat import sh
 from gva_mi.splat.camera import Camera
 from gva_mi.splat.gaussians import Gaussians, Image
+from gva_mi.splat.kernels import sh
 from gva_mi.splat.options import SplatOptions
 
 _DEFAULTS = SplatOptions()

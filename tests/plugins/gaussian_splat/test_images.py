@@ -11,7 +11,7 @@ import torch
 
 from gva_mi.avatar.export import save_ply
 from gva_mi.splat import Gaussians, SplatOptions, torch_op
-from gva_mi.splat.render import render
+from gva_mi.splat.drjit_op import render
 
 SENSORS = ["perspective", "window", "orthographic"]
 PARAMETERS = ["data", "opacities", "sh_coeffs"]
@@ -20,8 +20,8 @@ PARAMETERS = ["data", "opacities", "sh_coeffs"]
 @pytest.mark.parametrize("name", SENSORS)
 def test_the_kernels_picture_bit_for_bit(splats, name):
     """A scene's picture is that of gva_mi.splat, whatever the sensor."""
-    from gva_mi_plugins.gaussian_splat_sensor import SensorView
-    from gva_mi_plugins.gaussian_splat_shapes import seen_along
+    from gva_mi_plugins.gaussian_splat.sensor import SensorView
+    from gva_mi_plugins.gaussian_splat.shapes import seen_along
 
     g, view = splats.arrays(40, 2), splats.SENSORS[name]()
     scene = splats.scene(g)
@@ -37,7 +37,7 @@ def test_the_kernels_picture_bit_for_bit(splats, name):
 @pytest.mark.parametrize("name", SENSORS)
 def test_the_camera_is_the_sensors(splats, name):
     """Mitsuba's rays through a pixel end in points that the camera sees in that pixel."""
-    from gva_mi_plugins.gaussian_splat_sensor import SensorView
+    from gva_mi_plugins.gaussian_splat.sensor import SensorView
 
     view = splats.SENSORS[name]()
     seen = SensorView.of(view)

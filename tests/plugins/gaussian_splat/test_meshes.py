@@ -7,7 +7,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from gva_mi.splat.render import render
+from gva_mi.splat.drjit_op import render
 
 SKY = {"type": "constant", "radiance": {"type": "rgb", "value": [0.3, 0.5, 0.9]}}
 
@@ -60,7 +60,7 @@ def test_each_pixel_shows_what_is_nearer_than_its_surface(splats):
 
 @pytest.mark.parametrize("name", ["perspective", "window", "orthographic"])
 def test_depth_is_along_the_sensors_axis(splats, name):
-    from gva_mi_plugins.gaussian_splat_meshes import Surfaces
+    from gva_mi_plugins.gaussian_splat.meshes import Surfaces
 
     view, radius = splats.SENSORS[name](), 0.8
     scene = splats.scene(splats.arrays(1, 0), ball=ball((0, 0, 0), radius))
@@ -84,7 +84,7 @@ def test_depth_is_along_the_sensors_axis(splats, name):
 
 def shown_alone(splats, view, scene, **parts):
     """What the nested integrator shows without ellipsoids, and the depth of the surfaces."""
-    from gva_mi_plugins.gaussian_splat_meshes import Surfaces
+    from gva_mi_plugins.gaussian_splat.meshes import Surfaces
 
     surfaces = mi.load_dict({"type": "scene", **parts})
     image = mi.render(surfaces, sensor=view, integrator=mi.load_dict({"type": "direct"}), spp=4)

@@ -6,7 +6,7 @@ from drjit.llvm import Float, UInt
 
 from gva_mi.splat.bench.machine import Limits
 from gva_mi.splat.bench.stages import COUNTED, STAGES, measure_stages, operations
-from gva_mi.splat.blend import PIXELS, UNROLL
+from gva_mi.splat.kernels.blend import PIXELS, UNROLL
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,52 @@
+"""The command ``gva-mi body``: a body file, and pictures to judge it by."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+from gva_mi.body.anny import anny_body
+from gva_mi.body.puppet import PUPPET
+from gva_mi.body.smplx import load_body
+from gva_mi.data.pictures import write_image
+from gva_mi.errors import InputError
+from gva_mi.sculptor.portrait import sheet as draw_sheet
+from gva_mi.sculptor.portrait import turntable
+
+
+def body(
+    *,
+    source: str = "puppet",
+    out: Path | None = None,
+    sheet: Path | None = None,
+    overwrite: bool = False,
+) -> list[Path]:
+    """Write a body file and a picture of it from all around.
+
+    Args:
+        source: "puppet", the built-in body; "anny", the free realistic one; or a file in SMPL-X's,
+            SMPL+H's or SMPL's .npz format.
+        out: the body file, .npz; the picture lies beside it as .png. Without it only a picture,
+            named after the source, in the working folder.
+        sheet: also write a picture (.png) of the body in many poses, its hands and its face.
+        overwrite: replace files that are there.
+
+    Returns:
+        What was written.
+    """
+    path = {"puppet": lambda: PUPPET, "anny": anny_body}.get(source, lambda: Path(source))()
+    model = load_body(path)
+    if out is not None and out.suffix != ".npz":
+        raise InputError(f"{out}: a body file ends in .npz")
+    picture = (out or Path(f"{path.stem}.npz")).with_suffix(".png")
+    written = [p for p in (out, picture, sheet) if p is not None]
+    for file in written:
+        if file.exists() and not overwrite:
+            raise InputError(f"{file}: exists already; give --overwrite to replace it")
+        file.parent.mkdir(parents=True, exist_ok=True)
+    if out is not None and not (out.exists() and out.samefile(path)):
+        shutil.copyfile(path, out)
+    write_image(picture, turntable(model))
+    if sheet is not None:
+        write_image(sheet, draw_sheet(model))
+    return written

@@ -1,0 +1,1 @@
+"""Meshes seen by Mitsuba: normals and silhouettes of a body, differentiable; pictures of them."""

@@ -1,0 +1,72 @@
+"""A body that a person looks at: over a frame, with its outline, or alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gva_mi.data.video import Frame
+from gva_mi.mesh.mesh_scene import BodyScene
+from gva_mi.splat import Camera, look_at
+
+OUTLINE = (1.0, 0.25, 0.1)  # orange: neither skin nor cloth
+BODY = (0.35, 0.65, 1.0)
+CLAY = (0.72, 0.76, 0.80)
+OPACITY = 0.45  # of the shaded body over the picture
+
+
+@torch.no_grad()
+def overlay(frame: Frame, vertices: Tensor, faces: Tensor) -> np.ndarray:
+    """The frame with a body laid over it, (H, W, 3) float32 in [0, 1].
+
+    Args:
+        frame: the picture and its camera.
+        vertices: (V, 3) float32, world, metres.
+        faces: (F, 3).
+    """
+    image = BodyScene(faces, vertices).render(vertices, frame.camera).numpy()
+    mask = image[..., 3:] > 0.5
+    light = np.clip(-image[..., 2:3], 0, 1)  # as by a lamp on the camera
+    shaded = np.array(BODY) * (0.25 + 0.75 * light)
+    picture = np.where(mask, (1 - OPACITY) * frame.image + OPACITY * shaded, frame.image)
+    return np.where(_outline(mask[..., 0])[..., None], OUTLINE, picture).astype(np.float32)
+
+
+@torch.no_grad()
+def shaded(vertices: Tensor, faces: Tensor, angle: float, size: int = 300) -> np.ndarray:
+    """A surface on white, lit by a lamp on the camera, (size, size, 3) float32 in [0, 1].
+
+    Args:
+        vertices: (V, 3) float32, world, metres; the picture is as wide as their largest extent.
+        faces: (F, 3).
+        angle: where the camera stands around the vertical, radians; 0 is in front.
+        size: pixels.
+    """
+    low, high = vertices.amin(0), vertices.amax(0)
+    centre = ((low + high) / 2).double().numpy()
+    distance = 3 * float((high - low).max())
+    eye = centre + distance * np.array([np.sin(angle), 0.0, np.cos(angle)])
+    camera = Camera(2.7 * size, 2.7 * size, size / 2, size / 2, look_at(eye, centre), size, size)
+    image = BodyScene(faces, vertices).render(vertices, camera).numpy()
+    light = 0.2 + 0.75 * np.clip(-image[..., 2:3], 0, 1)
+    return np.where(image[..., 3:] > 0.5, light * np.array(CLAY), 1).astype(np.float32)
+
+
+def strip(rows: list[list[np.ndarray]], gap: int = 4) -> np.ndarray:
+    """Pictures of one size laid out in rows on white, such as before above after."""
+    height, width = rows[0][0].shape[:2]
+    columns = max(len(row) for row in rows)
+    canvas = np.ones((len(rows) * (height + gap) - gap, columns * (width + gap) - gap, 3), "f4")
+    for i, row in enumerate(rows):
+        for j, picture in enumerate(row):
+            top, left = i * (height + gap), j * (width + gap)
+            canvas[top : top + height, left : left + width] = picture
+    return canvas
+
+
+def _outline(mask: np.ndarray) -> np.ndarray:
+    """Pixels of a mask (H, W) that touch one outside it, above, below or beside."""
+    padded = np.pad(mask, 1)
+    inner = padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
+    return mask & ~inner

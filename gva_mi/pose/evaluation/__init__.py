@@ -1,0 +1,1 @@
+"""How well refined poses fit: figures, records, reports, ablations, the study."""

@@ -1,0 +1,283 @@
+"""The report of a refinement: how far the poses are off, frame by frame, and what helps."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from gva_mi.body.pose import Pose, Shape
+from gva_mi.body.smplx import BodyModel
+from gva_mi.data.video import Video
+from gva_mi.mesh.overlay import overlay, shaded, strip
+from gva_mi.page import (
+    Figure,
+    Section,
+    Table,
+    around,
+    number,
+    picture,
+    plot,
+    spread,
+    write_page,
+)
+from gva_mi.pose.evaluation.measure import Measured, PoseErrors
+from gva_mi.pose.refine import Refined, RefineOptions
+
+WORST, SPREAD = 6, 6  # frames shown
+BEFORE, AFTER, TRUTH = "#b3261e", "#2f6f5e", "#667085"  # colours of curves
+
+
+def write_report(
+    path: Path,
+    *,
+    title: str,
+    video: Video,
+    body: BodyModel,
+    refined: Refined,
+    measured: Measured,
+    options: RefineOptions,
+    versions: Mapping[str, str],
+    truth: tuple[Pose, Shape] | None = None,
+    ablation: Mapping[str, PoseErrors] | None = None,
+) -> None:
+    """Write the page.
+
+    Args:
+        path: the ``.html`` file.
+        title: its heading.
+        video: what was refined, under its stage-1 poses.
+        body: the body.
+        refined: what was found.
+        measured: how well it fits.
+        options: of the refinement.
+        versions: of what may change the figures.
+        truth: poses and shape of a synthetic subject.
+        ablation: the same figures for variants of the refinement, by name.
+    """
+    poses = {"stage 1": (video.pose, video.shape), "refined": (refined.pose, refined.shape)}
+    if truth is not None:
+        poses["true pose"] = truth
+    worst = _worst(video, measured)
+    there = [k for k in range(len(video)) if k not in video.absent]
+    sections = [
+        _means(measured.means),
+        _curves(refined, measured),
+        _frames("Worst frames", _WORST, worst, video, body, poses, measured),
+        _frames("All along", _ALONG, spread(there, SPREAD), video, body, poses, measured),
+        *([_ablation(measured.means, ablation)] if ablation else []),
+        *([_surface(body, refined)] if refined.offsets.any() else []),
+        *_exceptions(refined),
+    ]
+    write_page(
+        path,
+        title=title,
+        subtitle=_subtitle(video, options),
+        figures=_figures(measured.means, refined),
+        sections=sections,
+        settings={"options": asdict(options), "versions": dict(versions), "seed": options.seed},
+    )
+
+
+_WORST = (
+    "The frames in which the refined body is farthest from the truth or, where no truth is known, "
+    "covers its mask least."
+)
+_ALONG = "Evenly spaced frames of the video."
+_ABLATION = (
+    "The same video refined with a part left out, and by Eq. 9 as the paper prints it: every frame "
+    "for itself, the bare body, rotations alone. Nothing else differs. A bare body cannot fill the "
+    "mask of a clothed person: what lies nearest to the mask is not what lies nearest to the truth."
+)
+_KEPT = "These frames keep the pose that stage 1 gave them."
+
+
+def _subtitle(video: Video, options: RefineOptions) -> str:
+    width, height = video.size
+    way = "all frames together" if options.loss == "sequence" else "Eq. 9 as printed"
+    return (
+        f"Poses of {len(video)} frames of {width} x {height} pixels made to agree with normals and "
+        f"silhouettes ({way}), seed {options.seed}."
+    )
+
+
+def _figures(means: PoseErrors, refined: Refined) -> list[Figure]:
+    figures = []
+    for label, before, after in (
+        ("mean vertex error", means.vertex_mm_stage1, means.vertex_mm),
+        ("hands", means.hand_vertex_mm_stage1, means.hand_vertex_mm),
+    ):
+        if after is not None:
+            figures.append(Figure(f"{before:.0f} → {after:.0f} mm", f"{label}, stage 1 → refined"))
+    own = "" if means.iou_truth is None else f" ({means.iou_truth:.3f} at the true pose)"
+    figures.append(Figure(f"{means.iou_stage1:.3f} → {means.iou:.3f}", "silhouette IoU" + own))
+    figures.append(Figure(f"{refined.seconds_per_frame:.2f} s", "of work for a frame"))
+    figures.append(Figure(str(len(refined.kept)), "frames keep their stage-1 pose"))
+    return figures
+
+
+def _means(means: PoseErrors) -> Section:
+    """Stage 1, refined and truth side by side."""
+    rows = []
+    for name, key in (
+        ("vertices, mm", "vertex_mm"),
+        ("hands, mm", "hand_vertex_mm"),
+        ("feet, mm", "foot_vertex_mm"),
+        ("vertices, root-aligned, mm", "aligned_vertex_mm"),
+    ):
+        before, after = getattr(means, key + "_stage1"), getattr(means, key)
+        if after is None:
+            continue
+        change = f"{100 * (after / before - 1):+.0f} %" if before else "–"
+        rows.append((name, number(before, 1), number(after, 1), change, "–"))
+    iou = (means.iou_stage1, means.iou)
+    rows.append(
+        (
+            "silhouette IoU of the bare body",
+            *(number(x, 3) for x in iou),
+            f"{iou[1] - iou[0]:+.3f}",
+            number(means.iou_truth, 3),
+        )
+    )
+    grew = [
+        f"{100 * share:.0f} % of all frames in {part}"
+        for part, share in (("body", means.frames_worse), ("hands", means.frames_worse_hands))
+        if share is not None
+    ]
+    text = "Means over all frames. Errors are distances of vertices from where they truly are."
+    if grew:
+        text += f" The error grew against stage 1 in {' and '.join(grew)}."
+    else:
+        text = "Means over all frames. The truth is not known: only the masks can tell."
+    return Section(
+        "Figures", text, tables=[Table(("", "stage 1", "refined", "change", "true pose"), rows)]
+    )
+
+
+def _curves(refined: Refined, measured: Measured) -> Section:
+    """Errors, IoU and loss over the frames."""
+    import matplotlib.pyplot as plt
+
+    known = measured.refined is not None
+    panels = [("silhouette IoU", measured.iou_stage1, measured.iou, measured.iou_truth)]
+    panels.append(("loss: normals + λ1 silhouette", refined.losses_stage1, refined.losses, None))
+    for part in ("feet", "hands", "body") if known else ():
+        before, after = getattr(measured.stage1, part), getattr(measured.refined, part)
+        panels.insert(0, (f"{part}, mm", before, after, None))
+    fig, axes = plt.subplots(len(panels), 1, figsize=(11, 1.7 * len(panels)), sharex=True)
+    for axis, (title, before, after, truth) in zip(axes, panels, strict=True):
+        axis.plot(before, color=BEFORE, lw=1.2, label="stage 1")
+        axis.plot(after, color=AFTER, lw=1.6, label="refined")
+        if truth is not None:
+            axis.plot(truth, color=TRUTH, lw=1, ls="--", label="true pose")
+        for k in refined.kept:
+            axis.axvspan(k - 0.5, k + 0.5, color="#e4e7ec", lw=0)
+        axis.set_title(title, loc="left", fontsize=9)
+        axis.spines[["top", "right"]].set_visible(False)
+        if "IoU" not in title:
+            axis.set_ylim(bottom=0)
+    axes[-1].set_xlabel("frame")
+    named = axes[-2]  # the IoU, in which all of them are drawn
+    named.legend(frameon=False, fontsize=8, ncols=3, loc="lower right", bbox_to_anchor=(1, 0.98))
+    fig.tight_layout()
+    text = "Grey bars are frames that keep their stage-1 pose." if refined.kept else ""
+    return Section("Frame by frame", text, [plot("", fig)], columns=1)
+
+
+def _worst(video: Video, measured: Measured) -> list[int]:
+    """Frames in the order of their shame."""
+    badness = measured.refined.body if measured.refined is not None else -measured.iou
+    order = badness.nan_to_num(-torch.inf).argsort(descending=True, stable=True).tolist()
+    return [k for k in order if k not in video.absent][:WORST]
+
+
+@torch.no_grad()
+def _frames(
+    title: str,
+    text: str,
+    shown: list[int],
+    video: Video,
+    body: BodyModel,
+    poses: Mapping[str, tuple[Pose, Shape]],
+    measured: Measured,
+) -> Section:
+    """Overlays of some frames, all poses of a frame side by side."""
+    pictures, frames = [], list(video.frames(shown))
+    seen = np.any([frame.mask > 0.5 for frame in frames], axis=0)
+    part = around(seen, margin=len(seen) // 12)
+    for frame in frames:
+        panels = [
+            overlay(frame, body(pose[frame.index], shape).vertices[0], body.faces)[part]
+            for pose, shape in poses.values()
+        ]
+        caption = f"frame {frame.index}: {_told(frame.index, measured)}"
+        pictures.append(picture(caption, strip([[frame.image[part], *panels]])))
+    text += f" From left to right: the picture, {', '.join(poses)}."
+    return Section(title, text, pictures, columns=3)
+
+
+def _told(frame: int, measured: Measured) -> str:
+    """A frame's own figures."""
+    parts = []
+    if measured.refined is not None:
+        for name in ("body", "hands"):
+            before, after = (getattr(e, name)[frame] for e in (measured.stage1, measured.refined))
+            parts.append(f"{name} {before:.0f} → {after:.0f} mm")
+    parts.append(f"IoU {measured.iou_stage1[frame]:.2f} → {measured.iou[frame]:.2f}")
+    return ", ".join(parts)
+
+
+def _ablation(means: PoseErrors, ablation: Mapping[str, PoseErrors]) -> Section:
+    head = (
+        "", "vertices, mm", "hands, mm", "feet, mm", "root-aligned, mm", "frames worse", "IoU",
+        "s a frame",
+    )  # fmt: skip
+    stage1 = (
+        means.vertex_mm_stage1, means.hand_vertex_mm_stage1, means.foot_vertex_mm_stage1,
+        means.aligned_vertex_mm_stage1, None, means.iou_stage1, None,
+    )  # fmt: skip
+    digits = (1, 1, 1, 1, None, 3, 2)
+    lines = [("stage 1", stage1)]
+    for name, e in {"refined": means, **ablation}.items():
+        lengths = (e.vertex_mm, e.hand_vertex_mm, e.foot_vertex_mm, e.aligned_vertex_mm)
+        lines.append((name, (*lengths, e.frames_worse, e.iou, e.seconds_per_frame)))
+    share = lambda x: "–" if x is None else f"{100 * x:.0f} %"
+    rows = [
+        (name, *(share(x) if n is None else number(x, n) for x, n in zip(row, digits, strict=True)))
+        for name, row in lines
+    ]
+    return Section("What each term is worth", _ABLATION, tables=[Table(head, rows)])
+
+
+def _surface(body: BodyModel, refined: Refined) -> Section:
+    """The rest surface, bare and displaced."""
+    bare = body.rest(refined.shape).vertices
+    rows = [
+        [shaded(x, body.faces, angle) for angle in (0.0, np.pi / 2, np.pi)]
+        for x in (bare, bare + refined.offsets)
+    ]
+    part = around(np.any([image.min(-1) < 1 for row in rows for image in row], axis=0), 4)
+    length = 1e3 * refined.offsets.norm(dim=1)
+    text = (
+        "The rest surface of the body (above) and with the displacement that stands for clothes "
+        f"and hair (below): {length.mean():.0f} mm in the mean, {length.max():.0f} mm at most. It "
+        "is shared by all frames and stored with the poses."
+    )
+    pictures = [picture("", strip([[image[part] for image in row] for row in rows]))]
+    return Section("The surface that is seen", text, pictures, columns=2)
+
+
+def _exceptions(refined: Refined) -> list[Section]:
+    """Frames that were not refined, or not like the others."""
+    sections = []
+    if refined.kept:
+        rows = [(str(k), reason) for k, reason in refined.kept.items()]
+        sections.append(Section("Kept frames", _KEPT, tables=[Table(("frame", "why"), rows)]))
+    if refined.without_normals:
+        numbers = ", ".join(map(str, refined.without_normals))
+        text = f"They were fitted to their silhouettes alone: {numbers}."
+        sections.append(Section("Frames without normals", text))
+    return sections

@@ -1,0 +1,175 @@
+"""One run of all measurements, as a table and as JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+
+import numpy as np
+
+from gva_mi.errors import InputError
+from gva_mi.splat.bench import gsplat_peer, machine
+from gva_mi.splat.bench.compiles import Compiled, measure_compiles
+from gva_mi.splat.bench.growth import HARD, Growth, growing, hard_scenes, measure_growth
+from gva_mi.splat.bench.moving import Moving, measure_moving
+from gva_mi.splat.bench.stages import Stage, measure_stages
+from gva_mi.splat.bench.timing import Timing, Work, pairs_of, repeated, walked_of
+from gva_mi.splat.kernels.blend import PIXELS
+from gva_mi.splat.scene import Scene, person_scene
+
+
+@dataclass(frozen=True)
+class BenchOptions:
+    """What to measure, and how often."""
+
+    repeats: int = 20  # calls per figure
+    calls: int = 200  # of the loop with moving poses
+    most_gaussians: int = 1_000_000  # where the growth in N ends, from 1,000 in steps of 10
+    most_pixels: int = 2048  # where the growth in the picture's width ends, from 128 by doubling
+    no_growth: bool = False  # leave the growth and the hard scenes out
+    no_gsplat: bool = False  # leave gsplat's torch reference out where it is installed
+    seed: int = 0  # of the scenes
+
+    def __post_init__(self) -> None:
+        for name in ("repeats", "calls", "most_gaussians", "most_pixels"):
+            if getattr(self, name) < 1:
+                found = getattr(self, name)
+                raise InputError(f"bench: {name} must be 1 or more, got {found}")
+
+
+@dataclass(frozen=True)
+class Bench:
+    """All figures of one run."""
+
+    limits: machine.Limits
+    gaussians: int
+    width: int
+    height: int
+    pairs: int  # (tile, Gaussian)
+    walked: int  # pairs that the compositing reached before its pixels were opaque
+    forward: Timing
+    both: Timing  # forward and backward, through torch
+    pairs_per_second: float  # pixels of walked pairs, forward
+    stages: tuple[Stage, ...]
+    compiles: tuple[Compiled, ...]
+    moving: Moving
+    gsplat: Timing | None  # its torch reference on the CPU, forward and backward
+    gsplat_ratio: float | None  # over our time for the same: colour and alpha, no depth
+    growth: tuple[Growth, ...]
+    hard: tuple[Growth, ...]
+
+    def to_dict(self) -> dict:
+        """For JSON."""
+        return asdict(self)
+
+    def table(self) -> str:
+        """For a person to read."""
+        head = f"{self.gaussians:,} Gaussians, {self.width}x{self.height}, {self.pairs:,} pairs"
+        limits = f"{self.limits.gflops:.0f} GFLOP/s, {self.limits.gigabytes:.1f} GB/s"
+        lines = [f"{head}; this machine's limits: {limits}, {self.limits.threads} threads", ""]
+        lines.append(f"{'':26}{'least':>9} {'median':>9} ms   of FMA  of memory")
+        for s in self.stages:
+            flops = "      –" if s.share_flops is None else f"{s.share_flops:7.0%}"
+            lines.append(f"{s.name:26}{s.time}   {flops}   {s.share_bytes:8.0%}")
+        lines.append(f"{'forward':26}{self.forward}")
+        lines.append(f"{'forward and backward':26}{self.both}")
+        rate = f"{self.pairs_per_second / 1e9:.2f}e9 pixels of pairs composited per second"
+        lines += ["", f"{rate}; {self.walked:,} pairs walked"]
+        lines.append("kernels compiled by one forward and backward pass (of those launched):")
+        news = [f"{c.scene} {c.new} ({c.launched})" for c in self.compiles]
+        lines.append("  " + ", ".join(news))
+        m, mib = self.moving, 1 / 2**20
+        memory = f"{m.memory_before * mib:.0f} -> {m.memory_after * mib:.0f} MiB"
+        lines.append(
+            f"a new pose at every call: {m.ratio:.2f} x the fixed one's time; memory over "
+            f"{m.calls:,} calls {memory}"
+        )
+        if self.gsplat is not None:
+            peer = f"{self.gsplat.least:.0f} ms, {self.gsplat_ratio:.0f} x ours"
+            lines.append(f"gsplat's torch reference, forward and backward: {peer}")
+        for title, grown in (("growth", self.growth), ("hard scenes", self.hard)):
+            if not grown:
+                continue
+            head = f"{title:16}{'Gaussians':>11} {'pixels':>11} {'pairs':>11} {'forward':>9}"
+            lines += ["", f"{head} {'both ms':>9} {'MiB':>6} {'process':>8} {'share':>6}"]
+            for g in grown:
+                size = f"{g.width}x{g.height}"
+                line = f"{g.name:16}{g.gaussians:11,} {size:>11} {g.pairs:11,}"
+                line += f" {g.forward.least:9.2f} {g.both.least:9.2f} {g.memory * mib:6.0f}"
+                share = "" if g.share is None else f"{g.share:6.2f}"
+                lines.append(f"{line} {g.process * mib:8.0f} {share}".rstrip())
+        if self.hard:
+            lines.append("share: time per pair, over that of the plain scene above it")
+        return "\n".join(lines)
+
+
+_DEFAULTS = BenchOptions()
+
+
+def bench(
+    scene: Scene | None = None,
+    options: BenchOptions = _DEFAULTS,
+    progress: Callable[..., None] | None = None,
+) -> Bench:
+    """Measure the renderer on ``scene``, or on a person of 20,000 Gaussians at 512 px."""
+    person = lambda n, size: person_scene(np.random.default_rng(options.seed), n, size)
+    work = Work.on(person(20_000, 512) if scene is None else scene)
+    sizes, hard = [], []
+    if not options.no_growth:
+        most = (options.most_gaussians, options.most_pixels)
+        sizes, hard = list(growing(*most)), list(hard_scenes(*most, options.seed))
+    total = 5 + len(sizes) + len(hard)
+    steps = iter(range(1, total + 1))
+    tell = lambda: progress and progress(next(steps), total)
+
+    limits = machine.measure()
+    tell()
+    forward = repeated(work.forward, options.repeats)
+    both = repeated(work.both, options.repeats)
+    stages = tuple(measure_stages(work, options.repeats, limits))
+    tell()
+    compiles = tuple(measure_compiles(work))
+    tell()
+    moving = measure_moving(work, options.calls)
+    tell()
+    few = max(2, options.repeats // 5)
+    peer = None if options.no_gsplat else gsplat_peer.time_step(work.scene, few)
+    gsplat = None if peer is None else Timing.of(peer)
+    ours = None if peer is None else repeated(_without_depth(work).both, options.repeats)
+    tell()
+    growth = []
+    for n, size in sizes:
+        growth.append(measure_growth("a person", person(n, size), few))
+        tell()
+    found = []
+    for name, (make, plain) in zip(HARD, hard, strict=False):
+        base = measure_growth(f"{name}: plain", plain(), few)
+        found += [base, measure_growth(name, make(), few).beside(base)]
+        tell()
+    saved = work.saved()
+    walked = walked_of(saved)
+    composite = next(stage for stage in stages if stage.name == "composite").time.least
+    return Bench(
+        limits=limits,
+        gaussians=len(work.scene.gaussians),
+        width=work.scene.camera.width,
+        height=work.scene.camera.height,
+        pairs=pairs_of(saved),
+        walked=walked,
+        forward=forward,
+        both=both,
+        pairs_per_second=walked * PIXELS / composite * 1e3,
+        stages=stages,
+        compiles=compiles,
+        moving=moving,
+        gsplat=gsplat,
+        gsplat_ratio=None if ours is None else gsplat.least / ours.least,
+        growth=tuple(growth),
+        hard=tuple(found),
+    )
+
+
+def _without_depth(work: Work) -> Work:
+    """The same scene, of colour and alpha alone."""
+    scene = work.scene
+    return Work.on(replace(scene, options=replace(scene.options, depth=False)))

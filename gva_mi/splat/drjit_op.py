@@ -1,0 +1,187 @@
+"""``render`` on Dr.Jit tensors: Gaussians and a camera make a picture.
+
+Dr.Jit's autodiff goes both ways through it: ``dr.backward`` runs the adjoint kernels, and
+``dr.forward`` the tangent ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import drjit as dr
+import numpy as np
+from drjit import ArrayBase as Array
+
+from gva_mi.splat.camera import Camera
+from gva_mi.splat.gaussians import Gaussians, Image
+from gva_mi.splat.kernels.passes import render_adjoint, render_forward, render_tangent
+from gva_mi.splat.kernels.pixels import Planes
+from gva_mi.splat.kernels.project import Inputs
+from gva_mi.splat.kernels.tiles import Layout
+from gva_mi.splat.options import SplatOptions
+
+_DEFAULTS = SplatOptions()
+
+
+def render(
+    gaussians: Gaussians,
+    camera: Camera,
+    options: SplatOptions = _DEFAULTS,
+    background: Array = None,
+    *,
+    T_camera_world: Array = None,
+    K: Array = None,
+    depth_limit: Array = None,
+) -> Image:
+    """The picture of ``gaussians`` from ``camera``.
+
+    Args:
+        gaussians: Dr.Jit tensors of one kind: ``TensorXf`` or ``TensorXf64`` from ``drjit.llvm`` or
+            ``drjit.llvm.ad``. Shapes and units: :class:`Gaussians`. The precision is theirs.
+        camera: the view; any size of picture.
+        options: cut-offs.
+        background: (D,) tensor of the same kind, the colour behind the Gaussians; None is black, as
+            in gsplat.
+        T_camera_world: (4, 4) tensor of the same kind, rigid; takes the place of the camera's own,
+            and is differentiable.
+        K: (3, 3) tensor of the same kind; takes the place of the camera's own intrinsics, and is
+            differentiable.
+        depth_limit: (H, W) tensor of the same kind, m along the camera's z: a pixel shows only the
+            Gaussians whose means are nearer, as where an opaque surface stands. Infinity is none.
+
+    Returns:
+        color (H, W, D), alpha (H, W) and depth (H, W), tensors of the same kind; no depth where
+        ``options.depth`` is off.
+
+    Raises:
+        ValueError: for wrong shapes or kinds, NaN or infinite numbers.
+
+    Note:
+        The order by depth, the set of pixels a Gaussian reaches and ``depth_limit`` are not
+        differentiated.
+    """
+    arrays = gaussians.arrays()
+    kind = type(gaussians.means)
+    for name, tensor in arrays.items():
+        if not dr.is_tensor_v(tensor) or not dr.is_float_v(tensor) or type(tensor) is not kind:
+            found = f"means {kind.__name__}, {name} {type(tensor).__name__}"
+            raise ValueError(
+                f"render(): inputs must be Dr.Jit float tensors of one kind, got {found}"
+            )
+    gaussians.check_shapes()
+    D = gaussians.channels
+    if background is None:
+        background = dr.zeros(kind, shape=(D,))
+    elif type(background) is not kind or tuple(background.shape) != (D,):
+        raise ValueError(f"render(): background must be a {kind.__name__} of shape ({D},)")
+    for name, matrix, shape in (("T_camera_world", T_camera_world, (4, 4)), ("K", K, (3, 3))):
+        if matrix is not None and (type(matrix) is not kind or tuple(matrix.shape) != shape):
+            raise ValueError(f"render(): {name} must be a {kind.__name__} of shape {shape}")
+    shape = (camera.height, camera.width)
+    if depth_limit is not None and (
+        type(depth_limit) is not kind or tuple(depth_limit.shape) != shape
+    ):
+        raise ValueError(f"render(): depth_limit must be a {kind.__name__} of shape {shape}")
+    if T_camera_world is not None or K is not None:
+        matrices = (None if m is None else _numpy(m) for m in (T_camera_world, K))
+        camera = camera.with_matrices(*matrices)
+    limit = None if depth_limit is None else dr.detach(depth_limit)
+    constants = lambda: (gaussians.sh is not None, camera, options, limit)
+    try:
+        images = dr.custom(_Render, *arrays.values(), background, T_camera_world, K, constants)
+    except RuntimeError as error:  # dr.custom wraps what the checks within raise
+        if isinstance(error.__cause__, ValueError):
+            raise error.__cause__ from None
+        raise
+    return Image(*images)
+
+
+def expected_depth(image: Image) -> Array:
+    """Depth per alpha, (H, W) m: the mean z of what a pixel shows; 0 where it shows nothing."""
+    return image.depth / dr.select(image.alpha > 0, image.alpha, 1)
+
+
+def _numpy(tensor: Array) -> np.ndarray:
+    return dr.detach(tensor).numpy().astype(np.float64)
+
+
+class _Render(dr.CustomOp):
+    """The two directions of pipeline.py, as Dr.Jit's autodiff wants them."""
+
+    NAMES = ("means", "quats", "scales", "opacities", "colors")
+
+    def eval(
+        self,
+        means: Array,
+        quats: Array,
+        scales: Array,
+        opacities: Array,
+        colors: Array,
+        background: Array,
+        T_camera_world: Array,
+        K: Array,
+        constants: Callable[[], tuple[bool, Camera, SplatOptions, Array]],
+    ) -> tuple[Array, ...]:
+        harmonics, camera, options, limit = constants()
+        parts = (means, quats, scales, opacities, colors)
+        self.kind, self.shapes = type(means), [part.shape for part in parts]
+        given = {"T_camera_world": T_camera_world, "K": K}
+        self.matrices = [name for name, matrix in given.items() if matrix is not None]
+        inputs = Inputs(*(dr.detach(part.array, preserve_type=False) for part in parts))
+        self.layout = Layout(camera.width, camera.height)
+        limit = None if limit is None else self._plane(limit)
+        behind = background.numpy().tolist()
+        self.saved = render_forward(inputs, harmonics, camera, options, behind, limit=limit)
+        return self._images(self.saved.planes)
+
+    def backward(self) -> None:
+        color, alpha, *depth = self.grad_out()
+        grad = Planes(
+            self._plane(color, self.saved.channels),
+            self._plane(alpha),
+            self._plane(depth[0]) if depth else None,
+        )
+        found = render_adjoint(self.saved, grad, camera=bool(self.matrices))
+        for name, shape in zip(self.NAMES, self.shapes, strict=True):
+            flat = dr.array_t(self.kind)(getattr(found.inputs, name))
+            self.set_grad_in(name, self.kind(flat, shape=shape))
+        self.set_grad_in("background", self.kind(found.background))
+        for name in self.matrices:
+            self.set_grad_in(name, self.kind(getattr(found, name)))
+
+    def forward(self) -> None:
+        flat = lambda name: dr.detach(self.grad_in(name).array, preserve_type=False)
+        matrices = {"T_camera_world": np.zeros((4, 4)), "K": np.zeros((3, 3))}
+        matrices |= {name: _numpy(self.grad_in(name)) for name in self.matrices}
+        tangents = Inputs(*(flat(name) for name in self.NAMES))
+        dr.make_opaque(tangents)
+        planes = render_tangent(
+            self.saved, tangents, *matrices.values(), _numpy(self.grad_in("background")).tolist()
+        )
+        self.set_grad_out(self._images(planes))
+
+    def _images(self, planes: Planes) -> tuple[Array, ...]:
+        images = [self._image(planes.color, self.saved.channels), self._image(planes.alpha)]
+        return tuple(images) if planes.depth is None else (*images, self._image(planes.depth))
+
+    def _image(self, plane: Array, channels: int = 0) -> Array:
+        """A plane as an image, without its padding; 0 channels: without that axis."""
+        layout = self.layout
+        pixels = dr.gather(type(plane), plane, self._inside(channels or 1))
+        shape = (layout.height, layout.width) + ((channels,) if channels else ())
+        return self.kind(dr.array_t(self.kind)(pixels), shape=shape)
+
+    def _plane(self, image: Array, channels: int = 1) -> Array:
+        """An image as a plane, padded with zeros."""
+        height, width = self.layout.padded
+        plane = dr.zeros(dr.detached_t(dr.array_t(self.kind)), height * width * channels)
+        dr.scatter(plane, dr.detach(image.array, preserve_type=False), self._inside(channels))
+        dr.make_opaque(plane)
+        return plane
+
+    def _inside(self, channels: int) -> Array:
+        """Index in a plane of every number of the picture."""
+        layout = self.layout
+        row = layout.width * channels
+        k = dr.arange(dr.uint32_array_t(dr.detached_t(dr.array_t(self.kind))), layout.height * row)
+        return k // row * (layout.padded[1] * channels) + k % row

@@ -1,0 +1,209 @@
+"""The shape and opacity of a Gaussian in the picture: forward, adjoint, tangent (Eq. 1).
+
+With J of lens.py, the camera's R, and M the rotation of the Gaussian's quaternion:
+
+(4)  V   = B M S,  B = J R                           S = diag(scales)
+(5)  C   = V V^T + blur I                            covariance in the picture
+(6)  L   = [[p, q], [0, r]],  L^T L = C^-1 / (2 ln 2)
+(7)  alpha(d) = o exp(-d^T C^-1 d / 2) = 2^(lo - |L d|^2),  lo = log2(o),  d = pixel centre - u
+     antialiased: o sqrt(det(V V^T) / det C) in the place of o
+
+The factor of eq. 6 is what the compositing evaluates: it has one square less to cancel than the
+polynomial in d, so that a needle of 100 pixels keeps its float32 digits. Base 2 saves a product.
+Determinants come from n = V_0 x V_1, the cross product of V's rows, for the same reason:
+det(V V^T) = |n|^2, and det C = |n|^2 + blur (tr V V^T + blur).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import drjit as dr
+from drjit import ArrayBase as Array
+
+from gva_mi.splat.kernels.lens import Matrix
+from gva_mi.splat.options import SplatOptions
+
+LN2 = math.log(2.0)
+
+
+def dot(a: list[Array | None], b: list[Array | None]) -> Array | None:
+    """Sum of products, where None is zero."""
+    terms = [x * y for x, y in zip(a, b, strict=True) if x is not None and y is not None]
+    return sum(terms[1:], terms[0]) if terms else None
+
+
+def cross(a: list[Array], b: list[Array]) -> list[Array]:
+    """Of two vectors."""
+    return [a[(k + 1) % 3] * b[(k + 2) % 3] - a[(k + 2) % 3] * b[(k + 1) % 3] for k in range(3)]
+
+
+def product(A: Matrix, B: Matrix) -> Matrix:
+    """A (2, 3) times B (3, 3)."""
+    return [dot(A[3 * k : 3 * k + 3], B[n::3]) for k in range(2) for n in range(3)]
+
+
+def _plus(a: Array | None, b: Array | None) -> Array | None:
+    if a is None or b is None:
+        return a if b is None else b
+    return a + b
+
+
+@dataclass(frozen=True)
+class Rotation:
+    """A quaternion of any length as a matrix; of zero, the identity."""
+
+    q: list[Array]  # wxyz, unit
+    rq: Array  # 1/|quaternion|
+    M: list[Array]  # 3 x 3, row by row
+
+    @staticmethod
+    def of(quat: list[Array]) -> Rotation:
+        squared = quat[0] * quat[0] + quat[1] * quat[1] + quat[2] * quat[2] + quat[3] * quat[3]
+        rq = dr.select(squared > 0, 1 / dr.sqrt(squared), 0)
+        w, i, j, k = q = [v * rq for v in quat]
+        M = [1 - 2 * (j * j + k * k), 2 * (i * j - w * k), 2 * (i * k + w * j)]
+        M += [2 * (i * j + w * k), 1 - 2 * (i * i + k * k), 2 * (j * k - w * i)]
+        M += [2 * (i * k - w * j), 2 * (j * k + w * i), 1 - 2 * (i * i + j * j)]
+        return Rotation(q, rq, M)
+
+    def adjoint(self, gM: list[Array]) -> list[Array]:
+        """From dL/dM to dL/dquaternion: the matrix, then the normalisation."""
+        w, i, j, k = self.q
+        a, b, c = gM[7] - gM[5], gM[2] - gM[6], gM[3] - gM[1]  # the antisymmetric part
+        d, h, l = gM[7] + gM[5], gM[2] + gM[6], gM[3] + gM[1]  # the symmetric part
+        gq = [
+            2 * (i * a + j * b + k * c),
+            2 * (w * a + j * l + k * h - 2 * i * (gM[4] + gM[8])),
+            2 * (w * b + i * l + k * d - 2 * j * (gM[0] + gM[8])),
+            2 * (w * c + i * h + j * d - 2 * k * (gM[0] + gM[4])),
+        ]
+        radial = w * gq[0] + i * gq[1] + j * gq[2] + k * gq[3]
+        return [self.rq * (gq[n] - self.q[n] * radial) for n in range(4)]
+
+    def tangent(self, dquat: list[Array]) -> list[Array]:
+        """From the quaternion's tangent to the matrix's."""
+        w, i, j, k = self.q
+        radial = w * dquat[0] + i * dquat[1] + j * dquat[2] + k * dquat[3]
+        dw, di, dj, dk = (self.rq * (dquat[n] - self.q[n] * radial) for n in range(4))
+        ij, ik, jk = di * j + i * dj, di * k + i * dk, dj * k + j * dk
+        wi, wj, wk = dw * i + w * di, dw * j + w * dj, dw * k + w * dk
+        ii, jj, kk = 2 * i * di, 2 * j * dj, 2 * k * dk
+        dM = [-2 * (jj + kk), 2 * (ij - wk), 2 * (ik + wj)]
+        dM += [2 * (ij + wk), -2 * (ii + kk), 2 * (jk - wi)]
+        return dM + [2 * (ik - wj), 2 * (jk + wi), -2 * (ii + jj)]
+
+
+@dataclass(frozen=True)
+class Grad:
+    """Adjoints of an ellipse."""
+
+    J: Matrix
+    R: list[Array]
+    quat: list[Array]
+    s: list[Array]
+    o: Array
+
+
+@dataclass(frozen=True)
+class Ellipse:
+    """Eq. 4-7 of one Gaussian, and the intermediate values its adjoint and tangent need."""
+
+    J: Matrix
+    R: list[Array]
+    s: list[Array]
+    o: Array
+    rotation: Rotation
+    B: list[Array]  # 2 x 3
+    BM: list[Array]  # 2 x 3
+    V: list[Array]  # 2 x 3
+    C: list[Array]  # c_xx, c_xy, c_yy
+    n: list[Array]  # V_0 x V_1
+    sharp: Array  # det(V V^T)
+    det: Array  # of C
+    p: Array
+    q: Array
+    r: Array
+    lo: Array
+    options: SplatOptions
+
+    @staticmethod
+    def of(
+        J: Matrix,
+        R: list[Array],
+        quat: list[Array],
+        s: list[Array],
+        o: Array,
+        options: SplatOptions,
+    ) -> Ellipse:
+        rotation = Rotation.of(quat)
+        B = product(J, R)
+        BM = product(B, rotation.M)
+        V = [BM[k] * s[k % 3] for k in range(6)]
+        V0, V1 = V[:3], V[3:]
+        xx, xy, yy = dot(V0, V0), dot(V0, V1), dot(V1, V1)
+        C = [xx + options.blur, xy, yy + options.blur]
+        n = cross(V0, V1)
+        sharp = dot(n, n)
+        det = sharp + options.blur * (xx + yy + options.blur)
+        half = 0.5 / LN2
+        p = dr.sqrt(half * C[2] / det)
+        q, r = -p * C[1] / C[2], dr.sqrt(half / C[2])
+        lo = dr.log2(o)
+        if options.antialiased:
+            lo += 0.5 * dr.log2(sharp / det)
+        return Ellipse(J, R, s, o, rotation, B, BM, V, C, n, sharp, det, p, q, r, lo, options)
+
+    def adjoint(self, m0: Array, mxx: Array, mxy: Array, myy: Array) -> Grad:
+        """From the moments m0 = dL/dln o and m2 of blend.py, eq. 6.
+
+        dL/dC = 2 (ln 2)^2 L^T m2 L,  dL/dV = 2 dL/dC V; antialiased, ln o has
+        (ln det(V V^T) - ln det C) / 2 added, where d det(V V^T)/dV_0 = 2 V_1 x n.
+        """
+        p, q, r, V, M = self.p, self.q, self.r, self.V, self.rotation.M
+        k2 = 2 * LN2 * LN2
+        N = [mxx * p, mxx * q + mxy * r, mxy * p, mxy * q + myy * r]  # m2 L
+        gC = [k2 * p * N[0], k2 * p * N[1], k2 * (q * N[1] + r * N[3])]
+        if self.options.antialiased:
+            half, (xx, xy, yy) = -0.5 * m0 / self.det, self.C
+            gC = [gC[0] + half * yy, gC[1] - half * xy, gC[2] + half * xx]
+        gV = [2 * (gC[0] * V[n] + gC[1] * V[3 + n]) for n in range(3)]
+        gV += [2 * (gC[1] * V[n] + gC[2] * V[3 + n]) for n in range(3)]
+        if self.options.antialiased:
+            by_sharp = [*cross(V[3:], self.n), *cross(self.n, V[:3])]
+            scale = m0 / self.sharp
+            gV = [a + scale * b for a, b in zip(gV, by_sharp, strict=True)]
+        grad_s = [gV[n] * self.BM[n] + gV[3 + n] * self.BM[3 + n] for n in range(3)]
+        gBM = [gV[n] * self.s[n % 3] for n in range(6)]
+        B, R, J = self.B, self.R, self.J
+        gM = [B[j] * gBM[n] + B[3 + j] * gBM[3 + n] for j in range(3) for n in range(3)]
+        rows = [gBM[:3], gBM[3:]]
+        gB = [dot(rows[k], M[3 * j : 3 * j + 3]) for k in range(2) for j in range(3)]
+        gJ = [dot(gB[3 * k : 3 * k + 3], R[3 * j : 3 * j + 3]) for k in range(2) for j in range(3)]
+        gR = [dot([J[j], J[3 + j]], [gB[n], gB[3 + n]]) for j in range(3) for n in range(3)]
+        return Grad(gJ, gR, self.rotation.adjoint(gM), grad_s, m0 / self.o)
+
+    def tangent(
+        self, dJ: Matrix, dR: list[Array], dquat: list[Array], ds: list[Array], do: Array
+    ) -> tuple[Array, Array, Array, Array]:
+        """Tangents of p, q, r, lo."""
+        dM = self.rotation.tangent(dquat)
+        dB = [_plus(a, b) for a, b in zip(product(dJ, self.R), product(self.J, dR), strict=True)]
+        dBM = [
+            a + b for a, b in zip(product(dB, self.rotation.M), product(self.B, dM), strict=True)
+        ]
+        dV = [dBM[k] * self.s[k % 3] + self.BM[k] * ds[k % 3] for k in range(6)]
+        V0, V1, dV0, dV1 = self.V[:3], self.V[3:], dV[:3], dV[3:]
+        dxx, dyy = 2 * dot(V0, dV0), 2 * dot(V1, dV1)
+        dxy = dot(V0, dV1) + dot(V1, dV0)
+        dn = [a + b for a, b in zip(cross(dV0, V1), cross(V0, dV1), strict=True)]
+        dsharp = 2 * dot(self.n, dn)
+        rdet = (dsharp + self.options.blur * (dxx + dyy)) / self.det  # relative
+        ryy = dyy / self.C[2]
+        dp = 0.5 * self.p * (ryy - rdet)
+        dq = 0.5 * self.q * (-ryy - rdet) - self.p * dxy / self.C[2]
+        dlo = do / self.o
+        if self.options.antialiased:
+            dlo += 0.5 * (dsharp / self.sharp - rdet)
+        return dp, dq, -0.5 * self.r * ryy, dlo / LN2

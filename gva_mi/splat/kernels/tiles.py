@@ -1,0 +1,253 @@
+"""Which Gaussians touch which tile of the picture, front to back: integers, no gradient.
+
+A tile is ``WIDTH x HEIGHT`` pixels, the work of one SIMD lane. The steps:
+
+1. count the tiles that each Gaussian's ellipse alpha >= alpha_min (project.py, eq. 7) touches,
+   exactly, one row of tiles after the other;
+2. sort the Gaussians by depth, stably, and sum the counts up: where the pairs of each start;
+3. emit one (tile, Gaussian) pair per touched tile, in depth order;
+4. sort the pairs by tile, stably, so that every tile's list is in depth order;
+5. schedule: tiles with lists of like length share a SIMD packet, and packets are dealt round-robin
+   over the blocks that threads work on, or one thread would get all the long lists.
+
+The number of pairs M is another one at every pose. Pair buffers therefore have a *capacity*, M
+rounded up to one of four sizes per octave: the memory is that of the largest picture so far, and
+does not fragment. The padding belongs to the last tile, and the stable sort leaves it behind.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import drjit as dr
+from drjit import ArrayBase as Array
+
+from gva_mi.splat.kernels import packets
+from gva_mi.splat.kernels.frozen import Frozen
+from gva_mi.splat.kernels.project import Ellipses
+
+WIDTH, HEIGHT = 8, 4  # pixels of a tile
+SIMD = 16  # lanes of a packet (AVX-512; half of it divides it)
+BLOCKS = 16  # packets are dealt over this many parts
+LONGEST = 1023  # lists are ordered by length up to this one
+MAX_PAIRS = 2**29 - 1  # slots are packets of 8 floats, counted by 32-bit indices
+FOOTPRINT = 8  # columns of an ellipse in memory: its fields, rounded up to a packet
+SLACK = 1e-3  # pixels by which an ellipse is widened against rounding
+
+NoConflicts = dr.ReduceMode.NoConflicts
+
+
+@dataclass(frozen=True)
+class Grid:
+    """The picture in tiles, as the kernels see it: arrays, so that a size is not a constant."""
+
+    width: Array  # px
+    height: Array  # px
+    columns: Array  # tiles side by side
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The picture in tiles, as the host sees it."""
+
+    width: int  # px
+    height: int  # px
+
+    @property
+    def columns(self) -> int:
+        """Tiles side by side."""
+        return -(-self.width // WIDTH)
+
+    @property
+    def rows(self) -> int:
+        """Tiles on top of each other."""
+        return -(-self.height // HEIGHT)
+
+    @property
+    def tiles(self) -> int:
+        """All tiles."""
+        return self.columns * self.rows
+
+    @property
+    def padded(self) -> tuple[int, int]:
+        """Height and width in whole tiles, px."""
+        return self.rows * HEIGHT, self.columns * WIDTH
+
+    def grid(self, I: type) -> Grid:
+        """For the kernels, in signed integers of type ``I``."""
+        return Grid(*(dr.opaque(I, n) for n in (self.width, self.height, self.columns)))
+
+
+@dataclass(frozen=True)
+class Lists:
+    """Every tile's Gaussians, front to back."""
+
+    ids: Array  # (capacity,) Gaussian of each pair, sorted by tile, then depth
+    slots: Array  # (capacity,) position in ids of each pair in the order of emission
+    first: Array  # (N,) first pair of each Gaussian in the order of emission
+    counts: Array  # (N,) tiles each Gaussian touches
+    tile: Array  # (lanes,) tile of each lane of the compositing kernel
+    start: Array  # (lanes,) its list in ids: first
+    end: Array  # (lanes,) and one past the last
+    real: Array  # (lanes,) False for those that only fill up packets: an empty list, tile 0
+
+
+def capacity(pairs: int) -> int:
+    """``pairs`` rounded up to 4, 5, 6 or 7 times a power of two."""
+    step = 1 << max(0, pairs.bit_length() - 3)
+    return -(-pairs // step) * step
+
+
+def _rows_touched(g: Ellipses, grid: Grid) -> tuple[Array, Array]:
+    """Rows of tiles [first, last) that an ellipse may reach."""
+    F, I = type(g.u), type(grid.height)
+    low = dr.maximum(dr.ceil(g.v - g.ry - 0.5 - SLACK), 0)
+    high = dr.minimum(dr.floor(g.v + g.ry - 0.5 + SLACK), F(grid.height) - 1)
+    ok = (g.ry >= 0) & (low <= high)
+    ok &= (g.u + g.rx + SLACK >= 0.5) & (g.u - g.rx - SLACK <= F(grid.width) - 0.5)
+    first = I(dr.select(ok, low, 0)) // HEIGHT
+    return first, dr.select(ok, I(dr.select(ok, high, 0)) // HEIGHT + 1, first)
+
+
+def _columns_touched(g: Ellipses, row: Array, grid: Grid) -> tuple[Array, Array]:
+    """Tiles [left, right) of a row of tiles whose pixel centres the ellipse holds."""
+    F, I = type(g.u), type(row)
+    y = F(row * HEIGHT) + 0.5
+    top, bottom = dr.maximum(y - g.v, -g.ry), dr.minimum(y + (HEIGHT - 1) - g.v, g.ry)
+    ok = top <= bottom
+    right, left = (dr.minimum(dr.maximum(d, top), bottom) for d in (g.turn, -g.turn))
+    # ry = 0 only where the ellipse is a point
+    chord = lambda d: g.half * dr.sqrt(dr.maximum(1 - dr.square(d / dr.maximum(g.ry, 1e-6)), 0))
+    low = dr.maximum(dr.ceil(g.u + g.shear * left - chord(left) - 0.5 - SLACK), 0)
+    high = g.u + g.shear * right + chord(right) - 0.5 + SLACK
+    high = dr.minimum(dr.floor(high), F(grid.width) - 1)
+    ok &= low <= high
+    begin = I(dr.select(ok, low, 0)) // WIDTH
+    return begin, dr.select(ok, I(dr.select(ok, high, 0)) // WIDTH + 1, begin)
+
+
+def count(g: Ellipses, grid: Grid) -> Array:
+    """Step 1: how many tiles each Gaussian touches, (N,)."""
+    U = dr.uint32_array_t(type(g.u))
+    first, last = _rows_touched(g, grid)
+
+    def body(row: Array, n: Array) -> tuple[Array, Array]:
+        begin, end = _columns_touched(g, row, grid)
+        return row + 1, n + U(end - begin)
+
+    return dr.while_loop((first, U(first) * 0), lambda row, n: row < last, body, mode="symbolic")[1]
+
+
+@Frozen
+def _emit(
+    footprints: packets.Packets, order: Array, start: Array, grid: Grid, tile: Array, ids: Array
+) -> tuple[Array, Array]:
+    """Step 3: lane per Gaussian, front to back; one pair per turn of the loop."""
+    U, I = type(order), type(grid.width)
+    g = Ellipses(*packets.load(footprints, FOOTPRINT, order)[: len(fields(Ellipses))])
+    first, last = _rows_touched(g, grid)
+
+    def body(row: Array, column: Array, end: Array, k: Array) -> tuple[Array, ...]:
+        fresh = column >= end
+        begin, stop = _columns_touched(g, row, grid)
+        column, end = dr.select(fresh, begin, column), dr.select(fresh, stop, end)
+        write = column < end
+        dr.scatter(tile, U(row * grid.columns + column), k, active=write, mode=NoConflicts)
+        dr.scatter(ids, order, k, active=write, mode=NoConflicts)
+        k += dr.select(write, U(1), U(0))
+        column += 1
+        return dr.select(column >= end, row + 1, row), column, end, k
+
+    state = (I(first), I(order) * 0, I(order) * 0, U(start))
+    dr.while_loop(state, lambda row, *_: row < last, body, mode="symbolic")
+    dr.eval(tile, ids)
+    return tile, ids
+
+
+@Frozen
+def _ranges(
+    tile: Array,
+    emitted: Array,
+    permutation: Array,
+    last: Array,
+    start: Array,
+    end: Array,
+    slots: Array,
+) -> tuple[Array, ...]:
+    """Step 4, after the sort: the lists, their ranges, and the inverse of the permutation."""
+    U = type(tile)
+    k = dr.arange(U, dr.width(permutation))
+    ids, here = dr.gather(U, emitted, permutation), dr.gather(U, tile, permutation)
+    dr.eval(ids, here)
+    before = dr.gather(U, here, dr.select(k > 0, k - 1, 0))
+    after = dr.gather(U, here, dr.minimum(k + 1, last))
+    dr.scatter(start, k, here, active=(k <= last) & ((k == 0) | (before != here)), mode=NoConflicts)
+    dr.scatter(
+        end, k + 1, here, active=(k == last) | ((k < last) & (after != here)), mode=NoConflicts
+    )
+    dr.scatter(slots, k, permutation, mode=dr.ReduceMode.Permute)
+    dr.eval(ids, start, end, slots)
+    return ids, start, end, slots
+
+
+def _schedule(start: Array, end: Array) -> tuple[Array, ...]:
+    """Step 5: the tile of each lane, and its list."""
+    U = type(start)
+    tiles = dr.width(start)
+    key = LONGEST - dr.minimum(end - start, LONGEST)
+    order = dr.detail.block_mkperm(key, tiles, LONGEST + 1)
+    per_block = -(-tiles // (SIMD * BLOCKS))  # packets
+    lane = dr.arange(U, per_block * BLOCKS * SIMD)
+    packet, stride = lane // SIMD, dr.opaque(U, per_block)  # no constant: a size is no new kernel
+    rank = ((packet % stride) * BLOCKS + packet // stride) * SIMD + lane % SIMD
+    real = rank < dr.opaque(U, tiles)
+    tile = dr.gather(U, order, rank, active=real)
+    start, end = dr.gather(U, start, tile, active=real), dr.gather(U, end, tile, active=real)
+    dr.eval(tile, start, end, real)
+    return tile, start, end, real
+
+
+def store(ellipses: Ellipses, target: packets.Packets, i: Array) -> None:
+    """Write the ellipses to memory, for :func:`make_lists` to read in another order."""
+    columns = [getattr(ellipses, field.name) for field in fields(Ellipses)]
+    packets.store(target, [*columns, columns[0]], i)
+
+
+def make_lists(
+    footprints: packets.Packets, depths: Array, counts: Array, layout: Layout, grid: Grid
+) -> Lists | None:
+    """Steps 2-5; None where nothing is to be drawn.
+
+    Raises:
+        ValueError: for more pairs than 32-bit indices hold.
+    """
+    U = dr.uint32_array_t(type(depths))
+    n = dr.width(depths)
+    order = dr.argsort(depths)
+    sorted_counts = dr.gather(U, counts, order)
+    sums = dr.cumsum(dr.uint64_array_t(U)(sorted_counts))
+    start = U(sums) - sorted_counts
+    dr.eval(start)
+    pairs = int(sums[n - 1])
+    if pairs == 0:
+        return None
+    if pairs > MAX_PAIRS:
+        raise ValueError(
+            f"render(): {n} Gaussians touch {pairs} tiles together, more than the {MAX_PAIRS} that "
+            f"32-bit indices hold: make the picture or the Gaussians smaller"
+        )
+    size, tiles = capacity(pairs), layout.tiles
+    tile, ids = dr.full(U, tiles - 1, size), dr.zeros(U, size)
+    dr.make_opaque(tile, ids)
+    tile, ids = _emit(footprints, order, start, grid, tile, ids)
+
+    permutation = dr.detail.block_mkperm(tile, size, 1 << (tiles - 1).bit_length())
+    begin, end = dr.zeros(U, tiles), dr.zeros(U, tiles)
+    dr.make_opaque(begin, end)
+    ids, begin, end, slots = _ranges(
+        tile, ids, permutation, dr.opaque(U, pairs - 1), begin, end, packets.memory(U, size)
+    )
+    first = packets.memory(U, n)
+    dr.scatter(first, start, order, mode=dr.ReduceMode.Permute)
+    dr.eval(first)
+    return Lists(ids, slots, first, counts, *_schedule(begin, end))

@@ -1,0 +1,1 @@
+"""``gaussian_splat``: the ``ellipsoids`` of a scene by splatting."""

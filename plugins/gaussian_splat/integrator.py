@@ -1,0 +1,206 @@
+"""``gaussian_splat``: an integrator that splats the ``ellipsoids`` of a scene (EWA splatting).
+
+Any scene made for Mitsuba's ray-traced ``volprim_rf_basic``, or loaded from a 3DGS .ply, is shown
+by the kernels of :mod:`gva_mi.splat` instead: no rays, no noise, and right gradients.
+
+1. C, α = splat(ellipsoids, sensor)         gaussian_splat_shapes.py, gaussian_splat_sensor.py
+2. I = C + (1 - α) B                        B: the background, or what the meshes show
+3. Where ``meshes`` is ``depth``, a pixel splats only the ellipsoids whose centers are nearer than
+   the surface that the ray through the pixel's own center meets (gaussian_splat_meshes.py).
+
+Parameters:
+    ``meshes`` (string): ``none`` shows the ellipsoids alone; ``depth`` puts them among the other
+        shapes of the scene. Default: ``none``.
+    nested integrator: shows the other shapes, where ``meshes`` is ``depth``. Default: ``path``.
+    ``background`` (colour): behind the ellipsoids, where ``meshes`` is ``none``; with ``depth`` the
+        scene's environment is seen there. Default: black.
+    ``srgb_primitives`` (boolean): whether the ellipsoids' colours are sRGB, as 3DGS trains them.
+        Then eq. 2 is in sRGB too, and the image linear, as a film must be. Default: true.
+    ``depth`` (boolean): adds the channel ``depth``, Σ Tᵢ αᵢ zᵢ of the ellipsoids in metres along
+        the sensor's axis. Default: false.
+    ``blur`` (float): added to the diagonal of the 2D covariances, square pixels. Default: 0.3.
+    ``antialiased`` (boolean): whether what the blur adds in area is taken from the opacity.
+        Default: false.
+
+The sensor is ``perspective`` or ``orthographic``, with its crop window, clip distances and
+principal point. ``spp``, ``seed`` and the film's filter act on the nested integrator alone. A film
+with alpha gets the opacity of ellipsoids and meshes together.
+
+Note:
+    Differentiable in ``data``, ``opacities`` and ``sh_coeffs`` of the shapes, in the sensor's
+    ``to_world``, ``x_fov`` and principal point, and in whatever the nested integrator
+    differentiates. Not in the order by depth, nor in the line where a surface hides an ellipsoid.
+    Meshes cast no light or shadow on ellipsoids, nor these on them; glass hides what is behind it.
+    A function under ``dr.freeze`` must not render with it: the kernels are frozen already.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import drjit as dr
+import mitsuba as mi
+from gva_mi_plugins.gaussian_splat.meshes import Surfaces
+from gva_mi_plugins.gaussian_splat.sensor import SensorView
+from gva_mi_plugins.gaussian_splat.shapes import gaussians_of, seen_along
+
+from gva_mi.splat import Image, SplatOptions
+from gva_mi.splat.drjit_op import render
+
+
+class GaussianSplat(mi.ad.integrators.common.ADIntegrator):
+    """The integrator; see the module's docstring."""
+
+    def __init__(self, props: mi.Properties) -> None:
+        super().__init__(props)
+        if mi.variant() != "llvm_ad_rgb":
+            raise ValueError(
+                f"gaussian_splat: needs the variant llvm_ad_rgb, mi.variant() is {mi.variant()}"
+            )
+        self.meshes = str(props.get("meshes", "none"))
+        if self.meshes not in ("none", "depth"):
+            raise ValueError(f"gaussian_splat: meshes must be none or depth, got '{self.meshes}'")
+        nested = [x for _, x in props.objects() if isinstance(x, mi.Integrator)]
+        if self.meshes == "none" and nested:
+            raise ValueError("gaussian_splat: the nested integrator needs meshes = 'depth'")
+        if self.meshes == "depth" and "background" in props:
+            raise ValueError(
+                "gaussian_splat: background is for meshes = 'none'; with 'depth', give the scene "
+                "an environment, such as the emitter 'constant'"
+            )
+        if self.meshes == "depth":
+            self.nested = nested[0] if nested else mi.load_dict({"type": "path"})
+        self.background = [float(x) for x in mi.ScalarColor3f(props.get("background", 0.0))]
+        self.srgb_primitives = bool(props.get("srgb_primitives", True))
+        self.depth = bool(props.get("depth", False))
+        self.options = SplatOptions(
+            blur=float(props.get("blur", SplatOptions.blur)),
+            antialiased=bool(props.get("antialiased", SplatOptions.antialiased)),
+            depth=self.depth,
+        )
+
+    def render(
+        self,
+        scene: mi.Scene,
+        sensor: mi.Sensor | int = 0,
+        seed: int = 0,
+        spp: int = 0,
+        develop: bool = True,
+        evaluate: bool = True,
+    ) -> mi.TensorXf:
+        """The image: (H, W, 3), one more channel for a film with alpha, one for ``depth``."""
+        with dr.suspend_grad():
+            image = self._image(scene, sensor, seed, spp)
+            if evaluate:
+                dr.eval(image)
+            return image
+
+    def render_forward(
+        self,
+        scene: mi.Scene,
+        params: mi.SceneParameters,
+        sensor: mi.Sensor | int = 0,
+        seed: int = 0,
+        spp: int = 0,
+    ) -> mi.TensorXf:
+        """Derivative of the image in the direction that the parameters' gradients hold."""
+        with dr.resume_grad():
+            image = self._image(scene, sensor, seed, spp)
+            if dr.grad_enabled(image):
+                dr.forward_to(image)
+            return dr.grad(image)
+
+    def render_backward(
+        self,
+        scene: mi.Scene,
+        params: mi.SceneParameters,
+        grad_in: mi.TensorXf,
+        sensor: mi.Sensor | int = 0,
+        seed: int = 0,
+        spp: int = 0,
+    ) -> None:
+        """Add the gradient by the image to the gradients of the parameters."""
+        with dr.resume_grad():
+            image = self._image(scene, sensor, seed, spp)
+            if dr.grad_enabled(image):
+                dr.set_grad(image, grad_in)
+                dr.enqueue(dr.ADMode.Backward, image)
+                dr.traverse(dr.ADMode.Backward)
+                dr.eval()
+
+    def aov_names(self) -> list[str]:
+        """Names of the channels after colour and alpha."""
+        return ["depth"] if self.depth else []
+
+    def to_string(self) -> str:
+        """As Mitsuba prints it."""
+        return f"GaussianSplat[meshes={self.meshes}, srgb_primitives={self.srgb_primitives}]"
+
+    def _image(self, scene: mi.Scene, sensor: mi.Sensor | int, seed: int, spp: int) -> mi.TensorXf:
+        """Eq. 1-3, attached to whatever is differentiated."""
+        if dr.flag(dr.JitFlag.FreezingScope):  # else Dr.Jit 1.5.0 ends the process
+            raise RuntimeError(
+                "gaussian_splat: a function under dr.freeze must not render with it; its kernels "
+                "are frozen already"
+            )
+        sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
+        view = SensorView.of(sensor)
+        if self.meshes == "none":
+            background = self._to_primitives(mi.TensorXf(self.background))
+            splats = self._splat(scene, view, background=background)
+            return self._develop(sensor, splats.color, splats.alpha, splats.depth)
+
+        surfaces = Surfaces.of(scene, sensor)
+        shown = surfaces.image(self.nested, seed, spp)
+        splats = self._splat(scene, view, limit=surfaces.depth(view.camera))
+        behind = self._to_primitives(shown[:, :, :3])
+        color = splats.color + (1 - _channel(splats.alpha)) * behind
+        alpha = splats.alpha
+        if shown.shape[2] == 4:
+            alpha = 1 - (1 - alpha) * (1 - shown[:, :, 3])
+        return self._develop(sensor, color, alpha, splats.depth)
+
+    def _splat(
+        self,
+        scene: mi.Scene,
+        view: SensorView,
+        background: mi.TensorXf | None = None,
+        limit: mi.TensorXf | None = None,
+    ) -> Image:
+        """Eq. 1: the kernels' picture; in sRGB if the primitives are."""
+        gaussians = gaussians_of(scene)
+        if view.camera.model == "ortho":
+            gaussians = seen_along(gaussians, view.axis)
+        options = replace(self.options, near=view.near, far=view.far)
+        matrices = {}
+        if dr.grad_enabled(view.T_camera_world, view.K):
+            matrices = {"T_camera_world": view.T_camera_world, "K": view.K}
+        return render(gaussians, view.camera, options, background, depth_limit=limit, **matrices)
+
+    def _to_primitives(self, color: mi.TensorXf) -> mi.TensorXf:
+        """Linear colours in the space of the primitives'."""
+        if not self.srgb_primitives:
+            return color
+        return mi.TensorXf(mi.math.linear_to_srgb(color.array), color.shape)
+
+    def _develop(
+        self, sensor: mi.Sensor, color: mi.TensorXf, alpha: mi.TensorXf, depth: mi.TensorXf | None
+    ) -> mi.TensorXf:
+        """The film's image, made of colours in the space of the primitives'."""
+        if self.srgb_primitives:
+            color = mi.TensorXf(mi.math.srgb_to_linear(color.array), color.shape)
+        film = sensor.film()
+        channels = [color]
+        if mi.has_flag(film.flags(), mi.FilmFlags.Alpha):
+            channels.append(_channel(alpha))
+        channels.append(dr.full(mi.TensorXf, 1, (*alpha.shape, 1)))  # weight, of filters
+        if self.depth:
+            channels.append(_channel(depth))
+        film.prepare(self.aov_names())
+        film.put_block(mi.ImageBlock(dr.concat(channels, axis=2), film.crop_offset()))
+        return film.develop()
+
+
+def _channel(image: mi.TensorXf) -> mi.TensorXf:
+    """(H, W) as (H, W, 1)."""
+    return mi.TensorXf(image.array, (*image.shape, 1))

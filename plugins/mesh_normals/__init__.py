@@ -1,0 +1,1 @@
+"""``mesh_normals``: normals and silhouettes of meshes with right gradients."""

@@ -1,0 +1,198 @@
+"""``mesh_normals``: an integrator that shows normals and mask of meshes, with right gradients.
+
+.. pluginparameters::
+
+ * - channels
+   - |string|
+   - What the image holds, in this order: some of ``normal`` (3 channels), ``mask``, ``depth`` and
+     ``shape_index``, as :mod:`gva_mi_plugins.mesh_normals.channels` defines them. (Default: ``normal, mask``)
+ * - space
+   - |string|
+   - Axes of the normals: ``camera`` (x right, y down, z forward) or ``world``. (Default:
+     ``camera``)
+ * - edge_density
+   - |float|
+   - Boundary samples for a pixel of an edge's length, at one sample for each pixel; they grow with
+     the root of ``spp``. (Default: 4)
+ * - piercing
+   - |bool|
+   - Whether lines in which surfaces pierce one another carry a gradient, too. (Default: true)
+ * - pixel_aspect
+   - |float|
+   - Width of a pixel over its height, ``f_y / f_x``, which Mitsuba's sensors cannot express.
+     (Default: 1)
+
+Every shape must be a mesh. One with ``face_normals`` is faceted; any other is smooth, with normals
+averaged from its faces by area (those in a file are not looked at: they would not move with the
+vertices). Vertices of one mesh at one place are one point of its surface, and an edge between them
+is no border. Sensors are ``perspective`` or ``orthographic``, films of any kind, with any
+reconstruction filter and any crop window.
+
+Differentiable parameters, under the names that ``mi.traverse`` gives them: ``*.vertex_positions``
+of every mesh, and ``to_world`` of the sensor. :mod:`gva_mi_plugins.mesh_normals.view` tells how.
+
+Note:
+    There is no noise and ``seed`` has no effect. Not differentiable: the field of view and the
+    principal point, the channel ``shape_index``, and the lines in which the near and far planes
+    cut a mesh.
+"""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+from gva_mi_plugins.mesh_normals.channels import Channels
+from gva_mi_plugins.mesh_normals.pixel_filter import PixelFilter
+from gva_mi_plugins.mesh_normals.projection import Projection
+from gva_mi_plugins.mesh_normals.surface import Surface
+from gva_mi_plugins.mesh_normals.topology import Topology, build
+from gva_mi_plugins.mesh_normals.view import View
+
+
+class MeshNormals(mi.ad.integrators.common.ADIntegrator):
+    """The integrator; see the module's docstring."""
+
+    def __init__(self, props: mi.Properties) -> None:
+        super().__init__(props)
+        self.channels = Channels.parse(
+            str(props.get("channels", "normal, mask")), str(props.get("space", "camera"))
+        )
+        self.edge_density = float(props.get("edge_density", 4.0))
+        self.piercing = bool(props.get("piercing", True))
+        self.pixel_aspect = float(props.get("pixel_aspect", 1.0))
+        for name in ("edge_density", "pixel_aspect"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"mesh_normals: {name} must be positive")
+        self._topology: tuple[list[mi.UInt32], Topology] | None = None
+
+    def view(self, scene: mi.Scene, sensor: mi.Sensor, spp: int = 1) -> View:
+        """What a sensor sees: the image and its derivatives, without automatic differentiation.
+
+        Raises:
+            ValueError: a shape that is no mesh, or a sensor or a film that cannot be used.
+        """
+        if spp < 1:
+            raise ValueError(f"mesh_normals: spp must be at least 1, got {spp}")
+        with dr.suspend_grad():
+            meshes = meshes_of(scene)
+            buffers = [dr.detach(mesh.vertex_positions_buffer()) for mesh in meshes]
+            positions = _joined([dr.unravel(mi.Vector3f, x) for x in buffers])
+            surface = Surface.of(self._topology_of(meshes), positions)
+            projection = Projection.of(sensor, self.pixel_aspect)
+            filter = PixelFilter.of(sensor.film(), spp)
+            return View.of(
+                scene, projection, surface, self.channels, filter, self.edge_density, self.piercing
+            )
+
+    def render(
+        self,
+        scene: mi.Scene,
+        sensor: mi.Sensor | int = 0,
+        seed: int = 0,
+        spp: int = 0,
+        develop: bool = True,
+        evaluate: bool = True,
+    ) -> mi.TensorXf:
+        """The image, (H, W, C)."""
+        sensor, spp = _arguments(scene, sensor, spp)
+        with dr.suspend_grad():
+            image = self.view(scene, sensor, spp).image()
+            if evaluate:
+                dr.eval(image)
+            return image
+
+    def render_forward(
+        self,
+        scene: mi.Scene,
+        params: mi.SceneParameters,
+        sensor: mi.Sensor | int = 0,
+        seed: int = 0,
+        spp: int = 0,
+    ) -> mi.TensorXf:
+        """Derivative of the image (H, W, C) in the direction that the parameters' gradients
+        hold."""
+        sensor, spp = _arguments(scene, sensor, spp)
+        buffers = [mesh.vertex_positions_buffer() for mesh in meshes_of(scene)]
+        to_world = sensor.world_transform().matrix
+        dr.forward_to([x for x in (*buffers, to_world) if dr.grad_enabled(x)])
+        moves = [dr.unravel(mi.Vector3f, dr.grad(buffer)) for buffer in buffers]
+        d_to_world = mi.Matrix4f(dr.grad(to_world)) if dr.grad_enabled(to_world) else None
+        with dr.suspend_grad():
+            return self.view(scene, sensor, spp).tangent(_joined(moves), d_to_world)
+
+    def render_backward(
+        self,
+        scene: mi.Scene,
+        params: mi.SceneParameters,
+        grad_in: mi.TensorXf,
+        sensor: mi.Sensor | int = 0,
+        seed: int = 0,
+        spp: int = 0,
+    ) -> None:
+        """Add the gradient by the image (H, W, C) to the gradients of the parameters."""
+        sensor, spp = _arguments(scene, sensor, spp)
+        to_world = sensor.world_transform().matrix
+        with dr.suspend_grad():
+            view = self.view(scene, sensor, spp)
+            grad = view.adjoint(grad_in)
+            dr.eval(grad)
+        start = 0
+        for mesh in meshes_of(scene):
+            count, buffer = mesh.vertex_count(), mesh.vertex_positions_buffer()
+            index = dr.arange(mi.UInt32, count) + start
+            start += count
+            with dr.resume_grad():
+                if dr.grad_enabled(buffer):
+                    dr.backward(buffer * dr.ravel(dr.gather(mi.Vector3f, grad, index)))
+        with dr.resume_grad():
+            if dr.grad_enabled(to_world):
+                by_sensor = view.adjoint_to_world(grad_in, grad)
+                dr.backward(
+                    sum(to_world[i, j] * by_sensor[i, j] for i in range(3) for j in range(4))
+                )
+
+    def aov_names(self) -> list[str]:
+        """Names of the channels."""
+        return self.channels.names
+
+    def to_string(self) -> str:
+        """As Mitsuba prints it."""
+        return (
+            f"MeshNormals[channels={', '.join(self.channels.kinds)}, space={self.channels.space}, "
+            f"edge_density={self.edge_density}, piercing={self.piercing}, "
+            f"pixel_aspect={self.pixel_aspect}]"
+        )
+
+    def _topology_of(self, meshes: list[mi.Mesh]) -> Topology:
+        """Built anew only where the faces are other ones."""
+        faces = [mesh.faces_buffer() for mesh in meshes]
+        if self._topology is None or [x.index for x in faces] != [
+            x.index for x in self._topology[0]
+        ]:
+            self._topology = (faces, build(meshes))
+        return self._topology[1]
+
+
+def _arguments(scene: mi.Scene, sensor: mi.Sensor | int, spp: int) -> tuple[mi.Sensor, int]:
+    sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
+    return sensor, spp or sensor.sampler().sample_count()
+
+
+def meshes_of(scene: mi.Scene) -> list[mi.Mesh]:
+    """The shapes of a scene, all of which must be meshes."""
+    meshes = scene.shapes()
+    for shape in meshes:
+        if not shape.is_mesh():
+            raise ValueError(
+                "mesh_normals: every shape must be a triangle mesh, "
+                f"'{shape.id()}' is {shape.class_name()}"
+            )
+    if not meshes:
+        raise ValueError("mesh_normals: the scene has no shape")
+    return meshes
+
+
+def _joined(values: list[mi.Vector3f]) -> mi.Vector3f:
+    if len(values) == 1:
+        return values[0]
+    return mi.Vector3f([dr.concat([value[k] for value in values]) for k in range(3)])

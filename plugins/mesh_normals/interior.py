@@ -1,0 +1,155 @@
+"""The interior term: what an image gains as surfaces move within their contours.
+
+1. A point seen keeps to its triangle, and its normal and depth change: ``∂I/∂v = ∫ ∂v/∂x f dA``.
+   Where a surface is seen flat the integrand grows as one over the cosine of the angle. Rays spread
+   over the image seldom meet such places, and then count too much.
+2. So there are two sets of samples: the rays of the image, ``spp`` for a pixel of area, and one
+   point on every triangle, ``1 / A`` for a pixel of area, ``A`` the area in pixels that the
+   triangle covers. Triangles seen flat cover little.
+3. Both count with the weight ``1 / (spp + 1 / A)``, one over their density together (the balance
+   heuristic of multiple importance sampling): no sample weighs more than its triangle covers.
+4. With the doubled area ``c`` of a triangle in the world, ``A = |det| |c · d| / 2 h²`` on the ray
+   ``o + w d`` at the scale ``h`` (:mod:`gva_mi_plugins.mesh_normals.projection`).
+
+Triangles whose plane all but holds the ray are left out: float32 cannot tell where they meet.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+from gva_mi_plugins.mesh_normals.channels import Channels
+from gva_mi_plugins.mesh_normals.contours import Cast, Found
+from gva_mi_plugins.mesh_normals.pixel_filter import PixelFilter
+from gva_mi_plugins.mesh_normals.projection import Projection
+from gva_mi_plugins.mesh_normals.segment_sums import concat
+from gva_mi_plugins.mesh_normals.surface import Surface
+
+GOLDEN = (0.7548776662466927, 0.5698402909980532)  # steps of a lattice without gaps in two axes
+FLAT = 1e-4  # sine of an angle between ray and triangle below which it counts as no angle
+HIDDEN = 1e-4  # what hides a point lies nearer than it by more than this share of its depth
+
+
+@dataclass(frozen=True)
+class Interior:
+    """Samples of what one view sees: first those on the image's rays, then those on triangles."""
+
+    surface: Surface
+    projection: Projection
+    channels: Channels
+    filter: PixelFilter
+    rays: mi.UInt32  # (R,) which of the image's rays
+    q: mi.Point2f  # (S,) pixels, of the samples on triangles
+    ray: mi.Ray3f  # (R + S,) through all samples
+    face: mi.UInt32  # (R + S,)
+    weight: mi.Float  # (R + S,) eq. 3; that of the image's rays times spp, which the filter divides
+
+    @staticmethod
+    def of(
+        surface: Surface,
+        projection: Projection,
+        channels: Channels,
+        filter: PixelFilter,
+        seen: Found,
+        cast: Cast,
+    ) -> Interior | None:
+        """Gather the samples; None where nothing is seen.
+
+        Args:
+            surface: the meshes.
+            projection: the camera.
+            channels: of the image.
+            filter: of the image.
+            seen: what the image's rays met.
+            cast: shoots more rays at the meshes.
+        """
+        slanted = _is_slanted(surface, projection.ray(filter.positions()), seen.face)
+        rays = dr.compress(seen.hit & slanted)
+        if dr.width(rays) == 0:
+            return None
+        face, q = _points(surface, projection, cast)
+        at, faces = filter.positions(rays), dr.gather(mi.UInt32, seen.face, rays)
+        if dr.width(face) > 0:
+            at, faces = concat(at, q), concat(faces, face)
+        dr.eval(at, faces)
+        ray = projection.ray(at)
+        c = dr.gather(mi.Vector3f, surface.face_normals, faces)
+        vertex = dr.gather(mi.UInt32, surface.topology.vertices[0], faces)
+        corner = dr.gather(mi.Vector3f, surface.positions, vertex)
+        weight = dr.rcp(filter.spp + 2 * projection.density(c, corner, ray))
+        of_image = dr.arange(mi.UInt32, dr.width(faces)) < dr.opaque(mi.UInt32, dr.width(rays))
+        weight = dr.select(of_image, filter.spp * weight, weight)
+        return Interior(surface, projection, channels, filter, rays, q, ray, faces, weight)
+
+    def tangent(self, d_positions: mi.Vector3f) -> list[mi.Float]:
+        """Eq. 1 forward: how pixels change as the positions (V,) move, for each channel (H W,)."""
+        filter, d_normals = self.filter, self.surface.tangent(d_positions)
+        dr.eval(d_normals)
+        seen = self.surface.shade_tangent(self.ray, self.face, d_positions, d_normals)
+        changes = [
+            self.weight * x for x in self.channels.tangent(*seen, self.projection.camera_world)
+        ]
+        dr.eval(changes)
+        count = dr.width(self.rays)
+        of_image = dr.arange(mi.UInt32, count)
+        of_face = dr.arange(mi.UInt32, dr.width(self.face) - count) + dr.opaque(mi.UInt32, count)
+        of_image, of_face = (
+            [dr.gather(mi.Float, x, index) for x in changes] for index in (of_image, of_face)
+        )
+        samples = [dr.zeros(mi.Float, filter.width * filter.height * filter.spp) for _ in changes]
+        for sample, x in zip(samples, of_image, strict=True):
+            dr.scatter(sample, x, self.rays)
+        dr.eval(samples)
+        image = [mi.Float(x) for x in filter.develop(samples)]
+        dr.eval(image)
+        if dr.width(self.q) > 0:
+            filter.deposit(image, of_face, self.q)
+        return image
+
+    def adjoint(self, grads: list[mi.Float]) -> mi.Vector3f:
+        """Eq. 1 backward: from the gradients by pixels (H W,) to that by the positions (V,)."""
+        by_sample = self.filter.spread(grads, self.rays)
+        if dr.width(self.q) > 0:
+            on_faces = self.filter.spread_to(grads, self.q)
+            by_sample = [concat(x, y) for x, y in zip(by_sample, on_faces, strict=True)]
+        by_sample = [self.weight * x for x in by_sample]
+        by_sample = self.channels.adjoint(by_sample, self.projection.camera_world)
+        return self.surface.adjoint(*self.surface.shade_adjoint(self.ray, self.face, *by_sample))
+
+
+def _is_slanted(surface: Surface, ray: mi.Ray3f, face: mi.UInt32) -> mi.Bool:
+    """Whether rays leave the planes of faces by an angle that float32 can divide by."""
+    c = dr.gather(mi.Vector3f, surface.face_normals, face)
+    return dr.abs(dr.dot(c, ray.d)) > FLAT * dr.norm(c) * dr.norm(ray.d)
+
+
+def _points(surface: Surface, projection: Projection, cast: Cast) -> tuple[mi.UInt32, mi.Point2f]:
+    """One point on every triangle, as far as they are seen: triangles (S,), pixels (S,)."""
+    topology = surface.topology
+    face = dr.arange(mi.UInt32, topology.face_count)
+    p = [dr.gather(mi.Vector3f, surface.positions, vertex) for vertex in topology.vertices]
+    b1, b2 = (x - dr.floor(x) for x in (0.5 + mi.Float(face) * step for step in GOLDEN))
+    folded = b1 + b2 > 1
+    b1, b2 = dr.select(folded, 1 - b1, b1), dr.select(folded, 1 - b2, b2)
+    x = (1 - b1 - b2) * p[0] + b1 * p[1] + b2 * p[2]
+    faces_sensor = dr.dot(surface.face_normals, projection.toward(x)) < 0
+    q, _ = projection.pixel(x)
+    w = projection.depth(x)
+    candidate = projection.is_inside(q) & (w > projection.near)
+    if topology.is_closed:
+        candidate &= faces_sensor  # the others are behind them
+    dr.eval(q, w, faces_sensor, candidate)
+    face = dr.compress(candidate)
+    if dr.width(face) == 0:
+        return face, dr.zeros(mi.Point2f, 0)
+    q, w = dr.gather(mi.Point2f, q, face), dr.gather(mi.Float, w, face)
+    found = cast(q)
+    # A triangle seen flat may be missed by the very ray that leads to it.
+    seen = found.hit & (found.face == face)
+    behind = dr.gather(mi.Bool, faces_sensor, face) & (found.depth > w * (1 - HIDDEN))
+    seen = dr.compress((seen | behind) & _is_slanted(surface, found.ray, face))
+    if dr.width(seen) == 0:
+        return seen, dr.zeros(mi.Point2f, 0)
+    return dr.gather(mi.UInt32, face, seen), dr.gather(mi.Point2f, q, seen)

@@ -1,0 +1,224 @@
+"""From samples to pixels: reconstruction filters, and the same backward.
+
+With a filter ``f`` of radius ``r`` and pixel centres ``c_p``, and samples ``v_i`` at ``q_i``:
+
+1. pixel    ``I_p = Σ_i f(q_i - c_p) v_i / N_p``, ``N_p = Σ_i f(q_i - c_p)``, over the samples on
+   the image: near its border there are fewer. In the limit ``N_p`` becomes ``M_p = ∫ f dA``.
+2. lattice  samples lie at the same places in all pixels, so that ``f(q_i - c_p)`` depends only on
+   the step ``d`` from one pixel to the other and on the place ``k``: a table ``f_{d k}``.
+3. adjoint  ``∂L/∂v_i = Σ_p f(q_i - c_p) ∂L/∂I_p / N_p``.
+4. a point  ``q`` of an edge adds ``f(q - c_p) / M_p`` of what it carries to pixel ``p``.
+
+Pixels gather, and so the order of every sum is fixed. The ``box`` filter is the case in which a
+sample belongs to one pixel, and costs nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from gva_mi_plugins.mesh_normals.segment_sums import sum_by_key
+
+GOLDEN = 0.6180339887498949  # 1 / golden ratio: the step of a lattice without gaps
+QUADRATURE = 256  # points for a pixel in M_p
+
+
+@dataclass(frozen=True)
+class PixelFilter:
+    """How W x H pixels and ``spp`` samples in each belong together."""
+
+    width: int
+    height: int
+    spp: int
+    steps: int  # pixels from a sample to the farthest pixel that it adds to; 0: box
+    rfilter: mi.ReconstructionFilter
+    table: mi.Float  # ((2 steps + 1)² spp,) eq. 2, k fastest, then d_x
+    discrete: mi.Float  # (H W,) N_p
+    continuous: mi.Float  # (H W,) M_p
+
+    @staticmethod
+    def of(film: mi.Film, spp: int) -> PixelFilter:
+        """The filter of a film.
+
+        Raises:
+            ValueError: the film samples its border, which another filter than box would look at.
+        """
+        width, height = (int(x) for x in film.crop_size())
+        rfilter = film.rfilter()
+        one = mi.Float(1)
+        if rfilter.is_box_filter():
+            return PixelFilter(width, height, spp, 0, rfilter, one, one, one)
+        if film.sample_border():
+            raise ValueError(
+                "mesh_normals: the film's sample_border must be false with another filter than box"
+            )
+        steps = int(np.ceil(rfilter.radius() + 0.5)) - 1
+        d = np.arange(-steps, steps + 1)
+        x, y = lattice(spp)
+        eval_ = lambda u: np.array(rfilter.eval(mi.Float(u.ravel().astype(np.float32))))
+        # f(q - c_p) with q in a pixel and p the one d to its right or below.
+        fx = eval_(x - 0.5 - d[:, None]).reshape(len(d), spp)
+        fy = eval_(y - 0.5 - d[:, None]).reshape(len(d), spp)
+        table = (fy[:, None] * fx[None]).astype(np.float32)  # (d_y, d_x, k)
+        inside = (np.arange(QUADRATURE) + 0.5) / QUADRATURE
+        mass = eval_(inside - 0.5 - d[:, None]).reshape(len(d), -1).mean(1)
+        result = PixelFilter(
+            width, height, spp, steps, rfilter, mi.Float(table.ravel()), one,
+            mi.Float(np.outer(_total(mass, height), _total(mass, width)).ravel()),
+        )  # fmt: skip
+        ones = dr.ones(mi.Float, width * height * spp)
+        (N,) = result._gather([ones])
+        dr.eval(N)
+        return PixelFilter(width, height, spp, steps, rfilter, result.table, N, result.continuous)
+
+    def positions(self, rays: mi.UInt32 | None = None) -> mi.Point2f:
+        """Pixel positions of rays: pixel by pixel, and in each a lattice of ``spp`` points."""
+        if rays is None:
+            rays = dr.arange(mi.UInt32, self.width * self.height * self.spp)
+        pixel = rays // self.spp
+        k = mi.Float(rays - pixel * self.spp)
+        y = pixel // self.width
+        x = pixel - y * self.width
+        shift_y = 0.5 + k * GOLDEN
+        return mi.Point2f(x + (k + 0.5) / self.spp, y + shift_y - dr.floor(shift_y))
+
+    def develop(self, samples: list[mi.Float]) -> list[mi.Float]:
+        """Eq. 1: pixels (H W,) from samples (H W spp,), which lie pixel by pixel."""
+        if self.steps > 0:
+            return [value / self.discrete for value in self._gather(samples)]
+        if self.spp == 1:
+            return samples
+        return [dr.block_sum(x, self.spp) / self.spp for x in samples]
+
+    def spread(self, grads: list[mi.Float], rays: mi.UInt32) -> list[mi.Float]:
+        """Eq. 3: from gradients by pixels (H W,) to those by some samples (R,)."""
+        if self.steps == 0:
+            pixel = rays // self.spp
+            return [dr.gather(mi.Float, grad, pixel) / self.spp for grad in grads]
+        grads = [grad / self.discrete for grad in grads]
+        dr.eval(grads)
+        return self._gather_adjoint(grads, rays)
+
+    def spread_to(self, grads: list[mi.Float], q: mi.Point2f) -> list[mi.Float]:
+        """Eq. 4 backward: from gradients by pixels (H W,) to those by what edges carry (S,)."""
+        total = [mi.Float(0)] * len(grads)
+        for pixel, weight, valid in self._around(q):
+            total = [
+                x + weight * dr.gather(mi.Float, grad, pixel, valid)
+                for x, grad in zip(total, grads, strict=True)
+            ]
+        return total
+
+    def deposit(self, image: list[mi.Float], values: list[mi.Float], q: mi.Point2f) -> None:
+        """Eq. 4 forward: add what edges carry (S,) to pixels (H W,)."""
+        for pixel, weight, valid in self._around(q):
+            carried = [dr.select(valid, weight * value, 0) for value in values]
+            pixel = dr.select(valid, pixel, 0)
+            dr.eval(carried, pixel)
+            sums, pixels = sum_by_key(carried, pixel)
+            for channel, value in zip(image, sums, strict=True):
+                dr.scatter_add(channel, value, pixels, mode=dr.ReduceMode.NoConflicts)
+            dr.eval(image)
+
+    def _around(self, q: mi.Point2f) -> Iterator[tuple[mi.UInt32, mi.Float, mi.Bool]]:
+        """Pixels that a point on the image adds to, with ``f(q - c_p) / M_p``."""
+        x, y = mi.Int32(q.x), mi.Int32(q.y)
+        if self.steps == 0:
+            yield mi.UInt32(y * self.width + x), mi.Float(1), mi.Bool(True)
+            return
+        reach = range(-self.steps, self.steps + 1)
+        for py, px in ((y + dy, x + dx) for dy in reach for dx in reach):
+            valid = (px >= 0) & (py >= 0) & (px < self.width) & (py < self.height)
+            pixel = mi.UInt32(dr.select(valid, py * self.width + px, 0))
+            f = self.rfilter.eval(q.x - px - 0.5) * self.rfilter.eval(q.y - py - 0.5)
+            share = f / dr.gather(mi.Float, self.continuous, pixel)
+            yield pixel, dr.select(valid, share, 0), valid
+
+    def _gather(self, samples: list[mi.Float]) -> list[mi.Float]:
+        """Σ_i f(q_i - c_p) v_i for each pixel p."""
+        pixel = dr.arange(mi.UInt32, self.width * self.height)
+        return _around_pixels(samples, pixel, None, self.table, self.steps, self.spp, self._size)
+
+    def _gather_adjoint(self, grads: list[mi.Float], rays: mi.UInt32) -> list[mi.Float]:
+        """Σ_p f(q_i - c_p) g_p for some samples i."""
+        pixel = rays // self.spp
+        place = rays - pixel * self.spp
+        return _around_pixels(grads, pixel, place, self.table, self.steps, self.spp, self._size)
+
+    @property
+    def _size(self) -> tuple[int, int]:
+        return self.width, self.height
+
+
+@dr.syntax
+def _around_pixels(
+    values: list[mi.Float],
+    pixel: mi.UInt32,
+    place: mi.UInt32 | None,
+    table: mi.Float,
+    steps: int,
+    spp: int,
+    size: tuple[int, int],
+) -> list[mi.Float]:
+    """Sums around pixels, weighted by the table of eq. 2.
+
+    Args:
+        values: arrays of samples (H W spp,), or of pixels (H W,) where ``place`` is given.
+        pixel: (R,) the pixels to sum around.
+        place: None: over all samples that add to the pixel. (R,): over all pixels that a sample
+            at this place in ``pixel`` adds to.
+        table, steps, spp: of the filter.
+        size: width and height.
+    """
+    width, height = size
+    y = mi.Int32(pixel // width)
+    x = mi.Int32(pixel) - y * width
+    total = [dr.zeros(mi.Float, dr.width(pixel)) for _ in values]
+    side, sign = 2 * steps + 1, -1 if place is None else 1
+    places = spp if place is None else 1
+    j, end = mi.UInt32(0), dr.opaque(mi.UInt32, side * side * places)
+    while j < end:
+        step = j // places
+        row = step // side
+        px = x + sign * (mi.Int32(step - row * side) - steps)
+        py = y + sign * (mi.Int32(row) - steps)
+        valid = (px >= 0) & (py >= 0) & (px < width) & (py < height)
+        item = mi.UInt32(py * width + px)
+        if dr.hint(place is None, mode="scalar"):
+            item = item * spp + (j - step * spp)
+            f = dr.gather(mi.Float, table, j)
+        else:
+            f = dr.gather(mi.Float, table, j * spp + place)
+        total = _add(total, f, values, item, valid)
+        j += 1
+    return total
+
+
+def _add(
+    total: list[mi.Float], f: mi.Float, values: list[mi.Float], item: mi.UInt32, valid: mi.Bool
+) -> list[mi.Float]:
+    """Totals plus ``f`` times one entry of each array of values."""
+    return [
+        dr.fma(f, dr.gather(mi.Float, value, item, valid), sum_)
+        for sum_, value in zip(total, values, strict=True)
+    ]
+
+
+def lattice(spp: int) -> tuple[np.ndarray, np.ndarray]:
+    """Places (x, y) of the samples in a pixel, as :meth:`PixelFilter.positions` has them."""
+    k = np.arange(spp)
+    return (k + 0.5) / spp, (0.5 + k * GOLDEN) % 1
+
+
+def _total(mass: np.ndarray, count: int) -> np.ndarray:
+    """∫ f over the pixels on the image, for each of ``count`` pixels in a row.
+
+    Args:
+        mass: (2 steps + 1,) ∫ f over a pixel, by the step from it to the one with the filter.
+        count: pixels in the row.
+    """
+    return np.convolve(np.ones(count), mass, mode="full")[len(mass) // 2 :][:count]

@@ -1,0 +1,162 @@
+"""Shading normals and depths from positions: forward, tangent and adjoint.
+
+With corners ``p_0, p_1, p_2`` of face ``f`` and the corners that share a normal ``v``:
+
+1. face normal      ``c_f = (p_1 - p_0) x (p_2 - p_0)``, as long as twice the area,
+2. shading normal   ``n_v = Σ_f c_f / |Σ_f c_f|`` over the faces at ``v``: weighted by area,
+3. on a ray         ``n = Σ_k b_k n_k / |Σ_k b_k n_k|`` with the barycentric coordinates ``b`` of
+   the point hit, ``o + t d = Σ_k b_k p_k``.
+
+Every sum runs over fixed lists in a fixed order (:mod:`gva_mi_plugins.mesh_normals.segment_sums`); no step scatters.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+from gva_mi_plugins.mesh_normals.segment_sums import sum_by_key
+from gva_mi_plugins.mesh_normals.topology import Topology
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Meshes with their vertices at one place, and the normals that follow from it."""
+
+    topology: Topology
+    positions: mi.Vector3f  # (V,) world
+    face_normals: mi.Vector3f  # (F,) c_f, not normalised
+    normals: mi.Vector3f  # (N,) n_v
+    inverse_length: mi.Float  # (N,) 1 / |Σ c_f|
+
+    @staticmethod
+    def of(topology: Topology, positions: mi.Vector3f) -> Surface:
+        """Eq. 1 and 2."""
+        p = [dr.gather(mi.Vector3f, positions, vertex) for vertex in topology.vertices]
+        face_normals = dr.cross(p[1] - p[0], p[2] - p[0])
+        dr.eval(face_normals)
+        total = topology.faces_of_normal.sum(face_normals)
+        inverse_length = dr.rcp(dr.maximum(dr.norm(total), 1e-30))
+        normals = total * inverse_length
+        dr.eval(normals, inverse_length)
+        return Surface(topology, positions, face_normals, normals, inverse_length)
+
+    def tangent(self, d_positions: mi.Vector3f) -> mi.Vector3f:
+        """Eq. 1 and 2 forward: how the shading normals (N,) move with the positions (V,)."""
+        p, dp = self._corners(self.positions), self._corners(d_positions)
+        dc = dr.cross(dp[1] - dp[0], p[2] - p[0]) + dr.cross(p[1] - p[0], dp[2] - dp[0])
+        dr.eval(dc)
+        d_total = self.topology.faces_of_normal.sum(dc)
+        return self._tangential(d_total)
+
+    def adjoint(self, grad_corners: mi.Vector3f, grad_corner_normals: mi.Vector3f) -> mi.Vector3f:
+        """Eq. 1 and 2 backward.
+
+        Args:
+            grad_corners: (3F,) gradient by the position of each corner.
+            grad_corner_normals: (3F,) gradient by the shading normal at each corner.
+
+        Returns:
+            (V,) gradient by the positions.
+        """
+        topology = self.topology
+        grad_total = self._tangential(topology.corners_of_normal.sum(grad_corner_normals))
+        dr.eval(grad_total)
+        grad_c = sum(dr.gather(mi.Vector3f, grad_total, normal) for normal in topology.normals)
+        p = self._corners(self.positions)
+        grad_1 = dr.cross(p[2] - p[0], grad_c)
+        grad_2 = dr.cross(grad_c, p[1] - p[0])
+        face = dr.arange(mi.UInt32, topology.face_count)
+        for k, grad in enumerate((-grad_1 - grad_2, grad_1, grad_2)):
+            dr.scatter_add(grad_corners, grad, 3 * face + k, mode=dr.ReduceMode.NoConflicts)
+        dr.eval(grad_corners)
+        return topology.corners_of_vertex.sum(grad_corners)
+
+    def shade(
+        self, ray: mi.Ray3f, face: mi.UInt32, active: mi.Bool
+    ) -> tuple[mi.Vector3f, mi.Float]:
+        """Eq. 3: the unit normals ``n`` and parameters ``t`` (R,) at which rays meet faces; zero
+        where not active."""
+        n, t = interpolate(ray, *self._at(face, active))
+        return dr.select(active, n, 0), dr.select(active, t, 0)
+
+    def shade_tangent(
+        self, ray: mi.Ray3f, face: mi.UInt32, d_positions: mi.Vector3f, d_normals: mi.Vector3f
+    ) -> tuple[mi.Vector3f, mi.Float]:
+        """Eq. 3 forward, for rays that all hit."""
+        leaves = self._at(face, True)
+        tangents = [dr.gather(mi.Vector3f, d_positions, i) for i in self._vertices(face)]
+        tangents += [dr.gather(mi.Vector3f, d_normals, i) for i in self._normals(face)]
+        with dr.isolate_grad(), dr.resume_grad():
+            dr.enable_grad(leaves)
+            for leaf, tangent in zip(leaves, tangents, strict=True):
+                dr.set_grad(leaf, tangent)
+            return dr.forward_to(interpolate(ray, *leaves))
+
+    def shade_adjoint(
+        self, ray: mi.Ray3f, face: mi.UInt32, grad_n: mi.Vector3f | None, grad_t: mi.Float | None
+    ) -> tuple[mi.Vector3f, mi.Vector3f]:
+        """Eq. 3 backward, for rays (R,) that all hit.
+
+        Args:
+            ray, face: rays and the faces that they meet.
+            grad_n, grad_t: gradients by normals and ray parameters (R,); None stands for zero.
+
+        Returns:
+            (3F,) gradients by the positions, and by the shading normals, of all corners.
+        """
+        leaves = self._at(face, True)
+        with dr.isolate_grad(), dr.resume_grad():
+            dr.enable_grad(leaves)
+            n, t = interpolate(ray, *leaves)
+            terms = [] if grad_n is None else [dr.dot(n, grad_n)]
+            terms += [] if grad_t is None else [t * grad_t]
+            dr.backward(sum(terms))
+            grads = dr.grad(leaves)
+        dr.eval(grads)
+        sums, faces = sum_by_key(grads, face)
+        by_corner = [dr.zeros(mi.Vector3f, 3 * self.topology.face_count) for _ in range(2)]
+        for k, value in enumerate(sums):
+            dr.scatter(by_corner[k // 3], value, 3 * faces + k % 3)
+        dr.eval(by_corner)
+        return tuple(by_corner)
+
+    def _tangential(self, x: mi.Vector3f) -> mi.Vector3f:
+        """Derivative of eq. 2's normalisation, its own transpose: ``(I - n nᵀ) x / |Σ c_f|``."""
+        return (x - self.normals * dr.dot(self.normals, x)) * self.inverse_length
+
+    def _corners(self, values: mi.Vector3f) -> list[mi.Vector3f]:
+        return [dr.gather(mi.Vector3f, values, vertex) for vertex in self.topology.vertices]
+
+    def _vertices(self, face: mi.UInt32, active: mi.Bool = True) -> list[mi.UInt32]:
+        return [dr.gather(mi.UInt32, vertex, face, active) for vertex in self.topology.vertices]
+
+    def _normals(self, face: mi.UInt32, active: mi.Bool = True) -> list[mi.UInt32]:
+        return [dr.gather(mi.UInt32, normal, face, active) for normal in self.topology.normals]
+
+    def _at(self, face: mi.UInt32, active: mi.Bool) -> list[mi.Vector3f]:
+        """Corners and their shading normals of some faces: p_0, p_1, p_2, n_0, n_1, n_2."""
+        p = [
+            dr.gather(mi.Vector3f, self.positions, i, active) for i in self._vertices(face, active)
+        ]
+        n = [dr.gather(mi.Vector3f, self.normals, i, active) for i in self._normals(face, active)]
+        return p + n
+
+
+def interpolate(
+    ray: mi.Ray3f,
+    p0: mi.Vector3f,
+    p1: mi.Vector3f,
+    p2: mi.Vector3f,
+    n0: mi.Vector3f,
+    n1: mi.Vector3f,
+    n2: mi.Vector3f,
+) -> tuple[mi.Vector3f, mi.Float]:
+    """Eq. 3: the normal, and the ray's parameter, where ``o + t d = p_0 + b_1 e_1 + b_2 e_2``."""
+    e1, e2, s = p1 - p0, p2 - p0, mi.Vector3f(ray.o) - p0
+    h, k = dr.cross(ray.d, e2), dr.cross(s, e1)
+    det = dr.dot(e1, h)
+    b1, b2 = dr.dot(s, h) / det, dr.dot(ray.d, k) / det
+    n = dr.normalize((1 - b1 - b2) * n0 + b1 * n1 + b2 * n2)
+    return n, dr.dot(e2, k) / det

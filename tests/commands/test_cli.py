@@ -1,0 +1,135 @@
+"""The command line: bad input is one sentence and exit code 2, and nothing is half-written."""
+
+import json
+
+import numpy as np
+import pytest
+
+from gva_mi.body.pose import Pose, Shape, save_poses
+from gva_mi.body.smplx import load_body
+
+TINY = ("--size", 64, "--frames", 6)
+
+
+@pytest.fixture(scope="session")
+def tiny_demo(tmp_path_factory):
+    """A whole demo of 6 frames and 30 steps; shared, so do not change what is in it."""
+    from gva_mi.commands.pipeline import DemoOptions, demo
+
+    out = tmp_path_factory.mktemp("demo") / "out"
+    demo(DemoOptions(size=64, frames=6, steps=30), out=out)
+    return out
+
+
+def files(folder):
+    return sorted(str(p.relative_to(folder)) for p in folder.rglob("*"))
+
+
+def test_the_demo_writes_subject_run_and_report(tiny_demo):
+    assert (tiny_demo / "subject/poses_refined.npz").exists()
+    assert (tiny_demo / "avatar.npz").exists()
+    page = (tiny_demo / "report.html").read_text()
+    assert page.count("data:image/") > 10 and "http" not in page.split("</style>")[1]
+    metrics = json.loads((tiny_demo / "metrics.json").read_text())
+    splits = {row["split"] for row in metrics["rows"]}
+    assert splits == {"train", "test", "novel_pose", "novel_view"}
+    assert metrics["refinement"]["vertex_mm"] is not None
+    assert metrics["training"]["size"] == [64, 64]
+    assert not list(tiny_demo.rglob("*.part"))
+
+
+def test_a_run_is_not_replaced_without_being_asked(tiny_demo, cli):
+    before = files(tiny_demo)
+    for command in (
+        ("demo", "--out", tiny_demo, *TINY),
+        ("fit", tiny_demo / "subject", "--out", tiny_demo),
+        ("synth", tiny_demo / "subject", *TINY),
+        ("refine", tiny_demo / "subject"),
+    ):
+        code, _, err = cli(*command)
+        assert code == 2 and "--overwrite" in err and err.count("\n") == 1, err
+    assert files(tiny_demo) == before
+
+
+def test_a_folder_that_is_not_ours_is_never_replaced(tmp_path, cli):
+    (tmp_path / "thesis.tex").write_text("years of work")
+    for command in (
+        ("demo", "--out", tmp_path, "--overwrite", *TINY),
+        ("synth", tmp_path, "--overwrite", *TINY),
+    ):
+        code, _, err = cli(*command)
+        assert code == 2 and "did not make it" in err
+    assert (tmp_path / "thesis.tex").read_text() == "years of work"
+
+
+def test_an_avatar_is_driven_by_other_poses(tiny_demo, tmp_path, cli):
+    save_poses(
+        tmp_path / "poses.npz", Pose.rest(3), Shape(load_body().v_template.new_zeros(10)), stage=1
+    )
+    cameras = tiny_demo / "subject/cameras.npz"
+    out = tmp_path / "renders"
+    command = (
+        "render",
+        tiny_demo,
+        "--poses",
+        tmp_path / "poses.npz",
+        "--cameras",
+        cameras,
+        "--out",
+        out,
+    )
+    code, _, err = cli(*command, "--video")
+    assert code == 0, err
+    assert {"000000.png", "000001.png", "000002.png", "video.mp4"} <= set(files(out))
+
+
+BAD = {
+    "no subject": (("refine", "nowhere"), "nowhere: no such folder"),
+    "no run": (("evaluate", "nowhere", "nowhere"), "avatar.npz: no such file"),
+    "no body": (("synth", "new", "--body", "nowhere.npz"), "nowhere.npz: no such file"),
+    "pickled body": (
+        ("synth", "new", "--body", "SMPLX_NEUTRAL.pkl"),
+        "pickled bodies are not read",
+    ),
+    "no passes": (("refine", "nowhere", "--passes", "0"), "passes must be at least 1"),
+    "no steps": (("demo", "--out", "new", "--steps", "0"), "steps must be 1 or more"),
+    "nobody": (("demo", "--out", "new", "--subject", "nobody"), "nobody"),
+    "negative frames": (("synth", "new", "--frames", "-1"), "frames must be at least 2"),
+    "negative weight": (
+        ("fit", "nowhere", "--out", "new", "--loss.alpha", "-1"),
+        "alpha must be 0",
+    ),
+    "negative blur": (("fit", "nowhere", "--out", "new", "--splat.blur", "-1"), "blur and radius"),
+    "no number": (("fit", "nowhere", "--out", "new", "--steps", "ten"), "--steps must be INT: "),
+    "no calls": (("bench", "splat", "--calls", "0"), "calls must be 1 or more"),
+    "no window": (("gradcheck", "--window", "0"), "window and count must be 1 or more"),
+    "no images": (("gradcheck", "--images"), "images must be some of color, alpha, depth"),
+    "no size": (("gradcheck-normals", "--size", "0"), "size must be at least 32"),
+    "too many cases": (("gradcheck-normals", "--count", "99"), "count must be at most 16"),
+    "no lines": (("gradcheck-normals", "--lines", "0"), "lines must be at least 1"),
+    "no scene": (("gradcheck", "--scene", "nowhere.npz"), "nowhere.npz: no such scene"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_input_is_one_sentence_and_exit_code_2(name, tmp_path, monkeypatch, cli):
+    monkeypatch.chdir(tmp_path)
+    command, sentence = BAD[name]
+    code, _, err = cli(*command)
+    assert code == 2 and sentence in err
+    assert err.count("\n") == 1 and "Traceback" not in err
+    assert not files(tmp_path)
+
+
+def test_a_body_with_a_missing_key_is_named(tmp_path, cli):
+    np.savez(tmp_path / "body.npz", v_template=np.zeros((10, 3)))
+    code, _, err = cli("synth", tmp_path / "new", "--body", tmp_path / "body.npz")
+    assert code == 2 and "key 'f' is missing" in err
+    assert files(tmp_path) == ["body.npz"]
+
+
+def test_doctor_says_what_it_found(cli):
+    code, out, _ = cli("doctor")
+    assert code == 0
+    for name in ("python", "libLLVM", "drjit", "mitsuba", "torch", "pymeshlab", "LPIPS"):
+        assert name in out

@@ -1,0 +1,99 @@
+"""What a frame says of a pose, through an avatar laid over it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from gva_mi.body.pose import JOINTS, Pose
+from gva_mi.fit.picture_evidence import Hidden, PictureWeights, Sight
+from gva_mi.splat.torch_op import render
+
+BOTH = PictureWeights(alpha=0.5, ssim=0.1)
+PICTURE = PictureWeights(alpha=0.0, ssim=0.0)
+
+
+def moved(pose, shift=(0.0, 0.0, 0.0), elbow=0.0):
+    rotations = pose.rotations.clone()
+    rotations[:, JOINTS.index("right_elbow"), 1] += elbow
+    return Pose.from_rotations(rotations, pose.transl + torch.tensor(shift), pose.expression)
+
+
+@pytest.fixture
+def frame(video):
+    return video[1]
+
+
+@pytest.fixture
+def points(known, frame):
+    with torch.no_grad():
+        return known(frame.pose).means.double().numpy()
+
+
+@pytest.fixture
+def sight(frame, points):
+    return Sight.of(frame, points)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"shift": shift} for shift in np.concatenate([0.04 * np.eye(3), -0.04 * np.eye(3)]).tolist()]
+    + [{"elbow": 0.4}, {"elbow": -0.4}],
+    ids=str,
+)
+def test_the_true_pose_has_the_least_loss(change, known, frame, sight):
+    with torch.no_grad():
+        wrong = sight.loss(known, moved(frame.pose, **change), BOTH)
+        assert sight.loss(known, frame.pose, BOTH) < wrong
+
+
+def test_a_cut_frame_shows_the_same_from_the_same_camera(known, frame, sight):
+    top, left = (
+        round(a - b)
+        for a, b in ((frame.camera.cy, sight.camera.cy), (frame.camera.cx, sight.camera.cx))
+    )
+    height, width = sight.mask.shape
+    assert height < frame.mask.shape[0] or width < frame.mask.shape[1]
+    part = slice(top, top + height), slice(left, left + width)
+    assert frame.mask.sum() == pytest.approx(float(frame.mask[part].sum()))
+    np.testing.assert_array_equal(sight.picture, np.round(frame.image[part] * 255))
+    with torch.no_grad():
+        whole, cut = (render(known(frame.pose), c).color for c in (frame.camera, sight.camera))
+    torch.testing.assert_close(cut, whole[part], rtol=0, atol=1e-4)
+
+
+def test_outlines_do_not_follow_the_mask(known, frame, points, sight):
+    """Of the mask's bites only the alpha term knows; but for the area that all is divided by."""
+    bitten = frame.mask.copy()
+    bitten[20:28, 20:24] = 0
+    other = Sight.of(replace(frame, mask=bitten), points)
+    assert other.picture.equal(sight.picture) and not other.mask.equal(sight.mask)
+    with torch.no_grad():
+        a, b = (s.loss(known, frame.pose, PICTURE) * s.mask.float().mean() for s in (sight, other))
+        torch.testing.assert_close(a, b)
+        assert other.loss(known, frame.pose, BOTH) > sight.loss(known, frame.pose, BOTH)
+
+
+def test_every_joint_that_is_seen_and_the_place_receive_a_gradient(known, frame, sight):
+    pose = frame.pose.map(lambda x: x.clone().requires_grad_())
+    names = ("global_orient", "body_pose", "left_hand_pose", "right_hand_pose", "transl")
+    inputs = [getattr(pose, name) for name in names]
+    gradients = torch.autograd.grad(sight.loss(known, pose, BOTH), inputs)
+    for name, gradient in zip(names, gradients, strict=True):
+        assert gradient.isfinite().all() and (gradient != 0).any(), name
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"mask": np.zeros((48, 48), "f4")}, "its mask is empty"),
+        ({"shift": (50.0, 0, 0)}, "out of view"),
+        ({"shift": (0, 0, 50.0)}, "behind the camera"),
+    ],
+    ids=["mask", "view", "behind"],
+)
+def test_a_frame_that_says_nothing_tells_why(change, reason, frame, points):
+    points = points + change.pop("shift", 0.0)
+    with pytest.raises(Hidden, match=reason):
+        Sight.of(replace(frame, **change), points)

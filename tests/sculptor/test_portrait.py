@@ -1,0 +1,78 @@
+import gva_mi  # noqa: F401, I001  (first: it chooses the libLLVM)
+
+import numpy as np
+import pytest
+
+from gva_mi.body import load_body
+from gva_mi.body.pose import JOINTS
+from gva_mi.body.puppet import EXPRESSIONS, PUPPET
+from gva_mi.sculptor import portrait
+from gva_mi.commands import body as show_body
+from gva_mi.sculptor.portrait import BODIES, turntable
+from gva_mi.errors import InputError
+
+
+@pytest.fixture(scope="module")
+def puppet():
+    return load_body()
+
+
+def test_a_turntable_shows_the_body_from_all_sides(puppet):
+    image = turntable(puppet, views=2, size=32, samples=4)
+    assert image.shape == (32, 46, 3) and 0 <= image.min() and image.max() <= 1
+    front, back = image[:, :23], image[:, 23:]
+    background = image[0, 0]
+    shown = [(np.abs(half - background).max(-1) > 0.1) for half in (front, back)]
+    assert all(0.05 < s.mean() < 0.6 for s in shown)
+    assert not np.array_equal(front, back)
+
+
+def test_the_same_picture_twice(puppet):
+    draw = lambda: turntable(puppet, views=1, size=24, samples=2)
+    np.testing.assert_array_equal(draw(), draw())
+
+
+def test_the_sheet_names_joints_and_expressions_that_exist(puppet):
+    figures = [*BODIES, *portrait._hands(puppet), *portrait._faces(puppet)]
+    assert len(BODIES) >= 8
+    for figure in figures:
+        assert set(figure.rotations) <= set(JOINTS)
+        assert figure.expression in ("", *EXPRESSIONS)
+
+
+def test_the_eyes_have_their_own_colours(puppet):
+    color = portrait._colors(puppet)
+    for side in ("left", "right"):
+        eye = (puppet.weights[:, JOINTS.index(f"{side}_eye_smplhf")] > 0.5).numpy()
+        assert not (color[eye] == np.float32(portrait.SKIN)).all(1).any()
+        assert (color[eye] == np.float32(portrait.IRIS)).all(1).any()
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    blank = lambda *_, **__: np.ones((4, 8, 3), np.float32)
+    monkeypatch.setattr(show_body, "turntable", blank)
+    monkeypatch.setattr(show_body, "draw_sheet", blank)
+
+
+def test_the_command_writes_the_body_and_its_pictures(quick, tmp_path):
+    out, sheet = tmp_path / "a" / "body.npz", tmp_path / "sheet.png"
+    assert show_body.body(out=out, sheet=sheet) == [out, out.with_suffix(".png"), sheet]
+    assert out.read_bytes() == PUPPET.read_bytes()
+    assert sheet.exists() and out.with_suffix(".png").exists()
+    with pytest.raises(InputError, match="body.npz: exists already; give --overwrite"):
+        show_body.body(out=out)
+    show_body.body(source=str(out), out=out, overwrite=True)
+    assert out.read_bytes() == PUPPET.read_bytes()
+
+
+def test_without_a_place_the_picture_lies_here(quick, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert [p.name for p in show_body.body()] == ["puppet.png"]
+
+
+def test_a_body_that_is_not_there_is_named(quick, tmp_path):
+    with pytest.raises(InputError, match="nobody.npz: no such file"):
+        show_body.body(source=str(tmp_path / "nobody.npz"))
+    with pytest.raises(InputError, match="a body file ends in .npz"):
+        show_body.body(out=tmp_path / "body.pkl")

@@ -1,0 +1,78 @@
+"""Wide colours: composited in chunks, and yet one picture."""
+
+import drjit as dr
+import pytest
+import torch
+from drjit.llvm import Float
+
+from gva_mi.splat import reference
+from gva_mi.splat.gaussians import Gaussians
+from gva_mi.splat.gradcheck import random_scene
+from gva_mi.splat.kernels import chunks
+from gva_mi.splat.torch_op import Screen, render
+
+CHUNK = chunks.CHUNK
+
+
+def scene(channels):
+    return random_scene(torch.Generator().manual_seed(0), channels=channels).to(torch.float64)
+
+
+def test_widths_hold_all_channels():
+    for channels in range(1, 70):
+        widths = chunks.widths(channels)
+        assert channels <= sum(widths) < channels + CHUNK
+        assert len(set(widths)) == 1  # one kernel for all
+        assert chunks.widths(channels, whole=True) == [channels]
+
+
+def test_split_undoes_join():
+    channels, pixels = 2 * CHUNK + 3, 5
+    whole = dr.arange(Float, pixels * channels)
+    alpha = dr.zeros(Float, pixels)
+    memory = [dr.zeros(Float, pixels * CHUNK) for _ in range(3)]
+    dr.make_opaque(whole, alpha, memory)
+    parts = chunks.split(whole, alpha, memory, channels=channels)
+    assert dr.all(
+        chunks.join(parts, alpha, dr.zeros(Float, pixels * channels), channels=channels) == whole
+    )
+
+
+@pytest.mark.parametrize("channels", [CHUNK, CHUNK + 1, 32, 33])
+def test_every_channel_is_the_picture_of_its_own(channels):
+    s = scene(channels)
+    g = s.gaussians
+    with torch.no_grad():
+        wide = render(g, s.camera, s.options, s.background)
+        for c in (0, CHUNK - 1, channels - 1):
+            one = Gaussians(g.means, g.quats, g.scales, g.opacities, g.colors[:, c : c + 1])
+            image = render(one, s.camera, s.options, s.background[c : c + 1])
+            torch.testing.assert_close(wide.color[..., c], image.color[..., 0], atol=1e-15, rtol=0)
+            torch.testing.assert_close(wide.alpha, image.alpha, atol=0, rtol=0)
+            torch.testing.assert_close(wide.depth, image.depth, atol=0, rtol=0)
+
+
+@pytest.mark.parametrize("loss", ["color", "depth"])
+def test_gradients_are_the_twins(loss):
+    gradients = []
+    for draw in (render, reference.render):
+        s = scene(CHUNK + 3)
+        image = draw(s.gaussians, s.camera, s.options, s.background)
+        total = image.color.square().sum() + image.alpha.sum()
+        (total + image.depth.square().sum() if loss == "depth" else total).backward()
+        gradients.append({k: v.grad for k, v in s.inputs().items()})
+    for name, grad in gradients[0].items():
+        torch.testing.assert_close(grad, gradients[1][name], rtol=1e-9, atol=1e-9, msg=name)
+
+
+def test_absolute_gradients_see_all_channels_at_once():
+    """Two halves of the channels that cancel in every pixel have no absolute gradient either."""
+    s = scene(2 * CHUNK)
+    sign = torch.ones(2 * CHUNK, dtype=torch.float64)
+    sign[CHUNK:] = -1
+    colors = s.gaussians.colors.detach()[:, :1].expand(-1, 2 * CHUNK).contiguous().requires_grad_()
+    g = s.gaussians
+    screen = Screen(absolute=True)
+    g = Gaussians(g.means, g.quats, g.scales, g.opacities, colors)
+    (render(g, s.camera, screen=screen).color * sign).sum().backward()
+    assert screen.absgrad.abs().max() < 1e-12

@@ -1,0 +1,39 @@
+"""A frozen function is traced once per set of constants, and never mistakes one for another."""
+
+import drjit as dr
+from drjit.llvm import Float
+
+from gva_mi.splat.kernels.frozen import Frozen
+
+
+def opaque(size):
+    x = dr.arange(Float, size)
+    dr.make_opaque(x)
+    return x
+
+
+def test_traced_once_for_any_size():
+    calls = []
+
+    @Frozen
+    def doubled(x):
+        calls.append(1)
+        return 2 * x
+
+    for size in (3, 5, 8):
+        assert dr.all(doubled(opaque(size)) == 2 * dr.arange(Float, size))
+    assert len(calls) == doubled.n_recordings == 1
+
+
+def test_constants_that_equal_others_are_told_apart():
+    @Frozen
+    def chosen(x, *, a, b, c):
+        return x + (1 if a else 2) + (10 if b else 20) + (100 if c else 200)
+
+    for _ in range(2):
+        for a in (True, False):
+            for b in (True, False):
+                for c in (True, False):
+                    expected = (1 if a else 2) + (10 if b else 20) + (100 if c else 200)
+                    assert chosen(opaque(4), a=a, b=b, c=c)[0] == expected
+    assert chosen.n_recordings == 8

@@ -1,0 +1,133 @@
+"""A lens: J is the derivative of u, and the adjoint is the transpose of the tangent."""
+
+import drjit as dr
+import numpy as np
+import pytest
+import torch
+from drjit.llvm import Float, Float64
+
+from gva_mi.splat import reference
+from gva_mi.splat.camera import Camera
+from gva_mi.splat.kernels.lens import LENSES, View, view_adjoint, view_of, view_tangent
+
+MODELS = list(LENSES)
+N = 200
+T = np.array(
+    [[0.8, 0.0, 0.6, 0.3], [0.0, 1.0, 0.0, -0.2], [-0.6, 0.0, 0.8, 1.5], [0.0, 0.0, 0.0, 1.0]]
+)
+
+
+def camera(model):
+    return Camera(40.0, 45.0, 30.0, 22.0, T, 64, 48, model)
+
+
+def points(seed=0, spread=2.0):
+    rng = np.random.default_rng(seed)
+    return [*(spread * rng.normal(size=(2, N))), rng.uniform(0.3, 3, N)]
+
+
+def lens_at(model, x, F=Float64):
+    view = view_of(camera(model)).to(F)
+    x = [F(v) for v in x]
+    return LENSES[model].at(x, x[2], view)
+
+
+def numbers(columns):
+    """Columns of Dr.Jit variables, (N, columns); a None is a zero."""
+    full = [np.zeros(N) if c is None else np.broadcast_to(c.numpy(), N) for c in columns]
+    return np.stack(full, axis=1)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_u_is_the_cameras_own_projection(model):
+    x = np.stack(points(), axis=1)
+    world = (x - T[:3, 3]) @ T[:3, :3]
+    expected = camera(model).project(world)
+    np.testing.assert_allclose(numbers(lens_at(model, x.T).u), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_J_is_the_derivative_of_u(model):
+    x = np.stack(points(spread=0.04), axis=1)  # inside the picture: nothing is held
+    K = torch.tensor(camera(model).K)
+    falls = lambda p: reference.picture_point(p, K, model)
+    expected = torch.func.vmap(torch.func.jacrev(falls))(torch.tensor(x)).reshape(N, 6)
+    found = numbers(lens_at(model, x.T).J)
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-10)
+
+
+@pytest.mark.parametrize("spread", [1e-9, 0.1, 3.0])
+@pytest.mark.parametrize("model", MODELS)
+def test_adjoint_is_the_transpose_of_the_tangent(model, spread):
+    rng = np.random.default_rng(1)
+    lens = lens_at(model, points(spread=spread))
+    gu, gJ, dx = (rng.normal(size=(k, N)) for k in (2, 6, 3))
+    grad = lens.adjoint([Float64(g) for g in gu], [Float64(g) for g in gJ])
+    dT, dK = np.zeros((4, 4)), np.zeros((3, 3))
+    dK[0, 0], dK[1, 1], dK[:2, 2] = 0.7, -1.1, (0.4, 1.9)
+    dview = view_tangent(camera(model), dT, dK)
+    du, dJ = lens.tangent([Float64(d) for d in dx], dview)
+    left = (numbers(du) * gu.T).sum() + (numbers(dJ) * gJ.T).sum()
+    right = (numbers(grad.x) * dx.T).sum()
+    right += (numbers(grad.f) * [0.7, -1.1]).sum() + (numbers(grad.c) * [0.4, 1.9]).sum()
+    np.testing.assert_allclose(left, right, rtol=1e-12)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_tangent_agrees_with_differences(model):
+    rng = np.random.default_rng(2)
+    x, dx = np.stack(points(spread=0.7)), rng.normal(size=(3, N))
+    step = 1e-6
+    high, low = lens_at(model, x + step * dx), lens_at(model, x - step * dx)
+    nothing = view_tangent(camera(model), np.zeros((4, 4)), np.zeros((3, 3)))
+    du, dJ = lens_at(model, x).tangent([Float64(d) for d in dx], nothing)
+    smooth = np.ones(N, bool)
+    if model == "pinhole":  # off the bounds where J is held
+        smooth = np.abs(numbers(high.J) - numbers(low.J)).max(axis=1) < 1e-2
+    for found, a, b in ((du, high.u, low.u), (dJ, high.J, low.J)):
+        expected = (numbers(a) - numbers(b)) / (2 * step)
+        np.testing.assert_allclose(numbers(found)[smooth], expected[smooth], rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("F", [Float, Float64])
+def test_fisheyes_series_meets_its_formulas(F):
+    """s, e and k of lens.py on both sides of where one takes over from the other."""
+    edge, digits = (0.25, (1e-6, 3e-6, 3e-5)) if F is Float else (0.04, (1e-15, 1e-13, 3e-12))
+    z = 1.3
+    r = np.sqrt(edge * np.linspace(0.9, 1.1, N)) * z
+    lens = lens_at("fisheye", [r, 0 * r, 0 * r + z], F)
+    s = np.arctan2(r, z) / r
+    e = (z / (r**2 + z**2) - s) / r**2
+    k = -(z / (r**2 + z**2) ** 2 + 1.5 * e) / r**2
+    # here e loses a factor 1/q of its digits to cancellation, and k another one
+    for found, expected, rtol in zip((lens.s, lens.e, lens.k), (s, e, k), digits, strict=True):
+        np.testing.assert_allclose(found.numpy(), expected, rtol=rtol)
+
+
+def test_fisheye_is_a_pinhole_near_its_axis():
+    x = points(spread=1e-5)
+    fisheye, pinhole = lens_at("fisheye", x), lens_at("pinhole", x)
+    np.testing.assert_allclose(numbers(fisheye.u), numbers(pinhole.u), rtol=1e-8)
+    np.testing.assert_allclose(numbers(fisheye.J), numbers(pinhole.J), rtol=1e-8, atol=1e-6)
+
+
+@pytest.mark.parametrize("spread", [0.0, 1e-30])
+def test_the_axis_itself_is_finite(spread):
+    lens = lens_at("fisheye", points(spread=spread), Float)
+    ones = [Float(1.0)] * 6
+    grad = lens.adjoint(ones[:2], ones)
+    for columns in (lens.u, lens.J, grad.x, grad.f, grad.c):
+        assert np.isfinite(numbers(columns)).all()
+
+
+def test_views_adjoint_is_the_transpose_of_its_tangent():
+    rng = np.random.default_rng(3)
+    dT, dK = np.zeros((4, 4)), np.zeros((3, 3))
+    dT[:3] = rng.normal(size=(3, 4))
+    dK[0, 0], dK[1, 1], dK[:2, 2] = rng.normal(size=2)[0], 0.3, rng.normal(size=2)
+    d = view_tangent(camera("pinhole"), dT, dK)
+    d = np.concatenate([[dr.slice(x) for x in part] for part in (d.R, d.t, d.f, d.c, d.o)])
+    g = rng.normal(size=View.DIFFERENTIABLE)
+    grad_T, grad_K = view_adjoint(camera("pinhole"), g)
+    np.testing.assert_allclose(d @ g, (grad_T * dT).sum() + (grad_K * dK).sum(), rtol=1e-12)
+    assert (grad_T[3] == 0).all() and grad_K[2, 2] == grad_K[0, 1] == 0

@@ -1,0 +1,87 @@
+"""A tile's list holds, in depth order, exactly the Gaussians that some pixel of it sees."""
+
+import drjit as dr
+import numpy as np
+import pytest
+import torch
+from drjit.llvm import Float64
+
+from gva_mi.splat import reference
+from gva_mi.splat.gradcheck import random_scene
+from gva_mi.splat.kernels import tiles
+from gva_mi.splat.kernels.passes import render_forward
+from gva_mi.splat.kernels.project import Inputs
+
+
+def forward(scene):
+    g = scene.gaussians
+    flat = [Float64(a.reshape(-1).numpy()) for a in g.arrays().values()]
+    return render_forward(Inputs(*flat), False, scene.camera, scene.options, [0.0] * g.channels)
+
+
+def lists_of(saved) -> dict[int, list[int]]:
+    real = saved.lists.real.numpy()
+    ids = saved.lists.ids.numpy()
+    columns = (saved.lists.tile, saved.lists.start, saved.lists.end)
+    lanes = zip(*(column.numpy()[real] for column in columns), strict=True)
+    return {int(tile): ids[start:end].tolist() for tile, start, end in lanes}
+
+
+@pytest.mark.parametrize(("width", "height"), [(32, 32), (37, 11), (5, 3)])
+def test_lists_are_exact_and_in_depth_order(width, height):
+    generator = torch.Generator().manual_seed(5)
+    scene = random_scene(generator, gaussians=60, width=width, height=height)
+    camera, options, g = scene.camera, scene.options, scene.gaussians
+    R, t = torch.tensor(camera.T_camera_world[:3, :3]), torch.tensor(camera.T_camera_world[:3, 3])
+    x = g.means @ R.T + t
+    lists = lists_of(forward(scene))
+    layout = tiles.Layout(width, height)
+    assert sorted(lists) == list(range(layout.tiles))
+
+    v, u = np.mgrid[:height, :width] + 0.5
+    tile = (v.astype(int) // tiles.HEIGHT) * layout.columns + u.astype(int) // tiles.WIDTH
+    expected = {k: [] for k in lists}
+    for i in torch.argsort(x[:, 2]).tolist():
+        K = torch.tensor(camera.K)
+        mean, sharp = reference._project(x[i], g.quats[i], g.scales[i], R, camera, K)
+        covariance = sharp + options.blur * torch.eye(2)
+        d = np.stack([u, v], axis=-1) - mean.numpy()
+        power = np.einsum("hwi,ij,hwj->hw", d, np.linalg.inv(covariance.numpy()), d)
+        seen = g.opacities[i].item() * np.exp(-power / 2) >= options.alpha_min
+        for k in np.unique(tile[seen]):
+            expected[k].append(i)
+    assert lists == expected
+
+
+def test_equal_depths_keep_their_order():
+    scene = random_scene(torch.Generator().manual_seed(0), gaussians=20)
+    inputs = scene.inputs()
+    inputs["means"] = torch.zeros(20, 3, dtype=torch.float64)
+    for ids in lists_of(forward(scene.with_inputs(inputs))).values():
+        assert ids == sorted(ids)
+
+
+@pytest.mark.parametrize("pairs", [1, 2, 7, 8, 9, 1000, 123_456, 2**31 - 1])
+def test_capacity_is_enough_and_not_a_quarter_more(pairs):
+    assert pairs <= tiles.capacity(pairs) <= 1.25 * pairs
+
+
+def test_capacities_are_few():
+    assert len({tiles.capacity(pairs) for pairs in range(1, 2**16)}) <= 4 * 16
+
+
+def test_too_many_pairs_are_refused(monkeypatch):
+    monkeypatch.setattr(tiles, "MAX_PAIRS", 10)
+    with pytest.raises(ValueError, match="40 Gaussians touch"):
+        forward(random_scene(torch.Generator().manual_seed(0)))
+
+
+def test_every_slot_has_one_writer():
+    saved = forward(random_scene(torch.Generator().manual_seed(0)))
+    slots = saved.lists.slots.numpy()
+    assert sorted(slots.tolist()) == list(range(len(slots)))
+    counts, first = saved.lists.counts.numpy(), saved.lists.first.numpy()
+    owner = np.concatenate([slots[f : f + n] for f, n in zip(first, counts, strict=True)])
+    ids = saved.lists.ids.numpy()
+    assert (ids[owner] == np.repeat(np.arange(len(counts)), counts)).all()
+    assert dr.width(saved.lists.ids) == tiles.capacity(int(counts.sum()))

@@ -1,0 +1,80 @@
+"""The Dr.Jit door gives the same bits as torch's, through Dr.Jit's own autodiff."""
+
+import subprocess
+import sys
+
+import drjit as dr
+import numpy as np
+import pytest
+import torch
+from drjit.llvm import TensorXf, ad
+
+from gva_mi.splat import torch_op
+from gva_mi.splat.drjit_op import render
+from gva_mi.splat.gaussians import Gaussians
+from gva_mi.splat.gradcheck import random_scene
+
+
+@pytest.mark.parametrize(
+    ("dtype", "kind"), [(torch.float32, ad.TensorXf), (torch.float64, ad.TensorXf64)]
+)
+@pytest.mark.parametrize("degree", [None, 2])
+def test_same_bits_as_torch(dtype, kind, degree):
+    generator = torch.Generator().manual_seed(3)
+    scene = random_scene(generator, width=21, height=18, degree=degree).to(dtype)
+    weights = torch.randn(18, 21, 3, generator=generator).to(dtype)
+    image = torch_op.render(scene.gaussians, scene.camera, background=scene.background)
+    loss = (image.color * weights).sum() + image.alpha.square().sum() + image.depth.sum()
+    loss.backward()
+
+    inputs = {name: kind(t.detach().numpy()) for name, t in scene.inputs().items()}
+    dr.enable_grad(inputs)
+    background = inputs.pop("background")
+    found = render(Gaussians(**inputs), scene.camera, background=background)
+    for name in ("color", "alpha", "depth"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(image, name).detach().numpy())
+    loss = dr.sum(found.color * kind(weights.numpy()))
+    dr.backward(loss + dr.sum(dr.square(found.alpha)) + dr.sum(found.depth))
+    for name, array in (inputs | {"background": background}).items():
+        np.testing.assert_array_equal(dr.grad(array), scene.inputs()[name].grad.numpy(), name)
+
+
+def test_without_autodiff():
+    scene = random_scene(torch.Generator().manual_seed(3)).to(torch.float32)
+    arrays = {k: TensorXf(v.detach().numpy()) for k, v in scene.gaussians.arrays().items()}
+    image = render(Gaussians(**arrays), scene.camera)
+    assert type(image.color) is TensorXf
+    assert image.color.shape == (32, 32, 3) and image.depth.shape == (32, 32)
+
+
+def test_kinds_must_agree():
+    scene = random_scene(torch.Generator().manual_seed(3)).to(torch.float32)
+    arrays = {k: TensorXf(v.detach().numpy()) for k, v in scene.gaussians.arrays().items()}
+    arrays["quats"] = ad.TensorXf(arrays["quats"])
+    with pytest.raises(ValueError, match="one kind"):
+        render(Gaussians(**arrays), scene.camera)
+    with pytest.raises(ValueError, match="one kind"):
+        render(scene.gaussians, scene.camera)
+
+
+FREEZE = """
+import numpy as np
+from gva_mi.splat import Camera, Gaussians
+from gva_mi.splat.drjit_op import render
+import drjit as dr
+from drjit.llvm import TensorXf
+ones = lambda *shape: TensorXf(np.ones(shape, np.float32))
+camera = Camera(8.0, 8.0, 4.0, 4.0, np.eye(4), 8, 8)
+frozen = dr.freeze(lambda m: render(
+    Gaussians(m, ones(2, 4), ones(2, 3), ones(2), colors=ones(2, 3)), camera).color)
+try:
+    frozen(ones(2, 3))
+except RuntimeError as error:
+    print(error.__cause__)
+"""
+
+
+def test_it_refuses_to_be_frozen():
+    # in a process of its own: Dr.Jit may abort when it clears an unfinished recording away
+    found = subprocess.run([sys.executable, "-c", FREEZE], capture_output=True, text=True)
+    assert "do not call it in dr.freeze" in found.stdout

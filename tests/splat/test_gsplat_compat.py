@@ -1,0 +1,284 @@
+"""gsplat's call: its shapes and modes, on batches of cameras, and what it refuses."""
+
+import inspect
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+
+from gva_mi.splat import reference
+from gva_mi.splat.camera import Camera, look_at
+from gva_mi.splat.gaussians import Gaussians
+from gva_mi.splat.gradcheck import random_scene
+from gva_mi.splat.gsplat_compat import rasterization
+from gva_mi.splat.options import SplatOptions
+from gva_mi.splat.torch_op import Screen, render
+
+W, H, N, C = 24, 17, 30, 2
+
+
+def arguments(dtype=torch.float64, **kwargs):
+    """Of rasterization(), by name, all float ones leaves; two cameras."""
+    g = random_scene(torch.Generator().manual_seed(3), N, W, H, **kwargs).gaussians
+    views = [look_at((0.6, 0.4, 2.9), (0.0, 0.0, 0.0)), look_at((-0.9, 0.2, 2.5), (0.0, 0.1, 0.0))]
+    K = np.array([[40.0, 0, 12.3], [0, 42, 8.1], [0, 0, 1]])
+    out = {"means": g.means, "quats": g.quats, "scales": g.scales, "opacities": g.opacities}
+    out |= {"colors": g.colors if g.sh is None else g.sh, "viewmats": np.stack(views)}
+    out |= {"Ks": np.stack([K, K + [[3, 0, 0], [0, 2, 0], [0, 0, 0]]])}
+    out = {k: torch.as_tensor(v).to(dtype).clone().requires_grad_() for k, v in out.items()}
+    return out | {"width": W, "height": H}
+
+
+def camera_of(a, c, model="pinhole"):
+    K, T = (a[name][c].detach().double().numpy() for name in ("Ks", "viewmats"))
+    return Camera.from_matrices(K, T, W, H, model)
+
+
+def gradients(loss, a):
+    leaves = {k: v for k, v in a.items() if isinstance(v, torch.Tensor)}
+    found = torch.autograd.grad(loss, list(leaves.values()), allow_unused=True)
+    return dict(zip(leaves, found, strict=True))
+
+
+def test_parameters_are_gsplats():
+    expected = (
+        "means quats scales opacities colors viewmats Ks width height near_plane far_plane "
+        "radius_clip eps2d sh_degree packed tile_size backgrounds render_mode sparse_grad absgrad "
+        "rasterize_mode channel_chunk distributed camera_model segmented covars with_ut "
+        "with_eval3d radial_coeffs tangential_coeffs thin_prism_coeffs ftheta_coeffs "
+        "rolling_shutter viewmats_rs"
+    )
+    assert list(inspect.signature(rasterization).parameters) == expected.split()
+
+
+@pytest.mark.parametrize("rasterize_mode", ["classic", "antialiased"])
+@pytest.mark.parametrize("camera_model", ["pinhole", "ortho", "fisheye"])
+@pytest.mark.parametrize("sh_degree", [None, 1])
+def test_pictures_and_gradients_are_the_twins(sh_degree, camera_model, rasterize_mode):
+    a = arguments(degree=None if sh_degree is None else 2)  # more coefficients than are used
+    modes = {"rasterize_mode": rasterize_mode, "camera_model": camera_model}
+    backgrounds = torch.rand(C, 3, generator=torch.Generator().manual_seed(1)).double()
+    colors, alphas, _ = rasterization(
+        **a, sh_degree=sh_degree, backgrounds=backgrounds, render_mode="RGB+D", **modes
+    )
+    kind = "colors" if sh_degree is None else "sh"
+    features = a["colors"] if sh_degree is None else a["colors"][:, :4]
+    expected = []
+    for c in range(C):
+        g = Gaussians(a["means"], a["quats"], a["scales"], a["opacities"], **{kind: features})
+        image = reference.render(
+            g,
+            camera_of(a, c, camera_model),
+            SplatOptions(antialiased=rasterize_mode == "antialiased"),
+            backgrounds[c],
+            T_camera_world=a["viewmats"][c],
+            K=a["Ks"][c],
+        )
+        picture = [image.color, image.depth[..., None], image.alpha[..., None]]
+        expected.append(torch.cat(picture, dim=-1))
+    expected, found = torch.stack(expected), torch.cat([colors, alphas], dim=-1)
+    torch.testing.assert_close(found, expected, atol=1e-12, rtol=0)
+    w = torch.randn(found.shape, generator=torch.Generator().manual_seed(2)).double()
+    truth = gradients((expected * w).sum(), a)
+    for name, grad in gradients((found * w).sum(), a).items():
+        assert (grad - truth[name]).norm() <= 1e-10 * truth[name].norm(), name
+
+
+@pytest.mark.parametrize("camera_model", ["pinhole", "ortho", "fisheye"])
+def test_torch_agrees_in_both_directions(camera_model):
+    """By every differentiable input, through the node of meta["means2d"] too."""
+    g = random_scene(torch.Generator().manual_seed(3), 2, 5, 4).gaussians
+    view = torch.tensor(look_at((0, 0, 2.9), (0, 0, 0)))[None]
+    K = torch.tensor([[[6.0, 0, 2.7], [0, 7, 2.1], [0, 0, 1]]]).double()
+    if camera_model == "ortho":
+        K = K * torch.tensor([0.4, 0.4, 1]).double()[:, None]
+    leaves = (g.means, g.quats, g.scales, g.opacities, g.colors, view, K)
+
+    def images(*tensors):
+        modes = {"render_mode": "RGB+ED", "camera_model": camera_model}
+        colors, alphas, meta = rasterization(*tensors, 5, 4, **modes)
+        visible = (meta["radii"] > 0).all(dim=-1, keepdim=True)
+        return colors * (alphas > 0.02), alphas, torch.where(visible, meta["means2d"], 0)
+
+    inputs = [leaf.clone().requires_grad_() for leaf in leaves]
+    assert torch.autograd.gradcheck(images, inputs, check_forward_ad=True, fast_mode=True)
+
+
+def test_render_modes():
+    a = arguments()
+    pictures = {m: rasterization(**a, render_mode=m) for m in "RGB D ED RGB+D RGB+ED".split()}
+    rgb, alphas, _ = pictures["RGB"]
+    depth = pictures["D"][0]
+    assert rgb.shape == (C, H, W, 3) and depth.shape == alphas.shape == (C, H, W, 1)
+    expected = depth / alphas.clamp(min=1e-10)
+    torch.testing.assert_close(pictures["ED"][0], expected, atol=0, rtol=0)
+    for mode, last in (("RGB+D", depth), ("RGB+ED", expected)):
+        torch.testing.assert_close(
+            pictures[mode][0], torch.cat([rgb, last], dim=-1), atol=0, rtol=0
+        )
+    seen = alphas > 0.01
+    assert expected[seen].min() > 1.5 and expected[seen].max() < 4
+
+
+def test_expected_depth_has_a_gradient():
+    a = arguments()
+    g = gradients(rasterization(**a, render_mode="ED")[0].sum(), a)
+    for name in ("means", "quats", "scales", "opacities", "viewmats", "Ks"):
+        assert torch.isfinite(g[name]).all() and g[name].abs().sum() > 0, name
+
+
+def test_colors_of_each_camera():
+    a = arguments()
+    twice = torch.stack([a["colors"], 1 - a["colors"]]).detach()
+    found = rasterization(**(a | {"colors": twice}))[0]
+    for c in range(C):
+        alone = rasterization(**(a | {"colors": twice[c]}))[0]
+        torch.testing.assert_close(found[c], alone[c], atol=0, rtol=0)
+
+
+def test_meta():
+    a = arguments()
+    _, _, meta = rasterization(**a)
+    assert (meta["width"], meta["height"], meta["n_cameras"]) == (W, H, C)
+    assert meta["radii"].shape == (C, N, 2) and meta["radii"].dtype == torch.int32
+    for c in range(C):
+        camera = camera_of(a, c)
+        x = a["means"].detach().numpy() @ camera.T_camera_world[:3, :3].T
+        x += camera.T_camera_world[:3, 3]
+        np.testing.assert_allclose(meta["depths"][c].detach(), x[:, 2], rtol=1e-12)
+        projected = camera.project(a["means"].detach().numpy())
+        np.testing.assert_allclose(meta["means2d"][c].detach(), projected, rtol=1e-11)
+        screen = Screen()
+        g = Gaussians(a["means"], a["quats"], a["scales"], a["opacities"], a["colors"])
+        render(g, camera, screen=screen)
+        assert ((meta["radii"][c] > 0).all(dim=1) | ~screen.visible).all()
+        R = torch.tensor(camera.T_camera_world[:3, :3])
+        for i in torch.nonzero(screen.visible)[:, 0].tolist():
+            parts = (torch.tensor(x[i]), a["quats"][i], a["scales"][i], R, camera)
+            C2 = reference._project(*parts, torch.tensor(camera.K))[1].detach()
+            C2 = C2 + 0.3 * torch.eye(2, dtype=torch.float64)
+            conic = torch.linalg.inv(C2)[[0, 0, 1], [0, 1, 1]]
+            torch.testing.assert_close(meta["conics"][c, i], conic, rtol=1e-9, atol=1e-12)
+            reach = torch.sqrt(2 * torch.log(255 * a["opacities"][i]) * torch.diagonal(C2))
+            assert (meta["radii"][c, i] == torch.ceil(reach)).all()
+    torch.testing.assert_close(meta["opacities"], a["opacities"].expand(C, N))
+    faded = rasterization(**a, rasterize_mode="antialiased")[2]["opacities"]
+    assert (faded <= meta["opacities"] * (1 + 1e-12)).all() and (faded > 0).all()
+
+
+def test_means2d_is_a_node_of_the_graph():
+    a = arguments()
+    colors, _, meta = rasterization(**a, absgrad=True)
+    meta["means2d"].retain_grad()
+    w = torch.randn(colors.shape, generator=torch.Generator().manual_seed(2)).double()
+    (colors * w).sum().backward()
+    for c in range(C):
+        screen = Screen(absolute=True)
+        g = Gaussians(*(a[k].detach().requires_grad_() for k in list(a)[:5]))
+        (render(g, camera_of(a, c), screen=screen).color * w[c]).sum().backward()
+        torch.testing.assert_close(meta["means2d"].grad[c], screen.grad)
+        torch.testing.assert_close(meta["means2d"].absgrad[c], screen.absgrad)
+
+
+def test_a_loss_on_means2d_and_depths_reaches_means_and_cameras():
+    a = arguments()
+    for name in ("means2d", "depths"):
+        g = gradients(rasterization(**a)[2][name].square().sum(), a)
+        assert g["means"].abs().min() > 0 and (g["viewmats"][:, 2].abs() > 0).all()
+
+
+def test_absolute_gradient_of_one_pixel_is_the_gradients_absolute():
+    """And that of a picture is the sum over its pixels."""
+    a = arguments()
+    g = Gaussians(*(a[k] for k in list(a)[:5]))
+    camera = camera_of(a, 0)
+    screen = Screen(absolute=True)
+    image = render(g, camera, screen=screen)
+    total = 0
+    for y in range(H):
+        for x in range(W):
+            loss = image.color[y, x].sum() + image.depth[y, x]
+            torch.autograd.grad(loss, a["means"], retain_graph=True)
+            torch.testing.assert_close(screen.absgrad, screen.grad.abs())
+            total = total + screen.absgrad
+    torch.autograd.grad(image.color.sum() + image.depth.sum(), a["means"])
+    torch.testing.assert_close(screen.absgrad, total)
+
+
+def test_radius_clip_leaves_out_the_small():
+    a = arguments()
+    radii = rasterization(**a)[2]["radii"]
+    clipped, _, meta = rasterization(**a, radius_clip=4.0)
+    kept = (radii > 4).any(dim=-1)
+    assert kept.any() and not kept.all()
+    assert ((meta["radii"] > 0).all(dim=-1) == (kept & (radii > 0).all(dim=-1))).all()
+    for c in range(C):
+        few = {k: a[k][kept[c]] for k in ("means", "quats", "scales", "opacities", "colors")}
+        torch.testing.assert_close(rasterization(**(a | few))[0][c], clipped[c], atol=0, rtol=0)
+
+
+def test_what_means_nothing_on_a_cpu_changes_nothing():
+    a = arguments()
+    idle = {"packed": False, "tile_size": 8, "sparse_grad": True, "channel_chunk": 4}
+    idle |= {"segmented": True, "rolling_shutter": SimpleNamespace(name="GLOBAL")}
+    assert torch.equal(rasterization(**a)[0], rasterization(**a, **idle)[0])
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_same_bits_with_any_torch_threads(threads):
+    before = torch.get_num_threads()
+    torch.set_num_threads(threads)
+    try:
+        found = many_bits()
+    finally:
+        torch.set_num_threads(before)
+    assert found == many_bits()
+
+
+def many_bits():
+    a = arguments(torch.float32, degree=1)
+    copies = 200  # enough for torch to share work among threads
+    for name in ("means", "quats", "scales", "opacities", "colors"):
+        whole = a[name].detach().repeat(copies, *[1] * (a[name].dim() - 1))
+        a[name] = whole.requires_grad_()
+    with torch.no_grad():
+        noise = torch.randn(a["means"].shape, generator=torch.Generator().manual_seed(0))
+        a["means"] += 0.3 * noise
+    colors, alphas, _ = rasterization(**a, sh_degree=1, render_mode="RGB+ED", absgrad=True)
+    (colors.square().sum() + alphas.sum()).backward()
+    leaves = [a[k] for k in list(a)[:7]]
+    parts = [colors, alphas, *(leaf.grad for leaf in leaves)]
+    return [p.detach().numpy().tobytes() for p in parts]
+
+
+def test_unsupported_arguments_raise():
+    a = arguments()
+    wrong = {"distributed": True, "covars": torch.zeros(N, 3, 3), "with_ut": True}
+    wrong |= {"with_eval3d": True, "radial_coeffs": torch.zeros(C, 6), "viewmats_rs": a["viewmats"]}
+    wrong |= {"rolling_shutter": SimpleNamespace(name="ROLLING_TOP_TO_BOTTOM")}
+    for name, value in wrong.items():
+        with pytest.raises(ValueError, match=f"{name} is not supported"):
+            rasterization(**a, **{name: value})
+    for name in ("render_mode", "rasterize_mode", "camera_model"):
+        with pytest.raises(ValueError, match=f"{name} must be one of .*, got 'ftheta'"):
+            rasterization(**a, **{name: "ftheta"})
+
+
+def test_wrong_shapes_are_named():
+    a = arguments()
+    wrong = {
+        r"means must be \(N, 3\), got \(1, 30, 3\)": {"means": a["means"][None]},
+        r"viewmats must be \(C, 4, 4\)": {"viewmats": a["viewmats"][0]},
+        r"Ks \(C, 3, 3\)": {"Ks": a["Ks"][:1]},
+        r"colors must be \(N, D\)": {"colors": a["colors"][1:]},
+        "3 colors for 2 cameras": {"colors": a["colors"].expand(3, N, 3)},
+        r"backgrounds must be \(C, D\)": {"backgrounds": torch.zeros(3).double()},
+        "sh_degree 2 needs 9 coefficients": {
+            "colors": torch.zeros(N, 4, 3).double(),
+            "sh_degree": 2,
+        },
+    }
+    for message, changed in wrong.items():
+        with pytest.raises(ValueError, match=message):
+            rasterization(**(a | changed))

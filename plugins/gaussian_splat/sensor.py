@@ -1,4 +1,4 @@
-"""A Mitsuba sensor as a camera of :mod:`gva_mi.splat`, differentiable in the sensor's parameters.
+"""A Mitsuba sensor as a camera of ``gva_mi.splat``, differentiable in the sensor's parameters.
 
 A Mitsuba sensor looks along +z, with x to the left and y up: F = diag(-1, -1, 1) makes that OpenCV.
 With ``to_world = [M | o]``, the film's size (W, H) and the corner of its crop window, in pixels:
@@ -24,8 +24,8 @@ RIGID = 1e-4  # by how much R may fail to be orthonormal
 
 
 @dataclass(frozen=True)
-class SensorView:
-    """What a sensor sees: the numbers, and the same attached to the sensor's parameters."""
+class SensorCamera:
+    """A sensor's camera: its numbers, and the same attached to the sensor's parameters."""
 
     camera: Camera
     T_camera_world: mi.TensorXf  # (4, 4), attached to to_world
@@ -34,8 +34,8 @@ class SensorView:
     far: float  # m
 
     @staticmethod
-    def of(sensor: mi.Sensor) -> SensorView:
-        """The view of a ``perspective`` or ``orthographic`` sensor.
+    def of(sensor: mi.Sensor) -> SensorCamera:
+        """The camera of a ``perspective`` or ``orthographic`` sensor.
 
         Raises:
             ValueError: for another sensor, or one whose to_world is sheared.
@@ -72,7 +72,7 @@ class SensorView:
             raise ValueError("gaussian_splat: the sensor's to_world must not be sheared")
         camera = Camera.from_matrices(*matrices, *film.crop_size(), model)
         along_z = float(dr.detach(s.z)[0])
-        return SensorView(camera, T, K, along_z * sensor.near_clip(), along_z * sensor.far_clip())
+        return SensorCamera(camera, T, K, along_z * sensor.near_clip(), along_z * sensor.far_clip())
 
     @property
     def axis(self) -> list[mi.Float]:

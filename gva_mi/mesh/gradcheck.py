@@ -1,15 +1,15 @@
-"""Are the gradients that refine a pose right? The body's, against exact ones, joint by joint.
+"""Are the gradients that refine a pose right? They are compared with exact ones, joint by joint.
 
 The puppet stands 512 pixels high in poses in which limbs are free, lie before the body, cross, or
 are pressed into it or one another, and one coordinate of the pose moves: a translation, a shoulder,
-an elbow, a finger. The gradient of ``mesh_normals`` by the vertices is pulled back to that
-coordinate and compared with two twins that share no code with it, in float64:
+an elbow, a finger. The derivative of the image by that coordinate, as ``mesh_normals`` gives it for
+the vertices' motion, is compared with two twins that share no code with it, in float64
+(``gva_mi_plugins.mesh_normals.twins``):
 
-1. the mask's gradient and the normals' boundary term with
-   ``Scanlines``, the normals' interior with ``Differences.interior``
-   (``gva_mi_plugins.mesh_normals.twins``); each apart, for in their sum errors may cancel;
+1. the mask's derivative and the normals' boundary term with ``Scanlines``, the normals' interior
+   with ``Differences.interior``; each apart, for in their sum errors may cancel;
 2. each for WEIGHTINGS linear functions of the image, smooth random fields: the figure is
-   ``|gradients - truth| / |truth|``, vectors over these functions. One function alone may be small
+   ``|found - truth| / |truth|``, vectors over these functions. One function alone may be small
    by chance, where opposite sides of a limb cancel.
 
 Differences of whole images are no truth here: contours of neighbouring fingers all but coincide on
@@ -133,10 +133,8 @@ class GradientErrors:
     @property
     def passed(self) -> bool:
         """Whether each error is within its limit."""
-        return all(
-            error is None or error <= LIMITS[name]
-            for name, error in zip(LIMITS, (self.mask, self.interior, self.boundary), strict=True)
-        )
+        errors = {name: getattr(self, name) for name in LIMITS}
+        return all(error is None or error <= LIMITS[name] for name, error in errors.items())
 
 
 def table(rows: Sequence[GradientErrors]) -> str:
@@ -183,6 +181,7 @@ def _compare(
     options: GradientOptions,
     weightings: list[np.ndarray],
 ) -> GradientErrors:
+    """The relative errors of the plugin's derivative, as functions of the image see them."""
     import mitsuba as mi
 
     sensor = mi.load_dict(sensor_of(camera))

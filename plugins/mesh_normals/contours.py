@@ -15,11 +15,11 @@ Edges are cut at the near plane and at the border of the image first.
 
 Edges that can show a jump: **contours**, whose faces all lie on one side of them on the image (a
 fold seen from the front, and any border of an open mesh), and **creases**, where two faces do not
-share a normal. Two rays a hair's breadth beside the edge tell ``I_inside``, ``I_outside``, and
-whether the edge is seen at all. At a contour the inner one must hit a face of the edge, or one that
-shares a corner with it and does not reach over the edge (its own one may be seen so flat that the
-ray leaps over it), and the outer one nothing in front of it; at a crease both must hit the faces of
-the edge.
+share a normal. Two rays, one on either side and very close to the edge, tell ``I_inside``,
+``I_outside``, and whether the edge is seen at all. At a contour the inner ray must hit a face of
+the edge, or one that shares a corner with it and does not reach over the edge (the edge's own face
+may be seen so flat that the ray misses it), and the outer ray must hit nothing in front of the
+edge. At a crease both must hit faces of the edge.
 """
 
 from __future__ import annotations

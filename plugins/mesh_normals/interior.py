@@ -1,8 +1,8 @@
 """The interior term: what an image gains as surfaces move within their contours.
 
 1. A point seen keeps to its triangle, and its normal and depth change: ``∂I/∂v = ∫ ∂v/∂x f dA``.
-   Where a surface is seen flat the integrand grows as one over the cosine of the angle. Rays spread
-   over the image seldom meet such places, and then count too much.
+   Where a surface is seen flat the integrand grows as one over the cosine of the angle. The rays
+   of the image seldom meet such places, and where one does it counts too much.
 2. So there are two sets of samples: the rays of the image, ``spp`` for a pixel of area, and one
    point on every triangle, ``1 / A`` for a pixel of area, ``A`` the area in pixels that the
    triangle covers. Triangles seen flat cover little.
@@ -114,7 +114,7 @@ def _is_slanted(surface: Surface, ray: mi.Ray3f, face: mi.UInt32) -> mi.Bool:
 
 
 def _points_on_triangles(caster: RayCaster) -> tuple[mi.UInt32, mi.Point2f]:
-    """One point on every triangle, as far as they are seen: triangles (S,), pixels (S,)."""
+    """A point on each triangle, of those points that are seen: triangles (S,), pixels (S,)."""
     surface, projection = caster.surface, caster.projection
     x = _one_point_each(surface)
     faces_sensor = dr.dot(surface.face_normals, projection.toward(x)) < 0

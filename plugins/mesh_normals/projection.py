@@ -33,7 +33,7 @@ class Projection:
     rows: tuple[mi.Vector3f, mi.Vector3f, mi.Vector3f]  # of P, without its last column
     offset: mi.Vector3f  # last column of P
     pixel_to_world: mi.Matrix3f  # A^-1; orthographic: its first columns are ∂o/∂q
-    determinant: mi.Float  # of its inverse, without sign
+    determinant: mi.Float  # |det| of the inverse of pixel_to_world
     eye: mi.Point3f  # o of a pinhole; orthographic: o of pixel (0, 0)
     axis: mi.Vector3f  # the unit vector along which depth grows, world
     axis_offset: mi.Float  # depth is axis · x + axis_offset

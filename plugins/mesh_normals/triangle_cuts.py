@@ -32,8 +32,8 @@ SHORT = 1e-9  # share of two triangles' stretches below which what they share is
 class TriangleCuts:
     """Segments in which pairs of triangles cut one another."""
 
-    f: mi.UInt32  # (R,) the one triangle
-    g: mi.UInt32  # (R,) the other
+    f: mi.UInt32  # (R,) the first triangle of the pair
+    g: mi.UInt32  # (R,) the second
     start: mi.Vector3f  # (R,) world
     end: mi.Vector3f  # (R,)
 
@@ -63,8 +63,8 @@ def shared_segments(f: np.ndarray, g: np.ndarray) -> tuple[np.ndarray, np.ndarra
     """Eq. 2 for pairs of triangles.
 
     Args:
-        f: (C, 3, 3) corners of the ones.
-        g: (C, 3, 3) corners of the others.
+        f: (C, 3, 3) corners of the first triangle of each pair.
+        g: (C, 3, 3) corners of the second.
 
     Returns:
         Which pairs cut one another, (C,) bool, and the ends of their segments, (R, 3) each.

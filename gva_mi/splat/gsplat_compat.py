@@ -147,16 +147,13 @@ def rasterization(
     kind = "sh" if sh_degree is not None else "colors"
     pictures, screens = [], []
     for c in range(C):
-        K, T = Ks[c].detach().double().numpy(), viewmats[c].detach().double().numpy()
         screen = Screen(absolute=absgrad)
         image = render(
             Gaussians(means, quats, scales, opacities, **{kind: colors[c]}),
-            Camera.from_matrices(K, T, width, height, camera_model),
+            Camera.from_matrices(Ks[c], viewmats[c], width, height, camera_model),
             options,
             backgrounds[c] if backgrounds is not None and "RGB" in render_mode else None,
             screen,
-            T_camera_world=viewmats[c],
-            K=Ks[c],
             means2d=means2d[c],
         )
         pictures.append(_channels(image, render_mode))

@@ -14,7 +14,7 @@ from gva_mi.splat.bench.growth import HARD, Growth, growing, hard_scenes, measur
 from gva_mi.splat.bench.moving import Moving, measure_moving
 from gva_mi.splat.bench.stages import Stage, measure_stages
 from gva_mi.splat.bench.timing import Timing, Work, pairs_of, repeated, walked_of
-from gva_mi.splat.kernels.blend import PIXELS
+from gva_mi.splat.kernels.pixel import PIXELS
 from gva_mi.splat.scene import Scene, person_scene
 
 

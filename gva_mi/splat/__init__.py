@@ -27,7 +27,8 @@ from gva_mi.splat.options import SplatOptions
 
 if TYPE_CHECKING:
     from gva_mi.splat.gsplat_compat import rasterization
-    from gva_mi.splat.torch_op import Screen, render
+    from gva_mi.splat.screen import Screen
+    from gva_mi.splat.torch_op import render
 
 llvm.require()
 
@@ -45,10 +46,14 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:  # noqa: ANN401
     """The names that need torch, which is imported with the first of them."""
-    if name in ("render", "Screen"):
-        from gva_mi.splat import torch_op
+    if name == "render":
+        from gva_mi.splat.torch_op import render
 
-        return getattr(torch_op, name)
+        return render
+    if name == "Screen":
+        from gva_mi.splat.screen import Screen
+
+        return Screen
     if name == "rasterization":
         from gva_mi.splat.gsplat_compat import rasterization
 

@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.splat import reference
+from gva_mi.splat import Screen, reference, render
 from gva_mi.splat.gradcheck import random_scene
 from gva_mi.splat.kernels import passes
 from gva_mi.splat.kernels.blend import blend, blend_adjoint
-from gva_mi.splat.torch_op import Screen, render
 
 
 def scene(seed=0, **kwargs):

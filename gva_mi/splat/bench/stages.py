@@ -40,7 +40,7 @@ COUNTED = ("composite", "composite, adjoint")  # whose operations are counted
 
 
 @dataclass(frozen=True)
-class Stage:
+class StageCost:
     """One step of passes.py."""
 
     name: str
@@ -51,7 +51,7 @@ class Stage:
     share_bytes: float
 
 
-def measure_stages(work: Work, repeats: int, limits: Limits) -> Iterator[Stage]:
+def measure_stages(work: Work, repeats: int, limits: Limits) -> Iterator[StageCost]:
     """Every stage of ``repeats`` forward and backward passes."""
     counted: dict[str, int] = {}
     with _around_stages(_count(counted)), dr.scoped_set_flag(dr.JitFlag.KernelHistory):
@@ -67,7 +67,7 @@ def measure_stages(work: Work, repeats: int, limits: Limits) -> Iterator[Stage]:
         rate = 1e-6 / timing.least  # 1e9 per second, for each of the work's units
         flops = turns * counted[name] * rate if name in COUNTED else None
         share = None if flops is None else flops / limits.gflops
-        yield Stage(name, timing, flops, moved * rate, share, moved * rate / limits.gigabytes)
+        yield StageCost(name, timing, flops, moved * rate, share, moved * rate / limits.gigabytes)
 
 
 def _clock(times: dict[str, list[float]]) -> Callable[[str, Callable[[], object]], object]:

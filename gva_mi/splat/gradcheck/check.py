@@ -46,7 +46,7 @@ from gva_mi.splat.gradcheck.directions import (
     loss,
     tangent_image,
 )
-from gva_mi.splat.gradcheck.verdict import IMAGES, Maps, Report, Row
+from gva_mi.splat.gradcheck.verdict import IMAGES, Comparison, Maps, Report
 from gva_mi.splat.scene import Scene
 from gva_mi.threads import one_torch_thread
 
@@ -173,7 +173,7 @@ class _Asked:
 
 def _answers(
     fn: Renderer, asked: _Asked, tolerances: Tolerances, step: float, notes: list[str]
-) -> tuple[list[Row], Image]:
+) -> tuple[list[Comparison], Image]:
     """The rows of all methods of the renderer itself, and its float32 image."""
     rows, images = [], {}
     for label, dtype in PRECISIONS.items():
@@ -221,14 +221,16 @@ def _by_adjoint(fn: Renderer, scene: Scene, weights: Tensor) -> tuple[Image, dic
     return image, {k: zero(g, v) for (k, v), g in zip(inputs.items(), gradients, strict=True)}
 
 
-def _by_tangent(fn: Renderer, asked: _Asked, label: str, tolerance: float) -> Iterator[Row]:
+def _by_tangent(fn: Renderer, asked: _Asked, label: str, tolerance: float) -> Iterator[Comparison]:
     scene = asked.scene.to(PRECISIONS[label])
     for name, probe in asked.probes.items():
         images = (tangent_image(fn, scene, name, v) for v in probe.directions())
         yield _probed(f"tangent {label}", name, images, asked, tolerance)
 
 
-def _by_differences(fn: Renderer, asked: _Asked, step: float, tolerance: float) -> Iterator[Row]:
+def _by_differences(
+    fn: Renderer, asked: _Asked, step: float, tolerance: float
+) -> Iterator[Comparison]:
     for name, probe in asked.probes.items():
         h = step * METRES.get(name, 1.0)
         images = (difference_image(fn, asked.scene, name, v, h) for v in probe.directions())
@@ -264,7 +266,7 @@ def _last_digit(scene: Scene, generator: Generator) -> Scene:
 
 def _probed(
     method: str, name: str, images: Iterator[Image], asked: _Asked, tolerance: float
-) -> Row:
+) -> Comparison:
     """<w, J v> against <J^T w, v> for every direction v of a probe."""
     probe = asked.probes[name]
     values = [float(loss(image, asked.weights)) for image in images]
@@ -273,14 +275,14 @@ def _probed(
     return replace(row, where=((), *probe.entries)[row.where[0]])
 
 
-def _compare(method: str, name: str, found: Tensor, truth: Tensor, tolerance: float) -> Row:
+def _compare(method: str, name: str, found: Tensor, truth: Tensor, tolerance: float) -> Comparison:
     off = found - truth
     norm, norm_found = float(truth.norm()), float(found.norm())
     error = float(off.norm()) / norm if norm else float(off.norm())
     cosine = float((found * truth).sum()) / (norm * norm_found) if norm and norm_found else 1.0
     worst = _index(off.abs())
     value = float(off.abs()[worst]) if off.numel() else 0.0
-    return Row(method, name, error, cosine, value, worst, tolerance)
+    return Comparison(method, name, error, cosine, value, worst, tolerance)
 
 
 def _errors(found: Image, truth: Image) -> Tensor:

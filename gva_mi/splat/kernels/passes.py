@@ -186,28 +186,7 @@ def render_adjoint(
     plan, n, F = saved.plan, len(saved.inputs), saved.inputs.float_type
     if saved.lists is None:
         return _gradients_of_nothing(saved, grad, camera, absolute)
-    slots, formats, by_background = [], [], []
-    pictures = chunks.split_gradient(grad, plan.channels, len(plan.formats))
-    parts = zip(saved.projected.splats, pictures, saved.backgrounds(), plan.formats, strict=True)
-    for splats, by_picture, behind, format in parts:
-        formats.append(Format(format.channels, by_picture.depth is not None, absolute))
-        memory, shares = blend_adjoint(
-            splats,
-            saved.lists,
-            saved.stop,
-            saved.grid,
-            behind,
-            saved.trail,
-            by_picture,
-            pairs=dr.width(saved.lists.ids),
-            lanes=dr.width(saved.lists.tile),
-            format=format,
-            slot_format=formats[-1],
-            options=plan.options,
-        )
-        slots.append(memory)
-        by_background.append(_sum_rows(shares, format.channels))
-
+    slots, formats, by_background = _blend_adjoints(saved, grad, absolute)
     target = None
     if n < MANY:
         target = GradientMemory.empty(F, n, plan.color_width, camera, absolute)
@@ -221,7 +200,7 @@ def render_adjoint(
         camera=camera,
         absolute=absolute,
         plan=plan,
-        formats=tuple(formats),
+        formats=formats,
         through_u=through_means2d,
     )
     by_camera = (None, None)
@@ -229,8 +208,36 @@ def render_adjoint(
         columns = packets.widths(ViewGradient.columns())
         sums = [_sum_rows(part, width) for part, width in zip(target.view, columns, strict=True)]
         by_camera = view_adjoint(saved.camera, ViewGradient.unpack(np.concatenate(sums)))
-    by_channel = np.concatenate(by_background)[: plan.channels].tolist()
-    return Gradients(target.inputs, target.u, by_channel, target.absolute, *by_camera)
+    return Gradients(target.inputs, target.u, by_background, target.absolute, *by_camera)
+
+
+def _blend_adjoints(
+    saved: Saved, grad: Planes, absolute: bool
+) -> tuple[list[packets.Packets], tuple[Format, ...], list[float]]:
+    """Each chunk's slots, their formats, and the gradient by the background."""
+    plan, lists = saved.plan, saved.lists
+    slots, formats, sums = [], [], []
+    pictures = chunks.split_gradient(grad, plan.channels, len(plan.formats))
+    parts = zip(saved.projected.splats, pictures, saved.backgrounds(), plan.formats, strict=True)
+    for splats, by_picture, behind, format in parts:
+        formats.append(Format(format.channels, by_picture.depth is not None, absolute))
+        memory, shares = blend_adjoint(
+            splats,
+            lists,
+            saved.stop,
+            saved.grid,
+            behind,
+            saved.trail,
+            by_picture,
+            pairs=dr.width(lists.ids),
+            lanes=dr.width(lists.tile),
+            format=format,
+            slot_format=formats[-1],
+            options=plan.options,
+        )
+        slots.append(memory)
+        sums.append(_sum_rows(shares, format.channels))
+    return slots, tuple(formats), np.concatenate(sums)[: plan.channels].tolist()
 
 
 def render_tangent(

@@ -1,4 +1,4 @@
-"""The shape and opacity of a Gaussian in the picture: forward, adjoint, tangent (Eq. 1).
+"""The shape and opacity of a Gaussian in the picture: forward, adjoint, tangent (paper, Eq. 2).
 
 With J of lens.py, the camera's R, and M the rotation of the Gaussian's quaternion:
 

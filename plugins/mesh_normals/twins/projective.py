@@ -47,7 +47,7 @@ class SurfaceRadiance(PSIntegrator):
         self._topology: Topology | None = None
         self._camera_world: mi.Matrix3f | None = None
 
-    def prepare(self, scene: mi.Scene, sensor: mi.Sensor) -> None:
+    def set_scene(self, scene: mi.Scene, sensor: mi.Sensor) -> None:
         """Take the meshes of a scene and the axes of a sensor."""
         with dr.suspend_grad():
             self._meshes = meshes_of(scene)
@@ -206,7 +206,7 @@ class MeshNormalsProjective(mi.ad.integrators.common.ADIntegrator):
                 "mesh_normals_projective: the film's pixel_format must be 'rgb', its filter 'box'"
             )
         for integrator in self.integrators:
-            integrator.prepare(scene, sensor)
+            integrator.set_scene(scene, sensor)
         return sensor
 
 

@@ -17,7 +17,8 @@ ROOT = Path(__file__).parents[1]
 SOURCES = sorted((ROOT / "gva_mi").rglob("*.py")) + sorted((ROOT / "plugins").rglob("*.py"))
 CALLED_FROM_OUTSIDE = {  # by torch's autograd, Dr.Jit's, torch.nn, Mitsuba, the command line
     "forward", "backward", "jvp", "eval",
-    "render", "render_forward", "render_backward", "aov_names", "to_string", "sample", "traverse", "sample_radiance_difference",
+    "render", "render_forward", "render_backward", "aov_names", "to_string",
+    "sample", "sample_radiance_difference", "traverse",
     "main",
 }  # fmt: skip
 TO_COME = {  # their command comes with the exchange of avatars

@@ -46,18 +46,3 @@ def test_the_projective_integrator_shares_no_motion():
 @pytest.mark.parametrize("path", files("mesh_normals"), ids=lambda path: path.stem)
 def test_the_integrator_knows_no_twin(path):
     assert not any(name.startswith(f"{PACKAGE}.twins") for name in imports(path))
-
-
-@pytest.mark.parametrize("folder", ["mesh_normals", "mesh_normals/twins", "gaussian_splat"])
-def test_imports_go_one_way(folder):
-    """No file of a folder reaches itself by imports."""
-    base = "gva_mi_plugins." + folder.replace("/", ".")
-    after = {f"{base}.{path.stem}": imports(path) for path in files(folder)}
-
-    def reached(name, before=()):
-        assert name not in before, " → ".join([*before, name])
-        for other in after.get(name, ()):
-            reached(other, (*before, name))
-
-    for name in after:
-        reached(name)

@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Protocol
 
-Progress = Callable[..., None]  # progress(done, total, **figures)
+
+class Progress(Protocol):
+    """What long work calls to say how far it is."""
+
+    def __call__(self, done: int, total: int, **figures: float) -> None:
+        """``done`` of ``total`` units are done; ``figures`` are the latest values worth showing."""
+
 
 _FORM = (
     "{desc:<9}{percentage:3.0f}% {bar:24} {n_fmt}/{total_fmt} [{elapsed} < {remaining}]{postfix}"

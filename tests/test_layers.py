@@ -18,6 +18,7 @@ FLOORS = [
     ("gva_mi.page", 0),
     ("gva_mi.console", 0),
     ("gva_mi.threads", 0),
+    ("gva_mi.versions", 0),
     ("gva_mi.splat.gradcheck", 3),
     ("gva_mi.splat.bench", 3),
     ("gva_mi.splat", 1),

@@ -1,26 +1,23 @@
-"""The commands that ask how well a step does, on people it was not tuned on."""
+"""The command ``gva-mi study``: how well a step does on people that it was not tuned on."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Literal, TypeVar
+from typing import Literal
 
 import numpy as np
-from tyro.conf import Positional, arg
+from tyro.conf import Positional
 
 from gva_mi.body.smplx import load_body
+from gva_mi.commands.arguments import Flat
 from gva_mi.console import bar, say
 from gva_mi.files import write_json
-from gva_mi.fit.checkpoint import versions
 from gva_mi.pose.evaluation.study import HELD_OUT, PARTS, TUNING, Row, StudyOptions
 from gva_mi.pose.evaluation.study import study as refine_cases
+from gva_mi.versions import versions
 
-T = TypeVar("T")
-Flat = Annotated[T, arg(name="")]  # options without a prefix on the command line
-
-TABLE = "refine.json"
 CASES = {"held-out": HELD_OUT, "tuning": TUNING, "all": (*TUNING, *HELD_OUT)}
 
 
@@ -35,22 +32,22 @@ def study(
     """Refine several synthetic people and print how far their poses are from the truth.
 
     Args:
-        what: the step that is studied.
-        options: how large.
-        out: folder for the subjects, which are made where they are missing, and for refine.json.
+        what: the step that is studied; its figures are written to a file of its name, refine.json.
+        options: how large the study is.
+        out: folder for that file, and for the subjects, which are made where they are missing.
         cases: people the refinement was not tuned on, those it was, or all.
         body: a body in SMPL-X's .npz format; without it the built-in puppet.
     """
-    del what  # there is one so far
+    figures = out / f"{what}.json"
     model = load_body(body)
     rows = []
     with bar("study") as progress:
         for row in refine_cases(out, CASES[cases], model, options, progress):
             rows.append(row)
-            write_json(out / TABLE, _record(rows, options))
+            write_json(figures, _record(rows, options))
     for line in _table(rows):
         say(line)
-    say(f"figures: {out / TABLE}")
+    say(f"figures: {figures}")
 
 
 def _table(rows: Sequence[Row]) -> Iterator[str]:
@@ -78,7 +75,7 @@ def _table(rows: Sequence[Row]) -> Iterator[str]:
 
 
 def _record(rows: Sequence[Row], options: StudyOptions) -> dict:
-    """For ``refine.json``."""
+    """What the file of figures holds."""
     found = [
         {
             "case": asdict(row.case),

@@ -230,8 +230,8 @@ try:
     main({arguments})
 except SystemExit:
     pass
-print(*sorted(name for name in sys.modules if name.startswith("gva_mi.commands.")))
+print("imported", *sorted(name for name in sys.modules if name.startswith("gva_mi.commands.")))
 """
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    last = run.stdout.rstrip("\n").split("\n")[-1]
-    assert last.split() == [f"gva_mi.commands.{name}" for name in imported]
+    _, *found = run.stdout.splitlines()[-1].split()
+    assert found == [f"gva_mi.commands.{name}" for name in imported]

@@ -14,7 +14,7 @@ from __future__ import annotations
 import json
 import shutil
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -44,12 +44,15 @@ from gva_mi.fit.report import write_report
 from gva_mi.fit.train import fit as fit_avatar
 from gva_mi.fit.views import overview
 from gva_mi.pose.evaluation.ablation import ablate
-from gva_mi.pose.evaluation.measure import Measured, measure_frames
+from gva_mi.pose.evaluation.measure import Evaluation, PoseFigures
 from gva_mi.pose.evaluation.record import OVERLAYS, REFINED, REFINEMENT, write_record
-from gva_mi.pose.evaluation.report import write_report as write_refinement_report
+from gva_mi.pose.evaluation.refinement_report import write_report as write_refinement_report
+from gva_mi.pose.job import RefineOptions
 from gva_mi.pose.parallel import cluster as _cluster
 from gva_mi.pose.parallel import workers as _workers
-from gva_mi.pose.refine import RefineOptions, refine_all
+from gva_mi.pose.refine import refine_all
+from gva_mi.pose.sequence import SequenceOptions
+from gva_mi.pose.single_frame import SingleFrameOptions
 
 T = TypeVar("T")
 Flat = Annotated[T, arg(name="")]  # options without a prefix on the command line
@@ -113,8 +116,11 @@ def synth(
 
 def refine(
     subjects: Positional[tuple[Path, ...]],
-    options: Flat[RefineOptions],
+    options: Flat[SequenceOptions],
     *,
+    loss: Literal["sequence", "paper"] = "sequence",
+    steps: int = SingleFrameOptions.steps,
+    paper_prior: float = SingleFrameOptions.prior,
     normals: Literal["perspective", "icon", "none"] | None = None,
     workers: int = 1,
     scheduler: str | None = None,
@@ -122,13 +128,17 @@ def refine(
     body: Path | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Refine the poses of videos with their normals and masks: stage 2 of the paper, Eq. 9.
+    """Refine the poses of videos with their normals and masks: stage 2 of the paper, Eq. 8.
 
     Writes poses_refined.npz, refinement.json and refinement.png into each subject's folder.
 
     Args:
         subjects: folders with video, masks, cameras, stage-1 poses; normals where there are some.
         options: of the refinement.
+        loss: all frames together, or Eq. 8 as printed, frame by frame; it takes size, faces,
+            silhouette, step and largest-turn from the options, and the two that follow.
+        steps: for each frame; of --loss paper.
+        paper_prior: λ2, for one square radian; of --loss paper.
         normals: how the normals were made: as the video's camera sees them, or as ICON writes them
             (orthographic, y up); none: they are not used. Without it as normals.json says.
         workers: processes on this machine; any number gives the same bits.
@@ -141,6 +151,17 @@ def refine(
         raise InputError("refine: give the folder of a subject, or of several")
     if scheduler is not None and workers != 1:
         raise InputError("refine: give --workers or --scheduler, not both")
+    printed = SingleFrameOptions(
+        size=options.size,
+        faces=options.faces,
+        silhouette=options.silhouette,
+        step=options.step,
+        largest_turn=options.largest_turn,
+        steps=steps,
+        prior=paper_prior,
+    )
+    way: RefineOptions = printed if loss == "paper" else options
+    others = {} if loss == "paper" else {printed.description: printed}  # for the report
     model = load_body(body)
     for subject in subjects:
         if (subject / REFINED).exists() and not overwrite:
@@ -148,8 +169,8 @@ def refine(
         require_same_body(subject, model)
     with _cluster(scheduler) if scheduler is not None else _workers(workers) as executor:
         videos = [load_video(subject, normals=normals) for subject in subjects]
-        for video, measured in _refine(videos, model, options, report, executor):
-            for line in _refinement_lines(measured.means.as_record()):
+        for video, means in _refine(videos, model, way, others if report else None, executor):
+            for line in _refinement_lines(means):
                 say(line)
             say(f"poses: {video.folder / REFINED}; overlays: {video.folder / OVERLAYS}")
             if report:
@@ -281,7 +302,7 @@ def demo(
     with bar("synth") as progress:
         make_subject(subject, synth_options, model, progress)
     if not options.no_refine:
-        list(_refine([load_video(subject)], model, RefineOptions(seed=options.seed)))
+        list(_refine([load_video(subject)], model, SequenceOptions(seed=options.seed)))
     poses = best_poses(subject)
     video = load_video(subject, poses)
     offsets = load_offsets(poses, len(model.v_template))
@@ -297,10 +318,13 @@ def _refine(
     videos: Sequence[Video],
     model: BodyModel,
     options: RefineOptions,
-    report: bool = False,
+    reported: Mapping[str, RefineOptions] | None = None,
     executor: Executor | None = None,
-) -> Iterator[tuple[Video, Measured]]:
-    """Refine, and write what was found into each subject's folder."""
+) -> Iterator[tuple[Video, PoseFigures]]:
+    """Refine, and write what was found into each subject's folder.
+
+    ``reported``: write a report too, in which these options are compared with; None: no report.
+    """
     for video in videos:
         if not video.has_normals:
             say(f"{video.folder}: no normals, the refinement uses the silhouettes alone")
@@ -310,24 +334,19 @@ def _refine(
             for frame, reason in refined.kept.items():
                 say(f"{video.folder}: frame {frame} keeps its stage-1 pose: {reason}")
             truth = load_poses(video.truth / POSES) if video.truth else None
-            measured = measure_frames(video, model, refined, truth)
-            write_record(video, model, refined, measured, options, checkpoint.versions())
-            if report:
+            evaluation = Evaluation.of(video, model, options, refined, truth)
+            write_record(evaluation, checkpoint.versions())
+            if reported is not None:
                 with bar("ablation") as ablating:
-                    ablation = ablate(video, model, options, measured, truth, ablating, executor)
+                    ablation = ablate(evaluation, reported, ablating, executor)
                 write_refinement_report(
                     video.folder / REFINEMENT_REPORT,
+                    evaluation,
                     title=f"Poses of {video.folder.name}",
-                    video=video,
-                    body=model,
-                    refined=refined,
-                    measured=measured,
-                    options=options,
                     versions=checkpoint.versions(),
-                    truth=truth,
                     ablation=ablation,
                 )
-            yield video, measured
+            yield video, evaluation.measured.means
 
 
 def _fit(
@@ -422,26 +441,26 @@ def best_poses(subject: Path) -> Path:
 
 def _lines(metrics: dict) -> Iterator[str]:
     """The main figures, a line each."""
-    yield from _refinement_lines(metrics["refinement"])
+    yield from _refinement_lines(PoseFigures.from_json(metrics["refinement"]))
     for row in metrics["rows"]:
         split = row["split"].replace("_", " ")
         name = "" if row["name"] == metrics["rows"][0]["name"] else f" ({row['name']})"
         yield f"{split:<11} PSNR {row['psnr']:.2f} dB, SSIM {row['ssim']:.4f}{name}"
 
 
-def _refinement_lines(figures: dict) -> Iterator[str]:
-    pairs = {"vertices": "vertex_mm", "hands": "hand_vertex_mm", "feet": "foot_vertex_mm"}
-    pairs["aligned"] = "aligned_vertex_mm"  # the vertices, with the pelvis put where it is
-    for name, key in pairs.items():
-        if figures[key] is not None:
-            yield f"{name:<11} {figures[key + '_stage1']:.1f} → {figures[key]:.1f} mm"
-    if figures["frames_worse"] is not None:
-        worse = f"{figures['frames_worse']:.0%} of the frames"
-        yield f"worse       {worse}, in the hands {figures['frames_worse_hands']:.0%}"
-    if figures["iou"] is not None:
-        truth = figures["iou_truth"]
+def _refinement_lines(figures: PoseFigures) -> Iterator[str]:
+    lengths = {"vertices": figures.vertices, "hands": figures.hands, "feet": figures.feet}
+    lengths["aligned"] = figures.aligned  # the vertices, with the pelvis put where it is
+    for name, change in lengths.items():
+        if change is not None:
+            yield f"{name:<11} {change.stage1:.1f} → {change.refined:.1f} mm"
+    if figures.frames_worse is not None:
+        worse = f"{figures.frames_worse:.0%} of the frames"
+        yield f"worse       {worse}, in the hands {figures.frames_worse_hands:.0%}"
+    if figures.iou is not None:
+        truth = figures.iou_truth
         own = f" (true pose {truth:.3f})" if truth is not None else ""
-        yield f"silhouette  IoU {figures['iou_stage1']:.3f} → {figures['iou']:.3f}{own}"
+        yield f"silhouette  IoU {figures.iou.stage1:.3f} → {figures.iou.refined:.3f}{own}"
 
 
 def _clear(out: Path, marker: str, overwrite: bool) -> None:

@@ -18,7 +18,7 @@ from gva_mi.errors import InputError
 from gva_mi.files import write_json
 from gva_mi.fit import checkpoint
 from gva_mi.fit.photometric import PhotometricOptions, fit_poses
-from gva_mi.pose.evaluation.per_frame import errors as pose_errors
+from gva_mi.pose.evaluation.measure import vertex_errors
 
 PHOTOMETRIC, TRACKING = "poses_photometric.npz", "photometric.json"  # what is written
 PARTS = {"vertices": "body", "hands": "hands", "feet": "feet", "aligned": "body_aligned"}
@@ -98,7 +98,7 @@ def _errors(
     if video.truth is None:
         return {}
     truth = load_poses(video.truth / POSES)
-    found = {stage: asdict(pose_errors(model, poses, truth)) for stage, poses in stages.items()}
+    found = {stage: asdict(vertex_errors(model, poses, truth)) for stage, poses in stages.items()}
     return {
         stage: {part: float(of_frames.mean()) for part, of_frames in parts.items()}
         for stage, parts in found.items()

@@ -43,3 +43,19 @@ def say(line: str) -> None:
 
 def _short(value: float) -> str:
     return f"{value:,}" if isinstance(value, int) else f"{value:.4g}"
+
+
+def within(progress: Progress | None, before: int, steps: int, total: int) -> Progress | None:
+    """Progress of one piece of work, told as that of the whole.
+
+    Args:
+        progress: of the whole; None where nobody watches.
+        before: steps of the whole that lie before this piece.
+        steps: how many steps of the whole this piece is.
+        total: steps of the whole.
+    """
+    if progress is None:
+        return None
+    return lambda done, of, **figures: progress(
+        before + steps * done // max(1, of), total, **figures
+    )

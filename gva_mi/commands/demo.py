@@ -17,7 +17,7 @@ from gva_mi.data.video import load_video
 from gva_mi.files import make_room, write_json
 from gva_mi.fit import run_folder
 from gva_mi.fit.options import FitOptions, Rates
-from gva_mi.pose.refine import RefineOptions
+from gva_mi.pose.sequence import SequenceOptions
 from gva_mi.versions import versions
 
 SUBJECT = "subject"  # where the subject lies within the demo's folder
@@ -62,7 +62,7 @@ def demo(
     with bar("synth") as progress:
         make_subject(subject, synth_options, model, progress)
     if not options.no_refine:
-        list(refine_videos([load_video(subject)], model, RefineOptions(seed=options.seed)))
+        list(refine_videos([load_video(subject)], model, SequenceOptions(seed=options.seed)))
     poses = poses_of(subject)
     video = load_video(subject, poses)
     avatar = fit_video(video, poses, model, fit_options, out)

@@ -9,7 +9,7 @@ from typing import Literal
 
 from tyro.conf import Positional
 
-from gva_mi.body.pose import Pose, Shape, load_poses
+from gva_mi.body.pose import load_poses
 from gva_mi.body.smplx import BodyModel, load_body
 from gva_mi.commands.arguments import Flat, Switch
 from gva_mi.console import bar, say
@@ -18,12 +18,15 @@ from gva_mi.data.video import POSES, REFINED_POSES, Video, load_video
 from gva_mi.errors import InputError
 from gva_mi.fit.metrics import refinement_lines
 from gva_mi.pose.evaluation.ablation import ablate
-from gva_mi.pose.evaluation.measure import Measured, measure_frames
+from gva_mi.pose.evaluation.measure import Evaluation
 from gva_mi.pose.evaluation.record import OVERLAYS, write_record
-from gva_mi.pose.evaluation.report import write_report
+from gva_mi.pose.evaluation.refinement_report import write_report
+from gva_mi.pose.job import RefineOptions
 from gva_mi.pose.parallel import cluster
 from gva_mi.pose.parallel import workers as local_workers
-from gva_mi.pose.refine import Refined, RefineOptions, refine_all
+from gva_mi.pose.refine import refine_all
+from gva_mi.pose.sequence import SequenceOptions
+from gva_mi.pose.single_frame import SingleFrameOptions
 from gva_mi.versions import versions
 
 REPORT = "refinement.html"
@@ -31,8 +34,11 @@ REPORT = "refinement.html"
 
 def refine(
     subjects: Positional[tuple[Path, ...]],
-    options: Flat[RefineOptions],
+    options: Flat[SequenceOptions],
     *,
+    loss: Literal["sequence", "paper"] = "sequence",
+    steps: int = SingleFrameOptions.steps,
+    paper_prior: float = SingleFrameOptions.prior,
     normals: Literal["perspective", "icon", "none"] | None = None,
     workers: int = 1,
     scheduler: str | None = None,
@@ -47,6 +53,10 @@ def refine(
     Args:
         subjects: folders with video, masks, cameras, stage-1 poses; normals where there are some.
         options: of the refinement.
+        loss: all frames together, or Eq. 8 as printed, frame by frame; it takes size, faces,
+            silhouette, step and largest-turn from the options, and the two that follow.
+        steps: for each frame; of --loss paper.
+        paper_prior: λ2, for one square radian; of --loss paper.
         normals: how the normals were made: as the video's camera sees them, or as ICON writes them
             (orthographic, y up); none: they are not used. Without it as normals.json says.
         workers: processes on this machine; any number gives the same bits.
@@ -59,6 +69,7 @@ def refine(
         raise InputError("refine: give the folder of a subject, or of several")
     if scheduler is not None and workers != 1:
         raise InputError("refine: give --workers or --scheduler, not both")
+    printed = _as_printed(options, steps, paper_prior)
     model = load_body(body)
     for subject in subjects:
         poses = subject / REFINED_POSES
@@ -67,14 +78,16 @@ def refine(
         require_same_body(subject, model)
     with cluster(scheduler) if scheduler is not None else local_workers(workers) as executor:
         videos = [load_video(subject, normals=normals) for subject in subjects]
-        for video, refined, measured in refine_videos(videos, model, options, executor):
+        way = printed if loss == "paper" else options
+        for evaluation in refine_videos(videos, model, way, executor):
+            folder = evaluation.video.folder
             if report:
-                _write_report(video, model, refined, measured, options, executor)
-            for line in refinement_lines(measured.means):
+                _write_report(evaluation, printed, executor)
+            for line in refinement_lines(evaluation.measured.means):
                 say(line)
-            say(f"poses: {video.folder / REFINED_POSES}; overlays: {video.folder / OVERLAYS}")
+            say(f"poses: {folder / REFINED_POSES}; overlays: {folder / OVERLAYS}")
             if report:
-                say(f"report: {video.folder / REPORT}")
+                say(f"report: {folder / REPORT}")
 
 
 def refine_videos(
@@ -82,7 +95,7 @@ def refine_videos(
     model: BodyModel,
     options: RefineOptions,
     executor: Executor | None = None,
-) -> Iterator[tuple[Video, Refined, Measured]]:
+) -> Iterator[Evaluation]:
     """Refine videos, and write what was found into each subject's folder as soon as it is there."""
     for video in videos:
         if not video.has_normals:
@@ -92,37 +105,36 @@ def refine_videos(
         for video, refined in zip(videos, found, strict=True):
             for frame, reason in refined.kept.items():
                 say(f"{video.folder}: frame {frame} keeps its stage-1 pose: {reason}")
-            measured = measure_frames(video, model, refined, _truth(video))
-            write_record(video, model, refined, measured, options, versions())
-            yield video, refined, measured
+            truth = load_poses(video.truth / POSES) if video.truth else None
+            evaluation = Evaluation.of(video, model, options, refined, truth)
+            write_record(evaluation, versions())
+            yield evaluation
 
 
-def _write_report(
-    video: Video,
-    model: BodyModel,
-    refined: Refined,
-    measured: Measured,
-    options: RefineOptions,
-    executor: Executor | None,
-) -> None:
-    """Write the page, for which the video is refined again with each term left out in turn."""
-    truth = _truth(video)
-    with bar("ablation") as progress:
-        ablation = ablate(video, model, options, measured, truth, progress, executor)
-    write_report(
-        video.folder / REPORT,
-        title=f"Poses of {video.folder.name}",
-        video=video,
-        body=model,
-        refined=refined,
-        measured=measured,
-        options=options,
-        versions=versions(),
-        truth=truth,
-        ablation=ablation,
+def _as_printed(options: SequenceOptions, steps: int, prior: float) -> SingleFrameOptions:
+    """Eq. 8 as printed, with all that it shares with the refinement of a sequence."""
+    return SingleFrameOptions(
+        size=options.size,
+        faces=options.faces,
+        silhouette=options.silhouette,
+        step=options.step,
+        largest_turn=options.largest_turn,
+        steps=steps,
+        prior=prior,
     )
 
 
-def _truth(video: Video) -> tuple[Pose, Shape] | None:
-    """The true poses and shape of a synthetic subject."""
-    return load_poses(video.truth / POSES) if video.truth else None
+def _write_report(
+    evaluation: Evaluation, printed: SingleFrameOptions, executor: Executor | None
+) -> None:
+    """Write the page, for which the video is refined again with each term left out in turn."""
+    others = {} if evaluation.options is printed else {printed.description: printed}
+    with bar("ablation") as progress:
+        ablation = ablate(evaluation, others, progress, executor)
+    write_report(
+        evaluation.video.folder / REPORT,
+        evaluation,
+        title=f"Poses of {evaluation.video.folder.name}",
+        versions=versions(),
+        ablation=ablation,
+    )

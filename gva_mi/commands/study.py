@@ -14,7 +14,8 @@ from gva_mi.body.smplx import load_body
 from gva_mi.commands.arguments import Flat
 from gva_mi.console import bar, say
 from gva_mi.files import write_json
-from gva_mi.pose.evaluation.study import HELD_OUT, PARTS, TUNING, Row, StudyOptions
+from gva_mi.pose.evaluation.measure import REGIONS
+from gva_mi.pose.evaluation.study import HELD_OUT, TUNING, CaseResult, StudyOptions
 from gva_mi.pose.evaluation.study import study as refine_cases
 from gva_mi.versions import versions
 
@@ -50,13 +51,13 @@ def study(
     say(f"figures: {figures}")
 
 
-def _table(rows: Sequence[Row]) -> Iterator[str]:
+def _table(rows: Sequence[CaseResult]) -> Iterator[str]:
     """Before and after in millimetres, a line for each row, and the mean of the changes."""
     cells = [
         (
             f"{row.case.name}, noise {row.noise:g}",
-            *(f"{row.stage1_mm[p]:.0f} → {row.refined_mm[p]:.0f}" for p in PARTS),
-            f"{row.measured.means.iou - row.measured.means.iou_truth:+.3f}",
+            *(f"{row.stage1_mm[p]:.0f} → {row.refined_mm[p]:.0f}" for p in REGIONS),
+            f"{row.measured.means.iou.refined - row.measured.means.iou_truth:+.3f}",
             f"{row.measured.means.iou_true_masks:.3f}",
             f"{100 * row.measured.means.frames_worse:.0f} %",
             f"{100 * row.measured.means.frames_worse_hands:.0f} %",
@@ -64,8 +65,8 @@ def _table(rows: Sequence[Row]) -> Iterator[str]:
         )
         for row in rows
     ]
-    mean = [f"{100 * np.nanmean([row.change[p] for row in rows]):+.0f} %" for p in PARTS]
-    head = ("mm", *(p.replace("_", " ") for p in PARTS), "IoU - truth's", "IoU, true masks")
+    mean = [f"{100 * np.nanmean([row.change[p] for row in rows]):+.0f} %" for p in REGIONS]
+    head = ("mm", *(p.replace("_", " ") for p in REGIONS), "IoU - truth's", "IoU, true masks")
     head += ("worse", "worse hands", "s a frame")
     lines = [head, *cells, ("mean change", *mean, *[""] * 5)]
     widths = [max(len(cell) for cell in column) for column in zip(*lines, strict=True)]
@@ -74,7 +75,7 @@ def _table(rows: Sequence[Row]) -> Iterator[str]:
         yield "  ".join([first.ljust(widths[0]), *padded]).rstrip()
 
 
-def _record(rows: Sequence[Row], options: StudyOptions) -> dict:
+def _record(rows: Sequence[CaseResult], options: StudyOptions) -> dict:
     """What the file of figures holds."""
     found = [
         {
@@ -83,7 +84,7 @@ def _record(rows: Sequence[Row], options: StudyOptions) -> dict:
             "stage1_mm": row.stage1_mm,
             "refined_mm": row.refined_mm,
             "change": row.change,
-            "figures": row.measured.means.as_record(),
+            "figures": row.measured.means.to_json(),
         }
         for row in rows
     ]

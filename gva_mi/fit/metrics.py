@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,11 +25,10 @@ from gva_mi.files import write_json
 from gva_mi.fit import run_folder
 from gva_mi.fit.evaluate import SplitScores, evaluate
 from gva_mi.fit.photometric import FITTED, PhotometricOptions, fit_poses
-from gva_mi.pose.evaluation.measure import PoseErrors
+from gva_mi.pose.evaluation.measure import PoseFigures
 from gva_mi.pose.evaluation.record import REFINEMENT
 
 AS_REFINED = "poses as refined"  # name of the row of a test split without the trained poses
-POSE_FIGURES = tuple(f.name for f in fields(PoseErrors) if f.name != "iou_true_masks")
 
 
 @dataclass(frozen=True)
@@ -56,7 +55,7 @@ class Metrics:
     """All figures of a run."""
 
     rows: tuple[SplitScores, ...]
-    refinement: PoseErrors | None  # None: the poses were not refined by this program
+    refinement: PoseFigures  # all None where the poses were not refined by this program
     training: Training
     options: dict[str, Any]  # of the fit
     versions: dict[str, str]
@@ -69,10 +68,11 @@ class Metrics:
 
     def to_json(self) -> dict[str, Any]:
         """What ``metrics.json`` holds."""
-        refinement = self.refinement.as_record() if self.refinement else {}
+        refinement = self.refinement.to_json()
+        del refinement["iou_true_masks"]  # a figure of the study
         record = {
             "rows": [asdict(row) for row in self.rows],
-            "refinement": {name: refinement.get(name) for name in POSE_FIGURES},
+            "refinement": refinement,
             "training": asdict(self.training),
             "options": self.options,
             "versions": self.versions,
@@ -86,7 +86,7 @@ class Metrics:
         training, pose_fit = record["training"], record.get("pose_fit")
         return Metrics(
             rows=tuple(SplitScores(**row) for row in record["rows"]),
-            refinement=_pose_errors(record["refinement"]),
+            refinement=PoseFigures.from_json(record["refinement"]),
             training=Training(**training | {"size": tuple(training["size"])}),
             options=record["options"],
             versions=record["versions"],
@@ -95,8 +95,7 @@ class Metrics:
 
     def lines(self) -> Iterator[str]:
         """The main figures, a line each."""
-        if self.refinement:
-            yield from refinement_lines(self.refinement)
+        yield from refinement_lines(self.refinement)
         for row in self.rows:
             split = row.split.replace("_", " ")
             name = "" if row.name == self.rows[0].name else f" ({row.name})"
@@ -170,35 +169,29 @@ def load_metrics(run: Path) -> Metrics:
         raise InputError(f"{path}: not readable; expected what `gva-mi evaluate` writes") from None
 
 
-def refinement_lines(errors: PoseErrors) -> Iterator[str]:
+def refinement_lines(figures: PoseFigures) -> Iterator[str]:
     """The main figures of a refinement, a line each; those that take the truth, where it is known.
 
     "Aligned" are the vertices after the pelvis was laid on the true one.
     """
-    for name, before, after in (
-        ("vertices", errors.vertex_mm_stage1, errors.vertex_mm),
-        ("hands", errors.hand_vertex_mm_stage1, errors.hand_vertex_mm),
-        ("feet", errors.foot_vertex_mm_stage1, errors.foot_vertex_mm),
-        ("aligned", errors.aligned_vertex_mm_stage1, errors.aligned_vertex_mm),
+    for name, change in (
+        ("vertices", figures.vertices),
+        ("hands", figures.hands),
+        ("feet", figures.feet),
+        ("aligned", figures.aligned),
     ):
-        if after is not None:
-            yield f"{name:<11} {before:.1f} → {after:.1f} mm"
-    if errors.frames_worse is not None:
-        worse = f"{errors.frames_worse:.0%} of the frames"
-        yield f"worse       {worse}, in the hands {errors.frames_worse_hands:.0%}"
-    if errors.iou is not None:
-        truth = errors.iou_truth
+        if change is not None:
+            yield f"{name:<11} {change.stage1:.1f} → {change.refined:.1f} mm"
+    if figures.frames_worse is not None:
+        worse = f"{figures.frames_worse:.0%} of the frames"
+        yield f"worse       {worse}, in the hands {figures.frames_worse_hands:.0%}"
+    if figures.iou is not None:
+        truth = figures.iou_truth
         own = f" (true pose {truth:.3f})" if truth is not None else ""
-        yield f"silhouette  IoU {errors.iou_stage1:.3f} → {errors.iou:.3f}{own}"
+        yield f"silhouette  IoU {figures.iou.stage1:.3f} → {figures.iou.refined:.3f}{own}"
 
 
-def _load_refinement(subject: Path) -> PoseErrors | None:
-    """The figures of a subject's refinement; None where it has none."""
+def _load_refinement(subject: Path) -> PoseFigures:
+    """The figures of a subject's refinement; all None where it has none."""
     path = subject / REFINEMENT
-    return _pose_errors(json.loads(path.read_text())["figures"]) if path.exists() else None
-
-
-def _pose_errors(figures: dict[str, float | None]) -> PoseErrors | None:
-    """A record of what a file holds; a figure that it lacks is None, and all of them: no record."""
-    known = {f.name: figures.get(f.name) for f in fields(PoseErrors)}
-    return PoseErrors(**known) if any(value is not None for value in known.values()) else None
+    return PoseFigures.from_json(json.loads(path.read_text())["figures"] if path.exists() else {})

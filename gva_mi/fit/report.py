@@ -30,7 +30,7 @@ from gva_mi.page import (
     spread,
     write_page,
 )
-from gva_mi.pose.evaluation.measure import PoseErrors
+from gva_mi.pose.evaluation.measure import Change, PoseFigures
 from gva_mi.pose.evaluation.record import OVERLAYS
 
 SHOWN = 5  # frames per strip
@@ -97,27 +97,29 @@ def _held_out(avatar: Avatar, video: Video) -> Section:
     return Section("Test frames", text, pictures, columns=3)
 
 
-def _refinement(errors: PoseErrors | None, overlays: Path) -> list[Section]:
+def _refinement(figures: PoseFigures, overlays: Path) -> list[Section]:
     """The refinement's pictures and figures, where the subject's folder has pictures of it."""
     if not overlays.exists():
         return []
     text = "The body over the frames, before the refinement of Eq. 8 (above) and after it (below)."
     pictures = [picture("stage 1 above, refined below", read_image(overlays, 3))]
-    tables = [_refinement_table(errors)] if errors else []
-    return [Section("Pose refinement", text, pictures, columns=1, tables=tables)]
+    table = _refinement_table(figures)
+    return [Section("Pose refinement", text, pictures, columns=1, tables=[table])]
 
 
-def _refinement_table(errors: PoseErrors) -> Table:
-    aligned = errors.aligned_vertex_mm_stage1, errors.aligned_vertex_mm
+def _refinement_table(figures: PoseFigures) -> Table:
+    def row(name: str, digits: int, change: Change | None, true_pose: float | None) -> list[str]:
+        both = (change.stage1, change.refined) if change else (None, None)
+        return [name, *(number(x, digits) for x in (*both, true_pose))]
+
     rows = [
-        ("vertices, mm", 1, errors.vertex_mm_stage1, errors.vertex_mm, None),
-        ("hands, mm", 1, errors.hand_vertex_mm_stage1, errors.hand_vertex_mm, None),
-        ("feet, mm", 1, errors.foot_vertex_mm_stage1, errors.foot_vertex_mm, None),
-        ("vertices, pelvis on pelvis, mm", 1, *aligned, None),
-        ("silhouette IoU", 3, errors.iou_stage1, errors.iou, errors.iou_truth),
+        row("vertices, mm", 1, figures.vertices, None),
+        row("hands, mm", 1, figures.hands, None),
+        row("feet, mm", 1, figures.feet, None),
+        row("vertices, pelvis on pelvis, mm", 1, figures.aligned, None),
+        row("silhouette IoU", 3, figures.iou, figures.iou_truth),
     ]
-    cells = [(name, *(number(x, digits) for x in values)) for name, digits, *values in rows]
-    return Table(("", "stage 1", "refined", "true pose"), cells)
+    return Table(("", "stage 1", "refined", "true pose"), rows)
 
 
 def _truth(avatar: Avatar, video: Video, split: Split, title: str, text: str) -> list[Section]:
@@ -212,12 +214,12 @@ def _figures(metrics: Metrics) -> list[Figure]:
         for split in ("test", "novel_pose", "novel_view")
         if split in psnr
     ]
-    errors, training = metrics.refinement, metrics.training
-    if errors and errors.vertex_mm is not None:
-        value = f"{errors.vertex_mm_stage1:.0f} → {errors.vertex_mm:.0f} mm"
+    vertices, iou, training = metrics.refinement.vertices, metrics.refinement.iou, metrics.training
+    if vertices is not None:
+        value = f"{vertices.stage1:.0f} → {vertices.refined:.0f} mm"
         figures.append(Figure(value, "mean vertex error, stage 1 → refined"))
-    if errors and errors.iou is not None:
-        value = f"{errors.iou_stage1:.3f} → {errors.iou:.3f}"
+    if iou is not None:
+        value = f"{iou.stage1:.3f} → {iou.refined:.3f}"
         figures.append(Figure(value, "silhouette IoU, stage 1 → refined"))
     figures.append(Figure(f"{training.gaussians:,}", "Gaussians"))
     minutes, seconds = divmod(round(training.seconds), 60)

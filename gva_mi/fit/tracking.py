@@ -21,7 +21,7 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.data.video import POSES, Video
 from gva_mi.files import write_json
 from gva_mi.fit.photometric import FittedPoses, PhotometricOptions
-from gva_mi.pose.evaluation.per_frame import errors as pose_errors
+from gva_mi.pose.evaluation.measure import vertex_errors
 from gva_mi.versions import versions
 
 TRACKED_POSES, TRACKING = "poses_photometric.npz", "photometric.json"
@@ -104,7 +104,7 @@ def _errors(video: Video, body: BodyModel, found: FittedPoses) -> dict[str, dict
         "start": (video.pose, video.shape),
         "tracked": (found.pose, video.shape),
     }
-    errors = {stage: asdict(pose_errors(body, poses, truth)) for stage, poses in stages.items()}
+    errors = {stage: asdict(vertex_errors(body, poses, truth)) for stage, poses in stages.items()}
     return {
         stage: {region: float(of_frames.mean()) for region, of_frames in regions.items()}
         for stage, regions in errors.items()

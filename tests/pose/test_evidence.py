@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from gva_mi.body.pose import Pose, Shape
-from gva_mi.pose.evidence import CannotRefine, Target
+from gva_mi.pose.crop import NoEvidence
+from gva_mi.pose.evidence import MaskAndNormals
 
 
 @pytest.fixture
@@ -21,48 +22,48 @@ def points(body):
 
 
 def test_the_cut_holds_the_person_and_its_camera_agrees(frame, points):
-    target = Target.of(frame, 96, points)
-    assert float(target.mask.sum()) == pytest.approx(frame.mask.sum())
-    shift = frame.camera.project(points.numpy()) - target.camera.project(points.numpy())
+    seen = MaskAndNormals.of(frame, 96, points)
+    assert float(seen.mask.sum()) == pytest.approx(frame.mask.sum())
+    shift = frame.camera.project(points.numpy()) - seen.camera.project(points.numpy())
     left, top = shift[0].round().astype(int)
     np.testing.assert_allclose(shift, shift[:1].repeat(len(shift), 0), atol=1e-6)
-    rows, columns = target.mask.shape
-    assert (target.camera.height, target.camera.width) == (rows, columns)
+    rows, columns = seen.mask.shape
+    assert (seen.camera.height, seen.camera.width) == (rows, columns)
     part = frame.mask[top : top + rows, left : left + columns]
-    np.testing.assert_array_equal(target.mask.numpy(), part)
+    np.testing.assert_array_equal(seen.mask.numpy(), part)
 
 
 def test_losses_vanish_at_the_target_itself_and_do_not_depend_on_its_size(frame, points):
     image = lambda t: torch.cat([t.normals, t.mask[..., None]], dim=-1)
     for size in (96, 48):
-        target = Target.of(frame, size, points)
-        shown = image(target)
-        assert float(target.silhouette_loss(shown)) == 0
-        assert float(target.normal_loss(shown)) == 0
-        assert float(target.silhouette_loss(torch.zeros_like(shown))) == pytest.approx(1, abs=1e-5)
+        seen = MaskAndNormals.of(frame, size, points)
+        shown = image(seen)
+        assert float(seen.silhouette_loss(shown)) == 0
+        assert float(seen.normal_loss(shown)) == 0
+        assert float(seen.silhouette_loss(torch.zeros_like(shown))) == pytest.approx(1, abs=1e-5)
 
 
 def test_without_normals_their_loss_is_zero(frame, points):
-    target = Target.of(replace(frame, normals=None), 96, points)
-    assert float(target.normal_loss(torch.rand(*target.mask.shape, 4))) == 0
+    seen = MaskAndNormals.of(replace(frame, normals=None), 96, points)
+    assert float(seen.normal_loss(torch.rand(*seen.mask.shape, 4))) == 0
 
 
 def test_where_normals_are_missing_inside_the_mask_nothing_is_said(frame, points):
     """As beyond the edge of the crop that a network was shown."""
     cut = frame.normals.copy()
     cut[: len(cut) // 2] = 0
-    target = Target.of(replace(frame, normals=cut), 96, points)
-    whole = Target.of(frame, 96, points)
+    seen = MaskAndNormals.of(replace(frame, normals=cut), 96, points)
+    whole = MaskAndNormals.of(frame, 96, points)
     shown = torch.cat([whole.normals, whole.mask[..., None]], dim=-1)
-    assert float(target.normal_loss(shown)) == 0
+    assert float(seen.normal_loss(shown)) == 0
     outside = shown + (whole.mask == 0)[..., None]
-    assert float(target.normal_loss(outside)) == float(whole.normal_loss(outside)) > 0
+    assert float(seen.normal_loss(outside)) == float(whole.normal_loss(outside)) > 0
 
 
 def test_frames_that_say_nothing_are_explained(frame, points):
-    with pytest.raises(CannotRefine, match="empty"):
-        Target.of(replace(frame, mask=np.zeros_like(frame.mask)), 96, points)
-    with pytest.raises(CannotRefine, match="out of view"):
-        Target.of(frame, 96, points + torch.tensor([20.0, 0, 0]))
-    with pytest.raises(CannotRefine, match="behind the camera"):
-        Target.of(frame, 96, points + torch.tensor([0, 0, 9.0]))
+    with pytest.raises(NoEvidence, match="empty"):
+        MaskAndNormals.of(replace(frame, mask=np.zeros_like(frame.mask)), 96, points)
+    with pytest.raises(NoEvidence, match="out of view"):
+        MaskAndNormals.of(frame, 96, points + torch.tensor([20.0, 0, 0]))
+    with pytest.raises(NoEvidence, match="behind the camera"):
+        MaskAndNormals.of(frame, 96, points + torch.tensor([0, 0, 9.0]))

@@ -83,8 +83,8 @@ def load_options(out: Path) -> dict[str, Any]:
     path = out / OPTIONS
     try:
         found = json.loads(path.read_text())
-        return {"options": found["options"], "versions": found["versions"]}
-    except (OSError, ValueError, KeyError, TypeError):
+        return {"options": found["options"], "versions": found.get("versions", {})}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
         raise InputError(f"{path}: not readable; expected the options of a run") from None
 
 

@@ -189,6 +189,11 @@ def test_every_command_explains_itself(verb, cli):
     assert inspect.getdoc(load(verb)).split(".")[0].split()[0] in out
 
 
+def test_a_shell_s_completion_knows_every_command(cli):
+    code, out, err = cli("--tyro-print-completion", "bash")
+    assert not code and not err and all(f"'{verb}'" in out for verb in VERBS)
+
+
 def test_the_version_is_said(cli):
     assert cli("--version") == (0, f"gva-mi {__version__}\n", "")
 

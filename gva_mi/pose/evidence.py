@@ -7,6 +7,18 @@
 with the normals ``N`` (H, W, 3) and the mask ``S`` (H, W) of the frame, and those of the rendered
 body. Everything is divided by the person's area in pixels, so that a weight means the same for a
 person who fills the picture and one who stands far away, and for any resolution.
+
+The absolute value of eq. 3 sees half of the outline. Masks are rendered with one ray through the
+centre of each pixel. Of the pixels that the rendered outline crosses, those whose centre it covers
+differ from the mask of the frame, and pull with slope 1; the others agree with it, and the slope of
+``|x|`` at 0 counts as 0. So the derivative of eq. 3 is half of the true one, everywhere along the
+outline: a constant factor, which belongs to λ1. Squares would give the whole derivative, the slopes
+being 2 and 0, and on hard masks exactly twice that of eq. 3. They are not taken, because λ1 was
+chosen with the factor, and because Eq. 8 prints no square.
+
+Where the frame's mask is soft, the slopes are 1 and -1 on the two sides of the rendered outline,
+and cancel: within a soft edge eq. 3 does not pull. Shrinking leaves edges that are soft for one
+pixel. The factor is also in the outline's part of eq. 2, where normals end at the background.
 """
 
 from __future__ import annotations
@@ -86,7 +98,7 @@ class MaskAndNormals:
         return ((image[..., :3] - self.normals).abs() * known[..., None]).sum() / (3 * self.area)
 
     def silhouette_loss(self, image: Tensor) -> Tensor:
-        """Eq. 3 of a rendering (H, W, 4)."""
+        """Eq. 3 of a rendering (H, W, 4); its derivative is half of the true one, see above."""
         return (image[..., 3] - self.mask).abs().sum() / self.area
 
 

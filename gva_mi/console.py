@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Protocol
 
-Progress = Callable[..., None]  # progress(done, total, **figures)
+
+class Progress(Protocol):
+    """What long work calls to say how far it is."""
+
+    def __call__(self, done: int, total: int, **figures: float) -> None:
+        """``done`` of ``total`` units are done; ``figures`` are the latest values worth showing."""
+
 
 _FORM = (
     "{desc:<9}{percentage:3.0f}% {bar:24} {n_fmt}/{total_fmt} [{elapsed} < {remaining}]{postfix}"
@@ -36,3 +43,19 @@ def say(line: str) -> None:
 
 def _short(value: float) -> str:
     return f"{value:,}" if isinstance(value, int) else f"{value:.4g}"
+
+
+def within(progress: Progress | None, before: int, steps: int, total: int) -> Progress | None:
+    """Progress of one piece of work, told as that of the whole.
+
+    Args:
+        progress: of the whole; None where nobody watches.
+        before: steps of the whole that lie before this piece.
+        steps: how many steps of the whole this piece is.
+        total: steps of the whole.
+    """
+    if progress is None:
+        return None
+    return lambda done, of, **figures: progress(
+        before + steps * done // max(1, of), total, **figures
+    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -55,6 +56,31 @@ def replacing(path: Path) -> Iterator[Path]:
         unfinished.replace(path)
     finally:
         unfinished.unlink(missing_ok=True)
+
+
+def make_room(folder: Path, marker: str, overwrite: bool) -> None:
+    """Make room for an output folder, but never at the cost of anything that is not ours.
+
+    A folder that is missing or empty is left as it is. One that holds something is removed if that
+    was asked for and if it holds the marker, which tells that this program made it.
+
+    Args:
+        folder: where output is to be written.
+        marker: name of a file that every such output folder holds.
+        overwrite: whether the folder may be replaced.
+
+    Raises:
+        InputError: the folder holds something, and may not be replaced or has no marker.
+    """
+    if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
+        return
+    if not overwrite:
+        raise InputError(f"{folder}: already holds something; give --overwrite to replace it")
+    if not (folder / marker).exists():
+        raise InputError(
+            f"{folder}: has no {marker}, so gva-mi did not make it and will not replace it"
+        )
+    shutil.rmtree(folder)
 
 
 def write_arrays(path: Path, **arrays: np.ndarray) -> None:

@@ -1,5 +1,6 @@
 """What several folders of tests share."""
 
+import json
 import os
 import sys
 
@@ -27,3 +28,91 @@ def cli(capsys, monkeypatch):
         return code, captured.out, captured.err
 
     return run
+
+
+# A tiny subject made by a known avatar: the puppet in colours, turning before a camera. It is made
+# where a test asks for it, so that tests of the lower floors need nothing from the higher ones.
+
+
+@pytest.fixture(scope="session")
+def body():
+    from gva_mi.body.smplx import load_body
+
+    return load_body()
+
+
+@pytest.fixture(scope="session")
+def known(body):
+    """The avatar that the pictures show."""
+    import torch
+
+    from gva_mi.avatar.avatar import AvatarOptions, seed_avatar
+    from gva_mi.avatar.canonical import SeedOptions
+    from gva_mi.body.pose import Shape
+
+    x = body.v_template
+    stripes = 0.5 + 0.4 * torch.sin(torch.stack([9 * x[:, 0], 11 * x[:, 1], 7 * x.sum(1)], dim=1))
+    options = AvatarOptions(seed=SeedOptions(count=600, sh_degree=1))
+    generator = torch.Generator().manual_seed(5)
+    return seed_avatar(body, Shape(torch.zeros(10)), None, options, generator, stripes)
+
+
+@pytest.fixture(scope="session")
+def camera(body):
+    """48 pixels wide, 3 m before the body."""
+    from gva_mi.splat import Camera, look_at
+
+    size = 48
+    low, high = body.v_template.amin(0), body.v_template.amax(0)
+    centre = ((low + high) / 2).numpy()
+    focal = 0.9 * size * 3 / float((high - low).max())
+    return Camera(focal, focal, size / 2, size / 2, look_at(centre + (0, 0, 3), centre), size, size)
+
+
+@pytest.fixture(scope="session")
+def turning():
+    """A motion of so many frames, and the shape: once around, with the arms moving."""
+    import torch
+
+    from gva_mi.body.pose import Pose, Shape
+
+    def motion(frames, start=0.0):
+        rotations = torch.zeros(frames, 55, 3)
+        turn = torch.arange(frames) / frames
+        rotations[:, 0, 1] = start + 2 * torch.pi * turn
+        rotations[:, 16, 2] = -0.6 + 0.3 * torch.sin(7 * turn)
+        rotations[:, 17, 2] = 0.6 + 0.3 * torch.sin(5 * turn)
+        pose = Pose.from_rotations(rotations, torch.zeros(frames, 3), torch.zeros(frames, 10))
+        return pose, Shape(torch.zeros(10))
+
+    return motion
+
+
+@pytest.fixture(scope="session")
+def subject(tmp_path_factory, known, camera, turning):
+    """6 frames before a grey wall, with the avatar's alpha as masks; frame 3 is the test frame."""
+    import torch
+
+    from gva_mi.body.pose import save_poses
+    from gva_mi.data.pictures import write_image
+    from gva_mi.data.video import save_cameras
+    from gva_mi.fit.evaluate import to_8bit
+    from gva_mi.splat.torch_op import render
+
+    folder, (pose, shape) = tmp_path_factory.mktemp("subject"), turning(6)
+    for k in range(len(pose)):
+        with torch.no_grad():
+            image = render(known(pose[k]), camera, background=torch.full((3,), 0.3))
+        write_image(folder / f"frames/{k:06d}.png", to_8bit(image.color.numpy()))
+        write_image(folder / f"masks/{k:06d}.png", to_8bit(image.alpha.numpy()))
+    save_poses(folder / "poses.npz", pose, shape, stage=1)
+    save_cameras(folder / "cameras.npz", [camera] * len(pose))
+    (folder / "splits.json").write_text(json.dumps({"train": [0, 1, 2, 4, 5], "test": [3]}))
+    return folder
+
+
+@pytest.fixture(scope="session")
+def video(subject):
+    from gva_mi.data.video import load_video
+
+    return load_video(subject)

@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from gva_mi import InputError
-from gva_mi.files import read_arrays, replacing, require_keys, write_arrays, write_json
+from gva_mi.files import (
+    make_room,
+    read_arrays,
+    replacing,
+    require_keys,
+    write_arrays,
+    write_json,
+)
 
 
 def test_arrays_come_back(tmp_path):
@@ -34,3 +41,16 @@ def test_what_cannot_be_read_is_named(tmp_path):
     write_arrays(tmp_path / "a.npz", b=np.zeros(1))
     with pytest.raises(InputError, match="key 'c' is missing; found: b"):
         require_keys(tmp_path / "a.npz", read_arrays(tmp_path / "a.npz", "poses"), ("b", "c"))
+
+
+def test_room_is_made_only_where_this_program_wrote(tmp_path):
+    make_room(tmp_path / "new", "ours.json", overwrite=False)
+    make_room(tmp_path, "ours.json", overwrite=False)  # empty
+    (tmp_path / "thesis.tex").write_text("years of work")
+    with pytest.raises(InputError, match="give --overwrite to replace it"):
+        make_room(tmp_path, "ours.json", overwrite=False)
+    with pytest.raises(InputError, match="has no ours.json, so gva-mi did not make it"):
+        make_room(tmp_path, "ours.json", overwrite=True)
+    (tmp_path / "ours.json").write_text("{}")
+    make_room(tmp_path, "ours.json", overwrite=True)
+    assert not tmp_path.exists()

@@ -19,7 +19,7 @@ CALLED_FROM_OUTSIDE = {  # by torch's autograd, Dr.Jit's, torch.nn, Mitsuba, the
     "forward", "backward", "jvp", "eval",
     "render", "render_forward", "render_backward", "aov_names", "to_string",
     "sample", "sample_radiance_difference", "traverse",
-    "main",
+    "main", "gradcheck_normals",  # a verb with a hyphen: gva_mi.commands.load knows its file
 }  # fmt: skip
 TO_COME = {  # their command comes with the exchange of avatars
     "gva_mi/avatar/export.py",

@@ -1,1 +1,39 @@
-"""The command line, a verb a file."""
+"""The commands of ``gva-mi``: each verb is a function in a file of its own.
+
+::
+
+    synth ──▶ subject/ ──▶ refine ──▶ subject/poses_refined.npz ──▶ fit ──▶ run/ ──▶ evaluate
+                                                                            ├──────▶ render
+                                                                            └──────▶ track
+
+``demo`` runs them all but ``render`` and ``track``. Each reads a folder, writes a folder, and can
+be run alone; no output is replaced unless asked for. A command checks its arguments, calls the
+library, and says what came of it. A new command is a new file and a line in :data:`VERBS`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib import import_module
+
+VERBS = {  # and what each does, told by `gva-mi --help` without importing any of them
+    "demo": "all of it on a synthetic subject: synth, refine, fit, evaluate, report",
+    "synth": "make a synthetic subject: a video, what goes with it, and the truth apart",
+    "refine": "refine poses with normals and masks: stage 2 of the paper, Eq. 8",
+    "fit": "fit an avatar to a video: Eq. 9, densification, re-initialisation",
+    "evaluate": "measure an avatar on the splits of a subject",
+    "track": "fit the poses of a video to its pictures, seen through an avatar",
+    "render": "drive an avatar by any poses, seen by any cameras",
+    "study": "refine several synthetic people, and print how far they are from the truth",
+    "body": "write a body file, and a picture of it from all around",
+    "gradcheck": "check the gradients of the renderer",
+    "gradcheck-normals": "check the gradients of the rendered normals",
+    "bench": "measure the renderer, the body model, or the rendered normals",
+    "doctor": "say what this machine has, and what is missing for what",
+}
+
+
+def load(verb: str) -> Callable[..., None]:
+    """The function of a verb; its module is imported now, and no other command's."""
+    name = verb.replace("-", "_")
+    return getattr(import_module(f"gva_mi.commands.{name}"), name)

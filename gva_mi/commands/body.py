@@ -8,6 +8,8 @@ from pathlib import Path
 from gva_mi.body.anny import anny_body
 from gva_mi.body.puppet import PUPPET
 from gva_mi.body.smplx import load_body
+from gva_mi.commands.arguments import Switch
+from gva_mi.console import say
 from gva_mi.data.pictures import write_image
 from gva_mi.errors import InputError
 from gva_mi.sculptor.portrait import sheet as draw_sheet
@@ -19,8 +21,8 @@ def body(
     source: str = "puppet",
     out: Path | None = None,
     sheet: Path | None = None,
-    overwrite: bool = False,
-) -> list[Path]:
+    overwrite: Switch = False,
+) -> None:
     """Write a body file and a picture of it from all around.
 
     Args:
@@ -30,11 +32,8 @@ def body(
             named after the source, in the working folder.
         sheet: also write a picture (.png) of the body in many poses, its hands and its face.
         overwrite: replace files that are there.
-
-    Returns:
-        What was written.
     """
-    path = {"puppet": lambda: PUPPET, "anny": anny_body}.get(source, lambda: Path(source))()
+    path = _body_file(source)
     model = load_body(path)
     if out is not None and out.suffix != ".npz":
         raise InputError(f"{out}: a body file ends in .npz")
@@ -49,4 +48,12 @@ def body(
     write_image(picture, turntable(model))
     if sheet is not None:
         write_image(sheet, draw_sheet(model))
-    return written
+    for file in written:
+        say(str(file))
+
+
+def _body_file(source: str) -> Path:
+    """The file of a body; Anny's is made where it is missing."""
+    if source == "puppet":
+        return PUPPET
+    return anny_body() if source == "anny" else Path(source)

@@ -1,4 +1,4 @@
-"""``gva-mi doctor``: what this machine has, and what is missing for what."""
+"""The command ``gva-mi doctor``: what this machine has, and what is missing for what."""
 
 from __future__ import annotations
 
@@ -42,6 +42,20 @@ class Finding:
         mark = "ok     " if self.fine else "MISSING"
         why = "" if self.fine or not self.needed_for else f"  (needed for: {self.needed_for})"
         return f"{mark}  {self.name:<12} {self.found}{why}"
+
+
+def doctor() -> None:
+    """Say what this machine has, and what is missing for what.
+
+    Ends with exit code 1 where something is missing.
+    """
+    findings = []
+    for finding in examine():
+        findings.append(finding)
+        # Not by gva_mi.console, whose package may be what is missing.
+        sys.stdout.write(f"{finding}\n")
+        sys.stdout.flush()
+    sys.exit(0 if all(finding.fine for finding in findings) else 1)
 
 
 def examine() -> Iterator[Finding]:

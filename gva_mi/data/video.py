@@ -10,6 +10,7 @@
       cameras.npz                         K (3,3) or (T,3,3); T_camera_world (4,4) or (T,4,4);
                                           width, height
       poses.npz                           SMPL-X names, each (T, ...); betas (B,); stage
+      poses_refined.npz                   optional: the same after stage 2
       splits.json                         optional: {"train": [...], "test": [...]} frame numbers
       truth/                              synthetic subjects only; read by nothing but evaluation
 
@@ -37,6 +38,8 @@ from gva_mi.errors import InputError
 from gva_mi.files import read_arrays, require_keys, write_arrays
 from gva_mi.splat import Camera
 
+POSES = "poses.npz"  # of stage 1
+REFINED_POSES = "poses_refined.npz"  # of stage 2, where it was run
 TEST_EVERY = 8  # without splits.json, every 8th frame is a test frame
 
 
@@ -161,10 +164,10 @@ def load_video(
     cameras = load_cameras(folder / "cameras.npz")
     images, numbers = _open_pictures(folder)
     count = numbers[-1] + 1
-    pose, shape = load_poses(poses or folder / "poses.npz")
+    pose, shape = load_poses(poses or folder / POSES)
     if len(pose) != count:
         raise InputError(
-            f"{poses or folder / 'poses.npz'}: holds {len(pose)} frames, but the video has {count}"
+            f"{poses or folder / POSES}: holds {len(pose)} frames, but the video has {count}"
         )
     if len(cameras) == 1:
         cameras = cameras * count
@@ -185,6 +188,12 @@ def load_video(
         raise InputError(f"{folder}: no frame can be used; frame 0: {absent[0]}")
     splits = load_splits(folder, count).without(absent)
     return Video(folder, cameras, pose, shape, splits, images, maps, dict(sorted(absent.items())))
+
+
+def best_poses(folder: Path) -> Path:
+    """The refined poses of a subject; where it has none, those of stage 1."""
+    refined = folder / REFINED_POSES
+    return refined if refined.exists() else folder / POSES
 
 
 def load_cameras(path: Path) -> list[Camera]:

@@ -3,9 +3,10 @@
     c_v = Σ_k w_vk I_k(π_k(x_vk)) / Σ_k w_vk,        w_vk = S_k(π_k(x_vk)) · max(0, -n_vk · d_vk)²
 
 with vertex v of the body, posed as in frame k, at x, its normal n, the direction d from camera to
-vertex, projection π, picture I, mask S. Views from the front count, grazing ones hardly. What hides
-behind a limb in some frames is outvoted by the others, and the fit corrects the rest. From grey,
-Adam's steady pace would take hundreds of steps to come to black or white.
+vertex, projection π, picture I, mask S. Surfaces seen from the front count fully, and grazing ones
+hardly. A vertex that is hidden behind a limb in some frames takes its colour from the others, which
+outweigh them, and the fit corrects the rest. Starting from grey, Adam's steps of constant size
+would take hundreds of iterations to reach black or white.
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ def seen_colors(video: Video, body: BodyModel, offsets: Tensor | None = None) ->
     """Colours of the body's vertices, (V, 3), as the training frames show them.
 
     Args:
-        video: opened with the poses to believe.
-        body: of the person.
+        video: opened with the poses to project under.
+        body: the body model of the person.
         offsets: (V, 3) displacement of the rest surface, metres.
 
     Returns:
@@ -36,14 +37,14 @@ def seen_colors(video: Video, body: BodyModel, offsets: Tensor | None = None) ->
     weight = torch.zeros(len(body.v_template), 1)
     for frame in video.frames(video.splits.train):
         vertices = body(frame.pose, video.shape, offsets).vertices[0]
-        color, seen = _look(frame, vertices, vertex_normals(vertices, body.faces))
+        color, seen = _frame_colors(frame, vertices, vertex_normals(vertices, body.faces))
         total += seen * color
         weight += seen
     mean = total.sum(0) / weight.sum() if weight.sum() > 0 else torch.full((3,), GREY)
     return torch.where(weight > 1e-3, total / weight.clamp_min(1e-3), mean)
 
 
-def _look(frame: Frame, vertices: Tensor, normals: Tensor) -> tuple[Tensor, Tensor]:
+def _frame_colors(frame: Frame, vertices: Tensor, normals: Tensor) -> tuple[Tensor, Tensor]:
     """One frame's colours (V, 3) of the vertices, and their weights (V, 1)."""
     camera, image = frame.camera, torch.from_numpy(frame.image)
     T = torch.tensor(camera.T_camera_world, dtype=vertices.dtype)

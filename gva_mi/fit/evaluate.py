@@ -19,17 +19,18 @@ novel_view     of the video's motion from other cameras, likewise        true
 
 "The video's" poses are those the video was opened with: the refined ones after stage 2, or those
 trained with the avatar (see :mod:`gva_mi.fit.poses`). The poses of the test frames then come from
-their own masks and normals, as in the paper, and from their neighbours. No test picture is fitted;
-where a table is to show what that would be worth, such poses (:mod:`gva_mi.fit.photometric`) have a
-row of their own.
+their own masks and normals, as in the paper, and from their neighbours. No pose is fitted to a test
+picture; where a table is to show what that would be worth, such poses
+(:mod:`gva_mi.fit.photometric`) have a row of their own.
+
 Masks are the true ones where the subject has a truth, for a figure should tell the avatar's error
 and not the segmenter's; training never sees them. Real videos have their own masks alone.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import astuple, dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -37,8 +38,10 @@ import torch
 
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.pose import Pose
+from gva_mi.console import Progress
 from gva_mi.data.video import Frame, Video, load_video
 from gva_mi.fit.perceptual import FeatureMetric, Weights, find_weights, lpips, rand_vgg
+from gva_mi.page import spread
 from gva_mi.splat import Camera, SplatOptions
 from gva_mi.splat.torch_op import render
 
@@ -50,34 +53,51 @@ WHITE = (1.0, 1.0, 1.0)
 # The PSNR of rounding to 8 bits, an error with a variance of 1/12 of a level squared: 58.9 dB.
 PSNR_MAX = float(20 * np.log10(255) + 10 * np.log10(12))
 
-Progress = Callable[..., None]
-
 
 @dataclass(frozen=True)
-class Row:
-    """One line of the table: the means over a split's frames."""
+class ImageScores:
+    """How close one render comes to its target."""
 
-    name: str  # of the run
-    split: Split
     psnr: float  # dB, more is better
     ssim: float  # at most 1, more is better
-    lpips: float | None  # less is better; None without the user's weights
+    lpips: float  # less is better; NaN without the user's weights
     rand_vgg: float  # less is better; comparable only with itself
 
 
-class Metrics:
-    """The four figures of a render against its target, with their networks loaded once."""
+@dataclass(frozen=True)
+class SplitScores:
+    """How close the renders of a split come to their targets: means over its frames."""
+
+    name: str  # of the run, or of the poses it is rendered under
+    split: Split
+    psnr: float
+    ssim: float
+    lpips: float | None  # None without the user's weights
+    rand_vgg: float
+
+    @staticmethod
+    def mean(name: str, split: Split, scores: Sequence[ImageScores]) -> SplitScores:
+        """The means over the frames of a split."""
+        mean = ImageScores(*np.mean([astuple(s) for s in scores], axis=0).tolist())
+        perceptual = None if np.isnan(mean.lpips) else mean.lpips
+        return SplitScores(name, split, mean.psnr, mean.ssim, perceptual, mean.rand_vgg)
+
+
+class Scorer:
+    """Scores a render against its target, with the networks of the metrics loaded once."""
 
     def __init__(self, weights: Weights | None = None) -> None:
         self.rand_vgg = rand_vgg()
         self.lpips: FeatureMetric | None = lpips(find_weights() if weights is None else weights)
 
-    def __call__(self, render: np.ndarray, target: np.ndarray) -> np.ndarray:
-        """PSNR, SSIM, LPIPS (NaN if there is none), rand_vgg of two 8-bit images (H, W, 3)."""
+    def __call__(self, render: np.ndarray, target: np.ndarray) -> ImageScores:
+        """The scores of two 8-bit images (H, W, 3)."""
         a, b = (torch.from_numpy(x.astype(np.float32) / 255) for x in (render, target))
-        perceptual = np.nan if self.lpips is None else float(self.lpips(a, b))
-        return np.array(
-            [psnr(render, target), ssim(render, target), perceptual, self.rand_vgg(a, b)]
+        return ImageScores(
+            psnr(render, target),
+            ssim(render, target),
+            np.nan if self.lpips is None else float(self.lpips(a, b)),
+            float(self.rand_vgg(a, b)),
         )
 
 
@@ -113,37 +133,35 @@ def evaluate(
     splits: Sequence[Split] = SPLITS,
     weights: Weights | None = None,
     progress: Progress | None = None,
-) -> list[Row]:
+) -> list[SplitScores]:
     """Measure an avatar on the splits of a video.
 
     Args:
         avatar: the fitted one.
         video: opened with the poses to evaluate under, see the module's table.
-        name: of the run, for the rows.
-        splits: those wanted; one that the video does not have gives no row.
-        weights: for LPIPS; none: those that :func:`~gva_mi.fit.perceptual.find_weights` finds.
-        progress: told the number of frames done.
+        name: of the run, for the scores.
+        splits: those wanted; one that the video does not have gives no scores.
+        weights: for LPIPS; None: those that :func:`~gva_mi.fit.perceptual.find_weights` finds.
+        progress: called after each frame with its PSNR.
 
     Returns:
-        One row per split, in the order of ``splits``.
+        The scores of each split, in the order of ``splits``.
 
     Raises:
         InputError: a truth folder that cannot be read.
     """
     frames = {split: found for split in splits if (found := _frames(video, split))}
-    metrics, rows = Metrics(weights), []
+    scorer, rows = Scorer(weights), []
     done, total = 0, sum(len(indices) for _, indices in frames.values())
     for split, (source, indices) in frames.items():
-        figures = []
+        scores = []
         for frame in source.frames(indices):
             target = cut_out(_with_true_mask(frame, source))
-            figures.append(metrics(render_frame(avatar, frame.pose, frame.camera), target))
+            scores.append(scorer(render_frame(avatar, frame.pose, frame.camera), target))
             done += 1
             if progress:
-                progress(done, total, psnr=figures[-1][0])
-        mean = np.mean(figures, axis=0)
-        perceptual = None if np.isnan(mean[2]) else float(mean[2])
-        rows.append(Row(name, split, float(mean[0]), float(mean[1]), perceptual, float(mean[3])))
+                progress(done, total, psnr=scores[-1].psnr)
+        rows.append(SplitScores.mean(name, split, scores))
     return rows
 
 
@@ -157,8 +175,8 @@ def render_sequence(
     """The avatar driven by a motion: one 8-bit image (H, W, 3) per frame.
 
     Args:
-        avatar: any.
-        pose: T frames.
+        avatar: the avatar.
+        pose: the motion, T frames.
         cameras: T of them, or one for all.
         background: linear colour in [0, 1].
         options: of the splatting.
@@ -187,6 +205,16 @@ def render_frame(
     return to_8bit(image.color.numpy())
 
 
+def true_video(video: Video, split: Split) -> Video | None:
+    """What the truth of a synthetic subject holds for a split, if it holds anything.
+
+    Raises:
+        InputError: a folder that cannot be read.
+    """
+    folder = video.truth / split if video.truth else None
+    return load_video(folder) if folder is not None and folder.is_dir() else None
+
+
 def cut_out(frame: Frame) -> np.ndarray:
     """The target of a frame: the person on white, 8-bit (H, W, 3)."""
     return to_8bit(frame.on_background(1.0))
@@ -200,16 +228,11 @@ def to_8bit(image: np.ndarray) -> np.ndarray:
 def _frames(video: Video, split: Split) -> tuple[Video, Iterable[int]] | None:
     """Where the frames of a split are read from, and which; None if the video has no such split."""
     if split == "train":
-        train = video.splits.train
-        spaced = np.linspace(0, len(train) - 1, min(TRAIN_FRAMES, len(train))).round().astype(int)
-        return video, [train[k] for k in spaced]
+        return video, spread(video.splits.train, TRAIN_FRAMES)
     if split == "test":
         return (video, video.splits.test) if video.splits.test else None
-    folder = video.truth / split if video.truth else None
-    if folder is None or not folder.is_dir():
-        return None
-    source = load_video(folder)
-    return source, range(len(source))
+    source = true_video(video, split)
+    return (source, range(len(source))) if source else None
 
 
 def _with_true_mask(frame: Frame, video: Video) -> Frame:

@@ -1,6 +1,6 @@
-"""What the avatar's fit minimises: Eq. 13 of the paper, and two optional terms of the field.
+"""What the avatar's fit minimises: Eq. 9 of the paper, and two optional terms of the field.
 
-    L_render = |C - I| + λ3 |VGG(C) - VGG(I)| + λ4 |MLP(θ)|                                    (13)
+    L_render = |C - I| + λ3 |VGG(C) - VGG(I)| + λ4 |MLP(θ)|                                    (9)
 
     + λ_alpha |A - S| + λ_ssim (1 - SSIM(C, I))                                        (optional)
 
@@ -63,7 +63,7 @@ class Losses:
     ssim: Tensor  # 1 - SSIM(C, I)
 
     def total(self, options: LossOptions) -> Tensor:
-        """The weighted sum, Eq. 13."""
+        """The weighted sum, Eq. 9."""
         weighted = (getattr(options, f.name) * getattr(self, f.name) for f in fields(options))
         return self.recon + sum(weighted)
 
@@ -77,7 +77,7 @@ def render_losses(
     distance: Distance,
     window: Window = (slice(None), slice(None)),
 ) -> Losses:
-    """The terms of Eq. 13 for one render.
+    """The terms of Eq. 9 for one render.
 
     Args:
         image: the render, color (H, W, 3) and alpha (H, W).

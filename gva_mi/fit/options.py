@@ -13,6 +13,11 @@ from gva_mi.errors import InputError
 from gva_mi.fit.losses import LossOptions
 from gva_mi.splat import SplatOptions
 
+# Defaults of the parts in a fit, where they differ from the parts' own.
+DENSIFY = DensifyOptions(grad_threshold=1e-4)  # as GART
+REINIT = ReinitOptions(floater_sigmas=3.0)  # 2 tears holes into a skirt
+SPLAT = SplatOptions(depth=False)  # no term of the loss looks at the depth
+
 
 @dataclass(frozen=True)
 class Rates:
@@ -62,7 +67,7 @@ class FitOptions:
     """How an avatar is fitted."""
 
     steps: int = 3000  # one frame each
-    seed: int = 0  # of all chance in the run
+    seed: int = 0  # of all random numbers in the run
     random_background: bool = True  # another colour each step, so that alpha is learned; else white
     window: int = 128  # pixels, side of the random part seen by the perceptual and SSIM terms
     vgg16: Path | None = None  # the user's VGG16 weights for the perceptual term; none: rand_vgg
@@ -70,10 +75,10 @@ class FitOptions:
     avatar: AvatarOptions = AvatarOptions()
     rates: Rates = Rates()
     schedule: Schedule = Schedule()
-    densify: DensifyOptions = DensifyOptions(grad_threshold=1e-4)  # as GART
-    reinit: ReinitOptions = ReinitOptions(floater_sigmas=3.0)  # 2 tears holes into a skirt
+    densify: DensifyOptions = DENSIFY
+    reinit: ReinitOptions = REINIT
     loss: LossOptions = LossOptions()
-    splat: SplatOptions = SplatOptions(depth=False)
+    splat: SplatOptions = SPLAT
 
     def __post_init__(self) -> None:
         for name, least in (("steps", 1), ("window", 11), ("checkpoint_every", 1), ("seed", 0)):

@@ -11,8 +11,8 @@ Three of them, each under its own name:
 
 For features ``f_l`` (D_l, H_l, W_l) of tap ``l`` = 1..L, and ``u_l = f_l / |f_l|`` along channels:
 
-    |VGG(C) - VGG(I)| = 1/L Σ_l mean |f_l(C) - f_l(I)|                          the loss       (1)
-    d(C, I) = Σ_l mean_hw Σ_d w_ld (u_ld(C) - u_ld(I))²                         the metrics    (2)
+    |VGG(C) - VGG(I)| = 1/L Σ_l mean |f_l(C) - f_l(I)|                          the loss      (P1)
+    d(C, I) = Σ_l mean_hw Σ_d w_ld (u_ld(C) - u_ld(I))²                         the metrics   (P2)
 
 with the linear heads w of LPIPS, and w = 1/L for ``rand_vgg``.
 """
@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -43,7 +43,7 @@ MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 
 class FeatureDistance(nn.Module):
-    """Eq. 1: the perceptual loss of two images (H, W, 3), in the features of a fixed network."""
+    """Eq. P1: the perceptual loss of two images (H, W, 3), in the features of a fixed network."""
 
     def __init__(self, layers: nn.Sequential, taps: Sequence[int]) -> None:
         super().__init__()
@@ -75,7 +75,7 @@ class FeatureDistance(nn.Module):
 
 
 class FeatureMetric(FeatureDistance):
-    """Eq. 2: the distance of unit feature vectors, LPIPS with its heads or ``rand_vgg`` without.
+    """Eq. P2: the distance of unit feature vectors, LPIPS with its heads or ``rand_vgg`` without.
 
     Args:
         heads: one (D_l,) per tap; none: all weights 1/L.
@@ -182,14 +182,6 @@ def find_weights(folder: Path | None = None) -> Weights:
         lpips_vgg=named("lpips_vgg.pth") or (first(heads / "vgg.pth") if heads else None),
         lpips_alex=named("lpips_alex.pth") or (first(heads / "alex.pth") if heads else None),
     )
-
-
-def available_weights() -> Iterator[tuple[str, str]]:
-    """For ``gva-mi doctor``: what will be used where weights matter, and why."""
-    weights = find_weights()
-    yield "VGG16", str(weights.vgg16 or "no weights: the perceptual term uses rand_vgg")
-    network = weights.lpips_network
-    yield "LPIPS", f"with {network}" if network else "no weights: rand_vgg alone is reported"
 
 
 def _unit(features: Tensor) -> Tensor:

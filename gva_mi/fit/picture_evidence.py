@@ -1,6 +1,6 @@
-"""What a frame shows of the person, and how well an avatar in some pose agrees with it.
+"""What pictures say of poses, through an avatar that is laid over them.
 
-The avatar is laid over the picture and compared with it:
+An avatar in a pose of one frame is compared with its picture:
 
     1. P = C + (1 - A) I
     2. L = (|P - I| + λα |A - S| + λs (1 - SSIM(P, I))) · H W / Σ S
@@ -8,16 +8,16 @@ The avatar is laid over the picture and compared with it:
 =============  ==================  =============================================================
 symbol         code name           meaning
 =============  ==================  =============================================================
-C (H, W, 3)    ``image.color``     the render on black, so that it is what the avatar adds
+C (H, W, 3)    ``image.color``     the render on black, which is what the avatar adds
 A (H, W)       ``image.alpha``     how much of the picture the avatar covers
-I (H, W, 3)    ``sight.picture``   the picture, cut to the person's surroundings
-S (H, W)       ``sight.mask``      the mask; divided by its sum, a weight means the same for any
+I (H, W, 3)    ``self.picture``    the picture, cut to the person's surroundings
+S (H, W)       ``self.mask``       the mask; divided by its sum, a weight means the same for any
                                    size of the person
 =============  ==================  =============================================================
 
-with ``|·|`` a mean over the image. Where the picture is cut out by its mask instead, as in Eq. 13,
-outlines follow the mask's errors, and poses with them: the loss falls, and the avatar comes no
-closer to the person. Eq. 1 leaves to the mask no more than where an avatar should be.
+with ``|·|`` a mean over the image. Where the picture is cut out by its mask instead, as in the
+paper's Eq. 9, outlines follow the mask's errors, and poses with them: the loss falls, and the
+avatar comes no closer to the person. Eq. 1 uses the mask only to say where an avatar should be.
 
 Pictures keep their resolution. In a smaller one the avatar has another outline than in those that
 it learned from, and poses make up for it in depth.
@@ -25,6 +25,7 @@ it learned from, and poses make up for it in depth.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,11 +36,12 @@ from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.pose import Pose
 from gva_mi.data.video import Frame
 from gva_mi.fit.losses import ssim
+from gva_mi.pose.crop import NoEvidence, person_box
 from gva_mi.splat import Camera, SplatOptions
 from gva_mi.splat.torch_op import render
 
 MARGIN = 0.1  # of the box around the person, added on each side
-SMALLEST = 16  # pixels: a smaller mask is taken for an empty one, a smaller box for no view
+SMALLEST_SIDE = 16  # pixels of that box
 SPLAT = SplatOptions(depth=False)
 
 
@@ -51,12 +53,8 @@ class PictureWeights:
     ssim: float  # λs
 
 
-class Hidden(Exception):
-    """Why a frame says nothing of a pose; nothing stops for it."""
-
-
 @dataclass(frozen=True)
-class Sight:
+class PictureAndMask:
     """One frame, cut to the person. Kept as 8 bits, as it was read: videos are long."""
 
     camera: Camera  # of the part that was cut out
@@ -64,18 +62,19 @@ class Sight:
     mask: Tensor  # (H, W) uint8
 
     @staticmethod
-    def of(frame: Frame, points: np.ndarray) -> Sight:
+    def of(frame: Frame, points: np.ndarray) -> PictureAndMask:
         """Cut a frame to the box around its mask and some points (N, 3) of the world.
 
         Raises:
-            Hidden: the mask is empty, or the points are not seen by the camera.
+            NoEvidence: the mask is empty, or the points are not seen by the camera.
         """
-        left, top, right, bottom = _box(frame, points)
-        rows, columns = slice(top, bottom), slice(left, right)
-        return Sight(
-            frame.camera.cropped(left, top, right - left, bottom - top),
-            _to_8bit(frame.image[rows, columns]),
-            _to_8bit(frame.mask[rows, columns]),
+        box = person_box(frame.mask, frame.camera, points, MARGIN, "its avatar")
+        if min(box.width, box.height) < SMALLEST_SIDE:
+            raise NoEvidence("it shows too little of the person")
+        return PictureAndMask(
+            box.cut_camera(frame.camera),
+            _to_8bit(box.cut(frame.image)),
+            _to_8bit(box.cut(frame.mask)),
         )
 
     def loss(self, avatar: Avatar, pose: Pose, weights: PictureWeights) -> Tensor:
@@ -91,27 +90,39 @@ class Sight:
         return loss * mask.numel() / mask.sum()
 
 
+class PictureEvidence:
+    """Pictures of some frames under one avatar: a :class:`gva_mi.pose.descent.Evidence`.
+
+    The avatar does not change, so the frames share no unknowns.
+    """
+
+    shared: Sequence[tuple[Tensor, float]] = ()
+
+    def __init__(
+        self, avatar: Avatar, seen: Mapping[int, PictureAndMask], weights: PictureWeights
+    ) -> None:
+        """Compare poses with some frames.
+
+        Args:
+            avatar: of the person.
+            seen: the frames by number, one at least.
+            weights: of eq. 2.
+        """
+        self._avatar, self._seen, self._weights = avatar, seen, weights
+        self.frames = sorted(seen)
+        self.camera = seen[self.frames[0]].camera
+
+    def loss(self, frames: Sequence[int], pose: Pose) -> Tensor:
+        """Mean of eq. 2 over some frames in these poses."""
+        losses = [
+            self._seen[k].loss(self._avatar, pose[i], self._weights) for i, k in enumerate(frames)
+        ]
+        return torch.stack(losses).mean()
+
+    def energy(self) -> float:
+        """Nothing is shared."""
+        return 0.0
+
+
 def _to_8bit(image: np.ndarray) -> Tensor:
     return torch.from_numpy(np.round(image * 255).astype(np.uint8))
-
-
-def _box(frame: Frame, points: np.ndarray) -> tuple[int, int, int, int]:
-    """Left, top, right, bottom of the person's surroundings, pixels."""
-    if frame.mask.sum() < SMALLEST:
-        raise Hidden("its mask is empty")
-    T = frame.camera.T_camera_world
-    if (points @ T[2, :3] + T[2, 3]).min() <= 0:
-        raise Hidden("its avatar reaches behind the camera")
-    pixels = frame.camera.project(points)
-    size = np.array([frame.camera.width, frame.camera.height])
-    if (pixels.max(0) < 0).any() or (pixels.min(0) > size).any():
-        raise Hidden("its avatar is out of view")
-    rows, columns = np.nonzero(frame.mask > 0.5 * frame.mask.max())
-    low = np.minimum(pixels.min(0), [columns.min(), rows.min()])
-    high = np.maximum(pixels.max(0), [columns.max() + 1, rows.max() + 1])
-    margin = MARGIN * (high - low).max()
-    left, top = np.clip(np.floor(low - margin), 0, size - 1).astype(int)
-    right, bottom = np.clip(np.ceil(high + margin), [left + 1, top + 1], size).astype(int)
-    if min(right - left, bottom - top) < SMALLEST:
-        raise Hidden("it shows too little of the person")
-    return int(left), int(top), int(right), int(bottom)

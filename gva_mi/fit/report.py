@@ -1,4 +1,7 @@
-"""The report of a run: what the avatar looks like, how well it does, and how it was trained."""
+"""The report of a run: what the avatar looks like, how well it does, and how it was trained.
+
+It is made from the run's folder (:mod:`gva_mi.fit.run_folder`) and the subject's.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +11,14 @@ from pathlib import Path
 import numpy as np
 
 from gva_mi.avatar.avatar import Avatar
-from gva_mi.data.video import Video, load_video
+from gva_mi.data.pictures import read_image, write_image
+from gva_mi.data.video import Video
+from gva_mi.fit import run_folder
+from gva_mi.fit.evaluate import Split, true_video
+from gva_mi.fit.metrics import Metrics, load_metrics
 from gva_mi.fit.photometric import FITTED
-from gva_mi.fit.views import compared, dots, hands, same_size, turntable
+from gva_mi.fit.report_pictures import compared, dots, hands, overview, same_size, turntable
+from gva_mi.fit.run_folder import Snapshot
 from gva_mi.page import (
     Figure,
     Section,
@@ -22,53 +30,46 @@ from gva_mi.page import (
     spread,
     write_page,
 )
-from gva_mi.splat import Gaussians
+from gva_mi.pose.evaluation.measure import Change, PoseFigures
+from gva_mi.pose.evaluation.record import OVERLAYS
 
 SHOWN = 5  # frames per strip
 TURN_FRAMES = 24  # pictures of the turning avatar
 
 
-def write_report(
-    path: Path,
-    *,
-    title: str,
-    metrics: dict,
-    history: dict[str, np.ndarray],
-    avatar: Avatar,
-    video: Video,
-    overlays: Sequence[np.ndarray] = (),
-    snapshots: Sequence[tuple[int, Gaussians, Gaussians]] = (),
-) -> None:
-    """Write the page.
+def write_report(run: Path, avatar: Avatar, video: Video, title: str) -> None:
+    """Write the page, and its first picture on its own.
 
     Args:
-        path: the ``.html`` file.
-        title: its heading.
-        metrics: what ``metrics.json`` holds.
-        history: per step: ``loss`` and its terms, ``gaussians``, ``milliseconds``, each (steps,).
-        avatar: the fitted one.
-        video: opened with the poses the avatar was fitted under.
-        overlays: pictures (H, W, 3) of the refinement, stage 1 above stage 2.
-        snapshots: step, Gaussians before and after, of each re-initialisation, in the rest pose.
+        run: the folder of a run that was evaluated.
+        avatar: what was fitted.
+        video: opened with the poses that the avatar was trained under.
+        title: heading of the page.
     """
+    metrics, history = load_metrics(run), run_folder.load_history(run)
+    write_image(run / run_folder.OVERVIEW, overview(avatar, video))
     sections = [
         _turning(avatar, video),
         _held_out(avatar, video),
-        *_refinement(metrics["refinement"], overlays),
+        *_refinement(metrics.refinement, video.folder / OVERLAYS),
         *_truth(avatar, video, "novel_pose", "Novel poses", _NOVEL_POSE),
         *_truth(avatar, video, "novel_view", "Novel views", _NOVEL_VIEW),
         _hands(avatar, video),
-        *_reinitialisation(snapshots),
+        *_reinitialisation(list(run_folder.load_snapshots(run))),
         _curves(history),
         _tables(metrics),
     ]
     write_page(
-        path,
+        run / run_folder.REPORT,
         title=title,
         subtitle=_subtitle(metrics),
         figures=_figures(metrics),
         sections=sections,
-        settings={k: metrics[k] for k in ("options", "versions", "seed")},
+        settings={
+            "options": metrics.options,
+            "versions": metrics.versions,
+            "seed": metrics.seed,
+        },
     )
 
 
@@ -96,30 +97,36 @@ def _held_out(avatar: Avatar, video: Video) -> Section:
     return Section("Test frames", text, pictures, columns=3)
 
 
-def _refinement(figures: dict, overlays: Sequence[np.ndarray]) -> list[Section]:
-    if not overlays:
+def _refinement(figures: PoseFigures, overlays: Path) -> list[Section]:
+    """The refinement's pictures and figures, where the subject's folder has pictures of it."""
+    if not overlays.exists():
         return []
-    text = "The body over the frames, before the refinement of Eq. 9 (above) and after it (below)."
-    head = ("", "stage 1", "refined", "true pose")
-    aligned = figures["aligned_vertex_mm_stage1"], figures["aligned_vertex_mm"]
+    text = "The body over the frames, before the refinement of Eq. 8 (above) and after it (below)."
+    pictures = [picture("stage 1 above, refined below", read_image(overlays, 3))]
+    table = _refinement_table(figures)
+    return [Section("Pose refinement", text, pictures, columns=1, tables=[table])]
+
+
+def _refinement_table(figures: PoseFigures) -> Table:
+    def row(name: str, digits: int, change: Change | None, true_pose: float | None) -> list[str]:
+        both = (change.stage1, change.refined) if change else (None, None)
+        return [name, *(number(x, digits) for x in (*both, true_pose))]
+
     rows = [
-        ("vertices, mm", 1, figures["vertex_mm_stage1"], figures["vertex_mm"], None),
-        ("hands, mm", 1, figures["hand_vertex_mm_stage1"], figures["hand_vertex_mm"], None),
-        ("feet, mm", 1, figures["foot_vertex_mm_stage1"], figures["foot_vertex_mm"], None),
-        ("vertices, pelvis on pelvis, mm", 1, *aligned, None),
-        ("silhouette IoU", 3, figures["iou_stage1"], figures["iou"], figures["iou_truth"]),
+        row("vertices, mm", 1, figures.vertices, None),
+        row("hands, mm", 1, figures.hands, None),
+        row("feet, mm", 1, figures.feet, None),
+        row("vertices, pelvis on pelvis, mm", 1, figures.aligned, None),
+        row("silhouette IoU", 3, figures.iou, figures.iou_truth),
     ]
-    table = Table(head, [(name, *(number(x, n) for x in row)) for name, n, *row in rows])
-    pictures = [picture("stage 1 above, refined below", image) for image in overlays]
-    return [Section("Pose refinement", text, pictures, min(len(pictures), 4), [table])]
+    return Table(("", "stage 1", "refined", "true pose"), rows)
 
 
-def _truth(avatar: Avatar, video: Video, split: str, title: str, text: str) -> list[Section]:
-    """Truth beside render, for a synthetic subject's strict splits."""
-    folder = video.truth / split if video.truth else None
-    if folder is None or not folder.is_dir():
+def _truth(avatar: Avatar, video: Video, split: Split, title: str, text: str) -> list[Section]:
+    """Truth beside render, for a split that only a synthetic subject has."""
+    source = true_video(video, split)
+    if source is None:
         return []
-    source = load_video(folder)
     shown = source.frames(spread(range(len(source)), SHOWN))
     images = same_size([compared(avatar, frame, difference=False) for frame in shown])
     return [Section(title, text, [picture("", image) for image in images])]
@@ -138,13 +145,13 @@ def _hands(avatar: Avatar, video: Video) -> Section:
     return Section("Hands", text, pictures, columns=2 * SHOWN)
 
 
-def _reinitialisation(snapshots: Sequence[tuple[int, Gaussians, Gaussians]]) -> list[Section]:
+def _reinitialisation(snapshots: Sequence[Snapshot]) -> list[Section]:
     if not snapshots:
         return []
     pictures = []
-    for step, before, after in snapshots:
-        for name, gaussians in (("before", before), ("after", after)):
-            caption = f"step {step}, {name}: {len(gaussians):,} Gaussians"
+    for snapshot in snapshots:
+        for name, gaussians in (("before", snapshot.before), ("after", snapshot.after)):
+            caption = f"step {snapshot.step}, {name}: {len(gaussians):,} Gaussians"
             pictures.append(picture(caption, dots(gaussians)))
     text = (
         "Surface-guided re-initialisation: every Gaussian as a dot of its own colour, in the rest "
@@ -168,22 +175,22 @@ def _curves(history: dict[str, np.ndarray]) -> Section:
     right.set(xlabel="step", title="Gaussians")
     for axis in (left, right):
         axis.spines[["top", "right"]].set_visible(False)
-    text = "Each term of Eq. 13, and how many Gaussians."
+    text = "Each term of Eq. 9, and how many Gaussians."
     return Section("Training", text, [plot("", fig)], columns=1)
 
 
-def _tables(metrics: dict) -> Section:
+def _tables(metrics: Metrics) -> Section:
     head = ("run", "split", "PSNR, dB", "SSIM", "LPIPS", "rand_vgg")
     rows = [
         (
-            row["name"].replace("_", " "),
-            row["split"].replace("_", " "),
-            number(row["psnr"], 2),
-            number(row["ssim"], 4),
-            number(row["lpips"], 4),
-            number(row["rand_vgg"], 4),
+            row.name.replace("_", " "),
+            row.split.replace("_", " "),
+            number(row.psnr, 2),
+            number(row.ssim, 4),
+            number(row.lpips, 4),
+            number(row.rand_vgg, 4),
         )
-        for row in metrics["rows"]
+        for row in metrics.rows
     ]
     text = (
         "PSNR and SSIM over the whole image on white. LPIPS needs the user's weights; rand_vgg is "
@@ -191,7 +198,7 @@ def _tables(metrics: dict) -> Section:
         "are trained on the training frames alone; a test frame takes its neighbours' correction. "
         "‘Poses as refined’ are the same frames without it."
     )
-    if any(row["name"] == FITTED for row in metrics["rows"]):
+    if any(row.name == FITTED for row in metrics.rows):
         text += (
             " ‘Poses fitted to the pictures’ have seen the test frames: the avatar is the same, "
             "and each pose is fitted to the very picture that it is measured on."
@@ -199,39 +206,37 @@ def _tables(metrics: dict) -> Section:
     return Section("Figures", text, tables=[Table(head, rows)])
 
 
-def _figures(metrics: dict) -> list[Figure]:
+def _figures(metrics: Metrics) -> list[Figure]:
     """The large numbers at the top."""
-    first = metrics["rows"][0]["name"]
-    psnr = {row["split"]: row["psnr"] for row in metrics["rows"] if row["name"] == first}
+    psnr = {row.split: row.psnr for row in metrics.rows if row.name == metrics.rows[0].name}
     figures = [
         Figure(f"{psnr[split]:.1f} dB", f"PSNR, {split.replace('_', ' ')}")
         for split in ("test", "novel_pose", "novel_view")
         if split in psnr
     ]
-    refinement, training = metrics["refinement"], metrics["training"]
-    if refinement["vertex_mm"] is not None:
-        value = f"{refinement['vertex_mm_stage1']:.0f} → {refinement['vertex_mm']:.0f} mm"
+    vertices, iou, training = metrics.refinement.vertices, metrics.refinement.iou, metrics.training
+    if vertices is not None:
+        value = f"{vertices.stage1:.0f} → {vertices.refined:.0f} mm"
         figures.append(Figure(value, "mean vertex error, stage 1 → refined"))
-    if refinement["iou"] is not None:
-        value = f"{refinement['iou_stage1']:.3f} → {refinement['iou']:.3f}"
+    if iou is not None:
+        value = f"{iou.stage1:.3f} → {iou.refined:.3f}"
         figures.append(Figure(value, "silhouette IoU, stage 1 → refined"))
-    figures.append(Figure(f"{training['gaussians']:,}", "Gaussians"))
-    minutes, seconds = divmod(round(training["seconds"]), 60)
-    label = f"for {training['steps']:,} steps"
-    figures.append(Figure(f"{minutes} min {seconds:02d} s", label))
+    figures.append(Figure(f"{training.gaussians:,}", "Gaussians"))
+    minutes, seconds = divmod(round(training.seconds), 60)
+    figures.append(Figure(f"{minutes} min {seconds:02d} s", f"for {training.steps:,} steps"))
     return figures
 
 
-def _subtitle(metrics: dict) -> str:
-    width, height = metrics["training"]["size"]
+def _subtitle(metrics: Metrics) -> str:
+    width, height = metrics.training.size
     return (
         f"A 3D Gaussian avatar of body and hands from a monocular video, {width} x {height} "
-        f"pixels, seed {metrics['seed']}."
+        f"pixels, seed {metrics.seed}."
     )
 
 
 def _smooth(values: np.ndarray, over: int = 25) -> np.ndarray:
-    """A running mean: single steps see single frames, and jump."""
+    """A running mean, for the loss of a step depends on which single frame it showed."""
     over = min(over, len(values))
     padded = np.pad(values, (over // 2, over - 1 - over // 2), mode="edge")
     return np.convolve(padded, np.full(over, 1 / over), mode="valid")

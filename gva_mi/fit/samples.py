@@ -5,8 +5,8 @@ read once, kept as 8 bits, and composited when its turn comes:
 
     I = picture · S + background · (1 - S)
 
-All chance of a step comes from the run's seed and the step's number alone. A run that is resumed
-therefore draws what an uninterrupted one would have drawn, with no state to save.
+All random numbers of a step come from the run's seed and the step's number alone. A run that is
+resumed therefore draws what an uninterrupted one would have drawn, with no state to save.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from gva_mi.fit.losses import Window
 from gva_mi.splat import Camera
 
 
-class Draw(IntEnum):
-    """What a random number is for: each purpose has a stream of its own."""
+class Stream(IntEnum):
+    """The streams of random numbers in a run, one for each purpose."""
 
     ORDER = 0  # of the frames in a pass
     BACKGROUND = 1
@@ -35,38 +35,38 @@ class Draw(IntEnum):
     REINIT = 5
 
 
-def random_state(seed: int, purpose: Draw, number: int = 0) -> np.random.Generator:
-    """The numpy generator of one purpose at one step (or pass) of a run."""
-    return np.random.default_rng([seed, purpose, number])
+def random_state(seed: int, stream: Stream, number: int = 0) -> np.random.Generator:
+    """The numpy generator of one stream at one step (or pass) of a run."""
+    return np.random.default_rng([seed, stream, number])
 
 
-def torch_state(seed: int, purpose: Draw, number: int = 0) -> torch.Generator:
-    """The same as a torch generator."""
-    drawn = random_state(seed, purpose, number).integers(2**63)
+def torch_state(seed: int, stream: Stream, number: int = 0) -> torch.Generator:
+    """The torch generator of one stream at one step of a run."""
+    drawn = random_state(seed, stream, number).integers(2**63)
     return torch.Generator().manual_seed(int(drawn))
 
 
 @dataclass(frozen=True)
-class Target:
-    """One step's frame."""
+class Sample:
+    """What one step of the fit is measured against."""
 
-    frame: int  # number in the video
-    color: Tensor  # (H, W, 3) the person on the background
-    mask: Tensor  # (H, W)
-    background: Tensor  # (3,)
+    frame: int  # its number in the video
+    color: Tensor  # (H, W, 3) in [0, 1], the person on the background
+    mask: Tensor  # (H, W) in [0, 1]
+    background: Tensor  # (3,) in [0, 1]
     camera: Camera
     window: Window  # a random part of the image with some of the person in it
 
 
-class Targets:
+class Samples:
     """The training frames of a video.
 
     Args:
-        video: any.
+        video: the video they are read from.
         frames: numbers of the frames to hold.
-        seed: of the run.
-        random_background: another colour each step, or always white.
-        window: side of the random part, pixels; smaller images give all of themselves.
+        seed: seed of the run.
+        random_background: whether the background has another colour at each step, or is white.
+        window: side of the random part, pixels; a smaller image is taken whole.
     """
 
     def __init__(
@@ -85,23 +85,23 @@ class Targets:
     def __len__(self) -> int:
         return len(self.frames)
 
-    def __getitem__(self, step: int) -> Target:
-        """The target of a step: every pass over the frames goes in another order."""
+    def __getitem__(self, step: int) -> Sample:
+        """The sample of a step: every pass over the frames goes in another order."""
         which, position = divmod(step, len(self))
-        k = int(random_state(self.seed, Draw.ORDER, which).permutation(len(self))[position])
+        k = int(random_state(self.seed, Stream.ORDER, which).permutation(len(self))[position])
         background = torch.ones(3)
         if self.random_background:
-            drawn = random_state(self.seed, Draw.BACKGROUND, step).random(3, dtype=np.float32)
+            drawn = random_state(self.seed, Stream.BACKGROUND, step).random(3, dtype=np.float32)
             background = torch.from_numpy(drawn)
         mask = self.masks[k].float() / 255
         color = self.pictures[k].float() / 255
         color = torch.lerp(background.expand_as(color), color, mask[..., None])
-        return Target(
+        return Sample(
             self.frames[k], color, mask, background, self.cameras[k], self._window(k, step)
         )
 
     def _window(self, k: int, step: int) -> Window:
-        random = random_state(self.seed, Draw.WINDOW, step)
+        random = random_state(self.seed, Stream.WINDOW, step)
         sides = []
         for (first, last), size in zip(self.boxes[k], self.masks.shape[1:], strict=True):
             side = min(self.window, size)

@@ -1,11 +1,11 @@
-"""``fit``: a video becomes an avatar, by gradient descent on Eq. 13.
+"""``fit``: a video becomes an avatar, by gradient descent on Eq. 9.
 
 Each step, with one training frame of the video:
 
-1. cool the learning rate of the means down
+1. lower the learning rate of the means
 2. avatar(pose) → Gaussians, MLP(θ)                                          Eq. 5, 6
 3. render them on a background of a random colour                            Eq. 1-3
-4. compare with the person, cut out onto the same background                 Eq. 13
+4. compare with the person, cut out onto the same background                 Eq. 9
 5. one step of Adam
 6. by the schedule: clone, split, prune; put the Gaussians back on the surface      Sec. 4.3
 """
@@ -13,7 +13,6 @@ Each step, with one training frame of the video:
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -26,19 +25,18 @@ from gva_mi.avatar.densify import ScreenGradients, densify, replace_gaussians
 from gva_mi.avatar.reinit import reinitialise
 from gva_mi.body.pose import save_poses
 from gva_mi.body.smplx import BodyModel
+from gva_mi.console import Progress
 from gva_mi.data.video import Video
 from gva_mi.files import write_arrays
-from gva_mi.fit import checkpoint
+from gva_mi.fit import run_folder
 from gva_mi.fit.colors import seen_colors
 from gva_mi.fit.losses import Distance, render_losses
 from gva_mi.fit.options import FitOptions, Rates
 from gva_mi.fit.perceptual import rand_vgg_loss, vgg16_loss
 from gva_mi.fit.poses import TrainedPoses
-from gva_mi.fit.samples import Draw, Target, Targets, torch_state
+from gva_mi.fit.samples import Sample, Samples, Stream, torch_state
 from gva_mi.splat.torch_op import Screen, render
 from gva_mi.threads import one_torch_thread
-
-Progress = Callable[..., None]
 
 
 def fit(
@@ -58,12 +56,12 @@ def fit(
     Args:
         video: opened with the poses to train under, best the refined ones. Test frames are not
             looked at.
-        body: whose skeleton and surface the avatar takes over.
-        options: see there.
-        out: folder of the run, in the form of :mod:`gva_mi.fit.checkpoint`.
+        body: the body whose skeleton and surface the avatar takes over.
+        options: how the avatar is fitted.
+        out: folder of the run, in the form of :mod:`gva_mi.fit.run_folder`.
         offsets: (V, 3) displacement of the rest surface found by the refinement, metres.
         resume: go on from the last checkpoint in ``out``, or start where there is none.
-        progress: told each step's loss and number of Gaussians.
+        progress: called after each step with its loss and the number of Gaussians.
 
     Returns:
         The avatar, which is also written to ``out/avatar.npz``.
@@ -72,33 +70,35 @@ def fit(
         InputError: ``out`` holds a run already, or one of other options; or unreadable files.
     """
     distance = vgg16_loss(options.vgg16) if options.vgg16 else rand_vgg_loss()
-    checkpoint.claim(out, options.plain(), resume)
-    if (out / checkpoint.AVATAR).exists():
-        return Avatar.load(out / checkpoint.AVATAR)
-    state = checkpoint.load_state(out)
+    run_folder.prepare(out, options.plain(), resume)
+    if (out / run_folder.AVATAR).exists():
+        return Avatar.load(out / run_folder.AVATAR)
+    state = run_folder.load_state(out)
     with one_torch_thread():
         run = _Run(video, body, options, offsets, state)
-        targets = Targets(
+        samples = Samples(
             video, video.splits.train, options.seed, options.random_background, options.window
         )
         while run.step < options.steps:
-            figures = run.advance(targets[run.step], distance)
-            run.tend(out)
+            figures = run.descend(samples[run.step], distance)
+            run.add_and_remove_gaussians(out)
             if progress:
-                shown = {name: figures[name] for name in ("loss", "gaussians")}
-                progress(run.step, options.steps, **shown)
+                progress(
+                    run.step, options.steps, loss=figures["loss"], gaussians=figures["gaussians"]
+                )
             if run.step % options.checkpoint_every == 0 and run.step < options.steps:
-                checkpoint.save_state(out, run.state())
-    write_arrays(out / checkpoint.HISTORY, **run.history)
+                run_folder.save_state(out, run.state())
+    write_arrays(out / run_folder.HISTORY, **run.history)
     if len(run.poses.frames):
-        save_poses(out / checkpoint.POSES, run.poses.all(video.splits.train), video.shape, stage=2)
-    run.avatar.save(out / checkpoint.AVATAR)
-    (out / checkpoint.CHECKPOINT).unlink(missing_ok=True)
+        poses = run.poses.all(video.splits.train)
+        save_poses(out / run_folder.TRAINED_POSES, poses, video.shape, stage=2)
+    run.avatar.save(out / run_folder.AVATAR)
+    (out / run_folder.CHECKPOINT).unlink(missing_ok=True)
     return run.avatar
 
 
 class _Run:
-    """What changes from step to step."""
+    """The state of a run: all that changes from step to step."""
 
     def __init__(
         self,
@@ -110,7 +110,7 @@ class _Run:
     ) -> None:
         self.options = options
         if state is None:
-            generator = torch_state(options.seed, Draw.SEED)
+            generator = torch_state(options.seed, Stream.SEED)
             colors = seen_colors(video, body, offsets)
             self.avatar = seed_avatar(body, video.shape, offsets, options.avatar, generator, colors)
             self.step, self.history = 0, {}
@@ -126,27 +126,27 @@ class _Run:
             self.optimizer.load_state_dict(state["optimizer"])
             self.gradients.total, self.gradients.views = state["gradients"]
 
-    def advance(self, target: Target, distance: Distance) -> dict[str, float]:
+    def descend(self, sample: Sample, distance: Distance) -> dict[str, float]:
         """One step of descent on one frame; returns its line of the history."""
         start, options = time.perf_counter(), self.options
-        self._cool_down()
-        animated = self.avatar.animate(self.poses(target.frame))
+        self._lower_learning_rate()
+        animated = self.avatar.animate(self.poses(sample.frame))
         screen = Screen()
-        image = render(animated.gaussians, target.camera, options.splat, target.background, screen)
+        image = render(animated.gaussians, sample.camera, options.splat, sample.background, screen)
         losses = render_losses(
             image,
-            target.color,
-            target.mask,
+            sample.color,
+            sample.mask,
             animated.residual,
             options.loss,
             distance,
-            target.window,
+            sample.window,
         )
         total = losses.total(options.loss)
         self.optimizer.zero_grad(set_to_none=True)
         total.backward()
         self.optimizer.step()
-        self.gradients.add(screen, target.camera)
+        self.gradients.add(screen, sample.camera)
         self.step += 1
         figures = {"step": self.step, "loss": float(total.detach())}
         figures |= {f.name: float(getattr(losses, f.name).detach()) for f in fields(losses)}
@@ -156,23 +156,23 @@ class _Run:
             self.history.setdefault(name, []).append(value)
         return figures
 
-    def tend(self, out: Path) -> None:
-        """What follows a step by the schedule: density control, re-initialisation."""
+    def add_and_remove_gaussians(self, out: Path) -> None:
+        """Do what the schedule says to follow this step: density control, re-initialisation."""
         options, schedule = self.options, self.options.schedule
         if schedule.densifies(self.step, options.steps):
-            generator = torch_state(options.seed, Draw.DENSIFY, self.step)
+            generator = torch_state(options.seed, Stream.DENSIFY, self.step)
             densify(self.avatar, self.optimizer, self.gradients, options.densify, generator)
             self.gradients = ScreenGradients(len(self.avatar.canonical))
         if schedule.reinitialises(self.step, options.steps):
-            generator = torch_state(options.seed, Draw.REINIT, self.step)
+            generator = torch_state(options.seed, Stream.REINIT, self.step)
             before = self.avatar.canonical
             new = reinitialise(self.avatar, options.reinit, generator)
-            checkpoint.save_snapshot(out, self.step, before, new.canonical, new.surface)
+            run_folder.save_snapshot(out, self.step, before, new.canonical, new.surface)
             replace_gaussians(self.avatar, self.optimizer, new.canonical)
             self.gradients = ScreenGradients(len(self.avatar.canonical))
 
     def state(self) -> dict[str, Any]:
-        """All of it, for a checkpoint."""
+        """The whole state of the run, for a run_folder."""
         return {
             "step": self.step,
             "avatar": self.avatar.record(),
@@ -182,8 +182,8 @@ class _Run:
             "history": self.history,
         }
 
-    def _cool_down(self) -> None:
-        """Let the learning rate of the means fall exponentially over the run."""
+    def _lower_learning_rate(self) -> None:
+        """Lower the learning rate of the means, which falls exponentially over the run."""
         rates = self.options.rates
         done = self.step / max(1, self.options.steps - 1)
         for group in self.optimizer.param_groups:

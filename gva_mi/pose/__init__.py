@@ -1,5 +1,12 @@
-"""Stage 2: poses made to agree with the pictures (Eq. 9)."""
+"""Stage 2: poses made to agree with the pictures (Eq. 8).
 
-from gva_mi.pose.refine import Refined, RefineOptions, refine
+:func:`refine` takes a video, a body and one of two options types, which also chooses the way:
+:class:`SequenceOptions` refines all frames together, :class:`SingleFrameOptions` minimises Eq. 8 as
+printed, frame by frame.
+"""
 
-__all__ = ["RefineOptions", "Refined", "refine"]
+from gva_mi.pose.refine import Refined, refine
+from gva_mi.pose.sequence import SequenceOptions
+from gva_mi.pose.single_frame import SingleFrameOptions
+
+__all__ = ["Refined", "SequenceOptions", "SingleFrameOptions", "refine"]

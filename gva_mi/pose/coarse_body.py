@@ -1,8 +1,8 @@
-"""The body on fewer triangles, on which refining a pose costs less than half.
+"""The body on fewer triangles, on which refining a pose takes less than half the time.
 
-A quarter of the triangles draw the same picture: at the size that is compared a pixel is 8 mm wide,
-and holds several triangles of the body. What takes the time of a step grows with them: the tree in
-which Mitsuba finds what a ray hits is built anew for every pose, and vertices are bent and skinned.
+A quarter of the triangles draws the same picture: at the size that is compared a pixel is 8 mm
+wide, and holds several triangles of the body. The time of a step grows with their number, because
+Mitsuba builds the tree of its ray tracer anew for every pose, and every vertex is posed.
 
 Edges are collapsed onto one of their ends in the order of Garland and Heckbert's quadric error, so
 that the vertices that are left are vertices of the body, with their own directions and weights.
@@ -17,15 +17,15 @@ from torch import Tensor
 from gva_mi.body.smplx import BodyModel
 from gva_mi.mesh.surface import uniform_laplacian
 
-AGREE = 1e3  # how much more the displacement of a common vertex counts than a bend
+DATA_WEIGHT = 1e3  # w of eq. 1: agreement on the kept vertices against smoothness
 
 
 class CoarseBody:
-    """Some vertices of a body.
+    """A body on some of its vertices.
 
     Attributes:
-        body: the body on them.
-        kept: (n,) which of the whole body's they are.
+        body: the body on the n vertices that were kept.
+        kept: (n,) their numbers in the whole body.
     """
 
     def __init__(self, whole: BodyModel, faces: int) -> None:
@@ -33,7 +33,7 @@ class CoarseBody:
 
         Args:
             whole: the body.
-            faces: how many triangles are left; a body that has no more stays as it is.
+            faces: how many triangles to keep; a body that has no more stays as it is.
         """
         self._faces, self._count = whole.faces, len(whole.v_template)
         if len(whole.faces) <= faces:
@@ -44,9 +44,11 @@ class CoarseBody:
             self.body = whole.on(self.kept, triangles)
 
     def spread(self, offsets: Tensor) -> Tensor:
-        """A displacement of the coarse body (n, 3), on the whole one (V, 3).
+        """A displacement of the coarse body (n, 3), extended to the whole one (V, 3).
 
-        The least bent one that agrees with it: ``argmin |Δ D|² + w |D_kept - offsets|²``.
+        It is the smoothest one that agrees on the kept vertices:
+
+        1. ``argmin_D |Δ D|² + w |D_kept - offsets|²``
         """
         if len(self.kept) == self._count:
             return offsets
@@ -55,15 +57,15 @@ class CoarseBody:
 
         laplacian = uniform_laplacian(self._faces.numpy(), self._count)
         index, values = laplacian.indices().numpy(), laplacian.values().double().numpy()
-        bend = coo_matrix((values, index), (self._count, self._count)).tocsc()
+        bending = coo_matrix((values, index), (self._count, self._count)).tocsc()
         weights, pulled = np.zeros(self._count), np.zeros((self._count, 3))
-        weights[self.kept], pulled[self.kept] = AGREE, AGREE * offsets.double().numpy()
-        solved = splu((bend.T @ bend + diags(weights)).tocsc()).solve(pulled)
+        weights[self.kept], pulled[self.kept] = DATA_WEIGHT, DATA_WEIGHT * offsets.double().numpy()
+        solved = splu((bending.T @ bending + diags(weights)).tocsc()).solve(pulled)
         return torch.from_numpy(solved).to(offsets.dtype)
 
 
 def _collapse(vertices: Tensor, faces: Tensor, count: int) -> tuple[Tensor, Tensor]:
-    """Which vertices (n,) are left, and triangles (count, 3) between them."""
+    """Numbers (n,) of the vertices that are kept, and the triangles (count, 3) between them."""
     import pymeshlab
     from scipy.spatial import cKDTree
 

@@ -1,15 +1,15 @@
 """The surface that is seen: the body's rest surface, displaced (SMPL-X + D).
 
 Clothes and hair stand off the body, and no pose of a bare body fills the mask of a clothed person:
-without a word for them, limbs, size and depth pay for the cloth. One displacement ``D`` (V, 3) of
-the rest surface, shared by all frames, is that word. What it may look like is an energy, in which
-``n`` are the rest surface's normals:
+fitted without them, limbs, size and depth would change to make up for the cloth. One displacement
+``D`` (V, 3) of the rest surface, shared by all frames, stands for them. Its energy is
 
     E(D) = a mean |Δ D|² / h⁴ + b mean |D|² + c mean min(D · n, 0)²
 
-smooth (Δ: vertex minus the mean of its neighbours; h²: mean square of the edges), small, and
-outward: cloth lies on the body, not in it. On the hands ``D`` is zero: they are bare, and their
-shape is what tells their pose.
+with the rest surface's normals ``n``, ``Δ`` a vertex minus the mean of its neighbours, and ``h²``
+the mean square of the edges. It keeps ``D`` smooth, small, and pointing outward, because cloth lies
+on the body and not in it. On the hands ``D`` is zero: they are bare, and it is by their shape that
+their pose is recognised.
 """
 
 from __future__ import annotations
@@ -24,15 +24,19 @@ _WRISTS = [JOINTS.index("left_wrist"), JOINTS.index("right_wrist")]
 
 
 class Displacement:
-    """``D`` and its energy; ``D`` is a leaf that an optimiser may move."""
+    """``D`` and its energy.
+
+    Attributes:
+        raw: (V, 3) the leaf that an optimiser may move; ``D`` is the leaf where there are no hands.
+    """
 
     def __init__(self, vertices: Tensor, faces: Tensor, weights: Tensor) -> None:
-        """No displacement yet.
+        """Start without any displacement.
 
         Args:
             vertices: (V, 3) the rest surface, metres.
             faces: (F, 3).
-            weights: (V, 55) skinning weights, which tell where the hands are.
+            weights: (V, 55) skinning weights, by which the hands are found.
         """
         exact = vertex_normals(vertices.detach().double(), faces)
         self._normals = exact.to(vertices.dtype)

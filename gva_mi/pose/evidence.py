@@ -1,34 +1,50 @@
-"""What a frame says about the body: mask and normals, at the size they are compared (Eq. 9).
+"""What a frame's mask and normals say about the posed body: the data term of Eq. 8.
 
-Everything is divided by the person's area in pixels, so that a weight means the same for a person
-who fills the picture and one who stands far away, and for any resolution:
+    1. L_data = L_normal + λ1 L_silhouette
+    2. L_normal = Σ_pixels |N - N_pred|_1 / 3 / area
+    3. L_silhouette = Σ_pixels |S - S_pred| / area
 
-    L_normal = Σ_pixels |N - N_pred|_1 / 3 / area,        L_silhouette = Σ_pixels |S - S_pred| /
-    area
+with the normals ``N`` (H, W, 3) and the mask ``S`` (H, W) of the frame, and those of the rendered
+body. Everything is divided by the person's area in pixels, so that a weight means the same for a
+person who fills the picture and one who stands far away, and for any resolution.
+
+The absolute value of eq. 3 sees half of the outline. Masks are rendered with one ray through the
+centre of each pixel. Of the pixels that the rendered outline crosses, those whose centre it covers
+differ from the mask of the frame, and pull with slope 1; the others agree with it, and the slope of
+``|x|`` at 0 counts as 0. So the derivative of eq. 3 is half of the true one, everywhere along the
+outline: a constant factor, which belongs to λ1. Squares would give the whole derivative, the slopes
+being 2 and 0, and on hard masks exactly twice that of eq. 3. They are not taken, because λ1 was
+chosen with the factor, and because Eq. 8 prints no square.
+
+Where the frame's mask is soft, the slopes are 1 and -1 on the two sides of the rendered outline,
+and cancel: within a soft edge eq. 3 does not pull. Shrinking leaves edges that are soft for one
+pixel. The factor is also in the outline's part of eq. 2, where normals end at the background.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 import torch
 from torch import Tensor
+from torch.autograd.function import FunctionCtx
 
-from gva_mi.data.video import Frame
+from gva_mi.data.video import Frame, Video
+from gva_mi.mesh.mesh_scene import BodyScene
+from gva_mi.pose.crop import NoEvidence, person_box
 from gva_mi.splat import Camera
 
 MARGIN = 0.15  # of the box around the person, added on each side
-SMALLEST = 16.0  # pixels: a smaller mask is taken for an empty one
 
-
-class CannotRefine(Exception):
-    """Why a frame keeps its stage-1 pose; nothing stops for it."""
+Seen = TypeVar("Seen")
 
 
 @dataclass(frozen=True)
-class Target:
-    """The evidence of one frame, cut to the person's surroundings."""
+class MaskAndNormals:
+    """The evidence of one frame, shrunk and cut to the person's surroundings."""
 
     camera: Camera  # of the part that was cut out
     mask: Tensor  # (H, W) in [0, 1]
@@ -36,7 +52,7 @@ class Target:
     area: float  # of the person, pixels
 
     @staticmethod
-    def of(frame: Frame, size: int, points: Tensor) -> Target:
+    def of(frame: Frame, size: int, points: Tensor) -> MaskAndNormals:
         """Shrink a frame and cut it to a box around its mask and the body's stage-1 vertices.
 
         Args:
@@ -45,37 +61,107 @@ class Target:
             points: (V, 3) world, the body in its stage-1 pose.
 
         Raises:
-            CannotRefine: the mask is empty, or the body is not seen by the camera.
+            NoEvidence: the mask is empty, or the body is not seen by the camera.
         """
         height, width = frame.mask.shape
         scale = min(1.0, size / max(height, width))
         shape = (max(1, round(height * scale)), max(1, round(width * scale)))
         camera = frame.camera.resized(shape[1], shape[0])
         mask = _shrink(frame.mask[..., None], shape)[..., 0]
-        area = float(mask.sum())
-        if area < SMALLEST:
-            raise CannotRefine("its mask is empty")
-        left, top, right, bottom = _box(mask, camera, points.numpy().astype(np.float64))
-        camera = camera.cropped(left, top, right - left, bottom - top)
+        corners = points.numpy().astype(np.float64)
+        box = person_box(mask.numpy(), camera, corners, MARGIN, "its stage-1 body")
         normals = None
         if frame.normals is not None:
-            # Means of unit vectors are shorter: made unit again, and cut where the mask has less
-            # than a half.
+            # Means of unit vectors are shorter than 1: they are made unit again, and left out
+            # where the mask covers less than half of the pixel.
             normals = torch.nn.functional.normalize(_shrink(frame.normals, shape), dim=-1)
-            normals = (normals * (mask > 0.5)[..., None])[top:bottom, left:right].contiguous()
-        return Target(camera, mask[top:bottom, left:right].contiguous(), normals, area)
+            normals = box.cut(normals * (mask > 0.5)[..., None]).contiguous()
+        area = float(mask.sum())
+        return MaskAndNormals(box.cut_camera(camera), box.cut(mask).contiguous(), normals, area)
+
+    def loss(self, image: Tensor, silhouette: float) -> Tensor:
+        """Eq. 1, the data term of Eq. 8, of a rendering (H, W, 4) of normals and mask.
+
+        Args:
+            image: as :meth:`gva_mi.mesh.mesh_scene.BodyScene.render` gives it.
+            silhouette: λ1.
+        """
+        return self.normal_loss(image) + silhouette * self.silhouette_loss(image)
 
     def normal_loss(self, image: Tensor) -> Tensor:
-        """L_normal of a rendering (H, W, 4); zero where the frame has no normals."""
+        """Eq. 2 of a rendering (H, W, 4); zero where the frame has no normals."""
         if self.normals is None:
             return image.new_zeros(())
-        # A pixel inside the mask without a normal, beyond the edge of a crop, says nothing.
-        told = self.normals.any(-1) | (self.mask <= 0.5)
-        return ((image[..., :3] - self.normals).abs() * told[..., None]).sum() / (3 * self.area)
+        # Inside the mask normals may be missing, beyond the edge of a network's crop: such pixels
+        # are not compared.
+        known = self.normals.any(-1) | (self.mask <= 0.5)
+        return ((image[..., :3] - self.normals).abs() * known[..., None]).sum() / (3 * self.area)
 
     def silhouette_loss(self, image: Tensor) -> Tensor:
-        """L_silhouette of a rendering (H, W, 4)."""
+        """Eq. 3 of a rendering (H, W, 4); its derivative is half of the true one, see above."""
         return (image[..., 3] - self.mask).abs().sum() / self.area
+
+
+def gather(
+    video: Video, frames: Iterable[int], look: Callable[[Frame], Seen]
+) -> tuple[dict[int, Seen], dict[int, str]]:
+    """Evidence of those frames that say something, and reasons for those that do not.
+
+    Args:
+        video: whose frames.
+        frames: numbers of the frames that are looked at.
+        look: makes the evidence of a frame, or raises :class:`NoEvidence`.
+    """
+    wanted, found = list(frames), {}
+    reasons = {k: video.absent[k] for k in wanted if k in video.absent}
+    for frame in video.frames(k for k in wanted if k not in video.absent):
+        try:
+            found[frame.index] = look(frame)
+        except NoEvidence as reason:
+            reasons[frame.index] = str(reason)
+    return found, reasons
+
+
+def mean_loss(
+    scene: BodyScene, vertices: Tensor, seen: Sequence[MaskAndNormals], silhouette: float
+) -> Tensor:
+    """Mean of eq. 1 over frames, differentiable in the vertices.
+
+    The gradient is computed along with the loss, while the scene shows each body: moving the mesh
+    a second time for it would cost more than anything else in a step.
+
+    Args:
+        scene: where the bodies are rendered.
+        vertices: (B, V, 3) world, metres: the body in each frame's pose.
+        seen: the evidence of the same B frames.
+        silhouette: λ1.
+    """
+    return _MeanLoss.apply(vertices, scene, seen, silhouette)
+
+
+class _MeanLoss(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: FunctionCtx,
+        vertices: Tensor,
+        scene: BodyScene,
+        seen: Sequence[MaskAndNormals],
+        silhouette: float,
+    ) -> Tensor:
+        losses, gradients = [], []
+        for body, evidence in zip(vertices.detach().unbind(), seen, strict=True):
+            with torch.enable_grad():
+                body = body.contiguous().requires_grad_()
+                loss = evidence.loss(scene.render(body, evidence.camera), silhouette)
+                gradients += torch.autograd.grad(loss, [body])
+            losses.append(float(loss.detach()))
+        ctx.save_for_backward(torch.stack(gradients) / len(seen))
+        return vertices.new_tensor(sum(losses) / len(seen))
+
+    @staticmethod
+    def backward(ctx: FunctionCtx, grad_loss: Tensor) -> tuple[Tensor, None, None, None]:
+        (gradient,) = ctx.saved_tensors
+        return grad_loss * gradient, None, None, None
 
 
 def _shrink(image: np.ndarray, shape: tuple[int, int]) -> Tensor:
@@ -84,21 +170,3 @@ def _shrink(image: np.ndarray, shape: tuple[int, int]) -> Tensor:
     if stacked.shape[2:] == shape:
         return stacked[0].permute(1, 2, 0)
     return torch.nn.functional.interpolate(stacked, size=shape, mode="area")[0].permute(1, 2, 0)
-
-
-def _box(mask: Tensor, camera: Camera, points: np.ndarray) -> tuple[int, int, int, int]:
-    """Left, top, right, bottom in pixels."""
-    depth = points @ camera.T_camera_world[2, :3] + camera.T_camera_world[2, 3]
-    if depth.min() <= 0:
-        raise CannotRefine("its stage-1 body reaches behind the camera")
-    pixels = camera.project(points)
-    size = np.array([camera.width, camera.height])
-    if (pixels.max(0) < 0).any() or (pixels.min(0) > size).any():
-        raise CannotRefine("its stage-1 body is out of view")
-    rows, columns = np.nonzero(mask.numpy() > 0.5 * float(mask.max()))
-    low = np.minimum(pixels.min(0), [columns.min(), rows.min()])
-    high = np.maximum(pixels.max(0), [columns.max() + 1, rows.max() + 1])
-    margin = MARGIN * (high - low).max()
-    left, top = np.clip(np.floor(low - margin), 0, size - 1).astype(int)
-    right, bottom = np.clip(np.ceil(high + margin), [left + 1, top + 1], size).astype(int)
-    return int(left), int(top), int(right), int(bottom)

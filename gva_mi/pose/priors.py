@@ -1,11 +1,16 @@
-"""How much joints are held, and how far they reach.
+"""How much a turn of a joint moves, and how strongly it is held to stage 1.
 
-Eq. 9's regulariser ``Σ ω_i (θ_i - θ_i^stage1)`` has no norm as printed and could fall without
-bound; it is taken squared. Its weights fall with the distance from the root in the kinematic tree,
-``ω_i = 1 / (1 + depth_i)``: the farther out a joint, the worse stage 1 knows it, and the less it is
-held. That is for the frame by frame way. The whole sequence's energies count metres: what a turn
-moves, by the lever of its joint. Estimators err so, by about as much all over the body, and so do
-pictures tell.
+The lever arm of a joint is how far away that is which turns with it, in metres. Both ways of
+refining divide their steps by it, so that a step moves the surface by about as much whichever joint
+it turns.
+
+They hold a pose to stage 1 differently. Eq. 8's regulariser ``Σ ω_i (θ_i - θ_i^stage1)`` has no
+norm as printed, and could fall without bound; the frame by frame way takes it squared. Its weights
+fall with the distance from the root in the kinematic tree, ``ω_i = 1 / (1 + depth_i)``: the farther
+out a joint, the worse stage 1 knows it, and the less it is held. The energies of a whole sequence
+(:mod:`gva_mi.pose.corrections`) count metres instead: a turn of ``δ_i`` radians counts as ``ℓ_i
+|δ_i|``, with ``ℓ_i`` the lever arm or a little more. For errors of estimators, and what pictures
+tell, are about as large all over the body when they are counted in metres.
 """
 
 from __future__ import annotations
@@ -18,8 +23,9 @@ from torch import Tensor
 from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND
 from gva_mi.body.smplx import Rest
 
-FACE = slice(JOINTS.index("jaw"), JOINTS.index("right_eye_smplhf") + 1)  # neither seen nor moved
-LEAST, FINGERS = 0.2, 0.35  # metres, of levers that hold
+# Jaw and eyes are never turned: neither masks nor normals of this size show them.
+FACE = slice(JOINTS.index("jaw"), JOINTS.index("right_eye_smplhf") + 1)
+LEAST, LEAST_FINGERS = 0.2, 0.35  # metres, of ℓ
 
 
 def joint_weights(parents: Sequence[int]) -> Tensor:
@@ -30,8 +36,8 @@ def joint_weights(parents: Sequence[int]) -> Tensor:
     return 1 / (1 + torch.tensor(depth, dtype=torch.float32))
 
 
-def levers(rest: Rest, weights: Tensor, parents: Sequence[int]) -> Tensor:
-    """How far (J,) metres, on average, what a joint turns is away from it.
+def lever_arms(rest: Rest, weights: Tensor, parents: Sequence[int]) -> Tensor:
+    """Mean distance (J,) metres between a joint and what turns with it.
 
     The mean is quadratic, over the vertices below the joint in the kinematic tree.
 
@@ -47,16 +53,30 @@ def levers(rest: Rest, weights: Tensor, parents: Sequence[int]) -> Tensor:
     return ((moved * square).sum(0) / moved.sum(0).clamp_min(1e-6)).sqrt()
 
 
-def held_levers(far: Tensor) -> Tensor:
-    """The levers (J,) metres by which joints are held to stage 1 and to their neighbours in time.
-
-    Short ones count as ``LEAST``: a turned foot or head moves little, but is not free to turn.
-    Those of the fingers count as ``FINGERS``: a few pixels do not tell 15 joints from each other.
+def turn_rates(arms: Tensor, step: float, largest_turn: float) -> Tensor:
+    """Learning rates (J, 1) of the joints' turns, radians; zero for the face.
 
     Args:
-        far: (J,) from :func:`levers`.
+        arms: (J,) lever arms, metres.
+        step: metres that a step moves what turns with the joint.
+        largest_turn: radians; no joint turns more in a step, however short its lever arm.
     """
-    held = far.clamp_min(LEAST)
+    rates = (step / arms).clamp_max(largest_turn)[:, None]
+    rates[FACE] = 0
+    return rates
+
+
+def prior_lengths(arms: Tensor) -> Tensor:
+    """``ℓ`` (J,) metres: the lengths by which the energies of a sequence count turns in metres.
+
+    These are the lever arms, but not below ``LEAST``: a turned foot or head moves few points by
+    little, and would be free to turn. Those of the fingers are not below ``LEAST_FINGERS``: the few
+    pixels of a hand cannot tell its 15 joints from each other.
+
+    Args:
+        arms: (J,) from :func:`lever_arms`.
+    """
+    lengths = arms.clamp_min(LEAST)
     for hand in (LEFT_HAND, RIGHT_HAND):
-        held[hand] = held[hand].clamp_min(FINGERS)
-    return held
+        lengths[hand] = lengths[hand].clamp_min(LEAST_FINGERS)
+    return lengths

@@ -1,8 +1,7 @@
 """All frames refined together, the clothes explained by one displacement of the surface.
 
-A step takes some frames ``k``, chosen at random (every frame once in a pass), and moves the
-corrections of all frames, the displacement ``D`` and the shape ``β``, which all frames share,
-downhill on
+The poses of all frames, the displacement ``D`` and the shape ``β``, which all frames share, go
+downhill (:mod:`gva_mi.pose.descent`) on
 
     L = mean_k( |N_k - N_k,pred| + λ1 |S_k - S_k,pred| )      the body β displaced by D, posed
         + E(δ, τ)                                             gva_mi.pose.corrections
@@ -16,122 +15,146 @@ toward the camera; the frames before and after do, in which it is seen from anot
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
-import torch
 from torch import Tensor
 
 from gva_mi.body.pose import Pose, Shape
-from gva_mi.body.smplx import BodyModel
-from gva_mi.mesh.mesh_scene import MeshScene
-from gva_mi.pose.corrections import Corrections
+from gva_mi.console import Progress
+from gva_mi.pose.clips import cut, skim
+from gva_mi.pose.descent import DescentOptions, descend
 from gva_mi.pose.displacement import Displacement
-from gva_mi.pose.evidence import Target
-from gva_mi.pose.priors import FACE, held_levers, levers
-from gva_mi.pose.vector_adam import VectorAdam
+from gva_mi.pose.evidence import mean_loss
+from gva_mi.pose.job import Job, RefineOptions, Solution
+from gva_mi.pose.limits import require_at_least
+from gva_mi.pose.priors import lever_arms
 
-if TYPE_CHECKING:
-    from gva_mi.pose.refine import RefineOptions
-
-DECAY = 0.03  # what is left of the learning rates at the end
-BETAS = (0.9, 0.99)  # Adam's
 STEPS_A_PASS = 16  # at least, where there are so many frames
 
 
 @dataclass(frozen=True)
-class Solution:
-    """What is looked for."""
+class SequenceOptions(DescentOptions, RefineOptions):
+    """How all frames of a video are refined together."""
 
-    rotations: Tensor  # (T, 55, 3) axis-angle
-    transl: Tensor  # (T, 3) metres
-    offsets: Tensor  # (V, 3) metres
-    betas: Tensor  # (B,) standard deviations
+    passes: int = 50  # how often every frame is visited
+    batch: int = 4  # frames of a step, at most
+    prior: float = 0.3  # λ2, for one square metre that a joint's turn moves
+    smooth: float = 200.0  # between neighbours' turns, for one square metre
+    smooth_move: float = 200.0  # between neighbours' places, for one square metre
+    hold: float = 3.0  # pull of the translation to stage 1, for one square metre
+    jitter: float = 0.03  # metres between frames: less is no motion of a joint
+    jitter_move: float = 0.02  # metres between frames: less is no motion of the person
+    outlier: float = 0.005  # metres beyond which a jump between frames counts less
+    reach: float = 2.2  # √λ, frames over which a step spreads to both sides
+    cloth_smooth: float = 1.6e-4  # a of the displacement's energy, for one (1/m)²
+    cloth_small: float = 40.0  # b of the displacement's energy, for one square metre
+    cloth_outward: float = 400.0  # c of the displacement's energy, for one square metre
+    betas_prior: float = 0.05  # λβ, for one squared standard deviation
+    step: float = 0.012  # metres that a turned joint moves what hangs on it, in a step at the start
+    largest_turn: float = 0.03  # radians in such a step; it limits joints with short lever arms
+    translation_lr: float = 0.006  # metres in a step at the start; depth is seen weakly
+    cloth_lr: float = 0.002  # metres in a step at the start
+    betas_lr: float = 0.02  # standard deviations in a step at the start
+    part: int = 240  # frames refined together; a longer video is cut into clips
+    overlap: int = 16  # frames that a clip shares with the next
+    skim: int = 96  # frames of a longer video that tell what all its clips share
+    seed: int = 0  # of the order in which frames are visited
+
+    name: ClassVar[str] = "sequence"
+    command: ClassVar[str] = "refine"
+    decay: ClassVar[float] = 0.03
+
+    def __post_init__(self) -> None:
+        RefineOptions.__post_init__(self)
+        DescentOptions.__post_init__(self)
+        require_at_least(self.command, self, skim=1)
+
+    @property
+    def description(self) -> str:
+        return f"all frames together, seed {self.seed}"
+
+    def clips(self, frames: int) -> list[range]:
+        return cut(frames, self.part, self.overlap)
+
+    def first_round(self, frames: int, seen: Sequence[int]) -> Sequence[int]:
+        if frames <= self.part:
+            return ()
+        return [seen[i] for i in skim(len(seen), self.skim)]
+
+    def steps_for(self, frames: int) -> int:
+        return frames * self.passes
+
+    def solve(self, job: Job, progress: Progress | None = None) -> Solution:
+        return refine_sequence(job, self, progress)
+
+    def variants(self) -> dict[str, RefineOptions]:
+        return {
+            "no prior": replace(self, prior=0.0),
+            "no neighbours in time": replace(self, smooth=0.0, smooth_move=0.0, reach=0.0),
+            "no displacement for clothes": replace(self, cloth_lr=0.0),
+            "shape of stage 1": replace(self, betas_lr=0.0),
+        }
 
 
 def refine_sequence(
-    targets: dict[int, Target],
-    scene: MeshScene,
-    body: BodyModel,
-    pose: Pose,
-    shape: Shape,
-    options: RefineOptions,
-    progress: Callable[..., None] | None = None,
-    known: Solution | None = None,
+    job: Job, options: SequenceOptions, progress: Progress | None = None
 ) -> Solution:
-    """Refine the frames that have a target; the others stay, and pull at nobody.
+    """Refine the frames that have evidence; the others keep their pose, and affect no frame.
 
     Args:
-        targets: what the frames say, by number.
-        scene: where the body is rendered.
-        body: the body.
-        pose: stage 1, T frames.
-        shape: the person's.
-        options: weights, passes, learning rates and the seed.
+        job: what is known.
+        options: of the refinement.
         progress: called as ``progress(done, total, loss=...)`` after every step.
-        known: found on other frames of the video: what all frames share is taken from it, and
-            rests.
     """
-    generator = torch.Generator().manual_seed(options.seed)
-    frames = sorted(targets)
-    camera = targets[frames[0]].camera
-    rest = body.rest(shape)
-    far = levers(rest, body.weights, body.parents)
-    corrections = Corrections(pose, frames, camera, held_levers(far), options)
-    cloth = Displacement(rest.vertices, body.faces, body.weights)
-    betas = shape.betas.clone()[:, None].requires_grad_()  # (B, 1): each for itself
-    if known is not None:  # what needs no gradient is left alone by Adam
-        cloth.raw, betas = known.offsets, known.betas[:, None]
-    turn = (options.step / far).clamp_max(options.largest_turn)[:, None]
-    turn[FACE] = 0
-    # A turn's three axes have steps of their own, which together are as long as one.
-    adam = VectorAdam(
-        [corrections.turns, corrections.moves, cloth.raw, betas],
-        [turn[..., None] / 3**0.5, options.translation_lr, options.cloth_lr, options.betas_lr],
-        BETAS,
-    )
-
-    # A video of few frames takes them one by one, or its steps would be too few to arrive.
-    batches = -(-len(frames) // max(1, min(options.batch, len(frames) // STEPS_A_PASS)))
-    total = options.passes * batches
-    for step in range(total):
-        if step % batches == 0:
-            order = torch.randperm(len(frames), generator=generator).tolist()
-        some = order[step % batches :: batches]
-        offsets = cloth.offsets
-        posed = body(corrections.pose(some), Shape(betas[:, 0]), offsets).vertices
-        seen = [
-            _look(scene, targets[frames[k]], vertices, options.silhouette)
-            for k, vertices in zip(some, posed.detach().unbind(), strict=True)
-        ]
-        losses, gradients = zip(*seen, strict=True)
-        energy = corrections.energy()
-        energy = energy + options.betas_prior * (betas[:, 0] - shape.betas).square().sum()
-        energy = energy + cloth.energy(
-            offsets, options.cloth_smooth, options.cloth_small, options.cloth_outward
-        )
-        torch.autograd.backward([posed, energy], [torch.stack(gradients) / len(some), None])
-        adam.step(DECAY ** (step / total))
-        if progress is not None:
-            progress(step + 1, total, loss=sum(losses) / len(some) + float(energy.detach()))
-
-    rotations, transl = pose.rotations.clone(), pose.transl.clone()
-    with torch.no_grad():
-        found = corrections.pose(range(len(frames)))
-    rotations[frames], transl[frames] = found.rotations, found.transl
-    return Solution(rotations, transl, cloth.offsets.detach(), betas.detach()[:, 0])
+    person = ClothedPerson(job, options)
+    # A video of few frames takes fewer of them a step, or its steps would be too few to arrive.
+    batch = max(1, min(options.batch, len(job.evidence) // STEPS_A_PASS))
+    pose = descend(person, job.pose, person.arms, replace(options, batch=batch), progress)
+    return Solution(pose, Shape(person.shape.betas.detach()), person.offsets.detach())
 
 
-def _look(
-    scene: MeshScene, target: Target, vertices: Tensor, silhouette: float
-) -> tuple[float, Tensor]:
-    """The loss of one picture and its gradient by the vertices (V, 3).
+class ClothedPerson:
+    """The person of all frames, ``D`` and ``β``, compared with their masks and normals.
 
-    Both at once, while the scene still shows them: to move the mesh again is what costs most.
+    This is the :class:`gva_mi.pose.descent.Evidence` of the refinement. ``D`` and ``β`` are its
+    shared leaves, unless the job knows them from a first round.
     """
-    vertices = vertices.contiguous().requires_grad_()
-    image = scene.render(vertices, target.camera)
-    loss = target.normal_loss(image) + silhouette * target.silhouette_loss(image)
-    loss.backward()
-    return float(loss.detach()), vertices.grad
+
+    def __init__(self, job: Job, options: SequenceOptions) -> None:
+        rest = job.body.rest(job.shape)
+        self._job, self._options, self._scene = job, options, job.scene()
+        self._cloth = Displacement(rest.vertices, job.body.faces, job.body.weights)
+        self._betas = job.shape.betas.clone()[:, None].requires_grad_()  # (B, 1): B vectors of one
+        if job.known is None:
+            self.shared = [(self._cloth.raw, options.cloth_lr), (self._betas, options.betas_lr)]
+        else:
+            self._cloth.raw, self._betas = job.known.offsets, job.known.shape.betas[:, None]
+            self.shared = []
+        self.arms = lever_arms(rest, job.body.weights, job.body.parents)
+        self.frames = sorted(job.evidence)
+        self.camera = job.evidence[self.frames[0]].camera
+
+    @property
+    def offsets(self) -> Tensor:
+        """``D`` (V, 3), metres."""
+        return self._cloth.offsets
+
+    @property
+    def shape(self) -> Shape:
+        """``β``."""
+        return Shape(self._betas[:, 0])
+
+    def loss(self, frames: Sequence[int], pose: Pose) -> Tensor:
+        """The data term, a mean over some frames."""
+        vertices = self._job.body(pose, self.shape, self.offsets).vertices
+        seen = [self._job.evidence[k] for k in frames]
+        return mean_loss(self._scene, vertices, seen, self._options.silhouette)
+
+    def energy(self) -> Tensor:
+        """``E(D) + λβ |β - β^stage1|²``."""
+        o = self._options
+        moved = (self.shape.betas - self._job.shape.betas).square().sum()
+        cloth = self._cloth.energy(self.offsets, o.cloth_smooth, o.cloth_small, o.cloth_outward)
+        return o.betas_prior * moved + cloth

@@ -4,8 +4,8 @@
 
 with ``|g|²`` over the last axis (Ling et al., *VectorAdam*, 2022). Adam proper moves every
 coordinate by about its learning rate, however little the picture says about it: the twist of a
-forearm, which is hardly seen, would drift as fast as its swing. Here the direction of the gradient
-is kept, and the result does not depend on the axes.
+forearm, which is hardly seen, would drift as fast as its swing. VectorAdam keeps the direction of
+the gradient, and its result does not depend on the axes.
 """
 
 from __future__ import annotations
@@ -20,42 +20,44 @@ EPSILON = 1e-12
 
 
 @dataclass
-class _State:
+class _Moments:
     steps: int
-    m: Tensor
-    v: Tensor
+    m: Tensor  # as the leaf
+    v: Tensor  # (..., 1)
 
 
 @dataclass
 class VectorAdam:
-    """Moves tensors (..., D) of vectors; a tensor without a gradient rests, and so does its memory.
+    """Moves tensors (..., D) of vectors.
+
+    A tensor without a gradient is left as it is, and so are its ``m`` and ``v``.
 
     Attributes:
         tensors: the leaves.
         rates: for each leaf its learning rate, a number or (..., 1) of the leaf's shape.
-        betas: how slowly ``m`` and ``v`` forget.
+        betas: β1 and β2, how slowly ``m`` and ``v`` forget.
     """
 
     tensors: Sequence[Tensor]
     rates: Sequence[float | Tensor]
     betas: tuple[float, float] = (0.9, 0.99)
-    _states: dict[int, _State] = field(default_factory=dict, repr=False)
+    _moments: dict[int, _Moments] = field(default_factory=dict, repr=False)
 
     @torch.no_grad()
     def step(self, factor: float = 1.0) -> None:
         """One step of all leaves that have a gradient, which is then cleared.
 
         Args:
-            factor: scales all learning rates, for a schedule.
+            factor: multiplies all learning rates, for a schedule.
         """
         beta1, beta2 = self.betas
         for number, (x, rate) in enumerate(zip(self.tensors, self.rates, strict=True)):
             if x.grad is None:
                 continue
-            if number not in self._states:
+            if number not in self._moments:
                 rows = torch.zeros_like(x[..., :1])
-                self._states[number] = _State(0, torch.zeros_like(x), rows)
-            state = self._states[number]
+                self._moments[number] = _Moments(0, torch.zeros_like(x), rows)
+            state = self._moments[number]
             state.steps += 1
             state.m.mul_(beta1).add_(x.grad, alpha=1 - beta1)
             state.v.mul_(beta2).add_(x.grad.square().sum(-1, keepdim=True), alpha=1 - beta2)

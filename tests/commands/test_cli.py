@@ -1,12 +1,18 @@
 """The command line: bad input is one sentence and exit code 2, and nothing is half-written."""
 
+import inspect
 import json
+import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 
+from gva_mi import __version__
 from gva_mi.body.pose import Pose, Shape, save_poses
 from gva_mi.body.smplx import load_body
+from gva_mi.commands import VERBS, load
 
 TINY = ("--size", 64, "--frames", 6)
 
@@ -14,7 +20,7 @@ TINY = ("--size", 64, "--frames", 6)
 @pytest.fixture(scope="session")
 def tiny_demo(tmp_path_factory):
     """A whole demo of 6 frames and 30 steps; shared, so do not change what is in it."""
-    from gva_mi.commands.pipeline import DemoOptions, demo
+    from gva_mi.commands.demo import DemoOptions, demo
 
     out = tmp_path_factory.mktemp("demo") / "out"
     demo(DemoOptions(size=64, frames=6, steps=30), out=out)
@@ -108,6 +114,12 @@ BAD = {
     "too many cases": (("gradcheck-normals", "--count", "99"), "count must be at most 16"),
     "no lines": (("gradcheck-normals", "--lines", "0"), "lines must be at least 1"),
     "no scene": (("gradcheck", "--scene", "nowhere.npz"), "nowhere.npz: no such scene"),
+    "no command": (("fitt", "nowhere"), "there is no command 'fitt'; expected one of demo, synth"),
+    "nothing": ((), "a command is missing; expected one of demo, synth"),
+    "no numbers": (
+        ("fit", "nowhere", "--out", "new", "--schedule.reinit-at", "never"),
+        "--schedule.reinit-at must be [FLOAT [FLOAT ...]]: ",
+    ),
 }
 
 
@@ -128,8 +140,103 @@ def test_a_body_with_a_missing_key_is_named(tmp_path, cli):
     assert files(tmp_path) == ["body.npz"]
 
 
-def test_doctor_says_what_it_found(cli):
-    code, out, _ = cli("doctor")
-    assert code == 0
-    for name in ("python", "libLLVM", "drjit", "mitsuba", "torch", "pymeshlab", "LPIPS"):
-        assert name in out
+# What nobody asked for, and what is none of the choices: tyro's frame tells what there is instead.
+UNKNOWN = {
+    "option": (("fit", "nowhere", "--out", "new", "--step", "3"), "--steps"),
+    "choice": (("bench", "all"), "normals"),
+    "missing": (("fit", "nowhere"), "--out"),
+}
+
+
+@pytest.mark.parametrize("name", UNKNOWN)
+def test_unknown_arguments_are_answered_with_those_there_are(name, tmp_path, monkeypatch, cli):
+    monkeypatch.chdir(tmp_path)
+    command, there = UNKNOWN[name]
+    code, out, err = cli(*command)
+    assert code == 2 and there in err and not out and "Traceback" not in err
+    assert not files(tmp_path)
+
+
+def test_colours_of_a_terminal_do_not_hide_what_was_wrong(monkeypatch, cli):
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    _, _, err = cli(*BAD["no number"][0])
+    assert BAD["no number"][1] in err and err.count("\n") == 1
+
+
+def test_an_error_of_a_command_is_not_taken_for_bad_arguments(monkeypatch, cli):
+    def body():
+        raise ValueError("a bug")
+
+    monkeypatch.setattr("gva_mi.__main__.load", lambda verb: body)
+    with pytest.raises(ValueError, match="a bug"):
+        cli("body")
+
+
+def test_help_names_every_command(cli):
+    for asked in ("-h", "--help"):
+        code, out, err = cli(asked)
+        assert code == 0 and not err
+        for verb, does in VERBS.items():
+            assert f"  {verb}" in out and does in out
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_command_explains_itself(verb, cli):
+    code, out, err = cli(verb, "--help")
+    assert code == 0 and not err
+    assert out.startswith(f"usage: gva-mi {verb} ")
+    assert inspect.getdoc(load(verb)).split(".")[0].split()[0] in out
+
+
+def test_a_shell_s_completion_knows_every_command(cli):
+    code, out, err = cli("--tyro-print-completion", "bash")
+    assert not code and not err and all(f"'{verb}'" in out for verb in VERBS)
+
+
+def test_the_version_is_said(cli):
+    assert cli("--version") == (0, f"gva-mi {__version__}\n", "")
+
+
+def test_help_of_what_is_on_says_what_turning_it_on_and_off_does(cli):
+    _, out, _ = cli("synth", "--help")
+    assert "--hair, --no-hair" in out and "--clothes, --no-clothes" in out
+    assert "--overwrite " in out and "--no-overwrite" not in out
+    _, out, _ = cli("demo", "--help")
+    assert "--no-refine " in out and "--no-no-refine" not in out
+
+
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+@pytest.mark.parametrize("command", [("--help",), ("fit", "--help"), ("doctor",)], ids=" ".join)
+def test_output_that_nobody_reads_ends_quietly(command, unbuffered):
+    """As after ``gva-mi ... | head -3``."""
+    program = [sys.executable, "-m", "gva_mi", *command]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(
+        program, env=os.environ | {"PYTHONUNBUFFERED": unbuffered}, **pipes
+    ) as run:
+        run.stdout.close()
+        assert run.stderr.read() == b"" and run.wait() == 141
+
+
+@pytest.mark.parametrize(
+    ("arguments", "imported"),
+    [
+        (["--help"], []),
+        (["nosuch"], []),
+        (["gradcheck", "--help"], ["arguments", "gradcheck"]),
+    ],
+)
+def test_only_the_command_that_is_asked_for_is_imported(arguments, imported):
+    program = f"""
+import sys
+from gva_mi.__main__ import main
+try:
+    main({arguments})
+except SystemExit:
+    pass
+print("imported", *sorted(name for name in sys.modules if name.startswith("gva_mi.commands.")))
+"""
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    _, *found = run.stdout.splitlines()[-1].split()
+    assert found == [f"gva_mi.commands.{name}" for name in imported]

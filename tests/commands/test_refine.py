@@ -72,7 +72,7 @@ def test_a_report_is_written_where_asked_for(subject, cli):
     code, out, err = cli("refine", subject, *SHORT, "--report", "--workers", 2)
     assert code == 0, err
     page = (subject / "refinement.html").read_text()
-    assert "Eq. 9 as printed" in page and "no prior" in page
+    assert "Eq. 8 as printed" in page and "no prior" in page
     assert str(subject / "refinement.html") in out
 
 

@@ -6,16 +6,15 @@ import pytest
 import torch
 
 from gva_mi.commands import study as studies
-from gva_mi.pose.evaluation.measure import Measured
-from gva_mi.pose.evaluation.per_frame import Errors
-from gva_mi.pose.evaluation.study import HELD_OUT, TUNING, Row
+from gva_mi.pose.evaluation.measure import Measured, VertexErrors
+from gva_mi.pose.evaluation.study import HELD_OUT, TUNING, CaseResult
 
 
 def row(case, noise, before, after):
-    errors = lambda mm: Errors(*(torch.full((4,), mm * k) for k in (1.0, 2, 3, 4, 5, 6)))
+    errors = lambda mm: VertexErrors(*(torch.full((4,), mm * k) for k in (1.0, 2, 3, 4, 5, 6)))
     iou = lambda value: torch.full((4,), value)
     ious = iou(0.7), iou(0.8), iou(0.75), iou(0.82)
-    return Row(case, noise, Measured(errors(before), errors(after), *ious, 1.0))
+    return CaseResult(case, noise, Measured(errors(before), errors(after), *ious, 1.0))
 
 
 @pytest.fixture

@@ -35,7 +35,7 @@ def test_a_perfect_render_without_residual_costs_nothing(generator):
     assert float(losses.total(ALL)) == pytest.approx(0, abs=1e-6)
 
 
-def test_the_default_is_equation_13(generator):
+def test_the_default_is_equation_9(generator):
     target, mask = picture(generator), torch.ones(H, W)
     color, residual = picture(generator), torch.randn(7, 3, generator=generator)
     losses = render_losses(

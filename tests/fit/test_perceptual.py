@@ -6,7 +6,6 @@ from gva_mi.errors import InputError
 from gva_mi.fit import perceptual
 from gva_mi.fit.perceptual import (
     Weights,
-    available_weights,
     find_weights,
     lpips,
     rand_vgg,
@@ -108,12 +107,6 @@ def test_the_users_weights_are_found_and_used(weights, picture):
 
 def test_there_is_no_lpips_without_weights():
     assert lpips(Weights()) is None and Weights().lpips_network is None
-
-
-def test_doctor_names_what_is_used(tmp_path, monkeypatch):
-    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
-    lines = dict(available_weights())
-    assert "rand_vgg" in lines["VGG16"] and set(lines) == {"VGG16", "LPIPS"}
 
 
 def test_a_folder_that_is_not_there_is_refused(tmp_path):

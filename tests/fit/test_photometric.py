@@ -125,7 +125,7 @@ def test_a_frame_whose_loss_grew_keeps_its_pose(known, video):
     assert same(found.pose, video.pose) and torch.equal(found.losses, found.losses_before)
 
 
-def test_a_long_video_is_fitted_in_parts(known, wrong):
+def test_a_long_video_is_fitted_in_clips(known, wrong):
     seen = []
     options = replace(SHORT, part=4, overlap=1)
     found = fit_poses(

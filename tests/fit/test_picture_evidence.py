@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from gva_mi.body.pose import JOINTS, Pose
-from gva_mi.fit.picture_evidence import Hidden, PictureWeights, Sight
+from gva_mi.fit.picture_evidence import PictureAndMask, PictureWeights
+from gva_mi.pose.crop import NoEvidence
 from gva_mi.splat.torch_op import render
 
 BOTH = PictureWeights(alpha=0.5, ssim=0.1)
@@ -32,8 +33,8 @@ def points(known, frame):
 
 
 @pytest.fixture
-def sight(frame, points):
-    return Sight.of(frame, points)
+def seen(frame, points):
+    return PictureAndMask.of(frame, points)
 
 
 @pytest.mark.parametrize(
@@ -42,44 +43,44 @@ def sight(frame, points):
     + [{"elbow": 0.4}, {"elbow": -0.4}],
     ids=str,
 )
-def test_the_true_pose_has_the_least_loss(change, known, frame, sight):
+def test_the_true_pose_has_the_least_loss(change, known, frame, seen):
     with torch.no_grad():
-        wrong = sight.loss(known, moved(frame.pose, **change), BOTH)
-        assert sight.loss(known, frame.pose, BOTH) < wrong
+        wrong = seen.loss(known, moved(frame.pose, **change), BOTH)
+        assert seen.loss(known, frame.pose, BOTH) < wrong
 
 
-def test_a_cut_frame_shows_the_same_from_the_same_camera(known, frame, sight):
+def test_a_cut_frame_shows_the_same_from_the_same_camera(known, frame, seen):
     top, left = (
         round(a - b)
-        for a, b in ((frame.camera.cy, sight.camera.cy), (frame.camera.cx, sight.camera.cx))
+        for a, b in ((frame.camera.cy, seen.camera.cy), (frame.camera.cx, seen.camera.cx))
     )
-    height, width = sight.mask.shape
+    height, width = seen.mask.shape
     assert height < frame.mask.shape[0] or width < frame.mask.shape[1]
     part = slice(top, top + height), slice(left, left + width)
     assert frame.mask.sum() == pytest.approx(float(frame.mask[part].sum()))
-    np.testing.assert_array_equal(sight.picture, np.round(frame.image[part] * 255))
+    np.testing.assert_array_equal(seen.picture, np.round(frame.image[part] * 255))
     with torch.no_grad():
-        whole, cut = (render(known(frame.pose), c).color for c in (frame.camera, sight.camera))
+        whole, cut = (render(known(frame.pose), c).color for c in (frame.camera, seen.camera))
     torch.testing.assert_close(cut, whole[part], rtol=0, atol=1e-4)
 
 
-def test_outlines_do_not_follow_the_mask(known, frame, points, sight):
+def test_outlines_do_not_follow_the_mask(known, frame, points, seen):
     """Of the mask's bites only the alpha term knows; but for the area that all is divided by."""
     bitten = frame.mask.copy()
     bitten[20:28, 20:24] = 0
-    other = Sight.of(replace(frame, mask=bitten), points)
-    assert other.picture.equal(sight.picture) and not other.mask.equal(sight.mask)
+    other = PictureAndMask.of(replace(frame, mask=bitten), points)
+    assert other.picture.equal(seen.picture) and not other.mask.equal(seen.mask)
     with torch.no_grad():
-        a, b = (s.loss(known, frame.pose, PICTURE) * s.mask.float().mean() for s in (sight, other))
+        a, b = (s.loss(known, frame.pose, PICTURE) * s.mask.float().mean() for s in (seen, other))
         torch.testing.assert_close(a, b)
-        assert other.loss(known, frame.pose, BOTH) > sight.loss(known, frame.pose, BOTH)
+        assert other.loss(known, frame.pose, BOTH) > seen.loss(known, frame.pose, BOTH)
 
 
-def test_every_joint_that_is_seen_and_the_place_receive_a_gradient(known, frame, sight):
+def test_every_joint_that_is_seen_and_the_place_receive_a_gradient(known, frame, seen):
     pose = frame.pose.map(lambda x: x.clone().requires_grad_())
     names = ("global_orient", "body_pose", "left_hand_pose", "right_hand_pose", "transl")
     inputs = [getattr(pose, name) for name in names]
-    gradients = torch.autograd.grad(sight.loss(known, pose, BOTH), inputs)
+    gradients = torch.autograd.grad(seen.loss(known, pose, BOTH), inputs)
     for name, gradient in zip(names, gradients, strict=True):
         assert gradient.isfinite().all() and (gradient != 0).any(), name
 
@@ -95,5 +96,5 @@ def test_every_joint_that_is_seen_and_the_place_receive_a_gradient(known, frame,
 )
 def test_a_frame_that_says_nothing_tells_why(change, reason, frame, points):
     points = points + change.pop("shift", 0.0)
-    with pytest.raises(Hidden, match=reason):
-        Sight.of(replace(frame, **change), points)
+    with pytest.raises(NoEvidence, match=reason):
+        PictureAndMask.of(replace(frame, **change), points)

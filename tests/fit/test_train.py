@@ -8,12 +8,12 @@ from gva_mi.avatar.avatar import Avatar, AvatarOptions, seed_avatar
 from gva_mi.avatar.canonical import SeedOptions
 from gva_mi.body.pose import load_poses
 from gva_mi.errors import InputError
-from gva_mi.fit import checkpoint
+from gva_mi.fit import run_folder
 from gva_mi.fit.colors import seen_colors
 from gva_mi.fit.evaluate import evaluate
 from gva_mi.fit.options import FitOptions, Schedule
 from gva_mi.fit.perceptual import Weights
-from gva_mi.fit.samples import Draw, torch_state
+from gva_mi.fit.samples import Stream, torch_state
 from gva_mi.fit.train import fit
 
 STEPS = 24
@@ -32,7 +32,7 @@ PARAMETERS = [
 
 
 def seed_of(body, video, options):
-    generator = torch_state(options.seed, Draw.SEED)
+    generator = torch_state(options.seed, Stream.SEED)
     colors = seen_colors(video, body)
     return seed_avatar(body, video.shape, None, options.avatar, generator, colors)
 
@@ -69,20 +69,20 @@ def test_a_fit_comes_closer_to_frames_it_has_not_seen(video, body, tmp_path):
     )
     assert after.psnr > before.psnr + 2
     assert after.ssim > before.ssim and after.rand_vgg < before.rand_vgg
-    loss = checkpoint.load_history(tmp_path)["loss"]
+    loss = run_folder.load_history(tmp_path)["loss"]
     assert loss[-20:].mean() < 0.8 * loss[:20].mean()
 
 
 def test_the_avatar_is_saved_and_the_checkpoint_is_gone(fitted):
     avatar, out = fitted
-    assert same(Avatar.load(out / checkpoint.AVATAR), avatar)
-    assert not (out / checkpoint.CHECKPOINT).exists()
+    assert same(Avatar.load(out / run_folder.AVATAR), avatar)
+    assert not (out / run_folder.CHECKPOINT).exists()
     assert not list(out.glob("**/*.part"))
 
 
 def test_the_history_has_a_line_per_step(fitted):
     avatar, out = fitted
-    history = checkpoint.load_history(out)
+    history = run_folder.load_history(out)
     assert all(len(column) == STEPS for column in history.values())
     np.testing.assert_array_equal(history["step"], np.arange(1, STEPS + 1))
     assert all(np.isfinite(column).all() for column in history.values())
@@ -125,7 +125,7 @@ def test_a_resumed_run_ends_like_an_uninterrupted_one(step, fitted, video, body,
         fit(video, body, OPTIONS, tmp_path, progress=killed_at(step))
     avatar = fit(video, body, OPTIONS, tmp_path, resume=True)
     assert same(avatar, fitted[0])
-    whole, resumed = checkpoint.load_history(fitted[1]), checkpoint.load_history(tmp_path)
+    whole, resumed = run_folder.load_history(fitted[1]), run_folder.load_history(tmp_path)
     for name in set(whole) - {"milliseconds"}:
         np.testing.assert_array_equal(whole[name], resumed[name])
 
@@ -144,7 +144,7 @@ def test_a_run_that_is_there_is_not_overwritten(fitted, video, body):
 def test_poses_of_training_frames_move_and_those_between_follow(video, body, tmp_path):
     options = replace(OPTIONS, steps=6, rates=replace(OPTIONS.rates, pose=1e-3))
     fit(video, body, options, tmp_path)
-    trained, _ = load_poses(tmp_path / checkpoint.POSES)
+    trained, _ = load_poses(tmp_path / run_folder.TRAINED_POSES)
     moved = trained.transl - video.pose.transl
     assert (moved[video.splits.train] != 0).any(1).all()
     for k in video.splits.test:  # never seen: the correction of the frames around it
@@ -159,5 +159,5 @@ def test_reinitialisation_is_reproducible_and_leaves_a_snapshot(video, body, tmp
     with pytest.raises(Killed):
         fit(video, body, options, tmp_path / "killed", progress=killed_at(17))
     assert same(fit(video, body, options, tmp_path / "killed", resume=True), whole)
-    ((step, before, after),) = checkpoint.load_snapshots(tmp_path / "whole")
-    assert step == STEPS // 2 and len(before) > 0 and len(after) > 0
+    (found,) = run_folder.load_snapshots(tmp_path / "whole")
+    assert found.step == STEPS // 2 and len(found.before) > 0 and len(found.after) > 0

@@ -6,7 +6,7 @@ import torch
 
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.coarse_body import CoarseBody
-from gva_mi.pose.evidence import Target
+from gva_mi.pose.evidence import MaskAndNormals
 
 FACES = 6000
 
@@ -40,9 +40,9 @@ def test_it_looks_the_same(coarse, body, clip):
     losses = []
     for model in (body, coarse.body):
         vertices = model(clip.pose[0:1], clip.shape).vertices[0]
-        target = Target.of(frame, 96, body(clip.pose[0:1], clip.shape).vertices[0])
-        image = MeshScene(model.faces, vertices).render(vertices, target.camera)
-        losses.append(float(target.normal_loss(image) + target.silhouette_loss(image)))
+        seen = MaskAndNormals.of(frame, 96, body(clip.pose[0:1], clip.shape).vertices[0])
+        image = MeshScene(model.faces, vertices).render(vertices, seen.camera)
+        losses.append(float(seen.loss(image, silhouette=1.0)))
     assert losses[1] == pytest.approx(losses[0], rel=0.02)
 
 

@@ -9,13 +9,13 @@ import torch
 
 from gva_mi.body.kinematics import turn_joints
 from gva_mi.body.pose import JOINTS, PARENTS, Pose
+from gva_mi.pose import SequenceOptions
 from gva_mi.pose.corrections import Corrections, robust
-from gva_mi.pose.refine import RefineOptions
 
 ELBOW = JOINTS.index("left_elbow")
-LEVER = 0.3
-LEVERS = torch.full((55,), LEVER)
-OPTIONS = RefineOptions()
+LENGTH = 0.3
+LENGTHS = torch.full((55,), LENGTH)
+OPTIONS = SequenceOptions()
 
 
 def turning(speed, frames=7, joint=ELBOW):
@@ -29,7 +29,7 @@ def turning(speed, frames=7, joint=ELBOW):
 def make(camera):
     def corrections(pose, frames=None, **changes):
         frames = range(len(pose)) if frames is None else frames
-        return Corrections(pose, frames, camera, LEVERS, replace(OPTIONS, **changes))
+        return Corrections(pose, frames, camera, LENGTHS, replace(OPTIONS, **changes))
 
     return corrections
 
@@ -79,7 +79,7 @@ def test_a_single_frame_has_no_neighbours(make):
 def test_fast_motion_is_believed_and_jitter_is_not(make):
     """At stage 1 itself the energy is what lies within the jitter."""
     pulled = lambda speed: float(make(turning(speed), outlier=1.0).energy().detach())
-    as_if_all = lambda speed: OPTIONS.smooth * (LEVER * speed) ** 2 * 6 / 7
+    as_if_all = lambda speed: OPTIONS.smooth * (LENGTH * speed) ** 2 * 6 / 7
     assert pulled(0.0) == 0
     assert pulled(0.02) == pytest.approx(as_if_all(0.02), rel=0.01)
     assert pulled(0.5) < 0.01 * as_if_all(0.5)
@@ -118,7 +118,7 @@ def test_a_constant_correction_costs_by_the_prior_alone(make):
     with torch.no_grad():
         corrections.turns[:, ELBOW, 2] = 0.1
         corrections.moves[:, 1] = 0.2
-    expected = OPTIONS.prior * (LEVER * 0.1) ** 2 + OPTIONS.hold * 0.04
+    expected = OPTIONS.prior * (LENGTH * 0.1) ** 2 + OPTIONS.hold * 0.04
     assert float(corrections.energy().detach()) == pytest.approx(expected, rel=1e-4)
 
 

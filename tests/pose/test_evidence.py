@@ -1,4 +1,4 @@
-"""What a frame is cut down to."""
+"""What a frame is cut down to, and how its masks pull at a body."""
 
 from dataclasses import replace
 
@@ -7,7 +7,10 @@ import pytest
 import torch
 
 from gva_mi.body.pose import Pose, Shape
-from gva_mi.pose.evidence import CannotRefine, Target
+from gva_mi.mesh.mesh_scene import BodyScene
+from gva_mi.pose.crop import NoEvidence
+from gva_mi.pose.evidence import MaskAndNormals
+from gva_mi.splat import Camera, look_at
 
 
 @pytest.fixture
@@ -21,48 +24,129 @@ def points(body):
 
 
 def test_the_cut_holds_the_person_and_its_camera_agrees(frame, points):
-    target = Target.of(frame, 96, points)
-    assert float(target.mask.sum()) == pytest.approx(frame.mask.sum())
-    shift = frame.camera.project(points.numpy()) - target.camera.project(points.numpy())
+    seen = MaskAndNormals.of(frame, 96, points)
+    assert float(seen.mask.sum()) == pytest.approx(frame.mask.sum())
+    shift = frame.camera.project(points.numpy()) - seen.camera.project(points.numpy())
     left, top = shift[0].round().astype(int)
     np.testing.assert_allclose(shift, shift[:1].repeat(len(shift), 0), atol=1e-6)
-    rows, columns = target.mask.shape
-    assert (target.camera.height, target.camera.width) == (rows, columns)
+    rows, columns = seen.mask.shape
+    assert (seen.camera.height, seen.camera.width) == (rows, columns)
     part = frame.mask[top : top + rows, left : left + columns]
-    np.testing.assert_array_equal(target.mask.numpy(), part)
+    np.testing.assert_array_equal(seen.mask.numpy(), part)
 
 
 def test_losses_vanish_at_the_target_itself_and_do_not_depend_on_its_size(frame, points):
     image = lambda t: torch.cat([t.normals, t.mask[..., None]], dim=-1)
     for size in (96, 48):
-        target = Target.of(frame, size, points)
-        shown = image(target)
-        assert float(target.silhouette_loss(shown)) == 0
-        assert float(target.normal_loss(shown)) == 0
-        assert float(target.silhouette_loss(torch.zeros_like(shown))) == pytest.approx(1, abs=1e-5)
+        seen = MaskAndNormals.of(frame, size, points)
+        shown = image(seen)
+        assert float(seen.silhouette_loss(shown)) == 0
+        assert float(seen.normal_loss(shown)) == 0
+        assert float(seen.silhouette_loss(torch.zeros_like(shown))) == pytest.approx(1, abs=1e-5)
 
 
 def test_without_normals_their_loss_is_zero(frame, points):
-    target = Target.of(replace(frame, normals=None), 96, points)
-    assert float(target.normal_loss(torch.rand(*target.mask.shape, 4))) == 0
+    seen = MaskAndNormals.of(replace(frame, normals=None), 96, points)
+    assert float(seen.normal_loss(torch.rand(*seen.mask.shape, 4))) == 0
 
 
 def test_where_normals_are_missing_inside_the_mask_nothing_is_said(frame, points):
     """As beyond the edge of the crop that a network was shown."""
     cut = frame.normals.copy()
     cut[: len(cut) // 2] = 0
-    target = Target.of(replace(frame, normals=cut), 96, points)
-    whole = Target.of(frame, 96, points)
+    seen = MaskAndNormals.of(replace(frame, normals=cut), 96, points)
+    whole = MaskAndNormals.of(frame, 96, points)
     shown = torch.cat([whole.normals, whole.mask[..., None]], dim=-1)
-    assert float(target.normal_loss(shown)) == 0
+    assert float(seen.normal_loss(shown)) == 0
     outside = shown + (whole.mask == 0)[..., None]
-    assert float(target.normal_loss(outside)) == float(whole.normal_loss(outside)) > 0
+    assert float(seen.normal_loss(outside)) == float(whole.normal_loss(outside)) > 0
 
 
 def test_frames_that_say_nothing_are_explained(frame, points):
-    with pytest.raises(CannotRefine, match="empty"):
-        Target.of(replace(frame, mask=np.zeros_like(frame.mask)), 96, points)
-    with pytest.raises(CannotRefine, match="out of view"):
-        Target.of(frame, 96, points + torch.tensor([20.0, 0, 0]))
-    with pytest.raises(CannotRefine, match="behind the camera"):
-        Target.of(frame, 96, points + torch.tensor([0, 0, 9.0]))
+    with pytest.raises(NoEvidence, match="empty"):
+        MaskAndNormals.of(replace(frame, mask=np.zeros_like(frame.mask)), 96, points)
+    with pytest.raises(NoEvidence, match="out of view"):
+        MaskAndNormals.of(frame, 96, points + torch.tensor([20.0, 0, 0]))
+    with pytest.raises(NoEvidence, match="behind the camera"):
+        MaskAndNormals.of(frame, 96, points + torch.tensor([0, 0, 9.0]))
+
+
+def blurred(mask, width):
+    """Means over squares of some pixels."""
+    kernel = torch.ones(1, 1, width, width) / width**2
+    return torch.nn.functional.conv2d(mask[None, None], kernel, padding=width // 2)[0, 0]
+
+
+def ball(rings=24):
+    """A ball of radius 0.5: vertices (V, 3) and triangles (F, 3), closed and without seams."""
+    polar, around = torch.meshgrid(
+        torch.pi * torch.arange(1, rings) / rings,
+        2 * torch.pi * torch.arange(2 * rings) / (2 * rings),
+        indexing="ij",
+    )
+    places = [polar.sin() * around.cos(), polar.cos(), polar.sin() * around.sin()]
+    vertices = torch.stack(places, -1).view(-1, 3)
+    vertices = 0.5 * torch.cat([vertices, torch.tensor([[0.0, 1, 0], [0.0, -1, 0]])])
+    k = torch.arange(2 * rings)
+    here, there = k, (k + 1) % (2 * rings)
+    faces = [torch.stack([here, torch.full_like(k, len(vertices) - 2), there], 1)]
+    for ring in range(rings - 2):
+        a, b = 2 * rings * ring, 2 * rings * (ring + 1)
+        faces += [torch.stack([a + here, a + there, b + here], 1)]
+        faces += [torch.stack([a + there, b + there, b + here], 1)]
+    last = 2 * rings * (rings - 2)
+    faces += [torch.stack([last + here, last + there, torch.full_like(k, len(vertices) - 1)], 1)]
+    return vertices, torch.cat(faces)
+
+
+def seen_of_the_slope(soften, between):
+    """How a ball is pulled that is moved sideways from where its mask was taken.
+
+    Args:
+        soften: what is done to the mask.
+        between: range of the shifts, pixels.
+
+    Returns:
+        By the program's loss, and by squares in its place: the integral of the derivatives over
+        the range, as a part of how much the loss changes. It is 1 where they are the true ones.
+    """
+    vertices, faces = ball()
+    camera = Camera(240, 240, 36.3, 36.1, look_at((0.2, 0.1, 4), (0, 0, 0)), 72, 72)
+    scene, right = BodyScene(faces, vertices), torch.tensor(camera.T_camera_world[0, :3]).float()
+    pixel = 4 / camera.fx  # metres at the ball's distance
+    with torch.no_grad():
+        mask = scene.render(vertices, camera)[..., 3]
+    seen = MaskAndNormals(camera, soften(mask), None, float(mask.sum()))
+    losses_of = (
+        seen.silhouette_loss,
+        lambda image: (image[..., 3] - seen.mask).square().sum() / seen.area,
+    )
+    shifts = torch.linspace(*between, 31)
+    found = []
+    for shift in shifts:
+        moved = (vertices + shift * pixel * right).requires_grad_()
+        image = scene.render(moved, camera)
+        losses = [loss_of(image) for loss_of in losses_of]
+        pulls = [torch.autograd.grad(loss, moved, retain_graph=True)[0] for loss in losses]
+        slopes = [pull.sum(0) @ right * pixel for pull in pulls]
+        found.append([torch.stack(losses).detach(), torch.stack(slopes)])
+    losses, slopes = (torch.stack(column) for column in zip(*found, strict=True))
+    return (torch.trapezoid(slopes, shifts, dim=0) / (losses[-1] - losses[0])).tolist()
+
+
+@pytest.mark.parametrize("between", [(0.5, 2.5), (2.0, 6.0), (-6.0, -2.0)])
+def test_of_hard_masks_the_loss_sees_half_the_slope_and_squares_see_all(between):
+    """The outline's other half lies in pixels in which both masks agree, where |x| has slope 0."""
+    half, whole = seen_of_the_slope(lambda mask: mask, between)
+    assert half == pytest.approx(0.5, abs=0.03)
+    assert whole == pytest.approx(2 * half, rel=1e-5)  # of 0 and 1 the square is the same number
+
+
+def test_beyond_a_soft_edge_the_loss_sees_half_as_well():
+    half, whole = seen_of_the_slope(lambda mask: blurred(mask, 3), (2.0, 6.0))
+    assert half == pytest.approx(0.5, abs=0.03) and whole == pytest.approx(1.0, abs=0.04)
+
+
+def test_within_a_soft_edge_the_loss_sees_nothing():
+    nothing, whole = seen_of_the_slope(lambda mask: blurred(mask, 17), (1.0, 5.0))
+    assert nothing == pytest.approx(0.0, abs=0.04) and whole == pytest.approx(1.0, abs=0.04)

@@ -8,13 +8,13 @@ import pytest
 import torch
 
 from gva_mi import InputError
-from gva_mi.pose import RefineOptions, refine
+from gva_mi.pose import SequenceOptions, SingleFrameOptions, refine
 from gva_mi.pose.parallel import cluster, run, workers
 from gva_mi.pose.refine import refine_all
 
-# Three frames in two parts of two, skimmed first.
-PARTS = RefineOptions(size=64, passes=6, part=2, overlap=0, skim=3)
-SINGLE = RefineOptions(loss="paper", size=64, steps=2)
+# Three frames in two clips of two, skimmed first.
+CLIPS = SequenceOptions(size=64, passes=6, part=2, overlap=0, skim=3)
+SINGLE = SingleFrameOptions(size=64, steps=2)
 
 
 def same(a, b):
@@ -33,25 +33,25 @@ def alone(clip, body):
 
 
 def subjects(clip):
-    return [(clip, PARTS), (shorter(clip), PARTS)]
+    return [(clip, CLIPS), (shorter(clip), CLIPS)]
 
 
 def shorter(clip):
     return replace(clip, pictures=clip.pictures[:2], pose=clip.pose[:2])
 
 
-def test_a_video_in_parts_shares_one_displacement(alone, clip, body):
+def test_a_video_in_clips_shares_one_displacement(alone, clip, body):
     refined = alone[0]
     assert refined.offsets.any() and not refined.kept
     assert (refined.losses < refined.losses_stage1).all()
     assert not torch.equal(refined.pose.rotations, clip.pose.rotations)
 
 
-def test_a_part_in_which_nobody_is_seen_changes_nothing_for_the_others(alone, clip, body):
-    """The first part, from which the shared surface could have been taken, says nothing."""
+def test_a_clip_in_which_nobody_is_seen_changes_nothing_for_the_others(alone, clip, body):
+    """The first clip, from which the shared surface could have been taken, says nothing."""
     gone = {0: "it has no picture", 1: "it has no mask"}
     pictures = [(np.zeros((96, 96), np.float32), None)] * 2 + clip.pictures[2:]
-    options = replace(PARTS, part=1)
+    options = replace(CLIPS, part=1)
     refined = refine(replace(clip, pictures=pictures, absent=gone), body, options)
     assert refined.kept == gone and refined.offsets.any()
     assert torch.equal(refined.pose.rotations[:2], clip.pose.rotations[:2])
@@ -59,7 +59,7 @@ def test_a_part_in_which_nobody_is_seen_changes_nothing_for_the_others(alone, cl
 
 
 def test_several_subjects_are_refined_as_if_alone(alone, clip, body):
-    assert same(alone[1], refine(shorter(clip), body, PARTS))
+    assert same(alone[1], refine(shorter(clip), body, CLIPS))
 
 
 @pytest.mark.slow

@@ -4,7 +4,15 @@ import pytest
 import torch
 
 from gva_mi.body.pose import JOINTS, PARENTS, Shape
-from gva_mi.pose.priors import FINGERS, LEAST, held_levers, joint_weights, levers
+from gva_mi.pose.priors import (
+    FACE,
+    LEAST,
+    LEAST_FINGERS,
+    joint_weights,
+    lever_arms,
+    prior_lengths,
+    turn_rates,
+)
 
 
 def test_weights_fall_along_every_limb():
@@ -14,11 +22,11 @@ def test_weights_fall_along_every_limb():
     assert weights[JOINTS.index("left_index3")] < weights[JOINTS.index("left_elbow")]
 
 
-def test_levers_shorten_along_every_limb(body):
+def test_lever_arms_shorten_along_every_limb(body):
     reach = dict(
         zip(
             JOINTS,
-            levers(body.rest(Shape(torch.zeros(10))), body.weights, body.parents).tolist(),
+            lever_arms(body.rest(Shape(torch.zeros(10))), body.weights, body.parents).tolist(),
             strict=True,
         )
     )
@@ -31,10 +39,21 @@ def test_levers_shorten_along_every_limb(body):
     assert 0.3 < reach["left_shoulder"] < 0.8 and reach["left_index3"] < 0.05
 
 
-def test_short_levers_hold_as_if_they_were_longer(body):
-    far = levers(body.rest(Shape(torch.zeros(10))), body.weights, body.parents)
-    held = dict(zip(JOINTS, held_levers(far).tolist(), strict=True))
-    free = dict(zip(JOINTS, far.tolist(), strict=True))
+def test_short_arms_are_held_as_if_they_were_longer(body):
+    arms = lever_arms(body.rest(Shape(torch.zeros(10))), body.weights, body.parents)
+    held = dict(zip(JOINTS, prior_lengths(arms).tolist(), strict=True))
+    free = dict(zip(JOINTS, arms.tolist(), strict=True))
     assert held["left_hip"] == free["left_hip"]
     assert held["left_foot"] == pytest.approx(LEAST) and free["left_foot"] < LEAST
-    assert held["right_index1"] == pytest.approx(FINGERS)
+    assert held["right_index1"] == pytest.approx(LEAST_FINGERS)
+
+
+def test_a_step_moves_the_surface_alike_at_every_joint_but_the_face():
+    arms = torch.linspace(0.1, 1.0, len(JOINTS))
+    rates = turn_rates(arms, step=0.01, largest_turn=0.05)[:, 0]
+    assert not rates[FACE].any()
+    rest = torch.ones(len(JOINTS), dtype=bool)
+    rest[FACE] = False
+    far = arms > 0.01 / 0.05
+    torch.testing.assert_close((rates * arms)[rest & far], torch.full_like(arms, 0.01)[rest & far])
+    assert (rates[rest & ~far] == 0.05).all()

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.pose import RefineOptions, refine
+from gva_mi.pose import SequenceOptions, SingleFrameOptions, refine
 from gva_mi.pose.evaluation.measure import measure
 
-SEQUENCE = RefineOptions(size=96)
-PAPER = RefineOptions(loss="paper", size=96, steps=14)
+SEQUENCE = SequenceOptions(size=96)
+PAPER = SingleFrameOptions(size=96, steps=14)
 
 
 @pytest.fixture(scope="module")
@@ -26,9 +26,9 @@ def paper(clip, body):
 @pytest.mark.parametrize(("way", "left"), [("sequence", 0.55), ("paper", 0.7)])
 def test_a_known_error_is_undone(request, clip, body, true_pose, way, left):
     refined = request.getfixturevalue(way)
-    errors = measure(clip, body, refined, (true_pose, clip.shape))
-    assert errors.vertex_mm < left * errors.vertex_mm_stage1
-    assert errors.iou > errors.iou_stage1 and errors.iou_truth > 0.99
+    errors = measure(clip, body, refined, (true_pose, clip.shape)).means
+    assert errors.vertices.refined < left * errors.vertices.stage1
+    assert errors.iou.refined > errors.iou.stage1 and errors.iou_truth > 0.99
     assert (refined.losses < refined.losses_stage1).all() and not refined.kept
 
 
@@ -62,15 +62,17 @@ def test_without_normals_the_silhouette_serves(clip, body, true_pose):
     # outline of 96 pixels to say otherwise, leaves 0.56 of the error.
     refined = refine(blind, body, replace(SEQUENCE, jitter=0.02))
     assert refined.without_normals == [0, 1, 2]
-    errors = measure(blind, body, refined, (true_pose, clip.shape))
-    assert errors.vertex_mm < 0.55 * errors.vertex_mm_stage1
+    errors = measure(blind, body, refined, (true_pose, clip.shape)).means
+    assert errors.vertices.refined < 0.55 * errors.vertices.stage1
 
 
-@pytest.mark.parametrize("options", [SEQUENCE, PAPER], ids=lambda o: o.loss)
+@pytest.mark.parametrize(
+    "options", [replace(SEQUENCE, passes=2), replace(PAPER, steps=2)], ids=lambda o: o.name
+)
 def test_a_frame_without_a_person_keeps_its_pose(clip, body, options):
     pictures = list(clip.pictures)
     pictures[1] = (np.zeros_like(pictures[1][0]), pictures[1][1])
-    refined = refine(replace(clip, pictures=pictures), body, replace(options, passes=2, steps=2))
+    refined = refine(replace(clip, pictures=pictures), body, options)
     assert "empty" in refined.kept[1]
     assert torch.equal(refined.pose.rotations[1], clip.pose.rotations[1])
     assert refined.losses[1].isnan()
@@ -99,20 +101,23 @@ def test_progress_counts_to_the_end(clip, body):
 
 def test_measures_of_the_truth_itself(clip, body, true_pose, sequence):
     perfect = replace(sequence, pose=true_pose, shape=clip.shape)
-    errors = measure(clip, body, perfect, (true_pose, clip.shape))
-    assert errors.vertex_mm == errors.hand_vertex_mm == errors.aligned_vertex_mm == 0
-    assert errors.iou == errors.iou_truth and errors.frames_worse == 0
-    unknown = measure(clip, body, perfect)
-    assert unknown.vertex_mm is None and unknown.iou_truth is None and unknown.iou == errors.iou
+    errors = measure(clip, body, perfect, (true_pose, clip.shape)).means
+    assert errors.vertices.refined == errors.hands.refined == errors.aligned.refined == 0
+    assert errors.iou.refined == errors.iou_truth and errors.frames_worse == 0
+    unknown = measure(clip, body, perfect).means
+    assert unknown.vertices is None and unknown.iou_truth is None and unknown.iou == errors.iou
 
 
 def test_wrong_options_are_refused():
-    with pytest.raises(ValueError, match="'sequence' or 'paper'"):
-        RefineOptions(loss="icon")
+    for options in (SequenceOptions, SingleFrameOptions):
+        with pytest.raises(ValueError, match="refine: faces must be at least 500, got 4"):
+            options(faces=4)
     with pytest.raises(ValueError, match="passes must be at least 1"):
-        RefineOptions(passes=0)
-    with pytest.raises(ValueError, match="faces must be at least 500"):
-        RefineOptions(faces=4)
+        SequenceOptions(passes=0)
+    with pytest.raises(ValueError, match="steps must be at least 1"):
+        SingleFrameOptions(steps=0)
+    with pytest.raises(ValueError, match="skim must be at least 1"):
+        SequenceOptions(skim=0)
     for name in ("jitter", "jitter_move", "outlier"):
         with pytest.raises(ValueError, match=f"{name} must be above 0"):
-            RefineOptions(**{name: 0.0})
+            SequenceOptions(**{name: 0.0})

@@ -1,72 +1,63 @@
-"""What each term of the refinement is worth: the same video refined without it.
-
-Also the paper's Eq. 9 as printed, frame by frame on the bare body, which is no part left out but
-another way.
-"""
+"""What each term of the refinement is worth: the same video refined without it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from concurrent.futures import Executor
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
-from gva_mi.body.pose import Pose, Shape
-from gva_mi.body.smplx import BodyModel
-from gva_mi.data.video import Video
-from gva_mi.pose.evaluation.measure import Measured, PoseErrors, measure_frames
-from gva_mi.pose.refine import RefineOptions, refine_all
+from gva_mi.console import Progress
+from gva_mi.pose.evaluation.measure import Evaluation, PoseFigures, measure
+from gva_mi.pose.job import RefineOptions
+from gva_mi.pose.refine import refine_all
 
 
 @dataclass(frozen=True)
 class Variant:
-    """The refinement with something left out."""
+    """The refinement with something changed."""
 
     name: str
-    changes: Mapping[str, Any] = field(default_factory=dict)  # of the options
-    normals: bool = True  # without them the silhouettes serve alone
+    options: RefineOptions
+    normals: bool = True  # without them the silhouettes are all there is
 
 
-VARIANTS = (
-    Variant("normals only", {"silhouette": 0.0}),
-    Variant("silhouettes only", normals=False),
-    Variant("no prior", {"prior": 0.0}),
-    Variant("no neighbours in time", {"smooth": 0.0, "smooth_move": 0.0, "reach": 0.0}),
-    Variant("no displacement for clothes", {"cloth_lr": 0.0}),
-    Variant("shape of stage 1", {"betas_lr": 0.0}),
-    Variant("Eq. 9 as printed", {"loss": "paper"}),
-)
+def variants(options: RefineOptions, others: Mapping[str, RefineOptions]) -> list[Variant]:
+    """A refinement with each of its terms left out in turn, and other refinements beside it.
+
+    Args:
+        options: of the refinement.
+        others: options that are compared with it, by name.
+    """
+    terms = options.variants() | dict(others)
+    return [
+        Variant("normals only", replace(options, silhouette=0.0)),
+        Variant("silhouettes only", options, normals=False),
+        *(Variant(name, changed) for name, changed in terms.items()),
+    ]
 
 
 def ablate(
-    video: Video,
-    body: BodyModel,
-    options: RefineOptions,
-    measured: Measured,
-    truth: tuple[Pose, Shape] | None = None,
-    progress: Callable[..., None] | None = None,
+    evaluation: Evaluation,
+    others: Mapping[str, RefineOptions],
+    progress: Progress | None = None,
     executor: Executor | None = None,
-) -> dict[str, PoseErrors]:
+) -> dict[str, PoseFigures]:
     """Refine a video in all variants.
 
     Args:
-        video: the one that ``options`` were used on.
-        body: the body.
-        options: of the refinement that is varied.
-        measured: the refinement that is varied.
-        truth: of a synthetic subject; without it only the IoU is told.
+        evaluation: of the refinement that is varied.
+        others: options that are compared with it, by name, such as those of the other way.
         progress: called as ``progress(done, total, **figures)``.
         executor: who does it; None: this process.
 
     Returns:
         For each variant's name, how well its poses fit.
     """
-    tasks = [
-        (video if v.normals else replace(video, normals=None), replace(options, **v.changes))
-        for v in VARIANTS
-    ]
+    video, body, truth = evaluation.video, evaluation.body, evaluation.truth
+    varied = variants(evaluation.options, others)
+    tasks = [(video if v.normals else replace(video, normals=None), v.options) for v in varied]
     found = refine_all(tasks, body, progress, executor)
     return {
-        variant.name: measure_frames(video, body, refined, truth, measured).means
-        for variant, refined in zip(VARIANTS, found, strict=True)
+        variant.name: measure(video, body, refined, truth, evaluation.measured).means
+        for variant, refined in zip(varied, found, strict=True)
     }

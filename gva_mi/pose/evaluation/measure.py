@@ -1,55 +1,122 @@
-"""How well poses fit, told by the truth of a synthetic subject; no step reads it.
+"""How well poses fit, by the masks and by the truth of a synthetic subject; no step reads it.
 
-Means over all frames of what :mod:`gva_mi.pose.evaluation.per_frame` measures, of the bare body: the
-displacement for clothes is no part of a pose. Under clothes not even the true pose reaches an IoU
-of 1, so that its own value is the mark.
+Errors are mean distances between the vertices of one body in two poses. *Root-aligned* ones compare
+after the pelvis joints are laid on each other, which leaves out the depth that one camera hardly
+sees:
+
+    e_region = mean_v |x_v - y_v|,        a_region = mean_v |(x_v - x_pelvis) - (y_v - y_pelvis)|
+
+over the vertices ``v`` of the whole body, the hands or the feet. All is measured on the bare body:
+the displacement for clothes is no part of a pose.
+
+The silhouette's IoU compares the bare body with the frame's mask, or with the true one. Not even
+the true pose reaches an IoU of 1 under clothes, or with a mask whose outline is off by a pixel: the
+IoU of the true pose says how much can be reached.
 """
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
 
 import torch
 from torch import Tensor
 
-from gva_mi.body.pose import Pose, Shape
+from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.video import Video
-from gva_mi.pose.evaluation.per_frame import Errors, errors, silhouette_iou
+from gva_mi.mesh.mesh_scene import BodyScene
+from gva_mi.pose.displacement import hand_vertices
+from gva_mi.pose.job import RefineOptions
 from gva_mi.pose.refine import Refined
+from gva_mi.threads import one_torch_thread
+
+_FEET = [
+    JOINTS.index(f"{side}_{joint}") for side in ("left", "right") for joint in ("ankle", "foot")
+]
 
 
 @dataclass(frozen=True)
-class PoseErrors:
-    """Means over all frames, lengths in millimetres; None where it takes the truth."""
+class VertexErrors:
+    """Mean distances of vertices by region of the body, in T frames; each (T,), millimetres."""
 
-    vertex_mm_stage1: float | None
-    vertex_mm: float | None
-    hand_vertex_mm_stage1: float | None
-    hand_vertex_mm: float | None
-    foot_vertex_mm_stage1: float | None
-    foot_vertex_mm: float | None
-    aligned_vertex_mm_stage1: float | None
-    aligned_vertex_mm: float | None
+    body: Tensor
+    hands: Tensor
+    feet: Tensor
+    body_aligned: Tensor
+    hands_aligned: Tensor
+    feet_aligned: Tensor
+
+
+REGIONS = tuple(field.name for field in fields(VertexErrors))
+
+
+@dataclass(frozen=True)
+class Change:
+    """A figure of stage 1, and the same of the refined poses."""
+
+    stage1: float
+    refined: float
+
+
+@dataclass(frozen=True)
+class PoseFigures:
+    """Means over all frames; None where it takes the truth, which is not known."""
+
+    vertices: Change | None  # mm
+    hands: Change | None  # mm
+    feet: Change | None  # mm
+    aligned: Change | None  # of all vertices, root-aligned, mm
     frames_worse: float | None  # share of frames whose vertex error grew
     frames_worse_hands: float | None  # share of frames whose hand error grew
-    iou_stage1: float
-    iou: float
-    iou_truth: float | None
+    iou: Change | None  # None where no refinement was measured
+    iou_truth: float | None  # of the true pose
     iou_true_masks: float | None  # of the refined pose with the masks of the truth
-    seconds_per_frame: float
+    seconds_per_frame: float | None
 
-    def as_record(self) -> dict[str, float | None]:
-        """For ``metrics.json``."""
-        return asdict(self)
+    def to_json(self) -> dict[str, float | None]:
+        """The keys of ``refinement.json`` and ``metrics.json``; see :meth:`from_json`."""
+        record = {}
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.name in _CHANGES:
+                key = _CHANGES[field.name]
+                record[f"{key}_stage1"] = None if value is None else value.stage1
+                record[key] = None if value is None else value.refined
+            else:
+                record[field.name] = value
+        return record
+
+    @staticmethod
+    def from_json(record: Mapping[str, float | None]) -> PoseFigures:
+        """What :meth:`to_json` wrote; figures that are missing are None."""
+        figures = {}
+        for field in fields(PoseFigures):
+            if field.name in _CHANGES:
+                key = _CHANGES[field.name]
+                both = record.get(f"{key}_stage1"), record.get(key)
+                figures[field.name] = None if None in both else Change(*both)
+            else:
+                figures[field.name] = record.get(field.name)
+        return PoseFigures(**figures)
+
+
+_CHANGES = {  # the key of the refined figure in JSON; that of stage 1 has "_stage1" after it
+    "vertices": "vertex_mm",
+    "hands": "hand_vertex_mm",
+    "feet": "foot_vertex_mm",
+    "aligned": "aligned_vertex_mm",
+    "iou": "iou",
+}
 
 
 @dataclass(frozen=True)
 class Measured:
     """A refinement, frame by frame."""
 
-    stage1: Errors | None  # None without the truth
-    refined: Errors | None
+    stage1: VertexErrors | None  # None without the truth
+    refined: VertexErrors | None
     iou_stage1: Tensor  # (T,)
     iou: Tensor  # (T,)
     iou_truth: Tensor | None  # (T,)
@@ -57,34 +124,60 @@ class Measured:
     seconds_per_frame: float
 
     @property
-    def means(self) -> PoseErrors:
+    def means(self) -> PoseFigures:
         """Over all frames."""
-        names = {"vertex": "body", "hand_vertex": "hands", "foot_vertex": "feet"}
-        names["aligned_vertex"] = "body_aligned"
-        found = {"_stage1": self.stage1, "": self.refined}
-        lengths = {
-            f"{name}_mm{stage}": None if values is None else float(getattr(values, part).mean())
-            for name, part in names.items()
-            for stage, values in found.items()
-        }
-        grew = lambda part: float(
-            (getattr(self.refined, part) > getattr(self.stage1, part)).float().mean()
-        )
         known = self.refined is not None
-        clean = self.iou_true_masks if known else torch.tensor(torch.nan)
-        return PoseErrors(
-            **lengths,
-            frames_worse=grew("body") if known else None,
-            frames_worse_hands=grew("hands") if known else None,
-            iou_stage1=float(self.iou_stage1.nanmean()),
-            iou=float(self.iou.nanmean()),
+        clean = None if self.iou_true_masks is None else float(self.iou_true_masks.nanmean())
+        return PoseFigures(
+            vertices=self._change("body"),
+            hands=self._change("hands"),
+            feet=self._change("feet"),
+            aligned=self._change("body_aligned"),
+            frames_worse=self._share_worse("body"),
+            frames_worse_hands=self._share_worse("hands"),
+            iou=Change(float(self.iou_stage1.nanmean()), float(self.iou.nanmean())),
             iou_truth=float(self.iou_truth.nanmean()) if known else None,
-            iou_true_masks=None if clean.isnan().all() else float(clean.nanmean()),
+            iou_true_masks=None if clean is None or math.isnan(clean) else clean,
             seconds_per_frame=self.seconds_per_frame,
         )
 
+    def _change(self, region: str) -> Change | None:
+        if self.refined is None:
+            return None
+        return Change(*(float(getattr(e, region).mean()) for e in (self.stage1, self.refined)))
 
-def measure_frames(
+    def _share_worse(self, region: str) -> float | None:
+        if self.refined is None:
+            return None
+        grew = getattr(self.refined, region) > getattr(self.stage1, region)
+        return float(grew.float().mean())
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """A refinement with all it came from, and how well it fits."""
+
+    video: Video  # under its stage-1 poses
+    body: BodyModel
+    options: RefineOptions
+    refined: Refined
+    truth: tuple[Pose, Shape] | None  # of a synthetic subject
+    measured: Measured
+
+    @staticmethod
+    def of(
+        video: Video,
+        body: BodyModel,
+        options: RefineOptions,
+        refined: Refined,
+        truth: tuple[Pose, Shape] | None = None,
+    ) -> Evaluation:
+        """Measure a refinement."""
+        measured = measure(video, body, refined, truth)
+        return Evaluation(video, body, options, refined, truth, measured)
+
+
+def measure(
     video: Video,
     body: BodyModel,
     refined: Refined,
@@ -104,7 +197,7 @@ def measure_frames(
     before, after = (video.pose, video.shape), (refined.pose, refined.shape)
     if known is None:
         known = Measured(
-            stage1=errors(body, before, truth) if truth is not None else None,
+            stage1=vertex_errors(body, before, truth) if truth is not None else None,
             refined=None,
             iou_stage1=silhouette_iou(video, body, *before),
             iou=torch.empty(0),
@@ -115,15 +208,63 @@ def measure_frames(
     clean = silhouette_iou(video, body, *after, true_masks=True) if truth is not None else None
     return replace(
         known,
-        refined=errors(body, after, truth) if truth is not None else None,
+        refined=vertex_errors(body, after, truth) if truth is not None else None,
         iou=silhouette_iou(video, body, *after),
         iou_true_masks=clean,
         seconds_per_frame=refined.seconds_per_frame,
     )
 
 
-def measure(
-    video: Video, body: BodyModel, refined: Refined, truth: tuple[Pose, Shape] | None = None
-) -> PoseErrors:
-    """The same, in the mean."""
-    return measure_frames(video, body, refined, truth).means
+@torch.no_grad()
+def vertex_errors(
+    body: BodyModel, found: tuple[Pose, Shape], truth: tuple[Pose, Shape], batch: int = 16
+) -> VertexErrors:
+    """Errors of found poses against the true ones, ``batch`` frames at a time."""
+    regions = torch.stack(
+        [
+            torch.ones(len(body.weights)),
+            hand_vertices(body.weights).float(),
+            (body.weights[:, _FEET].sum(1) > 0.5).float(),
+        ]
+    )
+    regions = regions / regions.sum(1, keepdim=True)
+    distances = []
+    with one_torch_thread():
+        for start in range(0, len(truth[0]), batch):
+            some = slice(start, start + batch)
+            x, y = (body(pose[some], shape) for pose, shape in (found, truth))
+            apart = x.vertices - y.vertices
+            aligned = apart - (x.joints[:, :1] - y.joints[:, :1])
+            distances.append(
+                torch.cat([apart.norm(dim=2), aligned.norm(dim=2)], 1).unflatten(1, (2, -1))
+            )
+    table = 1e3 * torch.cat(distances) @ regions.T  # (T, 2, 3): free and aligned, by region
+    return VertexErrors(**dict(zip(REGIONS, table.flatten(1).T, strict=True)))
+
+
+@torch.no_grad()
+def silhouette_iou(
+    video: Video, body: BodyModel, pose: Pose, shape: Shape, true_masks: bool = False
+) -> Tensor:
+    """IoU (T,) of the bare body's silhouette with the mask; NaN where a frame has no mask.
+
+    Args:
+        video: the frames.
+        body, pose, shape: the body in T poses.
+        true_masks: compare with the masks of the truth, and not with those that came with the
+            video.
+    """
+    scene = BodyScene(body.faces, body.v_template)
+    iou = torch.full((len(pose),), torch.nan)
+    with one_torch_thread():
+        for frame in video.frames(k for k in range(len(video)) if k not in video.absent):
+            mask = video.true_mask(frame.index) if true_masks else frame.mask
+            if mask is None:
+                continue
+            mask = torch.from_numpy(mask)
+            vertices = body(pose[frame.index], shape).vertices[0]
+            seen = scene.render(vertices, frame.camera)[..., 3]
+            union = torch.maximum(seen, mask).sum()
+            if union > 0:
+                iou[frame.index] = torch.minimum(seen, mask).sum() / union
+    return iou

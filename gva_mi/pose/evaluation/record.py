@@ -17,46 +17,44 @@ import numpy as np
 import torch
 
 from gva_mi.body.pose import save_poses
-from gva_mi.body.smplx import BodyModel
 from gva_mi.data.pictures import write_image
-from gva_mi.data.video import Video
+from gva_mi.data.video import REFINED_POSES
 from gva_mi.files import write_json
 from gva_mi.mesh.overlay import overlay, strip
 from gva_mi.page import around, spread
-from gva_mi.pose.evaluation.measure import Measured
-from gva_mi.pose.refine import Refined, RefineOptions
+from gva_mi.pose.evaluation.measure import Evaluation
 
-REFINED, REFINEMENT, OVERLAYS = "poses_refined.npz", "refinement.json", "refinement.png"
+REFINEMENT, OVERLAYS = "refinement.json", "refinement.png"
 SHOWN = 8  # frames in the picture
 
 
-def write_record(
-    video: Video,
-    body: BodyModel,
-    refined: Refined,
-    measured: Measured,
-    options: RefineOptions,
-    versions: dict[str, str],
-) -> None:
-    """Write the three files; the poses last, for they are what says that it was done."""
+def write_record(evaluation: Evaluation, versions: dict[str, str]) -> None:
+    """Write the three files; the poses last, for a folder that holds them counts as refined.
+
+    Args:
+        evaluation: of the refinement.
+        versions: of what may change the figures.
+    """
+    video, refined, options = evaluation.video, evaluation.refined, evaluation.options
     folder: Path = video.folder
-    write_image(folder / OVERLAYS, _overlays(video, body, refined))
+    write_image(folder / OVERLAYS, _overlays(evaluation))
     record = {
-        "figures": measured.means.as_record(),
+        "figures": evaluation.measured.means.to_json(),
         "kept": refined.kept,
         "without_normals": refined.without_normals,
         "normals": video.normals.convention if video.normals else None,
-        "options": asdict(options),
+        "options": {"loss": options.name, **asdict(options)},
         "versions": versions,
     }
     write_json(folder / REFINEMENT, record)
     pose, shape, offsets = refined.pose, refined.shape, refined.offsets
-    save_poses(folder / REFINED, pose, shape, stage=2, offsets=offsets)
+    save_poses(folder / REFINED_POSES, pose, shape, stage=2, offsets=offsets)
 
 
 @torch.no_grad()
-def _overlays(video: Video, body: BodyModel, refined: Refined) -> np.ndarray:
-    """Bodies over evenly spaced frames."""
+def _overlays(evaluation: Evaluation) -> np.ndarray:
+    """Bodies over evenly spaced frames: stage 1 above, refined below."""
+    video, body, refined = evaluation.video, evaluation.body, evaluation.refined
     there = [k for k in range(len(video)) if k not in video.absent]
     frames = list(video.frames(spread(there, SHOWN)))
     seen = np.any([frame.mask > 0.5 for frame in frames], axis=0)

@@ -9,21 +9,20 @@ what to expect; the first is there so that the difference can be seen.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from gva_mi.body.pose import load_poses
 from gva_mi.body.smplx import BodyModel
+from gva_mi.console import Progress
 from gva_mi.data.fingerprint import require_same_body
 from gva_mi.data.synthetic import SynthOptions, make_subject
 from gva_mi.data.video import load_video
-from gva_mi.pose.evaluation.measure import Measured, measure_frames
-from gva_mi.pose.evaluation.per_frame import Errors
-from gva_mi.pose.refine import RefineOptions, refine
-
-PARTS = ("body", "hands", "feet", "body_aligned", "hands_aligned", "feet_aligned")
+from gva_mi.pose.evaluation.measure import REGIONS, Measured, VertexErrors, measure
+from gva_mi.pose.refine import refine
+from gva_mi.pose.sequence import SequenceOptions
 
 
 @dataclass(frozen=True)
@@ -37,7 +36,7 @@ class Case:
     motion: str = "turn"
 
     def synth(self, noise: float, frames: int, size: int) -> SynthOptions:
-        """How it is made; no pictures beside the video's, which refinement does not look at."""
+        """How it is made; without novel poses and views, which the refinement does not look at."""
         return SynthOptions(
             seed=self.seed, subject=self.subject, motion=self.motion, frames=frames, size=size,
             clothes=not self.bare, hair=not self.bare, noise=noise, novel_poses=0, novel_views=0,
@@ -70,11 +69,11 @@ class StudyOptions:
     noise: tuple[float, ...] = (1.0,)  # levels of poses, masks and normals; 1 is usual
     frames: int = 64  # of each video
     size: int = 512  # pixels, width and height of the pictures
-    refine: RefineOptions = field(default_factory=RefineOptions)
+    refine: SequenceOptions = field(default_factory=SequenceOptions)
 
 
 @dataclass(frozen=True)
-class Row:
+class CaseResult:
     """What came of one case at one level of noise."""
 
     case: Case
@@ -83,19 +82,19 @@ class Row:
 
     @property
     def stage1_mm(self) -> dict[str, float]:
-        """Mean error of each of PARTS before."""
+        """Mean error before, by region of the body."""
         return _means(self.measured.stage1)
 
     @property
     def refined_mm(self) -> dict[str, float]:
-        """Mean error of each of PARTS after."""
+        """Mean error after, by region of the body."""
         return _means(self.measured.refined)
 
     @property
     def change(self) -> dict[str, float]:
-        """Of each of PARTS: -0.5 where the error was halved; NaN where there was none."""
+        """By region of the body: -0.5 where the error was halved; NaN where there was none."""
         before, after = self.stage1_mm, self.refined_mm
-        return {p: after[p] / before[p] - 1 if before[p] else math.nan for p in PARTS}
+        return {r: after[r] / before[r] - 1 if before[r] else math.nan for r in REGIONS}
 
 
 def study(
@@ -103,9 +102,9 @@ def study(
     cases: Sequence[Case],
     body: BodyModel,
     options: StudyOptions,
-    progress: Callable[..., None] | None = None,
+    progress: Progress | None = None,
     executor: Executor | None = None,
-) -> Iterator[Row]:
+) -> Iterator[CaseResult]:
     """Refine the cases, one after the other.
 
     Args:
@@ -127,10 +126,10 @@ def study(
         video = load_video(subject)
         refined = refine(video, body, replace(options.refine, seed=case.seed), executor=executor)
         truth = load_poses(video.truth / "poses.npz")
-        yield Row(case, noise, measure_frames(video, body, refined, truth))
+        yield CaseResult(case, noise, measure(video, body, refined, truth))
         if progress is not None:
             progress(done, len(work))
 
 
-def _means(errors: Errors) -> dict[str, float]:
-    return {part: float(getattr(errors, part).mean()) for part in PARTS}
+def _means(errors: VertexErrors) -> dict[str, float]:
+    return {region: float(getattr(errors, region).mean()) for region in REGIONS}

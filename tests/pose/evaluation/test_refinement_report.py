@@ -1,15 +1,16 @@
 """The report of a refinement: it says what was measured, and what stands out."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
-from gva_mi.pose import RefineOptions
-from gva_mi.pose.evaluation.ablation import VARIANTS
-from gva_mi.pose.evaluation.measure import measure_frames
-from gva_mi.pose.evaluation.report import _worst, write_report
+from gva_mi.pose import SequenceOptions, SingleFrameOptions
+from gva_mi.pose.evaluation.ablation import variants
+from gva_mi.pose.evaluation.measure import Evaluation, PoseFigures, measure
+from gva_mi.pose.evaluation.refinement_report import _worst, write_report
 from gva_mi.pose.refine import Refined
 
 
@@ -27,7 +28,7 @@ def refined(clip, body, true_pose):
 
 @pytest.fixture(scope="module")
 def measured(clip, body, true_pose, refined):
-    return measure_frames(clip, body, refined, (true_pose, clip.shape))
+    return measure(clip, body, refined, (true_pose, clip.shape))
 
 
 def test_frames_are_measured_one_by_one(measured):
@@ -43,13 +44,13 @@ def test_frames_are_measured_one_by_one(measured):
 
 def test_a_frame_without_a_mask_has_no_iou(clip, body, refined):
     lacking = replace(clip, absent={1: "it has no mask"})
-    found = measure_frames(lacking, body, refined)
+    found = measure(lacking, body, refined)
     assert found.iou.isnan().tolist() == [False, True, False]
-    assert np.isfinite(found.means.iou) and found.means.vertex_mm is None
+    assert np.isfinite(found.means.iou.refined) and found.means.vertices is None
 
 
 def test_what_is_known_is_not_measured_again(clip, body, true_pose, refined, measured):
-    again = measure_frames(clip, body, refined, (true_pose, clip.shape), measured)
+    again = measure(clip, body, refined, (true_pose, clip.shape), measured)
     assert again.stage1 is measured.stage1 and again.iou_stage1 is measured.iou_stage1
     assert torch.equal(again.refined.body, measured.refined.body)
 
@@ -62,21 +63,15 @@ def test_the_worst_frames_come_first(clip, measured):
 
 
 @pytest.mark.parametrize("known", [True, False], ids=["truth", "no truth"])
-def test_the_page_says_it_all(tmp_path, clip, body, true_pose, refined, measured, known):
+def test_the_page_says_it_all(tmp_path, clip, body, true_pose, refined, known):
     truth = (true_pose, clip.shape) if known else None
-    found = measured if known else measure_frames(clip, body, refined)
-    video = Named(clip)
+    evaluation = Evaluation.of(Named(clip), body, SequenceOptions(), refined, truth)
     write_report(
         tmp_path / "page.html",
+        evaluation,
         title="Poses of somebody",
-        video=video,
-        body=body,
-        refined=refined,
-        measured=found,
-        options=RefineOptions(),
         versions={"gva_mi": "1.2.3"},
-        truth=truth,
-        ablation={"no prior": found.means},
+        ablation={"no prior": evaluation.measured.means},
     )
     page = (tmp_path / "page.html").read_text()
     assert "its loss grew from 0.100 to &lt;0.200&gt;" in page  # escaped
@@ -102,8 +97,19 @@ class Named:
 
 
 def test_every_variant_changes_something_that_exists():
-    options = RefineOptions()
-    for variant in VARIANTS:
-        changed = replace(options, **variant.changes)
-        assert changed != options or not variant.normals
-    assert len({v.name for v in VARIANTS}) == len(VARIANTS)
+    for options in (SequenceOptions(), SingleFrameOptions()):
+        varied = variants(options, {"another way": SingleFrameOptions(steps=3)})
+        for variant in varied:
+            assert variant.options != options or not variant.normals
+        assert len({v.name for v in varied}) == len(varied)
+
+
+def test_figures_come_back_from_json(measured, clip, body, refined):
+    """Those of a video without truth too, and those of a folder that was never refined."""
+    unknown = measure(clip, body, refined).means
+    for means in (measured.means, unknown):
+        record = json.loads(json.dumps(means.to_json()))
+        assert PoseFigures.from_json(record) == means
+    keys = {"vertex_mm_stage1", "hand_vertex_mm", "foot_vertex_mm", "aligned_vertex_mm", "iou"}
+    assert keys <= set(unknown.to_json())
+    assert set(PoseFigures.from_json({}).to_json().values()) == {None}

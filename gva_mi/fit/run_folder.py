@@ -1,4 +1,4 @@
-"""A run's folder: what a fit writes, to be looked at, evaluated, or resumed after a kill.
+"""A run's folder: what a fit and its evaluation write, and how it is resumed after a kill.
 
 ::
 
@@ -9,6 +9,9 @@
       reinit/000900.npz    of each re-initialisation: the Gaussians before and after, the mesh
       poses.npz            of all frames, where poses were trained; see gva_mi.fit.poses
       avatar.npz           the fitted avatar; it is there when the run is finished
+      metrics.json         of its evaluation: gva_mi.fit.metrics
+      report.html          the same as a page with pictures: gva_mi.fit.report
+      overview.png         the page's first picture on its own
 
 A file is written under another name and then renamed: after a kill it is the old one or the new
 one, whole.
@@ -17,28 +20,31 @@ one, whole.
 from __future__ import annotations
 
 import json
-import platform
 from collections.abc import Iterator
-from importlib import metadata
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
+from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.canonical import CanonicalGaussians
 from gva_mi.avatar.reinit import Surface
+from gva_mi.body.pose import load_poses
+from gva_mi.data.video import Video
 from gva_mi.errors import InputError
 from gva_mi.files import read_arrays, replacing, write_arrays, write_json
 from gva_mi.splat import Gaussians
+from gva_mi.versions import versions
 
 AVATAR, CHECKPOINT, HISTORY = "avatar.npz", "checkpoint.pt", "history.npz"
-OPTIONS, POSES, REINIT = "options.json", "poses.npz", "reinit"
+OPTIONS, TRAINED_POSES, REINIT = "options.json", "poses.npz", "reinit"
+METRICS, REPORT, OVERVIEW = "metrics.json", "report.html", "overview.png"
 GAUSSIANS = ("means", "quats", "scales", "opacities", "sh")
-PACKAGES = ("gva_mi", "torch", "drjit", "numpy")  # whose versions may change the figures
 
 
-def claim(out: Path, options: dict[str, Any], resume: bool) -> None:
+def prepare(out: Path, options: dict[str, Any], resume: bool) -> None:
     """Make a folder the home of a run, and write down what the run is.
 
     Args:
@@ -54,15 +60,11 @@ def claim(out: Path, options: dict[str, Any], resume: bool) -> None:
         if (out / AVATAR).exists() or (out / CHECKPOINT).exists():
             raise InputError(f"{out}: holds a run, but not its {OPTIONS}; choose another folder")
         out.mkdir(parents=True, exist_ok=True)
-        found = {"options": options, "versions": versions()}
-        write_json(held, found)
+        write_json(held, {"options": options, "versions": versions()})
         return
     if not resume:
         raise InputError(f"{out}: already holds a run; resume it, overwrite it, or choose another")
-    try:
-        before = json.loads(held.read_text())["options"]
-    except (ValueError, KeyError, TypeError):
-        raise InputError(f"{held}: not readable; expected the options of a run") from None
+    before = load_options(out)["options"]
     now = json.loads(json.dumps(options))
     for name in sorted(before.keys() | now.keys()):
         if before.get(name) != now.get(name):
@@ -70,6 +72,20 @@ def claim(out: Path, options: dict[str, Any], resume: bool) -> None:
                 f"{held}: the run was made with {name} = {before.get(name)}, not {now.get(name)}; "
                 "resume it with its own options, or choose another folder"
             )
+
+
+def load_options(out: Path) -> dict[str, Any]:
+    """Read what a run was made with: its ``options`` and ``versions``.
+
+    Raises:
+        InputError: a file that is missing or cannot be read.
+    """
+    path = out / OPTIONS
+    try:
+        found = json.loads(path.read_text())
+        return {"options": found["options"], "versions": found.get("versions", {})}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        raise InputError(f"{path}: not readable; expected the options of a run") from None
 
 
 def save_state(out: Path, state: dict[str, Any]) -> None:
@@ -105,15 +121,24 @@ def save_snapshot(
     write_arrays(out / REINIT / f"{step:06d}.npz", **arrays)
 
 
-def load_snapshots(out: Path) -> Iterator[tuple[int, Gaussians, Gaussians]]:
-    """Step, Gaussians before, Gaussians after, of each re-initialisation, in the rest pose."""
+@dataclass(frozen=True)
+class Snapshot:
+    """The Gaussians on both sides of a re-initialisation, in the rest pose."""
+
+    step: int
+    before: Gaussians
+    after: Gaussians
+
+
+def load_snapshots(out: Path) -> Iterator[Snapshot]:
+    """The Gaussians around each re-initialisation of a run, in the order of the steps."""
     for path in sorted((out / REINIT).glob("*.npz")):
         arrays = read_arrays(path, "the Gaussians around a re-initialisation")
         before, after = (
             Gaussians(**{n: torch.from_numpy(arrays[f"{side}_{n}"]) for n in GAUSSIANS})
             for side in ("before", "after")
         )
-        yield int(path.stem), before, after
+        yield Snapshot(int(path.stem), before, after)
 
 
 def load_history(out: Path) -> dict[str, np.ndarray]:
@@ -121,7 +146,12 @@ def load_history(out: Path) -> dict[str, np.ndarray]:
     return read_arrays(out / HISTORY, "the history of a finished fit")
 
 
-def versions() -> dict[str, str]:
-    """Of Python and of the packages whose versions may change the figures."""
-    found = {"python": platform.python_version()}
-    return found | {name: metadata.version(name) for name in PACKAGES}
+def load_avatar(run: Path) -> Avatar:
+    """The avatar of a finished run, given its folder; or any avatar, given its file."""
+    return Avatar.load(run / AVATAR if run.is_dir() else run)
+
+
+def under_trained_poses(video: Video, run: Path) -> Video:
+    """The video under the poses that were trained with the avatar; as it is where none were."""
+    poses = run / TRAINED_POSES
+    return replace(video, pose=load_poses(poses)[0]) if poses.exists() else video

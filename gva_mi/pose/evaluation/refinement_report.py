@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.video import Video
 from gva_mi.mesh.overlay import overlay, shaded, strip
@@ -24,8 +23,8 @@ from gva_mi.page import (
     spread,
     write_page,
 )
-from gva_mi.pose.evaluation.measure import Measured, PoseErrors
-from gva_mi.pose.refine import Refined, RefineOptions
+from gva_mi.pose.evaluation.measure import Change, Evaluation, Measured, PoseFigures
+from gva_mi.pose.refine import Refined
 
 WORST, SPREAD = 6, 6  # frames shown
 BEFORE, AFTER, TRUTH = "#b3261e", "#2f6f5e", "#667085"  # colours of curves
@@ -33,52 +32,40 @@ BEFORE, AFTER, TRUTH = "#b3261e", "#2f6f5e", "#667085"  # colours of curves
 
 def write_report(
     path: Path,
+    evaluation: Evaluation,
     *,
     title: str,
-    video: Video,
-    body: BodyModel,
-    refined: Refined,
-    measured: Measured,
-    options: RefineOptions,
     versions: Mapping[str, str],
-    truth: tuple[Pose, Shape] | None = None,
-    ablation: Mapping[str, PoseErrors] | None = None,
+    ablation: Mapping[str, PoseFigures] | None = None,
 ) -> None:
     """Write the page.
 
     Args:
         path: the ``.html`` file.
+        evaluation: of the refinement.
         title: its heading.
-        video: what was refined, under its stage-1 poses.
-        body: the body.
-        refined: what was found.
-        measured: how well it fits.
-        options: of the refinement.
         versions: of what may change the figures.
-        truth: poses and shape of a synthetic subject.
         ablation: the same figures for variants of the refinement, by name.
     """
-    poses = {"stage 1": (video.pose, video.shape), "refined": (refined.pose, refined.shape)}
-    if truth is not None:
-        poses["true pose"] = truth
+    video, refined, measured = evaluation.video, evaluation.refined, evaluation.measured
     worst = _worst(video, measured)
     there = [k for k in range(len(video)) if k not in video.absent]
     sections = [
         _means(measured.means),
         _curves(refined, measured),
-        _frames("Worst frames", _WORST, worst, video, body, poses, measured),
-        _frames("All along", _ALONG, spread(there, SPREAD), video, body, poses, measured),
+        _frames("Worst frames", _WORST, worst, evaluation),
+        _frames("All along", _ALONG, spread(there, SPREAD), evaluation),
         *([_ablation(measured.means, ablation)] if ablation else []),
-        *([_surface(body, refined)] if refined.offsets.any() else []),
+        *([_surface(evaluation.body, refined)] if refined.offsets.any() else []),
         *_exceptions(refined),
     ]
     write_page(
         path,
         title=title,
-        subtitle=_subtitle(video, options),
+        subtitle=_subtitle(evaluation),
         figures=_figures(measured.means, refined),
         sections=sections,
-        settings={"options": asdict(options), "versions": dict(versions), "seed": options.seed},
+        settings={"options": asdict(evaluation.options), "versions": dict(versions)},
     )
 
 
@@ -88,63 +75,51 @@ _WORST = (
 )
 _ALONG = "Evenly spaced frames of the video."
 _ABLATION = (
-    "The same video refined with a part left out, and by Eq. 9 as the paper prints it: every frame "
+    "The same video refined with a part left out, and by Eq. 8 as the paper prints it: every frame "
     "for itself, the bare body, rotations alone. Nothing else differs. A bare body cannot fill the "
     "mask of a clothed person: what lies nearest to the mask is not what lies nearest to the truth."
 )
 _KEPT = "These frames keep the pose that stage 1 gave them."
 
 
-def _subtitle(video: Video, options: RefineOptions) -> str:
-    width, height = video.size
-    way = "all frames together" if options.loss == "sequence" else "Eq. 9 as printed"
+def _subtitle(evaluation: Evaluation) -> str:
+    width, height = evaluation.video.size
     return (
-        f"Poses of {len(video)} frames of {width} x {height} pixels made to agree with normals and "
-        f"silhouettes ({way}), seed {options.seed}."
+        f"Poses of {len(evaluation.video)} frames of {width} x {height} pixels made to agree with "
+        f"normals and silhouettes: {evaluation.options.description}."
     )
 
 
-def _figures(means: PoseErrors, refined: Refined) -> list[Figure]:
+def _figures(means: PoseFigures, refined: Refined) -> list[Figure]:
     figures = []
-    for label, before, after in (
-        ("mean vertex error", means.vertex_mm_stage1, means.vertex_mm),
-        ("hands", means.hand_vertex_mm_stage1, means.hand_vertex_mm),
-    ):
-        if after is not None:
-            figures.append(Figure(f"{before:.0f} → {after:.0f} mm", f"{label}, stage 1 → refined"))
+    for label, change in (("mean vertex error", means.vertices), ("hands", means.hands)):
+        if change is not None:
+            value = f"{change.stage1:.0f} → {change.refined:.0f} mm"
+            figures.append(Figure(value, f"{label}, stage 1 → refined"))
     own = "" if means.iou_truth is None else f" ({means.iou_truth:.3f} at the true pose)"
-    figures.append(Figure(f"{means.iou_stage1:.3f} → {means.iou:.3f}", "silhouette IoU" + own))
+    iou = f"{means.iou.stage1:.3f} → {means.iou.refined:.3f}"
+    figures.append(Figure(iou, "silhouette IoU" + own))
     figures.append(Figure(f"{refined.seconds_per_frame:.2f} s", "of work for a frame"))
     figures.append(Figure(str(len(refined.kept)), "frames keep their stage-1 pose"))
     return figures
 
 
-def _means(means: PoseErrors) -> Section:
+def _means(means: PoseFigures) -> Section:
     """Stage 1, refined and truth side by side."""
-    rows = []
-    for name, key in (
-        ("vertices, mm", "vertex_mm"),
-        ("hands, mm", "hand_vertex_mm"),
-        ("feet, mm", "foot_vertex_mm"),
-        ("vertices, root-aligned, mm", "aligned_vertex_mm"),
-    ):
-        before, after = getattr(means, key + "_stage1"), getattr(means, key)
-        if after is None:
-            continue
-        change = f"{100 * (after / before - 1):+.0f} %" if before else "–"
-        rows.append((name, number(before, 1), number(after, 1), change, "–"))
-    iou = (means.iou_stage1, means.iou)
-    rows.append(
+    iou = means.iou
+    rows = [
+        *_lengths(means),
         (
             "silhouette IoU of the bare body",
-            *(number(x, 3) for x in iou),
-            f"{iou[1] - iou[0]:+.3f}",
+            number(iou.stage1, 3),
+            number(iou.refined, 3),
+            f"{iou.refined - iou.stage1:+.3f}",
             number(means.iou_truth, 3),
-        )
-    )
+        ),
+    ]
     grew = [
-        f"{100 * share:.0f} % of all frames in {part}"
-        for part, share in (("body", means.frames_worse), ("hands", means.frames_worse_hands))
+        f"{100 * share:.0f} % of all frames in {region}"
+        for region, share in (("body", means.frames_worse), ("hands", means.frames_worse_hands))
         if share is not None
     ]
     text = "Means over all frames. Errors are distances of vertices from where they truly are."
@@ -157,6 +132,25 @@ def _means(means: PoseErrors) -> Section:
     )
 
 
+def _lengths(means: PoseFigures) -> list[tuple[str, ...]]:
+    """Rows of the errors that are known: stage 1, refined, change, and a dash for the truth."""
+    rows = []
+    for name, change in (
+        ("vertices, mm", means.vertices),
+        ("hands, mm", means.hands),
+        ("feet, mm", means.feet),
+        ("vertices, root-aligned, mm", means.aligned),
+    ):
+        if change is not None:
+            both = number(change.stage1, 1), number(change.refined, 1)
+            rows.append((name, *both, _percent(change), "–"))
+    return rows
+
+
+def _percent(change: Change) -> str:
+    return f"{100 * (change.refined / change.stage1 - 1):+.0f} %" if change.stage1 else "–"
+
+
 def _curves(refined: Refined, measured: Measured) -> Section:
     """Errors, IoU and loss over the frames."""
     import matplotlib.pyplot as plt
@@ -164,9 +158,9 @@ def _curves(refined: Refined, measured: Measured) -> Section:
     known = measured.refined is not None
     panels = [("silhouette IoU", measured.iou_stage1, measured.iou, measured.iou_truth)]
     panels.append(("loss: normals + λ1 silhouette", refined.losses_stage1, refined.losses, None))
-    for part in ("feet", "hands", "body") if known else ():
-        before, after = getattr(measured.stage1, part), getattr(measured.refined, part)
-        panels.insert(0, (f"{part}, mm", before, after, None))
+    for region in ("feet", "hands", "body") if known else ():
+        before, after = getattr(measured.stage1, region), getattr(measured.refined, region)
+        panels.insert(0, (f"{region}, mm", before, after, None))
     fig, axes = plt.subplots(len(panels), 1, figsize=(11, 1.7 * len(panels)), sharex=True)
     for axis, (title, before, after, truth) in zip(axes, panels, strict=True):
         axis.plot(before, color=BEFORE, lw=1.2, label="stage 1")
@@ -188,36 +182,32 @@ def _curves(refined: Refined, measured: Measured) -> Section:
 
 
 def _worst(video: Video, measured: Measured) -> list[int]:
-    """Frames in the order of their shame."""
+    """The frames with the largest errors, or the smallest IoU, the worst first."""
     badness = measured.refined.body if measured.refined is not None else -measured.iou
     order = badness.nan_to_num(-torch.inf).argsort(descending=True, stable=True).tolist()
     return [k for k in order if k not in video.absent][:WORST]
 
 
 @torch.no_grad()
-def _frames(
-    title: str,
-    text: str,
-    shown: list[int],
-    video: Video,
-    body: BodyModel,
-    poses: Mapping[str, tuple[Pose, Shape]],
-    measured: Measured,
-) -> Section:
+def _frames(title: str, text: str, shown: list[int], evaluation: Evaluation) -> Section:
     """Overlays of some frames, all poses of a frame side by side."""
+    video, body, refined = evaluation.video, evaluation.body, evaluation.refined
+    poses = {"stage 1": (video.pose, video.shape), "refined": (refined.pose, refined.shape)}
+    if evaluation.truth is not None:
+        poses["true pose"] = evaluation.truth
     pictures, frames = [], list(video.frames(shown))
     seen = np.any([frame.mask > 0.5 for frame in frames], axis=0)
     part = around(seen, margin=len(seen) // 12)
     for frame in frames:
         bodies = [body(pose[frame.index], shape).vertices[0] for pose, shape in poses.values()]
         panels = [overlay(frame.image, frame.camera, v, body.faces)[part] for v in bodies]
-        caption = f"frame {frame.index}: {_told(frame.index, measured)}"
+        caption = f"frame {frame.index}: {_caption(frame.index, evaluation.measured)}"
         pictures.append(picture(caption, strip([[frame.image[part], *panels]])))
     text += f" From left to right: the picture, {', '.join(poses)}."
     return Section(title, text, pictures, columns=3)
 
 
-def _told(frame: int, measured: Measured) -> str:
+def _caption(frame: int, measured: Measured) -> str:
     """A frame's own figures."""
     parts = []
     if measured.refined is not None:
@@ -228,26 +218,27 @@ def _told(frame: int, measured: Measured) -> str:
     return ", ".join(parts)
 
 
-def _ablation(means: PoseErrors, ablation: Mapping[str, PoseErrors]) -> Section:
+def _ablation(means: PoseFigures, ablation: Mapping[str, PoseFigures]) -> Section:
     head = (
         "", "vertices, mm", "hands, mm", "feet, mm", "root-aligned, mm", "frames worse", "IoU",
         "s a frame",
     )  # fmt: skip
-    stage1 = (
-        means.vertex_mm_stage1, means.hand_vertex_mm_stage1, means.foot_vertex_mm_stage1,
-        means.aligned_vertex_mm_stage1, None, means.iou_stage1, None,
-    )  # fmt: skip
-    digits = (1, 1, 1, 1, None, 3, 2)
-    lines = [("stage 1", stage1)]
-    for name, e in {"refined": means, **ablation}.items():
-        lengths = (e.vertex_mm, e.hand_vertex_mm, e.foot_vertex_mm, e.aligned_vertex_mm)
-        lines.append((name, (*lengths, e.frames_worse, e.iou, e.seconds_per_frame)))
-    share = lambda x: "–" if x is None else f"{100 * x:.0f} %"
-    rows = [
-        (name, *(share(x) if n is None else number(x, n) for x, n in zip(row, digits, strict=True)))
-        for name, row in lines
+    rows = [("stage 1", *_cells(means, "stage1"))]
+    rows += [
+        (name, *_cells(figures, "refined"))
+        for name, figures in {"refined": means, **ablation}.items()
     ]
     return Section("What each term is worth", _ABLATION, tables=[Table(head, rows)])
+
+
+def _cells(figures: PoseFigures, stage: str) -> list[str]:
+    """A row of the ablation's table: the figures of ``"stage1"`` or ``"refined"``."""
+    lengths = (figures.vertices, figures.hands, figures.feet, figures.aligned)
+    cells = ["–" if change is None else number(getattr(change, stage), 1) for change in lengths]
+    worse = figures.frames_worse if stage == "refined" else None
+    seconds = figures.seconds_per_frame if stage == "refined" else None
+    cells.append("–" if worse is None else f"{100 * worse:.0f} %")
+    return [*cells, number(getattr(figures.iou, stage), 3), number(seconds, 2)]
 
 
 def _surface(body: BodyModel, refined: Refined) -> Section:

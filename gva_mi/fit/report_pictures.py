@@ -1,4 +1,4 @@
-"""Pictures of an avatar that a person looks at: turning, beside the truth, hands from close by.
+"""Pictures of an avatar for its report: turning, beside the truth, its hands enlarged.
 
 All images are 8-bit (H, W, 3), on white.
 """
@@ -28,7 +28,7 @@ RED_AT = 64  # levels of 255 at which a difference is shown fully red
 
 
 def turntable(avatar: Avatar, frame: Frame, count: int) -> Iterator[np.ndarray]:
-    """The avatar in a frame's pose, seen by ``count`` cameras all around it."""
+    """The avatar in a frame's pose, seen by ``count`` cameras on a circle around it."""
     centre = _joints(avatar, frame.pose).mean(0)
     distance = np.linalg.norm(frame.camera.position - centre)
     width, height = frame.camera.width, frame.camera.height
@@ -123,7 +123,7 @@ def side_by_side(images: Sequence[np.ndarray], height: int) -> np.ndarray:
 
 
 def overview(avatar: Avatar, video: Video, turned: int = 3) -> np.ndarray:
-    """The paper in one picture: a frame, its normals, the Gaussians, and new views."""
+    """The method in one picture: a frame, its normals, the Gaussians, and new views."""
     frame = video[(video.splits.test or video.splits.train)[0]]
     parts = [cut_out(frame)]
     if frame.normals is not None:

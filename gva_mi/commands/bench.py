@@ -1,0 +1,52 @@
+"""The command ``gva-mi bench``: how fast are the kernels?"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import FlagCreatePairsOff, Positional, arg
+
+from gva_mi.body.bench import bench_body
+from gva_mi.commands.arguments import Flat
+from gva_mi.console import bar, say
+from gva_mi.errors import InputError
+from gva_mi.mesh.bench import bench_normals
+from gva_mi.splat.bench import BenchOptions
+from gva_mi.splat.bench import bench as bench_splat
+from gva_mi.splat.scene import Scene
+
+
+def bench(
+    what: Positional[Literal["splat", "body", "normals"]],
+    options: Flat[FlagCreatePairsOff[BenchOptions]],
+    *,
+    scene: Path | None = None,
+    json_file: Annotated[Path | None, arg(name="json")] = None,
+) -> None:
+    """Measure the renderer, the body model, or the normals that the refinement looks at.
+
+    Milliseconds per stage; of the renderer also shares of the machine's limits, and growth.
+
+    Args:
+        what: the part to measure. Of the options, body and normals use repeats and seed only.
+        options: what to measure, and how often.
+        scene: an .npz file as for gradcheck; without it a person of 20,000 Gaussians at 512 px.
+        json_file: where to write all figures.
+    """
+    if what != "splat" and scene is not None:
+        raise InputError(f"bench {what}: there is no --scene, the body is the command's own")
+    if what == "body":
+        found = bench_body(options.repeats, options.seed)
+    elif what == "normals":
+        found = bench_normals(options.repeats, options.seed)
+    else:
+        given = None if scene is None else Scene.load(scene)
+        with bar("bench") as progress:
+            found = bench_splat(given, options, progress)
+    say(found.table())
+    if json_file is not None:
+        json_file.parent.mkdir(parents=True, exist_ok=True)
+        json_file.write_text(json.dumps(found.to_dict(), indent=1) + "\n")
+        say(f"figures: {json_file}")

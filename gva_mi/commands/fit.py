@@ -1,0 +1,81 @@
+"""The command ``gva-mi fit``: a video becomes an avatar."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from tyro.conf import Positional
+
+from gva_mi.avatar.avatar import Avatar
+from gva_mi.body.pose import load_offsets
+from gva_mi.body.smplx import BodyModel, load_body
+from gva_mi.commands.arguments import Flat, Switch, poses_of
+from gva_mi.console import bar, say
+from gva_mi.data.fingerprint import require_same_body
+from gva_mi.data.video import Video, load_video
+from gva_mi.files import make_room
+from gva_mi.fit import run_folder
+from gva_mi.fit.options import FitOptions
+from gva_mi.fit.train import fit as fit_avatar
+
+
+def fit(
+    subject: Positional[Path],
+    options: Flat[FitOptions],
+    *,
+    out: Path,
+    poses: Path | None = None,
+    body: Path | None = None,
+    overwrite: Switch = False,
+    resume: Switch = False,
+) -> None:
+    """Fit an avatar to the training frames of a video: Eq. 9, densification, re-initialisation.
+
+    Args:
+        subject: a folder with video, masks, cameras and poses.
+        options: of the fit.
+        out: the run's folder.
+        poses: the poses to fit under; without it the refined ones, else those of stage 1.
+        body: a body in SMPL-X's .npz format; without it the built-in puppet.
+        overwrite: replace a run that is there.
+        resume: go on with a run that was stopped.
+    """
+    model = load_body(body)
+    require_same_body(subject, model)
+    poses = poses_of(subject, poses)
+    video = load_video(subject, poses)
+    for frame, reason in video.absent.items():
+        say(f"{subject}: frame {frame} is left out: {reason}")
+    if not resume:
+        make_room(out, run_folder.OPTIONS, overwrite)
+    fit_video(video, poses, model, options, out, resume)
+    say(f"avatar: {out / run_folder.AVATAR}")
+
+
+def fit_video(
+    video: Video,
+    poses: Path,
+    model: BodyModel,
+    options: FitOptions,
+    out: Path,
+    resume: bool = False,
+) -> Avatar:
+    """Fit an avatar and say how long it took.
+
+    Args:
+        video: opened with the poses to fit under.
+        poses: their file, which may hold the offsets of the displaced surface too.
+        model: the body model.
+        options: of the fit.
+        out: the run's folder.
+        resume: go on with a run that was stopped.
+    """
+    offsets = load_offsets(poses, len(model.v_template))
+    start = time.perf_counter()
+    with bar("fit") as progress:
+        avatar = fit_avatar(
+            video, model, options, out, offsets=offsets, resume=resume, progress=progress
+        )
+    say(f"{options.steps} steps in {time.perf_counter() - start:.0f} s")
+    return avatar

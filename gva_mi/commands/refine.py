@@ -1,0 +1,140 @@
+"""The command ``gva-mi refine``: stage 2, poses made to agree with normals and silhouettes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor
+from pathlib import Path
+from typing import Literal
+
+from tyro.conf import Positional
+
+from gva_mi.body.pose import load_poses
+from gva_mi.body.smplx import BodyModel, load_body
+from gva_mi.commands.arguments import Flat, Switch
+from gva_mi.console import bar, say
+from gva_mi.data.fingerprint import require_same_body
+from gva_mi.data.video import POSES, REFINED_POSES, Video, load_video
+from gva_mi.errors import InputError
+from gva_mi.fit.metrics import refinement_lines
+from gva_mi.pose.evaluation.ablation import ablate
+from gva_mi.pose.evaluation.measure import Evaluation
+from gva_mi.pose.evaluation.record import OVERLAYS, write_record
+from gva_mi.pose.evaluation.refinement_report import write_report
+from gva_mi.pose.job import RefineOptions
+from gva_mi.pose.parallel import cluster
+from gva_mi.pose.parallel import workers as local_workers
+from gva_mi.pose.refine import refine_all
+from gva_mi.pose.sequence import SequenceOptions
+from gva_mi.pose.single_frame import SingleFrameOptions
+from gva_mi.versions import versions
+
+REPORT = "refinement.html"
+
+
+def refine(
+    subjects: Positional[tuple[Path, ...]],
+    options: Flat[SequenceOptions],
+    *,
+    loss: Literal["sequence", "paper"] = "sequence",
+    steps: int = SingleFrameOptions.steps,
+    paper_prior: float = SingleFrameOptions.prior,
+    normals: Literal["perspective", "icon", "none"] | None = None,
+    workers: int = 1,
+    scheduler: str | None = None,
+    report: Switch = False,
+    body: Path | None = None,
+    overwrite: Switch = False,
+) -> None:
+    """Refine the poses of videos with their normals and masks: stage 2 of the paper, Eq. 8.
+
+    Writes poses_refined.npz, refinement.json and refinement.png into each subject's folder.
+
+    Args:
+        subjects: folders with video, masks, cameras, stage-1 poses; normals where there are some.
+        options: of the refinement.
+        loss: all frames together, or Eq. 8 as printed, frame by frame; it takes size, faces,
+            silhouette, step and largest-turn from the options, and the two that follow.
+        steps: for each frame; of --loss paper.
+        paper_prior: λ2, for one square radian; of --loss paper.
+        normals: how the normals were made: as the video's camera sees them, or as ICON writes them
+            (orthographic, y up); none: they are not used. Without it as normals.json says.
+        workers: processes on this machine; any number gives the same bits.
+        scheduler: address of a dask.distributed cluster that does the work instead.
+        report: also write refinement.html, for which all terms of the loss are left out in turn.
+        body: a body in SMPL-X's .npz format; without it the built-in puppet.
+        overwrite: replace refined poses that are there.
+    """
+    if not subjects:
+        raise InputError("refine: give the folder of a subject, or of several")
+    if scheduler is not None and workers != 1:
+        raise InputError("refine: give --workers or --scheduler, not both")
+    printed = _as_printed(options, steps, paper_prior)
+    model = load_body(body)
+    for subject in subjects:
+        poses = subject / REFINED_POSES
+        if poses.exists() and not overwrite:
+            raise InputError(f"{poses}: exists already; give --overwrite to replace it")
+        require_same_body(subject, model)
+    with cluster(scheduler) if scheduler is not None else local_workers(workers) as executor:
+        videos = [load_video(subject, normals=normals) for subject in subjects]
+        way = printed if loss == "paper" else options
+        for evaluation in refine_videos(videos, model, way, executor):
+            folder = evaluation.video.folder
+            if report:
+                _write_report(evaluation, printed, executor)
+            for line in refinement_lines(evaluation.measured.means):
+                say(line)
+            say(f"poses: {folder / REFINED_POSES}; overlays: {folder / OVERLAYS}")
+            if report:
+                say(f"report: {folder / REPORT}")
+
+
+def refine_videos(
+    videos: Sequence[Video],
+    model: BodyModel,
+    options: RefineOptions,
+    executor: Executor | None = None,
+) -> Iterator[Evaluation]:
+    """Refine videos, and write what was found into each subject's folder as soon as it is there."""
+    for video in videos:
+        if not video.has_normals:
+            say(f"{video.folder}: no normals, the refinement uses the silhouettes alone")
+    with bar("refine") as progress:
+        found = refine_all([(video, options) for video in videos], model, progress, executor)
+        for video, refined in zip(videos, found, strict=True):
+            for frame, reason in refined.kept.items():
+                say(f"{video.folder}: frame {frame} keeps its stage-1 pose: {reason}")
+            truth = load_poses(video.truth / POSES) if video.truth else None
+            evaluation = Evaluation.of(video, model, options, refined, truth)
+            write_record(evaluation, versions())
+            yield evaluation
+
+
+def _as_printed(options: SequenceOptions, steps: int, prior: float) -> SingleFrameOptions:
+    """Eq. 8 as printed, with all that it shares with the refinement of a sequence."""
+    return SingleFrameOptions(
+        size=options.size,
+        faces=options.faces,
+        silhouette=options.silhouette,
+        step=options.step,
+        largest_turn=options.largest_turn,
+        steps=steps,
+        prior=prior,
+    )
+
+
+def _write_report(
+    evaluation: Evaluation, printed: SingleFrameOptions, executor: Executor | None
+) -> None:
+    """Write the page, for which the video is refined again with each term left out in turn."""
+    others = {} if evaluation.options is printed else {printed.description: printed}
+    with bar("ablation") as progress:
+        ablation = ablate(evaluation, others, progress, executor)
+    write_report(
+        evaluation.video.folder / REPORT,
+        evaluation,
+        title=f"Poses of {evaluation.video.folder.name}",
+        versions=versions(),
+        ablation=ablation,
+    )

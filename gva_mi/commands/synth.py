@@ -1,0 +1,51 @@
+"""The command ``gva-mi synth``: a synthetic subject."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tyro.conf import Positional
+
+from gva_mi.body.smplx import load_body
+from gva_mi.commands.arguments import Flat, Switch
+from gva_mi.console import bar, say
+from gva_mi.data.synthetic import SynthOptions, describe_noise, make_subject
+from gva_mi.data.synthetic.sheet import sheet as draw_sheet
+from gva_mi.errors import InputError
+from gva_mi.files import make_room
+
+MARKER = "synth.json"  # every subject that was made here holds it
+
+
+def synth(
+    out: Positional[Path | None] = None,
+    options: Flat[SynthOptions] = SynthOptions(),  # noqa: B008 (frozen)
+    *,
+    sheet: Path | None = None,
+    body: Path | None = None,
+    overwrite: Switch = False,
+) -> None:
+    """Make a synthetic subject: video, masks, normals, cameras, noisy poses, and the truth apart.
+
+    Args:
+        out: the subject's folder.
+        options: what it is like.
+        sheet: write a picture (.png) of the study's seven subjects, and of what comes with a video.
+        body: a body in SMPL-X's .npz format; without it the built-in puppet.
+        overwrite: replace a subject that is there.
+    """
+    if out is None and sheet is None:
+        raise InputError("synth: give a folder for a subject, or --sheet FILE.png, or both")
+    model = load_body(body)
+    if sheet is not None:
+        with bar("sheet") as progress:
+            draw_sheet(sheet, model, progress=progress)
+        say(f"sheet: {sheet}")
+    if out is None:
+        return
+    make_room(out, MARKER, overwrite)
+    with bar("synth") as progress:
+        make_subject(out, options, model, progress)
+    for line in describe_noise(out):
+        say(line)
+    say(f"subject: {out}")

@@ -1,0 +1,169 @@
+"""Poses of many frames, moved together downhill until they agree with what the frames show.
+
+Unknown are the corrections of the poses, turns ``δ`` and shifts ``τ`` of every frame
+(:mod:`gva_mi.pose.corrections`), and ``s``, whatever else the evidence leaves open and all frames
+share. A step takes a batch of frames ``k``, chosen at random so that a pass visits every frame
+once, and follows the gradient of
+
+1. ``L(δ, τ, s) = mean_k L_k(pose_k(δ, τ), s) + E(δ, τ) + E(s)``
+
+with :class:`VectorAdam`, whose learning rates fall from ``r`` to ``decay · r``.
+
+How well a frame agrees with a pose, ``L_k``, is for the evidence to say: masks and normals of the
+posed body (:mod:`gva_mi.pose.sequence`), or pictures under a splatted avatar
+(:mod:`gva_mi.fit.picture_evidence`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Protocol
+
+import torch
+from torch import Tensor
+
+from gva_mi.body.pose import Pose
+from gva_mi.console import Progress
+from gva_mi.errors import InputError
+from gva_mi.pose.corrections import CorrectionOptions, Corrections
+from gva_mi.pose.limits import require_at_least, require_positive
+from gva_mi.pose.priors import prior_lengths, turn_rates
+from gva_mi.pose.vector_adam import VectorAdam
+from gva_mi.splat import Camera
+
+BETAS = (0.9, 0.99)  # Adam's
+
+
+class Evidence(Protocol):
+    """What the frames of a clip say about their poses.
+
+    Attributes:
+        frames: numbers of the frames that say something.
+        camera: of one of them; corrections are made along its axes.
+        shared: the leaves ``s``, each with its learning rate; often none.
+    """
+
+    frames: Sequence[int]
+    camera: Camera
+    shared: Sequence[tuple[Tensor, float]]
+
+    def loss(self, frames: Sequence[int], pose: Pose) -> Tensor:
+        """Mean of ``L_k`` over some frames in these poses; differentiable in poses and ``s``."""
+        ...
+
+    def energy(self) -> Tensor | float:
+        """``E(s)``; zero where nothing is shared."""
+        ...
+
+
+@dataclass(frozen=True)
+class DescentOptions(CorrectionOptions):
+    """How poses descend on eq. 1; each way of fitting poses has defaults of its own."""
+
+    passes: int  # how often every frame is visited
+    batch: int  # frames of a step, at most
+    step: float  # metres that a turned joint moves what turns with it, in a step at the start
+    largest_turn: float  # radians in such a step; it limits joints with short lever arms
+    translation_lr: float  # metres in a step at the start
+    part: int  # frames fitted together; a longer video is cut into clips
+    overlap: int  # frames that a clip shares with the next
+    seed: int  # of the order in which frames are visited
+
+    command: ClassVar[str]  # whose options they are, for errors
+    decay: ClassVar[float]  # what is left of the learning rates at the end
+
+    def __post_init__(self) -> None:
+        require_at_least(self.command, self, passes=1, batch=1)
+        require_positive(self.command, self, "jitter", "jitter_move", "outlier")
+        if not 0 <= 2 * self.overlap < self.part:
+            raise InputError(
+                f"{self.command}: overlap must be less than half a part, "
+                f"got overlap {self.overlap}, part {self.part}"
+            )
+
+
+def descend(
+    evidence: Evidence,
+    start: Pose,
+    arms: Tensor,
+    options: DescentOptions,
+    progress: Progress | None = None,
+) -> Pose:
+    """Minimise eq. 1; the leaves ``evidence.shared`` are moved in place.
+
+    Args:
+        evidence: what some of the frames say.
+        start: poses of all T frames, which are corrected.
+        arms: (J,) lever arms of the person's joints, metres.
+        options: weights, passes, learning rates and the seed.
+        progress: called as ``progress(done, total, loss=...)`` after every step.
+
+    Returns:
+        The poses of all T frames; those without evidence stay as they were.
+    """
+    frames = sorted(evidence.frames)
+    corrections = Corrections(start, frames, evidence.camera, prior_lengths(arms), options)
+    adam = _optimiser(corrections, evidence, arms, options)
+    batches = list(_batches(len(frames), options))
+    for step, batch in enumerate(batches):
+        loss = evidence.loss([frames[i] for i in batch], corrections.pose(batch))
+        loss = loss + corrections.energy() + evidence.energy()
+        loss.backward()
+        adam.step(options.decay ** (step / len(batches)))
+        if progress is not None:
+            progress(step + 1, len(batches), loss=float(loss.detach()))
+    with torch.no_grad():
+        found = corrections.pose(range(len(frames)))
+    return with_frames(start, frames, found)
+
+
+def with_frames(start: Pose, frames: Sequence[int], found: Pose) -> Pose:
+    """Poses of T frames, in which some frames have taken the poses that were found for them.
+
+    Args:
+        start: T frames.
+        frames: numbers of n of them.
+        found: the n poses; expressions are not taken.
+    """
+    frames = list(frames)
+    rotations, transl = start.rotations.clone(), start.transl.clone()
+    rotations[frames], transl[frames] = found.rotations, found.transl
+    return Pose.from_rotations(rotations, transl, start.expression)
+
+
+def worse_frames(
+    frames: Iterable[int], before: Tensor, after: Tensor, digits: int = 3
+) -> dict[int, str]:
+    """Those frames whose loss did not stay or fall, and the sentence that says so.
+
+    Args:
+        frames: that are compared.
+        before: (T,) losses at the poses a fit started from.
+        after: (T,) losses at the poses it found; NaN counts as worse.
+        digits: of the losses in the sentence.
+    """
+    return {
+        k: f"its loss grew from {before[k]:.{digits}f} to {after[k]:.{digits}f}"
+        for k in frames
+        if not after[k] <= before[k]
+    }
+
+
+def _optimiser(
+    corrections: Corrections, evidence: Evidence, arms: Tensor, options: DescentOptions
+) -> VectorAdam:
+    # The three coordinates of a turn have steps of their own, which together are as long as one.
+    turns = turn_rates(arms, options.step, options.largest_turn)[..., None] / 3**0.5
+    leaves = [(corrections.turns, turns), (corrections.moves, options.translation_lr)]
+    tensors, rates = zip(*leaves, *evidence.shared, strict=True)
+    return VectorAdam(tensors, rates, BETAS)
+
+
+def _batches(frames: int, options: DescentOptions) -> Iterator[list[int]]:
+    """Places of the frames of every step: each pass shuffles all of them and deals them out."""
+    generator = torch.Generator().manual_seed(options.seed)
+    count = -(-frames // options.batch)
+    for _ in range(options.passes):
+        order = torch.randperm(frames, generator=generator).tolist()
+        yield from (order[first::count] for first in range(count))

@@ -1,0 +1,109 @@
+"""Pieces of a refinement, and the interface of a way to refine.
+
+A :class:`Job` holds all that its result depends on, so that it may be solved in this process, in
+another one, or on another machine, with the same bits. Its options choose the way: all frames
+together (:mod:`gva_mi.pose.sequence`), or each for itself (:mod:`gva_mi.pose.single_frame`).
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from gva_mi.body.pose import Pose, Shape
+from gva_mi.body.smplx import BodyModel
+from gva_mi.console import Progress
+from gva_mi.mesh.mesh_scene import BodyScene
+from gva_mi.pose.evidence import MaskAndNormals
+from gva_mi.pose.limits import require_at_least
+
+FEWEST_FACES = 500  # a body of fewer has no hands left
+
+
+@dataclass(frozen=True)
+class Solution:
+    """What a refinement looks for."""
+
+    pose: Pose  # T frames
+    shape: Shape
+    offsets: Tensor  # (V, 3) displacement of the rest surface, metres
+
+
+@dataclass(frozen=True)
+class RefineOptions(ABC):
+    """How poses are refined: what both ways have in common, and what each must know.
+
+    The losses that the weights multiply are divided by the person's area
+    (:mod:`gva_mi.pose.evidence`).
+    """
+
+    size: int = 256  # pixels of the longer side of the pictures that are compared
+    faces: int = 6000  # triangles of the body that is compared with them
+    silhouette: float = 5.0  # λ1
+
+    name: ClassVar[str]  # of the way, on the command line and in records
+
+    def __post_init__(self) -> None:
+        require_at_least("refine", self, size=1, faces=FEWEST_FACES)
+
+    @property
+    @abstractmethod
+    def description(self) -> str:
+        """The way in a few words, for a report."""
+
+    @abstractmethod
+    def clips(self, frames: int) -> list[range]:
+        """The pieces of a video of so many frames that are solved apart."""
+
+    def first_round(self, frames: int, seen: Sequence[int]) -> Sequence[int]:
+        """Frames that are solved before the clips, to find what all clips share; often none.
+
+        Args:
+            frames: of the video.
+            seen: numbers of those that have evidence, ascending.
+        """
+        return ()
+
+    @abstractmethod
+    def steps_for(self, frames: int) -> int:
+        """How much work so many frames are, for progress."""
+
+    @abstractmethod
+    def solve(self, job: Job, progress: Progress | None = None) -> Solution:
+        """Refine the frames of a job, which has some evidence."""
+
+    def variants(self) -> dict[str, RefineOptions]:
+        """The same options with one term of the loss left out in turn, by a name for each."""
+        return {}
+
+
+@dataclass(frozen=True)
+class Job:
+    """Frames to be refined together."""
+
+    evidence: dict[int, MaskAndNormals]  # by number within ``pose``
+    body: BodyModel
+    pose: Pose  # stage 1; frames without evidence keep it
+    shape: Shape
+    options: RefineOptions
+    known: Solution | None = None  # of the first round: what all frames share is taken from it
+
+    @property
+    def steps(self) -> int:
+        """How much work it is, for progress."""
+        return self.options.steps_for(len(self.evidence))
+
+    def scene(self) -> BodyScene:
+        """A scene in which the body can be rendered."""
+        return BodyScene(self.body.faces, self.body.v_template)
+
+    def solve(self, progress: Progress | None = None) -> Solution:
+        """Do the work in this process."""
+        if not self.evidence:
+            return Solution(self.pose, self.shape, torch.zeros_like(self.body.v_template))
+        return self.options.solve(self, progress)

@@ -1,0 +1,19 @@
+"""What the tests of several commands share."""
+
+import numpy as np
+import pytest
+
+
+@pytest.fixture
+def scene(tmp_path):
+    """A file with 8 Gaussians before a camera."""
+    import torch
+
+    from gva_mi.splat.scene import random_scene
+
+    s = random_scene(torch.Generator().manual_seed(0), gaussians=8, width=20, height=16)
+    c = s.camera
+    arrays = {k: v.numpy() for k, v in s.inputs().items()}
+    camera = {"viewmat": c.T_camera_world, "K": c.K, "width": c.width, "height": c.height}
+    np.savez(tmp_path / "scene.npz", **arrays, **camera)
+    return tmp_path / "scene.npz"

@@ -1,0 +1,91 @@
+"""``metrics.json``: what is written is read again, and what is not known is not invented."""
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from gva_mi.errors import InputError
+from gva_mi.fit.evaluate import SplitScores
+from gva_mi.fit.metrics import (
+    Metrics,
+    PoseFit,
+    Training,
+    load_metrics,
+    save_metrics,
+)
+from gva_mi.fit.run_folder import METRICS
+from gva_mi.pose.evaluation.measure import Change, PoseFigures
+
+FIGURES = PoseFigures(
+    vertices=Change(0.25, 1.25), hands=Change(2.25, 3.25), feet=Change(4.25, 5.25),
+    aligned=Change(6.25, 7.25), frames_worse=0.1, frames_worse_hands=0.2, iou=Change(0.5, 0.75),
+    iou_truth=0.9, iou_true_masks=None, seconds_per_frame=1.5,
+)  # fmt: skip
+UNKNOWN = PoseFigures.from_json({})
+
+
+@pytest.fixture
+def metrics():
+    return Metrics(
+        rows=(
+            SplitScores("full", "test", 30.125, 0.98, None, 0.03),
+            SplitScores("poses as refined", "test", 29.5, 0.97, 0.1, 0.04),
+        ),
+        refinement=FIGURES,
+        training=Training(steps=3, seconds=1.5, gaussians=400, size=(48, 32)),
+        options={"seed": 7, "steps": 3},
+        versions={"python": "3.11"},
+    )
+
+
+def test_what_is_written_is_read_again(metrics, tmp_path):
+    fitted = replace(metrics, pose_fit=PoseFit({"passes": 2}, {"3": "it has no mask"}, 0.5))
+    for some in (metrics, fitted, replace(metrics, refinement=UNKNOWN)):
+        save_metrics(tmp_path, some)
+        assert load_metrics(tmp_path) == some
+
+
+def test_the_file_has_the_entries_that_it_always_had(metrics):
+    record = metrics.to_json()
+    assert list(record) == ["rows", "refinement", "training", "options", "versions", "seed"]
+    assert list(record["rows"][0]) == ["name", "split", "psnr", "ssim", "lpips", "rand_vgg"]
+    assert list(record["refinement"]) == [
+        "vertex_mm_stage1", "vertex_mm", "hand_vertex_mm_stage1", "hand_vertex_mm",
+        "foot_vertex_mm_stage1", "foot_vertex_mm", "aligned_vertex_mm_stage1", "aligned_vertex_mm",
+        "frames_worse", "frames_worse_hands", "iou_stage1", "iou", "iou_truth", "seconds_per_frame",
+    ]  # fmt: skip
+    assert list(record["training"]) == ["steps", "seconds", "gaussians", "size"]
+    assert json.loads(json.dumps(record))["training"]["size"] == [48, 32]
+    fitted = replace(metrics, pose_fit=PoseFit({}, {}, 0.5)).to_json()
+    assert list(fitted)[-1] == "pose_fit"
+
+
+def test_poses_that_were_not_refined_have_no_figures(metrics):
+    without = replace(metrics, refinement=UNKNOWN)
+    assert set(without.to_json()["refinement"].values()) == {None}
+    assert [line.split()[0] for line in without.lines()] == ["test", "test"]
+
+
+def test_a_file_of_an_older_version_lacks_a_figure(metrics):
+    record = metrics.to_json()
+    del record["refinement"]["frames_worse"]
+    found = Metrics.from_json(record)
+    assert found.refinement == replace(metrics.refinement, frames_worse=None)
+    assert not any(line.startswith("worse") for line in found.lines())
+
+
+def test_the_lines_say_the_main_figures(metrics):
+    lines = list(metrics.lines())
+    assert lines[0] == "vertices    0.2 → 1.2 mm"
+    assert lines[-2] == "test        PSNR 30.12 dB, SSIM 0.9800"
+    assert lines[-1] == "test        PSNR 29.50 dB, SSIM 0.9700 (poses as refined)"
+    assert "true pose" in next(line for line in lines if line.startswith("silhouette"))
+
+
+@pytest.mark.parametrize("text", [None, "{", "[]", '{"rows": []}'])
+def test_a_file_that_cannot_be_read_is_named(text, tmp_path):
+    if text is not None:
+        (tmp_path / METRICS).write_text(text)
+    with pytest.raises(InputError, match="metrics.json: not readable"):
+        load_metrics(tmp_path)

@@ -36,7 +36,7 @@ from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.console import Progress, within
 from gva_mi.data.video import Frame, Video
-from gva_mi.mesh.mesh_scene import BodyScene
+from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.clips import join, of_clip, poses_of_clip
 from gva_mi.pose.coarse_body import CoarseBody
 from gva_mi.pose.descent import with_frames, worse_frames
@@ -207,7 +207,7 @@ class _SeenVideo:
         """The data term of Eq. 8 in each frame (T,); NaN where there is no evidence."""
         losses = torch.full((len(pose),), torch.nan)
         body = self.coarse.body
-        scene = BodyScene(body.faces, body.v_template)
+        scene = MeshScene(body.faces, body.v_template)
         with one_torch_thread():
             for k, seen in self.evidence.items():
                 vertices = body(pose[k], person.shape, person.offsets).vertices[0]

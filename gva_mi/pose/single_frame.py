@@ -16,7 +16,7 @@ from torch import Tensor
 
 from gva_mi.body.pose import Pose
 from gva_mi.console import Progress, within
-from gva_mi.mesh.mesh_scene import BodyScene
+from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.clips import cut
 from gva_mi.pose.descent import with_frames
 from gva_mi.pose.job import Job, RefineOptions, Solution
@@ -84,7 +84,7 @@ def _refine_frame(
     job: Job,
     k: int,
     options: SingleFrameOptions,
-    scene: BodyScene,
+    scene: MeshScene,
     rates: Tensor,
     progress: Progress | None,
 ) -> Pose:

@@ -106,6 +106,7 @@ def refine_all(
     steps = sum(job.steps for job in first if job is not None)
     later = sum(video.clip_steps for video in videos)
 
+    # The first round finds what the clips of a long video share, the second their poses.
     found = run(
         [job for job in first if job is not None],
         executor,

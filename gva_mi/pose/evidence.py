@@ -33,7 +33,7 @@ from torch import Tensor
 from torch.autograd.function import FunctionCtx
 
 from gva_mi.data.video import Frame, Video
-from gva_mi.mesh.mesh_scene import BodyScene
+from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.crop import NoEvidence, person_box
 from gva_mi.splat import Camera
 
@@ -83,7 +83,7 @@ class MaskAndNormals:
         """Eq. 1, the data term of Eq. 8, of a rendering (H, W, 4) of normals and mask.
 
         Args:
-            image: as :meth:`gva_mi.mesh.mesh_scene.BodyScene.render` gives it.
+            image: as :meth:`gva_mi.mesh.mesh_scene.MeshScene.render` gives it.
             silhouette: λ1.
         """
         return self.normal_loss(image) + silhouette * self.silhouette_loss(image)
@@ -123,7 +123,7 @@ def gather(
 
 
 def mean_loss(
-    scene: BodyScene, vertices: Tensor, seen: Sequence[MaskAndNormals], silhouette: float
+    scene: MeshScene, vertices: Tensor, seen: Sequence[MaskAndNormals], silhouette: float
 ) -> Tensor:
     """Mean of eq. 1 over frames, differentiable in the vertices.
 
@@ -144,7 +144,7 @@ class _MeanLoss(torch.autograd.Function):
     def forward(
         ctx: FunctionCtx,
         vertices: Tensor,
-        scene: BodyScene,
+        scene: MeshScene,
         seen: Sequence[MaskAndNormals],
         silhouette: float,
     ) -> Tensor:

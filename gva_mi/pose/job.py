@@ -18,7 +18,7 @@ from torch import Tensor
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.console import Progress
-from gva_mi.mesh.mesh_scene import BodyScene
+from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.evidence import MaskAndNormals
 from gva_mi.pose.limits import require_at_least
 
@@ -98,9 +98,9 @@ class Job:
         """How much work it is, for progress."""
         return self.options.steps_for(len(self.evidence))
 
-    def scene(self) -> BodyScene:
+    def scene(self) -> MeshScene:
         """A scene in which the body can be rendered."""
-        return BodyScene(self.body.faces, self.body.v_template)
+        return MeshScene(self.body.faces, self.body.v_template)
 
     def solve(self, progress: Progress | None = None) -> Solution:
         """Do the work in this process."""

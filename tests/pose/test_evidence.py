@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from gva_mi.body.pose import Pose, Shape
-from gva_mi.mesh.mesh_scene import BodyScene
+from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.crop import NoEvidence
 from gva_mi.pose.evidence import MaskAndNormals
 from gva_mi.splat import Camera, look_at
@@ -112,7 +112,7 @@ def seen_of_the_slope(soften, between):
     """
     vertices, faces = ball()
     camera = Camera(240, 240, 36.3, 36.1, look_at((0.2, 0.1, 4), (0, 0, 0)), 72, 72)
-    scene, right = BodyScene(faces, vertices), torch.tensor(camera.T_camera_world[0, :3]).float()
+    scene, right = MeshScene(faces, vertices), torch.tensor(camera.T_camera_world[0, :3]).float()
     pixel = 4 / camera.fx  # metres at the ball's distance
     with torch.no_grad():
         mask = scene.render(vertices, camera)[..., 3]

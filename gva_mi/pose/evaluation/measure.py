@@ -26,7 +26,7 @@ from torch import Tensor
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.video import Video
-from gva_mi.mesh.mesh_scene import BodyScene
+from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.displacement import hand_vertices
 from gva_mi.pose.job import RefineOptions
 from gva_mi.pose.refine import Refined
@@ -254,7 +254,7 @@ def silhouette_iou(
         true_masks: compare with the masks of the truth, and not with those that came with the
             video.
     """
-    scene = BodyScene(body.faces, body.v_template)
+    scene = MeshScene(body.faces, body.v_template)
     iou = torch.full((len(pose),), torch.nan)
     with one_torch_thread():
         for frame in video.frames(k for k in range(len(video)) if k not in video.absent):

@@ -1,0 +1,105 @@
+"""The engine of descent, on evidence that needs no picture."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from gva_mi.body.pose import JOINTS, Pose
+from gva_mi.pose import SequenceOptions
+from gva_mi.pose.descent import descend, with_frames, worse_frames
+
+ARMS = torch.full((55,), 0.3)
+ELBOW = JOINTS.index("left_elbow")
+FREE = SequenceOptions(
+    prior=0.0,
+    hold=0.0,
+    smooth=0.0,
+    smooth_move=0.0,
+    reach=0.5,
+    passes=200,
+    batch=2,
+    step=0.01,
+    translation_lr=0.01,
+)
+PLACE = torch.tensor([0.1, -0.2, 0.05])  # where everybody should stand, apart from what is shared
+SHARED = torch.tensor([0.0, 0.3, 0.0])
+
+
+class Places:
+    """Frames know where the person stands, and one of them knows an offset of all places."""
+
+    def __init__(self, camera, frames=(0, 1, 3), share=False):
+        self.frames, self.camera, self.visited = frames, camera, []
+        self.offset = torch.zeros(1, 3, requires_grad=share)
+        self.shared = [(self.offset, 0.02)] if share else []
+
+    def loss(self, frames, pose):
+        self.visited.append(list(frames))
+        away = pose.transl - PLACE - (SHARED if self.shared else 0)
+        bent = pose.rotations[:, ELBOW, 1] - 0.2
+        return ((away + self.offset).square().sum(1) + bent.square()).mean()
+
+    def energy(self):
+        """Holds the offset at what is shared, so that the places are left to find their own."""
+        return (self.offset - SHARED).square().sum() if self.shared else 0.0
+
+
+def test_every_frame_with_evidence_goes_where_it_says_and_the_others_stay(camera):
+    start = Pose.rest(5)
+    found = descend(Places(camera), start, ARMS, FREE)
+    there = [0, 1, 3]
+    torch.testing.assert_close(found.transl[there], PLACE.expand(3, 3), atol=5e-3, rtol=0)
+    torch.testing.assert_close(
+        found.rotations[there, ELBOW, 1], torch.full((3,), 0.2), atol=5e-3, rtol=0
+    )
+    assert torch.equal(found.transl[[2, 4]], start.transl[[2, 4]])
+    assert torch.equal(found.rotations[[2, 4]], start.rotations[[2, 4]])
+
+
+def test_what_is_shared_is_found_along(camera):
+    evidence = Places(camera, share=True)
+    found = descend(evidence, Pose.rest(4), ARMS, FREE)
+    torch.testing.assert_close(evidence.offset.detach()[0], SHARED, atol=5e-3, rtol=0)
+    torch.testing.assert_close(found.transl[0], PLACE, atol=1e-2, rtol=0)
+
+
+def test_a_pass_visits_every_frame_once_in_an_order_of_the_seed(camera):
+    orders = []
+    for seed in (0, 0, 1):
+        evidence = Places(camera, frames=range(7))
+        descend(evidence, Pose.rest(7), ARMS, replace(FREE, passes=3, batch=3, seed=seed))
+        assert [len(batch) for batch in evidence.visited] == [3, 2, 2] * 3
+        for first in (0, 3, 6):
+            assert sorted(sum(evidence.visited[first : first + 3], [])) == list(range(7))
+        orders.append(evidence.visited)
+    assert orders[0] == orders[1] != orders[2]
+
+
+def test_progress_counts_every_step(camera):
+    calls = []
+    tell = lambda done, total, loss: calls.append((done, total, loss))
+    descend(Places(camera), Pose.rest(4), ARMS, replace(FREE, passes=10), tell)
+    assert [done for done, *_ in calls] == list(range(1, 21)) and {t for _, t, _ in calls} == {20}
+    assert calls[-1][2] < calls[0][2]
+
+
+@pytest.mark.parametrize("frames", [[], [1], [0, 2]])
+def test_frames_take_what_was_found_for_them(frames):
+    start = Pose.rest(3)
+    found = Pose.from_rotations(torch.ones(3, 55, 3), torch.ones(3, 3), torch.ones(3, 10))
+    mixed = with_frames(start, frames, found[frames])
+    for k in range(3):
+        source = found if k in frames else start
+        assert torch.equal(mixed.rotations[k], source.rotations[k])
+        assert torch.equal(mixed.transl[k], source.transl[k])
+    assert torch.equal(mixed.expression, start.expression)
+
+
+def test_a_loss_that_grew_or_is_none_is_worse():
+    before, after = torch.tensor([1.0, 1.0, 1.0, 2.0]), torch.tensor([1.0, 1.5, torch.nan, 1.0])
+    assert worse_frames([0, 1, 2, 3], before, after) == {
+        1: "its loss grew from 1.000 to 1.500",
+        2: "its loss grew from 1.000 to nan",
+    }
+    assert worse_frames([1], before, after, digits=1) == {1: "its loss grew from 1.0 to 1.5"}

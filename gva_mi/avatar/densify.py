@@ -133,19 +133,6 @@ def densify(
     return Densified(int(cloned.sum()), int(split.sum()), int(pruned.sum()))
 
 
-def reset_opacities(
-    avatar: Avatar, optimizer: torch.optim.Optimizer, ceiling: float = 0.01
-) -> None:
-    """Lower all opacities to at most ``ceiling``, so that only useful Gaussians come back.
-
-    3DGS does so now and then to be rid of floaters. Avatars start on a surface and hardly need it.
-    """
-    parameter = avatar.canonical.logit_opacities
-    with torch.no_grad():
-        parameter.clamp_(max=math.log(ceiling / (1 - ceiling)))
-    optimizer.state.pop(parameter, None)
-
-
 def replace_gaussians(
     avatar: Avatar,
     optimizer: torch.optim.Optimizer,

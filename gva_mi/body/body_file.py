@@ -14,9 +14,11 @@ hands_meanl, -r     (45,)                                mean hand relative to f
 hands_componentsl…  (K, 45)                              PCA of hand poses; optional
 ==================  ===================================  ======================================
 
-J is 55, 52 or 24; SMPL has no hands. In SMPL-X, 400 directions or more are 300 betas and then
-expressions (version 1.1), fewer are 10 betas and up to 10 expressions (1.0). In the older formats
-all of them are betas.
+J is 55, 52 or 24; SMPL has no hands. The mean hands and their components are checked like the rest
+of the format and then left alone, for poses here are relative to the flat hand.
+
+In SMPL-X, 400 directions or more are 300 betas and then expressions (version 1.1), fewer are 10
+betas and up to 10 expressions (1.0). In the older formats all of them are betas.
 """
 
 from __future__ import annotations

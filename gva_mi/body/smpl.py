@@ -79,8 +79,6 @@ def lift(arrays: dict[str, np.ndarray], form: Format) -> dict[str, np.ndarray]:
         "weights": weights,
         "posedirs": posedirs.reshape(vertices, 3, -1),
         "J_regressor": arrays["J_regressor"][nearest],
-        "hands_meanl": arrays.get("hands_meanl", np.zeros(45)),
-        "hands_meanr": arrays.get("hands_meanr", np.zeros(45)),
     }
     return arrays | lifted
 

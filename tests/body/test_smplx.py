@@ -178,18 +178,6 @@ def test_the_rest_pose_has_finite_gradients(body):
     assert rotations.grad.isfinite().all() and (rotations.grad != 0).any()
 
 
-def test_the_mean_hand_is_added_to_both_hands(body, person):
-    pose, _, _ = person
-    added = body.add_mean_hands(pose)
-    torch.testing.assert_close(
-        added.left_hand_pose - pose.left_hand_pose, body.hands_mean[:1].expand(3, -1)
-    )
-    torch.testing.assert_close(
-        added.right_hand_pose - pose.right_hand_pose, body.hands_mean[1:].expand(3, -1)
-    )
-    assert torch.equal(added.body_pose, pose.body_pose)
-
-
 def test_a_missing_file_is_explained(tmp_path):
     with pytest.raises(InputError, match="no such file.*smpl-x.is.tue.mpg.de.*puppet"):
         load_body(tmp_path / "SMPLX_NEUTRAL.npz")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.body.pose import JOINTS, Pose
+from gva_mi.body.pose import BODY, JOINTS, LEFT_HAND, RIGHT_HAND, ROOT, Pose
 from gva_mi.fit.picture_evidence import Hidden, PictureWeights, Sight
 from gva_mi.splat.torch_op import render
 
@@ -77,10 +77,11 @@ def test_outlines_do_not_follow_the_mask(known, frame, points, sight):
 
 def test_every_joint_that_is_seen_and_the_place_receive_a_gradient(known, frame, sight):
     pose = frame.pose.map(lambda x: x.clone().requires_grad_())
-    names = ("global_orient", "body_pose", "left_hand_pose", "right_hand_pose", "transl")
-    inputs = [getattr(pose, name) for name in names]
-    gradients = torch.autograd.grad(sight.loss(known, pose, BOTH), inputs)
-    for name, gradient in zip(names, gradients, strict=True):
+    inputs = [pose.rotations, pose.transl]
+    rotations, transl = torch.autograd.grad(sight.loss(known, pose, BOTH), inputs)
+    gradients = {"root": rotations[:, ROOT], "body": rotations[:, BODY], "transl": transl}
+    gradients |= {"left hand": rotations[:, LEFT_HAND], "right hand": rotations[:, RIGHT_HAND]}
+    for name, gradient in gradients.items():
         assert gradient.isfinite().all() and (gradient != 0).any(), name
 
 

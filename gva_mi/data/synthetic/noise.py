@@ -141,7 +141,7 @@ def _bursts(rng: np.random.Generator, frames: int) -> np.ndarray:
 
 def _sideways(pose: Pose, camera: Camera) -> np.ndarray:
     """How far a person stands sideways (T,): 0 seen from front or back, 1 from the side."""
-    facing = _matrices(pose.global_orient.double().numpy())[:, :, 2]
+    facing = _matrices(pose.rotations[:, 0].double().numpy())[:, :, 2]
     return np.abs(facing @ camera.T_camera_world[0, :3])
 
 

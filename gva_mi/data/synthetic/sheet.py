@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import torch
 
+from gva_mi.body.pose import ROOT
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.synthetic import motion
 from gva_mi.data.synthetic.dataset import SynthOptions, make_subject
@@ -87,7 +87,7 @@ def _portrait_front_pose(
     rng = np.random.default_rng(k)
     standing = motion.turn(np.array([0.0]), body.num_expressions, rng)
     acting = motion.novel(COLUMNS, body.num_expressions, rng)[k]
-    standing = replace(standing, global_orient=torch.zeros(1, 3))
+    standing.rotations[:, ROOT] = 0
     surfaces = [subject.posed(body, pose, folds=1.0)[0] for pose in (standing, acting)]
     head = np.abs(subject.vertices - subject.look.face.eyes[0] - HEAD).max(1) < REACH
     cameras = [

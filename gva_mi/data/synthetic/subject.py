@@ -319,7 +319,7 @@ def _find_face(
     mouth = np.array([middle[0], nose[1] - 0.44 * unit, nose[2] - 0.3 * unit])
 
     pose = Pose.rest(1, body.num_expressions)
-    pose.jaw_pose[:, 0] = 0.15
+    pose.rotations[:, JOINTS.index("jaw"), 0] = 0.15
     dropped = (body(pose, shape).vertices[0].double().numpy() - vertices)[:, 1]
     front = (x < 0.25 * unit) & (np.abs(vertices[:, 1] - mouth[1]) < 0.4 * unit)
     front &= vertices[:, 2] > mouth[2] - 0.3 * unit

@@ -75,7 +75,9 @@ def test_accessories_are_closed_and_move_stiffly_with_the_head(body, name):
     assert mesh.is_watertight and mesh.volume > 0
     index = np.unique(faces)
     pose = Pose.rest(1)
-    pose.jaw_pose[:, 0], pose.expression[:], pose.body_pose[:, 14 * 3 + 1] = 0.2, 0.7, 0.4
+    pose.expression[:] = 0.7
+    pose.rotations[:, JOINTS.index("jaw"), 0] = 0.2
+    pose.rotations[:, JOINTS.index("head"), 1] = 0.4
     moved = subject.posed(body, pose, folds=1.0)[0][index].astype(float)
     rest = subject.vertices[index].astype(float)
     pairs = np.random.default_rng(0).integers(len(index), size=(200, 2)).T

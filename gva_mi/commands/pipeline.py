@@ -30,7 +30,7 @@ from gva_mi.console import bar, say
 from gva_mi.data.fingerprint import require_same_body
 from gva_mi.data.pictures import read_image, write_image, write_movie
 from gva_mi.data.synthetic import SynthOptions, describe_noise, make_subject
-from gva_mi.data.synthetic.sheet import sheet as draw_sheet
+from gva_mi.data.synthetic.contact_sheet import contact_sheet as draw_sheet
 from gva_mi.data.video import Video, load_cameras, load_video
 from gva_mi.errors import InputError
 from gva_mi.files import write_json

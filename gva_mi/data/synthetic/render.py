@@ -1,4 +1,4 @@
-"""Pictures of a subject, with Mitsuba's rays, under light that stays while the person turns.
+"""Pictures of a subject by Mitsuba's rays, under lights that stay while the person turns.
 
 A pixel has S samples over its area, each a ray that misses, or hits the surface at x with normal n
 and albedo a:
@@ -22,8 +22,9 @@ from dataclasses import dataclass
 import drjit as dr
 import numpy as np
 
-from gva_mi.data.synthetic.subject import Subject, vertex_normals
-from gva_mi.data.synthetic.texture import Part, albedo, encode
+from gva_mi.data.synthetic.clothes.level_sets import vertex_normals
+from gva_mi.data.synthetic.subject import Subject
+from gva_mi.data.synthetic.texture import Material, albedo, encode
 from gva_mi.splat import Camera, look_at
 
 VARIANT = "llvm_ad_rgb"
@@ -51,7 +52,7 @@ SKY, EARTH = (0.58, 0.60, 0.63), (0.30, 0.29, 0.28)  # ambient radiance from abo
 
 
 @dataclass(frozen=True)
-class Picture:
+class Rendering:
     """What a camera sees of the subject."""
 
     color: np.ndarray  # (H, W, 3) float32 in [0, 1], sRGB-encoded, on white
@@ -76,17 +77,17 @@ class Renderer:
         self._params.update()
         self._scene = mi.load_dict({"type": "scene", "mesh": self._mesh})
         self._scene_params = mi.traverse(self._scene)
-        self._part = mi.UInt32(subject.part)
+        self._material = mi.UInt32(subject.material)
         self._rest = mi.Float(subject.vertices.ravel())
         self._tint = mi.Float(subject.tint.ravel())
         self._corner = self._params["faces"]
-        given_off = np.array([subject.look.mean_color(p) for p in Part])
+        given_off = np.array([subject.look.mean_color(p) for p in Material])
         self._given_off = mi.Float((0.55 * given_off).ravel().astype(np.float32))
-        dr.eval(self._part, self._rest, self._tint, self._given_off)
+        dr.eval(self._material, self._rest, self._tint, self._given_off)
 
     def __call__(
         self, vertices: np.ndarray, camera: Camera, samples: int = 16, seed: int = 0
-    ) -> Picture:
+    ) -> Rendering:
         """Draw it.
 
         Args:
@@ -122,7 +123,7 @@ class Renderer:
             image[window] = part
             return image
 
-        return Picture(
+        return Rendering(
             placed(color, 1.0), placed(mask, 0.0), placed(normal, 0.0), placed(mean[..., 6], 0.0)
         )
 
@@ -188,7 +189,7 @@ class Renderer:
         blend = lambda values: sum(
             dr.gather(mi.Vector3f, values, corner[k], active) * weight[k] for k in range(3)
         )
-        part = dr.gather(mi.UInt32, self._part, triangle, active)
+        part = dr.gather(mi.UInt32, self._material, triangle, active)
         return part, blend(self._rest), blend(self._tint), dr.normalize(blend(self._normals))
 
     def _direct(
@@ -231,7 +232,7 @@ class Renderer:
         direction = mi.Frame3f(n).to_world(local)
         pi = self._scene.ray_intersect_preliminary(mi.Ray3f(x, direction), active=active)
         blocked = pi.is_valid()
-        part = dr.gather(mi.UInt32, self._part, pi.prim_index, active & blocked)
+        part = dr.gather(mi.UInt32, self._material, pi.prim_index, active & blocked)
         given_off = dr.gather(mi.Color3f, self._given_off, part, active & blocked)
         sky = dr.lerp(mi.Color3f(*EARTH), mi.Color3f(*SKY), 0.5 + 0.5 * direction.y)
         return dr.select(blocked, given_off, sky)
@@ -284,9 +285,8 @@ def camera_around(
         elevation: how high it stands, radians.
     """
     points = surface.reshape(-1, 3)
-    points = points[:: max(1, len(points) // 50_000)].astype(
-        np.float64
-    )  # the margin holds the rest
+    # The margin makes room for the points that are left out.
+    points = points[:: max(1, len(points) // 50_000)].astype(np.float64)
     middle = (points.min(0) + points.max(0)) / 2
     flat = np.cos(elevation)
     away = np.array([np.sin(azimuth) * flat, np.sin(elevation), np.cos(azimuth) * flat])

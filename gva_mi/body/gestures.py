@@ -14,17 +14,17 @@ import numpy as np
 
 from gva_mi.body.pose import JOINTS
 
-Rotation = tuple[float, float, float]  # axis-angle, radians
+AxisAngle = tuple[float, float, float]  # axis-angle, radians
 
 FINGERS = ("index", "middle", "ring", "pinky")
 CURL = (1.35, 1.75, 1.15)  # rad at each joint of a finger that is curled into the palm
 SPREAD = (1.0, 0.25, -0.45, -1.0)  # share of each finger in a spread
 
-_STRAIGHT: tuple[Rotation, ...] = ((0, 0, 0), (0, 0, 0), (0, 0, 0))
-_RELAXED: tuple[Rotation, ...] = ((0.1, 0.2, -0.1), (0, 0.1, 0), (0, 0.1, 0))
-_FOLDED: tuple[Rotation, ...] = ((0.41, 0.27, -0.42), (0.16, 0.53, -0.10), (0.37, 1.12, -0.24))
-_TO_INDEX: tuple[Rotation, ...] = ((0.75, 0.15, -0.30), (0, 0.25, -0.05), (0, 0.35, -0.05))
-_UP: tuple[Rotation, ...] = ((-0.16, -0.37, 0.12), (-0.10, -0.36, 0.06), (-0.06, -0.20, 0.04))
+_STRAIGHT: tuple[AxisAngle, ...] = ((0, 0, 0), (0, 0, 0), (0, 0, 0))
+_RELAXED: tuple[AxisAngle, ...] = ((0.1, 0.2, -0.1), (0, 0.1, 0), (0, 0.1, 0))
+_FOLDED: tuple[AxisAngle, ...] = ((0.41, 0.27, -0.42), (0.16, 0.53, -0.10), (0.37, 1.12, -0.24))
+_TO_INDEX: tuple[AxisAngle, ...] = ((0.75, 0.15, -0.30), (0, 0.25, -0.05), (0, 0.35, -0.05))
+_UP: tuple[AxisAngle, ...] = ((-0.16, -0.37, 0.12), (-0.10, -0.36, 0.06), (-0.06, -0.20, 0.04))
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Gesture:
 
     curl: tuple[float, float, float, float]  # of each finger; 0 straight, 1 in the palm
     spread: float  # rad, of index and little finger from the middle
-    thumb: tuple[Rotation, ...]  # of its three joints
+    thumb: tuple[AxisAngle, ...]  # of its three joints
 
     @property
     def values(self) -> np.ndarray:

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from gva_mi.data.synthetic import garments
-from gva_mi.data.synthetic.garments import BodySurface, Grid, smax, smin, surface_of
+from gva_mi.data.synthetic.clothes import garments
+from gva_mi.data.synthetic.clothes.level_sets import BodySurface, VoxelGrid, smax, smin, surface_of
 
 RADIUS = 0.5
 
@@ -17,7 +17,7 @@ def surface(ball):
 
 @pytest.fixture(scope="module")
 def sampled(surface):
-    grid = Grid.around(np.full(3, -0.6), np.full(3, 0.6), 0.02)
+    grid = VoxelGrid.around(np.full(3, -0.6), np.full(3, 0.6), 0.02)
     return grid, surface.sample(grid)
 
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from gva_mi.body import gestures
+from gva_mi.body.gestures import FINGERS, GESTURES
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.body.smplx import load_body
-from gva_mi.data.synthetic import gestures
-from gva_mi.data.synthetic.gestures import FINGERS, GESTURES
 
 
 def rotations(name, side="left"):

@@ -1,4 +1,4 @@
-"""What hands do: gestures as joint rotations of SMPL-X's hands, relative to the flat hand.
+"""Gestures of the hands, as rotations of SMPL-X's joints relative to the flat hand.
 
 A finger curls by one angle c, its three joints by 1.35 c, 1.75 c and 1.15 c, so that c = 1 brings
 its tip to the palm. Fingers hinge about the hand's z axis and spread about its y axis; the thumb,
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gva_mi.body.pose import JOINTS
+from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND
 
 AxisAngle = tuple[float, float, float]  # axis-angle, radians
 
@@ -29,7 +29,7 @@ _UP: tuple[AxisAngle, ...] = ((-0.16, -0.37, 0.12), (-0.10, -0.36, 0.06), (-0.06
 
 @dataclass(frozen=True)
 class Gesture:
-    """One hand's shape; the left hand's, which the right one mirrors."""
+    """A shape of the left hand, which the right one mirrors."""
 
     curl: tuple[float, float, float, float]  # of each finger; 0 straight, 1 in the palm
     spread: float  # rad, of index and little finger from the middle
@@ -84,3 +84,11 @@ def put_hand(rotations: np.ndarray, side: str, values: np.ndarray) -> None:
     for knuckle in (1, 2, 3):
         joint = JOINTS.index(f"{side}_thumb{knuckle}")
         rotations[:, joint] = mirror * values[:, 2 + 3 * knuckle : 5 + 3 * knuckle]
+
+
+def hand_rotations(gesture: Gesture, side: str) -> dict[str, AxisAngle]:
+    """A gesture of the hand on one ``side`` as the rotations of its joints, by name."""
+    rotations = np.zeros((1, len(JOINTS), 3))
+    put_hand(rotations, side, gesture.values)
+    hand = LEFT_HAND if side == "left" else RIGHT_HAND
+    return {JOINTS[k]: tuple(rotations[0, k].tolist()) for k in range(hand.start, hand.stop)}

@@ -10,7 +10,7 @@ from gva_mi.body.puppet import PUPPET
 from gva_mi.body.smplx import load_body
 from gva_mi.data.pictures import write_image
 from gva_mi.errors import InputError
-from gva_mi.sculptor.portrait import sheet as draw_sheet
+from gva_mi.sculptor.portrait import pose_sheet as draw_sheet
 from gva_mi.sculptor.portrait import turntable
 
 

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from gva_mi.body import JOINTS, Pose, Shape, load_body
 from gva_mi.body.puppet import EXPRESSIONS, PUPPET, SHAPES
 from gva_mi.sculptor.sculpt import sculpt
-from gva_mi.sculptor.figure import EYE_RADIUS, joint_positions
+from gva_mi.sculptor.anatomy import EYE_RADIUS, joint_positions
 
 F64 = torch.float64
 

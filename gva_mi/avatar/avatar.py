@@ -45,9 +45,7 @@ class AvatarOptions:
 
     seed: SeedOptions = SeedOptions()
     residual: ResidualOptions = ResidualOptions()
-    hands: bool = (
-        True  # False: fingers stay as they are in the rest pose (the ablation of the paper)
-    )
+    hands: bool = True  # False: fingers stay as in the rest pose (an ablation of the paper)
 
 
 @dataclass(frozen=True)
@@ -68,7 +66,7 @@ class Animated:
     """An avatar in one pose."""
 
     gaussians: Gaussians  # in the world
-    residual: Tensor  # (N, 3) metres, rest pose: the MLP(theta) that Eq. 13 keeps small
+    residual: Tensor  # (N, 3) metres, rest pose: the MLP(theta) that Eq. 9 keeps small
 
 
 class Avatar(nn.Module):
@@ -141,14 +139,14 @@ class Avatar(nn.Module):
         return torch.cat([sh[:, :1], turn @ sh[:, 1:]], dim=1)
 
     def record(self) -> dict[str, Any]:
-        """All of it as tensors and strings, for a file or checkpoint; see :meth:`from_record`."""
+        """The avatar as tensors and strings, for a file or checkpoint; see :meth:`from_record`."""
         tensors = {name: value.detach().clone() for name, value in self.state_dict().items()}
         described = {"options": asdict(self.options), "parents": self._parents, "body": self._body}
         return {"format": FORMAT, "description": json.dumps(described), **tensors}
 
     @staticmethod
     def from_record(record: dict[str, Any]) -> Avatar:
-        """The avatar that wrote the record, to the bit."""
+        """The avatar that a record was made of, to the bit."""
         if record.get("format") != FORMAT:
             raise ValueError(f"Avatar: 'format' must be '{FORMAT}', got {record.get('format')!r}")
         described = json.loads(record["description"])

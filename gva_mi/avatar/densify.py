@@ -56,7 +56,12 @@ class Densified:
 
 
 class ScreenGradients:
-    """Collects, over many views, how much each Gaussian wants to move on the screen."""
+    """Sums, over many views, the length of the loss's gradient to each Gaussian's screen position.
+
+    Attributes:
+        total: (N,) the sum, per half image.
+        views: (N,) how many views showed each Gaussian.
+    """
 
     def __init__(self, count: int) -> None:
         self.total = torch.zeros(count)

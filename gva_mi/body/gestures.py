@@ -37,7 +37,7 @@ class Gesture:
 
     @property
     def values(self) -> np.ndarray:
-        """(14,) numbers that may be blended: curls, spread, thumb."""
+        """The gesture as (14,) numbers that may be blended: curls, spread, thumb."""
         return np.array([*self.curl, self.spread, *np.ravel(self.thumb)])
 
 

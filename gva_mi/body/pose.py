@@ -1,4 +1,4 @@
-"""What moves a body: ``Pose`` and ``Shape``, with SMPL-X's names and its order of joints."""
+"""What moves a body: ``Pose`` and ``Shape``, in SMPL-X's order of joints; files use its names."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ class Shape:
 def load_poses(path: Path) -> tuple[Pose, Shape]:
     """Read ``poses.npz``: SMPL-X's names, each (T, ...), and ``betas`` (B,).
 
-    Face and hands may be missing: they are then zero. Other keys are left alone.
+    Face and hands may be missing: they are then zero. Other keys are ignored.
 
     Raises:
         InputError: a missing key, a wrong shape or dtype, or a number that is not finite.
@@ -160,10 +160,10 @@ def save_poses(
 
 
 def load_offsets(path: Path, vertices: int) -> Tensor | None:
-    """The displacement (V, 3) in a file of poses; None where it holds none.
+    """The displacement (V, 3) of the rest surface in a file of poses, metres; None without one.
 
     Raises:
-        InputError: one for a body with another number of vertices, or not finite.
+        InputError: the displacement is not finite, or of another number of vertices.
     """
     data = read_arrays(path, "poses under SMPL-X's names (.npz)")
     if "offsets" not in data:

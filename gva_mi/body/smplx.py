@@ -114,14 +114,14 @@ class BodyModel(nn.Module):
         return self.frame_directions[len(self.pose_features) :]
 
     def on(self, vertices: Tensor, faces: Tensor) -> BodyModel:
-        """The same body on some of its vertices: every one moves as it does here.
+        """The same body with only some of its vertices, which move as they do here.
 
         Args:
-            vertices: (n,) which; joints do not change.
+            vertices: (n,) their numbers; the joints stay the same.
             faces: (F, 3) triangles between them, numbered from 0 to n - 1.
         """
         some = copy.copy(self)
-        some._buffers = dict(self._buffers)  # all that does not change is shared
+        some._buffers = dict(self._buffers)  # what does not change is shared
         some.v_template, some.weights = self.v_template[vertices], self.weights[vertices]
         some.faces = faces
         for name in ("shape_directions", "frame_directions"):
@@ -179,7 +179,7 @@ class BodyModel(nn.Module):
         features = (R[:, 1:] - torch.eye(3, dtype=R.dtype)).flatten(1)
         if len(self.pose_features) == features.shape[1]:
             return features
-        # They are distinct, so that their gradients do not collide.
+        # Each feature is taken once, so that the gradients of no two are added.
         return features[:, self.pose_features]
 
 
@@ -199,8 +199,7 @@ def load_body(path: Path | None = None, dtype: torch.dtype = torch.float32) -> B
 
 
 def _coefficients(name: str, values: Tensor, available: int) -> Tensor:
-    """Coefficients (T, K) cut to what the file has; missing ones count as zero by not being
-    there."""
+    """Coefficients (T, K) that the file has directions for; those beyond must be zero."""
     if values.shape[1] > available and bool((values[:, available:] != 0).any()):
         raise InputError(
             f"the pose or shape has {values.shape[1]} {name}, but the body file has {available}"

@@ -27,7 +27,7 @@ import numpy as np
 import torch
 
 from gva_mi.avatar.canonical import CanonicalGaussians
-from gva_mi.avatar.reinit import Surface
+from gva_mi.avatar.reinit import SurfaceMesh
 from gva_mi.errors import InputError
 from gva_mi.files import read_arrays, replacing, write_arrays, write_json
 from gva_mi.splat import Gaussians
@@ -95,7 +95,11 @@ def load_state(out: Path) -> dict[str, Any] | None:
 
 
 def save_snapshot(
-    out: Path, step: int, before: CanonicalGaussians, after: CanonicalGaussians, surface: Surface
+    out: Path,
+    step: int,
+    before: CanonicalGaussians,
+    after: CanonicalGaussians,
+    surface: SurfaceMesh,
 ) -> None:
     """Write the Gaussians on both sides of a re-initialisation, and the surface between them."""
     arrays = {"vertices": surface.vertices, "faces": surface.faces}

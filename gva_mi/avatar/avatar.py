@@ -41,7 +41,7 @@ _V = ((0.0, 0.0, -1.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
 
 @dataclass(frozen=True)
 class AvatarOptions:
-    """What an avatar is made of."""
+    """How an avatar is made."""
 
     seed: SeedOptions = SeedOptions()
     residual: ResidualOptions = ResidualOptions()
@@ -50,7 +50,7 @@ class AvatarOptions:
 
 @dataclass(frozen=True)
 class Rig:
-    """The rest body an avatar hangs on: skeleton, and the surface that lends its skinning."""
+    """The rest body of an avatar: its skeleton, and the surface that skinning weights come from."""
 
     joints: Tensor  # (55, 3) metres, rest pose
     parents: tuple[int, ...]  # 55, -1 for the root

@@ -34,7 +34,6 @@ from gva_mi.avatar.avatar import Avatar, Rig
 from gva_mi.avatar.canonical import (
     NEAREST_JOINTS,
     CanonicalGaussians,
-    SeedOptions,
     disc_log_scales,
     disc_quats,
     vertex_normals,
@@ -120,7 +119,7 @@ def reinitialise(
         with_fingers(surface, avatar.rig), options.count or len(G), options.curvature_gain, rng
     )
     on_surface = solid[torch.from_numpy(~floats)]
-    canonical = regaussian(G, on_surface, samples, avatar.rig, avatar.options.seed, options, rng)
+    canonical = regaussian(avatar, on_surface, samples, options, rng)
     return Reinitialised(canonical, surface, int(floats.sum()))
 
 
@@ -211,11 +210,9 @@ def resample(surface: SurfaceMesh, count: int, gain: float, rng: np.random.Gener
 
 
 def regaussian(
-    old: CanonicalGaussians,
+    avatar: Avatar,
     sources: Tensor,
     samples: Samples,
-    rig: Rig,
-    seed: SeedOptions,
     options: ReinitOptions,
     rng: np.random.Generator,
 ) -> CanonicalGaussians:
@@ -224,16 +221,16 @@ def regaussian(
     Opacity and colour are means over the K nearest sources, weighted by 1 / distance^2.
 
     Args:
-        old: the Gaussians so far.
-        sources: (M,) int64, which of them lie on the surface.
+        avatar: its Gaussians so far; skinning weights are those of its rest body, and its ``seed`` options give
+            the shape of a disc.
+        sources: (M,) int64, which of its Gaussians lie on the surface.
         samples: where the new ones go.
-        rig: the rest body, for the skinning weights.
-        seed: shape of a disc, as at the start.
         options: K, and how random a size is.
         rng: draws angles and sizes.
     """
     from scipy.spatial import cKDTree
 
+    old, rig = avatar.canonical, avatar.rig
     N, dtype = len(samples.points), old.means.dtype
     tensor = lambda array: torch.from_numpy(np.ascontiguousarray(array)).to(dtype)
     K = min(options.neighbours, len(sources))
@@ -251,7 +248,7 @@ def regaussian(
     return CanonicalGaussians(
         means=means,
         quats=_spin(disc_quats(tensor(samples.normals)), half),
-        log_scales=disc_log_scales(tensor(samples.spacing), seed) + jitter,
+        log_scales=disc_log_scales(tensor(samples.spacing), avatar.options.seed) + jitter,
         logit_opacities=torch.logit(opacities),
         sh=sh,
         weights=nearest_weights(means, rig.vertices, rig.weights, NEAREST_JOINTS),

@@ -4,7 +4,7 @@
 People       ``people``                     who it is: shape, colours, the cut of the clothes
              ``rest_body``                  the body below the clothes
              ``clothes/``                   what is worn, and how it moves with the body
-             ``texture``                    colours of skin, cloth and hair
+             ``texture``, ``color``         colours of skin, cloth and hair
              ``subject``                    all of it as one surface
 Motion       ``motion``                     what the video shows, and poses that it does not show
 Pictures     ``render``                     rays, light, and the camera

@@ -13,7 +13,8 @@ from typing import Literal
 
 import numpy as np
 
-from gva_mi.data.synthetic.texture import Color, Fabric, linear, palette
+from gva_mi.data.synthetic.color import Color, linear, palette
+from gva_mi.data.synthetic.texture import Fabric
 
 SKINS = [
     linear(*c)

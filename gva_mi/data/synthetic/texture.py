@@ -7,7 +7,6 @@ primaries.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Literal
@@ -15,7 +14,8 @@ from typing import Literal
 import drjit as dr
 import numpy as np
 
-Color = tuple[float, float, float]
+from gva_mi.data.synthetic.color import Color
+
 Point = tuple[float, float, float]
 Pattern = Literal["smooth", "plain", "stripes", "plaid", "dots", "print"]
 
@@ -328,21 +328,3 @@ def _hash(*lattice: dr.ArrayBase) -> dr.ArrayBase:
     h *= 0x297A2D39
     h ^= h >> 15
     return type(lattice[0])(h >> 8) * (1 / (1 << 24))
-
-
-def linear(*srgb: int) -> Color:
-    """An 8-bit sRGB colour as linear albedo."""
-    c = np.array(srgb, dtype=np.float64) / 255
-    return tuple(float(x) for x in np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4))
-
-
-def encode(linear_rgb: np.ndarray) -> np.ndarray:
-    """Linear light to sRGB's curve, [0, 1]."""
-    x = np.clip(linear_rgb, 0, 1)
-    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055).astype(np.float32)
-
-
-def palette(rng: np.random.Generator, colors: Sequence[Color]) -> Color:
-    """One of some colours, slightly varied."""
-    color = np.array(colors[rng.integers(len(colors))])
-    return tuple(float(c) for c in np.clip(color * rng.uniform(0.85, 1.15, 3), 0.01, 0.85))

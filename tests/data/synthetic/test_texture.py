@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from gva_mi.data.synthetic.texture import SkirtCone, albedo, linear
+from gva_mi.data.synthetic.color import linear
+from gva_mi.data.synthetic.texture import SkirtCone, albedo
 
 pytest.importorskip("mitsuba")
 CONE = SkirtCone(apex=(0.0, 1.2, 0.05), slope=0.35, aspect=1.0)

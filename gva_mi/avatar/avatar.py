@@ -130,6 +130,7 @@ class Avatar(nn.Module):
         return Animated(Gaussians(means, quats, G.scales, G.opacities, sh=sh), residual)
 
     def _turn_colors(self, sh: Tensor, T_world_rest: Tensor) -> Tensor:
+        """Spherical harmonics (N, K, 3) whose linear band follows the blended joints (eq. 4)."""
         if sh.shape[1] == 1:
             return sh
         # The change of basis is made for 55 joints, not for N Gaussians. Near a bent joint the

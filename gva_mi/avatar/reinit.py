@@ -221,8 +221,8 @@ def regaussian(
     Opacity and colour are means over the K nearest sources, weighted by 1 / distance^2.
 
     Args:
-        avatar: its Gaussians so far; skinning weights are those of its rest body, and its ``seed`` options give
-            the shape of a disc.
+        avatar: its Gaussians so far; its rest body has the skinning weights, and its ``seed``
+            options the shape of a disc.
         sources: (M,) int64, which of its Gaussians lie on the surface.
         samples: where the new ones go.
         options: K, and how random a size is.

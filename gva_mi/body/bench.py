@@ -105,6 +105,7 @@ def random_body(vertices: int, rng: np.random.Generator) -> BodyModel:
 
 
 def _batch(body: BodyModel, frames: int, repeats: int, generator: torch.Generator) -> Batch:
+    """Each stage apart, and the whole, for one number of frames."""
     normal = lambda *size: torch.randn(*size, generator=generator)
     leaf = lambda *size: (0.3 * normal(*size)).requires_grad_()
     rotations, transl, expression = leaf(frames, 55, 3), leaf(frames, 3), leaf(frames, 10)

@@ -67,6 +67,7 @@ def read_body(path: Path) -> dict[str, np.ndarray]:
 
 
 def _read(path: Path) -> dict[str, np.ndarray]:
+    """The arrays of the format, without the others that a file may hold."""
     try:
         file = np.load(path, allow_pickle=False)
     except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
@@ -95,6 +96,7 @@ def _read(path: Path) -> dict[str, np.ndarray]:
 
 
 def _check(path: Path, arrays: dict[str, np.ndarray]) -> Format:
+    """The format of a file all of whose arrays have the right shapes and values."""
     form = _format(path, arrays)
     missing = [key for key in _HANDS if key not in arrays and form is not SMPL]
     if missing:

@@ -75,15 +75,15 @@ def put_hand(rotations: np.ndarray, side: str, values: np.ndarray) -> None:
     """Write gestures' values (T, 14) or (14,) into rotations (T, 55, 3) of "left" or "right"."""
     mirror = np.array([1, 1, 1] if side == "left" else [1, -1, -1])
     values = np.atleast_2d(values)
+    curls, spread, thumb = values[:, :4], values[:, 4], values[:, 5:].reshape(-1, 3, 3)
     for k, finger in enumerate(FINGERS):
         for knuckle, angle in enumerate(CURL, start=1):
             joint = JOINTS.index(f"{side}_{finger}{knuckle}")
-            rotations[:, joint, 2] = -mirror[2] * angle * values[:, k]
+            rotations[:, joint, 2] = -mirror[2] * angle * curls[:, k]
         first = JOINTS.index(f"{side}_{finger}1")
-        rotations[:, first, 1] = -mirror[1] * SPREAD[k] * values[:, 4]
-    for knuckle in (1, 2, 3):
-        joint = JOINTS.index(f"{side}_thumb{knuckle}")
-        rotations[:, joint] = mirror * values[:, 2 + 3 * knuckle : 5 + 3 * knuckle]
+        rotations[:, first, 1] = -mirror[1] * SPREAD[k] * spread
+    for k in range(3):
+        rotations[:, JOINTS.index(f"{side}_thumb{k + 1}")] = mirror * thumb[:, k]
 
 
 def hand_rotations(gesture: Gesture, side: str) -> dict[str, AxisAngle]:

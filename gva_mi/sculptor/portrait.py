@@ -20,6 +20,7 @@ VARIANT = "llvm_ad_rgb"
 SKIN, SCLERA, IRIS = (0.66, 0.42, 0.32), (0.80, 0.79, 0.77), (0.05, 0.035, 0.025)  # linear albedo
 BACKGROUND = 0.85  # linear
 IRIS_ANGLE = 0.42  # radians from the direction of sight
+DISTANCE = 5.0  # of the camera, in heights of its view: far away, as a long lens shows it
 
 
 def turntable(body: BodyModel, *, views: int = 8, size: int = 400, samples: int = 64) -> np.ndarray:
@@ -84,6 +85,7 @@ class _PortraitRenderer:
         return self._body(pose, self._shape).vertices[0]
 
     def _mesh(self, vertices: np.ndarray) -> object:
+        """Vertices (V, 3) as Mitsuba's mesh, with the colours of skin and eyes."""
         import mitsuba as mi
 
         faces = self._body.faces.numpy()
@@ -127,9 +129,10 @@ def _framed(vertices: np.ndarray, portrait: Portrait, aspect: float) -> Viewpoin
 
 
 def _scene(mesh: object, view: Viewpoint, width: int, height: int) -> dict:
+    """Camera, lights and body as Mitsuba's dictionary."""
     import mitsuba as mi
 
-    distance = 5.0 * view.height  # from afar, as a long lens shows it
+    distance = DISTANCE * view.height
     flat = np.cos(view.elevation)
     away = [np.sin(view.azimuth) * flat, np.sin(view.elevation), np.cos(view.azimuth) * flat]
     target = np.array(view.target)
@@ -146,7 +149,7 @@ def _scene(mesh: object, view: Viewpoint, width: int, height: int) -> dict:
         "integrator": {"type": "path", "max_depth": 3, "hide_emitters": True},
         "sensor": {
             "type": "perspective",
-            "fov": float(np.degrees(2 * np.arctan(0.5 / 5.0))), "fov_axis": "y",
+            "fov": float(np.degrees(2 * np.arctan(0.5 / DISTANCE))), "fov_axis": "y",
             "to_world": mi.ScalarTransform4f().look_at(
                 (target + distance * np.array(away)).tolist(), target.tolist(), (0, 1, 0)
             ),

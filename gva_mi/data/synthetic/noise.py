@@ -213,12 +213,10 @@ def pose_error(
         true, true_shape: the truth.
         camera: tells who stands sideways.
     """
-    away = torch.cat(
-        [
-            (body(a, shape).vertices - body(b, true_shape).vertices).norm(dim=-1)
-            for a, b in zip(_chunks(pose), _chunks(true), strict=True)
-        ]
-    )
+    away = torch.cat([
+        (body(a, shape).vertices - body(b, true_shape).vertices).norm(dim=-1)
+        for a, b in zip(_chunks(pose), _chunks(true), strict=True)
+    ])  # fmt: skip
     weights = body.weights
     of = lambda *names: [JOINTS.index(f"{side}_{name}") for name in names for side in SIDES]
     hand = weights[:, LEFT_HAND.start :].sum(1) + weights[:, of("wrist")].sum(1) > 0.5
@@ -230,18 +228,23 @@ def pose_error(
     side, front = degrees[sideways > 0.87].mean(1), degrees[sideways < 0.5].mean(1)  # 30 degrees
     ratio = side.mean() / front.mean() if len(side) and len(front) and front.any() else 1.0
     millimetres = lambda x: float(1000 * x.double().mean())
-    lost = [
-        tuple(np.flatnonzero(np.abs(fingers - _mean_hand(name)).max((1, 2)) < 1e-5).tolist())
-        for name, fingers in (
-            ("left", pose.rotations[:, LEFT_HAND].numpy()),
-            ("right", pose.rotations[:, RIGHT_HAND].numpy()),
-        )
-    ]
+    lost = lambda hand, side: _lost(pose.rotations[:, hand].numpy(), side)
     return PoseError(
-        millimetres(away), millimetres(away[:, hand]), millimetres(away[:, foot]),
-        float(degrees.mean()), millimetres((pose.transl - true.transl).norm(dim=-1)),
-        float(ratio), *lost,
-    )  # fmt: skip
+        vertex_mm=millimetres(away),
+        hand_vertex_mm=millimetres(away[:, hand]),
+        foot_vertex_mm=millimetres(away[:, foot]),
+        rotation_deg=float(degrees.mean()),
+        transl_mm=millimetres((pose.transl - true.transl).norm(dim=-1)),
+        sideways=float(ratio),
+        lost_left_hand=lost(LEFT_HAND, "left"),
+        lost_right_hand=lost(RIGHT_HAND, "right"),
+    )
+
+
+def _lost(fingers: np.ndarray, side: str) -> tuple[int, ...]:
+    """The frames in which fingers (T, 15, 3) are those of the mean hand."""
+    off = np.abs(fingers - _mean_hand(side)).max((1, 2))
+    return tuple(np.flatnonzero(off < 1e-5).tolist())
 
 
 def _chunks(pose: Pose, frames: int = 32) -> list[Pose]:

@@ -13,17 +13,29 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, NamedTuple, get_args
 
+import drjit as dr
 import numpy as np
 
 CameraModel = Literal["pinhole", "ortho", "fisheye"]
 
 
+class CameraTensors(NamedTuple):
+    """The matrices of a camera that are to be differentiated, torch or Dr.Jit; None: it is not."""
+
+    T_camera_world: Any = None  # (4, 4)
+    K: Any = None  # (3, 3)
+
+
 @dataclass(frozen=True)
 class Camera:
-    """One view: intrinsics in pixels, a rigid pose, and the size of the image."""
+    """One view: intrinsics in pixels, a rigid pose, and the size of the image.
+
+    The numbers say what is seen. A camera made by :meth:`from_matrices` from tensors also keeps
+    these, and a renderer differentiates by them.
+    """
 
     fx: float  # focal length in x, pixels
     fy: float  # focal length in y, pixels
@@ -33,6 +45,7 @@ class Camera:
     width: int  # pixels
     height: int  # pixels
     model: CameraModel = "pinhole"
+    tensors: CameraTensors = field(default=CameraTensors(), repr=False, compare=False)
 
     def __post_init__(self) -> None:
         T = np.array(self.T_camera_world, dtype=np.float64)
@@ -56,24 +69,45 @@ class Camera:
             raise ValueError(f"Camera: focal lengths must be positive, got {self.fx}, {self.fy}")
         T.setflags(write=False)
         object.__setattr__(self, "T_camera_world", T)
+        for name, tensor in self.tensors._asdict().items():
+            number = getattr(self, name)
+            if tensor is not None and not np.allclose(_numbers(tensor), number, 1e-4, 1e-3):
+                raise ValueError(f"Camera: {name} differs from its tensor; use with_matrices")
 
     @staticmethod
     def from_matrices(
-        K: np.ndarray,
-        T_camera_world: np.ndarray,
+        K: Any,  # noqa: ANN401
+        T_camera_world: Any,  # noqa: ANN401
         width: int,
         height: int,
         model: CameraModel = "pinhole",
     ) -> Camera:
-        """A camera from its intrinsics ``K`` (3, 3) and its pose (4, 4)."""
-        K = np.asarray(K, dtype=np.float64)
-        if K.shape != (3, 3):
-            raise ValueError(f"Camera: K must be (3, 3), got {K.shape}")
-        fx, fy, cx, cy = (float(x) for x in (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
-        return Camera(fx, fy, cx, cy, T_camera_world, int(width), int(height), model)
+        """A camera from its intrinsics and its pose.
 
-    def with_matrices(self, T_camera_world: np.ndarray | None, K: np.ndarray | None) -> Camera:
+        Args:
+            K: (3, 3) intrinsics, px; numbers, or a torch or Dr.Jit tensor to differentiate by.
+            T_camera_world: (4, 4), rigid; numbers, or a tensor of the same kind.
+            width, height: of the image, px.
+            model: of the lens.
+        """
+        k = _numbers(K)
+        if k.shape != (3, 3):
+            raise ValueError(f"Camera: K must be (3, 3), got {k.shape}")
+        fx, fy, cx, cy = (float(x) for x in (k[0, 0], k[1, 1], k[0, 2], k[1, 2]))
+        T = _numbers(T_camera_world)
+        tensors = CameraTensors(*(x if _is_tensor(x) else None for x in (T_camera_world, K)))
+        return Camera(fx, fy, cx, cy, T, int(width), int(height), model, tensors)
+
+    def with_matrices(
+        self,
+        T_camera_world: Any = None,  # noqa: ANN401
+        K: Any = None,  # noqa: ANN401
+    ) -> Camera:
         """The same view with another pose (4, 4) or intrinsics (3, 3); None keeps its own."""
+        if T_camera_world is None:
+            T_camera_world = self.tensors.T_camera_world
+        if K is None:
+            K = self.tensors.K
         T_camera_world = self.T_camera_world if T_camera_world is None else T_camera_world
         K = self.K if K is None else K
         return Camera.from_matrices(K, T_camera_world, self.width, self.height, self.model)
@@ -92,6 +126,9 @@ class Camera:
     def resized(self, width: int, height: int) -> Camera:
         """The same view on another grid of pixels."""
         x, y = width / self.width, height / self.height
+        K = self.tensors.K
+        if K is not None:
+            K = K * _like(K, [[x, x, x], [y, y, y], [1, 1, 1]])
         return replace(
             self,
             fx=self.fx * x,
@@ -100,11 +137,16 @@ class Camera:
             cy=self.cy * y,
             width=width,
             height=height,
+            tensors=self.tensors._replace(K=K),
         )
 
     def cropped(self, left: int, top: int, width: int, height: int) -> Camera:
         """The part of the view that starts at pixel (left, top)."""
-        return replace(self, cx=self.cx - left, cy=self.cy - top, width=width, height=height)
+        K = self.tensors.K
+        if K is not None:
+            K = K - _like(K, [[0, 0, left], [0, 0, top], [0, 0, 0]])
+        cx, cy, tensors = self.cx - left, self.cy - top, self.tensors._replace(K=K)
+        return replace(self, cx=cx, cy=cy, width=width, height=height, tensors=tensors)
 
     def project(self, points: np.ndarray) -> np.ndarray:
         """World points (..., 3) to pixels (..., 2); of no use for a point behind the camera."""
@@ -131,3 +173,24 @@ def look_at(eye: np.ndarray, target: np.ndarray, up: np.ndarray = (0.0, 1.0, 0.0
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = R, -R @ eye
     return T
+
+
+def _is_tensor(matrix: Any) -> bool:  # noqa: ANN401
+    """Whether it can be differentiated by: torch is told by its method, not to import it here."""
+    return isinstance(matrix, dr.ArrayBase) or hasattr(matrix, "new_tensor")
+
+
+def _numbers(matrix: Any) -> np.ndarray:  # noqa: ANN401
+    """A matrix of any kind in float64, detached."""
+    if isinstance(matrix, dr.ArrayBase):
+        matrix = dr.detach(matrix).numpy()
+    elif hasattr(matrix, "new_tensor"):
+        matrix = matrix.detach().numpy()
+    return np.asarray(matrix, dtype=np.float64)
+
+
+def _like(tensor: Any, numbers: list[list[float]]) -> Any:  # noqa: ANN401
+    """Constants of the kind and precision of a tensor."""
+    if isinstance(tensor, dr.ArrayBase):
+        return type(tensor)(np.array(numbers, dtype=np.float64))
+    return tensor.new_tensor(numbers)

@@ -1,5 +1,7 @@
 """``render`` on Dr.Jit tensors: Gaussians and a camera make a picture.
 
+For those who have no torch in their program; ``gva_mi.splat.render`` is the one on torch tensors.
+
 Dr.Jit's autodiff goes both ways through it: ``dr.backward`` runs the adjoint kernels, and
 ``dr.forward`` the tangent ones.
 """
@@ -7,20 +9,22 @@ Dr.Jit's autodiff goes both ways through it: ``dr.backward`` runs the adjoint ke
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import fields
 
 import drjit as dr
 import numpy as np
 from drjit import ArrayBase as Array
 
-from gva_mi.splat.camera import Camera
+from gva_mi.splat.camera import Camera, CameraTensors
 from gva_mi.splat.gaussians import Gaussians, Image
+from gva_mi.splat.kernels.inputs import Inputs
 from gva_mi.splat.kernels.passes import render_adjoint, render_forward, render_tangent
-from gva_mi.splat.kernels.pixels import Planes
-from gva_mi.splat.kernels.project import Inputs
+from gva_mi.splat.kernels.planes import Planes
 from gva_mi.splat.kernels.tiles import Layout
 from gva_mi.splat.options import SplatOptions
 
 _DEFAULTS = SplatOptions()
+NAMES = tuple(field.name for field in fields(Inputs))
 
 
 def render(
@@ -29,8 +33,6 @@ def render(
     options: SplatOptions = _DEFAULTS,
     background: Array = None,
     *,
-    T_camera_world: Array = None,
-    K: Array = None,
     depth_limit: Array = None,
 ) -> Image:
     """The picture of ``gaussians`` from ``camera``.
@@ -38,14 +40,11 @@ def render(
     Args:
         gaussians: Dr.Jit tensors of one kind: ``TensorXf`` or ``TensorXf64`` from ``drjit.llvm`` or
             ``drjit.llvm.ad``. Shapes and units: :class:`Gaussians`. The precision is theirs.
-        camera: the view; any size of picture.
+        camera: the view; any size of picture. Made from tensors of the same kind, it is
+            differentiable: :meth:`Camera.from_matrices`.
         options: cut-offs.
         background: (D,) tensor of the same kind, the colour behind the Gaussians; None is black, as
             in gsplat.
-        T_camera_world: (4, 4) tensor of the same kind, rigid; takes the place of the camera's own,
-            and is differentiable.
-        K: (3, 3) tensor of the same kind; takes the place of the camera's own intrinsics, and is
-            differentiable.
         depth_limit: (H, W) tensor of the same kind, m along the camera's z: a pixel shows only the
             Gaussians whose means are nearer, as where an opaque surface stands. Infinity is none.
 
@@ -74,21 +73,19 @@ def render(
         background = dr.zeros(kind, shape=(D,))
     elif type(background) is not kind or tuple(background.shape) != (D,):
         raise ValueError(f"render(): background must be a {kind.__name__} of shape ({D},)")
-    for name, matrix, shape in (("T_camera_world", T_camera_world, (4, 4)), ("K", K, (3, 3))):
-        if matrix is not None and (type(matrix) is not kind or tuple(matrix.shape) != shape):
-            raise ValueError(f"render(): {name} must be a {kind.__name__} of shape {shape}")
+    for name, matrix in camera.tensors._asdict().items():
+        if matrix is not None and type(matrix) is not kind:
+            found = f"{kind.__name__}, got {type(matrix).__name__}"
+            raise ValueError(f"render(): the camera's {name} must be a {found}")
     shape = (camera.height, camera.width)
     if depth_limit is not None and (
         type(depth_limit) is not kind or tuple(depth_limit.shape) != shape
     ):
         raise ValueError(f"render(): depth_limit must be a {kind.__name__} of shape {shape}")
-    if T_camera_world is not None or K is not None:
-        matrices = (None if m is None else _numpy(m) for m in (T_camera_world, K))
-        camera = camera.with_matrices(*matrices)
     limit = None if depth_limit is None else dr.detach(depth_limit)
     constants = lambda: (gaussians.sh is not None, camera, options, limit)
     try:
-        images = dr.custom(_Render, *arrays.values(), background, T_camera_world, K, constants)
+        images = dr.custom(_Render, *arrays.values(), background, *camera.tensors, constants)
     except RuntimeError as error:  # dr.custom wraps what the checks within raise
         if isinstance(error.__cause__, ValueError):
             raise error.__cause__ from None
@@ -106,9 +103,7 @@ def _numpy(tensor: Array) -> np.ndarray:
 
 
 class _Render(dr.CustomOp):
-    """The two directions of pipeline.py, as Dr.Jit's autodiff wants them."""
-
-    NAMES = ("means", "quats", "scales", "opacities", "colors")
+    """The two directions of passes.py, as Dr.Jit's autodiff wants them."""
 
     def eval(
         self,
@@ -123,9 +118,9 @@ class _Render(dr.CustomOp):
         constants: Callable[[], tuple[bool, Camera, SplatOptions, Array]],
     ) -> tuple[Array, ...]:
         harmonics, camera, options, limit = constants()
-        parts = (means, quats, scales, opacities, colors)
+        parts = Inputs(means, quats, scales, opacities, colors)
         self.kind, self.shapes = type(means), [part.shape for part in parts]
-        given = {"T_camera_world": T_camera_world, "K": K}
+        given = CameraTensors(T_camera_world, K)._asdict()
         self.matrices = [name for name, matrix in given.items() if matrix is not None]
         inputs = Inputs(*(dr.detach(part.array, preserve_type=False) for part in parts))
         self.layout = Layout(camera.width, camera.height)
@@ -137,12 +132,12 @@ class _Render(dr.CustomOp):
     def backward(self) -> None:
         color, alpha, *depth = self.grad_out()
         grad = Planes(
-            self._plane(color, self.saved.channels),
+            self._plane(color, self.saved.plan.channels),
             self._plane(alpha),
             self._plane(depth[0]) if depth else None,
         )
         found = render_adjoint(self.saved, grad, camera=bool(self.matrices))
-        for name, shape in zip(self.NAMES, self.shapes, strict=True):
+        for name, shape in zip(NAMES, self.shapes, strict=True):
             flat = dr.array_t(self.kind)(getattr(found.inputs, name))
             self.set_grad_in(name, self.kind(flat, shape=shape))
         self.set_grad_in("background", self.kind(found.background))
@@ -153,7 +148,7 @@ class _Render(dr.CustomOp):
         flat = lambda name: dr.detach(self.grad_in(name).array, preserve_type=False)
         matrices = {"T_camera_world": np.zeros((4, 4)), "K": np.zeros((3, 3))}
         matrices |= {name: _numpy(self.grad_in(name)) for name in self.matrices}
-        tangents = Inputs(*(flat(name) for name in self.NAMES))
+        tangents = Inputs(*(flat(name) for name in NAMES))
         dr.make_opaque(tangents)
         planes = render_tangent(
             self.saved, tangents, *matrices.values(), _numpy(self.grad_in("background")).tolist()
@@ -161,7 +156,7 @@ class _Render(dr.CustomOp):
         self.set_grad_out(self._images(planes))
 
     def _images(self, planes: Planes) -> tuple[Array, ...]:
-        images = [self._image(planes.color, self.saved.channels), self._image(planes.alpha)]
+        images = [self._image(planes.color, self.saved.plan.channels), self._image(planes.alpha)]
         return tuple(images) if planes.depth is None else (*images, self._image(planes.depth))
 
     def _image(self, plane: Array, channels: int = 0) -> Array:

@@ -22,7 +22,8 @@ from torch import Tensor
 from gva_mi.splat.camera import Camera, CameraModel
 from gva_mi.splat.gaussians import Gaussians, Image, degree_of
 from gva_mi.splat.options import SplatOptions
-from gva_mi.splat.torch_op import Screen, expected_depth, render
+from gva_mi.splat.screen import Screen
+from gva_mi.splat.torch_op import expected_depth, render
 
 RenderMode = Literal["RGB", "D", "ED", "RGB+D", "RGB+ED"]
 RasterizeMode = Literal["classic", "antialiased"]
@@ -102,38 +103,25 @@ def rasterization(
         Colours, alphas, means2d and depths are differentiable; conics and, if antialiased,
         meta's opacities are not.
     """
-    given = {
-        "distributed": distributed,
-        "covars": covars is not None,
-        "with_ut": with_ut,
-        "with_eval3d": with_eval3d,
-        "radial_coeffs": radial_coeffs is not None,
-        "tangential_coeffs": tangential_coeffs is not None,
-        "thin_prism_coeffs": thin_prism_coeffs is not None,
-        "ftheta_coeffs": ftheta_coeffs is not None,
-        "rolling_shutter": getattr(rolling_shutter, "name", rolling_shutter)
-        not in (None, "GLOBAL"),
-        "viewmats_rs": viewmats_rs is not None,
-    }
-    for name, present in given.items():
-        if present:
-            raise ValueError(f"rasterization(): {name} is not supported here")
-    for name, value, known in (
-        ("render_mode", render_mode, get_args(RenderMode)),
-        ("rasterize_mode", rasterize_mode, get_args(RasterizeMode)),
-        ("camera_model", camera_model, get_args(CameraModel)),
-    ):
-        if value not in known:
-            found = f"{', '.join(known)}, got {value!r}"
-            raise ValueError(f"rasterization(): {name} must be one of {found}")
+    shutter = getattr(rolling_shutter, "name", rolling_shutter)
+    _refuse(
+        distributed=distributed,
+        covars=covars is not None,
+        with_ut=with_ut,
+        with_eval3d=with_eval3d,
+        radial_coeffs=radial_coeffs is not None,
+        tangential_coeffs=tangential_coeffs is not None,
+        thin_prism_coeffs=thin_prism_coeffs is not None,
+        ftheta_coeffs=ftheta_coeffs is not None,
+        rolling_shutter=shutter not in (None, "GLOBAL"),
+        viewmats_rs=viewmats_rs is not None,
+    )
+    _require_one_of("render_mode", render_mode, RenderMode)
+    _require_one_of("rasterize_mode", rasterize_mode, RasterizeMode)
+    _require_one_of("camera_model", camera_model, CameraModel)
     colors = _colors_by_camera(means, colors, viewmats, Ks, sh_degree, render_mode)
-    C, N = len(viewmats), len(means)
     channels = 3 if sh_degree is not None else colors[0].shape[-1]
-    if backgrounds is not None and tuple(backgrounds.shape) != (C, channels):
-        if "RGB" in render_mode:
-            found = f"({C}, {channels}), got {tuple(backgrounds.shape)}"
-            raise ValueError(f"rasterization(): backgrounds must be (C, D) = {found}")
-
+    behind = _backgrounds_by_camera(backgrounds, len(viewmats), channels, render_mode)
     options = SplatOptions(
         blur=eps2d,
         near=near_plane,
@@ -146,17 +134,14 @@ def rasterization(
     means2d = _in_pictures(x, Ks, camera_model, near_plane)
     kind = "sh" if sh_degree is not None else "colors"
     pictures, screens = [], []
-    for c in range(C):
-        K, T = Ks[c].detach().double().numpy(), viewmats[c].detach().double().numpy()
+    for c in range(len(viewmats)):
         screen = Screen(absolute=absgrad)
         image = render(
             Gaussians(means, quats, scales, opacities, **{kind: colors[c]}),
-            Camera.from_matrices(K, T, width, height, camera_model),
+            Camera.from_matrices(Ks[c], viewmats[c], width, height, camera_model),
             options,
-            backgrounds[c] if backgrounds is not None and "RGB" in render_mode else None,
+            behind[c],
             screen,
-            T_camera_world=viewmats[c],
-            K=Ks[c],
             means2d=means2d[c],
         )
         pictures.append(_channels(image, render_mode))
@@ -165,22 +150,50 @@ def rasterization(
         _attach_absgrad(means2d, screens)
     colors_out = torch.stack([color for color, _ in pictures])
     alphas = torch.stack([alpha[..., None] for _, alpha in pictures])
-    drawn = opacities.expand(C, N)
+    drawn = opacities.expand(len(viewmats), len(means))
     if options.antialiased:
         drawn = torch.stack([screen.opacities for screen in screens])
-    meta = {
-        "camera_ids": None,
-        "gaussian_ids": None,
-        "radii": torch.stack([_radii(screen, width, height) for screen in screens]),
-        "means2d": means2d,
-        "depths": x[..., 2],
-        "conics": torch.stack([screen.conics for screen in screens]),
-        "opacities": drawn,
-        "width": width,
-        "height": height,
-        "n_cameras": C,
-    }
-    return colors_out, alphas, meta
+    size = {"width": width, "height": height}
+    return (
+        colors_out,
+        alphas,
+        size
+        | {
+            "camera_ids": None,
+            "gaussian_ids": None,
+            "radii": torch.stack([_radii(screen, width, height) for screen in screens]),
+            "means2d": means2d,
+            "depths": x[..., 2],
+            "conics": torch.stack([screen.conics for screen in screens]),
+            "opacities": drawn,
+            "n_cameras": len(viewmats),
+        },
+    )
+
+
+def _refuse(**given: bool) -> None:
+    """Name the first argument that was given and is not supported."""
+    for name, present in given.items():
+        if present:
+            raise ValueError(f"rasterization(): {name} is not supported here")
+
+
+def _require_one_of(name: str, value: str, known: Any) -> None:  # noqa: ANN401 (a Literal)
+    if value not in get_args(known):
+        found = f"{', '.join(get_args(known))}, got {value!r}"
+        raise ValueError(f"rasterization(): {name} must be one of {found}")
+
+
+def _backgrounds_by_camera(
+    backgrounds: Tensor | None, C: int, channels: int, mode: RenderMode
+) -> list[Tensor | None]:
+    """The background of each camera; none where no colours are made."""
+    if backgrounds is None or "RGB" not in mode:
+        return [None] * C
+    if tuple(backgrounds.shape) != (C, channels):
+        found = f"({C}, {channels}), got {tuple(backgrounds.shape)}"
+        raise ValueError(f"rasterization(): backgrounds must be (C, D) = {found}")
+    return list(backgrounds)
 
 
 def _channels(image: Image, mode: RenderMode) -> tuple[Tensor, Tensor]:

@@ -28,24 +28,19 @@ def render(
     options: SplatOptions | None = None,
     background: Tensor | None = None,
     *,
-    T_camera_world: Tensor | None = None,
-    K: Tensor | None = None,
     depth_limit: Tensor | None = None,
 ) -> Image:
     """What ``torch_op.render`` shall return, to the precision of float64.
 
     Args:
         gaussians: torch tensors of any precision; computed in float64, differentiable.
-        camera: the view.
+        camera: the view; differentiable where it is made from tensors.
         options: cut-offs.
         background: (D,), black where None.
-        T_camera_world: (4, 4), in the place of the camera's own; differentiable.
-        K: (3, 3), in the place of the camera's own; differentiable.
         depth_limit: (H, W), m along the camera's z; a pixel shows what is nearer.
     """
-    matrices = _matrices(camera, T_camera_world, K)
     options = options or SplatOptions()
-    return _render(gaussians, camera, options, background, *matrices, depth_limit)[0]
+    return _render(gaussians, camera, options, background, depth_limit)[0]
 
 
 def threshold_band(
@@ -70,8 +65,7 @@ def threshold_band(
             places.
     """
     with torch.no_grad():
-        matrices = _matrices(camera, None, None)
-        margins = _render(gaussians, camera, options or SplatOptions(), None, *matrices)[1]
+        margins = _render(gaussians, camera, options or SplatOptions(), None)[1]
     return (margins.alpha < alpha) | (margins.rest < transmittance) | (margins.depth < depth)
 
 
@@ -84,7 +78,9 @@ class _Margins:
     depth: Tensor  # between neighbours in depth
 
 
-def _matrices(camera: Camera, T: Tensor | None, K: Tensor | None) -> tuple[Tensor, Tensor]:
+def _matrices(camera: Camera) -> tuple[Tensor, Tensor]:
+    """T_camera_world (4, 4) and K (3, 3), float64: the camera's tensors where it has some."""
+    T, K = camera.tensors
     T = torch.tensor(camera.T_camera_world) if T is None else T.to(torch.float64)
     return T, torch.tensor(camera.K) if K is None else K.to(torch.float64)
 
@@ -94,10 +90,9 @@ def _render(
     camera: Camera,
     options: SplatOptions,
     background: Tensor | None,
-    T_camera_world: Tensor,
-    K: Tensor,
     depth_limit: Tensor | None = None,
 ) -> tuple[Image, _Margins]:
+    T_camera_world, K = _matrices(camera)
     to64 = lambda t: t.to(torch.float64)
     means, quats, scales, opacities = map(
         to64, (gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities)

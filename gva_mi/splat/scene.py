@@ -12,7 +12,7 @@ import torch
 from torch import Generator, Tensor
 
 from gva_mi.errors import InputError
-from gva_mi.splat.camera import Camera, CameraModel, look_at
+from gva_mi.splat.camera import Camera, CameraModel, CameraTensors, look_at
 from gva_mi.splat.gaussians import Gaussians
 from gva_mi.splat.options import SplatOptions
 
@@ -24,11 +24,9 @@ class Scene:
     """Everything a picture is made of."""
 
     gaussians: Gaussians  # float64 torch tensors
-    camera: Camera
+    camera: Camera  # of float64 torch tensors, where it is to be differentiated too
     background: Tensor  # (D,) float64
     options: SplatOptions = SplatOptions()
-    T_camera_world: Tensor | None = None  # (4, 4) and (3, 3) float64: the camera's own matrices
-    K: Tensor | None = None  # as tensors, where they are to be differentiated too
 
     @staticmethod
     def of(
@@ -79,24 +77,21 @@ class Scene:
 
     def inputs(self) -> dict[str, Tensor]:
         """What is differentiated, by name."""
-        named = self.gaussians.arrays() | {"background": self.background}
-        return named | self.matrices()
-
-    def matrices(self) -> dict[str, Tensor]:
-        """The camera's inputs, where it has any."""
-        named = {"T_camera_world": self.T_camera_world, "K": self.K}
-        return {k: v for k, v in named.items() if v is not None}
+        matrices = {k: v for k, v in self.camera.tensors._asdict().items() if v is not None}
+        return self.gaussians.arrays() | {"background": self.background} | matrices
 
     def with_camera_inputs(self) -> Scene:
         """The same scene, whose camera is to be differentiated too."""
-        T, K = np.array(self.camera.T_camera_world), self.camera.K
-        return replace(self, T_camera_world=torch.from_numpy(T), K=torch.from_numpy(K))
+        T, K = (torch.tensor(matrix) for matrix in (self.camera.T_camera_world, self.camera.K))
+        return replace(self, camera=self.camera.with_matrices(T, K))
 
     def with_inputs(self, inputs: dict[str, Tensor]) -> Scene:
         """The same scene with other tensors."""
         inputs = dict(inputs)
-        camera = {k: inputs.pop(k) for k in ("background", "T_camera_world", "K") if k in inputs}
-        return replace(self, gaussians=Gaussians(**inputs), **camera)
+        background = inputs.pop("background")
+        matrices = {k: inputs.pop(k) for k in CameraTensors._fields if k in inputs}
+        camera = self.camera.with_matrices(**matrices) if matrices else self.camera
+        return replace(self, gaussians=Gaussians(**inputs), background=background, camera=camera)
 
     def to(self, dtype: torch.dtype) -> Scene:
         """The same scene in another precision, detached and ready for gradients."""
@@ -107,10 +102,11 @@ class Scene:
         """The same scene with every number as float32 holds it, the camera's too."""
         round32 = lambda x: np.asarray(x, dtype=np.float32).astype(np.float64)
         c = self.camera
-        numbers = {k: float(round32(getattr(c, k))) for k in ("fx", "fy", "cx", "cy")}
-        camera = replace(c, T_camera_world=round32(c.T_camera_world), **numbers)
-        scene = replace(self.to(torch.float32).to(torch.float64), camera=camera)
-        return scene.with_camera_inputs() if self.matrices() else scene
+        rounded = self.to(torch.float32).to(torch.float64)
+        if any(matrix is not None for matrix in c.tensors):
+            return rounded
+        camera = c.with_matrices(round32(c.T_camera_world), round32(c.K))
+        return replace(rounded, camera=camera)
 
     def window(self, left: int, top: int, width: int, height: int) -> Scene:
         """A part of the picture as a scene of its own, without the Gaussians that miss it."""

@@ -172,10 +172,7 @@ class GaussianSplat(mi.ad.integrators.common.ADIntegrator):
         if view.camera.model == "ortho":
             gaussians = seen_along(gaussians, view.axis)
         options = replace(self.options, near=view.near, far=view.far)
-        matrices = {}
-        if dr.grad_enabled(view.T_camera_world, view.K):
-            matrices = {"T_camera_world": view.T_camera_world, "K": view.K}
-        return render(gaussians, view.camera, options, background, depth_limit=limit, **matrices)
+        return render(gaussians, view.camera, options, background, depth_limit=limit)
 
     def _to_primitives(self, color: mi.TensorXf) -> mi.TensorXf:
         """Linear colours in the space of the primitives'."""

@@ -25,11 +25,10 @@ RIGID = 1e-4  # by how much R may fail to be orthonormal
 
 @dataclass(frozen=True)
 class SensorView:
-    """What a sensor sees: the numbers, and the same attached to the sensor's parameters."""
+    """What a sensor sees."""
 
-    camera: Camera
-    T_camera_world: mi.TensorXf  # (4, 4), attached to to_world
-    K: mi.TensorXf  # (3, 3), attached to x_fov and the offsets, or to to_world's scale
+    camera: Camera  # holds tensors, attached to the sensor's parameters, where one has a gradient
+    axis: list[mi.Float]  # where the sensor looks: a unit vector of the world
     near: float  # m
     far: float  # m
 
@@ -66,18 +65,15 @@ class SensorView:
         K = _tensor([[f[0], 0, c[0]], [0, f[1], c[1]], [0, 0, 1]])
 
         dr.eval(T, K, s)
-        matrices = [dr.detach(x).numpy().astype(np.float64) for x in (K, T)]
-        rotation = matrices[1][:3, :3]
+        attached = dr.grad_enabled(T, K)
+        matrices = (K, T) if attached else (dr.detach(x).numpy() for x in (K, T))
+        rotation = dr.detach(T).numpy().astype(np.float64)[:3, :3]
         if not np.allclose(rotation @ rotation.T, np.eye(3), atol=RIGID):
             raise ValueError("gaussian_splat: the sensor's to_world must not be sheared")
         camera = Camera.from_matrices(*matrices, *film.crop_size(), model)
+        axis = [dr.gather(mi.Float, T.array, 8 + j) for j in range(3)]
         along_z = float(dr.detach(s.z)[0])
-        return SensorView(camera, T, K, along_z * sensor.near_clip(), along_z * sensor.far_clip())
-
-    @property
-    def axis(self) -> list[mi.Float]:
-        """Where the sensor looks: a unit vector of the world."""
-        return [dr.gather(mi.Float, self.T_camera_world.array, 8 + j) for j in range(3)]
+        return SensorView(camera, axis, along_z * sensor.near_clip(), along_z * sensor.far_clip())
 
 
 def _tensor(rows: list[list[mi.Float | float]]) -> mi.TensorXf:

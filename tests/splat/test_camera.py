@@ -1,7 +1,10 @@
 """Cameras: where points fall by each model, and what the door refuses."""
 
+import drjit as dr
 import numpy as np
 import pytest
+import torch
+from drjit.llvm.ad import TensorXf64
 
 from gva_mi.splat.camera import Camera, look_at
 
@@ -61,3 +64,32 @@ def test_position_is_what_the_pose_takes_to_the_origin():
 def test_wrong_arguments_are_named(message, change):
     with pytest.raises(ValueError, match=message):
         camera(**change)
+
+
+def part_of(view, change):
+    return view.resized(32, 36) if change == "resized" else view.cropped(7, -3, 20, 30)
+
+
+@pytest.mark.parametrize("change", ["resized", "cropped"])
+@pytest.mark.parametrize("kind", ["torch", "drjit"])
+def test_what_a_camera_is_made_from_goes_with_it(change, kind):
+    """The tensors of a part of the view are its numbers, differentiable by the whole's."""
+    c = camera()
+    K = torch.tensor(c.K, requires_grad=True) if kind == "torch" else TensorXf64(c.K)
+    dr.enable_grad(K) if kind == "drjit" else None
+    part = part_of(c.with_matrices(K=K), change)
+    np.testing.assert_allclose(
+        part.tensors.K.detach().numpy() if kind == "torch" else dr.detach(part.tensors.K).numpy(),
+        part_of(c, change).K,
+        rtol=1e-15,
+    )
+    if kind == "torch":
+        (grad,) = torch.autograd.grad(part.tensors.K.sum(), K)
+    else:
+        dr.backward(dr.sum(part.tensors.K))
+        grad = dr.grad(K)
+    expected = np.ones((3, 3))
+    if change == "resized":
+        expected[0], expected[1] = 32 / 64, 36 / 48
+    np.testing.assert_allclose(grad.numpy(), expected)
+    assert part.tensors.T_camera_world is None

@@ -57,7 +57,7 @@ def made(name, dtype=torch.float64, **kwargs):
 
 
 def draw(s):
-    return render(s.gaussians, s.camera, s.options, s.background, **s.matrices())
+    return render(s.gaussians, s.camera, s.options, s.background)
 
 
 @pytest.mark.parametrize("name", SCENES)

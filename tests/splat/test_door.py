@@ -73,15 +73,26 @@ def test_cameras_tensors_are_checked():
     for name, tensor, message in (
         ("T_camera_world", T * float("nan"), "must be rigid: finite"),
         ("T_camera_world", 1.1 * T, "must be rigid: finite"),
-        ("T_camera_world", T[:3], r"T_camera_world must be a tensor of shape \(4, 4\)"),
+        ("T_camera_world", T[:3], r"T_camera_world must be \(4, 4\), got \(3, 4\)"),
         ("K", K * float("inf"), "fx, fy, cx, cy must be finite"),
         ("K", -K, "focal lengths must be positive"),
         ("K", K.float(), "K must be torch.float64"),
-        ("K", s.camera.K, r"K must be a tensor of shape \(3, 3\), got ndarray"),
-        ("means2d", K, r"means2d must be a tensor of shape \(40, 2\)"),
+        ("K", K[0], r"K must be \(3, 3\), got \(3,\)"),
+        ("K", TensorXf64(s.camera.K), r"K must be a tensor of shape \(3, 3\), got TensorXf64"),
     ):
         with pytest.raises(ValueError, match=message):
-            draw(s, **{name: tensor})
+            draw(replace(s, camera=s.camera.with_matrices(**{name: tensor})))
+    with pytest.raises(ValueError, match=r"means2d must be a tensor of shape \(40, 2\)"):
+        draw(s, means2d=K)
+    native_view = s.camera.with_matrices(K=K)
+    with pytest.raises(ValueError, match="the camera's K must be a TensorXf64, got Tensor"):
+        draw_drjit(replace(s, camera=native_view))
+
+
+def test_a_cameras_numbers_and_tensors_agree():
+    s = scene().with_camera_inputs()
+    with pytest.raises(ValueError, match="K differs from its tensor; use with_matrices"):
+        replace(s.camera, fx=2 * s.camera.fx)
 
 
 CAMERA = scene().camera

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 import torch
 
+from gva_mi.splat import Screen, render
 from gva_mi.splat.camera import look_at
 from gva_mi.splat.gradcheck import random_scene
-from gva_mi.splat.torch_op import Screen, render
 
 
 def resident() -> int:

@@ -42,7 +42,8 @@ def case(model, antialiased=False, **kwargs):
         inputs = dict(inputs)
         matrices = {k: inputs.pop(k) for k in ("T_camera_world", "K")}
         moved = s.with_inputs(inputs)
-        image = draw(moved.gaussians, camera, options, moved.background, **matrices)
+        view = camera.with_matrices(**matrices)
+        image = draw(moved.gaussians, view, options, moved.background)
         return image.color, image.alpha, image.depth
 
     return inputs, images
@@ -162,8 +163,10 @@ def test_drjit_agrees_in_both_directions():
     values |= {"T_camera_world": s.camera.T_camera_world.copy(), "K": s.camera.K}
 
     def draw(tensors):
-        matrices = {k: tensors.pop(k) for k in ("background", "T_camera_world", "K")}
-        image = native(Gaussians(**tensors), s.camera, **matrices)
+        matrices = {k: tensors.pop(k) for k in ("T_camera_world", "K")}
+        background = tensors.pop("background")
+        view = s.camera.with_matrices(**matrices)
+        image = native(Gaussians(**tensors), view, background=background)
         return image.color, image.alpha, image.depth
 
     leaves = {k: kind(v) for k, v in values.items()}

@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.splat import reference
+from gva_mi.splat import Screen, reference, render
 from gva_mi.splat.gradcheck import random_scene
-from gva_mi.splat.kernels import passes as pipeline
+from gva_mi.splat.kernels import passes
 from gva_mi.splat.kernels.blend import blend, blend_adjoint
-from gva_mi.splat.torch_op import Screen, render
 
 
 def scene(seed=0, **kwargs):
@@ -234,7 +233,8 @@ def test_the_cameras_gradients_have_the_same_bits_on_any_threads():
             T = torch.tensor(s.camera.T_camera_world, dtype=torch.float32).requires_grad_()
             K = torch.tensor(s.camera.K, dtype=torch.float32).requires_grad_()
             screen = Screen(absolute=True)
-            draw(s, T_camera_world=T, K=K, screen=screen).color.square().sum().backward()
+            seen = replace(s, camera=s.camera.with_matrices(T, K))
+            draw(seen, screen=screen).color.square().sum().backward()
             found.append([x.numpy().tobytes() for x in (T.grad, K.grad, screen.absgrad)])
     finally:
         dr.set_thread_count(threads)
@@ -259,7 +259,7 @@ def test_other_sizes_and_poses_compile_nothing():
 
 
 def test_sizes_seen_before_are_not_traced_again():
-    frozen = (blend, blend_adjoint, pipeline._project, pipeline._gaussians_adjoint)
+    frozen = (blend, blend_adjoint, passes._project, passes._gaussians_adjoint)
     draw_all_sizes()
     before = [function.n_recordings for function in frozen]
     draw_all_sizes()
@@ -269,5 +269,5 @@ def test_sizes_seen_before_are_not_traced_again():
 def test_bits_are_those_of_memory_given_where_kernels_allocate_for_themselves(monkeypatch):
     s = scene(gaussians=300).to(torch.float32)
     given = bits(s)
-    monkeypatch.setattr(pipeline, "MANY", 1)
+    monkeypatch.setattr(passes, "MANY", 1)
     assert bits(s) == given

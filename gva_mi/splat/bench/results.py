@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
@@ -12,9 +12,9 @@ from gva_mi.splat.bench import gsplat_peer, machine
 from gva_mi.splat.bench.compiles import Compiled, measure_compiles
 from gva_mi.splat.bench.growth import HARD, Growth, growing, hard_scenes, measure_growth
 from gva_mi.splat.bench.moving import Moving, measure_moving
-from gva_mi.splat.bench.stages import Stage, measure_stages
+from gva_mi.splat.bench.stages import StageCost, measure_stages
 from gva_mi.splat.bench.timing import Timing, Work, pairs_of, repeated, walked_of
-from gva_mi.splat.kernels.blend import PIXELS
+from gva_mi.splat.kernels.pixel import PIXELS
 from gva_mi.splat.scene import Scene, person_scene
 
 
@@ -50,7 +50,7 @@ class Bench:
     forward: Timing
     both: Timing  # forward and backward, through torch
     pairs_per_second: float  # pixels of walked pairs, forward
-    stages: tuple[Stage, ...]
+    stages: tuple[StageCost, ...]
     compiles: tuple[Compiled, ...]
     moving: Moving
     gsplat: Timing | None  # its torch reference on the CPU, forward and backward
@@ -132,7 +132,7 @@ def bench(
     tell()
     moving = measure_moving(work, options.calls)
     tell()
-    few = max(2, options.repeats // 5)
+    few = max(2, options.repeats // 5)  # calls of what takes long
     peer = None if options.no_gsplat else gsplat_peer.time_step(work.scene, few)
     gsplat = None if peer is None else Timing.of(peer)
     ours = None if peer is None else repeated(_without_depth(work).both, options.repeats)
@@ -141,11 +141,7 @@ def bench(
     for n, size in sizes:
         growth.append(measure_growth("a person", person(n, size), few))
         tell()
-    found = []
-    for name, (make, plain) in zip(HARD, hard, strict=False):
-        base = measure_growth(f"{name}: plain", plain(), few)
-        found += [base, measure_growth(name, make(), few).beside(base)]
-        tell()
+    found = _beside_plain_ones(hard, few, tell)
     saved = work.saved()
     walked = walked_of(saved)
     composite = next(stage for stage in stages if stage.name == "composite").time.least
@@ -165,8 +161,22 @@ def bench(
         gsplat=gsplat,
         gsplat_ratio=None if ours is None else gsplat.least / ours.least,
         growth=tuple(growth),
-        hard=tuple(found),
+        hard=found,
     )
+
+
+def _beside_plain_ones(
+    hard: Sequence[tuple[Callable[[], Scene], Callable[[], Scene]]],
+    calls: int,
+    tell: Callable[[], None],
+) -> tuple[Growth, ...]:
+    """Each hard scene, after the plain one that it is compared with."""
+    found = []
+    for name, (make, plain) in zip(HARD, hard, strict=False):
+        base = measure_growth(f"{name}: plain", plain(), calls)
+        found += [base, measure_growth(name, make(), calls).beside(base)]
+        tell()
+    return tuple(found)
 
 
 def _without_depth(work: Work) -> Work:

@@ -1,4 +1,4 @@
-"""Each step of the pipeline: its time, and its shares of what the machine can do.
+"""Each step of passes.py: its time, and its shares of what the machine can do.
 
 The work of a stage is counted, not sampled:
 
@@ -25,24 +25,23 @@ import drjit as dr
 
 from gva_mi.splat.bench.machine import Limits
 from gva_mi.splat.bench.timing import Timing, Work, pairs_of, walked_of
-from gva_mi.splat.kernels import passes as pipeline
-from gva_mi.splat.kernels import tiles
+from gva_mi.splat.kernels import passes, tiles
 from gva_mi.splat.kernels.blend import UNROLL
-from gva_mi.splat.kernels.project import GEOMETRY, MOMENTS
+from gva_mi.splat.kernels.records import Footprint, Format, Slot, Splat
 
 STAGES: dict[str, tuple[ModuleType, str]] = {  # a stage's name, and the function that is it
-    "project": (pipeline, "_project"),
+    "project": (passes, "_project"),
     "tile lists": (tiles, "make_lists"),
-    "composite": (pipeline, "blend"),
-    "composite, adjoint": (pipeline, "blend_adjoint"),
-    "sum and project, adjoint": (pipeline, "_gaussians_adjoint"),
+    "composite": (passes, "blend"),
+    "composite, adjoint": (passes, "blend_adjoint"),
+    "sum and project, adjoint": (passes, "_gaussians_adjoint"),
 }
 COUNTED = ("composite", "composite, adjoint")  # whose operations are counted
 
 
 @dataclass(frozen=True)
-class Stage:
-    """One step of the pipeline."""
+class StageCost:
+    """One step of passes.py."""
 
     name: str
     time: Timing
@@ -52,7 +51,7 @@ class Stage:
     share_bytes: float
 
 
-def measure_stages(work: Work, repeats: int, limits: Limits) -> Iterator[Stage]:
+def measure_stages(work: Work, repeats: int, limits: Limits) -> Iterator[StageCost]:
     """Every stage of ``repeats`` forward and backward passes."""
     counted: dict[str, int] = {}
     with _around_stages(_count(counted)), dr.scoped_set_flag(dr.JitFlag.KernelHistory):
@@ -68,7 +67,7 @@ def measure_stages(work: Work, repeats: int, limits: Limits) -> Iterator[Stage]:
         rate = 1e-6 / timing.least  # 1e9 per second, for each of the work's units
         flops = turns * counted[name] * rate if name in COUNTED else None
         share = None if flops is None else flops / limits.gflops
-        yield Stage(name, timing, flops, moved * rate, share, moved * rate / limits.gigabytes)
+        yield StageCost(name, timing, flops, moved * rate, share, moved * rate / limits.gigabytes)
 
 
 def _clock(times: dict[str, list[float]]) -> Callable[[str, Callable[[], object]], object]:
@@ -132,11 +131,12 @@ def _bytes(work: Work) -> dict[str, int]:
     pairs, walked = pairs_of(saved), walked_of(saved)
     pixels = math.prod(saved.layout.padded)
     inputs = sum(v.numel() for v in scene.gaussians.arrays().values())
-    row, slot, picture, trail = GEOMETRY + D + 1, MOMENTS + D, D + 2, 2
+    row, slot = Splat.columns(Format(D, depth=True)), Slot.columns(Format(D, depth=False))
+    footprint, picture, trail = Footprint.columns(), D + 2, 2
     numbers = {
-        "project": inputs + n * (row + tiles.FOOTPRINT + 4),
+        "project": inputs + n * (row + footprint + 4),
         # a pair is two numbers, emitted, sorted by tile and read back by it
-        "tile lists": n * (tiles.FOOTPRINT + 4) + 8 * pairs,
+        "tile lists": n * (footprint + 4) + 8 * pairs,
         "composite": walked * (row + 1) + pixels * (picture + trail),
         "composite, adjoint": walked * (row + 1) + pairs * slot + pixels * (picture + trail),
         "sum and project, adjoint": pairs * (slot + 1) + 2 * inputs,

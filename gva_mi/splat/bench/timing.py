@@ -13,9 +13,9 @@ import torch
 from drjit.llvm import Float
 from torch import Tensor
 
-from gva_mi.splat.kernels import passes as pipeline
+from gva_mi.splat.kernels import passes
+from gva_mi.splat.kernels.inputs import Inputs
 from gva_mi.splat.kernels.passes import Saved
-from gva_mi.splat.kernels.project import Inputs
 from gva_mi.splat.scene import Scene
 from gva_mi.splat.torch_op import render
 
@@ -68,7 +68,7 @@ class Work:
         s = self.scene
         flat = [Float(v.detach().contiguous().view(-1)) for v in s.gaussians.arrays().values()]
         harmonics, behind = s.gaussians.sh is not None, s.background.tolist()
-        return pipeline.render_forward(Inputs(*flat), harmonics, s.camera, s.options, behind)
+        return passes.render_forward(Inputs(*flat), harmonics, s.camera, s.options, behind)
 
 
 def repeated(run: Callable[[], None], repeats: int) -> Timing:

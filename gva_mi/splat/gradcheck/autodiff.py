@@ -37,19 +37,14 @@ def render(
     camera: Camera,
     options: SplatOptions = _DEFAULTS,
     background: Array = None,
-    *,
-    T_camera_world: Array = None,
-    K: Array = None,
 ) -> Image:
     """The picture of ``gaussians`` from ``camera``, differentiable by Dr.Jit.
 
     Args:
         gaussians: ``TensorXf64`` from ``drjit.llvm.ad``, at least one Gaussian.
-        camera: the view.
+        camera: the view; differentiable where it is made from tensors of the same kind.
         options: cut-offs; ``radius_min`` is not looked at.
         background: (D,) tensor of the same kind; black where None.
-        T_camera_world: (4, 4), in the place of the camera's own.
-        K: (3, 3), in the place of the camera's own.
 
     Returns:
         color (H, W, D), alpha (H, W) and depth (H, W), tensors of the same kind.
@@ -57,20 +52,13 @@ def render(
     kind, F, n = type(gaussians.means), ad.Float64, len(gaussians)
     D = gaussians.channels
     behind = background.array if background is not None else dr.zeros(F, D)
-    T = T_camera_world.array if T_camera_world is not None else F(camera.T_camera_world.ravel())
-    K = K.array if K is not None else F(camera.K.ravel())
+    T, K = camera.tensors
+    T = F(camera.T_camera_world.ravel()) if T is None else T.array
+    K = F(camera.K.ravel()) if K is None else K.array
     R, t = ad.Matrix3f64(*(_entry(T, k) for k in (0, 1, 2, 4, 5, 6, 8, 9, 10))), _column(T)
     means = dr.unravel(ad.Array3f64, gaussians.means.array)
     x, u, conic, kept = _project(means, gaussians, camera, R, t, K, options)
-    if gaussians.sh is None:
-        rows = dr.arange(ad.UInt, n) * D
-        features = [dr.gather(F, gaussians.colors.array, rows + c) for c in range(D)]
-    else:
-        columns = gaussians.sh.shape[1] * 3
-        rows = dr.arange(ad.UInt, n) * columns
-        h = [dr.gather(F, gaussians.sh.array, rows + c) for c in range(columns)]
-        features = sh.color(h, list(means), list(-(dr.rcp(R) @ t)))
-    features = [*features, x.z]
+    features = [*_colors(gaussians, means, -(dr.rcp(R) @ t)), x.z]
 
     drawn = (x.z > options.near) & (x.z < options.far)
     opacity = dr.select(drawn, gaussians.opacities.array * kept, 0)
@@ -104,6 +92,16 @@ def render(
         dr.scatter(color, value, pixel * D + c, mode=dr.ReduceMode.NoConflicts)
     size = (camera.height, camera.width)
     return Image(kind(color, shape=(*size, D)), kind(1 - T, shape=size), kind(C[D], shape=size))
+
+
+def _colors(gaussians: Gaussians, means: Array, position: Array) -> list[Array]:
+    """The channels of each Gaussian's colour, seen from a camera's position."""
+    harmonics = gaussians.sh is not None
+    flat = gaussians.sh.array if harmonics else gaussians.colors.array
+    width = dr.width(flat) // len(gaussians)
+    rows = dr.arange(ad.UInt, len(gaussians)) * width
+    numbers = [dr.gather(ad.Float64, flat, rows + c) for c in range(width)]
+    return sh.color(numbers, list(means), list(position)) if harmonics else numbers
 
 
 def _entry(matrix: Array, k: int) -> Array:

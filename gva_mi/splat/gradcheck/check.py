@@ -25,7 +25,6 @@ they are counted.
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -35,6 +34,7 @@ from drjit.llvm.ad import TensorXf64
 from torch import Generator, Tensor
 
 from gva_mi.splat import reference
+from gva_mi.splat.camera import CameraTensors
 from gva_mi.splat.gaussians import Gaussians, Image
 from gva_mi.splat.gradcheck import autodiff
 from gva_mi.splat.gradcheck.directions import (
@@ -46,12 +46,11 @@ from gva_mi.splat.gradcheck.directions import (
     loss,
     tangent_image,
 )
-from gva_mi.splat.gradcheck.verdict import IMAGES, Maps, Report, Row
+from gva_mi.splat.gradcheck.verdict import IMAGES, Comparison, Maps, Report
 from gva_mi.splat.scene import Scene
 from gva_mi.threads import one_torch_thread
 
 PRECISIONS = {"f32": torch.float32, "f64": torch.float64}
-MATRICES = {"T_camera_world", "K"}
 
 # Inputs in metres move the picture by hundreds of pixels a unit. With a step so much shorter, the
 # alpha of a pixel off the band (1e-4 from its cut-off) does not reach it.
@@ -95,9 +94,9 @@ def gradcheck(
 
     Args:
         fn: ``fn(gaussians, camera, options, background) -> Image``, such as ``torch_op.render``. It
-            must take float32 tensors; where it refuses float64 or forward-mode AD, or takes no
-            ``T_camera_world`` (4, 4) and ``K`` (3, 3) by name, the report notes it and leaves those
-            comparisons out.
+            must take float32 tensors; where it refuses float64 or forward-mode AD, or does not
+            differentiate by the camera's tensors, the report notes it and leaves those comparisons
+            out.
         scene: what to render; some hundred Gaussians on some thousand pixels take seconds.
         tolerances: what counts as right.
         images: which of "color", "alpha" and "depth" are in the loss.
@@ -110,11 +109,14 @@ def gradcheck(
         raise ValueError(f"gradcheck(): images must be some of {', '.join(IMAGES)}, got {images}")
     with one_torch_thread():  # the twin's thousands of small tensors are faster so
         generator = Generator().manual_seed(seed)
-        takes_matrices = inspect.signature(fn).parameters.keys() >= MATRICES
-        asked = _Asked.of(scene, takes_matrices, images, entries, generator)
+        by_camera = _differentiates_camera(fn, scene)
+        asked = _Asked.of(scene, by_camera, images, entries, generator)
         notes = []
-        if not takes_matrices:
-            notes.append("this renderer takes no T_camera_world and K: their gradients are missing")
+        if not by_camera:
+            notes.append(
+                "this renderer does not differentiate by the camera's T_camera_world and K: their "
+                "gradients are missing"
+            )
         rows, found32 = _answers(fn, asked, tolerances, step, notes)
         truth, rounding = asked.gradients, {}
         if len(scene.gaussians):
@@ -152,10 +154,10 @@ class _Asked:
 
     @staticmethod
     def of(
-        scene: Scene, matrices: bool, images: tuple[str, ...], entries: int, generator: Generator
+        scene: Scene, by_camera: bool, images: tuple[str, ...], entries: int, generator: Generator
     ) -> _Asked:
         scene = scene.rounded()
-        if matrices:
+        if by_camera:
             scene = scene.with_camera_inputs().to(torch.float64)
         camera, D = scene.camera, len(scene.background)
         band = reference.threshold_band(scene.gaussians, camera, scene.options)
@@ -171,7 +173,7 @@ class _Asked:
 
 def _answers(
     fn: Renderer, asked: _Asked, tolerances: Tolerances, step: float, notes: list[str]
-) -> tuple[list[Row], Image]:
+) -> tuple[list[Comparison], Image]:
     """The rows of all methods of the renderer itself, and its float32 image."""
     rows, images = [], {}
     for label, dtype in PRECISIONS.items():
@@ -200,6 +202,16 @@ def _answers(
     return rows, images["f32"]
 
 
+def _differentiates_camera(fn: Renderer, scene: Scene) -> bool:
+    """Whether the picture depends on the camera's tensors."""
+    seen = scene.with_camera_inputs().to(torch.float32)
+    color = draw(fn, seen).color
+    if not color.requires_grad:
+        return False
+    found = torch.autograd.grad(color.sum(), list(seen.camera.tensors), allow_unused=True)
+    return any(gradient is not None for gradient in found)
+
+
 def _by_adjoint(fn: Renderer, scene: Scene, weights: Tensor) -> tuple[Image, dict[str, Tensor]]:
     image = draw(fn, scene)
     inputs = scene.inputs()
@@ -209,14 +221,16 @@ def _by_adjoint(fn: Renderer, scene: Scene, weights: Tensor) -> tuple[Image, dic
     return image, {k: zero(g, v) for (k, v), g in zip(inputs.items(), gradients, strict=True)}
 
 
-def _by_tangent(fn: Renderer, asked: _Asked, label: str, tolerance: float) -> Iterator[Row]:
+def _by_tangent(fn: Renderer, asked: _Asked, label: str, tolerance: float) -> Iterator[Comparison]:
     scene = asked.scene.to(PRECISIONS[label])
     for name, probe in asked.probes.items():
         images = (tangent_image(fn, scene, name, v) for v in probe.directions())
         yield _probed(f"tangent {label}", name, images, asked, tolerance)
 
 
-def _by_differences(fn: Renderer, asked: _Asked, step: float, tolerance: float) -> Iterator[Row]:
+def _by_differences(
+    fn: Renderer, asked: _Asked, step: float, tolerance: float
+) -> Iterator[Comparison]:
     for name, probe in asked.probes.items():
         h = step * METRES.get(name, 1.0)
         images = (difference_image(fn, asked.scene, name, v, h) for v in probe.directions())
@@ -228,9 +242,10 @@ def _by_autodiff(scene: Scene, weights: Tensor) -> dict[str, Tensor]:
     to_drjit = lambda t: TensorXf64(t.detach().contiguous().numpy())
     arrays = {k: to_drjit(v) for k, v in scene.inputs().items()}
     dr.enable_grad(list(arrays.values()))
-    others = {k: v for k, v in arrays.items() if k not in scene.gaussians.arrays()}
-    gaussians = Gaussians(**{k: v for k, v in arrays.items() if k not in others})
-    image = autodiff.render(gaussians, scene.camera, scene.options, **others)
+    gaussians = Gaussians(**{k: arrays[k] for k in scene.gaussians.arrays()})
+    matrices = {k: arrays[k] for k in CameraTensors._fields if k in arrays}
+    camera = scene.camera.with_matrices(**matrices) if matrices else scene.camera
+    image = autodiff.render(gaussians, camera, scene.options, arrays["background"])
     parts = zip(
         (getattr(image, name) for name in images_of(scene)),
         (weights[..., :-2], weights[..., -2], weights[..., -1]),
@@ -251,7 +266,7 @@ def _last_digit(scene: Scene, generator: Generator) -> Scene:
 
 def _probed(
     method: str, name: str, images: Iterator[Image], asked: _Asked, tolerance: float
-) -> Row:
+) -> Comparison:
     """<w, J v> against <J^T w, v> for every direction v of a probe."""
     probe = asked.probes[name]
     values = [float(loss(image, asked.weights)) for image in images]
@@ -260,14 +275,14 @@ def _probed(
     return replace(row, where=((), *probe.entries)[row.where[0]])
 
 
-def _compare(method: str, name: str, found: Tensor, truth: Tensor, tolerance: float) -> Row:
+def _compare(method: str, name: str, found: Tensor, truth: Tensor, tolerance: float) -> Comparison:
     off = found - truth
     norm, norm_found = float(truth.norm()), float(found.norm())
     error = float(off.norm()) / norm if norm else float(off.norm())
     cosine = float((found * truth).sum()) / (norm * norm_found) if norm and norm_found else 1.0
     worst = _index(off.abs())
     value = float(off.abs()[worst]) if off.numel() else 0.0
-    return Row(method, name, error, cosine, value, worst, tolerance)
+    return Comparison(method, name, error, cosine, value, worst, tolerance)
 
 
 def _errors(found: Image, truth: Image) -> Tensor:

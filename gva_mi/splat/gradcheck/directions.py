@@ -29,8 +29,7 @@ def images_of(scene: Scene) -> tuple[str, ...]:
 
 def draw(fn: Renderer, scene: Scene) -> Image:
     """The scene as the renderer sees it."""
-    matrices = scene.matrices()
-    return fn(scene.gaussians, scene.camera, scene.options, scene.background, **matrices)
+    return fn(scene.gaussians, scene.camera, scene.options, scene.background)
 
 
 def loss(image: Image, weights: Tensor) -> Tensor:

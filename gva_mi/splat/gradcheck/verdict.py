@@ -14,7 +14,7 @@ COARSE = 1e-3  # a float32 row that fails below it has lost digits, above it a m
 
 
 @dataclass(frozen=True)
-class Row:
+class Comparison:
     """One comparison with the truth."""
 
     method: str
@@ -44,7 +44,7 @@ class Maps:
 class Report:
     """All comparisons of one scene."""
 
-    rows: tuple[Row, ...]
+    rows: tuple[Comparison, ...]
     pixels: int
     band: int  # pixels at a step, left out
     band_error: float  # greatest error of the float32 image in them

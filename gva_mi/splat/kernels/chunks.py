@@ -2,49 +2,58 @@
 
 The compositing kernels hold every pixel's channels in registers and are compiled for their number.
 Beyond ``CHUNK`` channels the same lists are walked once per chunk, the last one filled up with
-zeros: time and compile time grow with D, and not faster. The geometry's moments (blend.py, eq. 6)
-are linear in the loss's gradient, so those of the chunks add up.
+zeros: time and compile time grow with D, and not faster. The first chunk also has the depth. The
+moments of eq. 16 are linear in the loss's gradient, so those of the chunks add up.
 """
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import drjit as dr
 from drjit import ArrayBase as Array
 
 from gva_mi.splat.kernels import packets
 from gva_mi.splat.kernels.frozen import Frozen
-from gva_mi.splat.kernels.pixels import Planes
+from gva_mi.splat.kernels.planes import Planes
+from gva_mi.splat.kernels.records import Format, Slot, Splat
 
 CHUNK = 8  # channels composited at a time
 
 
-def widths(channels: int, whole: bool = False) -> list[int]:
-    """Channels of each chunk, padding included; ``whole`` makes one of all, however many."""
+def formats(channels: int, depth: bool, whole: bool = False) -> tuple[Format, ...]:
+    """What each chunk's splats hold, padding included.
+
+    Args:
+        channels: D.
+        depth: whether it is composited too.
+        whole: make one chunk of all channels, however many.
+    """
     if whole or channels <= CHUNK:
-        return [channels]
-    return [CHUNK] * -(-channels // CHUNK)
+        return (Format(channels, depth),)
+    return tuple(Format(CHUNK, depth and k == 0) for k in range(-(-channels // CHUNK)))
 
 
-def rows_of(
-    columns: list[Array], geometry: int, parts: list[int], depth: bool
-) -> list[list[Array]]:
-    """Columns of the rows to composite: each chunk's geometry and channels, the first's depth."""
-    shape, features, z = columns[:geometry], columns[geometry:-1], columns[-1]
-    rows, first = [], 0
-    for width in parts:
-        part = features[first : first + width]
-        rows.append([*shape, *part, *([z * 0] * (width - len(part)))])
-        first += width
-    if depth:
-        rows[0].append(z)
-    return rows
+def split_splat(splat: Splat, formats: tuple[Format, ...]) -> list[Splat]:
+    """Each chunk's splat: the same ellipse, some of the channels."""
+    out, first = [], 0
+    for format in formats:
+        color = splat.color[first : first + format.channels]
+        color = [*color, *([splat.depth * 0] * (format.channels - len(color)))]
+        out.append(replace(splat, color=color, depth=splat.depth if format.depth else None))
+        first += format.channels
+    return out
 
 
-def of_background(background: list[Array], parts: list[int]) -> list[list[Array]]:
+def split_background(background: list[Array], formats: tuple[Format, ...]) -> list[list[Array]]:
     """The background's channels, chunk by chunk."""
-    F = type(background[0])
-    padded = background + [dr.opaque(F, 0) for _ in range(sum(parts) - len(background))]
-    return [padded[sum(parts[:i]) : sum(parts[: i + 1])] for i in range(len(parts))]
+    F, total = type(background[0]), sum(format.channels for format in formats)
+    rest = background + [dr.opaque(F, 0) for _ in range(total - len(background))]
+    out = []
+    for format in formats:
+        out.append(rest[: format.channels])
+        rest = rest[format.channels :]
+    return out
 
 
 @Frozen
@@ -94,10 +103,12 @@ def split_gradient(grad: Planes, channels: int, parts: int) -> list[Planes]:
     return [Planes(colors[0], grad.alpha, grad.depth), *rest]
 
 
-def add_moments(parts: list[list[Array]], shared: int, channels: int, depth: bool) -> list[Array]:
-    """One list from the chunks' sums: ``shared`` moments, D features and, if any, the depth."""
+def add_slots(parts: list[Slot], channels: int) -> Slot:
+    """One slot of D channels from the chunks'."""
+    first = parts[0]
     if len(parts) == 1:
-        return parts[0]
-    moments = [sum((part[k] for part in parts[1:]), parts[0][k]) for k in range(shared)]
-    features = [c for part in parts for c in part[shared : shared + CHUNK]]
-    return [*moments, *features[:channels], *(parts[0][shared + CHUNK :] if depth else ())]
+        return first
+    rows = zip(*([part.m0, *part.m1, *part.m2, *part.absolute] for part in parts), strict=True)
+    m0, mx, my, mxx, mxy, myy, *absolute = (sum(row[1:], row[0]) for row in rows)
+    color = [channel for part in parts for channel in part.color][:channels]
+    return Slot(m0, [mx, my], [mxx, mxy, myy], absolute, color, first.depth)

@@ -1,4 +1,4 @@
-"""The shape and opacity of a Gaussian in the picture: forward, adjoint, tangent (Eq. 1).
+"""The shape and opacity of a Gaussian in the picture: forward, adjoint, tangent (paper, Eq. 2).
 
 With J of lens.py, the camera's R, and M the rotation of the Gaussian's quaternion:
 
@@ -156,7 +156,7 @@ class Ellipse:
         return Ellipse(J, R, s, o, rotation, B, BM, V, C, n, sharp, det, p, q, r, lo, options)
 
     def adjoint(self, m0: Array, mxx: Array, mxy: Array, myy: Array) -> Grad:
-        """From the moments m0 = dL/dln o and m2 of blend.py, eq. 6.
+        """From the moments m0 = dL/dln o and m2 of eq. 16 (pixel.py).
 
         dL/dC = 2 (ln 2)^2 L^T m2 L,  dL/dV = 2 dL/dC V; antialiased, ln o has
         (ln det(V V^T) - ln det C) / 2 added, where d det(V V^T)/dV_0 = 2 V_1 x n.

@@ -1,4 +1,4 @@
-"""Where a point falls in the picture, and how it moves there: three camera models (Eq. 2-3).
+"""Where a point falls in the picture, and how it moves there: three camera models (paper, J of Eq. 2).
 
 From a point x in camera space, with focal lengths f and principal point c, both px, and k = 0, 1:
 
@@ -34,6 +34,7 @@ from drjit.llvm import Float64
 
 from gva_mi.splat.camera import Camera, CameraModel
 from gva_mi.splat.kernels import packets
+from gva_mi.splat.kernels.records import ViewGradient
 
 MARGIN = 0.15  # of the picture's size, on each side, where a pinhole's J still follows the mean
 
@@ -55,8 +56,6 @@ class View:
     low: list[Array]  # 2, least w of ``held``, px
     high: list[Array]  # 2, greatest
     model: CameraModel
-
-    DIFFERENTIABLE = 19  # numbers: R, t, f, c, o
 
     def to(self, F: type) -> View:
         """The same in another precision, inside a kernel."""
@@ -82,16 +81,15 @@ def view_tangent(camera: Camera, dT: np.ndarray, dK: np.ndarray) -> View:
     return _view([dR.ravel(), dt, dK.diagonal()[:2], dc, do, -dc, -dc], camera.model)
 
 
-def view_adjoint(camera: Camera, grad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """From the gradient by R, t, f, c, o (19,) to those by ``T_camera_world`` and ``K``."""
+def view_adjoint(camera: Camera, grad: ViewGradient) -> tuple[np.ndarray, np.ndarray]:
+    """From the gradient by R, t, f, c, o, added up, to those by ``T_camera_world`` and ``K``."""
     T = camera.T_camera_world
-    gR, gt, gf, gc, go = np.split(grad, [9, 12, 14, 16])
-    go = -np.linalg.solve(T[:3, :3].T, go)
+    go = -np.linalg.solve(T[:3, :3].T, grad.o)
     grad_T, grad_K = np.zeros((4, 4)), np.zeros((3, 3))
-    grad_T[:3, :3] = gR.reshape(3, 3) + np.outer(go, camera.position)
-    grad_T[:3, 3] = gt + go
-    grad_K[0, 0], grad_K[1, 1] = gf
-    grad_K[:2, 2] = gc
+    grad_T[:3, :3] = np.reshape(grad.R, (3, 3)) + np.outer(go, camera.position)
+    grad_T[:3, 3] = grad.t + go
+    grad_K[0, 0], grad_K[1, 1] = grad.f
+    grad_K[:2, 2] = grad.c
     return grad_T, grad_K
 
 

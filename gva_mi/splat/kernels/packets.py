@@ -1,21 +1,41 @@
-"""Rows of floats in memory, columns of floats in a kernel.
+"""Rows of floats in memory, records in a kernel.
 
 Dr.Jit reads and writes a row of 2, 4 or 8 neighbouring floats per lane in one go (a *packet*),
-several times faster than as many single floats. So a record of the kernels, such as the ten floats
-of a projected Gaussian, is kept as a few flat arrays whose row widths are powers of two: 10 is
-8 + 2. This module holds that arithmetic; the kernels name their columns. The precision is that of
-the arrays given: ``drjit.llvm.Float`` or ``Float64``.
+several times faster than as many single floats. So a record of the kernels (records.py), such as
+the ten floats of a projected Gaussian, is kept as a few flat arrays whose row widths are powers of
+two: 10 is 8 + 2. This module holds that arithmetic, and the records the order of their columns.
+The precision is that of the arrays given: ``drjit.llvm.Float`` or ``Float64``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol, TypeVar
 
 import drjit as dr
 from drjit import ArrayBase as Array
 from drjit.llvm import ArrayXf, ArrayXf64, ArrayXu
 
 Packets = list[Array]  # flat arrays of n rows each, widths as in widths()
+Allocate = Callable[[type, int], Array]  # memory for so many numbers of a type
+
+
+class Record(Protocol):
+    """What a kernel reads or writes as one row."""
+
+    @staticmethod
+    def columns(format: Any) -> int:  # noqa: ANN401
+        """How many floats it is."""
+
+    def pack(self) -> list[Array]:
+        """Its columns."""
+
+    @staticmethod
+    def unpack(columns: Sequence[Array], format: Any) -> Record:  # noqa: ANN401
+        """The record of some columns."""
+
+
+R = TypeVar("R", bound=Record)
 
 
 def is_double(F: type) -> bool:
@@ -36,13 +56,6 @@ def widths(columns: int) -> list[int]:
     return out + [w for w in (4, 2, 1) if columns & w]
 
 
-def empty(
-    F: type, columns: int, rows: int, allocate: Callable[[type, int], Array] | None = None
-) -> Packets:
-    """Uninitialised memory for ``rows`` records of ``columns`` floats, by :func:`memory`."""
-    return [(allocate or memory)(F, w * rows) for w in widths(columns)]
-
-
 def memory(F: type, size: int) -> Array:
     """Uninitialised memory for ``size`` numbers, as an argument of a frozen kernel.
 
@@ -53,16 +66,35 @@ def memory(F: type, size: int) -> Array:
     return array
 
 
-def load(packets: Packets, columns: int, index: Array) -> list[Array]:
-    """Columns of the rows ``index``."""
-    out = []
-    for source, w in zip(packets, widths(columns), strict=True):
-        out += load_rows(source, w, index)
-    return out
+def empty(
+    kind: type[Record],
+    format: Any,  # noqa: ANN401
+    rows: int,
+    F: type,
+    allocate: Allocate = memory,
+) -> Packets:
+    """Memory for ``rows`` records of a kind, of numbers of type ``F``."""
+    return [allocate(F, width * rows) for width in widths(kind.columns(format))]
+
+
+def load(source: Packets, kind: type[R], format: Any, index: Array) -> R:  # noqa: ANN401
+    """The records in the rows ``index``."""
+    columns = []
+    for packet, width in zip(source, widths(kind.columns(format)), strict=True):
+        columns += load_rows(packet, width, index)
+    return kind.unpack(columns, format)
+
+
+def store(target: Packets, record: Record, index: Array, active: Array = True) -> None:
+    """Write records to the rows ``index``; no two lanes may name the same row."""
+    columns, first = record.pack(), 0
+    for packet, width in zip(target, widths(len(columns)), strict=True):
+        store_rows(packet, columns[first : first + width], index, active)
+        first += width
 
 
 def load_rows(source: Array, width: int, index: Array) -> list[Array]:
-    """Columns of the rows ``index`` of one flat array of any row width."""
+    """The numbers in the rows ``index`` of one flat array of any row width."""
     F = type(source)
     if width == 1:
         return [dr.gather(F, source, index)]
@@ -70,15 +102,7 @@ def load_rows(source: Array, width: int, index: Array) -> list[Array]:
     return [row[k] for k in range(width)]
 
 
-def store(packets: Packets, columns: list[Array], index: Array, active: Array = True) -> None:
-    """Write ``columns`` to the rows ``index``; no two lanes may name the same row."""
-    first = 0
-    for target, w in zip(packets, widths(len(columns)), strict=True):
-        store_rows(target, columns[first : first + w], index, active)
-        first += w
-
-
-def store_rows(target: Array, columns: list[Array], index: Array, active: Array = True) -> None:
-    """Write ``columns`` to the rows ``index`` of one flat array of any row width."""
-    value = columns[0] if len(columns) == 1 else packet_type(type(target))(columns)
+def store_rows(target: Array, numbers: list[Array], index: Array, active: Array = True) -> None:
+    """Write numbers to the rows ``index`` of one flat array of any row width."""
+    value = numbers[0] if len(numbers) == 1 else packet_type(type(target))(numbers)
     dr.scatter(target, value, index, active=active, mode=dr.ReduceMode.NoConflicts)

@@ -4,7 +4,7 @@
     render_adjoint:   project_adjoint  <-  sum_slots  <-  blend_adjoint
     render_tangent:   project_tangent  ->  blend_tangent
 
-render.py wraps them for Dr.Jit's autodiff, torch_op.py for torch's. Pictures are here *planes*:
+drjit_op.py wraps them for Dr.Jit's autodiff, torch_op.py for torch's. Pictures are here *planes*:
 flat arrays, padded to whole tiles.
 
 The kernels are frozen (frozen.py): the first call traces and compiles them (0.1-0.5 s each, cached
@@ -18,8 +18,7 @@ number changes often; beyond, copying costs more than tracing.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import drjit as dr
 import numpy as np
@@ -27,36 +26,47 @@ from drjit import ArrayBase as Array
 
 from gva_mi.splat.camera import Camera
 from gva_mi.splat.kernels import chunks, packets, tiles
-from gva_mi.splat.kernels.blend import Limit, Trail, blend, blend_adjoint, blend_tangent, sum_slots
+from gva_mi.splat.kernels.blend import Limit, blend, blend_adjoint, blend_tangent, sum_slots
 from gva_mi.splat.kernels.frozen import Frozen
+from gva_mi.splat.kernels.inputs import GradientMemory, Inputs
 from gva_mi.splat.kernels.lens import View, view_adjoint, view_of, view_tangent
-from gva_mi.splat.kernels.pixels import Planes
-from gva_mi.splat.kernels.project import (
-    GEOMETRY,
-    MOMENTS,
-    Inputs,
-    Targets,
-    project,
-    project_adjoint,
-    project_tangent,
-)
+from gva_mi.splat.kernels.packets import Allocate
+from gva_mi.splat.kernels.planes import Planes, Trail
+from gva_mi.splat.kernels.project import project, project_adjoint, project_tangent
+from gva_mi.splat.kernels.records import Footprint, Format, Splat, ViewGradient
 from gva_mi.splat.kernels.tiles import Grid, Layout, Lists
 from gva_mi.splat.options import SplatOptions
 
-Allocate = Callable[[type, int], Array]
 MANY = 65_536  # Gaussians from which on the kernels allocate their memory for themselves
 
 
 @dataclass(frozen=True)
-class Projected:
-    """The Gaussians in the picture."""
+class Plan:
+    """What is the same for all kernels of a picture: constants of their code."""
 
-    rows: list[packets.Packets]  # GEOMETRY, channels, z: what blend.py reads, chunk by chunk
+    options: SplatOptions
+    harmonics: bool  # whether inputs.colors holds coefficients
+    color_width: int  # numbers of each Gaussian in inputs.colors
+    channels: int  # D
+    formats: tuple[Format, ...]  # of the splats, chunk by chunk
+
+
+@dataclass(frozen=True)
+class Projected:
+    """The Gaussians in the picture, in memory."""
+
+    splats: list[packets.Packets]  # what blend.py reads, chunk by chunk
     footprints: packets.Packets  # what tiles.py reads
-    depths: Array  # (N,) m
-    counts: Array  # (N,) tiles touched
-    radii: Array  # (N,) px, 3 standard deviations along the longer axis; 0 where not drawn
-    finite: Array  # (N,)
+    depths: Array | None = None  # (N,) m
+    counts: Array | None = None  # (N,) tiles touched
+    radii: Array | None = None  # (N,) px, 3 sigma along the longer axis; 0 where not drawn
+    finite: Array | None = None  # (N,)
+
+    @staticmethod
+    def empty(F: type, n: int, plan: Plan, allocate: Allocate = packets.memory) -> Projected:
+        """Memory for n Gaussians."""
+        splats = [packets.empty(Splat, format, n, F, allocate) for format in plan.formats]
+        return Projected(splats, packets.empty(Footprint, None, n, F, allocate))
 
 
 @dataclass(frozen=True)
@@ -64,25 +74,21 @@ class Saved:
     """A picture, and what its adjoint and tangent need of the forward pass."""
 
     inputs: Inputs
-    harmonics: bool  # whether inputs.colors holds coefficients
-    channels: int  # D
-    chunks: list[int]  # channels composited at a time
+    plan: Plan
     camera: Camera
     view: View
-    options: SplatOptions
     background: list[Array]  # D
     layout: Layout
     grid: Grid
-    projected: Projected | None  # None where there is no Gaussian
-    lists: Lists | None  # None where none is drawn
-    trail: Trail | None
-    stop: Array  # where each lane of blend stopped
     planes: Planes
+    projected: Projected | None = None  # None where there is no Gaussian
+    lists: Lists | None = None  # None where none is drawn
+    trail: Trail | None = None
+    stop: Array | None = None  # where each lane of blend stopped
 
-    @property
-    def width(self) -> int:
-        """Columns of ``inputs.colors``."""
-        return dr.width(self.inputs.colors) // max(1, dr.width(self.inputs.opacities))
+    def backgrounds(self) -> list[list[Array]]:
+        """The background, chunk by chunk."""
+        return chunks.split_background(self.background, self.plan.formats)
 
 
 def render_forward(
@@ -110,68 +116,42 @@ def render_forward(
     """
     if dr.flag(dr.JitFlag.FreezingScope):
         raise ValueError("render(): its kernels are frozen already: do not call it in dr.freeze")
-    F = type(inputs.means)
-    n = dr.width(inputs.opacities)
-    D = len(background)
     if not np.isfinite(background).all():
         raise ValueError(f"render(): background must be finite, got {background}")
+    F, D = inputs.float_type, len(background)
     layout = Layout(camera.width, camera.height)
-    grid = layout.grid(dr.int32_array_t(F))
-    view = view_of(camera)
     behind = [dr.opaque(F, b) for b in background]
-    parts = chunks.widths(D, whole)
+    formats = chunks.formats(D, options.depth, whole)
+    plan = Plan(options, harmonics, inputs.color_width, D, formats)
+    grid = layout.grid(dr.int32_array_t(F))
+    saved = Saved(inputs, plan, camera, view_of(camera), behind, layout, grid, planes=None)
+    if len(inputs):
+        saved = _project_and_sort(saved)
+    if saved.lists is None:
+        return replace(saved, planes=_empty_picture(behind, layout, options.depth))
+    far = None if limit is None else Limit(limit, saved.projected.depths)
+    pictures, pixels = [], layout.pixels
+    parts = zip(saved.projected.splats, saved.backgrounds(), formats, strict=True)
+    for splats, colors, format in parts:
+        picture, trail, stop = blend(
+            splats, saved.lists, grid, colors, far, pixels=pixels, format=format, options=options
+        )
+        pictures.append(picture)
+    return replace(saved, planes=chunks.join_planes(pictures, D), trail=trail, stop=stop)
 
-    projected = lists = trail = stop = None
-    if n:
-        memory = None if n >= MANY else _memory(F, n, parts, options.depth)
-        width = dr.width(inputs.colors) // n
-        projected = _project(
-            inputs,
-            view,
-            grid,
-            memory,
-            n=n if n >= MANY else 0,
-            width=width,
-            harmonics=harmonics,
-            options=options,
-            parts=tuple(parts),
-        )
-        if not dr.all(projected.finite):
-            _report_not_finite(inputs, harmonics, n)
-        lists = tiles.make_lists(
-            projected.footprints, projected.depths, projected.counts, layout, grid
-        )
-    size = layout.padded[0] * layout.padded[1]
-    if lists is None:
-        planes = _empty_picture(behind, size, options.depth)
-    else:
-        far = None if limit is None else Limit(limit, projected.depths)
-        pictures = []
-        by_chunk = chunks.of_background(behind, parts)
-        for k, (rows, colors) in enumerate(zip(projected.rows, by_chunk, strict=True)):
-            depth = options.depth and k == 0
-            picture, trail, stop = blend(
-                rows, lists, grid, colors, far, pixels=size, depth=depth, options=options
-            )
-            pictures.append(picture)
-        planes = chunks.join_planes(pictures, D)
-    return Saved(
-        inputs,
-        harmonics,
-        D,
-        parts,
-        camera,
-        view,
-        options,
-        behind,
-        layout,
-        grid,
-        projected,
-        lists,
-        trail,
-        stop,
-        planes,
+
+def _project_and_sort(saved: Saved) -> Saved:
+    """The Gaussians in the picture, and the lists of its tiles."""
+    inputs, plan, n = saved.inputs, saved.plan, len(saved.inputs)
+    memory = None if n >= MANY else Projected.empty(inputs.float_type, n, plan)
+    own = n if n >= MANY else 0
+    projected = _project(inputs, saved.view, saved.grid, memory, n=own, plan=plan)
+    if not dr.all(projected.finite):
+        inputs.require_finite(plan.harmonics)
+    lists = tiles.make_lists(
+        projected.footprints, projected.depths, projected.counts, saved.layout, saved.grid
     )
+    return replace(saved, projected=projected, lists=lists)
 
 
 @dataclass(frozen=True)
@@ -203,68 +183,61 @@ def render_adjoint(
         absolute: whether to return the absolute gradient by the means in the picture.
         through_means2d: whether the gradient by the means in the picture is part of the others.
     """
-    F = type(saved.inputs.means)
-    n, D = dr.width(saved.inputs.opacities), saved.channels
-    i = saved.inputs
+    plan, n, F = saved.plan, len(saved.inputs), saved.inputs.float_type
     if saved.lists is None:
-        parts = (i.means, i.quats, i.scales, i.opacities, i.colors)
-        zeros = Inputs(*(dr.zeros(F, dr.width(part)) for part in parts))
-        nothing = (np.zeros((4, 4)), np.zeros((3, 3))) if camera else (None, None)
-        by_channel = grad.color.numpy().astype(np.float64).reshape(-1, D).sum(axis=0)
-        by_absolute = dr.zeros(F, 2 * n) if absolute else None
-        return Gradients(zeros, dr.zeros(F, 2 * n), by_channel.tolist(), by_absolute, *nothing)
-
-    slots, by_background = [], []
-    pictures = chunks.split_gradient(grad, D, len(saved.chunks))
-    backgrounds = chunks.of_background(saved.background, saved.chunks)
-    for k, g in enumerate(pictures):
-        width, rows, behind = saved.chunks[k], saved.projected.rows[k], backgrounds[k]
-        columns = MOMENTS + 2 * absolute + width + (g.depth is not None)
-        memory, shares = blend_adjoint(
-            rows,
-            saved.lists,
-            saved.stop,
-            saved.grid,
-            behind,
-            saved.trail,
-            g,
-            pairs=dr.width(saved.lists.ids),
-            lanes=dr.width(saved.lists.tile),
-            depth=saved.options.depth and k == 0,
-            options=saved.options,
-            absolute=absolute,
-        )
-        slots.append((memory, columns))
-        by_background.append((shares, width))
-
-    target = None if n >= MANY else _targets(F, n, saved.width, camera, absolute)
+        return _gradients_of_nothing(saved, grad, camera, absolute)
+    slots, formats, by_background = _blend_adjoints(saved, grad, absolute)
+    target = None
+    if n < MANY:
+        target = GradientMemory.empty(F, n, plan.color_width, camera, absolute)
     target = _gaussians_adjoint(
         saved.inputs,
         saved.view,
         saved.lists,
-        [memory for memory, _ in slots],
+        slots,
         target,
         n=n if n >= MANY else 0,
         camera=camera,
         absolute=absolute,
-        width=saved.width,
-        harmonics=saved.harmonics,
-        options=saved.options,
-        columns=tuple(columns for _, columns in slots),
-        channels=D,
-        depth=grad.depth is not None,
+        plan=plan,
+        formats=formats,
         through_u=through_means2d,
     )
-    sums = [_sum_rows(shares, width) for shares, width in by_background]
     by_camera = (None, None)
     if camera:
-        parts = zip(target.view, packets.widths(View.DIFFERENTIABLE), strict=True)
-        by_camera = view_adjoint(
-            saved.camera, np.concatenate([_sum_rows(part, width) for part, width in parts])
+        columns = packets.widths(ViewGradient.columns())
+        sums = [_sum_rows(part, width) for part, width in zip(target.view, columns, strict=True)]
+        by_camera = view_adjoint(saved.camera, ViewGradient.unpack(np.concatenate(sums)))
+    return Gradients(target.inputs, target.u, by_background, target.absolute, *by_camera)
+
+
+def _blend_adjoints(
+    saved: Saved, grad: Planes, absolute: bool
+) -> tuple[list[packets.Packets], tuple[Format, ...], list[float]]:
+    """Each chunk's slots, their formats, and the gradient by the background."""
+    plan, lists = saved.plan, saved.lists
+    slots, formats, sums = [], [], []
+    pictures = chunks.split_gradient(grad, plan.channels, len(plan.formats))
+    parts = zip(saved.projected.splats, pictures, saved.backgrounds(), plan.formats, strict=True)
+    for splats, by_picture, behind, format in parts:
+        formats.append(Format(format.channels, by_picture.depth is not None, absolute))
+        memory, shares = blend_adjoint(
+            splats,
+            lists,
+            saved.stop,
+            saved.grid,
+            behind,
+            saved.trail,
+            by_picture,
+            pairs=dr.width(lists.ids),
+            lanes=dr.width(lists.tile),
+            format=format,
+            slot_format=formats[-1],
+            options=plan.options,
         )
-    return Gradients(
-        target.inputs, target.u, np.concatenate(sums)[:D].tolist(), target.absolute, *by_camera
-    )
+        slots.append(memory)
+        sums.append(_sum_rows(shares, format.channels))
+    return slots, tuple(formats), np.concatenate(sums)[: plan.channels].tolist()
 
 
 def render_tangent(
@@ -286,75 +259,53 @@ def render_tangent(
         dmeans2d: 2 N; where given, it takes the place of what the above make of the means in the
             picture.
     """
-    F = type(saved.inputs.means)
-    n, D = dr.width(saved.inputs.opacities), saved.channels
+    plan, F = saved.plan, saved.inputs.float_type
     behind = [dr.opaque(F, b) for b in dbackground]
-    size = saved.layout.padded[0] * saved.layout.padded[1]
     if saved.lists is None:
-        return _empty_picture(behind, size, saved.options.depth)
-    drows = _project_tangent(
-        saved.inputs,
-        saved.view,
-        dinputs,
-        view_tangent(saved.camera, dT, dK),
-        dmeans2d,
-        _memory(F, n, saved.chunks, saved.options.depth)[0],
-        width=saved.width,
-        harmonics=saved.harmonics,
-        options=saved.options,
-        parts=tuple(saved.chunks),
+        return _empty_picture(behind, saved.layout, plan.options.depth)
+    dview = view_tangent(saved.camera, dT, dK)
+    memory = Projected.empty(F, len(saved.inputs), plan).splats
+    dsplats = _project_tangent(
+        saved.inputs, saved.view, dinputs, dview, dmeans2d, memory, plan=plan
     )
-    pictures = []
-    colors = chunks.of_background(saved.background, saved.chunks)
-    dcolors = chunks.of_background(behind, saved.chunks)
-    for k, width in enumerate(saved.chunks):
-        depth = saved.options.depth and k == 0
-        image = [packets.memory(F, size * c) for c in (width, 1, *[1] * depth)]
+    pictures, dbackgrounds = [], chunks.split_background(behind, plan.formats)
+    for k, (colors, format) in enumerate(zip(saved.backgrounds(), plan.formats, strict=True)):
         pictures.append(
             blend_tangent(
-                saved.projected.rows[k],
-                drows[k],
+                saved.projected.splats[k],
+                dsplats[k],
                 saved.lists,
                 saved.stop,
                 saved.trail,
                 saved.grid,
-                colors[k],
-                dcolors[k],
-                Planes(*image, *[None] * (not depth)),
-                depth=depth,
-                options=saved.options,
+                colors,
+                dbackgrounds[k],
+                _picture_memory(F, saved.layout, format),
+                format=format,
+                options=plan.options,
             )
         )
-    return chunks.join_planes(pictures, D)
+    return chunks.join_planes(pictures, plan.channels)
 
 
 @Frozen
 def _project(
-    inputs: Inputs,
-    view: View,
-    grid: Grid,
-    memory: tuple[list[packets.Packets], packets.Packets] | None,
-    *,
-    n: int,
-    width: int,
-    harmonics: bool,
-    options: SplatOptions,
-    parts: tuple[int, ...],
+    inputs: Inputs, view: View, grid: Grid, memory: Projected | None, *, n: int, plan: Plan
 ) -> Projected:
-    F = type(inputs.means)
-    rows, footprints = memory or _memory(F, n, parts, options.depth, dr.empty)
-    columns, ellipses, radii, finite = project(inputs, width, harmonics, view, options)
-    i = dr.arange(dr.uint32_array_t(type(inputs.means)), dr.width(inputs.opacities))
-    for target, part in zip(
-        rows, chunks.rows_of(columns, GEOMETRY, parts, options.depth), strict=True
-    ):
+    memory = memory or Projected.empty(inputs.float_type, n, plan, dr.empty)
+    found = project(inputs, plan.color_width, plan.harmonics, view, plan.options)
+    i = inputs.lane()
+    parts = chunks.split_splat(found.splat, plan.formats)
+    for target, part in zip(memory.splats, parts, strict=True):
         packets.store(target, part, i)
-    tiles.store(ellipses, footprints, i)
-    counts = tiles.count(ellipses, grid)
-    radii = dr.select(counts > 0, radii, 0)
-    depths = columns[-1]
-    dr.eval(rows, footprints, counts, radii, depths, finite)
-    return Projected(rows, footprints, depths, counts, radii, finite)
+    packets.store(memory.footprints, found.footprint, i)
+    counts = tiles.count(found.footprint, grid)
+    radii = dr.select(counts > 0, found.radii, 0)
+    projected = replace(
+        memory, depths=found.splat.depth, counts=counts, radii=radii, finite=found.finite
+    )
+    dr.eval(projected)
+    return projected
 
 
 @Frozen
@@ -363,26 +314,31 @@ def _gaussians_adjoint(
     view: View,
     lists: Lists,
     slots: list[packets.Packets],
-    target: Targets | None,
+    target: GradientMemory | None,
     *,
     n: int,
     camera: bool,
     absolute: bool,
-    width: int,
-    harmonics: bool,
-    options: SplatOptions,
-    columns: tuple[int, ...],
-    channels: int,
-    depth: bool,
+    plan: Plan,
+    formats: tuple[Format, ...],
     through_u: bool,
-) -> Targets:
-    target = target or _targets(type(inputs.means), n, width, camera, absolute, dr.empty)
-    sums = [sum_slots(lists, part, count) for part, count in zip(slots, columns, strict=True)]
+) -> GradientMemory:
+    target = target or GradientMemory.empty(
+        inputs.float_type, n, plan.color_width, camera, absolute, dr.empty
+    )
+    sums = [sum_slots(lists, part, format) for part, format in zip(slots, formats, strict=True)]
     dr.eval(sums)  # two kernels: as one they run out of registers
-    shared = MOMENTS + 2 * absolute
-    moments = chunks.add_moments(sums, shared, channels, depth)
-    drawn = lists.counts > 0
-    project_adjoint(inputs, width, harmonics, view, options, moments, drawn, target, through_u)
+    project_adjoint(
+        inputs,
+        plan.color_width,
+        plan.harmonics,
+        view,
+        plan.options,
+        chunks.add_slots(sums, plan.channels),
+        lists.counts > 0,
+        target,
+        through_u,
+    )
     dr.eval(target)
     return target
 
@@ -394,23 +350,20 @@ def _project_tangent(
     dinputs: Inputs,
     dview: View,
     dmeans2d: Array | None,
-    drows: list[packets.Packets],
+    dsplats: list[packets.Packets],
     *,
-    width: int,
-    harmonics: bool,
-    options: SplatOptions,
-    parts: tuple[int, ...],
+    plan: Plan,
 ) -> list[packets.Packets]:
-    columns = project_tangent(inputs, width, harmonics, view, options, dinputs, dview)
-    i = dr.arange(dr.uint32_array_t(type(inputs.means)), dr.width(inputs.opacities))
+    dsplat = project_tangent(
+        inputs, plan.color_width, plan.harmonics, view, plan.options, dinputs, dview
+    )
+    i = inputs.lane()
     if dmeans2d is not None:
-        columns[:2] = packets.load_rows(dmeans2d, 2, i)
-    for target, part in zip(
-        drows, chunks.rows_of(columns, GEOMETRY, parts, options.depth), strict=True
-    ):
+        dsplat = replace(dsplat, u=packets.load_rows(dmeans2d, 2, i))
+    for target, part in zip(dsplats, chunks.split_splat(dsplat, plan.formats), strict=True):
         packets.store(target, part, i)
-    dr.eval(drows)
-    return drows
+    dr.eval(dsplats)
+    return dsplats
 
 
 def _sum_rows(flat: Array, width: int) -> np.ndarray:
@@ -421,35 +374,19 @@ def _sum_rows(flat: Array, width: int) -> np.ndarray:
     return flat.numpy().reshape(-1, width).sum(axis=0, dtype=np.float64)
 
 
-def _memory(
-    F: type, n: int, parts: Sequence[int], depth: bool, allocate: Allocate = packets.memory
-) -> tuple[list[packets.Packets], packets.Packets]:
-    """Memory for n projected Gaussians: rows, chunk by chunk, and footprints."""
-    columns = [GEOMETRY + width + (depth and k == 0) for k, width in enumerate(parts)]
-    rows = [packets.empty(F, count, n, allocate) for count in columns]
-    return rows, packets.empty(F, tiles.FOOTPRINT, n, allocate)
+def _gradients_of_nothing(saved: Saved, grad: Planes, camera: bool, absolute: bool) -> Gradients:
+    """Where no Gaussian is drawn, only the background has a gradient."""
+    inputs, D = saved.inputs, saved.plan.channels
+    by_u = dr.zeros(inputs.float_type, 2 * len(inputs))
+    by_camera = (np.zeros((4, 4)), np.zeros((3, 3))) if camera else (None, None)
+    by_channel = grad.color.numpy().astype(np.float64).reshape(-1, D).sum(axis=0).tolist()
+    by_absolute = dr.zeros(inputs.float_type, 2 * len(inputs)) if absolute else None
+    return Gradients(inputs.zeros(), by_u, by_channel, by_absolute, *by_camera)
 
 
-def _targets(
-    F: type,
-    n: int,
-    width: int,
-    camera: bool,
-    absolute: bool,
-    allocate: Allocate = packets.memory,
-) -> Targets:
-    """Memory for the gradients of n Gaussians."""
-    return Targets(
-        Inputs(*(allocate(F, columns * n) for columns in (3, 4, 3, 1, width))),
-        allocate(F, 2 * n),
-        allocate(F, 2 * n) if absolute else None,
-        packets.empty(F, View.DIFFERENTIABLE, n, allocate) if camera else None,
-    )
-
-
-def _empty_picture(background: list[Array], size: int, depth: bool) -> Planes:
-    F = type(background[0])
-    D = len(background)
+def _empty_picture(background: list[Array], layout: Layout, depth: bool) -> Planes:
+    """The background alone."""
+    F, D, size = type(background[0]), len(background), layout.pixels
     color = packets.memory(F, size * D)
     pixel = dr.arange(dr.uint32_array_t(F), size)
     for c in range(D):
@@ -459,16 +396,7 @@ def _empty_picture(background: list[Array], size: int, depth: bool) -> Planes:
     return Planes(color, alpha, z)
 
 
-def _report_not_finite(inputs: Inputs, harmonics: bool, n: int) -> None:
-    for name in ("means", "quats", "scales", "opacities", "colors"):
-        array = getattr(inputs, name).numpy()
-        bad = np.flatnonzero(~np.isfinite(array))
-        if not bad.size:
-            continue
-        shape = (n, -1) if array.size > n else (n,)
-        if name == "colors" and harmonics:
-            name, shape = "sh", (n, -1, 3)
-        index = np.unravel_index(bad[0], array.reshape(shape).shape)
-        where = ", ".join(str(i) for i in index)
-        count = f" ({bad.size} such numbers)" if bad.size > 1 else ""
-        raise ValueError(f"render(): {name}[{where}] is {array[bad[0]]}, must be finite{count}")
+def _picture_memory(F: type, layout: Layout, format: Format) -> Planes:
+    """Memory for a picture, as an argument of a frozen kernel."""
+    memory = lambda channels: packets.memory(F, layout.pixels * channels)
+    return Planes(memory(format.channels), memory(1), memory(1) if format.depth else None)

@@ -1,11 +1,11 @@
 """Colour by spherical harmonics: what a Gaussian looks like from one direction.
 
-(1)  d   = (m - o) / |m - o|                  from the camera's position o to the mean m
-(2)  b_i = real spherical harmonics of d, i < K = (degree + 1)^2, in the sign and order of 3DGS
-(3)  c   = max(0, sum_i b_i h_i + 1/2)        per channel, h_i the coefficients
+(8)  d   = (m - o) / |m - o|                  from the camera's position o to the mean m
+(9)  b_i = real spherical harmonics of d, i < K = (degree + 1)^2, in the sign and order of 3DGS
+(10) c   = max(0, sum_i b_i h_i + 1/2)        per channel, h_i the coefficients
 
 Below, ``d = (x, y, z)``. The basis functions are written as homogeneous polynomials: any extension
-off the unit sphere does, since eq. 1 projects the radial part of the derivative away.
+off the unit sphere does, since eq. 8 projects the radial part of the derivative away.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ C4 = (
 
 
 def basis(degree: int, x: Array, y: Array, z: Array) -> list[Array]:
-    """Eq. 2: the K values b_i."""
+    """Eq. 9: the K values b_i."""
     b = [x * 0 + C0]
     if degree >= 1:
         b += [-C1 * y, C1 * z, -C1 * x]
@@ -71,7 +71,7 @@ def basis(degree: int, x: Array, y: Array, z: Array) -> list[Array]:
 
 
 def basis_adjoint(degree: int, x: Array, y: Array, z: Array, g: list[Array]) -> list[Array]:
-    """Eq. 2 reversed: sum_i g_i db_i/dd as [x, y, z], from the gradients ``g`` of the K values."""
+    """Eq. 9 reversed: sum_i g_i db_i/dd as [x, y, z], from the gradients ``g`` of the K values."""
     gx, gy, gz = x * 0, x * 0, x * 0
     if degree >= 1:
         gx, gy, gz = -C1 * g[3], -C1 * g[1], C1 * g[2]
@@ -107,7 +107,7 @@ def basis_adjoint(degree: int, x: Array, y: Array, z: Array, g: list[Array]) -> 
 
 
 def direction(m: list[Array], o: list[Array]) -> tuple[list[Array], Array]:
-    """Eq. 1: the unit direction and 1/|m - o|; a mean at the camera has none and gets zero."""
+    """Eq. 8: the unit direction and 1/|m - o|; a mean at the camera has none and gets zero."""
     v = [m[k] - o[k] for k in range(3)]
     squared = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
     reciprocal = dr.select(squared > 0, 1 / dr.sqrt(squared), 0)
@@ -115,7 +115,7 @@ def direction(m: list[Array], o: list[Array]) -> tuple[list[Array], Array]:
 
 
 def color(h: list[Array], m: list[Array], o: list[Array]) -> list[Array]:
-    """Eq. 3: the colour of the three channels.
+    """Eq. 10: the colour of the three channels.
 
     Args:
         h: 3K columns, coefficient by coefficient (``h[3 i + k]``).
@@ -135,7 +135,7 @@ def color_tangent(
     dm: list[Array],
     do: list[Array],
 ) -> list[Array]:
-    """Eq. 3 along tangents of the coefficients, the mean and the camera's position."""
+    """Eq. 10 along tangents of the coefficients, the mean and the camera's position."""
     d, reciprocal = direction(m, o)
     degree = degree_of(len(h) // 3)
     b = basis(degree, *d)
@@ -155,7 +155,7 @@ def color_tangent(
 def color_adjoint(
     h: list[Array], m: list[Array], o: list[Array], grad_c: list[Array]
 ) -> tuple[list[Array], list[Array]]:
-    """Eq. 3 reversed: gradients of the 3K coefficients and of the mean."""
+    """Eq. 10 reversed: gradients of the 3K coefficients and of the mean."""
     d, reciprocal = direction(m, o)
     degree = degree_of(len(h) // 3)
     b = basis(degree, *d)

@@ -2,7 +2,7 @@
 
 A tile is ``WIDTH x HEIGHT`` pixels, the work of one SIMD lane. The steps:
 
-1. count the tiles that each Gaussian's ellipse alpha >= alpha_min (project.py, eq. 7) touches,
+1. count the tiles that each Gaussian's ellipse alpha >= alpha_min (ellipse.py, eq. 7) touches,
    exactly, one row of tiles after the other;
 2. sort the Gaussians by depth, stably, and sum the counts up: where the pairs of each start;
 3. emit one (tile, Gaussian) pair per touched tile, in depth order;
@@ -17,21 +17,20 @@ does not fragment. The padding belongs to the last tile, and the stable sort lea
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import drjit as dr
 from drjit import ArrayBase as Array
 
 from gva_mi.splat.kernels import packets
 from gva_mi.splat.kernels.frozen import Frozen
-from gva_mi.splat.kernels.project import Ellipses
+from gva_mi.splat.kernels.records import Footprint
 
 WIDTH, HEIGHT = 8, 4  # pixels of a tile
 SIMD = 16  # lanes of a packet (AVX-512; half of it divides it)
 BLOCKS = 16  # packets are dealt over this many parts
 LONGEST = 1023  # lists are ordered by length up to this one
 MAX_PAIRS = 2**29 - 1  # slots are packets of 8 floats, counted by 32-bit indices
-FOOTPRINT = 8  # columns of an ellipse in memory: its fields, rounded up to a packet
 SLACK = 1e-3  # pixels by which an ellipse is widened against rounding
 
 NoConflicts = dr.ReduceMode.NoConflicts
@@ -73,6 +72,11 @@ class Layout:
         """Height and width in whole tiles, px."""
         return self.rows * HEIGHT, self.columns * WIDTH
 
+    @property
+    def pixels(self) -> int:
+        """All pixels, padding included."""
+        return self.tiles * WIDTH * HEIGHT
+
     def grid(self, I: type) -> Grid:
         """For the kernels, in signed integers of type ``I``."""
         return Grid(*(dr.opaque(I, n) for n in (self.width, self.height, self.columns)))
@@ -98,7 +102,7 @@ def capacity(pairs: int) -> int:
     return -(-pairs // step) * step
 
 
-def _rows_touched(g: Ellipses, grid: Grid) -> tuple[Array, Array]:
+def _rows_touched(g: Footprint, grid: Grid) -> tuple[Array, Array]:
     """Rows of tiles [first, last) that an ellipse may reach."""
     F, I = type(g.u), type(grid.height)
     low = dr.maximum(dr.ceil(g.v - g.ry - 0.5 - SLACK), 0)
@@ -109,7 +113,7 @@ def _rows_touched(g: Ellipses, grid: Grid) -> tuple[Array, Array]:
     return first, dr.select(ok, I(dr.select(ok, high, 0)) // HEIGHT + 1, first)
 
 
-def _columns_touched(g: Ellipses, row: Array, grid: Grid) -> tuple[Array, Array]:
+def _columns_touched(g: Footprint, row: Array, grid: Grid) -> tuple[Array, Array]:
     """Tiles [left, right) of a row of tiles whose pixel centres the ellipse holds."""
     F, I = type(g.u), type(row)
     y = F(row * HEIGHT) + 0.5
@@ -126,7 +130,7 @@ def _columns_touched(g: Ellipses, row: Array, grid: Grid) -> tuple[Array, Array]
     return begin, dr.select(ok, I(dr.select(ok, high, 0)) // WIDTH + 1, begin)
 
 
-def count(g: Ellipses, grid: Grid) -> Array:
+def count(g: Footprint, grid: Grid) -> Array:
     """Step 1: how many tiles each Gaussian touches, (N,)."""
     U = dr.uint32_array_t(type(g.u))
     first, last = _rows_touched(g, grid)
@@ -144,7 +148,7 @@ def _emit(
 ) -> tuple[Array, Array]:
     """Step 3: lane per Gaussian, front to back; one pair per turn of the loop."""
     U, I = type(order), type(grid.width)
-    g = Ellipses(*packets.load(footprints, FOOTPRINT, order)[: len(fields(Ellipses))])
+    g = packets.load(footprints, Footprint, None, order)
     first, last = _rows_touched(g, grid)
 
     def body(row: Array, column: Array, end: Array, k: Array) -> tuple[Array, ...]:
@@ -205,12 +209,6 @@ def _schedule(start: Array, end: Array) -> tuple[Array, ...]:
     start, end = dr.gather(U, start, tile, active=real), dr.gather(U, end, tile, active=real)
     dr.eval(tile, start, end, real)
     return tile, start, end, real
-
-
-def store(ellipses: Ellipses, target: packets.Packets, i: Array) -> None:
-    """Write the ellipses to memory, for :func:`make_lists` to read in another order."""
-    columns = [getattr(ellipses, field.name) for field in fields(Ellipses)]
-    packets.store(target, [*columns, columns[0]], i)
 
 
 def make_lists(

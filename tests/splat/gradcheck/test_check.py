@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from gva_mi.splat import reference
+from gva_mi.splat.camera import CameraTensors
 from gva_mi.splat.gaussians import Image
 from gva_mi.splat.gradcheck import gradcheck, random_scene
 from gva_mi.splat.options import SplatOptions
@@ -171,7 +172,8 @@ def test_what_a_renderer_lacks_is_noted():
     def single(gaussians, camera, options, background):
         if gaussians.means.dtype != torch.float32:
             raise TypeError("float32 only")
-        return render(gaussians, camera, options, background)
+        fixed = replace(camera, tensors=CameraTensors())
+        return render(gaussians, fixed, options, background)
 
     report = gradcheck(single, scene())
     assert any("float32 only" in note for note in report.notes)

@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gva_mi.splat.gradcheck.verdict import Maps, Report, Row, write_json, write_picture
+from gva_mi.splat.gradcheck.verdict import Comparison, Maps, Report, write_json, write_picture
 
 
 def row(method="adjoint f32", error=1e-7):
-    return Row(method, "means", error, 1.0, 1e-9, (3, 1), tolerance=1e-5)
+    return Comparison(method, "means", error, 1.0, 1e-9, (3, 1), tolerance=1e-5)
 
 
 def report(*rows, notes=()):

@@ -5,11 +5,11 @@ import pytest
 import torch
 from drjit.llvm import Float
 
-from gva_mi.splat import reference
+from gva_mi.splat import Screen, reference, render
 from gva_mi.splat.gaussians import Gaussians
 from gva_mi.splat.gradcheck import random_scene
 from gva_mi.splat.kernels import chunks
-from gva_mi.splat.torch_op import Screen, render
+from gva_mi.splat.kernels.records import Format
 
 CHUNK = chunks.CHUNK
 
@@ -18,12 +18,14 @@ def scene(channels):
     return random_scene(torch.Generator().manual_seed(0), channels=channels).to(torch.float64)
 
 
-def test_widths_hold_all_channels():
+def test_formats_hold_all_channels_and_the_depth_once():
     for channels in range(1, 70):
-        widths = chunks.widths(channels)
+        formats = chunks.formats(channels, depth=True)
+        widths = [format.channels for format in formats]
         assert channels <= sum(widths) < channels + CHUNK
-        assert len(set(widths)) == 1  # one kernel for all
-        assert chunks.widths(channels, whole=True) == [channels]
+        assert len(set(widths)) == 1  # one kernel for all, but for the depth
+        assert [format.depth for format in formats] == [k == 0 for k in range(len(formats))]
+        assert chunks.formats(channels, depth=False, whole=True) == (Format(channels, False),)
 
 
 def test_split_undoes_join():

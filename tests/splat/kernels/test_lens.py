@@ -8,7 +8,8 @@ from drjit.llvm import Float, Float64
 
 from gva_mi.splat import reference
 from gva_mi.splat.camera import Camera
-from gva_mi.splat.kernels.lens import LENSES, View, view_adjoint, view_of, view_tangent
+from gva_mi.splat.kernels.lens import LENSES, view_adjoint, view_of, view_tangent
+from gva_mi.splat.kernels.records import ViewGradient
 
 MODELS = list(LENSES)
 N = 200
@@ -127,7 +128,7 @@ def test_views_adjoint_is_the_transpose_of_its_tangent():
     dK[0, 0], dK[1, 1], dK[:2, 2] = rng.normal(size=2)[0], 0.3, rng.normal(size=2)
     d = view_tangent(camera("pinhole"), dT, dK)
     d = np.concatenate([[dr.slice(x) for x in part] for part in (d.R, d.t, d.f, d.c, d.o)])
-    g = rng.normal(size=View.DIFFERENTIABLE)
-    grad_T, grad_K = view_adjoint(camera("pinhole"), g)
+    g = rng.normal(size=ViewGradient.columns())
+    grad_T, grad_K = view_adjoint(camera("pinhole"), ViewGradient.unpack(g))
     np.testing.assert_allclose(d @ g, (grad_T * dT).sum() + (grad_K * dK).sum(), rtol=1e-12)
     assert (grad_T[3] == 0).all() and grad_K[2, 2] == grad_K[0, 1] == 0

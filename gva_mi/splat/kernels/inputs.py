@@ -1,0 +1,136 @@
+"""The Gaussians as flat arrays: what the kernels take, and where their gradients go.
+
+Both doors (torch_op.py, drjit_op.py) hand their arrays over in this form, without copies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+
+import drjit as dr
+import numpy as np
+from drjit import ArrayBase as Array
+
+from gva_mi.splat.kernels import packets
+from gva_mi.splat.kernels.packets import Allocate
+from gva_mi.splat.kernels.records import ViewGradient
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What is differentiated, as flat Dr.Jit arrays of one precision; also gradients, tangents."""
+
+    means: Array  # 3 N
+    quats: Array  # 4 N
+    scales: Array  # 3 N
+    opacities: Array  # N
+    colors: Array  # D N channels, or 3 K N coefficients of harmonics
+
+    def __iter__(self) -> Iterator[Array]:
+        """The arrays, in the order above."""
+        return (getattr(self, field.name) for field in fields(self))
+
+    def __len__(self) -> int:
+        """N."""
+        return dr.width(self.opacities)
+
+    @property
+    def float_type(self) -> type:
+        """``drjit.llvm.Float`` or ``Float64``."""
+        return type(self.means)
+
+    @property
+    def color_width(self) -> int:
+        """Numbers of each Gaussian in ``colors``."""
+        return dr.width(self.colors) // max(1, len(self))
+
+    def zeros(self) -> Inputs:
+        """Arrays of the same sizes, of zeros."""
+        return Inputs(*(dr.zeros(self.float_type, dr.width(array)) for array in self))
+
+    def lane(self) -> Array:
+        """The number of a Gaussian in each lane of a kernel."""
+        return dr.arange(dr.uint32_array_t(self.float_type), len(self))
+
+    def require_finite(self, harmonics: bool) -> None:
+        """Name the first number that is NaN or infinite.
+
+        Args:
+            harmonics: whether ``colors`` holds coefficients.
+
+        Raises:
+            ValueError: there is one.
+        """
+        n = len(self)
+        for name, array in zip((field.name for field in fields(self)), self, strict=True):
+            numbers = array.numpy()
+            bad = np.flatnonzero(~np.isfinite(numbers))
+            if not bad.size:
+                continue
+            shape = (n, -1) if numbers.size > n else (n,)
+            if name == "colors" and harmonics:
+                name, shape = "sh", (n, -1, 3)
+            index = np.unravel_index(bad[0], numbers.reshape(shape).shape)
+            where = ", ".join(str(i) for i in index)
+            count = f" ({bad.size} such numbers)" if bad.size > 1 else ""
+            found = f"{name}[{where}] is {numbers[bad[0]]}"
+            raise ValueError(f"render(): {found}, must be finite{count}")
+
+
+@dataclass(frozen=True)
+class Gaussian3D:
+    """One Gaussian in each lane."""
+
+    m: list[Array]  # mean
+    quat: list[Array]
+    s: list[Array]  # scales
+    o: Array  # opacity
+    color: list[Array]  # channels, or coefficients
+
+    @staticmethod
+    def load(inputs: Inputs, color_width: int, i: Array) -> Gaussian3D:
+        """Those with the numbers ``i``."""
+        F = inputs.float_type
+        m = [dr.gather(F, inputs.means, 3 * i + k) for k in range(3)]
+        s = [dr.gather(F, inputs.scales, 3 * i + k) for k in range(3)]
+        quat = packets.load_rows(inputs.quats, 4, i)
+        o = dr.gather(F, inputs.opacities, i)
+        return Gaussian3D(m, quat, s, o, packets.load_rows(inputs.colors, color_width, i))
+
+    def store(self, inputs: Inputs, i: Array) -> None:
+        """Write them under the numbers ``i``: gradients."""
+        mode = dr.ReduceMode.NoConflicts
+        for k in range(3):
+            dr.scatter(inputs.means, self.m[k], 3 * i + k, mode=mode)
+            dr.scatter(inputs.scales, self.s[k], 3 * i + k, mode=mode)
+        packets.store_rows(inputs.quats, self.quat, i)
+        packets.store_rows(inputs.colors, self.color, i)
+        dr.scatter(inputs.opacities, self.o, i, mode=mode)
+
+
+@dataclass(frozen=True)
+class GradientMemory:
+    """Where the gradients go; None for one that nobody asked for."""
+
+    inputs: Inputs
+    u: Array  # 2 N, by the mean in the picture, per px
+    absolute: Array | None  # 2 N, the same with every pixel's share taken absolutely
+    view: packets.Packets | None  # a ViewGradient for each Gaussian
+
+    @staticmethod
+    def empty(
+        F: type,
+        n: int,
+        color_width: int,
+        camera: bool,
+        absolute: bool,
+        allocate: Allocate = packets.memory,
+    ) -> GradientMemory:
+        """Memory for the gradients of n Gaussians."""
+        return GradientMemory(
+            Inputs(*(allocate(F, columns * n) for columns in (3, 4, 3, 1, color_width))),
+            allocate(F, 2 * n),
+            allocate(F, 2 * n) if absolute else None,
+            packets.empty(ViewGradient, None, n, F, allocate) if camera else None,
+        )

@@ -1,0 +1,82 @@
+"""Pictures as the kernels keep them: flat arrays padded to whole tiles, a tile for each SIMD lane.
+
+A lane's 32 pixels are unrolled in the trace: a number per pixel is a list of 32 Dr.Jit variables,
+row by row, and no operation crosses lanes. Since pictures are padded, a row of a tile is one packet
+of memory.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from drjit import ArrayBase as Array
+
+from gva_mi.splat.kernels import packets
+from gva_mi.splat.kernels.tiles import HEIGHT, WIDTH, Grid, Lists
+
+
+@dataclass(frozen=True)
+class Planes:
+    """A picture, its gradient or its tangent."""
+
+    color: Array  # (rows, columns, D), background blended in
+    alpha: Array  # (rows, columns)
+    depth: Array | None  # (rows, columns); None where it is not made, or no loss looks at it
+
+
+@dataclass(frozen=True)
+class Trail:
+    """What the compositing leaves for its way back: one number per pixel."""
+
+    T: Array  # the last transmittance of eq. 13
+    end: Array  # in ids: where the pixel stopped, one past the last Gaussian that it shows
+
+
+@dataclass(frozen=True)
+class Window:
+    """A lane's tile in the picture."""
+
+    x: Array  # its left upper corner, px
+    y: Array
+    rows: list[Array]  # the number of each of its rows of pixels, in rows of a tile's width
+    real: Array  # False for lanes that only fill up packets: nothing is written
+
+    @staticmethod
+    def of(lists: Lists, grid: Grid, F: type) -> Window:
+        """Each lane's, in numbers of type ``F``."""
+        columns = type(lists.tile)(grid.columns)
+        row = lists.tile // columns
+        column = lists.tile - row * columns
+        first = row * (columns * HEIGHT) + column
+        rows = [first + columns * j for j in range(HEIGHT)]
+        return Window(F(column * WIDTH), F(row * HEIGHT), rows, lists.real)
+
+    def inside(self, grid: Grid, F: type) -> list[Array]:
+        """Which of the tile's pixels lie in the picture."""
+        in_x = [self.x + i < F(grid.width) for i in range(WIDTH)]
+        in_y = [self.y + j < F(grid.height) for j in range(HEIGHT)]
+        return [a & b for b in in_y for a in in_x]
+
+    def load(self, plane: Array) -> list[Array]:
+        """A number of each pixel."""
+        return [number for row in self.rows for number in packets.load_rows(plane, WIDTH, row)]
+
+    def load_channels(self, plane: Array, channels: int) -> list[list[Array]]:
+        """The channels of each pixel."""
+        out = []
+        for row in self.rows:
+            numbers = packets.load_rows(plane, WIDTH * channels, row)
+            out += [numbers[i * channels : (i + 1) * channels] for i in range(WIDTH)]
+        return out
+
+    def store(self, plane: Array, pixels: Sequence[Array]) -> None:
+        """Write a number for each pixel."""
+        self.store_channels(plane, [[number] for number in pixels])
+
+    def store_channels(self, plane: Array, pixels: Sequence[Sequence[Array]]) -> None:
+        """Write the channels of each pixel."""
+        for j, row in enumerate(self.rows):
+            of_row = pixels[j * WIDTH : (j + 1) * WIDTH]
+            numbers = [number for pixel in of_row for number in pixel]
+            packets.store_rows(plane, numbers, row, self.real)

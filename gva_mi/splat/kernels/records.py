@@ -1,0 +1,148 @@
+"""What the kernels hand to one another through memory, with its fields by name.
+
+| record | written by | read by | one for each |
+|---|---|---|---|
+| ``Footprint`` | ``project`` | tiles.py | Gaussian |
+| ``Splat`` | ``project``, ``project_tangent`` | blend.py, in all directions | Gaussian, chunk |
+| ``Slot`` | ``blend_adjoint`` | ``sum_slots``, for ``project_adjoint`` | pair, chunk |
+| ``ViewGradient`` | ``project_adjoint`` | the host, which adds them up | Gaussian |
+
+In memory a record is a row of floats (packets.py); in a kernel its fields are Dr.Jit arrays, a lane
+each. A *pair* is a tile and a Gaussian that touches it, a *chunk* some of the colour's channels
+(chunks.py). ``pack`` and ``unpack`` are the only places that know the order of the columns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from drjit import ArrayBase as Array
+
+
+@dataclass(frozen=True)
+class Format:
+    """Which optional fields a ``Splat`` or a ``Slot`` has."""
+
+    channels: int  # of the colour
+    depth: bool  # whether the depth is a feature too
+    absolute: bool = False  # whether a slot holds the two absolute sums
+
+
+@dataclass(frozen=True)
+class Footprint:
+    """Where alpha >= alpha_min in the picture, an ellipse (ellipse.py, eq. 7); px."""
+
+    u: Array  # mean
+    v: Array
+    rx: Array  # half extents; ry < 0 where nothing is to be drawn
+    ry: Array
+    shear: Array  # at height d_y the columns are shear d_y -+ half sqrt(1 - (d_y / ry)^2)
+    half: Array
+    turn: Array  # d_y of the rightmost point; the leftmost lies at -turn
+
+    @staticmethod
+    def columns(format: None = None) -> int:
+        """How many: the fields, and one that fills the packet up."""
+        return 8
+
+    def pack(self) -> list[Array]:
+        """The columns of the record."""
+        fields = [self.u, self.v, self.rx, self.ry, self.shear, self.half, self.turn]
+        return [*fields, self.u]
+
+    @staticmethod
+    def unpack(columns: Sequence[Array], format: None = None) -> Footprint:
+        """The record of some columns."""
+        return Footprint(*columns[:7])
+
+
+@dataclass(frozen=True)
+class Splat:
+    """A Gaussian in the picture: mean, ellipse and opacity (lens.py, ellipse.py), and features."""
+
+    u: list[Array]  # 2, mean, px
+    p: Array  # eq. 6
+    q: Array
+    r: Array
+    lo: Array  # eq. 7
+    color: list[Array]
+    depth: Array | None
+
+    @property
+    def features(self) -> list[Array]:
+        """f of eq. 14: the channels of the colour and, if it is one, the depth."""
+        return self.color if self.depth is None else [*self.color, self.depth]
+
+    @staticmethod
+    def columns(format: Format) -> int:
+        """How many."""
+        return 6 + format.channels + format.depth
+
+    def pack(self) -> list[Array]:
+        """The columns of the record."""
+        return [*self.u, self.p, self.q, self.r, self.lo, *self.features]
+
+    @staticmethod
+    def unpack(columns: Sequence[Array], format: Format) -> Splat:
+        """The record of some columns."""
+        u0, u1, p, q, r, lo, *features = columns
+        depth = features.pop() if format.depth else None
+        return Splat([u0, u1], p, q, r, lo, features, depth)
+
+
+@dataclass(frozen=True)
+class Slot:
+    """What one pair, or all pairs of a Gaussian, give to its gradient (pixel.py, eq. 16)."""
+
+    m0: Array
+    m1: list[Array]  # 2: x, y
+    m2: list[Array]  # 3: xx, xy, yy
+    absolute: list[Array]  # 2 absolute sums, or none
+    color: list[Array]  # gradients of the features
+    depth: Array | None
+
+    @staticmethod
+    def columns(format: Format) -> int:
+        """How many."""
+        return 6 + 2 * format.absolute + format.channels + format.depth
+
+    def pack(self) -> list[Array]:
+        """The columns of the record."""
+        depth = [] if self.depth is None else [self.depth]
+        return [self.m0, *self.m1, *self.m2, *self.absolute, *self.color, *depth]
+
+    @staticmethod
+    def unpack(columns: Sequence[Array], format: Format) -> Slot:
+        """The record of some columns."""
+        m0, mx, my, mxx, mxy, myy, *rest = columns
+        depth = rest.pop() if format.depth else None
+        absolute, color = (rest[:2], rest[2:]) if format.absolute else ([], rest)
+        return Slot(m0, [mx, my], [mxx, mxy, myy], absolute, color, depth)
+
+
+@dataclass(frozen=True)
+class ViewGradient:
+    """What one Gaussian, or all of them, give to the gradient by the camera (lens.py, ``View``)."""
+
+    R: list[Array]  # 9, row by row
+    t: list[Array]  # 3
+    f: list[Array]  # 2
+    c: list[Array]  # 2
+    o: list[Array]  # 3
+
+    @staticmethod
+    def columns(format: None = None) -> int:
+        """How many."""
+        return 19
+
+    def pack(self) -> list[Array]:
+        """The columns of the record."""
+        return [*self.R, *self.t, *self.f, *self.c, *self.o]
+
+    @staticmethod
+    def unpack(columns: Sequence[Array], format: None = None) -> ViewGradient:
+        """The record of some columns."""
+        return ViewGradient(
+            columns[:9], columns[9:12], columns[12:14], columns[14:16], columns[16:]
+        )

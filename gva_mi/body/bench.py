@@ -113,7 +113,7 @@ def _batch(body: BodyModel, frames: int, repeats: int, generator: torch.Generato
     vertices, directions = len(body.v_template), body.frame_directions
     surface, moves = leaf(1, 3 * vertices), leaf(frames, len(directions))
     points, T_world_rest = leaf(frames, vertices, 3), leaf(frames, 55, 4, 4)
-    pose = lambda: Pose.from_rotations(rotations, transl, expression)
+    pose = lambda: Pose(rotations, transl, expression)
     stages = {
         "joints": (
             lambda: turn_joints(rotations, joints, PARENTS, transl)[1],

@@ -64,11 +64,6 @@ class Pose:
         return Pose(zero(len(JOINTS), 3), zero(3), zero(expressions))
 
     @staticmethod
-    def from_rotations(rotations: Tensor, transl: Tensor, expression: Tensor) -> Pose:
-        """The constructor."""
-        return Pose(rotations, transl, expression)
-
-    @staticmethod
     def from_smplx(named: Mapping[str, Tensor]) -> Pose:
         """A pose from SMPL-X's names, as :meth:`to_smplx` gives them.
 

@@ -93,7 +93,7 @@ def pose_from_smpl(poses: Tensor, transl: Tensor, *, mittens: bool = False) -> P
     rotations = _rotations("pose_from_smpl", poses, transl, SMPL)
     if not mittens:
         rotations[:, list(_MITTENS)] = 0
-    return Pose.from_rotations(rotations, transl, poses.new_zeros(len(poses), 0))
+    return Pose(rotations, transl, poses.new_zeros(len(poses), 0))
 
 
 def pose_from_smplh(poses: Tensor, transl: Tensor) -> Pose:
@@ -105,7 +105,7 @@ def pose_from_smplh(poses: Tensor, transl: Tensor) -> Pose:
         transl: (T, 3) metres.
     """
     rotations = _rotations("pose_from_smplh", poses, transl, SMPLH)
-    return Pose.from_rotations(rotations, transl, poses.new_zeros(len(poses), 0))
+    return Pose(rotations, transl, poses.new_zeros(len(poses), 0))
 
 
 def keep_pelvis(pose: Pose, pelvis: Tensor, new_pelvis: Tensor) -> Pose:

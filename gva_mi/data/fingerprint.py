@@ -33,7 +33,7 @@ def fingerprint(body: BodyModel) -> dict[str, object]:
     dtype = body.v_template.dtype
     wave = lambda n, size: size * torch.sin(1.0 + torch.arange(n, dtype=torch.float64)).to(dtype)
     shape = Shape(wave(body.num_betas, 1.5))
-    bent = Pose.from_rotations(
+    bent = Pose(
         wave(165, 0.6).reshape(1, 55, 3), torch.zeros(1, 3, dtype=dtype),
         wave(body.num_expressions, 1.5)[None],
     )  # fmt: skip

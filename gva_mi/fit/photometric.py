@@ -144,7 +144,7 @@ def fit_poses(
             kept[k] = f"its loss grew from {before[k]:.4f} to {after[k]:.4f}"
             after[k] = before[k]
     return FittedPoses(
-        Pose.from_rotations(rotations, transl, video.pose.expression),
+        Pose(rotations, transl, video.pose.expression),
         before,
         after,
         dict(sorted(kept.items())),
@@ -187,7 +187,7 @@ def _fit_parts(
         found.append(pose)
         done += count
     rotations, transl = join(parts, [p.rotations for p in found], [p.transl for p in found])
-    return Pose.from_rotations(rotations, transl, video.pose.expression)
+    return Pose(rotations, transl, video.pose.expression)
 
 
 def _fit_together(
@@ -228,7 +228,7 @@ def _fit_together(
     with torch.no_grad():
         found = corrections.pose(range(len(frames)))
     rotations[frames], transl[frames] = found.rotations, found.transl
-    return Pose.from_rotations(rotations, transl, pose.expression)
+    return Pose(rotations, transl, pose.expression)
 
 
 def _within(progress: Progress, before: int, total: int) -> Progress:

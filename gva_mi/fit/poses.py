@@ -62,4 +62,4 @@ def _packed(pose: Pose) -> Tensor:
 def _unpacked(rows: Tensor, expression: Tensor) -> Pose:
     """The pose that :func:`_packed` made rows of, with its expression."""
     rotations, transl = rows.split([165, 3], dim=1)
-    return Pose.from_rotations(rotations.unflatten(1, (55, 3)), transl, expression)
+    return Pose(rotations.unflatten(1, (55, 3)), transl, expression)

@@ -197,7 +197,7 @@ def _posed(body: BodyModel, pose: str, moves: str, axis: int) -> Callable[[float
             transl[0, axis] += x
         else:
             turned[0, JOINTS.index(moves), axis] += x
-        moved = Pose.from_rotations(turned, transl, zero(1, 10))
+        moved = Pose(turned, transl, zero(1, 10))
         return body(moved, Shape(zero(10))).vertices[0].numpy()
 
     return vertices

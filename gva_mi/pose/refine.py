@@ -245,7 +245,7 @@ class _Case:
             rotations[k], transl[k] = self.pose.rotations[k], self.pose.transl[k]
         work = self.seconds + sum(solved.seconds for solved in (*skimmed, *found))
         return Refined(
-            Pose.from_rotations(rotations, transl, self.pose.expression),
+            Pose(rotations, transl, self.pose.expression),
             Shape(betas),
             self.coarse.spread(offsets),
             losses_stage1,
@@ -263,7 +263,7 @@ class _Case:
         scene = BodyScene(body.faces, body.v_template)
         with one_torch_thread():
             for k, target in self.targets.items():
-                one = Pose.from_rotations(
+                one = Pose(
                     solution.rotations[k : k + 1],
                     solution.transl[k : k + 1],
                     self.pose.expression[k : k + 1],

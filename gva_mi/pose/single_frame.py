@@ -45,9 +45,7 @@ def refine_single_frames(
         theta = stage1.clone().requires_grad_()
         adam = VectorAdam([theta], [reach])
         for step in range(options.steps):
-            one = Pose.from_rotations(
-                theta[None], pose.transl[k : k + 1], pose.expression[k : k + 1]
-            )
+            one = Pose(theta[None], pose.transl[k : k + 1], pose.expression[k : k + 1])
             image = scene.render(body(one, shape).vertices[0], target.camera)
             loss = target.normal_loss(image) + options.silhouette * target.silhouette_loss(image)
             loss = loss + options.paper_prior * (weights * (theta - stage1).square()).sum()

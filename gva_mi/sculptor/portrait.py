@@ -81,7 +81,7 @@ class _PortraitRenderer:
             rotations[0, JOINTS.index(name)] = torch.tensor(rotation)
         if portrait.expression and self._body.num_expressions == len(EXPRESSIONS):
             expression[0, EXPRESSIONS.index(portrait.expression)] = portrait.amount
-        pose = Pose.from_rotations(rotations, zero(1, 3), expression)
+        pose = Pose(rotations, zero(1, 3), expression)
         return self._body(pose, self._shape).vertices[0]
 
     def _mesh(self, vertices: np.ndarray) -> object:

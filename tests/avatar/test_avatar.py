@@ -118,7 +118,7 @@ def test_pose_gradient_agrees_with_differences(make_avatar, random_pose):
     avatar = make_avatar(dtype=torch.float64)
     pose = random_pose(4, dtype=torch.float64)
     rotations = pose.rotations.requires_grad_()
-    turned = lambda r: loss_of(avatar, Pose.from_rotations(r, pose.transl, pose.expression))
+    turned = lambda r: loss_of(avatar, Pose(r, pose.transl, pose.expression))
     (grad,) = torch.autograd.grad(turned(rotations), rotations)
     along = torch.randn(1, 55, 3, generator=torch.Generator().manual_seed(5)).double()
     with torch.no_grad():

@@ -70,7 +70,7 @@ def person(dtype):
 
 
 def ours(body, rotations, transl, psi, betas):
-    posed = body(Pose.from_rotations(rotations, transl, psi), Shape(betas))
+    posed = body(Pose(rotations, transl, psi), Shape(betas))
     return posed.vertices, posed.joints
 
 

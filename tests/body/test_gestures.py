@@ -25,7 +25,7 @@ def hand():
 
     def shaped(name):
         tensor = torch.from_numpy(rotations(name)).float()
-        pose = Pose.from_rotations(tensor, torch.zeros(1, 3), torch.zeros(1, body.num_expressions))
+        pose = Pose(tensor, torch.zeros(1, 3), torch.zeros(1, body.num_expressions))
         vertices = body(pose, Shape(torch.zeros(10))).vertices[0].numpy()
         of = lambda joint: vertices[(owner == JOINTS.index(f"left_{joint}")).numpy()]
         return {joint: of(joint) for joint in (*(f"{f}3" for f in FINGERS), "thumb3", "wrist")}

@@ -28,7 +28,7 @@ def pose_with(**rotations):
     for name, rotation in rotations.items():
         all_of_them[0, JOINTS.index(name)] = torch.tensor(rotation, dtype=F64)
     zero = torch.zeros(1, 10, dtype=F64)
-    return Pose.from_rotations(all_of_them, zero[:, :3], zero)
+    return Pose(all_of_them, zero[:, :3], zero)
 
 
 def volume(vertices, faces):

@@ -59,7 +59,7 @@ def turning(frames, start=0.0):
     rotations[:, 0, 1] = start + 2 * torch.pi * turn
     rotations[:, 16, 2] = -0.6 + 0.3 * torch.sin(7 * turn)
     rotations[:, 17, 2] = 0.6 + 0.3 * torch.sin(5 * turn)
-    return Pose.from_rotations(rotations, torch.zeros(frames, 3), torch.zeros(frames, 10))
+    return Pose(rotations, torch.zeros(frames, 3), torch.zeros(frames, 10))
 
 
 @pytest.fixture(scope="session")

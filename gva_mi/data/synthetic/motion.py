@@ -251,4 +251,4 @@ def _turned(yaw: np.ndarray, lean: np.ndarray) -> np.ndarray:
 
 def _pose(rotations: np.ndarray, transl: np.ndarray, expression: np.ndarray) -> Pose:
     tensor = lambda x: torch.from_numpy(x).float()
-    return Pose.from_rotations(tensor(rotations), tensor(transl), tensor(expression))
+    return Pose(tensor(rotations), tensor(transl), tensor(expression))

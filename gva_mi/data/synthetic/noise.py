@@ -112,7 +112,7 @@ def noisy_poses(
     for k in np.flatnonzero(expression.any(0)):
         expression[:, k] += level * EXPRESSION * _curve(rng, frames)[:, 0] * np.sqrt(3)
     tensor = lambda x: torch.from_numpy(x).to(pose.transl.dtype)
-    noisy = Pose.from_rotations(tensor(rotations), tensor(transl), tensor(expression))
+    noisy = Pose(tensor(rotations), tensor(transl), tensor(expression))
     return noisy, Shape(betas)
 
 

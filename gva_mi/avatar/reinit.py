@@ -78,7 +78,7 @@ class SurfaceMesh:
 
 @dataclass(frozen=True)
 class Reinitialised:
-    """What a re-initialisation returns; nothing of the avatar has changed yet."""
+    """What a re-initialisation returns; the avatar itself has not changed yet."""
 
     canonical: CanonicalGaussians  # see :func:`gva_mi.avatar.densify.replace_gaussians`
     surface: SurfaceMesh  # the smoothed, watertight wrap

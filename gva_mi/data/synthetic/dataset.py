@@ -81,7 +81,7 @@ def make_subject(
     subject = draw_subject(body, options.person(body), options.clothes, options.hair)
     with _finished_folder(out) as folder, ShotPool(subject, options.workers, step) as pool:
         recording = Recording(options, body, subject, pool)
-        poses = recording.performed()
+        poses = recording.video_poses()
         _write_video(folder, recording, poses)
         _write_novel_poses(folder / "truth" / "novel_pose", recording)
         seen = _write_novel_views(folder / "truth" / "novel_view", recording, poses, views)
@@ -90,7 +90,7 @@ def make_subject(
         _write_json(folder / "splits.json", splits)
         _write_surface(folder / "truth" / "surface.ply", subject)
         made_of = asdict(options)
-        del made_of["workers"]  # they change no bit
+        del made_of["workers"]  # their number changes no bit
         about = {"options": made_of, "seed": options.seed, "versions": _versions()}
         about["body"] = fingerprint(body)
         _write_json(folder / "synth.json", about)
@@ -124,7 +124,7 @@ class Recording:
         """Some points of the surface without folds, (T, n, 3), metres."""
         return self.subject.thinned(THINNED).posed(self.body, pose)
 
-    def performed(self) -> list[Pose]:
+    def video_poses(self) -> list[Pose]:
         """The video's poses, and those a step, two steps, ... before each of its frames."""
         options = self.options
         perform = motion.MOTIONS[options.motion]

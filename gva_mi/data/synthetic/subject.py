@@ -46,14 +46,15 @@ class Subject:
     ) -> np.ndarray:
         """The surface in the world, (T, N, 3) float32, metres.
 
-        Skinned like the body. Whatever else moves the body's vertices, such as pose correctives,
-        moves what follows them as well. Folds and lags come on top, see ``folds``.
+        It is skinned like the body. Whatever else moves the body's vertices, such as pose
+        correctives, moves what follows them as well. Creases and lags are added to that, see
+        :mod:`gva_mi.data.synthetic.clothes.folds`.
 
         Args:
             body: the body it was drawn on.
             pose: T frames.
-            past: poses of T frames each, a step, two steps, ... before these; without them nothing
-                lags.
+            past: poses of T frames each, a step, two steps, ... before these; without them no end
+                lags behind.
             folds: factor on creases and lags; 0 leaves them out.
         """
         skinned = self._skinned(body, pose, np.arange(len(self.vertices)))
@@ -91,7 +92,7 @@ class Subject:
         return np.stack(frames).astype(np.float32)
 
     def thinned(self, every: int) -> Subject:
-        """Every n-th vertex of it, without faces: for measures, not for pictures."""
+        """Every n-th vertex of the surface, without faces: to measure it, not to draw it."""
         index = np.arange(0, len(self.vertices), every)
         return replace(
             self, vertices=self.vertices[index], faces=np.zeros((0, 3), np.int64),

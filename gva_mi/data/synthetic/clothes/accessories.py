@@ -1,4 +1,4 @@
-"""Glasses and a cap, as level sets like the clothes (see ``garments``); both move with the head.
+"""Glasses and a cap, as level sets like the clothes (see ``level_sets``); both move with the head.
 
 glasses  f = min( |ring(x, y), z| , capsules of bridge and temples ) - radius
 cap      f = smin( smax(d - thickness, band), brim )
@@ -25,7 +25,7 @@ WIRE = 0.0023  # m, radius of the glasses' frame
 
 
 def glasses(surface: BodySurface, joints: Mapping[str, np.ndarray]) -> ClosedMesh:
-    """The frame of a pair of glasses; nothing stands for the lenses.
+    """The frame of a pair of glasses, without lenses.
 
     Args:
         surface: the body.

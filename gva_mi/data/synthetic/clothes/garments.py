@@ -68,7 +68,7 @@ def shirt(
     Args:
         grid, d: the body's distance on its grid.
         joints: rest positions by name.
-        outfit: ``loose``, ``sleeve`` and ``hem`` of it.
+        outfit: its ``loose``, ``sleeve`` and ``hem``.
         rng: for the folds.
     """
     sleeve, hem = outfit.sleeve, outfit.hem
@@ -141,7 +141,7 @@ def trousers(
     Args:
         grid, d: the body's distance on its grid.
         joints: rest positions by name.
-        outfit: ``length`` of it, and ``flare``, how far the hems stand off.
+        outfit: its ``length``, and its ``flare``, how far the hems stand off.
     """
     loose, length = outfit.flare, outfit.length
     pelvis, hip, knee, ankle = (
@@ -175,7 +175,7 @@ def skirt(
     Args:
         grid, d: the body's distance on its grid.
         joints: rest positions by name.
-        outfit: ``length`` of it, and ``flare``, the growth of the radius per metre below the hips.
+        outfit: its ``length``, and its ``flare``, by how much the radius grows per metre down.
         rng: for the pleats.
     """
     flare, length = outfit.flare, outfit.length

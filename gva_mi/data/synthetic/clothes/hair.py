@@ -46,6 +46,7 @@ class _Head:
 
     @staticmethod
     def of(surface: BodySurface, joints: Mapping[str, np.ndarray]) -> _Head:
+        """The head of a body with joints at these rest positions."""
         eyes = (joints["left_eye_smplhf"] + joints["right_eye_smplhf"]) / 2
         skull = surface.points[surface.points[:, 1] > eyes[1] - 0.02]
         top = skull[:, 1].max()
@@ -86,6 +87,7 @@ class _Strands:
 
     @staticmethod
     def drawn(head: _Head, grid: VoxelGrid, rng: np.random.Generator) -> _Strands:
+        """Random locks around a head."""
         x, y, z = grid.x - head.middle[0], grid.y, grid.z - head.middle[2]
         angle = np.arctan2(z, x)
         locks = sum(
@@ -108,8 +110,8 @@ def hair_mesh(
     Args:
         surface: the body.
         joints: rest positions by name.
-        outfit: ``hair`` of it: "short" follows the skull, "bob" hangs to the jaw, centimetres off
-            the head, "long" to the shoulder blades; and ``hair_thick``.
+        outfit: its ``hair``: "short" follows the skull, "bob" hangs to the jaw, centimetres off
+            the head, "long" to the shoulder blades; and its ``hair_thick``.
         rng: for the locks and the parting.
         shirt: long hair falls over it.
     """

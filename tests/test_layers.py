@@ -1,122 +1,126 @@
-"""The folder list tells the paper: a file imports only from the floors below it."""
+"""The floors of the house: a file imports only from below, and the drawing is the code's own."""
 
 import ast
+import importlib
+import importlib.util
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[1]
-SOURCES = sorted((ROOT / "gva_mi").rglob("*.py")) + sorted((ROOT / "plugins").rglob("*.py"))
-HEAVY = {"mitsuba", "pymeshlab", "trimesh", "skimage", "matplotlib", "av", "jinja2", "PIL", "scipy"}
+spec = importlib.util.spec_from_file_location("floors", ROOT / "docs/floors.py")
+floors = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(floors)
 
-# Every folder stands on a floor of its own, and a file imports only from the floors below, or from
-# its own folder. The first prefix that fits names the floor.
-FLOORS = [
-    ("gva_mi.errors", 0),
-    ("gva_mi.files", 0),
-    ("gva_mi.llvm", 0),
-    ("gva_mi.page", 0),
-    ("gva_mi.console", 0),
-    ("gva_mi.threads", 0),
-    ("gva_mi.splat.gradcheck", 3),
-    ("gva_mi.splat.bench", 3),
-    ("gva_mi.splat", 1),
-    ("gva_mi_plugins", 2),
-    ("gva_mi.body", 4),
-    ("gva_mi.mesh", 5),
-    ("gva_mi.data.synthetic", 7),
-    ("gva_mi.data", 6),
-    ("gva_mi.sculptor", 7),
-    ("gva_mi.avatar", 8),
-    ("gva_mi.pose", 9),
-    ("gva_mi.fit", 10),
-    ("gva_mi.commands", 11),
-    ("gva_mi.__main__", 12),
-]
-ALLOWED_BESIDE = {  # packages that only some folders may import, at any depth of the file
+SOURCES, MODULES, module = floors.SOURCES, floors.MODULES, floors.module
+HEAVY = {"mitsuba", "pymeshlab", "trimesh", "skimage", "matplotlib", "av", "jinja2", "PIL", "scipy"}
+HOMES = {  # packages that only some folders may import, at any depth of the file
     "mitsuba": ("gva_mi_plugins", "gva_mi.mesh", "gva_mi.data.synthetic", "gva_mi.sculptor",
                 "gva_mi.commands.doctor"),
-    "pymeshlab": ("gva_mi.data.synthetic", "gva_mi.sculptor", "gva_mi.avatar.reinit",
+    "pymeshlab": ("gva_mi.sculptor", "gva_mi.data.synthetic", "gva_mi.avatar.reinit",
                   "gva_mi.pose.coarse_body", "gva_mi.commands.doctor"),
-    "torch": ("gva_mi.splat.torch_op", "gva_mi.splat.reference", "gva_mi.splat.gradcheck",
-              "gva_mi.splat.gsplat_compat", "gva_mi.splat.bench", "gva_mi.splat.scene",
-              "gva_mi.body", "gva_mi.mesh", "gva_mi.data", "gva_mi.sculptor",
-              "gva_mi.avatar", "gva_mi.pose", "gva_mi.fit", "gva_mi.threads", "gva_mi.commands"),
+    "torch": ("gva_mi.splat.torch_op", "gva_mi.splat.screen", "gva_mi.splat.gsplat_compat",
+              "gva_mi.splat.reference", "gva_mi.splat.scene", "gva_mi.splat.gradcheck",
+              "gva_mi.splat.bench", "gva_mi.body", "gva_mi.mesh", "gva_mi.data",
+              "gva_mi.sculptor", "gva_mi.avatar", "gva_mi.pose", "gva_mi.fit", "gva_mi.threads",
+              "gva_mi.commands"),
+    "tyro": ("gva_mi.commands", "gva_mi.__main__"),
 }  # fmt: skip
+MODULE = pytest.mark.parametrize("path", SOURCES, ids=module)
 
 
-def module(path: Path) -> str:
-    parts = list(path.relative_to(ROOT).with_suffix("").parts)
-    if parts[0] == "plugins":
-        parts[0] = "gva_mi_plugins"
-    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+def within(name, homes):
+    return any(name == home or name.startswith(home + ".") for home in homes)
 
 
-def floor(name: str) -> int:
-    if name == "gva_mi":
-        return 0
-    fits = [level for prefix, level in FLOORS if name == prefix or name.startswith(prefix + ".")]
-    assert fits, f"{name} stands on no floor: give it one in FLOORS"
-    return fits[0]
-
-
-def imports(path: Path, *, top_level_only: bool = False) -> set[str]:
-    """Every module that a file imports; ``from a import b`` counts as ``a.b`` if that is one."""
-    found = set()
-    tree = ast.parse(path.read_text())
-    for node in tree.body if top_level_only else ast.walk(tree):
-        if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{path}: relative imports hide the floor"
-            names = {f"{node.module}.{alias.name}" for alias in node.names}
-            modules = {module(p) for p in SOURCES}
-            found |= {n if n in modules else node.module for n in names}
-    return found
-
-
-@pytest.mark.parametrize("path", SOURCES, ids=module)
+@MODULE
 def test_imports_point_down(path):
     here = module(path)
-    for name in imports(path):
-        if name.split(".")[0] in ("gva_mi", "gva_mi_plugins"):
-            assert floor(name) <= floor(here), f"{here} (floor {floor(here)}) imports {name}"
+    assert floors.floor(here) >= 0, f"{here} stands on no floor: give it one in docs/floors.py"
+    for name in floors.imports(path) & MODULES.keys():
+        above = floors.floor(name) > floors.floor(here)
+        assert not above, (
+            f"{here} ({floors.FLOORS[floors.floor(here)][0]}) imports {name}, which stands above"
+        )
 
 
-@pytest.mark.parametrize("path", SOURCES, ids=module)
+def test_no_circle_of_files():
+    """Whatever is imported at the top, inside a function, or for a type."""
+    graph = {name: floors.imports(path) & MODULES.keys() - {name} for name, path in MODULES.items()}
+    for package in [name for name, path in MODULES.items() if path.name == "__init__.py"]:
+        graph[package] = set()  # a folder's face shows what is inside
+    assert not floors.circle(graph)
+
+
+def test_a_circle_is_found():
+    graph = {"a": {"b"}, "b": {"c"}, "c": {"d", "b"}, "d": set()}
+    assert floors.circle(graph) == ["b", "c", "b"]
+    assert not floors.circle(graph | {"c": {"d"}})
+
+
+@pytest.mark.parametrize("name", [name for _, _, prefixes in floors.FLOORS for name in prefixes])
+def test_every_floor_has_a_room(name):
+    assert name in MODULES, f"docs/floors.py names {name}, which does not exist"
+
+
+def test_the_drawing_is_of_the_code_as_it_is():
+    page = (ROOT / "docs/architecture.md").read_text()
+    assert floors.drawing() in page, "run `python docs/floors.py` and put the drawing in"
+
+
+@MODULE
 def test_each_package_is_imported_only_where_it_belongs(path):
     here = module(path)
-    for name in imports(path):
-        homes = ALLOWED_BESIDE.get(name.split(".")[0])
-        if homes:
-            fits = any(here == home or here.startswith(home + ".") for home in homes)
-            assert fits, f"{here} imports {name}, which belongs to {', '.join(homes)}"
+    for name in floors.imports(path):
+        homes = HOMES.get(name.split(".")[0])
+        assert not homes or within(here, homes), (
+            f"{here} imports {name}, which belongs to {', '.join(homes)}"
+        )
 
 
-@pytest.mark.parametrize("path", [p for p in SOURCES if "plugins" in p.relative_to(ROOT).parts[:1]], ids=module)
+@pytest.mark.parametrize(
+    "path", [p for p in SOURCES if module(p).startswith("gva_mi_plugins")], ids=module
+)
 def test_a_plugin_serves_any_scene(path):
     """gaussian_splat knows the kernels, and no plugin anything else of gva_mi but its libLLVM."""
     here = module(path)
-    allowed = (
-        ("gva_mi.splat",) if here.startswith("gva_mi_plugins.gaussian_splat") else ()
-    )
-    for name in imports(path):
-        if name.split(".")[0] == "gva_mi":
-            assert name == "gva_mi.llvm" or name.startswith(allowed), f"{here} imports {name}"
+    allowed = ("gva_mi.llvm",)
+    if here.startswith("gva_mi_plugins.gaussian_splat"):
+        allowed += ("gva_mi.splat",)
+    for name in floors.imports(path):
+        assert name.split(".")[0] != "gva_mi" or name == "gva_mi" or within(name, allowed), (
+            f"{here} imports {name}"
+        )
 
 
-@pytest.mark.parametrize("path", SOURCES, ids=module)
+@MODULE
 def test_importing_costs_nothing(path):
     if module(path).startswith("gva_mi_plugins."):
         return  # loaded by register() alone, when Mitsuba is there
-    heavy = {name.split(".")[0] for name in imports(path, top_level_only=True)} & HEAVY
+    heavy = {name.split(".")[0] for name in floors.imports(path, top_level_only=True)} & HEAVY
     assert not heavy, f"{module(path)} imports {heavy} at its top: move it into the function"
+
+
+@MODULE
+def test_a_file_is_one_idea(path):
+    """What takes more than 400 lines to say is two."""
+    assert len(path.read_text().splitlines()) <= 400
+
+
+@MODULE
+def test_a_function_fits_on_a_screen(path):
+    """60 lines, below its signature and its docstring."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.FunctionDef):
+            documented = ast.get_docstring(node, clean=False) or ""
+            lines = node.end_lineno - node.body[0].lineno + 1 - len(documented.splitlines())
+            assert lines <= 60, f"{module(path)}.{node.name} has {lines} lines"
 
 
 @pytest.mark.parametrize("path", [p for p in SOURCES if p.name == "__init__.py"], ids=module)
 def test_public_names_exist(path):
-    import importlib
-
+    if module(path).startswith("gva_mi_plugins."):
+        return
     package = importlib.import_module(module(path))
     for name in getattr(package, "__all__", []):
         assert hasattr(package, name), (

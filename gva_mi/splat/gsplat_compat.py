@@ -153,22 +153,21 @@ def rasterization(
     drawn = opacities.expand(len(viewmats), len(means))
     if options.antialiased:
         drawn = torch.stack([screen.opacities for screen in screens])
-    size = {"width": width, "height": height}
-    return (
-        colors_out,
-        alphas,
-        size
-        | {
-            "camera_ids": None,
-            "gaussian_ids": None,
-            "radii": torch.stack([_radii(screen, width, height) for screen in screens]),
-            "means2d": means2d,
-            "depths": x[..., 2],
-            "conics": torch.stack([screen.conics for screen in screens]),
-            "opacities": drawn,
-            "n_cameras": len(viewmats),
-        },
-    )
+    meta = {"means2d": means2d, "depths": x[..., 2], "opacities": drawn}
+    return colors_out, alphas, meta | _meta(screens, width, height)
+
+
+def _meta(screens: list[Screen], width: int, height: int) -> dict[str, Any]:
+    """What is not differentiable of ``meta``."""
+    return {
+        "camera_ids": None,
+        "gaussian_ids": None,
+        "radii": torch.stack([_radii(screen, width, height) for screen in screens]),
+        "conics": torch.stack([screen.conics for screen in screens]),
+        "width": width,
+        "height": height,
+        "n_cameras": len(screens),
+    }
 
 
 def _refuse(**given: bool) -> None:

@@ -77,6 +77,34 @@ class _Margins:
     rest: Tensor  # of any T to transmittance_min
     depth: Tensor  # between neighbours in depth
 
+    def narrowed(
+        self,
+        options: SplatOptions,
+        free: Tensor,
+        rest: Tensor,
+        gap: Tensor,
+        stopped: Tensor,
+        seen: Tensor,
+    ) -> _Margins:
+        """After one more Gaussian.
+
+        Args:
+            options: cut-offs.
+            free: its alpha before it is clamped, (H, W).
+            rest: T behind it, (H, W).
+            gap: how much farther it is than the one in front, relatively, (H, W).
+            stopped: pixels that had stopped before it.
+            seen: pixels that see it.
+        """
+        off = lambda value, cut: (value / cut - 1).abs()
+        to_cut = torch.minimum(off(free, options.alpha_min), off(free, options.alpha_max))
+        to_stop = off(rest, options.transmittance_min)
+        return _Margins(
+            torch.minimum(self.alpha, torch.where(stopped, torch.inf, to_cut)),
+            torch.minimum(self.rest, torch.where(seen, to_stop, torch.inf)),
+            torch.minimum(self.depth, torch.where(seen & (gap > 0), gap, torch.inf)),
+        )
+
 
 def _matrices(camera: Camera) -> tuple[Tensor, Tensor]:
     """T_camera_world (4, 4) and K (3, 3), float64: the camera's tensors where it has some."""
@@ -103,15 +131,7 @@ def _render(
         torch.meshgrid(torch.arange(W) + 0.5, torch.arange(H) + 0.5, indexing="xy"), dim=-1
     ).to(torch.float64)  # (H, W, 2)
 
-    if gaussians.sh is None:
-        colors = to64(gaussians.colors)
-    else:
-        toward = means + torch.linalg.solve(R, t)
-        toward = toward / toward.norm(dim=1, keepdim=True)
-        sums = torch.einsum(
-            "nk,nkc->nc", harmonics(toward, gaussians.sh.shape[1]), to64(gaussians.sh)
-        )
-        colors = torch.clamp(sums + 0.5, min=0)
+    colors = _colors(gaussians, means, position=-torch.linalg.solve(R, t))
     background = torch.zeros(colors.shape[1]) if background is None else background
 
     x = means @ R.T + t
@@ -142,16 +162,8 @@ def _render(
         )
         rest = remaining * (1 - alpha)
 
-        off = lambda value, cut: (value.detach() / cut - 1).abs()
-        to_cut = torch.minimum(off(free, options.alpha_min), off(free, options.alpha_max))
         gap = 1 - last / depths[i].detach()
-        margins = _Margins(
-            torch.minimum(margins.alpha, torch.where(stopped, torch.inf, to_cut)),
-            torch.minimum(
-                margins.rest, torch.where(seen, off(rest, options.transmittance_min), torch.inf)
-            ),
-            torch.minimum(margins.depth, torch.where(seen & (gap > 0), gap, torch.inf)),
-        )
+        margins = margins.narrowed(options, free.detach(), rest.detach(), gap, stopped, seen)
         last = torch.where(seen, depths[i].detach(), last)
 
         stopped = stopped | (rest.detach() <= options.transmittance_min)
@@ -161,6 +173,16 @@ def _render(
         remaining = torch.where(stopped, remaining, rest)
     color = color + remaining[..., None] * background
     return Image(color, 1 - remaining, depth if options.depth else None), margins
+
+
+def _colors(gaussians: Gaussians, means: Tensor, position: Tensor) -> Tensor:
+    """The colours (N, D), seen from the camera's position (3,)."""
+    if gaussians.sh is None:
+        return gaussians.colors.to(torch.float64)
+    toward = means - position
+    basis = harmonics(toward / toward.norm(dim=1, keepdim=True), gaussians.sh.shape[1])
+    sums = torch.einsum("nk,nkc->nc", basis, gaussians.sh.to(torch.float64))
+    return torch.clamp(sums + 0.5, min=0)
 
 
 def _project(

@@ -16,7 +16,8 @@ import torch
 from torch import Tensor
 
 from gva_mi.splat.kernels.packets import Packets
-from gva_mi.splat.kernels.passes import Projected, Saved
+from gva_mi.splat.kernels.passes import Saved
+from gva_mi.splat.kernels.project import Projected
 from gva_mi.splat.kernels.records import Footprint, Format, Splat
 
 

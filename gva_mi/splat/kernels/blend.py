@@ -100,7 +100,8 @@ def blend(
         state, lambda k, alive, *_: (k < lists.end) & alive, body, mode="symbolic", compress=False
     )
     tile = Pixel.of_state(state)
-    planes, trail = _picture(F, pixels, format), Trail(dr.empty(F, pixels), dr.empty(U, pixels))
+    planes = Planes.empty(F, format, pixels, dr.empty)
+    trail = Trail(dr.empty(F, pixels), dr.empty(U, pixels))
     last = [dr.abs(pixel.T) for pixel in tile]
     color = [
         [dr.fma(T, behind, pixel.y[c]) for c, behind in enumerate(background)]
@@ -285,9 +286,3 @@ def _gradient_of_sums(
             behind = dr.fma(color, g[c], behind)
         tile.append(PixelAdjoint(T, behind))
     return [g + by_depth[i : i + 1] for i, g in enumerate(by_color)], tile
-
-
-def _picture(F: type, pixels: int, format: Format) -> Planes:
-    """Memory for a picture."""
-    color, alpha = dr.empty(F, pixels * format.channels), dr.empty(F, pixels)
-    return Planes(color, alpha, dr.empty(F, pixels) if format.depth else None)

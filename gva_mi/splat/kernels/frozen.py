@@ -36,8 +36,3 @@ class Frozen:
         if len(self.variants) > LIMIT:
             del self.variants[next(iter(self.variants))]
         return variant(*arrays)
-
-    @property
-    def n_recordings(self) -> int:
-        """How often the function was traced and kept."""
-        return sum(variant.n_recordings for variant in self.variants.values())

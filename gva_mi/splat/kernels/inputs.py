@@ -14,7 +14,8 @@ from drjit import ArrayBase as Array
 
 from gva_mi.splat.kernels import packets
 from gva_mi.splat.kernels.packets import Allocate
-from gva_mi.splat.kernels.records import ViewGradient
+from gva_mi.splat.kernels.records import Format, ViewGradient
+from gva_mi.splat.options import SplatOptions
 
 
 @dataclass(frozen=True)
@@ -76,6 +77,17 @@ class Inputs:
             count = f" ({bad.size} such numbers)" if bad.size > 1 else ""
             found = f"{name}[{where}] is {numbers[bad[0]]}"
             raise ValueError(f"render(): {found}, must be finite{count}")
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is the same for all kernels of a picture: constants of their code."""
+
+    options: SplatOptions
+    harmonics: bool  # whether inputs.colors holds coefficients
+    color_width: int  # numbers of each Gaussian in inputs.colors
+    channels: int  # D
+    formats: tuple[Format, ...]  # of the splats, chunk by chunk (chunks.py)
 
 
 @dataclass(frozen=True)

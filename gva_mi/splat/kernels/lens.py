@@ -1,4 +1,4 @@
-"""Where a point falls in the picture, and how it moves there: three camera models (paper, J of Eq. 2).
+"""Where a point falls in the picture, and how it moves there: three camera models (paper, Eq. 2).
 
 From a point x in camera space, with focal lengths f and principal point c, both px, and k = 0, 1:
 

@@ -28,45 +28,15 @@ from gva_mi.splat.camera import Camera
 from gva_mi.splat.kernels import chunks, packets, tiles
 from gva_mi.splat.kernels.blend import Limit, blend, blend_adjoint, blend_tangent, sum_slots
 from gva_mi.splat.kernels.frozen import Frozen
-from gva_mi.splat.kernels.inputs import GradientMemory, Inputs
+from gva_mi.splat.kernels.inputs import GradientMemory, Inputs, Plan
 from gva_mi.splat.kernels.lens import View, view_adjoint, view_of, view_tangent
-from gva_mi.splat.kernels.packets import Allocate
 from gva_mi.splat.kernels.planes import Planes, Trail
-from gva_mi.splat.kernels.project import project, project_adjoint, project_tangent
-from gva_mi.splat.kernels.records import Footprint, Format, Splat, ViewGradient
+from gva_mi.splat.kernels.project import Projected, project, project_adjoint, project_tangent
+from gva_mi.splat.kernels.records import Format, ViewGradient
 from gva_mi.splat.kernels.tiles import Grid, Layout, Lists
 from gva_mi.splat.options import SplatOptions
 
 MANY = 65_536  # Gaussians from which on the kernels allocate their memory for themselves
-
-
-@dataclass(frozen=True)
-class Plan:
-    """What is the same for all kernels of a picture: constants of their code."""
-
-    options: SplatOptions
-    harmonics: bool  # whether inputs.colors holds coefficients
-    color_width: int  # numbers of each Gaussian in inputs.colors
-    channels: int  # D
-    formats: tuple[Format, ...]  # of the splats, chunk by chunk
-
-
-@dataclass(frozen=True)
-class Projected:
-    """The Gaussians in the picture, in memory."""
-
-    splats: list[packets.Packets]  # what blend.py reads, chunk by chunk
-    footprints: packets.Packets  # what tiles.py reads
-    depths: Array | None = None  # (N,) m
-    counts: Array | None = None  # (N,) tiles touched
-    radii: Array | None = None  # (N,) px, 3 sigma along the longer axis; 0 where not drawn
-    finite: Array | None = None  # (N,)
-
-    @staticmethod
-    def empty(F: type, n: int, plan: Plan, allocate: Allocate = packets.memory) -> Projected:
-        """Memory for n Gaussians."""
-        splats = [packets.empty(Splat, format, n, F, allocate) for format in plan.formats]
-        return Projected(splats, packets.empty(Footprint, None, n, F, allocate))
 
 
 @dataclass(frozen=True)
@@ -128,7 +98,7 @@ def render_forward(
     if len(inputs):
         saved = _project_and_sort(saved)
     if saved.lists is None:
-        return replace(saved, planes=_empty_picture(behind, layout, options.depth))
+        return replace(saved, planes=Planes.of_background(behind, layout.pixels, options.depth))
     far = None if limit is None else Limit(limit, saved.projected.depths)
     pictures, pixels = [], layout.pixels
     parts = zip(saved.projected.splats, saved.backgrounds(), formats, strict=True)
@@ -143,7 +113,7 @@ def render_forward(
 def _project_and_sort(saved: Saved) -> Saved:
     """The Gaussians in the picture, and the lists of its tiles."""
     inputs, plan, n = saved.inputs, saved.plan, len(saved.inputs)
-    memory = None if n >= MANY else Projected.empty(inputs.float_type, n, plan)
+    memory = None if n >= MANY else Projected.empty(inputs.float_type, n, plan.formats)
     own = n if n >= MANY else 0
     projected = _project(inputs, saved.view, saved.grid, memory, n=own, plan=plan)
     if not dr.all(projected.finite):
@@ -262,9 +232,9 @@ def render_tangent(
     plan, F = saved.plan, saved.inputs.float_type
     behind = [dr.opaque(F, b) for b in dbackground]
     if saved.lists is None:
-        return _empty_picture(behind, saved.layout, plan.options.depth)
+        return Planes.of_background(behind, saved.layout.pixels, plan.options.depth)
     dview = view_tangent(saved.camera, dT, dK)
-    memory = Projected.empty(F, len(saved.inputs), plan).splats
+    memory = Projected.empty(F, len(saved.inputs), plan.formats).splats
     dsplats = _project_tangent(
         saved.inputs, saved.view, dinputs, dview, dmeans2d, memory, plan=plan
     )
@@ -280,7 +250,7 @@ def render_tangent(
                 saved.grid,
                 colors,
                 dbackgrounds[k],
-                _picture_memory(F, saved.layout, format),
+                Planes.empty(F, format, saved.layout.pixels),
                 format=format,
                 options=plan.options,
             )
@@ -292,8 +262,8 @@ def render_tangent(
 def _project(
     inputs: Inputs, view: View, grid: Grid, memory: Projected | None, *, n: int, plan: Plan
 ) -> Projected:
-    memory = memory or Projected.empty(inputs.float_type, n, plan, dr.empty)
-    found = project(inputs, plan.color_width, plan.harmonics, view, plan.options)
+    memory = memory or Projected.empty(inputs.float_type, n, plan.formats, dr.empty)
+    found = project(inputs, plan, view)
     i = inputs.lane()
     parts = chunks.split_splat(found.splat, plan.formats)
     for target, part in zip(memory.splats, parts, strict=True):
@@ -328,17 +298,8 @@ def _gaussians_adjoint(
     )
     sums = [sum_slots(lists, part, format) for part, format in zip(slots, formats, strict=True)]
     dr.eval(sums)  # two kernels: as one they run out of registers
-    project_adjoint(
-        inputs,
-        plan.color_width,
-        plan.harmonics,
-        view,
-        plan.options,
-        chunks.add_slots(sums, plan.channels),
-        lists.counts > 0,
-        target,
-        through_u,
-    )
+    slot, drawn = chunks.add_slots(sums, plan.channels), lists.counts > 0
+    project_adjoint(inputs, plan, view, slot, drawn, target, through_u)
     dr.eval(target)
     return target
 
@@ -354,9 +315,7 @@ def _project_tangent(
     *,
     plan: Plan,
 ) -> list[packets.Packets]:
-    dsplat = project_tangent(
-        inputs, plan.color_width, plan.harmonics, view, plan.options, dinputs, dview
-    )
+    dsplat = project_tangent(inputs, plan, view, dinputs, dview)
     i = inputs.lane()
     if dmeans2d is not None:
         dsplat = replace(dsplat, u=packets.load_rows(dmeans2d, 2, i))
@@ -382,21 +341,3 @@ def _gradients_of_nothing(saved: Saved, grad: Planes, camera: bool, absolute: bo
     by_channel = grad.color.numpy().astype(np.float64).reshape(-1, D).sum(axis=0).tolist()
     by_absolute = dr.zeros(inputs.float_type, 2 * len(inputs)) if absolute else None
     return Gradients(inputs.zeros(), by_u, by_channel, by_absolute, *by_camera)
-
-
-def _empty_picture(background: list[Array], layout: Layout, depth: bool) -> Planes:
-    """The background alone."""
-    F, D, size = type(background[0]), len(background), layout.pixels
-    color = packets.memory(F, size * D)
-    pixel = dr.arange(dr.uint32_array_t(F), size)
-    for c in range(D):
-        dr.scatter(color, background[c], pixel * D + c)
-    alpha, z = dr.zeros(F, size), dr.zeros(F, size) if depth else None
-    dr.eval(color, alpha, z)
-    return Planes(color, alpha, z)
-
-
-def _picture_memory(F: type, layout: Layout, format: Format) -> Planes:
-    """Memory for a picture, as an argument of a frozen kernel."""
-    memory = lambda channels: packets.memory(F, layout.pixels * channels)
-    return Planes(memory(format.channels), memory(1), memory(1) if format.depth else None)

@@ -10,9 +10,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import drjit as dr
 from drjit import ArrayBase as Array
 
 from gva_mi.splat.kernels import packets
+from gva_mi.splat.kernels.packets import Allocate
+from gva_mi.splat.kernels.records import Format
 from gva_mi.splat.kernels.tiles import HEIGHT, WIDTH, Grid, Lists
 
 
@@ -23,6 +26,24 @@ class Planes:
     color: Array  # (rows, columns, D), background blended in
     alpha: Array  # (rows, columns)
     depth: Array | None  # (rows, columns); None where it is not made, or no loss looks at it
+
+    @staticmethod
+    def empty(F: type, format: Format, pixels: int, allocate: Allocate = packets.memory) -> Planes:
+        """Memory for a picture of so many pixels, padding included."""
+        color, alpha = allocate(F, pixels * format.channels), allocate(F, pixels)
+        return Planes(color, alpha, allocate(F, pixels) if format.depth else None)
+
+    @staticmethod
+    def of_background(background: list[Array], pixels: int, depth: bool) -> Planes:
+        """The picture of nothing."""
+        F, D = type(background[0]), len(background)
+        color = packets.memory(F, pixels * D)
+        pixel = dr.arange(dr.uint32_array_t(F), pixels)
+        for c in range(D):
+            dr.scatter(color, background[c], pixel * D + c)
+        alpha, z = dr.zeros(F, pixels), dr.zeros(F, pixels) if depth else None
+        dr.eval(color, alpha, z)
+        return Planes(color, alpha, z)
 
 
 @dataclass(frozen=True)

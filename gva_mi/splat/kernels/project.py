@@ -29,10 +29,10 @@ from drjit import ArrayBase as Array
 
 from gva_mi.splat.kernels import packets, sh
 from gva_mi.splat.kernels.ellipse import LN2, Ellipse, dot
-from gva_mi.splat.kernels.inputs import Gaussian3D, GradientMemory, Inputs
+from gva_mi.splat.kernels.inputs import Gaussian3D, GradientMemory, Inputs, Plan
 from gva_mi.splat.kernels.lens import LENSES, View
-from gva_mi.splat.kernels.records import Footprint, Slot, Splat, ViewGradient
-from gva_mi.splat.options import SplatOptions
+from gva_mi.splat.kernels.packets import Allocate
+from gva_mi.splat.kernels.records import Footprint, Format, Slot, Splat, ViewGradient
 
 
 @dataclass(frozen=True)
@@ -45,34 +45,51 @@ class Projection:
     finite: Array  # whether all its numbers are
 
 
+@dataclass(frozen=True)
+class Projected:
+    """The same in memory, for the kernels that come next."""
+
+    splats: list[packets.Packets]  # what blend.py reads, chunk by chunk
+    footprints: packets.Packets  # what tiles.py reads
+    depths: Array | None = None  # (N,) m
+    counts: Array | None = None  # (N,) tiles touched
+    radii: Array | None = None  # (N,) px, 3 sigma along the longer axis; 0 where not drawn
+    finite: Array | None = None  # (N,)
+
+    @staticmethod
+    def empty(
+        F: type, n: int, formats: tuple[Format, ...], allocate: Allocate = packets.memory
+    ) -> Projected:
+        """Memory for n Gaussians."""
+        splats = [packets.empty(Splat, format, n, F, allocate) for format in formats]
+        return Projected(splats, packets.empty(Footprint, None, n, F, allocate))
+
+
 def _in_camera(m: list[Array], view: View, near: float) -> tuple[list[Array], Array]:
     """Eq. 1, and z; a Gaussian before the near plane is not drawn, and z = 1 keeps it finite."""
     x = [dot(view.R[3 * k : 3 * k + 3], m) + view.t[k] for k in range(3)]
     return x, dr.select(x[2] > near, x[2], 1)
 
 
-def project(
-    inputs: Inputs, color_width: int, harmonics: bool, exact: View, options: SplatOptions
-) -> Projection:
+def project(inputs: Inputs, plan: Plan, exact: View) -> Projection:
     """Eq. 1-10 for every Gaussian.
 
     Args:
         inputs: the Gaussians.
-        color_width: numbers of each in ``inputs.colors``: D, or 3 K where ``harmonics``.
-        harmonics: whether the colours are coefficients.
+        plan: cut-offs, and what the colours are.
         exact: the camera, in float64: u is a small difference of large numbers, and its rounding
             is the largest of all errors of a float32 picture. So eq. 1-2 are float64 throughout.
-        options: cut-offs.
     """
-    F, D = inputs.float_type, dr.float64_array_t(inputs.float_type)
-    g = Gaussian3D.load(inputs, color_width, inputs.lane())
+    options, F = plan.options, inputs.float_type
+    D = dr.float64_array_t(F)
+    g = Gaussian3D.load(inputs, plan.color_width, inputs.lane())
     fine, fine_z = _in_camera([D(v) for v in g.m], exact, options.near)
     x, z, view = [F(v) for v in fine], F(fine_z), exact.to(F)
     u = [F(v) for v in LENSES[view.model].at(fine, fine_z, exact).u]
     lens = LENSES[view.model].at(x, z, view)
     e = Ellipse.of(lens.J, view.R, g.quat, g.s, g.o, options)
     xx, xy, yy = e.C
-    color = sh.color(g.color, g.m, view.o) if harmonics else g.color
+    color = sh.color(g.color, g.m, view.o) if plan.harmonics else g.color
 
     # alpha >= alpha_min inside d^T C^-1 d <= tau: an ellipse with half extents sqrt(tau C_ii)
     tau = 2 * LN2 * (e.lo - math.log2(options.alpha_min))
@@ -94,10 +111,8 @@ def project(
 
 def project_adjoint(
     inputs: Inputs,
-    color_width: int,
-    harmonics: bool,
+    plan: Plan,
     view: View,
-    options: SplatOptions,
     slot: Slot,
     drawn: Array,
     target: GradientMemory,
@@ -108,7 +123,7 @@ def project_adjoint(
     With the moments m1 of eq. 16:  dL/du = 2 ln2 L^T m1.
 
     Args:
-        inputs, color_width, harmonics, view, options: as :func:`project` took them.
+        inputs, plan, view: as :func:`project` took them.
         slot: the sums over the Gaussian's pairs, eq. 16, of all channels of the colour.
         drawn: False where a Gaussian has no pairs, and so no gradient.
         target: where the gradients go.
@@ -117,10 +132,10 @@ def project_adjoint(
     """
     i = inputs.lane()
     view = view.to(inputs.float_type)
-    g = Gaussian3D.load(inputs, color_width, i)
-    x, z = _in_camera(g.m, view, options.near)
+    g = Gaussian3D.load(inputs, plan.color_width, i)
+    x, z = _in_camera(g.m, view, plan.options.near)
     lens = LENSES[view.model].at(x, z, view)
-    e = Ellipse.of(lens.J, view.R, g.quat, g.s, g.o, options)
+    e = Ellipse.of(lens.J, view.R, g.quat, g.s, g.o, plan.options)
 
     k1, (mx, my) = 2 * LN2, slot.m1
     gu = [k1 * e.p * mx, k1 * (e.q * mx + e.r * my)]
@@ -134,7 +149,7 @@ def project_adjoint(
     R = view.R
     grad_m = [R[n] * gx[0] + R[3 + n] * gx[1] + R[6 + n] * gx[2] for n in range(3)]
     grad_color, toward = slot.color, [0, 0, 0]
-    if harmonics:
+    if plan.harmonics:
         grad_color, toward = sh.color_adjoint(g.color, g.m, view.o, slot.color)
         grad_m = [a + b for a, b in zip(grad_m, toward, strict=True)]
 
@@ -156,29 +171,21 @@ def project_adjoint(
         packets.store(target.view, ViewGradient(*map(where, parts)), i)
 
 
-def project_tangent(
-    inputs: Inputs,
-    color_width: int,
-    harmonics: bool,
-    view: View,
-    options: SplatOptions,
-    dinputs: Inputs,
-    dview: View,
-) -> Splat:
+def project_tangent(inputs: Inputs, plan: Plan, view: View, dinputs: Inputs, dview: View) -> Splat:
     """The tangent of :func:`project`'s splat along those of the Gaussians and of the camera."""
     i, F = inputs.lane(), inputs.float_type
     view, dview = view.to(F), dview.to(F)
-    g, d = (Gaussian3D.load(source, color_width, i) for source in (inputs, dinputs))
-    x, z = _in_camera(g.m, view, options.near)
+    g, d = (Gaussian3D.load(source, plan.color_width, i) for source in (inputs, dinputs))
+    x, z = _in_camera(g.m, view, plan.options.near)
     dx = [
         dot(view.R[3 * k : 3 * k + 3], d.m) + dot(dview.R[3 * k : 3 * k + 3], g.m) + dview.t[k]
         for k in range(3)
     ]
     lens = LENSES[view.model].at(x, z, view)
     du, dJ = lens.tangent(dx, dview)
-    e = Ellipse.of(lens.J, view.R, g.quat, g.s, g.o, options)
+    e = Ellipse.of(lens.J, view.R, g.quat, g.s, g.o, plan.options)
     dp, dq, dr_, dlo = e.tangent(dJ, dview.R, d.quat, d.s, d.o)
     dcolor = d.color
-    if harmonics:
+    if plan.harmonics:
         dcolor = sh.color_tangent(g.color, g.m, view.o, d.color, d.m, dview.o)
     return Splat(du, dp, dq, dr_, dlo, dcolor, dx[2])

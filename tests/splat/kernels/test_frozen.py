@@ -12,6 +12,11 @@ def opaque(size):
     return x
 
 
+def recordings(function):
+    """How often a frozen function was traced and kept."""
+    return sum(variant.n_recordings for variant in function.variants.values())
+
+
 def test_traced_once_for_any_size():
     calls = []
 
@@ -22,7 +27,7 @@ def test_traced_once_for_any_size():
 
     for size in (3, 5, 8):
         assert dr.all(doubled(opaque(size)) == 2 * dr.arange(Float, size))
-    assert len(calls) == doubled.n_recordings == 1
+    assert len(calls) == recordings(doubled) == 1
 
 
 def test_constants_that_equal_others_are_told_apart():
@@ -36,4 +41,4 @@ def test_constants_that_equal_others_are_told_apart():
                 for c in (True, False):
                     expected = (1 if a else 2) + (10 if b else 20) + (100 if c else 200)
                     assert chosen(opaque(4), a=a, b=b, c=c)[0] == expected
-    assert chosen.n_recordings == 8
+    assert recordings(chosen) == 8

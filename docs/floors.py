@@ -1,0 +1,130 @@
+"""The floors of the house: which folder stands on which, checked and drawn from the code's imports.
+
+Every folder has a floor of its own. A file imports from its own folder and from the floors below,
+never from above; and within a folder, no circle of files. ``tests/test_layers.py`` holds the code
+to this table, and ``python docs/floors.py`` prints the drawing in architecture.md.
+"""
+
+from __future__ import annotations
+
+import ast
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+SOURCES = sorted((ROOT / "gva_mi").rglob("*.py")) + sorted((ROOT / "plugins").rglob("*.py"))
+
+# From the ground up: a name, what it is, and the modules that are there. A module belongs to the
+# longest prefix that fits.
+FLOORS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
+    ("ground", "errors, files, libLLVM, console, pages",
+     ("gva_mi", "gva_mi.errors", "gva_mi.files", "gva_mi.llvm", "gva_mi.console", "gva_mi.page",
+      "gva_mi.threads")),
+    ("splat records", "Camera, Gaussians, SplatOptions",
+     ("gva_mi.splat.camera", "gva_mi.splat.gaussians", "gva_mi.splat.options")),
+    ("splat/kernels", "splatting in Dr.Jit: forward, adjoint, tangent", ("gva_mi.splat.kernels",)),
+    ("splat", "render, rasterization; the slow twin", ("gva_mi.splat",)),
+    ("splat/gradcheck", "are the gradients right?", ("gva_mi.splat.gradcheck",)),
+    ("splat/bench", "how fast is it?", ("gva_mi.splat.bench",)),
+    ("plugins/mesh_normals", "normals and silhouettes in Mitsuba",
+     ("gva_mi_plugins.mesh_normals",)),
+    ("plugins/…/twins", "the plugin's exact reference", ("gva_mi_plugins.mesh_normals.twins",)),
+    ("plugins/gaussian_splat", "splatting in Mitsuba", ("gva_mi_plugins.gaussian_splat",)),
+    ("plugins", "register()", ("gva_mi_plugins",)),
+    ("body", "SMPL-X, skinning, the puppet", ("gva_mi.body",)),
+    ("mesh", "bodies seen by Mitsuba, differentiable in torch", ("gva_mi.mesh",)),
+    ("data", "Video, Frame, the folder format", ("gva_mi.data",)),
+    ("data/synthetic", "people, clothes, motion, noise, pictures", ("gva_mi.data.synthetic",)),
+    ("sculptor", "who makes the puppet", ("gva_mi.sculptor",)),
+    ("avatar", "Gaussians on a skeleton: what is learned", ("gva_mi.avatar",)),
+    ("pose", "stage 2: poses that agree with the pictures", ("gva_mi.pose",)),
+    ("pose/evaluation", "how well refined poses fit", ("gva_mi.pose.evaluation",)),
+    ("fit", "the loop around it: losses, training, evaluation", ("gva_mi.fit",)),
+    ("commands", "one verb a file", ("gva_mi.commands",)),
+    ("gva-mi", "the command line", ("gva_mi.__main__",)),
+)  # fmt: skip
+
+
+def module(path: Path) -> str:
+    """The name under which a file is imported."""
+    parts = list(path.relative_to(ROOT).with_suffix("").parts)
+    if parts[0] == "plugins":
+        parts[0] = "gva_mi_plugins"
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+MODULES = {module(path): path for path in SOURCES}
+
+
+def floor(name: str) -> int:
+    """The number of a module's floor, 0 at the ground; -1 where it has none."""
+    best, found = "", -1
+    for number, (_, _, prefixes) in enumerate(FLOORS):
+        for prefix in prefixes:
+            inside = name == prefix or (prefix != "gva_mi" and name.startswith(prefix + "."))
+            if inside and len(prefix) > len(best):
+                best, found = prefix, number
+    return found
+
+
+def imports(path: Path, *, top_level_only: bool = False) -> set[str]:
+    """Every module that a file imports; ``from a import b`` counts as ``a.b`` if that is one."""
+    found = set()
+    tree = ast.parse(path.read_text())
+    for node in tree.body if top_level_only else ast.walk(tree):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative imports hide the floor"
+            names = {f"{node.module}.{alias.name}" for alias in node.names}
+            found |= {name if name in MODULES else node.module for name in names}
+    return found
+
+
+def arrows() -> dict[int, set[int]]:
+    """For each floor, the other ones that its files import from."""
+    found: dict[int, set[int]] = {number: set() for number in range(len(FLOORS))}
+    for name, path in MODULES.items():
+        below = {floor(other) for other in imports(path) if other in MODULES}
+        found[floor(name)] |= below - {floor(name)}
+    return found
+
+
+def circle(graph: dict[str, set[str]]) -> list[str]:
+    """Some circle of a graph, its first node repeated at the end; empty where there is none."""
+    done: set[str] = set()
+
+    def search(node: str, path: list[str]) -> list[str]:
+        if node in path:
+            return [*path[path.index(node) :], node]
+        if node in done:
+            return []
+        for other in sorted(graph.get(node, ())):
+            found = search(other, [*path, node])
+            if found:
+                return found
+        done.add(node)
+        return []
+
+    return next((found for node in sorted(graph) if (found := search(node, []))), [])
+
+
+def drawing() -> str:
+    """The floors in mermaid: an arrow where one is needed by another and no third tells it."""
+    graph = arrows()
+
+    def reached(node: int) -> set[int]:
+        return graph[node] | {far for other in graph[node] for far in reached(other)}
+
+    lines = ["flowchart TB"]
+    for number in reversed(range(len(FLOORS))):
+        name, what, _ = FLOORS[number]
+        lines.append(f'    f{number}["<b>{name}</b><br/>{what}"]')
+    for number in reversed(range(len(FLOORS))):
+        told = {far for other in graph[number] for far in reached(other)}
+        lines += [f"    f{number} --> f{other}" for other in sorted(graph[number] - told)]
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    sys.stdout.write(f"```mermaid\n{drawing()}\n```\n")

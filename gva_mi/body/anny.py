@@ -22,7 +22,8 @@ import numpy as np
 import roma
 import torch
 
-from gva_mi.body.pose import JOINTS, PARENTS
+from gva_mi.body.body_file import kintree_table
+from gva_mi.body.pose import JOINTS
 from gva_mi.errors import InputError
 
 if TYPE_CHECKING:
@@ -78,7 +79,6 @@ def build_anny() -> dict[str, np.ndarray]:
         np.concatenate([template.vertices[None], surfaces]),
         np.concatenate([template.joints[None], joints]),
     )
-    parents = np.array([4294967295, *PARENTS[1:]], np.int64)
     return {
         "v_template": template.vertices.astype(np.float32),
         "f": source.faces,
@@ -86,7 +86,7 @@ def build_anny() -> dict[str, np.ndarray]:
         "posedirs": np.zeros((len(template.vertices), 3, 486), np.float32),
         "J_regressor": regressor,
         "weights": source.weights_of_joints(),
-        "kintree_table": np.stack([parents, np.arange(55)]),
+        "kintree_table": kintree_table(),
         "hands_meanl": np.zeros(45, np.float32),
         "hands_meanr": np.zeros(45, np.float32),
         "hands_componentsl": np.eye(45, dtype=np.float32),

@@ -28,7 +28,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gva_mi.body.pose import JOINTS
+from gva_mi.body.pose import JOINTS, PARENTS
 from gva_mi.body.smpl import FORMATS, SMPL, SMPLX, Format, lift
 from gva_mi.errors import InputError
 
@@ -64,6 +64,11 @@ def read_body(path: Path) -> dict[str, np.ndarray]:
     betas, expressions = _split(arrays["shapedirs"].shape[2], form)
     counts = {"num_betas": np.array(betas), "num_expressions": np.array(expressions)}
     return lift(arrays, form) | counts
+
+
+def kintree_table() -> np.ndarray:
+    """The tree of the 55 joints as files hold it, (2, 55) int64."""
+    return np.stack([np.array([_ROOT, *PARENTS[1:]], dtype=np.int64), np.arange(len(JOINTS))])
 
 
 def _read(path: Path) -> dict[str, np.ndarray]:

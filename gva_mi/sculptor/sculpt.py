@@ -14,7 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gva_mi.body.pose import JOINTS, LEFT_HAND, PARENTS
+from gva_mi.body.body_file import kintree_table
+from gva_mi.body.pose import JOINTS, LEFT_HAND
 from gva_mi.body.puppet import PUPPET
 from gva_mi.sculptor.anatomy import EYE, EYE_RADIUS, left_half
 from gva_mi.sculptor.mirror import border_of, mirrored, onto_border, without_chords
@@ -56,7 +57,6 @@ def sculpt(options: SculptOptions | None = None) -> dict[str, np.ndarray]:
     fields = np.concatenate([fields, expressions(vertices, weights)], axis=2).astype(np.float16)
     moves = np.concatenate([moves, np.zeros((55, 3, 10))], axis=2)
     normals = trimesh.Trimesh(vertices, faces, process=False).vertex_normals
-    parents = np.array([4294967295, *PARENTS[1:]], dtype=np.int64)
     hand = relaxed_hand()
     return {
         "v_template": vertices.astype(np.float32),
@@ -65,7 +65,7 @@ def sculpt(options: SculptOptions | None = None) -> dict[str, np.ndarray]:
         "posedirs": correctives(vertices, normals, weights).astype(np.float16),
         "J_regressor": joint_regressor(vertices, fields.astype(np.float64), moves, twin),
         "weights": weights.astype(np.float32),
-        "kintree_table": np.stack([parents, np.arange(55)]),
+        "kintree_table": kintree_table(),
         "hands_meanl": hand,
         "hands_meanr": (hand.reshape(15, 3) * (1, -1, -1)).ravel().astype(np.float32),
         "hands_componentsl": np.eye(45, dtype=np.float32),

@@ -7,6 +7,9 @@
     gva_mi_plugins.register()
     integrator = mi.load_dict({"type": "mesh_normals"})
 
+``mesh_normals/`` shows normals and silhouettes of meshes, ``gaussian_splat/`` the Gaussians of a
+scene; each says in its own docstring what is where.
+
 Importing this package loads no plugin. Mitsuba's types exist only once a variant is set, and so the
 plugin files are loaded by :func:`register`.
 """
@@ -17,8 +20,8 @@ __all__ = ["register"]
 
 
 def register() -> None:
-    """Make the plugins known to Mitsuba under their names: ``mesh_normals``,
-    ``mesh_normals_projective``, ``gaussian_splat``.
+    """Make the plugins known to Mitsuba under their names: ``mesh_normals``, ``gaussian_splat``,
+    and ``mesh_normals_projective``, a cross-check of the first.
 
     Call it after ``mi.set_variant``, with a differentiable variant (``llvm_ad_rgb``). Calling it
     again does no harm.
@@ -38,7 +41,7 @@ def register() -> None:
         )
     from gva_mi_plugins.gaussian_splat.integrator import GaussianSplat
     from gva_mi_plugins.mesh_normals.integrator import MeshNormals
-    from gva_mi_plugins.mesh_normals.projective import MeshNormalsProjective
+    from gva_mi_plugins.mesh_normals.twins.projective import MeshNormalsProjective
 
     mi.register_integrator("gaussian_splat", GaussianSplat)
     mi.register_integrator("mesh_normals", MeshNormals)

@@ -25,6 +25,7 @@ from torch import Tensor, nn
 
 from gva_mi.body.skinning import nearest_weights
 from gva_mi.errors import InputError
+from gva_mi.mesh.surface import vertex_normals
 from gva_mi.splat.kernels.sh import C0
 
 PARAMETERS = ("means", "quats", "log_scales", "logit_opacities", "sh")
@@ -170,17 +171,6 @@ def disc_log_scales(spacing: Tensor, options: SeedOptions) -> Tensor:
     """Log scales (N, 3) of flat discs whose neighbours lie ``spacing`` (N,) metres away."""
     radius = (spacing * options.overlap).clamp_min(1e-5).log()
     return torch.stack([radius, radius, radius + math.log(options.flatness)], -1)
-
-
-def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
-    """Unit normals (V, 3), averaged over the faces around each vertex by area."""
-    a, b, c = vertices[faces].unbind(1)
-    crossed = torch.linalg.cross(b - a, c - a)
-    corners = faces.T.flatten()
-    summed = [
-        torch.bincount(corners, along.repeat(3), len(vertices)) for along in crossed.unbind(1)
-    ]
-    return torch.nn.functional.normalize(torch.stack(summed, -1).to(vertices.dtype), dim=-1)
 
 
 def spread_over_faces(vertices: Tensor, faces: Tensor, count: int) -> tuple[Tensor, Tensor]:

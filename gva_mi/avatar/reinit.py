@@ -36,11 +36,11 @@ from gva_mi.avatar.canonical import (
     CanonicalGaussians,
     disc_log_scales,
     disc_quats,
-    vertex_normals,
 )
 from gva_mi.body.pose import LEFT_HAND, RIGHT_HAND
 from gva_mi.body.skinning import nearest_weights
 from gva_mi.errors import InputError
+from gva_mi.mesh.surface import vertex_normals
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from gva_mi.avatar.canonical import vertex_normals
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.video import Frame, Video
+from gva_mi.mesh.surface import vertex_normals
 
 GREY = 0.5  # of the whole person, where no frame shows anything
 

@@ -1,1 +1,8 @@
-"""Meshes seen by Mitsuba: normals and silhouettes of a body, differentiable; pictures of them."""
+"""Meshes as Mitsuba sees them: normals and silhouettes, differentiable in torch.
+
+* ``surface.py``: normals and Laplacian of a surface, in torch alone;
+* ``sensor.py``: a camera as a Mitsuba sensor;
+* ``mesh_scene.py``: from vertices and a camera to an image, around the plugin ``mesh_normals``;
+* ``overlay.py``: pictures of a mesh for people;
+* ``gradcheck.py``, ``bench.py``: whether the gradients are right, and what they cost.
+"""

@@ -1,38 +1,33 @@
-"""From a body and a camera to an image of normals and mask, differentiable in torch.
+"""From a mesh and a camera to an image of normals and mask, differentiable in torch.
 
-The body stands in a Mitsuba scene as one mesh, and the plugin ``mesh_normals`` looks at it
-(interior and boundary gradients). A ``Camera`` becomes a Mitsuba sensor:
-
-1. Mitsuba's camera looks along +z with x to the left and y up:
-   ``to_world = T_camera_world^{-1} · diag(-1, -1, 1, 1)``,
-2. field of view in x: ``2 atan(W / (2 fx))``,
-3. principal point: offsets ``(W / 2 - cx) / W`` and ``(H / 2 - cy) / H``,
-4. ``fy / fx`` is left to the plugin's ``pixel_aspect``: Mitsuba's pixels are square.
+One mesh stands in a Mitsuba scene, and the plugin ``mesh_normals`` looks at it through the sensor
+that ``sensor.py`` makes of a camera. The gradient by the vertices has both terms, interior and
+boundary.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from torch import Tensor
 from torch.autograd.function import FunctionCtx
 
+from gva_mi.mesh.sensor import pixel_aspect, sensor_of
 from gva_mi.splat import Camera
 
 if TYPE_CHECKING:
     import mitsuba as mi
-    from gva_mi_plugins.mesh_normals.integrator import View
+    from gva_mi_plugins.mesh_normals.integrator import MeshNormals
+    from gva_mi_plugins.mesh_normals.mesh_view import MeshView
 
-NEAR, FAR = 0.01, 1000.0  # metres
 
-
-class BodyScene:
+class MeshScene:
     """One mesh that is moved about and looked at.
 
     Example:
-        >>> scene = BodyScene(body.faces, vertices)  # doctest: +SKIP
+        >>> scene = MeshScene(faces, vertices)  # doctest: +SKIP
         >>> image = scene.render(vertices, camera)  # (H, W, 4), differentiable in the vertices
     """
 
@@ -43,20 +38,12 @@ class BodyScene:
             faces: (F, 3) integers, counter-clockwise seen from outside.
             vertices: (V, 3) any positions; those of vertices that are one point must be equal here.
         """
-        import gva_mi_plugins
+        load_plugins()
         import mitsuba as mi
 
-        if mi.variant() is None:
-            mi.set_variant("llvm_ad_rgb")
-        gva_mi_plugins.register()
-        mesh = mi.Mesh("body", len(vertices), len(faces))
-        parameters = mi.traverse(mesh)
-        parameters["vertex_positions"] = _to_mitsuba(vertices)
-        parameters["faces"] = mi.UInt32(faces.to(torch.int32).flatten().numpy().astype(np.uint32))
-        parameters.update()
-        self._scene = mi.load_dict({"type": "scene", "body": mesh})
+        self._scene = scene_of(faces, vertices)
         self._parameters = mi.traverse(self._scene)
-        self._sensors: dict[tuple, tuple[Any, Any]] = {}
+        self._sensors: dict[tuple, tuple[MeshNormals, mi.Sensor]] = {}
         self._shown: Tensor | None = None
         self.vertex_count = len(vertices)
 
@@ -68,29 +55,30 @@ class BodyScene:
             camera: the view.
 
         Returns:
-            (H, W, 4), zero where there is no body; differentiable in the vertices.
+            (H, W, 4), zero where the mesh is not seen; differentiable in the vertices.
         """
         if vertices.shape != (self.vertex_count, 3) or vertices.dtype != torch.float32:
             raise ValueError(
-                f"BodyScene.render(): vertices must be ({self.vertex_count}, 3) float32, "
+                f"MeshScene.render(): vertices must be ({self.vertex_count}, 3) float32, "
                 f"got {tuple(vertices.shape)} {vertices.dtype}"
             )
         return _RenderNormals.apply(vertices, self, camera)
 
-    def view(self, vertices: Tensor, camera: Camera) -> View:
-        """The plugin's view of the body at these vertices."""
+    def view(self, vertices: Tensor, camera: Camera) -> MeshView:
+        """The plugin's view of the mesh with these vertices."""
         self.show(vertices)
         integrator, sensor = self._sensor(camera)
         return integrator.view(self._scene, sensor)
 
     def show(self, vertices: Tensor) -> None:
-        """Move the mesh there; rebuilding the ray tracer's tree is most of a rendering's time."""
+        """Move the mesh there, unless it is: rebuilding the ray tracer's tree is most of a
+        rendering's time."""
         if self._shown is not vertices:
-            self._parameters["body.vertex_positions"] = _to_mitsuba(vertices)
+            self._parameters["mesh.vertex_positions"] = _to_mitsuba(vertices)
             self._parameters.update()
             self._shown = vertices
 
-    def _sensor(self, camera: Camera) -> tuple[Any, Any]:
+    def _sensor(self, camera: Camera) -> tuple[MeshNormals, mi.Sensor]:
         """The integrator and the sensor of a camera, kept, for a video has few."""
         import mitsuba as mi
 
@@ -99,8 +87,8 @@ class BodyScene:
         if key not in self._sensors:
             integrator = {
                 "type": "mesh_normals",
-                "pixel_aspect": camera.fy / camera.fx,
-                # Where a body is pressed into itself is searched for at a fifth of a step's cost,
+                "pixel_aspect": pixel_aspect(camera),
+                # To search for where a body is pressed into itself would cost a fifth of a step,
                 # and there is little of it.
                 "piercing": False,
             }
@@ -108,33 +96,36 @@ class BodyScene:
         return self._sensors[key]
 
 
-def sensor_of(camera: Camera) -> dict[str, Any]:
-    """A camera as a dictionary for ``mi.load_dict`` (eq. 1-3)."""
+def load_plugins() -> None:
+    """Register the plugins, in the variant ``llvm_ad_rgb`` where none is chosen yet."""
+    import gva_mi_plugins
     import mitsuba as mi
 
-    width, height = camera.width, camera.height
-    to_world = np.linalg.inv(camera.T_camera_world) @ np.diag([-1.0, -1.0, 1.0, 1.0])
-    return {
-        "type": "perspective",
-        "fov_axis": "x",
-        "fov": float(np.degrees(2 * np.arctan(width / (2 * camera.fx)))),
-        "principal_point_offset_x": (width / 2 - camera.cx) / width,
-        "principal_point_offset_y": (height / 2 - camera.cy) / height,
-        "near_clip": NEAR,
-        "far_clip": FAR,
-        "to_world": mi.ScalarTransform4f(to_world),
-        "film": {
-            "type": "hdrfilm",
-            "width": width,
-            "height": height,
-            "rfilter": {"type": "box"},
-        },
-    }
+    if mi.variant() is None:
+        mi.set_variant("llvm_ad_rgb")
+    gva_mi_plugins.register()
+
+
+def scene_of(faces: Tensor, vertices: Tensor) -> mi.Scene:
+    """A scene of one shape, ``mesh``, with smooth normals.
+
+    Args:
+        faces: (F, 3) integers.
+        vertices: (V, 3) float32.
+    """
+    import mitsuba as mi
+
+    mesh = mi.Mesh("mesh", len(vertices), len(faces))
+    parameters = mi.traverse(mesh)
+    parameters["vertex_positions"] = _to_mitsuba(vertices)
+    parameters["faces"] = mi.UInt32(faces.to(torch.int32).flatten().numpy().astype(np.uint32))
+    parameters.update()
+    return mi.load_dict({"type": "scene", "mesh": mesh})
 
 
 class _RenderNormals(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: FunctionCtx, vertices: Tensor, scene: BodyScene, camera: Camera) -> Tensor:
+    def forward(ctx: FunctionCtx, vertices: Tensor, scene: MeshScene, camera: Camera) -> Tensor:
         shown = vertices.detach().contiguous()
         ctx.scene, ctx.shown = scene, shown
         ctx.view = scene.view(shown, camera)

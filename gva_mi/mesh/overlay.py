@@ -1,4 +1,4 @@
-"""A body that a person looks at: over a frame, with its outline, or alone."""
+"""Pictures of a mesh for people: over a photograph, with its outline, or alone."""
 
 from __future__ import annotations
 
@@ -6,30 +6,30 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gva_mi.data.video import Frame
-from gva_mi.mesh.mesh_scene import BodyScene
+from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.splat import Camera, look_at
 
 OUTLINE = (1.0, 0.25, 0.1)  # orange: neither skin nor cloth
-BODY = (0.35, 0.65, 1.0)
+BLUE = (0.35, 0.65, 1.0)
 CLAY = (0.72, 0.76, 0.80)
-OPACITY = 0.45  # of the shaded body over the picture
+OPACITY = 0.45  # of the shaded mesh over the picture
 
 
 @torch.no_grad()
-def overlay(frame: Frame, vertices: Tensor, faces: Tensor) -> np.ndarray:
-    """The frame with a body laid over it, (H, W, 3) float32 in [0, 1].
+def overlay(image: np.ndarray, camera: Camera, vertices: Tensor, faces: Tensor) -> np.ndarray:
+    """A picture with a mesh laid over it, (H, W, 3) float32 in [0, 1].
 
     Args:
-        frame: the picture and its camera.
+        image: (H, W, 3) the picture.
+        camera: that took it.
         vertices: (V, 3) float32, world, metres.
         faces: (F, 3).
     """
-    image = BodyScene(faces, vertices).render(vertices, frame.camera).numpy()
-    mask = image[..., 3:] > 0.5
-    light = np.clip(-image[..., 2:3], 0, 1)  # as by a lamp on the camera
-    shaded = np.array(BODY) * (0.25 + 0.75 * light)
-    picture = np.where(mask, (1 - OPACITY) * frame.image + OPACITY * shaded, frame.image)
+    normals_mask = MeshScene(faces, vertices).render(vertices, camera).numpy()
+    mask = normals_mask[..., 3:] > 0.5
+    light = np.clip(-normals_mask[..., 2:3], 0, 1)  # as by a lamp on the camera
+    shaded = np.array(BLUE) * (0.25 + 0.75 * light)
+    picture = np.where(mask, (1 - OPACITY) * image + OPACITY * shaded, image)
     return np.where(_outline(mask[..., 0])[..., None], OUTLINE, picture).astype(np.float32)
 
 
@@ -48,7 +48,7 @@ def shaded(vertices: Tensor, faces: Tensor, angle: float, size: int = 300) -> np
     distance = 3 * float((high - low).max())
     eye = centre + distance * np.array([np.sin(angle), 0.0, np.cos(angle)])
     camera = Camera(2.7 * size, 2.7 * size, size / 2, size / 2, look_at(eye, centre), size, size)
-    image = BodyScene(faces, vertices).render(vertices, camera).numpy()
+    image = MeshScene(faces, vertices).render(vertices, camera).numpy()
     light = 0.2 + 0.75 * np.clip(-image[..., 2:3], 0, 1)
     return np.where(image[..., 3:] > 0.5, light * np.array(CLAY), 1).astype(np.float32)
 

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from gva_mi.body.smplx import BodyModel
-from gva_mi.pose.displacement import uniform_laplacian
+from gva_mi.mesh.surface import uniform_laplacian
 
 AGREE = 1e3  # how much more the displacement of a common vertex counts than a bend
 

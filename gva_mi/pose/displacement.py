@@ -14,11 +14,11 @@ shape is what tells their pose.
 
 from __future__ import annotations
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND
+from gva_mi.mesh.surface import uniform_laplacian, vertex_normals
 
 _WRISTS = [JOINTS.index("left_wrist"), JOINTS.index("right_wrist")]
 
@@ -34,7 +34,8 @@ class Displacement:
             faces: (F, 3).
             weights: (V, 55) skinning weights, which tell where the hands are.
         """
-        self._normals = vertex_normals(vertices, faces)
+        exact = vertex_normals(vertices.detach().double(), faces)
+        self._normals = exact.to(vertices.dtype)
         ends = vertices[faces], vertices[faces.roll(1, dims=1)]
         self._square_edge = float((ends[0] - ends[1]).square().sum(-1).mean())
         self._laplacian = uniform_laplacian(faces.numpy(), len(vertices))
@@ -58,29 +59,3 @@ def hand_vertices(weights: Tensor) -> Tensor:
     """Which vertices (V,) belong to the hands: more than half moved by wrists and fingers."""
     hands = weights[:, LEFT_HAND].sum(1) + weights[:, RIGHT_HAND].sum(1)
     return hands + weights[:, _WRISTS].sum(1) > 0.5
-
-
-def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
-    """Unit normals (V, 3), averaged from the faces by area."""
-    p = vertices.detach().numpy().astype(np.float64)[faces.numpy()]
-    face_normals = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
-    corners = faces.numpy().reshape(-1)
-    total = np.stack(
-        [np.bincount(corners, np.repeat(face_normals[:, k], 3), len(vertices)) for k in range(3)], 1
-    )
-    return torch.nn.functional.normalize(torch.from_numpy(total), dim=1).to(vertices.dtype)
-
-
-def uniform_laplacian(faces: np.ndarray, count: int) -> Tensor:
-    """Sparse (V, V): a vertex minus the mean of its neighbours; zero for a vertex without any.
-
-    In torch's coordinate format, whose product runs through the entries in their order.
-    """
-    sides = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    rows, columns = np.unique(np.concatenate([sides, sides[:, ::-1]]), axis=0).T
-    degree = np.bincount(rows, minlength=count)
-    used = np.flatnonzero(degree)
-    index = np.stack([np.concatenate([used, rows]), np.concatenate([used, columns])])
-    values = np.concatenate([np.ones(len(used)), -1 / degree[rows]]).astype(np.float32)
-    entries = torch.from_numpy(index), torch.from_numpy(values)
-    return torch.sparse_coo_tensor(*entries, (count, count), check_invariants=False).coalesce()

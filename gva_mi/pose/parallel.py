@@ -26,7 +26,7 @@ import torch
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.errors import InputError
-from gva_mi.mesh.mesh_scene import BodyScene
+from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.evidence import Target
 from gva_mi.pose.sequence import Solution, refine_sequence
 from gva_mi.pose.single_frame import refine_single_frames
@@ -75,7 +75,7 @@ def solve(job: Job, progress: Progress | None = None) -> Solved:
         return Solved(rest, 0.0)
     with _one_at_a_time, one_torch_thread():
         begin = time.perf_counter()
-        scene = BodyScene(job.body.faces, job.body.v_template)
+        scene = MeshScene(job.body.faces, job.body.v_template)
         arguments = (job.targets, scene, job.body, job.pose, job.shape, job.options, progress)
         if job.options.loss == "paper":
             solution = refine_single_frames(*arguments)

@@ -37,7 +37,7 @@ from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.video import Video
 from gva_mi.errors import InputError
-from gva_mi.mesh.mesh_scene import BodyScene
+from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.clips import cut, join, skim
 from gva_mi.pose.coarse_body import CoarseBody
 from gva_mi.pose.evidence import CannotRefine, Target
@@ -260,7 +260,7 @@ class _Case:
         """L_normal + λ1 L_silhouette of each frame (T,); NaN where there is no target."""
         losses = torch.full((self.frames,), torch.nan)
         body = self.coarse.body
-        scene = BodyScene(body.faces, body.v_template)
+        scene = MeshScene(body.faces, body.v_template)
         with one_torch_thread():
             for k, target in self.targets.items():
                 one = Pose(

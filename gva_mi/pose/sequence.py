@@ -25,7 +25,7 @@ from torch import Tensor
 
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
-from gva_mi.mesh.mesh_scene import BodyScene
+from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.corrections import Corrections
 from gva_mi.pose.displacement import Displacement
 from gva_mi.pose.evidence import Target
@@ -52,7 +52,7 @@ class Solution:
 
 def refine_sequence(
     targets: dict[int, Target],
-    scene: BodyScene,
+    scene: MeshScene,
     body: BodyModel,
     pose: Pose,
     shape: Shape,
@@ -124,7 +124,7 @@ def refine_sequence(
 
 
 def _look(
-    scene: BodyScene, target: Target, vertices: Tensor, silhouette: float
+    scene: MeshScene, target: Target, vertices: Tensor, silhouette: float
 ) -> tuple[float, Tensor]:
     """The loss of one picture and its gradient by the vertices (V, 3).
 

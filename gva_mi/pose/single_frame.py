@@ -13,7 +13,7 @@ import torch
 
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
-from gva_mi.mesh.mesh_scene import BodyScene
+from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.evidence import Target
 from gva_mi.pose.priors import FACE, joint_weights, levers
 from gva_mi.pose.sequence import Solution
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 def refine_single_frames(
     targets: dict[int, Target],
-    scene: BodyScene,
+    scene: MeshScene,
     body: BodyModel,
     pose: Pose,
     shape: Shape,

@@ -1,12 +1,12 @@
 """``gaussian_splat``: an integrator that splats the ``ellipsoids`` of a scene (EWA splatting).
 
 Any scene made for Mitsuba's ray-traced ``volprim_rf_basic``, or loaded from a 3DGS .ply, is shown
-by the kernels of :mod:`gva_mi.splat` instead: no rays, no noise, and right gradients.
+by the kernels of ``gva_mi.splat`` instead: no rays, no noise, and right gradients.
 
-1. C, α = splat(ellipsoids, sensor)         gaussian_splat_shapes.py, gaussian_splat_sensor.py
-2. I = C + (1 - α) B                        B: the background, or what the meshes show
+1. C, α = splat(ellipsoids, sensor)         ``ellipsoids.py``, ``sensor.py``
+2. I = C + (1 - α) B                        B: the background, or what the other shapes show
 3. Where ``meshes`` is ``depth``, a pixel splats only the ellipsoids whose centers are nearer than
-   the surface that the ray through the pixel's own center meets (gaussian_splat_meshes.py).
+   the surface that the ray through the pixel's own center meets (``other_shapes.py``).
 
 Parameters:
     ``meshes`` (string): ``none`` shows the ellipsoids alone; ``depth`` puts them among the other
@@ -40,9 +40,9 @@ from dataclasses import replace
 
 import drjit as dr
 import mitsuba as mi
-from gva_mi_plugins.gaussian_splat.meshes import Surfaces
-from gva_mi_plugins.gaussian_splat.sensor import SensorView
-from gva_mi_plugins.gaussian_splat.shapes import gaussians_of, seen_along
+from gva_mi_plugins.gaussian_splat.ellipsoids import gaussians_of, seen_along
+from gva_mi_plugins.gaussian_splat.other_shapes import OtherShapes
+from gva_mi_plugins.gaussian_splat.sensor import SensorCamera
 
 from gva_mi.splat import Image, SplatOptions
 from gva_mi.splat.drjit_op import render
@@ -144,15 +144,15 @@ class GaussianSplat(mi.ad.integrators.common.ADIntegrator):
                 "are frozen already"
             )
         sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
-        view = SensorView.of(sensor)
+        view = SensorCamera.of(sensor)
         if self.meshes == "none":
             background = self._to_primitives(mi.TensorXf(self.background))
             splats = self._splat(scene, view, background=background)
             return self._develop(sensor, splats.color, splats.alpha, splats.depth)
 
-        surfaces = Surfaces.of(scene, sensor)
-        shown = surfaces.image(self.nested, seed, spp)
-        splats = self._splat(scene, view, limit=surfaces.depth(view.camera))
+        others = OtherShapes.of(scene, sensor)
+        shown = others.image(self.nested, seed, spp)
+        splats = self._splat(scene, view, limit=others.depth(view.camera))
         behind = self._to_primitives(shown[:, :, :3])
         color = splats.color + (1 - _channel(splats.alpha)) * behind
         alpha = splats.alpha
@@ -163,7 +163,7 @@ class GaussianSplat(mi.ad.integrators.common.ADIntegrator):
     def _splat(
         self,
         scene: mi.Scene,
-        view: SensorView,
+        view: SensorCamera,
         background: mi.TensorXf | None = None,
         limit: mi.TensorXf | None = None,
     ) -> Image:

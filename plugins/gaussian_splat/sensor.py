@@ -1,4 +1,4 @@
-"""A Mitsuba sensor as a camera of :mod:`gva_mi.splat`, differentiable in the sensor's parameters.
+"""A Mitsuba sensor as a camera of ``gva_mi.splat``, differentiable in the sensor's parameters.
 
 A Mitsuba sensor looks along +z, with x to the left and y up: F = diag(-1, -1, 1) makes that OpenCV.
 With ``to_world = [M | o]``, the film's size (W, H) and the corner of its crop window, in pixels:
@@ -24,8 +24,8 @@ RIGID = 1e-4  # by how much R may fail to be orthonormal
 
 
 @dataclass(frozen=True)
-class SensorView:
-    """What a sensor sees."""
+class SensorCamera:
+    """A sensor's camera, and what a camera does not hold."""
 
     camera: Camera  # holds tensors, attached to the sensor's parameters, where one has a gradient
     axis: list[mi.Float]  # where the sensor looks: a unit vector of the world
@@ -33,8 +33,8 @@ class SensorView:
     far: float  # m
 
     @staticmethod
-    def of(sensor: mi.Sensor) -> SensorView:
-        """The view of a ``perspective`` or ``orthographic`` sensor.
+    def of(sensor: mi.Sensor) -> SensorCamera:
+        """The camera of a ``perspective`` or ``orthographic`` sensor.
 
         Raises:
             ValueError: for another sensor, or one whose to_world is sheared.
@@ -73,7 +73,8 @@ class SensorView:
         camera = Camera.from_matrices(*matrices, *film.crop_size(), model)
         axis = [dr.gather(mi.Float, T.array, 8 + j) for j in range(3)]
         along_z = float(dr.detach(s.z)[0])
-        return SensorView(camera, axis, along_z * sensor.near_clip(), along_z * sensor.far_clip())
+        near, far = along_z * sensor.near_clip(), along_z * sensor.far_clip()
+        return SensorCamera(camera, axis, near, far)
 
 
 def _tensor(rows: list[list[mi.Float | float]]) -> mi.TensorXf:

@@ -64,7 +64,7 @@ class Channels:
         """Whether any channel changes as a surface moves within its contours."""
         return "normal" in self.kinds or "depth" in self.kinds
 
-    def place(self, kind: str) -> int | None:
+    def first(self, kind: str) -> int | None:
         """Number of the first channel of a kind; None where there is none."""
         if kind not in self.kinds:
             return None
@@ -81,7 +81,7 @@ class Channels:
             hit: (R,) whether a mesh is hit.
             camera_world: rotation from world to camera.
         """
-        n = self._out(n, camera_world)
+        n = self._to_space(n, camera_world)
         of_kind = {
             "normal": list(n),
             "mask": [dr.select(hit, mi.Float(1), 0)],
@@ -92,7 +92,7 @@ class Channels:
 
     def tangent(self, dn: mi.Vector3f, dw: mi.Float, camera_world: mi.Matrix3f) -> list[mi.Float]:
         """How the channels of rays change with what they see; the hits stay."""
-        dn = self._out(dn, camera_world)
+        dn = self._to_space(dn, camera_world)
         of_kind = {"normal": list(dn), "depth": [dw]}
         zeros = lambda kind: [mi.Float(0)] * WIDTHS[kind]
         return [value for kind in self.kinds for value in of_kind.get(kind, zeros(kind))]
@@ -101,7 +101,7 @@ class Channels:
         self, grads: list[mi.Float], camera_world: mi.Matrix3f
     ) -> tuple[mi.Vector3f | None, mi.Float | None]:
         """From gradients by the channels to those by normal (world) and depth; None for none."""
-        normal, depth = self.place("normal"), self.place("depth")
+        normal, depth = self.first("normal"), self.first("depth")
         grad_n = None
         if normal is not None:
             grad_n = mi.Vector3f(grads[normal : normal + 3])
@@ -109,6 +109,6 @@ class Channels:
                 grad_n = camera_world.T @ grad_n
         return grad_n, None if depth is None else grads[depth]
 
-    def _out(self, n: mi.Vector3f, camera_world: mi.Matrix3f) -> mi.Vector3f:
+    def _to_space(self, n: mi.Vector3f, camera_world: mi.Matrix3f) -> mi.Vector3f:
         """From world space to the space asked for."""
         return n if self.space == "world" else camera_world @ n

@@ -5,7 +5,7 @@
  * - channels
    - |string|
    - What the image holds, in this order: some of ``normal`` (3 channels), ``mask``, ``depth`` and
-     ``shape_index``, as :mod:`gva_mi_plugins.mesh_normals.channels` defines them. (Default: ``normal, mask``)
+     ``shape_index``, as ``channels.py`` defines them. (Default: ``normal, mask``)
  * - space
    - |string|
    - Axes of the normals: ``camera`` (x right, y down, z forward) or ``world``. (Default:
@@ -29,7 +29,7 @@ is no border. Sensors are ``perspective`` or ``orthographic``, films of any kind
 reconstruction filter and any crop window.
 
 Differentiable parameters, under the names that ``mi.traverse`` gives them: ``*.vertex_positions``
-of every mesh, and ``to_world`` of the sensor. :mod:`gva_mi_plugins.mesh_normals.view` tells how.
+of every mesh, and ``to_world`` of the sensor. ``mesh_view.py`` tells how.
 
 Note:
     There is no noise and ``seed`` has no effect. Not differentiable: the field of view and the
@@ -42,11 +42,12 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 from gva_mi_plugins.mesh_normals.channels import Channels
+from gva_mi_plugins.mesh_normals.mesh_view import MeshView
 from gva_mi_plugins.mesh_normals.pixel_filter import PixelFilter
 from gva_mi_plugins.mesh_normals.projection import Projection
+from gva_mi_plugins.mesh_normals.rays import RayCaster
 from gva_mi_plugins.mesh_normals.surface import Surface
-from gva_mi_plugins.mesh_normals.topology import Topology, build
-from gva_mi_plugins.mesh_normals.view import View
+from gva_mi_plugins.mesh_normals.topology import Topology, meshes_of
 
 
 class MeshNormals(mi.ad.integrators.common.ADIntegrator):
@@ -65,7 +66,7 @@ class MeshNormals(mi.ad.integrators.common.ADIntegrator):
                 raise ValueError(f"mesh_normals: {name} must be positive")
         self._topology: tuple[list[mi.UInt32], Topology] | None = None
 
-    def view(self, scene: mi.Scene, sensor: mi.Sensor, spp: int = 1) -> View:
+    def view(self, scene: mi.Scene, sensor: mi.Sensor, spp: int = 1) -> MeshView:
         """What a sensor sees: the image and its derivatives, without automatic differentiation.
 
         Raises:
@@ -80,9 +81,8 @@ class MeshNormals(mi.ad.integrators.common.ADIntegrator):
             surface = Surface.of(self._topology_of(meshes), positions)
             projection = Projection.of(sensor, self.pixel_aspect)
             filter = PixelFilter.of(sensor.film(), spp)
-            return View.of(
-                scene, projection, surface, self.channels, filter, self.edge_density, self.piercing
-            )
+            caster = RayCaster(scene, surface, projection, self.channels)
+            return MeshView.of(caster, filter, self.edge_density, self.piercing)
 
     def render(
         self,
@@ -166,30 +166,15 @@ class MeshNormals(mi.ad.integrators.common.ADIntegrator):
     def _topology_of(self, meshes: list[mi.Mesh]) -> Topology:
         """Built anew only where the faces are other ones."""
         faces = [mesh.faces_buffer() for mesh in meshes]
-        if self._topology is None or [x.index for x in faces] != [
-            x.index for x in self._topology[0]
-        ]:
-            self._topology = (faces, build(meshes))
+        known = None if self._topology is None else [x.index for x in self._topology[0]]
+        if known != [x.index for x in faces]:
+            self._topology = (faces, Topology.of(meshes))
         return self._topology[1]
 
 
 def _arguments(scene: mi.Scene, sensor: mi.Sensor | int, spp: int) -> tuple[mi.Sensor, int]:
     sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
     return sensor, spp or sensor.sampler().sample_count()
-
-
-def meshes_of(scene: mi.Scene) -> list[mi.Mesh]:
-    """The shapes of a scene, all of which must be meshes."""
-    meshes = scene.shapes()
-    for shape in meshes:
-        if not shape.is_mesh():
-            raise ValueError(
-                "mesh_normals: every shape must be a triangle mesh, "
-                f"'{shape.id()}' is {shape.class_name()}"
-            )
-    if not meshes:
-        raise ValueError("mesh_normals: the scene has no shape")
-    return meshes
 
 
 def _joined(values: list[mi.Vector3f]) -> mi.Vector3f:

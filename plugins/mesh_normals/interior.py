@@ -1,15 +1,15 @@
 """The interior term: what an image gains as surfaces move within their contours.
 
 1. A point seen keeps to its triangle, and its normal and depth change: ``∂I/∂v = ∫ ∂v/∂x f dA``.
-   Where a surface is seen flat the integrand grows as one over the cosine of the angle. Rays spread
-   over the image seldom meet such places, and then count too much.
+   Where a surface is seen flat the integrand grows as one over the cosine of the angle. The rays
+   of the image seldom meet such places, and where one does it counts too much.
 2. So there are two sets of samples: the rays of the image, ``spp`` for a pixel of area, and one
    point on every triangle, ``1 / A`` for a pixel of area, ``A`` the area in pixels that the
    triangle covers. Triangles seen flat cover little.
 3. Both count with the weight ``1 / (spp + 1 / A)``, one over their density together (the balance
    heuristic of multiple importance sampling): no sample weighs more than its triangle covers.
 4. With the doubled area ``c`` of a triangle in the world, ``A = |det| |c · d| / 2 h²`` on the ray
-   ``o + w d`` at the scale ``h`` (:mod:`gva_mi_plugins.mesh_normals.projection`).
+   ``o + w d`` at the scale ``h`` (``projection.py``).
 
 Triangles whose plane all but holds the ray are left out: float32 cannot tell where they meet.
 """
@@ -20,10 +20,8 @@ from dataclasses import dataclass
 
 import drjit as dr
 import mitsuba as mi
-from gva_mi_plugins.mesh_normals.channels import Channels
-from gva_mi_plugins.mesh_normals.contours import Cast, Found
 from gva_mi_plugins.mesh_normals.pixel_filter import PixelFilter
-from gva_mi_plugins.mesh_normals.projection import Projection
+from gva_mi_plugins.mesh_normals.rays import RayCaster, RayHits
 from gva_mi_plugins.mesh_normals.segment_sums import concat
 from gva_mi_plugins.mesh_normals.surface import Surface
 
@@ -36,9 +34,7 @@ HIDDEN = 1e-4  # what hides a point lies nearer than it by more than this share 
 class Interior:
     """Samples of what one view sees: first those on the image's rays, then those on triangles."""
 
-    surface: Surface
-    projection: Projection
-    channels: Channels
+    caster: RayCaster
     filter: PixelFilter
     rays: mi.UInt32  # (R,) which of the image's rays
     q: mi.Point2f  # (S,) pixels, of the samples on triangles
@@ -47,29 +43,20 @@ class Interior:
     weight: mi.Float  # (R + S,) eq. 3; that of the image's rays times spp, which the filter divides
 
     @staticmethod
-    def of(
-        surface: Surface,
-        projection: Projection,
-        channels: Channels,
-        filter: PixelFilter,
-        seen: Found,
-        cast: Cast,
-    ) -> Interior | None:
+    def of(caster: RayCaster, filter: PixelFilter, seen: RayHits) -> Interior | None:
         """Gather the samples; None where nothing is seen.
 
         Args:
-            surface: the meshes.
-            projection: the camera.
-            channels: of the image.
+            caster: looks at the meshes.
             filter: of the image.
             seen: what the image's rays met.
-            cast: shoots more rays at the meshes.
         """
+        surface, projection = caster.surface, caster.projection
         slanted = _is_slanted(surface, projection.ray(filter.positions()), seen.face)
         rays = dr.compress(seen.hit & slanted)
         if dr.width(rays) == 0:
             return None
-        face, q = _points(surface, projection, cast)
+        face, q = _points_on_triangles(caster)
         at, faces = filter.positions(rays), dr.gather(mi.UInt32, seen.face, rays)
         if dr.width(face) > 0:
             at, faces = concat(at, q), concat(faces, face)
@@ -81,16 +68,16 @@ class Interior:
         weight = dr.rcp(filter.spp + 2 * projection.density(c, corner, ray))
         of_image = dr.arange(mi.UInt32, dr.width(faces)) < dr.opaque(mi.UInt32, dr.width(rays))
         weight = dr.select(of_image, filter.spp * weight, weight)
-        return Interior(surface, projection, channels, filter, rays, q, ray, faces, weight)
+        return Interior(caster, filter, rays, q, ray, faces, weight)
 
     def tangent(self, d_positions: mi.Vector3f) -> list[mi.Float]:
         """Eq. 1 forward: how pixels change as the positions (V,) move, for each channel (H W,)."""
-        filter, d_normals = self.filter, self.surface.tangent(d_positions)
+        filter, surface, channels = self.filter, self.caster.surface, self.caster.channels
+        d_normals = surface.tangent(d_positions)
         dr.eval(d_normals)
-        seen = self.surface.shade_tangent(self.ray, self.face, d_positions, d_normals)
-        changes = [
-            self.weight * x for x in self.channels.tangent(*seen, self.projection.camera_world)
-        ]
+        dn, dw = surface.shade_tangent(self.ray, self.face, d_positions, d_normals)
+        changes = channels.tangent(dn, dw, self.caster.projection.camera_world)
+        changes = [self.weight * x for x in changes]
         dr.eval(changes)
         count = dr.width(self.rays)
         of_image = dr.arange(mi.UInt32, count)
@@ -115,8 +102,9 @@ class Interior:
             on_faces = self.filter.spread_to(grads, self.q)
             by_sample = [concat(x, y) for x, y in zip(by_sample, on_faces, strict=True)]
         by_sample = [self.weight * x for x in by_sample]
-        by_sample = self.channels.adjoint(by_sample, self.projection.camera_world)
-        return self.surface.adjoint(*self.surface.shade_adjoint(self.ray, self.face, *by_sample))
+        surface, camera_world = self.caster.surface, self.caster.projection.camera_world
+        grad_n, grad_w = self.caster.channels.adjoint(by_sample, camera_world)
+        return surface.adjoint(*surface.shade_adjoint(self.ray, self.face, grad_n, grad_w))
 
 
 def _is_slanted(surface: Surface, ray: mi.Ray3f, face: mi.UInt32) -> mi.Bool:
@@ -125,31 +113,37 @@ def _is_slanted(surface: Surface, ray: mi.Ray3f, face: mi.UInt32) -> mi.Bool:
     return dr.abs(dr.dot(c, ray.d)) > FLAT * dr.norm(c) * dr.norm(ray.d)
 
 
-def _points(surface: Surface, projection: Projection, cast: Cast) -> tuple[mi.UInt32, mi.Point2f]:
-    """One point on every triangle, as far as they are seen: triangles (S,), pixels (S,)."""
-    topology = surface.topology
-    face = dr.arange(mi.UInt32, topology.face_count)
-    p = [dr.gather(mi.Vector3f, surface.positions, vertex) for vertex in topology.vertices]
-    b1, b2 = (x - dr.floor(x) for x in (0.5 + mi.Float(face) * step for step in GOLDEN))
-    folded = b1 + b2 > 1
-    b1, b2 = dr.select(folded, 1 - b1, b1), dr.select(folded, 1 - b2, b2)
-    x = (1 - b1 - b2) * p[0] + b1 * p[1] + b2 * p[2]
+def _points_on_triangles(caster: RayCaster) -> tuple[mi.UInt32, mi.Point2f]:
+    """A point on each triangle, of those points that are seen: triangles (S,), pixels (S,)."""
+    surface, projection = caster.surface, caster.projection
+    x = _one_point_each(surface)
     faces_sensor = dr.dot(surface.face_normals, projection.toward(x)) < 0
     q, _ = projection.pixel(x)
     w = projection.depth(x)
     candidate = projection.is_inside(q) & (w > projection.near)
-    if topology.is_closed:
+    if surface.topology.is_closed:
         candidate &= faces_sensor  # the others are behind them
     dr.eval(q, w, faces_sensor, candidate)
     face = dr.compress(candidate)
     if dr.width(face) == 0:
         return face, dr.zeros(mi.Point2f, 0)
     q, w = dr.gather(mi.Point2f, q, face), dr.gather(mi.Float, w, face)
-    found = cast(q)
+    hits = caster.cast(q)
     # A triangle seen flat may be missed by the very ray that leads to it.
-    seen = found.hit & (found.face == face)
-    behind = dr.gather(mi.Bool, faces_sensor, face) & (found.depth > w * (1 - HIDDEN))
-    seen = dr.compress((seen | behind) & _is_slanted(surface, found.ray, face))
+    seen = hits.hit & (hits.face == face)
+    behind = dr.gather(mi.Bool, faces_sensor, face) & (hits.depth > w * (1 - HIDDEN))
+    seen = dr.compress((seen | behind) & _is_slanted(surface, hits.ray, face))
     if dr.width(seen) == 0:
         return seen, dr.zeros(mi.Point2f, 0)
     return dr.gather(mi.UInt32, face, seen), dr.gather(mi.Point2f, q, seen)
+
+
+def _one_point_each(surface: Surface) -> mi.Vector3f:
+    """A point on every triangle (F,), world, of a lattice folded into the triangle."""
+    topology = surface.topology
+    face = dr.arange(mi.UInt32, topology.face_count)
+    p = [dr.gather(mi.Vector3f, surface.positions, vertex) for vertex in topology.vertices]
+    b1, b2 = (x - dr.floor(x) for x in (0.5 + mi.Float(face) * step for step in GOLDEN))
+    folded = b1 + b2 > 1
+    b1, b2 = dr.select(folded, 1 - b1, b1), dr.select(folded, 1 - b2, b2)
+    return (1 - b1 - b2) * p[0] + b1 * p[1] + b2 * p[2]

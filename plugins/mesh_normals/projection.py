@@ -8,7 +8,9 @@ P_1, P_2``:
 3. ray    the points seen in ``q`` are ``o(q) + w d(q)``, ``w`` their depth: the distance from the
    sensor's plane. A pinhole has one ``o`` and ``d = A^{-1} (q, 1)`` with ``A`` the left part of
    ``P``; an orthographic view has one ``d``, the optical axis,
-4. motion ``∂q_i/∂x = (P_i - q_i P_2)[:3] / h``.
+4. motion ``∂q_i/∂x = (P_i - q_i P_2)[:3] / h``,
+5. lines  the way from ``a`` to ``b`` on the image shows a segment of the world; where the share
+   ``t`` of the way has passed, ``s = t h_a / (t h_a + (1 - t) h_b)`` of the segment has.
 
 Pixels are those of the film's crop window: its left upper corner is (0, 0), pixel centres at +0.5.
 """
@@ -31,7 +33,7 @@ class Projection:
     rows: tuple[mi.Vector3f, mi.Vector3f, mi.Vector3f]  # of P, without its last column
     offset: mi.Vector3f  # last column of P
     pixel_to_world: mi.Matrix3f  # A^-1; orthographic: its first columns are ∂o/∂q
-    determinant: mi.Float  # of its inverse, without sign
+    determinant: mi.Float  # |det| of the inverse of pixel_to_world
     eye: mi.Point3f  # o of a pinhole; orthographic: o of pixel (0, 0)
     axis: mi.Vector3f  # the unit vector along which depth grows, world
     axis_offset: mi.Float  # depth is axis · x + axis_offset
@@ -59,6 +61,7 @@ class Projection:
             raise ValueError(
                 f"mesh_normals: sensor must be 'perspective' or 'orthographic', got {kind}"
             )
+        pinhole = kind == PINHOLE
         width, height = (int(x) for x in sensor.film().crop_size())
         with dr.suspend_grad():
             to_world = mi.Matrix4f(sensor.world_transform().matrix)
@@ -66,37 +69,41 @@ class Projection:
             origin = mi.Vector3f(to_world[0, 3], to_world[1, 3], to_world[2, 3])
             x, y, z = (mi.Vector3f(L[0, j], L[1, j], L[2, j]) for j in range(3))
             axis = dr.normalize(z)
+            axis_offset = -dr.dot(axis, origin)
             # Mitsuba's camera looks along +z with x to the left and y up.
             right, down = -dr.normalize(x), -dr.normalize(y)
             camera_world = mi.Matrix3f([list(right), list(down), list(axis)])
 
-            film = sensor.projection_transform().matrix  # camera to film in [0, 1]², depth in row 2
-            K = [[size * film[i, j] for j in range(4)] for i, size in ((0, width), (1, height))]
-            if kind == PINHOLE:
-                size, parameters = sensor.film().size(), mi.traverse(sensor)
-                K[0][2] -= size[0] * parameters["principal_point_offset_x"]
-                K[1][2] -= size[1] * parameters["principal_point_offset_y"]
-            K[1][0], K[1][1] = K[1][0] * pixel_aspect, K[1][1] * pixel_aspect
-            K = mi.Matrix3f([row[:3] for row in (*K, film[3])])
-            shift = mi.Vector3f(width * film[0, 3], height * film[1, 3], film[3, 3])
+            K, shift = _camera_to_pixels(sensor, pixel_aspect)
             A = K @ dr.rcp(L)
             offset = shift - A @ origin
             rows = tuple(mi.Vector3f(A[i, 0], A[i, 1], A[i, 2]) for i in range(3))
-            axis_offset = -dr.dot(axis, origin)
-            if kind == PINHOLE:
+            if pinhole:
                 pixel_to_world, eye = dr.rcp(A), origin
             else:
                 pixel_to_world = dr.rcp(mi.Matrix3f([list(rows[0]), list(rows[1]), list(axis)]))
                 eye = pixel_to_world @ mi.Vector3f(-offset.x, -offset.y, -axis_offset)
             determinant = dr.rcp(dr.abs(dr.det(pixel_to_world)))
-            near = mi.Float(sensor.near_clip()) * (1.0 if kind == PINHOLE else dr.norm(z))
+            near = mi.Float(sensor.near_clip()) * (1.0 if pinhole else dr.norm(z))
             reach = mi.Float(sensor.far_clip() - sensor.near_clip())
             dr.make_opaque(rows, offset, pixel_to_world, eye, axis, axis_offset)
             dr.make_opaque(camera_world, to_world, near, reach, determinant)
         return Projection(
-            kind == PINHOLE, rows, offset, pixel_to_world, determinant, mi.Point3f(eye), axis,
-            axis_offset, camera_world, to_world, near, reach, width, height,
-        )  # fmt: skip
+            pinhole=pinhole,
+            rows=rows,
+            offset=offset,
+            pixel_to_world=pixel_to_world,
+            determinant=determinant,
+            eye=mi.Point3f(eye),
+            axis=axis,
+            axis_offset=axis_offset,
+            camera_world=camera_world,
+            to_world=to_world,
+            near=near,
+            reach=reach,
+            width=width,
+            height=height,
+        )
 
     def depth(self, x: mi.Point3f) -> mi.Float:
         """Distance of world points from the sensor's plane."""
@@ -149,6 +156,36 @@ class Projection:
         """Whether a pixel position lies on the image."""
         return (q.x >= 0) & (q.y >= 0) & (q.x < self.width) & (q.y < self.height)
 
-    def pixel_index(self, q: mi.Point2f) -> mi.UInt32:
-        """Number of the pixel that holds a position on the image."""
-        return mi.UInt32(q.y) * self.width + mi.UInt32(q.x)
+    def clip(self, a: mi.Point2f, b: mi.Point2f) -> tuple[mi.Float, mi.Float]:
+        """The shares of the way from ``a`` to ``b`` at which it enters and leaves the image; they
+        fall, or are equal, where it does not cross it."""
+        t0, t1 = mi.Float(0), mi.Float(1)
+        for k, size in enumerate((self.width, self.height)):
+            step = b[k] - a[k]
+            at_low, at_high = -a[k] / step, (size - a[k]) / step
+            level = dr.abs(step) < 1e-6
+            outside = level & ((a[k] < 0) | (a[k] > size))
+            t0 = dr.maximum(t0, dr.select(level, 0, dr.minimum(at_low, at_high)))
+            t1 = dr.minimum(t1, dr.select(level, 1, dr.maximum(at_low, at_high)))
+            t1 = dr.select(outside, 0, t1)
+        return t0, t1
+
+
+def _camera_to_pixels(sensor: mi.Sensor, pixel_aspect: float) -> tuple[mi.Matrix3f, mi.Vector3f]:
+    """Eq. 1 and 2 in the sensor's frame, with Mitsuba's axes: ``K`` and ``k`` of ``K y + k``, whose
+    last entry is ``h``."""
+    size = sensor.film().crop_size()
+    film = sensor.projection_transform().matrix  # camera to film in [0, 1]², depth in row 2
+    rows = [[int(size[i]) * film[i, j] for j in range(4)] for i in range(2)]
+    if sensor.class_name() == PINHOLE:
+        whole, parameters = sensor.film().size(), mi.traverse(sensor)
+        rows[0][2] -= whole[0] * parameters["principal_point_offset_x"]
+        rows[1][2] -= whole[1] * parameters["principal_point_offset_y"]
+    shift = mi.Vector3f(rows[0][3], rows[1][3], film[3, 3])
+    rows[1][0], rows[1][1] = rows[1][0] * pixel_aspect, rows[1][1] * pixel_aspect
+    return mi.Matrix3f([row[:3] for row in (*rows, film[3])]), shift
+
+
+def share_on_segment(t: mi.Float, ha: mi.Float, hb: mi.Float) -> mi.Float:
+    """Eq. 5: the share of a segment of the world, from that of its image and the ends' scales."""
+    return t * ha / (t * ha + (1 - t) * hb)

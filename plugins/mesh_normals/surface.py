@@ -7,7 +7,8 @@ With corners ``p_0, p_1, p_2`` of face ``f`` and the corners that share a normal
 3. on a ray         ``n = Σ_k b_k n_k / |Σ_k b_k n_k|`` with the barycentric coordinates ``b`` of
    the point hit, ``o + t d = Σ_k b_k p_k``.
 
-Every sum runs over fixed lists in a fixed order (:mod:`gva_mi_plugins.mesh_normals.segment_sums`); no step scatters.
+Every sum runs over fixed lists in a fixed order (``segment_sums.py``); no step
+scatters.
 """
 
 from __future__ import annotations
@@ -153,10 +154,16 @@ def interpolate(
     n1: mi.Vector3f,
     n2: mi.Vector3f,
 ) -> tuple[mi.Vector3f, mi.Float]:
-    """Eq. 3: the normal, and the ray's parameter, where ``o + t d = p_0 + b_1 e_1 + b_2 e_2``."""
+    """Eq. 3: the normal, and the ray's parameter, where a ray meets a triangle's plane."""
+    b1, b2, t = meet_plane(ray, p0, p1, p2)
+    return dr.normalize((1 - b1 - b2) * n0 + b1 * n1 + b2 * n2), t
+
+
+def meet_plane(
+    ray: mi.Ray3f, p0: mi.Vector3f, p1: mi.Vector3f, p2: mi.Vector3f
+) -> tuple[mi.Float, mi.Float, mi.Float]:
+    """The ``b_1, b_2`` and ``t`` at which ``o + t d = p_0 + b_1 (p_1 - p_0) + b_2 (p_2 - p_0)``."""
     e1, e2, s = p1 - p0, p2 - p0, mi.Vector3f(ray.o) - p0
     h, k = dr.cross(ray.d, e2), dr.cross(s, e1)
     det = dr.dot(e1, h)
-    b1, b2 = dr.dot(s, h) / det, dr.dot(ray.d, k) / det
-    n = dr.normalize((1 - b1 - b2) * n0 + b1 * n1 + b2 * n2)
-    return n, dr.dot(e2, k) / det
+    return dr.dot(s, h) / det, dr.dot(ray.d, k) / det, dr.dot(e2, k) / det

@@ -38,9 +38,8 @@ class Topology:
     ends: tuple[mi.UInt32, ...]  # two (E,): vertices at the ends of an edge
     end_points: tuple[mi.UInt32, ...]  # two (E,): points at the ends of an edge
     edge_faces: tuple[mi.UInt32, ...]  # K of (E,): faces at an edge, the first repeated to fill up
-    edge_runs: tuple[
-        mi.Bool, ...
-    ]  # K of (E,): that face runs from the edge's first end to its second
+    # K of (E,): whether that face runs from the edge's first end to its second
+    edge_runs: tuple[mi.Bool, ...]
     is_closed: bool  # every edge has two faces
     crease: mi.Bool  # (E,): the normal jumps here even between two faces seen from the front
     corners_of_vertex: Segments  # V segments over the 3F corners
@@ -59,89 +58,148 @@ class Topology:
         """V."""
         return sum(self.vertex_counts)
 
+    def face_number(self, shape: mi.ShapePtr, primitive: mi.UInt32, active: mi.Bool) -> mi.UInt32:
+        """The numbers of faces (R,) that Mitsuba names by shape and primitive; 0 if not active."""
+        shape = dr.reinterpret_array(mi.UInt32, shape)
+        first = dr.gather(mi.UInt32, self.first_face, shape, active)
+        return dr.select(active, first + primitive, 0)
 
-def build(meshes: Sequence[mi.Mesh]) -> Topology:
-    """Read the faces of the meshes and find the edges between them."""
-    vertices, points, normals = [], [], []
-    face_counts = [mesh.face_count() for mesh in meshes]
-    V = F = N = 0
+    @staticmethod
+    def of(meshes: Sequence[mi.Mesh]) -> Topology:
+        """Read the faces of the meshes and find the edges between them."""
+        corners = _Corners.of(meshes)
+        vertices, normals, V, N = corners.vertices, corners.normals, corners.V, corners.N
+        edges = _Edges.of(corners)
+        counts = [mesh.face_count() for mesh in meshes]
+        mesh_of_face = np.repeat(np.arange(len(meshes)), counts).astype(np.uint32)
+        corners_of_normal = Segments.by_owner(normals.reshape(-1), N)
+        columns = lambda array: tuple(mi.UInt32(np.ascontiguousarray(column)) for column in array.T)
+        return Topology(
+            vertex_counts=tuple(mesh.vertex_count() for mesh in meshes),
+            first_face=_first_faces(meshes),
+            mesh_of_face=mi.UInt32(mesh_of_face),
+            normal_count=N,
+            vertices=columns(vertices),
+            points=columns(corners.points),
+            normals=columns(normals),
+            ends=columns(edges.vertices),
+            end_points=columns(edges.points),
+            edge_faces=columns(edges.faces),
+            edge_runs=tuple(mi.Bool(np.ascontiguousarray(column)) for column in edges.runs.T),
+            is_closed=edges.is_closed,
+            crease=mi.Bool(edges.crease),
+            corners_of_vertex=Segments.by_owner(vertices.reshape(-1), V),
+            corners_of_point=Segments.by_owner(corners.points.reshape(-1), V),
+            corners_of_normal=corners_of_normal,
+            faces_of_normal=Segments(corners_of_normal.start, corners_of_normal.items // 3),
+            ends_of_vertex=Segments.by_owner(edges.vertices.reshape(-1), V),
+        )
+
+
+def meshes_of(scene: mi.Scene) -> list[mi.Mesh]:
+    """The shapes of a scene, all of which must be meshes.
+
+    Raises:
+        ValueError: a shape is no mesh, or there is none.
+    """
+    meshes = scene.shapes()
+    for shape in meshes:
+        if not shape.is_mesh():
+            raise ValueError(
+                "mesh_normals: every shape must be a triangle mesh, "
+                f"'{shape.id()}' is {shape.class_name()}"
+            )
+    if not meshes:
+        raise ValueError("mesh_normals: the scene has no shape")
+    return meshes
+
+
+def _first_faces(meshes: Sequence[mi.Mesh]) -> mi.UInt32:
+    """The number of each mesh's first face, by the mesh's number in Mitsuba's registry."""
     registry = [dr.reinterpret_array(mi.UInt32, mi.ShapePtr(mesh))[0] for mesh in meshes]
-    first_face = np.zeros(max(registry) + 1, np.uint32)
-    for mesh, number in zip(meshes, registry, strict=True):
-        first_face[number] = F
-        positions = np.array(mesh.vertex_positions_buffer()).reshape(-1, 3)
-        faces = np.array(mesh.faces_buffer()).reshape(-1, 3).astype(np.int64)
-        _, first, inverse = np.unique(positions, axis=0, return_index=True, return_inverse=True)
-        vertices.append(faces + V)
-        points.append(first[inverse.reshape(-1)][faces] + V)
-        if mesh.has_face_normals():
-            normals.append(np.repeat(np.arange(len(faces))[:, None] + N, 3, axis=1))
-            N += len(faces)
-        else:
-            normals.append(faces + N)
-            N += len(positions)
-        V, F = V + len(positions), F + len(faces)
-    vertices, points, normals = (np.concatenate(x) for x in (vertices, points, normals))
-    ends, end_points, edge_faces, runs, crease, is_closed = _edges(vertices, points, normals)
-    corners_of_normal = Segments.by_owner(normals.reshape(-1), N)
-    columns = lambda array: tuple(mi.UInt32(np.ascontiguousarray(column)) for column in array.T)
-    return Topology(
-        vertex_counts=tuple(mesh.vertex_count() for mesh in meshes),
-        first_face=mi.UInt32(first_face),
-        mesh_of_face=mi.UInt32(np.repeat(np.arange(len(meshes)), face_counts).astype(np.uint32)),
-        normal_count=N,
-        vertices=columns(vertices),
-        points=columns(points),
-        normals=columns(normals),
-        ends=columns(ends),
-        end_points=columns(end_points),
-        edge_faces=columns(edge_faces),
-        edge_runs=tuple(mi.Bool(np.ascontiguousarray(column)) for column in runs.T),
-        is_closed=is_closed,
-        crease=mi.Bool(crease),
-        corners_of_vertex=Segments.by_owner(vertices.reshape(-1), V),
-        corners_of_point=Segments.by_owner(points.reshape(-1), V),
-        corners_of_normal=corners_of_normal,
-        faces_of_normal=Segments(corners_of_normal.start, corners_of_normal.items // 3),
-        ends_of_vertex=Segments.by_owner(ends.reshape(-1), V),
-    )
+    first = np.zeros(max(registry) + 1, np.uint32)
+    counts = [mesh.face_count() for mesh in meshes]
+    first[registry] = np.cumsum([0, *counts[:-1]])
+    return mi.UInt32(first)
 
 
-def _edges(vertices: np.ndarray, points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Edges: ends (E, 2), their points (E, 2), faces (E, K), runs (E, K), crease (E,);
-    and whether all have two faces."""
-    tail, head = np.arange(3), np.array([1, 2, 0])
-    sides = np.stack([points[:, tail], points[:, head]], axis=-1).reshape(-1, 2)  # (3F, 2)
-    forward = sides[:, 0] < sides[:, 1]
-    kept = (
-        sides[:, 0] != sides[:, 1]
-    )  # a face with two corners at one place has a side of no length
-    key = np.where(kept, sides.min(axis=1) * (points.max() + 1) + sides.max(axis=1), -1)
-    order = np.argsort(key, kind="stable")
-    order = order[key[order] >= 0]
-    begins = np.flatnonzero(np.diff(key[order], prepend=-1))
-    counts = np.diff(begins, append=len(order))
+@dataclass(frozen=True)
+class _Corners:
+    """The three numberings of the corners of all meshes."""
 
-    def at_ends(numbers: np.ndarray, side: np.ndarray) -> np.ndarray:
-        """A numbering of corners at both ends of some sides, the lower point first."""
-        face, k = side // 3, side % 3
-        pair = np.stack([numbers[face, k], numbers[face, head[k]]], axis=1)
-        return np.where(forward[side][:, None], pair, pair[:, ::-1])
+    vertices: np.ndarray  # (F, 3)
+    points: np.ndarray  # (F, 3)
+    normals: np.ndarray  # (F, 3)
+    V: int
+    N: int
 
-    first = order[begins]
-    faces, runs = [], []
-    crease = np.zeros(len(begins), bool)
-    for k in range(counts.max(initial=1)):
-        side = order[begins + np.minimum(k, counts - 1)]
-        side = np.where(k < counts, side, first)
-        faces.append(side // 3)
-        runs.append(forward[side])
-        crease |= (at_ends(normals, side) != at_ends(normals, first)).any(axis=1)
-    return (
-        at_ends(vertices, first),
-        at_ends(points, first),
-        np.stack(faces, axis=1),
-        np.stack(runs, axis=1),
-        crease,
-        bool((counts == 2).all()),
-    )
+    @staticmethod
+    def of(meshes: Sequence[mi.Mesh]) -> _Corners:
+        vertices, points, normals = [], [], []
+        V = N = 0
+        for mesh in meshes:
+            positions = np.array(mesh.vertex_positions_buffer()).reshape(-1, 3)
+            faces = np.array(mesh.faces_buffer()).reshape(-1, 3).astype(np.int64)
+            _, first, inverse = np.unique(positions, axis=0, return_index=True, return_inverse=True)
+            vertices.append(faces + V)
+            points.append(first[inverse.reshape(-1)][faces] + V)
+            if mesh.has_face_normals():
+                normals.append(np.repeat(np.arange(len(faces))[:, None] + N, 3, axis=1))
+                N += len(faces)
+            else:
+                normals.append(faces + N)
+                N += len(positions)
+            V += len(positions)
+        return _Corners(*(np.concatenate(x) for x in (vertices, points, normals)), V, N)
+
+
+@dataclass(frozen=True)
+class _Edges:
+    """The edges between points, and the faces at them."""
+
+    vertices: np.ndarray  # (E, 2) at the ends
+    points: np.ndarray  # (E, 2) at the ends, the lower one first
+    faces: np.ndarray  # (E, K) at the edge, the first repeated to fill up
+    runs: np.ndarray  # (E, K) whether that face runs from the first end to the second
+    crease: np.ndarray  # (E,) whether the faces have other normals at the ends
+    is_closed: bool  # all edges have two faces
+
+    @staticmethod
+    def of(corners: _Corners) -> _Edges:
+        tail, head = np.arange(3), np.array([1, 2, 0])
+        points = corners.points
+        sides = np.stack([points[:, tail], points[:, head]], axis=-1).reshape(-1, 2)  # (3F, 2)
+        forward = sides[:, 0] < sides[:, 1]
+        # A face with two corners at one place has a side of no length.
+        has_length = sides[:, 0] != sides[:, 1]
+        key = sides.min(axis=1) * (points.max() + 1) + sides.max(axis=1)
+        key = np.where(has_length, key, -1)
+        order = np.argsort(key, kind="stable")
+        order = order[key[order] >= 0]
+        begins = np.flatnonzero(np.diff(key[order], prepend=-1))
+        counts = np.diff(begins, append=len(order))
+
+        def at_ends(numbers: np.ndarray, side: np.ndarray) -> np.ndarray:
+            """A numbering of corners at both ends of some sides, the lower point first."""
+            face, k = side // 3, side % 3
+            pair = np.stack([numbers[face, k], numbers[face, head[k]]], axis=1)
+            return np.where(forward[side][:, None], pair, pair[:, ::-1])
+
+        first = order[begins]
+        faces, runs = [], []
+        crease = np.zeros(len(begins), bool)
+        for k in range(counts.max(initial=1)):
+            side = order[begins + np.minimum(k, counts - 1)]
+            side = np.where(k < counts, side, first)
+            faces.append(side // 3)
+            runs.append(forward[side])
+            differs = at_ends(corners.normals, side) != at_ends(corners.normals, first)
+            crease |= differs.any(axis=1)
+        return _Edges(
+            vertices=at_ends(corners.vertices, first),
+            points=at_ends(points, first),
+            faces=np.stack(faces, axis=1),
+            runs=np.stack(runs, axis=1),
+            crease=crease,
+            is_closed=bool((counts == 2).all()),
+        )

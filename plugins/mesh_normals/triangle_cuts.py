@@ -29,16 +29,16 @@ SHORT = 1e-9  # share of two triangles' stretches below which what they share is
 
 
 @dataclass(frozen=True)
-class Cuts:
+class TriangleCuts:
     """Segments in which pairs of triangles cut one another."""
 
-    f: mi.UInt32  # (R,) the one triangle
-    g: mi.UInt32  # (R,) the other
+    f: mi.UInt32  # (R,) the first triangle of the pair
+    g: mi.UInt32  # (R,) the second
     start: mi.Vector3f  # (R,) world
     end: mi.Vector3f  # (R,)
 
     @staticmethod
-    def of(scene: mi.Scene, surface: Surface) -> Cuts | None:
+    def of(scene: mi.Scene, surface: Surface) -> TriangleCuts | None:
         """Find them all; None where there are none.
 
         Args:
@@ -56,15 +56,15 @@ class Cuts:
             return None
         vector = lambda x: mi.Vector3f(np.ascontiguousarray(x.T.astype(np.float32)))
         number = lambda x: mi.UInt32(x[cut].astype(np.uint32))
-        return Cuts(number(f), number(g), vector(start), vector(end))
+        return TriangleCuts(number(f), number(g), vector(start), vector(end))
 
 
 def shared_segments(f: np.ndarray, g: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Eq. 2 for pairs of triangles.
 
     Args:
-        f: (C, 3, 3) corners of the ones.
-        g: (C, 3, 3) corners of the others.
+        f: (C, 3, 3) corners of the first triangle of each pair.
+        g: (C, 3, 3) corners of the second.
 
     Returns:
         Which pairs cut one another, (C,) bool, and the ends of their segments, (R, 3) each.
@@ -120,9 +120,7 @@ def _crossings(scene: mi.Scene, surface: Surface) -> tuple[np.ndarray, np.ndarra
         ray.maxt = 1 - STEP - t
         found = scene.ray_intersect_preliminary(ray, coherent=False)
         hit = found.is_valid()
-        shape = dr.reinterpret_array(mi.UInt32, found.shape)
-        face = dr.gather(mi.UInt32, topology.first_face, shape, hit) + found.prim_index
-        face = dr.select(hit, face, 0)
+        face = topology.face_number(found.shape, found.prim_index, hit)
         own = _touches(topology, face, edge)
         t = t + found.t + STEP
         dr.eval(hit, own, face, t)

@@ -1,8 +1,8 @@
 import torch
 
-from gva_mi.avatar.canonical import vertex_normals
 from gva_mi.data.video import Splits
 from gva_mi.fit.colors import seen_colors
+from gva_mi.mesh.surface import vertex_normals
 
 
 def test_a_video_of_a_known_person_gives_back_its_colors(video, body, known):

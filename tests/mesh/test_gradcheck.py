@@ -2,13 +2,20 @@
 
 import pytest
 
-from gva_mi.mesh.gradcheck import CASES, LIMITS, GradientOptions, Row, check_gradients, table
+from gva_mi.mesh.gradcheck import (
+    CASES,
+    LIMITS,
+    GradientErrors,
+    GradientOptions,
+    check_gradients,
+    table,
+)
 
 
-def test_a_row_that_is_too_far_off_is_marked():
-    fine = Row("free", "transl x", 0.01, 0.02, 0.03)
-    hidden = Row("occluding", "left_index1 z", None, 0.02, 0.03)
-    wrong = Row("free", "transl y", 0.01, 0.02, 1.01 * LIMITS["boundary"])
+def test_a_case_that_is_too_far_off_is_marked():
+    fine = GradientErrors("free", "transl x", 0.01, 0.02, 0.03)
+    hidden = GradientErrors("occluding", "left_index1 z", None, 0.02, 0.03)
+    wrong = GradientErrors("free", "transl y", 0.01, 0.02, 1.01 * LIMITS["boundary"])
     assert fine.passed and hidden.passed and not wrong.passed
     lines = table([fine, hidden, wrong]).splitlines()
     assert [line.endswith("too much") for line in lines] == [False, False, False, True]

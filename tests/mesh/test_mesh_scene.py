@@ -1,4 +1,4 @@
-"""The body before the camera: OpenCV conventions through Mitsuba, gradients into torch."""
+"""A mesh before the camera: OpenCV conventions through Mitsuba, gradients into torch."""
 
 from dataclasses import replace
 
@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from gva_mi.body.pose import Pose, Shape
+from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.splat import Camera
 
 
@@ -34,13 +35,11 @@ def ball(center, radius=0.05, rings=12, segments=16):
 
 @pytest.mark.parametrize("fy", [150.0, 190.0])
 def test_a_ball_is_seen_where_the_camera_projects_it(camera, fy):
-    from gva_mi.mesh.mesh_scene import BodyScene
-
     rotation = camera.T_camera_world
     view = Camera(150.0, fy, 37.0, 22.0, rotation, 80, 56)
     where = camera.position + rotation[:3, :3].T @ [0.1, 0.05, 2.0]
     vertices, faces = ball(where)
-    mask = BodyScene(faces, vertices).render(vertices, view)[..., 3].numpy()
+    mask = MeshScene(faces, vertices).render(vertices, view)[..., 3].numpy()
     rows, columns = np.nonzero(mask)
     seen = np.array([columns.mean() + 0.5, rows.mean() + 0.5])
     assert np.abs(seen - view.project(where)).max() < 0.15

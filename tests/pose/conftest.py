@@ -9,7 +9,7 @@ import torch
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.body.smplx import load_body
 from gva_mi.data.video import Frame
-from gva_mi.mesh.mesh_scene import BodyScene
+from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.splat import Camera, look_at
 
 SIZE = 96
@@ -54,7 +54,7 @@ def body():
 
 @pytest.fixture(scope="session")
 def scene(body):
-    return BodyScene(body.faces, body.v_template)
+    return MeshScene(body.faces, body.v_template)
 
 
 @pytest.fixture(scope="session")

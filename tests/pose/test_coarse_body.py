@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.mesh.mesh_scene import BodyScene
+from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.coarse_body import CoarseBody
 from gva_mi.pose.evidence import Target
 
@@ -41,7 +41,7 @@ def test_it_looks_the_same(coarse, body, clip):
     for model in (body, coarse.body):
         vertices = model(clip.pose[0:1], clip.shape).vertices[0]
         target = Target.of(frame, 96, body(clip.pose[0:1], clip.shape).vertices[0])
-        image = BodyScene(model.faces, vertices).render(vertices, target.camera)
+        image = MeshScene(model.faces, vertices).render(vertices, target.camera)
         losses.append(float(target.normal_loss(image) + target.silhouette_loss(image)))
     assert losses[1] == pytest.approx(losses[0], rel=0.02)
 

@@ -4,8 +4,9 @@ import pytest
 import torch
 
 from gva_mi.body.pose import JOINTS
+from gva_mi.mesh.surface import vertex_normals
 from gva_mi.pose.coarse_body import CoarseBody
-from gva_mi.pose.displacement import Displacement, hand_vertices, vertex_normals
+from gva_mi.pose.displacement import Displacement, hand_vertices
 
 
 @pytest.fixture(scope="module")

@@ -114,7 +114,8 @@ def _video_rows(video: Video, body: BodyModel) -> list[list[np.ndarray]]:
             vertices = body(frame.pose, video.shape).vertices[0]
         mask = np.repeat(frame.mask[..., None], 3, axis=2)
         normals = np.where(frame.mask[..., None] > 0.5, (frame.normals + 1) / 2, 1.0)
-        shown = (frame.image, 1 - mask, normals, overlay(frame, vertices, body.faces))
+        overlaid = overlay(frame.image, frame.camera, vertices, body.faces)
+        shown = (frame.image, 1 - mask, normals, overlaid)
         for row, picture in zip(rows, shown, strict=True):
             row.append(picture)
     return rows

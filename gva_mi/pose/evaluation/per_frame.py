@@ -21,7 +21,7 @@ from torch import Tensor
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.video import Video
-from gva_mi.mesh.mesh_scene import BodyScene
+from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.displacement import hand_vertices
 from gva_mi.threads import one_torch_thread
 
@@ -80,7 +80,7 @@ def silhouette_iou(
         body, pose, shape: the body in T poses.
         true_masks: against those of the truth, and not those that came with the video.
     """
-    scene = BodyScene(body.faces, body.v_template)
+    scene = MeshScene(body.faces, body.v_template)
     iou = torch.full((len(pose),), torch.nan)
     with one_torch_thread():
         for frame in video.frames(k for k in range(len(video)) if k not in video.absent):

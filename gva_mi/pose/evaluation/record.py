@@ -65,5 +65,5 @@ def _overlays(video: Video, body: BodyModel, refined: Refined) -> np.ndarray:
     for pose, shape in ((video.pose, video.shape), (refined.pose, refined.shape)):
         bodies = [body(pose[frame.index], shape).vertices[0] for frame in frames]
         pairs = zip(frames, bodies, strict=True)
-        rows.append([overlay(frame, vertices, body.faces)[part] for frame, vertices in pairs])
+        rows.append([overlay(f.image, f.camera, v, body.faces)[part] for f, v in pairs])
     return strip(rows)

@@ -209,10 +209,8 @@ def _frames(
     seen = np.any([frame.mask > 0.5 for frame in frames], axis=0)
     part = around(seen, margin=len(seen) // 12)
     for frame in frames:
-        panels = [
-            overlay(frame, body(pose[frame.index], shape).vertices[0], body.faces)[part]
-            for pose, shape in poses.values()
-        ]
+        bodies = [body(pose[frame.index], shape).vertices[0] for pose, shape in poses.values()]
+        panels = [overlay(frame.image, frame.camera, v, body.faces)[part] for v in bodies]
         caption = f"frame {frame.index}: {_told(frame.index, measured)}"
         pictures.append(picture(caption, strip([[frame.image[part], *panels]])))
     text += f" From left to right: the picture, {', '.join(poses)}."

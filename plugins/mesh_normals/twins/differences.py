@@ -11,7 +11,7 @@ are computed in float64, and nothing is differentiated.
 3. **Boundary**: the first minus the second.
 
 Where contours lie closer to one another on the image than things move in a step, the first is off
-by as much as they hide of one another: :mod:`gva_mi_plugins.mesh_normals.twins.scanlines` has no step.
+by as much as they hide of one another: ``scanlines.py`` has no step.
 
 Images are those of a box filter, (H, W, 5): normal in camera space, mask, depth.
 """

@@ -1,8 +1,8 @@
 """A sensor as its own rays show it, in float64: what the slow twins look through.
 
 Nothing is read of a lens but rays that Mitsuba's sensor shoots through corners of the film, so that
-this shares no formula with :mod:`gva_mi_plugins.mesh_normals.projection`. With ``a, b`` the steps of a ray for a
-pixel to the right and down, and ``w`` the depth along the axis:
+this shares no formula with the integrator's ``projection.py``. With ``a, b`` the steps of a ray for
+a pixel to the right and down, and ``w`` the depth along the axis:
 
 1. pinhole        ``x = eye + w (a q_x + b q_y + c)``, ``c`` the ray of pixel (0, 0),
 2. orthographic   ``x = o + a q_x + b q_y + w axis``, ``o`` the start of the ray of pixel (0, 0).

@@ -16,7 +16,7 @@ segments, which float64 finds as it is: contours may lie as close to one another
    ``Δ |m_y|``, and no curve is too level to be met. This is all that is sampled.
 
 It shares no code with the integrator. Images are those of a box filter, (H, W, 5): normal in camera
-space, mask, depth. :mod:`gva_mi_plugins.mesh_normals.twins.differences` is the other twin.
+space, mask, depth. ``differences.py`` is the other twin.
 """
 
 from __future__ import annotations
@@ -205,6 +205,43 @@ class _Scene:
         return values
 
 
+@dataclass(frozen=True)
+class _Segments:
+    """Segments of straight lines over an axis."""
+
+    x: np.ndarray  # (N,) where each begins
+    u: np.ndarray  # (N,) its height there
+    slope: np.ndarray  # (N,)
+
+    def height(self, k: np.ndarray, at: np.ndarray) -> np.ndarray:
+        """The heights of segments ``k`` at some places."""
+        return self.u[k] + self.slope[k] * (at - self.x[k])
+
+    def highest_between(
+        self, candidates: np.ndarray, l: float, A: int, r: float, B: int, short: float
+    ) -> Iterator[tuple[float, int]]:
+        """The highest of the candidates from ``l`` to ``r``: where each begins to be it, and which.
+
+        ``A`` is the highest at ``l``, ``B`` at ``r``. Stretches below ``short`` are left out.
+        """
+        if A == B:
+            yield l, A
+            return
+        at = l - (self.height(A, l) - self.height(B, l)) / (self.slope[A] - self.slope[B])
+        if not at > l + short:
+            yield l, B
+        elif at >= r - short:
+            yield l, A
+        else:
+            C = candidates[self.height(candidates, at).argmax()]
+            if C in (A, B) or self.height(C, at) <= self.height(A, at):
+                yield l, A
+                yield at, B
+            else:
+                yield from self.highest_between(candidates, l, A, at, C, short)
+                yield from self.highest_between(candidates, at, C, r, B, short)
+
+
 def upper_envelope(x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Which of some segments lies highest.
 
@@ -216,48 +253,24 @@ def upper_envelope(x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray
         Where stretches begin, and at last where the last one ends, (M + 1,); and the segment that
         is highest on each, (M,), -1 for none.
     """
+    segments = _Segments(x[:, 0], u[:, 0], (u[:, 1] - u[:, 0]) / (x[:, 1] - x[:, 0]))
     ends, place = np.unique(x, return_inverse=True)
     a, b = ends[:-1], ends[1:]
-    slope = (u[:, 1] - u[:, 0]) / (x[:, 1] - x[:, 0])
-    height = lambda k, at: u[k, 0] + slope[k] * (at - x[k, 0])
-    # All pairs of a stretch and a segment over it, by stretches.
-    place = place.reshape(-1, 2)
-    count = place[:, 1] - place[:, 0]
-    over = np.repeat(np.arange(len(x)), count)
-    stretch = np.arange(len(over)) + np.repeat(place[:, 0] - np.cumsum(count) + count, count)
-    by_stretch = np.argsort(stretch, kind="stable")
-    over, stretch = over[by_stretch], stretch[by_stretch]
+    over, stretch = _pairs_by_stretch(place.reshape(-1, 2))
     bounds = np.searchsorted(stretch, np.arange(len(a) + 1))
     covered = bounds[1:] > bounds[:-1]
     first, last = np.full((2, len(a)), -1)
     for winner, at in ((first, a), (last, b)):
-        rising = np.lexsort((height(over, at[stretch]), stretch))
+        rising = np.lexsort((segments.height(over, at[stretch]), stretch))
         winner[covered] = over[rising[bounds[1:][covered] - 1]]
     highest = first.copy()
 
     # A segment highest at both ends of a stretch is so all along it. Else some cross.
-    def split(l: float, A: int, r: float, B: int, short: float) -> Iterator[tuple[float, int]]:
-        if A == B:
-            yield l, A
-            return
-        at = l - (height(A, l) - height(B, l)) / (slope[A] - slope[B])
-        if not at > l + short:
-            yield l, B
-        elif at >= r - short:
-            yield l, A
-        else:
-            C = candidates[height(candidates, at).argmax()]
-            if C in (A, B) or height(C, at) <= height(A, at):
-                yield l, A
-                yield at, B
-            else:
-                yield from split(l, A, at, C, short)
-                yield from split(at, C, r, B, short)
-
     starts, owners = [], []
     for k in np.flatnonzero(first != last):
         candidates = over[bounds[k] : bounds[k + 1]]
-        for at, owner in split(a[k], first[k], b[k], last[k], AT_END * (b[k] - a[k])):
+        short = AT_END * (b[k] - a[k])
+        for at, owner in segments.highest_between(candidates, a[k], first[k], b[k], last[k], short):
             if at == a[k]:
                 highest[k] = owner
             else:
@@ -266,6 +279,19 @@ def upper_envelope(x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray
     starts, owners = np.array([*a, *starts]), np.array([*highest, *owners])
     order = np.argsort(starts, kind="stable")
     return np.append(starts[order], ends[-1]), owners[order].astype(np.int64)
+
+
+def _pairs_by_stretch(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """All pairs of a segment and a stretch that it covers, by stretches: (P,) and (P,).
+
+    Args:
+        places: (N, 2) numbers of the ends at which each segment begins and ends.
+    """
+    count = places[:, 1] - places[:, 0]
+    over = np.repeat(np.arange(len(places)), count)
+    stretch = np.arange(len(over)) + np.repeat(places[:, 0] - np.cumsum(count) + count, count)
+    by_stretch = np.argsort(stretch, kind="stable")
+    return over[by_stretch], stretch[by_stretch]
 
 
 def _changes(starts: np.ndarray, owners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -20,12 +20,12 @@ PARAMETERS = ["data", "opacities", "sh_coeffs"]
 @pytest.mark.parametrize("name", SENSORS)
 def test_the_kernels_picture_bit_for_bit(splats, name):
     """A scene's picture is that of gva_mi.splat, whatever the sensor."""
-    from gva_mi_plugins.gaussian_splat.sensor import SensorView
-    from gva_mi_plugins.gaussian_splat.shapes import seen_along
+    from gva_mi_plugins.gaussian_splat.ellipsoids import seen_along
+    from gva_mi_plugins.gaussian_splat.sensor import SensorCamera
 
     g, view = splats.arrays(40, 2), splats.SENSORS[name]()
     scene = splats.scene(g)
-    seen, expected = SensorView.of(view), splats.gaussians(g)
+    seen, expected = SensorCamera.of(view), splats.gaussians(g)
     if name == "orthographic":
         expected = seen_along(expected, seen.axis)
     options = SplatOptions(near=seen.near, far=seen.far)
@@ -37,10 +37,10 @@ def test_the_kernels_picture_bit_for_bit(splats, name):
 @pytest.mark.parametrize("name", SENSORS)
 def test_the_camera_is_the_sensors(splats, name):
     """Mitsuba's rays through a pixel end in points that the camera sees in that pixel."""
-    from gva_mi_plugins.gaussian_splat.sensor import SensorView
+    from gva_mi_plugins.gaussian_splat.sensor import SensorCamera
 
     view = splats.SENSORS[name]()
-    seen = SensorView.of(view)
+    seen = SensorCamera.of(view)
     place = np.random.default_rng(0).uniform(size=(2, 50))
     ray, _ = view.sample_ray(0, 0, mi.Point2f(place), mi.Point2f(0.5))
     for t in (0.5, 7.0):

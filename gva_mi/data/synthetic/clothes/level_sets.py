@@ -172,7 +172,11 @@ def surface_of(grid: VoxelGrid, field: np.ndarray, uncut: np.ndarray | None = No
 
 
 def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Unit normals (V, 3), the mean of the adjacent faces' by area."""
+    """Unit normals (V, 3) float64, averaged over the faces around each vertex by area.
+
+    Unlike those of ``gva_mi.mesh.surface``, sums are float64 for float32 vertices as well, and
+    corner by corner: the surfaces of the people that are drawn depend on its rounding.
+    """
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     cross = np.cross(b - a, c - a)
     normals = np.stack(

@@ -1,8 +1,8 @@
-"""The surfaces among the Gaussians: a scene without its ellipsoids, and how far it is to see.
+"""The other shapes of a scene, among which the ellipsoids lie: their picture and their depth.
 
 A ray tracer cannot pass through the ellipsoids of a scene. So the rest of it becomes a scene of its
 own, which shares shapes, materials and emitters with the first. It is made anew for every picture,
-at the price of the surfaces' BVH: they may have moved, and only the first scene is told.
+at the price of the other shapes' BVH: they may have moved, and only the first scene is told.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from gva_mi.splat import Camera
 
 
 @dataclass(frozen=True)
-class Surfaces:
-    """All shapes of a scene but its ellipsoids, under the scene's emitters, and who looks."""
+class OtherShapes:
+    """All shapes of a scene but its ellipsoids, under the scene's emitters, before a sensor."""
 
     scene: mi.Scene
     sensor: mi.Sensor
 
     @staticmethod
-    def of(scene: mi.Scene, sensor: mi.Sensor) -> Surfaces:
-        """The surfaces of a scene.
+    def of(scene: mi.Scene, sensor: mi.Sensor) -> OtherShapes:
+        """The shapes of a scene that are no ellipsoids.
 
         Raises:
             ValueError: it has none.
@@ -34,10 +34,10 @@ class Surfaces:
             raise ValueError("gaussian_splat: meshes is 'depth', and the scene has no mesh")
         emitters = [emitter for emitter in scene.emitters() if emitter.get_shape() is None]
         parts = {f"part{i}": part for i, part in enumerate([*shapes, *emitters, sensor])}
-        surfaces = mi.load_dict({"type": "scene", **parts})
+        others = mi.load_dict({"type": "scene", **parts})
         for emitter in emitters:  # an environment encloses the scene that took it in last
             emitter.set_scene(scene)
-        return Surfaces(surfaces, sensor)
+        return OtherShapes(others, sensor)
 
     def image(self, integrator: mi.Integrator, seed: int, spp: int) -> mi.TensorXf:
         """What an integrator shows of them, (H, W, 3) or (H, W, 4), by its own derivatives."""

@@ -14,7 +14,7 @@ same bits in every run: it is here to check the other one, with which it shares 
 the shading normal and nothing that concerns motion.
 
 A projective integrator carries one radiance, of three channels. Two of them stand side by side
-here, one that shines with the normal and one with the mask.
+here: the radiance of one is the normal, that of the other the mask.
 
 Note:
     Differentiable in ``*.vertex_positions``. Sensors must be ``perspective``, films ``rgb``.
@@ -26,17 +26,16 @@ from __future__ import annotations
 
 import drjit as dr
 import mitsuba as mi
-from gva_mi_plugins.mesh_normals.integrator import meshes_of
 from gva_mi_plugins.mesh_normals.projection import PINHOLE, Projection
 from gva_mi_plugins.mesh_normals.surface import interpolate
-from gva_mi_plugins.mesh_normals.topology import Topology, build
+from gva_mi_plugins.mesh_normals.topology import Topology, meshes_of
 from mitsuba.python.ad.integrators.common import PSIntegrator
 
 NORMAL, MASK = "normal", "mask"
 
 
-class Shine(PSIntegrator):
-    """Surfaces that shine with their normal, in camera space, or with one."""
+class SurfaceRadiance(PSIntegrator):
+    """Surfaces whose radiance is their normal, in camera space, or one: the mask."""
 
     def __init__(self, what: str, sppc: int | None, sppp: int | None) -> None:
         super().__init__(mi.Properties())
@@ -48,11 +47,11 @@ class Shine(PSIntegrator):
         self._topology: Topology | None = None
         self._camera_world: mi.Matrix3f | None = None
 
-    def look(self, scene: mi.Scene, sensor: mi.Sensor) -> None:
+    def set_scene(self, scene: mi.Scene, sensor: mi.Sensor) -> None:
         """Take the meshes of a scene and the axes of a sensor."""
         with dr.suspend_grad():
             self._meshes = meshes_of(scene)
-            self._topology = build(self._meshes)
+            self._topology = Topology.of(self._meshes)
             self._camera_world = Projection.of(sensor).camera_world
 
     def sample(
@@ -126,7 +125,7 @@ class MeshNormalsProjective(mi.ad.integrators.common.ADIntegrator):
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
         samples = props.get("sppc", None), props.get("sppp", None)
-        self.parts = [Shine(what, *samples) for what in (NORMAL, MASK)]
+        self.integrators = [SurfaceRadiance(what, *samples) for what in (NORMAL, MASK)]
 
     def render(
         self,
@@ -138,8 +137,10 @@ class MeshNormalsProjective(mi.ad.integrators.common.ADIntegrator):
         evaluate: bool = True,
     ) -> mi.TensorXf:
         """The image, (H, W, 4)."""
-        sensor = self._look(scene, sensor)
-        return _joined([part.render(scene, sensor, seed, spp) for part in self.parts])
+        sensor = self._prepare(scene, sensor)
+        return _joined(
+            [integrator.render(scene, sensor, seed, spp) for integrator in self.integrators]
+        )
 
     def render_forward(
         self,
@@ -150,15 +151,17 @@ class MeshNormalsProjective(mi.ad.integrators.common.ADIntegrator):
         spp: int = 0,
     ) -> mi.TensorXf:
         """Derivative of the image (H, W, 4) in the direction of the positions' gradients."""
-        sensor = self._look(scene, sensor)
+        sensor = self._prepare(scene, sensor)
         buffers = [mesh.vertex_positions_buffer() for mesh in meshes_of(scene)]
         buffers = [buffer for buffer in buffers if dr.grad_enabled(buffer)]
         dr.forward_to(buffers)
         grads, images = [dr.grad(buffer) for buffer in buffers], []
-        for part in self.parts:  # each traversal takes the gradients that it starts from
+        for (
+            integrator
+        ) in self.integrators:  # each traversal takes the gradients that it starts from
             for buffer, grad in zip(buffers, grads, strict=True):
                 dr.set_grad(buffer, grad)
-            images.append(part.render_forward(scene, params, sensor, seed, spp))
+            images.append(integrator.render_forward(scene, params, sensor, seed, spp))
         return _joined(images)
 
     def render_backward(
@@ -171,14 +174,16 @@ class MeshNormalsProjective(mi.ad.integrators.common.ADIntegrator):
         spp: int = 0,
     ) -> None:
         """Add the gradient by the image (H, W, 4) to the gradients of the positions."""
-        sensor = self._look(scene, sensor)
+        sensor = self._prepare(scene, sensor)
         height, width, _ = grad_in.shape
         pixel = dr.arange(mi.UInt32, height * width)
         channels = [dr.gather(mi.Float, grad_in.array, 4 * pixel + c) for c in range(4)]
         zero = dr.zeros(mi.Float, height * width)
-        for part, rgb in zip(self.parts, (channels[:3], [channels[3], zero, zero]), strict=True):
+        for integrator, rgb in zip(
+            self.integrators, (channels[:3], [channels[3], zero, zero]), strict=True
+        ):
             grad = mi.TensorXf(dr.ravel(mi.Color3f(rgb)), (height, width, 3))
-            part.render_backward(scene, params, grad, sensor, seed, spp)
+            integrator.render_backward(scene, params, grad, sensor, seed, spp)
 
     def aov_names(self) -> list[str]:
         """Names of the channels."""
@@ -186,9 +191,10 @@ class MeshNormalsProjective(mi.ad.integrators.common.ADIntegrator):
 
     def to_string(self) -> str:
         """As Mitsuba prints it."""
-        return f"MeshNormalsProjective[sppc={self.parts[0].sppc}, sppp={self.parts[0].sppp}]"
+        first = self.integrators[0]
+        return f"MeshNormalsProjective[sppc={first.sppc}, sppp={first.sppp}]"
 
-    def _look(self, scene: mi.Scene, sensor: mi.Sensor | int) -> mi.Sensor:
+    def _prepare(self, scene: mi.Scene, sensor: mi.Sensor | int) -> mi.Sensor:
         sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
         film = sensor.film()
         if sensor.class_name() != PINHOLE:
@@ -199,8 +205,8 @@ class MeshNormalsProjective(mi.ad.integrators.common.ADIntegrator):
             raise ValueError(
                 "mesh_normals_projective: the film's pixel_format must be 'rgb', its filter 'box'"
             )
-        for part in self.parts:
-            part.look(scene, sensor)
+        for integrator in self.integrators:
+            integrator.set_scene(scene, sensor)
         return sensor
 
 

@@ -1,19 +1,18 @@
 """What a sensor sees of the meshes of a scene: the image, its tangent and its adjoint.
 
 1. A pixel is the mean over its area, ``I = ∫ f v dA``, of what is seen, ``v``: the channels of
-   :mod:`gva_mi_plugins.mesh_normals.channels`. It is taken by ``spp`` rays at fixed places, one in the middle or
-   a lattice. There is no noise: two renderings are equal to the last bit.
+   ``channels.py``. It is taken by ``spp`` rays at fixed places, one in the middle or a lattice.
+   There is no noise: two renderings are equal to the last bit.
 2. **Interior**: triangles that rays meet stay the same under a small motion; normals, depths and
-   barycentric coordinates move with the vertices (:mod:`gva_mi_plugins.mesh_normals.interior`).
-3. **Boundary**: edges sweep over the image and carry its jumps along
-   (:mod:`gva_mi_plugins.mesh_normals.contours`), and so do the lines in which surfaces pierce one another
-   (:mod:`gva_mi_plugins.mesh_normals.intersections`). The mask has no other derivative, and without it the normals'
-   is wrong even in sign.
-4. **Sensor**: moving it is moving all vertices the other way (:mod:`gva_mi_plugins.mesh_normals.sensor_motion`).
+   barycentric coordinates move with the vertices (``interior.py``).
+3. **Boundary**: edges sweep over the image and carry its jumps along (``contours.py``), and so do
+   the lines in which surfaces pass through one another (``intersections.py``). The mask has no
+   other derivative, and without it the normals' is wrong even in sign.
+4. **Sensor**: moving it is moving all vertices the other way (``sensor_motion.py``).
 
 The derivative is that of the exact mean over a pixel's area, also at one sample for each pixel.
-Nothing here uses automatic differentiation across the view: :class:`View` is what ``mesh_normals``
-and other code with a loop of its own share.
+Nothing here uses automatic differentiation across the view: :class:`MeshView` is what
+``mesh_normals`` and other code with a loop of its own share.
 """
 
 from __future__ import annotations
@@ -22,12 +21,11 @@ from dataclasses import dataclass
 
 import drjit as dr
 import mitsuba as mi
-from gva_mi_plugins.mesh_normals.channels import Channels
-from gva_mi_plugins.mesh_normals.contours import Boundary, Found
+from gva_mi_plugins.mesh_normals.contours import Contours
 from gva_mi_plugins.mesh_normals.interior import Interior
-from gva_mi_plugins.mesh_normals.intersections import Piercing
+from gva_mi_plugins.mesh_normals.intersections import Intersections
 from gva_mi_plugins.mesh_normals.pixel_filter import PixelFilter
-from gva_mi_plugins.mesh_normals.projection import Projection
+from gva_mi_plugins.mesh_normals.rays import RayCaster, RayHits
 from gva_mi_plugins.mesh_normals.sensor_motion import (
     adjoint_motion,
     adjoint_turn,
@@ -35,50 +33,41 @@ from gva_mi_plugins.mesh_normals.sensor_motion import (
     turn,
 )
 from gva_mi_plugins.mesh_normals.surface import Surface
-from gva_mi_plugins.mesh_normals.topology import Topology
 
 
 @dataclass(frozen=True)
-class View:
+class MeshView:
     """What a camera sees of the meshes of a scene, kept to be differentiated.
 
     It holds for the scene as it was: after the vertices moved, make another one.
     """
 
-    scene: mi.Scene
-    projection: Projection
-    surface: Surface
-    channels: Channels
+    caster: RayCaster
     filter: PixelFilter
-    edge_density: float
-    pierce: bool
-    seen: Found  # what each ray met, (H W spp,)
+    edge_density: float  # samples for a pixel of an edge's length, at one ray for each pixel
+    with_intersections: bool  # whether lines in which surfaces pierce one another count
+    seen: RayHits  # what each ray met, (H W spp,)
 
     @staticmethod
     def of(
-        scene: mi.Scene,
-        projection: Projection,
-        surface: Surface,
-        channels: Channels,
-        filter: PixelFilter,
-        edge_density: float,
-        pierce: bool,
-    ) -> View:
+        caster: RayCaster, filter: PixelFilter, edge_density: float, with_intersections: bool
+    ) -> MeshView:
         """Eq. 1: shoot the rays."""
-        seen = _cast(scene, projection, surface.topology, filter.positions(), coherent=True)
+        seen = caster.cast(filter.positions(), coherent=True)
         dr.eval(seen.face, seen.hit)
-        return View(scene, projection, surface, channels, filter, edge_density, pierce, seen)
+        return MeshView(caster, filter, edge_density, with_intersections, seen)
+
+    @property
+    def surface(self) -> Surface:
+        """The meshes that are seen."""
+        return self.caster.surface
 
     def image(self) -> mi.TensorXf:
         """The channels asked for, (H, W, C)."""
-        face, hit = self.seen.face, self.seen.hit
-        n, t = self.surface.shade(self.projection.ray(self.filter.positions()), face, hit)
-        w = t + self.projection.near
-        values = self.channels.values(n, w, hit, self.projection.camera_world)
-        pixels = self.filter.develop(values)
-        place = self.channels.place("shape_index")
-        if place is not None:
-            pixels[place] = self._shape_index()
+        pixels = self.filter.develop(self.caster.values(self.seen))
+        channel = self.caster.channels.first("shape_index")
+        if channel is not None:
+            pixels[channel] = self._shape_index()
         return self._tensor(pixels)
 
     def tangent(
@@ -90,15 +79,16 @@ class View:
             d_positions: (V,) how the vertices of all meshes move, world.
             d_to_world: how the sensor's transform changes.
         """
+        to_world = self.caster.projection.to_world
         if d_to_world is not None:
             d_positions = d_positions + opposite_motion(
-                d_to_world, self.projection.to_world, self.surface.positions
+                d_to_world, to_world, self.surface.positions
             )
         interior, boundary = self._tangents(d_positions)
         image = [x + y for x, y in zip(interior, boundary, strict=True)]
         if d_to_world is not None and self._has_world_normals():
-            turned = turn(d_to_world, self.projection.to_world, self._normals())
-            for k, value in enumerate(turned, self.channels.place("normal")):
+            turned = turn(d_to_world, to_world, self._normals())
+            for k, value in enumerate(turned, self.caster.channels.first("normal")):
                 image[k] = image[k] + value
         return self._tensor(image)
 
@@ -116,10 +106,10 @@ class View:
         """The two terms of :meth:`adjoint` apart: interior and boundary, each (V,)."""
         grads = self._channels_of(grad_image)
         nothing = dr.zeros(mi.Vector3f, self.surface.topology.vertex_count)
-        interior = self._interior()
+        interior = self._interior_term()
         inside = nothing if interior is None else interior.adjoint(grads)
         jumps = nothing
-        for boundary in self._boundaries():
+        for boundary in self._boundary_terms():
             jumps = jumps + boundary.adjoint(self.filter.spread_to(grads, boundary.q))
         return inside, jumps
 
@@ -130,66 +120,58 @@ class View:
             grad_image: (H, W, C) gradient by the image.
             grad_positions: (V,) what :meth:`adjoint` made of it.
         """
-        to_world = self.projection.to_world
+        to_world = self.caster.projection.to_world
         grad = adjoint_motion(grad_positions, to_world, self.surface.positions)
         if self._has_world_normals():
-            normal = self.channels.place("normal")
+            normal = self.caster.channels.first("normal")
             grad_n = mi.Vector3f(self._channels_of(grad_image)[normal : normal + 3])
             grad = grad + adjoint_turn(grad_n, to_world, self._normals())
         return grad
 
     def _tangents(self, d_positions: mi.Vector3f) -> tuple[list[mi.Float], list[mi.Float]]:
-        """Eq. 2 and 3 forward: interior and boundary, for each channel (H W,)."""
-        nothing = [
-            dr.zeros(mi.Float, self.filter.width * self.filter.height) for _ in self.channels.names
-        ]
-        interior = self._interior()
+        """Interior and boundary, for each channel (H W,)."""
+        size, names = self.filter.width * self.filter.height, self.caster.channels.names
+        nothing = [dr.zeros(mi.Float, size) for _ in names]
+        interior = self._interior_term()
         inside = nothing if interior is None else interior.tangent(d_positions)
         jumps = [mi.Float(x) for x in nothing]
-        for boundary in self._boundaries():
+        for boundary in self._boundary_terms():
             self.filter.deposit(jumps, boundary.tangent(d_positions), boundary.q)
         return inside, jumps
 
+    def _interior_term(self) -> Interior | None:
+        if not self.caster.channels.moves_inside:
+            return None
+        return Interior.of(self.caster, self.filter, self.seen)
+
+    def _boundary_terms(self) -> list[Contours | Intersections]:
+        density = self.edge_density * self.filter.spp**0.5
+        terms = [Contours.of(self.caster, density)]
+        # No other channel than the normal jumps where surfaces pass through one another.
+        if self.with_intersections and "normal" in self.caster.channels.kinds:
+            terms.append(Intersections.of(self.caster, density))
+        return [term for term in terms if term is not None]
+
     def _has_world_normals(self) -> bool:
-        return self.channels.space == "world" and "normal" in self.channels.kinds
+        channels = self.caster.channels
+        return channels.space == "world" and "normal" in channels.kinds
 
     def _normals(self) -> mi.Vector3f:
         """The normals of the image, (H W,)."""
-        normal = self.channels.place("normal")
+        normal = self.caster.channels.first("normal")
         return mi.Vector3f(self._channels_of(self.image())[normal : normal + 3])
 
     def _shape_index(self) -> mi.Float:
         """The number of the shape that the first ray of each pixel meets, (H W,)."""
         first = dr.arange(mi.UInt32, self.filter.width * self.filter.height) * self.filter.spp
         hit = dr.gather(mi.Bool, self.seen.hit, first)
-        mesh = dr.gather(
-            mi.UInt32,
-            self.surface.topology.mesh_of_face,
-            dr.gather(mi.UInt32, self.seen.face, first),
-        )
+        face = dr.gather(mi.UInt32, self.seen.face, first)
+        mesh = dr.gather(mi.UInt32, self.surface.topology.mesh_of_face, face)
         return dr.select(hit, mi.Float(mesh + 1), 0)
-
-    def _cast(self, q: mi.Point2f) -> Found:
-        return _cast(self.scene, self.projection, self.surface.topology, q)
-
-    def _interior(self) -> Interior | None:
-        if not self.channels.moves_inside:
-            return None
-        return Interior.of(
-            self.surface, self.projection, self.channels, self.filter, self.seen, self._cast
-        )
-
-    def _boundaries(self) -> list[Boundary | Piercing]:
-        density = self.edge_density * self.filter.spp**0.5
-        view = self.surface, self.projection, self.channels, self._cast, density
-        terms = [Boundary.of(*view)]
-        if self.pierce and "normal" in self.channels.kinds:  # no other channel jumps there
-            terms.append(Piercing.of(self.scene, *view))
-        return [term for term in terms if term is not None]
 
     def _channels_of(self, image: mi.TensorXf) -> list[mi.Float]:
         """An image (H, W, C) as C arrays (H W,)."""
-        count = len(self.channels.names)
+        count = len(self.caster.channels.names)
         if count == 4:
             return list(dr.unravel(mi.Vector4f, mi.Float(image.array)))
         index = count * dr.arange(mi.UInt32, self.filter.width * self.filter.height)
@@ -205,19 +187,3 @@ class View:
         for c, channel in enumerate(channels):
             dr.scatter(image, channel, index + c)
         return mi.TensorXf(image, (self.filter.height, self.filter.width, count))
-
-
-def _cast(
-    scene: mi.Scene,
-    projection: Projection,
-    topology: Topology,
-    q: mi.Point2f,
-    coherent: bool = False,
-) -> Found:
-    """What rays through pixel positions meet first."""
-    ray = projection.ray(q)
-    found = scene.ray_intersect_preliminary(ray, coherent=coherent)
-    hit = found.is_valid()
-    shape = dr.reinterpret_array(mi.UInt32, found.shape)
-    face = dr.gather(mi.UInt32, topology.first_face, shape, hit) + found.prim_index
-    return Found(ray, dr.select(hit, face, 0), found.t + projection.near, hit)

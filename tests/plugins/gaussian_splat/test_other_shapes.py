@@ -60,12 +60,12 @@ def test_each_pixel_shows_what_is_nearer_than_its_surface(splats):
 
 @pytest.mark.parametrize("name", ["perspective", "window", "orthographic"])
 def test_depth_is_along_the_sensors_axis(splats, name):
-    from gva_mi_plugins.gaussian_splat.meshes import Surfaces
+    from gva_mi_plugins.gaussian_splat.other_shapes import OtherShapes
 
     view, radius = splats.SENSORS[name](), 0.8
     scene = splats.scene(splats.arrays(1, 0), ball=ball((0, 0, 0), radius))
     camera = splats.camera_of(view)
-    depth = np.array(Surfaces.of(scene, view).depth(camera))
+    depth = np.array(OtherShapes.of(scene, view).depth(camera))
     hit = np.isfinite(depth)
     v, u = np.nonzero(hit)
     x, y = (u + 0.5 - camera.cx) / camera.fx, (v + 0.5 - camera.cy) / camera.fy
@@ -84,11 +84,11 @@ def test_depth_is_along_the_sensors_axis(splats, name):
 
 def shown_alone(splats, view, scene, **parts):
     """What the nested integrator shows without ellipsoids, and the depth of the surfaces."""
-    from gva_mi_plugins.gaussian_splat.meshes import Surfaces
+    from gva_mi_plugins.gaussian_splat.other_shapes import OtherShapes
 
     surfaces = mi.load_dict({"type": "scene", **parts})
     image = mi.render(surfaces, sensor=view, integrator=mi.load_dict({"type": "direct"}), spp=4)
-    return np.array(image), Surfaces.of(scene, view).depth(splats.camera_of(view))
+    return np.array(image), OtherShapes.of(scene, view).depth(splats.camera_of(view))
 
 
 @pytest.mark.parametrize("srgb", [False, True])

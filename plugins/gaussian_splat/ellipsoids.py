@@ -1,4 +1,4 @@
-"""Mitsuba's ``ellipsoids`` shapes as the Gaussians of :mod:`gva_mi.splat`, differentiable.
+"""Mitsuba's ``ellipsoids`` shapes as the Gaussians of ``gva_mi.splat``, differentiable.
 
 | what | in the shape | in the kernels |
 |---|---|---|

@@ -1,0 +1,49 @@
+"""Two things that follow from the triangles of a surface: its normals, and how it bends.
+
+* ``n_v = Σ_f c_f / |Σ_f c_f|`` over the faces at vertex ``v``, with ``c_f`` the cross product of
+  two sides of face ``f``: normals weighted by area.
+* ``(Δ x)_v = x_v - mean of x over the neighbours of v``: the uniform Laplacian.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+
+def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
+    """Unit normals (V, 3), averaged over the faces around each vertex by area.
+
+    Everything is computed in the precision of the vertices: give float64 ones for exact normals.
+
+    Args:
+        vertices: (V, 3).
+        faces: (F, 3) int64.
+    """
+    a, b, c = vertices[faces].unbind(1)
+    crossed = torch.linalg.cross(b - a, c - a)
+    corners = faces.T.flatten()
+    summed = [
+        torch.bincount(corners, along.repeat(3), len(vertices)) for along in crossed.unbind(1)
+    ]
+    return torch.nn.functional.normalize(torch.stack(summed, -1).to(vertices.dtype), dim=-1)
+
+
+def uniform_laplacian(faces: np.ndarray, count: int) -> Tensor:
+    """Sparse (V, V) float32: a vertex minus the mean of its neighbours; zero where it has none.
+
+    In torch's coordinate format, whose product runs through the entries in their order.
+
+    Args:
+        faces: (F, 3) integers.
+        count: V.
+    """
+    sides = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    rows, columns = np.unique(np.concatenate([sides, sides[:, ::-1]]), axis=0).T
+    degree = np.bincount(rows, minlength=count)
+    used = np.flatnonzero(degree)
+    index = np.stack([np.concatenate([used, rows]), np.concatenate([used, columns])])
+    values = np.concatenate([np.ones(len(used)), -1 / degree[rows]]).astype(np.float32)
+    entries = torch.from_numpy(index), torch.from_numpy(values)
+    return torch.sparse_coo_tensor(*entries, (count, count), check_invariants=False).coalesce()

@@ -1,0 +1,55 @@
+"""Rays from the sensor: which faces they meet, what is seen there, and how it jumps between two.
+
+Interior, contours and intersections all look at the meshes through one :class:`RayCaster`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import drjit as dr
+import mitsuba as mi
+from gva_mi_plugins.mesh_normals.channels import Channels
+from gva_mi_plugins.mesh_normals.projection import Projection
+from gva_mi_plugins.mesh_normals.surface import Surface
+
+
+@dataclass(frozen=True)
+class RayHits:
+    """What some rays meet first."""
+
+    ray: mi.Ray3f  # (R,)
+    face: mi.UInt32  # (R,) 0 where nothing is hit
+    depth: mi.Float  # (R,)
+    hit: mi.Bool  # (R,)
+
+
+@dataclass(frozen=True)
+class RayCaster:
+    """Looks at the meshes of a scene through the pixels of an image."""
+
+    scene: mi.Scene
+    surface: Surface
+    projection: Projection
+    channels: Channels
+
+    def cast(self, q: mi.Point2f, coherent: bool = False) -> RayHits:
+        """Shoot rays through pixel positions (R,)."""
+        ray = self.projection.ray(q)
+        found = self.scene.ray_intersect_preliminary(ray, coherent=coherent)
+        hit = found.is_valid()
+        face = self.surface.topology.face_number(found.shape, found.prim_index, hit)
+        return RayHits(ray, face, found.t + self.projection.near, hit)
+
+    def values(self, hits: RayHits) -> list[mi.Float]:
+        """Each channel where rays hit, (R,); zero elsewhere."""
+        n, t = self.surface.shade(hits.ray, hits.face, hits.hit)
+        w = t + self.projection.near
+        return self.channels.values(n, w, hits.hit, self.projection.camera_world)
+
+    def jump(self, inner: RayHits, outer: RayHits, seen: mi.Bool) -> list[mi.Float]:
+        """``ΔI = I_inside - I_outside`` of each channel, (R,); zero where not seen."""
+        inside, outside = (
+            self.values(replace(side, hit=side.hit & seen)) for side in (inner, outer)
+        )
+        return [dr.select(seen, a - b, 0) for a, b in zip(inside, outside, strict=True)]

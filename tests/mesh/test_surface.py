@@ -1,0 +1,54 @@
+"""Normals and Laplacian of a surface: laws on a ball, of which both are known."""
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+
+from gva_mi.mesh.surface import uniform_laplacian, vertex_normals
+
+
+@pytest.fixture(scope="module", params=[torch.float32, torch.float64])
+def ball(request):
+    mesh = trimesh.creation.icosphere(subdivisions=3)
+    return torch.tensor(mesh.vertices, dtype=request.param), torch.tensor(mesh.faces)
+
+
+def test_normals_of_a_ball_point_from_its_centre(ball):
+    vertices, faces = ball
+    normals = vertex_normals(vertices, faces)
+    assert normals.dtype == vertices.dtype
+    tight = torch.finfo(vertices.dtype).eps * 8
+    torch.testing.assert_close(
+        normals.norm(dim=1), torch.ones(len(vertices)).to(normals), rtol=tight, atol=0
+    )
+    assert (normals * vertices).sum(1).min() > 0.999
+
+
+def test_normals_turn_with_the_surface_and_do_not_grow_with_it(ball):
+    vertices, faces = ball
+    R = torch.linalg.qr(torch.tensor([[1.0, 2, 3], [0, 1, 4], [5, 6, 0]]).to(vertices)).Q
+    R = R * torch.det(R)
+    moved = 3 * vertices @ R.T + 0.5
+    torch.testing.assert_close(
+        vertex_normals(moved, faces), vertex_normals(vertices, faces) @ R.T, rtol=0, atol=1e-5
+    )
+
+
+def test_normals_of_an_ellipsoid_point_outwards(ball):
+    vertices, faces = ball
+    vertices = vertices * torch.tensor([0.8, 0.9, 0.3]).to(vertices)
+    assert ((vertex_normals(vertices, faces) * vertices).sum(-1) > 0).all()
+
+
+def test_laplacian_of_a_constant_is_zero_and_of_a_ball_points_outwards(ball):
+    vertices, faces = ball
+    L = uniform_laplacian(faces.numpy(), len(vertices))
+    assert torch.sparse.mm(L, torch.ones(len(vertices), 3)).abs().max() < 1e-6
+    assert (torch.sparse.mm(L, vertices.float()) * vertices.float()).sum(1).min() > 0
+
+
+def test_a_vertex_without_faces_is_left_alone():
+    L = uniform_laplacian(np.array([[0, 1, 2]]), 4).to_dense()
+    expected = [[1, -0.5, -0.5, 0], [-0.5, 1, -0.5, 0], [-0.5, -0.5, 1, 0], [0, 0, 0, 0]]
+    torch.testing.assert_close(L, torch.tensor(expected))

@@ -82,7 +82,7 @@ def turning():
         rotations[:, 0, 1] = start + 2 * torch.pi * turn
         rotations[:, 16, 2] = -0.6 + 0.3 * torch.sin(7 * turn)
         rotations[:, 17, 2] = 0.6 + 0.3 * torch.sin(5 * turn)
-        pose = Pose.from_rotations(rotations, torch.zeros(frames, 3), torch.zeros(frames, 10))
+        pose = Pose(rotations, torch.zeros(frames, 3), torch.zeros(frames, 10))
         return pose, Shape(torch.zeros(10))
 
     return motion

@@ -41,18 +41,16 @@ _V = ((0.0, 0.0, -1.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
 
 @dataclass(frozen=True)
 class AvatarOptions:
-    """What an avatar is made of."""
+    """How an avatar is made."""
 
     seed: SeedOptions = SeedOptions()
     residual: ResidualOptions = ResidualOptions()
-    hands: bool = (
-        True  # False: fingers stay as they are in the rest pose (the ablation of the paper)
-    )
+    hands: bool = True  # False: fingers stay as in the rest pose (an ablation of the paper)
 
 
 @dataclass(frozen=True)
 class Rig:
-    """The rest body an avatar hangs on: skeleton, and the surface that lends its skinning."""
+    """The rest body of an avatar: its skeleton, and the surface that skinning weights come from."""
 
     joints: Tensor  # (55, 3) metres, rest pose
     parents: tuple[int, ...]  # 55, -1 for the root
@@ -68,7 +66,7 @@ class Animated:
     """An avatar in one pose."""
 
     gaussians: Gaussians  # in the world
-    residual: Tensor  # (N, 3) metres, rest pose: the MLP(theta) that Eq. 13 keeps small
+    residual: Tensor  # (N, 3) metres, rest pose: the MLP(theta) that Eq. 9 keeps small
 
 
 class Avatar(nn.Module):
@@ -132,6 +130,7 @@ class Avatar(nn.Module):
         return Animated(Gaussians(means, quats, G.scales, G.opacities, sh=sh), residual)
 
     def _turn_colors(self, sh: Tensor, T_world_rest: Tensor) -> Tensor:
+        """Spherical harmonics (N, K, 3) whose linear band follows the blended joints (eq. 4)."""
         if sh.shape[1] == 1:
             return sh
         # The change of basis is made for 55 joints, not for N Gaussians. Near a bent joint the
@@ -141,14 +140,14 @@ class Avatar(nn.Module):
         return torch.cat([sh[:, :1], turn @ sh[:, 1:]], dim=1)
 
     def record(self) -> dict[str, Any]:
-        """All of it as tensors and strings, for a file or checkpoint; see :meth:`from_record`."""
+        """The avatar as tensors and strings, for a file or checkpoint; see :meth:`from_record`."""
         tensors = {name: value.detach().clone() for name, value in self.state_dict().items()}
         described = {"options": asdict(self.options), "parents": self._parents, "body": self._body}
         return {"format": FORMAT, "description": json.dumps(described), **tensors}
 
     @staticmethod
     def from_record(record: dict[str, Any]) -> Avatar:
-        """The avatar that wrote the record, to the bit."""
+        """The avatar that a record was made of, to the bit."""
         if record.get("format") != FORMAT:
             raise ValueError(f"Avatar: 'format' must be '{FORMAT}', got {record.get('format')!r}")
         described = json.loads(record["description"])

@@ -119,8 +119,8 @@ def seed_on_surface(
 ) -> CanonicalGaussians:
     """Cover a rest surface with flat discs; the same surface gives the same Gaussians.
 
-    One Gaussian sits on each vertex. Where more are asked for, the rest is spread over the faces
-    by area, and where fewer are asked for, all of them are.
+    One Gaussian sits on each vertex, and what is asked for beyond that is spread over the faces by
+    area. Where fewer Gaussians than vertices are asked for, all are spread over the faces.
 
     Args:
         vertices: (V, 3) metres, rest pose.
@@ -174,7 +174,7 @@ def disc_log_scales(spacing: Tensor, options: SeedOptions) -> Tensor:
 
 
 def spread_over_faces(vertices: Tensor, faces: Tensor, count: int) -> tuple[Tensor, Tensor]:
-    """Spread ``count`` points evenly over a surface, without chance.
+    """Spread ``count`` points evenly over a surface, without random numbers.
 
     Face k receives the points that fall into its stretch of the cumulated area; inside a face
     they follow the golden-ratio sequence in two dimensions.
@@ -198,7 +198,7 @@ def neighbour_spacing(points: Tensor, neighbours: int = 3) -> Tensor:
     """Mean distance of each point (N, 3) to its nearest neighbours, (N,) metres."""
     found = []
     for block in points.split(1024):  # the whole (N, N) table would not fit
-        # Squared lengths by the expanded product would lose fingers: their spacing is a millimetre.
+        # The product form of squared lengths is off by more than the spacing on fingers, 1 mm.
         distance = torch.cdist(block, points, compute_mode="donot_use_mm_for_euclid_dist")
         nearest = distance.topk(min(neighbours + 1, len(points)), dim=1, largest=False).values
         found.append(nearest[:, 1:].mean(1))

@@ -56,7 +56,12 @@ class Densified:
 
 
 class ScreenGradients:
-    """Collects, over many views, how much each Gaussian wants to move on the screen."""
+    """Sums, over many views, the length of the loss's gradient to each Gaussian's screen position.
+
+    Attributes:
+        total: (N,) the sum, per half image.
+        views: (N,) how many views showed each Gaussian.
+    """
 
     def __init__(self, count: int) -> None:
         self.total = torch.zeros(count)
@@ -131,19 +136,6 @@ def densify(
         canonical = CanonicalGaussians(**values, weights=G.weights[parents])
     replace_gaussians(avatar, optimizer, canonical, parents, inherited=len(kept))
     return Densified(int(cloned.sum()), int(split.sum()), int(pruned.sum()))
-
-
-def reset_opacities(
-    avatar: Avatar, optimizer: torch.optim.Optimizer, ceiling: float = 0.01
-) -> None:
-    """Lower all opacities to at most ``ceiling``, so that only useful Gaussians come back.
-
-    3DGS does so now and then to be rid of floaters. Avatars start on a surface and hardly need it.
-    """
-    parameter = avatar.canonical.logit_opacities
-    with torch.no_grad():
-        parameter.clamp_(max=math.log(ceiling / (1 - ceiling)))
-    optimizer.state.pop(parameter, None)
 
 
 def replace_gaussians(

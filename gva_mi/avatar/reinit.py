@@ -1,6 +1,6 @@
 """Surface-guided re-initialisation (Sec. 4.3): the Gaussians are put back on the person's surface.
 
-Cloning and splitting heap Gaussians up where texture is busy, and a start on the naked body leaves
+Cloning and splitting crowd Gaussians where texture is rich, and a start on the naked body leaves
 hair and loose clothes to a few large ones that come apart in new poses. So, 2-3 times in a fit:
 
 1. meshing       a closed surface around the opaque Gaussians           ``mesh_gaussians``
@@ -34,7 +34,6 @@ from gva_mi.avatar.avatar import Avatar, Rig
 from gva_mi.avatar.canonical import (
     NEAREST_JOINTS,
     CanonicalGaussians,
-    SeedOptions,
     disc_log_scales,
     disc_quats,
 )
@@ -57,7 +56,7 @@ class ReinitOptions:
     filler_depth: float = 0.012  # the wrapped body lies so far below its surface
     smoothing: int = 10  # steps of Taubin's filter
     curvature_gain: float = 2.0  # density at the most curved places / in flat ones, minus 1
-    neighbours: int = 4  # K old Gaussians that lend opacity and colour
+    neighbours: int = 4  # K old Gaussians that opacity and colour are taken from
     scale_jitter: float = 0.1  # standard deviation of the logarithm of a size
 
     def __post_init__(self) -> None:
@@ -70,7 +69,7 @@ class ReinitOptions:
 
 
 @dataclass(frozen=True)
-class Surface:
+class SurfaceMesh:
     """Triangles in the rest pose."""
 
     vertices: np.ndarray  # (V, 3) float64, metres
@@ -79,10 +78,10 @@ class Surface:
 
 @dataclass(frozen=True)
 class Reinitialised:
-    """What a re-initialisation returns; nothing of the avatar has changed yet."""
+    """What a re-initialisation returns; the avatar itself has not changed yet."""
 
     canonical: CanonicalGaussians  # see :func:`gva_mi.avatar.densify.replace_gaussians`
-    surface: Surface  # the smoothed, watertight wrap
+    surface: SurfaceMesh  # the smoothed, watertight wrap
     floaters: int  # opaque Gaussians that were left out of it
 
 
@@ -120,17 +119,17 @@ def reinitialise(
         with_fingers(surface, avatar.rig), options.count or len(G), options.curvature_gain, rng
     )
     on_surface = solid[torch.from_numpy(~floats)]
-    canonical = regaussian(G, on_surface, samples, avatar.rig, avatar.options.seed, options, rng)
+    canonical = regaussian(avatar, on_surface, samples, options, rng)
     return Reinitialised(canonical, surface, int(floats.sum()))
 
 
 def find_floaters(points: np.ndarray, neighbours: int, sigmas: float) -> np.ndarray:
-    """Which points (N, 3) are lonely, (N,) bool: the statistical outlier test of point clouds."""
+    """Which points (N, 3) are far from all others, (N,) bool: a statistical outlier test."""
     distance = _mean_distance(points, neighbours)
     return distance > distance.mean() + sigmas * distance.std()
 
 
-def mesh_gaussians(points: np.ndarray, rig: Rig, options: ReinitOptions) -> Surface:
+def mesh_gaussians(points: np.ndarray, rig: Rig, options: ReinitOptions) -> SurfaceMesh:
     """A closed, smooth surface around points (N, 3) and the rest body inside them."""
     import pymeshlab
 
@@ -154,10 +153,10 @@ def mesh_gaussians(points: np.ndarray, rig: Rig, options: ReinitOptions) -> Surf
     if options.smoothing:
         meshes.apply_coord_taubin_smoothing(stepsmoothnum=options.smoothing)
     smooth = np.array(meshes.current_mesh().vertex_matrix())
-    return Surface(smooth - options.offset * _normals(smooth, person.faces), person.faces)
+    return SurfaceMesh(smooth - options.offset * _normals(smooth, person.faces), person.faces)
 
 
-def with_fingers(surface: Surface, rig: Rig) -> Surface:
+def with_fingers(surface: SurfaceMesh, rig: Rig) -> SurfaceMesh:
     """The surface, with its fingers cut off and those of the rest body set in their place."""
     body, faces = rig.vertices.double().numpy(), rig.faces.numpy()
     finger = _finger_weights(rig.weights).numpy() > 0.5
@@ -180,7 +179,7 @@ class Samples:
     spacing: np.ndarray  # (N,) metres, mean distance to the nearest others
 
 
-def resample(surface: Surface, count: int, gain: float, rng: np.random.Generator) -> Samples:
+def resample(surface: SurfaceMesh, count: int, gain: float, rng: np.random.Generator) -> Samples:
     """About ``count`` points on a surface, evenly, and denser where it is curved.
 
     Many candidates are drawn with a density of 1 + gain · c, c the curvature between 0 (flat) and 1
@@ -211,37 +210,35 @@ def resample(surface: Surface, count: int, gain: float, rng: np.random.Generator
 
 
 def regaussian(
-    old: CanonicalGaussians,
-    lenders: Tensor,
+    avatar: Avatar,
+    sources: Tensor,
     samples: Samples,
-    rig: Rig,
-    seed: SeedOptions,
     options: ReinitOptions,
     rng: np.random.Generator,
 ) -> CanonicalGaussians:
-    """Gaussians on the samples, with the looks of the old ones around them.
+    """Gaussians on the samples, with opacity and colour of the old ones around them.
 
-    Opacity and colour are means over the K nearest lenders, weighted by 1 / distance^2.
+    Opacity and colour are means over the K nearest sources, weighted by 1 / distance^2.
 
     Args:
-        old: the Gaussians so far.
-        lenders: (M,) int64, those of them that lie on the surface.
+        avatar: its Gaussians so far; its rest body has the skinning weights, and its ``seed``
+            options the shape of a disc.
+        sources: (M,) int64, which of its Gaussians lie on the surface.
         samples: where the new ones go.
-        rig: the rest body, for the skinning weights.
-        seed: shape of a disc, as at the start.
         options: K, and how random a size is.
         rng: draws angles and sizes.
     """
     from scipy.spatial import cKDTree
 
+    old, rig = avatar.canonical, avatar.rig
     N, dtype = len(samples.points), old.means.dtype
     tensor = lambda array: torch.from_numpy(np.ascontiguousarray(array)).to(dtype)
-    K = min(options.neighbours, len(lenders))
-    tree = cKDTree(old.means.detach()[lenders].double().numpy())
+    K = min(options.neighbours, len(sources))
+    tree = cKDTree(old.means.detach()[sources].double().numpy())
     distance, nearest = (x.reshape(N, K) for x in tree.query(samples.points, k=K))
     share = 1 / (distance**2 + 1e-8)  # a tenth of a millimetre counts as touching
     share = tensor(share / share.sum(1, keepdims=True))
-    nearest = lenders[torch.from_numpy(nearest)]
+    nearest = sources[torch.from_numpy(nearest)]
 
     opacities = (share * old.opacities.detach()[nearest]).sum(1).clamp(0.01, 0.99)
     sh = (share[:, :, None, None] * old.sh.detach()[nearest]).sum(1)
@@ -251,7 +248,7 @@ def regaussian(
     return CanonicalGaussians(
         means=means,
         quats=_spin(disc_quats(tensor(samples.normals)), half),
-        log_scales=disc_log_scales(tensor(samples.spacing), seed) + jitter,
+        log_scales=disc_log_scales(tensor(samples.spacing), avatar.options.seed) + jitter,
         logit_opacities=torch.logit(opacities),
         sh=sh,
         weights=nearest_weights(means, rig.vertices, rig.weights, NEAREST_JOINTS),
@@ -259,7 +256,7 @@ def regaussian(
 
 
 def _mean_distance(points: np.ndarray, neighbours: int) -> np.ndarray:
-    """Of each point (N, 3) to its nearest neighbours, (N,)."""
+    """Mean distance of each point (N, 3) to its nearest neighbours, (N,)."""
     from scipy.spatial import cKDTree
 
     return cKDTree(points).query(points, k=neighbours + 1)[0][:, 1:].mean(1)
@@ -277,7 +274,8 @@ def _finger_weights(weights: Tensor) -> Tensor:
     return weights[:, LEFT_HAND].sum(1) + weights[:, RIGHT_HAND].sum(1)
 
 
-def _largest_component(vertices: np.ndarray, faces: np.ndarray) -> Surface:
+def _largest_component(vertices: np.ndarray, faces: np.ndarray) -> SurfaceMesh:
+    """The connected piece of a mesh that has the most faces."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
@@ -289,17 +287,17 @@ def _largest_component(vertices: np.ndarray, faces: np.ndarray) -> Surface:
     return _without_spares(vertices, faces[label[faces[:, 0]] == largest])
 
 
-def _without_spares(vertices: np.ndarray, faces: np.ndarray) -> Surface:
-    """Drop vertices that no face uses: pymeshlab would do so by itself, and renumber the rest."""
+def _without_spares(vertices: np.ndarray, faces: np.ndarray) -> SurfaceMesh:
+    """The mesh without vertices that no face uses, which pymeshlab would drop by itself."""
     used, renumbered = np.unique(faces, return_inverse=True)
-    return Surface(vertices[used], renumbered.reshape(-1, 3))
+    return SurfaceMesh(vertices[used], renumbered.reshape(-1, 3))
 
 
 def _normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return vertex_normals(torch.from_numpy(vertices), torch.from_numpy(faces)).numpy()
 
 
-def _curvature(surface: Surface) -> np.ndarray:
+def _curvature(surface: SurfaceMesh) -> np.ndarray:
     """Root mean square of the principal curvatures, (V,), scaled to [0, 1]."""
     import pymeshlab
 
@@ -312,7 +310,7 @@ def _curvature(surface: Surface) -> np.ndarray:
 
 
 def _throw_darts(tree: object, points: np.ndarray, radius: np.ndarray) -> list[int]:
-    """Walk through the points; each one still there removes all others within its radius."""
+    """Indices of points of which each removes all later ones within its radius, in their order."""
     around = tree.query_ball_point(points, radius, return_sorted=False)
     alive = np.ones(len(points), dtype=bool)
     kept = []

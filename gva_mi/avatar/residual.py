@@ -9,7 +9,7 @@ densification and re-initialisation may change the Gaussians, and what was learn
 4. MLP(theta) = (O h' + o) · 1 cm                    O = o = 0 at the start: no residual
 
 The root is left out, for an avatar that turns around or walks away is the same avatar. The tanh
-bounds the residual of poses that no frame has shown. Eq. 13 pulls |MLP(theta)| to zero.
+bounds the residual of poses that no frame has shown. Eq. 9 keeps |MLP(theta)| small.
 """
 
 from __future__ import annotations
@@ -21,12 +21,10 @@ import roma
 import torch
 from torch import Tensor, nn
 
+from gva_mi.body.pose import BODY
 from gva_mi.errors import InputError
 
-BODY_JOINTS = slice(1, 22)  # without the root, the face and the fingers
-OUTPUT_UNIT = (
-    0.01  # metres per unit of the last layer, so that Adam's steps are fractions of a millimetre
-)
+OUTPUT_UNIT = 0.01  # metres per unit of the last layer: Adam's steps are parts of a millimetre
 
 
 @dataclass(frozen=True)
@@ -64,7 +62,7 @@ class PoseResidual(nn.Module):
         self.options = options
         self.register_buffer("center", center.detach().clone().float())
         self.register_buffer("extent", torch.tensor(float(extent)))
-        joints = BODY_JOINTS.stop - BODY_JOINTS.start
+        joints = BODY.stop - BODY.start
         features = 3 + 6 * options.frequencies
         self.pose_code = nn.Linear(9 * joints, options.code)
         self.place = nn.Linear(features, options.width)
@@ -91,19 +89,19 @@ class PoseResidual(nn.Module):
             (N, 3) metres.
 
         Note:
-            Not differentiable in ``means``: where a Gaussian lies is decided by its picture, not
-            by the slope of the network.
+            Not differentiable in ``means``: the pictures decide where a Gaussian lies, and not the
+            slope of the network.
         """
-        turned = roma.rotvec_to_rotmat(rotations[BODY_JOINTS])
+        turned = roma.rotvec_to_rotmat(rotations[BODY])
         identity = torch.eye(3, dtype=turned.dtype, device=turned.device)
         code = torch.tanh(self.pose_code((turned - identity).flatten()))
-        bias = self.place.bias + self.condition(
-            code
-        )  # one pose for all points: a bias, not a feature
+        # All points share one pose: its code is a bias, and not a feature of each point.
+        bias = self.place.bias + self.condition(code)
         h = torch.relu(torch.addmm(bias, self._encode(means.detach()), self.place.weight.T))
         return self.offset(torch.relu(self.hidden(h))) * OUTPUT_UNIT
 
     def _encode(self, means: Tensor) -> Tensor:
+        """e of eq. 2, (N, 3 + 6 L)."""
         x = (means - self.center) / self.extent
         sines, cosines = [torch.sin(math.pi * x)], [torch.cos(math.pi * x)]
         for _ in range(1, self.options.frequencies):  # double angles: cheaper than sines

@@ -22,18 +22,20 @@ import numpy as np
 import roma
 import torch
 
-from gva_mi.body.pose import JOINTS, PARENTS
+from gva_mi.body.body_file import kintree_table
+from gva_mi.body.pose import JOINTS
 from gva_mi.errors import InputError
 
 if TYPE_CHECKING:
     from anny import Anny
 
-FILE = "anny_0.6_v1.npz"  # changes with what is built
-_PEOPLE, _SEED = 64, 0  # that the shape space is made from
-_NEAREST, _RIDGE = 120, 1e-3  # vertices that a joint is regressed from; holds their weights even
+FILE = "anny_0.6_v1.npz"  # has another name when something else is built
+_PEOPLE, _SEED = 64, 0  # people that the shape space is made from
+_NEAREST = 120  # vertices that a joint is regressed from
+_RIDGE = 1e-3  # of the regression, which keeps their weights even
 _Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 _DIGITS = {"thumb": 1, "index": 2, "middle": 3, "ring": 4, "pinky": 5}
-_SPREAD = 0.35  # of the fingers' own fan is kept in the T-pose
+_SPREAD = 0.35  # share of the fingers' own spread that is kept in the T-pose
 
 
 def anny_body(cache: Path | None = None) -> Path:
@@ -77,7 +79,6 @@ def build_anny() -> dict[str, np.ndarray]:
         np.concatenate([template.vertices[None], surfaces]),
         np.concatenate([template.joints[None], joints]),
     )
-    parents = np.array([4294967295, *PARENTS[1:]], np.int64)
     return {
         "v_template": template.vertices.astype(np.float32),
         "f": source.faces,
@@ -85,7 +86,7 @@ def build_anny() -> dict[str, np.ndarray]:
         "posedirs": np.zeros((len(template.vertices), 3, 486), np.float32),
         "J_regressor": regressor,
         "weights": source.weights_of_joints(),
-        "kintree_table": np.stack([parents, np.arange(55)]),
+        "kintree_table": kintree_table(),
         "hands_meanl": np.zeros(45, np.float32),
         "hands_meanr": np.zeros(45, np.float32),
         "hands_componentsl": np.eye(45, dtype=np.float32),
@@ -103,7 +104,7 @@ class _Person:
 
 
 class _Source:
-    """What is asked of Anny, with y up."""
+    """Anny's people, surfaces and weights, with y up."""
 
     def __init__(self, model: Anny) -> None:
         self._model = model
@@ -116,7 +117,7 @@ class _Source:
         self.average = dict.fromkeys(model.phenotype_labels, 0.5) | {"age": 2 / 3}  # an adult
 
     def people(self, count: int, seed: int) -> list[dict[str, float]]:
-        """Phenotypes of adults."""
+        """Phenotypes of ``count`` random adults."""
         rng = np.random.default_rng(seed)
         found = []
         for _ in range(count):
@@ -126,6 +127,7 @@ class _Source:
         return found
 
     def person(self, phenotype: dict[str, float]) -> _Person:
+        """The surface and the joints of a phenotype in the T-pose."""
         vertices, heads = self._t_pose(*self._rest(phenotype))
         joints = heads[[self._bones[bone] for bone in _bone_of_joint().values()]]
         # SMPL-X's pelvis lies a little above the middle of the hips, Anny's root far below.
@@ -167,7 +169,7 @@ class _Source:
         return tuple(found[key][0].numpy().astype(np.float64) @ _Y_UP.T for key in keys)
 
     def _t_pose(self, vertices: np.ndarray, heads: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Both with the arms sideways, palms down; see the module."""
+        """Surface and beginnings of the bones with the arms sideways, palms down."""
         turned = {}
         for letter, sign in (("L", 1.0), ("R", -1.0)):
             turned |= self._arm(vertices, heads, letter, np.array([sign, 0, 0]))

@@ -1,6 +1,6 @@
 """How fast the body model is: stage by stage, for one frame and for a batch of them.
 
-The body is random and as heavy as the licensed files are: 10,000 vertices, pose directions without
+The body is random and as large as the licensed files are: 10,000 vertices, pose directions without
 a zero. Times are wall clock, the least and the median of repeated calls, with gradients of all
 vertices to poses, expression, translation and betas; on a shared machine trust ratios of one run.
 
@@ -31,8 +31,8 @@ _WARM_UP = 3  # calls before the first that counts
 
 
 @dataclass(frozen=True)
-class Stage:
-    """One step of the model, or the whole."""
+class StageTimes:
+    """How long one stage of the model takes, or the whole."""
 
     name: str
     forward: tuple[float, float]  # ms, least and median
@@ -44,7 +44,7 @@ class Batch:
     """All stages for one number of frames."""
 
     frames: int
-    stages: tuple[Stage, ...]  # the last is the whole
+    stages: tuple[StageTimes, ...]  # the last is the whole
     directions: float  # 1e9 bytes of directions per second, forward and backward, at the least time
 
 
@@ -89,7 +89,7 @@ def bench_body(repeats: int, seed: int, vertices: int = VERTICES) -> BodyBench:
 
 
 def random_body(vertices: int, rng: np.random.Generator) -> BodyModel:
-    """A body of no shape at all, with every number of a licensed file in its place."""
+    """A body of random numbers, in the shapes of a licensed file."""
     normal = lambda *size: rng.standard_normal(size, dtype=np.float32)
     weights = rng.random((vertices, 55), dtype=np.float32) ** 12
     regressor = np.zeros((55, vertices), np.float32)
@@ -105,6 +105,7 @@ def random_body(vertices: int, rng: np.random.Generator) -> BodyModel:
 
 
 def _batch(body: BodyModel, frames: int, repeats: int, generator: torch.Generator) -> Batch:
+    """Each stage apart, and the whole, for one number of frames."""
     normal = lambda *size: torch.randn(*size, generator=generator)
     leaf = lambda *size: (0.3 * normal(*size)).requires_grad_()
     rotations, transl, expression = leaf(frames, 55, 3), leaf(frames, 3), leaf(frames, 10)
@@ -112,7 +113,7 @@ def _batch(body: BodyModel, frames: int, repeats: int, generator: torch.Generato
     vertices, directions = len(body.v_template), body.frame_directions
     surface, moves = leaf(1, 3 * vertices), leaf(frames, len(directions))
     points, T_world_rest = leaf(frames, vertices, 3), leaf(frames, 55, 4, 4)
-    pose = lambda: Pose.from_rotations(rotations, transl, expression)
+    pose = lambda: Pose(rotations, transl, expression)
     stages = {
         "joints": (
             lambda: turn_joints(rotations, joints, PARENTS, transl)[1],
@@ -133,10 +134,10 @@ def _batch(body: BodyModel, frames: int, repeats: int, generator: torch.Generato
 
 def _stage(
     name: str, forward: Callable[[], Tensor], leaves: tuple[Tensor, ...], repeats: int
-) -> Stage:
+) -> StageTimes:
     grad = torch.ones_like(forward())
     both = lambda: torch.autograd.grad(forward(), leaves, grad)
-    return Stage(name, _timed(forward, repeats), _timed(both, repeats))
+    return StageTimes(name, _timed(forward, repeats), _timed(both, repeats))
 
 
 def _timed(call: Callable[[], object], repeats: int) -> tuple[float, float]:

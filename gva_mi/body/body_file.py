@@ -14,9 +14,11 @@ hands_meanl, -r     (45,)                                mean hand relative to f
 hands_componentsl…  (K, 45)                              PCA of hand poses; optional
 ==================  ===================================  ======================================
 
-J is 55, 52 or 24; SMPL has no hands. In SMPL-X, 400 directions or more are 300 betas and then
-expressions (version 1.1), fewer are 10 betas and up to 10 expressions (1.0). In the older formats
-all of them are betas.
+J is 55, 52 or 24; SMPL has no hands. The mean hands and their components are checked like the rest
+of the format and then left alone, for poses here are relative to the flat hand.
+
+In SMPL-X, 400 directions or more are 300 betas and then expressions (version 1.1), fewer are 10
+betas and up to 10 expressions (1.0). In the older formats all of them are betas.
 """
 
 from __future__ import annotations
@@ -26,7 +28,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gva_mi.body.pose import JOINTS
+from gva_mi.body.pose import JOINTS, PARENTS
 from gva_mi.body.smpl import FORMATS, SMPL, SMPLX, Format, lift
 from gva_mi.errors import InputError
 
@@ -64,7 +66,13 @@ def read_body(path: Path) -> dict[str, np.ndarray]:
     return lift(arrays, form) | counts
 
 
+def kintree_table() -> np.ndarray:
+    """The tree of the 55 joints as files hold it, (2, 55) int64."""
+    return np.stack([np.array([_ROOT, *PARENTS[1:]], dtype=np.int64), np.arange(len(JOINTS))])
+
+
 def _read(path: Path) -> dict[str, np.ndarray]:
+    """The arrays of the format, without the others that a file may hold."""
     try:
         file = np.load(path, allow_pickle=False)
     except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
@@ -93,6 +101,7 @@ def _read(path: Path) -> dict[str, np.ndarray]:
 
 
 def _check(path: Path, arrays: dict[str, np.ndarray]) -> Format:
+    """The format of a file all of whose arrays have the right shapes and values."""
     form = _format(path, arrays)
     missing = [key for key in _HANDS if key not in arrays and form is not SMPL]
     if missing:

@@ -1,9 +1,9 @@
-"""What moves a body: ``Pose`` and ``Shape``, with SMPL-X's names and its order of joints."""
+"""What moves a body: ``Pose`` and ``Shape``, in SMPL-X's order of joints; files use its names."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -29,58 +29,69 @@ PARENTS: tuple[int, ...] = (
     21, 40, 41, 21, 43, 44, 21, 46, 47, 21, 49, 50, 21, 52, 53,
 )  # fmt: skip
 
-# How many joints each field of a Pose holds, in the order of JOINTS.
-JOINTS_OF: Mapping[str, int] = {
-    "global_orient": 1, "body_pose": 21, "jaw_pose": 1, "leye_pose": 1, "reye_pose": 1,
-    "left_hand_pose": 15, "right_hand_pose": 15,
-}  # fmt: skip
+# Which of JOINTS each field of SMPL-X holds. Its fields follow each other in the order of JOINTS.
+ROOT, BODY = slice(0, 1), slice(1, 22)
+JAW, LEFT_EYE, RIGHT_EYE = slice(22, 23), slice(23, 24), slice(24, 25)
 LEFT_HAND, RIGHT_HAND = slice(25, 40), slice(40, 55)  # joints of the fingers
+SMPLX_FIELDS: Mapping[str, slice] = {
+    "global_orient": ROOT, "body_pose": BODY, "jaw_pose": JAW, "leye_pose": LEFT_EYE,
+    "reye_pose": RIGHT_EYE, "left_hand_pose": LEFT_HAND, "right_hand_pose": RIGHT_HAND,
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Pose:
-    """T frames of joint rotations (axis-angle, radians), root translation and facial expression."""
+    """T frames of joint rotations, root translation and facial expression.
 
-    global_orient: Tensor  # (T, 3)
-    body_pose: Tensor  # (T, 63)
-    jaw_pose: Tensor  # (T, 3)
-    leye_pose: Tensor  # (T, 3)
-    reye_pose: Tensor  # (T, 3)
-    left_hand_pose: Tensor  # (T, 45), relative to the flat hand
-    right_hand_pose: Tensor  # (T, 45)
+    Rotations are relative to the parent joint, those of the root to the world; hands are relative
+    to the flat hand. One group of joints is a slice, such as ``pose.rotations[:, LEFT_HAND]``.
+    """
+
+    rotations: Tensor  # (T, 55, 3) axis-angle in radians, in the order of JOINTS
     transl: Tensor  # (T, 3) metres, world
     expression: Tensor  # (T, E) coefficients
+
+    def __post_init__(self) -> None:
+        if self.rotations.ndim != 3 or self.rotations.shape[1:] != (len(JOINTS), 3):
+            raise ValueError(
+                f"Pose: rotations must be (T, {len(JOINTS)}, 3), got {tuple(self.rotations.shape)}"
+            )
 
     @staticmethod
     def rest(frames: int = 1, expressions: int = 10, dtype: torch.dtype = torch.float32) -> Pose:
         """The T-pose."""
-        zero = lambda width: torch.zeros(frames, width, dtype=dtype)
-        return Pose.from_rotations(zero(165).view(frames, 55, 3), zero(3), zero(expressions))
+        zero = lambda *shape: torch.zeros(frames, *shape, dtype=dtype)
+        return Pose(zero(len(JOINTS), 3), zero(3), zero(expressions))
 
     @staticmethod
-    def from_rotations(rotations: Tensor, transl: Tensor, expression: Tensor) -> Pose:
-        """From rotations (T, 55, 3) in the order of JOINTS, transl (T, 3), expression (T, E)."""
-        parts = torch.split(rotations, list(JOINTS_OF.values()), dim=1)
-        named = {name: part.flatten(1) for name, part in zip(JOINTS_OF, parts, strict=True)}
-        return Pose(**named, transl=transl, expression=expression)
+    def from_smplx(named: Mapping[str, Tensor]) -> Pose:
+        """A pose from SMPL-X's names, as :meth:`to_smplx` gives them.
 
-    @property
-    def rotations(self) -> Tensor:
-        """All joints' rotations, axis-angle, (T, 55, 3) in the order of JOINTS."""
-        return torch.cat([getattr(self, name) for name in JOINTS_OF], dim=1).unflatten(1, (-1, 3))
+        Args:
+            named: ``global_orient`` (T, 3), ``body_pose`` (T, 63), ``jaw_pose``, ``leye_pose``,
+                ``reye_pose`` (T, 3), ``left_hand_pose``, ``right_hand_pose`` (T, 45), ``transl``
+                (T, 3) and ``expression`` (T, E).
+        """
+        columns = torch.cat([named[name] for name in SMPLX_FIELDS], dim=1)
+        return Pose(columns.unflatten(1, (-1, 3)), named["transl"], named["expression"])
+
+    def to_smplx(self) -> dict[str, Tensor]:
+        """The pose under SMPL-X's names, in the order in which files hold them."""
+        joints = {name: self.rotations[:, part].flatten(1) for name, part in SMPLX_FIELDS.items()}
+        return joints | {"transl": self.transl, "expression": self.expression}
 
     def __len__(self) -> int:
         return self.transl.shape[0]
 
     def __getitem__(self, frames: int | slice | list[int] | Tensor) -> Pose:
-        """Some frames of it; an int keeps the frame axis: the result is a Pose of one frame."""
+        """Some of the frames; an int keeps the frame axis: the result is a Pose of one frame."""
         if isinstance(frames, int):
             frames = [frames]
         return self.map(lambda x: x[frames])
 
     def map(self, function: Callable[[Tensor], Tensor]) -> Pose:
-        """Apply a function of one tensor to every field."""
-        return replace(self, **{f.name: function(getattr(self, f.name)) for f in fields(self)})
+        """Apply a function of one tensor to rotations, translation and expression."""
+        return Pose(function(self.rotations), function(self.transl), function(self.expression))
 
     def to(self, dtype: torch.dtype) -> Pose:
         """The same pose in another precision."""
@@ -97,7 +108,7 @@ class Shape:
 def load_poses(path: Path) -> tuple[Pose, Shape]:
     """Read ``poses.npz``: SMPL-X's names, each (T, ...), and ``betas`` (B,).
 
-    Face and hands may be missing: they are then zero. Other keys are left alone.
+    Face and hands may be missing: they are then zero. Other keys are ignored.
 
     Raises:
         InputError: a missing key, a wrong shape or dtype, or a number that is not finite.
@@ -107,16 +118,14 @@ def load_poses(path: Path) -> tuple[Pose, Shape]:
     frames = len(data["transl"])
     if frames == 0:
         raise InputError(f"{path}: 'transl' holds no frame; expected (T, 3) with T of at least 1")
-    widths = {name: 3 * joints for name, joints in JOINTS_OF.items()} | {"transl": 3}
-    values = {}
-    for name, width in widths.items():
-        values[name] = _tensor(
-            path, name, data.get(name, np.zeros((frames, width))), (frames, width)
-        )
+    widths = {name: 3 * (part.stop - part.start) for name, part in SMPLX_FIELDS.items()}
+    widths["transl"] = 3
     expression = data.get("expression", np.zeros((frames, 10)))
-    values["expression"] = _tensor(
-        path, "expression", expression, (frames, np.shape(expression)[-1])
-    )
+    widths["expression"] = np.shape(expression)[-1]
+    named = {
+        name: _tensor(path, name, data.get(name, np.zeros((frames, width))), (frames, width))
+        for name, width in widths.items()
+    }
     betas = data["betas"]
     if betas.ndim == 2 and (betas == betas[:1]).all():
         betas = betas[0]  # repeated per frame, as some estimators write it
@@ -124,7 +133,7 @@ def load_poses(path: Path) -> tuple[Pose, Shape]:
         raise InputError(
             f"{path}: 'betas' must be (B,), one person for all frames; got {betas.shape}"
         )
-    return Pose(**values), Shape(_tensor(path, "betas", betas, betas.shape))
+    return Pose.from_smplx(named), Shape(_tensor(path, "betas", betas, betas.shape))
 
 
 def save_poses(
@@ -139,17 +148,17 @@ def save_poses(
         stage: 1 from an estimator, 2 from the refinement.
         offsets: (V, 3) displacement of the rest surface that the refinement found, metres.
     """
-    data = {f.name: getattr(pose, f.name).detach().numpy() for f in fields(pose)}
+    data = {name: value.detach().numpy() for name, value in pose.to_smplx().items()}
     if offsets is not None:
         data["offsets"] = offsets.detach().numpy()
     write_arrays(path, **data, betas=shape.betas.detach().numpy(), stage=np.array(stage))
 
 
 def load_offsets(path: Path, vertices: int) -> Tensor | None:
-    """The displacement (V, 3) in a file of poses; None where it holds none.
+    """The displacement (V, 3) of the rest surface in a file of poses, metres; None without one.
 
     Raises:
-        InputError: one for a body with another number of vertices, or not finite.
+        InputError: the displacement is not finite, or of another number of vertices.
     """
     data = read_arrays(path, "poses under SMPL-X's names (.npz)")
     if "offsets" not in data:

@@ -1,7 +1,7 @@
 """The built-in body: a puppet in SMPL-X's format that needs no licence.
 
 ``puppet.npz`` holds the keys of an SMPL-X file and is read by the same loader. It is modelled from
-scratch, as a smooth union of simple solids, by ``python -m gva_mi.sculptor.sculpt``, and
+scratch, as a smooth union of simple solids, by ``python -m gva_mi.sculptor``, and
 comes under the licence of this package.
 
 * 11,000 vertices, watertight, of one piece, symmetric; more of them at hands, face and toes.

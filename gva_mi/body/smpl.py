@@ -32,7 +32,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gva_mi.body.pose import JOINTS, PARENTS, Pose
+from gva_mi.body.pose import BODY, JOINTS, LEFT_HAND, PARENTS, RIGHT_HAND, Pose
 
 _MITTENS = (JOINTS.index("left_middle1"), JOINTS.index("right_middle1"))
 
@@ -47,16 +47,14 @@ class Format:
     @property
     def parents(self) -> tuple[int, ...]:
         """The tree of its joints, -1 for the root."""
-        return tuple(self.joints.index(p) if p >= 0 else -1 for p in self._parents_among_55)
-
-    @property
-    def _parents_among_55(self) -> list[int]:
-        return [PARENTS[j] for j in self.joints]
+        among_55 = [PARENTS[j] for j in self.joints]
+        return tuple(self.joints.index(p) if p >= 0 else -1 for p in among_55)
 
 
-SMPL = Format("SMPL", (*range(22), *_MITTENS))
-SMPLH = Format("SMPL+H", (*range(22), *range(25, 55)))
-SMPLX = Format("SMPL-X", tuple(range(55)))
+_SHARED = range(BODY.stop)  # root and body, in the same order in all three
+SMPL = Format("SMPL", (*_SHARED, *_MITTENS))
+SMPLH = Format("SMPL+H", (*_SHARED, *range(LEFT_HAND.start, RIGHT_HAND.stop)))
+SMPLX = Format("SMPL-X", tuple(range(len(JOINTS))))
 FORMATS = {len(f.joints): f for f in (SMPL, SMPLH, SMPLX)}
 
 
@@ -79,8 +77,6 @@ def lift(arrays: dict[str, np.ndarray], form: Format) -> dict[str, np.ndarray]:
         "weights": weights,
         "posedirs": posedirs.reshape(vertices, 3, -1),
         "J_regressor": arrays["J_regressor"][nearest],
-        "hands_meanl": arrays.get("hands_meanl", np.zeros(45)),
-        "hands_meanr": arrays.get("hands_meanr", np.zeros(45)),
     }
     return arrays | lifted
 
@@ -97,7 +93,7 @@ def pose_from_smpl(poses: Tensor, transl: Tensor, *, mittens: bool = False) -> P
     rotations = _rotations("pose_from_smpl", poses, transl, SMPL)
     if not mittens:
         rotations[:, list(_MITTENS)] = 0
-    return Pose.from_rotations(rotations, transl, poses.new_zeros(len(poses), 0))
+    return Pose(rotations, transl, poses.new_zeros(len(poses), 0))
 
 
 def pose_from_smplh(poses: Tensor, transl: Tensor) -> Pose:
@@ -109,7 +105,7 @@ def pose_from_smplh(poses: Tensor, transl: Tensor) -> Pose:
         transl: (T, 3) metres.
     """
     rotations = _rotations("pose_from_smplh", poses, transl, SMPLH)
-    return Pose.from_rotations(rotations, transl, poses.new_zeros(len(poses), 0))
+    return Pose(rotations, transl, poses.new_zeros(len(poses), 0))
 
 
 def keep_pelvis(pose: Pose, pelvis: Tensor, new_pelvis: Tensor) -> Pose:
@@ -128,8 +124,8 @@ def keep_pelvis(pose: Pose, pelvis: Tensor, new_pelvis: Tensor) -> Pose:
 
 def _relative(joint: int, known: dict[int, int]) -> int:
     """The joint itself, else the mitten it belongs to, else its nearest ancestor that is known."""
-    for first, mitten in zip((25, 40), _MITTENS, strict=True):
-        if first <= joint < first + 15 and joint not in known:
+    for hand, mitten in zip((LEFT_HAND, RIGHT_HAND), _MITTENS, strict=True):
+        if hand.start <= joint < hand.stop and joint not in known:
             return mitten
     while joint not in known:
         joint = PARENTS[joint]
@@ -137,6 +133,7 @@ def _relative(joint: int, known: dict[int, int]) -> int:
 
 
 def _rotations(caller: str, poses: Tensor, transl: Tensor, form: Format) -> Tensor:
+    """Poses (T, 3 joints) of a format as rotations (T, 55, 3), checked."""
     joints = len(form.joints)
     if poses.ndim != 2 or poses.shape[1] != 3 * joints:
         raise ValueError(f"{caller}(): poses must be (T, {3 * joints}), got {tuple(poses.shape)}")

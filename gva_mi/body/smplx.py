@@ -30,7 +30,6 @@ from torch import Tensor, nn
 
 from gva_mi.body.blend_shapes import add_directions, as_rows, columns_of
 from gva_mi.body.body_file import read_body
-from gva_mi.body.hands import HandSpace, with_hands
 from gva_mi.body.kinematics import turn_joints
 from gva_mi.body.pose import PARENTS, Pose, Shape
 from gva_mi.body.puppet import PUPPET
@@ -66,8 +65,6 @@ class BodyModel(nn.Module):
         faces: (F, 3) int64, counter-clockwise seen from outside.
         weights: (V, 55) skinning weights.
         parents: 55 indices, -1 for the root.
-        hands_mean: (2, 45) the mean left and right hand of the file, axis-angle.
-        hands_components: (2, K, 45) its PCA of hand poses; K is 0 where the file has none.
         num_betas, num_expressions: how many coefficients the file has; missing ones count as zero.
     """
 
@@ -102,9 +99,6 @@ class BodyModel(nn.Module):
         bent = as_rows(arrays["posedirs"][..., used])
         both = tensor(np.concatenate([bent, directions[expressions]]))
         self.register_buffer("frame_directions", both)  # (P + E, W)
-        hands = lambda key, none: tensor(np.stack([arrays.get(key + side, none) for side in "lr"]))
-        self.register_buffer("hands_mean", hands("hands_mean", np.zeros(45)))
-        self.register_buffer("hands_components", hands("hands_components", np.zeros((0, 45))))
 
     @property
     def num_betas(self) -> int:
@@ -115,29 +109,19 @@ class BodyModel(nn.Module):
         return len(self.expression_directions)
 
     @property
-    def pose_directions(self) -> Tensor:
-        """(P, W) of the P ``pose_features`` that are not zero everywhere."""
-        return self.frame_directions[: len(self.pose_features)]
-
-    @property
     def expression_directions(self) -> Tensor:
         """(E, W)."""
         return self.frame_directions[len(self.pose_features) :]
 
-    @property
-    def hand_spaces(self) -> tuple[HandSpace, HandSpace]:
-        """The PCA of hand poses, left and right."""
-        return tuple(map(HandSpace, self.hands_mean, self.hands_components))
-
     def on(self, vertices: Tensor, faces: Tensor) -> BodyModel:
-        """The same body on some of its vertices: every one moves as it does here.
+        """The same body with only some of its vertices, which move as they do here.
 
         Args:
-            vertices: (n,) which; joints do not change.
+            vertices: (n,) their numbers; the joints stay the same.
             faces: (F, 3) triangles between them, numbered from 0 to n - 1.
         """
         some = copy.copy(self)
-        some._buffers = dict(self._buffers)  # all that does not change is shared
+        some._buffers = dict(self._buffers)  # what does not change is shared
         some.v_template, some.weights = self.v_template[vertices], self.weights[vertices]
         some.faces = faces
         for name in ("shape_directions", "frame_directions"):
@@ -180,12 +164,6 @@ class BodyModel(nn.Module):
         R_world, t = T_world_rest[..., :3, :3], T_world_rest[..., :3, 3]
         return Posed(skinned, (R_world @ joints.unsqueeze(-1)).squeeze(-1) + t, T_world_rest)
 
-    def add_mean_hands(self, pose: Pose) -> Pose:
-        """A pose whose hands count from the file's mean hand, as estimators write them, made to
-        count from flat."""
-        left, right = self.hands_mean
-        return with_hands(pose, pose.left_hand_pose + left, pose.right_hand_pose + right)
-
     def _shaped(self, shape: Shape, psi: Tensor, template: Tensor) -> tuple[Tensor, Tensor]:
         """Rest vertices without the face (1, 3 V), all x, then all y, then all z; and joints
         (T, 55, 3) with it (eq. 1, 2)."""
@@ -201,7 +179,7 @@ class BodyModel(nn.Module):
         features = (R[:, 1:] - torch.eye(3, dtype=R.dtype)).flatten(1)
         if len(self.pose_features) == features.shape[1]:
             return features
-        # They are distinct, so that their gradients do not collide.
+        # Each feature is taken once, so that the gradients of no two are added.
         return features[:, self.pose_features]
 
 
@@ -221,8 +199,7 @@ def load_body(path: Path | None = None, dtype: torch.dtype = torch.float32) -> B
 
 
 def _coefficients(name: str, values: Tensor, available: int) -> Tensor:
-    """Coefficients (T, K) cut to what the file has; missing ones count as zero by not being
-    there."""
+    """Coefficients (T, K) that the file has directions for; those beyond must be zero."""
     if values.shape[1] > available and bool((values[:, available:] != 0).any()):
         raise InputError(
             f"the pose or shape has {values.shape[1]} {name}, but the body file has {available}"

@@ -12,7 +12,7 @@ from gva_mi.commands.arguments import Switch
 from gva_mi.console import say
 from gva_mi.data.pictures import write_image
 from gva_mi.errors import InputError
-from gva_mi.sculptor.portrait import sheet as draw_sheet
+from gva_mi.sculptor.portrait import pose_sheet as draw_sheet
 from gva_mi.sculptor.portrait import turntable
 
 

@@ -10,7 +10,7 @@ from gva_mi.body.smplx import load_body
 from gva_mi.commands.arguments import Flat, Switch
 from gva_mi.console import bar, say
 from gva_mi.data.synthetic import SynthOptions, describe_noise, make_subject
-from gva_mi.data.synthetic.sheet import sheet as draw_sheet
+from gva_mi.data.synthetic.contact_sheet import contact_sheet as draw_sheet
 from gva_mi.errors import InputError
 from gva_mi.files import make_room
 

@@ -1,0 +1,11 @@
+"""The folder format of a video, and everything that is read from it.
+
+==================  ================================================================
+``video``           ``Video`` and ``Frame``: the folder, opened and checked
+``pictures``        8-bit pictures, arrays and films on disk
+``masks``           masks as segmenters write them
+``normals``         normal maps as networks write them
+``fingerprint``     whether a synthetic subject is used with its own body
+``synthetic/``      makes such folders
+==================  ================================================================
+"""

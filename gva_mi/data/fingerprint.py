@@ -1,9 +1,9 @@
-"""Is a subject read beside the body that it was made on?
+"""Checks that a synthetic subject is used with the body that it was made on.
 
-A synthetic subject's poses are rotations of one body's joints, and its betas that body's: beside
-another body, even a slightly newer puppet, they mean other people, and every error told against the
-truth is wrong, silently. So ``synth.json`` keeps a sketch of the body: K signed sums of all its
-vertices x (metres) in two states that use every joint, beta and expression,
+A synthetic subject's poses are rotations of one body's joints, and its betas belong to that body.
+With another body, even a slightly newer puppet, they mean other people, and every error measured
+against the truth is silently wrong. So ``synth.json`` keeps a sketch of the body: K signed sums of
+all its vertices x (metres) in two states that use every joint, beta and expression,
 
     1. s_k = Σ_i σ_ki x_i / √V,    σ_ki = ±1 at random
     2. mean over k of (s_k - s'_k)²  ≈  mean over the vertices of |x_i - x'_i|²
@@ -25,7 +25,7 @@ from gva_mi.errors import InputError
 
 SUMS = 32  # K: their root mean square is right to one part in √(2 K), 12 %
 SAME = 3e-6  # m, root mean square; what float32 rounds away is a tenth of it
-MADE = "synth.json"  # in the subject's folder; holds {"body": {"vertices": V, "sketch": [...]}}
+ABOUT = "synth.json"  # in the subject's folder; holds {"body": {"vertices": V, "sketch": [...]}}
 
 
 def fingerprint(body: BodyModel) -> dict[str, object]:
@@ -33,7 +33,7 @@ def fingerprint(body: BodyModel) -> dict[str, object]:
     dtype = body.v_template.dtype
     wave = lambda n, size: size * torch.sin(1.0 + torch.arange(n, dtype=torch.float64)).to(dtype)
     shape = Shape(wave(body.num_betas, 1.5))
-    bent = Pose.from_rotations(
+    bent = Pose(
         wave(165, 0.6).reshape(1, 55, 3), torch.zeros(1, 3, dtype=dtype),
         wave(body.num_expressions, 1.5)[None],
     )  # fmt: skip
@@ -56,9 +56,10 @@ def distance(a: dict[str, object], b: dict[str, object]) -> float:
 def require_same_body(folder: Path, body: BodyModel) -> None:
     """Check that a synthetic subject was made on this body.
 
-    An error and no warning: nothing that follows from the wrong body is of use, and a warning would
-    scroll away before the figures come. Folders without a fingerprint pass: real videos, whose
-    poses belong to the body that their estimator used, and subjects older than this check.
+    Another body is an error and not a warning: nothing that follows from it is of use, and a
+    warning would scroll away before the figures come. Folders without a fingerprint pass: real
+    videos, whose poses belong to the body that their estimator used, and subjects older than this
+    check.
 
     Args:
         folder: of the subject.
@@ -67,7 +68,7 @@ def require_same_body(folder: Path, body: BodyModel) -> None:
     Raises:
         InputError: where it is another body.
     """
-    file = Path(folder) / MADE
+    file = Path(folder) / ABOUT
     if not file.is_file():
         return
     try:

@@ -5,8 +5,8 @@
 ``000000.npy``            Boolean; 8-bit as above; or floating point in [0, 1]
 ========================  ====================================================
 
-A picture whose largest value is 1 is taken for one of zeros and ones: as a soft mask it would see
-nobody anywhere.
+A picture whose largest value is 1 is read as one of zeros and ones: read as a soft mask, it would
+be empty.
 """
 
 from __future__ import annotations

@@ -4,8 +4,8 @@ Two conventions:
 
 * ``perspective``: as a renderer with the video's camera would see them, in camera space and OpenCV
   axes (x right, y down, z forward; what is seen has ``n · d < 0`` along the pixel's ray ``d``).
-* ``icon``: as ICON, PIFuHD and their kin see them: an orthographic view of a square crop, x right,
-  y *up*, z toward the viewer.
+* ``icon``: as ICON, PIFuHD and similar networks see them: an orthographic view of a square crop,
+  x right, y *up*, z toward the viewer.
 
 A perspective picture is orthographic along each of its rays, not along the axis of the lens: a
 person who fills the picture is seen from above at the feet and from below at the head. What an
@@ -25,9 +25,9 @@ axis: 17 degrees at the feet of someone who stands three metres away.
 with the part of the frame, in pixels, that each map shows: a box for each frame, or one for all; it
 may reach out of the picture. Without ``boxes`` a map shows the whole frame.
 
-Files are ``000000.npy`` (floating point, (h, w, 3)) or ``000000.png`` (``(n + 1) / 2``). A code
-that is no unit vector, such as a black, white or grey background, says nothing; nor does a missing
-file.
+Files are ``000000.npy`` (floating point, (h, w, 3)) or ``000000.png`` (``(n + 1) / 2``). Where the
+stored vector is far from unit length, as on a black, white or grey background, the normal is
+unknown. So are all normals of a frame without a file.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ from gva_mi.splat import Camera
 Convention = Literal["perspective", "icon"]
 
 ABOUT = "normals.json"
-SHORTEST, LONGEST = 0.2, 1.5  # of a code that is taken for a direction; black and white are 1.73
+SHORTEST, LONGEST = 0.2, 1.5  # lengths taken for a direction; black and white are 1.73 long
 
 
 @dataclass(frozen=True)
@@ -59,12 +59,12 @@ class NormalMaps:
 
     @staticmethod
     def open(folder: Path, frames: int, convention: Convention | None = None) -> NormalMaps | None:
-        """Those of a subject's folder; None where it holds no ``normals/``.
+        """The normal maps of a subject's folder; None where it holds no ``normals/``.
 
         Args:
             folder: the subject's.
             frames: of the video.
-            convention: how they were made, against what ``normals.json`` says.
+            convention: how they were made; it takes precedence over ``normals.json``.
 
         Raises:
             InputError: an unreadable ``normals.json``.
@@ -103,7 +103,7 @@ class NormalMaps:
         return np.where(length > SHORTEST, normals / np.maximum(length, 1e-6), 0).astype(np.float32)
 
     def _stored(self, index: int) -> tuple[np.ndarray | None, Path]:
-        """What the file says, (h, w, 3), zero where its code is no unit vector; and the file."""
+        """The vectors of the file (h, w, 3), zero where they are no directions; and its path."""
         path = self.folder / f"{index:06d}.npy"
         if path.exists():
             normals = read_array(path)

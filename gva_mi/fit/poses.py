@@ -1,8 +1,8 @@
-"""The poses that a fit sees: as they were given, or trained along with the avatar.
+"""The poses that a fit uses: as they were given, or trained along with the avatar.
 
-Trained poses take up what the refinement by masks and normals left over. A frame that is not
-trained on must not be looked at, and yet its pose has errors of the same kind: slow ones, such as a
-depth that is wrong for seconds. So it takes the correction of its neighbours in time, interpolated.
+Training corrects the errors that the refinement by masks and normals left. A test frame must not be
+trained on, and yet its pose has errors of the same kind: slow ones, such as a depth that is wrong
+for seconds. So its correction is interpolated between its neighbours in time.
 """
 
 from __future__ import annotations
@@ -17,9 +17,13 @@ from gva_mi.body.pose import Pose
 
 
 class TrainedPoses(nn.Module):
-    """The poses of the frames; where they are trained, rotations and translation of each frame.
+    """The poses of all frames.
 
-    A parameter per frame: Adam leaves alone, momentum included, what has no gradient in a step.
+    Attributes:
+        given: the poses as they were given.
+        frames: where poses are trained, a parameter (168,) per frame: rotations (55, 3), row by
+            row, and translation. Adam leaves a parameter without a gradient alone, with its
+            momentum, and a step shows few frames.
     """
 
     def __init__(self, pose: Pose, trained: bool) -> None:
@@ -35,7 +39,7 @@ class TrainedPoses(nn.Module):
         return _unpacked(self.frames[frame][None], given.expression)
 
     def all(self, trained: Sequence[int]) -> Pose:
-        """The poses of all frames, as they are now.
+        """The poses of all frames, trained or interpolated.
 
         Args:
             trained: the frames that were trained on; all others get interpolated corrections.
@@ -51,9 +55,11 @@ class TrainedPoses(nn.Module):
 
 
 def _packed(pose: Pose) -> Tensor:
-    return torch.cat([pose.rotations.flatten(1), pose.transl], dim=1)  # (T, 168)
+    """Rotations and translation of each frame as a row, (T, 168)."""
+    return torch.cat([pose.rotations.flatten(1), pose.transl], dim=1)
 
 
 def _unpacked(rows: Tensor, expression: Tensor) -> Pose:
+    """The pose that :func:`_packed` made rows of, with its expression."""
     rotations, transl = rows.split([165, 3], dim=1)
-    return Pose.from_rotations(rotations.unflatten(1, (55, 3)), transl, expression)
+    return Pose(rotations.unflatten(1, (55, 3)), transl, expression)

@@ -30,7 +30,7 @@ import torch
 
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.canonical import CanonicalGaussians
-from gva_mi.avatar.reinit import Surface
+from gva_mi.avatar.reinit import SurfaceMesh
 from gva_mi.body.pose import load_poses
 from gva_mi.data.video import Video
 from gva_mi.errors import InputError
@@ -111,7 +111,11 @@ def load_state(out: Path) -> dict[str, Any] | None:
 
 
 def save_snapshot(
-    out: Path, step: int, before: CanonicalGaussians, after: CanonicalGaussians, surface: Surface
+    out: Path,
+    step: int,
+    before: CanonicalGaussians,
+    after: CanonicalGaussians,
+    surface: SurfaceMesh,
 ) -> None:
     """Write the Gaussians on both sides of a re-initialisation, and the surface between them."""
     arrays = {"vertices": surface.vertices, "faces": surface.faces}

@@ -238,7 +238,7 @@ def _posed(body: BodyModel, case: Case) -> Callable[[float], np.ndarray]:
             transl[0, case.axis] += x
         else:
             turned[0, JOINTS.index(case.moves), case.axis] += x
-        moved = Pose.from_rotations(turned, transl, zero(1, 10))
+        moved = Pose(turned, transl, zero(1, 10))
         return body(moved, Shape(zero(10))).vertices[0].numpy()
 
     return vertices

@@ -84,7 +84,7 @@ def join(clips: Sequence[range], poses: Sequence[Pose]) -> Pose:
         between = torch.lerp(t[clip.start :], transl[:shared], weight)
         t = torch.cat([t[: clip.start], between, transl[shared:]])
         psi = torch.cat([psi, other.expression[shared:]])
-    return Pose.from_rotations(R, t, psi)
+    return Pose(R, t, psi)
 
 
 def _slerp(a: Tensor, b: Tensor, weight: Tensor) -> Tensor:

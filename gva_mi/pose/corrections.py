@@ -119,7 +119,7 @@ class Corrections:
         turns, moves = self._at(which)
         some = self._stage1[which]
         rotations = roma.rotvec_composition([some.rotations, turns])
-        return Pose.from_rotations(rotations, some.transl + moves, some.expression)
+        return Pose(rotations, some.transl + moves, some.expression)
 
     def energy(self) -> Tensor:
         """Eq. 3 and 4, a mean over the frames."""

@@ -129,7 +129,7 @@ def with_frames(start: Pose, frames: Sequence[int], found: Pose) -> Pose:
     frames = list(frames)
     rotations, transl = start.rotations.clone(), start.transl.clone()
     rotations[frames], transl[frames] = found.rotations, found.transl
-    return Pose.from_rotations(rotations, transl, start.expression)
+    return Pose(rotations, transl, start.expression)
 
 
 def worse_frames(

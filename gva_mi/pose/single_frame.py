@@ -94,7 +94,7 @@ def _refine_frame(
     theta = stage1.rotations.clone().requires_grad_()
     adam = VectorAdam([theta], [rates])
     for step in range(options.steps):
-        pose = Pose.from_rotations(theta, stage1.transl, stage1.expression)
+        pose = Pose(theta, stage1.transl, stage1.expression)
         image = scene.render(job.body(pose, job.shape).vertices[0], evidence.camera)
         turned = (weights * (theta - stage1.rotations).square()).sum()
         loss = evidence.loss(image, options.silhouette) + options.prior * turned
@@ -102,4 +102,4 @@ def _refine_frame(
         adam.step(DECAY ** (step / options.steps))
         if progress is not None:
             progress(step + 1, options.steps, loss=float(loss.detach()))
-    return Pose.from_rotations(theta.detach(), stage1.transl, stage1.expression)
+    return Pose(theta.detach(), stage1.transl, stage1.expression)

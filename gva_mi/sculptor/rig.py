@@ -1,5 +1,4 @@
-"""What makes a skin a body model: skinning weights from the flow of heat, and the joint
-regressor."""
+"""What makes a surface a body model: skinning weights and the joint regressor."""
 
 from __future__ import annotations
 
@@ -8,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gva_mi.body.pose import JOINTS
-from gva_mi.sculptor.figure import Bone, bones, facial_regions, joint_positions
+from gva_mi.sculptor.anatomy import Bone, bones, facial_regions, joint_positions
 
 if TYPE_CHECKING:
     import scipy.sparse as sparse
@@ -59,9 +58,8 @@ def laplacian(vertices: np.ndarray, faces: np.ndarray) -> tuple[sparse.csr_matri
         a, b, c = (faces[:, (k + i) % 3] for i in range(3))
         u, v = vertices[b] - vertices[a], vertices[c] - vertices[a]
         double = np.linalg.norm(np.cross(u, v), axis=1)
-        half_cot = np.clip(
-            (u * v).sum(1) / (2 * double + 1e-12), 0.02, 20
-        )  # positive: no overshoot
+        # Held positive, so that temperatures stay between those of the bones.
+        half_cot = np.clip((u * v).sum(1) / (2 * double + 1e-12), 0.02, 20)
         edges = sparse.coo_matrix((half_cot, (b, c)), (n, n))
         L = L - edges - edges.T
         area += np.bincount(a, double / 6, n)
@@ -102,6 +100,7 @@ def joint_regressor(
 
 
 def _mirrored_joints() -> list[int]:
+    """Of each joint, its mirror image."""
     other = {"left": "right", "right": "left"}
     found = []
     for name in JOINTS:
@@ -111,12 +110,14 @@ def _mirrored_joints() -> list[int]:
 
 
 def _distance(points: np.ndarray, bone: Bone) -> np.ndarray:
+    """Distances (V,) of points (V, 3) from a bone's axis, metres."""
     a, ab = bone.start, bone.end - bone.start
     along = np.clip((points - a) @ ab / (ab @ ab), 0, 1)
     return np.linalg.norm(points - a - along[:, None] * ab, axis=1)
 
 
 def _four_strongest(weights: np.ndarray) -> np.ndarray:
+    """The four largest weights of each row (V, 55), in steps of 1/4096, with sum 1."""
     # Lowering all by the fifth keeps four, and without a jump where fourth and fifth change places.
     fifth = -np.partition(-weights, 4, axis=1)[:, 4:5]
     weights = np.maximum(weights - np.maximum(fifth, 0.003), 0)

@@ -1,7 +1,7 @@
 """How the puppet varies, as displacement fields: shapes, expressions, correctives of poses.
 
-Each column of ``shapedirs`` displaces the skin by one unit of its coefficient, a clear but common
-deviation.
+Each direction says how the skin moves for one unit of its coefficient, a clear but common deviation
+of people from each other.
 
 * Shapes stretch bones. Joint j carries a linear map D_j; joints move along the tree, and the skin
   follows with its weights:
@@ -19,8 +19,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from gva_mi.body.pose import JOINTS, PARENTS
-from gva_mi.sculptor.figure import (
+from gva_mi.body.pose import JOINTS, LEFT_HAND, PARENTS
+from gva_mi.body.puppet import SHAPES
+from gva_mi.sculptor.anatomy import (
     EYE_RADIUS,
     EYE_SLIT,
     LID_RADIUS,
@@ -30,7 +31,7 @@ from gva_mi.sculptor.figure import (
 Stretch = dict[str, tuple[float, float, float]]  # joint, of both sides: strain along x, y, z
 
 _TRUNK = ("pelvis", "spine1", "spine2", "spine3")
-_HAND = ("wrist", *(n.removeprefix("left_") for n in JOINTS[25:40]))
+_HAND = ("wrist", *(n.removeprefix("left_") for n in JOINTS[LEFT_HAND]))
 _FOOT = ("ankle", "foot")
 _HEAD = ("head", "jaw", "eye_smplhf")
 _LID_FOLD = 1.25  # radians over the eye's centre: beyond, the skin of the lids stays where it is
@@ -41,29 +42,33 @@ def shapes(vertices: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.nd
     """The fields of puppet.SHAPES on the skin (V, 3, 10), and the joints' moves (55, 3, 10)."""
     every = {_without_side(name) for name in JOINTS}
     all_of = lambda names, *strain: {name: strain for name in names}
-    stretches: list[Stretch] = [
-        all_of(every, 0.04, 0.04, 0.04),
-        all_of(_TRUNK, 0.065, 0, 0.08) | all_of(("hip", "knee"), 0.085, 0, 0.085)
+    stretches: dict[str, Stretch] = {
+        "height": all_of(every, 0.04, 0.04, 0.04),
+        "weight": all_of(_TRUNK, 0.065, 0, 0.08) | all_of(("hip", "knee"), 0.085, 0, 0.085)
         | all_of(("shoulder", "elbow"), 0, 0.09, 0.09) | all_of(("neck",), 0.06, 0, 0.05)
         | all_of(_HAND, 0, 0.03, 0.03) | all_of(("jaw", "head"), 0.02, 0, 0.01),
-        all_of(("hip", "knee"), 0, 0.06, 0),
-        all_of(("shoulder", "elbow"), 0.06, 0, 0),
-        {"collar": (0.10, 0, 0), "spine3": (0.07, 0, 0.02), "spine2": (0.03, 0, 0)},
-        {"pelvis": (0.09, 0, 0.06), "spine1": (0.03, 0, 0.02), "hip": (0.06, 0, 0.05)},
-        {"spine3": (0.02, 0, 0.05)},
-        {"spine1": (0.03, 0, 0.02)},
-        {"spine3": (0.05, 0, 0.04), "collar": (0.06, 0.05, 0.05), "shoulder": (0, 0.11, 0.11),
-         "elbow": (0, 0.08, 0.08), "hip": (0.06, 0, 0.06), "knee": (0.06, 0, 0.06),
-         "neck": (0.06, 0, 0.06), "spine1": (-0.02, 0, -0.03)},
-        all_of(_HEAD, 0.05, 0.05, 0.05) | all_of(_HAND, 0.03, 0.03, 0.03)
+        "leg length": all_of(("hip", "knee"), 0, 0.06, 0),
+        "arm length": all_of(("shoulder", "elbow"), 0.06, 0, 0),
+        "shoulder width": {"collar": (0.10, 0, 0), "spine3": (0.07, 0, 0.02),
+                           "spine2": (0.03, 0, 0)},
+        "hip width": {"pelvis": (0.09, 0, 0.06), "spine1": (0.03, 0, 0.02), "hip": (0.06, 0, 0.05)},
+        "chest": {"spine3": (0.02, 0, 0.05)},
+        "belly": {"spine1": (0.03, 0, 0.02)},
+        "muscles": {"spine3": (0.05, 0, 0.04), "collar": (0.06, 0.05, 0.05),
+                    "shoulder": (0, 0.11, 0.11), "elbow": (0, 0.08, 0.08), "hip": (0.06, 0, 0.06),
+                    "knee": (0.06, 0, 0.06), "neck": (0.06, 0, 0.06), "spine1": (-0.02, 0, -0.03)},
+        "size of the head": all_of(_HEAD, 0.05, 0.05, 0.05) | all_of(_HAND, 0.03, 0.03, 0.03)
         | all_of(_FOOT, 0.03, 0.03, 0.03),
-    ]  # fmt: skip
-    pairs = [_stretched(vertices, weights, stretch) for stretch in stretches]
+    }  # fmt: skip
+    bumps = {  # centre, widths, displacement
+        "weight": ((0, 0.02, 0.10), (0.10, 0.09, 0.06), (0, 0, 0.010)),
+        "chest": ((0.075, 0.315, 0.11), (0.050, 0.050, 0.05), (0.002, -0.003, 0.016)),
+        "belly": ((0, 0.065, 0.10), (0.09, 0.10, 0.06), (0, -0.003, 0.024)),
+    }
+    pairs = [_stretched(vertices, weights, stretches[name]) for name in SHAPES]
     fields = np.stack([field for field, _ in pairs], axis=-1)
-    bump = lambda *bump: _bumps(vertices, [bump])
-    fields[:, :, 1] += bump((0, 0.02, 0.10), (0.10, 0.09, 0.06), (0, 0, 0.010))
-    fields[:, :, 6] += bump((0.075, 0.315, 0.11), (0.050, 0.050, 0.05), (0.002, -0.003, 0.016))
-    fields[:, :, 7] += bump((0, 0.065, 0.10), (0.09, 0.10, 0.06), (0, -0.003, 0.024))
+    for name, bump in bumps.items():
+        fields[:, :, SHAPES.index(name)] += _bumps(vertices, [bump])
     return fields, np.stack([moves for _, moves in pairs], axis=-1)
 
 
@@ -148,6 +153,7 @@ def _blink(vertices: np.ndarray, weights: np.ndarray) -> np.ndarray:
 def _stretched(
     vertices: np.ndarray, weights: np.ndarray, stretch: Stretch
 ) -> tuple[np.ndarray, np.ndarray]:
+    """What stretched bones do to the skin, dv (V, 3), and to the joints, dJ (55, 3)."""
     J = joint_positions()
     strain = np.array([stretch.get(_without_side(name), (0, 0, 0)) for name in JOINTS])
     moves = np.zeros_like(J)

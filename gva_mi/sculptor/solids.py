@@ -36,7 +36,7 @@ class Solid(Protocol):
 
 @dataclass(frozen=True)
 class Cone:
-    """Two balls and what lies between them."""
+    """Two balls and the cone that touches both."""
 
     start: Sequence[float]
     end: Sequence[float]
@@ -58,7 +58,7 @@ class Cone:
 
 @dataclass(frozen=True)
 class Ball:
-    """An ellipsoid, turned about the x, then the y, then the z axis."""
+    """A ball with three radii, an ellipsoid, turned about the x, then the y, then the z axis."""
 
     centre: Sequence[float]
     radii: Sequence[float]

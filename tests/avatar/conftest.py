@@ -47,9 +47,7 @@ def random_pose():
     def draw(seed, angle=0.3, dtype=torch.float32):
         generator = torch.Generator().manual_seed(seed)
         normal = lambda *size: torch.randn(*size, generator=generator).to(dtype)
-        return Pose.from_rotations(
-            angle * normal(1, 55, 3), normal(1, 3), torch.zeros(1, 10, dtype=dtype)
-        )
+        return Pose(angle * normal(1, 55, 3), normal(1, 3), torch.zeros(1, 10, dtype=dtype))
 
     return draw
 

@@ -11,6 +11,7 @@ import torch
 from gva_mi import InputError
 from gva_mi.avatar import Avatar, AvatarOptions, ResidualOptions, SeedOptions, seed_avatar
 from gva_mi.body import Pose, Shape
+from gva_mi.body.pose import LEFT_HAND, RIGHT_HAND
 
 PLAIN = AvatarOptions(residual=ResidualOptions(enabled=False))
 
@@ -46,8 +47,9 @@ def test_root_motion_is_rigid(make_avatar, random_pose):
     pose = random_pose(0, dtype=torch.float64)
     R = roma.rotvec_to_rotmat(torch.tensor([0.3, 2.0, -0.5], dtype=torch.float64))
     shift = torch.tensor([0.1, -2.0, 0.7], dtype=torch.float64)
-    oriented = roma.rotmat_to_rotvec(R @ roma.rotvec_to_rotmat(pose.global_orient[0]))
-    moved = dataclasses.replace(pose, global_orient=oriented[None], transl=pose.transl + shift)
+    rotations = pose.rotations.clone()
+    rotations[0, 0] = roma.rotmat_to_rotvec(R @ roma.rotvec_to_rotmat(rotations[0, 0]))
+    moved = dataclasses.replace(pose, rotations=rotations, transl=pose.transl + shift)
     root = avatar.rig.joints[0] + pose.transl[0]
 
     before, after = avatar(pose), avatar(moved)
@@ -80,9 +82,9 @@ def test_residual_is_added_in_the_rest_pose(make_avatar):
 
 def test_without_hand_skeleton_fingers_do_not_move(make_avatar, random_pose):
     pose = random_pose(2)
-    still = dataclasses.replace(
-        pose, left_hand_pose=torch.zeros(1, 45), right_hand_pose=torch.zeros(1, 45)
-    )
+    rotations = pose.rotations.clone()
+    rotations[:, LEFT_HAND] = rotations[:, RIGHT_HAND] = 0
+    still = dataclasses.replace(pose, rotations=rotations)
     avatar = make_avatar(AvatarOptions(hands=False))
     assert torch.equal(avatar(pose).means, avatar(still).means)
     avatar = make_avatar(AvatarOptions(hands=True))
@@ -116,7 +118,7 @@ def test_pose_gradient_agrees_with_differences(make_avatar, random_pose):
     avatar = make_avatar(dtype=torch.float64)
     pose = random_pose(4, dtype=torch.float64)
     rotations = pose.rotations.requires_grad_()
-    turned = lambda r: loss_of(avatar, Pose.from_rotations(r, pose.transl, pose.expression))
+    turned = lambda r: loss_of(avatar, Pose(r, pose.transl, pose.expression))
     (grad,) = torch.autograd.grad(turned(rotations), rotations)
     along = torch.randn(1, 55, 3, generator=torch.Generator().manual_seed(5)).double()
     with torch.no_grad():

@@ -9,7 +9,6 @@ from gva_mi.avatar.densify import (
     ScreenGradients,
     densify,
     replace_gaussians,
-    reset_opacities,
 )
 from gva_mi.body import Pose
 from gva_mi.splat import Camera, Gaussians, SplatOptions, look_at
@@ -175,14 +174,6 @@ def test_screen_gradient_is_the_force_on_an_image_coordinate():
     expected = per_metre.abs() * 3 / 40 * 16
     assert gradients.mean()[0] == pytest.approx(expected.item(), rel=2e-2)
     assert gradients.mean()[1] == 0 and gradients.views.tolist() == [1, 0]  # behind the camera
-
-
-def test_reset_lowers_opacities_and_forgets_their_moments(avatar):
-    optimizer = adam(avatar)
-    reset_opacities(avatar, optimizer, 0.01)
-    assert avatar.canonical.opacities.max() <= 0.01 + 1e-6
-    assert avatar.canonical.logit_opacities not in optimizer.state
-    assert avatar.canonical.means in optimizer.state
 
 
 def test_fresh_gaussians_start_adam_afresh(avatar, make_avatar):

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from gva_mi.avatar import AvatarOptions, seed_avatar
 from gva_mi.avatar.canonical import CanonicalGaussians
 from gva_mi.avatar.densify import replace_gaussians
-from gva_mi.avatar.reinit import ReinitOptions, Surface, reinitialise, resample
+from gva_mi.avatar.reinit import ReinitOptions, SurfaceMesh, reinitialise, resample
 from gva_mi.body import Shape, load_body, nearest_weights
 from gva_mi.splat.kernels.sh import C0
 
@@ -191,7 +191,7 @@ def test_fingers_follow_the_body(plain_body):
 
 
 def test_count_is_met_and_curvature_draws_points(plain_body):
-    surface = Surface(plain_body.v_template.double().numpy(), plain_body.faces.numpy())
+    surface = SurfaceMesh(plain_body.v_template.double().numpy(), plain_body.faces.numpy())
     samples = resample(surface, 1500, 2.0, np.random.default_rng(0))
     assert len(samples.points) == pytest.approx(1500, rel=0.05)
     rim = np.abs(samples.points[:, 2]) < 0.05  # the sharp edge of the flat ellipsoid

@@ -27,7 +27,8 @@ def test_every_stage_is_measured_for_every_batch():
 
 def test_the_random_body_is_as_heavy_as_a_licensed_one():
     body = random_body(40, np.random.default_rng(0))
-    assert body.pose_directions.shape == (486, 120)
+    assert len(body.pose_features) == 486
+    assert body.frame_directions.shape == (486 + body.num_expressions, 120)
     assert (body.num_betas, body.num_expressions) == (10, 10)
     assert body(Pose.rest(2), Shape(torch.ones(10))).vertices.isfinite().all()
 

@@ -20,7 +20,7 @@ def body(random_file):
 def person():
     g = torch.Generator().manual_seed(3)
     normal = lambda *size: torch.randn(*size, generator=g, dtype=F64)
-    pose = Pose.from_rotations(0.4 * normal(3, 55, 3), normal(3, 3), normal(3, 8))
+    pose = Pose(0.4 * normal(3, 55, 3), normal(3, 3), normal(3, 8))
     return pose, Shape(normal(10)), 0.02 * normal(90, 3)
 
 
@@ -85,7 +85,7 @@ def test_rotating_the_root_moves_everything_rigidly(body, person):
     rotations = pose.rotations.clone()
     rotations[:, 0] = roma.rotmat_to_rotvec(turn @ roma.rotvec_to_rotmat(rotations[:, 0]))
     shift = torch.tensor([0.2, 0.5, -0.3], dtype=F64)
-    turned = Pose.from_rotations(rotations, pose.transl + shift, pose.expression)
+    turned = Pose(rotations, pose.transl + shift, pose.expression)
     after = body(turned, shape, offsets)
     root = before.joints[:, :1]
     for x, y in ((before.vertices, after.vertices), (before.joints, after.joints)):
@@ -150,7 +150,7 @@ def test_gradients_against_central_differences(body, person):
     }
 
     def loss(rotations, transl, expression, betas, offsets):
-        posed = body(Pose.from_rotations(rotations, transl, expression), Shape(betas), offsets)
+        posed = body(Pose(rotations, transl, expression), Shape(betas), offsets)
         return ((posed.vertices[0] - target) ** 2).sum() + posed.joints[0].sin().sum()
 
     leaves = {name: value.requires_grad_() for name, value in inputs.items()}
@@ -173,21 +173,9 @@ def test_gradients_against_central_differences(body, person):
 def test_the_rest_pose_has_finite_gradients(body):
     rotations = torch.zeros(1, 55, 3, dtype=F64, requires_grad=True)
     zero = torch.zeros(1, 3, dtype=F64)
-    posed = body(Pose.from_rotations(rotations, zero, zero), Shape(zero[0]))
+    posed = body(Pose(rotations, zero, zero), Shape(zero[0]))
     posed.vertices.square().sum().backward()
     assert rotations.grad.isfinite().all() and (rotations.grad != 0).any()
-
-
-def test_the_mean_hand_is_added_to_both_hands(body, person):
-    pose, _, _ = person
-    added = body.add_mean_hands(pose)
-    torch.testing.assert_close(
-        added.left_hand_pose - pose.left_hand_pose, body.hands_mean[:1].expand(3, -1)
-    )
-    torch.testing.assert_close(
-        added.right_hand_pose - pose.right_hand_pose, body.hands_mean[1:].expand(3, -1)
-    )
-    assert torch.equal(added.body_pose, pose.body_pose)
 
 
 def test_a_missing_file_is_explained(tmp_path):

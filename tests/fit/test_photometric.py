@@ -23,7 +23,7 @@ def off(pose, frames, turn=0.0):
     rotations, transl = pose.rotations.clone(), pose.transl.clone()
     transl[frames] += SHIFT
     rotations[frames, ELBOW, 1] += turn
-    return Pose.from_rotations(rotations, transl, pose.expression)
+    return Pose(rotations, transl, pose.expression)
 
 
 def same(a, b, frames=slice(None)):

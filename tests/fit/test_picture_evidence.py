@@ -18,7 +18,7 @@ PICTURE = PictureWeights(alpha=0.0, ssim=0.0)
 def moved(pose, shift=(0.0, 0.0, 0.0), elbow=0.0):
     rotations = pose.rotations.clone()
     rotations[:, JOINTS.index("right_elbow"), 1] += elbow
-    return Pose.from_rotations(rotations, pose.transl + torch.tensor(shift), pose.expression)
+    return Pose(rotations, pose.transl + torch.tensor(shift), pose.expression)
 
 
 @pytest.fixture

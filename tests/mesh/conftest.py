@@ -47,4 +47,4 @@ def true_pose():
     rotations[:, 0, 1] = 0.15 * time
     rotations[:, JOINTS.index("left_shoulder"), 2] = -0.5 - 0.1 * time
     rotations[:, JOINTS.index("right_shoulder"), 2] = 0.5 + 0.1 * time
-    return Pose.from_rotations(rotations, torch.zeros(3, 3), torch.zeros(3, 10))
+    return Pose(rotations, torch.zeros(3, 3), torch.zeros(3, 10))

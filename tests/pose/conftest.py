@@ -74,7 +74,7 @@ def true_pose():
     rotations[:, 0, 1] = 0.15 * time
     rotations[:, JOINTS.index("left_shoulder"), 2] = -0.5 - 0.1 * time
     rotations[:, JOINTS.index("right_shoulder"), 2] = 0.5 + 0.1 * time
-    return Pose.from_rotations(rotations, torch.zeros(3, 3), torch.zeros(3, 10))
+    return Pose(rotations, torch.zeros(3, 3), torch.zeros(3, 10))
 
 
 @pytest.fixture(scope="session")
@@ -89,5 +89,5 @@ def clip(body, scene, camera, true_pose):
     rotations = true_pose.rotations.clone()
     for name, angle in (("left_shoulder", 0.25), ("right_shoulder", 0.2), ("left_elbow", -0.2)):
         rotations[:, JOINTS.index(name), 2] += angle
-    stage1 = Pose.from_rotations(rotations, true_pose.transl.clone(), true_pose.expression)
+    stage1 = Pose(rotations, true_pose.transl.clone(), true_pose.expression)
     return Clip(stage1, shape, pictures, camera)

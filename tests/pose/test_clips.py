@@ -40,7 +40,7 @@ def smooth(frames):
     axis = torch.nn.functional.normalize(torch.randn(55, 3, generator=generator), dim=-1)
     rotations = torch.linspace(0, 2.5, frames)[:, None, None] * axis
     transl = torch.linspace(0, 1, frames)[:, None] * torch.tensor([1.0, 2.0, 3.0])
-    return Pose.from_rotations(rotations, transl, transl @ torch.ones(3, 10))
+    return Pose(rotations, transl, transl @ torch.ones(3, 10))
 
 
 def apart(a, b):
@@ -62,7 +62,7 @@ def test_a_disagreement_is_spread_over_the_overlap():
     clips = cut(60, 40, 9)
     off = torch.tensor([0.1, 0.0, 0.0])
     turn = roma.rotvec_composition([pose.rotations, off.expand_as(pose.rotations)])
-    other = Pose.from_rotations(turn, pose.transl + off, pose.expression)
+    other = Pose(turn, pose.transl + off, pose.expression)
     a, b = clips
     found = join(clips, [poses_of_clip(a, pose), poses_of_clip(b, other)])
     steps = (found.transl - pose.transl)[:, 0]
@@ -76,7 +76,7 @@ def test_a_disagreement_is_spread_over_the_overlap():
 def test_two_solutions_half_a_turn_of_numbers_apart_are_blended_the_short_way():
     """Axis-angle vectors of one rotation may be opposite; the mean of the vectors is another."""
     half = torch.tensor([0.0, 3.1, 0.0]).expand(6, 55, 3)
-    pose = lambda rotations: Pose.from_rotations(rotations, torch.zeros(6, 3), torch.zeros(6, 10))
+    pose = lambda rotations: Pose(rotations, torch.zeros(6, 3), torch.zeros(6, 10))
     clips = [range(0, 6), range(2, 8)]
     found = join(clips, [pose(half), pose(-half)])
     assert float(apart(found.rotations[2:6], half[:4]).max()) < 0.09

@@ -22,7 +22,7 @@ def turning(speed, frames=7, joint=ELBOW):
     """A pose in which one joint turns, by ``speed`` radians from frame to frame."""
     rotations = torch.zeros(frames, 55, 3)
     rotations[:, joint, 1] = speed * torch.arange(frames)
-    return Pose.from_rotations(rotations, torch.zeros(frames, 3), torch.zeros(frames, 10))
+    return Pose(rotations, torch.zeros(frames, 3), torch.zeros(frames, 10))
 
 
 @pytest.fixture

@@ -87,7 +87,7 @@ def test_progress_counts_every_step(camera):
 @pytest.mark.parametrize("frames", [[], [1], [0, 2]])
 def test_frames_take_what_was_found_for_them(frames):
     start = Pose.rest(3)
-    found = Pose.from_rotations(torch.ones(3, 55, 3), torch.ones(3, 3), torch.ones(3, 10))
+    found = Pose(torch.ones(3, 55, 3), torch.ones(3, 3), torch.ones(3, 10))
     mixed = with_frames(start, frames, found[frames])
     for k in range(3):
         source = found if k in frames else start

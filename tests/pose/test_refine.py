@@ -51,8 +51,10 @@ def test_the_paper_s_way_moves_rotations_alone(paper, clip):
 
 
 def test_the_face_stays(sequence, clip):
-    for name in ("jaw_pose", "leye_pose", "reye_pose", "expression"):
-        torch.testing.assert_close(getattr(sequence.pose, name), getattr(clip.pose, name))
+    face = slice(22, 25)  # jaw and eyes
+    after, before = sequence.pose, clip.pose
+    torch.testing.assert_close(after.rotations[:, face], before.rotations[:, face])
+    torch.testing.assert_close(after.expression, before.expression)
 
 
 @pytest.mark.slow

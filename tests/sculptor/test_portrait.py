@@ -8,7 +8,8 @@ from gva_mi.body.pose import JOINTS
 from gva_mi.body.puppet import EXPRESSIONS, PUPPET
 from gva_mi.sculptor import portrait
 from gva_mi.commands import body as show_body
-from gva_mi.sculptor.portrait import BODIES, turntable
+from gva_mi.sculptor.portrait import turntable
+from gva_mi.sculptor.portrait_poses import BODIES, faces, hands
 from gva_mi.errors import InputError
 
 
@@ -33,11 +34,10 @@ def test_the_same_picture_twice(puppet):
 
 
 def test_the_sheet_names_joints_and_expressions_that_exist(puppet):
-    figures = [*BODIES, *portrait._hands(puppet), *portrait._faces(puppet)]
     assert len(BODIES) >= 8
-    for figure in figures:
-        assert set(figure.rotations) <= set(JOINTS)
-        assert figure.expression in ("", *EXPRESSIONS)
+    for shown in (*BODIES, *hands(puppet), *faces(puppet)):
+        assert set(shown.rotations) <= set(JOINTS)
+        assert shown.expression in ("", *EXPRESSIONS)
 
 
 def test_the_eyes_have_their_own_colours(puppet):

@@ -1,6 +1,24 @@
-"""Synthetic subjects: a clothed person from a seed, its video, and what is true about both."""
+"""Synthetic subjects: a clothed person from a seed, its video, and what is true about both.
 
-from gva_mi.data.synthetic.dataset import SynthOptions, describe_noise, make_subject
+==========================================  ====================================================
+People       ``people``                     who it is: shape, colours, the cut of the clothes
+             ``rest_body``                  the body below the clothes
+             ``clothes/``                   what is worn, and how it moves with the body
+             ``texture``, ``color``         colours of skin, cloth and hair
+             ``subject``                    all of it as one surface
+Motion       ``motion``                     what the video shows, and poses that it does not show
+Pictures     ``render``                     rays, light, and the camera
+             ``camera_effects``             background, blur, noise of the sensor
+             ``shots``                      the files of one picture, by one process or several
+Noise        ``noise``                      wrong poses, masks and normals, as of a real pipeline
+The folder   ``options``                    all that can be chosen
+             ``dataset``                    makes a subject's folder
+             ``contact_sheet``              a picture of all subjects and of one's folder
+==========================================  ====================================================
+"""
+
+from gva_mi.data.synthetic.dataset import describe_noise, make_subject
+from gva_mi.data.synthetic.options import SynthOptions
 from gva_mi.data.synthetic.people import STUDY
 
 __all__ = ["STUDY", "SynthOptions", "describe_noise", "make_subject"]

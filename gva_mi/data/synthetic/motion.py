@@ -7,17 +7,92 @@ asked for any frames, and for the moments just before them.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 import roma
 import torch
 
+from gva_mi.body.gestures import GESTURES, AxisAngle, blend_between, put_hand
 from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, Pose
-from gva_mi.data.synthetic.gestures import GESTURES, blend_between, put_hand
 
 A_POSE = 0.98  # rad, how far the arms hang down from the T-pose
 DURATION = 6.0  # s, one round
-STEP = 0.04  # s, between the moments that a lag remembers
+STEP = 0.04  # s, between the moments that a lag depends on
+
+
+@dataclass(frozen=True)
+class Action:
+    """What a body does beside standing in the A-pose."""
+
+    joints: Mapping[str, AxisAngle]  # rotations in place of the A-pose's, by name
+    left: str  # gesture of the left hand
+    right: str  # gesture of the right hand
+
+
+ACTIONS: Mapping[str, Action] = {  # of the everyday video
+    "squat": Action(
+        {"left_hip": (-0.95, -0.1, 0.18), "left_knee": (1.25, 0, 0), "left_ankle": (-0.4, 0, 0),
+         "right_hip": (-0.95, 0.1, -0.18), "right_knee": (1.25, 0, 0), "right_ankle": (-0.4, 0, 0),
+         "spine1": (0.25, 0, 0), "left_shoulder": (0, -0.6, -0.7), "right_shoulder": (0, 0.6, 0.7)},
+        "rest", "rest",
+    ),
+    "step left": Action(
+        {"left_hip": (-0.45, 0, 0.06), "left_knee": (0.35, 0, 0), "right_hip": (0.2, 0, -0.06),
+         "right_knee": (0.2, 0, 0), "right_shoulder": (-0.3, 0, 1.1)}, "rest", "fist",
+    ),
+    "step right": Action(
+        {"right_hip": (-0.45, 0, -0.06), "right_knee": (0.35, 0, 0), "left_hip": (0.2, 0, 0.06),
+         "left_knee": (0.2, 0, 0), "left_shoulder": (-0.3, 0, -1.1)}, "four", "rest",
+    ),
+    "hands together": Action(
+        {"left_shoulder": (0.1, -0.55, -0.95), "right_shoulder": (0.1, 0.55, 0.95),
+         "left_elbow": (0, -1.35, 0), "right_elbow": (0, 1.35, 0)}, "open", "open",
+    ),
+    "drink": Action(
+        {"right_shoulder": (0, 0.75, 0.85), "right_elbow": (-0.3, 1.9, 0), "head": (-0.12, 0, 0)},
+        "rest", "pinch",
+    ),
+    "reach": Action(
+        {"left_shoulder": (0, -0.3, 0.55), "left_elbow": (0, -0.15, 0), "head": (-0.2, 0.25, 0)},
+        "open", "rest",
+    ),
+}  # fmt: skip
+POSES: Mapping[str, Action] = {  # that no video holds
+    "wave": Action({"right_shoulder": (0, 0, -0.5), "right_elbow": (0, 0.3, -1.5)}, "rest", "open"),
+    "point": Action(
+        {"left_shoulder": (0, -1.25, -0.15), "left_elbow": (0, -0.1, 0)}, "point", "rest"
+    ),
+    "arms up": Action(
+        {"left_shoulder": (0, 0, 1.0), "right_shoulder": (0, 0, -1.0),
+         "left_elbow": (0, 0, 0.3), "right_elbow": (0, 0, -0.3)}, "open", "open",
+    ),
+    "step": Action(
+        {"left_hip": (-0.55, 0, 0.05), "left_knee": (0.45, 0, 0), "right_hip": (0.3, 0, -0.05),
+         "right_knee": (0.25, 0, 0), "left_shoulder": (0.5, 0, -1.0),
+         "right_shoulder": (-0.5, 0, 1.0)}, "fist", "fist",
+    ),
+    "arms in front": Action(
+        {"left_shoulder": (0, -0.75, -0.75), "right_shoulder": (0, 0.75, 0.75),
+         "left_elbow": (0, -1.2, 0), "right_elbow": (0, 1.2, 0)}, "pinch", "two",
+    ),
+    "lunge": Action(
+        {"left_hip": (-1.05, 0, 0.08), "left_knee": (1.0, 0, 0), "right_hip": (0.45, 0, -0.05),
+         "right_knee": (0.65, 0, 0), "right_ankle": (0.2, 0, 0), "left_elbow": (0, -1.4, 0),
+         "left_shoulder": (0, -0.2, -1.15), "right_shoulder": (0, 0.2, 1.15)}, "fist", "four",
+    ),
+    "thumbs up": Action(
+        {"right_shoulder": (0, 0.6, 1.0), "right_elbow": (-0.9, 1.4, 0)}, "rest", "thumb",
+    ),
+    "bow": Action(
+        {"spine1": (0.2, 0.2, 0), "spine2": (0.2, 0.15, 0), "neck": (0.15, 0, 0),
+         "left_shoulder": (-0.2, -0.5, -0.8), "right_shoulder": (0.2, 0, 0.6)}, "three", "open",
+    ),
+    "t-pose": Action(
+        {"left_shoulder": (0, 0, -0.1), "right_shoulder": (0, 0, 0.1),
+         "left_elbow": (0, 0, 0), "right_elbow": (0, 0, 0)}, "three", "fist",
+    ),
+}  # fmt: skip
 
 
 def times(frames: int) -> np.ndarray:
@@ -57,12 +132,13 @@ def everyday(t: np.ndarray, expressions: int, rng: np.random.Generator) -> Pose:
     swell = np.sin(np.pi * share) ** 2
     for k, name in enumerate(names):
         weight = np.where(index == k, swell, 0.0)[:, None]
-        joints, left, right = ACTIONS[name]
-        for joint, value in joints.items():
+        action = ACTIONS[name]
+        for joint, value in action.joints.items():
             target = np.array(value) * rng.uniform(0.9, 1.1)
             at = JOINTS.index(joint)
             rotations[:, at] += weight * (target - rotations[:, at])
-        for hand, gesture, side in ((LEFT_HAND, left, "left"), (RIGHT_HAND, right, "right")):
+        hands = ((LEFT_HAND, "left", action.left), (RIGHT_HAND, "right", action.right))
+        for hand, side, gesture in hands:
             shaped = np.zeros((1, 55, 3))
             put_hand(shaped, side, GESTURES[gesture].values)
             rotations[:, hand] += weight[..., None] * (shaped[:, hand] - rotations[:, hand])
@@ -149,13 +225,13 @@ def novel(count: int, expressions: int, rng: np.random.Generator) -> Pose:
     rotations = np.zeros((count, 55, 3))
     names = list(POSES)
     for k in range(count):
-        joints, left, right = POSES[names[k % len(names)]]
+        action = POSES[names[k % len(names)]]
         for side, sign in (("left", 1.0), ("right", -1.0)):
             rotations[k, JOINTS.index(f"{side}_shoulder"), 2] = -sign * A_POSE
             rotations[k, JOINTS.index(f"{side}_elbow"), 1] = -sign * 0.2
-        for name, value in joints.items():
+        for name, value in action.joints.items():
             rotations[k, JOINTS.index(name)] = np.array(value) * rng.uniform(0.9, 1.1)
-        for side, gesture in (("left", left), ("right", right)):
+        for side, gesture in (("left", action.left), ("right", action.right)):
             put_hand(rotations[k : k + 1], side, GESTURES[gesture].values)
         rotations[k, JOINTS.index("head")] += rng.normal(0, 0.08, 3)
         rotations[k, JOINTS.index("jaw"), 0] = rng.uniform(0, 0.15)
@@ -163,71 +239,6 @@ def novel(count: int, expressions: int, rng: np.random.Generator) -> Pose:
     rotations[:, 0] = _turned(facing, np.zeros((count, 2)))
     expression = rng.normal(0, 0.5, (count, expressions)) * (np.arange(expressions) < 10)
     return _pose(rotations, np.zeros((count, 3)), expression)
-
-
-# Joint rotations (axis-angle, radians) in place of the A-pose's, and the gestures of both hands.
-Action = tuple[Mapping[str, tuple[float, float, float]], str, str]
-ACTIONS: Mapping[str, Action] = {  # of the everyday video
-    "squat": (
-        {"left_hip": (-0.95, -0.1, 0.18), "left_knee": (1.25, 0, 0), "left_ankle": (-0.4, 0, 0),
-         "right_hip": (-0.95, 0.1, -0.18), "right_knee": (1.25, 0, 0), "right_ankle": (-0.4, 0, 0),
-         "spine1": (0.25, 0, 0), "left_shoulder": (0, -0.6, -0.7), "right_shoulder": (0, 0.6, 0.7)},
-        "rest", "rest",
-    ),
-    "step left": (
-        {"left_hip": (-0.45, 0, 0.06), "left_knee": (0.35, 0, 0), "right_hip": (0.2, 0, -0.06),
-         "right_knee": (0.2, 0, 0), "right_shoulder": (-0.3, 0, 1.1)}, "rest", "fist",
-    ),
-    "step right": (
-        {"right_hip": (-0.45, 0, -0.06), "right_knee": (0.35, 0, 0), "left_hip": (0.2, 0, 0.06),
-         "left_knee": (0.2, 0, 0), "left_shoulder": (-0.3, 0, -1.1)}, "four", "rest",
-    ),
-    "hands together": (
-        {"left_shoulder": (0.1, -0.55, -0.95), "right_shoulder": (0.1, 0.55, 0.95),
-         "left_elbow": (0, -1.35, 0), "right_elbow": (0, 1.35, 0)}, "open", "open",
-    ),
-    "drink": (
-        {"right_shoulder": (0, 0.75, 0.85), "right_elbow": (-0.3, 1.9, 0), "head": (-0.12, 0, 0)},
-        "rest", "pinch",
-    ),
-    "reach": (
-        {"left_shoulder": (0, -0.3, 0.55), "left_elbow": (0, -0.15, 0), "head": (-0.2, 0.25, 0)},
-        "open", "rest",
-    ),
-}  # fmt: skip
-POSES: Mapping[str, Action] = {  # that no video holds
-    "wave": ({"right_shoulder": (0, 0, -0.5), "right_elbow": (0, 0.3, -1.5)}, "rest", "open"),
-    "point": ({"left_shoulder": (0, -1.25, -0.15), "left_elbow": (0, -0.1, 0)}, "point", "rest"),
-    "arms up": (
-        {"left_shoulder": (0, 0, 1.0), "right_shoulder": (0, 0, -1.0),
-         "left_elbow": (0, 0, 0.3), "right_elbow": (0, 0, -0.3)}, "open", "open",
-    ),
-    "step": (
-        {"left_hip": (-0.55, 0, 0.05), "left_knee": (0.45, 0, 0), "right_hip": (0.3, 0, -0.05),
-         "right_knee": (0.25, 0, 0), "left_shoulder": (0.5, 0, -1.0),
-         "right_shoulder": (-0.5, 0, 1.0)}, "fist", "fist",
-    ),
-    "arms in front": (
-        {"left_shoulder": (0, -0.75, -0.75), "right_shoulder": (0, 0.75, 0.75),
-         "left_elbow": (0, -1.2, 0), "right_elbow": (0, 1.2, 0)}, "pinch", "two",
-    ),
-    "lunge": (
-        {"left_hip": (-1.05, 0, 0.08), "left_knee": (1.0, 0, 0), "right_hip": (0.45, 0, -0.05),
-         "right_knee": (0.65, 0, 0), "right_ankle": (0.2, 0, 0), "left_elbow": (0, -1.4, 0),
-         "left_shoulder": (0, -0.2, -1.15), "right_shoulder": (0, 0.2, 1.15)}, "fist", "four",
-    ),
-    "thumbs up": (
-        {"right_shoulder": (0, 0.6, 1.0), "right_elbow": (-0.9, 1.4, 0)}, "rest", "thumb",
-    ),
-    "bow": (
-        {"spine1": (0.2, 0.2, 0), "spine2": (0.2, 0.15, 0), "neck": (0.15, 0, 0),
-         "left_shoulder": (-0.2, -0.5, -0.8), "right_shoulder": (0.2, 0, 0.6)}, "three", "open",
-    ),
-    "t-pose": (
-        {"left_shoulder": (0, 0, -0.1), "right_shoulder": (0, 0, 0.1),
-         "left_elbow": (0, 0, 0), "right_elbow": (0, 0, 0)}, "three", "fist",
-    ),
-}  # fmt: skip
 
 
 def _turned(yaw: np.ndarray, lean: np.ndarray) -> np.ndarray:
@@ -240,4 +251,4 @@ def _turned(yaw: np.ndarray, lean: np.ndarray) -> np.ndarray:
 
 def _pose(rotations: np.ndarray, transl: np.ndarray, expression: np.ndarray) -> Pose:
     tensor = lambda x: torch.from_numpy(x).float()
-    return Pose.from_rotations(tensor(rotations), tensor(transl), tensor(expression))
+    return Pose(tensor(rotations), tensor(transl), tensor(expression))

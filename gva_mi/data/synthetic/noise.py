@@ -1,4 +1,4 @@
-"""What a real pipeline would see instead of the truth, at a level: 1 is usual, 0 is exact.
+"""Errors of the data that a real pipeline has in place of the truth; level 1 is usual, 0 is exact.
 
 * Poses, as an estimator on single frames gives them: errors grow toward hands and feet, come in
   bursts of some frames, and are twice as large where the person stands sideways; depth is known
@@ -27,7 +27,7 @@ ROTATION: Mapping[str, float] = {
     "collar": 0.03, "shoulder": 0.055, "elbow": 0.095, "wrist": 0.16,
     "hip": 0.06, "knee": 0.085, "ankle": 0.15, "foot": 0.15,
 }  # fmt: skip
-HEAD, FINGER = 0.02, 0.16  # jaw and eyes; every joint of the fingers
+FACE, FINGER = 0.02, 0.16  # jaw and eyes; every joint of the fingers
 DEPTH, ASIDE = 0.028, 0.008  # m, translation along the line of sight, and across it
 BETAS = 0.25  # standard deviations
 EXPRESSION = 0.3  # standard deviations, of every coefficient that moves at all
@@ -43,19 +43,18 @@ GROUPS: Sequence[Sequence[str]] = (
     ("right_hip", "right_knee", "right_ankle", "right_foot"),
 )
 
-# Drop-outs: an estimator that loses a hand returns its mean pose on a straight wrist.
+# Drop-outs: an estimator that loses a hand returns the mean hand on a straight wrist.
 LOST = 0.08  # share of all frames in which a hand is lost
 LOST_FRAMES = 5.0  # length of a drop-out, on average
 MEAN_FINGER = 0.3  # rad, how far the fingers of the mean hand curl
 
+SIDES = ("left", "right")
+
 # Pixels at 512², scaled with the width of the picture.
 WOBBLE, WOBBLE_LENGTH = 1.1, 14.0  # boundary error of a mask, and the length over which it varies
-NOTCHES, NOTCH_RADIUS = 4, 4.0  # bites and bumps on a mask's boundary
+NOTCHES, NOTCH_RADIUS = 4, 4.0  # dents and bumps on a mask's boundary: how many, how large
 BLUR = 2.2  # of the normals
-TILT, TILT_LENGTH = (
-    0.14,
-    50.0,
-)  # rad and px: error of the normals, and the length over which it varies
+TILT, TILT_LENGTH = 0.14, 50.0  # rad, px: error of the normals, the length over which it varies
 
 
 @dataclass(frozen=True)
@@ -113,7 +112,7 @@ def noisy_poses(
     for k in np.flatnonzero(expression.any(0)):
         expression[:, k] += level * EXPRESSION * _curve(rng, frames)[:, 0] * np.sqrt(3)
     tensor = lambda x: torch.from_numpy(x).to(pose.transl.dtype)
-    noisy = Pose.from_rotations(tensor(rotations), tensor(transl), tensor(expression))
+    noisy = Pose(tensor(rotations), tensor(transl), tensor(expression))
     return noisy, Shape(betas)
 
 
@@ -127,7 +126,7 @@ def dropped_frames(frames: int, level: float, rng: np.random.Generator) -> np.nd
 
 
 def _bursts(rng: np.random.Generator, frames: int) -> np.ndarray:
-    """The envelope (T,) of an error: calm, with bursts at random moments."""
+    """Factors (T,) on the size of an error: calm, with bursts at random moments."""
     margin = int(3 * BURST_LENGTH)
     t = np.arange(frames)
     envelope = np.full(frames, CALM)
@@ -141,7 +140,7 @@ def _bursts(rng: np.random.Generator, frames: int) -> np.ndarray:
 
 def _sideways(pose: Pose, camera: Camera) -> np.ndarray:
     """How far a person stands sideways (T,): 0 seen from front or back, 1 from the side."""
-    facing = _matrices(pose.global_orient.double().numpy())[:, :, 2]
+    facing = _matrices(pose.rotations[:, 0].double().numpy())[:, :, 2]
     return np.abs(facing @ camera.T_camera_world[0, :3])
 
 
@@ -154,7 +153,7 @@ def _mean_hand(side: str) -> np.ndarray:
 
 
 def noisy_mask(mask: np.ndarray, level: float, rng: np.random.Generator) -> np.ndarray:
-    """A mask (H, W) in [0, 1] with a boundary that is off by a pixel or two."""
+    """A mask (H, W) in [0, 1] with a boundary that is off by a pixel or two at level 1."""
     if level == 0:
         return mask
     from scipy.ndimage import distance_transform_edt, gaussian_filter
@@ -171,15 +170,15 @@ def noisy_mask(mask: np.ndarray, level: float, rng: np.random.Generator) -> np.n
         radius = level * NOTCH_RADIUS * pixel * rng.uniform(0.4, 1.3)
         rows, columns = np.ogrid[: mask.shape[0], : mask.shape[1]]
         away = np.hypot(rows - centre[0], columns - centre[1])
-        bite = np.maximum(radius - away, 0)
-        wobble += rng.choice([-1, -1, 1]) * bite
+        notch = np.maximum(radius - away, 0)
+        wobble += rng.choice([-1, -1, 1]) * notch
     return np.clip(distance + wobble + 0.5, 0, 1).astype(np.float32)
 
 
 def noisy_normals(
     normals: np.ndarray, mask: np.ndarray, level: float, rng: np.random.Generator
 ) -> np.ndarray:
-    """Normals (H, W, 3) as a network would give them inside a mask (H, W)."""
+    """Normals (H, W, 3) as a network would give them inside a mask (H, W), blurred and turned."""
     if level == 0:
         return normals
     from scipy.ndimage import distance_transform_edt, gaussian_filter
@@ -207,16 +206,21 @@ def pose_error(
     """How far poses are from the truth, the mean over frames and vertices.
 
     A hand counts as lost where all of its noisy fingers are those of the mean hand.
+
+    Args:
+        body: takes both to vertices.
+        pose, shape: the noisy ones.
+        true, true_shape: the truth.
+        camera: tells who stands sideways.
     """
-    away = torch.cat(
-        [
-            (body(a, shape).vertices - body(b, true_shape).vertices).norm(dim=-1)
-            for a, b in zip(_chunks(pose), _chunks(true), strict=True)
-        ]
-    )
+    away = torch.cat([
+        (body(a, shape).vertices - body(b, true_shape).vertices).norm(dim=-1)
+        for a, b in zip(_chunks(pose), _chunks(true), strict=True)
+    ])  # fmt: skip
     weights = body.weights
-    hand = weights[:, 25:].sum(1) + weights[:, [20, 21]].sum(1) > 0.5
-    foot = weights[:, [7, 8, 10, 11]].sum(1) > 0.5
+    of = lambda *names: [JOINTS.index(f"{side}_{name}") for name in names for side in SIDES]
+    hand = weights[:, LEFT_HAND.start :].sum(1) + weights[:, of("wrist")].sum(1) > 0.5
+    foot = weights[:, of("ankle", "foot")].sum(1) > 0.5
     A, B = (_matrices(p.rotations.double().numpy().reshape(-1, 3)) for p in (pose, true))
     cosine = (np.einsum("nij,nij->n", A, B) - 1) / 2
     degrees = np.degrees(np.arccos(np.clip(cosine, -1, 1))).reshape(len(pose), -1)
@@ -224,18 +228,23 @@ def pose_error(
     side, front = degrees[sideways > 0.87].mean(1), degrees[sideways < 0.5].mean(1)  # 30 degrees
     ratio = side.mean() / front.mean() if len(side) and len(front) and front.any() else 1.0
     millimetres = lambda x: float(1000 * x.double().mean())
-    lost = [
-        tuple(np.flatnonzero(np.abs(fingers - _mean_hand(name)).max((1, 2)) < 1e-5).tolist())
-        for name, fingers in (
-            ("left", pose.rotations[:, LEFT_HAND].numpy()),
-            ("right", pose.rotations[:, RIGHT_HAND].numpy()),
-        )
-    ]
+    lost = lambda hand, side: _lost(pose.rotations[:, hand].numpy(), side)
     return PoseError(
-        millimetres(away), millimetres(away[:, hand]), millimetres(away[:, foot]),
-        float(degrees.mean()), millimetres((pose.transl - true.transl).norm(dim=-1)),
-        float(ratio), *lost,
-    )  # fmt: skip
+        vertex_mm=millimetres(away),
+        hand_vertex_mm=millimetres(away[:, hand]),
+        foot_vertex_mm=millimetres(away[:, foot]),
+        rotation_deg=float(degrees.mean()),
+        transl_mm=millimetres((pose.transl - true.transl).norm(dim=-1)),
+        sideways=float(ratio),
+        lost_left_hand=lost(LEFT_HAND, "left"),
+        lost_right_hand=lost(RIGHT_HAND, "right"),
+    )
+
+
+def _lost(fingers: np.ndarray, side: str) -> tuple[int, ...]:
+    """The frames in which fingers (T, 15, 3) are those of the mean hand."""
+    off = np.abs(fingers - _mean_hand(side)).max((1, 2))
+    return tuple(np.flatnonzero(off < 1e-5).tolist())
 
 
 def _chunks(pose: Pose, frames: int = 32) -> list[Pose]:
@@ -257,9 +266,10 @@ def normal_error(normals: np.ndarray, true: np.ndarray) -> float:
 
 def _sizes() -> np.ndarray:
     """Root mean square error of each joint's rotation, radians, (55,)."""
-    sizes = [ROTATION.get(name.split("_")[-1], HEAD) for name in JOINTS]
-    sizes[25:] = [FINGER] * 30
-    return np.array(sizes)
+    sizes = [ROTATION.get(name.split("_")[-1], FACE) for name in JOINTS]
+    sizes = np.array(sizes)
+    sizes[LEFT_HAND] = sizes[RIGHT_HAND] = FINGER
+    return sizes
 
 
 def _curve(rng: np.random.Generator, frames: int) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Who a subject is: shape, colours, clothes, hair. Drawn from a seed, or one of the study's seven.
+"""Who a subject is: shape, colours, clothes and hair; from a seed, or one of the study's seven.
 
 The seven differ in what an avatar finds hard: hair that stands off the head, a skirt, cloth without
 texture, fine glasses, the shadow of a cap.
@@ -9,11 +9,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
+from typing import Literal
 
 import numpy as np
 
-from gva_mi.data.synthetic.hair import HairStyle
-from gva_mi.data.synthetic.texture import Color, Fabric, linear, palette
+from gva_mi.data.synthetic.color import Color, linear, palette
+from gva_mi.data.synthetic.texture import Fabric
 
 SKINS = [
     linear(*c)
@@ -33,9 +34,12 @@ CLOTHS = [
 DENIMS = [linear(*c) for c in ((45, 60, 90), (75, 85, 105), (38, 40, 46), (125, 110, 85))]
 
 
+HairStyle = Literal["short", "bob", "long"]
+
+
 @dataclass(frozen=True)
-class Wardrobe:
-    """The cut of what a person wears."""
+class Outfit:
+    """The cut of clothes and hair."""
 
     sleeve: float  # where sleeves end, in (0, 2): 1 the elbow, 2 the wrist
     hem: float  # m, the shirt's end below the pelvis
@@ -53,7 +57,7 @@ class Wardrobe:
 class Person:
     """Everything about a person but the body's surface."""
 
-    seed: int  # of what is left: folds, locks, motion, noise
+    seed: int  # of everything else that is random: folds, locks, motion, noise
     betas: tuple[float, ...]  # standard deviations
     skin: Color
     hair: Color
@@ -61,15 +65,15 @@ class Person:
     top: Fabric
     bottom: Fabric
     shoes: Color
-    wardrobe: Wardrobe
+    outfit: Outfit
     accent: Color = CLOTHS[9]  # cap, or the frame of the glasses
 
     @staticmethod
     def draw(seed: int, num_betas: int) -> Person:
-        """The person of a seed."""
+        """The person that a seed stands for; ``num_betas`` is how many the body has."""
         rng = np.random.default_rng([seed, 0])
         betas = np.clip(rng.normal(0, 0.7, min(10, num_betas)), -1.4, 1.4)
-        wardrobe = _draw_wardrobe(rng)
+        outfit = _draw_outfit(rng)
         skin, hair = palette(rng, SKINS), palette(rng, HAIRS)
         colors = [CLOTHS[k] for k in rng.permutation(len(CLOTHS))]
         patterns = ["stripes", "plaid", "print", "dots", "plain"]
@@ -86,10 +90,10 @@ class Person:
         )
         iris, shoes, accent = palette(rng, IRISES), palette(rng, CLOTHS), palette(rng, CLOTHS)
         betas = tuple(float(b) for b in betas)
-        return Person(seed, betas, skin, hair, iris, top, bottom, shoes, wardrobe, accent)
+        return Person(seed, betas, skin, hair, iris, top, bottom, shoes, outfit, accent)
 
 
-def _draw_wardrobe(rng: np.random.Generator) -> Wardrobe:
+def _draw_outfit(rng: np.random.Generator) -> Outfit:
     sleeve = float(rng.choice([rng.uniform(0.45, 0.75), rng.uniform(1.6, 1.9)]))
     hem, loose = float(rng.uniform(0.08, 0.17)), float(rng.uniform(0.012, 0.026))
     bottom = str(rng.choice(["trousers", "trousers", "shorts", "skirt"]))
@@ -99,7 +103,7 @@ def _draw_wardrobe(rng: np.random.Generator) -> Wardrobe:
         "skirt": (rng.uniform(0.7, 1.0), rng.uniform(0.15, 0.3)),
     }[bottom]
     hair, thick = str(rng.choice(["bob", "bob", "long", "short"])), float(rng.uniform(0.012, 0.02))
-    drawn = Wardrobe(sleeve, hem, loose, bottom, float(length), float(flare), hair, thick)
+    drawn = Outfit(sleeve, hem, loose, bottom, float(length), float(flare), hair, thick)
     drawn = replace(drawn, glasses=bool(rng.random() < 0.2), cap=bool(rng.random() < 0.15))
     # A skirt spreads from the hips, and would come through a longer shirt.
     return replace(drawn, hem=0.4 * drawn.hem) if bottom == "skirt" else drawn
@@ -118,14 +122,14 @@ STUDY: Mapping[str, Person] = MappingProxyType({
         SKINS[1], HAIRS[1], IRISES[3],
         _fabric("stripes", (238, 232, 222), (176, 44, 48), (40, 44, 70), scale=0.058),
         _fabric("plain", (58, 78, 118), (90, 110, 150)), linear(236, 232, 226),
-        Wardrobe(1.75, 0.06, 0.016, "trousers", 1.92, 0.008, "long", 0.019),
+        Outfit(1.75, 0.06, 0.016, "trousers", 1.92, 0.008, "long", 0.019),
     ),
     "bruno": Person(  # glasses, plaid
         102, (1.1, 0.5, 0.2, 0.2, 0.9, -0.2, 0.2, 0.4, 0.9, 0.0),
         SKINS[0], HAIRS[2], IRISES[1],
         _fabric("plaid", (52, 104, 84), (24, 38, 48), (226, 178, 70), scale=0.075),
         _fabric("plain", (160, 138, 104), (120, 100, 76)), linear(96, 62, 42),
-        Wardrobe(0.62, 0.16, 0.020, "trousers", 1.93, 0.014, "short", 0.014, glasses=True),
+        Outfit(0.62, 0.16, 0.020, "trousers", 1.93, 0.014, "short", 0.014, glasses=True),
         linear(24, 22, 24),
     ),
     "chen": Person(  # bob, a print on chest and back
@@ -134,7 +138,7 @@ STUDY: Mapping[str, Person] = MappingProxyType({
         _fabric("print", (232, 176, 62), (34, 50, 92), (240, 236, 226)),
         _fabric("plaid", (62, 60, 70), (34, 34, 42), (178, 172, 160), scale=0.062),
         linear(176, 44, 48),
-        Wardrobe(1.85, 0.13, 0.024, "trousers", 1.88, 0.018, "bob", 0.018),
+        Outfit(1.85, 0.13, 0.024, "trousers", 1.88, 0.018, "bob", 0.018),
     ),
     "dalia": Person(  # a skirt, hair to the shoulder blades, a top of one colour
         104, (0.3, -0.2, 0.6, 0.1, -0.6, 1.0, 1.0, -0.3, -0.5, 0.0),
@@ -142,14 +146,14 @@ STUDY: Mapping[str, Person] = MappingProxyType({
         _fabric("smooth", (66, 140, 150)),
         _fabric("dots", (120, 48, 84), (238, 226, 214), (238, 226, 214), scale=0.045),
         linear(60, 60, 68),
-        Wardrobe(0.55, 0.035, 0.017, "skirt", 0.95, 0.26, "long", 0.019),
+        Outfit(0.55, 0.035, 0.017, "skirt", 0.95, 0.26, "long", 0.019),
     ),
     "edgar": Person(  # a cap, a heavy body, a white shirt without texture
         105, (0.2, 1.3, -0.2, 0.0, 0.6, 0.4, 0.3, 1.3, 0.2, 0.0),
         SKINS[3], HAIRS[0], IRISES[3],
         _fabric("smooth", (226, 224, 218)),
         _fabric("plain", (92, 104, 84), (60, 70, 54)), linear(46, 48, 58),
-        Wardrobe(0.70, 0.17, 0.024, "shorts", 0.92, 0.022, "short", 0.012, cap=True),
+        Outfit(0.70, 0.17, 0.024, "shorts", 0.92, 0.022, "short", 0.012, cap=True),
         linear(176, 52, 46),
     ),
     "fatou": Person(  # a wide bob, dots
@@ -157,7 +161,7 @@ STUDY: Mapping[str, Person] = MappingProxyType({
         SKINS[4], HAIRS[0], IRISES[3],
         _fabric("dots", (206, 96, 58), (244, 222, 176), (244, 222, 176), scale=0.052),
         _fabric("plain", (42, 46, 52), (70, 76, 84)), linear(232, 176, 62),
-        Wardrobe(0.50, 0.09, 0.015, "trousers", 1.70, 0.024, "bob", 0.022),
+        Outfit(0.50, 0.09, 0.015, "trousers", 1.70, 0.024, "bob", 0.022),
     ),
     "goran": Person(  # tall and thin, a loose pullover with a print, plaid shorts
         107, (1.3, -1.1, 0.4, 0.6, 0.3, -0.6, -0.4, -0.5, 0.2, 0.0),
@@ -165,6 +169,6 @@ STUDY: Mapping[str, Person] = MappingProxyType({
         _fabric("print", (124, 150, 188), (236, 232, 224), (176, 44, 48)),
         _fabric("plaid", (150, 70, 60), (98, 40, 40), (236, 222, 196), scale=0.070),
         linear(240, 238, 232),
-        Wardrobe(1.70, 0.15, 0.028, "shorts", 0.85, 0.020, "short", 0.018),
+        Outfit(1.70, 0.15, 0.028, "shorts", 0.85, 0.020, "short", 0.018),
     ),
 })  # fmt: skip

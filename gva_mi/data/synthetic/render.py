@@ -1,4 +1,4 @@
-"""Pictures of a subject, with Mitsuba's rays, under light that stays while the person turns.
+"""Pictures of a subject by Mitsuba's rays, under lights that stay while the person turns.
 
 A pixel has S samples over its area, each a ray that misses, or hits the surface at x with normal n
 and albedo a:
@@ -22,8 +22,10 @@ from dataclasses import dataclass
 import drjit as dr
 import numpy as np
 
-from gva_mi.data.synthetic.subject import Subject, vertex_normals
-from gva_mi.data.synthetic.texture import Part, albedo, encode
+from gva_mi.data.synthetic.clothes.level_sets import vertex_normals
+from gva_mi.data.synthetic.color import encode
+from gva_mi.data.synthetic.subject import Subject
+from gva_mi.data.synthetic.texture import Material, albedo
 from gva_mi.splat import Camera, look_at
 
 VARIANT = "llvm_ad_rgb"
@@ -34,7 +36,7 @@ OFFSET = 1e-4  # m, secondary rays start this far off the surface
 
 @dataclass(frozen=True)
 class AreaLight:
-    """A one-sided parallelogram that gives off light."""
+    """A parallelogram that shines to one side."""
 
     centre: tuple[float, float, float]  # metres, world
     u: tuple[float, float, float]  # half edges; u × v points to the side that shines
@@ -51,8 +53,8 @@ SKY, EARTH = (0.58, 0.60, 0.63), (0.30, 0.29, 0.28)  # ambient radiance from abo
 
 
 @dataclass(frozen=True)
-class Picture:
-    """What a camera sees of the subject."""
+class Rendering:
+    """The pictures of a subject that one camera sees."""
 
     color: np.ndarray  # (H, W, 3) float32 in [0, 1], sRGB-encoded, on white
     mask: np.ndarray  # (H, W) float32 in [0, 1], covered fraction of each pixel
@@ -76,17 +78,17 @@ class Renderer:
         self._params.update()
         self._scene = mi.load_dict({"type": "scene", "mesh": self._mesh})
         self._scene_params = mi.traverse(self._scene)
-        self._part = mi.UInt32(subject.part)
+        self._material = mi.UInt32(subject.material)
         self._rest = mi.Float(subject.vertices.ravel())
         self._tint = mi.Float(subject.tint.ravel())
         self._corner = self._params["faces"]
-        given_off = np.array([subject.look.mean_color(p) for p in Part])
+        given_off = np.array([subject.look.mean_color(p) for p in Material])
         self._given_off = mi.Float((0.55 * given_off).ravel().astype(np.float32))
-        dr.eval(self._part, self._rest, self._tint, self._given_off)
+        dr.eval(self._material, self._rest, self._tint, self._given_off)
 
     def __call__(
         self, vertices: np.ndarray, camera: Camera, samples: int = 16, seed: int = 0
-    ) -> Picture:
+    ) -> Rendering:
         """Draw it.
 
         Args:
@@ -122,7 +124,7 @@ class Renderer:
             image[window] = part
             return image
 
-        return Picture(
+        return Rendering(
             placed(color, 1.0), placed(mask, 0.0), placed(normal, 0.0), placed(mean[..., 6], 0.0)
         )
 
@@ -140,31 +142,17 @@ class Renderer:
         column = pixel % dr.opaque(mi.UInt32, camera.width)
         row = pixel // dr.opaque(mi.UInt32, camera.width)
 
-        number = lambda x: dr.opaque(mi.Float, x)
         jitter = mi.Point2f(
             (mi.Float(sample % n) + random.next_float32()) / n,
             (mi.Float(sample // n) + random.next_float32()) / n,
         )
-        direction = mi.Vector3f(
-            (mi.Float(column) + jitter.x - number(camera.cx)) / number(camera.fx),
-            (mi.Float(row) + jitter.y - number(camera.cy)) / number(camera.fy),
-            1.0,
+        ray, per_depth = _primary_rays(
+            camera, mi.Float(column) + jitter.x, mi.Float(row) + jitter.y
         )
-        per_depth = dr.norm(direction)
-        T_world_camera = np.linalg.inv(camera.T_camera_world)
-        R = [[number(float(T_world_camera[i, j])) for j in range(3)] for i in range(3)]
-        turned = mi.Vector3f(
-            *(
-                R[i][0] * direction.x + R[i][1] * direction.y + R[i][2] * direction.z
-                for i in range(3)
-            )
-        )
-        eye = mi.Point3f(*(number(float(x)) for x in T_world_camera[:3, 3]))
-        ray = mi.Ray3f(eye, turned / per_depth)
         at = self._scene.ray_intersect_preliminary(ray, coherent=True)
         hit = at.is_valid()
-        part, rest, tint, n_shading = self._surface(at.prim_index, at.prim_uv, hit)
-        color = albedo(self._look, part, rest) * tint
+        material, rest, tint, n_shading = self._surface(at.prim_index, at.prim_uv, hit)
+        color = albedo(self._look, material, rest) * tint
         start = ray(at.t) + n_shading * OFFSET - ray.d * OFFSET
 
         light = mi.Color3f(0)
@@ -180,7 +168,7 @@ class Renderer:
     def _surface(
         self, triangle: dr.ArrayBase, uv: dr.ArrayBase, active: dr.ArrayBase
     ) -> tuple[dr.ArrayBase, dr.ArrayBase, dr.ArrayBase, dr.ArrayBase]:
-        """Part, rest position, tint and shading normal at a point of a triangle."""
+        """Material, rest position, tint and shading normal at a point of a triangle."""
         import mitsuba as mi
 
         corner = dr.gather(mi.Vector3u, self._corner, triangle, active)
@@ -188,8 +176,8 @@ class Renderer:
         blend = lambda values: sum(
             dr.gather(mi.Vector3f, values, corner[k], active) * weight[k] for k in range(3)
         )
-        part = dr.gather(mi.UInt32, self._part, triangle, active)
-        return part, blend(self._rest), blend(self._tint), dr.normalize(blend(self._normals))
+        material = dr.gather(mi.UInt32, self._material, triangle, active)
+        return material, blend(self._rest), blend(self._tint), dr.normalize(blend(self._normals))
 
     def _direct(
         self,
@@ -231,10 +219,32 @@ class Renderer:
         direction = mi.Frame3f(n).to_world(local)
         pi = self._scene.ray_intersect_preliminary(mi.Ray3f(x, direction), active=active)
         blocked = pi.is_valid()
-        part = dr.gather(mi.UInt32, self._part, pi.prim_index, active & blocked)
-        given_off = dr.gather(mi.Color3f, self._given_off, part, active & blocked)
+        material = dr.gather(mi.UInt32, self._material, pi.prim_index, active & blocked)
+        given_off = dr.gather(mi.Color3f, self._given_off, material, active & blocked)
         sky = dr.lerp(mi.Color3f(*EARTH), mi.Color3f(*SKY), 0.5 + 0.5 * direction.y)
         return dr.select(blocked, given_off, sky)
+
+
+def _primary_rays(
+    camera: Camera, x: dr.ArrayBase, y: dr.ArrayBase
+) -> tuple[dr.ArrayBase, dr.ArrayBase]:
+    """Rays through points of the picture, pixels; and their length per metre of depth."""
+    import mitsuba as mi
+
+    number = lambda x: dr.opaque(mi.Float, x)
+    direction = mi.Vector3f(
+        (x - number(camera.cx)) / number(camera.fx),
+        (y - number(camera.cy)) / number(camera.fy),
+        1.0,
+    )
+    per_depth = dr.norm(direction)
+    T_world_camera = np.linalg.inv(camera.T_camera_world)
+    R = [[number(float(T_world_camera[i, j])) for j in range(3)] for i in range(3)]
+    turned = mi.Vector3f(
+        *(R[i][0] * direction.x + R[i][1] * direction.y + R[i][2] * direction.z for i in range(3))
+    )
+    eye = mi.Point3f(*(number(float(x)) for x in T_world_camera[:3, 3]))
+    return mi.Ray3f(eye, turned / per_depth), per_depth
 
 
 class _Strata:
@@ -284,9 +294,8 @@ def camera_around(
         elevation: how high it stands, radians.
     """
     points = surface.reshape(-1, 3)
-    points = points[:: max(1, len(points) // 50_000)].astype(
-        np.float64
-    )  # the margin holds the rest
+    # The margin makes room for the points that are left out.
+    points = points[:: max(1, len(points) // 50_000)].astype(np.float64)
     middle = (points.min(0) + points.max(0)) / 2
     flat = np.cos(elevation)
     away = np.array([np.sin(azimuth) * flat, np.sin(elevation), np.cos(azimuth) * flat])

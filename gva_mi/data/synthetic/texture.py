@@ -7,7 +7,6 @@ primaries.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Literal
@@ -15,12 +14,13 @@ from typing import Literal
 import drjit as dr
 import numpy as np
 
-Color = tuple[float, float, float]
+from gva_mi.data.synthetic.color import Color
+
 Point = tuple[float, float, float]
 Pattern = Literal["smooth", "plain", "stripes", "plaid", "dots", "print"]
 
 
-class Part(IntEnum):
+class Material(IntEnum):
     """What a triangle belongs to."""
 
     SKIN = 0
@@ -33,7 +33,7 @@ class Part(IntEnum):
 
 @dataclass(frozen=True)
 class Fabric:
-    """A cloth: its pattern and colours; "plain" has a weave, "smooth" nothing at all."""
+    """A cloth: its pattern and colours; "plain" has only a weave, "smooth" not even that."""
 
     pattern: Pattern
     colors: tuple[Color, Color, Color]  # ground, figure, thin lines; linear albedo
@@ -41,7 +41,7 @@ class Fabric:
 
 
 @dataclass(frozen=True)
-class Face:
+class FaceLandmarks:
     """Where the face is painted, rest pose, metres."""
 
     eyes: tuple[Point, Point]  # left, right
@@ -50,8 +50,8 @@ class Face:
 
 
 @dataclass(frozen=True)
-class Cone:
-    """What a skirt is sewn into; its cloth is cut flat, so that patterns keep their size."""
+class SkirtCone:
+    """The cone that a skirt is sewn into; its cloth lies flat, so that patterns keep their size."""
 
     apex: Point  # metres
     slope: float  # radius per metre below the apex
@@ -73,7 +73,7 @@ class Cone:
 
 @dataclass(frozen=True)
 class Look:
-    """Everything about a person that is colour."""
+    """The colours of a person, and where on the rest surface they go."""
 
     skin: Color
     lips: Color
@@ -84,102 +84,119 @@ class Look:
     bottom: Fabric
     shoes: Color
     swimsuit: bool  # painted on the skin where there are no clothes
-    face: Face
+    face: FaceLandmarks
     nails: tuple[Point, ...]  # centres on the fingers' backs, metres
     shoulder: Point  # left shoulder; sleeves begin here
     hip: Point  # left hip
     ground: float  # m, height of the soles
     accessory: Color = (0.02, 0.02, 0.02)
-    cone: Cone | None = None  # of a skirt
+    cone: SkirtCone | None = None  # of a skirt
 
-    def mean_color(self, part: Part) -> Color:
-        """A colour that stands for the part in indirect light."""
-        fabric = {Part.TOP: self.top, Part.BOTTOM: self.bottom}.get(part)
+    def mean_color(self, material: Material) -> Color:
+        """A colour that stands for the material in indirect light."""
+        fabric = {Material.TOP: self.top, Material.BOTTOM: self.bottom}.get(material)
         if fabric is not None:
             a, b = np.array(fabric.colors[0]), np.array(fabric.colors[1])
             return tuple(0.6 * a + 0.4 * b)
-        plain = {Part.SKIN: self.skin, Part.SHOES: self.shoes, Part.HAIR: self.hair}
-        return plain.get(part, self.accessory)
+        plain = {Material.SKIN: self.skin, Material.SHOES: self.shoes, Material.HAIR: self.hair}
+        return plain.get(material, self.accessory)
 
 
-def albedo(look: Look, part: dr.ArrayBase, rest: dr.ArrayBase) -> dr.ArrayBase:
+def albedo(look: Look, material: dr.ArrayBase, rest: dr.ArrayBase) -> dr.ArrayBase:
     """The colour at points of the rest pose.
 
     Args:
         look: the person.
-        part: values of :class:`Part`, a Dr.Jit integer array.
+        material: values of :class:`Material`, a Dr.Jit integer array.
         rest: positions in the rest pose, a Dr.Jit ``Array3f``, metres.
 
     Returns:
         An array like ``rest``: linear albedo.
     """
     color = _skin(look, rest)
-    color = dr.select(part == int(Part.TOP), _top(look, rest), color)
-    color = dr.select(part == int(Part.BOTTOM), _bottom(look, rest), color)
-    color = dr.select(part == int(Part.SHOES), _shoes(look, rest), color)
-    color = dr.select(part == int(Part.HAIR), _hair(look, rest), color)
-    return dr.select(part == int(Part.ACCESSORY), type(rest)(*look.accessory), color)
+    color = dr.select(material == int(Material.TOP), _top(look, rest), color)
+    color = dr.select(material == int(Material.BOTTOM), _bottom(look, rest), color)
+    color = dr.select(material == int(Material.SHOES), _shoes(look, rest), color)
+    color = dr.select(material == int(Material.HAIR), _hair(look, rest), color)
+    return dr.select(material == int(Material.ACCESSORY), type(rest)(*look.accessory), color)
 
 
 def _skin(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
-    face, unit = look.face, look.face.unit
-    like = type(p)
-    base = like(*look.skin)
+    """Skin with what is painted on it: cheeks, brows, eyes, lips, nails, and a swimsuit."""
+    face = look.face
+    base = type(p)(*look.skin)
     blotches = _noise(p * 35) * 0.10 + _noise(p * 140) * 0.05
     color = base * (1 + blotches)
 
-    front = p.z > face.mouth[2] - 0.75 * unit
-    # Cheeks and nose are redder, brows and lips painted, eyes last.
-    for side in (0, 1):
-        eye = face.eyes[side]
-        outward = 1.0 if eye[0] > 0 else -1.0
-        dx, dy = (p.x - eye[0]) / unit, (p.y - eye[1]) / unit
-        cheek = dr.exp(-(dr.square(dx - 0.12 * outward) + dr.square(dy + 0.55)) / 0.10)
-        color = dr.select(front, dr.lerp(color, color * like(1.08, 0.80, 0.78), 0.7 * cheek), color)
-        u = (dx - 0.05 * outward) * outward
-        arc = dy - (0.40 - 0.35 * dr.square(u - 0.08))
-        brow = _inside(0.055 + 0.03 * (0.3 - u) - dr.abs(arc), 0.02)
-        brow *= _inside(0.40 - dr.abs(u), 0.06)
-        color = dr.select(front, dr.lerp(color, like(*look.brows), 0.85 * brow), color)
-        lid = dr.square(dx / 0.235) + dr.square(dy / dr.select(dy > 0, 0.125, 0.095))
-        shadow = _inside(1.9 - lid, 0.9)
-        color = dr.select(front, dr.lerp(color, color * like(0.62, 0.52, 0.50), shadow), color)
-        inside = _inside(1 - lid, 0.10)
-        radius = dr.sqrt(dr.square(dx) + dr.square(dy - 0.005))
-        ball = dr.lerp(like(0.78, 0.74, 0.71), like(*look.iris), _inside(0.098 - radius, 0.012))
-        ball = dr.lerp(ball, like(0.012), _inside(0.045 - radius, 0.012))
-        glint = dr.square(dx + 0.03) + dr.square(dy - 0.035)
-        ball = dr.lerp(ball, like(0.9), _inside(0.0005 - glint, 0.0003))
-        color = dr.select(front, dr.lerp(color, ball, inside), color)
-        lash = _inside(0.25 - dr.abs(lid - 1.05), 0.1) * _inside(dy - 0.02, 0.03)
-        color = dr.select(front, dr.lerp(color, like(0.02, 0.012, 0.01), lash), color)
-    dx, dy = (p.x - face.mouth[0]) / unit, (p.y - face.mouth[1]) / unit
-    bow = 0.085 * (1 - dr.square(dx / 0.40)) - 0.02 * dr.exp(-dr.square(dx / 0.06))
-    lips = _inside(dr.select(dy > 0, bow * 0.85, bow * 1.15) - dr.abs(dy), 0.02)
-    lips *= _inside(0.40 - dr.abs(dx), 0.02)
-    mouth = dr.lerp(color, like(*look.lips), lips)
-    gap = _inside(0.012 - dr.abs(dy - 0.01 * dr.cos(9 * dx)), 0.01) * _inside(
-        0.37 - dr.abs(dx), 0.03
-    )
-    mouth = dr.lerp(mouth, like(0.06, 0.015, 0.012), 0.85 * gap)
-    color = dr.select(front, mouth, color)
+    front = p.z > face.mouth[2] - 0.75 * face.unit
+    for eye in face.eyes:
+        color = _around_eye(look, p, color, eye, front)
+    color = dr.select(front, _mouth(look, p, color), color)
 
-    nail_color = dr.minimum(1.15 * base + like(0.13, 0.09, 0.08), 0.85)
+    nail_color = dr.minimum(1.15 * base + type(p)(0.13, 0.09, 0.08), 0.85)
     for nail in look.nails:
         d = dr.square(p.x - nail[0]) / 0.0058**2 + dr.square(p.z - nail[2]) / 0.0046**2
         on = dr.select(p.y > nail[1] - 0.003, _inside(1 - d, 0.25), 0.0)
         color = dr.lerp(color, nail_color, 0.9 * on)
     if look.swimsuit:
-        suit = _inside(look.shoulder[1] - 0.10 - p.y, 0.003) * _inside(
-            p.y - look.hip[1] + 0.08, 0.003
-        )
+        suit = _inside(look.shoulder[1] - 0.10 - p.y, 0.003)
+        suit *= _inside(p.y - look.hip[1] + 0.08, 0.003)
         suit *= _inside(look.shoulder[0] + 0.02 - dr.abs(p.x), 0.003)
         color = dr.lerp(color, _cloth(look.top, p, p.y, dr.atan2(p.z, p.x) * 0.16), suit)
     return color
 
 
+def _around_eye(
+    look: Look, p: dr.ArrayBase, color: dr.ArrayBase, eye: Point, front: dr.ArrayBase
+) -> dr.ArrayBase:
+    """A colour of skin with a redder cheek, the brow, and the eye with its lids and lashes.
+
+    Args:
+        look: the person.
+        p: positions in the rest pose, metres.
+        color: what is there already.
+        eye: the eye's centre, metres.
+        front: which positions lie on the front of the head.
+    """
+    like, unit = type(p), look.face.unit
+    outward = 1.0 if eye[0] > 0 else -1.0
+    dx, dy = (p.x - eye[0]) / unit, (p.y - eye[1]) / unit
+    cheek = dr.exp(-(dr.square(dx - 0.12 * outward) + dr.square(dy + 0.55)) / 0.10)
+    color = dr.select(front, dr.lerp(color, color * like(1.08, 0.80, 0.78), 0.7 * cheek), color)
+    u = (dx - 0.05 * outward) * outward
+    arc = dy - (0.40 - 0.35 * dr.square(u - 0.08))
+    brow = _inside(0.055 + 0.03 * (0.3 - u) - dr.abs(arc), 0.02)
+    brow *= _inside(0.40 - dr.abs(u), 0.06)
+    color = dr.select(front, dr.lerp(color, like(*look.brows), 0.85 * brow), color)
+    lid = dr.square(dx / 0.235) + dr.square(dy / dr.select(dy > 0, 0.125, 0.095))
+    shadow = _inside(1.9 - lid, 0.9)
+    color = dr.select(front, dr.lerp(color, color * like(0.62, 0.52, 0.50), shadow), color)
+    inside = _inside(1 - lid, 0.10)
+    radius = dr.sqrt(dr.square(dx) + dr.square(dy - 0.005))
+    ball = dr.lerp(like(0.78, 0.74, 0.71), like(*look.iris), _inside(0.098 - radius, 0.012))
+    ball = dr.lerp(ball, like(0.012), _inside(0.045 - radius, 0.012))
+    glint = dr.square(dx + 0.03) + dr.square(dy - 0.035)
+    ball = dr.lerp(ball, like(0.9), _inside(0.0005 - glint, 0.0003))
+    color = dr.select(front, dr.lerp(color, ball, inside), color)
+    lash = _inside(0.25 - dr.abs(lid - 1.05), 0.1) * _inside(dy - 0.02, 0.03)
+    return dr.select(front, dr.lerp(color, like(0.02, 0.012, 0.01), lash), color)
+
+
+def _mouth(look: Look, p: dr.ArrayBase, color: dr.ArrayBase) -> dr.ArrayBase:
+    """A colour of skin with lips and the dark gap between them."""
+    like, face = type(p), look.face
+    dx, dy = (p.x - face.mouth[0]) / face.unit, (p.y - face.mouth[1]) / face.unit
+    bow = 0.085 * (1 - dr.square(dx / 0.40)) - 0.02 * dr.exp(-dr.square(dx / 0.06))
+    lips = _inside(dr.select(dy > 0, bow * 0.85, bow * 1.15) - dr.abs(dy), 0.02)
+    lips *= _inside(0.40 - dr.abs(dx), 0.02)
+    mouth = dr.lerp(color, like(*look.lips), lips)
+    gap = _inside(0.012 - dr.abs(dy - 0.01 * dr.cos(9 * dx)), 0.01)
+    gap *= _inside(0.37 - dr.abs(dx), 0.03)
+    return dr.lerp(mouth, like(0.06, 0.015, 0.012), 0.85 * gap)
+
+
 def _top(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
-    """A sewn shirt: its sleeves have a direction of their own, and there is a seam."""
+    """A sewn shirt: the pattern runs along the sleeves, and a seam joins them to the trunk."""
     side = dr.abs(p.x)
     seam = look.shoulder[0] + 0.02
     arm_level = p.y > look.shoulder[1] - 0.25  # wide hips reach past the seam too
@@ -200,6 +217,7 @@ def _top(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
 
 
 def _bottom(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
+    """Trousers, or a skirt with its lining, and the seams at their sides."""
     seam = _inside(0.0025 - dr.abs(p.z - look.hip[2]), 0.001)
     lining = dr.mask_t(p.x)(False)
     if look.cone is not None:
@@ -216,6 +234,7 @@ def _bottom(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
 
 
 def _shoes(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
+    """Shoes with laces and a pale sole."""
     like = type(p)
     color = like(*look.shoes) * (1 + 0.15 * _noise(p * 90))
     height = p.y - look.ground
@@ -228,7 +247,7 @@ def _shoes(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
 
 
 def _hair(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
-    """Strands: noise that is fine around the head and long down it."""
+    """Strands: noise that varies fast around the head and slowly down it."""
     _, eye_y, eye_z = look.face.eyes[0]
     x, y, z = p.x, p.y - eye_y - 0.14, p.z - eye_z + 0.11
     around = dr.atan2(z, x)
@@ -241,6 +260,7 @@ def _hair(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
 def _cloth(
     fabric: Fabric, p: dr.ArrayBase, along: dr.ArrayBase, around: dr.ArrayBase
 ) -> dr.ArrayBase:
+    """The pattern of a fabric where it lies ``along`` and ``around`` the limb, metres."""
     like = type(p)
     ground, figure, line = (like(*c) for c in fabric.colors)
     band = lambda t, width: _inside(width - dr.abs(t - dr.round(t)), 0.01)
@@ -308,21 +328,3 @@ def _hash(*lattice: dr.ArrayBase) -> dr.ArrayBase:
     h *= 0x297A2D39
     h ^= h >> 15
     return type(lattice[0])(h >> 8) * (1 / (1 << 24))
-
-
-def linear(*srgb: int) -> Color:
-    """An 8-bit sRGB colour as linear albedo."""
-    c = np.array(srgb, dtype=np.float64) / 255
-    return tuple(float(x) for x in np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4))
-
-
-def encode(linear_rgb: np.ndarray) -> np.ndarray:
-    """Linear light to sRGB's curve, [0, 1]."""
-    x = np.clip(linear_rgb, 0, 1)
-    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055).astype(np.float32)
-
-
-def palette(rng: np.random.Generator, colors: Sequence[Color]) -> Color:
-    """One of some colours, slightly varied."""
-    color = np.array(colors[rng.integers(len(colors))])
-    return tuple(float(c) for c in np.clip(color * rng.uniform(0.85, 1.15, 3), 0.01, 0.85))

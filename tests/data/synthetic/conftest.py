@@ -6,13 +6,13 @@ import torch
 
 from gva_mi.body.pose import Shape
 from gva_mi.data.synthetic.subject import Subject
-from gva_mi.data.synthetic.texture import Fabric, Face, Look, Part
+from gva_mi.data.synthetic.texture import Fabric, FaceLandmarks, Look, Material
 
 GREY = Fabric("plain", ((0.5, 0.5, 0.5),) * 3, 0.05)
 LOOK = Look(
     skin=(0.5, 0.4, 0.3), lips=(0.5, 0.2, 0.2), iris=(0.1, 0.2, 0.3), hair=(0.1, 0.1, 0.1),
     brows=(0.1, 0.1, 0.1), top=GREY, bottom=GREY, shoes=(0.3, 0.3, 0.3), swimsuit=False,
-    face=Face(((0.03, 9, 0), (-0.03, 9, 0)), (0, 9, 0), 0.06), nails=(),
+    face=FaceLandmarks(((0.03, 9, 0), (-0.03, 9, 0)), (0, 9, 0), 0.06), nails=(),
     shoulder=(0.2, 9, 0), hip=(0.1, 8, 0), ground=-9.0,
 )  # fmt: skip
 RADIUS = 0.5  # m
@@ -28,6 +28,6 @@ def ball():
     return Subject(
         np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.int64),
         csr_array((count, 1)), torch.eye(55)[:1].expand(count, 55), np.ones((count, 3), np.float32),
-        np.full(len(mesh.faces), int(Part.TOP), np.uint32), LOOK, Shape(torch.zeros(10)),
+        np.full(len(mesh.faces), int(Material.TOP), np.uint32), LOOK, Shape(torch.zeros(10)),
         np.zeros(count), (),
     )  # fmt: skip

@@ -23,11 +23,11 @@ def test_no_two_of_them_are_alike():
     assert len({person.seed for person in STUDY.values()}) == 7
     for a, b in itertools.combinations(STUDY.values(), 2):
         assert np.abs(np.subtract(a.betas, b.betas)).max() > 0.5
-        assert a.top != b.top and a.wardrobe != b.wardrobe
+        assert a.top != b.top and a.outfit != b.outfit
 
 
 def test_they_hold_what_the_study_is_about():
-    wardrobes = [person.wardrobe for person in STUDY.values()]
+    wardrobes = [person.outfit for person in STUDY.values()]
     assert {w.hair for w in wardrobes} == {"short", "bob", "long"}
     assert {w.bottom for w in wardrobes} == {"trousers", "shorts", "skirt"}
     assert sum(w.glasses for w in wardrobes) == 1 and sum(w.cap for w in wardrobes) == 1

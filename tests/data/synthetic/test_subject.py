@@ -7,9 +7,9 @@ import torch
 from gva_mi.body.pose import JOINTS, Pose
 from gva_mi.body.smplx import load_body
 from gva_mi.data.synthetic import STUDY
-from gva_mi.data.synthetic.garments import BodySurface
-from gva_mi.data.synthetic.subject import draw_subject, vertex_normals
-from gva_mi.data.synthetic.texture import Part
+from gva_mi.data.synthetic.clothes.level_sets import BodySurface, vertex_normals
+from gva_mi.data.synthetic.subject import draw_subject
+from gva_mi.data.synthetic.texture import Material
 
 
 @pytest.fixture(scope="module")
@@ -23,15 +23,15 @@ def dressed(body):
 
 
 def test_a_bare_subject_is_the_body_itself(body):
-    bare = draw_subject(body, 0, clothes=False, hairy=False)
+    bare = draw_subject(body, 0, clothes=False, hair=False)
     rest = body.rest(bare.shape).vertices.numpy()
     assert np.allclose(bare.vertices, rest, atol=1e-6)
     assert np.array_equal(bare.faces, body.faces.numpy())
-    assert set(bare.part) == {int(Part.SKIN)}
+    assert set(bare.material) == {int(Material.SKIN)}
 
 
 def test_another_seed_is_another_person(body):
-    a, b, again = (draw_subject(body, k, clothes=False, hairy=False) for k in (0, 1, 0))
+    a, b, again = (draw_subject(body, k, clothes=False, hair=False) for k in (0, 1, 0))
     assert not torch.allclose(a.shape.betas, b.shape.betas)
     assert a.look != b.look
     assert np.array_equal(a.vertices, again.vertices) and a.look == again.look
@@ -42,7 +42,7 @@ def test_clothes_lie_outside_the_body(body, dressed):
     rest = body.rest(dressed.shape).vertices.double().numpy()
     faces = body.faces.numpy()
     surface = BodySurface(rest, faces, vertex_normals(rest, faces))
-    cloth = np.unique(dressed.faces[dressed.part != int(Part.SKIN)])
+    cloth = np.unique(dressed.faces[dressed.material != int(Material.SKIN)])
     lit = cloth[dressed.tint[cloth, 0] > 0.98]  # openings reach inwards, and are dark
     distance = surface.distance(dressed.vertices[lit].astype(float))
     assert (distance > -0.002).mean() > 0.99
@@ -53,9 +53,9 @@ def test_clothes_lie_outside_the_body(body, dressed):
 def test_every_part_is_closed_and_skins_with_the_body(dressed):
     import trimesh
 
-    assert set(dressed.part) >= {int(p) for p in Part} - {int(Part.ACCESSORY)}
-    for part in set(Part) - {Part.SKIN, Part.ACCESSORY}:
-        faces = dressed.faces[dressed.part == int(part)]
+    assert set(dressed.material) >= {int(p) for p in Material} - {int(Material.ACCESSORY)}
+    for part in set(Material) - {Material.SKIN, Material.ACCESSORY}:
+        faces = dressed.faces[dressed.material == int(part)]
         mesh = trimesh.Trimesh(dressed.vertices, faces, process=False)
         mesh.remove_unreferenced_vertices()
         assert mesh.is_watertight and mesh.volume > 0, part
@@ -69,13 +69,15 @@ def test_accessories_are_closed_and_move_stiffly_with_the_head(body, name):
     import trimesh
 
     subject = draw_subject(body, STUDY[name])
-    faces = subject.faces[subject.part == int(Part.ACCESSORY)]
+    faces = subject.faces[subject.material == int(Material.ACCESSORY)]
     mesh = trimesh.Trimesh(subject.vertices, faces, process=False)
     mesh.remove_unreferenced_vertices()
     assert mesh.is_watertight and mesh.volume > 0
     index = np.unique(faces)
     pose = Pose.rest(1)
-    pose.jaw_pose[:, 0], pose.expression[:], pose.body_pose[:, 14 * 3 + 1] = 0.2, 0.7, 0.4
+    pose.expression[:] = 0.7
+    pose.rotations[:, JOINTS.index("jaw"), 0] = 0.2
+    pose.rotations[:, JOINTS.index("head"), 1] = 0.4
     moved = subject.posed(body, pose, folds=1.0)[0][index].astype(float)
     rest = subject.vertices[index].astype(float)
     pairs = np.random.default_rng(0).integers(len(index), size=(200, 2)).T
@@ -88,7 +90,9 @@ def test_accessories_are_closed_and_move_stiffly_with_the_head(body, name):
 @pytest.mark.parametrize("name", ["amira", "dalia"])
 def test_long_hair_lies_on_the_shirt_behind_the_shoulders(body, name):
     subject = draw_subject(body, STUDY[name])
-    hair, top = (np.unique(subject.faces[subject.part == int(p)]) for p in (Part.HAIR, Part.TOP))
+    hair, top = (
+        np.unique(subject.faces[subject.material == int(m)]) for m in (Material.HAIR, Material.TOP)
+    )
     joints = dict(zip(JOINTS, body.rest(subject.shape).joints.numpy(), strict=True))
     low = hair[subject.vertices[hair, 1] < joints["neck"][1]]
     points = subject.vertices[low].astype(float)
@@ -107,11 +111,11 @@ def test_long_hair_lies_on_the_shirt_behind_the_shoulders(body, name):
 def test_short_hair_leaves_the_ears_free_and_hair_the_eyes(body):
     for name in ("bruno", "chen"):
         subject = draw_subject(body, STUDY[name])
-        hair = subject.vertices[np.unique(subject.faces[subject.part == int(Part.HAIR)])]
+        hair = subject.vertices[np.unique(subject.faces[subject.material == int(Material.HAIR)])]
         for eye in subject.look.face.eyes:
             before = (np.abs(hair[:, :2] - eye[:2]).max(1) < 0.015) & (hair[:, 2] > eye[2])
             assert not before.any()
-        if STUDY[name].wardrobe.hair == "short":
+        if STUDY[name].outfit.hair == "short":
             skin = body.rest(subject.shape).vertices.numpy()
             level = np.abs(skin[:, 1] - eye[1]) < 0.03
             ears = skin[level & (skin[:, 2] < eye[2] - 0.03)]

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from gva_mi.data.synthetic.texture import Cone, albedo, linear
+from gva_mi.data.synthetic.color import linear
+from gva_mi.data.synthetic.texture import SkirtCone, albedo
 
 pytest.importorskip("mitsuba")
-CONE = Cone(apex=(0.0, 1.2, 0.05), slope=0.35, aspect=1.0)
+CONE = SkirtCone(apex=(0.0, 1.2, 0.05), slope=0.35, aspect=1.0)
 
 
 def on_cone(height, angle):

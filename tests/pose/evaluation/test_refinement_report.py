@@ -19,7 +19,7 @@ def refined(clip, body, true_pose):
     """As if the truth had been found in all frames but the last."""
     rotations = true_pose.rotations.clone()
     rotations[2] = clip.pose.rotations[2]
-    pose = type(true_pose).from_rotations(rotations, true_pose.transl, true_pose.expression)
+    pose = type(true_pose)(rotations, true_pose.transl, true_pose.expression)
     losses = torch.tensor([0.1, 0.2, float("nan")])
     kept = {2: "its loss grew from 0.100 to <0.200>"}
     offsets = torch.zeros_like(body.v_template)

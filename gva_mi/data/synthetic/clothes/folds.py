@@ -1,4 +1,4 @@
-"""What cloth and hair do beside following the body: creases where it bends, and ends that lag.
+"""How cloth and hair move besides following the body: creases where it bends, ends that lag behind.
 
 At a joint whose rotation bends its bone b (rest pose) by the axis-angle r,
 
@@ -6,8 +6,8 @@ At a joint whose rotation bends its bone b (rest pose) by the axis-angle r,
     2. inside    g = ½ + ½ cos(angle of x about b to r × b)
     3. crease    h = a(x) · window(x) · cos(2π b·(x − J) / 4 cm + phase(x)) · s · g
 
-displaces along the posed normal. Cloth hangs where the body was a moment ago: with p_k the skinned
-position k steps back, and ℓ the slack, the most that a vertex may move,
+displaces along the posed normal. Loose ends hang where the body was a moment ago: with p_k the
+skinned position k steps back, and ℓ the slack, the most that a vertex may move,
 
     4. lag       u = Σ_k w_k p_k − p_0,   displacement ℓ u / √(ℓ² + |u|²),   w_k ~ exp(−k / 2)
 
@@ -30,8 +30,8 @@ BONES: Mapping[str, str] = {  # joint -> the joint that its bone leads to
 }  # fmt: skip
 WAVELENGTH = 0.04  # m, from crease to crease
 ALONG, ACROSS = 0.075, 0.15  # m, reach of creases along the bone and across it
-HALF = 0.5  # rad, bend at which half of a crease is there
-MEMORY = 5  # steps back that the lag knows
+HALF = 0.5  # rad, bend at which a crease has half of its height
+MEMORY = 5  # steps back in time that a lag depends on
 INWARD = 0.6  # share of a lag into the body that is taken back
 
 
@@ -66,7 +66,7 @@ def creases(
 
     Args:
         vertices: (N, 3) rest pose, metres.
-        amplitude: (N,) metres; zero on what does not crease.
+        amplitude: (N,) metres, height of the creases; zero where there are none.
         joints: rest positions by name.
         rng: for where the creases lie.
     """
@@ -95,7 +95,7 @@ def lag_weights() -> np.ndarray:
     return weights / weights.sum()
 
 
-def lagging(now: np.ndarray, past: np.ndarray, slack: np.ndarray, away: np.ndarray) -> np.ndarray:
+def lag(now: np.ndarray, past: np.ndarray, slack: np.ndarray, away: np.ndarray) -> np.ndarray:
     """Displacements (n, 3) of loose ends (eq. 4), metres.
 
     Args:

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import torch
 
+from gva_mi.body.pose import ROOT
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.synthetic import motion
-from gva_mi.data.synthetic.dataset import SynthOptions, make_subject
+from gva_mi.data.synthetic.dataset import make_subject
+from gva_mi.data.synthetic.options import SynthOptions
 from gva_mi.data.synthetic.people import STUDY
 from gva_mi.data.synthetic.render import Renderer, camera_around
 from gva_mi.data.synthetic.subject import Subject, draw_subject
@@ -23,11 +24,11 @@ CAPTION, GAP = 22, 6  # px, height of a line of text; space between pictures
 COLUMNS = len(STUDY)
 COLORS = 256  # of the file's palette
 TALL = 1.25  # size of a picture of the whole person, over the width that is shown
-HEAD, REACH = (-0.03, -0.03, -0.06), 0.17  # m, what a portrait shows: around it, from the left eye
-ASIDE = (2.6, 0.7, -0.9, -2.3, 0.5, 1.2, 2.2)  # rad, from where the poses are seen
+HEAD, REACH = (-0.03, -0.03, -0.06), 0.17  # m, a portrait's middle from the left eye; half its size
+AZIMUTHS = (2.6, 0.7, -0.9, -2.3, 0.5, 1.2, 2.2)  # rad, from where the poses are seen
 
 
-def sheet(
+def contact_sheet(
     path: Path,
     body: BodyModel,
     *,
@@ -46,8 +47,6 @@ def sheet(
         samples: rays per pixel, a square number.
         progress: called as ``progress(done, total)`` after each subject, and after the video.
     """
-    from PIL import Image
-
     rows: list[list[np.ndarray]] = [[], [], []]
     for k, person in enumerate(STUDY.values()):
         drawn = draw_subject(body, person)
@@ -68,9 +67,15 @@ def sheet(
         list(STUDY), [], [], [f"{subject}: frames of a video"], ["masks"], ["normals"],
         ["stage-1 poses over the frames"],
     ]  # fmt: skip
-    canvas = _laid_out([*rows, *shown], captions, size)
+    _write(path, _laid_out([*rows, *shown], captions, size))
     if progress is not None:
         progress(COLUMNS + 1, COLUMNS + 1)
+
+
+def _write(path: Path, canvas: np.ndarray) -> None:
+    """Write a picture in [0, 1] as a PNG with a palette, which is small."""
+    from PIL import Image
+
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     image = Image.fromarray(np.round(255 * canvas).astype(np.uint8))
@@ -87,13 +92,13 @@ def _portrait_front_pose(
     rng = np.random.default_rng(k)
     standing = motion.turn(np.array([0.0]), body.num_expressions, rng)
     acting = motion.novel(COLUMNS, body.num_expressions, rng)[k]
-    standing = replace(standing, global_orient=torch.zeros(1, 3))
+    standing.rotations[:, ROOT] = 0
     surfaces = [subject.posed(body, pose, folds=1.0)[0] for pose in (standing, acting)]
     head = np.abs(subject.vertices - subject.look.face.eyes[0] - HEAD).max(1) < REACH
     cameras = [
         camera_around(surfaces[0][head], size, 0.5, 0.05),
         camera_around(surfaces[0], tall),
-        camera_around(surfaces[1], tall, ASIDE[k % len(ASIDE)], 0.12),
+        camera_around(surfaces[1], tall, AZIMUTHS[k % len(AZIMUTHS)], 0.12),
     ]
     return [
         renderer(surfaces[i], camera, samples, k).color

@@ -1,15 +1,15 @@
 """Which vertices of the body a garment's vertices follow, and by what shares: rows that sum to 1.
 
-    near    shares ~ exp( -distance² / 2 smooth² ) of the nearest vertices
-    stiff   the mean of the vertices that the head moves most
-    hung    a skirt hangs between the legs, from what is near its waist, with shares that change
+    nearest vertices   shares ~ exp( -distance² / 2 smooth² ), for clothes and hair
+    the head           the mean of the vertices that it moves most, for what is stiff
+    the hips           a skirt follows the nearest vertices at its waist and both thighs below it:
 
         thighs  t = REACH · smoothstep(how far below the hips)
         left    s = smoothstep(x / half the body's width)
-        shares  (1 - t) near,  t s of the left thigh's mean,  t (1 - s) of the right one's
+        shares  (1 - t) nearest,  t s of the left thigh's mean,  t (1 - s) of the right one's
 
-The nearest vertices would tear a skirt in two where the legs part: beside the middle, every vertex
-would follow one leg alone.
+The nearest vertices alone would tear a skirt in two where the legs part: beside the middle, every
+vertex would follow one leg.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gva_mi.body.pose import JOINTS
-from gva_mi.data.synthetic.garments import smoothstep
+from gva_mi.data.synthetic.clothes.level_sets import smoothstep
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-NEIGHBOURS = 24  # vertices of the body that share in one of a garment's
-GROUP = 200  # vertices of the body whose mean moves a stiff thing
+NEIGHBOURS = 24  # vertices of the body that one vertex of a garment follows
+GROUP = 200  # vertices of the body whose mean stands for the head or a thigh
 REACH = 0.9  # share of the thighs at a skirt's hem
 WAIST, SPREAD = -0.02, 0.08  # m below the hips where that begins; over which neighbours share
 BETWEEN = 0.75  # of the hips' half width: beyond it, a skirt follows one thigh alone
 
 
-def near(points: np.ndarray, vertices: np.ndarray, smooth: float) -> csr_array:
-    """Follow what is near.
+def follow_nearest(points: np.ndarray, vertices: np.ndarray, smooth: float) -> csr_array:
+    """Follow the nearest vertices of the body.
 
     Args:
         points: (N, 3) rest pose, metres.
@@ -41,7 +41,7 @@ def near(points: np.ndarray, vertices: np.ndarray, smooth: float) -> csr_array:
         smooth: metres over which neighbours share.
 
     Returns:
-        (N, V), as of all functions here.
+        (N, V), rows sum to 1, as of all functions here.
     """
     from scipy.sparse import csr_array
     from scipy.spatial import cKDTree
@@ -53,8 +53,8 @@ def near(points: np.ndarray, vertices: np.ndarray, smooth: float) -> csr_array:
     return csr_array((share.ravel(), (rows, index.ravel())), shape=(len(points), len(vertices)))
 
 
-def stiff(points: np.ndarray, weights: np.ndarray) -> csr_array:
-    """Follow the head, all points alike.
+def follow_head(points: np.ndarray, weights: np.ndarray) -> csr_array:
+    """Follow the head, all points in the same way.
 
     Args:
         points: (N, 3).
@@ -63,7 +63,7 @@ def stiff(points: np.ndarray, weights: np.ndarray) -> csr_array:
     return _shared(np.ones((len(points), 1)), [_moved_by("head", weights)], len(weights))
 
 
-def hung(
+def hang_from_hips(
     points: np.ndarray,
     vertices: np.ndarray,
     joints: Mapping[str, np.ndarray],
@@ -85,7 +85,7 @@ def hung(
     left = smoothstep(points[:, 0] - middle, -half, half)
     groups = [_moved_by(joint, weights) for joint in ("left_hip", "right_hip")]
     legs = _shared(np.stack([thighs * left, thighs * (1 - left)], axis=1), groups, len(weights))
-    return (diags_array(1 - thighs) @ near(points, vertices, SPREAD) + legs).tocsr()
+    return (diags_array(1 - thighs) @ follow_nearest(points, vertices, SPREAD) + legs).tocsr()
 
 
 def _moved_by(joint: str, weights: np.ndarray) -> np.ndarray:

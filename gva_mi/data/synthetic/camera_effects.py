@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import numpy as np
 
-# Standard deviation of a pixel at level 1: what does not depend on the light, and what does.
+# Standard deviation of a pixel's noise at level 1: read noise, the same everywhere, and shot noise,
+# which grows with the light.
 READ, SHOT = 0.006, 0.02
 
 
-def backdrop(size: int, rng: np.random.Generator) -> np.ndarray:
-    """A room out of focus, (size, size, 3) in [0, 1]: wall, floor, things that stand about."""
+def room_background(size: int, rng: np.random.Generator) -> np.ndarray:
+    """A room out of focus, (size, size, 3) in [0, 1]: a wall, a floor, and things in it."""
     from scipy.ndimage import gaussian_filter
 
     y, x = np.mgrid[:size, :size] / size
@@ -31,13 +32,15 @@ def backdrop(size: int, rng: np.random.Generator) -> np.ndarray:
     return np.clip(gaussian_filter(image, (size / 110, size / 110, 0)), 0, 1).astype(np.float32)
 
 
-def before_backdrop(color: np.ndarray, mask: np.ndarray, behind: np.ndarray) -> np.ndarray:
-    """A picture on white (H, W, 3) with mask (H, W), put before another background."""
-    return color + (1 - mask[..., None]) * (behind - 1)
+def over_background(color: np.ndarray, mask: np.ndarray, background: np.ndarray) -> np.ndarray:
+    """A picture on white (H, W, 3) with its mask (H, W), put before another background."""
+    return color + (1 - mask[..., None]) * (background - 1)
 
 
-def exposed(color: np.ndarray, blur: float, level: float, rng: np.random.Generator) -> np.ndarray:
-    """The picture (H, W, 3) as a sensor gives it.
+def blur_and_noise(
+    color: np.ndarray, blur: float, level: float, rng: np.random.Generator
+) -> np.ndarray:
+    """The picture (H, W, 3) as lens and sensor give it.
 
     Args:
         color: in [0, 1].

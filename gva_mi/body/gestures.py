@@ -1,4 +1,4 @@
-"""What hands do: gestures as joint rotations of SMPL-X's hands, relative to the flat hand.
+"""Gestures of the hands, as rotations of SMPL-X's joints relative to the flat hand.
 
 A finger curls by one angle c, its three joints by 1.35 c, 1.75 c and 1.15 c, so that c = 1 brings
 its tip to the palm. Fingers hinge about the hand's z axis and spread about its y axis; the thumb,
@@ -12,32 +12,32 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gva_mi.body.pose import JOINTS
+from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND
 
-Rotation = tuple[float, float, float]  # axis-angle, radians
+AxisAngle = tuple[float, float, float]  # axis-angle, radians
 
 FINGERS = ("index", "middle", "ring", "pinky")
 CURL = (1.35, 1.75, 1.15)  # rad at each joint of a finger that is curled into the palm
 SPREAD = (1.0, 0.25, -0.45, -1.0)  # share of each finger in a spread
 
-_STRAIGHT: tuple[Rotation, ...] = ((0, 0, 0), (0, 0, 0), (0, 0, 0))
-_RELAXED: tuple[Rotation, ...] = ((0.1, 0.2, -0.1), (0, 0.1, 0), (0, 0.1, 0))
-_FOLDED: tuple[Rotation, ...] = ((0.41, 0.27, -0.42), (0.16, 0.53, -0.10), (0.37, 1.12, -0.24))
-_TO_INDEX: tuple[Rotation, ...] = ((0.75, 0.15, -0.30), (0, 0.25, -0.05), (0, 0.35, -0.05))
-_UP: tuple[Rotation, ...] = ((-0.16, -0.37, 0.12), (-0.10, -0.36, 0.06), (-0.06, -0.20, 0.04))
+_STRAIGHT: tuple[AxisAngle, ...] = ((0, 0, 0), (0, 0, 0), (0, 0, 0))
+_RELAXED: tuple[AxisAngle, ...] = ((0.1, 0.2, -0.1), (0, 0.1, 0), (0, 0.1, 0))
+_FOLDED: tuple[AxisAngle, ...] = ((0.41, 0.27, -0.42), (0.16, 0.53, -0.10), (0.37, 1.12, -0.24))
+_TO_INDEX: tuple[AxisAngle, ...] = ((0.75, 0.15, -0.30), (0, 0.25, -0.05), (0, 0.35, -0.05))
+_UP: tuple[AxisAngle, ...] = ((-0.16, -0.37, 0.12), (-0.10, -0.36, 0.06), (-0.06, -0.20, 0.04))
 
 
 @dataclass(frozen=True)
 class Gesture:
-    """One hand's shape; the left hand's, which the right one mirrors."""
+    """A shape of the left hand, which the right one mirrors."""
 
     curl: tuple[float, float, float, float]  # of each finger; 0 straight, 1 in the palm
     spread: float  # rad, of index and little finger from the middle
-    thumb: tuple[Rotation, ...]  # of its three joints
+    thumb: tuple[AxisAngle, ...]  # of its three joints
 
     @property
     def values(self) -> np.ndarray:
-        """(14,) numbers that may be blended: curls, spread, thumb."""
+        """The gesture as (14,) numbers that may be blended: curls, spread, thumb."""
         return np.array([*self.curl, self.spread, *np.ravel(self.thumb)])
 
 
@@ -75,12 +75,20 @@ def put_hand(rotations: np.ndarray, side: str, values: np.ndarray) -> None:
     """Write gestures' values (T, 14) or (14,) into rotations (T, 55, 3) of "left" or "right"."""
     mirror = np.array([1, 1, 1] if side == "left" else [1, -1, -1])
     values = np.atleast_2d(values)
+    curls, spread, thumb = values[:, :4], values[:, 4], values[:, 5:].reshape(-1, 3, 3)
     for k, finger in enumerate(FINGERS):
         for knuckle, angle in enumerate(CURL, start=1):
             joint = JOINTS.index(f"{side}_{finger}{knuckle}")
-            rotations[:, joint, 2] = -mirror[2] * angle * values[:, k]
+            rotations[:, joint, 2] = -mirror[2] * angle * curls[:, k]
         first = JOINTS.index(f"{side}_{finger}1")
-        rotations[:, first, 1] = -mirror[1] * SPREAD[k] * values[:, 4]
-    for knuckle in (1, 2, 3):
-        joint = JOINTS.index(f"{side}_thumb{knuckle}")
-        rotations[:, joint] = mirror * values[:, 2 + 3 * knuckle : 5 + 3 * knuckle]
+        rotations[:, first, 1] = -mirror[1] * SPREAD[k] * spread
+    for k in range(3):
+        rotations[:, JOINTS.index(f"{side}_thumb{k + 1}")] = mirror * thumb[:, k]
+
+
+def hand_rotations(gesture: Gesture, side: str) -> dict[str, AxisAngle]:
+    """A gesture of the hand on one ``side`` as the rotations of its joints, by name."""
+    rotations = np.zeros((1, len(JOINTS), 3))
+    put_hand(rotations, side, gesture.values)
+    hand = LEFT_HAND if side == "left" else RIGHT_HAND
+    return {JOINTS[k]: tuple(rotations[0, k].tolist()) for k in range(hand.start, hand.stop)}

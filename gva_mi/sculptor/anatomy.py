@@ -29,15 +29,35 @@ EYE = _LEFT["eye_smplhf"]
 EYE_RADIUS, LID_RADIUS = 0.0122, 0.0140
 EYE_SLIT = (0.0134, 0.0060)  # half width and half height between the lids
 
-# Fingers: the first knuckle relative to the wrist, the direction, the three bones' lengths, and the
-# radii of the base and of the tip.
+
+@dataclass(frozen=True)
+class _Finger:
+    """A finger of the left hand, metres."""
+
+    knuckle: tuple[float, float, float]  # the first one, relative to the wrist
+    direction: tuple[float, float, float]
+    bones: tuple[float, float, float]  # lengths
+    base: float  # radius at the knuckle
+    tip: float  # radius at the tip
+
+
 _FINGERS = {
-    "index": ((0.098, 0.003, 0.0290), (1, -0.02, 0.075), (0.040, 0.024, 0.021), (0.0096, 0.0079)),
-    "middle": ((0.102, 0.005, 0.0070), (1, -0.02, 0.010), (0.044, 0.028, 0.022), (0.0098, 0.0081)),
-    "ring": ((0.097, 0.003, -0.0145), (1, -0.02, -0.055), (0.041, 0.026, 0.021), (0.0093, 0.0077)),
-    "pinky": ((0.088, 0.000, -0.0340), (1, -0.02, -0.14), (0.032, 0.019, 0.018), (0.0082, 0.0068)),
-    "thumb": ((0.024, -0.008, 0.0270), (0.74, -0.1, 0.66), (0.046, 0.034, 0.025), (0.0125, 0.0092)),
-}  # fmt: skip
+    "index": _Finger(
+        (0.098, 0.003, 0.0290), (1, -0.02, 0.075), (0.040, 0.024, 0.021), 0.0096, 0.0079
+    ),
+    "middle": _Finger(
+        (0.102, 0.005, 0.0070), (1, -0.02, 0.010), (0.044, 0.028, 0.022), 0.0098, 0.0081
+    ),
+    "ring": _Finger(
+        (0.097, 0.003, -0.0145), (1, -0.02, -0.055), (0.041, 0.026, 0.021), 0.0093, 0.0077
+    ),
+    "pinky": _Finger(
+        (0.088, 0.000, -0.0340), (1, -0.02, -0.14), (0.032, 0.019, 0.018), 0.0082, 0.0068
+    ),
+    "thumb": _Finger(
+        (0.024, -0.008, 0.0270), (0.74, -0.1, 0.66), (0.046, 0.034, 0.025), 0.0125, 0.0092
+    ),
+}
 
 
 def joint_positions() -> np.ndarray:
@@ -55,10 +75,10 @@ def joint_positions() -> np.ndarray:
 
 def finger_chain(finger: str) -> np.ndarray:
     """The three joints of a finger of the left hand and its tip, (4, 3)."""
-    knuckle, direction, lengths, _ = _FINGERS[finger]
-    direction = np.asarray(direction) / np.linalg.norm(direction)
-    reach = np.concatenate([[0], np.cumsum(lengths)])
-    return np.asarray(_LEFT["wrist"]) + knuckle + reach[:, None] * direction
+    of = _FINGERS[finger]
+    direction = np.asarray(of.direction) / np.linalg.norm(of.direction)
+    reach = np.concatenate([[0], np.cumsum(of.bones)])
+    return np.asarray(_LEFT["wrist"]) + of.knuckle + reach[:, None] * direction
 
 
 @dataclass(frozen=True)
@@ -69,7 +89,7 @@ class Bone:
     start: np.ndarray  # (3,) metres
     end: np.ndarray  # (3,)
     radius: float  # of the limb around it, metres
-    softness: float = 1.0  # more lets its region pass more gradually into the next
+    softness: float = 1.0  # the larger, the more gradually its region passes into the next
 
 
 def bones() -> list[Bone]:
@@ -95,12 +115,12 @@ def bones() -> list[Bone]:
         ("shoulder", J["left_shoulder"] + (0.012, 0, 0), J["left_elbow"], 0.046),
         ("elbow", J["left_elbow"], J["left_wrist"], 0.036),
     ]  # fmt: skip
-    for finger, (*_, radii) in _FINGERS.items():
+    for finger, of in _FINGERS.items():
         chain = finger_chain(finger)
         if finger != "thumb":  # the palm: a ray toward each knuckle
             start = 0.8 * J["left_wrist"] + 0.2 * chain[0]
             limbs.append(("wrist", start, chain[0] - (0.006, 0, 0), 0.014))
-        limbs += [(f"{finger}{k + 1}", chain[k], chain[k + 1], radii[0]) for k in range(3)]
+        limbs += [(f"{finger}{k + 1}", chain[k], chain[k + 1], of.base) for k in range(3)]
     for side, mirror in (("left", (1, 1, 1)), ("right", (-1, 1, 1))):
         for name, a, b, radius in limbs:
             found.append(Bone(JOINTS.index(f"{side}_{name}"), a * mirror, b * mirror, radius))
@@ -108,12 +128,15 @@ def bones() -> list[Bone]:
 
 
 def facial_regions(points: np.ndarray) -> list[tuple[int, np.ndarray, float]]:
-    """What hangs on the jaw and the eyes: (joint, mask (V,), how firmly as a distance to its
-    bone)."""
+    """Which points (V, 3) jaw, head and eyes hold, and how firmly.
+
+    Returns:
+        (joint, mask (V,), distance), later ones over earlier ones; a smaller distance in metres,
+        as if to the joint's bone, holds more firmly.
+    """
     x, y, z = points.T
-    line = np.minimum(
-        0.6072 + 0.10 * np.maximum(0.085 - z, 0), 0.6125
-    )  # rises from the mouth to the ear
+    # The line between the jaws rises from the mouth to the ear.
+    line = np.minimum(0.6072 + 0.10 * np.maximum(0.085 - z, 0), 0.6125)
     line = np.where((np.abs(x) < 0.024) & (z > 0.070), 0.6072, line)
     jaw = (y < line) & (y > 0.562 - 0.25 * (z - 0.06)) & (z > 0.022)
     upper = (y > line) & (y < 0.72) & (z > 0.022)  # held as firmly, or the upper lip would follow
@@ -239,17 +262,16 @@ def _hand() -> list[Part]:
         (w[0] + 0.070, 0.434, -0.011, 0.0145, 0.0160, 0.037, 0.042),
         (w[0] + 0.094, 0.435, -0.011, 0.0115, 0.0135, 0.035, 0.044),
     ], power=2.6, caps=(0.01, 0.010))  # fmt: skip
+    thenar = Ball(w + (0.036, -0.013, 0.020), (0.034, 0.0145, 0.018), (0, -0.55, 0))
     parts = [
         Part(palm, 0.012),
-        Part(
-            Ball(w + (0.036, -0.013, 0.020), (0.034, 0.0145, 0.018), (0, -0.55, 0)), 0.012
-        ),  # thenar
+        Part(thenar, 0.012),
         Part(Cone(w + (0.034, -0.004, 0.022), w + (0.074, 0, 0.030), 0.010, 0.0085), 0.012),  # web
         Part(Ball(w + (0.044, -0.012, -0.028), (0.034, 0.010, 0.014)), 0.010),
     ]
     for finger in _FINGERS:
-        chain, (base, tip) = finger_chain(finger), _FINGERS[finger][3]
-        radii = np.linspace(base, tip, 4)
+        chain, of = finger_chain(finger), _FINGERS[finger]
+        radii = np.linspace(of.base, of.tip, 4)
         if finger == "thumb":
             radii[0] = 0.0142
             ends = zip(chain[:-1], chain[1:], radii[:-1], radii[1:], strict=True)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gva_mi.body.pose import JOINTS
-from gva_mi.data.synthetic import binding
+from gva_mi.data.synthetic.clothes import binding
 
 HIP, KNEE = np.array([0.1, 0.9, 0.0]), np.array([0.1, 0.5, 0.0])
 PLACES = {
@@ -43,8 +43,8 @@ def test_shares_sum_to_one(legs, skirt):
     vertices, weights = legs
     points = skirt.reshape(-1, 3)
     for bound in (
-        binding.near(points, vertices, 0.03), binding.stiff(points, weights),
-        binding.hung(points, vertices, PLACES, weights),
+        binding.follow_nearest(points, vertices, 0.03), binding.follow_head(points, weights),
+        binding.hang_from_hips(points, vertices, PLACES, weights),
     ):  # fmt: skip
         assert bound.shape == (len(points), len(vertices))
         assert np.allclose(bound.sum(1), 1) and bound.min() >= 0
@@ -52,20 +52,20 @@ def test_shares_sum_to_one(legs, skirt):
 
 def test_near_follows_what_is_near(legs):
     vertices, _ = legs
-    bound = binding.near(vertices[::7], vertices, 0.002)
+    bound = binding.follow_nearest(vertices[::7], vertices, 0.002)
     assert np.abs(bound @ vertices - vertices[::7]).max() < 0.01
 
 
 def test_stiff_things_move_alike(legs):
     vertices, weights = legs
-    bound = binding.stiff(np.random.default_rng(1).normal(size=(50, 3)), weights)
+    bound = binding.follow_head(np.random.default_rng(1).normal(size=(50, 3)), weights)
     moved = bound @ np.random.default_rng(2).normal(size=vertices.shape)
     assert np.allclose(moved, moved[0])
 
 
 def test_a_skirt_follows_the_waist_above_and_both_thighs_below(legs, skirt):
     vertices, weights = legs
-    bound = binding.hung(skirt.reshape(-1, 3), vertices, PLACES, weights)
+    bound = binding.hang_from_hips(skirt.reshape(-1, 3), vertices, PLACES, weights)
     shares = (bound @ weights)[:, [JOINTS.index(f"{s}_hip") for s in ("left", "right")]]
     left, right = np.moveaxis(shares.reshape(*skirt.shape[:2], 2), -1, 0)
     assert (left + right)[0].min() > 0.85  # the hem
@@ -81,8 +81,8 @@ def test_legs_that_part_do_not_tear_a_skirt(legs, skirt):
         apart[weights[:, JOINTS.index(side)] == 1, 2] += way
     stretch = {}
     for name, bound in (
-        ("hung", binding.hung(skirt.reshape(-1, 3), vertices, PLACES, weights)),
-        ("near", binding.near(skirt.reshape(-1, 3), vertices, 0.025)),
+        ("hung", binding.hang_from_hips(skirt.reshape(-1, 3), vertices, PLACES, weights)),
+        ("near", binding.follow_nearest(skirt.reshape(-1, 3), vertices, 0.025)),
     ):
         moved = skirt + (bound @ (apart - vertices)).reshape(skirt.shape)
         hem, rest = (np.linalg.norm(np.diff(p[0], axis=0), axis=1) for p in (moved, skirt))

@@ -1,4 +1,4 @@
-"""Glasses and a cap, as level sets like the clothes (see ``garments``); both move with the head.
+"""Glasses and a cap, as level sets like the clothes (see ``level_sets``); both move with the head.
 
 glasses  f = min( |ring(x, y), z| , capsules of bridge and temples ) - radius
 cap      f = smin( smax(d - thickness, band), brim )
@@ -10,15 +10,22 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from gva_mi.data.synthetic.garments import BodySurface, Grid, Mesh, smax, smin, surface_of
+from gva_mi.data.synthetic.clothes.level_sets import (
+    BodySurface,
+    ClosedMesh,
+    VoxelGrid,
+    smax,
+    smin,
+    surface_of,
+)
 
 WIRE_CELL = 0.0013  # m, grid of the glasses
 CAP_CELL = 0.0035  # m, grid of the cap
 WIRE = 0.0023  # m, radius of the glasses' frame
 
 
-def glasses(surface: BodySurface, joints: Mapping[str, np.ndarray]) -> Mesh:
-    """The frame of a pair of glasses; nothing stands for the lenses.
+def glasses(surface: BodySurface, joints: Mapping[str, np.ndarray]) -> ClosedMesh:
+    """The frame of a pair of glasses, without lenses.
 
     Args:
         surface: the body.
@@ -37,7 +44,7 @@ def glasses(surface: BodySurface, joints: Mapping[str, np.ndarray]) -> Mesh:
     outer = 0.5 * unit + lens[0]
 
     lo = middle + [-width - 0.01, -0.05, ear - 0.04]
-    grid = Grid.around(lo, middle + [width + 0.01, 0.04, plane + 0.01], WIRE_CELL)
+    grid = VoxelGrid.around(lo, middle + [width + 0.01, 0.04, plane + 0.01], WIRE_CELL)
     x, y, z = grid.x - middle[0], grid.y - middle[1], grid.z - middle[2]
     side = np.abs(x)  # both halves at once
     corner = 0.45 * lens[1]
@@ -59,7 +66,7 @@ def glasses(surface: BodySurface, joints: Mapping[str, np.ndarray]) -> Mesh:
     return surface_of(grid, np.minimum(distance, bridge) - WIRE, None)
 
 
-def cap(surface: BodySurface, joints: Mapping[str, np.ndarray], stand_off: float) -> Mesh:
+def cap(surface: BodySurface, joints: Mapping[str, np.ndarray], stand_off: float) -> ClosedMesh:
     """A cap with a brim.
 
     Args:
@@ -75,7 +82,7 @@ def cap(surface: BodySurface, joints: Mapping[str, np.ndarray], stand_off: float
     reach = np.array([half[0] + 0.05, 0, 0])
     lo = [middle[0] - reach[0], eyes[1] - 0.02, middle[2] - half[2] - 0.05]
     hi = [middle[0] + reach[0], top + 0.06, middle[2] + half[2] + 0.13]
-    grid = Grid.around(lo, hi, CAP_CELL)
+    grid = VoxelGrid.around(lo, hi, CAP_CELL)
     d = surface.sample(grid)
     x, y, z = grid.x - middle[0], grid.y, grid.z - middle[2]
     line = brow - 0.10 * (half[2] - z)  # lower at the nape

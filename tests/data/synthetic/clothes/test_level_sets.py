@@ -1,24 +1,10 @@
 """Distances and level sets that clothes are made of."""
 
 import numpy as np
-import pytest
 
-from gva_mi.data.synthetic import garments
-from gva_mi.data.synthetic.garments import BodySurface, Grid, smax, smin, surface_of
+from gva_mi.data.synthetic.clothes.level_sets import smax, smin, surface_of
 
 RADIUS = 0.5
-
-
-@pytest.fixture(scope="module")
-def surface(ball):
-    normals = ball.vertices / np.linalg.norm(ball.vertices, axis=1, keepdims=True)
-    return BodySurface(ball.vertices.astype(float), ball.faces, normals.astype(float))
-
-
-@pytest.fixture(scope="module")
-def sampled(surface):
-    grid = Grid.around(np.full(3, -0.6), np.full(3, 0.6), 0.02)
-    return grid, surface.sample(grid)
 
 
 def test_distance_to_a_ball(surface):
@@ -43,16 +29,6 @@ def test_a_level_set_is_closed_and_faces_outwards(sampled):
     mesh = surface_of(grid, smax(d - 0.02, -0.1 - grid.y + 0 * d))
     solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     assert solid.is_watertight and solid.euler_number == 2 and solid.volume > 0
-
-
-def test_an_opening_is_dark_and_hollow(sampled):
-    grid, d = sampled
-    field = garments._with_opening(d, d, grid.y + 0 * d, wall=0.06, depth=0.1)
-    mesh = surface_of(grid, field, d)
-    assert mesh.vertices[:, 1].max() < 0.03
-    inner = np.linalg.norm(mesh.vertices, axis=1) < 0.35
-    inner &= mesh.vertices[:, 1] > -0.2
-    assert inner.any() and mesh.shade[inner].max() < 0.5 and mesh.shade.max() == 1
 
 
 def test_smooth_extrema_bound_the_sharp_ones():

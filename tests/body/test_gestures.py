@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from gva_mi.body import gestures
+from gva_mi.body.gestures import FINGERS, GESTURES
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.body.smplx import load_body
-from gva_mi.data.synthetic import gestures
-from gva_mi.data.synthetic.gestures import FINGERS, GESTURES
 
 
 def rotations(name, side="left"):
@@ -25,7 +25,7 @@ def hand():
 
     def shaped(name):
         tensor = torch.from_numpy(rotations(name)).float()
-        pose = Pose.from_rotations(tensor, torch.zeros(1, 3), torch.zeros(1, body.num_expressions))
+        pose = Pose(tensor, torch.zeros(1, 3), torch.zeros(1, body.num_expressions))
         vertices = body(pose, Shape(torch.zeros(10))).vertices[0].numpy()
         of = lambda joint: vertices[(owner == JOINTS.index(f"left_{joint}")).numpy()]
         return {joint: of(joint) for joint in (*(f"{f}3" for f in FINGERS), "thumb3", "wrist")}

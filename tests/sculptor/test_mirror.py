@@ -3,7 +3,7 @@ import gva_mi  # noqa: F401, I001  (first: it chooses the libLLVM)
 import numpy as np
 import pytest
 
-from gva_mi.sculptor.sculpt import border_of, onto_border
+from gva_mi.sculptor.mirror import border_of, onto_border
 
 
 def sheet(n):

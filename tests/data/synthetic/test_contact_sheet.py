@@ -5,7 +5,7 @@ import pytest
 
 from gva_mi.body.smplx import load_body
 from gva_mi.data.pictures import read_image
-from gva_mi.data.synthetic import sheet as module
+from gva_mi.data.synthetic import contact_sheet as module
 
 pytest.importorskip("mitsuba")
 
@@ -23,7 +23,7 @@ def test_rows_lose_the_white_above_and_below_them():
 @pytest.mark.slow
 def test_a_sheet_is_a_small_file(tmp_path):
     seen = []
-    module.sheet(
+    module.contact_sheet(
         tmp_path / "sheet.png", load_body(), size=64, samples=4,
         progress=lambda done, total: seen.append((done, total)),
     )  # fmt: skip

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gva_mi.body.pose import JOINTS
-from gva_mi.data.synthetic import folds
+from gva_mi.data.synthetic.clothes import folds
 
 JOINT_POSITIONS = dict(zip(JOINTS, np.random.default_rng(0).normal(0, 0.4, (55, 3)), strict=True))
 
@@ -52,9 +52,9 @@ def test_nothing_lags_at_rest_and_ends_trail_what_moves():
     away = np.tile([0.0, 1.0, 0.0], (50, 1))
     slack = np.linspace(0.001, 0.03, 50)
     still = np.broadcast_to(now, (folds.MEMORY, 50, 3))
-    assert np.abs(folds.lagging(now, still, slack, away)).max() < 1e-12
+    assert np.abs(folds.lag(now, still, slack, away)).max() < 1e-12
     steps = np.arange(1, folds.MEMORY + 1)[:, None, None]
-    moved = folds.lagging(now, now - steps * [0.01, 0, 0], slack, away)
+    moved = folds.lag(now, now - steps * [0.01, 0, 0], slack, away)
     assert (moved[:, 0] < 0).all() and np.abs(moved[:, 1:]).max() < 1e-12
     assert (np.linalg.norm(moved, axis=1) <= slack).all()
     assert (np.diff(-moved[:, 0]) > 0).all()  # the looser, the farther
@@ -65,6 +65,6 @@ def test_a_lag_into_the_body_is_held_back():
     away = np.array([[0.0, 0, 1]])
     steps = np.arange(1, folds.MEMORY + 1)[:, None, None]
     into, off = (
-        folds.lagging(now, steps * np.array([0, 0, z]), slack, away)[0, 2] for z in (-0.01, 0.01)
+        folds.lag(now, steps * np.array([0, 0, z]), slack, away)[0, 2] for z in (-0.01, 0.01)
     )
     assert into < 0 < off and -into < 0.5 * off

@@ -1,0 +1,254 @@
+"""Clothes as closed surfaces of their own, outside the body in its rest pose.
+
+Every garment is the zero level set of a scalar field f (negative inside, metres), made from one
+distance d to the body's surface:
+
+    cloth    f = smax( drape(d) - looseness(x),  cuts(x) )            hems, sleeves, neckline
+    opening  f = smax( f, -hollow )                                   a wall of cloth, not a plug
+
+where smax is the smooth maximum of :mod:`level_sets`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from gva_mi.data.synthetic.clothes.level_sets import (
+    BodySurface,
+    ClosedMesh,
+    VoxelGrid,
+    smax,
+    smin,
+    smoothstep,
+    surface_of,
+)
+from gva_mi.data.synthetic.people import Outfit
+from gva_mi.data.synthetic.texture import SkirtCone
+
+CLOTH_CELL = 0.0075  # m, grid of clothes: about two pixels of a 512² picture
+SHOE_CELL = 0.005  # m, grid of shoes
+PLEAT = 0.055  # m, depth of a skirt's pleats per metre below the hips
+WALL = 0.012  # m, thickness of the cloth at an opening
+
+
+def _drape(d: np.ndarray, grid: VoxelGrid, length: float = 0.05) -> np.ndarray:
+    """The distance d smoothed along the vertical: cloth hangs straight where the body is hollow."""
+    from scipy.ndimage import gaussian_filter1d
+
+    return gaussian_filter1d(d, length / grid.cell, axis=1)
+
+
+def _with_opening(
+    field: np.ndarray, uncut: np.ndarray, cut: np.ndarray, wall: float, depth: float = 0.04
+) -> np.ndarray:
+    """Cut a field where ``cut`` > 0, and hollow it out behind the cut.
+
+    Args:
+        field: negative inside the cloth, metres, as are the others.
+        uncut: the field before any opening was made.
+        cut: positive outside the opening's plane.
+        wall: thickness of the cloth that is left, metres.
+        depth: how far the hollow goes in from the cut, metres.
+    """
+    hollow = np.maximum(uncut + wall, -cut - depth)
+    return smax(smax(field, cut), -hollow, 0.004)
+
+
+def shirt(
+    grid: VoxelGrid,
+    d: np.ndarray,
+    joints: Mapping[str, np.ndarray],
+    outfit: Outfit,
+    rng: np.random.Generator,
+) -> ClosedMesh:
+    """A shirt.
+
+    Args:
+        grid, d: the body's distance on its grid.
+        joints: rest positions by name.
+        outfit: its ``loose``, ``sleeve`` and ``hem``.
+        rng: for the folds.
+    """
+    sleeve, hem = outfit.sleeve, outfit.hem
+    pelvis, neck = joints["pelvis"], joints["neck"]
+    shoulder, elbow, wrist = (joints[f"left_{n}"] for n in ("shoulder", "elbow", "wrist"))
+    x, y, z = grid.x, grid.y, grid.z
+    trunk = 1 - smoothstep(np.abs(x), 0.75 * shoulder[0], 1.05 * shoulder[0])
+    trunk = trunk * (1 - smoothstep(y, shoulder[1] - 0.16, shoulder[1] - 0.06))
+    draped = d * (1 - trunk) + trunk * _drape(d, grid)
+    uncut = draped - _shirt_stand_off(grid, joints, trunk, outfit, rng)
+
+    if sleeve <= 1:
+        end = shoulder[0] + sleeve * (elbow[0] - shoulder[0])
+    else:
+        end = elbow[0] + (sleeve - 1) * (wrist[0] - elbow[0])
+    field = _with_opening(uncut, uncut, np.abs(x) - end + 0 * y + 0 * z, WALL)
+    field = _with_opening(field, uncut, (pelvis[1] - hem) - y + 0 * x + 0 * z, WALL)
+    field = smax(field, _neckline(grid, joints), 0.015)
+    collar = neck[1] + 0.03 - 0.35 * (z - neck[2])  # higher at the nape
+    field = smax(field, y - collar + 0 * x, 0.015)
+    return surface_of(grid, field, uncut)
+
+
+def _shirt_stand_off(
+    grid: VoxelGrid,
+    joints: Mapping[str, np.ndarray],
+    trunk: np.ndarray,
+    outfit: Outfit,
+    rng: np.random.Generator,
+) -> np.ndarray:
+    """How far a shirt stands off the body, metres: more toward hem and cuffs, and in folds.
+
+    Args:
+        grid: where it is asked for.
+        joints: rest positions by name.
+        trunk: 1 on the trunk, 0 on the arms, of the grid's shape.
+        outfit, rng: as of :func:`shirt`.
+    """
+    loose, hem = outfit.loose, outfit.hem
+    pelvis, shoulder, wrist = (joints[n] for n in ("pelvis", "left_shoulder", "left_wrist"))
+    x, y, z = grid.x, grid.y, grid.z
+    drop = smoothstep(shoulder[1] - y, 0.05, shoulder[1] - pelvis[1] + hem)  # 0 at the shoulder
+    out = smoothstep(np.abs(x), shoulder[0], wrist[0])
+    angle = np.arctan2(z - pelvis[2], x)
+    folds = np.zeros(grid.shape, dtype=np.float32)
+    for n in (5, 8, 11):
+        phase, tilt = rng.uniform(0, 2 * np.pi), rng.uniform(-12, 12)
+        folds += np.cos(n * angle + phase + tilt * y) / 3
+    cuffs = np.sin(x * rng.uniform(90, 120) + 14 * (z + y)) * smoothstep(out, 0.25, 0.6)
+    stand_off = loose * (0.55 + 0.6 * drop * trunk + 0.35 * out) + 0.006
+    return stand_off + 0.35 * loose * (folds * drop * trunk + 0.35 * cuffs)
+
+
+def _neckline(grid: VoxelGrid, joints: Mapping[str, np.ndarray]) -> np.ndarray:
+    """A capsule around the neck, lower in front: positive inside it, metres."""
+    neck, head = joints["neck"], joints["head"]
+    low = neck + np.array([0, 0.0, 0.015])
+    axis = (head - neck) / np.linalg.norm(head - neck)
+    x, y, z = grid.x - low[0], grid.y - low[1], grid.z - low[2]
+    t = np.clip(x * axis[0] + y * axis[1] + z * axis[2], -0.01, 1)
+    radius = np.sqrt((x - t * axis[0]) ** 2 + (y - t * axis[1]) ** 2 + (z - t * axis[2]) ** 2)
+    return 0.40 * np.linalg.norm(joints["left_shoulder"] - neck) - radius
+
+
+def trousers(
+    grid: VoxelGrid, d: np.ndarray, joints: Mapping[str, np.ndarray], outfit: Outfit
+) -> ClosedMesh:
+    """Trousers or, with a ``length`` below 1, shorts.
+
+    Args:
+        grid, d: the body's distance on its grid.
+        joints: rest positions by name.
+        outfit: its ``length``, and its ``flare``, how far the hems stand off.
+    """
+    loose, length = outfit.flare, outfit.length
+    pelvis, hip, knee, ankle = (
+        joints[n] for n in ("pelvis", "left_hip", "left_knee", "left_ankle")
+    )
+    y = grid.y
+    below = smoothstep(hip[1] - y, 0.02, 0.25)
+    calf = below * np.ones(grid.shape, dtype=np.float32)
+    draped = d * (1 - calf) + calf * _drape(d, grid)
+    top = pelvis[1] + 0.75 * (joints["spine1"][1] - pelvis[1])
+    at_knee = knee[1] if length <= 1 else ankle[1]
+    start = hip[1] if length <= 1 else knee[1]
+    end = start + (length - (0 if length <= 1 else 1)) * (at_knee - start)
+    uncut = draped - (0.009 + loose * smoothstep(hip[1] - y, 0.05, hip[1] - end))
+    flat = 0 * grid.x + 0 * grid.z
+    field = _with_opening(uncut, uncut, end - y + flat, WALL)
+    field = smax(field, y - top + flat)
+    field = smax(field, np.abs(grid.x) - 0.42 * joints["left_elbow"][0] - 0.1 + 0 * y + 0 * grid.z)
+    return surface_of(grid, field, uncut)
+
+
+def skirt(
+    grid: VoxelGrid,
+    d: np.ndarray,
+    joints: Mapping[str, np.ndarray],
+    outfit: Outfit,
+    rng: np.random.Generator,
+) -> tuple[ClosedMesh, SkirtCone]:
+    """A skirt: an elliptic cone with pleats that deepen toward the hem; and that cone.
+
+    Args:
+        grid, d: the body's distance on its grid.
+        joints: rest positions by name.
+        outfit: its ``length``, and its ``flare``, by how much the radius grows per metre down.
+        rng: for the pleats.
+    """
+    flare, length = outfit.flare, outfit.length
+    hip, knee = joints["left_hip"], joints["left_knee"]
+    x, y, z = grid.x, grid.y, grid.z
+    end = hip[1] + length * (knee[1] - hip[1])
+    top = joints["pelvis"][1] + 0.7 * (joints["spine1"][1] - joints["pelvis"][1])
+    half_x, half_z, mid_z = _skirt_ellipse(grid, d, joints, flare, end)
+    drop = np.maximum(hip[1] - y, 0)
+    angle = np.arctan2(z - mid_z, x)
+    pleats = np.cos(13 * angle + rng.uniform(0, 6)) + 0.6 * np.cos(7 * angle + rng.uniform(0, 6))
+    grow = (flare + PLEAT * pleats) * drop
+    outline = np.sqrt((x / half_x) ** 2 + ((z - mid_z) / half_z) ** 2)
+    outline = (outline - 1) * min(half_x, half_z) - grow
+    yoke = smax(d - 0.011, (hip[1] - 0.06) - y + 0 * d, 0.03)
+    uncut = smin(smax(outline, y - hip[1] + 0 * outline, 0.03), yoke, 0.05)
+    # Pleats make the field steeper than a distance: the wall is thinner than it says.
+    field = _with_opening(uncut, uncut, end - y + 0 * outline, 0.022, 0.06)
+    field = smax(field, y - top + 0 * outline)
+    field = smax(field, np.abs(x) - half_x - flare * 0.6 + 0 * y + 0 * z)
+    slope = flare * (half_x + half_z) / (2 * min(half_x, half_z))  # of the mean radius
+    radius = (half_x + half_z) / 2
+    apex = (0.0, float(hip[1] + radius / slope), float(mid_z))
+    cone = SkirtCone(apex, float(slope), float(half_x / half_z))
+    return surface_of(grid, field, uncut), cone
+
+
+def _skirt_ellipse(
+    grid: VoxelGrid, d: np.ndarray, joints: Mapping[str, np.ndarray], flare: float, end: float
+) -> tuple[float, float, float]:
+    """A skirt's ellipse at the hips, metres: half its width, half its depth, its middle along z.
+
+    It is deep enough that the calves lie within the skirt, down to the height ``end``.
+    """
+    hip = joints["left_hip"]
+    row = lambda height: int(np.clip((height - grid.lo[1]) / grid.cell, 0, grid.shape[1] - 1))
+    body = (d < 0) & (np.abs(grid.x) < 0.45 * joints["left_elbow"][0] + 0.1)
+    hips = body[:, row(hip[1])]
+    half_x = np.abs(grid.x[:, 0, 0])[hips.any(1)].max() + 0.014
+    zs = grid.z[0, 0][hips.any(0)]
+    half_z, mid_z = np.ptp(zs) / 2 + 0.014, (zs.max() + zs.min()) / 2
+    least = flare - 1.6 * PLEAT  # growth where a pleat is deepest
+    for level in range(row(end), row(hip[1])):
+        out = np.abs(grid.z[0, 0][body[:, level].any(0)] - mid_z).max() + 0.014
+        half_z = max(half_z, out - least * (hip[1] - grid.y[0, level, 0]))
+    return half_x, half_z, mid_z
+
+
+def shoe(
+    surface: BodySurface, joints: Mapping[str, np.ndarray], side: str, thick: float
+) -> ClosedMesh:
+    """One shoe with a flat sole.
+
+    Args:
+        surface: the body.
+        joints: rest positions by name.
+        side: "left" or "right".
+        thick: how far the upper stands off, metres.
+    """
+    ankle = joints[f"{side}_ankle"]
+    near = np.linalg.norm(surface.points - joints[f"{side}_foot"], axis=1) < 0.25
+    foot = surface.points[near & (np.sign(surface.points[:, 0]) == np.sign(ankle[0]))]
+    foot = foot[foot[:, 1] < ankle[1] + 0.06]
+    ground = foot[:, 1].min()
+    grid = VoxelGrid.around(foot.min(0) - 0.04, foot.max(0) + [0.04, 0.03, 0.04], SHOE_CELL)
+    d = surface.sample(grid)
+    y = grid.y
+    sole_top = ground + 0.022
+    level = int((sole_top - grid.lo[1]) / grid.cell)
+    # Below its top the sole keeps the outline that the foot has there.
+    d = np.where(y < sole_top, d[:, level : level + 1], d)
+    sole = (1 - smoothstep(y, sole_top - 0.006, sole_top + 0.001)) * 0.006
+    uncut = d - thick - sole
+    field = smax(uncut, (ground - 0.014) - y + 0 * d, 0.008)
+    top = ankle[1] + 0.012 + 0.25 * (ankle[2] - grid.z)  # higher at the heel
+    return surface_of(grid, _with_opening(field, uncut, y - top + 0 * grid.x, 0.006, 0.02), uncut)

@@ -1,0 +1,189 @@
+"""Closed surfaces as level sets on grids of voxels, around a body's surface.
+
+A field f is negative inside a surface and positive outside, in metres, and near the surface about a
+distance. The surface is its zero level set. Level sets cannot intersect themselves, are closed, and
+always show a face that looks outwards, so that silhouettes and normals are well defined.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+BAND = 0.05  # m, how far from the body's surface distances are exact
+_CRUMB = 400  # faces; connected pieces no larger, where two fields barely meet, are left out
+
+
+@dataclass(frozen=True)
+class ClosedMesh:
+    """A closed triangle mesh in the rest pose."""
+
+    vertices: np.ndarray  # (V, 3) metres
+    faces: np.ndarray  # (F, 3) counter-clockwise seen from outside
+    shade: np.ndarray  # (V,) in [0, 1]: share of the light that reaches it; less inside openings
+
+
+@dataclass(frozen=True)
+class VoxelGrid:
+    """A block of regular cells; ``x``, ``y``, ``z`` (metres) broadcast to its shape."""
+
+    lo: np.ndarray  # (3,) metres
+    cell: float  # metres
+    shape: tuple[int, int, int]
+
+    @staticmethod
+    def around(lo: np.ndarray, hi: np.ndarray, cell: float) -> VoxelGrid:
+        """The grid of a box with the corners ``lo`` and ``hi``, (3,) metres."""
+        shape = np.ceil((np.asarray(hi) - lo) / cell).astype(int) + 1
+        return VoxelGrid(np.asarray(lo, dtype=np.float64), cell, tuple(int(n) for n in shape))
+
+    def axis(self, k: int) -> np.ndarray:
+        """Coordinates along axis k, float32, in the shape that broadcasts to the grid's."""
+        values = (self.lo[k] + self.cell * np.arange(self.shape[k])).astype(np.float32)
+        return values.reshape([-1 if i == k else 1 for i in range(3)])
+
+    @property
+    def x(self) -> np.ndarray:
+        return self.axis(0)
+
+    @property
+    def y(self) -> np.ndarray:
+        return self.axis(1)
+
+    @property
+    def z(self) -> np.ndarray:
+        return self.axis(2)
+
+
+def smax(a: np.ndarray, b: np.ndarray, k: float = 0.012) -> np.ndarray:
+    """Smooth maximum: rounds the edge between two fields over about ``k`` metres."""
+    h = np.maximum(k - np.abs(a - b), 0) / k
+    return np.maximum(a, b) + h * h * (k / 4)
+
+
+def smin(a: np.ndarray, b: np.ndarray, k: float = 0.012) -> np.ndarray:
+    """Smooth minimum."""
+    return -smax(-a, -b, k)
+
+
+def smoothstep(x: np.ndarray, lo: float, hi: float) -> np.ndarray:
+    """0 below ``lo``, 1 above ``hi``, smooth between."""
+    t = np.clip((x - lo) / (hi - lo), 0, 1)
+    return t * t * (3 - 2 * t)
+
+
+class BodySurface:
+    """The body's rest surface as oriented points, for signed distances that are smooth.
+
+    Attributes:
+        points: (N, 3) metres, about 7 mm apart.
+        normals: (N, 3) unit, outwards.
+    """
+
+    def __init__(self, vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> None:
+        from scipy.spatial import cKDTree
+
+        corners, directions = vertices[faces], normals[faces]
+        # The vertices, and of each face its centre, three points around it, two edges' midpoints.
+        weights = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4], [3, 3, 0], [0, 3, 3]])
+        weights = weights / weights.sum(1, keepdims=True)
+        self.points = np.concatenate([vertices, *np.einsum("wk,fkc->wfc", weights, corners)])
+        normals = np.concatenate([normals, *np.einsum("wk,fkc->wfc", weights, directions)])
+        self.normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+        self.tree = cKDTree(self.points)
+
+    def distance(self, x: np.ndarray, smooth: float = 0.012) -> np.ndarray:
+        """Signed distance (N,) of points (N, 3): the mean of the nearest tangent planes."""
+        distance, index = self.tree.query(x, k=6, workers=-1)
+        weight = np.exp((distance[:, :1] ** 2 - distance**2) / smooth**2)
+        height = np.einsum("nkc,nkc->nk", x[:, None] - self.points[index], self.normals[index])
+        plane = (weight * height).sum(1) / weight.sum(1)
+        return np.where(np.abs(plane) > distance[:, 0], np.sign(plane) * distance[:, 0], plane)
+
+    def sample(self, grid: VoxelGrid) -> np.ndarray:
+        """The signed distance on a grid, exact within ``BAND``; beyond, the distance in cells."""
+        from scipy.ndimage import distance_transform_edt
+
+        cells = np.round((self.points - grid.lo) / grid.cell).astype(int)
+        cells = cells[((cells >= 0) & (cells < grid.shape)).all(1)]
+        empty = np.ones(grid.shape, dtype=bool)
+        empty[tuple(cells.T)] = False
+        coarse = distance_transform_edt(empty).astype(np.float32) * grid.cell
+        near = coarse < BAND
+        at = np.argwhere(near) * grid.cell + grid.lo
+        values = coarse
+        values[near] = self.distance(at)
+        # Far cells are outside, except those that the surface encloses: deep inside the trunk.
+        inside = _deep_inside(values, near)
+        values[inside] *= -1
+        return values
+
+
+def _deep_inside(values: np.ndarray, near: np.ndarray) -> np.ndarray:
+    """Cells far from the surface that border on cells of negative distance, (X, Y, Z) bool."""
+    from scipy.ndimage import label
+
+    blobs, count = label(~near)
+    if count == 0:
+        return np.zeros_like(near)
+    total = np.zeros(count + 1)
+    for axis in range(3):
+        for a, b in ((slice(None, -1), slice(1, None)), (slice(1, None), slice(None, -1))):
+            index_a = tuple(a if i == axis else slice(None) for i in range(3))
+            index_b = tuple(b if i == axis else slice(None) for i in range(3))
+            touch = (blobs[index_a] > 0) & near[index_b]
+            sign = np.sign(values[index_b][touch])
+            total += np.bincount(blobs[index_a][touch], sign, count + 1)
+    return (total < 0)[blobs] & ~near
+
+
+def surface_of(grid: VoxelGrid, field: np.ndarray, uncut: np.ndarray | None = None) -> ClosedMesh:
+    """The zero level set of a field, by marching cubes.
+
+    Args:
+        grid: where the field is known.
+        field: negative inside.
+        uncut: the field before openings were cut into it; what lies deep inside it is in shade.
+    """
+    import trimesh
+    from scipy.ndimage import map_coordinates
+    from skimage.measure import marching_cubes
+
+    field = np.pad(field, 1, constant_values=1.0)  # closed at the block's border
+    vertices, faces, _, _ = marching_cubes(field, 0.0, gradient_direction="ascent")
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    parts = trimesh.graph.connected_components(mesh.face_adjacency, nodes=np.arange(len(faces)))
+    parts = [p for p in parts if len(p) > _CRUMB]
+    faces = faces[np.sort(np.concatenate(parts))]
+    used, faces = np.unique(faces, return_inverse=True)
+    vertices = vertices[used].astype(np.float64) - 1
+    shade = np.ones(len(vertices), dtype=np.float32)
+    if uncut is not None:
+        depth = map_coordinates(uncut, vertices.T, order=1, mode="nearest")
+        shade = 1 - 0.65 * smoothstep(-depth, 0.006, 0.014) - 0.2 * smoothstep(-depth, 0.014, 0.04)
+    faces = faces.reshape(-1, 3)
+    vertices = vertices * grid.cell + grid.lo
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    if np.einsum("fc,fc->", a, np.cross(b, c)) < 0:
+        faces = faces[:, ::-1]
+    faces = np.ascontiguousarray(faces)
+    return ClosedMesh(vertices.astype(np.float32), faces, shade.astype(np.float32))
+
+
+def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Unit normals (V, 3) float64, averaged over the faces around each vertex by area.
+
+    Unlike those of ``gva_mi.mesh.surface``, sums are float64 for float32 vertices as well, and
+    corner by corner: the surfaces of the people that are drawn depend on its rounding.
+    """
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    cross = np.cross(b - a, c - a)
+    normals = np.stack(
+        [
+            sum(np.bincount(faces[:, k], cross[:, i], len(vertices)) for k in range(3))
+            for i in range(3)
+        ],
+        axis=1,
+    )
+    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)

@@ -1,0 +1,72 @@
+"""All that can be chosen about a synthetic subject, and the random numbers it is made with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from gva_mi.body.smplx import BodyModel
+from gva_mi.data.synthetic import motion
+from gva_mi.data.synthetic.people import STUDY, Person
+from gva_mi.errors import InputError
+
+# One stream of random numbers for each thing that is drawn.
+MOTION, NOISE, NOVEL_POSE, NOVEL_VIEW, RENDER, BACKGROUND = range(1, 7)
+
+
+@dataclass(frozen=True)
+class SynthOptions:
+    """A synthetic subject: who, doing what, seen how, and how wrong its stage-1 data are."""
+
+    seed: int = 0  # another seed is another person: shape, clothes, hair, colours, motion, noise
+    subject: str | None = None  # one of the study's seven by name; the seed varies motion, noise
+    motion: Literal["turn", "everyday"] = "turn"  # everyday: with a squat, steps, busy arms
+    frames: int = 80  # of the video, which is one full turn
+    size: int = 512  # pixels, width and height of the pictures
+    samples: int = 16  # rays per pixel, a square number
+    clothes: bool = True  # clothes and shoes; without them a swimsuit is painted on the skin
+    hair: bool = True  # without it the head is bald
+    folds: float = 1.0  # factor on creases where cloth bends and on ends that lag; 0: skinned only
+    noise: float = 1.0  # factor on the three levels below; 0: exact poses, masks and normals
+    pose_noise: float = 1.0  # of the stage-1 poses; 1 is a vertex error of about 66 mm
+    mask_noise: float = 1.0  # of the masks; 1 is a boundary off by about 1 pixel at 512
+    normal_noise: float = 1.0  # of the normals; 1 is a blur of 2 pixels at 512 and about 9 degrees
+    novel_poses: int = 8  # pictures of poses that the video does not hold
+    novel_views: int = 8  # pictures of video frames from other sides
+    background: bool = False  # a room behind the person, in the frames of the video
+    blur: float = 0.0  # of these frames, pixels at 512
+    sensor_noise: float = 0.0  # of these frames; 1 is about 1.5 % of white
+    workers: int = 1  # processes that take pictures; any number gives the same bits
+
+    def __post_init__(self) -> None:
+        least = dict(seed=0, frames=2, size=16, samples=1, novel_poses=0, novel_views=0, workers=1)
+        for name, low in least.items():
+            if getattr(self, name) < low:
+                raise InputError(f"synth: {name} must be at least {low}, got {getattr(self, name)}")
+        if round(self.samples**0.5) ** 2 != self.samples:
+            raise InputError(f"synth: samples must be a square number, got {self.samples}")
+        levels = ("noise", "pose_noise", "mask_noise", "normal_noise", "blur", "sensor_noise")
+        for name in (*levels, "folds"):
+            if not 0 <= getattr(self, name) <= 10:
+                raise InputError(f"synth: {name} must be in [0, 10], got {getattr(self, name)}")
+        for name, known in (("subject", (None, *STUDY)), ("motion", tuple(motion.MOTIONS))):
+            if getattr(self, name) not in known:
+                names = ", ".join(str(k) for k in known if k)
+                raise InputError(f"synth: no {name} '{getattr(self, name)}'; there are: {names}")
+
+    def person(self, body: BodyModel) -> Person:
+        """Who the subject is."""
+        if self.subject is not None:
+            return STUDY[self.subject]
+        return Person.draw(self.seed, body.num_betas)
+
+    def entropy(self, stream: int) -> tuple[int, ...]:
+        """What seeds one of the streams above; no two of the study's subjects share it."""
+        named = () if self.subject is None else (STUDY[self.subject].seed,)
+        return (self.seed, stream, *named)
+
+    def random(self, stream: int) -> np.random.Generator:
+        """The random numbers of one of the streams above."""
+        return np.random.default_rng(self.entropy(stream))

@@ -35,8 +35,12 @@ FLOORS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("body", "SMPL-X, skinning, the puppet", ("gva_mi.body",)),
     ("mesh", "meshes seen by Mitsuba, differentiable in torch", ("gva_mi.mesh",)),
     ("data", "Video, Frame, the folder format", ("gva_mi.data",)),
-    ("synthetic/clothes", "garments, hair, folds", ("gva_mi.data.synthetic.clothes",)),
-    ("data/synthetic", "people, clothes, motion, noise, pictures", ("gva_mi.data.synthetic",)),
+    ("synthetic people", "who they are: shape, colours, texture",
+     ("gva_mi.data.synthetic.people", "gva_mi.data.synthetic.color",
+      "gva_mi.data.synthetic.texture")),
+    ("synthetic/clothes", "garments, hair, folds, on a body at rest",
+     ("gva_mi.data.synthetic.clothes", "gva_mi.data.synthetic.rest_body")),
+    ("data/synthetic", "subjects, their motion, noise and pictures", ("gva_mi.data.synthetic",)),
     ("sculptor", "who makes the puppet", ("gva_mi.sculptor",)),
     ("avatar", "Gaussians on a skeleton: what is learned", ("gva_mi.avatar",)),
     ("pose", "stage 2: poses that agree with the pictures", ("gva_mi.pose",)),
@@ -114,16 +118,16 @@ def circle(graph: dict[str, set[str]]) -> list[str]:
 def drawing() -> str:
     """The floors in mermaid: an arrow where one is needed by another and no third tells it."""
     graph = arrows()
-
-    def reached(node: int) -> set[int]:
-        return graph[node] | {far for other in graph[node] for far in reached(other)}
-
+    reached: dict[int, set[int]] = {}
+    for number in range(len(FLOORS)):  # from the ground up: what is below is known
+        below = {other for other in graph[number] if other < number}
+        reached[number] = below.union(*(reached[other] for other in below))
     lines = ["flowchart TB"]
     for number in reversed(range(len(FLOORS))):
         name, what, _ = FLOORS[number]
         lines.append(f'    f{number}["<b>{name}</b><br/>{what}"]')
     for number in reversed(range(len(FLOORS))):
-        told = {far for other in graph[number] for far in reached(other)}
+        told = set().union(*(reached[other] for other in graph[number] if other < number))
         lines += [f"    f{number} --> f{other}" for other in sorted(graph[number] - told)]
     return "\n".join(lines)
 

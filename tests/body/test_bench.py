@@ -3,14 +3,10 @@ import gva_mi  # noqa: F401, I001  (first: it chooses the libLLVM)
 import json
 
 import numpy as np
-import pytest
 import torch
 
-from gva_mi.commands import checks
 from gva_mi.body import Pose, Shape
 from gva_mi.body.bench import FRAMES, bench_body, random_body
-from gva_mi.errors import InputError
-from gva_mi.splat.bench import BenchOptions
 
 
 def test_every_stage_is_measured_for_every_batch():
@@ -31,14 +27,3 @@ def test_the_random_body_is_as_heavy_as_a_licensed_one():
     assert body.frame_directions.shape == (486 + body.num_expressions, 120)
     assert (body.num_betas, body.num_expressions) == (10, 10)
     assert body(Pose.rest(2), Shape(torch.ones(10))).vertices.isfinite().all()
-
-
-def test_the_command_writes_its_figures(monkeypatch, tmp_path, capsys):
-    small = lambda repeats, seed: bench_body(repeats, seed, vertices=60)
-    monkeypatch.setattr(checks, "bench_body", small)
-    checks.bench("body", BenchOptions(repeats=1), json_file=tmp_path / "new" / "body.json")
-    figures = json.loads((tmp_path / "new" / "body.json").read_text())
-    assert [batch["frames"] for batch in figures["batches"]] == list(FRAMES)
-    assert "60 vertices" in capsys.readouterr().out
-    with pytest.raises(InputError, match="no --scene"):
-        checks.bench("body", BenchOptions(), scene=tmp_path / "scene.npz")

@@ -1,8 +1,13 @@
 """``gva-mi bench``: what it writes."""
 
+import importlib
 import json
 
+import pytest
+
+from gva_mi.body.bench import FRAMES, bench_body
 from gva_mi.commands.bench import bench
+from gva_mi.errors import InputError
 from gva_mi.splat.bench import BenchOptions
 
 
@@ -12,3 +17,14 @@ def test_bench_writes_its_figures(scene, tmp_path, capsys):
     figures = json.loads((tmp_path / "new" / "bench.json").read_text())
     assert figures["gaussians"] == 8 and figures["growth"] == []
     assert "composite, adjoint" in capsys.readouterr().out
+
+
+def test_bench_of_the_body_writes_its_figures(monkeypatch, tmp_path, capsys):
+    small = lambda repeats, seed: bench_body(repeats, seed, vertices=60)
+    monkeypatch.setattr(importlib.import_module("gva_mi.commands.bench"), "bench_body", small)
+    bench("body", BenchOptions(repeats=1), json_file=tmp_path / "new" / "body.json")
+    figures = json.loads((tmp_path / "new" / "body.json").read_text())
+    assert [batch["frames"] for batch in figures["batches"]] == list(FRAMES)
+    assert "60 vertices" in capsys.readouterr().out
+    with pytest.raises(InputError, match="no --scene"):
+        bench("body", BenchOptions(), scene=tmp_path / "scene.npz")

@@ -5,12 +5,10 @@ import pytest
 
 from gva_mi.body import load_body
 from gva_mi.body.pose import JOINTS
-from gva_mi.body.puppet import EXPRESSIONS, PUPPET
+from gva_mi.body.puppet import EXPRESSIONS
 from gva_mi.sculptor import portrait
-from gva_mi.commands import body as show_body
 from gva_mi.sculptor.portrait import turntable
 from gva_mi.sculptor.portrait_poses import BODIES, faces, hands
-from gva_mi.errors import InputError
 
 
 @pytest.fixture(scope="module")
@@ -46,33 +44,3 @@ def test_the_eyes_have_their_own_colours(puppet):
         eye = (puppet.weights[:, JOINTS.index(f"{side}_eye_smplhf")] > 0.5).numpy()
         assert not (color[eye] == np.float32(portrait.SKIN)).all(1).any()
         assert (color[eye] == np.float32(portrait.IRIS)).all(1).any()
-
-
-@pytest.fixture
-def quick(monkeypatch):
-    blank = lambda *_, **__: np.ones((4, 8, 3), np.float32)
-    monkeypatch.setattr(show_body, "turntable", blank)
-    monkeypatch.setattr(show_body, "draw_sheet", blank)
-
-
-def test_the_command_writes_the_body_and_its_pictures(quick, tmp_path):
-    out, sheet = tmp_path / "a" / "body.npz", tmp_path / "sheet.png"
-    assert show_body.body(out=out, sheet=sheet) == [out, out.with_suffix(".png"), sheet]
-    assert out.read_bytes() == PUPPET.read_bytes()
-    assert sheet.exists() and out.with_suffix(".png").exists()
-    with pytest.raises(InputError, match="body.npz: exists already; give --overwrite"):
-        show_body.body(out=out)
-    show_body.body(source=str(out), out=out, overwrite=True)
-    assert out.read_bytes() == PUPPET.read_bytes()
-
-
-def test_without_a_place_the_picture_lies_here(quick, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert [p.name for p in show_body.body()] == ["puppet.png"]
-
-
-def test_a_body_that_is_not_there_is_named(quick, tmp_path):
-    with pytest.raises(InputError, match="nobody.npz: no such file"):
-        show_body.body(source=str(tmp_path / "nobody.npz"))
-    with pytest.raises(InputError, match="a body file ends in .npz"):
-        show_body.body(out=tmp_path / "body.pkl")

@@ -6,11 +6,17 @@ code, and another value is another recording. Dr.Jit 1.5.0 compares them badly: 
 equals an earlier one of the same call is not looked at, so that ``f(x, False, True, True)`` and
 ``f(x, False, True, False)`` share a recording, and the second gives the first one's result. So
 constants are keyword arguments here, and every set of them has a frozen function of its own.
+
+While a function is traced Python collects no garbage. A collection may free what is not ours, such
+as a Mitsuba scene whose ray tracer is taken down on Dr.Jit's queue; within a recording that ends
+the process.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import gc
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import drjit as dr
@@ -35,4 +41,16 @@ class Frozen:
         self.variants[key] = variant  # used last, it is forgotten last
         if len(self.variants) > LIMIT:
             del self.variants[next(iter(self.variants))]
-        return variant(*arrays)
+        with _no_garbage_collected():
+            return variant(*arrays)
+
+
+@contextmanager
+def _no_garbage_collected() -> Iterator[None]:
+    collecting = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collecting:
+            gc.enable()

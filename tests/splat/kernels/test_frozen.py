@@ -1,6 +1,9 @@
 """A frozen function is traced once per set of constants, and never mistakes one for another."""
 
+import gc
+
 import drjit as dr
+import pytest
 from drjit.llvm import Float
 
 from gva_mi.splat.kernels.frozen import Frozen
@@ -42,3 +45,28 @@ def test_constants_that_equal_others_are_told_apart():
                     expected = (1 if a else 2) + (10 if b else 20) + (100 if c else 200)
                     assert chosen(opaque(4), a=a, b=b, c=c)[0] == expected
     assert recordings(chosen) == 8
+
+
+def test_no_garbage_is_collected_in_a_recording():
+    """Nor afterwards, where the caller had switched it off; and an error leaves it as it was."""
+    seen = []
+
+    @Frozen
+    def looked(x, *, fails):
+        seen.append(gc.isenabled())
+        if fails:
+            raise ValueError("as asked")
+        return x + 1
+
+    assert gc.isenabled()
+    looked(opaque(3), fails=False)
+    assert seen == [False] and gc.isenabled()
+    gc.disable()
+    try:
+        looked(opaque(3), fails=False)
+        assert not gc.isenabled()
+    finally:
+        gc.enable()
+    with pytest.raises((ValueError, RuntimeError)):
+        looked(opaque(3), fails=True)
+    assert gc.isenabled()

@@ -19,7 +19,7 @@ SOURCES = sorted((ROOT / "gva_mi").rglob("*.py")) + sorted((ROOT / "plugins").rg
 FLOORS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("ground", "errors, files, libLLVM, console, pages",
      ("gva_mi", "gva_mi.errors", "gva_mi.files", "gva_mi.llvm", "gva_mi.console", "gva_mi.page",
-      "gva_mi.threads", "gva_mi.versions")),
+      "gva_mi.threads")),
     ("splat records", "Camera, Gaussians, SplatOptions",
      ("gva_mi.splat.camera", "gva_mi.splat.gaussians", "gva_mi.splat.options")),
     ("splat/kernels", "splatting in Dr.Jit: forward, adjoint, tangent", ("gva_mi.splat.kernels",)),

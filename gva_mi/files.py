@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import json
+import platform
 import shutil
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from gva_mi.errors import InputError
+
+PACKAGES = ("gva_mi", "torch", "drjit", "numpy")  # whose versions may change the figures
 
 
 def read_arrays(path: Path, expected: str) -> dict[str, np.ndarray]:
@@ -93,3 +97,9 @@ def write_json(path: Path, value: Any) -> None:  # noqa: ANN401 (anything that J
     """Write JSON, indented for people; a path counts as its text."""
     with replacing(path) as unfinished:
         unfinished.write_text(json.dumps(value, indent=2, default=str) + "\n")
+
+
+def versions() -> dict[str, str]:
+    """Of Python and of the packages that may change the figures: written beside every result."""
+    found = {"python": platform.python_version()}
+    return found | {name: metadata.version(name) for name in PACKAGES}

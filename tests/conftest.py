@@ -30,6 +30,54 @@ def cli(capsys, monkeypatch):
     return run
 
 
+@pytest.fixture(scope="session")
+def one_thread():
+    """Tests may share the cores with others: OpenMP's threads would wait for each other."""
+    import torch
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+# The bare puppet before a camera, 96 pixels wide, in three poses.
+
+
+@pytest.fixture(scope="session")
+def puppet_scene(body):
+    from gva_mi.mesh.mesh_scene import MeshScene
+
+    return MeshScene(body.faces, body.v_template)
+
+
+@pytest.fixture(scope="session")
+def puppet_camera(body):
+    from gva_mi.splat import Camera, look_at
+
+    size = 96
+    low, high = body.v_template.amin(0), body.v_template.amax(0)
+    centre = ((low + high) / 2).numpy()
+    focal = 0.8 * size * 3 / float((high - low).max())
+    T_camera_world = look_at(centre + (0.2, 0.1, 3), centre)
+    return Camera(focal, focal, size / 2, size / 2, T_camera_world, size, size)
+
+
+@pytest.fixture(scope="session")
+def true_pose():
+    """Three frames in which the arms sink and the trunk turns."""
+    import torch
+
+    from gva_mi.body.pose import JOINTS, Pose
+
+    rotations = torch.zeros(3, 55, 3)
+    time = torch.tensor([0.0, 1.0, 2.0])
+    rotations[:, 0, 1] = 0.15 * time
+    rotations[:, JOINTS.index("left_shoulder"), 2] = -0.5 - 0.1 * time
+    rotations[:, JOINTS.index("right_shoulder"), 2] = 0.5 + 0.1 * time
+    return Pose(rotations, torch.zeros(3, 3), torch.zeros(3, 10))
+
+
 # A tiny subject made by a known avatar: the puppet in colours, turning before a camera. It is made
 # where a test asks for it, so that tests of the lower floors need nothing from the higher ones.
 

@@ -14,11 +14,10 @@ from gva_mi.commands.refine import refine_videos
 from gva_mi.console import bar, say
 from gva_mi.data.synthetic import SynthOptions, make_subject
 from gva_mi.data.video import load_video
-from gva_mi.files import make_room, write_json
+from gva_mi.files import make_room, versions, write_json
 from gva_mi.fit import run_folder
 from gva_mi.fit.options import FitOptions, Rates
 from gva_mi.pose.sequence import SequenceOptions
-from gva_mi.versions import versions
 
 SUBJECT = "subject"  # where the subject lies within the demo's folder
 MARKER = "demo.json"  # every demo's folder holds it

@@ -16,6 +16,7 @@ from gva_mi.console import bar, say
 from gva_mi.data.fingerprint import require_same_body
 from gva_mi.data.video import POSES, REFINED_POSES, Video, load_video
 from gva_mi.errors import InputError
+from gva_mi.files import versions
 from gva_mi.fit.metrics import refinement_lines
 from gva_mi.pose.evaluation.ablation import ablate
 from gva_mi.pose.evaluation.measure import Evaluation
@@ -27,7 +28,6 @@ from gva_mi.pose.parallel import workers as local_workers
 from gva_mi.pose.refine import refine_all
 from gva_mi.pose.sequence import SequenceOptions
 from gva_mi.pose.single_frame import SingleFrameOptions
-from gva_mi.versions import versions
 
 REPORT = "refinement.html"
 

@@ -13,11 +13,10 @@ from tyro.conf import Positional
 from gva_mi.body.smplx import load_body
 from gva_mi.commands.arguments import Flat
 from gva_mi.console import bar, say
-from gva_mi.files import write_json
+from gva_mi.files import versions, write_json
 from gva_mi.pose.evaluation.measure import REGIONS
 from gva_mi.pose.evaluation.study import HELD_OUT, TUNING, CaseResult, StudyOptions
 from gva_mi.pose.evaluation.study import study as refine_cases
-from gva_mi.versions import versions
 
 CASES = {"held-out": HELD_OUT, "tuning": TUNING, "all": (*TUNING, *HELD_OUT)}
 

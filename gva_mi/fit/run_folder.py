@@ -34,9 +34,8 @@ from gva_mi.avatar.reinit import SurfaceMesh
 from gva_mi.body.pose import load_poses
 from gva_mi.data.video import Video
 from gva_mi.errors import InputError
-from gva_mi.files import read_arrays, replacing, write_arrays, write_json
+from gva_mi.files import read_arrays, replacing, versions, write_arrays, write_json
 from gva_mi.splat import Gaussians
-from gva_mi.versions import versions
 
 AVATAR, CHECKPOINT, HISTORY = "avatar.npz", "checkpoint.pt", "history.npz"
 OPTIONS, TRAINED_POSES, REINIT = "options.json", "poses.npz", "reinit"

@@ -19,10 +19,9 @@ from torch import Tensor
 from gva_mi.body.pose import load_poses, save_poses
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.video import POSES, Video
-from gva_mi.files import write_json
+from gva_mi.files import versions, write_json
 from gva_mi.fit.photometric import FittedPoses, PhotometricOptions
 from gva_mi.pose.evaluation.measure import vertex_errors
-from gva_mi.versions import versions
 
 TRACKED_POSES, TRACKING = "poses_photometric.npz", "photometric.json"
 REGIONS = {"vertices": "body", "hands": "hands", "feet": "feet", "aligned": "body_aligned"}

@@ -12,12 +12,8 @@ from gva_mi.fit.evaluate import render_frame
 
 
 @pytest.fixture(scope="session", autouse=True)
-def one_thread():
-    """Tests may share the cores with others: OpenMP's threads would wait for each other."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
+def quiet(one_thread):
+    """All tests of this folder are of tensors."""
 
 
 @pytest.fixture(scope="session")

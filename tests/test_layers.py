@@ -3,6 +3,7 @@
 import ast
 import importlib
 import importlib.util
+import re
 from pathlib import Path
 
 import pytest
@@ -66,6 +67,14 @@ def test_every_floor_has_a_room(name):
 def test_the_drawing_is_of_the_code_as_it_is():
     page = (ROOT / "docs/architecture.md").read_text()
     assert floors.drawing() in page, "run `python docs/floors.py` and put the drawing in"
+
+
+def test_the_page_of_the_house_names_files_that_exist():
+    page = (ROOT / "docs/architecture.md").read_text()
+    there = [f"/{path.relative_to(ROOT)}" for path in SOURCES] + ["/docs/floors.py"]
+    there.append("/tests/test_layers.py")
+    for name in set(re.findall(r"[\w/]+\.py", page)):
+        assert any(path.endswith(f"/{name}") for path in there), name
 
 
 @MODULE

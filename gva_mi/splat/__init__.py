@@ -11,8 +11,8 @@ shape there), sh.py (its colour), project.py (all three, for all Gaussians), til
 which tile), pixel.py (one pixel meets one Gaussian), blend.py (the loops around it), passes.py (one
 after the other).
 
-The proofs stand apart: reference.py is the slow twin, gradcheck/ compares the kernels with it and
-with other answers, bench/ times them, and scene.py makes what they are tried on.
+The checks stand apart: reference.py is the slow twin, gradcheck/ compares the kernels with it and
+with other answers, bench/ times them, and scene.py holds the scenes for both.
 
 Importing this folder imports Dr.Jit and numpy; torch comes with the first use of ``render``,
 ``Screen`` or ``rasterization``.

@@ -23,7 +23,7 @@ CameraModel = Literal["pinhole", "ortho", "fisheye"]
 
 
 class CameraTensors(NamedTuple):
-    """The matrices of a camera that are to be differentiated, torch or Dr.Jit; None: it is not."""
+    """The matrices of a camera to differentiate by, torch's or Dr.Jit's; None: it is a constant."""
 
     T_camera_world: Any = None  # (4, 4)
     K: Any = None  # (3, 3)
@@ -149,7 +149,7 @@ class Camera:
         return replace(self, cx=cx, cy=cy, width=width, height=height, tensors=tensors)
 
     def project(self, points: np.ndarray) -> np.ndarray:
-        """World points (..., 3) to pixels (..., 2); of no use for a point behind the camera."""
+        """World points (..., 3) to pixels (..., 2); meaningless for a point behind the camera."""
         x = points @ self.T_camera_world[:3, :3].T + self.T_camera_world[:3, 3]
         if self.model == "pinhole":
             scale = 1 / x[..., 2]
@@ -176,7 +176,7 @@ def look_at(eye: np.ndarray, target: np.ndarray, up: np.ndarray = (0.0, 1.0, 0.0
 
 
 def _is_tensor(matrix: Any) -> bool:  # noqa: ANN401
-    """Whether it can be differentiated by: torch is told by its method, not to import it here."""
+    """Whether it is a tensor; torch's is known by its method, for torch is not imported here."""
     return isinstance(matrix, dr.ArrayBase) or hasattr(matrix, "new_tensor")
 
 

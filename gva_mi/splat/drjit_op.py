@@ -103,7 +103,7 @@ def _numpy(tensor: Array) -> np.ndarray:
 
 
 class _Render(dr.CustomOp):
-    """The two directions of passes.py, as Dr.Jit's autodiff wants them."""
+    """The three passes of passes.py, as Dr.Jit's autodiff calls them."""
 
     def eval(
         self,

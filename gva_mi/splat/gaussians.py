@@ -42,10 +42,10 @@ class Gaussians:
         return named | ({"sh": self.sh} if self.colors is None else {"colors": self.colors})
 
     def check_shapes(self) -> None:
-        """Whether the arrays fit each other.
+        """Check that the arrays fit each other.
 
         Raises:
-            ValueError: naming the first that does not.
+            ValueError: one does not; the error names the first.
         """
         shapes = {name: tuple(array.shape) for name, array in self.arrays().items()}
         n = shapes["means"][0] if shapes["means"] else 0

@@ -158,7 +158,7 @@ def rasterization(
 
 
 def _meta(screens: list[Screen], width: int, height: int) -> dict[str, Any]:
-    """What is not differentiable of ``meta``."""
+    """The entries of ``meta`` that are not differentiable."""
     return {
         "camera_ids": None,
         "gaussian_ids": None,
@@ -239,13 +239,16 @@ def _colors_by_camera(
 
 
 def _in_cameras(means: Tensor, viewmats: Tensor) -> Tensor:
-    """Means in camera space, (C, N, 3); sums, since matrix products depend on the threads."""
+    """Means in camera space, (C, N, 3).
+
+    They are written as sums, for the last bits of a matrix product depend on the number of threads.
+    """
     R, t = viewmats[:, None, :3, :3], viewmats[:, None, :3, 3]
     return (means[None, :, None, :] * R).sum(dim=-1) + t
 
 
 def _in_pictures(x: Tensor, Ks: Tensor, model: CameraModel, near: float) -> Tensor:
-    """Eq. 2 of lens.py, (C, N, 2); of use where a Gaussian is drawn."""
+    """Eq. 2 of lens.py, (C, N, 2); meaningless where a Gaussian is not drawn."""
     f, c = torch.diagonal(Ks, dim1=1, dim2=2)[:, None, :2], Ks[:, None, :2, 2]
     z = torch.where(x[..., 2:] > near, x[..., 2:], 1)
     if model == "pinhole":
@@ -268,7 +271,7 @@ def _radii(screen: Screen, width: int, height: int) -> Tensor:
 
 
 def _attach_absgrad(means2d: Tensor, screens: list[Screen]) -> None:
-    node = weakref.ref(means2d)  # the hook belongs to the tensor: no circle
+    node = weakref.ref(means2d)  # the tensor holds the hook, so the hook must not hold the tensor
 
     def attach(grad: Tensor) -> None:
         target = node()

@@ -130,7 +130,7 @@ class Scene:
         return replace(self, gaussians=Gaussians(**kept), camera=camera)
 
     def through(self, model: CameraModel) -> Scene:
-        """The same view with another camera model, the Gaussians' middle about as large."""
+        """The same view with another camera model; the Gaussians' middle stays about as large."""
         c, means = self.camera, self.gaussians.means.detach().numpy()
         size = 1.0
         if len(means) and (model == "ortho") != (c.model == "ortho"):  # px per metre, not per slope

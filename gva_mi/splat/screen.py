@@ -1,9 +1,11 @@
 """The Gaussians as one picture saw them: what densification, and gsplat's ``meta``, need to know.
 
-screen = Screen()
-image = render(gaussians, camera, screen=screen)
-loss(image).backward()
-moved = screen.grad.norm(dim=1)  # loss per pixel of motion; 0 where not screen.visible
+The gradient by each Gaussian's mean in the picture::
+
+    screen = Screen()
+    image = render(gaussians, camera, screen=screen)
+    loss(image).backward()
+    moved = screen.grad.norm(dim=1)  # loss per pixel of motion; 0 where not screen.visible
 """
 
 from __future__ import annotations
@@ -25,12 +27,12 @@ from gva_mi.splat.kernels.records import Footprint, Format, Splat
 class Screen:
     """The Gaussians as one picture saw them: filled by ``render``, gradients by ``backward``."""
 
-    means2d: Tensor | None = None  # (N, 2) px; of use where visible
+    means2d: Tensor | None = None  # (N, 2) px; meaningless where not visible
     radii: Tensor | None = None  # (N,) px, 3 sigma of the longer axis; 0 where not drawn
     grad: Tensor | None = None  # (N, 2) dL/dmeans2d, per px; 0 where not drawn
     absolute: bool = False  # set to have absgrad filled as well
     absgrad: Tensor | None = None  # (N, 2) grad with the share of every pixel taken absolutely
-    projected: Projected | None = None  # what the kernels know; None where there is no Gaussian
+    projected: Projected | None = None  # of the kernels; None where there is no Gaussian
     format: Format | None = None  # of its splats
 
     @property
@@ -39,7 +41,12 @@ class Screen:
         return self.radii > 0
 
     def fill(self, saved: Saved, means: Tensor) -> None:
-        """Take what the kernels know of the Gaussians; means (N, 3)."""
+        """Read the Gaussians out of what the kernels saved.
+
+        Args:
+            saved: what ``render_forward`` returned.
+            means: (N, 3) of the Gaussians.
+        """
         self.grad = self.absgrad = None
         self.projected, self.format = saved.projected, saved.plan.formats[0]
         if self.projected is None:
@@ -73,7 +80,7 @@ class Screen:
 
     @property
     def _splat(self) -> Splat:
-        """Its fields as tensors (N,), of the first chunk."""
+        """The record of all Gaussians, its fields as tensors (N,); colours of the first chunk."""
         return Splat.unpack(self._columns(self.projected.splats[0]), self.format)
 
     def _columns(self, record: Packets) -> list[Tensor]:

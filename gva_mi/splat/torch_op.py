@@ -2,8 +2,9 @@
 
 Torch and Dr.Jit share the memory of the Gaussians, the picture and the gradients. The precision is
 that of the tensors: float64 Gaussians run the same kernels in float64. All three images are
-differentiable by every tensor of the Gaussians and by the background.
-What densification needs to know of a picture is written to a :class:`Screen`, where one is given.
+differentiable by every tensor of the Gaussians, by the background, and by the camera's matrices
+where these are tensors. What densification needs to know of a picture is written to a
+:class:`Screen`, where one is given.
 """
 
 from __future__ import annotations
@@ -102,16 +103,16 @@ class _Tensors(NamedTuple):
 
 @dataclass(frozen=True)
 class _View:
-    """How they are looked at."""
+    """The rest of a call, which is constant: how the Gaussians are looked at."""
 
     camera: Camera
     options: SplatOptions
-    harmonics: bool
+    harmonics: bool  # whether the colours are coefficients
     screen: Screen | None
 
 
 class _Render(torch.autograd.Function):
-    """The two directions of passes.py, as torch's autograd wants them."""
+    """The three passes of passes.py, as torch's autograd calls them."""
 
     @staticmethod
     def forward(ctx: FunctionCtx, *arguments: Any) -> tuple[Tensor, Tensor, Tensor]:  # noqa: ANN401

@@ -40,7 +40,7 @@ UNSEEN = -1e30  # lo of a Gaussian that no pixel sees
 
 @dataclass(frozen=True)
 class Limit:
-    """How far every pixel sees."""
+    """How far each pixel sees, for pictures with an opaque surface in them."""
 
     plane: Array  # m, one number per pixel of the padded picture
     depths: Array  # (N,) m, of the Gaussians
@@ -268,7 +268,7 @@ def _load(splats: packets.Packets, format: Format, ids: Array, k: Array, inside:
 
 
 def _depth(limit: Limit, lists: Lists, k: Array) -> Array:
-    """Of the Gaussian of pair ``k``."""
+    """The depth of the Gaussian of pair ``k``."""
     gaussian = dr.gather(type(k), lists.ids, k, active=k < lists.end)
     return dr.gather(type(limit.depths), limit.depths, gaussian)
 

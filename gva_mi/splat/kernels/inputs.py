@@ -33,7 +33,7 @@ class Inputs:
         return (getattr(self, field.name) for field in fields(self))
 
     def __len__(self) -> int:
-        """N."""
+        """N, the number of Gaussians."""
         return dr.width(self.opacities)
 
     @property
@@ -51,7 +51,7 @@ class Inputs:
         return Inputs(*(dr.zeros(self.float_type, dr.width(array)) for array in self))
 
     def lane(self) -> Array:
-        """The number of a Gaussian in each lane of a kernel."""
+        """The numbers of all Gaussians, one in each lane of a kernel."""
         return dr.arange(dr.uint32_array_t(self.float_type), len(self))
 
     def require_finite(self, harmonics: bool) -> None:
@@ -102,7 +102,7 @@ class Gaussian3D:
 
     @staticmethod
     def load(inputs: Inputs, color_width: int, i: Array) -> Gaussian3D:
-        """Those with the numbers ``i``."""
+        """The Gaussians with the numbers ``i``."""
         F = inputs.float_type
         m = [dr.gather(F, inputs.means, 3 * i + k) for k in range(3)]
         s = [dr.gather(F, inputs.scales, 3 * i + k) for k in range(3)]
@@ -111,7 +111,7 @@ class Gaussian3D:
         return Gaussian3D(m, quat, s, o, packets.load_rows(inputs.colors, color_width, i))
 
     def store(self, inputs: Inputs, i: Array) -> None:
-        """Write them under the numbers ``i``: gradients."""
+        """Write the lanes' values, which are gradients, to the rows ``i``."""
         mode = dr.ReduceMode.NoConflicts
         for k in range(3):
             dr.scatter(inputs.means, self.m[k], 3 * i + k, mode=mode)
@@ -123,7 +123,7 @@ class Gaussian3D:
 
 @dataclass(frozen=True)
 class GradientMemory:
-    """Where the gradients go; None for one that nobody asked for."""
+    """Where the gradients are written; None for one that was not asked for."""
 
     inputs: Inputs
     u: Array  # 2 N, by the mean in the picture, per px

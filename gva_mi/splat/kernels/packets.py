@@ -59,10 +59,10 @@ def widths(columns: int) -> list[int]:
 def memory(F: type, size: int) -> Array:
     """Uninitialised memory for ``size`` numbers, as an argument of a frozen kernel.
 
-    Within one it is ``dr.empty``.
+    Inside a frozen kernel memory is allocated by ``dr.empty``.
     """
     array = dr.empty(F, size)
-    dr.make_opaque(array)  # until then it is a promise, whose size dr.freeze takes for a constant
+    dr.make_opaque(array)  # until then it has only a size, which dr.freeze takes for a constant
     return array
 
 

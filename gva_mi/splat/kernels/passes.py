@@ -12,8 +12,8 @@ on disk), later calls replay them whatever the number of Gaussians or the pose. 
 are constants of a recording: another value is another one. Cut-offs and numbers of channels make
 another kernel too. Sizes of memory that a kernel allocates for itself (the picture's, the slots')
 do not: the kernel is the same, and is only traced again. Memory that comes in as an argument is
-copied at every call. That of the Gaussians does so all the same, up to ``MANY`` of them, for their
-number changes often; beyond, copying costs more than tracing.
+copied at every call. Up to ``MANY`` Gaussians, their memory comes in as an argument all the same,
+because their number changes often; beyond, copying would cost more than tracing.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ Adjoint, back to front, from g_k = dL/dy_k, h = dL/dalpha, the last T and where 
 
 (15)  T_i = T_{i+1} / (1 - alpha_i)
       v_i = T_i alpha_i (f_i . g - B_i)                        dL/dln alpha_i; 0 if clamped
-      B_{i-1} = B_i + alpha_i (f_i . g - B_i)                  what lies behind i - 1, through g;
+      B_{i-1} = B_i + alpha_i (f_i . g - B_i)                  what lies behind i - 1, times g;
                                                                behind the last: background . g - h
 (16)  m0 = sum v,  m1 = sum v w,  m2 = sum v w w^T,  grad_f_k = sum T_i alpha_i g_k
       over the tile's pixels, for every pair (tile, Gaussian);  grad_background_k = sum T g_k
@@ -25,15 +25,16 @@ Eq. 15 adds and multiplies what is of one size. From front to back, what lies be
 whole less what was passed, and behind an opaque Gaussian nothing but the rounding of both. T and B
 are the whole state of a pixel.
 
-With ``absolute``, two more sums: |v w_x| and |v (q w_x + r w_y)|, over pixels of the absolute
-derivatives by u, but for the factors that all pixels share.
+With ``absolute`` there are two more sums, of |v w_x| and of |v (q w_x + r w_y)|: absolute values of
+each pixel's derivatives by u, without the factors that all pixels share.
 
-Tangent, where d_ marks tangents and ln2 is of the base in eq. 12:
+Tangent, where d_ marks tangents and ln2 comes from the base in eq. 12:
 
 (17)  d_w     = (d_p d_x + d_q d_y - p d_u_x - q d_u_y, d_r d_y - r d_u_y)
       d_alpha = ln2 alpha (d_lo - 2 w . d_w);  0 where alpha is clamped
       d_T_{i+1} = d_T_i (1 - alpha) - T_i d_alpha
-      d_y_k   = sum_i (d_T_i alpha + T_i d_alpha) f_k + T_i alpha d_f_k  + d_T background_k + ...
+      d_y_k   = sum_i (d_T_i alpha + T_i d_alpha) f_k + T_i alpha d_f_k
+                + d_T background_k + T d_background_k,   d_alpha of the picture = -d_T
 
 The steps are below, beside each other. What walks the lists, and loads and stores, is blend.py.
 """
@@ -161,7 +162,7 @@ class PixelAdjoint:
     """One pixel on its way back to front."""
 
     T: Array  # transmittance behind the Gaussian that comes next
-    B: Array  # what lies there, through g
+    B: Array  # what lies there, times g
 
     def step_back(
         self, alpha: Alpha, f: list[Array], g: list[Array], options: SplatOptions
@@ -244,7 +245,7 @@ class SlotSums:
         self.format = format
 
     def add_pixel(self, g: Splat, alpha: Alpha, v: Array, weight: Array, by_y: list[Array]) -> None:
-        """The sums that no two pixels share a product of: grad_f, and the absolute ones."""
+        """Add what is summed pixel by pixel: grad_f, and the absolute sums."""
         for c, by_feature in enumerate(by_y):
             self.grad_f[c] = _fma(weight, by_feature, self.grad_f[c])
         if self.absolute:
@@ -253,7 +254,7 @@ class SlotSums:
             self.absolute = [_add(ax, dr.abs(v * alpha.wx)), _add(ay, dr.abs(v * by_v))]
 
     def add_row(self, row: PixelRow, v: list[Array]) -> None:
-        """The moments of a row of pixels, by those of v about the row's middle.
+        """Add the moments of a row of pixels, made of those of v about the row's middle.
 
         Pixels at e and -e share a product: s_n = sum v e^n.
         """
@@ -273,7 +274,7 @@ class SlotSums:
         ]
 
     def slot(self) -> Slot:
-        """The sums."""
+        """The sums as a record."""
         color = self.grad_f[: self.format.channels]
         depth = self.grad_f[-1] if self.format.depth else None
         return Slot(self.m0, self.m1, self.m2, self.absolute, color, depth)

@@ -48,10 +48,10 @@ class Planes:
 
 @dataclass(frozen=True)
 class Trail:
-    """What the compositing leaves for its way back: one number per pixel."""
+    """What the compositing leaves for its way back, each one number per pixel."""
 
     T: Array  # the last transmittance of eq. 13
-    end: Array  # in ids: where the pixel stopped, one past the last Gaussian that it shows
+    end: Array  # place in ``ids`` where the pixel stopped: one past the last Gaussian that it shows
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Window:
 
     @staticmethod
     def of(lists: Lists, grid: Grid, F: type) -> Window:
-        """Each lane's, in numbers of type ``F``."""
+        """The window of each lane, in numbers of type ``F``."""
         columns = type(lists.tile)(grid.columns)
         row = lists.tile // columns
         column = lists.tile - row * columns

@@ -43,7 +43,7 @@ class Footprint:
 
     @staticmethod
     def columns(format: None = None) -> int:
-        """How many: the fields, and one that fills the packet up."""
+        """How many columns there are: the fields, and one that fills the packet up."""
         return 8
 
     def pack(self) -> list[Array]:
@@ -76,7 +76,7 @@ class Splat:
 
     @staticmethod
     def columns(format: Format) -> int:
-        """How many."""
+        """How many columns there are."""
         return 6 + format.channels + format.depth
 
     def pack(self) -> list[Array]:
@@ -104,7 +104,7 @@ class Slot:
 
     @staticmethod
     def columns(format: Format) -> int:
-        """How many."""
+        """How many columns there are."""
         return 6 + 2 * format.absolute + format.channels + format.depth
 
     def pack(self) -> list[Array]:
@@ -133,7 +133,7 @@ class ViewGradient:
 
     @staticmethod
     def columns(format: None = None) -> int:
-        """How many."""
+        """How many columns there are."""
         return 19
 
     def pack(self) -> list[Array]:

@@ -10,7 +10,7 @@ A tile is ``WIDTH x HEIGHT`` pixels, the work of one SIMD lane. The steps:
 5. schedule: tiles with lists of like length share a SIMD packet, and packets are dealt round-robin
    over the blocks that threads work on, or one thread would get all the long lists.
 
-The number of pairs M is another one at every pose. Pair buffers therefore have a *capacity*, M
+The number of pairs M differs from pose to pose. Pair buffers therefore have a *capacity*, M
 rounded up to one of four sizes per octave: the memory is that of the largest picture so far, and
 does not fragment. The padding belongs to the last tile, and the stable sort leaves it behind.
 """
@@ -27,7 +27,7 @@ from gva_mi.splat.kernels.frozen import Frozen
 from gva_mi.splat.kernels.records import Footprint
 
 WIDTH, HEIGHT = 8, 4  # pixels of a tile
-SIMD = 16  # lanes of a packet (AVX-512; half of it divides it)
+SIMD = 16  # lanes of a packet with AVX-512; AVX2's 8 lanes divide it
 BLOCKS = 16  # packets are dealt over this many parts
 LONGEST = 1023  # lists are ordered by length up to this one
 MAX_PAIRS = 2**29 - 1  # slots are packets of 8 floats, counted by 32-bit indices
@@ -78,7 +78,7 @@ class Layout:
         return self.tiles * WIDTH * HEIGHT
 
     def grid(self, I: type) -> Grid:
-        """For the kernels, in signed integers of type ``I``."""
+        """The same for the kernels, in signed integers of type ``I``."""
         return Grid(*(dr.opaque(I, n) for n in (self.width, self.height, self.columns)))
 
 

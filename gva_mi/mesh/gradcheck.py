@@ -7,7 +7,7 @@ the vertices' motion, is compared with two twins that share no code with it, in 
 (``gva_mi_plugins.mesh_normals.twins``):
 
 1. the mask's derivative and the normals' boundary term with ``Scanlines``, the normals' interior
-   with ``Differences.interior``; each apart, for in their sum errors may cancel;
+   with ``Differences.interior``; each is compared apart, for in their sum errors may cancel;
 2. each for WEIGHTINGS linear functions of the image, smooth random fields: the figure is
    ``|found - truth| / |truth|``, vectors over these functions. One function alone may be small
    by chance, where opposite sides of a limb cancel.
@@ -57,7 +57,7 @@ POSES: dict[str, dict[str, tuple[float, float, float]]] = {  # axis-angles of jo
     "piercing": {
         "left_shoulder": (0, 0, -1.45), "right_shoulder": (0, 0, 1.45),
     },
-    # Both thighs are mirror images: every edge that passes through the other one meets an edge.
+    # The thighs are mirror images: where an edge of one passes through the other, it meets an edge.
     "pressed": {
         "left_hip": (0, 0, -0.2), "right_hip": (0, 0, 0.2),
     },
@@ -206,7 +206,7 @@ def _compare(
 
 
 def _true(mesh: MovingMesh, sensor: mi.Sensor, options: GradientOptions) -> _Derivative:
-    """By the twins."""
+    """The derivative by the twins."""
     from gva_mi_plugins.mesh_normals.twins.differences import Differences
     from gva_mi_plugins.mesh_normals.twins.scanlines import Scanlines
 
@@ -215,7 +215,7 @@ def _true(mesh: MovingMesh, sensor: mi.Sensor, options: GradientOptions) -> _Der
 
 
 def _found(mesh: MovingMesh, sensor: mi.Sensor, options: GradientOptions) -> _Derivative:
-    """By the plugin."""
+    """The derivative by the plugin."""
     import mitsuba as mi
 
     vertices = torch.from_numpy(mesh.vertices.astype(np.float32))

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class MeshScene:
-    """One mesh that is moved about and looked at.
+    """A mesh whose vertices move, and its renderings.
 
     Example:
         >>> scene = MeshScene(faces, vertices)  # doctest: +SKIP
@@ -71,15 +71,17 @@ class MeshScene:
         return integrator.view(self._scene, sensor)
 
     def show(self, vertices: Tensor) -> None:
-        """Move the mesh there, unless it is: rebuilding the ray tracer's tree is most of a
-        rendering's time."""
+        """Move the mesh to these vertices (V, 3), unless they are the ones it has.
+
+        Rebuilding the ray tracer's tree is most of a rendering's time.
+        """
         if self._shown is not vertices:
             self._parameters["mesh.vertex_positions"] = _to_mitsuba(vertices)
             self._parameters.update()
             self._shown = vertices
 
     def _sensor(self, camera: Camera) -> tuple[MeshNormals, mi.Sensor]:
-        """The integrator and the sensor of a camera, kept, for a video has few."""
+        """The integrator and the sensor of a camera; they are kept, for a video has few cameras."""
         import mitsuba as mi
 
         key = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
@@ -136,20 +138,20 @@ class _RenderNormals(torch.autograd.Function):
         import drjit as dr
         import mitsuba as mi
 
-        ctx.scene.show(ctx.shown)  # where another pose was looked at in between
+        ctx.scene.show(ctx.shown)  # another pose may have been rendered in between
         grad = ctx.view.adjoint(mi.TensorXf(grad_image.contiguous()))
         return _to_torch(dr.ravel(grad)).view(-1, 3), None, None
 
 
 def _to_mitsuba(vertices: Tensor) -> mi.Float:
-    """Without a copy: Dr.Jit keeps the tensor's memory alive."""
+    """The vertices for Mitsuba, without a copy: Dr.Jit keeps the tensor's memory alive."""
     import mitsuba as mi
 
     return mi.Float(vertices.detach().contiguous().view(-1))
 
 
 def _to_torch(value: mi.TensorXf) -> Tensor:
-    """Without a copy, once the kernels that compute it have ended."""
+    """An array for torch, without a copy, once the kernels that compute it have ended."""
     import drjit as dr
 
     dr.eval(value)

@@ -18,18 +18,18 @@ from gva_mi.splat.gaussians import Gaussians
 
 @dataclass(frozen=True)
 class Compiled:
-    """One forward and backward pass."""
+    """The kernels of one forward and backward pass."""
 
-    scene: str  # in which it differs from the scene before
+    scene: str  # how it differs from the scene before
     launched: int  # kernels
     new: int  # of them, those whose code this process had not met
 
 
 def measure_compiles(work: Work) -> Iterator[Compiled]:
-    """After ``work`` has run: itself again, and with one thing changed at a time.
+    """Render ``work``, then the same again, and then with one thing changed at a time.
 
     Note:
-        A size counts as new once per process: whoever has rendered it before finds no compile.
+        A size is new once per process: where it was rendered before, nothing is compiled.
     """
     work.both()
     s, c = work.scene, work.scene.camera

@@ -25,7 +25,7 @@ WIDTHS = (128, 256, 512, 1024, 2048)  # px, of square pictures
 
 @dataclass(frozen=True)
 class Growth:
-    """One size of scene."""
+    """Time and memory at one size of scene."""
 
     name: str
     gaussians: int
@@ -84,7 +84,7 @@ def measure_growth(name: str, scene: Scene, repeats: int) -> Growth:
 
 
 def _with_a_huge_one(scene: Scene) -> Scene:
-    """And a translucent Gaussian before all others, of 3 m: it touches every tile."""
+    """The scene with a translucent Gaussian of 3 m before all others, which touches every tile."""
     g, camera = scene.gaussians, scene.camera
     ahead = camera.position + 1.0 * camera.T_camera_world[2, :3]
     huge = {

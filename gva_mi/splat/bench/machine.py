@@ -17,7 +17,7 @@ BUFFER = 1 << 24  # floats of a memory buffer, 64 MiB: no cache holds it
 
 @dataclass(frozen=True)
 class Limits:
-    """The roof that a kernel's share is measured against."""
+    """The limits that a kernel's share is measured against."""
 
     gflops: float  # 1e9 multiplications and additions per second, float32, all threads
     gigabytes: float  # 1e9 bytes per second, read and written

@@ -25,7 +25,7 @@ class Moving:
 
 
 def measure_moving(work: Work, calls: int) -> Moving:
-    """The two are measured alternately, so that the machine's other work falls on both."""
+    """Measure fixed and moving calls by turns, so that the machine's other work falls on both."""
     pose = lambda k: Work(turned(work.scene, 0.3 * math.sin(0.7 * k)), work.weights)
     for k in range(10):
         pose(k).both()

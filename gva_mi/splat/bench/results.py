@@ -63,7 +63,7 @@ class Bench:
         return asdict(self)
 
     def table(self) -> str:
-        """For a person to read."""
+        """All figures as text, for a person to read."""
         head = f"{self.gaussians:,} Gaussians, {self.width}x{self.height}, {self.pairs:,} pairs"
         limits = f"{self.limits.gflops:.0f} GFLOP/s, {self.limits.gigabytes:.1f} GB/s"
         lines = [f"{head}; this machine's limits: {limits}, {self.limits.threads} threads", ""]

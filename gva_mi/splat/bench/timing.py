@@ -22,7 +22,7 @@ from gva_mi.splat.torch_op import render
 
 @dataclass(frozen=True)
 class Timing:
-    """Of repeated calls."""
+    """How long repeated calls take."""
 
     least: float  # ms
     median: float  # ms
@@ -64,7 +64,7 @@ class Work:
         torch.autograd.grad(image.color, list(s.inputs().values()), self.weights)
 
     def saved(self) -> Saved:
-        """What the kernels know of the picture."""
+        """What the kernels save of a picture."""
         s = self.scene
         flat = [Float(v.detach().contiguous().view(-1)) for v in s.gaussians.arrays().values()]
         harmonics, behind = s.gaussians.sh is not None, s.background.tolist()
@@ -72,7 +72,7 @@ class Work:
 
 
 def repeated(run: Callable[[], None], repeats: int) -> Timing:
-    """After two calls that compile and allocate."""
+    """How long calls take, after two that compile and allocate."""
     run(), run()
     return Timing.of([seconds(run) for _ in range(repeats)])
 
@@ -91,7 +91,7 @@ def pairs_of(saved: Saved) -> int:
 
 
 def walked_of(saved: Saved) -> int:
-    """Those that the compositing reached before all pixels of the tile were opaque."""
+    """Pairs that the compositing reached before all pixels of their tile were opaque."""
     if saved.lists is None:
         return 0
     real = saved.lists.real.numpy()

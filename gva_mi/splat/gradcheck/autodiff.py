@@ -12,7 +12,7 @@ It is slow and takes memory for every turn of the loop (pixels x Gaussians x sta
 pictures. Its gradients are sums by atomic additions, whose last digits differ from run to run.
 
 Note:
-    Three traps of Dr.Jit 1.5.0 that cost a wrong gradient without a word, or the process:
+    Dr.Jit 1.5.0 has three traps, which give a wrong gradient without a word or end the process:
     ``max_iterations`` must be a true bound (-1 is for loops without state between turns); a state
     of the loop must not be Boolean; and an array must be unravelled once, for of two unravelled
     copies only one hands its gradient on.
@@ -122,7 +122,7 @@ def _project(
     K: Array,
     options: SplatOptions,
 ) -> tuple[Array, list[Array], list[Array], Array]:
-    """Means in camera space and in the picture, inverse covariances, what the blur leaves of o."""
+    """Means in camera space and in the picture, inverse covariances, the share of o that is kept."""
     x = R @ means + t
     w, i, j, k = dr.unravel(ad.Array4f64, gaussians.quats.array)
     length = dr.sqrt(w * w + i * i + j * j + k * k)
@@ -148,7 +148,7 @@ def _project(
 def _lens(
     x: Array, f: tuple[Array, Array], c: tuple[Array, Array], camera: Camera, options: SplatOptions
 ) -> tuple[list[Array], Array]:
-    """Where camera space falls at focal length one, and the derivative J in pixels by x."""
+    """Where means fall in the picture at focal length one, and J, the derivative of pixels by x."""
     zero = x.z * 0
     if camera.model == "ortho":
         p, rows = [x.x, x.y], [[zero + 1, zero, zero], [zero, zero + 1, zero]]

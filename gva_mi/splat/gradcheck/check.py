@@ -73,7 +73,7 @@ class Tolerances:
     tangent32: float = 1e-5
     tangent64: float = 1e-10
     autodiff: float = 1e-10
-    # with a step h = 1e-6: 1e-16 / h from rounding, about 100 such for sums over the picture
+    # with a step h = 1e-6, rounding leaves 1e-16 / h, and sums over the picture add many such
     differences: float = 1e-6
 
 
@@ -238,7 +238,7 @@ def _by_differences(
 
 
 def _by_autodiff(scene: Scene, weights: Tensor) -> dict[str, Tensor]:
-    """By Dr.Jit's own, through the loop of autodiff.py."""
+    """The gradients by Dr.Jit's own autodiff, through the loop of autodiff.py."""
     to_drjit = lambda t: TensorXf64(t.detach().contiguous().numpy())
     arrays = {k: to_drjit(v) for k, v in scene.inputs().items()}
     dr.enable_grad(list(arrays.values()))
@@ -286,7 +286,7 @@ def _compare(method: str, name: str, found: Tensor, truth: Tensor, tolerance: fl
 
 
 def _errors(found: Image, truth: Image) -> Tensor:
-    """The greatest of colour, alpha and depth per pixel, (H, W)."""
+    """Each pixel's greatest error in colour, alpha and depth, (H, W)."""
     names = [name for name in IMAGES if getattr(truth, name) is not None]
     off = [(getattr(found, k).detach().double() - getattr(truth, k).detach()).abs() for k in names]
     return torch.stack([off[0].amax(dim=-1), *off[1:]]).amax(dim=0)

@@ -71,7 +71,7 @@ def difference_image(
 
 @dataclass(frozen=True)
 class Probe:
-    """Along what an input is moved: a direction through all entries, then single entries."""
+    """The directions in which an input is moved: one through all entries, then single entries."""
 
     everywhere: Tensor  # of the input's shape, of length one half to one
     entries: tuple[tuple[int, ...], ...]
@@ -83,7 +83,7 @@ class Probe:
         half = torch.rand(gradient.numel(), generator=generator) < 0.5
         chosen = (gradient.reshape(-1).abs() * half).topk(min(entries, gradient.numel())).indices
         at = [tuple(int(i) for i in torch.unravel_index(k, gradient.shape)) for k in chosen]
-        # a length of one would round to other numbers in float32: a power of two does not
+        # divided by a power of two and not by the norm, the numbers are the same in float32
         length = 2.0 ** torch.log2(direction.norm().clamp(min=1)).ceil()
         return Probe(direction / length, tuple(at))
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 IMAGES = ("color", "alpha", "depth")  # the last one where SplatOptions.depth is on
-COARSE = 1e-3  # a float32 row that fails below it has lost digits, above it a mistake
+COARSE = 1e-3  # a failing float32 row has lost digits if its error is below this, else it is wrong
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Report:
 
     @property
     def verdict(self) -> str:
-        """One sentence."""
+        """What was found, in one sentence."""
         wrong, coarse = [], []
         for row in self.rows:
             if not row.passed:
@@ -77,7 +77,7 @@ class Report:
         return f"{found} ({scene})"
 
     def table(self) -> str:
-        """For a person to read."""
+        """All rows and the verdict as text, for a person to read."""
         titles = ("error", "allowed", "1 - cosine", "worst")
         lines = [f"{'method':12} {'of':15}" + "".join(f" {title:>10}" for title in titles) + "  at"]
         for r in self.rows:

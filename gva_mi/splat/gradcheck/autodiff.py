@@ -122,7 +122,7 @@ def _project(
     K: Array,
     options: SplatOptions,
 ) -> tuple[Array, list[Array], list[Array], Array]:
-    """Means in camera space and in the picture, inverse covariances, the share of o that is kept."""
+    """Means in camera space and in the picture, inverse covariances, the share of o that stays."""
     x = R @ means + t
     w, i, j, k = dr.unravel(ad.Array4f64, gaussians.quats.array)
     length = dr.sqrt(w * w + i * i + j * j + k * k)

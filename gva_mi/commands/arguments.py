@@ -1,4 +1,4 @@
-"""What arguments mean that several commands have."""
+"""Arguments that several commands have, and what they mean."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Switch = Annotated[bool, FlagCreatePairsOff]  # off unless given, so that there 
 def poses_of(subject: Path, given: Path | None = None) -> Path:
     """The file that ``--poses`` names; without it the refined poses, else those of stage 1.
 
-    Poses that were never refined are no error, but they are said.
+    Poses that were never refined are no error, but a line says so.
     """
     poses = given or best_poses(subject)
     if given is None and poses.name != REFINED_POSES:

@@ -28,8 +28,8 @@ def body(
     Args:
         source: "puppet", the built-in body; "anny", the free realistic one; or a file in SMPL-X's,
             SMPL+H's or SMPL's .npz format.
-        out: the body file, .npz; the picture lies beside it as .png. Without it only a picture,
-            named after the source, in the working folder.
+        out: the body file, .npz; the picture lies beside it as .png. Without it there is only a
+            picture, in the working folder, named after the source.
         sheet: also write a picture (.png) of the body in many poses, its hands and its face.
         overwrite: replace files that are there.
     """

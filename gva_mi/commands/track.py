@@ -30,7 +30,7 @@ def track(
     """Fit the poses of a video to its pictures, seen through an avatar of the person.
 
     Writes poses_photometric.npz and photometric.json into the subject's folder. They have seen the
-    test frames: no other step takes them but by its --poses.
+    test frames: another step uses them only where its --poses names them.
 
     Args:
         run: the folder of a finished fit, or an avatar.npz, of this video or of another one of the

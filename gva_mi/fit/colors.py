@@ -2,11 +2,11 @@
 
     c_v = Σ_k w_vk I_k(π_k(x_vk)) / Σ_k w_vk,        w_vk = S_k(π_k(x_vk)) · max(0, -n_vk · d_vk)²
 
-with vertex v of the body, posed as in frame k, at x, its normal n, the direction d from camera to
-vertex, projection π, picture I, mask S. Surfaces seen from the front count fully, and grazing ones
-hardly. A vertex that is hidden behind a limb in some frames takes its colour from the others, which
-outweigh them, and the fit corrects the rest. Starting from grey, Adam's steps of constant size
-would take hundreds of iterations to reach black or white.
+where vertex v of the body, posed as in frame k, stands at x and has the normal n, d is the
+direction from the camera to it, π the projection, I the picture and S the mask. Surfaces seen from
+the front count fully, and grazing ones hardly. A vertex that is hidden behind a limb in some frames
+takes its colour from the others, which outweigh them, and the fit corrects the rest. Starting from
+grey, Adam's steps of constant size would take hundreds of iterations to reach black or white.
 """
 
 from __future__ import annotations

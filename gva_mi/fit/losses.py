@@ -1,4 +1,4 @@
-"""What the avatar's fit minimises: Eq. 9 of the paper, and two optional terms of the field.
+"""What the avatar's fit minimises: Eq. 9 of the paper, and two optional terms of other codes.
 
     L_render = |C - I| + λ3 |VGG(C) - VGG(I)| + λ4 |MLP(θ)|                                    (9)
 

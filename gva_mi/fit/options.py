@@ -21,14 +21,14 @@ SPLAT = SplatOptions(depth=False)  # no term of the loss looks at the depth
 
 @dataclass(frozen=True)
 class Rates:
-    """Learning rates of Adam, the field's (Kerbl et al. 2023) but for the means.
+    """Learning rates of Adam: those of 3DGS (Kerbl et al. 2023), but for the means.
 
-    There, 1.6e-4 is enough for tens of thousands of steps. In the two or three thousand that a CPU
-    has time for, hair and skirts would never be reached.
+    For the means 3DGS takes 1.6e-4, which is enough for tens of thousands of steps. In the two or
+    three thousand that a CPU has time for, they would never reach hair and skirts.
     """
 
-    means: float = 4e-3  # metres; falls exponentially to
-    means_end: float = 1e-5  # this at the last step
+    means: float = 4e-3  # metres, at the first step; falls exponentially to means_end
+    means_end: float = 1e-5  # metres, at the last step
     quats: float = 1e-3
     log_scales: float = 5e-3
     logit_opacities: float = 5e-2
@@ -42,8 +42,8 @@ class Schedule:
     """When Gaussians are added, removed, and put back on the surface."""
 
     densify_every: int = 200  # steps; 0: never
-    densify_from: float = 0.05  # share of all steps, the first round comes after it
-    densify_until: float = 0.6  # share of all steps, the last round comes before it
+    densify_from: float = 0.05  # share of all steps before the first round
+    densify_until: float = 0.6  # share of all steps after which there is no round
     reinit_at: tuple[float, ...] = (0.25, 0.5)  # shares of all steps; empty: never
 
     def __post_init__(self) -> None:

@@ -6,13 +6,13 @@ person's clothes and colours. All frames together descend (:mod:`gva_mi.pose.des
     L = mean_k L_k(R_k exp(δ_k), t_k + τ_k) + E(δ, τ)
 
 where ``L_k`` compares frame ``k`` with the avatar that is laid over it
-(:mod:`gva_mi.fit.picture_evidence`), and ``E`` holds the turns δ of all joints and the shifts τ to
-zero, and smooth in time
-(:mod:`gva_mi.pose.corrections`, with the poses it starts from in the place of stage 1).
+(:mod:`gva_mi.fit.picture_evidence`), and ``E`` keeps the turns δ of all joints and the shifts τ
+small and smooth in time (:mod:`gva_mi.pose.corrections`, with the poses that the pass starts from
+in the place of stage 1).
 
 The poses to start from are those the avatar was trained under, or others of the same person: an
-avatar made from one video tracks its person through another. Poses found so have seen their
-pictures. Figures of test frames under them stand in a row of their own, where they are asked for.
+avatar made from one video tracks its person through another. Such poses have seen the pictures they
+are judged by, so figures of test frames under them stand in a row of their own, where asked for.
 
 A long video is cut into overlapping clips (:mod:`gva_mi.pose.clips`), which can be fitted apart
 because frames far from each other have no unknowns in common.
@@ -78,7 +78,7 @@ class PhotometricOptions(DescentOptions):
 
     @property
     def weights(self) -> PictureWeights:
-        """Of the terms of ``L_k``."""
+        """The weights of the terms of ``L_k``."""
         return PictureWeights(self.alpha, self.ssim)
 
 

@@ -47,7 +47,7 @@ SPLAT = SplatOptions(depth=False)
 
 @dataclass(frozen=True)
 class PictureWeights:
-    """Of the terms of eq. 2; that of the picture is 1."""
+    """The weights of the terms of eq. 2; the picture's own term has weight 1."""
 
     alpha: float  # λα
     ssim: float  # λs
@@ -120,7 +120,7 @@ class PictureEvidence:
         return torch.stack(losses).mean()
 
     def energy(self) -> float:
-        """Nothing is shared."""
+        """Zero, for the frames share no unknowns."""
         return 0.0
 
 

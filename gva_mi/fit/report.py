@@ -236,7 +236,7 @@ def _subtitle(metrics: Metrics) -> str:
 
 
 def _smooth(values: np.ndarray, over: int = 25) -> np.ndarray:
-    """A running mean, for the loss of a step depends on which single frame it showed."""
+    """A running mean: the loss of a single step depends on which frame it showed."""
     over = min(over, len(values))
     padded = np.pad(values, (over // 2, over - 1 - over // 2), mode="edge")
     return np.convolve(padded, np.full(over, 1 / over), mode="valid")

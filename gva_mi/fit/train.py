@@ -172,7 +172,7 @@ class _Run:
             self.gradients = ScreenGradients(len(self.avatar.canonical))
 
     def state(self) -> dict[str, Any]:
-        """The whole state of the run, for a run_folder."""
+        """The whole state of the run, for its checkpoint."""
         return {
             "step": self.step,
             "avatar": self.avatar.record(),

@@ -1,4 +1,4 @@
-"""The body on fewer triangles, on which refining a pose takes less than half the time.
+"""The body on fewer triangles: refining a pose on it takes less than half the time.
 
 A quarter of the triangles draws the same picture: at the size that is compared a pixel is 8 mm
 wide, and holds several triangles of the body. The time of a step grows with their number, because

@@ -27,7 +27,7 @@ class Displacement:
     """``D`` and its energy.
 
     Attributes:
-        raw: (V, 3) the leaf that an optimiser may move; ``D`` is the leaf where there are no hands.
+        raw: (V, 3) the leaf that an optimiser may move; ``D`` equals it, but is zero on the hands.
     """
 
     def __init__(self, vertices: Tensor, faces: Tensor, weights: Tensor) -> None:

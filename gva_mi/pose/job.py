@@ -1,4 +1,4 @@
-"""Pieces of a refinement, and the interface of a way to refine.
+"""The pieces into which a refinement is cut, and the interface of a way to refine.
 
 A :class:`Job` holds all that its result depends on, so that it may be solved in this process, in
 another one, or on another machine, with the same bits. Its options choose the way: all frames

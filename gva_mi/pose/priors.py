@@ -1,16 +1,16 @@
 """How much a turn of a joint moves, and how strongly it is held to stage 1.
 
-The lever arm of a joint is how far away that is which turns with it, in metres. Both ways of
-refining divide their steps by it, so that a step moves the surface by about as much whichever joint
-it turns.
+The lever arm of a joint is its mean distance from the surface that turns with it, in metres. Both
+ways of refining divide their steps by it, so that a step moves the surface by about as much
+whichever joint it turns.
 
 They hold a pose to stage 1 differently. Eq. 8's regulariser ``Σ ω_i (θ_i - θ_i^stage1)`` has no
-norm as printed, and could fall without bound; the frame by frame way takes it squared. Its weights
+norm as printed, and could fall without bound; the way frame by frame squares it. Its weights
 fall with the distance from the root in the kinematic tree, ``ω_i = 1 / (1 + depth_i)``: the farther
 out a joint, the worse stage 1 knows it, and the less it is held. The energies of a whole sequence
 (:mod:`gva_mi.pose.corrections`) count metres instead: a turn of ``δ_i`` radians counts as ``ℓ_i
-|δ_i|``, with ``ℓ_i`` the lever arm or a little more. For errors of estimators, and what pictures
-tell, are about as large all over the body when they are counted in metres.
+|δ_i|``, with ``ℓ_i`` the lever arm or a little more. Counted in metres, the errors of estimators
+are about as large all over the body, and so is what pictures show.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ fitted to their silhouettes alone.
 
 Single frames, clips of long videos (:mod:`gva_mi.pose.clips`) and the videos of several subjects
 are independent of each other, and may be refined at the same time (:mod:`gva_mi.pose.parallel`).
-How the work is cut does not depend on who does it, so that any number of workers finds the same.
+How the work is cut does not depend on who does it: any number of workers finds the same poses.
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ from gva_mi.pose.job import Job, RefineOptions, Solution
 from gva_mi.pose.limits import require_at_least
 from gva_mi.pose.priors import lever_arms
 
-STEPS_A_PASS = 16  # at least, where there are so many frames
+STEPS_A_PASS = 16  # at least, where the video has so many frames
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ def refine_sequence(
         progress: called as ``progress(done, total, loss=...)`` after every step.
     """
     person = ClothedPerson(job, options)
-    # A video of few frames takes fewer of them a step, or its steps would be too few to arrive.
+    # With few frames a step takes fewer of them, or there would be too few steps to arrive.
     batch = max(1, min(options.batch, len(job.evidence) // STEPS_A_PASS))
     pose = descend(person, job.pose, person.arms, replace(options, batch=batch), progress)
     return Solution(pose, Shape(person.shape.betas.detach()), person.offsets.detach())
@@ -143,11 +143,11 @@ class ClothedPerson:
 
     @property
     def shape(self) -> Shape:
-        """``β``."""
+        """``β``, the shape."""
         return Shape(self._betas[:, 0])
 
     def loss(self, frames: Sequence[int], pose: Pose) -> Tensor:
-        """The data term, a mean over some frames."""
+        """The data term in these poses, a mean over their frames."""
         vertices = self._job.body(pose, self.shape, self.offsets).vertices
         seen = [self._job.evidence[k] for k in frames]
         return mean_loss(self._scene, vertices, seen, self._options.silhouette)

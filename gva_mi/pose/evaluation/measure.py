@@ -1,4 +1,6 @@
-"""How well poses fit, by the masks and by the truth of a synthetic subject; no step reads it.
+"""How well poses fit, by the masks and by the truth of a synthetic subject.
+
+No step of the method reads these figures.
 
 Errors are mean distances between the vertices of one body in two poses. *Root-aligned* ones compare
 after the pelvis joints are laid on each other, which leaves out the depth that one camera hardly
@@ -62,7 +64,7 @@ class Change:
 
 @dataclass(frozen=True)
 class PoseFigures:
-    """Means over all frames; None where it takes the truth, which is not known."""
+    """Means over all frames; None where a figure needs the truth and there is none."""
 
     vertices: Change | None  # mm
     hands: Change | None  # mm
@@ -113,7 +115,7 @@ _CHANGES = {  # the key of the refined figure in JSON; that of stage 1 has "_sta
 
 @dataclass(frozen=True)
 class Measured:
-    """A refinement, frame by frame."""
+    """The figures of a refinement, frame by frame."""
 
     stage1: VertexErrors | None  # None without the truth
     refined: VertexErrors | None
@@ -125,7 +127,7 @@ class Measured:
 
     @property
     def means(self) -> PoseFigures:
-        """Over all frames."""
+        """The means over all frames."""
         known = self.refined is not None
         clean = None if self.iou_true_masks is None else float(self.iou_true_masks.nanmean())
         return PoseFigures(

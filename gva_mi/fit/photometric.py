@@ -37,11 +37,11 @@ from gva_mi.fit.picture_evidence import PictureAndMask, PictureEvidence, Picture
 from gva_mi.pose.clips import cut, join, of_clip, poses_of_clip
 from gva_mi.pose.descent import DescentOptions, descend, with_frames, worse_frames
 from gva_mi.pose.evidence import gather
-from gva_mi.pose.limits import require_at_least, require_positive
 from gva_mi.pose.priors import lever_arms
 from gva_mi.threads import one_torch_thread
 
 FITTED = "poses fitted to the pictures"  # the name of the row of figures under such poses
+from gva_mi.errors import require_at_least, require_positive
 
 
 @dataclass(frozen=True)

@@ -20,9 +20,9 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.console import Progress
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.evidence import MaskAndNormals
-from gva_mi.pose.limits import require_at_least
 
 FEWEST_FACES = 500  # a body of fewer has no hands left
+from gva_mi.errors import require_at_least
 
 
 @dataclass(frozen=True)

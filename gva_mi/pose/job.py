@@ -18,11 +18,11 @@ from torch import Tensor
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.console import Progress
+from gva_mi.errors import require_at_least
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.evidence import MaskAndNormals
 
 FEWEST_FACES = 500  # a body of fewer has no hands left
-from gva_mi.errors import require_at_least
 
 
 @dataclass(frozen=True)

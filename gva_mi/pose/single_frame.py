@@ -16,6 +16,7 @@ from torch import Tensor
 
 from gva_mi.body.pose import Pose
 from gva_mi.console import Progress, within
+from gva_mi.errors import require_at_least
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.clips import cut
 from gva_mi.pose.descent import with_frames
@@ -25,7 +26,6 @@ from gva_mi.pose.vector_adam import VectorAdam
 
 DECAY = 0.1  # what is left of the learning rates at the end
 FRAMES_A_JOB = 16  # each is refined for itself, but a job for each would be too small
-from gva_mi.errors import require_at_least
 
 
 @dataclass(frozen=True)

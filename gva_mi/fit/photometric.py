@@ -33,11 +33,11 @@ from gva_mi.body.pose import Pose
 from gva_mi.body.smplx import Rest
 from gva_mi.console import Progress, within
 from gva_mi.data.video import Frame, Video
+from gva_mi.errors import require_at_least, require_positive
 from gva_mi.fit.picture_evidence import PictureAndMask, PictureEvidence, PictureWeights
 from gva_mi.pose.clips import cut, join, of_clip, poses_of_clip
 from gva_mi.pose.descent import DescentOptions, descend, with_frames, worse_frames
 from gva_mi.pose.evidence import gather
-from gva_mi.pose.limits import require_at_least, require_positive
 from gva_mi.pose.priors import lever_arms
 from gva_mi.threads import one_torch_thread
 

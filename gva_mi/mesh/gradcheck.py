@@ -28,7 +28,7 @@ import torch
 
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.body.smplx import BodyModel, load_body
-from gva_mi.errors import InputError
+from gva_mi.errors import InputError, require_at_least
 from gva_mi.mesh.mesh_scene import load_plugins, scene_of
 from gva_mi.mesh.sensor import sensor_of
 from gva_mi.splat import Camera, look_at
@@ -109,11 +109,7 @@ class GradientOptions:
     count: int = len(CASES)  # how many of the cases, from the first
 
     def __post_init__(self) -> None:
-        leasts = {"size": 32, "spp": 1, "lines": 1, "points": 1, "count": 1}
-        for name, least in leasts.items():
-            found = getattr(self, name)
-            if found < least:
-                raise InputError(f"gradcheck-normals: {name} must be at least {least}, got {found}")
+        require_at_least("gradcheck-normals", self, size=32, spp=1, lines=1, points=1, count=1)
         if self.count > len(CASES):
             raise InputError(
                 f"gradcheck-normals: count must be at most {len(CASES)}, got {self.count}"

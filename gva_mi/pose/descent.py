@@ -25,9 +25,8 @@ from torch import Tensor
 
 from gva_mi.body.pose import Pose
 from gva_mi.console import Progress
-from gva_mi.errors import InputError
+from gva_mi.errors import InputError, require_at_least, require_positive
 from gva_mi.pose.corrections import CorrectionOptions, Corrections
-from gva_mi.pose.limits import require_at_least, require_positive
 from gva_mi.pose.priors import prior_lengths, turn_rates
 from gva_mi.pose.vector_adam import VectorAdam
 from gva_mi.splat import Camera

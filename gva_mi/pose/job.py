@@ -18,9 +18,9 @@ from torch import Tensor
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.console import Progress
+from gva_mi.errors import require_at_least
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.evidence import MaskAndNormals
-from gva_mi.pose.limits import require_at_least
 
 FEWEST_FACES = 500  # a body of fewer has no hands left
 

@@ -23,12 +23,12 @@ from torch import Tensor
 
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.console import Progress
+from gva_mi.errors import require_at_least
 from gva_mi.pose.clips import cut, skim
 from gva_mi.pose.descent import DescentOptions, descend
 from gva_mi.pose.displacement import Displacement
 from gva_mi.pose.evidence import mean_loss
 from gva_mi.pose.job import Job, RefineOptions, Solution
-from gva_mi.pose.limits import require_at_least
 from gva_mi.pose.priors import lever_arms
 
 STEPS_A_PASS = 16  # at least, where the video has so many frames

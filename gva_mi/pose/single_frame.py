@@ -16,11 +16,11 @@ from torch import Tensor
 
 from gva_mi.body.pose import Pose
 from gva_mi.console import Progress, within
+from gva_mi.errors import require_at_least
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.clips import cut
 from gva_mi.pose.descent import with_frames
 from gva_mi.pose.job import Job, RefineOptions, Solution
-from gva_mi.pose.limits import require_at_least
 from gva_mi.pose.priors import joint_weights, lever_arms, turn_rates
 from gva_mi.pose.vector_adam import VectorAdam
 

@@ -1,8 +1,9 @@
 """How fast the renderer is: per stage, against the machine's limits, and as the scene grows.
 
 Times are wall clock, the least and the median of repeated calls; on a shared machine trust ratios
-of figures of one run. timing.py says what is timed; stages.py, compiles.py, moving.py and
-growth.py each measure one thing; machine.py and gsplat_peer.py are what it is compared with.
+of figures of one run. timing.py says what is timed; stages.py, changes.py and growth.py each
+measure one thing, and results.py all of them; machine.py and gsplat_peer.py are what they are
+compared with.
 """
 
 from gva_mi.splat.bench.results import Bench, BenchOptions, bench

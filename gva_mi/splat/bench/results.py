@@ -9,9 +9,8 @@ import numpy as np
 
 from gva_mi.errors import InputError
 from gva_mi.splat.bench import gsplat_peer, machine
-from gva_mi.splat.bench.compiles import Compiled, measure_compiles
+from gva_mi.splat.bench.changes import Compiled, Moving, measure_compiles, measure_moving
 from gva_mi.splat.bench.growth import HARD, Growth, growing, hard_scenes, measure_growth
-from gva_mi.splat.bench.moving import Moving, measure_moving
 from gva_mi.splat.bench.stages import StageCost, measure_stages
 from gva_mi.splat.bench.timing import Timing, Work, pairs_of, repeated, walked_of
 from gva_mi.splat.kernels.pixel import PIXELS

@@ -120,9 +120,11 @@ class _Render(torch.autograd.Function):
         given, screen = _Tensors(*tensors), view.screen
         F = _PRECISION[given.means.dtype]
         inputs = Inputs(*(_to_drjit(part, F) for part in given.gaussians))
-        whole = screen is not None and screen.absolute
+        absolute = screen is not None and screen.absolute
         background = given.background.tolist()
-        saved = render_forward(inputs, view.harmonics, view.camera, view.options, background, whole)
+        saved = render_forward(
+            inputs, view.harmonics, view.camera, view.options, background, absolute
+        )
         dr.sync_thread()  # torch reads the memory next
         if screen is not None:
             screen.fill(saved, given.means)

@@ -100,6 +100,7 @@ def blend(
         state, lambda k, alive, *_: (k < lists.end) & alive, body, mode="symbolic", compress=False
     )
     tile = Pixel.of_state(state)
+    window = Window.of(lists, grid, F)  # anew: its rows would hold registers through the loop
     planes = Planes.empty(F, format, pixels, dr.empty)
     trail = Trail(dr.empty(F, pixels), dr.empty(U, pixels))
     last = [dr.abs(pixel.T) for pixel in tile]
@@ -229,6 +230,7 @@ def blend_tangent(
     state = (type(lists.start)(lists.start), *PixelTangent.state(tile))
     state = dr.while_loop(state, lambda k, *_: k < stop, body, mode="symbolic", compress=False)
     tile = PixelTangent.of_state(state[1:])
+    window = Window.of(lists, grid, F)  # anew, as in blend
     dcolor = [
         [
             pixel.dy[c] + pixel.dT * background[c] + dr.abs(pixel.T) * dbackground[c]

@@ -36,13 +36,28 @@ class Frozen:
         key = tuple(constants.items())
         variant = self.variants.pop(key, None)
         if variant is None:
-            run = lambda *arrays: self.function(*arrays, **constants)
-            variant = dr.freeze(run, limit=LIMIT, warn_after=1000)
+            variant = dr.freeze(self._with(constants), limit=LIMIT, warn_after=1000)
         self.variants[key] = variant  # used last, it is forgotten last
         if len(self.variants) > LIMIT:
             del self.variants[next(iter(self.variants))]
         with _no_garbage_collected():
             return variant(*arrays)
+
+    def _with(self, constants: dict[str, Any]) -> Callable[..., Any]:
+        """The function of arrays alone.
+
+        Constants are defaults of its arguments and no closure: what a closure holds, ``dr.freeze``
+        looks through at every call.
+        """
+
+        def run(
+            *arrays: Any,  # noqa: ANN401
+            function: Callable[..., Any] = self.function,
+            constants: dict[str, Any] = constants,
+        ) -> Any:  # noqa: ANN401
+            return function(*arrays, **constants)
+
+        return run
 
 
 @contextmanager

@@ -110,16 +110,6 @@ class Gaussian3D:
         o = dr.gather(F, inputs.opacities, i)
         return Gaussian3D(m, quat, s, o, packets.load_rows(inputs.colors, color_width, i))
 
-    def store(self, inputs: Inputs, i: Array) -> None:
-        """Write the lanes' values, which are gradients, to the rows ``i``."""
-        mode = dr.ReduceMode.NoConflicts
-        for k in range(3):
-            dr.scatter(inputs.means, self.m[k], 3 * i + k, mode=mode)
-            dr.scatter(inputs.scales, self.s[k], 3 * i + k, mode=mode)
-        packets.store_rows(inputs.quats, self.quat, i)
-        packets.store_rows(inputs.colors, self.color, i)
-        dr.scatter(inputs.opacities, self.o, i, mode=mode)
-
 
 @dataclass(frozen=True)
 class GradientMemory:
@@ -146,3 +136,14 @@ class GradientMemory:
             allocate(F, 2 * n) if absolute else None,
             packets.empty(ViewGradient, None, n, F, allocate) if camera else None,
         )
+
+    def store(self, grad: Gaussian3D, grad_u: list[Array], i: Array) -> None:
+        """Write the gradients of the Gaussians ``i``."""
+        target, mode = self.inputs, dr.ReduceMode.NoConflicts
+        for k in range(3):
+            dr.scatter(target.means, grad.m[k], 3 * i + k, mode=mode)
+            dr.scatter(target.scales, grad.s[k], 3 * i + k, mode=mode)
+        packets.store_rows(target.quats, grad.quat, i)
+        packets.store_rows(target.colors, grad.color, i)
+        packets.store_rows(self.u, grad_u, i)
+        dr.scatter(target.opacities, grad.o, i, mode=mode)

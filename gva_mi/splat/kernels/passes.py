@@ -31,7 +31,14 @@ from gva_mi.splat.kernels.frozen import Frozen
 from gva_mi.splat.kernels.inputs import GradientMemory, Inputs, Plan
 from gva_mi.splat.kernels.lens import View, view_adjoint, view_of, view_tangent
 from gva_mi.splat.kernels.planes import Planes, Trail
-from gva_mi.splat.kernels.project import Projected, project, project_adjoint, project_tangent
+from gva_mi.splat.kernels.project import (
+    Projected,
+    footprint_memory,
+    project,
+    project_adjoint,
+    project_tangent,
+    splat_memory,
+)
 from gva_mi.splat.kernels.records import Format, ViewGradient
 from gva_mi.splat.kernels.tiles import Grid, Layout, Lists
 from gva_mi.splat.options import SplatOptions
@@ -51,10 +58,10 @@ class Saved:
     layout: Layout
     grid: Grid
     planes: Planes
-    projected: Projected | None = None  # None where there is no Gaussian
-    lists: Lists | None = None  # None where none is drawn
-    trail: Trail | None = None
-    stop: Array | None = None  # where each lane of blend stopped
+    projected: Projected | None  # None where there is no Gaussian
+    lists: Lists | None  # None where none is drawn
+    trail: Trail | None
+    stop: Array | None  # where each lane of blend stopped
 
     def backgrounds(self) -> list[list[Array]]:
         """The background, chunk by chunk."""
@@ -67,7 +74,7 @@ def render_forward(
     camera: Camera,
     options: SplatOptions,
     background: list[float],
-    whole: bool = False,
+    absolute: bool = False,
     limit: Array | None = None,
 ) -> Saved:
     """The picture, in ``.planes``, padded to whole tiles.
@@ -78,7 +85,8 @@ def render_forward(
         camera: the view.
         options: cut-offs.
         background: one number per channel.
-        whole: not to split the channels into chunks; absolute gradients need it.
+        absolute: whether the absolute gradient will be asked for: for it the channels are not split
+            into chunks.
         limit: m, a plane: a pixel shows only the Gaussians nearer than its number.
 
     Raises:
@@ -89,39 +97,57 @@ def render_forward(
     if not np.isfinite(background).all():
         raise ValueError(f"render(): background must be finite, got {background}")
     F, D = inputs.float_type, len(background)
-    layout = Layout(camera.width, camera.height)
-    behind = [dr.opaque(F, b) for b in background]
-    formats = chunks.formats(D, options.depth, whole)
-    plan = Plan(options, harmonics, inputs.color_width, D, formats)
+    layout, view = Layout(camera.width, camera.height), view_of(camera)
     grid = layout.grid(dr.int32_array_t(F))
-    saved = Saved(inputs, plan, camera, view_of(camera), behind, layout, grid, planes=None)
+    behind = [dr.opaque(F, b) for b in background]
+    formats = chunks.formats(D, options.depth, whole=absolute)
+    plan = Plan(options, harmonics, inputs.color_width, D, formats)
+    projected = lists = trail = stop = None
     if len(inputs):
-        saved = _project_and_sort(saved)
-    if saved.lists is None:
-        return replace(saved, planes=Planes.of_background(behind, layout.pixels, options.depth))
-    far = None if limit is None else Limit(limit, saved.projected.depths)
-    pictures, pixels = [], layout.pixels
-    parts = zip(saved.projected.splats, saved.backgrounds(), formats, strict=True)
-    for splats, colors, format in parts:
-        picture, trail, stop = blend(
-            splats, saved.lists, grid, colors, far, pixels=pixels, format=format, options=options
+        projected = _project_checked(inputs, plan, view, grid)
+        lists = tiles.make_lists(
+            projected.footprints, projected.depths, projected.counts, layout, grid
         )
-        pictures.append(picture)
-    return replace(saved, planes=chunks.join_planes(pictures, D), trail=trail, stop=stop)
+    if lists is None:
+        planes = Planes.of_background(behind, layout.pixels, options.depth)
+    else:
+        far = None if limit is None else Limit(limit, projected.depths)
+        pictures, pixels = [], layout.pixels
+        parts = zip(
+            projected.splats, chunks.split_background(behind, formats), formats, strict=True
+        )
+        for splats, colors, format in parts:
+            picture, trail, stop = blend(
+                splats, lists, grid, colors, far, pixels=pixels, format=format, options=options
+            )
+            pictures.append(picture)
+        planes = chunks.join_planes(pictures, D)
+    return Saved(
+        inputs=inputs,
+        plan=plan,
+        camera=camera,
+        view=view,
+        background=behind,
+        layout=layout,
+        grid=grid,
+        planes=planes,
+        projected=projected,
+        lists=lists,
+        trail=trail,
+        stop=stop,
+    )
 
 
-def _project_and_sort(saved: Saved) -> Saved:
-    """The Gaussians in the picture, and the lists of its tiles."""
-    inputs, plan, n = saved.inputs, saved.plan, len(saved.inputs)
-    memory = None if n >= MANY else Projected.empty(inputs.float_type, n, plan.formats)
-    own = n if n >= MANY else 0
-    projected = _project(inputs, saved.view, saved.grid, memory, n=own, plan=plan)
+def _project_checked(inputs: Inputs, plan: Plan, view: View, grid: Grid) -> Projected:
+    """The Gaussians in the picture, all of whose numbers are finite."""
+    n, F = len(inputs), inputs.float_type
+    memory, own = None, n
+    if n < MANY:
+        memory, own = (splat_memory(F, n, plan.formats), footprint_memory(F, n)), 0
+    projected = _project(inputs, view, grid, memory, n=own, plan=plan)
     if not dr.all(projected.finite):
         inputs.require_finite(plan.harmonics)
-    lists = tiles.make_lists(
-        projected.footprints, projected.depths, projected.counts, saved.layout, saved.grid
-    )
-    return replace(saved, projected=projected, lists=lists)
+    return projected
 
 
 @dataclass(frozen=True)
@@ -146,8 +172,7 @@ def render_adjoint(
     """The reverse of :func:`render_forward`.
 
     Args:
-        saved: what it returned; ``whole``, if there are more channels than a chunk's and
-            ``absolute`` is asked for.
+        saved: what it returned, with ``absolute`` if that is asked for here.
         grad: dL/dplanes, padded to whole tiles with zeros; the depth may be None.
         camera: whether to return the gradients by the camera.
         absolute: whether to return the absolute gradient by the means in the picture.
@@ -234,7 +259,7 @@ def render_tangent(
     if saved.lists is None:
         return Planes.of_background(behind, saved.layout.pixels, plan.options.depth)
     dview = view_tangent(saved.camera, dT, dK)
-    memory = Projected.empty(F, len(saved.inputs), plan.formats).splats
+    memory = splat_memory(F, len(saved.inputs), plan.formats)
     dsplats = _project_tangent(
         saved.inputs, saved.view, dinputs, dview, dmeans2d, memory, plan=plan
     )
@@ -260,20 +285,27 @@ def render_tangent(
 
 @Frozen
 def _project(
-    inputs: Inputs, view: View, grid: Grid, memory: Projected | None, *, n: int, plan: Plan
+    inputs: Inputs,
+    view: View,
+    grid: Grid,
+    memory: tuple[list[packets.Packets], packets.Packets] | None,
+    *,
+    n: int,
+    plan: Plan,
 ) -> Projected:
-    memory = memory or Projected.empty(inputs.float_type, n, plan.formats, dr.empty)
+    F, i = inputs.float_type, inputs.lane()
+    splats, footprints = memory or (
+        splat_memory(F, n, plan.formats, dr.empty),
+        footprint_memory(F, n, dr.empty),
+    )
     found = project(inputs, plan, view)
-    i = inputs.lane()
     parts = chunks.split_splat(found.splat, plan.formats)
-    for target, part in zip(memory.splats, parts, strict=True):
+    for target, part in zip(splats, parts, strict=True):
         packets.store(target, part, i)
-    packets.store(memory.footprints, found.footprint, i)
+    packets.store(footprints, found.footprint, i)
     counts = tiles.count(found.footprint, grid)
     radii = dr.select(counts > 0, found.radii, 0)
-    projected = replace(
-        memory, depths=found.splat.depth, counts=counts, radii=radii, finite=found.finite
-    )
+    projected = Projected(splats, footprints, found.splat.depth, counts, radii, found.finite)
     dr.eval(projected)
     return projected
 

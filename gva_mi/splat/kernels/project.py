@@ -51,18 +51,22 @@ class Projected:
 
     splats: list[packets.Packets]  # what blend.py reads, chunk by chunk
     footprints: packets.Packets  # what tiles.py reads
-    depths: Array | None = None  # (N,) m
-    counts: Array | None = None  # (N,) tiles touched
-    radii: Array | None = None  # (N,) px, 3 sigma along the longer axis; 0 where not drawn
-    finite: Array | None = None  # (N,)
+    depths: Array  # (N,) m
+    counts: Array  # (N,) tiles touched
+    radii: Array  # (N,) px, 3 sigma along the longer axis; 0 where not drawn
+    finite: Array  # (N,)
 
-    @staticmethod
-    def empty(
-        F: type, n: int, formats: tuple[Format, ...], allocate: Allocate = packets.memory
-    ) -> Projected:
-        """Memory for n Gaussians."""
-        splats = [packets.empty(Splat, format, n, F, allocate) for format in formats]
-        return Projected(splats, packets.empty(Footprint, None, n, F, allocate))
+
+def splat_memory(
+    F: type, n: int, formats: tuple[Format, ...], allocate: Allocate = packets.memory
+) -> list[packets.Packets]:
+    """Memory for the splats of n Gaussians, chunk by chunk."""
+    return [packets.empty(Splat, format, n, F, allocate) for format in formats]
+
+
+def footprint_memory(F: type, n: int, allocate: Allocate = packets.memory) -> packets.Packets:
+    """Memory for the footprints of n Gaussians."""
+    return packets.empty(Footprint, None, n, F, allocate)
 
 
 def _in_camera(m: list[Array], view: View, near: float) -> tuple[list[Array], Array]:
@@ -158,11 +162,10 @@ def project_adjoint(
     grad = Gaussian3D(
         where(grad_m), where(by_ellipse.quat), where(by_ellipse.s), grad_o, where(grad_color)
     )
-    grad.store(target.inputs, i)
-    packets.store_rows(target.u, where(gu), i)
     if target.absolute is not None:
         ax, ay = slot.absolute
         packets.store_rows(target.absolute, where([k1 * e.p * ax, k1 * ay]), i)
+    target.store(grad, where(gu), i)
     if target.view is not None:
         gR = [gx[k] * g.m[n] for k in range(3) for n in range(3)]
         gR = [a if b is None else a + b for a, b in zip(gR, by_ellipse.R, strict=True)]

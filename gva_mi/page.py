@@ -8,7 +8,7 @@ from __future__ import annotations
 import base64
 import io
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -123,13 +123,6 @@ def plot(caption: str, drawn: Plot) -> Picture:
 def number(value: float | None, digits: int) -> str:
     """A figure in a table; a dash where there is none."""
     return "–" if value is None else f"{value:.{digits}f}"
-
-
-def spread(indices: Iterable[int], count: int) -> list[int]:
-    """At most ``count`` of some indices, evenly spaced."""
-    indices = list(indices)
-    chosen = np.linspace(0, len(indices) - 1, min(count, len(indices))).round().astype(int)
-    return [indices[k] for k in chosen]
 
 
 def around(inside: np.ndarray, margin: int) -> tuple[slice, slice]:

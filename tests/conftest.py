@@ -144,8 +144,8 @@ def subject(tmp_path_factory, known, camera, turning):
     from gva_mi.body.pose import save_poses
     from gva_mi.data.pictures import write_image
     from gva_mi.data.video import save_cameras
-    from gva_mi.fit.evaluate import to_8bit
-    from gva_mi.splat.torch_op import render
+    from gva_mi.fit.renders import to_8bit
+    from gva_mi.splat import render
 
     folder, (pose, shape) = tmp_path_factory.mktemp("subject"), turning(6)
     for k in range(len(pose)):

@@ -10,7 +10,6 @@ from gva_mi.page import (
     around,
     number,
     picture,
-    spread,
     write_page,
 )
 
@@ -44,11 +43,6 @@ def test_a_page_is_one_file_with_its_pictures(tmp_path):
         assert text in page, text
     assert page.count("data:image/webp;base64,") == 2
     assert "http" not in page and [p.name for p in tmp_path.iterdir()] == ["page.html"]
-
-
-def test_indices_are_spread_evenly_with_both_ends():
-    assert spread(range(100), 4) == [0, 33, 66, 99]
-    assert spread([3, 5], 4) == [3, 5] and spread([], 4) == []
 
 
 def test_what_is_inside_is_held_with_its_margin():

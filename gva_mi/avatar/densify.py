@@ -21,8 +21,8 @@ from torch import Tensor
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.canonical import PARAMETERS, CanonicalGaussians
 from gva_mi.errors import InputError
+from gva_mi.splat import Screen
 from gva_mi.splat.camera import Camera
-from gva_mi.splat.torch_op import Screen
 
 
 @dataclass(frozen=True)

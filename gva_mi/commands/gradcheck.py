@@ -12,11 +12,11 @@ from torch import Generator
 from gva_mi.commands.arguments import Flat, Switch
 from gva_mi.console import say
 from gva_mi.errors import InputError
+from gva_mi.splat import render
 from gva_mi.splat.camera import CameraModel
 from gva_mi.splat.gradcheck import gradcheck as check
 from gva_mi.splat.gradcheck.verdict import IMAGES, write_json, write_picture
 from gva_mi.splat.scene import Scene, person_scene
-from gva_mi.splat.torch_op import render
 
 REPORT, PICTURE = "gradcheck.json", "gradcheck.png"
 

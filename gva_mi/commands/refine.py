@@ -17,7 +17,6 @@ from gva_mi.data.fingerprint import require_same_body
 from gva_mi.data.video import POSES, REFINED_POSES, Video, load_video
 from gva_mi.errors import InputError
 from gva_mi.files import versions
-from gva_mi.fit.metrics import refinement_lines
 from gva_mi.pose.evaluation.ablation import ablate
 from gva_mi.pose.evaluation.measure import Evaluation
 from gva_mi.pose.evaluation.record import OVERLAYS, write_record
@@ -83,7 +82,7 @@ def refine(
             folder = evaluation.video.folder
             if report:
                 _write_report(evaluation, printed, executor)
-            for line in refinement_lines(evaluation.measured.means):
+            for line in evaluation.measured.means.lines():
                 say(line)
             say(f"poses: {folder / REFINED_POSES}; overlays: {folder / OVERLAYS}")
             if report:

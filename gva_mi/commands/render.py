@@ -14,7 +14,7 @@ from gva_mi.data.pictures import write_image, write_movie
 from gva_mi.data.video import load_cameras
 from gva_mi.errors import InputError
 from gva_mi.files import make_room, versions
-from gva_mi.fit.evaluate import render_sequence
+from gva_mi.fit.renders import render_sequence
 from gva_mi.fit.run_folder import load_avatar
 
 MARKER = "render.json"  # every folder of renders that was made here holds it

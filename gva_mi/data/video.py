@@ -301,3 +301,10 @@ def _why_absent(masks: Path, index: int, camera: Camera) -> str | None:
             f"expected {camera.width}x{camera.height}"
         )
     return None if (mask > 0.5).any() else "its mask is empty"
+
+
+def spread(indices: Iterable[int], count: int) -> list[int]:
+    """At most ``count`` of some frames' numbers, evenly spaced."""
+    indices = list(indices)
+    chosen = np.linspace(0, len(indices) - 1, min(count, len(indices))).round().astype(int)
+    return [indices[k] for k in chosen]

@@ -29,7 +29,7 @@ and not the segmenter's; training never sees them. Real videos have their own ma
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import astuple, dataclass, replace
 from typing import Literal
 
@@ -37,19 +37,15 @@ import numpy as np
 import torch
 
 from gva_mi.avatar.avatar import Avatar
-from gva_mi.body.pose import Pose
 from gva_mi.console import Progress
-from gva_mi.data.video import Frame, Video, load_video
+from gva_mi.data.video import Frame, Video, load_video, spread
 from gva_mi.fit.perceptual import FeatureMetric, Weights, find_weights, lpips, rand_vgg
-from gva_mi.page import spread
-from gva_mi.splat import Camera, SplatOptions
-from gva_mi.splat.torch_op import render
+from gva_mi.fit.renders import cut_out, render_frame
 
 Split = Literal["train", "test", "novel_pose", "novel_view"]
 SPLITS: tuple[Split, ...] = ("train", "test", "novel_pose", "novel_view")
 TRAIN_FRAMES = 16  # of the train split that are evaluated
 
-WHITE = (1.0, 1.0, 1.0)
 # The PSNR of rounding to 8 bits, an error with a variance of 1/12 of a level squared: 58.9 dB.
 PSNR_MAX = float(20 * np.log10(255) + 10 * np.log10(12))
 
@@ -165,46 +161,6 @@ def evaluate(
     return rows
 
 
-def render_sequence(
-    avatar: Avatar,
-    pose: Pose,
-    cameras: Sequence[Camera],
-    background: tuple[float, float, float] = WHITE,
-    options: SplatOptions | None = None,
-) -> Iterator[np.ndarray]:
-    """The avatar driven by a motion: one 8-bit image (H, W, 3) per frame.
-
-    Args:
-        avatar: the avatar.
-        pose: the motion, T frames.
-        cameras: T of them, or one for all.
-        background: linear colour in [0, 1].
-        options: of the splatting.
-
-    Raises:
-        ValueError: for a number of cameras that is neither 1 nor T.
-    """
-    if len(cameras) not in (1, len(pose)):
-        raise ValueError(
-            f"render_sequence(): {len(pose)} poses need as many cameras or one, got {len(cameras)}"
-        )
-    for k in range(len(pose)):
-        yield render_frame(avatar, pose[k], cameras[k % len(cameras)], background, options)
-
-
-@torch.no_grad()
-def render_frame(
-    avatar: Avatar,
-    pose: Pose,
-    camera: Camera,
-    background: tuple[float, float, float] = WHITE,
-    options: SplatOptions | None = None,
-) -> np.ndarray:
-    """The avatar in one pose (of one frame), seen by one camera: 8-bit (H, W, 3)."""
-    image = render(avatar(pose), camera, options or SplatOptions(), torch.tensor(background))
-    return to_8bit(image.color.numpy())
-
-
 def true_video(video: Video, split: Split) -> Video | None:
     """What the truth of a synthetic subject holds for a split, if it holds anything.
 
@@ -213,16 +169,6 @@ def true_video(video: Video, split: Split) -> Video | None:
     """
     folder = video.truth / split if video.truth else None
     return load_video(folder) if folder is not None and folder.is_dir() else None
-
-
-def cut_out(frame: Frame) -> np.ndarray:
-    """The target of a frame: the person on white, 8-bit (H, W, 3)."""
-    return to_8bit(frame.on_background(1.0))
-
-
-def to_8bit(image: np.ndarray) -> np.ndarray:
-    """Clamp to [0, 1] and round to 256 levels."""
-    return np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)
 
 
 def _frames(video: Video, split: Split) -> tuple[Video, Iterable[int]] | None:

@@ -95,7 +95,7 @@ class Metrics:
 
     def lines(self) -> Iterator[str]:
         """The main figures, a line each."""
-        yield from refinement_lines(self.refinement)
+        yield from self.refinement.lines()
         for row in self.rows:
             split = row.split.replace("_", " ")
             name = "" if row.name == self.rows[0].name else f" ({row.name})"
@@ -167,28 +167,6 @@ def load_metrics(run: Path) -> Metrics:
         return Metrics.from_json(json.loads(path.read_text()))
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         raise InputError(f"{path}: not readable; expected what `gva-mi evaluate` writes") from None
-
-
-def refinement_lines(figures: PoseFigures) -> Iterator[str]:
-    """The main figures of a refinement, a line each; those that take the truth, where it is known.
-
-    "Aligned" are the vertices after the pelvis was laid on the true one.
-    """
-    for name, change in (
-        ("vertices", figures.vertices),
-        ("hands", figures.hands),
-        ("feet", figures.feet),
-        ("aligned", figures.aligned),
-    ):
-        if change is not None:
-            yield f"{name:<11} {change.stage1:.1f} → {change.refined:.1f} mm"
-    if figures.frames_worse is not None:
-        worse = f"{figures.frames_worse:.0%} of the frames"
-        yield f"worse       {worse}, in the hands {figures.frames_worse_hands:.0%}"
-    if figures.iou is not None:
-        truth = figures.iou_truth
-        own = f" (true pose {truth:.3f})" if truth is not None else ""
-        yield f"silhouette  IoU {figures.iou.stage1:.3f} → {figures.iou.refined:.3f}{own}"
 
 
 def _load_refinement(subject: Path) -> PoseFigures:

@@ -37,8 +37,7 @@ from gva_mi.body.pose import Pose
 from gva_mi.data.video import Frame
 from gva_mi.fit.losses import ssim
 from gva_mi.pose.crop import NoEvidence, person_box
-from gva_mi.splat import Camera, SplatOptions
-from gva_mi.splat.torch_op import render
+from gva_mi.splat import Camera, SplatOptions, render
 
 MARGIN = 0.1  # of the box around the person, added on each side
 SMALLEST_SIDE = 16  # pixels of that box

@@ -12,7 +12,7 @@ import numpy as np
 
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.data.pictures import read_image, write_image
-from gva_mi.data.video import Video
+from gva_mi.data.video import Video, spread
 from gva_mi.fit import run_folder
 from gva_mi.fit.evaluate import Split, true_video
 from gva_mi.fit.metrics import Metrics, load_metrics
@@ -27,7 +27,6 @@ from gva_mi.page import (
     number,
     picture,
     plot,
-    spread,
     write_page,
 )
 from gva_mi.pose.evaluation.measure import Change, PoseFigures

@@ -12,14 +12,13 @@ import torch
 
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.kinematics import joint_transforms
-from gva_mi.body.pose import LEFT_HAND, RIGHT_HAND, Pose
+from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, Pose
 from gva_mi.data.video import Frame, Video
-from gva_mi.fit.evaluate import cut_out, render_frame, to_8bit
+from gva_mi.fit.renders import cut_out, render_frame, to_8bit
 from gva_mi.page import around
-from gva_mi.splat import Camera, Gaussians, look_at
-from gva_mi.splat.torch_op import render
+from gva_mi.splat import Camera, Gaussians, look_at, render
 
-WRISTS = {"left": 20, "right": 21}
+WRISTS = {side: JOINTS.index(f"{side}_wrist") for side in ("left", "right")}
 FINGERS = {"left": LEFT_HAND, "right": RIGHT_HAND}
 HAND_CROP = 0.28  # metres, the side of a zoomed hand
 HAND_PIXELS = 220  # about the side of its picture

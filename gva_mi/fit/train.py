@@ -35,7 +35,7 @@ from gva_mi.fit.options import FitOptions, Rates
 from gva_mi.fit.perceptual import rand_vgg_loss, vgg16_loss
 from gva_mi.fit.poses import TrainedPoses
 from gva_mi.fit.samples import Sample, Samples, Stream, torch_state
-from gva_mi.splat.torch_op import Screen, render
+from gva_mi.splat import Screen, render
 from gva_mi.threads import one_torch_thread
 
 

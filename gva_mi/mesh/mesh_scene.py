@@ -85,7 +85,7 @@ class MeshScene:
         import mitsuba as mi
 
         key = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
-        key += (camera.T_camera_world.tobytes(),)
+        key += (camera.model, camera.T_camera_world.tobytes())
         if key not in self._sensors:
             integrator = {
                 "type": "mesh_normals",

@@ -26,8 +26,14 @@ def sensor_of(camera: Camera) -> dict[str, Any]:
     """A pinhole camera as a dictionary for ``mi.load_dict`` (eq. 1-3).
 
     The pixels of the sensor are square: give :func:`pixel_aspect` to the integrator.
+
+    Raises:
+        ValueError: another model of camera.
     """
     import mitsuba as mi
+
+    if camera.model != "pinhole":
+        raise ValueError(f"sensor_of(): the camera must be a pinhole, got {camera.model}")
 
     width, height = camera.width, camera.height
     to_world = np.linalg.inv(camera.T_camera_world) @ np.diag([-1.0, -1.0, 1.0, 1.0])

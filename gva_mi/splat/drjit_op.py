@@ -93,11 +93,6 @@ def render(
     return Image(*images)
 
 
-def expected_depth(image: Image) -> Array:
-    """Depth per alpha, (H, W) m: the mean z of what a pixel shows; 0 where it shows nothing."""
-    return image.depth / dr.select(image.alpha > 0, image.alpha, 1)
-
-
 def _numpy(tensor: Array) -> np.ndarray:
     return dr.detach(tensor).numpy().astype(np.float64)
 

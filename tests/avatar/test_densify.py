@@ -11,8 +11,7 @@ from gva_mi.avatar.densify import (
     replace_gaussians,
 )
 from gva_mi.body import Pose
-from gva_mi.splat import Camera, Gaussians, SplatOptions, look_at
-from gva_mi.splat.torch_op import Screen, render
+from gva_mi.splat import Camera, Gaussians, Screen, SplatOptions, look_at, render
 
 NO_STEPS = SplatOptions(alpha_min=1e-9)  # a cut-off that moves would spoil differences
 LARGE, SMALL = 0.03, 0.003  # metres, on either side of split_scale

@@ -8,7 +8,7 @@ import pytest
 
 from gva_mi import InputError
 from gva_mi.data.pictures import read_image, read_movie, write_image, write_movie
-from gva_mi.data.video import Splits, load_video
+from gva_mi.data.video import Splits, load_video, spread
 
 
 def rewrite(path, **changes):
@@ -159,3 +159,8 @@ def test_a_film_that_cannot_be_decoded_is_named(subject):
     (subject / "video.mp4").write_bytes(b"no film at all")
     with pytest.raises(InputError, match=r"video\.mp4: cannot be decoded"):
         read_movie(subject / "video.mp4")
+
+
+def test_indices_are_spread_evenly_with_both_ends():
+    assert spread(range(100), 4) == [0, 33, 66, 99]
+    assert spread([3, 5], 4) == [3, 5] and spread([], 4) == []

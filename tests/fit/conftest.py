@@ -8,7 +8,7 @@ import torch
 from gva_mi.body.pose import save_poses
 from gva_mi.data.pictures import write_image
 from gva_mi.data.video import load_video, save_cameras
-from gva_mi.fit.evaluate import render_frame
+from gva_mi.fit.renders import render_frame
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -6,16 +6,9 @@ import torch
 
 from gva_mi.data.pictures import write_image
 from gva_mi.data.video import load_video
-from gva_mi.fit.evaluate import (
-    PSNR_MAX,
-    evaluate,
-    psnr,
-    render_frame,
-    render_sequence,
-    ssim,
-    to_8bit,
-)
+from gva_mi.fit.evaluate import PSNR_MAX, evaluate, psnr, ssim
 from gva_mi.fit.perceptual import Weights
+from gva_mi.fit.renders import render_frame, render_sequence, to_8bit
 
 NONE = Weights()  # whatever this machine has
 

@@ -94,3 +94,9 @@ def test_wrong_vertices_are_refused(scene, body, camera):
         scene.render(body.v_template.double(), camera)
     with pytest.raises(ValueError, match="vertices must be"):
         scene.render(body.v_template[1:], camera)
+
+
+def test_a_camera_that_is_no_pinhole_is_refused(scene, camera, body):
+    fisheye = replace(camera, model="fisheye")
+    with pytest.raises(ValueError, match="must be a pinhole, got fisheye"):
+        scene.render(body.v_template, fisheye)

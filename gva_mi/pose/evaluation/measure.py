@@ -19,7 +19,7 @@ IoU of the true pose says how much can be reached.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 
 import torch
@@ -76,6 +76,27 @@ class PoseFigures:
     iou_truth: float | None  # of the true pose
     iou_true_masks: float | None  # of the refined pose with the masks of the truth
     seconds_per_frame: float | None
+
+    def lines(self) -> Iterator[str]:
+        """The main figures, a line each; those that take the truth where it is known.
+
+        "Aligned" are the vertices after the pelvis was laid on the true one.
+        """
+        for name, change in (
+            ("vertices", self.vertices),
+            ("hands", self.hands),
+            ("feet", self.feet),
+            ("aligned", self.aligned),
+        ):
+            if change is not None:
+                yield f"{name:<11} {change.stage1:.1f} → {change.refined:.1f} mm"
+        if self.frames_worse is not None:
+            worse = f"{self.frames_worse:.0%} of the frames"
+            yield f"worse       {worse}, in the hands {self.frames_worse_hands:.0%}"
+        if self.iou is not None:
+            truth = self.iou_truth
+            own = f" (true pose {truth:.3f})" if truth is not None else ""
+            yield f"silhouette  IoU {self.iou.stage1:.3f} → {self.iou.refined:.3f}{own}"
 
     def to_json(self) -> dict[str, float | None]:
         """The keys of ``refinement.json`` and ``metrics.json``; see :meth:`from_json`."""

@@ -18,10 +18,10 @@ import torch
 
 from gva_mi.body.pose import save_poses
 from gva_mi.data.pictures import write_image
-from gva_mi.data.video import REFINED_POSES
+from gva_mi.data.video import REFINED_POSES, spread
 from gva_mi.files import write_json
 from gva_mi.mesh.overlay import overlay, strip
-from gva_mi.page import around, spread
+from gva_mi.page import around
 from gva_mi.pose.evaluation.measure import Evaluation
 
 REFINEMENT, OVERLAYS = "refinement.json", "refinement.png"

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from gva_mi.body.smplx import BodyModel
-from gva_mi.data.video import Video
+from gva_mi.data.video import Video, spread
 from gva_mi.mesh.overlay import overlay, shaded, strip
 from gva_mi.page import (
     Figure,
@@ -20,7 +20,6 @@ from gva_mi.page import (
     number,
     picture,
     plot,
-    spread,
     write_page,
 )
 from gva_mi.pose.evaluation.measure import Change, Evaluation, Measured, PoseFigures

@@ -52,14 +52,8 @@ class PhotometricOptions(DescentOptions):
     batch: int = 4  # frames of a step
     alpha: float = 0.5  # λα, of the avatar's outline against the mask
     ssim: float = 0.1  # λs, of 1 - SSIM
-    prior: float = 0.03  # pull of the turns to where they started, for one square metre
-    hold: float = 0.3  # pull of the shifts, for one square metre
-    smooth: float = 3.0  # between neighbours' turns, for one square metre
-    smooth_move: float = 30.0  # between neighbours' shifts, for one square metre
-    jitter: float = 0.015  # metres between frames: less is no motion of a joint
-    jitter_move: float = 0.01  # metres between frames: less is no motion of the person
-    outlier: float = 0.005  # metres beyond which a jump between frames counts less
-    reach: float = 1.0  # frames over which a step spreads to both sides
+    learn: int = 3  # the first of them, after which it is inferred how the given poses err
+    nat: float = 0.001  # what a negative logarithm of a probability counts beside the pictures
     step: float = 0.0005  # metres that a turned joint moves what hangs on it, in a first step
     largest_turn: float = 0.03  # radians in such a step; it limits joints with short lever arms
     translation_lr: float = 0.0003  # metres in a step at the start
@@ -72,7 +66,7 @@ class PhotometricOptions(DescentOptions):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        weights = ("alpha", "ssim", "prior", "hold", "smooth", "smooth_move", "reach")
+        weights = ("alpha", "ssim")
         require_at_least(self.command, self, seed=0, **dict.fromkeys(weights, 0))
         require_positive(self.command, self, "step", "largest_turn", "translation_lr")
 

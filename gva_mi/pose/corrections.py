@@ -1,172 +1,106 @@
-"""What stage 1 is corrected by: turns of all joints and a shift, in every frame, slow in time.
+"""What stage 1 is corrected by: turns of all joints and a shift, in every frame.
 
 1. ``R_k,i = R_k,i^stage1 exp(δ_k,i)``,    ``t_k = t_k^stage1 + τ_k``
-
-An estimator's errors last for several frames, and what one frame hides, such as a leg that points
-at the camera, another frame shows in which the person has turned. So an optimiser should not move
-one frame at a time. It is given other coordinates ``u`` and ``v``, of which the corrections are
-smooth means:
-
-2. ``A δ = (I + λ L)⁻¹ u``,   ``A τ = (I + λ L)⁻¹ v``,   ``L = Σ_k (e_k+1 - e_k)(e_k+1 - e_k)ᵀ``
-
-over neighbours ``k, k + 1`` that both have evidence. The gradient by ``u`` is that by ``δ``, spread
-over about √λ frames to both sides: a step for one frame also moves its neighbours, and errors that
-change slowly are corrected in few steps (Nicolet et al., *Large Steps in Inverse Rendering*, 2021,
-who do so with neighbours on a mesh).
+2. ``A_k,i δ_k,i = δ⁰_k,i + Σ_l M_i,kl u_l,i``,    ``τ`` the same way
 
 ``A_k,i`` turns a vector to the camera's axes, by stage 1. There, each coordinate may have steps of
 its own: pictures show how a limb swings across the line of sight, and how far aside a person
 stands, much better than how it leans toward the camera, and how deep. Coordinates that pictures
 show weakly would hardly move if they shared their steps with the others.
 
-What is known before any picture is looked at is an energy, a mean over the frames. Turns are
-counted in metres by the length ``ℓ_i`` of their joint (:func:`gva_mi.pose.priors.prior_lengths`):
-
-3. ``prior Σ_i |ℓ_i δ_k,i|² + hold |τ_k|²``                                    Eq. 8's regulariser
-4. ``smooth Σ_i ρ(ℓ_i |δ_k+1,i - δ_k,i + (1 - γ) m_k,i|)``,    ``τ`` the same way, squared
-
-with ``m_k,i = log(R_k,iᵀ R_k+1,i)``, how far the joint turns from frame to frame according to stage
-1. Stage 1 is believed where it sees a motion well above its own jitter ``n_i``; a motion within
-the jitter is taken for rest:
-
-5. ``γ = |m|⁴ / (|m|⁴ + n_i⁴)``,    ``n_i = jitter / ℓ_i``
-
-The turn of the whole body is always believed, ``γ = 1``, since all other turns are relative to it.
-An estimator also loses a hand, or a leg, from one frame to the next. Such a jump costs by its size
-and not by its square, which would smear it over all frames around:
-
-6. ``ρ(x) = 2 c² (√(1 + x²/c²) - 1)``,    close to ``x²`` for steps within ``c``
+The coordinates ``u`` (by ``M``), and the energy that corrections cost, come from what is believed
+of this video (:mod:`gva_mi.pose.inference`, :mod:`gva_mi.pose.belief`). ``δ⁰`` are corrections that
+are known before: those of the greatest probability when no picture has been looked at, and later
+those that were found before beliefs changed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
-import roma
 import torch
 from torch import Tensor
 
-from gva_mi.body.kinematics import turn_joints
-from gva_mi.body.pose import PARENTS, Pose
-from gva_mi.splat import Camera
-
-
-@dataclass(frozen=True)
-class CorrectionOptions:
-    """The numbers of eq. 2-6; each way of fitting poses has defaults of its own."""
-
-    prior: float  # eq. 3, of the turns, for one square metre
-    hold: float  # eq. 3, of the shifts, for one square metre
-    smooth: float  # eq. 4, of the turns, for one square metre
-    smooth_move: float  # eq. 4, of the shifts, for one square metre
-    jitter: float  # eq. 5, metres between frames
-    jitter_move: float  # eq. 5 for the shifts, metres between frames
-    outlier: float  # c of eq. 6, metres
-    reach: float  # √λ of eq. 2, frames
-
+from gva_mi.body.pose import Pose
+from gva_mi.pose.inference import JOINTS, PELVIS, Beliefs, from_pictures, from_stage1
+from gva_mi.pose.stage1 import Stage1
 
 class Corrections:
-    """``δ`` and ``τ`` of the frames that have evidence.
+    """``δ`` and ``τ`` of some frames.
 
     Attributes:
-        turns: (T, J, 3, 1) ``u``, a leaf.
-        moves: (T, 3, 1) ``v``, a leaf. The last axis is what :class:`VectorAdam` takes for a
-            vector: each coordinate has steps of its own.
+        turns: (n, J, 3, 1) ``u``, a leaf.
+        moves: (n, 3, 1) ``u`` of the shifts, a leaf. The last axis is what
+            :class:`gva_mi.pose.vector_adam.VectorAdam` takes for a vector: each coordinate has
+            steps of its own.
+        beliefs: what their energy is made of.
     """
 
     def __init__(
-        self,
-        stage1: Pose,
-        frames: Sequence[int],
-        camera: Camera,
-        lengths: Tensor,
-        options: CorrectionOptions,
+        self, stage1: Stage1, beliefs: Beliefs, turns0: Tensor, moves0: Tensor
     ) -> None:
-        """Start without any correction.
+        """Start from corrections ``δ⁰`` (n, J, 3) and ``τ⁰`` (n, 3) in the camera's axes."""
+        self._stage1, self.beliefs = stage1, beliefs
+        self._turns0, self._moves0 = turns0, moves0
+        n, joints = turns0.shape[:2]
+        own = stage1.in_joints(turns0)
+        spread = torch.zeros(joints, n, n)  # the face stays
+        spread[list(PELVIS)] = beliefs.pelvis.spread(own[:, list(PELVIS)])
+        spread[list(JOINTS)] = beliefs.joints.spread(own[:, list(JOINTS)])
+        self._spread, self._spread_moves = spread, beliefs.place.spread(moves0[..., None])
+        self._precisions = [b.precision() for b in (beliefs.pelvis, beliefs.joints, beliefs.place)]
+        self.turns = torch.zeros(n, joints, 3, 1).requires_grad_()
+        self.moves = torch.zeros(n, 3, 1).requires_grad_()
 
-        Args:
-            stage1: poses of all frames.
-            frames: the T frames to be corrected, ascending.
-            camera: in whose axes the leaves are expressed; that of one frame, where they differ.
-            lengths: (J,) ℓ of the joints, metres.
-            options: the numbers of eq. 2-6.
-        """
-        self._stage1 = stage1[list(frames)]
-        self._rotations = self._stage1.rotations
-        self._R_camera_world = torch.from_numpy(camera.T_camera_world[:3, :3].copy()).float()
-        self._to_local = self._joint_axes()
-        self._square_length, self._options = lengths.square(), options
+    @staticmethod
+    def likeliest(stage1: Stage1) -> Corrections:
+        """Where to start: what is most probable before any picture is looked at."""
+        beliefs = from_stage1(stage1)
+        own = torch.zeros(stage1.pose.rotations.shape)
+        own[:, list(PELVIS)], pelvis = beliefs.pelvis.likeliest()
+        own[:, list(JOINTS)], joints = beliefs.joints.likeliest()
+        moves, place = beliefs.place.likeliest()
+        beliefs = Beliefs(beliefs.noise, pelvis, joints, place)
+        return Corrections(stage1, beliefs, stage1.in_camera(own), moves[..., 0])
 
-        first = torch.tensor([i for i in range(len(frames) - 1) if frames[i + 1] == frames[i] + 1])
-        self._first = first.to(torch.int64)  # of each pair of neighbours
-        n, one = len(frames), torch.eye(len(frames))
-        self._difference = (one[1:] - one[:-1])[self._first]  # (pairs, n)
-        L = self._difference.T @ self._difference
-        self._smooth = torch.linalg.inv(torch.eye(n) + options.reach**2 * L)  # (I + λ L)⁻¹
-
-        self.turns = torch.zeros(n, len(lengths), 3, 1).requires_grad_()  # u
-        self.moves = torch.zeros(n, 3, 1).requires_grad_()  # v
-        self._rest = self._motion_within_jitter()
+    @torch.no_grad()
+    def renewed(self) -> Corrections:
+        """The same corrections, under what they tell of the video."""
+        turns, moves = self._at(range(len(self.moves)))
+        beliefs = from_pictures(self.beliefs, self._stage1, turns, moves)
+        return Corrections(self._stage1, beliefs, turns, moves)
 
     def pose(self, which: Sequence[int]) -> Pose:
         """Eq. 1 for some of the frames, differentiable in the leaves.
 
         Args:
-            which: places of the frames among the T that are corrected.
+            which: places of the frames among the n that are corrected.
         """
-        which = list(which)
-        turns, moves = self._at(which)
-        some = self._stage1[which]
-        rotations = roma.rotvec_composition([some.rotations, turns])
-        return Pose(rotations, some.transl + moves, some.expression)
+        return self._stage1.corrected(which, *self._at(which))
 
     def energy(self) -> Tensor:
-        """Eq. 3 and 4, a mean over the frames."""
-        options, n = self._options, len(self._stage1)
-        turns, moves = self._at(list(range(n)))
-        rest_turns, rest_moves = self._rest
-        held = options.prior * self._square_metres(turns).sum()
-        held = held + options.hold * moves.square().sum()
-        x = torch.einsum("pk,kjc->pjc", self._difference, turns) + rest_turns
-        turned = robust(self._square_metres(x), options.outlier).sum()
-        moved = (self._difference @ moves + rest_moves).square().sum()
-        return (held + options.smooth * turned + options.smooth_move * moved) / n
+        """What the corrections cost in nats, a mean over the frames."""
+        turns, moves = self._at(range(len(self.moves)))
+        own, beliefs = self._stage1.in_joints(turns), self.beliefs
+        of_pelvis, of_joints, of_place = self._precisions
+        pelvis, joints, places = list(PELVIS), list(JOINTS), moves[..., None]
+        nats = beliefs.pelvis.energy(of_pelvis, turns[:, pelvis], own[:, pelvis])
+        nats = nats + beliefs.joints.energy(of_joints, turns[:, joints], own[:, joints])
+        nats = nats + beliefs.place.energy(of_place, places, places)
+        return nats / len(moves) + self._held(moves.mean(0))
 
-    def _joint_axes(self) -> Tensor:
-        """``Aᵀ`` (T, J, 3, 3): from the camera's axes to those of the joints, by stage 1."""
-        nowhere = torch.zeros(1, len(PARENTS), 3)
-        turned = turn_joints(self._rotations, nowhere, PARENTS, self._stage1.transl)[1]
-        return torch.einsum("kjai,ca->kjic", turned[..., :3, :3], self._R_camera_world)
+    def _held(self, shift: Tensor) -> Tensor:
+        """What a shift (3,) of all frames costs, in each of them.
 
-    def _at(self, which: list[int]) -> tuple[Tensor, Tensor]:
-        """Eq. 2 for r of the frames: ``δ`` (r, J, 3), and ``τ`` (r, 3) in the world's axes."""
-        rows = self._smooth[which]
-        turns = (rows @ self.turns.flatten(1)).view(len(rows), -1, 3, 1)
-        moves = rows @ self.moves[..., 0]
-        return (self._to_local[which] @ turns)[..., 0], moves @ self._R_camera_world
+        Many pictures tell it no better than one: a person who is larger and farther away looks the
+        same in all of them.
+        """
+        size = torch.tensor([noise.size for noise in self.beliefs.place.noises])
+        return (shift / size).square().sum() / 2
 
-    def _square_metres(self, turns: Tensor) -> Tensor:
-        """``|ℓ_i δ_i|²`` (r, J) of turns (r, J, 3)."""
-        return turns.square().sum(2) * self._square_length
-
-    def _motion_within_jitter(self) -> tuple[Tensor, Tensor]:
-        """``(1 - γ) m`` of rotations (pairs, J, 3) and of places (pairs, 3), eq. 5."""
-        rotations, transl = self._rotations, self._stage1.transl
-        before, after = self._first, self._first + 1
-        m = roma.rotvec_composition([roma.rotvec_inverse(rotations[before]), rotations[after]])
-        turns = m * _doubt(self._square_metres(m), self._options.jitter)[..., None]
-        turns[:, 0] = 0
-        m = transl[after] - transl[before]
-        return turns, m * _doubt(m.square().sum(1), self._options.jitter_move)[:, None]
-
-
-def robust(square: Tensor, outlier: float) -> Tensor:
-    """``ρ`` of ``x²`` (eq. 6): ``x²`` below ``outlier``, ``2 c |x|`` far beyond it."""
-    c2 = outlier**2
-    return 2 * c2 * ((1 + square / c2).sqrt() - 1)
-
-
-def _doubt(square: Tensor, jitter: float) -> Tensor:
-    """``1 - γ`` of ``|ℓ m|²`` (eq. 5)."""
-    return jitter**4 / (square.square() + jitter**4)
+    def _at(self, which: Sequence[int]) -> tuple[Tensor, Tensor]:
+        """Eq. 2 for r of the frames: turns (r, J, 3), shifts (r, 3), in the camera's axes."""
+        which = list(which)
+        turns = (self._spread[:, which] @ self.turns[..., 0].transpose(0, 1)).transpose(0, 1)
+        moves = (self._spread_moves[:, which] @ self.moves.transpose(0, 1))[..., 0].T
+        return self._turns0[which] + turns, self._moves0[which] + moves

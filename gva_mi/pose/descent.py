@@ -7,7 +7,9 @@ once, and follows the gradient of
 
 1. ``L(δ, τ, s) = mean_k L_k(pose_k(δ, τ), s) + E(δ, τ) + E(s)``
 
-with :class:`VectorAdam`, whose learning rates fall from ``r`` to ``decay · r``.
+with :class:`VectorAdam`, whose learning rates fall from ``r`` to ``decay · r``. After the first
+``learn`` passes pictures have shown how the poses err that were given, and how the person moves,
+and ``E`` becomes what that tells.
 
 How well a frame agrees with a pose, ``L_k``, is for the evidence to say: masks and normals of the
 posed body (:mod:`gva_mi.pose.sequence`), or pictures under a splatted avatar
@@ -26,8 +28,10 @@ from torch import Tensor
 from gva_mi.body.pose import Pose
 from gva_mi.console import Progress
 from gva_mi.errors import InputError, require_at_least, require_positive
-from gva_mi.pose.corrections import CorrectionOptions, Corrections
-from gva_mi.pose.priors import prior_lengths, turn_rates
+from gva_mi.pose.corrections import Corrections
+from gva_mi.pose.inference import Beliefs
+from gva_mi.pose.priors import turn_rates
+from gva_mi.pose.stage1 import Stage1
 from gva_mi.pose.vector_adam import VectorAdam
 from gva_mi.splat import Camera
 
@@ -57,10 +61,12 @@ class Evidence(Protocol):
 
 
 @dataclass(frozen=True)
-class DescentOptions(CorrectionOptions):
+class DescentOptions:
     """How poses descend on eq. 1; each way of fitting poses has defaults of its own."""
 
     passes: int  # how often every frame is visited
+    learn: int  # the first of them, after which it is inferred how stage 1 errs
+    nat: float  # what a nat of E counts, in units of L_k
     batch: int  # frames of a step, at most
     step: float  # metres that a turned joint moves what turns with it, in a step at the start
     largest_turn: float  # radians in such a step; it limits joints with short lever arms
@@ -73,13 +79,21 @@ class DescentOptions(CorrectionOptions):
     decay: ClassVar[float]  # what is left of the learning rates at the end
 
     def __post_init__(self) -> None:
-        require_at_least(self.command, self, passes=1, batch=1)
-        require_positive(self.command, self, "jitter", "jitter_move", "outlier")
+        require_at_least(self.command, self, passes=1, batch=1, learn=0)
+        require_positive(self.command, self, "nat")
         if not 0 <= 2 * self.overlap < self.part:
             raise InputError(
                 f"{self.command}: overlap must be less than half a part, "
                 f"got overlap {self.overlap}, part {self.part}"
             )
+
+
+@dataclass(frozen=True)
+class Descent:
+    """Where a descent ended, and what it took for probable."""
+
+    pose: Pose  # of all T frames; those without evidence stay as they were
+    beliefs: Beliefs
 
 
 def descend(
@@ -88,7 +102,7 @@ def descend(
     arms: Tensor,
     options: DescentOptions,
     progress: Progress | None = None,
-) -> Pose:
+) -> Descent:
     """Minimise eq. 1; the leaves ``evidence.shared`` are moved in place.
 
     Args:
@@ -97,24 +111,25 @@ def descend(
         arms: (J,) lever arms of the person's joints, metres.
         options: weights, passes, learning rates and the seed.
         progress: called as ``progress(done, total, loss=...)`` after every step.
-
-    Returns:
-        The poses of all T frames; those without evidence stay as they were.
     """
     frames = sorted(evidence.frames)
-    corrections = Corrections(start, frames, evidence.camera, prior_lengths(arms), options)
+    corrections = Corrections.likeliest(Stage1.of(start, frames, evidence.camera))
     adam = _optimiser(corrections, evidence, arms, options)
     batches = list(_batches(len(frames), options))
+    renewed_at = options.learn * len(batches) // options.passes
     for step, batch in enumerate(batches):
+        if step == renewed_at:
+            corrections = corrections.renewed()
+            adam = _optimiser(corrections, evidence, arms, options)
         loss = evidence.loss([frames[i] for i in batch], corrections.pose(batch))
-        loss = loss + corrections.energy() + evidence.energy()
+        loss = loss + options.nat * corrections.energy() + evidence.energy()
         loss.backward()
         adam.step(options.decay ** (step / len(batches)))
         if progress is not None:
             progress(step + 1, len(batches), loss=float(loss.detach()))
     with torch.no_grad():
         found = corrections.pose(range(len(frames)))
-    return with_frames(start, frames, found)
+    return Descent(with_frames(start, frames, found), corrections.beliefs)
 
 
 def with_frames(start: Pose, frames: Sequence[int], found: Pose) -> Pose:

@@ -20,12 +20,11 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND
+from gva_mi.body.pose import JOINTS
 from gva_mi.body.smplx import Rest
 
 # Jaw and eyes are never turned: neither masks nor normals of this size show them.
 FACE = slice(JOINTS.index("jaw"), JOINTS.index("right_eye_smplhf") + 1)
-LEAST, LEAST_FINGERS = 0.2, 0.35  # metres, of ℓ
 
 
 def joint_weights(parents: Sequence[int]) -> Tensor:
@@ -65,18 +64,3 @@ def turn_rates(arms: Tensor, step: float, largest_turn: float) -> Tensor:
     rates[FACE] = 0
     return rates
 
-
-def prior_lengths(arms: Tensor) -> Tensor:
-    """``ℓ`` (J,) metres: the lengths by which the energies of a sequence count turns in metres.
-
-    These are the lever arms, but not below ``LEAST``: a turned foot or head moves few points by
-    little, and would be free to turn. Those of the fingers are not below ``LEAST_FINGERS``: the few
-    pixels of a hand cannot tell its 15 joints from each other.
-
-    Args:
-        arms: (J,) from :func:`lever_arms`.
-    """
-    lengths = arms.clamp_min(LEAST)
-    for hand in (LEFT_HAND, RIGHT_HAND):
-        lengths[hand] = lengths[hand].clamp_min(LEAST_FINGERS)
-    return lengths

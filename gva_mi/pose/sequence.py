@@ -40,14 +40,8 @@ class SequenceOptions(DescentOptions, RefineOptions):
 
     passes: int = 50  # how often every frame is visited
     batch: int = 4  # frames of a step, at most
-    prior: float = 0.3  # λ2, for one square metre that a joint's turn moves
-    smooth: float = 200.0  # between neighbours' turns, for one square metre
-    smooth_move: float = 200.0  # between neighbours' places, for one square metre
-    hold: float = 3.0  # pull of the translation to stage 1, for one square metre
-    jitter: float = 0.03  # metres between frames: less is no motion of a joint
-    jitter_move: float = 0.02  # metres between frames: less is no motion of the person
-    outlier: float = 0.005  # metres beyond which a jump between frames counts less
-    reach: float = 2.2  # √λ, frames over which a step spreads to both sides
+    learn: int = 16  # the first of them, after which it is inferred how stage 1 errs
+    nat: float = 0.015  # what a negative logarithm of a probability counts beside Eq. 8's data term
     cloth_smooth: float = 1.6e-4  # a of the displacement's energy, for one (1/m)²
     cloth_small: float = 40.0  # b of the displacement's energy, for one square metre
     cloth_outward: float = 400.0  # c of the displacement's energy, for one square metre
@@ -91,8 +85,7 @@ class SequenceOptions(DescentOptions, RefineOptions):
 
     def variants(self) -> dict[str, RefineOptions]:
         return {
-            "no prior": replace(self, prior=0.0),
-            "no neighbours in time": replace(self, smooth=0.0, smooth_move=0.0, reach=0.0),
+            "nothing inferred": replace(self, learn=self.passes),
             "no displacement for clothes": replace(self, cloth_lr=0.0),
             "shape of stage 1": replace(self, betas_lr=0.0),
         }
@@ -111,8 +104,8 @@ def refine_sequence(
     person = ClothedPerson(job, options)
     # With few frames a step takes fewer of them, or there would be too few steps to arrive.
     batch = max(1, min(options.batch, len(job.evidence) // STEPS_A_PASS))
-    pose = descend(person, job.pose, person.arms, replace(options, batch=batch), progress)
-    return Solution(pose, Shape(person.shape.betas.detach()), person.offsets.detach())
+    found = descend(person, job.pose, person.arms, replace(options, batch=batch), progress)
+    return Solution(found.pose, Shape(person.shape.betas.detach()), person.offsets.detach())
 
 
 class ClothedPerson:

@@ -1,0 +1,153 @@
+"""How stage 1 errs, inferred from the video itself.
+
+An estimator's error in frame ``k`` is what the pose must be corrected by, with the other sign. It
+has a part that is new in every frame, one that lasts for some frames, and one that never ends:
+
+1. ``e_k = white_k + slow_k + bias``
+2. ``K_kl = white² f_k [k = l] + slow² (κ(|t_k - t_l| / memory) + 1)``,   ``κ(x) = (1 + √3 x) e^(-√3 x)``
+
+the covariance of its coordinates, which is the same for the three of them. How large the parts are,
+and for how long one lasts, differs from estimator to estimator, and from hips to fingers. Nothing
+of it is a constant here; it is found group by group of joints (:data:`GROUPS`):
+
+3. ``white``: from third differences of stage 1. What lasts, and what moves, is nearly gone in them,
+   and a median leaves out what is rare: 20 times the variance of white errors is left.
+4. ``slow`` and ``memory``: from what pictures corrected *sideways*, about the line of sight. They
+   show that well, while depth, which is what the covariance is needed for, they show badly:
+   the covariance at some lags is fitted by eq. 2.
+5. ``f_k``: the factor by which a frame is worse than usual, such as one in which a leg was taken for
+   the other. It is that of Student's t distribution, whose Gaussian has the variance ``white² f``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND
+
+# Joints that stage 1 is taken to know equally well. Jaw and eyes are in none: they are not turned.
+_KINDS: Mapping[str, Sequence[str]] = {
+    "pelvis": ("pelvis",), "spine": ("spine1", "spine2", "spine3"), "head": ("neck", "head"),
+    "shoulders": ("collar", "shoulder"), "elbows": ("elbow",), "wrists": ("wrist",),
+    "hips": ("hip",), "knees": ("knee",), "feet": ("ankle", "foot"),
+}  # fmt: skip
+GROUPS: Mapping[str, tuple[int, ...]] = MappingProxyType(
+    {
+        kind: tuple(i for i in range(22) if JOINTS[i].split("_")[-1] in names)
+        for kind, names in _KINDS.items()
+    }
+    | {"fingers": tuple(range(LEFT_HAND.start, RIGHT_HAND.stop))}
+)
+
+# Medians of χ²: of the square length of a vector whose d coordinates have variance 1.
+_MEDIAN = {1: 0.4549, 3: 2.3660}
+FREEDOM = 3.0  # ν of Student's t: two or three frames in a hundred are far off
+MEMORIES = (1.5, 3.0, 6.0, 12.0, 24.0)  # frames, between which eq. 4 chooses
+LAGS = 12  # frames, over which it looks
+LEAST_WHITE = 0.1  # of the slow part: keeps eq. 2 from being singular
+
+
+@dataclass(frozen=True)
+class Noise:
+    """The errors of one group of joints, or of the place of the person (eq. 2)."""
+
+    white: float  # standard deviation of a coordinate; radians, or metres for the place
+    slow: float  # the same of the part that lasts
+    memory: float  # frames that it lasts
+
+    @property
+    def size(self) -> float:
+        """Standard deviation of a coordinate, without the bias."""
+        return float(np.hypot(self.white, self.slow))
+
+    @property
+    def white_variance(self) -> float:
+        """``white²``, but large enough that eq. 2 is not singular."""
+        return max(self.white, LEAST_WHITE * self.slow) ** 2
+
+    def lasting(self, times: Tensor) -> Tensor:
+        """Eq. 2 (n, n) float64 at times (n,), without the white part."""
+        x = 3**0.5 * (times[:, None] - times).abs().double() / self.memory
+        return self.slow**2 * ((1 + x) * torch.exp(-x) + 1)
+
+
+def covariance(noises: Sequence[Noise], times: Tensor, factors: Tensor) -> Tensor:
+    """Eq. 2 (C, n, n) float64 of C noises at times (n,), with factors (C, n)."""
+    lasting = {noise: noise.lasting(times) for noise in set(noises)}
+    white = torch.tensor([noise.white_variance for noise in noises], dtype=torch.float64)
+    diagonal = torch.diag_embed(white[:, None] * factors.double())
+    return torch.stack([lasting[noise] for noise in noises]) + diagonal
+
+
+def median_of_square(dimension: int) -> float:
+    """The median of the square length of a vector of that many coordinates of variance 1."""
+    return _MEDIAN[dimension]
+
+
+def white_level(steps: Tensor) -> float:
+    """Eq. 3: the standard deviation of a coordinate's white part; zero where it cannot be told.
+
+    Args:
+        steps: (n, C, d) of some values from frame to frame.
+    """
+    if len(steps) < 3:
+        return 0.0
+    third = steps[2:] - 2 * steps[1:-1] + steps[:-2]
+    return float((third.square().sum(-1).median() / (median_of_square(steps.shape[-1]) * 20)).sqrt())
+
+
+def lasting_part(errors: Tensor, times: Tensor, white: float, guess: Noise) -> Noise:
+    """Eq. 4.
+
+    Args:
+        errors: (n, J) of one coordinate that is known well.
+        times: (n,) frames.
+        white: the standard deviation of the white part.
+        guess: what is believed before; it counts as much as ``LAGS`` frames.
+    """
+    from scipy.optimize import nnls
+
+    gaps = times[None] - times[:, None]
+    products = (errors @ errors.T / errors.shape[1]).double()
+    lags = [lag for lag in range(min(LAGS, len(times) // 3) + 1) if bool((gaps == lag).any())]
+    C = np.array([float(products[gaps == lag].mean()) for lag in lags])
+    C[0] = max(C[0] - white**2, 0.0)
+    # Where lags are seen more often, they count more.
+    weight = np.sqrt([int((gaps == lag).sum()) for lag in lags])
+    fits = []
+    for memory in MEMORIES:
+        x = 3**0.5 * np.array(lags) / memory
+        columns = np.stack([(1 + x) * np.exp(-x), np.ones_like(x)], axis=1)
+        (slow, _), residual = nnls(columns * weight[:, None], C * weight)
+        fits.append((residual, memory, slow))
+    _, memory, slow = min(fits)
+    trust = len(times) / (len(times) + LAGS)
+    slow = trust * slow + (1 - trust) * guess.slow**2
+    return Noise(white, float(slow**0.5), memory)
+
+
+def worse_than_usual(
+    errors: Tensor, K: Tensor, noises: Sequence[Noise], factors: Tensor
+) -> Tensor:
+    """Eq. 5 once more, from errors and the factors they were found with.
+
+    Args:
+        errors: (C, n, d).
+        K: (C, n, n) eq. 2 with these factors, float64.
+        noises: C of them.
+        factors: (C, n).
+
+    Returns:
+        (C, n).
+    """
+    variance = torch.tensor([noise.white_variance for noise in noises])[:, None, None]
+    # The expectation of the white part, given all errors.
+    white = variance * factors[..., None] * torch.linalg.solve(K, errors.double())
+    square = (white.square() / variance).sum(-1)
+    return ((FREEDOM + square) / (FREEDOM + errors.shape[-1])).float()

@@ -1,0 +1,79 @@
+"""What stage 1 says of some frames, in the axes in which it is corrected."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import roma
+import torch
+from torch import Tensor
+
+from gva_mi.body.kinematics import turn_joints
+from gva_mi.body.pose import PARENTS, Pose
+from gva_mi.splat import Camera
+
+
+@dataclass(frozen=True)
+class Stage1:
+    """Poses of n frames, and the camera's axes seen from their joints.
+
+    Attributes:
+        times: (n,) numbers of the frames, ascending.
+        pose: n frames.
+        R_joint_camera: (n, J, 3, 3) takes a vector in the camera's axes to those of a joint.
+        R_camera_world: (3, 3).
+    """
+
+    times: Tensor
+    pose: Pose
+    R_joint_camera: Tensor
+    R_camera_world: Tensor
+
+    @staticmethod
+    def of(pose: Pose, frames: Sequence[int], camera: Camera) -> Stage1:
+        """Some frames of a video.
+
+        Args:
+            pose: of all frames.
+            frames: numbers of those that are corrected, ascending.
+            camera: in whose axes they are; that of one frame, where cameras differ.
+        """
+        some = pose[list(frames)]
+        R_camera_world = torch.from_numpy(camera.T_camera_world[:3, :3].copy()).float()
+        nowhere = torch.zeros(1, len(PARENTS), 3)
+        T_world_rest = turn_joints(some.rotations, nowhere, PARENTS, some.transl)[1]
+        R_joint_camera = torch.einsum("kjai,ca->kjic", T_world_rest[..., :3, :3], R_camera_world)
+        return Stage1(torch.tensor(list(frames)), some, R_joint_camera, R_camera_world)
+
+    def corrected(self, which: Sequence[int], turns: Tensor, moves: Tensor) -> Pose:
+        """Poses of some of the frames, corrected in the camera's axes.
+
+        Args:
+            which: r places among the n.
+            turns: (r, J, 3) radians.
+            moves: (r, 3) metres.
+        """
+        which = list(which)
+        local = self.in_joints(turns, which)
+        rotations = roma.rotvec_composition([self.pose.rotations[which], local])
+        transl = self.pose.transl[which] + moves @ self.R_camera_world
+        return Pose(rotations, transl, self.pose.expression[which])
+
+    def in_joints(self, turns: Tensor, which: Sequence[int] | slice = slice(None)) -> Tensor:
+        """Vectors (r, J, 3) in the camera's axes, in those of the joints."""
+        return (self.R_joint_camera[which] @ turns[..., None])[..., 0]
+
+    def in_camera(self, turns: Tensor, which: Sequence[int] | slice = slice(None)) -> Tensor:
+        """Vectors (r, J, 3) in the axes of the joints, in those of the camera."""
+        return (self.R_joint_camera[which].mT @ turns[..., None])[..., 0]
+
+    def steps(self, pose: Pose) -> tuple[Tensor, Tensor]:
+        """How poses of the n frames change from frame to frame.
+
+        Returns:
+            Turns (n - 1, J, 3) in the axes of the joints, shifts (n - 1, 3) in the camera's.
+        """
+        before = roma.rotvec_inverse(pose.rotations[:-1])
+        turns = roma.rotvec_composition([before, pose.rotations[1:]])
+        return turns, pose.transl.diff(dim=0) @ self.R_camera_world.T

@@ -1,13 +1,14 @@
-"""What is true about a synthetic video: the body that was filmed, and its poses.
+"""What is true about a synthetic video: the body that was filmed, its poses, and the cameras.
 
 The subject of a synthetic video may be drawn on another body than the one that its stage-1 poses
 belong to, and that is fitted: people are not in the span of any body model. Then the folder
 ``truth`` holds that body beside its poses:
 
-==============  ================================================================================
-``poses.npz``   poses and betas, of the body that was filmed
-``body.npz``    that body, where it is not the fitted one; in SMPL-X's format
-==============  ================================================================================
+===============  ===============================================================================
+``poses.npz``    poses and betas, of the body that was filmed
+``body.npz``     that body, where it is not the fitted one; in SMPL-X's format
+``cameras.npz``  the cameras, where the video's own may be off; without it these are true
+===============  ===============================================================================
 
 Joints of two bodies can be compared one by one, for all have SMPL-X's 55. Rotations, betas and the
 numbers of vertices mean something on their own body alone.
@@ -20,8 +21,10 @@ from pathlib import Path
 
 from gva_mi.body.pose import Pose, Shape, load_poses
 from gva_mi.body.smplx import BodyModel, load_body
+from gva_mi.data.video import load_cameras
+from gva_mi.splat import Camera
 
-POSES, BODY = "poses.npz", "body.npz"
+POSES, BODY, CAMERAS = "poses.npz", "body.npz", "cameras.npz"
 
 
 @dataclass(frozen=True)
@@ -31,7 +34,8 @@ class Truth:
     body: BodyModel
     pose: Pose  # T frames
     shape: Shape
-    foreign: bool  # the body is another one than the fitted one
+    cameras: list[Camera]  # one for each of the T frames
+    foreign: bool = False  # the body is another one than the fitted one
 
 
 def load_truth(folder: Path, body: BodyModel) -> Truth:
@@ -48,4 +52,8 @@ def load_truth(folder: Path, body: BodyModel) -> Truth:
     file = Path(folder) / BODY
     foreign = file.is_file()
     true = load_body(file, body.v_template.dtype) if foreign else body
-    return Truth(true, pose, shape, foreign)
+    own = Path(folder) / CAMERAS
+    cameras = load_cameras(own if own.is_file() else own.parents[1] / CAMERAS)
+    if len(cameras) == 1:
+        cameras = cameras * len(pose)
+    return Truth(true, pose, shape, cameras, foreign)

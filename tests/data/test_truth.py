@@ -9,12 +9,20 @@ from gva_mi.body.pose import Pose, Shape, save_poses
 from gva_mi.body.puppet import PUPPET
 from gva_mi.body.smplx import load_body
 from gva_mi.data.truth import load_truth
+from gva_mi.data.video import save_cameras
+from gva_mi.splat import Camera
 
 
 @pytest.fixture
 def folder(tmp_path):
-    save_poses(tmp_path / "poses.npz", Pose.rest(2), Shape(torch.ones(10)), stage=0)
-    return tmp_path
+    (tmp_path / "truth").mkdir()
+    save_poses(tmp_path / "truth/poses.npz", Pose.rest(2), Shape(torch.ones(10)), stage=0)
+    save_cameras(tmp_path / "cameras.npz", [camera(60.0)])
+    return tmp_path / "truth"
+
+
+def camera(focal):
+    return Camera(focal, focal, 32, 32, np.eye(4), 64, 64)
 
 
 def test_without_a_body_of_its_own_the_truth_is_told_on_the_fitted_one(folder):
@@ -31,6 +39,12 @@ def test_a_body_of_its_own_is_the_one_that_was_filmed(folder):
     body = load_body()
     truth = load_truth(folder, body)
     assert truth.foreign and torch.allclose(truth.body.v_template, 1.1 * body.v_template)
+
+
+def test_the_cameras_are_the_videos_where_the_truth_has_none_of_its_own(folder):
+    assert load_truth(folder, load_body()).cameras == [camera(60.0)] * 2
+    save_cameras(folder / "cameras.npz", [camera(54.0)])
+    assert load_truth(folder, load_body()).cameras == [camera(54.0)] * 2
 
 
 def test_a_truth_without_poses_is_named(tmp_path):

@@ -40,6 +40,8 @@ FLOORS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
       "gva_mi.data.synthetic.texture")),
     ("synthetic/clothes", "garments, hair, folds, on a body at rest",
      ("gva_mi.data.synthetic.clothes", "gva_mi.data.synthetic.rest_body")),
+    ("synthetic/noise", "families of what a pipeline gets wrong",
+     ("gva_mi.data.synthetic.noise",)),
     ("data/synthetic", "subjects, their motion, noise and pictures", ("gva_mi.data.synthetic",)),
     ("sculptor", "who makes the puppet", ("gva_mi.sculptor",)),
     ("avatar", "Gaussians on a skeleton: what is learned", ("gva_mi.avatar",)),

@@ -10,15 +10,18 @@ Motion       ``motion``                     what the video shows, and poses that
 Pictures     ``render``                     rays, light, and the camera
              ``camera_effects``             background, blur, noise of the sensor
              ``shots``                      the files of one picture, by one process or several
-Noise        ``noise``                      wrong poses, masks and normals, as of a real pipeline
+Noise        ``noise/``                     families of wrong poses, masks and normals
+             ``estimates``                  what a pipeline makes of a recording, with such noise
 The folder   ``options``                    all that can be chosen
              ``dataset``                    makes a subject's folder
+             ``degrade``                    the same recording under another noise
              ``contact_sheet``              a picture of all subjects and of one's folder
 ==========================================  ====================================================
 """
 
 from gva_mi.data.synthetic.dataset import describe_noise, make_subject
+from gva_mi.data.synthetic.degrade import degrade
 from gva_mi.data.synthetic.options import SynthOptions
 from gva_mi.data.synthetic.people import STUDY
 
-__all__ = ["STUDY", "SynthOptions", "describe_noise", "make_subject"]
+__all__ = ["STUDY", "SynthOptions", "degrade", "describe_noise", "make_subject"]

@@ -12,10 +12,7 @@ from __future__ import annotations
 
 import json
 import platform
-import shutil
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -27,23 +24,23 @@ from gva_mi.body.pose import Pose, save_poses
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.fingerprint import fingerprint
 from gva_mi.data.pictures import write_movie
-from gva_mi.data.synthetic import motion, noise
+from gva_mi.data.synthetic import motion
 from gva_mi.data.synthetic.camera_effects import room_background
 from gva_mi.data.synthetic.clothes.folds import MEMORY
+from gva_mi.data.synthetic.estimates import Pipeline, starts_from_files
 from gva_mi.data.synthetic.options import (
     BACKGROUND,
     MOTION,
-    NOISE,
     NOVEL_POSE,
     NOVEL_VIEW,
     RENDER,
     SynthOptions,
 )
 from gva_mi.data.synthetic.render import camera_around
-from gva_mi.data.synthetic.shots import Degradation, Shot, ShotPool
+from gva_mi.data.synthetic.shots import CameraEffects, Shot, ShotPool, Taken
 from gva_mi.data.synthetic.subject import Subject, draw_subject
 from gva_mi.data.video import TEST_EVERY, Splits, save_cameras
-from gva_mi.errors import InputError
+from gva_mi.files import whole_folder, write_json
 from gva_mi.splat import Camera
 
 THINNED = 11  # every 11th vertex is enough to find the ground and to place a camera
@@ -67,8 +64,6 @@ def make_subject(
         InputError: where ``out`` already holds something.
     """
     out = Path(out)
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise InputError(f"{out}: already there; expected a new or an empty folder for the subject")
     views = min(options.novel_views, options.frames)
     total, done = options.frames + options.novel_poses + views, 0
 
@@ -79,7 +74,7 @@ def make_subject(
             progress(done, total)
 
     subject = draw_subject(body, options.person(body), options.clothes, options.hair)
-    with _finished_folder(out) as folder, ShotPool(subject, options.workers, step) as pool:
+    with whole_folder(out) as folder, ShotPool(subject, options.workers, step) as pool:
         recording = Recording(options, body, subject, pool)
         poses = recording.video_poses()
         _write_video(folder, recording, poses)
@@ -87,27 +82,29 @@ def make_subject(
         seen = _write_novel_views(folder / "truth" / "novel_view", recording, poses, views)
         splits = asdict(Splits.every(TEST_EVERY, options.frames))
         splits |= {"novel_pose": list(range(options.novel_poses)), "novel_view": seen}
-        _write_json(folder / "splits.json", splits)
+        write_json(folder / "splits.json", splits)
         _write_surface(folder / "truth" / "surface.ply", subject)
-        made_of = asdict(options)
-        del made_of["workers"]  # their number changes no bit
-        about = {"options": made_of, "seed": options.seed, "versions": _versions()}
+        about = {"options": options.recorded(), "seed": options.seed, "versions": _versions()}
         about["body"] = fingerprint(body)
-        _write_json(folder / "synth.json", about)
+        write_json(folder / "synth.json", about)
 
 
 def describe_noise(folder: Path) -> list[str]:
     """What the noise of a subject's folder is like, in a few lines for people."""
     found = json.loads((Path(folder) / "noise.json").read_text())
-    pose, levels = found["pose"], found["levels"]
+    pose, levels, normal = found["pose"], found["levels"], found["normal"]
     lost = len(pose["lost_left_hand"]), len(pose["lost_right_hand"])
+    angle, missing = normal["angle_deg"], normal.get("missing", 0)
+    known = "none" if angle is None else f"{angle:.1f} degrees off"
     return [
+        f"noise: family {found.get('family', 'bursts')}, seed {found.get('seed', 'unknown')}",
         f"stage-1 poses (level {levels['pose']:g}): body {pose['vertex_mm']:.0f} mm, hands "
         f"{pose['hand_vertex_mm']:.0f}, feet {pose['foot_vertex_mm']:.0f}; sideways "
         f"{pose['sideways']:.1f} times the rotation error; left hand lost in {lost[0]} frames, "
         f"right in {lost[1]}",
         f"masks (level {levels['mask']:g}): IoU {found['mask']['iou']:.3f} with the truth",
-        f"normals (level {levels['normal']:g}): {found['normal']['angle_deg']:.1f} degrees off",
+        f"normals (level {levels['normal']:g}): {known}"
+        + (f"; missing in {missing} frames" if missing else ""),
     ]
 
 
@@ -146,15 +143,24 @@ class Recording:
         poses: Sequence[Pose],
         cameras: Sequence[Camera],
         stream: int,
-        degradation: Degradation | None = None,
+        taken: Sequence[Taken] = (),
     ) -> Iterator[Shot]:
-        """A shot of each frame; what is random in it depends on stream and frame alone."""
+        """A shot of each frame; what is random in it depends on stream and frame alone.
+
+        Args:
+            folder: gets the files.
+            poses: of all frames, and those a step, two steps, ... before.
+            cameras: one for each frame.
+            stream: of random numbers.
+            taken: how each differs from the truth; without it, they are the truth.
+        """
         options = self.options
         for k, camera in enumerate(cameras):
             now, *past = (p[k] for p in poses)
             surface = self.subject.posed(self.body, now, past, options.folds)[0]
             seed = (*options.entropy(RENDER), stream, k)
-            yield Shot(folder, k, surface, camera, options.samples, seed, degradation)
+            worse = taken[k] if taken else None
+            yield Shot(folder, k, surface, camera, options.samples, seed, worse)
 
 
 def _lowered(pose: Pose, drop: np.ndarray) -> Pose:
@@ -168,33 +174,19 @@ def _write_video(folder: Path, recording: Recording, poses: list[Pose]) -> None:
     """Frames, masks, normals, cameras and poses of the video, with their truth."""
     options, subject, pose = recording.options, recording.subject, poses[0]
     camera = camera_around(recording.some_points(pose), options.size)
-    levels = {
-        "pose": options.noise * options.pose_noise,
-        "mask": options.noise * options.mask_noise,
-        "normal": options.noise * options.normal_noise,
-    }
-    noisy, shape = noise.noisy_poses(
-        pose, subject.shape, camera, levels["pose"], options.random(NOISE)
-    )
-    degradation = Degradation(
-        folder / "truth", levels["mask"], levels["normal"],
+    save_cameras(folder / "truth" / "cameras.npz", [camera])
+    save_poses(folder / "truth" / "poses.npz", pose, subject.shape, stage=0)
+    effects = CameraEffects(
         options.blur * options.size / 512, options.sensor_noise,
         room_background(options.size, options.random(BACKGROUND)) if options.background else None,
     )  # fmt: skip
-    shots = recording.shots(folder, poses, [camera] * options.frames, MOTION, degradation)
+    pipeline = Pipeline(options, recording.body, camera, pose, subject.shape)
+    from_files = starts_from_files(options)
+    taken = [Taken(effects, noise, from_files) for noise in pipeline.pictures()]
+    shots = recording.shots(folder, poses, [camera] * options.frames, MOTION, taken)
     results = list(recording.pool.render(shots))
     write_movie(folder / "video.mp4", [result.color for result in results])
-    save_cameras(folder / "cameras.npz", [camera])
-    save_poses(folder / "poses.npz", noisy, shape, stage=1)
-    save_poses(folder / "truth" / "poses.npz", pose, subject.shape, stage=0)
-    error = noise.pose_error(recording.body, noisy, shape, pose, subject.shape, camera)
-    statistics = {
-        "levels": levels,
-        "pose": asdict(error),
-        "mask": {"iou": float(np.mean([result.iou for result in results]))},
-        "normal": {"angle_deg": float(np.mean([result.angle for result in results]))},
-    }
-    _write_json(folder / "noise.json", statistics)
+    pipeline.write(folder, [result.error for result in results])
 
 
 def _write_novel_poses(folder: Path, recording: Recording) -> None:
@@ -238,30 +230,11 @@ def _write_truth_set(
     save_poses(folder / "poses.npz", poses[0], recording.subject.shape, stage=0)
 
 
-@contextmanager
-def _finished_folder(out: Path) -> Iterator[Path]:
-    """A folder beside ``out`` that becomes ``out`` if all goes well, and vanishes if not."""
-    out.parent.mkdir(parents=True, exist_ok=True)
-    folder = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
-    folder.chmod(0o755)
-    try:
-        yield folder
-        if out.exists():
-            out.rmdir()
-        folder.rename(out)
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
-
-
 def _write_surface(path: Path, subject: Subject) -> None:
     import trimesh
 
     mesh = trimesh.Trimesh(subject.vertices, subject.faces, process=False)
     path.write_bytes(trimesh.exchange.ply.export_ply(mesh, vertex_normal=False))
-
-
-def _write_json(path: Path, value: object) -> None:
-    path.write_text(json.dumps(value, indent=1) + "\n")
 
 
 def _versions() -> dict[str, str]:

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Literal
 
 import numpy as np
 
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.synthetic import motion
+from gva_mi.data.synthetic.noise.families import Levels, require_family
 from gva_mi.data.synthetic.people import STUDY, Person
 from gva_mi.errors import InputError
 
 # One stream of random numbers for each thing that is drawn.
-MOTION, NOISE, NOVEL_POSE, NOVEL_VIEW, RENDER, BACKGROUND = range(1, 7)
+MOTION, NOISE, NOVEL_POSE, NOVEL_VIEW, RENDER, BACKGROUND, MISTAKEN, MISSING = range(1, 9)
 
 
 @dataclass(frozen=True)
@@ -29,10 +30,12 @@ class SynthOptions:
     clothes: bool = True  # clothes and shoes; without them a swimsuit is painted on the skin
     hair: bool = True  # without it the head is bald
     folds: float = 1.0  # factor on creases where cloth bends and on ends that lag; 0: skinned only
+    family: str = "bursts"  # of noise: what goes wrong; see gva_mi.data.synthetic.noise.families
+    noise_seed: int | None = None  # which noise of the family; without it, the seed's
     noise: float = 1.0  # factor on the three levels below; 0: exact poses, masks and normals
-    pose_noise: float = 1.0  # of the stage-1 poses; 1 is a vertex error of about 66 mm
-    mask_noise: float = 1.0  # of the masks; 1 is a boundary off by about 1 pixel at 512
-    normal_noise: float = 1.0  # of the normals; 1 is a blur of 2 pixels at 512 and about 9 degrees
+    pose_noise: float = 1.0  # of the stage-1 poses; 1 is a vertex error of about 66 mm in bursts
+    mask_noise: float = 1.0  # of the masks; 1 is a boundary off by about 1 pixel at 512 in bursts
+    normal_noise: float = 1.0  # of the normals; 1 is a blur of 2 pixels at 512, 9 degrees in bursts
     novel_poses: int = 8  # pictures of poses that the video does not hold
     novel_views: int = 8  # pictures of video frames from other sides
     background: bool = False  # a room behind the person, in the frames of the video
@@ -45,6 +48,9 @@ class SynthOptions:
         for name, low in least.items():
             if getattr(self, name) < low:
                 raise InputError(f"synth: {name} must be at least {low}, got {getattr(self, name)}")
+        if self.seed_of_noise < 0:
+            raise InputError(f"synth: noise_seed must be at least 0, got {self.noise_seed}")
+        require_family(self.family)
         if round(self.samples**0.5) ** 2 != self.samples:
             raise InputError(f"synth: samples must be a square number, got {self.samples}")
         levels = ("noise", "pose_noise", "mask_noise", "normal_noise", "blur", "sensor_noise")
@@ -62,11 +68,37 @@ class SynthOptions:
             return STUDY[self.subject]
         return Person.draw(self.seed, body.num_betas)
 
+    def recorded(self) -> dict[str, object]:
+        """What to write down: all but the number of workers, which changes no bit."""
+        return {k: v for k, v in asdict(self).items() if k != "workers"}
+
+    @property
+    def levels(self) -> Levels:
+        """How large each kind of noise is."""
+        each = (self.pose_noise, self.mask_noise, self.normal_noise)
+        return Levels(*(self.noise * level for level in each))
+
+    @property
+    def seed_of_noise(self) -> int:
+        """Which noise of the family."""
+        return self.seed if self.noise_seed is None else self.noise_seed
+
     def entropy(self, stream: int) -> tuple[int, ...]:
         """What seeds one of the streams above; no two of the study's subjects share it."""
-        named = () if self.subject is None else (STUDY[self.subject].seed,)
-        return (self.seed, stream, *named)
+        return (self.seed, stream, *self._named)
 
     def random(self, stream: int) -> np.random.Generator:
         """The random numbers of one of the streams above."""
         return np.random.default_rng(self.entropy(stream))
+
+    def entropy_of_noise(self, stream: int) -> tuple[int, ...]:
+        """The same for what another noise of the same recording changes."""
+        return (self.seed_of_noise, stream, *self._named)
+
+    def random_noise(self, stream: int) -> np.random.Generator:
+        """The random numbers of one of the streams above, for this noise."""
+        return np.random.default_rng(self.entropy_of_noise(stream))
+
+    @property
+    def _named(self) -> tuple[int, ...]:
+        return () if self.subject is None else (STUDY[self.subject].seed,)

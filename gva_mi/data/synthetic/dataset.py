@@ -4,6 +4,8 @@ The pictures are sRGB-encoded, the person on white, blended by the true mask (se
 ``truth/surface.ply`` is the whole outer surface, clothes and hair included, in the rest pose.
 Background, blur and sensor noise, where they are asked for, are in ``frames`` alone, so that then
 the masks matter; the pictures in ``truth`` stay clean.
+``truth/poses.npz`` are the poses of the body that was drawn, which is ``truth/body.npz`` where it
+is not the fitted one; the other poses of the folder belong to the fitted body, see ``closest``.
 ``truth/novel_view`` shows video frames from other sides with their true poses (``splits.json`` says
 which frames); ``truth/novel_pose`` shows poses that the video does not hold.
 """
@@ -29,6 +31,7 @@ from gva_mi.data.fingerprint import fingerprint
 from gva_mi.data.pictures import write_movie
 from gva_mi.data.synthetic import motion, noise
 from gva_mi.data.synthetic.camera_effects import room_background
+from gva_mi.data.synthetic.closest import Closest, closest
 from gva_mi.data.synthetic.clothes.folds import MEMORY
 from gva_mi.data.synthetic.options import (
     BACKGROUND,
@@ -42,6 +45,7 @@ from gva_mi.data.synthetic.options import (
 from gva_mi.data.synthetic.render import camera_around
 from gva_mi.data.synthetic.shots import Degradation, Shot, ShotPool
 from gva_mi.data.synthetic.subject import Subject, draw_subject
+from gva_mi.data.truth import BODY
 from gva_mi.data.video import TEST_EVERY, Splits, save_cameras
 from gva_mi.errors import InputError
 from gva_mi.splat import Camera
@@ -60,7 +64,8 @@ def make_subject(
     Args:
         out: the folder, which must not exist or be empty.
         options: what to make.
-        body: the body it is made on.
+        body: the one that its stage-1 poses belong to; it is also drawn on it, unless
+            ``options.figure`` says otherwise.
         progress: called as ``progress(done, total)`` after each picture.
 
     Raises:
@@ -78,9 +83,10 @@ def make_subject(
         if progress is not None:
             progress(done, total)
 
-    subject = draw_subject(body, options.person(body), options.clothes, options.hair)
+    drawn_on = options.drawn_on(body)
+    subject = draw_subject(drawn_on, options.person(drawn_on), options.clothes, options.hair)
     with _finished_folder(out) as folder, ShotPool(subject, options.workers, step) as pool:
-        recording = Recording(options, body, subject, pool)
+        recording = Recording(options, drawn_on, body, subject, pool)
         poses = recording.video_poses()
         _write_video(folder, recording, poses)
         _write_novel_poses(folder / "truth" / "novel_pose", recording)
@@ -101,6 +107,8 @@ def describe_noise(folder: Path) -> list[str]:
     found = json.loads((Path(folder) / "noise.json").read_text())
     pose, levels = found["pose"], found["levels"]
     lost = len(pose["lost_left_hand"]), len(pose["lost_right_hand"])
+    floor = found["floor"]
+    foreign = "the fitted body comes as near as {limb_mm:.1f} mm to the joints of the limbs"
     return [
         f"stage-1 poses (level {levels['pose']:g}): body {pose['vertex_mm']:.0f} mm, hands "
         f"{pose['hand_vertex_mm']:.0f}, feet {pose['foot_vertex_mm']:.0f}; sideways "
@@ -108,6 +116,7 @@ def describe_noise(folder: Path) -> list[str]:
         f"right in {lost[1]}",
         f"masks (level {levels['mask']:g}): IoU {found['mask']['iou']:.3f} with the truth",
         f"normals (level {levels['normal']:g}): {found['normal']['angle_deg']:.1f} degrees off",
+        *([foreign.format(**floor)] if floor["joint_mm"] > 0 else []),
     ]
 
 
@@ -116,7 +125,8 @@ class Recording:
     """The subject, the poses it goes through, and the pool that renders it."""
 
     options: SynthOptions
-    body: BodyModel
+    body: BodyModel  # that the subject is drawn on
+    fitted: BodyModel  # that the poses of the video belong to
     subject: Subject
     pool: ShotPool
 
@@ -139,6 +149,10 @@ class Recording:
             lowest = np.full_like(lowest, lowest.min())
         drops = [np.interp(motion.before(t, k), t, lowest, period=1) for k in back]
         return [_lowered(p, drop.astype("f4")) for p, drop in zip(poses, drops, strict=True)]
+
+    def closest(self, pose: Pose) -> Closest:
+        """The fitted body in true poses; they themselves, where the subject is drawn on it."""
+        return closest(self.fitted, self.body, pose, self.subject.shape)
 
     def shots(
         self,
@@ -173,8 +187,9 @@ def _write_video(folder: Path, recording: Recording, poses: list[Pose]) -> None:
         "mask": options.noise * options.mask_noise,
         "normal": options.noise * options.normal_noise,
     }
+    near = recording.closest(pose)
     noisy, shape = noise.noisy_poses(
-        pose, subject.shape, camera, levels["pose"], options.random(NOISE)
+        near.pose, near.shape, camera, levels["pose"], options.random(NOISE)
     )
     degradation = Degradation(
         folder / "truth", levels["mask"], levels["normal"],
@@ -187,12 +202,15 @@ def _write_video(folder: Path, recording: Recording, poses: list[Pose]) -> None:
     save_cameras(folder / "cameras.npz", [camera])
     save_poses(folder / "poses.npz", noisy, shape, stage=1)
     save_poses(folder / "truth" / "poses.npz", pose, subject.shape, stage=0)
-    error = noise.pose_error(recording.body, noisy, shape, pose, subject.shape, camera)
+    if recording.body is not recording.fitted:
+        np.savez_compressed(folder / "truth" / BODY, **recording.body.arrays())
+    error = noise.pose_error(recording.fitted, noisy, shape, near.pose, near.shape, camera)
     statistics = {
         "levels": levels,
         "pose": asdict(error),
         "mask": {"iou": float(np.mean([result.iou for result in results]))},
         "normal": {"angle_deg": float(np.mean([result.angle for result in results]))},
+        "floor": {"joint_mm": near.joint_mm, "limb_mm": near.limb_mm},
     }
     _write_json(folder / "noise.json", statistics)
 
@@ -235,7 +253,8 @@ def _write_truth_set(
     for _ in recording.pool.render(recording.shots(folder, poses, cameras, stream)):
         pass
     save_cameras(folder / "cameras.npz", cameras)
-    save_poses(folder / "poses.npz", poses[0], recording.subject.shape, stage=0)
+    near = recording.closest(poses[0])  # for avatars, which live on the fitted body
+    save_poses(folder / "poses.npz", near.pose, near.shape, stage=0)
 
 
 @contextmanager

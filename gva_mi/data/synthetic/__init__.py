@@ -6,6 +6,8 @@ People       ``people``                     who it is: shape, colours, the cut o
              ``clothes/``                   what is worn, and how it moves with the body
              ``texture``, ``color``         colours of skin, cloth and hair
              ``subject``                    all of it as one surface
+Figure       ``stretched``                  a body of other proportions than the fitted one
+             ``closest``                    what a perfect estimator says of it with the fitted one
 Motion       ``motion``                     what the video shows, and poses that it does not show
 Pictures     ``render``                     rays, light, and the camera
              ``camera_effects``             background, blur, noise of the sensor

@@ -4,6 +4,8 @@ The pictures are sRGB-encoded, the person on white, blended by the true mask (se
 ``truth/surface.ply`` is the whole outer surface, clothes and hair included, in the rest pose.
 Background, blur and sensor noise, where they are asked for, are in ``frames`` alone, so that then
 the masks matter; the pictures in ``truth`` stay clean.
+``truth/poses.npz`` are the poses of the body that was drawn, which is ``truth/body.npz`` where it
+is not the fitted one; the other poses of the folder belong to the fitted body, see ``closest``.
 ``truth/novel_view`` shows video frames from other sides with their true poses (``splits.json`` says
 which frames); ``truth/novel_pose`` shows poses that the video does not hold.
 """
@@ -26,6 +28,7 @@ from gva_mi.data.fingerprint import fingerprint
 from gva_mi.data.pictures import write_movie
 from gva_mi.data.synthetic import motion
 from gva_mi.data.synthetic.camera_effects import room_background
+from gva_mi.data.synthetic.closest import Closest, closest
 from gva_mi.data.synthetic.clothes.folds import MEMORY
 from gva_mi.data.synthetic.estimates import Pipeline, starts_from_files
 from gva_mi.data.synthetic.options import (
@@ -39,6 +42,7 @@ from gva_mi.data.synthetic.options import (
 from gva_mi.data.synthetic.render import camera_around
 from gva_mi.data.synthetic.shots import CameraEffects, Shot, ShotPool, Taken
 from gva_mi.data.synthetic.subject import Subject, draw_subject
+from gva_mi.data.truth import BODY
 from gva_mi.data.video import TEST_EVERY, Splits, save_cameras
 from gva_mi.files import whole_folder, write_json
 from gva_mi.splat import Camera
@@ -57,7 +61,8 @@ def make_subject(
     Args:
         out: the folder, which must not exist or be empty.
         options: what to make.
-        body: the body it is made on.
+        body: the one that its stage-1 poses belong to; it is also drawn on it, unless
+            ``options.figure`` says otherwise.
         progress: called as ``progress(done, total)`` after each picture.
 
     Raises:
@@ -73,9 +78,10 @@ def make_subject(
         if progress is not None:
             progress(done, total)
 
-    subject = draw_subject(body, options.person(body), options.clothes, options.hair)
+    drawn_on = options.drawn_on(body)
+    subject = draw_subject(drawn_on, options.person(drawn_on), options.clothes, options.hair)
     with whole_folder(out) as folder, ShotPool(subject, options.workers, step) as pool:
-        recording = Recording(options, body, subject, pool)
+        recording = Recording(options, drawn_on, body, subject, pool)
         poses = recording.video_poses()
         _write_video(folder, recording, poses)
         _write_novel_poses(folder / "truth" / "novel_pose", recording)
@@ -96,6 +102,8 @@ def describe_noise(folder: Path) -> list[str]:
     lost = len(pose["lost_left_hand"]), len(pose["lost_right_hand"])
     angle, missing = normal["angle_deg"], normal.get("missing", 0)
     known = "none" if angle is None else f"{angle:.1f} degrees off"
+    floor = found.get("floor", {"joint_mm": 0.0})
+    foreign = "the fitted body comes as near as {limb_mm:.1f} mm to the joints of the limbs"
     return [
         f"noise: family {found.get('family', 'bursts')}, seed {found.get('seed', 'unknown')}",
         f"stage-1 poses (level {levels['pose']:g}): body {pose['vertex_mm']:.0f} mm, hands "
@@ -105,6 +113,7 @@ def describe_noise(folder: Path) -> list[str]:
         f"masks (level {levels['mask']:g}): IoU {found['mask']['iou']:.3f} with the truth",
         f"normals (level {levels['normal']:g}): {known}"
         + (f"; missing in {missing} frames" if missing else ""),
+        *([foreign.format(**floor)] if floor["joint_mm"] > 0 else []),
     ]
 
 
@@ -113,7 +122,8 @@ class Recording:
     """The subject, the poses it goes through, and the pool that renders it."""
 
     options: SynthOptions
-    body: BodyModel
+    body: BodyModel  # that the subject is drawn on
+    fitted: BodyModel  # that the poses of the video belong to
     subject: Subject
     pool: ShotPool
 
@@ -136,6 +146,10 @@ class Recording:
             lowest = np.full_like(lowest, lowest.min())
         drops = [np.interp(motion.before(t, k), t, lowest, period=1) for k in back]
         return [_lowered(p, drop.astype("f4")) for p, drop in zip(poses, drops, strict=True)]
+
+    def closest(self, pose: Pose) -> Closest:
+        """The fitted body in true poses; they themselves, where the subject is drawn on it."""
+        return closest(self.fitted, self.body, pose, self.subject.shape)
 
     def shots(
         self,
@@ -176,11 +190,13 @@ def _write_video(folder: Path, recording: Recording, poses: list[Pose]) -> None:
     camera = camera_around(recording.some_points(pose), options.size)
     save_cameras(folder / "truth" / "cameras.npz", [camera])
     save_poses(folder / "truth" / "poses.npz", pose, subject.shape, stage=0)
+    if recording.body is not recording.fitted:
+        np.savez_compressed(folder / "truth" / BODY, **recording.body.arrays())
     effects = CameraEffects(
         options.blur * options.size / 512, options.sensor_noise,
         room_background(options.size, options.random(BACKGROUND)) if options.background else None,
     )  # fmt: skip
-    pipeline = Pipeline(options, recording.body, camera, pose, subject.shape)
+    pipeline = Pipeline(options, recording.fitted, camera, recording.closest(pose))
     from_files = starts_from_files(options)
     taken = [Taken(effects, noise, from_files) for noise in pipeline.pictures()]
     shots = recording.shots(folder, poses, [camera] * options.frames, MOTION, taken)
@@ -227,7 +243,8 @@ def _write_truth_set(
     for _ in recording.pool.render(recording.shots(folder, poses, cameras, stream)):
         pass
     save_cameras(folder / "cameras.npz", cameras)
-    save_poses(folder / "poses.npz", poses[0], recording.subject.shape, stage=0)
+    near = recording.closest(poses[0])  # for avatars, which live on the fitted body
+    save_poses(folder / "poses.npz", near.pose, near.shape, stage=0)
 
 
 def _write_surface(path: Path, subject: Subject) -> None:

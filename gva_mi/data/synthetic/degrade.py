@@ -14,13 +14,13 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
-from gva_mi.body.pose import load_poses
 from gva_mi.body.smplx import BodyModel
 from gva_mi.console import Progress
 from gva_mi.data.fingerprint import require_same_body
+from gva_mi.data.synthetic.closest import closest
 from gva_mi.data.synthetic.estimates import Pipeline, spoil_pictures
 from gva_mi.data.synthetic.options import SynthOptions
-from gva_mi.data.video import load_cameras
+from gva_mi.data.truth import load_truth
 from gva_mi.errors import InputError
 from gva_mi.files import whole_folder, write_json
 
@@ -58,22 +58,21 @@ def degrade(
         options, family=family, noise_seed=seed, noise=level, pose_noise=1.0, mask_noise=1.0,
         normal_noise=1.0,
     )  # fmt: skip
-    truth = subject / "truth"
-    cameras = truth / "cameras.npz"
-    if not cameras.exists():  # older subjects: all their noise left the camera alone
-        cameras = subject / "cameras.npz"
-    pipeline = Pipeline(options, body, load_cameras(cameras)[0], *load_poses(truth / "poses.npz"))
+    truth = load_truth(subject / "truth", body)
+    near = closest(body, truth.body, truth.pose, truth.shape)
+    pipeline = Pipeline(options, body, truth.cameras[0], near)
     with whole_folder(out) as folder:
         for name in KEPT:
             if (subject / name).exists():
                 _linked(subject / name, folder / name)
+        # Older subjects have none: all their noise left the camera alone.
         if not (folder / "truth" / "cameras.npz").exists():
-            _linked(cameras, folder / "truth" / "cameras.npz")
+            _linked(subject / "cameras.npz", folder / "truth" / "cameras.npz")
         errors = []
         for k, noise in enumerate(pipeline.pictures()):
             errors.append(spoil_pictures(folder, k, noise, options.samples))
             if progress is not None:
-                progress(k + 1, len(pipeline.pose))
+                progress(k + 1, len(near.pose))
         pipeline.write(folder, errors)
         write_json(folder / "synth.json", about | {"options": options.recorded()})
 

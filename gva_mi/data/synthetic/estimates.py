@@ -13,10 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from gva_mi.body.pose import Pose, Shape, save_poses
+from gva_mi.body.pose import save_poses
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.normals import ABOUT, NormalMaps
 from gva_mi.data.pictures import read_image, write_image
+from gva_mi.data.synthetic.closest import Closest
 from gva_mi.data.synthetic.noise.errors import mask_iou, normal_error, pose_error
 from gva_mi.data.synthetic.noise.families import FAMILIES, Noise, draw
 from gva_mi.data.synthetic.noise.masks import mistaken
@@ -47,14 +48,13 @@ class Pipeline:
         options: which family of noise, at which levels, from which seed.
         body: that the poses are for.
         camera: the true one.
-        pose, shape: the truth, T frames.
+        near: what a perfect estimator would say with that body: the truth, where it was filmed.
     """
 
     options: SynthOptions
     body: BodyModel
     camera: Camera
-    pose: Pose
-    shape: Shape
+    near: Closest
 
     @property
     def noise(self) -> Noise:
@@ -64,8 +64,8 @@ class Pipeline:
     def pictures(self) -> list[PictureNoise]:
         """What goes wrong in the mask and the normals of each frame."""
         options, noise, levels = self.options, self.noise, self.options.levels
-        frames = range(len(self.pose))
-        posed = self.body(self.pose, self.shape)
+        frames = range(len(self.near.pose))
+        posed = self.body(self.near.pose, self.near.shape)
         rng = options.random_noise(MISTAKEN)
         seen = mistaken(posed, self.camera, noise.mask, levels.mask, rng)
         share = min(levels.normal * noise.normal.missing, 0.9)
@@ -84,7 +84,7 @@ class Pipeline:
             errors: of the masks and normals of all frames, which are there already.
         """
         options, noise, levels = self.options, self.noise, self.options.levels
-        truth, rng = (self.pose, self.shape), options.random_noise(NOISE)
+        truth, rng = (self.near.pose, self.near.shape), options.random_noise(NOISE)
         found = noisy_poses(self.body, *truth, self.camera, noise.pose, levels.pose, rng)
         save_poses(folder / "poses.npz", *found, stage=1)
         save_cameras(
@@ -104,6 +104,7 @@ class Pipeline:
                 "angle_deg": float(np.mean(angles)) if angles else None,
                 "missing": len(errors) - len(angles),
             },
+            "floor": {"joint_mm": self.near.joint_mm, "limb_mm": self.near.limb_mm},
         }
         write_json(folder / "noise.json", statistics)
 

@@ -7,14 +7,18 @@ from typing import Literal
 
 import numpy as np
 
-from gva_mi.body.smplx import BodyModel
+from gva_mi.body.anny import anny_body
+from gva_mi.body.smplx import BodyModel, load_body
 from gva_mi.data.synthetic import motion
 from gva_mi.data.synthetic.noise.families import Levels, require_family
 from gva_mi.data.synthetic.people import STUDY, Person
+from gva_mi.data.synthetic.stretched import Stretch, stretched
 from gva_mi.errors import InputError
 
 # One stream of random numbers for each thing that is drawn.
 MOTION, NOISE, NOVEL_POSE, NOVEL_VIEW, RENDER, BACKGROUND, MISTAKEN, MISSING = range(1, 9)
+FIGURE = 11
+FIGURES = ("own", "stretched", "anny")
 
 
 @dataclass(frozen=True)
@@ -23,6 +27,7 @@ class SynthOptions:
 
     seed: int = 0  # another seed is another person: shape, clothes, hair, colours, motion, noise
     subject: str | None = None  # one of the study's seven by name; the seed varies motion, noise
+    figure: Literal["own", "stretched", "anny"] = "own"  # the body drawn, where not the fitted one
     motion: Literal["turn", "everyday"] = "turn"  # everyday: with a squat, steps, busy arms
     frames: int = 80  # of the video, which is one full turn
     size: int = 512  # pixels, width and height of the pictures
@@ -57,10 +62,21 @@ class SynthOptions:
         for name in (*levels, "folds"):
             if not 0 <= getattr(self, name) <= 10:
                 raise InputError(f"synth: {name} must be in [0, 10], got {getattr(self, name)}")
-        for name, known in (("subject", (None, *STUDY)), ("motion", tuple(motion.MOTIONS))):
+        choices = {
+            "subject": (None, *STUDY), "motion": tuple(motion.MOTIONS), "figure": FIGURES,
+        }  # fmt: skip
+        for name, known in choices.items():
             if getattr(self, name) not in known:
                 names = ", ".join(str(k) for k in known if k)
                 raise InputError(f"synth: no {name} '{getattr(self, name)}'; there are: {names}")
+
+    def drawn_on(self, body: BodyModel) -> BodyModel:
+        """The body that the subject is drawn on, where ``body`` is the one that is fitted."""
+        if self.figure == "anny":
+            return load_body(anny_body())
+        if self.figure == "stretched":
+            return stretched(body, Stretch.draw(self.random(FIGURE)))
+        return body
 
     def person(self, body: BodyModel) -> Person:
         """Who the subject is."""

@@ -42,9 +42,9 @@ def test_a_body_of_its_own_is_the_one_that_was_filmed(folder):
 
 
 def test_the_cameras_are_the_videos_where_the_truth_has_none_of_its_own(folder):
-    assert load_truth(folder, load_body()).cameras == [camera(60.0)] * 2
+    assert [c.fx for c in load_truth(folder, load_body()).cameras] == [60.0, 60.0]
     save_cameras(folder / "cameras.npz", [camera(54.0)])
-    assert load_truth(folder, load_body()).cameras == [camera(54.0)] * 2
+    assert [c.fx for c in load_truth(folder, load_body()).cameras] == [54.0, 54.0]
 
 
 def test_a_truth_without_poses_is_named(tmp_path):

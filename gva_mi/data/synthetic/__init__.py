@@ -21,8 +21,9 @@ The folder   ``options``                    all that can be chosen
 ==========================================  ====================================================
 """
 
-from gva_mi.data.synthetic.dataset import describe_noise, make_subject
+from gva_mi.data.synthetic.dataset import make_subject
 from gva_mi.data.synthetic.degrade import degrade
+from gva_mi.data.synthetic.estimates import describe_noise
 from gva_mi.data.synthetic.options import SynthOptions
 from gva_mi.data.synthetic.people import STUDY
 

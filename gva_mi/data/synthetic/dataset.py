@@ -12,7 +12,6 @@ which frames); ``truth/novel_pose`` shows poses that the video does not hold.
 
 from __future__ import annotations
 
-import json
 import platform
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -30,7 +29,7 @@ from gva_mi.data.synthetic import motion
 from gva_mi.data.synthetic.camera_effects import room_background
 from gva_mi.data.synthetic.closest import Closest, closest
 from gva_mi.data.synthetic.clothes.folds import MEMORY
-from gva_mi.data.synthetic.estimates import Pipeline, starts_from_files
+from gva_mi.data.synthetic.estimates import Pipeline
 from gva_mi.data.synthetic.options import (
     BACKGROUND,
     MOTION,
@@ -93,28 +92,6 @@ def make_subject(
         about = {"options": options.recorded(), "seed": options.seed, "versions": _versions()}
         about["body"] = fingerprint(body)
         write_json(folder / "synth.json", about)
-
-
-def describe_noise(folder: Path) -> list[str]:
-    """What the noise of a subject's folder is like, in a few lines for people."""
-    found = json.loads((Path(folder) / "noise.json").read_text())
-    pose, levels, normal = found["pose"], found["levels"], found["normal"]
-    lost = len(pose["lost_left_hand"]), len(pose["lost_right_hand"])
-    angle, missing = normal["angle_deg"], normal.get("missing", 0)
-    known = "none" if angle is None else f"{angle:.1f} degrees off"
-    floor = found.get("floor", {"joint_mm": 0.0})
-    foreign = "the fitted body comes as near as {limb_mm:.1f} mm to the joints of the limbs"
-    return [
-        f"noise: family {found.get('family', 'bursts')}, seed {found.get('seed', 'unknown')}",
-        f"stage-1 poses (level {levels['pose']:g}): body {pose['vertex_mm']:.0f} mm, hands "
-        f"{pose['hand_vertex_mm']:.0f}, feet {pose['foot_vertex_mm']:.0f}; sideways "
-        f"{pose['sideways']:.1f} times the rotation error; left hand lost in {lost[0]} frames, "
-        f"right in {lost[1]}",
-        f"masks (level {levels['mask']:g}): IoU {found['mask']['iou']:.3f} with the truth",
-        f"normals (level {levels['normal']:g}): {known}"
-        + (f"; missing in {missing} frames" if missing else ""),
-        *([foreign.format(**floor)] if floor["joint_mm"] > 0 else []),
-    ]
 
 
 @dataclass(frozen=True)
@@ -197,7 +174,7 @@ def _write_video(folder: Path, recording: Recording, poses: list[Pose]) -> None:
         room_background(options.size, options.random(BACKGROUND)) if options.background else None,
     )  # fmt: skip
     pipeline = Pipeline(options, recording.fitted, camera, recording.closest(pose))
-    from_files = starts_from_files(options)
+    from_files = pipeline.starts_from_files
     taken = [Taken(effects, noise, from_files) for noise in pipeline.pictures()]
     shots = recording.shots(folder, poses, [camera] * options.frames, MOTION, taken)
     results = list(recording.pool.render(shots))

@@ -7,6 +7,7 @@ frame's mask and normals starts from the files of the truth, 8 bits a channel.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -57,6 +58,11 @@ class Pipeline:
     near: Closest
 
     @property
+    def starts_from_files(self) -> bool:
+        """Whether what is wrong in masks and normals starts from the files of the truth."""
+        return not FAMILIES[self.options.family].exact
+
+    @property
     def noise(self) -> Noise:
         """What goes wrong."""
         return draw(self.options.family, self.options.seed_of_noise)
@@ -64,16 +70,16 @@ class Pipeline:
     def pictures(self) -> list[PictureNoise]:
         """What goes wrong in the mask and the normals of each frame."""
         options, noise, levels = self.options, self.noise, self.options.levels
-        frames = range(len(self.near.pose))
-        posed = self.body(self.near.pose, self.near.shape)
-        rng = options.random_noise(MISTAKEN)
-        seen = mistaken(posed, self.camera, noise.mask, levels.mask, rng)
+        seen = mistaken(
+            self.body, self.near.pose, self.near.shape, self.camera, noise.mask, levels.mask,
+            options.random_noise(MISTAKEN),
+        )  # fmt: skip
         share = min(levels.normal * noise.normal.missing, 0.9)
-        missing = runs(options.random_noise(MISSING), len(frames), share, MISSING_FRAMES)
+        missing = runs(options.random_noise(MISSING), len(seen), share, MISSING_FRAMES)
         seed = (*options.entropy_of_noise(RENDER), MOTION)
         return [
             PictureNoise(noise, levels, self.camera, (*seed, k), seen[k], bool(missing[k]))
-            for k in frames
+            for k in range(len(seen))
         ]
 
     def write(self, folder: Path, errors: Sequence[PictureError]) -> None:
@@ -109,6 +115,28 @@ class Pipeline:
         write_json(folder / "noise.json", statistics)
 
 
+def describe_noise(folder: Path) -> list[str]:
+    """What the noise of a subject's folder is like, in a few lines for people."""
+    found = json.loads((Path(folder) / "noise.json").read_text())
+    pose, levels, normal = found["pose"], found["levels"], found["normal"]
+    lost = len(pose["lost_left_hand"]), len(pose["lost_right_hand"])
+    angle, missing = normal["angle_deg"], normal.get("missing", 0)
+    known = "none" if angle is None else f"{angle:.1f} degrees off"
+    floor = found.get("floor", {"joint_mm": 0.0})
+    foreign = "the fitted body comes as near as {limb_mm:.1f} mm to the joints of the limbs"
+    return [
+        f"noise: family {found.get('family', 'bursts')}, seed {found.get('seed', 'unknown')}",
+        f"stage-1 poses (level {levels['pose']:g}): body {pose['vertex_mm']:.0f} mm, hands "
+        f"{pose['hand_vertex_mm']:.0f}, feet {pose['foot_vertex_mm']:.0f}; sideways "
+        f"{pose['sideways']:.1f} times the rotation error; left hand lost in {lost[0]} frames, "
+        f"right in {lost[1]}",
+        f"masks (level {levels['mask']:g}): IoU {found['mask']['iou']:.3f} with the truth",
+        f"normals (level {levels['normal']:g}): {known}"
+        + (f"; missing in {missing} frames" if missing else ""),
+        *([foreign.format(**floor)] if floor["joint_mm"] > 0 else []),
+    ]
+
+
 def spoil_pictures(
     folder: Path,
     index: int,
@@ -138,11 +166,6 @@ def spoil_pictures(
 def write_normals(folder: Path, index: int, normals: np.ndarray) -> None:
     """Write normals (H, W, 3) of a frame."""
     write_image(folder / "normals" / f"{index:06d}.png", (normals + 1) / 2)
-
-
-def starts_from_files(options: SynthOptions) -> bool:
-    """Whether the noise of masks and normals starts from the files of the truth."""
-    return not FAMILIES[options.family].exact
 
 
 def _true_pictures(

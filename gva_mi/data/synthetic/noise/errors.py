@@ -10,7 +10,8 @@ import torch
 from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.synthetic.noise.camera_bias import matrices
-from gva_mi.data.synthetic.noise.poses import SIDES, mean_hand, sideways
+from gva_mi.data.synthetic.noise.outliers import SIDES, mean_hand
+from gva_mi.data.synthetic.noise.poses import sideways
 from gva_mi.splat import Camera
 
 

@@ -30,6 +30,7 @@ import numpy as np
 from gva_mi.data.synthetic.noise.camera_bias import Lean
 from gva_mi.data.synthetic.noise.masks import MaskNoise
 from gva_mi.data.synthetic.noise.normals import NormalNoise
+from gva_mi.data.synthetic.noise.outliers import Outliers
 from gva_mi.data.synthetic.noise.poses import JointFactors, PoseNoise
 from gva_mi.errors import InputError
 
@@ -105,8 +106,7 @@ def _mixed_poses(rng: Draw) -> PoseNoise:
         aside=rng.uniform(0.003, 0.015),
         betas=rng.uniform(0.1, 0.5),
         expression=rng.uniform(0.1, 0.5),
-        lost=rng.uniform(0, 0.08),
-        jump=rng.uniform(0.04, 0.12),
+        outliers=Outliers(lost=rng.uniform(0, 0.08)),
     )
 
 
@@ -168,11 +168,12 @@ def _shape(rng: Draw) -> Noise:
 
 def _outliers(rng: Draw) -> Noise:
     noise = _mixed(rng)
-    pose = replace(
-        noise.pose, swapped=rng.uniform(0.03, 0.1), lost=rng.uniform(0.08, 0.25),
-        jumps=rng.uniform(0.04, 0.12), outliers=rng.uniform(0.03, 0.08),
+    outliers = Outliers(
+        lost=rng.uniform(0.08, 0.25), swapped=rng.uniform(0.03, 0.1),
+        whole=rng.uniform(0.03, 0.08), jumps=rng.uniform(0.04, 0.12),
+        jump=rng.uniform(0.04, 0.12),
     )  # fmt: skip
-    return replace(noise, pose=pose)
+    return replace(noise, pose=replace(noise.pose, outliers=outliers))
 
 
 def _focal(rng: Draw) -> Noise:
@@ -213,8 +214,7 @@ def _anything(rng: Draw) -> Noise:
     if has[1]:
         pose = replace(pose, betas=shape.betas, depth_follows=True)
     if has[2]:
-        names = ("swapped", "lost", "jumps", "outliers")
-        pose = replace(pose, **{name: getattr(outliers, name) for name in names})
+        pose = replace(pose, outliers=outliers.outliers)
     if has[3]:
         pose = replace(pose, focal=focal.focal)
     return Noise(pose, masks if has[4] else mask, normals if has[5] else normal)

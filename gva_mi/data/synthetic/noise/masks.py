@@ -12,14 +12,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gva_mi.body.pose import JOINTS
-from gva_mi.body.smplx import Posed
+from gva_mi.body.kinematics import joint_transforms
+from gva_mi.body.pose import JOINTS, PARENTS, Pose, Shape
+from gva_mi.body.smplx import BodyModel
+from gva_mi.data.synthetic.noise.outliers import SIDES
 from gva_mi.data.synthetic.noise.processes import field, runs
 from gva_mi.splat import Camera
 
-SIDES = ("left", "right")
 FEET_FRAMES = 6.0  # frames in a row in which a foot is lost, on average
 FOOT = 0.30  # m, how far a foot reaches from its ankle
+FLESH = 0.09  # m, from the joint of a hip out to the side
 
 
 @dataclass(frozen=True)
@@ -53,22 +55,33 @@ class Mistaken:
 
 
 def mistaken(
-    posed: Posed, camera: Camera, noise: MaskNoise, level: float, rng: np.random.Generator
+    body: BodyModel,
+    pose: Pose,
+    shape: Shape,
+    camera: Camera,
+    noise: MaskNoise,
+    level: float,
+    rng: np.random.Generator,
 ) -> list[Mistaken]:
     """What is taken for something else in each of T frames.
 
     Args:
-        posed: the person in T frames.
+        body: whose feet and hips they are.
+        pose: T frames.
+        shape: the person's.
         camera: that sees it.
         noise: what is lost, and what is added.
         level: factor on both.
         rng: in which frames feet are lost; on which side the bag hangs.
     """
-    frames, joints = len(posed.joints), posed.joints.double().numpy()
+    frames, rest = len(pose), body.rest(shape).joints
+    T_world_rest = joint_transforms(pose.rotations, rest, PARENTS, pose.transl).double().numpy()
+    R, t = T_world_rest[..., :3, :3], T_world_rest[..., :3, 3]
+    joints = np.einsum("tjab,jb->tja", R, rest.double().numpy()) + t
     lost = {
         side: runs(rng, frames, min(level * noise.lost_feet, 0.9), FEET_FRAMES) for side in SIDES
     }
-    bags = _bags(posed, camera, level * noise.bag, SIDES[rng.integers(2)])
+    bags = _bags(joints, R[:, 0], camera, level * noise.bag, SIDES[rng.integers(2)])
     found = []
     for k in range(frames):
         feet = [side for side in SIDES if lost[side][k]]
@@ -133,16 +146,14 @@ def _foot(joints: np.ndarray, camera: Camera, side: str) -> HalfDisc:
 
 
 def _bags(
-    posed: Posed, camera: Camera, radius: float, side: str
+    joints: np.ndarray, R_pelvis: np.ndarray, camera: Camera, radius: float, side: str
 ) -> list[tuple[float, float, float] | None]:
     """Centre and radius, in pixels, of a ball that hangs beside a hip."""
     if radius == 0:
-        return [None] * len(posed.joints)
-    hip = posed.T_world_rest[:, 0].double().numpy()
-    joint = posed.joints[:, JOINTS.index(f"{side}_hip")].double().numpy()
+        return [None] * len(joints)
     outward = 1.0 if side == "left" else -1.0
-    # From the hip joint out over the flesh, 0.09 m, and a little down; half of it lies on the body.
-    centres = joint + hip[:, :3, :3] @ np.array([outward * (0.09 + radius / 2), -0.06, -0.02])
+    beside = np.array([outward * (FLESH + radius / 2), -0.06, -0.02])
+    centres = joints[:, JOINTS.index(f"{side}_hip")] + R_pelvis @ beside
     pixels = camera.project(centres)
     return [
         (*map(float, pixel), radius * _scale(camera, centre))

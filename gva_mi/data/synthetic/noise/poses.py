@@ -1,12 +1,9 @@
 """Stage-1 poses as an estimator on single frames gives them: level 1 is usual, 0 is exact.
 
 Errors of rotations grow toward hands and feet and persist over some frames; depth is known worst.
-How far depends on :class:`PoseNoise`, which also says what else goes wrong: joints that lean toward
-the camera in every frame, a person taken for a larger one farther away, another focal length, legs
-that are swapped, hands that are lost, jumps, and frames of which nothing is right.
-
-All that is random is drawn in the same order whatever the parameters are, so that a parameter
-changes its own error alone.
+How far depends on :class:`PoseNoise`, which also says what else goes wrong: what is the same in
+every frame (:mod:`gva_mi.data.synthetic.noise.camera_bias`), and what comes in some frames alone
+(:mod:`gva_mi.data.synthetic.noise.outliers`).
 """
 
 from __future__ import annotations
@@ -20,7 +17,16 @@ import torch
 from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.synthetic.noise.camera_bias import Lean, leaning, matrices, placed
-from gva_mi.data.synthetic.noise.processes import bumps, curve, runs
+from gva_mi.data.synthetic.noise.outliers import (
+    LEG,
+    SIDES,
+    Outliers,
+    jumps,
+    lose_hands,
+    spoil_frames,
+    swap_legs,
+)
+from gva_mi.data.synthetic.noise.processes import bumps, curve
 from gva_mi.splat import Camera
 
 # Root mean square rotation errors in radians, before the doubling at the side. They grow along the
@@ -34,17 +40,12 @@ FACE, FINGER = 0.02, 0.16  # jaw and eyes; every joint of the fingers
 PARTS: Mapping[str, Sequence[str]] = {  # of JointFactors; jaw and eyes belong to the head
     "trunk": ("pelvis", "spine1", "spine2", "spine3"),
     "arms": ("collar", "shoulder", "elbow", "wrist"),
-    "legs": ("hip", "knee", "ankle", "foot"),
+    "legs": LEG,
 }
-SIDES = ("left", "right")
 LIMBS: Sequence[Sequence[str]] = tuple(  # a burst comes over one of them
     tuple(f"{side}_{name}" for name in PARTS[part]) for part in ("arms", "legs") for side in SIDES
 )
 BURST_EVERY, BURST_LENGTH = 25.0, 2.5  # frames between bursts, on average; half length of one
-LOST_FRAMES = 5.0  # length of a drop-out of a hand, on average
-MEAN_FINGER = 0.3  # rad, how far the fingers of the mean hand curl
-SWAPPED_FRAMES, JUMP_FRAMES = 4.0, 4.0  # in a row, on average
-OUTLIER = 5.0  # factor on the sizes above in a frame of which nothing is right
 
 
 @dataclass(frozen=True)
@@ -75,11 +76,7 @@ class PoseNoise:
     expression: float = 0.3  # standard deviations, of every coefficient that moves at all
     lean: Lean = Lean()
     focal: float = 0.0  # the focal length is taken for this share longer; depth follows
-    lost: float = 0.08  # share of frames, in runs, in which a hand is lost
-    swapped: float = 0.0  # share of frames, in runs, in which left and right leg are swapped
-    jumps: float = 0.0  # share of frames, in runs, in which the person sits somewhere else
-    jump: float = 0.08  # m, how far, root mean square
-    outliers: float = 0.0  # share of single frames of which nothing is right
+    outliers: Outliers = Outliers()
 
 
 def noisy_poses(
@@ -111,7 +108,7 @@ def noisy_poses(
     for joint, size in enumerate(sizes):
         error = curve(rng, frames, noise.memory, noise.white)
         rotations[:, joint] += strength * size[:, None] * error
-    _lose_hands(rotations, noise, level, rng)
+    lose_hands(rotations, noise.outliers, level, rng)
     aside = curve(rng, frames, noise.memory, noise.white)
     aside = aside * np.array([noise.aside, noise.aside, noise.depth]) * np.sqrt(3)
     R_camera_world = camera.T_camera_world[:3, :3]
@@ -123,11 +120,9 @@ def noisy_poses(
         error = curve(rng, frames, noise.memory, noise.white)
         expression[:, k] += level * noise.expression * error[:, 0] * np.sqrt(3)
 
-    _swap_legs(rotations, runs(rng, frames, _share(level, noise.swapped), SWAPPED_FRAMES))
-    transl += _jumps(noise, level, frames, rng) @ R_camera_world
-    wrong = rng.random(frames) < _share(level, noise.outliers)
-    error = rng.normal(size=rotations.shape) / np.sqrt(3)
-    rotations[wrong] += (level * OUTLIER * sizes.T[..., None] * error)[wrong]
+    swap_legs(rotations, noise.outliers, level, rng)
+    spoil_frames(rotations, sizes, noise.outliers, level, rng)
+    transl += jumps(frames, noise.outliers, level, rng) @ R_camera_world
     rotations = leaning(rotations, camera, noise.lean.times(level))
     grown = _growth(body, shape, Shape(betas)) if noise.depth_follows else 1.0
     joints = (body.rest(shape).joints[0], body.rest(Shape(betas)).joints[0])
@@ -140,18 +135,6 @@ def sideways(pose: Pose, camera: Camera) -> np.ndarray:
     """How far a person stands sideways (T,): 0 seen from front or back, 1 from the side."""
     facing = matrices(pose.rotations[:, 0].double().numpy())[:, :, 2]
     return np.abs(facing @ camera.T_camera_world[0, :3])
-
-
-def mean_hand(side: str) -> np.ndarray:
-    """Rotations (15, 3) of a relaxed hand."""
-    sign = 1.0 if side == "left" else -1.0
-    rotations = np.zeros((15, 3))
-    rotations[:12, 2] = -sign * MEAN_FINGER  # all but the thumb
-    return rotations
-
-
-def _share(level: float, share: float) -> float:
-    return min(level * share, 0.9)
 
 
 def _sizes(noise: PoseNoise, frames: int, rng: np.random.Generator) -> np.ndarray:
@@ -169,33 +152,6 @@ def _sizes(noise: PoseNoise, frames: int, rng: np.random.Generator) -> np.ndarra
         for name in limb:
             sizes[JOINTS.index(name)] *= burst
     return sizes
-
-
-def _lose_hands(
-    rotations: np.ndarray, noise: PoseNoise, level: float, rng: np.random.Generator
-) -> None:
-    """In some frames, put the mean hand on a straight wrist, as an estimator does."""
-    for side, hand in (("left", LEFT_HAND), ("right", RIGHT_HAND)):
-        lost = runs(rng, len(rotations), level * noise.lost, LOST_FRAMES)[:, None, None]
-        lost = min(level, 1.0) * lost
-        rotations[:, hand] += lost * (mean_hand(side) - rotations[:, hand])
-        wrist = rotations[:, [JOINTS.index(f"{side}_wrist")]]
-        rotations[:, [JOINTS.index(f"{side}_wrist")]] = (1 - lost) * wrist
-
-
-def _swap_legs(rotations: np.ndarray, where: np.ndarray) -> None:
-    """In some frames (T,) bool, give each leg the mirrored rotations of the other."""
-    left, right = ([JOINTS.index(f"{side}_{name}") for name in PARTS["legs"]] for side in SIDES)
-    mirrored = rotations[np.ix_(where, right + left)] * (1, -1, -1)  # in the plane x = 0
-    rotations[np.ix_(where, left + right)] = mirrored
-
-
-def _jumps(noise: PoseNoise, level: float, frames: int, rng: np.random.Generator) -> np.ndarray:
-    """Displacements (T, 3) in camera axes, metres: constant over each of some runs of frames."""
-    away = runs(rng, frames, _share(level, noise.jumps), JUMP_FRAMES)
-    run = np.cumsum(np.diff(away, prepend=False) & away)  # its number, where there is one
-    where = rng.normal(size=(frames + 1, 3)) * (0.6, 0.6, 1.5) / np.sqrt(3)
-    return noise.jump * where[run] * away[:, None]
 
 
 def _growth(body: BodyModel, before: Shape, after: Shape) -> float:

@@ -303,6 +303,10 @@ def _exceptions(refined: Refined) -> list[Section]:
     if refined.kept:
         rows = [(str(k), reason) for k, reason in refined.kept.items()]
         sections.append(Section("Kept frames", _KEPT, tables=[Table(("frame", "why"), rows)]))
+    if refined.held_out:
+        numbers = ", ".join(map(str, refined.held_out))
+        text = f"Their pictures were not looked at; their poses follow from the others: {numbers}."
+        sections.append(Section("Test frames that were held out", text))
     if refined.without_normals:
         numbers = ", ".join(map(str, refined.without_normals))
         text = f"They were fitted to their silhouettes alone: {numbers}."

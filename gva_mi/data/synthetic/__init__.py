@@ -8,7 +8,7 @@ People       ``people``                     who it is: shape, colours, the cut o
              ``subject``                    all of it as one surface
 Figure       ``stretched``                  a body of other proportions than the fitted one
              ``closest``                    what a perfect estimator says of it with the fitted one
-Motion       ``motion``                     what the video shows, and poses that it does not show
+Motion       ``motion/``                    what the video shows, and poses that it does not show
 Pictures     ``render``                     rays, light, and the camera
              ``camera_effects``             background, blur, noise of the sensor
              ``shots``                      the files of one picture, by one process or several

@@ -111,11 +111,16 @@ class Recording:
     def video_poses(self) -> list[Pose]:
         """The video's poses, and those a step, two steps, ... before each of its frames."""
         options = self.options
-        perform = motion.MOTIONS[options.motion]
+        joints = self.body.rest(self.subject.shape).joints.numpy()
         t = motion.times(options.frames)
         back = range(MEMORY + 1 if options.folds > 0 else 1)
         expressions = self.body.num_expressions
-        poses = [perform(motion.before(t, k), expressions, options.random(MOTION)) for k in back]
+        poses = [
+            motion.perform(
+                options.motion, motion.before(t, k), joints, expressions, options.random(MOTION)
+            )
+            for k in back
+        ]
         # The lowest point stands on the ground: of the whole turn, which does not leave it, or of
         # every frame.
         lowest = self.some_points(poses[0])[..., 1].min(1)

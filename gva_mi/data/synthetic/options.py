@@ -28,7 +28,7 @@ class SynthOptions:
     seed: int = 0  # another seed is another person: shape, clothes, hair, colours, motion, noise
     subject: str | None = None  # one of the study's seven by name; the seed varies motion, noise
     figure: Literal["own", "stretched", "anny"] = "own"  # the body drawn, where not the fitted one
-    motion: Literal["turn", "everyday"] = "turn"  # everyday: with a squat, steps, busy arms
+    motion: Literal["turn", "everyday", "still", "half", "walk", "sit", "dance"] = "turn"
     frames: int = 80  # of the video, which is one full turn
     size: int = 512  # pixels, width and height of the pictures
     samples: int = 16  # rays per pixel, a square number
@@ -63,7 +63,7 @@ class SynthOptions:
             if not 0 <= getattr(self, name) <= 10:
                 raise InputError(f"synth: {name} must be in [0, 10], got {getattr(self, name)}")
         choices = {
-            "subject": (None, *STUDY), "motion": tuple(motion.MOTIONS), "figure": FIGURES,
+            "subject": (None, *STUDY), "motion": motion.MOTIONS, "figure": FIGURES,
         }  # fmt: skip
         for name, known in choices.items():
             if getattr(self, name) not in known:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -11,13 +11,13 @@ from gva_mi.body.anny import anny_body
 from gva_mi.body.smplx import BodyModel, load_body
 from gva_mi.data.synthetic import motion
 from gva_mi.data.synthetic.noise.families import Levels, require_family
-from gva_mi.data.synthetic.people import STUDY, Person
+from gva_mi.data.synthetic.people import STUDY, Person, foreign_outfit
 from gva_mi.data.synthetic.stretched import Stretch, stretched
 from gva_mi.errors import InputError
 
 # One stream of random numbers for each thing that is drawn.
 MOTION, NOISE, NOVEL_POSE, NOVEL_VIEW, RENDER, BACKGROUND, MISTAKEN, MISSING = range(1, 9)
-FIGURE = 11
+FIGURE, OUTFIT = 11, 12
 FIGURES = ("own", "stretched", "anny")
 
 
@@ -28,6 +28,7 @@ class SynthOptions:
     seed: int = 0  # another seed is another person: shape, clothes, hair, colours, motion, noise
     subject: str | None = None  # one of the study's seven by name; the seed varies motion, noise
     figure: Literal["own", "stretched", "anny"] = "own"  # the body drawn, where not the fitted one
+    outfit: Literal["own", "foreign"] = "own"  # foreign: thick soles, wide trousers, bag, hood
     motion: Literal["turn", "everyday", "still", "half", "walk", "sit", "dance"] = "turn"
     frames: int = 80  # of the video, which is one full turn
     size: int = 512  # pixels, width and height of the pictures
@@ -64,6 +65,7 @@ class SynthOptions:
                 raise InputError(f"synth: {name} must be in [0, 10], got {getattr(self, name)}")
         choices = {
             "subject": (None, *STUDY), "motion": motion.MOTIONS, "figure": FIGURES,
+            "outfit": ("own", "foreign"),
         }  # fmt: skip
         for name, known in choices.items():
             if getattr(self, name) not in known:
@@ -80,9 +82,11 @@ class SynthOptions:
 
     def person(self, body: BodyModel) -> Person:
         """Who the subject is."""
-        if self.subject is not None:
-            return STUDY[self.subject]
-        return Person.draw(self.seed, body.num_betas)
+        named = self.subject is not None
+        person = STUDY[self.subject] if named else Person.draw(self.seed, body.num_betas)
+        if self.outfit == "foreign":
+            return replace(person, outfit=foreign_outfit(person.outfit, self.random(OUTFIT)))
+        return person
 
     def recorded(self) -> dict[str, object]:
         """What to write down: all but the number of workers, which changes no bit."""

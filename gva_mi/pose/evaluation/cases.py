@@ -54,11 +54,10 @@ class Take:
 
     def synth(self, frames: int, size: int) -> SynthOptions:
         """How it is made; without novel poses and views, which the refinement does not look at."""
-        foreign = {"outfit": self.outfit} if self.outfit != "own" else {}
         return SynthOptions(
-            seed=self.seed, subject=self.subject, motion=self.motion, figure=self.figure, **foreign,
-            frames=frames, size=size, clothes=not self.bare, hair=not self.bare, novel_poses=0,
-            novel_views=0,
+            seed=self.seed, subject=self.subject, motion=self.motion, figure=self.figure,
+            outfit=self.outfit, frames=frames, size=size, clothes=not self.bare,
+            hair=not self.bare, novel_poses=0, novel_views=0,
         )  # fmt: skip
 
 

@@ -61,3 +61,12 @@ def test_only_a_case_that_needs_a_package_lacks_it(monkeypatch):
     assert {case.take.figure for case in HELD_OUT if case.lacks} == {"anny"}
     monkeypatch.setattr(cases, "find_spec", lambda name: object())
     assert not any(case.lacks for case in HELD_OUT)
+
+
+@BOTH
+def test_every_take_can_be_asked_for(some):
+    """Its motion, figure and outfit are ones that subjects have; else the options refuse."""
+    for case in some:
+        options = case.take.synth(8, 64)
+        assert options.frames == 8 and options.novel_views == options.novel_poses == 0
+        assert options.clothes is options.hair is not case.take.bare

@@ -30,6 +30,11 @@ def as_rows(directions: np.ndarray) -> np.ndarray:
     return rows
 
 
+def as_directions(rows: np.ndarray, vertices: int) -> np.ndarray:
+    """The directions (V, 3, K) of a file, from :func:`as_rows` of them (K, W)."""
+    return rows[:, : 3 * vertices].reshape(len(rows), 3, vertices).transpose(2, 1, 0)
+
+
 def columns_of(rows: Tensor, vertices: Tensor, count: int) -> Tensor:
     """The rows of some ``vertices`` (n,), of rows (K, W) of ``count`` vertices."""
     some = rows[:, : 3 * count].unflatten(1, (3, count))[:, :, vertices].flatten(1)

@@ -28,8 +28,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from gva_mi.body.blend_shapes import add_directions, as_rows, columns_of
-from gva_mi.body.body_file import read_body
+from gva_mi.body.blend_shapes import add_directions, as_directions, as_rows, columns_of
+from gva_mi.body.body_file import kintree_table, read_body
 from gva_mi.body.kinematics import turn_joints
 from gva_mi.body.pose import PARENTS, Pose, Shape
 from gva_mi.body.puppet import PUPPET
@@ -90,6 +90,7 @@ class BodyModel(nn.Module):
         regressor = arrays["J_regressor"].astype(np.float64)
         joints = regressor @ arrays["shapedirs"].reshape(len(arrays["v_template"]), -1)
         joints = joints.reshape(165, -1).T
+        self.register_buffer("regressor", tensor(regressor))  # (55, V)
         self.register_buffer("j_template", tensor(regressor @ arrays["v_template"]))
         self.register_buffer("shape_joints", tensor(joints[betas]))  # (B, 165)
         self.register_buffer("expression_joints", tensor(joints[expressions]))  # (E, 165)
@@ -123,10 +124,40 @@ class BodyModel(nn.Module):
         some = copy.copy(self)
         some._buffers = dict(self._buffers)  # what does not change is shared
         some.v_template, some.weights = self.v_template[vertices], self.weights[vertices]
-        some.faces = faces
+        some.faces, some.regressor = faces, None  # no part tells where the joints are
         for name in ("shape_directions", "frame_directions"):
             setattr(some, name, columns_of(getattr(self, name), vertices, len(self.v_template)))
         return some
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """The arrays of a file that :func:`load_body` reads as this body.
+
+        It is a file of version 1.0: it holds ten betas, which are zero directions where this body
+        has fewer, and no more than ten expressions.
+
+        Raises:
+            ValueError: for a part of a body, which has no joints of its own.
+        """
+        if self.regressor is None:
+            raise ValueError("BodyModel.arrays(): this is a part of a body, from BodyModel.on()")
+        count = len(self.v_template)
+        rows = lambda some: as_directions(some[:10].double().numpy(), count)
+        betas = rows(self.shape_directions)
+        betas = np.pad(betas, ((0, 0), (0, 0), (0, 10 - betas.shape[2])))
+        bent = np.zeros((count, 3, 9 * (len(PARENTS) - 1)), np.float32)
+        features = self.frame_directions[: len(self.pose_features)].numpy()
+        bent[..., self.pose_features.numpy()] = as_directions(features, count)
+        return {
+            "v_template": self.v_template.numpy(),
+            "f": self.faces.numpy(),
+            "shapedirs": np.concatenate([betas, rows(self.expression_directions)], axis=2),
+            "posedirs": bent,
+            "J_regressor": self.regressor.numpy(),
+            "weights": self.weights.numpy(),
+            "kintree_table": kintree_table(),
+            "hands_meanl": np.zeros(45),
+            "hands_meanr": np.zeros(45),
+        }
 
     def rest(self, shape: Shape, expression: Tensor | None = None) -> Rest:
         """The person in the T-pose (eq. 1, 2).

@@ -9,12 +9,12 @@ from typing import Literal
 
 from tyro.conf import Positional
 
-from gva_mi.body.pose import load_poses
 from gva_mi.body.smplx import BodyModel, load_body
 from gva_mi.commands.arguments import Flat, Switch
 from gva_mi.console import bar, say
 from gva_mi.data.fingerprint import require_same_body
-from gva_mi.data.video import POSES, REFINED_POSES, Video, load_video
+from gva_mi.data.truth import load_truth
+from gva_mi.data.video import REFINED_POSES, Video, load_video
 from gva_mi.errors import InputError
 from gva_mi.files import versions
 from gva_mi.pose.evaluation.ablation import ablate
@@ -104,7 +104,7 @@ def refine_videos(
         for video, refined in zip(videos, found, strict=True):
             for frame, reason in refined.kept.items():
                 say(f"{video.folder}: frame {frame} keeps its stage-1 pose: {reason}")
-            truth = load_poses(video.truth / POSES) if video.truth else None
+            truth = load_truth(video.truth, model) if video.truth else None
             evaluation = Evaluation.of(video, model, options, refined, truth)
             write_record(evaluation, versions())
             yield evaluation

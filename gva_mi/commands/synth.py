@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 
 from tyro.conf import Positional
@@ -9,7 +10,7 @@ from tyro.conf import Positional
 from gva_mi.body.smplx import load_body
 from gva_mi.commands.arguments import Flat, Switch
 from gva_mi.console import bar, say
-from gva_mi.data.synthetic import SynthOptions, describe_noise, make_subject
+from gva_mi.data.synthetic import SynthOptions, degrade, describe_noise, make_subject
 from gva_mi.data.synthetic.contact_sheet import contact_sheet as draw_sheet
 from gva_mi.errors import InputError
 from gva_mi.files import make_room
@@ -21,6 +22,7 @@ def synth(
     out: Positional[Path | None] = None,
     options: Flat[SynthOptions] = SynthOptions(),  # noqa: B008 (frozen)
     *,
+    like: Path | None = None,
     sheet: Path | None = None,
     body: Path | None = None,
     overwrite: Switch = False,
@@ -30,12 +32,16 @@ def synth(
     Args:
         out: the subject's folder.
         options: what it is like.
+        like: a subject that is there: take its recording, with noise of another --family and
+            --seed, at the level --noise.
         sheet: write a picture (.png) of the study's seven subjects, and of what comes with a video.
         body: a body in SMPL-X's .npz format; without it the built-in puppet.
         overwrite: replace a subject that is there.
     """
     if out is None and sheet is None:
         raise InputError("synth: give a folder for a subject, or --sheet FILE.png, or both")
+    if like is not None:
+        _require_noise_alone(options)
     model = load_body(body)
     if sheet is not None:
         with bar("sheet") as progress:
@@ -45,7 +51,23 @@ def synth(
         return
     make_room(out, MARKER, overwrite)
     with bar("synth") as progress:
-        make_subject(out, options, model, progress)
+        if like is None:
+            make_subject(out, options, model, progress)
+        else:
+            seed, level = options.seed_of_noise, options.noise
+            degrade(like, out, options.family, seed, model, level, progress)
     for line in describe_noise(out):
         say(line)
     say(f"subject: {out}")
+
+
+def _require_noise_alone(options: SynthOptions) -> None:
+    """Raise an InputError where options ask for more than another noise."""
+    ours = {name: getattr(options, name) for name in ("family", "seed", "noise_seed", "noise")}
+    plain = asdict(SynthOptions(**ours))
+    for name, value in asdict(options).items():
+        if value != plain[name]:
+            raise InputError(
+                f"synth: --{name.replace('_', '-')} is the recording's own, which --like keeps; "
+                "give --family, --seed and --noise alone"
+            )

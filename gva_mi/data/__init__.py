@@ -5,6 +5,7 @@
 ``pictures``        8-bit pictures, arrays and films on disk
 ``masks``           masks as segmenters write them
 ``normals``         normal maps as networks write them
+``truth``           what is true about a synthetic video, and on which body
 ``fingerprint``     whether a synthetic subject is used with its own body
 ``synthetic/``      makes such folders
 ==================  ================================================================

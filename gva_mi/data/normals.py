@@ -122,6 +122,13 @@ class NormalMaps:
         return np.where((length > SHORTEST) & (length < LONGEST), normals, 0), path
 
 
+def to_icon(normals: np.ndarray, camera: Camera) -> np.ndarray:
+    """Normals (H, W, 3) in camera space, zero where unknown, as ICON would give them."""
+    v, z = _turns_to_rays(camera)
+    once = np.cross(-v, normals)
+    return (normals + once + np.cross(-v, once) / (1 + z)) * (1, -1, -1)
+
+
 def _pasted(normals: np.ndarray, box: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """A map (h, w, 3) of a box put on the frame's pixels: (H, W, 3), zero outside the box."""
     from PIL import Image
@@ -142,13 +149,18 @@ def _pasted(normals: np.ndarray, box: np.ndarray, size: tuple[int, int]) -> np.n
 
 def _along_rays(normals: np.ndarray, camera: Camera) -> np.ndarray:
     """``R(d) n`` for the ray ``d`` of each pixel, by Rodrigues' formula with ``v = z × d``."""
+    v, z = _turns_to_rays(camera)
+    once = np.cross(v, normals)
+    return normals + once + np.cross(v, once) / (1 + z)
+
+
+def _turns_to_rays(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """``v = z × d`` (H, W, 3) and ``z · d`` (H, W, 1) of each pixel's ray ``d``."""
     x = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
     y = (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy
     d = np.stack([*np.meshgrid(x, y), np.ones((camera.height, camera.width))], axis=-1)
     d /= np.linalg.norm(d, axis=-1, keepdims=True)
-    v = np.stack([-d[..., 1], d[..., 0], np.zeros_like(d[..., 0])], axis=-1)
-    once = np.cross(v, normals)
-    return normals + once + np.cross(v, once) / (1 + d[..., 2:])
+    return np.stack([-d[..., 1], d[..., 0], np.zeros_like(d[..., 0])], axis=-1), d[..., 2:]
 
 
 def _read_about(path: Path, frames: int) -> dict:

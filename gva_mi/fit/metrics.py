@@ -25,7 +25,7 @@ from gva_mi.files import write_json
 from gva_mi.fit import run_folder
 from gva_mi.fit.evaluate import SplitScores, evaluate
 from gva_mi.fit.photometric import FITTED, PhotometricOptions, fit_poses
-from gva_mi.pose.evaluation.measure import PoseFigures
+from gva_mi.pose.evaluation.figures import PoseFigures
 from gva_mi.pose.evaluation.record import REFINEMENT
 
 AS_REFINED = "poses as refined"  # name of the row of a test split without the trained poses

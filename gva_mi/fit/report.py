@@ -29,7 +29,7 @@ from gva_mi.page import (
     plot,
     write_page,
 )
-from gva_mi.pose.evaluation.measure import Change, PoseFigures
+from gva_mi.pose.evaluation.figures import Change, PoseFigures
 from gva_mi.pose.evaluation.record import OVERLAYS
 
 SHOWN = 5  # frames per strip
@@ -116,6 +116,9 @@ def _refinement_table(figures: PoseFigures) -> Table:
         row("hands, mm", 1, figures.hands, None),
         row("feet, mm", 1, figures.feet, None),
         row("vertices, pelvis on pelvis, mm", 1, figures.aligned, None),
+        row("fingers, wrist on wrist, mm", 1, figures.fingers, None),
+        row("ankles too far away, mm", 1, figures.ankles_depth, None),
+        row("wrists too far away, mm", 1, figures.wrists_depth, None),
         row("silhouette IoU", 3, figures.iou, figures.iou_truth),
     ]
     return Table(("", "stage 1", "refined", "true pose"), rows)

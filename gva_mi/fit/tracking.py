@@ -18,10 +18,11 @@ from torch import Tensor
 
 from gva_mi.body.pose import load_poses, save_poses
 from gva_mi.body.smplx import BodyModel
+from gva_mi.data.truth import load_truth
 from gva_mi.data.video import POSES, Video
 from gva_mi.files import versions, write_json
 from gva_mi.fit.photometric import FittedPoses, PhotometricOptions
-from gva_mi.pose.evaluation.measure import vertex_errors
+from gva_mi.pose.evaluation.errors import pose_errors
 
 TRACKED_POSES, TRACKING = "poses_photometric.npz", "photometric.json"
 REGIONS = {"vertices": "body", "hands": "hands", "feet": "feet", "aligned": "body_aligned"}
@@ -97,14 +98,10 @@ def write_tracking(
 def _errors(video: Video, body: BodyModel, found: FittedPoses) -> dict[str, dict[str, float]]:
     if video.truth is None:
         return {}
-    truth = load_poses(video.truth / POSES)
+    truth = load_truth(video.truth, body)
     stages = {
         "stage 1": load_poses(video.folder / POSES),
         "start": (video.pose, video.shape),
         "tracked": (found.pose, video.shape),
     }
-    errors = {stage: asdict(vertex_errors(body, poses, truth)) for stage, poses in stages.items()}
-    return {
-        stage: {region: float(of_frames.mean()) for region, of_frames in regions.items()}
-        for stage, regions in errors.items()
-    }
+    return {stage: pose_errors(body, poses, truth).means() for stage, poses in stages.items()}

@@ -27,7 +27,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
@@ -43,6 +43,7 @@ from gva_mi.pose.descent import with_frames, worse_frames
 from gva_mi.pose.evidence import MaskAndNormals, gather
 from gva_mi.pose.job import Job, RefineOptions, Solution
 from gva_mi.pose.parallel import Done, run
+from gva_mi.splat import Camera
 from gva_mi.threads import one_torch_thread
 
 
@@ -58,6 +59,8 @@ class Refined:
     kept: dict[int, str]  # frames that keep their stage-1 pose, and why
     without_normals: list[int]  # frames that were fitted to their silhouette alone
     seconds_per_frame: float  # of work, by all workers together
+    cameras: list[Camera] | None = None  # of all frames where they were refined too; else as given
+    held_out: list[int] = field(default_factory=list)  # test frames that were not looked at
 
 
 def refine(

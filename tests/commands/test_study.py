@@ -1,54 +1,93 @@
-"""``gva-mi study refine``: the table says what the rows hold, and is kept."""
+"""``gva-mi study refine``: the table says what was found, and cases are chosen by name."""
 
 import json
 
 import pytest
-import torch
 
 from gva_mi.commands import study as studies
-from gva_mi.pose.evaluation.measure import Measured, VertexErrors
-from gva_mi.pose.evaluation.study import HELD_OUT, TUNING, CaseResult
+from gva_mi.pose.evaluation.cases import HELD_OUT, TUNING, Case
+from gva_mi.pose.evaluation.figures import Change, PoseFigures
+from gva_mi.pose.evaluation.study import CaseResult
 
 
-def row(case, noise, before, after):
-    errors = lambda mm: VertexErrors(*(torch.full((4,), mm * k) for k in (1.0, 2, 3, 4, 5, 6)))
-    iou = lambda value: torch.full((4,), value)
-    ious = iou(0.7), iou(0.8), iou(0.75), iou(0.82)
-    return CaseResult(case, noise, Measured(errors(before), errors(after), *ious, 1.0))
+def figures(before, after):
+    return PoseFigures(
+        vertices=Change(before, after), hands=Change(before, 2 * before),
+        feet=Change(before, after),
+        ankles_depth=Change(40.0, -8.0), frames_worse=0.25, iou=Change(0.7, 0.8), iou_truth=0.75,
+        seconds_per_frame=1.0,
+    )  # fmt: skip
 
 
 @pytest.fixture
 def done(monkeypatch):
-    """As if two people had been refined, one of whom got worse."""
-    seen = []
+    """As if cases were refined at once, each to three quarters less; keeps those that were."""
+    computed = []
 
-    def refine(folder, cases, body, options, progress):
-        seen.append((folder, cases, options))
-        yield row(cases[0], 1.0, 80.0, 20.0)
-        yield row(cases[1], 2.0, 40.0, 50.0)
+    def refine(folder, cases, body, options, known, progress, executor):
+        there = {(r.case, r.noise): r for r in known}
+        for case in cases:
+            if (case, 1.0) not in there:
+                computed.append(case)
+            yield there.get((case, 1.0), CaseResult(case, 1.0, figures(80.0, 20.0)))
 
     monkeypatch.setattr(studies, "refine_cases", refine)
-    return seen
+    monkeypatch.setattr(Case, "lacks", None)
+    return computed
 
 
-def test_the_table_says_what_was_measured(done, tmp_path, cli):
+def test_the_table_has_a_line_for_each_family_and_the_file_one_for_each_case(done, tmp_path, cli):
     code, out, err = cli("study", "refine", "--out", tmp_path / "new", "--refine.passes", 3)
     assert code == 0, err
-    head, first, second, mean = (line.split() for line in out.splitlines()[-5:-1])
-    assert head[:4] == ["mm", "body", "hands", "feet"]
-    name = f"{HELD_OUT[0].name}, noise 1".split()
-    assert first[: len(name)] == name
-    assert first[len(name) : len(name) + 6] == ["80", "→", "20", "160", "→", "40"]
-    assert first[-7:] == ["+0.050", "0.820", "0", "%", "0", "%", "1.00"]
-    assert second[-7:] == ["+0.050", "0.820", "100", "%", "100", "%", "1.00"]
-    assert mean[2:4] == ["-25", "%"]  # of -75 % and +25 %
+    families = list(dict.fromkeys(case.family for case in HELD_OUT))
+    lines = out.splitlines()
+    head, rows = lines[-4 - len(families)], lines[-3 - len(families) : -1]
+    assert head.split()[:5] == ["family", "cases", "body", "hands", "feet"]
+    assert [row.split("  ")[0] for row in rows] == [*families, "mean", "worst"]
+    assert rows[0].split()[1:8] == ["2", "-75", "%", "+100", "%", "-75", "%"]
     record = json.loads((tmp_path / "new/refine.json").read_text())
-    assert record["rows"][1]["change"]["feet"] == pytest.approx(0.25)
-    assert record["options"]["refine"]["passes"] == 3 and record["versions"]
+    assert [case["name"] for case in record["cases"]] == [case.name for case in HELD_OUT]
+    assert record["cases"][0]["figures"]["ankle_depth_mm"] == -8
+    assert record["families"]["mean"]["hands"] == pytest.approx(1.0)
+    assert record["made_with"]["options"]["refine"]["passes"] == 3 and record["versions"]
 
 
 def test_people_it_was_tuned_on_are_apart(done, tmp_path, cli):
     for name, cases in (("tuning", TUNING), ("held-out", HELD_OUT), ("all", TUNING + HELD_OUT)):
-        assert cli("study", "refine", "--out", tmp_path, "--cases", name)[0] == 0
-        assert done[-1][1] == cases
-    assert not {c.name for c in TUNING} & {c.name for c in HELD_OUT}
+        done.clear()
+        assert cli("study", "refine", "--out", tmp_path / name, "--cases", name)[0] == 0
+        assert tuple(done) == cases
+
+
+def test_a_study_goes_on_where_it_was_cut_short(done, tmp_path, cli):
+    lean = ("study", "refine", "--out", tmp_path, "--families", "lean")
+    assert cli(*lean)[0] == 0
+    first = list(done)
+    assert first and {case.family for case in first} == {"lean"}
+    code, out, _ = cli("study", "refine", "--out", tmp_path)
+    assert f"{len(first)} cases are in" in out and len(done) == len(HELD_OUT)
+    done.clear()
+    assert cli(*lean)[0] == 0 and not done
+    names = [case["name"] for case in json.loads((tmp_path / "refine.json").read_text())["cases"]]
+    assert sorted(names) == sorted(case.name for case in HELD_OUT)  # the others are kept
+    assert cli(*lean, "--overwrite")[0] == 0 and done == first
+
+
+def test_people_and_families_are_chosen_by_name(done, tmp_path, cli):
+    assert cli("study", "refine", "--out", tmp_path, "--people", "bruno", "13")[0] == 0
+    assert {case.take.person for case in done} == {"bruno", "13"}
+    for argument, name in (("--people", "amira"), ("--families", "lost")):
+        code, _, err = cli("study", "refine", "--out", tmp_path, argument, name)
+        assert code == 2 and f"no '{name}'" in err and "in these cases are:" in err
+    code, _, err = cli(
+        "study", "refine", "--out", tmp_path, "--people", "bruno", "--families", "focal"
+    )
+    assert code == 2 and "at once" in err
+
+
+def test_a_case_that_lacks_a_package_is_left_out_with_a_line(done, tmp_path, cli, monkeypatch):
+    lacks = property(lambda case: "anny" if case.take.figure == "anny" else None)
+    monkeypatch.setattr(Case, "lacks", lacks)
+    code, out, _ = cli("study", "refine", "--out", tmp_path, "--families", "mixed")
+    assert code == 0 and "for the package anny is not installed" in out
+    assert all(case.take.figure != "anny" for case in done) and len(done) == 1

@@ -15,12 +15,13 @@ from gva_mi.fit.metrics import (
     save_metrics,
 )
 from gva_mi.fit.run_folder import METRICS
-from gva_mi.pose.evaluation.measure import Change, PoseFigures
+from gva_mi.pose.evaluation.figures import Change, PoseFigures
 
 FIGURES = PoseFigures(
     vertices=Change(0.25, 1.25), hands=Change(2.25, 3.25), feet=Change(4.25, 5.25),
     aligned=Change(6.25, 7.25), frames_worse=0.1, frames_worse_hands=0.2, iou=Change(0.5, 0.75),
-    iou_truth=0.9, iou_true_masks=None, seconds_per_frame=1.5,
+    fingers=Change(8.25, 9.25), ankles_depth=Change(-2.0, 3.0), wrists_depth=Change(4.0, -5.0),
+    points="vertices", iou_truth=0.9, iou_true_masks=None, seconds_per_frame=1.5,
 )  # fmt: skip
 UNKNOWN = PoseFigures.from_json({})
 
@@ -50,11 +51,11 @@ def test_the_file_has_the_entries_that_it_always_had(metrics):
     record = metrics.to_json()
     assert list(record) == ["rows", "refinement", "training", "options", "versions", "seed"]
     assert list(record["rows"][0]) == ["name", "split", "psnr", "ssim", "lpips", "rand_vgg"]
-    assert list(record["refinement"]) == [
+    assert set(record["refinement"]) >= {
         "vertex_mm_stage1", "vertex_mm", "hand_vertex_mm_stage1", "hand_vertex_mm",
         "foot_vertex_mm_stage1", "foot_vertex_mm", "aligned_vertex_mm_stage1", "aligned_vertex_mm",
         "frames_worse", "frames_worse_hands", "iou_stage1", "iou", "iou_truth", "seconds_per_frame",
-    ]  # fmt: skip
+    }  # fmt: skip
     assert list(record["training"]) == ["steps", "seconds", "gaussians", "size"]
     assert json.loads(json.dumps(record))["training"]["size"] == [48, 32]
     fitted = replace(metrics, pose_fit=PoseFit({}, {}, 0.5)).to_json()
@@ -67,17 +68,20 @@ def test_poses_that_were_not_refined_have_no_figures(metrics):
     assert [line.split()[0] for line in without.lines()] == ["test", "test"]
 
 
-def test_a_file_of_an_older_version_lacks_a_figure(metrics):
+def test_a_file_of_an_older_version_lacks_some_figures(metrics):
     record = metrics.to_json()
-    del record["refinement"]["frames_worse"]
+    for name in ("frames_worse", "finger_mm", "ankle_depth_mm_stage1"):
+        del record["refinement"][name]
     found = Metrics.from_json(record)
-    assert found.refinement == replace(metrics.refinement, frames_worse=None)
-    assert not any(line.startswith("worse") for line in found.lines())
+    lacking = replace(metrics.refinement, frames_worse=None, fingers=None, ankles_depth=None)
+    assert found.refinement == lacking
+    assert not any(line.startswith(("worse", "fingers", "depth")) for line in found.lines())
 
 
 def test_the_lines_say_the_main_figures(metrics):
     lines = list(metrics.lines())
     assert lines[0] == "vertices    0.2 → 1.2 mm"
+    assert "depth       ankles -2 → +3 mm, wrists +4 → -5 mm" in lines
     assert lines[-2] == "test        PSNR 30.12 dB, SSIM 0.9800"
     assert lines[-1] == "test        PSNR 29.50 dB, SSIM 0.9700 (poses as refined)"
     assert "true pose" in next(line for line in lines if line.startswith("silhouette"))

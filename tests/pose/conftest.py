@@ -21,6 +21,10 @@ class Clip:
     camera: Camera
     absent: dict = field(default_factory=dict)
 
+    @property
+    def cameras(self):
+        return [self.camera] * len(self)
+
     def true_mask(self, index):
         return self.pictures[index][0]
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from gva_mi.data.truth import Truth
 from gva_mi.pose import SequenceOptions, SingleFrameOptions, refine
 from gva_mi.pose.evaluation.measure import measure
 
@@ -26,7 +27,7 @@ def paper(clip, body):
 @pytest.mark.parametrize(("way", "left"), [("sequence", 0.55), ("paper", 0.7)])
 def test_a_known_error_is_undone(request, clip, body, true_pose, way, left):
     refined = request.getfixturevalue(way)
-    errors = measure(clip, body, refined, (true_pose, clip.shape)).means
+    errors = measure(clip, body, refined, Truth(body, true_pose, clip.shape, clip.cameras)).means
     assert errors.vertices.refined < left * errors.vertices.stage1
     assert errors.iou.refined > errors.iou.stage1 and errors.iou_truth > 0.99
     assert (refined.losses < refined.losses_stage1).all() and not refined.kept
@@ -64,7 +65,7 @@ def test_without_normals_the_silhouette_serves(clip, body, true_pose):
     # outline of 96 pixels to say otherwise, leaves 0.56 of the error.
     refined = refine(blind, body, replace(SEQUENCE, jitter=0.02))
     assert refined.without_normals == [0, 1, 2]
-    errors = measure(blind, body, refined, (true_pose, clip.shape)).means
+    errors = measure(blind, body, refined, Truth(body, true_pose, clip.shape, clip.cameras)).means
     assert errors.vertices.refined < 0.55 * errors.vertices.stage1
 
 
@@ -103,7 +104,7 @@ def test_progress_counts_to_the_end(clip, body):
 
 def test_measures_of_the_truth_itself(clip, body, true_pose, sequence):
     perfect = replace(sequence, pose=true_pose, shape=clip.shape)
-    errors = measure(clip, body, perfect, (true_pose, clip.shape)).means
+    errors = measure(clip, body, perfect, Truth(body, true_pose, clip.shape, clip.cameras)).means
     assert errors.vertices.refined == errors.hands.refined == errors.aligned.refined == 0
     assert errors.iou.refined == errors.iou_truth and errors.frames_worse == 0
     unknown = measure(clip, body, perfect).means

@@ -4,18 +4,16 @@ The pictures are sRGB-encoded, the person on white, blended by the true mask (se
 ``truth/surface.ply`` is the whole outer surface, clothes and hair included, in the rest pose.
 Background, blur and sensor noise, where they are asked for, are in ``frames`` alone, so that then
 the masks matter; the pictures in ``truth`` stay clean.
+``truth/poses.npz`` are the poses of the body that was drawn, which is ``truth/body.npz`` where it
+is not the fitted one; the other poses of the folder belong to the fitted body, see ``closest``.
 ``truth/novel_view`` shows video frames from other sides with their true poses (``splits.json`` says
 which frames); ``truth/novel_pose`` shows poses that the video does not hold.
 """
 
 from __future__ import annotations
 
-import json
 import platform
-import shutil
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -27,23 +25,25 @@ from gva_mi.body.pose import Pose, save_poses
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.fingerprint import fingerprint
 from gva_mi.data.pictures import write_movie
-from gva_mi.data.synthetic import motion, noise
+from gva_mi.data.synthetic import motion
 from gva_mi.data.synthetic.camera_effects import room_background
+from gva_mi.data.synthetic.closest import Closest, closest
 from gva_mi.data.synthetic.clothes.folds import MEMORY
+from gva_mi.data.synthetic.estimates import Pipeline
 from gva_mi.data.synthetic.options import (
     BACKGROUND,
     MOTION,
-    NOISE,
     NOVEL_POSE,
     NOVEL_VIEW,
     RENDER,
     SynthOptions,
 )
 from gva_mi.data.synthetic.render import camera_around
-from gva_mi.data.synthetic.shots import Degradation, Shot, ShotPool
+from gva_mi.data.synthetic.shots import CameraEffects, Shot, ShotPool, Taken
 from gva_mi.data.synthetic.subject import Subject, draw_subject
+from gva_mi.data.truth import BODY
 from gva_mi.data.video import TEST_EVERY, Splits, save_cameras
-from gva_mi.errors import InputError
+from gva_mi.files import whole_folder, write_json
 from gva_mi.splat import Camera
 
 THINNED = 11  # every 11th vertex is enough to find the ground and to place a camera
@@ -60,15 +60,14 @@ def make_subject(
     Args:
         out: the folder, which must not exist or be empty.
         options: what to make.
-        body: the body it is made on.
+        body: the one that its stage-1 poses belong to; it is also drawn on it, unless
+            ``options.figure`` says otherwise.
         progress: called as ``progress(done, total)`` after each picture.
 
     Raises:
         InputError: where ``out`` already holds something.
     """
     out = Path(out)
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise InputError(f"{out}: already there; expected a new or an empty folder for the subject")
     views = min(options.novel_views, options.frames)
     total, done = options.frames + options.novel_poses + views, 0
 
@@ -78,37 +77,21 @@ def make_subject(
         if progress is not None:
             progress(done, total)
 
-    subject = draw_subject(body, options.person(body), options.clothes, options.hair)
-    with _finished_folder(out) as folder, ShotPool(subject, options.workers, step) as pool:
-        recording = Recording(options, body, subject, pool)
+    drawn_on = options.drawn_on(body)
+    subject = draw_subject(drawn_on, options.person(drawn_on), options.clothes, options.hair)
+    with whole_folder(out) as folder, ShotPool(subject, options.workers, step) as pool:
+        recording = Recording(options, drawn_on, body, subject, pool)
         poses = recording.video_poses()
         _write_video(folder, recording, poses)
         _write_novel_poses(folder / "truth" / "novel_pose", recording)
         seen = _write_novel_views(folder / "truth" / "novel_view", recording, poses, views)
         splits = asdict(Splits.every(TEST_EVERY, options.frames))
         splits |= {"novel_pose": list(range(options.novel_poses)), "novel_view": seen}
-        _write_json(folder / "splits.json", splits)
+        write_json(folder / "splits.json", splits)
         _write_surface(folder / "truth" / "surface.ply", subject)
-        made_of = asdict(options)
-        del made_of["workers"]  # their number changes no bit
-        about = {"options": made_of, "seed": options.seed, "versions": _versions()}
+        about = {"options": options.recorded(), "seed": options.seed, "versions": _versions()}
         about["body"] = fingerprint(body)
-        _write_json(folder / "synth.json", about)
-
-
-def describe_noise(folder: Path) -> list[str]:
-    """What the noise of a subject's folder is like, in a few lines for people."""
-    found = json.loads((Path(folder) / "noise.json").read_text())
-    pose, levels = found["pose"], found["levels"]
-    lost = len(pose["lost_left_hand"]), len(pose["lost_right_hand"])
-    return [
-        f"stage-1 poses (level {levels['pose']:g}): body {pose['vertex_mm']:.0f} mm, hands "
-        f"{pose['hand_vertex_mm']:.0f}, feet {pose['foot_vertex_mm']:.0f}; sideways "
-        f"{pose['sideways']:.1f} times the rotation error; left hand lost in {lost[0]} frames, "
-        f"right in {lost[1]}",
-        f"masks (level {levels['mask']:g}): IoU {found['mask']['iou']:.3f} with the truth",
-        f"normals (level {levels['normal']:g}): {found['normal']['angle_deg']:.1f} degrees off",
-    ]
+        write_json(folder / "synth.json", about)
 
 
 @dataclass(frozen=True)
@@ -116,7 +99,8 @@ class Recording:
     """The subject, the poses it goes through, and the pool that renders it."""
 
     options: SynthOptions
-    body: BodyModel
+    body: BodyModel  # that the subject is drawn on
+    fitted: BodyModel  # that the poses of the video belong to
     subject: Subject
     pool: ShotPool
 
@@ -127,11 +111,16 @@ class Recording:
     def video_poses(self) -> list[Pose]:
         """The video's poses, and those a step, two steps, ... before each of its frames."""
         options = self.options
-        perform = motion.MOTIONS[options.motion]
+        joints = self.body.rest(self.subject.shape).joints.numpy()
         t = motion.times(options.frames)
         back = range(MEMORY + 1 if options.folds > 0 else 1)
         expressions = self.body.num_expressions
-        poses = [perform(motion.before(t, k), expressions, options.random(MOTION)) for k in back]
+        poses = [
+            motion.perform(
+                options.motion, motion.before(t, k), joints, expressions, options.random(MOTION)
+            )
+            for k in back
+        ]
         # The lowest point stands on the ground: of the whole turn, which does not leave it, or of
         # every frame.
         lowest = self.some_points(poses[0])[..., 1].min(1)
@@ -140,21 +129,34 @@ class Recording:
         drops = [np.interp(motion.before(t, k), t, lowest, period=1) for k in back]
         return [_lowered(p, drop.astype("f4")) for p, drop in zip(poses, drops, strict=True)]
 
+    def closest(self, pose: Pose) -> Closest:
+        """The fitted body in true poses; they themselves, where the subject is drawn on it."""
+        return closest(self.fitted, self.body, pose, self.subject.shape)
+
     def shots(
         self,
         folder: Path,
         poses: Sequence[Pose],
         cameras: Sequence[Camera],
         stream: int,
-        degradation: Degradation | None = None,
+        taken: Sequence[Taken] = (),
     ) -> Iterator[Shot]:
-        """A shot of each frame; what is random in it depends on stream and frame alone."""
+        """A shot of each frame; what is random in it depends on stream and frame alone.
+
+        Args:
+            folder: gets the files.
+            poses: of all frames, and those a step, two steps, ... before.
+            cameras: one for each frame.
+            stream: of random numbers.
+            taken: how each differs from the truth; without it, they are the truth.
+        """
         options = self.options
         for k, camera in enumerate(cameras):
             now, *past = (p[k] for p in poses)
             surface = self.subject.posed(self.body, now, past, options.folds)[0]
             seed = (*options.entropy(RENDER), stream, k)
-            yield Shot(folder, k, surface, camera, options.samples, seed, degradation)
+            worse = taken[k] if taken else None
+            yield Shot(folder, k, surface, camera, options.samples, seed, worse)
 
 
 def _lowered(pose: Pose, drop: np.ndarray) -> Pose:
@@ -168,33 +170,21 @@ def _write_video(folder: Path, recording: Recording, poses: list[Pose]) -> None:
     """Frames, masks, normals, cameras and poses of the video, with their truth."""
     options, subject, pose = recording.options, recording.subject, poses[0]
     camera = camera_around(recording.some_points(pose), options.size)
-    levels = {
-        "pose": options.noise * options.pose_noise,
-        "mask": options.noise * options.mask_noise,
-        "normal": options.noise * options.normal_noise,
-    }
-    noisy, shape = noise.noisy_poses(
-        pose, subject.shape, camera, levels["pose"], options.random(NOISE)
-    )
-    degradation = Degradation(
-        folder / "truth", levels["mask"], levels["normal"],
+    save_cameras(folder / "truth" / "cameras.npz", [camera])
+    save_poses(folder / "truth" / "poses.npz", pose, subject.shape, stage=0)
+    if recording.body is not recording.fitted:
+        np.savez_compressed(folder / "truth" / BODY, **recording.body.arrays())
+    effects = CameraEffects(
         options.blur * options.size / 512, options.sensor_noise,
         room_background(options.size, options.random(BACKGROUND)) if options.background else None,
     )  # fmt: skip
-    shots = recording.shots(folder, poses, [camera] * options.frames, MOTION, degradation)
+    pipeline = Pipeline(options, recording.fitted, camera, recording.closest(pose))
+    from_files = pipeline.starts_from_files
+    taken = [Taken(effects, noise, from_files) for noise in pipeline.pictures()]
+    shots = recording.shots(folder, poses, [camera] * options.frames, MOTION, taken)
     results = list(recording.pool.render(shots))
     write_movie(folder / "video.mp4", [result.color for result in results])
-    save_cameras(folder / "cameras.npz", [camera])
-    save_poses(folder / "poses.npz", noisy, shape, stage=1)
-    save_poses(folder / "truth" / "poses.npz", pose, subject.shape, stage=0)
-    error = noise.pose_error(recording.body, noisy, shape, pose, subject.shape, camera)
-    statistics = {
-        "levels": levels,
-        "pose": asdict(error),
-        "mask": {"iou": float(np.mean([result.iou for result in results]))},
-        "normal": {"angle_deg": float(np.mean([result.angle for result in results]))},
-    }
-    _write_json(folder / "noise.json", statistics)
+    pipeline.write(folder, [result.error for result in results])
 
 
 def _write_novel_poses(folder: Path, recording: Recording) -> None:
@@ -235,22 +225,8 @@ def _write_truth_set(
     for _ in recording.pool.render(recording.shots(folder, poses, cameras, stream)):
         pass
     save_cameras(folder / "cameras.npz", cameras)
-    save_poses(folder / "poses.npz", poses[0], recording.subject.shape, stage=0)
-
-
-@contextmanager
-def _finished_folder(out: Path) -> Iterator[Path]:
-    """A folder beside ``out`` that becomes ``out`` if all goes well, and vanishes if not."""
-    out.parent.mkdir(parents=True, exist_ok=True)
-    folder = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
-    folder.chmod(0o755)
-    try:
-        yield folder
-        if out.exists():
-            out.rmdir()
-        folder.rename(out)
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
+    near = recording.closest(poses[0])  # for avatars, which live on the fitted body
+    save_poses(folder / "poses.npz", near.pose, near.shape, stage=0)
 
 
 def _write_surface(path: Path, subject: Subject) -> None:
@@ -258,10 +234,6 @@ def _write_surface(path: Path, subject: Subject) -> None:
 
     mesh = trimesh.Trimesh(subject.vertices, subject.faces, process=False)
     path.write_bytes(trimesh.exchange.ply.export_ply(mesh, vertex_normal=False))
-
-
-def _write_json(path: Path, value: object) -> None:
-    path.write_text(json.dumps(value, indent=1) + "\n")
 
 
 def _versions() -> dict[str, str]:

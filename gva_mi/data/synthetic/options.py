@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Literal
 
 import numpy as np
 
-from gva_mi.body.smplx import BodyModel
+from gva_mi.body.anny import anny_body
+from gva_mi.body.smplx import BodyModel, load_body
 from gva_mi.data.synthetic import motion
-from gva_mi.data.synthetic.people import STUDY, Person
+from gva_mi.data.synthetic.noise.families import Levels, require_family
+from gva_mi.data.synthetic.people import STUDY, Person, foreign_outfit
+from gva_mi.data.synthetic.stretched import Stretch, stretched
 from gva_mi.errors import InputError
 
 # One stream of random numbers for each thing that is drawn.
-MOTION, NOISE, NOVEL_POSE, NOVEL_VIEW, RENDER, BACKGROUND = range(1, 7)
+MOTION, NOISE, NOVEL_POSE, NOVEL_VIEW, RENDER, BACKGROUND, MISTAKEN, MISSING = range(1, 9)
+FIGURE, OUTFIT = 11, 12
+FIGURES = ("own", "stretched", "anny")
 
 
 @dataclass(frozen=True)
@@ -22,17 +27,21 @@ class SynthOptions:
 
     seed: int = 0  # another seed is another person: shape, clothes, hair, colours, motion, noise
     subject: str | None = None  # one of the study's seven by name; the seed varies motion, noise
-    motion: Literal["turn", "everyday"] = "turn"  # everyday: with a squat, steps, busy arms
+    figure: Literal["own", "stretched", "anny"] = "own"  # the body drawn, where not the fitted one
+    outfit: Literal["own", "foreign"] = "own"  # foreign: thick soles, wide trousers, bag, hood
+    motion: Literal["turn", "everyday", "still", "half", "walk", "sit", "dance"] = "turn"
     frames: int = 80  # of the video, which is one full turn
     size: int = 512  # pixels, width and height of the pictures
     samples: int = 16  # rays per pixel, a square number
     clothes: bool = True  # clothes and shoes; without them a swimsuit is painted on the skin
     hair: bool = True  # without it the head is bald
     folds: float = 1.0  # factor on creases where cloth bends and on ends that lag; 0: skinned only
+    family: str = "bursts"  # of noise: what goes wrong; see gva_mi.data.synthetic.noise.families
+    noise_seed: int | None = None  # which noise of the family; without it, the seed's
     noise: float = 1.0  # factor on the three levels below; 0: exact poses, masks and normals
-    pose_noise: float = 1.0  # of the stage-1 poses; 1 is a vertex error of about 66 mm
-    mask_noise: float = 1.0  # of the masks; 1 is a boundary off by about 1 pixel at 512
-    normal_noise: float = 1.0  # of the normals; 1 is a blur of 2 pixels at 512 and about 9 degrees
+    pose_noise: float = 1.0  # of the stage-1 poses; 1 is a vertex error of about 66 mm in bursts
+    mask_noise: float = 1.0  # of the masks; 1 is a boundary off by about 1 pixel at 512 in bursts
+    normal_noise: float = 1.0  # of the normals; 1 is a blur of 2 pixels at 512, 9 degrees in bursts
     novel_poses: int = 8  # pictures of poses that the video does not hold
     novel_views: int = 8  # pictures of video frames from other sides
     background: bool = False  # a room behind the person, in the frames of the video
@@ -45,28 +54,71 @@ class SynthOptions:
         for name, low in least.items():
             if getattr(self, name) < low:
                 raise InputError(f"synth: {name} must be at least {low}, got {getattr(self, name)}")
+        if self.seed_of_noise < 0:
+            raise InputError(f"synth: noise_seed must be at least 0, got {self.noise_seed}")
+        require_family(self.family)
         if round(self.samples**0.5) ** 2 != self.samples:
             raise InputError(f"synth: samples must be a square number, got {self.samples}")
         levels = ("noise", "pose_noise", "mask_noise", "normal_noise", "blur", "sensor_noise")
         for name in (*levels, "folds"):
             if not 0 <= getattr(self, name) <= 10:
                 raise InputError(f"synth: {name} must be in [0, 10], got {getattr(self, name)}")
-        for name, known in (("subject", (None, *STUDY)), ("motion", tuple(motion.MOTIONS))):
+        choices = {
+            "subject": (None, *STUDY), "motion": motion.MOTIONS, "figure": FIGURES,
+            "outfit": ("own", "foreign"),
+        }  # fmt: skip
+        for name, known in choices.items():
             if getattr(self, name) not in known:
                 names = ", ".join(str(k) for k in known if k)
                 raise InputError(f"synth: no {name} '{getattr(self, name)}'; there are: {names}")
 
+    def drawn_on(self, body: BodyModel) -> BodyModel:
+        """The body that the subject is drawn on, where ``body`` is the one that is fitted."""
+        if self.figure == "anny":
+            return load_body(anny_body())
+        if self.figure == "stretched":
+            return stretched(body, Stretch.draw(self.random(FIGURE)))
+        return body
+
     def person(self, body: BodyModel) -> Person:
         """Who the subject is."""
-        if self.subject is not None:
-            return STUDY[self.subject]
-        return Person.draw(self.seed, body.num_betas)
+        named = self.subject is not None
+        person = STUDY[self.subject] if named else Person.draw(self.seed, body.num_betas)
+        if self.outfit == "foreign":
+            return replace(person, outfit=foreign_outfit(person.outfit, self.random(OUTFIT)))
+        return person
+
+    def recorded(self) -> dict[str, object]:
+        """What to write down: all but the number of workers, which changes no bit."""
+        return {k: v for k, v in asdict(self).items() if k != "workers"}
+
+    @property
+    def levels(self) -> Levels:
+        """How large each kind of noise is."""
+        each = (self.pose_noise, self.mask_noise, self.normal_noise)
+        return Levels(*(self.noise * level for level in each))
+
+    @property
+    def seed_of_noise(self) -> int:
+        """Which noise of the family."""
+        return self.seed if self.noise_seed is None else self.noise_seed
 
     def entropy(self, stream: int) -> tuple[int, ...]:
         """What seeds one of the streams above; no two of the study's subjects share it."""
-        named = () if self.subject is None else (STUDY[self.subject].seed,)
-        return (self.seed, stream, *named)
+        return (self.seed, stream, *self._named)
 
     def random(self, stream: int) -> np.random.Generator:
         """The random numbers of one of the streams above."""
         return np.random.default_rng(self.entropy(stream))
+
+    def entropy_of_noise(self, stream: int) -> tuple[int, ...]:
+        """The same for what another noise of the same recording changes."""
+        return (self.seed_of_noise, stream, *self._named)
+
+    def random_noise(self, stream: int) -> np.random.Generator:
+        """The random numbers of one of the streams above, for this noise."""
+        return np.random.default_rng(self.entropy_of_noise(stream))
+
+    @property
+    def _named(self) -> tuple[int, ...]:
+        return () if self.subject is None else (STUDY[self.subject].seed,)

@@ -51,6 +51,9 @@ class Outfit:
     hair_thick: float  # m
     glasses: bool = False
     cap: bool = False
+    sole: float = 0.0  # m, by how much the soles are thicker than a flat shoe's
+    bag: Literal["none", "shoulder", "backpack"] = "none"
+    hood: Literal["none", "down", "up"] = "none"
 
 
 @dataclass(frozen=True)
@@ -107,6 +110,18 @@ def _draw_outfit(rng: np.random.Generator) -> Outfit:
     drawn = replace(drawn, glasses=bool(rng.random() < 0.2), cap=bool(rng.random() < 0.15))
     # A skirt spreads from the hips, and would come through a longer shirt.
     return replace(drawn, hem=0.4 * drawn.hem) if bottom == "skirt" else drawn
+
+
+def foreign_outfit(outfit: Outfit, rng: np.random.Generator) -> Outfit:
+    """What none of the people here wears: thick soles, and mostly wide trousers, a bag, a hood."""
+    outfit = replace(outfit, sole=float(rng.uniform(0.01, 0.05)))
+    if rng.random() < 0.7:
+        length, flare = float(rng.uniform(1.8, 1.95)), float(rng.uniform(0.03, 0.06))
+        outfit = replace(outfit, bottom="trousers", length=length, flare=flare)
+    bag, hood = rng.choice(["none", "shoulder", "backpack"]), rng.choice(["none", "down", "up"])
+    if hood == "up":  # it hides the hair, and leaves no room for a cap
+        outfit = replace(outfit, hair="short", hair_thick=0.012, cap=False)
+    return replace(outfit, bag=str(bag), hood=str(hood))
 
 
 def _fabric(pattern: str, *colors: tuple[int, int, int], scale: float = 0.06) -> Fabric:

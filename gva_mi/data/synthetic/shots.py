@@ -16,22 +16,30 @@ from pathlib import Path
 import numpy as np
 
 from gva_mi.data.pictures import write_image
-from gva_mi.data.synthetic import camera_effects, noise
-from gva_mi.data.synthetic.render import Renderer
+from gva_mi.data.synthetic import camera_effects
+from gva_mi.data.synthetic.estimates import PictureError, spoil_pictures, write_normals
+from gva_mi.data.synthetic.noise.pictures import PictureNoise
+from gva_mi.data.synthetic.render import Renderer, Rendering
 from gva_mi.data.synthetic.subject import Subject
 from gva_mi.splat import Camera
 
 
 @dataclass(frozen=True)
-class Degradation:
-    """How the pictures of a video differ from the truth; a level of 0 is exact."""
+class CameraEffects:
+    """What the camera of a video adds to its clean pictures."""
 
-    truth: Path  # folder that gets the true masks and normals
-    mask: float  # level of the mask's noise
-    normal: float  # level of the normals' noise
     blur: float  # px, standard deviation
-    sensor: float  # level of the sensor's noise
+    sensor: float  # level of the sensor's noise; 0 is none
     background: np.ndarray | None  # (H, W, 3); None is white
+
+
+@dataclass(frozen=True)
+class Taken:
+    """How a video's picture differs from the truth, which goes to ``truth`` beside it."""
+
+    effects: CameraEffects
+    noise: PictureNoise  # of its mask and normals
+    from_files: bool  # whether that starts from the files of the truth, 8 bits a channel
 
 
 @dataclass(frozen=True)
@@ -44,7 +52,7 @@ class Shot:
     camera: Camera
     samples: int  # rays per pixel
     seed: tuple[int, ...]  # of everything random in it
-    degradation: Degradation | None = None  # None: everything is the truth
+    taken: Taken | None = None  # None: everything is the truth
 
 
 @dataclass(frozen=True)
@@ -52,8 +60,7 @@ class ShotResult:
     """What is left to know of a picture whose files are written."""
 
     color: np.ndarray  # (H, W, 3) 8-bit
-    iou: float  # of the mask with the true one
-    angle: float  # degrees, of the normals from the true ones
+    error: PictureError | None  # of its mask and normals; None where they are the truth
 
 
 class ShotPool:
@@ -106,25 +113,26 @@ def render_shot(renderer: Renderer, shot: Shot) -> ShotResult:
     light, errors = np.random.SeedSequence(shot.seed).spawn(2)
     seed = int(light.generate_state(1)[0])
     true = renderer(shot.surface, shot.camera, shot.samples, seed)
-    color, mask, normals = true.color, true.mask, true.normals
-    if (worse := shot.degradation) is not None:
-        of_mask, of_normals, of_sensor = (np.random.default_rng(s) for s in errors.spawn(3))
-        mask = noise.noisy_mask(mask, worse.mask, of_mask)
-        normals = noise.noisy_normals(normals, mask, worse.normal, of_normals)
-        if worse.background is not None:
-            color = camera_effects.over_background(color, true.mask, worse.background)
-        color = camera_effects.blur_and_noise(color, worse.blur, worse.sensor, of_sensor)
-        _write(worse.truth, shot.index, true.mask, true.normals)
+    color, error = true.color, None
+    if shot.taken is None:
+        _write_true(shot.folder, shot.index, true)
+    else:
+        effects, noise = shot.taken.effects, shot.taken.noise
+        of_sensor = np.random.default_rng(errors.spawn(3)[2])  # the others: of mask and normals
+        if effects.background is not None:
+            color = camera_effects.over_background(color, true.mask, effects.background)
+        color = camera_effects.blur_and_noise(color, effects.blur, effects.sensor, of_sensor)
+        _write_true(shot.folder / "truth", shot.index, true)
+        rendered = None if shot.taken.from_files else (true.mask, true.normals)
+        error = spoil_pictures(shot.folder, shot.index, noise, shot.samples, rendered)
     stored = np.round(color * 255).astype(np.uint8)
     write_image(shot.folder / "frames" / f"{shot.index:06d}.png", stored)
-    _write(shot.folder, shot.index, mask, normals)
-    iou = noise.mask_iou(mask, true.mask)
-    return ShotResult(stored, iou, noise.normal_error(normals, true.normals))
+    return ShotResult(stored, error)
 
 
-def _write(folder: Path, index: int, mask: np.ndarray, normals: np.ndarray) -> None:
-    write_image(folder / "masks" / f"{index:06d}.png", mask)
-    write_image(folder / "normals" / f"{index:06d}.png", (normals + 1) / 2)
+def _write_true(folder: Path, index: int, true: Rendering) -> None:
+    write_image(folder / "masks" / f"{index:06d}.png", true.mask)
+    write_normals(folder, index, true.normals)
 
 
 _renderer: Renderer | None = None  # of a worker process

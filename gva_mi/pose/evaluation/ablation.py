@@ -7,7 +7,8 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
 from gva_mi.console import Progress
-from gva_mi.pose.evaluation.measure import Evaluation, PoseFigures, measure
+from gva_mi.pose.evaluation.figures import PoseFigures
+from gva_mi.pose.evaluation.measure import Evaluation, measure
 from gva_mi.pose.job import RefineOptions
 from gva_mi.pose.refine import refine_all
 

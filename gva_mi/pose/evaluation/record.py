@@ -6,6 +6,10 @@
       poses_refined.npz   all frames, and the displaced surface's offsets: gva_mi.body.pose
       refinement.json     figures, frames that kept their stage-1 pose and why, options, versions
       refinement.png      the body over some frames: stage 1 above, refined below
+
+The paper's protocol refines test frames too, from their own masks and normals; refinement.json says
+so by ``"test_frames": "seen"``. Where they were ``"held out"``, their poses follow from the others,
+and ``figures_by_split`` tells them apart.
 """
 
 from __future__ import annotations
@@ -22,7 +26,8 @@ from gva_mi.data.video import REFINED_POSES, spread
 from gva_mi.files import write_json
 from gva_mi.mesh.overlay import overlay, strip
 from gva_mi.page import around
-from gva_mi.pose.evaluation.measure import Evaluation
+from gva_mi.pose.evaluation.measure import Evaluation, Measured
+from gva_mi.pose.refine import Refined
 
 REFINEMENT, OVERLAYS = "refinement.json", "refinement.png"
 SHOWN = 8  # frames in the picture
@@ -40,6 +45,8 @@ def write_record(evaluation: Evaluation, versions: dict[str, str]) -> None:
     write_image(folder / OVERLAYS, _overlays(evaluation))
     record = {
         "figures": evaluation.measured.means.to_json(),
+        "test_frames": "held out" if refined.held_out else "seen",
+        **_by_split(evaluation.measured, refined),
         "kept": refined.kept,
         "without_normals": refined.without_normals,
         "normals": video.normals.convention if video.normals else None,
@@ -51,6 +58,16 @@ def write_record(evaluation: Evaluation, versions: dict[str, str]) -> None:
     save_poses(folder / REFINED_POSES, pose, shape, stage=2, offsets=offsets)
 
 
+def _by_split(measured: Measured, refined: Refined) -> dict[str, dict]:
+    """The figures of the frames that were looked at and of the others, where there are such."""
+    if not refined.held_out:
+        return {}
+    seen = [k for k in range(len(refined.pose)) if k not in set(refined.held_out)]
+    splits = {"train": seen, "test": refined.held_out}
+    figures = {name: measured.of(frames).means.to_json() for name, frames in splits.items()}
+    return {"figures_by_split": figures}
+
+
 @torch.no_grad()
 def _overlays(evaluation: Evaluation) -> np.ndarray:
     """Bodies over evenly spaced frames: stage 1 above, refined below."""
@@ -60,8 +77,10 @@ def _overlays(evaluation: Evaluation) -> np.ndarray:
     seen = np.any([frame.mask > 0.5 for frame in frames], axis=0)
     part = around(seen, margin=len(seen) // 16)
     rows = []
-    for pose, shape in ((video.pose, video.shape), (refined.pose, refined.shape)):
+    stage1 = (video.pose, video.shape, video.cameras)
+    found = (refined.pose, refined.shape, refined.cameras or video.cameras)
+    for pose, shape, cameras in (stage1, found):
         bodies = [body(pose[frame.index], shape).vertices[0] for frame in frames]
         pairs = zip(frames, bodies, strict=True)
-        rows.append([overlay(f.image, f.camera, v, body.faces)[part] for f, v in pairs])
+        rows.append([overlay(f.image, cameras[f.index], v, body.faces)[part] for f, v in pairs])
     return strip(rows)

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import torch
 
+from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
-from gva_mi.data.video import Video, spread
+from gva_mi.data.video import Frame, Video, spread
 from gva_mi.mesh.overlay import overlay, shaded, strip
 from gva_mi.page import (
     Figure,
@@ -22,8 +23,10 @@ from gva_mi.page import (
     plot,
     write_page,
 )
-from gva_mi.pose.evaluation.measure import Change, Evaluation, Measured, PoseFigures
+from gva_mi.pose.evaluation.figures import Change, PoseFigures
+from gva_mi.pose.evaluation.measure import Evaluation, Measured
 from gva_mi.pose.refine import Refined
+from gva_mi.splat import Camera
 
 WORST, SPREAD = 6, 6  # frames shown
 BEFORE, AFTER, TRUTH = "#b3261e", "#2f6f5e", "#667085"  # colours of curves
@@ -108,6 +111,7 @@ def _means(means: PoseFigures) -> Section:
     iou = means.iou
     rows = [
         *_lengths(means),
+        *_depths(means),
         (
             "silhouette IoU of the bare body",
             number(iou.stage1, 3),
@@ -121,7 +125,11 @@ def _means(means: PoseFigures) -> Section:
         for region, share in (("body", means.frames_worse), ("hands", means.frames_worse_hands))
         if share is not None
     ]
-    text = "Means over all frames. Errors are distances of vertices from where they truly are."
+    text = (
+        f"Means over all frames. Errors are distances of {means.points} from where they truly are; "
+        "those of the fingers are taken after the wrist was put where it is. Depths are signed: "
+        "above zero is too far away."
+    )
     if grew:
         text += f" The error grew against stage 1 in {' and '.join(grew)}."
     else:
@@ -135,10 +143,17 @@ def _lengths(means: PoseFigures) -> list[tuple[str, ...]]:
     """Rows of the errors that are known: stage 1, refined, change, and a dash for the truth."""
     rows = []
     for name, change in (
-        ("vertices, mm", means.vertices),
+        (f"{means.points}, mm", means.vertices),
         ("hands, mm", means.hands),
         ("feet, mm", means.feet),
-        ("vertices, root-aligned, mm", means.aligned),
+        ("fingers, wrist on wrist, mm", means.fingers),
+        (f"{means.points}, root-aligned, mm", means.aligned),
+        ("hands, root-aligned, mm", means.hands_aligned),
+        ("feet, root-aligned, mm", means.feet_aligned),
+        ("joints of the body, mm", means.joints),
+        ("distance of the surfaces, mm", means.surface),
+        ("of those of the hands, mm", means.hands_surface),
+        ("of those of the feet, mm", means.feet_surface),
     ):
         if change is not None:
             both = number(change.stage1, 1), number(change.refined, 1)
@@ -146,8 +161,22 @@ def _lengths(means: PoseFigures) -> list[tuple[str, ...]]:
     return rows
 
 
+def _depths(means: PoseFigures) -> list[tuple[str, ...]]:
+    """Rows of signed errors, whose change is no share of what they were."""
+    rows = []
+    for name, change in (
+        ("depth of the pelvis, mm", means.pelvis_depth),
+        ("depth of the ankles, mm", means.ankles_depth),
+        ("depth of the wrists, mm", means.wrists_depth),
+    ):
+        if change is not None:
+            grew = change.refined - change.stage1
+            rows.append((name, *(f"{x:+.1f}" for x in (change.stage1, change.refined, grew)), "–"))
+    return rows
+
+
 def _percent(change: Change) -> str:
-    return f"{100 * (change.refined / change.stage1 - 1):+.0f} %" if change.stage1 else "–"
+    return "–" if change.relative is None else f"{100 * change.relative:+.0f} %"
 
 
 def _curves(refined: Refined, measured: Measured) -> Section:
@@ -157,7 +186,7 @@ def _curves(refined: Refined, measured: Measured) -> Section:
     known = measured.refined is not None
     panels = [("silhouette IoU", measured.iou_stage1, measured.iou, measured.iou_truth)]
     panels.append(("loss: normals + λ1 silhouette", refined.losses_stage1, refined.losses, None))
-    for region in ("feet", "hands", "body") if known else ():
+    for region in ("fingers", "feet", "hands", "body") if known else ():
         before, after = getattr(measured.stage1, region), getattr(measured.refined, region)
         panels.insert(0, (f"{region}, mm", before, after, None))
     fig, axes = plt.subplots(len(panels), 1, figsize=(11, 1.7 * len(panels)), sharex=True)
@@ -191,19 +220,29 @@ def _worst(video: Video, measured: Measured) -> list[int]:
 def _frames(title: str, text: str, shown: list[int], evaluation: Evaluation) -> Section:
     """Overlays of some frames, all poses of a frame side by side."""
     video, body, refined = evaluation.video, evaluation.body, evaluation.refined
-    poses = {"stage 1": (video.pose, video.shape), "refined": (refined.pose, refined.shape)}
-    if evaluation.truth is not None:
-        poses["true pose"] = evaluation.truth
+    cameras, truth = refined.cameras or video.cameras, evaluation.truth
+    people = {
+        "stage 1": (body, video.pose, video.shape, video.cameras),
+        "refined": (body, refined.pose, refined.shape, cameras),
+    }
+    if truth is not None:
+        people["true pose"] = (truth.body, truth.pose, truth.shape, truth.cameras)
     pictures, frames = [], list(video.frames(shown))
     seen = np.any([frame.mask > 0.5 for frame in frames], axis=0)
     part = around(seen, margin=len(seen) // 12)
     for frame in frames:
-        bodies = [body(pose[frame.index], shape).vertices[0] for pose, shape in poses.values()]
-        panels = [overlay(frame.image, frame.camera, v, body.faces)[part] for v in bodies]
+        panels = [_overlay(frame, *person)[part] for person in people.values()]
         caption = f"frame {frame.index}: {_caption(frame.index, evaluation.measured)}"
         pictures.append(picture(caption, strip([[frame.image[part], *panels]])))
-    text += f" From left to right: the picture, {', '.join(poses)}."
+    text += f" From left to right: the picture, {', '.join(people)}."
     return Section(title, text, pictures, columns=3)
+
+
+def _overlay(
+    frame: Frame, body: BodyModel, pose: Pose, shape: Shape, cameras: Sequence[Camera]
+) -> np.ndarray:
+    vertices = body(pose[frame.index], shape).vertices[0]
+    return overlay(frame.image, cameras[frame.index], vertices, body.faces)
 
 
 def _caption(frame: int, measured: Measured) -> str:
@@ -264,6 +303,10 @@ def _exceptions(refined: Refined) -> list[Section]:
     if refined.kept:
         rows = [(str(k), reason) for k, reason in refined.kept.items()]
         sections.append(Section("Kept frames", _KEPT, tables=[Table(("frame", "why"), rows)]))
+    if refined.held_out:
+        numbers = ", ".join(map(str, refined.held_out))
+        text = f"Their pictures were not looked at; their poses follow from the others: {numbers}."
+        sections.append(Section("Test frames that were held out", text))
     if refined.without_normals:
         numbers = ", ".join(map(str, refined.without_normals))
         text = f"They were fitted to their silhouettes alone: {numbers}."

@@ -189,8 +189,9 @@ def test_background_blur_and_sensor_noise_are_in_the_frames_alone(exact, body, t
 
 def test_the_noise_is_described(noisy, exact):
     lines = describe_noise(noisy)
-    assert len(lines) == 3 and "hands" in lines[0] and "IoU" in lines[1] and "degrees" in lines[2]
-    assert "body 0 mm" in describe_noise(exact)[0]
+    assert len(lines) == 4 and lines[0] == "noise: family bursts, seed 0"
+    assert "hands" in lines[1] and "IoU" in lines[2] and "degrees" in lines[3]
+    assert "body 0 mm" in describe_noise(exact)[1]
 
 
 @pytest.mark.slow

@@ -44,4 +44,4 @@ def test_an_unknown_name_lists_the_known_ones():
     with pytest.raises(InputError, match="amira, bruno"):
         SynthOptions(subject="zoe")
     with pytest.raises(InputError, match="everyday"):
-        SynthOptions(motion="dance")
+        SynthOptions(motion="crawl")

@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 import torch
 
+from gva_mi.data.truth import Truth
 from gva_mi.pose import SequenceOptions, SingleFrameOptions
 from gva_mi.pose.evaluation.ablation import variants
-from gva_mi.pose.evaluation.measure import Evaluation, PoseFigures, measure
+from gva_mi.pose.evaluation.figures import PoseFigures
+from gva_mi.pose.evaluation.measure import Evaluation, measure
 from gva_mi.pose.evaluation.refinement_report import _worst, write_report
 from gva_mi.pose.refine import Refined
 
@@ -26,9 +28,13 @@ def refined(clip, body, true_pose):
     return Refined(pose, clip.shape, offsets, losses + 0.1, losses, kept, [1], 0.5)
 
 
+def truth_of(clip, body, true_pose):
+    return Truth(body, true_pose, clip.shape, clip.cameras)
+
+
 @pytest.fixture(scope="module")
 def measured(clip, body, true_pose, refined):
-    return measure(clip, body, refined, (true_pose, clip.shape))
+    return measure(clip, body, refined, truth_of(clip, body, true_pose))
 
 
 def test_frames_are_measured_one_by_one(measured):
@@ -50,7 +56,7 @@ def test_a_frame_without_a_mask_has_no_iou(clip, body, refined):
 
 
 def test_what_is_known_is_not_measured_again(clip, body, true_pose, refined, measured):
-    again = measure(clip, body, refined, (true_pose, clip.shape), measured)
+    again = measure(clip, body, refined, truth_of(clip, body, true_pose), measured)
     assert again.stage1 is measured.stage1 and again.iou_stage1 is measured.iou_stage1
     assert torch.equal(again.refined.body, measured.refined.body)
 
@@ -64,7 +70,7 @@ def test_the_worst_frames_come_first(clip, measured):
 
 @pytest.mark.parametrize("known", [True, False], ids=["truth", "no truth"])
 def test_the_page_says_it_all(tmp_path, clip, body, true_pose, refined, known):
-    truth = (true_pose, clip.shape) if known else None
+    truth = truth_of(clip, body, true_pose) if known else None
     evaluation = Evaluation.of(Named(clip), body, SequenceOptions(), refined, truth)
     write_report(
         tmp_path / "page.html",

@@ -1,44 +1,89 @@
-"""The study's protocol."""
+"""A study runs, keeps what it made, and goes on where it was cut short."""
 
-import math
+from dataclasses import replace
 
 import pytest
-import torch
 
-from gva_mi.data.synthetic import STUDY
+from gva_mi.errors import InputError
 from gva_mi.pose import SequenceOptions
-from gva_mi.pose.evaluation.measure import REGIONS, Measured, VertexErrors
-from gva_mi.pose.evaluation.study import HELD_OUT, TUNING, CaseResult, StudyOptions, study
+from gva_mi.pose.evaluation import study as studies
+from gva_mi.pose.evaluation import study_file
+from gva_mi.pose.evaluation.cases import TUNING
+from gva_mi.pose.evaluation.figures import Change, PoseFigures
+from gva_mi.pose.evaluation.study import CaseResult, StudyOptions, study
+from gva_mi.pose.evaluation.study_file import load_study, save_study
 
 
-def test_nobody_is_both_tuned_on_and_judged():
-    who = lambda case: (case.subject, case.seed if case.subject is None else None)
-    assert not {who(case) for case in TUNING} & {who(case) for case in HELD_OUT}
-    assert not {case.name for case in TUNING} & {case.name for case in HELD_OUT}
-    for cases in (TUNING, HELD_OUT):
-        assert any(case.bare for case in cases) and any(not case.bare for case in cases)
-        assert all(case.subject in (None, *STUDY) for case in cases)
+def result(case, noise=1.0, after=20.0):
+    return CaseResult(case, noise, PoseFigures(vertices=Change(80.0, after), iou_truth=0.8))
 
 
-def test_changes_are_relative_to_stage_1():
-    errors = lambda value: VertexErrors(*[torch.full((4,), value)] * 6)
-    iou = torch.ones(4)
-    row = CaseResult(
-        HELD_OUT[0], 1.0, Measured(errors(80.0), errors(20.0), iou, iou, iou, iou, 1.0)
-    )
-    assert row.change == dict.fromkeys(REGIONS, -0.75)
-    exact = CaseResult(
-        HELD_OUT[0], 0.0, Measured(errors(0.0), errors(1.0), iou, iou, iou, iou, 1.0)
-    )
-    assert all(math.isnan(change) for change in exact.change.values())
+def test_results_come_back_from_their_file(body, tmp_path):
+    path, options = tmp_path / "refine.json", StudyOptions()
+    assert load_study(path, body, options) == []
+    results = [result(case, after=k) for k, case in enumerate(TUNING)]
+    save_study(path, results[:2], body, options, results[2:])
+    assert load_study(path, body, options) == results
+    more_noise = replace(options, noise=(1.0, 2.0))  # is said of each result
+    assert load_study(path, body, more_noise) == results
+
+
+def test_results_hold_for_the_same_options_body_and_program_alone(body, tmp_path, monkeypatch):
+    path, options = tmp_path / "refine.json", StudyOptions()
+    save_study(path, [result(TUNING[0])], body, options)
+    for other in (
+        replace(options, frames=32),
+        replace(options, refine=SequenceOptions(passes=1 + options.refine.passes)),
+    ):
+        assert load_study(path, body, other) == []
+    fewer = body.on(range(0, len(body.v_template), 2), body.faces[:0])
+    assert load_study(path, fewer, options) == []
+    monkeypatch.setattr(study_file, "_sources", lambda: "another program")
+    assert load_study(path, body, options) == []
+
+
+def test_a_file_that_is_none_is_named(body, tmp_path):
+    (tmp_path / "refine.json").write_text("{")
+    with pytest.raises(InputError, match="refine.json: not readable.*--overwrite"):
+        load_study(tmp_path / "refine.json", body, StudyOptions())
+
+
+def test_what_is_known_is_not_computed_again(body, tmp_path, monkeypatch):
+    made = []
+
+    def refined(folder, case, noise, *others):
+        made.append((case, noise))
+        return result(case, noise)
+
+    monkeypatch.setattr(studies, "_refined", refined)
+    options, cases = StudyOptions(noise=(1.0, 2.0)), TUNING[:2]
+    known = [result(cases[1], 1.0, after=5.0), result(TUNING[-1])]
+    calls = []
+    found = list(study(tmp_path, cases, body, options, known, lambda *counts: calls.append(counts)))
+    assert made == [(cases[0], 1.0), (cases[0], 2.0), (cases[1], 2.0)]
+    assert found[1] is known[0] and [r.noise for r in found] == [1, 1, 2, 2]
+    assert calls == [(1, 4), (2, 4), (3, 4), (4, 4)]
 
 
 @pytest.mark.slow
 def test_a_small_study_runs_and_keeps_its_subjects(tmp_path, body):
     options = StudyOptions(frames=3, size=48, refine=SequenceOptions(size=48, passes=2))
-    calls = []
-    (row,) = study(tmp_path, TUNING[-1:], body, options, lambda *a: calls.append(a))
-    assert set(row.stage1_mm) == set(REGIONS) and row.measured.refined.body.shape == (3,)
-    assert calls == [(1, 1)] and len(list(tmp_path.iterdir())) == 1
-    (again,) = study(tmp_path, TUNING[-1:], body, options)
-    assert again.refined_mm == row.refined_mm
+    bare = [case for case in TUNING if case.take.bare]
+    two = [bare[0], replace(bare[0], noise="white", draw=50, normals=False)]
+    first, second = study(tmp_path, two, body, options)
+    assert first.figures.points == "vertices" and first.figures.fingers.stage1 > 0
+    assert first.figures.vertices.stage1 != second.figures.vertices.stage1
+    assert [len(list((tmp_path / name).iterdir())) for name in ("takes", "videos")] == [1, 2]
+    (again,) = study(tmp_path, two[:1], body, options)
+    assert replace(again.figures, seconds_per_frame=None) == replace(
+        first.figures, seconds_per_frame=None
+    )
+
+
+@pytest.mark.slow
+def test_a_figure_that_is_not_the_fitted_body_is_judged_by_joints(tmp_path, body):
+    options = StudyOptions(frames=2, size=48, refine=SequenceOptions(size=48, passes=1))
+    stretched = [case for case in TUNING if case.take.figure == "stretched"]
+    (found,) = study(tmp_path, stretched[:1], body, options)
+    assert found.figures.points == "joints"
+    assert 0 < found.figures.surface.stage1 < found.figures.vertices.stage1

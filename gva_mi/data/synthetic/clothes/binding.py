@@ -1,7 +1,7 @@
 """Which vertices of the body a garment's vertices follow, and by what shares: rows that sum to 1.
 
     nearest vertices   shares ~ exp( -distance² / 2 smooth² ), for clothes and hair
-    the head           the mean of the vertices that it moves most, for what is stiff
+    a joint            the mean of the vertices that it moves most, for what is stiff
     the hips           a skirt follows the nearest vertices at its waist and both thighs below it:
 
         thighs  t = REACH · smoothstep(how far below the hips)
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 NEIGHBOURS = 24  # vertices of the body that one vertex of a garment follows
-GROUP = 200  # vertices of the body whose mean stands for the head or a thigh
+GROUP = 200  # vertices of the body whose mean stands for a joint: the head, a thigh
 REACH = 0.9  # share of the thighs at a skirt's hem
 WAIST, SPREAD = -0.02, 0.08  # m below the hips where that begins; over which neighbours share
 BETWEEN = 0.75  # of the hips' half width: beyond it, a skirt follows one thigh alone
@@ -53,14 +53,15 @@ def follow_nearest(points: np.ndarray, vertices: np.ndarray, smooth: float) -> c
     return csr_array((share.ravel(), (rows, index.ravel())), shape=(len(points), len(vertices)))
 
 
-def follow_head(points: np.ndarray, weights: np.ndarray) -> csr_array:
-    """Follow the head, all points in the same way.
+def follow_joint(points: np.ndarray, weights: np.ndarray, joint: str) -> csr_array:
+    """Follow what a joint moves most, all points in the same way: for what is stiff.
 
     Args:
         points: (N, 3).
         weights: (V, 55) skinning weights of the body.
+        joint: by name.
     """
-    return _shared(np.ones((len(points), 1)), [_moved_by("head", weights)], len(weights))
+    return _shared(np.ones((len(points), 1)), [_moved_by(joint, weights)], len(weights))
 
 
 def hang_from_hips(

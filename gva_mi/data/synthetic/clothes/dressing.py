@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gva_mi.data.synthetic.clothes import accessories, binding, garments
+from gva_mi.data.synthetic.clothes import accessories, bags, binding, garments, hoods
 from gva_mi.data.synthetic.clothes.garments import CLOTH_CELL
 from gva_mi.data.synthetic.clothes.hair import hair_mesh
 from gva_mi.data.synthetic.clothes.level_sets import (
+    BAND,
     BodySurface,
     ClosedMesh,
     VoxelGrid,
@@ -70,7 +71,7 @@ def dress(
     if hair:
         pieces.append(_hair(rest, outfit, rng, pieces))
     if clothes:
-        pieces += _accessories(rest, outfit)
+        pieces += [*_hood(rest, outfit), *_bag(rest, outfit), *_accessories(rest, outfit)]
     return Worn(tuple(pieces), cone)
 
 
@@ -81,7 +82,8 @@ def _clothes(
     vertices, joints, loose, cone = rest.vertices, rest.joints, outfit.loose, None
     reach = np.array([0.09, 0.09, 0.22 if outfit.bottom == "skirt" else 0.09])
     grid = VoxelGrid.around(vertices.min(0) - reach, vertices.max(0) + reach, CLOTH_CELL)
-    d = rest.surface.sample(grid)
+    wide = outfit.flare + 0.02 if outfit.bottom != "skirt" else 0.0
+    d = rest.surface.sample(grid, max(BAND, wide))
     top = garments.shirt(grid, d, joints, outfit, rng)
     if outfit.bottom == "skirt":
         bottom, cone = garments.skirt(grid, d, joints, outfit, rng)
@@ -102,7 +104,7 @@ def _clothes(
         hangs = follow(bottom, 0.025)
         pieces.append(Piece(Material.BOTTOM, bottom, hangs, 0.4 * loose * drop, 0.004))
     for side in ("left", "right"):
-        shoe = garments.shoe(rest.surface, joints, side, 0.008)
+        shoe = garments.shoe(rest.surface, joints, side, 0.008, outfit.sole)
         pieces.append(Piece(Material.SHOES, shoe, follow(shoe, 0.02)))
     return pieces, cone
 
@@ -131,8 +133,30 @@ def _accessories(rest: RestBody, outfit: Outfit) -> list[Piece]:
     if outfit.cap:
         stand_off = 1.35 * outfit.hair_thick + 0.004
         meshes.append(accessories.cap(rest.surface, rest.joints, stand_off))
-    hangs = lambda mesh: binding.follow_head(mesh.vertices, rest.weights)
+    hangs = lambda mesh: binding.follow_joint(mesh.vertices, rest.weights, "head")
     return [Piece(Material.ACCESSORY, mesh, hangs(mesh)) for mesh in meshes]
+
+
+def _hood(rest: RestBody, outfit: Outfit) -> list[Piece]:
+    """A hood in the colours of the top, if it belongs to the outfit."""
+    if outfit.hood == "none":
+        return []
+    if outfit.hood == "up":
+        mesh = hoods.hood_up(rest.surface, rest.joints, outfit.hair_thick + 0.012)
+    else:
+        mesh = hoods.hood_down(rest.surface, rest.joints, outfit.loose + 0.012)
+    return [Piece(Material.TOP, mesh, binding.follow_nearest(mesh.vertices, rest.vertices, 0.03))]
+
+
+def _bag(rest: RestBody, outfit: Outfit) -> list[Piece]:
+    """A bag that goes with the trunk, and its strap over the shirt, if the outfit has one."""
+    if outfit.bag == "none":
+        return []
+    make = bags.backpack if outfit.bag == "backpack" else bags.shoulder_bag
+    bag, strap, joint = make(rest.surface, rest.joints, outfit.loose)
+    stiff = binding.follow_joint(bag.vertices, rest.weights, joint)
+    soft = binding.follow_nearest(strap.vertices, rest.vertices, 0.025)
+    return [Piece(Material.ACCESSORY, bag, stiff), Piece(Material.ACCESSORY, strap, soft)]
 
 
 def covered(vertices: np.ndarray, cloth: Sequence[ClosedMesh]) -> np.ndarray:

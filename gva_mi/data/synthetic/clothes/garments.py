@@ -30,6 +30,8 @@ from gva_mi.data.synthetic.texture import SkirtCone
 CLOTH_CELL = 0.0075  # m, grid of clothes: about two pixels of a 512² picture
 SHOE_CELL = 0.005  # m, grid of shoes
 PLEAT = 0.055  # m, depth of a skirt's pleats per metre below the hips
+WIDE = 0.03  # m that the hems of trousers stand off, beyond which their legs may touch
+SLIT = 0.02  # m between them, then
 WALL = 0.012  # m, thickness of the cloth at an opening
 
 
@@ -160,7 +162,16 @@ def trousers(
     field = _with_opening(uncut, uncut, end - y + flat, WALL)
     field = smax(field, y - top + flat)
     field = smax(field, np.abs(grid.x) - 0.42 * joints["left_elbow"][0] - 0.1 + 0 * y + 0 * grid.z)
+    if loose > WIDE:
+        field = smax(field, _between_legs(grid, d), 0.004)
     return surface_of(grid, field, uncut)
+
+
+def _between_legs(grid: VoxelGrid, d: np.ndarray) -> np.ndarray:
+    """A slit in the middle below the crotch: wide legs would grow together there."""
+    middle = int(np.clip(round(-grid.lo[0] / grid.cell), 0, grid.shape[0] - 1))
+    crotch = grid.y[0, (d[middle] < 0).any(1), 0].min() - 0.03
+    return -np.maximum(np.abs(grid.x) - SLIT / 2, grid.y - crotch) + 0 * grid.z
 
 
 def skirt(
@@ -225,7 +236,7 @@ def _skirt_ellipse(
 
 
 def shoe(
-    surface: BodySurface, joints: Mapping[str, np.ndarray], side: str, thick: float
+    surface: BodySurface, joints: Mapping[str, np.ndarray], side: str, thick: float, sole: float
 ) -> ClosedMesh:
     """One shoe with a flat sole.
 
@@ -234,21 +245,23 @@ def shoe(
         joints: rest positions by name.
         side: "left" or "right".
         thick: how far the upper stands off, metres.
+        sole: by how much the sole is thicker than a flat shoe's, metres.
     """
     ankle = joints[f"{side}_ankle"]
     near = np.linalg.norm(surface.points - joints[f"{side}_foot"], axis=1) < 0.25
     foot = surface.points[near & (np.sign(surface.points[:, 0]) == np.sign(ankle[0]))]
     foot = foot[foot[:, 1] < ankle[1] + 0.06]
     ground = foot[:, 1].min()
-    grid = VoxelGrid.around(foot.min(0) - 0.04, foot.max(0) + [0.04, 0.03, 0.04], SHOE_CELL)
+    below = np.array([0.04, 0.04 + sole, 0.04])
+    grid = VoxelGrid.around(foot.min(0) - below, foot.max(0) + [0.04, 0.03, 0.04], SHOE_CELL)
     d = surface.sample(grid)
     y = grid.y
     sole_top = ground + 0.022
     level = int((sole_top - grid.lo[1]) / grid.cell)
     # Below its top the sole keeps the outline that the foot has there.
     d = np.where(y < sole_top, d[:, level : level + 1], d)
-    sole = (1 - smoothstep(y, sole_top - 0.006, sole_top + 0.001)) * 0.006
-    uncut = d - thick - sole
-    field = smax(uncut, (ground - 0.014) - y + 0 * d, 0.008)
+    welt = (1 - smoothstep(y, sole_top - 0.006, sole_top + 0.001)) * 0.006
+    uncut = d - thick - welt
+    field = smax(uncut, (ground - 0.014 - sole) - y + 0 * d, 0.008)
     top = ankle[1] + 0.012 + 0.25 * (ankle[2] - grid.z)  # higher at the heel
     return surface_of(grid, _with_opening(field, uncut, y - top + 0 * grid.x, 0.006, 0.02), uncut)

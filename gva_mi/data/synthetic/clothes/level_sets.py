@@ -101,8 +101,8 @@ class BodySurface:
         plane = (weight * height).sum(1) / weight.sum(1)
         return np.where(np.abs(plane) > distance[:, 0], np.sign(plane) * distance[:, 0], plane)
 
-    def sample(self, grid: VoxelGrid) -> np.ndarray:
-        """The signed distance on a grid, exact within ``BAND``; beyond, the distance in cells."""
+    def sample(self, grid: VoxelGrid, band: float = BAND) -> np.ndarray:
+        """The signed distance on a grid, exact within ``band``; beyond, the distance in cells."""
         from scipy.ndimage import distance_transform_edt
 
         cells = np.round((self.points - grid.lo) / grid.cell).astype(int)
@@ -110,7 +110,7 @@ class BodySurface:
         empty = np.ones(grid.shape, dtype=bool)
         empty[tuple(cells.T)] = False
         coarse = distance_transform_edt(empty).astype(np.float32) * grid.cell
-        near = coarse < BAND
+        near = coarse < band
         at = np.argwhere(near) * grid.cell + grid.lo
         values = coarse
         values[near] = self.distance(at)

@@ -1,0 +1,74 @@
+"""Random processes that errors follow: in time, curves, bumps and runs; in a picture, fields."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def curve(rng: np.random.Generator, frames: int, memory: float, white: float = 0.0) -> np.ndarray:
+    """A random curve (T, 3) whose root mean square length is 1.
+
+    Args:
+        rng: for both parts.
+        frames: T.
+        memory: frames, standard deviation of the window over which its slow part is smooth.
+        white: share of its variance, from 0 to 1, that is independent from frame to frame.
+    """
+    from scipy.ndimage import gaussian_filter1d
+
+    margin = int(3 * memory)
+    noise = gaussian_filter1d(rng.normal(size=(frames + 2 * margin, 3)), memory, axis=0)
+    slow = _of_unit_size(noise[margin : margin + frames])
+    if white == 0:
+        return slow
+    quick = _of_unit_size(rng.normal(size=(frames, 3)))
+    return np.sqrt(1 - white) * slow + np.sqrt(white) * quick
+
+
+def bumps(
+    rng: np.random.Generator, frames: int, calm: float, top: float, every: float, length: float
+) -> np.ndarray:
+    """A curve (T,) that is calm and rises at random moments.
+
+    Args:
+        rng: for the moments and heights.
+        frames: T.
+        calm: its value at rest.
+        top: its value at the height of the highest bump; the others reach at least half as far.
+        every: frames between bumps, on average.
+        length: frames, half length of a bump.
+    """
+    margin = int(3 * length)
+    t = np.arange(frames)
+    envelope = np.full(frames, calm)
+    for centre in range(-margin, frames + margin):
+        if rng.random() < 1 / every:
+            height = rng.uniform(0.5, 1.0) * (top - calm)
+            bump = height * np.exp(-(((t - centre) / length) ** 2) / 2)
+            envelope = np.maximum(envelope, calm + bump)
+    return envelope
+
+
+def runs(rng: np.random.Generator, frames: int, share: float, length: float) -> np.ndarray:
+    """Frames in a row, (T,) bool: runs of some ``length`` on average that hold a ``share`` of T."""
+    start = share / (length * max(1 - share, 0.1))  # chance, frame by frame
+    inside = np.zeros(frames, dtype=bool)
+    for k in np.flatnonzero(rng.random(frames) < start):
+        inside[k : k + rng.poisson(length - 1) + 1] = True
+    return inside
+
+
+def field(rng: np.random.Generator, shape: tuple[int, int], length: float) -> np.ndarray:
+    """A smooth random image of unit variance that varies over ``length`` pixels."""
+    from scipy.ndimage import zoom
+
+    nodes = [int(np.ceil(n / length)) + 3 for n in shape]  # a lattice that is interpolated
+    scale = max((n + 2 * length) / k for n, k in zip(shape, nodes, strict=True))
+    fine = zoom(rng.normal(size=nodes), scale, order=3)
+    top, left = ((f - n) // 2 for f, n in zip(fine.shape, shape, strict=True))
+    image = fine[top : top + shape[0], left : left + shape[1]]
+    return image / image.std()
+
+
+def _of_unit_size(curve: np.ndarray) -> np.ndarray:
+    return curve / np.sqrt((curve**2).sum(1).mean())

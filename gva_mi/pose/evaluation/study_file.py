@@ -1,0 +1,105 @@
+"""The study's file: what was found, case by case, so that a study which was cut short goes on.
+
+::
+
+    {"cases": [{"name", "case", "noise", "figures"}], "families": {name: figures},
+     "made_with": {"options", "body", "sources"}, "versions": {...}}
+
+A result is used again only where all that it depends on is the same: the options, the body, and
+every line of this program (``sources`` is their digest).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from gva_mi.body.smplx import BodyModel
+from gva_mi.data.fingerprint import fingerprint
+from gva_mi.errors import InputError
+from gva_mi.files import versions, write_json
+from gva_mi.pose.evaluation.cases import Case, Take
+from gva_mi.pose.evaluation.figures import PoseFigures
+from gva_mi.pose.evaluation.study import CaseResult, StudyOptions
+from gva_mi.pose.evaluation.summary import rows_of
+
+
+def save_study(
+    path: Path,
+    results: Sequence[CaseResult],
+    body: BodyModel,
+    options: StudyOptions,
+    others: Sequence[CaseResult] = (),
+) -> None:
+    """Write the file.
+
+    Args:
+        path: of it.
+        results: of the cases that were asked for; the table is theirs.
+        body: the body that was fitted.
+        options: how large the study is.
+        others: results of other cases, which are kept.
+    """
+    found = [
+        {
+            "name": result.case.name,
+            "case": asdict(result.case),
+            "noise": result.noise,
+            "figures": result.figures.to_json(),
+        }
+        for result in (*results, *others)
+    ]
+    record = {
+        "cases": found,
+        "families": {row.name: row.to_json() for row in rows_of(results)},
+        "made_with": _made_with(body, options),
+        "versions": versions(),
+    }
+    write_json(path, record)
+
+
+def load_study(path: Path, body: BodyModel, options: StudyOptions) -> list[CaseResult]:
+    """The results of a file that still hold; none where there is no file.
+
+    Raises:
+        InputError: the file cannot be read.
+    """
+    if not path.exists():
+        return []
+    try:
+        record = json.loads(path.read_text())
+        if record["made_with"] != _made_with(body, options):
+            return []
+        return [_result(row) for row in record["cases"]]
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise InputError(
+            f"{path}: not readable; expected what `gva-mi study` writes, or give --overwrite"
+        ) from None
+
+
+def _result(row: dict[str, Any]) -> CaseResult:
+    case = Case(**row["case"] | {"take": Take(**row["case"]["take"])})
+    return CaseResult(case, row["noise"], PoseFigures.from_json(row["figures"]))
+
+
+def _made_with(body: BodyModel, options: StudyOptions) -> dict[str, Any]:
+    """All that a result depends on besides its case and the level of its noise."""
+    chosen = asdict(options)
+    del chosen["noise"]
+    made = {"options": chosen, "body": fingerprint(body), "sources": _sources()}
+    return json.loads(json.dumps(made, default=str))
+
+
+def _sources() -> str:
+    """A digest of the program."""
+    digest = hashlib.sha256()
+    for package in ("gva_mi", "gva_mi_plugins"):
+        for root in find_spec(package).submodule_search_locations:
+            for file in sorted(Path(root).rglob("*.py")):
+                digest.update(file.read_bytes())
+    return digest.hexdigest()[:16]

@@ -1,0 +1,109 @@
+"""What hangs on the camera: leans are constant in its axes; misjudged sizes keep the picture."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from gva_mi.body.kinematics import joint_transforms
+from gva_mi.body.pose import JOINTS, PARENTS
+from gva_mi.data.synthetic.noise.camera_bias import Lean, leaning
+from gva_mi.data.synthetic.noise.outliers import Outliers
+from gva_mi.data.synthetic.noise.poses import (
+    JointFactors,
+    PoseNoise,
+    believed_camera,
+    noisy_poses,
+)
+
+NOTHING = PoseNoise(
+    sizes=JointFactors(0, 0, 0, 0, 0), depth=0, aside=0, betas=0, expression=0,
+    outliers=Outliers(lost=0),
+)  # fmt: skip
+
+
+def rng():
+    return np.random.default_rng(4)
+
+
+def in_camera_axes(rotations, camera):
+    """Global rotations (T, 55, 3, 3) of joints."""
+    joints, transl = torch.zeros(55, 3).double(), torch.zeros(len(rotations), 3).double()
+    R = joint_transforms(torch.as_tensor(rotations), joints, PARENTS, transl)[..., :3, :3].numpy()
+    return camera.T_camera_world[:3, :3] @ R
+
+
+@pytest.fixture
+def turning_and_bent(turning):
+    pose, shape = turning
+    pose.rotations[:, 1:] = 0.3 * torch.from_numpy(rng().normal(size=(24, 54, 3))).float()
+    return pose, shape
+
+
+def test_no_noise_is_none(body, turning, camera):
+    pose, shape = noisy_poses(body, *turning, camera, NOTHING, 1.0, rng())
+    assert torch.equal(pose.rotations, turning[0].rotations)
+    assert torch.equal(pose.transl, turning[0].transl) and torch.equal(
+        shape.betas, turning[1].betas
+    )
+
+
+def test_a_lean_is_one_rotation_in_camera_axes_while_the_person_turns(turning_and_bent, camera):
+    rotations = turning_and_bent[0].rotations.double().numpy()
+    lean = Lean(legs=0.1, trunk=0.04, arms=0.06)
+    before = in_camera_axes(rotations, camera)
+    after = in_camera_axes(leaning(rotations, camera, lean), camera)
+    L = after @ before.swapaxes(-1, -2)
+    for names, angle in (
+        (("left_hip", "right_knee", "left_foot"), -0.1),
+        (("spine1", "head", "left_collar"), 0.04),
+        (("left_shoulder", "right_wrist"), 0.04 - 0.06),
+        (("pelvis",), 0.0),
+    ):
+        cos, sin = np.cos(angle), np.sin(angle)
+        about_x = np.array([[1, 0, 0], [0, cos, -sin], [0, sin, cos]])
+        for name in names:
+            assert np.abs(L[:, JOINTS.index(name)] - about_x).max() < 1e-6, name
+
+
+def test_who_leans_comes_nearer_with_feet_and_head(body, turning, camera):
+    pose, shape = noisy_poses(
+        body, *turning, camera, replace(NOTHING, lean=Lean(legs=0.1, trunk=0.1)), 1.0, rng()
+    )
+    depth = lambda p, s: body(p, s).joints.double().numpy() @ camera.T_camera_world[2, :3]
+    nearer = depth(*turning) - depth(pose, shape)
+    for name in ("left_ankle", "right_ankle", "head"):
+        assert (nearer[:, JOINTS.index(name)] > 0.02).all(), name
+
+
+def pixels(body, found, camera):
+    return camera.project(body(*found).vertices[:, ::50].double().numpy())
+
+
+def test_a_person_taken_for_larger_is_put_farther_and_the_picture_stays(body, turning, camera):
+    """Of what a larger body changes in the picture, proportions alone are left: under a quarter."""
+    spread = lambda x: np.sqrt(((x - x[:, :1]) ** 2).mean())
+    joints = lambda found: body(*found).joints.double().numpy()[:, :22]
+    seen = lambda found: spread(camera.project(joints(found)))
+    noise = replace(NOTHING, betas=0.6, depth_follows=True)
+    grown, left = [], []
+    for seed in range(6):
+        larger = noisy_poses(body, *turning, camera, noise, 1.0, np.random.default_rng(seed))
+        grown.append(spread(joints(larger)) / spread(joints(turning)) - 1)
+        left.append(seen(larger) / seen(turning) - 1)
+        middles = [camera.project(joints(found)[:, 0]) for found in (larger, turning)]
+        assert np.abs(middles[0] - middles[1]).max() < 0.01  # px
+    assert np.abs(grown).mean() > 0.02
+    assert np.abs(left).mean() < 0.25 * np.abs(grown).mean()
+
+
+def test_another_focal_length_puts_the_person_farther_and_the_picture_stays(body, turning, camera):
+    noise = replace(NOTHING, focal=0.1)
+    found = noisy_poses(body, *turning, camera, noise, 1.0, rng())
+    believed = believed_camera(camera, noise, 1.0)
+    assert believed.fx == pytest.approx(1.1 * camera.fx) and believed.cx == camera.cx
+    off = pixels(body, found, believed) - pixels(body, turning, camera)
+    assert np.abs(off).max() < 0.025 * 64  # of the picture's width; perspective alone is left
+    z = (found[0].transl - turning[0].transl).double().numpy() @ camera.T_camera_world[2, :3]
+    assert np.allclose(z, 0.1 * 3, atol=0.05)  # m, of 3

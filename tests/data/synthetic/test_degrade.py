@@ -1,0 +1,156 @@
+"""A recording under another noise: the folder that would have been made with it."""
+
+import json
+import os
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gva_mi import InputError
+from gva_mi.body.pose import load_poses
+from gva_mi.body.smplx import load_body
+from gva_mi.data.pictures import read_image
+from gva_mi.data.synthetic import SynthOptions, degrade, describe_noise, make_subject
+from gva_mi.data.synthetic.noise.families import FAMILIES, draw
+from gva_mi.data.video import load_cameras, load_video
+
+pytest.importorskip("mitsuba")
+PLAIN = SynthOptions(
+    frames=3, size=48, samples=16, clothes=False, hair=False, novel_poses=1, novel_views=0
+)
+
+
+@pytest.fixture(scope="module")
+def body():
+    return load_body()
+
+
+@pytest.fixture(scope="module")
+def recording(body, tmp_path_factory):
+    """A subject with the usual noise."""
+    out = tmp_path_factory.mktemp("recording") / "subject"
+    make_subject(out, PLAIN, body)
+    return out
+
+
+@pytest.fixture(scope="module")
+def degraded(recording, body, tmp_path_factory):
+    """The recording under a noise of each family, by name."""
+    folder = tmp_path_factory.mktemp("degraded")
+    for family in FAMILIES:
+        degrade(recording, folder / family, family, 7, body)
+    return folder
+
+
+def files(folder):
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
+@pytest.mark.parametrize("family", ["white", "masks", "normals", "focal", "anything"])
+def test_it_is_what_make_subject_writes(degraded, body, tmp_path, family):
+    make_subject(tmp_path / "made", replace(PLAIN, family=family, noise_seed=7), body)
+    assert files(tmp_path / "made") == files(degraded / family)
+
+
+def test_bursts_too_but_for_a_grey_level_of_the_normals(degraded, body, tmp_path):
+    make_subject(tmp_path / "made", replace(PLAIN, noise_seed=7), body)
+    made, drawn = files(tmp_path / "made"), files(degraded / "bursts")
+    normals = [f"normals/{k:06d}.png" for k in range(3)]
+    assert {name for name in made if made[name] != drawn[name]} <= {"noise.json", *normals}
+    for name in normals:
+        pair = [read_image(f / name, 3) for f in (tmp_path / "made", degraded / "bursts")]
+        assert np.abs(pair[0].astype(int) - pair[1]).max() <= 1
+
+
+@pytest.mark.parametrize("family", ["bursts", "lean", "anything"])
+def test_the_noise_that_was_there_before_does_not_matter(degraded, body, tmp_path, family):
+    for before in ("focal", "normals"):
+        degrade(degraded / before, tmp_path / before, family, 7, body)
+        assert files(tmp_path / before) == files(degraded / family)
+
+
+def test_frames_and_truth_are_the_recordings_own_files(recording, degraded):
+    for path in sorted(recording.rglob("*")):
+        name = path.relative_to(recording)
+        if path.is_file() and name.parts[0] in ("frames", "truth", "video.mp4"):
+            assert os.path.samefile(path, degraded / "white" / name), name
+
+
+def test_where_no_link_is_possible_files_are_copied(
+    recording, degraded, body, tmp_path, monkeypatch
+):
+    def refuse(*_):
+        raise OSError("another disk")
+
+    monkeypatch.setattr(os, "link", refuse)
+    degrade(recording, tmp_path / "copied", "white", 7, body)
+    assert files(tmp_path / "copied") == files(degraded / "white")
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_every_family_opens_as_a_video_and_is_described(degraded, family):
+    video = load_video(degraded / family)
+    assert len(video) == 3 and not video.absent
+    assert describe_noise(degraded / family)[0] == f"noise: family {family}, seed 7"
+    found = json.loads((degraded / family / "noise.json").read_text())
+    assert {"memory", "white", "lean"} <= found["parameters"]["pose"].keys()
+
+
+def test_the_camera_is_the_believed_one_and_the_true_one_is_in_the_truth(recording, degraded):
+    factor = 1 + draw("focal", 7).pose.focal
+    (true,), (believed,), (before,) = (
+        load_cameras(path)
+        for path in (
+            degraded / "focal/truth/cameras.npz", degraded / "focal/cameras.npz",
+            recording / "cameras.npz",
+        )
+    )  # fmt: skip
+    assert (true.K == before.K).all() and factor != 1
+    assert (true.T_camera_world == believed.T_camera_world).all()
+    assert believed.fx == pytest.approx(factor * true.fx)
+    assert believed.fy == pytest.approx(factor * true.fy)
+
+
+def test_icons_normals_are_read_as_those_of_the_camera(recording, body, tmp_path):
+    seed = next(k for k in range(50) if draw("normals", k).normal.convention == "icon")
+    degrade(recording, tmp_path / "icon", "normals", seed, body)
+    assert json.loads((tmp_path / "icon/normals.json").read_text())["convention"] == "icon"
+    angle = json.loads((tmp_path / "icon/noise.json").read_text())["normal"]["angle_deg"]
+    frames = [f for f in load_video(tmp_path / "icon").frames() if f.normals is not None]
+    off = []
+    for frame in frames:
+        true = read_image(recording / f"truth/normals/{frame.index:06d}.png", 3) / 127.5 - 1
+        both = (np.linalg.norm(true, axis=-1) > 0.5) & (np.abs(frame.normals).sum(-1) > 0)
+        cosine = (true[both] * frame.normals[both]).sum(-1) / np.linalg.norm(true[both], axis=-1)
+        off.append(np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean())
+    assert frames and np.mean(off) == pytest.approx(angle, abs=0.3)
+
+
+def test_level_zero_is_the_truth(recording, body, tmp_path):
+    degrade(recording, tmp_path / "exact", "anything", 1, body, level=0.0)
+    pose, shape = load_poses(tmp_path / "exact/poses.npz")
+    true_pose, true_shape = load_poses(recording / "truth/poses.npz")
+    assert (pose.rotations == true_pose.rotations).all() and (pose.transl == true_pose.transl).all()
+    assert (shape.betas == true_shape.betas).all()
+    for name in ("masks/000000.png", "normals/000002.png"):
+        a, b = (read_image(f / name, 3) for f in (tmp_path / "exact", recording / "truth"))
+        assert np.abs(a.astype(int) - b).max() <= 1
+    assert not (tmp_path / "exact/normals.json").exists()
+
+
+def test_what_is_no_subject_is_refused(recording, body, tmp_path):
+    with pytest.raises(InputError, match="synth.json: no such file; expected a folder that gva-mi"):
+        degrade(tmp_path, tmp_path / "out", "white", 0, body)
+    with pytest.raises(InputError, match="no family 'pink'"):
+        degrade(recording, tmp_path / "out", "pink", 0, body)
+    with pytest.raises(InputError, match="already there"):
+        degrade(recording, recording, "white", 0, body)
+    (tmp_path / "synth.json").write_text('{"options": {"colour": 1}}')
+    with pytest.raises(InputError, match="synth.json: cannot be read"):
+        degrade(tmp_path, tmp_path / "out", "white", 0, body)
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,72 @@
+"""The study's protocol: nothing that judges was there to choose by."""
+
+from collections import Counter
+
+import pytest
+
+from gva_mi.data.synthetic import STUDY
+from gva_mi.data.synthetic.noise.families import FAMILIES
+from gva_mi.pose.evaluation import cases
+from gva_mi.pose.evaluation.cases import HELD_OUT, NO_NORMALS, TUNING, Case, Take
+
+BOTH = pytest.mark.parametrize("some", [TUNING, HELD_OUT], ids=["tuning", "held out"])
+
+
+def test_nobody_is_both_tuned_on_and_judged():
+    people = [{case.take.person for case in some} for some in (TUNING, HELD_OUT)]
+    assert not people[0] & people[1]
+    assert not {case.name for case in TUNING} & {case.name for case in HELD_OUT}
+
+
+def test_no_draw_of_a_noise_is_both_tuned_on_and_judged():
+    assert all(case.draw < 100 for case in TUNING)
+    assert all(case.draw >= 1000 for case in HELD_OUT)
+
+
+@BOTH
+def test_every_case_is_another_one(some):
+    assert len({case.name for case in some}) == len({case.draw for case in some}) == len(some)
+    assert all(case.take.subject in (None, *STUDY) and case.noise in FAMILIES for case in some)
+
+
+@BOTH
+def test_a_person_is_filmed_once(some):
+    takes = {case.take.person: set() for case in some}
+    for case in some:
+        takes[case.take.person].add(case.take)
+    assert all(len(several) == 1 for several in takes.values())
+
+
+def test_all_families_judge_and_most_of_them_tuned_nothing():
+    families = Counter(case.family for case in HELD_OUT)
+    assert set(families) == {*FAMILIES, NO_NORMALS}
+    assert len(set(families) - {case.family for case in TUNING}) >= 7
+    takes = {case.take for case in HELD_OUT}
+    assert {take.figure for take in takes} == {"own", "stretched", "anny"}
+    assert {take.motion for take in takes} == {"turn", "everyday", "half", "walk"}
+    assert {take.outfit for take in takes} == {"own", "foreign"}
+    assert any(take.bare for take in takes)
+
+
+def test_names_say_what_is_special():
+    assert Case(Take("bruno"), "white", 1000).name == "bruno: white 1000"
+    walking = Take(seed=3, motion="walk", figure="stretched", bare=True)
+    case = Case(walking, "bursts", 4, normals=False)
+    assert case.name == "seed 3, walk, stretched, bare: bursts 4, no normals"
+    assert case.family == NO_NORMALS and walking.person == "3"
+
+
+def test_only_a_case_that_needs_a_package_lacks_it(monkeypatch):
+    monkeypatch.setattr(cases, "find_spec", lambda name: None)
+    assert {case.take.figure for case in HELD_OUT if case.lacks} == {"anny"}
+    monkeypatch.setattr(cases, "find_spec", lambda name: object())
+    assert not any(case.lacks for case in HELD_OUT)
+
+
+@BOTH
+def test_every_take_can_be_asked_for(some):
+    """Its motion, figure and outfit are ones that subjects have; else the options refuse."""
+    for case in some:
+        options = case.take.synth(8, 64)
+        assert options.frames == 8 and options.novel_views == options.novel_poses == 0
+        assert options.clothes is options.hair is not case.take.bare

@@ -4,6 +4,8 @@ The pictures are sRGB-encoded, the person on white, blended by the true mask (se
 ``truth/surface.ply`` is the whole outer surface, clothes and hair included, in the rest pose.
 Background, blur and sensor noise, where they are asked for, are in ``frames`` alone, so that then
 the masks matter; the pictures in ``truth`` stay clean.
+What the folder says outside ``truth`` is what a pipeline would say, see ``estimates``: the camera
+too, whose focal length may be misjudged, so that the true one is ``truth/cameras.npz``.
 ``truth/novel_view`` shows video frames from other sides with their true poses (``splits.json`` says
 which frames); ``truth/novel_pose`` shows poses that the video does not hold.
 """

@@ -42,6 +42,8 @@ def synth(
         raise InputError("synth: give a folder for a subject, or --sheet FILE.png, or both")
     if like is not None:
         _require_noise_alone(options)
+        if out is not None and out.resolve() == like.resolve():
+            raise InputError(f"{out}: is the recording itself; expected another folder than --like")
     model = load_body(body)
     if sheet is not None:
         with bar("sheet") as progress:

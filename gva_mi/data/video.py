@@ -12,7 +12,8 @@
       poses.npz                           SMPL-X names, each (T, ...); betas (B,); stage
       poses_refined.npz                   optional: the same after stage 2
       splits.json                         optional: {"train": [...], "test": [...]} frame numbers
-      truth/                              synthetic subjects only; read by nothing but evaluation
+      truth/                              synthetic subjects only, with the true cameras.npz too;
+                                          read by nothing but evaluation
 
 Pictures, masks and normals of single frames may be missing. A frame without a picture, or whose
 mask is missing or empty, is *absent*: it belongs to no split, and its pose stays as it is.

@@ -76,7 +76,7 @@ class Belief:
         white = torch.tensor([noise.white for noise in noises]).square()
         of_white = 4 if steady else 2  # the variance of a change, for white errors of variance 1
         seen = [
-            motion.usual_square(motion.over_span(belief.steps, span)) - of_white * white / span**2
+            motion.usual_square(motion.excursions(belief.steps, span)) - of_white * white / span
             for span in motion.SPANS
         ]
         return belief.moving(torch.stack(seen).amax(0).clamp(min=0))

@@ -91,8 +91,8 @@ def _renewed(before: Belief, noises: list[Noise], corrections: Tensor, steps: Te
     """A belief after corrections (n, C, d), and the steps (n - 1, C, ...) that pictures show."""
     changes = before.changes(steps)
     times = before.times[: len(changes)].float()
-    velocity = motion.over_span(changes, motion.SPAN).square().mean(-1)
-    believed = before.with_noise(noises).moving(motion.mean_square(velocity, times))
+    square = motion.excursions(changes, motion.SPAN).square().mean(-1)
+    believed = before.with_noise(noises).moving(motion.mean_square(square, times))
     return believed.doubting(corrections)
 
 

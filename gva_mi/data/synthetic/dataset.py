@@ -6,6 +6,8 @@ Background, blur and sensor noise, where they are asked for, are in ``frames`` a
 the masks matter; the pictures in ``truth`` stay clean.
 ``truth/poses.npz`` are the poses of the body that was drawn, which is ``truth/body.npz`` where it
 is not the fitted one; the other poses of the folder belong to the fitted body, see ``closest``.
+What the folder says outside ``truth`` is what a pipeline would say, see ``estimates``: the camera
+too, whose focal length may be misjudged, so that the true one is ``truth/cameras.npz``.
 ``truth/novel_view`` shows video frames from other sides with their true poses (``splits.json`` says
 which frames); ``truth/novel_pose`` shows poses that the video does not hold.
 """

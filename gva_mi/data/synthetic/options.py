@@ -78,9 +78,12 @@ class SynthOptions:
         """Who the subject is."""
         named = self.subject is not None
         person = STUDY[self.subject] if named else Person.draw(self.seed, body.num_betas)
+        outfit = person.outfit
         if self.outfit == "foreign":
-            return replace(person, outfit=foreign_outfit(person.outfit, self.random(OUTFIT)))
-        return person
+            outfit = foreign_outfit(outfit, self.random(OUTFIT))
+        if self.figure == "anny" and outfit.bottom == "skirt":  # its legs come through the cut
+            outfit = replace(outfit, bottom="trousers", length=1.9, flare=0.015)
+        return person if outfit is person.outfit else replace(person, outfit=outfit)
 
     def entropy(self, stream: int) -> tuple[int, ...]:
         """What seeds one of the streams above; no two of the study's subjects share it."""

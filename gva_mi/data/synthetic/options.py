@@ -84,9 +84,12 @@ class SynthOptions:
         """Who the subject is."""
         named = self.subject is not None
         person = STUDY[self.subject] if named else Person.draw(self.seed, body.num_betas)
+        outfit = person.outfit
         if self.outfit == "foreign":
-            return replace(person, outfit=foreign_outfit(person.outfit, self.random(OUTFIT)))
-        return person
+            outfit = foreign_outfit(outfit, self.random(OUTFIT))
+        if self.figure == "anny" and outfit.bottom == "skirt":  # its legs come through the cut
+            outfit = replace(outfit, bottom="trousers", length=1.9, flare=0.015)
+        return person if outfit is person.outfit else replace(person, outfit=outfit)
 
     def recorded(self) -> dict[str, object]:
         """What to write down: all but the number of workers, which changes no bit."""

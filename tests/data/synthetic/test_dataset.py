@@ -15,6 +15,7 @@ from gva_mi.data.synthetic import STUDY, SynthOptions, describe_noise, make_subj
 from gva_mi.data.synthetic.motion import turn
 from gva_mi.data.synthetic.render import Renderer, camera_around
 from gva_mi.data.synthetic.subject import draw_subject
+from gva_mi.data.truth import load_truth
 from gva_mi.data.video import load_cameras, load_video
 
 pytest.importorskip("mitsuba")
@@ -185,6 +186,33 @@ def test_background_blur_and_sensor_noise_are_in_the_frames_alone(exact, body, t
     assert changed == {"synth.json", "video.mp4", *(f"frames/{k:06d}.png" for k in range(3))}
     outside = read_image(out / "masks/000000.png", 1) == 0
     assert read_image(out / "frames/000000.png", 3)[outside].std() > 10
+
+
+@pytest.fixture(scope="module")
+def foreign(body, tmp_path_factory):
+    """A person that the body does not span, without noise."""
+    out = tmp_path_factory.mktemp("foreign") / "subject"
+    make_subject(out, SynthOptions(noise=0.0, figure="stretched", **BARE), body)
+    return out
+
+
+def test_a_foreign_figure_is_the_one_in_the_pictures(foreign, body):
+    truth = load_truth(foreign / "truth", body)
+    assert truth.foreign
+    (camera,) = load_cameras(foreign / "cameras.npz")
+    for k in range(3):
+        vertices = truth.body(truth.pose[k], truth.shape).vertices[0]
+        mask = read_image(foreign / f"truth/masks/{k:06d}.png", 1)
+        assert_overlay(mask, camera.project(vertices.double().numpy()))
+
+
+def test_its_poses_are_those_of_the_fitted_body(foreign, body):
+    require_same_body(foreign, body)
+    truth, (pose, shape) = load_truth(foreign / "truth", body), load_poses(foreign / "poses.npz")
+    away = body(pose, shape).joints - truth.body(truth.pose, truth.shape).joints
+    floor = json.loads((foreign / "noise.json").read_text())["floor"]
+    assert 0 < 1000 * away.norm(dim=-1).mean() == pytest.approx(floor["joint_mm"], abs=0.01)
+    assert "as near as" in describe_noise(foreign)[-1]
 
 
 def test_the_noise_is_described(noisy, exact):

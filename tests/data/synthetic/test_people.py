@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from gva_mi import InputError
+from gva_mi.body.smplx import load_body
 from gva_mi.data.synthetic import STUDY, SynthOptions
 from gva_mi.data.synthetic.people import Person
 
@@ -38,6 +39,17 @@ def test_they_hold_what_the_study_is_about():
 
 def test_a_seed_is_a_person():
     assert Person.draw(3, 10) == Person.draw(3, 10) != Person.draw(4, 10)
+
+
+def test_a_foreign_outfit_is_one_that_nobody_wears():
+    body = load_body()
+    for seed in range(10):
+        own = SynthOptions(seed=seed).person(body).outfit
+        worn = SynthOptions(seed=seed, outfit="foreign").person(body).outfit
+        assert own.sole == 0 and own.bag == own.hood == "none"
+        assert 0.01 <= worn.sole <= 0.05 and worn.flare <= 0.3
+    again = SynthOptions(seed=9, outfit="foreign").person(body)
+    assert again.outfit == worn and again.betas == Person.draw(9, 10).betas
 
 
 def test_an_unknown_name_lists_the_known_ones():

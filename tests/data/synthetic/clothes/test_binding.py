@@ -43,7 +43,8 @@ def test_shares_sum_to_one(legs, skirt):
     vertices, weights = legs
     points = skirt.reshape(-1, 3)
     for bound in (
-        binding.follow_nearest(points, vertices, 0.03), binding.follow_head(points, weights),
+        binding.follow_nearest(points, vertices, 0.03),
+        binding.follow_joint(points, weights, "head"),
         binding.hang_from_hips(points, vertices, PLACES, weights),
     ):  # fmt: skip
         assert bound.shape == (len(points), len(vertices))
@@ -58,7 +59,7 @@ def test_near_follows_what_is_near(legs):
 
 def test_stiff_things_move_alike(legs):
     vertices, weights = legs
-    bound = binding.follow_head(np.random.default_rng(1).normal(size=(50, 3)), weights)
+    bound = binding.follow_joint(np.random.default_rng(1).normal(size=(50, 3)), weights, "head")
     moved = bound @ np.random.default_rng(2).normal(size=vertices.shape)
     assert np.allclose(moved, moved[0])
 

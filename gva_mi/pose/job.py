@@ -42,7 +42,7 @@ class RefineOptions(ABC):
     (:mod:`gva_mi.pose.evidence`).
     """
 
-    size: int = 256  # pixels of the longer side of the pictures that are compared
+    size: int = 208  # pixels of the person's longer side in the pictures that are compared
     faces: int = 6000  # triangles of the body that is compared with them
     silhouette: float = 5.0  # λ1
 

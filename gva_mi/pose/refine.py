@@ -35,12 +35,12 @@ from torch import Tensor
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.console import Progress, within
-from gva_mi.data.video import Frame, Video
+from gva_mi.data.video import Outline, Video
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.clips import join, of_clip, poses_of_clip
 from gva_mi.pose.coarse_body import CoarseBody
 from gva_mi.pose.descent import with_frames, worse_frames
-from gva_mi.pose.evidence import MaskAndNormals, gather
+from gva_mi.pose.evidence import MaskAndNormals, common_scale, gather
 from gva_mi.pose.job import Job, RefineOptions, Solution
 from gva_mi.pose.parallel import Done, run
 from gva_mi.threads import one_torch_thread
@@ -140,12 +140,16 @@ class _SeenVideo:
         """Look at all frames."""
         begin = time.perf_counter()
 
-        def look(frame: Frame) -> MaskAndNormals:
-            vertices = coarse.body(frame.pose, video.shape).vertices[0]
-            return MaskAndNormals.of(frame, options.size, vertices)
+        def body_at(outline: Outline) -> Tensor:
+            return coarse.body(outline.pose, video.shape).vertices[0]
 
+        def look(outline: Outline) -> MaskAndNormals:
+            return MaskAndNormals.of(outline, scale, body_at(outline))
+
+        frames = range(len(video))
         with one_torch_thread(), torch.no_grad():
-            evidence, kept = gather(video, range(len(video)), look)
+            scale = common_scale(video, frames, options.size, body_at)
+            evidence, kept = gather(frames, video.absent, video.outlines, look)
         pose, shape = video.pose.to(torch.float32), Shape(video.shape.betas.to(torch.float32))
         seconds = time.perf_counter() - begin
         return _SeenVideo(coarse, pose, shape, options, evidence, kept, seconds)

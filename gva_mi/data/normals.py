@@ -110,8 +110,9 @@ class NormalMaps:
         if self.convention == "icon":
             seen = camera.cropped(columns.start, rows.start, len(columns), len(rows))
             normals = _along_rays(normals * (1, -1, -1), seen)
-        length = np.linalg.norm(normals, axis=-1, keepdims=True)
-        return np.where(length > SHORTEST, normals / np.maximum(length, 1e-6), 0).astype(np.float32)
+        square = _square_lengths(normals)
+        long = square > SHORTEST**2
+        return (normals * (long / np.sqrt(np.maximum(square, 1e-12)))).astype(np.float32)
 
     def check(self, index: int, camera: Camera) -> None:
         """Raise what :meth:`read` would raise, without the work of reading."""
@@ -135,11 +136,18 @@ class NormalMaps:
 def _directions(stored: np.ndarray) -> np.ndarray:
     """Stored vectors (h, w, 3) as float32, zero where they are no directions."""
     if stored.dtype == np.uint8:
-        normals = stored.astype(np.float32) / 127.5 - 1
+        normals = stored.astype(np.float32)
+        normals *= 1 / 127.5
+        normals -= 1
     else:
         normals = np.nan_to_num(stored.astype(np.float32))
-    length = np.linalg.norm(normals, axis=-1, keepdims=True)
-    return np.where((length > SHORTEST) & (length < LONGEST), normals, 0)
+    square = _square_lengths(normals)
+    return normals * ((square > SHORTEST**2) & (square < LONGEST**2))
+
+
+def _square_lengths(normals: np.ndarray) -> np.ndarray:
+    """Of vectors (h, w, 3), (h, w, 1)."""
+    return np.einsum("hwc,hwc->hw", normals, normals)[..., None]
 
 
 def _pasted(normals: np.ndarray, box: np.ndarray, size: tuple[int, int]) -> np.ndarray:

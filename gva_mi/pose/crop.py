@@ -109,13 +109,13 @@ class Crop:
         Returns:
             (H, W) or (H, W, C), of the size of the box.
         """
-        pixels = torch.from_numpy(np.ascontiguousarray(image))
-        if self.scale == 1:
-            return pixels
-        rows = _shares(self.box.top, self.box.height, self.scale, part[0]).to(pixels.dtype)
-        columns = _shares(self.box.left, self.box.width, self.scale, part[1]).to(pixels.dtype)
-        fewer = (rows @ pixels.flatten(1)).unflatten(1, pixels.shape[1:])
-        return torch.einsum("xw,hw...->hx...", columns, fewer).contiguous()
+        shrunk = image
+        if self.scale != 1:
+            rows = _shares(self.box.top, self.box.height, self.scale, part[0])
+            columns = _shares(self.box.left, self.box.width, self.scale, part[1])
+            shrunk = _mixed_rows(rows, shrunk)
+            shrunk = _mixed_rows(columns, shrunk.swapaxes(0, 1)).swapaxes(0, 1)
+        return torch.from_numpy(np.ascontiguousarray(shrunk))
 
 
 @dataclass(frozen=True)
@@ -217,7 +217,7 @@ def person_box(
     return extent.box(margin, np.array([camera.width, camera.height]))
 
 
-def _shares(first: int, count: int, scale: float, part: slice) -> Tensor:
+def _shares(first: int, count: int, scale: float, part: slice) -> np.ndarray:
     """How much of each of the grid's pixels along one axis is covered by which of the picture's.
 
     Args:
@@ -226,10 +226,18 @@ def _shares(first: int, count: int, scale: float, part: slice) -> Tensor:
         part: of the picture's pixels.
 
     Returns:
-        (count, pixels of the part) float64; rows add up to 1.
+        (count, pixels of the part); rows add up to 1.
     """
-    start = (torch.arange(count, dtype=torch.float64) + first)[:, None]
-    pixel = torch.arange(part.start, part.stop, dtype=torch.float64)
-    covered = torch.minimum((start + 1) / scale, pixel + 1) - torch.maximum(start / scale, pixel)
-    covered = covered.clamp_min(0)
-    return covered / covered.sum(1, keepdim=True)
+    start = (np.arange(count) + first)[:, None]
+    pixel = np.arange(part.start, part.stop)
+    covered = np.minimum((start + 1) / scale, pixel + 1) - np.maximum(start / scale, pixel)
+    covered = np.maximum(covered, 0)
+    return covered / covered.sum(1, keepdims=True)
+
+
+def _mixed_rows(shares: np.ndarray, image: np.ndarray) -> np.ndarray:
+    """Rows (H, w, ...) that are sums of rows of an image (h, w, ...), by their shares (H, h)."""
+    from scipy.sparse import csr_matrix  # nearly all shares are zero
+
+    mixed = csr_matrix(shares.astype(image.dtype)) @ image.reshape(len(image), -1)
+    return mixed.reshape(len(shares), *image.shape[1:])

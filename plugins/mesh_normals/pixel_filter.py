@@ -81,8 +81,8 @@ class PixelFilter:
             rays = dr.arange(mi.UInt32, self.width * self.height * self.spp)
         pixel = rays // self.spp
         k = mi.Float(rays - pixel * self.spp)
-        y = pixel // self.width
-        x = pixel - y * self.width
+        y = pixel // self._columns
+        x = pixel - y * self._columns
         shift_y = 0.5 + k * GOLDEN
         return mi.Point2f(x + (k + 0.5) / self.spp, y + shift_y - dr.floor(shift_y))
 
@@ -128,7 +128,7 @@ class PixelFilter:
         """Pixels that a point on the image adds to, with ``f(q - c_p) / M_p``."""
         x, y = mi.Int32(q.x), mi.Int32(q.y)
         if self.steps == 0:
-            yield mi.UInt32(y * self.width + x), mi.Float(1), mi.Bool(True)
+            yield mi.UInt32(y) * self._columns + mi.UInt32(x), mi.Float(1), mi.Bool(True)
             return
         reach = range(-self.steps, self.steps + 1)
         for py, px in ((y + dy, x + dx) for dy in reach for dx in reach):
@@ -148,6 +148,11 @@ class PixelFilter:
         pixel = rays // self.spp
         place = rays - pixel * self.spp
         return _around_pixels(grads, pixel, place, self.table, self.steps, self.spp, self._size)
+
+    @property
+    def _columns(self) -> mi.UInt32:
+        """The width, as no constant of a kernel: each size would have kernels of its own."""
+        return dr.opaque(mi.UInt32, self.width)
 
     @property
     def _size(self) -> tuple[int, int]:

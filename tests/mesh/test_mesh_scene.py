@@ -100,3 +100,21 @@ def test_a_camera_that_is_no_pinhole_is_refused(scene, camera, body):
     fisheye = replace(camera, model="fisheye")
     with pytest.raises(ValueError, match="must be a pinhole, got fisheye"):
         scene.render(body.v_template, fisheye)
+
+
+def test_a_picture_of_another_size_needs_no_kernel_of_its_own(scene, body, camera):
+    """Each person's crop has its own size, and compiling takes far longer than drawing."""
+    import drjit as dr
+
+    def draw(width, height):
+        vertices = body.v_template.clone().requires_grad_()
+        image = scene.render(vertices, camera.cropped(3, 5, width, height))
+        image.square().sum().backward()
+        return float(vertices.grad.norm())
+
+    draw(50, 60)
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        assert draw(73, 41) > 0
+        compiled = [kernel for kernel in dr.kernel_history() if kernel.get("cache_hit") is False]
+    assert not compiled

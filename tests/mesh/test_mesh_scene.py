@@ -118,3 +118,59 @@ def test_a_picture_of_another_size_needs_no_kernel_of_its_own(scene, body, camer
         assert draw(73, 41) > 0
         compiled = [kernel for kernel in dr.kernel_history() if kernel.get("cache_hit") is False]
     assert not compiled
+
+
+def scaled(camera, scale):
+    intrinsics = {name: scale * getattr(camera, name) for name in ("fx", "fy", "cx", "cy")}
+    return replace(camera, **intrinsics)
+
+
+@pytest.fixture
+def whole(camera):
+    return scaled(camera, 2.5).cropped(5, 10, 230, 220)
+
+
+@pytest.fixture
+def closer(camera):
+    """A part of the picture at twice its resolution."""
+    return scaled(camera, 5).cropped(210, 62, 70, 83)
+
+
+def test_crops_seen_together_are_what_each_camera_sees(scene, body, whole, closer):
+    with torch.no_grad():
+        together = scene.render_together(body.v_template, [whole, closer])
+        alone = [scene.render(body.v_template, view) for view in (whole, closer)]
+    assert torch.equal(together[0], alone[0])
+    assert together[1].shape == alone[1].shape and bool(alone[1].any())
+    assert float((together[1] - alone[1]).abs().mean()) < 1e-5
+
+
+def smooth(view, generator):
+    """Weights (H, W, 4) that change within a few pixels."""
+    noise = torch.rand(4, view.height, view.width, generator=generator)
+    return torch.nn.functional.avg_pool2d(noise, 5, 1, 2).permute(1, 2, 0)
+
+
+def test_gradients_of_crops_seen_together_add_up(scene, body, whole, closer):
+    """Along motions of the whole body they are those of the pictures seen apart."""
+    generator = torch.Generator().manual_seed(3)
+    weights = [smooth(view, generator) for view in (whole, closer)]
+    along = torch.cat([torch.eye(3), torch.randn(2, 3, generator=generator)])
+
+    def slopes(images_of, *weights):
+        x = body.v_template.clone().requires_grad_()
+        loss = sum((image * w).sum() for image, w in zip(images_of(x), weights, strict=True))
+        (grad,) = torch.autograd.grad(loss, x)
+        turned = torch.linalg.cross(along[3:, None], body.v_template[None])
+        return torch.cat([grad.sum(0) @ along[:3], (turned * grad).sum((1, 2))])
+
+    first = slopes(lambda x: [scene.render(x, whole)], weights[0])
+    second = slopes(lambda x: [scene.render(x, closer)], weights[1])
+    both = slopes(lambda x: scene.render_together(x, [whole, closer]), *weights)
+    assert float((both - first - second).norm()) < 0.03 * float(second.norm())
+
+
+def test_cameras_of_different_pictures_are_not_seen_together(scene, body, whole, closer):
+    other = replace(closer, fy=1.01 * closer.fy)
+    with pytest.raises(ValueError, match="crops of one picture"):
+        scene.render_together(body.v_template, [whole, other])

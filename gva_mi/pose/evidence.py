@@ -160,20 +160,33 @@ def gather(
 
 
 def mean_loss(
-    scene: MeshScene, vertices: Tensor, seen: Sequence[MaskAndNormals], silhouette: float
+    scene: MeshScene,
+    vertices: Tensor,
+    seen: Sequence[MaskAndNormals],
+    silhouette: float,
+    closer: Sequence[Sequence[MaskAndNormals]] = (),
+    close_up: float = 0.0,
 ) -> Tensor:
-    """Mean of eq. 1 over frames, differentiable in the vertices.
+    """Mean over frames of eq. 1, and of eq. 1 of close-ups, differentiable in the vertices.
 
     The gradient is computed along with the loss, while the scene shows each body: moving the mesh
-    a second time for it would cost more than anything else in a step.
+    a second time for it would cost more than anything else in a step. Close-ups are seen together
+    with the whole person, for the same reason.
 
     Args:
         scene: where the bodies are rendered.
         vertices: (B, V, 3) world, metres: the body in each frame's pose.
         seen: the evidence of the same B frames.
         silhouette: λ1.
+        closer: close-ups of the same B frames, crops of their pictures; nothing: there are none.
+        close_up: weight of each close-up, where that of the person is 1.
     """
-    return _MeanLoss.apply(vertices, scene, seen, silhouette)
+    closer = closer or [()] * len(seen)
+    frames = [
+        ((1.0, whole), *((close_up, part) for part in parts))
+        for whole, parts in zip(seen, closer, strict=True)
+    ]
+    return _MeanLoss.apply(vertices, scene, frames, silhouette)
 
 
 class _MeanLoss(torch.autograd.Function):
@@ -182,18 +195,22 @@ class _MeanLoss(torch.autograd.Function):
         ctx: FunctionCtx,
         vertices: Tensor,
         scene: MeshScene,
-        seen: Sequence[MaskAndNormals],
+        frames: Sequence[Sequence[tuple[float, MaskAndNormals]]],
         silhouette: float,
     ) -> Tensor:
         losses, gradients = [], []
-        for body, evidence in zip(vertices.detach().unbind(), seen, strict=True):
+        for body, views in zip(vertices.detach().unbind(), frames, strict=True):
             with torch.enable_grad():
                 body = body.contiguous().requires_grad_()
-                loss = evidence.loss(scene.render(body, evidence.camera), silhouette)
+                images = scene.render_together(body, [seen.camera for _, seen in views])
+                loss = sum(
+                    weight * seen.loss(image, silhouette)
+                    for (weight, seen), image in zip(views, images, strict=True)
+                )
                 gradients += torch.autograd.grad(loss, [body])
             losses.append(float(loss.detach()))
-        ctx.save_for_backward(torch.stack(gradients) / len(seen))
-        return vertices.new_tensor(sum(losses) / len(seen))
+        ctx.save_for_backward(torch.stack(gradients) / len(frames))
+        return vertices.new_tensor(sum(losses) / len(frames))
 
     @staticmethod
     def backward(ctx: FunctionCtx, grad_loss: Tensor) -> tuple[Tensor, None, None, None]:

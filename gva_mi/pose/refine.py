@@ -38,6 +38,7 @@ from gva_mi.console import Progress, within
 from gva_mi.data.video import Outline, Video
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.clips import join, of_clip, poses_of_clip
+from gva_mi.pose.close_ups import FinePicture, close_up_scale
 from gva_mi.pose.coarse_body import CoarseBody
 from gva_mi.pose.descent import with_frames, worse_frames
 from gva_mi.pose.evidence import MaskAndNormals, common_scale, gather
@@ -132,6 +133,7 @@ class _SeenVideo:
     shape: Shape
     options: RefineOptions
     evidence: dict[int, MaskAndNormals]
+    pictures: dict[int, FinePicture]  # of the frames that have evidence, where there are close-ups
     kept: dict[int, str]  # frames without evidence, and why
     seconds: float  # of looking
 
@@ -143,16 +145,21 @@ class _SeenVideo:
         def body_at(outline: Outline) -> Tensor:
             return coarse.body(outline.pose, video.shape).vertices[0]
 
-        def look(outline: Outline) -> MaskAndNormals:
-            return MaskAndNormals.of(outline, scale, body_at(outline))
+        def look(outline: Outline) -> tuple[MaskAndNormals, FinePicture | None]:
+            points = body_at(outline)
+            picture = None if fine is None else FinePicture.of(outline, fine, points)
+            return MaskAndNormals.of(outline, scale, points), picture
 
         frames = range(len(video))
         with one_torch_thread(), torch.no_grad():
             scale = common_scale(video, frames, options.size, body_at)
-            evidence, kept = gather(frames, video.absent, video.outlines, look)
+            fine = _fine_scale(video, coarse.body, options, scale)
+            seen, kept = gather(frames, video.absent, video.outlines, look)
+        evidence = {k: whole for k, (whole, _) in seen.items()}
+        pictures = {k: picture for k, (_, picture) in seen.items() if picture is not None}
         pose, shape = video.pose.to(torch.float32), Shape(video.shape.betas.to(torch.float32))
         seconds = time.perf_counter() - begin
-        return _SeenVideo(coarse, pose, shape, options, evidence, kept, seconds)
+        return _SeenVideo(coarse, pose, shape, options, evidence, pictures, kept, seconds)
 
     @property
     def clips(self) -> list[range]:
@@ -170,7 +177,8 @@ class _SeenVideo:
         evidence = {k: self.evidence[k] for k in frames}
         if not evidence:
             return None
-        return Job(evidence, self.coarse.body, self.pose, self.shape, self.options)
+        pictures = {k: self.pictures[k] for k in frames if k in self.pictures}
+        return Job(evidence, self.coarse.body, self.pose, self.shape, self.options, fine=pictures)
 
     def clip_jobs(self, known: Done[Solution] | None) -> list[Job]:
         """The clips' jobs, once the first round is done."""
@@ -183,6 +191,7 @@ class _SeenVideo:
                 self.shape,
                 self.options,
                 shared,
+                of_clip(clip, self.pictures),
             )
             for clip in self.clips
         ]
@@ -219,3 +228,13 @@ class _SeenVideo:
                 image = scene.render(vertices, seen.camera)
                 losses[k] = seen.loss(image, self.options.silhouette)
         return losses
+
+
+def _fine_scale(
+    video: Video, body: BodyModel, options: RefineOptions, scale: float
+) -> float | None:
+    """The scale of the pictures that close-ups are cut from; None where there are none."""
+    if options.close_up_size == 0:
+        return None
+    size = options.close_up_size
+    return close_up_scale(body, video.pose, video.shape, video.cameras, scale, size)

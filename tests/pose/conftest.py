@@ -27,6 +27,10 @@ class Clip:
     def __len__(self):
         return len(self.pictures)
 
+    @property
+    def cameras(self):
+        return [self.camera] * len(self)
+
     def frames(self, indices=None):
         for k in range(len(self)) if indices is None else indices:
             mask, normals = self.pictures[k]

@@ -22,6 +22,7 @@ from gva_mi.errors import require_at_least
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.close_ups import FinePicture
 from gva_mi.pose.evidence import MaskAndNormals
+from gva_mi.pose.stature import require_height
 
 FEWEST_FACES = 500  # a body of fewer has no hands left
 
@@ -46,11 +47,14 @@ class RefineOptions(ABC):
     size: int = 208  # pixels of the person's longer side in the pictures that are compared
     faces: int = 6000  # triangles of the body that is compared with them
     silhouette: float = 5.0  # λ1
+    height: float | None = None  # metres, of the person, where somebody measured it
 
     name: ClassVar[str]  # of the way, on the command line and in records
 
     def __post_init__(self) -> None:
         require_at_least("refine", self, size=1, faces=FEWEST_FACES)
+        if self.height is not None:
+            require_height(self.height)
 
     @property
     def close_up_size(self) -> int:

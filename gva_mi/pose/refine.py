@@ -44,6 +44,7 @@ from gva_mi.pose.descent import with_frames, worse_frames
 from gva_mi.pose.evidence import MaskAndNormals, common_scale, gather
 from gva_mi.pose.job import Job, RefineOptions, Solution
 from gva_mi.pose.parallel import Done, run
+from gva_mi.pose.stature import with_height
 from gva_mi.threads import one_torch_thread
 
 
@@ -129,7 +130,7 @@ class _SeenVideo:
     """A video whose frames have been looked at, on its way through the two rounds."""
 
     coarse: CoarseBody
-    pose: Pose  # stage 1
+    pose: Pose  # stage 1, brought to the person's height where it is known
     shape: Shape
     options: RefineOptions
     evidence: dict[int, MaskAndNormals]
@@ -158,6 +159,8 @@ class _SeenVideo:
         evidence = {k: whole for k, (whole, _) in seen.items()}
         pictures = {k: picture for k, (_, picture) in seen.items() if picture is not None}
         pose, shape = video.pose.to(torch.float32), Shape(video.shape.betas.to(torch.float32))
+        if options.height is not None:
+            pose, shape = with_height(coarse.body, pose, shape, video.cameras, options.height)
         seconds = time.perf_counter() - begin
         return _SeenVideo(coarse, pose, shape, options, evidence, pictures, kept, seconds)
 

@@ -31,8 +31,10 @@ from gva_mi.pose.displacement import Displacement
 from gva_mi.pose.evidence import mean_loss
 from gva_mi.pose.job import Job, RefineOptions, Solution
 from gva_mi.pose.priors import lever_arms
+from gva_mi.pose.stature import Stature
 
 STEPS_A_PASS = 16  # at least, where the video has so many frames
+HOLD_HEIGHT = 1e3  # for one square metre between the body's height and the person's
 
 
 @dataclass(frozen=True)
@@ -132,7 +134,7 @@ class ClothedPerson:
     def __init__(self, job: Job, options: SequenceOptions) -> None:
         rest = job.body.rest(job.shape)
         self._job, self._options, self._scene = job, options, job.scene()
-        self._close_ups = CloseUps(job.fine, job.body)
+        self._close_ups, self._stature = CloseUps(job.fine, job.body), Stature.of(job.body)
         self._cloth = Displacement(rest.vertices, job.body.faces, job.body.weights)
         self._betas = job.shape.betas.clone()[:, None].requires_grad_()  # (B, 1): B vectors of one
         if job.known is None:
@@ -168,4 +170,7 @@ class ClothedPerson:
         o = self._options
         moved = (self.shape.betas - self._job.shape.betas).square().sum()
         cloth = self._cloth.energy(self.offsets, o.cloth_smooth, o.cloth_small, o.cloth_outward)
-        return o.betas_prior * moved + cloth
+        energy = o.betas_prior * moved + cloth
+        if o.height is not None:
+            energy = energy + HOLD_HEIGHT * self._stature.energy(self.shape, o.height)
+        return energy

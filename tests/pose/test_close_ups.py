@@ -38,9 +38,9 @@ def seen(scene, fine, vertices, true_pose):
     return MaskAndNormals.of(outline, 1 / 3, vertices), FinePicture.of(outline, 1, vertices)
 
 
-def loss_of(scene, vertices, seen, close_ups):
+def loss_of(scene, vertices, seen, body):
     person, picture = seen
-    closer = CloseUps({0: picture}, close_ups).of(0, vertices.detach(), person)
+    closer = CloseUps({0: picture}, body).of(0, vertices.detach(), person)
     whole = mean_loss(scene, vertices[None], [person], 1.0)
     return mean_loss(scene, vertices[None], [person], 1.0, [closer], 1.0) - whole
 
@@ -74,11 +74,10 @@ def test_hands_where_they_are_agree_with_their_close_ups(body, scene, seen, vert
 
 
 def test_their_loss_is_differentiated(body, scene, seen, vertices):
-    """Along a motion of all that is seen, against differences."""
+    """Moving all that is seen downhill makes it less."""
     x = (vertices + torch.tensor([0.013, 0.008, 0.0])).requires_grad_()
     (grad,) = torch.autograd.grad(loss_of(scene, x, seen, body), x)
     assert bool(grad.isfinite().all()) and float(grad.norm()) > 0
-    # |S - S'| has half the slope at the outline: see evidence.py. Only the sense is compared.
     downhill = x.detach() - 0.003 * grad.sum(0) / grad.sum(0).norm()
     assert float(loss_of(scene, downhill, seen, body)) < float(
         loss_of(scene, x.detach(), seen, body)

@@ -116,6 +116,7 @@ def _as_printed(options: SequenceOptions, steps: int, prior: float) -> SingleFra
         size=options.size,
         faces=options.faces,
         silhouette=options.silhouette,
+        height=options.height,
         step=options.step,
         largest_turn=options.largest_turn,
         steps=steps,

@@ -44,6 +44,7 @@ from gva_mi.errors import InputError
 from gva_mi.splat import Camera
 
 Convention = Literal["perspective", "icon"]
+Part = tuple[slice, slice]  # rows and columns of a picture, without steps
 
 ABOUT = "normals.json"
 SHORTEST, LONGEST = 0.2, 1.5  # lengths taken for a direction; black and white are 1.73 long
@@ -75,35 +76,50 @@ class NormalMaps:
         convention = convention or about.get("convention", "perspective")
         return NormalMaps(folder / "normals", convention, about.get("boxes"))
 
-    def read(self, index: int, camera: Camera) -> np.ndarray | None:
-        """Unit normals in camera space (H, W, 3) float32, zero where unknown; None: no file.
+    def read(
+        self, index: int, camera: Camera, part: Part = (slice(None), slice(None))
+    ) -> np.ndarray | None:
+        """Unit normals in camera space (h, w, 3) float32, zero where unknown; None: no file.
 
         Args:
             index: of the frame.
             camera: its camera, which tells the size and the rays.
+            part: the rows and columns of the frame that are wanted; all of them by default.
 
         Raises:
             InputError: the file cannot be read, or is not of the expected size.
         """
-        normals, path = self._stored(index)
-        if normals is None:
+        stored, path = self._stored(index)
+        if stored is None:
             return None
-        size = (camera.height, camera.width)
+        rows, columns = (
+            range(*wanted.indices(count))
+            for wanted, count in zip(part, (camera.height, camera.width), strict=True)
+        )
         if self.boxes is None:
-            if normals.shape != (*size, 3):
+            size = (camera.height, camera.width, 3)
+            if stored.shape != size:
                 raise InputError(
-                    f"{path}: frame {index} is {normals.shape}, expected {(*size, 3)}; maps of a "
+                    f"{path}: frame {index} is {stored.shape}, expected {size}; maps of a "
                     f"part of the frame need their 'boxes' in {ABOUT}"
                 )
+            normals = _directions(stored[part])
         else:
-            normals = _pasted(normals, self.boxes[index], size)
+            box = self.boxes[index] - (columns.start, rows.start) * 2
+            normals = _pasted(_directions(stored), box, (len(rows), len(columns)))
         if self.convention == "icon":
-            normals = _along_rays(normals * (1, -1, -1), camera)
-        length = np.linalg.norm(normals, axis=-1, keepdims=True)
-        return np.where(length > SHORTEST, normals / np.maximum(length, 1e-6), 0).astype(np.float32)
+            seen = camera.cropped(columns.start, rows.start, len(columns), len(rows))
+            normals = _along_rays(normals * (1, -1, -1), seen)
+        square = _square_lengths(normals)
+        long = square > SHORTEST**2
+        return (normals * (long / np.sqrt(np.maximum(square, 1e-12)))).astype(np.float32)
+
+    def check(self, index: int, camera: Camera) -> None:
+        """Raise what :meth:`read` would raise, without the work of reading."""
+        self.read(index, camera, (slice(0, 1), slice(0, 1)))
 
     def _stored(self, index: int) -> tuple[np.ndarray | None, Path]:
-        """The vectors of the file (h, w, 3), zero where they are no directions; and its path."""
+        """What the file holds (h, w, 3), 8-bit or floating point; and its path."""
         path = self.folder / f"{index:06d}.npy"
         if path.exists():
             normals = read_array(path)
@@ -112,14 +128,26 @@ class NormalMaps:
                     f"{path}: normals must be floating point (H, W, 3), "
                     f"got {normals.dtype} {normals.shape}"
                 )
-            normals = np.nan_to_num(normals.astype(np.float32))
-        else:
-            path = path.with_suffix(".png")
-            if not path.exists():
-                return None, path
-            normals = read_image(path, 3).astype(np.float32) / 127.5 - 1
-        length = np.linalg.norm(normals, axis=-1, keepdims=True)
-        return np.where((length > SHORTEST) & (length < LONGEST), normals, 0), path
+            return normals, path
+        path = path.with_suffix(".png")
+        return (read_image(path, 3) if path.exists() else None), path
+
+
+def _directions(stored: np.ndarray) -> np.ndarray:
+    """Stored vectors (h, w, 3) as float32, zero where they are no directions."""
+    if stored.dtype == np.uint8:
+        normals = stored.astype(np.float32)
+        normals *= 1 / 127.5
+        normals -= 1
+    else:
+        normals = np.nan_to_num(stored.astype(np.float32))
+    square = _square_lengths(normals)
+    return normals * ((square > SHORTEST**2) & (square < LONGEST**2))
+
+
+def _square_lengths(normals: np.ndarray) -> np.ndarray:
+    """Of vectors (h, w, 3), (h, w, 1)."""
+    return np.einsum("hwc,hwc->hw", normals, normals)[..., None]
 
 
 def to_icon(normals: np.ndarray, camera: Camera) -> np.ndarray:

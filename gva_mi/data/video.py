@@ -24,7 +24,7 @@ Everything is checked when it is opened, once, so that a step never stops half-w
 from __future__ import annotations
 
 import json
-from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -33,7 +33,7 @@ import numpy as np
 
 from gva_mi.body.pose import Pose, Shape, load_poses
 from gva_mi.data.masks import read_mask
-from gva_mi.data.normals import Convention, NormalMaps
+from gva_mi.data.normals import Convention, NormalMaps, Part
 from gva_mi.data.pictures import read_image, read_movie
 from gva_mi.errors import InputError
 from gva_mi.files import read_arrays, require_keys, write_arrays
@@ -59,6 +59,17 @@ class Frame:
         """The person alone on a plain background, (H, W, 3)."""
         mask = self.mask[..., None]
         return self.image * mask + color * (1 - mask)
+
+
+@dataclass(frozen=True)
+class Outline:
+    """What is known about a frame without its picture, which takes longest to read."""
+
+    index: int
+    mask: np.ndarray  # (H, W) float32 in [0, 1]
+    normals: Callable[[Part], np.ndarray | None]  # of a part of the frame, otherwise as in Frame
+    camera: Camera
+    pose: Pose  # of one frame
 
 
 @dataclass(frozen=True)
@@ -107,14 +118,27 @@ class Video:
         else:
             image = read_image(_picture(self.folder / "frames", index), 3)
         mask = read_mask(self.folder / "masks", index)
-        normals = self.normals.read(index, camera) if self.normals else None
-        if normals is not None:
-            normals = normals * (mask > 0.5)[..., None]
+        normals = self._normals_of(index, mask)((slice(None), slice(None)))
         return Frame(index, image.astype(np.float32) / 255, mask, normals, camera, pose)
 
     def frames(self, indices: Iterable[int] | None = None) -> Iterator[Frame]:
         """The frames of some indices, or all of them, one by one."""
         return (self[k] for k in (range(len(self)) if indices is None else indices))
+
+    def outlines(self, indices: Iterable[int]) -> Iterator[Outline]:
+        """Some of the frames without their pictures, one by one; none of them may be absent."""
+        for k in indices:
+            mask = read_mask(self.folder / "masks", k)
+            yield Outline(k, mask, self._normals_of(k, mask), self.cameras[k], self.pose[k])
+
+    def _normals_of(self, index: int, mask: np.ndarray) -> Callable[[Part], np.ndarray | None]:
+        """The normals of a frame inside its mask, once somebody asks for a part of them."""
+
+        def normals(part: Part) -> np.ndarray | None:
+            found = self.normals.read(index, self.cameras[index], part) if self.normals else None
+            return None if found is None else found * (mask[part] > 0.5)[..., None]
+
+        return normals
 
     @property
     def size(self) -> tuple[int, int]:
@@ -184,7 +208,7 @@ def load_video(
         if (reason := _why_absent(folder / "masks", k, cameras[k])) is not None:
             absent[k] = reason
         elif maps is not None:
-            maps.read(k, cameras[k])
+            maps.check(k, cameras[k])
     if len(absent) == count:
         raise InputError(f"{folder}: no frame can be used; frame 0: {absent[0]}")
     splits = load_splits(folder, count).without(absent)

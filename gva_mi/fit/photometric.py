@@ -125,7 +125,7 @@ def fit_poses(
         return PictureAndMask.of(frame, resting(frame.pose).means.double().numpy())
 
     with one_torch_thread():
-        seen, kept = gather(video, wanted, look)
+        seen, kept = gather(wanted, video.absent, video.frames, look)
         pose = _fit_clips(resting, video.pose, seen, options, progress)
         before, after = (_losses(resting, p, seen, options) for p in (video.pose, pose))
     worse = worse_frames(seen, before, after, digits=4)

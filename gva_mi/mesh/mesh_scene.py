@@ -7,6 +7,7 @@ boundary.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,7 +15,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import FunctionCtx
 
-from gva_mi.mesh.sensor import pixel_aspect, sensor_of
+from gva_mi.mesh.sensor import pixel_aspect, sensor_of, tile_of
 from gva_mi.splat import Camera
 
 if TYPE_CHECKING:
@@ -57,18 +58,38 @@ class MeshScene:
         Returns:
             (H, W, 4), zero where the mesh is not seen; differentiable in the vertices.
         """
+        return self.render_together(vertices, [camera])[0]
+
+    def render_together(self, vertices: Tensor, cameras: Sequence[Camera]) -> list[Tensor]:
+        """The same of several crops of one picture, for little more than one costs.
+
+        Args:
+            vertices: (V, 3) float32, world, metres.
+            cameras: the first sees all of the picture that counts, the others parts of it, each at
+                a resolution of its own; what they see beyond the first's picture has no gradient.
+
+        Returns:
+            (H, W, 4) of each camera.
+
+        Raises:
+            ValueError: cameras that are no crops of one picture.
+        """
         if vertices.shape != (self.vertex_count, 3) or vertices.dtype != torch.float32:
             raise ValueError(
                 f"MeshScene.render(): vertices must be ({self.vertex_count}, 3) float32, "
                 f"got {tuple(vertices.shape)} {vertices.dtype}"
             )
-        return _RenderNormals.apply(vertices, self, camera)
+        pixels = _RenderNormals.apply(vertices, self, tuple(cameras))
+        counts = [camera.width * camera.height for camera in cameras]
+        shapes = [(camera.height, camera.width, pixels.shape[-1]) for camera in cameras]
+        return [x.view(shape) for x, shape in zip(pixels.split(counts), shapes, strict=True)]
 
-    def view(self, vertices: Tensor, camera: Camera) -> MeshView:
-        """The plugin's view of the mesh with these vertices."""
+    def view(self, vertices: Tensor, camera: Camera, *others: Camera) -> MeshView:
+        """The plugin's view of the mesh with these vertices, in tiles where there are others."""
         self.show(vertices)
         integrator, sensor = self._sensor(camera)
-        return integrator.view(self._scene, sensor)
+        tiles = [tile_of(other, camera) for other in (camera, *others)] if others else ()
+        return integrator.view(self._scene, sensor, tiles=tiles)
 
     def show(self, vertices: Tensor) -> None:
         """Move the mesh to these vertices (V, 3), unless they are the ones it has.
@@ -126,20 +147,26 @@ def scene_of(faces: Tensor, vertices: Tensor) -> mi.Scene:
 
 
 class _RenderNormals(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: FunctionCtx, vertices: Tensor, scene: MeshScene, camera: Camera) -> Tensor:
-        shown = vertices.detach().contiguous()
-        ctx.scene, ctx.shown = scene, shown
-        ctx.view = scene.view(shown, camera)
-        return _to_torch(ctx.view.image())
+    """The pixels (N, 4) of all cameras."""
 
     @staticmethod
-    def backward(ctx: FunctionCtx, grad_image: Tensor) -> tuple[Tensor, None, None]:
+    def forward(
+        ctx: FunctionCtx, vertices: Tensor, scene: MeshScene, cameras: tuple[Camera, ...]
+    ) -> Tensor:
+        shown = vertices.detach().contiguous()
+        ctx.scene, ctx.shown = scene, shown
+        ctx.view = scene.view(shown, *cameras)
+        image = ctx.view.image()
+        ctx.shape = image.shape
+        return _to_torch(image).flatten(0, 1)
+
+    @staticmethod
+    def backward(ctx: FunctionCtx, grad_pixels: Tensor) -> tuple[Tensor, None, None]:
         import drjit as dr
         import mitsuba as mi
 
         ctx.scene.show(ctx.shown)  # another pose may have been rendered in between
-        grad = ctx.view.adjoint(mi.TensorXf(grad_image.contiguous()))
+        grad = ctx.view.adjoint(mi.TensorXf(grad_pixels.contiguous().view(ctx.shape)))
         return _to_torch(dr.ravel(grad)).view(-1, 3), None, None
 
 

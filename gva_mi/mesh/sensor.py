@@ -4,7 +4,9 @@
    ``to_world = T_camera_world^{-1} · diag(-1, -1, 1, 1)``,
 2. field of view in x: ``2 atan(W / (2 fx))``, in degrees,
 3. principal point: offsets ``(W / 2 - cx) / W`` and ``(H / 2 - cy) / H``,
-4. ``fy / fx`` is left to the ``pixel_aspect`` of ``mesh_normals``: Mitsuba's pixels are square.
+4. a crop of its picture on a grid with ``r`` times the focal length is a tile of the view: its
+   corner lies at ``c - c_tile / r``,
+5. ``fy / fx`` is left to the ``pixel_aspect`` of ``mesh_normals``: Mitsuba's pixels are square.
 
 Mitsuba keeps the angle as a float32 number of degrees and turns it back into a focal length. That
 costs a rounding or two, as much as float32 does anyway. Were K handed over instead, pictures would
@@ -13,11 +15,14 @@ change in their last bits.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gva_mi.splat import Camera
+
+if TYPE_CHECKING:
+    from gva_mi_plugins.mesh_normals.mosaic import Tile
 
 NEAR, FAR = 0.01, 1000.0  # metres
 
@@ -56,5 +61,21 @@ def sensor_of(camera: Camera) -> dict[str, Any]:
 
 
 def pixel_aspect(camera: Camera) -> float:
-    """Width of a pixel over its height (eq. 4)."""
+    """Width of a pixel over its height (eq. 5)."""
     return camera.fy / camera.fx
+
+
+def tile_of(crop: Camera, whole: Camera) -> Tile:
+    """The tile of a view that another camera sees (eq. 4).
+
+    Raises:
+        ValueError: that camera stands elsewhere, or its lens has other proportions.
+    """
+    from gva_mi_plugins.mesh_normals.mosaic import Tile
+
+    same = np.array_equal(crop.T_camera_world, whole.T_camera_world) and crop.model == whole.model
+    if not same or not np.isclose(pixel_aspect(crop), pixel_aspect(whole), rtol=1e-9):
+        raise ValueError("tile_of(): the cameras must see crops of one picture")
+    scale = crop.fx / whole.fx
+    left, top = whole.cx - crop.cx / scale, whole.cy - crop.cy / scale
+    return Tile(float(left), float(top), float(scale), crop.width, crop.height)

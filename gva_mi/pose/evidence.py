@@ -23,7 +23,7 @@ pixel. The factor is also in the outline's part of eq. 2, where normals end at t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -32,19 +32,28 @@ import torch
 from torch import Tensor
 from torch.autograd.function import FunctionCtx
 
-from gva_mi.data.video import Frame, Video
+from gva_mi.data.video import Frame, Outline, Video
 from gva_mi.mesh.mesh_scene import MeshScene
-from gva_mi.pose.crop import NoEvidence, person_box
+from gva_mi.pose.crop import (
+    Crop,
+    Extent,
+    NoEvidence,
+    mask_extent,
+    person_extent,
+    points_extent,
+)
 from gva_mi.splat import Camera
 
 MARGIN = 0.15  # of the box around the person, added on each side
+SHOWN = "its stage-1 body"
 
+Read = TypeVar("Read", Frame, Outline)
 Seen = TypeVar("Seen")
 
 
 @dataclass(frozen=True)
 class MaskAndNormals:
-    """The evidence of one frame, shrunk and cut to the person's surroundings."""
+    """The evidence of one frame, cut to the person's surroundings and shrunk."""
 
     camera: Camera  # of the part that was cut out
     mask: Tensor  # (H, W) in [0, 1]
@@ -52,32 +61,29 @@ class MaskAndNormals:
     area: float  # of the person, pixels
 
     @staticmethod
-    def of(frame: Frame, size: int, points: Tensor) -> MaskAndNormals:
-        """Shrink a frame and cut it to a box around its mask and the body's stage-1 vertices.
+    def of(outline: Outline, scale: float, points: Tensor) -> MaskAndNormals:
+        """Cut a frame to a box around its mask and the body's stage-1 vertices, and shrink it.
 
         Args:
-            frame: as the video gives it.
-            size: pixels of the frame's longer side after shrinking; a smaller frame stays as it is.
+            outline: of the frame, as the video gives it.
+            scale: pixels of the result for one of the video, at most 1; see :func:`common_scale`.
             points: (V, 3) world, the body in its stage-1 pose.
 
         Raises:
             NoEvidence: the mask is empty, or the body is not seen by the camera.
         """
-        height, width = frame.mask.shape
-        scale = min(1.0, size / max(height, width))
-        shape = (max(1, round(height * scale)), max(1, round(width * scale)))
-        camera = frame.camera.resized(shape[1], shape[0])
-        mask = _shrink(frame.mask[..., None], shape)[..., 0]
-        corners = points.numpy().astype(np.float64)
-        box = person_box(mask.numpy(), camera, corners, MARGIN, "its stage-1 body")
-        normals = None
-        if frame.normals is not None:
+        camera, corners = outline.camera, points.numpy().astype(np.float64)
+        extent = person_extent(outline.mask, camera, corners, SHOWN)
+        crop = Crop.around(extent, camera, scale, MARGIN)
+        part = crop.cover(*outline.mask.shape)
+        mask = crop.shrink(outline.mask[part], part)
+        normals = outline.normals(part)
+        if normals is not None:
             # Means of unit vectors are shorter than 1: they are made unit again, and left out
             # where the mask covers less than half of the pixel.
-            normals = torch.nn.functional.normalize(_shrink(frame.normals, shape), dim=-1)
-            normals = box.cut(normals * (mask > 0.5)[..., None]).contiguous()
-        area = float(mask.sum())
-        return MaskAndNormals(box.cut_camera(camera), box.cut(mask).contiguous(), normals, area)
+            normals = torch.nn.functional.normalize(crop.shrink(normals, part), dim=-1)
+            normals = normals * (mask > 0.5)[..., None]
+        return MaskAndNormals(crop.cut_camera(camera), mask, normals, float(mask.sum()))
 
     def loss(self, image: Tensor, silhouette: float) -> Tensor:
         """Eq. 1, the data term of Eq. 8, of a rendering (H, W, 4) of normals and mask.
@@ -102,19 +108,50 @@ class MaskAndNormals:
         return (image[..., 3] - self.mask).abs().sum() / self.area
 
 
-def gather(
-    video: Video, frames: Iterable[int], look: Callable[[Frame], Seen]
-) -> tuple[dict[int, Seen], dict[int, str]]:
-    """Evidence of those frames that say something, and reasons for those that do not.
+def common_scale(
+    video: Video, frames: Iterable[int], size: int, body_at: Callable[[Outline], Tensor]
+) -> float:
+    """The scale at which all frames of a video are compared, at most 1.
+
+    It is the same for all of them, so that a pixel, and with it a weight, means the same in each:
+    the largest person among the frames gets the size that is asked for. How large a person is, the
+    mask and the stage-1 body both say; the smaller one is believed, for a mask may have grains far
+    from the person, and a body may stand too close.
 
     Args:
         video: whose frames.
         frames: numbers of the frames that are looked at.
-        look: makes the evidence of a frame, or raises :class:`NoEvidence`.
+        size: pixels of the longer side of the largest person.
+        body_at: the vertices (V, 3) of the body in a frame's stage-1 pose, world, metres.
+    """
+
+    def look(outline: Outline) -> float:
+        camera = outline.camera
+        body = points_extent(body_at(outline).double().numpy(), camera, SHOWN)
+        low, high = (np.clip(x, 0, (camera.width, camera.height)) for x in (body.low, body.high))
+        return min(Extent(low, high).longer, mask_extent(outline.mask).longer)
+
+    found = gather(frames, video.absent, video.outlines, look)[0]
+    return min(1.0, size / max(found.values(), default=size))
+
+
+def gather(
+    frames: Iterable[int],
+    absent: Mapping[int, str],
+    read: Callable[[Iterable[int]], Iterable[Read]],
+    look: Callable[[Read], Seen],
+) -> tuple[dict[int, Seen], dict[int, str]]:
+    """Evidence of those frames that say something, and reasons for those that do not.
+
+    Args:
+        frames: numbers of the frames that are looked at.
+        absent: frames that cannot be read, and why.
+        read: reads frames by their numbers, such as :meth:`gva_mi.data.video.Video.outlines`.
+        look: makes the evidence of what was read, or raises :class:`NoEvidence`.
     """
     wanted, found = list(frames), {}
-    reasons = {k: video.absent[k] for k in wanted if k in video.absent}
-    for frame in video.frames(k for k in wanted if k not in video.absent):
+    reasons = {k: absent[k] for k in wanted if k in absent}
+    for frame in read(k for k in wanted if k not in absent):
         try:
             found[frame.index] = look(frame)
         except NoEvidence as reason:
@@ -123,20 +160,33 @@ def gather(
 
 
 def mean_loss(
-    scene: MeshScene, vertices: Tensor, seen: Sequence[MaskAndNormals], silhouette: float
+    scene: MeshScene,
+    vertices: Tensor,
+    seen: Sequence[MaskAndNormals],
+    silhouette: float,
+    closer: Sequence[Sequence[MaskAndNormals]] = (),
+    close_up: float = 0.0,
 ) -> Tensor:
-    """Mean of eq. 1 over frames, differentiable in the vertices.
+    """Mean over frames of eq. 1, and of eq. 1 of close-ups, differentiable in the vertices.
 
     The gradient is computed along with the loss, while the scene shows each body: moving the mesh
-    a second time for it would cost more than anything else in a step.
+    a second time for it would cost more than anything else in a step. Close-ups are seen together
+    with the whole person, for the same reason.
 
     Args:
         scene: where the bodies are rendered.
         vertices: (B, V, 3) world, metres: the body in each frame's pose.
         seen: the evidence of the same B frames.
         silhouette: λ1.
+        closer: close-ups of the same B frames, crops of their pictures; nothing: there are none.
+        close_up: weight of each close-up, where that of the person is 1.
     """
-    return _MeanLoss.apply(vertices, scene, seen, silhouette)
+    closer = closer or [()] * len(seen)
+    frames = [
+        ((1.0, whole), *((close_up, part) for part in parts))
+        for whole, parts in zip(seen, closer, strict=True)
+    ]
+    return _MeanLoss.apply(vertices, scene, frames, silhouette)
 
 
 class _MeanLoss(torch.autograd.Function):
@@ -145,28 +195,24 @@ class _MeanLoss(torch.autograd.Function):
         ctx: FunctionCtx,
         vertices: Tensor,
         scene: MeshScene,
-        seen: Sequence[MaskAndNormals],
+        frames: Sequence[Sequence[tuple[float, MaskAndNormals]]],
         silhouette: float,
     ) -> Tensor:
         losses, gradients = [], []
-        for body, evidence in zip(vertices.detach().unbind(), seen, strict=True):
+        for body, views in zip(vertices.detach().unbind(), frames, strict=True):
             with torch.enable_grad():
                 body = body.contiguous().requires_grad_()
-                loss = evidence.loss(scene.render(body, evidence.camera), silhouette)
+                images = scene.render_together(body, [seen.camera for _, seen in views])
+                loss = sum(
+                    weight * seen.loss(image, silhouette)
+                    for (weight, seen), image in zip(views, images, strict=True)
+                )
                 gradients += torch.autograd.grad(loss, [body])
             losses.append(float(loss.detach()))
-        ctx.save_for_backward(torch.stack(gradients) / len(seen))
-        return vertices.new_tensor(sum(losses) / len(seen))
+        ctx.save_for_backward(torch.stack(gradients) / len(frames))
+        return vertices.new_tensor(sum(losses) / len(frames))
 
     @staticmethod
     def backward(ctx: FunctionCtx, grad_loss: Tensor) -> tuple[Tensor, None, None, None]:
         (gradient,) = ctx.saved_tensors
         return grad_loss * gradient, None, None, None
-
-
-def _shrink(image: np.ndarray, shape: tuple[int, int]) -> Tensor:
-    """Means over areas: (H, W, C) float32 to ``shape``."""
-    stacked = torch.from_numpy(np.ascontiguousarray(image)).permute(2, 0, 1)[None]
-    if stacked.shape[2:] == shape:
-        return stacked[0].permute(1, 2, 0)
-    return torch.nn.functional.interpolate(stacked, size=shape, mode="area")[0].permute(1, 2, 0)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import torch
@@ -20,7 +20,9 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.console import Progress
 from gva_mi.errors import require_at_least
 from gva_mi.mesh.mesh_scene import MeshScene
+from gva_mi.pose.close_ups import FinePicture
 from gva_mi.pose.evidence import MaskAndNormals
+from gva_mi.pose.stature import require_height
 
 FEWEST_FACES = 500  # a body of fewer has no hands left
 
@@ -42,14 +44,22 @@ class RefineOptions(ABC):
     (:mod:`gva_mi.pose.evidence`).
     """
 
-    size: int = 256  # pixels of the longer side of the pictures that are compared
+    size: int = 208  # pixels of the person's longer side in the pictures that are compared
     faces: int = 6000  # triangles of the body that is compared with them
     silhouette: float = 5.0  # λ1
+    height: float | None = None  # metres, of the person, where somebody measured it
 
     name: ClassVar[str]  # of the way, on the command line and in records
 
     def __post_init__(self) -> None:
         require_at_least("refine", self, size=1, faces=FEWEST_FACES)
+        if self.height is not None:
+            require_height(self.height)
+
+    @property
+    def close_up_size(self) -> int:
+        """Pixels of a hand in close-ups (:mod:`gva_mi.pose.close_ups`); 0: there are none."""
+        return 0
 
     @property
     @abstractmethod
@@ -92,6 +102,7 @@ class Job:
     shape: Shape
     options: RefineOptions
     known: Solution | None = None  # of the first round: what all frames share is taken from it
+    fine: dict[int, FinePicture] = field(default_factory=dict)  # for close-ups, of frames as above
 
     @property
     def steps(self) -> int:

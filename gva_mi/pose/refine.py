@@ -35,14 +35,16 @@ from torch import Tensor
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.console import Progress, within
-from gva_mi.data.video import Frame, Video
+from gva_mi.data.video import Outline, Video
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.clips import join, of_clip, poses_of_clip
+from gva_mi.pose.close_ups import FinePicture, close_up_scale
 from gva_mi.pose.coarse_body import CoarseBody
 from gva_mi.pose.descent import with_frames, worse_frames
-from gva_mi.pose.evidence import MaskAndNormals, gather
+from gva_mi.pose.evidence import MaskAndNormals, common_scale, gather
 from gva_mi.pose.job import Job, RefineOptions, Solution
 from gva_mi.pose.parallel import Done, run
+from gva_mi.pose.stature import with_height
 from gva_mi.splat import Camera
 from gva_mi.threads import one_torch_thread
 
@@ -131,10 +133,11 @@ class _SeenVideo:
     """A video whose frames have been looked at, on its way through the two rounds."""
 
     coarse: CoarseBody
-    pose: Pose  # stage 1
+    pose: Pose  # stage 1, brought to the person's height where it is known
     shape: Shape
     options: RefineOptions
     evidence: dict[int, MaskAndNormals]
+    pictures: dict[int, FinePicture]  # of the frames that have evidence, where there are close-ups
     kept: dict[int, str]  # frames without evidence, and why
     seconds: float  # of looking
 
@@ -143,15 +146,26 @@ class _SeenVideo:
         """Look at all frames."""
         begin = time.perf_counter()
 
-        def look(frame: Frame) -> MaskAndNormals:
-            vertices = coarse.body(frame.pose, video.shape).vertices[0]
-            return MaskAndNormals.of(frame, options.size, vertices)
+        def body_at(outline: Outline) -> Tensor:
+            return coarse.body(outline.pose, video.shape).vertices[0]
 
+        def look(outline: Outline) -> tuple[MaskAndNormals, FinePicture | None]:
+            points = body_at(outline)
+            picture = None if fine is None else FinePicture.of(outline, fine, points)
+            return MaskAndNormals.of(outline, scale, points), picture
+
+        frames = range(len(video))
         with one_torch_thread(), torch.no_grad():
-            evidence, kept = gather(video, range(len(video)), look)
+            scale = common_scale(video, frames, options.size, body_at)
+            fine = _fine_scale(video, coarse.body, options, scale)
+            seen, kept = gather(frames, video.absent, video.outlines, look)
+        evidence = {k: whole for k, (whole, _) in seen.items()}
+        pictures = {k: picture for k, (_, picture) in seen.items() if picture is not None}
         pose, shape = video.pose.to(torch.float32), Shape(video.shape.betas.to(torch.float32))
+        if options.height is not None:
+            pose, shape = with_height(coarse.body, pose, shape, video.cameras, options.height)
         seconds = time.perf_counter() - begin
-        return _SeenVideo(coarse, pose, shape, options, evidence, kept, seconds)
+        return _SeenVideo(coarse, pose, shape, options, evidence, pictures, kept, seconds)
 
     @property
     def clips(self) -> list[range]:
@@ -169,7 +183,8 @@ class _SeenVideo:
         evidence = {k: self.evidence[k] for k in frames}
         if not evidence:
             return None
-        return Job(evidence, self.coarse.body, self.pose, self.shape, self.options)
+        pictures = {k: self.pictures[k] for k in frames if k in self.pictures}
+        return Job(evidence, self.coarse.body, self.pose, self.shape, self.options, fine=pictures)
 
     def clip_jobs(self, known: Done[Solution] | None) -> list[Job]:
         """The clips' jobs, once the first round is done."""
@@ -182,6 +197,7 @@ class _SeenVideo:
                 self.shape,
                 self.options,
                 shared,
+                of_clip(clip, self.pictures),
             )
             for clip in self.clips
         ]
@@ -218,3 +234,13 @@ class _SeenVideo:
                 image = scene.render(vertices, seen.camera)
                 losses[k] = seen.loss(image, self.options.silhouette)
         return losses
+
+
+def _fine_scale(
+    video: Video, body: BodyModel, options: RefineOptions, scale: float
+) -> float | None:
+    """The scale of the pictures that close-ups are cut from; None where there are none."""
+    if options.close_up_size == 0:
+        return None
+    size = options.close_up_size
+    return close_up_scale(body, video.pose, video.shape, video.cameras, scale, size)

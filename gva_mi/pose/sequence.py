@@ -25,19 +25,24 @@ from gva_mi.body.pose import Pose, Shape
 from gva_mi.console import Progress
 from gva_mi.errors import require_at_least
 from gva_mi.pose.clips import cut, skim
+from gva_mi.pose.close_ups import CloseUps
 from gva_mi.pose.descent import DescentOptions, descend
 from gva_mi.pose.displacement import Displacement
 from gva_mi.pose.evidence import mean_loss
 from gva_mi.pose.job import Job, RefineOptions, Solution
 from gva_mi.pose.priors import lever_arms
+from gva_mi.pose.stature import Stature
 
 STEPS_A_PASS = 16  # at least, where the video has so many frames
+HOLD_HEIGHT = 1e3  # for one square metre between the body's height and the person's
 
 
 @dataclass(frozen=True)
 class SequenceOptions(DescentOptions, RefineOptions):
     """How all frames of a video are refined together."""
 
+    close_ups: float = 0.0  # of each hand and foot, where the loss of the whole person counts 1
+    hand_size: int = 44  # pixels of a hand's length in them, where the video has as many
     passes: int = 50  # how often every frame is visited
     batch: int = 4  # frames of a step, at most
     learn: int = 16  # the first of them, after which it is inferred how stage 1 errs
@@ -63,7 +68,11 @@ class SequenceOptions(DescentOptions, RefineOptions):
     def __post_init__(self) -> None:
         RefineOptions.__post_init__(self)
         DescentOptions.__post_init__(self)
-        require_at_least(self.command, self, skim=1)
+        require_at_least(self.command, self, skim=1, close_ups=0, hand_size=1)
+
+    @property
+    def close_up_size(self) -> int:
+        return self.hand_size if self.close_ups > 0 else 0
 
     @property
     def description(self) -> str:
@@ -118,6 +127,7 @@ class ClothedPerson:
     def __init__(self, job: Job, options: SequenceOptions) -> None:
         rest = job.body.rest(job.shape)
         self._job, self._options, self._scene = job, options, job.scene()
+        self._close_ups, self._stature = CloseUps(job.fine, job.body), Stature.of(job.body)
         self._cloth = Displacement(rest.vertices, job.body.faces, job.body.weights)
         self._betas = job.shape.betas.clone()[:, None].requires_grad_()  # (B, 1): B vectors of one
         if job.known is None:
@@ -143,11 +153,17 @@ class ClothedPerson:
         """The data term in these poses, a mean over their frames."""
         vertices = self._job.body(pose, self.shape, self.offsets).vertices
         seen = [self._job.evidence[k] for k in frames]
-        return mean_loss(self._scene, vertices, seen, self._options.silhouette)
+        bodies = zip(frames, vertices.detach(), seen, strict=True)
+        closer = [self._close_ups.of(*body) for body in bodies]
+        o = self._options
+        return mean_loss(self._scene, vertices, seen, o.silhouette, closer, o.close_ups)
 
     def energy(self) -> Tensor:
         """``E(D) + λβ |β - β^stage1|²``."""
         o = self._options
         moved = (self.shape.betas - self._job.shape.betas).square().sum()
         cloth = self._cloth.energy(self.offsets, o.cloth_smooth, o.cloth_small, o.cloth_outward)
-        return o.betas_prior * moved + cloth
+        energy = o.betas_prior * moved + cloth
+        if o.height is not None:
+            energy = energy + HOLD_HEIGHT * self._stature.energy(self.shape, o.height)
+        return energy

@@ -7,7 +7,7 @@ The files, in the order in which they build on one another:
 * ``surface.py``: shading normals and depths from positions;
 * ``projection.py``: from a sensor to pixels and back;
 * ``channels.py``: what an image holds;
-* ``pixel_filter.py``: from samples to pixels;
+* ``pixel_filter.py``: from samples to pixels; ``mosaic.py``: to those of several pictures;
 * ``rays.py``: what rays meet and see there;
 * ``interior.py``, ``contours.py``, ``intersections.py`` (by ``triangle_cuts.py``): the three terms
   of the derivative;

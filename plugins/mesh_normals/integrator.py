@@ -39,10 +39,13 @@ Note:
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import drjit as dr
 import mitsuba as mi
 from gva_mi_plugins.mesh_normals.channels import Channels
 from gva_mi_plugins.mesh_normals.mesh_view import MeshView
+from gva_mi_plugins.mesh_normals.mosaic import Mosaic, Tile
 from gva_mi_plugins.mesh_normals.pixel_filter import PixelFilter
 from gva_mi_plugins.mesh_normals.projection import Projection
 from gva_mi_plugins.mesh_normals.rays import RayCaster
@@ -66,8 +69,18 @@ class MeshNormals(mi.ad.integrators.common.ADIntegrator):
                 raise ValueError(f"mesh_normals: {name} must be positive")
         self._topology: tuple[list[mi.UInt32], Topology] | None = None
 
-    def view(self, scene: mi.Scene, sensor: mi.Sensor, spp: int = 1) -> MeshView:
+    def view(
+        self, scene: mi.Scene, sensor: mi.Sensor, spp: int = 1, tiles: Sequence[Tile] = ()
+    ) -> MeshView:
         """What a sensor sees: the image and its derivatives, without automatic differentiation.
+
+        Args:
+            scene: its meshes.
+            sensor: the view.
+            spp: rays for a pixel.
+            tiles: parts of the view that are shown in place of it, at one ray for a pixel; the
+                image then has one row, with the pixels of one tile after the other, and edges have
+                as many samples as in a picture of the finest.
 
         Raises:
             ValueError: a shape that is no mesh, or a sensor or a film that cannot be used.
@@ -80,9 +93,11 @@ class MeshNormals(mi.ad.integrators.common.ADIntegrator):
             positions = _joined([dr.unravel(mi.Vector3f, x) for x in buffers])
             surface = Surface.of(self._topology_of(meshes), positions)
             projection = Projection.of(sensor, self.pixel_aspect)
-            filter = PixelFilter.of(sensor.film(), spp)
+            film = sensor.film()
+            filter = Mosaic.of(tiles, film) if tiles else PixelFilter.of(film, spp)
             caster = RayCaster(scene, surface, projection, self.channels)
-            return MeshView.of(caster, filter, self.edge_density, self.piercing)
+            density = self.edge_density * max((tile.scale for tile in tiles), default=1.0)
+            return MeshView.of(caster, filter, density, self.piercing)
 
     def render(
         self,

@@ -41,6 +41,7 @@ class Interior:
     ray: mi.Ray3f  # (R + S,) through all samples
     face: mi.UInt32  # (R + S,)
     weight: mi.Float  # (R + S,) eq. 3; that of the image's rays times spp, which the filter divides
+    crowd: mi.Float  # (S,) 1 / A, of the samples on triangles
 
     @staticmethod
     def of(caster: RayCaster, filter: PixelFilter, seen: RayHits) -> Interior | None:
@@ -65,10 +66,11 @@ class Interior:
         c = dr.gather(mi.Vector3f, surface.face_normals, faces)
         vertex = dr.gather(mi.UInt32, surface.topology.vertices[0], faces)
         corner = dr.gather(mi.Vector3f, surface.positions, vertex)
-        weight = dr.rcp(filter.spp + 2 * projection.density(c, corner, ray))
-        of_image = dr.arange(mi.UInt32, dr.width(faces)) < dr.opaque(mi.UInt32, dr.width(rays))
-        weight = dr.select(of_image, filter.spp * weight, weight)
-        return Interior(caster, filter, rays, q, ray, faces, weight)
+        crowd = 2 * projection.density(c, corner, ray)
+        weight = filter.balance(crowd, rays)
+        on_faces = dr.arange(mi.UInt32, dr.width(q)) + dr.opaque(mi.UInt32, dr.width(rays))
+        crowd = dr.gather(mi.Float, crowd, on_faces)
+        return Interior(caster, filter, rays, q, ray, faces, weight, crowd)
 
     def tangent(self, d_positions: mi.Vector3f) -> list[mi.Float]:
         """Eq. 1 forward: how pixels change as the positions (V,) move, for each channel (H W,)."""
@@ -92,14 +94,14 @@ class Interior:
         image = [mi.Float(x) for x in filter.develop(samples)]
         dr.eval(image)
         if dr.width(self.q) > 0:
-            filter.deposit(image, of_face, self.q)
+            filter.deposit(image, of_face, self.q, self.crowd)
         return image
 
     def adjoint(self, grads: list[mi.Float]) -> mi.Vector3f:
         """Eq. 1 backward: from the gradients by pixels (H W,) to that by the positions (V,)."""
         by_sample = self.filter.spread(grads, self.rays)
         if dr.width(self.q) > 0:
-            on_faces = self.filter.spread_to(grads, self.q)
+            on_faces = self.filter.spread_to(grads, self.q, self.crowd)
             by_sample = [concat(x, y) for x, y in zip(by_sample, on_faces, strict=True)]
         by_sample = [self.weight * x for x in by_sample]
         surface, camera_world = self.caster.surface, self.caster.projection.camera_world

@@ -81,8 +81,8 @@ class PixelFilter:
             rays = dr.arange(mi.UInt32, self.width * self.height * self.spp)
         pixel = rays // self.spp
         k = mi.Float(rays - pixel * self.spp)
-        y = pixel // self.width
-        x = pixel - y * self.width
+        y = pixel // self._columns
+        x = pixel - y * self._columns
         shift_y = 0.5 + k * GOLDEN
         return mi.Point2f(x + (k + 0.5) / self.spp, y + shift_y - dr.floor(shift_y))
 
@@ -103,19 +103,48 @@ class PixelFilter:
         dr.eval(grads)
         return self._gather_adjoint(grads, rays)
 
-    def spread_to(self, grads: list[mi.Float], q: mi.Point2f) -> list[mi.Float]:
-        """Eq. 4 backward: from gradients by pixels (H W,) to those by what edges carry (S,)."""
+    def balance(self, crowd: mi.Float, rays: mi.UInt32) -> mi.Float:
+        """Weights of two sets of samples (R + S,): of rays, and of points of another density.
+
+        Args:
+            crowd: (R + S,) points for a pixel's area.
+            rays: (R,) which of the image's rays the first samples are.
+
+        Returns:
+            One over the density of both sets; that of the rays times ``spp``, by which
+            :meth:`develop` and :meth:`spread` divide.
+        """
+        weight = dr.rcp(self.spp + crowd)
+        of_image = dr.arange(mi.UInt32, dr.width(crowd)) < dr.opaque(mi.UInt32, dr.width(rays))
+        return dr.select(of_image, self.spp * weight, weight)
+
+    def spread_to(
+        self, grads: list[mi.Float], q: mi.Point2f, crowd: mi.Float | None = None
+    ) -> list[mi.Float]:
+        """Eq. 4 backward: from gradients by pixels (H W,) to those by what points carry (S,).
+
+        Args:
+            grads: of each channel.
+            q: the points, of edges or of triangles.
+            crowd: of those of triangles, as in :meth:`balance`.
+        """
         total = [mi.Float(0)] * len(grads)
-        for pixel, weight, valid in self._around(q):
+        for pixel, weight, valid in self._around(q, crowd):
             total = [
                 x + weight * dr.gather(mi.Float, grad, pixel, valid)
                 for x, grad in zip(total, grads, strict=True)
             ]
         return total
 
-    def deposit(self, image: list[mi.Float], values: list[mi.Float], q: mi.Point2f) -> None:
-        """Eq. 4 forward: add what edges carry (S,) to pixels (H W,)."""
-        for pixel, weight, valid in self._around(q):
+    def deposit(
+        self,
+        image: list[mi.Float],
+        values: list[mi.Float],
+        q: mi.Point2f,
+        crowd: mi.Float | None = None,
+    ) -> None:
+        """Eq. 4 forward: add what points carry (S,) to pixels (H W,)."""
+        for pixel, weight, valid in self._around(q, crowd):
             carried = [dr.select(valid, weight * value, 0) for value in values]
             pixel = dr.select(valid, pixel, 0)
             dr.eval(carried, pixel)
@@ -124,11 +153,13 @@ class PixelFilter:
                 dr.scatter_add(channel, value, pixels, mode=dr.ReduceMode.NoConflicts)
             dr.eval(image)
 
-    def _around(self, q: mi.Point2f) -> Iterator[tuple[mi.UInt32, mi.Float, mi.Bool]]:
+    def _around(
+        self, q: mi.Point2f, crowd: mi.Float | None
+    ) -> Iterator[tuple[mi.UInt32, mi.Float, mi.Bool]]:
         """Pixels that a point on the image adds to, with ``f(q - c_p) / M_p``."""
         x, y = mi.Int32(q.x), mi.Int32(q.y)
         if self.steps == 0:
-            yield mi.UInt32(y * self.width + x), mi.Float(1), mi.Bool(True)
+            yield mi.UInt32(y) * self._columns + mi.UInt32(x), mi.Float(1), mi.Bool(True)
             return
         reach = range(-self.steps, self.steps + 1)
         for py, px in ((y + dy, x + dx) for dy in reach for dx in reach):
@@ -148,6 +179,11 @@ class PixelFilter:
         pixel = rays // self.spp
         place = rays - pixel * self.spp
         return _around_pixels(grads, pixel, place, self.table, self.steps, self.spp, self._size)
+
+    @property
+    def _columns(self) -> mi.UInt32:
+        """The width, as no constant of a kernel: each size would have kernels of its own."""
+        return dr.opaque(mi.UInt32, self.width)
 
     @property
     def _size(self) -> tuple[int, int]:

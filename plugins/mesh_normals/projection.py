@@ -41,8 +41,7 @@ class Projection:
     to_world: mi.Matrix4f  # of the sensor, Mitsuba's axes
     near: mi.Float  # depth at which rays start
     reach: mi.Float  # depth from there to where they end
-    width: int
-    height: int
+    size: mi.Point2f  # width and height in pixels; no constants: each would have its own kernels
 
     @staticmethod
     def of(sensor: mi.Sensor, pixel_aspect: float = 1.0) -> Projection:
@@ -62,7 +61,7 @@ class Projection:
                 f"mesh_normals: sensor must be 'perspective' or 'orthographic', got {kind}"
             )
         pinhole = kind == PINHOLE
-        width, height = (int(x) for x in sensor.film().crop_size())
+        size = _size_of(sensor.film().crop_size())
         with dr.suspend_grad():
             to_world = mi.Matrix4f(sensor.world_transform().matrix)
             L = mi.Matrix3f([[to_world[i, j] for j in range(3)] for i in range(3)])
@@ -87,7 +86,7 @@ class Projection:
             near = mi.Float(sensor.near_clip()) * (1.0 if pinhole else dr.norm(z))
             reach = mi.Float(sensor.far_clip() - sensor.near_clip())
             dr.make_opaque(rows, offset, pixel_to_world, eye, axis, axis_offset)
-            dr.make_opaque(camera_world, to_world, near, reach, determinant)
+            dr.make_opaque(camera_world, to_world, near, reach, determinant, size)
         return Projection(
             pinhole=pinhole,
             rows=rows,
@@ -101,8 +100,7 @@ class Projection:
             to_world=to_world,
             near=near,
             reach=reach,
-            width=width,
-            height=height,
+            size=size,
         )
 
     def depth(self, x: mi.Point3f) -> mi.Float:
@@ -154,13 +152,13 @@ class Projection:
 
     def is_inside(self, q: mi.Point2f) -> mi.Bool:
         """Whether a pixel position lies on the image."""
-        return (q.x >= 0) & (q.y >= 0) & (q.x < self.width) & (q.y < self.height)
+        return (q.x >= 0) & (q.y >= 0) & (q.x < self.size.x) & (q.y < self.size.y)
 
     def clip(self, a: mi.Point2f, b: mi.Point2f) -> tuple[mi.Float, mi.Float]:
         """The shares of the way from ``a`` to ``b`` at which it enters and leaves the image; they
         fall, or are equal, where it does not cross it."""
         t0, t1 = mi.Float(0), mi.Float(1)
-        for k, size in enumerate((self.width, self.height)):
+        for k, size in enumerate(self.size):
             step = b[k] - a[k]
             at_low, at_high = -a[k] / step, (size - a[k]) / step
             level = dr.abs(step) < 1e-6
@@ -174,16 +172,21 @@ class Projection:
 def _camera_to_pixels(sensor: mi.Sensor, pixel_aspect: float) -> tuple[mi.Matrix3f, mi.Vector3f]:
     """Eq. 1 and 2 in the sensor's frame, with Mitsuba's axes: ``K`` and ``k`` of ``K y + k``, whose
     last entry is ``h``."""
-    size = sensor.film().crop_size()
+    size, whole = _size_of(sensor.film().crop_size()), _size_of(sensor.film().size())
     film = sensor.projection_transform().matrix  # camera to film in [0, 1]², depth in row 2
-    rows = [[int(size[i]) * film[i, j] for j in range(4)] for i in range(2)]
+    dr.make_opaque(size, whole, film)
+    rows = [[size[i] * film[i, j] for j in range(4)] for i in range(2)]
     if sensor.class_name() == PINHOLE:
-        whole, parameters = sensor.film().size(), mi.traverse(sensor)
+        parameters = mi.traverse(sensor)
         rows[0][2] -= whole[0] * parameters["principal_point_offset_x"]
         rows[1][2] -= whole[1] * parameters["principal_point_offset_y"]
     shift = mi.Vector3f(rows[0][3], rows[1][3], film[3, 3])
     rows[1][0], rows[1][1] = rows[1][0] * pixel_aspect, rows[1][1] * pixel_aspect
     return mi.Matrix3f([row[:3] for row in (*rows, film[3])]), shift
+
+
+def _size_of(size: mi.ScalarVector2u) -> mi.Point2f:
+    return mi.Point2f(int(size[0]), int(size[1]))
 
 
 def share_on_segment(t: mi.Float, ha: mi.Float, hb: mi.Float) -> mi.Float:

@@ -157,3 +157,11 @@ def test_maps_of_another_size_need_boxes(tmp_path):
     maps = folder_with(tmp_path, [np.ones((8, 8, 3))])
     with pytest.raises(InputError, match="need their 'boxes' in normals.json"):
         maps.read(0, CAMERA)
+
+
+@pytest.mark.parametrize("about", [None, {"convention": "icon", "boxes": [[5, -8, 90.5, 77]]}])
+def test_a_part_is_that_part_of_the_whole(tmp_path, about):
+    normals, _ = ball(np.array([0.03, 0.01, 0.4]))
+    maps = folder_with(tmp_path, [normals], about)
+    part = np.s_[30:75, 21:84]
+    np.testing.assert_allclose(maps.read(0, CAMERA, part), maps.read(0, CAMERA)[part], atol=1e-5)

@@ -100,3 +100,75 @@ def test_a_camera_that_is_no_pinhole_is_refused(scene, camera, body):
     fisheye = replace(camera, model="fisheye")
     with pytest.raises(ValueError, match="must be a pinhole, got fisheye"):
         scene.render(body.v_template, fisheye)
+
+
+def test_a_picture_of_another_size_needs_no_kernel_of_its_own(scene, body, camera):
+    """Each person's crop has its own size, and compiling takes far longer than drawing."""
+    import drjit as dr
+
+    def draw(width, height):
+        vertices = body.v_template.clone().requires_grad_()
+        image = scene.render(vertices, camera.cropped(3, 5, width, height))
+        image.square().sum().backward()
+        return float(vertices.grad.norm())
+
+    draw(50, 60)
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        assert draw(73, 41) > 0
+        compiled = [kernel for kernel in dr.kernel_history() if kernel.get("cache_hit") is False]
+    assert not compiled
+
+
+def scaled(camera, scale):
+    intrinsics = {name: scale * getattr(camera, name) for name in ("fx", "fy", "cx", "cy")}
+    return replace(camera, **intrinsics)
+
+
+@pytest.fixture
+def whole(camera):
+    return scaled(camera, 2.5).cropped(5, 10, 230, 220)
+
+
+@pytest.fixture
+def closer(camera):
+    """A part of the picture at twice its resolution."""
+    return scaled(camera, 5).cropped(210, 62, 70, 83)
+
+
+def test_crops_seen_together_are_what_each_camera_sees(scene, body, whole, closer):
+    with torch.no_grad():
+        together = scene.render_together(body.v_template, [whole, closer])
+        alone = [scene.render(body.v_template, view) for view in (whole, closer)]
+    assert torch.equal(together[0], alone[0])
+    assert together[1].shape == alone[1].shape and bool(alone[1].any())
+    assert float((together[1] - alone[1]).abs().mean()) < 1e-5
+
+
+def smooth(view, generator):
+    """Weights (H, W, 4) that change within a few pixels."""
+    noise = torch.rand(4, view.height, view.width, generator=generator)
+    return torch.nn.functional.avg_pool2d(noise, 5, 1, 2).permute(1, 2, 0)
+
+
+def test_the_gradient_of_a_crop_is_the_same_alone_and_together(scene, body, whole, closer):
+    """Along motions of the whole body."""
+    generator = torch.Generator().manual_seed(3)
+    weights = smooth(closer, generator)
+    turns = torch.randn(2, 1, 3, generator=generator)
+
+    def slopes(image_of):
+        x = body.v_template.clone().requires_grad_()
+        (grad,) = torch.autograd.grad((image_of(x) * weights).sum(), x)
+        turned = torch.linalg.cross(turns, body.v_template[None])
+        return torch.cat([grad.sum(0), (turned * grad).sum((1, 2))])
+
+    alone = slopes(lambda x: scene.render(x, closer))
+    together = slopes(lambda x: scene.render_together(x, [whole, closer])[1])
+    assert float((together - alone).norm()) < 0.03 * float(alone.norm())
+
+
+def test_cameras_of_different_pictures_are_not_seen_together(scene, body, whole, closer):
+    other = replace(closer, fy=1.01 * closer.fy)
+    with pytest.raises(ValueError, match="crops of one picture"):
+        scene.render_together(body.v_template, [whole, other])

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from gva_mi.body.pose import JOINTS, Pose, Shape
-from gva_mi.data.video import Frame
+from gva_mi.data.video import Frame, Outline
 from gva_mi.splat import Camera
 
 
@@ -31,11 +31,30 @@ class Clip:
     def __len__(self):
         return len(self.pictures)
 
+    @property
+    def cameras(self):
+        return [self.camera] * len(self)
+
     def frames(self, indices=None):
         for k in range(len(self)) if indices is None else indices:
             mask, normals = self.pictures[k]
             image = np.zeros((*mask.shape, 3), np.float32)
             yield Frame(k, image, mask, normals, self.camera, self.pose[k])
+
+    def outlines(self, indices):
+        for frame in self.frames(indices):
+            yield _outline_of(frame)
+
+
+def _outline_of(frame):
+    normals = lambda part: None if frame.normals is None else frame.normals[part]
+    return Outline(frame.index, frame.mask, normals, frame.camera, frame.pose)
+
+
+@pytest.fixture(scope="session")
+def outline_of():
+    """A frame without its picture, as a Video reads it."""
+    return _outline_of
 
 
 @pytest.fixture(scope="session", autouse=True)

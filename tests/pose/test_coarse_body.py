@@ -36,11 +36,11 @@ def test_it_is_closed_where_the_body_is(coarse, body):
 
 def test_it_looks_the_same(coarse, body, clip):
     """Within one in a hundred of the loss of a picture that shows another pose."""
-    frame = next(iter(clip.frames([1])))
+    outline = next(clip.outlines([1]))
     losses = []
     for model in (body, coarse.body):
         vertices = model(clip.pose[0:1], clip.shape).vertices[0]
-        seen = MaskAndNormals.of(frame, 96, body(clip.pose[0:1], clip.shape).vertices[0])
+        seen = MaskAndNormals.of(outline, 1, body(clip.pose[0:1], clip.shape).vertices[0])
         image = MeshScene(model.faces, vertices).render(vertices, seen.camera)
         losses.append(float(seen.loss(image, silhouette=1.0)))
     assert losses[1] == pytest.approx(losses[0], rel=0.02)

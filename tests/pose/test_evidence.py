@@ -8,8 +8,8 @@ import torch
 
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.mesh.mesh_scene import MeshScene
-from gva_mi.pose.crop import NoEvidence
-from gva_mi.pose.evidence import MaskAndNormals
+from gva_mi.pose.crop import NoEvidence, mask_extent, points_extent
+from gva_mi.pose.evidence import MaskAndNormals, common_scale
 from gva_mi.splat import Camera, look_at
 
 
@@ -18,13 +18,19 @@ def frame(clip):
     return next(clip.frames())
 
 
+@pytest.fixture
+def cut(outline_of):
+    """The evidence of a frame at some scale."""
+    return lambda frame, scale, points: MaskAndNormals.of(outline_of(frame), scale, points)
+
+
 @pytest.fixture(scope="module")
 def points(body):
     return body(Pose.rest(1), Shape(torch.zeros(10))).vertices[0].detach()
 
 
-def test_the_cut_holds_the_person_and_its_camera_agrees(frame, points):
-    seen = MaskAndNormals.of(frame, 96, points)
+def test_the_cut_holds_the_person_and_its_camera_agrees(cut, frame, points):
+    seen = cut(frame, 1, points)
     assert float(seen.mask.sum()) == pytest.approx(frame.mask.sum())
     shift = frame.camera.project(points.numpy()) - seen.camera.project(points.numpy())
     left, top = shift[0].round().astype(int)
@@ -35,40 +41,60 @@ def test_the_cut_holds_the_person_and_its_camera_agrees(frame, points):
     np.testing.assert_array_equal(seen.mask.numpy(), part)
 
 
-def test_losses_vanish_at_the_target_itself_and_do_not_depend_on_its_size(frame, points):
+def test_losses_vanish_at_the_target_itself_and_do_not_depend_on_its_size(cut, frame, points):
     image = lambda t: torch.cat([t.normals, t.mask[..., None]], dim=-1)
-    for size in (96, 48):
-        seen = MaskAndNormals.of(frame, size, points)
+    for scale in (1, 0.5, 0.37):
+        seen = cut(frame, scale, points)
         shown = image(seen)
         assert float(seen.silhouette_loss(shown)) == 0
         assert float(seen.normal_loss(shown)) == 0
         assert float(seen.silhouette_loss(torch.zeros_like(shown))) == pytest.approx(1, abs=1e-5)
 
 
-def test_without_normals_their_loss_is_zero(frame, points):
-    seen = MaskAndNormals.of(replace(frame, normals=None), 96, points)
+def test_without_normals_their_loss_is_zero(cut, frame, points):
+    seen = cut(replace(frame, normals=None), 1, points)
     assert float(seen.normal_loss(torch.rand(*seen.mask.shape, 4))) == 0
 
 
-def test_where_normals_are_missing_inside_the_mask_nothing_is_said(frame, points):
+def test_where_normals_are_missing_inside_the_mask_nothing_is_said(cut, frame, points):
     """As beyond the edge of the crop that a network was shown."""
-    cut = frame.normals.copy()
-    cut[: len(cut) // 2] = 0
-    seen = MaskAndNormals.of(replace(frame, normals=cut), 96, points)
-    whole = MaskAndNormals.of(frame, 96, points)
+    half = frame.normals.copy()
+    half[: len(half) // 2] = 0
+    seen, whole = cut(replace(frame, normals=half), 1, points), cut(frame, 1, points)
     shown = torch.cat([whole.normals, whole.mask[..., None]], dim=-1)
     assert float(seen.normal_loss(shown)) == 0
     outside = shown + (whole.mask == 0)[..., None]
     assert float(seen.normal_loss(outside)) == float(whole.normal_loss(outside)) > 0
 
 
-def test_frames_that_say_nothing_are_explained(frame, points):
+def test_frames_that_say_nothing_are_explained(cut, frame, points):
     with pytest.raises(NoEvidence, match="empty"):
-        MaskAndNormals.of(replace(frame, mask=np.zeros_like(frame.mask)), 96, points)
+        cut(replace(frame, mask=np.zeros_like(frame.mask)), 1, points)
     with pytest.raises(NoEvidence, match="out of view"):
-        MaskAndNormals.of(frame, 96, points + torch.tensor([20.0, 0, 0]))
+        cut(frame, 1, points + torch.tensor([20.0, 0, 0]))
     with pytest.raises(NoEvidence, match="behind the camera"):
-        MaskAndNormals.of(frame, 96, points + torch.tensor([0, 0, 9.0]))
+        cut(frame, 1, points + torch.tensor([0, 0, 9.0]))
+
+
+def test_all_frames_have_the_scale_of_the_largest_person(clip, body):
+    """And grains of a mask far from the person, or a body that stands too close, change nothing."""
+    body_at = lambda outline: body(outline.pose, clip.shape).vertices[0]
+    frames = range(len(clip))
+    scale = common_scale(clip, frames, 40, body_at)
+    longest = [
+        mask_extent(frame.mask)
+        .joined(points_extent(body_at(frame).double().numpy(), frame.camera, ""))
+        .longer
+        for frame in clip.frames()
+    ]
+    assert scale == pytest.approx(40 / max(longest), rel=0.03)
+    assert common_scale(clip, frames, 200, body_at) == 1
+    sprinkled = [(mask.copy(), normals) for mask, normals in clip.pictures]
+    for mask, _ in sprinkled:
+        mask[0, 0] = mask[-1, -1] = 1
+    assert common_scale(replace(clip, pictures=sprinkled), frames, 40, body_at) == pytest.approx(
+        scale, rel=0.03
+    )
 
 
 def blurred(mask, width):

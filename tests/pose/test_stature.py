@@ -1,0 +1,77 @@
+"""A known height decides how far away a person stands."""
+
+import numpy as np
+import pytest
+import torch
+
+from gva_mi import InputError
+from gva_mi.body.pose import Shape
+from gva_mi.pose.refine import refine
+from gva_mi.pose.sequence import SequenceOptions
+from gva_mi.pose.stature import Stature, with_height
+
+
+@pytest.fixture(scope="module")
+def stature(body):
+    return Stature.of(body)
+
+
+@pytest.fixture(scope="module")
+def shape():
+    return Shape(torch.randn(10, generator=torch.Generator().manual_seed(1)))
+
+
+def test_the_height_is_that_of_the_body_at_rest(stature, body, shape):
+    y = body.rest(shape).vertices[:, 1]
+    assert float(stature.height(shape)) == pytest.approx(float(y.max() - y.min()), abs=0.005)
+
+
+def test_the_nearest_shape_has_the_height(stature, shape):
+    taller = stature.nearest(shape, 1.93)
+    assert float(stature.height(taller)) == pytest.approx(1.93, abs=1e-4)
+    assert float(stature.energy(taller, 1.93)) < 1e-8
+    step = taller.betas - shape.betas  # any other step to this height is longer
+    along = torch.randn(10, generator=torch.Generator().manual_seed(2))
+    along -= stature.slope * (along @ stature.slope) / stature.slope.square().sum()
+    other = Shape(taller.betas + 0.3 * along)
+    assert float(stature.height(other)) == pytest.approx(1.93, abs=1e-4)
+    assert (other.betas - shape.betas).norm() > step.norm()
+
+
+def test_the_energy_pulls_toward_the_height(stature, shape):
+    betas = shape.betas.clone().requires_grad_()
+    (grad,) = torch.autograd.grad(stature.energy(Shape(betas), 1.9), betas)
+    expected = 2 * (stature.height(shape) - 1.9) * stature.slope
+    torch.testing.assert_close(grad, expected.detach())
+
+
+def test_a_taller_person_stands_farther_away_and_is_seen_as_before(
+    stature, body, shape, camera, true_pose
+):
+    height = 1.15 * float(stature.height(shape))
+    pose, taller = with_height(body, true_pose, shape, [camera] * 3, height)
+    assert torch.equal(pose.rotations, true_pose.rotations)
+    before, after = (body(p, s) for p, s in ((true_pose, shape), (pose, taller)))
+    pelvis = [camera.project(x.joints[:, 0].double().numpy()) for x in (before, after)]
+    np.testing.assert_allclose(pelvis[1], pelvis[0], atol=1e-3)
+    distance = [
+        np.linalg.norm(x.joints[:, 0].double().numpy() - camera.position, axis=1)
+        for x in (before, after)
+    ]
+    np.testing.assert_allclose(distance[1] / distance[0], 1.15, rtol=1e-4)
+    seen = [np.ptp(camera.project(x.vertices[0].double().numpy())[:, 1]) for x in (before, after)]
+    assert seen[1] == pytest.approx(seen[0], rel=0.01)
+
+
+@pytest.mark.parametrize("height", [178.0, 0.1, float("nan")])
+def test_a_height_that_is_not_in_metres_is_refused(body, shape, camera, true_pose, height):
+    with pytest.raises(InputError, match="it is in metres"):
+        with_height(body, true_pose, shape, [camera] * 3, height)
+
+
+def test_a_refinement_keeps_the_height(stature, clip, body):
+    height = 1.1 * float(stature.height(clip.shape))
+    refined = refine(clip, body, SequenceOptions(size=48, passes=4, height=height))
+    assert float(stature.height(refined.shape)) == pytest.approx(height, abs=0.005)
+    with pytest.raises(InputError, match="refine: --height must be between"):
+        SequenceOptions(height=178)

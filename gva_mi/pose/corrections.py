@@ -25,6 +25,7 @@ from gva_mi.body.pose import Pose
 from gva_mi.pose.inference import JOINTS, PELVIS, Beliefs, from_pictures, from_stage1
 from gva_mi.pose.stage1 import Stage1
 
+
 class Corrections:
     """``δ`` and ``τ`` of some frames.
 
@@ -36,9 +37,7 @@ class Corrections:
         beliefs: what their energy is made of.
     """
 
-    def __init__(
-        self, stage1: Stage1, beliefs: Beliefs, turns0: Tensor, moves0: Tensor
-    ) -> None:
+    def __init__(self, stage1: Stage1, beliefs: Beliefs, turns0: Tensor, moves0: Tensor) -> None:
         """Start from corrections ``δ⁰`` (n, J, 3) and ``τ⁰`` (n, 3) in the camera's axes."""
         self._stage1, self.beliefs = stage1, beliefs
         self._turns0, self._moves0 = turns0, moves0

@@ -102,6 +102,7 @@ def descend(
     arms: Tensor,
     options: DescentOptions,
     progress: Progress | None = None,
+    following: Sequence[int] = (),
 ) -> Descent:
     """Minimise eq. 1; the leaves ``evidence.shared`` are moved in place.
 
@@ -111,11 +112,13 @@ def descend(
         arms: (J,) lever arms of the person's joints, metres.
         options: weights, passes, learning rates and the seed.
         progress: called as ``progress(done, total, loss=...)`` after every step.
+        following: frames without evidence, whose poses follow from what ``E`` says.
     """
-    frames = sorted(evidence.frames)
+    frames = sorted({*evidence.frames, *following})
     corrections = Corrections.likeliest(Stage1.of(start, frames, evidence.camera))
     adam = _optimiser(corrections, evidence, arms, options)
-    batches = list(_batches(len(frames), options))
+    seen = [i for i, k in enumerate(frames) if k not in set(following)]
+    batches = [[seen[i] for i in batch] for batch in _batches(len(seen), options)]
     renewed_at = options.learn * len(batches) // options.passes
     for step, batch in enumerate(batches):
         if step == renewed_at:

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from gva_mi.body.pose import Pose
 from gva_mi.pose import motion
 from gva_mi.pose.belief import Belief
 from gva_mi.pose.noise import GROUPS, Noise, lasting_part, white_level
@@ -78,10 +77,10 @@ def from_pictures(before: Beliefs, stage1: Stage1, turns: Tensor, moves: Tensor)
     noise = _noise(before.noise, stage1.times, turns, moves)
     pose = stage1.corrected(range(len(moves)), turns, moves)
     steps, shifts = stage1.steps(pose)
-    sideways = stage1.in_camera(steps, slice(0, -1))[:, list(JOINTS), 2:]
+    root, sideways = list(PELVIS), stage1.in_camera(steps, slice(0, -1))[:, list(JOINTS), 2:]
     return Beliefs(
         noise,
-        _renewed(before.pelvis, _by_joint(noise, PELVIS), turns[:, list(PELVIS)], steps[:, list(PELVIS)]),
+        _renewed(before.pelvis, _by_joint(noise, PELVIS), turns[:, root], steps[:, root]),
         _renewed(before.joints, _by_joint(noise, JOINTS), turns[:, list(JOINTS)], sideways),
         _renewed(before.place, _by_axis(noise), moves[..., None], shifts[..., None]),
     )

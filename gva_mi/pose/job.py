@@ -8,7 +8,7 @@ together (:mod:`gva_mi.pose.sequence`), or each for itself (:mod:`gva_mi.pose.si
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar
 
@@ -22,6 +22,7 @@ from gva_mi.errors import require_at_least
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.close_ups import FinePicture
 from gva_mi.pose.evidence import MaskAndNormals
+from gva_mi.pose.noise import Noise
 from gva_mi.pose.stature import require_height
 
 FEWEST_FACES = 500  # a body of fewer has no hands left
@@ -34,6 +35,7 @@ class Solution:
     pose: Pose  # T frames
     shape: Shape
     offsets: Tensor  # (V, 3) displacement of the rest surface, metres
+    noise: Mapping[str, Noise] = field(default_factory=dict)  # of stage 1, where it was inferred
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,7 @@ class RefineOptions(ABC):
     faces: int = 6000  # triangles of the body that is compared with them
     silhouette: float = 5.0  # λ1
     height: float | None = None  # metres, of the person, where somebody measured it
+    hold_out_test: bool = False  # test frames are not looked at, their poses follow from the motion
 
     name: ClassVar[str]  # of the way, on the command line and in records
 
@@ -103,6 +106,7 @@ class Job:
     options: RefineOptions
     known: Solution | None = None  # of the first round: what all frames share is taken from it
     fine: dict[int, FinePicture] = field(default_factory=dict)  # for close-ups, of frames as above
+    following: Sequence[int] = ()  # frames without evidence whose poses follow from the motion
 
     @property
     def steps(self) -> int:

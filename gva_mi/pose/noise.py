@@ -4,7 +4,8 @@ An estimator's error in frame ``k`` is what the pose must be corrected by, with 
 has a part that is new in every frame, one that lasts for some frames, and one that never ends:
 
 1. ``e_k = white_k + slow_k + bias``
-2. ``K_kl = white² f_k [k = l] + slow² (κ(|t_k - t_l| / memory) + 1)``,   ``κ(x) = (1 + √3 x) e^(-√3 x)``
+2. ``K_kl = white² f_k [k = l] + slow² (κ(|t_k - t_l| / memory) + 1)``
+   with ``κ(x) = (1 + √3 x) e^(-√3 x)``
 
 the covariance of its coordinates, which is the same for the three of them. How large the parts are,
 and for how long one lasts, differs from estimator to estimator, and from hips to fingers. Nothing
@@ -13,9 +14,9 @@ of it is a constant here; it is found group by group of joints (:data:`GROUPS`):
 3. ``white``: from third differences of stage 1. What lasts, and what moves, is nearly gone in them,
    and a median leaves out what is rare: 20 times the variance of white errors is left.
 4. ``slow`` and ``memory``: from what pictures corrected *sideways*, about the line of sight. They
-   show that well, while depth, which is what the covariance is needed for, they show badly:
-   the covariance at some lags is fitted by eq. 2.
-5. ``f_k``: the factor by which a frame is worse than usual, such as one in which a leg was taken for
+   show that well, and depth, for which the covariance is needed, badly. Its values at some lags are
+   fitted by eq. 2.
+5. ``f_k``: by which factor a frame is worse than usual, such as one in which a leg was taken for
    the other. It is that of Student's t distribution, whose Gaussian has the variance ``white² f``.
 """
 
@@ -99,7 +100,8 @@ def white_level(steps: Tensor) -> float:
     if len(steps) < 3:
         return 0.0
     third = steps[2:] - 2 * steps[1:-1] + steps[:-2]
-    return float((third.square().sum(-1).median() / (median_of_square(steps.shape[-1]) * 20)).sqrt())
+    square = third.square().sum(-1).median() / median_of_square(steps.shape[-1])
+    return float((square / 20).sqrt())
 
 
 def lasting_part(errors: Tensor, times: Tensor, white: float, guess: Noise) -> Noise:
@@ -132,9 +134,7 @@ def lasting_part(errors: Tensor, times: Tensor, white: float, guess: Noise) -> N
     return Noise(white, float(slow**0.5), memory)
 
 
-def worse_than_usual(
-    errors: Tensor, K: Tensor, noises: Sequence[Noise], factors: Tensor
-) -> Tensor:
+def worse_than_usual(errors: Tensor, K: Tensor, noises: Sequence[Noise], factors: Tensor) -> Tensor:
     """Eq. 5 once more, from errors and the factors they were found with.
 
     Args:

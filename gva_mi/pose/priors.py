@@ -63,4 +63,3 @@ def turn_rates(arms: Tensor, step: float, largest_turn: float) -> Tensor:
     rates = (step / arms).clamp_max(largest_turn)[:, None]
     rates[FACE] = 0
     return rates
-

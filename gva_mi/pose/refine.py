@@ -25,7 +25,7 @@ How the work is cut does not depend on who does it: any number of workers finds 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 
@@ -43,6 +43,7 @@ from gva_mi.pose.coarse_body import CoarseBody
 from gva_mi.pose.descent import with_frames, worse_frames
 from gva_mi.pose.evidence import MaskAndNormals, common_scale, gather
 from gva_mi.pose.job import Job, RefineOptions, Solution
+from gva_mi.pose.noise import Noise
 from gva_mi.pose.parallel import Done, run
 from gva_mi.pose.stature import with_height
 from gva_mi.splat import Camera
@@ -63,6 +64,7 @@ class Refined:
     seconds_per_frame: float  # of work, by all workers together
     cameras: list[Camera] | None = None  # of all frames where they were refined too; else as given
     held_out: list[int] = field(default_factory=list)  # test frames that were not looked at
+    noise: Mapping[str, Noise] = field(default_factory=dict)  # of stage 1, where it was inferred
 
 
 def refine(
@@ -139,6 +141,7 @@ class _SeenVideo:
     evidence: dict[int, MaskAndNormals]
     pictures: dict[int, FinePicture]  # of the frames that have evidence, where there are close-ups
     kept: dict[int, str]  # frames without evidence, and why
+    held_out: dict[int, str]  # test frames that are not looked at
     seconds: float  # of looking
 
     @staticmethod
@@ -154,7 +157,8 @@ class _SeenVideo:
             picture = None if fine is None else FinePicture.of(outline, fine, points)
             return MaskAndNormals.of(outline, scale, points), picture
 
-        frames = range(len(video))
+        held_out = _held_out(video, options)
+        frames = [k for k in range(len(video)) if k not in held_out]
         with one_torch_thread(), torch.no_grad():
             scale = common_scale(video, frames, options.size, body_at)
             fine = _fine_scale(video, coarse.body, options, scale)
@@ -165,7 +169,7 @@ class _SeenVideo:
         if options.height is not None:
             pose, shape = with_height(coarse.body, pose, shape, video.cameras, options.height)
         seconds = time.perf_counter() - begin
-        return _SeenVideo(coarse, pose, shape, options, evidence, pictures, kept, seconds)
+        return _SeenVideo(coarse, pose, shape, options, evidence, pictures, kept, held_out, seconds)
 
     @property
     def clips(self) -> list[range]:
@@ -198,6 +202,7 @@ class _SeenVideo:
                 self.options,
                 shared,
                 of_clip(clip, self.pictures),
+                list(of_clip(clip, self.held_out)),
             )
             for clip in self.clips
         ]
@@ -209,7 +214,7 @@ class _SeenVideo:
         pose = join(self.clips, [done.result.pose for done in found])
         losses_stage1, losses = (self._losses(p, shared) for p in (self.pose, pose))
         kept = self.kept | worse_frames(self.evidence, losses_stage1, losses)
-        taken = [k for k in self.evidence if k not in kept]
+        taken = [k for k in (*self.evidence, *self.held_out) if k not in kept]
         work = self.seconds + sum(done.seconds for done in (*found, *([known] if known else [])))
         return Refined(
             pose=with_frames(self.pose, taken, pose[taken]),
@@ -220,6 +225,8 @@ class _SeenVideo:
             kept=dict(sorted(kept.items())),
             without_normals=[k for k, seen in self.evidence.items() if seen.normals is None],
             seconds_per_frame=(work + time.perf_counter() - begin) / len(self.pose),
+            held_out=list(self.held_out),
+            noise=shared.noise,
         )
 
     @torch.no_grad()
@@ -234,6 +241,13 @@ class _SeenVideo:
                 image = scene.render(vertices, seen.camera)
                 losses[k] = seen.loss(image, self.options.silhouette)
         return losses
+
+
+def _held_out(video: Video, options: RefineOptions) -> dict[int, str]:
+    """The frames that must not be looked at, and why."""
+    if not options.hold_out_test:
+        return {}
+    return {k: "it is a test frame, and held out" for k in video.splits.test}
 
 
 def _fine_scale(

@@ -113,8 +113,10 @@ def refine_sequence(
     person = ClothedPerson(job, options)
     # With few frames a step takes fewer of them, or there would be too few steps to arrive.
     batch = max(1, min(options.batch, len(job.evidence) // STEPS_A_PASS))
-    found = descend(person, job.pose, person.arms, replace(options, batch=batch), progress)
-    return Solution(found.pose, Shape(person.shape.betas.detach()), person.offsets.detach())
+    options = replace(options, batch=batch)
+    found = descend(person, job.pose, person.arms, options, progress, job.following)
+    shape, offsets = Shape(person.shape.betas.detach()), person.offsets.detach()
+    return Solution(found.pose, shape, offsets, found.beliefs.noise)
 
 
 class ClothedPerson:

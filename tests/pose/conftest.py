@@ -21,10 +21,6 @@ class Clip:
     camera: Camera
     absent: dict = field(default_factory=dict)
 
-    @property
-    def cameras(self):
-        return [self.camera] * len(self)
-
     def true_mask(self, index):
         return self.pictures[index][0]
 

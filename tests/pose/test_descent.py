@@ -12,16 +12,8 @@ from gva_mi.pose.descent import descend, with_frames, worse_frames
 ARMS = torch.full((55,), 0.3)
 ELBOW = JOINTS.index("left_elbow")
 FREE = SequenceOptions(
-    prior=0.0,
-    hold=0.0,
-    smooth=0.0,
-    smooth_move=0.0,
-    reach=0.5,
-    passes=200,
-    batch=2,
-    step=0.01,
-    translation_lr=0.01,
-)
+    nat=1e-9, learn=0, passes=200, batch=2, step=0.01, translation_lr=0.01
+)  # nothing but the evidence counts
 PLACE = torch.tensor([0.1, -0.2, 0.05])  # where everybody should stand, apart from what is shared
 SHARED = torch.tensor([0.0, 0.3, 0.0])
 
@@ -47,7 +39,7 @@ class Places:
 
 def test_every_frame_with_evidence_goes_where_it_says_and_the_others_stay(camera):
     start = Pose.rest(5)
-    found = descend(Places(camera), start, ARMS, FREE)
+    found = descend(Places(camera), start, ARMS, FREE).pose
     there = [0, 1, 3]
     torch.testing.assert_close(found.transl[there], PLACE.expand(3, 3), atol=5e-3, rtol=0)
     torch.testing.assert_close(
@@ -59,7 +51,7 @@ def test_every_frame_with_evidence_goes_where_it_says_and_the_others_stay(camera
 
 def test_what_is_shared_is_found_along(camera):
     evidence = Places(camera, share=True)
-    found = descend(evidence, Pose.rest(4), ARMS, FREE)
+    found = descend(evidence, Pose.rest(4), ARMS, FREE).pose
     torch.testing.assert_close(evidence.offset.detach()[0], SHARED, atol=5e-3, rtol=0)
     torch.testing.assert_close(found.transl[0], PLACE, atol=1e-2, rtol=0)
 
@@ -103,3 +95,13 @@ def test_a_loss_that_grew_or_is_none_is_worse():
         2: "its loss grew from 1.000 to nan",
     }
     assert worse_frames([1], before, after, digits=1) == {1: "its loss grew from 1.0 to 1.5"}
+
+
+def test_frames_that_are_not_looked_at_follow_the_motion(camera):
+    """Between two frames that stand elsewhere, a third is taken along, and never asked."""
+    evidence = Places(camera, frames=(0, 1, 2, 4, 5, 6))
+    options = replace(FREE, nat=1e-4)
+    found = descend(evidence, Pose.rest(7), ARMS, options, following=[3]).pose
+    assert 3 not in sum(evidence.visited, [])
+    torch.testing.assert_close(found.transl[3], PLACE, atol=4e-2, rtol=0)
+    assert float(found.rotations[3, ELBOW, 1]) == pytest.approx(0.2, abs=0.03)

@@ -67,6 +67,4 @@ def test_frames_that_are_worse_than_usual_stand_out():
 def test_the_covariance_is_that_of_its_parts():
     noise = Noise(0.1, 0.3, 5.0)
     K = covariance([noise], torch.tensor([0, 1000]), torch.tensor([[1.0, 4.0]]))[0].numpy()
-    np.testing.assert_allclose(
-        K, [[0.01 + 2 * 0.09, 0.09], [0.09, 0.04 + 2 * 0.09]], atol=1e-8
-    )
+    np.testing.assert_allclose(K, [[0.01 + 2 * 0.09, 0.09], [0.09, 0.04 + 2 * 0.09]], atol=1e-8)

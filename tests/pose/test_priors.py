@@ -1,16 +1,12 @@
 """What is known of poses without looking."""
 
-import pytest
 import torch
 
 from gva_mi.body.pose import JOINTS, PARENTS, Shape
 from gva_mi.pose.priors import (
     FACE,
-    LEAST,
-    LEAST_FINGERS,
     joint_weights,
     lever_arms,
-    prior_lengths,
     turn_rates,
 )
 
@@ -37,15 +33,6 @@ def test_lever_arms_shorten_along_every_limb(body):
         leg = [reach[f"{side}_{name}"] for name in ("hip", "knee", "ankle")]
         assert arm == sorted(arm, reverse=True) and leg == sorted(leg, reverse=True)
     assert 0.3 < reach["left_shoulder"] < 0.8 and reach["left_index3"] < 0.05
-
-
-def test_short_arms_are_held_as_if_they_were_longer(body):
-    arms = lever_arms(body.rest(Shape(torch.zeros(10))), body.weights, body.parents)
-    held = dict(zip(JOINTS, prior_lengths(arms).tolist(), strict=True))
-    free = dict(zip(JOINTS, arms.tolist(), strict=True))
-    assert held["left_hip"] == free["left_hip"]
-    assert held["left_foot"] == pytest.approx(LEAST) and free["left_foot"] < LEAST
-    assert held["right_index1"] == pytest.approx(LEAST_FINGERS)
 
 
 def test_a_step_moves_the_surface_alike_at_every_joint_but_the_face():

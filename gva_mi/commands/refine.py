@@ -21,6 +21,7 @@ from gva_mi.pose.evaluation.ablation import ablate
 from gva_mi.pose.evaluation.measure import Evaluation
 from gva_mi.pose.evaluation.record import OVERLAYS, write_record
 from gva_mi.pose.evaluation.refinement_report import write_report
+from gva_mi.pose.inference import in_words
 from gva_mi.pose.job import RefineOptions
 from gva_mi.pose.parallel import cluster
 from gva_mi.pose.parallel import workers as local_workers
@@ -82,7 +83,7 @@ def refine(
             folder = evaluation.video.folder
             if report:
                 _write_report(evaluation, printed, executor)
-            for line in evaluation.measured.means.lines():
+            for line in (*in_words(evaluation.refined.noise), *evaluation.measured.means.lines()):
                 say(line)
             say(f"poses: {folder / REFINED_POSES}; overlays: {folder / OVERLAYS}")
             if report:

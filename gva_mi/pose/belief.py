@@ -127,6 +127,11 @@ class Belief:
         moved = motion.cost(self._changed(own), self.square_speed)
         return (e * (precision @ e)).sum() / 2 + moved.sum()
 
+    def variance_of_mean(self) -> Tensor:
+        """Of stage 1's errors, of one coordinate, over all frames (C,); without their bias."""
+        K = covariance(self.noises, self.times, self.factors).mean((1, 2))
+        return (K - torch.tensor([noise.slow**2 for noise in self.noises])).float()
+
     def precision(self) -> Tensor:
         """``P`` (C, n, n)."""
         return torch.linalg.inv(covariance(self.noises, self.times, self.factors)).float()

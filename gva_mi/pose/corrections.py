@@ -92,10 +92,10 @@ class Corrections:
         """What a shift (3,) of all frames costs, in each of them.
 
         Many pictures tell it no better than one: a person who is larger and farther away looks the
-        same in all of them.
+        same in all of them. So the mean over stage 1's frames is believed in every one of them.
         """
-        size = torch.tensor([noise.size for noise in self.beliefs.place.noises])
-        return (shift / size).square().sum() / 2
+        variance = self.beliefs.place.variance_of_mean()
+        return (shift.square() / variance).sum() / 2
 
     def _at(self, which: Sequence[int]) -> tuple[Tensor, Tensor]:
         """Eq. 2 for r of the frames: turns (r, J, 3), shifts (r, 3), in the camera's axes."""

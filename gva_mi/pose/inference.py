@@ -9,9 +9,10 @@ of the refinement.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -46,6 +47,18 @@ class Beliefs:
     pelvis: Belief
     joints: Belief
     place: Belief
+
+
+def in_words(noise: Mapping[str, Noise]) -> Iterator[str]:
+    """How stage 1 errs: a few lines for people, none where it is not known."""
+    if not noise:
+        return
+    turns = ", ".join(f"{name} {np.degrees(noise[name].size):.1f}°" for name in GROUPS)
+    places = " and ".join(f"{1000 * noise[name].size:.0f} mm {name}" for name in AXES)
+    yield f"stage 1     errs by {turns}; by {places}"
+    white = ", ".join(f"{name} {np.degrees(noise[name].white):.1f}°" for name in GROUPS)
+    lasts = sorted({noise[name].memory for name in GROUPS})
+    yield f"            white {white}; the rest lasts {lasts[0]:g} to {lasts[-1]:g} frames"
 
 
 def from_stage1(stage1: Stage1) -> Beliefs:

@@ -148,7 +148,7 @@ def test_test_frames_come_closer_to_their_pictures(known, wrong, fitted):
 
 @pytest.mark.parametrize(
     "bad",
-    [{"passes": 0}, {"alpha": -1.0}, {"prior": float("nan")}, {"jitter": 0}, {"overlap": 120}],
+    [{"passes": 0}, {"alpha": -1.0}, {"nat": float("nan")}, {"nat": 0}, {"overlap": 120}],
 )
 def test_bad_options_are_refused(bad):
     with pytest.raises(InputError, match=f"track: {next(iter(bad))} must"):

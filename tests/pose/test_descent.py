@@ -100,7 +100,7 @@ def test_a_loss_that_grew_or_is_none_is_worse():
 def test_frames_that_are_not_looked_at_follow_the_motion(camera):
     """Between two frames that stand elsewhere, a third is taken along, and never asked."""
     evidence = Places(camera, frames=(0, 1, 2, 4, 5, 6))
-    options = replace(FREE, nat=1e-4)
+    options = replace(FREE, nat=1e-6)
     found = descend(evidence, Pose.rest(7), ARMS, options, following=[3]).pose
     assert 3 not in sum(evidence.visited, [])
     torch.testing.assert_close(found.transl[3], PLACE, atol=4e-2, rtol=0)

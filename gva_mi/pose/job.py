@@ -34,6 +34,7 @@ class Solution:
     pose: Pose  # T frames
     shape: Shape
     offsets: Tensor  # (V, 3) displacement of the rest surface, metres
+    focal: float = 1.0  # s of gva_mi.pose.focal; the pose does not follow it yet
 
 
 @dataclass(frozen=True)

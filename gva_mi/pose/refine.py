@@ -41,10 +41,12 @@ from gva_mi.pose.clips import join, of_clip, poses_of_clip
 from gva_mi.pose.close_ups import FinePicture, close_up_scale
 from gva_mi.pose.coarse_body import CoarseBody
 from gva_mi.pose.descent import with_frames, worse_frames
-from gva_mi.pose.evidence import MaskAndNormals, common_scale, gather
+from gva_mi.pose.evidence import MaskAndNormals, common_scale, gather, mean_loss, seen_body
+from gva_mi.pose.focal import follow
 from gva_mi.pose.job import Job, RefineOptions, Solution
 from gva_mi.pose.parallel import Done, run
 from gva_mi.pose.stature import with_height
+from gva_mi.splat import Camera
 from gva_mi.threads import one_torch_thread
 
 
@@ -60,6 +62,7 @@ class Refined:
     kept: dict[int, str]  # frames that keep their stage-1 pose, and why
     without_normals: list[int]  # frames that were fitted to their silhouette alone
     seconds_per_frame: float  # of work, by all workers together
+    focal: float = 1.0  # factor on the focal lengths of the video's cameras, as it was found
 
 
 def refine(
@@ -132,6 +135,7 @@ class _SeenVideo:
     coarse: CoarseBody
     pose: Pose  # stage 1, brought to the person's height where it is known
     shape: Shape
+    cameras: Sequence[Camera]
     options: RefineOptions
     evidence: dict[int, MaskAndNormals]
     pictures: dict[int, FinePicture]  # of the frames that have evidence, where there are close-ups
@@ -162,7 +166,9 @@ class _SeenVideo:
         if options.height is not None:
             pose, shape = with_height(coarse.body, pose, shape, video.cameras, options.height)
         seconds = time.perf_counter() - begin
-        return _SeenVideo(coarse, pose, shape, options, evidence, pictures, kept, seconds)
+        return _SeenVideo(
+            coarse, pose, shape, video.cameras, options, evidence, pictures, kept, seconds
+        )
 
     @property
     def clips(self) -> list[range]:
@@ -207,11 +213,16 @@ class _SeenVideo:
         losses_stage1, losses = (self._losses(p, shared) for p in (self.pose, pose))
         kept = self.kept | worse_frames(self.evidence, losses_stage1, losses)
         taken = [k for k in self.evidence if k not in kept]
+        pose = with_frames(self.pose, taken, pose[taken])
+        if shared.focal != 1:
+            pelvis = self.coarse.body.rest(shared.shape).joints[0]
+            pose = follow(pose, pelvis, self.cameras, shared.focal)
         work = self.seconds + sum(done.seconds for done in (*found, *([known] if known else [])))
         return Refined(
-            pose=with_frames(self.pose, taken, pose[taken]),
+            pose=pose,
             shape=shared.shape,
             offsets=self.coarse.spread(shared.offsets),
+            focal=shared.focal,
             losses_stage1=losses_stage1,
             losses=losses,
             kept=dict(sorted(kept.items())),
@@ -225,11 +236,12 @@ class _SeenVideo:
         losses = torch.full((len(pose),), torch.nan)
         body = self.coarse.body
         scene = MeshScene(body.faces, body.v_template)
+        focal = None if person.focal == 1 else torch.tensor(person.focal)
         with one_torch_thread():
             for k, seen in self.evidence.items():
-                vertices = body(pose[k], person.shape, person.offsets).vertices[0]
-                image = scene.render(vertices, seen.camera)
-                losses[k] = seen.loss(image, self.options.silhouette)
+                who = body, pose[k], person.shape, person.offsets
+                vertices = seen_body(*who, [seen], focal)
+                losses[k] = mean_loss(scene, vertices, [seen], self.options.silhouette, focal=focal)
         return losses
 
 

@@ -21,6 +21,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -228,12 +229,12 @@ def measure(
             iou_true_masks=None,
             seconds_per_frame=0.0,
         )
-    clean = silhouette_iou(video, body, *after, true_masks=True) if truth is not None else None
+    iou = partial(silhouette_iou, video, body, *after, focal=refined.focal)
     return replace(
         known,
         refined=vertex_errors(body, after, truth) if truth is not None else None,
-        iou=silhouette_iou(video, body, *after),
-        iou_true_masks=clean,
+        iou=iou(),
+        iou_true_masks=iou(true_masks=True) if truth is not None else None,
         seconds_per_frame=refined.seconds_per_frame,
     )
 
@@ -267,7 +268,12 @@ def vertex_errors(
 
 @torch.no_grad()
 def silhouette_iou(
-    video: Video, body: BodyModel, pose: Pose, shape: Shape, true_masks: bool = False
+    video: Video,
+    body: BodyModel,
+    pose: Pose,
+    shape: Shape,
+    true_masks: bool = False,
+    focal: float = 1.0,
 ) -> Tensor:
     """IoU (T,) of the bare body's silhouette with the mask; NaN where a frame has no mask.
 
@@ -276,6 +282,7 @@ def silhouette_iou(
         body, pose, shape: the body in T poses.
         true_masks: compare with the masks of the truth, and not with those that came with the
             video.
+        focal: factor on the focal lengths of the video, which the poses belong to.
     """
     scene = MeshScene(body.faces, body.v_template)
     iou = torch.full((len(pose),), torch.nan)
@@ -286,7 +293,7 @@ def silhouette_iou(
                 continue
             mask = torch.from_numpy(mask)
             vertices = body(pose[frame.index], shape).vertices[0]
-            seen = scene.render(vertices, frame.camera)[..., 3]
+            seen = scene.render(vertices, frame.camera.zoomed(focal))[..., 3]
             union = torch.maximum(seen, mask).sum()
             if union > 0:
                 iou[frame.index] = torch.minimum(seen, mask).sum() / union

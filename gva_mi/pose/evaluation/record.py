@@ -48,7 +48,8 @@ def write_record(evaluation: Evaluation, versions: dict[str, str]) -> None:
     }
     write_json(folder / REFINEMENT, record)
     pose, shape, offsets = refined.pose, refined.shape, refined.offsets
-    save_poses(folder / REFINED_POSES, pose, shape, stage=2, offsets=offsets)
+    focal = video.focal * refined.focal
+    save_poses(folder / REFINED_POSES, pose, shape, stage=2, offsets=offsets, focal=focal)
 
 
 @torch.no_grad()
@@ -60,8 +61,13 @@ def _overlays(evaluation: Evaluation) -> np.ndarray:
     seen = np.any([frame.mask > 0.5 for frame in frames], axis=0)
     part = around(seen, margin=len(seen) // 16)
     rows = []
-    for pose, shape in ((video.pose, video.shape), (refined.pose, refined.shape)):
+    for pose, shape, focal in (
+        (video.pose, video.shape, 1.0),
+        (refined.pose, refined.shape, refined.focal),
+    ):
         bodies = [body(pose[frame.index], shape).vertices[0] for frame in frames]
         pairs = zip(frames, bodies, strict=True)
-        rows.append([overlay(f.image, f.camera, v, body.faces)[part] for f, v in pairs])
+        rows.append(
+            [overlay(f.image, f.camera.zoomed(focal), v, body.faces)[part] for f, v in pairs]
+        )
     return strip(rows)

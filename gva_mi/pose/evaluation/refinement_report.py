@@ -199,7 +199,11 @@ def _frames(title: str, text: str, shown: list[int], evaluation: Evaluation) -> 
     part = around(seen, margin=len(seen) // 12)
     for frame in frames:
         bodies = [body(pose[frame.index], shape).vertices[0] for pose, shape in poses.values()]
-        panels = [overlay(frame.image, frame.camera, v, body.faces)[part] for v in bodies]
+        focals = (refined.focal if name == "refined" else 1.0 for name in poses)
+        panels = [
+            overlay(frame.image, frame.camera.zoomed(focal), v, body.faces)[part]
+            for focal, v in zip(focals, bodies, strict=True)
+        ]
         caption = f"frame {frame.index}: {_caption(frame.index, evaluation.measured)}"
         pictures.append(picture(caption, strip([[frame.image[part], *panels]])))
     text += f" From left to right: the picture, {', '.join(poses)}."

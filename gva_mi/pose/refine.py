@@ -38,7 +38,7 @@ from gva_mi.console import Progress, within
 from gva_mi.data.video import Outline, Video
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.clips import join, of_clip, poses_of_clip
-from gva_mi.pose.close_ups import FinePicture, close_up_scale
+from gva_mi.pose.close_ups import FinePicture, close_up_scale, parts_of
 from gva_mi.pose.coarse_body import CoarseBody
 from gva_mi.pose.descent import with_frames, worse_frames
 from gva_mi.pose.evidence import MaskAndNormals, common_scale, gather, mean_loss, seen_body
@@ -105,8 +105,12 @@ def refine_all(
     Returns:
         What came of each, in their order and as soon as it is done.
     """
-    coarse = {faces: CoarseBody(body, faces) for faces in {o.faces for _, o in tasks}}
-    videos = [_SeenVideo.of(video, coarse[options.faces], options) for video, options in tasks]
+    drawn = [(options.faces, options.close_up_size > 0) for _, options in tasks]
+    coarse = {key: _coarse(body, *key) for key in set(drawn)}
+    videos = [
+        _SeenVideo.of(video, coarse[key], options)
+        for (video, options), key in zip(tasks, drawn, strict=True)
+    ]
     first = [video.first_job() for video in videos]
     steps = sum(job.steps for job in first if job is not None)
     later = sum(video.clip_steps for video in videos)
@@ -243,6 +247,12 @@ class _SeenVideo:
                 vertices = seen_body(*who, [seen], focal)
                 losses[k] = mean_loss(scene, vertices, [seen], self.options.silhouette, focal=focal)
         return losses
+
+
+def _coarse(body: BodyModel, faces: int, close_ups: bool) -> CoarseBody:
+    """The body that is compared, finer where there are close-ups."""
+    finer = torch.cat([part.vertices for part in parts_of(body)]) if close_ups else None
+    return CoarseBody(body, faces, finer)
 
 
 def _fine_scale(

@@ -137,7 +137,13 @@ def load_poses(path: Path) -> tuple[Pose, Shape]:
 
 
 def save_poses(
-    path: Path, pose: Pose, shape: Shape, *, stage: int, offsets: Tensor | None = None
+    path: Path,
+    pose: Pose,
+    shape: Shape,
+    *,
+    stage: int,
+    offsets: Tensor | None = None,
+    focal: float = 1.0,
 ) -> None:
     """Write ``poses.npz``.
 
@@ -147,10 +153,13 @@ def save_poses(
         shape: the person's.
         stage: 1 from an estimator, 2 from the refinement.
         offsets: (V, 3) displacement of the rest surface that the refinement found, metres.
+        focal: factor on the focal lengths of the video's cameras that the poses belong to.
     """
     data = {name: value.detach().numpy() for name, value in pose.to_smplx().items()}
     if offsets is not None:
         data["offsets"] = offsets.detach().numpy()
+    if focal != 1:
+        data["focal"] = np.array(focal)
     write_arrays(path, **data, betas=shape.betas.detach().numpy(), stage=np.array(stage))
 
 
@@ -164,6 +173,18 @@ def load_offsets(path: Path, vertices: int) -> Tensor | None:
     if "offsets" not in data:
         return None
     return _tensor(path, "offsets", data["offsets"], (vertices, 3))
+
+
+def load_focal(path: Path) -> float:
+    """The factor on the focal lengths that a file of poses belongs to; 1 where it says none.
+
+    Raises:
+        InputError: it is no positive number.
+    """
+    focal = read_arrays(path, "poses under SMPL-X's names (.npz)").get("focal", np.array(1.0))
+    if focal.shape != () or focal.dtype.kind not in "fiu" or not 0 < float(focal) < np.inf:
+        raise InputError(f"{path}: 'focal' must be a positive number, got {focal}")
+    return float(focal)
 
 
 def _tensor(path: Path, name: str, value: np.ndarray, shape: tuple[int, ...]) -> Tensor:

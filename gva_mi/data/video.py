@@ -10,7 +10,8 @@
       cameras.npz                         K (3,3) or (T,3,3); T_camera_world (4,4) or (T,4,4);
                                           width, height
       poses.npz                           SMPL-X names, each (T, ...); betas (B,); stage
-      poses_refined.npz                   optional: the same after stage 2
+      poses_refined.npz                   optional: the same after stage 2; focal, where it was
+                                          refined too: a factor on the fx and fy of cameras.npz
       splits.json                         optional: {"train": [...], "test": [...]} frame numbers
       truth/                              synthetic subjects only, with the true cameras.npz too;
                                           read by nothing but evaluation
@@ -31,7 +32,7 @@ from typing import Literal
 
 import numpy as np
 
-from gva_mi.body.pose import Pose, Shape, load_poses
+from gva_mi.body.pose import Pose, Shape, load_focal, load_poses
 from gva_mi.data.masks import read_mask
 from gva_mi.data.normals import Convention, NormalMaps, Part
 from gva_mi.data.pictures import read_image, read_movie
@@ -103,6 +104,7 @@ class Video:
     _images: Sequence[np.ndarray] = field(repr=False)  # decoded, or [] to read frames/ one by one
     normals: NormalMaps | None = None
     absent: Mapping[int, str] = field(default_factory=dict)  # frames that say nothing, and why
+    focal: float = 1.0  # factor on the focal lengths of cameras.npz, which the poses belong to
 
     def __len__(self) -> int:
         return len(self.cameras)
@@ -194,6 +196,9 @@ def load_video(
         raise InputError(
             f"{poses or folder / POSES}: holds {len(pose)} frames, but the video has {count}"
         )
+    # Where the refinement moved the focal length too, its poses hold for that one only.
+    if (focal := load_focal(poses or folder / POSES)) != 1:
+        cameras = [camera.zoomed(focal) for camera in cameras]
     if len(cameras) == 1:
         cameras = cameras * count
     if len(cameras) != count:
@@ -212,7 +217,8 @@ def load_video(
     if len(absent) == count:
         raise InputError(f"{folder}: no frame can be used; frame 0: {absent[0]}")
     splits = load_splits(folder, count).without(absent)
-    return Video(folder, cameras, pose, shape, splits, images, maps, dict(sorted(absent.items())))
+    absent = dict(sorted(absent.items()))
+    return Video(folder, cameras, pose, shape, splits, images, maps, absent, focal)
 
 
 def best_poses(folder: Path) -> Path:

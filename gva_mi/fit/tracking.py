@@ -92,7 +92,14 @@ def write_tracking(
         "versions": versions(),
     }
     write_json(video.folder / TRACKING, record)
-    save_poses(video.folder / TRACKED_POSES, found.pose, video.shape, stage=2, offsets=offsets)
+    save_poses(
+        video.folder / TRACKED_POSES,
+        found.pose,
+        video.shape,
+        stage=2,
+        offsets=offsets,
+        focal=video.focal,
+    )
 
 
 def _errors(video: Video, body: BodyModel, found: FittedPoses) -> dict[str, dict[str, float]]:

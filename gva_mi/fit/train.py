@@ -91,7 +91,7 @@ def fit(
     write_arrays(out / run_folder.HISTORY, **run.history)
     if len(run.poses.frames):
         poses = run.poses.all(video.splits.train)
-        save_poses(out / run_folder.TRAINED_POSES, poses, video.shape, stage=2)
+        save_poses(out / run_folder.TRAINED_POSES, poses, video.shape, stage=2, focal=video.focal)
     run.avatar.save(out / run_folder.AVATAR)
     (out / run_folder.CHECKPOINT).unlink(missing_ok=True)
     return run.avatar

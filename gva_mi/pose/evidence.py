@@ -32,6 +32,8 @@ import torch
 from torch import Tensor
 from torch.autograd.function import FunctionCtx
 
+from gva_mi.body.pose import Pose, Shape
+from gva_mi.body.smplx import BodyModel
 from gva_mi.data.video import Frame, Outline, Video
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.crop import (
@@ -42,6 +44,7 @@ from gva_mi.pose.crop import (
     person_extent,
     points_extent,
 )
+from gva_mi.pose.focal import follow, stretched, true_normals
 from gva_mi.splat import Camera
 
 MARGIN = 0.15  # of the box around the person, added on each side
@@ -159,6 +162,30 @@ def gather(
     return found, reasons
 
 
+def seen_body(
+    body: BodyModel,
+    pose: Pose,
+    shape: Shape,
+    offsets: Tensor,
+    seen: Sequence[MaskAndNormals],
+    focal: Tensor | None,
+) -> Tensor:
+    """The vertices (B, V, 3) that a scene shows of a body in B frames.
+
+    Args:
+        body, shape, offsets: the person.
+        pose: of the B frames.
+        seen: their evidence, whose cameras see the body.
+        focal: a factor on their focal length, for which the body follows in depth and is stretched
+            (:mod:`gva_mi.pose.focal`); None: 1.
+    """
+    if focal is None:
+        return body(pose, shape, offsets).vertices
+    cameras = [frame.camera for frame in seen]
+    pose = follow(pose, body.rest(shape).joints[0], cameras, focal)
+    return stretched(body(pose, shape, offsets).vertices, cameras, focal)
+
+
 def mean_loss(
     scene: MeshScene,
     vertices: Tensor,
@@ -166,6 +193,7 @@ def mean_loss(
     silhouette: float,
     closer: Sequence[Sequence[MaskAndNormals]] = (),
     close_up: float = 0.0,
+    focal: Tensor | None = None,
 ) -> Tensor:
     """Mean over frames of eq. 1, and of eq. 1 of close-ups, differentiable in the vertices.
 
@@ -180,13 +208,15 @@ def mean_loss(
         silhouette: λ1.
         closer: close-ups of the same B frames, crops of their pictures; nothing: there are none.
         close_up: weight of each close-up, where that of the person is 1.
+        focal: a factor on the focal length (:mod:`gva_mi.pose.focal`), for which the vertices are
+            already stretched; normals are turned back by it, and it is differentiated, too.
     """
     closer = closer or [()] * len(seen)
     frames = [
         ((1.0, whole), *((close_up, part) for part in parts))
         for whole, parts in zip(seen, closer, strict=True)
     ]
-    return _MeanLoss.apply(vertices, scene, frames, silhouette)
+    return _MeanLoss.apply(vertices, focal, scene, frames, silhouette)
 
 
 class _MeanLoss(torch.autograd.Function):
@@ -194,25 +224,34 @@ class _MeanLoss(torch.autograd.Function):
     def forward(
         ctx: FunctionCtx,
         vertices: Tensor,
+        focal: Tensor | None,
         scene: MeshScene,
         frames: Sequence[Sequence[tuple[float, MaskAndNormals]]],
         silhouette: float,
     ) -> Tensor:
-        losses, gradients = [], []
+        losses, gradients, by_focal = [], [], []
         for body, views in zip(vertices.detach().unbind(), frames, strict=True):
             with torch.enable_grad():
                 body = body.contiguous().requires_grad_()
                 images = scene.render_together(body, [seen.camera for _, seen in views])
+                leaves = [body]
+                if focal is not None:
+                    leaves.append(focal.detach().requires_grad_())
+                    images = [true_normals(image, leaves[1]) for image in images]
                 loss = sum(
                     weight * seen.loss(image, silhouette)
                     for (weight, seen), image in zip(views, images, strict=True)
                 )
-                gradients += torch.autograd.grad(loss, [body])
+                gradient, *rest = torch.autograd.grad(loss, leaves)
+            gradients.append(gradient)
+            by_focal += rest
             losses.append(float(loss.detach()))
-        ctx.save_for_backward(torch.stack(gradients) / len(frames))
+        means = [torch.stack(x) / len(frames) for x in (gradients, by_focal) if x]
+        ctx.save_for_backward(*means)
         return vertices.new_tensor(sum(losses) / len(frames))
 
     @staticmethod
-    def backward(ctx: FunctionCtx, grad_loss: Tensor) -> tuple[Tensor, None, None, None]:
-        (gradient,) = ctx.saved_tensors
-        return grad_loss * gradient, None, None, None
+    def backward(ctx: FunctionCtx, grad_loss: Tensor) -> tuple[Tensor | None, ...]:
+        gradient, *by_focal = ctx.saved_tensors
+        grad_focal = grad_loss * by_focal[0].sum(0) if by_focal else None
+        return grad_loss * gradient, grad_focal, None, None, None

@@ -36,6 +36,7 @@ class Solution:
     shape: Shape
     offsets: Tensor  # (V, 3) displacement of the rest surface, metres
     noise: Mapping[str, Noise] = field(default_factory=dict)  # of stage 1, where it was inferred
+    focal: float = 1.0  # s of gva_mi.pose.focal; the pose does not follow it yet
 
 
 @dataclass(frozen=True)

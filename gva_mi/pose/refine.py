@@ -38,10 +38,11 @@ from gva_mi.console import Progress, within
 from gva_mi.data.video import Outline, Video
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.clips import join, of_clip, poses_of_clip
-from gva_mi.pose.close_ups import FinePicture, close_up_scale
+from gva_mi.pose.close_ups import FinePicture, close_up_scale, parts_of
 from gva_mi.pose.coarse_body import CoarseBody
 from gva_mi.pose.descent import with_frames, worse_frames
-from gva_mi.pose.evidence import MaskAndNormals, common_scale, gather
+from gva_mi.pose.evidence import MaskAndNormals, common_scale, gather, mean_loss, seen_body
+from gva_mi.pose.focal import follow
 from gva_mi.pose.job import Job, RefineOptions, Solution
 from gva_mi.pose.noise import Noise
 from gva_mi.pose.parallel import Done, run
@@ -65,6 +66,7 @@ class Refined:
     cameras: list[Camera] | None = None  # of all frames where they were refined too; else as given
     held_out: list[int] = field(default_factory=list)  # test frames that were not looked at
     noise: Mapping[str, Noise] = field(default_factory=dict)  # of stage 1, where it was inferred
+    focal: float = 1.0  # factor on the focal lengths of the video's cameras, as it was found
 
 
 def refine(
@@ -107,8 +109,12 @@ def refine_all(
     Returns:
         What came of each, in their order and as soon as it is done.
     """
-    coarse = {faces: CoarseBody(body, faces) for faces in {o.faces for _, o in tasks}}
-    videos = [_SeenVideo.of(video, coarse[options.faces], options) for video, options in tasks]
+    drawn = [(options.faces, options.close_up_size > 0) for _, options in tasks]
+    coarse = {key: _coarse(body, *key) for key in set(drawn)}
+    videos = [
+        _SeenVideo.of(video, coarse[key], options)
+        for (video, options), key in zip(tasks, drawn, strict=True)
+    ]
     first = [video.first_job() for video in videos]
     steps = sum(job.steps for job in first if job is not None)
     later = sum(video.clip_steps for video in videos)
@@ -137,6 +143,7 @@ class _SeenVideo:
     coarse: CoarseBody
     pose: Pose  # stage 1, brought to the person's height where it is known
     shape: Shape
+    cameras: Sequence[Camera]
     options: RefineOptions
     evidence: dict[int, MaskAndNormals]
     pictures: dict[int, FinePicture]  # of the frames that have evidence, where there are close-ups
@@ -169,7 +176,18 @@ class _SeenVideo:
         if options.height is not None:
             pose, shape = with_height(coarse.body, pose, shape, video.cameras, options.height)
         seconds = time.perf_counter() - begin
-        return _SeenVideo(coarse, pose, shape, options, evidence, pictures, kept, held_out, seconds)
+        return _SeenVideo(
+            coarse,
+            pose,
+            shape,
+            video.cameras,
+            options,
+            evidence,
+            pictures,
+            kept,
+            held_out,
+            seconds,
+        )
 
     @property
     def clips(self) -> list[range]:
@@ -215,11 +233,17 @@ class _SeenVideo:
         losses_stage1, losses = (self._losses(p, shared) for p in (self.pose, pose))
         kept = self.kept | worse_frames(self.evidence, losses_stage1, losses)
         taken = [k for k in (*self.evidence, *self.held_out) if k not in kept]
+        pose = with_frames(self.pose, taken, pose[taken])
+        if shared.focal != 1:
+            pelvis = self.coarse.body.rest(shared.shape).joints[0]
+            pose = follow(pose, pelvis, self.cameras, shared.focal)
         work = self.seconds + sum(done.seconds for done in (*found, *([known] if known else [])))
         return Refined(
-            pose=with_frames(self.pose, taken, pose[taken]),
+            pose=pose,
             shape=shared.shape,
             offsets=self.coarse.spread(shared.offsets),
+            focal=shared.focal,
+            cameras=[c.zoomed(shared.focal) for c in self.cameras] if shared.focal != 1 else None,
             losses_stage1=losses_stage1,
             losses=losses,
             kept=dict(sorted(kept.items())),
@@ -235,11 +259,12 @@ class _SeenVideo:
         losses = torch.full((len(pose),), torch.nan)
         body = self.coarse.body
         scene = MeshScene(body.faces, body.v_template)
+        focal = None if person.focal == 1 else torch.tensor(person.focal)
         with one_torch_thread():
             for k, seen in self.evidence.items():
-                vertices = body(pose[k], person.shape, person.offsets).vertices[0]
-                image = scene.render(vertices, seen.camera)
-                losses[k] = seen.loss(image, self.options.silhouette)
+                who = body, pose[k], person.shape, person.offsets
+                vertices = seen_body(*who, [seen], focal)
+                losses[k] = mean_loss(scene, vertices, [seen], self.options.silhouette, focal=focal)
         return losses
 
 
@@ -248,6 +273,12 @@ def _held_out(video: Video, options: RefineOptions) -> dict[int, str]:
     if not options.hold_out_test:
         return {}
     return {k: "it is a test frame, and held out" for k in video.splits.test}
+
+
+def _coarse(body: BodyModel, faces: int, close_ups: bool) -> CoarseBody:
+    """The body that is compared, finer where there are close-ups."""
+    finer = torch.cat([part.vertices for part in parts_of(body)]) if close_ups else None
+    return CoarseBody(body, faces, finer)
 
 
 def _fine_scale(

@@ -19,6 +19,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
+import torch
 from torch import Tensor
 
 from gva_mi.body.pose import Pose, Shape
@@ -28,7 +29,7 @@ from gva_mi.pose.clips import cut, skim
 from gva_mi.pose.close_ups import CloseUps
 from gva_mi.pose.descent import DescentOptions, descend
 from gva_mi.pose.displacement import Displacement
-from gva_mi.pose.evidence import mean_loss
+from gva_mi.pose.evidence import mean_loss, seen_body
 from gva_mi.pose.job import Job, RefineOptions, Solution
 from gva_mi.pose.priors import lever_arms
 from gva_mi.pose.stature import Stature
@@ -56,6 +57,8 @@ class SequenceOptions(DescentOptions, RefineOptions):
     translation_lr: float = 0.006  # metres in a step at the start; depth is seen weakly
     cloth_lr: float = 0.002  # metres in a step at the start
     betas_lr: float = 0.02  # standard deviations in a step at the start
+    refine_camera: bool = False  # whether the focal length of the video is an unknown, too
+    focal_lr: float = 0.003  # of its logarithm, in a step at the start
     part: int = 240  # frames refined together; a longer video is cut into clips
     overlap: int = 16  # frames that a clip shares with the next
     skim: int = 96  # frames of a longer video that tell what all its clips share
@@ -116,7 +119,8 @@ def refine_sequence(
     options = replace(options, batch=batch)
     found = descend(person, job.pose, person.arms, options, progress, job.following)
     shape, offsets = Shape(person.shape.betas.detach()), person.offsets.detach()
-    return Solution(found.pose, shape, offsets, found.beliefs.noise)
+    focal = float(person.focal.detach())
+    return Solution(found.pose, shape, offsets, found.beliefs.noise, focal)
 
 
 class ClothedPerson:
@@ -132,9 +136,13 @@ class ClothedPerson:
         self._close_ups, self._stature = CloseUps(job.fine, job.body), Stature.of(job.body)
         self._cloth = Displacement(rest.vertices, job.body.faces, job.body.weights)
         self._betas = job.shape.betas.clone()[:, None].requires_grad_()  # (B, 1): B vectors of one
+        self._log_focal = torch.zeros(1, 1, requires_grad=options.refine_camera)
         if job.known is None:
             self.shared = [(self._cloth.raw, options.cloth_lr), (self._betas, options.betas_lr)]
+            if options.refine_camera:
+                self.shared.append((self._log_focal, options.focal_lr))
         else:
+            self._log_focal = torch.full((1, 1), job.known.focal).log()
             self._cloth.raw, self._betas = job.known.offsets, job.known.shape.betas[:, None]
             self.shared = []
         self.arms = lever_arms(rest, job.body.weights, job.body.parents)
@@ -147,18 +155,24 @@ class ClothedPerson:
         return self._cloth.offsets
 
     @property
+    def focal(self) -> Tensor:
+        """``s``, a scalar: the factor on the focal length (:mod:`gva_mi.pose.focal`)."""
+        return self._log_focal.exp()[0, 0]
+
+    @property
     def shape(self) -> Shape:
         """``β``, the shape."""
         return Shape(self._betas[:, 0])
 
     def loss(self, frames: Sequence[int], pose: Pose) -> Tensor:
         """The data term in these poses, a mean over their frames."""
-        vertices = self._job.body(pose, self.shape, self.offsets).vertices
         seen = [self._job.evidence[k] for k in frames]
+        focal = self.focal if self._options.refine_camera else None
+        vertices = seen_body(self._job.body, pose, self.shape, self.offsets, seen, focal)
         bodies = zip(frames, vertices.detach(), seen, strict=True)
         closer = [self._close_ups.of(*body) for body in bodies]
         o = self._options
-        return mean_loss(self._scene, vertices, seen, o.silhouette, closer, o.close_ups)
+        return mean_loss(self._scene, vertices, seen, o.silhouette, closer, o.close_ups, focal)
 
     def energy(self) -> Tensor:
         """``E(D) + λβ |β - β^stage1|²``."""

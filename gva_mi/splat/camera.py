@@ -148,6 +148,14 @@ class Camera:
         cx, cy, tensors = self.cx - left, self.cy - top, self.tensors._replace(K=K)
         return replace(self, cx=cx, cy=cy, width=width, height=height, tensors=tensors)
 
+    def zoomed(self, factor: float) -> Camera:
+        """The same view through a lens with ``factor`` times the focal lengths."""
+        K = self.tensors.K
+        if K is not None:
+            K = K * _like(K, [[factor, 1, 1], [1, factor, 1], [1, 1, 1]])
+        tensors = self.tensors._replace(K=K)
+        return replace(self, fx=self.fx * factor, fy=self.fy * factor, tensors=tensors)
+
     def project(self, points: np.ndarray) -> np.ndarray:
         """World points (..., 3) to pixels (..., 2); meaningless for a point behind the camera."""
         x = points @ self.T_camera_world[:3, :3].T + self.T_camera_world[:3, 3]

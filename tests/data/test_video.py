@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from gva_mi import InputError
+from gva_mi.body.pose import save_poses
 from gva_mi.data.pictures import read_image, read_movie, write_image, write_movie
 from gva_mi.data.video import Splits, load_video, spread
 
@@ -164,3 +165,34 @@ def test_a_film_that_cannot_be_decoded_is_named(subject):
 def test_indices_are_spread_evenly_with_both_ends():
     assert spread(range(100), 4) == [0, 33, 66, 99]
     assert spread([3, 5], 4) == [3, 5] and spread([], 4) == []
+
+
+def test_poses_with_a_focal_length_of_their_own_come_with_its_cameras(subject):
+    plain = load_video(subject)
+    save_poses(subject / "zoomed.npz", plain.pose, plain.shape, stage=2, focal=1.25)
+    zoomed = load_video(subject, subject / "zoomed.npz")
+    assert plain.focal == 1 and zoomed.focal == 1.25
+    for before, after in zip(plain.cameras, zoomed.cameras, strict=True):
+        assert (after.fx, after.fy) == (1.25 * before.fx, 1.25 * before.fy)
+        assert (after.cx, after.cy, after.width) == (before.cx, before.cy, before.width)
+
+
+def test_a_focal_length_that_is_no_positive_number_is_refused(subject):
+    video = load_video(subject)
+    save_poses(subject / "zoomed.npz", video.pose, video.shape, stage=2, focal=-1.0)
+    with pytest.raises(InputError, match="'focal' must be a positive number"):
+        load_video(subject, subject / "zoomed.npz")
+
+
+def test_outlines_are_the_frames_without_their_pictures(subject):
+    (subject / "normals").mkdir()
+    normals = np.random.default_rng(0).standard_normal((6, 8, 3)).astype(np.float32)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    np.save(subject / "normals/000001.npy", normals)
+    video, part = load_video(subject), np.s_[1:5, 2:7]
+    for frame, outline in zip(video.frames([0, 1]), video.outlines([0, 1]), strict=True):
+        np.testing.assert_array_equal(outline.mask, frame.mask)
+        seen = outline.normals(part)
+        assert (seen is None) == (frame.normals is None) == (frame.index == 0)
+        if seen is not None:
+            np.testing.assert_array_equal(seen, frame.normals[part])

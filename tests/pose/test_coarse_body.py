@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from gva_mi.mesh.mesh_scene import MeshScene
+from gva_mi.pose.close_ups import parts_of
 from gva_mi.pose.coarse_body import CoarseBody
 from gva_mi.pose.evidence import MaskAndNormals
 
@@ -66,3 +67,12 @@ def test_a_displacement_is_spread_without_bends(coarse, body):
     expected = ramp(body.v_template)
     assert torch.allclose(spread[coarse.kept], expected[coarse.kept], atol=1e-5)
     assert float((spread - expected).norm(dim=1).mean()) < 2e-4  # a hundredth of the ramp's rise
+
+
+def test_what_close_ups_show_keeps_more_triangles(coarse, body):
+    parts = parts_of(body)
+    finer = CoarseBody(body, FACES, torch.cat([part.vertices for part in parts]))
+    assert len(finer.body.faces) == FACES
+    count = lambda of, part: int(torch.isin(of.kept[of.body.faces], part.vertices).all(1).sum())
+    for part in parts:
+        assert count(finer, part) > 2 * count(coarse, part)

@@ -93,3 +93,11 @@ def test_what_a_camera_is_made_from_goes_with_it(change, kind):
         expected[0], expected[1] = 32 / 64, 36 / 48
     np.testing.assert_allclose(grad.numpy(), expected)
     assert part.tensors.T_camera_world is None
+
+
+def test_another_lens_stretches_the_picture_about_the_principal_point():
+    c, points = camera(), np.array([[0.1, 0.5, 0.0], [-0.3, 0.2, 0.4]])
+    centre = np.array([c.cx, c.cy])
+    np.testing.assert_allclose(
+        c.zoomed(1.3).project(points) - centre, 1.3 * (c.project(points) - centre)
+    )

@@ -57,7 +57,8 @@ def write_record(evaluation: Evaluation, versions: dict[str, str]) -> None:
     }
     write_json(folder / REFINEMENT, record)
     pose, shape, offsets = refined.pose, refined.shape, refined.offsets
-    save_poses(folder / REFINED_POSES, pose, shape, stage=2, offsets=offsets)
+    focal = video.focal * refined.focal
+    save_poses(folder / REFINED_POSES, pose, shape, stage=2, offsets=offsets, focal=focal)
 
 
 def _by_split(measured: Measured, refined: Refined) -> dict[str, dict]:

@@ -1,0 +1,67 @@
+"""One factor ``s`` on the focal length of a video, as an unknown of the descent.
+
+A camera whose focal lengths are ``s`` times those of another shows the same picture as that one
+shows of a world stretched across the line of sight. In camera space, with ``S = diag(s, s, 1)``:
+
+1. ``x' = S x``: the picture of ``x'`` by the camera is that of ``x`` by the camera ``s fx, s fy``,
+2. ``n ∝ S n'``: normals of the stretched surface are ``n' ∝ S^{-T} n``, so the true ones follow,
+3. ``z ← s z``: how large a person is seen goes by ``s / z``. So that a change of ``s`` leaves the
+   size as it is, ``d log z = d log s``, the pelvis of every frame moves with it along the optical
+   axis: the other coordinates of the descent keep what they have found, and ``s`` changes only how
+   strongly near limbs grow and far ones shrink.
+
+So ``s`` is differentiated through vertices, and the renderer knows nothing of it. Poses found by a
+descent are those for ``s = 1`` until :func:`follow` moves them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gva_mi.body.pose import Pose
+from gva_mi.splat import Camera
+
+
+def stretched(vertices: Tensor, cameras: Sequence[Camera], s: Tensor) -> Tensor:
+    """Eq. 1, in the world's axes: differentiable in both.
+
+    Args:
+        vertices: (B, V, 3) world, metres.
+        cameras: of the B frames, before the change.
+        s: a scalar.
+    """
+    R, t = _world_to_camera(cameras, vertices.dtype)
+    seen = vertices @ R.mT + t[:, None]
+    return (torch.cat([s * seen[..., :2], seen[..., 2:]], -1) - t[:, None]) @ R
+
+
+def true_normals(image: Tensor, s: Tensor) -> Tensor:
+    """Eq. 2: an image (..., 4) of normals in camera space and mask, of the surface before 1."""
+    across, along = s * image[..., :2], image[..., 2:3]
+    length = (across.square().sum(-1, keepdim=True) + along.square()).clamp_min(1e-12).sqrt()
+    return torch.cat([across / length, along / length, image[..., 3:]], -1)
+
+
+def follow(pose: Pose, pelvis: Tensor, cameras: Sequence[Camera], s: Tensor | float) -> Pose:
+    """Eq. 3: poses whose pelvis stands ``s`` times as deep; differentiable.
+
+    Args:
+        pose: T frames.
+        pelvis: (3,) the pelvis at rest, metres.
+        cameras: of the T frames.
+        s: a scalar.
+    """
+    R, t = _world_to_camera(cameras, pose.transl.dtype)
+    axis = R[:, 2]  # of the lens, in the world
+    depth = ((pelvis + pose.transl) * axis).sum(1) + t[:, 2]
+    moved = pose.transl + (s - 1) * depth[:, None] * axis
+    return Pose(pose.rotations, moved, pose.expression)
+
+
+def _world_to_camera(cameras: Sequence[Camera], dtype: torch.dtype) -> tuple[Tensor, Tensor]:
+    T = torch.from_numpy(np.stack([camera.T_camera_world for camera in cameras])).to(dtype)
+    return T[:, :3, :3], T[:, :3, 3]

@@ -24,7 +24,7 @@ pixel. The factor is also in the outline's part of eq. 2, where normals end at t
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -44,7 +44,7 @@ from gva_mi.pose.crop import (
     person_extent,
     points_extent,
 )
-from gva_mi.pose.focal import follow, stretched, true_normals
+from gva_mi.pose.focal import follow, stretched, stretched_normals
 from gva_mi.splat import Camera
 
 MARGIN = 0.15  # of the box around the person, added on each side
@@ -87,6 +87,12 @@ class MaskAndNormals:
             normals = torch.nn.functional.normalize(crop.shrink(normals, part), dim=-1)
             normals = normals * (mask > 0.5)[..., None]
         return MaskAndNormals(crop.cut_camera(camera), mask, normals, float(mask.sum()))
+
+    def stretched(self, focal: Tensor) -> MaskAndNormals:
+        """What it says of a stretched body (:mod:`gva_mi.pose.focal`), differentiable."""
+        if self.normals is None:
+            return self
+        return replace(self, normals=stretched_normals(self.normals, focal))
 
     def loss(self, image: Tensor, silhouette: float) -> Tensor:
         """Eq. 1, the data term of Eq. 8, of a rendering (H, W, 4) of normals and mask.
@@ -209,7 +215,7 @@ def mean_loss(
         closer: close-ups of the same B frames, crops of their pictures; nothing: there are none.
         close_up: weight of each close-up, where that of the person is 1.
         focal: a factor on the focal length (:mod:`gva_mi.pose.focal`), for which the vertices are
-            already stretched; normals are turned back by it, and it is differentiated, too.
+            already stretched; the evidence is stretched here, and it is differentiated, too.
     """
     closer = closer or [()] * len(seen)
     frames = [
@@ -233,11 +239,11 @@ class _MeanLoss(torch.autograd.Function):
         for body, views in zip(vertices.detach().unbind(), frames, strict=True):
             with torch.enable_grad():
                 body = body.contiguous().requires_grad_()
-                images = scene.render_together(body, [seen.camera for _, seen in views])
                 leaves = [body]
                 if focal is not None:
                     leaves.append(focal.detach().requires_grad_())
-                    images = [true_normals(image, leaves[1]) for image in images]
+                    views = [(weight, seen.stretched(leaves[1])) for weight, seen in views]
+                images = scene.render_together(body, [seen.camera for _, seen in views])
                 loss = sum(
                     weight * seen.loss(image, silhouette)
                     for (weight, seen), image in zip(views, images, strict=True)

@@ -4,7 +4,9 @@ A camera whose focal lengths are ``s`` times those of another shows the same pic
 shows of a world stretched across the line of sight. In camera space, with ``S = diag(s, s, 1)``:
 
 1. ``x' = S x``: the picture of ``x'`` by the camera is that of ``x`` by the camera ``s fx, s fy``,
-2. ``n ∝ S n'``: normals of the stretched surface are ``n' ∝ S^{-T} n``, so the true ones follow,
+2. ``n' ∝ S^{-T} n``: normals of the stretched surface. The normals of a frame are brought there,
+   and compared with those that are rendered; to bring these back, ``n ∝ S n'``, would put a
+   nonlinear step after the renderer, whose derivative at outlines holds for linear ones only,
 3. ``z ← s z``: how large a person is seen goes by ``s / z``. So that a change of ``s`` leaves the
    size as it is, ``d log z = d log s``, the pelvis of every frame moves with it along the optical
    axis: the other coordinates of the descent keep what they have found, and ``s`` changes only how
@@ -39,11 +41,11 @@ def stretched(vertices: Tensor, cameras: Sequence[Camera], s: Tensor) -> Tensor:
     return (torch.cat([s * seen[..., :2], seen[..., 2:]], -1) - t[:, None]) @ R
 
 
-def true_normals(image: Tensor, s: Tensor) -> Tensor:
-    """Eq. 2: an image (..., 4) of normals in camera space and mask, of the surface before 1."""
-    across, along = s * image[..., :2], image[..., 2:3]
-    length = (across.square().sum(-1, keepdim=True) + along.square()).clamp_min(1e-12).sqrt()
-    return torch.cat([across / length, along / length, image[..., 3:]], -1)
+def stretched_normals(normals: Tensor, s: Tensor) -> Tensor:
+    """Eq. 2: unit normals (..., 3) in camera space of the surface after 1; zero stays zero."""
+    across, along = normals[..., :2] / s, normals[..., 2:]
+    square = across.square().sum(-1, keepdim=True) + along.square()
+    return torch.cat([across, along], -1) / square.clamp_min(1e-12).sqrt()
 
 
 def follow(pose: Pose, pelvis: Tensor, cameras: Sequence[Camera], s: Tensor | float) -> Pose:

@@ -59,6 +59,7 @@ class SequenceOptions(DescentOptions, RefineOptions):
     betas_lr: float = 0.02  # standard deviations in a step at the start
     refine_camera: bool = False  # whether the focal length of the video is an unknown, too
     focal_lr: float = 0.003  # of its logarithm, in a step at the start
+    focal_prior: float = 0.1  # of its logarithm's square
     part: int = 240  # frames refined together; a longer video is cut into clips
     overlap: int = 16  # frames that a clip shares with the next
     skim: int = 96  # frames of a longer video that tell what all its clips share
@@ -180,6 +181,8 @@ class ClothedPerson:
         moved = (self.shape.betas - self._job.shape.betas).square().sum()
         cloth = self._cloth.energy(self.offsets, o.cloth_smooth, o.cloth_small, o.cloth_outward)
         energy = o.betas_prior * moved + cloth
+        if o.refine_camera:
+            energy = energy + o.focal_prior * self._log_focal.square().sum()
         if o.height is not None:
             energy = energy + HOLD_HEIGHT * self._stature.energy(self.shape, o.height)
         return energy

@@ -68,8 +68,7 @@ class Interior:
         corner = dr.gather(mi.Vector3f, surface.positions, vertex)
         crowd = 2 * projection.density(c, corner, ray)
         weight = filter.balance(crowd, rays)
-        on_faces = dr.arange(mi.UInt32, dr.width(q)) + dr.opaque(mi.UInt32, dr.width(rays))
-        crowd = dr.gather(mi.Float, crowd, on_faces)
+        crowd = _entries_from(crowd, dr.width(rays))
         return Interior(caster, filter, rays, q, ray, faces, weight, crowd)
 
     def tangent(self, d_positions: mi.Vector3f) -> list[mi.Float]:
@@ -107,6 +106,14 @@ class Interior:
         surface, camera_world = self.caster.surface, self.caster.projection.camera_world
         grad_n, grad_w = self.caster.channels.adjoint(by_sample, camera_world)
         return surface.adjoint(*surface.shade_adjoint(self.ray, self.face, grad_n, grad_w))
+
+
+def _entries_from(values: mi.Float, start: int) -> mi.Float:
+    """The entries of an array from one on, perhaps none."""
+    if dr.width(values) == start:
+        return dr.zeros(mi.Float, 0)
+    index = dr.arange(mi.UInt32, dr.width(values) - start) + dr.opaque(mi.UInt32, start)
+    return dr.gather(mi.Float, values, index)
 
 
 def _is_slanted(surface: Surface, ray: mi.Ray3f, face: mi.UInt32) -> mi.Bool:

@@ -59,7 +59,7 @@ class SequenceOptions(DescentOptions, RefineOptions):
     betas_lr: float = 0.02  # standard deviations in a step at the start
     refine_camera: bool = False  # whether the focal length of the video is an unknown, too
     focal_lr: float = 0.003  # of its logarithm, in a step at the start
-    focal_prior: float = 0.1  # of its logarithm's square
+    focal_prior: float = 1.0  # of its logarithm's square
     part: int = 240  # frames refined together; a longer video is cut into clips
     overlap: int = 16  # frames that a clip shares with the next
     skim: int = 96  # frames of a longer video that tell what all its clips share

@@ -13,7 +13,7 @@ from gva_mi.fit.perceptual import Weights
 from gva_mi.fit.photometric import PhotometricOptions, fit_poses
 
 ELBOW = JOINTS.index("left_elbow")
-OPTIONS = PhotometricOptions(passes=12, prior=0.0, hold=0.0, step=0.015, translation_lr=0.015)
+OPTIONS = PhotometricOptions(passes=12, nat=1e-6, step=0.015, translation_lr=0.015)
 SHORT = replace(OPTIONS, passes=2)
 SHIFT = torch.tensor([0.04, -0.03, 0.0])
 
@@ -100,7 +100,7 @@ def test_a_pose_that_is_right_stays(known, video):
 
 def test_a_strong_prior_holds_the_poses_where_they_were(known, wrong):
     free, held = (
-        fit_poses(known, wrong, replace(OPTIONS, passes=5, prior=p, hold=p)).pose for p in (0, 1e4)
+        fit_poses(known, wrong, replace(OPTIONS, passes=5, nat=nat)).pose for nat in (1e-6, 10.0)
     )
     moved = lambda pose: (pose.transl - wrong.pose.transl).norm(dim=1).mean()
     assert moved(held) < 0.3 * moved(free)

@@ -9,7 +9,7 @@ once, and follows the gradient of
 
 with :class:`VectorAdam`, whose learning rates fall from ``r`` to ``decay · r``. After the first
 ``learn`` passes pictures have shown how the poses err that were given, and how the person moves,
-and ``E`` becomes what that tells.
+and ``E`` becomes what that tells; then details are looked at, too.
 
 How well a frame agrees with a pose, ``L_k``, is for the evidence to say: masks and normals of the
 posed body (:mod:`gva_mi.pose.sequence`), or pictures under a splatted avatar
@@ -57,6 +57,10 @@ class Evidence(Protocol):
 
     def energy(self) -> Tensor | float:
         """``E(s)``; zero where nothing is shared."""
+        ...
+
+    def come_closer(self) -> None:
+        """Poses are nearly right: from now on, look at details that would mislead before."""
         ...
 
 
@@ -123,6 +127,7 @@ def descend(
     for step, batch in enumerate(batches):
         if step == renewed_at:
             corrections = corrections.renewed()
+            evidence.come_closer()
             adam = _optimiser(corrections, evidence, arms, options)
         loss = evidence.loss([frames[i] for i in batch], corrections.pose(batch))
         loss = loss + options.nat * corrections.energy() + evidence.energy()

@@ -42,7 +42,7 @@ HOLD_HEIGHT = 1e3  # for one square metre between the body's height and the pers
 class SequenceOptions(DescentOptions, RefineOptions):
     """How all frames of a video are refined together."""
 
-    close_ups: float = 0.0  # of each hand and foot, where the loss of the whole person counts 1
+    close_ups: float = 0.1  # of each hand and foot, where the loss of the whole person counts 1
     hand_size: int = 44  # pixels of a hand's length in them, where the video has as many
     passes: int = 50  # how often every frame is visited
     batch: int = 4  # frames of a step, at most
@@ -135,6 +135,7 @@ class ClothedPerson:
         rest = job.body.rest(job.shape)
         self._job, self._options, self._scene = job, options, job.scene()
         self._close_ups, self._stature = CloseUps(job.fine, job.body), Stature.of(job.body)
+        self._close = False
         self._cloth = Displacement(rest.vertices, job.body.faces, job.body.weights)
         self._betas = job.shape.betas.clone()[:, None].requires_grad_()  # (B, 1): B vectors of one
         self._log_focal = torch.zeros(1, 1, requires_grad=options.refine_camera)
@@ -170,10 +171,15 @@ class ClothedPerson:
         seen = [self._job.evidence[k] for k in frames]
         focal = self.focal if self._options.refine_camera else None
         vertices = seen_body(self._job.body, pose, self.shape, self.offsets, seen, focal)
-        bodies = zip(frames, vertices.detach(), seen, strict=True)
-        closer = [self._close_ups.of(*body) for body in bodies]
-        o = self._options
+        closer, o = [], self._options
+        if self._close:
+            bodies = zip(frames, vertices.detach(), seen, strict=True)
+            closer = [self._close_ups.of(*body) for body in bodies]
         return mean_loss(self._scene, vertices, seen, o.silhouette, closer, o.close_ups, focal)
+
+    def come_closer(self) -> None:
+        """From now on, look at hands and feet by themselves: a hand must be near its picture."""
+        self._close = True
 
     def energy(self) -> Tensor:
         """``E(D) + λβ |β - β^stage1|²``."""

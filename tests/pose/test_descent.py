@@ -32,6 +32,9 @@ class Places:
         bent = pose.rotations[:, ELBOW, 1] - 0.2
         return ((away + self.offset).square().sum(1) + bent.square()).mean()
 
+    def come_closer(self):
+        self.closer_at = len(self.visited)
+
     def energy(self):
         """Holds the offset at what is shared, so that the places are left to find their own."""
         return (self.offset - SHARED).square().sum() if self.shared else 0.0
@@ -105,3 +108,9 @@ def test_frames_that_are_not_looked_at_follow_the_motion(camera):
     assert 3 not in sum(evidence.visited, [])
     torch.testing.assert_close(found.transl[3], PLACE, atol=4e-2, rtol=0)
     assert float(found.rotations[3, ELBOW, 1]) == pytest.approx(0.2, abs=0.03)
+
+
+def test_details_are_looked_at_once_poses_are_nearly_right(camera):
+    evidence = Places(camera)
+    descend(evidence, Pose.rest(4), ARMS, replace(FREE, passes=10, learn=4))
+    assert evidence.closer_at == 4 * 2  # two batches of a pass

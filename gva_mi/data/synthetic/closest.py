@@ -213,7 +213,8 @@ def _step(
     damping = torch.full((J.shape[2],), TURN**-2, dtype=J.dtype)
     damping[-3:] = 0
     normal = J.mT @ J + torch.diag(damping)
-    change = torch.linalg.solve(normal, (J.mT @ r[..., None]))[..., 0]
+    factor = torch.linalg.cholesky(normal)
+    change = torch.cholesky_solve(J.mT @ r[..., None], factor)[..., 0]
     turn = roma.rotvec_to_rotmat(change[:, :-3].unflatten(1, (-1, 3)))
     above = torch.eye(3, dtype=J.dtype).repeat(len(J), len(JOINTS), 1, 1)
     above[:, 1:] = T_world_rest[:, list(PARENTS[1:]), :3, :3]

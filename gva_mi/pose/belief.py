@@ -111,7 +111,9 @@ class Belief:
             # At first a step is taken for no jump, however large: else nothing would move at all.
             H, W = belief._curvature(corrections, jumps=round >= ROUNDS // 2)
             pull = torch.einsum("pk,cp,pcd->ckd", D, W, self.steps.double())
-            corrections = torch.linalg.solve(H, -pull).transpose(0, 1).float()
+            corrections = (
+                torch.cholesky_solve(-pull, torch.linalg.cholesky(H)).transpose(0, 1).float()
+            )
             belief = belief.doubting(corrections)
         return corrections, belief
 
@@ -134,7 +136,7 @@ class Belief:
 
     def precision(self) -> Tensor:
         """``P`` (C, n, n)."""
-        return torch.linalg.inv(covariance(self.noises, self.times, self.factors)).float()
+        return self._precision().float()
 
     def spread(self, corrections: Tensor) -> Tensor:
         """``M`` (C, n, n), eq. 3, near some corrections (n, C, d)."""
@@ -146,9 +148,13 @@ class Belief:
         """``H`` (C, n, n) and the diagonal of ``W`` (C, n - 1 or n - 2), float64."""
         D, changes = self._difference(), self._changed(corrections)
         W = motion.stiffness(changes if jumps else 0 * changes, self.square_speed).double().T
-        P = torch.linalg.inv(covariance(self.noises, self.times, self.factors))
         D = D.double()
-        return P + D.T @ (W[..., None] * D), W
+        return self._precision() + D.T @ (W[..., None] * D), W
+
+    def _precision(self) -> Tensor:
+        # By Cholesky: torch's LU of many matrices fails once the number of its threads was changed.
+        K = covariance(self.noises, self.times, self.factors)
+        return torch.cholesky_inverse(torch.linalg.cholesky(K))
 
     def _changed(self, corrections: Tensor) -> Tensor:
         """``Δ`` (n - 1 or n - 2, C, d) under corrections (n, C, d)."""

@@ -148,6 +148,10 @@ def worse_than_usual(errors: Tensor, K: Tensor, noises: Sequence[Noise], factors
     """
     variance = torch.tensor([noise.white_variance for noise in noises])[:, None, None]
     # The expectation of the white part, given all errors.
-    white = variance * factors[..., None] * torch.linalg.solve(K, errors.double())
+    white = (
+        variance
+        * factors[..., None]
+        * torch.cholesky_solve(errors.double(), torch.linalg.cholesky(K))
+    )
     square = (white.square() / variance).sum(-1)
     return ((FREEDOM + square) / (FREEDOM + errors.shape[-1])).float()

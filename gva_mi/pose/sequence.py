@@ -60,7 +60,7 @@ class SequenceOptions(DescentOptions, RefineOptions):
     refine_camera: bool = False  # whether the focal length of the video is an unknown, too
     focal_lr: float = 0.003  # of its logarithm, in a step at the start
     focal_prior: float = 1.0  # of its logarithm's square
-    part: int = 240  # frames refined together; a longer video is cut into clips
+    part: int = 120  # frames refined together; a longer video is cut into clips
     overlap: int = 16  # frames that a clip shares with the next
     skim: int = 96  # frames of a longer video that tell what all its clips share
     seed: int = 0  # of the order in which frames are visited

@@ -25,9 +25,10 @@ How the work is cut does not depend on who does it: any number of workers finds 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
+from functools import cache, partial
 
 import torch
 from torch import Tensor
@@ -109,12 +110,8 @@ def refine_all(
     Returns:
         What came of each, in their order and as soon as it is done.
     """
-    drawn = [(options.faces, options.close_up_size > 0) for _, options in tasks]
-    coarse = {key: _coarse(body, *key) for key in set(drawn)}
-    videos = [
-        _SeenVideo.of(video, coarse[key], options)
-        for (video, options), key in zip(tasks, drawn, strict=True)
-    ]
+    simplified = cache(partial(_simplified, body))  # videos share what is made alike
+    videos = [_SeenVideo.of(video, simplified, options) for video, options in tasks]
     first = [video.first_job() for video in videos]
     steps = sum(job.steps for job in first if job is not None)
     later = sum(video.clip_steps for video in videos)
@@ -152,9 +149,12 @@ class _SeenVideo:
     seconds: float  # of looking
 
     @staticmethod
-    def of(video: Video, coarse: CoarseBody, options: RefineOptions) -> _SeenVideo:
+    def of(
+        video: Video, simplified: Callable[[int, bool], CoarseBody], options: RefineOptions
+    ) -> _SeenVideo:
         """Look at all frames."""
         begin = time.perf_counter()
+        coarse = simplified(options.faces, options.close_up_size > 0)
 
         def body_at(outline: Outline) -> Tensor:
             return coarse.body(outline.pose, video.shape).vertices[0]
@@ -175,9 +175,11 @@ class _SeenVideo:
         pose, shape = video.pose.to(torch.float32), Shape(video.shape.betas.to(torch.float32))
         if options.height is not None:
             pose, shape = with_height(coarse.body, pose, shape, video.cameras, options.height)
+        # Where there is nothing to look at more closely, triangles serve better elsewhere.
+        compared = coarse if pictures else simplified(options.faces, False)
         seconds = time.perf_counter() - begin
         return _SeenVideo(
-            coarse,
+            compared,
             pose,
             shape,
             video.cameras,
@@ -275,7 +277,7 @@ def _held_out(video: Video, options: RefineOptions) -> dict[int, str]:
     return {k: "it is a test frame, and held out" for k in video.splits.test}
 
 
-def _coarse(body: BodyModel, faces: int, close_ups: bool) -> CoarseBody:
+def _simplified(body: BodyModel, faces: int, close_ups: bool) -> CoarseBody:
     """The body that is compared, finer where there are close-ups."""
     finer = torch.cat([part.vertices for part in parts_of(body)]) if close_ups else None
     return CoarseBody(body, faces, finer)

@@ -69,6 +69,11 @@ def refine(
         raise InputError("refine: give the folder of a subject, or of several")
     if scheduler is not None and workers != 1:
         raise InputError("refine: give --workers or --scheduler, not both")
+    if loss == "paper" and (options.hold_out_test or options.refine_camera):
+        name = "--hold-out-test" if options.hold_out_test else "--refine-camera"
+        raise InputError(
+            f"refine: {name} needs all frames together, and --loss paper takes each for itself"
+        )
     printed = _as_printed(options, steps, paper_prior)
     model = load_body(body)
     for subject in subjects:

@@ -6,9 +6,9 @@ person's clothes and colours. All frames together descend (:mod:`gva_mi.pose.des
     L = mean_k L_k(R_k exp(δ_k), t_k + τ_k) + E(δ, τ)
 
 where ``L_k`` compares frame ``k`` with the avatar that is laid over it
-(:mod:`gva_mi.fit.picture_evidence`), and ``E`` keeps the turns δ of all joints and the shifts τ
-small and smooth in time (:mod:`gva_mi.pose.corrections`, with the poses that the pass starts from
-in the place of stage 1).
+(:mod:`gva_mi.fit.picture_evidence`), and ``E`` says how probable the turns δ of all joints and
+the shifts τ are (:mod:`gva_mi.pose.corrections`, with the poses that the pass starts from in the
+place of stage 1).
 
 The poses to start from are those the avatar was trained under, or others of the same person: an
 avatar made from one video tracks its person through another. Such poses have seen the pictures they

@@ -7,10 +7,8 @@ whichever joint it turns.
 They hold a pose to stage 1 differently. Eq. 8's regulariser ``Σ ω_i (θ_i - θ_i^stage1)`` has no
 norm as printed, and could fall without bound; the way frame by frame squares it. Its weights
 fall with the distance from the root in the kinematic tree, ``ω_i = 1 / (1 + depth_i)``: the farther
-out a joint, the worse stage 1 knows it, and the less it is held. The energies of a whole sequence
-(:mod:`gva_mi.pose.corrections`) count metres instead: a turn of ``δ_i`` radians counts as ``ℓ_i
-|δ_i|``, with ``ℓ_i`` the lever arm or a little more. Counted in metres, the errors of estimators
-are about as large all over the body, and so is what pictures show.
+out a joint, the worse stage 1 knows it, and the less it is held. A whole sequence assumes no such
+order: how well stage 1 knows a joint is inferred (:mod:`gva_mi.pose.inference`).
 """
 
 from __future__ import annotations

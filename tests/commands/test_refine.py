@@ -84,6 +84,14 @@ BAD = {
         "not both",
     ),
     "overlap": (("nowhere", "--overlap", "200"), "overlap must be less than half a part"),
+    "paper, held out": (
+        ("nowhere", "--loss", "paper", "--hold-out-test"),
+        "--hold-out-test needs all frames together",
+    ),
+    "paper, camera": (
+        ("nowhere", "--loss", "paper", "--refine-camera"),
+        "--refine-camera needs all frames together",
+    ),
 }
 
 
@@ -93,3 +101,20 @@ def test_bad_input_is_one_sentence_and_exit_code_2(name, tmp_path, monkeypatch, 
     command, sentence = BAD[name]
     code, _, err = cli("refine", *command)
     assert code == 2 and sentence in err and err.count("\n") == 1
+
+
+def test_what_a_held_out_frame_shows_changes_nothing(subject, tmp_path, cli):
+    (subject / "splits.json").write_text(json.dumps({"train": [0, 2], "test": [1]}))
+    other = shutil.copytree(subject, tmp_path / "other")
+    for kind in ("masks", "normals"):
+        shutil.copy(other / kind / "000000.png", other / kind / "000001.png")
+    code, _, err = cli("refine", subject, other, *SHORT, "--hold-out-test")
+    assert code == 0, err
+    found = [load_poses(folder / "poses_refined.npz")[0] for folder in (subject, other)]
+    np.testing.assert_array_equal(found[0].rotations, found[1].rotations)
+    np.testing.assert_array_equal(found[0].transl, found[1].transl)
+    record = json.loads((subject / "refinement.json").read_text())
+    assert record["test_frames"] == "held out"
+    assert {"train", "test"} == set(record["figures_by_split"])
+    stage1 = load_poses(subject / "poses.npz")[0]
+    assert not np.array_equal(found[0].rotations[1], stage1.rotations[1])  # it follows

@@ -36,6 +36,7 @@ from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.pose import Pose
 from gva_mi.data.video import Frame
 from gva_mi.fit.losses import ssim
+from gva_mi.pose.anatomy import Anatomy
 from gva_mi.pose.crop import NoEvidence, person_box
 from gva_mi.splat import Camera, SplatOptions, render
 
@@ -110,6 +111,7 @@ class PictureEvidence:
         self._avatar, self._seen, self._weights = avatar, seen, weights
         self.frames = sorted(seen)
         self.camera = seen[self.frames[0]].camera
+        self.anatomy = Anatomy.of(avatar.rig.joints)
 
     def loss(self, frames: Sequence[int], pose: Pose) -> Tensor:
         """Mean of eq. 2 over some frames in these poses."""

@@ -138,6 +138,10 @@ class Belief:
         """``P`` (C, n, n)."""
         return self._precision().float()
 
+    def covariance(self, corrections: Tensor) -> Tensor:
+        """``H⁻¹`` (C, n, n) float64, of one coordinate, near some corrections (n, C, d)."""
+        return torch.cholesky_inverse(torch.linalg.cholesky(self._curvature(corrections)[0]))
+
     def spread(self, corrections: Tensor) -> Tensor:
         """``M`` (C, n, n), eq. 3, near some corrections (n, C, d)."""
         values, vectors = torch.linalg.eigh(self._curvature(corrections)[0])

@@ -18,10 +18,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import roma
 import torch
 from torch import Tensor
 
 from gva_mi.body.pose import Pose
+from gva_mi.pose.anatomy import Anatomy, turns_between
 from gva_mi.pose.inference import JOINTS, PELVIS, Beliefs, from_pictures, from_stage1
 from gva_mi.pose.stage1 import Stage1
 
@@ -37,9 +39,11 @@ class Corrections:
         beliefs: what their energy is made of.
     """
 
-    def __init__(self, stage1: Stage1, beliefs: Beliefs, turns0: Tensor, moves0: Tensor) -> None:
+    def __init__(
+        self, stage1: Stage1, anatomy: Anatomy, beliefs: Beliefs, turns0: Tensor, moves0: Tensor
+    ) -> None:
         """Start from corrections ``δ⁰`` (n, J, 3) and ``τ⁰`` (n, 3) in the camera's axes."""
-        self._stage1, self.beliefs = stage1, beliefs
+        self._stage1, self._anatomy, self.beliefs = stage1, anatomy, beliefs
         self._turns0, self._moves0 = turns0, moves0
         n, joints = turns0.shape[:2]
         own = stage1.in_joints(turns0)
@@ -52,22 +56,28 @@ class Corrections:
         self.moves = torch.zeros(n, 3, 1).requires_grad_()
 
     @staticmethod
-    def likeliest(stage1: Stage1) -> Corrections:
+    def likeliest(stage1: Stage1, anatomy: Anatomy) -> Corrections:
         """Where to start: what is most probable before any picture is looked at."""
         beliefs = from_stage1(stage1)
-        own = torch.zeros(stage1.pose.rotations.shape)
+        given = stage1.pose.rotations
+        own = torch.zeros(given.shape)
         own[:, list(PELVIS)], pelvis = beliefs.pelvis.likeliest()
         own[:, list(JOINTS)], joints = beliefs.joints.likeliest()
         moves, place = beliefs.place.likeliest()
         beliefs = Beliefs(beliefs.noise, pelvis, joints, place)
-        return Corrections(stage1, beliefs, stage1.in_camera(own), moves[..., 0])
+        covariance = torch.zeros(given.shape[1], *[len(given)] * 2, dtype=torch.float64)
+        covariance[list(JOINTS)] = joints.covariance(own[:, list(JOINTS)])
+        likely = roma.rotvec_composition([given, own])
+        wanted = anatomy.conditioned(likely, covariance, stage1.times)
+        own = turns_between(given, wanted)
+        return Corrections(stage1, anatomy, beliefs, stage1.in_camera(own), moves[..., 0])
 
     @torch.no_grad()
     def renewed(self) -> Corrections:
         """The same corrections, under what they tell of the video."""
         turns, moves = self._at(range(len(self.moves)))
         beliefs = from_pictures(self.beliefs, self._stage1, turns, moves)
-        return Corrections(self._stage1, beliefs, turns, moves)
+        return Corrections(self._stage1, self._anatomy, beliefs, turns, moves)
 
     def pose(self, which: Sequence[int]) -> Pose:
         """Eq. 1 for some of the frames, differentiable in the leaves.
@@ -86,6 +96,8 @@ class Corrections:
         nats = beliefs.pelvis.energy(of_pelvis, turns[:, pelvis], own[:, pelvis])
         nats = nats + beliefs.joints.energy(of_joints, turns[:, joints], own[:, joints])
         nats = nats + beliefs.place.energy(of_place, places, places)
+        rotations = roma.rotvec_composition([self._stage1.pose.rotations, own])
+        nats = nats + self._anatomy.energy(rotations, self._stage1.times)
         return nats / len(moves) + self._held(moves.mean(0))
 
     def _held(self, shift: Tensor) -> Tensor:

@@ -28,6 +28,7 @@ from torch import Tensor
 from gva_mi.body.pose import Pose
 from gva_mi.console import Progress
 from gva_mi.errors import InputError, require_at_least, require_positive
+from gva_mi.pose.anatomy import Anatomy
 from gva_mi.pose.corrections import Corrections
 from gva_mi.pose.inference import Beliefs
 from gva_mi.pose.priors import turn_rates
@@ -44,11 +45,13 @@ class Evidence(Protocol):
     Attributes:
         frames: numbers of the frames that say something.
         camera: of one of them; corrections are made along its axes.
+        anatomy: of the person's joints.
         shared: the leaves ``s``, each with its learning rate; often none.
     """
 
     frames: Sequence[int]
     camera: Camera
+    anatomy: Anatomy
     shared: Sequence[tuple[Tensor, float]]
 
     def loss(self, frames: Sequence[int], pose: Pose) -> Tensor:
@@ -119,7 +122,8 @@ def descend(
         following: frames without evidence, whose poses follow from what ``E`` says.
     """
     frames = sorted({*evidence.frames, *following})
-    corrections = Corrections.likeliest(Stage1.of(start, frames, evidence.camera))
+    stage1 = Stage1.of(start, frames, evidence.camera)
+    corrections = Corrections.likeliest(stage1, evidence.anatomy)
     adam = _optimiser(corrections, evidence, arms, options)
     seen = [i for i, k in enumerate(frames) if k not in set(following)]
     batches = [[seen[i] for i in batch] for batch in _batches(len(seen), options)]

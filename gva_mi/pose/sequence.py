@@ -25,6 +25,7 @@ from torch import Tensor
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.console import Progress
 from gva_mi.errors import require_at_least
+from gva_mi.pose.anatomy import Anatomy
 from gva_mi.pose.clips import cut, skim
 from gva_mi.pose.close_ups import CloseUps
 from gva_mi.pose.descent import DescentOptions, descend
@@ -147,6 +148,7 @@ class ClothedPerson:
             self._log_focal = torch.full((1, 1), job.known.focal).log()
             self._cloth.raw, self._betas = job.known.offsets, job.known.shape.betas[:, None]
             self.shared = []
+        self.anatomy = Anatomy.of(rest.joints)
         self.arms = lever_arms(rest, job.body.weights, job.body.parents)
         self.frames = sorted(job.evidence)
         self.camera = job.evidence[self.frames[0]].camera

@@ -97,6 +97,7 @@ class PictureEvidence:
     """
 
     shared: Sequence[tuple[Tensor, float]] = ()
+    unseen: Sequence[int] = ()
 
     def __init__(
         self, avatar: Avatar, seen: Mapping[int, PictureAndMask], weights: PictureWeights

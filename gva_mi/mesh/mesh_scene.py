@@ -44,7 +44,8 @@ class MeshScene:
 
         self._scene = scene_of(faces, vertices)
         self._parameters = mi.traverse(self._scene)
-        self._sensors: dict[tuple, tuple[MeshNormals, mi.Sensor]] = {}
+        self._integrators: dict[float, MeshNormals] = {}
+        self._sensors: dict[tuple, mi.Sensor] = {}
         self._shown: Tensor | None = None
         self.vertex_count = len(vertices)
 
@@ -87,9 +88,11 @@ class MeshScene:
     def view(self, vertices: Tensor, camera: Camera, *others: Camera) -> MeshView:
         """The plugin's view of the mesh with these vertices, in tiles where there are others."""
         self.show(vertices)
-        integrator, sensor = self._sensor(camera)
+        sensor, aspect = self._sensor(camera), pixel_aspect(camera)
+        if aspect not in self._integrators:  # each knows how the faces hang together
+            self._integrators[aspect] = _integrator(aspect)
         tiles = [tile_of(other, camera) for other in (camera, *others)] if others else ()
-        return integrator.view(self._scene, sensor, tiles=tiles)
+        return self._integrators[aspect].view(self._scene, sensor, tiles=tiles)
 
     def show(self, vertices: Tensor) -> None:
         """Move the mesh to these vertices (V, 3), unless they are the ones it has.
@@ -101,21 +104,14 @@ class MeshScene:
             self._parameters.update()
             self._shown = vertices
 
-    def _sensor(self, camera: Camera) -> tuple[MeshNormals, mi.Sensor]:
-        """The integrator and the sensor of a camera; they are kept, for a video has few cameras."""
+    def _sensor(self, camera: Camera) -> mi.Sensor:
+        """The sensor of a camera; it is kept, for a video has few cameras."""
         import mitsuba as mi
 
         key = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
         key += (camera.model, camera.T_camera_world.tobytes())
         if key not in self._sensors:
-            integrator = {
-                "type": "mesh_normals",
-                "pixel_aspect": pixel_aspect(camera),
-                # To search for where a body is pressed into itself would cost a fifth of a step,
-                # and there is little of it.
-                "piercing": False,
-            }
-            self._sensors[key] = mi.load_dict(integrator), mi.load_dict(sensor_of(camera))
+            self._sensors[key] = mi.load_dict(sensor_of(camera))
         return self._sensors[key]
 
 
@@ -144,6 +140,14 @@ def scene_of(faces: Tensor, vertices: Tensor) -> mi.Scene:
     parameters["faces"] = mi.UInt32(faces.to(torch.int32).flatten().numpy().astype(np.uint32))
     parameters.update()
     return mi.load_dict({"type": "scene", "mesh": mesh})
+
+
+def _integrator(pixel_aspect: float) -> MeshNormals:
+    import mitsuba as mi
+
+    # To search for where a body is pressed into itself would cost a fifth of a step, and there is
+    # little of it.
+    return mi.load_dict({"type": "mesh_normals", "pixel_aspect": pixel_aspect, "piercing": False})
 
 
 class _RenderNormals(torch.autograd.Function):

@@ -35,7 +35,7 @@ import roma
 import torch
 from torch import Tensor
 
-from gva_mi.body.pose import JOINTS, PARENTS
+from gva_mi.body.pose import JOINTS
 
 MEMORY = 6.0  # frames for which an angle stays off by what varies
 PAST_LIMIT = 5.0  # σ, degrees
@@ -208,9 +208,10 @@ def _hinges(joints: Tensor) -> dict[int, tuple[str, Tensor, Tensor, Tensor]]:
         palm = palm if side == "left" else -palm
         for finger in _FOUR:
             points = [at[f"{side}_{finger}{k}"] for k in (1, 2, 3)]
-            bones = [points[1] - points[0], points[2] - points[1], points[2] - points[1]]
-            for k, (kind, bone) in enumerate(zip(("knuckle", "finger", "finger"), bones), 1):
-                add(f"{side}_{finger}{k}", kind, bone, palm)
+            first, second = points[1] - points[0], points[2] - points[1]
+            add(f"{side}_{finger}1", "knuckle", first, palm)
+            add(f"{side}_{finger}2", "finger", second, palm)
+            add(f"{side}_{finger}3", "finger", second, palm)
         for k in (2, 3):
             bone = at[f"{side}_thumb3"] - at[f"{side}_thumb2"]
             add(f"{side}_thumb{k}", "thumb", bone, palm)

@@ -84,6 +84,7 @@ class FinePicture:
 class Part:
     """A hand or a foot."""
 
+    name: str  # "hand" or "foot"
     vertices: Tensor  # (n,) which of the body's
     length: float  # metres, at rest
     area: float  # of its surface, square metres
@@ -92,17 +93,23 @@ class Part:
 class CloseUps:
     """Close-ups of the hands and feet of one body in the pictures of some frames."""
 
-    def __init__(self, pictures: Mapping[int, FinePicture], body: BodyModel) -> None:
+    def __init__(
+        self, pictures: Mapping[int, FinePicture], body: BodyModel, weights: Mapping[str, float]
+    ) -> None:
         """Look at the body's parts.
 
         Args:
             pictures: of frames by number; other frames have no close-ups.
             body: whose vertices will be given.
+            weights: of a part's loss, by its name; parts of weight 0 are not looked at.
         """
-        self._pictures, self._parts = pictures, parts_of(body)
+        self._pictures = pictures
+        self._parts = [(weights[p.name], p) for p in parts_of(body) if weights[p.name] > 0]
 
-    def of(self, frame: int, vertices: Tensor, person: MaskAndNormals) -> list[MaskAndNormals]:
-        """The close-ups of a frame, at most one for each part.
+    def of(
+        self, frame: int, vertices: Tensor, person: MaskAndNormals
+    ) -> list[tuple[float, MaskAndNormals]]:
+        """The close-ups of a frame with their weights, at most one for each part.
 
         Args:
             frame: its number.
@@ -112,8 +119,11 @@ class CloseUps:
         picture = self._pictures.get(frame)
         if picture is None:
             return []
-        found = (self._of_part(picture, part, vertices, person.camera) for part in self._parts)
-        return [seen for seen in found if seen is not None]
+        found = (
+            (weight, self._of_part(picture, part, vertices, person.camera))
+            for weight, part in self._parts
+        )
+        return [(weight, seen) for weight, seen in found if seen is not None]
 
     def _of_part(
         self, picture: FinePicture, part: Part, vertices: Tensor, whole: Camera
@@ -142,13 +152,13 @@ def parts_of(body: BodyModel) -> list[Part]:
     for side, fingers in (("left", LEFT_HAND), ("right", RIGHT_HAND)):
         hand = [JOINTS.index(f"{side}_wrist"), *range(fingers.start, fingers.stop)]
         foot = [JOINTS.index(f"{side}_{name}") for name in ("ankle", "foot")]
-        for joints in (hand, foot):
+        for name, joints in (("hand", hand), ("foot", foot)):
             inside = body.weights[:, joints].sum(1) > 0.5
             vertices = body.v_template[inside]
             a, b, c = body.v_template[body.faces[inside[body.faces].all(1)]].unbind(1)
             area = float(torch.linalg.cross(b - a, c - a).norm(dim=1).sum()) / 2
             length = float((vertices.amax(0) - vertices.amin(0)).max())
-            parts.append(Part(inside.nonzero()[:, 0], length, area))
+            parts.append(Part(name, inside.nonzero()[:, 0], length, area))
     return parts
 
 

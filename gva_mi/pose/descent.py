@@ -47,12 +47,14 @@ class Evidence(Protocol):
         camera: of one of them; corrections are made along its axes.
         anatomy: of the person's joints.
         shared: the leaves ``s``, each with its learning rate; often none.
+        unseen: joints that it does not show, whose turns follow from ``E`` alone for now.
     """
 
     frames: Sequence[int]
     camera: Camera
     anatomy: Anatomy
     shared: Sequence[tuple[Tensor, float]]
+    unseen: Sequence[int]
 
     def loss(self, frames: Sequence[int], pose: Pose) -> Tensor:
         """Mean of ``L_k`` over some frames in these poses; differentiable in poses and ``s``."""
@@ -181,6 +183,7 @@ def _optimiser(
 ) -> VectorAdam:
     # The three coordinates of a turn have steps of their own, which together are as long as one.
     turns = turn_rates(arms, options.step, options.largest_turn)[..., None] / 3**0.5
+    turns[list(evidence.unseen)] = 0
     leaves = [(corrections.turns, turns), (corrections.moves, options.translation_lr)]
     tensors, rates = zip(*leaves, *evidence.shared, strict=True)
     return VectorAdam(tensors, rates, BETAS)

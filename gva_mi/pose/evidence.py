@@ -197,8 +197,7 @@ def mean_loss(
     vertices: Tensor,
     seen: Sequence[MaskAndNormals],
     silhouette: float,
-    closer: Sequence[Sequence[MaskAndNormals]] = (),
-    close_up: float = 0.0,
+    closer: Sequence[Sequence[tuple[float, MaskAndNormals]]] = (),
     focal: Tensor | None = None,
 ) -> Tensor:
     """Mean over frames of eq. 1, and of eq. 1 of close-ups, differentiable in the vertices.
@@ -212,16 +211,13 @@ def mean_loss(
         vertices: (B, V, 3) world, metres: the body in each frame's pose.
         seen: the evidence of the same B frames.
         silhouette: λ1.
-        closer: close-ups of the same B frames, crops of their pictures; nothing: there are none.
-        close_up: weight of each close-up, where that of the person is 1.
+        closer: close-ups of the same B frames, crops of their pictures, each with its weight, where
+            that of the person is 1; nothing: there are none.
         focal: a factor on the focal length (:mod:`gva_mi.pose.focal`), for which the vertices are
             already stretched; the evidence is stretched here, and it is differentiated, too.
     """
     closer = closer or [()] * len(seen)
-    frames = [
-        ((1.0, whole), *((close_up, part) for part in parts))
-        for whole, parts in zip(seen, closer, strict=True)
-    ]
+    frames = [((1.0, whole), *parts) for whole, parts in zip(seen, closer, strict=True)]
     return _MeanLoss.apply(vertices, focal, scene, frames, silhouette)
 
 

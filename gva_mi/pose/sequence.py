@@ -3,10 +3,14 @@
 The poses of all frames, the displacement ``D`` and the shape ``β``, which all frames share, go
 downhill (:mod:`gva_mi.pose.descent`) on
 
-    L = mean_k( |N_k - N_k,pred| + λ1 |S_k - S_k,pred| )      the body β displaced by D, posed
-        + E(δ, τ)                                             gva_mi.pose.corrections
-        + E(D)                                                gva_mi.pose.displacement
+    L = mean_k( d_k + λc Σ_parts d_k,part )    d: Eq. 8's data term (gva_mi.pose.evidence), for the
+                                               body β displaced by D, posed; and once more for hands
+                                               and feet, seen closer (gva_mi.pose.close_ups)
+        + ν E(δ, τ)                            stage 1, motion and anatomy: gva_mi.pose.corrections
+        + E(D)                                 gva_mi.pose.displacement
         + λβ |β - β^stage1|²
+        + λh (h(β) - H)²                       where the height H is known: gva_mi.pose.stature
+        + λs (log s)²                          with an unknown focal length: gva_mi.pose.focal
 
 One frame cannot tell cloth from limb; many frames in which the person turns can, for the cloth goes
 along with the body and the error of the pose does not. Nor does one frame tell how far a limb leans
@@ -32,10 +36,12 @@ from gva_mi.pose.descent import DescentOptions, descend
 from gva_mi.pose.displacement import Displacement
 from gva_mi.pose.evidence import mean_loss, seen_body
 from gva_mi.pose.job import Job, RefineOptions, Solution
+from gva_mi.pose.noise import GROUPS
 from gva_mi.pose.priors import lever_arms
 from gva_mi.pose.stature import Stature
 
 STEPS_A_PASS = 16  # at least, where the video has so many frames
+FINGERS = GROUPS["fingers"]
 HOLD_HEIGHT = 1e3  # for one square metre between the body's height and the person's
 
 
@@ -43,11 +49,12 @@ HOLD_HEIGHT = 1e3  # for one square metre between the body's height and the pers
 class SequenceOptions(DescentOptions, RefineOptions):
     """How all frames of a video are refined together."""
 
-    close_ups: float = 0.1  # of each hand and foot, where the loss of the whole person counts 1
+    close_hands: float = 0.5  # of each hand's close-up, where the loss of the whole person counts 1
+    close_feet: float = 0.1  # the same of a foot's: shoes are not of the body's form
     hand_size: int = 44  # pixels of a hand's length in them, where the video has as many
-    passes: int = 50  # how often every frame is visited
+    passes: int = 32  # how often every frame is visited
     batch: int = 4  # frames of a step, at most
-    learn: int = 16  # the first of them, after which it is inferred how stage 1 errs
+    learn: int = 11  # the first of them, after which it is inferred how stage 1 errs
     nat: float = 0.015  # what a negative logarithm of a probability counts beside Eq. 8's data term
     cloth_smooth: float = 1.6e-4  # a of the displacement's energy, for one (1/m)²
     cloth_small: float = 40.0  # b of the displacement's energy, for one square metre
@@ -73,11 +80,11 @@ class SequenceOptions(DescentOptions, RefineOptions):
     def __post_init__(self) -> None:
         RefineOptions.__post_init__(self)
         DescentOptions.__post_init__(self)
-        require_at_least(self.command, self, skim=1, close_ups=0, hand_size=1)
+        require_at_least(self.command, self, skim=1, close_hands=0, close_feet=0, hand_size=1)
 
     @property
     def close_up_size(self) -> int:
-        return self.hand_size if self.close_ups > 0 else 0
+        return self.hand_size if self.close_hands > 0 or self.close_feet > 0 else 0
 
     @property
     def description(self) -> str:
@@ -100,6 +107,7 @@ class SequenceOptions(DescentOptions, RefineOptions):
     def variants(self) -> dict[str, RefineOptions]:
         return {
             "nothing inferred": replace(self, learn=self.passes),
+            "no close-ups": replace(self, close_hands=0.0, close_feet=0.0),
             "no displacement for clothes": replace(self, cloth_lr=0.0),
             "shape of stage 1": replace(self, betas_lr=0.0),
         }
@@ -135,7 +143,9 @@ class ClothedPerson:
     def __init__(self, job: Job, options: SequenceOptions) -> None:
         rest = job.body.rest(job.shape)
         self._job, self._options, self._scene = job, options, job.scene()
-        self._close_ups, self._stature = CloseUps(job.fine, job.body), Stature.of(job.body)
+        weights = {"hand": options.close_hands, "foot": options.close_feet}
+        self._close_ups = CloseUps(job.fine, job.body, weights)
+        self._stature = Stature.of(job.body)
         self._close = False
         self._cloth = Displacement(rest.vertices, job.body.faces, job.body.weights)
         self._betas = job.shape.betas.clone()[:, None].requires_grad_()  # (B, 1): B vectors of one
@@ -159,6 +169,11 @@ class ClothedPerson:
         return self._cloth.offsets
 
     @property
+    def unseen(self) -> Sequence[int]:
+        """The fingers, until they are looked at closely: before, masks' errors would bend them."""
+        return () if self._close else FINGERS
+
+    @property
     def focal(self) -> Tensor:
         """``s``, a scalar: the factor on the focal length (:mod:`gva_mi.pose.focal`)."""
         return self._log_focal.exp()[0, 0]
@@ -177,11 +192,11 @@ class ClothedPerson:
         if self._close:
             bodies = zip(frames, vertices.detach(), seen, strict=True)
             closer = [self._close_ups.of(*body) for body in bodies]
-        return mean_loss(self._scene, vertices, seen, o.silhouette, closer, o.close_ups, focal)
+        return mean_loss(self._scene, vertices, seen, o.silhouette, closer, focal)
 
     def come_closer(self) -> None:
         """From now on, look at hands and feet by themselves: a hand must be near its picture."""
-        self._close = True
+        self._close = bool(self._job.fine)
 
     def energy(self) -> Tensor:
         """``E(D) + λβ |β - β^stage1|²``."""

@@ -14,6 +14,7 @@ from gva_mi.pose.refine import refine
 from gva_mi.pose.sequence import SequenceOptions
 
 SHAPE = Shape(torch.zeros(10))
+ALIKE = {"hand": 1.0, "foot": 1.0}
 
 
 @pytest.fixture(scope="module")
@@ -40,17 +41,17 @@ def seen(scene, fine, vertices, true_pose):
 
 def loss_of(scene, vertices, seen, body):
     person, picture = seen
-    closer = CloseUps({0: picture}, body).of(0, vertices.detach(), person)
+    closer = CloseUps({0: picture}, body, ALIKE).of(0, vertices.detach(), person)
     whole = mean_loss(scene, vertices[None], [person], 1.0)
-    return mean_loss(scene, vertices[None], [person], 1.0, [closer], 1.0) - whole
+    return mean_loss(scene, vertices[None], [person], 1.0, [closer]) - whole
 
 
 def test_a_close_up_holds_its_part_and_half_its_length_around(body, seen, vertices):
     person, picture = seen
-    closer = CloseUps({0: picture}, body).of(0, vertices, person)
+    closer = CloseUps({0: picture}, body, ALIKE).of(0, vertices, person)
     parts = parts_of(body)
     assert len(closer) == len(parts) == 4
-    for part, view in zip(parts, closer, strict=True):
+    for part, (_, view) in zip(parts, closer, strict=True):
         pixels = view.camera.project(vertices[part.vertices].double().numpy())
         length = np.ptp(pixels, 0).max()
         assert (pixels.min(0) > 0.2 * length).all()
@@ -88,8 +89,14 @@ def test_a_part_out_of_the_picture_has_no_close_up(body, seen, vertices):
     person, picture = seen
     far = vertices.clone()
     far[parts_of(body)[0].vertices] += torch.tensor([4.0, 0, 0])
-    assert len(CloseUps({0: picture}, body).of(0, far, person)) == 3
-    assert CloseUps({}, body).of(0, vertices, person) == []
+    assert len(CloseUps({0: picture}, body, ALIKE).of(0, far, person)) == 3
+    assert CloseUps({}, body, ALIKE).of(0, vertices, person) == []
+
+
+def test_a_part_counts_by_its_weight(body, seen, vertices):
+    person, picture = seen
+    found = CloseUps({0: picture}, body, {"hand": 0.5, "foot": 0.0}).of(0, vertices, person)
+    assert [weight for weight, _ in found] == [0.5, 0.5]
 
 
 def test_a_video_without_more_pixels_has_none(body, fine, true_pose):
@@ -102,9 +109,9 @@ def test_a_video_without_more_pixels_has_none(body, fine, true_pose):
 
 
 def test_a_refinement_looks_closer_where_it_is_asked_to(clip, body):
-    options = SequenceOptions(size=40, passes=2)
+    options = SequenceOptions(size=40, passes=2, learn=1, close_feet=0)
     poses = [
-        refine(clip, body, replace(options, close_ups=weight, hand_size=40)).pose.rotations
+        refine(clip, body, replace(options, close_hands=weight, hand_size=40)).pose.rotations
         for weight in (0.0, 1.0, 1.0)
     ]
     assert torch.equal(poses[1], poses[2]) and not torch.equal(poses[0], poses[1])

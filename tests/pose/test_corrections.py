@@ -7,6 +7,7 @@ import torch
 
 from gva_mi.body.kinematics import turn_joints
 from gva_mi.body.pose import JOINTS, PARENTS, Pose
+from gva_mi.pose.anatomy import Anatomy
 from gva_mi.pose.corrections import Corrections
 from gva_mi.pose.noise import GROUPS
 from gva_mi.pose.stage1 import Stage1
@@ -20,10 +21,12 @@ def at_rest(frames=7):
 
 
 @pytest.fixture
-def make(camera):
+def make(camera, body):
+    anatomy = Anatomy.of(body.j_template)
+
     def corrections(pose, frames=None):
         frames = range(len(pose)) if frames is None else frames
-        return Corrections.likeliest(Stage1.of(pose, frames, camera))
+        return Corrections.likeliest(Stage1.of(pose, frames, camera), anatomy)
 
     return corrections
 

@@ -7,6 +7,7 @@ import torch
 
 from gva_mi.body.pose import JOINTS, Pose
 from gva_mi.pose import SequenceOptions
+from gva_mi.pose.anatomy import Anatomy
 from gva_mi.pose.descent import descend, with_frames, worse_frames
 
 ARMS = torch.full((55,), 0.3)
@@ -20,6 +21,9 @@ SHARED = torch.tensor([0.0, 0.3, 0.0])
 
 class Places:
     """Frames know where the person stands, and one of them knows an offset of all places."""
+
+    anatomy = Anatomy.of(torch.zeros(55, 3))  # all joints in one point: none is held
+    unseen = ()
 
     def __init__(self, camera, frames=(0, 1, 3), share=False):
         self.frames, self.camera, self.visited = frames, camera, []

@@ -18,10 +18,10 @@ Nobody's hinges are perfect, and the joints of a body model are not those of a s
 may be off by some constant, and some less may vary with the pose, for a while. So its covariance is
 that of a noise (:mod:`gva_mi.pose.noise`), and a motion costs
 
-4. ``E = Σ_q a_q · K_q⁻¹ a_q / 2 + Σ_hinges mean_k max(low - bend · x, bend · x - high, 0)² / 2 σ²``
+4. ``E = Σ_q a_q · K_q⁻¹ a_q / 2 + Σ_hinges Σ_k max(low - bend · x, bend · x - high, 0)² / 2 m σ²``
 
 in nats for the whole clip, with a second term for joints bent past their limits, ``low`` and
-``high`` (:data:`HINGES`).
+``high`` (:data:`HINGES`), in which ``m`` frames count as one.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ from torch import Tensor
 
 from gva_mi.body.pose import JOINTS
 
-MEMORY = 6.0  # frames for which an angle stays off by what varies
+MEMORY = 6.0  # m, frames for which an angle stays off by what varies
 PAST_LIMIT = 5.0  # σ, degrees
-LEAST = 0.5  # degrees that an angle is off by in every frame anew: keeps K from being singular
+LEAST = 1.0  # degrees that an angle is off by in every frame anew: keeps K from being singular
 FOLLOWS = 2 / 3  # of the middle joint's bend: the last joint's
 
 
@@ -66,9 +66,9 @@ class Hinge:
 # Ranges of motion are those of anatomy's textbooks, rounded outward.
 HINGES: Mapping[str, Hinge] = MappingProxyType(
     {
-        "knee": Hinge(Freedom(5, 2), Freedom(8, 4), (-5, 155)),
+        "knee": Hinge(Freedom(5, 3), Freedom(8, 4), (-5, 155)),
         "elbow": Hinge(Freedom(10, 5), None, (-10, 155)),  # the forearm may twist along
-        "toes": Hinge(Freedom(5, 2), Freedom(5, 2), None),
+        "toes": Hinge(Freedom(5, 3), Freedom(5, 3), None),
         "knuckle": Hinge(Freedom(12, 6), Freedom(6, 3), (-35, 105)),
         "finger": Hinge(Freedom(6, 3), Freedom(6, 3), (-10, 120)),
         "thumb": Hinge(None, Freedom(10, 5), None),
@@ -139,7 +139,7 @@ class Anatomy:
             total = total + (a * (a @ self._precision(freedom, times))).sum() / 2
         bend = torch.einsum("hjc,njc->nh", self.bends, rotations)
         past = (self.limits[:, 0] - bend).clamp_min(0) + (bend - self.limits[:, 1]).clamp_min(0)
-        return total + past.square().mean(0).sum() / (2 * np.radians(PAST_LIMIT) ** 2)
+        return total + past.square().sum() / (2 * MEMORY * np.radians(PAST_LIMIT) ** 2)
 
     def conditioned(self, rotations: Tensor, covariance: Tensor, times: Tensor) -> Tensor:
         """The rotations that are most probable, if these were without any anatomy.
@@ -196,10 +196,11 @@ def _hinges(joints: Tensor) -> dict[int, tuple[str, Tensor, Tensor, Tensor]]:
             bend = torch.nn.functional.normalize(bend, dim=0)
             found[JOINTS.index(name)] = (kind, bend, torch.linalg.cross(bend, b), b)
 
+    # Toes point outward: in the mean of both feet, knees bend straight ahead.
+    ahead = sum(at[f"{side}_foot"] - at[f"{side}_ankle"] for side in ("left", "right"))
     for side in ("left", "right"):
         shin = at[f"{side}_ankle"] - at[f"{side}_knee"]
-        toes = at[f"{side}_foot"] - at[f"{side}_ankle"]
-        forward = toes - (toes @ shin) / (shin @ shin).clamp_min(1e-12) * shin
+        forward = ahead - (ahead @ shin) / (shin @ shin).clamp_min(1e-12) * shin
         add(f"{side}_knee", "knee", shin, -forward)
         add(f"{side}_foot", "toes", forward, -shin)
         add(f"{side}_elbow", "elbow", at[f"{side}_wrist"] - at[f"{side}_elbow"], forward)

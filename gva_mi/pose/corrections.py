@@ -28,9 +28,6 @@ from gva_mi.pose.inference import JOINTS, PELVIS, Beliefs, from_pictures, from_s
 from gva_mi.pose.stage1 import Stage1
 
 
-LEAN = 1.5  # sizes of errors that last: standard deviation of the lean that stage 1 has in the mean
-
-
 class Corrections:
     """``δ`` and ``τ`` of some frames.
 
@@ -101,23 +98,16 @@ class Corrections:
         nats = nats + beliefs.place.energy(of_place, places, places)
         rotations = roma.rotvec_composition([self._stage1.pose.rotations, own])
         nats = nats + self._anatomy.energy(rotations, self._stage1.times)
-        return nats / len(moves) + self._held(turns.mean(0), moves.mean(0))
+        return nats / len(moves) + self._held(moves.mean(0))
 
-    def _held(self, turn: Tensor, shift: Tensor) -> Tensor:
-        """What it costs, in each frame, to turn joints (J, 3) and to shift (3,) all frames alike.
+    def _held(self, shift: Tensor) -> Tensor:
+        """What a shift (3,) of all frames costs, in each of them.
 
-        Many pictures tell depth no better than one: a person who is larger and farther away looks
-        the same in all of them, and what clothes and blurred normals do to a limb's lean toward the
-        camera, they do in all of them. So what stage 1 says in the mean is believed in every frame:
-        of the place, but for the error of that mean; of leaning, but for a bias, too.
+        Many pictures tell it no better than one: a person who is larger and farther away looks the
+        same in all of them. So the mean over stage 1's frames is believed in every one of them.
         """
-        beliefs = self.beliefs
-        cost = (shift.square() / beliefs.place.variance_of_mean()).sum()
-        for belief, joints in ((beliefs.pelvis, PELVIS), (beliefs.joints, JOINTS)):
-            bias = torch.tensor([LEAN * noise.slow for noise in belief.noises])
-            leaning = turn[list(joints), :2].square().sum(1)
-            cost = cost + (leaning / (belief.variance_of_mean() + bias.square())).sum()
-        return cost / 2
+        variance = self.beliefs.place.variance_of_mean()
+        return (shift.square() / variance).sum() / 2
 
     def _at(self, which: Sequence[int]) -> tuple[Tensor, Tensor]:
         """Eq. 2 for r of the frames: turns (r, J, 3), shifts (r, 3), in the camera's axes."""

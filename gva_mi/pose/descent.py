@@ -9,7 +9,9 @@ once, and follows the gradient of
 
 with :class:`VectorAdam`, whose learning rates fall from ``r`` to ``decay · r``. After the first
 ``learn`` passes pictures have shown how the poses err that were given, and how the person moves,
-and ``E`` becomes what that tells; then details are looked at, too.
+and ``E`` becomes what that tells; then details are looked at, too. Before, ``E`` is a guess, and
+counts for less: where it were believed, small motions would be taken for errors, and what pictures
+corrected would tell no more than the guess. Half as many passes later it is asked once more.
 
 How well a frame agrees with a pose, ``L_k``, is for the evidence to say: masks and normals of the
 posed body (:mod:`gva_mi.pose.sequence`), or pictures under a splatted avatar
@@ -37,6 +39,8 @@ from gva_mi.pose.vector_adam import VectorAdam
 from gva_mi.splat import Camera
 
 BETAS = (0.9, 0.99)  # Adam's
+GUESSED = 0.2  # weight of E before pictures have shown anything
+AGAIN = 1.5  # times the passes after which it is inferred first: when it is inferred once more
 
 
 class Evidence(Protocol):
@@ -47,7 +51,7 @@ class Evidence(Protocol):
         camera: of one of them; corrections are made along its axes.
         anatomy: of the person's joints.
         shared: the leaves ``s``, each with its learning rate; often none.
-        unseen: joints that it does not show, whose turns follow from ``E`` alone for now.
+        unseen: joints that it does not show for now: their turns stay the likeliest.
     """
 
     frames: Sequence[int]
@@ -129,14 +133,16 @@ def descend(
     adam = _optimiser(corrections, evidence, arms, options)
     seen = [i for i, k in enumerate(frames) if k not in set(following)]
     batches = [[seen[i] for i in batch] for batch in _batches(len(seen), options)]
-    renewed_at = options.learn * len(batches) // options.passes
+    learnt = options.learn * len(batches) // options.passes
+    nat = GUESSED * options.nat
     for step, batch in enumerate(batches):
-        if step == renewed_at:
-            corrections = corrections.renewed()
-            evidence.come_closer()
+        if step in (learnt, int(AGAIN * learnt)):
+            if step == learnt:
+                evidence.come_closer()
+            corrections, nat = corrections.renewed(), options.nat
             adam = _optimiser(corrections, evidence, arms, options)
         loss = evidence.loss([frames[i] for i in batch], corrections.pose(batch))
-        loss = loss + options.nat * corrections.energy() + evidence.energy()
+        loss = loss + nat * corrections.energy() + evidence.energy()
         loss.backward()
         adam.step(options.decay ** (step / len(batches)))
         if progress is not None:

@@ -23,7 +23,7 @@ from gva_mi.pose.stage1 import Stage1
 
 # What is believed of errors that last before pictures have shown them. Only videos too short to
 # infer anything keep it.
-TURN = Noise(white=0.0, slow=0.1, memory=6.0)  # radians
+TURN = Noise(white=0.0, slow=0.05, memory=6.0)  # radians
 PLACE = {"aside": Noise(0.0, 0.02, 6.0), "depth": Noise(0.0, 0.05, 6.0)}  # metres
 
 AXES: Mapping[str, tuple[int, ...]] = {"aside": (0, 1), "depth": (2,)}  # the camera's

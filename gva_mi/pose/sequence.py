@@ -49,7 +49,7 @@ HOLD_HEIGHT = 1e3  # for one square metre between the body's height and the pers
 class SequenceOptions(DescentOptions, RefineOptions):
     """How all frames of a video are refined together."""
 
-    close_hands: float = 0.5  # of each hand's close-up, where the loss of the whole person counts 1
+    close_hands: float = 1.0  # of each hand's close-up, where the loss of the whole person counts 1
     close_feet: float = 0.1  # the same of a foot's: shoes are not of the body's form
     hand_size: int = 44  # pixels of a hand's length in them, where the video has as many
     passes: int = 32  # how often every frame is visited

@@ -89,10 +89,10 @@ def test_no_hinge_bends_backward(name, axis, degrees):
 
 
 def test_a_joint_past_its_limit_costs_the_square():
-    """A knee may bend back by 5°, and each 5° more is a standard deviation."""
+    """A knee may bend back by 5°, each 5° more is a standard deviation, and six frames count once."""
     assert cost(("left_knee", "x", -4)) == 0
-    assert cost(("left_knee", "x", -15)) == pytest.approx(2**2 / 2, rel=1e-4)
-    assert cost(("left_knee", "x", 155 + 20)) == pytest.approx(4**2 / 2, rel=1e-4)
+    assert cost(("left_knee", "x", -15)) == pytest.approx(N / 6 * 2**2 / 2, rel=1e-4)
+    assert cost(("left_knee", "x", 155 + 20)) == pytest.approx(N / 6 * 4**2 / 2, rel=1e-4)
 
 
 @pytest.mark.parametrize("side", ["left", "right"])

@@ -89,7 +89,7 @@ def test_no_hinge_bends_backward(name, axis, degrees):
 
 
 def test_a_joint_past_its_limit_costs_the_square():
-    """A knee may bend back by 5°, each 5° more is a standard deviation, and six frames count once."""
+    """A knee may bend back by 5°; 5° more are a standard deviation; six frames count once."""
     assert cost(("left_knee", "x", -4)) == 0
     assert cost(("left_knee", "x", -15)) == pytest.approx(N / 6 * 2**2 / 2, rel=1e-4)
     assert cost(("left_knee", "x", 155 + 20)) == pytest.approx(N / 6 * 4**2 / 2, rel=1e-4)

@@ -114,6 +114,14 @@ def test_frames_that_are_not_looked_at_follow_the_motion(camera):
     assert float(found.rotations[3, ELBOW, 1]) == pytest.approx(0.2, abs=0.03)
 
 
+def test_joints_that_are_not_shown_stay_where_they_are_most_probable(camera):
+    evidence = Places(camera)
+    evidence.unseen = (ELBOW,)
+    found = descend(evidence, Pose.rest(4), ARMS, FREE).pose
+    torch.testing.assert_close(found.transl[0], PLACE, atol=5e-3, rtol=0)
+    assert torch.equal(found.rotations[:, ELBOW], torch.zeros(4, 3))
+
+
 def test_details_are_looked_at_once_poses_are_nearly_right(camera):
     evidence = Places(camera)
     descend(evidence, Pose.rest(4), ARMS, replace(FREE, passes=10, learn=4))

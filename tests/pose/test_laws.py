@@ -151,14 +151,15 @@ def test_a_fast_motion_survives(person, name, turn):
     assert 0.85 < float(raised @ true / (true @ true)) < 1.15
 
 
-def test_high_steps_survive(person):
-    """By 45° at the hips, seen from all sides; one in 24 frames."""
+@pytest.mark.parametrize(("degrees", "errors"), [(45, 0.1), (16, 0.05)])
+def test_steps_survive_high_and_low(person, degrees, errors):
+    """Seen from all sides; one in 24 frames."""
     truth, phase = TURNING.map(torch.clone), torch.arange(N) * torch.pi / 12
     for side, start in (("left", 0), ("right", torch.pi)):
-        up = torch.pi / 4 * (0.5 - 0.5 * torch.cos(phase + start))
+        up = np.radians(degrees) * (0.5 - 0.5 * torch.cos(phase + start))
         truth.rotations[:, joint(f"{side}_hip"), 0] = -up
         truth.rotations[:, joint(f"{side}_knee"), 0] = 2 * up
-    found = person.find(truth, with_white_errors(truth))
+    found = person.find(truth, with_white_errors(truth, errors))
     for name in ("left_hip", "right_hip", "left_knee", "right_knee"):
         bent, true = (pose.rotations[:, joint(name), 0] for pose in (found, truth))
         true = true - true.mean()

@@ -31,7 +31,6 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 
 import numpy as np
-import roma
 import torch
 from torch import Tensor
 
@@ -217,8 +216,3 @@ def _hinges(joints: Tensor) -> dict[int, tuple[str, Tensor, Tensor, Tensor]]:
             bone = at[f"{side}_thumb3"] - at[f"{side}_thumb2"]
             add(f"{side}_thumb{k}", "thumb", bone, palm)
     return found
-
-
-def turns_between(rotations: Tensor, wanted: Tensor) -> Tensor:
-    """The turns ``log(Rᵀ R')`` (n, J, 3) from rotations ``R`` to others ``R'``."""
-    return roma.rotvec_composition([roma.rotvec_inverse(rotations), wanted])

@@ -23,9 +23,9 @@ import torch
 from torch import Tensor
 
 from gva_mi.body.pose import Pose
-from gva_mi.pose.anatomy import Anatomy, turns_between
+from gva_mi.pose.anatomy import Anatomy
 from gva_mi.pose.inference import JOINTS, PELVIS, Beliefs, from_pictures, from_stage1
-from gva_mi.pose.stage1 import Stage1
+from gva_mi.pose.stage1 import Stage1, turns_between
 
 
 class Corrections:

@@ -21,8 +21,8 @@ from gva_mi.pose.belief import Belief
 from gva_mi.pose.noise import GROUPS, Noise, lasting_part, white_level
 from gva_mi.pose.stage1 import Stage1
 
-# What is believed of errors that last before pictures have shown them. Only videos too short to
-# infer anything keep it.
+# What is believed of errors that last before pictures have shown them; small, for a motion of a few
+# degrees must not be taken for an error. Only videos too short to infer anything keep it.
 TURN = Noise(white=0.0, slow=0.05, memory=6.0)  # radians
 PLACE = {"aside": Noise(0.0, 0.02, 6.0), "depth": Noise(0.0, 0.05, 6.0)}  # metres
 

@@ -74,6 +74,10 @@ class Stage1:
         Returns:
             Turns (n - 1, J, 3) in the axes of the joints, shifts (n - 1, 3) in the camera's.
         """
-        before = roma.rotvec_inverse(pose.rotations[:-1])
-        turns = roma.rotvec_composition([before, pose.rotations[1:]])
+        turns = turns_between(pose.rotations[:-1], pose.rotations[1:])
         return turns, pose.transl.diff(dim=0) @ self.R_camera_world.T
+
+
+def turns_between(before: Tensor, after: Tensor) -> Tensor:
+    """The turns ``log(Rᵀ R')`` (..., 3) from rotations ``R`` to others ``R'``, axis-angle."""
+    return roma.rotvec_composition([roma.rotvec_inverse(before), after])

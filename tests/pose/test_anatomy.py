@@ -7,7 +7,8 @@ import torch
 
 from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND
 from gva_mi.data.synthetic.motion import MOTIONS, perform
-from gva_mi.pose.anatomy import Anatomy, turns_between
+from gva_mi.pose.anatomy import Anatomy
+from gva_mi.pose.stage1 import turns_between
 
 N = 24
 TIMES = torch.arange(N)

@@ -97,6 +97,7 @@ class PictureEvidence:
     """
 
     shared: Sequence[tuple[Tensor, float]] = ()
+    size_known: bool = True  # the avatar's
     unseen: Sequence[int] = ()
 
     def __init__(

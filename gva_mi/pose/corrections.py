@@ -87,8 +87,12 @@ class Corrections:
         """
         return self._stage1.corrected(which, *self._at(which))
 
-    def energy(self) -> Tensor:
-        """What the corrections cost in nats, a mean over the frames."""
+    def energy(self, size_known: bool = False) -> Tensor:
+        """What the corrections cost in nats, a mean over the frames.
+
+        Args:
+            size_known: whether the person's size is, and with it how far away they are.
+        """
         turns, moves = self._at(range(len(self.moves)))
         own, beliefs = self._stage1.in_joints(turns), self.beliefs
         of_pelvis, of_joints, of_place = self._precisions
@@ -98,7 +102,7 @@ class Corrections:
         nats = nats + beliefs.place.energy(of_place, places, places)
         rotations = roma.rotvec_composition([self._stage1.pose.rotations, own])
         nats = nats + self._anatomy.energy(rotations, self._stage1.times)
-        return nats / len(moves) + self._held(moves.mean(0))
+        return nats / len(moves) + (0 if size_known else self._held(moves.mean(0)))
 
     def _held(self, shift: Tensor) -> Tensor:
         """What a shift (3,) of all frames costs, in each of them.

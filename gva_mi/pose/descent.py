@@ -51,6 +51,7 @@ class Evidence(Protocol):
         camera: of one of them; corrections are made along its axes.
         anatomy: of the person's joints.
         shared: the leaves ``s``, each with its learning rate; often none.
+        size_known: whether the person's size is known, so that pictures tell how far away they are.
         unseen: joints that it does not show for now: their turns stay the likeliest.
     """
 
@@ -58,6 +59,7 @@ class Evidence(Protocol):
     camera: Camera
     anatomy: Anatomy
     shared: Sequence[tuple[Tensor, float]]
+    size_known: bool
     unseen: Sequence[int]
 
     def loss(self, frames: Sequence[int], pose: Pose) -> Tensor:
@@ -142,7 +144,7 @@ def descend(
             corrections, nat = corrections.renewed(), options.nat
             adam = _optimiser(corrections, evidence, arms, options)
         loss = evidence.loss([frames[i] for i in batch], corrections.pose(batch))
-        loss = loss + nat * corrections.energy() + evidence.energy()
+        loss = loss + nat * corrections.energy(evidence.size_known) + evidence.energy()
         loss.backward()
         adam.step(options.decay ** (step / len(batches)))
         if progress is not None:

@@ -169,6 +169,11 @@ class ClothedPerson:
         return self._cloth.offsets
 
     @property
+    def size_known(self) -> bool:
+        """By the height."""
+        return self._options.height is not None
+
+    @property
     def unseen(self) -> Sequence[int]:
         """The fingers, until they are looked at closely: before, masks' errors would bend them."""
         return () if self._close else FINGERS

@@ -28,7 +28,7 @@ joint = JOINTS.index
 class Sight:
     """Frames know where the joints are in the picture, and nothing of how deep."""
 
-    shared, unseen = (), ()
+    shared, unseen, size_known = (), (), False
 
     def __init__(self, person, truth, camera):
         self.frames, self.camera, self.anatomy = range(len(truth)), camera, person.anatomy

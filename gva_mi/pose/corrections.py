@@ -9,9 +9,10 @@ stands, much better than how it leans toward the camera, and how deep. Coordinat
 show weakly would hardly move if they shared their steps with the others.
 
 The coordinates ``u`` (by ``M``), and the energy that corrections cost, come from what is believed
-of this video (:mod:`gva_mi.pose.inference`, :mod:`gva_mi.pose.belief`). ``δ⁰`` are corrections that
-are known before: those of the greatest probability when no picture has been looked at, and later
-those that were found before beliefs changed.
+of this video (:mod:`gva_mi.pose.inference`, :mod:`gva_mi.pose.belief`), and the energy from what
+bodies can do, too (:mod:`gva_mi.pose.anatomy`). ``δ⁰`` are corrections that are known before: those
+of the greatest probability when no picture has been looked at, and later those that were found
+before beliefs changed.
 """
 
 from __future__ import annotations

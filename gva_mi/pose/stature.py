@@ -1,7 +1,7 @@
 """A person whose height is known: the body gets it, and its distance follows.
 
 One camera tells neither how large a person is nor how far away: a larger person farther away makes
-the same picture. A height that somebody measured decides it. The rest height of a body, from the
+the same picture. A height that somebody measured decides the first. The rest height of a body, from the
 top of the head to the soles, is that of its two vertices ``a`` and ``b`` highest and lowest in the
 mean person, and linear in the shape:
 
@@ -9,7 +9,9 @@ mean person, and linear in the shape:
 2. The shape of height ``H`` nearest to stage 1's, in standard deviations, is
    ``β + g (H - h(β)) / |g|²``.
 3. The picture stays as it was where the person's distance grows as the person does: every frame's
-   pelvis moves along its line of sight, by the factor ``h(β') / h(β)``.
+   pelvis moves along its line of sight, by the factor ``h(β') / h(β)``. That is right for an
+   estimator that finds the distance by the size; where the two err apart from each other, it is for
+   the pictures to find the distance, and clothes let them do so to some centimetres only.
 4. A descent that moves the shape holds the height with ``(h(β) - H)²``.
 """
 

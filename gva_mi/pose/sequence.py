@@ -40,7 +40,7 @@ from gva_mi.pose.noise import GROUPS
 from gva_mi.pose.priors import lever_arms
 from gva_mi.pose.stature import Stature
 
-STEPS_A_PASS = 16  # at least, where the video has so many frames
+STEPS_A_PASS = 16  # at least
 FINGERS = GROUPS["fingers"]
 HOLD_HEIGHT = 1e3  # for one square metre between the body's height and the person's
 
@@ -52,7 +52,7 @@ class SequenceOptions(DescentOptions, RefineOptions):
     close_hands: float = 1.0  # of each hand's close-up, where the loss of the whole person counts 1
     close_feet: float = 0.1  # the same of a foot's: shoes are not of the body's form
     hand_size: int = 44  # pixels of a hand's length in them, where the video has as many
-    passes: int = 32  # how often every frame is visited
+    passes: int = 32  # how often every frame is visited, more often where there are very few
     batch: int = 4  # frames of a step, at most
     learn: int = 11  # the first of them, after which it is inferred how stage 1 errs
     nat: float = 0.015  # what a negative logarithm of a probability counts beside Eq. 8's data term
@@ -99,7 +99,7 @@ class SequenceOptions(DescentOptions, RefineOptions):
         return [seen[i] for i in skim(len(seen), self.skim)]
 
     def steps_for(self, frames: int) -> int:
-        return frames * self.passes
+        return frames * self.passes * often(frames)
 
     def solve(self, job: Job, progress: Progress | None = None) -> Solution:
         return refine_sequence(job, self, progress)
@@ -124,13 +124,24 @@ def refine_sequence(
         progress: called as ``progress(done, total, loss=...)`` after every step.
     """
     person = ClothedPerson(job, options)
-    # With few frames a step takes fewer of them, or there would be too few steps to arrive.
-    batch = max(1, min(options.batch, len(job.evidence) // STEPS_A_PASS))
-    options = replace(options, batch=batch)
+    # With few frames a step takes fewer of them, and with very few they are visited more often, or
+    # there would be too few steps to arrive.
+    frames = len(job.evidence)
+    options = replace(
+        options,
+        batch=max(1, min(options.batch, frames // STEPS_A_PASS)),
+        passes=often(frames) * options.passes,
+        learn=often(frames) * options.learn,
+    )
     found = descend(person, job.pose, person.arms, options, progress, job.following)
     shape, offsets = Shape(person.shape.betas.detach()), person.offsets.detach()
     focal = float(person.focal.detach())
     return Solution(found.pose, shape, offsets, found.beliefs.noise, focal)
+
+
+def often(frames: int) -> int:
+    """How many times a pass visits each of so many frames."""
+    return max(1, -(-STEPS_A_PASS // max(1, frames)))
 
 
 class ClothedPerson:

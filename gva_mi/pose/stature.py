@@ -1,9 +1,9 @@
 """A person whose height is known: the body gets it, and its distance follows.
 
 One camera tells neither how large a person is nor how far away: a larger person farther away makes
-the same picture. A height that somebody measured decides the first. The rest height of a body, from the
-top of the head to the soles, is that of its two vertices ``a`` and ``b`` highest and lowest in the
-mean person, and linear in the shape:
+the same picture. A height that somebody measured decides the first. The rest height of a body, from
+the top of the head to the soles, is that of its two vertices ``a`` and ``b`` highest and lowest in
+the mean person, and linear in the shape:
 
 1. ``h(β) = h_0 + g · β``,    ``g = (S_a - S_b)_y``.
 2. The shape of height ``H`` nearest to stage 1's, in standard deviations, is

@@ -25,7 +25,7 @@ MARKER = "demo.json"  # every demo's folder holds it
 
 @dataclass(frozen=True)
 class DemoOptions:
-    """How large the demo is; the defaults end within 8 minutes on 2 cores."""
+    """How large the demo is; the defaults take some 10 minutes on 2 cores."""
 
     seed: int = 0  # of the subject, the refinement and the fit
     subject: str = "amira"  # one of the study's seven

@@ -106,7 +106,7 @@ class SequenceOptions(DescentOptions, RefineOptions):
 
     def variants(self) -> dict[str, RefineOptions]:
         return {
-            "nothing inferred": replace(self, learn=self.passes),
+            "nothing inferred, no close-ups": replace(self, learn=self.passes),
             "no close-ups": replace(self, close_hands=0.0, close_feet=0.0),
             "no displacement for clothes": replace(self, cloth_lr=0.0),
             "shape of stage 1": replace(self, betas_lr=0.0),
@@ -187,7 +187,7 @@ class ClothedPerson:
     @property
     def unseen(self) -> Sequence[int]:
         """The fingers, until they are looked at closely: before, masks' errors would bend them."""
-        return () if self._close else FINGERS
+        return () if self._close and self._options.close_hands > 0 else FINGERS
 
     @property
     def focal(self) -> Tensor:

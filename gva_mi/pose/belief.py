@@ -129,10 +129,11 @@ class Belief:
         moved = motion.cost(self._changed(own), self.square_speed)
         return (e * (precision @ e)).sum() / 2 + moved.sum()
 
-    def variance_of_mean(self) -> Tensor:
-        """Of stage 1's errors, of one coordinate, over all frames (C,); without their bias."""
+    def variance_of_mean(self, bias: bool) -> Tensor:
+        """Of stage 1's errors, of one coordinate, over all frames (C,); with their bias or not."""
         K = covariance(self.noises, self.times, self.factors).mean((1, 2))
-        return (K - torch.tensor([noise.slow**2 for noise in self.noises])).float()
+        without = torch.tensor([noise.slow**2 for noise in self.noises])
+        return (K if bias else K - without).float()
 
     def precision(self) -> Tensor:
         """``P`` (C, n, n)."""

@@ -103,16 +103,23 @@ class Corrections:
         nats = nats + beliefs.place.energy(of_place, places, places)
         rotations = roma.rotvec_composition([self._stage1.pose.rotations, own])
         nats = nats + self._anatomy.energy(rotations, self._stage1.times)
-        return nats / len(moves) + (0 if size_known else self._held(moves.mean(0)))
+        held = self._held(turns[:, pelvis].mean((0, 1)), None if size_known else moves.mean(0))
+        return nats / len(moves) + held
 
-    def _held(self, shift: Tensor) -> Tensor:
-        """What a shift (3,) of all frames costs, in each of them.
+    def _held(self, turn: Tensor, shift: Tensor | None) -> Tensor:
+        """What a turn (3,) and a shift (3,) of the person in all frames cost, in each of them.
 
-        Many pictures tell it no better than one: a person who is larger and farther away looks the
-        same in all of them. So the mean over stage 1's frames is believed in every one of them.
+        Many pictures tell them no better than one. A person who is larger and farther away looks
+        the same in all of them, and trousers that widen toward their hems look like feet that are
+        nearer than the head. So the mean over stage 1's frames is believed in every one of them.
+        No other joint's is: legs that lean toward the camera from every side of a person who turns
+        are a motion, which costs already.
         """
-        variance = self.beliefs.place.variance_of_mean()
-        return (shift.square() / variance).sum() / 2
+        pelvis, place = self.beliefs.pelvis, self.beliefs.place
+        nats = (turn.square() / pelvis.variance_of_mean(bias=True)).sum() / 2
+        if shift is not None:
+            nats = nats + (shift.square() / place.variance_of_mean(bias=False)).sum() / 2
+        return nats
 
     def _at(self, which: Sequence[int]) -> tuple[Tensor, Tensor]:
         """Eq. 2 for r of the frames: turns (r, J, 3), shifts (r, 3), in the camera's axes."""

@@ -57,14 +57,14 @@ class SequenceOptions(DescentOptions, RefineOptions):
     learn: int = 11  # the first of them, after which it is inferred how stage 1 errs
     nat: float = 0.015  # what a negative logarithm of a probability counts beside Eq. 8's data term
     cloth_smooth: float = 1.6e-4  # a of the displacement's energy, for one (1/m)²
-    cloth_small: float = 40.0  # b of the displacement's energy, for one square metre
+    cloth_small: float = 10.0  # b of the displacement's energy, for one square metre
     cloth_outward: float = 400.0  # c of the displacement's energy, for one square metre
-    betas_prior: float = 0.05  # λβ, for one squared standard deviation
+    betas_prior: float = 0.01  # λβ, for one squared standard deviation
     step: float = 0.012  # metres that a turned joint moves what hangs on it, in a step at the start
     largest_turn: float = 0.03  # radians in such a step; it limits joints with short lever arms
     translation_lr: float = 0.006  # metres in a step at the start; depth is seen weakly
     cloth_lr: float = 0.002  # metres in a step at the start
-    betas_lr: float = 0.02  # standard deviations in a step at the start
+    betas_lr: float = 0.05  # standard deviations in a step at the start
     refine_camera: bool = False  # whether the focal length of the video is an unknown, too
     focal_lr: float = 0.003  # of its logarithm, in a step at the start
     focal_prior: float = 1.0  # of its logarithm's square

@@ -111,6 +111,24 @@ def test_to_put_all_frames_elsewhere_costs_unless_the_size_is_known(make, true_p
     assert dear > 2 * cheap > 0
 
 
+def test_a_tilt_of_the_person_costs_in_every_frame_a_lean_of_a_limb_once(body, camera):
+    """Though neither is a motion: clothes would tilt the person a little in every picture."""
+    anatomy = Anatomy.of(body.j_template)
+
+    def nats(joint, frames):
+        """What 0.05 rad toward the camera in all frames cost, in each."""
+        stage1 = Stage1.of(at_rest(frames), range(frames), camera)
+        turns = torch.zeros(frames, len(JOINTS), 3)
+        turns[:, JOINTS.index(joint), 0] = 0.05
+        beliefs = Corrections.likeliest(stage1, anatomy).beliefs
+        found = Corrections(stage1, anatomy, beliefs, turns, torch.zeros(frames, 3))
+        return float(found.energy().detach())
+
+    few, many = 8, 64
+    assert nats("pelvis", many) > 0.9 * nats("pelvis", few) > 0.1
+    assert nats("left_hip", many) < 0.3 * nats("left_hip", few)
+
+
 def test_gradient_matches_differences(make, true_pose):
     corrections = make(true_pose)
     generator = torch.Generator().manual_seed(0)

@@ -16,7 +16,8 @@ from gva_mi.data.synthetic import SynthOptions, make_subject
 from gva_mi.data.video import load_video
 from gva_mi.files import make_room, versions, write_json
 from gva_mi.fit import run_folder
-from gva_mi.fit.options import FitOptions, Rates
+from gva_mi.fit.options import FitOptions
+from gva_mi.fit.poses import PoseOptions
 from gva_mi.pose.sequence import SequenceOptions
 
 SUBJECT = "subject"  # where the subject lies within the demo's folder
@@ -52,8 +53,8 @@ def demo(
     synth_options = SynthOptions(
         seed=options.seed, subject=options.subject, frames=options.frames, size=options.size
     )
-    rates = Rates(pose=0.0) if options.no_refine else Rates()
-    fit_options = FitOptions(seed=options.seed, steps=options.steps, rates=rates)
+    poses = PoseOptions(trained=not options.no_refine)
+    fit_options = FitOptions(seed=options.seed, steps=options.steps, poses=poses)
     make_room(out, MARKER, overwrite)
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / MARKER, {"options": asdict(options), "versions": versions()})

@@ -11,6 +11,7 @@ from gva_mi.avatar.densify import DensifyOptions
 from gva_mi.avatar.reinit import ReinitOptions
 from gva_mi.errors import InputError
 from gva_mi.fit.losses import LossOptions
+from gva_mi.fit.poses import PoseOptions
 from gva_mi.splat import SplatOptions
 
 # Defaults of the parts in a fit, where they differ from the parts' own.
@@ -34,7 +35,6 @@ class Rates:
     logit_opacities: float = 5e-2
     sh: float = 2.5e-3
     residual: float = 1e-3  # of the pose-conditioned MLP's weights
-    pose: float = 1e-3  # radians and metres; 0: the training poses stay as they are
 
 
 @dataclass(frozen=True)
@@ -79,6 +79,7 @@ class FitOptions:
     reinit: ReinitOptions = REINIT
     loss: LossOptions = LossOptions()
     splat: SplatOptions = SPLAT
+    poses: PoseOptions = PoseOptions()
 
     def __post_init__(self) -> None:
         for name, least in (("steps", 1), ("window", 11), ("checkpoint_every", 1), ("seed", 0)):

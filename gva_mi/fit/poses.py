@@ -1,65 +1,197 @@
 """The poses that a fit uses: as they were given, or trained along with the avatar.
 
-Training corrects the errors that the refinement by masks and normals left. A test frame must not be
-trained on, and yet its pose has errors of the same kind: slow ones, such as a depth that is wrong
-for seconds. So its correction is interpolated between its neighbours in time.
+Masks and normals leave errors in poses, and errors blur the avatar, which becomes the mean of
+frames that do not quite agree. So the gradient of each step (Eq. 9) also goes to the corrections of
+its frame's pose, the refinement's own (:mod:`gva_mi.pose.corrections`): turns by each joint's lever
+arm, shifts in the camera's axes, in coordinates in which neighbouring frames move together. With
+``every`` steps of the fit they take one of their own, on
+
+    L = Σ_k L_k(pose_k(δ, τ)) + ν Σ_k s_k E(δ, τ)       k: the frames of these steps
+
+where ``E`` says how probable corrections are, of this motion, with joints that do what joints can
+do, and ``s_k`` is the share of the picture that the person fills: so much of ``L_k``, a mean over
+the picture, can be about them. After some shares of the fit the corrections tell how the given
+poses err, and ``E`` becomes what that says.
+
+* A frame that is not trained on is not looked at. What is probable of it follows from the frames
+  around it: an error that lasts is corrected there too, one that is new in every frame is not.
+* Avatar and poses could drift together, such as all knees and the canonical legs, and no picture
+  would change. ``E`` keeps the mean place and turn of the person, and each joint near what it was.
+* Jaw and eyes stay.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
 
-import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
+from gva_mi.avatar.avatar import Rig
 from gva_mi.body.pose import Pose
+from gva_mi.body.smplx import Rest
+from gva_mi.errors import InputError, require_at_least, require_positive
+from gva_mi.pose.anatomy import Anatomy
+from gva_mi.pose.clips import cut
+from gva_mi.pose.corrections import Corrections
+from gva_mi.pose.descent import optimiser
+from gva_mi.pose.priors import lever_arms
+from gva_mi.pose.stage1 import Stage1
+from gva_mi.splat import Camera
 
 
-class TrainedPoses(nn.Module):
+@dataclass(frozen=True)
+class PoseOptions:
+    """How poses are trained along with an avatar."""
+
+    trained: bool = True  # False: the poses stay as they were given
+    every: int = 8  # steps of the fit, after which poses take one
+    nat: float = 3e-5  # ν: what a negative logarithm of a probability counts beside Eq. 9
+    learn_at: tuple[float, ...] = (0.3, 0.5)  # shares of all steps, when it is learned how they err
+    step: float = 0.003  # metres that a turned joint moves what turns with it, in a first step
+    largest_turn: float = 0.03  # radians in such a step; it limits joints with short lever arms
+    translation_lr: float = 0.002  # metres in a first step
+    decay: float = 0.1  # what is left of these steps at the end
+    part: int = 240  # frames of a video that know of each other, at most
+
+    def __post_init__(self) -> None:
+        require_at_least("fit", self, every=1, part=2)
+        require_positive("fit", self, "nat", "step", "largest_turn", "translation_lr", "decay")
+        if not all(0 < share < 1 for share in self.learn_at):
+            raise InputError(f"fit: learn_at must lie between 0 and 1, got {self.learn_at}")
+
+
+class TrainedPoses:
     """The poses of all frames.
 
     Attributes:
-        given: the poses as they were given.
-        frames: where poses are trained, a parameter (168,) per frame: rotations (55, 3), row by
-            row, and translation. Adam leaves a parameter without a gradient alone, with its
-            momentum, and a step shows few frames.
+        given: as they were given.
     """
 
-    def __init__(self, pose: Pose, trained: bool) -> None:
-        super().__init__()
-        self.given = pose
-        self.frames = nn.ParameterList(_packed(pose).unbind() if trained else [])
-
-    def forward(self, frame: int) -> Pose:
-        """The pose of one frame."""
-        given = self.given[frame]
-        if not len(self.frames):
-            return given
-        return _unpacked(self.frames[frame][None], given.expression)
-
-    def all(self, trained: Sequence[int]) -> Pose:
-        """The poses of all frames, trained or interpolated.
+    def __init__(
+        self, given: Pose, cameras: Sequence[Camera], rig: Rig, options: PoseOptions, steps: int
+    ) -> None:
+        """Start with what is most probable of the given poses, before any picture.
 
         Args:
-            trained: the frames that were trained on; all others get interpolated corrections.
+            given: T frames.
+            cameras: of the T frames.
+            rig: the person's rest body.
+            options: how.
+            steps: of the whole fit.
         """
-        if not len(self.frames):
+        self.given, self._options, self._steps = given, options, steps
+        self._clips: list[_Clip] = []
+        if not options.trained:
+            return
+        anatomy = Anatomy.of(rig.joints)
+        arms = lever_arms(Rest(rig.vertices, rig.joints), rig.weights, rig.parents)
+        for frames in cut(len(given), options.part, overlap=0):
+            stage1 = Stage1.of(given, frames, cameras[frames.start])
+            corrections = Corrections.likeliest(stage1, anatomy)
+            self._clips.append(_Clip(frames, corrections, arms, options))
+
+    @property
+    def trained(self) -> bool:
+        """Whether they are, or stay as they were given."""
+        return bool(self._clips)
+
+    def __call__(self, frame: int) -> Pose:
+        """The pose of one frame, differentiable in its corrections."""
+        for clip in self._clips:
+            if frame in clip.frames:
+                return clip.corrections.pose([frame - clip.frames.start])
+        return self.given[frame]
+
+    def step(self, done: int, frame: int, share: float) -> None:
+        """Follow the gradient, once it is that of enough steps.
+
+        Args:
+            done: steps of the fit.
+            frame: that the last one of them was about.
+            share: of its picture that the person fills.
+        """
+        options = self._options
+        for clip in self._clips:
+            clip.waiting += share * (frame in clip.frames)
+        if done % options.every:
+            return
+        rounds = {round(at * self._steps / options.every) for at in options.learn_at}
+        for clip in self._clips:
+            clip.step(options.nat, options.decay ** (done / self._steps))
+            if done // options.every in rounds:
+                clip.learn(options)
+
+    @torch.no_grad()
+    def all(self) -> Pose:
+        """The poses of all frames as they are by now."""
+        if not self._clips:
             return self.given
-        given = _packed(self.given)
-        correction = (torch.stack(list(self.frames)).detach() - given).numpy()
-        time, seen = np.arange(len(given)), sorted(trained)
-        columns = [np.interp(time, seen, column) for column in correction[seen].T]
-        between = torch.from_numpy(np.stack(columns, axis=1)).to(given.dtype)
-        return _unpacked(given + between, self.given.expression)
+        found = [clip.corrections.pose(range(len(clip.frames))) for clip in self._clips]
+        rotations = torch.cat([pose.rotations for pose in found])
+        return Pose(rotations, torch.cat([pose.transl for pose in found]), self.given.expression)
+
+    def state(self) -> list[dict[str, Any]]:
+        """What was trained, for a checkpoint."""
+        return [clip.state() for clip in self._clips]
+
+    def load_state(self, state: list[dict[str, Any]]) -> None:
+        """Go on from a :meth:`state`, to the bit."""
+        for clip, held in zip(self._clips, state, strict=True):
+            clip.load_state(held, self._options)
 
 
-def _packed(pose: Pose) -> Tensor:
-    """Rotations and translation of each frame as a row, (T, 168)."""
-    return torch.cat([pose.rotations.flatten(1), pose.transl], dim=1)
+class _Clip:
+    """Frames that know of each other.
 
+    Attributes:
+        frames: their numbers.
+        corrections: of their poses.
+        waiting: the sum of ``s_k`` since the last step; zero where none of them was looked at.
+    """
 
-def _unpacked(rows: Tensor, expression: Tensor) -> Pose:
-    """The pose that :func:`_packed` made rows of, with its expression."""
-    rotations, transl = rows.split([165, 3], dim=1)
-    return Pose(rotations.unflatten(1, (55, 3)), transl, expression)
+    def __init__(
+        self, frames: range, corrections: Corrections, arms: Tensor, options: PoseOptions
+    ) -> None:
+        self.frames, self.corrections, self.waiting = frames, corrections, 0.0
+        self._arms = arms
+        self._told: list[tuple[Tensor, Tensor]] = []  # what each learning was from
+        self._adam = optimiser(corrections, arms, options)
+
+    def step(self, nat: float, factor: float) -> None:
+        if self.waiting:
+            (nat * self.waiting * self.corrections.energy()).backward()
+            self._adam.step(factor)
+            self.waiting = 0.0
+
+    def learn(self, options: PoseOptions) -> None:
+        self._tell(*self.corrections.found(), options)
+
+    def state(self) -> dict[str, Any]:
+        leaves = (self.corrections.turns, self.corrections.moves)
+        return {
+            "told": self._told,
+            "leaves": [leaf.detach() for leaf in leaves],
+            "gradients": [leaf.grad for leaf in leaves],
+            "waiting": self.waiting,
+            "adam": self._adam.state(),
+        }
+
+    def load_state(self, state: dict[str, Any], options: PoseOptions) -> None:
+        for turns, moves in state["told"]:
+            self._tell(turns, moves, options)
+        leaves = (self.corrections.turns, self.corrections.moves)
+        held = zip(leaves, state["leaves"], state["gradients"], strict=True)
+        for leaf, value, gradient in held:
+            with torch.no_grad():
+                leaf.copy_(value)
+            leaf.grad = gradient
+        self.waiting = state["waiting"]
+        self._adam.load_state(state["adam"])
+
+    def _tell(self, turns: Tensor, moves: Tensor, options: PoseOptions) -> None:
+        self._told.append((turns, moves))
+        self.corrections = self.corrections.told_by(turns, moves)
+        self._adam = optimiser(self.corrections, self._arms, options)

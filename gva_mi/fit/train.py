@@ -6,7 +6,7 @@ Each step, with one training frame of the video:
 2. avatar(pose) → Gaussians, MLP(θ)                                          Eq. 5, 6
 3. render them on a background of a random colour                            Eq. 1-3
 4. compare with the person, cut out onto the same background                 Eq. 9
-5. one step of Adam
+5. one step of Adam; after some of them, one of the poses          :mod:`gva_mi.fit.poses`
 6. by the schedule: clone, split, prune; put the Gaussians back on the surface      Sec. 4.3
 """
 
@@ -89,8 +89,8 @@ def fit(
             if run.step % options.checkpoint_every == 0 and run.step < options.steps:
                 run_folder.save_state(out, run.state())
     write_arrays(out / run_folder.HISTORY, **run.history)
-    if len(run.poses.frames):
-        poses = run.poses.all(video.splits.train)
+    if run.poses.trained:
+        poses = run.poses.all()
         save_poses(out / run_folder.TRAINED_POSES, poses, video.shape, stage=2, focal=video.focal)
     run.avatar.save(out / run_folder.AVATAR)
     (out / run_folder.CHECKPOINT).unlink(missing_ok=True)
@@ -118,11 +118,12 @@ class _Run:
             self.avatar = Avatar.from_record(state["avatar"])
             self.step = state["step"]
             self.history = {name: list(values) for name, values in state["history"].items()}
-        self.poses = TrainedPoses(video.pose, options.rates.pose > 0)
-        self.optimizer = _optimizer(self.avatar, self.poses, options.rates)
+        rig = self.avatar.rig
+        self.poses = TrainedPoses(video.pose, video.cameras, rig, options.poses, options.steps)
+        self.optimizer = _optimizer(self.avatar, options.rates)
         self.gradients = ScreenGradients(len(self.avatar.canonical))
         if state is not None:
-            self.poses.load_state_dict(state["poses"])
+            self.poses.load_state(state["poses"])
             self.optimizer.load_state_dict(state["optimizer"])
             self.gradients.total, self.gradients.views = state["gradients"]
 
@@ -148,6 +149,7 @@ class _Run:
         self.optimizer.step()
         self.gradients.add(screen, sample.camera)
         self.step += 1
+        self.poses.step(self.step, sample.frame, float(sample.mask.mean()))
         figures = {"step": self.step, "loss": float(total.detach())}
         figures |= {f.name: float(getattr(losses, f.name).detach()) for f in fields(losses)}
         figures["gaussians"] = len(self.avatar.canonical)
@@ -176,7 +178,7 @@ class _Run:
         return {
             "step": self.step,
             "avatar": self.avatar.record(),
-            "poses": self.poses.state_dict(),
+            "poses": self.poses.state(),
             "optimizer": self.optimizer.state_dict(),
             "gradients": [self.gradients.total, self.gradients.views],
             "history": self.history,
@@ -191,7 +193,7 @@ class _Run:
                 group["lr"] = rates.means ** (1 - done) * rates.means_end**done
 
 
-def _optimizer(avatar: Avatar, poses: TrainedPoses, rates: Rates) -> torch.optim.Adam:
+def _optimizer(avatar: Avatar, rates: Rates) -> torch.optim.Adam:
     """Adam with one named group, and one learning rate, per kind of parameter."""
     groups = [
         {"name": name, "params": [parameter], "lr": getattr(rates, name)}
@@ -201,7 +203,5 @@ def _optimizer(avatar: Avatar, poses: TrainedPoses, rates: Rates) -> torch.optim
         groups.append(
             {"name": "residual", "params": list(avatar.residual.parameters()), "lr": rates.residual}
         )
-    if len(poses.frames):
-        groups.append({"name": "pose", "params": list(poses.parameters()), "lr": rates.pose})
     # With 3DGS's tiny epsilon a Gaussian that is seldom seen moves as far as any other.
     return torch.optim.Adam(groups, lr=0.0, eps=1e-15, fused=True)

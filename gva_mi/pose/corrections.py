@@ -74,9 +74,13 @@ class Corrections:
         return Corrections(stage1, anatomy, beliefs, stage1.in_camera(own), moves[..., 0])
 
     @torch.no_grad()
-    def renewed(self) -> Corrections:
-        """The same corrections, under what they tell of the video."""
-        turns, moves = self._at(range(len(self.moves)))
+    def found(self) -> tuple[Tensor, Tensor]:
+        """``A δ`` (n, J, 3) and ``τ`` (n, 3) as they are by now, in the camera's axes."""
+        return self._at(range(len(self.moves)))
+
+    @torch.no_grad()
+    def told_by(self, turns: Tensor, moves: Tensor) -> Corrections:
+        """Corrections that pictures have :meth:`found`, under what they tell of the video."""
         beliefs = from_pictures(self.beliefs, self._stage1, turns, moves)
         return Corrections(self._stage1, self._anatomy, beliefs, turns, moves)
 

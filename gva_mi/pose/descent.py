@@ -75,6 +75,14 @@ class Evidence(Protocol):
         ...
 
 
+class Steps(Protocol):
+    """How far poses move in a step."""
+
+    step: float  # metres that a turned joint moves what turns with it, in a step at the start
+    largest_turn: float  # radians in such a step; it limits joints with short lever arms
+    translation_lr: float  # metres in a step at the start
+
+
 @dataclass(frozen=True)
 class DescentOptions:
     """How poses descend on eq. 1; each way of fitting poses has defaults of its own."""
@@ -132,7 +140,7 @@ def descend(
     frames = sorted({*evidence.frames, *following})
     stage1 = Stage1.of(start, frames, evidence.camera)
     corrections = Corrections.likeliest(stage1, evidence.anatomy)
-    adam = _optimiser(corrections, evidence, arms, options)
+    adam = optimiser(corrections, arms, options, evidence.unseen, evidence.shared)
     seen = [i for i, k in enumerate(frames) if k not in set(following)]
     batches = [[seen[i] for i in batch] for batch in _batches(len(seen), options)]
     learnt = options.learn * len(batches) // options.passes
@@ -141,8 +149,8 @@ def descend(
         if step in (learnt, int(AGAIN * learnt)):
             if step == learnt:
                 evidence.come_closer()
-            corrections, nat = corrections.renewed(), options.nat
-            adam = _optimiser(corrections, evidence, arms, options)
+            corrections, nat = corrections.told_by(*corrections.found()), options.nat
+            adam = optimiser(corrections, arms, options, evidence.unseen, evidence.shared)
         loss = evidence.loss([frames[i] for i in batch], corrections.pose(batch))
         loss = loss + nat * corrections.energy(evidence.size_known) + evidence.energy()
         loss.backward()
@@ -186,14 +194,27 @@ def worse_frames(
     }
 
 
-def _optimiser(
-    corrections: Corrections, evidence: Evidence, arms: Tensor, options: DescentOptions
+def optimiser(
+    corrections: Corrections,
+    arms: Tensor,
+    options: Steps,
+    unseen: Sequence[int] = (),
+    shared: Sequence[tuple[Tensor, float]] = (),
 ) -> VectorAdam:
+    """What moves corrections, and the leaves ``s``.
+
+    Args:
+        corrections: their leaves.
+        arms: (J,) lever arms of the person's joints, metres.
+        options: how far in a step.
+        unseen: joints that stay the likeliest.
+        shared: the leaves ``s``, each with its learning rate.
+    """
     # The three coordinates of a turn have steps of their own, which together are as long as one.
     turns = turn_rates(arms, options.step, options.largest_turn)[..., None] / 3**0.5
-    turns[list(evidence.unseen)] = 0
+    turns[list(unseen)] = 0
     leaves = [(corrections.turns, turns), (corrections.moves, options.translation_lr)]
-    tensors, rates = zip(*leaves, *evidence.shared, strict=True)
+    tensors, rates = zip(*leaves, *shared, strict=True)
     return VectorAdam(tensors, rates, BETAS)
 
 

@@ -43,6 +43,14 @@ class VectorAdam:
     betas: tuple[float, float] = (0.9, 0.99)
     _moments: dict[int, _Moments] = field(default_factory=dict, repr=False)
 
+    def state(self) -> dict[int, tuple[int, Tensor, Tensor]]:
+        """Steps, ``m`` and ``v`` of each leaf that was moved, by its place; for a checkpoint."""
+        return {k: (moments.steps, moments.m, moments.v) for k, moments in self._moments.items()}
+
+    def load_state(self, state: dict[int, tuple[int, Tensor, Tensor]]) -> None:
+        """Go on from a :meth:`state`."""
+        self._moments = {k: _Moments(*values) for k, values in state.items()}
+
     @torch.no_grad()
     def step(self, factor: float = 1.0) -> None:
         """One step of all leaves that have a gradient, which is then cleared.

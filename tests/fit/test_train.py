@@ -13,6 +13,7 @@ from gva_mi.fit.colors import seen_colors
 from gva_mi.fit.evaluate import evaluate
 from gva_mi.fit.options import FitOptions, Schedule
 from gva_mi.fit.perceptual import Weights
+from gva_mi.fit.poses import PoseOptions
 from gva_mi.fit.samples import Stream, torch_state
 from gva_mi.fit.train import fit
 
@@ -23,6 +24,7 @@ OPTIONS = FitOptions(
     checkpoint_every=10,
     avatar=AvatarOptions(seed=SeedOptions(count=400)),
     schedule=Schedule(densify_every=5, reinit_at=()),
+    poses=PoseOptions(every=3),
 )
 PARAMETERS = [
     *(f"canonical.{n}" for n in ("means", "quats", "log_scales", "logit_opacities", "sh")),
@@ -141,15 +143,21 @@ def test_a_run_that_is_there_is_not_overwritten(fitted, video, body):
         fit(video, body, replace(OPTIONS, steps=30), fitted[1], resume=True)
 
 
-def test_poses_of_training_frames_move_and_those_between_follow(video, body, tmp_path):
-    options = replace(OPTIONS, steps=6, rates=replace(OPTIONS.rates, pose=1e-3))
-    fit(video, body, options, tmp_path)
-    trained, _ = load_poses(tmp_path / run_folder.TRAINED_POSES)
-    moved = trained.transl - video.pose.transl
-    assert (moved[video.splits.train] != 0).any(1).all()
-    for k in video.splits.test:  # never seen: the correction of the frames around it
-        around = moved[[n for n in (k - 1, k + 1) if n < len(video)]].mean(0)
-        torch.testing.assert_close(moved[k], around, rtol=1e-4, atol=1e-7)
+def test_the_poses_of_a_resumed_run_are_those_of_an_uninterrupted_one(
+    fitted, video, body, tmp_path
+):
+    with pytest.raises(Killed):
+        fit(video, body, OPTIONS, tmp_path, progress=killed_at(17))
+    fit(video, body, OPTIONS, tmp_path, resume=True)
+    whole, resumed = (load_poses(d / run_folder.TRAINED_POSES)[0] for d in (fitted[1], tmp_path))
+    assert torch.equal(whole.rotations, resumed.rotations)
+    assert torch.equal(whole.transl, resumed.transl)
+    assert (whole.transl != video.pose.transl).any(1).all()
+
+
+def test_poses_that_are_not_trained_are_not_written(video, body, tmp_path):
+    fit(video, body, replace(OPTIONS, steps=2, poses=PoseOptions(trained=False)), tmp_path)
+    assert not (tmp_path / run_folder.TRAINED_POSES).exists()
 
 
 @pytest.mark.slow

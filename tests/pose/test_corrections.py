@@ -163,7 +163,7 @@ def test_what_pictures_corrected_tells_how_stage_1_erred(make):
     elbows = list(GROUPS["elbows"])
     with torch.no_grad():
         corrections._turns0[:, elbows] = -errors
-    renewed = corrections.renewed()
+    renewed = corrections.told_by(*corrections.found())
     noise = renewed.beliefs.noise
     assert noise["elbows"].slow == pytest.approx(0.2, rel=0.4)
     assert 3 <= noise["elbows"].memory <= 12

@@ -193,7 +193,7 @@ def _numbers(matrix: Any) -> np.ndarray:  # noqa: ANN401
     if isinstance(matrix, dr.ArrayBase):
         matrix = dr.detach(matrix).numpy()
     elif hasattr(matrix, "new_tensor"):
-        matrix = matrix.detach().numpy()
+        matrix = matrix.detach().tolist()  # .numpy() not under torch.func
     return np.asarray(matrix, dtype=np.float64)
 
 

@@ -19,6 +19,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from gva_mi.splat.autograd import not_compiled
 from gva_mi.splat.camera import Camera, CameraModel
 from gva_mi.splat.gaussians import Gaussians, Image, degree_of
 from gva_mi.splat.options import SplatOptions
@@ -29,6 +30,7 @@ RenderMode = Literal["RGB", "D", "ED", "RGB+D", "RGB+ED"]
 RasterizeMode = Literal["classic", "antialiased"]
 
 
+@not_compiled
 def rasterization(
     means: Tensor,
     quats: Tensor,

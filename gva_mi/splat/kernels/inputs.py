@@ -1,6 +1,6 @@
 """The Gaussians as flat arrays: what the kernels take, and where their gradients go.
 
-Both doors (torch_op.py, drjit_op.py) hand their arrays over in this form, without copies.
+Both doors (autograd.py, drjit_op.py) hand their arrays over in this form, without copies.
 """
 
 from __future__ import annotations

@@ -56,7 +56,8 @@ class Tensors(NamedTuple):
     background: Any
     T_camera_world: Any
     K: Any
-    means2d: Any
+    means2d: Any  # of some rows, where they are a node of the graph (means2d.py)
+    known: Any  # the same rows, told the same gradient
 
     @property
     def gaussians(self) -> tuple[Any, ...]:
@@ -89,8 +90,9 @@ class Call:
     camera: Camera
     options: SplatOptions
     harmonics: bool  # whether the colours are coefficients
-    through_means2d: bool  # whether the gradient by the means in the picture goes on to the means
     screen: Screen | None
+    packed: bool = False  # whether means2d has rows of those in the picture alone
+    rows: Tensor | None = None  # these, once they are known
     saved: Saved | None = None
     elements: list[Call] | None = None  # under vmap: of each element of the batch
 
@@ -101,7 +103,7 @@ class Call:
         return self.elements
 
 
-def _one_by_one(
+def one_by_one(
     function: type[torch.autograd.Function],
     info: Any,  # noqa: ANN401
     dims: tuple,
@@ -126,22 +128,11 @@ class Render(torch.autograd.Function):
     """The picture: ``Tensors`` and a ``Call`` to color, alpha and, where it is made, depth."""
 
     @staticmethod
-    @exclusive
     def forward(*arguments: Any) -> Images:  # noqa: ANN401
         *tensors, call = arguments
-        given, screen = Tensors(*tensors), call.screen
-        F = PRECISION[given.means.dtype]
-        inputs = Inputs(*(_to_drjit(part, F) for part in given.gaussians))
-        absolute = screen is not None and screen.absolute
-        background = given.background.tolist()
-        saved = render_forward(
-            inputs, call.harmonics, call.camera, call.options, background, absolute
-        )
-        dr.sync_thread()  # torch reads the memory next
-        if screen is not None:
-            screen.fill(saved, given.means)
-        call.saved = saved
-        return _images(saved.planes, saved)
+        if call.saved is None:
+            draw(call, Tensors(*tensors))
+        return _images(call.saved.planes, call.saved)
 
     @staticmethod
     def setup_context(ctx: FunctionCtx, inputs: tuple, output: Images) -> None:
@@ -170,7 +161,7 @@ class Render(torch.autograd.Function):
 
     @staticmethod
     def vmap(info: Any, dims: tuple, *arguments: Any) -> tuple[tuple, tuple]:  # noqa: ANN401
-        return _one_by_one(Render, info, dims, arguments)
+        return one_by_one(Render, info, dims, arguments)
 
 
 class Adjoint(torch.autograd.Function):
@@ -204,7 +195,7 @@ class Adjoint(torch.autograd.Function):
 
     @staticmethod
     def vmap(info: Any, dims: tuple, *arguments: Any) -> tuple[tuple, tuple]:  # noqa: ANN401
-        return _one_by_one(Adjoint, info, dims, arguments)
+        return one_by_one(Adjoint, info, dims, arguments)
 
 
 class Tangent(torch.autograd.Function):
@@ -238,7 +229,7 @@ class Tangent(torch.autograd.Function):
 
     @staticmethod
     def vmap(info: Any, dims: tuple, *arguments: Any) -> tuple[tuple, tuple]:  # noqa: ANN401
-        return _one_by_one(Tangent, info, dims, arguments)
+        return one_by_one(Tangent, info, dims, arguments)
 
 
 class FirstOrder(torch.autograd.Function):
@@ -271,6 +262,23 @@ REFUSAL = (
 
 
 @exclusive
+def draw(call: Call, given: Tensors) -> None:
+    """The forward pass: fills ``call.saved``, the screen and, packed, ``call.rows``."""
+    screen, F = call.screen, PRECISION[given.means.dtype]
+    inputs = Inputs(*(_to_drjit(part, F) for part in given.gaussians))
+    absolute = screen is not None and screen.absolute
+    background = given.background.tolist()
+    call.saved = render_forward(
+        inputs, call.harmonics, call.camera, call.options, background, absolute
+    )
+    dr.sync_thread()  # torch reads the memory next
+    if screen is not None:
+        screen.fill(call.saved, given.means)
+    if call.packed:
+        call.rows = torch.nonzero((screen.boxes > 0).all(dim=1))[:, 0]
+
+
+@exclusive
 def _adjoint(tensors: Tensors, grads: Images, call: Call, camera: bool) -> Tensors:
     """dL/dx from dL/dy; that by the camera where ``camera`` asks for it."""
     color, alpha, depth = grads
@@ -285,7 +293,6 @@ def _adjoint(tensors: Tensors, grads: Images, call: Call, camera: bool) -> Tenso
         grad,
         camera=camera,
         absolute=screen is not None and screen.absolute,
-        through_means2d=call.through_means2d,
     )
     dr.sync_thread()
     by_means2d = found.means2d.torch().view(-1, 2)
@@ -299,18 +306,22 @@ def _adjoint(tensors: Tensors, grads: Images, call: Call, camera: bool) -> Tenso
     )
     new = tensors.background.new_tensor
     matrix = lambda given, value: new(value) if camera and given is not None else None
+    node = None
+    if tensors.means2d is not None:
+        node = by_means2d if call.rows is None else by_means2d[call.rows]
     return Tensors(
         *by_gaussians,
         background=new(found.background),
         T_camera_world=matrix(tensors.T_camera_world, found.T_camera_world),
         K=matrix(tensors.K, found.K),
-        means2d=None if call.through_means2d else by_means2d,
+        means2d=node,
+        known=node,
     )
 
 
 @exclusive
 def _tangent(given: Tensors, call: Call) -> Images:
-    """dy from dx; None is zero."""
+    """dy from dx; None is zero. What means and camera do to ``means2d`` is part of theirs."""
     saved = call.saved
     F = saved.inputs.float_type
     zero = lambda size: dr.opaque(F, 0, size)
@@ -318,10 +329,6 @@ def _tangent(given: Tensors, call: Call) -> Images:
         zero(dr.width(part)) if tangent is None else _to_drjit(tangent, F)
         for part, tangent in zip(saved.inputs, given.gaussians, strict=True)
     ]
-    dmeans2d = given.means2d
-    if not call.through_means2d:
-        n = 2 * len(saved.inputs)
-        dmeans2d = zero(n) if dmeans2d is None else _to_drjit(dmeans2d, F)
     matrix = lambda tangent, size: (
         np.zeros((size, size)) if tangent is None else tangent.detach().double().numpy()
     )
@@ -332,7 +339,6 @@ def _tangent(given: Tensors, call: Call) -> Images:
         matrix(given.T_camera_world, 4),
         matrix(given.K, 3),
         [0.0] * saved.plan.channels if behind is None else behind.tolist(),
-        dmeans2d,
     )
     dr.sync_thread()
     return _images(planes, saved)

@@ -26,8 +26,6 @@ def render(
     options: SplatOptions = _DEFAULTS,
     background: Tensor | None = None,
     screen: Screen | None = None,
-    *,
-    means2d: Tensor | None = None,
 ) -> Image:
     """The picture of ``gaussians`` from ``camera``.
 
@@ -39,9 +37,6 @@ def render(
         options: cut-offs.
         background: (D,) colour behind the Gaussians; None is black, as in gsplat.
         screen: filled with means, radii and gradients in the picture, for densification.
-        means2d: (N, 2) the caller's own projection of the means, where that is to be a node of the
-            graph: gradients by the means in the picture go to it alone, and the caller's graph
-            takes them on. Its numbers are not read.
 
     Returns:
         color (H, W, D), alpha (H, W) and depth (H, W), in the precision of the Gaussians; no depth
@@ -56,11 +51,11 @@ def render(
         Derivatives of derivatives are refused, in a sentence. ``torch.func``'s transforms work,
         ``vmap`` one element after the other; ``torch.compile`` runs it as it is, between graphs.
     """
-    _check(gaussians, background, camera, means2d)
+    check(gaussians, background, camera)
     if background is None:
         background = gaussians.means.new_zeros(gaussians.channels)
-    tensors = Tensors(*gaussians.arrays().values(), background, *camera.tensors, means2d)
-    call = Call(camera, options, gaussians.sh is not None, means2d is None, screen)
+    tensors = Tensors(*gaussians.arrays().values(), background, *camera.tensors, None, None)
+    call = Call(camera, options, gaussians.sh is not None, screen)
     return Image(*Render.apply(*tensors, call))
 
 
@@ -69,12 +64,12 @@ def expected_depth(image: Image) -> Tensor:
     return image.depth / image.alpha.clamp(min=1e-10)
 
 
-def _check(
-    gaussians: Gaussians,
-    background: Tensor | None,
-    camera: Camera,
-    means2d: Tensor | None,
-) -> None:
+def check(gaussians: Gaussians, background: Tensor | None, camera: Camera) -> None:
+    """Refuse what the kernels cannot take.
+
+    Raises:
+        ValueError: for wrong kinds, dtypes, devices or shapes.
+    """
     dtype = getattr(gaussians.means, "dtype", None)
     for name, tensor in gaussians.arrays().items():
         if not isinstance(tensor, Tensor):
@@ -93,7 +88,6 @@ def _check(
     shapes = {
         "the camera's T_camera_world": (camera.tensors.T_camera_world, (4, 4)),
         "the camera's K": (camera.tensors.K, (3, 3)),
-        "means2d": (means2d, (len(gaussians), 2)),
     }
     for name, (tensor, shape) in shapes.items():
         if tensor is None:

@@ -18,7 +18,7 @@ because their number changes often; beyond, copying would cost more than tracing
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import drjit as dr
 import numpy as np
@@ -167,7 +167,6 @@ def render_adjoint(
     grad: Planes,
     camera: bool = False,
     absolute: bool = False,
-    through_means2d: bool = True,
 ) -> Gradients:
     """The reverse of :func:`render_forward`.
 
@@ -176,7 +175,6 @@ def render_adjoint(
         grad: dL/dplanes, padded to whole tiles with zeros; the depth may be None.
         camera: whether to return the gradients by the camera.
         absolute: whether to return the absolute gradient by the means in the picture.
-        through_means2d: whether the gradient by the means in the picture is part of the others.
     """
     plan, n, F = saved.plan, len(saved.inputs), saved.inputs.float_type
     if saved.lists is None:
@@ -196,7 +194,6 @@ def render_adjoint(
         absolute=absolute,
         plan=plan,
         formats=formats,
-        through_u=through_means2d,
     )
     by_camera = (None, None)
     if camera:
@@ -241,7 +238,6 @@ def render_tangent(
     dT: np.ndarray,
     dK: np.ndarray,
     dbackground: list[float],
-    dmeans2d: Array | None = None,
 ) -> Planes:
     """The picture's tangent.
 
@@ -251,8 +247,6 @@ def render_tangent(
         dT: of ``T_camera_world``, (4, 4).
         dK: of ``K``, (3, 3).
         dbackground: of the background, D.
-        dmeans2d: 2 N; where given, it takes the place of what the above make of the means in the
-            picture.
     """
     plan, F = saved.plan, saved.inputs.float_type
     behind = [dr.opaque(F, b) for b in dbackground]
@@ -260,9 +254,7 @@ def render_tangent(
         return Planes.of_background(behind, saved.layout.pixels, plan.options.depth)
     dview = view_tangent(saved.camera, dT, dK)
     memory = splat_memory(F, len(saved.inputs), plan.formats)
-    dsplats = _project_tangent(
-        saved.inputs, saved.view, dinputs, dview, dmeans2d, memory, plan=plan
-    )
+    dsplats = _project_tangent(saved.inputs, saved.view, dinputs, dview, memory, plan=plan)
     pictures, dbackgrounds = [], chunks.split_background(behind, plan.formats)
     for k, (colors, format) in enumerate(zip(saved.backgrounds(), plan.formats, strict=True)):
         pictures.append(
@@ -323,7 +315,6 @@ def _gaussians_adjoint(
     absolute: bool,
     plan: Plan,
     formats: tuple[Format, ...],
-    through_u: bool,
 ) -> GradientMemory:
     target = target or GradientMemory.empty(
         inputs.float_type, n, plan.color_width, camera, absolute, dr.empty
@@ -331,7 +322,7 @@ def _gaussians_adjoint(
     sums = [sum_slots(lists, part, format) for part, format in zip(slots, formats, strict=True)]
     dr.eval(sums)  # two kernels: as one they run out of registers
     slot, drawn = chunks.add_slots(sums, plan.channels), lists.counts > 0
-    project_adjoint(inputs, plan, view, slot, drawn, target, through_u)
+    project_adjoint(inputs, plan, view, slot, drawn, target)
     dr.eval(target)
     return target
 
@@ -342,15 +333,12 @@ def _project_tangent(
     view: View,
     dinputs: Inputs,
     dview: View,
-    dmeans2d: Array | None,
     dsplats: list[packets.Packets],
     *,
     plan: Plan,
 ) -> list[packets.Packets]:
     dsplat = project_tangent(inputs, plan, view, dinputs, dview)
     i = inputs.lane()
-    if dmeans2d is not None:
-        dsplat = replace(dsplat, u=packets.load_rows(dmeans2d, 2, i))
     for target, part in zip(dsplats, chunks.split_splat(dsplat, plan.formats), strict=True):
         packets.store(target, part, i)
     dr.eval(dsplats)

@@ -120,7 +120,6 @@ def project_adjoint(
     slot: Slot,
     drawn: Array,
     target: GradientMemory,
-    through_u: bool = True,
 ) -> None:
     """Eq. 1-10 reversed, for every Gaussian.
 
@@ -131,8 +130,6 @@ def project_adjoint(
         slot: the sums over the Gaussian's pairs, eq. 16, of all channels of the colour.
         drawn: False where a Gaussian has no pairs, and so no gradient.
         target: where the gradients go.
-        through_u: whether dL/du takes part in the other gradients; not where the caller has
-            made u a node of its own graph.
     """
     i = inputs.lane()
     view = view.to(inputs.float_type)
@@ -144,7 +141,7 @@ def project_adjoint(
     k1, (mx, my) = 2 * LN2, slot.m1
     gu = [k1 * e.p * mx, k1 * (e.q * mx + e.r * my)]
     by_ellipse = e.adjoint(slot.m0, *slot.m2)
-    by_lens = lens.adjoint(gu if through_u else [0 * gu[0], 0 * gu[1]], by_ellipse.J)
+    by_lens = lens.adjoint(gu, by_ellipse.J)
     gx = list(by_lens.x)
     if slot.depth is not None:
         gx[2] = gx[2] + slot.depth

@@ -83,7 +83,7 @@ class Inputs:
 class Plan:
     """What is the same for all kernels of a picture: constants of their code."""
 
-    options: SplatOptions
+    options: SplatOptions  # of_code()
     harmonics: bool  # whether inputs.colors holds coefficients
     color_width: int  # numbers of each Gaussian in inputs.colors
     channels: int  # D

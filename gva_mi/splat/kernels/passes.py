@@ -8,12 +8,13 @@ drjit_op.py wraps them for Dr.Jit's autodiff, autograd.py for torch's. Pictures 
 flat arrays, padded to whole tiles.
 
 The kernels are frozen (frozen.py): the first call traces and compiles them (0.1-0.5 s each, cached
-on disk), later calls replay them whatever the number of Gaussians or the pose. Keyword arguments
-are constants of a recording: another value is another one. Cut-offs and numbers of channels make
-another kernel too. Sizes of memory that a kernel allocates for itself (the picture's, the slots')
-do not: the kernel is the same, and is only traced again. Memory that comes in as an argument is
-copied at every call. Up to ``MANY`` Gaussians, their memory comes in as an argument all the same,
-because their number changes often; beyond, copying would cost more than tracing.
+on disk), later calls replay them whatever the number of Gaussians, the pose or the lens's reach
+(near, far, blur). Keyword arguments are constants of a recording: another value is another one. A
+pixel's cut-offs and numbers of channels make another kernel too. Sizes of memory that a kernel
+allocates for itself (the picture's, the slots') do not: the kernel is the same, and is only traced
+again. Memory that comes in as an argument is copied at every call. Up to ``MANY`` Gaussians, their
+memory comes in as an argument all the same, because their number changes often; beyond, copying
+would cost more than tracing.
 """
 
 from __future__ import annotations
@@ -97,11 +98,11 @@ def render_forward(
     if not np.isfinite(background).all():
         raise ValueError(f"render(): background must be finite, got {background}")
     F, D = inputs.float_type, len(background)
-    layout, view = Layout(camera.width, camera.height), view_of(camera)
+    layout, view = Layout(camera.width, camera.height), view_of(camera, options)
     grid = layout.grid(dr.int32_array_t(F))
     behind = [dr.opaque(F, b) for b in background]
     formats = chunks.formats(D, options.depth, whole=absolute)
-    plan = Plan(options, harmonics, inputs.color_width, D, formats)
+    plan = Plan(options.of_code(), harmonics, inputs.color_width, D, formats)
     projected = lists = trail = stop = None
     if len(inputs):
         projected = _project_checked(inputs, plan, view, grid)

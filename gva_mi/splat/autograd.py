@@ -37,6 +37,7 @@ from gva_mi.splat.kernels.passes import Saved, render_adjoint, render_forward, r
 from gva_mi.splat.kernels.planes import Planes
 from gva_mi.splat.options import SplatOptions
 from gva_mi.splat.screen import Screen
+from gva_mi.threads import alone_on_the_cores
 
 ALIGNMENT = 64  # bytes; torch's own memory has it
 PRECISION = {torch.float32: Float, torch.float64: Float64}
@@ -128,6 +129,7 @@ class Render(torch.autograd.Function):
     """The picture: ``Tensors`` and a ``Call`` to color, alpha and, where it is made, depth."""
 
     @staticmethod
+    @exclusive
     def forward(*arguments: Any) -> Images:  # noqa: ANN401
         *tensors, call = arguments
         if call.saved is None:
@@ -262,6 +264,7 @@ REFUSAL = (
 
 
 @exclusive
+@alone_on_the_cores()
 def draw(call: Call, given: Tensors) -> None:
     """The forward pass: fills ``call.saved``, the screen and, packed, ``call.rows``."""
     screen, F = call.screen, PRECISION[given.means.dtype]
@@ -279,6 +282,7 @@ def draw(call: Call, given: Tensors) -> None:
 
 
 @exclusive
+@alone_on_the_cores()
 def _adjoint(tensors: Tensors, grads: Images, call: Call, camera: bool) -> Tensors:
     """dL/dx from dL/dy; that by the camera where ``camera`` asks for it."""
     color, alpha, depth = grads
@@ -320,6 +324,7 @@ def _adjoint(tensors: Tensors, grads: Images, call: Call, camera: bool) -> Tenso
 
 
 @exclusive
+@alone_on_the_cores()
 def _tangent(given: Tensors, call: Call) -> Images:
     """dy from dx; None is zero. What means and camera do to ``means2d`` is part of theirs."""
     saved = call.saved

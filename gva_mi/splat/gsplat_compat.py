@@ -21,9 +21,11 @@ from gva_mi.splat.autograd import PRECISION, not_compiled
 from gva_mi.splat.camera import Camera, CameraModel
 from gva_mi.splat.gaussians import Gaussians, Image, degree_of
 from gva_mi.splat.gsplat_meta import Meta
-from gva_mi.splat.gsplat_views import View, Views
+from gva_mi.splat.gsplat_views import View, Views, joined
+from gva_mi.splat.kernels.exclusive import exclusive
 from gva_mi.splat.options import SplatOptions
 from gva_mi.splat.torch_op import check, expected_depth
+from gva_mi.threads import alone_on_the_cores
 
 RenderMode = Literal["RGB", "D", "ED", "RGB+D", "RGB+ED"]
 RasterizeMode = Literal["classic", "antialiased"]
@@ -39,6 +41,8 @@ AS_CALLED = {  # names of what lies below, and of the arguments here
 
 
 @not_compiled
+@exclusive
+@alone_on_the_cores()
 def rasterization(
     means: Tensor,
     quats: Tensor,
@@ -163,15 +167,16 @@ def rasterization(
     pictures = [_channels(image, render_mode) for image in seen.images()]
     if absgrad and seen.means2d.requires_grad:
         seen.attach_absgrad()
-    stacked = lambda parts: torch.stack(parts).unflatten(0, shape)
-    colors_out = stacked([color for color, _ in pictures])
-    alphas = stacked([alpha[..., None] for _, alpha in pictures])
+    colors_out = joined([color for color, _ in pictures]).unflatten(0, shape)
+    alphas = joined([alpha[..., None] for _, alpha in pictures]).unflatten(0, shape)
     return colors_out, alphas, seen.meta(opacities, tile_size)
 
 
 def _flat(tensor: Tensor, axes: int) -> list[Tensor]:
-    """Its elements, each of so many axes."""
-    return list(tensor.reshape(-1, *tensor.shape[tensor.dim() - axes :]))
+    """Its elements, each of so many axes; a single one is a view, whose gradient is not copied."""
+    first = tensor.dim() - axes
+    count, shape = tensor.shape[:first].numel(), tensor.shape[first:]
+    return [tensor.reshape(shape)] if count == 1 else list(tensor.reshape(count, *shape))
 
 
 @contextmanager
@@ -270,7 +275,8 @@ def _colors_by_view(
             raise ValueError(f"rasterization(): sh_degree {sh_degree} {found}")
         with _errors_as_called():
             degree_of(count)
-        colors = colors[..., :count, :]
+        if colors.shape[-2] > count:
+            colors = colors[..., :count, :]
     elif "RGB" not in mode:
         colors = colors[..., :1]  # the kernels want a channel
     parts = _flat(colors, axes)

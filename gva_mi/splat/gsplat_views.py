@@ -42,8 +42,7 @@ class View:
         harmonics = gaussians.sh is not None
         call = Call(camera, options, harmonics, Screen(absolute=absgrad), packed)
         means, *others = *gaussians.arrays().values(), background
-        trained = any(x.requires_grad for x in (means, *others, *camera.tensors))
-        anchor = means.new_zeros(()).requires_grad_(trained and torch.is_grad_enabled())
+        anchor = next((x for x in others if x.requires_grad), None)
         detached = [x.detach() for x in others]
         means2d, depths, known = ProjectMeans.apply(means, *camera.tensors, anchor, *detached, call)
         tensors = Tensors(means, *others, *camera.tensors, None, known)
@@ -59,6 +58,11 @@ class View:
         return numbers if self.call.rows is None else numbers[self.call.rows]
 
 
+def joined(parts: list[Tensor]) -> Tensor:
+    """Stacked; a single one is not copied, nor is its gradient."""
+    return parts[0][None] if len(parts) == 1 else torch.stack(parts)
+
+
 class Views:
     """Pictures (..., C) of one size."""
 
@@ -71,16 +75,15 @@ class Views:
         if self.packed:
             parts = self.means2d.split([len(view.means2d) for view in self.views])
         else:
-            parts = self.means2d.flatten(0, -3).unbind()
+            one = len(self.views) == 1
+            parts = [self.means2d.view(-1, 2)] if one else self.means2d.flatten(0, -3).unbind()
         return [view.image(part) for view, part in zip(self.views, parts, strict=True)]
 
     def join(self, parts: list[Tensor]) -> Tensor:
         """Something of each picture's rows: (..., C, N, ...), or packed (nnz, ...)."""
-        if len(parts) == 1:
-            whole = parts[0] if self.packed else parts[0][None]
-        else:
-            whole = torch.cat(parts) if self.packed else torch.stack(parts)
-        return whole if self.packed else whole.unflatten(0, self.shape)
+        if self.packed:
+            return parts[0] if len(parts) == 1 else torch.cat(parts)
+        return joined(parts).unflatten(0, self.shape)
 
     def of_screens(self, number: Callable[[Screen], Tensor]) -> Tensor:
         """The same of what the kernels' memory tells."""
@@ -153,12 +156,12 @@ class Views:
     def _opacities(self, given: Tensor) -> Tensor:
         if self.views[0].call.options.antialiased:
             return self.of_screens(lambda screen: screen.opacities)
-        C = self.shape[-1]
-        of_views = given.reshape(-1, given.shape[-1]).repeat_interleave(C, dim=0)
+        N = given.shape[-1]
+        of_views = given[..., None, :].expand(*self.shape, N).reshape(len(self.views), N)
         return self.join([view.pick(o) for view, o in zip(self.views, of_views, strict=True)])
 
     def _unflat(self, rows: Tensor) -> Tensor:
-        return rows if self.packed else rows.view(*self.shape, -1)
+        return rows if self.packed else rows.unflatten(0, (*self.shape, len(self.views[0].means2d)))
 
     def _tiles(self, size: int) -> Tiles:
         means2d, depths = self.means2d.detach().reshape(-1, 2), [v.depths for v in self.views]

@@ -23,6 +23,8 @@ from torch.autograd.function import FunctionCtx
 from torch.func import vjp
 
 from gva_mi.splat.autograd import Call, Tensors, draw, not_compiled, one_by_one
+from gva_mi.splat.kernels.exclusive import exclusive
+from gva_mi.threads import one_torch_thread
 
 ON_AXIS = 1e-6  # (r / z)^2 up to which a fisheye's s is the start of its series
 
@@ -32,11 +34,13 @@ Values = tuple[Tensor | None, ...]
 class ProjectMeans(torch.autograd.Function):
     """means, T_camera_world, K, an anchor, five other tensors, a ``Call``; returns as above.
 
-    The anchor is a number that wants a gradient, so that ``means2d`` has one where means and camera
-    are frozen. It gets none itself. The others, quats to background, get theirs from ``Render``.
+    The anchor is one of the others that wants a gradient, so that ``means2d`` has one where means
+    and camera are frozen; None if there is none. The others, quats to background, are detached:
+    they get their gradients from ``Render``.
     """
 
     @staticmethod
+    @exclusive
     def forward(*arguments: Any) -> Values:  # noqa: ANN401
         means, T_camera_world, K, _, *others, call = arguments
         draw(call, Tensors(means, *others, T_camera_world, K, None, None))
@@ -54,6 +58,8 @@ class ProjectMeans(torch.autograd.Function):
 
     @staticmethod
     @not_compiled
+    @exclusive
+    @one_torch_thread()
     def backward(
         ctx: FunctionCtx, grad: Tensor | None, by_depths: Tensor | None, known: Tensor | None
     ) -> Values:

@@ -407,3 +407,26 @@ def test_meta_is_a_dictionary():
     assert meta["radii"] == 1 and "conics" not in meta
     with pytest.raises(KeyError):
         meta["conics"]
+
+
+def test_nothing_is_a_picture_too():
+    a = {
+        k: v.detach()[:0] if k in "means quats scales opacities colors".split() else v
+        for k, v in arguments().items()
+    }
+    for packed in (True, False):
+        colors, alphas, meta = rasterization(**a, packed=packed)
+        assert colors.shape == (C, H, W, 3) and (colors == 0).all() and (alphas == 0).all()
+        for name in ("means2d", "depths", "radii", "conics", "opacities", "tiles_per_gauss"):
+            assert meta[name].numel() == 0, name
+        assert (meta["isect_offsets"] == 0).all()
+
+
+@pytest.mark.parametrize("name", ["means", "colors", "viewmats"])
+def test_torch_func_goes_through(name):
+    a = arguments()
+    loss = lambda x: rasterization(**(a | {name: x}))[0].square().sum()
+    expected = gradients(loss(a[name]), a)[name]
+    fixed = {k: v.detach() if isinstance(v, torch.Tensor) else v for k, v in a.items()}
+    loss = lambda x: rasterization(**(fixed | {name: x}))[0].square().sum()
+    assert torch.equal(torch.func.grad(loss)(fixed[name]), expected)

@@ -8,6 +8,9 @@ several times, for it does not break always.
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
 
 TRIES = 3  # programs
 
@@ -112,3 +115,32 @@ def test_a_forked_process_is_told_and_workers_that_load_are_let_alone():
     )
     child, parent = found.stdout.splitlines()
     assert "this process was forked" in child and parent == "the parent goes on", found.stderr
+
+
+IDLE = """
+import os, time
+import torch
+from gva_mi.splat import render
+from gva_mi.splat.gradcheck import random_scene
+
+torch.set_num_threads(3)
+s = random_scene(torch.Generator().manual_seed(0))
+numbers = torch.randn(3_000_000)
+render(s.gaussians, s.camera)
+threads = lambda: len(os.listdir("/proc/self/task"))
+before, total = threads(), numbers.sum()
+woken = threads() - before
+render(s.gaussians, s.camera)
+until = time.monotonic() + 60
+while threads() > before and time.monotonic() < until:
+    time.sleep(0.01)
+print(woken, threads() - before, torch.get_num_threads(), torch.equal(numbers.sum(), total))
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="counts threads on Linux")
+def test_torchs_idle_threads_are_gone_while_kernels_run_and_come_back():
+    found = subprocess.run(
+        [sys.executable, "-c", IDLE], capture_output=True, text=True, timeout=300
+    )
+    assert found.stdout.split() == ["2", "0", "3", "True"], found.stderr

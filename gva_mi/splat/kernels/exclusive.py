@@ -1,12 +1,12 @@
 """One thread at a time: what every door to the kernels takes before it touches Dr.Jit.
 
-Dr.Jit 1.5.0 has one queue of kernels for all Python threads, and ``dr.freeze`` takes what another
-thread does meanwhile for its own: two threads that record or replay at once abort the process, or
-wait for each other for ever. So a pass from its first array to its last holds :data:`exclusive`,
-forward, adjoint and tangent alike. The kernels use all cores by themselves: nothing is lost.
+``dr.freeze`` of Dr.Jit 1.5.0 is not made for threads: two that record or replay at once end the
+process (``jit_var(r14): unknown variable!``). So a pass from its first array to its last holds
+:data:`exclusive`, forward, adjoint and tangent alike. The kernels use all cores by themselves:
+nothing is lost. (What another thread must not do even outside of it: frozen.py.)
 
-It covers this library. A program that also runs Dr.Jit or Mitsuba itself, in another thread than
-the one that renders, holds the same lock there, or may wait for ever::
+It covers this library. A program that also freezes functions of its own, or runs Dr.Jit's autodiff
+or Mitsuba in another thread than the one that renders, holds the same lock there::
 
     with exclusive:
         image = mi.render(scene)

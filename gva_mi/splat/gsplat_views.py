@@ -63,6 +63,12 @@ def joined(parts: list[Tensor]) -> Tensor:
     return parts[0][None] if len(parts) == 1 else torch.stack(parts)
 
 
+def _join(parts: list[Tensor], shape: tuple[int, ...], packed: bool) -> Tensor:
+    if packed:
+        return parts[0] if len(parts) == 1 else torch.cat(parts)
+    return joined(parts).unflatten(0, shape)
+
+
 class Views:
     """Pictures (..., C) of one size."""
 
@@ -81,9 +87,7 @@ class Views:
 
     def join(self, parts: list[Tensor]) -> Tensor:
         """Something of each picture's rows: (..., C, N, ...), or packed (nnz, ...)."""
-        if self.packed:
-            return parts[0] if len(parts) == 1 else torch.cat(parts)
-        return joined(parts).unflatten(0, self.shape)
+        return _join(parts, self.shape, self.packed)
 
     def of_screens(self, number: Callable[[Screen], Tensor]) -> Tensor:
         """The same of what the kernels' memory tells."""
@@ -91,20 +95,22 @@ class Views:
 
     def attach_absgrad(self) -> None:
         """Have backward set ``means2d.absgrad``, when it has found the gradient."""
-        node = weakref.ref(self.means2d)  # it holds the hook: the hook must not hold it
+        # the tensor holds the hook: the hook must hold neither it nor who holds it
+        node, shape, packed = weakref.ref(self.means2d), self.shape, self.packed
+        sources = [(v.call.screen, v.call.rows, v.means2d.new_zeros(1, 2)) for v in self.views]
+        sizes = [len(view.means2d) for view in self.views]
 
         def attach(grad: Tensor) -> None:
             target = node()
-            if target is not None:
-                zeros = lambda view: torch.zeros_like(view.means2d)
-                target.absgrad = self.join(
-                    [
-                        zeros(view)
-                        if view.call.screen.absgrad is None
-                        else view.pick(view.call.screen.absgrad)
-                        for view in self.views
-                    ]
-                )
+            if target is None:
+                return
+            parts = []
+            for (screen, rows, zero), size in zip(sources, sizes, strict=True):
+                if screen.absgrad is None:  # no loss looks at this picture
+                    parts.append(zero.expand(size, 2))
+                else:
+                    parts.append(screen.absgrad if rows is None else screen.absgrad[rows])
+            target.absgrad = _join(parts, shape, packed)
 
         self.means2d.register_hook(attach)
 

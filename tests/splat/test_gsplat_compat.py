@@ -1,6 +1,8 @@
 """gsplat's call: its shapes and modes, on batches of cameras, and what it refuses."""
 
+import gc
 import inspect
+import weakref
 from types import SimpleNamespace
 
 import numpy as np
@@ -430,3 +432,17 @@ def test_torch_func_goes_through(name):
     fixed = {k: v.detach() if isinstance(v, torch.Tensor) else v for k, v in a.items()}
     loss = lambda x: rasterization(**(fixed | {name: x}))[0].square().sum()
     assert torch.equal(torch.func.grad(loss)(fixed[name]), expected)
+
+
+@pytest.mark.parametrize("packed", [True, False])
+def test_nothing_stays_in_memory_when_the_caller_lets_go(packed):
+    a = arguments()
+    a["viewmats"], a["Ks"] = (a[name].detach()[:1] for name in ("viewmats", "Ks"))
+    colors, _, meta = rasterization(**a, packed=packed, absgrad=True)
+    meta["means2d"].retain_grad()
+    colors.sum().backward()
+    alive = weakref.ref(meta["means2d"])
+    assert alive().absgrad is not None
+    del colors, meta, _
+    gc.collect()
+    assert alive() is None

@@ -17,6 +17,9 @@ from gva_mi.errors import InputError
 
 BAD_INPUT = 2  # exit codes
 INTERRUPTED, BROKEN_PIPE = 130, 141  # a shell's for SIGINT and SIGPIPE
+OF_COMMANDS = (
+    "av jinja2 matplotlib mitsuba PIL pymeshlab roma scipy skimage tqdm trimesh tyro".split()
+)
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -30,7 +33,7 @@ def main(arguments: list[str] | None = None) -> None:
         finally:
             sys.stdout.flush()  # here, where a reader that is gone can still be dealt with
     except (InputError, ImportError) as error:
-        print(f"gva-mi: {error}", file=sys.stderr)
+        print(f"gva-mi: {_explained(error)}", file=sys.stderr)
         sys.exit(BAD_INPUT)
     except KeyboardInterrupt:
         print("\ngva-mi: stopped; --resume goes on with a fit", file=sys.stderr)
@@ -41,6 +44,14 @@ def main(arguments: list[str] | None = None) -> None:
         # Python flushes once more at its end, and would complain: let it write into nothing.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(BROKEN_PIPE)
+
+
+def _explained(error: InputError | ImportError) -> str:
+    """What is wrong; of a package that the bare installation lacks, how it is installed."""
+    package = (getattr(error, "name", None) or "").split(".")[0]
+    if not isinstance(error, ModuleNotFoundError) or package not in OF_COMMANDS:
+        return str(error)
+    return f"{package} is not installed; the commands need: pip install 'gva_mi[avatar]'"
 
 
 def _run(arguments: list[str]) -> None:

@@ -16,7 +16,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 SOURCES = sorted((ROOT / "gva_mi").rglob("*.py")) + sorted((ROOT / "plugins").rglob("*.py"))
 CALLED_FROM_OUTSIDE = {  # by torch's autograd, Dr.Jit's, torch.nn, Mitsuba, the command line
-    "forward", "backward", "jvp", "eval",
+    "forward", "backward", "jvp", "vmap", "setup_context", "eval",
     "render", "render_forward", "render_backward", "aov_names", "to_string",
     "sample", "sample_radiance_difference", "traverse",
     "main", "gradcheck_normals",  # a verb with a hyphen: gva_mi.commands.load knows its file

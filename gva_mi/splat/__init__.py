@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 from gva_mi import llvm
 from gva_mi.splat.camera import Camera, look_at
 from gva_mi.splat.gaussians import Gaussians, Image
+from gva_mi.splat.kernels.exclusive import exclusive
 from gva_mi.splat.options import SplatOptions
 
 if TYPE_CHECKING:
@@ -38,6 +39,7 @@ __all__ = [
     "Image",
     "Screen",
     "SplatOptions",
+    "exclusive",
     "look_at",
     "rasterization",
     "render",

@@ -29,12 +29,12 @@ class CameraTensors(NamedTuple):
     K: Any = None  # (3, 3)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Camera:
     """One view: intrinsics in pixels, a rigid pose, and the size of the image.
 
     The numbers say what is seen. A camera made by :meth:`from_matrices` from tensors also keeps
-    these, and a renderer differentiates by them.
+    these, and a renderer differentiates by them. Cameras with the same numbers are equal.
     """
 
     fx: float  # focal length in x, pixels
@@ -45,7 +45,7 @@ class Camera:
     width: int  # pixels
     height: int  # pixels
     model: CameraModel = "pinhole"
-    tensors: CameraTensors = field(default=CameraTensors(), repr=False, compare=False)
+    tensors: CameraTensors = field(default=CameraTensors(), repr=False)
 
     def __post_init__(self) -> None:
         T = np.array(self.T_camera_world, dtype=np.float64)
@@ -73,6 +73,18 @@ class Camera:
             number = getattr(self, name)
             if tensor is not None and not np.allclose(_numbers(tensor), number, 1e-4, 1e-3):
                 raise ValueError(f"Camera: {name} differs from its tensor; use with_matrices")
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Camera) and self._seen() == other._seen()
+
+    def __hash__(self) -> int:
+        return hash(self._seen())
+
+    def _seen(self) -> tuple[Any, ...]:
+        """The numbers that say what is seen."""
+        pose = tuple(self.T_camera_world.ravel().tolist())
+        lens = (self.fx, self.fy, self.cx, self.cy, self.width, self.height, self.model)
+        return (*lens, pose)
 
     @staticmethod
     def from_matrices(
@@ -193,7 +205,7 @@ def _numbers(matrix: Any) -> np.ndarray:  # noqa: ANN401
     if isinstance(matrix, dr.ArrayBase):
         matrix = dr.detach(matrix).numpy()
     elif hasattr(matrix, "new_tensor"):
-        matrix = matrix.detach().numpy()
+        matrix = matrix.detach().tolist()  # .numpy() not under torch.func
     return np.asarray(matrix, dtype=np.float64)
 
 

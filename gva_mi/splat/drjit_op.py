@@ -3,7 +3,8 @@
 For those who have no torch in their program; ``gva_mi.splat.render`` is the one on torch tensors.
 
 Dr.Jit's autodiff goes both ways through it: ``dr.backward`` runs the adjoint kernels, and
-``dr.forward`` the tangent ones.
+``dr.forward`` the tangent ones. A program in several threads holds ``gva_mi.splat.exclusive``
+while it works with Dr.Jit, ``dr.backward`` included.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from drjit import ArrayBase as Array
 
 from gva_mi.splat.camera import Camera, CameraTensors
 from gva_mi.splat.gaussians import Gaussians, Image
+from gva_mi.splat.kernels.exclusive import exclusive
 from gva_mi.splat.kernels.inputs import Inputs
 from gva_mi.splat.kernels.passes import render_adjoint, render_forward, render_tangent
 from gva_mi.splat.kernels.planes import Planes
@@ -27,6 +29,7 @@ _DEFAULTS = SplatOptions()
 NAMES = tuple(field.name for field in fields(Inputs))
 
 
+@exclusive
 def render(
     gaussians: Gaussians,
     camera: Camera,
@@ -124,6 +127,7 @@ class _Render(dr.CustomOp):
         self.saved = render_forward(inputs, harmonics, camera, options, behind, limit=limit)
         return self._images(self.saved.planes)
 
+    @exclusive
     def backward(self) -> None:
         color, alpha, *depth = self.grad_out()
         grad = Planes(
@@ -139,6 +143,7 @@ class _Render(dr.CustomOp):
         for name in self.matrices:
             self.set_grad_in(name, self.kind(getattr(found, name)))
 
+    @exclusive
     def forward(self) -> None:
         flat = lambda name: dr.detach(self.grad_in(name).array, preserve_type=False)
         matrices = {"T_camera_world": np.zeros((4, 4)), "K": np.zeros((3, 3))}

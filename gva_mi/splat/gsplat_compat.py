@@ -1,34 +1,48 @@
 """gsplat's call, ``rasterization(...)``, on a CPU: change one import, keep the program.
 
-Signature and meaning are those of gsplat 1.5.3. What tells a GPU how to work (``packed``,
-``tile_size``, ...) is accepted and has no effect; what would change the picture and is not
-supported raises.
+Signature and meaning are those of gsplat 1.5.3. What tells a GPU how to work (``tile_size``, ...)
+is accepted and changes no picture; what would change it and is not supported raises.
 
-``meta["means2d"]`` is a node of the graph, as gsplat's users expect it: its gradient is that of the
-loss by the means in the picture, and losses on it reach the means and the cameras. For this the
-projection of the means is repeated here in torch, and the kernels hand their gradient by it over
-instead of carrying it on themselves (``means2d`` of torch_op.py).
+``meta["means2d"]`` is a node of the graph, as gsplat's users expect it: means2d.py. The other
+entries are made when they are read: gsplat_meta.py.
 """
 
 from __future__ import annotations
 
-import weakref
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any, Literal, get_args
 
-import numpy as np
 import torch
 from torch import Tensor
 
+from gva_mi.splat.autograd import PRECISION, not_compiled
 from gva_mi.splat.camera import Camera, CameraModel
 from gva_mi.splat.gaussians import Gaussians, Image, degree_of
+from gva_mi.splat.gsplat_meta import Meta
+from gva_mi.splat.gsplat_views import View, Views, joined
+from gva_mi.splat.kernels.exclusive import exclusive
 from gva_mi.splat.options import SplatOptions
-from gva_mi.splat.screen import Screen
-from gva_mi.splat.torch_op import expected_depth, render
+from gva_mi.splat.torch_op import check, expected_depth
+from gva_mi.threads import alone_on_the_cores
 
 RenderMode = Literal["RGB", "D", "ED", "RGB+D", "RGB+ED"]
 RasterizeMode = Literal["classic", "antialiased"]
+AS_CALLED = {  # names of what lies below, and of the arguments here
+    r"(the camera's )?\bT_camera_world\b": "viewmats",
+    r"(the camera's )?\bK\b(?!,)": "Ks",  # not in a shape
+    r"\bfx, fy, cx, cy\b": "the numbers of Ks",
+    r"\bfocal lengths\b": "focal lengths of Ks",
+    r"\bsize must\b": "width and height must",
+    r"\bsh\b": "colors",
+    r"\bbackground\b": "backgrounds",
+}
 
 
+@not_compiled
+@exclusive
+@alone_on_the_cores()
 def rasterization(
     means: Tensor,
     quats: Tensor,
@@ -64,44 +78,50 @@ def rasterization(
     ftheta_coeffs: Any = None,  # noqa: ANN401
     rolling_shutter: Any = None,  # noqa: ANN401
     viewmats_rs: Tensor | None = None,
-) -> tuple[Tensor, Tensor, dict[str, Any]]:
+) -> tuple[Tensor, Tensor, Meta]:
     """The pictures of N Gaussians from C cameras.
 
     Args:
-        means: (N, 3) m, world.
-        quats: (N, 4) wxyz of any length.
-        scales: (N, 3) m.
-        opacities: (N,) in [0, 1].
-        colors: (N, D) or (C, N, D); with ``sh_degree``, coefficients (N, K, 3) or (C, N, K, 3).
-        viewmats: (C, 4, 4) world to camera, rigid; differentiable.
-        Ks: (C, 3, 3) intrinsics, px; differentiable, other than in gsplat.
+        means: (..., N, 3) m, world; "..." are any number of batch dimensions, of all tensors alike.
+        quats: (..., N, 4) wxyz of any length.
+        scales: (..., N, 3) m.
+        opacities: (..., N) in [0, 1].
+        colors: (..., N, D) or (..., C, N, D); with ``sh_degree``, coefficients (..., N, K, 3) or
+            (..., C, N, K, 3).
+        viewmats: (..., C, 4, 4) world to camera, rigid; differentiable.
+        Ks: (..., C, 3, 3) intrinsics, px; differentiable, other than in gsplat.
         width, height: of the pictures, px.
         near_plane, far_plane: m; nearer and farther Gaussians are not drawn.
         radius_clip: px; Gaussians that reach no further are not drawn.
         eps2d: px^2, added to the diagonal of the covariances in the picture.
         sh_degree: which of the coefficients to use; None where ``colors`` are colours.
-        backgrounds: (C, D); black where None.
+        packed: whether ``meta`` has rows of those Gaussians alone that are in a picture.
+        tile_size: px; of the tiles in ``meta``, no others.
+        backgrounds: (..., C, D); black where None.
         render_mode: colours, accumulated depth (D), expected depth (ED), or colours and, as the
             last channel, one of these.
-        absgrad: whether backward sets ``meta["means2d"].absgrad``, (C, N, 2).
+        absgrad: whether backward sets ``meta["means2d"].absgrad``, of its shape.
         rasterize_mode: "antialiased" takes from the opacity what the blur adds in area.
         camera_model: of all cameras.
-        packed, tile_size, sparse_grad, channel_chunk, segmented: without effect; ``meta`` is never
-            packed, and gradients are dense.
+        sparse_grad, channel_chunk, segmented: without effect; gradients are dense.
         distributed, covars, with_ut, with_eval3d, radial_coeffs, tangential_coeffs,
             thin_prism_coeffs, ftheta_coeffs, rolling_shutter, viewmats_rs: not supported.
 
     Returns:
-        Colours (C, height, width, D), where D counts the depth; alphas (C, height, width, 1); and
-        ``meta``: "means2d" (C, N, 2) px, "depths" (C, N) m, "radii" (C, N, 2) int32 px, 0 where not
-        in the picture, "conics" (C, N, 3), "opacities" (C, N), "width", "height", "n_cameras".
+        Colours (..., C, height, width, D), where D counts the depth; alphas (..., C, height, width,
+        1); and ``meta``: "means2d" (..., C, N, 2) px, "depths" (..., C, N) m, "radii" (..., C, N,
+        2) int32 px, 0 where not in the picture, "conics" (..., C, N, 3), "opacities" (..., C, N).
+        Packed, these have rows (nnz, ...) instead, and "batch_ids", "camera_ids", "gaussian_ids"
+        say whose; else these are None. "width", "height", "n_batches", "n_cameras"; and gsplat's
+        tiles, by "tile_size": "tile_width", "tile_height", "tiles_per_gauss", "isect_ids",
+        "flatten_ids", "isect_offsets".
 
     Raises:
         ValueError: for wrong shapes and unknown modes, and for what is not supported.
 
     Note:
-        Colours, alphas, means2d and depths are differentiable; conics and, if antialiased,
-        meta's opacities are not.
+        Colours, alphas, means2d and depths are differentiable; the rest of meta is not, but for
+        opacities that are not antialiased.
     """
     shutter = getattr(rolling_shutter, "name", rolling_shutter)
     _refuse(
@@ -119,9 +139,6 @@ def rasterization(
     _require_one_of("render_mode", render_mode, RenderMode)
     _require_one_of("rasterize_mode", rasterize_mode, RasterizeMode)
     _require_one_of("camera_model", camera_model, CameraModel)
-    colors = _colors_by_camera(means, colors, viewmats, Ks, sh_degree, render_mode)
-    channels = 3 if sh_degree is not None else colors[0].shape[-1]
-    behind = _backgrounds_by_camera(backgrounds, len(viewmats), channels, render_mode)
     options = SplatOptions(
         blur=eps2d,
         near=near_plane,
@@ -130,44 +147,48 @@ def rasterization(
         antialiased=rasterize_mode == "antialiased",
         depth="D" in render_mode,
     )
-    x = _in_cameras(means, viewmats)
-    means2d = _in_pictures(x, Ks, camera_model, near_plane)
-    kind = "sh" if sh_degree is not None else "colors"
-    pictures, screens = [], []
-    for c in range(len(viewmats)):
-        screen = Screen(absolute=absgrad)
-        image = render(
-            Gaussians(means, quats, scales, opacities, **{kind: colors[c]}),
-            Camera.from_matrices(Ks[c], viewmats[c], width, height, camera_model),
-            options,
-            behind[c],
-            screen,
-            means2d=means2d[c],
-        )
-        pictures.append(_channels(image, render_mode))
-        screens.append(screen)
-    if absgrad and means2d.requires_grad:
-        _attach_absgrad(means2d, screens)
-    colors_out = torch.stack([color for color, _ in pictures])
-    alphas = torch.stack([alpha[..., None] for _, alpha in pictures])
-    drawn = opacities.expand(len(viewmats), len(means))
-    if options.antialiased:
-        drawn = torch.stack([screen.opacities for screen in screens])
-    meta = {"means2d": means2d, "depths": x[..., 2], "opacities": drawn}
-    return colors_out, alphas, meta | _meta(screens, width, height)
+    given = {"means": means, "quats": quats, "scales": scales, "opacities": opacities}
+    given |= {"colors": colors, "viewmats": viewmats, "Ks": Ks}
+    batch = _check_tensors(given | {"backgrounds": backgrounds}, sh_degree)
+    shape = (*batch, viewmats.shape[-3])
+    of_views = _colors_by_view(colors, shape, sh_degree, render_mode)
+    behind = _backgrounds_by_view(backgrounds, shape, of_views, sh_degree, render_mode)
+    cameras = zip(_flat(Ks, 2), _flat(viewmats, 2), strict=True)
+    bodies = [_flat(x, k) for x, k in ((means, 2), (quats, 2), (scales, 2), (opacities, 1))]
+    views = []
+    for v, (K, viewmat) in enumerate(cameras):
+        body = [part[v // shape[-1]] for part in bodies]
+        with _errors_as_called():
+            gaussians = Gaussians(*body, **{"colors" if sh_degree is None else "sh": of_views[v]})
+            camera = Camera.from_matrices(K, viewmat, width, height, camera_model)
+            check(gaussians, behind[v], camera)
+            views.append(View.of(gaussians, camera, options, behind[v], packed, absgrad))
+    seen = Views(views, shape, packed)
+    pictures = [_channels(image, render_mode) for image in seen.images()]
+    if absgrad and seen.means2d.requires_grad:
+        seen.attach_absgrad()
+    colors_out = joined([color for color, _ in pictures]).unflatten(0, shape)
+    alphas = joined([alpha[..., None] for _, alpha in pictures]).unflatten(0, shape)
+    return colors_out, alphas, seen.meta(opacities, tile_size)
 
 
-def _meta(screens: list[Screen], width: int, height: int) -> dict[str, Any]:
-    """The entries of ``meta`` that are not differentiable."""
-    return {
-        "camera_ids": None,
-        "gaussian_ids": None,
-        "radii": torch.stack([_radii(screen, width, height) for screen in screens]),
-        "conics": torch.stack([screen.conics for screen in screens]),
-        "width": width,
-        "height": height,
-        "n_cameras": len(screens),
-    }
+def _flat(tensor: Tensor, axes: int) -> list[Tensor]:
+    """Its elements, each of so many axes; a single one is a view, whose gradient is not copied."""
+    first = tensor.dim() - axes
+    count, shape = tensor.shape[:first].numel(), tensor.shape[first:]
+    return [tensor.reshape(shape)] if count == 1 else list(tensor.reshape(count, *shape))
+
+
+@contextmanager
+def _errors_as_called() -> Iterator[None]:
+    """Refusals from below with the names that the arguments have here."""
+    try:
+        yield
+    except ValueError as error:
+        message = re.sub(r"^(render\(\)|Gaussians|Camera): ", "rasterization(): ", str(error))
+        for here, there in AS_CALLED.items():
+            message = re.sub(here, there, message)
+        raise ValueError(message) from None
 
 
 def _refuse(**given: bool) -> None:
@@ -183,18 +204,6 @@ def _require_one_of(name: str, value: str, known: Any) -> None:  # noqa: ANN401 
         raise ValueError(f"rasterization(): {name} must be one of {found}")
 
 
-def _backgrounds_by_camera(
-    backgrounds: Tensor | None, C: int, channels: int, mode: RenderMode
-) -> list[Tensor | None]:
-    """The background of each camera; none where no colours are made."""
-    if backgrounds is None or "RGB" not in mode:
-        return [None] * C
-    if tuple(backgrounds.shape) != (C, channels):
-        found = f"({C}, {channels}), got {tuple(backgrounds.shape)}"
-        raise ValueError(f"rasterization(): backgrounds must be (C, D) = {found}")
-    return list(backgrounds)
-
-
 def _channels(image: Image, mode: RenderMode) -> tuple[Tensor, Tensor]:
     if mode == "RGB":
         return image.color, image.alpha
@@ -202,82 +211,74 @@ def _channels(image: Image, mode: RenderMode) -> tuple[Tensor, Tensor]:
     return torch.cat([image.color, depth], dim=-1) if "RGB" in mode else depth, image.alpha
 
 
-def _colors_by_camera(
-    means: Tensor,
-    colors: Tensor,
-    viewmats: Tensor,
-    Ks: Tensor,
+def _check_tensors(given: dict[str, Tensor | None], sh_degree: int | None) -> tuple[int, ...]:
+    """Check what the renderer of a single picture does not see; returns the batch's shape."""
+    for name, tensor in given.items():
+        if tensor is None:
+            continue
+        if not isinstance(tensor, Tensor):
+            found = type(tensor).__name__
+            raise ValueError(f"rasterization(): {name} must be a torch tensor, got {found}")
+        if tensor.device.type != "cpu" or tensor.dtype not in PRECISION:
+            found = f"{tensor.dtype} on {tensor.device}"
+            raise ValueError(
+                f"rasterization(): {name} must be float32 or float64 on the CPU, got {found}"
+            )
+    means, viewmats, colors = given["means"], given["viewmats"], given["colors"]
+    batch, N = tuple(means.shape[:-2]), means.shape[-2] if means.dim() > 1 else 0
+    C = viewmats.shape[-3] if viewmats.dim() > 2 else 0
+    if C == 0:
+        found = f"must be (..., C, 4, 4) with C > 0, got {tuple(viewmats.shape)}"
+        raise ValueError(f"rasterization(): viewmats {found}")
+    forms = {"means": (N, 3), "quats": (N, 4), "scales": (N, 3), "opacities": (N,)}
+    forms |= {"viewmats": (C, 4, 4), "Ks": (C, 3, 3)}
+    for name, form in forms.items():
+        if tuple(given[name].shape) != batch + form:
+            found = f"must be {(*batch, *form)}, got {tuple(given[name].shape)}"
+            raise ValueError(f"rasterization(): {name} {found}")
+    form, axes = ("(N, D)", 2) if sh_degree is None else ("(N, K, 3)", 3)
+    shape = tuple(colors.shape)
+    if len(shape) < axes or shape[-axes] != N or shape[:-axes] not in (batch, (*batch, C)):
+        found = f"{shape} where N is {N} and C {C}"
+        raise ValueError(
+            f"rasterization(): colors must be (..., {form[1:]} or (..., C, {form[1:]}, got {found}"
+        )
+    return batch
+
+
+def _backgrounds_by_view(
+    backgrounds: Tensor | None,
+    shape: tuple[int, ...],
+    colors: list[Tensor],
     sh_degree: int | None,
     mode: RenderMode,
+) -> list[Tensor | None]:
+    """The background of each picture; none where no colours are made."""
+    if backgrounds is None or "RGB" not in mode:
+        return [None] * len(colors)
+    expected = (*shape, colors[0].shape[-1] if sh_degree is None else 3)
+    if tuple(backgrounds.shape) != expected:
+        found = f"{expected}, got {tuple(backgrounds.shape)}"
+        raise ValueError(f"rasterization(): backgrounds must be (..., C, D) = {found}")
+    return _flat(backgrounds, 1)
+
+
+def _colors_by_view(
+    colors: Tensor, shape: tuple[int, ...], sh_degree: int | None, mode: RenderMode
 ) -> list[Tensor]:
-    """Colours or coefficients of each camera, after a check of what render() does not see."""
-    if means.dim() != 2:
-        raise ValueError(f"rasterization(): means must be (N, 3), got {tuple(means.shape)}")
-    N, C = len(means), len(viewmats)
-    if viewmats.shape != (C, 4, 4) or Ks.shape != (C, 3, 3) or C == 0:
-        found = f"{tuple(viewmats.shape)} and {tuple(Ks.shape)}"
-        raise ValueError(
-            f"rasterization(): viewmats must be (C, 4, 4) and Ks (C, 3, 3), got {found}"
-        )
+    """Colours or coefficients of each picture."""
     axes = 2 if sh_degree is None else 3
-    if colors.dim() not in (axes, axes + 1) or colors.shape[-axes] != N:
-        form = "(N, D)" if sh_degree is None else "(N, K, 3)"
-        found = f"{tuple(colors.shape)} where N is {N}"
-        raise ValueError(f"rasterization(): colors must be {form} or (C, ...), got {found}")
-    if colors.dim() > axes and len(colors) != C:
-        raise ValueError(f"rasterization(): {len(colors)} colors for {C} cameras")
     if sh_degree is not None:
         count = (sh_degree + 1) ** 2
         if colors.shape[-2] < count:
             found = f"needs {count} coefficients, got {colors.shape[-2]}"
             raise ValueError(f"rasterization(): sh_degree {sh_degree} {found}")
-        degree_of(count)
-        colors = colors[..., :count, :]
+        with _errors_as_called():
+            degree_of(count)
+        if colors.shape[-2] > count:
+            colors = colors[..., :count, :]
     elif "RGB" not in mode:
         colors = colors[..., :1]  # the kernels want a channel
-    return [colors] * C if colors.dim() == axes else list(colors)
-
-
-def _in_cameras(means: Tensor, viewmats: Tensor) -> Tensor:
-    """Means in camera space, (C, N, 3).
-
-    They are written as sums, for the last bits of a matrix product depend on the number of threads.
-    """
-    R, t = viewmats[:, None, :3, :3], viewmats[:, None, :3, 3]
-    return (means[None, :, None, :] * R).sum(dim=-1) + t
-
-
-def _in_pictures(x: Tensor, Ks: Tensor, model: CameraModel, near: float) -> Tensor:
-    """Eq. 2 of lens.py, (C, N, 2); meaningless where a Gaussian is not drawn."""
-    f, c = torch.diagonal(Ks, dim1=1, dim2=2)[:, None, :2], Ks[:, None, :2, 2]
-    z = torch.where(x[..., 2:] > near, x[..., 2:], 1)
-    if model == "pinhole":
-        return f * x[..., :2] / z + c
-    if model == "ortho":
-        return f * x[..., :2] + c
-    squared = x[..., :2].square().sum(dim=-1, keepdim=True)
-    on_axis = squared < 1e-6 * z * z
-    r = torch.where(on_axis, 1, squared).sqrt()
-    s = torch.where(on_axis, (1 - squared / (3 * z * z)) / z, torch.atan2(r, z) / r)
-    return f * x[..., :2] * s + c
-
-
-def _radii(screen: Screen, width: int, height: int) -> Tensor:
-    """Half the size of each ellipse's box in whole pixels, (N, 2) int32; 0 outside the picture."""
-    radii = torch.ceil(screen.extents)
-    size = torch.tensor([width, height])
-    reaches = (screen.means2d + radii > 0) & (screen.means2d - radii < size)
-    return torch.where(reaches.all(dim=1, keepdim=True), radii, 0).to(torch.int32)
-
-
-def _attach_absgrad(means2d: Tensor, screens: list[Screen]) -> None:
-    node = weakref.ref(means2d)  # the tensor holds the hook, so the hook must not hold the tensor
-
-    def attach(grad: Tensor) -> None:
-        target = node()
-        if target is not None:
-            nothing = np.zeros(grad.shape[1:])
-            found = [s.absgrad if s.absgrad is not None else nothing for s in screens]
-            target.absgrad = torch.stack([torch.as_tensor(g, dtype=grad.dtype) for g in found])
-
-    means2d.register_hook(attach)
+    parts = _flat(colors, axes)
+    of_all_cameras = colors.dim() - axes < len(shape)
+    return [part for part in parts for _ in range(shape[-1])] if of_all_cameras else parts

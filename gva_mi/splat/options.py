@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 
 @dataclass(frozen=True)
@@ -28,3 +28,13 @@ class SplatOptions:
         if not (self.blur >= 0 and self.radius_min >= 0):
             found = f"{self.blur}, {self.radius_min}"
             raise ValueError(f"SplatOptions: blur and radius_min must be at least 0, got {found}")
+
+    def of_code(self) -> SplatOptions:
+        """Those that are constants of the kernels' code; the rest are arguments, as a pose is."""
+        return replace(
+            self,
+            blur=SplatOptions.blur,
+            near=SplatOptions.near,
+            far=SplatOptions.far,
+            radius_min=SplatOptions.radius_min,
+        )

@@ -11,12 +11,13 @@ The gradient by each Gaussian's mean in the picture::
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import drjit as dr
 import torch
 from torch import Tensor
 
+from gva_mi.splat.kernels.exclusive import exclusive
 from gva_mi.splat.kernels.packets import Packets
 from gva_mi.splat.kernels.passes import Saved
 from gva_mi.splat.kernels.project import Projected
@@ -25,64 +26,101 @@ from gva_mi.splat.kernels.records import Footprint, Format, Splat
 
 @dataclass
 class Screen:
-    """The Gaussians as one picture saw them: filled by ``render``, gradients by ``backward``."""
+    """The Gaussians as one picture saw them: filled by ``render``, gradients by ``backward``.
 
-    means2d: Tensor | None = None  # (N, 2) px; meaningless where not visible
-    radii: Tensor | None = None  # (N,) px, 3 sigma of the longer axis; 0 where not drawn
-    grad: Tensor | None = None  # (N, 2) dL/dmeans2d, per px; 0 where not drawn
+    What is asked of it is read out of the kernels' memory then; what is not costs nothing.
+    """
+
     absolute: bool = False  # set to have absgrad filled as well
+    grad: Tensor | None = None  # (N, 2) dL/dmeans2d, per px; 0 where not drawn
     absgrad: Tensor | None = None  # (N, 2) grad with the share of every pixel taken absolutely
-    projected: Projected | None = None  # of the kernels; None where there is no Gaussian
-    format: Format | None = None  # of its splats
-
-    @property
-    def visible(self) -> Tensor:
-        """Whether each Gaussian touches the picture, (N,) bool."""
-        return self.radii > 0
+    seen: Seen | None = field(default=None, repr=False)
 
     def fill(self, saved: Saved, means: Tensor) -> None:
-        """Read the Gaussians out of what the kernels saved.
+        """Take what the kernels saved.
 
         Args:
             saved: what ``render_forward`` returned.
             means: (N, 3) of the Gaussians.
         """
         self.grad = self.absgrad = None
-        self.projected, self.format = saved.projected, saved.plan.formats[0]
-        if self.projected is None:
-            self.means2d, self.radii = means.new_zeros(len(means), 2), means.new_zeros(len(means))
-            return
-        self.means2d = torch.stack(self._splat.u, dim=1)
-        self.radii = self.projected.radii.torch()
+        size = (saved.layout.width, saved.layout.height)
+        self.seen = Seen(saved.projected, saved.plan.formats[0], size, means.new_zeros(0))
+
+    @property
+    def visible(self) -> Tensor:
+        """Whether each Gaussian touches the picture, (N,) bool."""
+        return self.radii > 0
+
+    @property
+    def means2d(self) -> Tensor:
+        """(N, 2) px; meaningless where not visible."""
+        return torch.stack(self.seen.splat.u, dim=1)
+
+    @property
+    def depths(self) -> Tensor:
+        """Along the camera's z, (N,) m."""
+        return self.seen.number("depths")
+
+    @property
+    def radii(self) -> Tensor:
+        """3 sigma of the longer axis, (N,) px; 0 where not drawn."""
+        return self.seen.number("radii")
 
     @property
     def extents(self) -> Tensor:
         """How far each reaches in x and y, alpha >= alpha_min, (N, 2) px; 0 where culled."""
-        if self.projected is None:
-            return self.means2d
-        found = Footprint.unpack(self._columns(self.projected.footprints))
+        found = self.seen.footprint
         return torch.where(found.ry >= 0, torch.stack([found.rx, found.ry]), 0).T
+
+    @property
+    def boxes(self) -> Tensor:
+        """Extents in whole pixels, (N, 2) int32; 0 where they are outside the picture."""
+        radii, means2d = torch.ceil(self.extents), self.means2d
+        reaches = (means2d + radii > 0) & (means2d - radii < torch.tensor(self.seen.size))
+        return torch.where(reaches.all(dim=1, keepdim=True), radii, 0).to(torch.int32)
 
     @property
     def conics(self) -> Tensor:
         """Inverse covariances in the picture, (N, 3): xx, xy, yy, per px^2."""
-        if self.projected is None:
-            return self.means2d.new_zeros(0, 3)
-        p, q, r = self._splat.p, self._splat.q, self._splat.r
+        p, q, r = self.seen.splat.p, self.seen.splat.q, self.seen.splat.r
         return 2 * math.log(2) * torch.stack([p * p, p * q, q * q + r * r], dim=1)
 
     @property
     def opacities(self) -> Tensor:
         """Opacities as drawn: less than the Gaussians' own with ``antialiased``, (N,)."""
-        if self.projected is None:
-            return self.means2d.new_zeros(0)
-        return torch.exp2(self._splat.lo)
+        return torch.exp2(self.seen.splat.lo)
+
+
+@dataclass(frozen=True)
+class Seen:
+    """The kernels' memory, read as torch's tensors."""
+
+    projected: Projected | None  # None where there is no Gaussian
+    format: Format  # of its splats
+    size: tuple[int, int]  # of the picture: width, height, px
+    nothing: Tensor  # (0,), of the Gaussians' dtype
 
     @property
-    def _splat(self) -> Splat:
+    def splat(self) -> Splat:
         """The record of all Gaussians, its fields as tensors (N,); colours of the first chunk."""
+        if self.projected is None:
+            return Splat.unpack([self.nothing] * Splat.columns(self.format), self.format)
         return Splat.unpack(self._columns(self.projected.splats[0]), self.format)
 
+    @property
+    def footprint(self) -> Footprint:
+        """The same of the ellipses."""
+        if self.projected is None:
+            return Footprint.unpack([self.nothing] * Footprint.columns())
+        return Footprint.unpack(self._columns(self.projected.footprints))
+
+    @exclusive
+    def number(self, name: str) -> Tensor:
+        """One of the numbers that ``Projected`` has of each Gaussian, (N,)."""
+        return self.nothing if self.projected is None else getattr(self.projected, name).torch()
+
+    @exclusive
     def _columns(self, record: Packets) -> list[Tensor]:
         n = dr.width(self.projected.radii)
         return [column for part in record for column in part.torch().view(n, -1).unbind(1)]

@@ -46,6 +46,7 @@ from gva_mi_plugins.gaussian_splat.sensor import SensorCamera
 
 from gva_mi.splat import Image, SplatOptions
 from gva_mi.splat.drjit_op import render
+from gva_mi.splat.kernels.exclusive import exclusive
 
 
 class GaussianSplat(mi.ad.integrators.common.ADIntegrator):
@@ -79,6 +80,7 @@ class GaussianSplat(mi.ad.integrators.common.ADIntegrator):
             depth=self.depth,
         )
 
+    @exclusive
     def render(
         self,
         scene: mi.Scene,
@@ -95,6 +97,7 @@ class GaussianSplat(mi.ad.integrators.common.ADIntegrator):
                 dr.eval(image)
             return image
 
+    @exclusive
     def render_forward(
         self,
         scene: mi.Scene,
@@ -110,6 +113,7 @@ class GaussianSplat(mi.ad.integrators.common.ADIntegrator):
                 dr.forward_to(image)
             return dr.grad(image)
 
+    @exclusive
     def render_backward(
         self,
         scene: mi.Scene,

@@ -240,3 +240,11 @@ print("imported", *sorted(name for name in sys.modules if name.startswith("gva_m
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     _, *found = run.stdout.splitlines()[-1].split()
     assert found == [f"gva_mi.commands.{name}" for name in imported]
+
+
+def test_a_package_that_the_bare_installation_lacks_is_named_with_its_extra(monkeypatch, cli):
+    monkeypatch.setitem(sys.modules, "tyro", None)
+    code, out, complaint = cli("bench", "splat")
+    assert code == 2 and not out
+    needed = "the commands need: pip install 'gva_mi[avatar]'"
+    assert complaint == f"gva-mi: tyro is not installed; {needed}\n"

@@ -1,5 +1,7 @@
 """Cameras: where points fall by each model, and what the door refuses."""
 
+from dataclasses import replace
+
 import drjit as dr
 import numpy as np
 import pytest
@@ -101,3 +103,12 @@ def test_another_lens_stretches_the_picture_about_the_principal_point():
     np.testing.assert_allclose(
         c.zoomed(1.3).project(points) - centre, 1.3 * (c.project(points) - centre)
     )
+
+
+def test_cameras_with_the_same_numbers_are_equal():
+    camera = Camera(10.0, 11.0, 4.0, 3.0, np.eye(4), 8, 6)
+    same = Camera.from_matrices(camera.K, np.eye(4), 8, 6)
+    moved = replace(camera, T_camera_world=look_at((0, 0, 2), (0, 0, 0)))
+    others = [replace(camera, model="ortho"), replace(camera, fx=10.5), moved]
+    assert camera == same and hash(camera) == hash(same)
+    assert len({camera, same, *others}) == 4 and camera != 1

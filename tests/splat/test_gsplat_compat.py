@@ -1,6 +1,8 @@
 """gsplat's call: its shapes and modes, on batches of cameras, and what it refuses."""
 
+import gc
 import inspect
+import weakref
 from types import SimpleNamespace
 
 import numpy as np
@@ -92,7 +94,7 @@ def test_torch_agrees_in_both_directions(camera_model):
     leaves = (g.means, g.quats, g.scales, g.opacities, g.colors, view, K)
 
     def images(*tensors):
-        modes = {"render_mode": "RGB+ED", "camera_model": camera_model}
+        modes = {"render_mode": "RGB+ED", "camera_model": camera_model, "packed": False}
         colors, alphas, meta = rasterization(*tensors, 5, 4, **modes)
         visible = (meta["radii"] > 0).all(dim=-1, keepdim=True)
         return colors * (alphas > 0.02), alphas, torch.where(visible, meta["means2d"], 0)
@@ -135,7 +137,7 @@ def test_colors_of_each_camera():
 
 def test_meta():
     a = arguments()
-    _, _, meta = rasterization(**a)
+    _, _, meta = rasterization(**a, packed=False)
     assert (meta["width"], meta["height"], meta["n_cameras"]) == (W, H, C)
     assert meta["radii"].shape == (C, N, 2) and meta["radii"].dtype == torch.int32
     for c in range(C):
@@ -159,13 +161,13 @@ def test_meta():
             reach = torch.sqrt(2 * torch.log(255 * a["opacities"][i]) * torch.diagonal(C2))
             assert (meta["radii"][c, i] == torch.ceil(reach)).all()
     torch.testing.assert_close(meta["opacities"], a["opacities"].expand(C, N))
-    faded = rasterization(**a, rasterize_mode="antialiased")[2]["opacities"]
+    faded = rasterization(**a, rasterize_mode="antialiased", packed=False)[2]["opacities"]
     assert (faded <= meta["opacities"] * (1 + 1e-12)).all() and (faded > 0).all()
 
 
 def test_means2d_is_a_node_of_the_graph():
     a = arguments()
-    colors, _, meta = rasterization(**a, absgrad=True)
+    colors, _, meta = rasterization(**a, absgrad=True, packed=False)
     meta["means2d"].retain_grad()
     w = torch.randn(colors.shape, generator=torch.Generator().manual_seed(2)).double()
     (colors * w).sum().backward()
@@ -180,7 +182,7 @@ def test_means2d_is_a_node_of_the_graph():
 def test_a_loss_on_means2d_and_depths_reaches_means_and_cameras():
     a = arguments()
     for name in ("means2d", "depths"):
-        g = gradients(rasterization(**a)[2][name].square().sum(), a)
+        g = gradients(rasterization(**a, packed=False)[2][name].square().sum(), a)
         assert g["means"].abs().min() > 0 and (g["viewmats"][:, 2].abs() > 0).all()
 
 
@@ -204,8 +206,8 @@ def test_absolute_gradient_of_one_pixel_is_the_gradients_absolute():
 
 def test_radius_clip_leaves_out_the_small():
     a = arguments()
-    radii = rasterization(**a)[2]["radii"]
-    clipped, _, meta = rasterization(**a, radius_clip=4.0)
+    radii = rasterization(**a, packed=False)[2]["radii"]
+    clipped, _, meta = rasterization(**a, packed=False, radius_clip=4.0)
     kept = (radii > 4).any(dim=-1)
     assert kept.any() and not kept.all()
     assert ((meta["radii"] > 0).all(dim=-1) == (kept & (radii > 0).all(dim=-1))).all()
@@ -261,20 +263,186 @@ def test_unsupported_arguments_raise():
             rasterization(**a, **{name: "ftheta"})
 
 
-def test_wrong_shapes_are_named():
+def test_wrong_shapes_and_kinds_are_named_as_the_caller_named_them():
     a = arguments()
+    bad = a["means"].detach().clone()
+    bad[7, 1] = float("nan")
     wrong = {
-        r"means must be \(N, 3\), got \(1, 30, 3\)": {"means": a["means"][None]},
-        r"viewmats must be \(C, 4, 4\)": {"viewmats": a["viewmats"][0]},
-        r"Ks \(C, 3, 3\)": {"Ks": a["Ks"][:1]},
-        r"colors must be \(N, D\)": {"colors": a["colors"][1:]},
-        "3 colors for 2 cameras": {"colors": a["colors"].expand(3, N, 3)},
-        r"backgrounds must be \(C, D\)": {"backgrounds": torch.zeros(3).double()},
+        r"quats must be \(1, 30, 4\), got \(30, 4\)": {"means": a["means"][None]},
+        r"viewmats must be \(..., C, 4, 4\)": {"viewmats": a["viewmats"][0, 0]},
+        r"viewmats must be \(2, 4, 4\), got \(2, 3, 4\)": {"viewmats": a["viewmats"][:, :3]},
+        r"Ks must be \(2, 3, 3\), got \(1, 3, 3\)": {"Ks": a["Ks"][:1]},
+        r"colors must be \(..., N, D\)": {"colors": a["colors"][1:]},
+        r"got \(3, 30, 3\) where N is 30 and C 2": {"colors": a["colors"].expand(3, N, 3)},
+        r"backgrounds must be \(..., C, D\)": {"backgrounds": torch.zeros(3).double()},
         "sh_degree 2 needs 9 coefficients": {
             "colors": torch.zeros(N, 4, 3).double(),
             "sh_degree": 2,
         },
+        "viewmats must be rigid": {"viewmats": 1.1 * a["viewmats"]},
+        "Ks must be torch.float64 on the CPU, got torch.float32": {"Ks": a["Ks"].float()},
+        "the numbers of Ks must be finite": {"Ks": a["Ks"] * float("inf")},
+        "focal lengths of Ks must be positive": {"Ks": -a["Ks"]},
+        r"means\[7, 1\] is nan, must be finite": {"means": bad},
+        "viewmats must be float32 or float64 on the CPU, got .* on meta": {
+            "viewmats": a["viewmats"].to("meta")
+        },
+        "width and height must be at least 1x1": {"width": 0},
+        "scales must be a torch tensor, got ndarray": {"scales": a["scales"].detach().numpy()},
     }
     for message, changed in wrong.items():
-        with pytest.raises(ValueError, match=message):
+        with pytest.raises(ValueError, match=rf"^rasterization\(\): .*{message}"):
             rasterization(**(a | changed))
+
+
+def test_packed_meta_has_the_rows_of_those_in_the_pictures():
+    a = arguments(degree=None)
+    a["means"] = (a["means"] + torch.tensor([0.7, 0, 0])).detach().requires_grad_()
+    w = torch.randn(C, H, W, 3, generator=torch.Generator().manual_seed(2)).double()
+    found = {}
+    for packed in (True, False):
+        for x in a.values():
+            if isinstance(x, torch.Tensor):
+                x.grad = None
+        colors, _, meta = rasterization(**a, packed=packed, absgrad=True)
+        meta["means2d"].retain_grad()
+        (colors * w).sum().backward()
+        found[packed] = {k: v.grad for k, v in a.items() if isinstance(v, torch.Tensor)}, meta
+    (packed_by, packed), (by, whole) = found[True], found[False]
+    for name, grad in by.items():
+        assert torch.equal(grad, packed_by[name]), name
+    seen = (whole["radii"] > 0).all(dim=-1)
+    assert seen.any() and not seen.all()
+    assert torch.equal(
+        torch.stack([packed["camera_ids"], packed["gaussian_ids"]]).T, seen.nonzero()
+    )
+    assert (packed["batch_ids"] == 0).all() and whole["gaussian_ids"] is None
+    for name in ("means2d", "depths", "radii", "conics", "opacities"):
+        assert torch.equal(packed[name], whole[name][seen]), name
+    for name in ("grad", "absgrad"):
+        mine, theirs = (getattr(meta["means2d"], name) for meta in (packed, whole))
+        assert torch.equal(mine, theirs[seen]), name
+
+
+def test_hooks_and_losses_on_means2d_are_heard():
+    """Each part of its gradient reaches the means once, whatever else is added or taken."""
+    a = arguments()
+    w = torch.randn(C, H, W, 3, generator=torch.Generator().manual_seed(2)).double()
+    parts = {}
+    for name, by_picture, by_node in (("picture", 1, 0), ("node", 0, 1), ("both", 1, 3)):
+        colors, _, meta = rasterization(**a, packed=False)
+        loss = by_picture * (colors * w).sum() + by_node * meta["means2d"].sin().sum()
+        parts[name] = gradients(loss, a)
+    colors, _, meta = rasterization(**a, packed=False)
+    meta["means2d"].register_hook(lambda grad: 0 * grad)
+    parts["cut"] = gradients((colors * w).sum(), a)
+    for name in ("means", "viewmats", "Ks"):
+        total = parts["picture"][name] + 3 * parts["node"][name]
+        torch.testing.assert_close(parts["both"][name], total, rtol=1e-9, atol=1e-9)
+        assert (parts["cut"][name] - parts["picture"][name]).abs().max() > 1e-3
+
+
+@pytest.mark.parametrize("packed", [True, False])
+def test_means2d_has_a_gradient_where_means_and_cameras_are_frozen(packed):
+    a = arguments()
+    a = {k: v.detach() if isinstance(v, torch.Tensor) else v for k, v in a.items()}
+    a["colors"].requires_grad_()
+    colors, _, meta = rasterization(**a, packed=packed)
+    meta["means2d"].retain_grad()
+    colors.sum().backward()
+    assert meta["means2d"].grad.abs().sum() > 0 and a["colors"].grad.abs().sum() > 0
+    assert not rasterization(**(a | {"colors": a["colors"].detach()}))[2]["means2d"].requires_grad
+
+
+@pytest.mark.parametrize("packed", [True, False])
+def test_leading_dimensions_are_a_batch(packed):
+    a = arguments()
+    few = {k: v.detach() for k, v in a.items() if isinstance(v, torch.Tensor)}
+    moved = few | {"means": 0.9 * few["means"], "opacities": 0.5 * few["opacities"]}
+    both = {k: torch.stack([few[k], moved[k]])[:, None] for k in few}
+    colors, alphas, meta = rasterization(**both, width=W, height=H, packed=packed, tile_size=8)
+    assert colors.shape == (2, 1, C, H, W, 3) and alphas.shape == (2, 1, C, H, W, 1)
+    assert meta["n_batches"] == 2
+    parts = []
+    for b, one in enumerate((few, moved)):
+        alone = rasterization(**one, width=W, height=H, packed=packed, tile_size=8)
+        assert torch.equal(colors[b, 0], alone[0]) and torch.equal(alphas[b, 0], alone[1])
+        parts.append(alone[2])
+    for name in ("means2d", "depths", "radii", "conics", "opacities"):
+        joined = [part[name] for part in parts]
+        joined = torch.cat(joined) if packed else torch.stack(joined)[:, None]
+        assert torch.equal(meta[name], joined), name
+    assert meta["isect_offsets"].shape == (2, 1, C, 3, 3)
+
+
+def test_tiles_list_who_touches_them_front_to_back():
+    """gsplat's lists, against a loop over all tiles and Gaussians."""
+    a, size = arguments(), 8
+    _, _, meta = rasterization(**a, packed=False, tile_size=size)
+    columns, rows = meta["tile_width"], meta["tile_height"]
+    assert (columns, rows) == (3, 3)
+    ids, k = meta["flatten_ids"].tolist(), 0
+    u, radii, depths = (meta[name].detach() for name in ("means2d", "radii", "depths"))
+    touched = torch.zeros(C, N, dtype=torch.int32)
+    for c in range(C):
+        for y in range(rows):
+            for x in range(columns):
+                low = torch.tensor([x, y]) * size
+                inside = (u[c] + radii[c] > low) & (u[c] - radii[c] < low + size)
+                here = (inside & (radii[c] > 0)).all(dim=1).nonzero()[:, 0]
+                here = here[torch.sort(depths[c][here].float(), stable=True).indices]
+                touched[c, here] += 1
+                assert meta["isect_offsets"][c, y, x] == k
+                assert ids[k : k + len(here)] == (here + c * N).tolist()
+                k += len(here)
+    assert k == len(ids) == len(meta["isect_ids"]) and k > N
+    assert torch.equal(meta["tiles_per_gauss"], touched)
+    assert (meta["isect_ids"].diff() >= 0).all()
+
+
+def test_meta_is_a_dictionary():
+    meta = rasterization(**arguments())[2]
+    assert {"radii", "isect_ids", "means2d"} <= set(meta) and len(meta) == len(dict(meta))
+    assert meta["radii"] is meta["radii"] and meta.get("nothing") is None
+    meta["radii"] = 1
+    del meta["conics"]
+    assert meta["radii"] == 1 and "conics" not in meta
+    with pytest.raises(KeyError):
+        meta["conics"]
+
+
+def test_nothing_is_a_picture_too():
+    a = {
+        k: v.detach()[:0] if k in "means quats scales opacities colors".split() else v
+        for k, v in arguments().items()
+    }
+    for packed in (True, False):
+        colors, alphas, meta = rasterization(**a, packed=packed)
+        assert colors.shape == (C, H, W, 3) and (colors == 0).all() and (alphas == 0).all()
+        for name in ("means2d", "depths", "radii", "conics", "opacities", "tiles_per_gauss"):
+            assert meta[name].numel() == 0, name
+        assert (meta["isect_offsets"] == 0).all()
+
+
+@pytest.mark.parametrize("name", ["means", "colors", "viewmats"])
+def test_torch_func_goes_through(name):
+    a = arguments()
+    loss = lambda x: rasterization(**(a | {name: x}))[0].square().sum()
+    expected = gradients(loss(a[name]), a)[name]
+    fixed = {k: v.detach() if isinstance(v, torch.Tensor) else v for k, v in a.items()}
+    loss = lambda x: rasterization(**(fixed | {name: x}))[0].square().sum()
+    assert torch.equal(torch.func.grad(loss)(fixed[name]), expected)
+
+
+@pytest.mark.parametrize("packed", [True, False])
+def test_nothing_stays_in_memory_when_the_caller_lets_go(packed):
+    a = arguments()
+    a["viewmats"], a["Ks"] = (a[name].detach()[:1] for name in ("viewmats", "Ks"))
+    colors, _, meta = rasterization(**a, packed=packed, absgrad=True)
+    meta["means2d"].retain_grad()
+    colors.sum().backward()
+    alive = weakref.ref(meta["means2d"])
+    assert alive().absgrad is not None
+    del colors, meta, _
+    gc.collect()
+    assert alive() is None

@@ -139,15 +139,6 @@ def test_tangents_have_the_same_bits_on_any_threads():
     assert found[0] == found[1] == found[2]
 
 
-def test_derivatives_of_derivatives_are_refused():
-    inputs, images = case("pinhole")
-    means = inputs["means"].requires_grad_()
-    color, _, _ = images(render, inputs)
-    (grad,) = torch.autograd.grad(color.square().sum(), means, create_graph=True)
-    with pytest.raises(RuntimeError, match="differentiat"):
-        grad.sum().backward()
-
-
 def test_nothing_drawn_has_the_backgrounds_tangent():
     inputs, images = case("pinhole")
     inputs["means"] = inputs["means"] + 100

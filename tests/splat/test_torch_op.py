@@ -258,6 +258,17 @@ def test_other_sizes_and_poses_compile_nothing():
     assert kernels and all(kernel["cache_hit"] for kernel in kernels)
 
 
+def test_other_cut_offs_of_gaussians_compile_nothing_and_trace_nothing():
+    s = scene(gaussians=400, width=160, height=90).to(torch.float32)
+    first, frozen = bits(s), (passes._project, passes._gaussians_adjoint)
+    before = [recordings(function) for function in frozen]
+    found = {"": first}
+    for name, value in (("blur", 0.5), ("near", 2.8), ("far", 3.1), ("radius_min", 30.0)):
+        found[name] = bits(replace(s, options=replace(s.options, **{name: value})))
+    assert [recordings(function) for function in frozen] == before
+    assert len({image for image, *_ in found.values()}) == len(found)  # each has its effect
+
+
 def recordings(function):
     """How often a frozen function was traced and kept."""
     return sum(variant.n_recordings for variant in function.variants.values())

@@ -10,6 +10,7 @@ import numpy as np
 from gva_mi.errors import InputError
 from gva_mi.splat.bench import gsplat_peer, machine
 from gva_mi.splat.bench.changes import Compiled, Moving, measure_compiles, measure_moving
+from gva_mi.splat.bench.doors import Doors, measure_doors
 from gva_mi.splat.bench.growth import HARD, Growth, growing, hard_scenes, measure_growth
 from gva_mi.splat.bench.stages import StageCost, measure_stages
 from gva_mi.splat.bench.timing import Timing, Work, pairs_of, repeated, walked_of
@@ -52,6 +53,7 @@ class Bench:
     stages: tuple[StageCost, ...]
     compiles: tuple[Compiled, ...]
     moving: Moving
+    doors: Doors
     gsplat: Timing | None  # its torch reference on the CPU, forward and backward
     gsplat_ratio: float | None  # over our time for the same: colour and alpha, no depth
     growth: tuple[Growth, ...]
@@ -82,6 +84,11 @@ class Bench:
         lines.append(
             f"a new pose at every call: {m.ratio:.2f} x the fixed one's time; memory over "
             f"{m.calls:,} calls {memory}"
+        )
+        d = self.doors
+        lines.append(
+            f"gsplat's call, rasterization(): {d.ratio:.2f} x render()'s time, packed "
+            f"{d.ratio_packed:.2f} x ({d.render.least:.2f} ms at least, without a depth)"
         )
         if self.gsplat is not None:
             peer = f"{self.gsplat.least:.0f} ms, {self.gsplat_ratio:.0f} x ours"
@@ -117,7 +124,7 @@ def bench(
     if not options.no_growth:
         most = (options.most_gaussians, options.most_pixels)
         sizes, hard = list(growing(*most)), list(hard_scenes(*most, options.seed))
-    total = 5 + len(sizes) + len(hard)
+    total = 6 + len(sizes) + len(hard)
     steps = iter(range(1, total + 1))
     tell = lambda: progress and progress(next(steps), total)
 
@@ -130,6 +137,8 @@ def bench(
     compiles = tuple(measure_compiles(work))
     tell()
     moving = measure_moving(work, options.calls)
+    tell()
+    doors = measure_doors(work, options.repeats)
     tell()
     few = max(2, options.repeats // 5)  # calls of what takes long
     peer = None if options.no_gsplat else gsplat_peer.time_step(work.scene, few)
@@ -157,6 +166,7 @@ def bench(
         stages=stages,
         compiles=compiles,
         moving=moving,
+        doors=doors,
         gsplat=gsplat,
         gsplat_ratio=None if ours is None else gsplat.least / ours.least,
         growth=tuple(growth),

@@ -114,6 +114,7 @@ class Ellipse:
     R: list[Array]
     s: list[Array]
     o: Array
+    blur: Array  # px^2
     rotation: Rotation
     B: list[Array]  # 2 x 3
     BM: list[Array]  # 2 x 3
@@ -135,6 +136,7 @@ class Ellipse:
         quat: list[Array],
         s: list[Array],
         o: Array,
+        blur: Array,
         options: SplatOptions,
     ) -> Ellipse:
         rotation = Rotation.of(quat)
@@ -143,17 +145,17 @@ class Ellipse:
         V = [BM[k] * s[k % 3] for k in range(6)]
         V0, V1 = V[:3], V[3:]
         xx, xy, yy = dot(V0, V0), dot(V0, V1), dot(V1, V1)
-        C = [xx + options.blur, xy, yy + options.blur]
+        C = [xx + blur, xy, yy + blur]
         n = cross(V0, V1)
         sharp = dot(n, n)
-        det = sharp + options.blur * (xx + yy + options.blur)
+        det = sharp + blur * (xx + yy + blur)
         half = 0.5 / LN2
         p = dr.sqrt(half * C[2] / det)
         q, r = -p * C[1] / C[2], dr.sqrt(half / C[2])
         lo = dr.log2(o)
         if options.antialiased:
             lo += 0.5 * dr.log2(sharp / det)
-        return Ellipse(J, R, s, o, rotation, B, BM, V, C, n, sharp, det, p, q, r, lo, options)
+        return Ellipse(J, R, s, o, blur, rotation, B, BM, V, C, n, sharp, det, p, q, r, lo, options)
 
     def adjoint(self, m0: Array, mxx: Array, mxy: Array, myy: Array) -> Grad:
         """From the moments m0 = dL/dln o and m2 of eq. 16 (pixel.py).
@@ -199,7 +201,7 @@ class Ellipse:
         dxy = dot(V0, dV1) + dot(V1, dV0)
         dn = [a + b for a, b in zip(cross(dV0, V1), cross(V0, dV1), strict=True)]
         dsharp = 2 * dot(self.n, dn)
-        rdet = (dsharp + self.options.blur * (dxx + dyy)) / self.det  # relative
+        rdet = (dsharp + self.blur * (dxx + dyy)) / self.det  # relative
         ryy = dyy / self.C[2]
         dp = 0.5 * self.p * (ryy - rdet)
         dq = 0.5 * self.q * (-ryy - rdet) - self.p * dxy / self.C[2]

@@ -1,6 +1,6 @@
 """The Gaussians as flat arrays: what the kernels take, and where their gradients go.
 
-Both doors (torch_op.py, drjit_op.py) hand their arrays over in this form, without copies.
+Both doors (autograd.py, drjit_op.py) hand their arrays over in this form, without copies.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class Inputs:
 class Plan:
     """What is the same for all kernels of a picture: constants of their code."""
 
-    options: SplatOptions
+    options: SplatOptions  # of_code()
     harmonics: bool  # whether inputs.colors holds coefficients
     color_width: int  # numbers of each Gaussian in inputs.colors
     channels: int  # D

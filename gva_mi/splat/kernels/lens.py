@@ -35,6 +35,7 @@ from drjit.llvm import Float64
 from gva_mi.splat.camera import Camera, CameraModel
 from gva_mi.splat.kernels import packets
 from gva_mi.splat.kernels.records import ViewGradient
+from gva_mi.splat.options import SplatOptions
 
 MARGIN = 0.15  # of the picture's size, on each side, where a pinhole's J still follows the mean
 
@@ -55,22 +56,46 @@ class View:
     o: list[Array]  # 3, world
     low: list[Array]  # 2, least w of ``held``, px
     high: list[Array]  # 2, greatest
+    reach: list[Array]  # 4, cut-offs that are no constants of the code: see the properties
     model: CameraModel
+
+    @property
+    def near(self) -> Array:
+        """Depth from which on Gaussians are drawn, m."""
+        return self.reach[0]
+
+    @property
+    def far(self) -> Array:
+        """Depth up to which, m."""
+        return self.reach[1]
+
+    @property
+    def blur(self) -> Array:
+        """What is added to the diagonal of the covariances in the picture, px^2."""
+        return self.reach[2]
+
+    @property
+    def radius(self) -> Array:
+        """Gaussians that reach no further are not drawn, px; negative: all are."""
+        return self.reach[3]
 
     def to(self, F: type) -> View:
         """The same in another precision, inside a kernel."""
         cast = lambda numbers: [F(x) for x in numbers]
-        parts = (self.R, self.t, self.f, self.c, self.o, self.low, self.high)
+        parts = (self.R, self.t, self.f, self.c, self.o, self.low, self.high, self.reach)
         return View(*map(cast, parts), self.model)
 
 
-def view_of(camera: Camera) -> View:
-    """The camera in float64, evaluated."""
+def view_of(camera: Camera, options: SplatOptions) -> View:
+    """The camera and those cut-offs that may change from call to call, in float64, evaluated."""
     f, c = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
     size = np.array([camera.width, camera.height])
     T = camera.T_camera_world
     low, high = -MARGIN * size - c, (1 + MARGIN) * size - c
-    return _view([T[:3, :3].ravel(), T[:3, 3], f, c, camera.position, low, high], camera.model)
+    radius = options.radius_min if options.radius_min > 0 else -1
+    reach = np.array([options.near, options.far, options.blur, radius])
+    parts = [T[:3, :3].ravel(), T[:3, 3], f, c, camera.position, low, high, reach]
+    return _view(parts, camera.model)
 
 
 def view_tangent(camera: Camera, dT: np.ndarray, dK: np.ndarray) -> View:
@@ -78,7 +103,8 @@ def view_tangent(camera: Camera, dT: np.ndarray, dK: np.ndarray) -> View:
     T = camera.T_camera_world
     dR, dt, dc = dT[:3, :3], dT[:3, 3], dK[:2, 2]
     do = -np.linalg.solve(T[:3, :3], dR @ camera.position + dt)
-    return _view([dR.ravel(), dt, dK.diagonal()[:2], dc, do, -dc, -dc], camera.model)
+    parts = [dR.ravel(), dt, dK.diagonal()[:2], dc, do, -dc, -dc, np.zeros(4)]
+    return _view(parts, camera.model)
 
 
 def view_adjoint(camera: Camera, grad: ViewGradient) -> tuple[np.ndarray, np.ndarray]:
@@ -98,7 +124,7 @@ def _view(parts: list[np.ndarray], model: CameraModel) -> View:
     array = Float64(numbers)
     x = [dr.gather(Float64, array, k) for k in range(numbers.size)]
     dr.eval(x)
-    return View(x[:9], x[9:12], x[12:14], x[14:16], x[16:19], x[19:21], x[21:23], model)
+    return View(x[:9], x[9:12], x[12:14], x[14:16], x[16:19], x[19:21], x[21:23], x[23:], model)
 
 
 @dataclass(frozen=True)

@@ -4,21 +4,22 @@
     render_adjoint:   project_adjoint  <-  sum_slots  <-  blend_adjoint
     render_tangent:   project_tangent  ->  blend_tangent
 
-drjit_op.py wraps them for Dr.Jit's autodiff, torch_op.py for torch's. Pictures are here *planes*:
+drjit_op.py wraps them for Dr.Jit's autodiff, autograd.py for torch's. Pictures are here *planes*:
 flat arrays, padded to whole tiles.
 
 The kernels are frozen (frozen.py): the first call traces and compiles them (0.1-0.5 s each, cached
-on disk), later calls replay them whatever the number of Gaussians or the pose. Keyword arguments
-are constants of a recording: another value is another one. Cut-offs and numbers of channels make
-another kernel too. Sizes of memory that a kernel allocates for itself (the picture's, the slots')
-do not: the kernel is the same, and is only traced again. Memory that comes in as an argument is
-copied at every call. Up to ``MANY`` Gaussians, their memory comes in as an argument all the same,
-because their number changes often; beyond, copying would cost more than tracing.
+on disk), later calls replay them whatever the number of Gaussians, the pose or the lens's reach
+(near, far, blur). Keyword arguments are constants of a recording: another value is another one. A
+pixel's cut-offs and numbers of channels make another kernel too. Sizes of memory that a kernel
+allocates for itself (the picture's, the slots') do not: the kernel is the same, and is only traced
+again. Memory that comes in as an argument is copied at every call. Up to ``MANY`` Gaussians, their
+memory comes in as an argument all the same, because their number changes often; beyond, copying
+would cost more than tracing.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import drjit as dr
 import numpy as np
@@ -97,11 +98,11 @@ def render_forward(
     if not np.isfinite(background).all():
         raise ValueError(f"render(): background must be finite, got {background}")
     F, D = inputs.float_type, len(background)
-    layout, view = Layout(camera.width, camera.height), view_of(camera)
+    layout, view = Layout(camera.width, camera.height), view_of(camera, options)
     grid = layout.grid(dr.int32_array_t(F))
     behind = [dr.opaque(F, b) for b in background]
     formats = chunks.formats(D, options.depth, whole=absolute)
-    plan = Plan(options, harmonics, inputs.color_width, D, formats)
+    plan = Plan(options.of_code(), harmonics, inputs.color_width, D, formats)
     projected = lists = trail = stop = None
     if len(inputs):
         projected = _project_checked(inputs, plan, view, grid)
@@ -167,7 +168,6 @@ def render_adjoint(
     grad: Planes,
     camera: bool = False,
     absolute: bool = False,
-    through_means2d: bool = True,
 ) -> Gradients:
     """The reverse of :func:`render_forward`.
 
@@ -176,7 +176,6 @@ def render_adjoint(
         grad: dL/dplanes, padded to whole tiles with zeros; the depth may be None.
         camera: whether to return the gradients by the camera.
         absolute: whether to return the absolute gradient by the means in the picture.
-        through_means2d: whether the gradient by the means in the picture is part of the others.
     """
     plan, n, F = saved.plan, len(saved.inputs), saved.inputs.float_type
     if saved.lists is None:
@@ -196,7 +195,6 @@ def render_adjoint(
         absolute=absolute,
         plan=plan,
         formats=formats,
-        through_u=through_means2d,
     )
     by_camera = (None, None)
     if camera:
@@ -241,7 +239,6 @@ def render_tangent(
     dT: np.ndarray,
     dK: np.ndarray,
     dbackground: list[float],
-    dmeans2d: Array | None = None,
 ) -> Planes:
     """The picture's tangent.
 
@@ -251,8 +248,6 @@ def render_tangent(
         dT: of ``T_camera_world``, (4, 4).
         dK: of ``K``, (3, 3).
         dbackground: of the background, D.
-        dmeans2d: 2 N; where given, it takes the place of what the above make of the means in the
-            picture.
     """
     plan, F = saved.plan, saved.inputs.float_type
     behind = [dr.opaque(F, b) for b in dbackground]
@@ -260,9 +255,7 @@ def render_tangent(
         return Planes.of_background(behind, saved.layout.pixels, plan.options.depth)
     dview = view_tangent(saved.camera, dT, dK)
     memory = splat_memory(F, len(saved.inputs), plan.formats)
-    dsplats = _project_tangent(
-        saved.inputs, saved.view, dinputs, dview, dmeans2d, memory, plan=plan
-    )
+    dsplats = _project_tangent(saved.inputs, saved.view, dinputs, dview, memory, plan=plan)
     pictures, dbackgrounds = [], chunks.split_background(behind, plan.formats)
     for k, (colors, format) in enumerate(zip(saved.backgrounds(), plan.formats, strict=True)):
         pictures.append(
@@ -323,7 +316,6 @@ def _gaussians_adjoint(
     absolute: bool,
     plan: Plan,
     formats: tuple[Format, ...],
-    through_u: bool,
 ) -> GradientMemory:
     target = target or GradientMemory.empty(
         inputs.float_type, n, plan.color_width, camera, absolute, dr.empty
@@ -331,7 +323,7 @@ def _gaussians_adjoint(
     sums = [sum_slots(lists, part, format) for part, format in zip(slots, formats, strict=True)]
     dr.eval(sums)  # two kernels: as one they run out of registers
     slot, drawn = chunks.add_slots(sums, plan.channels), lists.counts > 0
-    project_adjoint(inputs, plan, view, slot, drawn, target, through_u)
+    project_adjoint(inputs, plan, view, slot, drawn, target)
     dr.eval(target)
     return target
 
@@ -342,15 +334,12 @@ def _project_tangent(
     view: View,
     dinputs: Inputs,
     dview: View,
-    dmeans2d: Array | None,
     dsplats: list[packets.Packets],
     *,
     plan: Plan,
 ) -> list[packets.Packets]:
     dsplat = project_tangent(inputs, plan, view, dinputs, dview)
     i = inputs.lane()
-    if dmeans2d is not None:
-        dsplat = replace(dsplat, u=packets.load_rows(dmeans2d, 2, i))
     for target, part in zip(dsplats, chunks.split_splat(dsplat, plan.formats), strict=True):
         packets.store(target, part, i)
     dr.eval(dsplats)

@@ -69,10 +69,10 @@ def footprint_memory(F: type, n: int, allocate: Allocate = packets.memory) -> pa
     return packets.empty(Footprint, None, n, F, allocate)
 
 
-def _in_camera(m: list[Array], view: View, near: float) -> tuple[list[Array], Array]:
+def _in_camera(m: list[Array], view: View) -> tuple[list[Array], Array]:
     """Eq. 1, and z; a Gaussian before the near plane is not drawn, and z = 1 keeps it finite."""
     x = [dot(view.R[3 * k : 3 * k + 3], m) + view.t[k] for k in range(3)]
-    return x, dr.select(x[2] > near, x[2], 1)
+    return x, dr.select(x[2] > view.near, x[2], 1)
 
 
 def project(inputs: Inputs, plan: Plan, exact: View) -> Projection:
@@ -87,22 +87,21 @@ def project(inputs: Inputs, plan: Plan, exact: View) -> Projection:
     options, F = plan.options, inputs.float_type
     D = dr.float64_array_t(F)
     g = Gaussian3D.load(inputs, plan.color_width, inputs.lane())
-    fine, fine_z = _in_camera([D(v) for v in g.m], exact, options.near)
+    fine, fine_z = _in_camera([D(v) for v in g.m], exact)
     x, z, view = [F(v) for v in fine], F(fine_z), exact.to(F)
     u = [F(v) for v in LENSES[view.model].at(fine, fine_z, exact).u]
     lens = LENSES[view.model].at(x, z, view)
-    e = Ellipse.of(lens.J, view.R, g.quat, g.s, g.o, options)
+    e = Ellipse.of(lens.J, view.R, g.quat, g.s, g.o, view.blur, options)
     xx, xy, yy = e.C
     color = sh.color(g.color, g.m, view.o) if plan.harmonics else g.color
 
     # alpha >= alpha_min inside d^T C^-1 d <= tau: an ellipse with half extents sqrt(tau C_ii)
     tau = 2 * LN2 * (e.lo - math.log2(options.alpha_min))
-    visible = (x[2] > options.near) & (x[2] < options.far) & (tau > 0)
+    visible = (x[2] > view.near) & (x[2] < view.far) & (tau > 0)
     visible &= dr.isfinite(e.det) & dr.isfinite(u[0]) & dr.isfinite(u[1])
     tau = dr.select(visible, tau, 0)
     rx, ry = dr.sqrt(tau * xx), dr.sqrt(tau * yy)
-    if options.radius_min > 0:
-        visible &= (dr.ceil(rx) > options.radius_min) | (dr.ceil(ry) > options.radius_min)
+    visible &= (dr.ceil(rx) > view.radius) | (dr.ceil(ry) > view.radius)
     ry = dr.select(visible, ry, -1)
     footprint = Footprint(*u, rx, ry, xy / yy, dr.sqrt(tau * e.det / yy), xy / xx * rx)
 
@@ -120,7 +119,6 @@ def project_adjoint(
     slot: Slot,
     drawn: Array,
     target: GradientMemory,
-    through_u: bool = True,
 ) -> None:
     """Eq. 1-10 reversed, for every Gaussian.
 
@@ -131,20 +129,18 @@ def project_adjoint(
         slot: the sums over the Gaussian's pairs, eq. 16, of all channels of the colour.
         drawn: False where a Gaussian has no pairs, and so no gradient.
         target: where the gradients go.
-        through_u: whether dL/du takes part in the other gradients; not where the caller has
-            made u a node of its own graph.
     """
     i = inputs.lane()
     view = view.to(inputs.float_type)
     g = Gaussian3D.load(inputs, plan.color_width, i)
-    x, z = _in_camera(g.m, view, plan.options.near)
+    x, z = _in_camera(g.m, view)
     lens = LENSES[view.model].at(x, z, view)
-    e = Ellipse.of(lens.J, view.R, g.quat, g.s, g.o, plan.options)
+    e = Ellipse.of(lens.J, view.R, g.quat, g.s, g.o, view.blur, plan.options)
 
     k1, (mx, my) = 2 * LN2, slot.m1
     gu = [k1 * e.p * mx, k1 * (e.q * mx + e.r * my)]
     by_ellipse = e.adjoint(slot.m0, *slot.m2)
-    by_lens = lens.adjoint(gu if through_u else [0 * gu[0], 0 * gu[1]], by_ellipse.J)
+    by_lens = lens.adjoint(gu, by_ellipse.J)
     gx = list(by_lens.x)
     if slot.depth is not None:
         gx[2] = gx[2] + slot.depth
@@ -179,14 +175,14 @@ def project_tangent(inputs: Inputs, plan: Plan, view: View, dinputs: Inputs, dvi
     i, F = inputs.lane(), inputs.float_type
     view, dview = view.to(F), dview.to(F)
     g, d = (Gaussian3D.load(source, plan.color_width, i) for source in (inputs, dinputs))
-    x, z = _in_camera(g.m, view, plan.options.near)
+    x, z = _in_camera(g.m, view)
     dx = [
         dot(view.R[3 * k : 3 * k + 3], d.m) + dot(dview.R[3 * k : 3 * k + 3], g.m) + dview.t[k]
         for k in range(3)
     ]
     lens = LENSES[view.model].at(x, z, view)
     du, dJ = lens.tangent(dx, dview)
-    e = Ellipse.of(lens.J, view.R, g.quat, g.s, g.o, plan.options)
+    e = Ellipse.of(lens.J, view.R, g.quat, g.s, g.o, view.blur, plan.options)
     dp, dq, dr_, dlo = e.tangent(dJ, dview.R, d.quat, d.s, d.o)
     dcolor = d.color
     if plan.harmonics:

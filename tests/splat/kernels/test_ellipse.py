@@ -29,7 +29,8 @@ def wrap(parts):
 
 
 def ellipse(parts, antialiased=False):
-    return Ellipse.of(*wrap(parts), SplatOptions(antialiased=antialiased))
+    options = SplatOptions(antialiased=antialiased)
+    return Ellipse.of(*wrap(parts), Float64(options.blur), options)
 
 
 def stack(values):

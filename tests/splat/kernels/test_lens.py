@@ -10,6 +10,7 @@ from gva_mi.splat import reference
 from gva_mi.splat.camera import Camera
 from gva_mi.splat.kernels.lens import LENSES, view_adjoint, view_of, view_tangent
 from gva_mi.splat.kernels.records import ViewGradient
+from gva_mi.splat.options import SplatOptions
 
 MODELS = list(LENSES)
 N = 200
@@ -28,7 +29,7 @@ def points(seed=0, spread=2.0):
 
 
 def lens_at(model, x, F=Float64):
-    view = view_of(camera(model)).to(F)
+    view = view_of(camera(model), SplatOptions()).to(F)
     x = [F(v) for v in x]
     return LENSES[model].at(x, x[2], view)
 

@@ -1,0 +1,61 @@
+"""What gsplat's call costs beside ``render``: the same picture and the same gradients by both."""
+
+from __future__ import annotations
+
+import statistics
+from dataclasses import dataclass, replace
+
+import torch
+
+from gva_mi.splat.bench.timing import Timing, Work, seconds
+from gva_mi.splat.gsplat_compat import rasterization
+
+
+@dataclass(frozen=True)
+class Doors:
+    """Forward and backward passes of colour and alpha, without a depth."""
+
+    render: Timing
+    rasterization: Timing
+    packed: Timing  # rasterization with gsplat's default, rows of those in the picture
+    ratio: float  # of the medians of each call's time and its neighbour's: rasterization / render
+    ratio_packed: float
+
+
+def measure_doors(work: Work, calls: int) -> Doors:
+    """Measure the calls by turns, so that the machine's other work falls on all."""
+    scene = replace(work.scene, options=replace(work.scene.options, depth=False))
+    plain = Work(scene, work.weights)
+    ways = (plain.both, lambda: _rasterize(plain, False), lambda: _rasterize(plain, True))
+    times: list[list[float]] = [[] for _ in ways]
+    for k in range(calls + 2):  # two that compile and allocate
+        for found, way in zip(times, ways, strict=True):
+            taken = seconds(way)
+            if k >= 2:
+                found.append(taken)
+    beside = lambda k: statistics.median(a / b for a, b in zip(times[k], times[0], strict=True))
+    return Doors(*map(Timing.of, times), beside(1), beside(2))
+
+
+def _rasterize(work: Work, packed: bool) -> None:
+    """What ``Work.both`` does, by gsplat's call, with ``means2d.grad`` kept as densifiers do."""
+    s, g, camera = work.scene, work.scene.gaussians, work.scene.camera
+    colors, degree = (g.colors, None) if g.sh is None else (g.sh, int(g.sh.shape[1] ** 0.5) - 1)
+    matrix = lambda numbers: torch.tensor(numbers, dtype=g.means.dtype)[None]
+    pictures, _, meta = rasterization(
+        g.means,
+        g.quats,
+        g.scales,
+        g.opacities,
+        colors,
+        matrix(camera.T_camera_world),
+        matrix(camera.K),
+        camera.width,
+        camera.height,
+        sh_degree=degree,
+        packed=packed,
+        backgrounds=s.background[None],
+        camera_model=camera.model,
+    )
+    meta["means2d"].retain_grad()
+    torch.autograd.grad(pictures, [*g.arrays().values(), s.background], work.weights[None])

@@ -139,7 +139,7 @@ class Render(torch.autograd.Function):
     @staticmethod
     def setup_context(ctx: FunctionCtx, inputs: tuple, output: Images) -> None:
         *tensors, ctx.call = inputs
-        ctx.save_for_backward(*tensors)
+        ctx.save_for_backward(*tensors, *output)
         ctx.save_for_forward(*tensors)
         ctx.set_materialize_grads(False)
 
@@ -147,7 +147,7 @@ class Render(torch.autograd.Function):
     @not_compiled
     def backward(ctx: FunctionCtx, *grads: Tensor | None) -> tuple[Tensor | None, ...]:
         # the kernels hold the same memory: this raises where it was overwritten in the meantime
-        tensors = ctx.saved_tensors
+        tensors = ctx.saved_tensors[: len(Tensors._fields)]
         wanted = Tensors(*ctx.needs_input_grad[:-1])
         camera = wanted.T_camera_world or wanted.K
         grads = (*grads, *[None] * (IMAGES - len(grads)))

@@ -173,6 +173,17 @@ def test_input_overwritten_before_backward_is_an_error():
         loss.backward()
 
 
+def test_a_picture_changed_in_place_raises():
+    """Of all kernels, the adjoint reads it again: its gradients would be silently wrong."""
+    s = scene()
+    means = s.gaussians.means.clone().requires_grad_()
+    image = draw(changed(s, means=means))
+    with pytest.raises(RuntimeError, match="in-?place"):
+        image.color.mul_(0.5)
+        image.color.sum().backward()
+
+
+
 def test_a_short_fit_recovers_the_colors():
     truth = scene(gaussians=10).to(torch.float32)
     with torch.no_grad():

@@ -126,10 +126,10 @@ class Avatar(nn.Module):
             residual = torch.zeros_like(G.means)
         T_world_rest = joint_transforms(rotations, self.rest_joints, self._parents, pose.transl)[0]
         means, quats = skin_gaussians(G.means + residual, G.quats, G.weights, T_world_rest)
-        sh = self._turn_colors(G.sh, T_world_rest)
+        sh = self.turn_colors(G.sh, T_world_rest)
         return Animated(Gaussians(means, quats, G.scales, G.opacities, sh=sh), residual)
 
-    def _turn_colors(self, sh: Tensor, T_world_rest: Tensor) -> Tensor:
+    def turn_colors(self, sh: Tensor, T_world_rest: Tensor) -> Tensor:
         """Spherical harmonics (N, K, 3) whose linear band follows the blended joints (eq. 4)."""
         if sh.shape[1] == 1:
             return sh

@@ -14,7 +14,8 @@ from gva_mi.body import kinematics, polar
 from gva_mi.body.smplx import BodyModel
 
 SMALL = {"gaussians": 60, "size": 16}
-INPUTS = {"rotations", "transl", "betas", "means", "quats", "log_scales", "logit_opacities", "sh"}
+GAUSSIANS = {"means", "quats", "log_scales", "logit_opacities", "sh"}
+INPUTS = {"rotations", "transl", "expression", "betas"} | GAUSSIANS
 
 
 class Slanted(torch.autograd.Function):
@@ -77,6 +78,16 @@ def test_says_which_link_loses_digits(report):
     assert all(0 < share < 1e-5 for share in shares.values()), shares
 
 
+def _bend_face(monkeypatch):
+    """A fault in what moves the Gaussians, and not in what moves the joints."""
+    moved = chain.moved_by
+
+    def bent(psi, directions):
+        return moved(psi if len(directions) == 55 else Slanted.apply(psi), directions)
+
+    monkeypatch.setattr(chain, "moved_by", bent)
+
+
 def _plant(monkeypatch, link):
     """A small fault in the avatar's own code of one link."""
     bend = Slanted.apply
@@ -87,6 +98,8 @@ def _plant(monkeypatch, link):
     elif link == "skeleton":
         vee = kinematics._vee
         monkeypatch.setattr(kinematics, "_vee", lambda x: 1.001 * vee(x))
+    elif link == "face":
+        _bend_face(monkeypatch)
     elif link == "residual":
         monkeypatch.setattr(torch, "tanh", lambda x: bend(x.tanh()))
     elif link == "blend":
@@ -108,7 +121,8 @@ def _plant(monkeypatch, link):
 
 
 LINKS = (
-    "shape", "skeleton", "residual", "blend", "polar frames", "activations", "colours", "splatting",
+    "shape", "face", "skeleton", "residual", "blend", "polar frames", "activations", "colours",
+    "splatting",
 )  # fmt: skip
 
 

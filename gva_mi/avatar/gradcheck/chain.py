@@ -3,11 +3,12 @@
 =============  =======================================================  =======================
 link           from                                                     to
 =============  =======================================================  =======================
-shape          betas                                                    joints
+shape          betas, expression                                        joints
+face           means, expression                                        shaped_means
 skeleton       rotations, joints, transl                                T_world_rest     Eq. 4
 residual       means, rotations, the network's weights                  residual     Sec. 4.1
 blend          T_world_rest                                             A                Eq. 5
-polar frames   A, means, residual, quats                                posed_means, posed_quats
+polar frames   A, shaped_means, residual, quats                         posed_means, posed_quats
 activations    log_scales, logit_opacities                              scales, opacities
 colours        sh, T_world_rest                                         posed_sh
 splatting      the posed Gaussians                                      image        Eq. 1-3
@@ -29,8 +30,8 @@ import torch
 from torch import Generator, Tensor
 from torch.func import functional_call
 
-from gva_mi.avatar.avatar import Avatar, AvatarOptions, seed_avatar
-from gva_mi.avatar.canonical import PARAMETERS, CanonicalGaussians, SeedOptions
+from gva_mi.avatar.avatar import Avatar, AvatarOptions, moved_by, seed_avatar
+from gva_mi.avatar.canonical import CARRIERS, PARAMETERS, CanonicalGaussians, SeedOptions
 from gva_mi.avatar.gradcheck import twins
 from gva_mi.body.kinematics import joint_transforms
 from gva_mi.body.polar import carry_frames
@@ -92,7 +93,8 @@ class Scene:
             G.logit_opacities += 0.5 * normal(*G.logit_opacities.shape)
             G.sh += 0.3 * torch.rand(G.sh.shape, generator=generator).double() - 0.15
             avatar.residual.offset.weight += 0.3 * normal(*avatar.residual.offset.weight.shape)
-        pose = Pose(LARGE_ANGLE * normal(1, 55, 3), 0.1 * normal(1, 3), 0 * normal(1, 10))
+        psi = 0.7 * normal(1, bodies[torch.float64].num_expressions)
+        pose = Pose(LARGE_ANGLE * normal(1, 55, 3), 0.1 * normal(1, 3), psi)
         for part in (JAW, LEFT_HAND, RIGHT_HAND):
             pose.rotations[:, part] *= SMALL_ANGLE / LARGE_ANGLE
         camera = Camera(
@@ -101,7 +103,8 @@ class Scene:
         )  # fmt: skip
         background = torch.rand(3, generator=generator).double()
         network = {NETWORK + k: v for k, v in avatar.residual.named_parameters()}
-        values = {"rotations": pose.rotations[0], "transl": pose.transl[0], "betas": betas}
+        values = {field: getattr(pose, field)[0] for field in ("rotations", "transl", "expression")}
+        values["betas"] = betas
         values |= {name: getattr(avatar.canonical, name) for name in PARAMETERS} | network
         values = {k: v.detach().float().double() for k, v in values.items()}
         avatar, values = _off_kinks(avatar, values)
@@ -119,19 +122,23 @@ class Scene:
         state = {k: v for k, v in values.items() if k.startswith(NETWORK)}
         state |= {f"canonical.{name}": values[name] for name in PARAMETERS}
         state["rest_joints"] = joints
-        pose = Pose(values["rotations"][None], values["transl"][None], joints.new_zeros(1, 0))
+        pose = Pose(*(values[name][None] for name in ("rotations", "transl", "expression")))
         gaussians = functional_call(avatar, state, (pose,))
         return render(gaussians, self.camera, background=self.background.to(dtype))
 
     def links(self, dtype: torch.dtype = torch.float64) -> tuple[Link, ...]:
         """The chain, its fast functions in a precision; the slow ones are float64."""
         body, avatar = self.models[dtype]
-        weights, parents = avatar.canonical.weights, avatar.rig.parents
-        network = avatar.residual
+        G, parents, network = avatar.canonical, avatar.rig.parents, avatar.residual
+        weights, directions = G.weights, G.expression
         return (
-            Link("shape", ("betas",), ("joints",),
-                 lambda v: (body.rest(Shape(v["betas"])).joints,),
-                 lambda v: (twins.joints(body, v["betas"]),)),
+            Link("shape", ("betas", "expression"), ("joints",),
+                 lambda v: (body.rest(Shape(v["betas"])).joints
+                            + moved_by(v["expression"], avatar.rest_expression_joints),),
+                 lambda v: (twins.joints(body, v["betas"], v["expression"]),)),
+            Link("face", ("means", "expression"), ("shaped_means",),
+                 lambda v: (v["means"] + moved_by(v["expression"], directions),),
+                 lambda v: (twins.shaped(v["means"], v["expression"], directions),)),
             Link("skeleton", ("rotations", "joints", "transl"), ("T_world_rest",),
                  lambda v: (joint_transforms(v["rotations"][None], v["joints"], parents,
                                              v["transl"][None])[0],),
@@ -145,10 +152,10 @@ class Scene:
             Link("blend", ("T_world_rest",), ("A",),
                  lambda v: (blend(weights, v["T_world_rest"]),),
                  lambda v: (twins.blend(weights, v["T_world_rest"]),)),
-            Link("polar frames", ("A", "means", "residual", "quats"),
+            Link("polar frames", ("A", "shaped_means", "residual", "quats"),
                  ("posed_means", "posed_quats"),
-                 lambda v: carry_frames(v["A"], v["means"] + v["residual"], v["quats"]),
-                 lambda v: twins.carry(v["A"], v["means"] + v["residual"], v["quats"])),
+                 lambda v: carry_frames(v["A"], v["shaped_means"] + v["residual"], v["quats"]),
+                 lambda v: twins.carry(v["A"], v["shaped_means"] + v["residual"], v["quats"])),
             Link("activations", ("log_scales", "logit_opacities"), ("scales", "opacities"),
                  _activated,
                  lambda v: (v["log_scales"].exp(), 1 / (1 + (-v["logit_opacities"]).exp()))),
@@ -208,5 +215,7 @@ def _off_kinks(avatar: Avatar, values: Values) -> tuple[Avatar, Values]:
     )
     kept = torch.nonzero((before.abs() > KINK).all(1)).flatten()
     some = {name: values[name][kept] for name in PARAMETERS}
-    canonical = CanonicalGaussians(**some, weights=avatar.canonical.weights[kept])
-    return Avatar(canonical, avatar.residual, avatar.rig, avatar.options), values | some
+    carriers = {name: getattr(avatar.canonical, name)[kept] for name in CARRIERS}
+    canonical = CanonicalGaussians(**some, **carriers)
+    few = Avatar(canonical, avatar.residual, avatar.rig, avatar.skin, avatar.options)
+    return few, values | some

@@ -135,7 +135,8 @@ class Scene:
             Link("shape", ("betas", "expression"), ("joints",),
                  lambda v: (body.rest(Shape(v["betas"])).joints
                             + moved_by(v["expression"], avatar.rest_expression_joints),),
-                 lambda v: (twins.joints(body, v["betas"], v["expression"]),)),
+                 lambda v: (twins.shaped(twins.joints(body, v["betas"]), v["expression"],
+                                         avatar.rest_expression_joints),)),
             Link("face", ("means", "expression"), ("shaped_means",),
                  lambda v: (v["means"] + moved_by(v["expression"], directions),),
                  lambda v: (twins.shaped(v["means"], v["expression"], directions),)),

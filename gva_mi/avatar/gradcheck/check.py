@@ -39,7 +39,9 @@ from gva_mi.threads import one_torch_thread
 
 PRECISIONS = {"f64": torch.float64, "f32": torch.float32}
 BAND = 1e-3  # relative distance of an alpha to its cut-off, beyond reach of a difference's steps
-FAR = {"rotations": 0.1, "transl": 0.1, "means": 0.1}  # share of the step: they move many pixels
+STEPS = {  # share of a difference's step, for inputs that move many pixels, or a small part of one
+    "rotations": 0.1, "transl": 0.1, "means": 0.1, "expression": 30.0,
+}  # fmt: skip
 FEW = 12  # inputs of so many entries are differentiated by each of them
 
 
@@ -139,7 +141,7 @@ def _chain(asked: _Asked, tolerances: Tolerances, step: float) -> Iterator[Compa
             along = lambda v, name=name, leaves=leaves: _tangent(asked, leaves, name, v)
             yield _probed(asked, f"tangent {label}", name, along, allowed)
     for name in names:
-        along = lambda v, name=name: _difference(asked, name, v, step * FAR.get(name, 1.0))
+        along = lambda v, name=name: _difference(asked, name, v, step * STEPS.get(name, 1.0))
         yield _probed(asked, "differences", name, along, tolerances.f64)
 
 

@@ -20,18 +20,17 @@ from gva_mi.body.smplx import BodyModel
 NEWTON = 12  # steps; each doubles the digits
 
 
-def joints(body: BodyModel, betas: Tensor, expression: Tensor) -> Tensor:
+def joints(body: BodyModel, betas: Tensor) -> Tensor:
     """Where the joints of a shape are at rest, (55, 3): regressed from its vertices."""
     vertices = body.v_template
-    directions = torch.cat([body.shape_directions, body.expression_directions])
-    for coefficient, direction in zip(torch.cat([betas, expression]), directions, strict=True):
+    for beta, direction in zip(betas, body.shape_directions, strict=True):
         x, y, z = direction[: 3 * len(vertices)].chunk(3)
-        vertices = vertices + coefficient * torch.stack([x, y, z], dim=1)
+        vertices = vertices + beta * torch.stack([x, y, z], dim=1)
     return body.regressor @ vertices
 
 
 def shaped(means: Tensor, expression: Tensor, directions: Tensor) -> Tensor:
-    """Means (N, 3) with the face's expression, one coefficient after the other."""
+    """Means or joints (N, 3) with the face's expression, one coefficient after the other."""
     for coefficient, direction in zip(expression, directions.unbind(2), strict=True):
         means = means + coefficient * direction
     return means

@@ -1,7 +1,7 @@
 """The avatar: canonical Gaussians, moved by the residual, carried by the skeleton.
 
-1. mu'  = mu + MLP(theta)              the residual, in the rest pose
-2. A    = sum_p W_p(mu) T_p(theta)     Eq. 5, over the 4 strongest joints
+1. mu'  = mu + E(mu) psi + MLP(theta)  the expression and the residual, in the rest pose
+2. A    = sum_p W_p(mu) T_p(theta)     Eq. 5, W of the outer skin, see :mod:`gva_mi.avatar.skin`
 3. mu_t = A mu',   R_t = A_rot R       Eq. 6, see :mod:`gva_mi.body.skinning`
 4. f_t  = A_rot f                      the linear band of the colour
 
@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +24,15 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from gva_mi.avatar.canonical import PARAMETERS, CanonicalGaussians, SeedOptions, seed_on_surface
+from gva_mi.avatar.canonical import (
+    CARRIERS,
+    PARAMETERS,
+    CanonicalGaussians,
+    SeedOptions,
+    seed_on_surface,
+)
 from gva_mi.avatar.residual import PoseResidual, ResidualOptions
+from gva_mi.avatar.skin import Skin, diffused
 from gva_mi.body.kinematics import joint_transforms
 from gva_mi.body.pose import LEFT_HAND, RIGHT_HAND, Pose, Shape
 from gva_mi.body.skinning import skin_gaussians
@@ -34,7 +41,11 @@ from gva_mi.errors import InputError
 from gva_mi.files import read_arrays, write_arrays
 from gva_mi.splat.gaussians import Gaussians
 
-FORMAT = "gva_mi avatar, version 1"
+FORMAT = "gva_mi avatar, version 2"
+RIG = (  # the tensors of a Rig
+    "joints", "vertices", "faces", "weights", "looseness", "expression", "expression_joints",
+    "betas",
+)  # fmt: skip
 # The linear SH band h, in the basis (-y, z, -x), as a vector: its colour is C1 (V h) . d.
 _V = ((0.0, 0.0, -1.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
 
@@ -50,15 +61,23 @@ class AvatarOptions:
 
 @dataclass(frozen=True)
 class Rig:
-    """The rest body of an avatar: its skeleton, and the surface that skinning weights come from."""
+    """The rest body of an avatar: its skeleton, and its surface."""
 
     joints: Tensor  # (55, 3) metres, rest pose
     parents: tuple[int, ...]  # 55, -1 for the root
     vertices: Tensor  # (V, 3) metres, rest pose, displaced by the clothes' offsets
     faces: Tensor  # (F, 3) int64
     weights: Tensor  # (V, 55)
+    looseness: Tensor  # (V,) metres by which the clothes' offsets displaced it
+    expression: Tensor  # (V, 3, E) metres by which the face's coefficients move the vertices
+    expression_joints: Tensor  # (55, 3, E) the same of the joints
     betas: Tensor  # (B,) the shape it was made with
     body: str  # fingerprint of the body model it came from
+
+    @property
+    def skin(self) -> Skin:
+        """The surface as something that points can follow."""
+        return Skin(self.vertices, self.weights, self.expression)
 
 
 @dataclass(frozen=True)
@@ -77,6 +96,7 @@ class Avatar(nn.Module):
         residual: how the rest pose deforms with the pose.
         options: what it was made of.
         rig: the rest body under it, constant.
+        skin: the outer surface that Gaussians take their skinning weights from.
     """
 
     def __init__(
@@ -84,13 +104,15 @@ class Avatar(nn.Module):
         canonical: CanonicalGaussians,
         residual: PoseResidual,
         rig: Rig,
+        skin: Skin,
         options: AvatarOptions,
     ) -> None:
         super().__init__()
         self.canonical, self.residual, self.options = canonical, residual, options
         self._parents, self._body = rig.parents, rig.body
-        for name in ("joints", "vertices", "faces", "weights", "betas"):
+        for name in RIG:
             self.register_buffer(f"rest_{name}", getattr(rig, name).detach().clone())
+        self.wear(skin)
         fingers = torch.zeros(len(rig.parents), 1, dtype=torch.bool)
         fingers[LEFT_HAND] = fingers[RIGHT_HAND] = not options.hands
         self.register_buffer("_held", fingers, persistent=False)
@@ -99,9 +121,23 @@ class Avatar(nn.Module):
     @property
     def rig(self) -> Rig:
         """The rest body, in the precision of the avatar."""
-        names = ("joints", "vertices", "faces", "weights", "betas")
-        tensors = {name: getattr(self, f"rest_{name}") for name in names}
+        tensors = {name: getattr(self, f"rest_{name}") for name in RIG}
         return Rig(parents=self._parents, body=self._body, **tensors)
+
+    @property
+    def skin(self) -> Skin:
+        """The outer skin, in the precision of the avatar."""
+        return Skin(*(getattr(self, f"skin_{field.name}") for field in fields(Skin)))
+
+    def wear(self, skin: Skin) -> None:
+        """Take another outer skin, which the Gaussians are to follow from the next look-up."""
+        for field in fields(Skin):
+            self.register_buffer(f"skin_{field.name}", getattr(skin, field.name).detach().clone())
+
+    def look_up(self) -> None:
+        """Let the Gaussians follow the skin around where they are now."""
+        G = self.canonical
+        G.weights, G.expression = self.skin.at(G.means)
 
     def forward(self, pose: Pose) -> Gaussians:
         """The Gaussians of one pose, in the world."""
@@ -111,7 +147,7 @@ class Avatar(nn.Module):
         """One pose's Gaussians and the residual that went into them.
 
         Args:
-            pose: one frame. Its expression is not used: Eq. 5 knows joints only.
+            pose: one frame. Of its expression the coefficients count that the body knew.
 
         Returns:
             Differentiable in all parameters, and in the pose.
@@ -124,12 +160,15 @@ class Avatar(nn.Module):
             residual = self.residual(G.means, rotations[0])
         else:
             residual = torch.zeros_like(G.means)
-        T_world_rest = joint_transforms(rotations, self.rest_joints, self._parents, pose.transl)[0]
-        means, quats = skin_gaussians(G.means + residual, G.quats, G.weights, T_world_rest)
-        sh = self._turn_colors(G.sh, T_world_rest)
+        psi = pose.expression[0, : G.expression.shape[2]]
+        means = G.means + moved_by(psi, G.expression)
+        joints = self.rest_joints + moved_by(psi, self.rest_expression_joints)
+        T_world_rest = joint_transforms(rotations, joints, self._parents, pose.transl)[0]
+        means, quats = skin_gaussians(means + residual, G.quats, G.weights, T_world_rest)
+        sh = self.turn_colors(G.sh, T_world_rest)
         return Animated(Gaussians(means, quats, G.scales, G.opacities, sh=sh), residual)
 
-    def _turn_colors(self, sh: Tensor, T_world_rest: Tensor) -> Tensor:
+    def turn_colors(self, sh: Tensor, T_world_rest: Tensor) -> Tensor:
         """Spherical harmonics (N, K, 3) whose linear band follows the blended joints (eq. 4)."""
         if sh.shape[1] == 1:
             return sh
@@ -157,17 +196,17 @@ class Avatar(nn.Module):
             hands=described["options"]["hands"],
         )
         state = {k: v for k, v in record.items() if k not in ("format", "description")}
-        names = ("joints", "vertices", "faces", "weights", "betas")
         rig = Rig(
             parents=tuple(described["parents"]),
             body=described["body"],
-            **{name: state[f"rest_{name}"] for name in names},
+            **{name: state[f"rest_{name}"] for name in RIG},
         )
+        skin = Skin(**{f.name: state[f"skin_{f.name}"] for f in fields(Skin)})
         canonical = CanonicalGaussians(
-            **{name: state[f"canonical.{name}"] for name in (*PARAMETERS, "weights")}
+            **{name: state[f"canonical.{name}"] for name in (*PARAMETERS, *CARRIERS)}
         )
         residual = PoseResidual(options.residual, torch.zeros(3), 1.0)
-        avatar = Avatar(canonical, residual, rig, options).to(rig.joints.dtype)
+        avatar = Avatar(canonical, residual, rig, skin, options).to(rig.joints.dtype)
         avatar.load_state_dict(state)
         return avatar
 
@@ -192,6 +231,11 @@ class Avatar(nn.Module):
             raise InputError(f"{path}: not an avatar of this version ({error})") from None
 
 
+def moved_by(psi: Tensor, directions: Tensor) -> Tensor:
+    """Metres (N, 3) by which coefficients (up to E,) of an expression move along (N, 3, E)."""
+    return directions[..., : len(psi)] @ psi
+
+
 def seed_avatar(
     body: BodyModel,
     shape: Shape,
@@ -213,7 +257,12 @@ def seed_avatar(
     with torch.no_grad():
         rest = body.rest(shape)
         vertices = rest.vertices if offsets is None else rest.vertices + offsets
-        canonical = seed_on_surface(vertices, body.faces, body.weights, options.seed, colors)
+        looseness = (vertices - rest.vertices).norm(dim=1)
+        count, E = len(vertices), body.num_expressions
+        expression = body.expression_directions[:, : 3 * count].view(E, 3, count).permute(2, 1, 0)
+        own = Skin(vertices, body.weights, expression)
+        skin = diffused(vertices.double().numpy(), body.faces.numpy(), own, looseness)
+        canonical = seed_on_surface(vertices, body.faces, skin, options.seed, colors)
         low, high = vertices.amin(0), vertices.amax(0)
         center, extent = (low + high) / 2, float((high - low).max() / 2)
         residual = PoseResidual(options.residual, center, extent, generator).to(vertices.dtype)
@@ -224,7 +273,10 @@ def seed_avatar(
             vertices,
             body.faces,
             body.weights,
+            looseness,
+            expression,
+            body.expression_joints.view(E, -1, 3).permute(1, 2, 0),
             shape.betas,
             fingerprint,
         )
-    return Avatar(canonical, residual, rig, options)
+    return Avatar(canonical, residual, rig, skin, options)

@@ -9,10 +9,11 @@ log s      ``log_scales``       (N, 3)      logarithm of the standard deviations
 logit eta  ``logit_opacities``  (N,)        eta = sigmoid of it
 f          ``sh``               (N, K, 3)   spherical harmonics, in the frame of the rest pose
 W(mu)      ``weights``          (N, 55)     skinning weights (Eq. 5), not learned
+E(mu)      ``expression``       (N, 3, E)   metres an expression moves it by, not learned
 =========  ===================  ==========  =============================================
 
-The skinning weights are those of the nearest vertex, its 4 strongest joints. Seeding lays flat
-discs into the surface of the body, so that the first image is a body and not a cloud.
+W and E are those of the outer skin around mu (:mod:`gva_mi.avatar.skin`). Seeding lays flat discs
+into the surface of the body, so that the first image is a body and not a cloud.
 """
 
 from __future__ import annotations
@@ -23,17 +24,17 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from gva_mi.body.skinning import nearest_weights
+from gva_mi.avatar.skin import Skin
 from gva_mi.errors import InputError
 from gva_mi.mesh.surface import vertex_normals
 from gva_mi.splat.kernels.sh import C0
 
 PARAMETERS = ("means", "quats", "log_scales", "logit_opacities", "sh")
-NEAREST_JOINTS = 4  # P of Eq. 5
+CARRIERS = ("weights", "expression")  # what is looked up, and not learned
 
 
 class CanonicalGaussians(nn.Module):
-    """N Gaussians in the rest pose: raw parameters, their activations, and their skinning weights.
+    """N Gaussians in the rest pose: raw parameters, their activations, and what carries them.
 
     Args:
         means: (N, 3) metres.
@@ -42,6 +43,7 @@ class CanonicalGaussians(nn.Module):
         logit_opacities: (N,).
         sh: (N, K, 3), K = 1 or 4.
         weights: (N, 55), rows sum to one.
+        expression: (N, 3, E) metres; None for a face that does not move.
     """
 
     def __init__(
@@ -52,6 +54,7 @@ class CanonicalGaussians(nn.Module):
         logit_opacities: Tensor,
         sh: Tensor,
         weights: Tensor,
+        expression: Tensor | None = None,
     ) -> None:
         super().__init__()
         N = means.shape[0]
@@ -71,9 +74,15 @@ class CanonicalGaussians(nn.Module):
             raise ValueError(
                 f"CanonicalGaussians: weights must be ({N}, J), got {tuple(weights.shape)}"
             )
+        expression = means.new_zeros(N, 3, 0) if expression is None else expression
+        if expression.ndim != 3 or expression.shape[:2] != (N, 3):
+            raise ValueError(
+                f"CanonicalGaussians: expression must be ({N}, 3, E), got {tuple(expression.shape)}"
+            )
         for name in PARAMETERS:
             setattr(self, name, nn.Parameter(given[name].detach().clone().contiguous()))
         self.register_buffer("weights", weights.detach().clone().contiguous())
+        self.register_buffer("expression", expression.detach().clone().contiguous())
 
     def __len__(self) -> int:
         return self.means.shape[0]
@@ -113,7 +122,7 @@ class SeedOptions:
 def seed_on_surface(
     vertices: Tensor,
     faces: Tensor,
-    weights: Tensor,
+    skin: Skin,
     options: SeedOptions = SeedOptions(),  # noqa: B008 (frozen)
     colors: Tensor | None = None,
 ) -> CanonicalGaussians:
@@ -125,7 +134,7 @@ def seed_on_surface(
     Args:
         vertices: (V, 3) metres, rest pose.
         faces: (F, 3) int64.
-        weights: (V, 55) skinning weights of the vertices.
+        skin: what the Gaussians take their skinning weights and expression from.
         options: how many, and how large.
         colors: (V, 3) linear, of the vertices; grey where missing.
     """
@@ -143,13 +152,15 @@ def seed_on_surface(
     spacing = neighbour_spacing(points)
     sh = points.new_zeros(count, (options.sh_degree + 1) ** 2, 3)
     sh[:, 0] = (albedo - 0.5) / C0
+    weights, expression = skin.at(points)
     return CanonicalGaussians(
         means=points,
         quats=disc_quats(normals),
         log_scales=disc_log_scales(spacing, options),
         logit_opacities=torch.logit(points.new_full((count,), options.opacity)),
         sh=sh,
-        weights=nearest_weights(points, vertices, weights, NEAREST_JOINTS),
+        weights=weights,
+        expression=expression,
     )
 
 

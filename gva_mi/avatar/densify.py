@@ -6,8 +6,8 @@
 4. prune   where it is nearly transparent, or larger than anything on a person
 
 New Gaussians inherit the skinning weights of the one they come from: they lie within its extent,
-and a re-initialisation looks the weights up again. Adam's moments follow the rows they belong to;
-new rows start with none.
+and the fit looks weights up anew every so many steps. Adam's moments follow the rows they belong
+to; new rows start with none.
 """
 
 from __future__ import annotations
@@ -133,7 +133,9 @@ def densify(
             values["quats"][new], drawn * values["log_scales"][new].exp()
         )
         values["log_scales"][new] -= math.log(options.split_shrink)
-        canonical = CanonicalGaussians(**values, weights=G.weights[parents])
+        canonical = CanonicalGaussians(
+            **values, weights=G.weights[parents], expression=G.expression[parents]
+        )
     replace_gaussians(avatar, optimizer, canonical, parents, inherited=len(kept))
     return Densified(int(cloned.sum()), int(split.sum()), int(pruned.sum()))
 

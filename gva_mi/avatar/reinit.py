@@ -7,7 +7,7 @@ hair and loose clothes to a few large ones that come apart in new poses. So, 2-3
 2. smoothing     Taubin's low-pass filter of it                         ``mesh_gaussians``
 3. resampling    points on it, denser where it is curved                ``resample``
 4. re-Gaussian   opacity and colour from the K nearest old ones,        ``regaussian``
-                 rotation and scale anew, skinning looked up again
+                 rotation and scale anew, skinning from the new surface
 
 Where practice differs from the words of the paper:
 
@@ -32,11 +32,11 @@ from torch import Tensor
 
 from gva_mi.avatar.avatar import Avatar, Rig
 from gva_mi.avatar.canonical import (
-    NEAREST_JOINTS,
     CanonicalGaussians,
     disc_log_scales,
     disc_quats,
 )
+from gva_mi.avatar.skin import Skin, diffused
 from gva_mi.body.pose import LEFT_HAND, RIGHT_HAND
 from gva_mi.body.skinning import nearest_weights
 from gva_mi.errors import InputError
@@ -82,6 +82,7 @@ class Reinitialised:
 
     canonical: CanonicalGaussians  # see :func:`gva_mi.avatar.densify.replace_gaussians`
     surface: SurfaceMesh  # the smoothed, watertight wrap
+    skin: Skin  # the same with fingers, to be worn by the avatar
     floaters: int  # opaque Gaussians that were left out of it
 
 
@@ -114,13 +115,14 @@ def reinitialise(
         )
     means = G.means.detach()[solid].double().numpy()
     floats = find_floaters(means, options.floater_neighbours, options.floater_sigmas)
-    surface = mesh_gaussians(means[~floats], avatar.rig, options)
-    samples = resample(
-        with_fingers(surface, avatar.rig), options.count or len(G), options.curvature_gain, rng
-    )
+    rig = avatar.rig
+    surface = mesh_gaussians(means[~floats], rig, options)
+    whole = with_fingers(surface, rig)
+    samples = resample(whole, options.count or len(G), options.curvature_gain, rng)
     on_surface = solid[torch.from_numpy(~floats)]
-    canonical = regaussian(avatar, on_surface, samples, options, rng)
-    return Reinitialised(canonical, surface, int(floats.sum()))
+    skin = diffused(whole.vertices, whole.faces, rig.skin, rig.looseness)
+    canonical = regaussian(avatar, on_surface, samples, skin, options, rng)
+    return Reinitialised(canonical, surface, skin, int(floats.sum()))
 
 
 def find_floaters(points: np.ndarray, neighbours: int, sigmas: float) -> np.ndarray:
@@ -213,6 +215,7 @@ def regaussian(
     avatar: Avatar,
     sources: Tensor,
     samples: Samples,
+    skin: Skin,
     options: ReinitOptions,
     rng: np.random.Generator,
 ) -> CanonicalGaussians:
@@ -221,16 +224,16 @@ def regaussian(
     Opacity and colour are means over the K nearest sources, weighted by 1 / distance^2.
 
     Args:
-        avatar: its Gaussians so far; its rest body has the skinning weights, and its ``seed``
-            options the shape of a disc.
+        avatar: its Gaussians so far; its ``seed`` options have the shape of a disc.
         sources: (M,) int64, which of its Gaussians lie on the surface.
         samples: where the new ones go.
+        skin: what they take their skinning weights from.
         options: K, and how random a size is.
         rng: draws angles and sizes.
     """
     from scipy.spatial import cKDTree
 
-    old, rig = avatar.canonical, avatar.rig
+    old = avatar.canonical
     N, dtype = len(samples.points), old.means.dtype
     tensor = lambda array: torch.from_numpy(np.ascontiguousarray(array)).to(dtype)
     K = min(options.neighbours, len(sources))
@@ -245,13 +248,15 @@ def regaussian(
     jitter = options.scale_jitter * tensor(rng.standard_normal((N, 3)))
     half = tensor(rng.uniform(0, np.pi, N))  # half the angle about the normal
     means = tensor(samples.points)
+    weights, expression = skin.at(means)
     return CanonicalGaussians(
         means=means,
         quats=_spin(disc_quats(tensor(samples.normals)), half),
         log_scales=disc_log_scales(tensor(samples.spacing), avatar.options.seed) + jitter,
         logit_opacities=torch.logit(opacities),
         sh=sh,
-        weights=nearest_weights(means, rig.vertices, rig.weights, NEAREST_JOINTS),
+        weights=weights,
+        expression=expression,
     )
 
 

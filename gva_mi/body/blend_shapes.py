@@ -61,9 +61,14 @@ class _AddDirections(torch.autograd.Function):
         ctx: FunctionCtx, surface: Tensor, coefficients: Tensor, directions: Tensor
     ) -> Tensor:
         ctx.save_for_backward(coefficients, directions)
+        ctx.save_for_forward(directions)
         ctx.shared = len(surface) < len(coefficients)
-        moved = torch.bmm(coefficients.expand(2, -1, -1), _halves(directions))
-        return surface + moved.transpose(0, 1).flatten(1)[:, : surface.shape[1]]
+        return surface + _weighted(coefficients, directions)[:, : surface.shape[1]]
+
+    @staticmethod
+    def jvp(ctx: FunctionCtx, dsurface: Tensor, dcoefficients: Tensor, _: Tensor) -> Tensor:
+        (directions,) = ctx.saved_tensors
+        return dsurface + _weighted(dcoefficients, directions)[:, : dsurface.shape[1]]
 
     @staticmethod
     @torch.autograd.function.once_differentiable
@@ -74,6 +79,12 @@ class _AddDirections(torch.autograd.Function):
             even = pad(grad, (0, directions.shape[1] - grad.shape[1]))
             grad_coefficients = torch.bmm(_halves(even), _halves(directions).mT).sum(0)
         return grad.sum(0, keepdim=True) if ctx.shared else grad, grad_coefficients, None
+
+
+def _weighted(coefficients: Tensor, directions: Tensor) -> Tensor:
+    """The sum of eq. 1, (T, W)."""
+    moved = torch.bmm(coefficients.expand(2, -1, -1), _halves(directions))
+    return moved.transpose(0, 1).flatten(1)
 
 
 def _halves(rows: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""Forward kinematics: rotations of joints to rigid maps, with the adjoint in closed form.
+"""Forward kinematics: rotations of joints to rigid maps; adjoint and tangent in closed form.
 
     1. R_j = I + a [r_j]× + b [r_j]×²,    a = sin θ / θ,  b = (1 − cos θ) / θ²,  θ = |r_j|
     2. T_j = T_parent(j) · [R_j | J_j − R_j J_j]        joint j turns what hangs on it about itself
@@ -22,6 +22,11 @@ p_j, the joint's place in the world:
 with c = (1 − a) / θ², vee(X) · ω = ⟨X, [ω]×⟩, and "d on j" for j and all its descendants. So
 neither direction walks along the tree: sums over subtrees are one product with a matrix of ones,
 products along ancestors double their length at every step.
+
+The tangent is the motion that these forces do work on. Each joint turns what hangs on it by Ω_j:
+
+    6. Ω_j = A_parent (I + b [r_j]× + c [r_j]×²) dr_j,    m_j = p_j × Ω_j + (A_parent − A_j) dJ_j
+    7. dA_d = [Σ_{j: d on j} Ω_j]× A_d,    dt_d = Σ_{j: d on j} (Ω_j × t_d + m_j) + dtransl
 """
 
 from __future__ import annotations
@@ -84,9 +89,35 @@ class _TurnJoints(torch.autograd.Function):
         T_world_rest = maps[:, :count].clone()
         T_world_rest[..., :3, 3] += transl.unsqueeze(1)
 
-        ctx.save_for_backward(rotations, joints, R, maps, a, b, square)
+        saved = rotations, joints, R, maps, a, b, square
+        ctx.save_for_backward(*saved)
+        ctx.save_for_forward(*saved)
         ctx.tree = tree
         return R, T_world_rest
+
+    @staticmethod
+    def jvp(
+        ctx: FunctionCtx, drotations: Tensor, djoints: Tensor, dtransl: Tensor, _: None
+    ) -> tuple[Tensor, Tensor]:
+        rotations, joints, R, maps, a, b, square = ctx.saved_tensors
+        tree: _Tree = ctx.tree
+        above = maps.index_select(1, tree.parents)
+        A, t = maps[:, :-1, :3, :3], maps[:, :-1, :3, 3]
+        A_parent, t_parent = above[..., :3, :3], above[..., :3, 3]
+        turned = lambda A, x: (A @ x.unsqueeze(-1)).squeeze(-1)
+        places = turned(A_parent, joints) + t_parent  # without transl
+
+        across = torch.linalg.cross(rotations, drotations)  # eq. 6
+        turn = drotations + b * across + _c(a, square) * torch.linalg.cross(rotations, across)
+        spin = turned(A_parent, turn)
+        shift = torch.linalg.cross(places, spin) + turned(A_parent - A, djoints)
+
+        spin, shift = tree.hangs_on.T @ spin, tree.hangs_on.T @ shift  # eq. 7
+        dT_world_rest = torch.zeros_like(maps[:, :-1])
+        dT_world_rest[..., :3, :3] = _cross_matrix(spin, tree) @ A
+        moved = torch.linalg.cross(spin, t) + shift
+        dT_world_rest[..., :3, 3] = moved + dtransl.unsqueeze(1)
+        return _cross_matrix(turn, tree) @ R, dT_world_rest
 
     @staticmethod
     @torch.autograd.function.once_differentiable
@@ -108,9 +139,9 @@ class _TurnJoints(torch.autograd.Function):
 
         torque = moment - torch.linalg.cross(places, force)  # eq. 4
         torque = _turned_back(A_parent, torque) + _vee(grad_R @ R.mT)
-        c = torch.where(square > 0, (1 - a) / square, 1 / 6)
         across = torch.linalg.cross(rotations, torque)
-        grad_rotations = torque - b * across + c * torch.linalg.cross(rotations, across)
+        again = torch.linalg.cross(rotations, across)
+        grad_rotations = torque - b * across + _c(a, square) * again
 
         grad_joints = _turned_back(A_parent - A, force)  # eq. 5
         if len(joints) < len(rotations):
@@ -123,10 +154,20 @@ def _rodrigues(rotations: Tensor, tree: _Tree) -> tuple[Tensor, Tensor, Tensor, 
     square = (rotations * rotations).sum(-1, keepdim=True)
     angle = square.sqrt() / math.pi
     a, b = torch.sinc(angle), torch.sinc(angle / 2).square() / 2
-    skew = (rotations @ tree.cross).unflatten(-1, (3, 3))
+    skew = _cross_matrix(rotations, tree)
     outer = rotations.unsqueeze(-1) * rotations.unsqueeze(-2)  # [r]×² + θ² I
     one = (1 - b * square).unsqueeze(-1) * tree.identity
     return a.unsqueeze(-1) * skew + b.unsqueeze(-1) * outer + one, a, b, square
+
+
+def _c(a: Tensor, square: Tensor) -> Tensor:
+    """c of eq. 4 and 6, from a and θ²."""
+    return torch.where(square > 0, (1 - a) / square, 1 / 6)
+
+
+def _cross_matrix(x: Tensor, tree: _Tree) -> Tensor:
+    """[x]×, (..., 3, 3), of vectors (..., 3)."""
+    return (x @ tree.cross).unflatten(-1, (3, 3))
 
 
 def _vee(X: Tensor) -> Tensor:

@@ -65,12 +65,13 @@ def carry_frames(A: Tensor, means: Tensor, quats: Tensor) -> tuple[Tensor, Tenso
 # --- formulas, one lane per Gaussian ---
 
 
-def _davenport(A: list[Any]) -> dict[tuple[int, int], Any]:
-    """B(A) of eq. 1 from the nine entries of A_rot, as its upper triangle."""
+def _davenport(A: list[Any], one: float = 1) -> dict[tuple[int, int], Any]:
+    """B(A) of eq. 1 from the nine entries of A_rot, as its upper triangle; with zero for ``one``
+    its linear part, K(A) / 4."""
     a, b, c, d, e, f, g, h, i = A
     return {
-        (0, 0): 0.25 * (1 + a + e + i), (1, 1): 0.25 * (1 + a - e - i),
-        (2, 2): 0.25 * (1 - a + e - i), (3, 3): 0.25 * (1 - a - e + i),
+        (0, 0): 0.25 * (one + a + e + i), (1, 1): 0.25 * (one + a - e - i),
+        (2, 2): 0.25 * (one - a + e - i), (3, 3): 0.25 * (one - a - e + i),
         (0, 1): 0.25 * (h - f), (0, 2): 0.25 * (c - g), (0, 3): 0.25 * (d - b),
         (1, 2): 0.25 * (b + d), (1, 3): 0.25 * (c + g), (2, 3): 0.25 * (f + h),
     }  # fmt: skip
@@ -105,7 +106,7 @@ def _top_eigenvector(B: dict[tuple[int, int], Any]) -> list[Any]:
 
 
 def _project_and_solve(B: dict[tuple[int, int], Any], q: list[Any], g: list[Any]) -> list[Any]:
-    """y of eq. 5, by LDLᵀ of ``λ I − B + q qᵀ``."""
+    """``(λ I − B)⁺ g`` of eq. 4 and 5, by LDLᵀ of ``λ I − B + q qᵀ``."""
     at = lambda i, j: B[(i, j) if i <= j else (j, i)]
     Bq = [sum(at(i, k) * q[k] for k in range(4)) for i in range(4)]
     eigenvalue = sum(q[i] * Bq[i] for i in range(4))
@@ -174,6 +175,23 @@ def _adjoint(
     return grad_A, grad_mean_in, grad_quat_in
 
 
+def _tangent(
+    A: list[Any], mean: list[Any], quat: list[Any], dA: list[Any], dmean: list[Any],
+    dquat: list[Any],
+) -> tuple[list[Any], list[Any]]:  # fmt: skip
+    B = _davenport(_rotation(A))
+    q = _top_eigenvector(B)
+    dB = _davenport(_rotation(dA), one=0)
+    at = lambda i, j: dB[(i, j) if i <= j else (j, i)]
+    dq = _project_and_solve(B, q, [sum(at(i, k) * q[k] for k in range(4)) for i in range(4)])
+    moved = []
+    for i in range(3):
+        along = sum(dA[4 * i + k] * mean[k] + A[4 * i + k] * dmean[k] for k in range(3))
+        moved.append(along + dA[4 * i + 3])
+    turned = [a + b for a, b in zip(_multiply(dq, quat), _multiply(q, dquat), strict=True)]
+    return moved, turned
+
+
 def _rotation(A: list[Any]) -> list[Any]:
     return [A[4 * i + k] for i in range(3) for k in range(3)]
 
@@ -185,6 +203,7 @@ class _CarryFrames(torch.autograd.Function):
     @staticmethod
     def forward(ctx: FunctionCtx, A: Tensor, means: Tensor, quats: Tensor) -> tuple[Tensor, Tensor]:
         ctx.save_for_backward(A, means, quats)
+        ctx.save_for_forward(A, means, quats)
         if len(means) == 0:
             return means.clone(), quats.clone()
         return _launch(_forward, A, means, quats)
@@ -196,6 +215,13 @@ class _CarryFrames(torch.autograd.Function):
         if len(means) == 0:
             return torch.zeros_like(A), torch.zeros_like(means), torch.zeros_like(quats)
         return _launch(_adjoint, A, means, quats, grad_means, grad_quats)
+
+    @staticmethod
+    def jvp(ctx: FunctionCtx, dA: Tensor, dmeans: Tensor, dquats: Tensor) -> tuple[Tensor, Tensor]:
+        A, means, quats = ctx.saved_tensors
+        if len(means) == 0:
+            return dmeans.clone(), dquats.clone()
+        return _launch(_tangent, A, means, quats, dA, dmeans, dquats)
 
 
 def _launch(kernel: Callable, *tensors: Tensor) -> tuple[Tensor, ...]:

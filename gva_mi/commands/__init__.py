@@ -26,7 +26,7 @@ VERBS = {  # and what each does, told by `gva-mi --help` without importing any o
     "render": "drive an avatar by any poses, seen by any cameras",
     "study": "refine several synthetic people, and print how far they are from the truth",
     "body": "write a body file, and a picture of it from all around",
-    "gradcheck": "check the gradients of the renderer",
+    "gradcheck": "check the gradients of the renderer, or of an avatar",
     "gradcheck-normals": "check the gradients of the rendered normals",
     "bench": "measure the renderer, the body model, or the rendered normals",
     "doctor": "say what this machine has, and what is missing for what",

@@ -50,9 +50,9 @@ def evaluate_run(
         title: of the report.
         fit_poses: also measure the test frames with their poses fitted to these very frames.
     """
+    trained = run_folder.under_trained_poses(video, run)
     with bar("evaluate") as progress:
         metrics = measure_run(run, avatar, video, name, progress)
-    trained = run_folder.under_trained_poses(video, run)
     if fit_poses:
         with bar("poses") as progress:
             metrics = with_fitted_poses(metrics, avatar, trained, progress)

@@ -1,19 +1,25 @@
-"""The command ``gva-mi gradcheck``: are the gradients of the renderer right?"""
+"""The command ``gva-mi gradcheck``: are the gradients of the renderer, of an avatar, right?"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from torch import Generator
+from tyro.conf import Positional
 
+from gva_mi.avatar.gradcheck import Report as AvatarReport
+from gva_mi.avatar.gradcheck import Scene as AvatarScene
+from gva_mi.avatar.gradcheck import gradcheck as check_avatar
 from gva_mi.commands.arguments import Flat, Switch
 from gva_mi.console import say
 from gva_mi.errors import InputError
 from gva_mi.splat import render
 from gva_mi.splat.camera import CameraModel
+from gva_mi.splat.gradcheck import Report as SplatReport
 from gva_mi.splat.gradcheck import gradcheck as check
 from gva_mi.splat.gradcheck.verdict import IMAGES, write_json, write_picture
 from gva_mi.splat.scene import Scene, person_scene
@@ -52,37 +58,68 @@ class GradcheckOptions:
 
 
 def gradcheck(
+    what: Positional[Literal["splat", "avatar"]] = "splat",
     options: Flat[GradcheckOptions] = GradcheckOptions(),  # noqa: B008 (frozen)
     *,
     scene: Path | None = None,
+    body: Path | None = None,
     out: Path | None = None,
 ) -> None:
-    """Compare every gradient of the renderer with a slow twin, differences and Dr.Jit's autodiff.
+    """Compare every gradient of the renderer, or of a whole avatar, with independent answers.
 
-    Checks small windows of the picture. Ends with an error where a gradient is wrong, less accurate
-    than allowed, or missing.
+    Of the renderer: a slow twin, differences and Dr.Jit's autodiff, in small windows of a picture.
+    Of an avatar, from its pose to the picture: slow twins of every link, differences and tangents,
+    and which link loses digits in float32. Ends with an error where a gradient is wrong, less
+    accurate than allowed, or missing.
 
     Args:
+        what: the renderer, or an avatar in random poses, of which the options count and seed tell
+            how many.
         options: where to look, and through what.
-        scene: an .npz file with means, quats, scales, opacities, sh or colors, viewmat, K, width,
-            height, background; without it a person of 20,000 Gaussians.
-        out: a folder for gradcheck.json and gradcheck.png.
+        scene: of the renderer: an .npz file with means, quats, scales, opacities, sh or colors,
+            viewmat, K, width, height, background; without it a person of 20,000 Gaussians.
+        body: of an avatar: a body in SMPL-X's .npz format; without it the built-in puppet.
+        out: a folder for gradcheck.json and, of the renderer, gradcheck.png.
     """
-    whole = person_scene(np.random.default_rng(0)) if scene is None else Scene.load(scene)
+    if what == "avatar":
+        if scene is not None or options != GradcheckOptions(count=options.count, seed=options.seed):
+            raise InputError("gradcheck avatar: of the options, it has --count, --seed and --body")
+        asked = _avatars(options, body)
+    else:
+        if body is not None:
+            raise InputError("gradcheck splat: there is no --body; a scene is given by --scene")
+        asked = _windows(options, scene)
     reports = {}
-    for place, part in options.applied(whole).windows(options.window, options.count):
-        report = check(render, part, images=options.images, seed=options.seed)
-        reports[place] = report
-        say(f"window at {place}:\n{report.table()}\n")
+    for name, report in asked:
+        reports[name] = report
+        say(f"{name}:\n{report.table()}\n")
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         write_json(reports, out / REPORT)
-        write_picture(reports, out / PICTURE)
-        say(f"figures: {out / REPORT}; picture: {out / PICTURE}")
+        say(f"figures: {out / REPORT}")
+        if what == "splat":
+            write_picture(reports, out / PICTURE)
+            say(f"picture: {out / PICTURE}")
     failed = []
-    for place, report in reports.items():
-        if not report.passed or report.notes:
-            failed.append(f"at {place} {'; '.join([report.verdict, *report.notes])}")
+    for name, report in reports.items():
+        missing = report.notes if what == "splat" else ()  # what a renderer may lack
+        if not report.passed or missing:
+            failed.append(f"{name}: {'; '.join([report.verdict, *missing])}")
     if failed:
         raise InputError(f"gradcheck: {'; '.join(failed)}")
-    say(f"gradients are right in all {len(reports)} windows")
+    places = "poses" if what == "avatar" else "windows"
+    say(f"gradients are right in all {len(reports)} {places}")
+
+
+def _windows(options: GradcheckOptions, scene: Path | None) -> Iterator[tuple[str, SplatReport]]:
+    """The renderer in windows of a picture."""
+    whole = person_scene(np.random.default_rng(0)) if scene is None else Scene.load(scene)
+    for place, part in options.applied(whole).windows(options.window, options.count):
+        report = check(render, part, images=options.images, seed=options.seed)
+        yield f"window at {place}", report
+
+
+def _avatars(options: GradcheckOptions, body: Path | None) -> Iterator[tuple[str, AvatarReport]]:
+    """An avatar in random poses."""
+    for seed in range(options.seed, options.seed + options.count):
+        yield f"pose {seed}", check_avatar(AvatarScene.random(seed, body=body), seed=seed)

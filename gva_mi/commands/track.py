@@ -14,7 +14,7 @@ from gva_mi.data.fingerprint import require_same_body
 from gva_mi.data.video import load_video
 from gva_mi.errors import InputError
 from gva_mi.fit.photometric import PhotometricOptions, fit_poses
-from gva_mi.fit.run_folder import TRAINED_POSES, load_avatar
+from gva_mi.fit.run_folder import TRAINED_POSES, load_avatar, other_parts
 from gva_mi.fit.tracking import TRACKED_POSES, measure_tracking, write_tracking
 
 
@@ -38,7 +38,8 @@ def track(
         subject: a folder with video, masks, cameras and poses.
         options: of the fit.
         poses: where it starts; without it the poses trained with the avatar, if ``run`` is a folder
-            that has some; else the refined ones, else those of stage 1.
+            that has some and was fitted to this video; else the refined ones, else those of
+            stage 1.
         body: a body in SMPL-X's .npz format; without it the built-in puppet.
         overwrite: replace poses that are there.
     """
@@ -48,10 +49,14 @@ def track(
     avatar = load_avatar(run)
     model = load_body(body)
     require_same_body(subject, model)
-    trained = run / TRAINED_POSES
     refined = poses_of(subject, poses)
-    start = trained if poses is None and trained.exists() else refined
-    video = load_video(subject, start)
+    video, start = load_video(subject, refined), refined
+    if poses is None and (trained := run / TRAINED_POSES).exists():
+        if others := set(other_parts(run, video)) & {"frames", "cameras"}:
+            parts = " and ".join(sorted(others))
+            say(f"{run}: was fitted to another video (other {parts}); its poses are not used")
+        else:
+            video, start = load_video(subject, trained), trained
     with bar("track") as progress:
         found = fit_poses(avatar, video, options, progress=progress)
     for frame, reason in found.kept.items():

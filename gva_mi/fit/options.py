@@ -45,21 +45,33 @@ class Schedule:
     densify_from: float = 0.05  # share of all steps before the first round
     densify_until: float = 0.6  # share of all steps after which there is no round
     reinit_at: tuple[float, ...] = (0.25, 0.5)  # shares of all steps; empty: never
+    look_up_every: int = 100  # steps after which Gaussians follow what is around them; 0: never
 
     def __post_init__(self) -> None:
         if self.densify_every < 0 or not 0 <= self.densify_from <= self.densify_until <= 1:
             raise InputError("fit: densify_every must be 0 or more, 0 <= from <= until <= 1")
+        if self.look_up_every < 0:
+            raise InputError(f"fit: look_up_every must be 0 or more, got {self.look_up_every}")
         if not all(0 < share < 1 for share in self.reinit_at):
             raise InputError(f"fit: reinit_at must lie between 0 and 1, got {self.reinit_at}")
 
     def densifies(self, step: int, steps: int) -> bool:
-        """Whether a round of density control follows a step, the first being 1."""
+        """Whether a round of density control follows a step, the first being 1.
+
+        None does where a re-initialisation follows: it replaces all Gaussians, and the room that a
+        round had just filled would be taken for the number that the person needs.
+        """
         within = self.densify_from * steps <= step <= self.densify_until * steps
-        return self.densify_every > 0 and within and step % self.densify_every == 0
+        due = self.densify_every > 0 and within and step % self.densify_every == 0
+        return due and not self.reinitialises(step, steps)
 
     def reinitialises(self, step: int, steps: int) -> bool:
         """Whether a re-initialisation follows a step."""
         return step in {max(1, round(share * steps)) for share in self.reinit_at}
+
+    def looks_up(self, step: int) -> bool:
+        """Whether Gaussians look up, after a step, what of the outer skin they follow."""
+        return self.look_up_every > 0 and step % self.look_up_every == 0
 
 
 @dataclass(frozen=True)

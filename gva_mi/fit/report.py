@@ -17,7 +17,7 @@ from gva_mi.fit import run_folder
 from gva_mi.fit.evaluate import Split, true_video
 from gva_mi.fit.metrics import Metrics, load_metrics
 from gva_mi.fit.photometric import FITTED
-from gva_mi.fit.report_pictures import compared, dots, hands, overview, same_size, turntable
+from gva_mi.fit.report_pictures import compared, dots, face, hands, overview, same_size, turntable
 from gva_mi.fit.run_folder import Snapshot
 from gva_mi.page import (
     Figure,
@@ -53,6 +53,7 @@ def write_report(run: Path, avatar: Avatar, video: Video, title: str) -> None:
         *_refinement(metrics.refinement, video.folder / OVERLAYS),
         *_truth(avatar, video, "novel_pose", "Novel poses", _NOVEL_POSE),
         *_truth(avatar, video, "novel_view", "Novel views", _NOVEL_VIEW),
+        *_faces(avatar, video),
         _hands(avatar, video),
         *_reinitialisation(list(run_folder.load_snapshots(run))),
         _curves(history),
@@ -132,6 +133,18 @@ def _truth(avatar: Avatar, video: Video, split: Split, title: str, text: str) ->
     shown = source.frames(spread(range(len(source)), SHOWN))
     images = same_size([compared(avatar, frame, difference=False) for frame in shown])
     return [Section(title, text, [picture("", image) for image in images])]
+
+
+def _faces(avatar: Avatar, video: Video) -> list[Section]:
+    """Faces of test frames, for which the whole body leaves few pixels."""
+    frames = video.frames(spread(video.splits.test or video.splits.train, 2 * SHOWN))
+    found = [(frame.index, face(avatar, frame)) for frame in frames]
+    pictures = [picture(f"frame {k}", image) for k, image in found if image is not None]
+    text = (
+        "Test frames zoomed on the face: the picture's own pixels above, and below the avatar, "
+        "moved by the frame's expression and jaw."
+    )
+    return [Section("Face", text, pictures, columns=SHOWN)] if pictures else []
 
 
 def _hands(avatar: Avatar, video: Video) -> Section:

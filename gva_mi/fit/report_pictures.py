@@ -1,4 +1,4 @@
-"""Pictures of an avatar for its report: turning, beside the truth, its hands enlarged.
+"""Pictures of an avatar for its report: turning, beside the truth, face and hands enlarged.
 
 All images are 8-bit (H, W, 3), on white.
 """
@@ -21,24 +21,34 @@ from gva_mi.splat import Camera, Gaussians, look_at, render
 WRISTS = {side: JOINTS.index(f"{side}_wrist") for side in ("left", "right")}
 FINGERS = {"left": LEFT_HAND, "right": RIGHT_HAND}
 HAND_CROP = 0.28  # metres, the side of a zoomed hand
-HAND_PIXELS = 220  # about the side of its picture
+FACE_CROP = 0.26  # the same of a zoomed face
+ZOOMED_PIXELS = 220  # about the side of their pictures
+FACE = [JOINTS.index(name) for name in ("head", "jaw", "left_eye_smplhf", "right_eye_smplhf")]
 DOT = 0.0015  # metres, standard deviation of a Gaussian that is drawn as a dot
 RED_AT = 64  # levels of 255 at which a difference is shown fully red
 
 
 def turntable(avatar: Avatar, frame: Frame, count: int) -> Iterator[np.ndarray]:
-    """The avatar in a frame's pose, seen by ``count`` cameras on a circle around it."""
+    """The avatar in a frame's pose, seen by ``count`` cameras on a circle around it.
+
+    The circle begins at the frame's own camera and lies flat in its picture: which way is up in the
+    world, a video does not say.
+    """
     centre = _joints(avatar, frame.pose).mean(0)
-    distance = np.linalg.norm(frame.camera.position - centre)
+    up = -frame.camera.T_camera_world[1, :3]  # y of a camera points down
+    toward = frame.camera.position - centre
+    toward -= up * (up @ toward)
+    distance = np.linalg.norm(toward)
+    across = np.cross(up, toward)
     width, height = frame.camera.width, frame.camera.height
     for angle in np.linspace(0, 2 * np.pi, count, endpoint=False):
-        eye = centre + distance * np.array([np.sin(angle), 0.1, np.cos(angle)])
+        eye = centre + np.cos(angle) * toward + np.sin(angle) * across + 0.1 * distance * up
         camera = Camera(
             frame.camera.fx,
             frame.camera.fy,
             width / 2,
             height / 2,
-            look_at(eye, centre),
+            look_at(eye, centre, up),
             width,
             height,
         )
@@ -56,21 +66,37 @@ def compared(avatar: Avatar, frame: Frame, difference: bool = True) -> np.ndarra
 
 
 def hands(avatar: Avatar, frame: Frame) -> Iterator[tuple[str, np.ndarray]]:
-    """Each hand that lies within the picture: its side, and the picture above the render.
+    """Each hand that lies within the picture: its side, and the picture above the render."""
+    joints = _joints(avatar, frame.pose)
+    for side, wrist in WRISTS.items():
+        shown = _zoomed(avatar, frame, np.vstack([joints[wrist], joints[FINGERS[side]]]), HAND_CROP)
+        if shown is not None:
+            yield side, shown
+
+
+def face(avatar: Avatar, frame: Frame) -> np.ndarray | None:
+    """The face, the picture above the render; None where it leaves the picture or looks away."""
+    joints = _joints(avatar, frame.pose)[FACE]
+    looks = joints[2:].mean(0) - joints[0]  # from the head's joint to the eyes
+    if looks @ (frame.camera.position - joints[0]) <= 0:
+        return None
+    return _zoomed(avatar, frame, joints[1:], FACE_CROP)
+
+
+def _zoomed(avatar: Avatar, frame: Frame, around: np.ndarray, crop: float) -> np.ndarray | None:
+    """The picture above the render, ``crop`` metres around some joints (n, 3).
 
     The picture's pixels are shown as squares; the render is made at the zoomed resolution.
     """
-    joints = _joints(avatar, frame.pose)
-    for side, wrist in WRISTS.items():
-        square = _square(frame.camera, np.vstack([joints[wrist], joints[FINGERS[side]]]))
-        if square is None:
-            continue
-        left, top, size = square
-        factor = max(1, round(HAND_PIXELS / size))
-        seen = cut_out(frame)[top : top + size, left : left + size]
-        camera = frame.camera.cropped(left, top, size, size)
-        image = render_frame(avatar, frame.pose, camera.resized(size * factor, size * factor))
-        yield side, np.concatenate([seen.repeat(factor, 0).repeat(factor, 1), image], axis=0)
+    square = _square(frame.camera, around, crop)
+    if square is None:
+        return None
+    left, top, size = square
+    factor = max(1, round(ZOOMED_PIXELS / size))
+    seen = cut_out(frame)[top : top + size, left : left + size]
+    camera = frame.camera.cropped(left, top, size, size)
+    image = render_frame(avatar, frame.pose, camera.resized(size * factor, size * factor))
+    return np.concatenate([seen.repeat(factor, 0).repeat(factor, 1), image], axis=0)
 
 
 def dots(gaussians: Gaussians, height: int = 560) -> np.ndarray:
@@ -146,11 +172,11 @@ def _joints(avatar: Avatar, pose: Pose) -> np.ndarray:
     return ((R @ rig.joints[..., None])[..., 0] + t).detach().numpy()
 
 
-def _square(camera: Camera, joints: np.ndarray) -> tuple[int, int, int] | None:
-    """The square around some joints: left, top, side; None where it leaves the picture."""
+def _square(camera: Camera, joints: np.ndarray, crop: float) -> tuple[int, int, int] | None:
+    """``crop`` metres around some joints: left, top, side; None where it leaves the picture."""
     u, v = camera.project(joints).mean(0)
     R, t = camera.T_camera_world[:3, :3], camera.T_camera_world[:3, 3]
-    size = round(camera.fx * HAND_CROP / float((joints @ R.T + t)[:, 2].mean()))
+    size = round(camera.fx * crop / float((joints @ R.T + t)[:, 2].mean()))
     left, top = round(u - size / 2), round(v - size / 2)
     fits = left >= 0 and top >= 0 and left + size <= camera.width and top + size <= camera.height
     return (left, top, size) if fits and size > 1 else None

@@ -3,7 +3,7 @@
 ::
 
     out/
-      options.json         options and versions that made it
+      options.json         options and versions that made it, and hashes of the video
       checkpoint.pt        the last saved state, until the run is finished
       history.npz          per step: loss and its terms, Gaussians, milliseconds
       reinit/000900.npz    of each re-initialisation: the Gaussians before and after, the mesh
@@ -32,6 +32,7 @@ from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.canonical import CanonicalGaussians
 from gva_mi.avatar.reinit import SurfaceMesh
 from gva_mi.body.pose import load_poses
+from gva_mi.data.identity import differing, identity
 from gva_mi.data.video import Video
 from gva_mi.errors import InputError
 from gva_mi.files import read_arrays, replacing, versions, write_arrays, write_json
@@ -43,23 +44,26 @@ METRICS, REPORT, OVERVIEW = "metrics.json", "report.html", "overview.png"
 GAUSSIANS = ("means", "quats", "scales", "opacities", "sh")
 
 
-def prepare(out: Path, options: dict[str, Any], resume: bool) -> None:
+def prepare(out: Path, options: dict[str, Any], video: Video, resume: bool) -> None:
     """Make a folder the home of a run, and write down what the run is.
 
     Args:
         out: the folder; made where it is missing.
         options: of the run, plain values.
-        resume: whether a run of the same options may be there already.
+        video: that it is fitted to.
+        resume: whether a run of the same options and video may be there already.
 
     Raises:
-        InputError: a run is there and is not to be resumed, or was made with other options.
+        InputError: a run is there and is not to be resumed, or was made with other options, or
+            from another video.
     """
     held = out / OPTIONS
     if not held.exists():
         if (out / AVATAR).exists() or (out / CHECKPOINT).exists():
             raise InputError(f"{out}: holds a run, but not its {OPTIONS}; choose another folder")
         out.mkdir(parents=True, exist_ok=True)
-        write_json(held, {"options": options, "versions": versions()})
+        about = {"options": options, "versions": versions(), "video": identity(video)}
+        write_json(held, about)
         return
     if not resume:
         raise InputError(f"{out}: already holds a run; resume it, overwrite it, or choose another")
@@ -71,10 +75,35 @@ def prepare(out: Path, options: dict[str, Any], resume: bool) -> None:
                 f"{held}: the run was made with {name} = {before.get(name)}, not {now.get(name)}; "
                 "resume it with its own options, or choose another folder"
             )
+    require_own_video(out, video)
+
+
+def other_parts(run: Path, video: Video) -> list[str]:
+    """What of a video is not as in the one that a run was fitted to: some of ``identity.PARTS``.
+
+    A run that kept no record of its video counts as fitted to any.
+    """
+    if not (run / OPTIONS).exists():
+        return []
+    return differing(load_options(run)["video"], video)
+
+
+def require_own_video(run: Path, video: Video) -> None:
+    """Check that a video is the one a run was fitted to.
+
+    Raises:
+        InputError: it is another, or has other poses.
+    """
+    others = other_parts(run, video)
+    if others:
+        raise InputError(
+            f"{run}: was fitted to another video than {video.folder}, which has other "
+            f"{', '.join(others)}; expected the video and the poses that it was fitted to"
+        )
 
 
 def load_options(out: Path) -> dict[str, Any]:
-    """Read what a run was made with: its ``options`` and ``versions``.
+    """Read what a run was made with: ``options``, ``versions``, and hashes of its ``video``.
 
     Raises:
         InputError: a file that is missing or cannot be read.
@@ -82,7 +111,8 @@ def load_options(out: Path) -> dict[str, Any]:
     path = out / OPTIONS
     try:
         found = json.loads(path.read_text())
-        return {"options": found["options"], "versions": found.get("versions", {})}
+        rest = {name: found.get(name, {}) for name in ("versions", "video")}
+        return {"options": found["options"], **rest}
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         raise InputError(f"{path}: not readable; expected the options of a run") from None
 
@@ -155,6 +185,11 @@ def load_avatar(run: Path) -> Avatar:
 
 
 def under_trained_poses(video: Video, run: Path) -> Video:
-    """The video under the poses that were trained with the avatar; as it is where none were."""
+    """The video under the poses that were trained with the avatar; as it is where none were.
+
+    Raises:
+        InputError: the run was fitted to another video.
+    """
+    require_own_video(run, video)
     poses = run / TRAINED_POSES
     return replace(video, pose=load_poses(poses)[0]) if poses.exists() else video

@@ -7,7 +7,8 @@ Each step, with one training frame of the video:
 3. render them on a background of a random colour                            Eq. 1-3
 4. compare with the person, cut out onto the same background                 Eq. 9
 5. one step of Adam; after some of them, one of the poses          :mod:`gva_mi.fit.poses`
-6. by the schedule: clone, split, prune; put the Gaussians back on the surface      Sec. 4.3
+6. by the schedule: clone, split, prune; put the Gaussians back on the surface      Sec. 4.3;
+   look up their skinning weights anew
 """
 
 from __future__ import annotations
@@ -67,10 +68,11 @@ def fit(
         The avatar, which is also written to ``out/avatar.npz``.
 
     Raises:
-        InputError: ``out`` holds a run already, or one of other options; or unreadable files.
+        InputError: ``out`` holds a run already, or one of other options or of another video; or
+            unreadable files.
     """
     distance = vgg16_loss(options.vgg16) if options.vgg16 else rand_vgg_loss()
-    run_folder.prepare(out, options.plain(), resume)
+    run_folder.prepare(out, options.plain(), video, resume)
     if (out / run_folder.AVATAR).exists():
         return Avatar.load(out / run_folder.AVATAR)
     state = run_folder.load_state(out)
@@ -171,7 +173,10 @@ class _Run:
             new = reinitialise(self.avatar, options.reinit, generator)
             run_folder.save_snapshot(out, self.step, before, new.canonical, new.surface)
             replace_gaussians(self.avatar, self.optimizer, new.canonical)
+            self.avatar.wear(new.skin)
             self.gradients = ScreenGradients(len(self.avatar.canonical))
+        elif schedule.looks_up(self.step):
+            self.avatar.look_up()
 
     def state(self) -> dict[str, Any]:
         """The whole state of the run, for its checkpoint."""

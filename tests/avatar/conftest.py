@@ -27,7 +27,7 @@ def small_body(dtype=torch.float32):
         "f": sphere.faces,
         "J_regressor": regressor,
         "weights": weights / weights.sum(1, keepdims=True),
-        "shapedirs": 0.01 * rng.normal(size=(V, 3, 10)),
+        "shapedirs": 0.01 * rng.normal(size=(V, 3, 20)),  # ten betas, ten expressions
         "posedirs": np.zeros((V, 3, 486)),
         "hands_meanl": np.zeros(45),
         "hands_meanr": np.zeros(45),

@@ -36,7 +36,7 @@ def test_a_surface_moves_by_the_weighted_sum(vertices, frames, given):
 def test_gradients_against_differences(vertices, frames, surfaces):
     surface, coefficients, _, rows = sums(vertices, frames, surfaces=surfaces)
     leaves = [x.requires_grad_() for x in (surface, coefficients)]
-    torch.autograd.gradcheck(lambda x, c: add_directions(x, c, rows), leaves)
+    torch.autograd.gradcheck(lambda x, c: add_directions(x, c, rows), leaves, check_forward_ad=True)
 
 
 @pytest.mark.parametrize("frames", [1, 5])

@@ -97,6 +97,7 @@ def test_gradients_against_differences(angle, shared):
     torch.autograd.gradcheck(
         lambda r, j, t: turn_joints(r, j, FEW, t),
         [x.clone().requires_grad_() for x in (rotations, joints, transl)],
+        check_forward_ad=True,
     )
 
 

@@ -10,6 +10,7 @@ from gva_mi.avatar.avatar import AvatarOptions
 from gva_mi.avatar.canonical import SeedOptions
 from gva_mi.body.pose import load_poses, save_poses
 from gva_mi.data.video import load_video
+from gva_mi.fit import run_folder
 from gva_mi.fit.options import FitOptions, Schedule
 from gva_mi.fit.photometric import FITTED
 from gva_mi.fit.train import fit
@@ -80,6 +81,38 @@ def test_tracking_starts_from_the_poses_trained_with_the_avatar(person, avatar, 
         record = json.loads((person / "photometric.json").read_text())
         starts[name] = record["errors_mm"]["start"]["body"]
     assert starts["run"] == 0 and starts["file"] == starts["given"] > 20
+
+
+def test_trained_poses_of_another_video_are_left_where_they_are(person, avatar, cli):
+    """Here both have as many frames, so that nothing else would stop it."""
+    run = avatar.parent
+    shutil.copy(person / "truth/poses.npz", run / "poses.npz")
+    first = load_video(person)
+    run_folder.prepare(run / "fit", {}, first, resume=False)
+    for name in ("avatar.npz", "poses.npz"):
+        shutil.copy(run / name, run / "fit")
+    code, out, err = cli("track", run / "fit", person, "--passes", 1)
+    assert code == 0 and "another video" not in out, err
+    shutil.copy(person / "frames/000001.png", person / "frames/000000.png")
+    code, out, err = cli("track", run / "fit", person, "--passes", 1, "--overwrite")
+    assert code == 0, err
+    assert "was fitted to another video (other frames)" in out
+    record = json.loads((person / "photometric.json").read_text())
+    assert record["start"] == str(person / "poses.npz")
+
+
+def test_an_avatar_is_not_measured_on_another_video(video, body, subject, tmp_path, cli):
+    options = FitOptions(
+        steps=2, window=16, avatar=AvatarOptions(seed=SeedOptions(count=300)),
+        schedule=Schedule(reinit_at=()),
+    )  # fmt: skip
+    fit(video, body, options, tmp_path / "run")
+    other = shutil.copytree(subject, tmp_path / "other")
+    shutil.copy(other / "frames/000001.png", other / "frames/000000.png")
+    code, _, err = cli("evaluate", tmp_path / "run", other)
+    assert code == 2 and err.count("\n") == 1
+    assert "was fitted to another video" in err and "other frames;" in err
+    assert not (tmp_path / "run" / run_folder.METRICS).exists()
 
 
 def test_test_frames_are_fitted_only_where_asked(video, body, subject, tmp_path, cli):

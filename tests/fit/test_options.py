@@ -22,6 +22,20 @@ def test_a_schedule_counts_in_shares_of_the_run():
         Schedule(reinit_at=(1.5,))
 
 
+def test_no_round_of_density_control_follows_where_a_reinitialisation_does():
+    schedule = Schedule()  # 2,000 steps: rounds are due at 1,000, where the second one falls
+    both = [k for k in range(1, 2001) if schedule.densifies(k, 2000)]
+    assert both == [200, 400, 600, 800, 1200] and schedule.reinitialises(1000, 2000)
+
+
+def test_weights_are_looked_up_every_so_many_steps():
+    found = [k for k in range(1, 301) if Schedule(look_up_every=100).looks_up(k)]
+    assert found == [100, 200, 300]
+    assert not any(Schedule(look_up_every=0).looks_up(k) for k in range(1, 301))
+    with pytest.raises(InputError, match="look_up_every"):
+        Schedule(look_up_every=-1)
+
+
 def test_options_go_into_a_file(tmp_path):
     options = FitOptions(vgg16=Path("weights.pth"))
     assert json.loads(json.dumps(options.plain()))["vgg16"] == "weights.pth"

@@ -1,27 +1,55 @@
+from dataclasses import replace
+
 import pytest
 import torch
 
+from gva_mi.body.pose import save_poses
 from gva_mi.errors import InputError
 from gva_mi.fit import run_folder
 
 
-def test_a_folder_is_prepared_once(tmp_path):
-    run_folder.prepare(tmp_path / "run", {"steps": 3}, resume=False)
+def test_a_folder_is_prepared_once(video, tmp_path):
+    run_folder.prepare(tmp_path / "run", {"steps": 3}, video, resume=False)
     with pytest.raises(InputError, match="already holds a run"):
-        run_folder.prepare(tmp_path / "run", {"steps": 3}, resume=False)
-    run_folder.prepare(tmp_path / "run", {"steps": 3}, resume=True)
+        run_folder.prepare(tmp_path / "run", {"steps": 3}, video, resume=False)
+    run_folder.prepare(tmp_path / "run", {"steps": 3}, video, resume=True)
 
 
-def test_a_run_is_resumed_with_its_own_options(tmp_path):
-    run_folder.prepare(tmp_path, {"steps": 3, "rates": {"sh": 0.1}}, resume=True)
+def test_a_run_is_resumed_with_its_own_options(video, tmp_path):
+    run_folder.prepare(tmp_path, {"steps": 3, "rates": {"sh": 0.1}}, video, resume=True)
     with pytest.raises(InputError, match="steps = 3, not 4"):
-        run_folder.prepare(tmp_path, {"steps": 4, "rates": {"sh": 0.1}}, resume=True)
+        run_folder.prepare(tmp_path, {"steps": 4, "rates": {"sh": 0.1}}, video, resume=True)
 
 
-def test_a_folder_with_a_foreign_avatar_is_left_alone(tmp_path):
+def test_a_folder_with_a_foreign_avatar_is_left_alone(video, tmp_path):
     (tmp_path / run_folder.AVATAR).write_bytes(b"something precious")
     with pytest.raises(InputError, match="choose another folder"):
-        run_folder.prepare(tmp_path, {}, resume=True)
+        run_folder.prepare(tmp_path, {}, video, resume=True)
+
+
+def test_a_run_is_resumed_with_its_own_video(video, tmp_path):
+    run_folder.prepare(tmp_path, {}, video, resume=True)
+    moved = replace(video, pose=video.pose.map(lambda x: x + 0.01))
+    assert run_folder.other_parts(tmp_path, video) == []
+    assert run_folder.other_parts(tmp_path, moved) == ["poses"]
+    with pytest.raises(InputError, match="fitted to another video than .* which has other poses;"):
+        run_folder.prepare(tmp_path, {}, moved, resume=True)
+
+
+def test_trained_poses_stay_with_their_video(video, tmp_path):
+    run_folder.prepare(tmp_path, {}, video, resume=True)
+    trained = video.pose.map(lambda x: x + 0.01)
+    save_poses(tmp_path / run_folder.TRAINED_POSES, trained, video.shape, stage=2)
+    assert torch.equal(run_folder.under_trained_poses(video, tmp_path).pose.transl, trained.transl)
+    other = replace(video, cameras=[c.zoomed(1.1) for c in video.cameras])
+    with pytest.raises(InputError, match="which has other cameras;"):
+        run_folder.under_trained_poses(other, tmp_path)
+
+
+def test_a_run_without_a_record_fits_any_video(video, tmp_path):
+    assert run_folder.other_parts(tmp_path, video) == []
+    (tmp_path / run_folder.OPTIONS).write_text('{"options": {}}')
+    assert run_folder.other_parts(tmp_path, video) == []
 
 
 def test_a_state_comes_back_to_the_bit(tmp_path):

@@ -104,6 +104,14 @@ def three_steps(video, body, tmp_path_factory):
     return fit(video, body, options, tmp_path_factory.mktemp("three"))
 
 
+@pytest.mark.parametrize("every", [2, 0])
+def test_skinning_weights_follow_gaussians_that_moved(every, video, body, tmp_path):
+    schedule = Schedule(densify_every=0, reinit_at=(), look_up_every=every)
+    avatar = fit(video, body, replace(OPTIONS, steps=4, schedule=schedule), tmp_path)
+    here, _ = avatar.skin.at(avatar.canonical.means)
+    assert torch.equal(avatar.canonical.weights, here) == (every > 0)
+
+
 def test_the_same_seed_gives_the_same_bits(fitted, video, body, tmp_path):
     assert same(fit(video, body, OPTIONS, tmp_path), fitted[0])
 

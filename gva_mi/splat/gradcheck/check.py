@@ -122,11 +122,11 @@ def gradcheck(
         if len(scene.gaussians):
             by_loop = _by_autodiff(asked.scene, asked.weights)
             rows += [
-                _compare("Dr.Jit AD", name, g, truth[name], tolerances.autodiff)
+                Comparison.of("Dr.Jit AD", name, g, truth[name], tolerances.autodiff)
                 for name, g in by_loop.items()
             ]
             moved = _by_autodiff(_last_digit(asked.scene, generator), asked.weights)
-            rounding = {k: _compare("", k, moved[k], g, 0.0).error for k, g in by_loop.items()}
+            rounding = {k: Comparison.of("", k, moved[k], g, 0.0).error for k, g in by_loop.items()}
     off = _errors(found32, asked.image)
     picture = asked.image.color.detach().numpy()
     return Report(
@@ -189,9 +189,9 @@ def _answers(
         for name in images_of(asked.scene):
             a, b = (getattr(of, name).detach().double() for of in (image, asked.image))
             inside = ~asked.band.view(*asked.band.shape, *[1] * (a.ndim - 2))
-            rows.append(_compare(method, name, a * inside, b * inside, allowed("image")))
+            rows.append(Comparison.of(method, name, a * inside, b * inside, allowed("image")))
         for name, g in gradients.items():
-            row = _compare(method, name, g.double(), asked.gradients[name], allowed("adjoint"))
+            row = Comparison.of(method, name, g.double(), asked.gradients[name], allowed("adjoint"))
             rows.append(row)
         try:
             rows += list(_by_tangent(fn, asked, label, allowed("tangent")))
@@ -271,18 +271,8 @@ def _probed(
     probe = asked.probes[name]
     values = [float(loss(image, asked.weights)) for image in images]
     found = torch.tensor(values, dtype=torch.float64)
-    row = _compare(method, name, found, probe.along(asked.gradients[name]), tolerance)
+    row = Comparison.of(method, name, found, probe.along(asked.gradients[name]), tolerance)
     return replace(row, where=((), *probe.entries)[row.where[0]])
-
-
-def _compare(method: str, name: str, found: Tensor, truth: Tensor, tolerance: float) -> Comparison:
-    off = found - truth
-    norm, norm_found = float(truth.norm()), float(found.norm())
-    error = float(off.norm()) / norm if norm else float(off.norm())
-    cosine = float((found * truth).sum()) / (norm * norm_found) if norm and norm_found else 1.0
-    worst = _index(off.abs())
-    value = float(off.abs()[worst]) if off.numel() else 0.0
-    return Comparison(method, name, error, cosine, value, worst, tolerance)
 
 
 def _errors(found: Image, truth: Image) -> Tensor:
@@ -290,9 +280,3 @@ def _errors(found: Image, truth: Image) -> Tensor:
     names = [name for name in IMAGES if getattr(truth, name) is not None]
     off = [(getattr(found, k).detach().double() - getattr(truth, k).detach()).abs() for k in names]
     return torch.stack([off[0].amax(dim=-1), *off[1:]]).amax(dim=0)
-
-
-def _index(values: Tensor) -> tuple[int, ...]:
-    if not values.numel():
-        return ()
-    return tuple(int(i) for i in torch.unravel_index(values.argmax(), values.shape))

@@ -8,8 +8,16 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
+import torch
+from torch import Tensor
 
 IMAGES = ("color", "alpha", "depth")  # the last one where SplatOptions.depth is on
+NAME = 27  # characters of a name in a table
+HEAD = (
+    f"{'method':12} {'of':{NAME}}"
+    + "".join(f" {title:>10}" for title in ("error", "allowed", "1 - cosine", "worst"))
+    + "  at"
+)
 COARSE = 1e-3  # a failing float32 row has lost digits if its error is below this, else it is wrong
 
 
@@ -25,10 +33,34 @@ class Comparison:
     where: tuple[int, ...]  # its index; () for a derivative along a direction of all entries
     tolerance: float
 
+    @staticmethod
+    def of(method: str, name: str, found: Tensor, truth: Tensor, tolerance: float) -> Comparison:
+        """Compare two tensors of one shape."""
+        off = found - truth
+        norm, norm_found = float(truth.norm()), float(found.norm())
+        error = float(off.norm()) / norm if norm else float(off.norm())
+        both = norm * norm_found
+        cosine = float((found * truth).sum()) / both if both else 1.0
+        if not off.numel():
+            return Comparison(method, name, error, cosine, 0.0, (), tolerance)
+        where = torch.unravel_index(off.abs().argmax(), off.shape)
+        worst = float(off.abs()[where])
+        return Comparison(
+            method, name, error, cosine, worst, tuple(int(i) for i in where), tolerance
+        )
+
     @property
     def passed(self) -> bool:
         """Whether the error is within the tolerance; a NaN is not."""
         return self.error <= self.tolerance
+
+    @property
+    def line(self) -> str:
+        """A row of a table under :data:`HEAD`."""
+        numbers = (self.error, self.tolerance, 1 - self.cosine, self.worst)
+        line = f"{self.method:12} {self.name:{NAME}}" + "".join(f" {x:10.1e}" for x in numbers)
+        where = list(self.where) if self.where else "a direction"
+        return f"{line}  {where}{'' if self.passed else '  <- FAILS'}"
 
 
 @dataclass(frozen=True)
@@ -78,13 +110,7 @@ class Report:
 
     def table(self) -> str:
         """All rows and the verdict as text, for a person to read."""
-        titles = ("error", "allowed", "1 - cosine", "worst")
-        lines = [f"{'method':12} {'of':15}" + "".join(f" {title:>10}" for title in titles) + "  at"]
-        for r in self.rows:
-            numbers = (r.error, r.tolerance, 1 - r.cosine, r.worst)
-            line = f"{r.method:12} {r.name:15}" + "".join(f" {number:10.1e}" for number in numbers)
-            where = list(r.where) if r.where else "a direction"
-            lines.append(f"{line}  {where}{'' if r.passed else '  <- FAILS'}")
+        lines = [HEAD, *(row.line for row in self.rows)]
         if self.rounding:
             moves = ", ".join(f"{name} {moved:.0e}" for name, moved in self.rounding.items())
             lines.append(

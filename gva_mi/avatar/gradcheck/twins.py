@@ -1,0 +1,136 @@
+"""The slow twins of an avatar's links: plain float64 torch, gradients by autograd alone.
+
+They share no formula with what they check: joints are walked from the root outward and turned by
+matrix exponentials, polar factors are found by Newton's iteration, the network's waves are sines
+of multiples, and the linear band of the colour is turned as the gradient of a linear function.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from gva_mi.avatar.residual import OUTPUT_UNIT, PoseResidual
+from gva_mi.body.pose import BODY
+from gva_mi.body.smplx import BodyModel
+
+NEWTON = 12  # steps; each doubles the digits
+
+
+def joints(body: BodyModel, betas: Tensor) -> Tensor:
+    """Where the joints of a shape are at rest, (55, 3): regressed from its vertices."""
+    vertices = body.v_template
+    for beta, direction in zip(betas, body.shape_directions, strict=True):
+        x, y, z = direction[: 3 * len(vertices)].chunk(3)
+        vertices = vertices + beta * torch.stack([x, y, z], dim=1)
+    return body.regressor @ vertices
+
+
+def shaped(means: Tensor, expression: Tensor, directions: Tensor) -> Tensor:
+    """Means or joints (N, 3) with the face's expression, one coefficient after the other."""
+    for coefficient, direction in zip(expression, directions.unbind(2), strict=True):
+        means = means + coefficient * direction
+    return means
+
+
+def transforms(rotations: Tensor, joints: Tensor, parents: Sequence[int], transl: Tensor) -> Tensor:
+    """T_world_rest (55, 4, 4), one joint after the other from the root."""
+    found: list[Tensor] = []
+    for joint, parent in enumerate(parents):
+        R = _rotation(rotations[joint])
+        local = _rigid(R, joints[joint] - R @ joints[joint])
+        found.append(found[parent] @ local if joint else local)
+    return torch.stack([_rigid(torch.eye(3).double(), transl) @ T for T in found])
+
+
+def before_relu(
+    network: PoseResidual, weights: dict[str, Tensor], means: Tensor, rotations: Tensor
+) -> Tensor:
+    """What enters the network's relus, (N, 2 width), layer after layer."""
+    turned = torch.stack([_rotation(r) for r in rotations[BODY]]) - torch.eye(3).double()
+    layer = lambda name, x: x @ weights[f"{name}.weight"].T + weights[f"{name}.bias"]
+    code = torch.tanh(layer("pose_code", turned.reshape(-1)))
+    x = (means - network.center) / network.extent
+    waves = [2**k * math.pi * x for k in range(network.options.frequencies)]
+    place = torch.cat([x, *map(torch.sin, waves), *map(torch.cos, waves)], dim=1)
+    first = layer("place", place) + weights["condition.weight"] @ code
+    return torch.cat([first, layer("hidden", first.clamp(min=0))], dim=1)
+
+
+def residual(
+    network: PoseResidual, weights: dict[str, Tensor], means: Tensor, rotations: Tensor
+) -> Tensor:
+    """MLP(theta) (N, 3) metres."""
+    second = before_relu(network, weights, means, rotations).chunk(2, dim=1)[1]
+    out = second.clamp(min=0) @ weights["offset.weight"].T + weights["offset.bias"]
+    return OUTPUT_UNIT * out
+
+
+def blend(weights: Tensor, T_world_rest: Tensor) -> Tensor:
+    """Each Gaussian's affine map, row by row, (N, 12)."""
+    return torch.einsum("nj,jab->nab", weights, T_world_rest)[:, :3].reshape(-1, 12)
+
+
+def carry(A: Tensor, means: Tensor, quats: Tensor) -> tuple[Tensor, Tensor]:
+    """Means and quaternions (N, 4) wxyz in the world; turned by the polar factor of A."""
+    A = A.view(-1, 3, 4)
+    nearest = A[:, :, :3]
+    for _ in range(NEWTON):
+        nearest = (nearest + torch.linalg.inv(nearest).mT) / 2
+    turned = [_product(_quaternion(R), q) for R, q in zip(nearest, quats, strict=True)]
+    moved = torch.einsum("nab,nb->na", A[:, :, :3], means) + A[:, :, 3]
+    return moved, torch.stack(turned)
+
+
+def turned(weights: Tensor, sh: Tensor, T_world_rest: Tensor) -> Tensor:
+    """Harmonics (N, 4, 3) whose linear band follows the blended maps.
+
+    Seen along d, the band is C1 (-d_y h_1 + d_z h_2 - d_x h_3) = C1 g · d: its gradient g turns.
+    """
+    R = torch.einsum("nj,jab->nab", weights, T_world_rest[:, :3, :3])
+    g = torch.stack([-sh[:, 3], -sh[:, 1], sh[:, 2]], dim=1)  # (N, xyz, colour)
+    x, y, z = (R @ g).unbind(1)
+    return torch.stack([sh[:, 0], -y, z, -x], dim=1)
+
+
+def _rotation(r: Tensor) -> Tensor:
+    """exp of the cross product with r (3,), (3, 3)."""
+    zero = torch.zeros_like(r[0])
+    return torch.linalg.matrix_exp(
+        torch.stack([zero, -r[2], r[1], r[2], zero, -r[0], -r[1], r[0], zero]).view(3, 3)
+    )
+
+
+def _rigid(R: Tensor, t: Tensor) -> Tensor:
+    last = torch.tensor([[0, 0, 0, 1.0]], dtype=torch.float64)
+    return torch.cat([torch.cat([R, t[:, None]], dim=1), last])
+
+
+def _quaternion(R: Tensor) -> Tensor:
+    """The quaternion wxyz of a rotation whose largest entry is positive, (4,)."""
+    trace = R[0, 0] + R[1, 1] + R[2, 2]
+    squares = torch.stack([trace, R[0, 0], R[1, 1], R[2, 2]])
+    largest = int(squares.detach().argmax())
+    if largest == 0:
+        w = (1 + trace).sqrt() / 2
+        v = torch.stack([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]) / (4 * w)
+        return torch.cat([w[None], v])
+    i, j, k = ((largest - 1 + s) % 3 for s in range(3))
+    a = (1 + 2 * R[i, i] - trace).sqrt() / 2
+    entries = {
+        0: (R[k, j] - R[j, k]) / (4 * a),
+        1 + i: a,
+        1 + j: (R[i, j] + R[j, i]) / (4 * a),
+        1 + k: (R[i, k] + R[k, i]) / (4 * a),
+    }
+    return torch.stack([entries[n] for n in range(4)])
+
+
+def _product(p: Tensor, q: Tensor) -> Tensor:
+    """Hamilton's product of two quaternions (4,) wxyz, by vectors."""
+    w = p[0] * q[0] - p[1:] @ q[1:]
+    v = p[0] * q[1:] + q[0] * p[1:] + torch.linalg.cross(p[1:], q[1:])
+    return torch.cat([w[None], v])

@@ -1,0 +1,130 @@
+"""The outer skin: what clothes, hair and face of a person follow.
+
+A point that lies on the body follows the vertex beneath it. A point of a wide skirt or of a hem has
+no vertex beneath it, and those nearest to it belong now to one leg and now to the other: taken from
+the nearest vertex its weights jump, and in a wide step the cloth is torn there. So on the outer
+surface S of the person, which knows what hangs together, they are spread the farther the looser:
+
+    1. ℓ(x) = SPREAD · d(x), d the distance from the bare skin;  0 where d is below CLOSE
+    2. W - ℓ² Δ_S W = W_near
+
+with W_near the weights of the body's nearest vertex. Eq. 2 is one implicit step of diffusion: W
+lies between the values of W_near around x, stays positive, and sums to one. Weights are smoothed
+where they cannot be trusted, as Abdrashitov et al. fill them in ("Robust Skin Weights Transfer via
+Weight Inpainting", 2023). Filled in from what lies close alone, a hem would hang from the waist
+and not follow the thighs.
+
+A face also moves with the expression: every point of S takes the blend shapes of the body's nearest
+vertex, S_near psi, which are zero but on the face.
+
+Gaussians look both up from the vertices of S around them, by Shepard's interpolation: it
+is continuous, and exact at the vertices. So they can be looked up anew as Gaussians move.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gva_mi.body.skinning import strongest
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+CLOSE = 0.02  # metres off the bare skin; what lies closer follows the vertex beneath it
+SPREAD = 0.5  # of eq. 1; with twice as much a skirt lags behind the legs
+NEIGHBOURS = 6  # vertices that a point takes its weights from
+JOINTS = 8  # of a point; where legs and trunk share a hem there are more than the 4 of Eq. 5
+
+
+@dataclass(frozen=True)
+class Skin:
+    """A surface with what moves it, at rest."""
+
+    vertices: Tensor  # (V, 3) metres
+    weights: Tensor  # (V, 55) skinning weights, rows sum to 1
+    expression: Tensor  # (V, 3, E) metres by which the face's coefficients move it
+
+    def at(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """What moves points (N, 3).
+
+        Each of the nearest vertices counts by ((r - d) / (r d))², d its distance and r that of the
+        first one that does not count: nothing jumps where another vertex comes near.
+
+        Returns:
+            Skinning weights (N, 55) of the strongest joints, whose rows sum to 1, and directions of
+            the expression (N, 3, E).
+
+        Note:
+            Not differentiable: the pictures decide where a Gaussian lies, and not the slope of
+            what is looked up.
+        """
+        from scipy.spatial import cKDTree
+
+        if not len(points):
+            return self.weights[:0], self.expression[:0]
+        x, tree = points.detach().double().numpy(), cKDTree(self.vertices.double().numpy())
+        count = min(NEIGHBOURS + 1, len(self.vertices))
+        d, nearest = tree.query(x, k=count)
+        d = np.maximum(d.reshape(len(x), count), 1e-9)
+        share = np.square(1 / d - 1 / d[:, -1:])
+        share[share.sum(1) == 0, 0] = 1  # all equally far
+        share /= share.sum(1, keepdims=True)
+        share = torch.from_numpy(share).to(self.weights)
+        nearest = torch.from_numpy(nearest.reshape(len(x), count))
+        mean = lambda values: torch.einsum("nk,nk...->n...", share, values[nearest])
+        return strongest(mean(self.weights), JOINTS), mean(self.expression)
+
+
+def diffused(vertices: np.ndarray, faces: np.ndarray, body: Skin, looseness: Tensor) -> Skin:
+    """The skin of an outer surface (eq. 2).
+
+    Args:
+        vertices: (V, 3) of the outer surface at rest, metres.
+        faces: (F, 3) its triangles.
+        body: the rest body's surface, which clothes may have displaced.
+        looseness: (vertices of the body,) metres by which they did.
+    """
+    from scipy.sparse import diags_array
+    from scipy.sparse.linalg import splu
+    from scipy.spatial import cKDTree
+
+    distance, nearest = cKDTree(body.vertices.double().numpy()).query(vertices)
+    off = distance + looseness.double().numpy()[nearest]
+    weights = body.weights.double().numpy()[nearest]
+    loose = off > CLOSE
+    if loose.any():
+        area, laplacian = _laplacian(vertices, faces)
+        width = SPREAD * np.where(loose, off, 1e-3 * CLOSE)  # eq. 1
+        pull = diags_array(area / width**2)
+        used = weights.any(0)
+        weights[:, used] = splu((pull + laplacian).tocsc()).solve(pull @ weights[:, used])
+    as_tensor = lambda x: torch.from_numpy(np.ascontiguousarray(x)).to(body.weights)
+    expression = body.expression[torch.from_numpy(nearest)]
+    return Skin(as_tensor(vertices), as_tensor(weights), expression)
+
+
+def _laplacian(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, csr_array]:
+    """Areas of vertices (V,) m², and the Laplacian of linear elements (V, V).
+
+    Cotangents of obtuse angles are cut off at a little more than zero, without which weights could
+    leave the range of their neighbours.
+    """
+    from scipy.sparse import coo_array, diags_array
+
+    count, corners = len(vertices), vertices[faces]
+    area = np.linalg.norm(np.cross(*(corners[:, k] - corners[:, 0] for k in (1, 2))), axis=1) / 2
+    edges = coo_array((count, count))
+    for k in range(3):
+        i, j = faces[:, (k + 1) % 3], faces[:, (k + 2) % 3]
+        a, b = (corners[:, (k + s) % 3] - corners[:, k] for s in (1, 2))
+        cotangent = (a * b).sum(1) / np.maximum(2 * area, 1e-12)
+        half = np.clip(cotangent, 0.01, 100) / 2
+        edges = edges + coo_array((half, (i, j)), shape=(count, count))
+    edges = (edges + edges.T).tocsr()
+    share = np.bincount(faces.ravel(), np.repeat(area / 3, 3), count)
+    return np.maximum(share, 1e-12), (diags_array(edges.sum(1)) - edges).tocsr()

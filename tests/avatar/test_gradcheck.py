@@ -1,0 +1,160 @@
+"""The avatar's gradients are right, and a fault in any link is named by it."""
+
+import gva_mi  # noqa: F401  (chooses libLLVM before Dr.Jit is imported)
+
+import json  # isort: skip
+
+import pytest
+import torch
+
+from gva_mi.avatar.avatar import Avatar
+from gva_mi.avatar.canonical import CanonicalGaussians
+from gva_mi.avatar.gradcheck import Scene, Tolerances, chain, gradcheck
+from gva_mi.body import kinematics, polar
+from gva_mi.body.smplx import BodyModel
+
+SMALL = {"gaussians": 60, "size": 16}
+GAUSSIANS = {"means", "quats", "log_scales", "logit_opacities", "sh"}
+INPUTS = {"rotations", "transl", "expression", "betas"} | GAUSSIANS
+
+
+class Slanted(torch.autograd.Function):
+    """The identity with a gradient that is 0.1 % too long."""
+
+    @staticmethod
+    def forward(ctx, x):
+        return x.clone()
+
+    @staticmethod
+    def backward(ctx, g):
+        return 1.001 * g
+
+    @staticmethod
+    def jvp(ctx, t):
+        return t.clone()
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return Scene.random(**SMALL)
+
+
+@pytest.fixture(scope="module")
+def report(scene):
+    return gradcheck(scene, entries=2)
+
+
+def test_every_gradient_is_right(report):
+    assert report.passed, report.table()
+    assert "comparisons pass" in report.verdict and report.band < 0.05 * report.pixels
+
+
+def test_every_input_is_compared_by_every_method(scene, report):
+    avatar = scene.models[torch.float64][1]
+    network = {f"residual.{name}" for name, _ in avatar.residual.named_parameters()}
+    found = {}
+    for row in report.rows:
+        found.setdefault(row.method, set()).add(row.name)
+    pictures = {"color", "alpha", "depth"}
+    for method in ("tangent f64", "tangent f32", "differences"):
+        assert found[method] == INPUTS | network, method
+    for method in ("adjoint f64", "adjoint f32"):
+        assert found[method] == INPUTS | network | pictures, method
+
+
+def test_no_comparison_is_of_nothing(scene):
+    """Every input moves the picture, so that no gradient is right by being zero."""
+    leaves = {k: v.clone().requires_grad_() for k, v in scene.values.items()}
+    picture = scene.animated(leaves)
+    found = torch.autograd.grad(picture.color.square().sum(), list(leaves.values()))
+    for name, g in zip(leaves, found, strict=True):
+        assert g.norm() > 0, name
+
+
+def test_says_which_link_loses_digits(report):
+    shares = {link.name: link.alone32 for link in report.links}
+    assert set(shares) == set(LINKS)
+    assert shares[report.coarsest.name] == max(shares.values())
+    assert all(0 < share < 1e-5 for share in shares.values()), shares
+
+
+def _bend_face(monkeypatch):
+    """A fault in what moves the Gaussians, and not in what moves the joints."""
+    moved = chain.moved_by
+
+    def bent(psi, directions):
+        return moved(psi if len(directions) == 55 else Slanted.apply(psi), directions)
+
+    monkeypatch.setattr(chain, "moved_by", bent)
+
+
+def _plant(monkeypatch, link):
+    """A small fault in the avatar's own code of one link."""
+    bend = Slanted.apply
+    if link == "shape":
+        rest = BodyModel.rest
+        bent = lambda self, shape: rest(self, type(shape)(bend(shape.betas)))
+        monkeypatch.setattr(BodyModel, "rest", bent)
+    elif link == "skeleton":
+        vee = kinematics._vee
+        monkeypatch.setattr(kinematics, "_vee", lambda x: 1.001 * vee(x))
+    elif link == "face":
+        _bend_face(monkeypatch)
+    elif link == "residual":
+        monkeypatch.setattr(torch, "tanh", lambda x: bend(x.tanh()))
+    elif link == "blend":
+        blend = chain.blend
+        monkeypatch.setattr(chain, "blend", lambda w, T: blend(w, bend(T)))
+    elif link == "polar frames":
+        adjoint = polar._davenport_adjoint
+        monkeypatch.setattr(polar, "_davenport_adjoint", lambda G: [1.001 * g for g in adjoint(G)])
+    elif link == "activations":
+        scales = lambda self: torch.exp(bend(self.log_scales))
+        monkeypatch.setattr(CanonicalGaussians, "scales", property(scales))
+    elif link == "colours":
+        turn = Avatar.turn_colors
+        monkeypatch.setattr(Avatar, "turn_colors", lambda self, sh, T: turn(self, bend(sh), T))
+    else:
+        render = chain.render
+        monkeypatch.setattr(chain, "render", lambda g, *a, **k: render(
+            type(g)(g.means, g.quats, bend(g.scales), g.opacities, sh=g.sh), *a, **k))  # fmt: skip
+
+
+LINKS = (
+    "shape", "face", "skeleton", "residual", "blend", "polar frames", "activations", "colours",
+    "splatting",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("link", LINKS)
+def test_a_fault_is_named_by_its_link(scene, monkeypatch, link):
+    _plant(monkeypatch, link)
+    report = gradcheck(scene, entries=0)
+    assert [part.name for part in report.links if not part.passed] == [link]
+    assert f"WRONG in {link} (" in report.verdict
+
+
+def test_links_that_are_put_together_wrongly_are_told_from_wrong_links(scene, monkeypatch):
+    animate = Avatar.animate
+
+    def forgets(self, pose):
+        return animate(self, type(pose)(pose.rotations.detach(), pose.transl, pose.expression))
+
+    monkeypatch.setattr(Avatar, "forward", lambda self, pose: forgets(self, pose).gaussians)
+    report = gradcheck(scene, entries=0)
+    assert not report.passed and all(link.passed for link in report.links)
+    assert "every link is right alone" in report.verdict and "rotations" in report.verdict
+
+
+def test_too_few_digits_are_no_fault(scene):
+    report = gradcheck(scene, Tolerances(f32=1e-9), entries=2)
+    assert not report.passed
+    assert report.verdict.startswith("less accurate than allowed, most by ")
+
+
+def test_figures_as_json(report):
+    figures = json.loads(json.dumps(report.to_dict()))
+    assert figures["passed"] and set(figures["links"]) == set(LINKS)
+    assert figures["links"]["skeleton"]["alone32"] == next(
+        link.alone32 for link in report.links if link.name == "skeleton"
+    )

@@ -1,0 +1,172 @@
+"""Weights of the outer skin: the body's where it is bare, spread where it is loose, never torn."""
+
+import gva_mi  # noqa: F401  (chooses libLLVM before Dr.Jit is imported)
+
+import numpy as np  # isort: skip
+import pytest
+import torch
+
+from gva_mi.avatar.skin import CLOSE, Skin, diffused
+from gva_mi.body import JOINTS, Pose, Shape, joint_transforms, load_body, nearest_weights
+from gva_mi.body.skinning import skin_points
+from gva_mi.data.synthetic.clothes.dressing import dress
+from gva_mi.data.synthetic.motion.actions import ACTIONS, POSES
+from gva_mi.data.synthetic.people import STUDY
+from gva_mi.data.synthetic.rest_body import RestBody
+from gva_mi.data.synthetic.texture import Material
+
+LEFT, RIGHT = JOINTS.index("left_hip"), JOINTS.index("right_hip")
+
+
+def still(vertices, weights):
+    """A skin whose face does not move."""
+    return Skin(vertices, weights, vertices.new_zeros(len(vertices), 3, 0))
+
+
+def sheet(width=0.4, height=0.3, cells=20):
+    """A square-celled sheet in the plane z = 0, and its triangles."""
+    x, y = np.meshgrid(np.linspace(-width / 2, width / 2, cells), np.linspace(0, height, cells))
+    vertices = np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1)
+    i = np.arange(cells * (cells - 1)).reshape(-1, cells)[:, :-1].ravel()
+    faces = [[i, i + 1, i + cells], [i + 1, i + cells + 1, i + cells]]
+    return vertices, np.concatenate([np.stack(f, axis=1) for f in faces])
+
+
+def legs(height=0.3, apart=0.4):
+    """Two vertical lines of vertices that follow one hip each."""
+    y = np.linspace(0, height, 40)
+    lines = [np.stack([0 * y + side * apart / 2, y, 0 * y], axis=1) for side in (1, -1)]
+    weights = torch.zeros(80, 55)
+    weights[:40, LEFT] = weights[40:, RIGHT] = 1
+    return still(torch.from_numpy(np.concatenate(lines)).float(), weights)
+
+
+def test_bare_skin_keeps_the_weights_of_the_body(body):
+    own, tight = still(body.v_template, body.weights), torch.full((642,), 0.9 * CLOSE)
+    skin = diffused(body.v_template.double().numpy(), body.faces.numpy(), own, tight)
+    assert torch.equal(skin.weights, body.weights)
+    torch.testing.assert_close(skin.at(body.v_template)[0].sum(1), torch.ones(642))
+
+
+def test_a_sheet_between_two_legs_goes_over_from_one_to_the_other():
+    vertices, faces = sheet()
+    both = legs()
+    skin = diffused(vertices, faces, both, torch.zeros(80))
+    share = skin.weights[:, LEFT].double().numpy().reshape(20, 20)
+    assert np.allclose(share[:, [0, -1]], [0, 1], atol=0.02)  # it touches them
+    assert (np.diff(share, axis=1) > -1e-6).all()  # and rises from one to the other
+    jump = np.diff(share, axis=1).max()
+    nearest = nearest_weights(skin.vertices, both.vertices, both.weights)[:, LEFT]
+    assert jump < 0.15 and np.diff(nearest.view(20, 20).numpy(), axis=1).max() == 1
+    assert np.allclose(share, 1 - share[:, ::-1], atol=1e-2)  # left and right are alike
+
+
+def test_weights_are_shares(body):
+    out = 1.15 * body.v_template.double().numpy()
+    own = still(body.v_template, body.weights)
+    skin = diffused(out, body.faces.numpy(), own, torch.zeros(642))
+    found, _ = skin.at(1.1 * body.v_template)
+    for weights in (skin.weights, found):
+        assert weights.min() > -1e-6
+        torch.testing.assert_close(weights.sum(1), torch.ones(642))
+    assert not torch.allclose(skin.weights, own.weights, atol=0.05)
+
+
+def test_what_the_offsets_displaced_counts_as_loose(body):
+    own = still(body.v_template, body.weights)
+    vertices, faces = body.v_template.double().numpy(), body.faces.numpy()
+    loose = diffused(vertices, faces, own, torch.full((642,), 0.2))
+    assert not torch.allclose(loose.weights, own.weights, atol=0.05)
+
+
+def test_weights_do_not_jump_between_vertices():
+    vertices, faces = sheet()
+    skin = diffused(vertices, faces, legs(), torch.zeros(80))
+    x = torch.linspace(-0.15, 0.15, 3001)
+    points = torch.stack([x, torch.full_like(x, 0.123), torch.full_like(x, 0.004)], dim=1)
+    along, _ = skin.at(points)
+    assert (along[1:, LEFT] - along[:-1, LEFT]).abs().max() < 2e-3  # 0.1 mm apart
+    assert 0.4 < along[1500, LEFT] < 0.6
+
+
+def test_vertices_have_their_own_weights():
+    vertices, faces = sheet()
+    skin = diffused(vertices, faces, legs(), torch.zeros(80))
+    torch.testing.assert_close(skin.at(skin.vertices)[0], skin.weights)
+
+
+def test_a_face_moves_what_lies_on_it(body):
+    """A hat on a ball: it takes the blend shapes of the vertices beneath."""
+    directions = torch.zeros(642, 3, 2)
+    face = body.v_template[:, 2] > 0.1
+    directions[face, 1, 0], directions[face, 2, 1] = 0.01, -0.02
+    own = Skin(body.v_template, body.weights, directions)
+    out = diffused(
+        1.01 * body.v_template.double().numpy(), body.faces.numpy(), own, torch.zeros(642)
+    )
+    _, found = out.at(1.01 * body.v_template)
+    torch.testing.assert_close(found, directions)
+
+
+def test_no_points_have_no_weights(body):
+    skin = Skin(body.v_template, body.weights, torch.zeros(642, 3, 4))
+    weights, expression = skin.at(torch.zeros(0, 3))
+    assert weights.shape == (0, 55) and expression.shape == (0, 3, 4)
+
+
+# What real clothes do in the poses that tear them.
+
+
+@pytest.fixture(scope="module")
+def puppet():
+    return load_body()
+
+
+@pytest.fixture(scope="module")
+def wardrobe(puppet):
+    """A person's garment, thinned, and the rest body under it."""
+
+    def garment(name, material):
+        person = STUDY[name]
+        shape = Shape(torch.tensor(person.betas))
+        rest = RestBody.of(puppet, shape)
+        worn = dress(rest, person.outfit, np.random.default_rng(0), clothes=True, hair=False)
+        mesh = next(p.mesh for p in worn.pieces if p.material is material)
+        return mesh, puppet.rest(shape)
+
+    return garment
+
+
+def stretches(mesh, weights, action, puppet, rest):
+    """How much longer the edges of a garment are in a pose, those of 3 mm and more."""
+    pose = Pose.rest()
+    for joint, value in (ACTIONS | POSES)[action].joints.items():
+        pose.rotations[0, JOINTS.index(joint)] = torch.tensor(value)
+    T = joint_transforms(pose.rotations, rest.joints, puppet.parents, pose.transl)[0]
+    x = torch.from_numpy(mesh.vertices).float()
+    moved = skin_points(x, weights, T)
+    a, b = torch.from_numpy(np.concatenate([mesh.faces[:, :2], mesh.faces[:, 1:]]).T).long()
+    length = lambda v: (v[a] - v[b]).norm(dim=1)
+    return (length(moved) / length(x))[length(x) > 0.003]
+
+
+@pytest.mark.parametrize(
+    ("name", "material", "actions", "most"),
+    [
+        ("dalia", Material.BOTTOM, ("step", "lunge"), 16),
+        ("goran", Material.TOP, ("squat",), 3),
+    ],
+    ids=["a skirt in a wide step", "a shirt's hem in a squat"],
+)
+def test_loose_cloth_stays_whole(wardrobe, puppet, name, material, actions, most):
+    mesh, rest = wardrobe(name, material)
+    own = still(rest.vertices, puppet.weights)
+    bare = torch.zeros(len(rest.vertices))
+    skin = diffused(mesh.vertices.astype(np.float64), mesh.faces, own, bare)
+    x = torch.from_numpy(mesh.vertices).float()
+    nearest = nearest_weights(x, own.vertices, own.weights)
+    for action in actions:
+        torn = stretches(mesh, nearest, action, puppet, rest)
+        whole = stretches(mesh, skin.at(x)[0], action, puppet, rest)
+        assert torn.max() > most > whole.max(), (action, torn.max(), whole.max())
+        assert whole.quantile(0.999) < torn.quantile(0.999)

@@ -1,0 +1,42 @@
+"""A video is known again by what a fit sees of it, and by nothing else."""
+
+import shutil
+from dataclasses import replace
+
+import pytest
+
+from gva_mi.data.identity import PARTS, differing, identity
+from gva_mi.data.video import Splits, load_video
+
+
+def test_a_video_is_itself_also_elsewhere(video, subject, tmp_path):
+    known = identity(video)
+    assert set(known) == set(PARTS)
+    copied = load_video(shutil.copytree(subject, tmp_path / "copy"))
+    assert differing(known, copied) == []
+    (tmp_path / "copy/notes.txt").write_text("not looked at")
+    assert differing(known, load_video(tmp_path / "copy")) == []
+
+
+@pytest.mark.parametrize("part", ["frames", "masks"])
+def test_another_file_is_another_video(part, video, subject, tmp_path):
+    folder = shutil.copytree(subject, tmp_path / "other")
+    first, second = folder / part / "000000.png", folder / part / "000001.png"
+    assert first.read_bytes() != second.read_bytes()
+    shutil.copy(second, first)
+    assert differing(identity(video), load_video(folder)) == [part]
+
+
+def test_other_numbers_are_another_video(video):
+    known = identity(video)
+    others = {
+        "cameras": replace(video, cameras=[c.zoomed(1.01) for c in video.cameras]),
+        "poses": replace(video, pose=video.pose.map(lambda x: x + 1e-6)),
+        "splits": replace(video, splits=Splits(video.splits.test, video.splits.train)),
+    }
+    for part, other in others.items():
+        assert differing(known, other) == [part]
+
+
+def test_without_a_record_nothing_differs(video):
+    assert differing({}, video) == []

@@ -11,16 +11,13 @@ import numpy as np
 import torch
 
 from gva_mi.avatar.avatar import Avatar
-from gva_mi.body.kinematics import joint_transforms
-from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, Pose
 from gva_mi.data.video import Frame, Video
+from gva_mi.fit.evaluation.regions import FINGERS, hand_box, hand_joints
+from gva_mi.fit.evaluation.similarity import posed_joints
 from gva_mi.fit.renders import cut_out, render_frame, to_8bit
 from gva_mi.page import around
 from gva_mi.splat import Camera, Gaussians, look_at, render
 
-WRISTS = {side: JOINTS.index(f"{side}_wrist") for side in ("left", "right")}
-FINGERS = {"left": LEFT_HAND, "right": RIGHT_HAND}
-HAND_CROP = 0.28  # metres, the side of a zoomed hand
 HAND_PIXELS = 220  # about the side of its picture
 DOT = 0.0015  # metres, standard deviation of a Gaussian that is drawn as a dot
 RED_AT = 64  # levels of 255 at which a difference is shown fully red
@@ -28,7 +25,7 @@ RED_AT = 64  # levels of 255 at which a difference is shown fully red
 
 def turntable(avatar: Avatar, frame: Frame, count: int) -> Iterator[np.ndarray]:
     """The avatar in a frame's pose, seen by ``count`` cameras on a circle around it."""
-    centre = _joints(avatar, frame.pose).mean(0)
+    centre = _joints(avatar, frame).mean(0)
     distance = np.linalg.norm(frame.camera.position - centre)
     width, height = frame.camera.width, frame.camera.height
     for angle in np.linspace(0, 2 * np.pi, count, endpoint=False):
@@ -60,16 +57,14 @@ def hands(avatar: Avatar, frame: Frame) -> Iterator[tuple[str, np.ndarray]]:
 
     The picture's pixels are shown as squares; the render is made at the zoomed resolution.
     """
-    joints = _joints(avatar, frame.pose)
-    for side, wrist in WRISTS.items():
-        square = _square(frame.camera, np.vstack([joints[wrist], joints[FINGERS[side]]]))
-        if square is None:
+    for side in FINGERS:
+        box = hand_box(frame.camera, hand_joints(_joints(avatar, frame), side))
+        if box is None:
             continue
-        left, top, size = square
-        factor = max(1, round(HAND_PIXELS / size))
-        seen = cut_out(frame)[top : top + size, left : left + size]
-        camera = frame.camera.cropped(left, top, size, size)
-        image = render_frame(avatar, frame.pose, camera.resized(size * factor, size * factor))
+        factor = max(1, round(HAND_PIXELS / box.width))
+        seen, enlarged = box.cut(cut_out(frame)), (factor * box.width, factor * box.height)
+        camera = box.cut_camera(frame.camera).resized(*enlarged)
+        image = render_frame(avatar, frame.pose, camera)
         yield side, np.concatenate([seen.repeat(factor, 0).repeat(factor, 1), image], axis=0)
 
 
@@ -138,22 +133,9 @@ def overview(avatar: Avatar, video: Video, turned: int = 3) -> np.ndarray:
     return side_by_side([part[around(part.min(-1) < 250, margin)] for part in parts], 480)
 
 
-def _joints(avatar: Avatar, pose: Pose) -> np.ndarray:
-    """The avatar's joints in a pose of one frame, (55, 3) metres, world."""
-    rig = avatar.rig
-    T_world_rest = joint_transforms(pose.rotations, rig.joints, rig.parents, pose.transl)[0]
-    R, t = T_world_rest[:, :3, :3], T_world_rest[:, :3, 3]
-    return ((R @ rig.joints[..., None])[..., 0] + t).detach().numpy()
-
-
-def _square(camera: Camera, joints: np.ndarray) -> tuple[int, int, int] | None:
-    """The square around some joints: left, top, side; None where it leaves the picture."""
-    u, v = camera.project(joints).mean(0)
-    R, t = camera.T_camera_world[:3, :3], camera.T_camera_world[:3, 3]
-    size = round(camera.fx * HAND_CROP / float((joints @ R.T + t)[:, 2].mean()))
-    left, top = round(u - size / 2), round(v - size / 2)
-    fits = left >= 0 and top >= 0 and left + size <= camera.width and top + size <= camera.height
-    return (left, top, size) if fits and size > 1 else None
+def _joints(avatar: Avatar, frame: Frame) -> np.ndarray:
+    """The avatar's joints in a frame's pose, (55, 3) metres, world."""
+    return posed_joints(avatar.rig, frame.pose)[0].detach().double().numpy()
 
 
 def _reddened(difference: np.ndarray) -> np.ndarray:

@@ -144,7 +144,8 @@ def _study_avatar(
     shown = []
     for case in chosen[:IN_PICTURES]:
         runs = row_runs(asked.out, [(case, row) for row in rows], model, options)
-        shown.append(CaseRuns(case.name, {run.row.name: run for run in runs}))
+        finished = {run.row.name: run for run in runs if run.is_done}
+        shown.append(CaseRuns(case.name, finished))
     write_study_report(page, results, shown, {**made_with, "versions": versions()})
     say(f"figures: {figures}; page: {page}")
 

@@ -70,6 +70,11 @@ class RowRun:
         trained = run_folder.under_trained_poses(video, self.out)
         return with_fitted_poses(metrics, avatar, trained, self.body)
 
+    @property
+    def is_done(self) -> bool:
+        """Whether its avatar is there; a study's figures may be kept without it."""
+        return (self.out / run_folder.AVATAR).exists()
+
     def avatar(self) -> Avatar:
         """The finished run's."""
         return run_folder.load_avatar(self.out)

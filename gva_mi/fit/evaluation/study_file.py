@@ -4,8 +4,9 @@
 
     {"results": [{"name", "case", "held_out", "row", "scores", "surface", "similarity", "seconds",
                   "gaussians"}],
-     "networks": of the perceptual figures, "summary": {people: {row: {column: {"mean", "spread",
-     "worst", "people"}}}}, "paper": its tables, "made_with": {...}, "versions": {...}}
+     "networks": of the perceptual figures, "paper": its tables,
+     "summary": {people: {row: {column: {"mean", "spread", "worst", "people", "against_full"}}}},
+     "made_with": {...}, "versions": {...}}
 
 A result is used again only where all that it depends on is the same: the options, the body, and
 every line of this program.

@@ -8,18 +8,18 @@ from typing import Any
 
 from gva_mi.fit.evaluation.paper import TABLES
 from gva_mi.fit.evaluation.report import surface_table
+from gva_mi.fit.evaluation.rows import FULL
 from gva_mi.fit.evaluation.study import RowResult
 from gva_mi.fit.evaluation.study_pictures import CaseRuns, sections_of_pictures
 from gva_mi.fit.evaluation.summary import (
     COST,
     LPIPS,
+    PARTS,
     PSNR,
     RAND_VGG,
-    REGION_COLUMNS,
     SSIM,
     SURFACE,
     Column,
-    against_full,
     by_people,
     figure,
     is_held_out,
@@ -31,7 +31,7 @@ TITLES = (
     ("SSIM", SSIM),
     ("LPIPS", LPIPS),
     ("rand_vgg", RAND_VGG),
-    ("PSNR, dB, on black, in the person's box, in the hands' boxes", REGION_COLUMNS),
+    ("PSNR, dB, in the boxes of hands and person, and on black", PARTS),
     ("Where the Gaussians lie", SURFACE),
 )
 
@@ -54,7 +54,7 @@ def write_study_report(
         title="The avatar, row by row",
         subtitle=(
             f"{people} people, {len(rows)} ways to make an avatar of each. Mean ± standard "
-            "deviation over people."
+            "deviation over people, and in brackets the difference to full."
         ),
         figures=list(_large(results)),
         sections=[
@@ -71,32 +71,29 @@ def write_study_report(
 def table(results: Sequence[RowResult], columns: Sequence[Column]) -> Table:
     """A line for each row of the study; columns that nobody has are left out.
 
-    The first column is followed by the difference to the row "full".
+    A cell holds mean ± standard deviation over people, and the difference to the row "full".
     """
     shown = [c for c in columns if any(c.of(result) is not None for result in results)]
-    rows = list(dict.fromkeys(result.row for result in results))
-    lines = [[row, *_cells(results, row, shown)] for row in rows]
-    names = [c.name.split(": ", 1)[-1] for c in shown]
-    return Table(("row", *names[:1], "against full", *names[1:]), lines)
+    rows = dict.fromkeys(result.row for result in results)
+    lines = [[row, *(_cell(results, row, column) for column in shown)] for row in rows]
+    return Table(("row", *(column.name.split(": ", 1)[-1] for column in shown)), lines)
 
 
-def _cells(results: Sequence[RowResult], row: str, columns: Sequence[Column]) -> Iterator[str]:
-    for number, column in enumerate(columns):
-        found = figure(results, row, column)
-        if found is None:
-            yield "–"
-        else:
-            yield f"{found.mean:,.{column.digits}f} ± {found.spread:.{column.digits}f}"
-        if number == 0:
-            difference = against_full(results, row, column)
-            yield "–" if difference is None else f"{difference.mean:+.{column.digits}f}"
+def _cell(results: Sequence[RowResult], row: str, column: Column) -> str:
+    found, digits = figure(results, row, column), column.digits
+    if found is None:
+        return "–"
+    text = f"{found.mean:,.{digits}f} ± {found.spread:.{digits}f}"
+    if row == FULL.name or found.against_full is None:
+        return text
+    return f"{text} ({found.against_full:+.{digits}f})"
 
 
 def _large(results: Sequence[RowResult]) -> Iterator[Figure]:
     """The row "full" at the top."""
     group = next(iter(by_people(results).items()), None)
-    for column in (PSNR[0], PSNR[3], PSNR[4], PSNR[5], PSNR[6]):
-        found = figure(group[1], "full", column) if group else None
+    for column in PSNR:
+        found = figure(group[1], FULL.name, column) if group else None
         if found is not None:
             label = f"{column.name.split(': ')[-1]}, mean of {found.people} {group[0]}"
             yield Figure(f"{found.mean:.1f} dB", label)
@@ -112,7 +109,7 @@ def _tables(results: Sequence[RowResult]) -> Iterator[Section]:
     for people, group in by_people(results).items():
         tables = [(title, table(group, columns)) for title, columns in TITLES]
         for title, made in tables:
-            if len(made.head) > 2:
+            if len(made.head) > 1:
                 yield Section(f"{title}: {people}", text, tables=[made])
                 text = ""
 

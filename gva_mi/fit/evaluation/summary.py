@@ -11,7 +11,7 @@ more among each other than rows do.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,6 +42,7 @@ class Figure:
     spread: float  # standard deviation over people; 0 for one
     worst: float
     people: int
+    against_full: float | None  # mean difference to the row "full" of the same cases
 
 
 def score(
@@ -65,38 +66,34 @@ def score(
     return of
 
 
-def _splits(metric: str, digits: int, better: int) -> tuple[Column, ...]:
-    """A metric on all splits, over the whole picture."""
-    return (
-        Column(f"{metric}: test", score(metric, "test"), digits, better),
-        Column(
-            f"{metric}: test, poses as given",
-            score(metric, "test", poses=AS_REFINED),
-            digits,
-            better,
-        ),
-        Column(
-            f"{metric}: test, poses fitted", score(metric, "test", poses=FITTED), digits, better
-        ),
-        *(
-            Column(
-                f"{metric}: {split.replace('_', ' ')}{', aligned' if poses else ''}",
-                score(metric, split, poses=poses),
-                digits,
-                better,
-            )
-            for split in ("novel_pose", "novel_view")
-            for poses in (None, ALIGNED)
-        ),
+# A name, the split, and the poses that it is rendered under.
+_TEST = ("test", "test", None)
+_NOVEL_POSE = ("novel pose, aligned", "novel_pose", ALIGNED)
+_NOVEL_VIEW = ("novel view, aligned", "novel_view", ALIGNED)
+_WHOLE = (
+    _TEST,
+    ("test, poses as given", "test", AS_REFINED),
+    ("test, poses fitted", "test", FITTED),
+    ("novel pose", "novel_pose", None),
+    _NOVEL_POSE,
+    ("novel view", "novel_view", None),
+    _NOVEL_VIEW,
+)
+
+
+def _whole(metric: str, digits: int, better: int) -> tuple[Column, ...]:
+    """A metric over the whole picture, wherever it is measured."""
+    return tuple(
+        Column(f"{metric}: {name}", score(metric, split, poses=poses), digits, better)
+        for name, split, poses in _WHOLE
     )
 
 
-def _regions(split: Split, poses: str | None) -> tuple[Column, ...]:
-    """PSNR in all regions of a split."""
-    where = f"{split.replace('_', ' ')}{', aligned' if poses else ''}"
+def _part(region: Region) -> tuple[Column, ...]:
+    """PSNR in a region."""
     return tuple(
-        Column(f"psnr: {where}, {region}", score("psnr", split, region, poses))
-        for region in ("black", "person", "hands")
+        Column(f"psnr: {name}, {region}", score("psnr", split, region, poses))
+        for name, split, poses in (_TEST, _NOVEL_POSE, _NOVEL_VIEW)
     )
 
 
@@ -110,28 +107,26 @@ def _surface(name: str, figure: str, key: str, moment: str) -> Column:
     return Column(name, of, 2 if figure == "spacing" else 1, -1)
 
 
-PSNR = _splits("psnr", 2, 1)
-SSIM = _splits("ssim", 4, 1)
-LPIPS, RAND_VGG = _splits("lpips", 4, -1), _splits("rand_vgg", 4, -1)
-REGION_COLUMNS = (
-    *_regions("test", None), *_regions("novel_pose", ALIGNED), *_regions("novel_view", ALIGNED),
-)  # fmt: skip
+PSNR = _whole("psnr", 2, 1)
+SSIM = _whole("ssim", 4, 1)
+LPIPS, RAND_VGG = _whole("lpips", 4, -1), _whole("rand_vgg", 4, -1)
+PARTS = (*_part("hands"), *_part("person"), *_part("black"))
 SURFACE = (
-    _surface("spacing before a re-initialisation", "spacing", "all", "before"),
-    _surface("spacing after it", "spacing", "all", "after"),
     _surface("spacing at the end", "spacing", "all", "end"),
-    _surface("patterned cloth at the end", "spacing", "patterned cloth", "end"),
-    _surface("bias of hair before, mm", "bias_mm", "hair", "before"),
-    _surface("after, mm", "bias_mm", "hair", "after"),
+    _surface("of patterned cloth", "spacing", "patterned cloth", "end"),
+    _surface("before the last re-initialisation", "spacing", "all", "before"),
+    _surface("after it", "spacing", "all", "after"),
     _surface("bias of hair at the end, mm", "bias_mm", "hair", "end"),
+    _surface("before the last re-initialisation, mm", "bias_mm", "hair", "before"),
+    _surface("after it, mm", "bias_mm", "hair", "after"),
     _surface("bias of hem at the end, mm", "bias_mm", "hem", "end"),
-    _surface("bias of the rest, mm", "bias_mm", "rest", "end"),
+    _surface("bias of the rest at the end, mm", "bias_mm", "rest", "end"),
 )
 COST = (
     Column("seconds", lambda result: result.seconds, 0, -1),
     Column("Gaussians", lambda result: float(result.gaussians), 0, 0),
 )
-COLUMNS = (*PSNR, *SSIM, *LPIPS, *RAND_VGG, *REGION_COLUMNS, *SURFACE, *COST)
+COLUMNS = (*PSNR, *SSIM, *LPIPS, *RAND_VGG, *PARTS, *SURFACE, *COST)
 
 
 def is_held_out(case: Case) -> bool:
@@ -161,28 +156,28 @@ def summaries(results: Sequence[RowResult]) -> dict[str, dict[str, dict[str, Fig
 
 def figure(results: Sequence[RowResult], row: str, column: Column) -> Figure | None:
     """One cell of a table; None where nobody has the figure."""
-    values = [(r.case, column.of(r)) for r in results if r.row == row]
-    return _over_people(values, column.better)
-
-
-def against_full(results: Sequence[RowResult], row: str, column: Column) -> Figure | None:
-    """The difference of a cell to that of the row "full", case by case."""
     full = {r.case: column.of(r) for r in results if r.row == FULL.name}
-    values = []
-    for result in results:
-        value, whole = column.of(result), full.get(result.case)
-        if result.row == row and value is not None and whole is not None:
-            values.append((result.case, value - whole))
-    return _over_people(values, column.better)
+    own = {r.case: column.of(r) for r in results if r.row == row}
+    people = _means_of_people(own)
+    if not len(people):
+        return None
+    pairs = {case: (x, full.get(case)) for case, x in own.items()}
+    differences = _means_of_people(
+        {case: x - whole for case, (x, whole) in pairs.items() if None not in (x, whole)}
+    )
+    return Figure(
+        mean=float(people.mean()),
+        spread=float(people.std()),
+        worst=float(people.max() if column.better < 0 else people.min()),
+        people=len(people),
+        against_full=float(differences.mean()) if len(differences) else None,
+    )
 
 
-def _over_people(values: Sequence[tuple[Case, float | None]], better: int) -> Figure | None:
+def _means_of_people(values: Mapping[Case, float | None]) -> np.ndarray:
+    """The mean over the cases of each person, of those that have a figure."""
     people: dict[str, list[float]] = {}
-    for case, value in values:
+    for case, value in values.items():
         if value is not None and math.isfinite(value):
             people.setdefault(case.take.name, []).append(value)
-    if not people:
-        return None
-    means = np.array([np.mean(own) for own in people.values()])
-    worst = means.max() if better < 0 else means.min()
-    return Figure(float(means.mean()), float(means.std()), float(worst), len(means))
+    return np.array([np.mean(own) for own in people.values()])

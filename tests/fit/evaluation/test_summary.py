@@ -13,7 +13,7 @@ from gva_mi.fit.evaluation.rows import ROWS
 from gva_mi.fit.evaluation.study import RowResult
 from gva_mi.fit.evaluation.study_file import load_results, save_results
 from gva_mi.fit.evaluation.study_report import table
-from gva_mi.fit.evaluation.summary import COLUMNS, PSNR, against_full, figure, summaries
+from gva_mi.fit.evaluation.summary import COLUMNS, PSNR, figure, summaries
 from gva_mi.fit.evaluation.surface_figures import SurfaceFigures
 from gva_mi.pose.evaluation.cases import HELD_OUT, TUNING
 
@@ -49,9 +49,10 @@ def test_a_person_counts_once_however_many_noises_there_are():
 
 
 def test_differences_are_those_of_the_same_case():
-    found = against_full(held_out(RESULTS), "without residual", TEST)
-    assert found.mean == pytest.approx((-1 - 2) / 2) and found.people == 2
-    assert against_full(RESULTS[-1:], "without residual", TEST) is None
+    """Of Bruno one case has both rows: 29 - 30, and not 29 minus the mean of his two."""
+    found = figure(held_out(RESULTS), "without residual", TEST)
+    assert found.against_full == pytest.approx(((29 - 30) + (26 - 28)) / 2)
+    assert figure(RESULTS[-1:], "without residual", TEST).against_full is None
 
 
 def test_people_it_was_tuned_on_are_apart():
@@ -72,9 +73,9 @@ def test_columns_have_names_of_their_own_and_find_their_figures():
 
 def test_the_table_leaves_out_what_nobody_has():
     made = table(held_out(RESULTS), PSNR)
-    assert made.head == ("row", "test", "against full", "novel pose, aligned")
-    assert made.rows[0] == ["full", "29.50 ± 1.50", "+0.00", "20.00 ± 0.00"]
-    assert made.rows[1][2] == "-1.50"
+    assert made.head == ("row", "test", "novel pose, aligned")
+    assert made.rows[0] == ["full", "29.50 ± 1.50", "20.00 ± 0.00"]
+    assert made.rows[1] == ["without residual", "27.50 ± 1.50 (-1.50)", "20.00 ± 0.00 (+0.00)"]
 
 
 def test_the_file_keeps_results_as_long_as_they_hold(tmp_path):

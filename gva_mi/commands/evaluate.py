@@ -79,7 +79,7 @@ def evaluate_run(
     trained = run_folder.under_trained_poses(video, run)
     if fit_poses:
         with bar("poses") as progress:
-            metrics = with_fitted_poses(metrics, avatar, trained, model, progress)
+            metrics = with_fitted_poses(metrics, avatar, video, trained, model, progress)
     save_metrics(run, metrics)
     write_report(run, avatar, trained, title)
     for line in metrics.lines():

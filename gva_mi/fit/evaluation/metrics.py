@@ -182,15 +182,18 @@ def measure_run(
         driven: what becomes of every pose before it drives the avatar.
     """
     trained, scorer = run_folder.under_trained_poses(video, run), Scorer()
-    views = [
+    given = [
         view.through(lambda source: replace(source, pose=driven(source.pose)))
-        for view in views_of(trained, body=body)
+        for view in views_of(video, body=body)
+    ]
+    views = [
+        view.through(lambda _: trained) if view.split in ("train", "test") else view
+        for view in given
     ]
     similarity = similarity_to_truth(avatar.rig, trained, body)
-    test = [view.through(lambda _: video) for view in views if view.split == "test"]
     named = [(name, views)]
     if trained is not video:  # what training the poses is worth to frames that it has not seen
-        named.append((AS_REFINED, test))
+        named.append((AS_REFINED, [view for view in given if view.split == "test"]))
     if similarity is not None:
         named.append((ALIGNED, aligned_views(views, similarity, avatar.rig, body)))
     total, done = sum(len(view.frames) for _, some in named for view in some), 0
@@ -203,7 +206,7 @@ def measure_run(
     return Metrics(
         rows=tuple(rows),
         refinement=_load_refinement(video.folder),
-        training=training_of(run, video),
+        training=_training(run, video),
         options=made_with["options"],
         versions=made_with["versions"],
         protocol=Protocol.of(scorer, video, poses, made_with["options"]),
@@ -212,7 +215,7 @@ def measure_run(
     )
 
 
-def training_of(run: Path, video: Video) -> Training:
+def _training(run: Path, video: Video) -> Training:
     """What the fit in a run's folder took."""
     history = run_folder.load_history(run)
     return Training(
@@ -238,6 +241,7 @@ def with_fitted_poses(
     metrics: Metrics,
     avatar: Avatar,
     video: Video,
+    trained: Video,
     body: BodyModel,
     progress: Progress | None = None,
 ) -> Metrics:
@@ -246,12 +250,13 @@ def with_fitted_poses(
     Args:
         metrics: of the run.
         avatar: what was fitted.
-        video: opened with the poses that the avatar was trained under.
+        video: opened with the poses that the fit began with; they say where hands are looked for.
+        trained: opened with the poses that the avatar was trained under, which are fitted.
         body: the body model that was fitted.
         progress: called after each step of the pose fit.
     """
     options, test = PhotometricOptions(), video.splits.test
-    found = fit_poses(avatar, video, options, test, progress)
+    found = fit_poses(avatar, trained, options, test, progress)
     views = [
         view.through(lambda source: replace(source, pose=found.pose))
         for view in views_of(video, ("test",), body)

@@ -68,7 +68,7 @@ class RowRun:
         if self.row.rigid:  # fitted poses would bend what does not bend
             return metrics
         trained = run_folder.under_trained_poses(video, self.out)
-        return with_fitted_poses(metrics, avatar, trained, self.body)
+        return with_fitted_poses(metrics, avatar, video, trained, self.body)
 
     @property
     def is_done(self) -> bool:

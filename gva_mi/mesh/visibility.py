@@ -1,8 +1,8 @@
-"""Which points of a surface a camera sees.
+"""Which points of a surface are seen from some places.
 
-A point is seen where its surface faces the camera, ``n · (eye - x) > 0``, and where the straight
-line to the camera meets no triangle. The line starts a little off the surface, so that the
-triangles around the point do not hide it.
+A point is seen where its surface faces the eye, ``n · (eye - x) > 0``, and where the straight line
+to the eye meets no triangle. The line starts a little off the surface, so that the triangles around
+the point do not hide it.
 """
 
 from __future__ import annotations
@@ -13,31 +13,31 @@ from torch import Tensor
 
 from gva_mi.mesh.mesh_scene import load_plugins, scene_of
 from gva_mi.mesh.surface import vertex_normals
-from gva_mi.splat import Camera
 
 OFF = 0.002  # metres off the surface
 
 
-def seen_vertices(vertices: Tensor, faces: Tensor, camera: Camera) -> Tensor:
-    """Which vertices a camera sees, wherever the picture ends, (V,) bool.
+def seen_vertices(vertices: Tensor, faces: Tensor, eyes: np.ndarray) -> Tensor:
+    """Which vertices are seen from each of E places, (E, V) bool.
 
     Args:
         vertices: (V, 3) world, metres.
         faces: (F, 3) integers, counter-clockwise seen from outside.
-        camera: a pinhole camera.
+        eyes: (E, 3) world, such as positions of cameras; where their pictures end plays no part.
     """
     load_plugins()
     import mitsuba as mi
 
     vertices = vertices.detach().float()
     normals = vertex_normals(vertices, faces)
-    start = vertices + OFF * normals
-    toward = torch.from_numpy(camera.position.astype(np.float32)) - start
-    distance = toward.norm(dim=1, keepdim=True)
-    facing = (normals * toward).sum(1) > 0
+    start, scene = vertices + OFF * normals, scene_of(faces, vertices)
     columns = lambda x: [mi.Float(column.contiguous().numpy()) for column in x.unbind(1)]
-    reach = mi.Float((0.999 * distance[:, 0]).numpy())
-    ray = mi.Ray3f(mi.Point3f(*columns(start)), mi.Vector3f(*columns(toward / distance)))
-    ray.maxt = reach
-    hidden = scene_of(faces, vertices).ray_test(ray)
-    return facing & ~torch.from_numpy(np.array(hidden, dtype=bool))
+    found = []
+    for eye in torch.from_numpy(np.asarray(eyes, dtype=np.float32)):
+        toward = eye - start
+        distance = toward.norm(dim=1, keepdim=True)
+        ray = mi.Ray3f(mi.Point3f(*columns(start)), mi.Vector3f(*columns(toward / distance)))
+        ray.maxt = mi.Float((0.999 * distance[:, 0]).numpy())
+        hidden = torch.from_numpy(np.array(scene.ray_test(ray), dtype=bool))
+        found.append(((normals * toward).sum(1) > 0) & ~hidden)
+    return torch.stack(found)

@@ -15,6 +15,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -40,6 +41,8 @@ from gva_mi.pose.evaluation.record import REFINEMENT
 # Names of rows that are rendered otherwise than the run's own.
 AS_REFINED = "poses as refined"  # test frames without the trained poses
 ALIGNED = "after one similarity transform"  # novel poses and views in the avatar's own world
+
+POSE_FIT_STEPS = 100  # at least; one of them turns or shifts by little
 
 
 @dataclass(frozen=True)
@@ -255,7 +258,8 @@ def with_fitted_poses(
         body: the body model that was fitted.
         progress: called after each step of the pose fit.
     """
-    options, test = PhotometricOptions(), video.splits.test
+    test = video.splits.test
+    options = _pose_fit_options(len(test))
     found = fit_poses(avatar, trained, options, test, progress)
     views = [
         view.through(lambda source: replace(source, pose=found.pose))
@@ -273,6 +277,13 @@ def with_fitted_poses(
         protocol=protocol,
         pose_fit=PoseFit(asdict(options), kept, found.seconds_per_frame),
     )
+
+
+def _pose_fit_options(frames: int) -> PhotometricOptions:
+    """Those of ``track``, with more passes over the few frames of a test split."""
+    usual = PhotometricOptions()
+    steps_of_a_pass = max(1, math.ceil(frames / usual.batch))
+    return replace(usual, passes=max(usual.passes, math.ceil(POSE_FIT_STEPS / steps_of_a_pass)))
 
 
 def save_metrics(run: Path, metrics: Metrics) -> None:

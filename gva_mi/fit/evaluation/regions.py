@@ -84,7 +84,7 @@ class Hands:
     def boxes(self, frame: int) -> Iterator[Box]:
         """The boxes of the hands that are seen in a frame."""
         posed, camera = self.body(self.pose[frame], self.shape), self.cameras[frame]
-        seen = seen_vertices(posed.vertices[0], self.body.faces, camera)
+        seen = seen_vertices(posed.vertices[0], self.body.faces, camera.position[None])[0]
         for side, fingers in FINGERS.items():
             weights = self.body.weights
             own = weights[:, fingers].sum(1) + weights[:, WRISTS[side]] > 0.5

@@ -26,9 +26,11 @@ from gva_mi.data.synthetic.recorded import made_of
 from gva_mi.data.synthetic.subject import Subject
 from gva_mi.data.synthetic.texture import Fabric, Material
 from gva_mi.mesh.surface import vertex_normals
+from gva_mi.mesh.visibility import seen_vertices
 
 POINTS = 40_000  # spread over the surface by area: some 7 mm apart
-LIT = 0.9  # tint of cloth; what is darker is its inner side
+DISTANCE = 4.0  # metres from the middle of the person to the eyes around
+AROUND = (np.arange(12) * np.pi / 6, np.radians([-50.0, -15.0, 15.0, 50.0]))  # azimuth, height
 HEM = 0.8  # of a garment's slack: nearer to its loose end it belongs to the hem
 
 TEXTURES = ("skin", "plain cloth", "patterned cloth", "hair")
@@ -37,7 +39,7 @@ PARTS = ("hair", "hem", "rest")
 
 @dataclass(frozen=True)
 class TrueSurface:
-    """Points on the surface, evenly spread, in the rest pose of an avatar."""
+    """Points on the part of it that can be seen, evenly spread, in the rest pose of an avatar."""
 
     points: np.ndarray  # (M, 3) metres
     normals: np.ndarray  # (M, 3)
@@ -91,9 +93,18 @@ def _spread(person: Subject, vertices: torch.Tensor, outside: np.ndarray) -> Tru
 
 
 def _outside(person: Subject) -> np.ndarray:
-    """Which faces (F,) are not the inner side of cloth or hair, which is shaded."""
-    tint = person.tint[person.faces].mean((1, 2))
-    return (person.material == int(Material.SKIN)) | (tint > LIT)
+    """Which faces (F,) are seen from somewhere around the person, who stands in the rest pose.
+
+    The inner sides of cloth and hair, and skin in the armpits of a shirt, are no surface to reach.
+    """
+    vertices = torch.from_numpy(person.vertices)
+    low, high = person.vertices.min(0), person.vertices.max(0)
+    azimuth, height = (x.ravel() for x in np.meshgrid(*AROUND))
+    flat = np.cos(height)
+    away = np.stack([flat * np.sin(azimuth), np.sin(height), flat * np.cos(azimuth)], axis=1)
+    eyes = (low + high) / 2 + DISTANCE * away
+    seen = seen_vertices(vertices, torch.from_numpy(person.faces), eyes).any(0).numpy()
+    return seen[person.faces].all(1)
 
 
 def _textures(person: Subject) -> np.ndarray:

@@ -12,6 +12,7 @@ from gva_mi.fit.evaluation.metrics import (
     PoseFit,
     Protocol,
     Training,
+    _pose_fit_options,
     load_metrics,
     save_metrics,
 )
@@ -135,6 +136,12 @@ def test_the_protocol_says_what_had_seen_the_test_frames(
     assert found.training_loss == "rand_vgg" and found.networks["lpips"] is None
     ours = Protocol.of(Scorer(Weights()), video, tmp_path / poses, {"vgg16": "my.pth"})
     assert ours.training_loss == "VGG16, my.pth"
+
+
+@pytest.mark.parametrize("frames, steps", [(1, 100), (8, 100), (10, 102), (64, 160)])
+def test_a_pose_fit_of_few_frames_takes_as_many_steps_as_one_of_many(frames, steps):
+    options = _pose_fit_options(frames)
+    assert options.passes * -(-frames // options.batch) == steps
 
 
 @pytest.mark.parametrize("text", [None, "{", "[]", '{"rows": []}'])

@@ -176,7 +176,8 @@ class Recording:
             subject = self.options.filming(self.folder).film(case, self.body)
             marker, made_with = subject / PREPARED, self.options.made_with(self.body)
             if not marker.exists() or json.loads(marker.read_text()) != made_with:
-                told = within(progress, number, 1, len(self.cases))
+                of_case = self.steps // len(self.cases)
+                told = within(progress, number * of_case, of_case, self.steps)
                 self._refine(subject, case, told)
                 write_json(marker, made_with)
             subjects.append(subject)

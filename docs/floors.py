@@ -50,7 +50,8 @@ FLOORS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("avatar/gradcheck", "are an avatar's gradients right?", ("gva_mi.avatar.gradcheck",)),
     ("pose", "stage 2: poses that agree with the pictures", ("gva_mi.pose",)),
     ("pose/evaluation", "how well refined poses fit", ("gva_mi.pose.evaluation",)),
-    ("fit", "the loop around it: losses, training, evaluation", ("gva_mi.fit",)),
+    ("fit", "the loop around it: losses, training, tracking", ("gva_mi.fit",)),
+    ("fit/evaluation", "how close the avatar comes; the study", ("gva_mi.fit.evaluation",)),
     ("commands", "one verb a file", ("gva_mi.commands",)),
     ("gva-mi", "the command line", ("gva_mi.__main__",)),
 )  # fmt: skip

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import platform
 import shutil
@@ -10,6 +11,7 @@ import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import metadata
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -125,3 +127,13 @@ def versions() -> dict[str, str]:
     """Of Python and of the packages that may change the figures: written beside every result."""
     found = {"python": platform.python_version()}
     return found | {name: metadata.version(name) for name in PACKAGES}
+
+
+def program_digest() -> str:
+    """A digest of every line of this program: what was computed by another one may differ."""
+    digest = hashlib.sha256()
+    for package in ("gva_mi", "gva_mi_plugins"):
+        for root in find_spec(package).submodule_search_locations:
+            for file in sorted(Path(root).rglob("*.py")):
+                digest.update(file.read_bytes())
+    return digest.hexdigest()[:16]

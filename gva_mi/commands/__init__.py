@@ -24,7 +24,7 @@ VERBS = {  # and what each does, told by `gva-mi --help` without importing any o
     "evaluate": "measure an avatar on the splits of a subject",
     "track": "fit the poses of a video to its pictures, seen through an avatar",
     "render": "drive an avatar by any poses, seen by any cameras",
-    "study": "refine several synthetic people, and print how far they are from the truth",
+    "study": "refine, or fit, several synthetic people, and print how near they come to the truth",
     "body": "write a body file, and a picture of it from all around",
     "gradcheck": "check the gradients of the renderer, or of an avatar",
     "gradcheck-normals": "check the gradients of the rendered normals",

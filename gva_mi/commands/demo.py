@@ -67,6 +67,6 @@ def demo(
     video = load_video(subject, poses)
     avatar = fit_video(video, poses, model, fit_options, out)
     name = "no_refine" if options.no_refine else "full"
-    evaluate_run(out, avatar, video, name=name, title="The demo subject")
+    evaluate_run(out, avatar, video, model, poses, name=name, title="The demo subject")
     minutes = (time.perf_counter() - start) / 60
     say(f"{minutes:.1f} minutes; report: {out / run_folder.REPORT}")

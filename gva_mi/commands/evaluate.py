@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import torch
 from tyro.conf import Positional
 
 from gva_mi.avatar.avatar import Avatar
+from gva_mi.body.smplx import BodyModel, load_body
 from gva_mi.commands.arguments import Switch, poses_of
 from gva_mi.console import bar, say
+from gva_mi.data.fingerprint import require_same_body
 from gva_mi.data.video import Video, load_video
+from gva_mi.errors import InputError
 from gva_mi.fit import run_folder
-from gva_mi.fit.metrics import measure_run, save_metrics, with_fitted_poses
-from gva_mi.fit.report import write_report
+from gva_mi.fit.evaluation.metrics import measure_run, save_metrics, with_fitted_poses
+from gva_mi.fit.evaluation.report import write_report
 
 
 def evaluate(
@@ -20,6 +24,7 @@ def evaluate(
     subject: Positional[Path],
     *,
     poses: Path | None = None,
+    body: Path | None = None,
     fit_poses: Switch = False,
 ) -> None:
     """Measure an avatar on the splits of a subject; writes metrics.json and report.html.
@@ -28,17 +33,34 @@ def evaluate(
         run: the folder of a finished fit.
         subject: the folder it was fitted to.
         poses: the poses it was fitted under; without it the refined ones, else those of stage 1.
+        body: the body that it was fitted with, in SMPL-X's .npz format; without it the built-in
+            puppet. Hands are measured where it has them.
         fit_poses: also measure the test frames, in a row of its own, with their poses fitted to
             these very frames.
     """
     avatar = Avatar.load(run / run_folder.AVATAR)
-    video = load_video(subject, poses_of(subject, poses))
-    evaluate_run(run, avatar, video, name="full", title=subject.name, fit_poses=fit_poses)
+    model = load_body(body)
+    require_same_body(subject, model)
+    if not torch.equal(avatar.rig.weights, model.weights):
+        raise InputError(f"{run}: its avatar was fitted with another body; give that one's --body")
+    poses = poses_of(subject, poses)
+    video = load_video(subject, poses)
+    evaluate_run(
+        run, avatar, video, model, poses, name="full", title=subject.name, fit_poses=fit_poses
+    )
     say(f"report: {run / run_folder.REPORT}")
 
 
 def evaluate_run(
-    run: Path, avatar: Avatar, video: Video, *, name: str, title: str, fit_poses: bool = False
+    run: Path,
+    avatar: Avatar,
+    video: Video,
+    model: BodyModel,
+    poses: Path,
+    *,
+    name: str,
+    title: str,
+    fit_poses: bool = False,
 ) -> None:
     """Measure the avatar of a run, write figures and report into its folder, and say the figures.
 
@@ -46,16 +68,18 @@ def evaluate_run(
         run: the folder of the finished fit.
         avatar: what was fitted.
         video: opened with the poses that the fit began with.
+        model: the body model that was fitted.
+        poses: the file of these poses.
         name: of the run, for its rows.
         title: of the report.
         fit_poses: also measure the test frames with their poses fitted to these very frames.
     """
     trained = run_folder.under_trained_poses(video, run)
     with bar("evaluate") as progress:
-        metrics = measure_run(run, avatar, video, name, progress)
+        metrics = measure_run(run, avatar, video, name, model, poses, progress)
     if fit_poses:
         with bar("poses") as progress:
-            metrics = with_fitted_poses(metrics, avatar, trained, progress)
+            metrics = with_fitted_poses(metrics, avatar, video, trained, model, progress)
     save_metrics(run, metrics)
     write_report(run, avatar, trained, title)
     for line in metrics.lines():

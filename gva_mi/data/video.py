@@ -56,8 +56,8 @@ class Frame:
     camera: Camera
     pose: Pose  # of one frame
 
-    def on_background(self, color: float = 1.0) -> np.ndarray:
-        """The person alone on a plain background, (H, W, 3)."""
+    def on_background(self, color: float | np.ndarray = 1.0) -> np.ndarray:
+        """The person alone on a plain background, (H, W, 3); ``color`` is a grey or (3,)."""
         mask = self.mask[..., None]
         return self.image * mask + color * (1 - mask)
 
@@ -84,6 +84,13 @@ class Splits:
     def every(step: int, frames: int) -> Splits:
         """Every ``step``-th frame is a test frame."""
         test = list(range(step // 2, frames, step))
+        return Splits([k for k in range(frames) if k not in set(test)], test)
+
+    @staticmethod
+    def one_range(share: int, frames: int) -> Splits:
+        """One ``share``-th of the frames, in the middle and all in a row, are test frames."""
+        count = max(1, frames // share)
+        test = list(range((frames - count) // 2, (frames + count) // 2))
         return Splits([k for k in range(frames) if k not in set(test)], test)
 
     def without(self, frames: Container[int]) -> Splits:

@@ -12,7 +12,7 @@ from gva_mi.body.pose import Pose
 from gva_mi.data.video import Frame
 from gva_mi.splat import Camera, SplatOptions, render
 
-WHITE = (1.0, 1.0, 1.0)
+WHITE, BLACK = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
 
 
 def render_sequence(
@@ -55,9 +55,9 @@ def render_frame(
     return to_8bit(image.color.numpy())
 
 
-def cut_out(frame: Frame) -> np.ndarray:
-    """The target of a frame: the person on white, 8-bit (H, W, 3)."""
-    return to_8bit(frame.on_background(1.0))
+def cut_out(frame: Frame, background: tuple[float, float, float] = WHITE) -> np.ndarray:
+    """The target of a frame: the person on a plain background, 8-bit (H, W, 3)."""
+    return to_8bit(frame.on_background(np.array(background, dtype=np.float32)))
 
 
 def to_8bit(image: np.ndarray) -> np.ndarray:

@@ -29,7 +29,9 @@ CONNECT = 10  # seconds to wait for a scheduler
 
 Result = TypeVar("Result", covariant=True)
 
-_one_at_a_time = threading.Lock()  # a worker of a cluster may have several threads
+# A worker of a cluster may have several threads. The one that works may be given a part of its own
+# work: a piece of a study holds a refinement, whose pieces are solved here too.
+_one_at_a_time = threading.RLock()
 
 
 class Work(Protocol[Result]):

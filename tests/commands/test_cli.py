@@ -13,6 +13,7 @@ from gva_mi import __version__
 from gva_mi.body.pose import Pose, Shape, save_poses
 from gva_mi.body.smplx import load_body
 from gva_mi.commands import VERBS, load
+from gva_mi.fit.evaluation.metrics import ALIGNED
 
 TINY = ("--size", 64, "--frames", 6)
 
@@ -41,6 +42,12 @@ def test_the_demo_writes_subject_run_and_report(tiny_demo):
     assert splits == {"train", "test", "novel_pose", "novel_view"}
     assert metrics["refinement"]["vertex_mm"] is not None
     assert metrics["training"]["size"] == [64, 64]
+    assert {row["region"] for row in metrics["rows"]} >= {"white", "black", "person"}
+    assert {row["split"] for row in metrics["rows"] if row["name"] == ALIGNED} == {
+        "novel_pose", "novel_view"
+    }  # fmt: skip
+    assert metrics["similarity"]["scale"] > 0 and metrics["surface"][-1]["moment"] == "end"
+    assert metrics["protocol"]["seen"]["test masks"] == ["refine"]
     assert not list(tiny_demo.rglob("*.part"))
 
 

@@ -133,6 +133,9 @@ def test_test_frames_are_fitted_only_where_asked(video, body, subject, tmp_path,
             == (f"‘{FITTED.capitalize()}’" in (tmp_path / "report.html").read_text())
             == bool(arguments)
         )
-    plain, (*others, last) = rows.values()
-    assert others == plain and FITTED not in {row["name"] for row in plain}
-    assert (last["name"], last["split"]) == (FITTED, "test")
+    plain, every = rows.values()
+    assert FITTED not in {row["name"] for row in plain}
+    assert every[: len(plain)] == plain
+    assert {(row["name"], row["split"]) for row in every[len(plain) :]} == {(FITTED, "test")}
+    seen = json.loads((tmp_path / "metrics.json").read_text())["protocol"]["seen"]
+    assert seen["test pictures"] == ["stage 1", FITTED] and seen["test masks"] == [FITTED]

@@ -196,3 +196,10 @@ def test_outlines_are_the_frames_without_their_pictures(subject):
         assert (seen is None) == (frame.normals is None) == (frame.index == 0)
         if seen is not None:
             np.testing.assert_array_equal(seen, frame.normals[part])
+
+
+def test_one_range_of_test_frames_lies_in_the_middle():
+    splits = Splits.one_range(8, 64)
+    assert splits.test == list(range(28, 36))
+    assert sorted(splits.train + splits.test) == list(range(64))
+    assert Splits.one_range(8, 3).test == [1]

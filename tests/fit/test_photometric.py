@@ -8,7 +8,7 @@ import torch
 
 from gva_mi.body.pose import JOINTS, Pose
 from gva_mi.errors import InputError
-from gva_mi.fit.evaluate import evaluate
+from gva_mi.fit.evaluation.evaluate import evaluate
 from gva_mi.fit.perceptual import Weights
 from gva_mi.fit.photometric import PhotometricOptions, fit_poses
 

@@ -10,7 +10,7 @@ from gva_mi.body.pose import load_poses
 from gva_mi.errors import InputError
 from gva_mi.fit import run_folder
 from gva_mi.fit.colors import seen_colors
-from gva_mi.fit.evaluate import evaluate
+from gva_mi.fit.evaluation.evaluate import evaluate
 from gva_mi.fit.options import FitOptions, Schedule
 from gva_mi.fit.perceptual import Weights
 from gva_mi.fit.poses import PoseOptions

@@ -129,3 +129,20 @@ def test_a_missing_package_and_a_missing_scheduler_are_explained(monkeypatch):
     monkeypatch.setattr("gva_mi.pose.parallel.CONNECT", 0.2)
     with pytest.raises(InputError, match="no scheduler answers at tcp://127.0.0.1:1"):
         cluster("tcp://127.0.0.1:1").__enter__()
+
+
+class Nested:
+    """Work that holds other work."""
+
+    steps = 1
+
+    def __init__(self, *parts):
+        self.parts = parts
+
+    def solve(self, progress=None):
+        return 1 + sum(done.result for done in run(self.parts))
+
+
+def test_work_may_hold_work():
+    (done,) = run([Nested(Nested(), Nested(Nested()))])
+    assert done.result == 4

@@ -183,7 +183,6 @@ def test_a_picture_changed_in_place_raises():
         image.color.sum().backward()
 
 
-
 def test_a_short_fit_recovers_the_colors():
     truth = scene(gaussians=10).to(torch.float32)
     with torch.no_grad():

@@ -17,6 +17,7 @@ Noise        ``noise/``                     families of wrong poses, masks and n
 The folder   ``options``                    all that can be chosen
              ``dataset``                    makes a subject's folder
              ``degrade``                    the same recording under another noise
+             ``recorded``                   what a folder was made of, and its person drawn again
              ``contact_sheet``              a picture of all subjects and of one's folder
 ==========================================  ====================================================
 """
@@ -26,5 +27,6 @@ from gva_mi.data.synthetic.degrade import degrade
 from gva_mi.data.synthetic.estimates import describe_noise
 from gva_mi.data.synthetic.options import SynthOptions
 from gva_mi.data.synthetic.people import STUDY
+from gva_mi.data.synthetic.recorded import drawn_again
 
-__all__ = ["STUDY", "SynthOptions", "degrade", "describe_noise", "make_subject"]
+__all__ = ["STUDY", "SynthOptions", "degrade", "describe_noise", "drawn_again", "make_subject"]

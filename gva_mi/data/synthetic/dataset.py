@@ -40,6 +40,7 @@ from gva_mi.data.synthetic.options import (
     RENDER,
     SynthOptions,
 )
+from gva_mi.data.synthetic.recorded import SURFACE, write_surface
 from gva_mi.data.synthetic.render import camera_around
 from gva_mi.data.synthetic.shots import CameraEffects, Shot, ShotPool, Taken
 from gva_mi.data.synthetic.subject import Subject, draw_subject
@@ -90,7 +91,7 @@ def make_subject(
         splits = asdict(Splits.every(TEST_EVERY, options.frames))
         splits |= {"novel_pose": list(range(options.novel_poses)), "novel_view": seen}
         write_json(folder / "splits.json", splits)
-        _write_surface(folder / "truth" / "surface.ply", subject)
+        write_surface(folder / SURFACE, subject)
         about = {"options": options.recorded(), "seed": options.seed, "versions": _versions()}
         about["body"] = fingerprint(body)
         write_json(folder / "synth.json", about)
@@ -229,13 +230,6 @@ def _write_truth_set(
     save_cameras(folder / "cameras.npz", cameras)
     near = recording.closest(poses[0])  # for avatars, which live on the fitted body
     save_poses(folder / "poses.npz", near.pose, near.shape, stage=0)
-
-
-def _write_surface(path: Path, subject: Subject) -> None:
-    import trimesh
-
-    mesh = trimesh.Trimesh(subject.vertices, subject.faces, process=False)
-    path.write_bytes(trimesh.exchange.ply.export_ply(mesh, vertex_normal=False))
 
 
 def _versions() -> dict[str, str]:

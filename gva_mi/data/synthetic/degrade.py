@@ -8,7 +8,6 @@ starts from normals as they were rendered: over files, its normals are up to a g
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 from dataclasses import replace
@@ -19,9 +18,8 @@ from gva_mi.console import Progress
 from gva_mi.data.fingerprint import require_same_body
 from gva_mi.data.synthetic.closest import closest
 from gva_mi.data.synthetic.estimates import Pipeline, spoil_pictures
-from gva_mi.data.synthetic.options import SynthOptions
+from gva_mi.data.synthetic.recorded import made_of
 from gva_mi.data.truth import load_truth
-from gva_mi.errors import InputError
 from gva_mi.files import whole_folder, write_json
 
 KEPT = ("video.mp4", "frames", "truth", "splits.json")
@@ -52,7 +50,7 @@ def degrade(
             another body; there is no such family.
     """
     subject, out = Path(subject), Path(out)
-    about, options = _made_of(subject)
+    about, options = made_of(subject)
     require_same_body(subject, body)
     options = replace(
         options, family=family, noise_seed=seed, noise=level, pose_noise=1.0, mask_noise=1.0,
@@ -75,19 +73,6 @@ def degrade(
                 progress(k + 1, len(near.pose))
         pipeline.write(folder, errors)
         write_json(folder / "synth.json", about | {"options": options.recorded()})
-
-
-def _made_of(subject: Path) -> tuple[dict, SynthOptions]:
-    """What a subject's ``synth.json`` says, and the options in it."""
-    path = subject / "synth.json"
-    expected = "expected a folder that gva-mi synth made"
-    if not path.exists():
-        raise InputError(f"{path}: no such file; {expected}")
-    try:
-        about = json.loads(path.read_text())
-        return about, SynthOptions(**about["options"])
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise InputError(f"{path}: cannot be read ({error!r}); {expected}") from None
 
 
 def _linked(source: Path, target: Path) -> None:

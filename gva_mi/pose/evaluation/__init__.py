@@ -7,6 +7,6 @@
 * ``ablation.py``: the same with a term of the loss left out in turn;
 * ``refinement_report.py``: a page with all of it;
 * ``cases.py``: people, bodies and noise by which choices are made, and others by which they are
-  judged; ``study.py`` refines them, ``summary.py`` sums up by family of noise, ``study_file.py``
-  keeps what is done.
+  judged; ``subjects.py`` makes their folders, ``study.py`` refines them, ``summary.py`` sums up by
+  family of noise, ``study_file.py`` keeps what is done.
 """

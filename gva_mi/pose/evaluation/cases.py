@@ -1,4 +1,4 @@
-"""Whom the refinement is judged by: people, motions, bodies, clothes, and families of noise.
+"""Whom refinement and avatar are judged by: people, motions, bodies, clothes, kinds of noise.
 
 Choices (weights, rates, what is inferred and how) may look at :data:`TUNING`. They are judged by
 :data:`HELD_OUT`, which is looked at once, after the last choice: other people, and other draws of
@@ -52,12 +52,12 @@ class Take:
         ]
         return ", ".join([self.subject or f"seed {self.seed}", *filter(None, what)])
 
-    def synth(self, frames: int, size: int) -> SynthOptions:
-        """How it is made; without novel poses and views, which the refinement does not look at."""
+    def synth(self, frames: int, size: int, novel: int = 0) -> SynthOptions:
+        """How it is made, with so many novel poses and views, which no refinement looks at."""
         return SynthOptions(
             seed=self.seed, subject=self.subject, motion=self.motion, figure=self.figure,
             outfit=self.outfit, frames=frames, size=size, clothes=not self.bare,
-            hair=not self.bare, novel_poses=0, novel_views=0,
+            hair=not self.bare, novel_poses=novel, novel_views=novel,
         )  # fmt: skip
 
 

@@ -14,13 +14,12 @@ from pathlib import Path
 
 from gva_mi.body.smplx import BodyModel
 from gva_mi.console import Progress
-from gva_mi.data.fingerprint import require_same_body
-from gva_mi.data.synthetic import degrade, make_subject
 from gva_mi.data.truth import load_truth
 from gva_mi.data.video import load_video
 from gva_mi.pose.evaluation.cases import Case
 from gva_mi.pose.evaluation.figures import PoseFigures
 from gva_mi.pose.evaluation.measure import measure
+from gva_mi.pose.evaluation.subjects import Filming
 from gva_mi.pose.refine import refine
 from gva_mi.pose.sequence import SequenceOptions
 
@@ -81,24 +80,8 @@ def _refined(
     executor: Executor | None,
 ) -> CaseResult:
     """Make the video of a case where it is missing, refine it, and measure what was found."""
-    subject = _subject(folder, case, noise, body, options)
+    subject = Filming(folder, options.frames, options.size).film(case, body, noise)
     video = load_video(subject, normals=None if case.normals else "none")
     refined = refine(video, body, replace(options.refine, seed=case.draw), executor=executor)
     measured = measure(video, body, refined, load_truth(video.truth, body))
     return CaseResult(case, noise, measured.means)
-
-
-def _subject(
-    folder: Path, case: Case, noise: float, body: BodyModel, options: StudyOptions
-) -> Path:
-    """The folder of a case's video."""
-    size = f"{options.frames}-{options.size}"
-    person = f"{case.take.name.replace(', ', '-').replace(' ', '')}-{size}"
-    take = folder / "takes" / person
-    subject = folder / "videos" / f"{person}-{case.noise}-{case.draw}-{noise:g}"
-    if not take.exists():
-        make_subject(take, case.take.synth(options.frames, options.size), body)
-    if not subject.exists():
-        degrade(take, subject, case.noise, case.draw, body, noise)
-    require_same_body(subject, body)
-    return subject

@@ -11,18 +11,16 @@ every line of this program (``sources`` is their digest).
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import asdict
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.fingerprint import fingerprint
 from gva_mi.errors import InputError
-from gva_mi.files import versions, write_json
+from gva_mi.files import program_digest, versions, write_json
 from gva_mi.pose.evaluation.cases import Case, Take
 from gva_mi.pose.evaluation.figures import PoseFigures
 from gva_mi.pose.evaluation.study import CaseResult, StudyOptions
@@ -91,15 +89,5 @@ def _made_with(body: BodyModel, options: StudyOptions) -> dict[str, Any]:
     """All that a result depends on besides its case and the level of its noise."""
     chosen = asdict(options)
     del chosen["noise"]
-    made = {"options": chosen, "body": fingerprint(body), "sources": _sources()}
+    made = {"options": chosen, "body": fingerprint(body), "sources": program_digest()}
     return json.loads(json.dumps(made, default=str))
-
-
-def _sources() -> str:
-    """A digest of the program."""
-    digest = hashlib.sha256()
-    for package in ("gva_mi", "gva_mi_plugins"):
-        for root in find_spec(package).submodule_search_locations:
-            for file in sorted(Path(root).rglob("*.py")):
-                digest.update(file.read_bytes())
-    return digest.hexdigest()[:16]

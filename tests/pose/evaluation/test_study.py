@@ -38,7 +38,7 @@ def test_results_hold_for_the_same_options_body_and_program_alone(body, tmp_path
         assert load_study(path, body, other) == []
     fewer = body.on(range(0, len(body.v_template), 2), body.faces[:0])
     assert load_study(path, fewer, options) == []
-    monkeypatch.setattr(study_file, "_sources", lambda: "another program")
+    monkeypatch.setattr(study_file, "program_digest", lambda: "another program")
     assert load_study(path, body, options) == []
 
 

@@ -6,6 +6,7 @@ It is made from the run's folder (:mod:`gva_mi.fit.run_folder`) and the subject'
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +15,20 @@ from gva_mi.avatar.avatar import Avatar
 from gva_mi.data.pictures import read_image, write_image
 from gva_mi.data.video import Video, spread
 from gva_mi.fit import run_folder
-from gva_mi.fit.evaluate import Split, true_video
-from gva_mi.fit.metrics import Metrics, load_metrics
+from gva_mi.fit.evaluation.evaluate import REGIONS, Split, SplitScores, true_video
+from gva_mi.fit.evaluation.metrics import ALIGNED, AS_REFINED, Metrics, load_metrics
+from gva_mi.fit.evaluation.report_pictures import (
+    compared,
+    dots,
+    face,
+    hands,
+    overview,
+    same_size,
+    turntable,
+)
+from gva_mi.fit.evaluation.surface_figures import SurfaceFigures
+from gva_mi.fit.evaluation.true_surface import PARTS, TEXTURES
 from gva_mi.fit.photometric import FITTED
-from gva_mi.fit.report_pictures import compared, dots, face, hands, overview, same_size, turntable
 from gva_mi.fit.run_folder import Snapshot
 from gva_mi.page import (
     Figure,
@@ -55,7 +66,7 @@ def write_report(run: Path, avatar: Avatar, video: Video, title: str) -> None:
         *_truth(avatar, video, "novel_view", "Novel views", _NOVEL_VIEW),
         *_faces(avatar, video),
         _hands(avatar, video),
-        *_reinitialisation(list(run_folder.load_snapshots(run))),
+        *_reinitialisation(list(run_folder.load_snapshots(run)), metrics.surface),
         _curves(history),
         _tables(metrics),
     ]
@@ -67,6 +78,8 @@ def write_report(run: Path, avatar: Avatar, video: Video, title: str) -> None:
         sections=sections,
         settings={
             "options": metrics.options,
+            "protocol": metrics.protocol and asdict(metrics.protocol),
+            "similarity": metrics.similarity,
             "versions": metrics.versions,
             "seed": metrics.seed,
         },
@@ -160,7 +173,9 @@ def _hands(avatar: Avatar, video: Video) -> Section:
     return Section("Hands", text, pictures, columns=2 * SHOWN)
 
 
-def _reinitialisation(snapshots: Sequence[Snapshot]) -> list[Section]:
+def _reinitialisation(
+    snapshots: Sequence[Snapshot], surface: Sequence[SurfaceFigures]
+) -> list[Section]:
     if not snapshots:
         return []
     pictures = []
@@ -172,7 +187,32 @@ def _reinitialisation(snapshots: Sequence[Snapshot]) -> list[Section]:
         "Surface-guided re-initialisation: every Gaussian as a dot of its own colour, in the rest "
         "pose. Clumps in textured regions spread, and floating Gaussians return to the surface."
     )
-    return [Section("Re-initialisation", text, pictures, columns=2)]
+    tables = [surface_table(surface)] if surface else []
+    if surface:
+        text += (
+            " Spacing is the coefficient of variation of the distance to the nearest Gaussian on "
+            "the true surface: 0 on a lattice, 0.52 for points strewn at random. Bias is the 95th "
+            "percentile of the distance from the true surface to the nearest Gaussian."
+        )
+    return [Section("Re-initialisation", text, pictures, columns=2, tables=tables)]
+
+
+def surface_table(surface: Sequence[SurfaceFigures]) -> Table:
+    """How the Gaussians lie on the true surface, a line for each moment of a fit."""
+    textures = [name for name in ("all", *TEXTURES) if any(name in f.spacing for f in surface)]
+    parts = [name for name in PARTS if any(name in f.bias_mm for f in surface)]
+    head = ("step", "", "Gaussians", *(f"spacing, {name}" for name in textures))
+    rows = [
+        (
+            f"{figures.step:,}",
+            figures.moment,
+            f"{figures.gaussians:,}",
+            *(number(figures.spacing.get(name), 2) for name in textures),
+            *(number(figures.bias_mm.get(name), 1) for name in parts),
+        )
+        for figures in surface
+    ]
+    return Table((*head, *(f"bias of {name}, mm" for name in parts)), rows)
 
 
 def _curves(history: dict[str, np.ndarray]) -> Section:
@@ -195,35 +235,42 @@ def _curves(history: dict[str, np.ndarray]) -> Section:
 
 
 def _tables(metrics: Metrics) -> Section:
-    head = ("run", "split", "PSNR, dB", "SSIM", "LPIPS", "rand_vgg")
-    rows = [
-        (
-            row.name.replace("_", " "),
-            row.split.replace("_", " "),
-            number(row.psnr, 2),
-            number(row.ssim, 4),
-            number(row.lpips, 4),
-            number(row.rand_vgg, 4),
-        )
-        for row in metrics.rows
-    ]
+    head = ("run", "split", "region", "of", "PSNR, dB", "SSIM", "LPIPS", "rand_vgg")
+    order = [(row.name, row.split) for row in metrics.rows if row.region == "white"]
+    by_region = [[row for row in metrics.rows if row.region == region] for region in REGIONS]
+    tables = []
+    for rows in filter(None, by_region):
+        rows = sorted(rows, key=lambda row: order.index((row.name, row.split)))
+        tables.append(Table(head, [_scores(row) for row in rows]))
     text = (
-        "PSNR and SSIM over the whole image on white. LPIPS needs the user's weights; rand_vgg is "
-        "the same distance in a random network of a fixed seed, comparable only with itself. Poses "
+        "Over the whole picture on white, first; then on black, over the person's box, and over "
+        "the boxes of hands that are seen. LPIPS needs the user's weights; rand_vgg is the same "
+        "distance in a random network of a fixed seed, comparable only with itself. Poses "
         "are trained on the training frames alone; a test frame takes its neighbours' correction. "
-        "‘Poses as refined’ are the same frames without it."
+        f"‘{AS_REFINED}’ are the same frames without it. ‘{ALIGNED}’: one camera does not tell how "
+        "large the world is; the truth is laid over the avatar's world, once for all frames."
     )
     if any(row.name == FITTED for row in metrics.rows):
         text += (
             " ‘Poses fitted to the pictures’ have seen the test frames: the avatar is the same, "
             "and each pose is fitted to the very picture that it is measured on."
         )
-    return Section("Figures", text, tables=[Table(head, rows)])
+    return Section("Figures", text, tables=tables)
+
+
+def _scores(row: SplitScores) -> tuple[str, ...]:
+    names = (row.name.replace("_", " "), row.split.replace("_", " "), row.region)
+    figures = ((row.psnr, 2), (row.ssim, 4), (row.lpips, 4), (row.rand_vgg, 4))
+    return (*names, str(row.count), *(number(value, digits) for value, digits in figures))
 
 
 def _figures(metrics: Metrics) -> list[Figure]:
     """The large numbers at the top."""
-    psnr = {row.split: row.psnr for row in metrics.rows if row.name == metrics.rows[0].name}
+    psnr = {
+        row.split: row.psnr
+        for row in metrics.rows
+        if row.name == metrics.rows[0].name and row.region == "white"
+    }
     figures = [
         Figure(f"{psnr[split]:.1f} dB", f"PSNR, {split.replace('_', ' ')}")
         for split in ("test", "novel_pose", "novel_view")

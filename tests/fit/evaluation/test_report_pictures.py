@@ -7,7 +7,7 @@ import pytest
 import roma
 import torch
 
-from gva_mi.fit.report_pictures import face, turntable
+from gva_mi.fit.evaluation.report_pictures import face, turntable
 
 WORLDS = {"z up": (np.pi / 2, 0, 0), "y down": (np.pi, 0, 0), "askew": (0.4, -1.1, 0.7)}
 

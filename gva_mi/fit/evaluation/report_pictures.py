@@ -11,18 +11,17 @@ import numpy as np
 import torch
 
 from gva_mi.avatar.avatar import Avatar
-from gva_mi.body.kinematics import joint_transforms
-from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, Pose
+from gva_mi.body.pose import JOINTS
 from gva_mi.data.video import Frame, Video
+from gva_mi.fit.evaluation.regions import FINGERS, HAND, box_around, hand_joints
+from gva_mi.fit.evaluation.similarity import posed_joints
 from gva_mi.fit.renders import cut_out, render_frame, to_8bit
 from gva_mi.page import around
+from gva_mi.pose.crop import Box
 from gva_mi.splat import Camera, Gaussians, look_at, render
 
-WRISTS = {side: JOINTS.index(f"{side}_wrist") for side in ("left", "right")}
-FINGERS = {"left": LEFT_HAND, "right": RIGHT_HAND}
-HAND_CROP = 0.28  # metres, the side of a zoomed hand
-FACE_CROP = 0.26  # the same of a zoomed face
-ZOOMED_PIXELS = 220  # about the side of their pictures
+FACE_SIDE = 0.26  # metres, of a face's picture
+ZOOMED_PIXELS = 220  # about the side of pictures of hands and faces
 FACE = [JOINTS.index(name) for name in ("head", "jaw", "left_eye_smplhf", "right_eye_smplhf")]
 DOT = 0.0015  # metres, standard deviation of a Gaussian that is drawn as a dot
 RED_AT = 64  # levels of 255 at which a difference is shown fully red
@@ -34,7 +33,7 @@ def turntable(avatar: Avatar, frame: Frame, count: int) -> Iterator[np.ndarray]:
     The circle begins at the frame's own camera and lies flat in its picture: which way is up in the
     world, a video does not say.
     """
-    centre = _joints(avatar, frame.pose).mean(0)
+    centre = _joints(avatar, frame).mean(0)
     up = -frame.camera.T_camera_world[1, :3]  # y of a camera points down
     toward = frame.camera.position - centre
     toward -= up * (up @ toward)
@@ -67,35 +66,31 @@ def compared(avatar: Avatar, frame: Frame, difference: bool = True) -> np.ndarra
 
 def hands(avatar: Avatar, frame: Frame) -> Iterator[tuple[str, np.ndarray]]:
     """Each hand that lies within the picture: its side, and the picture above the render."""
-    joints = _joints(avatar, frame.pose)
-    for side, wrist in WRISTS.items():
-        shown = _zoomed(avatar, frame, np.vstack([joints[wrist], joints[FINGERS[side]]]), HAND_CROP)
-        if shown is not None:
-            yield side, shown
+    joints = _joints(avatar, frame)
+    for side in FINGERS:
+        box = box_around(frame.camera, hand_joints(joints, side), HAND)
+        if box is not None:
+            yield side, _zoomed(avatar, frame, box)
 
 
 def face(avatar: Avatar, frame: Frame) -> np.ndarray | None:
     """The face, the picture above the render; None where it leaves the picture or looks away."""
-    joints = _joints(avatar, frame.pose)[FACE]
+    joints = _joints(avatar, frame)[FACE]
     looks = joints[2:].mean(0) - joints[0]  # from the head's joint to the eyes
     if looks @ (frame.camera.position - joints[0]) <= 0:
         return None
-    return _zoomed(avatar, frame, joints[1:], FACE_CROP)
+    box = box_around(frame.camera, joints[1:], FACE_SIDE)
+    return None if box is None else _zoomed(avatar, frame, box)
 
 
-def _zoomed(avatar: Avatar, frame: Frame, around: np.ndarray, crop: float) -> np.ndarray | None:
-    """The picture above the render, ``crop`` metres around some joints (n, 3).
+def _zoomed(avatar: Avatar, frame: Frame, box: Box) -> np.ndarray:
+    """A box of the picture above the same of the render.
 
     The picture's pixels are shown as squares; the render is made at the zoomed resolution.
     """
-    square = _square(frame.camera, around, crop)
-    if square is None:
-        return None
-    left, top, size = square
-    factor = max(1, round(ZOOMED_PIXELS / size))
-    seen = cut_out(frame)[top : top + size, left : left + size]
-    camera = frame.camera.cropped(left, top, size, size)
-    image = render_frame(avatar, frame.pose, camera.resized(size * factor, size * factor))
+    factor = max(1, round(ZOOMED_PIXELS / box.width))
+    seen, enlarged = box.cut(cut_out(frame)), (factor * box.width, factor * box.height)
+    image = render_frame(avatar, frame.pose, box.cut_camera(frame.camera).resized(*enlarged))
     return np.concatenate([seen.repeat(factor, 0).repeat(factor, 1), image], axis=0)
 
 
@@ -164,22 +159,9 @@ def overview(avatar: Avatar, video: Video, turned: int = 3) -> np.ndarray:
     return side_by_side([part[around(part.min(-1) < 250, margin)] for part in parts], 480)
 
 
-def _joints(avatar: Avatar, pose: Pose) -> np.ndarray:
-    """The avatar's joints in a pose of one frame, (55, 3) metres, world."""
-    rig = avatar.rig
-    T_world_rest = joint_transforms(pose.rotations, rig.joints, rig.parents, pose.transl)[0]
-    R, t = T_world_rest[:, :3, :3], T_world_rest[:, :3, 3]
-    return ((R @ rig.joints[..., None])[..., 0] + t).detach().numpy()
-
-
-def _square(camera: Camera, joints: np.ndarray, crop: float) -> tuple[int, int, int] | None:
-    """``crop`` metres around some joints: left, top, side; None where it leaves the picture."""
-    u, v = camera.project(joints).mean(0)
-    R, t = camera.T_camera_world[:3, :3], camera.T_camera_world[:3, 3]
-    size = round(camera.fx * crop / float((joints @ R.T + t)[:, 2].mean()))
-    left, top = round(u - size / 2), round(v - size / 2)
-    fits = left >= 0 and top >= 0 and left + size <= camera.width and top + size <= camera.height
-    return (left, top, size) if fits and size > 1 else None
+def _joints(avatar: Avatar, frame: Frame) -> np.ndarray:
+    """The avatar's joints in a frame's pose, (55, 3) metres, world."""
+    return posed_joints(avatar.rig, frame.pose)[0].detach().double().numpy()
 
 
 def _reddened(difference: np.ndarray) -> np.ndarray:

@@ -6,14 +6,19 @@ from dataclasses import replace
 import pytest
 
 from gva_mi.errors import InputError
-from gva_mi.fit.evaluate import SplitScores
-from gva_mi.fit.metrics import (
+from gva_mi.fit.evaluation.evaluate import SplitScores
+from gva_mi.fit.evaluation.metrics import (
     Metrics,
     PoseFit,
+    Protocol,
     Training,
+    _pose_fit_options,
     load_metrics,
     save_metrics,
 )
+from gva_mi.fit.evaluation.scores import Scorer
+from gva_mi.fit.evaluation.surface_figures import SurfaceFigures
+from gva_mi.fit.perceptual import Weights
 from gva_mi.fit.run_folder import METRICS
 from gva_mi.pose.evaluation.figures import Change, PoseFigures
 
@@ -42,15 +47,26 @@ def metrics():
 
 def test_what_is_written_is_read_again(metrics, tmp_path):
     fitted = replace(metrics, pose_fit=PoseFit({"passes": 2}, {"3": "it has no mask"}, 0.5))
-    for some in (metrics, fitted, replace(metrics, refinement=UNKNOWN)):
+    known = replace(
+        metrics,
+        protocol=Protocol({"lpips": None}, "rand_vgg", "true", {"test pictures": ["stage 1"]}),
+        similarity={"scale": 1.03, "turn_degrees": 0.5, "shift_m": 0.2},
+        surface=(SurfaceFigures(500, "before", 900, {"all": 0.5}, {"hair": 12.0}),),
+    )
+    for some in (metrics, fitted, known, replace(metrics, refinement=UNKNOWN)):
         save_metrics(tmp_path, some)
         assert load_metrics(tmp_path) == some
 
 
 def test_the_file_has_the_entries_that_it_always_had(metrics):
     record = metrics.to_json()
-    assert list(record) == ["rows", "refinement", "training", "options", "versions", "seed"]
-    assert list(record["rows"][0]) == ["name", "split", "psnr", "ssim", "lpips", "rand_vgg"]
+    assert list(record) == [
+        "rows", "refinement", "training", "protocol", "similarity", "surface", "options",
+        "versions", "seed",
+    ]  # fmt: skip
+    assert list(record["rows"][0]) == [
+        "name", "split", "psnr", "ssim", "lpips", "rand_vgg", "region", "count"
+    ]  # fmt: skip
     assert set(record["refinement"]) >= {
         "vertex_mm_stage1", "vertex_mm", "hand_vertex_mm_stage1", "hand_vertex_mm",
         "foot_vertex_mm_stage1", "foot_vertex_mm", "aligned_vertex_mm_stage1", "aligned_vertex_mm",
@@ -72,6 +88,10 @@ def test_a_file_of_an_older_version_lacks_some_figures(metrics):
     record = metrics.to_json()
     for name in ("frames_worse", "finger_mm", "ankle_depth_mm_stage1"):
         del record["refinement"][name]
+    for name in ("protocol", "similarity", "surface"):
+        del record[name]
+    for row in record["rows"]:
+        del row["region"], row["count"]
     found = Metrics.from_json(record)
     lacking = replace(metrics.refinement, frames_worse=None, fingers=None, ankles_depth=None)
     assert found.refinement == lacking
@@ -85,6 +105,43 @@ def test_the_lines_say_the_main_figures(metrics):
     assert lines[-2] == "test        PSNR 30.12 dB, SSIM 0.9800"
     assert lines[-1] == "test        PSNR 29.50 dB, SSIM 0.9700 (poses as refined)"
     assert "true pose" in next(line for line in lines if line.startswith("silhouette"))
+
+
+def test_the_lines_name_what_is_of_the_hands_alone(metrics):
+    (first, *others) = metrics.rows
+    hands, black = (replace(first, region=region, psnr=25.0) for region in ("hands", "black"))
+    lines = list(replace(metrics, rows=(first, *others, hands, black)).lines())
+    assert lines[-1] == "test        PSNR 25.00 dB, SSIM 0.9800 (hands alone)"
+
+
+@pytest.mark.parametrize(
+    "poses, refinement, seen",
+    [
+        ("poses.npz", None, (["stage 1"], [], [])),
+        ("poses_refined.npz", None, (["stage 1"], ["refine"], ["refine"])),
+        ("poses_refined.npz", "seen", (["stage 1"], ["refine"], ["refine"])),
+        ("poses_refined.npz", "held out", (["stage 1"], [], [])),
+        ("poses_photometric.npz", None, (["stage 1", "track"], ["track"], [])),
+    ],
+)
+def test_the_protocol_says_what_had_seen_the_test_frames(
+    poses, refinement, seen, video, tmp_path, monkeypatch
+):
+    if refinement is not None:
+        (tmp_path / "refinement.json").write_text(json.dumps({"test_frames": refinement}))
+    monkeypatch.setattr(type(video), "has_normals", True)
+    options = {"vgg16": None}
+    found = Protocol.of(Scorer(Weights()), video, tmp_path / poses, options)
+    assert tuple(found.seen.values()) == seen and found.masks == "the video's"
+    assert found.training_loss == "rand_vgg" and found.networks["lpips"] is None
+    ours = Protocol.of(Scorer(Weights()), video, tmp_path / poses, {"vgg16": "my.pth"})
+    assert ours.training_loss == "VGG16, my.pth"
+
+
+@pytest.mark.parametrize("frames, steps", [(1, 100), (8, 100), (10, 102), (64, 160)])
+def test_a_pose_fit_of_few_frames_takes_as_many_steps_as_one_of_many(frames, steps):
+    options = _pose_fit_options(frames)
+    assert options.passes * -(-frames // options.batch) == steps
 
 
 @pytest.mark.parametrize("text", [None, "{", "[]", '{"rows": []}'])

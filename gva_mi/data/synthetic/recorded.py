@@ -1,0 +1,74 @@
+"""What a subject's folder was made of: its options, and the person drawn once more."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from gva_mi.body.smplx import BodyModel
+from gva_mi.data.fingerprint import ABOUT, require_same_body
+from gva_mi.data.synthetic.options import SynthOptions
+from gva_mi.data.synthetic.subject import Subject, draw_subject
+from gva_mi.errors import InputError
+
+SURFACE = "truth/surface.ply"  # in the subject's folder
+
+
+def made_of(subject: Path) -> tuple[dict, SynthOptions]:
+    """What a subject's ``synth.json`` says, and the options in it.
+
+    Raises:
+        InputError: the folder was not made by ``gva-mi synth``.
+    """
+    path = subject / ABOUT
+    expected = "expected a folder that gva-mi synth made"
+    if not path.exists():
+        raise InputError(f"{path}: no such file; {expected}")
+    try:
+        about = json.loads(path.read_text())
+        return about, SynthOptions(**about["options"])
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(f"{path}: cannot be read ({error!r}); {expected}") from None
+
+
+def write_surface(path: Path, person: Subject) -> None:
+    """Write a person's outer surface in the rest pose."""
+    import trimesh
+
+    mesh = trimesh.Trimesh(person.vertices, person.faces, process=False)
+    path.write_bytes(trimesh.exchange.ply.export_ply(mesh, vertex_normal=False))
+
+
+def drawn_again(subject: Path, body: BodyModel) -> tuple[Subject, BodyModel] | None:
+    """The person of a folder, and the body that it was drawn on.
+
+    The folder keeps the outer surface alone, :data:`SURFACE`; which triangle is cloth or hair, and
+    what it follows, is drawn anew, and the surface tells whether this is who was filmed.
+
+    Args:
+        subject: the folder.
+        body: the one that its stage-1 poses belong to.
+
+    Returns:
+        None where an older program drew another surface.
+
+    Raises:
+        InputError: the folder was not made by ``gva-mi synth``, or on another body.
+    """
+    require_same_body(subject, body)
+    _, options = made_of(subject)
+    drawn_on = options.drawn_on(body)
+    person = draw_subject(drawn_on, options.person(drawn_on), options.clothes, options.hair)
+    return (person, drawn_on) if _was_filmed(subject / SURFACE, person) else None
+
+
+def _was_filmed(path: Path, person: Subject) -> bool:
+    import trimesh
+
+    if not path.is_file():
+        return False
+    filmed = trimesh.load(path, process=False)
+    same = filmed.faces.shape == person.faces.shape and np.array_equal(filmed.faces, person.faces)
+    return same and np.allclose(filmed.vertices, person.vertices, atol=1e-6)

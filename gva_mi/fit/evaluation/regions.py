@@ -1,0 +1,100 @@
+"""The parts of a picture that figures are taken on, besides the whole of it.
+
+* **The person's box** is the bounding box of the mask, with a margin of :data:`MARGIN` of its
+  longer side. A figure of the whole picture depends on how much white there is around the person.
+* **A hand's box** is a square of :data:`HAND` around the wrist and the fingers' joints. It counts
+  where a quarter of the hand's vertices are seen, which is half of what a hand in front of the body
+  shows, and where the whole box lies in the picture.
+
+Boxes do not depend on the avatar, or each one would be judged by other pixels: they come from the
+true pose where the subject has a truth, and from the video's elsewhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, Pose, Shape
+from gva_mi.body.smplx import BodyModel
+from gva_mi.data.truth import POSES, load_truth
+from gva_mi.data.video import Video
+from gva_mi.mesh.visibility import seen_vertices
+from gva_mi.pose.crop import Box
+from gva_mi.splat import Camera
+
+MARGIN = 0.03  # of the longer side of the mask's box
+HAND = 0.28  # metres, the side of a hand's box
+SMALLEST = 16  # pixels of a side, which the metrics' networks need
+SEEN = 0.25  # share of the hand's vertices, of which about half face the camera
+
+WRISTS = {side: JOINTS.index(f"{side}_wrist") for side in ("left", "right")}
+FINGERS = {"left": LEFT_HAND, "right": RIGHT_HAND}
+
+
+def person_box(mask: np.ndarray) -> Box:
+    """The box around a mask (H, W) that is not empty, inside the picture."""
+    height, width = mask.shape
+    rows, columns = (np.flatnonzero((mask > 0.5).any(axis)) for axis in (1, 0))
+    margin = round(MARGIN * max(np.ptp(rows), np.ptp(columns)))
+    left, right = _at_least(columns[0] - margin, columns[-1] + 1 + margin, width)
+    top, bottom = _at_least(rows[0] - margin, rows[-1] + 1 + margin, height)
+    return Box(left, top, right, bottom)
+
+
+def box_around(camera: Camera, joints: np.ndarray, metres: float) -> Box | None:
+    """The square of that side around joints (n, 3), metres, world; None where it is cut off."""
+    R, t = camera.T_camera_world[:3, :3], camera.T_camera_world[:3, 3]
+    depth = float((joints @ R.T + t)[:, 2].mean())
+    if depth <= 0:
+        return None
+    u, v = camera.project(joints).mean(0)
+    side = max(SMALLEST, round(camera.fx * metres / depth))
+    left, top = round(u - side / 2), round(v - side / 2)
+    fits = left >= 0 and top >= 0 and left + side <= camera.width and top + side <= camera.height
+    return Box(left, top, left + side, top + side) if fits else None
+
+
+def hand_joints(joints: np.ndarray, side: str) -> np.ndarray:
+    """The wrist and the fingers of one side, (16, 3), of all joints (55, 3)."""
+    return np.vstack([joints[WRISTS[side]], joints[FINGERS[side]]])
+
+
+@dataclass(frozen=True)
+class Hands:
+    """Where the hands of the person in a video are, as far as that is known."""
+
+    body: BodyModel
+    pose: Pose
+    shape: Shape
+    cameras: list[Camera]
+
+    @staticmethod
+    def of(video: Video, body: BodyModel) -> Hands:
+        """By the truth of a synthetic video, else by the poses that the video was opened with."""
+        if video.truth is not None and (video.truth / POSES).is_file():
+            truth = load_truth(video.truth, body)
+            return Hands(truth.body, truth.pose, truth.shape, truth.cameras)
+        return Hands(body, video.pose, video.shape, video.cameras)
+
+    @torch.no_grad()
+    def boxes(self, frame: int) -> Iterator[Box]:
+        """The boxes of the hands that are seen in a frame."""
+        posed, camera = self.body(self.pose[frame], self.shape), self.cameras[frame]
+        seen = seen_vertices(posed.vertices[0], self.body.faces, camera.position[None])[0]
+        for side, fingers in FINGERS.items():
+            weights = self.body.weights
+            own = weights[:, fingers].sum(1) + weights[:, WRISTS[side]] > 0.5
+            box = box_around(camera, hand_joints(posed.joints[0].double().numpy(), side), HAND)
+            if box is not None and seen[own].float().mean() >= SEEN:
+                yield box
+
+
+def _at_least(low: int, high: int, size: int) -> tuple[int, int]:
+    """A span grown to the smallest side, inside the picture."""
+    grown = max(0, SMALLEST - (high - low))
+    low, high = low - grown // 2, high + grown - grown // 2
+    return max(0, int(low)), min(size, int(high))

@@ -1,0 +1,142 @@
+"""One similarity transform between the world of an avatar and the true one.
+
+One camera that stands still sees a person of twice the size, twice as far away, in the same
+pixels; and an error of a few degrees about its axis in every frame looks like a person who leans.
+So a video does not say how large its world is, and hardly where it lies, and figures of novel views
+and poses in the *true* world mix that with the quality of the avatar. Both are told apart by
+measuring once more after the one similarity transform, for the whole video, that lays the joints
+under the avatar's poses onto the true ones:
+
+    1. s, R, t  = argmin Σ_k Σ_j |s R x_kj + t - y_kj|²     k: training frames, j: body's joints
+    2. y        = s R x + t                                 from the avatar's world to the true one
+
+solved in closed form (Umeyama 1991). The avatar stays as it is. Poses and cameras of the truth are
+taken over to its world instead, where it is seen by the same pixels:
+
+    3. camera      R_c (s R x + t) + t_c  ~  (R_c R) x + (R_c t + t_c) / s    pictures have no scale
+    4. root        Rᵀ R_root, with the pelvis at Rᵀ (y_pelvis - t) / s
+
+Only figures use it: nothing is trained with it, and the figures without it stand beside.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import roma
+import torch
+from torch import Tensor
+
+from gva_mi.avatar.avatar import Rig
+from gva_mi.body.kinematics import joint_transforms
+from gva_mi.body.pose import Pose, Shape
+from gva_mi.body.smplx import BodyModel
+from gva_mi.data.truth import POSES, load_truth
+from gva_mi.data.video import Video
+from gva_mi.splat import Camera
+
+BODY_JOINTS = 22  # of the trunk and the limbs; those of the fingers would count as much
+
+
+@dataclass(frozen=True)
+class Similarity:
+    """Eq. 2, in float64."""
+
+    scale: float
+    rotation: np.ndarray  # (3, 3)
+    translation: np.ndarray  # (3,) metres
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        """Points (..., 3) of the avatar's world in the true one."""
+        return self.scale * points @ self.rotation.T + self.translation
+
+    def camera(self, camera: Camera) -> Camera:
+        """A camera of the true world in the avatar's, eq. 3."""
+        R, t = camera.T_camera_world[:3, :3], camera.T_camera_world[:3, 3]
+        T = np.eye(4)
+        T[:3, :3] = R @ self.rotation
+        T[:3, 3] = (R @ self.translation + t) / self.scale
+        return camera.with_matrices(T_camera_world=T)
+
+    def pose(self, pose: Pose, pelvis: Tensor, own_pelvis: Tensor) -> Pose:
+        """Poses of the true world in the avatar's, eq. 4.
+
+        Args:
+            pose: the true ones, T frames.
+            pelvis: (3,) the rest pelvis of the body that they belong to, metres.
+            own_pelvis: (3,) that of the avatar.
+        """
+        R = torch.from_numpy(self.rotation)
+        root = R.T @ roma.rotvec_to_rotmat(pose.rotations[:, 0].double())
+        place = pose.transl.double() + pelvis - torch.from_numpy(self.translation)
+        rotations = pose.rotations.clone()
+        rotations[:, 0] = roma.rotmat_to_rotvec(root).to(rotations)
+        transl = (place @ R / self.scale - own_pelvis).to(pose.transl)
+        return Pose(rotations, transl, pose.expression)
+
+    def to_json(self) -> dict[str, float]:
+        """Its size as a record holds it: scale, turn in degrees, shift in metres."""
+        turn = np.degrees(np.arccos(np.clip((np.trace(self.rotation) - 1) / 2, -1, 1)))
+        shift = float(np.linalg.norm(self.translation))
+        return {"scale": self.scale, "turn_degrees": float(turn), "shift_m": shift}
+
+
+def umeyama(x: np.ndarray, y: np.ndarray) -> Similarity:
+    """The similarity that lays points x onto points y, both (N, 3), with the least squares (eq. 1).
+
+    Raises:
+        ValueError: fewer than three points, or all on one line: no turn follows from them.
+    """
+    mean_x, mean_y = x.mean(0), y.mean(0)
+    a, b = x - mean_x, y - mean_y
+    U, S, Vt = np.linalg.svd(b.T @ a / len(x))
+    if len(x) < 3 or S[1] <= 1e-9 * max(S[0], 1e-30):
+        raise ValueError("umeyama(): needs three points at least that are not on one line")
+    mirrored = np.array([1.0, 1.0, np.sign(np.linalg.det(U) * np.linalg.det(Vt))])
+    R = U @ np.diag(mirrored) @ Vt
+    scale = float((S * mirrored).sum() / np.square(a).sum(1).mean())
+    return Similarity(scale, R, mean_y - scale * R @ mean_x)
+
+
+@torch.no_grad()
+def similarity_to_truth(rig: Rig, video: Video, body: BodyModel) -> Similarity | None:
+    """The similarity of an avatar's world to the true one; None where nothing is known of it.
+
+    Args:
+        rig: the avatar's rest body.
+        video: opened with the poses that the avatar was trained under.
+        body: the body model that was fitted.
+    """
+    if video.truth is None or not (video.truth / POSES).is_file():
+        return None
+    truth, frames = load_truth(video.truth, body), video.splits.train
+    found = posed_joints(rig, video.pose[frames])
+    true = truth.body(truth.pose[frames], truth.shape).joints
+    flat = lambda joints: joints[:, :BODY_JOINTS].reshape(-1, 3).double().numpy()
+    return umeyama(flat(found), flat(true))
+
+
+@torch.no_grad()
+def in_avatars_world(similarity: Similarity, source: Video, rig: Rig, body: BodyModel) -> Video:
+    """A true video, with its poses and cameras taken over to the avatar's world.
+
+    Args:
+        similarity: of the avatar's world to that of the video.
+        source: opened with true poses of ``body``, such as ``truth/novel_pose``.
+        rig: the avatar's rest body.
+        body: the body model that was fitted.
+    """
+    pelvis = body.rest(Shape(source.shape.betas)).joints[0].double()
+    return replace(
+        source,
+        pose=similarity.pose(source.pose, pelvis, rig.joints[0].double()),
+        cameras=[similarity.camera(camera) for camera in source.cameras],
+    )
+
+
+def posed_joints(rig: Rig, pose: Pose) -> Tensor:
+    """An avatar's joints in some poses, (T, 55, 3) metres, world."""
+    T_world_rest = joint_transforms(pose.rotations, rig.joints, rig.parents, pose.transl)
+    R, t = T_world_rest[..., :3, :3], T_world_rest[..., :3, 3]
+    return (R @ rig.joints[..., None])[..., 0] + t

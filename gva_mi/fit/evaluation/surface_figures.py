@@ -1,0 +1,107 @@
+"""The two phenomena of the paper's Figure 2 as figures, before and after each re-initialisation.
+
+*Unbalanced aggregation*: cloning and splitting crowd Gaussians where texture is rich, and leave few
+where there is none. On the surface, for the Gaussians of one texture,
+
+    1. d_i = min_{j ≠ i} |f_i - f_j|          f: the foot of a Gaussian on the true surface
+    2. spacing = std(d) / mean(d)             0 on a lattice, 0.52 for points strewn at random
+
+*Initialisation bias*: Gaussians that began on the naked body do not reach hair and loose clothes.
+From points x spread evenly over a part of the true surface,
+
+    3. bias = 95th percentile of min_i |x - μ_i|
+
+Only opaque Gaussians count, and for (2) only those near the surface. (3) also holds how far
+Gaussians are apart: half of that is the least there is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gva_mi.avatar.avatar import Avatar
+from gva_mi.body.smplx import BodyModel
+from gva_mi.data.fingerprint import ABOUT
+from gva_mi.fit import run_folder
+from gva_mi.fit.evaluation.true_surface import PARTS, TEXTURES, TrueSurface
+
+OPAQUE = 0.5  # opacity of a Gaussian that counts
+NEAR = 0.03  # metres from the surface; what is farther is a floater
+FEWEST = 50  # Gaussians, or points, that a figure is taken of
+
+
+@dataclass(frozen=True)
+class SurfaceFigures:
+    """How the Gaussians lie on the true surface at one moment of a fit."""
+
+    step: int
+    moment: str  # "before" or "after" a re-initialisation, or "end" of the fit
+    gaussians: int  # that are opaque
+    spacing: dict[str, float]  # eq. 2 by texture, and of "all"
+    bias_mm: dict[str, float]  # eq. 3 by part
+
+
+def surface_figures(
+    run: Path, avatar: Avatar, subject: Path, body: BodyModel
+) -> tuple[SurfaceFigures, ...]:
+    """The figures of a run, in the order of its steps; none where the true surface is not known.
+
+    Args:
+        run: the folder of the finished fit.
+        avatar: what was fitted.
+        subject: the folder that it was fitted to.
+        body: the body model that was fitted.
+    """
+    if not (subject / ABOUT).is_file():
+        return ()
+    truth = TrueSurface.of(subject, body, avatar.rig)
+    if truth is None:
+        return ()
+    moments = []
+    for snapshot in run_folder.load_snapshots(run):
+        moments.append((snapshot.step, "before", snapshot.before))
+        moments.append((snapshot.step, "after", snapshot.after))
+    moments.append((len(run_folder.load_history(run)["loss"]), "end", avatar.canonical))
+    found = []
+    for step, moment, gaussians in moments:
+        opaque = gaussians.opacities.detach() > OPAQUE
+        means = gaussians.means.detach()[opaque].double().numpy()
+        if len(means) >= FEWEST:
+            figures = spacing(means, truth), bias_mm(means, truth)
+            found.append(SurfaceFigures(step, moment, len(means), *figures))
+    return tuple(found)
+
+
+def spacing(means: np.ndarray, truth: TrueSurface) -> dict[str, float]:
+    """Eq. 2 of Gaussians (N, 3), by texture and for all; textures with few of them are left out."""
+    from scipy.spatial import cKDTree
+
+    distance, nearest = cKDTree(truth.points).query(means)
+    near = distance < NEAR
+    means, nearest = means[near], nearest[near]
+    normals = truth.normals[nearest]
+    height = ((means - truth.points[nearest]) * normals).sum(1, keepdims=True)
+    feet, texture = means - height * normals, truth.texture[nearest]
+    apart = cKDTree(feet).query(feet, k=2)[0][:, 1]
+    groups = {"all": np.ones(len(feet), dtype=bool)}
+    groups |= {name: texture == k for k, name in enumerate(TEXTURES)}
+    return {
+        name: float(apart[own].std() / apart[own].mean())
+        for name, own in groups.items()
+        if own.sum() >= FEWEST
+    }
+
+
+def bias_mm(means: np.ndarray, truth: TrueSurface) -> dict[str, float]:
+    """Eq. 3 of Gaussians (N, 3), by part, millimetres; parts that the person lacks are left out."""
+    from scipy.spatial import cKDTree
+
+    distance = 1e3 * cKDTree(means).query(truth.points)[0]
+    return {
+        name: float(np.percentile(distance[truth.part == k], 95))
+        for k, name in enumerate(PARTS)
+        if (truth.part == k).sum() >= FEWEST
+    }

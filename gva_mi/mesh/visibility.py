@@ -1,0 +1,43 @@
+"""Which points of a surface are seen from some places.
+
+A point is seen where its surface faces the eye, ``n · (eye - x) > 0``, and where the straight line
+to the eye meets no triangle. The line starts a little off the surface, so that the triangles around
+the point do not hide it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gva_mi.mesh.mesh_scene import load_plugins, scene_of
+from gva_mi.mesh.surface import vertex_normals
+
+OFF = 0.002  # metres off the surface
+
+
+def seen_vertices(vertices: Tensor, faces: Tensor, eyes: np.ndarray) -> Tensor:
+    """Which vertices are seen from each of E places, (E, V) bool.
+
+    Args:
+        vertices: (V, 3) world, metres.
+        faces: (F, 3) integers, counter-clockwise seen from outside.
+        eyes: (E, 3) world, such as positions of cameras; where their pictures end plays no part.
+    """
+    load_plugins()
+    import mitsuba as mi
+
+    vertices = vertices.detach().float()
+    normals = vertex_normals(vertices, faces)
+    start, scene = vertices + OFF * normals, scene_of(faces, vertices)
+    columns = lambda x: [mi.Float(column.contiguous().numpy()) for column in x.unbind(1)]
+    found = []
+    for eye in torch.from_numpy(np.asarray(eyes, dtype=np.float32)):
+        toward = eye - start
+        distance = toward.norm(dim=1, keepdim=True)
+        ray = mi.Ray3f(mi.Point3f(*columns(start)), mi.Vector3f(*columns(toward / distance)))
+        ray.maxt = mi.Float((0.999 * distance[:, 0]).numpy())
+        hidden = torch.from_numpy(np.array(scene.ray_test(ray), dtype=bool))
+        found.append(((normals * toward).sum(1) > 0) & ~hidden)
+    return torch.stack(found)

@@ -1,0 +1,115 @@
+"""Spacing and bias are what their equations say, on surfaces whose answer is known."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+import torch
+
+from gva_mi.avatar.avatar import seed_avatar
+from gva_mi.body.pose import Shape
+from gva_mi.data.fingerprint import ABOUT, fingerprint
+from gva_mi.data.synthetic import SynthOptions, drawn_again
+from gva_mi.data.synthetic.recorded import SURFACE, write_surface
+from gva_mi.data.synthetic.subject import draw_subject
+from gva_mi.errors import InputError
+from gva_mi.fit.evaluation.surface_figures import NEAR, bias_mm, spacing, surface_figures
+from gva_mi.fit.evaluation.true_surface import PARTS, TEXTURES, TrueSurface
+from gva_mi.pose.evaluation.surface_distance import surface_distances
+
+
+@pytest.fixture
+def square():
+    """One square metre of the plane z = 0: skin where x < 0.5, hair and a hem beyond."""
+    side = (np.arange(200) + 0.5) / 200
+    points = np.stack([*np.meshgrid(side, side, indexing="ij"), np.zeros((200, 200))], -1)
+    points = points.reshape(-1, 3)
+    right = points[:, 0] > 0.5
+    texture = np.where(right, TEXTURES.index("hair"), TEXTURES.index("skin"))
+    part = np.where(right, PARTS.index("hair"), PARTS.index("rest"))
+    return TrueSurface(points, np.tile([0.0, 0, 1], (len(points), 1)), texture, part)
+
+
+def lattice(count, height=0.0):
+    side = (np.arange(count) + 0.5) / count
+    x, y = np.meshgrid(side, side, indexing="ij")
+    return np.stack([x, y, np.full_like(x, height)], -1).reshape(-1, 3)
+
+
+def test_spacing_is_zero_on_a_lattice_and_that_of_poisson_s_points_at_random(square):
+    assert spacing(lattice(50), square) == pytest.approx(dict.fromkeys(("all", "skin", "hair"), 0))
+    strewn = np.random.default_rng(0).random((40_000, 3)) * (1, 1, 0)
+    assert spacing(strewn, square)["all"] == pytest.approx(0.523, abs=0.01)
+
+
+def test_spacing_is_measured_along_the_surface(square):
+    """Gaussians that lie at random heights over a lattice are as evenly spread as the lattice."""
+    means = lattice(50)
+    means[:, 2] = np.random.default_rng(1).uniform(-0.02, 0.02, len(means))
+    assert spacing(means, square)["all"] == pytest.approx(0, abs=1e-9)
+
+
+def test_a_clump_in_one_texture_is_found_there(square):
+    clump = np.random.default_rng(2).uniform((0.7, 0.4, 0), (0.75, 0.45, 0), (400, 3))
+    found = spacing(np.vstack([lattice(40), clump]), square)
+    assert found["skin"] == pytest.approx(0) and found["hair"] > 0.5
+
+
+def test_floaters_do_not_count_and_few_gaussians_have_no_figure(square):
+    floaters = np.random.default_rng(3).random((300, 3)) + (0, 0, 2 * NEAR)
+    assert spacing(np.vstack([lattice(50), floaters]), square)["all"] == pytest.approx(0)
+    few = lattice(20)
+    assert "hair" not in spacing(few[few[:, 0] < 0.5], square)
+
+
+def test_bias_is_the_distance_that_was_not_reached(square):
+    """Gaussians 30 mm below the hair: 30 mm but for the spacing, sqrt(30² + 5²) at most."""
+    low = lattice(100)
+    low[low[:, 0] > 0.5, 2] = -0.030
+    found = bias_mm(low, square)
+    assert set(found) == {"hair", "rest"}
+    assert found["rest"] < 10 / np.sqrt(2) and 30 < found["hair"] < 31
+
+
+def test_a_folder_that_synth_did_not_make_has_no_figures(tmp_path, known, body):
+    assert surface_figures(tmp_path, known, tmp_path, body) == ()
+
+
+@pytest.fixture(scope="module")
+def bare(tmp_path_factory, body):
+    """What ``synth.json`` says of a person without clothes and hair."""
+    folder = tmp_path_factory.mktemp("bare")
+    options = SynthOptions(seed=3, clothes=False, hair=False)
+    about = {"options": options.recorded(), "body": fingerprint(body)}
+    (folder / ABOUT).write_text(json.dumps(about))
+    person = draw_subject(body, options.person(body), clothes=False, hair=False)
+    (folder / "truth").mkdir()
+    write_surface(folder / SURFACE, person)
+    return folder
+
+
+def test_the_surface_of_a_bare_person_is_the_body_that_the_avatar_stands_on(bare, body):
+    """Carried over to an avatar of other betas, it lies on that avatar's own rest surface."""
+    betas = torch.tensor([2.0, -1.5, *[0.0] * 8])
+    avatar = seed_avatar(body, Shape(betas))
+    truth = TrueSurface.of(bare, body, avatar.rig)
+    assert set(truth.texture) == {TEXTURES.index("skin")} and set(truth.part) == {2}
+    rig = avatar.rig
+    away = surface_distances(truth.points[::7], rig.vertices.double().numpy(), rig.faces.numpy())
+    assert away.mean() < 1e-5
+    person, _ = drawn_again(bare, body)
+    own = body.rest(person.shape).vertices.detach().numpy()
+    assert np.linalg.norm(own - rig.vertices.numpy(), axis=1).max() > 0.01
+
+
+def test_a_person_that_is_drawn_otherwise_today_has_no_figures(bare, known, body, tmp_path):
+    folder = shutil.copytree(bare, tmp_path / "older")
+    (folder / "truth/surface.ply").unlink()
+    assert drawn_again(folder, body) is None
+    assert TrueSurface.of(folder, body, known.rig) is None
+
+
+def test_a_folder_without_its_options_is_named(tmp_path, body):
+    with pytest.raises(InputError, match="synth.json: no such file"):
+        drawn_again(tmp_path, body)

@@ -45,14 +45,21 @@ def person_box(mask: np.ndarray) -> Box:
     return Box(left, top, right, bottom)
 
 
-def box_around(camera: Camera, joints: np.ndarray, metres: float) -> Box | None:
-    """The square of that side around joints (n, 3), metres, world; None where it is cut off."""
+def box_around(camera: Camera, joints: np.ndarray, metres: float, pixels: int = 2) -> Box | None:
+    """A square around joints (n, 3), metres, world; None where the picture's edge cuts it.
+
+    Args:
+        camera: of the picture.
+        joints: in the middle.
+        metres: of a side.
+        pixels: of a side at least.
+    """
     R, t = camera.T_camera_world[:3, :3], camera.T_camera_world[:3, 3]
     depth = float((joints @ R.T + t)[:, 2].mean())
     if depth <= 0:
         return None
     u, v = camera.project(joints).mean(0)
-    side = max(SMALLEST, round(camera.fx * metres / depth))
+    side = max(pixels, round(camera.fx * metres / depth))
     left, top = round(u - side / 2), round(v - side / 2)
     fits = left >= 0 and top >= 0 and left + side <= camera.width and top + side <= camera.height
     return Box(left, top, left + side, top + side) if fits else None
@@ -88,7 +95,9 @@ class Hands:
         for side, fingers in FINGERS.items():
             weights = self.body.weights
             own = weights[:, fingers].sum(1) + weights[:, WRISTS[side]] > 0.5
-            box = box_around(camera, hand_joints(posed.joints[0].double().numpy(), side), HAND)
+            box = box_around(
+                camera, hand_joints(posed.joints[0].double().numpy(), side), HAND, SMALLEST
+            )
             if box is not None and seen[own].float().mean() >= SEEN:
                 yield box
 

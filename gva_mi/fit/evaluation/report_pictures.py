@@ -33,7 +33,10 @@ def turntable(avatar: Avatar, frame: Frame, count: int) -> Iterator[np.ndarray]:
     The circle begins at the frame's own camera and lies flat in its picture: which way is up in the
     world, a video does not say.
     """
-    centre = _joints(avatar, frame).mean(0)
+    R = frame.camera.T_camera_world[:3, :3]
+    seen = _joints(avatar, frame) @ R.T
+    # The middle of their extent along the camera's axes: their mean lies high, most are fingers.
+    centre = (seen.min(0) + seen.max(0)) / 2 @ R
     up = -frame.camera.T_camera_world[1, :3]  # y of a camera points down
     toward = frame.camera.position - centre
     toward -= up * (up @ toward)

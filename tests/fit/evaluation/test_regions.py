@@ -53,6 +53,6 @@ def test_a_hand_behind_the_body_does_not_count(standing):
 
 def test_a_hand_at_the_edge_of_the_picture_or_behind_the_camera_has_no_box(standing):
     camera = standing.cameras[0]
-    assert box_around(camera, np.array([[1.48, 0.0, 0.0]]), HAND) is None
-    assert box_around(camera, np.array([[0.0, 0.0, 5.0]]), HAND) is None
-    assert box_around(camera, np.array([[1.0, 0.0, 0.0]]), HAND) is not None
+    assert box_around(camera, np.array([[1.48, 0.0, 0.0]]), HAND, SMALLEST) is None
+    assert box_around(camera, np.array([[0.0, 0.0, 5.0]]), HAND, SMALLEST) is None
+    assert box_around(camera, np.array([[1.0, 0.0, 0.0]]), HAND, SMALLEST) is not None

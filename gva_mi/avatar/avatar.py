@@ -163,7 +163,9 @@ class Avatar(nn.Module):
         psi = pose.expression[0, : G.expression.shape[2]]
         means = G.means + moved_by(psi, G.expression)
         joints = self.rest_joints + moved_by(psi, self.rest_expression_joints)
-        T_world_rest = joint_transforms(rotations, joints, self._parents, pose.transl)[0]
+        # In float64: of 55 joints it costs nothing, and chains of products lose most of the digits.
+        turned, at_rest, transl = (x.double() for x in (rotations, joints, pose.transl))
+        T_world_rest = joint_transforms(turned, at_rest, self._parents, transl)[0].to(means.dtype)
         means, quats = skin_gaussians(means + residual, G.quats, G.weights, T_world_rest)
         sh = self.turn_colors(G.sh, T_world_rest)
         return Animated(Gaussians(means, quats, G.scales, G.opacities, sh=sh), residual)

@@ -42,6 +42,7 @@ BAND = 1e-3  # relative distance of an alpha to its cut-off, beyond reach of a d
 STEPS = {  # share of a difference's step, for inputs that move many pixels, or a small part of one
     "rotations": 0.1, "transl": 0.1, "means": 0.1, "expression": 30.0,
 }  # fmt: skip
+NETWORK_STEP = 4.0  # the same for the network's weights; well within chain.py's KINK
 FEW = 12  # inputs of so many entries are differentiated by each of them
 
 
@@ -141,7 +142,8 @@ def _chain(asked: _Asked, tolerances: Tolerances, step: float) -> Iterator[Compa
             along = lambda v, name=name, leaves=leaves: _tangent(asked, leaves, name, v)
             yield _probed(asked, f"tangent {label}", name, along, allowed)
     for name in names:
-        along = lambda v, name=name: _difference(asked, name, v, step * STEPS.get(name, 1.0))
+        share = NETWORK_STEP if name.startswith(NETWORK) else STEPS.get(name, 1.0)
+        along = lambda v, name=name, h=share * step: _difference(asked, name, v, h)
         yield _probed(asked, "differences", name, along, tolerances.f64)
 
 

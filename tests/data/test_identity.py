@@ -3,10 +3,20 @@
 import shutil
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from gva_mi.data.identity import PARTS, differing, identity
+from gva_mi.data.pictures import write_image
 from gva_mi.data.video import Splits, load_video
+
+
+@pytest.fixture
+def video(subject):
+    """Of the tiny subject, but no two masks are the same."""
+    for k in range(3):
+        write_image(subject / f"masks/{k:06d}.png", np.full((6, 8), 200 + k, np.uint8))
+    return load_video(subject)
 
 
 def test_a_video_is_itself_also_elsewhere(video, subject, tmp_path):

@@ -37,9 +37,9 @@ def test_full_and_rows_that_differ_in_their_input_change_no_option():
         ("without residual", {"avatar.residual.enabled"}),
         ("without re-initialisation", {"schedule.reinit_at"}),
         ("without re-initialisation, naked", {"schedule.reinit_at"}),
-        ("without trained poses", {"rates.pose"}),
-        ("without either", {"rates.pose"}),
-        ("true poses", {"rates.pose"}),
+        ("without trained poses", {"poses.trained"}),
+        ("without either", {"poses.trained"}),
+        ("true poses", {"poses.trained"}),
     ],
 )
 def test_a_row_leaves_one_part_out(name, options):
@@ -52,7 +52,7 @@ def test_gart_and_a_still_life_leave_most_out():
         "loss.residual", "loss.alpha", "loss.ssim",
     }  # fmt: skip
     assert changed("static 3DGS") == {
-        "avatar.hands", "avatar.residual.enabled", "schedule.reinit_at", "rates.pose"
+        "avatar.hands", "avatar.residual.enabled", "schedule.reinit_at", "poses.trained"
     }  # fmt: skip
 
 

@@ -16,7 +16,7 @@ poses err, and ``E`` becomes what that says.
 * A frame that is not trained on is not looked at. What is probable of it follows from the frames
   around it: an error that lasts is corrected there too, one that is new in every frame is not.
 * Avatar and poses could drift together, such as all knees and the canonical legs, and no picture
-  would change. ``E`` keeps the mean place and turn of the person, and each joint near what it was.
+  would change. So corrections have no mean over the frames: neither of a joint nor of the place.
 * Jaw and eyes stay.
 """
 
@@ -164,6 +164,7 @@ class _Clip:
         if self.waiting:
             (nat * self.waiting * self.corrections.energy()).backward()
             self._adam.step(factor)
+            self.corrections.centre()
             self.waiting = 0.0
 
     def learn(self, options: PoseOptions) -> None:
@@ -173,6 +174,7 @@ class _Clip:
         leaves = (self.corrections.turns, self.corrections.moves)
         return {
             "told": self._told,
+            "start": self.corrections.start,
             "leaves": [leaf.detach() for leaf in leaves],
             "gradients": [leaf.grad for leaf in leaves],
             "waiting": self.waiting,
@@ -182,6 +184,7 @@ class _Clip:
     def load_state(self, state: dict[str, Any], options: PoseOptions) -> None:
         for turns, moves in state["told"]:
             self._tell(turns, moves, options)
+        self.corrections.start = state["start"]
         leaves = (self.corrections.turns, self.corrections.moves)
         held = zip(leaves, state["leaves"], state["gradients"], strict=True)
         for leaf, value, gradient in held:

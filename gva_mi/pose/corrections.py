@@ -37,6 +37,7 @@ class Corrections:
         moves: (n, 3, 1) ``u`` of the shifts, a leaf. The last axis is what
             :class:`gva_mi.pose.vector_adam.VectorAdam` takes for a vector: each coordinate has
             steps of its own.
+        start: ``δ⁰`` (n, J, 3) and ``τ⁰`` (n, 3), in the camera's axes.
         beliefs: what their energy is made of.
     """
 
@@ -45,7 +46,7 @@ class Corrections:
     ) -> None:
         """Start from corrections ``δ⁰`` (n, J, 3) and ``τ⁰`` (n, 3) in the camera's axes."""
         self._stage1, self._anatomy, self.beliefs = stage1, anatomy, beliefs
-        self._turns0, self._moves0 = turns0, moves0
+        self.start = turns0, moves0
         n, joints = turns0.shape[:2]
         own = stage1.in_joints(turns0)
         spread = torch.zeros(joints, n, n)  # the face stays
@@ -77,6 +78,14 @@ class Corrections:
     def found(self) -> tuple[Tensor, Tensor]:
         """``A δ`` (n, J, 3) and ``τ`` (n, 3) as they are by now, in the camera's axes."""
         return self._at(range(len(self.moves)))
+
+    @torch.no_grad()
+    def centre(self) -> None:
+        """Take away what is the same in all frames, in the axes of the joints, and of the place."""
+        turns, moves = self.found()
+        mean = self._stage1.in_joints(turns).mean(0).expand_as(turns)
+        turns0, moves0 = self.start
+        self.start = turns0 - self._stage1.in_camera(mean), moves0 - moves.mean(0)
 
     @torch.no_grad()
     def told_by(self, turns: Tensor, moves: Tensor) -> Corrections:
@@ -130,4 +139,5 @@ class Corrections:
         which = list(which)
         turns = (self._spread[:, which] @ self.turns[..., 0].transpose(0, 1)).transpose(0, 1)
         moves = (self._spread_moves[:, which] @ self.moves.transpose(0, 1))[..., 0].T
-        return self._turns0[which] + turns, self._moves0[which] + moves
+        turns0, moves0 = self.start
+        return turns0[which] + turns, moves0[which] + moves

@@ -162,7 +162,7 @@ def test_what_pictures_corrected_tells_how_stage_1_erred(make):
     corrections = make(at_rest(frames))
     elbows = list(GROUPS["elbows"])
     with torch.no_grad():
-        corrections._turns0[:, elbows] = -errors
+        corrections.start[0][:, elbows] = -errors
     renewed = corrections.told_by(*corrections.found())
     noise = renewed.beliefs.noise
     assert noise["elbows"].slow == pytest.approx(0.2, rel=0.4)

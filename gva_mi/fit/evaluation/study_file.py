@@ -14,13 +14,11 @@ every line of this program.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
-from gva_mi.errors import InputError
 from gva_mi.files import versions, write_json
 from gva_mi.fit.evaluation.evaluate import SplitScores
 from gva_mi.fit.evaluation.paper import TABLES
@@ -28,6 +26,7 @@ from gva_mi.fit.evaluation.study import RowResult
 from gva_mi.fit.evaluation.summary import is_held_out, summaries
 from gva_mi.fit.evaluation.surface_figures import SurfaceFigures
 from gva_mi.pose.evaluation.cases import Case, Take
+from gva_mi.pose.evaluation.study_file import still_holding
 
 
 def save_results(
@@ -67,17 +66,11 @@ def load_results(path: Path, made_with: dict[str, Any]) -> list[RowResult]:
     Raises:
         InputError: the file cannot be read.
     """
-    if not path.exists():
-        return []
-    try:
-        record = json.loads(path.read_text())
-        if record["made_with"] != made_with:
-            return []
-        return [_result(row, record["networks"]) for row in record["results"]]
-    except (ValueError, KeyError, TypeError, AttributeError):
-        raise InputError(
-            f"{path}: not readable; expected what `gva-mi study` writes, or give --overwrite"
-        ) from None
+    return still_holding(
+        path,
+        made_with,
+        lambda record: [_result(row, record["networks"]) for row in record["results"]],
+    )
 
 
 def _record(result: RowResult) -> dict[str, Any]:

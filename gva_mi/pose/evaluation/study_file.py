@@ -12,10 +12,10 @@ every line of this program (``sources`` is their digest).
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.fingerprint import fingerprint
@@ -25,6 +25,8 @@ from gva_mi.pose.evaluation.cases import Case, Take
 from gva_mi.pose.evaluation.figures import PoseFigures
 from gva_mi.pose.evaluation.study import CaseResult, StudyOptions
 from gva_mi.pose.evaluation.summary import rows_of
+
+Result = TypeVar("Result")
 
 
 def save_study(
@@ -67,13 +69,26 @@ def load_study(path: Path, body: BodyModel, options: StudyOptions) -> list[CaseR
     Raises:
         InputError: the file cannot be read.
     """
+    return still_holding(
+        path,
+        _made_with(body, options),
+        lambda record: [_result(row) for row in record["cases"]],
+    )
+
+
+def still_holding(
+    path: Path, made_with: dict[str, Any], read: Callable[[dict[str, Any]], list[Result]]
+) -> list[Result]:
+    """The results of a study's file, if they were made with the same; else none.
+
+    Raises:
+        InputError: the file cannot be read.
+    """
     if not path.exists():
         return []
     try:
         record = json.loads(path.read_text())
-        if record["made_with"] != _made_with(body, options):
-            return []
-        return [_result(row) for row in record["cases"]]
+        return read(record) if record["made_with"] == made_with else []
     except (ValueError, KeyError, TypeError, AttributeError):
         raise InputError(
             f"{path}: not readable; expected what `gva-mi study` writes, or give --overwrite"

@@ -1,12 +1,15 @@
 """The avatar: canonical Gaussians, moved by the residual, carried by the skeleton.
 
-1. mu'  = mu + E(mu) psi + MLP(theta)  the expression and the residual, in the rest pose
-2. A    = sum_p W_p(mu) T_p(theta)     Eq. 5, W of the outer skin, see :mod:`gva_mi.avatar.skin`
+1. mu'  = mu + D(mu) c + MLP(theta)     c = (R_j - I, psi): blend shapes of the body beneath, which
+                                        bulge where joints bend and move the face; the residual
+2. A    = sum_p W_p(mu) T_p(theta)     Eq. 5; D and W of the outer skin: gva_mi.avatar.skin
 3. mu_t = A mu',   R_t = A_rot R       Eq. 6, see :mod:`gva_mi.body.skinning`
-4. f_t  = A_rot f                      the linear band of the colour
+4. f_t  = f_0 + f_xyz · (A_rotᵀ l)     colour: a linear function of where the light comes from
 
-Colour turns with the body (4), so that a person who turns before the camera and a camera that
-goes around the person agree.
+3D Gaussian splatting lets colour depend on the direction that it is seen from. Before one camera a
+person who turns sees the light go round with it, and both explain the pictures alike. From
+elsewhere they differ: the light stays (4), in a direction l of the world, one for all Gaussians,
+that is learned with them. Gloss, which moves with the eye, is left out.
 
 An avatar holds all it takes to drive it: skeleton and surface of the rest body are copied from
 the body model, so that a saved avatar is one file and needs no licensed body beside it.
@@ -16,7 +19,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +36,7 @@ from gva_mi.avatar.canonical import (
 )
 from gva_mi.avatar.residual import PoseResidual, ResidualOptions
 from gva_mi.avatar.skin import Skin, diffused
-from gva_mi.body.kinematics import joint_transforms
+from gva_mi.body.kinematics import turn_joints
 from gva_mi.body.pose import LEFT_HAND, RIGHT_HAND, Pose, Shape
 from gva_mi.body.skinning import skin_gaussians
 from gva_mi.body.smplx import BodyModel
@@ -41,13 +44,13 @@ from gva_mi.errors import InputError
 from gva_mi.files import read_arrays, write_arrays
 from gva_mi.splat.gaussians import Gaussians
 
-FORMAT = "gva_mi avatar, version 2"
+FORMAT = "gva_mi avatar, version 3"
 RIG = (  # the tensors of a Rig
-    "joints", "vertices", "faces", "weights", "looseness", "expression", "expression_joints",
-    "betas",
+    "joints", "vertices", "faces", "weights", "looseness", "directions", "pose_features",
+    "expression_joints", "betas",
 )  # fmt: skip
-# The linear SH band h, in the basis (-y, z, -x), as a vector: its colour is C1 (V h) . d.
-_V = ((0.0, 0.0, -1.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+WORN = ("vertices", "weights", "beneath")  # of an outer skin; its directions are the rig's
+_LIGHT = (0.6, 0.6, 0.6)  # before anything is learned: along no axis that a person turns about
 
 
 @dataclass(frozen=True)
@@ -69,7 +72,10 @@ class Rig:
     faces: Tensor  # (F, 3) int64
     weights: Tensor  # (V, 55)
     looseness: Tensor  # (V,) metres by which the clothes' offsets displaced it
-    expression: Tensor  # (V, 3, E) metres by which the face's coefficients move the vertices
+    directions: (
+        Tensor  # (V, 3, P + E) metres by which pose features and expression move the vertices
+    )
+    pose_features: Tensor  # (P,) int64, which of the 9 (J - 1) entries of R - I
     expression_joints: Tensor  # (55, 3, E) the same of the joints
     betas: Tensor  # (B,) the shape it was made with
     body: str  # fingerprint of the body model it came from
@@ -77,7 +83,8 @@ class Rig:
     @property
     def skin(self) -> Skin:
         """The surface as something that points can follow."""
-        return Skin(self.vertices, self.weights, self.expression)
+        itself = torch.arange(len(self.vertices))
+        return Skin(self.vertices, self.weights, itself, self.directions)
 
 
 @dataclass(frozen=True)
@@ -94,6 +101,7 @@ class Avatar(nn.Module):
     Attributes:
         canonical: what the person looks like in the rest pose.
         residual: how the rest pose deforms with the pose.
+        light: (3,) l of eq. 4, in the world; its length is a matter of f.
         options: what it was made of.
         rig: the rest body under it, constant.
         skin: the outer surface that Gaussians take their skinning weights from.
@@ -116,7 +124,7 @@ class Avatar(nn.Module):
         fingers = torch.zeros(len(rig.parents), 1, dtype=torch.bool)
         fingers[LEFT_HAND] = fingers[RIGHT_HAND] = not options.hands
         self.register_buffer("_held", fingers, persistent=False)
-        self.register_buffer("_v", torch.tensor(_V, dtype=rig.joints.dtype), persistent=False)
+        self.light = nn.Parameter(torch.tensor(_LIGHT, dtype=rig.joints.dtype))
 
     @property
     def rig(self) -> Rig:
@@ -127,17 +135,18 @@ class Avatar(nn.Module):
     @property
     def skin(self) -> Skin:
         """The outer skin, in the precision of the avatar."""
-        return Skin(*(getattr(self, f"skin_{field.name}") for field in fields(Skin)))
+        own = (getattr(self, f"skin_{name}") for name in WORN)
+        return Skin(*own, self.rest_directions)
 
     def wear(self, skin: Skin) -> None:
         """Take another outer skin, which the Gaussians are to follow from the next look-up."""
-        for field in fields(Skin):
-            self.register_buffer(f"skin_{field.name}", getattr(skin, field.name).detach().clone())
+        for name in WORN:
+            self.register_buffer(f"skin_{name}", getattr(skin, name).detach().clone())
 
     def look_up(self) -> None:
         """Let the Gaussians follow the skin around where they are now."""
         G = self.canonical
-        G.weights, G.expression = self.skin.at(G.means)
+        G.weights, G.directions = self.skin.at(G.means)
 
     def forward(self, pose: Pose) -> Gaussians:
         """The Gaussians of one pose, in the world."""
@@ -147,7 +156,7 @@ class Avatar(nn.Module):
         """One pose's Gaussians and the residual that went into them.
 
         Args:
-            pose: one frame. Of its expression the coefficients count that the body knew.
+            pose: one frame. Of its expression those coefficients count that the body knew.
 
         Returns:
             Differentiable in all parameters, and in the pose.
@@ -156,29 +165,25 @@ class Avatar(nn.Module):
             raise ValueError(f"Avatar: pose must be of one frame, got {len(pose)}")
         rotations = pose.rotations.masked_fill(self._held, 0)
         G = self.canonical
+        psi = pose.expression[0, : self.rest_expression_joints.shape[2]]
+        joints = self.rest_joints + moved_by(psi, self.rest_expression_joints)
+        # In float64: of 55 joints it costs nothing, and chains of products lose most of the digits.
+        turned, at_rest, transl = (x.double() for x in (rotations, joints, pose.transl))
+        R, T_world_rest = turn_joints(turned, at_rest, self._parents, transl)
+        R, T_world_rest = (x[0].to(G.means.dtype) for x in (R, T_world_rest))
         if self.options.residual.enabled:
             residual = self.residual(G.means, rotations[0])
         else:
             residual = torch.zeros_like(G.means)
-        psi = pose.expression[0, : G.expression.shape[2]]
-        means = G.means + moved_by(psi, G.expression)
-        joints = self.rest_joints + moved_by(psi, self.rest_expression_joints)
-        # In float64: of 55 joints it costs nothing, and chains of products lose most of the digits.
-        turned, at_rest, transl = (x.double() for x in (rotations, joints, pose.transl))
-        T_world_rest = joint_transforms(turned, at_rest, self._parents, transl)[0].to(means.dtype)
+        means = G.means + moved_by(self.coefficients(R, psi), G.directions)
         means, quats = skin_gaussians(means + residual, G.quats, G.weights, T_world_rest)
-        sh = self.turn_colors(G.sh, T_world_rest)
+        sh = lit(G.sh, G.weights, T_world_rest, self.light)
         return Animated(Gaussians(means, quats, G.scales, G.opacities, sh=sh), residual)
 
-    def turn_colors(self, sh: Tensor, T_world_rest: Tensor) -> Tensor:
-        """Spherical harmonics (N, K, 3) whose linear band follows the blended joints (eq. 4)."""
-        if sh.shape[1] == 1:
-            return sh
-        # The change of basis is made for 55 joints, not for N Gaussians. Near a bent joint the
-        # blend is no rotation and shortens the band: a little less gloss there is harmless.
-        turn = self._v.T @ T_world_rest[:, :3, :3] @ self._v
-        turn = (self.canonical.weights @ turn.flatten(1)).unflatten(1, (3, 3))
-        return torch.cat([sh[:, :1], turn @ sh[:, 1:]], dim=1)
+    def coefficients(self, R: Tensor, psi: Tensor) -> Tensor:
+        """c of eq. 1: pose features of rotations (55, 3, 3), then the expression (up to E,)."""
+        bent = (R[1:] - torch.eye(3, dtype=R.dtype)).flatten()[self.rest_pose_features]
+        return torch.cat([bent, psi])
 
     def record(self) -> dict[str, Any]:
         """The avatar as tensors and strings, for a file or checkpoint; see :meth:`from_record`."""
@@ -203,7 +208,7 @@ class Avatar(nn.Module):
             body=described["body"],
             **{name: state[f"rest_{name}"] for name in RIG},
         )
-        skin = Skin(**{f.name: state[f"skin_{f.name}"] for f in fields(Skin)})
+        skin = Skin(*(state[f"skin_{name}"] for name in WORN), rig.directions)
         canonical = CanonicalGaussians(
             **{name: state[f"canonical.{name}"] for name in (*PARAMETERS, *CARRIERS)}
         )
@@ -233,9 +238,28 @@ class Avatar(nn.Module):
             raise InputError(f"{path}: not an avatar of this version ({error})") from None
 
 
-def moved_by(psi: Tensor, directions: Tensor) -> Tensor:
-    """Metres (N, 3) by which coefficients (up to E,) of an expression move along (N, 3, E)."""
-    return directions[..., : len(psi)] @ psi
+def moved_by(coefficients: Tensor, directions: Tensor) -> Tensor:
+    """Metres (N, 3) that coefficients (up to K,) of blend shapes move along (N, 3, K)."""
+    return directions[..., : len(coefficients)] @ coefficients
+
+
+def lit(sh: Tensor, weights: Tensor, T_world_rest: Tensor, light: Tensor) -> Tensor:
+    """Colours (N, 1, 3) in one pose (eq. 4).
+
+    Args:
+        sh: (N, K, 3), K = 1 or 4: constant colours, then slopes along x, y and z of the rest pose.
+        weights: (N, J).
+        T_world_rest: (J, 4, 4).
+        light: (3,) in the world.
+
+    Note:
+        Near a bent joint the blend is no rotation and shortens the slope: a little less contrast
+        there is harmless.
+    """
+    if sh.shape[1] == 1:
+        return sh
+    toward = weights @ (T_world_rest[:, :3, :3].mT @ light)  # of 55 joints, not of N Gaussians
+    return sh[:, :1] + (toward.unsqueeze(2) * sh[:, 1:]).sum(1, keepdim=True)
 
 
 def seed_avatar(
@@ -261,8 +285,8 @@ def seed_avatar(
         vertices = rest.vertices if offsets is None else rest.vertices + offsets
         looseness = (vertices - rest.vertices).norm(dim=1)
         count, E = len(vertices), body.num_expressions
-        expression = body.expression_directions[:, : 3 * count].view(E, 3, count).permute(2, 1, 0)
-        own = Skin(vertices, body.weights, expression)
+        directions = body.frame_directions[:, : 3 * count].view(-1, 3, count).permute(2, 1, 0)
+        own = Skin(vertices, body.weights, torch.arange(count), directions.contiguous())
         skin = diffused(vertices.double().numpy(), body.faces.numpy(), own, looseness)
         canonical = seed_on_surface(vertices, body.faces, skin, options.seed, colors)
         low, high = vertices.amin(0), vertices.amax(0)
@@ -276,7 +300,8 @@ def seed_avatar(
             body.faces,
             body.weights,
             looseness,
-            expression,
+            own.directions,
+            body.pose_features,
             body.expression_joints.view(E, -1, 3).permute(1, 2, 0),
             shape.betas,
             fingerprint,

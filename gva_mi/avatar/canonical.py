@@ -7,12 +7,12 @@ mu         ``means``            (N, 3)      metres, in the T-pose of the body
 q          ``quats``            (N, 4)      wxyz, normalised where they are used
 log s      ``log_scales``       (N, 3)      logarithm of the standard deviations in metres
 logit eta  ``logit_opacities``  (N,)        eta = sigmoid of it
-f          ``sh``               (N, K, 3)   spherical harmonics, in the frame of the rest pose
+f          ``sh``               (N, K, 3)   colour: f_0, and its slopes along x, y, z at rest
 W(mu)      ``weights``          (N, 55)     skinning weights (Eq. 5), not learned
-E(mu)      ``expression``       (N, 3, E)   metres an expression moves it by, not learned
+D(mu)      ``directions``       (N, 3, K)   metres blend shapes move it by, not learned
 =========  ===================  ==========  =============================================
 
-W and E are those of the outer skin around mu (:mod:`gva_mi.avatar.skin`). Seeding lays flat discs
+W and D are those of the outer skin around mu (:mod:`gva_mi.avatar.skin`). Seeding lays flat discs
 into the surface of the body, so that the first image is a body and not a cloud.
 """
 
@@ -30,7 +30,7 @@ from gva_mi.mesh.surface import vertex_normals
 from gva_mi.splat.kernels.sh import C0
 
 PARAMETERS = ("means", "quats", "log_scales", "logit_opacities", "sh")
-CARRIERS = ("weights", "expression")  # what is looked up, and not learned
+CARRIERS = ("weights", "directions")  # what is looked up, and not learned
 
 
 class CanonicalGaussians(nn.Module):
@@ -43,7 +43,7 @@ class CanonicalGaussians(nn.Module):
         logit_opacities: (N,).
         sh: (N, K, 3), K = 1 or 4.
         weights: (N, 55), rows sum to one.
-        expression: (N, 3, E) metres; None for a face that does not move.
+        directions: (N, 3, K) metres; None where no blend shapes move them.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class CanonicalGaussians(nn.Module):
         logit_opacities: Tensor,
         sh: Tensor,
         weights: Tensor,
-        expression: Tensor | None = None,
+        directions: Tensor | None = None,
     ) -> None:
         super().__init__()
         N = means.shape[0]
@@ -74,15 +74,15 @@ class CanonicalGaussians(nn.Module):
             raise ValueError(
                 f"CanonicalGaussians: weights must be ({N}, J), got {tuple(weights.shape)}"
             )
-        expression = means.new_zeros(N, 3, 0) if expression is None else expression
-        if expression.ndim != 3 or expression.shape[:2] != (N, 3):
+        directions = means.new_zeros(N, 3, 0) if directions is None else directions
+        if directions.ndim != 3 or directions.shape[:2] != (N, 3):
             raise ValueError(
-                f"CanonicalGaussians: expression must be ({N}, 3, E), got {tuple(expression.shape)}"
+                f"CanonicalGaussians: directions must be ({N}, 3, K), got {tuple(directions.shape)}"
             )
         for name in PARAMETERS:
             setattr(self, name, nn.Parameter(given[name].detach().clone().contiguous()))
         self.register_buffer("weights", weights.detach().clone().contiguous())
-        self.register_buffer("expression", expression.detach().clone().contiguous())
+        self.register_buffer("directions", directions.detach().clone().contiguous())
 
     def __len__(self) -> int:
         return self.means.shape[0]
@@ -103,7 +103,7 @@ class SeedOptions:
     """How the surface of the rest body is covered with Gaussians."""
 
     count: int = 0  # Gaussians; 0: one on each vertex, as in the paper
-    sh_degree: int = 1  # 0 or 1; higher bands overfit a single turning person
+    sh_degree: int = 1  # 0: the same colour in any light; 1: linear in the light's direction
     opacity: float = 0.9  # of every new Gaussian
     overlap: float = 0.7  # standard deviation in the tangent plane / distance of neighbours
     flatness: float = 0.25  # standard deviation along the normal / in the tangent plane
@@ -134,7 +134,7 @@ def seed_on_surface(
     Args:
         vertices: (V, 3) metres, rest pose.
         faces: (F, 3) int64.
-        skin: what the Gaussians take their skinning weights and expression from.
+        skin: what the Gaussians take their skinning weights and blend shapes from.
         options: how many, and how large.
         colors: (V, 3) linear, of the vertices; grey where missing.
     """
@@ -152,7 +152,7 @@ def seed_on_surface(
     spacing = neighbour_spacing(points)
     sh = points.new_zeros(count, (options.sh_degree + 1) ** 2, 3)
     sh[:, 0] = (albedo - 0.5) / C0
-    weights, expression = skin.at(points)
+    weights, directions = skin.at(points)
     return CanonicalGaussians(
         means=points,
         quats=disc_quats(normals),
@@ -160,7 +160,7 @@ def seed_on_surface(
         logit_opacities=torch.logit(points.new_full((count,), options.opacity)),
         sh=sh,
         weights=weights,
-        expression=expression,
+        directions=directions,
     )
 
 

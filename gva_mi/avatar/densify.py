@@ -1,6 +1,7 @@
 """Adaptive density control: clone, split and prune Gaussians, as 3DGS does, in the rest pose.
 
-1. g_i     mean, over the views that show Gaussian i, of |dL/d(u, v)|; the image is [-1, 1]^2
+1. g_i     mean, over the views that show Gaussian i, of |dL/d(u, v)|, with half the side of a
+           square as large as the person's box for unit, of however large a picture
 2. clone   where g_i > threshold and the Gaussian is small: something is missing beside it
 3. split   where g_i > threshold and the Gaussian is large: it covers too much
 4. prune   where it is nearly transparent, or larger than anything on a person
@@ -22,14 +23,13 @@ from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.canonical import PARAMETERS, CanonicalGaussians
 from gva_mi.errors import InputError
 from gva_mi.splat import Screen
-from gva_mi.splat.camera import Camera
 
 
 @dataclass(frozen=True)
 class DensifyOptions:
     """When a Gaussian is multiplied or removed. Defaults are those of 3DGS and GART."""
 
-    grad_threshold: float = 2e-4  # loss per half image, mean over the views that saw it
+    grad_threshold: float = 2e-4  # of g: loss per half person, mean over the views that saw it
     split_scale: float = 0.01  # metres; above it a Gaussian is split, below it is cloned
     split_shrink: float = 1.6  # the two halves are this much smaller
     min_opacity: float = 0.05  # below it a Gaussian is removed
@@ -59,7 +59,7 @@ class ScreenGradients:
     """Sums, over many views, the length of the loss's gradient to each Gaussian's screen position.
 
     Attributes:
-        total: (N,) the sum, per half image.
+        total: (N,) the sum, per half person.
         views: (N,) how many views showed each Gaussian.
     """
 
@@ -68,12 +68,12 @@ class ScreenGradients:
         self.views = torch.zeros(count)
 
     @torch.no_grad()
-    def add(self, screen: Screen, camera: Camera) -> None:
+    def add(self, screen: Screen, area: float) -> None:
         """Add one view, after its backward pass.
 
         Args:
             screen: was given to ``render``.
-            camera: the same as there; its size turns pixels into halves of the image.
+            area: of the person's box in that picture, pixels.
         """
         if screen.grad is None:
             raise ValueError(
@@ -84,8 +84,7 @@ class ScreenGradients:
                 f"ScreenGradients.add(): the screen shows {len(screen.grad)} Gaussians, expected "
                 f"{len(self.total)}; start anew after the number has changed"
             )
-        half = screen.grad.new_tensor([camera.width / 2, camera.height / 2])
-        self.total += (screen.grad * half).norm(dim=1).to(self.total.dtype)
+        self.total += (area**0.5 / 2 * screen.grad.norm(dim=1)).to(self.total.dtype)
         self.views += screen.visible
 
     def mean(self) -> Tensor:
@@ -134,7 +133,7 @@ def densify(
         )
         values["log_scales"][new] -= math.log(options.split_shrink)
         canonical = CanonicalGaussians(
-            **values, weights=G.weights[parents], expression=G.expression[parents]
+            **values, weights=G.weights[parents], directions=G.directions[parents]
         )
     replace_gaussians(avatar, optimizer, canonical, parents, inherited=len(kept))
     return Densified(int(cloned.sum()), int(split.sum()), int(pruned.sum()))

@@ -248,7 +248,7 @@ def regaussian(
     jitter = options.scale_jitter * tensor(rng.standard_normal((N, 3)))
     half = tensor(rng.uniform(0, np.pi, N))  # half the angle about the normal
     means = tensor(samples.points)
-    weights, expression = skin.at(means)
+    weights, directions = skin.at(means)
     return CanonicalGaussians(
         means=means,
         quats=_spin(disc_quats(tensor(samples.normals)), half),
@@ -256,7 +256,7 @@ def regaussian(
         logit_opacities=torch.logit(opacities),
         sh=sh,
         weights=weights,
-        expression=expression,
+        directions=directions,
     )
 
 

@@ -14,8 +14,8 @@ where they cannot be trusted, as Abdrashitov et al. fill them in ("Robust Skin W
 Weight Inpainting", 2023). Filled in from what lies close alone, a hem would hang from the waist
 and not follow the thighs.
 
-A face also moves with the expression: every point of S takes the blend shapes of the body's nearest
-vertex, S_near psi, which are zero but on the face.
+A body has blend shapes besides: it bulges where joints bend, and its face moves with the
+expression. Every point of S takes those of the body's vertex that is nearest to it.
 
 Gaussians look both up from the vertices of S around them, by Shepard's interpolation: it
 is continuous, and exact at the vertices. So they can be looked up anew as Gaussians move.
@@ -47,7 +47,8 @@ class Skin:
 
     vertices: Tensor  # (V, 3) metres
     weights: Tensor  # (V, 55) skinning weights, rows sum to 1
-    expression: Tensor  # (V, 3, E) metres by which the face's coefficients move it
+    beneath: Tensor  # (V,) int64, the nearest vertex of the body
+    directions: Tensor  # (vertices of the body, 3, K) metres by which blend shapes move those
 
     def at(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """What moves points (N, 3).
@@ -57,7 +58,7 @@ class Skin:
 
         Returns:
             Skinning weights (N, 55) of the strongest joints, whose rows sum to 1, and directions of
-            the expression (N, 3, E).
+            the blend shapes (N, 3, K), metres.
 
         Note:
             Not differentiable: the pictures decide where a Gaussian lies, and not the slope of
@@ -66,7 +67,7 @@ class Skin:
         from scipy.spatial import cKDTree
 
         if not len(points):
-            return self.weights[:0], self.expression[:0]
+            return self.weights[:0], self.directions[:0]
         x, tree = points.detach().double().numpy(), cKDTree(self.vertices.double().numpy())
         count = min(NEIGHBOURS + 1, len(self.vertices))
         d, nearest = tree.query(x, k=count)
@@ -76,8 +77,20 @@ class Skin:
         share /= share.sum(1, keepdims=True)
         share = torch.from_numpy(share).to(self.weights)
         nearest = torch.from_numpy(nearest.reshape(len(x), count))
-        mean = lambda values: torch.einsum("nk,nk...->n...", share, values[nearest])
-        return strongest(mean(self.weights), JOINTS), mean(self.expression)
+        weights = torch.einsum("nk,nkj->nj", share, self.weights[nearest])
+        return strongest(weights, JOINTS), self._blend_shapes(share, self.beneath[nearest])
+
+    def _blend_shapes(self, share: Tensor, beneath: Tensor) -> Tensor:
+        """Means (N, 3, K) of the directions of the body's vertices (N, k), by their shares."""
+        from scipy.sparse import csr_array
+
+        N, k = share.shape
+        rows = np.arange(0, N * k + 1, k)
+        mean = csr_array(
+            (share.numpy().ravel(), beneath.numpy().ravel(), rows), (N, len(self.directions))
+        )
+        found = mean @ self.directions.flatten(1).numpy()
+        return torch.from_numpy(found).unflatten(1, self.directions.shape[1:])
 
 
 def diffused(vertices: np.ndarray, faces: np.ndarray, body: Skin, looseness: Tensor) -> Skin:
@@ -104,8 +117,8 @@ def diffused(vertices: np.ndarray, faces: np.ndarray, body: Skin, looseness: Ten
         used = weights.any(0)
         weights[:, used] = splu((pull + laplacian).tocsc()).solve(pull @ weights[:, used])
     as_tensor = lambda x: torch.from_numpy(np.ascontiguousarray(x)).to(body.weights)
-    expression = body.expression[torch.from_numpy(nearest)]
-    return Skin(as_tensor(vertices), as_tensor(weights), expression)
+    beneath = body.beneath[torch.from_numpy(nearest)]
+    return Skin(as_tensor(vertices), as_tensor(weights), beneath, body.directions)
 
 
 def _laplacian(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, csr_array]:

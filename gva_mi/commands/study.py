@@ -66,7 +66,7 @@ class AvatarStudy(Choice):
     beside. A study that was cut short goes on where it was.
     """
 
-    rows: tuple[str, ...] = ()  # of the table, such as full or "without residual"; all without it
+    rows: tuple[str, ...] = ()  # of the table, such as full or "with residual"; all without it
     options: Flat[AvatarStudyOptions] = field(default_factory=AvatarStudyOptions)
 
 

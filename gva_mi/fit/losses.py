@@ -14,8 +14,10 @@ S (H, W)       ``mask``            [0, 1]    the person's mask
 MLP(θ) (N, 3)  ``residual``        m         the pose-conditioned shift of the Gaussians
 =============  ==================  ========  =============================================
 
-Every ``|·|`` is a mean of absolute values: a weight depends neither on the image's size nor on the
-number of Gaussians.
+Every ``|·|`` is a mean of absolute values: a weight does not depend on the number of Gaussians, nor
+on the size of the picture, for the first mean is taken over the person's box. What differs outside
+of it, where a Gaussian strays, is added to the sum; but a person in a large room counts no less
+than one who fills the picture, and the other terms no more.
 """
 
 from __future__ import annotations
@@ -76,6 +78,7 @@ def render_losses(
     options: LossOptions,
     distance: Distance,
     window: Window = (slice(None), slice(None)),
+    area: int | None = None,
 ) -> Losses:
     """The terms of Eq. 9 for one render.
 
@@ -88,17 +91,20 @@ def render_losses(
         distance: ``|VGG(C) - VGG(I)|``, see :mod:`gva_mi.fit.perceptual`.
         window: the part of the image on which the perceptual and the SSIM term are computed. On
             the whole image they cost more than the render; a random part a step costs little.
+        area: pixels of the person's box, which the sums of |C - I| and |A - S| are divided by;
+            None: those of the image.
 
     Returns:
         The terms, each a scalar.
     """
     zero = torch.zeros((), dtype=target.dtype)
     color, seen = image.color[window], target[window]
+    share = 1.0 if area is None else mask.numel() / area
     return Losses(
-        recon=(image.color - target).abs().mean(),
+        recon=(image.color - target).abs().mean() * share,
         perceptual=distance(color, seen) if options.perceptual else zero,
         residual=residual.abs().mean() if options.residual and residual.numel() else zero,
-        alpha=(image.alpha - mask).abs().mean() if options.alpha else zero,
+        alpha=(image.alpha - mask).abs().mean() * share if options.alpha else zero,
         ssim=1 - ssim(color, seen) if options.ssim else zero,
     )
 

@@ -9,13 +9,12 @@ from typing import Any
 from gva_mi.avatar.avatar import AvatarOptions
 from gva_mi.avatar.densify import DensifyOptions
 from gva_mi.avatar.reinit import ReinitOptions
-from gva_mi.errors import InputError
+from gva_mi.errors import InputError, require_at_least
 from gva_mi.fit.losses import LossOptions
 from gva_mi.fit.poses import PoseOptions
 from gva_mi.splat import SplatOptions
 
 # Defaults of the parts in a fit, where they differ from the parts' own.
-DENSIFY = DensifyOptions(grad_threshold=1e-4)  # as GART
 REINIT = ReinitOptions(floater_sigmas=3.0)  # 2 tears holes into a skirt
 SPLAT = SplatOptions(depth=False)  # no term of the loss looks at the depth
 
@@ -34,6 +33,7 @@ class Rates:
     log_scales: float = 5e-3
     logit_opacities: float = 5e-2
     sh: float = 2.5e-3
+    light: float = 2e-3  # of the direction that light comes from
     residual: float = 1e-3  # of the pose-conditioned MLP's weights
 
 
@@ -81,22 +81,22 @@ class FitOptions:
     steps: int = 3000  # one frame each
     seed: int = 0  # of all random numbers in the run
     random_background: bool = True  # another colour each step, so that alpha is learned; else white
-    window: int = 128  # pixels, side of the random part seen by the perceptual and SSIM terms
+    window: int = 96  # pixels, side of the random part seen by the perceptual and SSIM terms
+    perceptual_every: int = 2  # steps with the perceptual term, which takes longer than the render
     vgg16: Path | None = None  # the user's VGG16 weights for the perceptual term; none: rand_vgg
     checkpoint_every: int = 500  # steps
     avatar: AvatarOptions = AvatarOptions()
     rates: Rates = Rates()
     schedule: Schedule = Schedule()
-    densify: DensifyOptions = DENSIFY
+    densify: DensifyOptions = DensifyOptions()
     reinit: ReinitOptions = REINIT
     loss: LossOptions = LossOptions()
     splat: SplatOptions = SPLAT
     poses: PoseOptions = PoseOptions()
 
     def __post_init__(self) -> None:
-        for name, least in (("steps", 1), ("window", 11), ("checkpoint_every", 1), ("seed", 0)):
-            if getattr(self, name) < least:
-                raise InputError(f"fit: {name} must be {least} or more, got {getattr(self, name)}")
+        require_at_least("fit", self, steps=1, window=11, perceptual_every=1)
+        require_at_least("fit", self, checkpoint_every=1, seed=0)
 
     def plain(self) -> dict[str, Any]:
         """The options as numbers, strings and dictionaries of them, for a file."""

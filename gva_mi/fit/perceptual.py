@@ -48,6 +48,8 @@ class FeatureDistance(nn.Module):
     def __init__(self, layers: nn.Sequential, taps: Sequence[int]) -> None:
         super().__init__()
         self.layers = layers[: max(taps) + 1].requires_grad_(False).eval()
+        # As pictures lie in memory, channels last: a quarter less time on a CPU.
+        self.layers.to(memory_format=torch.channels_last)
         self.taps = tuple(taps)
         self.register_buffer("mean", torch.tensor(MEAN).view(1, 3, 1, 1))
         self.register_buffer("std", torch.tensor(STD).view(1, 3, 1, 1))

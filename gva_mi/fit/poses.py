@@ -6,12 +6,11 @@ its frame's pose, the refinement's own (:mod:`gva_mi.pose.corrections`): turns b
 arm, shifts in the camera's axes, in coordinates in which neighbouring frames move together. With
 ``every`` steps of the fit they take one of their own, on
 
-    L = Σ_k L_k(pose_k(δ, τ)) + ν Σ_k s_k E(δ, τ)       k: the frames of these steps
+    L = Σ_k [L_k(pose_k(δ, τ)) + ν E(δ, τ)]       k: the frames of these steps
 
 where ``E`` says how probable corrections are, of this motion, with joints that do what joints can
-do, and ``s_k`` is the share of the picture that the person fills: so much of ``L_k``, a mean over
-the picture, can be about them. After some shares of the fit the corrections tell how the given
-poses err, and ``E`` becomes what that says.
+do. After some shares of the fit the corrections tell how the given poses err, and ``E`` becomes
+what that says.
 
 * A frame that is not trained on is not looked at. What is probable of it follows from the frames
   around it: an error that lasts is corrected there too, one that is new in every frame is not.
@@ -48,7 +47,7 @@ class PoseOptions:
 
     trained: bool = True  # False: the poses stay as they were given
     every: int = 8  # steps of the fit, after which poses take one
-    nat: float = 3e-5  # ν: what a negative logarithm of a probability counts beside Eq. 9
+    nat: float = 1e-5  # ν: what a negative logarithm of a probability counts beside Eq. 9
     learn_at: tuple[float, ...] = (0.3, 0.5)  # shares of all steps, when it is learned how they err
     step: float = 0.003  # metres that a turned joint moves what turns with it, in a first step
     largest_turn: float = 0.03  # radians in such a step; it limits joints with short lever arms
@@ -105,17 +104,16 @@ class TrainedPoses:
                 return clip.corrections.pose([frame - clip.frames.start])
         return self.given[frame]
 
-    def step(self, done: int, frame: int, share: float) -> None:
+    def step(self, done: int, frame: int) -> None:
         """Follow the gradient, once it is that of enough steps.
 
         Args:
             done: steps of the fit.
             frame: that the last one of them was about.
-            share: of its picture that the person fills.
         """
         options = self._options
         for clip in self._clips:
-            clip.waiting += share * (frame in clip.frames)
+            clip.waiting += frame in clip.frames
         if done % options.every:
             return
         rounds = {round(at * self._steps / options.every) for at in options.learn_at}
@@ -149,13 +147,13 @@ class _Clip:
     Attributes:
         frames: their numbers.
         corrections: of their poses.
-        waiting: the sum of ``s_k`` since the last step; zero where none of them was looked at.
+        waiting: how many of them steps of the fit looked at since the last step of the poses.
     """
 
     def __init__(
         self, frames: range, corrections: Corrections, arms: Tensor, options: PoseOptions
     ) -> None:
-        self.frames, self.corrections, self.waiting = frames, corrections, 0.0
+        self.frames, self.corrections, self.waiting = frames, corrections, 0
         self._arms = arms
         self._told: list[tuple[Tensor, Tensor]] = []  # what each learning was from
         self._adam = optimiser(corrections, arms, options)
@@ -165,7 +163,7 @@ class _Clip:
             (nat * self.waiting * self.corrections.energy()).backward()
             self._adam.step(factor)
             self.corrections.centre()
-            self.waiting = 0.0
+            self.waiting = 0
 
     def learn(self, options: PoseOptions) -> None:
         self._tell(*self.corrections.found(), options)

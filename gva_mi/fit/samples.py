@@ -1,9 +1,13 @@
 """The pictures that a fit is measured against, held in memory and served one a step.
 
 Reading, decoding and cutting out a frame takes longer than rendering it: every training frame is
-read once, kept as 8 bits, and composited when its turn comes:
+read once, cut to the box of its mask, and kept as 8 bits. When its turn comes, it is composited,
 
     I = picture · S + background · (1 - S)
+
+in that part of the picture in which there is something to compare: the person, or a Gaussian that
+strays. Everywhere else render and target are the background, and equal. So a step takes as long as
+the person is large, and not as the room is.
 
 All random numbers of a step come from the run's seed and the step's number alone. A run that is
 resumed therefore draws what an uninterrupted one would have drawn, with no state to save.
@@ -21,7 +25,11 @@ from torch import Tensor
 
 from gva_mi.data.video import Video
 from gva_mi.fit.losses import Window
-from gva_mi.splat import Camera
+from gva_mi.pose.crop import Box, Extent
+from gva_mi.splat import Camera, Gaussians, SplatOptions
+
+REACH = 3.4  # standard deviations at which a Gaussian's alpha is below 1/255
+BORDER = 2  # pixels, for the blur that every Gaussian gets
 
 
 class Stream(IntEnum):
@@ -47,15 +55,40 @@ def torch_state(seed: int, stream: Stream, number: int = 0) -> torch.Generator:
 
 
 @dataclass(frozen=True)
-class Sample:
-    """What one step of the fit is measured against."""
+class Target:
+    """A part of a picture as it should be rendered, on a background."""
 
-    frame: int  # its number in the video
     color: Tensor  # (H, W, 3) in [0, 1], the person on the background
     mask: Tensor  # (H, W) in [0, 1]
+    camera: Camera  # that sees this part
+    window: Window  # of this part
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What one step of the fit is measured against: a training frame, cut to where its mask is."""
+
+    frame: int  # its number in the video
+    picture: Tensor  # (h, w, 3) uint8
+    mask: Tensor  # (h, w) uint8
+    box: Box  # where in the whole picture they lie
+    area: int  # pixels of the person's box
+    camera: Camera  # of the whole picture
     background: Tensor  # (3,) in [0, 1]
-    camera: Camera
-    window: Window  # a random part of the image with some of the person in it
+    window: Box  # a random part of the whole picture, with some of the person in it
+
+    def target(self, gaussians: Gaussians) -> Target:
+        """The part in which person, window or Gaussians are; all else is background."""
+        part = joined(self.box, self.window, drawn(gaussians, self.camera))
+        H, W = part.height, part.width
+        rows, columns = within(self.box, part)
+        mask, color = torch.zeros(H, W), self.background.expand(H, W, 3).contiguous()
+        mask[rows, columns] = self.mask.float() / 255
+        picture = self.picture.float() / 255
+        color[rows, columns] = torch.lerp(
+            self.background.expand_as(picture), picture, mask[rows, columns, None]
+        )
+        return Target(color, mask, part.cut_camera(self.camera), within(self.window, part))
 
 
 class Samples:
@@ -75,12 +108,12 @@ class Samples:
         self.frames, self.seed = list(frames), seed
         self.random_background, self.window = random_background, window
         self.cameras = [video.cameras[k] for k in self.frames]
-        pictures, masks, self.boxes = [], [], []
+        self.boxes, self._kept = [], []
         for frame in video.frames(self.frames):
-            pictures.append(torch.from_numpy(np.round(frame.image * 255).astype(np.uint8)))
-            masks.append(torch.from_numpy(np.round(frame.mask * 255).astype(np.uint8)))
-            self.boxes.append(_bounding_box(frame.mask > 0.5))
-        self.pictures, self.masks = torch.stack(pictures), torch.stack(masks)
+            mask = _to_8bit(frame.mask)
+            self.boxes.append(_box_of(mask > 127))
+            kept = _box_of(mask > 0)
+            self._kept.append((_to_8bit(kept.cut(frame.image)), kept.cut(mask).clone(), kept))
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -93,25 +126,78 @@ class Samples:
         if self.random_background:
             drawn = random_state(self.seed, Stream.BACKGROUND, step).random(3, dtype=np.float32)
             background = torch.from_numpy(drawn)
-        mask = self.masks[k].float() / 255
-        color = self.pictures[k].float() / 255
-        color = torch.lerp(background.expand_as(color), color, mask[..., None])
+        box, window = self.boxes[k], self._window(k, step)
         return Sample(
-            self.frames[k], color, mask, background, self.cameras[k], self._window(k, step)
+            self.frames[k],
+            *self._kept[k],
+            area=box.width * box.height,
+            camera=self.cameras[k],
+            background=background,
+            window=window,
         )
 
-    def _window(self, k: int, step: int) -> Window:
+    def _window(self, k: int, step: int) -> Box:
         random = random_state(self.seed, Stream.WINDOW, step)
-        sides = []
-        for (first, last), size in zip(self.boxes[k], self.masks.shape[1:], strict=True):
-            side = min(self.window, size)
-            start = int(random.integers(first, last)) - side // 2
-            start = min(max(start, 0), size - side)
-            sides.append(slice(start, start + side))
-        return sides[0], sides[1]
+        box, camera = self.boxes[k], self.cameras[k]
+        top, height = self._span(random, box.top, box.bottom, camera.height)
+        left, width = self._span(random, box.left, box.right, camera.width)
+        return Box(left, top, left + width, top + height)
+
+    def _span(
+        self, random: np.random.Generator, first: int, last: int, size: int
+    ) -> tuple[int, int]:
+        """Start and length of a side whose middle lies in [first, last)."""
+        side = min(self.window, size)
+        start = int(random.integers(first, last)) - side // 2
+        return min(max(start, 0), size - side), side
 
 
-def _bounding_box(mask: np.ndarray) -> list[tuple[int, int]]:
-    """Rows and columns, each (first, last + 1), that hold a mask (H, W) which is not empty."""
-    spans = [np.flatnonzero(mask.any(axis)) for axis in (1, 0)]
-    return [(int(span[0]), int(span[-1]) + 1) for span in spans]
+@torch.no_grad()
+def drawn(gaussians: Gaussians, camera: Camera) -> Box | None:
+    """The part of a picture that Gaussians before the camera can reach; None: nothing."""
+    T = torch.tensor(camera.T_camera_world, dtype=gaussians.means.dtype)
+    x, radius = gaussians.means @ T[:3, :3].T + T[:3, 3], REACH * gaussians.scales.amax(1)
+    before = x[:, 2] > SplatOptions.near
+    if not before.all():
+        x, radius = x[before], radius[before]
+    if not len(x):
+        return None
+    z = x[:, 2]
+    x, y = x[:, 0] / z, x[:, 1] / z
+    # Off the middle of the picture a ball is seen longer by the secant of its angle.
+    reach = radius * (1 + x * x + y * y).sqrt() / z * max(camera.fx, camera.fy) + BORDER
+    u, v = camera.fx * x + camera.cx, camera.fy * y + camera.cy
+    low = np.array([float((u - reach).min()), float((v - reach).min())])
+    high = np.array([float((u + reach).max()), float((v + reach).max())])
+    size = np.array([camera.width, camera.height])
+    outside = (high <= 0).any() or (low >= size).any()
+    return None if outside else Extent(low, high).box(0.0, size)
+
+
+def joined(*boxes: Box | None) -> Box:
+    """The least box that holds some others."""
+    some = [box for box in boxes if box is not None]
+    return Box(
+        min(box.left for box in some),
+        min(box.top for box in some),
+        max(box.right for box in some),
+        max(box.bottom for box in some),
+    )
+
+
+def within(box: Box, part: Box) -> Window:
+    """Rows and columns of a box in a larger one."""
+    top, left = box.top - part.top, box.left - part.left
+    return slice(top, top + box.height), slice(left, left + box.width)
+
+
+def _to_8bit(image: np.ndarray) -> Tensor:
+    return torch.from_numpy(np.round(image * 255).astype(np.uint8))
+
+
+def _box_of(mask: Tensor) -> Box:
+    """The box around a mask (H, W) bool; the whole picture where it is empty."""
+    rows, columns = (torch.nonzero(mask.any(axis)).flatten() for axis in (1, 0))
+    if not len(rows):
+        return Box(0, 0, mask.shape[1], mask.shape[0])
+    return Box(int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1)

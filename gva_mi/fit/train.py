@@ -14,7 +14,7 @@ Each step, with one training frame of the video:
 from __future__ import annotations
 
 import time
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +31,7 @@ from gva_mi.data.video import Video
 from gva_mi.files import write_arrays
 from gva_mi.fit import run_folder
 from gva_mi.fit.colors import seen_colors
-from gva_mi.fit.losses import Distance, render_losses
+from gva_mi.fit.losses import Distance, LossOptions, render_losses
 from gva_mi.fit.options import FitOptions, Rates
 from gva_mi.fit.perceptual import rand_vgg_loss, vgg16_loss
 from gva_mi.fit.poses import TrainedPoses
@@ -134,26 +134,30 @@ class _Run:
         start, options = time.perf_counter(), self.options
         self._lower_learning_rate()
         animated = self.avatar.animate(self.poses(sample.frame))
-        screen = Screen()
-        image = render(animated.gaussians, sample.camera, options.splat, sample.background, screen)
+        target, screen = sample.target(animated.gaussians), Screen()
+        image = render(animated.gaussians, target.camera, options.splat, sample.background, screen)
+        weights = self._loss_of_this_step()
         losses = render_losses(
             image,
-            sample.color,
-            sample.mask,
+            target.color,
+            target.mask,
             animated.residual,
-            options.loss,
+            weights,
             distance,
-            sample.window,
+            target.window,
+            sample.area,
         )
-        total = losses.total(options.loss)
+        total = losses.total(weights)
         self.optimizer.zero_grad(set_to_none=True)
         total.backward()
         self.optimizer.step()
-        self.gradients.add(screen, sample.camera)
+        self.gradients.add(screen, sample.area)
         self.step += 1
-        self.poses.step(self.step, sample.frame, float(sample.mask.mean()))
+        self.poses.step(self.step, sample.frame)
         figures = {"step": self.step, "loss": float(total.detach())}
         figures |= {f.name: float(getattr(losses, f.name).detach()) for f in fields(losses)}
+        if options.loss.perceptual and not weights.perceptual:  # as it was last seen
+            figures["perceptual"] = self.history["perceptual"][-1]
         figures["gaussians"] = len(self.avatar.canonical)
         figures["milliseconds"] = 1e3 * (time.perf_counter() - start)
         for name, value in figures.items():
@@ -189,6 +193,13 @@ class _Run:
             "history": self.history,
         }
 
+    def _loss_of_this_step(self) -> LossOptions:
+        """The weights of this step: the perceptual term is left out of most, and counts for more in
+        the others."""
+        loss, every = self.options.loss, self.options.perceptual_every
+        due = self.step % every == 0
+        return replace(loss, perceptual=loss.perceptual * every if due else 0.0)
+
     def _lower_learning_rate(self) -> None:
         """Lower the learning rate of the means, which falls exponentially over the run."""
         rates = self.options.rates
@@ -208,5 +219,6 @@ def _optimizer(avatar: Avatar, rates: Rates) -> torch.optim.Adam:
         groups.append(
             {"name": "residual", "params": list(avatar.residual.parameters()), "lr": rates.residual}
         )
+    groups.append({"name": "light", "params": [avatar.light], "lr": rates.light})
     # With 3DGS's tiny epsilon a Gaussian that is seldom seen moves as far as any other.
     return torch.optim.Adam(groups, lr=0.0, eps=1e-15, fused=True)

@@ -8,13 +8,15 @@ import torch
 import trimesh
 
 from gva_mi.avatar import AvatarOptions, seed_avatar
+from gva_mi.avatar.residual import ResidualOptions
 from gva_mi.body import JOINTS, BodyModel, Pose, Shape
 
+WITH_RESIDUAL = AvatarOptions(residual=ResidualOptions(enabled=True))
 RADII = np.array([0.8, 0.9, 0.3])  # metres
 
 
 def small_body(dtype=torch.float32):
-    """Skinned softly to joints that stand around its middle; rough shapes, no pose correctives."""
+    """Skinned softly to joints around its middle; rough shapes, some pose correctives."""
     rng = np.random.default_rng(0)
     sphere = trimesh.creation.icosphere(subdivisions=3)
     vertices, V, J = sphere.vertices * RADII, len(sphere.vertices), len(JOINTS)
@@ -22,13 +24,15 @@ def small_body(dtype=torch.float32):
     np.put_along_axis(regressor, np.argsort(rng.random((J, V)), axis=1)[:, :4], 0.25, axis=1)
     distance = np.linalg.norm(vertices[:, None] - regressor @ vertices, axis=2)
     weights = np.exp(-((distance / 0.15) ** 2)) + 1e-12
+    bulges = np.zeros((V, 3, 486))
+    bulges[..., 3:486:40] = 0.01 * rng.normal(size=(V, 3, 13))
     arrays = {
         "v_template": vertices,
         "f": sphere.faces,
         "J_regressor": regressor,
         "weights": weights / weights.sum(1, keepdims=True),
         "shapedirs": 0.01 * rng.normal(size=(V, 3, 20)),  # ten betas, ten expressions
-        "posedirs": np.zeros((V, 3, 486)),
+        "posedirs": bulges,
         "hands_meanl": np.zeros(45),
         "hands_meanr": np.zeros(45),
     }
@@ -56,7 +60,7 @@ def random_pose():
 def make_avatar():
     """``make_avatar(options)``: on the small body; residual and linear colours are not zero."""
 
-    def make(options=AvatarOptions(), dtype=torch.float32, trained=True):  # noqa: B008 (frozen)
+    def make(options=WITH_RESIDUAL, dtype=torch.float32, trained=True):  # noqa: B008 (frozen)
         generator = torch.Generator().manual_seed(1)
         shape = Shape(torch.linspace(-1, 1, 10, dtype=dtype))
         avatar = seed_avatar(small_body(dtype), shape, None, options, generator)

@@ -21,7 +21,7 @@ from gva_mi.splat.kernels.sh import C0
 
 
 def seed(body, **options):
-    skin = Skin(body.v_template, body.weights, torch.zeros(642, 3, 0))
+    skin = Skin(body.v_template, body.weights, torch.arange(642), torch.zeros(642, 3, 0))
     return seed_on_surface(body.v_template, body.faces, skin, SeedOptions(**options))
 
 
@@ -82,7 +82,7 @@ def test_spacing_of_a_grid_is_its_step():
 
 def test_colors_become_the_constant_band(body):
     colors = torch.rand(642, 3, generator=torch.Generator().manual_seed(0))
-    skin = Skin(body.v_template, body.weights, torch.zeros(642, 3, 0))
+    skin = Skin(body.v_template, body.weights, torch.arange(642), torch.zeros(642, 3, 0))
     G = seed_on_surface(body.v_template, body.faces, skin, colors=colors)
     assert torch.allclose(G.sh[:, 0] * C0 + 0.5, colors, atol=1e-6)
     assert (G.sh[:, 1:] == 0).all()

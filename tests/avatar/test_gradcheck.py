@@ -15,7 +15,7 @@ from gva_mi.body.smplx import BodyModel
 
 SMALL = {"gaussians": 60, "size": 16}
 GAUSSIANS = {"means", "quats", "log_scales", "logit_opacities", "sh"}
-INPUTS = {"rotations", "transl", "expression", "betas"} | GAUSSIANS
+INPUTS = {"rotations", "transl", "expression", "betas", "light"} | GAUSSIANS
 
 
 class Slanted(torch.autograd.Function):
@@ -78,16 +78,6 @@ def test_says_which_link_loses_digits(report):
     assert all(0 < share < 1e-5 for share in shares.values()), shares
 
 
-def _bend_face(monkeypatch):
-    """A fault in what moves the Gaussians, and not in what moves the joints."""
-    moved = chain.moved_by
-
-    def bent(psi, directions):
-        return moved(psi if len(directions) == 55 else Slanted.apply(psi), directions)
-
-    monkeypatch.setattr(chain, "moved_by", bent)
-
-
 def _plant(monkeypatch, link):
     """A small fault in the avatar's own code of one link."""
     bend = Slanted.apply
@@ -98,8 +88,9 @@ def _plant(monkeypatch, link):
     elif link == "skeleton":
         vee = kinematics._vee
         monkeypatch.setattr(kinematics, "_vee", lambda x: 1.001 * vee(x))
-    elif link == "face":
-        _bend_face(monkeypatch)
+    elif link == "blend shapes":
+        found = Avatar.coefficients
+        monkeypatch.setattr(Avatar, "coefficients", lambda self, R, psi: bend(found(self, R, psi)))
     elif link == "residual":
         monkeypatch.setattr(torch, "tanh", lambda x: bend(x.tanh()))
     elif link == "blend":
@@ -112,8 +103,8 @@ def _plant(monkeypatch, link):
         scales = lambda self: torch.exp(bend(self.log_scales))
         monkeypatch.setattr(CanonicalGaussians, "scales", property(scales))
     elif link == "colours":
-        turn = Avatar.turn_colors
-        monkeypatch.setattr(Avatar, "turn_colors", lambda self, sh, T: turn(self, bend(sh), T))
+        lit = chain.lit
+        monkeypatch.setattr(chain, "lit", lambda sh, *args: lit(bend(sh), *args))
     else:
         render = chain.render
         monkeypatch.setattr(chain, "render", lambda g, *a, **k: render(
@@ -121,8 +112,8 @@ def _plant(monkeypatch, link):
 
 
 LINKS = (
-    "shape", "face", "skeleton", "residual", "blend", "polar frames", "activations", "colours",
-    "splatting",
+    "shape", "skeleton", "blend shapes", "residual", "blend", "polar frames", "activations",
+    "colours", "splatting",
 )  # fmt: skip
 
 

@@ -128,8 +128,8 @@ def test_discs_lie_in_the_surface_with_random_sizes(result):
 def test_skinning_is_looked_up_again(result):
     avatar, new = result
     G = new.canonical
-    weights, expression = new.skin.at(G.means)
-    assert torch.equal(G.weights, weights) and torch.equal(G.expression, expression)
+    weights, directions = new.skin.at(G.means)
+    assert torch.equal(G.weights, weights) and torch.equal(G.directions, directions)
     assert len(new.skin.vertices) != len(avatar.skin.vertices)
 
 

@@ -19,8 +19,9 @@ LEFT, RIGHT = JOINTS.index("left_hip"), JOINTS.index("right_hip")
 
 
 def still(vertices, weights):
-    """A skin whose face does not move."""
-    return Skin(vertices, weights, vertices.new_zeros(len(vertices), 3, 0))
+    """A skin without blend shapes."""
+    count = len(vertices)
+    return Skin(vertices, weights, torch.arange(count), vertices.new_zeros(count, 3, 0))
 
 
 def sheet(width=0.4, height=0.3, cells=20):
@@ -100,7 +101,7 @@ def test_a_face_moves_what_lies_on_it(body):
     directions = torch.zeros(642, 3, 2)
     face = body.v_template[:, 2] > 0.1
     directions[face, 1, 0], directions[face, 2, 1] = 0.01, -0.02
-    own = Skin(body.v_template, body.weights, directions)
+    own = Skin(body.v_template, body.weights, torch.arange(642), directions)
     out = diffused(
         1.01 * body.v_template.double().numpy(), body.faces.numpy(), own, torch.zeros(642)
     )
@@ -109,9 +110,9 @@ def test_a_face_moves_what_lies_on_it(body):
 
 
 def test_no_points_have_no_weights(body):
-    skin = Skin(body.v_template, body.weights, torch.zeros(642, 3, 4))
-    weights, expression = skin.at(torch.zeros(0, 3))
-    assert weights.shape == (0, 55) and expression.shape == (0, 3, 4)
+    skin = Skin(body.v_template, body.weights, torch.arange(642), torch.zeros(642, 3, 4))
+    weights, directions = skin.at(torch.zeros(0, 3))
+    assert weights.shape == (0, 55) and directions.shape == (0, 3, 4)
 
 
 # What real clothes do in the poses that tear them.

@@ -123,15 +123,15 @@ def fitted(monkeypatch):
 
 def test_the_avatars_study_has_a_line_for_each_row_and_a_page(fitted, tmp_path, cli):
     avatar = ("study", "avatar", "--out", tmp_path, "--people", "bruno", "edgar")
-    code, out, err = cli(*avatar, "--rows", "full", "without residual", "--fit.steps", 600)
+    code, out, err = cli(*avatar, "--rows", "full", "with residual", "--fit.steps", 600)
     assert code == 0, err
     lines = out.splitlines()
     head = next(k for k, line in enumerate(lines) if line.startswith("row "))
     assert lines[head - 1] == "held-out people: PSNR in dB on white"
     assert lines[head + 1].split()[:4] == ["full", "30.00", "±", "0.00"]
-    assert lines[head + 2].startswith("without residual ") and "(+0.00)" in lines[head + 2]
+    assert lines[head + 2].startswith("with residual ") and "(+0.00)" in lines[head + 2]
     record = json.loads((tmp_path / "avatar.json").read_text())
-    assert {r["row"] for r in record["results"]} == {"full", "without residual"}
+    assert {r["row"] for r in record["results"]} == {"full", "with residual"}
     assert record["made_with"]["options"]["fit"]["steps"] == 600
     page = (tmp_path / "avatar.html").read_text()
     assert "Table 4: ablation" in page and "bruno: bursts 1000" in page and "held out" in page

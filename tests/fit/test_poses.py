@@ -45,7 +45,7 @@ def trained_to(
         loss = loss + (pose.rotations[:, ELBOW] - truth.rotations[frame, ELBOW]).abs().mean()
         if loss.requires_grad:
             loss.backward()
-        poses.step(step + 1, frame, share=0.1)
+        poses.step(step + 1, frame)
     return poses
 
 

@@ -1,8 +1,17 @@
+"""What a step is compared with: the same whatever came before, and all that can differ."""
+
+import gva_mi  # noqa: F401  (chooses libLLVM before Dr.Jit is imported)
+
+import dataclasses  # isort: skip
+
 import numpy as np
 import pytest
 import torch
 
-from gva_mi.fit.samples import Samples, Stream, random_state, torch_state
+from gva_mi.fit.losses import LossOptions, render_losses
+from gva_mi.fit.samples import Samples, Stream, drawn, random_state, torch_state
+from gva_mi.pose.crop import Box
+from gva_mi.splat import Gaussians, render
 
 TRAIN = [0, 1, 2, 4, 5]
 
@@ -23,7 +32,7 @@ def test_a_step_draws_the_same_whatever_came_before_it(video):
     for step in (7, 2):
         x, y = a[step], b[step]
         assert x.frame == y.frame and x.window == y.window
-        assert torch.equal(x.background, y.background) and torch.equal(x.color, y.color)
+        assert torch.equal(x.background, y.background) and torch.equal(x.picture, y.picture)
 
 
 def test_another_seed_draws_another_run(video):
@@ -36,22 +45,101 @@ def test_another_seed_draws_another_run(video):
 def test_the_person_is_cut_out_onto_the_background(random_background, video):
     sample = samples(video, random_background=random_background)[0]
     frame = video[sample.frame]
+    target = sample.target(everywhere(frame.camera))
     mask = frame.mask[..., None]
     expected = frame.image * mask + sample.background.numpy() * (1 - mask)
-    np.testing.assert_allclose(sample.color.numpy(), expected, atol=1e-6)
-    np.testing.assert_allclose(sample.mask.numpy(), frame.mask, atol=1e-6)
+    np.testing.assert_allclose(target.color.numpy(), expected, atol=1e-6)
+    np.testing.assert_allclose(target.mask.numpy(), frame.mask, atol=1e-6)
     assert random_background or bool((sample.background == 1).all())
+
+
+def everywhere(camera):
+    """One Gaussian that fills the picture."""
+    x = np.linalg.inv(camera.T_camera_world) @ [0, 0, 3, 1]
+    return ball(torch.from_numpy(x[:3]).float()[None], 5.0)
+
+
+def ball(means, radius):
+    count = len(means)
+    return Gaussians(
+        means, torch.tensor([[1.0, 0, 0, 0]]).expand(count, 4).contiguous(),
+        torch.full((count, 3), radius), torch.full((count,), 0.9), colors=torch.rand(count, 3),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.5, 9.0, float("nan")])
+def test_a_part_of_the_picture_costs_what_the_whole_does(shift, video, known):
+    """Also where Gaussians stray from the person, leave the picture, or lie behind the camera."""
+    sample = samples(video)[1]
+    g = known(video.pose[sample.frame])
+    behind = torch.tensor(np.linalg.inv(sample.camera.T_camera_world)[:3, 3]).float()
+    means = g.means + torch.tensor([shift, 0, 0]) if shift == shift else behind.expand_as(g.means)
+    g = dataclasses.replace(g, means=means.clone().requires_grad_())
+    part = sample.target(g)
+    whole = sample.target(everywhere(sample.camera))
+    assert whole.mask.shape == (48, 48) and part.mask.numel() < 48 * 48
+    found = []
+    for target in (whole, part):
+        image = render(g, target.camera, background=sample.background)
+        losses = render_losses(
+            image, target.color, target.mask, torch.zeros(0, 3), LossOptions(alpha=0.1, ssim=0.1),
+            lambda a, b: (a - b).square().mean(), target.window, sample.area,
+        )  # fmt: skip
+        total = losses.total(LossOptions(alpha=0.1, ssim=0.1))
+        found.append([total.detach(), *torch.autograd.grad(total, g.means, allow_unused=True)])
+    for a, b in zip(*found, strict=True):
+        assert (a is None) == (b is None)
+        torch.testing.assert_close(a, b, rtol=1e-4, atol=1e-6)
+
+
+def test_the_part_that_is_drawn_holds_every_pixel_that_is(known, video):
+    camera = video.cameras[0]
+    generator = torch.Generator().manual_seed(0)
+    for _ in range(20):
+        means = known.canonical.means[:5] + torch.randn(5, 3, generator=generator)
+        radius = 0.15 * float(torch.rand((), generator=generator))
+        g = ball(means, radius)
+        alpha = render(g, camera).alpha.clone()
+        box = drawn(g, camera)
+        if box is not None:
+            alpha[box.top : box.bottom, box.left : box.right] = 0
+        assert alpha.max() == 0
+    assert drawn(ball(torch.tensor([[0.0, 50.0, 0.0]]), 0.01), camera) is None
+
+
+def test_a_larger_room_changes_no_loss(video, known):
+    """The picture is a part of larger ones: the same person, box and cost."""
+    sample = samples(video, random_background=False)[1]
+
+    def within_a_room(left, top):
+        moved = lambda b: Box(b.left + left, b.top + top, b.right + left, b.bottom + top)
+        camera = sample.camera.cropped(-left, -top, 100 + 2 * left, 60 + 2 * top)
+        return dataclasses.replace(
+            sample, camera=camera, box=moved(sample.box), window=moved(sample.window)
+        )
+
+    g, found = known(video.pose[sample.frame]), []
+    for each in (within_a_room(20, 20), within_a_room(200, 100)):
+        target = each.target(g)
+        image = render(g, target.camera, background=each.background)
+        losses = render_losses(
+            image, target.color, target.mask, torch.zeros(0, 3), LossOptions(),
+            lambda a, b: (a - b).square().mean(), target.window, each.area,
+        )  # fmt: skip
+        found.append(losses.total(LossOptions()))
+    torch.testing.assert_close(*found, rtol=1e-5, atol=0)
 
 
 @pytest.mark.parametrize("window", [11, 16, 48, 100])
 def test_windows_lie_in_the_image_and_in_the_person_s_box(window, video):
     found = samples(video, window=window)
     for step in range(20):
-        sample = found[step]
-        for axis, side in enumerate(sample.window):
-            assert 0 <= side.start and side.stop <= 48
-            assert side.stop - side.start == min(window, 48)
-            assert sample.mask.amax(1 - axis)[side].max() > 0.5
+        sample, where = found[step], found[step].window
+        assert 0 <= where.left and 0 <= where.top and where.right <= 48 and where.bottom <= 48
+        assert where.width == where.height == min(window, 48)
+        mask = sample.target(everywhere(sample.camera)).mask
+        assert mask.amax(1)[where.top : where.bottom].max() > 0.5
+        assert mask.amax(0)[where.left : where.right].max() > 0.5
 
 
 def test_purposes_and_steps_have_streams_of_their_own():

@@ -6,6 +6,7 @@ import torch
 
 from gva_mi.avatar.avatar import Avatar, AvatarOptions, seed_avatar
 from gva_mi.avatar.canonical import SeedOptions
+from gva_mi.avatar.residual import ResidualOptions
 from gva_mi.body.pose import load_poses
 from gva_mi.errors import InputError
 from gva_mi.fit import run_folder
@@ -22,11 +23,12 @@ OPTIONS = FitOptions(
     steps=STEPS,
     window=16,
     checkpoint_every=10,
-    avatar=AvatarOptions(seed=SeedOptions(count=400)),
+    avatar=AvatarOptions(seed=SeedOptions(count=400), residual=ResidualOptions(enabled=True)),
     schedule=Schedule(densify_every=5, reinit_at=()),
     poses=PoseOptions(every=3),
 )
 PARAMETERS = [
+    "light",
     *(f"canonical.{n}" for n in ("means", "quats", "log_scales", "logit_opacities", "sh")),
     *(f"residual.{n}.weight" for n in ("pose_code", "place", "condition", "hidden", "offset")),
     *(f"residual.{n}.bias" for n in ("pose_code", "place", "hidden", "offset")),

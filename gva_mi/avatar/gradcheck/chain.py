@@ -4,13 +4,13 @@
 link           from                                                     to
 =============  =======================================================  =======================
 shape          betas, expression                                        joints
-face           means, expression                                        shaped_means
-skeleton       rotations, joints, transl                                T_world_rest     Eq. 4
+skeleton       rotations, joints, transl                                R, T_world_rest  Eq. 4
+blend shapes   means, R, expression                                     shaped_means
 residual       means, rotations, the network's weights                  residual     Sec. 4.1
 blend          T_world_rest                                             A                Eq. 5
 polar frames   A, shaped_means, residual, quats                         posed_means, posed_quats
 activations    log_scales, logit_opacities                              scales, opacities
-colours        sh, T_world_rest                                         posed_sh
+colours        sh, T_world_rest, light                                  posed_sh
 splatting      the posed Gaussians                                      image        Eq. 1-3
 =============  =======================================================  =======================
 
@@ -30,10 +30,11 @@ import torch
 from torch import Generator, Tensor
 from torch.func import functional_call
 
-from gva_mi.avatar.avatar import Avatar, AvatarOptions, moved_by, seed_avatar
+from gva_mi.avatar.avatar import Avatar, AvatarOptions, lit, moved_by, seed_avatar
 from gva_mi.avatar.canonical import CARRIERS, PARAMETERS, CanonicalGaussians, SeedOptions
 from gva_mi.avatar.gradcheck import twins
-from gva_mi.body.kinematics import joint_transforms
+from gva_mi.avatar.residual import ResidualOptions
+from gva_mi.body.kinematics import turn_joints
 from gva_mi.body.polar import carry_frames
 from gva_mi.body.pose import JAW, LEFT_HAND, RIGHT_HAND, Pose, Shape
 from gva_mi.body.skinning import blend
@@ -83,7 +84,8 @@ class Scene:
         normal = lambda *shape: torch.randn(*shape, generator=generator, dtype=torch.float64)
         bodies = {dtype: load_body(body, dtype) for dtype in (torch.float64, torch.float32)}
         betas = 0.5 * normal(bodies[torch.float64].num_betas)
-        options = AvatarOptions(seed=SeedOptions(count=gaussians, opacity=0.6))
+        seeds, moved = SeedOptions(count=gaussians, opacity=0.6), ResidualOptions(enabled=True)
+        options = AvatarOptions(seed=seeds, residual=moved)
         shape = Shape(betas.float())
         avatar = seed_avatar(bodies[torch.float32], shape, None, options, generator).double()
         with torch.no_grad():
@@ -104,7 +106,7 @@ class Scene:
         background = torch.rand(3, generator=generator).double()
         network = {NETWORK + k: v for k, v in avatar.residual.named_parameters()}
         values = {field: getattr(pose, field)[0] for field in ("rotations", "transl", "expression")}
-        values["betas"] = betas
+        values |= {"betas": betas, "light": avatar.light}
         values |= {name: getattr(avatar.canonical, name) for name in PARAMETERS} | network
         values = {k: v.detach().float().double() for k, v in values.items()}
         avatar, values = _off_kinks(avatar, values)
@@ -121,7 +123,7 @@ class Scene:
         joints = body.rest(Shape(values["betas"])).joints
         state = {k: v for k, v in values.items() if k.startswith(NETWORK)}
         state |= {f"canonical.{name}": values[name] for name in PARAMETERS}
-        state["rest_joints"] = joints
+        state |= {"rest_joints": joints, "light": values["light"]}
         pose = Pose(*(values[name][None] for name in ("rotations", "transl", "expression")))
         gaussians = functional_call(avatar, state, (pose,))
         return render(gaussians, self.camera, background=self.background.to(dtype))
@@ -130,20 +132,22 @@ class Scene:
         """The chain, its fast functions in a precision; the slow ones are float64."""
         body, avatar = self.models[dtype]
         G, parents, network = avatar.canonical, avatar.rig.parents, avatar.residual
-        weights, directions = G.weights, G.expression
+        weights, directions = G.weights, G.directions
         return (
             Link("shape", ("betas", "expression"), ("joints",),
                  lambda v: (body.rest(Shape(v["betas"])).joints
                             + moved_by(v["expression"], avatar.rest_expression_joints),),
                  lambda v: (twins.shaped(twins.joints(body, v["betas"]), v["expression"],
                                          avatar.rest_expression_joints),)),
-            Link("face", ("means", "expression"), ("shaped_means",),
-                 lambda v: (v["means"] + moved_by(v["expression"], directions),),
-                 lambda v: (twins.shaped(v["means"], v["expression"], directions),)),
-            Link("skeleton", ("rotations", "joints", "transl"), ("T_world_rest",),
-                 lambda v: (joint_transforms(v["rotations"][None], v["joints"], parents,
-                                             v["transl"][None])[0],),
-                 lambda v: (twins.transforms(v["rotations"], v["joints"], parents, v["transl"]),)),
+            Link("skeleton", ("rotations", "joints", "transl"), ("R", "T_world_rest"),
+                 lambda v: tuple(x[0] for x in turn_joints(v["rotations"][None], v["joints"],
+                                                           parents, v["transl"][None])),
+                 lambda v: twins.transforms(v["rotations"], v["joints"], parents, v["transl"])),
+            Link("blend shapes", ("means", "R", "expression"), ("shaped_means",),
+                 lambda v: (v["means"] + moved_by(avatar.coefficients(v["R"], v["expression"]),
+                                                  directions),),
+                 lambda v: (twins.shaped(v["means"], twins.coefficients(v["R"], v["expression"],
+                                         avatar.rest_pose_features), directions),)),
             Link("residual",
                  ("means", "rotations", *(k for k in self.values if k.startswith(NETWORK))),
                  ("residual",),
@@ -160,9 +164,9 @@ class Scene:
             Link("activations", ("log_scales", "logit_opacities"), ("scales", "opacities"),
                  _activated,
                  lambda v: (v["log_scales"].exp(), 1 / (1 + (-v["logit_opacities"]).exp()))),
-            Link("colours", ("sh", "T_world_rest"), ("posed_sh",),
-                 lambda v: (avatar.turn_colors(v["sh"], v["T_world_rest"]),),
-                 lambda v: (twins.turned(weights, v["sh"], v["T_world_rest"]),)),
+            Link("colours", ("sh", "T_world_rest", "light"), ("posed_sh",),
+                 lambda v: (lit(v["sh"], weights, v["T_world_rest"], v["light"]),),
+                 lambda v: (twins.lit(weights, v["sh"], v["T_world_rest"], v["light"]),)),
             Link("splatting",
                  ("posed_means", "posed_quats", "scales", "opacities", "posed_sh"),
                  ("color", "alpha", "depth"),

@@ -2,7 +2,7 @@
 
 They share no formula with what they check: joints are walked from the root outward and turned by
 matrix exponentials, polar factors are found by Newton's iteration, the network's waves are sines
-of multiples, and the linear band of the colour is turned as the gradient of a linear function.
+of multiples, and slopes of the colour are turned to the light, not the light to them.
 """
 
 from __future__ import annotations
@@ -29,21 +29,31 @@ def joints(body: BodyModel, betas: Tensor) -> Tensor:
     return body.regressor @ vertices
 
 
-def shaped(means: Tensor, expression: Tensor, directions: Tensor) -> Tensor:
-    """Means or joints (N, 3) with the face's expression, one coefficient after the other."""
-    for coefficient, direction in zip(expression, directions.unbind(2), strict=True):
+def shaped(means: Tensor, coefficients: Tensor, directions: Tensor) -> Tensor:
+    """Means or joints (N, 3) with their blend shapes, one coefficient after the other."""
+    for coefficient, direction in zip(coefficients, directions.unbind(2), strict=True):
         means = means + coefficient * direction
     return means
 
 
-def transforms(rotations: Tensor, joints: Tensor, parents: Sequence[int], transl: Tensor) -> Tensor:
-    """T_world_rest (55, 4, 4), one joint after the other from the root."""
+def coefficients(R: Tensor, expression: Tensor, features: Tensor) -> Tensor:
+    """Of the blend shapes: some of the pose's features, told by their numbers, then the face's."""
+    identity = torch.eye(3).double()
+    bent = [(R[1 + k // 9] - identity)[k % 9 // 3, k % 3] for k in features.tolist()]
+    return torch.stack([*bent, *expression])
+
+
+def transforms(
+    rotations: Tensor, joints: Tensor, parents: Sequence[int], transl: Tensor
+) -> tuple[Tensor, Tensor]:
+    """R (55, 3, 3) and T_world_rest (55, 4, 4), one joint after the other from the root."""
     found: list[Tensor] = []
-    for joint, parent in enumerate(parents):
-        R = _rotation(rotations[joint])
+    turned = [_rotation(r) for r in rotations]
+    for joint, (parent, R) in enumerate(zip(parents, turned, strict=True)):
         local = _rigid(R, joints[joint] - R @ joints[joint])
         found.append(found[parent] @ local if joint else local)
-    return torch.stack([_rigid(torch.eye(3).double(), transl) @ T for T in found])
+    placed = [_rigid(torch.eye(3).double(), transl) @ T for T in found]
+    return torch.stack(turned), torch.stack(placed)
 
 
 def before_relu(
@@ -85,15 +95,11 @@ def carry(A: Tensor, means: Tensor, quats: Tensor) -> tuple[Tensor, Tensor]:
     return moved, torch.stack(turned)
 
 
-def turned(weights: Tensor, sh: Tensor, T_world_rest: Tensor) -> Tensor:
-    """Harmonics (N, 4, 3) whose linear band follows the blended maps.
-
-    Seen along d, the band is C1 (-d_y h_1 + d_z h_2 - d_x h_3) = C1 g · d: its gradient g turns.
-    """
+def lit(weights: Tensor, sh: Tensor, T_world_rest: Tensor, light: Tensor) -> Tensor:
+    """Colours (N, 1, 3): slopes are turned into the world, by the blended maps, to the light."""
     R = torch.einsum("nj,jab->nab", weights, T_world_rest[:, :3, :3])
-    g = torch.stack([-sh[:, 3], -sh[:, 1], sh[:, 2]], dim=1)  # (N, xyz, colour)
-    x, y, z = (R @ g).unbind(1)
-    return torch.stack([sh[:, 0], -y, z, -x], dim=1)
+    turned = R @ sh[:, 1:]  # (N, xyz, colour)
+    return sh[:, :1] + torch.einsum("nac,a->nc", turned, light)[:, None]
 
 
 def _rotation(r: Tensor) -> Tensor:

@@ -34,7 +34,7 @@ def test_full_and_rows_that_differ_in_their_input_change_no_option():
     "name, options",
     [
         ("without hand skeleton", {"avatar.hands"}),
-        ("without residual", {"avatar.residual.enabled"}),
+        ("with residual", {"avatar.residual.enabled", "loss.residual"}),
         ("without re-initialisation", {"schedule.reinit_at"}),
         ("without re-initialisation, naked", {"schedule.reinit_at"}),
         ("without trained poses", {"poses.trained"}),
@@ -48,11 +48,11 @@ def test_a_row_leaves_one_part_out(name, options):
 
 def test_gart_and_a_still_life_leave_most_out():
     assert changed("GART-like") == {
-        "avatar.hands", "avatar.residual.enabled", "schedule.reinit_at", "loss.perceptual",
+        "avatar.hands", "schedule.reinit_at", "loss.perceptual",
         "loss.residual", "loss.alpha", "loss.ssim",
     }  # fmt: skip
     assert changed("static 3DGS") == {
-        "avatar.hands", "avatar.residual.enabled", "schedule.reinit_at", "poses.trained"
+        "avatar.hands", "schedule.reinit_at", "poses.trained"
     }  # fmt: skip
 
 

@@ -12,6 +12,9 @@ SHORT = {  # what a test sets after the parameter cell
     "1_one_gaussian": "SIZE, STEPS = 16, 8",
     "2_checking_gradients": "GAUSSIANS, SIZE, SWEEP = 12, 16, 5",
     "3_refining_a_pose": "SIZE, STEPS, SWEEP, FRAMES, PASSES = 48, 20, 3, 3, 1",
+    "4_fitting_an_avatar": "SIZE, FRAMES, STEPS = 48, 9, 8",
+    "5_reinitialising_on_the_surface": "SIZE, FRAMES, STEPS = 48, 9, 10",
+    "6_an_ablation": "SIZE, FRAMES, STEPS, PASSES = 48, 9, 10, 1",
 }
 PARTS = ("overview", "setup", "reference", "initial state", "results", "see also")
 

@@ -68,6 +68,22 @@ def test_like_the_ray_traced_peer(splats, kind):
     assert -10 * np.log10(np.mean((splatted - traced) ** 2)) > 36
 
 
+def test_the_peer_stops_where_its_max_depth_does(splats):
+    """A ray through a real scene meets hundreds of Gaussians, most of them faint."""
+    g = splats.arrays(300, 0, scales=(0.1, 0.2))
+    g["opacities"] = np.full_like(g["opacities"], 0.02)
+    g["means"][:, :2] *= 0.1
+    scene, view = splats.scene(g), splats.sensor("perspective", film={"width": 16, "height": 16})
+    splatted = splats.picture(scene, view, srgb_primitives=True, blur=1 / 12)
+
+    def db(depth):
+        peer = mi.load_dict({"type": "volprim_rf_basic", "max_depth": depth})
+        traced = np.array(mi.render(scene, sensor=view, integrator=peer, spp=16))
+        return -10 * np.log10(np.mean((splatted - traced) ** 2))
+
+    assert db(400) > db(64) + 5
+
+
 def test_shapes_of_different_degree_are_one(splats):
     """Two shapes show what one with zeros for the higher coefficients does."""
     first, second = splats.arrays(20, 3), splats.arrays(30, 1, seed=1)

@@ -14,17 +14,22 @@ Importing this package loads no plugin. Mitsuba's types exist only once a varian
 plugin files are loaded by :func:`register`.
 """
 
+import sys
+
 from gva_mi import llvm
 
 __all__ = ["register"]
+
+_registered_for: str | None = None  # the variant whose types the plugins' classes were made of
 
 
 def register() -> None:
     """Make the plugins known to Mitsuba under their names: ``mesh_normals``, ``gaussian_splat``,
     and ``mesh_normals_projective``, a cross-check of the first.
 
-    Call it after ``mi.set_variant``, with a differentiable variant (``llvm_ad_rgb``). Calling it
-    again does no harm.
+    Call it after ``mi.set_variant``, with a differentiable variant (``llvm_ad_rgb``), and again
+    after a change to another one: Mitsuba keeps its plugins by variant. Calling it twice does no
+    harm.
 
     Raises:
         ImportError: this machine has no libLLVM that works.
@@ -39,6 +44,11 @@ def register() -> None:
             "gva_mi_plugins.register(): needs a differentiable variant, and mi.variant() is "
             f'{variant}; call mi.set_variant("llvm_ad_rgb") first'
         )
+    global _registered_for
+    if _registered_for not in (None, variant):  # their classes are of the other variant's types
+        for name in [name for name in sys.modules if name.startswith(f"{__name__}.")]:
+            del sys.modules[name]
+    _registered_for = variant
     from gva_mi_plugins.gaussian_splat.integrator import GaussianSplat
     from gva_mi_plugins.mesh_normals.integrator import MeshNormals
     from gva_mi_plugins.mesh_normals.twins.projective import MeshNormalsProjective

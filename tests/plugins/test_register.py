@@ -1,0 +1,43 @@
+"""``register``: for every variant, as often as one likes, and never for one without derivatives."""
+
+import subprocess
+import sys
+
+PROGRAM = """
+import gva_mi_plugins
+import mitsuba as mi
+import numpy as np
+
+
+def picture():
+    film = {"type": "hdrfilm", "width": 12, "height": 12, "rfilter": {"type": "box"}}
+    scene = {
+        "type": "scene",
+        "integrator": {"type": "mesh_normals"},
+        "sensor": {"type": "perspective", "film": film},
+        "shape": {"type": "cube", "to_world": mi.ScalarTransform4f().translate([0, 0, 6])},
+    }
+    return np.array(mi.render(mi.load_dict(scene), spp=1))
+
+
+images = []
+for variant in ("llvm_ad_rgb", "llvm_ad_spectral", "llvm_ad_rgb"):
+    mi.set_variant(variant)
+    gva_mi_plugins.register()
+    gva_mi_plugins.register()
+    images.append(picture())
+assert images[0][..., 3].max() == 1
+assert all(np.array_equal(images[0], image) for image in images[1:])
+mi.set_variant("scalar_rgb")
+try:
+    gva_mi_plugins.register()
+except RuntimeError as error:
+    print(error)
+"""
+
+
+def test_a_change_of_variant():
+    """In a process of its own: a variant is a matter of the whole process."""
+    done = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "needs a differentiable variant, and mi.variant() is scalar_rgb" in done.stdout

@@ -170,6 +170,8 @@ def drawn(gaussians: Gaussians, camera: Camera) -> Box | None:
     low = np.array([float((u - reach).min()), float((v - reach).min())])
     high = np.array([float((u + reach).max()), float((v + reach).max())])
     size = np.array([camera.width, camera.height])
+    if not np.isfinite([low, high]).all():  # a fit that has diverged is seen whole
+        return Box(0, 0, camera.width, camera.height)
     outside = (high <= 0).any() or (low >= size).any()
     return None if outside else Extent(low, high).box(0.0, size)
 

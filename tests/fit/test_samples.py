@@ -105,6 +105,9 @@ def test_the_part_that_is_drawn_holds_every_pixel_that_is(known, video):
             alpha[box.top : box.bottom, box.left : box.right] = 0
         assert alpha.max() == 0
     assert drawn(ball(torch.tensor([[0.0, 50.0, 0.0]]), 0.01), camera) is None
+    assert drawn(ball(torch.full((1, 3), torch.nan), 0.01), camera) is None
+    wide = ball(known.canonical.means[:1], float("inf"))
+    assert drawn(wide, camera) == Box(0, 0, 48, 48)
 
 
 def test_a_larger_room_changes_no_loss(video, known):

@@ -38,7 +38,7 @@ and not the segmenter's; training never sees them. Real videos have their own ma
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import asdict, astuple, dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -47,6 +47,7 @@ from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.smplx import BodyModel
 from gva_mi.console import Progress
 from gva_mi.data.video import Frame, Video, load_video, spread
+from gva_mi.fit.evaluation.defects import Defects
 from gva_mi.fit.evaluation.regions import Hands, person_box
 from gva_mi.fit.evaluation.scores import ImageScores, Scorer
 from gva_mi.fit.perceptual import Weights
@@ -71,6 +72,8 @@ class SplitScores:
     rand_vgg: float
     region: Region = "white"
     count: int = 0  # pictures, or boxes, that these are the means of; 0: a file that says no number
+    spill: float | None = None  # see defects.py; of whole pictures on white
+    holes: float | None = None
 
     @staticmethod
     def mean(
@@ -158,33 +161,51 @@ def evaluate_views(
     rows, done, total = [], 0, sum(len(view.frames) for view in views)
     for view in views:
         scores: dict[Region, list[ImageScores]] = {region: [] for region in REGIONS}
+        defects: list[Defects] = []
         for frame in view.video.frames(view.frames):
-            for region, found in _frame_scores(avatar, frame, view, scorer):
+            shown = _Shown.of(avatar, frame, view)
+            for region, found in shown.scores(view, scorer):
                 scores[region].append(found)
+            defects.append(shown.defects())
             done += 1
             if progress:
                 progress(done, total, psnr=scores["white"][-1].psnr)
-        rows += [SplitScores.mean(name, view.split, s, region) for region, s in scores.items() if s]
+        whole, *parts = (
+            SplitScores.mean(name, view.split, s, region) for region, s in scores.items() if s
+        )
+        rows += [replace(whole, **asdict(Defects.mean(defects))), *parts]
     return rows
 
 
-def _frame_scores(
-    avatar: Avatar, frame: Frame, view: View, scorer: Scorer
-) -> Iterator[tuple[Region, ImageScores]]:
-    """The scores of one frame in each of its regions."""
-    mask = view.video.true_mask(frame.index)
-    frame = frame if mask is None else replace(frame, mask=mask)
-    pairs = [
-        (render_frame(avatar, frame.pose, frame.camera, color), cut_out(frame, color))
-        for color in (WHITE, BLACK)
-    ]
-    for region, pair in zip(("white", "black"), pairs, strict=True):
-        yield region, scorer(*pair)
-    boxes = [("person", person_box(frame.mask))]
-    if view.hands is not None:
-        boxes += [("hands", box) for box in view.hands.boxes(frame.index)]
-    for region, box in boxes:
-        yield region, scorer(*(box.cut(image) for image in pairs[0]))
+@dataclass(frozen=True)
+class _Shown:
+    """An avatar in one frame, and what it is compared with; each on white, then on black."""
+
+    frame: Frame  # its mask is the true one, where that is known
+    renders: tuple[np.ndarray, np.ndarray]
+    targets: tuple[np.ndarray, np.ndarray]
+
+    @staticmethod
+    def of(avatar: Avatar, frame: Frame, view: View) -> _Shown:
+        mask = view.video.true_mask(frame.index)
+        frame = frame if mask is None else replace(frame, mask=mask)
+        renders = (render_frame(avatar, frame.pose, frame.camera, on) for on in (WHITE, BLACK))
+        return _Shown(frame, tuple(renders), tuple(cut_out(frame, on) for on in (WHITE, BLACK)))
+
+    def scores(self, view: View, scorer: Scorer) -> Iterator[tuple[Region, ImageScores]]:
+        """In each region."""
+        pairs = tuple(zip(self.renders, self.targets, strict=True))
+        for region, pair in zip(("white", "black"), pairs, strict=True):
+            yield region, scorer(*pair)
+        boxes = [("person", person_box(self.frame.mask))]
+        if view.hands is not None:
+            boxes += [("hands", box) for box in view.hands.boxes(self.frame.index)]
+        for region, box in boxes:
+            yield region, scorer(*(box.cut(image) for image in pairs[0]))
+
+    def defects(self) -> Defects:
+        """Of the outline."""
+        return Defects.of(*self.renders, self.frame.mask)
 
 
 def true_video(video: Video, split: Split) -> Video | None:

@@ -192,7 +192,8 @@ def _reinitialisation(
         text += (
             " Spacing is the coefficient of variation of the distance to the nearest Gaussian on "
             "the true surface: 0 on a lattice, 0.52 for points strewn at random. Bias is the 95th "
-            "percentile of the distance from the true surface to the nearest Gaussian."
+            "percentile of the distance from the true surface to the nearest Gaussian, stray the "
+            "99th of that from a Gaussian to the surface."
         )
     return [Section("Re-initialisation", text, pictures, columns=2, tables=tables)]
 
@@ -209,10 +210,11 @@ def surface_table(surface: Sequence[SurfaceFigures]) -> Table:
             f"{figures.gaussians:,}",
             *(number(figures.spacing.get(name), 2) for name in textures),
             *(number(figures.bias_mm.get(name), 1) for name in parts),
+            number(figures.stray_mm, 1),
         )
         for figures in surface
     ]
-    return Table((*head, *(f"bias of {name}, mm" for name in parts)), rows)
+    return Table((*head, *(f"bias of {name}, mm" for name in parts), "stray, mm"), rows)
 
 
 def _curves(history: dict[str, np.ndarray]) -> Section:
@@ -236,6 +238,7 @@ def _curves(history: dict[str, np.ndarray]) -> Section:
 
 def _tables(metrics: Metrics) -> Section:
     head = ("run", "split", "region", "of", "PSNR, dB", "SSIM", "LPIPS", "rand_vgg")
+    head += ("spill", "holes")
     order = [(row.name, row.split) for row in metrics.rows if row.region == "white"]
     by_region = [[row for row in metrics.rows if row.region == region] for region in REGIONS]
     tables = []
@@ -261,6 +264,7 @@ def _tables(metrics: Metrics) -> Section:
 def _scores(row: SplitScores) -> tuple[str, ...]:
     names = (row.name.replace("_", " "), row.split.replace("_", " "), row.region)
     figures = ((row.psnr, 2), (row.ssim, 4), (row.lpips, 4), (row.rand_vgg, 4))
+    figures += ((row.spill, 4), (row.holes, 4))
     return (*names, str(row.count), *(number(value, digits) for value, digits in figures))
 
 

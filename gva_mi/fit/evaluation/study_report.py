@@ -13,6 +13,7 @@ from gva_mi.fit.evaluation.study import RowResult
 from gva_mi.fit.evaluation.study_pictures import CaseRuns, sections_of_pictures
 from gva_mi.fit.evaluation.summary import (
     COST,
+    DEFECTS,
     LPIPS,
     PARTS,
     PSNR,
@@ -32,6 +33,7 @@ TITLES = (
     ("LPIPS", LPIPS),
     ("rand_vgg", RAND_VGG),
     ("PSNR, dB, in the boxes of hands and person, and on black", PARTS),
+    ("Defects: what spills over the outline, holes within it, strays", DEFECTS),
     ("Where the Gaussians lie", SURFACE),
 )
 

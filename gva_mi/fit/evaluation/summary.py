@@ -102,7 +102,8 @@ def _surface(name: str, figure: str, key: str, moment: str) -> Column:
 
     def of(result: RowResult) -> float | None:
         there = [figures for figures in result.surface if figures.moment == moment]
-        return getattr(there[-1], figure).get(key) if there else None
+        found = getattr(there[-1], figure) if there else None
+        return found.get(key) if isinstance(found, dict) else found
 
     return Column(name, of, 2 if figure == "spacing" else 1, -1)
 
@@ -122,11 +123,16 @@ SURFACE = (
     _surface("bias of hem at the end, mm", "bias_mm", "hem", "end"),
     _surface("bias of the rest at the end, mm", "bias_mm", "rest", "end"),
 )
+DEFECTS = (
+    *_whole("spill", 4, -1),
+    *_whole("holes", 4, -1),
+    _surface("stray Gaussians at the end, mm", "stray_mm", "", "end"),
+)
 COST = (
     Column("seconds", lambda result: result.seconds, 0, -1),
     Column("Gaussians", lambda result: float(result.gaussians), 0, 0),
 )
-COLUMNS = (*PSNR, *SSIM, *LPIPS, *RAND_VGG, *PARTS, *SURFACE, *COST)
+COLUMNS = (*PSNR, *SSIM, *LPIPS, *RAND_VGG, *PARTS, *DEFECTS, *SURFACE, *COST)
 
 
 def is_held_out(case: Case) -> bool:

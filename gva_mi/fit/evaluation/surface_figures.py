@@ -11,8 +11,12 @@ From points x spread evenly over a part of the true surface,
 
     3. bias = 95th percentile of min_i |x - μ_i|
 
+*Floaters* are what re-initialisation is said to take away:
+
+    4. stray = 99th percentile of min_x |x - μ_i|
+
 Only opaque Gaussians count, and for (2) only those near the surface. (3) also holds how far
-Gaussians are apart: half of that is the least there is.
+Gaussians are apart, and (4) how far the points are: half of that is the least there is.
 """
 
 from __future__ import annotations
@@ -42,6 +46,7 @@ class SurfaceFigures:
     gaussians: int  # that are opaque
     spacing: dict[str, float]  # eq. 2 by texture, and of "all"
     bias_mm: dict[str, float]  # eq. 3 by part
+    stray_mm: float | None = None  # eq. 4; None in files of older versions
 
 
 def surface_figures(
@@ -70,7 +75,7 @@ def surface_figures(
         opaque = gaussians.opacities.detach() > OPAQUE
         means = gaussians.means.detach()[opaque].double().numpy()
         if len(means) >= FEWEST:
-            figures = spacing(means, truth), bias_mm(means, truth)
+            figures = spacing(means, truth), bias_mm(means, truth), stray_mm(means, truth)
             found.append(SurfaceFigures(step, moment, len(means), *figures))
     return tuple(found)
 
@@ -105,3 +110,10 @@ def bias_mm(means: np.ndarray, truth: TrueSurface) -> dict[str, float]:
         for k, name in enumerate(PARTS)
         if (truth.part == k).sum() >= FEWEST
     }
+
+
+def stray_mm(means: np.ndarray, truth: TrueSurface) -> float:
+    """Eq. 4 of Gaussians (N, 3), millimetres."""
+    from scipy.spatial import cKDTree
+
+    return float(1e3 * np.percentile(cKDTree(truth.points).query(means)[0], 99))

@@ -14,7 +14,13 @@ from gva_mi.data.synthetic import SynthOptions, drawn_again
 from gva_mi.data.synthetic.recorded import SURFACE, write_surface
 from gva_mi.data.synthetic.subject import draw_subject
 from gva_mi.errors import InputError
-from gva_mi.fit.evaluation.surface_figures import NEAR, bias_mm, spacing, surface_figures
+from gva_mi.fit.evaluation.surface_figures import (
+    NEAR,
+    bias_mm,
+    spacing,
+    stray_mm,
+    surface_figures,
+)
 from gva_mi.fit.evaluation.true_surface import PARTS, TEXTURES, TrueSurface
 from gva_mi.pose.evaluation.surface_distance import surface_distances
 
@@ -70,6 +76,13 @@ def test_bias_is_the_distance_that_was_not_reached(square):
     found = bias_mm(low, square)
     assert set(found) == {"hair", "rest"}
     assert found["rest"] < 10 / np.sqrt(2) and 30 < found["hair"] < 31
+
+
+def test_strays_are_as_far_as_they_are(square):
+    lying = square.points[:300] + np.array([0, 0, 1e-4])
+    assert stray_mm(lying, square) == pytest.approx(0.1, rel=1e-6)
+    away = np.concatenate([lying, square.points[:10] + np.array([0, 0, 0.2])])
+    assert stray_mm(away, square) == pytest.approx(200, rel=0.05)
 
 
 def test_a_folder_that_synth_did_not_make_has_no_figures(tmp_path, known, body):

@@ -12,6 +12,7 @@ from gva_mi.body.bench import bench_body
 from gva_mi.commands.arguments import Flat
 from gva_mi.console import bar, say
 from gva_mi.errors import InputError
+from gva_mi.fit.bench import bench_fit
 from gva_mi.mesh.bench import bench_normals
 from gva_mi.splat.bench import BenchOptions
 from gva_mi.splat.bench import bench as bench_splat
@@ -19,18 +20,18 @@ from gva_mi.splat.scene import Scene
 
 
 def bench(
-    what: Positional[Literal["splat", "body", "normals"]],
+    what: Positional[Literal["splat", "body", "normals", "fit"]],
     options: Flat[FlagCreatePairsOff[BenchOptions]],
     *,
     scene: Path | None = None,
     json_file: Annotated[Path | None, arg(name="json")] = None,
 ) -> None:
-    """Measure the renderer, the body model, or the normals that the refinement looks at.
+    """Measure the renderer, the body model, the normals that the refinement looks at, or a fit.
 
     Milliseconds per stage; of the renderer also shares of the machine's limits, and growth.
 
     Args:
-        what: the part to measure. Of the options, body and normals use repeats and seed only.
+        what: the part to measure. Of the options all but splat use repeats and seed only.
         options: what to measure, and how often.
         scene: an .npz file as for gradcheck; without it a person of 20,000 Gaussians at 512 px.
         json_file: where to write all figures.
@@ -41,6 +42,8 @@ def bench(
         found = bench_body(options.repeats, options.seed)
     elif what == "normals":
         found = bench_normals(options.repeats, options.seed)
+    elif what == "fit":
+        found = bench_fit(options.repeats, options.seed)
     else:
         given = None if scene is None else Scene.load(scene)
         with bar("bench") as progress:

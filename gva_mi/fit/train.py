@@ -77,7 +77,7 @@ def fit(
         return Avatar.load(out / run_folder.AVATAR)
     state = run_folder.load_state(out)
     with one_torch_thread():
-        run = _Run(video, body, options, offsets, state)
+        run = Run(video, body, options, offsets, state)
         samples = Samples(
             video, video.splits.train, options.seed, options.random_background, options.window
         )
@@ -99,7 +99,7 @@ def fit(
     return run.avatar
 
 
-class _Run:
+class Run:
     """The state of a run: all that changes from step to step."""
 
     def __init__(

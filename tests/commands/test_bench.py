@@ -8,6 +8,7 @@ import pytest
 from gva_mi.body.bench import FRAMES, bench_body
 from gva_mi.commands.bench import bench
 from gva_mi.errors import InputError
+from gva_mi.fit.bench import bench_fit
 from gva_mi.splat.bench import BenchOptions
 
 
@@ -28,3 +29,13 @@ def test_bench_of_the_body_writes_its_figures(monkeypatch, tmp_path, capsys):
     assert "60 vertices" in capsys.readouterr().out
     with pytest.raises(InputError, match="no --scene"):
         bench("body", BenchOptions(), scene=tmp_path / "scene.npz")
+
+
+def test_bench_of_a_fit_writes_its_figures(monkeypatch, tmp_path, capsys):
+    small = lambda repeats, seed: bench_fit(repeats, seed, gaussians=300, size=32)
+    monkeypatch.setattr(importlib.import_module("gva_mi.commands.bench"), "bench_fit", small)
+    bench("fit", BenchOptions(repeats=1), json_file=tmp_path / "new" / "fit.json")
+    figures = json.loads((tmp_path / "new" / "fit.json").read_text())
+    assert figures["gaussians"] == 300 and figures["size"] == 32
+    assert 0 < figures["driven"]["least"] < figures["step"]["least"]
+    assert "frames a second" in capsys.readouterr().out

@@ -14,6 +14,7 @@ from gva_mi.fit.evaluation.metrics import aligned_views
 from gva_mi.fit.evaluation.scores import Scorer
 from gva_mi.fit.evaluation.similarity import (
     Similarity,
+    _about_the_eye,
     in_avatars_world,
     posed_joints,
     similarity_to_truth,
@@ -94,6 +95,40 @@ def test_the_similarity_to_the_truth_undoes_what_moved_the_world(moved, known, b
     assert found.scale == pytest.approx(1, abs=1e-5)
     np.testing.assert_allclose(found.rotation, unscaled.rotation, atol=1e-4)
     np.testing.assert_allclose(found.translation, unscaled.translation, atol=1e-4)
+    np.testing.assert_allclose(found.stance, 0, atol=1e-5)
+
+
+def test_a_person_of_another_size_as_much_farther_away(studio, known, body, tmp_path):
+    """All joints lie on the same rays; the scale is about the eye."""
+    true = posed_joints(known.rig, studio.pose).double().numpy()
+    camera = studio.cameras[0]
+    away = camera.position + 1.1 * (true - camera.position)
+    found = _about_the_eye(away.reshape(-1, 3), true.reshape(-1, 3), camera, camera)
+    assert found.scale == pytest.approx(1 / 1.1) and np.allclose(found.rotation, np.eye(3))
+    np.testing.assert_allclose(found(away), true, atol=1e-9)
+    np.testing.assert_allclose(camera.project(found(away)), camera.project(away), atol=1e-6)
+
+
+def test_a_skeleton_that_stands_too_low_in_its_surface_is_no_fault(moved, known, body):
+    """Poses 3 cm too low, and Gaussians 3 cm too high on the skeleton: the same pictures."""
+    video, _ = moved
+    low = torch.tensor([0.0, -0.03, 0.0])
+    pose = Pose(video.pose.rotations, video.pose.transl + _world(low), video.pose.expression)
+    lowered = replace(video, pose=pose)
+    similarity = similarity_to_truth(known.rig, lowered, body)
+    np.testing.assert_allclose(similarity.stance, _world(low), atol=5e-4)  # scale takes the rest
+    source = load_video(video.truth / "novel_pose")
+    strict = replace(similarity, stance=np.zeros(3))
+    with_it, without = (
+        in_avatars_world(s, source, known.rig, body).pose for s in (similarity, strict)
+    )
+    shift = torch.from_numpy(similarity.stance).float().expand(2, 3)
+    torch.testing.assert_close(with_it.transl - without.transl, shift, atol=1e-6, rtol=0)
+
+
+def _world(shift):
+    """A shift of the studio's world in the one that was moved."""
+    return (shift.double() @ torch.from_numpy(KNOWN.rotation)).float()
 
 
 def test_novel_poses_in_the_avatars_world_show_the_same_pictures(moved, known, body):

@@ -259,7 +259,7 @@ def lit(sh: Tensor, weights: Tensor, T_world_rest: Tensor, light: Tensor) -> Ten
     if sh.shape[1] == 1:
         return sh
     toward = weights @ (T_world_rest[:, :3, :3].mT @ light)  # of 55 joints, not of N Gaussians
-    return sh[:, :1] + (toward.unsqueeze(2) * sh[:, 1:]).sum(1, keepdim=True)
+    return torch.baddbmm(sh[:, :1], toward.unsqueeze(1), sh[:, 1:])
 
 
 def seed_avatar(

@@ -47,6 +47,7 @@ FLOORS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("data/synthetic", "subjects and their pictures", ("gva_mi.data.synthetic",)),
     ("sculptor", "who makes the puppet", ("gva_mi.sculptor",)),
     ("avatar", "Gaussians on a skeleton: what is learned", ("gva_mi.avatar",)),
+    ("avatar/formats", "avatars in files of other programs", ("gva_mi.avatar.formats",)),
     ("avatar/gradcheck", "are an avatar's gradients right?", ("gva_mi.avatar.gradcheck",)),
     ("pose", "stage 2: poses that agree with the pictures", ("gva_mi.pose",)),
     ("pose/evaluation", "how well refined poses fit", ("gva_mi.pose.evaluation",)),

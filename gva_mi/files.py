@@ -86,6 +86,29 @@ def whole_folder(out: Path) -> Iterator[Path]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
+def require_room(path: Path, overwrite: bool) -> None:
+    """Check that a file can be written, before the work whose result it is to hold.
+
+    Raises:
+        InputError: it is there and may not be replaced, or its folder takes no file.
+    """
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; expected the name of a file")
+    if path.exists() and not overwrite:
+        raise InputError(f"{path}: exists already; give --overwrite to replace it")
+    _require_writable(path.parent)
+
+
+def _require_writable(folder: Path) -> None:
+    """Make a folder where it is missing, and see whether it takes a file."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written to ({error.strerror})") from None
+
+
 def make_room(folder: Path, marker: str, overwrite: bool) -> None:
     """Make room for an output folder, but never at the cost of anything that is not ours.
 
@@ -109,6 +132,21 @@ def make_room(folder: Path, marker: str, overwrite: bool) -> None:
             f"{folder}: has no {marker}, so gva-mi did not make it and will not replace it"
         )
     shutil.rmtree(folder)
+
+
+def start_folder(folder: Path, marker: str, overwrite: bool, about: dict[str, Any]) -> None:
+    """Make room for an output folder (:func:`make_room`) and put the marker into it.
+
+    Args:
+        folder, marker, overwrite: as there.
+        about: what the marker says, beside the versions.
+
+    Raises:
+        InputError: as there, or the folder cannot be written to.
+    """
+    make_room(folder, marker, overwrite)
+    _require_writable(folder)
+    write_json(folder / marker, about | {"versions": versions()})
 
 
 def write_arrays(path: Path, **arrays: np.ndarray) -> None:

@@ -1,5 +1,7 @@
 """A file is the old one or the new one, whole; one that cannot be read is named."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,8 @@ from gva_mi.files import (
     read_arrays,
     replacing,
     require_keys,
+    require_room,
+    start_folder,
     write_arrays,
     write_json,
 )
@@ -54,3 +58,29 @@ def test_room_is_made_only_where_this_program_wrote(tmp_path):
     (tmp_path / "ours.json").write_text("{}")
     make_room(tmp_path, "ours.json", overwrite=True)
     assert not tmp_path.exists()
+
+
+def test_room_for_a_file_is_asked_for_before_the_work(tmp_path):
+    file = tmp_path / "new/a.ply"
+    require_room(file, overwrite=False)
+    assert file.parent.is_dir() and not list(file.parent.iterdir())
+    file.write_text("hours of work")
+    with pytest.raises(InputError, match="exists already; give --overwrite"):
+        require_room(file, overwrite=False)
+    require_room(file, overwrite=True)
+    assert file.read_text() == "hours of work"
+    with pytest.raises(InputError, match="is a folder; expected the name of a file"):
+        require_room(file.parent, overwrite=True)
+    with pytest.raises(InputError, match="cannot be written to"):
+        require_room(file / "b.ply", overwrite=True)
+
+
+def test_a_started_folder_says_what_made_it(tmp_path):
+    start_folder(tmp_path / "out", "made.json", False, {"avatar": "a"})
+    about = json.loads((tmp_path / "out/made.json").read_text())
+    assert about["avatar"] == "a" and about["versions"].keys() >= {"python", "torch"}
+    with pytest.raises(InputError, match="--overwrite"):
+        start_folder(tmp_path / "out", "made.json", False, {})
+    (tmp_path / "out/000000.png").touch()
+    start_folder(tmp_path / "out", "made.json", True, {})
+    assert [file.name for file in (tmp_path / "out").iterdir()] == ["made.json"]

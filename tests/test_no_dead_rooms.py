@@ -21,9 +21,6 @@ CALLED_FROM_OUTSIDE = {  # by torch's autograd, Dr.Jit's, torch.nn, Mitsuba, the
     "sample", "sample_radiance_difference", "traverse",
     "main", "gradcheck_normals",  # a verb with a hyphen: gva_mi.commands.load knows its file
 }  # fmt: skip
-TO_COME = {  # their command comes with the exchange of avatars
-    "gva_mi/avatar/export.py",
-}
 
 
 def names(tree):
@@ -72,19 +69,12 @@ def definitions(tree):
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(ROOT)))
 def test_whoever_lives_here_is_visited(path):
-    if str(path.relative_to(ROOT)) in TO_COME:
-        return
     alone = []
     for node in definitions(TREES[path]):
         elsewhere = USED[node.name] - names(node)[node.name]
         if not elsewhere and not SHOWN[node.name] and node.name not in CALLED_FROM_OUTSIDE:
             alone.append(f"{node.name} (line {node.lineno})")
     assert not alone, f"only tests reach {', '.join(alone)}: delete it, or give it a caller"
-
-
-def test_what_is_to_come_is_still_there():
-    for name in TO_COME:
-        assert (ROOT / name).exists(), f"{name} has gone: take it out of the list"
 
 
 def test_a_dead_function_is_found():

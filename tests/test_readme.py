@@ -28,6 +28,8 @@ def test_the_commands_run_one_after_the_other(tmp_path, monkeypatch, cli):
         assert code == 0, f"{command}: {err}"
     assert (tmp_path / "renders/video.mp4").exists()
     assert (tmp_path / "run/report.html").exists()
+    assert (tmp_path / "turntable/000071.png").exists()
+    assert (tmp_path / "person.ply").exists() and (tmp_path / "person.glb").exists()
 
 
 @pytest.mark.parametrize("program", PROGRAMS, ids=lambda text: text.split("\n")[1])

@@ -12,7 +12,8 @@ elsewhere they differ: the light stays (4), in a direction l of the world, one f
 that is learned with them. Gloss, which moves with the eye, is left out.
 
 An avatar holds all it takes to drive it: skeleton and surface of the rest body are copied from
-the body model, so that a saved avatar is one file and needs no licensed body beside it.
+the body model, so that a saved avatar is one file and needs no licensed body beside it. One that
+may be given away is written by :mod:`gva_mi.avatar.formats.without_body`.
 """
 
 from __future__ import annotations
@@ -45,6 +46,7 @@ from gva_mi.files import read_arrays, write_arrays
 from gva_mi.splat.gaussians import Gaussians
 
 FORMAT = "gva_mi avatar, version 3"
+AVATAR_FILE = "an avatar, as `fit` saves it"  # for errors
 RIG = (  # the tensors of a Rig
     "joints", "vertices", "faces", "weights", "looseness", "directions", "pose_features",
     "expression_joints", "betas",
@@ -78,13 +80,47 @@ class Rig:
     pose_features: Tensor  # (P,) int64, which of the 9 (J - 1) entries of R - I
     expression_joints: Tensor  # (55, 3, E) the same of the joints
     betas: Tensor  # (B,) the shape it was made with
-    body: str  # fingerprint of the body model it came from
+    body: str  # the digest of the body model it came from
 
     @property
     def skin(self) -> Skin:
         """The surface as something that points can follow."""
         itself = torch.arange(len(self.vertices))
         return Skin(self.vertices, self.weights, itself, self.directions)
+
+    def outer_skin(self) -> Skin:
+        """The surface as an outer skin: weights spread where clothes are loose."""
+        vertices, faces = self.vertices.double().numpy(), self.faces.numpy()
+        return diffused(vertices, faces, self.skin, self.looseness)
+
+    @staticmethod
+    @torch.no_grad()
+    def of(body: BodyModel, shape: Shape, offsets: Tensor | None = None) -> Rig:
+        """The rest body of a person.
+
+        Args:
+            body: the body model.
+            shape: the person's shape.
+            offsets: (V, 3) displacement of the rest surface (SMPL-X + D), metres; None: naked.
+        """
+        rest, count = body.rest(shape), len(body.v_template)
+        vertices = rest.vertices if offsets is None else rest.vertices + offsets
+        directions = body.frame_directions[:, : 3 * count].view(-1, 3, count).permute(2, 1, 0)
+        return Rig(
+            joints=rest.joints,
+            parents=tuple(body.parents),
+            vertices=vertices,
+            faces=body.faces,
+            weights=body.weights,
+            looseness=(vertices - rest.vertices).norm(dim=1),
+            directions=directions.contiguous(),
+            pose_features=body.pose_features,
+            expression_joints=body.expression_joints.view(body.num_expressions, -1, 3).permute(
+                1, 2, 0
+            ),
+            betas=shape.betas,
+            body=digest(body),
+        )
 
 
 @dataclass(frozen=True)
@@ -163,7 +199,7 @@ class Avatar(nn.Module):
         """
         if len(pose) != 1:
             raise ValueError(f"Avatar: pose must be of one frame, got {len(pose)}")
-        rotations = pose.rotations.masked_fill(self._held, 0)
+        rotations = self.followed(pose)
         G = self.canonical
         psi = pose.expression[0, : self.rest_expression_joints.shape[2]]
         joints = self.rest_joints + moved_by(psi, self.rest_expression_joints)
@@ -179,6 +215,10 @@ class Avatar(nn.Module):
         means, quats = skin_gaussians(means + residual, G.quats, G.weights, T_world_rest)
         sh = lit(G.sh, G.weights, T_world_rest, self.light)
         return Animated(Gaussians(means, quats, G.scales, G.opacities, sh=sh), residual)
+
+    def followed(self, pose: Pose) -> Tensor:
+        """The rotations (T, 55, 3) that it follows: without hands, fingers stay as at rest."""
+        return pose.rotations.masked_fill(self._held, 0)
 
     def coefficients(self, R: Tensor, psi: Tensor) -> Tensor:
         """c of eq. 1: pose features of rotations (55, 3, 3), then the expression (up to E,)."""
@@ -228,12 +268,19 @@ class Avatar(nn.Module):
         Raises:
             InputError: no such file, or not an avatar.
         """
-        arrays = read_arrays(path, "an avatar, as `fit` saves it")
-        texts = {key: str(arrays.pop(key, "")) for key in ("format", "description")}
+        return Avatar.from_arrays(path, read_arrays(path, AVATAR_FILE))
+
+    @staticmethod
+    def from_arrays(path: Path, arrays: dict[str, np.ndarray]) -> Avatar:
+        """The avatar in the arrays of a file; ``path`` is for the error.
+
+        Raises:
+            InputError: not an avatar.
+        """
+        texts = {key: str(arrays.get(key, "")) for key in ("format", "description")}
+        tensors = {k: torch.from_numpy(v) for k, v in arrays.items() if k not in texts}
         try:
-            return Avatar.from_record(
-                {**texts, **{k: torch.from_numpy(v) for k, v in arrays.items()}}
-            )
+            return Avatar.from_record({**texts, **tensors})
         except (KeyError, TypeError, ValueError, RuntimeError) as error:
             raise InputError(f"{path}: not an avatar of this version ({error})") from None
 
@@ -262,6 +309,11 @@ def lit(sh: Tensor, weights: Tensor, T_world_rest: Tensor, light: Tensor) -> Ten
     return torch.baddbmm(sh[:, :1], toward.unsqueeze(1), sh[:, 1:])
 
 
+def digest(body: BodyModel) -> str:
+    """What an avatar knows the body model by that it was made with."""
+    return hashlib.sha256(body.v_template.numpy().tobytes()).hexdigest()[:16]
+
+
 def seed_avatar(
     body: BodyModel,
     shape: Shape,
@@ -281,29 +333,11 @@ def seed_avatar(
         colors: (V, 3) linear, of the vertices; grey where missing.
     """
     with torch.no_grad():
-        rest = body.rest(shape)
-        vertices = rest.vertices if offsets is None else rest.vertices + offsets
-        looseness = (vertices - rest.vertices).norm(dim=1)
-        count, E = len(vertices), body.num_expressions
-        directions = body.frame_directions[:, : 3 * count].view(-1, 3, count).permute(2, 1, 0)
-        own = Skin(vertices, body.weights, torch.arange(count), directions.contiguous())
-        skin = diffused(vertices.double().numpy(), body.faces.numpy(), own, looseness)
+        rig = Rig.of(body, shape, offsets)
+        vertices = rig.vertices
+        skin = rig.outer_skin()
         canonical = seed_on_surface(vertices, body.faces, skin, options.seed, colors)
         low, high = vertices.amin(0), vertices.amax(0)
         center, extent = (low + high) / 2, float((high - low).max() / 2)
         residual = PoseResidual(options.residual, center, extent, generator).to(vertices.dtype)
-        fingerprint = hashlib.sha256(body.v_template.numpy().tobytes()).hexdigest()[:16]
-        rig = Rig(
-            rest.joints,
-            tuple(body.parents),
-            vertices,
-            body.faces,
-            body.weights,
-            looseness,
-            own.directions,
-            body.pose_features,
-            body.expression_joints.view(E, -1, 3).permute(1, 2, 0),
-            shape.betas,
-            fingerprint,
-        )
     return Avatar(canonical, residual, rig, skin, options)

@@ -53,9 +53,6 @@ class Skin:
     def at(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """What moves points (N, 3).
 
-        Each of the nearest vertices counts by ((r - d) / (r d))², d its distance and r that of the
-        first one that does not count: nothing jumps where another vertex comes near.
-
         Returns:
             Skinning weights (N, 55) of the strongest joints, whose rows sum to 1, and directions of
             the blend shapes (N, 3, K), metres.
@@ -64,10 +61,24 @@ class Skin:
             Not differentiable: the pictures decide where a Gaussian lies, and not the slope of
             what is looked up.
         """
-        from scipy.spatial import cKDTree
-
         if not len(points):
             return self.weights[:0], self.directions[:0]
+        share, nearest = self.around(points)
+        weights = torch.einsum("nk,nkj->nj", share, self.weights[nearest])
+        blend_shapes = mean_directions(share, self.beneath[nearest], self.directions)
+        return strongest(weights, JOINTS), blend_shapes
+
+    def around(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """The vertices around points (N, 3), of which there is at least one.
+
+        Each of the nearest vertices counts by ((r - d) / (r d))², d its distance and r that of the
+        first one that does not count: nothing jumps where another vertex comes near.
+
+        Returns:
+            Shares (N, k), whose rows sum to 1, and the vertices' numbers (N, k) int64.
+        """
+        from scipy.spatial import cKDTree
+
         x, tree = points.detach().double().numpy(), cKDTree(self.vertices.double().numpy())
         count = min(NEIGHBOURS + 1, len(self.vertices))
         d, nearest = tree.query(x, k=count)
@@ -75,22 +86,25 @@ class Skin:
         share = np.square(1 / d - 1 / d[:, -1:])
         share[share.sum(1) == 0, 0] = 1  # all equally far
         share /= share.sum(1, keepdims=True)
-        share = torch.from_numpy(share).to(self.weights)
         nearest = torch.from_numpy(nearest.reshape(len(x), count))
-        weights = torch.einsum("nk,nkj->nj", share, self.weights[nearest])
-        return strongest(weights, JOINTS), self._blend_shapes(share, self.beneath[nearest])
+        return torch.from_numpy(share).to(self.weights), nearest
 
-    def _blend_shapes(self, share: Tensor, beneath: Tensor) -> Tensor:
-        """Means (N, 3, K) of the directions of the body's vertices (N, k), by their shares."""
-        from scipy.sparse import csr_array
 
-        N, k = share.shape
-        rows = np.arange(0, N * k + 1, k)
-        mean = csr_array(
-            (share.numpy().ravel(), beneath.numpy().ravel(), rows), (N, len(self.directions))
-        )
-        found = mean @ self.directions.flatten(1).numpy()
-        return torch.from_numpy(found).unflatten(1, self.directions.shape[1:])
+def mean_directions(share: Tensor, vertices: Tensor, directions: Tensor) -> Tensor:
+    """Means (N, 3, K) of what moves the body's vertices (N, k), by their shares (N, k).
+
+    Args:
+        share: rows sum to 1.
+        vertices: numbers of the body's vertices, int64.
+        directions: (V, 3, K) of all of the body's vertices, metres.
+    """
+    from scipy.sparse import csr_array
+
+    N, k = share.shape
+    rows = np.arange(0, N * k + 1, k)
+    mean = csr_array((share.numpy().ravel(), vertices.numpy().ravel(), rows), (N, len(directions)))
+    found = mean @ directions.flatten(1).numpy()
+    return torch.from_numpy(found).unflatten(1, directions.shape[1:])
 
 
 def diffused(vertices: np.ndarray, faces: np.ndarray, body: Skin, looseness: Tensor) -> Skin:

@@ -229,6 +229,11 @@ def load_body(path: Path | None = None, dtype: torch.dtype = torch.float32) -> B
     return BodyModel(read_body(PUPPET if path is None else Path(path)), dtype)
 
 
+def body_name(path: Path | None) -> str:
+    """What :func:`load_body` read, in a word."""
+    return "puppet" if path is None else Path(path).stem
+
+
 def _coefficients(name: str, values: Tensor, available: int) -> Tensor:
     """Coefficients (T, K) that the file has directions for; those beyond must be zero."""
     if values.shape[1] > available and bool((values[:, available:] != 0).any()):

@@ -4,11 +4,13 @@
 
     synth ──▶ subject/ ──▶ refine ──▶ subject/poses_refined.npz ──▶ fit ──▶ run/ ──▶ evaluate
                                                                             ├──────▶ render
+                                                                            ├──────▶ export
                                                                             └──────▶ track
 
-``demo`` runs them all but ``render`` and ``track``. Each reads a folder, writes a folder, and can
-be run alone; no output is replaced unless asked for. A command checks its arguments, calls the
-library, and says what came of it. A new command is a new file and a line in :data:`VERBS`.
+``demo`` runs them all but ``render``, ``export`` and ``track``. Each reads a folder, writes a
+folder, and can be run alone; no output is replaced unless asked for. A command checks its
+arguments, calls the library, and says what came of it. A new command is a new file and a line in
+:data:`VERBS`.
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ VERBS = {  # and what each does, told by `gva-mi --help` without importing any o
     "evaluate": "measure an avatar on the splits of a subject",
     "track": "fit the poses of a video to its pictures, seen through an avatar",
     "render": "drive an avatar by any poses, seen by any cameras",
+    "export": "write an avatar, its poses, or a film of it for other programs",
     "study": "refine, or fit, several synthetic people, and print how near they come to the truth",
     "body": "write a body file, and a picture of it from all around",
     "gradcheck": "check the gradients of the renderer, or of an avatar",

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 from tyro.conf import Positional
 
-from gva_mi.body.pose import load_poses
-from gva_mi.commands.arguments import Switch
+from gva_mi.body.pose import Pose
+from gva_mi.commands.arguments import Flat, Switch
+from gva_mi.commands.driving import motion_of
 from gva_mi.console import bar, say
-from gva_mi.data.pictures import write_image, write_movie
+from gva_mi.data.pictures import read_background, write_image, write_movie
 from gva_mi.data.video import load_cameras
 from gva_mi.errors import InputError
-from gva_mi.files import make_room, versions
-from gva_mi.fit.renders import render_sequence
+from gva_mi.files import start_folder
+from gva_mi.fit.camera_paths import CameraPath, Shot, shots
+from gva_mi.fit.renders import over, render_shots, see_through
 from gva_mi.fit.run_folder import load_avatar
 
 MARKER = "render.json"  # every folder of renders that was made here holds it
@@ -23,41 +24,60 @@ MOVIE = "video.mp4"
 
 def render(
     run: Positional[Path],
+    view: Flat[CameraPath] = CameraPath(),  # noqa: B008 (frozen)
     *,
-    poses: Path,
-    cameras: Path,
     out: Path,
+    poses: Path | None = None,
+    cameras: Path | None = None,
+    background: str = "white",
+    alpha: Switch = False,
     video: Switch = False,
+    body: Path | None = None,
     overwrite: Switch = False,
 ) -> None:
     """Drive an avatar by any poses, seen by any cameras: pictures, or a film.
 
     Args:
         run: the folder of a finished fit, or an avatar.npz.
-        poses: SMPL-X's names, each (T, ...).
-        cameras: K, T_camera_world, width, height; one for all frames, or T.
+        view: where cameras stand, without --cameras.
         out: folder for 000000.png ...
+        poses: SMPL-X's names, each (T, ...); without it the poses trained with the avatar.
+        cameras: K, T_camera_world, width, height; one for all frames, or T.
+        background: a colour, such as white or #ff8800, or a picture file.
+        alpha: pictures are see-through where the avatar is not; a film has its background.
         video: also write video.mp4 there.
+        body: the body file of an avatar that was exported without its body; without it the puppet.
         overwrite: replace renders that are there.
     """
-    avatar = load_avatar(run)
-    pose, _ = load_poses(poses)
-    views = load_cameras(cameras)
-    if len(views) not in (1, len(pose)):
-        raise InputError(
-            f"{cameras}: holds {len(views)} cameras, expected one, or one for each of the "
-            f"{len(pose)} frames of {poses}"
-        )
-    make_room(out, MARKER, overwrite)
-    out.mkdir(parents=True, exist_ok=True)
-    (out / MARKER).write_text(json.dumps({"avatar": str(run), "versions": versions()}))
+    if cameras is not None and view != CameraPath():
+        raise InputError("render: give --cameras, or say where cameras stand; not both")
+    avatar = load_avatar(run, body)
+    motion, _ = motion_of(run, avatar, poses)
+    if cameras is None:
+        pictures = shots(view.or_usual(moving=poses is not None), avatar.rig, motion)
+    else:
+        pictures = _given(cameras, motion)
+    size = pictures[0].camera.width, pictures[0].camera.height
+    behind = read_background(background, *size)
+    start_folder(out, MARKER, overwrite, {"avatar": str(run), "poses": poses, "cameras": cameras})
     images = []
     with bar("render") as progress:
-        for k, image in enumerate(render_sequence(avatar, pose, views)):
-            write_image(out / f"{k:06d}.png", image)
+        for k, layer in enumerate(render_shots(avatar, motion, pictures, progress)):
+            image = over(layer, behind)
+            write_image(out / f"{k:06d}.png", see_through(layer) if alpha else image)
             if video:
                 images.append(image)
-            progress(k + 1, len(pose))
     if video:
         write_movie(out / MOVIE, images, lossless=False)
-    say(f"{len(pose)} pictures: {out}")
+    say(f"{len(pictures)} pictures: {out}")
+
+
+def _given(cameras: Path, motion: Pose) -> list[Shot]:
+    """A picture of each frame of the motion, by the cameras of a file."""
+    views = load_cameras(cameras)
+    if len(views) not in (1, len(motion)):
+        raise InputError(
+            f"{cameras}: holds {len(views)} cameras, expected one, or one for each of the "
+            f"{len(motion)} frames of the poses"
+        )
+    return [Shot(k, views[k % len(views)]) for k in range(len(motion))]

@@ -42,6 +42,7 @@ from gva_mi.splat import Camera
 
 POSES = "poses.npz"  # of stage 1
 REFINED_POSES = "poses_refined.npz"  # of stage 2, where it was run
+MOST_PIXELS = 1 << 25  # of a picture; 8K UHD has fewer
 TEST_EVERY = 8  # without splits.json, every 8th frame is a test frame
 
 
@@ -252,11 +253,32 @@ def load_cameras(path: Path) -> list[Camera]:
             raise InputError(f"{path}: '{name}' must hold finite numbers")
     count = max(len(x) if x.ndim == 3 else 1 for x in (K, T))
     K, T = np.broadcast_to(K, (count, 3, 3)), np.broadcast_to(T, (count, 4, 4))
-    width, height = int(data["width"]), int(data["height"])
+    width, height = (_pixels(path, name, data[name]) for name in ("width", "height"))
+    require_size(str(path), width, height)
     try:
         return [Camera.from_matrices(K[k], T[k], width, height) for k in range(count)]
     except ValueError as error:
         raise InputError(f"{path}: {error}") from None
+
+
+def require_size(where: str, width: int, height: int) -> None:
+    """Refuse a picture that no memory would hold, before any is taken.
+
+    Raises:
+        InputError: it has no pixel, or more than :data:`MOST_PIXELS`.
+    """
+    if min(width, height) < 1 or width * height > MOST_PIXELS:
+        raise InputError(
+            f"{where}: pictures must have from 1 to {MOST_PIXELS:,} pixels, got {width}x{height}"
+        )
+
+
+def _pixels(path: Path, name: str, value: np.ndarray) -> int:
+    """A number of pixels."""
+    number = value.dtype.kind in "iuf" and value.size == 1
+    if not number or not np.isfinite(value).all() or value.item() != int(value.item()):
+        raise InputError(f"{path}: '{name}' must be a whole number of pixels, got {value}")
+    return int(value.item())
 
 
 def save_cameras(path: Path, cameras: Sequence[Camera]) -> None:

@@ -9,37 +9,12 @@ import torch
 
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.pose import Pose
+from gva_mi.console import Progress
 from gva_mi.data.video import Frame
+from gva_mi.fit.camera_paths import Shot
 from gva_mi.splat import Camera, SplatOptions, render
 
 WHITE, BLACK = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
-
-
-def render_sequence(
-    avatar: Avatar,
-    pose: Pose,
-    cameras: Sequence[Camera],
-    background: tuple[float, float, float] = WHITE,
-    options: SplatOptions | None = None,
-) -> Iterator[np.ndarray]:
-    """The avatar driven by a motion: one 8-bit image (H, W, 3) per frame.
-
-    Args:
-        avatar: the avatar.
-        pose: the motion, T frames.
-        cameras: T of them, or one for all.
-        background: linear colour in [0, 1].
-        options: of the splatting.
-
-    Raises:
-        ValueError: for a number of cameras that is neither 1 nor T.
-    """
-    if len(cameras) not in (1, len(pose)):
-        raise ValueError(
-            f"render_sequence(): {len(pose)} poses need as many cameras or one, got {len(cameras)}"
-        )
-    for k in range(len(pose)):
-        yield render_frame(avatar, pose[k], cameras[k % len(cameras)], background, options)
 
 
 @torch.no_grad()
@@ -53,6 +28,43 @@ def render_frame(
     """The avatar in one pose (of one frame), seen by one camera: 8-bit (H, W, 3)."""
     image = render(avatar(pose), camera, options or SplatOptions(), torch.tensor(background))
     return to_8bit(image.color.numpy())
+
+
+@torch.no_grad()
+def render_layer(
+    avatar: Avatar, pose: Pose, camera: Camera, options: SplatOptions | None = None
+) -> np.ndarray:
+    """The avatar in one pose alone: (H, W, 4) float32, colour times alpha, and alpha."""
+    image = render(avatar(pose), camera, options or SplatOptions(depth=False))
+    return np.concatenate([image.color.numpy(), image.alpha.numpy()[..., None]], axis=2)
+
+
+def render_shots(
+    avatar: Avatar, motion: Pose, shots: Sequence[Shot], progress: Progress | None = None
+) -> Iterator[np.ndarray]:
+    """The avatar driven by a motion: :func:`render_layer` of each shot.
+
+    Args:
+        avatar: the avatar.
+        motion: T frames, those that the shots name among them.
+        shots: the pictures to be taken.
+        progress: called after each of them.
+    """
+    for done, shot in enumerate(shots, 1):
+        yield render_layer(avatar, motion[shot.frame], shot.camera)
+        if progress:
+            progress(done, len(shots))
+
+
+def over(layer: np.ndarray, background: np.ndarray) -> np.ndarray:
+    """A layer (H, W, 4) before a colour (3,) or a picture (H, W, 3): 8-bit (H, W, 3)."""
+    return to_8bit(layer[..., :3] + (1 - layer[..., 3:]) * background)
+
+
+def see_through(layer: np.ndarray) -> np.ndarray:
+    """A layer (H, W, 4) as picture files hold it, colours not times alpha: 8-bit RGBA."""
+    color, alpha = layer[..., :3], layer[..., 3:]
+    return to_8bit(np.concatenate([color / np.maximum(alpha, 1e-6), alpha], axis=2))
 
 
 def cut_out(frame: Frame, background: tuple[float, float, float] = WHITE) -> np.ndarray:

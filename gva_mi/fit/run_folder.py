@@ -28,10 +28,12 @@ from typing import Any
 import numpy as np
 import torch
 
-from gva_mi.avatar.avatar import Avatar
+from gva_mi.avatar.avatar import AVATAR_FILE, Avatar
 from gva_mi.avatar.canonical import CanonicalGaussians
+from gva_mi.avatar.formats.without_body import WITHOUT_BODY, with_body
 from gva_mi.avatar.reinit import SurfaceMesh
-from gva_mi.body.pose import load_poses
+from gva_mi.body.pose import Pose, Shape, load_poses
+from gva_mi.body.smplx import body_name, load_body
 from gva_mi.data.identity import differing, identity
 from gva_mi.data.video import Video
 from gva_mi.errors import InputError
@@ -179,9 +181,39 @@ def load_history(out: Path) -> dict[str, np.ndarray]:
     return read_arrays(out / HISTORY, "the history of a finished fit")
 
 
-def load_avatar(run: Path) -> Avatar:
-    """The avatar of a finished run, given its folder; or any avatar, given its file."""
-    return Avatar.load(run / AVATAR if run.is_dir() else run)
+def load_avatar(run: Path, body: Path | None = None) -> Avatar:
+    """The avatar of a finished run, given its folder; or any avatar, given its file.
+
+    Args:
+        run: folder or file.
+        body: the body file of an avatar that was written without its body; None: the puppet.
+
+    Raises:
+        InputError: no such file, not an avatar, or the body is another one.
+    """
+    path = run / AVATAR if run.is_dir() else run
+    arrays = read_arrays(path, AVATAR_FILE)
+    if str(arrays.get("format")) != WITHOUT_BODY:
+        return Avatar.from_arrays(path, arrays)
+    return with_body(path, arrays, load_body(body), body_name(body))
+
+
+def load_motion(run: Path, poses: Path | None) -> tuple[Pose, Shape, Path]:
+    """A motion, the shape of whose it is, and its file.
+
+    Args:
+        run: folder of a run, or an avatar's file.
+        poses: a file of poses; None: those that were trained with the avatar.
+
+    Raises:
+        InputError: there are none, or they cannot be read.
+    """
+    path = poses or run / TRAINED_POSES
+    if poses is None and not path.is_file():
+        raise InputError(
+            f"{run}: holds no {TRAINED_POSES}, for no poses were trained there; give --poses"
+        )
+    return *load_poses(path), path
 
 
 def under_trained_poses(video: Video, run: Path) -> Video:

@@ -13,6 +13,7 @@ import torch
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.pose import JOINTS
 from gva_mi.data.video import Frame, Video
+from gva_mi.fit.camera_paths import circle
 from gva_mi.fit.evaluation.regions import FINGERS, HAND, box_around, hand_joints
 from gva_mi.fit.evaluation.similarity import posed_joints
 from gva_mi.fit.renders import cut_out, render_frame, to_8bit
@@ -40,20 +41,11 @@ def turntable(avatar: Avatar, frame: Frame, count: int) -> Iterator[np.ndarray]:
     up = -frame.camera.T_camera_world[1, :3]  # y of a camera points down
     toward = frame.camera.position - centre
     toward -= up * (up @ toward)
-    distance = np.linalg.norm(toward)
-    across = np.cross(up, toward)
     width, height = frame.camera.width, frame.camera.height
-    for angle in np.linspace(0, 2 * np.pi, count, endpoint=False):
-        eye = centre + np.cos(angle) * toward + np.sin(angle) * across + 0.1 * distance * up
-        camera = Camera(
-            frame.camera.fx,
-            frame.camera.fy,
-            width / 2,
-            height / 2,
-            look_at(eye, centre, up),
-            width,
-            height,
-        )
+    lens = (frame.camera.fx, frame.camera.fy, width / 2, height / 2)
+    angles = np.linspace(0, 2 * np.pi, count, endpoint=False)
+    for T_camera_world in circle(centre, toward, up, 0.1, angles):
+        camera = Camera(*lens, T_camera_world, width, height)
         yield render_frame(avatar, frame.pose, camera)
 
 

@@ -9,7 +9,7 @@ from gva_mi.data.video import load_video
 from gva_mi.fit.evaluation.evaluate import evaluate
 from gva_mi.fit.evaluation.scores import PSNR_MAX
 from gva_mi.fit.perceptual import Weights
-from gva_mi.fit.renders import render_frame, render_sequence, to_8bit
+from gva_mi.fit.renders import render_frame, to_8bit
 
 NONE = Weights()  # whatever this machine has
 
@@ -78,20 +78,6 @@ def test_progress_counts_the_frames(known, studio):
 def test_eight_bits_are_rounded_and_clamped():
     x = np.array([-1, 0, 0.4 / 255, 0.6 / 255, 0.5, 1, 2])
     np.testing.assert_array_equal(to_8bit(x), [0, 0, 0, 1, 128, 255, 255])
-
-
-def test_a_sequence_is_its_frames(known, studio, camera):
-    images = list(render_sequence(known, studio.pose, [camera]))
-    assert len(images) == 2 and images[0].dtype == np.uint8
-    for k, image in enumerate(images):
-        np.testing.assert_array_equal(image, render_frame(known, studio.pose[k], camera))
-    both = list(render_sequence(known, studio.pose, [camera, camera]))
-    np.testing.assert_array_equal(both, images)
-
-
-def test_a_sequence_needs_a_camera_per_frame_or_one(known, studio, camera):
-    with pytest.raises(ValueError, match="2 poses need as many cameras or one, got 3"):
-        next(render_sequence(known, studio.pose, [camera] * 3))
 
 
 def test_the_background_is_where_the_person_is_not(known, studio, camera):

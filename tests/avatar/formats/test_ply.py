@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from gva_mi import InputError
-from gva_mi.avatar.export import load_ply, save_ply
+from gva_mi.avatar.formats.ply import load_ply, save_ply
 from gva_mi.splat import Gaussians
 
 FIELDS = ("means", "quats", "scales", "opacities", "sh")

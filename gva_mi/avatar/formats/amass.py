@@ -1,0 +1,46 @@
+"""Poses as AMASS has them, in SMPL-X's joints, which most programs that know a body read.
+
+========================  ===========  =====================================================
+``poses``                 (T, 165)     axis-angle: root, body 21, jaw, eyes, left, right hand
+``trans``                 (T, 3)       metres
+``betas``                 (B,)         shape
+``gender``                ``str``      of the body model
+``mocap_frame_rate``      number       frames a second
+``surface_model_type``    ``"smplx"``
+``expression``            (T, E)       beside AMASS's own keys, for they are without a face
+========================  ===========  =====================================================
+
+Hands are relative to the flat hand. The world stays the poses' own; AMASS's has z upward.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from gva_mi.body.pose import Pose, Shape
+from gva_mi.files import write_arrays
+
+
+def save_amass(path: Path, pose: Pose, shape: Shape, fps: float, gender: str = "neutral") -> None:
+    """Write poses.
+
+    Args:
+        path: of the .npz; an older one is replaced once the new one is whole.
+        pose: T frames.
+        shape: the person's.
+        fps: frames a second.
+        gender: of the body model that the shape belongs to.
+    """
+    array = lambda tensor: tensor.detach().numpy()
+    write_arrays(
+        path,
+        poses=array(pose.rotations.flatten(1)),
+        trans=array(pose.transl),
+        betas=array(shape.betas),
+        expression=array(pose.expression),
+        gender=np.array(gender),
+        mocap_frame_rate=np.array(float(fps)),
+        surface_model_type=np.array("smplx"),
+    )

@@ -1,0 +1,149 @@
+"""The avatar's surface in glTF 2.0, for programs that know meshes and no Gaussians.
+
+The surface of the rest body hangs on 55 nodes, one a joint, with
+
+    1. node j      at J_j - J_parent(j) of its parent, unturned at rest     J: joints at rest
+    2. inverse bind matrix of j = translation by -J_j
+    3. x' = Σ_j w_j global_j inverse_bind_j x      so that global_j inverse_bind_j = T_world_rest[j]
+
+of :mod:`gva_mi.body.kinematics`. A motion turns the nodes, and moves the first one too. What glTF
+has no word for is left out: blend shapes of bent joints and of the face, and of a vertex's skinning
+weights all but the four strongest. Vertices take their colours from the Gaussians around them, as
+they are lit in the rest pose, and are shown as they are, without a lamp of the viewer.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import roma
+import torch
+from torch import Tensor
+
+from gva_mi.avatar.avatar import Avatar, Rig
+from gva_mi.avatar.formats.glb import TRIANGLES, VERTICES, Glb
+from gva_mi.avatar.formats.splat import plain_colors
+from gva_mi.body.pose import JOINTS, Pose
+from gva_mi.body.skinning import strongest
+from gva_mi.mesh.surface import vertex_normals
+
+NEIGHBOURS = 8  # Gaussians that a vertex takes its colour from
+_NEAR = 0.003  # metres; nearer ones do not count for more
+_UNLIT = "KHR_materials_unlit"
+
+
+@torch.no_grad()
+def save_gltf(path: Path, avatar: Avatar, motion: Pose | None = None, fps: float = 30) -> None:
+    """Write the surface with its skeleton, skin and colours, and a motion where one is given.
+
+    Args:
+        path: of the .glb; an older one is replaced once the new one is whole.
+        avatar: the avatar.
+        motion: T frames.
+        fps: frames a second of the motion.
+    """
+    file, rig = Glb(), avatar.rig
+    joints = rig.joints.double().numpy()
+    inverse_bind = np.broadcast_to(np.eye(4, dtype=np.float32), (len(joints), 4, 4)).copy()
+    inverse_bind[:, :3, 3] = -joints
+    surface = len(JOINTS)  # the node after those of the joints
+    file.description |= {
+        "extensionsUsed": [_UNLIT],
+        "scene": 0,
+        "scenes": [{"nodes": [0, surface]}],
+        "nodes": [*_skeleton(rig), {"name": "surface", "mesh": 0, "skin": 0}],
+        "skins": [
+            {
+                "joints": list(range(len(JOINTS))),
+                "skeleton": 0,
+                "inverseBindMatrices": file.add(inverse_bind),
+            }
+        ],
+        "materials": [
+            {
+                "pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 1},
+                "extensions": {_UNLIT: {}},
+            }
+        ],
+        "meshes": [{"name": "surface", "primitives": [_surface(file, avatar)]}],
+    }
+    if motion is not None:
+        file.description["animations"] = [_animation(file, avatar, motion, fps)]
+    file.save(path)
+
+
+def _skeleton(rig: Rig) -> list[dict]:
+    """The nodes of the joints (eq. 1)."""
+    joints, nodes = rig.joints.double().numpy(), []
+    for j, (name, parent) in enumerate(zip(JOINTS, rig.parents, strict=True)):
+        away = joints[j] if parent < 0 else joints[j] - joints[parent]
+        nodes.append({"name": name, "translation": away.tolist()})
+        if parent >= 0:
+            nodes[parent].setdefault("children", []).append(j)
+    return nodes
+
+
+def _surface(file: Glb, avatar: Avatar) -> dict:
+    """The primitive of the rest surface."""
+    rig = avatar.rig
+    kept = strongest(rig.weights, 4)
+    weights, joints = kept.topk(4, dim=1)
+    joints = joints.masked_fill(weights == 0, 0)  # as the format wants of those that do not count
+    vertices = rig.vertices.float()
+    colors = _as_light(surface_colors(avatar, rig.vertices))
+    opaque = np.column_stack([colors, np.ones(len(colors))])
+    attributes = {
+        "POSITION": vertices.numpy(),
+        "NORMAL": vertex_normals(vertices, rig.faces).numpy(),
+        "COLOR_0": opaque.astype(np.float32),
+        "JOINTS_0": joints.numpy().astype(np.uint8),
+        "WEIGHTS_0": weights.float().numpy(),
+    }
+    return {
+        "attributes": {name: file.add(array, VERTICES) for name, array in attributes.items()},
+        "indices": file.add(rig.faces.numpy().astype(np.uint32).ravel(), TRIANGLES),
+        "material": 0,
+    }
+
+
+@torch.no_grad()
+def surface_colors(avatar: Avatar, points: Tensor) -> np.ndarray:
+    """Colours (V, 3) in [0, 1] of points (V, 3) at rest, from the Gaussians around them.
+
+    Each of the nearest counts by its opacity and by one over the square of its distance.
+    """
+    from scipy.spatial import cKDTree
+
+    expressions = avatar.rig.expression_joints.shape[2]
+    gaussians = avatar(Pose.rest(1, expressions, avatar.canonical.means.dtype))
+    tree = cKDTree(gaussians.means.double().numpy())
+    count = min(NEIGHBOURS, len(gaussians))
+    distance, nearest = (
+        x.reshape(len(points), count) for x in tree.query(points.double().numpy(), k=count)
+    )
+    opacities = gaussians.opacities.double().numpy()[nearest]
+    share = (opacities + 1e-6) / np.maximum(distance, _NEAR) ** 2
+    share /= share.sum(1, keepdims=True)
+    return np.einsum("vk,vkc->vc", share, plain_colors(gaussians)[nearest])
+
+
+def _animation(file: Glb, avatar: Avatar, motion: Pose, fps: float) -> dict:
+    """A motion: all joints turn, and the first one moves."""
+    times = file.add((np.arange(len(motion)) / fps).astype(np.float32))
+    quats = roma.rotvec_to_unitquat(avatar.followed(motion).double()).numpy()  # xyzw, as in glTF
+    for k in range(1, len(quats)):  # q and -q are one turn: the nearer one leads there directly
+        quats[k][(quats[k] * quats[k - 1]).sum(-1) < 0] *= -1
+    places = (motion.transl.double() + avatar.rig.joints[0].double()).numpy()
+    moved = [(0, "translation", places)]
+    moved += [(j, "rotation", quats[:, j]) for j in range(len(JOINTS))]
+    samplers, channels = [], []
+    for node, path, values in moved:
+        channels.append({"sampler": len(samplers), "target": {"node": node, "path": path}})
+        samplers.append({"input": times, "output": file.add(values.astype(np.float32))})
+    return {"name": "motion", "samplers": samplers, "channels": channels}
+
+
+def _as_light(colors: np.ndarray) -> np.ndarray:
+    """Colours as pictures store them (sRGB) in linear light, as glTF has them at vertices."""
+    return np.where(colors <= 0.04045, colors / 12.92, ((colors + 0.055) / 1.055) ** 2.4)

@@ -1,0 +1,90 @@
+"""The .splat of antimatter15's viewer, which many viewers in a browser read: 32 bytes a Gaussian.
+
+    means 3 float32 · scales 3 float32 · rgb and opacity 4 uint8 · quaternion 4 uint8
+
+* no header, little-endian; scales are standard deviations, no logarithms;
+* a quaternion wxyz of length one is stored as q 128 + 128;
+* the largest and most opaque come first, for a viewer shows what it has while the rest loads.
+
+It holds one colour a Gaussian: what of a colour depends on where it is seen from is left out.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from gva_mi.errors import InputError
+from gva_mi.files import replacing
+from gva_mi.splat.gaussians import Gaussians
+from gva_mi.splat.kernels.sh import C0
+
+ROW = np.dtype(
+    [("means", "<f4", 3), ("scales", "<f4", 3), ("rgba", "u1", 4), ("quats", "u1", 4)]
+)  # 32 bytes
+
+
+def save_splat(path: Path, gaussians: Gaussians) -> None:
+    """Write Gaussians, rounded to the 8 bits of the format.
+
+    Args:
+        path: of the .splat; an older one is replaced once the new one is whole.
+        gaussians: torch tensors.
+    """
+    array = lambda tensor: tensor.detach().double().numpy()
+    scales, opacities, quats = (
+        array(x) for x in (gaussians.scales, gaussians.opacities, gaussians.quats)
+    )
+    rows = np.zeros(len(gaussians), ROW)
+    rows["means"], rows["scales"] = array(gaussians.means), scales
+    rows["rgba"] = _byte(255 * np.column_stack([plain_colors(gaussians), opacities]))
+    unit = quats / np.maximum(np.linalg.norm(quats, axis=1, keepdims=True), 1e-12)
+    rows["quats"] = _byte(128 * unit + 128)
+    order = np.argsort(-scales.prod(1) * opacities, kind="stable")
+    with replacing(path) as unfinished:
+        unfinished.write_bytes(rows[order].tobytes())
+
+
+def load_splat(path: Path) -> Gaussians:
+    """Read a .splat.
+
+    Raises:
+        InputError: no such file, or its length is no multiple of 32 bytes, or numbers that are not
+            finite.
+    """
+    path = Path(path)
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); expected a .splat") from None
+    if len(content) % ROW.itemsize:
+        raise InputError(
+            f"{path}: {len(content)} bytes; expected a .splat, {ROW.itemsize} bytes a Gaussian"
+        )
+    rows = np.frombuffer(content, ROW)
+    if not (np.isfinite(rows["means"]).all() and np.isfinite(rows["scales"]).all()):
+        raise InputError(f"{path}: holds numbers that are not finite; expected a .splat")
+    tensor = lambda x: torch.from_numpy(np.array(x, dtype=np.float32))
+    rgba = tensor(rows["rgba"]) / 255
+    return Gaussians(
+        means=tensor(rows["means"]),
+        quats=(tensor(rows["quats"]) - 128) / 128,
+        scales=tensor(rows["scales"]),
+        opacities=rgba[:, 3],
+        colors=rgba[:, :3],
+    )
+
+
+def plain_colors(gaussians: Gaussians) -> np.ndarray:
+    """Colours (N, 3) in [0, 1] that do not depend on where they are seen from."""
+    if gaussians.sh is None:
+        colors = gaussians.colors.detach().double().numpy()
+    else:
+        colors = gaussians.sh[:, 0].detach().double().numpy() * C0 + 0.5
+    return np.clip(colors, 0, 1)
+
+
+def _byte(x: np.ndarray) -> np.ndarray:
+    return np.round(np.clip(x, 0, 255)).astype(np.uint8)

@@ -1,0 +1,129 @@
+"""An avatar that can be given away: without what its file holds of a licensed body.
+
+An avatar's file has the rest body in it: vertices, faces, skinning weights, joints, and the
+directions of its blend shapes. Here they are left out, and read from a body file that the reader
+has too. What stays is the person's own:
+
+* the Gaussians: parameters, and each one's skinning weights;
+* ``beneath`` and ``shares``, (N, k): which of the body's vertices a Gaussian takes its blend
+  shapes from, and how much of each;
+* ``offsets`` (V, 3): how far clothes lie from the body, metres; and ``betas``;
+* the name of the body, and a fingerprint of all its numbers.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from gva_mi.avatar.avatar import FORMAT, RIG, WORN, Avatar, Rig, digest
+from gva_mi.avatar.skin import mean_directions
+from gva_mi.body.pose import Shape
+from gva_mi.body.smplx import BodyModel
+from gva_mi.errors import InputError
+from gva_mi.files import write_arrays
+
+WITHOUT_BODY = "gva_mi avatar without its body, version 1"
+DIRECTIONS = "canonical.directions"  # of the Gaussians' blend shapes: means of the body's
+_OF_BODY = ("rest_", "skin_")  # what names of the body's own numbers begin with
+
+
+def fingerprint(body: BodyModel) -> str:
+    """A hash of all numbers of a body model."""
+    found = hashlib.sha256()
+    for name, value in sorted(body.named_buffers()):
+        found.update(f"{name} {tuple(value.shape)}".encode())
+        found.update(np.ascontiguousarray(value.numpy()).tobytes())
+    return found.hexdigest()[:16]
+
+
+def require_body_of(avatar: Avatar, body: BodyModel, name: str) -> None:
+    """Check that an avatar was made with a body.
+
+    Raises:
+        InputError: it was another.
+    """
+    rig = avatar.rig
+    same = rig.body == digest(body) and torch.equal(rig.weights, body.weights)
+    if not (same and torch.equal(rig.pose_features, body.pose_features)):
+        raise InputError(
+            f"the avatar was made with another body ({rig.body}) than {name} ({digest(body)}); "
+            "give that one's --body"
+        )
+
+
+def save_without_body(path: Path, avatar: Avatar, body: BodyModel, name: str) -> None:
+    """Write an avatar without its body.
+
+    Args:
+        path: of the .npz; an older one is replaced once the new one is whole.
+        avatar: whose blend shapes are looked up anew, where Gaussians moved since they last were.
+        body: the body model that it was made with.
+        name: of the body, for whoever looks for its file.
+
+    Raises:
+        InputError: it was made with another body.
+    """
+    require_body_of(avatar, body, name)
+    rig, skin, record = avatar.rig, avatar.skin, avatar.record()
+    described = json.loads(record.pop("description"))
+    described["body"] = {"name": name, "digest": rig.body, "fingerprint": fingerprint(body)}
+    own = {
+        key: np.asarray(value)
+        for key, value in record.items()
+        if key not in ("format", DIRECTIONS) and not key.startswith(_OF_BODY)
+    }
+    shares, around = skin.around(avatar.canonical.means)
+    naked = Rig.of(body, Shape(rig.betas)).vertices
+    write_arrays(
+        path,
+        **own,
+        format=np.array(WITHOUT_BODY),
+        description=np.array(json.dumps(described)),
+        betas=rig.betas.numpy(),
+        offsets=(rig.vertices - naked).numpy(),
+        beneath=skin.beneath[around].numpy().astype(np.int32),
+        shares=shares.numpy(),
+    )
+
+
+def with_body(path: Path, arrays: dict[str, np.ndarray], body: BodyModel, name: str) -> Avatar:
+    """The avatar of a file without a body. Its outer skin is the body's own, displaced.
+
+    Args:
+        path: of the file, for errors.
+        arrays: what it holds.
+        body: the body model.
+        name: of the body.
+
+    Raises:
+        InputError: not such a file, or it belongs to another body.
+    """
+    try:
+        described = json.loads(str(arrays.pop("description")))
+        wanted, found = described["body"], fingerprint(body)
+        if wanted["fingerprint"] != found:
+            raise InputError(
+                f"{path}: holds no body and belongs to '{wanted['name']}' "
+                f"({wanted['fingerprint']}), not to '{name}' ({found}); give that one's --body"
+            )
+        record: dict[str, Any] = {
+            key: torch.from_numpy(value) for key, value in arrays.items() if key != "format"
+        }
+        shares, beneath = record.pop("shares"), record.pop("beneath").long()
+        rig = Rig.of(body, Shape(record.pop("betas")), record.pop("offsets"))
+        record[DIRECTIONS] = mean_directions(shares, beneath, rig.directions)
+        record |= {f"rest_{key}": getattr(rig, key) for key in RIG}
+        skin = rig.outer_skin()
+        record |= {f"skin_{key}": getattr(skin, key) for key in WORN}
+        described["body"] = rig.body
+        return Avatar.from_record(record | {"format": FORMAT, "description": json.dumps(described)})
+    except InputError:
+        raise
+    except (KeyError, TypeError, ValueError, RuntimeError, IndexError) as error:
+        raise InputError(f"{path}: not an avatar of this version ({error})") from None

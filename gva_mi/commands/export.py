@@ -1,0 +1,242 @@
+"""The command ``gva-mi export``: an avatar, its poses, or a film of it, for other programs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Literal
+
+import torch
+from tyro.conf import Positional
+
+from gva_mi.avatar.avatar import Avatar
+from gva_mi.avatar.formats.amass import save_amass
+from gva_mi.avatar.formats.gltf import save_gltf
+from gva_mi.avatar.formats.ply import load_ply, save_ply
+from gva_mi.avatar.formats.splat import load_splat, save_splat
+from gva_mi.avatar.formats.without_body import require_body_of, save_without_body
+from gva_mi.body.pose import Pose
+from gva_mi.body.smplx import body_name, load_body
+from gva_mi.commands.arguments import Flat, Switch
+from gva_mi.commands.driving import motion_of
+from gva_mi.console import bar, say
+from gva_mi.data.pictures import read_background, write_image, write_movie
+from gva_mi.errors import InputError, require_at_least
+from gva_mi.files import require_room, start_folder
+from gva_mi.fit.camera_paths import CameraPath, Shot, shots
+from gva_mi.fit.renders import over, render_shots, see_through
+from gva_mi.fit.run_folder import load_avatar
+from gva_mi.splat import Gaussians
+
+MARKER = "export.json"  # every folder of exports that was made here holds it
+FORMATS = {  # by the suffix of --out
+    ".ply": "Gaussians in one pose, for viewers of 3DGS",
+    ".splat": "the same in 32 bytes each, for viewers in a browser",
+    ".glb": "the surface with skeleton, skin, colours, and a motion",
+    ".npz": "poses as AMASS has them; with --no-rig the avatar without its body",
+    ".mp4": "a film",
+    "": "a folder with one file a frame",
+}
+SAVE = {".ply": save_ply, ".splat": save_splat}
+LOAD = {".ply": load_ply, ".splat": load_splat}
+FOR = {  # what the options are about; the others are about all
+    "frame": (".ply", ".splat", ".mp4"),
+    "every": ("",),
+    "each": ("",),
+    "fps": (".glb", ".npz", ".mp4"),
+    "background": (".mp4",),
+    "no_rig": (".npz",),
+}
+
+
+@dataclass(frozen=True)
+class ExportOptions:
+    """What of an avatar is written."""
+
+    poses: Path | None = None  # a motion, SMPL-X's names; none: the poses trained with the avatar
+    frame: int | None = None  # of the poses; a .ply or .splat without it and --poses is at rest
+    every: int = 1  # into a folder: one file for every so many frames
+    each: Literal["ply", "splat", "png"] = "ply"  # kind of these files; .png are see-through
+    fps: int = 30  # frames a second
+    background: str = "white"  # of a film: a colour, such as #ff8800, or a picture file
+    no_rig: Switch = False  # .npz: the avatar, without what it holds of a licensed body
+
+    def __post_init__(self) -> None:
+        require_at_least("export", self, every=1, fps=1)
+        if self.fps > 1000:
+            raise InputError(f"export: fps must be at most 1000, got {self.fps}")
+        if self.frame is not None and self.frame < 0:
+            raise InputError(f"export: frame must be at least 0, got {self.frame}")
+
+
+@dataclass(frozen=True)
+class _Job:
+    """One call of the command, its avatar read."""
+
+    run: Path
+    avatar: Avatar
+    options: ExportOptions
+    view: CameraPath
+    out: Path
+    body: Path | None
+
+    def motion(self) -> Pose:
+        """The poses that were asked for, in which there is the frame that was."""
+        motion, _ = motion_of(self.run, self.avatar, self.options.poses)
+        if (self.options.frame or 0) >= len(motion):
+            frame = self.options.frame
+            raise InputError(f"export: frame {frame} is not there, the poses have {len(motion)}")
+        return motion
+
+    def shots(self, motion: Pose) -> list[Shot]:
+        """The pictures of a film."""
+        view = self.view.or_usual(moving=self.options.poses is not None)
+        return shots(view, self.avatar.rig, motion, self.options.frame or 0)
+
+
+Work = Callable[[], None]  # writes to a job's --out; all that it can fail on has been checked
+
+
+def export(
+    run: Positional[Path],
+    options: Flat[ExportOptions] = ExportOptions(),  # noqa: B008 (frozen)
+    view: Flat[CameraPath] = CameraPath(),  # noqa: B008 (frozen)
+    *,
+    out: Path,
+    body: Path | None = None,
+    overwrite: Switch = False,
+) -> None:
+    """Write an avatar, its poses, or a film of it in a file of other programs.
+
+    Args:
+        run: the folder of a finished fit, or an avatar.npz; or a .ply or .splat, which becomes the
+            other.
+        options: what is written.
+        view: of films and .png.
+        out: the file, whose suffix says what it is: .ply and .splat (Gaussians in one pose), .glb
+            (the surface with skeleton and skin), .npz (poses as AMASS has them, or with --no-rig
+            the avatar), .mp4 (a film); or a folder for one file a frame.
+        body: the body file of an avatar without its body, or for --no-rig; without it the built-in
+            puppet.
+        overwrite: replace what is there.
+    """
+    suffix = _suffix(out)
+    _require_meant(suffix, options, view)
+    if run.suffix in LOAD and not run.is_dir():
+        work = _converted(run, options, suffix, out)
+    else:
+        work = _READY[suffix](_Job(run, load_avatar(run, body), options, view, out, body))
+    if suffix:
+        require_room(out, overwrite)
+    else:
+        start_folder(out, MARKER, overwrite, {"avatar": str(run), "poses": options.poses})
+    try:
+        work()
+    except OSError as error:  # a disk that has filled up by now
+        raise InputError(f"{out}: cannot be written ({error.strerror})") from None
+    say(f"exported: {out}")
+
+
+def _suffix(out: Path) -> str:
+    """The one of :data:`FORMATS` that is asked for."""
+    suffix = "" if out.is_dir() else out.suffix.lower()
+    if suffix not in FORMATS:
+        there = ", ".join(f"{name} ({what})" for name, what in FORMATS.items() if name)
+        raise InputError(f"{out}: no format ends in {suffix}; expected {there}, or {FORMATS['']}")
+    return suffix
+
+
+def _require_meant(suffix: str, options: ExportOptions, view: CameraPath) -> None:
+    """Refuse options that say nothing about the format."""
+    kind = suffix or "a folder"
+    for field in fields(options):
+        of = FOR.get(field.name, (suffix,))
+        if getattr(options, field.name) != field.default and suffix not in of:
+            name, meant = field.name.replace("_", "-"), " and ".join(x or "a folder" for x in of)
+            raise InputError(f"export: --{name} is for {meant}, not for {kind}")
+    pictures = suffix == ".mp4" or (not suffix and options.each == "png")
+    if view != CameraPath() and not pictures:
+        raise InputError(f"export: cameras are for .mp4 and for --each png, not for {kind}")
+
+
+def _converted(source: Path, options: ExportOptions, suffix: str, out: Path) -> Work:
+    if suffix not in SAVE or options != ExportOptions():
+        raise InputError(
+            f"{source}: holds Gaussians alone, which become .ply or .splat as they are; expected "
+            f"such a name without other options, got {out}"
+        )
+    gaussians = LOAD[source.suffix](source)
+    return lambda: SAVE[suffix](out, gaussians)
+
+
+def _gaussians(job: _Job) -> Work:
+    options = job.options
+    at_rest = options.poses is None and options.frame is None
+    pose = Pose.rest() if at_rest else job.motion()[options.frame or 0]
+    return lambda: SAVE[job.out.suffix.lower()](job.out, _posed(job.avatar, pose))
+
+
+def _surface(job: _Job) -> Work:
+    motion = job.motion() if job.options.poses else None
+    return lambda: save_gltf(job.out, job.avatar, motion, job.options.fps)
+
+
+def _poses(job: _Job) -> Work:
+    if job.options.no_rig:
+        if job.options.poses is not None:
+            raise InputError("export: --no-rig writes the avatar, --poses its poses; not both")
+        body, name = load_body(job.body), body_name(job.body)
+        require_body_of(job.avatar, body, name)
+        return lambda: save_without_body(job.out, job.avatar, body, name)
+    motion, shape = motion_of(job.run, job.avatar, job.options.poses)
+    return lambda: save_amass(job.out, motion, shape, job.options.fps)
+
+
+def _film(job: _Job) -> Work:
+    motion = job.motion()
+    background = read_background(job.options.background, *job.view.size)
+    pictures = job.shots(motion)
+
+    def work() -> None:
+        with bar("render") as progress:
+            layers = render_shots(job.avatar, motion, pictures, progress)
+            images = (over(layer, background) for layer in layers)
+            write_movie(job.out, images, fps=job.options.fps, lossless=False)
+
+    return work
+
+
+def _folder(job: _Job) -> Work:
+    motion, options = job.motion(), job.options
+    frames = range(0, len(motion), options.every)
+    pictures = job.shots(motion)[:: options.every]
+
+    def work() -> None:
+        with bar("export") as progress:
+            if options.each == "png":
+                for k, layer in enumerate(render_shots(job.avatar, motion, pictures, progress)):
+                    write_image(job.out / f"{k * options.every:06d}.png", see_through(layer))
+                return
+            for done, k in enumerate(frames, 1):
+                path = job.out / f"{k:06d}.{options.each}"
+                SAVE[path.suffix](path, _posed(job.avatar, motion[k]))
+                progress(done, len(frames))
+
+    return work
+
+
+_READY: dict[str, Callable[[_Job], Work]] = {
+    ".ply": _gaussians,
+    ".splat": _gaussians,
+    ".glb": _surface,
+    ".npz": _poses,
+    ".mp4": _film,
+    "": _folder,
+}
+
+
+@torch.no_grad()
+def _posed(avatar: Avatar, pose: Pose) -> Gaussians:
+    """The Gaussians of one pose."""
+    return avatar(pose)

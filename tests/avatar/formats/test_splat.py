@@ -1,0 +1,69 @@
+"""A .splat: the rows that viewers expect, and back as far as 8 bits go."""
+
+import numpy as np
+import pytest
+import torch
+
+from gva_mi import InputError
+from gva_mi.avatar.formats.splat import ROW, load_splat, plain_colors, save_splat
+from gva_mi.splat import Gaussians
+
+
+def some_gaussians(coefficients=4, count=20):
+    generator = torch.Generator().manual_seed(0)
+    draw = lambda *size: torch.randn(count, *size, generator=generator)
+    colors = 0.7 * draw(coefficients, 3)
+    return Gaussians(draw(3), draw(4), draw(3).exp(), torch.sigmoid(draw()), sh=colors)
+
+
+def in_order(g):
+    return torch.argsort(g.scales.double().prod(1) * g.opacities, descending=True, stable=True)
+
+
+def test_what_is_read_is_what_was_written_to_8_bits(tmp_path):
+    g = some_gaussians()
+    save_splat(tmp_path / "a.splat", g)
+    read, order = load_splat(tmp_path / "a.splat"), in_order(g)
+    assert torch.equal(read.means, g.means[order]) and torch.equal(read.scales, g.scales[order])
+    assert (read.opacities - g.opacities[order]).abs().max() <= 0.5 / 255 + 1e-6
+    assert np.abs(read.colors.numpy() - plain_colors(g)[order]).max() <= 0.5 / 255 + 1e-6
+    unit = torch.nn.functional.normalize(g.quats[order], dim=1)
+    assert (read.quats - unit).abs().max() <= 1 / 128
+    assert [file.name for file in tmp_path.iterdir()] == ["a.splat"]
+
+
+def test_rows_are_of_32_bytes_the_largest_first(tmp_path):
+    save_splat(tmp_path / "a.splat", some_gaussians())
+    content = (tmp_path / "a.splat").read_bytes()
+    assert ROW.itemsize == 32 and len(content) == 20 * 32
+    scales = np.frombuffer(content, "<f4").reshape(20, 8)[:, 3:6].astype(float)
+    opacity = np.frombuffer(content, np.uint8).reshape(20, 32)[:, 27] / 255.0
+    weight = scales.prod(1) * opacity  # the opacity is rounded, by at most half of 1/255
+    slack = scales.prod(1) / 255
+    assert (weight[:-1] + slack[:-1] >= weight[1:] - slack[1:]).all() and weight[0] > weight[-1]
+
+
+def test_plain_colors_are_those_of_a_single_band(tmp_path):
+    g = some_gaussians()
+    colors = torch.rand(20, 3, generator=torch.Generator().manual_seed(1))
+    plain = Gaussians(g.means, g.quats, g.scales, g.opacities, colors=colors)
+    save_splat(tmp_path / "a.splat", plain)
+    found = load_splat(tmp_path / "a.splat").colors
+    assert torch.allclose(found, colors[in_order(g)], atol=0.5 / 255 + 1e-6)
+
+
+def test_no_gaussians_at_all(tmp_path):
+    save_splat(tmp_path / "a.splat", some_gaussians(count=0))
+    assert len(load_splat(tmp_path / "a.splat")) == 0
+
+
+def test_what_is_not_such_a_file_is_explained(tmp_path):
+    path = tmp_path / "a.splat"
+    with pytest.raises(InputError, match="No such file"):
+        load_splat(path)
+    path.write_bytes(b"hello")
+    with pytest.raises(InputError, match="5 bytes; expected a .splat, 32 bytes a Gaussian"):
+        load_splat(path)
+    path.write_bytes(b"\xff" * 64)
+    with pytest.raises(InputError, match="not finite"):
+        load_splat(path)

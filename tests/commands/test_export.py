@@ -1,0 +1,192 @@
+"""``gva-mi export``: the suffix says what is written; whatever is wrong is said before any work."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+
+from gva_mi.avatar.avatar import digest
+from gva_mi.avatar.formats.ply import load_ply
+from gva_mi.avatar.formats.splat import load_splat
+from gva_mi.body.pose import Pose, Shape, save_poses
+from gva_mi.data.pictures import read_movie, write_image
+from gva_mi.fit.run_folder import load_avatar
+
+SMALL = ("--size", 32, 48)
+
+
+@pytest.fixture
+def run(known, turning, tmp_path):
+    """A run's folder: the avatar, and the poses that were trained with it."""
+    known.save(tmp_path / "run/avatar.npz")
+    save_poses(tmp_path / "run/poses.npz", *turning(3), stage=2)
+    return tmp_path / "run"
+
+
+@pytest.fixture
+def dance(turning, tmp_path):
+    """A motion of five frames, of another person."""
+    pose, _ = turning(5, start=1.0)
+    save_poses(tmp_path / "dance.npz", pose, Shape(torch.full((10,), 0.5)), stage=1)
+    return tmp_path / "dance.npz"
+
+
+def same(found, expected, rtol=1e-4):
+    assert len(found) == len(expected)
+    return torch.allclose(found.means, expected.means, rtol=rtol, atol=1e-5)
+
+
+def test_gaussians_at_rest_in_a_frame_of_the_video_and_in_one_of_a_motion(
+    run, dance, known, cli, turning
+):
+    with torch.no_grad():
+        expected = {
+            (): known(Pose.rest()),
+            ("--frame", 2): known(turning(3)[0][2]),
+            ("--poses", dance): known(turning(5, 1.0)[0][0]),
+            ("--poses", dance, "--frame", 3): known(turning(5, 1.0)[0][3]),
+        }
+    for chosen, gaussians in expected.items():
+        code, out, err = cli("export", run, "--out", run / "a.ply", "--overwrite", *chosen)
+        assert code == 0, err
+        assert ("of a person of another shape" in out) == ("--poses" in chosen), out
+        found = load_ply(run / "a.ply")
+        assert same(found, gaussians), chosen
+        assert found.sh.shape == (600, 1, 3)  # in a pose, colours follow from the light
+        assert torch.allclose(found.sh, gaussians.sh, atol=1e-5)
+
+
+def test_a_ply_becomes_a_splat_and_a_splat_a_ply(run, known, cli):
+    for source, out in (("run", "a.ply"), ("a.ply", "b.splat"), ("b.splat", "c.ply")):
+        code, _, err = cli("export", run.parent / source, "--out", run.parent / out)
+        assert code == 0, err
+    rows = load_splat(run.parent / "b.splat")
+    assert same(load_ply(run.parent / "c.ply"), rows)
+    first, again = load_ply(run.parent / "a.ply"), rows.means
+    assert torch.equal(first.means.sort(0).values, again.sort(0).values)
+
+
+def test_a_folder_holds_one_file_a_frame(run, dance, known, cli, turning):
+    plies = ("export", run, "--poses", dance, "--out", run.parent / "plies", "--every", 2)
+    code, _, err = cli(*plies)
+    assert code == 0, err
+    written = sorted(path.name for path in (run.parent / "plies").iterdir())
+    assert written == ["000000.ply", "000002.ply", "000004.ply", "export.json"]
+    with torch.no_grad():
+        assert same(load_ply(run.parent / "plies/000002.ply"), known(turning(5, 1.0)[0][2]))
+    assert "versions" in json.loads((run.parent / "plies/export.json").read_text())
+    code, _, err = cli(*plies)
+    assert code == 2 and "--overwrite" in err
+    assert cli(*plies, "--overwrite")[0] == 0
+
+
+def test_pictures_in_a_folder_are_see_through(run, cli):
+    from PIL import Image
+
+    out = run.parent / "pictures"
+    code, _, err = cli("export", run, "--out", out, "--each", "png", "--frames", 2, *SMALL)
+    assert code == 0, err
+    pictures = [np.asarray(Image.open(path)) for path in sorted(out.glob("*.png"))]
+    assert len(pictures) == 2
+    for rgba in pictures:
+        assert rgba.shape == (48, 32, 4)
+        assert rgba[0, 0, 3] == 0 and rgba[..., 3].max() > 200
+
+
+@pytest.mark.parametrize("path", ["turntable", "orbit", "static"])
+def test_a_film_before_a_colour_or_a_picture(run, dance, cli, path):
+    write_image(run.parent / "wall.png", np.full((10, 90, 3), (0, 0, 255), np.uint8))
+    film = run.parent / "a.mp4"
+    for background, corner in (("#ff0000", (255, 0, 0)), (run.parent / "wall.png", (0, 0, 255))):
+        code, _, err = cli(
+            "export", run, "--poses", dance, "--out", film, "--path", path, "--frames", 3,
+            "--background", background, "--overwrite", *SMALL,
+        )  # fmt: skip
+        assert code == 0, err
+        images = read_movie(film)
+        assert len(images) == 3 and images[0].shape == (48, 32, 3)
+        assert np.abs(images[0][:3, :3].astype(int) - corner).max() < 25
+        assert np.abs(images[0].astype(int) - corner).max() > 60  # somebody is there
+    assert not list(run.parent.glob("*.part"))
+
+
+def test_poses_as_amass_has_them(run, dance, cli, turning):
+    for chosen, frames in (((), 3), (("--poses", dance, "--fps", 60), 5)):
+        code, _, err = cli("export", run, "--out", run / "amass.npz", "--overwrite", *chosen)
+        assert code == 0, err
+        with np.load(run / "amass.npz") as file:
+            assert file["poses"].shape == (frames, 165) and file["betas"].shape == (10,)
+            assert float(file["mocap_frame_rate"]) == (60 if chosen else 30)
+
+
+def test_a_surface_with_a_motion(run, dance, cli):
+    sizes = []
+    for chosen in ((), ("--poses", dance)):
+        code, _, err = cli("export", run, "--out", run / "a.glb", "--overwrite", *chosen)
+        assert code == 0, err
+        content = (run / "a.glb").read_bytes()
+        assert content[:4] == b"glTF" and (b'"animations"' in content) == bool(chosen)
+        sizes.append(len(content))
+    assert sizes[1] > sizes[0]
+
+
+def test_an_avatar_without_its_body_is_driven_by_whoever_has_it(run, known, dance, body, cli):
+    shared = run.parent / "shared.npz"
+    code, _, err = cli("export", run, "--no-rig", "--out", shared)
+    assert code == 0, err
+    assert shared.stat().st_size < (run / "avatar.npz").stat().st_size / 2
+    pose = Pose.rest()
+    with torch.no_grad():
+        assert same(load_avatar(shared)(pose), known(pose))
+    code, _, err = cli("export", shared, "--out", run / "again.ply")
+    assert code == 0, err
+
+    arrays = body.arrays()
+    arrays["v_template"] = arrays["v_template"] * np.float32(1.01)
+    np.savez(run.parent / "other.npz", **arrays)
+    other = ("--body", run.parent / "other.npz")
+    code, _, err = cli("export", shared, "--out", run / "b.ply", *other)
+    assert code == 2 and "belongs to 'puppet'" in err and "not to 'other'" in err
+    code, _, err = cli("export", run, "--no-rig", "--out", run / "b.npz", *other)
+    assert code == 2 and f"made with another body ({digest(body)}) than other" in err
+    assert not list(run.glob("b.*"))
+
+
+BAD = {
+    "suffix": (("--out", "a.obj"), "no format ends in .obj; expected .ply (Gaussians"),
+    "frame": (("--out", "a.ply", "--frame", 3), "frame 3 is not there, the poses have 3"),
+    "negative frame": (("--out", "a.ply", "--frame", -1), "frame must be at least 0"),
+    "no poses": (("--out", "a.ply", "--poses", "none.npz"), "none.npz: no such file"),
+    "meaningless": (("--out", "a.ply", "--every", 2), "--every is for a folder, not for .ply"),
+    "two things": (("--out", "a.npz", "--no-rig", "--poses", "p.npz"), "not both"),
+    "rate": (("--out", "a.mp4", "--fps", 10**9), "fps must be at most 1000"),
+    "no rig": (("--out", "a.ply", "--no-rig"), "--no-rig is for .npz, not for .ply"),
+    "cameras": (("--out", "a.glb", "--path", "orbit"), "cameras are for .mp4"),
+    "background": (("--out", "a.mp4", "--background", "nowhere"), "neither a picture file nor"),
+    "size": (("--out", "a.mp4", "--size", 10**6, 10**6), "got 1000000x1000000"),
+    "no file": (("--out", "run/avatar.npz/a.ply"), "cannot be written to"),
+    "there": (("--out", "run/poses.npz"), "exists already; give --overwrite"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_input_is_one_sentence_and_nothing_is_written(name, run, monkeypatch, cli):
+    monkeypatch.chdir(run.parent)
+    there = lambda: sorted(p.relative_to(run.parent) for p in run.parent.rglob("*"))
+    arguments, sentence = BAD[name]
+    before = there()
+    code, _, err = cli("export", "run", *arguments)
+    assert code == 2 and sentence in err and err.count("\n") == 1, err
+    assert there() == before
+
+
+def test_an_avatar_alone_has_no_poses_of_its_own(run, cli):
+    code, _, err = cli("export", run / "avatar.npz", "--out", run / "a.mp4")
+    assert code == 2 and "no poses were trained there; give --poses" in err
+
+
+def test_gaussians_alone_become_no_film(run, cli):
+    cli("export", run, "--out", run / "a.ply")
+    code, _, err = cli("export", run / "a.ply", "--out", run / "a.mp4")
+    assert code == 2 and "Gaussians alone" in err and not (run / "a.mp4").exists()

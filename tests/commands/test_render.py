@@ -1,0 +1,77 @@
+"""``gva-mi render``: cameras of a file, or on a path; before anything, or see-through."""
+
+import numpy as np
+import pytest
+
+from gva_mi.body.pose import save_poses
+from gva_mi.data.pictures import read_image, read_movie, write_image
+from gva_mi.data.video import save_cameras
+
+SMALL = ("--size", 32, 48)
+
+
+@pytest.fixture
+def run(known, camera, turning, tmp_path):
+    known.save(tmp_path / "run/avatar.npz")
+    save_poses(tmp_path / "run/poses.npz", *turning(3), stage=2)
+    save_cameras(tmp_path / "cameras.npz", [camera])
+    return tmp_path / "run"
+
+
+def pictures(folder):
+    return sorted(path.name for path in folder.glob("*.png"))
+
+
+def test_the_videos_own_poses_by_the_cameras_of_a_file(run, cli):
+    cameras, out = run.parent / "cameras.npz", run.parent / "out"
+    code, said, err = cli("render", run, "--cameras", cameras, "--out", out, "--background", "red")
+    assert code == 0, err
+    assert pictures(out) == ["000000.png", "000001.png", "000002.png"] and "3 pictures" in said
+    image = read_image(out / "000000.png", 3)
+    assert image.shape == (48, 48, 3) and (image[0, 0] == (255, 0, 0)).all()
+
+
+def test_on_a_turntable_by_default_and_see_through(run, cli):
+    from PIL import Image
+
+    out = run.parent / "out"
+    code, _, err = cli("render", run, "--out", out, "--frames", 4, "--alpha", "--video", *SMALL)
+    assert code == 0, err
+    assert len(pictures(out)) == len(read_movie(out / "video.mp4")) == 4
+    rgba = [np.asarray(Image.open(out / name)) for name in pictures(out)]
+    assert all(x.shape == (48, 32, 4) and x[0, 0, 3] == 0 and x[..., 3].max() > 200 for x in rgba)
+    assert np.abs(rgba[0].astype(int) - rgba[2]).mean() > 1
+
+
+def test_a_motion_plays_before_a_picture(run, cli):
+    write_image(run.parent / "wall.png", np.full((6, 4, 3), (0, 0, 255), np.uint8))
+    out, wall = run.parent / "out", run.parent / "wall.png"
+    motion = ("--poses", run / "poses.npz", "--background", wall)
+    code, _, err = cli("render", run, "--out", out, *motion, *SMALL)
+    assert code == 0, err
+    assert len(pictures(out)) == 3
+    assert (read_image(out / "000001.png", 3)[0, 0] == (0, 0, 255)).all()
+
+
+BAD = {
+    "both": (("--cameras", "cameras.npz", "--path", "orbit"), "not both"),
+    "size": (("--size", 10**5, 10**5), "got 100000x100000"),
+    "background": (("--background", "nowhere"), "nowhere: neither a picture file nor a colour"),
+    "enormous": (("--cameras", "enormous.npz"), "got 2000000x2000000"),
+    "no pixels": (("--cameras", "text.npz"), "'width' must be a whole number of pixels"),
+    "cameras": (("--cameras", "two.npz"), "holds 2 cameras, expected one, or one for each"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_input_is_one_sentence_and_nothing_is_written(name, run, camera, monkeypatch, cli):
+    monkeypatch.chdir(run.parent)
+    save_cameras(run.parent / "two.npz", [camera, camera.zoomed(2)])
+    with np.load("cameras.npz") as file:
+        data = dict(file)
+    np.savez("enormous.npz", **data | {"width": 2_000_000, "height": 2_000_000})
+    np.savez("text.npz", **data | {"width": "wide"})
+    arguments, sentence = BAD[name]
+    code, _, err = cli("render", "run", "--out", "out", *arguments)
+    assert code == 2 and sentence in err and err.count("\n") == 1, err
+    assert not (run.parent / "out").exists()

@@ -1,0 +1,125 @@
+"""Cameras round a person: they keep the person in the picture, in any world, whoever is upright."""
+
+import numpy as np
+import pytest
+import roma
+import torch
+
+from gva_mi import InputError
+from gva_mi.body.kinematics import joint_transforms
+from gva_mi.body.pose import Pose
+from gva_mi.body.skinning import skin_points
+from gva_mi.fit.camera_paths import CameraPath, circle, shots
+
+WORLDS = {
+    "y up": (0, 0, 0),
+    "z up": (np.pi / 2, 0, 0),
+    "y down": (np.pi, 0, 0),
+    "askew": (0.4, -1.1, 0.7),
+}
+
+
+def in_world(pose, rig, rotvec):
+    """The same motion in a world that is turned."""
+    R = roma.rotvec_to_rotmat(torch.tensor(rotvec, dtype=torch.float32))
+    rotations = pose.rotations.clone()
+    rotations[:, 0] = roma.rotmat_to_rotvec(R @ roma.rotvec_to_rotmat(rotations[:, 0]))
+    return Pose(rotations, (rig.joints[0] + pose.transl) @ R.T - rig.joints[0], pose.expression)
+
+
+def seen(shot, rig, motion):
+    """Pixels (V, 2) of the body's vertices in a shot."""
+    pose = motion[shot.frame]
+    maps = joint_transforms(pose.rotations, rig.joints, rig.parents, pose.transl)[0]
+    return shot.camera.project(skin_points(rig.vertices, rig.weights, maps).double().numpy())
+
+
+@pytest.fixture
+def walk(turning):
+    pose, _ = turning(6)
+    pose.transl[:, 0] = torch.linspace(0, 3, 6)
+    return pose
+
+
+@pytest.mark.parametrize("path", ["turntable", "orbit", "static"])
+@pytest.mark.parametrize("world", WORLDS)
+def test_the_person_is_in_the_picture_and_upright(known, walk, path, world):
+    motion = in_world(walk, known.rig, WORLDS[world])
+    options = CameraPath(path, frames=6, size=(120, 160))
+    for shot in shots(options, known.rig, motion):
+        pixels = seen(shot, known.rig, motion)
+        assert (pixels > 0).all() and (pixels < (120, 160)).all()
+        height = known.rig.vertices[:, 1]
+        head, feet = pixels[height.argmax()], pixels[height.argmin()]
+        assert head[1] < feet[1] and abs(head[0] - feet[0]) < 0.35 * (feet[1] - head[1])
+
+
+def test_it_fills_the_picture_and_the_distance_makes_it_smaller(known, turning):
+    motion, _ = turning(1)
+    height = lambda **options: np.ptp(
+        seen(shots(CameraPath("static", **options), known.rig, motion)[0], known.rig, motion),
+        axis=0,
+    )
+    near, far = height(), height(distance=2.0)
+    assert (near / (512, 640)).max() > 0.6 and (far < 0.62 * near).all()
+
+
+def test_a_turntable_holds_one_pose_and_goes_once_round(known, walk):
+    found = shots(CameraPath("turntable", frames=8), known.rig, walk, held=4)
+    assert [shot.frame for shot in found] == [4] * 8
+    eyes = np.stack([shot.camera.position for shot in found])
+    middle = eyes.mean(0)
+    angles = np.unwrap(np.arctan2(eyes[:, 0] - middle[0], eyes[:, 2] - middle[2]))
+    assert np.allclose(np.diff(angles), np.pi / 4, atol=1e-5)
+    assert np.allclose(np.linalg.norm(eyes - middle, axis=1).std(), 0, atol=1e-6)
+    assert len(shots(CameraPath("turntable"), known.rig, walk)) == 72
+
+
+def test_an_orbit_goes_round_while_the_motion_plays(known, walk):
+    found = shots(CameraPath("orbit", frames=9), known.rig, walk)
+    assert [shot.frame for shot in found] == [0, 1, 2, 3, 4, 5, 0, 1, 2]
+    assert len({tuple(shot.camera.position) for shot in found}) == 9
+
+
+def test_a_static_camera_stands_before_the_person(known, walk):
+    found = shots(CameraPath("static"), known.rig, walk)
+    assert [shot.frame for shot in found] == list(range(6))
+    assert len({shot.camera for shot in found}) == 1
+    joints = known.rig.joints.double().numpy()
+    assert found[0].camera.position[2] > joints[:, 2].max()  # they look toward +z in frame 0
+    behind = shots(CameraPath("static", turn=180), known.rig, walk)[0].camera.position
+    assert behind[2] < joints[:, 2].min()
+    high = shots(CameraPath("static", elevation=45), known.rig, walk)[0].camera.position
+    assert high[1] > found[0].camera.position[1] + 1 > joints[0, 1] + 1
+
+
+def test_a_circle_looks_at_its_middle():
+    centre, toward, up = np.array([1.0, 2, 3]), np.array([0, 0, 4.0]), np.array([0, 1.0, 0])
+    for T in circle(centre, toward, up, 0.5, np.linspace(0, 6, 5)):
+        x = T[:3, :3] @ centre + T[:3, 3]
+        assert np.allclose(x, (0, 0, np.hypot(4, 2)))
+
+
+def test_without_a_path_a_motion_is_seen_from_one_side():
+    assert CameraPath().or_usual(moving=True).path == "static"
+    assert CameraPath().or_usual(moving=False).path == "turntable"
+    assert CameraPath("orbit").or_usual(moving=False).path == "orbit"
+
+
+@pytest.mark.parametrize(
+    ("wrong", "sentence"),
+    [
+        ({"size": (10**6, 10**6)}, "from 1 to 33,554,432 pixels, got 1000000x1000000"),
+        ({"size": (0, 10)}, "got 0x10"),
+        ({"frames": -1}, "frames must be at least 0"),
+        ({"frames": 10**12}, "frames must be at most 100,000"),
+        ({"distance": 0.0}, "distance must be above 0"),
+        ({"distance": float("nan")}, "distance must be above 0"),
+        ({"distance": float("inf")}, "distance must be at most 100"),
+        ({"elevation": 90.0}, "elevation must lie between -89 and 89"),
+        ({"turn": float("nan")}, "turn a finite number"),
+    ],
+)
+def test_what_no_camera_can_do_is_refused(wrong, sentence):
+    with pytest.raises(InputError, match=sentence):
+        CameraPath(**wrong)

@@ -1,0 +1,44 @@
+"""Renders of shots: layers before any background, and see-through."""
+
+import numpy as np
+import pytest
+import torch
+
+from gva_mi.fit.camera_paths import Shot
+from gva_mi.fit.renders import over, render_frame, render_layer, render_shots, see_through
+
+
+@pytest.fixture
+def layer(known, turning, camera):
+    return render_layer(known, turning(1)[0], camera)
+
+
+def test_shots_are_renders_of_their_frames(known, turning, camera):
+    motion, told = turning(3)[0], []
+    shots = [Shot(2, camera), Shot(0, camera.zoomed(0.5))]
+    found = list(render_shots(known, motion, shots, lambda done, total: told.append((done, total))))
+    assert told == [(1, 2), (2, 2)]
+    for layer, shot in zip(found, shots, strict=True):
+        image = render_frame(known, motion[shot.frame], shot.camera)
+        assert np.abs(over(layer, np.ones(3)).astype(int) - image).max() <= 1
+
+
+def test_a_layer_lies_over_a_colour_as_the_renderer_does_it(layer, known, turning, camera):
+    colour = (0.2, 0.9, 0.4)
+    image = render_frame(known, turning(1)[0], camera, background=colour)
+    assert np.abs(over(layer, np.array(colour)).astype(int) - image).max() <= 1
+
+
+def test_a_picture_is_seen_where_the_person_is_not(layer):
+    background = np.random.default_rng(0).random((48, 48, 3))
+    image, empty = over(layer, background), layer[..., 3] == 0
+    assert empty.any() and (layer[..., 3] > 0.9).any()
+    assert np.array_equal(image[empty], np.round(255 * background[empty]))
+
+
+def test_what_is_see_through_gives_the_same_over_a_background(layer):
+    rgba = see_through(layer).astype(float) / 255
+    assert rgba.shape == (48, 48, 4)
+    again = rgba[..., :3] * rgba[..., 3:] + (1 - rgba[..., 3:])
+    assert np.abs(255 * again - over(layer, np.ones(3))).max() < 2.1
+    assert torch.from_numpy(rgba).isfinite().all()

@@ -1,4 +1,4 @@
-"""Body files on disk: SMPL-X's npz, and SMPL's and SMPL+H's, read and checked array by array.
+"""Body files on disk: SMPL-X's, SMPL+H's and SMPL's, .npz or .pkl, checked array by array.
 
 ==================  ===================================  ======================================
 Key                 Shape                                Meaning
@@ -24,6 +24,7 @@ betas and up to 10 expressions (1.0). In the older formats all of them are betas
 from __future__ import annotations
 
 import zipfile
+from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,7 @@ import numpy as np
 from gva_mi.body.pose import JOINTS, PARENTS
 from gva_mi.body.smpl import FORMATS, SMPL, SMPLX, Format, lift
 from gva_mi.errors import InputError
+from gva_mi.pickles.reader import read_objects
 
 LICENSED = "https://smpl-x.is.tue.mpg.de"
 _ROOT = 4294967295  # the root's parent in the files: -1 as an unsigned integer
@@ -48,18 +50,13 @@ def read_body(path: Path) -> dict[str, np.ndarray]:
     Raises:
         InputError: naming the file, the key, and the shape that was found.
     """
-    if path.suffix.lower() in (".pkl", ".pickle"):
-        raise InputError(
-            f"{path}: pickled bodies are not read, for a pickle can run any code; download "
-            f"the same model as .npz ('SMPL-X v1.1, NPZ+PKL' at {LICENSED}), or, for SMPL, save "
-            "the pickle's arrays once with numpy.savez, sparse ones as dense"
-        )
     if not path.is_file():
         raise InputError(
-            f"{path}: no such file; expected a body in SMPL-X's .npz format. SMPL-X is licensed at "
-            f"{LICENSED}; without a body file the built-in puppet is used"
+            f"{path}: no such file; expected a body in SMPL-X's format, .npz or .pkl. SMPL-X is "
+            f"licensed at {LICENSED}; without a body file the built-in puppet is used"
         )
-    arrays = _read(path)
+    pickled = path.suffix.lower() in (".pkl", ".pickle")
+    arrays = _read_pickle(path) if pickled else _read(path)
     form = _check(path, arrays)
     betas, expressions = _split(arrays["shapedirs"].shape[2], form)
     counts = {"num_betas": np.array(betas), "num_expressions": np.array(expressions)}
@@ -69,6 +66,23 @@ def read_body(path: Path) -> dict[str, np.ndarray]:
 def kintree_table() -> np.ndarray:
     """The tree of the 55 joints as files hold it, (2, 55) int64."""
     return np.stack([np.array([_ROOT, *PARENTS[1:]], dtype=np.int64), np.arange(len(JOINTS))])
+
+
+def _read_pickle(path: Path) -> dict[str, np.ndarray]:
+    """The arrays of the format; SMPL's regressor is sparse, and old files hold chumpy's arrays."""
+    found = read_objects(path, f"a body in SMPL-X's format: {', '.join(_SKIN)}")
+    if not isinstance(found, dict):
+        raise InputError(f"{path}: holds no dictionary; expected one with {', '.join(_SKIN)}")
+    _require(path, found)
+    keys = (*_SKIN, *_HANDS, *_OPTIONAL)
+    return {key: np.asarray(found[key]) for key in keys if key in found}
+
+
+def _require(path: Path, found: Collection[str]) -> None:
+    missing = [key for key in _SKIN if key not in found]
+    if missing:
+        names = ", ".join(sorted(map(str, found))) or "none"
+        raise InputError(f"{path}: key '{missing[0]}' is missing; found: {names}")
 
 
 def _read(path: Path) -> dict[str, np.ndarray]:
@@ -82,12 +96,7 @@ def _read(path: Path) -> dict[str, np.ndarray]:
     if not isinstance(file, np.lib.npyio.NpzFile):
         raise InputError(f"{path}: a single array; expected an .npz with {', '.join(_SKIN)}")
     with file:
-        missing = [key for key in _SKIN if key not in file.files]
-        if missing:
-            raise InputError(
-                f"{path}: key '{missing[0]}' is missing; "
-                f"found: {', '.join(sorted(file.files)) or 'none'}"
-            )
+        _require(path, file.files)
         arrays = {}
         for key in (*_SKIN, *(k for k in (*_HANDS, *_OPTIONAL) if k in file.files)):
             try:

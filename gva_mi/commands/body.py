@@ -27,7 +27,7 @@ def body(
 
     Args:
         source: "puppet", the built-in body; "anny", the free realistic one; or a file in SMPL-X's,
-            SMPL+H's or SMPL's .npz format.
+            SMPL+H's or SMPL's format, .npz or .pkl.
         out: the body file, .npz; the picture lies beside it as .png. Without it there is only a
             picture, in the working folder, named after the source.
         sheet: also write a picture (.png) of the body in many poses, its hands and its face.
@@ -37,6 +37,8 @@ def body(
     model = load_body(path)
     if out is not None and out.suffix != ".npz":
         raise InputError(f"{out}: a body file ends in .npz")
+    if out is not None and path.suffix != ".npz":
+        raise InputError(f"{path}: --out copies a file, expected one that is .npz already")
     picture = (out or Path(f"{path.stem}.npz")).with_suffix(".png")
     written = [p for p in (out, picture, sheet) if p is not None]
     for file in written:

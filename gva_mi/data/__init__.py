@@ -7,6 +7,7 @@
 ``normals``         normal maps as networks write them
 ``truth``           what is true about a synthetic video, and on which body
 ``fingerprint``     whether a synthetic subject is used with its own body
+``importers/``      reads what other programs wrote
 ``synthetic/``      makes such folders
 ==================  ================================================================
 """

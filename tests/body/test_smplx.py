@@ -1,11 +1,14 @@
 import gva_mi  # noqa: F401, I001  (first: it chooses the libLLVM)
 
+import pickle
+
 import numpy as np
 import pytest
 import roma
 import torch
 
 from gva_mi.body import JOINTS, PARENTS, Pose, Shape, load_body
+from gva_mi.body.puppet import PUPPET
 from gva_mi.errors import InputError
 
 F64 = torch.float64
@@ -183,10 +186,27 @@ def test_a_missing_file_is_explained(tmp_path):
         load_body(tmp_path / "SMPLX_NEUTRAL.npz")
 
 
-def test_a_pickle_is_refused_with_the_way_to_the_npz(tmp_path):
+def test_a_pickled_body_is_the_same_body(tmp_path):
+    """As SMPL's are: the regressor sparse, integers unsigned, written by Python 2's protocol."""
+    sparse = pytest.importorskip("scipy.sparse")
+    with np.load(PUPPET) as file:
+        arrays = dict(file)
+    path = tmp_path / "SMPLX_NEUTRAL.pkl"
+    arrays["J_regressor"] = sparse.csc_matrix(arrays["J_regressor"])
+    arrays["f"] = arrays["f"].astype(np.uint32)
+    path.write_bytes(pickle.dumps(arrays | {"bs_style": "lbs"}, protocol=2))
+    found = dict(load_body(path).named_buffers())
+    for name, value in load_body().named_buffers():
+        assert torch.allclose(value, found[name], atol=1e-6), name
+
+
+def test_a_pickle_without_a_body_is_named(tmp_path):
     path = tmp_path / "SMPLX_NEUTRAL.pkl"
     path.write_bytes(b"")
-    with pytest.raises(InputError, match=r"SMPLX_NEUTRAL\.pkl.*\.npz.*smpl-x\.is\.tue\.mpg\.de"):
+    with pytest.raises(InputError, match="SMPLX_NEUTRAL.pkl: damaged.*expected a body in SMPL-X"):
+        load_body(path)
+    path.write_bytes(pickle.dumps({"v_template": np.zeros((3, 3))}))
+    with pytest.raises(InputError, match="SMPLX_NEUTRAL.pkl: key 'f' is missing; found: v_templ"):
         load_body(path)
 
 

@@ -1,6 +1,7 @@
 """``gva-mi body``: what it writes, and what it refuses."""
 
 import importlib
+import pickle
 
 import numpy as np
 import pytest
@@ -42,3 +43,11 @@ def test_a_body_that_is_not_there_is_named(quick, tmp_path):
         body(source=str(tmp_path / "nobody.npz"))
     with pytest.raises(InputError, match="a body file ends in .npz"):
         body(out=tmp_path / "body.pkl")
+
+
+def test_a_pickled_body_is_not_copied_under_another_name(quick, tmp_path):
+    with np.load(PUPPET) as file:
+        (tmp_path / "body.pkl").write_bytes(pickle.dumps(dict(file)))
+    with pytest.raises(InputError, match="body.pkl: --out copies a file, expected"):
+        body(source=str(tmp_path / "body.pkl"), out=tmp_path / "body.npz")
+    assert not (tmp_path / "body.npz").exists()

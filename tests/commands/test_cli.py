@@ -100,12 +100,9 @@ BAD = {
     "no subject": (("refine", "nowhere"), "nowhere: no such folder"),
     "no run": (("evaluate", "nowhere", "nowhere"), "avatar.npz: no such file"),
     "no body": (("synth", "new", "--body", "nowhere.npz"), "nowhere.npz: no such file"),
-    "pickled body": (
-        ("synth", "new", "--body", "SMPLX_NEUTRAL.pkl"),
-        "pickled bodies are not read",
-    ),
+    "no pickled body": (("synth", "new", "--body", "SMPLX_NEUTRAL.pkl"), "no such file"),
     "no passes": (("refine", "nowhere", "--passes", "0"), "passes must be at least 1"),
-    "no steps": (("demo", "--out", "new", "--steps", "0"), "steps must be 1 or more"),
+    "no steps": (("demo", "--out", "new", "--steps", "0"), "steps must be at least 1"),
     "nobody": (("demo", "--out", "new", "--subject", "nobody"), "nobody"),
     "negative frames": (("synth", "new", "--frames", "-1"), "frames must be at least 2"),
     "negative weight": (

@@ -1,0 +1,43 @@
+"""The command ``gva-mi motion``: a motion from anywhere, as poses that drive an avatar."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tyro.conf import Positional
+
+from gva_mi.body.pose import save_poses
+from gva_mi.body.smplx import load_body
+from gva_mi.commands.arguments import Flat, Switch
+from gva_mi.console import say
+from gva_mi.data.importers.motions import MotionOptions, read_motion
+from gva_mi.errors import InputError
+
+
+def motion(
+    source: Positional[Path],
+    out: Positional[Path],
+    options: Flat[MotionOptions] = MotionOptions(),  # noqa: B008 (frozen)
+    *,
+    body: Path | None = None,
+    overwrite: Switch = False,
+) -> None:
+    """Turn a motion of AMASS, AIST++, or the like into poses for gva-mi render --poses.
+
+    Args:
+        source: .npz, .npy, .pkl or .pt; pickles run no code.
+        out: the poses, .npz.
+        options: of the conversion.
+        body: the avatar's body, if it is not the built-in puppet: its pelvis stays in place when
+            the world is turned upright.
+        overwrite: replace a file that is there.
+    """
+    if out.suffix != ".npz":
+        raise InputError(f"{out}: a file of poses ends in .npz")
+    if out.exists() and not overwrite:
+        raise InputError(f"{out}: exists already; give --overwrite to replace it")
+    found = read_motion(source, load_body(body), options)
+    save_poses(out, found.pose, found.shape, stage=1)
+    for note in found.notes:
+        say(f"{source}: {note}")
+    say(f"{len(found.pose)} poses: {out}")

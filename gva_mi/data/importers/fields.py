@@ -1,0 +1,180 @@
+"""Joints under everybody's names and shapes, as rotations of SMPL-X's 55 joints.
+
+=================================================  ==========================================
+Names                                              Who writes them
+=================================================  ==========================================
+``poses``, ``pose``, ``fullpose``, ``smpl_poses``  one row a frame: AMASS, AIST++, WHAM, GRAB
+``root_orient``, ``pose_body``, ``pose_hand``,     AMASS in parts
+``pose_jaw``, ``pose_eye``
+``global_orient``, ``body_pose``, ...              SMPL-X's own, most estimators
+=================================================  ==========================================
+
+Each may be axis-angle, flat (T, 3 J) or (T, J, 3), or rotation matrices (T, J, 3, 3). How many
+numbers a row has tells the body: 165 SMPL-X, 156 SMPL+H, 72 SMPL, 66 its 22 joints above.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import roma
+import torch
+
+from gva_mi.body.pose import BODY, JOINTS, LEFT_HAND, RIGHT_HAND, SMPLX_FIELDS
+from gva_mi.body.smpl import SMPL, SMPLH, SMPLX
+from gva_mi.errors import InputError
+
+WHOLE = ("poses", "pose", "fullpose", "full_pose", "smpl_poses")
+TRANSLATIONS = ("trans", "transl", "smpl_trans")
+AMASS_PARTS = {  # and what each holds of JOINTS
+    "root_orient": slice(0, 1), "pose_body": BODY, "pose_jaw": slice(22, 23),
+    "pose_eye": slice(23, 25), "pose_hand": slice(LEFT_HAND.start, RIGHT_HAND.stop),
+}  # fmt: skip
+VPOSER = 32  # numbers of VPoser's latent code
+
+
+@dataclass(frozen=True)
+class Joints:
+    """Rotations as a file has them, without any meaning of its world."""
+
+    rotations: np.ndarray  # (T, 55, 3) axis-angle, radians; may hold NaN
+    form: str  # "SMPL", "SMPL+H" or "SMPL-X": whose betas they go with
+    has_hands: bool
+
+
+def find_joints(where: str, found: Mapping[str, Any]) -> Joints:
+    """The joints of T frames, under whichever names they stand.
+
+    Args:
+        where: file, and person if there are several, for the error.
+        found: arrays by name.
+
+    Raises:
+        InputError: no names that are known; a shape that no body has; a latent code.
+    """
+    whole = next((name for name in WHOLE if name in found), None)
+    if whole is not None:
+        return _whole(where, whole, found[whole])
+    if "root_orient" in found and "pose_body" in found:
+        return _parts(where, found, AMASS_PARTS)
+    if "global_orient" in found and "body_pose" in found:
+        return _parts(where, found, SMPLX_FIELDS)
+    names = ", ".join(sorted(map(str, found))[:12]) or "nothing"
+    raise InputError(
+        f"{where}: holds no poses; expected one of {', '.join(WHOLE)}, or root_orient and "
+        f"pose_body, or global_orient and body_pose; found: {names}"
+    )
+
+
+def find_translation(where: str, found: Mapping[str, Any], frames: int) -> np.ndarray:
+    """The root's translation (T, 3), metres; AIST++'s, which are in units of its scaling."""
+    name = next((name for name in TRANSLATIONS if found.get(name) is not None), None)
+    if name is None:
+        return np.zeros((frames, 3))
+    transl = _numbers(where, name, found[name])
+    if transl.size != 3 * frames:
+        raise InputError(f"{where}: '{name}' must be ({frames}, 3), got {transl.shape}")
+    scaling = _numbers(where, "smpl_scaling", found.get("smpl_scaling", 1.0)).ravel()
+    if scaling.size != 1 or not 0 < scaling[0] < np.inf:
+        raise InputError(f"{where}: 'smpl_scaling' must be one number above 0, got {scaling}")
+    return transl.reshape(frames, 3) / scaling[0]
+
+
+def find_betas(where: str, found: Mapping[str, Any]) -> np.ndarray | None:
+    """The person's betas (B,), or (T, B) where they differ from frame to frame; None without."""
+    if found.get("betas") is None:
+        return None
+    betas = _numbers(where, "betas", found["betas"])
+    betas = betas.reshape(betas.shape[-1]) if betas.size == betas.shape[-1] else np.squeeze(betas)
+    if betas.ndim not in (1, 2) or not np.isfinite(betas).all():
+        raise InputError(f"{where}: 'betas' must be finite (B,) or (T, B), got {betas.shape}")
+    return betas
+
+
+def axis_angles(where: str, name: str, value: Any) -> np.ndarray:  # noqa: ANN401
+    """Rotations of any of the shapes above, (T, J, 3) float64 axis-angle.
+
+    Raises:
+        InputError: another shape, or matrices that do not rotate.
+    """
+    array = _numbers(where, name, value)
+    if array.ndim < 2 or array.size == 0:
+        raise InputError(f"{where}: '{name}' must be numbers (T, 3 J), got {array.shape}")
+    if array.shape[-2:] == (3, 3) and array.ndim in (3, 4):
+        return _of_matrices(where, name, array.reshape(len(array), -1, 3, 3))
+    if array.ndim > 3 or (array.ndim == 3 and array.shape[2] != 3) or array[0].size % 3:
+        raise InputError(
+            f"{where}: '{name}' must be (T, 3 J), (T, J, 3) or (T, J, 3, 3), got {array.shape}"
+        )
+    return array.reshape(len(array), -1, 3)
+
+
+def _of_matrices(where: str, name: str, matrices: np.ndarray) -> np.ndarray:
+    """Axis-angle (T, J, 3) of matrices that a network has made orthogonal to a few digits."""
+    known = np.isfinite(matrices).all((-1, -2), keepdims=True)
+    matrices = np.where(known, matrices, np.eye(3))
+    product = matrices @ matrices.swapaxes(-1, -2)
+    if np.abs(product - np.eye(3)).max() > 0.1 or (np.linalg.det(matrices) < 0).any():
+        raise InputError(f"{where}: '{name}' {matrices.shape} must hold rotation matrices")
+    rotvecs = roma.rotmat_to_rotvec(roma.special_procrustes(torch.from_numpy(matrices))).numpy()
+    return np.where(known[..., 0], rotvecs, np.nan)
+
+
+def _whole(where: str, name: str, value: Any) -> Joints:  # noqa: ANN401
+    angles = axis_angles(where, name, value)
+    forms = {len(form.joints): form for form in (SMPL, SMPLH, SMPLX)}
+    count = angles.shape[1]
+    if count not in (*forms, BODY.stop):
+        raise InputError(
+            f"{where}: '{name}' has {3 * count} numbers a frame; expected 165 (SMPL-X), "
+            "156 (SMPL+H), 72 (SMPL) or 66 (its 22 joints above the hands)"
+        )
+    rotations = np.zeros((len(angles), len(JOINTS), 3))
+    form = forms.get(count, SMPL)
+    joints = list(range(BODY.stop)) if form is SMPL else list(form.joints)  # without mittens
+    rotations[:, joints] = angles[:, : len(joints)]
+    return Joints(rotations, form.name, form is not SMPL)
+
+
+def _parts(where: str, found: Mapping[str, Any], parts: Mapping[str, slice]) -> Joints:
+    body_name = "pose_body" if "pose_body" in parts else "body_pose"
+    shape = np.shape(found[body_name])
+    if shape and shape[-1] == VPOSER:
+        raise InputError(
+            f"{where}: '{body_name}' holds {VPOSER} numbers a frame, a latent code of VPoser, "
+            "which only its network decodes; save the decoded body_pose of 63 numbers instead"
+        )
+    rotations, form, has_hands = None, SMPLX.name, False
+    for name, part in parts.items():
+        if found.get(name) is None:
+            continue
+        angles = axis_angles(where, name, found[name])
+        if rotations is None:
+            rotations = np.zeros((len(angles), len(JOINTS), 3))
+        wanted = part.stop - part.start
+        if name == body_name and angles.shape[1] in (23, 24):  # SMPL's; 24 repeat the root
+            angles, form = angles[:, -23:-2], SMPL.name
+        if angles.shape != (len(rotations), wanted, 3):
+            hint = ""
+            if "hand" in name:
+                hint = ", axis-angle; components of a PCA need the body that they belong to"
+            raise InputError(
+                f"{where}: '{name}' must be ({len(rotations)}, {3 * wanted}){hint}; "
+                f"got {np.shape(found[name])}"
+            )
+        has_hands |= "hand" in name
+        rotations[:, part] = angles
+    if form == SMPLX.name and "pose_jaw" not in found and "pose_hand" in found:
+        form = SMPLH.name
+    return Joints(rotations, form, has_hands)
+
+
+def _numbers(where: str, name: str, value: Any) -> np.ndarray:  # noqa: ANN401
+    """An array of numbers as float64, of one dimension at least."""
+    try:
+        return np.atleast_1d(np.asarray(value, np.float64))
+    except (ValueError, TypeError):
+        raise InputError(f"{where}: '{name}' must be numbers, got {value!s:.40}") from None

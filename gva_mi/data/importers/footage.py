@@ -1,0 +1,101 @@
+"""Pictures and masks as people keep them: a film, a folder in any numbering, one array."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from gva_mi.data.pictures import read_array
+from gva_mi.errors import InputError
+
+PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
+
+
+def pictures(source: Path, channels: int) -> Iterator[np.ndarray]:
+    """The pictures of a film or of a folder, one by one, turned as their metadata say.
+
+    Args:
+        source: a film, or a folder, whose files go by the last number in their names.
+        channels: 3 for (H, W, 3), 1 for (H, W), 8-bit; a mask may be a picture's alpha.
+
+    Raises:
+        InputError: nothing is there, or it cannot be decoded.
+    """
+    if source.is_dir():
+        files = [path for path in source.iterdir() if path.suffix.lower() in PICTURES]
+        if not files:
+            raise InputError(f"{source}: holds no pictures ({', '.join(PICTURES)})")
+        for path in sorted(files, key=_in_order):
+            yield _picture(path, channels)
+    elif source.is_file():
+        yield from _film(source, channels)
+    else:
+        raise InputError(f"{source}: no such film or folder of pictures")
+
+
+def masks(source: Path) -> Iterator[np.ndarray]:
+    """The masks of a film, a folder, or a .npy (T, H, W): each (H, W) 8-bit, 255 inside.
+
+    Values are labels where a picture has a palette, or where none is above 1.
+
+    Raises:
+        InputError: nothing is there, or it is of another form.
+    """
+    if source.suffix == ".npy" and source.is_file():
+        stack = read_array(source)
+        stack = stack[..., 0] if stack.ndim == 4 and stack.shape[-1] == 1 else stack
+        if stack.ndim != 3 or stack.dtype.kind not in "bufi":
+            raise InputError(f"{source}: masks must be (T, H, W), got {stack.dtype} {stack.shape}")
+        whole = stack.dtype.kind == "b" or stack.max(initial=0) <= 1
+        for mask in stack:
+            scaled = mask.astype(np.float32) * (255 if whole else 1)
+            yield np.clip(scaled, 0, 255).astype(np.uint8)
+        return
+    for mask in pictures(source, 1):
+        yield mask * np.uint8(255) if mask.max(initial=0) <= 1 else mask
+
+
+def _in_order(path: Path) -> tuple[int, str]:
+    """The last number in a name, as people number frames: frame_2 before frame_10."""
+    numbers = re.findall(r"\d+", path.stem)
+    return (int(numbers[-1]) if numbers else -1, path.name)
+
+
+def _picture(path: Path, channels: int) -> np.ndarray:
+    from PIL import Image, ImageOps, UnidentifiedImageError
+
+    try:
+        with Image.open(path) as opened:
+            image = ImageOps.exif_transpose(opened)
+            if channels == 1 and image.mode == "P":
+                return (np.asarray(image) > 0) * np.uint8(255)
+            if image.mode.startswith("I") or image.mode == "F":
+                raw = np.asarray(image).astype(np.float64)  # 16-bit
+                image = Image.fromarray(
+                    (raw / (257 if raw.max(initial=0) > 255 else 1)).astype("u1")
+                )
+            if channels == 1 and image.mode in ("LA", "RGBA"):
+                return np.asarray(image.getchannel("A"))
+            return np.asarray(image.convert("RGB" if channels == 3 else "L"))
+    except (UnidentifiedImageError, OSError, ValueError) as error:
+        raise InputError(f"{path}: not a readable picture ({error})") from None
+
+
+def _film(path: Path, channels: int) -> Iterator[np.ndarray]:
+    import av
+
+    count = 0
+    try:
+        with av.open(str(path)) as container:
+            for frame in container.decode(video=0):
+                turns = round(getattr(frame, "rotation", 0) / 90) % 4  # counter-clockwise
+                image = frame.to_ndarray(format="rgb24" if channels == 3 else "gray")
+                yield np.ascontiguousarray(np.rot90(image, turns))
+                count += 1
+    except (av.FFmpegError, IndexError, OSError) as error:
+        raise InputError(f"{path}: cannot be decoded as a video ({error})") from None
+    if not count:
+        raise InputError(f"{path}: holds no picture")

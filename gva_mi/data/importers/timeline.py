@@ -1,0 +1,53 @@
+"""Rotations between rotations: frames that are missing, and another frame rate.
+
+    r(t) = r_k ∘ exp(s log(r_k⁻¹ ∘ r_k+1)),    s = (t − t_k) / (t_k+1 − t_k)
+
+joint by joint, on the shorter way round. Translations are interpolated along a line.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import roma
+import torch
+
+
+def interpolate(
+    times: np.ndarray, rotations: np.ndarray, transl: np.ndarray, wanted: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """A motion at other times. Before the first and after the last known time it is held.
+
+    Args:
+        times: (n,) ascending, of what is known.
+        rotations: (n, J, 3) axis-angle of any length.
+        transl: (n, 3).
+        wanted: (m,).
+
+    Returns:
+        Rotations (m, J, 3) of at most half a turn, and translations (m, 3).
+    """
+    after = np.clip(np.searchsorted(times, wanted, side="right"), 1, max(1, len(times) - 1))
+    before = after - 1
+    after = np.minimum(after, len(times) - 1)
+    span = np.maximum(times[after] - times[before], 1e-12)
+    s = np.clip((wanted - times[before]) / span, 0, 1)
+    quats = roma.rotvec_to_unitquat(torch.from_numpy(rotations))
+    first, second = quats[before], quats[after]
+    step = roma.quat_product(roma.quat_conjugation(first), second)
+    step = roma.unitquat_to_rotvec(step, shortest_arc=True)
+    step = roma.rotvec_to_unitquat(step * torch.from_numpy(s)[:, None, None])
+    turned = roma.unitquat_to_rotvec(roma.quat_product(first, step), shortest_arc=True)
+    moved = transl[before] + s[:, None] * (transl[after] - transl[before])
+    return turned.numpy(), moved
+
+
+def longest_gap(known: np.ndarray) -> int:
+    """The most frames in a row (T,) that are not known."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[True], known, [True]]).astype(int)))
+    return int((edges[1::2] - edges[::2]).max(initial=0))
+
+
+def listed(frames: np.ndarray) -> str:
+    """Frame numbers for people: ``3, 7-9, 12``."""
+    runs = np.split(frames, np.flatnonzero(np.diff(frames) > 1) + 1)
+    return ", ".join(f"{r[0]}-{r[-1]}" if len(r) > 1 else f"{r[0]}" for r in runs if len(r))

@@ -1,0 +1,140 @@
+"""``read_objects``: what any file of arrays and plain values holds, by whichever container it is.
+
+=============================  =====================================================
+Container                      Who writes it
+=============================  =====================================================
+pickle, protocols 0 to 5       ``pickle.dump`` of Python 2 and 3
+the same, arrays behind        ``joblib.dump``
+zlib, gzip, bzip2, xz around   ``joblib.dump(compress=...)``, ``gzip.open``
+zip with ``data.pkl``          ``torch.save``; the row of pickles before it, too
+zip of ``.npy``                ``numpy.savez``, arrays of objects included
+``.npy``                       ``numpy.save``, arrays of objects included
+=============================  =====================================================
+"""
+
+from __future__ import annotations
+
+import bz2
+import io
+import lzma
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gva_mi.errors import InputError
+from gva_mi.pickles.budget import LARGEST, Budget, Damaged, Refused
+from gva_mi.pickles.machine import Machine, Stream, resolved
+from gva_mi.pickles.meanings import bytes_to_array
+from gva_mi.pickles.tensors import TENSORS, read_row_of_pickles, read_zip
+
+_ROW_OF_PICKLES = b"\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19."  # torch's magic number, pickled
+_DENSEST = 1100  # deflate packs no more than 1032 bytes into one
+
+
+def read_objects(path: Path, expected: str) -> Any:  # noqa: ANN401
+    """What a file holds: dictionaries, lists, text, numbers and arrays, and nothing that runs.
+
+    Tensors, sparse matrices and chumpy's arrays become plain arrays.
+
+    Args:
+        path: the file.
+        expected: what it should hold, for the error.
+
+    Raises:
+        InputError: no such file; damaged; or it holds something that is not on the list, by name.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; expected {expected}")
+    budget = Budget()
+    try:
+        return resolved(_opened(path, budget), budget)
+    except Refused as error:
+        raise InputError(
+            f"{path}: holds {_printable(str(error))}, which is not read, for it may run code or is "
+            f"no plain array; expected {expected}"
+        ) from None
+    except Exception as error:  # a damaged file can fail in any opcode, and in any way
+        reason = _printable(str(error).split("\n")[0] or type(error).__name__)
+        raise InputError(
+            f"{path}: damaged, cut short, or of another kind ({reason}); expected {expected}"
+        ) from None
+
+
+def _printable(text: str) -> str:
+    """A file's own words, without what would move a terminal's cursor."""
+    return "".join(c if c.isprintable() else "?" for c in text[:120])
+
+
+def _opened(path: Path, budget: Budget) -> Any:  # noqa: ANN401
+    """The root object, in which arrays may still be records."""
+    if path.stat().st_size > 2 * LARGEST:
+        raise Refused(f"{path.stat().st_size:,} bytes")
+    with path.open("rb") as file:
+        zipped = file.read(4) in (b"PK\x03\x04", b"PK\x05\x06")  # the second: an empty one
+    if zipped:
+        with zipfile.ZipFile(path) as file:
+            read = lambda name: _entry(file, name, budget)
+            if any(name.rsplit("/")[-1] == "data.pkl" for name in file.namelist()):
+                return read_zip(file, read)
+            arrays = [name for name in file.namelist() if name.endswith(".npy")]
+            if not arrays:
+                raise Damaged("a zip without arrays")
+            return {name[: -len(".npy")]: _npy(read(name)) for name in arrays}
+    data = path.read_bytes()
+    if data[:1] == b"\x78" or data[:2] == b"\x1f\x8b":
+        data = _inflated(zlib.decompressobj(wbits=47), data, budget)
+    elif data[:3] == b"BZh":
+        data = _inflated(bz2.BZ2Decompressor(), data, budget)
+    elif data[:6] == b"\xfd7zXZ\x00" or data[:3] == b"\x5d\x00\x00":
+        data = _inflated(lzma.LZMADecompressor(memlimit=1 << 28), data, budget)
+    if data[:6] == b"\x93NUMPY":
+        return _npy(data)
+    if _ROW_OF_PICKLES in data[:32]:
+        return read_row_of_pickles(data)
+    return Machine(Stream(data), TENSORS).load_raw()
+
+
+def _entry(file: zipfile.ZipFile, name: str, budget: Budget) -> bytes:
+    """The bytes of one file in a zip."""
+    info = file.getinfo(name)
+    if info.file_size > _DENSEST * (info.compress_size + 1):
+        raise Damaged(f"'{name}' claims {info.file_size:,} bytes")
+    if info.compress_type != zipfile.ZIP_STORED:
+        budget.spend(info.file_size)
+    with file.open(info) as entry:
+        data = entry.read(info.file_size + 1)
+    if len(data) != info.file_size:
+        raise Damaged(f"'{name}' claims {info.file_size:,} bytes, but holds {len(data):,}")
+    return data
+
+
+def _inflated(decompressor: Any, data: bytes, budget: Budget) -> bytes:  # noqa: ANN401
+    """Everything that was compressed, as long as the budget lasts."""
+    whole = bytearray()
+    while not decompressor.eof:
+        part = decompressor.decompress(data, 1 << 24)
+        data = getattr(decompressor, "unconsumed_tail", b"")
+        if not part and not data:
+            raise Damaged("the compressed data end too early")
+        budget.spend(len(part))
+        whole += part
+    return whole
+
+
+def _npy(data: bytes) -> Any:  # noqa: ANN401
+    """A .npy's array, or the pickle behind its header where it holds objects."""
+    file = io.BytesIO(data)
+    version = np.lib.format.read_magic(file)
+    header = {
+        (1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0,
+    }.get(version)  # fmt: skip
+    if header is None:
+        raise Refused(f"a .npy of version {version}")
+    shape, fortran, dtype = header(file)
+    if dtype.hasobject:
+        return Machine(Stream(data[file.tell() :]), TENSORS).load_raw()
+    return bytes_to_array(data[file.tell() :], dtype, shape, "F" if fortran else "C")

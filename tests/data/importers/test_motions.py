@@ -1,0 +1,238 @@
+"""Motions as they are in the wild: every form gives the same poses."""
+
+import pickle
+
+import numpy as np
+import pytest
+import roma
+import torch
+
+from gva_mi.body.kinematics import joint_transforms
+from gva_mi.body.pose import PARENTS, Shape, load_poses
+from gva_mi.data.importers.motions import MotionOptions, read_motion
+from gva_mi.errors import InputError
+
+SAME_RATE = MotionOptions(fps=30, hands="flat")
+SMPL = [*range(22)]
+SMPLH = [*range(22), *range(25, 55)]
+
+
+@pytest.fixture
+def read(tmp_path, body):
+    def save_and_read(options=SAME_RATE, pickled=False, **arrays):
+        path = tmp_path / ("motion.pkl" if pickled else "motion.npz")
+        if pickled:
+            path.write_bytes(pickle.dumps(arrays, protocol=2))
+        else:
+            np.savez(path, **arrays)
+        return read_motion(path, body, options)
+
+    return save_and_read
+
+
+def matrices(rotations):
+    return roma.rotvec_to_rotmat(torch.as_tensor(rotations, dtype=torch.float64))
+
+
+def same(found, wanted, tolerance=2e-6):
+    """Equal as rotations: an axis-angle is known but for whole turns."""
+    return (matrices(found) - matrices(wanted)).abs().max() < tolerance
+
+
+def test_amass_in_every_width(read, walk):
+    rotations, transl = walk(9)
+    whole = read(poses=rotations.reshape(9, 165), trans=transl, betas=np.ones(16),
+                 mocap_frame_rate=np.array(30), gender=np.array("neutral"))  # fmt: skip
+    assert same(whole.pose.rotations, rotations) and np.allclose(whole.pose.transl, transl)
+    assert whole.shape.betas.tolist() == [1] * 16
+    assert "SMPL-X, 9 frames at 30 a second, y up; now 9 at 30" in whole.notes[0]
+    cut = read(poses=rotations, trans=transl, mocap_frame_rate=30.0, gender=b"male")
+    assert same(cut.pose.rotations, rotations) and not cut.shape.betas.any()
+    old = read(poses=rotations[:, SMPLH].reshape(9, 156), trans=transl, betas=np.ones(16),
+               mocap_framerate=30.00001, gender=np.array(b"female"), dmpls=np.zeros((9, 8)),
+               markers=np.full((9, 41, 3), np.nan))  # fmt: skip
+    assert same(old.pose.rotations[:, SMPLH], rotations[:, SMPLH])
+    assert not old.pose.rotations[:, 22:25].any() and not old.shape.betas.any()
+    smpl = np.concatenate([rotations[:, SMPL], np.ones((9, 2, 3))], axis=1).reshape(9, 72)
+    small = read(poses=smpl, trans=transl, fps=30)
+    assert same(small.pose.rotations[:, SMPL], rotations[:, SMPL])
+    assert not small.pose.rotations[:, 22:].any(), "mittens bend no finger"
+    assert "the source has no hands; they are flat" in small.notes
+
+
+def test_amass_in_parts(read, walk):
+    rotations, transl = walk(5)
+    flat = lambda part: rotations[:, part].reshape(5, -1)
+    parts = {
+        "root_orient": flat(slice(0, 1)), "pose_body": flat(slice(1, 22)),
+        "pose_jaw": flat(slice(22, 23)), "pose_eye": flat(slice(23, 25)),
+        "pose_hand": flat(slice(25, 55)), "trans": transl, "mocap_frame_rate": 30,
+    }  # fmt: skip
+    assert same(read(**parts).pose.rotations, rotations)
+    names = {"global_orient": flat(slice(0, 1)), "body_pose": flat(slice(1, 22)), "transl": transl}
+    assert same(read(**names, fps=30).pose.rotations[:, :22], rotations[:, :22])
+    turned = matrices(rotations[:, 1:22]).numpy()
+    names |= {"body_pose": turned, "global_orient": matrices(rotations[:, :1]).numpy()}
+    assert same(read(**names, fps=30).pose.rotations[:, :22], rotations[:, :22])
+
+
+def test_aist_counts_in_centimetres_at_60_frames_a_second(read, walk):
+    rotations, transl = walk(7)
+    found = read(
+        MotionOptions(fps=60), pickled=True, smpl_poses=rotations[:, :24].reshape(7, 72),
+        smpl_trans=transl * 98.0, smpl_scaling=np.array([98.0]), smpl_loss=0.1,
+    )  # fmt: skip
+    assert np.allclose(found.pose.transl, transl - transl[0], atol=1e-6)
+    assert "7 frames at 60 a second" in found.notes[0]
+    assert "the source has no hands; they are relaxed" in found.notes
+    assert found.pose.rotations[:, 25:].abs().max() > 0.1
+
+
+TURNS = {"z": (np.pi / 2, 0, 0), "-y": (np.pi, 0, 0), "-z": (-np.pi / 2, 0, 0),
+         "x": (0, 0, -np.pi / 2), "-x": (0, 0, np.pi / 2)}  # fmt: skip
+
+
+@pytest.mark.parametrize("up", TURNS)
+def test_any_axis_may_be_up(read, walk, body, up):
+    """The same walk in another world comes back to where each joint was."""
+    rotations, transl = walk(6)
+    joints = body.rest(Shape(torch.zeros(10))).joints.double()
+    before = places(rotations, transl, joints)
+    W = matrices(np.array(TURNS[up])).numpy()
+    turned = rotations.copy()
+    turned[:, 0] = roma.rotmat_to_rotvec(torch.from_numpy(W @ matrices(rotations[:, 0]).numpy()))
+    pelvis = joints[0].numpy()
+    moved = (pelvis + transl) @ W.T - pelvis
+    found = read(poses=turned.reshape(6, -1), trans=moved, mocap_frame_rate=30)
+    assert f"{up} up" in found.notes[0]
+    after = places(found.pose.rotations.double().numpy(), found.pose.transl.numpy(), joints)
+    assert np.abs(after - before).max() < 1e-5
+
+
+def places(rotations, transl, joints):
+    moves = torch.as_tensor(transl).double()
+    T = joint_transforms(torch.as_tensor(rotations), joints, PARENTS, moves)
+    return (torch.einsum("tjab,jb->tja", T[..., :3, :3], joints) + T[..., :3, 3]).numpy()
+
+
+def test_who_lies_down_needs_to_say_what_is_up(read, walk):
+    rotations, transl = walk(3)
+    rotations[:, 0] = (0.6755, 0, -0.6755)  # upward is now the diagonal of the axes
+    with pytest.raises(InputError, match="above the feet along no axis; give --up"):
+        read(poses=rotations, trans=transl, fps=30)
+    read(MotionOptions(fps=30, up="y"), poses=rotations, trans=transl, fps=30)
+
+
+def test_angles_of_many_turns_are_shortened(read, walk):
+    rotations, transl = walk(6)
+    angle = np.linalg.norm(rotations, axis=-1, keepdims=True)
+    far = rotations * (1 + 2 * np.pi * 2 / np.maximum(angle, 1e-9)) * (angle > 0.01)
+    far = np.where(angle > 0.01, far, rotations)
+    assert np.abs(far).max() > 6
+    found = read(poses=far, trans=transl, fps=30).pose.rotations
+    assert found.norm(dim=-1).max() <= np.pi + 1e-5 and same(found, rotations, 1e-5)
+
+
+def test_another_frame_rate(read, walk):
+    rotations, transl = walk(121)
+    found = read(MotionOptions(fps=25), poses=rotations, trans=transl, mocap_framerate=120.00004)
+    assert len(found.pose) == 26 and "121 frames at 120 a second" in found.notes[0]
+    assert same(found.pose.rotations[5], rotations[24]), "0.2 s"
+    half = read(MotionOptions(fps=240), poses=rotations, trans=transl, fps=120).pose
+    ends = (torch.as_tensor(rotations[k]) for k in (3, 4))
+    wanted = roma.rotvec_slerp(*ends, torch.tensor([0.5], dtype=torch.float64))[0]
+    assert same(half.rotations[7], wanted, 1e-5)
+    assert np.allclose(half.transl[7], (transl[3] + transl[4]) / 2 - transl[0], atol=1e-6)
+
+
+def test_short_gaps_are_filled_and_listed(read, walk):
+    rotations, transl = walk(40)
+    holes = rotations.copy()
+    holes[[3, 10, 11]] = np.nan
+    found = read(poses=holes, trans=transl, fps=30)
+    assert "frames without numbers, interpolated: 3, 10-11" in found.notes
+    assert (matrices(found.pose.rotations) - matrices(rotations)).abs().max() < 5e-3
+    holes[2:39] = np.nan
+    with pytest.raises(InputError, match=r"1.23 s in a row without numbers, in frames 2-38; --gap"):
+        read(poses=holes, trans=transl, fps=30)
+    with pytest.raises(InputError, match="every frame holds a number that is not finite"):
+        read(poses=holes * np.nan, trans=transl, fps=30)
+
+
+def test_world_motions_of_estimators(read, walk):
+    rotations, transl = walk(4)
+    inner = {"global_orient": torch.as_tensor(rotations[:, 0]),
+             "body_pose": torch.as_tensor(rotations[:, 1:22].reshape(4, 63)),
+             "transl": torch.as_tensor(transl), "betas": torch.zeros(4, 10)}  # fmt: skip
+    options = MotionOptions(fps=30, source_fps=30, hands="flat")
+    found = read(options, pickled=True, smpl_params_global=inner, smpl_params_incam=inner)
+    assert same(found.pose.rotations[:, :22], rotations[:, :22])
+
+
+BAD = {
+    "nothing": ({}, "holds no arrays by name|a zip without arrays"),
+    "no poses": ({"a": np.ones(3), "fps": 30}, "holds no poses; expected one of poses,.*found: a"),
+    "no rate": ({"poses": np.zeros((2, 72))}, "says no frame rate.*give --source-fps"),
+    "a rate of text": ({"poses": np.zeros((2, 72)), "fps": "x"}, "'fps' must be frames a second"),
+    "a rate of 0": ({"poses": np.zeros((2, 72)), "fps": 0}, "'fps' must be frames a second, got 0"),
+    "a rate of infinity": (
+        {"poses": np.zeros((2, 72)), "fps": np.inf}, "'fps' must be frames a second"
+    ),
+    "no scaling": (
+        {"poses": np.zeros((2, 72)), "smpl_trans": np.zeros((2, 3)), "smpl_scaling": 0, "fps": 30},
+        "'smpl_scaling' must be one number above 0",
+    ),
+    "translations of text": (
+        {"poses": np.zeros((2, 72)), "trans": np.array(["a"]), "fps": 30}, "'trans' must be numbers"
+    ),
+    "a width of no body": ({"poses": np.zeros((2, 75)), "fps": 30}, "'poses' has 75 numbers"),
+    "no frame": ({"poses": np.zeros((0, 72)), "fps": 30}, "'poses' must be numbers"),
+    "text": ({"poses": np.array(["a"]), "fps": 30}, "'poses' must be numbers"),
+    "translations of another count": (
+        {"poses": np.zeros((2, 72)), "trans": np.zeros((3, 3)), "fps": 30},
+        r"'trans' must be \(2, 3\), got \(3, 3\)",
+    ),
+    "VPoser": (
+        {"global_orient": np.zeros((1, 3)), "body_pose": np.zeros((1, 32))},
+        "a latent code of VPoser.*63 numbers",
+    ),
+    "PCA": (
+        {"global_orient": np.zeros((1, 3)), "body_pose": np.zeros((1, 63)),
+         "left_hand_pose": np.zeros((1, 6))},
+        "'left_hand_pose' must be .*components of a PCA",
+    ),
+    "no rotations": (
+        {"global_orient": np.zeros((1, 3)), "body_pose": np.zeros((1, 21, 3, 3))},
+        "must hold rotation matrices",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_what_cannot_be_read_is_said_in_one_sentence(read, case):
+    arrays, words = BAD[case]
+    with pytest.raises(InputError, match=words) as caught:
+        read(**arrays)
+    assert "\n" not in str(caught.value) and "motion.npz" in str(caught.value)
+
+
+def test_the_command_writes_poses_that_render_takes(tmp_path, cli, walk, known, camera):
+    from gva_mi.data.video import save_cameras
+
+    rotations, transl = walk(3)
+    np.savez(tmp_path / "amass.npz", poses=rotations, trans=transl, mocap_frame_rate=30)
+    out = tmp_path / "poses.npz"
+    code, said, err = cli("motion", tmp_path / "amass.npz", out, "--fps", 30)
+    assert code == 0, err
+    assert "y up" in said and f"3 poses: {out}" in said
+    assert same(load_poses(out)[0].rotations, rotations)
+    code, _, err = cli("motion", tmp_path / "amass.npz", out)
+    assert code == 2 and "exists already" in err
+    code, _, err = cli("motion", tmp_path / "amass.npz", tmp_path / "b.npz", "--fps", 0)
+    assert code == 2 and "fps must be above 0" in err and err.count("\n") == 1
+    known.save(tmp_path / "avatar.npz")
+    save_cameras(tmp_path / "cameras.npz", [camera])
+    code, _, err = cli("render", tmp_path / "avatar.npz", "--poses", out, "--cameras",
+                       tmp_path / "cameras.npz", "--out", tmp_path / "renders")  # fmt: skip
+    assert code == 0, err
+    assert len(list((tmp_path / "renders").glob("*.png"))) == 3

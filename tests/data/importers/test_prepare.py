@@ -1,0 +1,222 @@
+"""Estimators' files as they are in the wild: the person stands where the estimator saw them."""
+
+import json
+import pickle
+
+import numpy as np
+import pytest
+import roma
+import torch
+
+from gva_mi.body.puppet import PUPPET
+from gva_mi.body.smplx import load_body
+from gva_mi.data.importers.footage import masks, pictures
+from gva_mi.data.pictures import write_image, write_movie
+from gva_mi.data.video import load_video
+
+WIDTH, HEIGHT, FRAMES = 64, 48, 5
+CENTRE = (WIDTH / 2, HEIGHT / 2)
+
+
+@pytest.fixture
+def seen(walk):
+    """A person before the camera, in its axes: upright there is half a turn about x."""
+    rotations, _ = walk(FRAMES)
+    upright = torch.tensor([np.pi, 0.0, 0.0], dtype=torch.float64)
+    root = torch.from_numpy(rotations[:, 0])
+    rotations[:, 0] = roma.rotvec_composition([upright.expand_as(root), root]).numpy()
+    return rotations, np.tile([0.1, -0.3, 4.0], (FRAMES, 1))
+
+
+@pytest.fixture
+def footage(tmp_path):
+    """Pictures as a folder numbered by people, and masks as an array."""
+    random = np.random.default_rng(0)
+    for k in range(FRAMES):
+        image = random.integers(0, 255, (HEIGHT, WIDTH, 3), dtype=np.uint8)
+        write_image(tmp_path / f"shots/frame_{k + 8}.png", image)
+    mask = np.zeros((FRAMES, HEIGHT, WIDTH), bool)
+    mask[:, 10:40, 20:40] = True
+    np.save(tmp_path / "masks.npy", mask)
+    return ["--frames", tmp_path / "shots", "--masks", tmp_path / "masks.npy"]
+
+
+def matrices(rotations):
+    return roma.rotvec_to_rotmat(torch.as_tensor(rotations, dtype=torch.float64)).numpy()
+
+
+def check(folder, seen, pelvis, focal, joints=22):
+    """The folder opens, and the pelvis projects to where the estimator's camera sees it."""
+    video = load_video(folder)
+    rotations, transl = seen
+    assert len(video) == FRAMES
+    W = np.diag([1.0, -1.0, -1.0])
+    found = matrices(video.pose.rotations)
+    assert np.abs(found[:, 0] - W @ matrices(rotations)[:, 0]).max() < 1e-5
+    assert np.abs(found[:, 1:joints] - matrices(rotations)[:, 1:joints]).max() < 1e-5
+    with torch.no_grad():
+        body = load_body()
+        place = body(video.pose, video.shape).joints[:, 0].double().numpy()
+    at = np.array(pelvis) + transl
+    wanted = focal * at[:, :2] / at[:, 2:] + CENTRE
+    for k in range(FRAMES):
+        assert np.abs(video.cameras[k].project(place[k]) - wanted[k]).max() < 1e-3
+    return video
+
+
+SMPL, SMPLX = (-0.0018, -0.2233, 0.0282), (0.0031, -0.3514, 0.0120)
+
+
+def wham(seen, frames=None, **more):
+    rotations, transl = seen
+    pose = np.concatenate([rotations[:, :22], np.ones((len(rotations), 2, 3))], axis=1)
+    person = {
+        "pose": pose.reshape(-1, 72), "trans": transl, "pose_world": pose.reshape(-1, 72),
+        "trans_world": transl, "betas": np.zeros((len(pose), 10)),
+        "verts": np.zeros((len(pose), 6890, 3), "f4"),
+        "frame_ids": np.arange(len(pose)) if frames is None else frames,
+    }  # fmt: skip
+    return {np.int64(0): person} | more
+
+
+def test_wham(tmp_path, cli, seen, footage):
+    file = tmp_path / "wham_output.pkl"
+    file.write_bytes(pickle.dumps(wham(seen)))
+    code, said, err = cli("prepare", "auto", file, tmp_path / "subject", *footage)
+    assert code == 0, err
+    assert "wham, SMPL, 5 frames of 64x48" in said and "betas of SMPL do not carry over" in said
+    check(tmp_path / "subject", seen, SMPL, np.hypot(WIDTH, HEIGHT))
+    about = json.loads((tmp_path / "subject/prepare.json").read_text())
+    assert about["kind"] == "wham" and about["body"] == "SMPL"
+    code, _, err = cli("prepare", "auto", file, tmp_path / "subject", *footage)
+    assert code == 2 and "--overwrite" in err
+
+
+def test_who_is_seen_longest_and_what_is_missing_between(tmp_path, cli, seen, footage):
+    rotations, transl = seen
+    part = [0, 1, 3]
+    people = wham((rotations[part], transl[part]), frames=np.array(part))
+    people |= {np.int64(7): wham((rotations[:2], transl[:2]))[np.int64(0)]}
+    file = tmp_path / "wham_output.pkl"
+    file.write_bytes(pickle.dumps(people))
+    code, said, err = cli("prepare", "wham", file, tmp_path / "subject", *footage)
+    assert code == 0, err
+    assert "person 0, seen longest of 0 (3 frames), 7 (2 frames)" in said
+    assert "frames without a pose, interpolated: 2" in said
+    assert "left out: 4" in said
+    video = load_video(tmp_path / "subject")
+    assert set(video.absent) == {4}
+    middle = matrices(video.pose.rotations[2, 1:22])
+    assert np.abs(middle - matrices(rotations[2, 1:22])).max() < 1e-3
+    code, _, err = cli("prepare", "wham", file, tmp_path / "b", *footage, "--person", "3")
+    assert code == 2 and "has no person '3'; it has 0 (3 frames), 7 (2 frames)" in err
+    code, said, err = cli("prepare", "wham", file, tmp_path / "b", *footage, "--person", "7")
+    assert code == 0 and "left out: 2-4" in said, err
+
+
+def test_gvhmr(tmp_path, cli, seen, footage):
+    rotations, transl = seen
+    tensor = lambda x: torch.as_tensor(x, dtype=torch.float32)
+    person = {"global_orient": tensor(rotations[:, 0]), "transl": tensor(transl),
+              "body_pose": tensor(rotations[:, 1:22].reshape(FRAMES, 63)),
+              "betas": torch.linspace(0, 1, FRAMES)[:, None].repeat(1, 10)}  # fmt: skip
+    K = torch.tensor([[70.0, 0, CENTRE[0]], [0, 70, CENTRE[1]], [0, 0, 1]]).repeat(FRAMES, 1, 1)
+    found = {"smpl_params_global": person, "smpl_params_incam": person, "K_fullimg": K}
+    torch.save(found, tmp_path / "hmr4d_results.pt")
+    code, said, err = cli(
+        "prepare", "auto", tmp_path / "hmr4d_results.pt", tmp_path / "s", *footage
+    )
+    assert code == 0, err
+    assert "gvhmr, SMPL-X" in said and "betas differ by up to 0.35 from frame to frame" in said
+    check(tmp_path / "s", seen, SMPLX, 70)
+
+
+def test_4d_humans(tmp_path, cli, seen, footage):
+    rotations, transl = seen
+    R, found = matrices(rotations), {}
+    for k in range(FRAMES):
+        body = np.concatenate([R[k, 1:22], np.eye(3)[None].repeat(2, 0)])
+        smpl = {"global_orient": R[k, :1], "body_pose": body, "betas": np.zeros(10, "f4")}
+        found[f"img/{k:06d}.jpg"] = {
+            "tid": [2, 9], "tracked_ids": [2], "smpl": [smpl, smpl], "time": k,
+            "camera": [transl[k], transl[k]], "size": [[HEIGHT, WIDTH]] * 2, "mask": [],
+        }  # fmt: skip
+    file = tmp_path / "PHALP.pkl"
+    file.write_bytes(pickle.dumps(found))
+    code, said, err = cli("prepare", "auto", file, tmp_path / "subject", *footage)
+    assert code == 0, err
+    assert "4dhumans, SMPL" in said
+    check(tmp_path / "subject", seen, SMPL, 5000 / 256 * WIDTH)
+
+
+def test_smpler_x(tmp_path, cli, seen, footage):
+    rotations, transl = seen
+    (tmp_path / "run/smplx").mkdir(parents=True)
+    (tmp_path / "run/meta").mkdir()
+    for k in range(FRAMES):
+        name = f"{k + 1:05}_0"
+        r = rotations[k]
+        np.savez(
+            tmp_path / f"run/smplx/{name}.npz", global_orient=r[:1], body_pose=r[1:22],
+            left_hand_pose=r[25:40], right_hand_pose=r[40:], jaw_pose=r[22:23],
+            leye_pose=np.zeros((1, 3)), reye_pose=np.zeros((1, 3)), betas=np.zeros((1, 10)),
+            expression=np.zeros((1, 10)), transl=transl[k : k + 1],
+        )  # fmt: skip
+        meta = {"focal": [80.0, 80.0], "princpt": list(CENTRE), "bbox": [0, 0, 9, 9]}
+        (tmp_path / f"run/meta/{name}.json").write_text(json.dumps(meta))
+    code, _, err = cli("prepare", "auto", tmp_path / "run", tmp_path / "s", *footage)
+    assert code == 2 and "has frame 5, but the video has frames 0 to 4; --first" in err
+    assert not (tmp_path / "s").exists()
+    code, _, err = cli("prepare", "auto", tmp_path / "run", tmp_path / "s", *footage, "--first", 1)
+    assert code == 0, err
+    video = check(tmp_path / "s", seen, SMPLX, 80)
+    with np.load(PUPPET) as body:
+        mean = np.concatenate([body["hands_meanl"], body["hands_meanr"]]).reshape(30, 3)
+    assert np.abs(mean).max() > 0.1
+    fingers = matrices(rotations[:, 25:] + mean)
+    assert np.abs(matrices(video.pose.rotations[:, 25:]) - fingers).max() < 1e-5
+
+
+def test_what_does_not_fit_is_said_in_one_sentence(tmp_path, cli, seen, footage):
+    def refused(words, *arguments):
+        code, _, err = cli("prepare", *arguments)
+        assert code == 2 and words in err and err.count("\n") <= 2, err
+        assert not (tmp_path / "s").exists()
+
+    file, out = tmp_path / "x.pkl", tmp_path / "s"
+    file.write_bytes(pickle.dumps({"a": 1}))
+    refused("of no kind that is known; looked for wham: people with", "auto", file, out, *footage)
+    refused("not of the kind gvhmr; expected smpl_params_incam", "gvhmr", file, out, *footage)
+    refused("kind must be auto, wham", "mystery", file, out, *footage)
+    file.write_bytes(pickle.dumps(wham(seen)))
+    np.save(tmp_path / "few.npy", np.ones((2, HEIGHT, WIDTH), bool))
+    few = ["--frames", footage[1], "--masks", tmp_path / "few.npy"]
+    refused("holds 2 masks, but there are more pictures", "auto", file, out, *few)
+    np.save(tmp_path / "few.npy", np.ones((FRAMES, 9, WIDTH), bool))
+    refused("mask 0 is 64x9, expected 64x48", "auto", file, out, *few)
+
+
+def test_pictures_and_masks_of_many_kinds(tmp_path):
+    from PIL import Image
+
+    folder, grey = tmp_path / "labels", np.zeros((4, 6), np.uint8)
+    folder.mkdir()
+    grey[1:3, 2:4] = 1
+    palette = Image.fromarray(grey, mode="P")
+    palette.putpalette([0, 0, 0, 128, 0, 0])
+    palette.save(folder / "2.png")
+    Image.fromarray(grey).save(folder / "10.png")
+    Image.fromarray(grey.astype(np.uint16) * 65535).save(folder / "11.png")
+    rgba = np.zeros((4, 6, 4), np.uint8)
+    rgba[..., 3] = grey * 255
+    Image.fromarray(rgba).save(folder / "12.png")
+    found = list(masks(folder))
+    assert len(found) == 4 and all(np.array_equal(mask, grey * 255) for mask in found)
+    turned = Image.fromarray(np.zeros((4, 6, 3), np.uint8))
+    exif = turned.getexif()
+    exif[0x0112] = 6  # a quarter turn
+    (tmp_path / "phone").mkdir()
+    turned.save(tmp_path / "phone/IMG_1.jpg", exif=exif)
+    assert next(pictures(tmp_path / "phone", 3)).shape == (6, 4, 3)
+    write_movie(tmp_path / "film.mp4", [np.full((4, 6, 3), k, np.uint8) for k in (10, 20)])
+    assert [int(image[0, 0, 0]) for image in pictures(tmp_path / "film.mp4", 3)] == [10, 20]

@@ -66,21 +66,28 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def whole_folder(out: Path) -> Iterator[Path]:
+def whole_folder(out: Path, replaced: str | None = None) -> Iterator[Path]:
     """A folder beside ``out`` that becomes ``out`` if all goes well, and vanishes if not.
 
+    Args:
+        out: a new or an empty folder, or one that may be replaced.
+        replaced: the marker of a folder that may be: see :func:`make_room`. An old one is removed
+            once the new one is whole.
+
     Raises:
-        InputError: where ``out`` already holds something.
+        InputError: where ``out`` already holds something, and may not be replaced.
     """
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise InputError(f"{out}: already there; expected a new or an empty folder")
+    if _holds_something(out):
+        if replaced is None or not out.is_dir():
+            raise InputError(f"{out}: already there; expected a new or an empty folder")
+        _require_ours(out, replaced)
     out.parent.mkdir(parents=True, exist_ok=True)
     folder = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
     folder.chmod(0o755)
     try:
         yield folder
         if out.exists():
-            out.rmdir()
+            shutil.rmtree(out)
         folder.rename(out)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
@@ -123,15 +130,23 @@ def make_room(folder: Path, marker: str, overwrite: bool) -> None:
     Raises:
         InputError: the folder holds something, and may not be replaced or has no marker.
     """
-    if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
+    if not _holds_something(folder):
         return
     if not overwrite:
         raise InputError(f"{folder}: already holds something; give --overwrite to replace it")
+    _require_ours(folder, marker)
+    shutil.rmtree(folder)
+
+
+def _holds_something(folder: Path) -> bool:
+    return folder.exists() and not (folder.is_dir() and not any(folder.iterdir()))
+
+
+def _require_ours(folder: Path, marker: str) -> None:
     if not (folder / marker).exists():
         raise InputError(
             f"{folder}: has no {marker}, so gva-mi did not make it and will not replace it"
         )
-    shutil.rmtree(folder)
 
 
 def start_folder(folder: Path, marker: str, overwrite: bool, about: dict[str, Any]) -> None:

@@ -13,6 +13,7 @@ from gva_mi.files import (
     require_keys,
     require_room,
     start_folder,
+    whole_folder,
     write_arrays,
     write_json,
 )
@@ -84,3 +85,20 @@ def test_a_started_folder_says_what_made_it(tmp_path):
     (tmp_path / "out/000000.png").touch()
     start_folder(tmp_path / "out", "made.json", True, {})
     assert [file.name for file in (tmp_path / "out").iterdir()] == ["made.json"]
+
+
+def test_a_folder_is_replaced_once_the_new_one_is_whole(tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "marker").write_text("old")
+    with pytest.raises(RuntimeError, match="no source"), whole_folder(out, "marker") as folder:
+        (folder / "half").write_text("new")
+        raise RuntimeError("no source")
+    assert [path.name for path in out.iterdir()] == ["marker"]  # nothing is lost
+    with whole_folder(out, "marker") as folder:
+        (folder / "marker").write_text("new")
+    assert (out / "marker").read_text() == "new" and list(tmp_path.iterdir()) == [out]
+    with pytest.raises(InputError, match="has no other"), whole_folder(out, "other"):
+        pass
+    with pytest.raises(InputError, match="a new or an empty folder"), whole_folder(out):
+        pass

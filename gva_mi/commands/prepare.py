@@ -15,7 +15,7 @@ from gva_mi.console import bar, say
 from gva_mi.data.importers.estimators import KINDS
 from gva_mi.data.importers.prepare import MARKER, Source, prepare_folder
 from gva_mi.errors import InputError
-from gva_mi.files import make_room, whole_folder
+from gva_mi.files import whole_folder
 
 
 def prepare(
@@ -49,9 +49,10 @@ def prepare(
     arrays = read_body(body or PUPPET)
     own_betas = body is not None and int(arrays["num_expressions"]) > 0  # SMPL-X's alone has a face
     hands = np.stack([arrays.get(f"hands_mean{side}", np.zeros(45)) for side in "lr"])
-    make_room(out, MARKER, overwrite)
+    if not overwrite and (out / MARKER).exists():
+        raise InputError(f"{out}: was prepared already; give --overwrite to replace it")
     given = Source(kind, source, frames, masks, person, first)
-    with whole_folder(out) as folder, bar("prepare") as progress:
+    with whole_folder(out, MARKER if overwrite else None) as folder, bar("prepare") as progress:
         notes = prepare_folder(
             folder, given, BodyModel(arrays), hands.reshape(30, 3), own_betas, progress
         )

@@ -248,10 +248,12 @@ def _tables(metrics: Metrics) -> Section:
     text = (
         "Over the whole picture on white, first; then on black, over the person's box, and over "
         "the boxes of hands that are seen. LPIPS needs the user's weights; rand_vgg is the same "
-        "distance in a random network of a fixed seed, comparable only with itself. Poses "
-        "are trained on the training frames alone; a test frame takes its neighbours' correction. "
-        f"‘{AS_REFINED}’ are the same frames without it. ‘{ALIGNED}’: one camera does not tell how "
-        "large the world is; the truth is laid over the avatar's world, once for all frames."
+        "distance in a random network of a fixed seed, comparable only with itself. Spill is what "
+        "the avatar covers beside the person, and holes what it leaves open within, as shares of "
+        "the person. Poses are trained on the training frames alone; those of a test frame follow "
+        f"from the frames around. ‘{AS_REFINED}’ are the same frames without it. ‘{ALIGNED}’: one "
+        "camera tells neither how large the world is nor where in its surface the skeleton stands; "
+        "the truth is laid over the avatar's world, once for all frames."
     )
     if any(row.name == FITTED for row in metrics.rows):
         text += (

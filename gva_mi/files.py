@@ -165,9 +165,9 @@ def start_folder(folder: Path, marker: str, overwrite: bool, about: dict[str, An
 
 
 def write_arrays(path: Path, **arrays: np.ndarray) -> None:
-    """Write an ``.npz``."""
+    """Write an ``.npz``, packed: most of an avatar's blend shapes and skinning weights are zero."""
     with replacing(path) as unfinished, open(unfinished, "wb") as file:
-        np.savez(file, **arrays)
+        np.savez_compressed(file, **arrays)
 
 
 def write_json(path: Path, value: Any) -> None:  # noqa: ANN401 (anything that JSON can say)

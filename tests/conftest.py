@@ -45,18 +45,18 @@ def one_thread():
 
 
 @pytest.fixture(scope="session")
-def puppet_scene(body):
+def puppet_scene(built_in_body):
     from gva_mi.mesh.mesh_scene import MeshScene
 
-    return MeshScene(body.faces, body.v_template)
+    return MeshScene(built_in_body.faces, built_in_body.v_template)
 
 
 @pytest.fixture(scope="session")
-def puppet_camera(body):
+def puppet_camera(built_in_body):
     from gva_mi.splat import Camera, look_at
 
     size = 96
-    low, high = body.v_template.amin(0), body.v_template.amax(0)
+    low, high = built_in_body.v_template.amin(0), built_in_body.v_template.amax(0)
     centre = ((low + high) / 2).numpy()
     focal = 0.8 * size * 3 / float((high - low).max())
     T_camera_world = look_at(centre + (0.2, 0.1, 3), centre)
@@ -83,14 +83,20 @@ def true_pose():
 
 
 @pytest.fixture(scope="session")
-def body():
+def built_in_body():
+    """The puppet. A folder may have another ``body``; fixtures of the session never stand on it."""
     from gva_mi.body.smplx import load_body
 
     return load_body()
 
 
 @pytest.fixture(scope="session")
-def known(body):
+def body(built_in_body):
+    return built_in_body
+
+
+@pytest.fixture(scope="session")
+def known(built_in_body):
     """The avatar that the pictures show."""
     import torch
 
@@ -98,20 +104,20 @@ def known(body):
     from gva_mi.avatar.canonical import SeedOptions
     from gva_mi.body.pose import Shape
 
-    x = body.v_template
+    x = built_in_body.v_template
     stripes = 0.5 + 0.4 * torch.sin(torch.stack([9 * x[:, 0], 11 * x[:, 1], 7 * x.sum(1)], dim=1))
     options = AvatarOptions(seed=SeedOptions(count=600, sh_degree=1))
     generator = torch.Generator().manual_seed(5)
-    return seed_avatar(body, Shape(torch.zeros(10)), None, options, generator, stripes)
+    return seed_avatar(built_in_body, Shape(torch.zeros(10)), None, options, generator, stripes)
 
 
 @pytest.fixture(scope="session")
-def camera(body):
+def camera(built_in_body):
     """48 pixels wide, 3 m before the body."""
     from gva_mi.splat import Camera, look_at
 
     size = 48
-    low, high = body.v_template.amin(0), body.v_template.amax(0)
+    low, high = built_in_body.v_template.amin(0), built_in_body.v_template.amax(0)
     centre = ((low + high) / 2).numpy()
     focal = 0.9 * size * 3 / float((high - low).max())
     return Camera(focal, focal, size / 2, size / 2, look_at(centre + (0, 0, 3), centre), size, size)

@@ -1,4 +1,4 @@
-"""The avatar: canonical Gaussians, moved by the residual, carried by the skeleton.
+"""The avatar: canonical Gaussians, moved by blend shapes, carried by the skeleton, and lit.
 
 1. mu'  = mu + D(mu) c + MLP(theta)     c = (R_j - I, psi): blend shapes of the body beneath, which
                                         bulge where joints bend and move the face; the residual
@@ -74,9 +74,7 @@ class Rig:
     faces: Tensor  # (F, 3) int64
     weights: Tensor  # (V, 55)
     looseness: Tensor  # (V,) metres by which the clothes' offsets displaced it
-    directions: (
-        Tensor  # (V, 3, P + E) metres by which pose features and expression move the vertices
-    )
+    directions: Tensor  # (V, 3, P + E) metres by which blend shapes move the vertices
     pose_features: Tensor  # (P,) int64, which of the 9 (J - 1) entries of R - I
     expression_joints: Tensor  # (55, 3, E) the same of the joints
     betas: Tensor  # (B,) the shape it was made with

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+from abc import ABC, abstractmethod
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -28,16 +29,16 @@ class Name:
     call: Callable[..., Any] | None = None
 
 
-class Record:
+class Record(ABC):
     """What a pickle makes first and fills afterwards."""
 
     def fill(self, state: Any) -> None:  # noqa: ANN401
         """Take the state that the file gives."""
         raise Damaged("a state is given to what has none")
 
+    @abstractmethod
     def value(self, resolve: Callable[[Any], Any], budget: Budget) -> Any:  # noqa: ANN401
         """What it stands for, once all is read; ``resolve`` does the same for what is inside."""
-        raise NotImplementedError
 
 
 class Dtype(Record):
@@ -115,8 +116,10 @@ class Sparse(Record):
         if self.form == "coo":
             rows, columns = state["coords"] if "coords" in state else (state["row"], state["col"])
         else:
-            major = np.repeat(np.arange(len(state["indptr"]) - 1), np.diff(state["indptr"]))
-            rows, columns = major, state["indices"]
+            counts = np.diff(state["indptr"])
+            if ((counts < 0) | (counts > len(data))).any() or counts.sum() != len(data):
+                raise Damaged("a sparse matrix whose rows claim other numbers than there are")
+            rows, columns = np.repeat(np.arange(len(counts)), counts), state["indices"]
             if self.form == "csc":
                 rows, columns = columns, rows
         dense = np.zeros(shape, data.dtype)
@@ -136,7 +139,9 @@ class Chumpy(Record):
     def value(self, resolve: Callable[[Any], Any], budget: Budget) -> np.ndarray:
         if self.form == "Ch":
             return resolve(self.state["x"])
-        chosen = resolve(self.state["a"]).ravel()[resolve(self.state["idxs"])]
+        whole, places = resolve(self.state["a"]), resolve(self.state["idxs"])
+        budget.spend((whole.size + places.size) * whole.itemsize)  # others may share them
+        chosen = whole.ravel()[places]
         shape = self.state.get("preferred_shape")
         return chosen if shape is None else chosen.reshape(_shape(resolve(shape)))
 

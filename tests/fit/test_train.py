@@ -92,6 +92,19 @@ def test_the_history_has_a_line_per_step(fitted):
     assert all(np.isfinite(column).all() for column in history.values())
 
 
+def test_the_perceptual_term_counts_in_the_mean_as_much_as_its_weight_says(fitted):
+    """It is left out of most steps, and weighs more in the others."""
+    history = run_folder.load_history(fitted[1])
+    weights, every = OPTIONS.loss, OPTIONS.perceptual_every
+    share = history["loss"] - history["recon"] - weights.residual * history["residual"]
+    due = np.arange(STEPS) % every == 0
+    assert every > 1 and due.any() and (~due).any()
+    np.testing.assert_allclose(share[~due], 0, atol=1e-6)
+    found = every * weights.perceptual * history["perceptual"][due]
+    np.testing.assert_allclose(share[due], found, rtol=1e-4)
+    assert (found > 0).all()
+
+
 @pytest.mark.parametrize("name", PARAMETERS)
 def test_every_parameter_is_trained(name, three_steps, video, body):
     before = dict(seed_of(body, video, OPTIONS).named_parameters())

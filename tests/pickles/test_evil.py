@@ -185,6 +185,21 @@ def test_a_tensor_that_claims_too_much(refuse, little_memory):
     refuse(wide, "contents that unfold to more than 4 GiB")
 
 
+@pytest.mark.parametrize("indptr", [[0, 2**31 - 1, 3], [0, -(2**31), 3], [0, 1, 2]])
+def test_a_sparse_matrix_whose_rows_claim_what_is_not_there(refuse, little_memory, indptr):
+    sparse = pytest.importorskip("scipy.sparse").csr_matrix(np.ones((2, 3)) * [[1], [0]])
+    sparse.indptr = np.array(indptr, np.int64)
+    refuse(pickle.dumps(sparse), "rows claim other numbers than there are")
+
+
+def test_selections_that_share_their_elements(refuse, tmp_path, monkeypatch):
+    monkeypatch.setattr(budget.Budget.__init__, "__defaults__", (1 << 16,))
+    places = pickle.dumps(np.zeros(3000, np.int64), 2)[2:-1]
+    one = pickle.dumps(np.ones(1), 2)[2:-1]
+    select = b"cchumpy.reordering\nSelect\n)\x81}(U\x01a" + one + b"U\x04idxs" + places + b"ub"
+    refuse(b"\x80\x02](" + 9 * select + b"e.", "contents that unfold to more than")
+
+
 def test_what_is_packed_too_densely(refuse, little_memory, tmp_path, monkeypatch):
     monkeypatch.setattr(budget.Budget.__init__, "__defaults__", (1 << 20,))
     refuse(zlib.compress(bytes(1 << 22)), "contents that unfold to more than")

@@ -35,11 +35,13 @@ from gva_mi.avatar.canonical import (
     SeedOptions,
     seed_on_surface,
 )
+from gva_mi.avatar.light import lit
 from gva_mi.avatar.residual import PoseResidual, ResidualOptions
 from gva_mi.avatar.skin import Skin, diffused
 from gva_mi.body.kinematics import turn_joints
+from gva_mi.body.polar import carry_frames
 from gva_mi.body.pose import LEFT_HAND, RIGHT_HAND, Pose, Shape
-from gva_mi.body.skinning import skin_gaussians
+from gva_mi.body.skinning import blend
 from gva_mi.body.smplx import BodyModel
 from gva_mi.errors import InputError
 from gva_mi.files import read_arrays, write_arrays
@@ -209,9 +211,10 @@ class Avatar(nn.Module):
             residual = self.residual(G.means, rotations[0])
         else:
             residual = torch.zeros_like(G.means)
-        means = G.means + moved_by(self.coefficients(R, psi), G.directions)
-        means, quats = skin_gaussians(means + residual, G.quats, G.weights, T_world_rest)
-        sh = lit(G.sh, G.weights, T_world_rest, self.light)
+        means = G.means + G.moved_by(self.coefficients(R, psi)) + residual
+        A = blend(G.weights, T_world_rest)
+        means, quats = carry_frames(A, means, G.quats)
+        sh = lit(G.sh, A, self.light)
         return Animated(Gaussians(means, quats, G.scales, G.opacities, sh=sh), residual)
 
     def followed(self, pose: Pose) -> Tensor:
@@ -286,25 +289,6 @@ class Avatar(nn.Module):
 def moved_by(coefficients: Tensor, directions: Tensor) -> Tensor:
     """Metres (N, 3) that coefficients (up to K,) of blend shapes move along (N, 3, K)."""
     return directions[..., : len(coefficients)] @ coefficients
-
-
-def lit(sh: Tensor, weights: Tensor, T_world_rest: Tensor, light: Tensor) -> Tensor:
-    """Colours (N, 1, 3) in one pose (eq. 4).
-
-    Args:
-        sh: (N, K, 3), K = 1 or 4: constant colours, then slopes along x, y and z of the rest pose.
-        weights: (N, J).
-        T_world_rest: (J, 4, 4).
-        light: (3,) in the world.
-
-    Note:
-        Near a bent joint the blend is no rotation and shortens the slope: a little less contrast
-        there is harmless.
-    """
-    if sh.shape[1] == 1:
-        return sh
-    toward = weights @ (T_world_rest[:, :3, :3].mT @ light)  # of 55 joints, not of N Gaussians
-    return torch.baddbmm(sh[:, :1], toward.unsqueeze(1), sh[:, 1:])
 
 
 def digest(body: BodyModel) -> str:

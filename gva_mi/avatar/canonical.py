@@ -12,8 +12,9 @@ W(mu)      ``weights``          (N, 55)     skinning weights (Eq. 5), not learne
 D(mu)      ``directions``       (N, 3, K)   metres blend shapes move it by, not learned
 =========  ===================  ==========  =============================================
 
-W and D are those of the outer skin around mu (:mod:`gva_mi.avatar.skin`). Seeding lays flat discs
-into the surface of the body, so that the first image is a body and not a cloud.
+W and D are those of the outer skin around mu (:mod:`gva_mi.avatar.skin`). Nearly all of D is zero:
+an elbow's blend shapes move what is around the elbow. Seeding lays flat discs into the surface of
+the body, so that the first image is a body and not a cloud.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
+from torch.nn.functional import pad
 
 from gva_mi.avatar.skin import Skin
 from gva_mi.errors import InputError
@@ -83,6 +85,7 @@ class CanonicalGaussians(nn.Module):
             setattr(self, name, nn.Parameter(given[name].detach().clone().contiguous()))
         self.register_buffer("weights", weights.detach().clone().contiguous())
         self.register_buffer("directions", directions.detach().clone().contiguous())
+        self._moves: tuple[Tensor, int, _Moves] | None = None
 
     def __len__(self) -> int:
         return self.means.shape[0]
@@ -96,6 +99,36 @@ class CanonicalGaussians(nn.Module):
     def opacities(self) -> Tensor:
         """Opacities in (0, 1), (N,)."""
         return torch.sigmoid(self.logit_opacities)
+
+    def moved_by(self, coefficients: Tensor) -> Tensor:
+        """D c: metres (N, 3) that coefficients (up to K,) of blend shapes move the means."""
+        held, version = self.directions, self.directions._version
+        if self._moves is None or self._moves[0] is not held or self._moves[1] != version:
+            self._moves = held, version, _Moves.of(held)
+        return self._moves[2](coefficients)
+
+
+@dataclass(frozen=True)
+class _Moves:
+    """The entries of directions (N, 3, K) that are not zero; a sum of them takes no time."""
+
+    count: int  # N
+    entries: Tensor  # (E,) int64, which of 3 N coordinates
+    shapes: Tensor  # (E,) int64, by which of K blend shapes
+    metres: Tensor  # (E,)
+
+    @staticmethod
+    def of(directions: Tensor) -> _Moves:
+        N, _, K = directions.shape
+        entries, shapes = directions.view(3 * N, K).nonzero().unbind(1)
+        return _Moves(N, entries, shapes, directions.view(3 * N, K)[entries, shapes])
+
+    def __call__(self, coefficients: Tensor) -> Tensor:
+        shapes = int(self.shapes.max()) + 1 if len(self.shapes) else 0
+        some = pad(coefficients, (0, max(0, shapes - len(coefficients))))
+        metres = some.index_select(0, self.shapes) * self.metres
+        moved = metres.new_zeros(3 * self.count).index_add(0, self.entries, metres)
+        return moved.view(self.count, 3)
 
 
 @dataclass(frozen=True)

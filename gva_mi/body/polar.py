@@ -31,7 +31,6 @@ q              polar factor of A_rot as a unit quaternion                 4 a la
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import drjit as dr
@@ -39,10 +38,11 @@ import torch
 from torch import Tensor
 from torch.autograd.function import FunctionCtx
 
+from gva_mi.body.lanes import FLOATS, launch
+
 SQUARINGS = 9  # B^512: the second eigenvalue is gone in float64 for joints up to 170 degrees apart
 MIN_GAP = 1e-4  # smallest pivot of the adjoint's system
 
-_FLOAT = {torch.float32: dr.llvm.Float32, torch.float64: dr.llvm.Float64}
 _PAIRS = [(i, j) for i in range(4) for j in range(i, 4)]  # upper triangle of a symmetric 4x4
 
 
@@ -57,7 +57,7 @@ def carry_frames(A: Tensor, means: Tensor, quats: Tensor) -> tuple[Tensor, Tenso
     Returns:
         means (N, 3) and quats (N, 4), differentiable in everything.
     """
-    if A.dtype not in _FLOAT:
+    if A.dtype not in FLOATS:
         raise ValueError(f"carry_frames(): expected float32 or float64, got {A.dtype}")
     return _CarryFrames.apply(A, means, quats)
 
@@ -206,7 +206,7 @@ class _CarryFrames(torch.autograd.Function):
         ctx.save_for_forward(A, means, quats)
         if len(means) == 0:
             return means.clone(), quats.clone()
-        return _launch(_forward, A, means, quats)
+        return launch(_forward, A, means, quats)
 
     @staticmethod
     @torch.autograd.function.once_differentiable
@@ -214,31 +214,11 @@ class _CarryFrames(torch.autograd.Function):
         A, means, quats = ctx.saved_tensors
         if len(means) == 0:
             return torch.zeros_like(A), torch.zeros_like(means), torch.zeros_like(quats)
-        return _launch(_adjoint, A, means, quats, grad_means, grad_quats)
+        return launch(_adjoint, A, means, quats, grad_means, grad_quats)
 
     @staticmethod
     def jvp(ctx: FunctionCtx, dA: Tensor, dmeans: Tensor, dquats: Tensor) -> tuple[Tensor, Tensor]:
         A, means, quats = ctx.saved_tensors
         if len(means) == 0:
             return dmeans.clone(), dquats.clone()
-        return _launch(_tangent, A, means, quats, dA, dmeans, dquats)
-
-
-def _launch(kernel: Callable, *tensors: Tensor) -> tuple[Tensor, ...]:
-    """Run a kernel over the rows of tensors (N, K), without copies; returns tensors (N, K')."""
-    Float = _FLOAT[tensors[0].dtype]
-    n = len(tensors[0])
-    lane = dr.arange(dr.uint32_array_t(Float), n)
-    columns = []
-    for tensor in tensors:
-        flat, width = Float(tensor.detach().contiguous().view(-1)), tensor.shape[1]
-        columns.append([dr.gather(Float, flat, lane * width + k) for k in range(width)])
-    outputs = []
-    for rows in kernel(*columns):
-        out = dr.empty(Float, n * len(rows))
-        for k, value in enumerate(rows):
-            dr.scatter(out, value, lane * len(rows) + k, mode=dr.ReduceMode.NoConflicts)
-        outputs.append((out, len(rows)))
-    dr.eval([out for out, _ in outputs])
-    dr.sync_thread()
-    return tuple(out.torch().view(n, width) for out, width in outputs)
+        return launch(_tangent, A, means, quats, dA, dmeans, dquats)

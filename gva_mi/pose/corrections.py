@@ -81,11 +81,17 @@ class Corrections:
 
     @torch.no_grad()
     def centre(self) -> None:
-        """Take away what is the same in all frames, in the axes of the joints, and of the place."""
+        """Take away what a person of another shape would show in the same pictures.
+
+        That are turns of a joint that are the same in all frames, in its own axes, and shifts that
+        are, in the camera's axes or in the pelvis's: a body a centimetre behind its pelvis, with
+        all pelvises a centimetre farther to the front.
+        """
         turns, moves = self.found()
         mean = self._stage1.in_joints(turns).mean(0).expand_as(turns)
         turns0, moves0 = self.start
-        self.start = turns0 - self._stage1.in_camera(mean), moves0 - moves.mean(0)
+        constant = constant_shifts(moves, self._stage1.R_joint_camera[:, 0])
+        self.start = turns0 - self._stage1.in_camera(mean), moves0 - constant
 
     @torch.no_grad()
     def told_by(self, turns: Tensor, moves: Tensor) -> Corrections:
@@ -141,3 +147,18 @@ class Corrections:
         moves = (self._spread_moves[:, which] @ self.moves.transpose(0, 1))[..., 0].T
         turns0, moves0 = self.start
         return turns0[which] + turns, moves0[which] + moves
+
+
+def constant_shifts(shifts: Tensor, R_body_camera: Tensor) -> Tensor:
+    """What of some shifts (n, 3) is constant: (n, 3) ``a + R_kᵀ b`` of the least squares.
+
+    Args:
+        shifts: of n frames, in the axes of the camera.
+        R_body_camera: (n, 3, 3) ``R_k``, takes a vector in these axes to those of the body.
+    """
+    R = R_body_camera.double()
+    basis = torch.cat([torch.eye(3, dtype=R.dtype).expand_as(R), R.mT], dim=2).reshape(-1, 6)
+    # Of someone who does not turn, both are the same three columns.
+    inverse = torch.linalg.pinv(basis.T @ basis, rtol=1e-6, hermitian=True)
+    found = inverse @ (basis.T @ shifts.double().reshape(-1))
+    return (basis @ found).reshape(shifts.shape).to(shifts)

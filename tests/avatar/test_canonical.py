@@ -109,3 +109,22 @@ def test_shapes_are_checked_at_the_door(body):
         CanonicalGaussians(**{**given, "sh": G.sh[:, :2]})
     with pytest.raises(ValueError, match="opacity"):
         dataclasses.replace(SeedOptions(), opacity=1.0)
+
+
+def test_blend_shapes_move_as_the_whole_table_says():
+    generator = torch.Generator().manual_seed(0)
+    directions = torch.randn(6, 3, 5, generator=generator)
+    directions[torch.rand(6, 3, 5, generator=generator) < 0.7] = 0
+    G = CanonicalGaussians(
+        torch.zeros(6, 3), torch.ones(6, 4), torch.zeros(6, 3), torch.zeros(6),
+        torch.zeros(6, 1, 3), torch.ones(6, 1), directions,
+    )  # fmt: skip
+    for count in (5, 2, 0):  # coefficients that are missing count as zero
+        c = torch.randn(count, generator=generator)
+        torch.testing.assert_close(G.moved_by(c), directions[..., :count] @ c)
+    c = torch.randn(5, generator=generator)
+    G.directions = 2 * directions
+    torch.testing.assert_close(G.moved_by(c), 2 * directions @ c)
+    with torch.no_grad():
+        G.directions.mul_(0.5)  # in place, as a state that is loaded
+    torch.testing.assert_close(G.moved_by(c), directions @ c)

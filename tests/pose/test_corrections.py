@@ -8,7 +8,7 @@ import torch
 from gva_mi.body.kinematics import turn_joints
 from gva_mi.body.pose import JOINTS, PARENTS, Pose
 from gva_mi.pose.anatomy import Anatomy
-from gva_mi.pose.corrections import Corrections
+from gva_mi.pose.corrections import Corrections, constant_shifts
 from gva_mi.pose.noise import GROUPS
 from gva_mi.pose.stage1 import Stage1
 
@@ -170,3 +170,48 @@ def test_what_pictures_corrected_tells_how_stage_1_erred(make):
     assert noise["knees"].slow < 0.5 * noise["elbows"].slow
     before, after = (c.pose(range(frames)) for c in (corrections, renewed))
     torch.testing.assert_close(matrices(after), matrices(before))
+
+
+def turning(frames=12):
+    """Someone who turns by 30 degrees a frame, and leans."""
+    pose = Pose.rest(frames)
+    around = torch.zeros(frames, 3)
+    around[:, 1] = torch.arange(frames) * np.pi / 6
+    lean = torch.tensor([0.2, 0.0, 0.1]).expand(frames, 3)
+    pose.rotations[:, 0] = roma.rotvec_composition([around, lean])
+    return pose
+
+
+@pytest.mark.parametrize("axes", ["camera", "body"])
+def test_what_another_shape_would_show_is_taken_away(make, axes):
+    corrections = make(turning())
+    before = corrections.pose(range(12))
+    n = len(before)
+    turns, moves = torch.zeros(corrections.start[0].shape), torch.zeros(n, 3)
+    of_joints = torch.tensor([0.1, -0.2, 0.05])
+    turns[:] = of_joints
+    shift = torch.tensor([0.01, 0.02, -0.03])
+    R_camera_body = corrections._stage1.R_joint_camera[:, 0].mT
+    moves[:] = shift if axes == "camera" else R_camera_body @ shift
+    turns0, moves0 = corrections.start
+    corrections.start = turns0 + corrections._stage1.in_camera(turns), moves0 + moves
+    corrections.centre()
+    after = corrections.pose(range(12))
+    torch.testing.assert_close(after.transl, before.transl, atol=1e-6, rtol=0)
+    torch.testing.assert_close(matrices(after), matrices(before), atol=1e-5, rtol=0)
+
+
+def test_a_shift_that_differs_from_frame_to_frame_stays():
+    """And is smaller by what is constant of it, in the axes of a body that turns or does not."""
+    n = 12
+    turn = roma.rotvec_to_rotmat(turning(n).rotations[:, 0])
+    shifts = torch.zeros(n, 3)
+    shifts[5, 2] = 0.05
+    for R in (turn.mT, torch.eye(3).expand(n, 3, 3)):
+        constant = constant_shifts(shifts, R)
+        assert constant.norm() < 0.75 * shifts.norm()
+        rest = shifts - constant
+        torch.testing.assert_close(rest.mean(0), torch.zeros(3), atol=1e-7, rtol=0)
+        of_body = (R @ rest[..., None])[..., 0].mean(0)
+        torch.testing.assert_close(of_body, torch.zeros(3), atol=1e-7, rtol=0)
+        torch.testing.assert_close(constant_shifts(rest, R), torch.zeros(n, 3), atol=1e-7, rtol=0)

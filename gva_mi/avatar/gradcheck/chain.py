@@ -30,9 +30,10 @@ import torch
 from torch import Generator, Tensor
 from torch.func import functional_call
 
-from gva_mi.avatar.avatar import Avatar, AvatarOptions, lit, moved_by, seed_avatar
+from gva_mi.avatar.avatar import Avatar, AvatarOptions, moved_by, seed_avatar
 from gva_mi.avatar.canonical import CARRIERS, PARAMETERS, CanonicalGaussians, SeedOptions
 from gva_mi.avatar.gradcheck import twins
+from gva_mi.avatar.light import lit
 from gva_mi.avatar.residual import ResidualOptions
 from gva_mi.body.kinematics import turn_joints
 from gva_mi.body.polar import carry_frames
@@ -144,8 +145,7 @@ class Scene:
                                                            parents, v["transl"][None])),
                  lambda v: twins.transforms(v["rotations"], v["joints"], parents, v["transl"])),
             Link("blend shapes", ("means", "R", "expression"), ("shaped_means",),
-                 lambda v: (v["means"] + moved_by(avatar.coefficients(v["R"], v["expression"]),
-                                                  directions),),
+                 lambda v: (v["means"] + G.moved_by(avatar.coefficients(v["R"], v["expression"])),),
                  lambda v: (twins.shaped(v["means"], twins.coefficients(v["R"], v["expression"],
                                          avatar.rest_pose_features), directions),)),
             Link("residual",
@@ -164,9 +164,9 @@ class Scene:
             Link("activations", ("log_scales", "logit_opacities"), ("scales", "opacities"),
                  _activated,
                  lambda v: (v["log_scales"].exp(), 1 / (1 + (-v["logit_opacities"]).exp()))),
-            Link("colours", ("sh", "T_world_rest", "light"), ("posed_sh",),
-                 lambda v: (lit(v["sh"], weights, v["T_world_rest"], v["light"]),),
-                 lambda v: (twins.lit(weights, v["sh"], v["T_world_rest"], v["light"]),)),
+            Link("colours", ("sh", "A", "light"), ("posed_sh",),
+                 lambda v: (lit(v["sh"], v["A"], v["light"]),),
+                 lambda v: (twins.lit(v["sh"], v["A"], v["light"]),)),
             Link("splatting",
                  ("posed_means", "posed_quats", "scales", "opacities", "posed_sh"),
                  ("color", "alpha", "depth"),

@@ -95,9 +95,9 @@ def carry(A: Tensor, means: Tensor, quats: Tensor) -> tuple[Tensor, Tensor]:
     return moved, torch.stack(turned)
 
 
-def lit(weights: Tensor, sh: Tensor, T_world_rest: Tensor, light: Tensor) -> Tensor:
+def lit(sh: Tensor, A: Tensor, light: Tensor) -> Tensor:
     """Colours (N, 1, 3): slopes are turned into the world, by the blended maps, to the light."""
-    R = torch.einsum("nj,jab->nab", weights, T_world_rest[:, :3, :3])
+    R = A.view(-1, 3, 4)[:, :, :3]
     turned = R @ sh[:, 1:]  # (N, xyz, colour)
     return sh[:, :1] + torch.einsum("nac,a->nc", turned, light)[:, None]
 

@@ -3,7 +3,7 @@
 One camera that stands still sees a person of twice the size, twice as far away, in the same
 pixels. And it sees where the person's surface is, but not where in it the skeleton stands: poses
 that are a centimetre too low come with an avatar that lies a centimetre too high on its skeleton.
-So a video says neither how large its world is nor, to a centimetre, where its joints are, and
+So a video says neither how large its world is nor, to a centimetre, where its joints are. And
 figures of novel views and poses in the *true* world mix that with the quality of the avatar. Both
 are told apart by measuring once more after one similarity transform for the whole video, which
 changes no picture of it: a scale about the eye, of the camera that was given and of the true one,
@@ -13,14 +13,14 @@ changes no picture of it: a scale about the eye, of the camera that was given an
 
 with the joints j of the body, x under the avatar's poses and y the true ones, in the training
 frames k. Where the camera moves, s, R and t are those that lay x onto y (Umeyama 1991). How the
-pelvis then stands off from the true one, in the mean over the frames, is kept:
+pelvis then stands off from the true one, in its own axes and the mean over the frames, is kept:
 
-    3. o        = mean_k (x_k,pelvis - Rᵀ (y_k,pelvis - t) / s)
+    3. o        = mean_k R_k,rootᵀ (x_k,pelvis - Rᵀ (y_k,pelvis - t) / s)
 
 The avatar stays as it is. Poses and cameras of the truth are taken over to its world instead:
 
     4. camera      R_c (s R x + t) + t_c  ~  (R_c R) x + (R_c t + t_c) / s    pictures have no scale
-    5. root        Rᵀ R_root, with the pelvis at Rᵀ (y_pelvis - t) / s + o
+    5. root        Rᵀ R*_root, with the pelvis at Rᵀ (y_pelvis - t) / s + Rᵀ R*_root o
 
 Only figures use it: nothing is trained with it, and the figures without it stand beside.
 """
@@ -79,7 +79,7 @@ class Similarity:
         place = pose.transl.double() + pelvis - torch.from_numpy(self.translation)
         rotations = pose.rotations.clone()
         rotations[:, 0] = roma.rotmat_to_rotvec(root).to(rotations)
-        stance = torch.from_numpy(self.stance)
+        stance = root @ torch.from_numpy(self.stance)
         transl = (place @ R / self.scale + stance - own_pelvis).to(pose.transl)
         return Pose(rotations, transl, pose.expression)
 
@@ -132,7 +132,8 @@ def similarity_to_truth(rig: Rig, video: Video, body: BodyModel) -> Similarity |
         else umeyama(*map(flat, (x, y)))
     )
     back = (y[:, 0] - whole.translation) @ whole.rotation / whole.scale
-    return replace(whole, stance=(x[:, 0] - back).mean(0))
+    root = roma.rotvec_to_rotmat(video.pose.rotations[frames, 0].double()).numpy()
+    return replace(whole, stance=np.einsum("kji,kj->i", root, x[:, 0] - back) / len(root))
 
 
 def _about_the_eye(x: np.ndarray, y: np.ndarray, given: Camera, real: Camera) -> Similarity:

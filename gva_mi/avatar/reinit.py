@@ -38,7 +38,6 @@ from gva_mi.avatar.canonical import (
 )
 from gva_mi.avatar.skin import Skin, diffused
 from gva_mi.body.pose import LEFT_HAND, RIGHT_HAND
-from gva_mi.body.skinning import nearest_weights
 from gva_mi.errors import InputError
 from gva_mi.mesh.surface import vertex_normals
 
@@ -160,12 +159,13 @@ def mesh_gaussians(points: np.ndarray, rig: Rig, options: ReinitOptions) -> Surf
 
 def with_fingers(surface: SurfaceMesh, rig: Rig) -> SurfaceMesh:
     """The surface, with its fingers cut off and those of the rest body set in their place."""
+    from scipy.spatial import cKDTree
+
     body, faces = rig.vertices.double().numpy(), rig.faces.numpy()
     finger = _finger_weights(rig.weights).numpy() > 0.5
     if not finger.any():
         return surface
-    middle = torch.from_numpy(surface.vertices[surface.faces].mean(1)).to(rig.vertices.dtype)
-    bridged = _finger_weights(nearest_weights(middle, rig.vertices, rig.weights)).numpy() > 0.5
+    bridged = finger[cKDTree(body).query(surface.vertices[surface.faces].mean(1))[1]]
     own = faces[finger[faces].all(1)] + len(surface.vertices)
     return _without_spares(
         np.vstack([surface.vertices, body]), np.vstack([surface.faces[~bridged], own])

@@ -20,7 +20,6 @@ from torch.autograd.function import FunctionCtx
 
 from gva_mi.body.polar import carry_frames
 
-_CHUNK = 1 << 24  # distances held at once by nearest_weights
 _FRAMES = 4  # skinned together by skin_points: 10k blended maps of each are 0.5 MB
 
 
@@ -141,31 +140,6 @@ def skin_gaussians(
 def blend(weights: Tensor, T_world_rest: Tensor) -> Tensor:
     """The blended affine map of each point, row by row (eq. 2), (..., N, 12)."""
     return weights @ T_world_rest[..., :3, :].flatten(-2)
-
-
-def nearest_weights(points: Tensor, vertices: Tensor, weights: Tensor, joints: int = 4) -> Tensor:
-    """Skinning weights of free points: those of the nearest vertex, its strongest joints only.
-
-    Args:
-        points: (N, 3) rest pose, metres.
-        vertices: (V, 3) of the body in the same pose.
-        weights: (V, J) of the body.
-        joints: how many joints to keep; the kept weights are scaled to sum 1.
-
-    Returns:
-        (N, J).
-
-    Note:
-        Not differentiable: where the nearest vertex changes, the weights jump.
-    """
-    with torch.no_grad():
-        rows = max(1, _CHUNK // len(vertices))
-        exact = "donot_use_mm_for_euclid_dist"  # the product form is off by 0.3 mm in float32
-        nearest = [
-            torch.cdist(chunk, vertices, compute_mode=exact).argmin(1)
-            for chunk in points.split(rows)
-        ]
-        return strongest(weights[torch.cat(nearest)], joints)
 
 
 def strongest(weights: Tensor, joints: int = 4) -> Tensor:

@@ -13,7 +13,7 @@ from gva_mi.avatar import AvatarOptions, seed_avatar
 from gva_mi.avatar.canonical import CanonicalGaussians
 from gva_mi.avatar.densify import replace_gaussians
 from gva_mi.avatar.reinit import ReinitOptions, SurfaceMesh, reinitialise, resample
-from gva_mi.body import Shape, load_body, nearest_weights
+from gva_mi.body import Shape, load_body
 from gva_mi.splat.kernels.sh import C0
 
 COARSE = ReinitOptions(alpha=0.08, offset=0.01, filler_depth=0.04)  # for 2,000 points, not 20,000
@@ -35,7 +35,7 @@ def avatar_of(body, points, colors, opacities=None):
         log_scales=tensor(rng.uniform(0.005, 0.05, (N, 3))).log(),
         logit_opacities=torch.logit(tensor(np.full(N, 0.8) if opacities is None else opacities)),
         sh=sh,
-        weights=nearest_weights(points, avatar.rig.vertices, avatar.rig.weights),
+        weights=avatar.skin.at(points)[0],
     )
     return avatar
 

@@ -8,7 +8,6 @@ from gva_mi.body.kinematics import joint_transforms
 from gva_mi.body.pose import PARENTS
 from gva_mi.body.skinning import (
     blend,
-    nearest_weights,
     skin_gaussians,
     skin_points,
     strongest,
@@ -169,14 +168,6 @@ def test_wrong_shapes_are_named():
         skin_gaussians(means, means, weights, T)
     with pytest.raises(ValueError, match="quats is torch.float32, but means are torch.float64"):
         skin_gaussians(means, quats.float(), weights, T)
-
-
-def test_nearest_weights_are_those_of_the_nearest_vertex():
-    vertices, _, weights, _ = scene(n=60)
-    order = torch.randperm(60, generator=torch.Generator().manual_seed(9))
-    torch.testing.assert_close(
-        nearest_weights(vertices[order] + 1e-6, vertices, weights), weights[order]
-    )
 
 
 def test_only_the_strongest_joints_are_kept():

@@ -82,7 +82,7 @@ class FitOptions:
     seed: int = 0  # of all random numbers in the run
     random_background: bool = True  # another colour each step, so that alpha is learned; else white
     window: int = 96  # pixels, side of the random part seen by the perceptual and SSIM terms
-    perceptual_every: int = 2  # steps with the perceptual term, which takes longer than the render
+    perceptual_every: int = 4  # steps with the perceptual term, which takes longer than the render
     vgg16: Path | None = None  # the user's VGG16 weights for the perceptual term; none: rand_vgg
     checkpoint_every: int = 500  # steps
     avatar: AvatarOptions = AvatarOptions()

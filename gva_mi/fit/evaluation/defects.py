@@ -1,4 +1,4 @@
-"""What is wrong with an outline, as a share of the person's pixels.
+"""What is wrong with an outline, or from a frame to the next, as a share of the person's pixels.
 
 An avatar is seen on white and on black, C₁ and C₀, which tells its alpha. S is the person's mask:
 
@@ -7,7 +7,12 @@ An avatar is seen on white and on black, C₁ and C₀, which tells its alpha. S
     3. holes = Σ (1 - A) [S is 1 within EDGE pixels] / Σ S      where the avatar comes apart
 
 The border is left out, where an outline that is half a pixel off would outweigh everything. An
-avatar that stands beside the person has both.
+avatar that stands beside the person has both. And from one frame, of C and its picture I, to the
+next, C' and I', the avatar may change where the person does not:
+
+    4. flicker = Σ |(C' - C) - (I' - I)| / Σ S                  on white, mean over the colours
+
+What is always wrong in the same place does not flicker.
 """
 
 from __future__ import annotations
@@ -51,3 +56,19 @@ class Defects:
     def mean(each: Sequence[Defects]) -> Defects:
         """The means over some pictures."""
         return Defects(*(float(np.mean([getattr(d, n) for d in each])) for n in ("spill", "holes")))
+
+
+def flicker(
+    renders: tuple[np.ndarray, np.ndarray],
+    targets: tuple[np.ndarray, np.ndarray],
+    mask: np.ndarray,
+) -> float:
+    """Eq. 4.
+
+    Args:
+        renders: the avatar in two frames, each (H, W, 3) 8 bits, on white.
+        targets: the person in them, alike.
+        mask: (H, W) in [0, 1], the person in one of them.
+    """
+    before, after = (c.astype(np.float64) - i for c, i in zip(renders, targets, strict=True))
+    return float(np.abs(after - before).mean(2).sum() / 255 / mask.sum())

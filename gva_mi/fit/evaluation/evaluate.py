@@ -47,7 +47,7 @@ from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.smplx import BodyModel
 from gva_mi.console import Progress
 from gva_mi.data.video import Frame, Video, load_video, spread
-from gva_mi.fit.evaluation.defects import Defects
+from gva_mi.fit.evaluation.defects import Defects, flicker
 from gva_mi.fit.evaluation.regions import Hands, person_box
 from gva_mi.fit.evaluation.scores import ImageScores, Scorer
 from gva_mi.fit.perceptual import Weights
@@ -74,6 +74,7 @@ class SplitScores:
     count: int = 0  # pictures, or boxes, that these are the means of; 0: a file that says no number
     spill: float | None = None  # see defects.py; of whole pictures on white
     holes: float | None = None
+    flicker: float | None = None  # likewise, of test frames against those before them
 
     @staticmethod
     def mean(
@@ -162,18 +163,23 @@ def evaluate_views(
     for view in views:
         scores: dict[Region, list[ImageScores]] = {region: [] for region in REGIONS}
         defects: list[Defects] = []
+        flickers: list[float] = []
         for frame in view.video.frames(view.frames):
             shown = _Shown.of(avatar, frame, view)
             for region, found in shown.scores(view, scorer):
                 scores[region].append(found)
             defects.append(shown.defects())
+            before = frame.index - 1
+            if view.split == "test" and before >= 0 and before not in view.video.absent:
+                flickers.append(shown.flicker(_Shown.of(avatar, view.video[before], view)))
             done += 1
             if progress:
                 progress(done, total, psnr=scores["white"][-1].psnr)
         whole, *parts = (
             SplitScores.mean(name, view.split, s, region) for region, s in scores.items() if s
         )
-        rows += [replace(whole, **asdict(Defects.mean(defects))), *parts]
+        whole = replace(whole, **asdict(Defects.mean(defects)))
+        rows += [replace(whole, flicker=float(np.mean(flickers)) if flickers else None), *parts]
     return rows
 
 
@@ -206,6 +212,12 @@ class _Shown:
     def defects(self) -> Defects:
         """Of the outline."""
         return Defects.of(*self.renders, self.frame.mask)
+
+    def flicker(self, before: _Shown) -> float:
+        """Against the frame before."""
+        renders = before.renders[0], self.renders[0]
+        targets = before.targets[0], self.targets[0]
+        return flicker(renders, targets, self.frame.mask)
 
 
 def true_video(video: Video, split: Split) -> Video | None:

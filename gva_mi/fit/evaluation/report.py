@@ -238,7 +238,7 @@ def _curves(history: dict[str, np.ndarray]) -> Section:
 
 def _tables(metrics: Metrics) -> Section:
     head = ("run", "split", "region", "of", "PSNR, dB", "SSIM", "LPIPS", "rand_vgg")
-    head += ("spill", "holes")
+    head += ("spill", "holes", "flicker")
     order = [(row.name, row.split) for row in metrics.rows if row.region == "white"]
     by_region = [[row for row in metrics.rows if row.region == region] for region in REGIONS]
     tables = []
@@ -249,8 +249,9 @@ def _tables(metrics: Metrics) -> Section:
         "Over the whole picture on white, first; then on black, over the person's box, and over "
         "the boxes of hands that are seen. LPIPS needs the user's weights; rand_vgg is the same "
         "distance in a random network of a fixed seed, comparable only with itself. Spill is what "
-        "the avatar covers beside the person, and holes what it leaves open within, as shares of "
-        "the person. Poses are trained on the training frames alone; those of a test frame follow "
+        "the avatar covers beside the person, holes what it leaves open within, and flicker what "
+        "changes in it, and not in the person, since the frame before, as shares of the person. "
+        "Poses are trained on the training frames alone; those of a test frame follow "
         f"from the frames around. ‘{AS_REFINED}’ are the same frames without it. ‘{ALIGNED}’: one "
         "camera tells neither how large the world is nor where in its surface the skeleton stands; "
         "the truth is laid over the avatar's world, once for all frames."
@@ -266,7 +267,7 @@ def _tables(metrics: Metrics) -> Section:
 def _scores(row: SplitScores) -> tuple[str, ...]:
     names = (row.name.replace("_", " "), row.split.replace("_", " "), row.region)
     figures = ((row.psnr, 2), (row.ssim, 4), (row.lpips, 4), (row.rand_vgg, 4))
-    figures += ((row.spill, 4), (row.holes, 4))
+    figures += ((row.spill, 4), (row.holes, 4), (row.flicker, 4))
     return (*names, str(row.count), *(number(value, digits) for value, digits in figures))
 
 

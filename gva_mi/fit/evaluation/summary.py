@@ -126,6 +126,7 @@ SURFACE = (
 DEFECTS = (
     *_whole("spill", 4, -1),
     *_whole("holes", 4, -1),
+    Column("flicker: test", score("flicker", "test"), 4, -1),
     _surface("stray Gaussians at the end, mm", "stray_mm", "", "end"),
 )
 COST = (

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gva_mi.fit.evaluation.defects import EDGE, Defects
+from gva_mi.fit.evaluation.defects import EDGE, Defects, flicker
 
 SIZE = 40
 
@@ -57,3 +57,17 @@ def test_whoever_stands_beside_the_person_has_both():
 
 def test_means():
     assert Defects.mean([Defects(0.0, 0.2), Defects(0.4, 0.0)]) == Defects(0.2, 0.1)
+
+
+def test_what_changes_in_the_avatar_and_not_in_the_person_flickers():
+    mask = square(10, 30)
+    person = (seen(mask)[0], seen(np.roll(mask, 1, axis=1))[0])
+    assert flicker(person, person, mask) == 0
+    brighter = (seen(mask)[0], seen(np.roll(mask, 1, axis=1), color=0.5)[0])
+    assert flicker(brighter, person, mask) == pytest.approx(0.2, abs=0.005)
+
+
+def test_what_is_always_wrong_does_not_flicker():
+    mask = square(10, 30)
+    wrong, right = seen(mask, color=0.9)[0], seen(mask)[0]
+    assert flicker((wrong, wrong), (right, right), mask) == 0

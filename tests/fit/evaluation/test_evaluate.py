@@ -24,6 +24,7 @@ def test_the_avatar_in_the_pictures_reaches_the_maximum(known, studio, body):
     for row in whole:
         assert (row.name, row.psnr, row.lpips) == ("known", PSNR_MAX, None)
         assert row.ssim == pytest.approx(1) and row.rand_vgg == 0
+        assert row.flicker == (0 if row.split == "test" else None)
 
 
 def test_a_worse_avatar_has_worse_figures(known, studio):
@@ -38,6 +39,7 @@ def test_a_worse_avatar_has_worse_figures(known, studio):
     assert PSNR_MAX > slightly.psnr > badly.psnr
     assert 1 > slightly.ssim > badly.ssim
     assert 0 < slightly.rand_vgg < badly.rand_vgg
+    assert 0 < slightly.flicker < badly.flicker
 
 
 def test_white_around_the_person_raises_a_figure_and_the_box_does_not_know_it(known, subject):

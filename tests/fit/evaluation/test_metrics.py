@@ -65,7 +65,8 @@ def test_the_file_has_the_entries_that_it_always_had(metrics):
         "versions", "seed",
     ]  # fmt: skip
     assert list(record["rows"][0]) == [
-        "name", "split", "psnr", "ssim", "lpips", "rand_vgg", "region", "count", "spill", "holes"
+        "name", "split", "psnr", "ssim", "lpips", "rand_vgg", "region", "count", "spill", "holes",
+        "flicker",
     ]  # fmt: skip
     assert set(record["refinement"]) >= {
         "vertex_mm_stage1", "vertex_mm", "hand_vertex_mm_stage1", "hand_vertex_mm",

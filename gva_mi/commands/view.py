@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 import time
 from pathlib import Path
@@ -22,7 +23,7 @@ from gva_mi.threads import one_torch_thread
 from gva_mi.viewer.controls import Controls, Offers
 from gva_mi.viewer.drawing import Drawing
 from gva_mi.viewer.eyes import start
-from gva_mi.viewer.server import address, open_server, pages, when_moved
+from gva_mi.viewer.server import address, close_server, open_server, pages, when_moved
 from gva_mi.viewer.session import Session, Stage
 
 
@@ -62,6 +63,7 @@ def view(
         stage = Stage(len(motion), begin.up, video.cameras if video else [], out)
         session = Session(Drawing(avatar, motion, video), controls, stage)
         say(f"{address(server)}: open it in a browser; Ctrl-C ends it")
+        sys.stdout.flush()  # for whoever reads the address from a pipe
         with one_torch_thread():
             while True:
                 changed.clear()
@@ -70,7 +72,7 @@ def view(
     except KeyboardInterrupt:
         pass
     finally:
-        server.stop()
+        close_server(server)
 
 
 def _video_of(run: Path, subject: Path, poses: Path | None) -> Video:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import io
+import logging
 import socket
 import warnings
+from contextlib import redirect_stdout
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -39,7 +42,8 @@ def open_server(host: str, port: int, start: Start, title: str) -> viser.ViserSe
             "view: the package viser is not installed: pip install 'gva_mi[viewer]'"
         ) from None
     _require_free(host, port)  # viser would look for another port, or for ever
-    server = viser.ViserServer(host=host, port=port, verbose=False)
+    with redirect_stdout(io.StringIO()):  # of its own accord it prints a table
+        server = viser.ViserServer(host=host, port=port, verbose=False)
     server.gui.configure_theme(show_logo=False, show_share_button=False)
     server.gui.set_panel_label(title)
     server.gui.main_panel.dock_right()
@@ -47,6 +51,8 @@ def open_server(host: str, port: int, start: Start, title: str) -> viser.ViserSe
     camera = server.initial_camera
     camera.position, camera.look_at, camera.up = start.position, start.look_at, start.up
     camera.fov, camera.near = start.fov, NEAR
+    # Browsers open connections that they never use: websockets would print a traceback for each.
+    logging.getLogger("websockets.server").addHandler(logging.NullHandler())
     return server
 
 
@@ -65,6 +71,12 @@ def _require_free(host: str, port: int) -> None:
             f"view: cannot listen at {host}, port {port} ({reason}); expected an address of this "
             "machine, and a port that is free"
         ) from None
+
+
+def close_server(server: viser.ViserServer) -> None:
+    """End a server and its threads."""
+    with redirect_stdout(io.StringIO()):
+        server.stop()
 
 
 def address(server: viser.ViserServer) -> str:

@@ -67,7 +67,7 @@ class Controls:
                 self._watched(gui.add_slider(name, -WIDEST, WIDEST, 0.1, 0.0))
                 for name in offers.expression
             ]
-            self._add_button("reset expression", "Reset")
+            self._add_button("reset expression", "Reset expression")
         with gui.add_folder("Camera"):
             self._add_camera()
 
@@ -91,7 +91,14 @@ class Controls:
     def _add_camera(self) -> None:
         gui, video = self._gui, self._offers.video
         places = tuple(x for x in get_args(SeenFrom) if video or x != "video")
-        self._seen_from = self._watched(gui.add_dropdown("seen from", places))
+        self._seen_from = self._watched(
+            gui.add_dropdown(
+                "seen from",
+                places,
+                initial_value="video" if video else "browser",
+                hint="browser: turn, zoom and move by the mouse",
+            )
+        )
         self._beside = self._watched(gui.add_checkbox("beside the video", video, visible=video))
         self._see_through = self._watched(
             gui.add_checkbox("see-through", False, hint="snapshots are RGBA, of the avatar alone")

@@ -23,7 +23,6 @@ from gva_mi.viewer.state import State, posed
 from gva_mi.viewer.surface import Surface, SurfaceDrawing, posed_surface
 
 FAINT = 0.25  # of the avatar behind its skeleton
-SMOOTH = 2  # samples squared a pixel, of a mesh that is drawn finely
 
 
 class Drawing:
@@ -52,7 +51,7 @@ class Drawing:
         Args:
             state: what is shown.
             camera: the view.
-            fine: whether a mesh has smooth edges.
+            fine: whether a mesh has all its triangles, and smooth edges.
         """
         if state.mode == "Gaussians":
             return layer_of(self._gaussians(state), camera)
@@ -64,7 +63,7 @@ class Drawing:
         if self._surfaces is None:
             self._surfaces = SurfaceDrawing(self._rig)
         draw = self._surfaces.normals if state.mode == "normals" else self._surfaces.shaded
-        return draw(surface, camera, SMOOTH if fine else 1)
+        return draw(surface, camera, fine)
 
     def frame(self, state: State, width: int, height: int) -> np.ndarray:
         """The frame of the video, in the middle of a picture, 8-bit (height, width, 3)."""

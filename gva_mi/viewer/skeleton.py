@@ -49,9 +49,8 @@ def draw_skeleton(
             ink = _ink(OUTLINE if joint == marked else BLUE)
             (x, y), r = at[joint], radius
             draw.ellipse((x - r, y - r, x + r, y + r), ink)
-    layer = np.asarray(picture, dtype=np.float32) / 255
-    layer[..., :3] *= layer[..., 3:]
-    return layer.reshape(camera.height, SAMPLES, camera.width, SAMPLES, 4).mean((1, 3))
+    small = picture.convert("RGBa").reduce(SAMPLES)  # with a small a: colour times alpha
+    return np.asarray(small, dtype=np.float32) / 255
 
 
 def _ink(color: tuple[float, float, float]) -> tuple[int, int, int, int]:

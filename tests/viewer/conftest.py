@@ -1,4 +1,4 @@
-"""What the tests of the viewer share: a known avatar, its motion, a plain panel and a plain page."""
+"""What the tests of the viewer share: a known avatar, its motion, plain panels and pages."""
 
 import pytest
 

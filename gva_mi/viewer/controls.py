@@ -153,7 +153,7 @@ class Controls:
 
     def count_keyframes(self, count: int) -> None:
         """Say how many keyframes there are."""
-        self._save.label = f"Save cameras.npz ({count} keyframes)"
+        self._save.label = f"Save cameras.npz (keyframes: {count})"
 
     def _read_joint(self) -> None:
         """Keep what the sliders say; where another joint was chosen since, show its angles."""

@@ -57,9 +57,11 @@ class Drawing:
             return layer_of(self._gaussians(state), camera)
         surface = self._surface(state)
         if state.mode == "skeleton":
-            bones = draw_skeleton(surface.joints, self._rig.parents, camera, state.joint)
-            behind = FAINT * layer_of(self._gaussians(state), camera)
-            return bones + (1 - bones[..., 3:]) * behind
+            bones = draw_skeleton(surface.joints, self._rig.parents, camera, state.joint, fine)
+            layer = layer_of(self._gaussians(state), camera)
+            layer *= FAINT * (1 - bones[..., 3:])
+            layer += bones
+            return layer
         if self._surfaces is None:
             self._surfaces = SurfaceDrawing(self._rig)
         draw = self._surfaces.normals if state.mode == "normals" else self._surfaces.shaded

@@ -165,7 +165,7 @@ class Session:
             self._keyframes = self._keyframes + [eye] * ("add" in action)
             self._changes += 1
             self._panel.count_keyframes(len(self._keyframes))
-            return f"{len(self._keyframes)} keyframes"
+            return f"keyframes: {len(self._keyframes)}"
         if action == "save cameras" and not self._keyframes:
             return "there is no keyframe yet: add some"
         name = "snapshot_{}.png" if action == "snapshot" else "cameras_{}.npz"

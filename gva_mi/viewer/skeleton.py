@@ -13,11 +13,11 @@ NEAR = 0.05  # metres before the camera; what is nearer is not drawn
 BONE = (0.25, 0.27, 0.30)
 FINE = 25  # joints from this number on are fingers', drawn thinner
 THICK = 400  # of the picture's height: the width of a bone is one such part, at least a pixel
-SAMPLES = 2  # squared, for a pixel
+SAMPLES = 2  # squared, for a pixel of a fine picture
 
 
 def draw_skeleton(
-    joints: np.ndarray, parents: Sequence[int], camera: Camera, marked: int
+    joints: np.ndarray, parents: Sequence[int], camera: Camera, marked: int, fine: bool = True
 ) -> np.ndarray:
     """A layer (H, W, 4) float32: colour times alpha, and alpha.
 
@@ -26,10 +26,12 @@ def draw_skeleton(
         parents: J indices, -1 for the root.
         camera: the view.
         marked: the joint that is drawn in orange.
+        fine: whether lines have smooth edges.
     """
     from PIL import Image, ImageDraw
 
-    width, height = SAMPLES * camera.width, SAMPLES * camera.height
+    samples = SAMPLES if fine else 1
+    width, height = samples * camera.width, samples * camera.height
     view = camera.resized(width, height)
     depth = joints @ view.T_camera_world[2, :3] + view.T_camera_world[2, 3]
     seen = depth > NEAR
@@ -37,7 +39,7 @@ def draw_skeleton(
     # Far outside the picture a line would be walked pixel by pixel.
     seen &= (np.abs(at - (width / 2, height / 2)) < 4 * max(width, height)).all(1)
     picture = Image.new("RGBA", (width, height))
-    draw, bone = ImageDraw.Draw(picture), max(SAMPLES, height // THICK)
+    draw, bone = ImageDraw.Draw(picture), max(1, height // THICK)
     for joint, parent in enumerate(parents):
         if parent >= 0 and seen[joint] and seen[parent]:
             line = [tuple(at[parent]), tuple(at[joint])]
@@ -49,8 +51,8 @@ def draw_skeleton(
             ink = _ink(OUTLINE if joint == marked else BLUE)
             (x, y), r = at[joint], radius
             draw.ellipse((x - r, y - r, x + r, y + r), ink)
-    small = picture.convert("RGBa").reduce(SAMPLES)  # with a small a: colour times alpha
-    return np.asarray(small, dtype=np.float32) / 255
+    picture = picture.convert("RGBa")  # with a small a: colour times alpha
+    return np.asarray(picture.reduce(samples), dtype=np.float32) / 255
 
 
 def _ink(color: tuple[float, float, float]) -> tuple[int, int, int, int]:

@@ -106,7 +106,7 @@ def test_buttons_are_noted_with_their_browser(server, controls):
     assert list(controls.clicks()) == [Click("snapshot", 7), Click("add keyframe", 7)]
     assert not list(controls.clicks())
     controls.count_keyframes(3)
-    assert any("(3 keyframes)" in name for name in inputs(server))
+    assert any("(keyframes: 3)" in name for name in inputs(server))
 
 
 def test_it_listens_to_this_machine_and_says_where(server):

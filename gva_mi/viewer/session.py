@@ -105,8 +105,8 @@ class Session:
         """
         state = self._panel.state(now)
         for click in self._panel.clicks():
-            browser = browsers.get(click.browser)
-            eye = browser and browser.eye()
+            browser = browsers.get(click.browser)  # None: it was closed just now
+            eye = browser.eye() if browser is not None else None
             if eye is not None and eye.usable():
                 browser.tell(self._done(click.action, state, eye))
         self._shown = {k: shown for k, shown in self._shown.items() if k in browsers}
@@ -161,8 +161,7 @@ class Session:
     def _done(self, action: Action, state: State, eye: Eye) -> str:
         """Do what a button says, and say what came of it."""
         if action in ("add keyframe", "remove keyframe"):
-            self._keyframes = self._keyframes[:-1] if "remove" in action else self._keyframes
-            self._keyframes = self._keyframes + [eye] * ("add" in action)
+            self._keyframes = self._keyframes + [eye] if "add" in action else self._keyframes[:-1]
             self._changes += 1
             self._panel.count_keyframes(len(self._keyframes))
             return f"keyframes: {len(self._keyframes)}"

@@ -55,6 +55,7 @@ FLOORS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("pose/evaluation", "how well refined poses fit", ("gva_mi.pose.evaluation",)),
     ("fit", "the loop around it: losses, training, tracking", ("gva_mi.fit",)),
     ("fit/evaluation", "how close the avatar comes; the study", ("gva_mi.fit.evaluation",)),
+    ("viewer", "an avatar in the browser", ("gva_mi.viewer",)),
     ("commands", "one verb a file", ("gva_mi.commands",)),
     ("gva-mi", "the command line", ("gva_mi.__main__",)),
 )  # fmt: skip

@@ -14,7 +14,8 @@ floors = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(floors)
 
 SOURCES, MODULES, module = floors.SOURCES, floors.MODULES, floors.module
-HEAVY = {"mitsuba", "pymeshlab", "trimesh", "skimage", "matplotlib", "av", "jinja2", "PIL", "scipy"}
+HEAVY = {"mitsuba", "pymeshlab", "trimesh", "skimage", "matplotlib", "av", "jinja2", "PIL", "scipy",
+         "viser"}  # fmt: skip
 HOMES = {  # packages that only some folders may import, at any depth of the file
     "mitsuba": ("gva_mi_plugins", "gva_mi.mesh", "gva_mi.data.synthetic", "gva_mi.sculptor",
                 "gva_mi.commands.doctor"),
@@ -26,7 +27,8 @@ HOMES = {  # packages that only some folders may import, at any depth of the fil
               "gva_mi.splat.gradcheck",
               "gva_mi.splat.bench", "gva_mi.body", "gva_mi.mesh", "gva_mi.data",
               "gva_mi.sculptor", "gva_mi.avatar", "gva_mi.pose", "gva_mi.fit", "gva_mi.threads",
-              "gva_mi.commands"),
+              "gva_mi.viewer", "gva_mi.commands"),
+    "viser": ("gva_mi.viewer.server", "gva_mi.viewer.controls"),
     "tyro": ("gva_mi.commands", "gva_mi.__main__"),
 }  # fmt: skip
 MODULE = pytest.mark.parametrize("path", SOURCES, ids=module)

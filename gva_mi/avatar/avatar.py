@@ -124,6 +124,15 @@ class Rig:
 
 
 @dataclass(frozen=True)
+class Driven:
+    """What one pose does to all that hangs on the skeleton."""
+
+    coefficients: Tensor  # (P + E,) c of eq. 1
+    joints: Tensor  # (55, 3) metres at rest, where the expression has them
+    T_world_rest: Tensor  # (55, 4, 4)
+
+
+@dataclass(frozen=True)
 class Animated:
     """An avatar in one pose."""
 
@@ -197,25 +206,35 @@ class Avatar(nn.Module):
         Returns:
             Differentiable in all parameters, and in the pose.
         """
-        if len(pose) != 1:
-            raise ValueError(f"Avatar: pose must be of one frame, got {len(pose)}")
-        rotations = self.followed(pose)
-        G = self.canonical
-        psi = pose.expression[0, : self.rest_expression_joints.shape[2]]
-        joints = self.rest_joints + moved_by(psi, self.rest_expression_joints)
-        # In float64: of 55 joints it costs nothing, and chains of products lose most of the digits.
-        turned, at_rest, transl = (x.double() for x in (rotations, joints, pose.transl))
-        R, T_world_rest = turn_joints(turned, at_rest, self._parents, transl)
-        R, T_world_rest = (x[0].to(G.means.dtype) for x in (R, T_world_rest))
+        driven, G = self.driven(pose), self.canonical
         if self.options.residual.enabled:
-            residual = self.residual(G.means, rotations[0])
+            residual = self.residual(G.means, self.followed(pose)[0])
         else:
             residual = torch.zeros_like(G.means)
-        means = G.means + G.moved_by(self.coefficients(R, psi)) + residual
-        A = blend(G.weights, T_world_rest)
+        means = G.means + G.moved_by(driven.coefficients) + residual
+        A = blend(G.weights, driven.T_world_rest)
         means, quats = carry_frames(A, means, G.quats)
         sh = lit(G.sh, A, self.light)
         return Animated(Gaussians(means, quats, G.scales, G.opacities, sh=sh), residual)
+
+    def driven(self, pose: Pose) -> Driven:
+        """Blend shapes and skeleton of one pose, for the Gaussians and for the rig's surface.
+
+        Args:
+            pose: as in :meth:`animate`.
+
+        Returns:
+            Differentiable in the pose.
+        """
+        if len(pose) != 1:
+            raise ValueError(f"Avatar: pose must be of one frame, got {len(pose)}")
+        psi = pose.expression[0, : self.rest_expression_joints.shape[2]]
+        joints = self.rest_joints + moved_by(psi, self.rest_expression_joints)
+        # In float64: of 55 joints it costs nothing, and chains of products lose most of the digits.
+        turned, at_rest, transl = (x.double() for x in (self.followed(pose), joints, pose.transl))
+        R, T_world_rest = turn_joints(turned, at_rest, self._parents, transl)
+        R, T_world_rest = (x[0].to(self.rest_joints.dtype) for x in (R, T_world_rest))
+        return Driven(self.coefficients(R, psi), joints, T_world_rest)
 
     def followed(self, pose: Pose) -> Tensor:
         """The rotations (T, 55, 3) that it follows: without hands, fingers stay as at rest."""

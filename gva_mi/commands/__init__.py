@@ -4,13 +4,14 @@
 
     synth ──▶ subject/ ──▶ refine ──▶ subject/poses_refined.npz ──▶ fit ──▶ run/ ──▶ evaluate
                                                                             ├──────▶ render
+                                                                            ├──────▶ view
                                                                             ├──────▶ export
                                                                             └──────▶ track
 
-``prepare`` makes such a subject/ of a real video. ``demo`` runs them all but ``render``, ``export``
-and ``track``. Each reads a folder, writes a folder, and can be run alone; no output is replaced
-unless asked for. A command checks its arguments, calls the library, and says what came of it. A new
-command is a new file and a line in :data:`VERBS`.
+``prepare`` makes such a subject/ of a real video. ``demo`` runs them all but ``render``, ``view``,
+``export`` and ``track``. Each reads a folder, writes a folder, and can be run alone; no output is
+replaced unless asked for. A command checks its arguments, calls the library, and says what came of
+it. A new command is a new file and a line in :data:`VERBS`.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ VERBS = {  # and what each does, told by `gva-mi --help` without importing any o
     "evaluate": "measure an avatar on the splits of a subject",
     "track": "fit the poses of a video to its pictures, seen through an avatar",
     "render": "drive an avatar by any poses, seen by any cameras",
+    "view": "turn, pose and play an avatar in the browser",
     "export": "write an avatar, its poses, or a film of it for other programs",
     "motion": "turn a motion of AMASS, AIST++ or the like into poses that drive an avatar",
     "study": "refine, or fit, several synthetic people, and print how near they come to the truth",

@@ -12,7 +12,7 @@ from gva_mi.body.pose import Pose
 from gva_mi.console import Progress
 from gva_mi.data.video import Frame
 from gva_mi.fit.camera_paths import Shot
-from gva_mi.splat import Camera, SplatOptions, render
+from gva_mi.splat import Camera, Gaussians, SplatOptions, render
 
 WHITE, BLACK = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
 
@@ -35,7 +35,15 @@ def render_layer(
     avatar: Avatar, pose: Pose, camera: Camera, options: SplatOptions | None = None
 ) -> np.ndarray:
     """The avatar in one pose alone: (H, W, 4) float32, colour times alpha, and alpha."""
-    image = render(avatar(pose), camera, options or SplatOptions(depth=False))
+    return layer_of(avatar(pose), camera, options)
+
+
+@torch.no_grad()
+def layer_of(
+    gaussians: Gaussians, camera: Camera, options: SplatOptions | None = None
+) -> np.ndarray:
+    """The same of Gaussians in the world."""
+    image = render(gaussians, camera, options or SplatOptions(depth=False))
     return np.concatenate([image.color.numpy(), image.alpha.numpy()[..., None]], axis=2)
 
 

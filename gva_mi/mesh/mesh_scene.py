@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from gva_mi_plugins.mesh_normals.mesh_view import MeshView
 
 
+MOST_SENSORS = 1000  # kept by a scene
+
+
 class MeshScene:
     """A mesh whose vertices move, and its renderings.
 
@@ -105,12 +108,15 @@ class MeshScene:
             self._shown = vertices
 
     def _sensor(self, camera: Camera) -> mi.Sensor:
-        """The sensor of a camera; it is kept, for a video has few cameras."""
+        """The sensor of a camera; it is kept, for a video has few cameras. Those of a browser are
+        many: the oldest are forgotten."""
         import mitsuba as mi
 
         key = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
         key += (camera.model, camera.T_camera_world.tobytes())
         if key not in self._sensors:
+            if len(self._sensors) == MOST_SENSORS:
+                del self._sensors[next(iter(self._sensors))]
             self._sensors[key] = mi.load_dict(sensor_of(camera))
         return self._sensors[key]
 

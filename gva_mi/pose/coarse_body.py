@@ -43,7 +43,7 @@ class CoarseBody:
             self.kept = torch.arange(self._count)
             self.body = whole
         else:
-            self.kept, triangles = _collapse(whole.v_template, whole.faces, faces, finer)
+            self.kept, triangles = collapse(whole.v_template, whole.faces, faces, finer)
             self.body = whole.on(self.kept, triangles)
 
     def spread(self, offsets: Tensor) -> Tensor:
@@ -67,10 +67,17 @@ class CoarseBody:
         return torch.from_numpy(solved).to(offsets.dtype)
 
 
-def _collapse(
-    vertices: Tensor, faces: Tensor, count: int, finer: Tensor | None
+def collapse(
+    vertices: Tensor, faces: Tensor, count: int, finer: Tensor | None = None
 ) -> tuple[Tensor, Tensor]:
-    """Numbers (n,) of the vertices that are kept, and the triangles (count, 3) between them."""
+    """Numbers (n,) of the vertices that are kept, and the triangles (count, 3) between them.
+
+    Args:
+        vertices: (V, 3) metres.
+        faces: (F, 3) int64.
+        count: triangles, at most F.
+        finer: (n,) numbers of vertices around which more are kept; None: all are alike.
+    """
     import pymeshlab
     from scipy.spatial import cKDTree
 

@@ -1,0 +1,101 @@
+"""The command ``gva-mi view``: an avatar in the browser."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from pathlib import Path
+
+import torch
+from tyro.conf import Positional
+
+from gva_mi.avatar.avatar import Avatar, digest
+from gva_mi.body.pose import JOINTS, Pose
+from gva_mi.body.puppet import EXPRESSIONS
+from gva_mi.body.smplx import load_body
+from gva_mi.commands.driving import motion_of
+from gva_mi.console import say
+from gva_mi.data.video import Video, load_video
+from gva_mi.errors import InputError
+from gva_mi.fit.run_folder import TRAINED_POSES, load_avatar, other_parts
+from gva_mi.threads import one_torch_thread
+from gva_mi.viewer.controls import Controls, Offers
+from gva_mi.viewer.drawing import Drawing
+from gva_mi.viewer.eyes import start
+from gva_mi.viewer.server import address, close_server, open_server, pages, when_moved
+from gva_mi.viewer.session import Session, Stage
+
+
+def view(
+    run: Positional[Path],
+    *,
+    poses: Path | None = None,
+    subject: Path | None = None,
+    out: Path = Path("view"),
+    body: Path | None = None,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+) -> None:
+    """Turn, pose and play an avatar in the browser, until Ctrl-C.
+
+    Args:
+        run: the folder of a finished fit, or an avatar.npz.
+        poses: SMPL-X's names, each (T, ...); without it the poses trained with the avatar.
+        subject: the folder of the video that these poses are of, to be shown beside.
+        out: folder for snapshots and cameras; what is there is never replaced.
+        body: the body file of an avatar that was exported without its body; without it the puppet.
+        host: who is served: this machine alone, or with 0.0.0.0 whoever reaches it.
+        port: of the page; 0: any that is free.
+    """
+    avatar = load_avatar(run, body)
+    motion, _ = motion_of(run, avatar, poses)
+    video = None if subject is None else _video_of(run, subject, poses)
+    if out.exists() and not out.is_dir():
+        raise InputError(f"{out}: is a file; expected a folder for snapshots and cameras")
+    begin = start(avatar.rig, motion)
+    title = f"{run.name}: {len(avatar.canonical):,} Gaussians"
+    server = open_server(host, port, begin, title)
+    try:
+        changed = threading.Event()
+        when_moved(server, changed.set)
+        controls = Controls(server.gui, _offers(avatar, motion, video), changed.set)
+        stage = Stage(len(motion), begin.up, video.cameras if video else [], out)
+        session = Session(Drawing(avatar, motion, video), controls, stage)
+        say(f"{address(server)}: open it in a browser; Ctrl-C ends it")
+        sys.stdout.flush()  # for whoever reads the address from a pipe
+        with one_torch_thread():
+            while True:
+                changed.clear()
+                seconds = session.step(pages(server), time.monotonic())
+                changed.wait(seconds)
+    except KeyboardInterrupt:
+        pass
+    finally:
+        close_server(server)
+
+
+def _video_of(run: Path, subject: Path, poses: Path | None) -> Video:
+    """The video whose poses are shown; without ``--poses`` the one that the run was fitted to."""
+    video = load_video(subject, poses or run / TRAINED_POSES, "none")
+    others = set(other_parts(run, video)) & {"frames", "cameras"}
+    if poses is None and others:
+        raise InputError(
+            f"{run}: was fitted to another video than {subject}, which has other "
+            f"{' and '.join(sorted(others))}; give that one, or --poses of this one"
+        )
+    return video
+
+
+def _offers(avatar: Avatar, motion: Pose, video: Video | None) -> Offers:
+    """What the avatar, its motion and its video let one choose."""
+    every = Pose(torch.ones(1, len(JOINTS), 3), torch.zeros(1, 3), torch.zeros(1, 0))
+    followed = avatar.followed(every).any(2)[0].tolist()
+    count = avatar.rig.expression_joints.shape[2]
+    of_puppet = count == len(EXPRESSIONS) and avatar.rig.body == digest(load_body())
+    return Offers(
+        frames=len(motion),
+        joints=[name for name, follows in zip(JOINTS, followed, strict=True) if follows],
+        expression=EXPRESSIONS if of_puppet else [f"expression {k + 1}" for k in range(count)],
+        video=video is not None,
+    )

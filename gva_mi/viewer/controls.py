@@ -1,0 +1,186 @@
+"""The panel: sliders, switches and buttons of viser, and the state that they say.
+
+All browsers share it. viser's threads keep the values; they are read, and written back while a
+motion plays or another joint is chosen, by the one thread that draws. Buttons are noted down.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from queue import Empty, SimpleQueue
+from typing import TYPE_CHECKING, Any, get_args
+
+from gva_mi.body.pose import JOINTS
+from gva_mi.viewer.session import Action, Click
+from gva_mi.viewer.state import Angles, Mode, Playback, SeenFrom, State
+
+if TYPE_CHECKING:
+    import viser
+
+FPS = 30  # frames a second, as films are exported
+FASTEST = 60
+WIDEST = 3.0  # expression coefficients, standard deviations
+ZERO: Angles = (0.0, 0.0, 0.0)
+RESETS = ("reset joint", "reset all joints", "reset expression")
+
+
+@dataclass(frozen=True)
+class Offers:
+    """What an avatar, its motion and its video let one choose."""
+
+    frames: int
+    joints: Sequence[str]  # some of JOINTS
+    expression: Sequence[str]  # what each coefficient does
+    video: bool  # whether there is one
+
+
+class Controls:
+    """The panel of a server.
+
+    Attributes:
+        playing: whether the motion plays.
+    """
+
+    def __init__(self, gui: viser.GuiApi, offers: Offers, changed: Callable[[], None]) -> None:
+        """Build the panel.
+
+        Args:
+            gui: where.
+            offers: what can be chosen.
+            changed: called, in any thread, when something was.
+        """
+        self._gui, self._offers, self._changed = gui, offers, changed
+        self._clicked: SimpleQueue[tuple[str, int]] = SimpleQueue()
+        self._turned: dict[str, Angles] = {}
+        self._joint = offers.joints[0]
+        self._playback = Playback()
+        self.playing = False
+        self._mode = self._watched(gui.add_dropdown("show", get_args(Mode)))
+        self._background = self._watched(gui.add_rgb("background", (255, 255, 255)))
+        with gui.add_folder("Motion"):
+            self._add_motion()
+        with gui.add_folder("Joints"):
+            self._add_joints()
+        with gui.add_folder("Expression", expand_by_default=False):
+            self._expression = [
+                self._watched(gui.add_slider(name, -WIDEST, WIDEST, 0.1, 0.0))
+                for name in offers.expression
+            ]
+            self._add_button("reset expression", "Reset expression")
+        with gui.add_folder("Camera"):
+            self._add_camera()
+
+    def _add_motion(self) -> None:
+        gui, last = self._gui, self._offers.frames - 1
+        self._play = self._watched(gui.add_checkbox("play", False, disabled=last == 0))
+        self._frame = self._watched(gui.add_slider("frame", 0, last, 1, 0))
+        self._fps = self._watched(gui.add_slider("frames a second", 1, FASTEST, 1, FPS))
+
+    def _add_joints(self) -> None:
+        gui = self._gui
+        self._chosen = self._watched(gui.add_dropdown("joint", tuple(self._offers.joints)))
+        about = "degrees about this axis of the joint, added to the motion's rotation"
+        self._angles = [
+            self._watched(gui.add_slider(axis, -180.0, 180.0, 1.0, 0.0, hint=about))
+            for axis in "xyz"
+        ]
+        self._add_button("reset joint", "Reset joint")
+        self._add_button("reset all joints", "Reset all joints")
+
+    def _add_camera(self) -> None:
+        gui, video = self._gui, self._offers.video
+        places = tuple(x for x in get_args(SeenFrom) if video or x != "video")
+        self._seen_from = self._watched(
+            gui.add_dropdown(
+                "seen from",
+                places,
+                initial_value="video" if video else "browser",
+                hint="browser: turn, zoom and move by the mouse",
+            )
+        )
+        self._beside = self._watched(gui.add_checkbox("beside the video", video, visible=video))
+        self._see_through = self._watched(
+            gui.add_checkbox("see-through", False, hint="snapshots are RGBA, of the avatar alone")
+        )
+        self._add_button("snapshot", "Snapshot to PNG")
+        self._add_button("add keyframe", "Add keyframe")
+        self._add_button("remove keyframe", "Remove last keyframe")
+        self._save = self._add_button("save cameras", "Save cameras.npz")
+
+    def state(self, now: float) -> State:
+        """What is to be shown at a time, seconds; while the motion plays, its slider follows."""
+        last = self._offers.frames - 1
+        frame = min(max(self._frame.value, 0), last)
+        self.playing = self._play.value and last > 0
+        if self.playing:
+            frame = self._playback.advance(frame, now, self._fps.value, last + 1)
+            self._frame.value = frame
+        else:
+            self._playback.stop()
+        self._read_joint()
+        turned = ((JOINTS.index(joint), angles) for joint, angles in self._turned.items())
+        expression = tuple(slider.value for slider in self._expression)
+        return State(
+            frame=frame,
+            mode=self._mode.value,
+            turned=tuple(sorted(turned)),
+            joint=JOINTS.index(self._joint),
+            expression=expression if any(expression) else (),
+            background=tuple(self._background.value),
+            seen_from=self._seen_from.value,
+            beside=self._beside.value,
+            see_through=self._see_through.value,
+        )
+
+    def clicks(self) -> Iterator[Click]:
+        """The buttons pressed since the last call; those that move sliders are done here."""
+        while True:
+            try:
+                action, browser = self._clicked.get_nowait()
+            except Empty:
+                return
+            if action == "reset expression":
+                for slider in self._expression:
+                    slider.value = 0.0
+            elif action in RESETS:
+                if action == "reset all joints":
+                    self._turned.clear()
+                self._set_angles(ZERO)
+                self._read_joint()
+            else:
+                yield Click(action, browser)
+
+    def count_keyframes(self, count: int) -> None:
+        """Say how many keyframes there are."""
+        self._save.label = f"Save cameras.npz (keyframes: {count})"
+
+    def _read_joint(self) -> None:
+        """Keep what the sliders say; where another joint was chosen since, show its angles."""
+        chosen = self._chosen.value
+        angles = tuple(slider.value for slider in self._angles)
+        self._turned.pop(self._joint, None)
+        if any(angles):
+            self._turned[self._joint] = angles
+        if chosen != self._joint:
+            self._joint = chosen
+            self._set_angles(self._turned.get(chosen, ZERO))
+
+    def _set_angles(self, angles: Angles) -> None:
+        for slider, angle in zip(self._angles, angles, strict=True):
+            slider.value = angle
+
+    def _watched(self, handle: Any) -> Any:  # noqa: ANN401 (viser's inputs have no base)
+        """An input whose changes are told."""
+        handle.on_update(lambda _: self._changed())
+        return handle
+
+    def _add_button(self, action: Action | str, label: str) -> viser.GuiButtonHandle:
+        button = self._gui.add_button(label)
+
+        @button.on_click
+        def _(event: viser.GuiEvent) -> None:
+            self._clicked.put((action, event.client_id))
+            self._changed()
+
+        return button

@@ -1,0 +1,117 @@
+"""From a state and a camera to a picture: what a browser shows, and what a snapshot holds.
+
+Gaussians are drawn as ``gva-mi render`` draws them, to the bit. What does not change from picture
+to picture, the posed avatar above all, is kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from typing import Any
+
+import numpy as np
+import torch
+
+from gva_mi.avatar.avatar import Avatar
+from gva_mi.body.pose import Pose
+from gva_mi.data.video import Video
+from gva_mi.fit.renders import layer_of, over, to_8bit
+from gva_mi.splat import Camera, Gaussians
+from gva_mi.viewer.eyes import inscribed
+from gva_mi.viewer.skeleton import draw_skeleton
+from gva_mi.viewer.state import State, posed
+from gva_mi.viewer.surface import Surface, SurfaceDrawing, posed_surface
+
+FAINT = 0.25  # of the avatar behind its skeleton
+
+
+class Drawing:
+    """Draws one avatar, driven by one motion."""
+
+    def __init__(self, avatar: Avatar, motion: Pose, video: Video | None = None) -> None:
+        """Take what is to be drawn.
+
+        Args:
+            avatar: the avatar.
+            motion: T frames.
+            video: T frames to stand beside it.
+        """
+        self._avatar, self._motion, self._video = avatar, motion, video
+        self._rig = avatar.rig
+        self._surfaces: SurfaceDrawing | None = None  # made with Mitsuba, once it is asked for
+        self._kept: dict[str, tuple[Hashable, Any]] = {}
+
+    def picture(self, state: State, camera: Camera, fine: bool = True) -> np.ndarray:
+        """The avatar before the background, 8-bit (H, W, 3)."""
+        return flattened(self.layer(state, camera, fine), state.background)
+
+    def layer(self, state: State, camera: Camera, fine: bool = True) -> np.ndarray:
+        """The avatar alone: (H, W, 4) float32, colour times alpha, and alpha.
+
+        Args:
+            state: what is shown.
+            camera: the view.
+            fine: whether a mesh has all its triangles, and smooth edges.
+        """
+        if state.mode == "Gaussians":
+            return layer_of(self._gaussians(state), camera)
+        surface = self._surface(state)
+        if state.mode == "skeleton":
+            bones = draw_skeleton(surface.joints, self._rig.parents, camera, state.joint, fine)
+            layer = layer_of(self._gaussians(state), camera)
+            layer *= FAINT * (1 - bones[..., 3:])
+            layer += bones
+            return layer
+        if self._surfaces is None:
+            self._surfaces = SurfaceDrawing(self._rig)
+        draw = self._surfaces.normals if state.mode == "normals" else self._surfaces.shaded
+        return draw(surface, camera, fine)
+
+    def frame(self, state: State, width: int, height: int) -> np.ndarray:
+        """The frame of the video, in the middle of a picture, 8-bit (height, width, 3)."""
+        key = (state.frame, state.background, width, height)
+        return self._keep("frame", key, lambda: self._inscribed_frame(state, width, height))
+
+    def _inscribed_frame(self, state: State, width: int, height: int) -> np.ndarray:
+        from PIL import Image
+
+        image = to_8bit(self._video[state.frame].image)
+        size = inscribed(image.shape[1], image.shape[0], width, height)
+        canvas = np.full((height, width, 3), state.background, dtype=np.uint8)
+        left, top = (width - size[0]) // 2, (height - size[1]) // 2
+        canvas[top : top + size[1], left : left + size[0]] = Image.fromarray(image).resize(size)
+        return canvas
+
+    @torch.no_grad()
+    def _gaussians(self, state: State) -> Gaussians:
+        pose = lambda: posed(self._motion, state)
+        return self._keep("gaussians", _pose_key(state), lambda: self._avatar(pose()))
+
+    def _surface(self, state: State) -> Surface:
+        make = lambda: posed_surface(self._avatar, self._rig, posed(self._motion, state))
+        return self._keep("surface", _pose_key(state), make)
+
+    def _keep(self, name: str, key: Hashable, make: Callable[[], Any]) -> Any:  # noqa: ANN401
+        """The value made last, unless another one is asked for by now."""
+        if name not in self._kept or self._kept[name][0] != key:
+            self._kept[name] = key, make()
+        return self._kept[name][1]
+
+
+def flattened(layer: np.ndarray, background: tuple[int, int, int]) -> np.ndarray:
+    """A layer (H, W, 4) before an 8-bit colour, as :func:`over` has it: 8-bit (H, W, 3).
+
+    Most of a picture is background, and is not computed.
+    """
+    picture = np.full((*layer.shape[:2], 3), background, dtype=np.uint8)
+    there = layer[..., 3] > 0
+    rows, columns = (np.flatnonzero(there.any(axis)) for axis in (1, 0))
+    if len(rows):
+        part = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+        picture[part] = over(layer[part], np.array(background, dtype=np.float32) / 255)
+    return picture
+
+
+def _pose_key(state: State) -> Hashable:
+    """What of a state its pose depends on."""
+    return state.frame, state.turned, state.expression

@@ -1,0 +1,108 @@
+"""A browser's camera, where it begins, and how other cameras fit into its picture.
+
+Browsers orbit round a point that they look at, about an axis that stands still: the person's own
+upright, for a video does not say which way is up.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import roma
+import torch
+
+from gva_mi.avatar.avatar import Rig
+from gva_mi.body.pose import Pose
+from gva_mi.data.video import MOST_PIXELS
+from gva_mi.fit.camera_paths import CameraPath, shots
+from gva_mi.splat import Camera
+
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Eye:
+    """Where a browser looks from. Equal numbers are one view."""
+
+    position: Vector  # metres, world
+    look_at: Vector  # metres, world: what it orbits
+    wxyz: tuple[float, float, float, float]  # R_world_camera, OpenCV's axes
+    fov: float  # radians, over the height of the picture
+    width: int  # pixels
+    height: int  # pixels
+
+    def usable(self) -> bool:
+        """Whether there is a picture to be made: a browser that is hidden has no pixels."""
+        numbers = np.array([*self.position, *self.look_at, *self.wxyz, self.fov])
+        pixels = min(self.width, self.height) >= 2 and self.width * self.height <= MOST_PIXELS
+        unit = abs(np.linalg.norm(self.wxyz) - 1) < 1e-3
+        return bool(pixels and np.isfinite(numbers).all() and unit and 0 < self.fov < np.pi)
+
+    def camera(self) -> Camera:
+        """The same as a camera."""
+        w, *xyz = self.wxyz
+        quat = torch.tensor([*xyz, w], dtype=torch.float64)
+        R_world_camera = roma.unitquat_to_rotmat(quat / quat.norm()).numpy()
+        T_camera_world = np.eye(4)
+        T_camera_world[:3, :3] = R_world_camera.T
+        T_camera_world[:3, 3] = -R_world_camera.T @ np.array(self.position)
+        return lens(self.fov, self.width, self.height, T_camera_world)
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where browsers begin."""
+
+    position: np.ndarray  # (3,) metres
+    look_at: np.ndarray  # (3,) metres
+    up: np.ndarray  # (3,) unit: the axis of their orbits
+    fov: float  # radians
+
+
+def start(rig: Rig, motion: Pose) -> Start:
+    """Before the person, from where all of the motion is seen.
+
+    Args:
+        rig: the rest body.
+        motion: T frames.
+    """
+    view, level = (
+        shots(CameraPath("static", elevation=degrees), rig, motion[:])[0].camera
+        for degrees in (CameraPath.elevation, 0.0)
+    )
+    eye, ahead = view.position, view.T_camera_world[2, :3]
+    # The camera looks at the middle of the motion, which a level one sees straight ahead, too.
+    across = level.T_camera_world[2, :3]
+    A = np.stack([ahead, -across], axis=1)
+    depth = np.linalg.lstsq(A, level.position - eye, rcond=None)[0][0]
+    fov = 2 * np.arctan(view.height / (2 * view.fy))
+    return Start(eye, eye + depth * ahead, -level.T_camera_world[1, :3], float(fov))
+
+
+def lens(fov: float, width: int, height: int, T_camera_world: np.ndarray) -> Camera:
+    """A camera of some field of view over its height, radians."""
+    focal = height / (2 * np.tan(fov / 2))
+    return Camera(focal, focal, width / 2, height / 2, T_camera_world, width, height)
+
+
+def fitted(camera: Camera, width: int, height: int) -> Camera:
+    """A camera whose whole picture stands in the middle of a larger or smaller one.
+
+    What it adds at the sides is what the camera would have seen there.
+    """
+    inner = camera.resized(*inscribed(camera.width, camera.height, width, height))
+    left, top = (width - inner.width) // 2, (height - inner.height) // 2
+    return inner.cropped(-left, -top, width, height)
+
+
+def inscribed(width: int, height: int, in_width: int, in_height: int) -> tuple[int, int]:
+    """The size of a picture, scaled to fit into another."""
+    scale = min(in_width / width, in_height / height)
+    return max(1, round(width * scale)), max(1, round(height * scale))
+
+
+def coarser(camera: Camera, pixels: int) -> Camera:
+    """The same view with at most so many pixels."""
+    scale = min(1.0, (pixels / (camera.width * camera.height)) ** 0.5)
+    return camera.resized(max(1, int(camera.width * scale)), max(1, int(camera.height * scale)))

@@ -1,0 +1,115 @@
+"""The surface and the skeleton under an avatar's Gaussians, in one pose; and the surface drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gva_mi.avatar.avatar import Avatar, Rig, moved_by
+from gva_mi.body.pose import Pose
+from gva_mi.body.skinning import skin_points
+from gva_mi.mesh.mesh_scene import MeshScene
+from gva_mi.mesh.overlay import CLAY
+from gva_mi.pose.coarse_body import collapse
+from gva_mi.splat import Camera, exclusive
+
+COARSE_FACES = 5000  # while something moves
+NEAR = 0.05  # metres; of a surface that is nearer, or behind, the whole picture is drawn
+
+
+@dataclass(frozen=True)
+class Surface:
+    """The rig in one pose."""
+
+    vertices: Tensor  # (V, 3) float32, world, metres
+    joints: np.ndarray  # (55, 3) world, metres
+
+
+@torch.no_grad()
+def posed_surface(avatar: Avatar, rig: Rig, pose: Pose) -> Surface:
+    """The rig's surface and joints in a pose (of one frame), moved as the Gaussians are."""
+    driven = avatar.driven(pose)
+    vertices = rig.vertices + moved_by(driven.coefficients, rig.directions)
+    R, t = driven.T_world_rest[:, :3, :3], driven.T_world_rest[:, :3, 3]
+    joints = (R @ driven.joints.unsqueeze(-1)).squeeze(-1) + t
+    skinned = skin_points(vertices, rig.weights, driven.T_world_rest)
+    return Surface(skinned.float(), joints.double().numpy())
+
+
+class SurfaceDrawing:
+    """Draws one surface, in any pose and from anywhere.
+
+    For each pose Mitsuba builds the tree of its ray tracer anew, which takes most of the time:
+    while something moves, some of the triangles stand for all. A camera that moves costs less.
+    """
+
+    def __init__(self, rig: Rig) -> None:
+        vertices, every = rig.vertices.float(), torch.arange(len(rig.vertices))
+        self._fine = _Mesh(MeshScene(rig.faces, vertices), every)
+        self._coarse = self._fine
+        if len(rig.faces) > COARSE_FACES:
+            kept, faces = collapse(vertices, rig.faces, COARSE_FACES)
+            self._coarse = _Mesh(MeshScene(faces, vertices[kept]), kept)
+
+    def normals(self, surface: Surface, camera: Camera, fine: bool) -> np.ndarray:
+        """Camera-space normals, OpenCV's axes, as colours: ``(n + 1) / 2``; a layer (H, W, 4)."""
+        return self._layer(lambda n: (n + 1) / 2, surface, camera, fine)
+
+    def shaded(self, surface: Surface, camera: Camera, fine: bool) -> np.ndarray:
+        """Clay, lit by a lamp on the camera; a layer (H, W, 4)."""
+        light = lambda n: 0.2 + 0.75 * np.clip(-n[..., 2:], 0, 1)
+        return self._layer(lambda n: light(n) * np.float32(CLAY), surface, camera, fine)
+
+    def _layer(
+        self,
+        color: Callable[[np.ndarray], np.ndarray],
+        surface: Surface,
+        camera: Camera,
+        fine: bool,
+    ) -> np.ndarray:
+        """(H, W, 4) float32, colour times alpha, and alpha; ``color`` of normals (h, w, 3)."""
+        layer = np.zeros((camera.height, camera.width, 4), dtype=np.float32)
+        left, top, right, bottom = _box(surface, camera)
+        if left >= right or top >= bottom:
+            return layer
+        part = camera.cropped(left, top, right - left, bottom - top)
+        mesh = self._fine if fine else self._coarse
+        if fine:
+            part = part.resized(2 * part.width, 2 * part.height)
+        seen = mesh.seen(surface, part)
+        seen[..., :3] = color(seen[..., :3]) * seen[..., 3:]
+        if fine:
+            seen = (seen[::2, ::2] + seen[1::2, ::2] + seen[::2, 1::2] + seen[1::2, 1::2]) / 4
+        layer[top:bottom, left:right] = seen
+        return layer
+
+
+class _Mesh:
+    """A scene with some of the vertices."""
+
+    def __init__(self, scene: MeshScene, kept: Tensor) -> None:
+        self._scene, self._kept = scene, kept
+        self._of, self._vertices = kept, kept  # of no surface yet
+
+    def seen(self, surface: Surface, camera: Camera) -> np.ndarray:
+        """Normals and mask, (H, W, 4) float32."""
+        if self._of is not surface.vertices:  # the scene knows the same tensor again
+            self._of, self._vertices = surface.vertices, surface.vertices[self._kept]
+        with exclusive:
+            return np.array(self._scene.view(self._vertices, camera).image(), dtype=np.float32)
+
+
+def _box(surface: Surface, camera: Camera) -> tuple[int, int, int, int]:
+    """Left, top, right and bottom of the pixels that a surface may touch."""
+    points = surface.vertices.double().numpy()
+    ahead = points @ camera.T_camera_world[2, :3] + camera.T_camera_world[2, 3]
+    if ahead.min() < NEAR:
+        return 0, 0, camera.width, camera.height
+    at = camera.project(points)
+    low = np.clip(np.floor(at.min(0)) - 1, 0, (camera.width, camera.height)).astype(int)
+    high = np.clip(np.ceil(at.max(0)) + 1, 0, (camera.width, camera.height)).astype(int)
+    return *low.tolist(), *high.tolist()

@@ -1,0 +1,60 @@
+"""Where browsers look from, and cameras that fit into their pictures."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gva_mi.fit.camera_paths import CameraPath, shots
+from gva_mi.viewer.eyes import coarser, fitted
+
+
+def test_browsers_begin_at_the_usual_camera_and_orbit_the_person(known, motion, place, looking):
+    usual = shots(CameraPath("static"), known.rig, motion)[0].camera
+    camera = looking(place.position, usual.width, usual.height).camera()
+    assert np.allclose(camera.T_camera_world, usual.T_camera_world, atol=1e-6)
+    assert np.allclose(camera.K, usual.K)
+    centre = known.rig.vertices.numpy()
+    low, high = centre.min(0), centre.max(0)
+    assert (place.look_at > low).all() and (place.look_at < high).all()
+    assert np.allclose(usual.project(place.look_at), (usual.cx, usual.cy), atol=1e-4)
+
+
+def test_the_field_of_view_is_that_of_the_height(place, eye):
+    wide = replace(eye, width=4 * eye.width).camera()
+    at = place.look_at + 0.1 * place.up
+    assert np.allclose(wide.project(at)[1], eye.camera().project(at)[1])
+    top = np.linalg.inv(wide.T_camera_world) @ (0, -np.tan(eye.fov / 2), 1, 1)
+    assert abs(wide.project(top[:3])[1]) < 1e-6
+
+
+@pytest.mark.parametrize("size", [(100, 48), (48, 100), (33, 17), (48, 48)])
+def test_a_fitted_camera_shows_the_whole_picture_in_the_middle(camera, size):
+    found = fitted(camera, *size)
+    assert (found.width, found.height) == size
+    scale = min(size) / 48
+    points = np.random.default_rng(0).normal(size=(9, 3))
+    moved = (camera.project(points) - 24) * scale + (size[0] // 2, size[1] // 2)
+    assert np.abs(found.project(points) - moved).max() < 1.01
+
+
+def test_a_coarser_camera_sees_the_same(camera):
+    found = coarser(camera, 600)
+    assert 500 < found.width * found.height <= 600
+    points = np.random.default_rng(0).normal(size=(9, 3))
+    assert np.allclose(found.project(points) / found.width, camera.project(points) / 48)
+    assert coarser(camera, 10**6) == camera
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"width": 0},
+        {"width": 10**6, "height": 10**6},
+        {"position": (0.0, float("nan"), 0.0)},
+        {"wxyz": (0.0, 0.0, 0.0, 0.0)},
+        {"fov": 0.0},
+    ],
+)
+def test_what_no_browser_sees_is_not_drawn(eye, wrong):
+    assert eye.usable() and not replace(eye, **wrong).usable()

@@ -1,0 +1,45 @@
+"""A film passes its views, keeps its distance to what it looks at, and turns the short way."""
+
+import numpy as np
+
+from gva_mi.viewer.keyframes import film
+
+
+def around(place, looking, degrees, rise=0.0, distance=3.0):
+    """A view from beside the person."""
+    side = np.cross(place.up, [0, 0, 1.0])
+    side /= np.linalg.norm(side)
+    ahead = np.cross(side, place.up)
+    a, e = np.radians([degrees, rise])
+    away = np.cos(e) * (np.sin(a) * side + np.cos(a) * ahead) + np.sin(e) * place.up
+    return looking(place.look_at + distance * away)
+
+
+def test_it_begins_ends_and_passes_where_views_were(place, looking):
+    views = [around(place, looking, *x) for x in ((0, 0), (60, 20, 2), (150, 80), (170, -30, 5))]
+    cameras = film(views, place.up, 13, 80, 64)
+    for view, camera in zip(views, cameras[::4], strict=True):
+        assert np.allclose(camera.T_camera_world, view.camera().T_camera_world, atol=1e-6)
+        assert np.allclose(camera.K, view.camera().K)
+
+
+def test_it_keeps_its_distance_and_stays_between(place, looking):
+    cameras = film([around(place, looking, x) for x in (170, -170, -100)], place.up, 21, 80, 64)
+    away = np.stack([camera.position for camera in cameras]) - place.look_at
+    assert np.allclose(np.linalg.norm(away, axis=1), 3)
+    assert np.allclose(away @ place.up, 0, atol=1e-6)
+    steps = np.linalg.norm(np.diff(away, axis=0), axis=1)
+    assert steps.sum() < 3 * np.radians(90) + 1e-6  # 20 degrees and 70, not 340
+    middles = [camera.project(place.look_at) for camera in cameras]
+    assert np.allclose(middles, (40, 32), atol=1e-4)
+
+
+def test_of_one_view_there_is_one_camera(place, looking):
+    (camera,) = film([around(place, looking, 30)], place.up, 50, 80, 64)
+    assert (camera.width, camera.height) == (80, 64)
+
+
+def test_a_view_from_straight_above_is_passed(place, looking):
+    views = [around(place, looking, 0, 0), around(place, looking, 0, 89.99)]
+    for camera in film(views, place.up, 5, 80, 64):
+        assert np.isfinite(camera.T_camera_world).all()

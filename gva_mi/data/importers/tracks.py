@@ -29,10 +29,15 @@ class Track:
 
     def sorted(self) -> Track:
         """The same with ascending frames, each once."""
-        frames, first = np.unique(self.frames, return_index=True)
-        betas = None if self.betas is None else self.betas[first]
-        arrays = {name: getattr(self, name)[first] for name in ("rotations", "transl", "K")}
-        return replace(self, frames=frames, betas=betas, **arrays)
+        return self.where(np.unique(self.frames, return_index=True)[1])
+
+    def where(self, rows: np.ndarray) -> Track:
+        """Some of its rows: a mask (n,), or their numbers."""
+        betas = None if self.betas is None else self.betas[rows]
+        arrays = {
+            name: getattr(self, name)[rows] for name in ("frames", "rotations", "transl", "K")
+        }
+        return replace(self, betas=betas, **arrays)
 
 
 def choose(where: str, tracks: Sequence[Track], person: str | None) -> tuple[Track, list[str]]:

@@ -4,41 +4,17 @@ import json
 import pickle
 
 import numpy as np
-import pytest
 import roma
 import torch
 
 from gva_mi.body.puppet import PUPPET
 from gva_mi.body.smplx import load_body
 from gva_mi.data.importers.footage import masks, pictures
-from gva_mi.data.pictures import write_image, write_movie
+from gva_mi.data.pictures import write_movie
 from gva_mi.data.video import load_video
 
 WIDTH, HEIGHT, FRAMES = 64, 48, 5
 CENTRE = (WIDTH / 2, HEIGHT / 2)
-
-
-@pytest.fixture
-def seen(walk):
-    """A person before the camera, in its axes: upright there is half a turn about x."""
-    rotations, _ = walk(FRAMES)
-    upright = torch.tensor([np.pi, 0.0, 0.0], dtype=torch.float64)
-    root = torch.from_numpy(rotations[:, 0])
-    rotations[:, 0] = roma.rotvec_composition([upright.expand_as(root), root]).numpy()
-    return rotations, np.tile([0.1, -0.3, 4.0], (FRAMES, 1))
-
-
-@pytest.fixture
-def footage(tmp_path):
-    """Pictures as a folder numbered by people, and masks as an array."""
-    random = np.random.default_rng(0)
-    for k in range(FRAMES):
-        image = random.integers(0, 255, (HEIGHT, WIDTH, 3), dtype=np.uint8)
-        write_image(tmp_path / f"shots/frame_{k + 8}.png", image)
-    mask = np.zeros((FRAMES, HEIGHT, WIDTH), bool)
-    mask[:, 10:40, 20:40] = True
-    np.save(tmp_path / "masks.npy", mask)
-    return ["--frames", tmp_path / "shots", "--masks", tmp_path / "masks.npy"]
 
 
 def matrices(rotations):

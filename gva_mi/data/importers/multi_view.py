@@ -107,7 +107,7 @@ def read_easymocap(where: str, folder: Path, camera: str | None) -> Recording:
         frame = _json(path)
         for person in frame["annots"] if isinstance(frame, dict) else frame:
             people.setdefault(str(person.get("id", 0)), []).append((last_number(path), person))
-    images = _pictures(folder / "images" / name)
+    images = _pictures(folder / "images" / _inside(folder, name))
     places = {last_number(path): k for k, path in enumerate(images)}
     turn = torch.from_numpy(np.ravel(outer[f"R_{name}"])) if f"Rot_{name}" not in outer else None
     R = outer[f"Rot_{name}"] if turn is None else roma.rotvec_to_rotmat(turn).numpy()

@@ -55,8 +55,8 @@ def rescaled(where: str, K: np.ndarray, of: Sequence[float], size: tuple[int, in
     Raises:
         InputError: the pictures are of another shape.
     """
-    factors = np.array(size, np.float64) / np.asarray(of, np.float64)
-    if not np.isfinite(factors).all() or abs(factors[0] / factors[1] - 1) > _SAME_SHAPE:
+    factors = np.array(size, np.float64) / np.maximum(of, 1e-9)
+    if not abs(factors[0] / factors[1] - 1) <= _SAME_SHAPE or min(of) < 1:
         raise InputError(
             f"{where}: its camera is of pictures of {of[0]:g}x{of[1]:g}, but the video has "
             f"{size[0]}x{size[1]}; expected the same shape"

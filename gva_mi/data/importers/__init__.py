@@ -1,6 +1,6 @@
 """Files of other programs, as poses of this one.
 
-==================== ===============================================================
+===================  ===============================================================
 ``fields``           joints under everybody's names and shapes, as 55 rotations
 ``timeline``         frames that are missing, frame rates: rotations between rotations
 ``world``            which way is up, and turning that upright
@@ -16,7 +16,8 @@
 ``lenses``           pictures without their lens's distortion
 ``people_snapshot``  People-Snapshot, and InstantAvatar's form of it
 ``multi_view``       ZJU-MoCap, EasyMocap, AvatarReX
+``neuman``           NeuMan's walks past a moving camera
 ``datasets``         which of these a folder is
 ``prepare``          all of that as a folder that every step reads
-==================== ===============================================================
+===================  ===============================================================
 """

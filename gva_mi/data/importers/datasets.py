@@ -1,6 +1,6 @@
 """Data sets that come with their own pictures and masks; each is told by its files.
 
-``people_snapshot`` and ``multi_view`` hold the readers, and what each expects.
+``people_snapshot``, ``multi_view`` and ``neuman`` hold the readers, and what each expects.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from gva_mi.data.importers import multi_view, people_snapshot
+from gva_mi.data.importers import multi_view, neuman, people_snapshot
 from gva_mi.data.importers.estimators import told
 from gva_mi.data.importers.recordings import Recording
 from gva_mi.errors import InputError
@@ -54,5 +54,9 @@ DATASETS: dict[str, tuple[Callable[[Path], bool], Reader, str]] = {
     "avatarrex": (
         multi_view.is_avatarrex, multi_view.read_avatarrex,
         "calibration_full.json, smpl_params.npz and a folder a camera",
+    ),
+    "neuman": (
+        neuman.is_neuman, neuman.read_neuman,
+        "images/, segmentations/, sparse/, alignments.npy and smpl_output_romp.pkl",
     ),
 }  # fmt: skip

@@ -89,8 +89,9 @@ def prepare_folder(
     if recording.loose and (track.frames >= count).any():
         notes.append(f"{len(track.frames)} poses, but {count} pictures with masks")
         track = track.where(track.frames < count)
-    if source.ranges is not None:
-        write_json(out / "splits.json", vars(read_ranges(source.ranges, count)))
+    splits = read_ranges(source.ranges, count) if source.ranges else recording.splits
+    if splits is not None:
+        write_json(out / "splits.json", vars(splits))
     track, inside, more = every_frame(where, track, count)
     for k in np.flatnonzero(~inside):  # without a mask, a frame belongs to no split
         (out / "masks" / f"{k:06d}.png").unlink(missing_ok=True)
@@ -169,6 +170,7 @@ def _write_pictures(
                     f"{size[0]}x{size[1]}"
                 )
         mask = (mask > 0) * np.uint8(255) if recording.labels else mask
+        mask = 255 - mask if recording.around else mask
         write_image(out / "frames" / f"{count:06d}.png", straight(image))
         write_image(out / "masks" / f"{count:06d}.png", straight(mask))
         count += 1

@@ -27,6 +27,8 @@ class Recording:
     masks: Pictures | None  # None: the source has none
     distortion: np.ndarray | None = None  # (k1, k2, p1, p2, k3) of the lens; None: a pinhole
     labels: bool = False  # masks number parts of the person: whatever is not zero is inside
+    around: bool = False  # masks are 255 around the person, and zero inside
+    splits: Splits | None = None  # of the data set's own protocol
     loose: bool = False  # pictures, masks and poses may be of different number; the fewest count
     note: str = ""  # what to say about it
 

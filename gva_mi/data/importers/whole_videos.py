@@ -132,6 +132,8 @@ def read_glamr(where: str, found: dict, view: View) -> list[Track]:
     for name, person in found["person_data"].items():
         at = f"{where}: person {name}"
         frames = np.flatnonzero(np.ravel(person["exist_frames"]))
+        if not len(frames):
+            continue
         some = lambda key, person=person, frames=frames: np.asarray(person[key])[frames]
         moved = "smpl_orient_cam_in_world" in person
         root, pelvis = (

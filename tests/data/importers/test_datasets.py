@@ -330,3 +330,41 @@ def test_what_is_no_data_set_needs_pictures(tmp_path, cli):
     assert code == 2 and "brings no frames of its own; give --frames" in err
     code, _, err = cli("prepare", "zju", tmp_path / "x", tmp_path / "s")
     assert code == 2 and "not of the kind zju; expected a folder with annots.npy" in err
+
+
+def test_neuman(tmp_path, seen, thetas, world, prepared, stands, cli):
+    """A body that its alignment scales is seen as one that is nearer, and is not scaled."""
+    source, names = tmp_path / "bike", [f"{k:05d}.png" for k in range(FRAMES)]
+    rotations, places = seen
+    scale = np.array([1.0, 1.5, 2.0, 0.5, 1.25])
+    quat = roma.rotmat_to_unitquat(torch.from_numpy(matrices(TURN))).numpy()[[3, 0, 1, 2]]
+    images, alignments = ["# Image list", "#   IMAGE_ID, QW, ..."], {}
+    for k, (name, shot) in enumerate(zip(names, shots(), strict=True)):
+        write_image(source / "images" / name, shot)
+        write_image(source / "segmentations" / name, 255 - MASK)
+        # The body stands at the origin; the alignment turns nothing, and the root has its turn.
+        transf = np.zeros((4, 3))
+        transf[:3] = scale[k] * np.eye(3)
+        camera = scale[k] * (places[k] - matrices(TURN) @ SMPL) - MOVE  # x_c = R x + MOVE
+        transf[3] = matrices(TURN).T @ camera
+        alignments[name] = transf
+        numbers = " ".join(f"{x:.12f}" for x in (*quat, *MOVE))
+        images += [f"{FRAMES - k} {numbers} 1 {name}", "1.0 2.0 -1"]
+    (source / "sparse").mkdir()
+    (source / "sparse/images.txt").write_text("\n".join(images))
+    lens = f"1 PINHOLE {WIDTH} {HEIGHT} {K[0, 0]} {K[1, 1]} {K[0, 2]} {K[1, 2]}"
+    (source / "sparse/cameras.txt").write_text(f"# Camera list\n{lens}\n")
+    np.save(source / "alignments.npy", alignments)
+    for name, poses in (("romp", 0 * thetas), ("optimized", list(thetas[:, None]))):
+        found = {1: {"pose": poses, "betas": np.zeros((FRAMES, 10))}}
+        (source / f"smpl_output_{name}.pkl").write_bytes(pickle.dumps(found))
+    (source / "train_split.txt").write_text("00000.png\n00001.png\n00004.png\n")
+    (source / "test_split.txt").write_text("00002.png\n")
+    folder, said = prepared(source)
+    assert "neuman, SMPL" in said
+    video = stands(folder, rotations, places, K)
+    assert np.array_equal(video[2].mask > 0.5, MASK > 0)
+    assert (video.splits.train, video.splits.test) == ([0, 1, 4], [2])
+    (source / "sparse/cameras.txt").write_text(lens.replace("PINHOLE", "FOV"))
+    code, _, err = cli("prepare", "auto", source, tmp_path / "b")
+    assert code == 2 and "a lens FOV; expected one of PINHOLE" in err

@@ -169,8 +169,6 @@ def _write_pictures(
                     f"{path}: {what} {count} is {found.shape[1]}x{found.shape[0]}, expected "
                     f"{size[0]}x{size[1]}"
                 )
-        mask = (mask > 0) * np.uint8(255) if recording.labels else mask
-        mask = 255 - mask if recording.around else mask
         write_image(out / "frames" / f"{count:06d}.png", straight(image))
         write_image(out / "masks" / f"{count:06d}.png", straight(mask))
         count += 1
@@ -181,7 +179,7 @@ def _write_pictures(
 
 def _pairs(recording: Recording) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Each picture with its mask."""
-    images, cut_outs = pictures(recording.frames, 3), masks(recording.masks)
+    images, cut_outs = pictures(recording.frames, 3), _masks(recording)
     where = _name(recording.masks)
     for count, image in enumerate(images):
         mask = next(cut_outs, None)
@@ -192,6 +190,13 @@ def _pairs(recording: Recording) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         yield image, mask
     if next(cut_outs, None) is not None and not recording.loose:
         raise InputError(f"{where}: holds more masks than there are pictures")
+
+
+def _masks(recording: Recording) -> Iterator[np.ndarray]:
+    """The masks, 255 inside the person, whatever the data set means by its numbers."""
+    for mask in masks(recording.masks):
+        mask = (mask > 0) * np.uint8(255) if recording.labels else mask
+        yield 255 - mask if recording.around else mask
 
 
 def _name(source: Pictures) -> Path:

@@ -21,8 +21,11 @@ import torch
 from gva_mi.body.pose import LEFT_HAND, Pose, Shape, save_poses
 from gva_mi.body.smplx import BodyModel
 from gva_mi.console import Progress
+from gva_mi.data.fingerprint import PREPARED, fingerprint
 from gva_mi.data.importers.estimators import read_estimator
 from gva_mi.data.importers.footage import masks, pictures
+from gva_mi.data.importers.in_masks import joints_in_masks
+from gva_mi.data.importers.target import Target
 from gva_mi.data.importers.tracks import Track, choose, every_frame, one_shape
 from gva_mi.data.importers.world import upright
 from gva_mi.data.pictures import write_image
@@ -31,7 +34,7 @@ from gva_mi.errors import InputError
 from gva_mi.files import versions, write_json
 from gva_mi.splat import Camera
 
-MARKER = "prepare.json"  # every folder that was prepared here holds it
+MARKER = PREPARED  # every folder that was prepared here holds it
 # The pelvis of the neutral mean person at rest, metres: what the public models regress.
 PELVIS = {
     "SMPL": (-0.0018, -0.2233, 0.0282), "SMPL+H": (-0.0018, -0.2233, 0.0282),
@@ -48,16 +51,14 @@ class Source:
     estimate: Path  # its file or folder
     frames: Path  # a film, or a folder of pictures
     masks: Path  # a film, a folder of pictures, or a .npy
-    person: str | None = None  # the estimator's name of them; without it, who is seen longest
+    person: str | None = None  # the estimator's name of them; without it, who is in the masks
     first: int = 0  # the number that the estimator gave the first frame
 
 
 def prepare_folder(
     out: Path,
     source: Source,
-    body: BodyModel,
-    mean_hands: np.ndarray,
-    own_betas: bool,
+    body: Target,
     progress: Progress | None = None,
 ) -> list[str]:
     """Write a subject's folder.
@@ -66,8 +67,6 @@ def prepare_folder(
         out: an empty folder.
         source: what is read.
         body: whom the poses are for.
-        mean_hands: (30, 3) the body's mean hands, left before right, relative to flat ones.
-        own_betas: whether ``body`` is SMPL-X, whose betas an estimator of SMPL-X gives.
         progress: told how many pictures are written.
 
     Returns:
@@ -79,7 +78,10 @@ def prepare_folder(
     where = str(source.estimate)
     size = next(pictures(source.frames, 3)).shape[1::-1]
     kind, tracks = read_estimator(source.kind, source.estimate, size)
-    track, notes = choose(where, tracks, source.person)
+    rest = body.model.rest(Shape(torch.zeros(0))).joints.double().numpy()
+    there = [np.array(PELVIS[track.form]) for track in tracks]
+    votes = lambda: joints_in_masks(tracks, masks(source.masks), source.first, rest, there)
+    track, notes = choose(where, tracks, source.person, votes)
     last = int(track.frames.max()) - source.first + 1
     count = _write_pictures(out, source, size, progress, last)
     track = replace(track, frames=track.frames - source.first)
@@ -88,18 +90,20 @@ def prepare_folder(
         (out / "masks" / f"{k:06d}.png").unlink(missing_ok=True)
     betas, varied = one_shape(track)
     notes = [f"{kind}, {track.form}, {count} frames of {size[0]}x{size[1]}", *notes, *more, *varied]
-    if not (own_betas and track.form == "SMPL-X"):
+    if not body.keeps_betas(track.form):
         betas = np.zeros(10)
         notes.append(f"betas of {track.form} do not carry over to this body; they are zero")
     if track.from_mean_hand:
-        track.rotations[:, LEFT_HAND.start :] += mean_hands
+        track.rotations[:, LEFT_HAND.start :] += body.mean_hands
     if not track.has_hands:
         notes.append("the source has no hands; they are flat")
     shape = Shape(torch.from_numpy(betas.astype(np.float32)))
-    save_poses(out / POSES, _pose(track, body, shape), shape, stage=1)
+    save_poses(out / POSES, _pose(track, body.model, shape), shape, stage=1)
     cameras = [Camera.from_matrices(K, _T_CAMERA_WORLD, *size) for K in track.K]
     save_cameras(out / "cameras.npz", cameras)
-    about = {"kind": kind, "person": track.person, "body": track.form, "notes": notes}
+    notes.append(body.takes_over(track.form))
+    about = {"kind": kind, "person": track.person, "form": track.form, "notes": notes}
+    about["body"] = {"name": body.name} | fingerprint(body.model)
     write_json(out / MARKER, about | {"source": vars(source), "versions": versions()})
     return notes
 

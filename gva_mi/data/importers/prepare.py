@@ -21,12 +21,15 @@ import torch
 from gva_mi.body.pose import LEFT_HAND, Pose, Shape, save_poses
 from gva_mi.body.smplx import BodyModel
 from gva_mi.console import Progress
+from gva_mi.data.fingerprint import PREPARED, fingerprint
 from gva_mi.data.importers.datasets import DATASETS, dataset_of, read_dataset
 from gva_mi.data.importers.estimators import read_estimator
 from gva_mi.data.importers.footage import masks, pictures
+from gva_mi.data.importers.in_masks import joints_in_masks
 from gva_mi.data.importers.lenses import pinhole
 from gva_mi.data.importers.readings import PELVIS, View
 from gva_mi.data.importers.recordings import Pictures, Recording, read_ranges
+from gva_mi.data.importers.target import Target
 from gva_mi.data.importers.tracks import Track, choose, every_frame, one_shape
 from gva_mi.data.importers.world import upright
 from gva_mi.data.pictures import write_image
@@ -35,7 +38,7 @@ from gva_mi.errors import InputError
 from gva_mi.files import versions, write_json
 from gva_mi.splat import Camera
 
-MARKER = "prepare.json"  # every folder that was prepared here holds it
+MARKER = PREPARED  # every folder that was prepared here holds it
 _T_CAMERA_WORLD = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
@@ -47,7 +50,7 @@ class Source:
     estimate: Path  # its file or folder
     frames: Path | None = None  # a film, or a folder of pictures; without it, the data set's own
     masks: Path | None = None  # a film, a folder of pictures, a .npy or a .hdf5; as above
-    person: str | None = None  # the estimator's name of them; without it, who is seen longest
+    person: str | None = None  # the estimator's name of them; without it, who is in the masks
     first: int = 0  # the number that the estimator gave the first frame
     focal: float | None = None  # pixels, where the estimate says none
     camera: str | None = None  # the name of a data set's camera; without it, the first
@@ -57,11 +60,8 @@ class Source:
 def prepare_folder(
     out: Path,
     source: Source,
-    body: BodyModel,
-    mean_hands: np.ndarray,
-    own_betas: bool,
+    body: Target,
     progress: Progress | None = None,
-    components: np.ndarray | None = None,
 ) -> list[str]:
     """Write a subject's folder.
 
@@ -69,10 +69,7 @@ def prepare_folder(
         out: an empty folder.
         source: what is read.
         body: whom the poses are for.
-        mean_hands: (30, 3) the body's mean hands, left before right, relative to flat ones.
-        own_betas: whether ``body`` is SMPL-X, whose betas an estimator of SMPL-X gives.
         progress: told how many pictures are written.
-        components: (2, K, 45) of the PCA of hands, left before right, of SMPL-X's file.
 
     Returns:
         What was found and done, for people.
@@ -81,8 +78,12 @@ def prepare_folder(
         InputError: what does not fit together: counts, sizes, people.
     """
     where = str(source.estimate)
-    kind, recording, size = _recorded(source, components)
-    track, notes = choose(where, recording.tracks, source.person)
+    kind, recording, size = _recorded(source, body.components)
+    tracks = recording.tracks
+    rest = body.model.rest(Shape(torch.zeros(0))).joints.double().numpy()
+    there = [np.array(PELVIS[track.form]) for track in tracks]
+    votes = lambda: joints_in_masks(tracks, _masks(recording), source.first, rest, there)
+    track, notes = choose(where, tracks, source.person, votes)
     last = int(track.frames.max()) - source.first + 1
     count = _write_pictures(out, recording, track.K[0], size, progress, last)
     track = replace(track, frames=track.frames - source.first)
@@ -98,18 +99,20 @@ def prepare_folder(
     betas, varied = one_shape(track)
     notes = [f"{kind}, {track.form}, {count} frames of {size[0]}x{size[1]}", *notes, *more, *varied]
     notes += [recording.note] if recording.note else []
-    if not (own_betas and track.form == "SMPL-X"):
+    if not body.keeps_betas(track.form):
         betas = np.zeros(10)
         notes.append(f"betas of {track.form} do not carry over to this body; they are zero")
     if track.from_mean_hand:
-        track.rotations[:, LEFT_HAND.start :] += mean_hands
+        track.rotations[:, LEFT_HAND.start :] += body.mean_hands
     if not track.has_hands:
         notes.append("the source has no hands; they are flat")
     shape = Shape(torch.from_numpy(betas.astype(np.float32)))
-    save_poses(out / POSES, _pose(track, body, shape), shape, stage=1)
+    save_poses(out / POSES, _pose(track, body.model, shape), shape, stage=1)
     cameras = [Camera.from_matrices(K, _T_CAMERA_WORLD, *size) for K in track.K]
     save_cameras(out / "cameras.npz", cameras)
-    about = {"kind": kind, "person": track.person, "body": track.form, "notes": notes}
+    notes.append(body.takes_over(track.form))
+    about = {"kind": kind, "person": track.person, "form": track.form, "notes": notes}
+    about["body"] = {"name": body.name} | fingerprint(body.model)
     write_json(out / MARKER, about | {"source": vars(source), "versions": versions()})
     return notes
 

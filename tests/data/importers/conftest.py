@@ -48,7 +48,7 @@ def footage(tmp_path):
     mask = np.zeros((FRAMES, HEIGHT, WIDTH), bool)
     mask[:, 10:40, 20:40] = True
     np.save(tmp_path / "masks.npy", mask)
-    return ["--frames", tmp_path / "shots", "--masks", tmp_path / "masks.npy"]
+    return ["--body", "puppet", "--frames", tmp_path / "shots", "--masks", tmp_path / "masks.npy"]
 
 
 @pytest.fixture

@@ -19,6 +19,7 @@ WIDTH, HEIGHT, FRAMES = 64, 48, 5
 SMPL, SMPLX = np.array([-0.0018, -0.2233, 0.0282]), np.array([0.0031, -0.3514, 0.0120])
 K = np.array([[70.0, 0, 33], [0, 72, 23], [0, 0, 1]])
 TURN, MOVE = np.array([0.1, -0.4, 0.05]), np.array([0.2, 0.1, 0.5])
+PUPPET = ("--body", "puppet")
 MASK = np.zeros((HEIGHT, WIDTH), np.uint8)
 MASK[10:40, 20:40] = 255
 
@@ -54,7 +55,7 @@ def shots():
 @pytest.fixture
 def prepared(tmp_path, cli):
     def run(source, *more, kind="auto"):
-        code, said, err = cli("prepare", kind, source, tmp_path / "s", *more)
+        code, said, err = cli("prepare", kind, source, tmp_path / "s", *PUPPET, *more)
         assert code == 0, err
         return tmp_path / "s", said
 
@@ -190,14 +191,14 @@ def test_hdf5_that_leads_elsewhere_is_refused(snapshot, tmp_path, cli, case):
             file["other" if case == "another name" else "masks"] = shape
     if case == "no file":
         path.write_bytes(b"\x89HDF\r\n\x1a\nand then nothing")
-    code, _, err = cli("prepare", "auto", snapshot, tmp_path / "s")
+    code, _, err = cli("prepare", "auto", snapshot, tmp_path / "s", *PUPPET)
     assert code == 2 and HOSTILE[case] in err and err.count("\n") <= 2, err
     assert not (tmp_path / "s").exists()
 
 
 def test_hdf5_needs_a_package(snapshot, tmp_path, cli, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "h5py", None)
-    code, _, err = cli("prepare", "snapshot", snapshot, tmp_path / "s")
+    code, _, err = cli("prepare", "snapshot", snapshot, tmp_path / "s", *PUPPET)
     assert code == 2 and "needs the package h5py to be read; pip install 'gva_mi[hdf5]'" in err
 
 
@@ -260,11 +261,11 @@ def test_zju_mocap(tmp_path, seen, thetas, world, prepared, stands, cli, named):
     assert np.abs(video.cameras[0].K - K).max() < 1e-6
     R = matrices(video.pose.rotations)[:, 0]
     assert np.abs(np.diag([1, -1, -1]) @ R - matrices(rotations)[:, 0]).max() < 1e-3
-    code, _, err = cli("prepare", "zju", source, tmp_path / "b", "--camera", "7")
+    code, _, err = cli("prepare", "zju", source, tmp_path / "b", *PUPPET, "--camera", "7")
     assert code == 2 and "has no camera '7'; it has 0, 1" in err
     annots["ims"][0]["ims"][1] = "../../secret.jpg"
     np.save(source / "annots.npy", annots)
-    code, _, err = cli("prepare", "zju", source, tmp_path / "b", "--camera", "1")
+    code, _, err = cli("prepare", "zju", source, tmp_path / "b", *PUPPET, "--camera", "1")
     assert code == 2 and "'../../secret.jpg', which is outside of the folder" in err
 
 
@@ -326,9 +327,9 @@ def test_avatarrex(tmp_path, seen, world, prepared, stands):
 def test_what_is_no_data_set_needs_pictures(tmp_path, cli):
     (tmp_path / "x").mkdir()
     assert dataset_of(tmp_path / "x") is None
-    code, _, err = cli("prepare", "auto", tmp_path / "x", tmp_path / "s")
+    code, _, err = cli("prepare", "auto", tmp_path / "x", tmp_path / "s", *PUPPET)
     assert code == 2 and "brings no frames of its own; give --frames" in err
-    code, _, err = cli("prepare", "zju", tmp_path / "x", tmp_path / "s")
+    code, _, err = cli("prepare", "zju", tmp_path / "x", tmp_path / "s", *PUPPET)
     assert code == 2 and "not of the kind zju; expected a folder with annots.npy" in err
 
 
@@ -366,5 +367,5 @@ def test_neuman(tmp_path, seen, thetas, world, prepared, stands, cli):
     assert np.array_equal(video[2].mask > 0.5, MASK > 0)
     assert (video.splits.train, video.splits.test) == ([0, 1, 4], [2])
     (source / "sparse/cameras.txt").write_text(lens.replace("PINHOLE", "FOV"))
-    code, _, err = cli("prepare", "auto", source, tmp_path / "b")
+    code, _, err = cli("prepare", "auto", source, tmp_path / "b", *PUPPET)
     assert code == 2 and "a lens FOV; expected one of PINHOLE" in err

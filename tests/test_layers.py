@@ -15,7 +15,7 @@ spec.loader.exec_module(floors)
 
 SOURCES, MODULES, module = floors.SOURCES, floors.MODULES, floors.module
 HEAVY = {"mitsuba", "pymeshlab", "trimesh", "skimage", "matplotlib", "av", "jinja2", "PIL", "scipy",
-         "viser"}  # fmt: skip
+         "viser", "h5py"}  # fmt: skip
 HOMES = {  # packages that only some folders may import, at any depth of the file
     "mitsuba": ("gva_mi_plugins", "gva_mi.mesh", "gva_mi.data.synthetic", "gva_mi.sculptor",
                 "gva_mi.commands.doctor"),

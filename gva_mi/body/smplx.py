@@ -214,24 +214,32 @@ class BodyModel(nn.Module):
         return features[:, self.pose_features]
 
 
+PUPPET_NAME = "puppet"  # of the built-in body, on the command line and in records
+
+
 def load_body(path: Path | None = None, dtype: torch.dtype = torch.float32) -> BodyModel:
     """Read a body: a file in SMPL-X's npz format, or the built-in puppet where none is given.
 
     Args:
         path: ``SMPLX_NEUTRAL.npz`` or the like, version 1.0 or 1.1, any gender. Files with 400
             shape directions hold 300 betas and then expressions; files with fewer hold 10 betas
-            and then up to 10 expressions.
+            and then up to 10 expressions. ``puppet`` is the built-in one, too.
         dtype: float32 or float64.
 
     Raises:
         InputError: naming the file, the key, and the shape that was found.
     """
-    return BodyModel(read_body(PUPPET if path is None else Path(path)), dtype)
+    return BodyModel(read_body(body_file(path)), dtype)
+
+
+def body_file(path: Path | None) -> Path:
+    """The file that :func:`load_body` reads."""
+    return PUPPET if path is None or str(path) == PUPPET_NAME else Path(path)
 
 
 def body_name(path: Path | None) -> str:
     """What :func:`load_body` read, in a word."""
-    return "puppet" if path is None else Path(path).stem
+    return PUPPET_NAME if path is None else Path(path).stem
 
 
 def _coefficients(name: str, values: Tensor, available: int) -> Tensor:

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 from tyro.conf import Positional
 
-from gva_mi.body.body_file import read_body
-from gva_mi.body.puppet import PUPPET
-from gva_mi.body.smplx import BodyModel
+from gva_mi.body.smplx import PUPPET_NAME
 from gva_mi.commands.arguments import Switch
 from gva_mi.console import bar, say
+from gva_mi.data.importers.datasets import DATASETS
 from gva_mi.data.importers.estimators import KINDS
 from gva_mi.data.importers.prepare import MARKER, Source, prepare_folder
+from gva_mi.data.importers.target import Target
 from gva_mi.errors import InputError
 from gva_mi.files import whole_folder
 
@@ -23,41 +22,49 @@ def prepare(
     source: Positional[Path],
     out: Positional[Path],
     *,
-    frames: Path,
-    masks: Path,
-    body: Path | None = None,
+    body: Path,
+    frames: Path | None = None,
+    masks: Path | None = None,
     person: str | None = None,
     first: int = 0,
+    focal: float | None = None,
+    camera: str | None = None,
+    splits: Path | None = None,
     overwrite: Switch = False,
 ) -> None:
-    """Make a subject's folder of a video, masks, and what a pose estimator wrote.
+    """Make a subject's folder of a video, masks, and what a pose estimator wrote; or a data set.
 
     Args:
-        kind: of the estimator: wham, gvhmr, 4dhumans, smplerx; "auto" tells it by its keys.
-        source: the estimator's file or folder; pickles run no code.
+        kind: of the estimator: wham, vibe, gvhmr, 4dhumans, glamr, pymafx, hybrik, tram, romp,
+            multihmr, smplifyx, smplerx, parameters; or of the data set: snapshot, instantavatar,
+            zju, easymocap, avatarrex, neuman; "auto" tells it by its keys and files.
+        source: the estimator's file or folder, or the data set's folder of one subject; pickles
+            run no code.
         out: the subject's folder.
-        frames: a film, or a folder of pictures.
-        masks: a film, a folder of pictures, or a .npy (T, H, W); as many as frames.
-        body: the body in SMPL-X's format that the other steps will be given; without it the
-            built-in puppet, which keeps the poses and not the shape.
-        person: the estimator's name of the person; without it, who is seen longest.
+        body: the body in SMPL-X's format that the poses are for, and that the other steps will be
+            given; or the word puppet for the built-in one, which keeps rotations and no shape.
+        frames: a film, or a folder of pictures; a data set has its own.
+        masks: a film, a folder of pictures, a .npy (T, H, W), or a .hdf5 with masks; as many as
+            frames; a data set has its own.
+        person: the estimator's name of the person; without it, who is in the masks.
         first: the number that the estimator gave the first frame; SMPLer-X starts at 1.
+        focal: focal length in pixels, where the estimator's file says none.
+        camera: the name of a data set's camera; without it, the first.
+        splits: a file of train and test ranges, such as InstantAvatar's confs/dataset/*.yaml.
         overwrite: replace a folder that was prepared here.
     """
-    if kind != "auto" and kind not in KINDS:
-        raise InputError(f"prepare: kind must be auto, {', '.join(KINDS)}; got {kind}")
-    arrays = read_body(body or PUPPET)
-    own_betas = body is not None and int(arrays["num_expressions"]) > 0  # SMPL-X's alone has a face
-    hands = np.stack([arrays.get(f"hands_mean{side}", np.zeros(45)) for side in "lr"])
+    if kind != "auto" and kind not in (kinds := {**KINDS, **DATASETS}):
+        raise InputError(f"prepare: kind must be auto, {', '.join(kinds)}; got {kind}")
+    if focal is not None and not 0 < focal < float("inf"):
+        raise InputError(f"prepare: --focal must be above 0 pixels, got {focal}")
+    target = Target.read(body)
     if not overwrite and (out / MARKER).exists():
         raise InputError(f"{out}: was prepared already; give --overwrite to replace it")
-    given = Source(kind, source, frames, masks, person, first)
+    given = Source(kind, source, frames, masks, person, first, focal, camera, splits)
     with whole_folder(out, MARKER if overwrite else None) as folder, bar("prepare") as progress:
-        notes = prepare_folder(
-            folder, given, BodyModel(arrays), hands.reshape(30, 3), own_betas, progress
-        )
+        notes = prepare_folder(folder, given, target, progress)
     for note in notes:
         say(f"{source}: {note}")
-    if body is None:
-        say(f"{out}: for the built-in puppet; give --body here and later to keep the person's own")
+    if target.name != PUPPET_NAME:
+        say(f"{out}: the other steps expect --body {body}, too")
     say(f"subject: {out}")

@@ -1,9 +1,10 @@
-"""Checks that a synthetic subject is used with the body that it was made on.
+"""Checks that a subject is used with the body that its poses belong to.
 
-A synthetic subject's poses are rotations of one body's joints, and its betas belong to that body.
-With another body, even a slightly newer puppet, they mean other people, and every error measured
-against the truth is silently wrong. So ``synth.json`` keeps a sketch of the body: K signed sums of
-all its vertices x (metres) in two states that use every joint, beta and expression,
+A subject's poses are rotations of one body's joints, and its betas belong to that body. With
+another body, even a slightly newer puppet, they mean other people, and every error measured
+against the truth is silently wrong. So ``synth.json`` and ``prepare.json`` keep a sketch of the
+body: K signed sums of all its vertices x (metres) in two states that use every joint, beta and
+expression,
 
     1. s_k = Σ_i σ_ki x_i / √V,    σ_ki = ±1 at random
     2. mean over k of (s_k - s'_k)²  ≈  mean over the vertices of |x_i - x'_i|²
@@ -20,12 +21,14 @@ import numpy as np
 import torch
 
 from gva_mi.body.pose import Pose, Shape
-from gva_mi.body.smplx import BodyModel
+from gva_mi.body.smplx import PUPPET_NAME, BodyModel
 from gva_mi.errors import InputError
 
 SUMS = 32  # K: their root mean square is right to one part in √(2 K), 12 %
 SAME = 3e-6  # m, root mean square; what float32 rounds away is a tenth of it
-ABOUT = "synth.json"  # in the subject's folder; holds {"body": {"vertices": V, "sketch": [...]}}
+# In the subject's folder; each holds {"body": {"vertices": V, "sketch": [...]}}, and the second a
+# "name" there too.
+ABOUT, PREPARED = "synth.json", "prepare.json"
 
 
 def fingerprint(body: BodyModel) -> dict[str, object]:
@@ -54,12 +57,11 @@ def distance(a: dict[str, object], b: dict[str, object]) -> float:
 
 
 def require_same_body(folder: Path, body: BodyModel) -> None:
-    """Check that a synthetic subject was made on this body.
+    """Check that a subject was made on, or prepared for, this body.
 
     Another body is an error and not a warning: nothing that follows from it is of use, and a
-    warning would scroll away before the figures come. Folders without a fingerprint pass: real
-    videos, whose poses belong to the body that their estimator used, and subjects older than this
-    check.
+    warning would scroll away before the figures come. Folders without a fingerprint pass: those
+    that somebody put together by hand, and subjects older than this check.
 
     Args:
         folder: of the subject.
@@ -68,23 +70,44 @@ def require_same_body(folder: Path, body: BodyModel) -> None:
     Raises:
         InputError: where it is another body.
     """
-    file = Path(folder) / ABOUT
-    if not file.is_file():
-        return
-    try:
-        made_on = json.loads(file.read_text()).get("body")
-    except (ValueError, AttributeError) as error:
-        raise InputError(f"{file}: not the JSON that gva-mi synth writes ({error})") from None
-    if made_on is None:
-        return
-    away = distance(made_on, fingerprint(body))
-    if away > SAME:
+    for name, written_by in ((ABOUT, "gva-mi synth"), (PREPARED, "gva-mi prepare")):
+        known = _body_of(Path(folder) / name, written_by)
+        if known is None:
+            continue
+        away = distance(known, fingerprint(body))
+        if away <= SAME:
+            continue
         how = (
             f"{1000 * away:.2g} mm from this one on average"
             if np.isfinite(away)
-            else f"of {made_on['vertices']} vertices, not {len(body.v_template)}"
+            else f"of {known['vertices']} vertices, not {len(body.v_template)}"
         )
+        if name == PREPARED:
+            raise InputError(
+                f"{folder}: its poses were prepared for another body, {known.get('name')} ({how}); "
+                f"expected {_argument(known.get('name'))}, or prepare it again for this body"
+            )
         raise InputError(
             f"{folder}: made on another body ({how}), so that its poses and its truth mean nothing "
             "here; give the --body it was made with, or make it again with gva-mi synth"
         )
+
+
+def _body_of(file: Path, written_by: str) -> dict | None:
+    """The body that a folder's file tells of; None where it tells of none."""
+    if not file.is_file():
+        return None
+    try:
+        body = json.loads(file.read_text()).get("body")
+        if not isinstance(body, dict):  # older folders name a format here, or nothing
+            return None
+        return body | {"sketch": [float(s) for s in body["sketch"]], "vertices": body["vertices"]}
+    except (ValueError, AttributeError, KeyError, TypeError) as error:
+        raise InputError(f"{file}: not the JSON that {written_by} writes ({error})") from None
+
+
+def _argument(name: str | None) -> str:
+    """How a command is told to use a body."""
+    if name == PUPPET_NAME:
+        return "the built-in puppet, that is no --body"
+    return f"--body with that body's file ({name})"

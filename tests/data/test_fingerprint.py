@@ -23,8 +23,8 @@ def made_on():
     return fingerprint(load_body())
 
 
-def written(folder, about):
-    (folder / "synth.json").write_text(json.dumps(about))
+def written(folder, about, name="synth.json"):
+    (folder / name).write_text(json.dumps(about))
     return folder
 
 
@@ -66,7 +66,19 @@ def test_real_videos_and_older_subjects_pass(tmp_path):
     require_same_body(written(tmp_path, {"seed": 0}), load_body())
 
 
-def test_a_broken_file_is_named(tmp_path):
-    (tmp_path / "synth.json").write_text("[")
-    with pytest.raises(InputError, match="synth.json"):
+def test_a_prepared_folder_names_its_body(made_on, tmp_path):
+    ours = {"body": made_on | {"name": "puppet"}}
+    require_same_body(written(tmp_path, ours, "prepare.json"), load_body())
+    older = {"body": "SMPL"}  # the source's form, and nothing of the body
+    require_same_body(written(tmp_path, older, "prepare.json"), load_body())
+    others = {"body": made_on | {"name": "SMPLX_MALE", "vertices": 10475}}
+    with pytest.raises(InputError, match=r"expected --body with that body's file \(SMPLX_MALE\)"):
+        require_same_body(written(tmp_path, others, "prepare.json"), load_body())
+
+
+@pytest.mark.parametrize("name", ["synth.json", "prepare.json"])
+@pytest.mark.parametrize("text", ["[", "3", '{"body": {"vertices": 3}}'])
+def test_a_broken_file_is_named(tmp_path, name, text):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(InputError, match=name):
         require_same_body(tmp_path, load_body())

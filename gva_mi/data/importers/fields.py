@@ -3,7 +3,8 @@
 =================================================  ==========================================
 Names                                              Who writes them
 =================================================  ==========================================
-``poses``, ``pose``, ``fullpose``, ``smpl_poses``  one row a frame: AMASS, AIST++, WHAM, GRAB
+``poses``, ``pose``, ``fullpose``, ``smpl_poses``  one row a frame: AMASS, AIST++, WHAM, GRAB,
+``thetas``, ``smpl_thetas``                        InstantAvatar, ROMP
 ``root_orient``, ``pose_body``, ``pose_hand``,     AMASS in parts
 ``pose_jaw``, ``pose_eye``
 ``global_orient``, ``body_pose``, ...              SMPL-X's own, most estimators
@@ -11,12 +12,15 @@ Names                                              Who writes them
 
 Each may be axis-angle, flat (T, 3 J) or (T, J, 3), or rotation matrices (T, J, 3, 3). How many
 numbers a row has tells the body: 165 SMPL-X, 156 SMPL+H, 72 SMPL, 66 its 22 joints above.
+
+Fingers may be components of SMPL-X's PCA, c (T, k) with k < 45: they are c C, relative to the
+mean hand, where the body's file has its components C.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -27,13 +31,15 @@ from gva_mi.body.pose import BODY, JOINTS, LEFT_HAND, RIGHT_HAND, SMPLX_FIELDS
 from gva_mi.body.smpl import SMPL, SMPLH, SMPLX
 from gva_mi.errors import InputError
 
-WHOLE = ("poses", "pose", "fullpose", "full_pose", "smpl_poses")
-TRANSLATIONS = ("trans", "transl", "smpl_trans")
+WHOLE = ("poses", "pose", "fullpose", "full_pose", "smpl_poses", "thetas", "smpl_thetas")
+TRANSLATIONS = ("trans", "transl", "smpl_trans", "translation")
+SCALES = ("smpl_scaling", "body_scale")  # and "scale" where the translation is "translation"
 AMASS_PARTS = {  # and what each holds of JOINTS
     "root_orient": slice(0, 1), "pose_body": BODY, "pose_jaw": slice(22, 23),
     "pose_eye": slice(23, 25), "pose_hand": slice(LEFT_HAND.start, RIGHT_HAND.stop),
 }  # fmt: skip
 VPOSER = 32  # numbers of VPoser's latent code
+FINGERS = 3 * (LEFT_HAND.stop - LEFT_HAND.start)  # numbers of a hand in axis-angle
 
 
 @dataclass(frozen=True)
@@ -43,14 +49,18 @@ class Joints:
     rotations: np.ndarray  # (T, 55, 3) axis-angle, radians; may hold NaN
     form: str  # "SMPL", "SMPL+H" or "SMPL-X": whose betas they go with
     has_hands: bool
+    from_mean_hand: bool = False  # fingers are relative to the model's mean hand, not to the flat
 
 
-def find_joints(where: str, found: Mapping[str, Any]) -> Joints:
+def find_joints(
+    where: str, found: Mapping[str, Any], components: np.ndarray | None = None
+) -> Joints:
     """The joints of T frames, under whichever names they stand.
 
     Args:
         where: file, and person if there are several, for the error.
         found: arrays by name.
+        components: (2, K, 45) of the PCA of hands, left before right, of the body's file.
 
     Raises:
         InputError: no names that are known; a shape that no body has; a latent code.
@@ -61,7 +71,9 @@ def find_joints(where: str, found: Mapping[str, Any]) -> Joints:
     if "root_orient" in found and "pose_body" in found:
         return _parts(where, found, AMASS_PARTS)
     if "global_orient" in found and "body_pose" in found:
-        return _parts(where, found, SMPLX_FIELDS)
+        decoded = _decoded(where, found, components)
+        joints = _parts(where, {**found, **decoded}, SMPLX_FIELDS)
+        return replace(joints, from_mean_hand=bool(decoded))
     names = ", ".join(sorted(map(str, found))[:12]) or "nothing"
     raise InputError(
         f"{where}: holds no poses; expected one of {', '.join(WHOLE)}, or root_orient and "
@@ -70,17 +82,23 @@ def find_joints(where: str, found: Mapping[str, Any]) -> Joints:
 
 
 def find_translation(where: str, found: Mapping[str, Any], frames: int) -> np.ndarray:
-    """The root's translation (T, 3), metres; AIST++'s, which are in units of its scaling."""
+    """The root's translation (T, 3), metres, before a body that is not scaled.
+
+    Where a body is scaled by s, as AIST++'s and THuman's are, all is divided by s: x = s b + t
+    looks the same as b + t / s.
+    """
     name = next((name for name in TRANSLATIONS if found.get(name) is not None), None)
     if name is None:
         return np.zeros((frames, 3))
     transl = _numbers(where, name, found[name])
     if transl.size != 3 * frames:
         raise InputError(f"{where}: '{name}' must be ({frames}, 3), got {transl.shape}")
-    scaling = _numbers(where, "smpl_scaling", found.get("smpl_scaling", 1.0)).ravel()
-    if scaling.size != 1 or not 0 < scaling[0] < np.inf:
-        raise InputError(f"{where}: 'smpl_scaling' must be one number above 0, got {scaling}")
-    return transl.reshape(frames, 3) / scaling[0]
+    scales = (*SCALES, "scale") if name == "translation" else SCALES
+    key = next((key for key in scales if found.get(key) is not None), SCALES[0])
+    scaling = _numbers(where, key, found.get(key, 1.0)).ravel()
+    if scaling.size not in (1, frames) or not ((scaling > 0) & (scaling < np.inf)).all():
+        raise InputError(f"{where}: '{key}' must be one number above 0, got {scaling}")
+    return transl.reshape(frames, 3) / scaling[:, None]
 
 
 def find_betas(where: str, found: Mapping[str, Any]) -> np.ndarray | None:
@@ -137,6 +155,25 @@ def _whole(where: str, name: str, value: Any) -> Joints:  # noqa: ANN401
     joints = list(range(BODY.stop)) if form is SMPL else list(form.joints)  # without mittens
     rotations[:, joints] = angles[:, : len(joints)]
     return Joints(rotations, form.name, form is not SMPL)
+
+
+def _decoded(
+    where: str, found: Mapping[str, Any], components: np.ndarray | None
+) -> dict[str, np.ndarray]:
+    """Hands (T, 45) of those that are components of a PCA; nothing where none are."""
+    decoded, rows = {}, np.shape(found["body_pose"])[:1]
+    for side, name in enumerate(("left_hand_pose", "right_hand_pose")):
+        shape = np.shape(found.get(name))
+        if len(shape) != 2 or shape[:1] != rows or not 0 < shape[1] < FINGERS:
+            continue
+        if components is None or shape[1] > components.shape[1]:
+            raise InputError(
+                f"{where}: '{name}' must be (T, {FINGERS}), axis-angle; components of a PCA need "
+                "the body that they belong to: --body with the SMPL-X file whose hands_components "
+                f"they weigh; got {shape}"
+            )
+        decoded[name] = _numbers(where, name, found[name]) @ components[side, : shape[1]]
+    return decoded
 
 
 def _parts(where: str, found: Mapping[str, Any], parts: Mapping[str, slice]) -> Joints:

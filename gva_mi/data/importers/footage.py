@@ -1,4 +1,4 @@
-"""Pictures and masks as people keep them: a film, a folder in any numbering, one array."""
+"""Pictures and masks as people keep them: a film, a folder in any numbering, an array."""
 
 from __future__ import annotations
 
@@ -8,23 +8,28 @@ from pathlib import Path
 
 import numpy as np
 
+from gva_mi.data.importers.hdf5 import SUFFIXES, rows_of_hdf5
+from gva_mi.data.importers.recordings import Pictures
 from gva_mi.data.pictures import read_array
 from gva_mi.errors import InputError
 
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 
 
-def pictures(source: Path, channels: int) -> Iterator[np.ndarray]:
+def pictures(source: Pictures, channels: int) -> Iterator[np.ndarray]:
     """The pictures of a film or of a folder, one by one, turned as their metadata say.
 
     Args:
-        source: a film, or a folder, whose files go by the last number in their names.
+        source: a film, a folder, whose files go by the last number in their names, or files.
         channels: 3 for (H, W, 3), 1 for (H, W), 8-bit; a mask may be a picture's alpha.
 
     Raises:
         InputError: nothing is there, or it cannot be decoded.
     """
-    if source.is_dir():
+    if isinstance(source, tuple):
+        for path in source:
+            yield _picture(path, channels)
+    elif source.is_dir():
         files = [path for path in source.iterdir() if path.suffix.lower() in PICTURES]
         if not files:
             raise InputError(f"{source}: holds no pictures ({', '.join(PICTURES)})")
@@ -36,26 +41,44 @@ def pictures(source: Path, channels: int) -> Iterator[np.ndarray]:
         raise InputError(f"{source}: no such film or folder of pictures")
 
 
-def masks(source: Path) -> Iterator[np.ndarray]:
-    """The masks of a film, a folder, or a .npy (T, H, W): each (H, W) 8-bit, 255 inside.
+def masks(source: Pictures) -> Iterator[np.ndarray]:
+    """The masks of a film, a folder, or a stack (T, H, W): each (H, W) 8-bit, 255 inside.
 
-    Values are labels where a picture has a palette, or where none is above 1.
+    A stack is a .npy, or ``masks`` in a .hdf5; a folder may hold a .npy (H, W) a frame. Values
+    are labels where a picture has a palette, or where none is above 1.
 
     Raises:
         InputError: nothing is there, or it is of another form.
     """
-    if source.suffix == ".npy" and source.is_file():
-        stack = read_array(source)
-        stack = stack[..., 0] if stack.ndim == 4 and stack.shape[-1] == 1 else stack
-        if stack.ndim != 3 or stack.dtype.kind not in "bufi":
-            raise InputError(f"{source}: masks must be (T, H, W), got {stack.dtype} {stack.shape}")
-        whole = stack.dtype.kind == "b" or stack.max(initial=0) <= 1
-        for mask in stack:
-            scaled = mask.astype(np.float32) * (255 if whole else 1)
-            yield np.clip(scaled, 0, 255).astype(np.uint8)
+    whole = isinstance(source, Path)
+    if whole and source.suffix in SUFFIXES and source.is_file():
+        yield from (_scaled(mask, mask) for mask in rows_of_hdf5(source, "masks"))
+        return
+    if whole and source.is_dir() and (files := sorted(source.glob("*.npy"), key=_in_order)):
+        for path in files:
+            mask = _stack(path, read_array(path)[None])[0]
+            yield _scaled(mask, mask)
+        return
+    if whole and source.suffix == ".npy" and source.is_file():
+        stack = _stack(source, read_array(source))
+        yield from (_scaled(mask, stack) for mask in stack)
         return
     for mask in pictures(source, 1):
         yield mask * np.uint8(255) if mask.max(initial=0) <= 1 else mask
+
+
+def _stack(path: Path, stack: np.ndarray) -> np.ndarray:
+    """Masks (T, H, W) of any numbers."""
+    stack = stack[..., 0] if stack.ndim == 4 and stack.shape[-1] == 1 else stack
+    if stack.ndim != 3 or stack.dtype.kind not in "bufi":
+        raise InputError(f"{path}: masks must be (T, H, W), got {stack.dtype} {stack.shape}")
+    return stack
+
+
+def _scaled(mask: np.ndarray, stack: np.ndarray) -> np.ndarray:
+    """A mask of 8 bits; where nothing of ``stack`` is above 1, it counts from 0 to 1."""
+    ones = stack.dtype.kind == "b" or stack.max(initial=0) <= 1
+    return np.clip(mask.astype(np.float32) * (255 if ones else 1), 0, 255).astype(np.uint8)
 
 
 def _in_order(path: Path) -> tuple[int, str]:

@@ -1,4 +1,4 @@
-"""A pose estimator's output, with its pictures and masks, as a folder that every step reads.
+"""A pose estimator's output, or a data set, as a folder that every step reads.
 
 The world is the camera turned upright, half a turn about x, so that y is up and the camera looks
 along −z. A body turns about its own pelvis p at rest: the root R of the source becomes W R, and its
@@ -21,8 +21,15 @@ import torch
 from gva_mi.body.pose import LEFT_HAND, Pose, Shape, save_poses
 from gva_mi.body.smplx import BodyModel
 from gva_mi.console import Progress
+from gva_mi.data.fingerprint import PREPARED, fingerprint
+from gva_mi.data.importers.datasets import DATASETS, dataset_of, read_dataset
 from gva_mi.data.importers.estimators import read_estimator
 from gva_mi.data.importers.footage import masks, pictures
+from gva_mi.data.importers.in_masks import joints_in_masks
+from gva_mi.data.importers.lenses import pinhole
+from gva_mi.data.importers.readings import PELVIS, View
+from gva_mi.data.importers.recordings import Pictures, Recording, read_ranges
+from gva_mi.data.importers.target import Target
 from gva_mi.data.importers.tracks import Track, choose, every_frame, one_shape
 from gva_mi.data.importers.world import upright
 from gva_mi.data.pictures import write_image
@@ -31,12 +38,7 @@ from gva_mi.errors import InputError
 from gva_mi.files import versions, write_json
 from gva_mi.splat import Camera
 
-MARKER = "prepare.json"  # every folder that was prepared here holds it
-# The pelvis of the neutral mean person at rest, metres: what the public models regress.
-PELVIS = {
-    "SMPL": (-0.0018, -0.2233, 0.0282), "SMPL+H": (-0.0018, -0.2233, 0.0282),
-    "SMPL-X": (0.0031, -0.3514, 0.0120),
-}  # fmt: skip
+MARKER = PREPARED  # every folder that was prepared here holds it
 _T_CAMERA_WORLD = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
@@ -44,20 +46,21 @@ _T_CAMERA_WORLD = np.diag([1.0, -1.0, -1.0, 1.0])
 class Source:
     """Where everything comes from."""
 
-    kind: str  # of the estimator, or "auto"
+    kind: str  # of the estimator or the data set, or "auto"
     estimate: Path  # its file or folder
-    frames: Path  # a film, or a folder of pictures
-    masks: Path  # a film, a folder of pictures, or a .npy
-    person: str | None = None  # the estimator's name of them; without it, who is seen longest
+    frames: Path | None = None  # a film, or a folder of pictures; without it, the data set's own
+    masks: Path | None = None  # a film, a folder of pictures, a .npy or a .hdf5; as above
+    person: str | None = None  # the estimator's name of them; without it, who is in the masks
     first: int = 0  # the number that the estimator gave the first frame
+    focal: float | None = None  # pixels, where the estimate says none
+    camera: str | None = None  # the name of a data set's camera; without it, the first
+    ranges: Path | None = None  # a file of a protocol's train and test frames
 
 
 def prepare_folder(
     out: Path,
     source: Source,
-    body: BodyModel,
-    mean_hands: np.ndarray,
-    own_betas: bool,
+    body: Target,
     progress: Progress | None = None,
 ) -> list[str]:
     """Write a subject's folder.
@@ -66,8 +69,6 @@ def prepare_folder(
         out: an empty folder.
         source: what is read.
         body: whom the poses are for.
-        mean_hands: (30, 3) the body's mean hands, left before right, relative to flat ones.
-        own_betas: whether ``body`` is SMPL-X, whose betas an estimator of SMPL-X gives.
         progress: told how many pictures are written.
 
     Returns:
@@ -77,29 +78,41 @@ def prepare_folder(
         InputError: what does not fit together: counts, sizes, people.
     """
     where = str(source.estimate)
-    size = next(pictures(source.frames, 3)).shape[1::-1]
-    kind, tracks = read_estimator(source.kind, source.estimate, size)
-    track, notes = choose(where, tracks, source.person)
+    kind, recording, size = _recorded(source, body.components)
+    tracks = recording.tracks
+    rest = body.model.rest(Shape(torch.zeros(0))).joints.double().numpy()
+    there = [np.array(PELVIS[track.form]) for track in tracks]
+    votes = lambda: joints_in_masks(tracks, _masks(recording), source.first, rest, there)
+    track, notes = choose(where, tracks, source.person, votes)
     last = int(track.frames.max()) - source.first + 1
-    count = _write_pictures(out, source, size, progress, last)
+    count = _write_pictures(out, recording, track.K[0], size, progress, last)
     track = replace(track, frames=track.frames - source.first)
+    if recording.loose and (track.frames >= count).any():
+        notes.append(f"{len(track.frames)} poses, but {count} pictures with masks")
+        track = track.where(track.frames < count)
+    splits = read_ranges(source.ranges, count) if source.ranges else recording.splits
+    if splits is not None:
+        write_json(out / "splits.json", vars(splits))
     track, inside, more = every_frame(where, track, count)
     for k in np.flatnonzero(~inside):  # without a mask, a frame belongs to no split
         (out / "masks" / f"{k:06d}.png").unlink(missing_ok=True)
     betas, varied = one_shape(track)
     notes = [f"{kind}, {track.form}, {count} frames of {size[0]}x{size[1]}", *notes, *more, *varied]
-    if not (own_betas and track.form == "SMPL-X"):
+    notes += [recording.note] if recording.note else []
+    if not body.keeps_betas(track.form):
         betas = np.zeros(10)
         notes.append(f"betas of {track.form} do not carry over to this body; they are zero")
     if track.from_mean_hand:
-        track.rotations[:, LEFT_HAND.start :] += mean_hands
+        track.rotations[:, LEFT_HAND.start :] += body.mean_hands
     if not track.has_hands:
         notes.append("the source has no hands; they are flat")
     shape = Shape(torch.from_numpy(betas.astype(np.float32)))
-    save_poses(out / POSES, _pose(track, body, shape), shape, stage=1)
+    save_poses(out / POSES, _pose(track, body.model, shape), shape, stage=1)
     cameras = [Camera.from_matrices(K, _T_CAMERA_WORLD, *size) for K in track.K]
     save_cameras(out / "cameras.npz", cameras)
-    about = {"kind": kind, "person": track.person, "body": track.form, "notes": notes}
+    notes.append(body.takes_over(track.form))
+    about = {"kind": kind, "person": track.person, "form": track.form, "notes": notes}
+    about["body"] = {"name": body.name} | fingerprint(body.model)
     write_json(out / MARKER, about | {"source": vars(source), "versions": versions()})
     return notes
 
@@ -114,34 +127,81 @@ def _pose(track: Track, body: BodyModel, shape: Shape) -> Pose:
     return Pose(tensor(rotations), tensor(transl + there - pelvis), expression)
 
 
+def _recorded(
+    source: Source, components: np.ndarray | None
+) -> tuple[str, Recording, tuple[int, int]]:
+    """The kind of a source, what it holds, and the size of its pictures."""
+    path, kind = source.estimate, source.kind
+    found = dataset_of(path) if kind == "auto" and path.is_dir() else None
+    kind = found or kind
+    recording = Recording([], source.frames, source.masks)
+    if kind in DATASETS:
+        recording = read_dataset(kind, path, source.camera)
+        frames, cut_outs = source.frames or recording.frames, source.masks or recording.masks
+        recording = replace(recording, frames=frames, masks=cut_outs)
+    for name, given in (("frames", recording.frames), ("masks", recording.masks)):
+        if given is None:
+            raise InputError(f"{path}: brings no {name} of its own; give --{name}")
+    image = next(pictures(recording.frames, 3), None)
+    if image is None:
+        raise InputError(f"{path}: no picture of it is there")
+    size = image.shape[1::-1]
+    if kind not in DATASETS:
+        kind, tracks = read_estimator(kind, path, View(size, source.focal, components))
+        recording = replace(recording, tracks=tracks)
+    return kind, recording, size
+
+
 def _write_pictures(
-    out: Path, source: Source, size: tuple[int, int], progress: Progress | None, expected: int
+    out: Path,
+    recording: Recording,
+    K: np.ndarray,
+    size: tuple[int, int],
+    progress: Progress | None,
+    expected: int,
 ) -> int:
     """Write frames and masks, side by side; returns how many there are."""
-    count = 0
-    for image, mask in _pairs(source):
+    count, straight = 0, lambda image: image
+    if recording.distortion is not None:
+        straight = pinhole(_name(recording.frames), K, recording.distortion, size)
+    for image, mask in _pairs(recording):
         for what, found in (("picture", image), ("mask", mask)):
             if found.shape[1::-1] != size:
-                path = source.frames if what == "picture" else source.masks
+                path = _name(recording.frames if what == "picture" else recording.masks)
                 raise InputError(
                     f"{path}: {what} {count} is {found.shape[1]}x{found.shape[0]}, expected "
                     f"{size[0]}x{size[1]}"
                 )
-        write_image(out / "frames" / f"{count:06d}.png", image)
-        write_image(out / "masks" / f"{count:06d}.png", mask)
+        write_image(out / "frames" / f"{count:06d}.png", straight(image))
+        write_image(out / "masks" / f"{count:06d}.png", straight(mask))
         count += 1
         if progress:
             progress(count, max(count, expected))
     return count
 
 
-def _pairs(source: Source) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def _pairs(recording: Recording) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Each picture with its mask."""
-    images, cut_outs = pictures(source.frames, 3), masks(source.masks)
+    images, cut_outs = pictures(recording.frames, 3), _masks(recording)
+    where = _name(recording.masks)
     for count, image in enumerate(images):
         mask = next(cut_outs, None)
+        if mask is None and recording.loose:
+            return
         if mask is None:
-            raise InputError(f"{source.masks}: holds {count} masks, but there are more pictures")
+            raise InputError(f"{where}: holds {count} masks, but there are more pictures")
         yield image, mask
-    if next(cut_outs, None) is not None:
-        raise InputError(f"{source.masks}: holds more masks than there are pictures")
+    if next(cut_outs, None) is not None and not recording.loose:
+        raise InputError(f"{where}: holds more masks than there are pictures")
+
+
+def _masks(recording: Recording) -> Iterator[np.ndarray]:
+    """The masks, 255 inside the person, whatever the data set means by its numbers."""
+    for mask in masks(recording.masks):
+        mask = (mask > 0) * np.uint8(255) if recording.labels else mask
+        yield 255 - mask if recording.around else mask
+
+
+def _name(source: Pictures) -> Path:
+    """A source of pictures, for an error."""
+    return source[0].parent if isinstance(source, tuple) else source

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,14 +29,54 @@ class Track:
 
     def sorted(self) -> Track:
         """The same with ascending frames, each once."""
-        frames, first = np.unique(self.frames, return_index=True)
-        betas = None if self.betas is None else self.betas[first]
-        arrays = {name: getattr(self, name)[first] for name in ("rotations", "transl", "K")}
-        return replace(self, frames=frames, betas=betas, **arrays)
+        return self.where(np.unique(self.frames, return_index=True)[1])
+
+    def where(self, rows: np.ndarray) -> Track:
+        """Some of its rows: a mask (n,), or their numbers."""
+        betas = None if self.betas is None else self.betas[rows]
+        arrays = {
+            name: getattr(self, name)[rows] for name in ("frames", "rotations", "transl", "K")
+        }
+        return replace(self, betas=betas, **arrays)
 
 
-def choose(where: str, tracks: Sequence[Track], person: str | None) -> tuple[Track, list[str]]:
-    """The person of a name, or the one who is seen in most frames; and what to say about it.
+@dataclass(frozen=True)
+class Votes:
+    """What the joints of a track say about its being the person in the masks.
+
+    A person's joints lie in the person, so in the right masks nearly all joints are inside. Each
+    joint in each frame votes: for, where it is inside, against, where it is not. A passer-by who is
+    seen for long collects votes against, and so does not win over the person by length.
+    """
+
+    inside: int  # joints in a mask, of all frames
+    outside: int
+
+    @property
+    def majority(self) -> int:
+        """Votes for, less those against."""
+        return self.inside - self.outside
+
+    @property
+    def share(self) -> float:
+        """Of the votes that are for; 0 where there are none."""
+        return self.inside / max(1, self.inside + self.outside)
+
+
+def choose(
+    where: str,
+    tracks: Sequence[Track],
+    person: str | None,
+    votes: Callable[[], Sequence[Votes]],
+) -> tuple[Track, list[str]]:
+    """The person of a name, or the one who is in the masks; and what to say about it.
+
+    Args:
+        where: the source, for errors.
+        tracks: a person each.
+        person: the estimator's name of one of them.
+        votes: of the joints of each of them, for being the person in the masks; asked where that
+            decides. Where no vote is for anybody, it is the one who is seen in most frames.
 
     Raises:
         InputError: nobody is there, or nobody of that name.
@@ -49,10 +89,21 @@ def choose(where: str, tracks: Sequence[Track], person: str | None) -> tuple[Tra
         if chosen is None:
             raise InputError(f"{where}: has no person '{person}'; it has {names}")
         return chosen, []
-    chosen = max(tracks, key=lambda t: len(t.frames))
     if len(tracks) == 1:
-        return chosen, []
-    return chosen, [f"person {chosen.person}, seen longest of {names}; --person takes another"]
+        return tracks[0], []
+    found = list(votes())
+    best = max(range(len(tracks)), key=lambda i: found[i].majority)
+    if found[best].majority > 0:
+        shares = ", ".join(
+            f"{t.person} ({len(t.frames)} frames, {100 * v.share:.0f} % of the joints)"
+            for t, v in zip(tracks[:20], found, strict=False)
+        )
+        chosen = tracks[best]
+        note = f"person {chosen.person}, who is in the masks best of {shares}"
+    else:
+        chosen = max(tracks, key=lambda t: len(t.frames))
+        note = f"person {chosen.person}, seen longest of {names}, for nobody is in the masks"
+    return chosen, [f"{note}; --person takes another"]
 
 
 def every_frame(where: str, track: Track, count: int) -> tuple[Track, np.ndarray, list[str]]:

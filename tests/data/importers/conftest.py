@@ -1,7 +1,15 @@
-"""A motion that is known: somebody who walks, in a world with y up."""
+"""A motion that is known: somebody who walks, in a world with y up; and how a camera sees it."""
 
 import numpy as np
 import pytest
+import roma
+import torch
+
+from gva_mi.body.smplx import load_body
+from gva_mi.data.pictures import write_image
+from gva_mi.data.video import load_video
+
+WIDTH, HEIGHT, FRAMES = 64, 48, 5
 
 
 @pytest.fixture(scope="session")
@@ -18,3 +26,53 @@ def walk():
         return rotations, transl
 
     return motion
+
+
+@pytest.fixture
+def seen(walk):
+    """A person before the camera, in its axes: upright there is half a turn about x."""
+    rotations, _ = walk(FRAMES)
+    upright = torch.tensor([np.pi, 0.0, 0.0], dtype=torch.float64)
+    root = torch.from_numpy(rotations[:, 0])
+    rotations[:, 0] = roma.rotvec_composition([upright.expand_as(root), root]).numpy()
+    return rotations, np.tile([0.1, -0.3, 4.0], (FRAMES, 1))
+
+
+@pytest.fixture
+def footage(tmp_path):
+    """Pictures as a folder numbered by people, and masks as an array."""
+    random = np.random.default_rng(0)
+    for k in range(FRAMES):
+        image = random.integers(0, 255, (HEIGHT, WIDTH, 3), dtype=np.uint8)
+        write_image(tmp_path / f"shots/frame_{k + 8}.png", image)
+    mask = np.zeros((FRAMES, HEIGHT, WIDTH), bool)
+    mask[:, 10:40, 20:40] = True
+    np.save(tmp_path / "masks.npy", mask)
+    return ["--body", "puppet", "--frames", tmp_path / "shots", "--masks", tmp_path / "masks.npy"]
+
+
+@pytest.fixture
+def stands():
+    """That a folder opens, and its person stands and turns where the source says."""
+
+    def check(folder, rotations, places, K, joints=22):
+        """Pelvises (n, 3) in the camera's axes; K (3, 3) or (n, 3, 3)."""
+        video = load_video(folder)
+        n = len(rotations)
+        assert len(video) == n
+        matrices = lambda x: roma.rotvec_to_rotmat(torch.as_tensor(x, dtype=torch.float64)).numpy()
+        found, wanted = matrices(video.pose.rotations), matrices(rotations)
+        assert np.abs(found[:, 0] - np.diag([1.0, -1.0, -1.0]) @ wanted[:, 0]).max() < 1e-5
+        assert np.abs(found[:, 1:joints] - wanted[:, 1:joints]).max() < 1e-5
+        with torch.no_grad():
+            place = load_body()(video.pose, video.shape).joints[:, 0].double().numpy()
+        K = np.broadcast_to(K, (n, 3, 3))
+        for k, camera in enumerate(video.cameras):
+            x = K[k] @ places[k]
+            assert np.abs(camera.project(place[k]) - x[:2] / x[2]).max() < 2e-3 * max(1, x[2])
+            assert np.abs(camera.K - K[k]).max() < 1e-3
+            depth = (camera.T_camera_world @ np.append(place[k], 1))[2]
+            assert abs(depth - places[k][2]) < 1e-4 * x[2]
+        return video
+
+    return check

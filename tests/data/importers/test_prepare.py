@@ -4,41 +4,18 @@ import json
 import pickle
 
 import numpy as np
-import pytest
 import roma
 import torch
 
 from gva_mi.body.puppet import PUPPET
 from gva_mi.body.smplx import load_body
+from gva_mi.data.fingerprint import require_same_body
 from gva_mi.data.importers.footage import masks, pictures
-from gva_mi.data.pictures import write_image, write_movie
+from gva_mi.data.pictures import write_movie
 from gva_mi.data.video import load_video
 
 WIDTH, HEIGHT, FRAMES = 64, 48, 5
 CENTRE = (WIDTH / 2, HEIGHT / 2)
-
-
-@pytest.fixture
-def seen(walk):
-    """A person before the camera, in its axes: upright there is half a turn about x."""
-    rotations, _ = walk(FRAMES)
-    upright = torch.tensor([np.pi, 0.0, 0.0], dtype=torch.float64)
-    root = torch.from_numpy(rotations[:, 0])
-    rotations[:, 0] = roma.rotvec_composition([upright.expand_as(root), root]).numpy()
-    return rotations, np.tile([0.1, -0.3, 4.0], (FRAMES, 1))
-
-
-@pytest.fixture
-def footage(tmp_path):
-    """Pictures as a folder numbered by people, and masks as an array."""
-    random = np.random.default_rng(0)
-    for k in range(FRAMES):
-        image = random.integers(0, 255, (HEIGHT, WIDTH, 3), dtype=np.uint8)
-        write_image(tmp_path / f"shots/frame_{k + 8}.png", image)
-    mask = np.zeros((FRAMES, HEIGHT, WIDTH), bool)
-    mask[:, 10:40, 20:40] = True
-    np.save(tmp_path / "masks.npy", mask)
-    return ["--frames", tmp_path / "shots", "--masks", tmp_path / "masks.npy"]
 
 
 def matrices(rotations):
@@ -87,7 +64,8 @@ def test_wham(tmp_path, cli, seen, footage):
     assert "wham, SMPL, 5 frames of 64x48" in said and "betas of SMPL do not carry over" in said
     check(tmp_path / "subject", seen, SMPL, np.hypot(WIDTH, HEIGHT))
     about = json.loads((tmp_path / "subject/prepare.json").read_text())
-    assert about["kind"] == "wham" and about["body"] == "SMPL"
+    assert about["kind"] == "wham" and about["form"] == "SMPL"
+    assert about["body"]["name"] == "puppet" and about["body"]["vertices"] > 1000
     code, _, err = cli("prepare", "auto", file, tmp_path / "subject", *footage)
     assert code == 2 and "--overwrite" in err
 
@@ -112,6 +90,49 @@ def test_who_is_seen_longest_and_what_is_missing_between(tmp_path, cli, seen, fo
     assert code == 2 and "has no person '3'; it has 0 (3 frames), 7 (2 frames)" in err
     code, said, err = cli("prepare", "wham", file, tmp_path / "b", *footage, "--person", "7")
     assert code == 0 and "left out: 2-4" in said, err
+
+
+def test_the_masks_choose_the_person(tmp_path, cli, seen, footage):
+    rotations, transl = seen
+    aside = transl + np.array([-1.0, 0.0, 0.0])  # farther left than the masks reach
+    people = wham((rotations, aside)) | {np.int64(7): wham((rotations[:4], transl[:4]))[0]}
+    file = tmp_path / "wham_output.pkl"
+    file.write_bytes(pickle.dumps(people))
+    mask = np.zeros((FRAMES, HEIGHT, WIDTH), bool)
+    mask[:, :, 22:48] = True
+    np.save(tmp_path / "masks.npy", mask)
+    code, said, err = cli("prepare", "wham", file, tmp_path / "subject", *footage)
+    assert code == 0, err
+    assert "person 7, who is in the masks best of 0 (5 frames, " in said
+    assert json.loads((tmp_path / "subject/prepare.json").read_text())["person"] == "7"
+
+
+def test_a_body_is_demanded_and_expected_by_the_later_steps(tmp_path, cli, seen, footage):
+    file, subject = tmp_path / "wham_output.pkl", tmp_path / "subject"
+    file.write_bytes(pickle.dumps(wham(seen)))
+    code, _, err = cli("prepare", "wham", file, subject, *footage[2:])
+    assert code == 2 and "--body" in err and not subject.exists()
+    with np.load(PUPPET) as arrays:
+        other = {key: arrays[key] for key in arrays.files}
+    other["v_template"] = 1.02 * other["v_template"]
+    np.savez(tmp_path / "taller.npz", **other)
+    taller = ["--body", tmp_path / "taller.npz"]
+    code, said, err = cli("prepare", "wham", file, subject, *taller, *footage[2:])
+    assert code == 0, err
+    assert "retargeted to the body taller: rotations and the pelvis's place" in said
+    assert f"the other steps expect --body {tmp_path}/taller.npz" in said
+    before = sorted(subject.rglob("*"))
+    for command in (("refine", subject), ("fit", subject, "--out", tmp_path / "run")):
+        code, _, err = cli(*command)
+        assert code == 2 and err.count("\n") == 1
+        assert "prepared for another body, taller (" in err and "expected --body with" in err
+    require_same_body(subject, load_body(tmp_path / "taller.npz"))
+    assert sorted(subject.rglob("*")) == before
+    code, said, err = cli("prepare", "wham", file, subject, *footage, "--overwrite")
+    assert code == 0 and "retargeted to the body puppet" in said, err
+    code, _, err = cli("refine", subject, *taller)
+    assert code == 2 and "expected the built-in puppet, that is no --body" in err
+    require_same_body(subject, load_body("puppet"))
 
 
 def test_gvhmr(tmp_path, cli, seen, footage):
@@ -190,7 +211,7 @@ def test_what_does_not_fit_is_said_in_one_sentence(tmp_path, cli, seen, footage)
     refused("kind must be auto, wham", "mystery", file, out, *footage)
     file.write_bytes(pickle.dumps(wham(seen)))
     np.save(tmp_path / "few.npy", np.ones((2, HEIGHT, WIDTH), bool))
-    few = ["--frames", footage[1], "--masks", tmp_path / "few.npy"]
+    few = [*footage[:4], "--masks", tmp_path / "few.npy"]
     refused("holds 2 masks, but there are more pictures", "auto", file, out, *few)
     np.save(tmp_path / "few.npy", np.ones((FRAMES, 9, WIDTH), bool))
     refused("mask 0 is 64x9, expected 64x48", "auto", file, out, *few)

@@ -1,0 +1,54 @@
+"""``Target``: the body that a folder's poses are for, and what it takes over from another."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gva_mi.body.body_file import read_body
+from gva_mi.body.puppet import PUPPET
+from gva_mi.body.smplx import BodyModel, body_file, body_name
+
+
+@dataclass(frozen=True)
+class Target:
+    """The body that a folder's poses are for."""
+
+    name: str
+    model: BodyModel
+    mean_hands: np.ndarray  # (30, 3) left before right, relative to flat ones
+    own_betas: bool  # it is SMPL-X, whose betas an estimator of SMPL-X gives
+    components: np.ndarray | None  # (2, K, 45) of SMPL-X's PCA of hands, in the same order
+
+    @staticmethod
+    def read(path: Path) -> Target:
+        """From a body's file, or the word ``puppet``.
+
+        Raises:
+            InputError: as :func:`gva_mi.body.smplx.load_body`.
+        """
+        arrays = read_body(body_file(path))
+        hands = [arrays.get(f"hands_mean{side}", np.zeros(45)) for side in "lr"]
+        # SMPL-X's alone has a face; the puppet has one, and betas of its own.
+        own_betas = body_file(path) != PUPPET and int(arrays["num_expressions"]) > 0
+        weighed = own_betas and "hands_componentsl" in arrays
+        parts = [arrays[f"hands_components{side}"] for side in "lr"] if weighed else None
+        model = BodyModel(arrays)
+        components = None if parts is None else np.stack(parts)
+        mean_hands = np.stack(hands).reshape(30, 3)
+        return Target(body_name(path), model, mean_hands, own_betas, components)
+
+    def keeps_betas(self, form: str) -> bool:
+        """Whether betas of a source of this form mean the same person here."""
+        return self.own_betas and form == "SMPL-X"
+
+    def takes_over(self, form: str) -> str:
+        """What of a source of this form is kept, for people."""
+        if self.keeps_betas(form):
+            return f"for the body {self.name}: rotations, place and betas are the source's own"
+        return (
+            f"retargeted to the body {self.name}: rotations and the pelvis's place are the "
+            "source's; lengths of limbs and shape are this body's"
+        )

@@ -90,7 +90,7 @@ def _axes(M: np.ndarray) -> Iterator[Finding]:
     mean = each.mean(0)
     best, plain = int(mean.argmax()), _WAYS.index(((0, 1, 2), (1, 1, 1)))
     gained = each[:, best] - each[:, plain]
-    if (gained > WORTH * (1 - each[:, plain])).mean() > 0.5:
+    if best != plain and (gained > WORTH * (1 - each[:, plain])).mean() > 0.5:
         axes, signs = _WAYS[best]
         written = " ".join(
             f"{'-' if s < 0 else ''}{'xyz'[a]}" for a, s in zip(axes, signs, strict=True)

@@ -32,14 +32,17 @@ def draw_sheet(contents: Contents, compared: Compared, body: BodyModel) -> np.nd
     rows = [_captioned(_row(contents, compared.some, renderer), f"as it is; {legend}")]
     if compared.accepted:
         how = ", ".join(reading.what for reading in compared.accepted)
-        rows.append(_captioned(_row(contents, compared.final, renderer), f"read without: {how}"))
+        # Where masks are other ones, or elsewhere, the pictures on disk do not go with them.
+        moved = any(reading.moves_pictures for reading in compared.accepted)
+        shown = _row(None if moved else contents, compared.final, renderer)
+        rows.append(_captioned(shown, f"read without: {how}"))
     width = max(row.shape[1] for row in rows)
     padded = [np.pad(r, ((0, 0), (0, width - r.shape[1]), (0, 0)), constant_values=1) for r in rows]
     return np.concatenate(padded)
 
 
-def _row(contents: Contents, seen: Seen, renderer: Silhouettes) -> list[np.ndarray]:
-    """Some frames with both outlines."""
+def _row(contents: Contents | None, seen: Seen, renderer: Silhouettes) -> list[np.ndarray]:
+    """Some frames, or white without contents, with both outlines."""
     some = seen.of(spread(range(len(seen)), SHOWN))
     first = some.cameras[0]
     size = max(1, round(HEIGHT * first.width / first.height)), HEIGHT
@@ -47,7 +50,9 @@ def _row(contents: Contents, seen: Seen, renderer: Silhouettes) -> list[np.ndarr
     shown = renderer.render(large)[..., 3] > 0.5
     pictures = []
     for i, frame in enumerate(some.frames):
-        picture = _resized(contents.picture(frame), size).astype(np.float32) / 255
+        picture = np.ones((size[1], size[0], 3), np.float32)
+        if contents is not None:
+            picture = _resized(contents.picture(frame), size).astype(np.float32) / 255
         mask = _resized(some.masks[i].astype(np.uint8) * 255, size) > 127
         pictures.append(outlined(outlined(picture, mask, MASK), shown[i], OUTLINE))
     return pictures

@@ -25,7 +25,7 @@ HOMES = {  # packages that only some folders may import, at any depth of the fil
               "gva_mi.splat.means2d", "gva_mi.splat.gsplat_compat", "gva_mi.splat.gsplat_meta",
               "gva_mi.splat.gsplat_views", "gva_mi.splat.reference", "gva_mi.splat.scene",
               "gva_mi.splat.gradcheck",
-              "gva_mi.splat.bench", "gva_mi.body", "gva_mi.mesh", "gva_mi.data",
+              "gva_mi.splat.bench", "gva_mi.body", "gva_mi.mesh", "gva_mi.data", "gva_mi.check",
               "gva_mi.sculptor", "gva_mi.avatar", "gva_mi.pose", "gva_mi.fit", "gva_mi.threads",
               "gva_mi.viewer", "gva_mi.commands"),
     "viser": ("gva_mi.viewer.server", "gva_mi.viewer.controls"),

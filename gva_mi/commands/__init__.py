@@ -8,10 +8,11 @@
                                                                             ├──────▶ export
                                                                             └──────▶ track
 
-``prepare`` makes such a subject/ of a real video. ``demo`` runs them all but ``render``, ``view``,
-``export`` and ``track``. Each reads a folder, writes a folder, and can be run alone; no output is
-replaced unless asked for. A command checks its arguments, calls the library, and says what came of
-it. A new command is a new file and a line in :data:`VERBS`.
+``prepare`` makes such a subject/ of a real video, and ``check`` says what is wrong with one.
+``demo`` runs them all but ``render``, ``view``, ``export`` and ``track``. Each reads a folder,
+writes a folder, and can be run alone; no output is replaced unless asked for. A command checks its
+arguments, calls the library, and says what came of it. A new command is a new file and a line in
+:data:`VERBS`.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ VERBS = {  # and what each does, told by `gva-mi --help` without importing any o
     "demo": "all of it on a synthetic subject: synth, refine, fit, evaluate, report",
     "synth": "make a synthetic subject: a video, what goes with it, and the truth apart",
     "prepare": "make a subject of a video, masks, and what a pose estimator wrote",
+    "check": "say all that is wrong with a subject's folder, in one pass",
     "refine": "refine poses with normals and masks: stage 2 of the paper, Eq. 8",
     "fit": "fit an avatar to a video: Eq. 9, densification, re-initialisation",
     "evaluate": "measure an avatar on the splits of a subject",

@@ -30,7 +30,12 @@ def overlay(image: np.ndarray, camera: Camera, vertices: Tensor, faces: Tensor) 
     light = np.clip(-normals_mask[..., 2:3], 0, 1)  # as by a lamp on the camera
     shaded = np.array(BLUE) * (0.25 + 0.75 * light)
     picture = np.where(mask, (1 - OPACITY) * image + OPACITY * shaded, image)
-    return np.where(_outline(mask[..., 0])[..., None], OUTLINE, picture).astype(np.float32)
+    return outlined(picture, mask[..., 0], OUTLINE)
+
+
+def outlined(image: np.ndarray, mask: np.ndarray, color: tuple[float, ...]) -> np.ndarray:
+    """A picture (H, W, 3) with the outline of a mask (H, W) bool drawn on it, float32."""
+    return np.where(_outline(mask)[..., None], color, image).astype(np.float32)
 
 
 @torch.no_grad()

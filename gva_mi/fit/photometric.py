@@ -159,7 +159,7 @@ def _fit_clips(
         if frames:
             evidence = PictureEvidence(avatar, frames, options.weights)
             told = within(progress, sum(steps[:number]), steps[number], sum(steps))
-            part = descend(evidence, part, arms, options, told).pose
+            part = descend(evidence, part, arms, options, told, may_be_right=True).pose
         found.append(part)
     return join(clips, found)
 

@@ -74,6 +74,11 @@ class Corrections:
         own = turns_between(given, wanted)
         return Corrections(stage1, anatomy, beliefs, stage1.in_camera(own), moves[..., 0])
 
+    def none_yet(self) -> Corrections:
+        """The same beliefs, with nothing corrected: stage 1 as it is."""
+        turns0, moves0 = (torch.zeros_like(x) for x in self.start)
+        return Corrections(self._stage1, self._anatomy, self.beliefs, turns0, moves0)
+
     @torch.no_grad()
     def found(self) -> tuple[Tensor, Tensor]:
         """``A δ`` (n, J, 3) and ``τ`` (n, 3) as they are by now, in the camera's axes."""

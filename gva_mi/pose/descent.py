@@ -126,6 +126,7 @@ def descend(
     options: DescentOptions,
     progress: Progress | None = None,
     following: Sequence[int] = (),
+    may_be_right: bool = False,
 ) -> Descent:
     """Minimise eq. 1; the leaves ``evidence.shared`` are moved in place.
 
@@ -136,10 +137,14 @@ def descend(
         options: weights, passes, learning rates and the seed.
         progress: called as ``progress(done, total, loss=...)`` after every step.
         following: frames without evidence, whose poses follow from what ``E`` says.
+        may_be_right: whether ``start`` is where to begin if pictures agree better with it than with
+            what is most probable of it, which takes all that is jerky for an error.
     """
     frames = sorted({*evidence.frames, *following})
     stage1 = Stage1.of(start, frames, evidence.camera)
     corrections = Corrections.likeliest(stage1, evidence.anatomy)
+    if may_be_right:
+        corrections = _better(evidence, frames, corrections, corrections.none_yet())
     adam = optimiser(corrections, arms, options, evidence.unseen, evidence.shared)
     seen = [i for i, k in enumerate(frames) if k not in set(following)]
     batches = [[seen[i] for i in batch] for batch in _batches(len(seen), options)]
@@ -160,6 +165,15 @@ def descend(
     with torch.no_grad():
         found = corrections.pose(range(len(frames)))
     return Descent(with_frames(start, frames, found), corrections.beliefs)
+
+
+@torch.no_grad()
+def _better(evidence: Evidence, frames: list[int], *starts: Corrections) -> Corrections:
+    """Of several corrections those that the frames with evidence agree with best."""
+    seen = [i for i, k in enumerate(frames) if k in set(evidence.frames)]
+    numbers = [frames[i] for i in seen]
+    losses = [float(evidence.loss(numbers, corrections.pose(seen))) for corrections in starts]
+    return starts[losses.index(min(losses))]
 
 
 def with_frames(start: Pose, frames: Sequence[int], found: Pose) -> Pose:

@@ -126,3 +126,29 @@ def test_details_are_looked_at_once_poses_are_nearly_right(camera):
     evidence = Places(camera)
     descend(evidence, Pose.rest(4), ARMS, replace(FREE, passes=10, learn=4))
     assert evidence.closer_at == 4 * 2  # two batches of a pass
+
+
+class Truth(Places):
+    """Frames know their places."""
+
+    def __init__(self, camera, places):
+        super().__init__(camera, range(len(places)))
+        self.places = places
+
+    def loss(self, frames, pose):
+        return (pose.transl - self.places[frames]).square().sum(1).mean()
+
+
+def test_poses_that_may_be_right_begin_where_pictures_agree(camera):
+    """A person seen now and then jumps, from picture to picture, and pictures know it."""
+    generator = torch.Generator().manual_seed(0)
+    start = Pose.rest(12)
+    start.transl[:] = 0.1 * torch.randn(12, 3, generator=generator)
+    hardly = replace(FREE, passes=1, step=1e-6, translation_lr=1e-6)
+    first = lambda truth, **kw: descend(Truth(camera, truth), start, ARMS, hardly, **kw).pose.transl
+    away = lambda found, truth: (found - truth).norm(dim=1).mean()
+    right = start.transl.clone()
+    assert away(first(right, may_be_right=True), right) < 1e-4 < 0.02 < away(first(right), right)
+    smooth = right * 0  # the jumps are errors
+    assert torch.equal(first(smooth, may_be_right=True), first(smooth))
+    assert away(first(smooth), smooth) < away(start.transl, smooth)

@@ -33,7 +33,7 @@ TITLES = (
     ("LPIPS", LPIPS),
     ("rand_vgg", RAND_VGG),
     ("PSNR, dB, in the boxes of hands and person, and on black", PARTS),
-    ("Defects: what spills over the outline, holes within it, strays", DEFECTS),
+    ("Defects: what spills over the outline, holes within it, flicker, strays", DEFECTS),
     ("Where the Gaussians lie", SURFACE),
 )
 

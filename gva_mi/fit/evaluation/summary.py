@@ -97,6 +97,24 @@ def _part(region: Region) -> tuple[Column, ...]:
     )
 
 
+def _defect(metric: str) -> tuple[Column, ...]:
+    """A share of the person, of poses and cameras that the fit has not seen."""
+    return tuple(
+        _percent(metric, name, split, poses)
+        for name, split, poses in (_TEST, _NOVEL_POSE, _NOVEL_VIEW)
+    )
+
+
+def _percent(metric: str, name: str, split: Split, poses: str | None) -> Column:
+    of = score(metric, split, poses=poses)
+
+    def percent(result: RowResult) -> float | None:
+        share = of(result)
+        return None if share is None else 100 * share
+
+    return Column(f"defects: {metric}, %, {name}", percent, 2, -1)
+
+
 def _surface(name: str, figure: str, key: str, moment: str) -> Column:
     """A figure of the surface at the last such moment of a fit."""
 
@@ -124,9 +142,9 @@ SURFACE = (
     _surface("bias of the rest at the end, mm", "bias_mm", "rest", "end"),
 )
 DEFECTS = (
-    *_whole("spill", 4, -1),
-    *_whole("holes", 4, -1),
-    Column("flicker: test", score("flicker", "test"), 4, -1),
+    *_defect("spill"),
+    *_defect("holes"),
+    _percent("flicker", "test", "test", None),
     _surface("stray Gaussians at the end, mm", "stray_mm", "", "end"),
 )
 COST = (

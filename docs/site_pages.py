@@ -2,7 +2,7 @@
 
 On the forge, pages link to code and lessons by relative paths. On the site, such a link leads to a
 page that shows the file: ``../gva_mi/llvm.py`` becomes ``source/gva_mi/llvm.py.md``. CHANGELOG.md
-is the page ``changes.md``. Nothing is loaded from elsewhere for it: browsers draw MathML themselves.
+is the page ``changes.md``. Formulas need no script: browsers draw MathML themselves.
 """
 
 from __future__ import annotations

@@ -92,7 +92,7 @@ def table(lines: list[str]) -> list[str]:
 
 
 def comment_of(source: str) -> str | None:
-    """The comment behind a field or a constant, as a sentence's start; None where there is none."""
+    """The comment behind a field; None where there is none."""
     try:
         tokens = list(tokenize.generate_tokens(io.StringIO(source).readline))
     except (tokenize.TokenError, IndentationError):
@@ -109,5 +109,6 @@ class HouseDocstrings(Extension):
         """Rewrite a docstring; give a field the comment behind it."""
         if obj.docstring is not None:
             obj.docstring.value = markdown(obj.docstring.value)
-        elif isinstance(obj, Attribute) and (comment := comment_of("\n".join(obj.lines))):
-            obj.docstring = Docstring(comment, parent=obj)
+        elif isinstance(obj, Attribute) and obj.parent is not None and obj.parent.is_class:
+            if comment := comment_of("\n".join(obj.lines)):
+                obj.docstring = Docstring(comment, parent=obj)

@@ -1,8 +1,8 @@
 """Hooks of mkdocs: pages of the site that are files of the repository, and formulas as MathML.
 
 On the forge, pages link to code and lessons by relative paths. On the site, such a link leads to a
-page that shows the file: ``../gva_mi/llvm.py`` becomes ``source/gva_mi/llvm.py.md``. CHANGELOG.md
-is the page ``changes.md``. Formulas need no script: browsers draw MathML themselves.
+page that shows the file: ``../gva_mi/llvm.py`` becomes ``source/gva_mi/llvm.py.md``. README.md is
+the page ``demo.md``, and CHANGELOG.md ``changes.md``. Formulas need no script: browsers draw MathML themselves.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ if TYPE_CHECKING:
     from mkdocs.structure.pages import Page
 
 ROOT = Path(__file__).parents[1]
-CHANGES = "changes.md"
-ELSEWHERE = {"CHANGELOG.md": CHANGES, "README.md": "index.md"}
+AT_THE_TOP = {"README.md": "demo.md", "CHANGELOG.md": "changes.md"}  # pages of Markdown already
 SHOWN_AS_THEY_ARE = (".md", ".png")  # of docs/
 _FENCES = re.compile(r"^(```+).*?^\1", re.MULTILINE | re.DOTALL)
 _LINK = re.compile(r"(\]\()(?!\w+:)([^)\s#]+)((?:#[^)\s]*)?\))")  # a relative one
 _FORMULA = re.compile(
     r'<(div|span) class="arithmatex">\s*\\[\[(](.*?)\\[\])]\s*</\1>', re.DOTALL
 )  # as pymdownx.arithmatex leaves them
+_kept: list[tempfile.TemporaryDirectory] = []  # until the process ends
 _TAG = re.compile(r"\\tag\{(.*?)\}")
 
 
@@ -48,7 +48,7 @@ def source_of(folder: Path, link: str) -> str | None:
 
 def page_of(source: str) -> str:
     """Where the site shows a file of the repository."""
-    return ELSEWHERE.get(source, f"source/{source}.md")
+    return AT_THE_TOP.get(source, f"source/{source}.md")
 
 
 def shown(source: str) -> str:
@@ -91,7 +91,8 @@ def mathml(page: str) -> str:
 
 def on_config(config: MkDocsConfig) -> None:
     """Let the reader of docstrings find ``gva_mi_plugins``, which lies in ``plugins/``."""
-    folder = Path(tempfile.mkdtemp(prefix="gva_mi_docs_"))
+    _kept.append(tempfile.TemporaryDirectory(prefix="gva_mi_docs_"))
+    folder = Path(_kept[-1].name)
     (folder / "gva_mi_plugins").symlink_to(ROOT / "plugins")
     config.plugins["mkdocstrings"].config["handlers"]["python"]["paths"] = [str(ROOT), str(folder)]
 
@@ -104,13 +105,13 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     from mkdocs.structure.files import File
 
     lessons = {path.relative_to(ROOT).as_posix() for path in (ROOT / "notebooks").glob("*.ipynb")}
-    sources = lessons | {"CHANGELOG.md"}
+    sources = lessons | set(AT_THE_TOP)
     for file in files.documentation_pages():
         folder = Path(file.abs_src_path).parent
         found = (source_of(folder, link) for link in links(file.content_string))
         sources.update(source for source in found if source)
-    for source in sorted(sources - {"README.md"}):
-        text = (ROOT / source).read_text() if source in ELSEWHERE else shown(source)
+    for source in sorted(sources):
+        text = (ROOT / source).read_text() if source in AT_THE_TOP else shown(source)
         files.append(File.generated(config, page_of(source), content=text))
     return files
 
@@ -124,7 +125,7 @@ def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
     if at_home:
         folder = Path(at_home).parent
     else:
-        folder = ROOT if uri == CHANGES else ROOT / "notebooks"
+        folder = ROOT if uri in AT_THE_TOP.values() else ROOT / "notebooks"
     up = "../" * uri.count("/")
 
     def turned(match: re.Match[str]) -> str:
@@ -132,7 +133,7 @@ def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
         if source is None and at_home:
             return match[0]
         path = (folder / match[2]).resolve()
-        if source is None and path.is_relative_to(ROOT / "docs"):  # from outside of docs/ into it
+        if source is None and path.is_relative_to(ROOT / "docs"):  # from outside into docs/
             return f"{match[1]}{up}{path.relative_to(ROOT / 'docs').as_posix()}{match[3]}"
         return f"{match[1]}{up}{page_of(source)}{match[3]}" if source else match[0]
 

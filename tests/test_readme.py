@@ -177,14 +177,17 @@ def test_every_link_within_pages_leads_to_a_heading(page):
 
 
 def test_every_page_is_in_the_menu():
-    """And what the menu names is there: a page, or a lesson or the changes, which hooks add."""
+    """And what the menu names is there: a page, or a lesson or a page that hooks add."""
     menu = (ROOT / "mkdocs.yml").read_text().partition("\nnav:")[2].partition("\nplugins:")[0]
     named = set(re.findall(r": ([\w/.]+\.md)$", menu, re.MULTILINE))
     pages = {str(page.relative_to(ROOT / "docs")) for page in PAGES[1:]}
     lessons = {f"notebooks/{path.name}" for path in (ROOT / "notebooks").glob("*.ipynb")}
-    assert named == pages | {site_pages.page_of(name) for name in (*lessons, "CHANGELOG.md")}
+    assert named == pages | {
+        site_pages.page_of(name) for name in (*lessons, *site_pages.AT_THE_TOP)
+    }
 
 
+@pytest.mark.slow
 def test_the_site_is_built(tmp_path):
     """Strictly: a link, an anchor or a docstring that is wrong ends it."""
     own = Path(sys.executable).parent / "mkdocs"

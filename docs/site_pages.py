@@ -2,7 +2,7 @@
 
 On the forge, pages link to code and lessons by relative paths. On the site, such a link leads to a
 page that shows the file: ``../gva_mi/llvm.py`` becomes ``source/gva_mi/llvm.py.md``. README.md is
-the page ``demo.md``, and CHANGELOG.md ``changes.md``. Formulas need no script: browsers draw MathML themselves.
+the page ``demo.md``, and CHANGELOG.md ``changes.md``. Formulas need no script, but MathML alone.
 """
 
 from __future__ import annotations

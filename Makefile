@@ -1,10 +1,11 @@
-# Two commands on a fresh machine: `make demo` and `make test`. Everything else is for developers.
+# Two commands on a fresh machine: `make demo` and `make test`; `make docs` builds the site. Everything
+# else is for developers.
 PYTHON ?= python3
 BIN := .venv/bin
 LIBRARIES := libllvm19 libgl1 libx11-6
 export MPLBACKEND := Agg
 
-.PHONY: demo test test-all lint doctor clean
+.PHONY: demo test test-all lint docs doctor clean
 
 demo: .venv/ready
 	$(BIN)/gva-mi demo --out out/demo --overwrite
@@ -21,6 +22,9 @@ lint: .venv/ready
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
+docs: .venv/docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
 doctor: .venv/ready
 	$(BIN)/gva-mi doctor
 
@@ -29,6 +33,10 @@ doctor: .venv/ready
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt torch
 	$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[dev]"
+	touch $@
+
+.venv/docs: .venv/ready
+	$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[docs]"
 	touch $@
 
 # The system's libraries: a libLLVM that Dr.Jit can use, and what pymeshlab's wheel leaves out.

@@ -1,14 +1,23 @@
-"""What README tells a reader to type works, in the order in which it stands there."""
+"""What README and the pages of docs/ tell a reader to type works, and links lead somewhere."""
 
+import importlib.util
 import re
 import shlex
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-README = (Path(__file__).parents[1] / "README.md").read_text()
-COMMANDS = re.findall(r"^gva-mi .*?(?=\s*(?:#.*)?$)", README, re.MULTILINE)
-PROGRAMS = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+PAGE = pytest.mark.parametrize("page", PAGES, ids=lambda path: str(path.relative_to(ROOT)))
+README = PAGES[0].read_text()
+BLOCKS = re.compile(r"```(\w*)\n(.*?)```", re.DOTALL)
+LINE = re.compile(r"^gva-mi .*?(?=\s*(?:#[ ].*)?$)", re.MULTILINE)
+COMMANDS = LINE.findall(README)
 
 # The same command on less work.
 SMALLER = {
@@ -17,6 +26,27 @@ SMALLER = {
     "fit": "--steps 20",
     "track": "--passes 1",
 }
+
+spec = importlib.util.spec_from_file_location("site_pages", ROOT / "docs/site_pages.py")
+site_pages = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(site_pages)
+
+
+def commands(page):
+    """The commands of a page: lines of its programs for a shell, and what stands in backquotes."""
+    text = page.read_text()
+    for kind, block in BLOCKS.findall(text):
+        if kind == "sh":
+            yield from LINE.findall(block)
+    for written in re.findall(r"`(gva-mi [^`]+)`", BLOCKS.sub("", text)):
+        yield re.sub(r"\[(--\w.*?)\]", r"\1", written)  # options that may be left out are read, too
+
+
+def anchors(page):
+    """What a forge calls the headings of a page."""
+    heads = re.findall(r"^#+ (.*)", BLOCKS.sub("", page.read_text()), re.MULTILINE)
+    heads = [re.sub(r"[^\w\- ]", "", head.lower()).replace(" ", "-") for head in heads]
+    return {*heads, *re.findall(r"^::: (\S+)", page.read_text(), re.MULTILINE)}
 
 
 def test_the_commands_run_one_after_the_other(tmp_path, monkeypatch, cli):
@@ -32,16 +62,142 @@ def test_the_commands_run_one_after_the_other(tmp_path, monkeypatch, cli):
     assert (tmp_path / "person.ply").exists() and (tmp_path / "person.glb").exists()
 
 
-@pytest.mark.parametrize("program", PROGRAMS, ids=lambda text: text.split("\n")[1])
-def test_the_programs_run(program):
-    exec(compile(program, "README.md", "exec"), {})
+@PAGE
+def test_every_command_is_one_of_the_command_line(page):
+    """Parsed and not run. A verb alone, in backquotes, is a name."""
+    from gva_mi.__main__ import _parse
+    from gva_mi.commands import VERBS, load
+
+    for command in commands(page):
+        verb, *arguments = shlex.split(command)[1:]
+        if verb == "COMMAND":  # any
+            continue
+        assert verb in VERBS, command
+        if arguments:
+            try:
+                _parse(load(verb), f"gva-mi {verb}", arguments)
+            except SystemExit:
+                pytest.fail(f"{page.name}: {command}")
 
 
-def test_the_folder_map_names_folders_that_exist():
-    for name in re.findall(r"^  (\w+)/ ", README, re.MULTILINE):
-        assert (Path(__file__).parents[1] / "gva_mi" / name).is_dir()
+def test_a_wrong_command_is_found(tmp_path):
+    (tmp_path / "page.md").write_text("```sh\ngva-mi fit subject --outt run   # a slip\n```\n")
+    with pytest.raises(pytest.fail.Exception, match="--outt run"):
+        test_every_command_is_one_of_the_command_line(tmp_path / "page.md")
 
 
-def test_every_picture_is_there():
-    for name in re.findall(r"!\[.*?\]\((.*?)\)", README):
-        assert (Path(__file__).parents[1] / name).exists(), name
+def run_lines(page, cli):
+    """Run a page's commands that need an avatar and no more, where a run and a dance are there."""
+    for command in commands(ROOT / "docs" / page):
+        words = shlex.split(command)[1:]
+        if len(words) > 1 and words[0] in ("export", "motion", "render") and "FILE" not in words:
+            size = [] if words[0] != "render" or "--size" in words else ["--size", 32, 48]
+            code, _, err = cli(*words, *size, *(["--overwrite"] if words[0] == "export" else []))
+            assert code == 0, f"{command}: {err}"
+
+
+@pytest.fixture
+def home(known, turning, tmp_path, monkeypatch):
+    """A working folder with a run in it, and a motion in AMASS's form."""
+    from gva_mi.body.pose import save_poses
+
+    known.save(tmp_path / "run/avatar.npz")
+    save_poses(tmp_path / "run/poses.npz", *turning(3), stage=2)
+    poses = np.zeros((9, 156))
+    poses[:, 0] = np.pi / 2  # z is up
+    poses[:, 50] = np.linspace(0, 0.5, 9)
+    amass = {"poses": poses, "trans": np.zeros((9, 3)), "betas": np.zeros(16)}
+    np.savez(tmp_path / "dance.npz", **amass, mocap_framerate=60.0)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_avatars_go_out_as_their_page_says(home, cli):
+    run_lines("export.md", cli)
+    for name in ("person.splat", "frame.ply", "person.glb", "motion.npz", "film.mp4"):
+        assert (home / name).stat().st_size > 100, name
+    assert sorted(path.name for path in (home / "frames").glob("*.splat"))[0] == "000000.splat"
+    assert (home / "again/000002.png").exists()
+
+
+def test_motions_drive_avatars_as_their_page_says(home, cli):
+    run_lines("motions.md", cli)
+    assert len(np.load(home / "walk.npz")["transl"]) == 4  # 9 frames at 60 a second, now at 25
+    assert (home / "orbit/video.mp4").exists() and (home / "turntable/000071.png").exists()
+
+
+def test_the_table_of_kinds_is_whole():
+    from gva_mi.data.importers.datasets import DATASETS
+    from gva_mi.data.importers.estimators import KINDS
+
+    text = (ROOT / "docs/sources.md").read_text()
+    for kind in (*KINDS, *DATASETS):
+        assert f"\n| `{kind}` | " in text, kind
+
+
+def test_the_families_of_noise_and_the_extras_are_all_there():
+    import tomllib
+
+    from gva_mi.data.synthetic.noise.families import FAMILIES
+
+    people, installation = (
+        (ROOT / "docs" / n).read_text() for n in ("people.md", "installation.md")
+    )
+    for family in FAMILIES:
+        assert f"`{family}`" in people, family
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    for extra in project["optional-dependencies"]:
+        assert f"\n| `{extra}` | " in installation, extra
+
+
+PROGRAMS = [  # those of plugins.md below its first heading are run by tests/plugins
+    ((ROOT / "docs" / name).read_text().partition(end)[0], name)
+    for name, end in (("splatting.md", "## Conventions"), ("plugins.md", "\n## "))
+]
+
+
+@pytest.mark.parametrize("text, name", PROGRAMS, ids=[name for _, name in PROGRAMS])
+def test_the_programs_run(text, name):
+    (program,) = [block for kind, block in BLOCKS.findall(text) if kind == "python"]
+    exec(compile(program, name, "exec"), {})
+
+
+@PAGE
+def test_every_link_leads_to_a_file(page):
+    for link in site_pages.links(page.read_text()):
+        assert (page.parent / link).exists(), link
+
+
+@PAGE
+def test_every_link_within_pages_leads_to_a_heading(page):
+    text = BLOCKS.sub("", page.read_text())
+    for link, anchor in re.findall(r"\]\(([^)\s#:]*)#([^)\s]+)\)", text):
+        target = page.parent / link if link else page
+        assert anchor in anchors(target), f"{link}#{anchor}"
+
+
+def test_every_page_is_in_the_menu():
+    """And what the menu names is there: a page, or a lesson or a page that hooks add."""
+    menu = (ROOT / "mkdocs.yml").read_text().partition("\nnav:")[2].partition("\nplugins:")[0]
+    named = set(re.findall(r": ([\w/.]+\.md)$", menu, re.MULTILINE))
+    pages = {str(page.relative_to(ROOT / "docs")) for page in PAGES[1:]}
+    lessons = {f"notebooks/{path.name}" for path in (ROOT / "notebooks").glob("*.ipynb")}
+    assert named == pages | {
+        site_pages.page_of(name) for name in (*lessons, *site_pages.AT_THE_TOP)
+    }
+
+
+@pytest.mark.slow
+def test_the_site_is_built(tmp_path):
+    """Strictly: a link, an anchor or a docstring that is wrong ends it."""
+    own = Path(sys.executable).parent / "mkdocs"
+    mkdocs = own if own.exists() else shutil.which("mkdocs")
+    if mkdocs is None:
+        pytest.skip("mkdocs is not installed: pip install 'gva_mi[docs]'")
+    build = [mkdocs, "build", "--strict", "--quiet", "--site-dir", tmp_path]
+    done = subprocess.run(build, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    index, page = ((tmp_path / name).read_text() for name in ("index.html", "splatting.html"))
+    assert "overview.png" in index and "\\tag" not in page and page.count("<math") > 100
+    assert 'href="source/gva_mi/splat/kernels/pixel.py.html"' in page
+    assert "(N, 3)" in (tmp_path / "api/splat.html").read_text()

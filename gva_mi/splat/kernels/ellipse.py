@@ -50,6 +50,15 @@ def _plus(a: Array | None, b: Array | None) -> Array | None:
     return a + b
 
 
+def rotation_entries(q: list[Array]) -> list[Array]:
+    """The nine numbers of a unit quaternion's matrix, row by row; arrays of any kind."""
+    w, i, j, k = q
+    M = [1 - 2 * (j * j + k * k), 2 * (i * j - w * k), 2 * (i * k + w * j)]
+    M += [2 * (i * j + w * k), 1 - 2 * (i * i + k * k), 2 * (j * k - w * i)]
+    M += [2 * (i * k - w * j), 2 * (j * k + w * i), 1 - 2 * (i * i + j * j)]
+    return M
+
+
 @dataclass(frozen=True)
 class Rotation:
     """A quaternion of any length as a matrix; of zero, the identity."""
@@ -62,11 +71,8 @@ class Rotation:
     def of(quat: list[Array]) -> Rotation:
         squared = quat[0] * quat[0] + quat[1] * quat[1] + quat[2] * quat[2] + quat[3] * quat[3]
         rq = dr.select(squared > 0, 1 / dr.sqrt(squared), 0)
-        w, i, j, k = q = [v * rq for v in quat]
-        M = [1 - 2 * (j * j + k * k), 2 * (i * j - w * k), 2 * (i * k + w * j)]
-        M += [2 * (i * j + w * k), 1 - 2 * (i * i + k * k), 2 * (j * k - w * i)]
-        M += [2 * (i * k - w * j), 2 * (j * k + w * i), 1 - 2 * (i * i + j * j)]
-        return Rotation(q, rq, M)
+        q = [v * rq for v in quat]
+        return Rotation(q, rq, rotation_entries(q))
 
     def adjoint(self, gM: list[Array]) -> list[Array]:
         """From dL/dM to dL/dquaternion: the matrix, then the normalisation."""

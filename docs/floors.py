@@ -24,6 +24,7 @@ FLOORS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("splat records", "Camera, Gaussians, SplatOptions",
      ("gva_mi.splat.camera", "gva_mi.splat.gaussians", "gva_mi.splat.options")),
     ("splat/kernels", "splatting in Dr.Jit: forward, adjoint, tangent", ("gva_mi.splat.kernels",)),
+    ("splat/formats", "Gaussians in files of other programs", ("gva_mi.splat.formats",)),
     ("splat", "render, rasterization; the slow twin", ("gva_mi.splat",)),
     ("splat/gradcheck", "are the gradients right?", ("gva_mi.splat.gradcheck",)),
     ("splat/bench", "how fast is it?", ("gva_mi.splat.bench",)),

@@ -33,7 +33,8 @@ def bench(
     Args:
         what: the part to measure. Of the options all but splat use repeats and seed only.
         options: what to measure, and how often.
-        scene: an .npz file as for gradcheck; without it a person of 20,000 Gaussians at 512 px.
+        scene: a .ply, .splat or .npz file as for gradcheck; without it a person of 20,000
+            Gaussians at 512 px.
         json_file: where to write all figures.
     """
     if what != "splat" and scene is not None:

@@ -13,8 +13,6 @@ from tyro.conf import Positional
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.formats.amass import save_amass
 from gva_mi.avatar.formats.gltf import save_gltf
-from gva_mi.avatar.formats.ply import load_ply, save_ply
-from gva_mi.avatar.formats.splat import load_splat, save_splat
 from gva_mi.avatar.formats.without_body import require_body_of, save_without_body
 from gva_mi.body.pose import Pose
 from gva_mi.body.smplx import body_name, load_body
@@ -28,6 +26,9 @@ from gva_mi.fit.camera_paths import CameraPath, Shot, shots
 from gva_mi.fit.renders import over, render_shots, see_through
 from gva_mi.fit.run_folder import load_avatar
 from gva_mi.splat import Gaussians
+from gva_mi.splat.formats import LOAD
+from gva_mi.splat.formats.ply import save_ply
+from gva_mi.splat.formats.splat import save_splat
 
 MARKER = "export.json"  # every folder of exports that was made here holds it
 FORMATS = {  # by the suffix of --out
@@ -39,7 +40,6 @@ FORMATS = {  # by the suffix of --out
     "": "a folder with one file a frame",
 }
 SAVE = {".ply": save_ply, ".splat": save_splat}
-LOAD = {".ply": load_ply, ".splat": load_splat}
 FOR = {  # what the options are about; the others are about all
     "frame": (".ply", ".splat", ".mp4"),
     "every": ("",),
@@ -110,8 +110,8 @@ def export(
     """Write an avatar, its poses, or a film of it in a file of other programs.
 
     Args:
-        run: the folder of a finished fit, or an avatar.npz; or a .ply or .splat, which becomes the
-            other.
+        run: the folder of a finished fit, or an avatar.npz; or a .ply, also a compressed one, or a
+            .splat, which becomes the other.
         options: what is written.
         view: of films and .png.
         out: the file, whose suffix says what it is: .ply and .splat (Gaussians in one pose), .glb

@@ -76,8 +76,9 @@ def gradcheck(
         what: the renderer, or an avatar in random poses, of which the options count and seed tell
             how many.
         options: where to look, and through what.
-        scene: of the renderer: an .npz file with means, quats, scales, opacities, sh or colors,
-            viewmat, K, width, height, background; without it a person of 20,000 Gaussians.
+        scene: of the renderer: a .ply or .splat, or an .npz file with means, quats, scales,
+            opacities, sh or colors, viewmat, K, width, height, background; without it a person of
+            20,000 Gaussians.
         body: of an avatar: a body in SMPL-X's .npz format; without it the built-in puppet.
         out: a folder for gradcheck.json and, of the renderer, gradcheck.png.
     """

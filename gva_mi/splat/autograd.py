@@ -92,6 +92,7 @@ class Call:
     options: SplatOptions
     harmonics: bool  # whether the colours are coefficients
     screen: Screen | None
+    covariances: bool = False  # whether scales and quats hold covariances (covariance.py)
     packed: bool = False  # whether means2d has rows of those in the picture alone
     rows: Tensor | None = None  # these, once they are known
     saved: Saved | None = None
@@ -272,7 +273,13 @@ def draw(call: Call, given: Tensors) -> None:
     absolute = screen is not None and screen.absolute
     background = given.background.tolist()
     call.saved = render_forward(
-        inputs, call.harmonics, call.camera, call.options, background, absolute
+        inputs,
+        call.harmonics,
+        call.camera,
+        call.options,
+        background,
+        absolute,
+        covariances=call.covariances,
     )
     dr.sync_thread()  # torch reads the memory next
     if screen is not None:

@@ -45,8 +45,8 @@ AS_CALLED = {  # names of what lies below, and of the arguments here
 @alone_on_the_cores()
 def rasterization(
     means: Tensor,
-    quats: Tensor,
-    scales: Tensor,
+    quats: Tensor | None,
+    scales: Tensor | None,
     opacities: Tensor,
     colors: Tensor,
     viewmats: Tensor,
@@ -100,11 +100,13 @@ def rasterization(
         backgrounds: (..., C, D); black where None.
         render_mode: colours, accumulated depth (D), expected depth (ED), or colours and, as the
             last channel, one of these.
+        covars: (..., N, 3, 3) m^2 in the place of quats and scales, which are not looked at then;
+            their upper triangles are read, and differentiated by.
         absgrad: whether backward sets ``meta["means2d"].absgrad``, of its shape.
         rasterize_mode: "antialiased" takes from the opacity what the blur adds in area.
         camera_model: of all cameras.
         sparse_grad, channel_chunk, segmented: without effect; gradients are dense.
-        distributed, covars, with_ut, with_eval3d, radial_coeffs, tangential_coeffs,
+        distributed, with_ut, with_eval3d, radial_coeffs, tangential_coeffs,
             thin_prism_coeffs, ftheta_coeffs, rolling_shutter, viewmats_rs: not supported.
 
     Returns:
@@ -126,7 +128,6 @@ def rasterization(
     shutter = getattr(rolling_shutter, "name", rolling_shutter)
     _refuse(
         distributed=distributed,
-        covars=covars is not None,
         with_ut=with_ut,
         with_eval3d=with_eval3d,
         radial_coeffs=radial_coeffs is not None,
@@ -147,10 +148,14 @@ def rasterization(
         antialiased=rasterize_mode == "antialiased",
         depth="D" in render_mode,
     )
-    given = {"means": means, "quats": quats, "scales": scales, "opacities": opacities}
+    by_covars = covars is not None
+    shapes = {"covars": covars} if by_covars else {"quats": quats, "scales": scales}
+    given = {"means": means, **shapes, "opacities": opacities}
     given |= {"colors": colors, "viewmats": viewmats, "Ks": Ks}
     batch = _check_tensors(given | {"backgrounds": backgrounds}, sh_degree)
     shape = (*batch, viewmats.shape[-3])
+    if by_covars:
+        quats, scales = _in_the_place_of_quats_and_scales(covars)
     of_views = _colors_by_view(colors, shape, sh_degree, render_mode)
     behind = _backgrounds_by_view(backgrounds, shape, of_views, sh_degree, render_mode)
     cameras = zip(_flat(Ks, 2), _flat(viewmats, 2), strict=True)
@@ -162,7 +167,7 @@ def rasterization(
             gaussians = Gaussians(*body, **{"colors" if sh_degree is None else "sh": of_views[v]})
             camera = Camera.from_matrices(K, viewmat, width, height, camera_model)
             check(gaussians, behind[v], camera)
-            views.append(View.of(gaussians, camera, options, behind[v], packed, absgrad))
+            views.append(View.of(gaussians, camera, options, behind[v], packed, absgrad, by_covars))
     seen = Views(views, shape, packed)
     pictures = [_channels(image, render_mode) for image in seen.images()]
     if absgrad and seen.means2d.requires_grad:
@@ -170,6 +175,14 @@ def rasterization(
     colors_out = joined([color for color, _ in pictures]).unflatten(0, shape)
     alphas = joined([alpha[..., None] for _, alpha in pictures]).unflatten(0, shape)
     return colors_out, alphas, seen.meta(opacities, tile_size)
+
+
+def _in_the_place_of_quats_and_scales(covars: Tensor) -> tuple[Tensor, Tensor]:
+    """Covariances (..., 3, 3) as the kernels take them: (..., 4) and (..., 3) of covariance.py."""
+    rows, columns = torch.triu_indices(3, 3)
+    xx, xy, xz, yy, yz, zz = covars[..., rows, columns].unbind(dim=-1)
+    beside = torch.stack([torch.zeros_like(xx), xy, xz, yz], dim=-1)
+    return beside, torch.stack([xx, yy, zz], dim=-1)
 
 
 def _flat(tensor: Tensor, axes: int) -> list[Tensor]:
@@ -214,7 +227,7 @@ def _channels(image: Image, mode: RenderMode) -> tuple[Tensor, Tensor]:
 def _check_tensors(given: dict[str, Tensor | None], sh_degree: int | None) -> tuple[int, ...]:
     """Check what the renderer of a single picture does not see; returns the batch's shape."""
     for name, tensor in given.items():
-        if tensor is None:
+        if tensor is None and name == "backgrounds":
             continue
         if not isinstance(tensor, Tensor):
             found = type(tensor).__name__
@@ -231,11 +244,13 @@ def _check_tensors(given: dict[str, Tensor | None], sh_degree: int | None) -> tu
         found = f"must be (..., C, 4, 4) with C > 0, got {tuple(viewmats.shape)}"
         raise ValueError(f"rasterization(): viewmats {found}")
     forms = {"means": (N, 3), "quats": (N, 4), "scales": (N, 3), "opacities": (N,)}
-    forms |= {"viewmats": (C, 4, 4), "Ks": (C, 3, 3)}
+    forms |= {"covars": (N, 3, 3), "viewmats": (C, 4, 4), "Ks": (C, 3, 3)}
     for name, form in forms.items():
-        if tuple(given[name].shape) != batch + form:
+        if name in given and tuple(given[name].shape) != batch + form:
             found = f"must be {(*batch, *form)}, got {tuple(given[name].shape)}"
             raise ValueError(f"rasterization(): {name} {found}")
+    if "covars" in given and not torch.isfinite(given["covars"]).all():
+        raise ValueError("rasterization(): covars must be finite")
     form, axes = ("(N, D)", 2) if sh_degree is None else ("(N, K, 3)", 3)
     shape = tuple(colors.shape)
     if len(shape) < axes or shape[-axes] != N or shape[:-axes] not in (batch, (*batch, C)):

@@ -35,12 +35,13 @@ class View:
         background: Tensor | None,
         packed: bool,
         absgrad: bool,
+        covariances: bool = False,
     ) -> View:
-        """Draw one picture."""
+        """Draw one picture; ``covariances`` says what quats and scales hold (covariance.py)."""
         if background is None:
             background = gaussians.means.new_zeros(gaussians.channels)
         harmonics = gaussians.sh is not None
-        call = Call(camera, options, harmonics, Screen(absolute=absgrad), packed)
+        call = Call(camera, options, harmonics, Screen(absolute=absgrad), covariances, packed)
         means, *others = *gaussians.arrays().values(), background
         anchor = next((x for x in others if x.requires_grad), None)
         detached = [x.detach() for x in others]

@@ -13,6 +13,7 @@ from torch import Generator, Tensor
 
 from gva_mi.errors import InputError
 from gva_mi.splat.camera import Camera, CameraModel, CameraTensors, look_at
+from gva_mi.splat.formats import LOAD
 from gva_mi.splat.gaussians import Gaussians
 from gva_mi.splat.options import SplatOptions
 
@@ -42,16 +43,20 @@ class Scene:
 
     @staticmethod
     def load(path: Path) -> Scene:
-        """A scene from an .npz file.
+        """A scene from a file.
 
         Args:
-            path: holds means (N, 3), quats (N, 4), scales (N, 3), opacities (N,); sh (N, K, 3) or
-                colors (N, D), sh first where both are there; viewmat (4, 4), K (3, 3), width,
-                height; background (D,), black where missing; camera_model, pinhole where missing.
+            path: a .ply of Gaussians, also a compressed one, or a .splat, seen by :func:`in_front`;
+                or an .npz, which holds means (N, 3), quats (N, 4), scales (N, 3), opacities (N,);
+                sh (N, K, 3) or colors (N, D), sh first where both are there; viewmat (4, 4),
+                K (3, 3), width, height; background (D,), black where missing; camera_model,
+                pinhole where missing.
 
         Raises:
             InputError: naming what is missing or does not fit.
         """
+        if path.suffix.lower() in LOAD:
+            return in_front(path, LOAD[path.suffix.lower()](path))
         try:
             with np.load(path) as file:
                 arrays = dict(file)
@@ -161,6 +166,33 @@ class Scene:
             width = min(size, self.camera.width - left)
             height = min(size, self.camera.height - top)
             yield f"pixel {left}, {top}", self.window(left, top, width, height)
+
+
+def in_front(path: Path, gaussians: Gaussians, size: int = 512) -> Scene:
+    """Gaussians of a file that holds no camera, seen from their front, +z, on black.
+
+    Nine tenths of them fill its middle: the rest of a captured scene is far away.
+
+    Args:
+        path: of the file, for errors.
+        gaussians: torch tensors.
+        size: width and height of the picture, px.
+
+    Raises:
+        InputError: there are none, or their numbers are not finite.
+    """
+    if not len(gaussians):
+        raise InputError(f"{path}: holds no Gaussians; a scene needs one")
+    for name, tensor in gaussians.arrays().items():
+        if not torch.isfinite(tensor).all():
+            raise InputError(f"{path}: holds {name} that are not finite")
+    means = gaussians.means.detach().double().numpy()
+    middle = np.median(means, axis=0)
+    reach = float(np.quantile(np.linalg.norm(means - middle, axis=1), 0.9))
+    reach = max(reach, 3 * float(gaussians.scales.median()), 1e-3)
+    T = look_at(middle + [0, 0, 4.5 * reach], middle)
+    camera = Camera(1.4 * size, 1.4 * size, size / 2, size / 2, T, size, size)
+    return Scene.of(gaussians, camera, np.zeros(gaussians.channels))
 
 
 def random_scene(

@@ -7,11 +7,11 @@ import pytest
 import torch
 
 from gva_mi.avatar.avatar import digest
-from gva_mi.avatar.formats.ply import load_ply
-from gva_mi.avatar.formats.splat import load_splat
 from gva_mi.body.pose import Pose, Shape, save_poses
 from gva_mi.data.pictures import read_movie, write_image
 from gva_mi.fit.run_folder import load_avatar
+from gva_mi.splat.formats.ply import load_ply
+from gva_mi.splat.formats.splat import load_splat
 
 SMALL = ("--size", 32, 48)
 

@@ -252,7 +252,7 @@ def many_bits():
 
 def test_unsupported_arguments_raise():
     a = arguments()
-    wrong = {"distributed": True, "covars": torch.zeros(N, 3, 3), "with_ut": True}
+    wrong = {"distributed": True, "with_ut": True}
     wrong |= {"with_eval3d": True, "radial_coeffs": torch.zeros(C, 6), "viewmats_rs": a["viewmats"]}
     wrong |= {"rolling_shutter": SimpleNamespace(name="ROLLING_TOP_TO_BOTTOM")}
     for name, value in wrong.items():

@@ -7,6 +7,9 @@ import pytest
 import torch
 
 from gva_mi.errors import InputError
+from gva_mi.splat.formats.ply import save_ply
+from gva_mi.splat.formats.splat import save_splat
+from gva_mi.splat.gaussians import Gaussians
 from gva_mi.splat.scene import Scene, person_scene, random_scene
 from gva_mi.splat.torch_op import render
 
@@ -115,3 +118,28 @@ def test_a_person_fills_the_picture_and_repeats():
     assert torch.equal(s.gaussians.means, again.gaussians.means)
     y = s.gaussians.means[:, 1]
     assert y.min() > -0.1 and y.max() < 1.9
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".splat"])
+def test_gaussians_of_another_program_are_seen_from_their_front(tmp_path, suffix):
+    person = person_scene(np.random.default_rng(0), 500, 64).gaussians
+    path = tmp_path / f"a{suffix}"
+    (save_ply if suffix == ".ply" else save_splat)(path, person)
+    s = Scene.load(path)
+    assert len(s.gaussians) == 500 and (s.camera.width, s.camera.height) == (512, 512)
+    alpha = draw(s.to(torch.float32)).alpha
+    seen = torch.nonzero(alpha > 0.5)
+    assert (seen.max(0).values - seen.min(0).values)[0] > 300  # it fills most of the picture
+    assert alpha[0].max() < 0.5 and alpha[-1].max() < 0.5
+
+
+def test_files_that_are_no_scene_are_explained(tmp_path):
+    nothing = Gaussians(*(torch.zeros(0, n) for n in (3, 4, 3)), torch.zeros(0), torch.zeros(0, 3))
+    save_ply(tmp_path / "a.ply", nothing)
+    with pytest.raises(InputError, match="holds no Gaussians"):
+        Scene.load(tmp_path / "a.ply")
+    one = Gaussians(torch.ones(1, 3), torch.ones(1, 4), torch.full((1, 3), torch.nan),
+                    torch.ones(1), torch.ones(1, 3))  # fmt: skip
+    save_ply(tmp_path / "a.ply", one)
+    with pytest.raises(InputError, match="holds scales that are not finite"):
+        Scene.load(tmp_path / "a.ply")

@@ -1,8 +1,8 @@
 """Avatars for other programs, and an avatar without its body.
 
+Gaussians in one pose are written by :mod:`gva_mi.splat.formats`.
+
 =================  ===============================================================
-``ply``            Gaussians in one pose as 3D Gaussian Splatting has them
-``splat``          the same in 32 bytes each, for viewers in a browser
 ``gltf``           the surface with skeleton, skin, colours, and a motion (.glb)
 ``glb``            the container of that: numbers and their description
 ``amass``          poses as AMASS has them

@@ -23,10 +23,10 @@ from torch import Tensor
 
 from gva_mi.avatar.avatar import Avatar, Rig
 from gva_mi.avatar.formats.glb import TRIANGLES, VERTICES, Glb
-from gva_mi.avatar.formats.splat import plain_colors
 from gva_mi.body.pose import JOINTS, Pose
 from gva_mi.body.skinning import strongest
 from gva_mi.mesh.surface import vertex_normals
+from gva_mi.splat.formats.splat import plain_colors
 
 NEIGHBOURS = 8  # Gaussians that a vertex takes its colour from
 _NEAR = 0.003  # metres; nearer ones do not count for more

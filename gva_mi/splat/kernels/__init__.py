@@ -5,6 +5,7 @@
 | project.py | a Gaussian in the picture: lens.py, ellipse.py and sh.py together | (1) |
 | lens.py | where its mean falls, for three camera models | (2)-(3) |
 | ellipse.py | its shape and opacity there | (4)-(7) |
+| covariance.py | the same where its covariance is given | (6)-(7) |
 | sh.py | its colour from there | (8)-(10) |
 | tiles.py | which Gaussians touch which tile, front to back | |
 | pixel.py | one pixel meets one Gaussian: step, step back, step of the tangent | (11)-(17) |

@@ -44,10 +44,58 @@ def product(A: Matrix, B: Matrix) -> Matrix:
     return [dot(A[3 * k : 3 * k + 3], B[n::3]) for k in range(2) for n in range(3)]
 
 
-def _plus(a: Array | None, b: Array | None) -> Array | None:
+def plus(a: Array | None, b: Array | None) -> Array | None:
+    """Sum, where None is zero."""
     if a is None or b is None:
         return a if b is None else b
     return a + b
+
+
+@dataclass(frozen=True)
+class Factor:
+    """Eq. 6: the factor L of an inverse covariance, with its adjoint and tangent."""
+
+    C: list[Array]  # c_xx, c_xy, c_yy
+    det: Array  # of C
+    p: Array
+    q: Array
+    r: Array
+
+    @staticmethod
+    def of(C: list[Array], det: Array) -> Factor:
+        half = 0.5 / LN2
+        p = dr.sqrt(half * C[2] / det)
+        return Factor(C, det, p, -p * C[1] / C[2], dr.sqrt(half / C[2]))
+
+    def adjoint(self, mxx: Array, mxy: Array, myy: Array) -> list[Array]:
+        """dL/dC = 2 (ln 2)^2 L^T m2 L, its three entries."""
+        p, q, r = self.p, self.q, self.r
+        k2 = 2 * LN2 * LN2
+        N = [mxx * p, mxx * q + mxy * r, mxy * p, mxy * q + myy * r]  # m2 L
+        return [k2 * p * N[0], k2 * p * N[1], k2 * (q * N[1] + r * N[3])]
+
+    def tangent(self, dxy: Array, dyy: Array, rdet: Array) -> tuple[Array, Array, Array]:
+        """Of p, q, r; ``rdet`` is the relative tangent of the determinant."""
+        ryy = dyy / self.C[2]
+        dp = 0.5 * self.p * (ryy - rdet)
+        dq = 0.5 * self.q * (-ryy - rdet) - self.p * dxy / self.C[2]
+        return dp, dq, -0.5 * self.r * ryy
+
+
+def product_adjoint(gB: list[Array], J: Matrix, R: list[Array]) -> tuple[list[Array], list[Array]]:
+    """From dL/dB, B = J R, to dL/dJ and dL/dR."""
+    gJ = [dot(gB[3 * k : 3 * k + 3], R[3 * j : 3 * j + 3]) for k in range(2) for j in range(3)]
+    gR = [dot([J[j], J[3 + j]], [gB[n], gB[3 + n]]) for j in range(3) for n in range(3)]
+    return gJ, gR
+
+
+def rotation_entries(q: list[Array]) -> list[Array]:
+    """The nine numbers of a unit quaternion's matrix, row by row; arrays of any kind."""
+    w, i, j, k = q
+    M = [1 - 2 * (j * j + k * k), 2 * (i * j - w * k), 2 * (i * k + w * j)]
+    M += [2 * (i * j + w * k), 1 - 2 * (i * i + k * k), 2 * (j * k - w * i)]
+    M += [2 * (i * k - w * j), 2 * (j * k + w * i), 1 - 2 * (i * i + j * j)]
+    return M
 
 
 @dataclass(frozen=True)
@@ -62,11 +110,8 @@ class Rotation:
     def of(quat: list[Array]) -> Rotation:
         squared = quat[0] * quat[0] + quat[1] * quat[1] + quat[2] * quat[2] + quat[3] * quat[3]
         rq = dr.select(squared > 0, 1 / dr.sqrt(squared), 0)
-        w, i, j, k = q = [v * rq for v in quat]
-        M = [1 - 2 * (j * j + k * k), 2 * (i * j - w * k), 2 * (i * k + w * j)]
-        M += [2 * (i * j + w * k), 1 - 2 * (i * i + k * k), 2 * (j * k - w * i)]
-        M += [2 * (i * k - w * j), 2 * (j * k + w * i), 1 - 2 * (i * i + j * j)]
-        return Rotation(q, rq, M)
+        q = [v * rq for v in quat]
+        return Rotation(q, rq, rotation_entries(q))
 
     def adjoint(self, gM: list[Array]) -> list[Array]:
         """From dL/dM to dL/dquaternion: the matrix, then the normalisation."""
@@ -123,9 +168,7 @@ class Ellipse:
     n: list[Array]  # V_0 x V_1
     sharp: Array  # det(V V^T)
     det: Array  # of C
-    p: Array
-    q: Array
-    r: Array
+    L: Factor
     lo: Array
     options: SplatOptions
 
@@ -149,24 +192,20 @@ class Ellipse:
         n = cross(V0, V1)
         sharp = dot(n, n)
         det = sharp + blur * (xx + yy + blur)
-        half = 0.5 / LN2
-        p = dr.sqrt(half * C[2] / det)
-        q, r = -p * C[1] / C[2], dr.sqrt(half / C[2])
+        L = Factor.of(C, det)
         lo = dr.log2(o)
         if options.antialiased:
             lo += 0.5 * dr.log2(sharp / det)
-        return Ellipse(J, R, s, o, blur, rotation, B, BM, V, C, n, sharp, det, p, q, r, lo, options)
+        return Ellipse(J, R, s, o, blur, rotation, B, BM, V, C, n, sharp, det, L, lo, options)
 
     def adjoint(self, m0: Array, mxx: Array, mxy: Array, myy: Array) -> Grad:
         """From the moments m0 = dL/dln o and m2 of eq. 16 (pixel.py).
 
-        dL/dC = 2 (ln 2)^2 L^T m2 L,  dL/dV = 2 dL/dC V; antialiased, ln o has
+        dL/dV = 2 dL/dC V; antialiased, ln o has
         (ln det(V V^T) - ln det C) / 2 added, where d det(V V^T)/dV_0 = 2 V_1 x n.
         """
-        p, q, r, V, M = self.p, self.q, self.r, self.V, self.rotation.M
-        k2 = 2 * LN2 * LN2
-        N = [mxx * p, mxx * q + mxy * r, mxy * p, mxy * q + myy * r]  # m2 L
-        gC = [k2 * p * N[0], k2 * p * N[1], k2 * (q * N[1] + r * N[3])]
+        V, M = self.V, self.rotation.M
+        gC = self.L.adjoint(mxx, mxy, myy)
         if self.options.antialiased:
             half, (xx, xy, yy) = -0.5 * m0 / self.det, self.C
             gC = [gC[0] + half * yy, gC[1] - half * xy, gC[2] + half * xx]
@@ -178,12 +217,11 @@ class Ellipse:
             gV = [a + scale * b for a, b in zip(gV, by_sharp, strict=True)]
         grad_s = [gV[n] * self.BM[n] + gV[3 + n] * self.BM[3 + n] for n in range(3)]
         gBM = [gV[n] * self.s[n % 3] for n in range(6)]
-        B, R, J = self.B, self.R, self.J
+        B = self.B
         gM = [B[j] * gBM[n] + B[3 + j] * gBM[3 + n] for j in range(3) for n in range(3)]
         rows = [gBM[:3], gBM[3:]]
         gB = [dot(rows[k], M[3 * j : 3 * j + 3]) for k in range(2) for j in range(3)]
-        gJ = [dot(gB[3 * k : 3 * k + 3], R[3 * j : 3 * j + 3]) for k in range(2) for j in range(3)]
-        gR = [dot([J[j], J[3 + j]], [gB[n], gB[3 + n]]) for j in range(3) for n in range(3)]
+        gJ, gR = product_adjoint(gB, self.J, self.R)
         return Grad(gJ, gR, self.rotation.adjoint(gM), grad_s, m0 / self.o)
 
     def tangent(
@@ -191,7 +229,7 @@ class Ellipse:
     ) -> tuple[Array, Array, Array, Array]:
         """Tangents of p, q, r, lo."""
         dM = self.rotation.tangent(dquat)
-        dB = [_plus(a, b) for a, b in zip(product(dJ, self.R), product(self.J, dR), strict=True)]
+        dB = [plus(a, b) for a, b in zip(product(dJ, self.R), product(self.J, dR), strict=True)]
         dBM = [
             a + b for a, b in zip(product(dB, self.rotation.M), product(self.B, dM), strict=True)
         ]
@@ -202,10 +240,7 @@ class Ellipse:
         dn = [a + b for a, b in zip(cross(dV0, V1), cross(V0, dV1), strict=True)]
         dsharp = 2 * dot(self.n, dn)
         rdet = (dsharp + self.blur * (dxx + dyy)) / self.det  # relative
-        ryy = dyy / self.C[2]
-        dp = 0.5 * self.p * (ryy - rdet)
-        dq = 0.5 * self.q * (-ryy - rdet) - self.p * dxy / self.C[2]
         dlo = do / self.o
         if self.options.antialiased:
             dlo += 0.5 * (dsharp / self.sharp - rdet)
-        return dp, dq, -0.5 * self.r * ryy, dlo / LN2
+        return *self.L.tangent(dxy, dyy, rdet), dlo / LN2

@@ -88,6 +88,7 @@ class Plan:
     color_width: int  # numbers of each Gaussian in inputs.colors
     channels: int  # D
     formats: tuple[Format, ...]  # of the splats, chunk by chunk (chunks.py)
+    covariances: bool = False  # whether scales and quats hold covariances (covariance.py)
 
 
 @dataclass(frozen=True)

@@ -77,6 +77,7 @@ def render_forward(
     background: list[float],
     absolute: bool = False,
     limit: Array | None = None,
+    covariances: bool = False,
 ) -> Saved:
     """The picture, in ``.planes``, padded to whole tiles.
 
@@ -89,6 +90,7 @@ def render_forward(
         absolute: whether the absolute gradient will be asked for: for it the channels are not split
             into chunks.
         limit: m, a plane: a pixel shows only the Gaussians nearer than its number.
+        covariances: whether ``inputs.scales`` and ``quats`` hold covariances (covariance.py).
 
     Raises:
         ValueError: for NaN or infinite inputs, and for more pairs than can be counted.
@@ -102,7 +104,7 @@ def render_forward(
     grid = layout.grid(dr.int32_array_t(F))
     behind = [dr.opaque(F, b) for b in background]
     formats = chunks.formats(D, options.depth, whole=absolute)
-    plan = Plan(options.of_code(), harmonics, inputs.color_width, D, formats)
+    plan = Plan(options.of_code(), harmonics, inputs.color_width, D, formats, covariances)
     projected = lists = trail = stop = None
     if len(inputs):
         projected = _project_checked(inputs, plan, view, grid)

@@ -2,7 +2,7 @@
 
 (1)      x = R m + t            mean in camera space, depth z = x_2
 (2)-(3)  u, J                   where it falls in the picture, and du/dx: lens.py
-(4)-(7)  p, q, r, lo            its ellipse and opacity there: ellipse.py
+(4)-(7)  p, q, r, lo            its ellipse and opacity there: ellipse.py, covariance.py
 (8)-(10) color                  its colour from there, where it is in spherical harmonics: sh.py
 
 The equations go on in pixel.py. Each of the three directions below is one kernel, lane per
@@ -28,6 +28,7 @@ import drjit as dr
 from drjit import ArrayBase as Array
 
 from gva_mi.splat.kernels import packets, sh
+from gva_mi.splat.kernels.covariance import CovarianceEllipse
 from gva_mi.splat.kernels.ellipse import LN2, Ellipse, dot
 from gva_mi.splat.kernels.inputs import Gaussian3D, GradientMemory, Inputs, Plan
 from gva_mi.splat.kernels.lens import LENSES, View
@@ -75,6 +76,10 @@ def _in_camera(m: list[Array], view: View) -> tuple[list[Array], Array]:
     return x, dr.select(x[2] > view.near, x[2], 1)
 
 
+def _ellipse(plan: Plan) -> type[Ellipse] | type[CovarianceEllipse]:
+    return CovarianceEllipse if plan.covariances else Ellipse
+
+
 def project(inputs: Inputs, plan: Plan, exact: View) -> Projection:
     """Eq. 1-10 for every Gaussian.
 
@@ -91,7 +96,7 @@ def project(inputs: Inputs, plan: Plan, exact: View) -> Projection:
     x, z, view = [F(v) for v in fine], F(fine_z), exact.to(F)
     u = [F(v) for v in LENSES[view.model].at(fine, fine_z, exact).u]
     lens = LENSES[view.model].at(x, z, view)
-    e = Ellipse.of(lens.J, view.R, g.quat, g.s, g.o, view.blur, options)
+    e = _ellipse(plan).of(lens.J, view.R, g.quat, g.s, g.o, view.blur, options)
     xx, xy, yy = e.C
     color = sh.color(g.color, g.m, view.o) if plan.harmonics else g.color
 
@@ -108,7 +113,7 @@ def project(inputs: Inputs, plan: Plan, exact: View) -> Projection:
     middle, half = 0.5 * (xx + yy), 0.5 * (xx - yy)
     radii = 3 * dr.sqrt(middle + dr.sqrt(half * half + xy * xy))
     total = sum((dr.abs(v) for v in [*g.m, *g.quat, *g.s, *g.color]), dr.abs(g.o))
-    splat = Splat(u, e.p, e.q, e.r, e.lo, color, x[2])
+    splat = Splat(u, e.L.p, e.L.q, e.L.r, e.lo, color, x[2])
     return Projection(splat, footprint, radii, dr.isfinite(total))
 
 
@@ -135,10 +140,10 @@ def project_adjoint(
     g = Gaussian3D.load(inputs, plan.color_width, i)
     x, z = _in_camera(g.m, view)
     lens = LENSES[view.model].at(x, z, view)
-    e = Ellipse.of(lens.J, view.R, g.quat, g.s, g.o, view.blur, plan.options)
+    e = _ellipse(plan).of(lens.J, view.R, g.quat, g.s, g.o, view.blur, plan.options)
 
     k1, (mx, my) = 2 * LN2, slot.m1
-    gu = [k1 * e.p * mx, k1 * (e.q * mx + e.r * my)]
+    gu = [k1 * e.L.p * mx, k1 * (e.L.q * mx + e.L.r * my)]
     by_ellipse = e.adjoint(slot.m0, *slot.m2)
     by_lens = lens.adjoint(gu, by_ellipse.J)
     gx = list(by_lens.x)
@@ -160,7 +165,7 @@ def project_adjoint(
     )
     if target.absolute is not None:
         ax, ay = slot.absolute
-        packets.store_rows(target.absolute, where([k1 * e.p * ax, k1 * ay]), i)
+        packets.store_rows(target.absolute, where([k1 * e.L.p * ax, k1 * ay]), i)
     target.store(grad, where(gu), i)
     if target.view is not None:
         gR = [gx[k] * g.m[n] for k in range(3) for n in range(3)]
@@ -182,7 +187,7 @@ def project_tangent(inputs: Inputs, plan: Plan, view: View, dinputs: Inputs, dvi
     ]
     lens = LENSES[view.model].at(x, z, view)
     du, dJ = lens.tangent(dx, dview)
-    e = Ellipse.of(lens.J, view.R, g.quat, g.s, g.o, view.blur, plan.options)
+    e = _ellipse(plan).of(lens.J, view.R, g.quat, g.s, g.o, view.blur, plan.options)
     dp, dq, dr_, dlo = e.tangent(dJ, dview.R, d.quat, d.s, d.o)
     dcolor = d.color
     if plan.harmonics:

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.avatar.formats.ply import save_ply
 from gva_mi.splat import Gaussians, SplatOptions, torch_op
 from gva_mi.splat.drjit_op import render
+from gva_mi.splat.formats.ply import save_ply
 
 SENSORS = ["perspective", "window", "orthographic"]
 PARAMETERS = ["data", "opacities", "sh_coeffs"]
@@ -104,7 +104,7 @@ def test_ellipsoidsmesh_is_the_same(splats):
 
 
 def test_a_3dgs_file_loaded_by_mitsuba(splats, tmp_path):
-    """What avatar.formats.ply writes, Mitsuba reads, and it looks the same."""
+    """What splat.formats.ply writes, Mitsuba reads, and it looks the same."""
     g = splats.arrays(50, 2)
     of_torch = Gaussians(**{name: torch.tensor(x, dtype=torch.float32) for name, x in g.items()})
     save_ply(tmp_path / "splats.ply", of_torch)

@@ -1,4 +1,4 @@
-"""The .ply of 3D Gaussian Splatting, which its viewers read: an avatar in one pose.
+"""The .ply of 3D Gaussian Splatting, which its viewers read.
 
 One binary little-endian vertex per Gaussian, all float32, in the order of the original code:
 
@@ -17,7 +17,9 @@ import torch
 
 from gva_mi.errors import InputError
 from gva_mi.files import replacing
-from gva_mi.splat.gaussians import Gaussians
+from gva_mi.splat.formats.compressed_ply import decompressed, is_compressed
+from gva_mi.splat.formats.ply_elements import read_elements
+from gva_mi.splat.gaussians import Gaussians, degree_of
 from gva_mi.splat.kernels.sh import C0
 
 _GEOMETRY = ["opacity", *(f"scale_{i}" for i in range(3)), *(f"rot_{i}" for i in range(4))]
@@ -63,48 +65,44 @@ def save_ply(path: Path, gaussians: Gaussians) -> None:
 
 
 def load_ply(path: Path) -> Gaussians:
-    """Read Gaussians as 3DGS writes them; properties may come in any order, others are left alone.
+    """Read Gaussians as 3DGS writes them, or compressed as SuperSplat does.
+
+    Properties may come in any order; other ones, and other elements, are left alone.
 
     Raises:
-        InputError: not a binary .ply of float properties, cut short, or a property is missing.
+        InputError: not a binary .ply of Gaussians, cut short, or a property is missing.
     """
     path = Path(path)
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; expected a .ply of Gaussians") from None
-    head, end, body = data.partition(b"end_header\n")
-    lines = head.decode("ascii", errors="replace").split("\n")
-    if lines[0].strip() != "ply" or not end:
-        raise InputError(f"{path}: not a .ply file")
-    if "format binary_little_endian 1.0" not in lines:
-        raise InputError(f"{path}: expected the format binary_little_endian 1.0")
-    words = [line.split() for line in lines]
-    counts = [w for w in words if w[:1] == ["element"]]
-    if len(counts) != 1 or counts[0][1] != "vertex":
-        raise InputError(f"{path}: expected one element, 'vertex', as 3DGS writes it")
-    names = [w[-1] for w in words if w[:1] == ["property"]]
-    if any(w[1] not in ("float", "float32") for w in words if w[:1] == ["property"]):
-        raise InputError(f"{path}: expected float properties only, as 3DGS writes them")
-    count = int(counts[0][2])
-    if len(body) < 4 * count * len(names):
-        raise InputError(f"{path}: cut short, {count} Gaussians were announced")
-    table = np.frombuffer(body, "<f4", count * len(names)).reshape(count, len(names))
-
-    column = {name: i for i, name in enumerate(names)}
+    elements = read_elements(path)
+    if "vertex" not in elements:
+        raise InputError(f"{path}: element 'vertex' is missing; expected Gaussians as 3DGS writes")
+    if is_compressed(elements):
+        return decompressed(path, elements)
+    table = elements["vertex"]
+    names = table.dtype.names or ()
     rest = sum(name.startswith("f_rest_") for name in names)
+    try:
+        degree_of(1 + rest // 3 if rest % 3 == 0 else -1)
+    except ValueError:
+        found = f"{rest} properties f_rest; expected 0, 9, 24, 45 or 72"
+        raise InputError(f"{path}: {found}") from None
     for name in _properties(1 + rest // 3):
-        if name not in column and name not in ("nx", "ny", "nz"):
-            raise InputError(f"{path}: property '{name}' is missing")
-    pick = lambda *wanted: torch.from_numpy(table[:, [column[name] for name in wanted]].copy())
+        if name not in names and name not in ("nx", "ny", "nz"):
+            raise InputError(f"{path}: property '{name}' is missing; expected Gaussians")
+    pick = lambda *wanted: torch.from_numpy(
+        np.stack([table[name] for name in wanted], axis=1).astype(np.float32)
+    )
     numbered = lambda name, n: pick(*(f"{name}_{i}" for i in range(n)))
-    higher = numbered("f_rest", rest).reshape(count, 3, rest // 3).transpose(1, 2)
+    count, sh = len(table), numbered("f_dc", 3)[:, None]
+    if rest:
+        higher = numbered("f_rest", rest).reshape(count, 3, rest // 3).transpose(1, 2)
+        sh = torch.cat([sh, higher], dim=1)
     return Gaussians(
         means=pick("x", "y", "z"),
         quats=numbered("rot", 4),
         scales=torch.exp(numbered("scale", 3)),
         opacities=torch.sigmoid(pick("opacity")[:, 0]),
-        sh=torch.cat([numbered("f_dc", 3)[:, None], higher], dim=1),
+        sh=sh,
     )
 
 

@@ -5,8 +5,8 @@ import pytest
 import torch
 
 from gva_mi import InputError
-from gva_mi.avatar.formats.splat import ROW, load_splat, plain_colors, save_splat
 from gva_mi.splat import Gaussians
+from gva_mi.splat.formats.splat import ROW, load_splat, plain_colors, save_splat
 
 
 def some_gaussians(coefficients=4, count=20):

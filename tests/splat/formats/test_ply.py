@@ -5,8 +5,8 @@ import pytest
 import torch
 
 from gva_mi import InputError
-from gva_mi.avatar.formats.ply import load_ply, save_ply
 from gva_mi.splat import Gaussians
+from gva_mi.splat.formats.ply import load_ply, save_ply
 
 FIELDS = ("means", "quats", "scales", "opacities", "sh")
 
@@ -99,3 +99,38 @@ def test_what_is_not_such_a_file_is_explained(tmp_path):
     path.write_bytes(whole.replace(b"binary_little_endian", b"ascii"))
     with pytest.raises(InputError, match="binary_little_endian"):
         load_ply(path)
+
+
+def test_a_header_that_makes_no_sense_is_explained(tmp_path):
+    path = tmp_path / "a.ply"
+    save_ply(path, some_gaussians())
+    whole = path.read_bytes()
+    for change, match in (
+        (lambda x: x.replace(b"element vertex 20", b"element vertex many"), "vertex many"),
+        (lambda x: x.replace(b"element vertex", b"element points"), "'vertex' is missing"),
+        (lambda x: x.replace(b"float f_rest_8", b"float f_past_8"), "8 properties f_rest"),
+        (lambda x: x.replace(b"property float nx", b"property nx"), "'property nx'"),
+    ):
+        path.write_bytes(change(whole))
+        with pytest.raises(InputError, match=match):
+            load_ply(path)
+    with pytest.raises(InputError, match="cannot be read"):
+        load_ply(tmp_path)
+
+
+def test_other_properties_types_and_elements_are_left_alone(tmp_path):
+    """Doubles, bytes beside them, and a table of something else at the end."""
+    save_ply(tmp_path / "a.ply", some_gaussians(coefficients=1))
+    head, body = (tmp_path / "a.ply").read_bytes().split(b"end_header\n", 1)
+    names = [line.split()[-1] for line in head.decode().split("\n") if line.startswith("property")]
+    table = np.frombuffer(body, "<f4").reshape(20, -1)
+    wide = np.zeros(20, [("label", "u1"), *((name, "<f8") for name in names)])
+    for name, column in zip(names, table.T, strict=True):
+        wide[name] = column
+    lines = ["ply", "format binary_little_endian 1.0", "element vertex 20", "property uchar label"]
+    lines += [*(f"property double {name}" for name in names), "element camera 2"]
+    lines += ["property int id", "end_header\n"]
+    content = "\n".join(lines).encode() + wide.tobytes() + np.zeros(2, "<i4").tobytes()
+    (tmp_path / "b.ply").write_bytes(content)
+    one, two = load_ply(tmp_path / "a.ply"), load_ply(tmp_path / "b.ply")
+    assert all(torch.equal(getattr(one, name), getattr(two, name)) for name in FIELDS)

@@ -1,0 +1,148 @@
+"""SuperSplat's compressed .ply: bits by hand, a whole file within its rounding, bad ones."""
+
+import numpy as np
+import pytest
+import torch
+
+from gva_mi import InputError
+from gva_mi.splat.formats.ply import load_ply
+
+BOUNDS = [
+    f"{end}_{kind}{axis}" for kind in ("", "scale_") for end in ("min", "max") for axis in "xyz"
+]
+COLORS = [f"{end}_{axis}" for end in ("min", "max") for axis in "rgb"]
+PACKED = ["packed_position", "packed_rotation", "packed_scale", "packed_color"]
+C0 = 0.28209479177387814
+
+
+def write(path, chunk, vertex, sh=None):
+    """A file of these tables: chunk (M, 12 or 18) float, vertex (N, 4) uint, sh (N, K) uchar."""
+    tables = [("chunk", chunk, "float", (BOUNDS + COLORS)[: chunk.shape[1]], "<f4")]
+    tables.append(("vertex", vertex, "uint", PACKED, "<u4"))
+    if sh is not None:
+        tables.append(("sh", sh, "uchar", [f"f_rest_{i}" for i in range(sh.shape[1])], "u1"))
+    lines = ["ply", "format binary_little_endian 1.0", "comment made by a test"]
+    for name, table, kind, names, _ in tables:
+        lines.append(f"element {name} {len(table)}")
+        lines += [f"property {kind} {x}" for x in names]
+    body = b"".join(np.asarray(table).astype(kind).tobytes() for _, table, _, _, kind in tables)
+    path.write_bytes("\n".join([*lines, "end_header\n"]).encode() + body)
+    return path
+
+
+def one(position=0, rotation=0, scale=0, color=0):
+    return np.array([[position, rotation, scale, color]], dtype=np.uint32)
+
+
+def bounds(count=1, colors=True):
+    row = [-1, -2, -3, 1, 2, 3, -5, -4, -3, -2, -1, 0, *([0.1, 0.2, 0.3, 0.9, 0.8, 0.7] * colors)]
+    return np.array([row] * count, dtype=np.float32)
+
+
+def test_every_bit_is_where_splat_transform_puts_it(tmp_path):
+    last_x, last_y, last_z = 2047 << 21, 1023 << 11, 2047
+    for packed, expected in ((0, [-1, -2, -3]), (last_x, [1, -2, -3]), (last_y, [-1, 2, -3]),
+                             (last_z, [-1, -2, 3])):  # fmt: skip
+        g = load_ply(write(tmp_path / "a.ply", bounds(), one(position=packed)))
+        assert torch.allclose(g.means, torch.tensor([expected]).float())
+    g = load_ply(write(tmp_path / "a.ply", bounds(), one(scale=last_x | last_z)))
+    assert torch.allclose(g.scales.log(), torch.tensor([[-2.0, -4.0, 0.0]]))
+    g = load_ply(write(tmp_path / "a.ply", bounds(), one(color=0xFF00FF33)))
+    assert torch.allclose(g.sh[:, 0] * C0 + 0.5, torch.tensor([[0.9, 0.2, 0.7]]))
+    assert g.opacities.item() == pytest.approx(0x33 / 255)
+
+
+@pytest.mark.parametrize("largest", range(4))
+def test_the_largest_of_a_quaternion_follows_from_the_others(tmp_path, largest):
+    others = [1023, 512, 0]  # sqrt(1/2), nearly 0, -sqrt(1/2)
+    packed = largest << 30 | others[0] << 20 | others[1] << 10 | others[2]
+    g = load_ply(write(tmp_path / "a.ply", bounds(), one(rotation=packed)))
+    expected = [0.5**0.5, (2 * 512 / 1023 - 1) * 0.5**0.5, -(0.5**0.5)]
+    expected.insert(largest, 0.0)
+    assert torch.allclose(g.quats, torch.tensor([expected]), atol=1e-6)
+
+
+def test_older_files_have_no_bounds_of_colours(tmp_path):
+    g = load_ply(write(tmp_path / "a.ply", bounds(colors=False), one(color=0xFF8000FF)))
+    assert torch.allclose(g.sh[:, 0] * C0 + 0.5, torch.tensor([[1, 0x80 / 255, 0]]), atol=1e-6)
+
+
+def test_a_chunk_holds_256_and_each_has_its_own_bounds(tmp_path):
+    chunk = bounds(2)
+    chunk[1, :3] += 10
+    chunk[1, 3:6] += 10
+    g = load_ply(write(tmp_path / "a.ply", chunk, np.zeros((300, 4))))
+    expected = torch.tensor([[-1.0, -2, -3]]).repeat(300, 1)
+    expected[256:] += 10
+    assert torch.equal(g.means, expected)
+
+
+@pytest.mark.parametrize("count", [9, 24, 45])
+def test_higher_coefficients_are_a_byte_each_channel_by_channel(tmp_path, count):
+    sh = np.random.default_rng(0).integers(0, 256, (3, count), dtype=np.uint8)
+    sh[0, :3] = 0, 255, 128
+    g = load_ply(write(tmp_path / "a.ply", bounds(), np.zeros((3, 4)), sh))
+    assert g.sh.shape == (3, 1 + count // 3, 3)
+    assert torch.allclose(g.sh[0, 1:4, 0], torch.tensor([-4.0, 4.0, 8 * 128.5 / 256 - 4]))
+    red, green = torch.tensor(sh[1, 0]), torch.tensor(sh[1, count // 3])
+    assert torch.allclose(
+        g.sh[1, 1, :2], 8 * (torch.stack([red, green]) + 0.5) / 256 - 4, atol=0.02
+    )
+
+
+def test_random_gaussians_come_back_within_the_rounding(tmp_path):
+    """Packed here as splat-transform packs: round(share * (2^bits - 1))."""
+    random, n = np.random.default_rng(1), 40
+    means, logs = random.normal(size=(n, 3)), random.normal(size=(n, 3)) - 3
+    quats = random.normal(size=(n, 4))
+    quats /= np.linalg.norm(quats, axis=1, keepdims=True)
+    low, high = means.min(0), means.max(0)
+    low_s, high_s = logs.min(0), logs.max(0)
+    packed = np.zeros((n, 4), dtype=np.uint32)
+    for column, shares in (
+        (0, (means - low) / (high - low)),
+        (2, (logs - low_s) / (high_s - low_s)),
+    ):
+        x, y, z = np.round(shares * [2047, 1023, 2047]).astype(np.uint32).T
+        packed[:, column] = x << 21 | y << 11 | z
+    for i, quat in enumerate(quats):
+        k = np.abs(quat).argmax()
+        rest = np.delete(quat * np.sign(quat[k]), k)
+        a, b, c = np.round((rest * 0.5**0.5 + 0.5) * 1023).astype(int)
+        packed[i, 1] = int(k) << 30 | int(a) << 20 | int(b) << 10 | int(c)
+    chunk = np.concatenate([low, high, low_s, high_s])[None]
+    g = load_ply(write(tmp_path / "a.ply", chunk, packed))
+    half = lambda low, high: torch.tensor(0.5 * (high - low) / [2047, 1023, 2047] + 1e-5)
+    assert ((g.means - torch.tensor(means)).abs() <= half(low, high)).all()
+    assert ((g.scales.log() - torch.tensor(logs)).abs() <= half(low_s, high_s)).all()
+    assert ((g.quats * torch.tensor(quats)).sum(1).abs() > 1 - 1e-5).all()
+
+
+def test_what_is_no_such_file_is_explained(tmp_path):
+    path = tmp_path / "a.ply"
+
+    def refused(match, *tables):
+        with pytest.raises(InputError, match=match):
+            load_ply(write(path, *tables))
+
+    refused("1 chunks of 257 Gaussians; expected 2", bounds(), np.zeros((257, 4)))
+    refused("'max_scale_z' of 'chunk' is missing", bounds()[:, :11], one())
+    refused("2 rows of 9 in 'sh'; expected 1", bounds(), one(), np.zeros((2, 9)))
+    refused("1 rows of 8 in 'sh'; expected 1 of 9, 24 or 45", bounds(), one(), np.zeros((1, 8)))
+    refused("bounds are not finite", bounds() * np.nan, one())
+    refused("bounds are not finite, or too large", bounds() * -1e3, one())
+    whole = write(path, bounds(), one()).read_bytes()
+    for change, match in (
+        (lambda x: x[:-1], "cut short, 1 rows of 'vertex'"),
+        (lambda x: x.replace(b"element chunk", b"element hunks"), "'chunk' is missing"),
+        (lambda x: x.replace(b"uint packed_color", b"float packed_color"), "expected it as uint"),
+        (lambda x: x.replace(b"min_y", b"min_x"), "named twice"),
+        (lambda x: x.replace(b"element vertex 1", b"element vertex -1"), "'element vertex -1'"),
+        (
+            lambda x: x.replace(b"uint packed_color", b"list uchar int packed_color"),
+            "plain numbers",
+        ),
+    ):
+        path.write_bytes(change(whole))
+        with pytest.raises(InputError, match=match):
+            load_ply(path)

@@ -28,7 +28,9 @@ def served(known, turning, tmp_path):
     known.save(tmp_path / "run/avatar.npz")
     save_poses(tmp_path / "run/poses.npz", *turning(FRAMES), stage=2)
     command = (sys.executable, "-m", "gva_mi", "view", tmp_path / "run", "--port", "0")
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+    # Whoever runs tests in the background has Ctrl-C ignored, and so would the process.
+    heard = {"preexec_fn": lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)}
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True} | heard
     out = ("--out", tmp_path / "out")
     with subprocess.Popen(
         (*command, *out), env=os.environ | {"OMP_NUM_THREADS": "1"}, **pipes

@@ -53,7 +53,7 @@ def test_factor_and_opacity(antialiased):
         V = J[i].view(2, 3) @ R[i].view(3, 3) @ reference.rotation(quat[i]) @ torch.diag(s[i])
         sharp = V @ V.T
         C = sharp + 0.3 * torch.eye(2, dtype=torch.float64)
-        p, q, r = (getattr(e, name).numpy()[i] for name in "pqr")
+        p, q, r = (getattr(e.L, name).numpy()[i] for name in "pqr")
         L = np.array([[p, q], [0, r]])
         expected = torch.linalg.inv(C).numpy() / (2 * math.log(2))
         np.testing.assert_allclose(L.T @ L, expected, rtol=1e-10, atol=1e-14)
@@ -78,7 +78,7 @@ def test_adjoint_is_the_transpose_of_the_tangent(antialiased):
     tangents.append(rng.normal(size=N))
     dp, dq, dr, dlo = stack(e.tangent(*wrap(tangents)))
     v, dx, dy = rng.normal(size=(3, N))
-    p, q, r = (getattr(e, name).numpy() for name in "pqr")
+    p, q, r = (getattr(e.L, name).numpy() for name in "pqr")
     wx, wy = p * dx + q * dy, r * dy
     # ln alpha = ln2 (lo - |w|^2): its tangent at a fixed d, weighted by v
     left = v * math.log(2) * (dlo - 2 * (wx * (dp * dx + dq * dy) + wy * dr * dy))

@@ -102,9 +102,11 @@ class CanonicalGaussians(nn.Module):
 
     def moved_by(self, coefficients: Tensor) -> Tensor:
         """D c: metres (N, 3) that coefficients (up to K,) of blend shapes move the means."""
-        held, version = self.directions, self.directions._version
-        if self._moves is None or self._moves[0] is not held or self._moves[1] != version:
-            self._moves = held, version, _Moves.of(held)
+        held = self.directions
+        if held.is_inference():  # such a tensor does not tell whether it has changed
+            return _Moves.of(held)(coefficients)
+        if self._moves is None or self._moves[0] is not held or self._moves[1] != held._version:
+            self._moves = held, held._version, _Moves.of(held)
         return self._moves[2](coefficients)
 
 

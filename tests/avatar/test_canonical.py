@@ -128,3 +128,8 @@ def test_blend_shapes_move_as_the_whole_table_says():
     with torch.no_grad():
         G.directions.mul_(0.5)  # in place, as a state that is loaded
     torch.testing.assert_close(G.moved_by(c), directions @ c)
+    with torch.inference_mode():
+        G.directions = 3 * directions
+        torch.testing.assert_close(G.moved_by(c), 3 * directions @ c)
+        G.directions.mul_(2)
+        torch.testing.assert_close(G.moved_by(c), 6 * directions @ c)

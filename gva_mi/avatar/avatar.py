@@ -3,7 +3,8 @@
 1. mu'  = mu + D(mu) c + MLP(theta)     c = (R_j - I, psi): blend shapes of the body beneath, which
                                         bulge where joints bend and move the face; the residual
 2. A    = sum_p W_p(mu) T_p(theta)     Eq. 5; D and W of the outer skin: gva_mi.avatar.skin
-3. mu_t = A mu',   R_t = A_rot R       Eq. 6, see :mod:`gva_mi.body.skinning`
+3. mu_t = A mu',   Sigma_t             Eq. 6, but that Gaussians stretch with the skin:
+                                       gva_mi.avatar.stretch
 4. f_t  = f_0 + f_xyz · (A_rotᵀ l)     colour: a linear function of where the light comes from
 
 3D Gaussian splatting lets colour depend on the direction that it is seen from. Before one camera a
@@ -38,16 +39,16 @@ from gva_mi.avatar.canonical import (
 from gva_mi.avatar.light import lit
 from gva_mi.avatar.residual import PoseResidual, ResidualOptions
 from gva_mi.avatar.skin import Skin, diffused
+from gva_mi.avatar.stretch import carry_stretched
 from gva_mi.body.kinematics import turn_joints
 from gva_mi.body.polar import carry_frames
 from gva_mi.body.pose import LEFT_HAND, RIGHT_HAND, Pose, Shape
-from gva_mi.body.skinning import blend
 from gva_mi.body.smplx import BodyModel
 from gva_mi.errors import InputError
 from gva_mi.files import read_arrays, write_arrays
 from gva_mi.splat.gaussians import Gaussians
 
-FORMAT = "gva_mi avatar, version 3"
+FORMAT = "gva_mi avatar, version 4"
 AVATAR_FILE = "an avatar, as `fit` saves it"  # for errors
 RIG = (  # the tensors of a Rig
     "joints", "vertices", "faces", "weights", "looseness", "directions", "pose_features",
@@ -64,6 +65,7 @@ class AvatarOptions:
     seed: SeedOptions = SeedOptions()
     residual: ResidualOptions = ResidualOptions()
     hands: bool = True  # False: fingers stay as in the rest pose (an ablation of the paper)
+    stretch: bool = True  # False: Gaussians turn and keep their size, as in Eq. 6
 
 
 @dataclass(frozen=True)
@@ -129,7 +131,7 @@ class Driven:
 
     coefficients: Tensor  # (P + E,) c of eq. 1
     joints: Tensor  # (55, 3) metres at rest, where the expression has them
-    T_world_rest: Tensor  # (55, 4, 4)
+    T_world_rest: Tensor  # (55, 4, 4) float64: how skin stretches is told by their differences
 
 
 @dataclass(frozen=True)
@@ -191,7 +193,8 @@ class Avatar(nn.Module):
     def look_up(self) -> None:
         """Let the Gaussians follow the skin around where they are now."""
         G = self.canonical
-        G.weights, G.directions = self.skin.at(G.means)
+        for name, value in self.skin.at(G.means).named().items():
+            setattr(G, name, value)
 
     def forward(self, pose: Pose) -> Gaussians:
         """The Gaussians of one pose, in the world."""
@@ -212,10 +215,15 @@ class Avatar(nn.Module):
         else:
             residual = torch.zeros_like(G.means)
         means = G.means + G.moved_by(driven.coefficients) + residual
-        A = blend(G.weights, driven.T_world_rest)
-        means, quats = carry_frames(A, means, G.quats)
+        A = G.maps(driven.T_world_rest).to(G.means.dtype)
         sh = lit(G.sh, A, self.light)
-        return Animated(Gaussians(means, quats, G.scales, G.opacities, sh=sh), residual)
+        if not self.options.stretch:
+            means, quats = carry_frames(A, means, G.quats)
+            return Animated(Gaussians(means, quats, G.scales, G.opacities, sh=sh), residual)
+        D = G.map_slopes(driven.T_world_rest)
+        means, covars = carry_stretched(A, D, means, G.quats, G.scales)
+        gaussians = Gaussians(means, None, None, G.opacities, sh=sh, covars=covars)
+        return Animated(gaussians, residual)
 
     def driven(self, pose: Pose) -> Driven:
         """Blend shapes and skeleton of one pose, for the Gaussians and for the rig's surface.
@@ -230,11 +238,11 @@ class Avatar(nn.Module):
             raise ValueError(f"Avatar: pose must be of one frame, got {len(pose)}")
         psi = pose.expression[0, : self.rest_expression_joints.shape[2]]
         joints = self.rest_joints + moved_by(psi, self.rest_expression_joints)
-        # In float64: of 55 joints it costs nothing, and chains of products lose most of the digits.
+        # In float64: of 55 joints it costs nothing, and chains of products lose digits.
         turned, at_rest, transl = (x.double() for x in (self.followed(pose), joints, pose.transl))
         R, T_world_rest = turn_joints(turned, at_rest, self._parents, transl)
-        R, T_world_rest = (x[0].to(self.rest_joints.dtype) for x in (R, T_world_rest))
-        return Driven(self.coefficients(R, psi), joints, T_world_rest)
+        bent = self.coefficients(R[0].to(self.rest_joints.dtype), psi)
+        return Driven(bent, joints, T_world_rest[0])
 
     def followed(self, pose: Pose) -> Tensor:
         """The rotations (T, 55, 3) that it follows: without hands, fingers stay as at rest."""
@@ -261,6 +269,7 @@ class Avatar(nn.Module):
             seed=SeedOptions(**described["options"]["seed"]),
             residual=ResidualOptions(**described["options"]["residual"]),
             hands=described["options"]["hands"],
+            stretch=described["options"]["stretch"],
         )
         state = {k: v for k, v in record.items() if k not in ("format", "description")}
         rig = Rig(

@@ -9,30 +9,34 @@ log s      ``log_scales``       (N, 3)      logarithm of the standard deviations
 logit eta  ``logit_opacities``  (N,)        eta = sigmoid of it
 f          ``sh``               (N, K, 3)   colour: f_0, and its slopes along x, y, z at rest
 W(mu)      ``weights``          (N, 55)     skinning weights (Eq. 5), not learned
+dW(mu)     ``slopes``           (N, 3, 55)  their derivatives along x, y, z, 1/m, not learned
 D(mu)      ``directions``       (N, 3, K)   metres blend shapes move it by, not learned
 =========  ===================  ==========  =============================================
 
-W and D are those of the outer skin around mu (:mod:`gva_mi.avatar.skin`). Nearly all of D is zero:
-an elbow's blend shapes move what is around the elbow. Seeding lays flat discs into the surface of
-the body, so that the first image is a body and not a cloud.
+W, dW and D are those of the outer skin around mu (:mod:`gva_mi.avatar.skin`). Nearly all of them
+is zero: an elbow's blend shapes move what is around the elbow. Seeding lays flat discs into the
+surface of the body, so that the first image is a body and not a cloud.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import pad
 
+from gva_mi.avatar.maps import SparseRows
 from gva_mi.avatar.skin import Skin
 from gva_mi.errors import InputError
 from gva_mi.mesh.surface import vertex_normals
 from gva_mi.splat.kernels.sh import C0
 
 PARAMETERS = ("means", "quats", "log_scales", "logit_opacities", "sh")
-CARRIERS = ("weights", "directions")  # what is looked up, and not learned
+CARRIERS = ("weights", "slopes", "directions")  # what is looked up, and not learned
 
 
 class CanonicalGaussians(nn.Module):
@@ -45,6 +49,7 @@ class CanonicalGaussians(nn.Module):
         logit_opacities: (N,).
         sh: (N, K, 3), K = 1 or 4.
         weights: (N, 55), rows sum to one.
+        slopes: (N, 3, 55) 1/m, rows sum to zero; None where weights are the same all around.
         directions: (N, 3, K) metres; None where no blend shapes move them.
     """
 
@@ -56,6 +61,7 @@ class CanonicalGaussians(nn.Module):
         logit_opacities: Tensor,
         sh: Tensor,
         weights: Tensor,
+        slopes: Tensor | None = None,
         directions: Tensor | None = None,
     ) -> None:
         super().__init__()
@@ -76,6 +82,11 @@ class CanonicalGaussians(nn.Module):
             raise ValueError(
                 f"CanonicalGaussians: weights must be ({N}, J), got {tuple(weights.shape)}"
             )
+        slopes = means.new_zeros(N, 3, weights.shape[1]) if slopes is None else slopes
+        if slopes.shape != (N, 3, weights.shape[1]):
+            raise ValueError(
+                f"CanonicalGaussians: slopes must be ({N}, 3, J), got {tuple(slopes.shape)}"
+            )
         directions = means.new_zeros(N, 3, 0) if directions is None else directions
         if directions.ndim != 3 or directions.shape[:2] != (N, 3):
             raise ValueError(
@@ -83,9 +94,10 @@ class CanonicalGaussians(nn.Module):
             )
         for name in PARAMETERS:
             setattr(self, name, nn.Parameter(given[name].detach().clone().contiguous()))
-        self.register_buffer("weights", weights.detach().clone().contiguous())
-        self.register_buffer("directions", directions.detach().clone().contiguous())
-        self._moves: tuple[Tensor, int, _Moves] | None = None
+        carriers = {"weights": weights, "slopes": slopes, "directions": directions}
+        for name in CARRIERS:
+            self.register_buffer(name, carriers[name].detach().clone().contiguous())
+        self._sparse: dict[str, tuple[Tensor, int, Any]] = {}
 
     def __len__(self) -> int:
         return self.means.shape[0]
@@ -102,12 +114,27 @@ class CanonicalGaussians(nn.Module):
 
     def moved_by(self, coefficients: Tensor) -> Tensor:
         """D c: metres (N, 3) that coefficients (up to K,) of blend shapes move the means."""
-        held = self.directions
+        return self._sparse_of("directions", _Moves.of)(coefficients)
+
+    def maps(self, T_world_rest: Tensor) -> Tensor:
+        """A (N, 12) float64: the joints' maps (55, 4, 4), blended for each Gaussian (Eq. 5)."""
+        of_rows = lambda weights: SparseRows.of(weights.double())
+        return self._sparse_of("weights", of_rows)(T_world_rest)
+
+    def map_slopes(self, T_world_rest: Tensor) -> Tensor:
+        """D (N, 36) float64: derivatives of A along x, y and z at rest, 1/m."""
+        of_rows = lambda slopes: SparseRows.of(slopes.flatten(0, 1).double())
+        return self._sparse_of("slopes", of_rows)(T_world_rest).view(len(self), 36)
+
+    def _sparse_of(self, name: str, make: Callable[[Tensor], Any]) -> Any:  # noqa: ANN401
+        """A carrier without its zeros, made anew when the carrier has changed."""
+        held = getattr(self, name)
         if held.is_inference():  # such a tensor does not tell whether it has changed
-            return _Moves.of(held)(coefficients)
-        if self._moves is None or self._moves[0] is not held or self._moves[1] != held._version:
-            self._moves = held, held._version, _Moves.of(held)
-        return self._moves[2](coefficients)
+            return make(held)
+        known = self._sparse.get(name)
+        if known is None or known[0] is not held or known[1] != held._version:
+            self._sparse[name] = known = held, held._version, make(held)
+        return known[2]
 
 
 @dataclass(frozen=True)
@@ -187,15 +214,13 @@ def seed_on_surface(
     spacing = neighbour_spacing(points)
     sh = points.new_zeros(count, (options.sh_degree + 1) ** 2, 3)
     sh[:, 0] = (albedo - 0.5) / C0
-    weights, directions = skin.at(points)
     return CanonicalGaussians(
         means=points,
         quats=disc_quats(normals),
         log_scales=disc_log_scales(spacing, options),
         logit_opacities=torch.logit(points.new_full((count,), options.opacity)),
         sh=sh,
-        weights=weights,
-        directions=directions,
+        **skin.at(points).named(),
     )
 
 

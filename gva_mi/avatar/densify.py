@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from gva_mi.avatar.avatar import Avatar
-from gva_mi.avatar.canonical import PARAMETERS, CanonicalGaussians
+from gva_mi.avatar.canonical import CARRIERS, PARAMETERS, CanonicalGaussians
 from gva_mi.errors import InputError
 from gva_mi.splat import Screen
 
@@ -132,9 +132,8 @@ def densify(
             values["quats"][new], drawn * values["log_scales"][new].exp()
         )
         values["log_scales"][new] -= math.log(options.split_shrink)
-        canonical = CanonicalGaussians(
-            **values, weights=G.weights[parents], directions=G.directions[parents]
-        )
+        carriers = {name: getattr(G, name)[parents] for name in CARRIERS}
+        canonical = CanonicalGaussians(**values, **carriers)
     replace_gaussians(avatar, optimizer, canonical, parents, inherited=len(kept))
     return Densified(int(cloned.sum()), int(split.sum()), int(pruned.sum()))
 

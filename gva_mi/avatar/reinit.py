@@ -248,15 +248,13 @@ def regaussian(
     jitter = options.scale_jitter * tensor(rng.standard_normal((N, 3)))
     half = tensor(rng.uniform(0, np.pi, N))  # half the angle about the normal
     means = tensor(samples.points)
-    weights, directions = skin.at(means)
     return CanonicalGaussians(
         means=means,
         quats=_spin(disc_quats(tensor(samples.normals)), half),
         log_scales=disc_log_scales(tensor(samples.spacing), avatar.options.seed) + jitter,
         logit_opacities=torch.logit(opacities),
         sh=sh,
-        weights=weights,
-        directions=directions,
+        **skin.at(means).named(),
     )
 
 

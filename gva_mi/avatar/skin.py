@@ -18,12 +18,18 @@ A body has blend shapes besides: it bulges where joints bend, and its face moves
 expression. Every point of S takes those of the body's vertex that is nearest to it.
 
 Gaussians look both up from the vertices of S around them, by Shepard's interpolation: it
-is continuous, and exact at the vertices. So they can be looked up anew as Gaussians move.
+is continuous, and exact at the vertices. So they can be looked up anew as Gaussians move. How
+weights change from place to place, by which cloth is stretched, is told by a plane through those of
+some more vertices, of the least squares:
+
+    3. ∂W/∂x = (XᵀX + ε I)⁻¹ Xᵀ W,    X the vertices around, without their mean;  ε = FLAT tr XᵀX
+
+Where they lie in a plane, nothing is known across it, and nothing is made up.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -39,6 +45,21 @@ CLOSE = 0.02  # metres off the bare skin; what lies closer follows the vertex be
 SPREAD = 0.5  # of eq. 1; with twice as much a skirt lags behind the legs
 NEIGHBOURS = 6  # vertices that a point takes its weights from
 JOINTS = 8  # of a point; where legs and trunk share a hem there are more than the 4 of Eq. 5
+PLANE = 12  # vertices that eq. 3 is laid through
+FLAT = 0.02  # of eq. 3; a surface this thin has no slope across
+
+
+@dataclass(frozen=True)
+class Carriers:
+    """What moves some points."""
+
+    weights: Tensor  # (N, 55) skinning weights of the strongest joints, rows sum to 1
+    slopes: Tensor  # (N, 3, 55) their derivatives along x, y, z, 1/m; rows sum to 0
+    directions: Tensor  # (N, 3, K) metres by which blend shapes move them
+
+    def named(self) -> dict[str, Tensor]:
+        """The three by name."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
 
 
 @dataclass(frozen=True)
@@ -50,23 +71,41 @@ class Skin:
     beneath: Tensor  # (V,) int64, the nearest vertex of the body
     directions: Tensor  # (vertices of the body, 3, K) metres by which blend shapes move those
 
-    def at(self, points: Tensor) -> tuple[Tensor, Tensor]:
+    def at(self, points: Tensor) -> Carriers:
         """What moves points (N, 3).
-
-        Returns:
-            Skinning weights (N, 55) of the strongest joints, whose rows sum to 1, and directions of
-            the blend shapes (N, 3, K), metres.
 
         Note:
             Not differentiable: the pictures decide where a Gaussian lies, and not the slope of
             what is looked up.
         """
         if not len(points):
-            return self.weights[:0], self.directions[:0]
+            return Carriers(
+                self.weights[:0],
+                self.weights.new_zeros(0, 3, self.weights.shape[1]),
+                self.directions[:0],
+            )
         share, nearest = self.around(points)
         weights = torch.einsum("nk,nkj->nj", share, self.weights[nearest])
         blend_shapes = mean_directions(share, self.beneath[nearest], self.directions)
-        return strongest(weights, JOINTS), blend_shapes
+        return Carriers(strongest(weights, JOINTS), self._slopes(points), blend_shapes)
+
+    def _slopes(self, points: Tensor) -> Tensor:
+        """Eq. 3 at points (N, 3), (N, 3, 55) 1/m, of the joints with the largest."""
+        from scipy.sparse import csr_array
+        from scipy.spatial import cKDTree
+
+        vertices, weights = self.vertices.double().numpy(), self.weights.double().numpy()
+        count = min(PLANE, len(vertices))
+        nearest = cKDTree(vertices).query(points.detach().double().numpy(), k=count)[1]
+        nearest = nearest.reshape(len(points), count)
+        X = vertices[nearest] - vertices[nearest].mean(1, keepdims=True)
+        square = X.transpose(0, 2, 1) @ X
+        flat = FLAT * np.trace(square, axis1=1, axis2=2) + 1e-12
+        shares = np.linalg.solve(square + flat[:, None, None] * np.eye(3), X.transpose(0, 2, 1))
+        rows = np.arange(0, shares.size + 1, count)
+        columns = np.repeat(nearest, 3, axis=0).ravel()
+        planes = csr_array((shares.ravel(), columns, rows), (3 * len(points), len(vertices)))
+        return _largest(torch.from_numpy(planes @ weights).unflatten(0, (-1, 3))).to(self.weights)
 
     def around(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """The vertices around points (N, 3), of which there is at least one.
@@ -88,6 +127,15 @@ class Skin:
         share /= share.sum(1, keepdims=True)
         nearest = torch.from_numpy(nearest.reshape(len(x), count))
         return torch.from_numpy(share).to(self.weights), nearest
+
+
+def _largest(slopes: Tensor) -> Tensor:
+    """Slopes (N, 3, J) of the joints with the largest, whose sum is zero again."""
+    joints = min(JOINTS, slopes.shape[2])
+    chosen = slopes.abs().amax(1).topk(joints, dim=1).indices[:, None].expand(-1, 3, -1)
+    kept = slopes.gather(2, chosen)
+    kept = kept - kept.mean(2, keepdim=True)
+    return torch.zeros_like(slopes).scatter(2, chosen, kept)
 
 
 def mean_directions(share: Tensor, vertices: Tensor, directions: Tensor) -> Tensor:

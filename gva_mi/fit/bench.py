@@ -146,7 +146,7 @@ def _stages(run: Run, samples: Samples, repeats: int) -> tuple[Stage, ...]:
                     target.window, sample.area,
                 )  # fmt: skip
                 (grad,) = torch.autograd.grad(losses.total(loss), image.color)
-        leaves = (g.means, g.quats, g.scales, g.opacities, g.sh)
+        leaves = tuple(g.arrays().values())
         with clock("splatting, back"):
             grads = torch.autograd.grad(image.color, leaves, grad)
         with clock("avatar and pose, back"):

@@ -27,6 +27,7 @@ from gva_mi.data.video import Video
 from gva_mi.fit.losses import Window
 from gva_mi.pose.crop import Box, Extent
 from gva_mi.splat import Camera, Gaussians, SplatOptions
+from gva_mi.splat.covariances import largest_scales
 
 REACH = 3.4  # standard deviations at which a Gaussian's alpha is below 1/255
 BORDER = 2  # pixels, for the blur that every Gaussian gets
@@ -156,7 +157,7 @@ class Samples:
 def drawn(gaussians: Gaussians, camera: Camera) -> Box | None:
     """The part of a picture that Gaussians before the camera can reach; None: nothing."""
     T = torch.tensor(camera.T_camera_world, dtype=gaussians.means.dtype)
-    x, radius = gaussians.means @ T[:3, :3].T + T[:3, 3], REACH * gaussians.scales.amax(1)
+    x, radius = gaussians.means @ T[:3, :3].T + T[:3, 3], REACH * largest_scales(gaussians)
     before = x[:, 2] > SplatOptions.near
     if not before.all():
         x, radius = x[before], radius[before]

@@ -63,6 +63,8 @@ def render(
         differentiated.
     """
     arrays = gaussians.arrays()
+    if gaussians.covars is not None:
+        raise ValueError("render(): covars are taken as torch tensors; give quats and scales")
     kind = type(gaussians.means)
     for name, tensor in arrays.items():
         if not dr.is_tensor_v(tensor) or not dr.is_float_v(tensor) or type(tensor) is not kind:

@@ -23,10 +23,13 @@ class Gaussians:
     opacities: Any  # (N,) in [0, 1]
     colors: Any = None  # (N, D), any number of channels
     sh: Any = None  # (N, K, 3) coefficients, K = (degree + 1)^2; colour = max(0, sum + 0.5)
+    covars: Any = None  # (N, 6) square metres: xx, xy, xz, yy, yz, zz; quats and scales are None
 
     def __post_init__(self) -> None:
         if (self.colors is None) == (self.sh is None):
             raise ValueError("Gaussians: give either colors (N, D) or sh (N, K, 3)")
+        if {self.quats is None, self.scales is None} != {self.covars is not None}:
+            raise ValueError("Gaussians: give either quats (N, 4) and scales (N, 3), or covars")
 
     def __len__(self) -> int:
         return int(self.means.shape[0])
@@ -37,8 +40,9 @@ class Gaussians:
         return 3 if self.colors is None else int(self.colors.shape[1])
 
     def arrays(self) -> dict[str, Any]:
-        """The five arrays that are set, by name."""
-        named = {name: getattr(self, name) for name in ("means", "quats", "scales", "opacities")}
+        """The arrays that are set, by name."""
+        form = ("quats", "scales") if self.covars is None else ("covars",)
+        named = {name: getattr(self, name) for name in ("means", *form, "opacities")}
         return named | ({"sh": self.sh} if self.colors is None else {"colors": self.colors})
 
     def check_shapes(self) -> None:
@@ -49,9 +53,9 @@ class Gaussians:
         """
         shapes = {name: tuple(array.shape) for name, array in self.arrays().items()}
         n = shapes["means"][0] if shapes["means"] else 0
-        expected = {"means": (n, 3), "quats": (n, 4), "scales": (n, 3), "opacities": (n,)}
-        for name, shape in expected.items():
-            if shapes[name] != shape:
+        expected = {"means": (n, 3), "quats": (n, 4), "scales": (n, 3), "covars": (n, 6)}
+        for name, shape in (expected | {"opacities": (n,)}).items():
+            if name in shapes and shapes[name] != shape:
                 form = "(N,)" if len(shape) == 1 else f"(N, {shape[1]})"
                 found = f"{shapes[name]} where N is {n}"
                 raise ValueError(f"Gaussians: {name} must be {form}, got {found}")

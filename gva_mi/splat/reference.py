@@ -122,9 +122,8 @@ def _render(
 ) -> tuple[Image, _Margins]:
     T_camera_world, K = _matrices(camera)
     to64 = lambda t: t.to(torch.float64)
-    means, quats, scales, opacities = map(
-        to64, (gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities)
-    )
+    means, opacities = map(to64, (gaussians.means, gaussians.opacities))
+    covariances = _covariances(gaussians)
     R, t = T_camera_world[:3, :3], T_camera_world[:3, 3]
     H, W = camera.height, camera.width
     pixels = torch.stack(
@@ -146,7 +145,7 @@ def _render(
     never = torch.full((H, W), torch.inf, dtype=torch.float64)
     margins, last = _Margins(never, never, never), -never  # last: the depth in front, (H, W)
     for i in order[visible[order]].tolist():
-        mean2d, sharp = _project(x[i], quats[i], scales[i], R, camera, K)
+        mean2d, sharp = _project(x[i], covariances[i], R, camera, K)
         covariance = sharp + options.blur * torch.eye(2, dtype=torch.float64)
         opacity = opacities[i]
         if options.antialiased:
@@ -175,6 +174,17 @@ def _render(
     return Image(color, 1 - remaining, depth if options.depth else None), margins
 
 
+def _covariances(gaussians: Gaussians) -> list[Tensor]:
+    """Sigma (3, 3) of each Gaussian, square metres."""
+    if gaussians.covars is not None:
+        rows = ((0, 1, 2), (1, 3, 4), (2, 4, 5))
+        given = gaussians.covars.to(torch.float64)
+        return [torch.stack([torch.stack([c[k] for k in row]) for row in rows]) for c in given]
+    axes = zip(gaussians.quats.to(torch.float64), gaussians.scales.to(torch.float64), strict=True)
+    stretched = [rotation(quat) @ torch.diag(scale) for quat, scale in axes]
+    return [A @ A.T for A in stretched]
+
+
 def _colors(gaussians: Gaussians, means: Tensor, position: Tensor) -> Tensor:
     """The colours (N, D), seen from the camera's position (3,)."""
     if gaussians.sh is None:
@@ -186,7 +196,7 @@ def _colors(gaussians: Gaussians, means: Tensor, position: Tensor) -> Tensor:
 
 
 def _project(
-    x: Tensor, quat: Tensor, scale: Tensor, R: Tensor, camera: Camera, K: Tensor
+    x: Tensor, covariance: Tensor, R: Tensor, camera: Camera, K: Tensor
 ) -> tuple[Tensor, Tensor]:
     """One Gaussian's mean (2,) and covariance before the blur (2, 2); ``x``: camera space."""
     falls = lambda x: picture_point(x, K, camera.model)
@@ -197,8 +207,8 @@ def _project(
         u = falls(x)
         held = torch.minimum(torch.maximum(u, -0.15 * size), 1.15 * size)
         J = torch.cat([J[:, :2], -(held - K[:2, 2])[:, None] / x[2]], dim=1)
-    A = J @ R @ rotation(quat) @ torch.diag(scale)
-    return falls(x), A @ A.T
+    B = J @ R
+    return falls(x), B @ covariance @ B.T
 
 
 def picture_point(x: Tensor, K: Tensor, model: CameraModel) -> Tensor:

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from gva_mi.splat.autograd import PRECISION, Call, Render, Tensors, not_compiled
 from gva_mi.splat.camera import Camera
+from gva_mi.splat.covariances import in_kernels_form
 from gva_mi.splat.gaussians import Gaussians, Image
 from gva_mi.splat.options import SplatOptions
 from gva_mi.splat.screen import Screen
@@ -54,8 +55,11 @@ def render(
     check(gaussians, background, camera)
     if background is None:
         background = gaussians.means.new_zeros(gaussians.channels)
+    by_covars = gaussians.covars is not None
+    if by_covars:
+        gaussians = in_kernels_form(gaussians)
     tensors = Tensors(*gaussians.arrays().values(), background, *camera.tensors, None, None)
-    call = Call(camera, options, gaussians.sh is not None, screen)
+    call = Call(camera, options, gaussians.sh is not None, screen, by_covars)
     return Image(*Render.apply(*tensors, call))
 
 

@@ -34,9 +34,10 @@ def posed_surface(avatar: Avatar, rig: Rig, pose: Pose) -> Surface:
     """The rig's surface and joints in a pose (of one frame), moved as the Gaussians are."""
     driven = avatar.driven(pose)
     vertices = rig.vertices + moved_by(driven.coefficients, rig.directions)
-    R, t = driven.T_world_rest[:, :3, :3], driven.T_world_rest[:, :3, 3]
+    T_world_rest = driven.T_world_rest.to(vertices.dtype)
+    R, t = T_world_rest[:, :3, :3], T_world_rest[:, :3, 3]
     joints = (R @ driven.joints.unsqueeze(-1)).squeeze(-1) + t
-    skinned = skin_points(vertices, rig.weights, driven.T_world_rest)
+    skinned = skin_points(vertices, rig.weights, T_world_rest)
     return Surface(skinned.float(), joints.double().numpy())
 
 

@@ -153,7 +153,7 @@ def test_meta():
         assert ((meta["radii"][c] > 0).all(dim=1) | ~screen.visible).all()
         R = torch.tensor(camera.T_camera_world[:3, :3])
         for i in torch.nonzero(screen.visible)[:, 0].tolist():
-            parts = (torch.tensor(x[i]), a["quats"][i], a["scales"][i], R, camera)
+            parts = (torch.tensor(x[i]), reference._covariances(g)[i], R, camera)
             C2 = reference._project(*parts, torch.tensor(camera.K))[1].detach()
             C2 = C2 + 0.3 * torch.eye(2, dtype=torch.float64)
             conic = torch.linalg.inv(C2)[[0, 0, 1], [0, 1, 1]]

@@ -7,10 +7,10 @@ shape          betas, expression                                        joints
 skeleton       rotations, joints, transl                                R, T_world_rest  Eq. 4
 blend shapes   means, R, expression                                     shaped_means
 residual       means, rotations, the network's weights                  residual     Sec. 4.1
-blend          T_world_rest                                             A                Eq. 5
-polar frames   A, shaped_means, residual, quats                         posed_means, posed_quats
+blend          T_world_rest                                             A, D             Eq. 5
 activations    log_scales, logit_opacities                              scales, opacities
-colours        sh, T_world_rest, light                                  posed_sh
+stretch        A, D, shaped_means, residual, quats, scales              posed_means, covars
+colours        sh, A, light                                             posed_sh
 splatting      the posed Gaussians                                      image        Eq. 1-3
 =============  =======================================================  =======================
 
@@ -35,10 +35,9 @@ from gva_mi.avatar.canonical import CARRIERS, PARAMETERS, CanonicalGaussians, Se
 from gva_mi.avatar.gradcheck import twins
 from gva_mi.avatar.light import lit
 from gva_mi.avatar.residual import ResidualOptions
+from gva_mi.avatar.stretch import carry_stretched
 from gva_mi.body.kinematics import turn_joints
-from gva_mi.body.polar import carry_frames
 from gva_mi.body.pose import JAW, LEFT_HAND, RIGHT_HAND, Pose, Shape
-from gva_mi.body.skinning import blend
 from gva_mi.body.smplx import BodyModel, load_body
 from gva_mi.splat import Camera, Gaussians, Image, look_at, reference, render
 
@@ -133,7 +132,7 @@ class Scene:
         """The chain, its fast functions in a precision; the slow ones are float64."""
         body, avatar = self.models[dtype]
         G, parents, network = avatar.canonical, avatar.rig.parents, avatar.residual
-        weights, directions = G.weights, G.directions
+        weights, slopes, directions = G.weights, G.slopes, G.directions
         return (
             Link("shape", ("betas", "expression"), ("joints",),
                  lambda v: (body.rest(Shape(v["betas"])).joints
@@ -154,21 +153,23 @@ class Scene:
                  lambda v: (functional_call(network, _network(v), (v["means"], v["rotations"])),),
                  lambda v: (twins.residual(network, _network(v), v["means"].detach(),
                                            v["rotations"]),)),
-            Link("blend", ("T_world_rest",), ("A",),
-                 lambda v: (blend(weights, v["T_world_rest"]),),
-                 lambda v: (twins.blend(weights, v["T_world_rest"]),)),
-            Link("polar frames", ("A", "shaped_means", "residual", "quats"),
-                 ("posed_means", "posed_quats"),
-                 lambda v: carry_frames(v["A"], v["shaped_means"] + v["residual"], v["quats"]),
-                 lambda v: twins.carry(v["A"], v["shaped_means"] + v["residual"], v["quats"])),
+            Link("blend", ("T_world_rest",), ("A", "D"),
+                 lambda v: (G.maps(v["T_world_rest"]), G.map_slopes(v["T_world_rest"])),
+                 lambda v: twins.blend(weights, slopes, v["T_world_rest"])),
             Link("activations", ("log_scales", "logit_opacities"), ("scales", "opacities"),
                  _activated,
                  lambda v: (v["log_scales"].exp(), 1 / (1 + (-v["logit_opacities"]).exp()))),
+            Link("stretch", ("A", "D", "shaped_means", "residual", "quats", "scales"),
+                 ("posed_means", "covars"),
+                 lambda v: carry_stretched(v["A"], v["D"], v["shaped_means"] + v["residual"],
+                                           v["quats"], v["scales"]),
+                 lambda v: twins.stretch(v["A"], v["D"], v["shaped_means"] + v["residual"],
+                                         v["quats"], v["scales"])),
             Link("colours", ("sh", "A", "light"), ("posed_sh",),
                  lambda v: (lit(v["sh"], v["A"], v["light"]),),
                  lambda v: (twins.lit(v["sh"], v["A"], v["light"]),)),
             Link("splatting",
-                 ("posed_means", "posed_quats", "scales", "opacities", "posed_sh"),
+                 ("posed_means", "covars", "opacities", "posed_sh"),
                  ("color", "alpha", "depth"),
                  lambda v: self._drawn(render, v), lambda v: self._drawn(reference.render, v)),
         )  # fmt: skip
@@ -198,8 +199,8 @@ def run(links: tuple[Link, ...], values: Values, *, slow: bool = False) -> Value
 
 def posed(values: Values) -> Gaussians:
     """The Gaussians that the chain's last link draws."""
-    names = ("posed_means", "posed_quats", "scales", "opacities")
-    return Gaussians(*(values[name] for name in names), sh=values["posed_sh"])
+    means, opacities = values["posed_means"], values["opacities"]
+    return Gaussians(means, None, None, opacities, sh=values["posed_sh"], covars=values["covars"])
 
 
 def _network(values: Values) -> Values:

@@ -1,8 +1,8 @@
 """The slow twins of an avatar's links: plain float64 torch, gradients by autograd alone.
 
 They share no formula with what they check: joints are walked from the root outward and turned by
-matrix exponentials, polar factors are found by Newton's iteration, the network's waves are sines
-of multiples, and slopes of the colour are turned to the light, not the light to them.
+matrix exponentials, covariances are products of whole matrices, the network's waves are sines of
+multiples, and slopes of the colour are turned to the light, not the light to them.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ import torch
 from torch import Tensor
 
 from gva_mi.avatar.residual import OUTPUT_UNIT, PoseResidual
+from gva_mi.avatar.stretch import LARGEST
 from gva_mi.body.pose import BODY
 from gva_mi.body.smplx import BodyModel
-
-NEWTON = 12  # steps; each doubles the digits
+from gva_mi.splat.reference import rotation
 
 
 def joints(body: BodyModel, betas: Tensor) -> Tensor:
@@ -79,20 +79,26 @@ def residual(
     return OUTPUT_UNIT * out
 
 
-def blend(weights: Tensor, T_world_rest: Tensor) -> Tensor:
-    """Each Gaussian's affine map, row by row, (N, 12)."""
-    return torch.einsum("nj,jab->nab", weights, T_world_rest)[:, :3].reshape(-1, 12)
+def blend(weights: Tensor, slopes: Tensor, T_world_rest: Tensor) -> tuple[Tensor, Tensor]:
+    """Each Gaussian's affine map, row by row, (N, 12), and its derivatives (N, 36)."""
+    maps = lambda w: torch.einsum("...j,jab->...ab", w, T_world_rest)[..., :3, :].flatten(-2)
+    return maps(weights), maps(slopes).flatten(1)
 
 
-def carry(A: Tensor, means: Tensor, quats: Tensor) -> tuple[Tensor, Tensor]:
-    """Means and quaternions (N, 4) wxyz in the world; turned by the polar factor of A."""
-    A = A.view(-1, 3, 4)
-    nearest = A[:, :, :3]
-    for _ in range(NEWTON):
-        nearest = (nearest + torch.linalg.inv(nearest).mT) / 2
-    turned = [_product(_quaternion(R), q) for R, q in zip(nearest, quats, strict=True)]
-    moved = torch.einsum("nab,nb->na", A[:, :, :3], means) + A[:, :, 3]
-    return moved, torch.stack(turned)
+def stretch(
+    A: Tensor, D: Tensor, means: Tensor, quats: Tensor, scales: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Means and covariances (N, 6) in the world; one Gaussian after the other."""
+    moved, covars = [], []
+    for a, d, mean, quat, scale in zip(A, D, means, quats, scales, strict=True):
+        a, d = a.view(3, 4), d.view(3, 3, 4)
+        one = torch.cat([mean, torch.ones(1).double()])
+        moved.append(a @ one)
+        E = torch.stack([along @ one for along in d], dim=1)
+        J = a[:, :3] + E / (1 + (E / LARGEST).square().sum()).sqrt()
+        F = J @ rotation(quat) @ torch.diag(scale)
+        covars.append((F @ F.T)[torch.triu_indices(3, 3).unbind()])
+    return torch.stack(moved), torch.stack(covars)
 
 
 def lit(sh: Tensor, A: Tensor, light: Tensor) -> Tensor:
@@ -113,30 +119,3 @@ def _rotation(r: Tensor) -> Tensor:
 def _rigid(R: Tensor, t: Tensor) -> Tensor:
     last = torch.tensor([[0, 0, 0, 1.0]], dtype=torch.float64)
     return torch.cat([torch.cat([R, t[:, None]], dim=1), last])
-
-
-def _quaternion(R: Tensor) -> Tensor:
-    """The quaternion wxyz of a rotation whose largest entry is positive, (4,)."""
-    trace = R[0, 0] + R[1, 1] + R[2, 2]
-    squares = torch.stack([trace, R[0, 0], R[1, 1], R[2, 2]])
-    largest = int(squares.detach().argmax())
-    if largest == 0:
-        w = (1 + trace).sqrt() / 2
-        v = torch.stack([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]) / (4 * w)
-        return torch.cat([w[None], v])
-    i, j, k = ((largest - 1 + s) % 3 for s in range(3))
-    a = (1 + 2 * R[i, i] - trace).sqrt() / 2
-    entries = {
-        0: (R[k, j] - R[j, k]) / (4 * a),
-        1 + i: a,
-        1 + j: (R[i, j] + R[j, i]) / (4 * a),
-        1 + k: (R[i, k] + R[k, i]) / (4 * a),
-    }
-    return torch.stack([entries[n] for n in range(4)])
-
-
-def _product(p: Tensor, q: Tensor) -> Tensor:
-    """Hamilton's product of two quaternions (4,) wxyz, by vectors."""
-    w = p[0] * q[0] - p[1:] @ q[1:]
-    v = p[0] * q[1:] + q[0] * p[1:] + torch.linalg.cross(p[1:], q[1:])
-    return torch.cat([w[None], v])

@@ -6,6 +6,7 @@ All images are 8-bit (H, W, 3), on white.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -20,6 +21,7 @@ from gva_mi.fit.renders import cut_out, render_frame, to_8bit
 from gva_mi.page import around
 from gva_mi.pose.crop import Box
 from gva_mi.splat import Camera, Gaussians, look_at, render
+from gva_mi.splat.covariances import with_axes
 
 FACE_SIDE = 0.26  # metres, of a face's picture
 ZOOMED_PIXELS = 220  # about the side of pictures of hands and faces
@@ -93,8 +95,8 @@ def dots(gaussians: Gaussians, height: int = 560) -> np.ndarray:
     """Every Gaussian as a small dot of its own colour, seen from the front and from the side."""
     small = Gaussians(
         gaussians.means,
-        gaussians.quats,
-        torch.full_like(gaussians.scales, DOT),
+        gaussians.means.new_zeros(len(gaussians), 4),  # round: turned by nothing
+        torch.full_like(gaussians.means, DOT),
         torch.full_like(gaussians.opacities, 0.99),
         sh=gaussians.sh[:, :1],
     )
@@ -145,8 +147,8 @@ def overview(avatar: Avatar, video: Video, turned: int = 3) -> np.ndarray:
         shown = np.where(frame.mask[..., None] > 0.5, (frame.normals + 1) / 2, 1)
         parts.append(to_8bit(shown))
     with torch.no_grad():
-        whole = avatar(frame.pose)
-        thin = Gaussians(whole.means, whole.quats, whole.scales / 3, whole.opacities, sh=whole.sh)
+        whole = with_axes(avatar(frame.pose))
+        thin = replace(whole, scales=whole.scales / 3)
         image = render(thin, frame.camera, background=torch.ones(3))
     parts.append(to_8bit(image.color.numpy()))
     parts += list(turntable(avatar, frame, turned + 1))[1:]

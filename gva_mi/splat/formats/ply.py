@@ -17,6 +17,7 @@ import torch
 
 from gva_mi.errors import InputError
 from gva_mi.files import replacing
+from gva_mi.splat.covariances import with_axes
 from gva_mi.splat.formats.compressed_ply import decompressed, is_compressed
 from gva_mi.splat.formats.ply_elements import read_elements
 from gva_mi.splat.gaussians import Gaussians, degree_of
@@ -34,6 +35,7 @@ def save_ply(path: Path, gaussians: Gaussians) -> None:
         gaussians: torch tensors; plain colours become the constant band of spherical harmonics.
     """
     path = Path(path)
+    gaussians = with_axes(gaussians)
     array = lambda tensor: tensor.detach().double().numpy()
     if gaussians.sh is None:
         sh = ((array(gaussians.colors) - 0.5) / C0)[:, None]

@@ -18,6 +18,7 @@ import torch
 
 from gva_mi.errors import InputError
 from gva_mi.files import replacing
+from gva_mi.splat.covariances import with_axes
 from gva_mi.splat.gaussians import Gaussians
 from gva_mi.splat.kernels.sh import C0
 
@@ -33,6 +34,7 @@ def save_splat(path: Path, gaussians: Gaussians) -> None:
         path: of the .splat; an older one is replaced once the new one is whole.
         gaussians: torch tensors.
     """
+    gaussians = with_axes(gaussians)
     array = lambda tensor: tensor.detach().double().numpy()
     scales, opacities, quats = (
         array(x) for x in (gaussians.scales, gaussians.opacities, gaussians.quats)

@@ -1,0 +1,63 @@
+"""Gaussians whose covariances are given, and their principal axes.
+
+What is sheared, such as cloth that a body stretches, keeps no axes at right angles of which some
+scales could tell how long they are by now: it is known by its covariance. Files and viewers know
+quaternions and scales alone, and take the covariance's own axes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from gva_mi.splat.gaussians import Gaussians
+
+DIAGONAL, BESIDE = [0, 3, 5], [1, 2, 4]  # which of xx, xy, xz, yy, yz, zz
+MATRIX = [0, 1, 2, 1, 3, 4, 2, 4, 5]  # row by row
+
+
+def in_kernels_form(gaussians: Gaussians) -> Gaussians:
+    """Covariances where the kernels look for them: in the place of quats and scales."""
+    beside = torch.nn.functional.pad(gaussians.covars[:, BESIDE], (1, 0))
+    return replace(gaussians, quats=beside, scales=gaussians.covars[:, DIAGONAL], covars=None)
+
+
+def matrices(covars: Tensor) -> Tensor:
+    """Covariances (N, 6) as symmetric matrices (N, 3, 3)."""
+    return covars[:, MATRIX].unflatten(1, (3, 3))
+
+
+@torch.no_grad()
+def with_axes(gaussians: Gaussians) -> Gaussians:
+    """The same Gaussians, of torch tensors, by quaternions and scales; not differentiable."""
+    if gaussians.covars is None:
+        return gaussians
+    squares, axes = torch.linalg.eigh(matrices(gaussians.covars).double())
+    axes = axes * torch.linalg.det(axes).sign()[:, None, None]  # a mirrored frame is no rotation
+    quats = _quaternions(axes)
+    scales = squares.clamp_min(0).sqrt()
+    as_given = lambda x: x.to(gaussians.covars)
+    return replace(gaussians, quats=as_given(quats), scales=as_given(scales), covars=None)
+
+
+def largest_scales(gaussians: Gaussians) -> Tensor:
+    """At most so many metres (N,) are the standard deviations along any direction."""
+    if gaussians.covars is None:
+        return gaussians.scales.amax(1)
+    return gaussians.covars[:, DIAGONAL].sum(1).clamp_min(0).sqrt()
+
+
+def _quaternions(R: Tensor) -> Tensor:
+    """Of rotations (N, 3, 3), wxyz (N, 4): Davenport's matrix q qᵀ times 4, less the identity, has
+    q for the eigenvector of its largest eigenvalue, whichever entry of q is small."""
+    a, b, c, d, e, f, g, h, i = R.flatten(1).unbind(1)
+    rows = [
+        [a + e + i, h - f, c - g, d - b],
+        [h - f, a - e - i, b + d, c + g],
+        [c - g, b + d, e - a - i, f + h],
+        [d - b, c + g, f + h, i - a - e],
+    ]
+    K = torch.stack([torch.stack(row, dim=1) for row in rows], dim=1)
+    return torch.linalg.eigh(K).eigenvectors[:, :, -1]

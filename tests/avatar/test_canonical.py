@@ -117,7 +117,7 @@ def test_blend_shapes_move_as_the_whole_table_says():
     directions[torch.rand(6, 3, 5, generator=generator) < 0.7] = 0
     G = CanonicalGaussians(
         torch.zeros(6, 3), torch.ones(6, 4), torch.zeros(6, 3), torch.zeros(6),
-        torch.zeros(6, 1, 3), torch.ones(6, 1), directions,
+        torch.zeros(6, 1, 3), torch.ones(6, 1), None, directions,
     )  # fmt: skip
     for count in (5, 2, 0):  # coefficients that are missing count as zero
         c = torch.randn(count, generator=generator)

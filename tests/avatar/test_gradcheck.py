@@ -3,14 +3,16 @@
 import gva_mi  # noqa: F401  (chooses libLLVM before Dr.Jit is imported)
 
 import json  # isort: skip
+from dataclasses import replace  # isort: skip
 
 import pytest
 import torch
 
+from gva_mi.avatar import stretch
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.canonical import CanonicalGaussians
 from gva_mi.avatar.gradcheck import Scene, Tolerances, chain, gradcheck
-from gva_mi.body import kinematics, polar
+from gva_mi.body import kinematics
 from gva_mi.body.smplx import BodyModel
 
 SMALL = {"gaussians": 60, "size": 16}
@@ -94,11 +96,12 @@ def _plant(monkeypatch, link):
     elif link == "residual":
         monkeypatch.setattr(torch, "tanh", lambda x: bend(x.tanh()))
     elif link == "blend":
-        blend = chain.blend
-        monkeypatch.setattr(chain, "blend", lambda w, T: blend(w, bend(T)))
-    elif link == "polar frames":
-        adjoint = polar._davenport_adjoint
-        monkeypatch.setattr(polar, "_davenport_adjoint", lambda G: [1.001 * g for g in adjoint(G)])
+        maps = CanonicalGaussians.maps
+        monkeypatch.setattr(CanonicalGaussians, "maps", lambda self, T: maps(self, bend(T)))
+    elif link == "stretch":
+        adjoint = stretch._adjoint
+        bent = lambda *lane: [[1.001 * g for g in grads] for grads in adjoint(*lane)]
+        monkeypatch.setattr(stretch, "_adjoint", bent)
     elif link == "activations":
         scales = lambda self: torch.exp(bend(self.log_scales))
         monkeypatch.setattr(CanonicalGaussians, "scales", property(scales))
@@ -108,11 +111,11 @@ def _plant(monkeypatch, link):
     else:
         render = chain.render
         monkeypatch.setattr(chain, "render", lambda g, *a, **k: render(
-            type(g)(g.means, g.quats, bend(g.scales), g.opacities, sh=g.sh), *a, **k))  # fmt: skip
+            replace(g, covars=bend(g.covars)), *a, **k))  # fmt: skip
 
 
 LINKS = (
-    "shape", "skeleton", "blend shapes", "residual", "blend", "polar frames", "activations",
+    "shape", "skeleton", "blend shapes", "residual", "blend", "activations", "stretch",
     "colours", "splatting",
 )  # fmt: skip
 

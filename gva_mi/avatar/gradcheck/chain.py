@@ -154,7 +154,7 @@ class Scene:
                  lambda v: (twins.residual(network, _network(v), v["means"].detach(),
                                            v["rotations"]),)),
             Link("blend", ("T_world_rest",), ("A", "D"),
-                 lambda v: (G.maps(v["T_world_rest"]), G.map_slopes(v["T_world_rest"])),
+                 lambda v: (G.maps(v["T_world_rest"]).to(dtype), G.map_slopes(v["T_world_rest"])),
                  lambda v: twins.blend(weights, slopes, v["T_world_rest"])),
             Link("activations", ("log_scales", "logit_opacities"), ("scales", "opacities"),
                  _activated,

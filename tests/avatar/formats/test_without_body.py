@@ -14,7 +14,7 @@ from gva_mi.files import read_arrays
 OWN = {  # what of an avatar is not its body's
     "format", "description", "light", "betas", "offsets", "beneath", "shares",
     "canonical.means", "canonical.quats", "canonical.log_scales", "canonical.logit_opacities",
-    "canonical.sh", "canonical.weights",
+    "canonical.sh", "canonical.weights", "canonical.slopes",
 }  # fmt: skip
 
 

@@ -98,6 +98,10 @@ class Call:
     saved: Saved | None = None
     elements: list[Call] | None = None  # under vmap: of each element of the batch
 
+    def pick(self, numbers: Tensor) -> Tensor:
+        """Of numbers of all Gaussians, (N, ...), those of ``means2d``'s rows."""
+        return numbers if self.rows is None else numbers.index_select(0, self.rows)
+
     def each(self, count: int) -> list[Call]:
         """A call for each element of a batch, the same ones every time."""
         if self.elements is None:
@@ -285,7 +289,7 @@ def draw(call: Call, given: Tensors) -> None:
     if screen is not None:
         screen.fill(call.saved, given.means)
     if call.packed:
-        call.rows = torch.nonzero((screen.boxes > 0).all(dim=1))[:, 0]
+        call.rows = screen.rows
 
 
 @exclusive
@@ -319,7 +323,7 @@ def _adjoint(tensors: Tensors, grads: Images, call: Call, camera: bool) -> Tenso
     matrix = lambda given, value: new(value) if camera and given is not None else None
     node = None
     if tensors.means2d is not None:
-        node = by_means2d if call.rows is None else by_means2d[call.rows]
+        node = call.pick(by_means2d)
     return Tensors(
         *by_gaussians,
         background=new(found.background),

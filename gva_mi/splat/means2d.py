@@ -44,10 +44,10 @@ class ProjectMeans(torch.autograd.Function):
     def forward(*arguments: Any) -> Values:  # noqa: ANN401
         means, T_camera_world, K, _, *others, call = arguments
         draw(call, Tensors(means, *others, T_camera_world, K, None, None))
-        means2d, depths = call.screen.means2d, call.screen.depths
-        if call.rows is not None:
-            means2d, depths = means2d[call.rows], depths[call.rows]
-        return means2d.contiguous(), depths.clone(), means2d.new_zeros(means2d.shape)
+        means2d, depths = call.pick(call.screen.means2d), call.screen.depths
+        # not the kernels' own memory
+        depths = depths.clone() if call.rows is None else call.pick(depths)
+        return means2d, depths, torch.zeros_like(means2d)
 
     @staticmethod
     def setup_context(ctx: FunctionCtx, inputs: tuple, output: Values) -> None:
@@ -100,7 +100,7 @@ def _projection(call: Call) -> Callable[[Tensor, Tensor, Tensor], tuple[Tensor, 
     model, near = call.camera.model, call.options.near
 
     def project(means: Tensor, T_camera_world: Tensor, K: Tensor) -> tuple[Tensor, Tensor]:
-        means = means if call.rows is None else means[call.rows]
+        means = call.pick(means)
         x = (means[:, None, :] * T_camera_world[:3, :3]).sum(dim=-1) + T_camera_world[:3, 3]
         depths, f, c = x[:, 2], torch.diagonal(K)[:2], K[:2, 2]
         z = torch.where(depths > near, depths, 1)[:, None]

@@ -50,6 +50,9 @@ def bench(
         with bar("bench") as progress:
             found = bench_splat(given, options, progress)
     say(found.table())
+    if options.plot is not None and what == "splat":
+        found.peers.draw(options.plot)
+        say(f"plot: {options.plot}")
     if json_file is not None:
         json_file.parent.mkdir(parents=True, exist_ok=True)
         json_file.write_text(json.dumps(found.to_dict(), indent=1) + "\n")

@@ -9,8 +9,7 @@ copied. With x all that is differentiated and y the images,
 
 The adjoint and the tangent are each other's transpose, so that each is the other's derivative by
 what it is linear in. Their derivatives by x would be second ones of the picture, which nobody has
-written: ``FirstOrder`` stands before x and refuses them, whoever asks and however. Without it torch
-would take them for zero wherever dL/dy is a constant.
+written: ``FirstOrder`` (first_order.py) stands before x and refuses them, whoever asks and however.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ import math
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple
 
 import drjit as dr
 import numpy as np
@@ -31,6 +30,7 @@ from torch import Tensor
 from torch.autograd.function import FunctionCtx
 
 from gva_mi.splat.camera import Camera
+from gva_mi.splat.first_order import FirstOrder, refuse_batches
 from gva_mi.splat.kernels.exclusive import exclusive
 from gva_mi.splat.kernels.inputs import Inputs
 from gva_mi.splat.kernels.passes import Saved, render_adjoint, render_forward, render_tangent
@@ -115,7 +115,12 @@ def one_by_one(
     dims: tuple,
     arguments: tuple,
 ) -> tuple[tuple, tuple]:
-    """vmap: a call for each element of the batch, and their results stacked."""
+    """vmap: a call for each element of the batch, and their results stacked.
+
+    Where the batch is one of gradients or tangents alone, as a Jacobian's rows are, all its
+    elements are of the same picture, and so of the same call.
+    """
+    same_picture = all(dim is None for dim in dims[: len(Tensors._fields)])
     results = []
     for k in range(info.batch_size):
         element = [
@@ -123,7 +128,8 @@ def one_by_one(
             for value, dim in zip(arguments, dims, strict=True)
         ]
         call = next(i for i, value in enumerate(element) if isinstance(value, Call))
-        element[call] = element[call].each(info.batch_size)[k]
+        if not same_picture:
+            element[call] = element[call].each(info.batch_size)[k]
         results.append(function.apply(*element))
     columns = list(zip(*results, strict=True))
     stacked = tuple(None if c[0] is None else torch.stack(c) for c in columns)
@@ -239,35 +245,6 @@ class Tangent(torch.autograd.Function):
         return one_by_one(Tangent, info, dims, arguments)
 
 
-class FirstOrder(torch.autograd.Function):
-    """Tensors as they are, which refuse to be differentiated: see the module's docstring."""
-
-    generate_vmap_rule = True
-
-    @staticmethod
-    def forward(*tensors: Tensor | None) -> tuple[Tensor | None, ...]:
-        return tuple(None if tensor is None else tensor.view_as(tensor) for tensor in tensors)
-
-    @staticmethod
-    def setup_context(ctx: FunctionCtx, inputs: tuple, output: tuple) -> None:
-        ctx.set_materialize_grads(False)
-
-    @staticmethod
-    def backward(ctx: FunctionCtx, *grads: Tensor | None) -> NoReturn:
-        raise RuntimeError(REFUSAL)
-
-    @staticmethod
-    def jvp(ctx: FunctionCtx, *tangents: Tensor | None) -> NoReturn:
-        raise RuntimeError(REFUSAL)
-
-
-REFUSAL = (
-    "render(): its gradients and tangents cannot be differentiated again by the Gaussians, the "
-    "background or the camera; second derivatives, as a Hessian or a penalty on a gradient needs "
-    "them, are not available"
-)
-
-
 @exclusive
 @alone_on_the_cores()
 def draw(call: Call, given: Tensors) -> None:
@@ -296,6 +273,7 @@ def draw(call: Call, given: Tensors) -> None:
 @alone_on_the_cores()
 def _adjoint(tensors: Tensors, grads: Images, call: Call, camera: bool) -> Tensors:
     """dL/dx from dL/dy; that by the camera where ``camera`` asks for it."""
+    refuse_batches(*grads)
     color, alpha, depth = grads
     saved, screen = call.saved, call.screen
     grad = Planes(
@@ -338,6 +316,7 @@ def _adjoint(tensors: Tensors, grads: Images, call: Call, camera: bool) -> Tenso
 @alone_on_the_cores()
 def _tangent(given: Tensors, call: Call) -> Images:
     """dy from dx; None is zero. What means and camera do to ``means2d`` is part of theirs."""
+    refuse_batches(*given)
     saved = call.saved
     F = saved.inputs.float_type
     zero = lambda size: dr.opaque(F, 0, size)

@@ -19,6 +19,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch._C._functorch import is_functorch_wrapped_tensor
 from torch.autograd.function import FunctionCtx
 from torch.func import vjp
 
@@ -64,7 +65,9 @@ class ProjectMeans(torch.autograd.Function):
         ctx: FunctionCtx, grad: Tensor | None, by_depths: Tensor | None, known: Tensor | None
     ) -> Values:
         if known is not None:
-            grad = None if torch.equal(grad, known) else grad - known
+            # torch.equal is for plain numbers: torch.func's get the difference, of zeros
+            same = not is_functorch_wrapped_tensor(grad) and torch.equal(grad, known)
+            grad = None if same else grad - known
         found: Values = (None, None, None)
         if grad is not None or by_depths is not None:
             images, pull = vjp(_projection(ctx.call), *ctx.saved_tensors)

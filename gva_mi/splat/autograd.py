@@ -250,7 +250,7 @@ class Tangent(torch.autograd.Function):
 def draw(call: Call, given: Tensors) -> None:
     """The forward pass: fills ``call.saved``, the screen and, packed, ``call.rows``."""
     screen, F = call.screen, PRECISION[given.means.dtype]
-    inputs = Inputs(*(_to_drjit(part, F) for part in given.gaussians))
+    inputs = Inputs(*(to_drjit(part, F) for part in given.gaussians))
     absolute = screen is not None and screen.absolute
     background = given.background.tolist()
     call.saved = render_forward(
@@ -321,7 +321,7 @@ def _tangent(given: Tensors, call: Call) -> Images:
     F = saved.inputs.float_type
     zero = lambda size: dr.opaque(F, 0, size)
     flat = [
-        zero(dr.width(part)) if tangent is None else _to_drjit(tangent, F)
+        zero(dr.width(part)) if tangent is None else to_drjit(tangent, F)
         for part, tangent in zip(saved.inputs, given.gaussians, strict=True)
     ]
     matrix = lambda tangent, size: (
@@ -339,7 +339,7 @@ def _tangent(given: Tensors, call: Call) -> Images:
     return _images(planes, saved)
 
 
-def _to_drjit(tensor: Tensor, F: type) -> Array:
+def to_drjit(tensor: Tensor, F: type) -> Array:
     """The tensor's own memory, flat; a copy where Dr.Jit could not read it in packets."""
     tensor = tensor.detach().contiguous()
     if tensor.data_ptr() % ALIGNMENT:  # from numpy, or a slice
@@ -370,4 +370,4 @@ def _padded(grad: Tensor | None, saved: Saved, *channels: int) -> Array:
         whole = grad.new_zeros(*layout.padded, *channels)
         whole[: layout.height, : layout.width] = grad
         grad = whole
-    return _to_drjit(grad, F)
+    return to_drjit(grad, F)

@@ -110,7 +110,7 @@ class Comparison:
         axes.set_ylabel("forward and backward, least of the calls, ms")
         axes.set_title("dashed, dotted: this machine's limits for gva_mi", fontsize=10)
         axes.grid(which="both", alpha=0.2)
-        axes.legend()
+        figure.legend(loc="outside lower center", ncols=5, fontsize=9)
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path, dpi=150)
 

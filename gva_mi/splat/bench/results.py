@@ -169,7 +169,7 @@ def bench(
     gsplat = None if options.no_gsplat else _beside_gsplat(work, few)
     tell()
     compared = []
-    for found in peers.measure_peers(others, beside, few, limits):
+    for found in peers.measure_peers(others, beside, max(2, options.repeats // 2), limits):
         compared.append(found)
         tell()
     growth = []

@@ -39,6 +39,8 @@ def bench(
     """
     if what != "splat" and scene is not None:
         raise InputError(f"bench {what}: there is no --scene, the body is the command's own")
+    if what != "splat" and options.against:
+        raise InputError(f"bench {what}: --against is for splat, which has peers")
     if what == "body":
         found = bench_body(options.repeats, options.seed)
     elif what == "normals":
@@ -50,6 +52,9 @@ def bench(
         with bar("bench") as progress:
             found = bench_splat(given, options, progress)
     say(found.table())
+    if options.plot is not None:
+        found.peers.draw(options.plot)
+        say(f"plot: {options.plot}")
     if json_file is not None:
         json_file.parent.mkdir(parents=True, exist_ok=True)
         json_file.write_text(json.dumps(found.to_dict(), indent=1) + "\n")

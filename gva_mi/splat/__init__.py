@@ -5,8 +5,8 @@ Usable alone:
 * ``render(gaussians, camera)`` makes a picture of torch tensors, differentiable; for Dr.Jit tensors
   it is :func:`gva_mi.splat.drjit_op.render`.
 * ``rasterization(...)`` is the same with gsplat's signature. Beside it stand gsplat's
-  ``fully_fused_projection``, ``spherical_harmonics``, ``quat_scale_to_covar_preci`` and
-  ``compute_relocation``.
+  ``fully_fused_projection``, ``isect_tiles``, ``isect_offset_encode``, ``rasterize_to_pixels``,
+  ``spherical_harmonics``, ``quat_scale_to_covar_preci`` and ``compute_relocation``.
 
 Read kernels/ in this order: lens.py (where a point falls in the picture), ellipse.py (a Gaussian's
 shape there), sh.py (its colour), project.py (all three, for all Gaussians), tiles.py (who touches
@@ -33,9 +33,12 @@ if TYPE_CHECKING:
     from gva_mi.splat.gsplat_compat import rasterization
     from gva_mi.splat.gsplat_functions import (
         compute_relocation,
+        isect_offset_encode,
+        isect_tiles,
         quat_scale_to_covar_preci,
         spherical_harmonics,
     )
+    from gva_mi.splat.gsplat_pixels import rasterize_to_pixels
     from gva_mi.splat.gsplat_projection import fully_fused_projection
     from gva_mi.splat.screen import Screen
     from gva_mi.splat.torch_op import render
@@ -51,9 +54,12 @@ __all__ = [
     "compute_relocation",
     "exclusive",
     "fully_fused_projection",
+    "isect_offset_encode",
+    "isect_tiles",
     "look_at",
     "quat_scale_to_covar_preci",
     "rasterization",
+    "rasterize_to_pixels",
     "render",
     "spherical_harmonics",
 ]
@@ -62,8 +68,11 @@ _NEED_TORCH = {  # names, and the files they are in
     "Screen": "screen",
     "compute_relocation": "gsplat_functions",
     "fully_fused_projection": "gsplat_projection",
+    "isect_offset_encode": "gsplat_functions",
+    "isect_tiles": "gsplat_functions",
     "quat_scale_to_covar_preci": "gsplat_functions",
     "rasterization": "gsplat_compat",
+    "rasterize_to_pixels": "gsplat_pixels",
     "render": "torch_op",
     "spherical_harmonics": "gsplat_functions",
 }

@@ -9,8 +9,7 @@ copied. With x all that is differentiated and y the images,
 
 The adjoint and the tangent are each other's transpose, so that each is the other's derivative by
 what it is linear in. Their derivatives by x would be second ones of the picture, which nobody has
-written: ``FirstOrder`` stands before x and refuses them, whoever asks and however. Without it torch
-would take them for zero wherever dL/dy is a constant.
+written: ``FirstOrder`` (first_order.py) stands before x and refuses them, whoever asks and however.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ import math
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple
 
 import drjit as dr
 import numpy as np
@@ -31,6 +30,7 @@ from torch import Tensor
 from torch.autograd.function import FunctionCtx
 
 from gva_mi.splat.camera import Camera
+from gva_mi.splat.first_order import FirstOrder, refuse_batches
 from gva_mi.splat.kernels.exclusive import exclusive
 from gva_mi.splat.kernels.inputs import Inputs
 from gva_mi.splat.kernels.passes import Saved, render_adjoint, render_forward, render_tangent
@@ -98,6 +98,10 @@ class Call:
     saved: Saved | None = None
     elements: list[Call] | None = None  # under vmap: of each element of the batch
 
+    def pick(self, numbers: Tensor) -> Tensor:
+        """Of numbers of all Gaussians, (N, ...), those of ``means2d``'s rows."""
+        return numbers if self.rows is None else numbers.index_select(0, self.rows)
+
     def each(self, count: int) -> list[Call]:
         """A call for each element of a batch, the same ones every time."""
         if self.elements is None:
@@ -111,7 +115,12 @@ def one_by_one(
     dims: tuple,
     arguments: tuple,
 ) -> tuple[tuple, tuple]:
-    """vmap: a call for each element of the batch, and their results stacked."""
+    """vmap: a call for each element of the batch, and their results stacked.
+
+    Where the batch is one of gradients or tangents alone, as a Jacobian's rows are, all its
+    elements are of the same picture, and so of the same call.
+    """
+    same_picture = all(dim is None for dim in dims[: len(Tensors._fields)])
     results = []
     for k in range(info.batch_size):
         element = [
@@ -119,7 +128,8 @@ def one_by_one(
             for value, dim in zip(arguments, dims, strict=True)
         ]
         call = next(i for i, value in enumerate(element) if isinstance(value, Call))
-        element[call] = element[call].each(info.batch_size)[k]
+        if not same_picture:
+            element[call] = element[call].each(info.batch_size)[k]
         results.append(function.apply(*element))
     columns = list(zip(*results, strict=True))
     stacked = tuple(None if c[0] is None else torch.stack(c) for c in columns)
@@ -235,41 +245,12 @@ class Tangent(torch.autograd.Function):
         return one_by_one(Tangent, info, dims, arguments)
 
 
-class FirstOrder(torch.autograd.Function):
-    """Tensors as they are, which refuse to be differentiated: see the module's docstring."""
-
-    generate_vmap_rule = True
-
-    @staticmethod
-    def forward(*tensors: Tensor | None) -> tuple[Tensor | None, ...]:
-        return tuple(None if tensor is None else tensor.view_as(tensor) for tensor in tensors)
-
-    @staticmethod
-    def setup_context(ctx: FunctionCtx, inputs: tuple, output: tuple) -> None:
-        ctx.set_materialize_grads(False)
-
-    @staticmethod
-    def backward(ctx: FunctionCtx, *grads: Tensor | None) -> NoReturn:
-        raise RuntimeError(REFUSAL)
-
-    @staticmethod
-    def jvp(ctx: FunctionCtx, *tangents: Tensor | None) -> NoReturn:
-        raise RuntimeError(REFUSAL)
-
-
-REFUSAL = (
-    "render(): its gradients and tangents cannot be differentiated again by the Gaussians, the "
-    "background or the camera; second derivatives, as a Hessian or a penalty on a gradient needs "
-    "them, are not available"
-)
-
-
 @exclusive
 @alone_on_the_cores()
 def draw(call: Call, given: Tensors) -> None:
     """The forward pass: fills ``call.saved``, the screen and, packed, ``call.rows``."""
     screen, F = call.screen, PRECISION[given.means.dtype]
-    inputs = Inputs(*(_to_drjit(part, F) for part in given.gaussians))
+    inputs = Inputs(*(to_drjit(part, F) for part in given.gaussians))
     absolute = screen is not None and screen.absolute
     background = given.background.tolist()
     call.saved = render_forward(
@@ -285,13 +266,14 @@ def draw(call: Call, given: Tensors) -> None:
     if screen is not None:
         screen.fill(call.saved, given.means)
     if call.packed:
-        call.rows = torch.nonzero((screen.boxes > 0).all(dim=1))[:, 0]
+        call.rows = screen.rows
 
 
 @exclusive
 @alone_on_the_cores()
 def _adjoint(tensors: Tensors, grads: Images, call: Call, camera: bool) -> Tensors:
     """dL/dx from dL/dy; that by the camera where ``camera`` asks for it."""
+    refuse_batches(*grads)
     color, alpha, depth = grads
     saved, screen = call.saved, call.screen
     grad = Planes(
@@ -319,7 +301,7 @@ def _adjoint(tensors: Tensors, grads: Images, call: Call, camera: bool) -> Tenso
     matrix = lambda given, value: new(value) if camera and given is not None else None
     node = None
     if tensors.means2d is not None:
-        node = by_means2d if call.rows is None else by_means2d[call.rows]
+        node = call.pick(by_means2d)
     return Tensors(
         *by_gaussians,
         background=new(found.background),
@@ -334,11 +316,12 @@ def _adjoint(tensors: Tensors, grads: Images, call: Call, camera: bool) -> Tenso
 @alone_on_the_cores()
 def _tangent(given: Tensors, call: Call) -> Images:
     """dy from dx; None is zero. What means and camera do to ``means2d`` is part of theirs."""
+    refuse_batches(*given)
     saved = call.saved
     F = saved.inputs.float_type
     zero = lambda size: dr.opaque(F, 0, size)
     flat = [
-        zero(dr.width(part)) if tangent is None else _to_drjit(tangent, F)
+        zero(dr.width(part)) if tangent is None else to_drjit(tangent, F)
         for part, tangent in zip(saved.inputs, given.gaussians, strict=True)
     ]
     matrix = lambda tangent, size: (
@@ -356,7 +339,7 @@ def _tangent(given: Tensors, call: Call) -> Images:
     return _images(planes, saved)
 
 
-def _to_drjit(tensor: Tensor, F: type) -> Array:
+def to_drjit(tensor: Tensor, F: type) -> Array:
     """The tensor's own memory, flat; a copy where Dr.Jit could not read it in packets."""
     tensor = tensor.detach().contiguous()
     if tensor.data_ptr() % ALIGNMENT:  # from numpy, or a slice
@@ -387,4 +370,4 @@ def _padded(grad: Tensor | None, saved: Saved, *channels: int) -> Array:
         whole = grad.new_zeros(*layout.padded, *channels)
         whole[: layout.height, : layout.width] = grad
         grad = whole
-    return _to_drjit(grad, F)
+    return to_drjit(grad, F)

@@ -2,19 +2,24 @@
 
     spherical_harmonics        c = sum_i b_i(d / |d|) h_i, without the 1/2 and the clamp of eq. 10
     quat_scale_to_covar_preci  Sigma = M S S M^T, and its inverse
+    isect_tiles                which tiles each Gaussian's box touches
+    isect_offset_encode        where the list of each tile starts
     compute_relocation         Eq. 9 of Kheradmand et al., "3D Gaussian Splatting as Markov Chain
                                Monte Carlo" (2024)
 
-All are torch, and so differentiable by whatever floats they take.
+All are torch, and so differentiable by whatever floats they take, but for the tiles.
 """
 
 from __future__ import annotations
+
+import math
 
 import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
 from gva_mi.splat.gaussians import MAX_DEGREE
+from gva_mi.splat.gsplat_meta import Tiles
 from gva_mi.splat.kernels import sh
 from gva_mi.splat.kernels.ellipse import rotation_entries
 
@@ -135,3 +140,81 @@ def compute_relocation(
     drawn = old > 0
     shrink = torch.where(drawn, old, 1) / torch.where(drawn, hidden, 1)
     return new.to(opacities.dtype), (scales * shrink[:, None]).to(scales.dtype)
+
+
+@torch.no_grad()
+def isect_tiles(
+    means2d: Tensor,
+    radii: Tensor,
+    depths: Tensor,
+    tile_size: int,
+    tile_width: int,
+    tile_height: int,
+    sort: bool = True,
+    segmented: bool = False,
+    packed: bool = False,
+    n_images: int | None = None,
+    image_ids: Tensor | None = None,
+    gaussian_ids: Tensor | None = None,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Which square tiles of the pictures each Gaussian's box touches.
+
+    Args:
+        means2d: (..., N, 2) px, "..." the pictures; packed (nnz, 2).
+        radii: (..., N, 2) px, half extents of the box; 0 where not in the picture.
+        depths: (..., N) m.
+        tile_size: px.
+        tile_width, tile_height: how many tiles there are.
+        sort: by picture, tile and depth; else pairs lie in the order of the Gaussians.
+        segmented: without effect.
+        packed: whether the tensors have rows of some Gaussians alone.
+        n_images: of packed rows, how many pictures there are.
+        image_ids: (nnz,) of packed rows, which picture.
+        gaussian_ids: without effect.
+
+    Returns:
+        How many tiles each touches, int32 (..., N) or (nnz,); and of each pair (tile, Gaussian)
+        picture | tile | depth in the bits of an int64, and int32 the place of the Gaussian in all
+        pictures' rows.
+
+    Raises:
+        ValueError: for wrong shapes.
+    """
+    shape = tuple(means2d.shape[:-1])
+    if means2d.dim() < (1 if packed else 2) or means2d.shape[-1] != 2:
+        raise ValueError(f"isect_tiles(): means2d must be (..., N, 2), got {tuple(means2d.shape)}")
+    for name, tensor, form in (("radii", radii, (*shape, 2)), ("depths", depths, shape)):
+        if tuple(tensor.shape) != form:
+            raise ValueError(f"isect_tiles(): {name} must be {form}, got {tuple(tensor.shape)}")
+    if min(tile_size, tile_width, tile_height) < 1:
+        found = f"{tile_size}, {tile_width}, {tile_height}"
+        raise ValueError(f"isect_tiles(): tile_size, tile_width, tile_height must be >= 1: {found}")
+    if packed:
+        if n_images is None or image_ids is None or tuple(image_ids.shape) != shape:
+            raise ValueError(f"isect_tiles(): packed needs n_images, and image_ids {shape}")
+        images = image_ids.long()
+    else:
+        n_images = math.prod(shape[:-1])
+        images = torch.arange(n_images).repeat_interleave(shape[-1])
+    picture = (tile_width * tile_size, tile_height * tile_size)
+    rows = (means2d.reshape(-1, 2), radii.reshape(-1, 2), depths.reshape(-1))
+    found = Tiles.of(*rows, images, n_images, picture, tile_size, sort)
+    return found.counts.view(shape), found.keys, found.rows
+
+
+@torch.no_grad()
+def isect_offset_encode(
+    isect_ids: Tensor, n_images: int, tile_width: int, tile_height: int
+) -> Tensor:
+    """Where the list of each tile starts among sorted pairs, (n_images, tile_height, tile_width).
+
+    Args:
+        isect_ids: (n_isects,) int64, sorted, of :func:`isect_tiles`.
+        n_images: of pictures.
+        tile_width, tile_height: how many tiles each has.
+    """
+    count = tile_width * tile_height
+    place, bits = isect_ids >> 32, count.bit_length()
+    tiles = (place >> bits) * count + (place & ((1 << bits) - 1))
+    starts = torch.searchsorted(tiles, torch.arange(n_images * count))
+    return starts.view(n_images, tile_height, tile_width).int()

@@ -69,6 +69,7 @@ class Tiles:
         count: int,
         picture: tuple[int, int],
         size: int,
+        sort: bool = True,
     ) -> Tiles:
         """The tiles of ``count`` pictures.
 
@@ -80,6 +81,7 @@ class Tiles:
             count: of pictures.
             picture: width and height, px.
             size: of a tile, px.
+            sort: by ``keys``; else pairs lie in the order of the rows, and offsets mean nothing.
         """
         width, height = (-(-side // size) for side in picture)
         most = torch.tensor([width, height])
@@ -92,11 +94,13 @@ class Tiles:
         columns = sides[rows, 0]
         tile = (low[rows, 1] + within // columns) * width + low[rows, 0] + within % columns
         tile = images[rows] * (width * height) + tile  # of all pictures
-        bits = depths.to(torch.float32).view(torch.int32).long()[rows]
+        bits = depths.to(torch.float32).view(torch.int32).long()[rows] & 0xFFFFFFFF
         bits_of_a_tile = (width * height).bit_length()
         image, place = tile // (width * height), tile % (width * height)
         keys = (((image << bits_of_a_tile) | place) << 32) | bits
-        keys, order = torch.sort(keys, stable=True)
-        starts = torch.searchsorted(tile[order], torch.arange(count * width * height))
+        if sort:
+            keys, order = torch.sort(keys, stable=True)
+            tile, rows = tile[order], rows[order]
+        starts = torch.searchsorted(tile, torch.arange(count * width * height))
         offsets = starts.view(count, height, width).int()
-        return Tiles(size, width, height, counts.int(), keys, rows[order].int(), offsets)
+        return Tiles(size, width, height, counts.int(), keys, rows.int(), offsets)

@@ -54,10 +54,6 @@ class View:
         images = Render.apply(*self.tensors._replace(means2d=means2d), self.call)
         return Image(*images)
 
-    def pick(self, numbers: Tensor) -> Tensor:
-        """Of numbers of all Gaussians, those of this picture's rows."""
-        return numbers if self.call.rows is None else numbers[self.call.rows]
-
 
 def joined(parts: list[Tensor]) -> Tensor:
     """Stacked; a single one is not copied, nor is its gradient."""
@@ -79,11 +75,12 @@ class Views:
 
     def images(self) -> list[Image]:
         """Each picture: a function of ``means2d``, as gsplat's are."""
-        if self.packed:
+        if len(self.views) == 1:  # views of it, whose gradients are not copied
+            parts = [self.means2d if self.packed else self.means2d.view(-1, 2)]
+        elif self.packed:
             parts = self.means2d.split([len(view.means2d) for view in self.views])
         else:
-            one = len(self.views) == 1
-            parts = [self.means2d.view(-1, 2)] if one else self.means2d.flatten(0, -3).unbind()
+            parts = self.means2d.flatten(0, -3).unbind()
         return [view.image(part) for view, part in zip(self.views, parts, strict=True)]
 
     def join(self, parts: list[Tensor]) -> Tensor:
@@ -92,7 +89,7 @@ class Views:
 
     def of_screens(self, number: Callable[[Screen], Tensor]) -> Tensor:
         """The same of what the kernels' memory tells."""
-        return self.join([view.pick(number(view.call.screen)) for view in self.views])
+        return self.join([view.call.pick(number(view.call.screen)) for view in self.views])
 
     def attach_absgrad(self) -> None:
         """Have backward set ``means2d.absgrad``, when it has found the gradient."""
@@ -165,7 +162,7 @@ class Views:
             return self.of_screens(lambda screen: screen.opacities)
         N = given.shape[-1]
         of_views = given[..., None, :].expand(*self.shape, N).reshape(len(self.views), N)
-        return self.join([view.pick(o) for view, o in zip(self.views, of_views, strict=True)])
+        return self.join([view.call.pick(o) for view, o in zip(self.views, of_views, strict=True)])
 
     def _unflat(self, rows: Tensor) -> Tensor:
         return rows if self.packed else rows.unflatten(0, (*self.shape, len(self.views[0].means2d)))

@@ -19,6 +19,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch._C._functorch import is_functorch_wrapped_tensor
 from torch.autograd.function import FunctionCtx
 from torch.func import vjp
 
@@ -44,10 +45,10 @@ class ProjectMeans(torch.autograd.Function):
     def forward(*arguments: Any) -> Values:  # noqa: ANN401
         means, T_camera_world, K, _, *others, call = arguments
         draw(call, Tensors(means, *others, T_camera_world, K, None, None))
-        means2d, depths = call.screen.means2d, call.screen.depths
-        if call.rows is not None:
-            means2d, depths = means2d[call.rows], depths[call.rows]
-        return means2d.contiguous(), depths.clone(), means2d.new_zeros(means2d.shape)
+        means2d, depths = call.pick(call.screen.means2d), call.screen.depths
+        # not the kernels' own memory
+        depths = depths.clone() if call.rows is None else call.pick(depths)
+        return means2d, depths, torch.zeros_like(means2d)
 
     @staticmethod
     def setup_context(ctx: FunctionCtx, inputs: tuple, output: Values) -> None:
@@ -64,7 +65,9 @@ class ProjectMeans(torch.autograd.Function):
         ctx: FunctionCtx, grad: Tensor | None, by_depths: Tensor | None, known: Tensor | None
     ) -> Values:
         if known is not None:
-            grad = None if torch.equal(grad, known) else grad - known
+            # torch.equal is for plain numbers: torch.func's get the difference, of zeros
+            same = not is_functorch_wrapped_tensor(grad) and torch.equal(grad, known)
+            grad = None if same else grad - known
         found: Values = (None, None, None)
         if grad is not None or by_depths is not None:
             images, pull = vjp(_projection(ctx.call), *ctx.saved_tensors)
@@ -100,7 +103,7 @@ def _projection(call: Call) -> Callable[[Tensor, Tensor, Tensor], tuple[Tensor, 
     model, near = call.camera.model, call.options.near
 
     def project(means: Tensor, T_camera_world: Tensor, K: Tensor) -> tuple[Tensor, Tensor]:
-        means = means if call.rows is None else means[call.rows]
+        means = call.pick(means)
         x = (means[:, None, :] * T_camera_world[:3, :3]).sum(dim=-1) + T_camera_world[:3, 3]
         depths, f, c = x[:, 2], torch.diagonal(K)[:2], K[:2, 2]
         z = torch.where(depths > near, depths, 1)[:, None]

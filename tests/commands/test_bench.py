@@ -20,6 +20,22 @@ def test_bench_writes_its_figures(scene, tmp_path, capsys):
     assert "composite, adjoint" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["splat", "--against", "opensplat"], "needs --opensplat-sources DIR"),
+        (["splat", "--against", "opensplat", "--opensplat-sources", "."], "holds no project_gaus"),
+        (["splat", "--plot", "peers.png"], "--plot is for --against"),
+        (["body", "--against", "gsplat"], "bench body: --against is for splat"),
+    ],
+)
+def test_peers_that_cannot_be_measured_end_in_a_sentence(cli, monkeypatch, tmp_path, words, said):
+    monkeypatch.chdir(tmp_path)
+    code, _, err = cli("bench", *words)
+    last = err.strip().splitlines()[-1]
+    assert code == 2 and last.startswith("gva-mi: bench") and said in last
+
+
 def test_bench_of_the_body_writes_its_figures(monkeypatch, tmp_path, capsys):
     small = lambda repeats, seed: bench_body(repeats, seed, vertices=60)
     monkeypatch.setattr(importlib.import_module("gva_mi.commands.bench"), "bench_body", small)

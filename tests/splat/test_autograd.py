@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import pytest
 import torch
-from torch.autograd import forward_ad, functional
+from torch.autograd import forward_ad, functional, gradgradcheck
 from torch.func import grad, hessian, jacfwd, jacrev, jvp, vjp, vmap
 
-from gva_mi.splat import render
+from gva_mi.splat import Camera, Gaussians, rasterization, render
 from gva_mi.splat.gradcheck import random_scene
 
 SCENE = random_scene(torch.Generator().manual_seed(0), 8, 16, 12)
@@ -23,6 +23,15 @@ def like(tensor, seed=1):
 def picture(means, pose=None):
     camera = SCENE.camera if pose is None else SCENE.camera.with_matrices(pose)
     return render(replace(SCENE.gaussians, means=means), camera).color
+
+
+def called(means, packed):
+    """gsplat's call: the picture and its meta."""
+    g, camera = SCENE.gaussians, SCENE.camera
+    K, size = torch.tensor(camera.K)[None], (camera.width, camera.height)
+    body = (means, g.quats, g.scales, g.opacities, g.colors)
+    found = rasterization(*body, POSE[None], K, *size, packed=packed)
+    return found[0], found[2]
 
 
 def mean(means, pose=None):
@@ -71,6 +80,22 @@ def test_vmap_draws_one_after_the_other():
     assert torch.equal(found, torch.stack(expected))
 
 
+@pytest.mark.parametrize("count", [2, 3])
+@pytest.mark.parametrize("jacobian", [jacrev, jacfwd])
+@pytest.mark.parametrize("door", ["render", "rasterization", "packed"])
+def test_jacobians_of_a_batch_are_those_of_its_pictures(door, jacobian, count):
+    """As many pictures as channels, too: a batch of gradients is none of pictures."""
+    draw = picture if door == "render" else lambda means: called(means, door == "packed")[0]
+    channels = lambda means: draw(means).mean(dim=(-3, -2)).view(3)
+    batch = torch.stack([MEANS, MEANS + 0.1, 0.9 * MEANS])[:count]
+    found = vmap(jacobian(channels))(batch)
+    one_by_one = [
+        torch.stack([by_autograd(lambda x, k=k: channels(x)[k], means) for k in range(3)])
+        for means in batch
+    ]
+    torch.testing.assert_close(found, torch.stack(one_by_one))
+
+
 def test_adjoint_and_tangent_are_each_others_derivative():
     """By what each is linear in, which is no second derivative of the picture."""
     v = like(MEANS)
@@ -92,7 +117,13 @@ SECOND = {
     "jvp of grad": lambda v: jvp(grad(mean), (MEANS,), (v,)),
     "grad of jvp": lambda v: grad(lambda x: jvp(mean, (x,), (v,))[1])(MEANS),
     "grad of grad": lambda v: grad(lambda x: grad(mean)(x).sum())(MEANS),
+    "jvp of jvp": lambda v: jvp(lambda x: jvp(mean, (x,), (v,))[1], (MEANS,), (v,)),
+    "of a batch": lambda v: vmap(hessian(mean))(torch.stack([MEANS, v])),
+    "of dual numbers": lambda v: by_autograd(lambda x: by_dual_numbers(mean, x, v), MEANS),
+    "gradgradcheck": lambda v: gradgradcheck(picture, MEANS.clone().requires_grad_()),
     "by the camera": lambda v: grad(lambda T: grad(mean)(MEANS, T).sum())(POSE),
+    "rasterization": lambda v: functional.hvp(lambda x: called(x, False)[0].mean(), MEANS, v),
+    "packed": lambda v: hessian(lambda x: called(x, True)[0].mean())(MEANS),
 }
 
 
@@ -108,6 +139,60 @@ def test_a_penalty_on_a_gradient_is_refused():
     (by_x,) = torch.autograd.grad(mean(x), x, create_graph=True)
     with pytest.raises(RuntimeError, match=REFUSED):
         (by_x.norm() + x.sum()).backward()
+
+
+INPUTS = {"K": torch.tensor(SCENE.camera.K), "T": POSE, "background": SCENE.background}
+INPUTS |= SCENE.gaussians.arrays()
+
+
+@pytest.mark.parametrize("name", INPUTS)
+def test_second_derivatives_are_refused_by_every_input(name):
+    camera = SCENE.camera
+
+    def loss(x):
+        given = {k: v.detach() for k, v in INPUTS.items()} | {name: x}
+        K, T, background = (given.pop(k) for k in ("K", "T", "background"))
+        view = Camera.from_matrices(K, T, camera.width, camera.height, camera.model)
+        image = render(Gaussians(**given), view, background=background)
+        return image.color.square().mean() + image.alpha.mean() + image.depth.mean()
+
+    x = INPUTS[name].detach()
+    for twice in (hessian, lambda f: jacfwd(jacfwd(f)), lambda f: jacrev(jacrev(f))):
+        with pytest.raises(RuntimeError, match=REFUSED):
+            twice(loss)(x)
+    x = x.clone().requires_grad_()
+    (by_x,) = torch.autograd.grad(loss(x), x, create_graph=True)
+    with pytest.raises(RuntimeError, match=REFUSED):
+        by_x.square().sum().backward()
+
+
+def test_a_gradient_by_means2d_is_not_differentiated_again():
+    for packed in (False, True):
+        x = MEANS.clone().requires_grad_()
+        colors, meta = called(x, packed)
+        loss = colors.square().mean()
+        (by_node,) = torch.autograd.grad(loss, meta["means2d"], create_graph=True)
+        with pytest.raises(RuntimeError, match=REFUSED):
+            by_node.square().sum().backward()
+
+
+def test_projected_means_have_second_derivatives():
+    """Of them there is a formula in torch: they are no picture."""
+    for packed in (False, True):
+        moved = lambda x, packed=packed: called(x, packed)[1]["means2d"].square().sum()
+        v, h = like(MEANS), 1e-6
+        _, found = functional.hvp(moved, MEANS, v)
+        ahead, behind = (by_autograd(moved, MEANS + sign * h * v) for sign in (1, -1))
+        torch.testing.assert_close(found, (ahead - behind) / (2 * h), rtol=1e-6, atol=1e-6)
+
+
+def test_batches_that_torch_hides_are_refused():
+    x, weights = MEANS.clone().requires_grad_(), like(picture(MEANS).expand(2, -1, -1, -1))
+    with pytest.raises(RuntimeError, match="no gradients or tangents in batches"):
+        torch.autograd.grad(picture(x), x, weights, is_grads_batched=True)
+    for strategy in ("reverse-mode", "forward-mode"):
+        with pytest.raises(RuntimeError, match="no gradients or tangents in batches"):
+            functional.jacobian(mean, MEANS, vectorize=True, strategy=strategy)
 
 
 def test_compiled_code_draws_between_its_graphs():

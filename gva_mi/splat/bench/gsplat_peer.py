@@ -10,7 +10,7 @@ figure is a lower bound of what a user of its reference would wait.
 from __future__ import annotations
 
 import importlib.util
-import time
+from collections.abc import Callable
 
 import torch
 from torch import Tensor
@@ -18,23 +18,19 @@ from torch import Tensor
 from gva_mi.splat.scene import Scene
 
 
-def time_step(scene: Scene, repeats: int) -> list[float] | None:
-    """Seconds of ``repeats`` forward and backward passes; None where gsplat is not installed.
+def installed() -> bool:
+    """Whether there is a gsplat."""
+    return importlib.util.find_spec("gsplat") is not None
+
+
+def drawing(scene: Scene) -> Callable[[], Tensor]:
+    """Draws the colour (H, W, 3), differentiable.
 
     Args:
         scene: of float32, with spherical harmonics and a pinhole camera.
-        repeats: how often.
     """
-    if importlib.util.find_spec("gsplat") is None or scene.gaussians.sh is None:
-        return None
     pairs = _pairs(scene)
-    seconds = []
-    for _ in range(repeats + 1):
-        start = time.perf_counter()
-        color = render(scene, *pairs)
-        torch.autograd.grad(color.sum(), [v for v in scene.inputs().values()])
-        seconds.append(time.perf_counter() - start)
-    return seconds[1:]
+    return lambda: render(scene, *pairs)
 
 
 def _project(scene: Scene) -> tuple[Tensor, Tensor, Tensor]:

@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 
 from gva_mi.errors import InputError
-from gva_mi.splat.bench import gsplat_peer, machine
+from gva_mi.splat.bench import gsplat_peer, machine, peers
 from gva_mi.splat.bench.changes import Compiled, Moving, measure_compiles, measure_moving
 from gva_mi.splat.bench.doors import Doors, measure_doors
+from gva_mi.splat.bench.first_call import FirstCall, measure_first_call
 from gva_mi.splat.bench.growth import HARD, Growth, growing, hard_scenes, measure_growth
+from gva_mi.splat.bench.peers import Beside, Comparison, PeerName
 from gva_mi.splat.bench.stages import StageCost, measure_stages
 from gva_mi.splat.bench.timing import Timing, Work, pairs_of, repeated, walked_of
 from gva_mi.splat.kernels.pixel import PIXELS
 from gva_mi.splat.scene import Scene, person_scene
+
+PLOTS = (".png", ".svg", ".pdf")
 
 
 @dataclass(frozen=True)
@@ -28,6 +34,9 @@ class BenchOptions:
     most_pixels: int = 2048  # where the growth in the picture's width ends, from 128 by doubling
     no_growth: bool = False  # leave the growth and the hard scenes out
     no_gsplat: bool = False  # leave gsplat's torch reference out where it is installed
+    against: tuple[PeerName, ...] = ()  # other renderers to time beside ours
+    opensplat_sources: Path | None = None  # folder of OpenSplat's, compiled here
+    plot: Path | None = None  # where to draw the peers' times, .png or .svg
     seed: int = 0  # of the scenes
 
     def __post_init__(self) -> None:
@@ -35,6 +44,11 @@ class BenchOptions:
             if getattr(self, name) < 1:
                 found = getattr(self, name)
                 raise InputError(f"bench: {name} must be 1 or more, got {found}")
+        if self.plot is not None and self.plot.suffix not in PLOTS:
+            raise InputError(f"bench: --plot must end in {' or '.join(PLOTS)}, got {self.plot}")
+        for name in ("plot", "opensplat_sources"):
+            if getattr(self, name) is not None and not self.against:
+                raise InputError(f"bench: --{name.replace('_', '-')} is for --against, not given")
 
 
 @dataclass(frozen=True)
@@ -54,10 +68,11 @@ class Bench:
     compiles: tuple[Compiled, ...]
     moving: Moving
     doors: Doors
-    gsplat: Timing | None  # its torch reference on the CPU, forward and backward
-    gsplat_ratio: float | None  # over our time for the same: colour and alpha, no depth
+    first_call: FirstCall
+    gsplat: Beside | None  # its torch reference on the CPU, on the same scene
     growth: tuple[Growth, ...]
     hard: tuple[Growth, ...]
+    peers: Comparison | None  # those that --against names
 
     def to_dict(self) -> dict:
         """For JSON."""
@@ -90,9 +105,15 @@ class Bench:
             f"gsplat's call, rasterization(): {d.ratio:.2f} x render()'s time, packed "
             f"{d.ratio_packed:.2f} x ({d.render.least:.2f} ms at least, without a depth)"
         )
-        if self.gsplat is not None:
-            peer = f"{self.gsplat.least:.0f} ms, {self.gsplat_ratio:.0f} x ours"
+        lines.append(self.first_call.line())
+        if self.gsplat is not None and self.gsplat.time is None:
+            seen = f"another picture, {self.gsplat.psnr:.1f} dB from ours: not timed"
+            lines.append(f"gsplat's torch reference draws {seen}")
+        elif self.gsplat is not None:
+            peer = f"{self.gsplat.time.least:.0f} ms, {self.gsplat.ratio_least:.0f} x ours"
             lines.append(f"gsplat's torch reference, forward and backward: {peer}")
+        if self.peers is not None:
+            lines += ["", self.peers.table()]
         for title, grown in (("growth", self.growth), ("hard scenes", self.hard)):
             if not grown:
                 continue
@@ -124,7 +145,9 @@ def bench(
     if not options.no_growth:
         most = (options.most_gaussians, options.most_pixels)
         sizes, hard = list(growing(*most)), list(hard_scenes(*most, options.seed))
-    total = 6 + len(sizes) + len(hard)
+    others = peers.load(options.against, options.opensplat_sources)
+    beside = _scenes_of_peers(scene, options, person) if others else []
+    total = 7 + len(sizes) + len(hard) + len(beside)
     steps = iter(range(1, total + 1))
     tell = lambda: progress and progress(next(steps), total)
 
@@ -140,19 +163,22 @@ def bench(
     tell()
     doors = measure_doors(work, options.repeats)
     tell()
-    few = max(2, options.repeats // 5)  # calls of what takes long
-    peer = None if options.no_gsplat else gsplat_peer.time_step(work.scene, few)
-    gsplat = None if peer is None else Timing.of(peer)
-    ours = None if peer is None else repeated(_without_depth(work).both, options.repeats)
+    first_call = measure_first_call(3)
     tell()
+    few = max(2, options.repeats // 5)  # calls of what takes long
+    gsplat = None if options.no_gsplat else _beside_gsplat(work, few)
+    tell()
+    compared = []
+    for found in peers.measure_peers(others, beside, max(2, options.repeats // 2), limits):
+        compared.append(found)
+        tell()
     growth = []
     for n, size in sizes:
         growth.append(measure_growth("a person", person(n, size), few))
         tell()
-    found = _beside_plain_ones(hard, few, tell)
+    hardest = _beside_plain_ones(hard, few, tell)
     saved = work.saved()
-    walked = walked_of(saved)
-    composite = next(stage for stage in stages if stage.name == "composite").time.least
+    walked, by_name = walked_of(saved), {stage.name: stage for stage in stages}
     return Bench(
         limits=limits,
         gaussians=len(work.scene.gaussians),
@@ -162,15 +188,16 @@ def bench(
         walked=walked,
         forward=forward,
         both=both,
-        pairs_per_second=walked * PIXELS / composite * 1e3,
+        pairs_per_second=walked * PIXELS / by_name["composite"].time.least * 1e3,
         stages=stages,
         compiles=compiles,
         moving=moving,
         doors=doors,
+        first_call=first_call,
         gsplat=gsplat,
-        gsplat_ratio=None if ours is None else gsplat.least / ours.least,
         growth=tuple(growth),
-        hard=found,
+        hard=hardest,
+        peers=Comparison.of(compared) if compared else None,
     )
 
 
@@ -188,7 +215,24 @@ def _beside_plain_ones(
     return tuple(found)
 
 
-def _without_depth(work: Work) -> Work:
-    """The same scene, of colour and alpha alone."""
-    scene = work.scene
-    return Work.on(replace(scene, options=replace(scene.options, depth=False)))
+def _beside_gsplat(work: Work, calls: int) -> Beside | None:
+    """gsplat's torch reference on the same scene; None where one of them is not for the other."""
+    if not gsplat_peer.installed() or not peers.can_draw(work.scene):
+        return None
+    return peers.beside("gsplat", gsplat_peer.drawing, work, calls)
+
+
+def _scenes_of_peers(
+    given: Scene | None, options: BenchOptions, person: Callable[[int, int], Scene]
+) -> list[Callable[[], Scene]]:
+    """The given scene, or people of more and more Gaussians."""
+    if given is None:
+        counts = [n for n in peers.COUNTS if n <= options.most_gaussians]
+        size = min(512, options.most_pixels)
+        return [partial(person, n, size) for n in counts or [options.most_gaussians]]
+    if not peers.can_draw(given):
+        raise InputError(
+            "bench: --against needs a scene with spherical harmonics and a pinhole camera: peers "
+            "draw no other"
+        )
+    return [lambda: given]

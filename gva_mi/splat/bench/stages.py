@@ -25,15 +25,15 @@ import drjit as dr
 
 from gva_mi.splat.bench.machine import Limits
 from gva_mi.splat.bench.timing import Timing, Work, pairs_of, walked_of
-from gva_mi.splat.kernels import passes, tiles
+from gva_mi.splat.kernels import composite, passes, tiles
 from gva_mi.splat.kernels.blend import UNROLL
 from gva_mi.splat.kernels.records import Footprint, Format, Slot, Splat
 
 STAGES: dict[str, tuple[ModuleType, str]] = {  # a stage's name, and the function that is it
     "project": (passes, "_project"),
     "tile lists": (tiles, "make_lists"),
-    "composite": (passes, "blend"),
-    "composite, adjoint": (passes, "blend_adjoint"),
+    "composite": (composite, "blend"),
+    "composite, adjoint": (composite, "blend_adjoint"),
     "sum and project, adjoint": (passes, "_gaussians_adjoint"),
 }
 COUNTED = ("composite", "composite, adjoint")  # whose operations are counted

@@ -11,6 +11,7 @@
 | pixel.py | one pixel meets one Gaussian: step, step back, step of the tangent | (11)-(17) |
 | blend.py | the loops around these steps, a tile for each SIMD lane | |
 | chunks.py | wide colours, some channels at a time | |
+| composite.py | blend.py for all chunks, there and back | |
 | passes.py | all of it in order: forward, adjoint, tangent | |
 
 Below them: inputs.py (the Gaussians as flat arrays), records.py (what the kernels hand to one

@@ -27,7 +27,8 @@ from drjit import ArrayBase as Array
 
 from gva_mi.splat.camera import Camera
 from gva_mi.splat.kernels import chunks, packets, tiles
-from gva_mi.splat.kernels.blend import Limit, blend, blend_adjoint, blend_tangent, sum_slots
+from gva_mi.splat.kernels.blend import Limit, blend_tangent, sum_slots
+from gva_mi.splat.kernels.composite import composite, composite_adjoint, sum_rows
 from gva_mi.splat.kernels.frozen import Frozen
 from gva_mi.splat.kernels.inputs import GradientMemory, Inputs, Plan
 from gva_mi.splat.kernels.lens import View, view_adjoint, view_of, view_tangent
@@ -115,16 +116,9 @@ def render_forward(
         planes = Planes.of_background(behind, layout.pixels, options.depth)
     else:
         far = None if limit is None else Limit(limit, projected.depths)
-        pictures, pixels = [], layout.pixels
-        parts = zip(
-            projected.splats, chunks.split_background(behind, formats), formats, strict=True
+        planes, trail, stop = composite(
+            projected.splats, lists, grid, behind, far, layout.pixels, formats, options
         )
-        for splats, colors, format in parts:
-            picture, trail, stop = blend(
-                splats, lists, grid, colors, far, pixels=pixels, format=format, options=options
-            )
-            pictures.append(picture)
-        planes = chunks.join_planes(pictures, D)
     return Saved(
         inputs=inputs,
         plan=plan,
@@ -182,7 +176,18 @@ def render_adjoint(
     plan, n, F = saved.plan, len(saved.inputs), saved.inputs.float_type
     if saved.lists is None:
         return _gradients_of_nothing(saved, grad, camera, absolute)
-    slots, formats, by_background = _blend_adjoints(saved, grad, absolute)
+    slots, formats, by_background = composite_adjoint(
+        saved.projected.splats,
+        saved.lists,
+        saved.grid,
+        saved.background,
+        saved.trail,
+        saved.stop,
+        grad,
+        plan.formats,
+        plan.options,
+        absolute,
+    )
     target = None
     if n < MANY:
         target = GradientMemory.empty(F, n, plan.color_width, camera, absolute)
@@ -201,38 +206,9 @@ def render_adjoint(
     by_camera = (None, None)
     if camera:
         columns = packets.widths(ViewGradient.columns())
-        sums = [_sum_rows(part, width) for part, width in zip(target.view, columns, strict=True)]
+        sums = [sum_rows(part, width) for part, width in zip(target.view, columns, strict=True)]
         by_camera = view_adjoint(saved.camera, ViewGradient.unpack(np.concatenate(sums)))
     return Gradients(target.inputs, target.u, by_background, target.absolute, *by_camera)
-
-
-def _blend_adjoints(
-    saved: Saved, grad: Planes, absolute: bool
-) -> tuple[list[packets.Packets], tuple[Format, ...], list[float]]:
-    """Each chunk's slots, their formats, and the gradient by the background."""
-    plan, lists = saved.plan, saved.lists
-    slots, formats, sums = [], [], []
-    pictures = chunks.split_gradient(grad, plan.channels, len(plan.formats))
-    parts = zip(saved.projected.splats, pictures, saved.backgrounds(), plan.formats, strict=True)
-    for splats, by_picture, behind, format in parts:
-        formats.append(Format(format.channels, by_picture.depth is not None, absolute))
-        memory, shares = blend_adjoint(
-            splats,
-            lists,
-            saved.stop,
-            saved.grid,
-            behind,
-            saved.trail,
-            by_picture,
-            pairs=dr.width(lists.ids),
-            lanes=dr.width(lists.tile),
-            format=format,
-            slot_format=formats[-1],
-            options=plan.options,
-        )
-        slots.append(memory)
-        sums.append(_sum_rows(shares, format.channels))
-    return slots, tuple(formats), np.concatenate(sums)[: plan.channels].tolist()
 
 
 def render_tangent(
@@ -346,14 +322,6 @@ def _project_tangent(
         packets.store(target, part, i)
     dr.eval(dsplats)
     return dsplats
-
-
-def _sum_rows(flat: Array, width: int) -> np.ndarray:
-    """Sums of the columns of a flat array of rows, on the host.
-
-    numpy adds in one thread, in float64: the same bits for any number of threads.
-    """
-    return flat.numpy().reshape(-1, width).sum(axis=0, dtype=np.float64)
 
 
 def _gradients_of_nothing(saved: Saved, grad: Planes, camera: bool, absolute: bool) -> Gradients:

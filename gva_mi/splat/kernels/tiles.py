@@ -20,6 +20,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import drjit as dr
+import numpy as np
 from drjit import ArrayBase as Array
 
 from gva_mi.splat.kernels import packets
@@ -249,3 +250,22 @@ def make_lists(
     dr.scatter(first, start, order, mode=dr.ReduceMode.Permute)
     dr.eval(first)
     return Lists(ids, slots, first, counts, *_schedule(begin, end))
+
+
+def lists_of(ids: np.ndarray, start: np.ndarray, end: np.ndarray, n: int, U: type) -> Lists:
+    """The lists of tiles whose pairs somebody else has found.
+
+    Args:
+        ids: (pairs,) > 0 of them, the Gaussian of each, sorted by tile, front to back.
+        start, end: (tiles,) where the list of each tile starts in ``ids``, and one past its end.
+        n: Gaussians.
+        U: unsigned integers.
+    """
+    pairs = len(ids)
+    kept, slots = np.zeros((2, capacity(pairs)), np.uint32)
+    kept[:pairs], slots[:pairs] = ids, np.argsort(ids, kind="stable")
+    counts = np.bincount(ids, minlength=n)
+    first = np.cumsum(counts) - counts
+    array = lambda numbers: U(numbers.astype(np.uint32))
+    scheduled = _schedule(array(start), array(end))
+    return Lists(array(kept), array(slots), array(first), array(counts), *scheduled)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import get_args
 
 from tyro.conf import Positional
 
@@ -13,8 +14,14 @@ from gva_mi.data.importers.datasets import DATASETS
 from gva_mi.data.importers.estimators import KINDS
 from gva_mi.data.importers.prepare import MARKER, Source, prepare_folder
 from gva_mi.data.importers.target import Target
+from gva_mi.data.networks.normals import Expected
+from gva_mi.data.networks.sam_weights import GET
+from gva_mi.data.normals import Convention
 from gva_mi.errors import InputError
 from gva_mi.files import whole_folder
+
+SAM = Path("sam")  # in the place of masks
+LARGEST_SIDE = 8192  # pixels, of what a network of normals is shown
 
 
 def prepare(
@@ -25,6 +32,12 @@ def prepare(
     body: Path,
     frames: Path | None = None,
     masks: Path | None = None,
+    sam_checkpoint: Path | None = None,
+    normals: Path | None = None,
+    normals_convention: Convention | None = None,
+    normals_size: tuple[int, int] = Expected.size,
+    normals_mean: tuple[float, float, float] = Expected.mean,
+    normals_std: tuple[float, float, float] = Expected.std,
     person: str | None = None,
     first: int = 0,
     focal: float | None = None,
@@ -45,7 +58,16 @@ def prepare(
             given; or the word puppet for the built-in one, which keeps rotations and no shape.
         frames: a film, or a folder of pictures; a data set has its own.
         masks: a film, a folder of pictures, a .npy (T, H, W), or a .hdf5 with masks; as many as
-            frames; a data set has its own.
+            frames; a data set has its own. Or the word sam, with the option below.
+        sam_checkpoint: the weights of Segment Anything or SAM 2, which then make the masks, told by
+            the poses where the person is: a folder as transformers saves it, or Meta's .pth.
+        normals: a network that makes the normals, TorchScript (.pt; a program, which will run) or
+            ONNX (.onnx), from (1, 3, h, w) to (1, 3, h, w).
+        normals_convention: what its normals mean: perspective (x right, y down, z forward), opengl
+            (x right, y up, z to the viewer), icon (the same, orthographic, the person cut out).
+        normals_size: width and height of what it is shown, where an .onnx does not say it.
+        normals_mean: of red, green, blue in [0, 1], taken off what it is shown.
+        normals_std: likewise, what that is divided by.
         person: the estimator's name of the person; without it, who is in the masks.
         first: the number that the estimator gave the first frame; SMPLer-X starts at 1.
         focal: focal length in pixels, where the estimator's file says none.
@@ -57,10 +79,15 @@ def prepare(
         raise InputError(f"prepare: kind must be auto, {', '.join(kinds)}; got {kind}")
     if focal is not None and not 0 < focal < float("inf"):
         raise InputError(f"prepare: --focal must be above 0 pixels, got {focal}")
+    sam = _sam_of(masks, sam_checkpoint)
+    expected = _expected(normals, normals_convention, normals_size, normals_mean, normals_std)
     target = Target.read(body)
     if not overwrite and (out / MARKER).exists():
         raise InputError(f"{out}: was prepared already; give --overwrite to replace it")
-    given = Source(kind, source, frames, masks, person, first, focal, camera, splits)
+    given = Source(
+        kind, source, frames, None if sam else masks, sam, normals, expected, person, first, focal,
+        camera, splits,
+    )  # fmt: skip
     with whole_folder(out, MARKER if overwrite else None) as folder, bar("prepare") as progress:
         notes = prepare_folder(folder, given, target, progress)
     for note in notes:
@@ -68,3 +95,39 @@ def prepare(
     if target.name != PUPPET_NAME:
         say(f"{out}: the other steps expect --body {body}, too")
     say(f"subject: {out}")
+
+
+def _sam_of(masks: Path | None, checkpoint: Path | None) -> Path | None:
+    """The weights that make the masks; None where these are given."""
+    if masks == SAM and checkpoint is None and not SAM.exists():
+        raise InputError(f"prepare: --masks sam needs --sam-checkpoint; expected {GET}")
+    if checkpoint is not None and masks != SAM:
+        raise InputError("prepare: --sam-checkpoint makes masks, so it needs --masks sam")
+    return checkpoint
+
+
+def _expected(
+    network: Path | None,
+    convention: Convention | None,
+    size: tuple[int, int],
+    mean: tuple[float, float, float],
+    std: tuple[float, float, float],
+) -> Expected | None:
+    """What a network of normals is given; None without one."""
+    if network is None:
+        return None
+    if convention is None:
+        raise InputError(
+            "prepare: --normals needs --normals-convention, what its normals mean: "
+            f"{', '.join(get_args(Convention))}"
+        )
+    if not 1 <= min(size) <= max(size) <= LARGEST_SIDE:
+        raise InputError(
+            f"prepare: --normals-size must be from 1 to {LARGEST_SIDE} pixels, got {size}"
+        )
+    finite = all(abs(x) < float("inf") for x in (*mean, *std))
+    if not finite or not min(std) > 0:
+        raise InputError(
+            f"prepare: --normals-std must be above 0 and --normals-mean finite, got {std}, {mean}"
+        )
+    return Expected(convention, size, mean, std)

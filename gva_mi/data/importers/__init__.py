@@ -18,6 +18,8 @@
 ``multi_view``       ZJU-MoCap, EasyMocap, AvatarReX
 ``neuman``           NeuMan's walks past a moving camera
 ``datasets``         which of these a folder is
+``prompts``          where the person is, for a network that is told
+``by_networks``      masks and normals that networks make
 ``prepare``          all of that as a folder that every step reads
 ===================  ===============================================================
 """

@@ -58,9 +58,15 @@ def test_gaussians_at_rest_in_a_frame_of_the_video_and_in_one_of_a_motion(
 
 
 def test_a_ply_becomes_a_splat_and_a_splat_a_ply(run, known, cli):
-    for source, out in (("run", "a.ply"), ("a.ply", "b.splat"), ("b.splat", "c.ply")):
+    for source, out in (
+        ("run", "a.ply"), ("a.ply", "b.splat"), ("b.splat", "c.ply"), ("run", "d.spz"),
+        ("a.ply", "e.spz"), ("e.spz", "f.ply"),
+    ):  # fmt: skip
         code, _, err = cli("export", run.parent / source, "--out", run.parent / out)
         assert code == 0, err
+    assert (run.parent / "d.spz").read_bytes() == (run.parent / "e.spz").read_bytes()
+    plain, again = (load_ply(run.parent / name) for name in ("a.ply", "f.ply"))
+    assert (plain.means - again.means).abs().max() < 1e-5 and again.sh.shape == plain.sh.shape
     rows = load_splat(run.parent / "b.splat")
     assert same(load_ply(run.parent / "c.ply"), rows)
     first, again = load_ply(run.parent / "a.ply"), rows.means

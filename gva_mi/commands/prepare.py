@@ -49,8 +49,9 @@ def prepare(
 
     Args:
         kind: of the estimator: wham, vibe, gvhmr, 4dhumans, glamr, pymafx, hybrik, tram, romp,
-            multihmr, smplifyx, smplerx, parameters; or of the data set: snapshot, instantavatar,
-            zju, easymocap, avatarrex, neuman; "auto" tells it by its keys and files.
+            multihmr, smplifyx, smplerx, osx, parameters; or of the data set: snapshot,
+            instantavatar, zju, easymocap, avatarrex, neuman, exavatar; "auto" tells it by its
+            keys and files.
         source: the estimator's file or folder, or the data set's folder of one subject; pickles
             run no code.
         out: the subject's folder.

@@ -6,7 +6,8 @@ Kind           Folder, by the public repository's own code           Cameras
 ``zju``        ``annots.npy``, ``new_params/`` or ``params/``,       ``K``, ``D``, ``R``, and
                ``mask_cihp/`` or ``mask/`` (zju3dv/neuralbody)       ``T`` in millimetres
 ``easymocap``  ``intri.yml``, ``extri.yml``, ``images/1/``,          ``K_1``, ``dist_1``,
-               ``mask/1/``, and SMPL's ``smpl/000000.json``          ``Rot_1``, ``T_1``
+               ``mask/1/``, and ``smpl/000000.json`` of SMPL,        ``Rot_1``, ``T_1``
+               SMPL+H or SMPL-X
                (zju3dv/EasyMocap)
 ``avatarrex``  ``calibration_full.json``, ``smpl_params.npz``,       ``K``, ``R``, ``T``
                ``22010708/`` with ``mask/pha/``
@@ -26,6 +27,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -33,16 +35,20 @@ import numpy as np
 import roma
 import torch
 
+from gva_mi.data.importers.fields import decoded
 from gva_mi.data.importers.frame_files import plain
 from gva_mi.data.importers.readings import PELVIS, make_track, seen_from
-from gva_mi.data.importers.recordings import Recording
+from gva_mi.data.importers.recordings import Recording, Wanted
 from gva_mi.data.importers.tracks import Track
 from gva_mi.data.importers.whole_videos import last_number
 from gva_mi.errors import InputError
 from gva_mi.files import read_arrays
 from gva_mi.pickles.reader import read_objects
 
-_SMPL = ("output-smpl-3d/smpl", "output-smpl-3d/smplfull", "output/smpl", "smpl")
+_SMPL = (
+    "output-smpl-3d/smpl", "output-smpl-3d/smplfull", "output/smplx/smpl", "output/smplh/smpl",
+    "output/smpl/smpl", "output/smpl", "smpl",
+)  # fmt: skip
 _MATRIX = re.compile(
     r"^(\w[\w.\-]*): *!!opencv-matrix\s+rows: *(\d+)\s+cols: *(\d+)\s+dt: *\w+\s+"
     r"data: *\[([^\]]*)\]",
@@ -55,10 +61,10 @@ def is_zju(folder: Path) -> bool:
     return (folder / "annots.npy").is_file()
 
 
-def read_zju(where: str, folder: Path, camera: str | None) -> Recording:
+def read_zju(where: str, folder: Path, wanted: Wanted) -> Recording:
     found = plain(read_objects(folder / "annots.npy", "cams and ims, as ZJU-MoCap has them"))
     cameras = {str(k): k for k in range(len(found["cams"]["K"]))}
-    name, k = _chosen(folder, cameras, camera)
+    name, k = _chosen(folder, cameras, wanted.camera)
     lens = {key: np.asarray(found["cams"][key][k], np.float64) for key in "KDRT"}
     names = [_inside(folder, frame["ims"][k]) for frame in found["ims"]]
     masks = next((m for m in ("mask_cihp", "mask") if (folder / m).is_dir()), "mask_cihp")
@@ -95,10 +101,10 @@ def is_easymocap(folder: Path) -> bool:
     return (folder / "intri.yml").is_file() and (folder / "extri.yml").is_file()
 
 
-def read_easymocap(where: str, folder: Path, camera: str | None) -> Recording:
+def read_easymocap(where: str, folder: Path, wanted: Wanted) -> Recording:
     inner, outer = (_yaml(folder / name) for name in ("intri.yml", "extri.yml"))
     cameras = {key[2:]: key[2:] for key in inner if key.startswith("K_")}
-    name, _ = _chosen(folder, cameras, camera)
+    name, _ = _chosen(folder, cameras, wanted.camera)
     params = next((folder / p for p in _SMPL if (folder / p).is_dir()), None)
     if params is None:
         raise InputError(f"{folder}: has none of {', '.join(_SMPL)}, with a .json a frame")
@@ -117,7 +123,8 @@ def read_easymocap(where: str, folder: Path, camera: str | None) -> Recording:
         if kept:
             at, numbers = f"{params}: person {person}", np.array([number for number, _ in kept])
             each = [params for _, params in kept]
-            track = _turned_about_origin(at, person, numbers, each, _pixels(inner[f"K_{name}"]))
+            K = _pixels(inner[f"K_{name}"])
+            track = _turned_about_origin(at, person, numbers, each, K, wanted.components)
             tracks.append(seen_from(track, R, np.ravel(outer[f"T_{name}"])))
     masks = folder / "mask" / name
     distortion = inner.get(f"dist_{name}", inner.get(f"D_{name}"))
@@ -128,34 +135,73 @@ def read_easymocap(where: str, folder: Path, camera: str | None) -> Recording:
 
 
 def _turned_about_origin(
-    where: str, person: str, frames: np.ndarray, each: Sequence[Mapping[str, Any]], K: np.ndarray
+    where: str,
+    person: str,
+    frames: np.ndarray,
+    each: Sequence[Mapping[str, Any]],
+    K: np.ndarray,
+    components: np.ndarray | None = None,
 ) -> Track:
-    """EasyMocap's parameters, of SMPL, as a track in its world."""
+    """EasyMocap's parameters, of SMPL, SMPL+H or SMPL-X, as a track in its world."""
     rows = lambda name: np.stack([np.ravel(np.asarray(p[name], np.float64)) for p in each])
     poses, turns, places = rows("poses"), rows("Rh"), rows("Th")
-    if poses.shape[1] == 69:
-        poses = np.concatenate([np.zeros((len(poses), 3)), poses], axis=1)
-    if poses.shape[1] != 72:
-        raise InputError(
-            f"{where}: 'poses' has {poses.shape[1]} numbers a frame; expected SMPL's 72, or 69 "
-            "without the root"
-        )
+    hands = [rows(name) for name in ("handl", "handr") if all(name in p for p in each)]
+    poses, form = _easymocaps_poses(where, poses, hands, "expression" in each[0], components)
     turns = torch.from_numpy(turns)
     roots = torch.from_numpy(poses[:, :3].copy())
     poses[:, :3] = roma.rotvec_composition([turns, roots]).numpy()
-    pelvis = np.array(PELVIS["SMPL"])
+    pelvis = np.array(PELVIS[form])
     transl = roma.rotvec_to_rotmat(turns).numpy() @ pelvis + places - pelvis
     given = {"poses": poses, "transl": transl, "betas": rows("shapes")}
-    return make_track(where, person, frames, given, np.tile(K, (len(frames), 1, 1)))
+    track = make_track(where, person, frames, given, np.tile(K, (len(frames), 1, 1)))
+    return replace(track, from_mean_hand=bool(hands))
+
+
+def _easymocaps_poses(
+    where: str,
+    poses: np.ndarray,
+    hands: Sequence[np.ndarray],
+    has_face: bool,
+    components: np.ndarray | None,
+) -> tuple[np.ndarray, str]:
+    """Poses (n, 72, 156 or 165) and whose they are, of what the files hold.
+
+    ==============================  ==========================================================
+    69, 72                          SMPL without or with the root
+    78, 87: 66 + 6 + 6 (+ 9)        SMPL+H, SMPL-X: components of the hands, relative to the
+                                    flat one, and jaw and eyes
+    156, 165                        the same, joint by joint
+    63, 66 with ``handl, handr``    SMPL+H, or SMPL-X where there is an ``expression``: hands
+                                    relative to the mean one
+    ==============================  ==========================================================
+    """
+    count = poses.shape[1]
+    if count in (63, 69):
+        poses = np.concatenate([np.zeros((len(poses), 3)), poses], axis=1)
+    body, face = poses[:, :66], np.zeros((len(poses), 9 if has_face or count in (87, 165) else 0))
+    if count in (69, 72):
+        return poses, "SMPL"
+    if count in (78, 87):
+        hands, face = (poses[:, 66:72], poses[:, 72:78]), poses[:, 78:]
+    elif count in (156, 165):
+        return poses, "SMPL-X" if count == 165 else "SMPL+H"
+    elif count not in (63, 66) or len(hands) != 2:
+        raise InputError(
+            f"{where}: 'poses' has {count} numbers a frame; expected SMPL's 72 or 69, SMPL+H's 78 "
+            "or 156, SMPL-X's 87 or 165, or 66 beside handl and handr"
+        )
+    fingers = [decoded(where, hand, side, components) for side, hand in enumerate(hands)]
+    whole = np.concatenate([body, face, *fingers], axis=1)
+    return whole, "SMPL-X" if face.shape[1] else "SMPL+H"
 
 
 def is_avatarrex(folder: Path) -> bool:
     return (folder / "calibration_full.json").is_file() and (folder / "smpl_params.npz").is_file()
 
 
-def read_avatarrex(where: str, folder: Path, camera: str | None) -> Recording:
+def read_avatarrex(where: str, folder: Path, wanted: Wanted) -> Recording:
     about = _json(folder / "calibration_full.json")
-    name, lens = _chosen(folder, about, camera)
+    name, lens = _chosen(folder, about, wanted.camera)
     path = folder / "smpl_params.npz"
     poses = read_arrays(path, "SMPL-X's parameters")
     count = len(poses["transl"])

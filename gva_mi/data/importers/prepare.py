@@ -30,7 +30,7 @@ from gva_mi.data.importers.in_masks import joints_in_masks
 from gva_mi.data.importers.lenses import pinhole
 from gva_mi.data.importers.prompts import prompts_of
 from gva_mi.data.importers.readings import PELVIS, View
-from gva_mi.data.importers.recordings import Pictures, Recording, read_ranges
+from gva_mi.data.importers.recordings import Pictures, Recording, Wanted, read_ranges
 from gva_mi.data.importers.target import Target
 from gva_mi.data.importers.tracks import Track, choose, every_frame, one_shape
 from gva_mi.data.importers.world import upright
@@ -117,6 +117,9 @@ def prepare_folder(
     if not body.keeps_betas(track.form):
         betas = np.zeros(10)
         notes.append(f"betas of {track.form} do not carry over to this body; they are zero")
+    elif len(betas) > body.model.num_betas:
+        betas = betas[: body.model.num_betas]
+        notes.append(f"the first {len(betas)} betas are kept, which this body's file has")
     if track.from_mean_hand:
         track.rotations[:, LEFT_HAND.start :] += body.mean_hands
     if not track.has_hands:
@@ -166,7 +169,7 @@ def _recorded(
     kind = found or kind
     recording = Recording([], source.frames, source.masks)
     if kind in DATASETS:
-        recording = read_dataset(kind, path, source.camera)
+        recording = read_dataset(kind, path, Wanted(source.camera, components))
         frames, cut_outs = source.frames or recording.frames, source.masks or recording.masks
         recording = replace(recording, frames=frames, masks=None if source.sam else cut_outs)
     for name, given in (("frames", recording.frames), ("masks", recording.masks or source.sam)):

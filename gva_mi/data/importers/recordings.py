@@ -19,6 +19,14 @@ Pictures = Path | tuple[Path, ...]  # a film or a folder, or single files in ord
 
 
 @dataclass(frozen=True)
+class Wanted:
+    """What of a data set is asked for."""
+
+    camera: str | None = None  # the name of the one that becomes the video; None: the first
+    components: np.ndarray | None = None  # (2, K, 45) of the body file's PCA of hands
+
+
+@dataclass(frozen=True)
 class Recording:
     """People, and the pictures they are seen in."""
 

@@ -8,6 +8,7 @@ import pytest
 import roma
 import torch
 
+from gva_mi.body.puppet import PUPPET as PUPPET_FILE
 from gva_mi.data.importers.datasets import dataset_of
 from gva_mi.data.importers.lenses import pinhole
 from gva_mi.data.importers.recordings import read_ranges
@@ -297,6 +298,59 @@ def test_easymocap(tmp_path, seen, thetas, world, prepared, stands, form):
     folder, said = prepared(source, "--camera", "1", "--person", "4")
     assert "easymocap, SMPL" in said
     stands(folder, *seen, K)
+
+
+@pytest.mark.parametrize("form", ["87", "165", "78", "156", "66 and hands"])
+def test_easymocap_with_hands(tmp_path, seen, thetas, world, cli, stands, form):
+    """SMPL-X and SMPL+H, joint by joint or by six components a hand."""
+    source, rotations = tmp_path / "scene", seen[0].copy()
+    random = np.random.default_rng(0)
+    with np.load(PUPPET_FILE) as file:
+        body = dict(file)
+    np.savez(tmp_path / "body.npz", **body)
+    is_x = form in ("87", "165")
+    pelvis = SMPLX if is_x else SMPL
+    Rh, Th = thetas[:, :3], world[1] - np.einsum("nij,j->ni", matrices(thetas[:, :3]), pelvis)
+    codes = random.normal(0, 0.3, (FRAMES, 2, 6))
+    if form not in ("156", "165"):
+        fingers = [codes[:, i] @ body[f"hands_components{s}"][:6] for i, s in enumerate("lr")]
+        rotations[:, 25:] = np.concatenate(fingers, axis=1).reshape(FRAMES, 30, 3)
+    if form == "66 and hands":  # relative to the mean hand
+        mean = np.concatenate([body["hands_meanl"], body["hands_meanr"]])
+        rotations[:, 25:] += mean.reshape(30, 3)
+    if not is_x:
+        rotations[:, 22:25] = 0
+    lens = K - np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
+    for k, shot in enumerate(shots()):
+        write_image(source / f"images/1/{k:06d}.jpg", shot)
+        write_image(source / f"mask/1/{k:06d}.png", MASK)
+        limbs = [np.zeros(3), rotations[k, 1:22].ravel()]
+        face, hands = rotations[k, 22:25].ravel(), rotations[k, 25:].ravel()
+        more = {}
+        if form in ("87", "78"):
+            limbs += [codes[k].ravel()] + ([face] if is_x else [])
+        elif form in ("165", "156"):
+            limbs += ([face] if is_x else []) + [hands]
+        else:
+            more = {"handl": [codes[k, 0].tolist()], "handr": [codes[k, 1].tolist()]}
+        person = {"id": 0, "Rh": [Rh[k].tolist()], "Th": [Th[k].tolist()], "shapes": [[0.0] * 10],
+                  "poses": [np.concatenate(limbs).tolist()]} | more  # fmt: skip
+        file = source / f"output/smplx/smpl/{k:06d}.json"
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(json.dumps([person]))
+    yaml(source / "intri.yml", K_1=lens, dist_1=np.zeros(5))
+    yaml(source / "extri.yml", Rot_1=matrices(TURN), T_1=MOVE[:, None])
+    given = ("prepare", "auto", source, tmp_path / "s", "--body", tmp_path / "body.npz")
+    code, said, err = cli(*given)
+    assert code == 0, err
+    assert f"easymocap, {'SMPL-X' if is_x else 'SMPL+H'}, 5 frames" in said
+    stands(tmp_path / "s", rotations, seen[1], K, joints=55)
+    if form == "87":
+        file.write_text(json.dumps([person | {"poses": [[0.0] * 70]}]))
+        for path in file.parent.iterdir():
+            path.write_text(file.read_text())
+        code, _, err = cli("prepare", "auto", source, tmp_path / "b", *given[4:])
+        assert code == 2 and "'poses' has 70 numbers a frame; expected SMPL's 72 or 69" in err
 
 
 def test_avatarrex(tmp_path, seen, world, prepared, stands):

@@ -40,7 +40,7 @@ NAMES = {
     "trans": "transl", "translation": "transl",
 }  # fmt: skip
 _CAMERA = "camera_metadata.json"  # of a fork of SMPLest-X
-_FILE = re.compile(r"(?:.*?_)?(\d+)(?:_(?:person_)?(\d+))?")  # frame, and person where there are
+_FRAME_PERSON = re.compile(r"(?:^|_)(\d+)_(?:person_?)?\d+$")
 
 
 def is_osx(found: Any) -> bool:  # noqa: ANN401
@@ -150,13 +150,16 @@ def _files(found: Any) -> list[Path]:  # noqa: ANN401
 
 
 def _frame_of(path: Path) -> int:
-    """The frame of a file: of the folder of a fork's run, otherwise the first number."""
+    """The frame of a file: of the folder of a fork's run, or of its name, without the person."""
     if path.name.startswith("smplx_params_person"):
         return last_number(path.parent.parent)
-    match = _FILE.fullmatch(path.stem)
-    if not match:
-        raise InputError(f"{path}: expected the number of a frame, such as 12.json or 12_0.json")
-    return int(match[1])
+    match = _FRAME_PERSON.search(path.stem)
+    try:
+        return int(match[1]) if match else last_number(path)
+    except ValueError:
+        raise InputError(
+            f"{path}: expected the number of a frame, such as 12.json or 12_0.json"
+        ) from None
 
 
 def _lens(path: Path, content: Mapping[str, Any]) -> np.ndarray:

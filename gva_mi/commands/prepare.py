@@ -42,6 +42,8 @@ def prepare(
     first: int = 0,
     focal: float | None = None,
     camera: str | None = None,
+    views: tuple[str, ...] = (),
+    view_frames: int = 8,
     splits: Path | None = None,
     overwrite: Switch = False,
 ) -> None:
@@ -73,6 +75,9 @@ def prepare(
         first: the number that the estimator gave the first frame; SMPLer-X starts at 1.
         focal: focal length in pixels, where the estimator's file says none.
         camera: the name of a data set's camera; without it, the first.
+        views: names of a data set's other cameras, whose pictures are held out as novel views for
+            evaluate; or all.
+        view_frames: of the video, by each of these cameras, evenly spaced.
         splits: a file of train and test ranges, such as InstantAvatar's confs/dataset/*.yaml.
         overwrite: replace a folder that was prepared here.
     """
@@ -80,6 +85,8 @@ def prepare(
         raise InputError(f"prepare: kind must be auto, {', '.join(kinds)}; got {kind}")
     if focal is not None and not 0 < focal < float("inf"):
         raise InputError(f"prepare: --focal must be above 0 pixels, got {focal}")
+    if view_frames < 1:
+        raise InputError(f"prepare: --view-frames must be at least 1, got {view_frames}")
     sam = _sam_of(masks, sam_checkpoint)
     expected = _expected(normals, normals_convention, normals_size, normals_mean, normals_std)
     target = Target.read(body)
@@ -87,7 +94,7 @@ def prepare(
         raise InputError(f"{out}: was prepared already; give --overwrite to replace it")
     given = Source(
         kind, source, frames, None if sam else masks, sam, normals, expected, person, first, focal,
-        camera, splits,
+        camera, views, view_frames, splits,
     )  # fmt: skip
     with whole_folder(out, MARKER if overwrite else None) as folder, bar("prepare") as progress:
         notes = prepare_folder(folder, given, target, progress)

@@ -13,6 +13,7 @@
       poses_refined.npz                   optional: the same after stage 2; focal, where it was
                                           refined too: a factor on the fx and fy of cameras.npz
       splits.json                         optional: {"train": [...], "test": [...]} frame numbers
+      views/                              optional: what other cameras saw; gva_mi.data.views
       truth/                              synthetic subjects only, with the true cameras.npz too;
                                           read by nothing but evaluation
 

@@ -18,6 +18,7 @@
 ``people_snapshot``  People-Snapshot, and InstantAvatar's form of it
 ``multi_view``       ZJU-MoCap, EasyMocap, AvatarReX
 ``exavatar``         ExAvatar's frames, masks and SMPL-X
+``other_views``      other cameras of these, as views that are held out
 ``neuman``           NeuMan's walks past a moving camera
 ``datasets``         which of these a folder is
 ``prompts``          where the person is, for a network that is told

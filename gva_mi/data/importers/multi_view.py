@@ -18,16 +18,16 @@ EasyMocap's body turns about the origin, x = R(Rh) b + Th, and not about its pel
 translation here is R(Rh) p + Th − p. OpenCV, by which all are calibrated, has the centre of the
 first pixel at 0 and not at 0.5.
 
-A subject's folder has no place for other views of a real video: its ``truth/`` is of people whose
-poses are known.
+What others saw at the same time can be held out: :mod:`.other_views`.
 """
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -38,7 +38,7 @@ import torch
 from gva_mi.data.importers.fields import decoded
 from gva_mi.data.importers.frame_files import plain
 from gva_mi.data.importers.readings import PELVIS, make_track, seen_from
-from gva_mi.data.importers.recordings import Recording, Wanted
+from gva_mi.data.importers.recordings import OtherCamera, Recording, Wanted
 from gva_mi.data.importers.tracks import Track
 from gva_mi.data.importers.whole_videos import last_number
 from gva_mi.errors import InputError
@@ -63,22 +63,47 @@ def is_zju(folder: Path) -> bool:
 
 def read_zju(where: str, folder: Path, wanted: Wanted) -> Recording:
     found = plain(read_objects(folder / "annots.npy", "cams and ims, as ZJU-MoCap has them"))
-    cameras = {str(k): k for k in range(len(found["cams"]["K"]))}
-    name, k = _chosen(folder, cameras, wanted.camera)
+    cameras = {
+        str(k): partial(_zju_camera, folder, found, k) for k in range(len(found["cams"]["K"]))
+    }
+    name, own = _chosen(folder, cameras, wanted.camera)
+    params = next((p for p in ("new_params", "params") if (folder / p).is_dir()), "new_params")
+    people = []
+    for path in own.frames.values():
+        path = folder / params / f"{_zju_number(path.name)}.npy"
+        people.append(plain(read_objects(path, "poses, shapes, Rh and Th of a frame")))
+    track = _turned_about_origin(where, "0", np.arange(len(people)), people, own.K)
+    numbers = list(own.frames)
+    masks = tuple(own.masks[k] for k in numbers)
+    recording = Recording([seen_from(track, own.R, own.T)], tuple(own.frames.values()), masks)
+    return replace(_among(recording, name, own, cameras, numbers), labels=True)
+
+
+def _zju_camera(folder: Path, found: Mapping[str, Any], k: int) -> OtherCamera:
+    """The k-th camera; frames go by their place in the list."""
     lens = {key: np.asarray(found["cams"][key][k], np.float64) for key in "KDRT"}
     names = [_inside(folder, frame["ims"][k]) for frame in found["ims"]]
     masks = next((m for m in ("mask_cihp", "mask") if (folder / m).is_dir()), "mask_cihp")
-    params = next((p for p in ("new_params", "params") if (folder / p).is_dir()), "new_params")
-    people = []
-    for frame in names:
-        path = folder / params / f"{_zju_number(frame)}.npy"
-        people.append(plain(read_objects(path, "poses, shapes, Rh and Th of a frame")))
-    track = _turned_about_origin(where, "0", np.arange(len(names)), people, _pixels(lens["K"]))
-    track = seen_from(track, lens["R"].reshape(3, 3), lens["T"].ravel() / 1000)
-    pictures = tuple(folder / frame for frame in names)
-    cut_outs = tuple((folder / masks / frame).with_suffix(".png") for frame in names)
-    return Recording(
-        [track], pictures, cut_outs, lens["D"].ravel(), labels=True, note=_note(name, cameras)
+    return OtherCamera(
+        frames={i: folder / name for i, name in enumerate(names)},
+        masks={i: (folder / masks / name).with_suffix(".png") for i, name in enumerate(names)},
+        K=_pixels(lens["K"]), R=lens["R"].reshape(3, 3), T=lens["T"].ravel() / 1000,
+        distortion=lens["D"].ravel(),
+    )  # fmt: skip
+
+
+def _among(
+    recording: Recording,
+    name: str,
+    own: OtherCamera,
+    cameras: Mapping[str, Callable[[], OtherCamera]],
+    numbers: Sequence[int],
+) -> Recording:
+    """A recording of one camera, with the others beside it."""
+    note = f"camera {name} of {len(cameras)}; --camera takes another, --views holds others out"
+    others = {other: read for other, read in cameras.items() if other != name}
+    return replace(
+        recording, distortion=own.distortion, note=note, own=own, others=others, numbers=numbers
     )
 
 
@@ -103,8 +128,12 @@ def is_easymocap(folder: Path) -> bool:
 
 def read_easymocap(where: str, folder: Path, wanted: Wanted) -> Recording:
     inner, outer = (_yaml(folder / name) for name in ("intri.yml", "extri.yml"))
-    cameras = {key[2:]: key[2:] for key in inner if key.startswith("K_")}
-    name, _ = _chosen(folder, cameras, wanted.camera)
+    cameras = {
+        key[2:]: partial(_easymocap_camera, folder, inner, outer, key[2:])
+        for key in inner
+        if key.startswith("K_")
+    }
+    name, own = _chosen(folder, cameras, wanted.camera)
     params = next((folder / p for p in _SMPL if (folder / p).is_dir()), None)
     if params is None:
         raise InputError(f"{folder}: has none of {', '.join(_SMPL)}, with a .json a frame")
@@ -113,24 +142,34 @@ def read_easymocap(where: str, folder: Path, wanted: Wanted) -> Recording:
         frame = _json(path)
         for person in frame["annots"] if isinstance(frame, dict) else frame:
             people.setdefault(str(person.get("id", 0)), []).append((last_number(path), person))
-    images = _pictures(folder / "images" / _inside(folder, name))
-    places = {last_number(path): k for k, path in enumerate(images)}
-    turn = torch.from_numpy(np.ravel(outer[f"R_{name}"])) if f"Rot_{name}" not in outer else None
-    R = outer[f"Rot_{name}"] if turn is None else roma.rotvec_to_rotmat(turn).numpy()
+    numbers = list(own.frames)
+    places = {number: k for k, number in enumerate(numbers)}
     tracks = []
     for person, seen in people.items():
         kept = [(places[number], params) for number, params in seen if number in places]
         if kept:
-            at, numbers = f"{params}: person {person}", np.array([number for number, _ in kept])
+            at, frames = f"{params}: person {person}", np.array([frame for frame, _ in kept])
             each = [params for _, params in kept]
-            K = _pixels(inner[f"K_{name}"])
-            track = _turned_about_origin(at, person, numbers, each, K, wanted.components)
-            tracks.append(seen_from(track, R, np.ravel(outer[f"T_{name}"])))
-    masks = folder / "mask" / name
-    distortion = inner.get(f"dist_{name}", inner.get(f"D_{name}"))
-    return Recording(
-        tracks, images, _pictures(masks) if masks.is_dir() else None, distortion,
-        note=_note(name, cameras),
+            track = _turned_about_origin(at, person, frames, each, own.K, wanted.components)
+            tracks.append(seen_from(track, own.R, own.T))
+    recording = Recording(tracks, tuple(own.frames.values()), tuple(own.masks.values()) or None)
+    return _among(recording, name, own, cameras, numbers)
+
+
+def _easymocap_camera(
+    folder: Path, inner: Mapping[str, np.ndarray], outer: Mapping[str, np.ndarray], name: str
+) -> OtherCamera:
+    by_number = lambda paths: {last_number(path): path for path in paths}
+    masks = folder / "mask" / _inside(folder, name)
+    if f"Rot_{name}" in outer:
+        R = outer[f"Rot_{name}"]
+    else:
+        R = roma.rotvec_to_rotmat(torch.from_numpy(np.ravel(outer[f"R_{name}"]))).numpy()
+    return OtherCamera(
+        frames=by_number(_pictures(folder / "images" / _inside(folder, name))),
+        masks=by_number(_pictures(masks)) if masks.is_dir() else {},
+        K=_pixels(inner[f"K_{name}"]), R=R, T=np.ravel(outer[f"T_{name}"]),
+        distortion=np.ravel(inner.get(f"dist_{name}", inner.get(f"D_{name}", np.zeros(5)))),
     )  # fmt: skip
 
 
@@ -201,25 +240,33 @@ def is_avatarrex(folder: Path) -> bool:
 
 def read_avatarrex(where: str, folder: Path, wanted: Wanted) -> Recording:
     about = _json(folder / "calibration_full.json")
-    name, lens = _chosen(folder, about, wanted.camera)
+    cameras = {key: partial(_avatarrex_camera, folder, key, lens) for key, lens in about.items()}
+    name, own = _chosen(folder, cameras, wanted.camera)
     path = folder / "smpl_params.npz"
     poses = read_arrays(path, "SMPL-X's parameters")
     count = len(poses["transl"])
-    images = [p for p in _pictures(folder / _inside(folder, name)) if last_number(p) < count]
-    masks = [folder / name / "mask" / "pha" / path.name for path in images]
-    both = [k for k, mask in enumerate(masks) if mask.is_file()]
-    images, masks = ([paths[k] for k in both] for paths in (images, masks))
-    rows = [last_number(path) for path in images]
+    rows = [k for k in own.frames if k < count and k in own.masks]
     given = {key: x[rows] if len(x) == count else x for key, x in poses.items()}
-    K = np.tile(_pixels(np.reshape(lens["K"], (3, 3))), (len(rows), 1, 1))
-    track = make_track(str(path), "0", np.arange(len(rows)), given, K)
-    R, T = np.reshape(lens["R"], (3, 3)), np.ravel(lens["T"])
-    track = seen_from(track, R, T.astype(np.float64))
-    distortion = np.ravel(lens.get("distCoeff", np.zeros(5)))
-    return Recording([track], tuple(images), tuple(masks), distortion, note=_note(name, about))
+    K = np.tile(own.K, (len(rows), 1, 1))
+    track = seen_from(make_track(str(path), "0", np.arange(len(rows)), given, K), own.R, own.T)
+    images, masks = (tuple(paths[k] for k in rows) for paths in (own.frames, own.masks))
+    return _among(Recording([track], images, masks), name, own, cameras, rows)
 
 
-def _chosen(folder: Path, cameras: Mapping[str, Any], name: str | None) -> tuple[str, Any]:
+def _avatarrex_camera(folder: Path, name: str, lens: Mapping[str, Any]) -> OtherCamera:
+    frames = {last_number(path): path for path in _pictures(folder / _inside(folder, name))}
+    masks = {k: folder / name / "mask" / "pha" / path.name for k, path in frames.items()}
+    return OtherCamera(
+        frames, {k: path for k, path in masks.items() if path.is_file()},
+        K=_pixels(np.reshape(lens["K"], (3, 3))), R=np.reshape(lens["R"], (3, 3)),
+        T=np.ravel(lens["T"]).astype(np.float64),
+        distortion=np.ravel(lens.get("distCoeff", np.zeros(5))),
+    )  # fmt: skip
+
+
+def _chosen(
+    folder: Path, cameras: Mapping[str, Callable[[], OtherCamera]], name: str | None
+) -> tuple[str, OtherCamera]:
     """The camera of a name, or the first."""
     if not cameras:
         raise InputError(f"{folder}: names no camera")
@@ -227,11 +274,7 @@ def _chosen(folder: Path, cameras: Mapping[str, Any], name: str | None) -> tuple
     if name not in cameras:
         some = ", ".join(list(cameras)[:30])
         raise InputError(f"{folder}: has no camera '{name}'; it has {some}")
-    return name, cameras[name]
-
-
-def _note(name: str, cameras: Mapping[str, Any]) -> str:
-    return f"camera {name} of {len(cameras)}; --camera takes another, other views are left out"
+    return name, cameras[name]()
 
 
 def _pixels(K: np.ndarray) -> np.ndarray:

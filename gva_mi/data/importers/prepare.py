@@ -11,7 +11,7 @@ where p' is the pelvis of the body that the folder is for.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -28,6 +28,7 @@ from gva_mi.data.importers.estimators import read_estimator
 from gva_mi.data.importers.footage import masks, pictures
 from gva_mi.data.importers.in_masks import joints_in_masks
 from gva_mi.data.importers.lenses import pinhole
+from gva_mi.data.importers.other_views import known_names, write_views
 from gva_mi.data.importers.prompts import prompts_of
 from gva_mi.data.importers.readings import PELVIS, View
 from gva_mi.data.importers.recordings import Pictures, Recording, Wanted, read_ranges
@@ -61,6 +62,8 @@ class Source:
     first: int = 0  # the number that the estimator gave the first frame
     focal: float | None = None  # pixels, where the estimate says none
     camera: str | None = None  # the name of a data set's camera; without it, the first
+    views: Sequence[str] = ()  # names of a data set's other cameras to hold out, or "all"
+    view_frames: int = 8  # of each of them, at most
     ranges: Path | None = None  # a file of a protocol's train and test frames
 
 
@@ -87,7 +90,7 @@ def prepare_folder(
     where = str(source.estimate)
     networks = _Networks.of(source)
     kind, recording, size = _recorded(source, body.components)
-    tracks = recording.tracks
+    tracks, views = recording.tracks, known_names(where, recording, source.views)
     rest = body.model.rest(Shape(torch.zeros(0))).joints.double().numpy()
     there = [np.array(PELVIS[track.form]) for track in tracks]
     votes = lambda: joints_in_masks(tracks, _masks(recording), source.first, rest, there)
@@ -111,6 +114,9 @@ def prepare_folder(
         more += write_masks(out, networks.masks, seen, progress)
     if networks.normals:
         more += write_normals(out, networks.normals, count, progress)
+    if views:
+        asked = (views, np.flatnonzero(inside).tolist(), source.view_frames)
+        more += write_views(out, where, recording, *asked, _T_CAMERA_WORLD)
     betas, varied = one_shape(track)
     notes = [f"{kind}, {track.form}, {count} frames of {size[0]}x{size[1]}", *notes, *more, *varied]
     notes += [recording.note] if recording.note else []

@@ -8,7 +8,8 @@ import torch
 
 from gva_mi.avatar.avatar import digest
 from gva_mi.body.pose import Pose, Shape, save_poses
-from gva_mi.data.pictures import read_movie, write_image
+from gva_mi.data.film import Film
+from gva_mi.data.pictures import write_image
 from gva_mi.fit.run_folder import load_avatar
 from gva_mi.splat.formats.ply import load_ply
 from gva_mi.splat.formats.splat import load_splat
@@ -110,7 +111,7 @@ def test_a_film_before_a_colour_or_a_picture(run, dance, cli, path):
             "--background", background, "--overwrite", *SMALL,
         )  # fmt: skip
         assert code == 0, err
-        images = read_movie(film)
+        images = Film(film)
         assert len(images) == 3 and images[0].shape == (48, 32, 3)
         assert np.abs(images[0][:3, :3].astype(int) - corner).max() < 25
         assert np.abs(images[0].astype(int) - corner).max() > 60  # somebody is there

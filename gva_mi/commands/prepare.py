@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import get_args
 
 from tyro.conf import Positional
 
 from gva_mi.body.smplx import PUPPET_NAME
-from gva_mi.commands.arguments import Switch
+from gva_mi.commands.arguments import Flat, Switch
 from gva_mi.console import bar, say
 from gva_mi.data.importers.datasets import DATASETS
 from gva_mi.data.importers.estimators import KINDS
@@ -24,20 +25,56 @@ SAM = Path("sam")  # in the place of masks
 LARGEST_SIDE = 8192  # pixels, of what a network of normals is shown
 
 
+@dataclass(frozen=True)
+class NetworkOptions:
+    """Networks that people bring, and what they expect.
+
+    Segment Anything makes the masks, told by the poses where the person is. A network of normals
+    takes (1, 3, h, w) and answers likewise; conventions are those of :mod:`gva_mi.data.normals`.
+    """
+
+    sam_checkpoint: Path | None = None  # of Segment Anything or SAM 2: a folder, or Meta's .pth
+    normals: Path | None = None  # network: .pt (TorchScript, a program that will run) or .onnx
+    normals_convention: Convention | None = None  # axes and view of its answer; icon: cut out
+    normals_size: tuple[int, int] = Expected.size  # pixels it is shown, if an .onnx does not say
+    normals_mean: tuple[float, float, float] = Expected.mean  # rgb in [0, 1], taken off them
+    normals_std: tuple[float, float, float] = Expected.std  # likewise, what that is divided by
+
+    def __post_init__(self) -> None:
+        if self.normals is not None and self.normals_convention is None:
+            raise InputError(
+                "prepare: --normals needs --normals-convention, what its normals mean: "
+                f"{', '.join(get_args(Convention))}"
+            )
+        size, mean, std = self.normals_size, self.normals_mean, self.normals_std
+        if not 1 <= min(size) <= max(size) <= LARGEST_SIDE:
+            raise InputError(
+                f"prepare: --normals-size must be from 1 to {LARGEST_SIDE} pixels, got {size}"
+            )
+        if not all(abs(x) < float("inf") for x in (*mean, *std)) or not min(std) > 0:
+            raise InputError(
+                "prepare: --normals-mean must be finite and --normals-std above 0, "
+                f"got {mean} and {std}"
+            )
+
+    @property
+    def expected(self) -> Expected | None:
+        """What the network of normals is given, and means; None without one."""
+        if self.normals_convention is None:
+            return None
+        what = self.normals_size, self.normals_mean, self.normals_std
+        return Expected(self.normals_convention, *what)
+
+
 def prepare(
     kind: Positional[str],
     source: Positional[Path],
     out: Positional[Path],
+    networks: Flat[NetworkOptions] = NetworkOptions(),  # noqa: B008 (frozen)
     *,
     body: Path,
     frames: Path | None = None,
     masks: Path | None = None,
-    sam_checkpoint: Path | None = None,
-    normals: Path | None = None,
-    normals_convention: Convention | None = None,
-    normals_size: tuple[int, int] = Expected.size,
-    normals_mean: tuple[float, float, float] = Expected.mean,
-    normals_std: tuple[float, float, float] = Expected.std,
     person: str | None = None,
     first: int = 0,
     focal: float | None = None,
@@ -57,20 +94,12 @@ def prepare(
         source: the estimator's file or folder, or the data set's folder of one subject; pickles
             run no code.
         out: the subject's folder.
+        networks: that make masks and normals.
         body: the body in SMPL-X's format that the poses are for, and that the other steps will be
             given; or the word puppet for the built-in one, which keeps rotations and no shape.
         frames: a film, or a folder of pictures; a data set has its own.
         masks: a film, a folder of pictures, a .npy (T, H, W), or a .hdf5 with masks; as many as
-            frames; a data set has its own. Or the word sam, with the option below.
-        sam_checkpoint: the weights of Segment Anything or SAM 2, which then make the masks, told by
-            the poses where the person is: a folder as transformers saves it, or Meta's .pth.
-        normals: a network that makes the normals, TorchScript (.pt; a program, which will run) or
-            ONNX (.onnx), from (1, 3, h, w) to (1, 3, h, w).
-        normals_convention: what its normals mean: perspective (x right, y down, z forward), opengl
-            (x right, y up, z to the viewer), icon (the same, orthographic, the person cut out).
-        normals_size: width and height of what it is shown, where an .onnx does not say it.
-        normals_mean: of red, green, blue in [0, 1], taken off what it is shown.
-        normals_std: likewise, what that is divided by.
+            frames; a data set has its own. Or the word sam, with --sam-checkpoint.
         person: the estimator's name of the person; without it, who is in the masks.
         first: the number that the estimator gave the first frame; SMPLer-X starts at 1.
         focal: focal length in pixels, where the estimator's file says none.
@@ -87,14 +116,14 @@ def prepare(
         raise InputError(f"prepare: --focal must be above 0 pixels, got {focal}")
     if view_frames < 1:
         raise InputError(f"prepare: --view-frames must be at least 1, got {view_frames}")
-    sam = _sam_of(masks, sam_checkpoint)
-    expected = _expected(normals, normals_convention, normals_size, normals_mean, normals_std)
+    sam = _sam_of(masks, networks.sam_checkpoint)
     target = Target.read(body)
     if not overwrite and (out / MARKER).exists():
         raise InputError(f"{out}: was prepared already; give --overwrite to replace it")
     given = Source(
-        kind, source, frames, None if sam else masks, sam, normals, expected, person, first, focal,
-        camera, views, view_frames, splits,
+        kind=kind, estimate=source, frames=frames, masks=None if sam else masks, sam=sam,
+        normals=networks.normals, expected=networks.expected, person=person, first=first,
+        focal=focal, camera=camera, views=views, view_frames=view_frames, ranges=splits,
     )  # fmt: skip
     with whole_folder(out, MARKER if overwrite else None) as folder, bar("prepare") as progress:
         notes = prepare_folder(folder, given, target, progress)
@@ -112,30 +141,3 @@ def _sam_of(masks: Path | None, checkpoint: Path | None) -> Path | None:
     if checkpoint is not None and masks != SAM:
         raise InputError("prepare: --sam-checkpoint makes masks, so it needs --masks sam")
     return checkpoint
-
-
-def _expected(
-    network: Path | None,
-    convention: Convention | None,
-    size: tuple[int, int],
-    mean: tuple[float, float, float],
-    std: tuple[float, float, float],
-) -> Expected | None:
-    """What a network of normals is given; None without one."""
-    if network is None:
-        return None
-    if convention is None:
-        raise InputError(
-            "prepare: --normals needs --normals-convention, what its normals mean: "
-            f"{', '.join(get_args(Convention))}"
-        )
-    if not 1 <= min(size) <= max(size) <= LARGEST_SIDE:
-        raise InputError(
-            f"prepare: --normals-size must be from 1 to {LARGEST_SIDE} pixels, got {size}"
-        )
-    finite = all(abs(x) < float("inf") for x in (*mean, *std))
-    if not finite or not min(std) > 0:
-        raise InputError(
-            f"prepare: --normals-std must be above 0 and --normals-mean finite, got {std}, {mean}"
-        )
-    return Expected(convention, size, mean, std)

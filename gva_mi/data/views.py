@@ -40,10 +40,30 @@ def held_out_views(video: Video) -> Video | None:
     Raises:
         InputError: a file is missing, or is not what it should be.
     """
-    folder = video.folder / VIEWS
+    found = read_views(video.folder, len(video))
+    if found is None:
+        return None
+    frames, cameras = found
+    return replace(
+        video, folder=video.folder / VIEWS, cameras=cameras, pose=video.pose[frames], normals=None,
+        absent={}, splits=Splits([], list(range(len(frames)))), _images=[],
+    )  # fmt: skip
+
+
+def read_views(subject: Path, count: int) -> tuple[list[int], list[Camera]] | None:
+    """The video's frame and the camera of each picture; None where there are none.
+
+    Args:
+        subject: its folder.
+        count: frames of the video.
+
+    Raises:
+        InputError: a file is missing, or is not what it should be.
+    """
+    folder = subject / VIEWS
     if not folder.is_dir():
         return None
-    frames = _frames(folder / ABOUT, len(video))
+    frames = _frames(folder / ABOUT, count)
     cameras = load_cameras(folder / "cameras.npz")
     if len(cameras) == 1:
         cameras = cameras * len(frames)
@@ -60,10 +80,7 @@ def held_out_views(video: Video) -> Video | None:
             if found is None or found.shape[:2] != size:
                 there = "is not there" if found is None else f"is {found.shape[1]}x{found.shape[0]}"
                 raise InputError(f"{folder}: {what} {k} {there}; expected {size[1]}x{size[0]}")
-    return replace(
-        video, folder=folder, cameras=cameras, pose=video.pose[frames], normals=None, absent={},
-        splits=Splits([], list(range(len(frames)))), _images=[],
-    )  # fmt: skip
+    return frames, cameras
 
 
 def save_views(

@@ -261,3 +261,10 @@ def _(folder):
 @fault("unreadable")
 def _(folder):
     (folder / "poses.npz").write_bytes(b"cut short")
+
+
+@fault("views of other cameras")
+def _(folder):
+    shutil.copytree(folder / "masks", folder / "views/masks")
+    shutil.copy(folder / "cameras.npz", folder / "views/cameras.npz")
+    (folder / "views/views.json").write_text(json.dumps({"frames": [0, 1], "cameras": ["a", "b"]}))

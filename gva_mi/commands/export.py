@@ -35,7 +35,7 @@ MARKER = "export.json"  # every folder of exports that was made here holds it
 FORMATS = {  # by the suffix of --out
     ".ply": "Gaussians in one pose, for viewers of 3DGS",
     ".splat": "the same in 32 bytes each, for viewers in a browser",
-    ".spz": "Niantic's, a tenth of a .ply, with spherical harmonics",
+    ".spz": "Niantic's, a quarter of a .ply, with spherical harmonics",
     ".glb": "the surface with skeleton, skin, colours, and a motion",
     ".npz": "poses as AMASS has them; with --no-rig the avatar without its body",
     ".mp4": "a film",

@@ -1,16 +1,15 @@
 """SMPL-X as the line of NeuralAnnot, Hand4Whole, OSX and ExAvatar writes it: JSON, a file a frame.
 
-====================================  =========================================================
-Names                                 Who writes them
-====================================  =========================================================
-``root_pose``, ``body_pose``,         NeuralAnnot's annotations and OSX's evaluation under
-``lhand_pose``, ``rhand_pose``,       ``smplx_param``, beside ``cam_param``; ExAvatar, alone
-``jaw_pose``, ``shape``, ``expr``,
-``trans``
-the same with ``left_hand_pose``,     forks of SMPLest-X, beside ``camera_metadata.json``
-``right_hand_pose``, ``betas``,
-``translation``
-====================================  =========================================================
+===================  =================================================  =======================
+Who writes them      Names                                              Camera
+===================  =================================================  =======================
+NeuralAnnot, OSX     ``smplx_param`` with ``root_pose``,                ``cam_param``
+                     ``body_pose``, ``lhand_pose``, ``rhand_pose``,
+                     ``jaw_pose``, ``shape``, ``expr``, ``trans``
+ExAvatar             these alone                                        ``cam_params/12.json``
+forks of SMPLest-X   the same with ``left_hand_pose``,                  ``camera_metadata.json``
+                     ``right_hand_pose``, ``betas``, ``translation``    beside
+===================  =================================================  =======================
 
 OSX's own demo and SMPLest-X's own inference keep pictures and meshes and no parameters: their
 forks do. All make the body with the package's default, to which the mean hand is added.

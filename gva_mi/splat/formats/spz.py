@@ -1,4 +1,4 @@
-"""The .spz of Niantic, about a tenth of a .ply: each number in as few bits as the eye allows.
+"""The .spz of Niantic, a quarter of a .ply or less: each number in as few bits as the eye allows.
 
 Versions 2 and 3 are one gzip stream: a header of 16 bytes, then all Gaussians' positions, then all
 opacities, and so on. Version 4 has a header of 32 bytes and packs each of these streams with zstd.
@@ -8,7 +8,7 @@ Version 3 is written, which most viewers read; 2, 3 and 4 are read.
 Stream        Stored, little-endian           Means                        Off by at most
 ============  ==============================  ===========================  ======================
 means         3 × 24-bit, signed              i / 2^f, f of the header     2^−f / 2, where
-                                                                           \\|x\\| < 2^(23−f)
+                                                                           |x| < 2^(23−f)
 opacities     8-bit                           b / 255                      0.5 / 255
 colours       3 × 8-bit                       f_dc = (b/255 − 0.5) / 0.15  0.5 / 38.25 of f_dc in
                                                                            ±3.33
@@ -19,7 +19,8 @@ quaternions   the largest's number, 2 bits;   x 2^−½ / 511, the sign in    0.
 harmonics     8-bit each, colours innermost   (b − 128) / 128              0.5 / 128 in [−1, 0.99]
 ============  ==============================  ===========================  ======================
 
-Version 2 has quaternions xyz in 3 × 8 bits. Its y is up and its z goes to the viewer, as in this
+Version 2 has quaternions xyz in 3 × 8 bits. Harmonics keep all of their 8 bits here, of which
+Niantic's own program drops three or four. Its y is up and its z goes to the viewer, as in this
 program's worlds: nothing is turned round.
 """
 

@@ -38,6 +38,7 @@ FLOORS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("body", "SMPL-X, skinning, the puppet", ("gva_mi.body",)),
     ("mesh", "meshes seen by Mitsuba, differentiable in torch", ("gva_mi.mesh",)),
     ("data", "Video, Frame, the folder format", ("gva_mi.data",)),
+    ("data/networks", "networks that people bring", ("gva_mi.data.networks",)),
     ("data/importers", "files of other programs", ("gva_mi.data.importers",)),
     ("check", "what is wrong with a subject's folder", ("gva_mi.check",)),
     ("synthetic people", "who they are: shape, colours, texture",

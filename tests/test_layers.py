@@ -15,7 +15,7 @@ spec.loader.exec_module(floors)
 
 SOURCES, MODULES, module = floors.SOURCES, floors.MODULES, floors.module
 HEAVY = {"mitsuba", "pymeshlab", "trimesh", "skimage", "matplotlib", "av", "jinja2", "PIL", "scipy",
-         "viser", "h5py"}  # fmt: skip
+         "viser", "h5py", "transformers", "onnxruntime"}  # fmt: skip
 HOMES = {  # packages that only some folders may import, at any depth of the file
     "mitsuba": ("gva_mi_plugins", "gva_mi.mesh", "gva_mi.data.synthetic", "gva_mi.sculptor",
                 "gva_mi.commands.doctor"),
@@ -33,6 +33,8 @@ HOMES = {  # packages that only some folders may import, at any depth of the fil
               "gva_mi.sculptor", "gva_mi.avatar", "gva_mi.pose", "gva_mi.fit", "gva_mi.threads",
               "gva_mi.viewer", "gva_mi.commands"),
     "viser": ("gva_mi.viewer.server", "gva_mi.viewer.controls"),
+    "transformers": ("gva_mi.data.networks.sam_weights",),
+    "onnxruntime": ("gva_mi.data.networks.normals",),
     "tyro": ("gva_mi.commands", "gva_mi.__main__"),
 }  # fmt: skip
 MODULE = pytest.mark.parametrize("path", SOURCES, ids=module)

@@ -6,7 +6,7 @@ they cannot use. Here everything is read for itself, and what cannot be read is 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
@@ -15,8 +15,9 @@ import numpy as np
 
 from gva_mi.check.findings import Finding
 from gva_mi.console import Progress
+from gva_mi.data.film import Film
 from gva_mi.data.masks import read_mask
-from gva_mi.data.pictures import read_array, read_image, read_movie
+from gva_mi.data.pictures import read_array, read_image
 from gva_mi.data.video import POSES
 from gva_mi.errors import InputError
 from gva_mi.files import read_arrays
@@ -47,7 +48,7 @@ class Contents:
     poses: dict[str, np.ndarray] | None = None  # arrays of the file of poses
     poses_file: Path = Path(POSES)
     findings: list[Finding] = field(default_factory=list)
-    film: Sequence[np.ndarray] = ()  # decoded pictures, where they come as a film
+    film: Film | tuple[()] = ()  # where the pictures come as one
 
     @property
     def count(self) -> int:
@@ -120,8 +121,8 @@ def _read_pictures(contents: Contents) -> None:
     if not files:
         film = folder / "video.mp4"
         if film.exists():
-            contents.film = attempt(contents, lambda: read_movie(film)) or ()
-            contents.pictures = {k: x.shape[1::-1] for k, x in enumerate(contents.film)}
+            contents.film = attempt(contents, lambda: Film(film)) or ()
+            contents.pictures = dict(enumerate(getattr(contents.film, "sizes", ())))
         else:
             found.append(
                 Finding(

@@ -12,6 +12,7 @@ from gva_mi.check.contents import Contents, MaskSeen
 from gva_mi.check.findings import Finding
 from gva_mi.data.fingerprint import require_same_body
 from gva_mi.data.normals import ABOUT, NormalMaps
+from gva_mi.data.views import read_views
 from gva_mi.errors import InputError
 from gva_mi.splat import Camera
 
@@ -27,6 +28,7 @@ def check_files(contents: Contents, body: BodyModel) -> Iterator[Finding]:
     yield from _masks(contents)
     yield from _counts(contents)
     yield from _splits(contents)
+    yield from _views(contents)
     try:
         require_same_body(contents.folder, body)
     except InputError as error:
@@ -158,6 +160,16 @@ def _counts(contents: Contents) -> Iterator[Finding]:
                 "the estimator dropped frames, or another frame rate was extracted",
                 "make poses and cameras of exactly these frames",
             )  # fmt: skip
+
+
+def _views(contents: Contents) -> Iterator[Finding]:
+    try:
+        read_views(contents.folder, contents.count)
+    except InputError as error:
+        yield Finding(
+            "error", "views of other cameras", str(error), "files were lost, or of another video",
+            "prepare the folder again with --views, or remove views/",
+        )  # fmt: skip
 
 
 def _splits(contents: Contents) -> Iterator[Finding]:

@@ -35,7 +35,7 @@ _WAYS = [
 ]
 _NAMED = {
     ((0, 1, 2), (1, -1, -1)): ("y up and z toward the viewer, as in ICON's or OpenGL's maps",
-                               "refine --normals icon, or normals.json; else flip y and z"),
+                               "refine --normals icon or opengl, or normals.json"),
     ((2, 1, 0), (1, 1, 1)): ("blue and red are exchanged", "write RGB, not BGR"),
 }  # fmt: skip
 

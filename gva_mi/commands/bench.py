@@ -33,7 +33,7 @@ def bench(
     Args:
         what: the part to measure. Of the options all but splat use repeats and seed only.
         options: what to measure, and how often.
-        scene: a .ply, .splat or .npz file as for gradcheck; without it a person of 20,000
+        scene: a .ply, .splat, .spz or .npz file as for gradcheck; without it a person of 20,000
             Gaussians at 512 px.
         json_file: where to write all figures.
     """

@@ -29,19 +29,21 @@ from gva_mi.splat import Gaussians
 from gva_mi.splat.formats import LOAD
 from gva_mi.splat.formats.ply import save_ply
 from gva_mi.splat.formats.splat import save_splat
+from gva_mi.splat.formats.spz import save_spz
 
 MARKER = "export.json"  # every folder of exports that was made here holds it
 FORMATS = {  # by the suffix of --out
     ".ply": "Gaussians in one pose, for viewers of 3DGS",
     ".splat": "the same in 32 bytes each, for viewers in a browser",
+    ".spz": "Niantic's, a quarter of a .ply, with spherical harmonics",
     ".glb": "the surface with skeleton, skin, colours, and a motion",
     ".npz": "poses as AMASS has them; with --no-rig the avatar without its body",
     ".mp4": "a film",
     "": "a folder with one file a frame",
 }
-SAVE = {".ply": save_ply, ".splat": save_splat}
+SAVE = {".ply": save_ply, ".splat": save_splat, ".spz": save_spz}
 FOR = {  # what the options are about; the others are about all
-    "frame": (".ply", ".splat", ".mp4"),
+    "frame": (".ply", ".splat", ".spz", ".mp4"),
     "every": ("",),
     "each": ("",),
     "fps": (".glb", ".npz", ".mp4"),
@@ -55,9 +57,9 @@ class ExportOptions:
     """What of an avatar is written."""
 
     poses: Path | None = None  # a motion, SMPL-X's names; none: the poses trained with the avatar
-    frame: int | None = None  # of the poses; a .ply or .splat without it and --poses is at rest
+    frame: int | None = None  # of the poses; Gaussians without it and --poses are at rest
     every: int = 1  # into a folder: one file for every so many frames
-    each: Literal["ply", "splat", "png"] = "ply"  # kind of these files; .png are see-through
+    each: Literal["ply", "splat", "spz", "png"] = "ply"  # kind of these files; .png are see-through
     fps: int = 30  # frames a second
     background: str = "white"  # of a film: a colour, such as #ff8800, or a picture file
     no_rig: Switch = False  # .npz: the avatar, without what it holds of a licensed body
@@ -110,13 +112,13 @@ def export(
     """Write an avatar, its poses, or a film of it in a file of other programs.
 
     Args:
-        run: the folder of a finished fit, or an avatar.npz; or a .ply, also a compressed one, or a
-            .splat, which becomes the other.
+        run: the folder of a finished fit, or an avatar.npz; or a .ply, also a compressed one, a
+            .splat or a .spz, which becomes another of these.
         options: what is written.
         view: of films and .png.
-        out: the file, whose suffix says what it is: .ply and .splat (Gaussians in one pose), .glb
-            (the surface with skeleton and skin), .npz (poses as AMASS has them, or with --no-rig
-            the avatar), .mp4 (a film); or a folder for one file a frame.
+        out: the file, whose suffix says what it is: .ply, .splat, .spz (Gaussians in one pose),
+            .glb (the surface with skeleton and skin), .npz (poses as AMASS has them, or with
+            --no-rig the avatar), .mp4 (a film); or a folder for one file a frame.
         body: the body file of an avatar without its body, or for --no-rig; without it the built-in
             puppet.
         overwrite: replace what is there.
@@ -163,8 +165,8 @@ def _require_meant(suffix: str, options: ExportOptions, view: CameraPath) -> Non
 def _converted(source: Path, options: ExportOptions, suffix: str, out: Path) -> Work:
     if suffix not in SAVE or options != ExportOptions():
         raise InputError(
-            f"{source}: holds Gaussians alone, which become .ply or .splat as they are; expected "
-            f"such a name without other options, got {out}"
+            f"{source}: holds Gaussians alone, which become {', '.join(SAVE)} as they are; "
+            f"expected such a name without other options, got {out}"
         )
     gaussians = LOAD[source.suffix](source)
     return lambda: SAVE[suffix](out, gaussians)
@@ -229,6 +231,7 @@ def _folder(job: _Job) -> Work:
 _READY: dict[str, Callable[[_Job], Work]] = {
     ".ply": _gaussians,
     ".splat": _gaussians,
+    ".spz": _gaussians,
     ".glb": _surface,
     ".npz": _poses,
     ".mp4": _film,

@@ -76,7 +76,7 @@ def gradcheck(
         what: the renderer, or an avatar in random poses, of which the options count and seed tell
             how many.
         options: where to look, and through what.
-        scene: of the renderer: a .ply or .splat, or an .npz file with means, quats, scales,
+        scene: of the renderer: a .ply, .splat or .spz, or an .npz file with means, quats, scales,
             opacities, sh or colors, viewmat, K, width, height, background; without it a person of
             20,000 Gaussians.
         body: of an avatar: a body in SMPL-X's .npz format; without it the built-in puppet.

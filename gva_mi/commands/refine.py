@@ -39,7 +39,7 @@ def refine(
     loss: Literal["sequence", "paper"] = "sequence",
     steps: int = SingleFrameOptions.steps,
     paper_prior: float = SingleFrameOptions.prior,
-    normals: Literal["perspective", "icon", "none"] | None = None,
+    normals: Literal["perspective", "opengl", "icon", "none"] | None = None,
     workers: int = 1,
     scheduler: str | None = None,
     report: Switch = False,

@@ -1,9 +1,11 @@
 """Normal maps as networks write them, brought to the frame's pixels and the camera's axes.
 
-Two conventions:
+Three conventions:
 
 * ``perspective``: as a renderer with the video's camera would see them, in camera space and OpenCV
   axes (x right, y down, z forward; what is seen has ``n · d < 0`` along the pixel's ray ``d``).
+* ``opengl``: the same in OpenGL's axes (x right, y *up*, z toward the viewer), as most networks of
+  normals of whole scenes write.
 * ``icon``: as ICON, PIFuHD and similar networks see them: an orthographic view of a square crop,
   x right, y *up*, z toward the viewer.
 
@@ -43,7 +45,7 @@ from gva_mi.data.pictures import read_array, read_image
 from gva_mi.errors import InputError
 from gva_mi.splat import Camera
 
-Convention = Literal["perspective", "icon"]
+Convention = Literal["perspective", "opengl", "icon"]
 Part = tuple[slice, slice]  # rows and columns of a picture, without steps
 
 ABOUT = "normals.json"
@@ -107,9 +109,11 @@ class NormalMaps:
         else:
             box = self.boxes[index] - (columns.start, rows.start) * 2
             normals = _pasted(_directions(stored), box, (len(rows), len(columns)))
+        if self.convention != "perspective":
+            normals = normals * (1, -1, -1)
         if self.convention == "icon":
             seen = camera.cropped(columns.start, rows.start, len(columns), len(rows))
-            normals = _along_rays(normals * (1, -1, -1), seen)
+            normals = _along_rays(normals, seen)
         square = _square_lengths(normals)
         long = square > SHORTEST**2
         return (normals * (long / np.sqrt(np.maximum(square, 1e-12)))).astype(np.float32)

@@ -65,30 +65,17 @@ def read_background(name: str, width: int, height: int) -> np.ndarray:
     return np.asarray(ImageOps.fit(picture, (width, height)), dtype=np.float32) / 255
 
 
-def read_array(path: Path) -> np.ndarray:
-    """One array of a ``.npy``, which must not hold pickled objects."""
+def read_array(path: Path, mapped: bool = False) -> np.ndarray:
+    """One array of a ``.npy``, which must not hold pickled objects.
+
+    Args:
+        path: of the file.
+        mapped: leave it on disk until it is looked at.
+    """
     try:
-        return np.load(path, allow_pickle=False)
+        return np.load(path, allow_pickle=False, mmap_mode="r" if mapped else None)
     except (ValueError, OSError, EOFError) as error:
         raise InputError(f"{path}: not a readable .npy ({str(error).splitlines()[0]})") from None
-
-
-def read_movie(path: Path) -> list[np.ndarray]:
-    """All pictures of a video file, each (H, W, 3) 8-bit.
-
-    Raises:
-        InputError: where it cannot be decoded.
-    """
-    import av
-
-    try:
-        with av.open(str(path)) as container:
-            images = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
-    except (av.FFmpegError, IndexError, OSError) as error:
-        raise InputError(f"{path}: cannot be decoded as a video ({error})") from None
-    if not images:
-        raise InputError(f"{path}: holds no picture")
-    return images
 
 
 def write_movie(

@@ -13,6 +13,7 @@
       poses_refined.npz                   optional: the same after stage 2; focal, where it was
                                           refined too: a factor on the fx and fy of cameras.npz
       splits.json                         optional: {"train": [...], "test": [...]} frame numbers
+      views/                              optional: what other cameras saw; gva_mi.data.views
       truth/                              synthetic subjects only, with the true cameras.npz too;
                                           read by nothing but evaluation
 
@@ -33,9 +34,10 @@ from typing import Literal
 import numpy as np
 
 from gva_mi.body.pose import Pose, Shape, load_focal, load_poses
+from gva_mi.data.film import Film
 from gva_mi.data.masks import read_mask
 from gva_mi.data.normals import Convention, NormalMaps, Part
-from gva_mi.data.pictures import read_image, read_movie
+from gva_mi.data.pictures import read_image
 from gva_mi.errors import InputError
 from gva_mi.files import read_arrays, require_keys, write_arrays
 from gva_mi.splat import Camera
@@ -109,7 +111,7 @@ class Video:
     pose: Pose
     shape: Shape
     splits: Splits
-    _images: Sequence[np.ndarray] = field(repr=False)  # decoded, or [] to read frames/ one by one
+    _images: Sequence[np.ndarray] = field(repr=False)  # a film, or [] to read frames/ one by one
     normals: NormalMaps | None = None
     absent: Mapping[int, str] = field(default_factory=dict)  # frames that say nothing, and why
     focal: float = 1.0  # factor on the focal lengths of cameras.npz, which the poses belong to
@@ -217,7 +219,7 @@ def load_video(
     maps = NormalMaps.open(folder, count, normals) if normals != "none" else None
     absent = {k: "it has no picture" for k in range(count) if k not in set(numbers)}
     for k in numbers:
-        _check_picture(folder, k, images[k] if images else None, cameras[k])
+        _check_picture(folder, k, images.sizes[k] if images else None, cameras[k])
         if (reason := _why_absent(folder / "masks", k, cameras[k])) is not None:
             absent[k] = reason
         elif maps is not None:
@@ -325,8 +327,8 @@ def _picture(folder: Path, index: int) -> Path:
     return folder / f"{index:06d}.png"
 
 
-def _open_pictures(folder: Path) -> tuple[Sequence[np.ndarray], Sequence[int]]:
-    """Decoded pictures, where they come as a film, and the numbers of the frames that are there."""
+def _open_pictures(folder: Path) -> tuple[Film | list[np.ndarray], Sequence[int]]:
+    """The film, where pictures come as one, and the numbers of the frames that are there."""
     frames = sorted((folder / "frames").glob("*.png"))
     if frames:
         for path in frames:
@@ -334,15 +336,15 @@ def _open_pictures(folder: Path) -> tuple[Sequence[np.ndarray], Sequence[int]]:
                 raise InputError(f"{path}: frames are numbered, such as 000000.png")
         return [], [int(path.stem) for path in frames]
     if (folder / "video.mp4").exists():
-        images = read_movie(folder / "video.mp4")
+        images = Film(folder / "video.mp4")
         return images, range(len(images))
     raise InputError(f"{folder}: neither frames/000000.png ... nor video.mp4 is there")
 
 
-def _check_picture(folder: Path, index: int, image: np.ndarray | None, camera: Camera) -> None:
-    if image is None:
-        image = read_image(_picture(folder / "frames", index), 3)
-    height, width = image.shape[:2]
+def _check_picture(folder: Path, index: int, size: tuple[int, int] | None, camera: Camera) -> None:
+    if size is None:
+        size = read_image(_picture(folder / "frames", index), 3).shape[1::-1]
+    width, height = size
     if (width, height) != (camera.width, camera.height):
         raise InputError(
             f"{folder}: frame {index} is {width}x{height}, "

@@ -46,11 +46,11 @@ class Scene:
         """A scene from a file.
 
         Args:
-            path: a .ply of Gaussians, also a compressed one, or a .splat, seen by :func:`in_front`;
-                or an .npz, which holds means (N, 3), quats (N, 4), scales (N, 3), opacities (N,);
-                sh (N, K, 3) or colors (N, D), sh first where both are there; viewmat (4, 4),
-                K (3, 3), width, height; background (D,), black where missing; camera_model,
-                pinhole where missing.
+            path: a .ply of Gaussians, also a compressed one, a .splat or a .spz, seen by
+                :func:`in_front`; or an .npz, which holds means (N, 3), quats (N, 4), scales (N, 3),
+                opacities (N,); sh (N, K, 3) or colors (N, D), sh first where both are there;
+                viewmat (4, 4), K (3, 3), width, height; background (D,), black where missing;
+                camera_model, pinhole where missing.
 
         Raises:
             InputError: naming what is missing or does not fit.

@@ -9,7 +9,8 @@ import shutil
 
 import numpy as np
 
-from gva_mi.data.pictures import read_image, read_movie, write_image
+from gva_mi.data.film import Film
+from gva_mi.data.pictures import read_image, write_image
 
 FAULTS = {}
 
@@ -52,7 +53,7 @@ def maps(folder, change):
 
 def pictures(folder, change):
     if (folder / "video.mp4").exists():
-        for k, image in enumerate(read_movie(folder / "video.mp4")):
+        for k, image in enumerate(Film(folder / "video.mp4")):
             write_image(folder / f"frames/{k:06d}.png", image)
         (folder / "video.mp4").unlink()
     for path in sorted((folder / "frames").glob("*.png")):
@@ -260,3 +261,10 @@ def _(folder):
 @fault("unreadable")
 def _(folder):
     (folder / "poses.npz").write_bytes(b"cut short")
+
+
+@fault("views of other cameras")
+def _(folder):
+    shutil.copytree(folder / "masks", folder / "views/masks")
+    shutil.copy(folder / "cameras.npz", folder / "views/cameras.npz")
+    (folder / "views/views.json").write_text(json.dumps({"frames": [0, 1], "cameras": ["a", "b"]}))

@@ -34,7 +34,7 @@ NAMES = [
     *("mask size", "missing masks", "mirrored video", "pictures upside down", "frame offset"),
     *("axes of the normals", "few normals", "normals cannot be read", "betas"),
     *("poses are not finite", "counts", "splits overlap", "splits beyond the video"),
-    *("picture size", "unreadable"),
+    *("picture size", "unreadable", "views of other cameras"),
 ]
 
 

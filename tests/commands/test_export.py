@@ -8,7 +8,8 @@ import torch
 
 from gva_mi.avatar.avatar import digest
 from gva_mi.body.pose import Pose, Shape, save_poses
-from gva_mi.data.pictures import read_movie, write_image
+from gva_mi.data.film import Film
+from gva_mi.data.pictures import write_image
 from gva_mi.fit.run_folder import load_avatar
 from gva_mi.splat.formats.ply import load_ply
 from gva_mi.splat.formats.splat import load_splat
@@ -58,9 +59,15 @@ def test_gaussians_at_rest_in_a_frame_of_the_video_and_in_one_of_a_motion(
 
 
 def test_a_ply_becomes_a_splat_and_a_splat_a_ply(run, known, cli):
-    for source, out in (("run", "a.ply"), ("a.ply", "b.splat"), ("b.splat", "c.ply")):
+    for source, out in (
+        ("run", "a.ply"), ("a.ply", "b.splat"), ("b.splat", "c.ply"), ("run", "d.spz"),
+        ("a.ply", "e.spz"), ("e.spz", "f.ply"),
+    ):  # fmt: skip
         code, _, err = cli("export", run.parent / source, "--out", run.parent / out)
         assert code == 0, err
+    assert (run.parent / "d.spz").read_bytes() == (run.parent / "e.spz").read_bytes()
+    plain, again = (load_ply(run.parent / name) for name in ("a.ply", "f.ply"))
+    assert (plain.means - again.means).abs().max() < 1e-5 and again.sh.shape == plain.sh.shape
     rows = load_splat(run.parent / "b.splat")
     assert same(load_ply(run.parent / "c.ply"), rows)
     first, again = load_ply(run.parent / "a.ply"), rows.means
@@ -104,7 +111,7 @@ def test_a_film_before_a_colour_or_a_picture(run, dance, cli, path):
             "--background", background, "--overwrite", *SMALL,
         )  # fmt: skip
         assert code == 0, err
-        images = read_movie(film)
+        images = Film(film)
         assert len(images) == 3 and images[0].shape == (48, 32, 3)
         assert np.abs(images[0][:3, :3].astype(int) - corner).max() < 25
         assert np.abs(images[0].astype(int) - corner).max() > 60  # somebody is there

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from gva_mi.body.pose import save_poses
-from gva_mi.data.pictures import read_image, read_movie, write_image
+from gva_mi.data.film import Film
+from gva_mi.data.pictures import read_image, write_image
 from gva_mi.data.video import save_cameras
 
 SMALL = ("--size", 32, 48)
@@ -37,7 +38,7 @@ def test_on_a_turntable_by_default_and_see_through(run, cli):
     out = run.parent / "out"
     code, _, err = cli("render", run, "--out", out, "--frames", 4, "--alpha", "--video", *SMALL)
     assert code == 0, err
-    assert len(pictures(out)) == len(read_movie(out / "video.mp4")) == 4
+    assert len(pictures(out)) == len(Film(out / "video.mp4")) == 4
     rgba = [np.asarray(Image.open(out / name)) for name in pictures(out)]
     assert all(x.shape == (48, 32, 4) and x[0, 0, 3] == 0 and x[..., 3].max() > 200 for x in rgba)
     assert np.abs(rgba[0].astype(int) - rgba[2]).mean() > 1

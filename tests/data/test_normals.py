@@ -89,6 +89,12 @@ def test_turning_to_the_ray_is_undone_by_turning_back(tmp_path):
     np.testing.assert_allclose(turned[..., 2], np.cos(twice), atol=1e-5)
 
 
+def test_opengl_s_normals_are_those_of_opencv_with_y_and_z_turned_round(tmp_path):
+    truth = -rays() * np.ones((SIZE, SIZE, 1))
+    found = folder_with(tmp_path, [truth * (1, -1, -1)], {"convention": "opengl"})
+    assert angle(found.read(0, CAMERA), truth).max() < 0.05
+
+
 def test_on_the_axis_icon_s_normals_only_change_axes(tmp_path):
     icon = np.tile(np.array([0.6, 0.48, 0.64]), (SIZE, SIZE, 1))
     found = folder_with(tmp_path, [icon], {"convention": "icon"}).read(0, CAMERA)
@@ -131,8 +137,11 @@ def test_the_caller_s_word_counts_more_than_the_file_s(tmp_path):
 
 BAD = {
     "no JSON": ("{", "not readable as JSON"),
-    "no convention": ("{}", "'convention' must be one of perspective, icon"),
-    "unknown": ('{"convention": "blender"}', "'convention' must be one of perspective, icon"),
+    "no convention": ("{}", "'convention' must be one of perspective, opengl, icon"),
+    "unknown": (
+        '{"convention": "blender"}',
+        "'convention' must be one of perspective, opengl, icon",
+    ),
     "boxes": ('{"convention": "icon", "boxes": [[1, 2, 3]]}', "'boxes' must be four numbers"),
     "ragged": ('{"convention": "icon", "boxes": [[1, 2, 3], 4]}', "'boxes' must be four numbers"),
     "too few": (

@@ -8,7 +8,8 @@ import pytest
 
 from gva_mi import InputError
 from gva_mi.body.pose import save_poses
-from gva_mi.data.pictures import read_image, read_movie, write_image, write_movie
+from gva_mi.data.film import Film
+from gva_mi.data.pictures import read_image, write_image, write_movie
 from gva_mi.data.video import Splits, load_video, spread
 
 
@@ -159,7 +160,7 @@ def test_bad_input_is_one_sentence_that_says_where(subject, name):
 def test_a_film_that_cannot_be_decoded_is_named(subject):
     (subject / "video.mp4").write_bytes(b"no film at all")
     with pytest.raises(InputError, match=r"video\.mp4: cannot be decoded"):
-        read_movie(subject / "video.mp4")
+        Film(subject / "video.mp4")
 
 
 def test_indices_are_spread_evenly_with_both_ends():

@@ -1,6 +1,7 @@
 """Data sets that come with their own pictures and masks; each is told by its files.
 
-``people_snapshot``, ``multi_view`` and ``neuman`` hold the readers, and what each expects.
+``people_snapshot``, ``multi_view``, ``neuman`` and ``exavatar`` hold the readers, and what each
+expects.
 """
 
 from __future__ import annotations
@@ -8,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from gva_mi.data.importers import multi_view, neuman, people_snapshot
+from gva_mi.data.importers import exavatar, multi_view, neuman, people_snapshot
 from gva_mi.data.importers.estimators import told
-from gva_mi.data.importers.recordings import Recording
+from gva_mi.data.importers.recordings import Recording, Wanted
 from gva_mi.errors import InputError
 
 
@@ -19,13 +20,13 @@ def dataset_of(folder: Path) -> str | None:
     return next((kind for kind, (fits, _, _) in DATASETS.items() if fits(folder)), None)
 
 
-def read_dataset(kind: str, folder: Path, camera: str | None) -> Recording:
+def read_dataset(kind: str, folder: Path, wanted: Wanted) -> Recording:
     """A data set's people, pictures and masks.
 
     Args:
         kind: one of :data:`DATASETS`.
         folder: of one subject.
-        camera: the name of the one that becomes the video; without it, the first.
+        wanted: of it.
 
     Raises:
         InputError: the folder is of another kind, or not of its form.
@@ -33,10 +34,10 @@ def read_dataset(kind: str, folder: Path, camera: str | None) -> Recording:
     fits, read, what = DATASETS[kind]
     if not fits(folder):
         raise InputError(f"{folder}: not of the kind {kind}; expected a folder with {what}")
-    return told(folder, kind, what, read, folder, camera)
+    return told(folder, kind, what, read, folder, wanted)
 
 
-Reader = Callable[[str, Path, str | None], Recording]
+Reader = Callable[[str, Path, Wanted], Recording]
 DATASETS: dict[str, tuple[Callable[[Path], bool], Reader, str]] = {
     "snapshot": (
         people_snapshot.is_snapshot, people_snapshot.read_snapshot,
@@ -58,5 +59,9 @@ DATASETS: dict[str, tuple[Callable[[Path], bool], Reader, str]] = {
     "neuman": (
         neuman.is_neuman, neuman.read_neuman,
         "images/, segmentations/, sparse/, alignments.npy and smpl_output_romp.pkl",
+    ),
+    "exavatar": (
+        exavatar.is_exavatar, exavatar.read_exavatar,
+        "frames/, masks/, cam_params/ and smplx_optimized/",
     ),
 }  # fmt: skip

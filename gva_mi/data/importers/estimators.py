@@ -17,6 +17,9 @@ Kind             File, by the public repository's own code        Camera
 ``smplifyx``     ``results/000/000.pkl`` (vchoutas/smplify-x)     f = 5000, or ``--focal``
 ``smplerx``      ``smplx/00001_0.npz`` and ``meta/00001_0.json``  ``focal``, ``princpt`` a frame
                  (caizhongang/SMPLer-X)
+``osx``          ``12_0.json`` with ``smplx_param`` and           ``focal``, ``princpt`` a frame
+                 ``cam_param`` (IDEA-Research/OSX, NeuralAnnot);
+                 forks of SMPLest-X: :mod:`.smplx_json`
 ``parameters``   SMPL's or SMPL-X's, by the names and in the      ``K``, ``focal``, or ``--focal``
                  shapes of :mod:`fields`
 ===============  ===============================================  ==============================
@@ -35,6 +38,7 @@ from typing import Any
 import numpy as np
 
 from gva_mi.data.importers import frame_files as frames
+from gva_mi.data.importers import smplx_json
 from gva_mi.data.importers import whole_videos as videos
 from gva_mi.data.importers.readings import View
 from gva_mi.data.importers.tracks import Track
@@ -133,6 +137,10 @@ KINDS: dict[str, tuple[Callable[[Any], bool], Reader, str]] = {
     "smplerx": (
         frames.is_smplerx, frames.read_smplerx,
         "a folder with smplx/00001_0.npz and meta/00001_0.json",
+    ),
+    "osx": (
+        smplx_json.is_osx, smplx_json.read_osx,
+        "a folder with 12_0.json of smplx_param and cam_param",
     ),
     "parameters": (
         frames.is_parameters, frames.read_parameters,

@@ -39,6 +39,7 @@ AMASS_PARTS = {  # and what each holds of JOINTS
     "pose_eye": slice(23, 25), "pose_hand": slice(LEFT_HAND.start, RIGHT_HAND.stop),
 }  # fmt: skip
 VPOSER = 32  # numbers of VPoser's latent code
+_HANDS = ("left_hand_pose", "right_hand_pose")
 FINGERS = 3 * (LEFT_HAND.stop - LEFT_HAND.start)  # numbers of a hand in axis-angle
 
 
@@ -71,9 +72,9 @@ def find_joints(
     if "root_orient" in found and "pose_body" in found:
         return _parts(where, found, AMASS_PARTS)
     if "global_orient" in found and "body_pose" in found:
-        decoded = _decoded(where, found, components)
-        joints = _parts(where, {**found, **decoded}, SMPLX_FIELDS)
-        return replace(joints, from_mean_hand=bool(decoded))
+        fingers = _decoded(where, found, components)
+        joints = _parts(where, {**found, **fingers}, SMPLX_FIELDS)
+        return replace(joints, from_mean_hand=bool(fingers))
     names = ", ".join(sorted(map(str, found))[:12]) or "nothing"
     raise InputError(
         f"{where}: holds no poses; expected one of {', '.join(WHOLE)}, or root_orient and "
@@ -161,19 +162,36 @@ def _decoded(
     where: str, found: Mapping[str, Any], components: np.ndarray | None
 ) -> dict[str, np.ndarray]:
     """Hands (T, 45) of those that are components of a PCA; nothing where none are."""
-    decoded, rows = {}, np.shape(found["body_pose"])[:1]
-    for side, name in enumerate(("left_hand_pose", "right_hand_pose")):
+    fingers, rows = {}, np.shape(found["body_pose"])[:1]
+    for side, name in enumerate(_HANDS):
         shape = np.shape(found.get(name))
         if len(shape) != 2 or shape[:1] != rows or not 0 < shape[1] < FINGERS:
             continue
-        if components is None or shape[1] > components.shape[1]:
-            raise InputError(
-                f"{where}: '{name}' must be (T, {FINGERS}), axis-angle; components of a PCA need "
-                "the body that they belong to: --body with the SMPL-X file whose hands_components "
-                f"they weigh; got {shape}"
-            )
-        decoded[name] = _numbers(where, name, found[name]) @ components[side, : shape[1]]
-    return decoded
+        fingers[name] = decoded(where, _numbers(where, name, found[name]), side, components)
+    return fingers
+
+
+def decoded(where: str, hand: np.ndarray, side: int, components: np.ndarray | None) -> np.ndarray:
+    """The fingers (T, 45) of components of the PCA of hands (T, k), or of fingers as they are.
+
+    Args:
+        where: file and person, for the error.
+        hand: of one hand.
+        side: 0 the left, 1 the right.
+        components: (2, K, 45) of the body's file.
+
+    Raises:
+        InputError: no components are known, or fewer.
+    """
+    if hand.shape[1] == FINGERS:
+        return hand
+    if components is None or hand.shape[1] > components.shape[1]:
+        raise InputError(
+            f"{where}: '{_HANDS[side]}' must be (T, {FINGERS}), axis-angle; components of a PCA "
+            "need the body that they belong to: --body with the SMPL-X file whose "
+            f"hands_components they weigh; got {hand.shape}"
+        )
+    return hand @ components[side, : hand.shape[1]]
 
 
 def _parts(where: str, found: Mapping[str, Any], parts: Mapping[str, slice]) -> Joints:

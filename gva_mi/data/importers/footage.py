@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -52,16 +52,18 @@ def masks(source: Pictures) -> Iterator[np.ndarray]:
     """
     whole = isinstance(source, Path)
     if whole and source.suffix in SUFFIXES and source.is_file():
-        yield from (_scaled(mask, mask) for mask in rows_of_hdf5(source, "masks"))
+        rows = rows_of_hdf5(source, "masks")
+        yield from (_scaled(mask, _counts_to_one(mask)) for mask in rows)
         return
     if whole and source.is_dir() and (files := sorted(source.glob("*.npy"), key=_in_order)):
         for path in files:
             mask = _stack(path, read_array(path)[None])[0]
-            yield _scaled(mask, mask)
+            yield _scaled(mask, _counts_to_one(mask))
         return
     if whole and source.suffix == ".npy" and source.is_file():
-        stack = _stack(source, read_array(source))
-        yield from (_scaled(mask, stack) for mask in stack)
+        rows = _rows_of_npy(source)
+        ones = all(_counts_to_one(mask) for mask in rows())
+        yield from (_scaled(mask, ones) for mask in rows())
         return
     for mask in pictures(source, 1):
         yield mask * np.uint8(255) if mask.max(initial=0) <= 1 else mask
@@ -75,9 +77,25 @@ def _stack(path: Path, stack: np.ndarray) -> np.ndarray:
     return stack
 
 
-def _scaled(mask: np.ndarray, stack: np.ndarray) -> np.ndarray:
-    """A mask of 8 bits; where nothing of ``stack`` is above 1, it counts from 0 to 1."""
-    ones = stack.dtype.kind == "b" or stack.max(initial=0) <= 1
+def _rows_of_npy(path: Path) -> Callable[[], Iterator[np.ndarray]]:
+    """The masks of a stack, from the first on, of which one at a time is in memory."""
+    whole = _stack(path, read_array(path, mapped=True))
+
+    def rows() -> Iterator[np.ndarray]:
+        for k in range(len(whole)):
+            # Mapped anew, for pages that were read of one mapping stay in memory with it.
+            yield _stack(path, read_array(path, mapped=True))[k]
+
+    return rows
+
+
+def _counts_to_one(mask: np.ndarray) -> bool:
+    """Whether a mask counts from 0 to 1, and not to 255."""
+    return mask.dtype.kind == "b" or mask.max(initial=0) <= 1
+
+
+def _scaled(mask: np.ndarray, ones: bool) -> np.ndarray:
+    """A mask of 8 bits."""
     return np.clip(mask.astype(np.float32) * (255 if ones else 1), 0, 255).astype(np.uint8)
 
 

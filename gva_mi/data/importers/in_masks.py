@@ -39,7 +39,7 @@ def joints_in_masks(
         joints: (55, 3) of a body at rest, metres.
         pelvis: of each person, (3,): where the estimator's body has it at rest, metres.
     """
-    seen = [_pixels(t, joints, p) for t, p in zip(tracks, pelvis, strict=True)]
+    seen = [joint_pixels(t, joints, p) for t, p in zip(tracks, pelvis, strict=True)]
     rows = [{int(f) - first: i for i, f in enumerate(t.frames)} for t in tracks]
     votes = np.zeros((len(tracks), 2), int)
     for k, mask in enumerate(cut_outs):
@@ -62,12 +62,21 @@ def _votes(pixels: np.ndarray, inside: np.ndarray) -> tuple[int, int]:
     return hits, int(there.sum()) - hits
 
 
-def _pixels(track: Track, joints: np.ndarray, pelvis: np.ndarray) -> np.ndarray:
-    """Where root and body joints are seen, (n, 22, 2); not finite for those behind the camera."""
+def joint_pixels(
+    track: Track, joints: np.ndarray, pelvis: np.ndarray, count: int = BODY.stop
+) -> np.ndarray:
+    """Where the first joints are seen, (n, count, 2); not finite for those behind the camera.
+
+    Args:
+        track: of n frames.
+        joints: (55, 3) of a body at rest, metres.
+        pelvis: (3,) where the estimator's body has it at rest, metres.
+        count: of joints; root and body by default.
+    """
     rotations = torch.from_numpy(np.ascontiguousarray(track.rotations, np.float64))
     rest = torch.from_numpy(np.asarray(joints, np.float64))
     T = joint_transforms(rotations, rest, PARENTS, torch.zeros(len(rotations), 3).double()).numpy()
-    some = slice(0, BODY.stop)
+    some = slice(0, count)
     places = np.einsum("tjab,jb->tja", T[:, some, :3, :3], joints[some]) + T[:, some, :3, 3]
     x = places - places[:, :1] + (pelvis + track.transl)[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -6,7 +6,8 @@ Kind           Folder, by the public repository's own code           Cameras
 ``zju``        ``annots.npy``, ``new_params/`` or ``params/``,       ``K``, ``D``, ``R``, and
                ``mask_cihp/`` or ``mask/`` (zju3dv/neuralbody)       ``T`` in millimetres
 ``easymocap``  ``intri.yml``, ``extri.yml``, ``images/1/``,          ``K_1``, ``dist_1``,
-               ``mask/1/``, and SMPL's ``smpl/000000.json``          ``Rot_1``, ``T_1``
+               ``mask/1/``, and ``smpl/000000.json`` of SMPL,        ``Rot_1``, ``T_1``
+               SMPL+H or SMPL-X
                (zju3dv/EasyMocap)
 ``avatarrex``  ``calibration_full.json``, ``smpl_params.npz``,       ``K``, ``R``, ``T``
                ``22010708/`` with ``mask/pha/``
@@ -17,15 +18,16 @@ EasyMocap's body turns about the origin, x = R(Rh) b + Th, and not about its pel
 translation here is R(Rh) p + Th − p. OpenCV, by which all are calibrated, has the centre of the
 first pixel at 0 and not at 0.5.
 
-A subject's folder has no place for other views of a real video: its ``truth/`` is of people whose
-poses are known.
+What others saw at the same time can be held out: :mod:`.other_views`.
 """
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -33,16 +35,20 @@ import numpy as np
 import roma
 import torch
 
+from gva_mi.data.importers.fields import decoded
 from gva_mi.data.importers.frame_files import plain
 from gva_mi.data.importers.readings import PELVIS, make_track, seen_from
-from gva_mi.data.importers.recordings import Recording
+from gva_mi.data.importers.recordings import OtherCamera, Recording, Wanted
 from gva_mi.data.importers.tracks import Track
 from gva_mi.data.importers.whole_videos import last_number
 from gva_mi.errors import InputError
 from gva_mi.files import read_arrays
 from gva_mi.pickles.reader import read_objects
 
-_SMPL = ("output-smpl-3d/smpl", "output-smpl-3d/smplfull", "output/smpl", "smpl")
+_SMPL = (
+    "output-smpl-3d/smpl", "output-smpl-3d/smplfull", "output/smplx/smpl", "output/smplh/smpl",
+    "output/smpl/smpl", "output/smpl", "smpl",
+)  # fmt: skip
 _MATRIX = re.compile(
     r"^(\w[\w.\-]*): *!!opencv-matrix\s+rows: *(\d+)\s+cols: *(\d+)\s+dt: *\w+\s+"
     r"data: *\[([^\]]*)\]",
@@ -55,24 +61,49 @@ def is_zju(folder: Path) -> bool:
     return (folder / "annots.npy").is_file()
 
 
-def read_zju(where: str, folder: Path, camera: str | None) -> Recording:
+def read_zju(where: str, folder: Path, wanted: Wanted) -> Recording:
     found = plain(read_objects(folder / "annots.npy", "cams and ims, as ZJU-MoCap has them"))
-    cameras = {str(k): k for k in range(len(found["cams"]["K"]))}
-    name, k = _chosen(folder, cameras, camera)
+    cameras = {
+        str(k): partial(_zju_camera, folder, found, k) for k in range(len(found["cams"]["K"]))
+    }
+    name, own = _chosen(folder, cameras, wanted.camera)
+    params = next((p for p in ("new_params", "params") if (folder / p).is_dir()), "new_params")
+    people = []
+    for path in own.frames.values():
+        path = folder / params / f"{_zju_number(path.name)}.npy"
+        people.append(plain(read_objects(path, "poses, shapes, Rh and Th of a frame")))
+    track = _turned_about_origin(where, "0", np.arange(len(people)), people, own.K)
+    numbers = list(own.frames)
+    masks = tuple(own.masks[k] for k in numbers)
+    recording = Recording([seen_from(track, own.R, own.T)], tuple(own.frames.values()), masks)
+    return replace(_among(recording, name, own, cameras, numbers), labels=True)
+
+
+def _zju_camera(folder: Path, found: Mapping[str, Any], k: int) -> OtherCamera:
+    """The k-th camera; frames go by their place in the list."""
     lens = {key: np.asarray(found["cams"][key][k], np.float64) for key in "KDRT"}
     names = [_inside(folder, frame["ims"][k]) for frame in found["ims"]]
     masks = next((m for m in ("mask_cihp", "mask") if (folder / m).is_dir()), "mask_cihp")
-    params = next((p for p in ("new_params", "params") if (folder / p).is_dir()), "new_params")
-    people = []
-    for frame in names:
-        path = folder / params / f"{_zju_number(frame)}.npy"
-        people.append(plain(read_objects(path, "poses, shapes, Rh and Th of a frame")))
-    track = _turned_about_origin(where, "0", np.arange(len(names)), people, _pixels(lens["K"]))
-    track = seen_from(track, lens["R"].reshape(3, 3), lens["T"].ravel() / 1000)
-    pictures = tuple(folder / frame for frame in names)
-    cut_outs = tuple((folder / masks / frame).with_suffix(".png") for frame in names)
-    return Recording(
-        [track], pictures, cut_outs, lens["D"].ravel(), labels=True, note=_note(name, cameras)
+    return OtherCamera(
+        frames={i: folder / name for i, name in enumerate(names)},
+        masks={i: (folder / masks / name).with_suffix(".png") for i, name in enumerate(names)},
+        K=_pixels(lens["K"]), R=lens["R"].reshape(3, 3), T=lens["T"].ravel() / 1000,
+        distortion=lens["D"].ravel(),
+    )  # fmt: skip
+
+
+def _among(
+    recording: Recording,
+    name: str,
+    own: OtherCamera,
+    cameras: Mapping[str, Callable[[], OtherCamera]],
+    numbers: Sequence[int],
+) -> Recording:
+    """A recording of one camera, with the others beside it."""
+    note = f"camera {name} of {len(cameras)}; --camera takes another, --views holds others out"
+    others = {other: read for other, read in cameras.items() if other != name}
+    return replace(
+        recording, distortion=own.distortion, note=note, own=own, others=others, numbers=numbers
     )
 
 
@@ -95,10 +126,14 @@ def is_easymocap(folder: Path) -> bool:
     return (folder / "intri.yml").is_file() and (folder / "extri.yml").is_file()
 
 
-def read_easymocap(where: str, folder: Path, camera: str | None) -> Recording:
+def read_easymocap(where: str, folder: Path, wanted: Wanted) -> Recording:
     inner, outer = (_yaml(folder / name) for name in ("intri.yml", "extri.yml"))
-    cameras = {key[2:]: key[2:] for key in inner if key.startswith("K_")}
-    name, _ = _chosen(folder, cameras, camera)
+    cameras = {
+        key[2:]: partial(_easymocap_camera, folder, inner, outer, key[2:])
+        for key in inner
+        if key.startswith("K_")
+    }
+    name, own = _chosen(folder, cameras, wanted.camera)
     params = next((folder / p for p in _SMPL if (folder / p).is_dir()), None)
     if params is None:
         raise InputError(f"{folder}: has none of {', '.join(_SMPL)}, with a .json a frame")
@@ -107,73 +142,131 @@ def read_easymocap(where: str, folder: Path, camera: str | None) -> Recording:
         frame = _json(path)
         for person in frame["annots"] if isinstance(frame, dict) else frame:
             people.setdefault(str(person.get("id", 0)), []).append((last_number(path), person))
-    images = _pictures(folder / "images" / _inside(folder, name))
-    places = {last_number(path): k for k, path in enumerate(images)}
-    turn = torch.from_numpy(np.ravel(outer[f"R_{name}"])) if f"Rot_{name}" not in outer else None
-    R = outer[f"Rot_{name}"] if turn is None else roma.rotvec_to_rotmat(turn).numpy()
+    numbers = list(own.frames)
+    places = {number: k for k, number in enumerate(numbers)}
     tracks = []
     for person, seen in people.items():
         kept = [(places[number], params) for number, params in seen if number in places]
         if kept:
-            at, numbers = f"{params}: person {person}", np.array([number for number, _ in kept])
+            at, frames = f"{params}: person {person}", np.array([frame for frame, _ in kept])
             each = [params for _, params in kept]
-            track = _turned_about_origin(at, person, numbers, each, _pixels(inner[f"K_{name}"]))
-            tracks.append(seen_from(track, R, np.ravel(outer[f"T_{name}"])))
-    masks = folder / "mask" / name
-    distortion = inner.get(f"dist_{name}", inner.get(f"D_{name}"))
-    return Recording(
-        tracks, images, _pictures(masks) if masks.is_dir() else None, distortion,
-        note=_note(name, cameras),
+            track = _turned_about_origin(at, person, frames, each, own.K, wanted.components)
+            tracks.append(seen_from(track, own.R, own.T))
+    recording = Recording(tracks, tuple(own.frames.values()), tuple(own.masks.values()) or None)
+    return _among(recording, name, own, cameras, numbers)
+
+
+def _easymocap_camera(
+    folder: Path, inner: Mapping[str, np.ndarray], outer: Mapping[str, np.ndarray], name: str
+) -> OtherCamera:
+    by_number = lambda paths: {last_number(path): path for path in paths}
+    masks = folder / "mask" / _inside(folder, name)
+    if f"Rot_{name}" in outer:
+        R = outer[f"Rot_{name}"]
+    else:
+        R = roma.rotvec_to_rotmat(torch.from_numpy(np.ravel(outer[f"R_{name}"]))).numpy()
+    return OtherCamera(
+        frames=by_number(_pictures(folder / "images" / _inside(folder, name))),
+        masks=by_number(_pictures(masks)) if masks.is_dir() else {},
+        K=_pixels(inner[f"K_{name}"]), R=R, T=np.ravel(outer[f"T_{name}"]),
+        distortion=np.ravel(inner.get(f"dist_{name}", inner.get(f"D_{name}", np.zeros(5)))),
     )  # fmt: skip
 
 
 def _turned_about_origin(
-    where: str, person: str, frames: np.ndarray, each: Sequence[Mapping[str, Any]], K: np.ndarray
+    where: str,
+    person: str,
+    frames: np.ndarray,
+    each: Sequence[Mapping[str, Any]],
+    K: np.ndarray,
+    components: np.ndarray | None = None,
 ) -> Track:
-    """EasyMocap's parameters, of SMPL, as a track in its world."""
+    """EasyMocap's parameters, of SMPL, SMPL+H or SMPL-X, as a track in its world."""
     rows = lambda name: np.stack([np.ravel(np.asarray(p[name], np.float64)) for p in each])
     poses, turns, places = rows("poses"), rows("Rh"), rows("Th")
-    if poses.shape[1] == 69:
-        poses = np.concatenate([np.zeros((len(poses), 3)), poses], axis=1)
-    if poses.shape[1] != 72:
-        raise InputError(
-            f"{where}: 'poses' has {poses.shape[1]} numbers a frame; expected SMPL's 72, or 69 "
-            "without the root"
-        )
+    hands = [rows(name) for name in ("handl", "handr") if all(name in p for p in each)]
+    poses, form = _easymocaps_poses(where, poses, hands, "expression" in each[0], components)
     turns = torch.from_numpy(turns)
     roots = torch.from_numpy(poses[:, :3].copy())
     poses[:, :3] = roma.rotvec_composition([turns, roots]).numpy()
-    pelvis = np.array(PELVIS["SMPL"])
+    pelvis = np.array(PELVIS[form])
     transl = roma.rotvec_to_rotmat(turns).numpy() @ pelvis + places - pelvis
     given = {"poses": poses, "transl": transl, "betas": rows("shapes")}
-    return make_track(where, person, frames, given, np.tile(K, (len(frames), 1, 1)))
+    track = make_track(where, person, frames, given, np.tile(K, (len(frames), 1, 1)))
+    return replace(track, from_mean_hand=bool(hands))
+
+
+def _easymocaps_poses(
+    where: str,
+    poses: np.ndarray,
+    hands: Sequence[np.ndarray],
+    has_face: bool,
+    components: np.ndarray | None,
+) -> tuple[np.ndarray, str]:
+    """Poses (n, 72, 156 or 165) and whose they are, of what the files hold.
+
+    ==============================  ==========================================================
+    69, 72                          SMPL without or with the root
+    78, 87: 66 + 6 + 6 (+ 9)        SMPL+H, SMPL-X: components of the hands, relative to the
+                                    flat one, and jaw and eyes
+    156, 165                        the same, joint by joint
+    63, 66 with ``handl, handr``    SMPL+H, or SMPL-X where there is an ``expression``: hands
+                                    relative to the mean one
+    ==============================  ==========================================================
+    """
+    count = poses.shape[1]
+    if count in (63, 69):
+        poses = np.concatenate([np.zeros((len(poses), 3)), poses], axis=1)
+    body, face = poses[:, :66], np.zeros((len(poses), 9 if has_face or count in (87, 165) else 0))
+    if count in (69, 72):
+        return poses, "SMPL"
+    if count in (78, 87):
+        hands, face = (poses[:, 66:72], poses[:, 72:78]), poses[:, 78:]
+    elif count in (156, 165):
+        return poses, "SMPL-X" if count == 165 else "SMPL+H"
+    elif count not in (63, 66) or len(hands) != 2:
+        raise InputError(
+            f"{where}: 'poses' has {count} numbers a frame; expected SMPL's 72 or 69, SMPL+H's 78 "
+            "or 156, SMPL-X's 87 or 165, or 66 beside handl and handr"
+        )
+    fingers = [decoded(where, hand, side, components) for side, hand in enumerate(hands)]
+    whole = np.concatenate([body, face, *fingers], axis=1)
+    return whole, "SMPL-X" if face.shape[1] else "SMPL+H"
 
 
 def is_avatarrex(folder: Path) -> bool:
     return (folder / "calibration_full.json").is_file() and (folder / "smpl_params.npz").is_file()
 
 
-def read_avatarrex(where: str, folder: Path, camera: str | None) -> Recording:
+def read_avatarrex(where: str, folder: Path, wanted: Wanted) -> Recording:
     about = _json(folder / "calibration_full.json")
-    name, lens = _chosen(folder, about, camera)
+    cameras = {key: partial(_avatarrex_camera, folder, key, lens) for key, lens in about.items()}
+    name, own = _chosen(folder, cameras, wanted.camera)
     path = folder / "smpl_params.npz"
     poses = read_arrays(path, "SMPL-X's parameters")
     count = len(poses["transl"])
-    images = [p for p in _pictures(folder / _inside(folder, name)) if last_number(p) < count]
-    masks = [folder / name / "mask" / "pha" / path.name for path in images]
-    both = [k for k, mask in enumerate(masks) if mask.is_file()]
-    images, masks = ([paths[k] for k in both] for paths in (images, masks))
-    rows = [last_number(path) for path in images]
+    rows = [k for k in own.frames if k < count and k in own.masks]
     given = {key: x[rows] if len(x) == count else x for key, x in poses.items()}
-    K = np.tile(_pixels(np.reshape(lens["K"], (3, 3))), (len(rows), 1, 1))
-    track = make_track(str(path), "0", np.arange(len(rows)), given, K)
-    R, T = np.reshape(lens["R"], (3, 3)), np.ravel(lens["T"])
-    track = seen_from(track, R, T.astype(np.float64))
-    distortion = np.ravel(lens.get("distCoeff", np.zeros(5)))
-    return Recording([track], tuple(images), tuple(masks), distortion, note=_note(name, about))
+    K = np.tile(own.K, (len(rows), 1, 1))
+    track = seen_from(make_track(str(path), "0", np.arange(len(rows)), given, K), own.R, own.T)
+    images, masks = (tuple(paths[k] for k in rows) for paths in (own.frames, own.masks))
+    return _among(Recording([track], images, masks), name, own, cameras, rows)
 
 
-def _chosen(folder: Path, cameras: Mapping[str, Any], name: str | None) -> tuple[str, Any]:
+def _avatarrex_camera(folder: Path, name: str, lens: Mapping[str, Any]) -> OtherCamera:
+    frames = {last_number(path): path for path in _pictures(folder / _inside(folder, name))}
+    masks = {k: folder / name / "mask" / "pha" / path.name for k, path in frames.items()}
+    return OtherCamera(
+        frames, {k: path for k, path in masks.items() if path.is_file()},
+        K=_pixels(np.reshape(lens["K"], (3, 3))), R=np.reshape(lens["R"], (3, 3)),
+        T=np.ravel(lens["T"]).astype(np.float64),
+        distortion=np.ravel(lens.get("distCoeff", np.zeros(5))),
+    )  # fmt: skip
+
+
+def _chosen(
+    folder: Path, cameras: Mapping[str, Callable[[], OtherCamera]], name: str | None
+) -> tuple[str, OtherCamera]:
     """The camera of a name, or the first."""
     if not cameras:
         raise InputError(f"{folder}: names no camera")
@@ -181,11 +274,7 @@ def _chosen(folder: Path, cameras: Mapping[str, Any], name: str | None) -> tuple
     if name not in cameras:
         some = ", ".join(list(cameras)[:30])
         raise InputError(f"{folder}: has no camera '{name}'; it has {some}")
-    return name, cameras[name]
-
-
-def _note(name: str, cameras: Mapping[str, Any]) -> str:
-    return f"camera {name} of {len(cameras)}; --camera takes another, other views are left out"
+    return name, cameras[name]()
 
 
 def _pixels(K: np.ndarray) -> np.ndarray:

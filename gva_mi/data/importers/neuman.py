@@ -23,7 +23,7 @@ import torch
 
 from gva_mi.data.importers.frame_files import plain
 from gva_mi.data.importers.readings import make_track, seen_from
-from gva_mi.data.importers.recordings import Recording
+from gva_mi.data.importers.recordings import Recording, Wanted
 from gva_mi.data.importers.whole_videos import last_number
 from gva_mi.data.video import Splits
 from gva_mi.errors import InputError
@@ -40,7 +40,7 @@ def is_neuman(folder: Path) -> bool:
     return (folder / "alignments.npy").is_file() and (folder / "sparse/images.txt").is_file()
 
 
-def read_neuman(where: str, folder: Path, camera: str | None) -> Recording:
+def read_neuman(where: str, folder: Path, wanted: Wanted) -> Recording:
     path = next((folder / name for name in _POSES if (folder / name).is_file()), None)
     if path is None:
         raise InputError(f"{folder}: has none of {', '.join(_POSES)}")

@@ -26,7 +26,7 @@ import torch
 from gva_mi.data.importers.footage import PICTURES
 from gva_mi.data.importers.hdf5 import read_hdf5
 from gva_mi.data.importers.readings import make_track, seen_from
-from gva_mi.data.importers.recordings import Recording
+from gva_mi.data.importers.recordings import Recording, Wanted
 from gva_mi.errors import InputError
 from gva_mi.files import read_arrays, require_keys
 from gva_mi.pickles.reader import read_objects
@@ -39,7 +39,7 @@ def is_snapshot(folder: Path) -> bool:
     return (folder / "camera.pkl").is_file() and (folder / _POSES).is_file()
 
 
-def read_snapshot(where: str, folder: Path, camera: str | None) -> Recording:
+def read_snapshot(where: str, folder: Path, wanted: Wanted) -> Recording:
     films = sorted(path for path in folder.iterdir() if path.suffix.lower() in FILMS)
     if len(films) != 1:
         raise InputError(f"{folder}: holds {len(films)} films; expected one, such as a .mp4")
@@ -62,7 +62,7 @@ def is_instantavatar(folder: Path) -> bool:
     )
 
 
-def read_instantavatar(where: str, folder: Path, camera: str | None) -> Recording:
+def read_instantavatar(where: str, folder: Path, wanted: Wanted) -> Recording:
     lens = read_arrays(folder / "cameras.npz", "intrinsic and extrinsic")
     require_keys(folder / "cameras.npz", lens, ("intrinsic", "extrinsic"))
     path = folder / "poses_optimized.npz"

@@ -11,7 +11,7 @@ where p' is the pelvis of the body that the folder is for.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -22,16 +22,21 @@ from gva_mi.body.pose import LEFT_HAND, Pose, Shape, save_poses
 from gva_mi.body.smplx import BodyModel
 from gva_mi.console import Progress
 from gva_mi.data.fingerprint import PREPARED, fingerprint
+from gva_mi.data.importers.by_networks import write_masks, write_normals
 from gva_mi.data.importers.datasets import DATASETS, dataset_of, read_dataset
 from gva_mi.data.importers.estimators import read_estimator
 from gva_mi.data.importers.footage import masks, pictures
 from gva_mi.data.importers.in_masks import joints_in_masks
 from gva_mi.data.importers.lenses import pinhole
+from gva_mi.data.importers.other_views import known_names, write_views
+from gva_mi.data.importers.prompts import prompts_of
 from gva_mi.data.importers.readings import PELVIS, View
-from gva_mi.data.importers.recordings import Pictures, Recording, read_ranges
+from gva_mi.data.importers.recordings import Pictures, Recording, Wanted, read_ranges
 from gva_mi.data.importers.target import Target
 from gva_mi.data.importers.tracks import Track, choose, every_frame, one_shape
 from gva_mi.data.importers.world import upright
+from gva_mi.data.networks.normals import Expected, NormalNetwork
+from gva_mi.data.networks.segment_anything import SegmentAnything
 from gva_mi.data.pictures import write_image
 from gva_mi.data.video import POSES, save_cameras
 from gva_mi.errors import InputError
@@ -50,10 +55,15 @@ class Source:
     estimate: Path  # its file or folder
     frames: Path | None = None  # a film, or a folder of pictures; without it, the data set's own
     masks: Path | None = None  # a film, a folder of pictures, a .npy or a .hdf5; as above
+    sam: Path | None = None  # weights of Segment Anything, which makes the masks instead
+    normals: Path | None = None  # a network that makes the normals
+    expected: Expected | None = None  # what that network is given, and means
     person: str | None = None  # the estimator's name of them; without it, who is in the masks
     first: int = 0  # the number that the estimator gave the first frame
     focal: float | None = None  # pixels, where the estimate says none
     camera: str | None = None  # the name of a data set's camera; without it, the first
+    views: Sequence[str] = ()  # names of a data set's other cameras to hold out, or "all"
+    view_frames: int = 8  # of each of them, at most
     ranges: Path | None = None  # a file of a protocol's train and test frames
 
 
@@ -78,12 +88,14 @@ def prepare_folder(
         InputError: what does not fit together: counts, sizes, people.
     """
     where = str(source.estimate)
+    networks = _Networks.of(source)
     kind, recording, size = _recorded(source, body.components)
-    tracks = recording.tracks
+    tracks, views = recording.tracks, known_names(where, recording, source.views)
     rest = body.model.rest(Shape(torch.zeros(0))).joints.double().numpy()
     there = [np.array(PELVIS[track.form]) for track in tracks]
     votes = lambda: joints_in_masks(tracks, _masks(recording), source.first, rest, there)
-    track, notes = choose(where, tracks, source.person, votes)
+    track, notes = choose(where, tracks, source.person, votes if recording.masks else None)
+    others = [replace(t, frames=t.frames - source.first) for t in tracks if t is not track]
     last = int(track.frames.max()) - source.first + 1
     count = _write_pictures(out, recording, track.K[0], size, progress, last)
     track = replace(track, frames=track.frames - source.first)
@@ -96,12 +108,24 @@ def prepare_folder(
     track, inside, more = every_frame(where, track, count)
     for k in np.flatnonzero(~inside):  # without a mask, a frame belongs to no split
         (out / "masks" / f"{k:06d}.png").unlink(missing_ok=True)
+    if networks.masks:
+        prompts = prompts_of(track, others, rest, size)
+        seen = [prompt if inside[k] else None for k, prompt in enumerate(prompts)]
+        more += write_masks(out, networks.masks, seen, progress)
+    if networks.normals:
+        more += write_normals(out, networks.normals, count, progress)
+    if views:
+        asked = (views, np.flatnonzero(inside).tolist(), source.view_frames)
+        more += write_views(out, where, recording, *asked, _T_CAMERA_WORLD)
     betas, varied = one_shape(track)
     notes = [f"{kind}, {track.form}, {count} frames of {size[0]}x{size[1]}", *notes, *more, *varied]
     notes += [recording.note] if recording.note else []
     if not body.keeps_betas(track.form):
         betas = np.zeros(10)
         notes.append(f"betas of {track.form} do not carry over to this body; they are zero")
+    elif len(betas) > body.model.num_betas:
+        betas = betas[: body.model.num_betas]
+        notes.append(f"the first {len(betas)} betas are kept, which this body's file has")
     if track.from_mean_hand:
         track.rotations[:, LEFT_HAND.start :] += body.mean_hands
     if not track.has_hands:
@@ -115,6 +139,21 @@ def prepare_folder(
     about["body"] = {"name": body.name} | fingerprint(body.model)
     write_json(out / MARKER, about | {"source": vars(source), "versions": versions()})
     return notes
+
+
+@dataclass(frozen=True)
+class _Networks:
+    """Those that were brought."""
+
+    masks: SegmentAnything | None
+    normals: NormalNetwork | None
+
+    @staticmethod
+    def of(source: Source) -> _Networks:
+        """Read their files, before any work is done."""
+        masks = SegmentAnything.load(source.sam) if source.sam else None
+        normals = NormalNetwork(source.normals, source.expected) if source.normals else None
+        return _Networks(masks, normals)
 
 
 def _pose(track: Track, body: BodyModel, shape: Shape) -> Pose:
@@ -136,10 +175,10 @@ def _recorded(
     kind = found or kind
     recording = Recording([], source.frames, source.masks)
     if kind in DATASETS:
-        recording = read_dataset(kind, path, source.camera)
+        recording = read_dataset(kind, path, Wanted(source.camera, components))
         frames, cut_outs = source.frames or recording.frames, source.masks or recording.masks
-        recording = replace(recording, frames=frames, masks=cut_outs)
-    for name, given in (("frames", recording.frames), ("masks", recording.masks)):
+        recording = replace(recording, frames=frames, masks=None if source.sam else cut_outs)
+    for name, given in (("frames", recording.frames), ("masks", recording.masks or source.sam)):
         if given is None:
             raise InputError(f"{path}: brings no {name} of its own; give --{name}")
     image = next(pictures(recording.frames, 3), None)
@@ -166,22 +205,26 @@ def _write_pictures(
         straight = pinhole(_name(recording.frames), K, recording.distortion, size)
     for image, mask in _pairs(recording):
         for what, found in (("picture", image), ("mask", mask)):
-            if found.shape[1::-1] != size:
+            if found is not None and found.shape[1::-1] != size:
                 path = _name(recording.frames if what == "picture" else recording.masks)
                 raise InputError(
                     f"{path}: {what} {count} is {found.shape[1]}x{found.shape[0]}, expected "
                     f"{size[0]}x{size[1]}"
                 )
         write_image(out / "frames" / f"{count:06d}.png", straight(image))
-        write_image(out / "masks" / f"{count:06d}.png", straight(mask))
+        if mask is not None:
+            write_image(out / "masks" / f"{count:06d}.png", straight(mask))
         count += 1
         if progress:
             progress(count, max(count, expected))
     return count
 
 
-def _pairs(recording: Recording) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Each picture with its mask."""
+def _pairs(recording: Recording) -> Iterator[tuple[np.ndarray, np.ndarray | None]]:
+    """Each picture with its mask; None where the recording has no masks."""
+    if recording.masks is None:
+        yield from ((image, None) for image in pictures(recording.frames, 3))
+        return
     images, cut_outs = pictures(recording.frames, 3), _masks(recording)
     where = _name(recording.masks)
     for count, image in enumerate(images):

@@ -6,7 +6,8 @@ An estimator's file gives the people alone, a data set all of it.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,26 @@ from gva_mi.data.video import Splits
 from gva_mi.errors import InputError
 
 Pictures = Path | tuple[Path, ...]  # a film or a folder, or single files in order
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What of a data set is asked for."""
+
+    camera: str | None = None  # the name of the one that becomes the video; None: the first
+    components: np.ndarray | None = None  # (2, K, 45) of the body file's PCA of hands
+
+
+@dataclass(frozen=True)
+class OtherCamera:
+    """One of a data set's cameras: x_cam = R x + T."""
+
+    frames: Mapping[int, Path]  # pictures, by the data set's numbers
+    masks: Mapping[int, Path]  # those that are there, likewise
+    K: np.ndarray  # (3, 3) pixels
+    R: np.ndarray  # (3, 3)
+    T: np.ndarray  # (3,) metres
+    distortion: np.ndarray  # (k1, k2, p1, p2, k3); zeros: a pinhole
 
 
 @dataclass(frozen=True)
@@ -31,6 +52,9 @@ class Recording:
     splits: Splits | None = None  # of the data set's own protocol
     loose: bool = False  # pictures, masks and poses may be of different number; the fewest count
     note: str = ""  # what to say about it
+    own: OtherCamera | None = None  # the video's, where there are others
+    others: Mapping[str, Callable[[], OtherCamera]] = field(default_factory=dict)  # by name
+    numbers: Sequence[int] = ()  # the data set's, of the video's frames; where there are others
 
 
 def read_ranges(path: Path, frames: int) -> Splits:

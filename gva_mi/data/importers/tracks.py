@@ -67,7 +67,7 @@ def choose(
     where: str,
     tracks: Sequence[Track],
     person: str | None,
-    votes: Callable[[], Sequence[Votes]],
+    votes: Callable[[], Sequence[Votes]] | None,
 ) -> tuple[Track, list[str]]:
     """The person of a name, or the one who is in the masks; and what to say about it.
 
@@ -76,7 +76,8 @@ def choose(
         tracks: a person each.
         person: the estimator's name of one of them.
         votes: of the joints of each of them, for being the person in the masks; asked where that
-            decides. Where no vote is for anybody, it is the one who is seen in most frames.
+            decides. Where no vote is for anybody, or without masks, it is the one who is seen in
+            most frames.
 
     Raises:
         InputError: nobody is there, or nobody of that name.
@@ -91,6 +92,9 @@ def choose(
         return chosen, []
     if len(tracks) == 1:
         return tracks[0], []
+    if votes is None:
+        chosen = max(tracks, key=lambda t: len(t.frames))
+        return chosen, [f"person {chosen.person}, seen longest of {names}; --person takes another"]
     found = list(votes())
     best = max(range(len(tracks)), key=lambda i: found[i].majority)
     if found[best].majority > 0:

@@ -6,14 +6,17 @@ The protocol, the same for every figure of the project:
 * both are clamped to [0, 1] and rounded to 8 bits, as if they had been saved and read again;
 * every figure is taken over a region of the picture and averaged over the frames of the split.
 
-=============  ========================================================  ============
+=============  ========================================================  ====================
 split          frames                                                    poses
-=============  ========================================================  ============
+=============  ========================================================  ====================
 train          of the video, seen in training, evenly spaced             the video's
 test           of the video, never seen in training                      the video's
 novel_pose     of another motion, synthetic subjects only                true
-novel_view     of the video's motion from other cameras, likewise        true
-=============  ========================================================  ============
+novel_view     of the video's motion from other cameras                  true, or the video's
+=============  ========================================================  ====================
+
+Novel views are with the truth of a synthetic subject, or are what a data set's other cameras saw
+(:mod:`gva_mi.data.views`).
 
 =============  =======================================================================
 region         pixels: :mod:`gva_mi.fit.evaluation.regions`
@@ -47,6 +50,7 @@ from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.smplx import BodyModel
 from gva_mi.console import Progress
 from gva_mi.data.video import Frame, Video, load_video, spread
+from gva_mi.data.views import held_out_views
 from gva_mi.fit.evaluation.defects import Defects, flicker
 from gva_mi.fit.evaluation.regions import Hands, person_box
 from gva_mi.fit.evaluation.scores import ImageScores, Scorer
@@ -121,7 +125,7 @@ def views_of(
             views.append(View(split, video, spread(video.splits.train, TRAIN_FRAMES), hands))
         elif split == "test":
             views.append(View(split, video, video.splits.test, hands))
-        elif (source := true_video(video, split)) is not None:
+        elif (source := source_of(video, split)) is not None:
             theirs = None if body is None else Hands.of(source, body)
             views.append(View(split, source, range(len(source)), theirs))
     return [view for view in views if len(view.frames)]
@@ -218,6 +222,27 @@ class _Shown:
         renders = before.renders[0], self.renders[0]
         targets = before.targets[0], self.targets[0]
         return flicker(renders, targets, self.frame.mask)
+
+
+def source_of(video: Video, split: Split) -> Video | None:
+    """The pictures of novel poses or views; None where the subject has none.
+
+    Raises:
+        InputError: a folder that cannot be read.
+    """
+    found = true_video(video, split)
+    return held_out_views(video) if found is None and split == "novel_view" else found
+
+
+def as_trained(view: View, trained: Video) -> View:
+    """A view under the poses that were trained with the avatar, where these are its poses.
+
+    Novel poses and views of the truth keep their own.
+    """
+    if view.split in ("train", "test"):
+        return view.through(lambda _: trained)
+    known = true_video(trained, view.split) is not None
+    return view if known else view.through(lambda _: source_of(trained, view.split))
 
 
 def true_video(video: Video, split: Split) -> Video | None:

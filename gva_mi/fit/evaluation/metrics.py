@@ -29,7 +29,13 @@ from gva_mi.data.video import REFINED_POSES, Video
 from gva_mi.errors import InputError
 from gva_mi.files import write_json
 from gva_mi.fit import run_folder
-from gva_mi.fit.evaluation.evaluate import SplitScores, View, evaluate_views, views_of
+from gva_mi.fit.evaluation.evaluate import (
+    SplitScores,
+    View,
+    as_trained,
+    evaluate_views,
+    views_of,
+)
 from gva_mi.fit.evaluation.scores import Scorer
 from gva_mi.fit.evaluation.similarity import Similarity, in_avatars_world, similarity_to_truth
 from gva_mi.fit.evaluation.surface_figures import SurfaceFigures, surface_figures
@@ -189,10 +195,7 @@ def measure_run(
         view.through(lambda source: replace(source, pose=driven(source.pose)))
         for view in views_of(video, body=body)
     ]
-    views = [
-        view.through(lambda _: trained) if view.split in ("train", "test") else view
-        for view in given
-    ]
+    views = [as_trained(view, trained) for view in given]
     similarity = similarity_to_truth(avatar.rig, trained, body)
     named = [(name, views)]
     if trained is not video:  # what training the poses is worth to frames that it has not seen

@@ -15,7 +15,7 @@ from gva_mi.avatar.avatar import Avatar
 from gva_mi.data.pictures import read_image, write_image
 from gva_mi.data.video import Video, spread
 from gva_mi.fit import run_folder
-from gva_mi.fit.evaluation.evaluate import REGIONS, Split, SplitScores, true_video
+from gva_mi.fit.evaluation.evaluate import REGIONS, Split, SplitScores, source_of
 from gva_mi.fit.evaluation.metrics import ALIGNED, AS_REFINED, Metrics, load_metrics
 from gva_mi.fit.evaluation.report_pictures import (
     compared,
@@ -139,8 +139,8 @@ def _refinement_table(figures: PoseFigures) -> Table:
 
 
 def _truth(avatar: Avatar, video: Video, split: Split, title: str, text: str) -> list[Section]:
-    """Truth beside render, for a split that only a synthetic subject has."""
-    source = true_video(video, split)
+    """Truth beside render, for a split that not every subject has."""
+    source = source_of(video, split)
     if source is None:
         return []
     shown = source.frames(spread(range(len(source)), SHOWN))

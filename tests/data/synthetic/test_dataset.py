@@ -9,8 +9,9 @@ from numpy.lib.stride_tricks import sliding_window_view
 from gva_mi import InputError
 from gva_mi.body.pose import load_poses
 from gva_mi.body.smplx import load_body
+from gva_mi.data.film import Film
 from gva_mi.data.fingerprint import fingerprint, require_same_body
-from gva_mi.data.pictures import read_image, read_movie
+from gva_mi.data.pictures import read_image
 from gva_mi.data.synthetic import STUDY, SynthOptions, describe_noise, make_subject
 from gva_mi.data.synthetic.motion import turn
 from gva_mi.data.synthetic.render import Renderer, camera_around
@@ -78,7 +79,7 @@ def test_the_folder_opens_as_a_video(noisy):
 
 
 def test_the_movie_holds_the_frames_to_the_bit(noisy):
-    for k, image in enumerate(read_movie(noisy / "video.mp4")):
+    for k, image in enumerate(Film(noisy / "video.mp4")):
         assert np.array_equal(image, read_image(noisy / f"frames/{k:06d}.png", 3))
 
 

@@ -1,15 +1,19 @@
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
+from gva_mi.body.pose import Pose
 from gva_mi.data.pictures import write_image
 from gva_mi.data.video import load_video
-from gva_mi.fit.evaluation.evaluate import evaluate
-from gva_mi.fit.evaluation.scores import PSNR_MAX
+from gva_mi.data.views import save_views
+from gva_mi.fit.evaluation.evaluate import as_trained, evaluate, evaluate_views, views_of
+from gva_mi.fit.evaluation.scores import PSNR_MAX, Scorer
 from gva_mi.fit.perceptual import Weights
 from gva_mi.fit.renders import render_frame, to_8bit
+from gva_mi.splat import look_at
 
 NONE = Weights()  # whatever this machine has
 
@@ -25,6 +29,46 @@ def test_the_avatar_in_the_pictures_reaches_the_maximum(known, studio, body):
         assert (row.name, row.psnr, row.lpips) == ("known", PSNR_MAX, None)
         assert row.ssim == pytest.approx(1) and row.rand_vgg == 0
         assert row.flicker == (0 if row.split == "test" else None)
+
+
+@pytest.fixture
+def watched(studio, known, camera, tmp_path):
+    """The studio's subject with what a second camera saw of its two frames, and no truth."""
+    folder = tmp_path / "watched"
+    shutil.copytree(studio.folder, folder)
+    shutil.rmtree(folder / "truth")
+    T = look_at(camera.position + (0.3, 0.1, 0.0), (0.0, 0.0, 0.0))
+    other = camera.with_matrices(T_camera_world=T)
+    for k, frame in enumerate((1, 0)):
+        picture = render_frame(known, studio.pose[frame], other)
+        write_image(folder / f"views/frames/{k:06d}.png", picture)
+        write_image(folder / f"views/masks/{k:06d}.png", np.ones(picture.shape[:2]))
+    save_views(folder / "views", [1, 0], ["b", "b"], [other] * 2)
+    return folder
+
+
+def test_what_other_cameras_saw_are_novel_views(known, watched, body):
+    video = load_video(watched)
+    rows = {row.split: row for row in evaluate(known, video, weights=NONE, body=body)
+            if row.region == "white"}  # fmt: skip
+    assert set(rows) == {"train", "test", "novel_view"} and rows["novel_view"].count == 2
+    assert rows["novel_view"].psnr == PSNR_MAX
+
+
+def test_they_are_seen_under_the_poses_trained_with_the_avatar(known, watched):
+    """Poses that are off by a centimetre before training: the trained ones count."""
+    video = load_video(watched)
+    off = replace(video, pose=Pose(video.pose.rotations, video.pose.transl + 0.01,
+                                   video.pose.expression))  # fmt: skip
+    given = {view.split: view for view in views_of(off)}
+    trained = [as_trained(view, video) for view in given.values()]
+    before, after = (
+        {row.split: row.psnr for row in evaluate_views(known, views, "x", Scorer(NONE))
+         if row.region == "white"}
+        for views in (list(given.values()), trained)
+    )  # fmt: skip
+    assert max(before.values()) < 45
+    assert set(after.values()) == {PSNR_MAX}
 
 
 def test_a_worse_avatar_has_worse_figures(known, studio):

@@ -1,0 +1,109 @@
+"""Masks and normals of a subject's frames, by networks that people bring."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from gva_mi.console import Progress
+from gva_mi.data.importers.timeline import listed
+from gva_mi.data.masks import read_mask
+from gva_mi.data.networks.crop import box_of_mask
+from gva_mi.data.networks.normals import NormalNetwork
+from gva_mi.data.networks.segment_anything import Prompt, Segment, SegmentAnything
+from gva_mi.data.normals import ABOUT
+from gva_mi.data.pictures import read_image, write_image
+from gva_mi.errors import InputError
+from gva_mi.files import write_json
+
+HELD = 0.5  # of the person's points: a mask with fewer is doubtful
+
+
+def write_masks(
+    folder: Path,
+    network: SegmentAnything,
+    prompts: Sequence[Prompt | None],
+    progress: Progress | None = None,
+) -> list[str]:
+    """Write ``masks/`` beside ``frames/``, frame by frame, each after the one before.
+
+    Args:
+        folder: of the subject.
+        network: that finds the person.
+        prompts: where they are in each frame; None: nowhere, and no mask is written.
+        progress: told how many frames are done.
+
+    Returns:
+        What to say about them: frames without a mask, and those where it is doubtful.
+
+    Raises:
+        InputError: no frame has a mask.
+    """
+    before: Segment | None = None
+    none, doubtful = [], []
+    for k, prompt in enumerate(prompts):
+        if prompt is None:
+            before = None
+        else:
+            image = read_image(folder / "frames" / f"{k:06d}.png", 3)
+            before = network.find(image, prompt, before)
+            if not before.mask.any():
+                before = None
+        if before is None:
+            none.append(k)
+        else:
+            write_image(folder / "masks" / f"{k:06d}.png", before.mask * np.uint8(255))
+            x, y = np.floor(prompt.points[prompt.labels == 1]).astype(int).T
+            if before.mask[y, x].mean() < HELD:
+                doubtful.append(k)
+        if progress:
+            progress(k + 1, len(prompts))
+    if len(none) == len(prompts):
+        raise InputError(
+            f"{folder}: Segment Anything found nobody in any frame; are the poses of this video, "
+            "and the weights those of Segment Anything?"
+        )
+    notes = [f"frames where the network found nobody: {listed(np.array(none))}"] if none else []
+    if doubtful:
+        notes.append(
+            f"masks that hold less than half of the person's points: {listed(np.array(doubtful))}"
+        )
+    return notes
+
+
+def write_normals(
+    folder: Path, network: NormalNetwork, count: int, progress: Progress | None = None
+) -> list[str]:
+    """Write ``normals/`` and ``normals.json`` beside ``frames/`` and ``masks/``.
+
+    A map shows a part of the frame, at the network's own resolution: the boxes of
+    :mod:`gva_mi.data.normals` say which.
+
+    Args:
+        folder: of the subject, whose masks are there.
+        network: that sees normals.
+        count: of frames.
+        progress: told how many frames are done.
+
+    Returns:
+        What to say about them.
+
+    Raises:
+        InputError: the network does not answer as it should.
+    """
+    boxes, maps = [[0, 0, 1, 1]] * count, 0
+    for k in range(count):
+        mask = read_mask(folder / "masks", k)
+        box = None if mask is None else box_of_mask(mask > 0.5)
+        if box is not None:
+            image = read_image(folder / "frames" / f"{k:06d}.png", 3)
+            crop, normals = network.see(image, mask, box)
+            boxes[k] = list(crop.box)
+            write_image(folder / "normals" / f"{k:06d}.png", (normals + 1) / 2)
+            maps += 1
+        if progress:
+            progress(k + 1, count)
+    write_json(folder / ABOUT, {"convention": network.how.convention, "boxes": boxes})
+    return [f"normals of {maps} frames by {network.path.name}, {network.how.convention}"]

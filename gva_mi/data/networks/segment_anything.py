@@ -1,0 +1,154 @@
+"""The person's mask, by Segment Anything or SAM 2, of a box and of points where the body is.
+
+The network sees a square round the box, at its own resolution, so that a person who is small in a
+large picture is not. It guesses three masks; where the frame before has one, that one is shown to
+it for a fourth guess. Taken is the guess with the largest sum of
+
+* the overlap with the truth that the network itself expects of it, in [0, 1];
+* the share of the person's points inside, less the share of other people's;
+* the share of the guess that is in the box;
+* the overlap with the mask of the frame before, where there is one.
+
+The first alone would often be a sleeve or a face, which are whole things, too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from gva_mi.data.networks.crop import Crop
+from gva_mi.data.networks.sam_weights import load_network
+
+MARGIN = 0.15  # of the box's longer side, on each side: what the network sees round the person
+_MEAN, _STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # of the pictures it was trained on
+_FILL = tuple(round(255 * x) for x in _MEAN)  # zero, as the network sees it
+_NOTHING = 32.0  # a logit of certainty; what the last frame says nothing about is outside
+
+
+@dataclass(frozen=True)
+class Prompt:
+    """Where the person is, in the pixels of a picture; the first one's centre is at 0.5."""
+
+    box: np.ndarray  # (4,) left, top, right, bottom
+    points: np.ndarray  # (n, 2) on the person, or on others
+    labels: np.ndarray  # (n,) 1: the person; 0: somebody else
+
+
+@dataclass(frozen=True)
+class Segment:
+    """What was found in a picture."""
+
+    mask: np.ndarray  # (H, W) bool
+    crop: Crop
+    logits: torch.Tensor  # (h, w) of the crop, above zero inside
+
+    def seen_in(self, crop: Crop) -> torch.Tensor:
+        """The logits (h, w) of another crop of the same place; outside of this one: outside."""
+        size = self.logits.shape[0]
+        centres = (np.arange(size) + 0.5) / size * crop.width
+        x, y = centres + crop.left - self.crop.left, centres + crop.top - self.crop.top
+        # torch counts from −1 at one border to 1 at the other.
+        place = np.stack(np.meshgrid(x, y), axis=-1) * (2 / self.crop.width) - 1
+        grid = torch.from_numpy(place.astype(np.float32))[None]
+        moved = torch.nn.functional.grid_sample(
+            self.logits[None, None] + _NOTHING, grid, align_corners=False
+        )
+        return moved[0, 0] - _NOTHING
+
+
+class SegmentAnything:
+    """A network that finds whatever boxes and points are on."""
+
+    def __init__(self, network: torch.nn.Module) -> None:
+        self.network = network
+        side = int(network.config.prompt_encoder_config.image_size)
+        self.size = (side, side)  # what it sees, pixels
+
+    @staticmethod
+    def load(path: Path) -> SegmentAnything:
+        """From a checkpoint: see :mod:`.sam_weights`.
+
+        Raises:
+            InputError: nothing is there, the package is missing, or it is of another form.
+        """
+        return SegmentAnything(load_network(path))
+
+    @torch.inference_mode()
+    def find(self, image: np.ndarray, prompt: Prompt, before: Segment | None = None) -> Segment:
+        """The person in a picture.
+
+        Args:
+            image: (H, W, 3) 8-bit.
+            prompt: where they are.
+            before: what was found in the frame before.
+        """
+        crop = Crop.round_box(prompt.box, MARGIN)
+        seen = torch.from_numpy(crop.cut(image, self.size, _FILL).astype(np.float32) / 255)
+        seen = (seen - torch.tensor(_MEAN)) / torch.tensor(_STD)
+        embeddings = self.network.get_image_embeddings(seen.permute(2, 0, 1)[None])
+        logits, scores = self._guess(embeddings, crop, prompt, None)
+        last = None if before is None else before.seen_in(crop)
+        if last is not None:
+            more = self._guess(embeddings, crop, prompt, last)
+            logits, scores = torch.cat([logits, more[0]]), torch.cat([scores, more[1]])
+        worth = [
+            float(score) + _agreement(guess > 0, crop, prompt) + _overlap(guess, last)
+            for guess, score in zip(logits, scores, strict=True)
+        ]
+        chosen = logits[int(np.argmax(worth))].clone()
+        return Segment(_in_picture(chosen, crop, image.shape[:2]), crop, chosen)
+
+    def _guess(
+        self, embeddings: object, crop: Crop, prompt: Prompt, last: torch.Tensor | None
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Logits (n, h, w) of the crop and the overlaps (n,) that the network expects."""
+        # The network itself adds the half pixel to whatever it is given.
+        place = lambda x: torch.from_numpy(crop.to_network(x, self.size).astype(np.float32) - 0.5)
+        found = self.network(
+            image_embeddings=embeddings,
+            input_boxes=place(prompt.box.reshape(2, 2)).reshape(1, 1, 4),
+            input_points=place(prompt.points)[None, None],
+            input_labels=torch.from_numpy(prompt.labels.astype(np.int64))[None, None],
+            input_masks=None if last is None else last[None, None],
+            multimask_output=last is None,
+        )
+        return found.pred_masks[0, 0], found.iou_scores[0, 0]
+
+
+def _agreement(inside: torch.Tensor, crop: Crop, prompt: Prompt) -> float:
+    """Of a guess (h, w) with a prompt, in [−1, 2]."""
+    side = inside.shape[0]
+    place = np.floor(crop.to_network(prompt.points, (side, side))).astype(int).clip(0, side - 1)
+    hits, own = inside.numpy()[place[:, 1], place[:, 0]], prompt.labels == 1
+    share = lambda which: float(hits[which].mean()) if which.any() else 0.0
+    left, top, right, bottom = crop.to_network(prompt.box.reshape(2, 2), (side, side)).ravel()
+    centres = torch.arange(side) + 0.5
+    rows, columns = (centres > top) & (centres < bottom), (centres > left) & (centres < right)
+    boxed = inside[rows][:, columns].sum() / inside.sum().clamp(min=1)
+    return share(own) - share(~own) + float(boxed)
+
+
+def _overlap(guess: torch.Tensor, last: torch.Tensor | None) -> float:
+    """Intersection over union of two guesses; 0 where there is no last one."""
+    if last is None:
+        return 0.0
+    both, either = (guess > 0) & (last > 0), (guess > 0) | (last > 0)
+    return float(both.sum() / either.sum().clamp(min=1))
+
+
+def _in_picture(logits: torch.Tensor, crop: Crop, shape: tuple[int, int]) -> np.ndarray:
+    """What is inside (H, W) bool, of the logits of a crop."""
+    whole = torch.nn.functional.interpolate(
+        logits[None, None], (crop.height, crop.width), mode="bilinear", align_corners=False
+    )[0, 0]
+    mask = np.zeros(shape, bool)
+    left, top = max(0, crop.left), max(0, crop.top)
+    right, bottom = min(shape[1], crop.box[2]), min(shape[0], crop.box[3])
+    if right > left and bottom > top:
+        part = whole[top - crop.top : bottom - crop.top, left - crop.left : right - crop.left]
+        mask[top:bottom, left:right] = (part > 0).numpy()
+    return mask

@@ -1,0 +1,112 @@
+"""Frames of a video as other cameras saw them at the same time: held out, for figures alone.
+
+::
+
+    subject/
+      views/
+        frames/000000.png ...   8-bit RGB
+        masks/000000.png ...    of the same person
+        cameras.npz             a camera for each of these pictures, in the subject's world
+        views.json              {"frames": [...], "cameras": [...]}: which frame of the video each
+                                picture is of, and the name of the camera that saw it
+
+Poses are the video's own, whichever it was opened with: a moment has one pose, from all sides.
+Nothing but evaluation reads this folder. (Synthetic people have their novel views with the truth.)
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from gva_mi.data.masks import read_mask
+from gva_mi.data.pictures import read_image
+from gva_mi.data.video import Splits, Video, load_cameras, save_cameras
+from gva_mi.errors import InputError
+from gva_mi.files import write_json
+from gva_mi.splat import Camera
+
+VIEWS, ABOUT = "views", "views.json"
+
+
+def held_out_views(video: Video) -> Video | None:
+    """What other cameras saw of a video, a frame a picture; None where there is nothing.
+
+    Args:
+        video: whose poses count.
+
+    Raises:
+        InputError: a file is missing, or is not what it should be.
+    """
+    found = read_views(video.folder, len(video))
+    if found is None:
+        return None
+    frames, cameras = found
+    return replace(
+        video, folder=video.folder / VIEWS, cameras=cameras, pose=video.pose[frames], normals=None,
+        absent={}, splits=Splits([], list(range(len(frames)))), _images=[],
+    )  # fmt: skip
+
+
+def read_views(subject: Path, count: int) -> tuple[list[int], list[Camera]] | None:
+    """The video's frame and the camera of each picture; None where there are none.
+
+    Args:
+        subject: its folder.
+        count: frames of the video.
+
+    Raises:
+        InputError: a file is missing, or is not what it should be.
+    """
+    folder = subject / VIEWS
+    if not folder.is_dir():
+        return None
+    frames = _frames(folder / ABOUT, count)
+    cameras = load_cameras(folder / "cameras.npz")
+    if len(cameras) == 1:
+        cameras = cameras * len(frames)
+    if len(cameras) != len(frames):
+        raise InputError(
+            f"{folder / 'cameras.npz'}: holds {len(cameras)} cameras for {len(frames)} pictures of "
+            f"{ABOUT}"
+        )
+    for k, camera in enumerate(cameras):
+        size = (camera.height, camera.width)
+        image = read_image(folder / "frames" / f"{k:06d}.png", 3)
+        mask = read_mask(folder / "masks", k)
+        for what, found in (("picture", image), ("mask", mask)):
+            if found is None or found.shape[:2] != size:
+                there = "is not there" if found is None else f"is {found.shape[1]}x{found.shape[0]}"
+                raise InputError(f"{folder}: {what} {k} {there}; expected {size[1]}x{size[0]}")
+    return frames, cameras
+
+
+def save_views(
+    folder: Path, frames: Sequence[int], names: Sequence[str], cameras: Sequence[Camera]
+) -> None:
+    """Write what says which pictures these are, beside the pictures.
+
+    Args:
+        folder: the subject's ``views``.
+        frames: of the video, for each picture.
+        names: of the cameras, for each picture.
+        cameras: likewise, all of one size.
+    """
+    save_cameras(folder / "cameras.npz", cameras)
+    write_json(folder / ABOUT, {"frames": list(frames), "cameras": list(names)})
+
+
+def _frames(path: Path, count: int) -> list[int]:
+    """Which frame of the video, of ``count`` frames, each picture is of."""
+    try:
+        frames = json.loads(path.read_text())["frames"]
+        if not frames or not all(type(k) is int and 0 <= k < count for k in frames):
+            raise ValueError(f"the video has frames 0 to {count - 1}")
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        raise InputError(
+            f'{path}: expected {{"frames": [...]}}, the video\'s frame of each picture '
+            f"({str(error).splitlines()[0]})"
+        ) from None
+    return frames

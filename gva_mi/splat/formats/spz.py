@@ -1,0 +1,217 @@
+"""The .spz of Niantic, a quarter of a .ply or less: each number in as few bits as the eye allows.
+
+Versions 2 and 3 are one gzip stream: a header of 16 bytes, then all Gaussians' positions, then all
+opacities, and so on. Version 4 has a header of 32 bytes and packs each of these streams with zstd.
+Version 3 is written, which most viewers read; 2, 3 and 4 are read.
+
+============  ==============================  ===========================  ======================
+Stream        Stored, little-endian           Means                        Off by at most
+============  ==============================  ===========================  ======================
+means         3 × 24-bit, signed              i / 2^f, f of the header     2^−f / 2, where
+                                                                           |x| < 2^(23−f)
+opacities     8-bit                           b / 255                      0.5 / 255
+colours       3 × 8-bit                       f_dc = (b/255 − 0.5) / 0.15  0.5 / 38.25 of f_dc in
+                                                                           ±3.33
+scales        3 × 8-bit                       exp(b/16 − 10) metres        3.2 %, from 45 µm to
+                                                                           380 m
+quaternions   the largest's number, 2 bits;   x 2^−½ / 511, the sign in    0.28 degrees
+              the others, 3 × 10 bits         the tenth bit
+harmonics     8-bit each, colours innermost   (b − 128) / 128              0.5 / 128 in [−1, 0.99]
+============  ==============================  ===========================  ======================
+
+Version 2 has quaternions xyz in 3 × 8 bits. Harmonics keep all of their 8 bits here, of which
+Niantic's own program drops three or four. Its y is up and its z goes to the viewer, as in this
+program's worlds: nothing is turned round.
+"""
+
+from __future__ import annotations
+
+import gzip
+import struct
+import zlib
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from gva_mi.errors import InputError
+from gva_mi.files import replacing
+from gva_mi.splat.gaussians import Gaussians, degree_of
+from gva_mi.splat.kernels.sh import C0
+
+MAGIC = 0x5053474E  # NGSP
+FINEST = 16  # fractional bits of means at most: off by 8 µm, within ±128 m
+_HEADER = struct.Struct("<IIIBBBB")  # magic, version, Gaussians, degree, f, flags, reserved
+_HEADER_4 = struct.Struct("<IIIBBBBI12x")  # the last two: streams, and where their sizes stand
+_LARGEST = 0x7FFFFF  # of 24 bits with a sign
+_COLOR = 0.15
+_HALF = np.sqrt(0.5)  # no component but the largest is larger
+_DENSEST = 1100  # gzip and zstd pack no more than this into a byte of such a file
+_MOST = 1 << 26  # Gaussians
+
+
+def save_spz(path: Path, gaussians: Gaussians) -> None:
+    """Write Gaussians, rounded to the bits of the format, as version 3.
+
+    Args:
+        path: of the .spz; an older one is replaced once the new one is whole.
+        gaussians: torch tensors; plain colours become the constant band of spherical harmonics.
+
+    Raises:
+        InputError: harmonics of degree 4, which version 3 has not; or means beyond 8,388 km.
+    """
+    array = lambda tensor: tensor.detach().double().numpy()
+    if gaussians.sh is None:
+        sh = ((array(gaussians.colors) - 0.5) / C0)[:, None]
+    else:
+        sh = array(gaussians.sh)
+    degree = degree_of(sh.shape[1])
+    if degree > 3:
+        raise InputError(f"{path}: a .spz holds harmonics up to degree 3, got {degree}")
+    means = array(gaussians.means)
+    farthest = float(np.abs(means).max(initial=0))
+    if not farthest < _LARGEST:
+        raise InputError(f"{path}: a .spz holds means up to {_LARGEST} m, got {farthest:.4g}")
+    bits = int(np.clip(np.floor(np.log2(_LARGEST / max(farthest, 1e-9))), 0, FINEST))
+    fixed = np.round(means * 2**bits).astype("<i4")
+    log_scales = np.log(np.maximum(array(gaussians.scales), 1e-12))
+    streams = [
+        np.ascontiguousarray(fixed).view("u1").reshape(len(means), 3, 4)[..., :3],
+        _byte(255 * array(gaussians.opacities)),
+        _byte(255 * (_COLOR * sh[:, 0] + 0.5)),
+        _byte(16 * (log_scales + 10)),
+        _smallest_three(array(gaussians.quats)),
+        _byte(128 * sh[:, 1:] + 128),
+    ]
+    header = _HEADER.pack(MAGIC, 3, len(means), degree, bits, 0, 0)
+    content = header + b"".join(stream.tobytes() for stream in streams)
+    with replacing(path) as unfinished:
+        unfinished.write_bytes(gzip.compress(content, mtime=0))  # the same bytes every time
+
+
+def load_spz(path: Path) -> Gaussians:
+    """Read a .spz of version 2, 3 or 4.
+
+    Raises:
+        InputError: no such file, of another form or version, or cut short.
+    """
+    path = Path(path)
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); expected a .spz") from None
+    packed = content[:2] == b"\x1f\x8b"
+    head = _unzipped(path, content, _HEADER.size) if packed else content[: _HEADER_4.size]
+    if len(head) < (_HEADER.size if packed else _HEADER_4.size):
+        raise InputError(f"{path}: {len(content)} bytes; expected a .spz")
+    magic, version, count, degree, bits, *_ = (_HEADER if packed else _HEADER_4).unpack(head)
+    if magic != MAGIC or version not in ((2, 3) if packed else (4,)):
+        found = f"version {version}" if magic == MAGIC else "something else"
+        raise InputError(f"{path}: holds {found}; expected a .spz of version 2, 3 or 4")
+    widths = (9, 1, 3, 3, 3 if version == 2 else 4, 3 * (degree + 1) ** 2 - 3)
+    sizes = [count * width for width in widths]
+    if degree > 4 or bits > 23 or count > _MOST or sum(sizes) > _DENSEST * len(content):
+        raise InputError(
+            f"{path}: announces {count} Gaussians of degree {degree} with {bits} bits in "
+            f"{len(content)} bytes; expected a .spz"
+        )
+    if packed:
+        body = _unzipped(path, content, _HEADER.size + sum(sizes))[_HEADER.size :]
+        ends = np.cumsum(sizes)
+        streams = [body[end - size : end] for size, end in zip(sizes, ends, strict=True)]
+    else:
+        streams = _of_version_4(path, content, sizes)
+    if any(len(stream) != size for stream, size in zip(streams, sizes, strict=True)):
+        raise InputError(f"{path}: cut short, {count} Gaussians were announced")
+    rows = [
+        np.frombuffer(stream, "u1").reshape(count, width)
+        for stream, width in zip(streams, widths, strict=True)
+    ]
+    return _gaussians(rows, bits, version)
+
+
+def _gaussians(rows: list[np.ndarray], bits: int, version: int) -> Gaussians:
+    """Of the streams' bytes (N, n)."""
+    means, opacities, colors, scales, quats, sh = rows
+    fixed = np.zeros((len(means), 3, 4), "u1")
+    fixed[..., 1:] = means.reshape(-1, 3, 3)  # at the upper end, so that the sign is the sign
+    tensor = lambda x: torch.from_numpy(np.ascontiguousarray(x, np.float32))
+    dc = (colors / 255 - 0.5) / _COLOR
+    higher = (sh.reshape(len(sh), sh.shape[1] // 3, 3) - 128.0) / 128
+    return Gaussians(
+        means=tensor((fixed.view("<i4")[..., 0] >> 8) / 2.0**bits),
+        quats=tensor(_of_first_three(quats) if version == 2 else _of_smallest_three(quats)),
+        scales=tensor(np.exp(scales / 16 - 10)),
+        opacities=tensor(opacities[:, 0] / 255),
+        sh=tensor(np.concatenate([dc[:, None], higher], axis=1)),
+    )
+
+
+def _smallest_three(quats: np.ndarray) -> np.ndarray:
+    """Quaternions wxyz (N, 4) without the largest of x, y, z, w, in 32 bits each."""
+    unit = quats / np.maximum(np.linalg.norm(quats, axis=1, keepdims=True), 1e-12)
+    unit = unit[:, [1, 2, 3, 0]]
+    largest = np.abs(unit).argmax(1)
+    unit = unit * np.where(np.take_along_axis(unit, largest[:, None], 1) < 0, -1, 1)
+    packed = largest.astype(np.uint32)
+    for k in range(4):
+        size = np.round(511 * np.minimum(np.abs(unit[:, k]) / _HALF, 1)).astype(np.uint32)
+        more = packed << 10 | (unit[:, k] < 0).astype(np.uint32) << 9 | size
+        packed = np.where(largest == k, packed, more)
+    return packed.astype("<u4")
+
+
+def _of_smallest_three(stored: np.ndarray) -> np.ndarray:
+    """Unit quaternions wxyz (N, 4) of 4 bytes each."""
+    packed = np.ascontiguousarray(stored).view("<u4")[:, 0].copy()
+    largest = packed >> 30
+    unit = np.zeros((len(packed), 4))
+    for k in (3, 2, 1, 0):
+        size = (packed & 511) * (_HALF / 511)
+        unit[:, k] = np.where(largest == k, 0, np.where(packed >> 9 & 1, -size, size))
+        packed = np.where(largest == k, packed, packed >> 10)
+    rest = np.sqrt(np.maximum(1 - (unit**2).sum(1), 0))
+    unit[np.arange(len(unit)), largest] = rest
+    return unit[:, [3, 0, 1, 2]]
+
+
+def _of_first_three(stored: np.ndarray) -> np.ndarray:
+    """Unit quaternions wxyz (N, 4) of xyz in a byte each, w not negative."""
+    xyz = stored / 127.5 - 1
+    return np.column_stack([np.sqrt(np.maximum(1 - (xyz**2).sum(1), 0)), xyz])
+
+
+def _unzipped(path: Path, content: bytes, most: int) -> bytes:
+    """At most so many bytes of a gzip stream."""
+    try:
+        return zlib.decompressobj(wbits=31).decompress(content, most)
+    except zlib.error as error:
+        raise InputError(f"{path}: damaged ({error}); expected a .spz") from None
+
+
+def _of_version_4(path: Path, content: bytes, sizes: list[int]) -> list[bytes]:
+    """The streams of a file that packs each of them."""
+    try:
+        import zstandard
+    except ModuleNotFoundError:
+        raise InputError(
+            f"{path}: a .spz of version 4 needs the package zstandard to be read; "
+            "pip install zstandard"
+        ) from None
+    number, start = _HEADER_4.unpack(content[: _HEADER_4.size])[-2:]
+    toc = content[start : start + 16 * number]
+    if number != len(sizes) - (not sizes[-1]) and number != len(sizes) or len(toc) < 16 * number:
+        raise InputError(f"{path}: holds {number} streams; expected the {len(sizes)} of a .spz")
+    streams, start = [], start + 16 * number
+    for (packed, _), size in zip(struct.iter_unpack("<QQ", toc), sizes, strict=False):
+        try:
+            source = zstandard.ZstdDecompressor().stream_reader(content[start : start + packed])
+            streams.append(source.read(size))
+        except zstandard.ZstdError as error:
+            raise InputError(f"{path}: damaged ({error}); expected a .spz") from None
+        start += packed
+    return streams + [b""] * (len(sizes) - number)
+
+
+def _byte(x: np.ndarray) -> np.ndarray:
+    return np.round(np.clip(x, 0, 255)).astype(np.uint8)

@@ -1,0 +1,159 @@
+"""``prepare`` with networks that people bring: Segment Anything's masks, a network's normals."""
+
+import json
+import pickle
+import warnings
+
+import numpy as np
+import pytest
+import torch
+
+from gva_mi.body.pose import Shape
+from gva_mi.body.smplx import load_body
+from gva_mi.data.importers.prompts import prompts_of
+from gva_mi.data.importers.readings import centred
+from gva_mi.data.importers.tracks import Track
+from gva_mi.data.pictures import write_image
+from gva_mi.data.video import load_video
+
+WIDTH, HEIGHT, FRAMES = 192, 144, 5
+FOCAL = np.hypot(WIDTH, HEIGHT)  # what WHAM assumes
+
+
+@pytest.fixture
+def people(seen):
+    """The person of ``seen``, and somebody else 1.2 m to their left, as tracks."""
+    rotations, transl = seen
+    both = []
+    for name, aside in (("0", 0.0), ("1", -1.2)):
+        both.append(Track(
+            name, np.arange(FRAMES), rotations, transl + (aside, 0.0, 0.0), None,
+            centred(FOCAL, (WIDTH, HEIGHT), FRAMES), "SMPL", False,
+        ))  # fmt: skip
+    return both
+
+
+@pytest.fixture
+def joints():
+    return load_body().rest(Shape(torch.zeros(0))).joints.double().numpy()
+
+
+def test_boxes_and_points_are_where_the_person_is(people, joints):
+    person, other = people
+    prompts = prompts_of(person, [other], joints, (WIDTH, HEIGHT))
+    pelvis = person.transl + np.array([-0.0018, -0.2233, 0.0282])
+    wanted = FOCAL * pelvis[:, :2] / pelvis[:, 2:] + (WIDTH / 2, HEIGHT / 2)
+    for prompt, place in zip(prompts, wanted, strict=True):
+        own = prompt.points[prompt.labels == 1]
+        assert np.abs(own[0] - place).max() < 1e-6 and len(own) == 6
+        left, top, right, bottom = prompt.box
+        assert ((own >= prompt.box[:2]) & (own <= prompt.box[2:])).all()
+        # From head to toe: 1.5 to 2 metres, at this distance.
+        assert 1.4 < (bottom - top) * pelvis[0, 2] / FOCAL < 2.1
+        theirs = prompt.points[prompt.labels == 0]
+        assert len(theirs) == 6 and (theirs[:, 0] < own[:, 0].min()).all()
+    near = prompts_of(person, [person], joints, (WIDTH, HEIGHT))
+    assert all((prompt.labels == 1).all() for prompt in near)
+    away = Track(**{**vars(person), "transl": person.transl + (50.0, 0, 0)})
+    behind = Track(**{**vars(person), "transl": person.transl * (1, 1, -1)})
+    assert prompts_of(away, [], joints, (WIDTH, HEIGHT)) == [None] * FRAMES
+    assert prompts_of(behind, [], joints, (WIDTH, HEIGHT)) == [None] * FRAMES
+
+
+def draw(folder, prompts):
+    """Frames with a bright ellipse in each box, and what it covers."""
+    y, x = np.mgrid[:HEIGHT, :WIDTH] + 0.5
+    random, masks = np.random.default_rng(0), []
+    for k, prompt in enumerate(prompts):
+        (left, top), (right, bottom) = prompt.box.reshape(2, 2)
+        inside = (2 * x - left - right) ** 2 / (right - left) ** 2
+        inside = inside + (2 * y - top - bottom) ** 2 / (bottom - top) ** 2 < 1
+        image = random.integers(60, 90, (HEIGHT, WIDTH, 3)).astype(np.uint8)
+        image[inside] = (225, 215 - 10 * k, 240)
+        write_image(folder / f"shot_{k}.png", image)
+        masks.append(inside)
+    return masks
+
+
+@pytest.fixture
+def wham_file(tmp_path, people):
+    found = {}
+    for track in people:
+        pose = np.concatenate([track.rotations[:, :22], np.zeros((FRAMES, 2, 3))], axis=1)
+        found[np.int64(track.person)] = {
+            "pose": pose.reshape(-1, 72), "trans": track.transl, "betas": np.zeros((FRAMES, 10)),
+            "frame_ids": track.frames,
+        }  # fmt: skip
+    found[np.int64(1)]["frame_ids"] = np.arange(FRAMES)
+    path = tmp_path / "wham_output.pkl"
+    path.write_bytes(pickle.dumps(found))
+    return path
+
+
+def test_masks_by_segment_anything(tmp_path, cli, tiny_sam, people, joints, wham_file):
+    prompts = prompts_of(people[0], [], joints, (WIDTH, HEIGHT))
+    drawn = draw(tmp_path / "shots", prompts)
+    out = tmp_path / "subject"
+    given = ["--body", "puppet", "--frames", tmp_path / "shots", "--person", "0"]
+    code, said, err = cli(
+        "prepare", "auto", wham_file, out, *given, "--masks", "sam", "--sam-checkpoint", tiny_sam
+    )
+    assert code == 0, err
+    video = load_video(out)
+    assert not video.absent
+    for frame, inside in zip(video.frames(), drawn, strict=True):
+        found = frame.mask > 0.5
+        assert (found & inside).sum() / (found | inside).sum() > 0.85
+    about = json.loads((out / "prepare.json").read_text())["source"]
+    assert about["sam"] == str(tiny_sam) and about["masks"] is None
+
+
+def test_what_masks_by_segment_anything_need(tmp_path, cli, people, joints, wham_file):
+    draw(tmp_path / "shots", prompts_of(people[0], [], joints, (WIDTH, HEIGHT)))
+    given = [wham_file, tmp_path / "s", "--body", "puppet", "--frames", tmp_path / "shots"]
+
+    def refused(words, *more):
+        code, _, err = cli("prepare", "wham", *given, *more)
+        assert code == 2 and words in err and err.count("\n") <= 2, err
+        assert not (tmp_path / "s").exists()
+
+    refused("--masks sam needs --sam-checkpoint; expected a folder", "--masks", "sam")
+    refused("no such checkpoint", "--masks", "sam", "--sam-checkpoint", tmp_path / "x.pth")
+    refused("it needs --masks sam", "--sam-checkpoint", tmp_path / "x.pth")
+
+
+class Forward(torch.nn.Module):
+    """Normals that face the viewer of OpenGL's axes, and lean to the right where it is red."""
+
+    def forward(self, seen: torch.Tensor) -> torch.Tensor:
+        x = 0.5 * seen[:, :1].clamp(0, 1)
+        return torch.cat([x, torch.zeros_like(x), torch.sqrt(1 - x * x)], dim=1)
+
+
+def test_normals_by_a_network(tmp_path, cli, people, joints, wham_file):
+    prompts = prompts_of(people[0], [], joints, (WIDTH, HEIGHT))
+    drawn = draw(tmp_path / "shots", prompts)
+    np.save(tmp_path / "masks.npy", np.stack(drawn) & (np.arange(FRAMES) != 2)[:, None, None])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        torch.jit.save(torch.jit.script(Forward()), tmp_path / "normals.pt")
+    given = [
+        "--body", "puppet", "--frames", tmp_path / "shots", "--masks", tmp_path / "masks.npy",
+        "--person", "0", "--normals", tmp_path / "normals.pt", "--normals-size", "96", "128",
+    ]  # fmt: skip
+    out = tmp_path / "subject"
+    code, _, err = cli("prepare", "wham", wham_file, out, *given)
+    assert code == 2 and "--normals needs --normals-convention" in err
+    code, said, err = cli("prepare", "wham", wham_file, out, *given,
+                          "--normals-convention", "opengl")  # fmt: skip
+    assert code == 0, err
+    assert "normals of 4 frames by normals.pt, opengl" in said
+    video = load_video(out)
+    assert set(video.absent) == {2} and not (out / "normals/000002.png").exists()
+    for k in (0, 1, 3, 4):
+        frame = video[k]
+        normals = frame.normals[frame.mask > 0.5]
+        assert (np.linalg.norm(normals, axis=1) > 0.99).mean() > 0.98
+        middle = np.median(normals, axis=0)  # red 225 of 255: x = 0.5 (225/127.5 - 1)
+        x = 0.5 * (225 / 127.5 - 1)
+        assert np.abs(middle - (x, 0, -np.sqrt(1 - x * x))).max() < 0.02

@@ -1,0 +1,262 @@
+"""Segment Anything in a small size: what it sees, what it is told, which guess is taken."""
+
+import re
+
+import numpy as np
+import pytest
+import torch
+
+from gva_mi.data.networks.crop import Crop, box_of_mask
+from gva_mi.data.networks.sam_weights import load_network
+from gva_mi.data.networks.segment_anything import Prompt, Segment, SegmentAnything
+from gva_mi.errors import InputError
+
+transformers = pytest.importorskip("transformers")
+
+
+@pytest.fixture(autouse=True)
+def _threads(one_thread):
+    pass
+
+
+def ellipse(size, centre, radii):
+    """A picture (H, W, 3) of a bright ellipse, and where it is."""
+    random = np.random.default_rng(0)
+    y, x = np.mgrid[: size[1], : size[0]] + 0.5
+    inside = ((x - centre[0]) / radii[0]) ** 2 + ((y - centre[1]) / radii[1]) ** 2 < 1
+    image = random.integers(60, 90, (size[1], size[0], 3)).astype(np.uint8)
+    image[inside] = (230, 215, 240)
+    return image, inside
+
+
+def overlap(a, b):
+    return (a & b).sum() / (a | b).sum()
+
+
+def prompt(inside, points):
+    return Prompt(box_of_mask(inside), np.array(points, float), np.ones(len(points), int))
+
+
+def test_what_is_at_a_place_is_there_in_the_crop():
+    image = np.zeros((50, 70, 3), np.uint8)
+    image[20:22, 40:42] = 255  # its middle is at (41, 21)
+    crop = Crop.round_box(np.array([30.0, 10, 60, 28]), 0.1)
+    assert (crop.width, crop.height) == (36, 36) and crop.box == (27, 1, 63, 37)
+    seen = crop.cut(image, (144, 144), (9, 9, 9)).astype(float).mean(-1)
+    rows, columns = np.mgrid[:144, :144] + 0.5
+    middle = np.array([(seen * columns).sum(), (seen * rows).sum()]) / seen.sum()
+    assert np.abs(middle - crop.to_network(np.array([41.0, 21.0]), (144, 144))).max() < 0.1
+    outside = Crop.round_box(np.array([-40.0, -40, -20, -20]), 0).cut(image, (8, 8), (9, 8, 7))
+    assert (outside == (9, 8, 7)).all()
+    high = Crop.round_box(np.array([0.0, 0, 10, 10]), 0, (30, 60))
+    assert (high.width, high.height) == (10, 20)
+
+
+def test_a_guess_in_another_crop_of_the_same_place():
+    logits = torch.linspace(-1, 1, 16)[None].repeat(16, 1)
+    found = Segment(np.zeros((1, 1), bool), Crop(10, 20, 16, 16), logits)
+    same = found.seen_in(Crop(10, 20, 16, 16))
+    moved = found.seen_in(Crop(13, 20, 16, 16))
+    assert torch.allclose(same, logits, atol=1e-5)
+    assert torch.allclose(moved[:, :12], logits[:, 3:15], atol=1e-5)
+    assert (moved[:, 14:] < -30).all()  # nothing is known there
+
+
+def test_it_is_shown_and_told_what_the_processor_of_transformers_shows_and_tells(tiny_sam):
+    """A crop that is the picture itself: the network's own preparation gives the same guesses."""
+    image, inside = ellipse((64, 64), (30, 33), (12, 20))
+    points, box = np.array([[30.0, 33.0], [28.0, 25.0]]), box_of_mask(inside)
+    sam = SegmentAnything.load(tiny_sam)
+    told = Prompt(box, points, np.array([1, 1]))
+    logits, scores = None, None
+    size = {"longest_edge": 64}, {"height": 64, "width": 64}
+    processor = transformers.SamProcessor(
+        transformers.models.sam.image_processing_pil_sam.SamImageProcessorPil(
+            size=size[0], pad_size=size[1]
+        )
+    )
+    given = processor(
+        image, input_points=[[(points - 0.5).tolist()]], input_labels=[[[1, 1]]],
+        input_boxes=[[(box - 0.5).tolist()]], return_tensors="pt",
+    )  # fmt: skip
+    with torch.no_grad():
+        wanted = sam.network(**{k: given[k].float() if given[k].is_floating_point() else given[k]
+                                for k in ("pixel_values", "input_points", "input_labels",
+                                          "input_boxes")})  # fmt: skip
+        crop = Crop(0, 0, 64, 64)
+        seen = torch.from_numpy(crop.cut(image, sam.size, (0, 0, 0)).astype(np.float32) / 255)
+        mean, std = torch.tensor([0.485, 0.456, 0.406]), torch.tensor([0.229, 0.224, 0.225])
+        seen = ((seen - mean) / std).permute(2, 0, 1)[None]
+        logits, scores = sam._guess(sam.network.get_image_embeddings(seen), crop, told, None)
+    assert torch.allclose(seen, given["pixel_values"], atol=1e-5)
+    assert torch.allclose(logits, wanted.pred_masks[0, 0], atol=1e-3)
+    assert torch.allclose(scores, wanted.iou_scores[0, 0], atol=1e-4)
+
+
+@pytest.mark.parametrize("size, centre, radii", [
+    ((200, 120), (60, 55), (14, 40)),  # a wide picture: the crop is finer than the whole
+    ((90, 160), (80, 90), (24, 50)),  # partly beyond the border
+])  # fmt: skip
+def test_it_finds_what_it_is_told_of(tiny_sam, size, centre, radii):
+    image, inside = ellipse(size, centre, radii)
+    place = (min(centre[0], size[0] - 4), centre[1])
+    found = SegmentAnything.load(tiny_sam).find(image, prompt(inside, [place]))
+    assert found.mask.shape == inside.shape
+    assert overlap(found.mask, inside) > 0.85
+
+
+class Guesses(SegmentAnything):
+    """Guesses that a test gives, in the place of the network's."""
+
+    def __init__(self, alone, after=None):
+        self.size, self.given, self.network = (32, 32), (alone, after), self
+
+    def get_image_embeddings(self, seen):
+        assert seen.shape == (1, 3, 32, 32)
+
+    def _guess(self, embeddings, crop, prompt, last):
+        masks, scores = zip(*self.given[last is not None], strict=True)
+        return torch.stack(masks), torch.tensor(scores)
+
+
+def drawn(left, top, right, bottom):
+    """Logits (32, 32) of a rectangle, in shares of the crop."""
+    y, x = np.mgrid[:32, :32] / 32
+    inside = (x >= left) & (x < right) & (y >= top) & (y < bottom)
+    return torch.from_numpy(np.where(inside, 5.0, -5.0).astype(np.float32))
+
+
+def test_the_guess_that_holds_the_points_and_stays_in_the_box_is_taken():
+    sleeve, person, all_of_it = (
+        drawn(0.4, 0.2, 0.6, 0.4),
+        drawn(0.2, 0.2, 0.8, 0.8),
+        drawn(0, 0, 1, 1),
+    )
+    guesses = Guesses([(sleeve, 0.95), (person, 0.9), (all_of_it, 0.92)])
+    image = np.zeros((100, 100, 3), np.uint8)
+    box = np.array([20.0, 20.0, 80.0, 80.0])
+    told = Prompt(box, np.array([[50.0, 30.0], [50.0, 70.0], [30.0, 60.0]]), np.ones(3, int))
+    found = guesses.find(image, told)
+    assert torch.equal(found.logits, person)
+    others = Prompt(box, np.array([[50.0, 30.0], [30.0, 60.0]]), np.array([1, 0]))
+    assert torch.equal(guesses.find(image, others).logits, sleeve)  # that point is somebody else
+    last = Segment(found.mask, found.crop, sleeve)
+    after = Guesses([(person, 0.9), (all_of_it, 0.9)], [(sleeve, 0.99)])
+    upper = Prompt(box, np.array([[50.0, 30.0]]), np.ones(1, int))
+    assert torch.equal(after.find(image, upper, last).logits, sleeve)  # as in the frame before
+
+
+def metas(network):
+    """A network's weights by the names that Meta's files have."""
+    renames = (
+        (r"^vision_encoder\.", "image_encoder."), (r"projection", "proj"),
+        (r"image_encoder\.layers", "image_encoder.blocks"),
+        (r"neck\.conv1", "neck.0"), (r"neck\.layer_norm1", "neck.1"), (r"neck\.conv2", "neck.2"),
+        (r"neck\.layer_norm2", "neck.3"),
+        (r"shared_embedding\.positional_embedding", "pe_layer.positional_encoding_gaussian_matrix"),
+        (r"r\.point_embed\.", "r.point_embeddings."),
+        (r"mask_embed\.conv1", "mask_downscaling.0"), (r"mask_embed\.conv2", "mask_downscaling.3"),
+        (r"mask_embed\.conv3", "mask_downscaling.6"),
+        (r"mask_embed\.layer_norm1", "mask_downscaling.1"),
+        (r"mask_embed\.layer_norm2", "mask_downscaling.4"),
+        (r"upscale_conv1", "output_upscaling.0"), (r"upscale_layer_norm", "output_upscaling.1"),
+        (r"upscale_conv2", "output_upscaling.3"), (r"layer_norm_final_attn", "norm_final_attn"),
+        (r"layer_norm(\d)", r"norm\1"), (r"(mlps\.\d|head)\.layers\.0", r"\1.layers.1"),
+        (r"proj_in", "layers.0"), (r"(mlps\.\d|head)\.proj_out", r"\1.layers.2"),
+    )  # fmt: skip
+    named = {}
+    for name, x in network.state_dict().items():
+        if name.startswith("shared_image_embedding"):
+            continue  # the same array as the prompt encoder's
+        for pattern, instead in renames:
+            name = re.sub(pattern, instead, name)
+        named[name] = x.clone()
+    return named
+
+
+def test_a_file_of_metas_is_the_same_network(tmp_path):
+    torch.manual_seed(1)
+    vision = transformers.SamVisionConfig(
+        hidden_size=16, num_hidden_layers=3, num_attention_heads=2, image_size=64, patch_size=8,
+        window_size=4, global_attn_indexes=[1], output_channels=16, mlp_ratio=2.0, num_pos_feats=8,
+    )  # fmt: skip
+    prompts = transformers.SamPromptEncoderConfig(
+        hidden_size=16, image_size=64, patch_size=8, mask_input_channels=8
+    )
+    masks = transformers.SamMaskDecoderConfig(hidden_size=16, mlp_dim=32, iou_head_hidden_dim=12)
+    network = transformers.SamModel(transformers.SamConfig(
+        vision_config=vision, prompt_encoder_config=prompts, mask_decoder_config=masks
+    )).eval()  # fmt: skip
+    arrays = metas(network)
+    for name in ("image_encoder.blocks.2.norm1.weight", "mask_decoder.output_upscaling.1.bias",
+                 "mask_decoder.transformer.layers.1.norm4.bias", "prompt_encoder.mask_downscaling."
+                 "6.weight", "mask_decoder.iou_prediction_head.layers.2.bias"):  # fmt: skip
+        assert name in arrays  # as sam_vit_b_01ec64.pth has them
+    torch.save(arrays, tmp_path / "sam_vit_b_01ec64.pth")
+    read = load_network(tmp_path / "sam_vit_b_01ec64.pth")
+    given = {
+        "pixel_values": torch.randn(1, 3, 64, 64),
+        "input_boxes": torch.tensor([[[5.0, 6, 50, 60]]]),
+        "input_points": torch.tensor([[[[10.0, 20.0]]]]),
+        "input_labels": torch.ones(1, 1, 1).long(),
+    }  # fmt: skip
+    with torch.no_grad():
+        found, wanted = read(**given), network(**given)
+    assert torch.allclose(found.pred_masks, wanted.pred_masks, atol=1e-6)
+    del arrays["mask_decoder.iou_token.weight"]
+    torch.save(arrays, tmp_path / "short.pth")
+    with pytest.raises(InputError, match="no weights of Segment Anything .*expected a folder"):
+        load_network(tmp_path / "short.pth")
+
+
+class Evil:
+    def __reduce__(self):
+        return (print, ("code ran",))
+
+
+def test_what_is_no_checkpoint_is_said_in_one_sentence(tmp_path, capsys):
+    def refused(path, words):
+        with pytest.raises(InputError, match=words) as error:
+            load_network(path)
+        assert "\n" not in str(error.value) and "sam_vit_b_01ec64.pth" in str(error.value)
+
+    refused(tmp_path / "none.pth", "no such checkpoint")
+    torch.save({"model": Evil()}, tmp_path / "evil.pth")
+    refused(tmp_path / "evil.pth", "no weights of Segment Anything")
+    assert "code ran" not in capsys.readouterr().out
+    (tmp_path / "text.pth").write_text("hello")
+    refused(tmp_path / "text.pth", "no weights of Segment Anything")
+    (tmp_path / "folder").mkdir()
+    refused(tmp_path / "folder", "no config.json")
+    (tmp_path / "folder/config.json").write_text('{"model_type": "bert"}')
+    refused(tmp_path / "folder", "a network of the kind bert")
+    (tmp_path / "folder/config.json").write_text('{"model_type": "sam"}')
+    refused(tmp_path / "folder", "cannot be read")
+
+
+def test_sam_2_answers_in_the_same_form(tmp_path):
+    backbone = transformers.Sam2HieraDetConfig(
+        hidden_size=8, num_attention_heads=1, image_size=[64, 64], blocks_per_stage=[1, 2, 1, 1],
+        embed_dim_per_stage=[8, 16, 32, 64], num_attention_heads_per_stage=[1, 1, 1, 1],
+        global_attention_blocks=[2], window_positional_embedding_background_size=[4, 4],
+    )  # fmt: skip
+    vision = transformers.Sam2VisionConfig(
+        backbone_config=backbone, backbone_channel_list=[64, 32, 16, 8], fpn_hidden_size=16,
+        backbone_feature_sizes=[[16, 16], [8, 8], [4, 4]],
+    )  # fmt: skip
+    prompts = transformers.Sam2PromptEncoderConfig(
+        hidden_size=16, image_size=64, patch_size=16, mask_input_channels=4
+    )
+    masks = transformers.Sam2MaskDecoderConfig(
+        hidden_size=16, num_hidden_layers=1, num_attention_heads=2, mlp_dim=32,
+        iou_head_hidden_dim=16,
+    )  # fmt: skip
+    transformers.Sam2Model(transformers.Sam2Config(
+        vision_config=vision, prompt_encoder_config=prompts, mask_decoder_config=masks
+    )).save_pretrained(tmp_path / "sam2")  # fmt: skip
+    sam = SegmentAnything.load(tmp_path / "sam2")
+    image, inside = ellipse((90, 70), (40, 30), (12, 20))
+    found = sam.find(image, prompt(inside, [(40, 30)]))
+    again = sam.find(image, prompt(inside, [(40, 30)]), found)
+    assert found.mask.shape == again.mask.shape == (70, 90)
+    assert torch.isfinite(again.logits).all()

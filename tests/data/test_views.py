@@ -1,0 +1,67 @@
+"""Views that are held out: pictures by other cameras, under whichever poses the video has."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from gva_mi.body.pose import Pose
+from gva_mi.data.pictures import write_image
+from gva_mi.data.video import load_video
+from gva_mi.data.views import held_out_views, save_views
+from gva_mi.errors import InputError
+from gva_mi.splat import Camera, look_at
+
+SIZE = (10, 12)
+
+
+@pytest.fixture
+def views(subject):
+    """Frames 2 and 0 of the subject, by a camera each."""
+    cameras = []
+    for k, eye in enumerate(((3, 0, 0), (0, 1, -3))):
+        image = np.full((*SIZE, 3), 40 * (k + 1), np.uint8)
+        write_image(subject / f"views/frames/{k:06d}.png", image)
+        write_image(subject / f"views/masks/{k:06d}.png", np.full(SIZE, 255, np.uint8))
+        cameras.append(Camera(10, 10, 6, 5, look_at(eye, (0, 0, 0)), 12, 10))
+    save_views(subject / "views", [2, 0], ["b", "a"], cameras)
+    return subject
+
+
+def test_they_have_the_video_s_poses_and_their_own_cameras(views):
+    video = load_video(views)
+    transl = torch.tensor([[0.0, 0, 0], [7, 0, 0], [14, 0, 0]])
+    moved = Pose(video.pose.rotations, transl, video.pose.expression)
+    held = held_out_views(replace(video, pose=moved))
+    assert len(held) == 2 and held.pose.transl[:, 0].tolist() == [14, 0]
+    assert held[1].image[0, 0, 0] == np.float32(80 / 255) and held[1].mask.shape == SIZE
+    assert np.allclose(held.cameras[0].position, (3, 0, 0)) and held.size == (12, 10)
+    assert not held.absent and held.truth is None
+
+
+def test_a_subject_without_them_has_none(subject):
+    assert held_out_views(load_video(subject)) is None
+
+
+def test_what_is_wrong_is_said_in_one_sentence(views):
+    video = load_video(views)
+
+    def refused(words):
+        with pytest.raises(InputError, match=words) as error:
+            held_out_views(video)
+        assert "\n" not in str(error.value)
+
+    lists = ("[]", "[0, 3]", "1", "[true]", "[0")
+    for text in ("{}", "[", *(f'{{"frames": {some}}}' for some in lists)):
+        (views / "views/views.json").write_text(text)
+        refused("views.json: expected")
+    (views / "views/views.json").write_text(json.dumps({"frames": [0, 1, 2]}))
+    refused("holds 2 cameras for 3 pictures")
+    (views / "views/views.json").write_text(json.dumps({"frames": [0, 1]}))
+    write_image(views / "views/frames/000001.png", np.zeros((4, 5, 3), np.uint8))
+    refused("picture 1 is 5x4; expected 12x10")
+    write_image(views / "views/frames/000001.png", np.zeros((*SIZE, 3), np.uint8))
+    (views / "views/masks/000000.png").unlink()
+    refused("mask 0 is not there")

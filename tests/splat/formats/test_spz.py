@@ -1,0 +1,164 @@
+"""A .spz: back as far as its bits go, bound by bound; and what others write."""
+
+import gzip
+import struct
+
+import numpy as np
+import pytest
+import torch
+
+from gva_mi import InputError
+from gva_mi.splat import Gaussians
+from gva_mi.splat.formats.spz import load_spz, save_spz
+from gva_mi.splat.kernels.sh import C0
+
+ANGLE = 0.28  # degrees
+
+
+def some_gaussians(degree=3, count=400, reach=1.0):
+    generator = torch.Generator().manual_seed(0)
+    draw = lambda *size: torch.randn(count, *size, generator=generator)
+    sh = (0.3 * draw((degree + 1) ** 2, 3)).clamp(-0.9, 0.9)
+    return Gaussians(
+        reach * draw(3), draw(4), (draw(3) - 4).exp(), torch.sigmoid(2 * draw()), sh=sh
+    )
+
+
+def degrees(a, b):
+    """Between rotations, of quaternions that need not be normalised."""
+    a, b = (torch.nn.functional.normalize(q.double(), dim=1) for q in (a, b))
+    # Of the chord: an arc cosine would know small angles to some hundredths of a degree only.
+    chord = torch.minimum((a - b).norm(dim=1), (a + b).norm(dim=1))
+    return torch.rad2deg(4 * torch.asin(chord / 2))
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_what_is_read_is_what_was_written_within_the_bounds(degree, tmp_path):
+    g = some_gaussians(degree)
+    save_spz(tmp_path / "a.spz", g)
+    read = load_spz(tmp_path / "a.spz")
+    slack = 1 + 1e-5
+    assert (read.means - g.means).abs().max() <= 0.5 / 2**16 * slack
+    assert (read.opacities - g.opacities).abs().max() <= 0.5 / 255 * slack
+    assert (read.scales / g.scales).log().abs().max() <= 0.5 / 16 * slack
+    assert degrees(read.quats, g.quats).max() <= ANGLE
+    assert torch.allclose(read.quats.norm(dim=1), torch.ones(400), atol=1e-5)
+    assert (read.sh[:, 0] - g.sh[:, 0]).abs().max() <= 0.5 / 38.25 * slack
+    if degree:
+        assert (read.sh[:, 1:] - g.sh[:, 1:]).abs().max() <= 0.5 / 128 * slack
+    assert [file.name for file in tmp_path.iterdir()] == ["a.spz"]
+
+
+def test_the_bound_of_quaternions_holds_where_it_is_tightest(tmp_path):
+    """Where all four components are alike, the largest hides most; and each may be the largest."""
+    generator = torch.Generator().manual_seed(1)
+    signs = torch.sign(torch.randn(4000, 4, generator=generator))
+    near = signs * (0.5 + 0.01 * torch.randn(4000, 4, generator=generator))
+    axes = torch.eye(4).repeat(10, 1) * torch.cat([torch.ones(20), -torch.ones(20)])[:, None]
+    quats = torch.cat([near, axes])
+    g = some_gaussians(0, len(quats))
+    save_spz(tmp_path / "a.spz", Gaussians(g.means, quats, g.scales, g.opacities, sh=g.sh))
+    off = degrees(load_spz(tmp_path / "a.spz").quats, quats)
+    assert off.max() <= ANGLE and off.max() > ANGLE / 3 and off[-40:].max() < 1e-5
+
+
+def test_written_again_it_is_the_same_file(tmp_path):
+    save_spz(tmp_path / "a.spz", some_gaussians())
+    save_spz(tmp_path / "b.spz", load_spz(tmp_path / "a.spz"))
+    a, b = ((tmp_path / name).read_bytes() for name in ("a.spz", "b.spz"))
+    assert gzip.decompress(a) == gzip.decompress(b) and a == b
+
+
+def test_what_lies_beyond_the_format_s_ranges_is_held_at_their_ends(tmp_path):
+    g = some_gaussians(1, 3, reach=1000.0)
+    sh = torch.tensor([[[9.0, -9.0, 0.0]] * 4] * 3)
+    scales = torch.tensor([[1e-9, 1e4, 1.0]] * 3)
+    save_spz(tmp_path / "a.spz", Gaussians(g.means, g.quats, scales, g.opacities, sh=sh))
+    read = load_spz(tmp_path / "a.spz")
+    step = 2.0 ** -np.floor(np.log2(0x7FFFFF / g.means.abs().max().item()))
+    assert step > 2**-16 and (read.means - g.means).abs().max() <= step / 2 * 1.01
+    assert torch.allclose(
+        read.scales[0], torch.tensor([np.exp(-10.0), np.exp(5.9375), 1.0]).float()
+    )
+    assert torch.allclose(read.sh[0, 0, :2], torch.tensor([1, -1]) * 0.5 / 0.15)
+    assert torch.allclose(read.sh[0, 1], torch.tensor([127 / 128, -1.0, 0.0]))
+
+
+def test_plain_colors_and_no_gaussians_at_all(tmp_path):
+    g = some_gaussians(0, 20)
+    colors = torch.rand(20, 3, generator=torch.Generator().manual_seed(1))
+    save_spz(tmp_path / "a.spz", Gaussians(g.means, g.quats, g.scales, g.opacities, colors=colors))
+    found = load_spz(tmp_path / "a.spz").sh[:, 0] * C0 + 0.5
+    assert (found - colors).abs().max() <= 0.5 / 38.25 * C0 + 1e-6
+    save_spz(tmp_path / "none.spz", some_gaussians(2, 0))
+    assert len(load_spz(tmp_path / "none.spz")) == 0
+
+
+def bytes_of(version, pack, quats):
+    """One Gaussian, byte by byte, as the format's description says."""
+    streams = [
+        bytes([0x00, 0x10, 0x00, 0x00, 0xF0, 0xFF, 0x01, 0x00, 0x00]),  # 1, −1, 1/4096 m
+        bytes([51]), bytes([255, 128, 0]), bytes([160, 144, 96]), quats,
+        bytes([0, 128, 255] + [128] * 6),
+    ]  # fmt: skip
+    return pack(version, streams)
+
+
+def zipped(version, streams):
+    return gzip.compress(
+        struct.pack("<IIIBBBB", 0x5053474E, version, 1, 1, 12, 0, 0) + b"".join(streams)
+    )
+
+
+def version_4(version, streams):
+    zstandard = pytest.importorskip("zstandard")
+    packed = [zstandard.ZstdCompressor().compress(stream) for stream in streams]
+    header = struct.pack("<IIIBBBBI12x", 0x5053474E, version, 1, 1, 12, 0, 6, 40)
+    toc = b"".join(struct.pack("<QQ", len(p), len(s)) for p, s in zip(packed, streams, strict=True))
+    return header + b"ext data" + toc + b"".join(packed)
+
+
+@pytest.mark.parametrize("version, pack, quats, wanted", [
+    (2, zipped, bytes([255, 127, 127]), (0.0, 1.0, 0.0, 0.0)),
+    (3, zipped, struct.pack("<I", 3 << 30 | 511 << 20 | (512 | 255) << 10),
+     (0.6128, 0.7071, -0.3529, 0.0)),
+    (4, version_4, struct.pack("<I", 0 << 30 | 511), (0.7071, 0.7071, 0.0, 0.0)),
+])  # fmt: skip
+def test_each_version_byte_by_byte(version, pack, quats, wanted, tmp_path):
+    (tmp_path / "a.spz").write_bytes(bytes_of(version, pack, quats))
+    g = load_spz(tmp_path / "a.spz")
+    assert torch.equal(g.means[0], torch.tensor([1.0, -1.0, 1 / 4096]))
+    assert torch.allclose(g.opacities, torch.tensor([0.2]))
+    assert torch.allclose(g.scales[0], torch.tensor([1.0, np.exp(-1.0), np.exp(-4.0)]).float())
+    assert torch.allclose(g.sh[0, 0], torch.tensor([3.3333, 0.01307, -3.3333]), atol=1e-4)
+    assert torch.equal(g.sh[0, 1], torch.tensor([-1.0, 0.0, 127 / 128]))
+    unit = np.array(wanted) / np.linalg.norm(wanted)
+    assert np.abs(g.quats[0].numpy() - unit).max() < 0.005
+
+
+def test_what_is_not_such_a_file_is_explained(tmp_path):
+    path = tmp_path / "a.spz"
+
+    def refused(content, words):
+        path.write_bytes(content)
+        with pytest.raises(InputError, match=words) as error:
+            load_spz(path)
+        assert "\n" not in str(error.value)
+
+    head = lambda *numbers: gzip.compress(struct.pack("<IIIBBBB", *numbers))
+    with pytest.raises(InputError, match="cannot be read"):
+        load_spz(tmp_path / "none.spz")
+    refused(b"", "0 bytes; expected a .spz")
+    refused(b"ply\n" * 20, "something else")
+    refused(b"\x1f\x8b" + bytes(40), "damaged")
+    refused(head(0x5053474E, 1, 1, 0, 12, 0, 0), "version 1; expected a .spz of version 2, 3 or 4")
+    refused(head(0x5053474E, 3, 1, 9, 12, 0, 0), "of degree 9")
+    refused(head(0x5053474E, 3, 3_000_000_000, 0, 12, 0, 0), "announces 3000000000 Gaussians")
+    refused(head(0x5053474E, 3, 10, 0, 12, 0, 0), "cut short, 10 Gaussians")
+    save_spz(path, some_gaussians())
+    refused(path.read_bytes()[:-3000], "cut short")
+    whole = bytes_of(4, version_4, bytes(4))
+    refused(whole[:-12], "damaged|cut short")
+    refused(whole[:60], "holds 6 streams")
+    with pytest.raises(InputError, match="up to degree 3, got 4"):
+        save_spz(path, some_gaussians(4))

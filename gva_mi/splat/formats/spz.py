@@ -36,6 +36,7 @@ import torch
 
 from gva_mi.errors import InputError
 from gva_mi.files import replacing
+from gva_mi.splat.covariances import with_axes
 from gva_mi.splat.gaussians import Gaussians, degree_of
 from gva_mi.splat.kernels.sh import C0
 
@@ -60,6 +61,7 @@ def save_spz(path: Path, gaussians: Gaussians) -> None:
     Raises:
         InputError: harmonics of degree 4, which version 3 has not; or means beyond 8,388 km.
     """
+    gaussians = with_axes(gaussians)
     array = lambda tensor: tensor.detach().double().numpy()
     if gaussians.sh is None:
         sh = ((array(gaussians.colors) - 0.5) / C0)[:, None]

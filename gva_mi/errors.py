@@ -1,5 +1,11 @@
 """The one error a user can cause: input that does not have the expected form."""
 
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
 
 class InputError(ValueError):
     """A file, folder or option that cannot be used, in one sentence.
@@ -9,17 +15,33 @@ class InputError(ValueError):
     """
 
 
-def require_at_least(command: str, options: object, **smallest: float) -> None:
-    """Raise an InputError for the first option below its smallest value, or not a number."""
-    for name, least in smallest.items():
-        found = getattr(options, name)
-        if not found >= least:
-            raise InputError(f"{command}: {name} must be at least {least}, got {found}")
+# What Python, numpy and torch raise for content that is not of the form which a reader counts on.
+MALFORMED = (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError)
 
 
-def require_positive(command: str, options: object, *names: str) -> None:
-    """Raise an InputError for the first option that is not above zero."""
-    for name in names:
-        found = getattr(options, name)
-        if not found > 0:
-            raise InputError(f"{command}: {name} must be above 0, got {found}")
+@contextmanager
+def expecting(where: Path | str, expected: str) -> Iterator[None]:
+    """Whatever fails within is the fault of a file's content, and becomes one sentence.
+
+    Args:
+        where: the file.
+        expected: what it should hold.
+
+    Raises:
+        InputError: for any error that content of another form leads to.
+    """
+    try:
+        yield
+    except InputError:
+        raise
+    except MALFORMED as error:
+        reason = reason_of(error)
+        raise InputError(f"{where}: of another form ({reason}); expected {expected}") from None
+
+
+def reason_of(error: BaseException) -> str:
+    """The first line of what an error says, without what would move a terminal's cursor."""
+    line = next(iter(str(error).splitlines()), "")
+    line = "".join(c if c.isprintable() else "?" for c in line[:160])
+    name = type(error).__name__
+    return f"{name}: {line}" if line and isinstance(error, KeyError) else line or name

@@ -8,7 +8,7 @@ import platform
 import shutil
 import tempfile
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from importlib import metadata
 from importlib.util import find_spec
@@ -17,17 +17,23 @@ from typing import Any
 
 import numpy as np
 
-from gva_mi.errors import InputError
+from gva_mi.arrays import arrays_in, read_npy
+from gva_mi.budget import Budget, Damaged
+from gva_mi.errors import InputError, reason_of
 
+LARGEST_TEXT = 1 << 28  # bytes of a JSON file
 PACKAGES = ("gva_mi", "torch", "drjit", "numpy")  # whose versions may change the figures
 
 
-def read_arrays(path: Path, expected: str) -> dict[str, np.ndarray]:
+def read_arrays(
+    path: Path, expected: str, only: Collection[str] | None = None
+) -> dict[str, np.ndarray]:
     """All arrays of an ``.npz``, which must not hold pickled objects.
 
     Args:
         path: the file.
         expected: what it should hold, for the error.
+        only: the names of those that are read, if they are there; None: all.
 
     Raises:
         InputError: there is none, or it cannot be read.
@@ -37,11 +43,57 @@ def read_arrays(path: Path, expected: str) -> dict[str, np.ndarray]:
     if not zipfile.is_zipfile(path):
         raise InputError(f"{path}: not a readable .npz, or cut short; expected {expected}")
     try:
-        with np.load(path, allow_pickle=False) as file:
-            return {key: file[key] for key in file.files}
+        with zipfile.ZipFile(path) as file:
+            entries = arrays_in(file, Budget(), only)
+            return {key: _array(f"'{key}'", data) for key, data in entries}
     except Exception as error:  # the zip, zlib and numpy each have their own
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        reason = reason_of(error)
         raise InputError(f"{path}: not a readable .npz ({reason}); expected {expected}") from None
+
+
+def read_array(path: Path) -> np.ndarray:
+    """The array of a ``.npy``, which must not hold pickled objects.
+
+    Raises:
+        InputError: there is none, or it cannot be read.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; expected an array (.npy)")
+    try:
+        return read_npy(path.read_bytes())
+    except Exception as error:
+        raise InputError(f"{path}: not a readable .npy ({reason_of(error)})") from None
+
+
+def _array(where: str, data: bytes) -> np.ndarray:
+    """The array of a .npy in a file; ``where`` is its name there."""
+    try:
+        return read_npy(data)
+    except Exception as error:
+        raise Damaged(f"{where}: {reason_of(error)}") from None
+
+
+def read_json(path: Path, expected: str) -> Any:  # noqa: ANN401
+    """What a JSON file says.
+
+    Args:
+        path: the file.
+        expected: what it should say, for the error.
+
+    Raises:
+        InputError: there is none, or it is no JSON, or larger than any that is written here.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; expected {expected}")
+    try:
+        if path.stat().st_size > LARGEST_TEXT:
+            raise ValueError(f"{path.stat().st_size:,} bytes")
+        return json.loads(path.read_text())
+    except (OSError, ValueError, RecursionError) as error:
+        reason = reason_of(error)
+        raise InputError(f"{path}: not readable as JSON ({reason}); expected {expected}") from None
 
 
 def require_keys(path: Path, arrays: dict[str, np.ndarray], keys: tuple[str, ...]) -> None:

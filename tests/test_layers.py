@@ -31,7 +31,7 @@ HOMES = {  # packages that only some folders may import, at any depth of the fil
               "gva_mi.sculptor", "gva_mi.avatar", "gva_mi.pose", "gva_mi.fit", "gva_mi.threads",
               "gva_mi.viewer", "gva_mi.commands"),
     "viser": ("gva_mi.viewer.server", "gva_mi.viewer.controls"),
-    "tyro": ("gva_mi.commands", "gva_mi.__main__"),
+    "tyro": ("gva_mi.commands", "gva_mi.parse", "gva_mi.__main__"),
 }  # fmt: skip
 MODULE = pytest.mark.parametrize("path", SOURCES, ids=module)
 

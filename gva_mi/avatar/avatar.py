@@ -43,7 +43,7 @@ from gva_mi.body.polar import carry_frames
 from gva_mi.body.pose import LEFT_HAND, RIGHT_HAND, Pose, Shape
 from gva_mi.body.skinning import blend
 from gva_mi.body.smplx import BodyModel
-from gva_mi.errors import InputError
+from gva_mi.errors import expecting
 from gva_mi.files import read_arrays, write_arrays
 from gva_mi.splat.gaussians import Gaussians
 
@@ -298,11 +298,9 @@ class Avatar(nn.Module):
             InputError: not an avatar.
         """
         texts = {key: str(arrays.get(key, "")) for key in ("format", "description")}
-        tensors = {k: torch.from_numpy(v) for k, v in arrays.items() if k not in texts}
-        try:
+        with expecting(path, AVATAR_FILE):
+            tensors = {k: torch.from_numpy(v) for k, v in arrays.items() if k not in texts}
             return Avatar.from_record({**texts, **tensors})
-        except (KeyError, TypeError, ValueError, RuntimeError) as error:
-            raise InputError(f"{path}: not an avatar of this version ({error})") from None
 
 
 def moved_by(coefficients: Tensor, directions: Tensor) -> Tensor:

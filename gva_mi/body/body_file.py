@@ -23,7 +23,6 @@ betas and up to 10 expressions (1.0). In the older formats all of them are betas
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Collection
 from pathlib import Path
 
@@ -32,6 +31,7 @@ import numpy as np
 from gva_mi.body.pose import JOINTS, PARENTS
 from gva_mi.body.smpl import FORMATS, SMPL, SMPLX, Format, lift
 from gva_mi.errors import InputError
+from gva_mi.files import read_arrays
 from gva_mi.pickles.reader import read_objects
 
 LICENSED = "https://smpl-x.is.tue.mpg.de"
@@ -87,25 +87,9 @@ def _require(path: Path, found: Collection[str]) -> None:
 
 def _read(path: Path) -> dict[str, np.ndarray]:
     """The arrays of the format, without the others that a file may hold."""
-    try:
-        file = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise InputError(
-            f"{path}: not a readable .npz, or cut short ({error}); expected SMPL-X's arrays"
-        ) from None
-    if not isinstance(file, np.lib.npyio.NpzFile):
-        raise InputError(f"{path}: a single array; expected an .npz with {', '.join(_SKIN)}")
-    with file:
-        _require(path, file.files)
-        arrays = {}
-        for key in (*_SKIN, *(k for k in (*_HANDS, *_OPTIONAL) if k in file.files)):
-            try:
-                arrays[key] = file[key]
-            except Exception as error:  # the zip, zlib and numpy each have their own
-                raise InputError(
-                    f"{path}: key '{key}' cannot be read, the file is damaged or holds objects "
-                    f"({error})"
-                ) from None
+    keys = (*_SKIN, *_HANDS, *_OPTIONAL)
+    arrays = read_arrays(path, f"a body in SMPL-X's format: {', '.join(_SKIN)}", keys)
+    _require(path, arrays)
     return arrays
 
 

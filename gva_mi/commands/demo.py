@@ -13,12 +13,14 @@ from gva_mi.commands.fit import fit_video
 from gva_mi.commands.refine import refine_videos
 from gva_mi.console import bar, say
 from gva_mi.data.synthetic import SynthOptions, make_subject
+from gva_mi.data.synthetic.options import VideoFrames
 from gva_mi.data.video import load_video
 from gva_mi.files import make_room, versions, write_json
 from gva_mi.fit import run_folder
-from gva_mi.fit.options import FitOptions
+from gva_mi.fit.options import FitOptions, FromOne
 from gva_mi.fit.poses import PoseOptions
 from gva_mi.pose.sequence import SequenceOptions
+from gva_mi.ranges import PictureSide, Seed
 
 SUBJECT = "subject"  # where the subject lies within the demo's folder
 MARKER = "demo.json"  # every demo's folder holds it
@@ -28,11 +30,11 @@ MARKER = "demo.json"  # every demo's folder holds it
 class DemoOptions:
     """How large the demo is; the defaults take some 10 minutes on 2 cores."""
 
-    seed: int = 0  # of the subject, the refinement and the fit
+    seed: Seed = 0  # of the subject, the refinement and the fit
     subject: str = "amira"  # one of the study's seven
-    frames: int = 64  # of the video
-    size: int = 400  # pixels, width and height
-    steps: int = 2000  # of the fit
+    frames: VideoFrames = 64  # of the video
+    size: PictureSide = 400  # pixels, width and height
+    steps: FromOne = 2000  # of the fit
     no_refine: Switch = False  # stage-1 poses as they are, to see what refining them is worth
 
 

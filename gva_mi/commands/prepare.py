@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
 
 from tyro.conf import Positional
 
@@ -15,6 +16,7 @@ from gva_mi.data.importers.prepare import MARKER, Source, prepare_folder
 from gva_mi.data.importers.target import Target
 from gva_mi.errors import InputError
 from gva_mi.files import whole_folder
+from gva_mi.ranges import Within
 
 
 def prepare(
@@ -26,8 +28,8 @@ def prepare(
     frames: Path | None = None,
     masks: Path | None = None,
     person: str | None = None,
-    first: int = 0,
-    focal: float | None = None,
+    first: Annotated[int, Within(0, 1_000_000_000)] = 0,
+    focal: Annotated[float, Within(0, 1e6, "low", "pixels")] | None = None,
     camera: str | None = None,
     splits: Path | None = None,
     overwrite: Switch = False,
@@ -55,8 +57,6 @@ def prepare(
     """
     if kind != "auto" and kind not in (kinds := {**KINDS, **DATASETS}):
         raise InputError(f"prepare: kind must be auto, {', '.join(kinds)}; got {kind}")
-    if focal is not None and not 0 < focal < float("inf"):
-        raise InputError(f"prepare: --focal must be above 0 pixels, got {focal}")
     target = Target.read(body)
     if not overwrite and (out / MARKER).exists():
         raise InputError(f"{out}: was prepared already; give --overwrite to replace it")

@@ -27,7 +27,8 @@ from gva_mi.pose.parallel import cluster
 from gva_mi.pose.parallel import workers as local_workers
 from gva_mi.pose.refine import refine_all
 from gva_mi.pose.sequence import SequenceOptions
-from gva_mi.pose.single_frame import SingleFrameOptions
+from gva_mi.pose.single_frame import SingleFrameOptions, Steps
+from gva_mi.ranges import Weight, Workers
 
 REPORT = "refinement.html"
 
@@ -37,10 +38,10 @@ def refine(
     options: Flat[SequenceOptions],
     *,
     loss: Literal["sequence", "paper"] = "sequence",
-    steps: int = SingleFrameOptions.steps,
-    paper_prior: float = SingleFrameOptions.prior,
+    steps: Steps = SingleFrameOptions.steps,
+    paper_prior: Weight = SingleFrameOptions.prior,
     normals: Literal["perspective", "icon", "none"] | None = None,
-    workers: int = 1,
+    workers: Workers = 1,
     scheduler: str | None = None,
     report: Switch = False,
     body: Path | None = None,

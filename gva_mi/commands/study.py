@@ -28,6 +28,7 @@ from gva_mi.pose.evaluation.study import study as refine_cases
 from gva_mi.pose.evaluation.study_file import load_study, save_study
 from gva_mi.pose.evaluation.summary import COLUMNS, rows_of
 from gva_mi.pose.parallel import workers as local_workers
+from gva_mi.ranges import Workers
 
 CASES = {"held-out": HELD_OUT, "tuning": TUNING, "all": (*TUNING, *HELD_OUT)}
 IN_PICTURES = 3  # cases that the avatar's page shows
@@ -41,7 +42,7 @@ class Choice:
     cases: Literal["held-out", "tuning", "all"] = "held-out"  # people it was not tuned on, or was
     families: tuple[str, ...] = ()  # of noise; all without it
     people: tuple[str, ...] = ()  # names of the study's subjects, or seeds; all without it
-    workers: int = 1  # processes on this machine; any number gives the same bits
+    workers: Workers = 1  # processes on this machine; any number gives the same bits
     body: Path | None = None  # a body in SMPL-X's .npz format; without it the built-in puppet
     overwrite: Switch = False  # compute again what the file of figures holds
 

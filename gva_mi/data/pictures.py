@@ -1,14 +1,25 @@
-"""Pictures, arrays and films on disk: 8-bit PNG, .npy, mp4; and what lies behind a render."""
+"""Pictures and films on disk: 8-bit PNG, mp4; and what lies behind a render."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import os
+import warnings
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gva_mi.errors import InputError
+from gva_mi.errors import MALFORMED, InputError, reason_of
 from gva_mi.files import replacing
+
+if TYPE_CHECKING:
+    import av
+    from PIL import Image
+
+MOST_PIXELS = 1 << 25  # of a picture; 8K UHD has fewer
+FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP")  # none of which starts another program
 
 # x264 writes its settings, the number of threads among them, into the file: one thread, one file.
 LOSSLESS = {"crf": "0", "preset": "veryfast", "threads": "1"}  # with libx264rgb
@@ -17,15 +28,44 @@ PLAYABLE = {"crf": "18", "threads": "1"}  # with libx264 and yuv420p
 
 def read_image(path: Path, channels: int) -> np.ndarray:
     """An 8-bit picture, (H, W, 3) or, with ``channels`` 1, (H, W)."""
-    from PIL import Image, UnidentifiedImageError
+    with opened(path) as image:
+        return np.asarray(image.convert("RGB" if channels == 3 else "L"))
 
+
+@contextmanager
+def opened(path: Path) -> Iterator[Image.Image]:
+    """A picture whose size is known and whose pixels are not decoded yet.
+
+    Raises:
+        InputError: there is no such file, no memory would hold it, or it cannot be decoded, here
+            or within.
+    """
+    from PIL import Image
+
+    if not Path(path).is_file():
+        raise InputError(f"{path}: no such file; expected an 8-bit PNG")
     try:
-        with Image.open(path) as image:
-            return np.asarray(image.convert("RGB" if channels == 3 else "L"))
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; expected an 8-bit PNG") from None
-    except (UnidentifiedImageError, OSError) as error:
-        raise InputError(f"{path}: not a readable picture ({error})") from None
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the size is checked
+            with Image.open(path, formats=FORMATS) as image:
+                require_size(str(path), *image.size)
+                yield image
+    except InputError:
+        raise
+    except Exception as error:  # each of its decoders has its own
+        raise InputError(f"{path}: not a readable picture ({reason_of(error)})") from None
+
+
+def require_size(where: str, width: int, height: int) -> None:
+    """Refuse a picture that no memory would hold, before any is taken.
+
+    Raises:
+        InputError: it has no pixel, or more than :data:`MOST_PIXELS`.
+    """
+    if min(width, height) < 1 or width * height > MOST_PIXELS:
+        raise InputError(
+            f"{where}: pictures must have from 1 to {MOST_PIXELS:,} pixels, got {width}x{height}"
+        )
 
 
 def write_image(path: Path, image: np.ndarray) -> None:
@@ -65,30 +105,52 @@ def read_background(name: str, width: int, height: int) -> np.ndarray:
     return np.asarray(ImageOps.fit(picture, (width, height)), dtype=np.float32) / 255
 
 
-def read_array(path: Path) -> np.ndarray:
-    """One array of a ``.npy``, which must not hold pickled objects."""
-    try:
-        return np.load(path, allow_pickle=False)
-    except (ValueError, OSError, EOFError) as error:
-        raise InputError(f"{path}: not a readable .npy ({str(error).splitlines()[0]})") from None
-
-
 def read_movie(path: Path) -> list[np.ndarray]:
     """All pictures of a video file, each (H, W, 3) 8-bit.
 
     Raises:
         InputError: where it cannot be decoded.
     """
+    images, left = [], _half_of_memory()
+    for frame in decoded(path):
+        left -= 3 * frame.width * frame.height
+        if left < 0:
+            raise InputError(
+                f"{path}: its pictures take more than half of this machine's memory; expected a "
+                "shorter film, or pictures one by one in frames/000000.png ..."
+            )
+        images.append(frame.to_ndarray(format="rgb24"))
+    return images
+
+
+def decoded(path: Path) -> Iterator[av.VideoFrame]:
+    """The frames of a film, one by one.
+
+    Raises:
+        InputError: it cannot be decoded, holds no picture, or one that no memory would hold.
+    """
     import av
 
+    count = 0
     try:
         with av.open(str(path)) as container:
-            images = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
-    except (av.FFmpegError, IndexError, OSError) as error:
-        raise InputError(f"{path}: cannot be decoded as a video ({error})") from None
-    if not images:
+            stream = container.streams.video[0]
+            require_size(str(path), stream.width, stream.height)
+            for frame in container.decode(stream):
+                require_size(str(path), frame.width, frame.height)
+                yield frame
+                count += 1
+    except InputError:
+        raise
+    except (*MALFORMED, av.FFmpegError, OSError, MemoryError) as error:
+        raise InputError(f"{path}: cannot be decoded as a video ({reason_of(error)})") from None
+    if not count:
         raise InputError(f"{path}: holds no picture")
-    return images
+
+
+def _half_of_memory() -> int:
+    """Bytes."""
+    return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2
 
 
 def write_movie(

@@ -23,7 +23,6 @@ poses are known.
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
@@ -39,7 +38,7 @@ from gva_mi.data.importers.recordings import Recording
 from gva_mi.data.importers.tracks import Track
 from gva_mi.data.importers.whole_videos import last_number
 from gva_mi.errors import InputError
-from gva_mi.files import read_arrays
+from gva_mi.files import read_arrays, read_json
 from gva_mi.pickles.reader import read_objects
 
 _SMPL = ("output-smpl-3d/smpl", "output-smpl-3d/smplfull", "output/smpl", "smpl")
@@ -202,10 +201,7 @@ def _pictures(folder: Path) -> tuple[Path, ...]:
 
 
 def _json(path: Path) -> Any:  # noqa: ANN401
-    try:
-        return json.loads(path.read_text())
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"{path}: not readable JSON ({str(error).splitlines()[0]})") from None
+    return read_json(path, "what the data set holds there")
 
 
 def _yaml(path: Path) -> dict[str, np.ndarray]:

@@ -7,7 +7,6 @@ frame's mask and normals starts from the files of the truth, 8 bits a channel.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -27,7 +26,7 @@ from gva_mi.data.synthetic.noise.poses import believed_camera, noisy_poses
 from gva_mi.data.synthetic.noise.processes import runs
 from gva_mi.data.synthetic.options import MISSING, MISTAKEN, MOTION, NOISE, RENDER, SynthOptions
 from gva_mi.data.video import save_cameras
-from gva_mi.files import write_json
+from gva_mi.files import read_json, write_json
 from gva_mi.splat import Camera
 
 MISSING_FRAMES = 3.0  # frames in a row without normals, on average
@@ -117,7 +116,7 @@ class Pipeline:
 
 def describe_noise(folder: Path) -> list[str]:
     """What the noise of a subject's folder is like, in a few lines for people."""
-    found = json.loads((Path(folder) / "noise.json").read_text())
+    found = read_json(Path(folder) / "noise.json", "what gva-mi synth writes")
     pose, levels, normal = found["pose"], found["levels"], found["normal"]
     lost = len(pose["lost_left_hand"]), len(pose["lost_right_hand"])
     angle, missing = normal["angle_deg"], normal.get("missing", 0)

@@ -6,17 +6,27 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+LONGEST = 1500  # characters of a sentence
+
 
 class InputError(ValueError):
     """A file, folder or option that cannot be used, in one sentence.
 
     The sentence names what was found, where, and which form was expected. The command line prints
-    it and leaves with exit code 2; everything else is a bug and keeps its traceback.
+    it and leaves with exit code 2; everything else is a bug and keeps its traceback. Words of a
+    file that it quotes move no cursor and fill no screen.
     """
+
+    def __init__(self, sentence: str = "") -> None:
+        line = "".join(c if c.isprintable() else " " for c in sentence)
+        super().__init__(line if len(line) <= LONGEST else f"{line[:LONGEST]} ...")
 
 
 # What Python, numpy and torch raise for content that is not of the form which a reader counts on.
-MALFORMED = (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError)
+MALFORMED = (
+    ArithmeticError, AssertionError, AttributeError, LookupError, RuntimeError, StopIteration,
+    TypeError, ValueError,
+)  # fmt: skip
 
 
 @contextmanager
@@ -40,8 +50,7 @@ def expecting(where: Path | str, expected: str) -> Iterator[None]:
 
 
 def reason_of(error: BaseException) -> str:
-    """The first line of what an error says, without what would move a terminal's cursor."""
-    line = next(iter(str(error).splitlines()), "")
-    line = "".join(c if c.isprintable() else "?" for c in line[:160])
+    """The first line of what an error says; else its kind."""
+    line = next(iter(str(error).splitlines()), "")[:160]
     name = type(error).__name__
     return f"{name}: {line}" if line and isinstance(error, KeyError) else line or name

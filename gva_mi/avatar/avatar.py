@@ -48,7 +48,7 @@ from gva_mi.files import read_arrays, write_arrays
 from gva_mi.splat.gaussians import Gaussians
 
 FORMAT = "gva_mi avatar, version 3"
-AVATAR_FILE = "an avatar, as `fit` saves it"  # for errors
+AVATAR_FILE = "an avatar of this version, as `fit` saves it"  # for errors
 RIG = (  # the tensors of a Rig
     "joints", "vertices", "faces", "weights", "looseness", "directions", "pose_features",
     "expression_joints", "betas",

@@ -35,6 +35,8 @@ from gva_mi.files import read_arrays
 from gva_mi.pickles.reader import read_objects
 
 LICENSED = "https://smpl-x.is.tue.mpg.de"
+LARGEST = 1e9  # number in a body's file
+FEWEST_SHARED = 0.8  # of the edges: a border is longest in a small part of a body
 _ROOT = 4294967295  # the root's parent in the files: -1 as an unsigned integer
 _SKIN = (
     "v_template", "f", "shapedirs", "posedirs", "J_regressor", "weights", "kintree_table",
@@ -119,9 +121,25 @@ def _check(path: Path, arrays: dict[str, np.ndarray]) -> Format:
         )
     if arrays["f"].max() >= vertices or arrays["f"].min() < 0:
         raise InputError(f"{path}: 'f' names vertex {arrays['f'].max()}, but there are {vertices}")
+    _check_surface(path, arrays["f"])
     if not np.allclose(arrays["weights"].sum(1, dtype=np.float64), 1, atol=1e-2):
         raise InputError(f"{path}: 'weights' must have rows that sum to 1")
     return form
+
+
+def _check_surface(path: Path, faces: np.ndarray) -> None:
+    """Refuse triangles that hang together nowhere: what makes meshes coarser would not come back.
+
+    Nearly all edges of a body belong to two triangles; where a surface has a border, to one.
+    """
+    sides = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    edges, count = np.unique(sides, axis=0, return_counts=True)
+    shared = float(((count == 2) & (edges[:, 0] != edges[:, 1])).mean())
+    if shared < FEWEST_SHARED:
+        raise InputError(
+            f"{path}: 'f' is no surface, {shared:.0%} of its edges belong to two triangles; "
+            f"expected {FEWEST_SHARED:.0%} or more"
+        )
 
 
 def _check_array(path: Path, key: str, array: np.ndarray, shape: tuple[int | None, ...]) -> None:
@@ -136,8 +154,8 @@ def _check_array(path: Path, key: str, array: np.ndarray, shape: tuple[int | Non
             raise InputError(f"{path}: '{key}' must hold integers, found {array.dtype}")
     elif not np.issubdtype(array.dtype, np.floating):
         raise InputError(f"{path}: '{key}' must be floating point, found {array.dtype}")
-    elif not np.isfinite(array).all():
-        raise InputError(f"{path}: '{key}' holds a number that is not finite")
+    elif not float(np.abs(array).max()) < LARGEST:
+        raise InputError(f"{path}: '{key}' holds a number that is not finite, or absurd")
 
 
 def _format(path: Path, arrays: dict[str, np.ndarray]) -> Format:

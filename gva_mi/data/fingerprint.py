@@ -103,7 +103,10 @@ def _body_of(file: Path, written_by: str) -> dict | None:
         body = about.get("body")
         if not isinstance(body, dict):  # older folders name a format here, or nothing
             return None
-        return body | {"sketch": [float(s) for s in body["sketch"]], "vertices": body["vertices"]}
+        return body | {
+            "sketch": np.reshape(np.float64(body["sketch"]), SUMS).tolist(),
+            "vertices": body["vertices"],
+        }
 
 
 def _argument(name: str | None) -> str:

@@ -71,7 +71,8 @@ class Scene:
             camera = Camera.from_matrices(arrays["K"], arrays["viewmat"], *size, model)
             gaussians = Gaussians(**{k: arrays[k] for k in (*ARRAYS, color)})
             gaussians.check_shapes()
-        return Scene.of(gaussians, camera, arrays.get("background", np.zeros(gaussians.channels)))
+            black = np.zeros(gaussians.channels)
+            return Scene.of(gaussians, camera, arrays.get("background", black))
 
     def inputs(self) -> dict[str, Tensor]:
         """What is differentiated, by name."""

@@ -76,7 +76,7 @@ def told(source: Path, kind: str, what: str, read: Callable[..., Any], *argument
     Raises:
         InputError: whatever the reader stumbles over.
     """
-    with expecting(f"{source}: of the kind {kind}", what):
+    with expecting(f"{source} (of the kind {kind})", what):
         return read(str(source), *arguments)
 
 

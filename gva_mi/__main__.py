@@ -13,6 +13,11 @@ from gva_mi.parse import parse
 
 BAD_INPUT = 2  # exit codes
 INTERRUPTED, BROKEN_PIPE = 130, 141  # a shell's for SIGINT and SIGPIPE
+WHOLE = "every file that is there is whole"
+AFTER_STOP = {  # what goes on with the work of a verb
+    "fit": "--resume goes on with it",
+    "study": "the same command goes on with it",
+}
 OF_COMMANDS = (
     "av jinja2 matplotlib mitsuba PIL pymeshlab roma scipy skimage tqdm trimesh tyro".split()
 )
@@ -32,7 +37,8 @@ def main(arguments: list[str] | None = None) -> None:
         print(f"gva-mi: {_explained(error)}", file=sys.stderr)
         sys.exit(BAD_INPUT)
     except KeyboardInterrupt:
-        print("\ngva-mi: stopped; --resume goes on with a fit", file=sys.stderr)
+        verb = arguments[0] if arguments else ""
+        print(f"\ngva-mi: stopped; {AFTER_STOP.get(verb, WHOLE)}", file=sys.stderr)
         sys.exit(INTERRUPTED)
     except BrokenPipeError:
         if not _reader_is_gone():
@@ -40,6 +46,11 @@ def main(arguments: list[str] | None = None) -> None:
         # Python flushes once more at its end, and would complain: let it write into nothing.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(BROKEN_PIPE)
+    except OSError as error:  # a disk that is full, a folder that may not be read
+        if error.filename is None or error.strerror is None:
+            raise
+        print(f"gva-mi: {error.filename}: {error.strerror}; {WHOLE}", file=sys.stderr)
+        sys.exit(BAD_INPUT)
 
 
 def _explained(error: InputError | ImportError) -> str:

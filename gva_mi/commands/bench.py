@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -12,6 +11,7 @@ from gva_mi.body.bench import bench_body
 from gva_mi.commands.arguments import Flat
 from gva_mi.console import bar, say
 from gva_mi.errors import InputError
+from gva_mi.files import require_room, write_json
 from gva_mi.fit.bench import bench_fit
 from gva_mi.mesh.bench import bench_normals
 from gva_mi.splat.bench import BenchOptions
@@ -39,6 +39,8 @@ def bench(
     """
     if what != "splat" and scene is not None:
         raise InputError(f"bench {what}: there is no --scene, the body is the command's own")
+    if json_file is not None:
+        require_room(json_file, overwrite=True)
     if what == "body":
         found = bench_body(options.repeats, options.seed)
     elif what == "normals":
@@ -51,6 +53,5 @@ def bench(
             found = bench_splat(given, options, progress)
     say(found.table())
     if json_file is not None:
-        json_file.parent.mkdir(parents=True, exist_ok=True)
-        json_file.write_text(json.dumps(found.to_dict(), indent=1) + "\n")
+        write_json(json_file, found.to_dict())
         say(f"figures: {json_file}")

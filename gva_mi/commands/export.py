@@ -130,10 +130,7 @@ def export(
         require_room(out, overwrite)
     else:
         start_folder(out, MARKER, overwrite, {"avatar": str(run), "poses": options.poses})
-    try:
-        work()
-    except OSError as error:  # a disk that has filled up by now
-        raise InputError(f"{out}: cannot be written ({error.strerror})") from None
+    work()
     say(f"exported: {out}")
 
 

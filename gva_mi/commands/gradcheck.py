@@ -17,6 +17,7 @@ from gva_mi.avatar.gradcheck import gradcheck as check_avatar
 from gva_mi.commands.arguments import Flat, Switch
 from gva_mi.console import say
 from gva_mi.errors import InputError
+from gva_mi.files import require_writable
 from gva_mi.ranges import Seed, Within, require_ranges
 from gva_mi.splat import render
 from gva_mi.splat.camera import CameraModel
@@ -89,12 +90,13 @@ def gradcheck(
         if body is not None:
             raise InputError("gradcheck splat: there is no --body; a scene is given by --scene")
         asked = _windows(options, scene)
+    if out is not None:
+        require_writable(out)
     reports = {}
     for name, report in asked:
         reports[name] = report
         say(f"{name}:\n{report.table()}\n")
     if out is not None:
-        out.mkdir(parents=True, exist_ok=True)
         write_json(reports, out / REPORT)
         say(f"figures: {out / REPORT}")
         if what == "splat":

@@ -12,13 +12,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gva_mi.errors import MALFORMED, InputError, reason_of
-from gva_mi.files import replacing
+from gva_mi.files import replacing, require_room
 
 if TYPE_CHECKING:
     import av
     from PIL import Image
 
 MOST_PIXELS = 1 << 25  # of a picture; 8K UHD has fewer
+FORMAT_OF = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG"}  # of pictures that are written
 FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP")  # none of which starts another program
 
 # x264 writes its settings, the number of threads among them, into the file: one thread, one file.
@@ -74,8 +75,19 @@ def write_image(path: Path, image: np.ndarray) -> None:
 
     if image.dtype != np.uint8:
         image = np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(image).save(path)
+    with replacing(path) as unfinished:
+        Image.fromarray(image).save(unfinished, FORMAT_OF[Path(path).suffix.lower()])
+
+
+def require_picture(path: Path, overwrite: bool) -> None:
+    """Check that a picture can be written, before the work whose result it is to show.
+
+    Raises:
+        InputError: it is no .png, is there and may not be replaced, or its folder takes no file.
+    """
+    if path.suffix.lower() != ".png":
+        raise InputError(f"{path}: a picture's name ends in .png")
+    require_room(path, overwrite)
 
 
 def read_background(name: str, width: int, height: int) -> np.ndarray:

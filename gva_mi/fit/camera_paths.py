@@ -44,10 +44,10 @@ class CameraPath:
     path: Kind | None = None  # none: static, or a turntable where no poses are given
     # Pictures; 0: 72 of a turntable, otherwise one a frame of the motion.
     frames: Annotated[int, Within(0, 100_000)] = 0
-    # Degrees from where the person looks to, where the first camera stands.
-    turn: Annotated[float, Within(-3600, 3600)] = 0.0
-    # Degrees that cameras stand higher than the middle of the person.
-    elevation: Annotated[float, Within(-89, 89)] = 5.0
+    # From where the person looks to, where the first camera stands.
+    turn: Annotated[float, Within(-3600, 3600, unit="degrees")] = 0.0
+    # That cameras stand higher than the middle of the person.
+    elevation: Annotated[float, Within(-89, 89, unit="degrees")] = 5.0
     distance: Annotated[float, Within(0, 100, "low")] = 1.0  # times that from which all is seen
     # Width and height, pixels.
     size: tuple[Annotated[int, Within(1, MOST_PIXELS)], Annotated[int, Within(1, MOST_PIXELS)]] = (

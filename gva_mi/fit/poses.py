@@ -35,7 +35,7 @@ from gva_mi.body.smplx import Rest
 from gva_mi.pose.anatomy import Anatomy
 from gva_mi.pose.clips import cut
 from gva_mi.pose.corrections import Corrections
-from gva_mi.pose.descent import Nat, PartFrames, optimiser
+from gva_mi.pose.descent import Nat, optimiser
 from gva_mi.pose.priors import lever_arms
 from gva_mi.pose.stage1 import Stage1
 from gva_mi.ranges import InnerShare, Metres, Turn, Within, require_ranges
@@ -56,7 +56,7 @@ class PoseOptions:
     largest_turn: Turn = 0.03  # radians in such a step; it limits joints with short lever arms
     translation_lr: Metres = 0.002  # metres in a first step
     decay: Annotated[float, Within(0, 1, "low")] = 0.1  # what is left of these steps at the end
-    part: PartFrames = 240  # frames of a video that know of each other
+    part: Annotated[int, Within(2, 10_000)] = 240  # frames of a video that know of each other
 
     def __post_init__(self) -> None:
         require_ranges("fit", self)

@@ -19,6 +19,7 @@ one, whole.
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -119,8 +120,10 @@ def load_options(out: Path) -> dict[str, Any]:
 
 def save_state(out: Path, state: dict[str, Any]) -> None:
     """Write the checkpoint: tensors, numbers, strings, and lists and dictionaries of them."""
+    whole = io.BytesIO()  # torch's own writer says nothing of a disk that is full
+    torch.save(state, whole)
     with replacing(out / CHECKPOINT) as unfinished:
-        torch.save(state, unfinished)
+        unfinished.write_bytes(whole.getbuffer())
 
 
 def load_state(out: Path) -> dict[str, Any] | None:

@@ -20,6 +20,7 @@ from gva_mi.ranges import PictureSide, Seed, Within, Workers, require_ranges
 MOTION, NOISE, NOVEL_POSE, NOVEL_VIEW, RENDER, BACKGROUND, MISTAKEN, MISSING = range(1, 9)
 FIGURE, OUTFIT = 11, 12
 FIGURES = ("own", "stretched", "anny")
+MOST_PIXELS = 1 << 31  # of a whole video, which is in memory while it is made
 VideoFrames = Annotated[int, Within(2, 10_000)]
 NovelPictures = Annotated[int, Within(0, 1000)]
 Level = Annotated[float, Within(0, 10)]
@@ -55,6 +56,11 @@ class SynthOptions:
 
     def __post_init__(self) -> None:
         require_ranges("synth", self)
+        if self.frames * self.size**2 > MOST_PIXELS:
+            found = f"{self.frames} of {self.size}x{self.size}"
+            raise InputError(
+                f"synth: a video must have at most {MOST_PIXELS:,} pixels, got {found}"
+            )
         require_family(self.family)
         if round(self.samples**0.5) ** 2 != self.samples:
             raise InputError(f"synth: samples must be a square number, got {self.samples}")

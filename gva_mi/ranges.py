@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import functools
 import numbers
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
@@ -53,7 +53,7 @@ Rate = Annotated[float, Within(0, 1)]
 Seed = Annotated[int, Within(0, 2**32 - 1)]
 Workers = Annotated[int, Within(1, 256)]
 Metres = Annotated[float, Within(0, 10, "low")]  # in a step, or of a detail of a person
-Turn = Annotated[float, Within(0, 3.2, "low")]  # radians in a step
+Turn = Annotated[float, Within(0, 10, "low")]  # radians in a step
 PictureSide = Annotated[int, Within(16, 4096, unit="pixels")]  # of a picture
 
 
@@ -64,14 +64,9 @@ def require_ranges(where: str, options: object) -> None:
         where: the command that the options are of, for the sentence.
         options: a dataclass whose annotations name ranges; a field of None is left alone.
     """
-    require_within(where, _hints(type(options)), vars(options))
-
-
-def require_within(where: str, hints: Mapping[str, Any], values: Mapping[str, Any]) -> None:
-    """Raise an InputError for the first value that lies outside the range of its annotation."""
-    for name, hint in hints.items():
+    for name, hint in _hints(type(options)).items():
         for kind, within in ranges(hint):
-            for value in _listed(values.get(name)):
+            for value in _listed(getattr(options, name)):
                 within.require(where, name, value)
                 if kind is int and value != int(value):
                     raise InputError(f"{where}: {name} must be a whole number, got {value}")

@@ -49,7 +49,7 @@ Passes = Annotated[int, Within(1, 10_000)]
 Learn = Annotated[int, Within(0, 10_000)]
 Nat = Annotated[float, Within(0, 1e6, "low")]
 Batch = Annotated[int, Within(1, 10_000)]
-PartFrames = Annotated[int, Within(2, 10_000)]
+PartFrames = Annotated[int, Within(1, 10_000)]
 Overlap = Annotated[int, Within(0, 5_000)]
 
 

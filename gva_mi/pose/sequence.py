@@ -74,7 +74,7 @@ class SequenceOptions(DescentOptions, RefineOptions):
     # Metres that a turned joint moves what hangs on it, in a step at the start.
     step: Metres = 0.012
     largest_turn: Turn = 0.03  # radians in such a step; it limits joints with short lever arms
-    translation_lr: Metres = 0.006  # metres in a step at the start; depth is seen weakly
+    translation_lr: Rate = 0.006  # metres in a step at the start; depth is seen weakly
     cloth_lr: Rate = 0.002  # metres in a step at the start
     betas_lr: Rate = 0.05  # standard deviations in a step at the start
     refine_camera: bool = False  # whether the focal length of the video is an unknown, too

@@ -1,8 +1,5 @@
-"""Good files of every kind that is read, each with what reads it.
-
-A reader is a pair: what writes the files into an empty folder, and what reads that folder. Any of
-the files may be damaged then.
-"""
+"""Good files of every kind that is read: pairs of what writes some into an empty folder, and what
+reads them again, when one of them has been damaged."""
 
 import json
 import pickle
@@ -353,8 +350,8 @@ def datasets():
             write_image(folder / f"images/image_{k:04d}.png", image)
             write_image(folder / f"masks/mask_{k:04d}.png", image[..., 0])
         np.savez(folder / "cameras.npz", intrinsic=K, extrinsic=np.eye(4), height=H, width=W)
-        np.savez(folder / "poses.npz", betas=np.zeros(10), transl=np.ones((T, 3)),
-                 thetas=np.full((T, 72), 0.1))  # fmt: skip
+        thetas = {"thetas": np.full((T, 72), 0.1), "betas": np.zeros(10)}
+        np.savez(folder / "poses.npz", transl=np.ones((T, 3)), **thetas)
 
     def easymocap(folder):
         person = {"id": 0, "Rh": [[0.1, 0, 0]], "Th": [[0, 0, 4.0]], "poses": [[0.1] * 72],

@@ -17,9 +17,9 @@ SOURCES = sorted((ROOT / "gva_mi").rglob("*.py")) + sorted((ROOT / "plugins").rg
 # From the ground up: a name, what it is, and the modules that are there. A module belongs to the
 # longest prefix that fits.
 FLOORS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
-    ("ground", "errors, files, libLLVM, console, pages",
-     ("gva_mi", "gva_mi.errors", "gva_mi.files", "gva_mi.llvm", "gva_mi.console", "gva_mi.page",
-      "gva_mi.threads")),
+    ("ground", "errors, ranges, files, libLLVM, console, pages",
+     ("gva_mi", "gva_mi.errors", "gva_mi.ranges", "gva_mi.budget", "gva_mi.arrays", "gva_mi.files",
+      "gva_mi.lock", "gva_mi.llvm", "gva_mi.console", "gva_mi.page", "gva_mi.threads")),
     ("pickles", "other people's pickles, without running any code", ("gva_mi.pickles",)),
     ("splat records", "Camera, Gaussians, SplatOptions",
      ("gva_mi.splat.camera", "gva_mi.splat.gaussians", "gva_mi.splat.covariances",
@@ -61,7 +61,7 @@ FLOORS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("fit/evaluation", "how close the avatar comes; the study", ("gva_mi.fit.evaluation",)),
     ("viewer", "an avatar in the browser", ("gva_mi.viewer",)),
     ("commands", "one verb a file", ("gva_mi.commands",)),
-    ("gva-mi", "the command line", ("gva_mi.__main__",)),
+    ("gva-mi", "the command line", ("gva_mi.__main__", "gva_mi.parse")),
 )  # fmt: skip
 
 

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-import functools
-import io
 import os
-import re
 import select
 import sys
-from collections.abc import Callable
-from contextlib import redirect_stderr
 
 from gva_mi import __version__, llvm
 from gva_mi.commands import VERBS, load
 from gva_mi.errors import InputError
+from gva_mi.parse import parse
 
 BAD_INPUT = 2  # exit codes
 INTERRUPTED, BROKEN_PIPE = 130, 141  # a shell's for SIGINT and SIGPIPE
+WHOLE = "every file that is there is whole"
+AFTER_STOP = {  # what goes on with the work of a verb
+    "fit": "--resume goes on with it",
+    "study": "the same command goes on with it",
+}
 OF_COMMANDS = (
     "av jinja2 matplotlib mitsuba PIL pymeshlab roma scipy skimage tqdm trimesh tyro".split()
 )
@@ -36,7 +37,8 @@ def main(arguments: list[str] | None = None) -> None:
         print(f"gva-mi: {_explained(error)}", file=sys.stderr)
         sys.exit(BAD_INPUT)
     except KeyboardInterrupt:
-        print("\ngva-mi: stopped; --resume goes on with a fit", file=sys.stderr)
+        verb = arguments[0] if arguments else ""
+        print(f"\ngva-mi: stopped; {AFTER_STOP.get(verb, WHOLE)}", file=sys.stderr)
         sys.exit(INTERRUPTED)
     except BrokenPipeError:
         if not _reader_is_gone():
@@ -44,6 +46,11 @@ def main(arguments: list[str] | None = None) -> None:
         # Python flushes once more at its end, and would complain: let it write into nothing.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(BROKEN_PIPE)
+    except OSError as error:  # a disk that is full, a folder that may not be read
+        if error.filename is None or error.strerror is None:
+            raise
+        print(f"gva-mi: {error.filename}: {error.strerror}; {WHOLE}", file=sys.stderr)
+        sys.exit(BAD_INPUT)
 
 
 def _explained(error: InputError | ImportError) -> str:
@@ -66,7 +73,7 @@ def _run(arguments: list[str]) -> None:
         load(verb)()
     elif verb in VERBS:
         llvm.require()
-        _parse(load(verb), f"gva-mi {verb}", arguments[1:])()
+        parse(load(verb), f"gva-mi {verb}", arguments[1:])()
     else:
         found = f"there is no command '{verb}'" if verb else "a command is missing"
         raise InputError(f"{found}; expected one of {', '.join(VERBS)}")
@@ -90,61 +97,6 @@ def _write_completion(arguments: list[str]) -> None:
 
     commands = {verb: load(verb) for verb in VERBS}
     tyro.extras.subcommand_cli_from_dict(commands, prog="gva-mi", args=arguments)
-
-
-def _parse(command: Callable[..., None], program: str, arguments: list[str]) -> Callable[[], None]:
-    """Read a command's arguments, and return the call without making it.
-
-    So whatever is raised here is about the arguments, and what the command raises later is not.
-
-    Raises:
-        InputError: a value that cannot be read, or that options refuse.
-    """
-    import tyro
-
-    @functools.wraps(command)
-    def call(*values: object, **options: object) -> Callable[[], None]:
-        return functools.partial(command, *values, **options)
-
-    complaint = io.StringIO()
-    try:
-        with redirect_stderr(complaint):
-            return tyro.cli(call, prog=program, args=arguments)
-    except ValueError as error:  # of options without a prefix, which tyro lets through
-        raise InputError(str(error)) from None
-    except SystemExit as stop:
-        refusal = _refusal(stop)
-        if refusal is not None:
-            raise InputError(_sentence(refusal, complaint.getvalue())) from None
-        sys.stderr.write(complaint.getvalue())  # arguments that are missing, unknown, no choice
-        raise
-
-
-def _refusal(stop: SystemExit) -> ValueError | None:
-    """The error of a value for which tyro stopped, which Python keeps as the context of the exit.
-
-    tyro draws a frame around this error's sentence and breaks its lines; the error has it whole.
-    """
-    error: BaseException | None = stop
-    while error is not None and not isinstance(error, ValueError):
-        error = error.__context__
-    return error
-
-
-def _sentence(refusal: ValueError, text: str) -> str:
-    """What was wrong, with the option's name and form where tyro's text tells them.
-
-    Options refuse a value in a sentence that names them, but text that is no number does not say
-    which option it stood for. Then tyro's text has "Error parsing --steps:" in one line and
-    "--steps INT" in another. Were its wording to change, the sentence would be the bare error.
-    """
-    text = re.sub(r"\x1b\[[\d;]*m", "", text)  # colours
-    named = re.search(r"Error parsing (--[\w.-]+):", text)
-    if named is None:
-        return str(refusal)
-    option = named.group(1)
-    form = re.search(rf"^\W*{option} (.*?)[\s│]*$", text, re.MULTILINE)
-    return f"{option} must be {form.group(1)}: {refusal}" if form else f"{option}: {refusal}"
 
 
 def _reader_is_gone() -> bool:

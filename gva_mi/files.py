@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import platform
 import shutil
 import tempfile
 import zipfile
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager, suppress
 from importlib import metadata
 from importlib.util import find_spec
 from pathlib import Path
@@ -17,17 +18,23 @@ from typing import Any
 
 import numpy as np
 
-from gva_mi.errors import InputError
+from gva_mi.arrays import arrays_in, read_header, read_npy, require_bytes
+from gva_mi.budget import Budget, Damaged, Refused
+from gva_mi.errors import InputError, reason_of
 
+LARGEST_TEXT = 1 << 28  # bytes of a JSON file
 PACKAGES = ("gva_mi", "torch", "drjit", "numpy")  # whose versions may change the figures
 
 
-def read_arrays(path: Path, expected: str) -> dict[str, np.ndarray]:
+def read_arrays(
+    path: Path, expected: str, only: Collection[str] | None = None
+) -> dict[str, np.ndarray]:
     """All arrays of an ``.npz``, which must not hold pickled objects.
 
     Args:
         path: the file.
         expected: what it should hold, for the error.
+        only: the names of those that are read, if they are there; None: all.
 
     Raises:
         InputError: there is none, or it cannot be read.
@@ -37,11 +44,70 @@ def read_arrays(path: Path, expected: str) -> dict[str, np.ndarray]:
     if not zipfile.is_zipfile(path):
         raise InputError(f"{path}: not a readable .npz, or cut short; expected {expected}")
     try:
-        with np.load(path, allow_pickle=False) as file:
-            return {key: file[key] for key in file.files}
+        with zipfile.ZipFile(path) as file:
+            entries = arrays_in(file, Budget(), only)
+            return {key: _array(f"'{key}'", data) for key, data in entries}
     except Exception as error:  # the zip, zlib and numpy each have their own
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        reason = reason_of(error)
         raise InputError(f"{path}: not a readable .npz ({reason}); expected {expected}") from None
+
+
+def read_array(path: Path, mapped: bool = False) -> np.ndarray:
+    """The array of a ``.npy``, which must not hold pickled objects.
+
+    Args:
+        path: of the file.
+        mapped: leave it on disk until it is looked at.
+
+    Raises:
+        InputError: there is none, or it cannot be read.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; expected an array (.npy)")
+    try:
+        with path.open("rb") as file:
+            header = read_header(file)
+            if header.dtype.hasobject:
+                raise Refused("pickled objects")
+            left = path.stat().st_size - file.tell()
+            require_bytes(header.shape, header.dtype.itemsize, left)
+            if mapped:
+                form = header.shape, header.order
+                return np.memmap(path, header.dtype, "r", file.tell(), *form)
+            return np.fromfile(file, header.dtype).reshape(header.shape, order=header.order)
+    except Exception as error:
+        raise InputError(f"{path}: not a readable .npy ({reason_of(error)})") from None
+
+
+def _array(where: str, data: bytes) -> np.ndarray:
+    """The array of a .npy in a file; ``where`` is its name there."""
+    try:
+        return read_npy(data)
+    except Exception as error:
+        raise Damaged(f"{where}: {reason_of(error)}") from None
+
+
+def read_json(path: Path, expected: str) -> Any:  # noqa: ANN401
+    """What a JSON file says.
+
+    Args:
+        path: the file.
+        expected: what it should say, for the error.
+
+    Raises:
+        InputError: there is none, or it is no JSON, or larger than any that is written here.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; expected {expected}")
+    try:
+        if path.stat().st_size > LARGEST_TEXT:
+            raise ValueError(f"{path.stat().st_size:,} bytes")
+        return json.loads(path.read_text())
+    except (OSError, ValueError, RecursionError) as error:
+        reason = reason_of(error)
+        raise InputError(f"{path}: not readable as JSON ({reason}); expected {expected}") from None
 
 
 def require_keys(path: Path, arrays: dict[str, np.ndarray], keys: tuple[str, ...]) -> None:
@@ -54,15 +120,24 @@ def require_keys(path: Path, arrays: dict[str, np.ndarray], keys: tuple[str, ...
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A path to write to; what was written takes the place of ``path`` once it is whole."""
+    """A path to write to; what was written takes the place of ``path`` once it is whole.
+
+    Raises:
+        OSError: as of a disk that is full, with the name of the file.
+    """
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
     unfinished = path.with_name(path.name + ".part")
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         yield unfinished
         unfinished.replace(path)
+    except OSError as error:
+        if error.errno is None:
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from None  # not every writer names it
     finally:
-        unfinished.unlink(missing_ok=True)
+        with suppress(OSError):
+            unfinished.unlink(missing_ok=True)
 
 
 @contextmanager
@@ -81,11 +156,13 @@ def whole_folder(out: Path, replaced: str | None = None) -> Iterator[Path]:
         if replaced is None or not out.is_dir():
             raise InputError(f"{out}: already there; expected a new or an empty folder")
         _require_ours(out, replaced)
-    out.parent.mkdir(parents=True, exist_ok=True)
+    require_writable(out.parent)
     folder = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
     folder.chmod(0o755)
     try:
         yield folder
+        if replaced is None and _holds_something(out):
+            raise InputError(f"{out}: was made by another process meanwhile; nothing is replaced")
         if out.exists():
             shutil.rmtree(out)
         folder.rename(out)
@@ -103,11 +180,15 @@ def require_room(path: Path, overwrite: bool) -> None:
         raise InputError(f"{path}: is a folder; expected the name of a file")
     if path.exists() and not overwrite:
         raise InputError(f"{path}: exists already; give --overwrite to replace it")
-    _require_writable(path.parent)
+    require_writable(path.parent)
 
 
-def _require_writable(folder: Path) -> None:
-    """Make a folder where it is missing, and see whether it takes a file."""
+def require_writable(folder: Path) -> None:
+    """Make a folder where it is missing, and see whether it takes a file.
+
+    Raises:
+        InputError: it does not.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
@@ -130,12 +211,18 @@ def make_room(folder: Path, marker: str, overwrite: bool) -> None:
     Raises:
         InputError: the folder holds something, and may not be replaced or has no marker.
     """
+    require_replaceable(folder, marker, overwrite)
+    if _holds_something(folder):
+        shutil.rmtree(folder)
+
+
+def require_replaceable(folder: Path, marker: str, overwrite: bool) -> None:
+    """Raise what :func:`make_room` raises, and leave the folder as it is."""
     if not _holds_something(folder):
         return
     if not overwrite:
         raise InputError(f"{folder}: already holds something; give --overwrite to replace it")
     _require_ours(folder, marker)
-    shutil.rmtree(folder)
 
 
 def _holds_something(folder: Path) -> bool:
@@ -160,14 +247,16 @@ def start_folder(folder: Path, marker: str, overwrite: bool, about: dict[str, An
         InputError: as there, or the folder cannot be written to.
     """
     make_room(folder, marker, overwrite)
-    _require_writable(folder)
+    require_writable(folder)
     write_json(folder / marker, about | {"versions": versions()})
 
 
 def write_arrays(path: Path, **arrays: np.ndarray) -> None:
     """Write an ``.npz``, packed: most of an avatar's blend shapes and skinning weights are zero."""
-    with replacing(path) as unfinished, open(unfinished, "wb") as file:
-        np.savez_compressed(file, **arrays)
+    whole = io.BytesIO()  # a disk that fills up is one error then, and not those of a zip as well
+    np.savez_compressed(whole, **arrays)
+    with replacing(path) as unfinished:
+        unfinished.write_bytes(whole.getbuffer())
 
 
 def write_json(path: Path, value: Any) -> None:  # noqa: ANN401 (anything that JSON can say)

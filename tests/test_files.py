@@ -1,14 +1,19 @@
 """A file is the old one or the new one, whole; one that cannot be read is named."""
 
 import json
+import struct
+import zipfile
 
 import numpy as np
 import pytest
 
-from gva_mi import InputError
+from gva_mi import InputError, budget
+from gva_mi.errors import expecting
 from gva_mi.files import (
     make_room,
+    read_array,
     read_arrays,
+    read_json,
     replacing,
     require_keys,
     require_room,
@@ -102,3 +107,57 @@ def test_a_folder_is_replaced_once_the_new_one_is_whole(tmp_path):
         pass
     with pytest.raises(InputError, match="a new or an empty folder"), whole_folder(out):
         pass
+    (out / "marker").unlink()
+    with pytest.raises(InputError, match="by another process"), whole_folder(out) as folder:
+        (folder / "marker").write_text("mine")
+        (out / "marker").write_text("the other's")
+    assert (out / "marker").read_text() == "the other's" and list(tmp_path.iterdir()) == [out]
+
+
+def claiming(shape):
+    """A .npy without numbers, whose header claims some."""
+    head = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}".ljust(117) + "\n"
+    return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(head)) + head.encode()
+
+
+def test_a_claim_of_100_gigabytes_is_refused_before_anything_is_allocated(tmp_path, monkeypatch):
+    (tmp_path / "a.npy").write_bytes(claiming((12_500_000_000,)))
+    with pytest.raises(InputError, match="claims 100,000,000,000 bytes, but holds 0"):
+        read_array(tmp_path / "a.npy")
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as file:
+        file.writestr("poses.npy", claiming((12_500_000_000,)))
+    with pytest.raises(InputError, match=r"'poses': an array claims 100,000,000,000 bytes"):
+        read_arrays(tmp_path / "a.npz", "poses")
+    with zipfile.ZipFile(tmp_path / "b.npz", "w", zipfile.ZIP_DEFLATED) as file:
+        file.writestr("a.npy", bytes(1 << 21))
+    monkeypatch.setattr(budget.Budget.__init__, "__defaults__", (1 << 20,))
+    with pytest.raises(InputError, match="unfold to more than 4 GiB"):
+        read_arrays(tmp_path / "b.npz", "poses")
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, "{", '{"a": ' + "1" * 5000 + "}", "\x00"])
+def test_what_is_no_json_is_one_sentence(tmp_path, text):
+    (tmp_path / "a.json").write_text(text)
+    with pytest.raises(
+        InputError, match=r"a\.json: not readable as JSON \(.*\); expected metrics$"
+    ):
+        read_json(tmp_path / "a.json", "metrics")
+    with pytest.raises(InputError, match=r"b\.json: no such file; expected metrics"):
+        read_json(tmp_path / "b.json", "metrics")
+
+
+def test_content_of_another_form_is_one_sentence_whatever_fails():
+    for fails in (
+        lambda: {}["a"], lambda: [][3], lambda: None.a, lambda: int(float("inf")), lambda: 1 / 0,
+        lambda: next(iter(())), lambda: np.zeros(2) + np.zeros(3), lambda: len(3),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=r"^a: of another form \(.+\); expected b$"):
+            with expecting("a", "b"):
+                fails()
+    with pytest.raises(InputError, match="^mine$"), expecting("a", "b"):
+        raise InputError("mine")
+
+
+def test_words_of_a_file_move_no_cursor_and_fill_no_screen():
+    assert str(InputError("a\x1b[2J\nb")) == "a [2J b"
+    assert len(str(InputError("x" * 10**6))) < 2000

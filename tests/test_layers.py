@@ -35,7 +35,7 @@ HOMES = {  # packages that only some folders may import, at any depth of the fil
     "viser": ("gva_mi.viewer.server", "gva_mi.viewer.controls"),
     "transformers": ("gva_mi.data.networks.sam_weights",),
     "onnxruntime": ("gva_mi.data.networks.normals",),
-    "tyro": ("gva_mi.commands", "gva_mi.__main__"),
+    "tyro": ("gva_mi.commands", "gva_mi.parse", "gva_mi.__main__"),
 }  # fmt: skip
 MODULE = pytest.mark.parametrize("path", SOURCES, ids=module)
 

@@ -65,8 +65,8 @@ def test_the_commands_run_one_after_the_other(tmp_path, monkeypatch, cli):
 @PAGE
 def test_every_command_is_one_of_the_command_line(page):
     """Parsed and not run. A verb alone, in backquotes, is a name."""
-    from gva_mi.__main__ import _parse
     from gva_mi.commands import VERBS, load
+    from gva_mi.parse import parse
 
     for command in commands(page):
         verb, *arguments = shlex.split(command)[1:]
@@ -75,7 +75,7 @@ def test_every_command_is_one_of_the_command_line(page):
         assert verb in VERBS, command
         if arguments:
             try:
-                _parse(load(verb), f"gva-mi {verb}", arguments)
+                parse(load(verb), f"gva-mi {verb}", arguments)
             except SystemExit:
                 pytest.fail(f"{page.name}: {command}")
 

@@ -44,12 +44,12 @@ from gva_mi.body.kinematics import turn_joints
 from gva_mi.body.polar import carry_frames
 from gva_mi.body.pose import LEFT_HAND, RIGHT_HAND, Pose, Shape
 from gva_mi.body.smplx import BodyModel
-from gva_mi.errors import InputError
+from gva_mi.errors import expecting
 from gva_mi.files import read_arrays, write_arrays
 from gva_mi.splat.gaussians import Gaussians
 
 FORMAT = "gva_mi avatar, version 4"
-AVATAR_FILE = "an avatar, as `fit` saves it"  # for errors
+AVATAR_FILE = "an avatar of this version, as `fit` saves it"  # for errors
 RIG = (  # the tensors of a Rig
     "joints", "vertices", "faces", "weights", "looseness", "directions", "pose_features",
     "expression_joints", "betas",
@@ -307,11 +307,9 @@ class Avatar(nn.Module):
             InputError: not an avatar.
         """
         texts = {key: str(arrays.get(key, "")) for key in ("format", "description")}
-        tensors = {k: torch.from_numpy(v) for k, v in arrays.items() if k not in texts}
-        try:
+        with expecting(path, AVATAR_FILE):
+            tensors = {k: torch.from_numpy(v) for k, v in arrays.items() if k not in texts}
             return Avatar.from_record({**texts, **tensors})
-        except (KeyError, TypeError, ValueError, RuntimeError) as error:
-            raise InputError(f"{path}: not an avatar of this version ({error})") from None
 
 
 def moved_by(coefficients: Tensor, directions: Tensor) -> Tensor:

@@ -23,7 +23,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import torch
 from torch import Tensor, nn
@@ -31,8 +31,8 @@ from torch.nn.functional import pad
 
 from gva_mi.avatar.maps import SparseRows
 from gva_mi.avatar.skin import Skin
-from gva_mi.errors import InputError
 from gva_mi.mesh.surface import vertex_normals
+from gva_mi.ranges import InnerShare, Within, require_ranges
 from gva_mi.splat.kernels.sh import C0
 
 PARAMETERS = ("means", "quats", "log_scales", "logit_opacities", "sh")
@@ -164,21 +164,18 @@ class _Moves:
 class SeedOptions:
     """How the surface of the rest body is covered with Gaussians."""
 
-    count: int = 0  # Gaussians; 0: one on each vertex, as in the paper
-    sh_degree: int = 1  # 0: the same colour in any light; 1: linear in the light's direction
-    opacity: float = 0.9  # of every new Gaussian
-    overlap: float = 0.7  # standard deviation in the tangent plane / distance of neighbours
-    flatness: float = 0.25  # standard deviation along the normal / in the tangent plane
+    # Gaussians; 0: one on each vertex, as in the paper.
+    count: Annotated[int, Within(0, 1_000_000)] = 0
+    # 0: the same colour in any light; 1: linear in the light's direction.
+    sh_degree: Annotated[int, Within(0, 1)] = 1
+    opacity: InnerShare = 0.9  # of every new Gaussian
+    # Standard deviation in the tangent plane / distance of neighbours.
+    overlap: Annotated[float, Within(0, 100, "low")] = 0.7
+    # Standard deviation along the normal / in the tangent plane.
+    flatness: Annotated[float, Within(0, 100, "low")] = 0.25
 
     def __post_init__(self) -> None:
-        if self.count < 0:
-            raise InputError(f"SeedOptions: count must not be negative, got {self.count}")
-        if self.sh_degree not in (0, 1):
-            raise InputError(f"SeedOptions: sh_degree must be 0 or 1, got {self.sh_degree}")
-        if not 0 < self.opacity < 1:
-            raise InputError(f"SeedOptions: opacity must lie in (0, 1), got {self.opacity}")
-        if not (self.overlap > 0 and self.flatness > 0):
-            raise InputError("SeedOptions: overlap and flatness must be positive")
+        require_ranges("SeedOptions", self)
 
 
 def seed_on_surface(

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import torch
 from torch import Tensor
@@ -22,6 +23,7 @@ from torch import Tensor
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.canonical import CARRIERS, PARAMETERS, CanonicalGaussians
 from gva_mi.errors import InputError
+from gva_mi.ranges import Metres, Share, Within, require_ranges
 from gva_mi.splat import Screen
 
 
@@ -29,19 +31,21 @@ from gva_mi.splat import Screen
 class DensifyOptions:
     """When a Gaussian is multiplied or removed. Defaults are those of 3DGS and GART."""
 
-    grad_threshold: float = 2e-4  # of g: loss per half person, mean over the views that saw it
-    split_scale: float = 0.01  # metres; above it a Gaussian is split, below it is cloned
-    split_shrink: float = 1.6  # the two halves are this much smaller
-    min_opacity: float = 0.05  # below it a Gaussian is removed
-    max_scale: float = 0.1  # metres; above it a Gaussian is removed
-    max_count: int = 40_000  # no growth beyond this many; the largest gradients come first
+    # Of g: loss per half person, mean over the views that saw it.
+    grad_threshold: Annotated[float, Within(0, 1e6)] = 2e-4
+    split_scale: Metres = 0.01  # metres; above it a Gaussian is split, below it is cloned
+    # The two halves are this much smaller.
+    split_shrink: Annotated[float, Within(1, 100, "low")] = 1.6
+    min_opacity: Share = 0.05  # below it a Gaussian is removed
+    max_scale: Metres = 0.1  # metres; above it a Gaussian is removed
+    # No growth beyond this many; the largest gradients come first.
+    max_count: Annotated[int, Within(0, 10_000_000)] = 40_000
 
     def __post_init__(self) -> None:
-        if not self.split_shrink > 1:
-            raise InputError(f"DensifyOptions: split_shrink must exceed 1, got {self.split_shrink}")
-        if not 0 < self.split_scale <= self.max_scale:
+        require_ranges("DensifyOptions", self)
+        if self.split_scale > self.max_scale:
             raise InputError(
-                "DensifyOptions: 0 < split_scale <= max_scale is needed, "
+                "DensifyOptions: split_scale <= max_scale is needed, "
                 f"got {self.split_scale}, {self.max_scale}"
             )
 

@@ -25,6 +25,7 @@ Where practice differs from the words of the paper:
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import torch
@@ -40,30 +41,37 @@ from gva_mi.avatar.skin import Skin, diffused
 from gva_mi.body.pose import LEFT_HAND, RIGHT_HAND
 from gva_mi.errors import InputError
 from gva_mi.mesh.surface import vertex_normals
+from gva_mi.ranges import Metres, Share, Within, require_ranges
+
+Neighbours = Annotated[int, Within(1, 1000)]
 
 
 @dataclass(frozen=True)
 class ReinitOptions:
     """Sizes of the four operations, in metres where they are lengths."""
 
-    count: int = 0  # Gaussians afterwards, within a few percent; 0: as many as before
-    opaque: float = 0.5  # only Gaussians above this opacity carry the surface
-    floater_neighbours: int = 16  # a floater's mean distance to so many neighbours ...
-    floater_sigmas: float = 2.0  # ... exceeds the mean of all by so many standard deviations
-    alpha: float = 0.015  # gaps narrower than twice this are closed; at least the points' spacing
-    offset: float = 0.003  # the wrap keeps this far from the points; taken back afterwards
-    filler_depth: float = 0.012  # the wrapped body lies so far below its surface
-    smoothing: int = 10  # steps of Taubin's filter
-    curvature_gain: float = 2.0  # density at the most curved places / in flat ones, minus 1
-    neighbours: int = 4  # K old Gaussians that opacity and colour are taken from
-    scale_jitter: float = 0.1  # standard deviation of the logarithm of a size
+    # Gaussians afterwards, within a few percent; 0: as many as before.
+    count: Annotated[int, Within(0, 1_000_000)] = 0
+    opaque: Share = 0.5  # only Gaussians above this opacity carry the surface
+    floater_neighbours: Neighbours = 16  # a floater's mean distance to so many neighbours ...
+    # ... exceeds the mean of all by so many standard deviations.
+    floater_sigmas: Annotated[float, Within(0, 1000)] = 2.0
+    alpha: Metres = 0.015  # gaps narrower than twice this are closed; at least the points' spacing
+    offset: Metres = 0.003  # the wrap keeps this far from the points; taken back afterwards
+    # The wrapped body lies so far below its surface.
+    filler_depth: Annotated[float, Within(0, 1)] = 0.012
+    smoothing: Annotated[int, Within(0, 1000)] = 10  # steps of Taubin's filter
+    # Density at the most curved places / in flat ones, minus 1.
+    curvature_gain: Annotated[float, Within(0, 1000)] = 2.0
+    neighbours: Neighbours = 4  # K old Gaussians that opacity and colour are taken from
+    # Standard deviation of the logarithm of a size.
+    scale_jitter: Annotated[float, Within(0, 5)] = 0.1
 
     def __post_init__(self) -> None:
-        if self.count < 0 or self.neighbours < 1 or self.smoothing < 0:
-            raise InputError("ReinitOptions: count and smoothing from 0, neighbours from 1")
-        if not 0 < self.offset < self.alpha:
+        require_ranges("ReinitOptions", self)
+        if not self.offset < self.alpha:
             raise InputError(
-                f"ReinitOptions: 0 < offset < alpha is needed, got {self.offset}, {self.alpha}"
+                f"ReinitOptions: offset < alpha is needed, got {self.offset}, {self.alpha}"
             )
 
 

@@ -21,13 +21,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import roma
 import torch
 from torch import Tensor, nn
 
 from gva_mi.body.pose import BODY
-from gva_mi.errors import InputError
+from gva_mi.ranges import Within, require_ranges
 
 OUTPUT_UNIT = 0.01  # metres per unit of the last layer: Adam's steps are parts of a millimetre
 
@@ -37,13 +38,13 @@ class ResidualOptions:
     """The size of the network."""
 
     enabled: bool = False  # mu' = mu
-    code: int = 8  # numbers that describe a pose
-    frequencies: int = 4  # L; the finest wavelength is 2^(1 - L) of the body's height
-    width: int = 32  # of both hidden layers
+    code: Annotated[int, Within(1, 4096)] = 8  # numbers that describe a pose
+    # L; the finest wavelength is 2^(1 - L) of the body's height.
+    frequencies: Annotated[int, Within(1, 24)] = 4
+    width: Annotated[int, Within(1, 4096)] = 32  # of both hidden layers
 
     def __post_init__(self) -> None:
-        if min(self.code, self.frequencies, self.width) < 1:
-            raise InputError("ResidualOptions: code, frequencies and width must be at least 1")
+        require_ranges("ResidualOptions", self)
 
 
 class PoseResidual(nn.Module):

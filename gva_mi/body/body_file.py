@@ -23,7 +23,6 @@ betas and up to 10 expressions (1.0). In the older formats all of them are betas
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Collection
 from pathlib import Path
 
@@ -32,9 +31,12 @@ import numpy as np
 from gva_mi.body.pose import JOINTS, PARENTS
 from gva_mi.body.smpl import FORMATS, SMPL, SMPLX, Format, lift
 from gva_mi.errors import InputError
+from gva_mi.files import read_arrays
 from gva_mi.pickles.reader import read_objects
 
 LICENSED = "https://smpl-x.is.tue.mpg.de"
+LARGEST = 1e9  # number in a body's file
+FEWEST_SHARED = 0.8  # of the edges: a border is longest in a small part of a body
 _ROOT = 4294967295  # the root's parent in the files: -1 as an unsigned integer
 _SKIN = (
     "v_template", "f", "shapedirs", "posedirs", "J_regressor", "weights", "kintree_table",
@@ -87,25 +89,9 @@ def _require(path: Path, found: Collection[str]) -> None:
 
 def _read(path: Path) -> dict[str, np.ndarray]:
     """The arrays of the format, without the others that a file may hold."""
-    try:
-        file = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise InputError(
-            f"{path}: not a readable .npz, or cut short ({error}); expected SMPL-X's arrays"
-        ) from None
-    if not isinstance(file, np.lib.npyio.NpzFile):
-        raise InputError(f"{path}: a single array; expected an .npz with {', '.join(_SKIN)}")
-    with file:
-        _require(path, file.files)
-        arrays = {}
-        for key in (*_SKIN, *(k for k in (*_HANDS, *_OPTIONAL) if k in file.files)):
-            try:
-                arrays[key] = file[key]
-            except Exception as error:  # the zip, zlib and numpy each have their own
-                raise InputError(
-                    f"{path}: key '{key}' cannot be read, the file is damaged or holds objects "
-                    f"({error})"
-                ) from None
+    keys = (*_SKIN, *_HANDS, *_OPTIONAL)
+    arrays = read_arrays(path, f"a body in SMPL-X's format: {', '.join(_SKIN)}", keys)
+    _require(path, arrays)
     return arrays
 
 
@@ -135,9 +121,25 @@ def _check(path: Path, arrays: dict[str, np.ndarray]) -> Format:
         )
     if arrays["f"].max() >= vertices or arrays["f"].min() < 0:
         raise InputError(f"{path}: 'f' names vertex {arrays['f'].max()}, but there are {vertices}")
+    _check_surface(path, arrays["f"])
     if not np.allclose(arrays["weights"].sum(1, dtype=np.float64), 1, atol=1e-2):
         raise InputError(f"{path}: 'weights' must have rows that sum to 1")
     return form
+
+
+def _check_surface(path: Path, faces: np.ndarray) -> None:
+    """Refuse triangles that hang together nowhere: what makes meshes coarser would not come back.
+
+    Nearly all edges of a body belong to two triangles; where a surface has a border, to one.
+    """
+    sides = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    edges, count = np.unique(sides, axis=0, return_counts=True)
+    shared = float(((count == 2) & (edges[:, 0] != edges[:, 1])).mean())
+    if shared < FEWEST_SHARED:
+        raise InputError(
+            f"{path}: 'f' is no surface, {shared:.0%} of its edges belong to two triangles; "
+            f"expected {FEWEST_SHARED:.0%} or more"
+        )
 
 
 def _check_array(path: Path, key: str, array: np.ndarray, shape: tuple[int | None, ...]) -> None:
@@ -152,8 +154,8 @@ def _check_array(path: Path, key: str, array: np.ndarray, shape: tuple[int | Non
             raise InputError(f"{path}: '{key}' must hold integers, found {array.dtype}")
     elif not np.issubdtype(array.dtype, np.floating):
         raise InputError(f"{path}: '{key}' must be floating point, found {array.dtype}")
-    elif not np.isfinite(array).all():
-        raise InputError(f"{path}: '{key}' holds a number that is not finite")
+    elif not float(np.abs(array).max()) < LARGEST:
+        raise InputError(f"{path}: '{key}' holds a number that is not finite, or absurd")
 
 
 def _format(path: Path, arrays: dict[str, np.ndarray]) -> Format:

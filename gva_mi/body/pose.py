@@ -192,8 +192,10 @@ def _tensor(path: Path, name: str, value: np.ndarray, shape: tuple[int, ...]) ->
         raise InputError(f"{path}: '{name}' must be floating point, got {value.dtype}")
     if value.shape != shape:
         raise InputError(f"{path}: '{name}' must be {shape}, got {value.shape}")
+    with np.errstate(over="ignore"):  # 1e308 is not finite in the precision that is used
+        value = np.ascontiguousarray(value, dtype=np.float32)
     if not np.isfinite(value).all():
         where = np.argwhere(~np.isfinite(value))[0]
         frame = f" in frame {where[0]}" if value.ndim > 1 else f" at index {where[0]}"
         raise InputError(f"{path}: '{name}' holds a number that is not finite{frame}")
-    return torch.from_numpy(np.ascontiguousarray(value, dtype=np.float32))
+    return torch.from_numpy(value)

@@ -34,7 +34,7 @@ from gva_mi.body.kinematics import turn_joints
 from gva_mi.body.pose import PARENTS, Pose, Shape
 from gva_mi.body.puppet import PUPPET
 from gva_mi.body.skinning import skin_points
-from gva_mi.errors import InputError
+from gva_mi.errors import InputError, expecting
 
 
 @dataclass(frozen=True)
@@ -229,7 +229,9 @@ def load_body(path: Path | None = None, dtype: torch.dtype = torch.float32) -> B
     Raises:
         InputError: naming the file, the key, and the shape that was found.
     """
-    return BodyModel(read_body(body_file(path)), dtype)
+    path = body_file(path)
+    with expecting(path, "a body in SMPL-X's format"):
+        return BodyModel(read_body(path), dtype)
 
 
 def body_file(path: Path | None) -> Path:

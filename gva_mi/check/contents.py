@@ -17,10 +17,10 @@ from gva_mi.check.findings import Finding
 from gva_mi.console import Progress
 from gva_mi.data.film import Film
 from gva_mi.data.masks import read_mask
-from gva_mi.data.pictures import read_array, read_image
+from gva_mi.data.pictures import read_image
 from gva_mi.data.video import POSES
 from gva_mi.errors import InputError
-from gva_mi.files import read_arrays
+from gva_mi.files import read_array, read_arrays
 
 T = TypeVar("T")
 SMALL = 192  # px, longer side of the masks that are compared: a person of 1.8 m has 1 px a cm

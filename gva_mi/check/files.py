@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
@@ -13,7 +12,8 @@ from gva_mi.check.findings import Finding
 from gva_mi.data.fingerprint import require_same_body
 from gva_mi.data.normals import ABOUT, NormalMaps
 from gva_mi.data.views import read_views
-from gva_mi.errors import InputError
+from gva_mi.errors import InputError, expecting
+from gva_mi.files import read_json
 from gva_mi.splat import Camera
 
 FULL = 0.995  # of a picture: what lies outside is noise of a file's compression
@@ -178,10 +178,11 @@ def _splits(contents: Contents) -> Iterator[Finding]:
         return
     form = '{"train": [...], "test": [...]} of frame numbers'
     try:
-        data = json.loads(path.read_text())
-        lists = {name: [int(k) for k in data[name]] for name in ("train", "test")}
-    except (ValueError, KeyError, TypeError, OSError) as error:
-        yield Finding("error", "splits", f"unreadable ({error!r})", "of another form", form)
+        data = read_json(path, form)
+        with expecting(path, form):
+            lists = {name: [int(k) for k in data[name]] for name in ("train", "test")}
+    except InputError as error:
+        yield Finding("error", "splits", f"unreadable ({error})", "of another form", form)
         return
     train, test = set(lists["train"]), set(lists["test"])
     both = sorted(train & test)

@@ -36,7 +36,7 @@ def check_poses(contents: Contents, body: BodyModel) -> tuple[Poses | None, list
     if contents.poses is None:
         return None, found
     named = dict(_fields(contents.poses, found))
-    if named.keys() < {"global_orient", "body_pose", "transl"}:
+    if named.keys() != {*SMPLX_FIELDS, "transl", "expression"}:  # some are of another form
         return None, found
     good = np.all([np.isfinite(x).all(1) for x in named.values()], axis=0)
     if not good.all():

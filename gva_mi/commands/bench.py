@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -12,6 +11,7 @@ from gva_mi.body.bench import bench_body
 from gva_mi.commands.arguments import Flat
 from gva_mi.console import bar, say
 from gva_mi.errors import InputError
+from gva_mi.files import require_room, write_json
 from gva_mi.fit.bench import bench_fit
 from gva_mi.mesh.bench import bench_normals
 from gva_mi.splat.bench import BenchOptions
@@ -41,6 +41,8 @@ def bench(
         raise InputError(f"bench {what}: there is no --scene, the body is the command's own")
     if what != "splat" and options.against:
         raise InputError(f"bench {what}: --against is for splat, which has peers")
+    if json_file is not None:
+        require_room(json_file, overwrite=True)
     if what == "body":
         found = bench_body(options.repeats, options.seed)
     elif what == "normals":
@@ -56,6 +58,5 @@ def bench(
         found.peers.draw(options.plot)
         say(f"plot: {options.plot}")
     if json_file is not None:
-        json_file.parent.mkdir(parents=True, exist_ok=True)
-        json_file.write_text(json.dumps(found.to_dict(), indent=1) + "\n")
+        write_json(json_file, found.to_dict())
         say(f"figures: {json_file}")

@@ -10,8 +10,9 @@ from gva_mi.body.puppet import PUPPET
 from gva_mi.body.smplx import load_body
 from gva_mi.commands.arguments import Switch
 from gva_mi.console import say
-from gva_mi.data.pictures import write_image
+from gva_mi.data.pictures import require_picture, write_image
 from gva_mi.errors import InputError
+from gva_mi.files import replacing, require_room
 from gva_mi.sculptor.portrait import pose_sheet as draw_sheet
 from gva_mi.sculptor.portrait import turntable
 
@@ -41,12 +42,14 @@ def body(
         raise InputError(f"{path}: --out copies a file, expected one that is .npz already")
     picture = (out or Path(f"{path.stem}.npz")).with_suffix(".png")
     written = [p for p in (out, picture, sheet) if p is not None]
-    for file in written:
-        if file.exists() and not overwrite:
-            raise InputError(f"{file}: exists already; give --overwrite to replace it")
-        file.parent.mkdir(parents=True, exist_ok=True)
+    if out is not None:
+        require_room(out, overwrite)
+    for file in (picture, sheet):
+        if file is not None:
+            require_picture(file, overwrite)
     if out is not None and not (out.exists() and out.samefile(path)):
-        shutil.copyfile(path, out)
+        with replacing(out) as unfinished:
+            shutil.copyfile(path, unfinished)
     write_image(picture, turntable(model))
     if sheet is not None:
         write_image(sheet, draw_sheet(model))

@@ -13,7 +13,7 @@ from gva_mi.check import check_subject
 from gva_mi.check.sheet import draw_sheet
 from gva_mi.commands.arguments import Switch
 from gva_mi.console import bar, say
-from gva_mi.data.pictures import write_image
+from gva_mi.data.pictures import require_picture, write_image
 from gva_mi.files import require_room, write_json
 
 NARROWEST = 110  # characters of a table that can be read
@@ -43,9 +43,10 @@ def check(
         overwrite: replace these files.
     """
     model = load_body(body)
-    for file in (json, sheet):
-        if file is not None:
-            require_room(file, overwrite)
+    if json is not None:
+        require_room(json, overwrite)
+    if sheet is not None:
+        require_picture(sheet, overwrite)
     with bar("check") as progress:
         checked = check_subject(subject, model, poses, progress)
     report = checked.report

@@ -6,19 +6,22 @@ import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from gva_mi.body.smplx import load_body
+from gva_mi.body.smplx import BodyModel, load_body
 from gva_mi.commands.arguments import Flat, Switch, poses_of
 from gva_mi.commands.evaluate import evaluate_run
 from gva_mi.commands.fit import fit_video
 from gva_mi.commands.refine import refine_videos
 from gva_mi.console import bar, say
 from gva_mi.data.synthetic import SynthOptions, make_subject
+from gva_mi.data.synthetic.options import VideoFrames
 from gva_mi.data.video import load_video
-from gva_mi.files import make_room, versions, write_json
+from gva_mi.files import start_folder
 from gva_mi.fit import run_folder
-from gva_mi.fit.options import FitOptions
+from gva_mi.fit.options import FitOptions, FromOne
 from gva_mi.fit.poses import PoseOptions
+from gva_mi.lock import alone_in
 from gva_mi.pose.sequence import SequenceOptions
+from gva_mi.ranges import PictureSide, Seed
 
 SUBJECT = "subject"  # where the subject lies within the demo's folder
 MARKER = "demo.json"  # every demo's folder holds it
@@ -28,11 +31,11 @@ MARKER = "demo.json"  # every demo's folder holds it
 class DemoOptions:
     """How large the demo is; the defaults take some 10 minutes on 2 cores."""
 
-    seed: int = 0  # of the subject, the refinement and the fit
+    seed: Seed = 0  # of the subject, the refinement and the fit
     subject: str = "amira"  # one of the study's seven
-    frames: int = 64  # of the video
-    size: int = 400  # pixels, width and height
-    steps: int = 2000  # of the fit
+    frames: VideoFrames = 64  # of the video
+    size: PictureSide = 400  # pixels, width and height
+    steps: FromOne = 2000  # of the fit
     no_refine: Switch = False  # stage-1 poses as they are, to see what refining them is worth
 
 
@@ -55,9 +58,21 @@ def demo(
     )
     poses = PoseOptions(trained=not options.no_refine)
     fit_options = FitOptions(seed=options.seed, steps=options.steps, poses=poses)
-    make_room(out, MARKER, overwrite)
-    out.mkdir(parents=True, exist_ok=True)
-    write_json(out / MARKER, {"options": asdict(options), "versions": versions()})
+    with alone_in(out, "gva-mi demo"):
+        start_folder(out, MARKER, overwrite, {"options": asdict(options)})
+        _run(out, options, synth_options, fit_options, model)
+    minutes = (time.perf_counter() - start) / 60
+    say(f"{minutes:.1f} minutes; report: {out / run_folder.REPORT}")
+
+
+def _run(
+    out: Path,
+    options: DemoOptions,
+    synth_options: SynthOptions,
+    fit_options: FitOptions,
+    model: BodyModel,
+) -> None:
+    """All steps, one after the other."""
     subject = out / SUBJECT
     with bar("synth") as progress:
         make_subject(subject, synth_options, model, progress)
@@ -68,5 +83,3 @@ def demo(
     avatar = fit_video(video, poses, model, fit_options, out)
     name = "no_refine" if options.no_refine else "full"
     evaluate_run(out, avatar, video, model, poses, name=name, title="The demo subject")
-    minutes = (time.perf_counter() - start) / 60
-    say(f"{minutes:.1f} minutes; report: {out / run_folder.REPORT}")

@@ -14,9 +14,11 @@ from gva_mi.console import bar, say
 from gva_mi.data.fingerprint import require_same_body
 from gva_mi.data.video import Video, load_video
 from gva_mi.errors import InputError
+from gva_mi.files import require_room
 from gva_mi.fit import run_folder
 from gva_mi.fit.evaluation.metrics import measure_run, save_metrics, with_fitted_poses
 from gva_mi.fit.evaluation.report import write_report
+from gva_mi.lock import alone_in
 
 
 def evaluate(
@@ -45,9 +47,12 @@ def evaluate(
         raise InputError(f"{run}: its avatar was fitted with another body; give that one's --body")
     poses = poses_of(subject, poses)
     video = load_video(subject, poses)
-    evaluate_run(
-        run, avatar, video, model, poses, name="full", title=subject.name, fit_poses=fit_poses
-    )
+    title = subject.resolve().name
+    with alone_in(run, "gva-mi evaluate"):
+        require_room(run / run_folder.METRICS, overwrite=True)
+        evaluate_run(
+            run, avatar, video, model, poses, name="full", title=title, fit_poses=fit_poses
+        )
     say(f"report: {run / run_folder.REPORT}")
 
 

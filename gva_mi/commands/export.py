@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import torch
 from tyro.conf import Positional
@@ -20,11 +20,12 @@ from gva_mi.commands.arguments import Flat, Switch
 from gva_mi.commands.driving import motion_of
 from gva_mi.console import bar, say
 from gva_mi.data.pictures import read_background, write_image, write_movie
-from gva_mi.errors import InputError, require_at_least
+from gva_mi.errors import InputError
 from gva_mi.files import require_room, start_folder
 from gva_mi.fit.camera_paths import CameraPath, Shot, shots
 from gva_mi.fit.renders import over, render_shots, see_through
 from gva_mi.fit.run_folder import load_avatar
+from gva_mi.ranges import Within, require_ranges
 from gva_mi.splat import Gaussians
 from gva_mi.splat.formats import LOAD
 from gva_mi.splat.formats.ply import save_ply
@@ -57,19 +58,17 @@ class ExportOptions:
     """What of an avatar is written."""
 
     poses: Path | None = None  # a motion, SMPL-X's names; none: the poses trained with the avatar
-    frame: int | None = None  # of the poses; Gaussians without it and --poses are at rest
-    every: int = 1  # into a folder: one file for every so many frames
+    # Of the poses; Gaussians without it and --poses are at rest.
+    frame: Annotated[int, Within(0, 1_000_000)] | None = None
+    # Into a folder: one file for every so many frames.
+    every: Annotated[int, Within(1, 1_000_000)] = 1
     each: Literal["ply", "splat", "spz", "png"] = "ply"  # kind of these files; .png are see-through
-    fps: int = 30  # frames a second
+    fps: Annotated[int, Within(1, 1000)] = 30  # frames a second
     background: str = "white"  # of a film: a colour, such as #ff8800, or a picture file
     no_rig: Switch = False  # .npz: the avatar, without what it holds of a licensed body
 
     def __post_init__(self) -> None:
-        require_at_least("export", self, every=1, fps=1)
-        if self.fps > 1000:
-            raise InputError(f"export: fps must be at most 1000, got {self.fps}")
-        if self.frame is not None and self.frame < 0:
-            raise InputError(f"export: frame must be at least 0, got {self.frame}")
+        require_ranges("export", self)
 
 
 @dataclass(frozen=True)
@@ -133,10 +132,7 @@ def export(
         require_room(out, overwrite)
     else:
         start_folder(out, MARKER, overwrite, {"avatar": str(run), "poses": options.poses})
-    try:
-        work()
-    except OSError as error:  # a disk that has filled up by now
-        raise InputError(f"{out}: cannot be written ({error.strerror})") from None
+    work()
     say(f"exported: {out}")
 
 

@@ -14,10 +14,11 @@ from gva_mi.commands.arguments import Flat, Switch, poses_of
 from gva_mi.console import bar, say
 from gva_mi.data.fingerprint import require_same_body
 from gva_mi.data.video import Video, load_video
-from gva_mi.files import make_room
+from gva_mi.files import make_room, require_writable
 from gva_mi.fit import run_folder
 from gva_mi.fit.options import FitOptions
 from gva_mi.fit.train import fit as fit_avatar
+from gva_mi.lock import alone_in
 
 
 def fit(
@@ -47,9 +48,11 @@ def fit(
     video = load_video(subject, poses)
     for frame, reason in video.absent.items():
         say(f"{subject}: frame {frame} is left out: {reason}")
-    if not resume:
-        make_room(out, run_folder.OPTIONS, overwrite)
-    fit_video(video, poses, model, options, out, resume)
+    with alone_in(out, "gva-mi fit"):
+        if not resume:
+            make_room(out, run_folder.OPTIONS, overwrite)
+        require_writable(out)
+        fit_video(video, poses, model, options, out, resume)
     say(f"avatar: {out / run_folder.AVATAR}")
 
 

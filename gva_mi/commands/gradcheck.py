@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from torch import Generator
@@ -17,6 +17,8 @@ from gva_mi.avatar.gradcheck import gradcheck as check_avatar
 from gva_mi.commands.arguments import Flat, Switch
 from gva_mi.console import say
 from gva_mi.errors import InputError
+from gva_mi.files import require_writable
+from gva_mi.ranges import Seed, Within, require_ranges
 from gva_mi.splat import render
 from gva_mi.splat.camera import CameraModel
 from gva_mi.splat.gradcheck import Report as SplatReport
@@ -31,20 +33,18 @@ REPORT, PICTURE = "gradcheck.json", "gradcheck.png"
 class GradcheckOptions:
     """Where to look, and through what: the defaults are the scene as it is."""
 
-    window: int = 24  # width and height of a window, px; the time grows with its square and more
-    count: int = 3  # windows, from the fullest to the emptiest
+    # Width and height of a window, px; the time grows with its square and more.
+    window: Annotated[int, Within(1, 1024)] = 24
+    count: Annotated[int, Within(1, 1000)] = 3  # windows, from the fullest to the emptiest
     camera_model: CameraModel | None = None  # another one than the scene's own
     antialiased: Switch = False  # opacities less what the blur adds in area
-    channels: int = 0  # random features of this width in the place of the colours; 0 leaves them
+    # Random features of this width in the place of the colours; 0 leaves them.
+    channels: Annotated[int, Within(0, 1024)] = 0
     images: tuple[Literal["color", "alpha", "depth"], ...] = IMAGES  # that the loss looks at
-    seed: int = 0  # of the loss, and of what is looked at closely
+    seed: Seed = 0  # of the loss, and of what is looked at closely
 
     def __post_init__(self) -> None:
-        if self.window < 1 or self.count < 1 or self.channels < 0:
-            found = f"{self.window}, {self.count}, {self.channels}"
-            raise InputError(
-                f"gradcheck: window and count must be 1 or more, channels 0 or more, got {found}"
-            )
+        require_ranges("gradcheck", self)
         if not self.images:
             raise InputError(f"gradcheck: images must be some of {', '.join(IMAGES)}")
 
@@ -90,12 +90,13 @@ def gradcheck(
         if body is not None:
             raise InputError("gradcheck splat: there is no --body; a scene is given by --scene")
         asked = _windows(options, scene)
+    if out is not None:
+        require_writable(out)
     reports = {}
     for name, report in asked:
         reports[name] = report
         say(f"{name}:\n{report.table()}\n")
     if out is not None:
-        out.mkdir(parents=True, exist_ok=True)
         write_json(reports, out / REPORT)
         say(f"figures: {out / REPORT}")
         if what == "splat":

@@ -12,6 +12,7 @@ from gva_mi.commands.arguments import Flat, Switch
 from gva_mi.console import say
 from gva_mi.data.importers.motions import MotionOptions, read_motion
 from gva_mi.errors import InputError
+from gva_mi.files import require_room
 
 
 def motion(
@@ -34,8 +35,7 @@ def motion(
     """
     if out.suffix != ".npz":
         raise InputError(f"{out}: a file of poses ends in .npz")
-    if out.exists() and not overwrite:
-        raise InputError(f"{out}: exists already; give --overwrite to replace it")
+    require_room(out, overwrite)
     found = read_motion(source, load_body(body), options)
     save_poses(out, found.pose, found.shape, stage=1)
     for note in found.notes:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import get_args
+from typing import Annotated, get_args
 
 from tyro.conf import Positional
 
@@ -20,9 +20,12 @@ from gva_mi.data.networks.sam_weights import GET
 from gva_mi.data.normals import Convention
 from gva_mi.errors import InputError
 from gva_mi.files import whole_folder
+from gva_mi.ranges import Within, require_ranges
 
 SAM = Path("sam")  # in the place of masks
-LARGEST_SIDE = 8192  # pixels, of what a network of normals is shown
+Side = Annotated[int, Within(1, 8192, unit="pixels")]  # of what a network of normals is shown
+Colour = Annotated[float, Within(-1000, 1000)]  # some take values up to 255
+Spread = Annotated[float, Within(0, 1000, "low")]
 
 
 @dataclass(frozen=True)
@@ -36,9 +39,11 @@ class NetworkOptions:
     sam_checkpoint: Path | None = None  # of Segment Anything or SAM 2: a folder, or Meta's .pth
     normals: Path | None = None  # network: .pt (TorchScript, a program that will run) or .onnx
     normals_convention: Convention | None = None  # axes and view of its answer; icon: cut out
-    normals_size: tuple[int, int] = Expected.size  # pixels it is shown, if an .onnx does not say
-    normals_mean: tuple[float, float, float] = Expected.mean  # rgb in [0, 1], taken off them
-    normals_std: tuple[float, float, float] = Expected.std  # likewise, what that is divided by
+    # Pixels it is shown, if an .onnx does not say.
+    normals_size: tuple[Side, Side] = Expected.size
+    normals_mean: tuple[Colour, Colour, Colour] = Expected.mean  # rgb in [0, 1], taken off them
+    # Likewise, what that is divided by.
+    normals_std: tuple[Spread, Spread, Spread] = Expected.std
 
     def __post_init__(self) -> None:
         if self.normals is not None and self.normals_convention is None:
@@ -46,16 +51,7 @@ class NetworkOptions:
                 "prepare: --normals needs --normals-convention, what its normals mean: "
                 f"{', '.join(get_args(Convention))}"
             )
-        size, mean, std = self.normals_size, self.normals_mean, self.normals_std
-        if not 1 <= min(size) <= max(size) <= LARGEST_SIDE:
-            raise InputError(
-                f"prepare: --normals-size must be from 1 to {LARGEST_SIDE} pixels, got {size}"
-            )
-        if not all(abs(x) < float("inf") for x in (*mean, *std)) or not min(std) > 0:
-            raise InputError(
-                "prepare: --normals-mean must be finite and --normals-std above 0, "
-                f"got {mean} and {std}"
-            )
+        require_ranges("prepare", self)
 
     @property
     def expected(self) -> Expected | None:
@@ -76,11 +72,11 @@ def prepare(
     frames: Path | None = None,
     masks: Path | None = None,
     person: str | None = None,
-    first: int = 0,
-    focal: float | None = None,
+    first: Annotated[int, Within(0, 1_000_000_000)] = 0,
+    focal: Annotated[float, Within(0, 1e6, "low", "pixels")] | None = None,
     camera: str | None = None,
     views: tuple[str, ...] = (),
-    view_frames: int = 8,
+    view_frames: Annotated[int, Within(1, 100_000)] = 8,
     splits: Path | None = None,
     overwrite: Switch = False,
 ) -> None:
@@ -112,10 +108,6 @@ def prepare(
     """
     if kind != "auto" and kind not in (kinds := {**KINDS, **DATASETS}):
         raise InputError(f"prepare: kind must be auto, {', '.join(kinds)}; got {kind}")
-    if focal is not None and not 0 < focal < float("inf"):
-        raise InputError(f"prepare: --focal must be above 0 pixels, got {focal}")
-    if view_frames < 1:
-        raise InputError(f"prepare: --view-frames must be at least 1, got {view_frames}")
     sam = _sam_of(masks, networks.sam_checkpoint)
     target = Target.read(body)
     if not overwrite and (out / MARKER).exists():

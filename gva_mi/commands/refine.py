@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Literal
 
@@ -16,7 +17,8 @@ from gva_mi.data.fingerprint import require_same_body
 from gva_mi.data.truth import load_truth
 from gva_mi.data.video import REFINED_POSES, Video, load_video
 from gva_mi.errors import InputError
-from gva_mi.files import versions
+from gva_mi.files import require_room, versions
+from gva_mi.lock import alone_in
 from gva_mi.pose.evaluation.ablation import ablate
 from gva_mi.pose.evaluation.measure import Evaluation
 from gva_mi.pose.evaluation.record import OVERLAYS, write_record
@@ -27,7 +29,8 @@ from gva_mi.pose.parallel import cluster
 from gva_mi.pose.parallel import workers as local_workers
 from gva_mi.pose.refine import refine_all
 from gva_mi.pose.sequence import SequenceOptions
-from gva_mi.pose.single_frame import SingleFrameOptions
+from gva_mi.pose.single_frame import SingleFrameOptions, Steps
+from gva_mi.ranges import Weight, Workers
 
 REPORT = "refinement.html"
 
@@ -37,10 +40,10 @@ def refine(
     options: Flat[SequenceOptions],
     *,
     loss: Literal["sequence", "paper"] = "sequence",
-    steps: int = SingleFrameOptions.steps,
-    paper_prior: float = SingleFrameOptions.prior,
+    steps: Steps = SingleFrameOptions.steps,
+    paper_prior: Weight = SingleFrameOptions.prior,
     normals: Literal["perspective", "opengl", "icon", "none"] | None = None,
-    workers: int = 1,
+    workers: Workers = 1,
     scheduler: str | None = None,
     report: Switch = False,
     body: Path | None = None,
@@ -81,8 +84,13 @@ def refine(
         if poses.exists() and not overwrite:
             raise InputError(f"{poses}: exists already; give --overwrite to replace it")
         require_same_body(subject, model)
-    with cluster(scheduler) if scheduler is not None else local_workers(workers) as executor:
-        videos = [load_video(subject, normals=normals) for subject in subjects]
+    videos = [load_video(subject, normals=normals) for subject in subjects]
+    with ExitStack() as held:
+        for subject in subjects:
+            held.enter_context(alone_in(subject, "gva-mi refine"))
+            require_room(subject / REFINED_POSES, overwrite)
+        made = cluster(scheduler) if scheduler is not None else local_workers(workers)
+        executor = held.enter_context(made)
         way = printed if loss == "paper" else options
         for evaluation in refine_videos(videos, model, way, executor):
             folder = evaluation.video.folder

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 from tyro.conf import Positional
 
 from gva_mi.body.pose import Pose
@@ -60,15 +63,19 @@ def render(
     size = pictures[0].camera.width, pictures[0].camera.height
     behind = read_background(background, *size)
     start_folder(out, MARKER, overwrite, {"avatar": str(run), "poses": poses, "cameras": cameras})
-    images = []
-    with bar("render") as progress:
+
+    def images() -> Iterator[np.ndarray]:
+        """The pictures over their background, each once its file is written."""
         for k, layer in enumerate(render_shots(avatar, motion, pictures, progress)):
             image = over(layer, behind)
             write_image(out / f"{k:06d}.png", see_through(layer) if alpha else image)
-            if video:
-                images.append(image)
-    if video:
-        write_movie(out / MOVIE, images, lossless=False)
+            yield image
+
+    with bar("render") as progress:
+        if video:
+            write_movie(out / MOVIE, images(), lossless=False)
+        else:
+            deque(images(), maxlen=0)
     say(f"{len(pictures)} pictures: {out}")
 
 

@@ -14,7 +14,7 @@ from gva_mi.body.smplx import BodyModel, load_body
 from gva_mi.commands.arguments import Flat, Switch
 from gva_mi.console import bar, say
 from gva_mi.errors import InputError
-from gva_mi.files import versions
+from gva_mi.files import require_writable, versions
 from gva_mi.fit.evaluation.rows import Row, rows_named
 from gva_mi.fit.evaluation.study import AvatarStudyOptions, RowResult, row_runs
 from gva_mi.fit.evaluation.study import study as fit_rows
@@ -22,12 +22,14 @@ from gva_mi.fit.evaluation.study_file import load_results, save_results
 from gva_mi.fit.evaluation.study_pictures import CaseRuns
 from gva_mi.fit.evaluation.study_report import table, write_study_report
 from gva_mi.fit.evaluation.summary import COST, PSNR, by_people
+from gva_mi.lock import alone_in
 from gva_mi.pose.evaluation.cases import HELD_OUT, TUNING, Case
 from gva_mi.pose.evaluation.study import CaseResult, StudyOptions
 from gva_mi.pose.evaluation.study import study as refine_cases
 from gva_mi.pose.evaluation.study_file import load_study, save_study
 from gva_mi.pose.evaluation.summary import COLUMNS, rows_of
 from gva_mi.pose.parallel import workers as local_workers
+from gva_mi.ranges import Workers
 
 CASES = {"held-out": HELD_OUT, "tuning": TUNING, "all": (*TUNING, *HELD_OUT)}
 IN_PICTURES = 3  # cases that the avatar's page shows
@@ -41,7 +43,7 @@ class Choice:
     cases: Literal["held-out", "tuning", "all"] = "held-out"  # people it was not tuned on, or was
     families: tuple[str, ...] = ()  # of noise; all without it
     people: tuple[str, ...] = ()  # names of the study's subjects, or seeds; all without it
-    workers: int = 1  # processes on this machine; any number gives the same bits
+    workers: Workers = 1  # processes on this machine; any number gives the same bits
     body: Path | None = None  # a body in SMPL-X's .npz format; without it the built-in puppet
     overwrite: Switch = False  # compute again what the file of figures holds
 
@@ -84,10 +86,13 @@ def study(
     """
     model = load_body(what.body)
     chosen = _chosen(CASES[what.cases], what.families, what.people)
-    if isinstance(what, RefineStudy):
-        _study_refinement(what, chosen, model)
-    else:
-        _study_avatar(what, chosen, model, rows_named(what.rows))
+    rows = () if isinstance(what, RefineStudy) else rows_named(what.rows)
+    with alone_in(what.out, "gva-mi study"):
+        require_writable(what.out)
+        if isinstance(what, RefineStudy):
+            _study_refinement(what, chosen, model)
+        else:
+            _study_avatar(what, chosen, model, rows)
 
 
 def _study_refinement(asked: RefineStudy, chosen: Sequence[Case], model: BodyModel) -> None:

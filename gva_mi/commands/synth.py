@@ -10,10 +10,11 @@ from tyro.conf import Positional
 from gva_mi.body.smplx import load_body
 from gva_mi.commands.arguments import Flat, Switch
 from gva_mi.console import bar, say
+from gva_mi.data.pictures import require_picture
 from gva_mi.data.synthetic import SynthOptions, degrade, describe_noise, make_subject
 from gva_mi.data.synthetic.contact_sheet import contact_sheet as draw_sheet
 from gva_mi.errors import InputError
-from gva_mi.files import make_room
+from gva_mi.files import require_replaceable, require_writable
 
 MARKER = "synth.json"  # every subject that was made here holds it
 
@@ -36,7 +37,7 @@ def synth(
             --seed, at the level --noise.
         sheet: write a picture (.png) of the study's seven subjects, and of what comes with a video.
         body: a body in SMPL-X's .npz format; without it the built-in puppet.
-        overwrite: replace a subject that is there.
+        overwrite: replace a subject and a sheet that are there.
     """
     if out is None and sheet is None:
         raise InputError("synth: give a folder for a subject, or --sheet FILE.png, or both")
@@ -46,18 +47,23 @@ def synth(
             raise InputError(f"{out}: is the recording itself; expected another folder than --like")
     model = load_body(body)
     if sheet is not None:
+        require_picture(sheet, overwrite)
+    if out is not None:
+        require_replaceable(out, MARKER, overwrite)
+        require_writable(out.absolute().parent)
+    if sheet is not None:
         with bar("sheet") as progress:
             draw_sheet(sheet, model, progress=progress)
         say(f"sheet: {sheet}")
     if out is None:
         return
-    make_room(out, MARKER, overwrite)
+    replaced = MARKER if overwrite else None
     with bar("synth") as progress:
         if like is None:
-            make_subject(out, options, model, progress)
+            make_subject(out, options, model, progress, replaced)
         else:
             seed, level = options.seed_of_noise, options.noise
-            degrade(like, out, options.family, seed, model, level, progress)
+            degrade(like, out, options.family, seed, model, level, progress, replaced)
     for line in describe_noise(out):
         say(line)
     say(f"subject: {out}")

@@ -13,9 +13,11 @@ from gva_mi.console import bar, say
 from gva_mi.data.fingerprint import require_same_body
 from gva_mi.data.video import load_video
 from gva_mi.errors import InputError
+from gva_mi.files import require_room
 from gva_mi.fit.photometric import PhotometricOptions, fit_poses
 from gva_mi.fit.run_folder import TRAINED_POSES, load_avatar, other_parts
 from gva_mi.fit.tracking import TRACKED_POSES, measure_tracking, write_tracking
+from gva_mi.lock import alone_in
 
 
 def track(
@@ -57,14 +59,16 @@ def track(
             say(f"{run}: was fitted to another video (other {parts}); its poses are not used")
         else:
             video, start = load_video(subject, trained), trained
-    with bar("track") as progress:
-        found = fit_poses(avatar, video, options, progress=progress)
-    for frame, reason in found.kept.items():
-        say(f"{subject}: frame {frame} keeps its pose: {reason}")
-    tracking = measure_tracking(video, model, found)
     offsets = load_offsets(refined, len(model.v_template))
-    sources = {"start": start, "avatar": run}
-    write_tracking(video, found, tracking, options, offsets, sources)
+    with alone_in(subject, "gva-mi track"):
+        require_room(out, overwrite)
+        with bar("track") as progress:
+            found = fit_poses(avatar, video, options, progress=progress)
+        for frame, reason in found.kept.items():
+            say(f"{subject}: frame {frame} keeps its pose: {reason}")
+        tracking = measure_tracking(video, model, found)
+        sources = {"start": start, "avatar": run}
+        write_tracking(video, found, tracking, options, offsets, sources)
     for line in tracking.lines():
         say(line)
     say(f"poses: {out}")

@@ -6,6 +6,7 @@ import sys
 import threading
 import time
 from pathlib import Path
+from typing import Annotated
 
 import torch
 from tyro.conf import Positional
@@ -19,6 +20,7 @@ from gva_mi.console import say
 from gva_mi.data.video import Video, load_video
 from gva_mi.errors import InputError
 from gva_mi.fit.run_folder import TRAINED_POSES, load_avatar, other_parts
+from gva_mi.ranges import Within
 from gva_mi.threads import one_torch_thread
 from gva_mi.viewer.controls import Controls, Offers
 from gva_mi.viewer.drawing import Drawing
@@ -35,7 +37,7 @@ def view(
     out: Path = Path("view"),
     body: Path | None = None,
     host: str = "127.0.0.1",
-    port: int = 8080,
+    port: Annotated[int, Within(0, 65535)] = 8080,
 ) -> None:
     """Turn, pose and play an avatar in the browser, until Ctrl-C.
 

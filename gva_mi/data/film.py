@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from gva_mi.errors import InputError
+from gva_mi.data.pictures import require_size
+from gva_mi.errors import MALFORMED, InputError, reason_of
 
 KEPT = 1 << 30  # bytes of pictures that are kept; 170 pictures of 1920 x 1080
 
@@ -69,6 +70,7 @@ class Film(Sequence[np.ndarray]):
 
     def _take(self, frame: Any, kept: int) -> None:  # noqa: ANN401
         """Note a picture that was decoded, and keep it as long as there is room."""
+        require_size(str(self.path), frame.width, frame.height)
         if frame.key_frame:
             self._keys.append(len(self))
         self.sizes.append((frame.width, frame.height))
@@ -106,18 +108,24 @@ class Film(Sequence[np.ndarray]):
 
         try:
             container = av.open(str(self.path))
-            container.streams.video[0]  # noqa: B018 (there is one)
+            stream = container.streams.video[0]
+            require_size(str(self.path), stream.width, stream.height)
             return container
-        except (av.FFmpegError, IndexError, OSError) as error:
-            raise InputError(f"{self.path}: cannot be decoded as a video ({error})") from None
+        except InputError:
+            raise
+        except (*MALFORMED, av.FFmpegError, OSError, MemoryError) as error:
+            raise self._undecodable(error) from None
 
     def _decoded(self, container: Any) -> Iterator[Any]:  # noqa: ANN401
         import av
 
         try:
             yield from container.decode(video=0)
-        except (av.FFmpegError, IndexError, OSError) as error:
-            raise InputError(f"{self.path}: cannot be decoded as a video ({error})") from None
+        except (*MALFORMED, av.FFmpegError, OSError, MemoryError) as error:
+            raise self._undecodable(error) from None
+
+    def _undecodable(self, error: Exception) -> InputError:
+        return InputError(f"{self.path}: cannot be decoded as a video ({reason_of(error)})")
 
 
 def _again(first: Any, frames: Iterator[Any]) -> Iterator[Any]:  # noqa: ANN401

@@ -14,7 +14,6 @@ which tells how far two bodies are apart, and not only whether they differ.
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +21,8 @@ import torch
 
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import PUPPET_NAME, BodyModel
-from gva_mi.errors import InputError
+from gva_mi.errors import InputError, expecting
+from gva_mi.files import read_json
 
 SUMS = 32  # K: their root mean square is right to one part in √(2 K), 12 %
 SAME = 3e-6  # m, root mean square; what float32 rounds away is a tenth of it
@@ -97,13 +97,16 @@ def _body_of(file: Path, written_by: str) -> dict | None:
     """The body that a folder's file tells of; None where it tells of none."""
     if not file.is_file():
         return None
-    try:
-        body = json.loads(file.read_text()).get("body")
+    expected = f"what {written_by} writes"
+    about = read_json(file, expected)
+    with expecting(file, expected):
+        body = about.get("body")
         if not isinstance(body, dict):  # older folders name a format here, or nothing
             return None
-        return body | {"sketch": [float(s) for s in body["sketch"]], "vertices": body["vertices"]}
-    except (ValueError, AttributeError, KeyError, TypeError) as error:
-        raise InputError(f"{file}: not the JSON that {written_by} writes ({error})") from None
+        return body | {
+            "sketch": np.reshape(np.float64(body["sketch"]), SUMS).tolist(),
+            "vertices": body["vertices"],
+        }
 
 
 def _argument(name: str | None) -> str:

@@ -34,15 +34,15 @@ unknown. So are all normals of a frame without a file.
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
 
 import numpy as np
 
-from gva_mi.data.pictures import read_array, read_image
+from gva_mi.data.pictures import read_image
 from gva_mi.errors import InputError
+from gva_mi.files import read_array, read_json
 from gva_mi.splat import Camera
 
 Convention = Literal["perspective", "opengl", "icon"]
@@ -199,10 +199,7 @@ def _read_about(path: Path, frames: int) -> dict:
     """``convention`` and ``boxes`` (T, 4) of a ``normals.json``."""
     expected = '{"convention": "icon", "boxes": [[left, top, right, bottom], ...]}'
     refuse = lambda why: InputError(f"{path}: {why}; expected such as {expected}")
-    try:
-        about = json.loads(path.read_text())
-    except (ValueError, OSError) as error:
-        raise refuse(f"not readable as JSON ({error})") from None
+    about = read_json(path, f"such as {expected}")
     if not isinstance(about, dict) or about.get("convention") not in get_args(Convention):
         raise refuse(f"'convention' must be one of {', '.join(get_args(Convention))}")
     if about.get("boxes") is None:

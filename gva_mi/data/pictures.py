@@ -1,14 +1,25 @@
-"""Pictures, arrays and films on disk: 8-bit PNG, .npy, mp4; and what lies behind a render."""
+"""Pictures and films on disk: 8-bit PNG, mp4; and what lies behind a render."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import warnings
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gva_mi.errors import InputError
-from gva_mi.files import replacing
+from gva_mi.errors import MALFORMED, InputError, reason_of
+from gva_mi.files import replacing, require_room
+
+if TYPE_CHECKING:
+    import av
+    from PIL import Image
+
+MOST_PIXELS = 1 << 25  # of a picture; 8K UHD has fewer
+FORMAT_OF = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG"}  # of pictures that are written
+FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP")  # none of which starts another program
 
 # x264 writes its settings, the number of threads among them, into the file: one thread, one file.
 LOSSLESS = {"crf": "0", "preset": "veryfast", "threads": "1"}  # with libx264rgb
@@ -17,15 +28,44 @@ PLAYABLE = {"crf": "18", "threads": "1"}  # with libx264 and yuv420p
 
 def read_image(path: Path, channels: int) -> np.ndarray:
     """An 8-bit picture, (H, W, 3) or, with ``channels`` 1, (H, W)."""
-    from PIL import Image, UnidentifiedImageError
+    with opened(path) as image:
+        return np.asarray(image.convert("RGB" if channels == 3 else "L"))
 
+
+@contextmanager
+def opened(path: Path) -> Iterator[Image.Image]:
+    """A picture whose size is known and whose pixels are not decoded yet.
+
+    Raises:
+        InputError: there is no such file, no memory would hold it, or it cannot be decoded, here
+            or within.
+    """
+    from PIL import Image
+
+    if not Path(path).is_file():
+        raise InputError(f"{path}: no such file; expected an 8-bit PNG")
     try:
-        with Image.open(path) as image:
-            return np.asarray(image.convert("RGB" if channels == 3 else "L"))
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; expected an 8-bit PNG") from None
-    except (UnidentifiedImageError, OSError) as error:
-        raise InputError(f"{path}: not a readable picture ({error})") from None
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the size is checked
+            with Image.open(path, formats=FORMATS) as image:
+                require_size(str(path), *image.size)
+                yield image
+    except InputError:
+        raise
+    except Exception as error:  # each of its decoders has its own
+        raise InputError(f"{path}: not a readable picture ({reason_of(error)})") from None
+
+
+def require_size(where: str, width: int, height: int) -> None:
+    """Refuse a picture that no memory would hold, before any is taken.
+
+    Raises:
+        InputError: it has no pixel, or more than :data:`MOST_PIXELS`.
+    """
+    if min(width, height) < 1 or width * height > MOST_PIXELS:
+        raise InputError(
+            f"{where}: pictures must have from 1 to {MOST_PIXELS:,} pixels, got {width}x{height}"
+        )
 
 
 def write_image(path: Path, image: np.ndarray) -> None:
@@ -34,8 +74,19 @@ def write_image(path: Path, image: np.ndarray) -> None:
 
     if image.dtype != np.uint8:
         image = np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(image).save(path)
+    with replacing(path) as unfinished:
+        Image.fromarray(image).save(unfinished, FORMAT_OF[Path(path).suffix.lower()])
+
+
+def require_picture(path: Path, overwrite: bool) -> None:
+    """Check that a picture can be written, before the work whose result it is to show.
+
+    Raises:
+        InputError: it is no .png, is there and may not be replaced, or its folder takes no file.
+    """
+    if path.suffix.lower() != ".png":
+        raise InputError(f"{path}: a picture's name ends in .png")
+    require_room(path, overwrite)
 
 
 def read_background(name: str, width: int, height: int) -> np.ndarray:
@@ -65,17 +116,29 @@ def read_background(name: str, width: int, height: int) -> np.ndarray:
     return np.asarray(ImageOps.fit(picture, (width, height)), dtype=np.float32) / 255
 
 
-def read_array(path: Path, mapped: bool = False) -> np.ndarray:
-    """One array of a ``.npy``, which must not hold pickled objects.
+def decoded(path: Path) -> Iterator[av.VideoFrame]:
+    """The frames of a film, one by one.
 
-    Args:
-        path: of the file.
-        mapped: leave it on disk until it is looked at.
+    Raises:
+        InputError: it cannot be decoded, holds no picture, or one that no memory would hold.
     """
+    import av
+
+    count = 0
     try:
-        return np.load(path, allow_pickle=False, mmap_mode="r" if mapped else None)
-    except (ValueError, OSError, EOFError) as error:
-        raise InputError(f"{path}: not a readable .npy ({str(error).splitlines()[0]})") from None
+        with av.open(str(path)) as container:
+            stream = container.streams.video[0]
+            require_size(str(path), stream.width, stream.height)
+            for frame in container.decode(stream):
+                require_size(str(path), frame.width, frame.height)
+                yield frame
+                count += 1
+    except InputError:
+        raise
+    except (*MALFORMED, av.FFmpegError, OSError, MemoryError) as error:
+        raise InputError(f"{path}: cannot be decoded as a video ({reason_of(error)})") from None
+    if not count:
+        raise InputError(f"{path}: holds no picture")
 
 
 def write_movie(

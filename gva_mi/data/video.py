@@ -25,7 +25,6 @@ Everything is checked when it is opened, once, so that a step never stops half-w
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -37,14 +36,13 @@ from gva_mi.body.pose import Pose, Shape, load_focal, load_poses
 from gva_mi.data.film import Film
 from gva_mi.data.masks import read_mask
 from gva_mi.data.normals import Convention, NormalMaps, Part
-from gva_mi.data.pictures import read_image
-from gva_mi.errors import InputError
-from gva_mi.files import read_arrays, require_keys, write_arrays
+from gva_mi.data.pictures import read_image, require_size
+from gva_mi.errors import InputError, expecting
+from gva_mi.files import read_arrays, read_json, require_keys, write_arrays
 from gva_mi.splat import Camera
 
 POSES = "poses.npz"  # of stage 1
 REFINED_POSES = "poses_refined.npz"  # of stage 2, where it was run
-MOST_PIXELS = 1 << 25  # of a picture; 8K UHD has fewer
 TEST_EVERY = 8  # without splits.json, every 8th frame is a test frame
 
 
@@ -257,22 +255,8 @@ def load_cameras(path: Path) -> list[Camera]:
     K, T = np.broadcast_to(K, (count, 3, 3)), np.broadcast_to(T, (count, 4, 4))
     width, height = (_pixels(path, name, data[name]) for name in ("width", "height"))
     require_size(str(path), width, height)
-    try:
+    with expecting(path, "cameras that see something"):
         return [Camera.from_matrices(K[k], T[k], width, height) for k in range(count)]
-    except ValueError as error:
-        raise InputError(f"{path}: {error}") from None
-
-
-def require_size(where: str, width: int, height: int) -> None:
-    """Refuse a picture that no memory would hold, before any is taken.
-
-    Raises:
-        InputError: it has no pixel, or more than :data:`MOST_PIXELS`.
-    """
-    if min(width, height) < 1 or width * height > MOST_PIXELS:
-        raise InputError(
-            f"{where}: pictures must have from 1 to {MOST_PIXELS:,} pixels, got {width}x{height}"
-        )
 
 
 def _pixels(path: Path, name: str, value: np.ndarray) -> int:
@@ -302,13 +286,10 @@ def load_splits(folder: Path, frames: int) -> Splits:
     path = folder / "splits.json"
     if not path.exists():
         return Splits.every(TEST_EVERY, frames)
-    try:
-        data = json.loads(path.read_text())
-        train, test = [int(k) for k in data["train"]], [int(k) for k in data["test"]]
-    except (ValueError, KeyError, TypeError) as error:
-        raise InputError(
-            f'{path}: expected {{"train": [...], "test": [...]}} of frame numbers ({error!r})'
-        ) from None
+    expected = '{"train": [...], "test": [...]} of frame numbers'
+    data = read_json(path, expected)
+    with expecting(path, expected):
+        train, test = ([int(k) for k in data[name]] for name in ("train", "test"))
     outside = [k for k in (*train, *test) if not 0 <= k < frames]
     both = sorted(set(train) & set(test))
     if outside or both or not train:

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 import torch
@@ -22,12 +22,11 @@ from gva_mi.avatar.avatar import Rig
 from gva_mi.body.kinematics import joint_transforms
 from gva_mi.body.pose import Pose
 from gva_mi.body.skinning import skin_points
-from gva_mi.data.video import require_size
-from gva_mi.errors import InputError, require_at_least, require_positive
+from gva_mi.data.pictures import MOST_PIXELS, require_size
+from gva_mi.ranges import Within, require_ranges
 from gva_mi.splat import Camera, look_at
 
 Kind = Literal["turntable", "orbit", "static"]
-_MOST = 100_000  # pictures
 _TURN = 72  # pictures of a turntable, unless another number is asked for
 _FOCAL = 2.0  # focal length / longer side of the picture: little perspective, as in a portrait
 _MARGIN = 1.1  # room around the person in the picture: hair and hems lie outside the body
@@ -43,23 +42,21 @@ class CameraPath:
     """
 
     path: Kind | None = None  # none: static, or a turntable where no poses are given
-    frames: int = 0  # pictures; 0: 72 of a turntable, otherwise one a frame of the motion
-    turn: float = 0.0  # degrees from where the person looks to, where the first camera stands
-    elevation: float = 5.0  # degrees that cameras stand higher than the middle of the person
-    distance: float = 1.0  # times that from which all is seen
-    size: tuple[int, int] = (512, 640)  # width and height, pixels
+    # Pictures; 0: 72 of a turntable, otherwise one a frame of the motion.
+    frames: Annotated[int, Within(0, 100_000)] = 0
+    # From where the person looks to, where the first camera stands.
+    turn: Annotated[float, Within(-3600, 3600, unit="degrees")] = 0.0
+    # That cameras stand higher than the middle of the person.
+    elevation: Annotated[float, Within(-89, 89, unit="degrees")] = 5.0
+    distance: Annotated[float, Within(0, 100, "low")] = 1.0  # times that from which all is seen
+    # Width and height, pixels.
+    size: tuple[Annotated[int, Within(1, MOST_PIXELS)], Annotated[int, Within(1, MOST_PIXELS)]] = (
+        512,
+        640,
+    )
 
     def __post_init__(self) -> None:
-        require_at_least("cameras", self, frames=0)
-        if self.frames > _MOST:
-            raise InputError(f"cameras: frames must be at most {_MOST:,}, got {self.frames}")
-        require_positive("cameras", self, "distance")
-        if not (self.distance <= 100 and math.isfinite(self.turn)):
-            raise InputError("cameras: distance must be at most 100, and turn a finite number")
-        if not -89 <= self.elevation <= 89:
-            raise InputError(
-                f"cameras: elevation must lie between -89 and 89 degrees, got {self.elevation}"
-            )
+        require_ranges("cameras", self)
         require_size("cameras", *self.size)
 
     def or_usual(self, moving: bool) -> CameraPath:

@@ -28,6 +28,7 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor
 
+from gva_mi.ranges import Weight, require_ranges
 from gva_mi.splat import Image
 
 SSIM_SIGMA, SSIM_RADIUS = 1.5, 5  # pixels: the 11 x 11 Gaussian window of Wang et al. 2004
@@ -41,17 +42,13 @@ Distance = Callable[[Tensor, Tensor], Tensor]  # of two images (H, W, 3)
 class LossOptions:
     """Weights of the terms; the reconstruction term has weight 1. The defaults are the paper's."""
 
-    perceptual: float = 0.1  # λ3, of the features' difference
-    residual: float = 0.5  # λ4, per metre, of the pose-conditioned residual
-    alpha: float = 0.0  # λ_alpha, of the render's alpha against the mask; other codes use 0.1
-    ssim: float = 0.0  # λ_ssim, of 1 - SSIM; other codes use 0.01 to 0.2
+    perceptual: Weight = 0.1  # λ3, of the features' difference
+    residual: Weight = 0.5  # λ4, per metre, of the pose-conditioned residual
+    alpha: Weight = 0.0  # λ_alpha, of the render's alpha against the mask; other codes use 0.1
+    ssim: Weight = 0.0  # λ_ssim, of 1 - SSIM; other codes use 0.01 to 0.2
 
     def __post_init__(self) -> None:
-        for f in fields(self):
-            if not getattr(self, f.name) >= 0:
-                raise ValueError(
-                    f"LossOptions: {f.name} must be 0 or more, got {getattr(self, f.name)}"
-                )
+        require_ranges("LossOptions", self)
 
 
 @dataclass(frozen=True)

@@ -4,19 +4,24 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from gva_mi.avatar.avatar import AvatarOptions
 from gva_mi.avatar.densify import DensifyOptions
 from gva_mi.avatar.reinit import ReinitOptions
-from gva_mi.errors import InputError, require_at_least
+from gva_mi.errors import InputError
 from gva_mi.fit.losses import LossOptions
 from gva_mi.fit.poses import PoseOptions
+from gva_mi.ranges import InnerShare, Rate, Seed, Share, Within, require_ranges
 from gva_mi.splat import SplatOptions
 
 # Defaults of the parts in a fit, where they differ from the parts' own.
 REINIT = ReinitOptions(floater_sigmas=3.0)  # 2 tears holes into a skirt
 SPLAT = SplatOptions(depth=False)  # no term of the loss looks at the depth
+
+FallingRate = Annotated[float, Within(0, 1, "low")]
+Every = Annotated[int, Within(0, 1_000_000)]  # steps
+FromOne = Annotated[int, Within(1, 1_000_000)]
 
 
 @dataclass(frozen=True)
@@ -27,33 +32,34 @@ class Rates:
     three thousand that a CPU has time for, they would never reach hair and skirts.
     """
 
-    means: float = 4e-3  # metres, at the first step; falls exponentially to means_end
-    means_end: float = 1e-5  # metres, at the last step
-    quats: float = 1e-3
-    log_scales: float = 5e-3
-    logit_opacities: float = 5e-2
-    sh: float = 2.5e-3
-    light: float = 2e-3  # of the direction that light comes from
-    residual: float = 1e-3  # of the pose-conditioned MLP's weights
+    means: FallingRate = 4e-3  # metres, at the first step; falls exponentially to means_end
+    means_end: FallingRate = 1e-5  # metres, at the last step
+    quats: Rate = 1e-3
+    log_scales: Rate = 5e-3
+    logit_opacities: Rate = 5e-2
+    sh: Rate = 2.5e-3
+    light: Rate = 2e-3  # of the direction that light comes from
+    residual: Rate = 1e-3  # of the pose-conditioned MLP's weights
+
+    def __post_init__(self) -> None:
+        require_ranges("fit", self)
 
 
 @dataclass(frozen=True)
 class Schedule:
     """When Gaussians are added, removed, and put back on the surface."""
 
-    densify_every: int = 200  # steps; 0: never
-    densify_from: float = 0.05  # share of all steps before the first round
-    densify_until: float = 0.6  # share of all steps after which there is no round
-    reinit_at: tuple[float, ...] = (0.25, 0.5)  # shares of all steps; empty: never
-    look_up_every: int = 100  # steps after which Gaussians follow what is around them; 0: never
+    densify_every: Every = 200  # steps; 0: never
+    densify_from: Share = 0.05  # share of all steps before the first round
+    densify_until: Share = 0.6  # share of all steps after which there is no round
+    reinit_at: tuple[InnerShare, ...] = (0.25, 0.5)  # shares of all steps; empty: never
+    look_up_every: Every = 100  # steps after which Gaussians follow what is around them; 0: never
 
     def __post_init__(self) -> None:
-        if self.densify_every < 0 or not 0 <= self.densify_from <= self.densify_until <= 1:
-            raise InputError("fit: densify_every must be 0 or more, 0 <= from <= until <= 1")
-        if self.look_up_every < 0:
-            raise InputError(f"fit: look_up_every must be 0 or more, got {self.look_up_every}")
-        if not all(0 < share < 1 for share in self.reinit_at):
-            raise InputError(f"fit: reinit_at must lie between 0 and 1, got {self.reinit_at}")
+        require_ranges("fit", self)
+        if self.densify_from > self.densify_until:
+            found = f"{self.densify_from}, {self.densify_until}"
+            raise InputError(f"fit: densify_from <= densify_until is needed, got {found}")
 
     def densifies(self, step: int, steps: int) -> bool:
         """Whether a round of density control follows a step, the first being 1.
@@ -78,13 +84,15 @@ class Schedule:
 class FitOptions:
     """How an avatar is fitted."""
 
-    steps: int = 3000  # one frame each
-    seed: int = 0  # of all random numbers in the run
+    steps: FromOne = 3000  # one frame each
+    seed: Seed = 0  # of all random numbers in the run
     random_background: bool = True  # another colour each step, so that alpha is learned; else white
-    window: int = 96  # pixels, side of the random part seen by the perceptual and SSIM terms
-    perceptual_every: int = 4  # steps with the perceptual term, which takes longer than the render
+    # Pixels, side of the random part seen by the perceptual and SSIM terms.
+    window: Annotated[int, Within(11, 4096)] = 96
+    # Steps with the perceptual term, which takes longer than the render.
+    perceptual_every: FromOne = 4
     vgg16: Path | None = None  # the user's VGG16 weights for the perceptual term; none: rand_vgg
-    checkpoint_every: int = 500  # steps
+    checkpoint_every: FromOne = 500  # steps
     avatar: AvatarOptions = AvatarOptions()
     rates: Rates = Rates()
     schedule: Schedule = Schedule()
@@ -95,8 +103,7 @@ class FitOptions:
     poses: PoseOptions = PoseOptions()
 
     def __post_init__(self) -> None:
-        require_at_least("fit", self, steps=1, window=11, perceptual_every=1)
-        require_at_least("fit", self, checkpoint_every=1, seed=0)
+        require_ranges("fit", self)
 
     def plain(self) -> dict[str, Any]:
         """The options as numbers, strings and dictionaries of them, for a file."""

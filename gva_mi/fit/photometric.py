@@ -33,12 +33,23 @@ from gva_mi.body.pose import Pose
 from gva_mi.body.smplx import Rest
 from gva_mi.console import Progress, within
 from gva_mi.data.video import Frame, Video
-from gva_mi.errors import require_at_least, require_positive
 from gva_mi.fit.picture_evidence import PictureAndMask, PictureEvidence, PictureWeights
 from gva_mi.pose.clips import cut, join, of_clip, poses_of_clip
-from gva_mi.pose.descent import DescentOptions, descend, with_frames, worse_frames
+from gva_mi.pose.descent import (
+    Batch,
+    DescentOptions,
+    Learn,
+    Nat,
+    Overlap,
+    PartFrames,
+    Passes,
+    descend,
+    with_frames,
+    worse_frames,
+)
 from gva_mi.pose.evidence import gather
 from gva_mi.pose.priors import lever_arms
+from gva_mi.ranges import Metres, Seed, Turn, Weight
 from gva_mi.threads import one_torch_thread
 
 FITTED = "poses fitted to the pictures"  # the name of the row of figures under such poses
@@ -48,27 +59,21 @@ FITTED = "poses fitted to the pictures"  # the name of the row of figures under 
 class PhotometricOptions(DescentOptions):
     """How poses are fitted to the pictures."""
 
-    passes: int = 10  # how often every frame is visited
-    batch: int = 4  # frames of a step
-    alpha: float = 0.5  # λα, of the avatar's outline against the mask
-    ssim: float = 0.1  # λs, of 1 - SSIM
-    learn: int = 3  # the first of them, after which it is inferred how the given poses err
-    nat: float = 0.001  # what a negative logarithm of a probability counts beside the pictures
-    step: float = 0.0005  # metres that a turned joint moves what hangs on it, in a first step
-    largest_turn: float = 0.03  # radians in such a step; it limits joints with short lever arms
-    translation_lr: float = 0.0003  # metres in a step at the start
-    part: int = 240  # frames fitted together; a longer video is cut into clips
-    overlap: int = 16  # frames that a clip shares with the next
-    seed: int = 0  # of the order in which frames are visited
+    passes: Passes = 10  # how often every frame is visited
+    batch: Batch = 4  # frames of a step
+    alpha: Weight = 0.5  # λα, of the avatar's outline against the mask
+    ssim: Weight = 0.1  # λs, of 1 - SSIM
+    learn: Learn = 3  # the first of them, after which it is inferred how the given poses err
+    nat: Nat = 0.001  # what a negative logarithm of a probability counts beside the pictures
+    step: Metres = 0.0005  # metres that a turned joint moves what hangs on it, in a first step
+    largest_turn: Turn = 0.03  # radians in such a step; it limits joints with short lever arms
+    translation_lr: Metres = 0.0003  # metres in a step at the start
+    part: PartFrames = 240  # frames fitted together; a longer video is cut into clips
+    overlap: Overlap = 16  # frames that a clip shares with the next
+    seed: Seed = 0  # of the order in which frames are visited
 
     command: ClassVar[str] = "track"
     decay: ClassVar[float] = 0.1
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        weights = ("alpha", "ssim")
-        require_at_least(self.command, self, seed=0, **dict.fromkeys(weights, 0))
-        require_positive(self.command, self, "step", "largest_turn", "translation_lr")
 
     @property
     def weights(self) -> PictureWeights:

@@ -24,7 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import torch
 from torch import Tensor
@@ -32,13 +32,13 @@ from torch import Tensor
 from gva_mi.avatar.avatar import Rig
 from gva_mi.body.pose import Pose
 from gva_mi.body.smplx import Rest
-from gva_mi.errors import InputError, require_at_least, require_positive
 from gva_mi.pose.anatomy import Anatomy
 from gva_mi.pose.clips import cut
 from gva_mi.pose.corrections import Corrections
-from gva_mi.pose.descent import optimiser
+from gva_mi.pose.descent import Nat, optimiser
 from gva_mi.pose.priors import lever_arms
 from gva_mi.pose.stage1 import Stage1
+from gva_mi.ranges import InnerShare, Metres, Turn, Within, require_ranges
 from gva_mi.splat import Camera
 
 
@@ -47,20 +47,19 @@ class PoseOptions:
     """How poses are trained along with an avatar."""
 
     trained: bool = True  # False: the poses stay as they were given
-    every: int = 8  # steps of the fit, after which poses take one
-    nat: float = 1e-5  # ν: what a negative logarithm of a probability counts beside Eq. 9
-    learn_at: tuple[float, ...] = (0.3, 0.5)  # shares of all steps, when it is learned how they err
-    step: float = 0.003  # metres that a turned joint moves what turns with it, in a first step
-    largest_turn: float = 0.03  # radians in such a step; it limits joints with short lever arms
-    translation_lr: float = 0.002  # metres in a first step
-    decay: float = 0.1  # what is left of these steps at the end
-    part: int = 240  # frames of a video that know of each other, at most
+    # Steps of the fit, after which poses take one.
+    every: Annotated[int, Within(1, 1_000_000)] = 8
+    nat: Nat = 1e-5  # ν: what a negative logarithm of a probability counts beside Eq. 9
+    # Shares of all steps, when it is learned how they err.
+    learn_at: tuple[InnerShare, ...] = (0.3, 0.5)
+    step: Metres = 0.003  # metres that a turned joint moves what turns with it, in a first step
+    largest_turn: Turn = 0.03  # radians in such a step; it limits joints with short lever arms
+    translation_lr: Metres = 0.002  # metres in a first step
+    decay: Annotated[float, Within(0, 1, "low")] = 0.1  # what is left of these steps at the end
+    part: Annotated[int, Within(2, 10_000)] = 240  # frames of a video that know of each other
 
     def __post_init__(self) -> None:
-        require_at_least("fit", self, every=1, part=2)
-        require_positive("fit", self, "nat", "step", "largest_turn", "translation_lr", "decay")
-        if not all(0 < share < 1 for share in self.learn_at):
-            raise InputError(f"fit: learn_at must lie between 0 and 1, got {self.learn_at}")
+        require_ranges("fit", self)
 
 
 class TrainedPoses:

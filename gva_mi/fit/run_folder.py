@@ -19,6 +19,7 @@ one, whole.
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -36,8 +37,8 @@ from gva_mi.body.pose import Pose, Shape, load_poses
 from gva_mi.body.smplx import body_name, load_body
 from gva_mi.data.identity import differing, identity
 from gva_mi.data.video import Video
-from gva_mi.errors import InputError
-from gva_mi.files import read_arrays, replacing, versions, write_arrays, write_json
+from gva_mi.errors import InputError, expecting, reason_of
+from gva_mi.files import read_arrays, read_json, replacing, versions, write_arrays, write_json
 from gva_mi.splat import Gaussians
 
 AVATAR, CHECKPOINT, HISTORY = "avatar.npz", "checkpoint.pt", "history.npz"
@@ -111,18 +112,18 @@ def load_options(out: Path) -> dict[str, Any]:
         InputError: a file that is missing or cannot be read.
     """
     path = out / OPTIONS
-    try:
-        found = json.loads(path.read_text())
-        rest = {name: found.get(name, {}) for name in ("versions", "video")}
-        return {"options": found["options"], **rest}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        raise InputError(f"{path}: not readable; expected the options of a run") from None
+    found = read_json(path, "the options of a run")
+    with expecting(path, "the options of a run"):
+        rest = {name: dict(found.get(name, {})) for name in ("versions", "video")}
+        return {"options": dict(found["options"]), **rest}
 
 
 def save_state(out: Path, state: dict[str, Any]) -> None:
     """Write the checkpoint: tensors, numbers, strings, and lists and dictionaries of them."""
+    whole = io.BytesIO()  # torch's own writer says nothing of a disk that is full
+    torch.save(state, whole)
     with replacing(out / CHECKPOINT) as unfinished:
-        torch.save(state, unfinished)
+        unfinished.write_bytes(whole.getbuffer())
 
 
 def load_state(out: Path) -> dict[str, Any] | None:
@@ -137,8 +138,7 @@ def load_state(out: Path) -> dict[str, Any] | None:
     try:
         return torch.load(path, weights_only=True)
     except Exception as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(f"{path}: not a readable checkpoint ({reason})") from None
+        raise InputError(f"{path}: not a readable checkpoint ({reason_of(error)})") from None
 
 
 def save_snapshot(
@@ -168,12 +168,15 @@ class Snapshot:
 def load_snapshots(out: Path) -> Iterator[Snapshot]:
     """The Gaussians around each re-initialisation of a run, in the order of the steps."""
     for path in sorted((out / REINIT).glob("*.npz")):
-        arrays = read_arrays(path, "the Gaussians around a re-initialisation")
-        before, after = (
-            Gaussians(**{n: torch.from_numpy(arrays[f"{side}_{n}"]) for n in GAUSSIANS})
-            for side in ("before", "after")
-        )
-        yield Snapshot(int(path.stem), before, after)
+        expected = "the Gaussians around a re-initialisation"
+        arrays = read_arrays(path, expected)
+        with expecting(path, expected):
+            before, after = (
+                Gaussians(**{n: torch.from_numpy(arrays[f"{side}_{n}"]) for n in GAUSSIANS})
+                for side in ("before", "after")
+            )
+            step = int(path.stem)
+        yield Snapshot(step, before, after)
 
 
 def load_history(out: Path) -> dict[str, np.ndarray]:

@@ -28,6 +28,7 @@ from gva_mi.body.pose import save_poses
 from gva_mi.body.smplx import BodyModel
 from gva_mi.console import Progress
 from gva_mi.data.video import Video
+from gva_mi.errors import expecting
 from gva_mi.files import write_arrays
 from gva_mi.fit import run_folder
 from gva_mi.fit.colors import seen_colors
@@ -77,7 +78,7 @@ def fit(
         return Avatar.load(out / run_folder.AVATAR)
     state = run_folder.load_state(out)
     with one_torch_thread():
-        run = Run(video, body, options, offsets, state)
+        run = _run(video, body, options, offsets, state, out)
         samples = Samples(
             video, video.splits.train, options.seed, options.random_background, options.window
         )
@@ -207,6 +208,21 @@ class Run:
         for group in self.optimizer.param_groups:
             if group["name"] == "means":
                 group["lr"] = rates.means ** (1 - done) * rates.means_end**done
+
+
+def _run(
+    video: Video,
+    body: BodyModel,
+    options: FitOptions,
+    offsets: Tensor | None,
+    state: dict[str, Any] | None,
+    out: Path,
+) -> Run:
+    """The run at its beginning, or as its checkpoint has it."""
+    if state is None:
+        return Run(video, body, options, offsets, None)
+    with expecting(out / run_folder.CHECKPOINT, "the state of this run"):
+        return Run(video, body, options, offsets, state)
 
 
 def _optimizer(avatar: Avatar, rates: Rates) -> torch.optim.Adam:

@@ -21,16 +21,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import torch
 
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.body.smplx import BodyModel, load_body
-from gva_mi.errors import InputError, require_at_least
 from gva_mi.mesh.mesh_scene import load_plugins, scene_of
 from gva_mi.mesh.sensor import sensor_of
+from gva_mi.ranges import Within, require_ranges
 from gva_mi.splat import Camera, look_at
 
 if TYPE_CHECKING:
@@ -102,18 +102,16 @@ CASES = (
 class GradientOptions:
     """How finely to compare."""
 
-    size: int = 512  # pixels, width and height
-    spp: int = 16  # rays for a pixel of the gradient that is examined
-    lines: int = 16000  # across the rectangle that moves, for the true boundary term
-    points: int = 89  # on each face, for the true interior
-    count: int = len(CASES)  # how many of the cases, from the first
+    size: Annotated[int, Within(32, 4096)] = 512  # pixels, width and height
+    spp: Annotated[int, Within(1, 4096)] = 16  # rays for a pixel of the gradient that is examined
+    # Across the rectangle that moves, for the true boundary term.
+    lines: Annotated[int, Within(1, 1_000_000)] = 16000
+    # On each face, for the true interior.
+    points: Annotated[int, Within(1, 10_000)] = 89
+    count: Annotated[int, Within(1, len(CASES))] = len(CASES)  # cases, from the first
 
     def __post_init__(self) -> None:
-        require_at_least("gradcheck-normals", self, size=32, spp=1, lines=1, points=1, count=1)
-        if self.count > len(CASES):
-            raise InputError(
-                f"gradcheck-normals: count must be at most {len(CASES)}, got {self.count}"
-            )
+        require_ranges("gradcheck-normals", self)
 
 
 @dataclass(frozen=True)

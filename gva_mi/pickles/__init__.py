@@ -10,6 +10,5 @@ cut from the file's own bytes, so that a size that is merely claimed allocates n
 ``machine``         the opcodes; who may be called, filled, used as a key
 ``meanings``        what names stand for: arrays, sparse matrices, chumpy's arrays
 ``tensors``         torch's tensors and storages, as arrays; CUDA's too
-``budget``          how many bytes a file may unfold to
 ==================  ================================================================
 """

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from gva_mi.pickles.budget import Budget, Damaged, Refused
+from gva_mi.budget import Budget, Damaged, Refused
 from gva_mi.pickles.meanings import NAMES, Array, Dtype, Name, Record, full_name
 
 WRAPPER = "joblib.numpy_pickle.NumpyArrayWrapper"

@@ -16,7 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from gva_mi.pickles.budget import Budget, Damaged, Refused
+from gva_mi.arrays import bytes_to_array, require_bytes
+from gva_mi.budget import Budget, Damaged, Refused
 
 _PLAIN_DTYPE = re.compile(r"[?biufc]\d{0,2}|[SU]\d{0,6}|O8?")
 
@@ -83,7 +84,7 @@ class Array(Record):
             data = data.encode("latin-1")
         if isinstance(data, list) != self.dtype.hasobject:
             raise Damaged("an array's contents do not fit its dtype")
-        _require_size(self.shape, 1 if isinstance(data, list) else self.dtype.itemsize, len(data))
+        require_bytes(self.shape, 1 if isinstance(data, list) else self.dtype.itemsize, len(data))
         self.data = data
 
     def value(self, resolve: Callable[[Any], Any], budget: Budget) -> np.ndarray:
@@ -144,28 +145,6 @@ class Chumpy(Record):
         chosen = whole.ravel()[places]
         shape = self.state.get("preferred_shape")
         return chosen if shape is None else chosen.reshape(_shape(resolve(shape)))
-
-
-def bytes_to_array(
-    data: bytes, dtype: np.dtype, shape: tuple[int, ...], order: str = "C"
-) -> np.ndarray:
-    """A copy of bytes as an array that owns its memory and may be written to.
-
-    Raises:
-        Damaged: the shape claims more or fewer bytes than there are.
-    """
-    _require_size(shape, dtype.itemsize, len(data))
-    if dtype.itemsize == 0:
-        return np.zeros(shape, dtype)
-    return np.frombuffer(data, dtype).reshape(shape, order=order).copy(order=order)
-
-
-def _require_size(shape: tuple[int, ...], itemsize: int, found: int) -> None:
-    claimed = math.prod(shape) * itemsize
-    if itemsize == 0 and math.prod(shape) > found + 1024:
-        raise Damaged(f"an array claims {math.prod(shape):,} items of no size")
-    if claimed != found:
-        raise Damaged(f"an array claims {claimed:,} bytes, but holds {found:,}")
 
 
 def _shape(shape: Any) -> tuple[int, ...]:  # noqa: ANN401

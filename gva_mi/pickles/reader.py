@@ -22,16 +22,13 @@ import zlib
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from gva_mi.arrays import arrays_in, bytes_to_array, read_entry, read_header
+from gva_mi.budget import LARGEST, Budget, Damaged, Refused
 from gva_mi.errors import InputError
-from gva_mi.pickles.budget import LARGEST, Budget, Damaged, Refused
 from gva_mi.pickles.machine import Machine, Stream, resolved
-from gva_mi.pickles.meanings import bytes_to_array
 from gva_mi.pickles.tensors import TENSORS, read_row_of_pickles, read_zip
 
 _ROW_OF_PICKLES = b"\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19."  # torch's magic number, pickled
-_DENSEST = 1100  # deflate packs no more than 1032 bytes into one
 
 
 def read_objects(path: Path, expected: str) -> Any:  # noqa: ANN401
@@ -76,14 +73,11 @@ def _opened(path: Path, budget: Budget) -> Any:  # noqa: ANN401
     with path.open("rb") as file:
         zipped = file.read(4) in (b"PK\x03\x04", b"PK\x05\x06")  # the second: an empty one
     if zipped:
+        entries = Budget()  # apart from what is made of them
         with zipfile.ZipFile(path) as file:
-            read = lambda name: _entry(file, name, budget)
             if any(name.rsplit("/")[-1] == "data.pkl" for name in file.namelist()):
-                return read_zip(file, read)
-            arrays = [name for name in file.namelist() if name.endswith(".npy")]
-            if not arrays:
-                raise Damaged("a zip without arrays")
-            return {name[: -len(".npy")]: _npy(read(name)) for name in arrays}
+                return read_zip(file, lambda name: read_entry(file, name, entries))
+            return {name: _npy(data) for name, data in arrays_in(file, entries)}
     data = path.read_bytes()
     if data[:1] == b"\x78" or data[:2] == b"\x1f\x8b":
         data = _inflated(zlib.decompressobj(wbits=47), data, budget)
@@ -96,20 +90,6 @@ def _opened(path: Path, budget: Budget) -> Any:  # noqa: ANN401
     if _ROW_OF_PICKLES in data[:32]:
         return read_row_of_pickles(data)
     return Machine(Stream(data), TENSORS).load_raw()
-
-
-def _entry(file: zipfile.ZipFile, name: str, budget: Budget) -> bytes:
-    """The bytes of one file in a zip."""
-    info = file.getinfo(name)
-    if info.file_size > _DENSEST * (info.compress_size + 1):
-        raise Damaged(f"'{name}' claims {info.file_size:,} bytes")
-    if info.compress_type != zipfile.ZIP_STORED:
-        budget.spend(info.file_size)
-    with file.open(info) as entry:
-        data = entry.read(info.file_size + 1)
-    if len(data) != info.file_size:
-        raise Damaged(f"'{name}' claims {info.file_size:,} bytes, but holds {len(data):,}")
-    return data
 
 
 def _inflated(decompressor: Any, data: bytes, budget: Budget) -> bytes:  # noqa: ANN401
@@ -128,13 +108,7 @@ def _inflated(decompressor: Any, data: bytes, budget: Budget) -> bytes:  # noqa:
 def _npy(data: bytes) -> Any:  # noqa: ANN401
     """A .npy's array, or the pickle behind its header where it holds objects."""
     file = io.BytesIO(data)
-    version = np.lib.format.read_magic(file)
-    header = {
-        (1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0,
-    }.get(version)  # fmt: skip
-    if header is None:
-        raise Refused(f"a .npy of version {version}")
-    shape, fortran, dtype = header(file)
-    if dtype.hasobject:
+    header = read_header(file)
+    if header.dtype.hasobject:
         return Machine(Stream(data[file.tell() :]), TENSORS).load_raw()
-    return bytes_to_array(data[file.tell() :], dtype, shape, "F" if fortran else "C")
+    return bytes_to_array(data[file.tell() :], header.dtype, header.shape, header.order)

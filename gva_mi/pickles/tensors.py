@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from gva_mi.pickles.budget import Budget, Damaged, Refused
+from gva_mi.budget import Budget, Damaged, Refused
 from gva_mi.pickles.machine import Machine, Stream
 from gva_mi.pickles.meanings import Name, Record
 

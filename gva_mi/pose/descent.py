@@ -22,25 +22,35 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Protocol
+from typing import Annotated, ClassVar, Protocol
 
 import torch
 from torch import Tensor
 
 from gva_mi.body.pose import Pose
 from gva_mi.console import Progress
-from gva_mi.errors import InputError, require_at_least, require_positive
+from gva_mi.errors import InputError
 from gva_mi.pose.anatomy import Anatomy
 from gva_mi.pose.corrections import Corrections
 from gva_mi.pose.inference import Beliefs
 from gva_mi.pose.priors import turn_rates
 from gva_mi.pose.stage1 import Stage1
 from gva_mi.pose.vector_adam import VectorAdam
+from gva_mi.ranges import Metres, Seed, Turn, Within, require_ranges
 from gva_mi.splat import Camera
 
 BETAS = (0.9, 0.99)  # Adam's
 GUESSED = 0.2  # weight of E before pictures have shown anything
 AGAIN = 1.5  # times the passes after which it is inferred first: when it is inferred once more
+
+
+# Ranges of the options that all ways of fitting poses have.
+Passes = Annotated[int, Within(1, 10_000)]
+Learn = Annotated[int, Within(0, 10_000)]
+Nat = Annotated[float, Within(0, 1e6, "low")]
+Batch = Annotated[int, Within(1, 10_000)]
+PartFrames = Annotated[int, Within(1, 10_000)]
+Overlap = Annotated[int, Within(0, 5_000)]
 
 
 class Evidence(Protocol):
@@ -87,24 +97,23 @@ class Steps(Protocol):
 class DescentOptions:
     """How poses descend on eq. 1; each way of fitting poses has defaults of its own."""
 
-    passes: int  # how often every frame is visited
-    learn: int  # the first of them, after which it is inferred how stage 1 errs
-    nat: float  # what a nat of E counts, in units of L_k
-    batch: int  # frames of a step, at most
-    step: float  # metres that a turned joint moves what turns with it, in a step at the start
-    largest_turn: float  # radians in such a step; it limits joints with short lever arms
-    translation_lr: float  # metres in a step at the start
-    part: int  # frames fitted together; a longer video is cut into clips
-    overlap: int  # frames that a clip shares with the next
-    seed: int  # of the order in which frames are visited
+    passes: Passes  # how often every frame is visited
+    learn: Learn  # the first of them, after which it is inferred how stage 1 errs
+    nat: Nat  # what a nat of E counts, in units of L_k
+    batch: Batch  # frames of a step, at most
+    step: Metres  # metres that a turned joint moves what turns with it, in a step at the start
+    largest_turn: Turn  # radians in such a step; it limits joints with short lever arms
+    translation_lr: Metres  # metres in a step at the start
+    part: PartFrames  # frames fitted together; a longer video is cut into clips
+    overlap: Overlap  # frames that a clip shares with the next
+    seed: Seed  # of the order in which frames are visited
 
     command: ClassVar[str]  # whose options they are, for errors
     decay: ClassVar[float]  # what is left of the learning rates at the end
 
     def __post_init__(self) -> None:
-        require_at_least(self.command, self, passes=1, batch=1, learn=0)
-        require_positive(self.command, self, "nat")
-        if not 0 <= 2 * self.overlap < self.part:
+        require_ranges(self.command, self)
+        if not 2 * self.overlap < self.part:
             raise InputError(
                 f"{self.command}: overlap must be less than half a part, "
                 f"got overlap {self.overlap}, part {self.part}"

@@ -10,7 +10,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import torch
 from torch import Tensor
@@ -18,12 +18,12 @@ from torch import Tensor
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.console import Progress
-from gva_mi.errors import require_at_least
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.close_ups import FinePicture
 from gva_mi.pose.evidence import MaskAndNormals
 from gva_mi.pose.noise import Noise
-from gva_mi.pose.stature import require_height
+from gva_mi.pose.stature import PEOPLE
+from gva_mi.ranges import Weight, Within, require_ranges
 
 FEWEST_FACES = 500  # a body of fewer has no hands left
 
@@ -47,18 +47,18 @@ class RefineOptions(ABC):
     (:mod:`gva_mi.pose.evidence`).
     """
 
-    size: int = 208  # pixels of the person's longer side in the pictures that are compared
-    faces: int = 6000  # triangles of the body that is compared with them
-    silhouette: float = 5.0  # λ1
-    height: float | None = None  # metres, of the person, where somebody measured it
+    # Pixels of the person's longer side in the pictures that are compared.
+    size: Annotated[int, Within(1, 4096)] = 208
+    # Triangles of the body that is compared with them.
+    faces: Annotated[int, Within(FEWEST_FACES, 1_000_000)] = 6000
+    silhouette: Weight = 5.0  # λ1
+    height: Annotated[float, PEOPLE] | None = None  # of the person, where somebody measured it
     hold_out_test: bool = False  # test frames are not looked at, their poses follow from the motion
 
     name: ClassVar[str]  # of the way, on the command line and in records
 
     def __post_init__(self) -> None:
-        require_at_least("refine", self, size=1, faces=FEWEST_FACES)
-        if self.height is not None:
-            require_height(self.height)
+        require_ranges("refine", self)
 
     @property
     def close_up_size(self) -> int:

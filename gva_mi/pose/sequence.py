@@ -21,24 +21,33 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import torch
 from torch import Tensor
 
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.console import Progress
-from gva_mi.errors import require_at_least
 from gva_mi.pose.anatomy import Anatomy
 from gva_mi.pose.clips import cut, skim
 from gva_mi.pose.close_ups import CloseUps
-from gva_mi.pose.descent import DescentOptions, descend
+from gva_mi.pose.descent import (
+    Batch,
+    DescentOptions,
+    Learn,
+    Nat,
+    Overlap,
+    PartFrames,
+    Passes,
+    descend,
+)
 from gva_mi.pose.displacement import Displacement
 from gva_mi.pose.evidence import mean_loss, seen_body
 from gva_mi.pose.job import Job, RefineOptions, Solution
 from gva_mi.pose.noise import GROUPS
 from gva_mi.pose.priors import lever_arms
 from gva_mi.pose.stature import Stature
+from gva_mi.ranges import Metres, Rate, Seed, Turn, Weight, Within
 
 STEPS_A_PASS = 16  # at least
 FINGERS = GROUPS["fingers"]
@@ -49,29 +58,33 @@ HOLD_HEIGHT = 1e3  # for one square metre between the body's height and the pers
 class SequenceOptions(DescentOptions, RefineOptions):
     """How all frames of a video are refined together."""
 
-    close_hands: float = 1.0  # of each hand's close-up, where the loss of the whole person counts 1
-    close_feet: float = 0.1  # the same of a foot's: shoes are not of the body's form
-    hand_size: int = 44  # pixels of a hand's length in them, where the video has as many
-    passes: int = 32  # how often every frame is visited, more often where there are very few
-    batch: int = 4  # frames of a step, at most
-    learn: int = 11  # the first of them, after which it is inferred how stage 1 errs
-    nat: float = 0.015  # what a negative logarithm of a probability counts beside Eq. 8's data term
-    cloth_smooth: float = 1.6e-4  # a of the displacement's energy, for one (1/m)²
-    cloth_small: float = 10.0  # b of the displacement's energy, for one square metre
-    cloth_outward: float = 400.0  # c of the displacement's energy, for one square metre
-    betas_prior: float = 0.01  # λβ, for one squared standard deviation
-    step: float = 0.012  # metres that a turned joint moves what hangs on it, in a step at the start
-    largest_turn: float = 0.03  # radians in such a step; it limits joints with short lever arms
-    translation_lr: float = 0.006  # metres in a step at the start; depth is seen weakly
-    cloth_lr: float = 0.002  # metres in a step at the start
-    betas_lr: float = 0.05  # standard deviations in a step at the start
+    # Of each hand's close-up, where the loss of the whole person counts 1.
+    close_hands: Weight = 1.0
+    close_feet: Weight = 0.1  # the same of a foot's: shoes are not of the body's form
+    # Pixels of a hand's length in them, where the video has as many.
+    hand_size: Annotated[int, Within(1, 1024)] = 44
+    passes: Passes = 32  # how often every frame is visited, more often where there are very few
+    batch: Batch = 4  # frames of a step, at most
+    learn: Learn = 11  # the first of them, after which it is inferred how stage 1 errs
+    nat: Nat = 0.015  # what a negative logarithm of a probability counts beside Eq. 8's data term
+    cloth_smooth: Weight = 1.6e-4  # a of the displacement's energy, for one (1/m)²
+    cloth_small: Weight = 10.0  # b of the displacement's energy, for one square metre
+    cloth_outward: Weight = 400.0  # c of the displacement's energy, for one square metre
+    betas_prior: Weight = 0.01  # λβ, for one squared standard deviation
+    # Metres that a turned joint moves what hangs on it, in a step at the start.
+    step: Metres = 0.012
+    largest_turn: Turn = 0.03  # radians in such a step; it limits joints with short lever arms
+    translation_lr: Rate = 0.006  # metres in a step at the start; depth is seen weakly
+    cloth_lr: Rate = 0.002  # metres in a step at the start
+    betas_lr: Rate = 0.05  # standard deviations in a step at the start
     refine_camera: bool = False  # whether the focal length of the video is an unknown, too
-    focal_lr: float = 0.003  # of its logarithm, in a step at the start
-    focal_prior: float = 1.0  # of its logarithm's square
-    part: int = 120  # frames refined together; a longer video is cut into clips
-    overlap: int = 16  # frames that a clip shares with the next
-    skim: int = 96  # frames of a longer video that tell what all its clips share
-    seed: int = 0  # of the order in which frames are visited
+    focal_lr: Rate = 0.003  # of its logarithm, in a step at the start
+    focal_prior: Weight = 1.0  # of its logarithm's square
+    part: PartFrames = 120  # frames refined together; a longer video is cut into clips
+    overlap: Overlap = 16  # frames that a clip shares with the next
+    # Frames of a longer video that tell what all its clips share.
+    skim: Annotated[int, Within(1, 10_000)] = 96
+    seed: Seed = 0  # of the order in which frames are visited
 
     name: ClassVar[str] = "sequence"
     command: ClassVar[str] = "refine"
@@ -80,7 +93,6 @@ class SequenceOptions(DescentOptions, RefineOptions):
     def __post_init__(self) -> None:
         RefineOptions.__post_init__(self)
         DescentOptions.__post_init__(self)
-        require_at_least(self.command, self, skim=1, close_hands=0, close_feet=0, hand_size=1)
 
     @property
     def close_up_size(self) -> int:

@@ -9,20 +9,22 @@ stays as stage 1 gave it, because Eq. 8 speaks of ``θ`` alone.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import torch
 from torch import Tensor
 
 from gva_mi.body.pose import Pose
 from gva_mi.console import Progress, within
-from gva_mi.errors import require_at_least
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.clips import cut
 from gva_mi.pose.descent import with_frames
 from gva_mi.pose.job import Job, RefineOptions, Solution
 from gva_mi.pose.priors import joint_weights, lever_arms, turn_rates
 from gva_mi.pose.vector_adam import VectorAdam
+from gva_mi.ranges import Metres, Turn, Weight, Within
+
+Steps = Annotated[int, Within(1, 100_000)]
 
 DECAY = 0.1  # what is left of the learning rates at the end
 FRAMES_A_JOB = 16  # each is refined for itself, but a job for each would be too small
@@ -32,16 +34,13 @@ FRAMES_A_JOB = 16  # each is refined for itself, but a job for each would be too
 class SingleFrameOptions(RefineOptions):
     """How every frame is refined for itself."""
 
-    steps: int = 80  # for each frame
-    prior: float = 0.5  # λ2, for one square radian
-    step: float = 0.012  # metres that a turned joint moves what hangs on it, in a step at the start
-    largest_turn: float = 0.03  # radians in such a step; it limits joints with short lever arms
+    steps: Steps = 80  # for each frame
+    prior: Weight = 0.5  # λ2, for one square radian
+    # Metres that a turned joint moves what hangs on it, in a step at the start.
+    step: Metres = 0.012
+    largest_turn: Turn = 0.03  # radians in such a step; it limits joints with short lever arms
 
     name: ClassVar[str] = "paper"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_at_least("refine", self, steps=1)
 
     @property
     def description(self) -> str:

@@ -26,10 +26,10 @@ from torch import Tensor
 
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
-from gva_mi.errors import InputError
+from gva_mi.ranges import Within
 from gva_mi.splat import Camera
 
-SHORTEST, TALLEST = 0.4, 2.6  # metres, of people
+PEOPLE = Within(0.4, 2.6, unit="metres")  # their heights
 
 
 @dataclass(frozen=True)
@@ -67,15 +67,6 @@ class Stature:
         return Shape(shape.betas + slope * missing / slope.square().sum())
 
 
-def require_height(height: float) -> None:
-    """Raise an InputError for what is no person's height in metres."""
-    if not SHORTEST <= height <= TALLEST:
-        raise InputError(
-            f"refine: --height must be between {SHORTEST} and {TALLEST} metres, got {height:g}; "
-            "it is in metres"
-        )
-
-
 def with_height(
     body: BodyModel, pose: Pose, shape: Shape, cameras: Sequence[Camera], height: float
 ) -> tuple[Pose, Shape]:
@@ -91,7 +82,7 @@ def with_height(
     Raises:
         InputError: no person is so tall.
     """
-    require_height(height)
+    PEOPLE.require("with_height()", "height", height)
     stature = Stature.of(body)
     taller = stature.nearest(shape, height)
     factor = height / float(stature.height(shape))

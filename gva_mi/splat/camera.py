@@ -19,6 +19,7 @@ from typing import Any, Literal, NamedTuple, get_args
 import drjit as dr
 import numpy as np
 
+MOST_PIXELS = 1 << 28  # of an image; its five channels take 5 GiB
 CameraModel = Literal["pinhole", "ortho", "fisheye"]
 
 _UNIT = np.eye(3)
@@ -64,8 +65,9 @@ class Camera:
         if not np.isfinite([self.fx, self.fy, self.cx, self.cy]).all():
             found = f"{self.fx}, {self.fy}, {self.cx}, {self.cy}"
             raise ValueError(f"Camera: fx, fy, cx, cy must be finite, got {found}")
-        if self.width < 1 or self.height < 1:
-            raise ValueError(f"Camera: size must be at least 1x1, got {self.width}x{self.height}")
+        if min(self.width, self.height) < 1 or self.width * self.height > MOST_PIXELS:
+            found = f"{self.width}x{self.height}"
+            raise ValueError(f"Camera: size must be 1x1 to {MOST_PIXELS:,} pixels, got {found}")
         if not (self.fx > 0 and self.fy > 0):
             raise ValueError(f"Camera: focal lengths must be positive, got {self.fx}, {self.fy}")
         T.setflags(write=False)

@@ -11,7 +11,8 @@ import numpy as np
 import torch
 from torch import Generator, Tensor
 
-from gva_mi.errors import InputError
+from gva_mi.errors import InputError, expecting
+from gva_mi.files import read_arrays
 from gva_mi.splat.camera import Camera, CameraModel, CameraTensors, look_at
 from gva_mi.splat.formats import LOAD
 from gva_mi.splat.gaussians import Gaussians
@@ -57,28 +58,21 @@ class Scene:
         """
         if path.suffix.lower() in LOAD:
             return in_front(path, LOAD[path.suffix.lower()](path))
-        try:
-            with np.load(path) as file:
-                arrays = dict(file)
-        except FileNotFoundError:
-            raise InputError(f"{path}: no such scene") from None
-        except (OSError, ValueError) as error:
-            raise InputError(f"{path}: not an .npz file ({error})") from None
+        arrays = read_arrays(path, "a scene: Gaussians and a camera (.npz)")
         missing = [k for k in (*ARRAYS, "viewmat", "K", "width", "height") if k not in arrays]
         if "sh" not in arrays and "colors" not in arrays:
             missing.append("sh or colors")
         if missing:
             raise InputError(f"{path}: a scene needs {', '.join(missing)}")
         color = "sh" if "sh" in arrays else "colors"
-        try:
+        with expecting(path, "Gaussians before a camera"):
             size = int(arrays["width"]), int(arrays["height"])
             model = str(arrays.get("camera_model", "pinhole"))
             camera = Camera.from_matrices(arrays["K"], arrays["viewmat"], *size, model)
             gaussians = Gaussians(**{k: arrays[k] for k in (*ARRAYS, color)})
             gaussians.check_shapes()
-        except ValueError as error:
-            raise InputError(f"{path}: {error}") from None
-        return Scene.of(gaussians, camera, arrays.get("background", np.zeros(gaussians.channels)))
+            black = np.zeros(gaussians.channels)
+            return Scene.of(gaussians, camera, arrays.get("background", black))
 
     def inputs(self) -> dict[str, Tensor]:
         """What is differentiated, by name."""

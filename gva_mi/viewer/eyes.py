@@ -14,7 +14,7 @@ import torch
 
 from gva_mi.avatar.avatar import Rig
 from gva_mi.body.pose import Pose
-from gva_mi.data.video import MOST_PIXELS
+from gva_mi.data.pictures import MOST_PIXELS
 from gva_mi.fit.camera_paths import CameraPath, shots
 from gva_mi.splat import Camera
 

@@ -143,7 +143,7 @@ def test_what_is_not_an_avatar_is_explained(make_avatar, tmp_path):
     with pytest.raises(InputError, match="not a readable .npz"):
         Avatar.load(tmp_path / "text.npz")
     np.savez(tmp_path / "other.npz", a=np.zeros(3))
-    with pytest.raises(InputError, match="not an avatar of this version"):
+    with pytest.raises(InputError, match="expected an avatar of this version"):
         Avatar.load(tmp_path / "other.npz")
     arrays = {k: np.asarray(v) for k, v in make_avatar().record().items()}
     del arrays["canonical.quats"]

@@ -93,5 +93,5 @@ def test_learns_a_crease_that_comes_with_a_bent_joint():
 
 
 def test_options_are_checked():
-    with pytest.raises(ValueError, match="at least 1"):
+    with pytest.raises(ValueError, match="must be from 1 to"):
         ResidualOptions(width=0)

@@ -14,12 +14,13 @@ VERTICES = 90
 @pytest.fixture(scope="session")
 def random_arrays() -> dict[str, np.ndarray]:
     rng = np.random.default_rng(7)
+    a, b, c, d = ((np.arange(VERTICES) + k) % VERTICES for k in (0, 1, 9, 10))
     weights = rng.uniform(size=(VERTICES, 55)) ** 12
     regressor = rng.uniform(size=(55, VERTICES))
     parents = np.array([4294967295, *PARENTS[1:]], np.int64)
     return {
         "v_template": rng.normal(size=(VERTICES, 3)),
-        "f": rng.integers(0, VERTICES, (150, 3)).astype(np.uint32),
+        "f": np.stack([a, b, d, a, d, c], axis=1).reshape(-1, 3).astype(np.uint32),  # a torus
         "shapedirs": 0.05 * rng.normal(size=(VERTICES, 3, 18)),
         "posedirs": 0.02 * rng.normal(size=(VERTICES, 3, 486)),
         "J_regressor": regressor / regressor.sum(1, keepdims=True),

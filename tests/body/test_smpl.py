@@ -19,9 +19,10 @@ def older(form, seed=11, vertices=80, betas=16):
     weights = rng.uniform(size=(vertices, joints)) ** 12
     regressor = rng.uniform(size=(joints, vertices))
     parents = np.array([4294967295, *form.parents[1:]], np.int64)
+    a, b, c, d = ((np.arange(vertices) + k) % vertices for k in (0, 1, 9, 10))
     arrays = {
         "v_template": rng.normal(size=(vertices, 3)),
-        "f": rng.integers(0, vertices, (90, 3)).astype(np.uint32),
+        "f": np.stack([a, b, d, a, d, c], axis=1).reshape(-1, 3).astype(np.uint32),  # a torus
         "shapedirs": 0.05 * rng.normal(size=(vertices, 3, betas)),
         "posedirs": 0.02 * rng.normal(size=(vertices, 3, 9 * (joints - 1))),
         "J_regressor": regressor / regressor.sum(1, keepdims=True),

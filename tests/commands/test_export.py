@@ -163,11 +163,11 @@ def test_an_avatar_without_its_body_is_driven_by_whoever_has_it(run, known, danc
 BAD = {
     "suffix": (("--out", "a.obj"), "no format ends in .obj; expected .ply (Gaussians"),
     "frame": (("--out", "a.ply", "--frame", 3), "frame 3 is not there, the poses have 3"),
-    "negative frame": (("--out", "a.ply", "--frame", -1), "frame must be at least 0"),
+    "negative frame": (("--out", "a.ply", "--frame", -1), "--frame must be a whole number from 0"),
     "no poses": (("--out", "a.ply", "--poses", "none.npz"), "none.npz: no such file"),
     "meaningless": (("--out", "a.ply", "--every", 2), "--every is for a folder, not for .ply"),
     "two things": (("--out", "a.npz", "--no-rig", "--poses", "p.npz"), "not both"),
-    "rate": (("--out", "a.mp4", "--fps", 10**9), "fps must be at most 1000"),
+    "rate": (("--out", "a.mp4", "--fps", 10**9), "--fps must be a whole number from 1 to 1,000"),
     "no rig": (("--out", "a.ply", "--no-rig"), "--no-rig is for .npz, not for .ply"),
     "cameras": (("--out", "a.glb", "--path", "orbit"), "cameras are for .mp4"),
     "background": (("--out", "a.mp4", "--background", "nowhere"), "neither a picture file nor"),

@@ -78,7 +78,7 @@ def test_a_report_is_written_where_asked_for(subject, cli):
 
 BAD = {
     "nobody": ((), "refine: give the folder of a subject, or of several"),
-    "no workers": (("nowhere", "--workers", "0"), "--workers must be at least 1"),
+    "no workers": (("nowhere", "--workers", "0"), "--workers must be a whole number from 1"),
     "both": (
         ("nowhere", "--workers", "2", "--scheduler", "tcp://10.0.0.1:8786"),
         "not both",

@@ -21,7 +21,7 @@ BAD = {
     "other frames": (("run", "--subject", "SUBJECT", "--poses", "few.npz"), "holds 3 frames, but"),
     "a file": (("run", "--out", "few.npz"), "few.npz: is a file; expected a folder"),
     "no address": (("run", "--host", "203.0.113.9"), "cannot listen at 203.0.113.9, port 8080"),
-    "no port": (("run", "--port", "eighty"), "--port must be INT"),
+    "no port": (("run", "--port", "eighty"), "--port must be a whole number from 0"),
 }
 
 

@@ -110,14 +110,14 @@ def test_without_a_path_a_motion_is_seen_from_one_side():
     ("wrong", "sentence"),
     [
         ({"size": (10**6, 10**6)}, "from 1 to 33,554,432 pixels, got 1000000x1000000"),
-        ({"size": (0, 10)}, "got 0x10"),
-        ({"frames": -1}, "frames must be at least 0"),
-        ({"frames": 10**12}, "frames must be at most 100,000"),
+        ({"size": (0, 10)}, "size must be from 1 to .*, got 0"),
+        ({"frames": -1}, "frames must be from 0 to 100,000, got -1"),
+        ({"frames": 10**12}, "frames must be from 0 to 100,000, got 1"),
         ({"distance": 0.0}, "distance must be above 0"),
         ({"distance": float("nan")}, "distance must be above 0"),
-        ({"distance": float("inf")}, "distance must be at most 100"),
-        ({"elevation": 90.0}, "elevation must lie between -89 and 89"),
-        ({"turn": float("nan")}, "turn a finite number"),
+        ({"distance": float("inf")}, "distance must be above 0 and at most 100"),
+        ({"elevation": 90.0}, "elevation must be from -89 to 89 degrees"),
+        ({"turn": float("nan")}, "turn must be from -3,600 to 3,600 degrees, got nan"),
     ],
 )
 def test_what_no_camera_can_do_is_refused(wrong, sentence):

@@ -119,5 +119,5 @@ def test_ssim_refuses_an_image_smaller_than_its_window(generator):
 
 
 def test_a_negative_weight_is_refused():
-    with pytest.raises(ValueError, match="perceptual must be 0 or more"):
+    with pytest.raises(ValueError, match="perceptual must be from 0"):
         LossOptions(perceptual=-0.1)

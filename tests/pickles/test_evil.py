@@ -11,8 +11,8 @@ import zlib
 import numpy as np
 import pytest
 
+from gva_mi import budget
 from gva_mi.errors import InputError
-from gva_mi.pickles import budget
 from gva_mi.pickles.reader import read_objects
 
 

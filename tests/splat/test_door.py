@@ -125,7 +125,7 @@ def test_backgrounds_cameras_and_colours_are_checked():
         render(g, CAMERA, background=torch.zeros(4))
     with pytest.raises(ValueError, match="either colors"):
         Gaussians(g.means, g.quats, g.scales, g.opacities)
-    with pytest.raises(ValueError, match="at least 1x1"):
+    with pytest.raises(ValueError, match="size must be 1x1 to"):
         Camera(1, 1, 0, 0, np.eye(4), 0, 5)
 
 

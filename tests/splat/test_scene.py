@@ -55,10 +55,10 @@ def test_a_file_with_a_gap_is_explained(arrays, tmp_path, gone):
 
 
 def test_what_is_no_scene_is_explained(arrays, tmp_path):
-    with pytest.raises(InputError, match="no such scene"):
+    with pytest.raises(InputError, match="no such file; expected a scene"):
         Scene.load(tmp_path / "missing.npz")
     (tmp_path / "text.npz").write_text("hello")
-    with pytest.raises(InputError, match="not an .npz"):
+    with pytest.raises(InputError, match="not a readable .npz"):
         Scene.load(tmp_path / "text.npz")
     np.savez(tmp_path / "scene.npz", **arrays | {"quats": np.zeros((4, 4))})
     with pytest.raises(InputError, match="quats must be"):

@@ -25,7 +25,7 @@ from gva_mi.avatar.avatar import FORMAT, RIG, WORN, Avatar, Rig, digest
 from gva_mi.avatar.skin import mean_directions
 from gva_mi.body.pose import Shape
 from gva_mi.body.smplx import BodyModel
-from gva_mi.errors import InputError
+from gva_mi.errors import InputError, expecting
 from gva_mi.files import write_arrays
 
 WITHOUT_BODY = "gva_mi avatar without its body, version 1"
@@ -104,7 +104,7 @@ def with_body(path: Path, arrays: dict[str, np.ndarray], body: BodyModel, name: 
     Raises:
         InputError: not such a file, or it belongs to another body.
     """
-    try:
+    with expecting(path, "an avatar of this version"):
         described = json.loads(str(arrays.pop("description")))
         wanted, found = described["body"], fingerprint(body)
         if wanted["fingerprint"] != found:
@@ -123,7 +123,3 @@ def with_body(path: Path, arrays: dict[str, np.ndarray], body: BodyModel, name: 
         record |= {f"skin_{key}": getattr(skin, key) for key in WORN}
         described["body"] = rig.body
         return Avatar.from_record(record | {"format": FORMAT, "description": json.dumps(described)})
-    except InputError:
-        raise
-    except (KeyError, TypeError, ValueError, RuntimeError, IndexError) as error:
-        raise InputError(f"{path}: not an avatar of this version ({error})") from None

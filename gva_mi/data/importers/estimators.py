@@ -42,7 +42,7 @@ from gva_mi.data.importers import smplx_json
 from gva_mi.data.importers import whole_videos as videos
 from gva_mi.data.importers.readings import View
 from gva_mi.data.importers.tracks import Track
-from gva_mi.errors import InputError
+from gva_mi.errors import InputError, expecting
 from gva_mi.pickles.reader import read_objects
 
 
@@ -80,15 +80,8 @@ def told(source: Path, kind: str, what: str, read: Callable[..., Any], *argument
     Raises:
         InputError: whatever the reader stumbles over.
     """
-    try:
+    with expecting(f"{source} (of the kind {kind})", what):
         return read(str(source), *arguments)
-    except InputError:
-        raise
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(
-            f"{source}: of the kind {kind}, but not of its form ({reason:.80}); expected {what}"
-        ) from None
 
 
 def _open(source: Path) -> Any:  # noqa: ANN401

@@ -10,8 +10,9 @@ import numpy as np
 
 from gva_mi.data.importers.hdf5 import SUFFIXES, rows_of_hdf5
 from gva_mi.data.importers.recordings import Pictures
-from gva_mi.data.pictures import read_array
+from gva_mi.data.pictures import decoded, opened
 from gva_mi.errors import InputError
+from gva_mi.files import read_array
 
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 
@@ -106,37 +107,22 @@ def _in_order(path: Path) -> tuple[int, str]:
 
 
 def _picture(path: Path, channels: int) -> np.ndarray:
-    from PIL import Image, ImageOps, UnidentifiedImageError
+    from PIL import Image, ImageOps
 
-    try:
-        with Image.open(path) as opened:
-            image = ImageOps.exif_transpose(opened)
-            if channels == 1 and image.mode == "P":
-                return (np.asarray(image) > 0) * np.uint8(255)
-            if image.mode.startswith("I") or image.mode == "F":
-                raw = np.asarray(image).astype(np.float64)  # 16-bit
-                image = Image.fromarray(
-                    (raw / (257 if raw.max(initial=0) > 255 else 1)).astype("u1")
-                )
-            if channels == 1 and image.mode in ("LA", "RGBA"):
-                return np.asarray(image.getchannel("A"))
-            return np.asarray(image.convert("RGB" if channels == 3 else "L"))
-    except (UnidentifiedImageError, OSError, ValueError) as error:
-        raise InputError(f"{path}: not a readable picture ({error})") from None
+    with opened(path) as stored:
+        image = ImageOps.exif_transpose(stored)
+        if channels == 1 and image.mode == "P":
+            return (np.asarray(image) > 0) * np.uint8(255)
+        if image.mode.startswith("I") or image.mode == "F":
+            raw = np.asarray(image).astype(np.float64)  # 16-bit
+            image = Image.fromarray((raw / (257 if raw.max(initial=0) > 255 else 1)).astype("u1"))
+        if channels == 1 and image.mode in ("LA", "RGBA"):
+            return np.asarray(image.getchannel("A"))
+        return np.asarray(image.convert("RGB" if channels == 3 else "L"))
 
 
 def _film(path: Path, channels: int) -> Iterator[np.ndarray]:
-    import av
-
-    count = 0
-    try:
-        with av.open(str(path)) as container:
-            for frame in container.decode(video=0):
-                turns = round(getattr(frame, "rotation", 0) / 90) % 4  # counter-clockwise
-                image = frame.to_ndarray(format="rgb24" if channels == 3 else "gray")
-                yield np.ascontiguousarray(np.rot90(image, turns))
-                count += 1
-    except (av.FFmpegError, IndexError, OSError) as error:
-        raise InputError(f"{path}: cannot be decoded as a video ({error})") from None
-    if not count:
-        raise InputError(f"{path}: holds no picture")
+    for frame in decoded(path):
+        turns = round(getattr(frame, "rotation", 0) / 90) % 4  # counter-clockwise
+        image = frame.to_ndarray(format="rgb24" if channels == 3 else "gray")
+        yield np.ascontiguousarray(np.rot90(image, turns))

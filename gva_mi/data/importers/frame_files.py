@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -23,7 +22,8 @@ from gva_mi.data.importers.readings import (
 )  # fmt: skip
 from gva_mi.data.importers.tracks import Track
 from gva_mi.data.importers.whole_videos import FAR_FOCAL, last_number
-from gva_mi.errors import InputError
+from gva_mi.errors import InputError, expecting
+from gva_mi.files import read_json
 from gva_mi.pickles.reader import read_objects
 
 ROMP_FOCAL = 443.4 / 512  # focal length over the side of the square that pictures are padded to
@@ -106,14 +106,11 @@ def _even(folder: Path, rows: Mapping[str, list[np.ndarray]], count: int) -> dic
 def _meta(path: Path) -> np.ndarray:
     """K (3, 3) of a frame of SMPLer-X, from the file beside."""
     meta = path.parent.parent / "meta" / path.with_suffix(".json").name
-    try:
-        about = json.loads(meta.read_text())
+    expected = f'{{"focal": [fx, fy], "princpt": [cx, cy]}} beside {path.name}'
+    about = read_json(meta, expected)
+    with expecting(meta, expected):
         (fx, fy), (cx, cy) = about["focal"], about["princpt"]
         return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64)
-    except (OSError, ValueError, KeyError, TypeError):
-        raise InputError(
-            f'{meta}: expected {{"focal": [fx, fy], "princpt": [cx, cy]}} beside {path.name}'
-        ) from None
 
 
 def is_tram(found: Any) -> bool:  # noqa: ANN401

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from gva_mi.budget import LARGEST
 from gva_mi.errors import InputError
-from gva_mi.pickles.budget import LARGEST
 
 SUFFIXES = (".hdf5", ".h5")
 _FILTERS = (None, "lzf", "gzip", "szip")  # what h5py brings itself

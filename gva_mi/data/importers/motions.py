@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import torch
@@ -24,33 +24,33 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.data.importers.fields import find_betas, find_joints, find_translation
 from gva_mi.data.importers.timeline import interpolate, listed, longest_gap
 from gva_mi.data.importers.world import UP, up_axis, upright
-from gva_mi.errors import InputError, require_positive
+from gva_mi.errors import InputError
 from gva_mi.pickles.reader import read_objects
+from gva_mi.ranges import Within, require_ranges
 
 EXPECTED = "a motion such as AMASS's .npz or AIST++'s .pkl"
 RATES = ("mocap_framerate", "mocap_frame_rate", "fps", "framerate", "frame_rate")
 AIST_RATE = 60.0  # frames a second of AIST++, whose files do not say so
 FASTEST = 10_000.0  # frames a second
 MOST_FRAMES = 1_000_000  # of one motion, after resampling
+FrameRate = Annotated[float, Within(0, FASTEST, "low")]
 
 
 @dataclass(frozen=True)
 class MotionOptions:
     """How a motion is brought to this program's conventions."""
 
-    fps: float = 25.0  # frames a second of the poses; gva-mi render plays 25
-    source_fps: float | None = None  # frames a second of the source; without it, what its file says
+    fps: FrameRate = 25.0  # frames a second of the poses; gva-mi render plays 25
+    # Frames a second of the source; without it, what its file says.
+    source_fps: FrameRate | None = None
     up: Literal["auto", "x", "-x", "y", "-y", "z", "-z"] = "auto"  # the source's axis that is up
     hands: Literal["relaxed", "flat"] = "relaxed"  # where the source has none
     place: Literal["start", "source"] = "start"  # the pelvis in the first frame: at rest's place
-    gap: float = 1.0  # seconds without numbers in a row that are still interpolated
+    # Seconds without numbers in a row that are still interpolated.
+    gap: Annotated[float, Within(0, 3600, "low")] = 1.0
 
     def __post_init__(self) -> None:
-        rates = ("fps",) if self.source_fps is None else ("fps", "source_fps")
-        require_positive("motion", self, "gap", *rates)
-        for name in rates:
-            if getattr(self, name) > FASTEST:
-                raise InputError(f"motion: {name} must be at most {FASTEST:g}")
+        require_ranges("motion", self)
 
 
 @dataclass(frozen=True)

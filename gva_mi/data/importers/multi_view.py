@@ -23,7 +23,6 @@ What others saw at the same time can be held out: :mod:`.other_views`.
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -42,7 +41,7 @@ from gva_mi.data.importers.recordings import OtherCamera, Recording, Wanted
 from gva_mi.data.importers.tracks import Track
 from gva_mi.data.importers.whole_videos import last_number
 from gva_mi.errors import InputError
-from gva_mi.files import read_arrays
+from gva_mi.files import read_arrays, read_json
 from gva_mi.pickles.reader import read_objects
 
 _SMPL = (
@@ -291,10 +290,7 @@ def _pictures(folder: Path) -> tuple[Path, ...]:
 
 
 def _json(path: Path) -> Any:  # noqa: ANN401
-    try:
-        return json.loads(path.read_text())
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"{path}: not readable JSON ({str(error).splitlines()[0]})") from None
+    return read_json(path, "what the data set holds there")
 
 
 def _yaml(path: Path) -> dict[str, np.ndarray]:

@@ -18,6 +18,7 @@ from gva_mi.data.synthetic.people import STUDY
 from gva_mi.data.synthetic.render import Renderer, camera_around
 from gva_mi.data.synthetic.subject import Subject, draw_subject
 from gva_mi.data.video import Video, load_video
+from gva_mi.files import replacing
 from gva_mi.mesh.overlay import overlay
 
 CAPTION, GAP = 22, 6  # px, height of a line of text; space between pictures
@@ -76,12 +77,10 @@ def _write(path: Path, canvas: np.ndarray) -> None:
     """Write a picture in [0, 1] as a PNG with a palette, which is small."""
     from PIL import Image
 
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
     image = Image.fromarray(np.round(255 * canvas).astype(np.uint8))
-    image.quantize(COLORS, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).save(
-        path, format="PNG", optimize=True
-    )
+    image = image.quantize(COLORS, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+    with replacing(path) as unfinished:
+        image.save(unfinished, format="PNG", optimize=True)
 
 
 def _portrait_front_pose(

@@ -57,6 +57,7 @@ def make_subject(
     options: SynthOptions,
     body: BodyModel,
     progress: Callable[..., None] | None = None,
+    replaced: str | None = None,
 ) -> None:
     """Write a subject's folder; it appears when it is complete, and not before.
 
@@ -66,9 +67,10 @@ def make_subject(
         body: the one that its stage-1 poses belong to; it is also drawn on it, unless
             ``options.figure`` says otherwise.
         progress: called as ``progress(done, total)`` after each picture.
+        replaced: the marker of a folder that may be replaced, once the new one is complete.
 
     Raises:
-        InputError: where ``out`` already holds something.
+        InputError: where ``out`` already holds something else.
     """
     out = Path(out)
     views = min(options.novel_views, options.frames)
@@ -82,7 +84,7 @@ def make_subject(
 
     drawn_on = options.drawn_on(body)
     subject = draw_subject(drawn_on, options.person(drawn_on), options.clothes, options.hair)
-    with whole_folder(out) as folder, ShotPool(subject, options.workers, step) as pool:
+    with whole_folder(out, replaced) as folder, ShotPool(subject, options.workers, step) as pool:
         recording = Recording(options, drawn_on, body, subject, pool)
         poses = recording.video_poses()
         _write_video(folder, recording, poses)

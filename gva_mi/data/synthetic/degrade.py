@@ -33,6 +33,7 @@ def degrade(
     body: BodyModel,
     level: float = 1.0,
     progress: Progress | None = None,
+    replaced: str | None = None,
 ) -> None:
     """Write a recording's folder with another noise; it appears when it is complete.
 
@@ -44,10 +45,11 @@ def degrade(
         body: the body that the subject was made on.
         level: factor on all of the noise; 0 is exact.
         progress: called as ``progress(done, total)`` after each frame.
+        replaced: the marker of a folder that may be replaced, once the new one is complete.
 
     Raises:
-        InputError: ``out`` already holds something; ``subject`` is none that was made here, or on
-            another body; there is no such family.
+        InputError: ``out`` already holds something else; ``subject`` is none that was made here, or
+            on another body; there is no such family.
     """
     subject, out = Path(subject), Path(out)
     about, options = made_of(subject)
@@ -59,7 +61,7 @@ def degrade(
     truth = load_truth(subject / "truth", body)
     near = closest(body, truth.body, truth.pose, truth.shape)
     pipeline = Pipeline(options, body, truth.cameras[0], near)
-    with whole_folder(out) as folder:
+    with whole_folder(out, replaced) as folder:
         for name in KEPT:
             if (subject / name).exists():
                 _linked(subject / name, folder / name)

@@ -7,10 +7,10 @@ frame's mask and normals starts from the files of the truth, 8 bits a channel.
 
 from __future__ import annotations
 
-import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -27,7 +27,8 @@ from gva_mi.data.synthetic.noise.poses import believed_camera, noisy_poses
 from gva_mi.data.synthetic.noise.processes import runs
 from gva_mi.data.synthetic.options import MISSING, MISTAKEN, MOTION, NOISE, RENDER, SynthOptions
 from gva_mi.data.video import save_cameras
-from gva_mi.files import write_json
+from gva_mi.errors import expecting
+from gva_mi.files import read_json, write_json
 from gva_mi.splat import Camera
 
 MISSING_FRAMES = 3.0  # frames in a row without normals, on average
@@ -117,24 +118,32 @@ class Pipeline:
 
 def describe_noise(folder: Path) -> list[str]:
     """What the noise of a subject's folder is like, in a few lines for people."""
-    found = json.loads((Path(folder) / "noise.json").read_text())
+    path, expected = Path(folder) / "noise.json", "what gva-mi synth writes"
+    found = read_json(path, expected)
+    with expecting(path, expected):
+        return list(_noise_in_words(found))
+
+
+def _noise_in_words(found: dict[str, Any]) -> Iterator[str]:
+    """Lines about what ``noise.json`` holds."""
     pose, levels, normal = found["pose"], found["levels"], found["normal"]
     lost = len(pose["lost_left_hand"]), len(pose["lost_right_hand"])
     angle, missing = normal["angle_deg"], normal.get("missing", 0)
     known = "none" if angle is None else f"{angle:.1f} degrees off"
     floor = found.get("floor", {"joint_mm": 0.0})
     foreign = "the fitted body comes as near as {limb_mm:.1f} mm to the joints of the limbs"
-    return [
-        f"noise: family {found.get('family', 'bursts')}, seed {found.get('seed', 'unknown')}",
+    yield f"noise: family {found.get('family', 'bursts')}, seed {found.get('seed', 'unknown')}"
+    yield (
         f"stage-1 poses (level {levels['pose']:g}): body {pose['vertex_mm']:.0f} mm, hands "
         f"{pose['hand_vertex_mm']:.0f}, feet {pose['foot_vertex_mm']:.0f}; sideways "
         f"{pose['sideways']:.1f} times the rotation error; left hand lost in {lost[0]} frames, "
-        f"right in {lost[1]}",
-        f"masks (level {levels['mask']:g}): IoU {found['mask']['iou']:.3f} with the truth",
-        f"normals (level {levels['normal']:g}): {known}"
-        + (f"; missing in {missing} frames" if missing else ""),
-        *([foreign.format(**floor)] if floor["joint_mm"] > 0 else []),
-    ]
+        f"right in {lost[1]}"
+    )
+    yield f"masks (level {levels['mask']:g}): IoU {found['mask']['iou']:.3f} with the truth"
+    also = f"; missing in {missing} frames" if missing else ""
+    yield f"normals (level {levels['normal']:g}): {known}{also}"
+    if floor["joint_mm"] > 0:
+        yield foreign.format(**floor)
 
 
 def spoil_pictures(

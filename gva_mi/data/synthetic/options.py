@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 
@@ -14,55 +14,56 @@ from gva_mi.data.synthetic.noise.families import Levels, require_family
 from gva_mi.data.synthetic.people import STUDY, Person, foreign_outfit
 from gva_mi.data.synthetic.stretched import Stretch, stretched
 from gva_mi.errors import InputError
+from gva_mi.ranges import PictureSide, Seed, Within, Workers, require_ranges
 
 # One stream of random numbers for each thing that is drawn.
 MOTION, NOISE, NOVEL_POSE, NOVEL_VIEW, RENDER, BACKGROUND, MISTAKEN, MISSING = range(1, 9)
 FIGURE, OUTFIT = 11, 12
 FIGURES = ("own", "stretched", "anny")
+MOST_PIXELS = 1 << 31  # of a whole video, which is in memory while it is made
+VideoFrames = Annotated[int, Within(2, 10_000)]
+NovelPictures = Annotated[int, Within(0, 1000)]
+Level = Annotated[float, Within(0, 10)]
 
 
 @dataclass(frozen=True)
 class SynthOptions:
     """A synthetic subject: who, doing what, seen how, and how wrong its stage-1 data are."""
 
-    seed: int = 0  # another seed is another person: shape, clothes, hair, colours, motion, noise
+    seed: Seed = 0  # another seed is another person: shape, clothes, hair, colours, motion, noise
     subject: str | None = None  # one of the study's seven by name; the seed varies motion, noise
     figure: Literal["own", "stretched", "anny"] = "own"  # the body drawn, where not the fitted one
     outfit: Literal["own", "foreign"] = "own"  # foreign: thick soles, wide trousers, bag, hood
     motion: Literal["turn", "everyday", "still", "half", "walk", "sit", "dance"] = "turn"
-    frames: int = 80  # of the video, which is one full turn
-    size: int = 512  # pixels, width and height of the pictures
-    samples: int = 16  # rays per pixel, a square number
+    frames: VideoFrames = 80  # of the video, which is one full turn
+    size: PictureSide = 512  # pixels, width and height of the pictures
+    samples: Annotated[int, Within(1, 4096)] = 16  # rays per pixel, a square number
     clothes: bool = True  # clothes and shoes; without them a swimsuit is painted on the skin
     hair: bool = True  # without it the head is bald
-    folds: float = 1.0  # factor on creases where cloth bends and on ends that lag; 0: skinned only
+    folds: Level = 1.0  # factor on creases where cloth bends and on ends that lag; 0: skinned only
     family: str = "bursts"  # of noise: what goes wrong; see gva_mi.data.synthetic.noise.families
-    noise_seed: int | None = None  # which noise of the family; without it, the seed's
-    noise: float = 1.0  # factor on the three levels below; 0: exact poses, masks and normals
-    pose_noise: float = 1.0  # of the stage-1 poses; 1 is a vertex error of about 66 mm in bursts
-    mask_noise: float = 1.0  # of the masks; 1 is a boundary off by about 1 pixel at 512 in bursts
-    normal_noise: float = 1.0  # of the normals; 1 is a blur of 2 pixels at 512, 9 degrees in bursts
-    novel_poses: int = 8  # pictures of poses that the video does not hold
-    novel_views: int = 8  # pictures of video frames from other sides
+    noise_seed: Seed | None = None  # which noise of the family; without it, the seed's
+    noise: Level = 1.0  # factor on the three levels below; 0: exact poses, masks and normals
+    pose_noise: Level = 1.0  # of the stage-1 poses; 1 is a vertex error of about 66 mm in bursts
+    mask_noise: Level = 1.0  # of the masks; 1 is a boundary off by about 1 pixel at 512 in bursts
+    normal_noise: Level = 1.0  # of the normals; 1 is a blur of 2 pixels at 512, 9 degrees in bursts
+    novel_poses: NovelPictures = 8  # pictures of poses that the video does not hold
+    novel_views: NovelPictures = 8  # pictures of video frames from other sides
     background: bool = False  # a room behind the person, in the frames of the video
-    blur: float = 0.0  # of these frames, pixels at 512
-    sensor_noise: float = 0.0  # of these frames; 1 is about 1.5 % of white
-    workers: int = 1  # processes that take pictures; any number gives the same bits
+    blur: Level = 0.0  # of these frames, pixels at 512
+    sensor_noise: Level = 0.0  # of these frames; 1 is about 1.5 % of white
+    workers: Workers = 1  # processes that take pictures; any number gives the same bits
 
     def __post_init__(self) -> None:
-        least = dict(seed=0, frames=2, size=16, samples=1, novel_poses=0, novel_views=0, workers=1)
-        for name, low in least.items():
-            if getattr(self, name) < low:
-                raise InputError(f"synth: {name} must be at least {low}, got {getattr(self, name)}")
-        if self.seed_of_noise < 0:
-            raise InputError(f"synth: noise_seed must be at least 0, got {self.noise_seed}")
+        require_ranges("synth", self)
+        if self.frames * self.size**2 > MOST_PIXELS:
+            found = f"{self.frames} of {self.size}x{self.size}"
+            raise InputError(
+                f"synth: a video must have at most {MOST_PIXELS:,} pixels, got {found}"
+            )
         require_family(self.family)
         if round(self.samples**0.5) ** 2 != self.samples:
             raise InputError(f"synth: samples must be a square number, got {self.samples}")
-        levels = ("noise", "pose_noise", "mask_noise", "normal_noise", "blur", "sensor_noise")
-        for name in (*levels, "folds"):
-            if not 0 <= getattr(self, name) <= 10:
-                raise InputError(f"synth: {name} must be in [0, 10], got {getattr(self, name)}")
         choices = {
             "subject": (None, *STUDY), "motion": motion.MOTIONS, "figure": FIGURES,
             "outfit": ("own", "foreign"),

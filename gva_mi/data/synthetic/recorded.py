@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,8 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.data.fingerprint import ABOUT, require_same_body
 from gva_mi.data.synthetic.options import SynthOptions
 from gva_mi.data.synthetic.subject import Subject, draw_subject
-from gva_mi.errors import InputError
+from gva_mi.errors import expecting
+from gva_mi.files import read_json
 
 SURFACE = "truth/surface.ply"  # in the subject's folder
 
@@ -23,14 +23,10 @@ def made_of(subject: Path) -> tuple[dict, SynthOptions]:
         InputError: the folder was not made by ``gva-mi synth``.
     """
     path = subject / ABOUT
-    expected = "expected a folder that gva-mi synth made"
-    if not path.exists():
-        raise InputError(f"{path}: no such file; {expected}")
-    try:
-        about = json.loads(path.read_text())
+    expected = "a folder that gva-mi synth made"
+    about = read_json(path, expected)
+    with expecting(path, expected):
         return about, SynthOptions(**about["options"])
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise InputError(f"{path}: cannot be read ({error!r}); {expected}") from None
 
 
 def write_surface(path: Path, person: Subject) -> None:

@@ -14,7 +14,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -26,8 +25,8 @@ from gva_mi.body.pose import Pose
 from gva_mi.body.smplx import BodyModel
 from gva_mi.console import Progress, within
 from gva_mi.data.video import REFINED_POSES, Video
-from gva_mi.errors import InputError
-from gva_mi.files import write_json
+from gva_mi.errors import expecting
+from gva_mi.files import read_json, write_json
 from gva_mi.fit import run_folder
 from gva_mi.fit.evaluation.evaluate import (
     SplitScores,
@@ -43,6 +42,8 @@ from gva_mi.fit.photometric import FITTED, PhotometricOptions, fit_poses
 from gva_mi.fit.tracking import TRACKED_POSES
 from gva_mi.pose.evaluation.figures import PoseFigures
 from gva_mi.pose.evaluation.record import REFINEMENT
+
+REFINED = "what `gva-mi refine` writes"  # into REFINEMENT
 
 # Names of rows that are rendered otherwise than the run's own.
 AS_REFINED = "poses as refined"  # test frames without the trained poses
@@ -301,19 +302,26 @@ def load_metrics(run: Path) -> Metrics:
         InputError: there are none, or they cannot be read.
     """
     path = run / run_folder.METRICS
-    try:
-        return Metrics.from_json(json.loads(path.read_text()))
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        raise InputError(f"{path}: not readable; expected what `gva-mi evaluate` writes") from None
+    record = read_json(path, "what `gva-mi evaluate` writes")
+    with expecting(path, "what `gva-mi evaluate` writes"):
+        return Metrics.from_json(record)
 
 
 def _load_refinement(subject: Path) -> PoseFigures:
     """The figures of a subject's refinement; all None where it has none."""
     path = subject / REFINEMENT
-    return PoseFigures.from_json(json.loads(path.read_text())["figures"] if path.exists() else {})
+    if not path.exists():
+        return PoseFigures.from_json({})
+    record = read_json(path, REFINED)
+    with expecting(path, REFINED):
+        return PoseFigures.from_json(record["figures"])
 
 
 def _refinement_looked_at_test_frames(subject: Path) -> bool:
     """What a subject's refinement.json says; the paper's protocol, where there is none, looks."""
     path = subject / REFINEMENT
-    return not path.exists() or json.loads(path.read_text()).get("test_frames", "seen") == "seen"
+    if not path.exists():
+        return True
+    record = read_json(path, REFINED)
+    with expecting(path, REFINED):
+        return record.get("test_frames", "seen") == "seen"

@@ -29,6 +29,7 @@ from typing import Any
 from gva_mi.body.smplx import BodyModel
 from gva_mi.console import Progress, within
 from gva_mi.data.fingerprint import fingerprint
+from gva_mi.data.synthetic.options import NovelPictures, VideoFrames
 from gva_mi.data.truth import load_truth
 from gva_mi.data.video import load_video
 from gva_mi.files import program_digest, versions, write_json
@@ -45,6 +46,7 @@ from gva_mi.pose.evaluation.subjects import Filming
 from gva_mi.pose.parallel import run
 from gva_mi.pose.refine import refine
 from gva_mi.pose.sequence import SequenceOptions
+from gva_mi.ranges import PictureSide, require_ranges
 
 PREPARED = "prepared.json"  # in a case's folder: what its refined poses were made with
 ROUGHLY = 10  # steps of a fit that refining a frame takes as long as, for progress
@@ -54,11 +56,14 @@ ROUGHLY = 10  # steps of a fit that refining a frame takes as long as, for progr
 class AvatarStudyOptions:
     """How large the study is."""
 
-    frames: int = 80  # of each video
-    size: int = 512  # pixels, width and height of the pictures
-    novel: int = 8  # pictures of novel poses, and as many of novel views
+    frames: VideoFrames = 80  # of each video
+    size: PictureSide = 512  # pixels, width and height of the pictures
+    novel: NovelPictures = 8  # pictures of novel poses, and as many of novel views
     refine: SequenceOptions = field(default_factory=SequenceOptions)
     fit: FitOptions = field(default_factory=FitOptions)
+
+    def __post_init__(self) -> None:
+        require_ranges("study", self)
 
     def filming(self, folder: Path) -> Filming:
         """How the videos are made, in a study's folder."""

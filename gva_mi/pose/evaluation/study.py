@@ -14,6 +14,7 @@ from pathlib import Path
 
 from gva_mi.body.smplx import BodyModel
 from gva_mi.console import Progress
+from gva_mi.data.synthetic.options import Level, VideoFrames
 from gva_mi.data.truth import load_truth
 from gva_mi.data.video import load_video
 from gva_mi.pose.evaluation.cases import Case
@@ -22,16 +23,20 @@ from gva_mi.pose.evaluation.measure import measure
 from gva_mi.pose.evaluation.subjects import Filming
 from gva_mi.pose.refine import refine
 from gva_mi.pose.sequence import SequenceOptions
+from gva_mi.ranges import PictureSide, require_ranges
 
 
 @dataclass(frozen=True)
 class StudyOptions:
     """How large the study is."""
 
-    noise: tuple[float, ...] = (1.0,)  # levels of poses, masks and normals; 1 is usual
-    frames: int = 64  # of each video
-    size: int = 512  # pixels, width and height of the pictures
+    noise: tuple[Level, ...] = (1.0,)  # levels of poses, masks and normals; 1 is usual
+    frames: VideoFrames = 64  # of each video
+    size: PictureSide = 512  # pixels, width and height of the pictures
     refine: SequenceOptions = field(default_factory=SequenceOptions)
+
+    def __post_init__(self) -> None:
+        require_ranges("study", self)
 
 
 @dataclass(frozen=True)

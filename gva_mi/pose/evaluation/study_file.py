@@ -19,8 +19,8 @@ from typing import Any, TypeVar
 
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.fingerprint import fingerprint
-from gva_mi.errors import InputError
-from gva_mi.files import program_digest, versions, write_json
+from gva_mi.errors import expecting
+from gva_mi.files import program_digest, read_json, versions, write_json
 from gva_mi.pose.evaluation.cases import Case, Take
 from gva_mi.pose.evaluation.figures import PoseFigures
 from gva_mi.pose.evaluation.study import CaseResult, StudyOptions
@@ -86,13 +86,10 @@ def still_holding(
     """
     if not path.exists():
         return []
-    try:
-        record = json.loads(path.read_text())
+    expected = "what `gva-mi study` writes, or give --overwrite"
+    record = read_json(path, expected)
+    with expecting(path, expected):
         return read(record) if record["made_with"] == made_with else []
-    except (ValueError, KeyError, TypeError, AttributeError):
-        raise InputError(
-            f"{path}: not readable; expected what `gva-mi study` writes, or give --overwrite"
-        ) from None
 
 
 def _result(row: dict[str, Any]) -> CaseResult:

@@ -6,10 +6,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
 from gva_mi.errors import InputError
+from gva_mi.ranges import Seed, Within, require_ranges
 from gva_mi.splat.bench import gsplat_peer, machine, peers
 from gva_mi.splat.bench.changes import Compiled, Moving, measure_compiles, measure_moving
 from gva_mi.splat.bench.doors import Doors, measure_doors
@@ -28,22 +30,21 @@ PLOTS = (".png", ".svg", ".pdf")
 class BenchOptions:
     """What to measure, and how often."""
 
-    repeats: int = 20  # calls per figure
-    calls: int = 200  # of the loop with moving poses
-    most_gaussians: int = 1_000_000  # where the growth in N ends, from 1,000 in steps of 10
-    most_pixels: int = 2048  # where the growth in the picture's width ends, from 128 by doubling
+    repeats: Annotated[int, Within(1, 100_000)] = 20  # calls per figure
+    calls: Annotated[int, Within(1, 1_000_000)] = 200  # of the loop with moving poses
+    # Where the growth in N ends, from 1,000 in steps of 10.
+    most_gaussians: Annotated[int, Within(1, 10_000_000)] = 1_000_000
+    # Where the growth in the picture's width ends, from 128 by doubling.
+    most_pixels: Annotated[int, Within(1, 4096)] = 2048
     no_growth: bool = False  # leave the growth and the hard scenes out
     no_gsplat: bool = False  # leave gsplat's torch reference out where it is installed
     against: tuple[PeerName, ...] = ()  # other renderers to time beside ours
     opensplat_sources: Path | None = None  # folder of OpenSplat's, compiled here
     plot: Path | None = None  # where to draw the peers' times, .png or .svg
-    seed: int = 0  # of the scenes
+    seed: Seed = 0  # of the scenes
 
     def __post_init__(self) -> None:
-        for name in ("repeats", "calls", "most_gaussians", "most_pixels"):
-            if getattr(self, name) < 1:
-                found = getattr(self, name)
-                raise InputError(f"bench: {name} must be 1 or more, got {found}")
+        require_ranges("bench", self)
         if self.plot is not None and self.plot.suffix not in PLOTS:
             raise InputError(f"bench: --plot must end in {' or '.join(PLOTS)}, got {self.plot}")
         for name in ("plot", "opensplat_sources"):

@@ -11,6 +11,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from gva_mi.files import replacing
+
 IMAGES = ("color", "alpha", "depth")  # the last one where SplatOptions.depth is on
 NAME = 27  # characters of a name in a table
 HEAD = (
@@ -129,7 +131,8 @@ def write_json(reports: dict[str, Report], path: Path) -> None:
     """All reports by the name of their scene, and the verdict over all of them."""
     passed = all(report.passed for report in reports.values())
     figures = {"passed": passed, "scenes": {k: r.to_dict() for k, r in reports.items()}}
-    path.write_text(json.dumps(figures, indent=1) + "\n")
+    with replacing(path) as unfinished:
+        unfinished.write_text(json.dumps(figures, indent=1) + "\n")
 
 
 def write_picture(reports: dict[str, Report], path: Path) -> None:
@@ -142,7 +145,8 @@ def write_picture(reports: dict[str, Report], path: Path) -> None:
     grid = figure.subplots(len(reports), 3, squeeze=False, width_ratios=(1, 1.15, 2.6))
     for axes, (name, report) in zip(grid, reports.items(), strict=True):
         draw(report, axes, name)
-    figure.savefig(path, dpi=100)
+    with replacing(path) as unfinished:
+        figure.savefig(unfinished, dpi=100, format="png")
 
 
 def draw(report: Report, axes: Iterable, name: str = "") -> None:

@@ -86,7 +86,7 @@ def test_a_damaged_file_is_explained(file, body):
     for key in ("shares", "canonical.sh", "betas"):
         arrays = read_arrays(file, "")
         del arrays[key]
-        with pytest.raises(InputError, match="not an avatar of this version"):
+        with pytest.raises(InputError, match="expected an avatar of this version"):
             with_body(file, arrays, body, "ellipsoid")
 
 

@@ -158,6 +158,6 @@ def test_what_is_no_subject_is_refused(recording, body, tmp_path):
     with pytest.raises(InputError, match="already there"):
         degrade(recording, recording, "white", 0, body)
     (tmp_path / "synth.json").write_text('{"options": {"colour": 1}}')
-    with pytest.raises(InputError, match="synth.json: cannot be read"):
+    with pytest.raises(InputError, match="synth.json: of another form"):
         degrade(tmp_path, tmp_path / "out", "white", 0, body)
     assert not (tmp_path / "out").exists()

@@ -1,0 +1,151 @@
+"""Outputs are tried before the work, and a disk that is full costs nothing that was finished."""
+
+import errno
+import json
+import resource
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+from gva_mi.avatar.formats.gltf import save_gltf
+from gva_mi.body.pose import Pose, Shape, save_poses
+from gva_mi.body.smplx import load_body
+from gva_mi.data.pictures import write_image, write_movie
+from gva_mi.files import write_arrays, write_json
+from gva_mi.fit.run_folder import save_state
+from gva_mi.lock import alone_in
+from gva_mi.page import write_page
+from gva_mi.splat.formats.ply import save_ply
+from gva_mi.splat.formats.splat import save_splat
+
+NOISE = np.random.default_rng(0).integers(0, 256, (64, 64, 3), np.uint8)
+
+
+@contextmanager
+def full_disk(room=100):
+    """No file may grow beyond so many bytes: what a disk says that has filled up, or a quota."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (room, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+WRITERS = {
+    "a.npz": lambda path, known: write_arrays(path, a=NOISE),
+    "a.json": lambda path, known: write_json(path, {"a": "x" * 1000}),
+    "a.png": lambda path, known: write_image(path, NOISE),
+    "a.mp4": lambda path, known: write_movie(path, [NOISE] * 3),
+    "a.html": lambda path, known: write_page(
+        path, title="a", subtitle="b", figures=(), sections=(), settings={}
+    ),
+    "a.ply": lambda path, known: save_ply(path, known(Pose.rest())),
+    "a.splat": lambda path, known: save_splat(path, known(Pose.rest())),
+    "a.glb": lambda path, known: save_gltf(path, known, None, 30),
+    "checkpoint.pt": lambda path, known: save_state(path.parent, {"a": "x" * 1000}),
+}
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_what_was_there_stays_where_the_disk_is_full(name, tmp_path, known):
+    path = tmp_path / name
+    path.write_text("hours of work")
+    with full_disk(), pytest.raises(OSError) as error:
+        WRITERS[name](path, known)
+    assert error.value.errno == errno.EFBIG and error.value.filename == str(path)
+    assert path.read_text() == "hours of work" and list(tmp_path.iterdir()) == [path]
+    WRITERS[name](path, known)
+    assert path.read_bytes() != b"hours of work"
+
+
+def test_a_full_disk_is_one_sentence(tmp_path, cli, known):
+    known.save(tmp_path / "avatar.npz")
+    rest = Pose.rest(9)
+    save_poses(tmp_path / "poses.npz", rest, Shape(load_body().v_template.new_zeros(10)), stage=1)
+    out = tmp_path / "a.glb"
+    with full_disk(1000):
+        code, _, err = cli("export", tmp_path / "avatar.npz", "--out", out)
+    assert code == 2 and err.endswith("a.glb: File too large; every file that is there is whole\n")
+    assert not out.exists() and not list(tmp_path.glob("*.part"))
+
+
+@pytest.fixture
+def read_only(monkeypatch):
+    """No folder takes a file: the tests may be run by somebody whom no permission stops."""
+
+    def refuse(*_, **__):
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    monkeypatch.setattr("gva_mi.files.tempfile.TemporaryFile", refuse)
+    monkeypatch.setattr("gva_mi.files.tempfile.mkdtemp", refuse)
+
+
+COMMANDS = {  # with what would be written: {} is a writable folder, whatever is said of it
+    "demo": "demo --out {}/new",
+    "synth": "synth {}/new",
+    "sheet": "synth --sheet {}/sheet.png",
+    "refine": "refine {subject}",
+    "fit": "fit {subject} --out {}/new",
+    "evaluate": "evaluate {run} {subject}",
+    "track": "track {run} {subject}",
+    "render": "render {run} --path turntable --poses {subject}/poses.npz --out {}/new",
+    "export": "export {run} --out {}/a.ply",
+    "motion": "motion {subject}/poses.npz {}/a.npz",
+    "study": "study refine --out {}/new",
+    "body": "body --out {}/a.npz",
+    "check": "check {subject} --json {}/a.json",
+    "gradcheck": "gradcheck --out {}/new",
+    "bench": "bench splat --json {}/a.json",
+    "prepare": "prepare auto {subject}/poses.npz {}/new --body puppet",
+}
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_folder_that_takes_no_file_is_said_before_the_work(
+    name, read_only, tmp_path, cli, subject, known, video
+):
+    run = tmp_path / "run"
+    run.mkdir()
+    known.save(run / "avatar.npz")
+    (run / "options.json").write_text(json.dumps({"options": {"seed": 0}}))
+    out = tmp_path / "out"
+    out.mkdir()
+    command = COMMANDS[name].replace("{}", str(out)).format(subject=subject, run=run)
+    code, said, err = cli(*command.split())
+    assert code == 2 and "Read-only file system" in err and err.count("\n") == 1, err
+    assert not list(out.rglob("*.*"))
+
+
+@pytest.mark.parametrize("name", ["demo", "refine", "fit", "evaluate", "track", "study"])
+def test_a_folder_that_another_process_writes_into_is_left_alone(
+    name, tmp_path, cli, subject, known, video
+):
+    run = tmp_path / "run"
+    known.save(run / "avatar.npz")
+    (run / "options.json").write_text(json.dumps({"options": {"seed": 0}}))
+    command = COMMANDS[name].replace("{}", str(tmp_path)).format(subject=subject, run=run)
+    folder = {"refine": subject, "track": subject, "evaluate": run}.get(name, tmp_path / "new")
+    with alone_in(folder, "gva-mi of somebody"):
+        code, _, err = cli(*command.split())
+    assert code == 2 and f"{folder}: gva-mi of somebody (process " in err and err.count("\n") == 1
+    assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize("verb, told", [("fit", "--resume goes on with it"), ("synth", "is whole")])
+def test_ctrl_c_says_what_goes_on(verb, told, cli, monkeypatch):
+    def stopped():
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("gva_mi.__main__.load", lambda verb: stopped)
+    code, _, err = cli(verb)
+    assert code == 130 and err.startswith("\ngva-mi: stopped; ") and err.endswith(f"{told}\n")
+
+
+@pytest.mark.parametrize(
+    "command", ["synth --sheet {}.xyz", "body --sheet {}.jpg", "check nowhere --sheet {}.gif"]
+)
+def test_a_picture_of_another_kind_is_refused_at_once(command, tmp_path, cli):
+    code, _, err = cli(*command.format(tmp_path / "sheet").split())
+    assert code == 2 and "a picture's name ends in .png" in err and not list(tmp_path.iterdir())

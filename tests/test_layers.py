@@ -21,7 +21,7 @@ HOMES = {  # packages that only some folders may import, at any depth of the fil
                 "gva_mi.commands.doctor"),
     "pymeshlab": ("gva_mi.sculptor", "gva_mi.data.synthetic", "gva_mi.avatar.reinit",
                   "gva_mi.pose.coarse_body", "gva_mi.commands.doctor"),
-    "torch": ("gva_mi.splat.torch_op", "gva_mi.splat.autograd", "gva_mi.splat.screen",
+    "torch": ("gva_mi.splat.torch_op", "gva_mi.splat.covariances", "gva_mi.splat.autograd", "gva_mi.splat.screen",
               "gva_mi.splat.means2d", "gva_mi.splat.first_order",
               "gva_mi.splat.gsplat_compat", "gva_mi.splat.gsplat_meta",
               "gva_mi.splat.gsplat_lists", "gva_mi.splat.gsplat_pixels",

@@ -18,10 +18,9 @@ DIAGONAL, BESIDE = [0, 3, 5], [1, 2, 4]  # which of xx, xy, xz, yy, yz, zz
 MATRIX = [0, 1, 2, 1, 3, 4, 2, 4, 5]  # row by row
 
 
-def in_kernels_form(gaussians: Gaussians) -> Gaussians:
-    """Covariances where the kernels look for them: in the place of quats and scales."""
-    beside = torch.nn.functional.pad(gaussians.covars[:, BESIDE], (1, 0))
-    return replace(gaussians, quats=beside, scales=gaussians.covars[:, DIAGONAL], covars=None)
+def in_the_place_of_quats_and_scales(covars: Tensor) -> tuple[Tensor, Tensor]:
+    """Covariances (..., 6) where the kernels look for them, (..., 4) and (..., 3)."""
+    return torch.nn.functional.pad(covars[..., BESIDE], (1, 0)), covars[..., DIAGONAL]
 
 
 def matrices(covars: Tensor) -> Tensor:

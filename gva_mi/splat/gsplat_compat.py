@@ -19,6 +19,7 @@ from torch import Tensor
 
 from gva_mi.splat.autograd import PRECISION, not_compiled
 from gva_mi.splat.camera import Camera, CameraModel
+from gva_mi.splat.covariances import in_the_place_of_quats_and_scales
 from gva_mi.splat.gaussians import Gaussians, Image, degree_of
 from gva_mi.splat.gsplat_meta import Meta
 from gva_mi.splat.gsplat_views import View, Views, joined
@@ -155,7 +156,8 @@ def rasterization(
     batch = _check_tensors(given | {"backgrounds": backgrounds}, sh_degree)
     shape = (*batch, viewmats.shape[-3])
     if by_covars:
-        quats, scales = _in_the_place_of_quats_and_scales(covars)
+        rows, columns = torch.triu_indices(3, 3)
+        quats, scales = in_the_place_of_quats_and_scales(covars[..., rows, columns])
     of_views = _colors_by_view(colors, shape, sh_degree, render_mode)
     behind = _backgrounds_by_view(backgrounds, shape, of_views, sh_degree, render_mode)
     cameras = zip(_flat(Ks, 2), _flat(viewmats, 2), strict=True)
@@ -175,14 +177,6 @@ def rasterization(
     colors_out = joined([color for color, _ in pictures]).unflatten(0, shape)
     alphas = joined([alpha[..., None] for _, alpha in pictures]).unflatten(0, shape)
     return colors_out, alphas, seen.meta(opacities, tile_size)
-
-
-def _in_the_place_of_quats_and_scales(covars: Tensor) -> tuple[Tensor, Tensor]:
-    """Covariances (..., 3, 3) as the kernels take them: (..., 4) and (..., 3) of covariance.py."""
-    rows, columns = torch.triu_indices(3, 3)
-    xx, xy, xz, yy, yz, zz = covars[..., rows, columns].unbind(dim=-1)
-    beside = torch.stack([torch.zeros_like(xx), xy, xz, yz], dim=-1)
-    return beside, torch.stack([xx, yy, zz], dim=-1)
 
 
 def _flat(tensor: Tensor, axes: int) -> list[Tensor]:

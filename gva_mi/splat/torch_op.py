@@ -8,11 +8,13 @@ matrices where these are tensors. What densification needs to know of a picture 
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from torch import Tensor
 
 from gva_mi.splat.autograd import PRECISION, Call, Render, Tensors, not_compiled
 from gva_mi.splat.camera import Camera
-from gva_mi.splat.covariances import in_kernels_form
+from gva_mi.splat.covariances import in_the_place_of_quats_and_scales
 from gva_mi.splat.gaussians import Gaussians, Image
 from gva_mi.splat.options import SplatOptions
 from gva_mi.splat.screen import Screen
@@ -57,7 +59,8 @@ def render(
         background = gaussians.means.new_zeros(gaussians.channels)
     by_covars = gaussians.covars is not None
     if by_covars:
-        gaussians = in_kernels_form(gaussians)
+        quats, scales = in_the_place_of_quats_and_scales(gaussians.covars)
+        gaussians = replace(gaussians, quats=quats, scales=scales, covars=None)
     tensors = Tensors(*gaussians.arrays().values(), background, *camera.tensors, None, None)
     call = Call(camera, options, gaussians.sh is not None, screen, by_covars)
     return Image(*Render.apply(*tensors, call))

@@ -5,7 +5,8 @@
 2. A    = sum_p W_p(mu) T_p(theta)     Eq. 5; D and W of the outer skin: gva_mi.avatar.skin
 3. mu_t = A mu',   Sigma_t             Eq. 6, but that Gaussians stretch with the skin:
                                        gva_mi.avatar.stretch
-4. f_t  = f_0 + f_xyz · (A_rotᵀ l)     colour: a linear function of where the light comes from
+4. f_t  = f_0 + f_xyz · (A_rotᵀ l)     colour: a linear function of where the light comes from,
+                                       gva_mi.avatar.light
 
 3D Gaussian splatting lets colour depend on the direction that it is seen from. Before one camera a
 person who turns sees the light go round with it, and both explain the pictures alike. From
@@ -148,7 +149,7 @@ class Avatar(nn.Module):
     Attributes:
         canonical: what the person looks like in the rest pose.
         residual: how the rest pose deforms with the pose.
-        light: (3,) l of eq. 4, in the world; its length is a matter of f.
+        light: (3,) direction of l of eq. 4, in the world, of any length.
         options: what it was made of.
         rig: the rest body under it, constant.
         skin: the outer surface that Gaussians take their skinning weights from.

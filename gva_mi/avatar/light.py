@@ -3,7 +3,12 @@
     1. t_k  = Σ_i A_ik l_i                         A_rotᵀ l: the light, seen from the rest pose
     2. f    = f_0 + Σ_k t_k f_k                    a Gaussian's colour, for red, green and blue
 
-and the adjoint, for a gradient g of f:
+The light has a direction; its length is SHARE always, so that slopes are learned so much slower
+than f_0, as the higher bands are in 3D Gaussian splatting. What light hardly changes while a person
+turns upright, such as the pattern of a cloth, would else be learned half as slopes, and be wrong as
+soon as an arm is raised.
+
+And the adjoint, for a gradient g of f:
 
     3. grad_f_0 = g,    grad_f_k = t_k g
     4. grad_t_k = f_k · g,    grad_A_ik = l_i grad_t_k,    grad_l_i = Σ_n Σ_k A_ik grad_t_k
@@ -23,6 +28,7 @@ from torch.autograd.function import FunctionCtx
 from gva_mi.body.lanes import launch
 
 AXES = range(3)
+SHARE = 0.3  # |l|
 
 
 def lit(sh: Tensor, A: Tensor, light: Tensor) -> Tensor:
@@ -32,14 +38,15 @@ def lit(sh: Tensor, A: Tensor, light: Tensor) -> Tensor:
         sh: (N, K, 3), K = 1 or 4: constant colours f_0, then slopes f_k along the axes of the rest
             pose.
         A: (N, 12) blended maps of the pose, row by row, each [A_rot | A_trans].
-        light: (3,) l, in the world.
+        light: (3,) where the light comes from, in the world, of any length.
 
     Returns:
         Differentiable in everything, both ways; ``sh`` itself where there are no slopes.
     """
     if sh.shape[1] == 1:
         return sh
-    return _Lit.apply(sh.flatten(1), A, light.unsqueeze(0)).unsqueeze(1)
+    direction = SHARE * torch.nn.functional.normalize(light, dim=0)
+    return _Lit.apply(sh.flatten(1), A, direction.unsqueeze(0)).unsqueeze(1)
 
 
 def _toward(A: list[Any], light: list[Any]) -> list[Any]:

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from gva_mi.avatar.light import SHARE
 from gva_mi.avatar.residual import OUTPUT_UNIT, PoseResidual
 from gva_mi.avatar.stretch import LARGEST
 from gva_mi.body.pose import BODY
@@ -105,7 +106,7 @@ def lit(sh: Tensor, A: Tensor, light: Tensor) -> Tensor:
     """Colours (N, 1, 3): slopes are turned into the world, by the blended maps, to the light."""
     R = A.view(-1, 3, 4)[:, :, :3]
     turned = R @ sh[:, 1:]  # (N, xyz, colour)
-    return sh[:, :1] + torch.einsum("nac,a->nc", turned, light)[:, None]
+    return sh[:, :1] + SHARE / light.norm() * torch.einsum("nac,a->nc", turned, light)[:, None]
 
 
 def _rotation(r: Tensor) -> Tensor:

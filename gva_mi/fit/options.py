@@ -26,10 +26,11 @@ FromOne = Annotated[int, Within(1, 1_000_000)]
 
 @dataclass(frozen=True)
 class Rates:
-    """Learning rates of Adam: those of 3DGS (Kerbl et al. 2023), but for the means.
+    """Learning rates of Adam: those of 3DGS (Kerbl et al. 2023), but for means and colours.
 
-    For the means 3DGS takes 1.6e-4, which is enough for tens of thousands of steps. In the two or
-    three thousand that a CPU has time for, they would never reach hair and skirts.
+    For the means 3DGS takes 1.6e-4, and for colours 2.5e-3, which is enough for tens of thousands
+    of steps. In the two or three thousand that a CPU has time for, means would never reach hair and
+    skirts, and colours not the contrast of a pattern.
     """
 
     means: FallingRate = 4e-3  # metres, at the first step; falls exponentially to means_end
@@ -37,7 +38,7 @@ class Rates:
     quats: Rate = 1e-3
     log_scales: Rate = 5e-3
     logit_opacities: Rate = 5e-2
-    sh: Rate = 2.5e-3
+    sh: Rate = 5e-3  # of colours; of their slopes less, see gva_mi.avatar.light
     light: Rate = 2e-3  # of the direction that light comes from
     residual: Rate = 1e-3  # of the pose-conditioned MLP's weights
 

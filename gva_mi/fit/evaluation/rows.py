@@ -11,6 +11,7 @@ without hand skeleton           fingers stay as in the rest pose
 without re-initialisation       seeded on the displaced surface, as in full
 ..., naked                      the same, seeded on the naked body as in the paper
 seeded on the naked body        re-initialised as in full: what the paper calls full
+without stretching              Gaussians turn and keep their size, as in Eq. 6
 with residual                   the pose moves Gaussians besides, at a weight that lets it
 GART-like                       GART's parts in this program (Lei et al. 2023): stage-1 poses
                                 trained along, the naked body, no fingers, no re-initialisation, its
@@ -47,6 +48,7 @@ class Row:
     naked: bool = False  # seeded on the naked body instead of the displaced surface
     hands: bool = True
     residual: bool = False
+    stretched: bool = True  # Gaussians grow and shear with the skin
     reinitialised: bool = True
     rigid: bool = False  # one rigid body
     one_range: bool = False  # of test frames
@@ -58,6 +60,7 @@ class Row:
         avatar = replace(
             avatar,
             hands=avatar.hands and self.hands,
+            stretch=avatar.stretch and self.stretched,
             residual=replace(avatar.residual, enabled=avatar.residual.enabled or self.residual),
         )
         options = replace(options, avatar=avatar, loss=self.loss or options.loss)
@@ -86,10 +89,11 @@ ROWS = (
     Row("without re-initialisation", reinitialised=False),
     NO_REINIT_NAKED,
     Row("seeded on the naked body", naked=True),
+    Row("without stretching", stretched=False),
     Row("with residual", residual=True, loss=FREE_RESIDUAL),
     Row(
         "GART-like", poses="stage 1", naked=True, hands=False,
-        reinitialised=False, loss=GART_LOSS,
+        reinitialised=False, stretched=False, loss=GART_LOSS,
     ),
     Row(
         "static 3DGS", trained=False, hands=False, reinitialised=False, rigid=True

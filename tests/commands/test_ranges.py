@@ -57,6 +57,12 @@ def test_every_number_states_its_range(verb):
     assert not without
 
 
+SEVERAL = {  # numbers that an option takes
+    ("render", "size"): 2, ("export", "size"): 2, ("prepare", "normals-size"): 2,
+    ("prepare", "normals-mean"): 3, ("prepare", "normals-std"): 3,
+}  # fmt: skip
+
+
 def told_by_help(verb, words, capsys):
     """The options of whose form --help says that it is a number."""
     with pytest.raises(SystemExit):
@@ -77,8 +83,8 @@ def test_what_lies_outside_is_one_sentence_that_names_the_option(verb, capsys, m
     for turn, option in enumerate(told):
         bad = OUTSIDE[turn % len(OUTSIDE)]
         with pytest.raises(InputError) as error:
-            pair = [bad] * (2 if option == "--size" and verb in ("render", "export") else 1)
-            parse(load(verb), f"gva-mi {verb}", [*words, option, *pair])
+            several = [bad] * SEVERAL.get((verb, option.split(".")[-1].lstrip("-")), 1)
+            parse(load(verb), f"gva-mi {verb}", [*words, option, *several])
         sentence = str(error.value)
         assert sentence.startswith(f"{option} must be a") and sentence.endswith(f", got {bad}")
         assert "\n" not in sentence

@@ -19,7 +19,7 @@ from gva_mi.data.importers.footage import masks, pictures
 from gva_mi.data.importers.hdf5 import read_hdf5
 from gva_mi.data.importers.motions import MotionOptions, read_motion
 from gva_mi.data.importers.readings import View
-from gva_mi.data.importers.recordings import read_ranges
+from gva_mi.data.importers.recordings import Wanted, read_ranges
 from gva_mi.data.pictures import read_background, write_image, write_movie
 from gva_mi.data.synthetic import SynthOptions, describe_noise
 from gva_mi.data.synthetic.recorded import made_of
@@ -395,5 +395,5 @@ def datasets():
 
     makers = {"instantavatar": instantavatar, "easymocap": easymocap, "neuman": neuman,
               "avatarrex": avatarrex}  # fmt: skip
-    reader = lambda kind: lambda folder, _=None: read_dataset(kind, folder, None)
+    reader = lambda kind: lambda folder, _=None: read_dataset(kind, folder, Wanted())
     return {kind: (make, reader(kind)) for kind, make in makers.items()}

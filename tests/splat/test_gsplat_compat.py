@@ -287,7 +287,7 @@ def test_wrong_shapes_and_kinds_are_named_as_the_caller_named_them():
         "viewmats must be float32 or float64 on the CPU, got .* on meta": {
             "viewmats": a["viewmats"].to("meta")
         },
-        "width and height must be at least 1x1": {"width": 0},
+        "width and height must be 1x1 to": {"width": 0},
         "scales must be a torch tensor, got ndarray": {"scales": a["scales"].detach().numpy()},
     }
     for message, changed in wrong.items():

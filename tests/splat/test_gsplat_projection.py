@@ -74,7 +74,8 @@ def test_the_inverse_of_a_conic_is_the_twins_covariance(camera_model):
     R, t = viewmats[0, :3, :3], viewmats[0, :3, 3]
     for i in torch.nonzero(radii[0, :, 0])[:, 0].tolist():
         x = R @ means[i] + t
-        u, sharp = reference._project(x, quats[i], scales[i], R, camera, Ks[0])
+        A = reference.rotation(quats[i]) @ torch.diag(scales[i])
+        u, sharp = reference._project(x, A @ A.T, R, camera, Ks[0])
         xx, xy, yy = conics[0, i]
         covariance = torch.linalg.inv(torch.stack([xx, xy, xy, yy]).view(2, 2))
         assert torch.allclose(covariance, sharp + 0.2 * torch.eye(2), rtol=1e-9)

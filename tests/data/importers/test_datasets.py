@@ -327,7 +327,13 @@ def test_views_that_are_not_there(two_cameras, tmp_path, cli):
     refused("has no other camera '0' to hold out; it has 1", "--views", "0")
     code, _, err = cli("prepare", "auto", two_cameras, tmp_path / "b", *PUPPET, "--views", "7")
     assert code == 2 and "100%" not in err and "camera '7'" in err  # before anything is written
-    refused("--view-frames must be at least 1, got 0", "--views", "all", "--view-frames", 0)
+    refused(
+        "--view-frames must be a whole number from 1 to 100,000, got 0",
+        "--views",
+        "all",
+        "--view-frames",
+        0,
+    )
     for path in (two_cameras / "mask/Camera_B2").iterdir():
         path.unlink()
     refused("other cameras have no picture and mask of the video", "--views", "all")

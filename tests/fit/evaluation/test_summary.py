@@ -89,7 +89,7 @@ def test_the_file_keeps_results_as_long_as_they_hold(tmp_path):
     assert record["summary"]["held-out people"]["full"][TEST.name]["people"] == 1
     assert record["paper"][3]["title"].startswith("Table 4")
     path.write_text("[]")
-    with pytest.raises(InputError, match="avatar.json: not readable.*--overwrite"):
+    with pytest.raises(InputError, match="avatar.json: of another form.*--overwrite"):
         load_results(path, made)
 
 

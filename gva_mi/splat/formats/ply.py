@@ -37,10 +37,7 @@ def save_ply(path: Path, gaussians: Gaussians) -> None:
     path = Path(path)
     gaussians = with_axes(gaussians)
     array = lambda tensor: tensor.detach().double().numpy()
-    if gaussians.sh is None:
-        sh = ((array(gaussians.colors) - 0.5) / C0)[:, None]
-    else:
-        sh = array(gaussians.sh)
+    sh = harmonics_of(gaussians)
     means, opacities = array(gaussians.means), array(gaussians.opacities)
     eta = np.clip(opacities, _CERTAIN, 1 - _CERTAIN)
     table = np.column_stack(
@@ -64,6 +61,13 @@ def save_ply(path: Path, gaussians: Gaussians) -> None:
     content = "\n".join(header).encode("ascii") + table.astype("<f4").tobytes()
     with replacing(path) as unfinished:
         unfinished.write_bytes(content)
+
+
+def harmonics_of(gaussians: Gaussians) -> np.ndarray:
+    """Coefficients (N, K, 3) of their colours; plain ones are the constant band."""
+    if gaussians.sh is None:
+        return ((gaussians.colors.detach().double().numpy() - 0.5) / C0)[:, None]
+    return gaussians.sh.detach().double().numpy()
 
 
 def load_ply(path: Path) -> Gaussians:

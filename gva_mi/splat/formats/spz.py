@@ -37,8 +37,8 @@ import torch
 from gva_mi.errors import InputError
 from gva_mi.files import replacing
 from gva_mi.splat.covariances import with_axes
+from gva_mi.splat.formats.ply import harmonics_of
 from gva_mi.splat.gaussians import Gaussians, degree_of
-from gva_mi.splat.kernels.sh import C0
 
 MAGIC = 0x5053474E  # NGSP
 FINEST = 16  # fractional bits of means at most: off by 8 µm, within ±128 m
@@ -63,10 +63,7 @@ def save_spz(path: Path, gaussians: Gaussians) -> None:
     """
     gaussians = with_axes(gaussians)
     array = lambda tensor: tensor.detach().double().numpy()
-    if gaussians.sh is None:
-        sh = ((array(gaussians.colors) - 0.5) / C0)[:, None]
-    else:
-        sh = array(gaussians.sh)
+    sh = harmonics_of(gaussians)
     degree = degree_of(sh.shape[1])
     if degree > 3:
         raise InputError(f"{path}: a .spz holds harmonics up to degree 3, got {degree}")

@@ -48,7 +48,7 @@ def test_a_row_leaves_one_part_out(name, options):
 
 def test_gart_and_a_still_life_leave_most_out():
     assert changed("GART-like") == {
-        "avatar.hands", "schedule.reinit_at", "loss.perceptual",
+        "avatar.hands", "avatar.stretch", "schedule.reinit_at", "loss.perceptual",
         "loss.residual", "loss.alpha", "loss.ssim",
     }  # fmt: skip
     assert changed("static 3DGS") == {

@@ -46,6 +46,7 @@ SPREAD = 0.5  # of eq. 1; with twice as much a skirt lags behind the legs
 NEIGHBOURS = 6  # vertices that a point takes its weights from
 JOINTS = 8  # of a point; where legs and trunk share a hem there are more than the 4 of Eq. 5
 PLANE = 12  # vertices that eq. 3 is laid through
+STEEP = 0.1  # 1/m; a joint whose weight changes less stretches the skin by a hundredth or two
 FLAT = 0.005  # of eq. 3; a surface this thin has no slope across
 
 
@@ -131,10 +132,11 @@ class Skin:
 
 def _largest(slopes: Tensor) -> Tensor:
     """Slopes (N, 3, J) of the joints with the largest, whose sum is zero again."""
-    joints = min(JOINTS, slopes.shape[2])
-    chosen = slopes.abs().amax(1).topk(joints, dim=1).indices[:, None].expand(-1, 3, -1)
-    kept = slopes.gather(2, chosen)
-    kept = kept - kept.mean(2, keepdim=True)
+    found = slopes.abs().amax(1).topk(min(JOINTS, slopes.shape[2]), dim=1)
+    chosen = found.indices[:, None].expand(-1, 3, -1)
+    steep = (found.values > STEEP)[:, None].to(slopes)
+    kept = slopes.gather(2, chosen) * steep
+    kept = steep * (kept - kept.sum(2, keepdim=True) / steep.sum(2, keepdim=True).clamp_min(1))
     return torch.zeros_like(slopes).scatter(2, chosen, kept)
 
 

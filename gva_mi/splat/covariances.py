@@ -14,13 +14,14 @@ from torch import Tensor
 
 from gva_mi.splat.gaussians import Gaussians
 
-DIAGONAL, BESIDE = [0, 3, 5], [1, 2, 4]  # which of xx, xy, xz, yy, yz, zz
 MATRIX = [0, 1, 2, 1, 3, 4, 2, 4, 5]  # row by row
 
 
 def in_the_place_of_quats_and_scales(covars: Tensor) -> tuple[Tensor, Tensor]:
     """Covariances (..., 6) where the kernels look for them, (..., 4) and (..., 3)."""
-    return torch.nn.functional.pad(covars[..., BESIDE], (1, 0)), covars[..., DIAGONAL]
+    xx, xy, xz, yy, yz, zz = covars.unbind(-1)
+    unused = torch.zeros_like(xx)
+    return torch.stack([unused, xy, xz, yz], -1), torch.stack([xx, yy, zz], -1)
 
 
 def matrices(covars: Tensor) -> Tensor:
@@ -45,7 +46,8 @@ def largest_scales(gaussians: Gaussians) -> Tensor:
     """At most so many metres (N,) are the standard deviations along any direction."""
     if gaussians.covars is None:
         return gaussians.scales.amax(1)
-    return gaussians.covars[:, DIAGONAL].sum(1).clamp_min(0).sqrt()
+    xx, _, _, yy, _, zz = gaussians.covars.unbind(1)
+    return (xx + yy + zz).clamp_min(0).sqrt()
 
 
 def _quaternions(R: Tensor) -> Tensor:

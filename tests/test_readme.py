@@ -1,11 +1,13 @@
 """What README and the pages of docs/ tell a reader to type works, and links lead somewhere."""
 
 import importlib.util
+import io
 import re
 import shlex
 import shutil
 import subprocess
 import sys
+from contextlib import redirect_stdout
 from pathlib import Path
 
 import numpy as np
@@ -78,6 +80,31 @@ def test_every_command_is_one_of_the_command_line(page):
                 parse(load(verb), f"gva-mi {verb}", arguments)
             except SystemExit:
                 pytest.fail(f"{page.name}: {command}")
+
+
+@pytest.fixture(scope="module")
+def options():
+    """All that the commands' --help names."""
+    from gva_mi.commands import VERBS, load
+    from gva_mi.parse import parse
+
+    told = set()
+    for verb in VERBS:
+        for words in ([], ["refine"], ["avatar"]) if verb == "study" else ([],):
+            page = io.StringIO()
+            with redirect_stdout(page), pytest.raises(SystemExit):
+                parse(load(verb), f"gva-mi {verb}", [*words, "--help"])
+            told |= set(re.findall(r"--[a-z][\w.-]*\w", page.getvalue()))
+    return told
+
+
+@PAGE
+def test_every_option_that_is_named_alone_is_one(page, options):
+    """A switch is given or not, and takes no True or False."""
+    named = re.findall(r"`(--[a-z][\w.-]*\w)( [^`]*)?`", BLOCKS.sub("", page.read_text()))
+    for name, value in named:
+        assert name in options, f"{page.name}: {name}"
+        assert value.strip() not in ("True", "False"), f"{page.name}: {name}{value}"
 
 
 def test_a_wrong_command_is_found(tmp_path):

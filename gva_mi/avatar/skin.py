@@ -46,7 +46,7 @@ SPREAD = 0.5  # of eq. 1; with twice as much a skirt lags behind the legs
 NEIGHBOURS = 6  # vertices that a point takes its weights from
 JOINTS = 8  # of a point; where legs and trunk share a hem there are more than the 4 of Eq. 5
 PLANE = 12  # vertices that eq. 3 is laid through
-STEEP = 0.1  # 1/m; a joint whose weight changes less stretches the skin by a hundredth or two
+STEEP = 0.1  # 1/m; where a joint's weight changes less, 10 cm apart stretch by 1 %: left out
 FLAT = 0.005  # of eq. 3; a surface this thin has no slope across
 
 

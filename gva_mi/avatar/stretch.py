@@ -1,4 +1,4 @@
-"""Gaussians carried by the skin as it stretches: one Dr.Jit kernel each way.
+"""Gaussians carried by the skin as it stretches: two Dr.Jit kernels each way.
 
 Between two joints that turn differently a skin is pulled apart. How a point moves is told by the
 blended map A, how its surroundings do by the derivative of x' = A(x) x, and with it of the weights:
@@ -19,8 +19,8 @@ The adjoint, for gradients g of μ' and G of Σ' (symmetric):
     7. grad_A = [grad_J + g μᵀ | g],   grad_μ = A_rotᵀ g
     8. grad_D_c = grad_E_c [μ; 1]ᵀ,    grad_μ = Σ_c D_c,rotᵀ grad_E_c
 
-Weights change by up to 200 a metre, on fingers, and joints lie a metre from the origin: E is a
-small difference of large numbers, and eq. 1 and 8 are computed in float64.
+Weights change by up to a hundred a metre, on fingers, and joints lie a metre from the origin: E is
+a small difference of large numbers, and eq. 1 and 8 are computed in float64.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def _bound(E: Lane) -> Any:  # noqa: ANN401
 
 
 def _gradient(A: Lane, E: Lane, beta: Any) -> Lane:  # noqa: ANN401
-    """J of eq. 1."""
+    """J of eq. 2."""
     return [A[4 * i + c] + beta * E[3 * i + c] for i in AXES for c in AXES]
 
 
@@ -120,10 +120,12 @@ def _dot(X: Lane, Y: Lane) -> Any:  # noqa: ANN401
 
 
 def _moved(A: Lane, mean: Lane) -> Lane:
+    """Eq. 4."""
     return [sum(A[4 * i + k] * mean[k] for k in AXES) + A[4 * i + 3] for i in AXES]
 
 
 def _forward(A: Lane, E: Lane, mean: Lane, quat: Lane, scale: Lane) -> tuple[Lane, Lane]:
+    """Eq. 2 to 4."""
     JM = _times(_gradient(A, E, _bound(E)), Rotation.of(quat).M)
     F = _scaled(JM, scale)
     return _moved(A, mean), [sum(F[3 * i + k] * F[3 * j + k] for k in AXES) for i, j in PAIRS]
@@ -155,6 +157,7 @@ def _tangent(
     A: Lane, E: Lane, mean: Lane, quat: Lane, scale: Lane,
     dA: Lane, dE: Lane, dmean: Lane, dquat: Lane, dscale: Lane,
 ) -> tuple[Lane, Lane]:  # fmt: skip
+    """Eq. 2 to 4, differentiated."""
     rotation, beta = Rotation.of(quat), _bound(E)
     dbeta = -beta * beta * beta / LARGEST**2 * _dot(E, dE)
     J, M = _gradient(A, E, beta), rotation.M
@@ -178,14 +181,18 @@ class _Slopes(torch.autograd.Function):
     @torch.autograd.function.once_differentiable
     def backward(ctx: FunctionCtx, grad: Tensor) -> tuple[Tensor, ...]:
         saved = ctx.saved_tensors
-        return launch(_slopes_adjoint, *saved, grad) if len(grad) else tuple(map(_zero, saved))
+        return (
+            launch(_slopes_adjoint, *saved, grad)
+            if len(grad)
+            else tuple(map(torch.zeros_like, saved))
+        )
 
     @staticmethod
     def jvp(ctx: FunctionCtx, *tangents: Tensor) -> Tensor:
         saved = ctx.saved_tensors
-        return (
-            launch(_slopes_tangent, *saved, *tangents)[0] if len(saved[0]) else tangents[0][:, :9]
-        )
+        if not len(saved[0]):
+            return saved[0].new_zeros(0, 9)
+        return launch(_slopes_tangent, *saved, *tangents)[0]
 
 
 class _CarryStretched(torch.autograd.Function):
@@ -203,7 +210,7 @@ class _CarryStretched(torch.autograd.Function):
     @torch.autograd.function.once_differentiable
     def backward(ctx: FunctionCtx, g: Tensor, G: Tensor) -> tuple[Tensor, ...]:
         saved = ctx.saved_tensors
-        return launch(_adjoint, *saved, g, G) if len(g) else tuple(map(_zero, saved))
+        return launch(_adjoint, *saved, g, G) if len(g) else tuple(map(torch.zeros_like, saved))
 
     @staticmethod
     def jvp(ctx: FunctionCtx, *tangents: Tensor) -> tuple[Tensor, Tensor]:
@@ -211,7 +218,3 @@ class _CarryStretched(torch.autograd.Function):
         if not len(saved[0]):
             return saved[2].clone(), saved[2].new_zeros(0, 6)
         return launch(_tangent, *saved, *tangents)
-
-
-def _zero(tensor: Tensor) -> Tensor:
-    return torch.zeros_like(tensor)

@@ -26,6 +26,7 @@ white          the whole picture, on white: what tables of this field mean, and 
 black          the whole picture, on black: white clothes are told from white nothing
 person         the person's box, on white: free of the size of the picture
 hands          the boxes of hands that are seen, on white
+face           the face's box where it is seen, on white
 =============  =======================================================================
 
 "The video's" poses are those the video was opened with: the refined ones after stage 2, or those
@@ -52,15 +53,16 @@ from gva_mi.console import Progress
 from gva_mi.data.video import Frame, Video, load_video, spread
 from gva_mi.data.views import held_out_views
 from gva_mi.fit.evaluation.defects import Defects, flicker
-from gva_mi.fit.evaluation.regions import Hands, person_box
+from gva_mi.fit.evaluation.regions import Detail, Details, person_box
 from gva_mi.fit.evaluation.scores import ImageScores, Scorer
 from gva_mi.fit.perceptual import Weights
 from gva_mi.fit.renders import BLACK, WHITE, cut_out, render_frame
+from gva_mi.pose.crop import Box
 
 Split = Literal["train", "test", "novel_pose", "novel_view"]
 SPLITS: tuple[Split, ...] = ("train", "test", "novel_pose", "novel_view")
-Region = Literal["white", "black", "person", "hands"]
-REGIONS: tuple[Region, ...] = ("white", "black", "person", "hands")
+Region = Literal["white", "black", "person"] | Detail
+REGIONS: tuple[Region, ...] = ("white", "black", "person", "hands", "face")
 TRAIN_FRAMES = 16  # of the train split that are evaluated
 
 
@@ -98,10 +100,10 @@ class View:
     split: Split
     video: Video
     frames: Sequence[int]
-    hands: Hands | None = None  # None: no figures of hands
+    details: Details | None = None  # None: no figures of hands and face
 
     def through(self, change: Callable[[Video], Video]) -> View:
-        """The same pictures under other poses or cameras; the hands stay where they are seen."""
+        """The same pictures under other poses or cameras; details stay where they are seen."""
         return replace(self, video=change(self.video))
 
 
@@ -113,20 +115,20 @@ def views_of(
     Args:
         video: opened with the poses to evaluate under, see the module's table.
         splits: those wanted.
-        body: the body that the poses belong to; without it hands are not looked for.
+        body: the body that the poses belong to; without it hands and face are not looked for.
 
     Raises:
         InputError: a truth folder that cannot be read.
     """
-    hands = None if body is None else Hands.of(video, body)
+    details = None if body is None else Details.of(video, body)
     views = []
     for split in splits:
         if split == "train":
-            views.append(View(split, video, spread(video.splits.train, TRAIN_FRAMES), hands))
+            views.append(View(split, video, spread(video.splits.train, TRAIN_FRAMES), details))
         elif split == "test":
-            views.append(View(split, video, video.splits.test, hands))
+            views.append(View(split, video, video.splits.test, details))
         elif (source := source_of(video, split)) is not None:
-            theirs = None if body is None else Hands.of(source, body)
+            theirs = None if body is None else Details.of(source, body)
             views.append(View(split, source, range(len(source)), theirs))
     return [view for view in views if len(view.frames)]
 
@@ -207,9 +209,9 @@ class _Shown:
         pairs = tuple(zip(self.renders, self.targets, strict=True))
         for region, pair in zip(("white", "black"), pairs, strict=True):
             yield region, scorer(*pair)
-        boxes = [("person", person_box(self.frame.mask))]
-        if view.hands is not None:
-            boxes += [("hands", box) for box in view.hands.boxes(self.frame.index)]
+        boxes: list[tuple[Region, Box]] = [("person", person_box(self.frame.mask))]
+        if view.details is not None:
+            boxes += view.details.boxes(self.frame.index)
         for region, box in boxes:
             yield region, scorer(*(box.cut(image) for image in pairs[0]))
 

@@ -161,10 +161,10 @@ class Metrics:
         """The main figures, a line each."""
         yield from self.refinement.lines()
         for row in self.rows:
-            if row.region in ("white", "hands"):
+            if row.region in ("white", "hands", "face"):
                 split = row.split.replace("_", " ")
                 of = [row.name] if row.name != self.rows[0].name else []
-                of += ["hands alone"] if row.region == "hands" else []
+                of += [f"{row.region} alone"] if row.region != "white" else []
                 name = f" ({', '.join(of)})" if of else ""
                 yield f"{split:<11} PSNR {row.psnr:.2f} dB, SSIM {row.ssim:.4f}{name}"
 
@@ -186,7 +186,7 @@ def measure_run(
         avatar: what was fitted.
         video: opened with the poses that the fit began with.
         name: of the run, for its rows.
-        body: the body model that was fitted; it says where the hands are.
+        body: the body model that was fitted; it says where hands and face are.
         poses: the file that holds the poses that the fit began with.
         progress: called after each frame.
         driven: what becomes of every pose before it drives the avatar.
@@ -257,7 +257,7 @@ def with_fitted_poses(
     Args:
         metrics: of the run.
         avatar: what was fitted.
-        video: opened with the poses that the fit began with; they say where hands are looked for.
+        video: opened with the poses that the fit began with; they say where hands and face are.
         trained: opened with the poses that the avatar was trained under, which are fitted.
         body: the body model that was fitted.
         progress: called after each step of the pose fit.

@@ -5,6 +5,8 @@
 * **A hand's box** is a square of :data:`HAND` around the wrist and the fingers' joints. It counts
   where a quarter of the hand's vertices are seen, which is half of what a hand in front of the body
   shows, and where the whole box lies in the picture.
+* **The face's box** is a square of :data:`FACE` around jaw and eyes. It counts where the face looks
+  toward the camera and not away, and where the whole box lies in the picture.
 
 Boxes do not depend on the avatar, or each one would be judged by other pixels: they come from the
 true pose where the subject has a truth, and from the video's elsewhere.
@@ -14,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import torch
@@ -28,11 +31,17 @@ from gva_mi.splat import Camera
 
 MARGIN = 0.03  # of the longer side of the mask's box
 HAND = 0.28  # metres, the side of a hand's box
+FACE = 0.26  # metres, the side of the face's box
 SMALLEST = 16  # pixels of a side, which the metrics' networks need
 SEEN = 0.25  # share of the hand's vertices, of which about half face the camera
 
 WRISTS = {side: JOINTS.index(f"{side}_wrist") for side in ("left", "right")}
 FINGERS = {"left": LEFT_HAND, "right": RIGHT_HAND}
+HEAD = JOINTS.index("head")
+EYES = [JOINTS.index(f"{side}_eye_smplhf") for side in ("left", "right")]
+JAW_AND_EYES = [JOINTS.index("jaw"), *EYES]
+
+Detail = Literal["hands", "face"]
 
 
 def person_box(mask: np.ndarray) -> Box:
@@ -70,9 +79,23 @@ def hand_joints(joints: np.ndarray, side: str) -> np.ndarray:
     return np.vstack([joints[WRISTS[side]], joints[FINGERS[side]]])
 
 
+def face_box(camera: Camera, joints: np.ndarray, pixels: int = 2) -> Box | None:
+    """The face's box; None where it looks away, or where the picture's edge cuts it.
+
+    Args:
+        camera: of the picture.
+        joints: (55, 3) of the body, metres, world.
+        pixels: of a side at least.
+    """
+    looks = joints[EYES].mean(0) - joints[HEAD]
+    if looks @ (camera.position - joints[HEAD]) <= 0:
+        return None
+    return box_around(camera, joints[JAW_AND_EYES], FACE, pixels)
+
+
 @dataclass(frozen=True)
-class Hands:
-    """Where the hands of the person in a video are, as far as that is known."""
+class Details:
+    """Where the hands and the face of the person in a video are, as far as that is known."""
 
     body: BodyModel
     pose: Pose
@@ -80,26 +103,27 @@ class Hands:
     cameras: list[Camera]
 
     @staticmethod
-    def of(video: Video, body: BodyModel) -> Hands:
+    def of(video: Video, body: BodyModel) -> Details:
         """By the truth of a synthetic video, else by the poses that the video was opened with."""
         if video.truth is not None and (video.truth / POSES).is_file():
             truth = load_truth(video.truth, body)
-            return Hands(truth.body, truth.pose, truth.shape, truth.cameras)
-        return Hands(body, video.pose, video.shape, video.cameras)
+            return Details(truth.body, truth.pose, truth.shape, truth.cameras)
+        return Details(body, video.pose, video.shape, video.cameras)
 
     @torch.no_grad()
-    def boxes(self, frame: int) -> Iterator[Box]:
-        """The boxes of the hands that are seen in a frame."""
+    def boxes(self, frame: int) -> Iterator[tuple[Detail, Box]]:
+        """The boxes of the hands, and of the face, that are seen in a frame."""
         posed, camera = self.body(self.pose[frame], self.shape), self.cameras[frame]
         seen = seen_vertices(posed.vertices[0], self.body.faces, camera.position[None])[0]
+        joints, weights = posed.joints[0].double().numpy(), self.body.weights
         for side, fingers in FINGERS.items():
-            weights = self.body.weights
             own = weights[:, fingers].sum(1) + weights[:, WRISTS[side]] > 0.5
-            box = box_around(
-                camera, hand_joints(posed.joints[0].double().numpy(), side), HAND, SMALLEST
-            )
+            box = box_around(camera, hand_joints(joints, side), HAND, SMALLEST)
             if box is not None and seen[own].float().mean() >= SEEN:
-                yield box
+                yield "hands", box
+        box = face_box(camera, joints, SMALLEST)
+        if box is not None:
+            yield "face", box
 
 
 def _at_least(low: int, high: int, size: int) -> tuple[int, int]:

@@ -247,10 +247,11 @@ def _tables(metrics: Metrics) -> Section:
         tables.append(Table(head, [_scores(row) for row in rows]))
     text = (
         "Over the whole picture on white, first; then on black, over the person's box, and over "
-        "the boxes of hands that are seen. LPIPS needs the user's weights; rand_vgg is the same "
-        "distance in a random network of a fixed seed, comparable only with itself. Spill is what "
-        "the avatar covers beside the person, holes what it leaves open within, and flicker what "
-        "changes in it, and not in the person, since the frame before, as shares of the person. "
+        "the boxes of hands and faces that are seen. LPIPS needs the user's weights; rand_vgg is "
+        "the same distance in a random network of a fixed seed, comparable only with itself. "
+        "Spill is what the avatar covers beside the person, holes what it leaves open within, and "
+        "flicker what changes in it, and not in the person, since the frame before, as shares of "
+        "the person. "
         "Poses are trained on the training frames alone; those of a test frame follow "
         f"from the frames around. ‘{AS_REFINED}’ are the same frames without it. ‘{ALIGNED}’: one "
         "camera tells neither how large the world is nor where in its surface the skeleton stands; "

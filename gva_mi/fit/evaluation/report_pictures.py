@@ -12,10 +12,9 @@ import numpy as np
 import torch
 
 from gva_mi.avatar.avatar import Avatar
-from gva_mi.body.pose import JOINTS
 from gva_mi.data.video import Frame, Video
 from gva_mi.fit.camera_paths import circle
-from gva_mi.fit.evaluation.regions import FINGERS, HAND, box_around, hand_joints
+from gva_mi.fit.evaluation.regions import FINGERS, HAND, box_around, face_box, hand_joints
 from gva_mi.fit.evaluation.similarity import posed_joints
 from gva_mi.fit.renders import cut_out, render_frame, to_8bit
 from gva_mi.page import around
@@ -23,9 +22,7 @@ from gva_mi.pose.crop import Box
 from gva_mi.splat import Camera, Gaussians, look_at, render
 from gva_mi.splat.covariances import with_axes
 
-FACE_SIDE = 0.26  # metres, of a face's picture
 ZOOMED_PIXELS = 220  # about the side of pictures of hands and faces
-FACE = [JOINTS.index(name) for name in ("head", "jaw", "left_eye_smplhf", "right_eye_smplhf")]
 DOT = 0.0015  # metres, standard deviation of a Gaussian that is drawn as a dot
 RED_AT = 64  # levels of 255 at which a difference is shown fully red
 
@@ -72,11 +69,7 @@ def hands(avatar: Avatar, frame: Frame) -> Iterator[tuple[str, np.ndarray]]:
 
 def face(avatar: Avatar, frame: Frame) -> np.ndarray | None:
     """The face, the picture above the render; None where it leaves the picture or looks away."""
-    joints = _joints(avatar, frame)[FACE]
-    looks = joints[2:].mean(0) - joints[0]  # from the head's joint to the eyes
-    if looks @ (frame.camera.position - joints[0]) <= 0:
-        return None
-    box = box_around(frame.camera, joints[1:], FACE_SIDE)
+    box = face_box(frame.camera, _joints(avatar, frame))
     return None if box is None else _zoomed(avatar, frame, box)
 
 

@@ -113,7 +113,8 @@ def _hands(name: str, rows: Mapping[str, _Shown], other: str) -> list[Picture]:
     """Each hand that is seen in a test frame: truth, without, with."""
     view, found = rows[FULL.name].views["test"], []
     for k in spread(view.frames, SHOWN):
-        boxes = list(view.hands.boxes(k)) if view.hands is not None else []
+        details = view.details.boxes(k) if view.details is not None else ()
+        boxes = [box for region, box in details if region == "hands"]
         found += [
             picture(f"{name}, frame {k}: truth, {other}, {FULL.name}", image)
             for image in (_beside(rows, [other, FULL.name], "test", k, box) for box in boxes)

@@ -32,7 +32,7 @@ TITLES = (
     ("SSIM", SSIM),
     ("LPIPS", LPIPS),
     ("rand_vgg", RAND_VGG),
-    ("PSNR, dB, in the boxes of hands and person, and on black", PARTS),
+    ("PSNR, dB, in the boxes of hands, face and person, and on black", PARTS),
     ("Defects: what spills over the outline, holes within it, flicker, strays", DEFECTS),
     ("Where the Gaussians lie", SURFACE),
 )

@@ -129,7 +129,7 @@ def _surface(name: str, figure: str, key: str, moment: str) -> Column:
 PSNR = _whole("psnr", 2, 1)
 SSIM = _whole("ssim", 4, 1)
 LPIPS, RAND_VGG = _whole("lpips", 4, -1), _whole("rand_vgg", 4, -1)
-PARTS = (*_part("hands"), *_part("person"), *_part("black"))
+PARTS = (*_part("hands"), *_part("face"), *_part("person"), *_part("black"))
 SURFACE = (
     _surface("spacing at the end", "spacing", "all", "end"),
     _surface("of patterned cloth", "spacing", "patterned cloth", "end"),

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from gva_mi.body.pose import JOINTS, Pose, Shape
-from gva_mi.fit.evaluation.regions import HAND, SMALLEST, Hands, box_around, person_box
+from gva_mi.fit.evaluation.regions import FACE, HAND, SMALLEST, Details, box_around, person_box
 from gva_mi.splat import Camera, look_at
 
 
@@ -31,11 +31,16 @@ def standing(body):
     """The puppet in its T-pose, 200 pixels wide, seen from in front."""
     centre = np.array([0.0, 0.0, 0.0])
     camera = Camera(200, 200, 100, 100, look_at(centre + (0, 0, 3), centre), 200, 200)
-    return Hands(body, Pose.rest(), Shape(torch.zeros(10)), [camera])
+    return Details(body, Pose.rest(), Shape(torch.zeros(10)), [camera])
+
+
+def of(details, wanted):
+    """The boxes of one kind in the only frame."""
+    return [box for region, box in details.boxes(0) if region == wanted]
 
 
 def test_both_hands_are_found_where_the_wrists_are(standing):
-    boxes = list(standing.boxes(0))
+    boxes = of(standing, "hands")
     assert len(boxes) == 2
     joints = standing.body(standing.pose, standing.shape).joints[0].detach().double().numpy()
     for box, side in zip(boxes, ("left", "right"), strict=True):
@@ -48,7 +53,19 @@ def test_a_hand_behind_the_body_does_not_count(standing):
     """Seen from the side, one arm of a T-pose points at the camera and hides the other hand."""
     side = look_at(np.array([3.0, 0.4, 0.0]), np.array([0.0, 0.4, 0.0]))
     camera = replace(standing.cameras[0], T_camera_world=side)
-    assert len(list(replace(standing, cameras=[camera]).boxes(0))) == 1
+    assert len(of(replace(standing, cameras=[camera]), "hands")) == 1
+
+
+def test_the_face_is_found_between_jaw_and_eyes_from_before_and_not_from_behind(standing):
+    (box,) = of(standing, "face")
+    joints = standing.body(standing.pose, standing.shape).joints[0].detach().double().numpy()
+    for name in ("jaw", "left_eye_smplhf", "right_eye_smplhf"):
+        u, v = standing.cameras[0].project(joints[JOINTS.index(name)])
+        assert box.left < u < box.right and box.top < v < box.bottom
+    assert box.width == box.height == pytest.approx(200 * FACE / 3, abs=2)
+    behind = look_at(np.array([0.0, 0.0, -3.0]), np.zeros(3))
+    turned = replace(standing.cameras[0], T_camera_world=behind)
+    assert of(replace(standing, cameras=[turned]), "face") == []
 
 
 def test_a_hand_at_the_edge_of_the_picture_or_behind_the_camera_has_no_box(standing):

@@ -23,15 +23,14 @@ from gva_mi.fit.evaluation.study_pictures import CaseRuns
 from gva_mi.fit.evaluation.study_report import table, write_study_report
 from gva_mi.fit.evaluation.summary import COST, PSNR, by_people
 from gva_mi.lock import alone_in
-from gva_mi.pose.evaluation.cases import HELD_OUT, TUNING, Case
+from gva_mi.pose.evaluation.cases import TUNING, Case, held_out
 from gva_mi.pose.evaluation.study import CaseResult, StudyOptions
 from gva_mi.pose.evaluation.study import study as refine_cases
 from gva_mi.pose.evaluation.study_file import load_study, save_study
 from gva_mi.pose.evaluation.summary import COLUMNS, rows_of
 from gva_mi.pose.parallel import workers as local_workers
-from gva_mi.ranges import Workers
+from gva_mi.ranges import Within, Workers, require_ranges
 
-CASES = {"held-out": HELD_OUT, "tuning": TUNING, "all": (*TUNING, *HELD_OUT)}
 IN_PICTURES = 3  # cases that the avatar's page shows
 
 
@@ -41,11 +40,22 @@ class Choice:
 
     out: Path  # folder for figures, and for the subjects, which are made where they are missing
     cases: Literal["held-out", "tuning", "all"] = "held-out"  # people it was not tuned on, or was
+    # Of the held-out people and noises: who has chosen by one takes the next.
+    edition: Annotated[int, Within(1, 1000)] = 1
     families: tuple[str, ...] = ()  # of noise; all without it
     people: tuple[str, ...] = ()  # names of the study's subjects, or seeds; all without it
     workers: Workers = 1  # processes on this machine; any number gives the same bits
     body: Path | None = None  # a body in SMPL-X's .npz format; without it the built-in puppet
     overwrite: Switch = False  # compute again what the file of figures holds
+
+    def __post_init__(self) -> None:
+        require_ranges("study", self)
+
+    @property
+    def asked_for(self) -> tuple[Case, ...]:
+        """The cases of which families and people are chosen."""
+        judging = held_out(self.edition)
+        return {"held-out": judging, "tuning": TUNING, "all": (*TUNING, *judging)}[self.cases]
 
 
 @dataclass(frozen=True)
@@ -85,7 +95,7 @@ def study(
         what: the step that is studied; its figures are written to a file of its name.
     """
     model = load_body(what.body)
-    chosen = _chosen(CASES[what.cases], what.families, what.people)
+    chosen = _chosen(what.asked_for, what.families, what.people)
     rows = () if isinstance(what, RefineStudy) else rows_named(what.rows)
     with alone_in(what.out, "gva-mi study"):
         require_writable(what.out)

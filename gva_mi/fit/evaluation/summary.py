@@ -21,7 +21,7 @@ from gva_mi.fit.evaluation.metrics import ALIGNED, AS_REFINED
 from gva_mi.fit.evaluation.rows import FULL
 from gva_mi.fit.evaluation.study import RowResult
 from gva_mi.fit.photometric import FITTED
-from gva_mi.pose.evaluation.cases import HELD_OUT, Case
+from gva_mi.pose.evaluation.cases import TUNING, Case
 
 
 @dataclass(frozen=True)
@@ -156,7 +156,7 @@ COLUMNS = (*PSNR, *SSIM, *LPIPS, *RAND_VGG, *PARTS, *DEFECTS, *SURFACE, *COST)
 
 def is_held_out(case: Case) -> bool:
     """Whether nothing was tuned on a case."""
-    return case in HELD_OUT
+    return case not in TUNING
 
 
 def by_people(results: Sequence[RowResult]) -> dict[str, list[RowResult]]:

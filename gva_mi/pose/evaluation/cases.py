@@ -11,16 +11,20 @@ people         amira, dalia, seeds 0, 2, 3, 21, 22        bruno, edgar, seeds 11
 motions        turn                                       turn, everyday, half, walk
 bodies         own, stretched                             own, stretched, anny
 families       bursts, white, lean, slow; no normals      all there are; no normals
-their draws    below 100                                  1000 and above
+their draws    below 100                                  1000 to 1999
 =============  =========================================  ========================================
 
-Of HELD_OUT, bruno and seed 11 were looked at while it was chosen how poses are trained along with
-an avatar: they still judge the refinement, but figures of avatars that count are of the others.
+Whoever has looked at HELD_OUT and chooses again has made a tuning set of it. So it is the first of
+many editions: :func:`held_out` draws other people and other noises for each, in the same motions,
+bodies, clothes and families.
+
+Of the first edition, bruno and seed 11 were looked at while it was chosen how poses are trained
+along with an avatar, and all of it has been looked at between changes of the refinement.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 
 from gva_mi.data.synthetic import SynthOptions
@@ -146,3 +150,22 @@ HELD_OUT = (
     Case(_JUDGED["outfit"], "anything", 1016),
     Case(_JUDGED["edgar"], "bursts", 1017, normals=False),
 )
+
+
+def held_out(edition: int = 1) -> tuple[Case, ...]:
+    """The cases that judge, in one of their editions.
+
+    Args:
+        edition: 1 is :data:`HELD_OUT`. Of the n-th, people are drawn from seeds from 100 n, and
+            noises are the draws from 1000 n, so that no two editions share a person or a noise.
+    """
+    if edition == 1:
+        return HELD_OUT
+    takes = dict.fromkeys(case.take for case in HELD_OUT)
+    others = {
+        take: replace(take, subject=None, seed=100 * edition + k) for k, take in enumerate(takes)
+    }
+    return tuple(
+        replace(case, take=others[case.take], draw=case.draw + 1000 * (edition - 1))
+        for case in HELD_OUT
+    )

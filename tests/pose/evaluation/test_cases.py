@@ -7,9 +7,11 @@ import pytest
 from gva_mi.data.synthetic import STUDY
 from gva_mi.data.synthetic.noise.families import FAMILIES
 from gva_mi.pose.evaluation import cases
-from gva_mi.pose.evaluation.cases import HELD_OUT, NO_NORMALS, TUNING, Case, Take
+from gva_mi.pose.evaluation.cases import HELD_OUT, NO_NORMALS, TUNING, Case, Take, held_out
 
-BOTH = pytest.mark.parametrize("some", [TUNING, HELD_OUT], ids=["tuning", "held out"])
+BOTH = pytest.mark.parametrize(
+    "some", [TUNING, HELD_OUT, held_out(2)], ids=["tuning", "held out", "second edition"]
+)
 
 
 def test_nobody_is_both_tuned_on_and_judged():
@@ -21,6 +23,17 @@ def test_nobody_is_both_tuned_on_and_judged():
 def test_no_draw_of_a_noise_is_both_tuned_on_and_judged():
     assert all(case.draw < 100 for case in TUNING)
     assert all(case.draw >= 1000 for case in HELD_OUT)
+
+
+def test_editions_share_nobody_and_no_noise_and_are_alike_in_all_else():
+    editions = [TUNING, *(held_out(n) for n in (1, 2, 3, 1000))]
+    for k, some in enumerate(editions):
+        for others in editions[:k]:
+            assert not {c.take.person for c in some} & {c.take.person for c in others}
+            assert not {c.draw for c in some} & {c.draw for c in others}
+    alike = lambda c: (c.family, c.take.motion, c.take.figure, c.take.outfit, c.take.bare)
+    assert held_out() is HELD_OUT
+    assert [alike(c) for c in held_out(2)] == [alike(c) for c in HELD_OUT]
 
 
 @BOTH

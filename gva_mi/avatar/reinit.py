@@ -5,7 +5,7 @@ hair and loose clothes to a few large ones that come apart in new poses. So, 2-3
 
 1. meshing       a closed surface around the opaque Gaussians           ``mesh_gaussians``
 2. smoothing     Taubin's low-pass filter of it                         ``mesh_gaussians``
-3. resampling    points on it, denser where it is curved                ``resample``
+3. resampling    points on it, denser where it is curved, and in faces  ``resample``
 4. re-Gaussian   opacity and colour from the K nearest old ones,        ``regaussian``
                  rotation and scale anew, skinning from the new surface
 
@@ -18,6 +18,8 @@ Where practice differs from the words of the paper:
   one back: smooth, and of the same volume.
 * A wrap that bridges holes would also bridge the gaps between fingers. Fingers are bare skin, which
   the body model knows best: there, points are drawn on its own surface.
+* Points spread by curvature alone are a centimetre apart, and an eye is two or three of them: what
+  a viewer looks at first would be what is drawn worst. A face takes few points, so it gets more.
 * Random rotations would begin as a cloud of needles. Discs lie in the surface, turned randomly
   about the normal; their sizes are the spacing of the points times a random factor.
 """
@@ -38,10 +40,14 @@ from gva_mi.avatar.canonical import (
     disc_quats,
 )
 from gva_mi.avatar.skin import Skin, diffused
-from gva_mi.body.pose import LEFT_HAND, RIGHT_HAND
+from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND
 from gva_mi.errors import InputError
 from gva_mi.mesh.surface import vertex_normals
 from gva_mi.ranges import Metres, Share, Within, require_ranges
+
+EYES = [JOINTS.index(f"{side}_eye_smplhf") for side in ("left", "right")]
+# In distances of the eyes: a face's radius, and how far below the eyes its middle lies.
+FACE, BELOW_EYES = 1.4, 0.6
 
 Neighbours = Annotated[int, Within(1, 1000)]
 
@@ -63,6 +69,8 @@ class ReinitOptions:
     smoothing: Annotated[int, Within(0, 1000)] = 10  # steps of Taubin's filter
     # Density at the most curved places / in flat ones, minus 1.
     curvature_gain: Annotated[float, Within(0, 1000)] = 2.0
+    # Density in the face / elsewhere, minus 1.
+    face_gain: Annotated[float, Within(0, 1000)] = 5.0
     neighbours: Neighbours = 4  # K old Gaussians that opacity and colour are taken from
     # Standard deviation of the logarithm of a size.
     scale_jitter: Annotated[float, Within(0, 5)] = 0.1
@@ -125,7 +133,8 @@ def reinitialise(
     rig = avatar.rig
     surface = mesh_gaussians(means[~floats], rig, options)
     whole = with_fingers(surface, rig)
-    samples = resample(whole, options.count or len(G), options.curvature_gain, rng)
+    density = wanted_density(whole, rig, options)
+    samples = resample(whole, options.count or len(G), density, rng)
     on_surface = solid[torch.from_numpy(~floats)]
     skin = diffused(whole.vertices, whole.faces, rig.skin, rig.looseness)
     canonical = regaussian(avatar, on_surface, samples, skin, options, rng)
@@ -189,17 +198,33 @@ class Samples:
     spacing: np.ndarray  # (N,) metres, mean distance to the nearest others
 
 
-def resample(surface: SurfaceMesh, count: int, gain: float, rng: np.random.Generator) -> Samples:
-    """About ``count`` points on a surface, evenly, and denser where it is curved.
+def wanted_density(surface: SurfaceMesh, rig: Rig, options: ReinitOptions) -> np.ndarray:
+    """How densely points should lie at each vertex of a surface, (V,), 1 where it is flat.
 
-    Many candidates are drawn with a density of 1 + gain · c, c the curvature between 0 (flat) and 1
-    (the 95th percentile). In their random order each one that is left removes all others within its
-    radius, ~ density^(-1/2): darts of variable radius, corrected until the count fits.
+    That is (1 + gain · c), with c the curvature between 0 (flat) and 1 (the 95th percentile), and
+    (1 + face gain) times as much in the face: within :data:`FACE` times the distance of the eyes
+    from a place below them.
+    """
+    left, right = rig.joints[EYES].double().numpy()
+    apart = np.linalg.norm(left - right)
+    centre = (left + right) / 2 - (0, BELOW_EYES * apart, 0)
+    face = np.linalg.norm(surface.vertices - centre, axis=1) < FACE * apart
+    curved = 1 + options.curvature_gain * _curvature(surface)
+    return curved * (1 + options.face_gain * face)
+
+
+def resample(
+    surface: SurfaceMesh, count: int, density: np.ndarray, rng: np.random.Generator
+) -> Samples:
+    """About ``count`` points on a surface, as densely as is wanted at its vertices, (V,).
+
+    Many candidates are drawn with that density. In their random order each one that is left removes
+    all others within its radius, ~ density^(-1/2): darts of variable radius, corrected until the
+    count fits.
     """
     from scipy.spatial import cKDTree
 
     v, f = surface.vertices, surface.faces
-    density = 1 + gain * _curvature(surface)
     area = np.linalg.norm(np.cross(v[f[:, 1]] - v[f[:, 0]], v[f[:, 2]] - v[f[:, 0]]), axis=1) / 2
     mass = area * density[f].mean(1)
     oversampling = 6

@@ -10,13 +10,22 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from gva_mi.avatar import AvatarOptions, seed_avatar
+from gva_mi.avatar.avatar import Rig
 from gva_mi.avatar.canonical import CanonicalGaussians
 from gva_mi.avatar.densify import replace_gaussians
-from gva_mi.avatar.reinit import ReinitOptions, SurfaceMesh, reinitialise, resample
+from gva_mi.avatar.reinit import (
+    ReinitOptions,
+    SurfaceMesh,
+    reinitialise,
+    resample,
+    wanted_density,
+)
 from gva_mi.body import Shape, load_body
+from gva_mi.body.pose import JOINTS
 from gva_mi.splat.kernels.sh import C0
 
-COARSE = ReinitOptions(alpha=0.08, offset=0.01, filler_depth=0.04)  # for 2,000 points, not 20,000
+# For 2,000 points, not 20,000, on a body without a face.
+COARSE = ReinitOptions(alpha=0.08, offset=0.01, filler_depth=0.04, face_gain=0.0)
 RED, BLUE, MAGENTA = (0.9, 0.1, 0.1), (0.1, 0.1, 0.9), (0.9, 0.1, 0.9)
 FLOATERS = np.array([[1.5, 0, 0], [0, 1.6, 0.2], [-1, -1, 0.9], [0.5, 0.3, 1.2]])
 
@@ -195,12 +204,30 @@ def test_fingers_follow_the_body(plain_body):
 
 def test_count_is_met_and_curvature_draws_points(plain_body):
     surface = SurfaceMesh(plain_body.v_template.double().numpy(), plain_body.faces.numpy())
-    samples = resample(surface, 1500, 2.0, np.random.default_rng(0))
+    density = wanted_density(surface, Rig.of(plain_body, Shape(torch.zeros(10))), ReinitOptions())
+    samples = resample(surface, 1500, density, np.random.default_rng(0))
     assert len(samples.points) == pytest.approx(1500, rel=0.05)
     rim = np.abs(samples.points[:, 2]) < 0.05  # the sharp edge of the flat ellipsoid
     assert np.median(samples.spacing[rim]) < 0.8 * np.median(samples.spacing[~rim])
     assert np.allclose(np.linalg.norm(samples.normals, axis=1), 1)
     assert ((samples.normals * samples.points).sum(1) > 0).all()
+
+
+def test_a_face_gets_more_points_and_the_rest_of_the_head_does_not():
+    rig = Rig.of(load_body(), Shape(torch.zeros(10)))
+    surface = SurfaceMesh(rig.vertices.double().numpy(), rig.faces.numpy())
+    usual, more = (
+        wanted_density(surface, rig, ReinitOptions(face_gain=gain)) for gain in (0.0, 5.0)
+    )
+    head = rig.weights[:, JOINTS.index("head")].numpy() > 0.5
+    eyes = rig.weights[:, [JOINTS.index(f"{s}_eye_smplhf") for s in ("left", "right")]].numpy()
+    behind = surface.vertices[:, 2] < rig.joints[JOINTS.index("head"), 2].item()
+    assert more[eyes.sum(1) > 0.5] == pytest.approx(6 * usual[eyes.sum(1) > 0.5])
+    assert (head & behind).any() and (more == usual)[head & behind].all()
+    share = (more > usual).mean()  # of the vertices, which lie more densely in a face anyhow
+    assert 0.02 < share < 0.2
+    hands = np.abs(surface.vertices[:, 0]) > 0.5
+    assert hands.any() and (more == usual)[hands].all()
 
 
 def test_too_few_opaque_gaussians_are_refused(plain_body):

@@ -112,6 +112,12 @@ class CanonicalGaussians(nn.Module):
         """Opacities in (0, 1), (N,)."""
         return torch.sigmoid(self.logit_opacities)
 
+    @torch.no_grad()
+    def thicken(self, least: float) -> None:
+        """Let no standard deviation be below so many metres."""
+        if least > 0:
+            self.log_scales.clamp_(min=math.log(least))
+
     def moved_by(self, coefficients: Tensor) -> Tensor:
         """D c: metres (N, 3) that coefficients (up to K,) of blend shapes move the means."""
         return self._sparse_of("directions", _Moves.of)(coefficients)

@@ -88,6 +88,8 @@ class FitOptions:
     steps: FromOne = 3000  # one frame each
     seed: Seed = 0  # of all random numbers in the run
     random_background: bool = True  # another colour each step, so that alpha is learned; else white
+    # Pixels of the training frames: the least standard deviation of a Gaussian.
+    finest: Annotated[float, Within(0, 100)] = 0.6
     # Pixels, side of the random part seen by the perceptual and SSIM terms.
     window: Annotated[int, Within(11, 4096)] = 96
     # Steps with the perceptual term, which takes longer than the render.

@@ -6,7 +6,8 @@ Each step, with one training frame of the video:
 2. avatar(pose) → Gaussians, MLP(θ)                                          Eq. 5, 6
 3. render them on a background of a random colour                            Eq. 1-3
 4. compare with the person, cut out onto the same background                 Eq. 9
-5. one step of Adam; after some of them, one of the poses          :mod:`gva_mi.fit.poses`
+5. one step of Adam; after some of them, one of the poses          :mod:`gva_mi.fit.poses`;
+   no Gaussian becomes finer than the pictures are
 6. by the schedule: clone, split, prune; put the Gaussians back on the surface      Sec. 4.3;
    look up their skinning weights anew
 """
@@ -18,10 +19,11 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from gva_mi.avatar.avatar import Avatar, seed_avatar
+from gva_mi.avatar.avatar import Avatar, Rig, seed_avatar
 from gva_mi.avatar.densify import ScreenGradients, densify, replace_gaussians
 from gva_mi.avatar.reinit import reinitialise
 from gva_mi.body.pose import save_poses
@@ -124,6 +126,7 @@ class Run:
         rig = self.avatar.rig
         self.poses = TrainedPoses(video.pose, video.cameras, rig, options.poses, options.steps)
         self.optimizer = _optimizer(self.avatar, options.rates)
+        self._pixel = smallest_pixel(video, rig)
         self.gradients = ScreenGradients(len(self.avatar.canonical))
         if state is not None:
             self.poses.load_state(state["poses"])
@@ -152,6 +155,7 @@ class Run:
         self.optimizer.zero_grad(set_to_none=True)
         total.backward()
         self.optimizer.step()
+        self.avatar.canonical.thicken(options.finest * self._pixel)
         self.gradients.add(screen, sample.area)
         self.step += 1
         self.poses.step(self.step, sample.frame)
@@ -223,6 +227,21 @@ def _run(
         return Run(video, body, options, offsets, None)
     with expecting(out / run_folder.CHECKPOINT, "the state of this run"):
         return Run(video, body, options, offsets, state)
+
+
+@torch.no_grad()
+def smallest_pixel(video: Video, rig: Rig) -> float:
+    """What a pixel of the training frames covers on the person, at least, metres.
+
+    Finer detail was never seen, and Gaussians that are finer leave cracks between them, which the
+    blur of a pixel hides until somebody looks closer (Yu et al., *Mip-Splatting*, 2024).
+    """
+    train = list(video.splits.train)
+    pelvis = (rig.joints[0] + video.pose.transl[train]).double().numpy()
+    T = np.stack([video.cameras[k].T_camera_world for k in train])
+    depth = (T[:, 2, :3] * pelvis).sum(1) + T[:, 2, 3]
+    focal = np.array([max(video.cameras[k].fx, video.cameras[k].fy) for k in train])
+    return float(max(0.0, (depth / focal).min()))
 
 
 def _optimizer(avatar: Avatar, rates: Rates) -> torch.optim.Adam:

@@ -16,7 +16,7 @@ from gva_mi.fit.options import FitOptions, Schedule
 from gva_mi.fit.perceptual import Weights
 from gva_mi.fit.poses import PoseOptions
 from gva_mi.fit.samples import Stream, torch_state
-from gva_mi.fit.train import fit
+from gva_mi.fit.train import fit, smallest_pixel
 
 STEPS = 24
 OPTIONS = FitOptions(
@@ -192,3 +192,21 @@ def test_reinitialisation_is_reproducible_and_leaves_a_snapshot(video, body, tmp
     assert same(fit(video, body, options, tmp_path / "killed", resume=True), whole)
     (found,) = run_folder.load_snapshots(tmp_path / "whole")
     assert found.step == STEPS // 2 and len(found.before) > 0 and len(found.after) > 0
+
+
+def test_no_gaussian_is_finer_than_the_pictures(video, body, camera, tmp_path):
+    """Its pixel, at the distance of the nearest training frame, is one divided by the focal length
+    in metres for each metre of distance."""
+    options = replace(OPTIONS, finest=0.7)
+    rig = seed_of(body, video, options).rig
+    pixel = smallest_pixel(video, rig)
+    pelvis = (rig.joints[0] + video.pose.transl[video.splits.train]).numpy()
+    depth = [
+        float(c.T_camera_world[2, :3] @ x + c.T_camera_world[2, 3])
+        for c, x in zip([video.cameras[k] for k in video.splits.train], pelvis, strict=True)
+    ]
+    assert pixel == pytest.approx(min(depth) / camera.fx)
+    scales = fit(video, body, options, tmp_path / "run").canonical.scales
+    assert scales.min().item() == pytest.approx(0.7 * pixel)
+    finer = fit(video, body, replace(OPTIONS, finest=0.0), tmp_path / "finer").canonical.scales
+    assert finer.min() < 0.7 * pixel

@@ -45,10 +45,8 @@ class ProjectMeans(torch.autograd.Function):
     def forward(*arguments: Any) -> Values:  # noqa: ANN401
         means, T_camera_world, K, _, *others, call = arguments
         draw(call, Tensors(means, *others, T_camera_world, K, None, None))
-        means2d, depths = call.pick(call.screen.means2d), call.screen.depths
-        # not the kernels' own memory
-        depths = depths.clone() if call.rows is None else call.pick(depths)
-        return means2d, depths, torch.zeros_like(means2d)
+        means2d, depths = (call.pick(x) for x in (call.screen.means2d, call.screen.depths))
+        return means2d, depths, means2d.new_zeros(1, 1).expand_as(means2d)
 
     @staticmethod
     def setup_context(ctx: FunctionCtx, inputs: tuple, output: Values) -> None:
@@ -65,9 +63,7 @@ class ProjectMeans(torch.autograd.Function):
         ctx: FunctionCtx, grad: Tensor | None, by_depths: Tensor | None, known: Tensor | None
     ) -> Values:
         if known is not None:
-            # torch.equal is for plain numbers: torch.func's get the difference, of zeros
-            same = not is_functorch_wrapped_tensor(grad) and torch.equal(grad, known)
-            grad = None if same else grad - known
+            grad = None if _same(grad, known) else grad - known
         found: Values = (None, None, None)
         if grad is not None or by_depths is not None:
             images, pull = vjp(_projection(ctx.call), *ctx.saved_tensors)
@@ -86,6 +82,17 @@ class ProjectMeans(torch.autograd.Function):
     @staticmethod
     def vmap(info: Any, dims: tuple, *arguments: Any) -> tuple[tuple, tuple]:  # noqa: ANN401
         return one_by_one(ProjectMeans, info, dims, arguments)
+
+
+def _same(grad: Tensor, known: Tensor) -> bool:
+    """Whether two gradients are equal: mostly one tensor, told twice.
+
+    torch.func's tensors are no plain numbers: they get the difference, of zeros.
+    """
+    if is_functorch_wrapped_tensor(grad):
+        return False
+    one = grad.data_ptr() == known.data_ptr() and grad.stride() == known.stride()
+    return one or torch.equal(grad, known)
 
 
 def _filled(given: Values, like: Values) -> tuple[Tensor, ...]:

@@ -198,14 +198,15 @@ def blend_adjoint(
             returned them.
         grad: dL/dy; its depth may be None.
         pairs, lanes: widths of ``lists.ids`` and ``lists.tile``.
-        slot_format: of the slots; without a depth where no loss looks at it.
+        slot_format: of the slots; without a depth where no loss looks at it, and without moments or
+            channels where nobody asks for the gradients made of them.
 
     Returns:
         The pairs' slots, and D floats per lane.
     """
     F, U = type(splats[0]), type(lists.tile)
     window = Window.of(lists, grid, F)
-    by_y, tile = _gradient_of_sums(window, grad, background, trail)
+    by_y, tile = _gradient_of_sums(window, grad, background, trail, slot_format.moments)
     ends = window.load(trail.end)
     grad_background = dr.empty(F, lanes * len(background))
     share = [
@@ -234,7 +235,8 @@ def blend_adjoint(
                         alpha, g.features, by_y[i], options
                     )
                     sums.add_pixel(g, alpha, v[column], weight, by_y[i])
-                sums.add_row(row, v)
+                if slot_format.moments:
+                    sums.add_row(row, v)
             packets.store(slots, sums.slot(), here, real)
         k = dr.select(k > UNROLL_ADJOINT, k - UNROLL_ADJOINT, 0)
         return (k, *ahead, *PixelAdjoint.state(tile))
@@ -340,7 +342,7 @@ def _depth(limit: Limit, lists: Lists, k: Array) -> Array:
 
 
 def _gradient_of_sums(
-    window: Window, grad: Planes, background: list[Array], trail: Trail
+    window: Window, grad: Planes, background: list[Array], trail: Trail, moments: bool
 ) -> tuple[list[list[Array]], list[PixelAdjoint]]:
     """g of each pixel, and the pixels as they stand behind the last Gaussian (eq. 15)."""
     by_color, by_alpha = window.load_channels(grad.color, len(background)), window.load(grad.alpha)
@@ -350,5 +352,5 @@ def _gradient_of_sums(
         behind = -h
         for c, color in enumerate(background):
             behind = dr.fma(color, g[c], behind)
-        tile.append(PixelAdjoint(T, behind))
+        tile.append(PixelAdjoint(T, behind if moments else None))
     return [g + by_depth[i : i + 1] for i, g in enumerate(by_color)], tile

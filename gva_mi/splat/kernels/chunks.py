@@ -108,7 +108,8 @@ def add_slots(parts: list[Slot], channels: int) -> Slot:
     first = parts[0]
     if len(parts) == 1:
         return first
-    rows = zip(*([part.m0, *part.m1, *part.m2, *part.absolute] for part in parts), strict=True)
-    m0, mx, my, mxx, mxy, myy, *absolute = (sum(row[1:], row[0]) for row in rows)
     color = [channel for part in parts for channel in part.color][:channels]
-    return Slot(m0, [mx, my], [mxx, mxy, myy], absolute, color, first.depth)
+    rows = zip(*(replace(part, color=[], depth=None).pack() for part in parts), strict=True)
+    sums = [sum(row[1:], row[0]) for row in rows]
+    format = Format(0, False, bool(first.absolute), first.m0 is not None)
+    return replace(Slot.unpack(sums, format), color=color, depth=first.depth)

@@ -15,6 +15,7 @@ written: ``FirstOrder`` (first_order.py) stands before x and refuses them, whoev
 from __future__ import annotations
 
 import functools
+import inspect
 import math
 import sys
 from collections.abc import Callable
@@ -84,6 +85,12 @@ def not_compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     return call
 
 
+def signed(forward: Callable[..., Any]) -> Callable[..., Any]:
+    """A function that keeps its signature: torch asks for it at every call of the operation."""
+    forward.__signature__ = inspect.signature(forward)
+    return forward
+
+
 @dataclass
 class Call:
     """One call of ``render``: its constants, and what the forward pass leaves for the others."""
@@ -148,6 +155,7 @@ class Render(torch.autograd.Function):
     """The picture: ``Tensors`` and a ``Call`` to color, alpha and, where it is made, depth."""
 
     @staticmethod
+    @signed
     @exclusive
     def forward(*arguments: Any) -> Images:  # noqa: ANN401
         *tensors, call = arguments

@@ -23,7 +23,7 @@ from torch._C._functorch import is_functorch_wrapped_tensor
 from torch.autograd.function import FunctionCtx
 from torch.func import vjp
 
-from gva_mi.splat.autograd import Call, Tensors, draw, not_compiled, one_by_one
+from gva_mi.splat.autograd import Call, Tensors, draw, not_compiled, one_by_one, signed
 from gva_mi.splat.kernels.exclusive import exclusive
 from gva_mi.threads import one_torch_thread
 
@@ -41,6 +41,7 @@ class ProjectMeans(torch.autograd.Function):
     """
 
     @staticmethod
+    @signed
     @exclusive
     def forward(*arguments: Any) -> Values:  # noqa: ANN401
         means, T_camera_world, K, _, *others, call = arguments

@@ -293,7 +293,7 @@ def _adjoint(tensors: Tensors, grads: Images, call: Call, wanted: Wanted) -> Ten
     saved, screen = call.saved, call.screen
     grad = Planes(
         _padded(color, saved, saved.plan.channels),
-        _padded(alpha, saved),
+        None if alpha is None else _padded(alpha, saved),
         None if depth is None else _padded(depth, saved),
     )
     found = render_adjoint(saved, grad, wanted)

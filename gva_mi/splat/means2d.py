@@ -47,7 +47,7 @@ class ProjectMeans(torch.autograd.Function):
         means, T_camera_world, K, _, *others, call = arguments
         draw(call, Tensors(means, *others, T_camera_world, K, None, None))
         means2d, depths = (call.pick(x) for x in (call.screen.means2d, call.screen.depths))
-        return means2d, depths, means2d.new_zeros(1, 1).expand_as(means2d)
+        return means2d, depths, torch.zeros_like(means2d)
 
     @staticmethod
     def setup_context(ctx: FunctionCtx, inputs: tuple, output: Values) -> None:

@@ -61,8 +61,8 @@ class Walk:
     splats: packets.Packets
     format: Format
     ids: Array
-    place: Callable[[Array, int], tuple[Array, Array]]  # loop variable k, j: the j-th pair from k
-    # on, and whether it is in the tile's list
+    place: Callable[[Array, int], tuple[Array, Array]]  # of the loop's k, and j: the j-th pair that
+    # is met from there, and whether the tile's list has it
     turn: int  # Gaussians that a turn meets
 
     def begin(self, k: Array) -> list[Array]:
@@ -196,7 +196,7 @@ def blend_adjoint(
     Args:
         splats, lists, grid, background, format, options, trail, stop: as :func:`blend` took and
             returned them.
-        grad: dL/dy; its depth may be None.
+        grad: dL/dy; its alpha and depth may be None.
         pairs, lanes: widths of ``lists.ids`` and ``lists.tile``.
         slot_format: of the slots; without a depth where no loss looks at it, and without moments or
             channels where nobody asks for the gradients made of them.
@@ -345,12 +345,13 @@ def _gradient_of_sums(
     window: Window, grad: Planes, background: list[Array], trail: Trail, moments: bool
 ) -> tuple[list[list[Array]], list[PixelAdjoint]]:
     """g of each pixel, and the pixels as they stand behind the last Gaussian (eq. 15)."""
-    by_color, by_alpha = window.load_channels(grad.color, len(background)), window.load(grad.alpha)
+    by_color = window.load_channels(grad.color, len(background))
+    by_alpha = [None] * PIXELS if grad.alpha is None else window.load(grad.alpha)
     by_depth = [] if grad.depth is None else window.load(grad.depth)
     tile = []
     for T, g, h in zip(window.load(trail.T), by_color, by_alpha, strict=True):
-        behind = -h
+        behind = None if h is None else -h
         for c, color in enumerate(background):
-            behind = dr.fma(color, g[c], behind)
+            behind = color * g[c] if behind is None else dr.fma(color, g[c], behind)
         tile.append(PixelAdjoint(T, behind if moments else None))
     return [g + by_depth[i : i + 1] for i, g in enumerate(by_color)], tile

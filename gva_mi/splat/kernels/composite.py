@@ -66,7 +66,7 @@ def composite_adjoint(
 
     Args:
         trail, stop: what :func:`composite` returned for the other arguments.
-        grad: dL/dplanes, padded to whole tiles with zeros; the depth may be None.
+        grad: dL/dplanes, padded to whole tiles with zeros; alpha and depth may be None.
         absolute: whether slots hold the absolute sums too.
         moments: whether they hold the moments, of which all gradients but the colours' are made.
         features: whether they hold the gradients of the colour's channels.

@@ -165,7 +165,7 @@ def render_adjoint(saved: Saved, grad: Planes, wanted: Wanted = EVERYTHING) -> G
 
     Args:
         saved: what it returned, with ``absolute`` if that is asked for here.
-        grad: dL/dplanes, padded to whole tiles with zeros; the depth may be None.
+        grad: dL/dplanes, padded to whole tiles with zeros; alpha and depth may be None.
         wanted: the gradients to return; what only others need is not computed.
     """
     plan, n, F = saved.plan, len(saved.inputs), saved.inputs.float_type

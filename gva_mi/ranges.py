@@ -64,12 +64,11 @@ def require_ranges(where: str, options: object) -> None:
         where: the command that the options are of, for the sentence.
         options: a dataclass whose annotations name ranges; a field of None is left alone.
     """
-    for name, hint in _hints(type(options)).items():
-        for kind, within in ranges(hint):
-            for value in _listed(getattr(options, name)):
-                within.require(where, name, value)
-                if kind is int and value != int(value):
-                    raise InputError(f"{where}: {name} must be a whole number, got {value}")
+    for name, kind, within in _ranges_of(type(options)):
+        for value in _listed(getattr(options, name)):
+            within.require(where, name, value)
+            if kind is int and value != int(value):
+                raise InputError(f"{where}: {name} must be a whole number, got {value}")
 
 
 def ranges(hint: Any) -> Iterator[tuple[Any, Within]]:  # noqa: ANN401
@@ -83,8 +82,10 @@ def ranges(hint: Any) -> Iterator[tuple[Any, Within]]:  # noqa: ANN401
 
 
 @functools.cache
-def _hints(of: type) -> dict[str, Any]:
-    return get_type_hints(of, include_extras=True)
+def _ranges_of(of: type) -> tuple[tuple[str, Any, Within], ...]:
+    """Fields of a dataclass, and the kinds of number and ranges of each."""
+    hints = get_type_hints(of, include_extras=True)
+    return tuple((name, *found) for name, hint in hints.items() for found in ranges(hint))
 
 
 def _listed(value: Any) -> tuple[Any, ...]:  # noqa: ANN401

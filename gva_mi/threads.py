@@ -21,11 +21,13 @@ def one_torch_thread() -> Iterator[None]:
     busier the cores are, and it makes every sum independent of their number.
     """
     before = torch.get_num_threads()
-    torch.set_num_threads(1)
+    if before > 1:
+        torch.set_num_threads(1)
     try:
         yield
     finally:
-        torch.set_num_threads(before)
+        if before > 1:
+            torch.set_num_threads(before)
 
 
 @contextmanager

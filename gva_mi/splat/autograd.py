@@ -15,6 +15,7 @@ written: ``FirstOrder`` (first_order.py) stands before x and refuses them, whoev
 from __future__ import annotations
 
 import functools
+import inspect
 import math
 import sys
 from collections.abc import Callable
@@ -32,7 +33,7 @@ from torch.autograd.function import FunctionCtx
 from gva_mi.splat.camera import Camera
 from gva_mi.splat.first_order import FirstOrder, refuse_batches
 from gva_mi.splat.kernels.exclusive import exclusive
-from gva_mi.splat.kernels.inputs import Inputs
+from gva_mi.splat.kernels.inputs import Inputs, Wanted
 from gva_mi.splat.kernels.passes import Saved, render_adjoint, render_forward, render_tangent
 from gva_mi.splat.kernels.planes import Planes
 from gva_mi.splat.options import SplatOptions
@@ -84,6 +85,12 @@ def not_compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     return call
 
 
+def signed(forward: Callable[..., Any]) -> Callable[..., Any]:
+    """A function that keeps its signature: torch asks for it at every call of the operation."""
+    forward.__signature__ = inspect.signature(forward)
+    return forward
+
+
 @dataclass
 class Call:
     """One call of ``render``: its constants, and what the forward pass leaves for the others."""
@@ -101,6 +108,14 @@ class Call:
     def pick(self, numbers: Tensor) -> Tensor:
         """Of numbers of all Gaussians, (N, ...), those of ``means2d``'s rows."""
         return numbers if self.rows is None else numbers.index_select(0, self.rows)
+
+    def wanted(self, by: Tensors) -> Wanted:
+        """What the kernels are asked for where gradients ``by`` some tensors are."""
+        camera = bool(by.T_camera_world or by.K)
+        of_gaussians = any((by.means, by.quats, by.scales, by.opacities, by.means2d, by.known))
+        geometry = of_gaussians or camera or self.screen is not None
+        absolute = self.screen is not None and self.screen.absolute
+        return Wanted(geometry, bool(by.colors) or not geometry, camera, absolute)
 
     def each(self, count: int) -> list[Call]:
         """A call for each element of a batch, the same ones every time."""
@@ -140,6 +155,7 @@ class Render(torch.autograd.Function):
     """The picture: ``Tensors`` and a ``Call`` to color, alpha and, where it is made, depth."""
 
     @staticmethod
+    @signed
     @exclusive
     def forward(*arguments: Any) -> Images:  # noqa: ANN401
         *tensors, call = arguments
@@ -159,12 +175,11 @@ class Render(torch.autograd.Function):
     def backward(ctx: FunctionCtx, *grads: Tensor | None) -> tuple[Tensor | None, ...]:
         # the kernels hold the same memory: this raises where it was overwritten in the meantime
         tensors = ctx.saved_tensors[: len(Tensors._fields)]
-        wanted = Tensors(*ctx.needs_input_grad[:-1])
-        camera = wanted.T_camera_world or wanted.K
+        wanted = ctx.call.wanted(Tensors(*ctx.needs_input_grad[:-1]))
         grads = (*grads, *[None] * (IMAGES - len(grads)))
         if not torch.is_grad_enabled():
-            return *_adjoint(Tensors(*tensors), grads, ctx.call, camera), None
-        return *Adjoint.apply(*FirstOrder.apply(*tensors), *grads, ctx.call, camera), None
+            return *_adjoint(Tensors(*tensors), grads, ctx.call, wanted), None
+        return *Adjoint.apply(*FirstOrder.apply(*tensors), *grads, ctx.call, wanted), None
 
     @staticmethod
     @not_compiled
@@ -178,17 +193,17 @@ class Render(torch.autograd.Function):
 
 
 class Adjoint(torch.autograd.Function):
-    """``Tensors``, the images' gradients, a ``Call``, whether by the camera; to ``Tensors``."""
+    """``Tensors``, the images' gradients, a ``Call``, what is ``Wanted``; to ``Tensors``."""
 
     @staticmethod
     def forward(*arguments: Any) -> tuple[Tensor | None, ...]:  # noqa: ANN401
-        *values, call, camera = arguments
+        *values, call, wanted = arguments
         tensors, grads = Tensors(*values[:-IMAGES]), tuple(values[-IMAGES:])
-        return tuple(_adjoint(tensors, grads, call, camera))
+        return tuple(_adjoint(tensors, grads, call, wanted))
 
     @staticmethod
     def setup_context(ctx: FunctionCtx, inputs: tuple, output: tuple) -> None:
-        *values, ctx.call, ctx.camera = inputs
+        *values, ctx.call, ctx.wanted = inputs
         ctx.given = [grad is not None for grad in values[-IMAGES:]]
         ctx.save_for_backward(*values[:-IMAGES])
         ctx.save_for_forward(*values[:-IMAGES])
@@ -204,7 +219,7 @@ class Adjoint(torch.autograd.Function):
     @staticmethod
     def jvp(ctx: FunctionCtx, *tangents: Tensor | None) -> tuple[Tensor | None, ...]:
         *_, color, alpha, depth, _, _ = tangents
-        return Adjoint.apply(*ctx.saved_tensors, color, alpha, depth, ctx.call, ctx.camera)
+        return Adjoint.apply(*ctx.saved_tensors, color, alpha, depth, ctx.call, ctx.wanted)
 
     @staticmethod
     def vmap(info: Any, dims: tuple, *arguments: Any) -> tuple[tuple, tuple]:  # noqa: ANN401
@@ -231,8 +246,8 @@ class Tangent(torch.autograd.Function):
     @staticmethod
     def backward(ctx: FunctionCtx, *grads: Tensor | None) -> tuple[Tensor | None, ...]:
         grads = (*grads, *[None] * (IMAGES - len(grads)))
-        camera = Tensors(*ctx.given).T_camera_world or Tensors(*ctx.given).K
-        found = Adjoint.apply(*ctx.saved_tensors, *grads, ctx.call, camera)
+        wanted = ctx.call.wanted(Tensors(*ctx.given))
+        found = Adjoint.apply(*ctx.saved_tensors, *grads, ctx.call, wanted)
         by_tangents = [x if given else None for x, given in zip(found, ctx.given, strict=True)]
         return *[None] * len(found), *by_tangents, None
 
@@ -271,34 +286,29 @@ def draw(call: Call, given: Tensors) -> None:
 
 @exclusive
 @alone_on_the_cores()
-def _adjoint(tensors: Tensors, grads: Images, call: Call, camera: bool) -> Tensors:
-    """dL/dx from dL/dy; that by the camera where ``camera`` asks for it."""
+def _adjoint(tensors: Tensors, grads: Images, call: Call, wanted: Wanted) -> Tensors:
+    """dL/dx from dL/dy; None where it is not wanted."""
     refuse_batches(*grads)
     color, alpha, depth = grads
     saved, screen = call.saved, call.screen
     grad = Planes(
         _padded(color, saved, saved.plan.channels),
-        _padded(alpha, saved),
+        None if alpha is None else _padded(alpha, saved),
         None if depth is None else _padded(depth, saved),
     )
-    found = render_adjoint(
-        saved,
-        grad,
-        camera=camera,
-        absolute=screen is not None and screen.absolute,
-    )
+    found = render_adjoint(saved, grad, wanted)
     dr.sync_thread()
-    by_means2d = found.means2d.torch().view(-1, 2)
+    by_means2d = None if found.means2d is None else found.means2d.torch().view(-1, 2)
     if screen is not None:
         screen.grad = by_means2d
         if screen.absolute:
             screen.absgrad = found.absolute.torch().view(-1, 2)
     by_gaussians = (
-        flat.torch().view(part.shape)
+        None if flat is None else flat.torch().view(part.shape)
         for flat, part in zip(found.inputs, tensors.gaussians, strict=True)
     )
     new = tensors.background.new_tensor
-    matrix = lambda given, value: new(value) if camera and given is not None else None
+    matrix = lambda given, value: new(value) if wanted.camera and given is not None else None
     node = None
     if tensors.means2d is not None:
         node = call.pick(by_means2d)

@@ -115,8 +115,11 @@ class Camera:
             raise ValueError(f"Camera: K must be (3, 3), got {k.shape}")
         fx, fy, cx, cy = (float(x) for x in (k[0, 0], k[1, 1], k[0, 2], k[1, 2]))
         T = _numbers(T_camera_world)
+        camera = Camera(fx, fy, cx, cy, T, int(width), int(height), model)
+        # its numbers are the tensors': they need not be read again and compared
         tensors = CameraTensors(*(x if _is_tensor(x) else None for x in (T_camera_world, K)))
-        return Camera(fx, fy, cx, cy, T, int(width), int(height), model, tensors)
+        object.__setattr__(camera, "tensors", tensors)
+        return camera
 
     def with_matrices(
         self,

@@ -19,7 +19,7 @@ from drjit import ArrayBase as Array
 from gva_mi.splat.camera import Camera, CameraTensors
 from gva_mi.splat.gaussians import Gaussians, Image
 from gva_mi.splat.kernels.exclusive import exclusive
-from gva_mi.splat.kernels.inputs import Inputs
+from gva_mi.splat.kernels.inputs import Inputs, Wanted
 from gva_mi.splat.kernels.passes import render_adjoint, render_forward, render_tangent
 from gva_mi.splat.kernels.planes import Planes
 from gva_mi.splat.kernels.tiles import Layout
@@ -137,7 +137,7 @@ class _Render(dr.CustomOp):
             self._plane(alpha),
             self._plane(depth[0]) if depth else None,
         )
-        found = render_adjoint(self.saved, grad, camera=bool(self.matrices))
+        found = render_adjoint(self.saved, grad, Wanted(camera=bool(self.matrices)))
         for name, shape in zip(NAMES, self.shapes, strict=True):
             flat = dr.array_t(self.kind)(getattr(found.inputs, name))
             self.set_grad_in(name, self.kind(flat, shape=shape))

@@ -9,6 +9,7 @@ entries are made when they are read: gsplat_meta.py.
 
 from __future__ import annotations
 
+import functools
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -141,7 +142,7 @@ def rasterization(
     _require_one_of("render_mode", render_mode, RenderMode)
     _require_one_of("rasterize_mode", rasterize_mode, RasterizeMode)
     _require_one_of("camera_model", camera_model, CameraModel)
-    options = SplatOptions(
+    options = _options(
         blur=eps2d,
         near=near_plane,
         far=far_plane,
@@ -177,6 +178,16 @@ def rasterization(
     colors_out = joined([color for color, _ in pictures]).unflatten(0, shape)
     alphas = joined([alpha[..., None] for _, alpha in pictures]).unflatten(0, shape)
     return colors_out, alphas, seen.meta(opacities, tile_size)
+
+
+# typed, for True equals 1 and is no number of pixels
+_checked_once = functools.lru_cache(typed=True)(SplatOptions)
+
+
+def _options(**given: Any) -> SplatOptions:  # noqa: ANN401
+    """The options, whose ranges are not looked at again where the same numbers are given."""
+    plain = all(isinstance(value, int | float) for value in given.values())
+    return _checked_once(**given) if plain else SplatOptions(**given)
 
 
 def _flat(tensor: Tensor, axes: int) -> list[Tensor]:

@@ -23,7 +23,7 @@ from torch._C._functorch import is_functorch_wrapped_tensor
 from torch.autograd.function import FunctionCtx
 from torch.func import vjp
 
-from gva_mi.splat.autograd import Call, Tensors, draw, not_compiled, one_by_one
+from gva_mi.splat.autograd import Call, Tensors, draw, not_compiled, one_by_one, signed
 from gva_mi.splat.kernels.exclusive import exclusive
 from gva_mi.threads import one_torch_thread
 
@@ -41,13 +41,12 @@ class ProjectMeans(torch.autograd.Function):
     """
 
     @staticmethod
+    @signed
     @exclusive
     def forward(*arguments: Any) -> Values:  # noqa: ANN401
         means, T_camera_world, K, _, *others, call = arguments
         draw(call, Tensors(means, *others, T_camera_world, K, None, None))
-        means2d, depths = call.pick(call.screen.means2d), call.screen.depths
-        # not the kernels' own memory
-        depths = depths.clone() if call.rows is None else call.pick(depths)
+        means2d, depths = (call.pick(x) for x in (call.screen.means2d, call.screen.depths))
         return means2d, depths, torch.zeros_like(means2d)
 
     @staticmethod
@@ -65,9 +64,7 @@ class ProjectMeans(torch.autograd.Function):
         ctx: FunctionCtx, grad: Tensor | None, by_depths: Tensor | None, known: Tensor | None
     ) -> Values:
         if known is not None:
-            # torch.equal is for plain numbers: torch.func's get the difference, of zeros
-            same = not is_functorch_wrapped_tensor(grad) and torch.equal(grad, known)
-            grad = None if same else grad - known
+            grad = None if _same(grad, known) else grad - known
         found: Values = (None, None, None)
         if grad is not None or by_depths is not None:
             images, pull = vjp(_projection(ctx.call), *ctx.saved_tensors)
@@ -86,6 +83,17 @@ class ProjectMeans(torch.autograd.Function):
     @staticmethod
     def vmap(info: Any, dims: tuple, *arguments: Any) -> tuple[tuple, tuple]:  # noqa: ANN401
         return one_by_one(ProjectMeans, info, dims, arguments)
+
+
+def _same(grad: Tensor, known: Tensor) -> bool:
+    """Whether two gradients are equal: mostly one tensor, told twice.
+
+    torch.func's tensors are no plain numbers: they get the difference, of zeros.
+    """
+    if is_functorch_wrapped_tensor(grad):
+        return False
+    one = grad.data_ptr() == known.data_ptr() and grad.stride() == known.stride()
+    return one or torch.equal(grad, known)
 
 
 def _filled(given: Values, like: Values) -> tuple[Tensor, ...]:

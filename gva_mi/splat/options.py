@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, replace
 from typing import Annotated
 
@@ -37,10 +38,15 @@ class SplatOptions:
 
     def of_code(self) -> SplatOptions:
         """Those that are constants of the kernels' code; the rest are arguments, as a pose is."""
-        return replace(
-            self,
-            blur=SplatOptions.blur,
-            near=SplatOptions.near,
-            far=SplatOptions.far,
-            radius_min=SplatOptions.radius_min,
-        )
+        return _of_code(self)
+
+
+@functools.lru_cache  # every picture asks, and ranges are looked at anew
+def _of_code(options: SplatOptions) -> SplatOptions:
+    return replace(
+        options,
+        blur=SplatOptions.blur,
+        near=SplatOptions.near,
+        far=SplatOptions.far,
+        radius_min=SplatOptions.radius_min,
+    )

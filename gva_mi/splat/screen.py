@@ -57,8 +57,7 @@ class Screen:
     @property
     def means2d(self) -> Tensor:
         """(N, 2) px; meaningless where not visible."""
-        found = self.seen.footprint
-        return torch.stack([found.u, found.v], dim=1)
+        return self.seen.footprint_rows[:, :2].contiguous()
 
     @property
     def depths(self) -> Tensor:
@@ -86,9 +85,10 @@ class Screen:
     @property
     def rows(self) -> Tensor:
         """The Gaussians that have a box, (M,) int64, ascending."""
-        found, (width, height) = self.seen.footprint, self.seen.size
+        width, height = self.seen.size
         # numpy: every picture of gsplat's call comes here, and torch takes eight times as long
-        u, v, rx, ry = (x.numpy() for x in (found.u, found.v, found.rx, found.ry))
+        found = Footprint.unpack(self.seen.footprint_rows.numpy().T.copy())
+        u, v, rx, ry = found.u, found.v, found.rx, found.ry
         with np.errstate(invalid="ignore"):
             rx, ry = np.ceil(rx), np.ceil(ry)
             inside = (rx > 0) & (u + rx > 0) & (u - rx < width)
@@ -123,12 +123,20 @@ class Seen:
             return Splat.unpack([self.nothing] * Splat.columns(self.format), self.format)
         return Splat.unpack(self._columns(self.projected.splats[0]), self.format)
 
-    @cached_property
+    @property
     def footprint(self) -> Footprint:
         """The same of the ellipses."""
+        return Footprint.unpack(self.footprint_rows.unbind(1))
+
+    @cached_property
+    @exclusive
+    def footprint_rows(self) -> Tensor:
+        """The rows of these records, (N, columns)."""
+        width = Footprint.columns()
         if self.projected is None:
-            return Footprint.unpack([self.nothing] * Footprint.columns())
-        return Footprint.unpack(self._columns(self.projected.footprints))
+            return self.nothing.view(0, width)
+        (rows,) = self.projected.footprints
+        return rows.torch().view(-1, width)
 
     @exclusive
     def number(self, name: str) -> Tensor:

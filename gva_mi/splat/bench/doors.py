@@ -6,6 +6,7 @@ import statistics
 from dataclasses import dataclass, replace
 
 import torch
+from torch import Tensor
 
 from gva_mi.splat.bench.timing import Timing, Work, seconds
 from gva_mi.splat.gsplat_compat import rasterization
@@ -25,8 +26,11 @@ class Doors:
 def measure_doors(work: Work, calls: int) -> Doors:
     """Measure the calls by turns, so that the machine's other work falls on all."""
     scene = replace(work.scene, options=replace(work.scene.options, depth=False))
-    plain = Work(scene, work.weights)
-    ways = (plain.both, lambda: _rasterize(plain, False), lambda: _rasterize(plain, True))
+    plain, dtype = Work(scene, work.weights), scene.gaussians.means.dtype
+    T_camera_world, K = scene.camera.T_camera_world, scene.camera.K
+    matrices = tuple(torch.tensor(numbers, dtype=dtype)[None] for numbers in (T_camera_world, K))
+    call = lambda packed: lambda: _rasterize(plain, matrices, packed)
+    ways = (plain.both, call(False), call(True))
     times: list[list[float]] = [[] for _ in ways]
     for k in range(calls + 2):  # two that compile and allocate
         for found, way in zip(times, ways, strict=True):
@@ -37,19 +41,17 @@ def measure_doors(work: Work, calls: int) -> Doors:
     return Doors(*map(Timing.of, times), beside(1), beside(2))
 
 
-def _rasterize(work: Work, packed: bool) -> None:
+def _rasterize(work: Work, matrices: tuple[Tensor, Tensor], packed: bool) -> None:
     """What ``Work.both`` does, by gsplat's call, with ``means2d.grad`` kept as densifiers do."""
     s, g, camera = work.scene, work.scene.gaussians, work.scene.camera
     colors, degree = (g.colors, None) if g.sh is None else (g.sh, int(g.sh.shape[1] ** 0.5) - 1)
-    matrix = lambda numbers: torch.tensor(numbers, dtype=g.means.dtype)[None]
     pictures, _, meta = rasterization(
         g.means,
         g.quats,
         g.scales,
         g.opacities,
         colors,
-        matrix(camera.T_camera_world),
-        matrix(camera.K),
+        *matrices,
         camera.width,
         camera.height,
         sh_degree=degree,

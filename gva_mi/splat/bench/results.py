@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -15,8 +15,10 @@ from gva_mi.ranges import Seed, Within, require_ranges
 from gva_mi.splat.bench import gsplat_peer, machine, peers
 from gva_mi.splat.bench.changes import Compiled, Moving, measure_compiles, measure_moving
 from gva_mi.splat.bench.doors import Doors, measure_doors
+from gva_mi.splat.bench.environment import Environment, measure_environment
 from gva_mi.splat.bench.first_call import FirstCall, measure_first_call
 from gva_mi.splat.bench.growth import HARD, Growth, growing, hard_scenes, measure_growth
+from gva_mi.splat.bench.partial import Partial, measure_partial
 from gva_mi.splat.bench.peers import Beside, Comparison, PeerName
 from gva_mi.splat.bench.stages import StageCost, measure_stages
 from gva_mi.splat.bench.timing import Timing, Work, pairs_of, repeated, walked_of
@@ -69,6 +71,8 @@ class Bench:
     compiles: tuple[Compiled, ...]
     moving: Moving
     doors: Doors
+    partial: Partial
+    environment: Environment
     first_call: FirstCall
     gsplat: Beside | None  # its torch reference on the CPU, on the same scene
     growth: tuple[Growth, ...]
@@ -106,7 +110,7 @@ class Bench:
             f"gsplat's call, rasterization(): {d.ratio:.2f} x render()'s time, packed "
             f"{d.ratio_packed:.2f} x ({d.render.least:.2f} ms at least, without a depth)"
         )
-        lines.append(self.first_call.line())
+        lines += [self.partial.line(), self.environment.line(), self.first_call.line()]
         if self.gsplat is not None and self.gsplat.time is None:
             seen = f"another picture, {self.gsplat.psnr:.1f} dB from ours: not timed"
             lines.append(f"gsplat's torch reference draws {seen}")
@@ -148,7 +152,7 @@ def bench(
         sizes, hard = list(growing(*most)), list(hard_scenes(*most, options.seed))
     others = peers.load(options.against, options.opensplat_sources)
     beside = _scenes_of_peers(scene, options, person) if others else []
-    total = 7 + len(sizes) + len(hard) + len(beside)
+    total = 9 + len(sizes) + len(hard) + len(beside)
     steps = iter(range(1, total + 1))
     tell = lambda: progress and progress(next(steps), total)
 
@@ -158,14 +162,7 @@ def bench(
     both = repeated(work.both, options.repeats)
     stages = tuple(measure_stages(work, options.repeats, limits))
     tell()
-    compiles = tuple(measure_compiles(work))
-    tell()
-    moving = measure_moving(work, options.calls)
-    tell()
-    doors = measure_doors(work, options.repeats)
-    tell()
-    first_call = measure_first_call(3)
-    tell()
+    calls = _calls(work, options, tell)
     few = max(2, options.repeats // 5)  # calls of what takes long
     gsplat = None if options.no_gsplat else _beside_gsplat(work, few)
     tell()
@@ -191,15 +188,28 @@ def bench(
         both=both,
         pairs_per_second=walked * PIXELS / by_name["composite"].time.least * 1e3,
         stages=stages,
-        compiles=compiles,
-        moving=moving,
-        doors=doors,
-        first_call=first_call,
+        **calls,
         gsplat=gsplat,
         growth=tuple(growth),
         hard=hardest,
         peers=Comparison.of(compared) if compared else None,
     )
+
+
+def _calls(work: Work, options: BenchOptions, tell: Callable[[], None]) -> dict[str, Any]:
+    """What one way to call costs beside another: fields of :class:`Bench`."""
+    repeats, found = options.repeats, {}
+    for name, measure in {
+        "compiles": lambda: tuple(measure_compiles(work)),
+        "moving": lambda: measure_moving(work, options.calls),
+        "doors": lambda: measure_doors(work, repeats),
+        "partial": lambda: measure_partial(work, repeats),
+        "environment": lambda: measure_environment(max(1, repeats // 5), repeats),
+        "first_call": lambda: measure_first_call(3),
+    }.items():
+        found[name] = measure()
+        tell()
+    return found
 
 
 def _beside_plain_ones(

@@ -26,7 +26,7 @@ import drjit as dr
 from gva_mi.splat.bench.machine import Limits
 from gva_mi.splat.bench.timing import Timing, Work, pairs_of, walked_of
 from gva_mi.splat.kernels import composite, passes, tiles
-from gva_mi.splat.kernels.blend import UNROLL
+from gva_mi.splat.kernels.blend import UNROLL, UNROLL_ADJOINT
 from gva_mi.splat.kernels.records import Footprint, Format, Slot, Splat
 
 STAGES: dict[str, tuple[ModuleType, str]] = {  # a stage's name, and the function that is it
@@ -36,7 +36,10 @@ STAGES: dict[str, tuple[ModuleType, str]] = {  # a stage's name, and the functio
     "composite, adjoint": (composite, "blend_adjoint"),
     "sum and project, adjoint": (passes, "_gaussians_adjoint"),
 }
-COUNTED = ("composite", "composite, adjoint")  # whose operations are counted
+COUNTED = {  # whose operations are counted, and the Gaussians that a turn of its loop meets
+    "composite": UNROLL,
+    "composite, adjoint": UNROLL_ADJOINT,
+}
 
 
 @dataclass(frozen=True)
@@ -61,11 +64,11 @@ def measure_stages(work: Work, repeats: int, limits: Limits) -> Iterator[StageCo
     with _around_stages(_clock(times)):
         for _ in range(repeats + 2):  # two that compile and allocate
             work.both()
-    turns = walked_of(work.saved()) / UNROLL
+    walked = walked_of(work.saved())
     for name, moved in _bytes(work).items():
         timing = Timing.of(times[name][2:])
         rate = 1e-6 / timing.least  # 1e9 per second, for each of the work's units
-        flops = turns * counted[name] * rate if name in COUNTED else None
+        flops = walked / COUNTED[name] * counted[name] * rate if name in COUNTED else None
         share = None if flops is None else flops / limits.gflops
         yield StageCost(name, timing, flops, moved * rate, share, moved * rate / limits.gigabytes)
 

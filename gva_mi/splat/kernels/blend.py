@@ -9,6 +9,7 @@ threads.
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import drjit as dr
@@ -34,7 +35,9 @@ from gva_mi.splat.kernels.records import Format, Slot, Splat
 from gva_mi.splat.kernels.tiles import HEIGHT, WIDTH, Grid, Lists
 from gva_mi.splat.options import SplatOptions
 
-UNROLL = 2  # Gaussians per turn of the loop: LLVM spills the 160 loop variables otherwise
+# Gaussians per turn of the loops: each turn loads and stores what its tile's pixels hold, for they
+# do not fit into the registers
+UNROLL, UNROLL_ADJOINT = 4, 2
 UNSEEN = -1e30  # lo of a Gaussian that no pixel sees
 
 
@@ -44,6 +47,56 @@ class Limit:
 
     plane: Array  # m, one number per pixel of the padded picture
     depths: Array  # (N,) m, of the Gaussians
+
+
+@dataclass(frozen=True)
+class Walk:
+    """A lane's way through its tile's list, which reads ahead.
+
+    Where a Gaussian lies in memory is known once its id is read, and both take their time. So a
+    turn of the loop reads the rows that the next turn needs, and the ids of the turn after that:
+    the loop's variables hold them in between.
+    """
+
+    splats: packets.Packets
+    format: Format
+    ids: Array
+    place: Callable[[Array, int], tuple[Array, Array]]  # of the loop's k, and j: the j-th pair that
+    # is met from there, and whether the tile's list has it
+    turn: int  # Gaussians that a turn meets
+
+    def begin(self, k: Array) -> list[Array]:
+        """What is ahead of the first turn, at ``k``."""
+        ids = [self._id(k, j) for j in range(2 * self.turn)]
+        return [*ids[self.turn :], *self._rows(ids[: self.turn], k, 0)]
+
+    def meet(self, k: Array, ahead: Sequence[Array]) -> tuple[list[Splat], list[Array]]:
+        """The Gaussians of the turn at ``k``, and what is ahead of the next one."""
+        ids, rows = list(ahead[: self.turn]), ahead[self.turn :]
+        columns = len(rows) // self.turn
+        here = [
+            Splat.unpack(rows[j * columns : (j + 1) * columns], self.format)
+            for j in range(self.turn)
+        ]
+        after = [self._id(k, 2 * self.turn + j) for j in range(self.turn)]
+        return here, [*after, *self._rows(ids, k, self.turn)]
+
+    @property
+    def length(self) -> int:
+        """How many of the loop's variables are ahead."""
+        return self.turn * (1 + Splat.columns(self.format))
+
+    def _id(self, k: Array, j: int) -> Array:
+        pair, inside = self.place(k, j)
+        return dr.gather(type(self.ids), self.ids, pair, active=inside)
+
+    def _rows(self, ids: list[Array], k: Array, first: int) -> list[Array]:
+        """The columns of the Gaussians ``ids``, the first of which is the ``first`` from k on."""
+        rows = []
+        for j, gaussian in enumerate(ids):
+            _, inside = self.place(k, first + j)
+            rows += _row(self.splats, self.format, gaussian, inside).pack()
+        return rows
 
 
 @Frozen
@@ -75,31 +128,33 @@ def blend(
     """
     F, U = type(splats[0]), type(lists.tile)
     window = Window.of(lists, grid, F)
-    nothing = [window.x * 0 for _ in range((format.channels + format.depth) * PIXELS)]
+    nothing = [window.x * 0 for _ in range(format.channels + format.depth)]
     # pixels outside the picture have stopped before they start
     T = [dr.select(inside, F(1), F(-1)) for inside in window.inside(grid, F)]
+    tile = [Pixel(first, U(0), nothing) for first in T]
     limits = [] if limit is None else window.load(limit.plane)
 
+    walk = Walk(splats, format, lists.ids, lambda k, j: (k + j, k + j < lists.end), UNROLL)
+
     def body(k: Array, alive: Array, *state: Array) -> tuple[Array, ...]:
-        tile = Pixel.of_state(state)
-        for turn in range(UNROLL):
-            here = k + turn
-            g = _load(splats, format, lists.ids, here, here < lists.end)
-            z = None if limit is None else _depth(limit, lists, here)
+        gaussians, ahead = walk.meet(k, state[: walk.length])
+        tile = Pixel.of_state(state[walk.length :])
+        for turn, g in enumerate(gaussians):
+            z = None if limit is None else _depth(limit, lists, k + turn)
             rows = [PixelRow.of(g, window.x, window.y, j) for j in range(HEIGHT)]
             for i, pixel in enumerate(tile):
                 alpha = Alpha.at(rows[i // WIDTH], PLACES[i % WIDTH], options).value
                 within = None if limit is None else z < limits[i]
                 tile[i] = pixel.step(alpha, g.features, k + (turn + 1), within, options)
         greatest = functools.reduce(larger, [pixel.T for pixel in tile])
-        return (k + UNROLL, greatest > 0, *Pixel.state(tile))
+        return (k + UNROLL, greatest > 0, *ahead, *Pixel.state(tile))
 
-    alive = lists.start < lists.end
-    state = (U(lists.start), alive, *T, *(U(0) for _ in range(PIXELS)), *nothing)
+    alive, start = lists.start < lists.end, U(lists.start)
+    state = (start, alive, *walk.begin(start), *Pixel.state(tile))
     _, _, *state = dr.while_loop(
         state, lambda k, alive, *_: (k < lists.end) & alive, body, mode="symbolic", compress=False
     )
-    tile = Pixel.of_state(state)
+    tile = Pixel.of_state(state[walk.length :])
     window = Window.of(lists, grid, F)  # anew: its rows would hold registers through the loop
     planes = Planes.empty(F, format, pixels, dr.empty)
     trail = Trail(dr.empty(F, pixels), dr.empty(U, pixels))
@@ -141,16 +196,17 @@ def blend_adjoint(
     Args:
         splats, lists, grid, background, format, options, trail, stop: as :func:`blend` took and
             returned them.
-        grad: dL/dy; its depth may be None.
+        grad: dL/dy; its alpha and depth may be None.
         pairs, lanes: widths of ``lists.ids`` and ``lists.tile``.
-        slot_format: of the slots; without a depth where no loss looks at it.
+        slot_format: of the slots; without a depth where no loss looks at it, and without moments or
+            channels where nobody asks for the gradients made of them.
 
     Returns:
         The pairs' slots, and D floats per lane.
     """
     F, U = type(splats[0]), type(lists.tile)
     window = Window.of(lists, grid, F)
-    by_y, tile = _gradient_of_sums(window, grad, background, trail)
+    by_y, tile = _gradient_of_sums(window, grad, background, trail, slot_format.moments)
     ends = window.load(trail.end)
     grad_background = dr.empty(F, lanes * len(background))
     share = [
@@ -162,11 +218,14 @@ def blend_adjoint(
     columns = Slot.columns(slot_format)
     slots = [dr.zeros(F, pairs * width) for width in packets.widths(columns)]
 
+    back = lambda k, j: (k - (j + 1), k > lists.start + j)
+    walk = Walk(splats, format, lists.ids, back, UNROLL_ADJOINT)
+
     def body(k: Array, *state: Array) -> tuple[Array, ...]:
-        tile = PixelAdjoint.of_state(state)
-        for turn in range(UNROLL):
-            here, real = k - (turn + 1), k > lists.start + turn
-            g, sums = _load(splats, format, lists.ids, here, real), SlotSums(slot_format)
+        gaussians, ahead = walk.meet(k, state[: walk.length])
+        tile = PixelAdjoint.of_state(state[walk.length :])
+        for turn, g in enumerate(gaussians):
+            (here, real), sums = back(k, turn), SlotSums(slot_format)
             for j in range(HEIGHT):
                 row, v = PixelRow.of(g, window.x, window.y, j), [None] * WIDTH
                 for column in MIRRORED:
@@ -176,11 +235,14 @@ def blend_adjoint(
                         alpha, g.features, by_y[i], options
                     )
                     sums.add_pixel(g, alpha, v[column], weight, by_y[i])
-                sums.add_row(row, v)
+                if slot_format.moments:
+                    sums.add_row(row, v)
             packets.store(slots, sums.slot(), here, real)
-        return (dr.select(k > UNROLL, k - UNROLL, 0), *PixelAdjoint.state(tile))
+        k = dr.select(k > UNROLL_ADJOINT, k - UNROLL_ADJOINT, 0)
+        return (k, *ahead, *PixelAdjoint.state(tile))
 
-    state, start = (U(stop), *PixelAdjoint.state(tile)), lists.start
+    last, start = U(stop), lists.start
+    state = (last, *walk.begin(last), *PixelAdjoint.state(tile))
     dr.while_loop(state, lambda k, *_: k > start, body, mode="symbolic", compress=False)
     dr.eval(slots, grad_background)
     return slots, grad_background
@@ -264,7 +326,11 @@ def sum_slots(lists: Lists, slots: packets.Packets, format: Format) -> Slot:
 
 def _load(splats: packets.Packets, format: Format, ids: Array, k: Array, inside: Array) -> Splat:
     """The Gaussian of pair ``k``; where not ``inside`` the tile's list, one that no pixel sees."""
-    gaussian = dr.gather(type(ids), ids, k, active=inside)
+    return _row(splats, format, dr.gather(type(ids), ids, k, active=inside), inside)
+
+
+def _row(splats: packets.Packets, format: Format, gaussian: Array, inside: Array) -> Splat:
+    """One Gaussian; where not ``inside`` a list, one that no pixel sees."""
     g = packets.load(splats, Splat, format, gaussian)
     return replace(g, lo=dr.select(inside, g.lo, UNSEEN))
 
@@ -276,15 +342,16 @@ def _depth(limit: Limit, lists: Lists, k: Array) -> Array:
 
 
 def _gradient_of_sums(
-    window: Window, grad: Planes, background: list[Array], trail: Trail
+    window: Window, grad: Planes, background: list[Array], trail: Trail, moments: bool
 ) -> tuple[list[list[Array]], list[PixelAdjoint]]:
     """g of each pixel, and the pixels as they stand behind the last Gaussian (eq. 15)."""
-    by_color, by_alpha = window.load_channels(grad.color, len(background)), window.load(grad.alpha)
+    by_color = window.load_channels(grad.color, len(background))
+    by_alpha = [None] * PIXELS if grad.alpha is None else window.load(grad.alpha)
     by_depth = [] if grad.depth is None else window.load(grad.depth)
     tile = []
     for T, g, h in zip(window.load(trail.T), by_color, by_alpha, strict=True):
-        behind = -h
+        behind = None if h is None else -h
         for c, color in enumerate(background):
-            behind = dr.fma(color, g[c], behind)
-        tile.append(PixelAdjoint(T, behind))
+            behind = color * g[c] if behind is None else dr.fma(color, g[c], behind)
+        tile.append(PixelAdjoint(T, behind if moments else None))
     return [g + by_depth[i : i + 1] for i, g in enumerate(by_color)], tile

@@ -68,11 +68,11 @@ def join(parts: list[Array], alpha: Array, whole: Array, *, channels: int) -> Ar
 
 
 @Frozen
-def split(whole: Array, alpha: Array, parts: list[Array], *, channels: int) -> list[Array]:
-    """The reverse of :func:`join`; ``alpha`` tells the number of pixels."""
-    pixel = dr.arange(dr.uint32_array_t(type(alpha)), dr.width(alpha))
+def split(whole: Array, nothing: Array, parts: list[Array], *, channels: int) -> list[Array]:
+    """The reverse of :func:`join`; ``nothing`` is a zero for each pixel."""
+    pixel = dr.arange(dr.uint32_array_t(type(nothing)), dr.width(nothing))
     for c in range(CHUNK * len(parts)):
-        value = alpha * 0
+        value = nothing * 1
         if c < channels:
             value = dr.gather(type(whole), whole, pixel * channels + c)
         part = parts[c // CHUNK]
@@ -95,11 +95,11 @@ def split_gradient(grad: Planes, channels: int, parts: int) -> list[Planes]:
     """The gradient of the picture, chunk by chunk; alpha's and depth's go with the first."""
     if parts == 1:
         return [grad]
-    F, size = type(grad.alpha), dr.width(grad.alpha)
+    F, size = type(grad.color), dr.width(grad.color) // channels
     memory = [packets.memory(F, size * CHUNK) for _ in range(parts)]
-    colors = split(grad.color, grad.alpha, memory, channels=channels)
     nothing = dr.opaque(F, 0, size)
-    rest = [Planes(color, nothing, None) for color in colors[1:]]
+    colors = split(grad.color, nothing, memory, channels=channels)
+    rest = [Planes(color, None, None) for color in colors[1:]]
     return [Planes(colors[0], grad.alpha, grad.depth), *rest]
 
 
@@ -108,7 +108,8 @@ def add_slots(parts: list[Slot], channels: int) -> Slot:
     first = parts[0]
     if len(parts) == 1:
         return first
-    rows = zip(*([part.m0, *part.m1, *part.m2, *part.absolute] for part in parts), strict=True)
-    m0, mx, my, mxx, mxy, myy, *absolute = (sum(row[1:], row[0]) for row in rows)
     color = [channel for part in parts for channel in part.color][:channels]
-    return Slot(m0, [mx, my], [mxx, mxy, myy], absolute, color, first.depth)
+    rows = zip(*(replace(part, color=[], depth=None).pack() for part in parts), strict=True)
+    sums = [sum(row[1:], row[0]) for row in rows]
+    format = Format(0, False, bool(first.absolute), first.m0 is not None)
+    return replace(Slot.unpack(sums, format), color=color, depth=first.depth)

@@ -59,13 +59,17 @@ def composite_adjoint(
     formats: tuple[Format, ...],
     options: SplatOptions,
     absolute: bool,
+    moments: bool = True,
+    features: bool = True,
 ) -> tuple[list[Packets], tuple[Format, ...], list[float]]:
     """Each chunk's slots, their formats, and the gradient by the background.
 
     Args:
         trail, stop: what :func:`composite` returned for the other arguments.
-        grad: dL/dplanes, padded to whole tiles with zeros; the depth may be None.
+        grad: dL/dplanes, padded to whole tiles with zeros; alpha and depth may be None.
         absolute: whether slots hold the absolute sums too.
+        moments: whether they hold the moments, of which all gradients but the colours' are made.
+        features: whether they hold the gradients of the colour's channels.
     """
     slots, slot_formats, sums = [], [], []
     pictures = chunks.split_gradient(grad, len(background), len(formats))
@@ -73,7 +77,8 @@ def composite_adjoint(
     for part, by_picture, behind, format in zip(
         splats, pictures, backgrounds, formats, strict=True
     ):
-        slot_formats.append(Format(format.channels, by_picture.depth is not None, absolute))
+        channels, depth = format.channels if features else 0, by_picture.depth is not None
+        slot_formats.append(Format(channels, depth and moments, absolute, moments))
         memory, shares = blend_adjoint(
             part,
             lists,

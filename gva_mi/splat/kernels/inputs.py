@@ -113,11 +113,21 @@ class Gaussian3D:
 
 
 @dataclass(frozen=True)
+class Wanted:
+    """Which gradients an adjoint is asked for: constants of its kernels' code."""
+
+    geometry: bool = True  # by all that is no colour: means to opacities, means2d, the camera
+    colors: bool = True  # or coefficients
+    camera: bool = False
+    absolute: bool = False  # by means2d, with every pixel's share taken absolutely
+
+
+@dataclass(frozen=True)
 class GradientMemory:
     """Where the gradients are written; None for one that was not asked for."""
 
     inputs: Inputs
-    u: Array  # 2 N, by the mean in the picture, per px
+    u: Array | None  # 2 N, by the mean in the picture, per px
     absolute: Array | None  # 2 N, the same with every pixel's share taken absolutely
     view: packets.Packets | None  # a ViewGradient for each Gaussian
 
@@ -126,25 +136,27 @@ class GradientMemory:
         F: type,
         n: int,
         color_width: int,
-        camera: bool,
-        absolute: bool,
+        wanted: Wanted,
         allocate: Allocate = packets.memory,
     ) -> GradientMemory:
         """Memory for the gradients of n Gaussians."""
+        rows = lambda columns, asked: allocate(F, columns * n) if asked else None
         return GradientMemory(
-            Inputs(*(allocate(F, columns * n) for columns in (3, 4, 3, 1, color_width))),
-            allocate(F, 2 * n),
-            allocate(F, 2 * n) if absolute else None,
-            packets.empty(ViewGradient, None, n, F, allocate) if camera else None,
+            Inputs(
+                *(rows(columns, wanted.geometry) for columns in (3, 4, 3, 1)),
+                rows(color_width, wanted.colors),
+            ),
+            rows(2, wanted.geometry),
+            rows(2, wanted.absolute),
+            packets.empty(ViewGradient, None, n, F, allocate) if wanted.camera else None,
         )
 
     def store(self, grad: Gaussian3D, grad_u: list[Array], i: Array) -> None:
-        """Write the gradients of the Gaussians ``i``."""
+        """Write the gradients of the Gaussians ``i``, but for the colours."""
         target, mode = self.inputs, dr.ReduceMode.NoConflicts
         for k in range(3):
             dr.scatter(target.means, grad.m[k], 3 * i + k, mode=mode)
             dr.scatter(target.scales, grad.s[k], 3 * i + k, mode=mode)
         packets.store_rows(target.quats, grad.quat, i)
-        packets.store_rows(target.colors, grad.color, i)
         packets.store_rows(self.u, grad_u, i)
         dr.scatter(target.opacities, grad.o, i, mode=mode)

@@ -30,7 +30,7 @@ from gva_mi.splat.kernels import chunks, packets, tiles
 from gva_mi.splat.kernels.blend import Limit, blend_tangent, sum_slots
 from gva_mi.splat.kernels.composite import composite, composite_adjoint, sum_rows
 from gva_mi.splat.kernels.frozen import Frozen
-from gva_mi.splat.kernels.inputs import GradientMemory, Inputs, Plan
+from gva_mi.splat.kernels.inputs import GradientMemory, Inputs, Plan, Wanted
 from gva_mi.splat.kernels.lens import View, view_adjoint, view_of, view_tangent
 from gva_mi.splat.kernels.planes import Planes, Trail
 from gva_mi.splat.kernels.project import (
@@ -45,6 +45,7 @@ from gva_mi.splat.kernels.records import Format, ViewGradient
 from gva_mi.splat.kernels.tiles import Grid, Layout, Lists
 from gva_mi.splat.options import SplatOptions
 
+EVERYTHING = Wanted()  # but the camera and the absolute gradient
 MANY = 65_536  # Gaussians from which on the kernels allocate their memory for themselves
 
 
@@ -152,30 +153,24 @@ class Gradients:
     """What :func:`render_adjoint` returns; None where it was not asked for."""
 
     inputs: Inputs
-    means2d: Array  # 2 N, per px
+    means2d: Array | None  # 2 N, per px
     background: list[float]  # D
     absolute: Array | None  # 2 N, means2d with every pixel's share taken absolutely
     T_camera_world: np.ndarray | None  # (4, 4)
     K: np.ndarray | None  # (3, 3)
 
 
-def render_adjoint(
-    saved: Saved,
-    grad: Planes,
-    camera: bool = False,
-    absolute: bool = False,
-) -> Gradients:
+def render_adjoint(saved: Saved, grad: Planes, wanted: Wanted = EVERYTHING) -> Gradients:
     """The reverse of :func:`render_forward`.
 
     Args:
         saved: what it returned, with ``absolute`` if that is asked for here.
-        grad: dL/dplanes, padded to whole tiles with zeros; the depth may be None.
-        camera: whether to return the gradients by the camera.
-        absolute: whether to return the absolute gradient by the means in the picture.
+        grad: dL/dplanes, padded to whole tiles with zeros; alpha and depth may be None.
+        wanted: the gradients to return; what only others need is not computed.
     """
     plan, n, F = saved.plan, len(saved.inputs), saved.inputs.float_type
     if saved.lists is None:
-        return _gradients_of_nothing(saved, grad, camera, absolute)
+        return _gradients_of_nothing(saved, grad, wanted)
     slots, formats, by_background = composite_adjoint(
         saved.projected.splats,
         saved.lists,
@@ -186,11 +181,13 @@ def render_adjoint(
         grad,
         plan.formats,
         plan.options,
-        absolute,
+        wanted.absolute,
+        moments=wanted.geometry,
+        features=wanted.colors or plan.harmonics,  # harmonics reach the means too
     )
     target = None
     if n < MANY:
-        target = GradientMemory.empty(F, n, plan.color_width, camera, absolute)
+        target = GradientMemory.empty(F, n, plan.color_width, wanted)
     target = _gaussians_adjoint(
         saved.inputs,
         saved.view,
@@ -198,13 +195,12 @@ def render_adjoint(
         slots,
         target,
         n=n if n >= MANY else 0,
-        camera=camera,
-        absolute=absolute,
+        wanted=wanted,
         plan=plan,
         formats=formats,
     )
     by_camera = (None, None)
-    if camera:
+    if wanted.camera:
         columns = packets.widths(ViewGradient.columns())
         sums = [sum_rows(part, width) for part, width in zip(target.view, columns, strict=True)]
         by_camera = view_adjoint(saved.camera, ViewGradient.unpack(np.concatenate(sums)))
@@ -290,13 +286,12 @@ def _gaussians_adjoint(
     target: GradientMemory | None,
     *,
     n: int,
-    camera: bool,
-    absolute: bool,
+    wanted: Wanted,
     plan: Plan,
     formats: tuple[Format, ...],
 ) -> GradientMemory:
     target = target or GradientMemory.empty(
-        inputs.float_type, n, plan.color_width, camera, absolute, dr.empty
+        inputs.float_type, n, plan.color_width, wanted, dr.empty
     )
     sums = [sum_slots(lists, part, format) for part, format in zip(slots, formats, strict=True)]
     dr.eval(sums)  # two kernels: as one they run out of registers
@@ -324,11 +319,11 @@ def _project_tangent(
     return dsplats
 
 
-def _gradients_of_nothing(saved: Saved, grad: Planes, camera: bool, absolute: bool) -> Gradients:
+def _gradients_of_nothing(saved: Saved, grad: Planes, wanted: Wanted) -> Gradients:
     """Where no Gaussian is drawn, only the background has a gradient."""
     inputs, D = saved.inputs, saved.plan.channels
     by_u = dr.zeros(inputs.float_type, 2 * len(inputs))
-    by_camera = (np.zeros((4, 4)), np.zeros((3, 3))) if camera else (None, None)
+    by_camera = (np.zeros((4, 4)), np.zeros((3, 3))) if wanted.camera else (None, None)
     by_channel = grad.color.numpy().astype(np.float64).reshape(-1, D).sum(axis=0).tolist()
-    by_absolute = dr.zeros(inputs.float_type, 2 * len(inputs)) if absolute else None
+    by_absolute = dr.zeros(inputs.float_type, 2 * len(inputs)) if wanted.absolute else None
     return Gradients(inputs.zeros(), by_u, by_channel, by_absolute, *by_camera)

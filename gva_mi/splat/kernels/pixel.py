@@ -162,11 +162,11 @@ class PixelAdjoint:
     """One pixel on its way back to front."""
 
     T: Array  # transmittance behind the Gaussian that comes next
-    B: Array  # what lies there, times g
+    B: Array | None  # what lies there, times g; None where no v is asked for
 
     def step_back(
         self, alpha: Alpha, f: list[Array], g: list[Array], options: SplatOptions
-    ) -> tuple[PixelAdjoint, Array, Array]:
+    ) -> tuple[PixelAdjoint, Array | None, Array]:
         """Eq. 15: take one Gaussian back; also returns v_i and T_i alpha_i.
 
         Args:
@@ -177,6 +177,8 @@ class PixelAdjoint:
         """
         T = self.T / (1 - alpha.value)
         weight = T * alpha.value
+        if self.B is None:
+            return PixelAdjoint(T, None), None, weight
         apart = -self.B  # f . g - B
         for c in range(len(g)):
             apart = dr.fma(f[c], g[c], apart)
@@ -186,12 +188,14 @@ class PixelAdjoint:
     @staticmethod
     def state(pixels: list[PixelAdjoint]) -> list[Array]:
         """The loop's variables for the pixels of a tile."""
-        return [*(pixel.T for pixel in pixels), *(pixel.B for pixel in pixels)]
+        B = [pixel.B for pixel in pixels if pixel.B is not None]
+        return [*(pixel.T for pixel in pixels), *B]
 
     @staticmethod
     def of_state(state: Sequence[Array]) -> list[PixelAdjoint]:
         """The reverse of :meth:`state`."""
-        return [PixelAdjoint(state[i], state[PIXELS + i]) for i in range(PIXELS)]
+        B = state[PIXELS:] or [None] * PIXELS
+        return [PixelAdjoint(state[i], B[i]) for i in range(PIXELS)]
 
 
 @dataclass(frozen=True)
@@ -238,15 +242,16 @@ class SlotSums:
 
     def __init__(self, format: Format) -> None:
         self.m0: Array | None = None
-        self.m1: list[Array | None] = [None] * 2
-        self.m2: list[Array | None] = [None] * 3
+        self.m1: list[Array | None] = [None] * (2 * format.moments)
+        self.m2: list[Array | None] = [None] * (3 * format.moments)
         self.absolute: list[Array | None] = [None] * (2 * format.absolute)
         self.grad_f: list[Array | None] = [None] * (format.channels + format.depth)
         self.format = format
 
     def add_pixel(self, g: Splat, alpha: Alpha, v: Array, weight: Array, by_y: list[Array]) -> None:
         """Add what is summed pixel by pixel: grad_f, and the absolute sums."""
-        for c, by_feature in enumerate(by_y):
+        channels, depth = self.format.channels, self.format.depth
+        for c, by_feature in enumerate([*by_y[:channels], *by_y[len(by_y) - depth :]]):
             self.grad_f[c] = _fma(weight, by_feature, self.grad_f[c])
         if self.absolute:
             ax, ay = self.absolute

@@ -24,7 +24,7 @@ class Planes:
     """A picture, its gradient or its tangent."""
 
     color: Array  # (rows, columns, D), background blended in
-    alpha: Array  # (rows, columns)
+    alpha: Array | None  # (rows, columns); None where no loss looks at it
     depth: Array | None  # (rows, columns); None where it is not made, or no loss looks at it
 
     @staticmethod

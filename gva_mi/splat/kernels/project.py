@@ -127,6 +127,7 @@ def project_adjoint(
 ) -> None:
     """Eq. 1-10 reversed, for every Gaussian.
 
+    Without geometry in ``target`` only the colours are looked at.
     With the moments m1 of eq. 16:  dL/du = 2 ln2 L^T m1.
 
     Args:
@@ -138,10 +139,18 @@ def project_adjoint(
     i = inputs.lane()
     view = view.to(inputs.float_type)
     g = Gaussian3D.load(inputs, plan.color_width, i)
+    where = lambda columns: [dr.select(drawn, c, 0) for c in columns]
+    grad_color, toward = slot.color, [0, 0, 0]
+    if plan.harmonics:
+        grad_color, toward = sh.color_adjoint(g.color, g.m, view.o, slot.color)
+    if target.inputs.colors is not None:
+        packets.store_rows(target.inputs.colors, where(grad_color), i)
+    if target.u is None:
+        return
+
     x, z = _in_camera(g.m, view)
     lens = LENSES[view.model].at(x, z, view)
     e = _ellipse(plan).of(lens.J, view.R, g.quat, g.s, g.o, view.blur, plan.options)
-
     k1, (mx, my) = 2 * LN2, slot.m1
     gu = [k1 * e.L.p * mx, k1 * (e.L.q * mx + e.L.r * my)]
     by_ellipse = e.adjoint(slot.m0, *slot.m2)
@@ -153,16 +162,10 @@ def project_adjoint(
     # eq. 1
     R = view.R
     grad_m = [R[n] * gx[0] + R[3 + n] * gx[1] + R[6 + n] * gx[2] for n in range(3)]
-    grad_color, toward = slot.color, [0, 0, 0]
     if plan.harmonics:
-        grad_color, toward = sh.color_adjoint(g.color, g.m, view.o, slot.color)
         grad_m = [a + b for a, b in zip(grad_m, toward, strict=True)]
-
-    where = lambda columns: [dr.select(drawn, c, 0) for c in columns]
     (grad_o,) = where([by_ellipse.o])
-    grad = Gaussian3D(
-        where(grad_m), where(by_ellipse.quat), where(by_ellipse.s), grad_o, where(grad_color)
-    )
+    grad = Gaussian3D(where(grad_m), where(by_ellipse.quat), where(by_ellipse.s), grad_o, [])
     if target.absolute is not None:
         ax, ay = slot.absolute
         packets.store_rows(target.absolute, where([k1 * e.L.p * ax, k1 * ay]), i)

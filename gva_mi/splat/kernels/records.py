@@ -27,6 +27,7 @@ class Format:
     channels: int  # of the colour
     depth: bool  # whether the depth is a feature too
     absolute: bool = False  # whether a slot holds the two absolute sums
+    moments: bool = True  # whether it holds those of eq. 16
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,7 @@ class Splat:
 class Slot:
     """What one pair, or all pairs of a Gaussian, give to its gradient (pixel.py, eq. 16)."""
 
-    m0: Array
+    m0: Array | None  # None where no moments are asked for, and no others
     m1: list[Array]  # 2: x, y
     m2: list[Array]  # 3: xx, xy, yy
     absolute: list[Array]  # 2 absolute sums, or none
@@ -105,20 +106,21 @@ class Slot:
     @staticmethod
     def columns(format: Format) -> int:
         """How many columns there are."""
-        return 6 + 2 * format.absolute + format.channels + format.depth
+        return 6 * format.moments + 2 * format.absolute + format.channels + format.depth
 
     def pack(self) -> list[Array]:
         """The columns of the record."""
-        depth = [] if self.depth is None else [self.depth]
-        return [self.m0, *self.m1, *self.m2, *self.absolute, *self.color, *depth]
+        m0, depth = ([] if x is None else [x] for x in (self.m0, self.depth))
+        return [*m0, *self.m1, *self.m2, *self.absolute, *self.color, *depth]
 
     @staticmethod
     def unpack(columns: Sequence[Array], format: Format) -> Slot:
         """The record of some columns."""
-        m0, mx, my, mxx, mxy, myy, *rest = columns
+        moments, rest = columns[: 6 * format.moments], list(columns[6 * format.moments :])
         depth = rest.pop() if format.depth else None
         absolute, color = (rest[:2], rest[2:]) if format.absolute else ([], rest)
-        return Slot(m0, [mx, my], [mxx, mxy, myy], absolute, color, depth)
+        m0 = moments[0] if format.moments else None
+        return Slot(m0, list(moments[1:3]), list(moments[3:]), absolute, color, depth)
 
 
 @dataclass(frozen=True)

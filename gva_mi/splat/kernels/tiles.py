@@ -147,24 +147,24 @@ def count(g: Footprint, grid: Grid) -> Array:
 def _emit(
     footprints: packets.Packets, order: Array, start: Array, grid: Grid, tile: Array, ids: Array
 ) -> tuple[Array, Array]:
-    """Step 3: lane per Gaussian, front to back; one pair per turn of the loop."""
+    """Step 3: lane per Gaussian, front to back; row by row, one pair per turn of the inner loop."""
     U, I = type(order), type(grid.width)
     g = packets.load(footprints, Footprint, None, order)
     first, last = _rows_touched(g, grid)
 
-    def body(row: Array, column: Array, end: Array, k: Array) -> tuple[Array, ...]:
-        fresh = column >= end
-        begin, stop = _columns_touched(g, row, grid)
-        column, end = dr.select(fresh, begin, column), dr.select(fresh, stop, end)
-        write = column < end
-        dr.scatter(tile, U(row * grid.columns + column), k, active=write, mode=NoConflicts)
-        dr.scatter(ids, order, k, active=write, mode=NoConflicts)
-        k += dr.select(write, U(1), U(0))
-        column += 1
-        return dr.select(column >= end, row + 1, row), column, end, k
+    def body(row: Array, k: Array) -> tuple[Array, Array]:
+        begin, end = _columns_touched(g, row, grid)
+        before = row * grid.columns
 
-    state = (I(first), I(order) * 0, I(order) * 0, U(start))
-    dr.while_loop(state, lambda row, *_: row < last, body, mode="symbolic")
+        def write(column: Array, k: Array) -> tuple[Array, Array]:
+            dr.scatter(tile, U(before + column), k, mode=NoConflicts)
+            dr.scatter(ids, order, k, mode=NoConflicts)
+            return column + 1, k + 1
+
+        within = lambda column, k: column < end
+        return row + 1, dr.while_loop((I(begin), U(k)), within, write, mode="symbolic")[1]
+
+    dr.while_loop((I(first), U(start)), lambda row, k: row < last, body, mode="symbolic")
     dr.eval(tile, ids)
     return tile, ids
 
@@ -185,11 +185,10 @@ def _ranges(
     ids, here = dr.gather(U, emitted, permutation), dr.gather(U, tile, permutation)
     dr.eval(ids, here)
     before = dr.gather(U, here, dr.select(k > 0, k - 1, 0))
-    after = dr.gather(U, here, dr.minimum(k + 1, last))
-    dr.scatter(start, k, here, active=(k <= last) & ((k == 0) | (before != here)), mode=NoConflicts)
-    dr.scatter(
-        end, k + 1, here, active=(k == last) | ((k < last) & (after != here)), mode=NoConflicts
-    )
+    fresh = (k <= last) & (before != here)
+    dr.scatter(start, k, here, active=fresh, mode=NoConflicts)  # the first list starts at 0
+    dr.scatter(end, k, before, active=fresh, mode=NoConflicts)
+    dr.scatter(end, k + 1, here, active=k == last, mode=NoConflicts)
     dr.scatter(slots, k, permutation, mode=dr.ReduceMode.Permute)
     dr.eval(ids, start, end, slots)
     return ids, start, end, slots

@@ -172,9 +172,12 @@ def seeds(subject, avatar):
         save_results(folder / "avatar.json", [row], MADE_WITH)
         write_json(folder / "marker.json", MADE_WITH)
 
+    def told(results):
+        return results and list(rows_of(results))
+
     def read_study(folder, path=None):
         each(folder, path, {
-            "refine.json": lambda path: list(rows_of(load_study(path, body, StudyOptions()))),
+            "refine.json": lambda path: told(load_study(path, body, StudyOptions())),
             "avatar.json": lambda path: summaries(load_results(path, MADE_WITH)),
             "marker.json": lambda path: says(path, MADE_WITH),
         })  # fmt: skip

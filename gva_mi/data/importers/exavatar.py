@@ -52,6 +52,7 @@ def read_exavatar(where: str, folder: Path, wanted: Wanted) -> Recording:
     track = make_track(str(poses), "0", np.arange(len(numbers)), given, K)
     R = np.stack([np.reshape(about.get("R", np.eye(3)), (3, 3)) for about in found])
     T = np.stack([np.reshape(about.get("t", np.zeros(3)), 3) for about in found])
+    R, T = R.astype(np.float64), T.astype(np.float64)
     track = replace(seen_from(track, R, T), from_mean_hand=track.has_hands)
     pictures, masks = (
         tuple(folder / f"{part}/{k}.png" for k in numbers) for part in ("frames", "masks")

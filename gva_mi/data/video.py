@@ -249,13 +249,25 @@ def load_cameras(path: Path) -> list[Camera]:
             raise InputError(
                 f"{path}: '{name}' must be {shape} or (T, *{shape}), got {value.shape}"
             )
-        if not np.issubdtype(value.dtype, np.number) or not np.isfinite(value).all():
+        if value.dtype.kind not in "iuf" or not np.isfinite(value).all():
             raise InputError(f"{path}: '{name}' must hold finite numbers")
-    count = max(len(x) if x.ndim == 3 else 1 for x in (K, T))
-    K, T = np.broadcast_to(K, (count, 3, 3)), np.broadcast_to(T, (count, 4, 4))
+        # A K that is not normalised, or a transposed one, would be a camera that nobody meant.
+        last = (*np.zeros(shape[0] - 1), 1)
+        if bad := [row for row in value[..., -1, :].reshape(-1, shape[0]) if any(row != last)]:
+            raise InputError(
+                f"{path}: the last row of '{name}' must be {last}, got {bad[0].tolist()}"
+            )
     width, height = (_pixels(path, name, data[name]) for name in ("width", "height"))
     require_size(str(path), width, height)
+    mirrored = [k for k, R in enumerate(T.reshape(-1, 4, 4)[:, :3, :3]) if np.linalg.det(R) < 0]
+    if mirrored:
+        raise InputError(
+            f"{path}: 'T_camera_world' of camera {mirrored[0]} is mirrored (its determinant is "
+            "below 0); expected x right, y down, z forward"
+        )
     with expecting(path, "cameras that see something"):
+        count = max(len(x) if x.ndim == 3 else 1 for x in (K, T))
+        K, T = np.broadcast_to(K, (count, 3, 3)), np.broadcast_to(T, (count, 4, 4))
         return [Camera.from_matrices(K[k], T[k], width, height) for k in range(count)]
 
 

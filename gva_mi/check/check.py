@@ -81,7 +81,7 @@ def check_subject(
 
 def _open(contents: Contents, body: BodyModel) -> None:
     """Open the folder as the other steps do: what they refuse is an error, named above or not."""
-    load_video(contents.folder, contents.poses_file)
+    load_video(contents.folder, contents.poses_file).require_train_frames()
     load_offsets(contents.poses_file, len(body.v_template))
 
 

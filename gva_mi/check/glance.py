@@ -15,9 +15,7 @@ from gva_mi.data.video import Video, spread
 
 BODY = 22  # joints without face and fingers, which are within a pixel of each other
 FRAMES = 8  # that are looked at
-FEWEST = (
-    0.5  # of the joints lie in the masks; noise and loose clothes leave most of them there
-)
+FEWEST = 0.5  # of the joints lie in the masks; noise and loose clothes leave most of them there
 
 
 @torch.no_grad()

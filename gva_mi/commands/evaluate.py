@@ -47,6 +47,7 @@ def evaluate(
         raise InputError(f"{run}: its avatar was fitted with another body; give that one's --body")
     poses = poses_of(subject, poses)
     video = load_video(subject, poses)
+    video.require_train_frames()
     say_doubt(video, model)
     title = subject.resolve().name
     with alone_in(run, "gva-mi evaluate"):

@@ -48,6 +48,7 @@ def fit(
     video = load_video(subject, poses)
     for frame, reason in video.absent.items():
         say(f"{subject}: frame {frame} is left out: {reason}")
+    video.require_train_frames()
     say_doubt(video, model)
     with alone_in(out, "gva-mi fit"):
         if not resume:

@@ -110,6 +110,14 @@ def read_json(path: Path, expected: str) -> Any:  # noqa: ANN401
         raise InputError(f"{path}: not readable as JSON ({reason}); expected {expected}") from None
 
 
+def says(path: Path, value: Any) -> bool:  # noqa: ANN401
+    """Whether a JSON file says just this; one that is missing or cannot be read does not."""
+    try:
+        return read_json(path, "") == json.loads(json.dumps(value, default=str))
+    except InputError:
+        return False
+
+
 def require_keys(path: Path, arrays: dict[str, np.ndarray], keys: tuple[str, ...]) -> None:
     """Raise an InputError that names the first missing key, and what is there instead."""
     for key in keys:

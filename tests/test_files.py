@@ -17,6 +17,7 @@ from gva_mi.files import (
     replacing,
     require_keys,
     require_room,
+    says,
     start_folder,
     whole_folder,
     write_arrays,
@@ -144,6 +145,15 @@ def test_what_is_no_json_is_one_sentence(tmp_path, text):
         read_json(tmp_path / "a.json", "metrics")
     with pytest.raises(InputError, match=r"b\.json: no such file; expected metrics"):
         read_json(tmp_path / "b.json", "metrics")
+
+
+def test_a_file_that_cannot_be_read_says_nothing(tmp_path):
+    path = tmp_path / "a.json"
+    assert not says(path, {})
+    write_json(path, {"a": (1, 2), "b": path})
+    assert says(path, {"a": (1, 2), "b": path}) and not says(path, {"a": [1]})
+    path.write_text('{"a": [1, 2')
+    assert not says(path, {"a": (1, 2), "b": path})
 
 
 def test_content_of_another_form_is_one_sentence_whatever_fails():

@@ -32,6 +32,10 @@ PARENTS: tuple[int, ...] = (
 # Which of JOINTS each field of SMPL-X holds. Its fields follow each other in the order of JOINTS.
 ROOT, BODY = slice(0, 1), slice(1, 22)
 JAW, LEFT_EYE, RIGHT_EYE = slice(22, 23), slice(23, 24), slice(24, 25)
+# What a person's numbers stay below by far: radians, metres, standard deviations.
+LARGEST = {"transl": 1e6, "expression": 1e4, "betas": 1e4, "offsets": 10.0}
+LARGEST_ANGLE = 1e3
+
 LEFT_HAND, RIGHT_HAND = slice(25, 40), slice(40, 55)  # joints of the fingers
 SMPLX_FIELDS: Mapping[str, slice] = {
     "global_orient": ROOT, "body_pose": BODY, "jaw_pose": JAW, "leye_pose": LEFT_EYE,
@@ -198,4 +202,7 @@ def _tensor(path: Path, name: str, value: np.ndarray, shape: tuple[int, ...]) ->
         where = np.argwhere(~np.isfinite(value))[0]
         frame = f" in frame {where[0]}" if value.ndim > 1 else f" at index {where[0]}"
         raise InputError(f"{path}: '{name}' holds a number that is not finite{frame}")
+    largest, found = LARGEST.get(name, LARGEST_ANGLE), np.abs(value).max(initial=0)
+    if found > largest:
+        raise InputError(f"{path}: '{name}' holds {found:.3g}, expected at most {largest:,.10g}")
     return torch.from_numpy(value)

@@ -14,6 +14,7 @@ read is looked at, one kind of evidence a file, and each fault has a finding of 
 ``silhouettes``    joints and silhouettes against masks, under each reading
 ``normals``        the sign of each axis of the normals, against the body's own
 ``check``          all of it
+``glance``         one look, before hours of work in other steps
 ``sheet``          frames with mask and silhouette, for people
 =================  =================================================================================
 

@@ -69,7 +69,7 @@ def usable_cameras(contents: Contents) -> dict[int, Camera]:
     if K is None or T is None or size is None:
         return {}
     cameras = {}
-    for k in range(contents.count):
+    for k in sorted(contents.pictures):
         if (len(K) > 1 and k >= len(K)) or (len(T) > 1 and k >= len(T)):
             break
         k_frame, t_frame = K[k if len(K) > 1 else 0], T[k if len(T) > 1 else 0]

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from gva_mi.body.pose import Shape
+from gva_mi.body.pose import Shape, load_offsets
 from gva_mi.body.smplx import BodyModel
 from gva_mi.check.cameras import check_cameras, usable_cameras
-from gva_mi.check.contents import Contents, read_contents, small_size
+from gva_mi.check.contents import Contents, attempt, read_contents, small_size
 from gva_mi.check.files import check_files, inverted, open_normals, says_nothing
 from gva_mi.check.findings import Report, ordered
 from gva_mi.check.normals import check_normals
@@ -19,6 +19,7 @@ from gva_mi.check.poses import Poses, check_poses
 from gva_mi.check.seen import Seen, Silhouettes
 from gva_mi.check.silhouettes import Compared, compare
 from gva_mi.console import Progress
+from gva_mi.data.video import load_video
 from gva_mi.splat import Camera
 
 
@@ -72,8 +73,16 @@ def check_subject(
             report.skipped.append("normals were not compared: first mend what moves the masks")
         else:
             found += check_normals(maps, compared.final, compared.final_images, cameras)
+    if not any(finding.severity == "error" for finding in found):
+        attempt(contents, lambda: _open(contents, body))
     report.findings = ordered(found)
     return Checked(report, contents, compared)
+
+
+def _open(contents: Contents, body: BodyModel) -> None:
+    """Open the folder as the other steps do: what they refuse is an error, named above or not."""
+    load_video(contents.folder, contents.poses_file).require_train_frames()
+    load_offsets(contents.poses_file, len(body.v_template))
 
 
 def _seen(

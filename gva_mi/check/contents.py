@@ -18,7 +18,7 @@ from gva_mi.console import Progress
 from gva_mi.data.film import Film
 from gva_mi.data.masks import read_mask
 from gva_mi.data.pictures import read_image
-from gva_mi.data.video import POSES
+from gva_mi.data.video import POSES, is_frame
 from gva_mi.errors import InputError
 from gva_mi.files import read_array, read_arrays
 
@@ -105,7 +105,7 @@ def attempt(contents: Contents, read: Callable[[], T]) -> T | None:
 def _read_pictures(contents: Contents) -> None:
     folder, found = contents.folder, contents.findings
     files = sorted((folder / "frames").glob("*.png"))
-    misnamed = [p.name for p in files if not (p.stem.isdecimal() and len(p.stem) == 6)]
+    misnamed = [p.name for p in files if not is_frame(p)]
     if misnamed:
         found.append(
             Finding(

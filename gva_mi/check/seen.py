@@ -108,9 +108,9 @@ def overlap(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def radius(mask: np.ndarray) -> float:
-    """Root mean square distance of a mask's pixels from their middle, pixels."""
+    """Root mean square distance of a mask from its middle, pixels, each of which is a square."""
     y, x = np.nonzero(mask)
-    return float(np.sqrt(x.var() + y.var())) if len(x) else 0.0
+    return float(np.sqrt(x.var() + y.var() + 1 / 6)) if len(x) else 0.0
 
 
 def middle(mask: np.ndarray) -> np.ndarray:

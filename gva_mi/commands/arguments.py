@@ -7,8 +7,10 @@ from typing import Annotated, TypeVar
 
 from tyro.conf import FlagCreatePairsOff, arg
 
+from gva_mi.body.smplx import BodyModel
+from gva_mi.check.glance import glance
 from gva_mi.console import say
-from gva_mi.data.video import REFINED_POSES, best_poses
+from gva_mi.data.video import REFINED_POSES, Video, best_poses
 
 T = TypeVar("T")
 Flat = Annotated[T, arg(name="")]  # options without a prefix on the command line
@@ -24,3 +26,9 @@ def poses_of(subject: Path, given: Path | None = None) -> Path:
     if given is None and poses.name != REFINED_POSES:
         say(f"{subject}: no {REFINED_POSES}, the stage-1 poses are used as they are")
     return poses
+
+
+def say_doubt(video: Video, model: BodyModel) -> None:
+    """Say that the body does not stand where the masks are, before work that would be in vain."""
+    if doubt := glance(video, model):
+        say(doubt)

@@ -9,7 +9,7 @@ from tyro.conf import Positional
 
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.smplx import BodyModel, load_body
-from gva_mi.commands.arguments import Switch, poses_of
+from gva_mi.commands.arguments import Switch, poses_of, say_doubt
 from gva_mi.console import bar, say
 from gva_mi.data.fingerprint import require_same_body
 from gva_mi.data.video import Video, load_video
@@ -47,6 +47,8 @@ def evaluate(
         raise InputError(f"{run}: its avatar was fitted with another body; give that one's --body")
     poses = poses_of(subject, poses)
     video = load_video(subject, poses)
+    video.require_train_frames()
+    say_doubt(video, model)
     title = subject.resolve().name
     with alone_in(run, "gva-mi evaluate"):
         require_room(run / run_folder.METRICS, overwrite=True)

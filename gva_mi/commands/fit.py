@@ -10,7 +10,7 @@ from tyro.conf import Positional
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.pose import load_offsets
 from gva_mi.body.smplx import BodyModel, load_body
-from gva_mi.commands.arguments import Flat, Switch, poses_of
+from gva_mi.commands.arguments import Flat, Switch, poses_of, say_doubt
 from gva_mi.console import bar, say
 from gva_mi.data.fingerprint import require_same_body
 from gva_mi.data.video import Video, load_video
@@ -48,6 +48,8 @@ def fit(
     video = load_video(subject, poses)
     for frame, reason in video.absent.items():
         say(f"{subject}: frame {frame} is left out: {reason}")
+    video.require_train_frames()
+    say_doubt(video, model)
     with alone_in(out, "gva-mi fit"):
         if not resume:
             make_room(out, run_folder.OPTIONS, overwrite)

@@ -11,7 +11,7 @@ from typing import Literal
 from tyro.conf import Positional
 
 from gva_mi.body.smplx import BodyModel, load_body
-from gva_mi.commands.arguments import Flat, Switch
+from gva_mi.commands.arguments import Flat, Switch, say_doubt
 from gva_mi.console import bar, say
 from gva_mi.data.fingerprint import require_same_body
 from gva_mi.data.truth import load_truth
@@ -85,6 +85,8 @@ def refine(
             raise InputError(f"{poses}: exists already; give --overwrite to replace it")
         require_same_body(subject, model)
     videos = [load_video(subject, normals=normals) for subject in subjects]
+    for video in videos:
+        say_doubt(video, model)
     with ExitStack() as held:
         for subject in subjects:
             held.enter_context(alone_in(subject, "gva-mi refine"))

@@ -8,7 +8,7 @@ from tyro.conf import Positional
 
 from gva_mi.body.pose import load_offsets
 from gva_mi.body.smplx import load_body
-from gva_mi.commands.arguments import Flat, Switch, poses_of
+from gva_mi.commands.arguments import Flat, Switch, poses_of, say_doubt
 from gva_mi.console import bar, say
 from gva_mi.data.fingerprint import require_same_body
 from gva_mi.data.video import load_video
@@ -59,6 +59,7 @@ def track(
             say(f"{run}: was fitted to another video (other {parts}); its poses are not used")
         else:
             video, start = load_video(subject, trained), trained
+    say_doubt(video, model)
     offsets = load_offsets(refined, len(model.v_template))
     with alone_in(subject, "gva-mi track"):
         require_room(out, overwrite)

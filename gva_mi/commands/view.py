@@ -5,6 +5,8 @@ from __future__ import annotations
 import sys
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -19,6 +21,7 @@ from gva_mi.commands.driving import motion_of
 from gva_mi.console import say
 from gva_mi.data.video import Video, load_video
 from gva_mi.errors import InputError
+from gva_mi.files import require_writable
 from gva_mi.fit.run_folder import TRAINED_POSES, load_avatar, other_parts
 from gva_mi.ranges import Within
 from gva_mi.threads import one_torch_thread
@@ -57,8 +60,11 @@ def view(
         raise InputError(f"{out}: is a file; expected a folder for snapshots and cameras")
     begin = start(avatar.rig, motion)
     title = f"{run.name}: {len(avatar.canonical):,} Gaussians"
-    server = open_server(host, port, begin, title)
-    try:
+    with ExitStack() as held:
+        held.enter_context(_tried(out))
+        server = open_server(host, port, begin, title)
+        held.callback(close_server, server)
+        held.enter_context(suppress(KeyboardInterrupt))
         changed = threading.Event()
         when_moved(server, changed.set)
         controls = Controls(server.gui, _offers(avatar, motion, video), changed.set)
@@ -71,10 +77,19 @@ def view(
                 changed.clear()
                 seconds = session.step(pages(server), time.monotonic())
                 changed.wait(seconds)
-    except KeyboardInterrupt:
-        pass
+
+
+@contextmanager
+def _tried(out: Path) -> Iterator[None]:
+    """See that a folder takes files; one that was made for that and holds none goes again."""
+    there = out.exists()
+    require_writable(out)
+    try:
+        yield
     finally:
-        close_server(server)
+        if not there:
+            with suppress(OSError):
+                out.rmdir()
 
 
 def _video_of(run: Path, subject: Path, poses: Path | None) -> Video:

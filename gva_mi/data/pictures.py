@@ -27,9 +27,24 @@ PLAYABLE = {"crf": "18", "threads": "1"}  # with libx264 and yuv420p
 
 
 def read_image(path: Path, channels: int) -> np.ndarray:
-    """An 8-bit picture, (H, W, 3) or, with ``channels`` 1, (H, W)."""
+    """An 8-bit picture, (H, W, 3) or, with ``channels`` 1, (H, W).
+
+    Of a label map, whose palette has colours, whatever is not label 0 is 255.
+    """
     with opened(path) as image:
-        return np.asarray(image.convert("RGB" if channels == 3 else "L"))
+        if channels == 1 and image.mode == "P" and len(set(image.convert("RGB").getextrema())) > 1:
+            return (np.asarray(image) > 0) * np.uint8(255)
+        return np.asarray(to_8_bits(image).convert("RGB" if channels == 3 else "L"))
+
+
+def to_8_bits(image: Image.Image) -> Image.Image:
+    """A picture of 16 bits, or of whole numbers, as one of 8, which Pillow would cut off."""
+    from PIL import Image
+
+    if not image.mode.startswith("I") and image.mode != "F":
+        return image
+    raw = np.asarray(image).astype(np.float64)
+    return Image.fromarray((raw / (257 if raw.max(initial=0) > 255 else 1)).astype("u1"))
 
 
 @contextmanager

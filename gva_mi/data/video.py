@@ -25,6 +25,7 @@ Everything is checked when it is opened, once, so that a step never stops half-w
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -155,6 +156,12 @@ class Video:
         """(W, H) in pixels."""
         return self.cameras[0].width, self.cameras[0].height
 
+    def require_train_frames(self) -> None:
+        """Raise an InputError where no train frame is there, for steps that train on some."""
+        if not self.splits.train:
+            k, reason = next(iter(self.absent.items()))
+            raise InputError(f"{self.folder}: no train frame can be used; frame {k}: {reason}")
+
     @property
     def has_normals(self) -> bool:
         """Whether there are normals of any frame."""
@@ -249,13 +256,25 @@ def load_cameras(path: Path) -> list[Camera]:
             raise InputError(
                 f"{path}: '{name}' must be {shape} or (T, *{shape}), got {value.shape}"
             )
-        if not np.issubdtype(value.dtype, np.number) or not np.isfinite(value).all():
+        if value.dtype.kind not in "iuf" or not np.isfinite(value).all():
             raise InputError(f"{path}: '{name}' must hold finite numbers")
-    count = max(len(x) if x.ndim == 3 else 1 for x in (K, T))
-    K, T = np.broadcast_to(K, (count, 3, 3)), np.broadcast_to(T, (count, 4, 4))
+        # A K that is not normalised, or a transposed one, would be a camera that nobody meant.
+        last = [0] * (shape[0] - 1) + [1]
+        if bad := [row for row in value[..., -1, :].reshape(-1, shape[0]) if any(row != last)]:
+            raise InputError(
+                f"{path}: the last row of '{name}' must be {last}, got {bad[0].tolist()}"
+            )
     width, height = (_pixels(path, name, data[name]) for name in ("width", "height"))
     require_size(str(path), width, height)
+    mirrored = [k for k, R in enumerate(T.reshape(-1, 4, 4)[:, :3, :3]) if np.linalg.det(R) < 0]
+    if mirrored:
+        raise InputError(
+            f"{path}: 'T_camera_world' of camera {mirrored[0]} is mirrored (its determinant is "
+            "below 0); expected x right, y down, z forward"
+        )
     with expecting(path, "cameras that see something"):
+        count = max(len(x) if x.ndim == 3 else 1 for x in (K, T))
+        K, T = np.broadcast_to(K, (count, 3, 3)), np.broadcast_to(T, (count, 4, 4))
         return [Camera.from_matrices(K[k], T[k], width, height) for k in range(count)]
 
 
@@ -289,15 +308,20 @@ def load_splits(folder: Path, frames: int) -> Splits:
     expected = '{"train": [...], "test": [...]} of frame numbers'
     data = read_json(path, expected)
     with expecting(path, expected):
-        train, test = ([int(k) for k in data[name]] for name in ("train", "test"))
+        train, test = (list(data[name]) for name in ("train", "test"))
+        if odd := [k for k in (*train, *test) if type(k) is not int]:
+            raise InputError(f"{path}: frames must be whole numbers, got {str(odd[0]):.40}")
     outside = [k for k in (*train, *test) if not 0 <= k < frames]
     both = sorted(set(train) & set(test))
-    if outside or both or not train:
+    twice = [k for split in (train, test) for k, times in Counter(split).items() if times > 1]
+    if outside or both or twice or not train:
         reason = (
             f"frame {outside[0]} does not exist"
             if outside
             else f"frame {both[0]} is in both"
             if both
+            else f"frame {twice[0]} is there twice"
+            if twice
             else "no train frame"
         )
         raise InputError(f"{path}: {reason}; the video has frames 0 to {frames - 1}")
@@ -308,12 +332,17 @@ def _picture(folder: Path, index: int) -> Path:
     return folder / f"{index:06d}.png"
 
 
+def is_frame(path: Path) -> bool:
+    """Whether a file has a frame's name, such as 000012.png."""
+    return path.stem.isascii() and path.stem.isdecimal() and len(path.stem) == 6
+
+
 def _open_pictures(folder: Path) -> tuple[Film | list[np.ndarray], Sequence[int]]:
     """The film, where pictures come as one, and the numbers of the frames that are there."""
     frames = sorted((folder / "frames").glob("*.png"))
     if frames:
         for path in frames:
-            if not (path.stem.isdecimal() and len(path.stem) == 6):
+            if not is_frame(path):
                 raise InputError(f"{path}: frames are numbered, such as 000000.png")
         return [], [int(path.stem) for path in frames]
     if (folder / "video.mp4").exists():

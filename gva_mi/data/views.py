@@ -16,7 +16,6 @@ Nothing but evaluation reads this folder. (Synthetic people have their novel vie
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -24,8 +23,8 @@ from pathlib import Path
 from gva_mi.data.masks import read_mask
 from gva_mi.data.pictures import read_image
 from gva_mi.data.video import Splits, Video, load_cameras, save_cameras
-from gva_mi.errors import InputError
-from gva_mi.files import write_json
+from gva_mi.errors import InputError, expecting
+from gva_mi.files import read_json, write_json
 from gva_mi.splat import Camera
 
 VIEWS, ABOUT = "views", "views.json"
@@ -100,13 +99,10 @@ def save_views(
 
 def _frames(path: Path, count: int) -> list[int]:
     """Which frame of the video, of ``count`` frames, each picture is of."""
-    try:
-        frames = json.loads(path.read_text())["frames"]
+    expected = '{"frames": [...]}, the video\'s frame of each picture'
+    found = read_json(path, expected)
+    with expecting(path, expected):
+        frames = found["frames"]
         if not frames or not all(type(k) is int and 0 <= k < count for k in frames):
             raise ValueError(f"the video has frames 0 to {count - 1}")
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        raise InputError(
-            f'{path}: expected {{"frames": [...]}}, the video\'s frame of each picture '
-            f"({str(error).splitlines()[0]})"
-        ) from None
-    return frames
+        return frames

@@ -34,7 +34,7 @@ from gva_mi.body.smplx import Rest
 from gva_mi.console import Progress, within
 from gva_mi.data.video import Frame, Video
 from gva_mi.fit.picture_evidence import PictureAndMask, PictureEvidence, PictureWeights
-from gva_mi.pose.clips import cut, join, of_clip, poses_of_clip
+from gva_mi.pose.clips import cut, join, poses_of_clip
 from gva_mi.pose.descent import (
     Batch,
     DescentOptions,
@@ -50,6 +50,7 @@ from gva_mi.pose.descent import (
 from gva_mi.pose.evidence import gather
 from gva_mi.pose.priors import lever_arms
 from gva_mi.ranges import Metres, Seed, Turn, Weight
+from gva_mi.shelf import Shelf
 from gva_mi.threads import one_torch_thread
 
 FITTED = "poses fitted to the pictures"  # the name of the row of figures under such poses
@@ -130,7 +131,8 @@ def fit_poses(
         return PictureAndMask.of(frame, resting(frame.pose).means.double().numpy())
 
     with one_torch_thread():
-        seen, kept = gather(wanted, video.absent, video.frames, look)
+        seen = Shelf(video.folder)
+        kept = gather(wanted, video.absent, video.frames, look, seen)
         pose = _fit_clips(resting, video.pose, seen, options, progress)
         before, after = (_losses(resting, p, seen, options) for p in (video.pose, pose))
     worse = worse_frames(seen, before, after, digits=4)
@@ -148,7 +150,7 @@ def fit_poses(
 def _fit_clips(
     avatar: Avatar,
     pose: Pose,
-    seen: Mapping[int, PictureAndMask],
+    seen: Shelf[PictureAndMask],
     options: PhotometricOptions,
     progress: Progress | None,
 ) -> Pose:
@@ -156,13 +158,13 @@ def _fit_clips(
     rig = avatar.rig
     arms = lever_arms(Rest(rig.vertices, rig.joints), rig.weights, rig.parents)
     clips = cut(len(pose), options.part, options.overlap)
-    seen_in = [of_clip(clip, seen) for clip in clips]
+    seen_in = [seen.part(clip, clip.start) for clip in clips]
     steps = [options.passes * -(-len(frames) // options.batch) for frames in seen_in]
     found = []
     for number, (clip, frames) in enumerate(zip(clips, seen_in, strict=True)):
         part = poses_of_clip(clip, pose)
         if frames:
-            evidence = PictureEvidence(avatar, frames, options.weights)
+            evidence = PictureEvidence(avatar, dict(frames), options.weights)
             told = within(progress, sum(steps[:number]), steps[number], sum(steps))
             part = descend(evidence, part, arms, options, told, may_be_right=True).pose
         found.append(part)

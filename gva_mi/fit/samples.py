@@ -1,7 +1,8 @@
-"""The pictures that a fit is measured against, held in memory and served one a step.
+"""The pictures that a fit is measured against, kept at hand and served one a step.
 
 Reading, decoding and cutting out a frame takes longer than rendering it: every training frame is
-read once, cut to the box of its mask, and kept as 8 bits. When its turn comes, it is composited,
+read once, cut to the box of its mask, and kept as 8 bits, those of a long video on disk
+(:mod:`gva_mi.shelf`). When its turn comes, it is composited,
 
     I = picture · S + background · (1 - S)
 
@@ -15,9 +16,11 @@ resumed therefore draws what an uninterrupted one would have drawn, with no stat
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -26,6 +29,7 @@ from torch import Tensor
 from gva_mi.data.video import Video
 from gva_mi.fit.losses import Window
 from gva_mi.pose.crop import Box, Extent
+from gva_mi.shelf import Shelf
 from gva_mi.splat import Camera, Gaussians, SplatOptions
 from gva_mi.splat.covariances import largest_scales
 
@@ -101,20 +105,29 @@ class Samples:
         seed: seed of the run.
         random_background: whether the background has another colour at each step, or is white.
         window: side of the random part, pixels; a smaller image is taken whole.
+        folder: where those of a long video are kept that memory has no room for; None: the
+            system's folder of temporary files.
     """
 
     def __init__(
-        self, video: Video, frames: Sequence[int], seed: int, random_background: bool, window: int
+        self,
+        video: Video,
+        frames: Sequence[int],
+        seed: int,
+        random_background: bool,
+        window: int,
+        folder: Path | None = None,
     ) -> None:
         self.frames, self.seed = list(frames), seed
         self.random_background, self.window = random_background, window
         self.cameras = [video.cameras[k] for k in self.frames]
-        self.boxes, self._kept = [], []
-        for frame in video.frames(self.frames):
+        self.boxes = []
+        self._kept = Shelf(Path(tempfile.gettempdir()) if folder is None else folder)
+        for k, frame in enumerate(video.frames(self.frames)):
             mask = _to_8bit(frame.mask)
             self.boxes.append(_box_of(mask > 127))
             kept = _box_of(mask > 0)
-            self._kept.append((_to_8bit(kept.cut(frame.image)), kept.cut(mask).clone(), kept))
+            self._kept[k] = _to_8bit(kept.cut(frame.image)), kept.cut(mask).clone(), kept
 
     def __len__(self) -> int:
         return len(self.frames)

@@ -81,9 +81,8 @@ def fit(
     state = run_folder.load_state(out)
     with one_torch_thread():
         run = _run(video, body, options, offsets, state, out)
-        samples = Samples(
-            video, video.splits.train, options.seed, options.random_background, options.window
-        )
+        chosen = options.seed, options.random_background, options.window
+        samples = Samples(video, video.splits.train, *chosen, out)
         while run.step < options.steps:
             figures = run.descend(samples[run.step], distance)
             run.add_and_remove_gaussians(out)

@@ -45,6 +45,7 @@ from gva_mi.pose.crop import (
     points_extent,
 )
 from gva_mi.pose.focal import follow, stretched, stretched_normals
+from gva_mi.shelf import Shelf
 from gva_mi.splat import Camera
 
 MARGIN = 0.15  # of the box around the person, added on each side
@@ -140,7 +141,8 @@ def common_scale(
         low, high = (np.clip(x, 0, (camera.width, camera.height)) for x in (body.low, body.high))
         return min(Extent(low, high).longer, mask_extent(outline.mask).longer)
 
-    found = gather(frames, video.absent, video.outlines, look)[0]
+    found: dict[int, float] = {}
+    gather(frames, video.absent, video.outlines, look, found)
     return min(1.0, size / max(found.values(), default=size))
 
 
@@ -149,23 +151,25 @@ def gather(
     absent: Mapping[int, str],
     read: Callable[[Iterable[int]], Iterable[Read]],
     look: Callable[[Read], Seen],
-) -> tuple[dict[int, Seen], dict[int, str]]:
-    """Evidence of those frames that say something, and reasons for those that do not.
+    found: dict[int, Seen] | Shelf[Seen],
+) -> dict[int, str]:
+    """Gather evidence of those frames that say something; returns why the others do not.
 
     Args:
         frames: numbers of the frames that are looked at.
         absent: frames that cannot be read, and why.
         read: reads frames by their numbers, such as :meth:`gva_mi.data.video.Video.outlines`.
         look: makes the evidence of what was read, or raises :class:`NoEvidence`.
+        found: where the evidence is put, such as a dictionary, or a shelf for a long video.
     """
-    wanted, found = list(frames), {}
+    wanted = list(frames)
     reasons = {k: absent[k] for k in wanted if k in absent}
     for frame in read(k for k in wanted if k not in absent):
         try:
             found[frame.index] = look(frame)
         except NoEvidence as reason:
             reasons[frame.index] = str(reason)
-    return found, reasons
+    return reasons
 
 
 def seen_body(

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated, ClassVar
 
 import torch
@@ -100,13 +100,13 @@ class RefineOptions(ABC):
 class Job:
     """Frames to be refined together."""
 
-    evidence: dict[int, MaskAndNormals]  # by number within ``pose``
+    evidence: Mapping[int, MaskAndNormals]  # by number within ``pose``; perhaps still on disk
     body: BodyModel
     pose: Pose  # stage 1; frames without evidence keep it
     shape: Shape
     options: RefineOptions
     known: Solution | None = None  # of the first round: what all frames share is taken from it
-    fine: dict[int, FinePicture] = field(default_factory=dict)  # for close-ups, of frames as above
+    fine: Mapping[int, FinePicture] = field(default_factory=dict)  # for close-ups, likewise
     following: Sequence[int] = ()  # frames without evidence whose poses follow from the motion
 
     @property
@@ -122,4 +122,5 @@ class Job:
         """Do the work in this process."""
         if not self.evidence:
             return Solution(self.pose, self.shape, torch.zeros_like(self.body.v_template))
-        return self.options.solve(self, progress)
+        here = replace(self, evidence=dict(self.evidence), fine=dict(self.fine))
+        return self.options.solve(here, progress)

@@ -48,6 +48,7 @@ from gva_mi.pose.job import Job, RefineOptions, Solution
 from gva_mi.pose.noise import Noise
 from gva_mi.pose.parallel import Done, run
 from gva_mi.pose.stature import with_height
+from gva_mi.shelf import Shelf
 from gva_mi.splat import Camera
 from gva_mi.threads import one_torch_thread
 
@@ -142,8 +143,8 @@ class _SeenVideo:
     shape: Shape
     cameras: Sequence[Camera]
     options: RefineOptions
-    evidence: dict[int, MaskAndNormals]
-    pictures: dict[int, FinePicture]  # of the frames that have evidence, where there are close-ups
+    evidence: Shelf[MaskAndNormals]
+    pictures: Shelf[FinePicture]  # of the frames that have evidence, where there are close-ups
     kept: dict[int, str]  # frames without evidence, and why
     held_out: dict[int, str]  # test frames that are not looked at
     seconds: float  # of looking
@@ -159,19 +160,20 @@ class _SeenVideo:
         def body_at(outline: Outline) -> Tensor:
             return coarse.body(outline.pose, video.shape).vertices[0]
 
-        def look(outline: Outline) -> tuple[MaskAndNormals, FinePicture | None]:
+        def look(outline: Outline) -> MaskAndNormals:
             points = body_at(outline)
-            picture = None if fine is None else FinePicture.of(outline, fine, points)
-            return MaskAndNormals.of(outline, scale, points), picture
+            whole = MaskAndNormals.of(outline, scale, points)
+            if fine is not None:
+                pictures[outline.index] = FinePicture.of(outline, fine, points)
+            return whole
 
         held_out = _held_out(video, options)
+        evidence, pictures = Shelf(video.folder), Shelf(video.folder)
         frames = [k for k in range(len(video)) if k not in held_out]
         with one_torch_thread(), torch.no_grad():
             scale = common_scale(video, frames, options.size, body_at)
             fine = _fine_scale(video, coarse.body, options, scale)
-            seen, kept = gather(frames, video.absent, video.outlines, look)
-        evidence = {k: whole for k, (whole, _) in seen.items()}
-        pictures = {k: picture for k, (_, picture) in seen.items() if picture is not None}
+            kept = gather(frames, video.absent, video.outlines, look, evidence)
         pose, shape = video.pose.to(torch.float32), Shape(video.shape.betas.to(torch.float32))
         if options.height is not None:
             pose, shape = with_height(coarse.body, pose, shape, video.cameras, options.height)
@@ -198,16 +200,15 @@ class _SeenVideo:
     @property
     def clip_steps(self) -> int:
         """How much work the second round is."""
-        seen = [len(of_clip(clip, self.evidence)) for clip in self.clips]
+        seen = [len(self.evidence.part(clip)) for clip in self.clips]
         return sum(map(self.options.steps_for, seen))
 
     def first_job(self) -> Job | None:
         """What is solved before the clips, if anything is."""
         frames = self.options.first_round(len(self.pose), sorted(self.evidence))
-        evidence = {k: self.evidence[k] for k in frames}
+        evidence, pictures = self.evidence.part(frames), self.pictures.part(frames)
         if not evidence:
             return None
-        pictures = {k: self.pictures[k] for k in frames if k in self.pictures}
         return Job(evidence, self.coarse.body, self.pose, self.shape, self.options, fine=pictures)
 
     def clip_jobs(self, known: Done[Solution] | None) -> list[Job]:
@@ -215,13 +216,13 @@ class _SeenVideo:
         shared = None if known is None else known.result
         return [
             Job(
-                of_clip(clip, self.evidence),
+                self.evidence.part(clip, clip.start),
                 self.coarse.body,
                 poses_of_clip(clip, self.pose),
                 self.shape,
                 self.options,
                 shared,
-                of_clip(clip, self.pictures),
+                self.pictures.part(clip, clip.start),
                 list(of_clip(clip, self.held_out)),
             )
             for clip in self.clips

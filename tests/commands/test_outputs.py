@@ -98,6 +98,7 @@ COMMANDS = {  # with what would be written: {} is a writable folder, whatever is
     "check": "check {subject} --json {}/a.json",
     "gradcheck": "gradcheck --out {}/new",
     "bench": "bench splat --json {}/a.json",
+    "view": "view {run} --poses {subject}/poses.npz --port 0 --out {}/new",
     "prepare": "prepare auto {subject}/poses.npz {}/new --body puppet",
 }
 

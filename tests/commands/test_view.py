@@ -35,6 +35,20 @@ def test_bad_input_is_one_sentence(name, run, subject, turning, tmp_path, monkey
     assert "http" not in out
 
 
+@pytest.mark.parametrize("saved", [False, True])
+def test_a_folder_that_was_tried_stays_where_something_was_saved(
+    saved, run, tmp_path, cli, monkeypatch
+):
+    def stopped(server):
+        if saved:
+            (tmp_path / "out/snapshot_000.png").touch()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("gva_mi.commands.view.pages", stopped)
+    code, _, err = cli("view", run, "--port", "0", "--out", tmp_path / "out")
+    assert code == 0 and not err and (tmp_path / "out").exists() == saved
+
+
 def test_a_video_that_the_run_was_not_fitted_to_is_refused(run, subject, cli):
     about = {"frames": "another", "masks": "", "cameras": "", "poses": "", "splits": ""}
     (run / "options.json").write_text(json.dumps({"options": {}, "video": about}))

@@ -21,4 +21,6 @@ def mutated():
 @pytest.fixture(scope="session")
 def seeds(subject, known):
     """For each reader, what writes its good files into a folder: see seeds.py."""
-    return _module("seeds").seeds(subject, known)
+    ours, estimators = _module("seeds").seeds(subject, known), _module("estimators").estimators()
+    others = _module("datasets").datasets() | _module("networks").networks()
+    return ours | estimators | others

@@ -5,6 +5,7 @@ format whose content is hostile: arrays of other kinds and shapes, keys that are
 that are not finite, headers that claim 100 GB.
 """
 
+import gzip
 import io
 import json
 import pickle
@@ -229,12 +230,21 @@ def png(rng, data):
     return data[:12] + head + struct.pack(">I", zlib.crc32(head)) + data[33:]
 
 
+def spz(rng, data):
+    """The bytes below the compression, of which a header of 16 says most."""
+    if data[:2] != b"\x1f\x8b":
+        return widen(rng, data)
+    way = rng.choice((flip, widen, cut, delete, insert))
+    return gzip.compress(way(rng, gzip.decompress(data)), mtime=0)
+
+
 def ply(rng, data):
     head, end, body = data.partition(b"end_header\n")
     return text(rng, head) + end + body
 
 
 BY_SUFFIX = {
-    ".npy": npy, ".npz": npz, ".json": of_json, ".pkl": pickled, ".pt": of_torch, ".png": png,
-    ".ply": ply, ".txt": text, ".yml": text, ".yaml": text,
+    ".npy": npy, ".npz": npz, ".json": of_json, ".pkl": pickled, ".pk": pickled, ".pt": of_torch,
+    ".pth": of_torch, ".png": png, ".ply": ply, ".spz": spz, ".txt": text, ".yml": text,
+    ".yaml": text,
 }  # fmt: skip

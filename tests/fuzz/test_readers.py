@@ -16,10 +16,11 @@ import pytest
 from gva_mi.errors import InputError
 
 READERS = (
-    "subject", "film", "check", "synth.json", "run", "study", "gaussians", "body", "motion",
-    "footage", "ranges", "hdf5", "wham", "vibe", "gvhmr", "4dhumans", "glamr", "hybrik",
-    "multihmr", "parameters", "romp", "smplerx", "instantavatar", "easymocap", "neuman",
-    "avatarrex",
+    "subject", "views", "true masks", "film", "check", "synth.json", "run", "study", "gaussians",
+    "body", "motion", "footage", "ranges", "hdf5", "wham", "vibe", "gvhmr", "4dhumans", "glamr",
+    "pymafx", "hybrik", "tram", "romp", "multihmr", "smplifyx", "smplerx", "osx", "smplestx",
+    "parameters", "snapshot", "instantavatar", "zju", "easymocap", "easymocap smplx", "avatarrex", "neuman",
+    "exavatar", "sam", "sam of Meta", "onnx", "perceptual",
 )  # fmt: skip
 SECONDS, MEMORY = 20, 3 << 30  # that one file may take
 QUICK, THOROUGH = 12, 400  # files for each reader

@@ -1,6 +1,7 @@
 """A clip in memory: the bare puppet in known poses, seen as masks and normals of few pixels."""
 
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ class Clip:
     pictures: list  # (mask, normals or None) of each frame
     camera: Camera
     absent: dict = field(default_factory=dict)
+    folder: Path = Path()  # where a long one would keep its evidence
 
     def true_mask(self, index):
         return self.pictures[index][0]

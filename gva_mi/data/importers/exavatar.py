@@ -22,9 +22,10 @@ import numpy as np
 
 from gva_mi.data.importers.readings import make_track, seen_from
 from gva_mi.data.importers.recordings import Recording, Wanted
-from gva_mi.data.importers.smplx_json import parameters, pinhole_of, read_json
+from gva_mi.data.importers.smplx_json import CAMERA, PARAMETERS, parameters, pinhole_of
 from gva_mi.data.video import Splits
 from gva_mi.errors import InputError
+from gva_mi.files import read_json
 
 _POSES = ("smplx_optimized/smplx_params_smoothed", "smplx_optimized/smplx_params")
 _SHAPE = "smplx_optimized/shape_param.json"
@@ -42,14 +43,16 @@ def read_exavatar(where: str, folder: Path, wanted: Wanted) -> Recording:
     numbers = [k for k in numbers if (folder / f"frames/{k}.png").is_file()]
     if not numbers:
         raise InputError(f"{poses}: no file has the number of a picture in {folder / 'frames'}")
-    given = parameters(str(poses), [read_json(poses / f"{k}.json") for k in numbers])
-    given["betas"] = np.ravel(np.asarray(read_json(folder / _SHAPE), np.float64))
+    given = parameters(str(poses), [read_json(poses / f"{k}.json", PARAMETERS) for k in numbers])
+    betas = read_json(folder / _SHAPE, "the shape of the person, a list of numbers")
+    given["betas"] = np.ravel(np.asarray(betas, np.float64))
     cameras = [folder / f"cam_params/{k}.json" for k in numbers]
-    found = [read_json(path) for path in cameras]
+    found = [read_json(path, CAMERA) for path in cameras]
     K = np.stack([pinhole_of(str(p), about) for p, about in zip(cameras, found, strict=True)])
     track = make_track(str(poses), "0", np.arange(len(numbers)), given, K)
     R = np.stack([np.reshape(about.get("R", np.eye(3)), (3, 3)) for about in found])
     T = np.stack([np.reshape(about.get("t", np.zeros(3)), 3) for about in found])
+    R, T = R.astype(np.float64), T.astype(np.float64)
     track = replace(seen_from(track, R, T), from_mean_hand=track.has_hands)
     pictures, masks = (
         tuple(folder / f"{part}/{k}.png" for k in numbers) for part in ("frames", "masks")

@@ -107,6 +107,8 @@ def find_betas(where: str, found: Mapping[str, Any]) -> np.ndarray | None:
     if found.get("betas") is None:
         return None
     betas = _numbers(where, "betas", found["betas"])
+    if not betas.size:
+        raise InputError(f"{where}: 'betas' must be finite (B,) or (T, B), got {betas.shape}")
     betas = betas.reshape(betas.shape[-1]) if betas.size == betas.shape[-1] else np.squeeze(betas)
     if betas.ndim not in (1, 2) or not np.isfinite(betas).all():
         raise InputError(f"{where}: 'betas' must be finite (B,) or (T, B), got {betas.shape}")

@@ -10,7 +10,7 @@ import numpy as np
 
 from gva_mi.data.importers.hdf5 import SUFFIXES, rows_of_hdf5
 from gva_mi.data.importers.recordings import Pictures
-from gva_mi.data.pictures import decoded, opened
+from gva_mi.data.pictures import decoded, opened, to_8_bits
 from gva_mi.errors import InputError
 from gva_mi.files import read_array
 
@@ -107,15 +107,13 @@ def _in_order(path: Path) -> tuple[int, str]:
 
 
 def _picture(path: Path, channels: int) -> np.ndarray:
-    from PIL import Image, ImageOps
+    from PIL import ImageOps
 
     with opened(path) as stored:
         image = ImageOps.exif_transpose(stored)
         if channels == 1 and image.mode == "P":
             return (np.asarray(image) > 0) * np.uint8(255)
-        if image.mode.startswith("I") or image.mode == "F":
-            raw = np.asarray(image).astype(np.float64)  # 16-bit
-            image = Image.fromarray((raw / (257 if raw.max(initial=0) > 255 else 1)).astype("u1"))
+        image = to_8_bits(image)
         if channels == 1 and image.mode in ("LA", "RGBA"):
             return np.asarray(image.getchannel("A"))
         return np.asarray(image.convert("RGB" if channels == 3 else "L"))

@@ -22,7 +22,7 @@ from gva_mi.data.importers.recordings import OtherCamera, Recording
 from gva_mi.data.pictures import write_image
 from gva_mi.data.video import spread
 from gva_mi.data.views import VIEWS, save_views
-from gva_mi.errors import InputError
+from gva_mi.errors import InputError, expecting
 from gva_mi.splat import Camera
 
 ALL = "all"  # in the place of names
@@ -77,7 +77,11 @@ def write_views(
     T_video = np.linalg.inv(extrinsic(recording.own.R, recording.own.T)) @ upright
     cameras, shown, seen_by, left_out = [], [], [], []
     for name in names:
-        other = recording.others[name]()
+        at = f"{where}: camera {name}"
+        with expecting(at, "K, R, T and its pictures, as the first camera has them"):
+            other = recording.others[name]()
+            T = extrinsic(other.R, other.T) @ T_video
+            Camera.from_matrices(other.K, T, 1, 1)  # which refuses what no camera has
         places = {k: recording.numbers[k] for k in frames}
         both = [k for k in frames if _is_there(other, places[k])]
         for k in spread(both, each):
@@ -86,11 +90,10 @@ def write_views(
             if cameras and size != (cameras[0].width, cameras[0].height):
                 left_out.append(name)
                 break
-            straight = pinhole(f"{where}: camera {name}", other.K, other.distortion, size)
-            at = f"{len(shown):06d}.png"
-            write_image(out / VIEWS / "frames" / at, straight(image))
-            write_image(out / VIEWS / "masks" / at, straight(mask))
-            T = extrinsic(other.R, other.T) @ T_video
+            straight = pinhole(at, other.K, other.distortion, size)
+            file = f"{len(shown):06d}.png"
+            write_image(out / VIEWS / "frames" / file, straight(image))
+            write_image(out / VIEWS / "masks" / file, straight(mask))
             cameras.append(Camera.from_matrices(other.K, T, *size))
             shown.append(k)
             seen_by.append(name)

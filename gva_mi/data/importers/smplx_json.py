@@ -17,7 +17,6 @@ forks do. All make the body with the package's default, to which the mean hand i
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -30,6 +29,7 @@ from gva_mi.data.importers.readings import View, follow, make_track
 from gva_mi.data.importers.tracks import Track
 from gva_mi.data.importers.whole_videos import last_number
 from gva_mi.errors import InputError
+from gva_mi.files import read_json
 
 NAMES = {
     "root_pose": "global_orient", "body_pose": "body_pose", "jaw_pose": "jaw_pose",
@@ -38,6 +38,8 @@ NAMES = {
     "leye_pose": "leye_pose", "reye_pose": "reye_pose", "shape": "betas", "betas": "betas",
     "trans": "transl", "translation": "transl",
 }  # fmt: skip
+PARAMETERS = "SMPL-X's parameters of a frame (.json)"
+CAMERA = 'a camera such as {"focal": [fx, fy], "princpt": [cx, cy]}'
 _CAMERA = "camera_metadata.json"  # of a fork of SMPLest-X
 _FRAME_PERSON = re.compile(r"(?:^|_)(\d+)_(?:person_?)?\d+$")
 
@@ -46,7 +48,7 @@ def is_osx(found: Any) -> bool:  # noqa: ANN401
     files = _files(found)
     if not files:
         return False
-    first = read_json(files[0])
+    first = read_json(files[0], PARAMETERS)
     params = first.get("smplx_param", first) if isinstance(first, dict) else None
     return isinstance(params, dict) and {"root_pose", "body_pose"} <= set(params)
 
@@ -55,7 +57,7 @@ def read_osx(where: str, found: Path, view: View) -> list[Track]:
     """Who is nearest goes on: such files number the people of each frame anew."""
     frames: dict[int, list[tuple[dict[str, np.ndarray], np.ndarray]]] = {}
     for path in _files(found):
-        content = read_json(path)
+        content = read_json(path, PARAMETERS)
         params = content.get("smplx_param", content)
         frames.setdefault(_frame_of(path), []).append(
             (parameters(str(path), [params]), _lens(path, content))
@@ -122,21 +124,7 @@ def pinhole_of(where: str, about: Mapping[str, Any]) -> np.ndarray:
         )
         return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64)
     except (TypeError, ValueError, AttributeError):
-        raise InputError(
-            f'{where}: expected a camera such as {{"focal": [fx, fy], "princpt": [cx, cy]}}'
-        ) from None
-
-
-def read_json(path: Path) -> Any:  # noqa: ANN401
-    """What a file says.
-
-    Raises:
-        InputError: it is not there, or no JSON.
-    """
-    try:
-        return json.loads(path.read_text())
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"{path}: not readable JSON ({str(error).splitlines()[0]})") from None
+        raise InputError(f"{where}: expected {CAMERA}") from None
 
 
 def _files(found: Any) -> list[Path]:  # noqa: ANN401
@@ -168,4 +156,4 @@ def _lens(path: Path, content: Mapping[str, Any]) -> np.ndarray:
     beside = path.parent / _CAMERA
     if not beside.is_file():
         beside = path.parent.parent / "cam_params" / path.name
-    return pinhole_of(str(beside), read_json(beside))
+    return pinhole_of(str(beside), read_json(beside, CAMERA))

@@ -130,6 +130,9 @@ def every_frame(where: str, track: Track, count: int) -> tuple[Track, np.ndarray
     good &= np.isfinite(track.K).all((1, 2))
     if not good.any():
         raise InputError(f"{where}: person {track.person}: no frame holds finite numbers")
+    focal = track.K[good][:, [0, 1], [0, 1]]
+    if not (focal > 0).all():
+        raise InputError(f"{where}: focal lengths must be above 0 pixels, got {focal.min():g}")
     known, wanted = track.frames[good], np.arange(count)
     rotations, transl = interpolate(
         known.astype(float), track.rotations[good], track.transl[good], wanted.astype(float)

@@ -13,8 +13,6 @@ Both hold arrays alone: a pickle that would run code is refused.
 
 from __future__ import annotations
 
-import json
-import pickle
 import re
 from pathlib import Path
 from typing import Any
@@ -22,6 +20,7 @@ from typing import Any
 import torch
 
 from gva_mi.errors import InputError
+from gva_mi.files import read_json
 
 GET = (
     "a folder as transformers saves it (config.json, model.safetensors), such as "
@@ -79,17 +78,15 @@ def load_network(path: Path) -> torch.nn.Module:
 
 
 def _of_folder(path: Path, transformers: Any) -> torch.nn.Module:  # noqa: ANN401
-    try:
-        kind = json.loads((path / "config.json").read_text())["model_type"]
-    except (OSError, ValueError, KeyError, TypeError):
-        raise InputError(f"{path}: no config.json with a model_type; expected {GET}") from None
-    if kind not in MODELS:
+    about = read_json(path / "config.json", GET)
+    kind = about.get("model_type") if isinstance(about, dict) else None
+    if not isinstance(kind, str) or kind not in MODELS:
         raise InputError(f"{path}: holds a network of the kind {kind}; expected {GET}")
     try:
         return getattr(transformers, MODELS[kind]).from_pretrained(
             path, local_files_only=True, use_safetensors=True, dtype=torch.float32
         )
-    except (OSError, ValueError, RuntimeError, KeyError, TypeError) as error:
+    except Exception as error:  # noqa: BLE001 (safetensors and transformers have their own)
         reason = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{path}: cannot be read ({reason:.120}); expected {GET}") from None
 
@@ -104,8 +101,7 @@ def _of_meta(path: Path, transformers: Any) -> torch.nn.Module:  # noqa: ANN401
         shared = renamed["prompt_encoder.shared_embedding.positional_embedding"]
         renamed["shared_image_embedding.positional_embedding"] = shared
         network.load_state_dict(renamed)
-    except (OSError, pickle.UnpicklingError, RuntimeError, KeyError, AttributeError,
-            ValueError, TypeError, IndexError, EOFError) as error:  # fmt: skip
+    except Exception as error:  # noqa: BLE001 (torch, pickle and transformers have their own)
         reason = " ".join(str(error).split()) or type(error).__name__
         raise InputError(
             f"{path}: no weights of Segment Anything ({reason:.120}); expected {GET}"

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +42,7 @@ from gva_mi.fit.photometric import FITTED, PhotometricOptions, fit_poses
 from gva_mi.fit.tracking import TRACKED_POSES
 from gva_mi.pose.evaluation.figures import PoseFigures
 from gva_mi.pose.evaluation.record import REFINEMENT
+from gva_mi.records import from_json
 
 REFINED = "what `gva-mi refine` writes"  # into REFINEMENT
 
@@ -143,19 +144,9 @@ class Metrics:
     @staticmethod
     def from_json(record: dict[str, Any]) -> Metrics:
         """The inverse of :meth:`to_json`."""
-        training, pose_fit = record["training"], record.get("pose_fit")
-        protocol = record.get("protocol")
-        return Metrics(
-            rows=tuple(SplitScores(**row) for row in record["rows"]),
-            refinement=PoseFigures.from_json(record["refinement"]),
-            training=Training(**training | {"size": tuple(training["size"])}),
-            options=record["options"],
-            versions=record["versions"],
-            protocol=Protocol(**protocol) if protocol else None,
-            similarity=record.get("similarity"),
-            surface=tuple(SurfaceFigures(**x) for x in record.get("surface", ())),
-            pose_fit=PoseFit(**pose_fit) if pose_fit else None,
-        )
+        kept = {f.name: record[f.name] for f in fields(Metrics) if f.name in record}
+        kept["refinement"] = PoseFigures.from_json(record["refinement"])
+        return from_json(Metrics, kept)
 
     def lines(self) -> Iterator[str]:
         """The main figures, a line each."""

@@ -6,7 +6,6 @@ the page can show its avatar. A folder that another program, or other options, l
 
 from __future__ import annotations
 
-import json
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -22,7 +21,7 @@ from gva_mi.console import Progress
 from gva_mi.data.synthetic.closest import closest
 from gva_mi.data.truth import load_truth
 from gva_mi.data.video import POSES, REFINED_POSES, TEST_EVERY, Splits, Video, load_video
-from gva_mi.files import write_json
+from gva_mi.files import says, write_json
 from gva_mi.fit import run_folder
 from gva_mi.fit.evaluation.metrics import Metrics, measure_run, with_fitted_poses
 from gva_mi.fit.evaluation.rows import Row
@@ -122,8 +121,7 @@ class RowRun:
         """Remove a run that holds no longer."""
         held = self.out / MADE_WITH
         if self.out.exists():
-            same = held.exists() and json.loads(held.read_text()) == self.made_with
-            if not same:
+            if not says(held, self.made_with):
                 shutil.rmtree(self.out)
         if not held.exists():
             write_json(held, self.made_with)

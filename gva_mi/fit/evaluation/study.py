@@ -32,7 +32,7 @@ from gva_mi.data.fingerprint import fingerprint
 from gva_mi.data.synthetic.options import NovelPictures, VideoFrames
 from gva_mi.data.truth import load_truth
 from gva_mi.data.video import load_video
-from gva_mi.files import program_digest, versions, write_json
+from gva_mi.files import program_digest, says, versions, write_json
 from gva_mi.fit.evaluation.evaluate import SplitScores
 from gva_mi.fit.evaluation.metrics import Metrics
 from gva_mi.fit.evaluation.row_run import RowRun
@@ -180,7 +180,7 @@ class Recording:
         for number, case in enumerate(self.cases):
             subject = self.options.filming(self.folder).film(case, self.body)
             marker, made_with = subject / PREPARED, self.options.made_with(self.body)
-            if not marker.exists() or json.loads(marker.read_text()) != made_with:
+            if not says(marker, made_with):
                 of_case = self.steps // len(self.cases)
                 told = within(progress, number * of_case, of_case, self.steps)
                 self._refine(subject, case, told)

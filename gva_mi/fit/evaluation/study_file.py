@@ -20,13 +20,11 @@ from pathlib import Path
 from typing import Any
 
 from gva_mi.files import versions, write_json
-from gva_mi.fit.evaluation.evaluate import SplitScores
 from gva_mi.fit.evaluation.paper import TABLES
 from gva_mi.fit.evaluation.study import RowResult
 from gva_mi.fit.evaluation.summary import is_held_out, summaries
-from gva_mi.fit.evaluation.surface_figures import SurfaceFigures
-from gva_mi.pose.evaluation.cases import Case, Take
 from gva_mi.pose.evaluation.study_file import still_holding
+from gva_mi.records import from_json
 
 
 def save_results(
@@ -85,14 +83,5 @@ def _record(result: RowResult) -> dict[str, Any]:
 
 
 def _result(record: dict[str, Any], networks: dict[str, Any]) -> RowResult:
-    case = record["case"]
-    return RowResult(
-        case=Case(**case | {"take": Take(**case["take"])}),
-        row=record["row"],
-        scores=tuple(SplitScores(**row) for row in record["scores"]),
-        surface=tuple(SurfaceFigures(**figures) for figures in record["surface"]),
-        similarity=record["similarity"],
-        networks=networks,
-        seconds=record["seconds"],
-        gaussians=record["gaussians"],
-    )
+    kept = {f.name: record[f.name] for f in fields(RowResult) if f.name != "networks"}
+    return from_json(RowResult, kept | {"networks": networks})

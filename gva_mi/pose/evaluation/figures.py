@@ -6,6 +6,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from typing import Literal
 
+from gva_mi import records
+
 
 @dataclass(frozen=True)
 class Change:
@@ -104,11 +106,11 @@ class PoseFigures:
         for field in fields(PoseFigures):
             if field.name in _CHANGES:
                 key = _CHANGES[field.name]
-                both = record.get(f"{key}_stage1"), record.get(key)
-                figures[field.name] = None if None in both else Change(*both)
+                both = {"stage1": record.get(f"{key}_stage1"), "refined": record.get(key)}
+                figures[field.name] = None if None in both.values() else both
             else:
                 figures[field.name] = record.get(field.name)
-        return PoseFigures(**figures)
+        return records.from_json(PoseFigures, figures)
 
 
 _CHANGES = {  # the key of the refined figure in JSON; that of stage 1 has "_stage1" after it

@@ -21,10 +21,10 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.data.fingerprint import fingerprint
 from gva_mi.errors import expecting
 from gva_mi.files import program_digest, read_json, versions, write_json
-from gva_mi.pose.evaluation.cases import Case, Take
 from gva_mi.pose.evaluation.figures import PoseFigures
 from gva_mi.pose.evaluation.study import CaseResult, StudyOptions
 from gva_mi.pose.evaluation.summary import rows_of
+from gva_mi.records import from_json
 
 Result = TypeVar("Result")
 
@@ -93,8 +93,8 @@ def still_holding(
 
 
 def _result(row: dict[str, Any]) -> CaseResult:
-    case = Case(**row["case"] | {"take": Take(**row["case"]["take"])})
-    return CaseResult(case, row["noise"], PoseFigures.from_json(row["figures"]))
+    kept = {"case": row["case"], "noise": row["noise"]}
+    return from_json(CaseResult, kept | {"figures": PoseFigures.from_json(row["figures"])})
 
 
 def _made_with(body: BodyModel, options: StudyOptions) -> dict[str, Any]:

@@ -1,5 +1,8 @@
 """A motion that is known: somebody who walks, in a world with y up; and how a camera sees it."""
 
+import importlib.util
+from pathlib import Path
+
 import numpy as np
 import pytest
 import roma
@@ -9,7 +12,11 @@ from gva_mi.body.smplx import load_body
 from gva_mi.data.pictures import write_image
 from gva_mi.data.video import load_video
 
-WIDTH, HEIGHT, FRAMES = 64, 48, 5
+spec = importlib.util.spec_from_file_location("filmed", Path(__file__).with_name("filmed.py"))
+filmed = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(filmed)
+
+WIDTH, HEIGHT, FRAMES = filmed.WIDTH, filmed.HEIGHT, filmed.FRAMES
 
 
 @pytest.fixture(scope="session")
@@ -36,6 +43,33 @@ def seen(walk):
     root = torch.from_numpy(rotations[:, 0])
     rotations[:, 0] = roma.rotvec_composition([upright.expand_as(root), root]).numpy()
     return rotations, np.tile([0.1, -0.3, 4.0], (FRAMES, 1))
+
+
+@pytest.fixture
+def world(seen):
+    """In a world that TURN and MOVE take to the camera: roots (T, 3) and pelvises (T, 3)."""
+    rotations, places = seen
+    R = filmed.matrices(filmed.TURN)
+    return filmed.vectors(R.T @ filmed.matrices(rotations[:, 0])), (places - filmed.MOVE) @ R
+
+
+@pytest.fixture
+def thetas(seen, world):
+    """SMPL's poses in that world (T, 72)."""
+    body = np.concatenate([seen[0][:, 1:22], np.ones((FRAMES, 2, 3))], axis=1)
+    return np.concatenate([world[0], body.reshape(FRAMES, 69)], axis=1)
+
+
+@pytest.fixture
+def prepared(tmp_path, cli):
+    """Prepare a data set for the puppet: the subject's folder, and what was said."""
+
+    def run(source, *more, kind="auto"):
+        code, said, err = cli("prepare", kind, source, tmp_path / "s", *filmed.PUPPET, *more)
+        assert code == 0, err
+        return tmp_path / "s", said
+
+    return run
 
 
 @pytest.fixture

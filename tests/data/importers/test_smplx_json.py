@@ -101,7 +101,7 @@ def test_what_is_missing_is_said(tmp_path, seen):
     written(tmp_path / "bare/0.json", bare)
     refused("says no place of the person; expected trans", tmp_path / "bare")
     written(tmp_path / "blind/0.json", params(rotations[0], transl[0]))
-    refused("cam_params/0.json: not readable JSON", tmp_path / "blind")
+    refused("cam_params/0.json: no such file; expected a camera such as", tmp_path / "blind")
     written(tmp_path / "odd/0.json", {"smplx_param": bare | {"trans": [0, 0, 3]}, "cam_param": {}})
     refused(r"expected a camera such as \{\"focal\"", tmp_path / "odd")
     written(tmp_path / "name/a.json", {"smplx_param": bare, "cam_param": {"focal": [1, 1]}})

@@ -227,7 +227,7 @@ def test_what_is_no_checkpoint_is_said_in_one_sentence(tmp_path, capsys):
     (tmp_path / "text.pth").write_text("hello")
     refused(tmp_path / "text.pth", "no weights of Segment Anything")
     (tmp_path / "folder").mkdir()
-    refused(tmp_path / "folder", "no config.json")
+    refused(tmp_path / "folder", "config.json: no such file")
     (tmp_path / "folder/config.json").write_text('{"model_type": "bert"}')
     refused(tmp_path / "folder", "a network of the kind bert")
     (tmp_path / "folder/config.json").write_text('{"model_type": "sam"}')

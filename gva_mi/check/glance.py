@@ -1,0 +1,46 @@
+"""One look at a video before hours of work: does the person stand where the masks are?
+
+``gva-mi check`` looks at everything, and takes as long. This costs a moment, and tells what is far
+off: an inverted T_camera_world, a body in millimetres, a picture plane that sees somebody else's
+place, inverted masks.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from gva_mi.body.smplx import BodyModel
+from gva_mi.data.video import Video, spread
+
+BODY = 22  # joints without face and fingers, which are within a pixel of each other
+FRAMES = 8  # that are looked at
+FEWEST = 0.5  # of the joints lie in the masks; noise and loose clothes leave most of them there
+
+
+@torch.no_grad()
+def glance(video: Video, body: BodyModel) -> str | None:
+    """What is doubtful, with the figure that makes it so; None where nothing is.
+
+    Args:
+        video: opened with the poses that the work begins with.
+        body: the one that its poses are for.
+    """
+    inside = []
+    there = [k for k in range(len(video)) if k not in video.absent]
+    for outline in video.outlines(spread(there, FRAMES)):
+        joints = body(outline.pose, video.shape).joints[0, :BODY].double().numpy()
+        camera, mask = outline.camera, outline.mask > 0.5
+        before = joints @ camera.T_camera_world[2, :3] + camera.T_camera_world[2, 3] > 0
+        with np.errstate(all="ignore"):
+            u, v = np.floor(camera.project(joints)).T
+        seen = before & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+        at = v[seen].astype(int), u[seen].astype(int)
+        inside.append(mask[at].sum() / len(joints))
+    share = float(np.mean(inside))
+    if share >= FEWEST:
+        return None
+    return (
+        f"{video.folder}: doubtful: {share:.0%} of the body's joints lie in the masks, expected "
+        f"most of them; gva-mi check {video.folder} looks for the cause"
+    )

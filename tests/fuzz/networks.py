@@ -1,0 +1,87 @@
+"""Good files of networks that people bring, tiny ones, and who reads them: as in seeds.py.
+
+TorchScript is left out: such a file is a program, and whoever brings one is told to trust it as one
+(docs/sources.md). To damage it is to write another program.
+"""
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from gva_mi.data.networks.normals import Expected, NormalNetwork
+from gva_mi.data.networks.sam_weights import load_network
+from gva_mi.fit.perceptual import Weights, find_weights, lpips
+
+THERE = Path(__file__).parents[1] / "data/networks"
+
+
+def of_tests(name):
+    """A file of tests, for what it writes."""
+    spec = importlib.util.spec_from_file_location(name, THERE / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def networks():
+    """All of them by name."""
+    return {
+        "sam": (sam, lambda folder, _=None: load_network(folder)),
+        "sam of Meta": (sam_of_meta, lambda folder, _=None: load_network(folder / "a.pth")),
+        "onnx": (onnx, read_onnx),
+        "perceptual": (perceptual, lambda folder, _=None: lpips(own_weights(folder))),
+    }
+
+
+def tiny_sam():
+    transformers = pytest.importorskip("transformers")
+    vision = transformers.SamVisionConfig(
+        hidden_size=16, num_hidden_layers=3, num_attention_heads=2, image_size=32, patch_size=8,
+        window_size=2, global_attn_indexes=[1], output_channels=16, mlp_ratio=2.0, num_pos_feats=8,
+    )  # fmt: skip
+    prompts = transformers.SamPromptEncoderConfig(
+        hidden_size=16, image_size=32, patch_size=8, mask_input_channels=8
+    )
+    masks = transformers.SamMaskDecoderConfig(hidden_size=16, mlp_dim=32, iou_head_hidden_dim=12)
+    parts = {"vision_config": vision, "prompt_encoder_config": prompts}
+    return transformers.SamModel(transformers.SamConfig(**parts, mask_decoder_config=masks))
+
+
+def sam(folder):
+    tiny_sam().save_pretrained(folder)
+
+
+def sam_of_meta(folder):
+    torch.save(of_tests("test_segment_anything").metas(tiny_sam()), folder / "a.pth")
+
+
+def onnx(folder):
+    of_tests("test_normal_networks").onnx_file(folder / "a.onnx", (16, 16))
+
+
+def read_onnx(folder, _=None):
+    mask = np.zeros((24, 32), np.float32)
+    mask[4:20, 8:24] = 1
+    network = NormalNetwork(folder / "a.onnx", Expected("icon", (16, 16)))
+    network.see(np.full((24, 32, 3), 99, np.uint8), mask, np.array([8.0, 4, 24, 20]))
+
+
+def perceptual(folder):
+    """AlexNet's sizes, without its numbers."""
+    sizes = {0: (64, 3, 11), 3: (192, 64, 5), 6: (384, 192, 3), 8: (256, 384, 3), 10: (256, 256, 3)}
+    state, heads = {}, {}
+    for k, (layer, (out, given, side)) in enumerate(sizes.items()):
+        state[f"features.{layer}.weight"] = torch.zeros(out, given, side, side)
+        state[f"features.{layer}.bias"] = torch.zeros(out)
+        heads[f"lin{k}.model.1.weight"] = torch.zeros(1, out, 1, 1)
+    torch.save(state, folder / "alexnet.pth")
+    torch.save(heads, folder / "lpips_alex.pth")
+
+
+def own_weights(folder):
+    """Those of a folder alone: this machine may have some, too."""
+    found = find_weights(folder)
+    return Weights(alexnet=found.alexnet, lpips_alex=found.lpips_alex)

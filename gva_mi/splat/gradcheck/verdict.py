@@ -95,13 +95,17 @@ class Report:
     @property
     def verdict(self) -> str:
         """What was found, in one sentence."""
-        wrong, coarse = [], []
+        wrong, coarse, images = [], [], []
         for row in self.rows:
             if not row.passed:
                 few_digits = row.method.endswith("f32") and row.error < COARSE
                 (coarse if few_digits else wrong).append(f"{row.method} of {row.name}")
+                if row.name in IMAGES and not few_digits and row.name not in images:
+                    images.append(row.name)
         found = f"all {len(self.rows)} comparisons pass"
-        if wrong:
+        if images:  # all else follows from it
+            found = f"WRONG: your image differs in {', '.join(images)}, and so do its gradients"
+        elif wrong:
             found = f"WRONG: {', '.join(wrong)}"
         elif coarse:
             found = f"less accurate than allowed: {', '.join(coarse)}"

@@ -33,6 +33,14 @@ def test_lost_digits_are_told_from_mistakes():
     assert "WRONG" in report(row("adjoint f64", 1e-4)).verdict
 
 
+def test_another_picture_is_told_before_its_gradients():
+    image = replace(row(error=0.1), name="color")
+    found = report(row(error=0.1), image, replace(image, method="adjoint f64")).verdict
+    assert "WRONG: your image differs in color, and so do its gradients (" in found
+    # lost digits make no other picture
+    assert "image" not in report(replace(image, error=1e-4)).verdict
+
+
 def test_the_table_marks_what_fails_and_counts_what_was_left_out():
     table = report(row(), row("tangent f32", 1e-4), notes=("no float64",)).table()
     (failed,) = [line for line in table.splitlines() if "FAILS" in line]

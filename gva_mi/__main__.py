@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import select
 import sys
+from contextlib import suppress
 
 from gva_mi import __version__, llvm
 from gva_mi.commands import VERBS, load
@@ -51,6 +52,23 @@ def main(arguments: list[str] | None = None) -> None:
             raise
         print(f"gva-mi: {error.filename}: {error.strerror}; {WHOLE}", file=sys.stderr)
         sys.exit(BAD_INPUT)
+
+
+def run() -> None:
+    """The process of ``gva-mi``: as :func:`main`, and after Ctrl-C at an end at once.
+
+    Dr.Jit and Mitsuba clear up as the process ends. After kernels that were cut short they may
+    crash in that, or wait for ever. Files, locks and workers are cleared up by then.
+    """
+    try:
+        main()
+    except SystemExit as stop:
+        if stop.code == INTERRUPTED:
+            with suppress(OSError):
+                sys.stdout.flush()
+                sys.stderr.flush()
+            os._exit(INTERRUPTED)
+        raise
 
 
 def _explained(error: InputError | ImportError) -> str:
@@ -107,4 +125,4 @@ def _reader_is_gone() -> bool:
 
 
 if __name__ == "__main__":
-    main()
+    run()

@@ -40,6 +40,7 @@ from gva_mi.avatar.canonical import (
 from gva_mi.avatar.light import lit
 from gva_mi.avatar.residual import PoseResidual, ResidualOptions
 from gva_mi.avatar.skin import Skin, diffused
+from gva_mi.avatar.sound import require_sound
 from gva_mi.avatar.stretch import carry_stretched
 from gva_mi.body.kinematics import turn_joints
 from gva_mi.body.polar import carry_frames
@@ -273,6 +274,7 @@ class Avatar(nn.Module):
             stretch=described["options"]["stretch"],
         )
         state = {k: v for k, v in record.items() if k not in ("format", "description")}
+        require_sound(state, described["parents"])
         rig = Rig(
             parents=tuple(described["parents"]),
             body=described["body"],

@@ -16,13 +16,19 @@ import os
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor
+from concurrent.futures import (
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+)
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
 from gva_mi.console import Progress, within
-from gva_mi.errors import InputError
+from gva_mi.errors import InputError, reason_of
 from gva_mi.threads import one_torch_thread
 
 CONNECT = 10  # seconds to wait for a scheduler
@@ -83,7 +89,7 @@ def run(
             if executor is None:
                 yield solve(work, of_piece)
             else:
-                done = futures[number].result()
+                done = _result(futures[number])
                 if of_piece is not None:
                     of_piece(work.steps, work.steps)
                 yield done
@@ -91,6 +97,26 @@ def run(
     finally:
         for future in futures:
             future.cancel()
+
+
+def _result(future: Future[Done[Result]]) -> Done[Result]:
+    """What came of a piece of work that somebody else did.
+
+    Raises:
+        InputError: who did it is gone: killed, out of memory, or no longer reached.
+    """
+    try:
+        return future.result()
+    except Exception as error:
+        # distributed has errors of its own for workers that were lost again and again.
+        theirs = type(error).__module__.split(".")[0] == "distributed"
+        if not theirs and not isinstance(error, BrokenExecutor | CancelledError):
+            raise
+        raise InputError(
+            f"a worker process, or the scheduler, is gone ({reason_of(error)}): killed, or out of "
+            "memory; every file that is there is whole; run it again, with fewer workers where "
+            "memory is short"
+        ) from None
 
 
 @contextmanager

@@ -3,6 +3,9 @@
 import errno
 import json
 import resource
+import shutil
+import subprocess
+import sys
 from contextlib import contextmanager
 
 import numpy as np
@@ -142,6 +145,49 @@ def test_ctrl_c_says_what_goes_on(verb, told, cli, monkeypatch):
     monkeypatch.setattr("gva_mi.__main__.load", lambda verb: stopped)
     code, _, err = cli(verb)
     assert code == 130 and err.startswith("\ngva-mi: stopped; ") and err.endswith(f"{told}\n")
+
+
+@pytest.mark.parametrize("code", [0, 2, 130])
+def test_only_after_ctrl_c_a_process_ends_without_clearing_up(code, monkeypatch):
+    """What Dr.Jit does as a process ends may crash after kernels that were cut short."""
+    from gva_mi import __main__
+
+    def ended(*_):
+        sys.exit(code)
+
+    at_once = []
+    monkeypatch.setattr(__main__, "main", ended)
+    monkeypatch.setattr(__main__.os, "_exit", at_once.append)
+    with pytest.raises(SystemExit):
+        __main__.run()
+    assert at_once == ([130] if code == 130 else [])
+
+
+INTERRUPTED = """
+import os, signal, sys, threading
+import gva_mi.commands.{verb}
+from gva_mi.__main__ import run
+sys.argv = ["gva-mi", *sys.argv[1:]]
+threading.Timer(1.0, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
+run()
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", [
+    "refine {subject} --passes 5000 --size 64", "fit {subject} --out {out}/new --steps 100000",
+    "synth {out}/new --frames 600", "study refine --out {out}/new", "demo --out {out}/new",
+    "track {run} {subject} --passes 5000", "bench splat --repeats 1000", "gradcheck",
+])  # fmt: skip
+def test_ctrl_c_in_the_middle_of_the_work_is_one_sentence(command, subject, known, tmp_path):
+    folder = shutil.copytree(subject, tmp_path / "subject")
+    known.save(tmp_path / "run/avatar.npz")
+    words = command.format(subject=folder, run=tmp_path / "run", out=tmp_path).split()
+    program = [sys.executable, "-c", INTERRUPTED.format(verb=words[0]), *words]
+    ended = subprocess.run(program, capture_output=True, text=True, timeout=120)
+    assert ended.returncode == 130 and "Traceback" not in ended.stderr, ended.stderr
+    assert "gva-mi: stopped; " in ended.stderr and not list(tmp_path.rglob("*.part"))
+    assert not list(tmp_path.glob(".*.lock")) and not (tmp_path / "new/avatar.npz").exists()
 
 
 @pytest.mark.parametrize(

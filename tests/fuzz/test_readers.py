@@ -19,8 +19,8 @@ READERS = (
     "subject", "views", "true masks", "film", "check", "synth.json", "run", "study", "gaussians",
     "body", "motion", "footage", "ranges", "hdf5", "wham", "vibe", "gvhmr", "4dhumans", "glamr",
     "pymafx", "hybrik", "tram", "romp", "multihmr", "smplifyx", "smplerx", "osx", "smplestx",
-    "parameters", "snapshot", "instantavatar", "zju", "easymocap", "easymocap smplx", "avatarrex", "neuman",
-    "exavatar", "sam", "sam of Meta", "onnx", "perceptual",
+    "parameters", "snapshot", "instantavatar", "zju", "easymocap", "easymocap smplx", "avatarrex",
+    "neuman", "exavatar", "sam", "sam of Meta", "onnx", "perceptual",
 )  # fmt: skip
 SECONDS, MEMORY = 20, 3 << 30  # that one file may take
 QUICK, THOROUGH = 12, 400  # files for each reader

@@ -1,6 +1,9 @@
 """Whoever does the work, the result is the same to the bit."""
 
+import os
+import signal
 import sys
+from concurrent.futures import CancelledError, Future
 from dataclasses import replace
 
 import numpy as np
@@ -81,6 +84,70 @@ def test_a_cluster_finds_the_same_bits(alone, clip, body):
         with cluster(local.scheduler_address) as executor:
             found = list(refine_all(subjects(clip), body, executor=executor))
     assert all(same(a, b) for a, b in zip(alone, found, strict=True))
+
+
+@pytest.mark.slow
+def test_a_worker_of_a_cluster_that_is_killed_changes_no_bit(alone, clip, body):
+    """The scheduler gives its work to the other one, and to the one that takes its place."""
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=50
+    ) as local:
+        victims = [next(iter(local.workers.values())).pid]
+
+        def kill(*_, **__):
+            while victims:
+                os.kill(victims.pop(), signal.SIGKILL)
+
+        with cluster(local.scheduler_address) as executor:
+            found = list(refine_all(subjects(clip), body, kill, executor))
+    assert not victims
+    assert all(same(a, b) for a, b in zip(alone, found, strict=True))
+
+
+class Killed:
+    """Work that ends its process."""
+
+    steps = 1
+
+    def solve(self, progress=None):
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+@pytest.mark.slow
+def test_a_worker_that_is_killed_is_one_sentence():
+    with workers(2) as pool, pytest.raises(InputError) as error:
+        list(run([Killed(), Nested()], pool))
+    assert "a worker process, or the scheduler, is gone" in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+KilledWorker = type("KilledWorker", (Exception,), {"__module__": "distributed.scheduler"})
+
+
+@pytest.mark.parametrize("error", [KilledWorker("lost 3 times"), CancelledError()], ids=repr)
+def test_a_scheduler_that_is_gone_is_one_sentence(error):
+    """As futures end whose scheduler was killed, and those whose workers all were."""
+
+    class Gone:
+        def submit(self, function, work):
+            future = Future()
+            future.set_exception(error)
+            return future
+
+    with pytest.raises(InputError, match="a worker process, or the scheduler, is gone"):
+        list(run([Nested()], Gone()))
+
+
+def test_an_error_of_the_work_itself_is_not_taken_for_a_lost_worker():
+    class Broken:
+        def submit(self, function, work):
+            future = Future()
+            future.set_exception(ValueError("a bug"))
+            return future
+
+    with pytest.raises(ValueError, match="a bug"):
+        list(run([Nested()], Broken()))
 
 
 def test_single_frames_are_independent_work(clip, body):

@@ -1,0 +1,56 @@
+"""What every avatar's numbers must be, whatever file they come from: finite, and of one body."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from torch import Tensor
+
+from gva_mi.body.pose import JOINTS
+
+SUM = 0.01  # by which a vertex's skinning weights may miss 1, and by which one may be below 0
+
+
+def require_sound(state: Mapping[str, Tensor], parents: Sequence[int]) -> None:
+    """Refuse what would end in pictures of nothing, or in the middle of the work.
+
+    Args:
+        state: the avatar's tensors by name: gva_mi.avatar.avatar.Avatar.record.
+        parents: of the joints, -1 for the root.
+
+    Raises:
+        ValueError: the first thing that is wrong, by name.
+    """
+    for name, x in state.items():
+        if x.is_floating_point() and not x.isfinite().all():
+            raise ValueError(f"'{name}' holds a number that is not finite")
+    J, V, N = len(JOINTS), len(state["rest_vertices"]), len(state["canonical.means"])
+    shapes = {  # None: any number
+        "rest_joints": (J, 3), "rest_vertices": (V, 3), "rest_weights": (V, J),
+        "rest_faces": (None, 3), "rest_looseness": (V,), "rest_directions": (V, 3, None),
+        "rest_pose_features": (None,), "rest_expression_joints": (J, 3, None),
+        "rest_betas": (None,), "canonical.means": (N, 3), "canonical.quats": (N, 4),
+        "canonical.weights": (N, J), "light": (3,),
+    }  # fmt: skip
+    for name, shape in shapes.items():
+        found = tuple(state[name].shape)
+        fits = len(found) == len(shape) and all(
+            wanted in (None, there) for wanted, there in zip(shape, found, strict=True)
+        )
+        if not fits:
+            wanted = ", ".join("n" if side is None else str(side) for side in shape)
+            raise ValueError(f"'{name}' must be ({wanted}), got {found}")
+    for name, end in (("rest_faces", V), ("rest_pose_features", 9 * (J - 1))):
+        numbers = state[name]
+        outside = numbers.numel() and not 0 <= int(numbers.min()) <= int(numbers.max()) < end
+        if numbers.is_floating_point() or outside:
+            raise ValueError(f"'{name}' must be whole numbers from 0 to {end - 1}")
+    weights = state["rest_weights"]
+    if weights.min() < -SUM or ((weights.sum(1) - 1).abs() > SUM).any():
+        raise ValueError("'rest_weights' must be shares that sum to 1 for each vertex")
+    if (
+        len(parents) != J
+        or parents[0] != -1
+        or any(type(p) is not int or not 0 <= p < k for k, p in enumerate(parents[1:], 1))
+    ):
+        raise ValueError("'parents' must be -1 for the root, and else a joint before the own one")

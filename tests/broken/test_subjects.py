@@ -52,7 +52,7 @@ def test_fit_takes_it_or_says_why(name, copied, no_work, refused_or_taken, tmp_p
     assert (refused is None) == (name in TAKEN or name.startswith(NOT_READ)), refused
     assert refused is None or str(copied) in refused and not (tmp_path / "out/avatar.npz").exists()
     if name in NOT_IN_THE_MASKS:
-        assert any("of the body's joints lie in the masks" in line for line in doubts)
+        assert any("of the body's joints lie in the " in line for line in doubts)
 
 
 @pytest.mark.slow

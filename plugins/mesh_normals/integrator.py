@@ -22,11 +22,12 @@
    - Width of a pixel over its height, ``f_y / f_x``, which Mitsuba's sensors cannot express.
      (Default: 1)
 
-Every shape must be a mesh. One with ``face_normals`` is faceted; any other is smooth, with normals
-averaged from its faces by area (those in a file are not looked at: they would not move with the
-vertices). Vertices of one mesh at one place are one point of its surface, and an edge between them
-is no border. Sensors are ``perspective`` or ``orthographic``, films of any kind, with any
-reconstruction filter and any crop window.
+Every shape must be a mesh, but for ``ellipsoids`` and ``ellipsoidsmesh``, which are not looked at:
+a scene that has them for ``gaussian_splat`` serves here, too. A mesh with ``face_normals`` is
+faceted; any other is smooth, with normals averaged from its faces by area (those in a file are not
+looked at: they would not move with the vertices). Vertices of one mesh at one place are one point
+of its surface, and an edge between them is no border. Sensors are ``perspective`` or
+``orthographic``, films of any kind, with any reconstruction filter and any crop window.
 
 Differentiable parameters, under the names that ``mi.traverse`` gives them: ``*.vertex_positions``
 of every mesh, and ``to_world`` of the sensor. ``mesh_view.py`` tells how.
@@ -50,7 +51,7 @@ from gva_mi_plugins.mesh_normals.pixel_filter import PixelFilter
 from gva_mi_plugins.mesh_normals.projection import Projection
 from gva_mi_plugins.mesh_normals.rays import RayCaster
 from gva_mi_plugins.mesh_normals.surface import Surface
-from gva_mi_plugins.mesh_normals.topology import Topology, meshes_of
+from gva_mi_plugins.mesh_normals.topology import Topology, meshes_of, without_ellipsoids
 
 
 class MeshNormals(mi.ad.integrators.common.ADIntegrator):
@@ -95,7 +96,8 @@ class MeshNormals(mi.ad.integrators.common.ADIntegrator):
             projection = Projection.of(sensor, self.pixel_aspect)
             film = sensor.film()
             filter = Mosaic.of(tiles, film) if tiles else PixelFilter.of(film, spp)
-            caster = RayCaster(scene, surface, projection, self.channels)
+            traced = without_ellipsoids(scene)
+            caster = RayCaster(traced, surface, projection, self.channels)
             density = self.edge_density * max((tile.scale for tile in tiles), default=1.0)
             return MeshView.of(caster, filter, density, self.piercing)
 

@@ -97,12 +97,12 @@ class Topology:
 
 
 def meshes_of(scene: mi.Scene) -> list[mi.Mesh]:
-    """The shapes of a scene, all of which must be meshes.
+    """The shapes of a scene but its ellipsoids; all of them must be meshes.
 
     Raises:
         ValueError: a shape is no mesh, or there is none.
     """
-    meshes = scene.shapes()
+    meshes = [shape for shape in scene.shapes() if not shape.is_ellipsoids()]
     for shape in meshes:
         if not shape.is_mesh():
             raise ValueError(
@@ -110,8 +110,20 @@ def meshes_of(scene: mi.Scene) -> list[mi.Mesh]:
                 f"'{shape.id()}' is {shape.class_name()}"
             )
     if not meshes:
-        raise ValueError("mesh_normals: the scene has no shape")
+        raise ValueError("mesh_normals: the scene has no mesh")
     return meshes
+
+
+def without_ellipsoids(scene: mi.Scene) -> mi.Scene:
+    """A scene that rays can be traced through: itself, or one of its meshes alone.
+
+    With ellipsoids, one scene can feed both plugins. A ray would end at them, so the meshes become
+    a scene of their own, anew for every picture: only the first one is told when they move.
+    """
+    if not any(shape.is_ellipsoids() for shape in scene.shapes()):
+        return scene
+    meshes = {f"mesh{k}": mesh for k, mesh in enumerate(meshes_of(scene))}
+    return mi.load_dict({"type": "scene", **meshes})
 
 
 def _first_faces(meshes: Sequence[mi.Mesh]) -> mi.UInt32:

@@ -245,6 +245,34 @@ def test_other_faces_are_noticed(scenes, integrator):
         np.testing.assert_array_equal(a, b)
 
 
+def test_ellipsoids_are_not_looked_at(scenes, integrator):
+    """One scene feeds both plugins: also where its mesh has moved, or stands behind them."""
+    v, f = scenes.torus()
+    tensor = lambda *rows: mi.TensorXf(np.array(rows, np.float32))
+    before_it = {
+        "type": "ellipsoids", "centers": tensor([0, 0, 1], [0.2, 0, 1]),
+        "scales": tensor([0.3] * 3, [0.3] * 3),
+        "quaternions": tensor([0, 0, 0, 1], [0, 0, 0, 1]), "opacities": tensor([1], [1]),
+        "sh_coeffs": tensor([1, 1, 1], [1, 1, 1]),
+    }  # fmt: skip
+    sensor, weight = scenes.camera(), mi.TensorXf(scenes.weights(48))
+    found = []
+    for others in ({}, {"a": before_it}):
+        scene = mi.load_dict({"type": "scene", **others, "m": scenes.mesh("m", v, f)})
+        parameters = mi.traverse(scene)
+        for shift in (0.0, 0.1):
+            parameters["m.vertex_positions"] = mi.Float((v + shift).ravel().astype(np.float32))
+            parameters.update()
+            view = integrator.view(scene, sensor, 1)
+            found.append((np.array(view.image()), np.array(view.adjoint(weight))))
+    for alone, among in zip(found[:2], found[2:], strict=True):
+        assert alone[0][..., 3].any()
+        np.testing.assert_array_equal(alone[0], among[0])
+        np.testing.assert_array_equal(alone[1], among[1])
+    with pytest.raises(ValueError, match="the scene has no mesh"):
+        integrator.view(mi.load_dict({"type": "scene", "a": before_it}), sensor)
+
+
 def test_what_cannot_be_rendered_is_refused(scenes, integrator):
     v, f = scenes.sphere()
     scene = mi.load_dict({"type": "scene", "m": scenes.mesh("m", v, f)})

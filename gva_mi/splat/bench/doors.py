@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import statistics
 from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
-from gva_mi.splat.bench.timing import Timing, Work, seconds
+from gva_mi.splat.bench.timing import Timing, Work, by_turns
 from gva_mi.splat.gsplat_compat import rasterization
 
 
@@ -31,14 +30,8 @@ def measure_doors(work: Work, calls: int) -> Doors:
     matrices = tuple(torch.tensor(numbers, dtype=dtype)[None] for numbers in (T_camera_world, K))
     call = lambda packed: lambda: _rasterize(plain, matrices, packed)
     ways = (plain.both, call(False), call(True))
-    times: list[list[float]] = [[] for _ in ways]
-    for k in range(calls + 2):  # two that compile and allocate
-        for found, way in zip(times, ways, strict=True):
-            taken = seconds(way)
-            if k >= 2:
-                found.append(taken)
-    beside = lambda k: statistics.median(a / b for a, b in zip(times[k], times[0], strict=True))
-    return Doors(*map(Timing.of, times), beside(1), beside(2))
+    timings, beside = by_turns(ways, calls)
+    return Doors(*timings, *beside[1:])
 
 
 def _rasterize(work: Work, matrices: tuple[Tensor, Tensor], packed: bool) -> None:

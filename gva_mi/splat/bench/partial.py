@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import statistics
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import torch
 
-from gva_mi.splat.bench.timing import Timing, Work, seconds
+from gva_mi.splat.bench.timing import Timing, Work, by_turns
 from gva_mi.splat.gaussians import Gaussians
 from gva_mi.splat.torch_op import render
 
@@ -34,14 +33,8 @@ def measure_partial(work: Work, calls: int) -> Partial:
     names = list(work.scene.gaussians.arrays())
     some = (names, names[-1:], ["means", "quats"])
     ways = [_pass(work, wanted) for wanted in some]
-    times: list[list[float]] = [[] for _ in ways]
-    for k in range(calls + 2):  # two that compile and allocate
-        for found, way in zip(times, ways, strict=True):
-            taken = seconds(way)
-            if k >= 2:
-                found.append(taken)
-    beside = lambda k: statistics.median(a / b for a, b in zip(times[k], times[0], strict=True))
-    return Partial(*map(Timing.of, times), beside(1), beside(2))
+    timings, beside = by_turns(ways, calls)
+    return Partial(*timings, *beside[1:])
 
 
 def _pass(work: Work, wanted: list[str]) -> Callable[[], None]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import drjit as dr
@@ -83,6 +83,22 @@ def seconds(run: Callable[[], None]) -> float:
     run()
     dr.sync_thread()
     return time.perf_counter() - start
+
+
+def by_turns(ways: Sequence[Callable[[], None]], calls: int) -> tuple[list[Timing], list[float]]:
+    """Time several ways in turn, so that the machine's other work falls on all.
+
+    Returns:
+        The timing of each, and the median of how long it takes beside the first.
+    """
+    times: list[list[float]] = [[] for _ in ways]
+    for k in range(calls + 2):  # two that compile and allocate
+        for found, way in zip(times, ways, strict=True):
+            taken = seconds(way)
+            if k >= 2:
+                found.append(taken)
+    beside = [statistics.median(a / b for a, b in zip(own, times[0], strict=True)) for own in times]
+    return [Timing.of(own) for own in times], beside
 
 
 def pairs_of(saved: Saved) -> int:

@@ -40,14 +40,13 @@ from gva_mi.avatar.canonical import (
     disc_quats,
 )
 from gva_mi.avatar.skin import Skin, diffused
-from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND
+from gva_mi.body.pose import EYES, LEFT_HAND, RIGHT_HAND
 from gva_mi.errors import InputError
 from gva_mi.mesh.surface import vertex_normals
 from gva_mi.ranges import Metres, Share, Within, require_ranges
 
-EYES = [JOINTS.index(f"{side}_eye_smplhf") for side in ("left", "right")]
 # In distances of the eyes: a face's radius, and how far below the eyes its middle lies.
-FACE, BELOW_EYES = 1.4, 0.6
+FACE_RADIUS, BELOW_EYES = 1.4, 0.6
 
 Neighbours = Annotated[int, Within(1, 1000)]
 
@@ -202,13 +201,13 @@ def wanted_density(surface: SurfaceMesh, rig: Rig, options: ReinitOptions) -> np
     """How densely points should lie at each vertex of a surface, (V,), 1 where it is flat.
 
     That is (1 + gain · c), with c the curvature between 0 (flat) and 1 (the 95th percentile), and
-    (1 + face gain) times as much in the face: within :data:`FACE` times the distance of the eyes
-    from a place below them.
+    (1 + face gain) times as much in the face: within :data:`FACE_RADIUS` times the
+    distance of the eyes from a place below them.
     """
     left, right = rig.joints[EYES].double().numpy()
     apart = np.linalg.norm(left - right)
     centre = (left + right) / 2 - (0, BELOW_EYES * apart, 0)
-    face = np.linalg.norm(surface.vertices - centre, axis=1) < FACE * apart
+    face = np.linalg.norm(surface.vertices - centre, axis=1) < FACE_RADIUS * apart
     curved = 1 + options.curvature_gain * _curvature(surface)
     return curved * (1 + options.face_gain * face)
 

@@ -32,6 +32,7 @@ PARENTS: tuple[int, ...] = (
 # Which of JOINTS each field of SMPL-X holds. Its fields follow each other in the order of JOINTS.
 ROOT, BODY = slice(0, 1), slice(1, 22)
 JAW, LEFT_EYE, RIGHT_EYE = slice(22, 23), slice(23, 24), slice(24, 25)
+EYES, JAW_AND_EYES = slice(23, 25), slice(22, 25)
 # What a person's numbers stay below by far: radians, metres, standard deviations.
 LARGEST = {"transl": 1e6, "expression": 1e4, "betas": 1e4, "offsets": 10.0}
 LARGEST_ANGLE = 1e3

@@ -92,6 +92,7 @@ def fit(
                 )
             if run.step % options.checkpoint_every == 0 and run.step < options.steps:
                 run_folder.save_state(out, run.state())
+        run.thicken()  # also what the last step has split
     write_arrays(out / run_folder.HISTORY, **run.history)
     if run.poses.trained:
         poses = run.poses.all()
@@ -154,7 +155,7 @@ class Run:
         self.optimizer.zero_grad(set_to_none=True)
         total.backward()
         self.optimizer.step()
-        self.avatar.canonical.thicken(options.finest * self._pixel)
+        self.thicken()
         self.gradients.add(screen, sample.area)
         self.step += 1
         self.poses.step(self.step, sample.frame)
@@ -185,6 +186,10 @@ class Run:
             self.gradients = ScreenGradients(len(self.avatar.canonical))
         elif schedule.looks_up(self.step):
             self.avatar.look_up()
+
+    def thicken(self) -> None:
+        """Let no Gaussian be finer than the pictures are."""
+        self.avatar.canonical.thicken(self.options.finest * self._pixel)
 
     def state(self) -> dict[str, Any]:
         """The whole state of the run, for its checkpoint."""

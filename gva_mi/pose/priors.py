@@ -18,11 +18,11 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from gva_mi.body.pose import JOINTS
+from gva_mi.body.pose import JAW_AND_EYES
 from gva_mi.body.smplx import Rest
 
 # Jaw and eyes are never turned: neither masks nor normals of this size show them.
-FACE = slice(JOINTS.index("jaw"), JOINTS.index("right_eye_smplhf") + 1)
+FACE = JAW_AND_EYES
 
 
 def joint_weights(parents: Sequence[int]) -> Tensor:

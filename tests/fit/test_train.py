@@ -197,7 +197,9 @@ def test_reinitialisation_is_reproducible_and_leaves_a_snapshot(video, body, tmp
 def test_no_gaussian_is_finer_than_the_pictures(video, body, camera, tmp_path):
     """Its pixel, at the distance of the nearest training frame, is one divided by the focal length
     in metres for each metre of distance."""
-    options = replace(OPTIONS, finest=0.7)
+    to_the_end = replace(OPTIONS.schedule, densify_every=STEPS, densify_until=1.0)
+    splits = replace(OPTIONS.densify, grad_threshold=0.0, split_scale=1e-6)
+    options = replace(OPTIONS, finest=0.7, schedule=to_the_end, densify=splits)
     rig = seed_of(body, video, options).rig
     pixel = smallest_pixel(video, rig)
     pelvis = (rig.joints[0] + video.pose.transl[video.splits.train]).numpy()

@@ -21,7 +21,7 @@ from typing import Literal
 import numpy as np
 import torch
 
-from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, Pose, Shape
+from gva_mi.body.pose import EYES, JAW_AND_EYES, JOINTS, LEFT_HAND, RIGHT_HAND, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.truth import POSES, load_truth
 from gva_mi.data.video import Video
@@ -38,8 +38,6 @@ SEEN = 0.25  # share of the hand's vertices, of which about half face the camera
 WRISTS = {side: JOINTS.index(f"{side}_wrist") for side in ("left", "right")}
 FINGERS = {"left": LEFT_HAND, "right": RIGHT_HAND}
 HEAD = JOINTS.index("head")
-EYES = [JOINTS.index(f"{side}_eye_smplhf") for side in ("left", "right")]
-JAW_AND_EYES = [JOINTS.index("jaw"), *EYES]
 
 Detail = Literal["hands", "face"]
 

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 GAUSSIANS, SIZE = 20_000, 512  # px
 VARIABLE, BEST = "OMP_WAIT_POLICY", "PASSIVE"
+OPENMP = ("OMP_", "GOMP_", "KMP_")  # how the names of its settings begin
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,7 @@ def measure_environment(rounds: int, calls: int) -> Environment:
 
 def _steps(calls: int, settings: dict[str, str]) -> list[float]:
     """Milliseconds of each step of a process with these settings and no others of OpenMP's."""
-    own = {k: v for k, v in os.environ.items() if k != VARIABLE}
+    own = {k: v for k, v in os.environ.items() if not k.startswith(OPENMP)}
     places = os.pathsep.join(path for path in sys.path if path)  # where this process finds packages
     environment = own | {"PYTHONPATH": places} | settings
     command = [sys.executable, "-P", __file__, str(calls)]

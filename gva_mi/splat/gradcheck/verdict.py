@@ -103,8 +103,8 @@ class Report:
                 if row.name in IMAGES and not few_digits and row.name not in images:
                     images.append(row.name)
         found = f"all {len(self.rows)} comparisons pass"
-        if images:  # all else follows from it
-            found = f"WRONG: your image differs in {', '.join(images)}, and so do its gradients"
+        if images:  # first: derivatives of another image are others
+            found = f"WRONG: your image differs in {', '.join(images)}; {', '.join(wrong)}"
         elif wrong:
             found = f"WRONG: {', '.join(wrong)}"
         elif coarse:

@@ -61,8 +61,8 @@ class Walk:
     splats: packets.Packets
     format: Format
     ids: Array
-    place: Callable[[Array, int], tuple[Array, Array]]  # of the loop's k, and j: the j-th pair that
-    # is met from there, and whether the tile's list has it
+    # The j-th pair that is met from the loop's k, and whether the tile's list has it.
+    place: Callable[[Array, int], tuple[Array, Array]]
     turn: int  # Gaussians that a turn meets
 
     def begin(self, k: Array) -> list[Array]:

@@ -1,5 +1,6 @@
 import shutil
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from gva_mi.fit.evaluation.evaluate import as_trained, evaluate, evaluate_views,
 from gva_mi.fit.evaluation.scores import PSNR_MAX, Scorer
 from gva_mi.fit.perceptual import Weights
 from gva_mi.fit.renders import render_frame, to_8bit
+from gva_mi.pose.crop import Box
 from gva_mi.splat import look_at
 
 NONE = Weights()  # whatever this machine has
@@ -29,6 +31,30 @@ def test_the_avatar_in_the_pictures_reaches_the_maximum(known, studio, body):
         assert (row.name, row.psnr, row.lpips) == ("known", PSNR_MAX, None)
         assert row.ssim == pytest.approx(1) and row.rand_vgg == 0
         assert row.flicker == (0 if row.split == "test" else None)
+
+
+def test_figures_are_taken_in_the_boxes_of_hands_and_face(known, studio):
+    """Of a picture that is wrong in the face's box alone, no other detail has a worse figure."""
+    hand, face = Box(0, 0, 16, 16), Box(24, 24, 40, 40)
+    details = SimpleNamespace(boxes=lambda _: iter([("hands", hand), ("face", face)]))
+    (view,) = views_of(studio, ("train",))
+
+    class Marked:
+        """The same frames, with a spot in the face's box."""
+
+        def __getattr__(self, name):
+            return getattr(view.video, name)
+
+        def frames(self, numbers):
+            for frame in view.video.frames(numbers):
+                image = frame.image.copy()
+                face.cut(image)[4:8, 4:8] = 1 - face.cut(image)[4:8, 4:8].round()
+                yield replace(frame, image=image)
+
+    marked = replace(view, video=Marked(), details=details)
+    rows = {row.region: row for row in evaluate_views(known, [marked], "x", Scorer(NONE))}
+    assert rows["hands"].psnr == PSNR_MAX and rows["hands"].count == rows["face"].count == 1
+    assert rows["face"].psnr < rows["white"].psnr < PSNR_MAX
 
 
 @pytest.fixture

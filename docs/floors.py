@@ -20,7 +20,7 @@ FLOORS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("ground", "errors, ranges, files, libLLVM, console, pages",
      ("gva_mi", "gva_mi.errors", "gva_mi.ranges", "gva_mi.records", "gva_mi.budget",
       "gva_mi.arrays", "gva_mi.files", "gva_mi.shelf", "gva_mi.lock", "gva_mi.llvm",
-      "gva_mi.console", "gva_mi.page", "gva_mi.threads")),
+      "gva_mi.console", "gva_mi.page", "gva_mi.threads", "gva_mi.processes")),
     ("pickles", "other people's pickles, without running any code", ("gva_mi.pickles",)),
     ("splat records", "Camera, Gaussians, SplatOptions",
      ("gva_mi.splat.camera", "gva_mi.splat.gaussians", "gva_mi.splat.covariances",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import select
 import sys
@@ -15,6 +16,7 @@ from gva_mi.parse import parse
 BAD_INPUT = 2  # exit codes
 INTERRUPTED, BROKEN_PIPE = 130, 141  # a shell's for SIGINT and SIGPIPE
 WHOLE = "every file that is there is whole"
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # a disk, somebody's share of it, a file
 AFTER_STOP = {  # what goes on with the work of a verb
     "fit": "--resume goes on with it",
     "study": "the same command goes on with it",
@@ -44,13 +46,14 @@ def main(arguments: list[str] | None = None) -> None:
     except BrokenPipeError:
         if not _reader_is_gone():
             raise  # it is another pipe that broke, such as that to a worker
-        # Python flushes once more at its end, and would complain: let it write into nothing.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _write_no_more()
         sys.exit(BROKEN_PIPE)
     except OSError as error:  # a disk that is full, a folder that may not be read
-        if error.filename is None or error.strerror is None:
+        if error.strerror is None or (error.filename is None and error.errno not in FULL):
             raise
-        print(f"gva-mi: {error.filename}: {error.strerror}; {WHOLE}", file=sys.stderr)
+        where = error.filename or "the output"
+        print(f"gva-mi: {where}: {error.strerror}; {WHOLE}", file=sys.stderr)
+        _write_no_more()
         sys.exit(BAD_INPUT)
 
 
@@ -115,6 +118,14 @@ def _write_completion(arguments: list[str]) -> None:
 
     commands = {verb: load(verb) for verb in VERBS}
     tyro.extras.subcommand_cli_from_dict(commands, prog="gva-mi", args=arguments)
+
+
+def _write_no_more() -> None:
+    """Let what is printed go nowhere: Python flushes once more at its end, and would complain."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _reader_is_gone() -> bool:

@@ -21,6 +21,7 @@ import numpy as np
 from gva_mi.arrays import arrays_in, read_header, read_npy, require_bytes
 from gva_mi.budget import Budget, Damaged, Refused
 from gva_mi.errors import InputError, reason_of
+from gva_mi.lock import alone_in
 
 LARGEST_TEXT = 1 << 28  # bytes of a JSON file
 PACKAGES = ("gva_mi", "torch", "drjit", "numpy")  # whose versions may change the figures
@@ -134,23 +135,44 @@ def replacing(path: Path) -> Iterator[Path]:
         OSError: as of a disk that is full, with the name of the file.
     """
     path = Path(path)
-    unfinished = path.with_name(path.name + ".part")
+    unfinished = part_of(path)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        yield unfinished
-        unfinished.replace(path)
-    except OSError as error:
-        if error.errno is None:
-            raise
-        raise OSError(error.errno, error.strerror, str(path)) from None  # not every writer names it
+        with naming(path, always=True):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            yield unfinished
+            unfinished.replace(path)
     finally:
         with suppress(OSError):
             unfinished.unlink(missing_ok=True)
 
 
+def part_of(path: Path) -> Path:
+    """Where a file is written before it is whole; what a killed process left is written over."""
+    return path.with_name(path.name + ".part")
+
+
+@contextmanager
+def naming(path: Path, always: bool = False) -> Iterator[None]:
+    """Whatever the disk refuses within is told with the name of a file: not every writer knows it.
+
+    Args:
+        path: the file or folder that is written.
+        always: whether it takes the place of the name that an error has.
+    """
+    try:
+        yield
+    except OSError as error:
+        if error.errno is None or (error.filename is not None and not always):
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from None
+
+
 @contextmanager
 def whole_folder(out: Path, replaced: str | None = None) -> Iterator[Path]:
     """A folder beside ``out`` that becomes ``out`` if all goes well, and vanishes if not.
+
+    A process that is killed leaves its folder behind, and the next one that makes ``out`` removes
+    it. Until then ``out`` is the old one or the new one, whole.
 
     Args:
         out: a new or an empty folder, or one that may be replaced.
@@ -158,24 +180,48 @@ def whole_folder(out: Path, replaced: str | None = None) -> Iterator[Path]:
             once the new one is whole.
 
     Raises:
-        InputError: where ``out`` already holds something, and may not be replaced.
+        InputError: where ``out`` already holds something, and may not be replaced; or another
+            process makes it.
+        OSError: as of a disk that is full, with the name of a file or the folder.
     """
-    if _holds_something(out):
-        if replaced is None or not out.is_dir():
-            raise InputError(f"{out}: already there; expected a new or an empty folder")
-        _require_ours(out, replaced)
+    out = Path(out).absolute()
+    unfinished, old = (out.with_name(f".{out.name}.gva-mi-{what}") for what in ("part", "old"))
     require_writable(out.parent)
-    folder = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
-    folder.chmod(0o755)
-    try:
-        yield folder
-        if replaced is None and _holds_something(out):
-            raise InputError(f"{out}: was made by another process meanwhile; nothing is replaced")
-        if out.exists():
-            shutil.rmtree(out)
-        folder.rename(out)
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
+    with alone_in(out, "gva-mi") as locked:
+        if locked:
+            _clear_up(out, unfinished, old)
+        if _holds_something(out):
+            if replaced is None or not out.is_dir():
+                raise InputError(f"{out}: already there; expected a new or an empty folder")
+            _require_ours(out, replaced)
+        if unfinished.exists():  # where there are no locks, nobody knows whose it is
+            raise InputError(
+                f"{unfinished}: is there already: another process makes {out}, or one was killed "
+                "while it did; remove it where none does"
+            )
+        try:
+            with naming(out):
+                unfinished.mkdir()
+                yield unfinished
+                if replaced is None and _holds_something(out):
+                    raise InputError(
+                        f"{out}: was made by another process meanwhile; nothing is replaced"
+                    )
+                if _holds_something(out):
+                    out.rename(old)
+                unfinished.rename(out)
+        finally:
+            for left in (unfinished, old):
+                shutil.rmtree(left, ignore_errors=True)
+
+
+def _clear_up(out: Path, unfinished: Path, old: Path) -> None:
+    """Remove what :func:`whole_folder` left in a process that was killed."""
+    if old.exists() and not out.exists():  # killed between its last two steps
+        old.rename(out)
+    for left in (unfinished, old):
+        if left.exists():
+            shutil.rmtree(left)
 
 
 def require_room(path: Path, overwrite: bool) -> None:
@@ -220,21 +266,31 @@ def make_room(folder: Path, marker: str, overwrite: bool) -> None:
         InputError: the folder holds something, and may not be replaced or has no marker.
     """
     require_replaceable(folder, marker, overwrite)
-    if _holds_something(folder):
-        shutil.rmtree(folder)
+    if not _holds_something(folder, marker):
+        return
+    for path in folder.iterdir():  # the marker last: who is killed here leaves a folder of ours
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path)
+        elif path.name != marker:
+            path.unlink()
+    shutil.rmtree(folder)
 
 
 def require_replaceable(folder: Path, marker: str, overwrite: bool) -> None:
     """Raise what :func:`make_room` raises, and leave the folder as it is."""
-    if not _holds_something(folder):
+    if not _holds_something(folder, marker):
         return
     if not overwrite:
         raise InputError(f"{folder}: already holds something; give --overwrite to replace it")
     _require_ours(folder, marker)
 
 
-def _holds_something(folder: Path) -> bool:
-    return folder.exists() and not (folder.is_dir() and not any(folder.iterdir()))
+def _holds_something(folder: Path, marker: str | None = None) -> bool:
+    """Whether a folder is not empty; a marker that a killed process was writing is nothing."""
+    if not folder.is_dir():
+        return folder.exists()
+    begun = part_of(folder / marker) if marker else None
+    return any(path != begun for path in folder.iterdir())
 
 
 def _require_ours(folder: Path, marker: str) -> None:

@@ -1,6 +1,8 @@
 """A file is the old one or the new one, whole; one that cannot be read is named."""
 
+import errno
 import json
+import shutil
 import struct
 import zipfile
 
@@ -113,6 +115,72 @@ def test_a_folder_is_replaced_once_the_new_one_is_whole(tmp_path):
         (folder / "marker").write_text("mine")
         (out / "marker").write_text("the other's")
     assert (out / "marker").read_text() == "the other's" and list(tmp_path.iterdir()) == [out]
+
+
+def test_what_a_killed_process_left_of_a_folder_is_removed(tmp_path):
+    out, part, old = (tmp_path / name for name in ("out", ".out.gva-mi-part", ".out.gva-mi-old"))
+    part.mkdir()
+    (part / "half").write_text("new")
+    with whole_folder(out, "marker") as folder:
+        assert folder == part and not list(folder.iterdir())
+        (folder / "marker").write_text("new")
+    assert list(tmp_path.iterdir()) == [out] and (out / "marker").read_text() == "new"
+    out.rename(old)  # as a kill between a folder's last two steps leaves it
+    part.mkdir()
+    with pytest.raises(RuntimeError, match="no source"), whole_folder(out, "marker"):
+        raise RuntimeError("no source")
+    assert list(tmp_path.iterdir()) == [out] and (out / "marker").read_text() == "new"
+    shutil.copytree(out, old)
+    with whole_folder(out, "marker"):
+        pass
+    assert list(tmp_path.iterdir()) == [out] and not list(out.iterdir())
+
+
+def test_one_process_at_a_time_makes_a_folder(tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    with whole_folder(out) as folder:
+        (folder / "marker").write_text("mine")
+        with pytest.raises(InputError, match="out: gva-mi .*writes there"), whole_folder(out):
+            pass
+        with monkeypatch.context() as patch:  # a file system without locks
+
+            def none(*_):
+                raise OSError(errno.ENOLCK, "No locks available")
+
+            patch.setattr("gva_mi.lock.fcntl.flock", none)
+            told = "gva-mi-part: is there already: another process .* remove it where none does"
+            with pytest.raises(InputError, match=told), whole_folder(out):
+                pass
+    assert (out / "marker").read_text() == "mine"
+
+
+def test_a_folder_that_was_being_emptied_is_still_known(tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    start_folder(out, "made.json", False, {})
+    for name in ("a", "z"):
+        (out / f"{name}.png").touch()
+        (out / name).mkdir()
+
+    def killed(self):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr("gva_mi.files.Path.unlink", killed)
+        make_room(out, "made.json", overwrite=True)
+    assert (out / "made.json").exists()
+    make_room(out, "made.json", overwrite=True)
+    assert not out.exists()
+
+
+def test_a_marker_that_was_being_written_is_in_nobody_s_way(tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "made.json.part").write_text("{")
+    start_folder(out, "made.json", False, {})
+    assert [path.name for path in out.iterdir()] == ["made.json"]
+    (out / "made.json").rename(out / "other.json.part")
+    with pytest.raises(InputError, match="already holds something"):
+        start_folder(out, "made.json", False, {})
 
 
 def claiming(shape):

@@ -1,5 +1,6 @@
 """One process writes into a folder; a second is told which, and none has to clean up after one."""
 
+import errno
 import os
 import signal
 import subprocess
@@ -54,6 +55,18 @@ def test_the_folder_may_be_replaced_meanwhile(tmp_path):
         with pytest.raises(InputError, match="writes there"), alone_in(tmp_path / "run", "another"):
             pass
     assert [path.name for path in tmp_path.iterdir()] == ["run"]
+
+
+def test_a_full_disk_keeps_nobody_from_a_lock(tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("gva_mi.lock.os.write", full)
+    with alone_in(tmp_path / "run", "gva-mi fit") as locked:
+        assert locked
+        with pytest.raises(InputError, match="another process writes there"):
+            with alone_in(tmp_path / "run", "another"):
+                pass
 
 
 def test_a_file_that_says_nothing_of_its_holder_is_no_lock(tmp_path):

@@ -25,6 +25,7 @@ import torch
 from gva_mi.body.body_file import kintree_table
 from gva_mi.body.pose import JOINTS
 from gva_mi.errors import InputError
+from gva_mi.files import write_arrays
 
 if TYPE_CHECKING:
     from anny import Anny
@@ -52,9 +53,8 @@ def anny_body(cache: Path | None = None) -> Path:
     path = cache / FILE
     if not path.exists():
         arrays = build_anny()
-        cache.mkdir(parents=True, exist_ok=True)
-        part = path.with_name(f"{path.stem}.{os.getpid()}.npz")  # never half a body in its place
-        np.savez_compressed(part, **arrays)
+        part = path.with_name(f"{path.stem}.{os.getpid()}.npz")  # others may be building it, too
+        write_arrays(part, **arrays)
         part.replace(path)
     return path
 

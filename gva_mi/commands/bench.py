@@ -41,8 +41,9 @@ def bench(
         raise InputError(f"bench {what}: there is no --scene, the body is the command's own")
     if what != "splat" and options.against:
         raise InputError(f"bench {what}: --against is for splat, which has peers")
-    if json_file is not None:
-        require_room(json_file, overwrite=True)
+    for file in (json_file, options.plot):
+        if file is not None:
+            require_room(file, overwrite=True)
     if what == "body":
         found = bench_body(options.repeats, options.seed)
     elif what == "normals":

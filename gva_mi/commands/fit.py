@@ -52,6 +52,7 @@ def fit(
     say_doubt(video, model)
     with alone_in(out, "gva-mi fit"):
         if not resume:
+            run_folder.require_none_begun(out, overwrite)
             make_room(out, run_folder.OPTIONS, overwrite)
         require_writable(out)
         fit_video(video, poses, model, options, out, resume)

@@ -38,7 +38,15 @@ from gva_mi.body.smplx import body_name, load_body
 from gva_mi.data.identity import differing, identity
 from gva_mi.data.video import Video
 from gva_mi.errors import InputError, expecting, reason_of
-from gva_mi.files import read_arrays, read_json, replacing, versions, write_arrays, write_json
+from gva_mi.files import (
+    part_of,
+    read_arrays,
+    read_json,
+    replacing,
+    versions,
+    write_arrays,
+    write_json,
+)
 from gva_mi.splat import Gaussians
 
 AVATAR, CHECKPOINT, HISTORY = "avatar.npz", "checkpoint.pt", "history.npz"
@@ -79,6 +87,15 @@ def prepare(out: Path, options: dict[str, Any], video: Video, resume: bool) -> N
                 "resume it with its own options, or choose another folder"
             )
     require_own_video(out, video)
+
+
+def require_none_begun(out: Path, overwrite: bool) -> None:
+    """Raise an InputError where a run was stopped that could go on, unless it may be replaced."""
+    if not overwrite and (out / OPTIONS).exists() and not (out / AVATAR).exists():
+        raise InputError(
+            f"{out}: holds a run that was stopped; give --resume to go on with it, or --overwrite "
+            "to replace it"
+        )
 
 
 def other_parts(run: Path, video: Video) -> list[str]:
@@ -139,6 +156,12 @@ def load_state(out: Path) -> dict[str, Any] | None:
         return torch.load(path, weights_only=True)
     except Exception as error:
         raise InputError(f"{path}: not a readable checkpoint ({reason_of(error)})") from None
+
+
+def drop_state(out: Path) -> None:
+    """Remove the checkpoint of a run that is finished, and one that a kill left half-written."""
+    for path in (out / CHECKPOINT, part_of(out / CHECKPOINT)):
+        path.unlink(missing_ok=True)
 
 
 def save_snapshot(

@@ -77,6 +77,7 @@ def fit(
     distance = vgg16_loss(options.vgg16) if options.vgg16 else rand_vgg_loss()
     run_folder.prepare(out, options.plain(), video, resume)
     if (out / run_folder.AVATAR).exists():
+        run_folder.drop_state(out)
         return Avatar.load(out / run_folder.AVATAR)
     state = run_folder.load_state(out)
     with one_torch_thread():
@@ -98,7 +99,7 @@ def fit(
         poses = run.poses.all()
         save_poses(out / run_folder.TRAINED_POSES, poses, video.shape, stage=2, focal=video.focal)
     run.avatar.save(out / run_folder.AVATAR)
-    (out / run_folder.CHECKPOINT).unlink(missing_ok=True)
+    run_folder.drop_state(out)
     return run.avatar
 
 

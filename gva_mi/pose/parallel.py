@@ -11,24 +11,18 @@ another one, or on another machine, and gives the same bits everywhere. Work can
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import (
-    BrokenExecutor,
-    CancelledError,
-    Executor,
-    Future,
-    ProcessPoolExecutor,
-)
+from concurrent.futures import CancelledError, Executor, Future
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
 from gva_mi.console import Progress, within
-from gva_mi.errors import InputError, reason_of
+from gva_mi.errors import InputError
+from gva_mi.processes import LOST, lost, processes
 from gva_mi.threads import one_torch_thread
 
 CONNECT = 10  # seconds to wait for a scheduler
@@ -107,16 +101,12 @@ def _result(future: Future[Done[Result]]) -> Done[Result]:
     """
     try:
         return future.result()
-    except Exception as error:
+    except (Exception, *LOST) as error:
         # distributed has errors of its own for workers that were lost again and again.
         theirs = type(error).__module__.split(".")[0] == "distributed"
-        if not theirs and not isinstance(error, BrokenExecutor | CancelledError):
+        if not theirs and not isinstance(error, (*LOST, CancelledError)):
             raise
-        raise InputError(
-            f"a worker process, or the scheduler, is gone ({reason_of(error)}): killed, or out of "
-            "memory; every file that is there is whole; run it again, with fewer workers where "
-            "memory is short"
-        ) from None
+        raise lost(error) from None
 
 
 @contextmanager
@@ -128,13 +118,8 @@ def workers(count: int) -> Iterator[Executor | None]:
         yield None
         return
     threads = max(1, (os.cpu_count() or 1) // count)
-    context = multiprocessing.get_context("spawn")  # Dr.Jit's threads do not survive a fork
-    with ProcessPoolExecutor(count, context, _start_worker, (threads,)) as pool:
-        try:
-            yield pool
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
+    with processes(count, _start_worker, threads) as pool:
+        yield pool
 
 
 @contextmanager

@@ -17,6 +17,7 @@ import numpy as np
 from gva_mi.body.body_file import kintree_table
 from gva_mi.body.pose import JOINTS, LEFT_HAND
 from gva_mi.body.puppet import PUPPET
+from gva_mi.files import write_arrays
 from gva_mi.sculptor.anatomy import EYE, EYE_RADIUS, left_half
 from gva_mi.sculptor.mirror import border_of, mirrored, onto_border, without_chords
 from gva_mi.sculptor.rig import joint_regressor, skinning_weights
@@ -36,9 +37,7 @@ class SculptOptions:
 
 def write_puppet(out: Path = PUPPET) -> None:
     """Write the puppet's file."""
-    part = out.with_suffix(".part.npz")  # never half a body in its place
-    np.savez_compressed(part, **sculpt())
-    part.replace(out)
+    write_arrays(out, **sculpt())
 
 
 def sculpt(options: SculptOptions | None = None) -> dict[str, np.ndarray]:

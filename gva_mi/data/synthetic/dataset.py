@@ -46,7 +46,7 @@ from gva_mi.data.synthetic.shots import CameraEffects, Shot, ShotPool, Taken
 from gva_mi.data.synthetic.subject import Subject, draw_subject
 from gva_mi.data.truth import BODY
 from gva_mi.data.video import TEST_EVERY, Splits, save_cameras
-from gva_mi.files import whole_folder, write_json
+from gva_mi.files import whole_folder, write_arrays, write_json
 from gva_mi.splat import Camera
 
 THINNED = 11  # every 11th vertex is enough to find the ground and to place a camera
@@ -178,7 +178,7 @@ def _write_video(folder: Path, recording: Recording, poses: list[Pose]) -> None:
     save_cameras(folder / "truth" / "cameras.npz", [camera])
     save_poses(folder / "truth" / "poses.npz", pose, subject.shape, stage=0)
     if recording.body is not recording.fitted:
-        np.savez_compressed(folder / "truth" / BODY, **recording.body.arrays())
+        write_arrays(folder / "truth" / BODY, **recording.body.arrays())
     effects = CameraEffects(
         options.blur * options.size / 512, options.sensor_noise,
         room_background(options.size, options.random(BACKGROUND)) if options.background else None,

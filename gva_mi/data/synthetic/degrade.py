@@ -20,7 +20,7 @@ from gva_mi.data.synthetic.closest import closest
 from gva_mi.data.synthetic.estimates import Pipeline, spoil_pictures
 from gva_mi.data.synthetic.recorded import made_of
 from gva_mi.data.truth import load_truth
-from gva_mi.files import whole_folder, write_json
+from gva_mi.files import replacing, whole_folder, write_json
 
 KEPT = ("video.mp4", "frames", "truth", "splits.json")
 
@@ -79,15 +79,14 @@ def degrade(
 
 def _linked(source: Path, target: Path) -> None:
     """The same files at another place: links, or copies where there can be none."""
-
-    def link(a: str, b: str) -> str:
-        try:
-            os.link(a, b)
-        except OSError:
-            shutil.copy2(a, b)
-        return b
-
     if source.is_dir():
-        shutil.copytree(source, target, copy_function=link)
-    else:
-        link(str(source), str(target))
+        target.mkdir(parents=True, exist_ok=True)
+        for path in sorted(source.iterdir()):
+            _linked(path, target / path.name)
+        return
+    target.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        os.link(source, target)
+    except OSError:
+        with replacing(target) as unfinished:
+            shutil.copy2(source, unfinished)

@@ -11,7 +11,7 @@ from gva_mi.data.fingerprint import ABOUT, require_same_body
 from gva_mi.data.synthetic.options import SynthOptions
 from gva_mi.data.synthetic.subject import Subject, draw_subject
 from gva_mi.errors import expecting
-from gva_mi.files import read_json
+from gva_mi.files import read_json, replacing
 
 SURFACE = "truth/surface.ply"  # in the subject's folder
 
@@ -34,7 +34,8 @@ def write_surface(path: Path, person: Subject) -> None:
     import trimesh
 
     mesh = trimesh.Trimesh(person.vertices, person.faces, process=False)
-    path.write_bytes(trimesh.exchange.ply.export_ply(mesh, vertex_normal=False))
+    with replacing(path) as unfinished:
+        unfinished.write_bytes(trimesh.exchange.ply.export_ply(mesh, vertex_normal=False))
 
 
 def drawn_again(subject: Path, body: BodyModel) -> tuple[Subject, BodyModel] | None:

@@ -6,12 +6,13 @@ shot has random numbers of its own, so that any number of workers writes the sam
 
 from __future__ import annotations
 
-import multiprocessing
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Executor, Future
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from gva_mi.data.synthetic.estimates import PictureError, spoil_pictures, write_
 from gva_mi.data.synthetic.noise.pictures import PictureNoise
 from gva_mi.data.synthetic.render import Renderer, Rendering
 from gva_mi.data.synthetic.subject import Subject
+from gva_mi.processes import LOST, lost, processes
 from gva_mi.splat import Camera
 
 
@@ -73,21 +75,19 @@ class ShotPool:
     """
 
     def __init__(self, subject: Subject, workers: int, step: Callable[[], None]) -> None:
-        self._workers, self._step = workers, step
-        self._pool = self._renderer = None
-        if workers > 1:
-            self._pool = ProcessPoolExecutor(
-                workers, multiprocessing.get_context("spawn"), _start_worker, (subject,)
-            )
-        else:
-            self._renderer = Renderer(subject)
+        self._subject, self._workers, self._step = subject, workers, step
+        self._held = ExitStack()
+        self._pool: Executor | None = None
+        self._renderer = Renderer(subject) if workers == 1 else None
 
     def __enter__(self) -> ShotPool:
+        if self._workers > 1:
+            work = processes(self._workers, _start_worker, self._subject)
+            self._pool = self._held.enter_context(work)
         return self
 
-    def __exit__(self, *_: object) -> None:
-        if self._pool is not None:
-            self._pool.shutdown(cancel_futures=True)
+    def __exit__(self, *error: Any) -> None:  # noqa: ANN401
+        self._held.__exit__(*error)
 
     def render(self, shots: Iterable[Shot]) -> Iterator[ShotResult]:
         """Render some shots and write their files; the results come in the order of the shots."""
@@ -95,17 +95,29 @@ class ShotPool:
             for shot in shots:
                 yield self._done(render_shot(self._renderer, shot))
             return
-        waiting: deque = deque()
+        waiting: deque[Future[ShotResult]] = deque()
         for shot in shots:  # few ahead: each holds a surface
             waiting.append(self._pool.submit(_render_in_worker, shot))
             if len(waiting) > 2 * self._workers:
-                yield self._done(waiting.popleft().result())
+                yield self._done(_result(waiting.popleft()))
         while waiting:
-            yield self._done(waiting.popleft().result())
+            yield self._done(_result(waiting.popleft()))
 
     def _done(self, result: ShotResult) -> ShotResult:
         self._step()
         return result
+
+
+def _result(shot: Future[ShotResult]) -> ShotResult:
+    """What came of a picture that another process has drawn.
+
+    Raises:
+        InputError: that process is gone.
+    """
+    try:
+        return shot.result()
+    except LOST as error:
+        raise lost(error) from None
 
 
 def render_shot(renderer: Renderer, shot: Shot) -> ShotResult:

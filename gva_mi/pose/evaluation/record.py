@@ -73,17 +73,21 @@ def _by_split(measured: Measured, refined: Refined) -> dict[str, dict]:
 
 @torch.no_grad()
 def _overlays(evaluation: Evaluation) -> np.ndarray:
-    """Bodies over evenly spaced frames: stage 1 above, refined below."""
+    """Bodies over evenly spaced frames: stage 1 above, refined below.
+
+    Of each frame no more is kept than what is shown: whole, eight of 1080p take a gigabyte.
+    """
     video, body, refined = evaluation.video, evaluation.body, evaluation.refined
     there = [k for k in range(len(video)) if k not in video.absent]
-    frames = list(video.frames(spread(there, SHOWN)))
-    seen = np.any([frame.mask > 0.5 for frame in frames], axis=0)
+    shown = spread(there, SHOWN)
+    seen = np.any([outline.mask > 0.5 for outline in video.outlines(shown)], axis=0)
     part = around(seen, margin=len(seen) // 16)
-    rows = []
     stage1 = (video.pose, video.shape, video.cameras)
     found = (refined.pose, refined.shape, refined.cameras or video.cameras)
-    for pose, shape, cameras in (stage1, found):
-        bodies = [body(pose[frame.index], shape).vertices[0] for frame in frames]
-        pairs = zip(frames, bodies, strict=True)
-        rows.append([overlay(f.image, cameras[f.index], v, body.faces)[part] for f, v in pairs])
+    rows = ([], [])
+    for frame in video.frames(shown):
+        for row, (pose, shape, cameras) in zip(rows, (stage1, found), strict=True):
+            vertices = body(pose[frame.index], shape).vertices[0]
+            picture = overlay(frame.image, cameras[frame.index], vertices, body.faces)
+            row.append(picture[part].copy())
     return strip(rows)

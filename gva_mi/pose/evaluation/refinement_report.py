@@ -227,10 +227,10 @@ def _frames(title: str, text: str, shown: list[int], evaluation: Evaluation) -> 
     }
     if truth is not None:
         people["true pose"] = (truth.body, truth.pose, truth.shape, truth.cameras)
-    pictures, frames = [], list(video.frames(shown))
-    seen = np.any([frame.mask > 0.5 for frame in frames], axis=0)
+    pictures = []
+    seen = np.any([outline.mask > 0.5 for outline in video.outlines(shown)], axis=0)
     part = around(seen, margin=len(seen) // 12)
-    for frame in frames:
+    for frame in video.frames(shown):
         panels = [_overlay(frame, *person)[part] for person in people.values()]
         caption = f"frame {frame.index}: {_caption(frame.index, evaluation.measured)}"
         pictures.append(picture(caption, strip([[frame.image[part], *panels]])))

@@ -41,7 +41,7 @@ def silhouette_iou(
     scene = MeshScene(body.faces, body.v_template)
     iou = torch.full((len(pose),), torch.nan)
     with one_torch_thread():
-        for frame in video.frames(k for k in range(len(video)) if k not in video.absent):
+        for frame in video.outlines(k for k in range(len(video)) if k not in video.absent):
             mask = video.true_mask(frame.index) if true_masks else frame.mask
             if mask is None:
                 continue

@@ -20,6 +20,7 @@ import torch
 from torch import Tensor
 
 from gva_mi.errors import InputError
+from gva_mi.files import replacing
 from gva_mi.splat.bench import gsplat_peer, opensplat_peer
 from gva_mi.splat.bench.machine import Limits
 from gva_mi.splat.bench.stages import measure_stages
@@ -111,8 +112,8 @@ class Comparison:
         axes.set_title("dashed, dotted: this machine's limits for gva_mi", fontsize=10)
         axes.grid(which="both", alpha=0.2)
         figure.legend(loc="outside lower center", ncols=5, fontsize=9)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=150)
+        with replacing(path) as unfinished:
+            figure.savefig(unfinished, dpi=150, format=path.suffix[1:])
 
     def lines(self) -> dict[str, list[tuple[int, float]]]:
         """(Gaussians, ms) of each that was timed, ours first."""

@@ -87,10 +87,15 @@ def write_image(path: Path, image: np.ndarray) -> None:
     """Write a picture, floats in [0, 1] or 8-bit, grey (H, W), RGB (H, W, 3) or RGBA (H, W, 4)."""
     from PIL import Image
 
-    if image.dtype != np.uint8:
-        image = np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)
     with replacing(path) as unfinished:
-        Image.fromarray(image).save(unfinished, FORMAT_OF[Path(path).suffix.lower()])
+        Image.fromarray(in_8_bits(image)).save(unfinished, FORMAT_OF[Path(path).suffix.lower()])
+
+
+def in_8_bits(image: np.ndarray) -> np.ndarray:
+    """A picture of floats in [0, 1] as one of 8 bits; one that is already, as it is."""
+    if image.dtype == np.uint8:
+        return image
+    return np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)
 
 
 def require_picture(path: Path, overwrite: bool) -> None:
@@ -170,8 +175,7 @@ def write_movie(
         stream.pix_fmt = "rgb24" if lossless else "yuv420p"
         stream.options = LOSSLESS if lossless else PLAYABLE
         for k, image in enumerate(images):
-            if image.dtype != np.uint8:
-                image = np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)
+            image = in_8_bits(image)
             if not lossless:  # 4:2:0 wants even sizes
                 image = image[: image.shape[0] // 2 * 2, : image.shape[1] // 2 * 2]
             if k == 0:

@@ -59,10 +59,15 @@ def shaded(vertices: Tensor, faces: Tensor, angle: float, size: int = 300) -> np
 
 
 def strip(rows: list[list[np.ndarray]], gap: int = 4) -> np.ndarray:
-    """Pictures of one size laid out in rows on white, such as before above after."""
+    """Pictures of one size laid out in rows on white, such as before above after.
+
+    All are floats in [0, 1], or all 8-bit, and so is what is returned, (H, W, 3).
+    """
     height, width = rows[0][0].shape[:2]
     columns = max(len(row) for row in rows)
-    canvas = np.ones((len(rows) * (height + gap) - gap, columns * (width + gap) - gap, 3), "f4")
+    size = (len(rows) * (height + gap) - gap, columns * (width + gap) - gap, 3)
+    eight = rows[0][0].dtype == np.uint8
+    canvas = np.full(size, 255 if eight else 1, np.uint8 if eight else np.float32)
     for i, row in enumerate(rows):
         for j, picture in enumerate(row):
             top, left = i * (height + gap), j * (width + gap)

@@ -22,7 +22,7 @@ import numpy as np
 import torch
 
 from gva_mi.body.pose import save_poses
-from gva_mi.data.pictures import write_image
+from gva_mi.data.pictures import in_8_bits, write_image
 from gva_mi.data.video import REFINED_POSES, spread
 from gva_mi.files import write_json
 from gva_mi.mesh.overlay import overlay, strip
@@ -75,7 +75,8 @@ def _by_split(measured: Measured, refined: Refined) -> dict[str, dict]:
 def _overlays(evaluation: Evaluation) -> np.ndarray:
     """Bodies over evenly spaced frames: stage 1 above, refined below.
 
-    Of each frame no more is kept than what is shown: whole, eight of 1080p take a gigabyte.
+    Of each frame no more is kept than what is shown, in 8 bits: eight of 1080p, whole and as floats,
+    take a gigabyte.
     """
     video, body, refined = evaluation.video, evaluation.body, evaluation.refined
     there = [k for k in range(len(video)) if k not in video.absent]
@@ -89,5 +90,5 @@ def _overlays(evaluation: Evaluation) -> np.ndarray:
         for row, (pose, shape, cameras) in zip(rows, (stage1, found), strict=True):
             vertices = body(pose[frame.index], shape).vertices[0]
             picture = overlay(frame.image, cameras[frame.index], vertices, body.faces)
-            row.append(picture[part].copy())
+            row.append(in_8_bits(picture[part]))
     return strip(rows)

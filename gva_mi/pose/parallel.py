@@ -15,14 +15,14 @@ import os
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import CancelledError, Executor, Future
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
 from gva_mi.console import Progress, within
 from gva_mi.errors import InputError
-from gva_mi.processes import LOST, lost, processes
+from gva_mi.processes import lost, processes
 from gva_mi.threads import one_torch_thread
 
 CONNECT = 10  # seconds to wait for a scheduler
@@ -101,10 +101,10 @@ def _result(future: Future[Done[Result]]) -> Done[Result]:
     """
     try:
         return future.result()
-    except (Exception, *LOST) as error:
+    except Exception as error:
         # distributed has errors of its own for workers that were lost again and again.
         theirs = type(error).__module__.split(".")[0] == "distributed"
-        if not theirs and not isinstance(error, (*LOST, CancelledError)):
+        if not theirs and not isinstance(error, BrokenExecutor | CancelledError):
             raise
         raise lost(error) from None
 

@@ -47,7 +47,7 @@ class Ended:
         """The one that a person reads, if all the rest is progress."""
         assert "Traceback" not in self.err, self.err
         lines = self.err.replace("\r", "\n").split("\n")
-        said = [line for line in lines if line.strip() and "%|" not in line]
+        said = [line for line in lines if line.strip() and not re.search(r"\d+% ", line)]
         assert len(said) == 1 and said[0].startswith("gva-mi: "), self.err
         return said[0]
 

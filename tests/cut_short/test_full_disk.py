@@ -30,7 +30,7 @@ COMMANDS = {  # and with which options a sentence may ask to be called again
     "an avatar": ("export {}/run --no-rig --out {}/new.npz", OVERWRITE),
     "a film": ("export {}/run --size 32 32 --out {}/new.mp4", OVERWRITE),
     "a folder": ("export {}/run --out {}/new", OVERWRITE),
-    "motion": ("motion {}/subject/poses.npz {}/new.npz", OVERWRITE),
+    "motion": ("motion {}/subject/poses.npz {}/new.npz --source-fps 30", OVERWRITE),
     "body": ("body --out {}/new.npz", OVERWRITE),
     "gradcheck": ("gradcheck --scene {}/scene.npz --window 8 --count 1 --out {}/new", ()),
     "bench": ("bench body --repeats 1 --json {}/new.json", ()),
@@ -40,7 +40,7 @@ COMMANDS = {  # and with which options a sentence may ask to be called again
         f"study avatar --out {{}}/new --frames 8 --novel 1 {SEEN} {AVATAR} --rows full", ()
     ),
 }  # fmt: skip
-QUICK = ("check", "a surface", "Gaussians", "poses", "an avatar", "a folder", "motion")
+QUICK = ("a surface", "Gaussians", "poses", "an avatar", "a folder", "motion")
 ROOMS = 3  # between nothing and enough
 
 

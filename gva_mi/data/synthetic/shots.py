@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Executor, Future
+from concurrent.futures import BrokenExecutor, Executor, Future
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +22,7 @@ from gva_mi.data.synthetic.estimates import PictureError, spoil_pictures, write_
 from gva_mi.data.synthetic.noise.pictures import PictureNoise
 from gva_mi.data.synthetic.render import Renderer, Rendering
 from gva_mi.data.synthetic.subject import Subject
-from gva_mi.processes import LOST, lost, processes
+from gva_mi.processes import lost, processes
 from gva_mi.splat import Camera
 
 
@@ -116,7 +116,7 @@ def _result(shot: Future[ShotResult]) -> ShotResult:
     """
     try:
         return shot.result()
-    except LOST as error:
+    except BrokenExecutor as error:
         raise lost(error) from None
 
 

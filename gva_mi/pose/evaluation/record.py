@@ -75,8 +75,8 @@ def _by_split(measured: Measured, refined: Refined) -> dict[str, dict]:
 def _overlays(evaluation: Evaluation) -> np.ndarray:
     """Bodies over evenly spaced frames: stage 1 above, refined below.
 
-    Of each frame no more is kept than what is shown, in 8 bits: eight of 1080p, whole and as floats,
-    take a gigabyte.
+    Of each frame no more is kept than what is shown, in 8 bits: eight of 1080p, whole and as
+    floats, take a gigabyte.
     """
     video, body, refined = evaluation.video, evaluation.body, evaluation.refined
     there = [k for k in range(len(video)) if k not in video.absent]

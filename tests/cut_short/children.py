@@ -49,7 +49,9 @@ class Counter:
 def work(task):
     """What a child does; returns its exit code."""
     from gva_mi.__main__ import main
+    from gva_mi.splat.kernels.exclusive import exclusive
 
+    exclusive._forked = False  # Dr.Jit was imported, but has started no thread that could be missed
     signal.alarm(PATIENCE)
     if task["room"] is not None:  # of any file, bytes
         _, most = resource.getrlimit(resource.RLIMIT_FSIZE)

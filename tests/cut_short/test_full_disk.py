@@ -62,11 +62,12 @@ def test_a_full_disk_is_one_sentence_and_the_next_run_goes_on(name, stage):
     for room in rooms(sizes, stage.sizes()):
         before = stage.set_up()
         full = stage.run(command, room=room)
-        assert full.code == 2 and "File too large" in full.sentence, (room, full.err)
-        stage.require_whole(before, wanted)
-        left = stage.contents().keys() - before.keys() - wanted.keys()
-        assert all(file.endswith("checkpoint.pt") for file in left), (room, left)
-        stage.finish(command, options)
+        if room == 0 or full.code != 0:  # links to large files need no room
+            assert full.code == 2 and "File too large" in full.sentence, (room, full.err)
+            stage.require_whole(before, wanted)
+            left = stage.contents().keys() - before.keys() - wanted.keys()
+            assert all(file.endswith("checkpoint.pt") for file in left), (room, left)
+            stage.finish(command, options)
         found = stage.contents()
         assert found.keys() == wanted.keys(), room
         assert not [file for file in wanted if found[file] != wanted[file]], room

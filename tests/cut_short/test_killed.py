@@ -19,7 +19,7 @@ COMMANDS = {  # and with which options a sentence may ask to be called again
         "--masks {}/subject/masks", OVERWRITE
     ),
     "refine": ("refine {}/subject --passes 1 --size 48", OVERWRITE),
-    "fit": (f"fit {{}}/subject --out {{}}/new {FIT}", ("--resume",)),
+    "fit": (f"fit {{}}/subject --out {{}}/new {FIT}", ("--resume", *OVERWRITE)),
     "evaluate": ("evaluate {}/run {}/subject", ()),
     "track": ("track {}/run/avatar.npz {}/subject --passes 1", OVERWRITE),
     "render": (

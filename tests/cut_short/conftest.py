@@ -19,7 +19,7 @@ from gva_mi.fit.options import FitOptions
 from gva_mi.fit.train import fit
 from gva_mi.splat.scene import random_scene
 
-NEVER_ALIKE = re.compile(r"seconds|milliseconds|minutes")  # keys of what is measured in time
+NEVER_ALIKE = re.compile(r"seconds|^s a frame$")  # keys of what is measured in time
 GROWING = ("new/refine.json", "new/avatar.json")  # case by case: they need not be finished
 
 

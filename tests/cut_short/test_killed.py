@@ -1,5 +1,6 @@
 """kill -9 at any moment: the next run goes on, or says what to do; and ends with the same bits."""
 
+import json
 import signal
 
 import numpy as np
@@ -58,3 +59,19 @@ def test_a_killed_command_is_run_again_and_ends_with_the_same_bits(name, stage):
         found = stage.contents()
         assert found.keys() == wanted.keys(), moment
         assert not [file for file in wanted if found[file] != wanted[file]], moment
+
+
+@pytest.mark.slow
+def test_what_a_killed_study_had_found_is_not_computed_again(stage):
+    command = f"{COMMANDS['study refine'][0]} --noise 1 0.5"
+    _, undisturbed = stage.whole(command)
+    stage.set_up()
+    # After that there are three changes: the second result's file is named, its part and the lock
+    # are removed.
+    stage.run(command, last=undisturbed.changes - 3)
+    figures = stage.folder / "new/refine.json"
+    (first,) = json.loads(figures.read_text())["cases"]
+    ended = stage.run(command)
+    assert ended.code == 0 and "1 cases are in" in ended.out
+    cases = json.loads(figures.read_text())["cases"]
+    assert len(cases) == 2 and first in cases  # with the seconds that it took

@@ -23,7 +23,7 @@ from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.splat import Camera, look_at
 
 WIDTH, HEIGHT, FEW, MANY, LONG = 1920, 1080, 30, 90, 2000
-FEW_SOLVED, MANY_SOLVED = 150, 450  # refined and fitted: both are cut into clips
+FEW_SOLVED, MANY_SOLVED = 125, 250  # refined and fitted: both are cut into clips
 TURN = 30  # frames after which the puppet's pictures come again
 MOST = 4 << 30  # bytes
 WORKERS = 2

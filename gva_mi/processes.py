@@ -72,7 +72,7 @@ def _ctrl_c_held() -> Iterator[None]:
         yield
     finally:
         if here:
-            signal.signal(signal.SIGINT, handler)
+            signal.signal(signal.SIGINT, handler or signal.SIG_DFL)  # None: of a program in C
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         if came:
             signal.raise_signal(signal.SIGINT)

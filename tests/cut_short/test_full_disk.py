@@ -1,5 +1,9 @@
 """A full disk, in every step: one sentence, no half-written file, and the next run goes on."""
 
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -73,3 +77,12 @@ def test_a_full_disk_is_one_sentence_and_the_next_run_goes_on(name, stage):
         assert found.keys() == wanted.keys(), room
         other = [file for file in wanted if found[file] != wanted[file]]
         assert other in ([], [NEVER_ALIKE.get(name)]), room
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
+def test_what_is_printed_onto_a_full_disk_is_one_sentence():
+    with Path("/dev/full").open("w") as full:
+        program = [sys.executable, "-m", "gva_mi", "--help"]
+        ended = subprocess.run(program, stdout=full, stderr=subprocess.PIPE, text=True)
+    assert ended.returncode == 2 and ended.stderr.count("\n") == 1, ended.stderr
+    assert ended.stderr.startswith("gva-mi: the output: No space left on device; ")

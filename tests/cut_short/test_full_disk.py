@@ -38,7 +38,6 @@ COMMANDS = {  # and with which options a sentence may ask to be called again
     "body": ("body --out {}/new.npz", OVERWRITE),
     "gradcheck": ("gradcheck --scene {}/scene.npz --window 8 --count 1 --out {}/new", ()),
     "bench": ("bench body --repeats 1 --json {}/new.json", ()),
-    "demo": ("demo --out {}/new --frames 6 --size 48 --steps 3 --no-refine", OVERWRITE),
     "study refine": (f"study refine --out {{}}/new --frames 2 {SEEN}", ()),
     "study avatar": (
         f"study avatar --out {{}}/new --frames 8 --novel 1 {SEEN} {AVATAR} --rows full", ()

@@ -98,7 +98,10 @@ def refine(
             folder = evaluation.video.folder
             if report:
                 _write_report(evaluation, printed, executor)
-            for line in (*in_words(evaluation.refined.noise), *evaluation.measured.means.lines()):
+            refined = evaluation.refined
+            for line in in_words(refined.noise, refined.footing):
+                say(line)
+            for line in evaluation.measured.means.lines():
                 say(line)
             say(f"poses: {folder / REFINED_POSES}; overlays: {folder / OVERLAYS}")
             if report:

@@ -96,6 +96,7 @@ class PictureEvidence:
     The avatar does not change, so the frames share no unknowns.
     """
 
+    soles: None = None
     shared: Sequence[tuple[Tensor, float]] = ()
     size_known: bool = True  # the avatar's
     unseen: Sequence[int] = ()

@@ -10,7 +10,8 @@ show weakly would hardly move if they shared their steps with the others.
 
 The coordinates ``u`` (by ``M``), and the energy that corrections cost, come from what is believed
 of this video (:mod:`gva_mi.pose.inference`, :mod:`gva_mi.pose.belief`), and the energy from what
-bodies can do, too (:mod:`gva_mi.pose.anatomy`). ``δ⁰`` are corrections that are known before: those
+bodies can do, too (:mod:`gva_mi.pose.anatomy`), and from the ground they stand on
+(:mod:`gva_mi.pose.ground`). ``δ⁰`` are corrections that are known before: those
 of the greatest probability when no picture has been looked at, and later those that were found
 before beliefs changed.
 """
@@ -18,6 +19,7 @@ before beliefs changed.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import roma
 import torch
@@ -25,6 +27,7 @@ from torch import Tensor
 
 from gva_mi.body.pose import Pose
 from gva_mi.pose.anatomy import Anatomy
+from gva_mi.pose.ground import Ground, Soles
 from gva_mi.pose.inference import JOINTS, PELVIS, Beliefs, from_pictures, from_stage1
 from gva_mi.pose.stage1 import Stage1, turns_between
 
@@ -104,6 +107,14 @@ class Corrections:
         beliefs = from_pictures(self.beliefs, self._stage1, turns, moves)
         return Corrections(self._stage1, self._anatomy, beliefs, turns, moves)
 
+    @torch.no_grad()
+    def stand_on(self, soles: Soles) -> None:
+        """From now on, soles cost what they are off the ground that these corrections show."""
+        stage1 = self._stage1
+        pose = self.pose(range(len(self.moves)))
+        ground = Ground.under(soles, pose, stage1.times, stage1.R_camera_world)
+        self.beliefs = replace(self.beliefs, ground=ground)
+
     def pose(self, which: Sequence[int]) -> Pose:
         """Eq. 1 for some of the frames, differentiable in the leaves.
 
@@ -127,6 +138,9 @@ class Corrections:
         nats = nats + beliefs.place.energy(of_place, places, places)
         rotations = roma.rotvec_composition([self._stage1.pose.rotations, own])
         nats = nats + self._anatomy.energy(rotations, self._stage1.times)
+        if beliefs.ground is not None:
+            transl = self._stage1.pose.transl + moves @ self._stage1.R_camera_world
+            nats = nats + beliefs.ground.energy(rotations, transl)
         held = self._held(turns[:, pelvis].mean((0, 1)), None if size_known else moves.mean(0))
         return nats / len(moves) + held
 

@@ -32,6 +32,7 @@ from gva_mi.console import Progress
 from gva_mi.errors import InputError
 from gva_mi.pose.anatomy import Anatomy
 from gva_mi.pose.corrections import Corrections
+from gva_mi.pose.ground import Soles
 from gva_mi.pose.inference import Beliefs
 from gva_mi.pose.priors import turn_rates
 from gva_mi.pose.stage1 import Stage1
@@ -60,6 +61,7 @@ class Evidence(Protocol):
         frames: numbers of the frames that say something.
         camera: of one of them; corrections are made along its axes.
         anatomy: of the person's joints.
+        soles: of the person, as far as the shape is known by now; None: nothing holds the feet.
         shared: the leaves ``s``, each with its learning rate; often none.
         size_known: whether the person's size is known, so that pictures tell how far away they are.
         unseen: joints that it does not show for now: their turns stay the likeliest.
@@ -68,6 +70,7 @@ class Evidence(Protocol):
     frames: Sequence[int]
     camera: Camera
     anatomy: Anatomy
+    soles: Soles | None
     shared: Sequence[tuple[Tensor, float]]
     size_known: bool
     unseen: Sequence[int]
@@ -158,13 +161,15 @@ def descend(
     seen = [i for i, k in enumerate(frames) if k not in set(following)]
     batches = [[seen[i] for i in batch] for batch in _batches(len(seen), options)]
     learnt = options.learn * len(batches) // options.passes
-    nat = GUESSED * options.nat
+    nat, a_pass = GUESSED * options.nat, len(batches) // options.passes
     for step, batch in enumerate(batches):
         if step in (learnt, int(AGAIN * learnt)):
             if step == learnt:
                 evidence.come_closer()
             corrections, nat = corrections.told_by(*corrections.found()), options.nat
             adam = optimiser(corrections, arms, options, evidence.unseen, evidence.shared)
+        if step >= learnt and evidence.soles is not None and step % a_pass == learnt % a_pass:
+            corrections.stand_on(evidence.soles)
         loss = evidence.loss([frames[i] for i in batch], corrections.pose(batch))
         loss = loss + nat * corrections.energy(evidence.size_known) + evidence.energy()
         loss.backward()

@@ -18,6 +18,7 @@ from torch import Tensor
 
 from gva_mi.pose import motion
 from gva_mi.pose.belief import Belief
+from gva_mi.pose.ground import Footing, Ground
 from gva_mi.pose.noise import GROUPS, Noise, lasting_part, white_level
 from gva_mi.pose.stage1 import Stage1
 
@@ -41,16 +42,18 @@ class Beliefs:
         pelvis: one joint, which may turn steadily.
         joints: all others but those of the face, in the order of ``JOINTS``.
         place: of the person, three coordinates in the camera's axes; it may change steadily.
+        ground: that soles stand on; None before it is looked for.
     """
 
     noise: Mapping[str, Noise]
     pelvis: Belief
     joints: Belief
     place: Belief
+    ground: Ground | None = None
 
 
-def in_words(noise: Mapping[str, Noise]) -> Iterator[str]:
-    """How stage 1 errs: a few lines for people, none where it is not known."""
+def in_words(noise: Mapping[str, Noise], footing: Footing | None) -> Iterator[str]:
+    """How stage 1 errs, and how the person stands: lines for people, none where it is not known."""
     if not noise:
         return
     turns = ", ".join(f"{name} {np.degrees(noise[name].size):.1f}°" for name in GROUPS)
@@ -59,6 +62,9 @@ def in_words(noise: Mapping[str, Noise]) -> Iterator[str]:
     white = ", ".join(f"{name} {np.degrees(noise[name].white):.1f}°" for name in GROUPS)
     lasts = sorted({noise[name].memory for name in GROUPS})
     yield f"            white {white}; the rest lasts {lasts[0]:g} to {lasts[-1]:g} frames"
+    if footing is not None:
+        stands = f"soles stand {footing.share:.0%} of the time"
+        yield f"ground      {stands}, within {1000 * footing.spread:.0f} mm of one plane"
 
 
 def from_stage1(stage1: Stage1) -> Beliefs:

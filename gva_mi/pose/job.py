@@ -21,6 +21,7 @@ from gva_mi.console import Progress
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.close_ups import FinePicture
 from gva_mi.pose.evidence import MaskAndNormals
+from gva_mi.pose.ground import Footing
 from gva_mi.pose.noise import Noise
 from gva_mi.pose.stature import PEOPLE
 from gva_mi.ranges import Weight, Within, require_ranges
@@ -36,6 +37,7 @@ class Solution:
     shape: Shape
     offsets: Tensor  # (V, 3) displacement of the rest surface, metres
     noise: Mapping[str, Noise] = field(default_factory=dict)  # of stage 1, where it was inferred
+    footing: Footing | None = None  # how the person stands, where it was inferred
     focal: float = 1.0  # s of gva_mi.pose.focal; the pose does not follow it yet
 
 

@@ -44,6 +44,7 @@ from gva_mi.pose.coarse_body import CoarseBody
 from gva_mi.pose.descent import with_frames, worse_frames
 from gva_mi.pose.evidence import MaskAndNormals, common_scale, gather, mean_loss, seen_body
 from gva_mi.pose.focal import follow
+from gva_mi.pose.ground import Footing
 from gva_mi.pose.job import Job, RefineOptions, Solution
 from gva_mi.pose.noise import Noise
 from gva_mi.pose.parallel import Done, run
@@ -68,6 +69,7 @@ class Refined:
     cameras: list[Camera] | None = None  # of all frames where they were refined too; else as given
     held_out: list[int] = field(default_factory=list)  # test frames that were not looked at
     noise: Mapping[str, Noise] = field(default_factory=dict)  # of stage 1, where it was inferred
+    footing: Footing | None = None  # how the person stands on the ground, likewise
     focal: float = 1.0  # factor on the focal lengths of the video's cameras, as it was found
 
 
@@ -254,6 +256,7 @@ class _SeenVideo:
             seconds_per_frame=(work + time.perf_counter() - begin) / len(self.pose),
             held_out=list(self.held_out),
             noise=shared.noise,
+            footing=shared.footing,
         )
 
     @torch.no_grad()

@@ -6,7 +6,8 @@ downhill (:mod:`gva_mi.pose.descent`) on
     L = mean_k( d_k + λc Σ_parts d_k,part )    d: Eq. 8's data term (gva_mi.pose.evidence), for the
                                                body β displaced by D, posed; and once more for hands
                                                and feet, seen closer (gva_mi.pose.close_ups)
-        + ν E(δ, τ)                            stage 1, motion and anatomy: gva_mi.pose.corrections
+        + ν E(δ, τ)                            stage 1, motion, anatomy and the ground:
+                                               gva_mi.pose.corrections
         + E(D)                                 gva_mi.pose.displacement
         + λβ |β - β^stage1|²
         + λh (h(β) - H)²                       where the height H is known: gva_mi.pose.stature
@@ -43,6 +44,7 @@ from gva_mi.pose.descent import (
 )
 from gva_mi.pose.displacement import Displacement
 from gva_mi.pose.evidence import mean_loss, seen_body
+from gva_mi.pose.ground import Soles
 from gva_mi.pose.job import Job, RefineOptions, Solution
 from gva_mi.pose.noise import GROUPS
 from gva_mi.pose.priors import lever_arms
@@ -148,7 +150,9 @@ def refine_sequence(
     found = descend(person, job.pose, person.arms, options, progress, job.following)
     shape, offsets = Shape(person.shape.betas.detach()), person.offsets.detach()
     focal = float(person.focal.detach())
-    return Solution(found.pose, shape, offsets, found.beliefs.noise, focal)
+    ground = found.beliefs.ground
+    footing = None if ground is None else ground.footing
+    return Solution(found.pose, shape, offsets, found.beliefs.noise, footing, focal)
 
 
 def often(frames: int) -> int:
@@ -190,6 +194,11 @@ class ClothedPerson:
     def offsets(self) -> Tensor:
         """``D`` (V, 3), metres."""
         return self._cloth.offsets
+
+    @property
+    def soles(self) -> Soles:
+        """The soles of this shape."""
+        return Soles.of(self._job.body.rest(self.shape), self._job.body.weights)
 
     @property
     def size_known(self) -> bool:

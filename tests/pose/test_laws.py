@@ -9,10 +9,12 @@ import torch
 
 from gva_mi.body.kinematics import turn_joints
 from gva_mi.body.pose import JOINTS, PARENTS, Pose, Shape
+from gva_mi.data.synthetic.motion import perform, times
 from gva_mi.data.synthetic.noise.camera_bias import Lean, leaning
 from gva_mi.pose import SequenceOptions
 from gva_mi.pose.anatomy import Anatomy
 from gva_mi.pose.descent import descend
+from gva_mi.pose.ground import Soles
 from gva_mi.pose.priors import lever_arms
 from gva_mi.splat import Camera, look_at
 
@@ -30,8 +32,9 @@ class Sight:
 
     shared, unseen, size_known = (), (), False
 
-    def __init__(self, person, truth, camera):
+    def __init__(self, person, truth, camera, soles=None):
         self.frames, self.camera, self.anatomy = range(len(truth)), camera, person.anatomy
+        self.soles = soles
         aside = torch.from_numpy(camera.T_camera_world[:2, :3].copy()).float().T
         self._look = lambda pose: person.places(pose) @ aside
         self._seen = self._look(truth)
@@ -51,15 +54,17 @@ class Person:
     def __init__(self, body):
         self.rest = body.j_template
         self.anatomy = Anatomy.of(self.rest)
-        self._arms = lever_arms(body.rest(Shape(torch.zeros(10))), body.weights, PARENTS)
+        mean = body.rest(Shape(torch.zeros(10)))
+        self._arms = lever_arms(mean, body.weights, PARENTS)
+        self.soles = Soles.of(mean, body.weights)
 
     def places(self, pose):
         """Of the joints of the body (T, 22, 3), metres."""
         T = turn_joints(pose.rotations, self.rest, PARENTS, pose.transl)[1]
         return (T[..., :3, 3] + (T[..., :3, :3] @ self.rest[..., None])[..., 0])[:, :22]
 
-    def find(self, truth, stage1, camera=CAMERA, options=OPTIONS):
-        return descend(Sight(self, truth, camera), stage1, self._arms, options).pose
+    def find(self, truth, stage1, camera=CAMERA, options=OPTIONS, soles=None):
+        return descend(Sight(self, truth, camera, soles), stage1, self._arms, options).pose
 
     def away(self, pose, truth):
         """From where joints should be to where they are (T, 22, 3), metres."""
@@ -196,6 +201,26 @@ def test_twice_the_frame_rate_leaves_the_same_errors(person):
         left.append(rms(person.away(found, truth)))
     assert max(left) < 0.3 * min(stage1)
     assert abs(left[1] - left[0]) < 0.05 * stage1[0]
+
+
+def test_the_ground_tells_how_deep_feet_are(person):
+    """From above, under errors of the legs that last: they lean toward the camera, or away."""
+    from scipy.ndimage import gaussian_filter1d
+
+    rng = np.random.default_rng(1)
+    truth = perform("half", times(N), person.rest.double().numpy(), 10, rng)
+    errors = gaussian_filter1d(rng.normal(size=(N + 80, 21, 3)), 6.0, axis=0)[40:-40]
+    stage1 = with_errors(truth, torch.from_numpy(0.1 * errors / errors.std()).float())
+    above = Camera(100, 100, 50, 50, look_at((0, 1.5, 2.6), (0, 0, 0)), 100, 100)
+    sight = torch.from_numpy(above.T_camera_world[2, :3].copy()).float()
+    feet = [joint(f"{side}_{name}") for side in ("left", "right") for name in ("ankle", "foot")]
+    heights = lambda pose: person.soles.places(pose.rotations, pose.transl)[..., 1]
+    depth, height = [], []
+    for soles in (None, person.soles):
+        found = person.find(truth, stage1, above, soles=soles)
+        depth.append(rms((person.away(found, truth) @ sight)[:, feet, None]))
+        height.append(float((heights(found) - heights(truth)).std()))
+    assert height[1] < 0.8 * height[0] and depth[1] < 0.8 * depth[0]
 
 
 @pytest.mark.parametrize("turn", [AHEAD, OBLIQUE], ids=["z is up", "oblique"])

@@ -7,8 +7,8 @@ the noise. Most of its families, its motions and its bodies have no counterpart 
 =============  =========================================  ========================================
 ..             TUNING                                     HELD_OUT
 =============  =========================================  ========================================
-people         amira, dalia, seeds 0, 2, 3, 21, 22        bruno, edgar, seeds 11-13, 16, 17, 31-35
-motions        turn                                       turn, everyday, half, walk
+people         amira, dalia, seeds 0, 2, 3, 21-24         bruno, edgar, seeds 11-13, 16, 17, 31-35
+motions        turn, still, dance                         turn, everyday, half, walk
 bodies         own, stretched                             own, stretched, anny
 families       bursts, white, lean, slow; no normals      all there are; no normals
 their draws    below 100                                  1000 to 1999
@@ -103,6 +103,8 @@ _TUNED_ON = {
     "bare": Take(seed=3, bare=True),
     "stretched": Take(seed=21, figure="stretched"),
     "outfit": Take(seed=22, outfit="foreign"),
+    "still": Take(seed=23, motion="still"),
+    "dance": Take(seed=24, motion="dance"),
 }
 TUNING = (
     Case(_TUNED_ON["amira"], "bursts", 1),
@@ -114,6 +116,8 @@ TUNING = (
     Case(_TUNED_ON["amira"], "slow", 7),
     Case(_TUNED_ON["outfit"], "slow", 8),
     Case(_TUNED_ON["0"], "bursts", 9, normals=False),
+    Case(_TUNED_ON["still"], "lean", 10),
+    Case(_TUNED_ON["dance"], "bursts", 11),
 )
 
 _JUDGED = {

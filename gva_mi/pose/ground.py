@@ -1,0 +1,234 @@
+"""People stand on the ground: their soles share one plane, and do not slide while they are on it.
+
+Whichever way a leg errs toward the camera, the picture hardly tells, but heel and ball then stand
+in the air, or in the ground. Points ``q`` of the soles (:class:`Soles`) are at ``x_kq`` in frame
+``k``, and above the ground by
+
+1. ``h_kq = up · x_kq - s_1 (e_1 · x_kq) - s_2 (e_2 · x_kq) - c_q``
+
+with ``up`` the direction in which the person is upright on average, ``e_1``, ``e_2`` at right
+angles to it, the slopes ``s``, and a level ``c`` for heels and another for balls, for shoes have
+heels. Each point stands, or swings:
+
+2. ``p(h) = w t(h / σ) / σ + (1 - w) σ⁺(h / σ) e^(-max(h, 0) / λ) / λ``
+
+with Student's ``t``, the share ``w`` of the time that feet stand, the unevenness ``σ``, which is
+that of the ground and what is left of the poses' errors, the usual lift ``λ``, and the logistic
+function ``σ⁺``. ``s``, ``c``, ``w``, ``σ`` and ``λ`` are what makes the video's points most
+probable (expectation and maximisation): where no ground shows, as on stairs, ``σ`` is large, and
+little is believed. With ``r_kq`` the probability that a point stands, poses cost
+
+3. ``E = -Σ_kq log p(h_kq) / m + Σ_kq r_kq r_k+1,q cost(x_k+1,q - x_kq)``
+
+in which ``m`` frames count as one, and ``cost`` is that of a motion (:mod:`gva_mi.pose.motion`): a
+point may move as fast as pictures show it move sideways, so a person who is turned on a disc is not
+held.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import roma
+import torch
+from torch import Tensor
+
+from gva_mi.body.kinematics import turn_joints
+from gva_mi.body.pose import JOINTS, PARENTS, Pose
+from gva_mi.body.smplx import Rest
+from gva_mi.pose import motion
+from gva_mi.pose.noise import FREEDOM
+
+SOLE = 0.012  # m above the lowest vertex: what still touches the ground
+MEMORY = 6.0  # m, frames for which a point's height stays off by the same
+TILT = 0.15  # standard deviation of the slopes: how far from upright people are on average
+HEELS = 0.015  # the same of the levels' difference, m
+EVEN, UNEVEN = 0.004, 0.08  # least and largest σ, m
+LEAST_LIFT = 0.05  # λ, m
+LEAST_SHARE = 0.05  # of the points that stand, and of those that swing
+LEAST_STEP = 0.001  # m from frame to frame: no point is believed to stand stiller
+T_PEAK = 0.3676  # of Student's t with that freedom
+ROUNDS = 40  # of expectation and maximisation
+
+_CHAIN = [JOINTS.index("pelvis")] + [
+    JOINTS.index(f"{side}_{name}")
+    for name in ("hip", "knee", "ankle", "foot")
+    for side in ("left", "right")
+]
+_PARENTS = tuple(_CHAIN.index(PARENTS[j]) if PARENTS[j] in _CHAIN else -1 for j in _CHAIN)
+_KINDS = ("ankle", "foot")  # whose lowest points are heels and balls
+
+
+@dataclass(frozen=True)
+class Soles:
+    """The heels and balls of a person's feet, and the joints that they hang on.
+
+    Attributes:
+        joints: (9, 3) of pelvis and legs at rest, metres.
+        points: (4, 3) at rest, metres: heels, then balls, each left and right.
+    """
+
+    joints: Tensor
+    points: Tensor
+
+    @staticmethod
+    def of(rest: Rest, weights: Tensor) -> Soles:
+        """Those of a person.
+
+        Args:
+            rest: the person in the T-pose, upright along y.
+            weights: (V, 55) skinning weights.
+        """
+        vertices, points = rest.vertices.detach(), []
+        low = vertices[:, 1].min() + SOLE
+        for kind in _KINDS:
+            for side in ("left", "right"):
+                joint = JOINTS.index(f"{side}_{kind}")
+                own = vertices[(weights[:, joint] > 0.5) & (vertices[:, 1] < low)]
+                # A body without such vertices has a point below the joint.
+                below = rest.joints.detach()[joint] * own.new_tensor([1, 0, 1])
+                below[1] = vertices[:, 1].min()
+                points.append(own.mean(0) if len(own) else below)
+        return Soles(rest.joints.detach()[_CHAIN], torch.stack(points))
+
+    def places(self, rotations: Tensor, transl: Tensor) -> Tensor:
+        """Where they are in n frames: (n, 4, 3) world, metres; differentiable.
+
+        Args:
+            rotations: (n, J, 3) of all joints, axis-angle relative to the parent.
+            transl: (n, 3) metres.
+        """
+        maps = turn_joints(rotations[:, _CHAIN], self.joints, _PARENTS, transl)[1]
+        of_feet = maps[:, -len(self.points) :]
+        return (of_feet[..., :3, :3] @ self.points[..., None])[..., 0] + of_feet[..., :3, 3]
+
+
+@dataclass(frozen=True)
+class Footing:
+    """How a person stands, as a video shows it (eq. 2)."""
+
+    spread: float  # σ, metres
+    share: float  # w
+    lift: float  # λ, metres
+
+
+@dataclass(frozen=True)
+class Ground:
+    """The ground that a video shows, and how its person stands on it.
+
+    Attributes:
+        soles: of the person.
+        axes: (3, 3) rows ``up``, ``e_1``, ``e_2``, world.
+        plane: (4,) ``s_1``, ``s_2``, and ``c`` of heels and of balls, metres.
+        footing: ``σ``, ``w`` and ``λ``.
+        square_speed: (n - 1, 4) of each step of each point, square metres.
+        both_stand: (n - 1, 4) ``r_k r_k+1`` of each step.
+    """
+
+    soles: Soles
+    axes: Tensor
+    plane: Tensor
+    footing: Footing
+    square_speed: Tensor
+    both_stand: Tensor
+
+    @staticmethod
+    @torch.no_grad()
+    def under(soles: Soles, pose: Pose, times: Tensor, R_camera_world: Tensor) -> Ground:
+        """The most probable ground below a person.
+
+        Args:
+            soles: of the person.
+            pose: n frames.
+            times: (n,) their numbers.
+            R_camera_world: (3, 3) the axes in which pictures show motions sideways.
+        """
+        places = soles.places(pose.rotations, pose.transl)
+        axes = _axes(pose)
+        height = (places @ axes[0]).view(len(places), 2, 2)
+        level = height.transpose(0, 1).flatten(1).quantile(0.2, dim=1)
+        aside = places.diff(dim=0) @ R_camera_world.T[:, :2]
+        square = motion.excursions(aside, motion.SPAN).square().mean(-1)
+        speed = motion.mean_square(square, times[: len(square)].to(square)) + LEAST_STEP**2
+        plane = torch.cat([level.new_zeros(2), level])
+        start = Footing(UNEVEN / 2, 0.7, 2 * LEAST_LIFT)
+        ground = Ground(soles, axes, plane, start, speed, torch.ones_like(speed))
+        for _ in range(ROUNDS):
+            ground = ground._likelier(places)
+        stands = ground.stands(places)
+        return replace(ground, both_stand=stands[1:] * stands[:-1])
+
+    def energy(self, rotations: Tensor, transl: Tensor) -> Tensor:
+        """Eq. 3 of n frames, in nats; differentiable.
+
+        Args:
+            rotations: (n, J, 3) axis-angle.
+            transl: (n, 3) metres.
+        """
+        places = self.soles.places(rotations, transl)
+        on, off = self._probabilities(self.heights(places))
+        slid = self.both_stand * motion.cost(places.diff(dim=0), self.square_speed)
+        return -(on + off).log().sum() / MEMORY + slid.sum()
+
+    def heights(self, places: Tensor) -> Tensor:
+        """Eq. 1 (n, 4) of places (n, 4, 3), metres."""
+        return places @ self.axes[0] - self._unknowns(places) @ self.plane
+
+    def stands(self, places: Tensor) -> Tensor:
+        """``r`` (n, 4): how probable it is that the points at these places (n, 4, 3) stand."""
+        on, off = self._probabilities(self.heights(places))
+        return on / (on + off)
+
+    def _unknowns(self, places: Tensor) -> Tensor:
+        """What ``plane`` multiplies in eq. 1 (n, 4, 4)."""
+        heels = places.new_tensor([[1, 0], [1, 0], [0, 1], [0, 1]])
+        return torch.cat([places @ self.axes[1:].T, heels.expand(len(places), 4, 2)], dim=-1)
+
+    def _probabilities(self, h: Tensor) -> tuple[Tensor, Tensor]:
+        """The two terms of eq. 2, each (n, 4)."""
+        it = self.footing
+        t = (1 + (h / it.spread).square() / FREEDOM) ** (-(FREEDOM + 1) / 2)
+        swings = torch.sigmoid(h / it.spread) * torch.exp(-h.clamp_min(0) / it.lift)
+        return it.share * T_PEAK * t / it.spread, (1 - it.share) * swings / it.lift
+
+    def _weights(self, h: Tensor, stands: Tensor) -> Tensor:
+        """Of each square height in the mean that maximises the probability (n, 4)."""
+        return stands * (FREEDOM + 1) / (FREEDOM + (h / self.footing.spread).square())
+
+    def _plane(self, places: Tensor) -> Tensor:
+        """The most probable slopes and levels, if points stand as they are thought to do."""
+        A = self._unknowns(places).double()
+        weights = self._weights(self.heights(places), self.stands(places)).double()
+        weights = weights / (MEMORY * self.footing.spread**2)
+        height = (places @ self.axes[0]).double()
+        held = A.new_zeros(4, 4)
+        held[:2, :2] = torch.eye(2) / TILT**2
+        held[2:, 2:] = (2 * torch.eye(2) - 1) / HEELS**2
+        held = held + 1e-6 * torch.eye(4)  # where no point stands, some level is as good as another
+        curved = torch.einsum("nq,nqi,nqj->ij", weights, A, A) + held
+        pull = torch.einsum("nq,nqi,nq->i", weights, A, height)
+        return torch.cholesky_solve(pull[:, None], torch.linalg.cholesky(curved))[:, 0].to(places)
+
+    def _likelier(self, places: Tensor) -> Ground:
+        """One round of expectation and maximisation."""
+        moved = replace(self, plane=self._plane(places))
+        h = moved.heights(places)
+        stands = moved.stands(places)
+        of_ground = moved._weights(h, stands)
+        spread = ((of_ground * h.square()).sum() / stands.sum().clamp_min(1e-6)).sqrt()
+        lift = ((1 - stands) * h.clamp_min(0)).sum() / (1 - stands).sum().clamp_min(1e-6)
+        footing = Footing(
+            spread=min(max(float(spread), EVEN), UNEVEN),
+            share=min(max(float(stands.mean()), LEAST_SHARE), 1 - LEAST_SHARE),
+            lift=max(float(lift), LEAST_LIFT),
+        )
+        return replace(moved, footing=footing)
+
+
+def _axes(pose: Pose) -> Tensor:
+    """The direction in which a person is upright on average, and two at right angles (3, 3)."""
+    upright = roma.rotvec_to_rotmat(pose.rotations[:, 0])[:, :, 1]
+    up = torch.nn.functional.normalize(upright.median(0).values, dim=0)
+    other = torch.eye(3).to(up)[int(up.abs().argmin())]
+    first = torch.nn.functional.normalize(torch.linalg.cross(up, other), dim=0)
+    return torch.stack([up, first, torch.linalg.cross(up, first)])

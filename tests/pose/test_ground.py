@@ -1,0 +1,147 @@
+"""Feet that stand share a plane and stay where they are; feet that swing, or go round, are free."""
+
+import numpy as np
+import pytest
+import roma
+import torch
+
+from gva_mi.body.pose import JOINTS, Pose, Shape
+from gva_mi.data.synthetic.motion import perform, times
+from gva_mi.pose.ground import Ground, Soles
+
+MEAN = Shape(torch.zeros(10))
+FRAMES = 48
+TIMES = torch.arange(FRAMES)
+CAMERA = torch.diag(torch.tensor([1.0, -1.0, -1.0]))  # looks along -z, y downward
+HEELS, BALLS = slice(0, 2), slice(2, 4)
+
+
+@pytest.fixture(scope="module")
+def rest(body):
+    return body.rest(MEAN)
+
+
+@pytest.fixture(scope="module")
+def soles(rest, body):
+    return Soles.of(rest, body.weights)
+
+
+@pytest.fixture(scope="module")
+def moving(rest):
+    """Poses of one of the motions."""
+
+    def pose(motion, frames=FRAMES):
+        rng = np.random.default_rng(5)
+        return perform(motion, times(frames), rest.joints.numpy(), 10, rng)
+
+    return pose
+
+
+def under(soles, pose, R_camera_world=CAMERA):
+    return Ground.under(soles, pose, torch.arange(len(pose)), R_camera_world)
+
+
+def nats(soles, pose, ground=None):
+    ground = ground or under(soles, pose)
+    return float(ground.energy(pose.rotations, pose.transl)) / len(pose)
+
+
+def turned(pose, joint, axis, degrees):
+    """The pose with a joint turned in all frames."""
+    rotations = pose.rotations.clone()
+    turn = torch.zeros(len(pose), 3)
+    turn[:, axis] = torch.deg2rad(torch.as_tensor(degrees, dtype=torch.float32))
+    at = JOINTS.index(joint)
+    rotations[:, at] = roma.rotvec_composition([rotations[:, at], turn])
+    return Pose(rotations, pose.transl, pose.expression)
+
+
+def test_points_touch_the_ground_and_turn_with_the_feet(soles, body, moving):
+    assert soles.points[:, 1].max() - body.rest(MEAN).vertices[:, 1].min() < 0.006
+    assert soles.points[BALLS, 2].min() > soles.points[HEELS, 2].max() + 0.08
+    pose = moving("walk")
+    places = soles.places(pose.rotations, pose.transl)
+    maps = body(pose, MEAN).T_world_rest
+    for q, name in enumerate(("left_ankle", "right_ankle", "left_foot", "right_foot")):
+        T = maps[:, JOINTS.index(name)]
+        expected = (T[:, :3, :3] @ soles.points[q]) + T[:, :3, 3]
+        torch.testing.assert_close(places[:, q], expected, atol=1e-6, rtol=0)
+
+
+def test_who_walks_is_seen_to_stand_and_to_swing(soles, moving):
+    pose = moving("walk")
+    ground = under(soles, pose)
+    places = soles.places(pose.rotations, pose.transl)
+    height, stands = ground.heights(places), ground.stands(places)
+    still = places[1:-1].sub(places[:-2]).norm(dim=-1) < 1e-3
+    assert 0.2 < still.float().mean() < 0.7
+    assert stands[1:-1][still].min() > 0.8 and height[1:-1][still].abs().max() < 0.005
+    assert stands[height > 0.04].max() < 0.2
+    assert ground.footing.spread < 0.006 and 0.3 < ground.footing.share < 0.9
+
+
+def test_a_foot_that_tips_for_a_while_is_turned_back(soles, moving):
+    """The least energy is at the true turn of the ankle, to a degree, in each of these frames."""
+    pose, at = moving("still"), JOINTS.index("left_ankle")
+    while_ = 1.0 * ((TIMES > 10) & (TIMES < 24))[:, None]
+    for axis in (0, 2):
+        tipped = lambda d, axis=axis: turned(pose, "left_ankle", axis, (d * while_)[:, 0])
+        ground = under(soles, tipped(6.0))
+        degrees = torch.linspace(-8, 8, 17)
+        costs = [nats(soles, tipped(d), ground) for d in degrees]
+        assert abs(float(degrees[int(np.argmin(costs))])) <= 1
+        rotations = tipped(3.0).rotations.clone().requires_grad_()
+        ground.energy(rotations, pose.transl).backward()
+        assert (rotations.grad[11:24, at, axis] > 0).all()
+
+
+def test_who_stands_does_not_slide_but_who_is_turned_on_a_disc_may(soles, moving):
+    wobble = 0.01 * torch.randn(FRAMES, 1, generator=torch.Generator().manual_seed(1))
+    ahead = torch.tensor([[0.0, 0.0, 1.0]])  # along the line of sight: pictures do not show it
+
+    def cost(motion):
+        pose = moving(motion)
+        ground = under(soles, pose)
+        astray = Pose(pose.rotations, pose.transl + wobble * ahead, pose.expression)
+        return nats(soles, astray, ground) - nats(soles, pose, ground)
+
+    assert cost("still") > 5 * cost("turn") > 0
+
+
+def test_turning_the_world_changes_nothing(soles, moving):
+    pose = moving("walk")
+    # Whichever way is up: a camera that hangs sideways, and a hill of 5 degrees.
+    for turn in ([0, 0, np.pi / 2], [0.3, -1.2, 2.0]):
+        R = roma.rotvec_to_rotmat(torch.tensor(turn, dtype=torch.float32))
+        pelvis = soles.joints[0]
+        rotations = pose.rotations.clone()
+        rotations[:, 0] = roma.rotmat_to_rotvec(R @ roma.rotvec_to_rotmat(rotations[:, 0]))
+        transl = (pelvis + pose.transl) @ R.T - pelvis
+        other = Pose(rotations, transl, pose.expression)
+        ground = under(soles, other, CAMERA @ R.T)
+        assert nats(soles, other, ground) == pytest.approx(nats(soles, pose), abs=2e-3)
+
+
+def test_where_no_ground_shows_little_is_believed(soles, moving):
+    pose = moving("walk")
+    up = 0.17 * torch.arange(FRAMES).div(6, rounding_mode="floor")[:, None]
+    stairs = up * torch.tensor([0, 1.0, 0])
+    climbing = Pose(pose.rotations, pose.transl + stairs, pose.expression)
+    tipped = lambda pose: turned(pose, "left_ankle", 0, 5.0)
+    held = [
+        nats(soles, tipped(p), ground) - nats(soles, p, ground)
+        for p in (pose, climbing)
+        for ground in [under(soles, p)]
+    ]
+    assert held[0] > 5 * abs(held[1])
+
+
+def test_gradients_are_those_of_the_energy(soles, moving):
+    """And in no frame, joint or coordinate something else: gradients of the points are dense."""
+    pose = moving("walk", 12).to(torch.float64)
+    exact = Soles(soles.joints.double(), soles.points.double())
+    rng = torch.Generator().manual_seed(0)
+    shaken = pose.rotations + 0.02 * torch.randn(pose.rotations.shape, generator=rng)
+    ground = under(exact, Pose(shaken, pose.transl, pose.expression), CAMERA.double())
+    energy = lambda rotations: ground.energy(rotations, pose.transl)
+    assert torch.autograd.gradcheck(energy, shaken.requires_grad_(), fast_mode=True)

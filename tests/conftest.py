@@ -2,6 +2,7 @@
 
 import json
 import os
+import signal
 import sys
 
 import pytest
@@ -10,6 +11,8 @@ import gva_mi  # noqa: F401  chooses the libLLVM before a test imports Dr.Jit
 
 # As the command line does: torch's idle threads leave the cores to Dr.Jit's.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+# Of a shell's background job Ctrl-C is ignored, and so it would be of the processes tests start.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture

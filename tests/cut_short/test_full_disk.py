@@ -44,7 +44,7 @@ COMMANDS = {  # and with which options a sentence may ask to be called again
     ),
 }  # fmt: skip
 QUICK = ("a surface", "Gaussians", "poses", "an avatar", "a folder", "motion")
-NEVER_ALIKE = {"body": "new.png", "bench": "new.json"}  # a pixel of a portrait, by 1; times
+NEVER_ALIKE = {"bench": "new.json"}  # times
 ROOMS = 3  # between nothing and enough
 
 

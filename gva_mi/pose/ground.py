@@ -48,6 +48,7 @@ LEAST_LIFT = 0.05  # λ, m
 LEAST_SHARE = 0.05  # of the points that stand, and of those that swing
 LEAST_STEP = 0.001  # m from frame to frame: no point is believed to stand stiller
 T_PEAK = 0.3676  # of Student's t with that freedom
+FEWEST = 16  # frames that show a ground
 ROUNDS = 40  # of expectation and maximisation
 
 _CHAIN = [JOINTS.index("pelvis")] + [

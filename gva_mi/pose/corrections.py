@@ -27,7 +27,7 @@ from torch import Tensor
 
 from gva_mi.body.pose import Pose
 from gva_mi.pose.anatomy import Anatomy
-from gva_mi.pose.ground import FEWEST, Ground, Soles
+from gva_mi.pose.ground import Ground, Soles
 from gva_mi.pose.inference import JOINTS, PELVIS, Beliefs, from_pictures, from_stage1
 from gva_mi.pose.stage1 import Stage1, turns_between
 
@@ -109,14 +109,8 @@ class Corrections:
 
     @torch.no_grad()
     def stand_on(self, soles: Soles) -> None:
-        """From now on, soles cost what they are off the ground that these corrections show.
-
-        Fewer frames than ``FEWEST`` do not show who stands and who is in the midst of a step.
-        """
-        stage1 = self._stage1
-        if len(stage1.times) < FEWEST:
-            return
-        pose = self.pose(range(len(self.moves)))
+        """From now on, soles cost what they are off the ground that these corrections show."""
+        stage1, pose = self._stage1, self.pose(range(len(self.moves)))
         ground = Ground.under(soles, pose, stage1.times, stage1.R_camera_world)
         self.beliefs = replace(self.beliefs, ground=ground)
 

@@ -1,4 +1,4 @@
-"""People stand on the ground: their soles share one plane, and do not slide while they are on it.
+"""People stand on the ground: soles share one plane, where they stay, or slide steadily.
 
 Whichever way a leg errs toward the camera, the picture hardly tells, but heel and ball then stand
 in the air, or in the ground. Points ``q`` of the soles (:class:`Soles`) are at ``x_kq`` in frame
@@ -18,11 +18,12 @@ function ``σ⁺``. ``s``, ``c``, ``w``, ``σ`` and ``λ`` are what makes the vi
 probable (expectation and maximisation): where no ground shows, as on stairs, ``σ`` is large, and
 little is believed. With ``r_kq`` the probability that a point stands, poses cost
 
-3. ``E = -Σ_kq log p(h_kq) / m + Σ_kq r_kq r_k+1,q cost(x_k+1,q - x_kq)``
+3. ``E = -Σ_kq log p(h_kq) / m + Σ_kq r_k-1,q r_kq r_k+1,q cost(x_k-1,q - 2 x_kq + x_k+1,q)``
 
-in which ``m`` frames count as one, and ``cost`` is that of a motion (:mod:`gva_mi.pose.motion`): a
-point may move as fast as pictures show it move sideways, so a person who is turned on a disc is not
-held.
+in which ``m`` frames count as one, and ``cost`` is that of a motion (:mod:`gva_mi.pose.motion`).
+What stands stays, or slides steadily, as on a disc that is turned: to hold steps instead of their
+changes would hold that turn, too. How much steps may change is what pictures show sideways of the
+foot; of heel and ball alone, one may move along the line of sight.
 """
 
 from __future__ import annotations
@@ -46,9 +47,9 @@ HEELS = 0.015  # the same of the levels' difference, m
 EVEN, UNEVEN = 0.004, 0.08  # least and largest σ, m
 LEAST_LIFT = 0.05  # λ, m
 LEAST_SHARE = 0.05  # of the points that stand, and of those that swing
-LEAST_STEP = 0.001  # m from frame to frame: no point is believed to stand stiller
+LEAST_CHANGE = 0.001  # m, of a step: no point is believed to stand stiller
+BEND = 0.2  # of a step's length, its change: who goes round on a disc turns by that many radians
 T_PEAK = 0.3676  # of Student's t with that freedom
-FEWEST = 16  # frames that show a ground
 ROUNDS = 40  # of expectation and maximisation
 
 _CHAIN = [JOINTS.index("pelvis")] + [
@@ -122,16 +123,18 @@ class Ground:
         axes: (3, 3) rows ``up``, ``e_1``, ``e_2``, world.
         plane: (4,) ``s_1``, ``s_2``, and ``c`` of heels and of balls, metres.
         footing: ``σ``, ``w`` and ``λ``.
-        square_speed: (n - 1, 4) of each step of each point, square metres.
-        both_stand: (n - 1, 4) ``r_k r_k+1`` of each step.
+        times: (n,) numbers of the frames.
+        square_change: (n - 2, 4) of the steps of each point, square metres.
+        stay: (n - 2, 4) the product of three ``r``, of each of these changes.
     """
 
     soles: Soles
     axes: Tensor
     plane: Tensor
     footing: Footing
-    square_speed: Tensor
-    both_stand: Tensor
+    times: Tensor
+    square_change: Tensor
+    stay: Tensor
 
     @staticmethod
     @torch.no_grad()
@@ -148,16 +151,14 @@ class Ground:
         axes = _axes(pose)
         height = (places @ axes[0]).view(len(places), 2, 2)
         level = height.transpose(0, 1).flatten(1).quantile(0.2, dim=1)
-        aside = places.diff(dim=0) @ R_camera_world.T[:, :2]
-        square = motion.excursions(aside, motion.SPAN).square().mean(-1)
-        speed = motion.mean_square(square, times[: len(square)].to(square)) + LEAST_STEP**2
         plane = torch.cat([level.new_zeros(2), level])
         start = Footing(UNEVEN / 2, 0.7, 2 * LEAST_LIFT)
-        ground = Ground(soles, axes, plane, start, speed, torch.ones_like(speed))
+        square = _square_change(places @ R_camera_world.T[:, :2], times)
+        ground = Ground(soles, axes, plane, start, times, square, torch.ones_like(square))
         for _ in range(ROUNDS):
             ground = ground._likelier(places)
         stands = ground.stands(places)
-        return replace(ground, both_stand=stands[1:] * stands[:-1])
+        return replace(ground, stay=stands[2:] * stands[1:-1] * stands[:-2])
 
     def energy(self, rotations: Tensor, transl: Tensor) -> Tensor:
         """Eq. 3 of n frames, in nats; differentiable.
@@ -168,7 +169,8 @@ class Ground:
         """
         places = self.soles.places(rotations, transl)
         on, off = self._probabilities(self.heights(places))
-        slid = self.both_stand * motion.cost(places.diff(dim=0), self.square_speed)
+        changes = _steps(places, self.times).diff(dim=0)
+        slid = self.stay * motion.cost(changes, self.square_change)
         return -(on + off).log().sum() / MEMORY + slid.sum()
 
     def heights(self, places: Tensor) -> Tensor:
@@ -224,6 +226,21 @@ class Ground:
             lift=max(float(lift), LEAST_LIFT),
         )
         return replace(moved, footing=footing)
+
+
+def _steps(places: Tensor, times: Tensor) -> Tensor:
+    """Of places (n, 4, d), for a frame (n - 1, 4, d)."""
+    return places.diff(dim=0) / times.diff().to(places)[:, None, None]
+
+
+def _square_change(aside: Tensor, times: Tensor) -> Tensor:
+    """How much steps may change (n - 2, 4), from what pictures show of places (n, 4, 2)."""
+    steps = _steps(aside, times)
+    changes = motion.excursions(steps.diff(dim=0), motion.SPAN)
+    bends = BEND * (steps[1:] + steps[:-1]) / 2
+    square = (changes.square() + bends.square()).mean(-1)
+    of_foot = square.view(-1, 2, 2).amax(1).repeat(1, 2)
+    return motion.mean_square(of_foot, times[: len(square)].to(square)) + LEAST_CHANGE**2
 
 
 def _axes(pose: Pose) -> Tensor:

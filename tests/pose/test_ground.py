@@ -7,7 +7,9 @@ import torch
 
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.data.synthetic.motion import perform, times
-from gva_mi.pose.ground import Ground, Soles
+from gva_mi.pose.ground import Footing, Ground, Soles
+from gva_mi.pose.inference import AXES, in_words
+from gva_mi.pose.noise import GROUPS, Noise
 
 MEAN = Shape(torch.zeros(10))
 FRAMES = 48
@@ -81,7 +83,7 @@ def test_who_walks_is_seen_to_stand_and_to_swing(soles, moving):
 
 
 def test_a_foot_that_tips_for_a_while_is_turned_back(soles, moving):
-    """The least energy is at the true turn of the ankle, to a degree, in each of these frames."""
+    """The least energy is at the true turn of the ankle, to a degree, and all pulls point there."""
     pose, at = moving("still"), JOINTS.index("left_ankle")
     while_ = 1.0 * ((TIMES > 10) & (TIMES < 24))[:, None]
     for axis in (0, 2):
@@ -92,7 +94,9 @@ def test_a_foot_that_tips_for_a_while_is_turned_back(soles, moving):
         assert abs(float(degrees[int(np.argmin(costs))])) <= 1
         rotations = tipped(3.0).rotations.clone().requires_grad_()
         ground.energy(rotations, pose.transl).backward()
-        assert (rotations.grad[11:24, at, axis] > 0).all()
+        # But for the first and the last two: whoever tips a foot at once would rather do it slowly.
+        pull = rotations.grad[11:24, at, axis]
+        assert (pull[2:-2] > 0).all() and pull[:2].sum() > 0 and pull[-2:].sum() > 0
 
 
 def test_who_stands_does_not_slide_but_who_is_turned_on_a_disc_may(soles, moving):
@@ -105,7 +109,16 @@ def test_who_stands_does_not_slide_but_who_is_turned_on_a_disc_may(soles, moving
         astray = Pose(pose.rotations, pose.transl + wobble * ahead, pose.expression)
         return nats(soles, astray, ground) - nats(soles, pose, ground)
 
-    assert cost("still") > 5 * cost("turn") > 0
+    assert cost("still") > 3 * cost("turn") > 0
+    turn = moving("turn")
+    ground = under(soles, turn)
+
+    def faster(factor):
+        rotations = turn.rotations.clone()
+        rotations[:, 0] *= factor  # about one axis
+        return nats(soles, Pose(rotations, turn.transl, turn.expression), ground)
+
+    assert faster(1.0) < min(faster(0.95), faster(1.05))
 
 
 def test_turning_the_world_changes_nothing(soles, moving):
@@ -145,3 +158,11 @@ def test_gradients_are_those_of_the_energy(soles, moving):
     ground = under(exact, Pose(shaken, pose.transl, pose.expression), CAMERA.double())
     energy = lambda rotations: ground.energy(rotations, pose.transl)
     assert torch.autograd.gradcheck(energy, shaken.requires_grad_(), fast_mode=True)
+
+
+def test_what_is_inferred_is_said():
+    assert not list(in_words({}, Footing(0.004, 0.6, 0.05)))
+    noise = {name: Noise(0.01, 0.02, 6.0) for name in (*GROUPS, *AXES)}
+    assert len(list(in_words(noise, None))) == 2
+    *_, ground = in_words(noise, Footing(spread=0.0072, share=0.613, lift=0.05))
+    assert ground == "ground      soles stand 61% of the time, within 7 mm of one plane"

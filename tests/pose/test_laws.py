@@ -223,6 +223,18 @@ def test_the_ground_tells_how_deep_feet_are(person):
     assert height[1] < 0.8 * height[0] and depth[1] < 0.8 * depth[0]
 
 
+@pytest.mark.parametrize(("frames", "least"), [(3, 0.8), (8, 0.95), (N, 0.98)])
+def test_the_ground_does_not_hold_who_turns_on_a_disc(person, frames, least):
+    """However few the frames are that show the turn."""
+    truth, often = moving(0.02 * np.arange(frames)), N // frames
+    options = replace(OPTIONS, batch=max(1, 8 // often), passes=20 * often, learn=8 * often)
+    found = person.find(truth, truth, options=options, soles=person.soles)
+    true = truth.rotations[:, 0, 1]
+    turned = roma.rotvec_to_rotmat(found.rotations[:, 0])
+    yaw = torch.from_numpy(np.unwrap(torch.atan2(turned[:, 0, 2], turned[:, 2, 2]).numpy()))
+    assert least < float((yaw[-1] - yaw[0]) / (true[-1] - true[0])) < 1.02
+
+
 @pytest.mark.parametrize("turn", [AHEAD, OBLIQUE], ids=["z is up", "oblique"])
 def test_no_direction_of_the_world_is_special(person, found, turn):
     R = roma.rotvec_to_rotmat(turn)

@@ -1,0 +1,155 @@
+"""A command that is killed, or whose disk is full: nothing half-written, the next run goes on."""
+
+import json
+import signal
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+SYNTH = "--frames 2 --size 32 --samples 4 --no-clothes --no-hair --novel-poses 1 --novel-views 1"
+SEEN = "--cases tuning --people 3 --size 48 --refine.passes 1 --refine.size 48"
+AVATAR = "--fit.steps 5 --fit.checkpoint-every 2 --fit.window 16 --fit.avatar.seed.count 300"
+FIT = "--steps 5 --checkpoint-every 2 --window 16 --avatar.seed.count 300"
+NOTHING, OVERWRITE, RESUME = (), ("--overwrite",), ("--resume", "--overwrite")
+
+
+@dataclass(frozen=True)
+class Command:
+    """What is called, and with which options a sentence may ask to call it again."""
+
+    line: str
+    when_full: tuple[str, ...] | None = None  # None: not tried
+    when_killed: tuple[str, ...] | None = None  # likewise
+    quick: bool = False
+
+
+COMMANDS = {
+    "synth": Command(f"synth {{}}/new {SYNTH}", NOTHING, OVERWRITE),
+    "synth, in the place of another": Command(
+        f"synth {{}}/made {SYNTH} --overwrite", when_killed=NOTHING
+    ),
+    "synth, another figure": Command(f"synth {{}}/new {SYNTH} --figure stretched", NOTHING),
+    "another noise": Command("synth {}/new --like {}/like --family white", NOTHING),
+    "prepare": Command(
+        "prepare parameters {}/estimate.npz {}/new --body puppet --frames {}/subject/frames "
+        "--masks {}/subject/masks", NOTHING, OVERWRITE
+    ),
+    "check": Command("check {}/subject --json {}/a.json --sheet {}/b.png", OVERWRITE),
+    "refine": Command("refine {}/subject --passes 1 --size 48", OVERWRITE, OVERWRITE),
+    "fit": Command(f"fit {{}}/subject --out {{}}/new {FIT}", RESUME, RESUME),
+    "evaluate": Command("evaluate {}/run {}/subject", NOTHING, NOTHING),
+    "track": Command("track {}/run/avatar.npz {}/subject --passes 1", OVERWRITE, OVERWRITE),
+    "render": Command(
+        "render {}/run --path turntable --frames 4 --size 32 32 --video --out {}/new",
+        OVERWRITE, OVERWRITE
+    ),
+    "a surface": Command("export {}/run --out {}/new.glb", OVERWRITE, OVERWRITE, quick=True),
+    "Gaussians": Command("export {}/run --out {}/new.spz", OVERWRITE, quick=True),
+    "poses": Command("export {}/run --out {}/new.npz", OVERWRITE, quick=True),
+    "an avatar": Command("export {}/run --no-rig --out {}/new.npz", OVERWRITE, quick=True),
+    "a film": Command("export {}/run --size 32 32 --out {}/new.mp4", OVERWRITE, OVERWRITE),
+    "a folder": Command("export {}/run --out {}/new", OVERWRITE, OVERWRITE, quick=True),
+    "motion": Command(
+        "motion {}/subject/poses.npz {}/new.npz --source-fps 30", OVERWRITE, quick=True
+    ),
+    "body": Command("body --out {}/new.npz", OVERWRITE),
+    "gradcheck": Command(
+        "gradcheck --scene {}/scene.npz --window 8 --count 1 --out {}/new", NOTHING
+    ),
+    "bench": Command("bench body --repeats 1 --json {}/new.json", NOTHING),
+    "study refine": Command(f"study refine --out {{}}/new --frames 2 {SEEN}", NOTHING, NOTHING),
+    "study avatar": Command(
+        f"study avatar --out {{}}/new --frames 8 --novel 1 {SEEN} {AVATAR} --rows full",
+        NOTHING, NOTHING
+    ),
+}  # fmt: skip
+NEVER_ALIKE = {"bench": "new.json"}  # times
+ROOMS = 3  # between nothing and enough
+MOMENTS = 6  # of a command, beside the first and the last
+
+
+def tried(when):
+    """Names of the commands that are tried; those that take long are slow tests."""
+    return [
+        name if command.quick else pytest.param(name, marks=pytest.mark.slow)
+        for name, command in COMMANDS.items()
+        if getattr(command, when) is not None
+    ]
+
+
+def rooms(before, wanted):
+    """Bytes beyond which no file can grow: nothing, and too little for the largest files."""
+    sizes = sorted(size for file, size in wanted.items() if before.get(file) != size)
+    some = np.linspace(0, len(sizes) - 1, ROOMS).round().astype(int)
+    return sorted({0, *(sizes[k] - 1 for k in some)})
+
+
+@pytest.mark.parametrize("name", tried("when_full"))
+def test_a_full_disk_is_one_sentence_and_the_next_run_goes_on(name, stage):
+    command, options = COMMANDS[name].line, COMMANDS[name].when_full
+    stage.set_up()
+    sizes = stage.sizes()
+    wanted, _ = stage.whole(command)
+    for room in rooms(sizes, stage.sizes()):
+        before = stage.set_up()
+        full = stage.run(command, room=room)
+        if room == 0 or full.code != 0:  # links to large files need no room
+            assert full.code == 2 and "File too large" in full.sentence, (room, full.err)
+            stage.require_whole(before, wanted)
+            left = stage.contents().keys() - before.keys() - wanted.keys()
+            assert all(file.endswith("checkpoint.pt") for file in left), (room, left)
+            stage.finish(command, options)
+        found = stage.contents()
+        assert found.keys() == wanted.keys(), room
+        other = [file for file in wanted if found[file] != wanted[file]]
+        assert other in ([], [NEVER_ALIKE.get(name)]), room
+
+
+def moments(count):
+    """Some of the changes that a command makes to the disk, the first and the last among them."""
+    drawn = np.random.default_rng(count).integers(0, count, MOMENTS)
+    return sorted({0, *drawn.tolist(), count - 1})
+
+
+@pytest.mark.parametrize("name", tried("when_killed"))
+def test_a_killed_command_is_run_again_and_ends_with_the_same_bits(name, stage):
+    command, options = COMMANDS[name].line, COMMANDS[name].when_killed
+    wanted, undisturbed = stage.whole(command)
+    for moment in moments(undisturbed.changes):
+        before = stage.set_up()
+        killed = stage.run(command, last=moment)
+        assert killed.code == -signal.SIGKILL
+        stage.require_whole(before, wanted)
+        stage.finish(command, options)
+        found = stage.contents()
+        assert found.keys() == wanted.keys(), moment
+        assert not [file for file in wanted if found[file] != wanted[file]], moment
+
+
+@pytest.mark.slow
+def test_what_a_killed_study_had_found_is_not_computed_again(stage):
+    command = f"{COMMANDS['study refine'].line} --noise 1 0.5"
+    _, undisturbed = stage.whole(command)
+    stage.set_up()
+    # After that there are three changes: the second result's file is named, its part and the lock
+    # are removed.
+    stage.run(command, last=undisturbed.changes - 3)
+    figures = stage.folder / "new/refine.json"
+    (first,) = json.loads(figures.read_text())["cases"]
+    ended = stage.run(command)
+    assert ended.code == 0 and "1 cases are in" in ended.out
+    cases = json.loads(figures.read_text())["cases"]
+    assert len(cases) == 2 and first in cases  # with the seconds that it took
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
+def test_what_is_printed_onto_a_full_disk_is_one_sentence():
+    with Path("/dev/full").open("w") as full:
+        program = [sys.executable, "-m", "gva_mi", "--help"]
+        ended = subprocess.run(program, stdout=full, stderr=subprocess.PIPE, text=True)
+    assert ended.returncode == 2 and ended.stderr.count("\n") == 1, ended.stderr
+    assert ended.stderr.startswith("gva-mi: the output: No space left on device; ")

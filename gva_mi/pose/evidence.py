@@ -1,12 +1,16 @@
 """What a frame's mask and normals say about the posed body: the data term of Eq. 8.
 
     1. L_data = L_normal + λ1 L_silhouette
-    2. L_normal = Σ_pixels |N - N_pred|_1 / 3 / area
+    2. L_normal = Σ_known pixels |N - N_pred|_1 / 3 / area
     3. L_silhouette = Σ_pixels |S - S_pred| / area
 
 with the normals ``N`` (H, W, 3) and the mask ``S`` (H, W) of the frame, and those of the rendered
-body. Everything is divided by the person's area in pixels, so that a weight means the same for a
-person who fills the picture and one who stands far away, and for any resolution.
+body. Normals are known inside the mask alone: where the body reaches beyond it, eq. 3 counts. Were
+``N`` zero there, a mask that misses thin things would count twice, and hands would rather hide
+before the trunk than be where the mask has no fingers. A frame without normals has eq. 3 alone,
+which then counts more. Everything is divided by the person's area in pixels, so that a weight
+means the same for a person who fills the picture and one who stands far away, and for any
+resolution.
 
 The absolute value of eq. 3 sees half of the outline. Masks are rendered with one ray through the
 centre of each pixel. Of the pixels that the rendered outline crosses, those whose centre it covers
@@ -48,6 +52,7 @@ from gva_mi.pose.focal import follow, stretched, stretched_normals
 from gva_mi.shelf import Shelf
 from gva_mi.splat import Camera
 
+ALONE = 3.0  # times that a silhouette counts where there are no normals
 MARGIN = 0.15  # of the box around the person, added on each side
 SHOWN = "its stage-1 body"
 
@@ -102,15 +107,15 @@ class MaskAndNormals:
             image: as :meth:`gva_mi.mesh.mesh_scene.MeshScene.render` gives it.
             silhouette: λ1.
         """
+        if self.normals is None:
+            return ALONE * silhouette * self.silhouette_loss(image)
         return self.normal_loss(image) + silhouette * self.silhouette_loss(image)
 
     def normal_loss(self, image: Tensor) -> Tensor:
         """Eq. 2 of a rendering (H, W, 4); zero where the frame has no normals."""
         if self.normals is None:
             return image.new_zeros(())
-        # Inside the mask normals may be missing, beyond the edge of a network's crop: such pixels
-        # are not compared.
-        known = self.normals.any(-1) | (self.mask <= 0.5)
+        known = self.normals.any(-1)  # inside a mask they may be missing, too
         return ((image[..., :3] - self.normals).abs() * known[..., None]).sum() / (3 * self.area)
 
     def silhouette_loss(self, image: Tensor) -> Tensor:

@@ -53,7 +53,7 @@ class RefineOptions(ABC):
     size: Annotated[int, Within(1, 4096)] = 208
     # Triangles of the body that is compared with them.
     faces: Annotated[int, Within(FEWEST_FACES, 1_000_000)] = 6000
-    silhouette: Weight = 5.0  # λ1
+    silhouette: Weight = 1.0  # λ1
     height: Annotated[float, PEOPLE] | None = None  # of the person, where somebody measured it
     hold_out_test: bool = False  # test frames are not looked at, their poses follow from the motion
 

@@ -61,7 +61,7 @@ class SequenceOptions(DescentOptions, RefineOptions):
     """How all frames of a video are refined together."""
 
     # Of each hand's close-up, where the loss of the whole person counts 1.
-    close_hands: Weight = 1.0
+    close_hands: Weight = 0.5
     close_feet: Weight = 0.1  # the same of a foot's: shoes are not of the body's form
     # Pixels of a hand's length in them, where the video has as many.
     hand_size: Annotated[int, Within(1, 1024)] = 44

@@ -9,7 +9,7 @@ import torch
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.crop import NoEvidence, mask_extent, points_extent
-from gva_mi.pose.evidence import MaskAndNormals, common_scale
+from gva_mi.pose.evidence import ALONE, MaskAndNormals, common_scale
 from gva_mi.splat import Camera, look_at
 
 
@@ -63,8 +63,25 @@ def test_where_normals_are_missing_inside_the_mask_nothing_is_said(cut, frame, p
     seen, whole = cut(replace(frame, normals=half), 1, points), cut(frame, 1, points)
     shown = torch.cat([whole.normals, whole.mask[..., None]], dim=-1)
     assert float(seen.normal_loss(shown)) == 0
-    outside = shown + (whole.mask == 0)[..., None]
-    assert float(seen.normal_loss(outside)) == float(whole.normal_loss(outside)) > 0
+    hidden = shown * (torch.arange(len(shown)) >= len(shown) // 2)[:, None, None]
+    assert float(seen.normal_loss(hidden)) == 0 < float(whole.normal_loss(hidden))
+
+
+def test_beyond_the_mask_the_silhouette_alone_is_compared(cut, frame, points):
+    """So a mask that misses something counts once."""
+    seen = cut(frame, 1, points)
+    shown = torch.cat([seen.normals, seen.mask[..., None]], dim=-1)
+    beyond = shown + (seen.mask == 0)[..., None]
+    assert float(seen.normal_loss(beyond)) == 0
+    assert float(seen.loss(beyond, 2.0)) == 2 * float(seen.silhouette_loss(beyond)) > 0
+
+
+def test_without_normals_the_silhouette_counts_more(cut, frame, points):
+    seen, blind = cut(frame, 1, points), cut(replace(frame, normals=None), 1, points)
+    moved = torch.cat([seen.normals, seen.mask[..., None]], dim=-1).roll(3, dims=1)
+    alone = float(blind.loss(moved, 2.0))
+    assert alone == pytest.approx(2 * ALONE * float(seen.silhouette_loss(moved)))
+    assert float(seen.silhouette_loss(moved)) < alone and float(blind.normal_loss(moved)) == 0
 
 
 def test_frames_that_say_nothing_are_explained(cut, frame, points):

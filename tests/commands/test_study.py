@@ -138,7 +138,8 @@ def test_the_avatars_study_has_a_line_for_each_row_and_a_page(fitted, tmp_path, 
 
 
 def test_the_avatars_study_goes_on_where_it_was_cut_short(fitted, tmp_path, cli):
-    avatar = ("study", "avatar", "--out", tmp_path, "--cases", "tuning", "--people", "dalia")
+    avatar = ("study", "avatar", "--out", tmp_path, "--cases", "tuning", "--families", "white")
+    avatar += ("--people", "dalia")
     assert cli(*avatar, "--rows", "full")[0] == 0
     assert [row for _, row in fitted] == ["full"]
     code, out, _ = cli(*avatar)

@@ -253,7 +253,7 @@ class _MeanLoss(torch.autograd.Function):
                     weight * seen.loss(image, silhouette)
                     for (weight, seen), image in zip(views, images, strict=True)
                 )
-                # A silhouette alone does not hang on the focal length: the body is stretched already.
+                # A silhouette does not hang on the focal length: the body is stretched already.
                 gradient, *rest = torch.autograd.grad(loss, leaves, materialize_grads=True)
             gradients.append(gradient)
             by_focal += rest

@@ -8,7 +8,7 @@ person's clothes and colours. All frames together descend (:mod:`gva_mi.pose.des
 where ``L_k`` compares frame ``k`` with the avatar that is laid over it
 (:mod:`gva_mi.fit.picture_evidence`), and ``E`` says how probable the turns δ of all joints and
 the shifts τ are (:mod:`gva_mi.pose.corrections`, with the poses that the pass starts from in the
-place of stage 1).
+place of stage 1). Jaw and expression go along (:mod:`gva_mi.fit.faces`).
 
 The poses to start from are those the avatar was trained under, or others of the same person: an
 avatar made from one video tracks its person through another. Such poses have seen the pictures they
@@ -23,7 +23,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import torch
 from torch import Tensor
@@ -33,6 +33,7 @@ from gva_mi.body.pose import Pose
 from gva_mi.body.smplx import Rest
 from gva_mi.console import Progress, within
 from gva_mi.data.video import Frame, Video
+from gva_mi.fit.faces import Face, FaceSteps
 from gva_mi.fit.picture_evidence import PictureAndMask, PictureEvidence, PictureWeights
 from gva_mi.pose.clips import cut, join, poses_of_clip
 from gva_mi.pose.descent import (
@@ -49,7 +50,8 @@ from gva_mi.pose.descent import (
 )
 from gva_mi.pose.evidence import gather
 from gva_mi.pose.priors import lever_arms
-from gva_mi.ranges import Metres, Seed, Turn, Weight
+from gva_mi.pose.stage1 import Stage1
+from gva_mi.ranges import Metres, Seed, Turn, Weight, Within
 from gva_mi.shelf import Shelf
 from gva_mi.threads import one_torch_thread
 
@@ -69,6 +71,8 @@ class PhotometricOptions(DescentOptions):
     step: Metres = 0.0005  # metres that a turned joint moves what hangs on it, in a first step
     largest_turn: Turn = 0.03  # radians in such a step; it limits joints with short lever arms
     translation_lr: Metres = 0.0003  # metres in a step at the start
+    # Standard deviations of an expression in such a step; 0: jaw and expression stay as given.
+    expression_lr: Annotated[float, Within(0, 1)] = 0.02
     part: PartFrames = 240  # frames fitted together; a longer video is cut into clips
     overlap: Overlap = 16  # frames that a clip shares with the next
     seed: Seed = 0  # of the order in which frames are visited
@@ -164,11 +168,36 @@ def _fit_clips(
     for number, (clip, frames) in enumerate(zip(clips, seen_in, strict=True)):
         part = poses_of_clip(clip, pose)
         if frames:
-            evidence = PictureEvidence(avatar, dict(frames), options.weights)
+            evidence = _evidence(avatar, part, dict(frames), arms, options)
             told = within(progress, sum(steps[:number]), steps[number], sum(steps))
             part = descend(evidence, part, arms, options, told, may_be_right=True).pose
+            with torch.no_grad():
+                turned = part[evidence.frames]
+                turned = evidence.face.corrected(turned, range(len(turned)))
+            part = with_frames(part, evidence.frames, turned)
         found.append(part)
     return join(clips, found)
+
+
+@torch.no_grad()
+def _evidence(
+    avatar: Avatar,
+    pose: Pose,
+    seen: Mapping[int, PictureAndMask],
+    arms: Tensor,
+    options: PhotometricOptions,
+) -> PictureEvidence:
+    """The frames of a clip, whose faces start from what their pictures agree with better: what was
+    given, or what is most probable of it, which takes all that is jerky for an error."""
+    frames = sorted(seen)
+    stage1 = Stage1.of(pose, frames, seen[frames[0]].camera)
+    likeliest = Face.likeliest(stage1) if options.expression_lr > 0 else Face(stage1, [])
+    steps = FaceSteps.of(arms, options, options.expression_lr, options.nat)
+    starts = [
+        PictureEvidence(avatar, seen, options.weights, face, steps)
+        for face in (likeliest, likeliest.none_yet())
+    ]
+    return min(starts, key=lambda start: float(start.loss(frames, pose[frames])))
 
 
 @torch.no_grad()

@@ -35,6 +35,7 @@ from torch import Tensor
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.pose import Pose
 from gva_mi.data.video import Frame
+from gva_mi.fit.faces import Face, FaceSteps
 from gva_mi.fit.losses import ssim
 from gva_mi.pose.anatomy import Anatomy
 from gva_mi.pose.crop import NoEvidence, person_box
@@ -93,16 +94,24 @@ class PictureAndMask:
 class PictureEvidence:
     """Pictures of some frames under one avatar: a :class:`gva_mi.pose.descent.Evidence`.
 
-    The avatar does not change, so the frames share no unknowns.
+    The avatar does not change, so the frames share no unknowns; the leaves beside their poses are
+    their faces.
+
+    Attributes:
+        face: what jaw and expression of these frames are corrected by.
     """
 
     soles: None = None
-    shared: Sequence[tuple[Tensor, float]] = ()
     size_known: bool = True  # the avatar's
     unseen: Sequence[int] = ()
 
     def __init__(
-        self, avatar: Avatar, seen: Mapping[int, PictureAndMask], weights: PictureWeights
+        self,
+        avatar: Avatar,
+        seen: Mapping[int, PictureAndMask],
+        weights: PictureWeights,
+        face: Face,
+        face_steps: FaceSteps,
     ) -> None:
         """Compare poses with some frames.
 
@@ -110,25 +119,35 @@ class PictureEvidence:
             avatar: of the person.
             seen: the frames by number, one at least.
             weights: of eq. 2.
+            face: of the same frames, ascending.
+            face_steps: how it is corrected.
         """
         self._avatar, self._seen, self._weights = avatar, seen, weights
+        self.face, self._face_steps = face, face_steps
         self.frames = sorted(seen)
         self.camera = seen[self.frames[0]].camera
         self.anatomy = Anatomy.of(avatar.rig.joints)
 
     def loss(self, frames: Sequence[int], pose: Pose) -> Tensor:
-        """Mean of eq. 2 over some frames in these poses."""
+        """Mean of eq. 2 over some frames in these poses, with their faces."""
+        pose = self.face.corrected(pose, [self.frames.index(k) for k in frames])
         losses = [
             self._seen[k].loss(self._avatar, pose[i], self._weights) for i, k in enumerate(frames)
         ]
         return torch.stack(losses).mean()
 
-    def come_closer(self) -> None:
-        """Pictures are whole from the start."""
+    @property
+    def shared(self) -> Sequence[tuple[Tensor, float]]:
+        """The leaves of the faces."""
+        return self.face.leaves(self._face_steps)
 
-    def energy(self) -> float:
-        """Zero, for the frames share no unknowns."""
-        return 0.0
+    def come_closer(self) -> None:
+        """Pictures are whole from the start; faces have shown by now how they err."""
+        self.face = self.face.told_by(self.face.found())
+
+    def energy(self) -> Tensor | float:
+        """What the faces cost."""
+        return self._face_steps.nat * self.face.energy()
 
 
 def _to_8bit(image: np.ndarray) -> Tensor:

@@ -17,7 +17,7 @@ what that says.
 * Avatar and poses could drift together, such as all knees and the canonical legs, and no picture
   would change. So nothing is corrected that is the same in all frames: no turn in the axes of its
   joint, no shift in those of the camera, or of the body while it turns.
-* Jaw and eyes stay.
+* Jaw and expression are corrected in the same way (:mod:`gva_mi.fit.faces`); eyes stay.
 """
 
 from __future__ import annotations
@@ -32,12 +32,14 @@ from torch import Tensor
 from gva_mi.avatar.avatar import Rig
 from gva_mi.body.pose import Pose
 from gva_mi.body.smplx import Rest
+from gva_mi.fit.faces import Face, FaceSteps
 from gva_mi.pose.anatomy import Anatomy
 from gva_mi.pose.clips import cut
 from gva_mi.pose.corrections import Corrections
 from gva_mi.pose.descent import Nat, optimiser
 from gva_mi.pose.priors import lever_arms
 from gva_mi.pose.stage1 import Stage1
+from gva_mi.pose.vector_adam import VectorAdam
 from gva_mi.ranges import InnerShare, Metres, Turn, Within, require_ranges
 from gva_mi.splat import Camera
 
@@ -55,6 +57,8 @@ class PoseOptions:
     step: Metres = 0.003  # metres that a turned joint moves what turns with it, in a first step
     largest_turn: Turn = 0.03  # radians in such a step; it limits joints with short lever arms
     translation_lr: Metres = 0.002  # metres in a first step
+    # Standard deviations of an expression in a first step; 0: jaw and expression stay as given.
+    expression_lr: Annotated[float, Within(0, 1)] = 0.03
     decay: Annotated[float, Within(0, 1, "low")] = 0.1  # what is left of these steps at the end
     part: Annotated[int, Within(2, 10_000)] = 240  # frames of a video that know of each other
 
@@ -90,7 +94,8 @@ class TrainedPoses:
         for frames in cut(len(given), options.part, overlap=0):
             stage1 = Stage1.of(given, frames, cameras[frames.start])
             corrections = Corrections.likeliest(stage1, anatomy)
-            self._clips.append(_Clip(frames, corrections, arms, options))
+            face = Face.likeliest(stage1) if options.expression_lr > 0 else Face(stage1, [])
+            self._clips.append(_Clip(frames, corrections, face, arms, options))
 
     @property
     def trained(self) -> bool:
@@ -101,7 +106,7 @@ class TrainedPoses:
         """The pose of one frame, differentiable in its corrections."""
         for clip in self._clips:
             if frame in clip.frames:
-                return clip.corrections.pose([frame - clip.frames.start])
+                return clip.pose([frame - clip.frames.start])
         return self.given[frame]
 
     def step(self, done: int, frame: int) -> None:
@@ -127,9 +132,12 @@ class TrainedPoses:
         """The poses of all frames as they are by now."""
         if not self._clips:
             return self.given
-        found = [clip.corrections.pose(range(len(clip.frames))) for clip in self._clips]
-        rotations = torch.cat([pose.rotations for pose in found])
-        return Pose(rotations, torch.cat([pose.transl for pose in found]), self.given.expression)
+        found = [clip.pose(range(len(clip.frames))) for clip in self._clips]
+        parts = (
+            torch.cat([getattr(pose, name) for pose in found])
+            for name in ("rotations", "transl", "expression")
+        )
+        return Pose(*parts)
 
     def state(self) -> list[dict[str, Any]]:
         """What was trained, for a checkpoint."""
@@ -147,32 +155,45 @@ class _Clip:
     Attributes:
         frames: their numbers.
         corrections: of their poses.
+        face: of their jaw and expression.
         waiting: how many of them steps of the fit looked at since the last step of the poses.
     """
 
     def __init__(
-        self, frames: range, corrections: Corrections, arms: Tensor, options: PoseOptions
+        self,
+        frames: range,
+        corrections: Corrections,
+        face: Face,
+        arms: Tensor,
+        options: PoseOptions,
     ) -> None:
-        self.frames, self.corrections, self.waiting = frames, corrections, 0
+        self.frames, self.corrections, self.face, self.waiting = frames, corrections, face, 0
         self._arms = arms
-        self._told: list[tuple[Tensor, Tensor]] = []  # what each learning was from
-        self._adam = optimiser(corrections, arms, options)
+        self._told: list[tuple[Tensor, Tensor, list[Tensor]]] = []  # what each learning was from
+        self._adam = self._optimiser(options)
+
+    def pose(self, which: Sequence[int]) -> Pose:
+        """Of some of the frames by their places, differentiable in the corrections."""
+        return self.face.corrected(self.corrections.pose(which), which)
 
     def step(self, nat: float, factor: float) -> None:
         if self.waiting:
-            (nat * self.waiting * self.corrections.energy()).backward()
+            energy = self.corrections.energy() + self.face.energy()
+            (nat * self.waiting * energy).backward()
             self._adam.step(factor)
             self.corrections.centre()
+            self.face.centre()
             self.waiting = 0
 
     def learn(self, options: PoseOptions) -> None:
-        self._tell(*self.corrections.found(), options)
+        self._tell(*self.corrections.found(), self.face.found(), options)
 
     def state(self) -> dict[str, Any]:
-        leaves = (self.corrections.turns, self.corrections.moves)
+        leaves = self._leaves()
         return {
             "told": self._told,
             "start": self.corrections.start,
+            "face": [part.start for part in self.face.parts],
             "leaves": [leaf.detach() for leaf in leaves],
             "gradients": [leaf.grad for leaf in leaves],
             "waiting": self.waiting,
@@ -180,11 +201,12 @@ class _Clip:
         }
 
     def load_state(self, state: dict[str, Any], options: PoseOptions) -> None:
-        for turns, moves in state["told"]:
-            self._tell(turns, moves, options)
+        for turns, moves, face in state["told"]:
+            self._tell(turns, moves, face, options)
         self.corrections.start = state["start"]
-        leaves = (self.corrections.turns, self.corrections.moves)
-        held = zip(leaves, state["leaves"], state["gradients"], strict=True)
+        for part, start in zip(self.face.parts, state["face"], strict=True):
+            part.start = start
+        held = zip(self._leaves(), state["leaves"], state["gradients"], strict=True)
         for leaf, value, gradient in held:
             with torch.no_grad():
                 leaf.copy_(value)
@@ -192,7 +214,15 @@ class _Clip:
         self.waiting = state["waiting"]
         self._adam.load_state(state["adam"])
 
-    def _tell(self, turns: Tensor, moves: Tensor, options: PoseOptions) -> None:
-        self._told.append((turns, moves))
+    def _tell(self, turns: Tensor, moves: Tensor, face: list[Tensor], options: PoseOptions) -> None:
+        self._told.append((turns, moves, face))
         self.corrections = self.corrections.told_by(turns, moves)
-        self._adam = optimiser(self.corrections, self._arms, options)
+        self.face = self.face.told_by(face)
+        self._adam = self._optimiser(options)
+
+    def _leaves(self) -> list[Tensor]:
+        return [self.corrections.turns, self.corrections.moves, *(p.u for p in self.face.parts)]
+
+    def _optimiser(self, options: PoseOptions) -> VectorAdam:
+        steps = FaceSteps.of(self._arms, options, options.expression_lr, options.nat)
+        return optimiser(self.corrections, self._arms, options, shared=self.face.leaves(steps))

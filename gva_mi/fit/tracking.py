@@ -20,7 +20,7 @@ from gva_mi.body.pose import load_poses, save_poses
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.truth import load_truth
 from gva_mi.data.video import POSES, Video
-from gva_mi.files import versions, write_json
+from gva_mi.files import replacing_together, versions, write_json
 from gva_mi.fit.photometric import FittedPoses, PhotometricOptions
 from gva_mi.pose.evaluation.errors import pose_errors
 
@@ -75,7 +75,7 @@ def write_tracking(
     offsets: Tensor | None,
     sources: dict[str, Path],
 ) -> None:
-    """Write both files; the poses last, for they are what says that it was done.
+    """Write both files, in the place of older ones: the record is there with its poses alone.
 
     Args:
         video: opened with the poses that the pass started from.
@@ -91,15 +91,16 @@ def write_tracking(
         "options": asdict(options),
         "versions": versions(),
     }
-    write_json(video.folder / TRACKING, record)
-    save_poses(
-        video.folder / TRACKED_POSES,
-        found.pose,
-        video.shape,
-        stage=2,
-        offsets=offsets,
-        focal=video.focal,
-    )
+    with replacing_together(video.folder / TRACKED_POSES, TRACKING) as unfinished:
+        save_poses(
+            unfinished / TRACKED_POSES,
+            found.pose,
+            video.shape,
+            stage=2,
+            offsets=offsets,
+            focal=video.focal,
+        )
+        write_json(unfinished / TRACKING, record)
 
 
 def _errors(video: Video, body: BodyModel, found: FittedPoses) -> dict[str, dict[str, float]]:

@@ -71,7 +71,7 @@ def join(clips: Sequence[range], poses: Sequence[Pose]) -> Pose:
 
     Args:
         clips: as :func:`cut` gives them.
-        poses: of each clip. Where clips overlap, the expression is that of the earlier one.
+        poses: of each clip.
     """
     first, *_ = poses
     R, t, psi = first.rotations, first.transl, first.expression
@@ -83,7 +83,8 @@ def join(clips: Sequence[range], poses: Sequence[Pose]) -> Pose:
         R = torch.cat([R[: clip.start], between, rotations[shared:]])
         between = torch.lerp(t[clip.start :], transl[:shared], weight)
         t = torch.cat([t[: clip.start], between, transl[shared:]])
-        psi = torch.cat([psi, other.expression[shared:]])
+        between = torch.lerp(psi[clip.start :], other.expression[:shared], weight)
+        psi = torch.cat([psi[: clip.start], between, other.expression[shared:]])
     return Pose(R, t, psi)
 
 

@@ -28,7 +28,7 @@ pixel. The factor is also in the outline's part of eq. 2, where normals end at t
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
@@ -48,7 +48,7 @@ from gva_mi.pose.crop import (
     person_extent,
     points_extent,
 )
-from gva_mi.pose.focal import follow, stretched, stretched_normals
+from gva_mi.pose.focal import brought_back, follow, stretched
 from gva_mi.shelf import Shelf
 from gva_mi.splat import Camera
 
@@ -94,29 +94,27 @@ class MaskAndNormals:
             normals = normals * (mask > 0.5)[..., None]
         return MaskAndNormals(crop.cut_camera(camera), mask, normals, float(mask.sum()))
 
-    def stretched(self, focal: Tensor) -> MaskAndNormals:
-        """What it says of a stretched body (:mod:`gva_mi.pose.focal`), differentiable."""
-        if self.normals is None:
-            return self
-        return replace(self, normals=stretched_normals(self.normals, focal))
-
-    def loss(self, image: Tensor, silhouette: float) -> Tensor:
+    def loss(self, image: Tensor, silhouette: float, focal: Tensor | None = None) -> Tensor:
         """Eq. 1, the data term of Eq. 8, of a rendering (H, W, 4) of normals and mask.
 
         Args:
             image: as :meth:`gva_mi.mesh.mesh_scene.MeshScene.render` gives it.
             silhouette: λ1.
+            focal: the factor for which the body is stretched (:mod:`gva_mi.pose.focal`); None: 1.
         """
         if self.normals is None:
             return ALONE * silhouette * self.silhouette_loss(image)
-        return self.normal_loss(image) + silhouette * self.silhouette_loss(image)
+        return self.normal_loss(image, focal) + silhouette * self.silhouette_loss(image)
 
-    def normal_loss(self, image: Tensor) -> Tensor:
+    def normal_loss(self, image: Tensor, focal: Tensor | None = None) -> Tensor:
         """Eq. 2 of a rendering (H, W, 4); zero where the frame has no normals."""
         if self.normals is None:
             return image.new_zeros(())
+        found = image[..., :3]
+        if focal is not None:
+            found = brought_back(found, focal)
         known = self.normals.any(-1)  # inside a mask they may be missing, too
-        return ((image[..., :3] - self.normals).abs() * known[..., None]).sum() / (3 * self.area)
+        return ((found - self.normals).abs() * known[..., None]).sum() / (3 * self.area)
 
     def silhouette_loss(self, image: Tensor) -> Tensor:
         """Eq. 3 of a rendering (H, W, 4); its derivative is half of the true one, see above."""
@@ -208,6 +206,7 @@ def mean_loss(
     silhouette: float,
     closer: Sequence[Sequence[tuple[float, MaskAndNormals]]] = (),
     focal: Tensor | None = None,
+    outlines: Tensor | None = None,
 ) -> Tensor:
     """Mean over frames of eq. 1, and of eq. 1 of close-ups, differentiable in the vertices.
 
@@ -223,11 +222,13 @@ def mean_loss(
         closer: close-ups of the same B frames, crops of their pictures, each with its weight, where
             that of the person is 1; nothing: there are none.
         focal: a factor on the focal length (:mod:`gva_mi.pose.focal`), for which the vertices are
-            already stretched; the evidence is stretched here, and it is differentiated, too.
+            already stretched; normals are brought back here.
+        outlines: (B, V, 3) the vertices once more, for what silhouettes of whole persons alone
+            shall tell; None: nothing.
     """
     closer = closer or [()] * len(seen)
     frames = [((1.0, whole), *parts) for whole, parts in zip(seen, closer, strict=True)]
-    return _MeanLoss.apply(vertices, focal, scene, frames, silhouette)
+    return _MeanLoss.apply(vertices, outlines, focal, scene, frames, silhouette)
 
 
 class _MeanLoss(torch.autograd.Function):
@@ -235,35 +236,31 @@ class _MeanLoss(torch.autograd.Function):
     def forward(
         ctx: FunctionCtx,
         vertices: Tensor,
+        outlines: Tensor | None,
         focal: Tensor | None,
         scene: MeshScene,
         frames: Sequence[Sequence[tuple[float, MaskAndNormals]]],
         silhouette: float,
     ) -> Tensor:
-        losses, gradients, by_focal = [], [], []
+        losses, gradients, of_outlines = [], [], []
         for body, views in zip(vertices.detach().unbind(), frames, strict=True):
             with torch.enable_grad():
                 body = body.contiguous().requires_grad_()
-                leaves = [body]
-                if focal is not None:
-                    leaves.append(focal.detach().requires_grad_())
-                    views = [(weight, seen.stretched(leaves[1])) for weight, seen in views]
                 images = scene.render_together(body, [seen.camera for _, seen in views])
                 loss = sum(
-                    weight * seen.loss(image, silhouette)
+                    weight * seen.loss(image, silhouette, focal)
                     for (weight, seen), image in zip(views, images, strict=True)
                 )
-                # A silhouette does not hang on the focal length: the body is stretched already.
-                gradient, *rest = torch.autograd.grad(loss, leaves, materialize_grads=True)
-            gradients.append(gradient)
-            by_focal += rest
+                if outlines is not None:
+                    whole = views[0][1].silhouette_loss(images[0])
+                    of_outlines += torch.autograd.grad(whole, body, retain_graph=True)
+                gradients += torch.autograd.grad(loss, body)
             losses.append(float(loss.detach()))
-        means = [torch.stack(x) / len(frames) for x in (gradients, by_focal) if x]
+        means = [torch.stack(x) / len(frames) for x in (gradients, of_outlines) if x]
         ctx.save_for_backward(*means)
         return vertices.new_tensor(sum(losses) / len(frames))
 
     @staticmethod
     def backward(ctx: FunctionCtx, grad_loss: Tensor) -> tuple[Tensor | None, ...]:
-        gradient, *by_focal = ctx.saved_tensors
-        grad_focal = grad_loss * by_focal[0].sum(0) if by_focal else None
-        return grad_loss * gradient, grad_focal, None, None, None
+        gradient, *of_outlines = (grad_loss * mean for mean in ctx.saved_tensors)
+        return gradient, (of_outlines[0] if of_outlines else None), None, None, None, None

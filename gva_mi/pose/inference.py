@@ -99,14 +99,21 @@ def from_pictures(before: Beliefs, stage1: Stage1, turns: Tensor, moves: Tensor)
     root, sideways = list(PELVIS), stage1.in_camera(steps, slice(0, -1))[:, list(JOINTS), 2:]
     return Beliefs(
         noise,
-        _renewed(before.pelvis, _by_joint(noise, PELVIS), turns[:, root], steps[:, root]),
-        _renewed(before.joints, _by_joint(noise, JOINTS), turns[:, list(JOINTS)], sideways),
-        _renewed(before.place, _by_axis(noise), moves[..., None], shifts[..., None]),
+        renewed(before.pelvis, _by_joint(noise, PELVIS), turns[:, root], steps[:, root]),
+        renewed(before.joints, _by_joint(noise, JOINTS), turns[:, list(JOINTS)], sideways),
+        renewed(before.place, _by_axis(noise), moves[..., None], shifts[..., None]),
     )
 
 
-def _renewed(before: Belief, noises: list[Noise], corrections: Tensor, steps: Tensor) -> Belief:
-    """A belief after corrections (n, C, d), and the steps (n - 1, C, ...) that pictures show."""
+def renewed(before: Belief, noises: list[Noise], corrections: Tensor, steps: Tensor) -> Belief:
+    """A belief after corrections have shown more.
+
+    Args:
+        before: what was believed.
+        noises: how C values err, as far as that is known by now.
+        corrections: (n, C, d).
+        steps: (n - 1, C, ...) from frame to frame, of what pictures show of them.
+    """
     changes = before.changes(steps)
     times = before.times[: len(changes)].float()
     square = motion.excursions(changes, motion.SPAN).square().mean(-1)

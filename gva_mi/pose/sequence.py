@@ -43,7 +43,7 @@ from gva_mi.pose.descent import (
     descend,
 )
 from gva_mi.pose.displacement import Displacement
-from gva_mi.pose.evidence import mean_loss, seen_body
+from gva_mi.pose.evidence import MaskAndNormals, mean_loss, seen_body
 from gva_mi.pose.ground import Soles
 from gva_mi.pose.job import Job, RefineOptions, Solution
 from gva_mi.pose.noise import GROUPS
@@ -81,7 +81,7 @@ class SequenceOptions(DescentOptions, RefineOptions):
     betas_lr: Rate = 0.05  # standard deviations in a step at the start
     refine_camera: bool = False  # whether the focal length of the video is an unknown, too
     focal_lr: Rate = 0.003  # of its logarithm, in a step at the start
-    focal_prior: Weight = 1.0  # of its logarithm's square
+    focal_prior: Weight = 0.02  # of its logarithm's square
     part: PartFrames = 120  # frames refined together; a longer video is cut into clips
     overlap: Overlap = 16  # frames that a clip shares with the next
     # Frames of a longer video that tell what all its clips share.
@@ -208,7 +208,8 @@ class ClothedPerson:
     @property
     def unseen(self) -> Sequence[int]:
         """The fingers, until they are looked at closely: before, masks' errors would bend them."""
-        return () if self._close and self._options.close_hands > 0 else FINGERS
+        close = self._close and self._job.fine and self._options.close_hands > 0
+        return () if close else FINGERS
 
     @property
     def focal(self) -> Tensor:
@@ -223,17 +224,28 @@ class ClothedPerson:
     def loss(self, frames: Sequence[int], pose: Pose) -> Tensor:
         """The data term in these poses, a mean over their frames."""
         seen = [self._job.evidence[k] for k in frames]
-        focal = self.focal if self._options.refine_camera else None
+        focal = self.focal.detach() if self._options.refine_camera else None
         vertices = seen_body(self._job.body, pose, self.shape, self.offsets, seen, focal)
+        outlines = self._outlines(pose, seen)
         closer, o = [], self._options
-        if self._close:
+        if self._close and self._job.fine:
             bodies = zip(frames, vertices.detach(), seen, strict=True)
             closer = [self._close_ups.of(*body) for body in bodies]
-        return mean_loss(self._scene, vertices, seen, o.silhouette, closer, focal)
+        return mean_loss(self._scene, vertices, seen, o.silhouette, closer, focal, outlines)
 
     def come_closer(self) -> None:
-        """From now on, look at hands and feet by themselves: a hand must be near its picture."""
-        self._close = bool(self._job.fine)
+        """From now on, look at hands and feet by themselves: a hand must be near its picture. And
+        at the lens, for which all of the person must be."""
+        self._close = True
+
+    def _outlines(self, pose: Pose, seen: Sequence[MaskAndNormals]) -> Tensor | None:
+        """The person as they are by now, whose outlines tell the lens (:mod:`gva_mi.pose.focal`);
+        None where it is not looked for."""
+        if not (self._options.refine_camera and self._close):
+            return None
+        still = Pose(pose.rotations.detach(), pose.transl.detach(), pose.expression)
+        person = still, Shape(self.shape.betas.detach()), self.offsets.detach()
+        return seen_body(self._job.body, *person, seen, self.focal)
 
     def energy(self) -> Tensor:
         """``E(D) + λβ |β - β^stage1|²``."""

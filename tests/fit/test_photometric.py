@@ -3,16 +3,21 @@
 from dataclasses import replace
 
 import drjit as dr
+import numpy as np
 import pytest
 import torch
 
-from gva_mi.body.pose import JOINTS, Pose
+from gva_mi.body.pose import JOINTS, Pose, save_poses
+from gva_mi.data.pictures import write_image
+from gva_mi.data.video import load_video, save_cameras
 from gva_mi.errors import InputError
 from gva_mi.fit.evaluation.evaluate import evaluate
 from gva_mi.fit.perceptual import Weights
 from gva_mi.fit.photometric import PhotometricOptions, fit_poses
+from gva_mi.fit.renders import to_8bit
+from gva_mi.splat import Camera, look_at, render
 
-ELBOW = JOINTS.index("left_elbow")
+ELBOW, JAW = JOINTS.index("left_elbow"), JOINTS.index("jaw")
 OPTIONS = PhotometricOptions(passes=12, nat=1e-6, step=0.015, translation_lr=0.015)
 SHORT = replace(OPTIONS, passes=2)
 SHIFT = torch.tensor([0.04, -0.03, 0.0])
@@ -50,6 +55,46 @@ def test_a_known_error_is_found(fitted, known, wrong, video, camera):
             true, before, after = (pixels(p[k]) for p in (video.pose, wrong.pose, fitted.pose))
         assert (after - true).norm(dim=1).mean() < 0.4 * (before - true).norm(dim=1).mean()
     assert (fitted.losses < 0.5 * fitted.losses_before).all() and not fitted.kept
+
+
+@pytest.fixture(scope="module")
+def talking(tmp_path_factory, known, turning):
+    """12 frames of somebody's head, from half a metre before it."""
+    folder, frames = tmp_path_factory.mktemp("talking"), 12
+    pose, shape = turning(frames)
+    t = torch.arange(frames) / frames
+    rotations, expression = pose.rotations.clone(), pose.expression.clone()
+    rotations[:, 0], rotations[:, JAW, 0] = 0, 0.1 + 0.05 * torch.sin(9 * t)
+    expression[:, 0], expression[:, 1] = torch.sin(5 * t), torch.cos(4 * t)
+    pose = Pose(rotations, pose.transl, expression)
+    head = known.rig.joints[JOINTS.index("head")].numpy()
+    near = Camera(
+        fx=200.0, fy=200.0, cx=48.0, cy=48.0, width=96, height=96,
+        T_camera_world=look_at(head + np.array([0.0, 0.05, 0.6]), head + np.array([0, 0.05, 0])),
+    )  # fmt: skip
+    for k in range(frames):
+        with torch.no_grad():
+            image = render(known(pose[k]), near, background=torch.full((3,), 0.3))
+        write_image(folder / f"frames/{k:06d}.png", to_8bit(image.color.numpy()))
+        write_image(folder / f"masks/{k:06d}.png", to_8bit(image.alpha.numpy()))
+    save_poses(folder / "poses.npz", pose, shape, stage=1)
+    save_cameras(folder / "cameras.npz", [near] * frames)
+    return load_video(folder)
+
+
+def test_faces_follow_the_pictures_too(known, talking):
+    true = talking.pose
+    errors = 0.4 * torch.randn(len(true), 2, generator=torch.Generator().manual_seed(0))
+    expression = true.expression.clone()
+    expression[:, :2] += errors
+    wrong = replace(talking, pose=Pose(true.rotations, true.transl, expression))
+    rms = lambda pose: float((pose.expression - true.expression).square().mean().sqrt())
+    options = PhotometricOptions(passes=30, learn=10, nat=1e-5, expression_lr=0.1)
+    found = fit_poses(known, wrong, options)
+    assert rms(found.pose) < 0.5 * rms(wrong.pose)
+    assert torch.equal(found.pose.expression[:, 2:], expression[:, 2:])  # never estimated
+    held = fit_poses(known, wrong, replace(options, expression_lr=0.0, passes=2))
+    assert torch.equal(held.pose.expression, expression)
 
 
 def test_the_same_options_give_the_same_bits_on_any_number_of_threads(known, wrong):

@@ -6,6 +6,9 @@
       poses_refined.npz   all frames, and the displaced surface's offsets: gva_mi.body.pose
       refinement.json     figures, frames that kept their stage-1 pose and why, options, versions
       refinement.png      the body over some frames: stage 1 above, refined below
+      refinement.html     a page, where one was asked for
+
+Where one of the other three is, it is about the poses that are there.
 
 The paper's protocol refines test frames too, from their own masks and normals; refinement.json says
 so by ``"test_frames": "seen"``. Where they were ``"held out"``, their poses follow from the others,
@@ -26,18 +29,18 @@ import torch
 from gva_mi.body.pose import save_poses
 from gva_mi.data.pictures import in_8_bits, write_image
 from gva_mi.data.video import REFINED_POSES, spread
-from gva_mi.files import write_json
+from gva_mi.files import replacing_together, write_json
 from gva_mi.mesh.overlay import overlay, strip
 from gva_mi.page import around
 from gva_mi.pose.evaluation.measure import Evaluation, Measured
 from gva_mi.pose.refine import Refined
 
-REFINEMENT, OVERLAYS = "refinement.json", "refinement.png"
+REFINEMENT, OVERLAYS, PAGE = "refinement.json", "refinement.png", "refinement.html"
 SHOWN = 8  # frames in the picture
 
 
 def write_record(evaluation: Evaluation, versions: dict[str, str]) -> None:
-    """Write the three files; the poses last, for a folder that holds them counts as refined.
+    """Write the first three files, in the place of all that was there of an older refinement.
 
     Args:
         evaluation: of the refinement.
@@ -45,7 +48,6 @@ def write_record(evaluation: Evaluation, versions: dict[str, str]) -> None:
     """
     video, refined, options = evaluation.video, evaluation.refined, evaluation.options
     folder: Path = video.folder
-    write_image(folder / OVERLAYS, _overlays(evaluation))
     record = {
         "figures": evaluation.measured.means.to_json(),
         "stage1_errors": {name: asdict(noise) for name, noise in refined.noise.items()},
@@ -58,10 +60,13 @@ def write_record(evaluation: Evaluation, versions: dict[str, str]) -> None:
         "options": {"loss": options.name, **asdict(options)},
         "versions": versions,
     }
-    write_json(folder / REFINEMENT, record)
     pose, shape, offsets = refined.pose, refined.shape, refined.offsets
     focal = video.focal * refined.focal
-    save_poses(folder / REFINED_POSES, pose, shape, stage=2, offsets=offsets, focal=focal)
+    about = (REFINEMENT, OVERLAYS, PAGE)
+    with replacing_together(folder / REFINED_POSES, *about) as unfinished:
+        save_poses(unfinished / REFINED_POSES, pose, shape, stage=2, offsets=offsets, focal=focal)
+        write_json(unfinished / REFINEMENT, record)
+        write_image(unfinished / OVERLAYS, _overlays(evaluation))
 
 
 def _by_split(measured: Measured, refined: Refined) -> dict[str, dict]:

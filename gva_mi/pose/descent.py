@@ -196,12 +196,13 @@ def with_frames(start: Pose, frames: Sequence[int], found: Pose) -> Pose:
     Args:
         start: T frames.
         frames: numbers of n of them.
-        found: the n poses; expressions are not taken.
+        found: the n poses.
     """
     frames = list(frames)
-    rotations, transl = start.rotations.clone(), start.transl.clone()
-    rotations[frames], transl[frames] = found.rotations, found.transl
-    return Pose(rotations, transl, start.expression)
+    taken = start.map(torch.clone)
+    taken.rotations[frames], taken.transl[frames] = found.rotations, found.transl
+    taken.expression[frames] = found.expression
+    return taken
 
 
 def worse_frames(

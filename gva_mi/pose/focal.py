@@ -4,16 +4,24 @@ A camera whose focal lengths are ``s`` times those of another shows the same pic
 shows of a world stretched across the line of sight. In camera space, with ``S = diag(s, s, 1)``:
 
 1. ``x' = S x``: the picture of ``x'`` by the camera is that of ``x`` by the camera ``s fx, s fy``,
-2. ``n' ∝ S^{-T} n``: normals of the stretched surface. The normals of a frame are brought there,
-   and compared with those that are rendered; to bring these back, ``n ∝ S n'``, would put a
-   nonlinear step after the renderer, whose derivative at outlines holds for linear ones only,
+2. ``n' ∝ S^{-T} n``: normals of the stretched surface. Those that are rendered are brought back
+   before they are compared, ``n = S n' / |S n'|``: were the frame's normals stretched instead, what
+   differs would differ by more or less with ``s``, and count for as much more or less. The length
+   takes no part in derivatives, for a renderer's hold at outlines for what is linear in its image;
+   where ``s`` is near 1, little is missing,
 3. ``z ← s z``: how large a person is seen goes by ``s / z``. So that a change of ``s`` leaves the
    size as it is, ``d log z = d log s``, the pelvis of every frame moves with it along the optical
    axis: the other coordinates of the descent keep what they have found, and ``s`` changes only how
    strongly near limbs grow and far ones shrink.
 
 So ``s`` is differentiated through vertices, and the renderer knows nothing of it. Poses found by a
-descent are those for ``s = 1`` until :func:`follow` moves them.
+descent are those for ``s = 1`` until :func:`follow` moves them. It is looked for once poses are
+nearly right, for limbs that are off by centimetres pass for another lens, too.
+
+What ``s`` changes in a picture is small, a pixel where hands are before or behind the body, and
+what is wrong with normals is not: blurred ones, or those of clothes, agree with a bare body better
+the shorter the lens is, by more than its right length gains. So silhouettes alone tell ``s``, in
+the poses and the shape that all evidence has found so far.
 """
 
 from __future__ import annotations
@@ -41,11 +49,15 @@ def stretched(vertices: Tensor, cameras: Sequence[Camera], s: Tensor) -> Tensor:
     return (torch.cat([s * seen[..., :2], seen[..., 2:]], -1) - t[:, None]) @ R
 
 
-def stretched_normals(normals: Tensor, s: Tensor) -> Tensor:
-    """Eq. 2: unit normals (..., 3) in camera space of the surface after 1; zero stays zero."""
-    across, along = normals[..., :2] / s, normals[..., 2:]
-    square = across.square().sum(-1, keepdim=True) + along.square()
-    return torch.cat([across, along], -1) / square.clamp_min(1e-12).sqrt()
+def brought_back(rendered: Tensor, s: Tensor) -> Tensor:
+    """Eq. 2: rendered normals (..., 3) of the stretched surface as they were before, camera space.
+
+    Differentiable, but for the length as said there. Zero, where there is no surface, stays zero.
+    """
+    shrunk = lambda n: torch.cat([s * n[..., :2], n[..., 2:]], -1)
+    fixed = rendered.detach()
+    lengths = fixed.norm(dim=-1, keepdim=True), shrunk(fixed).norm(dim=-1, keepdim=True)
+    return shrunk(rendered) * (lengths[0] / lengths[1].clamp_min(1e-12))
 
 
 def follow(pose: Pose, pelvis: Tensor, cameras: Sequence[Camera], s: Tensor | float) -> Pose:

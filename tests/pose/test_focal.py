@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import roma
 import torch
 
 from gva_mi.body.pose import Shape
 from gva_mi.data.video import Frame
 from gva_mi.pose.evidence import MaskAndNormals, mean_loss, seen_body
-from gva_mi.pose.focal import follow, stretched, stretched_normals
+from gva_mi.pose.focal import brought_back, follow, stretched
 from gva_mi.pose.refine import refine
 from gva_mi.pose.sequence import SequenceOptions
 from gva_mi.splat import look_at
@@ -29,26 +30,26 @@ def test_a_stretched_body_looks_as_through_the_other_lens(scene, camera, vertice
         truth = scene.render(body, longer)
         found = scene.render(wide.contiguous(), camera)
         assert float((found[..., 3] - truth[..., 3]).abs().mean()) < 1e-4
-        expected = stretched_normals(truth[..., :3], torch.tensor(S))
-        error = float((found[..., :3] - expected).abs().mean())
+        normals = brought_back(found[..., :3], torch.tensor(S))
+        error = float((normals - truth[..., :3]).abs().mean())
         assert error < 2e-4
         assert float((found - truth)[..., :3].abs().mean()) > 20 * error
 
 
-def test_stretching_and_turning_back_are_differentiated(camera, vertices):
+def test_stretching_is_differentiated(camera, vertices):
     points = vertices[:, ::400].double().requires_grad_()
     s = torch.tensor(S, dtype=torch.float64, requires_grad=True)
-    normals = torch.randn(2, 3, 3, dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(lambda x, k: stretched(x, [camera] * 3, k), (points, s))
-    assert torch.autograd.gradcheck(stretched_normals, (normals, s))
+    rendered = torch.nn.functional.normalize(torch.randn(5, 3, dtype=torch.float64), dim=-1)
+    assert torch.autograd.gradcheck(lambda k: brought_back(rendered, k), s)
 
 
 def test_nothing_is_nowhere_stretched(camera, vertices):
     one = torch.tensor(1.0)
     torch.testing.assert_close(stretched(vertices, [camera] * 3, one), vertices)
     normals = torch.nn.functional.normalize(torch.randn(5, 3), dim=-1)
-    torch.testing.assert_close(stretched_normals(normals, one), normals)
-    assert not stretched_normals(torch.zeros(5, 3), torch.tensor(S)).any()
+    torch.testing.assert_close(brought_back(normals, one), normals)
+    assert not brought_back(torch.zeros(5, 3), torch.tensor(S)).any()
 
 
 def test_a_person_who_follows_keeps_the_size_in_the_picture(body, camera, true_pose):
@@ -64,7 +65,8 @@ def test_a_person_who_follows_keeps_the_size_in_the_picture(body, camera, true_p
     assert tall(true_pose, camera.zoomed(S)) > 1.15 * tall(true_pose, camera)
 
 
-def test_the_evidence_says_which_lens_it_was(body, scene, camera, true_pose, outline_of):
+@pytest.mark.parametrize("bad", [False, True], ids=["normals", "bad normals"])
+def test_outlines_say_which_lens_it_was(body, scene, camera, true_pose, outline_of, bad):
     """Stage 1 took the focal length for a fifth too long, and the person for too far away."""
     shape, pose, target = Shape(torch.zeros(10)), true_pose[0], torch.tensor([0.0, -0.1, 0.0])
     near = replace(  # where a lens shows: arm's lengths make a difference
@@ -73,26 +75,47 @@ def test_the_evidence_says_which_lens_it_was(body, scene, camera, true_pose, out
     with torch.no_grad():
         vertices = body(pose, shape).vertices[0]
         image = scene.render(vertices, near).numpy()
-    frame = Frame(0, image[..., :3], image[..., 3], image[..., :3], near.zoomed(S), pose)
+    normals = image[..., :3] * np.float32([0.2, 0.2, 1.0]) if bad else image[..., :3]
+    frame = Frame(0, image[..., :3], image[..., 3], normals, near.zoomed(S), pose)
     seen = MaskAndNormals.of(outline_of(frame), 1, vertices)
     far = follow(pose, body.rest(shape).joints[0], [near], S)
     nothing = torch.zeros_like(body.v_template)
 
     def loss(s):
-        stretch = seen_body(body, far, shape, nothing, [seen], s)
-        return mean_loss(scene, stretch, [seen], 1.0, focal=s)
+        outlines = seen_body(body, far, shape, nothing, [seen], s)
+        stretch = outlines.detach().requires_grad_()
+        return mean_loss(scene, stretch, [seen], 1.0, focal=s.detach(), outlines=outlines)
 
-    s = torch.tensor(1.0, requires_grad=True)
-    (slope,) = torch.autograd.grad(loss(s), s)
-    assert float(slope) > 0
-    with torch.no_grad():
-        losses = [float(loss(torch.tensor(x))) for x in (1 / S, 0.9, 1.0, 1.1)]
-    assert losses[0] < 0.1 * losses[2] and losses == sorted(losses)
+    def slope(at):
+        s = torch.tensor(at, requires_grad=True)
+        return float(torch.autograd.grad(loss(s), s)[0])
+
+    assert slope(0.9) > 0 and slope(1.0) > 0 and slope(0.7) < 0
+    if not bad:
+        losses = [float(loss(torch.tensor(x)).detach()) for x in (1 / S, 0.9, 1.0, 1.1)]
+        assert losses[0] < 0.1 * losses[2] and losses == sorted(losses)
+
+
+def test_bad_normals_do_not_pass_for_another_lens():
+    """Were a frame's normals stretched, all that differs would differ less for a longer lens, or
+    more: by a quarter of its size for each unit of s where they are turned in the picture."""
+    generator = torch.Generator().manual_seed(0)
+    unit = lambda x: torch.nn.functional.normalize(x, dim=-1)
+    true = unit(torch.randn(5000, 3, dtype=torch.float64, generator=generator))
+    turned = roma.rotvec_to_rotmat(torch.tensor([0.1, -0.05, 0.15], dtype=torch.float64))
+    for seen in (true @ turned, unit(true * torch.tensor([0.7, 0.7, 1.0]))):
+
+        def loss(s, seen=seen):
+            rendered = unit(true / torch.tensor([s, s, 1.0]))
+            return float((brought_back(rendered, torch.tensor(s)) - seen).abs().mean())
+
+        assert loss(1.0) > 0.03
+        assert loss(1.1) == pytest.approx(loss(1.0), rel=1e-6)
 
 
 def test_a_refinement_moves_the_lens_where_it_is_asked_to(clip, body):
     """Also where some frames have no normals."""
-    options = SequenceOptions(passes=2, size=48)
+    options = SequenceOptions(passes=2, learn=1, size=48)
     assert refine(clip, body, options).focal == 1
     asked = replace(options, refine_camera=True)
     (mask, _), *others = clip.pictures

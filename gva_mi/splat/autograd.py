@@ -37,7 +37,7 @@ from gva_mi.splat.kernels.inputs import Inputs, Wanted
 from gva_mi.splat.kernels.passes import Saved, render_adjoint, render_forward, render_tangent
 from gva_mi.splat.kernels.planes import Planes
 from gva_mi.splat.options import SplatOptions
-from gva_mi.splat.screen import Screen
+from gva_mi.splat.screen import Screen, of_rows, tensor_of
 from gva_mi.threads import alone_on_the_cores
 
 ALIGNMENT = 64  # bytes; torch's own memory has it
@@ -104,6 +104,7 @@ class Call:
     rows: Tensor | None = None  # these, once they are known
     saved: Saved | None = None
     elements: list[Call] | None = None  # under vmap: of each element of the batch
+    copied: Callable[[], None] | None = None  # called when torch has kept means2d's gradient
 
     def pick(self, numbers: Tensor) -> Tensor:
         """Of numbers of all Gaussians, (N, ...), those of ``means2d``'s rows."""
@@ -298,27 +299,28 @@ def _adjoint(tensors: Tensors, grads: Images, call: Call, wanted: Wanted) -> Ten
     )
     found = render_adjoint(saved, grad, wanted)
     dr.sync_thread()
-    by_means2d = None if found.means2d is None else found.means2d.torch().view(-1, 2)
+    by_means2d = None if found.means2d is None else tensor_of(found.means2d).view(-1, 2)
     if screen is not None:
         screen.grad = by_means2d
         if screen.absolute:
-            screen.absgrad = found.absolute.torch().view(-1, 2)
+            screen.absgrad = tensor_of(found.absolute).view(-1, 2)
     by_gaussians = (
-        None if flat is None else flat.torch().view(part.shape)
+        None if flat is None else tensor_of(flat).view(part.shape)
         for flat, part in zip(found.inputs, tensors.gaussians, strict=True)
     )
     new = tensors.background.new_tensor
     matrix = lambda given, value: new(value) if wanted.camera and given is not None else None
-    node = None
+    node = known = None
     if tensors.means2d is not None:
-        node = call.pick(by_means2d)
+        known = by_means2d if call.rows is None else of_rows(by_means2d.numpy(), call.rows)
+        node = known.view(tensors.means2d.shape)
     return Tensors(
         *by_gaussians,
         background=new(found.background),
         T_camera_world=matrix(tensors.T_camera_world, found.T_camera_world),
         K=matrix(tensors.K, found.K),
         means2d=node,
-        known=node,
+        known=known,
     )
 
 
@@ -368,7 +370,7 @@ def _images(planes: Planes, saved: Saved) -> Images:
 def _to_torch(plane: Array, saved: Saved, *channels: int) -> Tensor:
     """A plane without its padding; in one piece where the width is a multiple of a tile's."""
     layout = saved.layout
-    return plane.torch().view(*layout.padded, *channels)[: layout.height, : layout.width]
+    return tensor_of(plane).view(*layout.padded, *channels)[: layout.height, : layout.width]
 
 
 def _padded(grad: Tensor | None, saved: Saved, *channels: int) -> Array:

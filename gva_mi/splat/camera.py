@@ -13,12 +13,15 @@
 
 from __future__ import annotations
 
+import functools
+import math
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, NamedTuple, get_args
 
 import drjit as dr
 import numpy as np
 
+VIEWS = 1024  # whose numbers need not be looked at again
 MOST_PIXELS = 1 << 28  # of an image; its five channels take 5 GiB
 CameraModel = Literal["pinhole", "ortho", "fisheye"]
 
@@ -62,7 +65,7 @@ class Camera:
         if self.model not in get_args(CameraModel):
             known = ", ".join(get_args(CameraModel))
             raise ValueError(f"Camera: model must be one of {known}, got {self.model!r}")
-        if not np.isfinite([self.fx, self.fy, self.cx, self.cy]).all():
+        if not all(math.isfinite(x) for x in (self.fx, self.fy, self.cx, self.cy)):
             found = f"{self.fx}, {self.fy}, {self.cx}, {self.cy}"
             raise ValueError(f"Camera: fx, fy, cx, cy must be finite, got {found}")
         if min(self.width, self.height) < 1 or self.width * self.height > MOST_PIXELS:
@@ -113,12 +116,15 @@ class Camera:
         k = _numbers(K)
         if k.shape != (3, 3):
             raise ValueError(f"Camera: K must be (3, 3), got {k.shape}")
-        fx, fy, cx, cy = (float(x) for x in (k[0, 0], k[1, 1], k[0, 2], k[1, 2]))
-        T = _numbers(T_camera_world)
-        camera = Camera(fx, fy, cx, cy, T, int(width), int(height), model)
+        T, size = _numbers(T_camera_world), (int(width), int(height))
+        if isinstance(model, str):
+            checked = _checked_once(k.tobytes(), T.tobytes(), T.shape, *size, model)
+        else:
+            checked = _checked(k, T, *size, model)
         # its numbers are the tensors': they need not be read again and compared
         tensors = CameraTensors(*(x if _is_tensor(x) else None for x in (T_camera_world, K)))
-        object.__setattr__(camera, "tensors", tensors)
+        camera = object.__new__(Camera)
+        vars(camera).update(vars(checked), tensors=tensors)
         return camera
 
     def with_matrices(
@@ -206,6 +212,21 @@ def look_at(eye: np.ndarray, target: np.ndarray, up: np.ndarray = (0.0, 1.0, 0.0
     return T
 
 
+def _checked(K: np.ndarray, T: np.ndarray, width: int, height: int, model: CameraModel) -> Camera:
+    """A camera of numbers alone."""
+    fx, fy, cx, cy = (float(x) for x in (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
+    return Camera(fx, fy, cx, cy, T, width, height, model)
+
+
+@functools.lru_cache(VIEWS)
+def _checked_once(
+    K: bytes, T: bytes, shape: tuple[int, ...], width: int, height: int, model: CameraModel
+) -> Camera:
+    """The same of float64 in memory: who trains comes back to the same views, again and again."""
+    arrays = np.frombuffer(K).reshape(3, 3), np.frombuffer(T).reshape(shape)
+    return _checked(*arrays, width, height, model)
+
+
 def _is_rotation(R: np.ndarray) -> bool:
     """Whether R R^T is 1, within 1e-4 and the digits of a float32; np.allclose takes six times."""
     return bool((np.abs(R @ R.T - _UNIT) <= _ROUNDING).all())
@@ -213,15 +234,15 @@ def _is_rotation(R: np.ndarray) -> bool:
 
 def _is_tensor(matrix: Any) -> bool:  # noqa: ANN401
     """Whether it is a tensor; torch's is known by its method, for torch is not imported here."""
-    return isinstance(matrix, dr.ArrayBase) or hasattr(matrix, "new_tensor")
+    return hasattr(matrix, "new_tensor") or isinstance(matrix, dr.ArrayBase)
 
 
 def _numbers(matrix: Any) -> np.ndarray:  # noqa: ANN401
     """A matrix of any kind in float64, detached."""
-    if isinstance(matrix, dr.ArrayBase):
-        matrix = dr.detach(matrix).numpy()
-    elif hasattr(matrix, "new_tensor"):
+    if hasattr(matrix, "new_tensor"):
         matrix = matrix.detach().tolist()  # .numpy() not under torch.func
+    elif isinstance(matrix, dr.ArrayBase):
+        matrix = dr.detach(matrix).numpy()
     return np.asarray(matrix, dtype=np.float64)
 
 

@@ -161,6 +161,7 @@ def rasterization(
         quats, scales = in_the_place_of_quats_and_scales(covars[..., rows, columns])
     of_views = _colors_by_view(colors, shape, sh_degree, render_mode)
     behind = _backgrounds_by_view(backgrounds, shape, of_views, sh_degree, render_mode)
+    fitting = _fit(given, sh_degree)
     cameras = zip(_flat(Ks, 2), _flat(viewmats, 2), strict=True)
     bodies = [_flat(x, k) for x, k in ((means, 2), (quats, 2), (scales, 2), (opacities, 1))]
     views = []
@@ -169,14 +170,15 @@ def rasterization(
         with _errors_as_called():
             gaussians = Gaussians(*body, **{"colors" if sh_degree is None else "sh": of_views[v]})
             camera = Camera.from_matrices(K, viewmat, width, height, camera_model)
-            check(gaussians, behind[v], camera)
+            if not fitting:
+                check(gaussians, behind[v], camera)
             views.append(View.of(gaussians, camera, options, behind[v], packed, absgrad, by_covars))
     seen = Views(views, shape, packed)
     pictures = [_channels(image, render_mode) for image in seen.images()]
     if absgrad and seen.means2d.requires_grad:
         seen.attach_absgrad()
-    colors_out = joined([color for color, _ in pictures]).unflatten(0, shape)
-    alphas = joined([alpha[..., None] for _, alpha in pictures]).unflatten(0, shape)
+    colors_out = joined([color for color, _ in pictures], shape)
+    alphas = joined([alpha[..., None] for _, alpha in pictures], shape)
     return colors_out, alphas, seen.meta(opacities, tile_size)
 
 
@@ -191,8 +193,13 @@ def _options(**given: Any) -> SplatOptions:  # noqa: ANN401
 
 
 def _flat(tensor: Tensor, axes: int) -> list[Tensor]:
-    """Its elements, each of so many axes; a single one is a view, whose gradient is not copied."""
+    """Its elements, each of so many axes; a single one is a view, whose gradient is not copied.
+
+    What has no other axes is taken as it is: a view would be one more node of the graph.
+    """
     first = tensor.dim() - axes
+    if first == 0:
+        return [tensor]
     count, shape = tensor.shape[:first].numel(), tensor.shape[first:]
     return [tensor.reshape(shape)] if count == 1 else list(tensor.reshape(count, *shape))
 
@@ -232,12 +239,12 @@ def _channels(image: Image, mode: RenderMode) -> tuple[Tensor, Tensor]:
 def _check_tensors(given: dict[str, Tensor | None], sh_degree: int | None) -> tuple[int, ...]:
     """Check what the renderer of a single picture does not see; returns the batch's shape."""
     for name, tensor in given.items():
-        if tensor is None and name == "backgrounds":
-            continue
         if not isinstance(tensor, Tensor):
+            if tensor is None and name == "backgrounds":
+                continue
             found = type(tensor).__name__
             raise ValueError(f"rasterization(): {name} must be a torch tensor, got {found}")
-        if tensor.device.type != "cpu" or tensor.dtype not in PRECISION:
+        if not tensor.is_cpu or tensor.dtype not in PRECISION:
             found = f"{tensor.dtype} on {tensor.device}"
             raise ValueError(
                 f"rasterization(): {name} must be float32 or float64 on the CPU, got {found}"
@@ -264,6 +271,13 @@ def _check_tensors(given: dict[str, Tensor | None], sh_degree: int | None) -> tu
             f"rasterization(): colors must be (..., {form[1:]} or (..., C, {form[1:]}, got {found}"
         )
     return batch
+
+
+def _fit(checked: dict[str, Tensor], sh_degree: int | None) -> bool:
+    """Whether there is nothing left that ``check`` would refuse: it takes its time to say so."""
+    D = checked["colors"].shape[-1]
+    channels = D > 0 if sh_degree is None else D == 3
+    return channels and len({tensor.dtype for tensor in checked.values()}) == 1
 
 
 def _backgrounds_by_view(

@@ -13,7 +13,7 @@ from gva_mi.splat.autograd import Call, Render, Tensors
 from gva_mi.splat.camera import Camera
 from gva_mi.splat.gaussians import Gaussians, Image
 from gva_mi.splat.gsplat_meta import Meta, Tiles
-from gva_mi.splat.means2d import ProjectMeans
+from gva_mi.splat.means2d import ProjectMeans, keep_on_one_thread
 from gva_mi.splat.options import SplatOptions
 from gva_mi.splat.screen import Screen
 
@@ -50,20 +50,22 @@ class View:
         return View(call, tensors, means2d, depths)
 
     def image(self, means2d: Tensor) -> Image:
-        """The picture, as a function of its part of the common ``means2d`` too."""
+        """The picture, as a function of its part (..., M, 2) of the common ``means2d`` too."""
         images = Render.apply(*self.tensors._replace(means2d=means2d), self.call)
         return Image(*images)
 
 
-def joined(parts: list[Tensor]) -> Tensor:
-    """Stacked; a single one is not copied, nor is its gradient."""
-    return parts[0][None] if len(parts) == 1 else torch.stack(parts)
+def joined(parts: list[Tensor], shape: tuple[int, ...]) -> Tensor:
+    """Stacked, (*shape, ...); a single one is not copied, nor is its gradient."""
+    if len(parts) == 1:
+        return parts[0].view(*shape, *parts[0].shape)
+    return torch.stack(parts).unflatten(0, shape)
 
 
 def _join(parts: list[Tensor], shape: tuple[int, ...], packed: bool) -> Tensor:
     if packed:
         return parts[0] if len(parts) == 1 else torch.cat(parts)
-    return joined(parts).unflatten(0, shape)
+    return joined(parts, shape)
 
 
 class Views:
@@ -72,11 +74,12 @@ class Views:
     def __init__(self, views: Sequence[View], shape: tuple[int, ...], packed: bool) -> None:
         self.views, self.shape, self.packed = views, shape, packed
         self.means2d = self.join([view.means2d for view in views])
+        keep_on_one_thread(self.means2d, [view.call for view in views])
 
     def images(self) -> list[Image]:
         """Each picture: a function of ``means2d``, as gsplat's are."""
-        if len(self.views) == 1:  # views of it, whose gradients are not copied
-            parts = [self.means2d if self.packed else self.means2d.view(-1, 2)]
+        if len(self.views) == 1:  # its gradient is not copied
+            parts = [self.means2d]
         elif self.packed:
             parts = self.means2d.split([len(view.means2d) for view in self.views])
         else:

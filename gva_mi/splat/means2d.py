@@ -14,12 +14,14 @@ arrive here unlike, something was added on the way, and the difference alone is 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import weakref
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
 from torch import Tensor
 from torch._C._functorch import is_functorch_wrapped_tensor
+from torch.autograd import Variable
 from torch.autograd.function import FunctionCtx
 from torch.func import vjp
 
@@ -46,8 +48,8 @@ class ProjectMeans(torch.autograd.Function):
     def forward(*arguments: Any) -> Values:  # noqa: ANN401
         means, T_camera_world, K, _, *others, call = arguments
         draw(call, Tensors(means, *others, T_camera_world, K, None, None))
-        means2d, depths = (call.pick(x) for x in (call.screen.means2d, call.screen.depths))
-        return means2d, depths, torch.zeros_like(means2d)
+        means2d, depths = call.screen.means2d_of(call.rows), call.pick(call.screen.depths)
+        return means2d, depths, _nothing(means2d)
 
     @staticmethod
     def setup_context(ctx: FunctionCtx, inputs: tuple, output: Values) -> None:
@@ -58,17 +60,14 @@ class ProjectMeans(torch.autograd.Function):
 
     @staticmethod
     @not_compiled
-    @exclusive
-    @one_torch_thread()
     def backward(
         ctx: FunctionCtx, grad: Tensor | None, by_depths: Tensor | None, known: Tensor | None
     ) -> Values:
-        if known is not None:
-            grad = None if _same(grad, known) else grad - known
+        if ctx.call.copied is not None:
+            ctx.call.copied()
         found: Values = (None, None, None)
-        if grad is not None or by_depths is not None:
-            images, pull = vjp(_projection(ctx.call), *ctx.saved_tensors)
-            found = pull(_filled((grad, by_depths), images))
+        if by_depths is not None or known is None or not _one_memory(grad, known):
+            found = _pulled(ctx, grad, by_depths, known)
         return *found, *[None] * ctx.others
 
     @staticmethod
@@ -78,22 +77,101 @@ class ProjectMeans(torch.autograd.Function):
         zeros = _filled((None, None), images)
         _, push = vjp(pull, zeros)  # pull is linear: its own transpose is the tangent
         (found,) = push(_filled(tangents[:3], ctx.saved_tensors))
-        return *found, torch.zeros_like(found[0])
+        return *found, _nothing(found[0])
 
     @staticmethod
     def vmap(info: Any, dims: tuple, *arguments: Any) -> tuple[tuple, tuple]:  # noqa: ANN401
         return one_by_one(ProjectMeans, info, dims, arguments)
 
 
+def keep_on_one_thread(means2d: Tensor, calls: Sequence[Call]) -> None:
+    """Have one thread make the copy of its gradient that ``retain_grad`` keeps.
+
+    Each pass ends torch's threads (threads.py). For this one copy they would be started anew, and
+    would spin on the cores until the next pass: that took longer than the copy, and than the rest
+    of what gsplat's call costs beside ``render``.
+
+    Args:
+        means2d: of all pictures.
+        calls: of the pictures: their ``ProjectMeans`` comes next on the way back.
+    """
+    if not means2d.requires_grad or is_functorch_wrapped_tensor(means2d):
+        return
+    # its own graph holds the hooks: they must not hold the tensor
+    node, held = weakref.ref(means2d), None
+
+    def enter(_: Tensor) -> None:
+        nonlocal held
+        target, threads = node(), torch.get_num_threads()
+        if threads > 1 and target is not None and target.retains_grad:
+            one = _OneThread(threads)
+            held = weakref.ref(one)
+            Variable._execution_engine.queue_callback(one.leave)
+
+    def leave() -> None:
+        one = held and held()
+        if one is not None:
+            one.leave()
+
+    means2d.register_hook(enter)
+    for call in calls:
+        call.copied = leave
+
+
+class _OneThread:
+    """One thread of torch's until somebody leaves, or nobody is left who would.
+
+    The engine of the backward pass holds it: a hook of the caller's may raise, or the pass may end
+    at ``means2d``.
+    """
+
+    def __init__(self, before: int) -> None:
+        self.before = before
+        torch.set_num_threads(1)
+
+    def leave(self) -> None:
+        """Restore their number."""
+        if self.before > 1:
+            torch.set_num_threads(self.before)
+            self.before = 1
+
+    __del__ = leave
+
+
+@exclusive
+@one_torch_thread()
+def _pulled(
+    ctx: FunctionCtx, grad: Tensor | None, by_depths: Tensor | None, known: Tensor | None
+) -> Values:
+    """The gradients by means, T_camera_world, K of what the kernels do not know."""
+    if known is not None:
+        grad = None if _same(grad, known) else grad - known
+    if grad is None and by_depths is None:
+        return None, None, None
+    images, pull = vjp(_projection(ctx.call), *ctx.saved_tensors)
+    return pull(_filled((grad, by_depths), images))
+
+
 def _same(grad: Tensor, known: Tensor) -> bool:
-    """Whether two gradients are equal: mostly one tensor, told twice.
+    """Whether two gradients are equal.
 
     torch.func's tensors are no plain numbers: they get the difference, of zeros.
     """
     if is_functorch_wrapped_tensor(grad):
         return False
-    one = grad.data_ptr() == known.data_ptr() and grad.stride() == known.stride()
-    return one or torch.equal(grad, known)
+    return _one_memory(grad, known) or torch.equal(grad, known)
+
+
+def _one_memory(grad: Tensor, known: Tensor) -> bool:
+    """Whether two gradients are one tensor, told twice: mostly they are."""
+    if is_functorch_wrapped_tensor(grad):
+        return False
+    return grad.data_ptr() == known.data_ptr() and grad.stride() == known.stride()
+
+
+def _nothing(like: Tensor) -> Tensor:
+    """Zeros of its shape, a single number in memory: nobody reads them, but for their gradient."""
+    return like.new_zeros(()).expand_as(like)
 
 
 def _filled(given: Values, like: Values) -> tuple[Tensor, ...]:

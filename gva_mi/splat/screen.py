@@ -12,11 +12,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import drjit as dr
 import numpy as np
 import torch
+from drjit import ArrayBase as Array
 from torch import Tensor
 
 from gva_mi.splat.kernels.exclusive import exclusive
@@ -24,6 +24,31 @@ from gva_mi.splat.kernels.packets import Packets
 from gva_mi.splat.kernels.passes import Saved
 from gva_mi.splat.kernels.project import Projected
 from gva_mi.splat.kernels.records import Footprint, Format, Splat
+
+
+def tensor_of(array: Array) -> Tensor:
+    """An array's own memory, (width,); by way of numpy, for ``.torch()`` takes thrice as long."""
+    return torch.from_numpy(array.numpy())
+
+
+def of_rows(columns: np.ndarray, rows: Tensor | None = None) -> Tensor:
+    """The first two of some columns, (N, 2 k), in memory of their own, as torch's tensor.
+
+    Args:
+        columns: of float32 or float64, row by row in memory.
+        rows: (M,) int64, those to return; None returns all.
+
+    A pair is copied as one complex number, by numpy: torch copies rows of two numbers as slowly as
+    long ones, and takes longer to be called.
+    """
+    number = np.complex64 if columns.dtype == np.float32 else np.complex128
+    pairs = columns.view(number)[:, 0]
+    if rows is None:
+        found = pairs.copy()
+    else:  # take() would copy the whole first, did its numbers not lie side by side
+        rows = rows.numpy()
+        found = pairs.take(rows) if pairs.flags.contiguous else pairs[rows]
+    return torch.from_numpy(found.view(columns.dtype).reshape(-1, 2))
 
 
 @dataclass
@@ -57,7 +82,11 @@ class Screen:
     @property
     def means2d(self) -> Tensor:
         """(N, 2) px; meaningless where not visible."""
-        return self.seen.footprint_rows[:, :2].contiguous()
+        return self.means2d_of(None)
+
+    def means2d_of(self, rows: Tensor | None) -> Tensor:
+        """The same of some rows (M,) int64, (M, 2)."""
+        return of_rows(self.seen.footprint_rows, rows)
 
     @property
     def depths(self) -> Tensor:
@@ -85,15 +114,8 @@ class Screen:
     @property
     def rows(self) -> Tensor:
         """The Gaussians that have a box, (M,) int64, ascending."""
-        width, height = self.seen.size
         # numpy: every picture of gsplat's call comes here, and torch takes eight times as long
-        found = Footprint.unpack(self.seen.footprint_rows.numpy().T.copy())
-        u, v, rx, ry = found.u, found.v, found.rx, found.ry
-        with np.errstate(invalid="ignore"):
-            rx, ry = np.ceil(rx), np.ceil(ry)
-            inside = (rx > 0) & (u + rx > 0) & (u - rx < width)
-            inside &= (ry > 0) & (v + ry > 0) & (v - ry < height)
-        return torch.from_numpy(np.flatnonzero(inside))
+        return torch.from_numpy(np.flatnonzero(self.seen.boxed))
 
     @property
     def conics(self) -> Tensor:
@@ -126,24 +148,30 @@ class Seen:
     @property
     def footprint(self) -> Footprint:
         """The same of the ellipses."""
-        return Footprint.unpack(self.footprint_rows.unbind(1))
+        return Footprint.unpack(torch.from_numpy(self.footprint_rows).unbind(1))
 
-    @cached_property
+    @property
     @exclusive
-    def footprint_rows(self) -> Tensor:
+    def footprint_rows(self) -> np.ndarray:
         """The rows of these records, (N, columns)."""
         width = Footprint.columns()
         if self.projected is None:
-            return self.nothing.view(0, width)
+            return self.nothing.detach().view(0, width).numpy()  # torch's graph may have it
         (rows,) = self.projected.footprints
-        return rows.torch().view(-1, width)
+        return rows.numpy().reshape(-1, width)
 
     @exclusive
     def number(self, name: str) -> Tensor:
         """One of the numbers that ``Projected`` has of each Gaussian, (N,)."""
-        return self.nothing if self.projected is None else getattr(self.projected, name).torch()
+        return self.nothing if self.projected is None else tensor_of(getattr(self.projected, name))
+
+    @property
+    @exclusive
+    def boxed(self) -> np.ndarray:
+        """``Projected.boxed``, (N,)."""
+        return np.zeros(0, bool) if self.projected is None else self.projected.boxed.numpy()
 
     @exclusive
     def _columns(self, record: Packets) -> list[Tensor]:
         n = dr.width(self.projected.radii)
-        return [column for part in record for column in part.torch().view(n, -1).unbind(1)]
+        return [column for part in record for column in tensor_of(part).view(n, -1).unbind(1)]

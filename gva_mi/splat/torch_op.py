@@ -82,7 +82,7 @@ def check(gaussians: Gaussians, background: Tensor | None, camera: Camera) -> No
         if not isinstance(tensor, Tensor):
             found = type(tensor).__name__
             raise ValueError(f"render(): {name} must be a torch tensor, got {found}")
-        if tensor.device.type != "cpu" or tensor.dtype not in PRECISION:
+        if not tensor.is_cpu or tensor.dtype not in PRECISION:
             found = f"{tensor.dtype} on {tensor.device}"
             raise ValueError(f"render(): {name} must be float32 or float64 on the CPU, got {found}")
         if tensor.dtype != dtype:

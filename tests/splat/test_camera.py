@@ -113,3 +113,14 @@ def test_cameras_with_the_same_numbers_are_equal():
     others = [replace(camera, model="ortho"), replace(camera, fx=10.5), moved]
     assert camera == same and hash(camera) == hash(same)
     assert len({camera, same, *others}) == 4 and camera != 1
+
+
+def test_cameras_of_the_same_numbers_keep_their_own_tensors():
+    T, K = torch.eye(4), torch.tensor([[50.0, 0, 8], [0, 50, 8], [0, 0, 1]])
+    once, again = (Camera.from_matrices(K.clone(), x, 16, 16) for x in (T, T.clone()))
+    assert once == again and again.tensors.T_camera_world is not T
+    assert once.tensors.T_camera_world is T and once.tensors.K is not again.tensors.K
+    assert Camera.from_matrices(K.numpy(), T.numpy(), 16, 16).tensors == (None, None)
+    minus = T.clone()
+    minus[0, 3] = -0.0  # equal to zero, but not the same number
+    assert np.signbit(Camera.from_matrices(K, minus, 16, 16).T_camera_world[0, 3])

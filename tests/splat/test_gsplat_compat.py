@@ -343,6 +343,36 @@ def test_hooks_and_losses_on_means2d_are_heard():
 
 
 @pytest.mark.parametrize("packed", [True, False])
+def test_one_thread_copies_the_gradient_that_is_kept_and_then_all_come_back(packed):
+    a, before, seen = arguments(), torch.get_num_threads(), []
+
+    def called(hook=lambda _: seen.append(torch.get_num_threads()), keep=True):
+        colors, _, meta = rasterization(**a, packed=packed)
+        meta["means2d"].register_hook(hook)
+        if keep:
+            meta["means2d"].retain_grad()
+        return colors.sum(), meta["means2d"]
+
+    def refuse(_):
+        raise ZeroDivisionError
+
+    torch.set_num_threads(3)
+    try:
+        for keep in (True, False):
+            loss, node = called(keep=keep)  # who holds the node has its gradient kept
+            loss.backward()
+        assert seen == [1, 3] and torch.get_num_threads() == 3
+        torch.autograd.grad(*called())  # nothing comes after the node
+        assert torch.get_num_threads() == 3
+        loss, node = called(refuse)
+        with pytest.raises(ZeroDivisionError):
+            loss.backward()
+        assert torch.get_num_threads() == 3
+    finally:
+        torch.set_num_threads(before)
+
+
+@pytest.mark.parametrize("packed", [True, False])
 def test_means2d_has_a_gradient_where_means_and_cameras_are_frozen(packed):
     a = arguments()
     a = {k: v.detach() if isinstance(v, torch.Tensor) else v for k, v in a.items()}

@@ -9,6 +9,7 @@ The bounds are what this machine allows our kernels at best: their operations an
 
 from __future__ import annotations
 
+import io
 import math
 import statistics
 from collections.abc import Callable, Iterator, Sequence
@@ -112,8 +113,10 @@ class Comparison:
         axes.set_title("dashed, dotted: this machine's limits for gva_mi", fontsize=10)
         axes.grid(which="both", alpha=0.2)
         figure.legend(loc="outside lower center", ncols=5, fontsize=9)
+        whole = io.BytesIO()  # Matplotlib's writers stumble over a disk that fills up
+        figure.savefig(whole, dpi=150, format=path.suffix[1:])
         with replacing(path) as unfinished:
-            figure.savefig(unfinished, dpi=150, format=path.suffix[1:])
+            unfinished.write_bytes(whole.getbuffer())
 
     def lines(self) -> dict[str, list[tuple[int, float]]]:
         """(Gaussians, ms) of each that was timed, ours first."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
@@ -149,8 +150,10 @@ def write_picture(reports: dict[str, Report], path: Path) -> None:
     grid = figure.subplots(len(reports), 3, squeeze=False, width_ratios=(1, 1.15, 2.6))
     for axes, (name, report) in zip(grid, reports.items(), strict=True):
         draw(report, axes, name)
+    whole = io.BytesIO()  # Matplotlib's writers stumble over a disk that fills up
+    figure.savefig(whole, dpi=100, format="png")
     with replacing(path) as unfinished:
-        figure.savefig(unfinished, dpi=100, format="png")
+        unfinished.write_bytes(whole.getbuffer())
 
 
 def draw(report: Report, axes: Iterable, name: str = "") -> None:

@@ -272,7 +272,8 @@ def _project(
     packets.store(footprints, found.footprint, i)
     counts = tiles.count(found.footprint, grid)
     radii = dr.select(counts > 0, found.radii, 0)
-    projected = Projected(splats, footprints, found.splat.depth, counts, radii, found.finite)
+    boxed, depths = tiles.boxed(found.footprint, grid), found.splat.depth
+    projected = Projected(splats, footprints, depths, counts, radii, boxed, found.finite)
     dr.eval(projected)
     return projected
 

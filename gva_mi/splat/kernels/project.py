@@ -55,6 +55,7 @@ class Projected:
     depths: Array  # (N,) m
     counts: Array  # (N,) tiles touched
     radii: Array  # (N,) px, 3 sigma along the longer axis; 0 where not drawn
+    boxed: Array  # (N,) whether its box of whole pixels reaches into the picture
     finite: Array  # (N,)
 
 

@@ -131,6 +131,14 @@ def _columns_touched(g: Footprint, row: Array, grid: Grid) -> tuple[Array, Array
     return begin, dr.select(ok, I(dr.select(ok, high, 0)) // WIDTH + 1, begin)
 
 
+def boxed(g: Footprint, grid: Grid) -> Array:
+    """Whether the box of whole pixels around an ellipse reaches into the picture, (N,)."""
+    F = type(g.u)
+    rx, ry = dr.ceil(g.rx), dr.ceil(g.ry)
+    beside = (rx > 0) & (g.u + rx > 0) & (g.u - rx < F(grid.width))
+    return beside & (ry > 0) & (g.v + ry > 0) & (g.v - ry < F(grid.height))
+
+
 def count(g: Footprint, grid: Grid) -> Array:
     """Step 1: how many tiles each Gaussian touches, (N,)."""
     U = dr.uint32_array_t(type(g.u))

@@ -1,8 +1,10 @@
 """``Film``: the pictures of a video file, in any order, without all of them in memory at once.
 
-A short film is decoded once and kept. Of a long one only the moments of its pictures are kept; a
-picture is then decoded when it is asked for, from the key picture before it: the next one at once,
-any other by way of at most as many pictures as lie between two key pictures.
+Opening a film decodes all of it once, for what is wrong with one shows nowhere else, and notes the
+moments of its pictures. The last ones that were decoded in a row stay at hand as the decoder left
+them, most in half the bytes of an RGB array: all of a short film, and of a long one enough to go
+back by some. Any other is decoded when it is asked for: the next one at once, else by way of those
+from the key picture before it.
 """
 
 from __future__ import annotations
@@ -14,21 +16,21 @@ from typing import Any
 
 import numpy as np
 
-from gva_mi.data.pictures import require_size
+from gva_mi.data.pictures import require_size, size_of, turned
 from gva_mi.errors import MALFORMED, InputError, reason_of
 
-KEPT = 1 << 30  # bytes of pictures that are kept; 170 pictures of 1920 x 1080
+KEPT = 1 << 27  # bytes of pictures at hand: 43 of 1920 x 1080, decoded from 4:2:0
 
 
 class Film(Sequence[np.ndarray]):
-    """The pictures of a video file, each (H, W, 3) 8-bit."""
+    """The pictures of a video file, each (H, W, 3) 8-bit, turned as its metadata say."""
 
     def __init__(self, path: Path, kept: int = KEPT) -> None:
         """Decode all of it once.
 
         Args:
             path: of the file.
-            kept: bytes of pictures that may be kept.
+            kept: bytes of decoded pictures that may stay at hand.
 
         Raises:
             InputError: it cannot be decoded, or holds no picture.
@@ -37,11 +39,11 @@ class Film(Sequence[np.ndarray]):
         self.sizes: list[tuple[int, int]] = []  # (W, H) of each picture
         self._moments: list[int | None] = []
         self._keys: list[int] = []  # numbers of the key pictures
-        self._images: list[np.ndarray] | None = []
         self._at: tuple[int, Iterator[Any], Any] | None = None  # the next one's number, and whence
+        self._near, self._kept = _Near(kept), kept
         with self._open() as container:
             for frame in self._decoded(container):
-                self._take(frame, kept)
+                self._take(frame)
         if not self.sizes:
             raise InputError(f"{path}: holds no picture")
 
@@ -52,33 +54,31 @@ class Film(Sequence[np.ndarray]):
         if not -len(self) <= index < len(self):
             raise IndexError(index)
         index %= len(self)
-        if self._images is not None:
-            return self._images[index]
+        if index in self._near:
+            return self._near.rgb(index)
         if self._at is None or not self._key_before(index) <= self._at[0] <= index:
             self._seek(index)
         number, frames, container = self._at
         for frame in frames:
             self._at = (number + 1, frames, container)
+            self._near.put(number, frame)
             if number == index:
-                return frame.to_ndarray(format="rgb24")
+                return self._near.rgb(index)
             number += 1
         raise InputError(f"{self.path}: picture {index} was there, and cannot be decoded any more")
 
     def __getstate__(self) -> dict[str, Any]:
-        """Without the open file, so that another process opens its own."""
-        return self.__dict__ | {"_at": None}
+        """Without the open file and what came of it: another process opens its own."""
+        return self.__dict__ | {"_at": None, "_near": _Near(self._kept)}
 
-    def _take(self, frame: Any, kept: int) -> None:  # noqa: ANN401
-        """Note a picture that was decoded, and keep it as long as there is room."""
+    def _take(self, frame: Any) -> None:  # noqa: ANN401
+        """Note a picture that was decoded for the first time."""
         require_size(str(self.path), frame.width, frame.height)
         if frame.key_frame:
             self._keys.append(len(self))
-        self.sizes.append((frame.width, frame.height))
+        self._near.put(len(self), frame)
+        self.sizes.append(size_of(frame))
         self._moments.append(frame.pts)
-        if 3 * frame.width * frame.height * len(self) > kept:
-            self._images = None
-        elif self._images is not None:
-            self._images.append(frame.to_ndarray(format="rgb24"))
 
     def _key_before(self, index: int) -> int:
         """The key picture at or before a picture; the start, where none is known."""
@@ -88,6 +88,8 @@ class Film(Sequence[np.ndarray]):
         """Go to the key picture at or before a picture, or to the start."""
         if self._at is not None:
             self._at[2].close()
+        # A decoder's memory goes with the last of its pictures, so none is kept beside another's.
+        self._at, self._near = None, _Near(self._kept)
         known = {moment: k for k, moment in enumerate(self._moments)}
         moment = self._moments[index]
         if moment is not None and len(known) == len(self):
@@ -126,6 +128,41 @@ class Film(Sequence[np.ndarray]):
 
     def _undecodable(self, error: Exception) -> InputError:
         return InputError(f"{self.path}: cannot be decoded as a video ({reason_of(error)})")
+
+
+class _Near:
+    """The pictures that were decoded last, one after the other, as the decoder left them."""
+
+    def __init__(self, room: int) -> None:
+        """None yet; the last one is kept even where it takes more than the ``room``, bytes."""
+        self._room = room
+        self._frames: dict[int, Any] = {}  # by number, in their order
+        self._converter: Any = None  # one for all: each would keep tables of its own
+
+    def __contains__(self, number: int) -> bool:
+        return number in self._frames
+
+    def put(self, number: int, frame: Any) -> None:  # noqa: ANN401 (as _open)
+        """Keep the next one, and the first ones no longer where there is no room."""
+        self._frames[number] = frame
+        self._room -= _bytes_of(frame)
+        while self._room < 0 and len(self._frames) > 1:
+            self._room += _bytes_of(self._frames.pop(next(iter(self._frames))))
+
+    def rgb(self, number: int) -> np.ndarray:
+        """One of them, (H, W, 3) 8-bit."""
+        from av.video.reformatter import VideoReformatter
+
+        if self._converter is None:
+            self._converter = VideoReformatter()
+        frame = self._frames[number]
+        found = self._converter.reformat(frame, format="rgb24")
+        array = turned(found.to_ndarray(), frame)  # which may look at what it is made of
+        return array.copy() if found is frame else array
+
+
+def _bytes_of(frame: Any) -> int:  # noqa: ANN401 (as _open)
+    return sum(plane.buffer_size for plane in frame.planes)
 
 
 def _again(first: Any, frames: Iterator[Any]) -> Iterator[Any]:  # noqa: ANN401

@@ -30,9 +30,9 @@ def identity(video: Video) -> dict[str, str]:
     return {
         "frames": _of_files(pictures),
         "masks": _of_files(sorted(p for p in (folder / "masks").glob("*") if p.is_file())),
-        "cameras": _of_arrays(cameras),
-        "poses": _of_arrays(x.detach().numpy() for x in poses),
-        "splits": _of_arrays(splits),
+        "cameras": of_arrays(cameras),
+        "poses": of_arrays(x.detach().numpy() for x in poses),
+        "splits": of_arrays(splits),
     }
 
 
@@ -55,8 +55,8 @@ def _of_files(paths: Iterable[Path]) -> str:
     return total.hexdigest()
 
 
-def _of_arrays(arrays: Iterable[object]) -> str:
-    """A hash of numbers and their shapes."""
+def of_arrays(arrays: Iterable[object]) -> str:
+    """A hash of numbers or words, and their shapes."""
     total = hashlib.blake2b(digest_size=16)
     for array in map(np.asarray, arrays):
         total.update(f"{array.shape}:{array.dtype}\n".encode())

@@ -1,7 +1,8 @@
 """Masks as segmenters write them: hard or soft, pictures or arrays.
 
 ========================  ====================================================
-``000000.png``            8-bit grey: 0 and 255, or soft in between; or 0 and 1
+``000000.png``            8-bit: 0 and 255, or soft in between; or 0 and 1. Of colours,
+                          palettes and alpha: :mod:`.mattes`
 ``000000.npy``            Boolean; 8-bit as above; or floating point in [0, 1]
 ========================  ====================================================
 

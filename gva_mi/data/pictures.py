@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gva_mi.data.mattes import matte_of
 from gva_mi.errors import MALFORMED, InputError, reason_of
 from gva_mi.files import replacing, require_room
 
@@ -21,20 +22,33 @@ MOST_PIXELS = 1 << 25  # of a picture; 8K UHD has fewer
 FORMAT_OF = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG"}  # of pictures that are written
 FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP")  # none of which starts another program
 
+SEE_THROUGH = ".webm"  # of films with alpha, which an .mp4 cannot hold
 # x264 writes its settings, the number of threads among them, into the file: one thread, one file.
 LOSSLESS = {"crf": "0", "preset": "veryfast", "threads": "1"}  # with libx264rgb
 PLAYABLE = {"crf": "18", "threads": "1"}  # with libx264 and yuv420p
+_WITH_ALPHA = {  # with libvpx-vp9 and yuva420p; it has no reference pictures beside those shown
+    "crf": "12", "b": "0", "deadline": "good", "cpu-used": "4", "threads": "1", "row-mt": "0",
+    "auto-alt-ref": "0",
+}  # fmt: skip
 
 
 def read_image(path: Path, channels: int) -> np.ndarray:
-    """An 8-bit picture, (H, W, 3) or, with ``channels`` 1, (H, W).
+    """An 8-bit picture, turned as its metadata say.
 
-    Of a label map, whose palette has colours, whatever is not label 0 is 255.
+    Args:
+        path: of the file.
+        channels: 3 for RGB (H, W, 3), 4 for RGBA; 1 for a mask (H, W), 255 inside: :mod:`.mattes`.
+
+    Raises:
+        InputError: it cannot be read, or is no mask.
     """
-    with opened(path) as image:
-        if channels == 1 and image.mode == "P" and len(set(image.convert("RGB").getextrema())) > 1:
-            return (np.asarray(image) > 0) * np.uint8(255)
-        return np.asarray(to_8_bits(image).convert("RGB" if channels == 3 else "L"))
+    from PIL import ImageOps
+
+    with opened(path) as stored:
+        image = to_8_bits(ImageOps.exif_transpose(stored))
+        if channels == 1:
+            return matte_of(str(path), image)
+        return np.asarray(image.convert({3: "RGB", 4: "RGBA"}[channels]))
 
 
 def to_8_bits(image: Image.Image) -> Image.Image:
@@ -161,6 +175,50 @@ def decoded(path: Path) -> Iterator[av.VideoFrame]:
         raise InputError(f"{path}: holds no picture")
 
 
+def pixels_of(frame: av.VideoFrame, form: str) -> np.ndarray:
+    """A film's picture as its metadata turn it: (W, H, C) of a stored (H, W, C) at quarter turns.
+
+    Args:
+        frame: as it was decoded, of any depth.
+        form: FFmpeg's name of the pixels wanted, such as "rgb24", which are 8-bit.
+    """
+    return turned(frame.to_ndarray(format=form), frame)
+
+
+def turned(pixels: np.ndarray, frame: av.VideoFrame) -> np.ndarray:
+    """A decoded picture (H, W, C) as the metadata of its frame turn it."""
+    return np.ascontiguousarray(np.rot90(pixels, _quarter_turns(frame)))
+
+
+def size_of(frame: av.VideoFrame) -> tuple[int, int]:
+    """(W, H) of what :func:`pixels_of` makes of a frame, without the work."""
+    size = frame.width, frame.height
+    return size[::-1] if _quarter_turns(frame) % 2 else size
+
+
+def _quarter_turns(frame: av.VideoFrame) -> int:
+    """Counter-clockwise."""
+    return round(frame.rotation / 90) % 4
+
+
+def steps_of(path: Path) -> tuple[np.ndarray, float]:
+    """Seconds (T − 1,) between a film's pictures, and the one tick that they are counted in.
+
+    Raises:
+        InputError: it is no film.
+    """
+    import av
+
+    try:
+        with av.open(str(path)) as container:
+            stream = container.streams.video[0]
+            moments = [packet.pts for packet in container.demux(stream) if packet.pts is not None]
+            tick = float(stream.time_base or 0)
+    except (*MALFORMED, av.FFmpegError, OSError, MemoryError) as error:
+        raise InputError(f"{path}: cannot be decoded as a video ({reason_of(error)})") from None
+    return np.diff(np.sort(np.array(moments, np.float64))) * tick, tick
+
+
 def write_movie(
     path: Path, images: Iterable[np.ndarray], fps: int = 25, lossless: bool = True
 ) -> None:
@@ -181,5 +239,49 @@ def write_movie(
             if k == 0:
                 stream.height, stream.width = image.shape[:2]
             picture = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), "rgb24")
+            container.mux(stream.encode(picture))
+        container.mux(stream.encode())
+
+
+def require_see_through(path: Path) -> None:
+    """Check that films with alpha can be written here.
+
+    Raises:
+        InputError: they cannot.
+    """
+    import av
+
+    if "libvpx-vp9" not in av.codecs_available:
+        raise InputError(
+            f"{path}: the installed PyAV has no libvpx-vp9, which films with alpha need; expected "
+            "its own wheel, pip install av"
+        )
+
+
+def write_see_through(path: Path, images: Iterable[np.ndarray], fps: int = 25) -> None:
+    """Write a film with alpha, a .webm of VP9 in yuva420p, as browsers and editors show it.
+
+    Args:
+        path: of the .webm; an older one is replaced once the new one is whole.
+        images: RGBA (H, W, 4), floats in [0, 1] or 8-bit, colours not times alpha; odd sizes lose
+            their last row or column.
+        fps: pictures a second.
+    """
+    import av
+
+    bare = {"fflags": "+bitexact"}  # without the moment and a random number: the same bytes
+    with (
+        replacing(path) as unfinished,
+        av.open(str(unfinished), "w", format="webm", options=bare) as container,
+    ):
+        stream = container.add_stream("libvpx-vp9", rate=fps)
+        stream.pix_fmt, stream.options = "yuva420p", _WITH_ALPHA
+        stream.metadata["alpha_mode"] = "1"  # without which players do not look for it
+        for k, image in enumerate(images):
+            image = in_8_bits(image)
+            image = image[: image.shape[0] // 2 * 2, : image.shape[1] // 2 * 2]
+            if k == 0:
+                stream.height, stream.width = image.shape[:2]
+            picture = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), "rgba")
             container.mux(stream.encode(picture))
         container.mux(stream.encode())

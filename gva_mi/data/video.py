@@ -372,7 +372,10 @@ def _why_absent(masks: Path, index: int, camera: Camera) -> str | None:
             f"{masks}: mask of frame {index} is {mask.shape[1]}x{mask.shape[0]}, "
             f"expected {camera.width}x{camera.height}"
         )
-    return None if (mask > 0.5).any() else "its mask is empty"
+    if not mask.any():
+        return "its mask is empty"
+    faint = f"no pixel of its mask is above a half, the greatest is {mask.max():.2g}"
+    return None if (mask > 0.5).any() else faint
 
 
 def spread(indices: Iterable[int], count: int) -> list[int]:

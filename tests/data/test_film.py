@@ -11,6 +11,7 @@ from gva_mi.data.pictures import write_movie
 from gva_mi.errors import InputError
 
 COUNT, SIZE = 40, (24, 32)
+SOME = 1 << 15  # bytes: of some pictures, not of all
 
 
 def shown(k):
@@ -45,31 +46,74 @@ def test_in_any_order_and_with_any_memory_the_pictures_are_the_same(path):
     for k, image in enumerate(images):  # not the neighbours'
         off = [np.abs(image.astype(int) - shown(j)).mean() for j in range(COUNT)]
         assert int(np.argmin(off)) == k
-    bare = Film(path, kept=0)
-    assert bare._images is None and len(bare) == COUNT
     order = np.random.default_rng(0).permutation(COUNT).tolist()
-    for k in [*range(COUNT), *order, 39, 39, 0, 0, 1, 13, 11, 12, -1]:
-        assert np.array_equal(bare[k], images[k]), k
-    again = pickle.loads(pickle.dumps(bare))
-    assert np.array_equal(again[17], images[17]) and np.array_equal(bare[18], images[18])
-    with pytest.raises(IndexError):
-        bare[COUNT]
+    for kept in (0, SOME):
+        film = Film(path, kept)
+        assert len(film) == COUNT
+        for k in [*range(COUNT), *order, 39, 39, 0, 0, 1, 13, 11, 12, -1]:
+            assert np.array_equal(film[k], images[k]), (kept, k)
+        again = pickle.loads(pickle.dumps(film))
+        assert np.array_equal(again[17], images[17]) and np.array_equal(film[18], images[18])
+        with pytest.raises(IndexError):
+            film[COUNT]
 
 
-def test_going_on_decodes_no_picture_twice(path, monkeypatch):
-    """In order, and in leaps between key pictures: at most those from one key picture on."""
-    film, decoded = Film(path, kept=0), []
-    through = Film._decoded
+def test_who_writes_into_a_picture_changes_it_for_nobody_else(tmp_path):
+    path = tmp_path / "film.mov"
+    with av.open(str(path), "w") as container:  # decoded to RGB, so that nothing is converted
+        stream = container.add_stream("png", rate=25)
+        stream.width, stream.height, stream.pix_fmt = SIZE[1], SIZE[0], "rgb24"
+        container.mux(stream.encode(av.VideoFrame.from_ndarray(shown(3), "rgb24")))
+        container.mux(stream.encode())
+    film = Film(path)
+    film[0][:] = 0
+    assert np.array_equal(film[0], shown(3))
+
+
+@pytest.fixture
+def decoded(monkeypatch):
+    """The moments of all pictures that are decoded, again and again."""
+    moments, through = [], Film._decoded
     monkeypatch.setattr(
         Film, "_decoded",
-        lambda self, c: (decoded.append(f.pts) or f for f in through(self, c)),
+        lambda self, c: (moments.append(f.pts) or f for f in through(self, c)),
     )  # fmt: skip
+    return moments
+
+
+def test_going_on_decodes_no_picture_twice(path, decoded):
+    """In order, and in leaps between key pictures: at most those from one key picture on."""
+    film = Film(path, kept=0)
+    decoded.clear()
     list(film)
     assert len(decoded) == COUNT
     if path.suffix == ".mp4":
         decoded.clear()
         film[30]
         assert len(decoded) <= 12 + 1
+
+
+def test_a_short_film_is_decoded_once(path, decoded):
+    film = Film(path)
+    for k in np.random.default_rng(0).permutation(COUNT):
+        film[k]
+    assert len(decoded) == COUNT
+
+
+def test_going_back_by_some_decodes_nothing_again(path, decoded):
+    """As `evaluate` does, to see how an avatar flickers: a frame, and the one before it."""
+    film = Film(path, SOME)
+    for k in range(31):
+        film[k]
+    decoded.clear()
+    for k in (29, 28, 29, 30):
+        film[k]
+    at_hand = film._near._frames.values()
+    assert not decoded and 3 <= len(at_hand) < COUNT and sum(map(_bytes, at_hand)) <= SOME
+
+
+def _bytes(frame):
+    return sum(plane.buffer_size for plane in frame.planes)
 
 
 def test_a_film_that_is_cut_short_or_none_is_refused(tmp_path):

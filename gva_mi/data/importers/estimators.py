@@ -40,6 +40,7 @@ import numpy as np
 from gva_mi.data.importers import frame_files as frames
 from gva_mi.data.importers import smplx_json
 from gva_mi.data.importers import whole_videos as videos
+from gva_mi.data.importers.other_bodies import refuse_other_bodies
 from gva_mi.data.importers.readings import View
 from gva_mi.data.importers.tracks import Track
 from gva_mi.errors import InputError, expecting
@@ -62,16 +63,28 @@ def read_estimator(kind: str, source: Path, view: View) -> tuple[str, list[Track
     """
     found = _open(source)
     _refuse(source, found)
-    if kind == "auto":
-        fitting = [name for name, (fits, _, _) in KINDS.items() if fits(found)]
-        if not fitting:
-            known = "; ".join(f"{name}: {what}" for name, (_, _, what) in KINDS.items())
-            raise InputError(f"{source}: of no kind that is known; looked for {known}")
-        kind = fitting[0]
+    kind = kind_of(found) or "" if kind == "auto" else kind
+    if not kind:
+        known = "; ".join(f"{name}: {what}" for name, (_, _, what) in KINDS.items())
+        raise InputError(f"{source}: of no kind that is known; looked for {known}")
+    return kind, tracks_of(kind, source, found, view)
+
+
+def kind_of(found: Any) -> str | None:  # noqa: ANN401
+    """Which of :data:`KINDS` wrote what a file holds, or a folder (its path), if any did."""
+    return next((name for name, (fits, _, _) in KINDS.items() if fits(found)), None)
+
+
+def tracks_of(kind: str, source: Path, found: Any, view: View) -> list[Track]:  # noqa: ANN401
+    """The people in what a file holds, or in a folder (its path), frames ascending.
+
+    Raises:
+        InputError: it is not of this kind, or not in its form.
+    """
     fits, read, what = KINDS[kind]
     if not fits(found):
         raise InputError(f"{source}: not of the kind {kind}; expected {what}")
-    return kind, [track.sorted() for track in told(source, kind, what, read, found, view)]
+    return [track.sorted() for track in told(source, kind, what, read, found, view)]
 
 
 def told(source: Path, kind: str, what: str, read: Callable[..., Any], *arguments: Any) -> Any:  # noqa: ANN401
@@ -99,13 +112,7 @@ def _refuse(source: Path, found: Any) -> None:  # noqa: ANN401
             f"{source}: an array {found.shape} without names, which could be any parameters in any "
             "order; save them by name: global_orient, body_pose, transl, betas (.npz)"
         )
-    people = found if isinstance(found, list) else [found]
-    if any(isinstance(p, dict) and {"mhr_model_params", "body_pose_params"} & set(p)
-           for p in people):  # fmt: skip
-        raise InputError(
-            f"{source}: holds parameters of MHR, as SAM 3D Body writes, which is another body than "
-            "SMPL-X; fit SMPL-X to its vertices with MHR's own conversion, and save that by name"
-        )
+    refuse_other_bodies(source, frames.first_of(source) if source.is_dir() else found)
 
 
 Reader = Callable[[str, Any, View], list[Track]]

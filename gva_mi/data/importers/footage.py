@@ -10,7 +10,8 @@ import numpy as np
 
 from gva_mi.data.importers.hdf5 import SUFFIXES, rows_of_hdf5
 from gva_mi.data.importers.recordings import Pictures
-from gva_mi.data.pictures import decoded, opened, to_8_bits
+from gva_mi.data.mattes import matte_of_pixels
+from gva_mi.data.pictures import decoded, pixels_of, read_image, steps_of
 from gva_mi.errors import InputError
 from gva_mi.files import read_array
 
@@ -22,52 +23,62 @@ def pictures(source: Pictures, channels: int) -> Iterator[np.ndarray]:
 
     Args:
         source: a film, a folder, whose files go by the last number in their names, or files.
-        channels: 3 for (H, W, 3), 1 for (H, W), 8-bit; a mask may be a picture's alpha.
+        channels: 3 for RGB (H, W, 3), 1 for masks (H, W), 8-bit: :mod:`gva_mi.data.mattes`.
 
     Raises:
         InputError: nothing is there, or it cannot be decoded.
     """
-    if isinstance(source, tuple):
-        for path in source:
-            yield _picture(path, channels)
-    elif source.is_dir():
-        files = [path for path in source.iterdir() if path.suffix.lower() in PICTURES]
-        if not files:
-            raise InputError(f"{source}: holds no pictures ({', '.join(PICTURES)})")
-        for path in sorted(files, key=_in_order):
-            yield _picture(path, channels)
+    files = files_of(source)
+    if files is not None:
+        for path in files:
+            yield read_image(path, channels)
     elif source.is_file():
         yield from _film(source, channels)
     else:
         raise InputError(f"{source}: no such film or folder of pictures")
 
 
+def files_of(source: Pictures) -> list[Path] | None:
+    """The files of pictures, by the last number in their names; None of a film.
+
+    Raises:
+        InputError: a folder holds none.
+    """
+    if isinstance(source, tuple):
+        return list(source)
+    if not source.is_dir():
+        return None
+    files = [path for path in source.iterdir() if path.suffix.lower() in PICTURES]
+    if not files:
+        raise InputError(f"{source}: holds no pictures ({', '.join(PICTURES)})")
+    return sorted(files, key=_in_order)
+
+
 def masks(source: Pictures) -> Iterator[np.ndarray]:
     """The masks of a film, a folder, or a stack (T, H, W): each (H, W) 8-bit, 255 inside.
 
-    A stack is a .npy, or ``masks`` in a .hdf5; a folder may hold a .npy (H, W) a frame. Values
-    are labels where a picture has a palette, or where none is above 1.
+    A stack is a .npy, or ``masks`` in a .hdf5; a folder may hold a .npy (H, W) a frame. Values go
+    from 0 to 1 where none is above 1; otherwise to 255, or to 65535 where an array has 16 bits.
 
     Raises:
         InputError: nothing is there, or it is of another form.
     """
     whole = isinstance(source, Path)
     if whole and source.suffix in SUFFIXES and source.is_file():
-        rows = rows_of_hdf5(source, "masks")
-        yield from (_scaled(mask, _counts_to_one(mask)) for mask in rows)
-        return
-    if whole and source.is_dir() and (files := sorted(source.glob("*.npy"), key=_in_order)):
+        for k, mask in enumerate(rows_of_hdf5(source, "masks")):
+            yield _scaled(f"{source}: mask {k}", mask, _inside(mask))
+    elif whole and source.is_dir() and (files := sorted(source.glob("*.npy"), key=_in_order)):
         for path in files:
             mask = _stack(path, read_array(path)[None])[0]
-            yield _scaled(mask, _counts_to_one(mask))
-        return
-    if whole and source.suffix == ".npy" and source.is_file():
+            yield _scaled(str(path), mask, _inside(mask))
+    elif whole and source.suffix == ".npy" and source.is_file():
         rows = _rows_of_npy(source)
-        ones = all(_counts_to_one(mask) for mask in rows())
-        yield from (_scaled(mask, ones) for mask in rows())
-        return
-    for mask in pictures(source, 1):
-        yield mask * np.uint8(255) if mask.max(initial=0) <= 1 else mask
+        inside = max((_inside(mask) for mask in rows()), default=1)
+        for k, mask in enumerate(rows()):
+            yield _scaled(f"{source}: mask {k}", mask, inside)
+    else:
+        for mask in pictures(source, 1):
+            yield mask * np.uint8(255) if mask.max(initial=0) <= 1 else mask
 
 
 def _stack(path: Path, stack: np.ndarray) -> np.ndarray:
@@ -90,14 +101,23 @@ def _rows_of_npy(path: Path) -> Callable[[], Iterator[np.ndarray]]:
     return rows
 
 
-def _counts_to_one(mask: np.ndarray) -> bool:
-    """Whether a mask counts from 0 to 1, and not to 255."""
-    return mask.dtype.kind == "b" or mask.max(initial=0) <= 1
+def _inside(mask: np.ndarray) -> int:
+    """What a mask counts to: 1, 255, or 65535 where it has 16 bits."""
+    most = mask.max(initial=0)
+    if mask.dtype.kind == "b" or most <= 1:
+        return 1
+    return 65535 if mask.dtype == np.uint16 and most > 255 else 255
 
 
-def _scaled(mask: np.ndarray, ones: bool) -> np.ndarray:
+def _scaled(where: str, mask: np.ndarray, inside: int) -> np.ndarray:
     """A mask of 8 bits."""
-    return np.clip(mask.astype(np.float32) * (255 if ones else 1), 0, 255).astype(np.uint8)
+    low, high = (mask.min(), mask.max()) if mask.size else (0, 0)
+    if not 0 <= low <= high <= inside:  # NaN is neither
+        raise InputError(
+            f"{where}: its values go from {low:g} to {high:g}, such as a network's own before they "
+            "are shares; expected Boolean, 0 to 1, or 0 to 255"
+        )
+    return np.round(mask.astype(np.float32) * (255 / inside)).astype(np.uint8)
 
 
 def _in_order(path: Path) -> tuple[int, str]:
@@ -106,21 +126,29 @@ def _in_order(path: Path) -> tuple[int, str]:
     return (int(numbers[-1]) if numbers else -1, path.name)
 
 
-def _picture(path: Path, channels: int) -> np.ndarray:
-    from PIL import ImageOps
-
-    with opened(path) as stored:
-        image = ImageOps.exif_transpose(stored)
-        if channels == 1 and image.mode == "P":
-            return (np.asarray(image) > 0) * np.uint8(255)
-        image = to_8_bits(image)
-        if channels == 1 and image.mode in ("LA", "RGBA"):
-            return np.asarray(image.getchannel("A"))
-        return np.asarray(image.convert("RGB" if channels == 3 else "L"))
-
-
 def _film(path: Path, channels: int) -> Iterator[np.ndarray]:
-    for frame in decoded(path):
-        turns = round(getattr(frame, "rotation", 0) / 90) % 4  # counter-clockwise
-        image = frame.to_ndarray(format="rgb24" if channels == 3 else "gray")
-        yield np.ascontiguousarray(np.rot90(image, turns))
+    for number, frame in enumerate(decoded(path)):
+        if channels == 3:
+            yield pixels_of(frame, "rgb24")
+        else:
+            has_alpha = any(component.is_alpha for component in frame.format.components)
+            pixels = pixels_of(frame, "rgba" if has_alpha else "rgb24")
+            yield matte_of_pixels(f"{path}: picture {number}", pixels)
+
+
+def uneven_rate(source: Pictures) -> str | None:
+    """That a film's pictures do not come at one rate, for people; None where they do.
+
+    Each of them is a frame all the same: none is left out, and none is shown twice.
+    """
+    if isinstance(source, tuple) or not source.is_file():
+        return None
+    steps, tick = steps_of(source)
+    usual = float(np.median(steps)) if len(steps) else 0.0
+    # Moments are whole ticks: 30 a second are 33 or 34 ms apart where these are 1 ms.
+    if not len(steps) or np.abs(steps - usual).max() <= max(0.1 * usual, 1.5 * tick):
+        return None
+    return (
+        f"the film's rate varies: its pictures are {1000 * steps.min():.3g} to "
+        f"{1000 * steps.max():.3g} ms apart; each is one frame, and motion is taken as even"
+    )

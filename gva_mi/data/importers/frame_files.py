@@ -21,7 +21,7 @@ from gva_mi.data.importers.readings import (
     of_pelvis,
 )  # fmt: skip
 from gva_mi.data.importers.tracks import Track
-from gva_mi.data.importers.whole_videos import FAR_FOCAL, last_number
+from gva_mi.data.importers.whole_videos import FAR_FOCAL, frame_numbers, last_number
 from gva_mi.errors import InputError, expecting
 from gva_mi.files import read_json
 from gva_mi.pickles.reader import read_objects
@@ -31,11 +31,26 @@ MULTI_HMR_ANGLE = 60.0  # degrees that the side of such a square is seen under
 # From the pelvis to the middle of the hips at rest, metres: BEV's bodies stand on the latter.
 _TO_HIPS = np.array([0.0, -0.09, -0.01])
 _NUMBERED = re.compile(r"(\d+)_(\d+)\.npz")  # frame, person
+_ROMP = "results"  # the one key of ROMP's .npz
 _PICKLED = (".pkl", ".pickle", ".npz", ".npy", ".pt")
 
 
 def plain(found: Any) -> Any:  # noqa: ANN401
-    """What an array of one object holds: numpy's way to keep a dictionary."""
+    """What an array of one object holds: numpy's way to keep a dictionary.
+
+    A ``.npz`` of nothing but such an array is read as a ``.npy`` of it, whatever its key is: but
+    for ROMP's, whose readers go by it.
+    """
+    if isinstance(found, dict) and len(found) == 1:
+        (key, value), *_ = found.items()
+        inner = _one_object(value)
+        if key == "arr_0" and isinstance(value, np.ndarray):  # numpy's own name of what has none
+            return inner
+        return inner if isinstance(inner, dict) and inner is not value and key != _ROMP else found
+    return _one_object(found)
+
+
+def _one_object(found: Any) -> Any:  # noqa: ANN401
     one = isinstance(found, np.ndarray) and found.dtype.hasobject and found.size == 1
     return found.item() if one else found
 
@@ -47,7 +62,7 @@ def _files(found: Any, pattern: str = "*") -> list[Path]:  # noqa: ANN401
     return sorted(path for path in found.glob(pattern) if path.suffix in _PICKLED)
 
 
-def _first(found: Any) -> Any:  # noqa: ANN401
+def first_of(found: Any) -> Any:  # noqa: ANN401
     """What the first file of a folder holds; the folder's kind is told by it."""
     files = _files(found)
     try:
@@ -85,7 +100,7 @@ def _stacked(files: list[Path]) -> dict[str, np.ndarray]:
     """Parameters of one frame a file, each of any shape, as rows of all frames."""
     rows: dict[str, list[np.ndarray]] = {}
     for path in files:
-        found = read_objects(path, "SMPL-X's parameters of one frame")
+        found = plain(read_objects(path, "SMPL-X's parameters of one frame"))
         if not isinstance(found, dict):
             raise InputError(f"{path}: holds no arrays by name; expected SMPL-X's parameters")
         for name in (*SMPLX_FIELDS, "transl", "betas"):
@@ -121,17 +136,30 @@ def _tram_files(found: Any) -> list[Path]:  # noqa: ANN401
     return _files(found, "hps/hps_track_*.npy") or _files(found, "hps_track_*.npy")
 
 
+def tram_camera(found: Path) -> dict:
+    """What TRAM says of its camera: the lens, and by ``pred_cam_R``, ``pred_cam_T`` its path.
+
+    Raises:
+        InputError: no such file above ``hps/``, or it holds nothing by name.
+    """
+    files = _tram_files(found)
+    path = (found if files[0].parent != found else found.parent) / "camera.npy"
+    expected = "img_focal and img_center, as TRAM writes"
+    about = plain(read_objects(path, expected))
+    if not isinstance(about, dict):
+        raise InputError(f"{path}: holds nothing by name; expected {expected}")
+    return about
+
+
 def read_tram(where: str, found: Path, view: View) -> list[Track]:
     """A file a person, and the lens in ``camera.npy``, which lies above ``hps/``."""
-    files, tracks = _tram_files(found), []
-    camera = (found if files[0].parent != found else found.parent) / "camera.npy"
-    about = plain(read_objects(camera, "img_focal and img_center, as TRAM writes"))
+    files, tracks, about = _tram_files(found), [], tram_camera(found)
     focal = float(np.ravel(about["img_focal"])[0])
     centre = np.ravel(about["img_center"]).astype(np.float64)
     lens = np.array([[focal, 0, centre[0]], [0, focal, centre[1]], [0, 0, 1]])
     for path in files:
         person = plain(read_objects(path, "pred_rotmat, pred_trans and frame, as TRAM writes"))
-        frames = np.ravel(person["frame"]).astype(int)
+        frames = frame_numbers(person["frame"])
         matrices = np.reshape(person["pred_rotmat"], (len(frames), -1, 3, 3))
         given = {
             "global_orient": matrices[:, :1], "body_pose": matrices[:, 1:],
@@ -143,8 +171,8 @@ def read_tram(where: str, found: Path, view: View) -> list[Track]:
 
 
 def is_romp(found: Any) -> bool:  # noqa: ANN401
-    first = _first(found) if isinstance(found, Path) else found
-    return isinstance(first, dict) and isinstance(plain(first.get("results")), dict)
+    first = first_of(found) if isinstance(found, Path) else found
+    return isinstance(first, dict) and isinstance(plain(first.get(_ROMP)), dict)
 
 
 def read_romp(where: str, found: Any, view: View) -> list[Track]:  # noqa: ANN401
@@ -178,7 +206,7 @@ def _romp_frames(found: Any) -> list[tuple[int, dict]]:  # noqa: ANN401
     """Number and result of each frame, by the first number of a picture's name."""
     first = lambda name: int(re.findall(r"\d+", Path(name).stem)[0])
     if isinstance(found, dict):
-        results = plain(found["results"])
+        results = plain(found[_ROMP])
         if "smpl_thetas" in results:
             return [(0, results)]
         return sorted(((first(name), r) for name, r in results.items()), key=lambda x: x[0])
@@ -186,12 +214,12 @@ def _romp_frames(found: Any) -> list[tuple[int, dict]]:  # noqa: ANN401
     if whole.is_file():
         return _romp_frames(read_objects(whole, "ROMP's results of a video"))
     files = _files(found, "*.npz")
-    read = lambda path: plain(read_objects(path, "ROMP's results of a frame")["results"])
+    read = lambda path: plain(read_objects(path, "ROMP's results of a frame")[_ROMP])
     return sorted(((first(path.name), read(path)) for path in files), key=lambda x: x[0])
 
 
 def is_multihmr(found: Any) -> bool:  # noqa: ANN401
-    people = _humans(_first(found))
+    people = _humans(first_of(found))
     return bool(people) and {"rotvec", "transl_pelvis"} <= set(people[0])
 
 
@@ -207,7 +235,7 @@ def _humans(found: Any) -> list[dict]:  # noqa: ANN401
 def read_multihmr(where: str, found: Path, view: View) -> list[Track]:
     """Joints are the root, 21 of the body, both hands relative to flat ones, and the jaw."""
     frames = [
-        (last_number(path), _humans(read_objects(path, "the people of a frame")))
+        (last_number(path), _humans(plain(read_objects(path, "the people of a frame"))))
         for path in _files(found)
     ]
     frames = sorted((frame for frame in frames if frame[1]), key=lambda frame: frame[0])
@@ -243,7 +271,7 @@ def is_smplifyx(found: Any) -> bool:  # noqa: ANN401
 
 
 def _dictionary(path: Path) -> dict:
-    found = read_objects(path, "a body's parameters by name")
+    found = plain(read_objects(path, "a body's parameters by name"))
     return found if isinstance(found, dict) else {}
 
 
@@ -270,7 +298,7 @@ def read_smplifyx(where: str, found: Path, view: View) -> list[Track]:
 
 
 def is_parameters(found: Any) -> bool:  # noqa: ANN401
-    first = found if isinstance(found, dict) else _first(found)
+    first = found if isinstance(found, dict) else first_of(found)
     return isinstance(first, dict) and bool(
         {"body_pose", "poses", "thetas", "fullpose"} & set(first)
     )

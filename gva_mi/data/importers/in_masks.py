@@ -15,9 +15,8 @@ import torch
 
 from gva_mi.body.kinematics import joint_transforms
 from gva_mi.body.pose import BODY, PARENTS
+from gva_mi.data.importers.mask_values import BARELY
 from gva_mi.data.importers.tracks import Track, Votes
-
-BARELY = 127  # 8-bit masks above this are inside
 
 
 def joints_in_masks(

@@ -1,7 +1,7 @@
 """Motions of AMASS, AIST++ and their look-alikes, as poses that drive an avatar.
 
-Facts about the files are from the public descriptions of AMASS (nghorbani/amass), AIST++
-(google/aistplusplus_api), GVHMR (zju3dv/GVHMR) and WHAM (yohanshin/WHAM).
+Facts about the files are from the public descriptions of AMASS (nghorbani/amass) and AIST++
+(google/aistplusplus_api); of what pose estimators write, from :mod:`estimators`.
 
 A file may hold ``poses`` of any body, or parts of them; translations in metres, or in centimetres
 with ``smpl_scaling``; a frame rate under several names, none of them exact; NaN where markers were
@@ -11,7 +11,7 @@ lost; angles of more than half a turn; and any axis may be up.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -19,12 +19,19 @@ import numpy as np
 import torch
 
 from gva_mi.body.gestures import GESTURES, put_hand
-from gva_mi.body.pose import Pose, Shape
-from gva_mi.body.smplx import BodyModel
+from gva_mi.body.pose import LEFT_HAND, SMPLX_FIELDS, Pose, Shape
+from gva_mi.body.puppet import PUPPET
+from gva_mi.data.importers.estimated_motions import estimated, lone_track, refuse_folder
 from gva_mi.data.importers.fields import find_betas, find_joints, find_translation
+from gva_mi.data.importers.frame_files import first_of, plain
+from gva_mi.data.importers.other_bodies import refuse_other_bodies
+from gva_mi.data.importers.readings import PELVIS
+from gva_mi.data.importers.target import Target
 from gva_mi.data.importers.timeline import interpolate, listed, longest_gap
+from gva_mi.data.importers.tracks import Track, median_betas
 from gva_mi.data.importers.world import UP, up_axis, upright
 from gva_mi.errors import InputError
+from gva_mi.files import read_arrays
 from gva_mi.pickles.reader import read_objects
 from gva_mi.ranges import Within, require_ranges
 
@@ -48,6 +55,8 @@ class MotionOptions:
     place: Literal["start", "source"] = "start"  # the pelvis in the first frame: at rest's place
     # Seconds without numbers in a row that are still interpolated.
     gap: Annotated[float, Within(0, 3600, "low")] = 1.0
+    # The estimator's name of one of several people; without it, who is seen longest.
+    person: str | None = None
 
     def __post_init__(self) -> None:
         require_ranges("motion", self)
@@ -62,28 +71,72 @@ class Motion:
     notes: tuple[str, ...]  # what was found and done, for people
 
 
-def read_motion(path: Path, body: BodyModel, options: MotionOptions) -> Motion:
+@dataclass(frozen=True)
+class Driven:
+    """The body that a motion is for."""
+
+    joints: np.ndarray  # (55, 3) at rest, metres
+    mean_hands: np.ndarray  # (30, 3) left before right, relative to flat ones
+    components: np.ndarray | None  # (2, K, 45) of SMPL-X's PCA of hands, in the same order
+
+    @staticmethod
+    def of(path: Path | None) -> Driven:
+        """A body's file at its mean shape; None: the puppet.
+
+        Raises:
+            InputError: as :func:`gva_mi.body.smplx.load_body`.
+        """
+        target = Target.read(path or PUPPET)
+        shape = Shape(torch.zeros(0, dtype=target.model.v_template.dtype))
+        joints = target.model.rest(shape).joints.double().numpy()
+        return Driven(joints, target.mean_hands, target.components)
+
+
+def is_poses(path: Path) -> bool:
+    """Whether a file holds poses in this program's own form, which are driven as they are.
+
+    They have all names of :func:`gva_mi.body.pose.load_poses` in its widths. A file that is not
+    there counts, too: that reader says so.
+    """
+    if not path.exists():
+        return True
+    try:
+        found = read_arrays(path, EXPECTED)
+    except InputError:
+        return False
+    if "stage" in found:  # made here, whatever happened to it since
+        return True
+    widths = {name: 3 * (part.stop - part.start) for name, part in SMPLX_FIELDS.items()}
+    return {"global_orient", "body_pose", "transl", "betas"} <= set(found) and all(
+        found[name].ndim == 2 and found[name].shape[1] == width
+        for name, width in widths.items()
+        if name in found
+    )
+
+
+def read_motion(path: Path, driven: Driven, options: MotionOptions) -> Motion:
     """Read a motion, and turn, fill and resample it.
 
     Args:
-        path: .npz, .npy, .pkl or .pt; pickles run no code.
-        body: whose pelvis stays in place when the world is turned upright.
+        path: .npz, .npy, .pkl or .pt, or an estimator's folder; pickles run no code.
+        driven: whose pelvis stays in place when the world is turned upright, and whose hands
+            components of a PCA weigh.
         options: as above.
 
     Raises:
         InputError: what the file lacks, or cannot be told from it.
     """
     where = str(path)
-    found = _one_person(path, read_objects(path, EXPECTED))
-    joints = find_joints(where, found)
-    rotations = joints.rotations
-    transl = find_translation(where, found, len(rotations))
-    rate, notes = _rate(where, found, options), []
-    known = np.isfinite(rotations).all((1, 2)) & np.isfinite(transl).all(1)
+    track, rate, betas, said = _found(path, driven, options)
+    rotations, transl, known = _timeline(where, track)
+    notes = [*said]
     if not known.all():
         _check_gaps(where, known, rate, options)
         notes.append(f"frames without numbers, interpolated: {listed(np.flatnonzero(~known))}")
-    if not joints.has_hands:
+    if track.from_mean_hand:
+        rotations[:, LEFT_HAND.start :] += driven.mean_hands
+        notes.append("hands are components of a PCA, added to the body's mean hand")
+    if not track.has_hands:
         for side in ("left", "right") if options.hands == "relaxed" else ():
             put_hand(rotations, side, GESTURES["rest"].values)
         notes.append(f"the source has no hands; they are {options.hands}")
@@ -93,24 +146,74 @@ def read_motion(path: Path, body: BodyModel, options: MotionOptions) -> Motion:
         raise InputError(f"{where}: {count:,} frames at {options.fps:g} a second; give less --fps")
     wanted = np.arange(count) / options.fps
     rotations, transl = interpolate(times[known], rotations[known], transl[known], wanted)
-    rest = body.rest(Shape(torch.zeros(0, dtype=body.v_template.dtype))).joints.double().numpy()
-    up = up_axis(rotations, transl, rest) if options.up == "auto" else options.up
+    up = up_axis(rotations, transl, driven.joints) if options.up == "auto" else options.up
     if up is None:
         raise InputError(
-            f"{where}: the head is above the feet along no axis; give --up, one of {', '.join(UP)}"
+            f"{where}: the head is above the feet along no axis; give --up of gva-mi motion, one "
+            f"of {', '.join(UP)}"
         )
-    rotations, transl = upright(rotations, transl, up, rest[0])
+    rotations, transl = upright(rotations, transl, up, driven.joints[0])
     if options.place == "start":
         transl = transl - transl[0]
-    notes.insert(0, f"{joints.form}, {len(known)} frames at {rate:g} a second, {up} up; "
+    notes.insert(0, f"{track.form}, {len(known)} frames at {rate:g} a second, {up} up; "
                     f"now {count} at {options.fps:g}, y up")  # fmt: skip
-    betas = find_betas(where, found)
-    if betas is None or joints.form != "SMPL-X":
-        betas = np.zeros(10)  # the shape spaces differ; an avatar has its own shape anyway
-    betas = betas if betas.ndim == 1 else np.median(betas, axis=0)
     tensor = lambda x: torch.from_numpy(np.ascontiguousarray(x, np.float32))
     pose = Pose(tensor(rotations), tensor(transl), torch.zeros(count, 10))
     return Motion(pose, Shape(tensor(betas)), tuple(notes))
+
+
+def _found(
+    path: Path, driven: Driven, options: MotionOptions
+) -> tuple[Track, float, np.ndarray, list[str]]:
+    """One person's track, frames a second, their betas (B,), and what to say."""
+    where, found = str(path), _opened(path)
+    refuse_other_bodies(where, first_of(path) if path.is_dir() else found)
+    people = estimated(path, found, options.person, driven.components)
+    if people is None and isinstance(found, Path):
+        refuse_folder(path)
+    if people is not None:
+        track, notes = people
+        rate, betas = _rate(where, {}, options), track.betas
+        # From the source's body to the driven one, whose pelvis is elsewhere at rest.
+        place = track.transl + np.array(PELVIS[track.form])
+        track = replace(track, transl=place - driven.joints[0])
+    else:
+        lone_track(path, found)
+        track, notes = _by_name(where, found, driven.components), []
+        rate, betas = _rate(where, found, options), find_betas(where, found)
+    if betas is None or track.form != "SMPL-X":
+        return track, rate, np.zeros(10), notes  # the shape spaces differ, and avatars have one
+    betas, varied = median_betas(np.atleast_2d(betas))
+    return track, rate, betas, [*notes, *varied]
+
+
+def _by_name(where: str, found: Mapping[str, Any], components: np.ndarray | None) -> Track:
+    """One person's arrays, as fields.py knows them; K and betas mean nothing."""
+    joints = find_joints(where, found, components)
+    count = len(joints.rotations)
+    transl, K = find_translation(where, found, count), np.tile(np.eye(3), (count, 1, 1))
+    return Track(
+        "0", np.arange(count), joints.rotations, transl, None, K, joints.form, joints.has_hands,
+        joints.from_mean_hand,
+    )  # fmt: skip
+
+
+def _timeline(where: str, track: Track) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rotations (T, 55, 3), translations (T, 3) and whether they are known (T,), first to last.
+
+    Frames that an estimator left out are NaN, as those are whose numbers are.
+    """
+    rows = track.frames - track.frames.min()
+    count = int(rows.max()) + 1
+    if count > MOST_FRAMES:
+        raise InputError(
+            f"{where}: frames {track.frames.min()} to {track.frames.max()}, expected at most "
+            f"{MOST_FRAMES:,}"
+        )
+    rotations = np.full((count, *track.rotations.shape[1:]), np.nan)
+    transl = np.full((count, 3), np.nan)
+    rotations[rows], transl[rows] = track.rotations, track.transl
+    return rotations, transl, np.isfinite(rotations).all((1, 2)) & np.isfinite(transl).all(1)
 
 
 def _check_gaps(where: str, known: np.ndarray, rate: float, options: MotionOptions) -> None:
@@ -121,23 +224,19 @@ def _check_gaps(where: str, known: np.ndarray, rate: float, options: MotionOptio
     if gap > options.gap:
         raise InputError(
             f"{where}: {gap:.3g} s in a row without numbers, in frames "
-            f"{listed(np.flatnonzero(~known))}; --gap {options.gap:g} allows less"
+            f"{listed(np.flatnonzero(~known))}; --gap {options.gap:g} of gva-mi motion allows less"
         )
 
 
-def _one_person(path: Path, found: Any) -> Mapping[str, Any]:  # noqa: ANN401
-    """The arrays of one person: GVHMR's in the world, or the longest of WHAM's."""
-    if isinstance(found, np.ndarray) and found.dtype.hasobject and found.size == 1:
-        found = found.item()
-    if not isinstance(found, dict) or not found:
-        raise InputError(f"{path}: holds no arrays by name; expected {EXPECTED}")
-    if isinstance(found.get("smpl_params_global"), dict):
-        return found["smpl_params_global"]
-    people = [p for p in found.values() if isinstance(p, dict) and "pose_world" in p]
-    if people:
-        longest = max(people, key=lambda p: len(p["pose_world"]))
-        return {"poses": longest["pose_world"], "trans": longest.get("trans_world")}
-    return found
+def _opened(path: Path) -> Any:  # noqa: ANN401
+    """What a file holds by name; a folder as its path."""
+    if path.is_dir():
+        return path
+    found = plain(read_objects(path, EXPECTED))
+    if isinstance(found, dict) and found:
+        return found
+    refuse_other_bodies(path, found)
+    raise InputError(f"{path}: holds no arrays by name; expected {EXPECTED}")
 
 
 def _rate(where: str, found: Mapping[str, Any], options: MotionOptions) -> float:
@@ -149,7 +248,8 @@ def _rate(where: str, found: Mapping[str, Any], options: MotionOptions) -> float
         return AIST_RATE
     if name is None:
         raise InputError(
-            f"{where}: says no frame rate (none of {', '.join(RATES)}); give --source-fps"
+            f"{where}: says no frame rate (none of {', '.join(RATES)}); give --source-fps of "
+            "gva-mi motion"
         )
     try:
         rate = float(np.ravel(found[name])[0])

@@ -10,7 +10,8 @@ Kind        Folder, by the public repository's own code          Camera
 
 An alignment (4, 3) takes the rows of SMPL's vertices, posed and not translated, to the scene, x =
 s A b + t; what is seen is the same as of the body that is not scaled, A b + t/s before the camera.
-Masks are 255 around the person. Pictures have no distortion any more.
+Masks are 255 around the person. The published pictures have no distortion any more; where
+``cameras.txt`` says one, it is taken out as everywhere.
 """
 
 from __future__ import annotations
@@ -30,9 +31,10 @@ from gva_mi.errors import InputError
 from gva_mi.pickles.reader import read_objects
 
 _POSES = ("smpl_output_optimized.pkl", "smpl_output_romp.pkl")
-_LENSES = {  # where fx, fy, cx, cy stand among the parameters of COLMAP's models
-    "PINHOLE": (0, 1, 2, 3), "OPENCV": (0, 1, 2, 3), "SIMPLE_PINHOLE": (0, 0, 1, 2),
-    "SIMPLE_RADIAL": (0, 0, 1, 2),
+_LENSES = {  # COLMAP's models: where fx, fy, cx, cy and k1, k2, p1, p2, k3 are among the numbers
+    "PINHOLE": ((0, 1, 2, 3), ()), "SIMPLE_PINHOLE": ((0, 0, 1, 2), ()),
+    "SIMPLE_RADIAL": ((0, 0, 1, 2), (3,)), "RADIAL": ((0, 0, 1, 2), (3, 4)),
+    "OPENCV": ((0, 1, 2, 3), (4, 5, 6, 7)),
 }  # fmt: skip
 
 
@@ -53,7 +55,12 @@ def read_neuman(where: str, folder: Path, wanted: Wanted) -> Recording:
     rows = [last_number(name) for name in names]
     poses = np.stack([np.ravel(x) for x in person["pose"]])[rows]
     betas = np.stack([np.ravel(x) for x in person["betas"]])[rows]
-    R, T, K = (np.stack([views[name][k] for name in names]) for k in range(3))
+    R, T, K, lens = (np.stack([views[name][k] for name in names]) for k in range(4))
+    if lens.any() and ((lens != lens[0]).any() or (K != K[0]).any()):
+        raise InputError(
+            f"{folder / 'sparse/cameras.txt'}: lenses with distortion that differ from picture to "
+            "picture; expected one, or pictures without, as COLMAP's image_undistorter writes them"
+        )
     A = np.stack([np.asarray(alignments[name], np.float64).T for name in names])  # (n, 3, 4)
     scale = np.cbrt(np.linalg.det(A[:, :, :3]))
     if not (scale > 0).all():
@@ -63,11 +70,12 @@ def read_neuman(where: str, folder: Path, wanted: Wanted) -> Recording:
     track = seen_from(track, R @ A[:, :, :3] / scale[:, None, None], place)
     pictures = tuple(folder / "images" / name for name in names)
     masks = tuple(folder / "segmentations" / name for name in names)
-    return Recording([track], pictures, masks, splits=_splits(folder, names), around=True)
+    splits = _splits(folder, names)
+    return Recording([track], pictures, masks, lens[0], splits=splits, around=True)
 
 
-def _views(folder: Path) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """R (3, 3), T (3,) and K (3, 3) of each picture, by its name."""
+def _views(folder: Path) -> dict[str, tuple[np.ndarray, ...]]:
+    """R (3, 3), T (3,), K (3, 3) and (k1, k2, p1, p2, k3) of each picture, by its name."""
     lenses = {}
     for line in _lines(folder / "cameras.txt"):
         number, model, _, _, *numbers = line.split()
@@ -75,14 +83,17 @@ def _views(folder: Path) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]
             raise InputError(
                 f"{folder / 'cameras.txt'}: a lens {model}; expected one of {', '.join(_LENSES)}"
             )
-        fx, fy, cx, cy = (float(numbers[k]) for k in _LENSES[model])
-        lenses[number] = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+        places, bent = _LENSES[model]
+        fx, fy, cx, cy = (float(numbers[k]) for k in places)
+        distortion = np.zeros(5)
+        distortion[: len(bent)] = [float(numbers[k]) for k in bent]
+        lenses[number] = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), distortion
     views = {}
     for line in _lines(folder / "images.txt")[::2]:  # every other line lists points
         _, w, x, y, z, *T, lens, name = line.split()
         quat = torch.tensor([float(q) for q in (x, y, z, w)], dtype=torch.float64)
         R = roma.unitquat_to_rotmat(quat / quat.norm()).numpy()
-        views[Path(name).name] = (R, np.array([float(t) for t in T]), lenses[lens])
+        views[Path(name).name] = (R, np.array([float(t) for t in T]), *lenses[lens])
     return views
 
 

@@ -11,7 +11,7 @@ where p' is the pelvis of the body that the folder is for.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -25,9 +25,11 @@ from gva_mi.data.fingerprint import PREPARED, fingerprint
 from gva_mi.data.importers.by_networks import write_masks, write_normals
 from gva_mi.data.importers.datasets import DATASETS, dataset_of, read_dataset
 from gva_mi.data.importers.estimators import read_estimator
-from gva_mi.data.importers.footage import masks, pictures
+from gva_mi.data.importers.footage import masks, pictures, uneven_rate
 from gva_mi.data.importers.in_masks import joints_in_masks
 from gva_mi.data.importers.lenses import pinhole
+from gva_mi.data.importers.mask_values import MaskValues
+from gva_mi.data.importers.normal_maps import maps_of, write_maps
 from gva_mi.data.importers.other_views import known_names, write_views
 from gva_mi.data.importers.prompts import prompts_of
 from gva_mi.data.importers.readings import PELVIS, View
@@ -56,8 +58,8 @@ class Source:
     frames: Path | None = None  # a film, or a folder of pictures; without it, the data set's own
     masks: Path | None = None  # a film, a folder of pictures, a .npy or a .hdf5; as above
     sam: Path | None = None  # weights of Segment Anything, which makes the masks instead
-    normals: Path | None = None  # a network that makes the normals
-    expected: Expected | None = None  # what that network is given, and means
+    normals: Path | None = None  # a folder of maps, or a network that makes the normals
+    expected: Expected | None = None  # what these mean, and that network is given
     person: str | None = None  # the estimator's name of them; without it, who is in the masks
     first: int = 0  # the number that the estimator gave the first frame
     focal: float | None = None  # pixels, where the estimate says none
@@ -97,7 +99,8 @@ def prepare_folder(
     track, notes = choose(where, tracks, source.person, votes if recording.masks else None)
     others = [replace(t, frames=t.frames - source.first) for t in tracks if t is not track]
     last = int(track.frames.max()) - source.first + 1
-    count = _write_pictures(out, recording, track.K[0], size, progress, last)
+    lens = track.K[0]
+    count = _write_pictures(out, recording, lens, size, progress, last)
     track = replace(track, frames=track.frames - source.first)
     if recording.loose and (track.frames >= count).any():
         notes.append(f"{len(track.frames)} poses, but {count} pictures with masks")
@@ -112,14 +115,20 @@ def prepare_folder(
         prompts = prompts_of(track, others, rest, size)
         seen = [prompt if inside[k] else None for k, prompt in enumerate(prompts)]
         more += write_masks(out, networks.masks, seen, progress)
+    cameras = [Camera.from_matrices(K, _T_CAMERA_WORLD, *size) for K in track.K]
+    save_cameras(out / "cameras.npz", cameras)
     if networks.normals:
         more += write_normals(out, networks.normals, count, progress)
+    elif source.normals:
+        maps = maps_of(source.normals, recording.frames, count, recording.loose)
+        straight = _straight(recording, lens, size)
+        more += write_maps(out, maps, source.expected.convention, cameras, straight)
     if views:
         asked = (views, np.flatnonzero(inside).tolist(), source.view_frames)
         more += write_views(out, where, recording, *asked, _T_CAMERA_WORLD)
     betas, varied = one_shape(track)
     notes = [f"{kind}, {track.form}, {count} frames of {size[0]}x{size[1]}", *notes, *more, *varied]
-    notes += [recording.note] if recording.note else []
+    notes += [note for note in (recording.note, uneven_rate(recording.frames)) if note]
     if not body.keeps_betas(track.form):
         betas = np.zeros(10)
         notes.append(f"betas of {track.form} do not carry over to this body; they are zero")
@@ -132,8 +141,6 @@ def prepare_folder(
         notes.append("the source has no hands; they are flat")
     shape = Shape(torch.from_numpy(betas.astype(np.float32)))
     save_poses(out / POSES, _pose(track, body.model, shape), shape, stage=1)
-    cameras = [Camera.from_matrices(K, _T_CAMERA_WORLD, *size) for K in track.K]
-    save_cameras(out / "cameras.npz", cameras)
     notes.append(body.takes_over(track.form))
     about = {"kind": kind, "person": track.person, "form": track.form, "notes": notes}
     about["body"] = {"name": body.name} | fingerprint(body.model)
@@ -152,7 +159,8 @@ class _Networks:
     def of(source: Source) -> _Networks:
         """Read their files, before any work is done."""
         masks = SegmentAnything.load(source.sam) if source.sam else None
-        normals = NormalNetwork(source.normals, source.expected) if source.normals else None
+        network = source.normals is not None and not source.normals.is_dir()
+        normals = NormalNetwork(source.normals, source.expected) if network else None
         return _Networks(masks, normals)
 
 
@@ -200,9 +208,8 @@ def _write_pictures(
     expected: int,
 ) -> int:
     """Write frames and masks, side by side; returns how many there are."""
-    count, straight = 0, lambda image: image
-    if recording.distortion is not None:
-        straight = pinhole(_name(recording.frames), K, recording.distortion, size)
+    count, values = 0, MaskValues()
+    straight = _straight(recording, K, size) or (lambda image: image)
     for image, mask in _pairs(recording):
         for what, found in (("picture", image), ("mask", mask)):
             if found is not None and found.shape[1::-1] != size:
@@ -213,11 +220,23 @@ def _write_pictures(
                 )
         write_image(out / "frames" / f"{count:06d}.png", straight(image))
         if mask is not None:
+            values.see(mask)
             write_image(out / "masks" / f"{count:06d}.png", straight(mask))
         count += 1
         if progress:
             progress(count, max(count, expected))
+    if recording.masks is not None:
+        values.require_person(str(_name(recording.masks)))
     return count
+
+
+def _straight(
+    recording: Recording, K: np.ndarray, size: tuple[int, int]
+) -> Callable[[np.ndarray], np.ndarray] | None:
+    """What takes the lens's distortion out of a picture; None: there is none."""
+    if recording.distortion is None or not np.any(recording.distortion):
+        return None
+    return pinhole(_name(recording.frames), K, recording.distortion, size)
 
 
 def _pairs(recording: Recording) -> Iterator[tuple[np.ndarray, np.ndarray | None]]:

@@ -152,9 +152,15 @@ def every_frame(where: str, track: Track, count: int) -> tuple[Track, np.ndarray
 
 def one_shape(track: Track) -> tuple[np.ndarray, list[str]]:
     """The median of a person's betas (B,), and a word where they differ from frame to frame."""
-    if track.betas is None:
-        return np.zeros(10), []
-    betas = track.betas[np.isfinite(track.betas).all(1)]
+    return (np.zeros(10), []) if track.betas is None else median_betas(track.betas)
+
+
+def median_betas(betas: np.ndarray) -> tuple[np.ndarray, list[str]]:
+    """One person's betas (B,) of those of all frames (T, B), and a word where these differ.
+
+    The median: a few frames that an estimator got wrong do not move it.
+    """
+    betas = betas[np.isfinite(betas).all(1)]
     if not len(betas):
         return np.zeros(10), ["no betas are finite; they are zero"]
     spread = float(betas.std(0).max())

@@ -44,7 +44,19 @@ def _people(found: Any) -> dict:  # noqa: ANN401
 
 
 def _numbers(person: Mapping[str, Any]) -> np.ndarray:
-    return np.ravel(person["frame_ids" if "frame_ids" in person else "frame_id"]).astype(int)
+    return frame_numbers(person["frame_ids" if "frame_ids" in person else "frame_id"])
+
+
+def frame_numbers(value: Any) -> np.ndarray:  # noqa: ANN401
+    """Numbers of frames (n,) of what a file says; NaN as whole numbers would be frames of a guess.
+
+    Raises:
+        ValueError: they are no whole numbers.
+    """
+    numbers = np.ravel(value).astype(np.float64)
+    if not (np.isfinite(numbers) & (numbers == np.floor(numbers))).all():
+        raise ValueError("frames must be numbered by whole numbers")
+    return numbers.astype(int)
 
 
 def is_wham(found: Any) -> bool:  # noqa: ANN401
@@ -162,7 +174,7 @@ def is_pymafx(found: Any) -> bool:  # noqa: ANN401
 def read_pymafx(where: str, found: dict, view: View) -> list[Track]:
     """Parameters come in batches, of all people after one another."""
     joined = lambda name: np.concatenate([np.asarray(b[name]) for b in found["smplx_params"]])
-    frames = np.ravel(found["frame_ids"]).astype(int)
+    frames = frame_numbers(found["frame_ids"])
     body = joined("body_pose")  # (n, J, 3, 3), the root before the rest
     arrays = {
         "global_orient": body[:, :1], "body_pose": body[:, 1:22], "betas": joined("shape"),

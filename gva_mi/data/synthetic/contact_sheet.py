@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -18,7 +17,7 @@ from gva_mi.data.synthetic.people import STUDY
 from gva_mi.data.synthetic.render import Renderer, camera_around
 from gva_mi.data.synthetic.subject import Subject, draw_subject
 from gva_mi.data.video import Video, load_video
-from gva_mi.files import replacing
+from gva_mi.files import replacing_together
 from gva_mi.mesh.overlay import overlay
 
 CAPTION, GAP = 22, 6  # px, height of a line of text; space between pictures
@@ -60,15 +59,15 @@ def contact_sheet(
         subject=subject, motion="everyday", frames=COLUMNS, size=round(TALL * size),
         samples=samples, novel_poses=0, novel_views=0,
     )  # fmt: skip
-    with tempfile.TemporaryDirectory() as folder:
-        make_subject(Path(folder) / subject, options, body)
-        video = load_video(Path(folder) / subject)
-        shown = _video_rows(video, body)
     captions = [
         list(STUDY), [], [], [f"{subject}: frames of a video"], ["masks"], ["normals"],
         ["stage-1 poses over the frames"],
     ]  # fmt: skip
-    _write(path, _laid_out([*rows, *shown], captions, size))
+    # The video beside the sheet, where the next one finds and removes what a killed process left.
+    with replacing_together(path) as folder:
+        make_subject(folder / subject, options, body)
+        shown = _video_rows(load_video(folder / subject), body)
+        _write(folder / path.name, _laid_out([*rows, *shown], captions, size))
     if progress is not None:
         progress(COLUMNS + 1, COLUMNS + 1)
 
@@ -79,8 +78,7 @@ def _write(path: Path, canvas: np.ndarray) -> None:
 
     image = Image.fromarray(np.round(255 * canvas).astype(np.uint8))
     image = image.quantize(COLORS, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
-    with replacing(path) as unfinished:
-        image.save(unfinished, format="PNG", optimize=True)
+    image.save(path, format="PNG", optimize=True)
 
 
 def _portrait_front_pose(

@@ -337,7 +337,16 @@ def test_what_has_no_names_or_another_body_is_refused(tmp_path, refused):
     refused(r"an array \(5, 265\) without names.*save them by name", tmp_path / "flat.npy")
     mhr = [{"pred_vertices": np.zeros((9, 3)), "pred_cam_t": np.zeros(3), "focal_length": 900.0,
             "body_pose_params": np.zeros(133), "shape_params": np.zeros(45)}]  # fmt: skip
-    refused("parameters of MHR, as SAM 3D Body writes", dumped(tmp_path / "sam.pkl", mhr))
+    words = "parameters of MHR, as SAM 3D Body writes"
+    refused(words, dumped(tmp_path / "sam.pkl", mhr))
+    refused(words, dumped(tmp_path / "nested.pkl", {"outputs": mhr}))
+    refused(words, dumped(tmp_path / "frames.pkl", {"0.jpg": {"people": mhr}}))
+    (tmp_path / "out").mkdir()
+    for k in range(2):
+        np.savez(tmp_path / f"out/{k:04}.npz", **mhr[0])
+    refused("out: holds " + words, tmp_path / "out")
+    np.savez(tmp_path / "out/0000.npz", data=np.array(mhr, object))
+    refused("out: holds " + words, tmp_path / "out")
 
 
 def test_an_intended_kind_that_is_damaged_is_said_in_one_sentence(tmp_path, refused):

@@ -9,7 +9,7 @@ import torch
 
 from gva_mi.body.kinematics import joint_transforms
 from gva_mi.body.pose import PARENTS, Shape, load_poses
-from gva_mi.data.importers.motions import MotionOptions, read_motion
+from gva_mi.data.importers.motions import Driven, MotionOptions, read_motion
 from gva_mi.errors import InputError
 
 SAME_RATE = MotionOptions(fps=30, hands="flat")
@@ -18,14 +18,14 @@ SMPLH = [*range(22), *range(25, 55)]
 
 
 @pytest.fixture
-def read(tmp_path, body):
+def read(tmp_path):
     def save_and_read(options=SAME_RATE, pickled=False, **arrays):
         path = tmp_path / ("motion.pkl" if pickled else "motion.npz")
         if pickled:
             path.write_bytes(pickle.dumps(arrays, protocol=2))
         else:
             np.savez(path, **arrays)
-        return read_motion(path, body, options)
+        return read_motion(path, Driven.of(None), options)
 
     return save_and_read
 
@@ -167,6 +167,56 @@ def test_world_motions_of_estimators(read, walk):
     options = MotionOptions(fps=30, source_fps=30, hands="flat")
     found = read(options, pickled=True, smpl_params_global=inner, smpl_params_incam=inner)
     assert same(found.pose.rotations[:, :22], rotations[:, :22])
+
+
+def smplx_file(folder):
+    """The puppet's arrays as a body's file of its own, whose PCA of hands is known."""
+    from gva_mi.body.puppet import PUPPET
+
+    with np.load(PUPPET) as file:
+        arrays = dict(file)
+    np.savez(folder / "body.npz", **arrays)
+    return folder / "body.npz", arrays
+
+
+@pytest.mark.parametrize("count", [6, 12])
+def test_hands_of_components_are_the_bodys_own(tmp_path, walk, count, cli):
+    rotations, transl = walk(5)
+    random = np.random.default_rng(0)
+    c = [random.normal(0, 0.3, (5, count)) for _ in "lr"]
+    given = {"global_orient": rotations[:, 0], "body_pose": rotations[:, 1:22].reshape(5, 63),
+             "left_hand_pose": c[0], "right_hand_pose": c[1], "transl": transl, "fps": 25,
+             "betas": np.ones((1, 10))}  # fmt: skip
+    np.savez(tmp_path / "pca.npz", **given)
+    body, arrays = smplx_file(tmp_path)
+    code, _, err = cli("motion", tmp_path / "pca.npz", tmp_path / "out.npz")
+    assert code == 2 and "--body with the SMPL-X file whose hands_components they weigh" in err
+    code, said, err = cli("motion", tmp_path / "pca.npz", tmp_path / "out.npz", "--body", body)
+    assert code == 0 and "added to the body's mean hand" in said, err
+    fingers = [x @ arrays[f"hands_components{s}"][:count] + arrays[f"hands_mean{s}"]
+               for x, s in zip(c, "lr", strict=True)]  # fmt: skip
+    pose, shape = load_poses(tmp_path / "out.npz")
+    wanted = np.concatenate(fingers, axis=1).reshape(5, 30, 3)
+    assert same(pose.rotations[:, 25:], wanted) and shape.betas.tolist() == [1] * 10
+    many = dict(given, left_hand_pose=np.zeros((5, 44)))
+    np.savez(tmp_path / "many.npz", **many)
+    few = {k: x[:9] if "components" in k else x for k, x in arrays.items()}
+    np.savez(tmp_path / "few.npz", **few)
+    code, _, err = cli("motion", tmp_path / "many.npz", tmp_path / "b.npz", "--body",
+                       tmp_path / "few.npz")  # fmt: skip
+    assert code == 2 and "components of a PCA need the body" in err and "(5, 44)" in err
+
+
+def test_betas_that_vary_are_their_median_and_it_is_said(read, walk):
+    rotations, transl = walk(7)
+    betas = np.tile(np.linspace(0, 1, 10), (7, 1))
+    betas[:, 0] += np.array([0, 0, 0, 0, 9, 0, 0])  # one frame that the estimator got wrong
+    found = read(poses=rotations, trans=transl, betas=betas, fps=30)
+    assert np.allclose(found.shape.betas, np.linspace(0, 1, 10))
+    assert any("betas differ by up to 3.1 from frame to frame; their median" in n
+               for n in found.notes)  # fmt: skip
+    even = read(poses=rotations, trans=transl, betas=betas[:4], fps=30)
+    assert not any("betas" in note for note in even.notes)
 
 
 BAD = {

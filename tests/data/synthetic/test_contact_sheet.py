@@ -1,5 +1,8 @@
 """The contact sheet's layout, and the whole of it."""
 
+import errno
+import resource
+
 import numpy as np
 import pytest
 
@@ -31,3 +34,29 @@ def test_a_sheet_is_a_small_file(tmp_path):
     assert image.shape[1] == 7 * (64 + module.GAP) - module.GAP and image.std() > 20
     assert (tmp_path / "sheet.png").stat().st_size < 1_200_000
     assert seen[-1] == (8, 8)
+
+
+@pytest.mark.slow
+def test_a_full_disk_leaves_the_older_sheet_and_the_next_one_removes_what_a_kill_left(
+    tmp_path, monkeypatch
+):
+    """The disk that the sheet is on is the one that fills up, whatever is written on the way."""
+    plain = np.full((30, 24, 3), 0.5, np.float32)
+    monkeypatch.setattr(module, "_portrait_front_pose", lambda *_: [plain] * 3)
+    monkeypatch.setattr(module, "draw_subject", lambda *_: None)
+    path, left = tmp_path / "sheet.png", tmp_path / ".sheet.png.gva-mi-part/amira/frames"
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    for room in (100, 2000):
+        path.write_text("older")
+        left.mkdir(parents=True)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (room, before[1]))
+        try:
+            with pytest.raises(OSError) as error:
+                module.contact_sheet(path, load_body(), size=24, samples=1)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        assert error.value.errno == errno.EFBIG
+        assert str(error.value.filename).startswith(str(tmp_path))
+        assert list(tmp_path.iterdir()) == [path] and path.read_text() == "older"
+    module.contact_sheet(path, load_body(), size=24, samples=1)
+    assert read_image(path, 3).std() > 20 and list(tmp_path.iterdir()) == [path]

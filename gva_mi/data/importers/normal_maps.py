@@ -1,0 +1,143 @@
+"""Normals that another program left in a folder, as the subject's: one map of a whole frame each.
+
+Maps are matched to frames by the last number in their names: that of the frame's own file where
+frames are files; of a film, the first is 0, or 1 where the maps count from 1 to the last.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from gva_mi.data.importers.footage import PICTURES, files_of
+from gva_mi.data.importers.recordings import Pictures
+from gva_mi.data.importers.timeline import listed
+from gva_mi.data.importers.whole_videos import last_number
+from gva_mi.data.masks import read_mask
+from gva_mi.data.normals import ABOUT, Convention, NormalMaps
+from gva_mi.data.pictures import in_8_bits, read_image, write_image
+from gva_mi.errors import InputError, expecting
+from gva_mi.files import read_array, replacing, write_json
+from gva_mi.splat import Camera
+
+
+def maps_of(folder: Path, frames: Pictures, count: int, loose: bool) -> dict[int, Path]:
+    """The map of each frame that has one.
+
+    Args:
+        folder: of pictures, or of .npy.
+        frames: a film, a folder or files, whose first ``count`` are the subject's frames.
+        count: of frames.
+        loose: maps of no frame are passed over.
+
+    Raises:
+        InputError: none is there, two are of one frame, or one is of none.
+    """
+    kinds = (*PICTURES, ".npy")
+    paths = [path for path in folder.iterdir() if path.suffix.lower() in kinds]
+    if not paths:
+        raise InputError(f"{folder}: holds no normals ({', '.join(kinds)})")
+    numbers = {path: _number(path) for path in sorted(paths)}
+    both = [number for number, times in Counter(numbers.values()).items() if times > 1]
+    if both:
+        names = " and ".join(path.name for path, k in numbers.items() if k == both[0])
+        raise InputError(f"{folder}: {names} are both of frame {both[0]}; expected one map each")
+    files = files_of(frames)
+    known = [_number(path) for path in files[:count]] if files else list(range(count))
+    if not files and sorted(numbers.values()) == list(range(1, count + 1)):
+        known = list(range(1, count + 1))
+    places = {number: k for k, number in enumerate(known)}
+    if len(places) < len(known):
+        raise InputError(f"{folder}: frames of the same number; their normals cannot be told apart")
+    found = {places[number]: path for path, number in numbers.items() if number in places}
+    astray = [path for path, number in numbers.items() if number not in places]
+    if not found or (astray and not loose):
+        raise InputError(
+            f"{astray[0]}: is of no frame; frames are numbered {listed(np.sort(known))}, "
+            "and normals go by the last number in their names"
+        )
+    return found
+
+
+def write_maps(
+    out: Path,
+    maps: dict[int, Path],
+    convention: Convention,
+    cameras: Sequence[Camera],
+    straight: Callable[[np.ndarray], np.ndarray] | None,
+) -> list[str]:
+    """Write ``normals/`` and ``normals.json`` of a subject's folder, whose masks are there.
+
+    Args:
+        out: the subject's folder.
+        maps: of :func:`maps_of`.
+        convention: how the maps were made.
+        cameras: of all frames.
+        straight: what takes the lens's distortion out of an 8-bit picture; None: a pinhole.
+
+    Returns:
+        What to say about them.
+
+    Raises:
+        InputError: one is unreadable or of another size; all inside the masks say nothing, or look
+            away from the camera.
+    """
+    for k, path in sorted(maps.items()):
+        stored = _read(path, cameras[k])
+        if straight is not None:
+            stored = straight(in_8_bits((stored + 1) / 2) if stored.dtype.kind == "f" else stored)
+        if stored.dtype == np.uint8:
+            write_image(out / "normals" / f"{k:06d}.png", stored)
+        else:
+            with replacing(out / "normals" / f"{k:06d}.npy") as unfinished:
+                with unfinished.open("wb") as file:
+                    np.save(file, stored)
+    write_json(out / ABOUT, {"convention": convention})
+    read, pixels, z = NormalMaps(out / "normals", convention, None), 0, 0.0
+    for k in sorted(maps):
+        mask = read_mask(out / "masks", k)
+        if mask is not None:
+            inside = read.read(k, cameras[k])[mask > 0.5]
+            pixels, z = pixels + int(inside.any(axis=1).sum()), z + float(inside[:, 2].sum())
+    where = next(iter(maps.values())).parent
+    if not pixels:
+        raise InputError(
+            f"{where}: no pixel inside the masks is a unit vector; expected (n + 1) / 2 in "
+            "pictures, n in .npy"
+        )
+    if z > 0:
+        raise InputError(
+            f"{where}: most normals look away from the camera if they are {convention}; expected "
+            "another --normals-convention"
+        )
+    return [f"normals of {len(maps)} frames from {where.name}, {convention}"]
+
+
+def _number(path: Path) -> int:
+    with expecting(path, "the frame's number in the name, such as normal_000012.png"):
+        return last_number(path)
+
+
+def _read(path: Path, camera: Camera) -> np.ndarray:
+    """A map as it is stored, (H, W, 3) 8-bit or float32."""
+    if path.suffix.lower() == ".npy":
+        stored = read_array(path)
+        if stored.dtype.kind != "f" or stored.ndim != 3 or stored.shape[2] != 3:
+            raise InputError(
+                f"{path}: normals must be floating point (H, W, 3), got {stored.dtype} "
+                f"{stored.shape}"
+            )
+        stored = np.nan_to_num(stored.astype(np.float32))
+        if (stored > 0).any() and not (stored < 0).any():
+            raise InputError(f"{path}: holds no number below 0, such as (n + 1) / 2; expected n")
+    else:
+        stored = read_image(path, 3)
+    if stored.shape[:2] != (camera.height, camera.width):
+        raise InputError(
+            f"{path}: is {stored.shape[1]}x{stored.shape[0]}, expected the frame's "
+            f"{camera.width}x{camera.height}"
+        )
+    return stored

@@ -1,0 +1,89 @@
+"""A picture as a mask: which of its numbers says what is inside the person.
+
+=========================================  ====================================================
+Picture                                    Inside
+=========================================  ====================================================
+with alpha that is somewhere below 255     its alpha
+a palette, used in black and white alone   white, wherever in the palette it stands
+any other palette                          whatever is not label 0
+grey, and RGB that is grey                 its luminance
+one colour before black, hard or soft      how much of that colour
+more colours                               refused: a photograph, or a drawing of labels
+=========================================  ====================================================
+
+Alpha that is 255 everywhere is what programs add on their own, and says nothing.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gva_mi.errors import InputError
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+GREY = 32  # most that the channels of a grey differ, after JPEG
+ALIKE = 48  # most that a pixel differs from its share of the one colour, likewise
+STRAY = 0.02  # of coloured pixels, that may differ more: at edges, of which JPEG halves the colour
+DARK = 64  # black, after JPEG
+
+
+def matte_of(where: str, image: Image.Image) -> np.ndarray:
+    """The mask that a picture of 8 bits is.
+
+    Args:
+        where: the file, for the error.
+        image: of any mode but those of more than 8 bits (:func:`.pictures.to_8_bits`).
+
+    Returns:
+        (H, W) 8-bit, 255 inside.
+
+    Raises:
+        InputError: it is in several colours.
+    """
+    if image.mode in ("LA", "La", "RGBA", "RGBa", "PA") or (
+        image.mode == "P" and "transparency" in image.info
+    ):
+        alpha = np.asarray(image.convert("RGBA").getchannel("A"))
+        if alpha.min(initial=255) < 255:
+            return alpha
+    if image.mode in ("P", "PA"):
+        return _of_palette(image)
+    if image.mode in ("1", "L", "LA", "La"):
+        return np.asarray(image.convert("L"))
+    return matte_of_pixels(where, np.asarray(image.convert("RGB")))
+
+
+def matte_of_pixels(where: str, pixels: np.ndarray) -> np.ndarray:
+    """The same of pixels (H, W, 3) RGB or (H, W, 4) RGBA, 8-bit, such as a film's."""
+    if pixels.shape[2] == 4 and pixels[..., 3].min(initial=255) < 255:
+        return np.ascontiguousarray(pixels[..., 3])
+    from PIL import Image
+
+    rgb = np.ascontiguousarray(pixels[..., :3])
+    most = rgb.max(axis=2)
+    if not (most - rgb.min(axis=2) > GREY).any():
+        return np.asarray(Image.fromarray(rgb).convert("L"))
+    bright = most > 127
+    color = rgb[bright].mean(axis=0) if bright.any() else np.zeros(3)
+    if color.max() - color.min() > GREY and most.min() < DARK:
+        some = most >= DARK
+        share = most[some, None] * (color / color.max())
+        if (np.abs(rgb[some] - share).max(axis=1) > ALIKE).mean() <= STRAY:
+            return np.clip(np.round(most * (255 / color.max())), 0, 255).astype(np.uint8)
+    raise InputError(
+        f"{where}: a mask in several colours, such as a photograph or a drawing of labels, does "
+        "not say what is inside; expected white, or one colour, before black; or alpha"
+    )
+
+
+def _of_palette(image: Image.Image) -> np.ndarray:
+    """Inside by colour, where only black and white are used; otherwise by label."""
+    labels = np.asarray(image if image.mode == "P" else image.getchannel(0))
+    colors = np.asarray(image.convert("RGB"))
+    if np.isin(colors, (0, 255)).all() and (colors == colors[..., :1]).all():
+        return np.ascontiguousarray(colors[..., 0])
+    return (labels > 0) * np.uint8(255)

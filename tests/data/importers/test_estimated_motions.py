@@ -1,0 +1,254 @@
+"""What pose estimators saw, as motions: in their world, or before a camera that stands still."""
+
+import pickle
+import zlib
+
+import numpy as np
+import pytest
+import roma
+import torch
+
+from gva_mi.data.importers.motions import Driven, MotionOptions, read_motion
+from gva_mi.errors import InputError
+
+
+def matrices(rotations):
+    return roma.rotvec_to_rotmat(torch.as_tensor(rotations, dtype=torch.float64))
+
+
+def same(found, wanted, tolerance=2e-6):
+    """Equal as rotations: an axis-angle is known but for whole turns."""
+    return (matrices(found) - matrices(wanted)).abs().max() < tolerance
+
+
+def dumped(path, value):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(pickle.dumps(value))
+    return path
+
+
+def turned(R, rotations):
+    """The same bodies with their roots turned by R (3, 3), or (T, 3, 3)."""
+    found = rotations.copy()
+    found[:, 0] = roma.rotmat_to_rotvec(torch.as_tensor(R @ matrices(rotations[:, 0]).numpy()))
+    return found
+
+
+DOWN = np.diag([1.0, -1.0, -1.0])  # from a world with y up to the axes of a camera
+SMPL_PELVIS = np.array([-0.0018, -0.2233, 0.0282])
+OF_ESTIMATORS = MotionOptions(fps=30, source_fps=30, hands="flat")
+
+
+def moves_alike(motion, rotations, places, joints=22, tolerance=1e-5):
+    """Joints turn as known, and the pelvis goes as ``places`` (T, 3) do, from its own start."""
+    assert same(motion.pose.rotations[:, :joints], rotations[:, :joints], tolerance)
+    assert np.abs(motion.pose.transl.numpy() - (places - places[0])).max() < tolerance
+
+
+@pytest.fixture
+def before_camera(walk):
+    """Somebody upright: rotations and pelvises, in a world with y up and in a camera's axes."""
+    rotations, transl = walk(6)
+    places = transl + [0.0, 1.0, -4.0]
+    return rotations, places, turned(DOWN, rotations), places @ DOWN
+
+
+def as_smpl(rotations):
+    return np.concatenate([rotations[:, :22], np.ones((len(rotations), 2, 3))], axis=1)
+
+
+def test_wham_in_its_world_from_a_dump_of_joblib(tmp_path, walk, joblib_dump):
+    rotations, transl = walk(6)
+    poses = as_smpl(rotations).reshape(6, 72)
+    person = lambda rows: {
+        "pose": 0 * poses[rows], "trans": 0 * transl[rows], "betas": np.zeros((len(rows), 10)),
+        "pose_world": poses[rows].astype("f4"), "trans_world": transl[rows].astype("f4"),
+        "frame_ids": np.array(rows), "verts": np.zeros((len(rows), 9, 3)),
+    }  # fmt: skip
+    people = {0: person([0, 2]), 7: person([0, 1, 2, 4, 5])}
+    for name, pack in (("flat.pkl", bytes), ("packed.pkl", zlib.compress)):
+        (tmp_path / name).write_bytes(pack(joblib_dump(people)))
+        motion = read_motion(tmp_path / name, Driven.of(None), OF_ESTIMATORS)
+        moves_alike(motion, rotations, transl, tolerance=1e-3)  # frame 3 is interpolated
+        keep = [0, 1, 2, 4, 5]
+        assert same(motion.pose.rotations[keep, :22], rotations[keep, :22])
+        assert "wham, in the axes of its world" in motion.notes
+        assert "frames without numbers, interpolated: 3" in motion.notes
+        assert any("person 7, seen longest of 0 (2 frames), 7 (5" in n for n in motion.notes)
+        options = MotionOptions(fps=30, source_fps=30, person="0")
+        assert len(read_motion(tmp_path / name, Driven.of(None), options).pose) == 3
+
+
+def test_glamr_in_its_world(tmp_path, walk, before_camera):
+    rotations, transl = walk(6)
+    there = np.array([False, True, True, True, True, True])
+    person = {
+        "exist_frames": there, "smpl_pose": as_smpl(rotations)[:, 1:].reshape(6, 69),
+        "smpl_beta": np.zeros((6, 10)), "smpl_orient_world": rotations[:, 0],
+        "root_trans_world": transl, "cam_K": np.tile(np.eye(3), (6, 1, 1)),
+    }  # fmt: skip
+    path = dumped(tmp_path / "g.pkl", {"person_data": {0: person}, "cam_pose": np.eye(4)[None]})
+    motion = read_motion(path, Driven.of(None), OF_ESTIMATORS)
+    moves_alike(motion, rotations[1:], transl[1:])
+    assert "glamr, in the axes of its world" in motion.notes
+
+
+def test_tram_follows_its_cameras_path(tmp_path, before_camera):
+    """A camera that turns and walks: the person's path is that of the world all the same."""
+    rotations, places, _, _ = before_camera
+    angles = np.stack([np.zeros(6), 0.1 * np.arange(6), np.zeros(6)], axis=1)
+    R = DOWN @ matrices(angles).numpy()  # from the camera to its first axes, x_w = R x + T
+    T = np.linspace([0, 0, 0], [0.5, 0.1, 1.0], 6)
+    seen = turned(R.swapaxes(1, 2), rotations)
+    pelvis = np.einsum("tji,tj->ti", R, places - T)
+    track = {
+        "pred_rotmat": torch.as_tensor(matrices(as_smpl(seen)), dtype=torch.float32),
+        "pred_trans": torch.as_tensor(pelvis - SMPL_PELVIS, dtype=torch.float32)[:, None],
+        "pred_shape": torch.zeros(6, 10), "frame": torch.arange(6),
+    }  # fmt: skip
+    (tmp_path / "run/hps").mkdir(parents=True)
+    np.save(tmp_path / "run/hps/hps_track_0.npy", track)
+    camera = {"pred_cam_R": R, "pred_cam_T": T, "img_focal": 70.0, "img_center": np.ones(2)}
+    np.save(tmp_path / "run/camera.npy", camera)
+    motion = read_motion(tmp_path / "run", Driven.of(None), OF_ESTIMATORS)
+    moves_alike(motion, rotations, places)
+    assert "tram, in the world of its camera's path" in motion.notes
+    with pytest.raises(InputError, match="one person of TRAM without its camera; give the folder"):
+        read_motion(tmp_path / "run/hps/hps_track_0.npy", Driven.of(None), OF_ESTIMATORS)
+    np.save(tmp_path / "run/camera.npy", {k: camera[k] for k in ("img_focal", "img_center")})
+    motion = read_motion(tmp_path / "run", Driven.of(None), OF_ESTIMATORS)
+    assert "tram, in the axes of the camera, which is taken to stand still" in motion.notes
+    np.save(tmp_path / "run/camera.npy", camera | {"pred_cam_R": R[:2]})
+    with pytest.raises(InputError, match=r"\(of the kind tram\): of another form"):
+        read_motion(tmp_path / "run", Driven.of(None), OF_ESTIMATORS)
+
+
+WIDTH, HEIGHT = 640, 480
+LENS = np.hypot(WIDTH, HEIGHT)  # what depth is brought to
+
+
+def far(seen, focal):
+    """Pelvises (T, 3) before the lens that is usual, as seen by one of ``focal`` pixels."""
+    return seen * np.stack([np.ones(len(seen))] * 2 + [np.broadcast_to(focal / LENS, len(seen))], 1)
+
+
+def phalp(rotations, places):
+    smpl = lambda R, k: {"global_orient": R[k, :1], "body_pose": R[k, 1:], "betas": np.zeros(10)}
+    R = matrices(as_smpl(rotations)).numpy()
+    transl = far(places, 5000 / 256 * WIDTH) - SMPL_PELVIS
+    return "phalp.pkl", {
+        f"img/{k}.jpg": {"tid": [2], "tracked_ids": [2], "time": k, "size": [[HEIGHT, WIDTH]],
+                         "smpl": [smpl(R, k)], "camera": [transl[k]]}
+        for k in range(6)
+    }  # fmt: skip
+
+
+def pymafx(rotations, places):
+    R, transl = matrices(rotations).numpy(), far(places, 5000.0)
+    transl = transl - [0.0031, -0.3514, 0.0120]
+    parts = {
+        "left_hand_pose": slice(25, 40),
+        "right_hand_pose": slice(40, 55),
+        "jaw_pose": slice(22, 23),
+        "leye_pose": slice(23, 24),
+        "reye_pose": slice(24, 25),
+    }
+    batch = {name: R[:, part] for name, part in parts.items()}
+    batch |= {"body_pose": R[:, :24], "shape": np.zeros((6, 10))}
+    sx = 2 * 5000 / (transl[:, 2] * WIDTH)
+    cameras = np.stack([sx, sx * WIDTH / HEIGHT, 0 * sx, 0 * sx], axis=1)
+    return "output.pkl", {"orig_cam": cameras, "orig_cam_t": transl, "frame_ids": np.arange(6),
+                          "person_ids": ["p0"] * 6, "smplx_params": [batch]}  # fmt: skip
+
+
+def hybrik(rotations, places):
+    wide = np.linspace(200.0, 300.0, 6)
+    box = np.stack([0 * wide, 0 * wide, wide, wide], axis=1)
+    return "res.pk", {
+        "pred_thetas": matrices(as_smpl(rotations)).numpy().reshape(6, -1), "bbox": box,
+        "pred_betas": np.zeros((6, 10)), "pred_cam_root": far(places, 1000 / 256 * wide),
+        "height": np.full(6, HEIGHT), "width": np.full(6, WIDTH),
+        "img_path": [f"{k}.png" for k in range(6)],
+    }  # fmt: skip
+
+
+def romp(rotations, places):
+    thetas, transl = as_smpl(rotations).reshape(6, 72), places - SMPL_PELVIS
+    results = {
+        f"{k}.png": {"smpl_thetas": thetas[k : k + 1], "smpl_betas": np.zeros((1, 10)),
+                     "cam_trans": transl[k : k + 1]}
+        for k in range(6)
+    }  # fmt: skip
+    return "romp.pkl", {"results": results}
+
+
+@pytest.mark.parametrize("written", [phalp, pymafx, hybrik, romp])
+def test_what_a_camera_saw_is_a_motion_where_it_stands(written, tmp_path, before_camera):
+    rotations, places, seen, pelvis = before_camera
+    name, value = written(seen, pelvis)
+    motion = read_motion(dumped(tmp_path / name, value), Driven.of(None), OF_ESTIMATORS)
+    moves_alike(motion, rotations, places, tolerance=2e-3)  # the picture's size is whole pixels
+    assert "-y up" in motion.notes[0]
+    assert any("the camera, which is taken to stand still" in n for n in motion.notes)
+    assert any("a lens of 800 px" in n for n in motion.notes) == (written is not romp)
+    with pytest.raises(InputError, match="says no frame rate.*--source-fps of gva-mi motion"):
+        read_motion(tmp_path / name, Driven.of(None), MotionOptions())
+
+
+def test_parameters_a_file_a_frame_are_a_motion(tmp_path, walk):
+    rotations, transl = walk(4)
+    for k in range(4):
+        frame = {"global_orient": rotations[k, :1], "body_pose": rotations[k, 1:22].reshape(1, -1),
+                 "transl": transl[k : k + 1], "betas": np.zeros((1, 10))}  # fmt: skip
+        dumped(tmp_path / f"out/{k}.pkl", frame)
+    options = MotionOptions(fps=30, source_fps=30, hands="flat")
+    moves_alike(read_motion(tmp_path / "out", Driven.of(None), options), rotations, transl)
+
+
+def test_places_that_a_file_does_not_say_are_refused(tmp_path, before_camera):
+    _, _, seen, pelvis = before_camera
+    vibe = {1: {"pose": np.zeros((6, 72)), "orig_cam": np.ones((6, 4)), "frame_ids": np.arange(6)}}
+    with pytest.raises(InputError, match="written by vibe, whose places follow from the size"):
+        read_motion(dumped(tmp_path / "v.pkl", vibe), Driven.of(None), OF_ESTIMATORS)
+    name, frames = phalp(seen, pelvis)
+    path = dumped(tmp_path / name, {k: f | {"size": None} for k, f in frames.items()})
+    with pytest.raises(InputError, match="4dhumans says no size of its pictures"):
+        read_motion(path, Driven.of(None), OF_ESTIMATORS)
+
+
+def test_a_folder_is_told_what_it_holds(tmp_path):
+    for names, words in (
+        ((), "a folder that holds nothing, and no motion that is known; expected a file such as"),
+        (("a.txt", "b.txt"), r"holds a.txt, b.txt, and no motion"),
+        (("frames/x.png", "poses.npz"), r"holds frames/, poses.npz.*its motion is .*poses.npz"),
+    ):
+        folder = tmp_path / str(len(names)) / (names[0][:2] if names else "none")
+        folder.mkdir(parents=True)
+        for name in names:
+            (folder / name).parent.mkdir(exist_ok=True)
+            (folder / name).write_text("")
+        with pytest.raises(InputError, match=words) as caught:
+            read_motion(folder, Driven.of(None), MotionOptions())
+        assert str(folder) in str(caught.value)
+    with pytest.raises(InputError, match="nowhere: no such file; expected a motion such as"):
+        read_motion(tmp_path / "nowhere", Driven.of(None), MotionOptions())
+
+
+def test_frames_that_lie_far_apart_are_refused(tmp_path):
+    person = {"pose": np.zeros((2, 72)), "trans": np.zeros((2, 3)), "betas": np.zeros((2, 10)),
+              "frame_ids": np.array([0, 10**12])}  # fmt: skip
+    with pytest.raises(InputError, match="frames 0 to 1000000000000, expected at most 1,000,000"):
+        read_motion(dumped(tmp_path / "w.pkl", {0: person}), Driven.of(None), OF_ESTIMATORS)
+
+
+MHR = {"mhr_model_params": np.zeros(204), "shape_params": np.zeros(45), "pred_cam_t": np.zeros(3)}
+
+
+def test_parameters_of_mhr_are_refused_by_name(tmp_path):
+    for k, found in enumerate((MHR, {"outputs": [MHR]}, {"a": {0: MHR}}, [[MHR]])):
+        with pytest.raises(InputError, match="parameters of MHR, as SAM 3D Body writes"):
+            read_motion(dumped(tmp_path / f"{k}.pkl", found), Driven.of(None), OF_ESTIMATORS)
+    (tmp_path / "folder").mkdir()
+    np.savez(tmp_path / "folder/0.npz", data=np.array([MHR], object))
+    with pytest.raises(InputError, match="folder: holds parameters of MHR"):
+        read_motion(tmp_path / "folder", Driven.of(None), OF_ESTIMATORS)

@@ -19,6 +19,7 @@ WHOLE = "every file that is there is whole"
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # a disk, somebody's share of it, a file
 AFTER_STOP = {  # what goes on with the work of a verb
     "fit": "--resume goes on with it",
+    "render": "the same command goes on with it",
     "study": "the same command goes on with it",
 }
 OF_COMMANDS = (

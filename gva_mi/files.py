@@ -152,6 +152,38 @@ def part_of(path: Path) -> Path:
 
 
 @contextmanager
+def replacing_together(main: Path, *about: str) -> Iterator[Path]:
+    """A hidden folder to write a file into, and others that are about it.
+
+    They take their places once all of them are whole. The older ones about it go before it is
+    replaced, and the new ones come after it. So whatever is about it is about the one that is
+    there; a process that is killed in between leaves it alone, the old one or the new one.
+
+    Args:
+        main: the file.
+        about: names of all that may be about it, beside it; one that is not written now goes too.
+
+    Raises:
+        OSError: as of a disk that is full; older files stay.
+    """
+    main = Path(main)
+    unfinished = main.with_name(f".{main.name}.gva-mi-part")
+    try:
+        with naming(main):
+            if unfinished.exists():  # of a process that was killed
+                shutil.rmtree(unfinished)
+            unfinished.mkdir(parents=True)
+            yield unfinished
+            for name in about:
+                main.with_name(name).unlink(missing_ok=True)
+            for name in (main.name, *about):
+                if (unfinished / name).exists():
+                    (unfinished / name).replace(main.with_name(name))
+    finally:
+        shutil.rmtree(unfinished, ignore_errors=True)
+
+
+@contextmanager
 def naming(path: Path, always: bool = False) -> Iterator[None]:
     """Whatever the disk refuses within is told with the name of a file: not every writer knows it.
 

@@ -5,6 +5,8 @@ import json
 import shutil
 import struct
 import zipfile
+from contextlib import suppress
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,6 +19,7 @@ from gva_mi.files import (
     read_arrays,
     read_json,
     replacing,
+    replacing_together,
     require_keys,
     require_room,
     says,
@@ -40,6 +43,59 @@ def test_a_file_that_fails_half_way_leaves_the_old_one(tmp_path):
         raise RuntimeError("killed")
     assert path.read_text() == '{\n  "value": 1\n}\n'
     assert [p.name for p in tmp_path.iterdir()] == ["value.json"]
+
+
+@pytest.mark.parametrize("changes", range(7))
+def test_what_is_about_a_file_is_about_the_one_that_is_there(changes, tmp_path, monkeypatch):
+    """Of files that are replaced together, however many changes to the disk they came through."""
+    names = ("poses", "record", "picture", "page")
+    for name in names:
+        (tmp_path / name).write_text("old")
+    done = []
+
+    def only_so_many(change):
+        def instead(*given, **named):
+            if len(done) == changes:
+                raise KeyboardInterrupt
+            done.append(given)
+            return change(*given, **named)
+
+        return instead
+
+    for change in ("unlink", "replace"):
+        monkeypatch.setattr(Path, change, only_so_many(getattr(Path, change)))
+    with suppress(KeyboardInterrupt):
+        with replacing_together(tmp_path / "poses", *names[1:]) as folder:
+            for name in names[:3]:
+                (folder / name).write_text("new")
+    monkeypatch.undo()
+    found = {path.name: path.read_text() for path in tmp_path.iterdir()}
+    assert set(found) <= set(names) and set(found.values()) == {found["poses"]}
+    assert len(done) == changes and (changes or found == dict.fromkeys(names, "old"))
+    with replacing_together(tmp_path / "poses", *names[1:]) as folder:
+        assert not list(folder.iterdir())
+        for name in names[:3]:
+            (folder / name).write_text("newer")
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == dict.fromkeys(
+        names[:3], "newer"
+    )
+
+
+def test_files_that_fail_half_way_leave_all_the_old_ones(tmp_path):
+    for name in ("poses", "record"):
+        (tmp_path / name).write_text("old")
+    killed = tmp_path / ".poses.gva-mi-part"
+    killed.mkdir()
+    (killed / "record").write_text("half")
+    with pytest.raises(OSError, match="full") as error:
+        with replacing_together(tmp_path / "poses", "record") as folder:
+            assert not list(folder.iterdir())  # what a killed process left is gone
+            (folder / "poses").write_text("new")
+            raise OSError(errno.ENOSPC, "full")
+    assert error.value.filename == str(tmp_path / "poses")
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {
+        "poses": "old", "record": "old"
+    }  # fmt: skip
 
 
 def test_what_cannot_be_read_is_named(tmp_path):

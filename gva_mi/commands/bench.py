@@ -55,9 +55,9 @@ def bench(
         with bar("bench") as progress:
             found = bench_splat(given, options, progress)
     say(found.table())
+    if json_file is not None:  # before the plot, which a full disk may have no room for
+        write_json(json_file, found.to_dict())
+        say(f"figures: {json_file}")
     if options.plot is not None:
         found.peers.draw(options.plot)
         say(f"plot: {options.plot}")
-    if json_file is not None:
-        write_json(json_file, found.to_dict())
-        say(f"figures: {json_file}")

@@ -26,6 +26,9 @@ def body(
 ) -> None:
     """Write a body file and a picture of it from all around.
 
+    Poses of SMPL and SMPL+H, and hands as components of a PCA, are converted by gva-mi motion, and
+    with a video by gva-mi prepare parameters.
+
     Args:
         source: "puppet", the built-in body; "anny", the free realistic one; or a file in SMPL-X's,
             SMPL+H's or SMPL's format, .npz or .pkl.

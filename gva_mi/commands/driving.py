@@ -1,7 +1,8 @@
-"""What drives an avatar: the motion that ``render`` and ``export`` are given."""
+"""What drives an avatar: the motion that ``render``, ``export`` and ``view`` are given."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -10,15 +11,36 @@ from torch.nn.functional import pad
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.console import say
+from gva_mi.data.importers.motions import Driven, MotionOptions, is_poses, read_motion
 from gva_mi.fit.run_folder import load_motion
 
 
-def motion_of(run: Path, avatar: Avatar, given: Path | None) -> tuple[Pose, Shape]:
+def motion_of(
+    run: Path, avatar: Avatar, given: Path | None, fps: float, body: Path | None
+) -> tuple[Pose, Shape]:
     """The motion that ``--poses`` names; without it the poses that were trained with the avatar.
 
-    Of another person's motion a line says what becomes of it.
+    Of a motion of AMASS and the like, which is brought to the avatar's conventions, a line says
+    what it was taken for; of another person's, what becomes of it.
+
+    Args:
+        run: folder of a run, or an avatar's file.
+        avatar: that is driven.
+        given: a file of poses, or any motion that ``gva-mi motion`` reads.
+        fps: frames a second that such a motion is resampled to; poses are played as they are.
+        body: the file of the avatar's body, whose hands components of a PCA weigh.
+
+    Raises:
+        InputError: there are no poses, or they cannot be read.
     """
-    pose, shape, path = load_motion(run, given)
+    if given is None or is_poses(given):
+        pose, shape, path = load_motion(run, given)
+    else:
+        driven = replace(Driven.of(body), joints=avatar.rig.joints.double().numpy())
+        found, path = read_motion(given, driven, MotionOptions(fps=fps)), given
+        pose, shape = found.pose, found.shape
+        for note in found.notes:
+            say(f"{given}: {note}")
     own = avatar.rig.betas
     count = max(len(own), len(shape.betas))
     one, two = (pad(x.double(), (0, count - len(x))) for x in (own, shape.betas))

@@ -7,10 +7,9 @@ from pathlib import Path
 from tyro.conf import Positional
 
 from gva_mi.body.pose import save_poses
-from gva_mi.body.smplx import load_body
 from gva_mi.commands.arguments import Flat, Switch
 from gva_mi.console import say
-from gva_mi.data.importers.motions import MotionOptions, read_motion
+from gva_mi.data.importers.motions import Driven, MotionOptions, read_motion
 from gva_mi.errors import InputError
 from gva_mi.files import require_room
 
@@ -23,20 +22,20 @@ def motion(
     body: Path | None = None,
     overwrite: Switch = False,
 ) -> None:
-    """Turn a motion of AMASS, AIST++, or the like into poses for gva-mi render --poses.
+    """Turn a motion of AMASS, AIST++, a pose estimator, or the like into poses that drive.
 
     Args:
-        source: .npz, .npy, .pkl or .pt; pickles run no code.
+        source: .npz, .npy, .pkl or .pt, or an estimator's folder; pickles run no code.
         out: the poses, .npz.
         options: of the conversion.
         body: the avatar's body, if it is not the built-in puppet: its pelvis stays in place when
-            the world is turned upright.
+            the world is turned upright, and hands that are components of a PCA are its own.
         overwrite: replace a file that is there.
     """
     if out.suffix != ".npz":
         raise InputError(f"{out}: a file of poses ends in .npz")
     require_room(out, overwrite)
-    found = read_motion(source, load_body(body), options)
+    found = read_motion(source, Driven.of(body), options)
     save_poses(out, found.pose, found.shape, stage=1)
     for note in found.notes:
         say(f"{source}: {note}")

@@ -30,15 +30,18 @@ Spread = Annotated[float, Within(0, 1000, "low")]
 
 @dataclass(frozen=True)
 class NetworkOptions:
-    """Networks that people bring, and what they expect.
+    """Networks that people bring, and what they expect; or normals that another program made.
 
     Segment Anything makes the masks, told by the poses where the person is. A network of normals
     takes (1, 3, h, w) and answers likewise; conventions are those of :mod:`gva_mi.data.normals`.
     """
 
     sam_checkpoint: Path | None = None  # of Segment Anything or SAM 2: a folder, or Meta's .pth
-    normals: Path | None = None  # network: .pt (TorchScript, a program that will run) or .onnx
-    normals_convention: Convention | None = None  # axes and view of its answer; icon: cut out
+    # A folder of maps, one a frame by the last number in its name; or a network: .pt (TorchScript,
+    # a program that will run) or .onnx.
+    normals: Path | None = None
+    # Axes and view of the maps, or of the network's answer; icon: cut out.
+    normals_convention: Convention | None = None
     # Pixels it is shown, if an .onnx does not say.
     normals_size: tuple[Side, Side] = Expected.size
     normals_mean: tuple[Colour, Colour, Colour] = Expected.mean  # rgb in [0, 1], taken off them
@@ -51,6 +54,13 @@ class NetworkOptions:
                 "prepare: --normals needs --normals-convention, what its normals mean: "
                 f"{', '.join(get_args(Convention))}"
             )
+        if self.normals is not None and self.normals.is_dir():
+            for name in ("size", "mean", "std"):
+                if getattr(self, f"normals_{name}") != getattr(Expected, name):
+                    raise InputError(
+                        f"prepare: --normals-{name} is for a network, and {self.normals} is a "
+                        "folder"
+                    )
         require_ranges("prepare", self)
 
     @property

@@ -21,7 +21,7 @@ from gva_mi.files import require_room, versions
 from gva_mi.lock import alone_in
 from gva_mi.pose.evaluation.ablation import ablate
 from gva_mi.pose.evaluation.measure import Evaluation
-from gva_mi.pose.evaluation.record import OVERLAYS, write_record
+from gva_mi.pose.evaluation.record import OVERLAYS, PAGE, write_record
 from gva_mi.pose.evaluation.refinement_report import write_report
 from gva_mi.pose.inference import in_words
 from gva_mi.pose.job import RefineOptions
@@ -31,8 +31,6 @@ from gva_mi.pose.refine import refine_all
 from gva_mi.pose.sequence import SequenceOptions
 from gva_mi.pose.single_frame import SingleFrameOptions, Steps
 from gva_mi.ranges import Weight, Workers
-
-REPORT = "refinement.html"
 
 
 def refine(
@@ -105,7 +103,7 @@ def refine(
                 say(line)
             say(f"poses: {folder / REFINED_POSES}; overlays: {folder / OVERLAYS}")
             if report:
-                say(f"report: {folder / REPORT}")
+                say(f"report: {folder / PAGE}")
 
 
 def refine_videos(
@@ -151,7 +149,7 @@ def _write_report(
     with bar("ablation") as progress:
         ablation = ablate(evaluation, others, progress, executor)
     write_report(
-        evaluation.video.folder / REPORT,
+        evaluation.video.folder / PAGE,
         evaluation,
         title=f"Poses of {evaluation.video.folder.name}",
         versions=versions(),

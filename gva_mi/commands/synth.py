@@ -15,6 +15,7 @@ from gva_mi.data.synthetic import SynthOptions, degrade, describe_noise, make_su
 from gva_mi.data.synthetic.contact_sheet import contact_sheet as draw_sheet
 from gva_mi.errors import InputError
 from gva_mi.files import require_replaceable, require_writable
+from gva_mi.lock import alone_in
 
 MARKER = "synth.json"  # every subject that was made here holds it
 
@@ -52,7 +53,7 @@ def synth(
         require_replaceable(out, MARKER, overwrite)
         require_writable(out.absolute().parent)
     if sheet is not None:
-        with bar("sheet") as progress:
+        with alone_in(sheet, "gva-mi synth"), bar("sheet") as progress:
             draw_sheet(sheet, model, progress=progress)
         say(f"sheet: {sheet}")
     if out is None:

@@ -19,13 +19,14 @@ from gva_mi.body.puppet import EXPRESSIONS
 from gva_mi.body.smplx import load_body
 from gva_mi.commands.driving import motion_of
 from gva_mi.console import say
+from gva_mi.data.importers.motions import is_poses
 from gva_mi.data.video import Video, load_video
 from gva_mi.errors import InputError
 from gva_mi.files import require_writable
 from gva_mi.fit.run_folder import TRAINED_POSES, load_avatar, other_parts
 from gva_mi.ranges import Within
 from gva_mi.threads import one_torch_thread
-from gva_mi.viewer.controls import Controls, Offers
+from gva_mi.viewer.controls import FPS, Controls, Offers
 from gva_mi.viewer.drawing import Drawing
 from gva_mi.viewer.eyes import start
 from gva_mi.viewer.server import address, close_server, open_server, pages, when_moved
@@ -46,7 +47,8 @@ def view(
 
     Args:
         run: the folder of a finished fit, or an avatar.npz.
-        poses: SMPL-X's names, each (T, ...); without it the poses trained with the avatar.
+        poses: SMPL-X's names, each (T, ...), or any motion that gva-mi motion reads; without it
+            the poses trained with the avatar.
         subject: the folder of the video that these poses are of, to be shown beside.
         out: folder for snapshots and cameras; what is there is never replaced.
         body: the body file of an avatar that was exported without its body; without it the puppet.
@@ -54,7 +56,7 @@ def view(
         port: of the page; 0: any that is free.
     """
     avatar = load_avatar(run, body)
-    motion, _ = motion_of(run, avatar, poses)
+    motion, _ = motion_of(run, avatar, poses, FPS, body)
     video = None if subject is None else _video_of(run, subject, poses)
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: is a file; expected a folder for snapshots and cameras")
@@ -94,6 +96,11 @@ def _tried(out: Path) -> Iterator[None]:
 
 def _video_of(run: Path, subject: Path, poses: Path | None) -> Video:
     """The video whose poses are shown; without ``--poses`` the one that the run was fitted to."""
+    if poses is not None and not is_poses(poses):
+        raise InputError(
+            f"{poses}: a motion of another program, of which no video is shown beside; expected "
+            f"poses of {subject}, or no --subject"
+        )
     video = load_video(subject, poses or run / TRAINED_POSES, "none")
     others = set(other_parts(run, video)) & {"frames", "cameras"}
     if poses is None and others:

@@ -16,8 +16,10 @@ import numpy as np
 
 from gva_mi.console import say
 from gva_mi.data.video import save_cameras
+from gva_mi.errors import InputError
 from gva_mi.files import replacing
 from gva_mi.fit.renders import see_through
+from gva_mi.lock import alone_in
 from gva_mi.splat import Camera
 from gva_mi.viewer.drawing import Drawing
 from gva_mi.viewer.eyes import Eye, coarser, fitted
@@ -168,12 +170,16 @@ class Session:
         if action == "save cameras" and not self._keyframes:
             return "there is no keyframe yet: add some"
         name = "snapshot_{}.png" if action == "snapshot" else "cameras_{}.npz"
-        path = free_name(self._stage.out, name)
+        path = out = self._stage.out
         try:
-            if action == "snapshot":
-                self._write_snapshot(path, state, eye)
-            else:
-                save_cameras(path, self._film(eye))
+            with alone_in(out, "gva-mi view"):  # another viewer may be about to take the same name
+                path = free_name(out, name)
+                if action == "snapshot":
+                    self._write_snapshot(path, state, eye)
+                else:
+                    save_cameras(path, self._film(eye))
+        except InputError as error:
+            return str(error)
         except OSError as error:
             return f"{path}: cannot be written ({error.strerror})"
         say(f"saved: {path}")

@@ -74,6 +74,25 @@ def test_a_ply_becomes_a_splat_and_a_splat_a_ply(run, known, cli):
     assert torch.equal(first.means.sort(0).values, again.sort(0).values)
 
 
+def test_what_is_named_compressed_is_compressed(run, dance, known, cli, turning):
+    out, folder = run.parent / "a.Compressed.ply", run.parent / "frames"
+    assert cli("export", run, "--out", out)[0] == cli("export", run, "--out", run / "a.ply")[0] == 0
+    assert b"property uint packed_position" in out.read_bytes()[:2000]
+    assert b"packed" not in (run / "a.ply").read_bytes()[:2000]
+    with torch.no_grad():
+        expected, found = known(Pose.rest()), load_ply(out)
+    nearest = torch.cdist(expected.means, found.means).amin(1)
+    assert len(found) == len(expected) and nearest.max() < 3 / 1023  # of a body's 2 m and less
+    assert cli("export", run / "a.ply", "--out", out, "--overwrite")[0] == 0
+    more = ("--poses", dance, "--every", 4, "--each", "compressed.ply")
+    code, _, err = cli("export", run, "--out", folder, *more)
+    assert code == 0, err
+    assert sorted(path.name for path in folder.glob("*.ply")) == [
+        "000000.compressed.ply", "000004.compressed.ply",
+    ]  # fmt: skip
+    assert b"packed_color" in (folder / "000004.compressed.ply").read_bytes()[:2000]
+
+
 def test_a_folder_holds_one_file_a_frame(run, dance, known, cli, turning):
     plies = ("export", run, "--poses", dance, "--out", run.parent / "plies", "--every", 2)
     code, _, err = cli(*plies)
@@ -86,6 +105,23 @@ def test_a_folder_holds_one_file_a_frame(run, dance, known, cli, turning):
     code, _, err = cli(*plies)
     assert code == 2 and "--overwrite" in err
     assert cli(*plies, "--overwrite")[0] == 0
+
+
+@pytest.mark.parametrize("each", ["spz", "png"])
+def test_a_folder_that_was_cut_short_is_gone_on_with(each, run, dance, cli):
+    out = run.parent / each
+    command = ("export", run, "--poses", dance, "--out", out, "--each", each, "--every", 2)
+    command += SMALL if each == "png" else ()
+    code, _, err = cli(*command)
+    assert code == 0, err
+    wanted = {path.name: path.read_bytes() for path in out.iterdir()}
+    (out / f"000002.{each}").unlink()
+    code, said, err = cli(*command)
+    assert code == 0 and f"{out}: goes on, 2 of 3 files are there" in said, err
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == wanted
+    (out / f"000002.{each}").unlink()
+    code, _, err = cli(*command[:-1], 4 if each == "spz" else 50)  # another request
+    assert code == 2 and "give --overwrite" in err and not (out / f"000002.{each}").exists()
 
 
 def test_pictures_in_a_folder_are_see_through(run, cli):
@@ -116,6 +152,47 @@ def test_a_film_before_a_colour_or_a_picture(run, dance, cli, path):
         assert np.abs(images[0][:3, :3].astype(int) - corner).max() < 25
         assert np.abs(images[0].astype(int) - corner).max() > 60  # somebody is there
     assert not list(run.parent.glob("*.part"))
+
+
+def test_a_see_through_film(run, dance, cli):
+    """VP9's alpha is apart from its colours: FFmpeg's own decoder leaves it out, libvpx's does not.
+
+    What is see-through is what ``--each png`` has, within what the film loses.
+    """
+    import av
+    from PIL import Image
+
+    given = ("export", run, "--poses", dance, "--frames", 3, *SMALL, "--path", "orbit")
+    assert cli(*given, "--out", run / "a.webm", "--fps", 10)[0] == 0
+    code, _, err = cli(*given, "--out", run / "pictures", "--each", "png")
+    assert code == 0, err
+    with av.open(str(run / "a.webm")) as container:
+        stream = container.streams.video[0]
+        assert stream.average_rate == 10 and stream.metadata["ALPHA_MODE"] == "1"
+        decoder = av.CodecContext.create("libvpx-vp9", "r")
+        frames = [f for p in container.demux(stream) if p.size for f in decoder.decode(p)]
+    wanted = [np.asarray(Image.open(path)) for path in sorted((run / "pictures").glob("*.png"))]
+    assert len(frames) == len(wanted) == 3
+    for frame, rgba in zip(frames, wanted, strict=True):
+        found = frame.to_ndarray(format="rgba").astype(int)
+        assert np.abs(found[..., 3] - rgba[..., 3]).mean() < 3
+        solid = rgba[..., 3] > 250
+        assert solid.sum() > 20 and np.abs(found - rgba)[solid].mean() < 25
+    before = (run / "a.webm").read_bytes()
+    assert cli(*given, "--out", run / "a.webm", "--fps", 10, "--overwrite")[0] == 0
+    assert (run / "a.webm").read_bytes() == before
+    code, _, err = cli(*given, "--out", run / "b.webm", "--background", "red")
+    assert code == 2 and "--background is for .mp4, not for .webm" in err
+
+
+def test_a_pyav_without_its_encoder_is_said(run, cli, monkeypatch):
+    import av
+
+    monkeypatch.setattr(av, "codecs_available", av.codecs_available - {"libvpx-vp9"})
+    code, _, err = cli("export", run, "--out", run / "a.webm")
+    assert code == 2 and "has no libvpx-vp9" in err and err.count("\n") == 1
+    code, _, err = cli("render", run, "--out", run / "b", "--alpha", "--video", *SMALL)
+    assert code == 2 and "video.webm: the installed PyAV" in err and not (run / "b").exists()
 
 
 def test_poses_as_amass_has_them(run, dance, cli, turning):

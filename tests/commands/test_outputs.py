@@ -19,9 +19,13 @@ from gva_mi.files import write_arrays, write_json
 from gva_mi.fit.run_folder import save_state
 from gva_mi.lock import alone_in
 from gva_mi.page import write_page
+from gva_mi.splat.bench.peers import Bounds, Comparison
+from gva_mi.splat.bench.results import PLOTS
 from gva_mi.splat.formats.ply import save_ply
 from gva_mi.splat.formats.splat import save_splat
+from gva_mi.splat.formats.spz import save_spz
 
+PEERS = Comparison((), (Bounds(1_000, 1.0, 2.0), Bounds(3_000, 3.0, 6.0)))
 NOISE = np.random.default_rng(0).integers(0, 256, (64, 64, 3), np.uint8)
 
 
@@ -46,6 +50,8 @@ WRITERS = {
     ),
     "a.ply": lambda path, known: save_ply(path, known(Pose.rest())),
     "a.splat": lambda path, known: save_splat(path, known(Pose.rest())),
+    "a.spz": lambda path, known: save_spz(path, known(Pose.rest())),
+    **{f"peers{kind}": lambda path, known: PEERS.draw(path) for kind in PLOTS},
     "a.glb": lambda path, known: save_gltf(path, known, None, 30),
     "checkpoint.pt": lambda path, known: save_state(path.parent, {"a": "x" * 1000}),
 }
@@ -95,6 +101,7 @@ COMMANDS = {  # with what would be written: {} is a writable folder, whatever is
     "track": "track {run} {subject}",
     "render": "render {run} --path turntable --poses {subject}/poses.npz --out {}/new",
     "export": "export {run} --out {}/a.ply",
+    "pictures": "export {run} --poses {subject}/poses.npz --each png --out {}/new",
     "motion": "motion {subject}/poses.npz {}/a.npz",
     "study": "study refine --out {}/new",
     "body": "body --out {}/a.npz",
@@ -122,7 +129,9 @@ def test_a_folder_that_takes_no_file_is_said_before_the_work(
     assert not list(out.rglob("*.*"))
 
 
-@pytest.mark.parametrize("name", ["demo", "refine", "fit", "evaluate", "track", "study"])
+@pytest.mark.parametrize(
+    "name", ["demo", "sheet", "refine", "fit", "evaluate", "track", "render", "pictures", "study"]
+)
 def test_a_folder_that_another_process_writes_into_is_left_alone(
     name, tmp_path, cli, subject, known, video
 ):
@@ -130,11 +139,13 @@ def test_a_folder_that_another_process_writes_into_is_left_alone(
     known.save(run / "avatar.npz")
     (run / "options.json").write_text(json.dumps({"options": {"seed": 0}}))
     command = COMMANDS[name].replace("{}", str(tmp_path)).format(subject=subject, run=run)
-    folder = {"refine": subject, "track": subject, "evaluate": run}.get(name, tmp_path / "new")
+    subjects = {"refine": subject, "track": subject}
+    others = {**subjects, "evaluate": run, "sheet": tmp_path / "sheet.png"}
+    folder = others.get(name, tmp_path / "new")
     with alone_in(folder, "gva-mi of somebody"):
         code, _, err = cli(*command.split())
     assert code == 2 and f"{folder}: gva-mi of somebody (process " in err and err.count("\n") == 1
-    assert not (tmp_path / "new").exists()
+    assert not (tmp_path / "new").exists() and not (tmp_path / "sheet.png").exists()
 
 
 @pytest.mark.parametrize("verb, told", [("fit", "--resume goes on with it"), ("synth", "is whole")])

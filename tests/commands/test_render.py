@@ -1,12 +1,16 @@
 """``gva-mi render``: cameras of a file, or on a path; before anything, or see-through."""
 
+import copy
+
 import numpy as np
 import pytest
+import torch
 
 from gva_mi.body.pose import save_poses
 from gva_mi.data.film import Film
 from gva_mi.data.pictures import read_image, write_image
 from gva_mi.data.video import save_cameras
+from gva_mi.lock import alone_in
 
 SMALL = ("--size", 32, 48)
 
@@ -38,7 +42,8 @@ def test_on_a_turntable_by_default_and_see_through(run, cli):
     out = run.parent / "out"
     code, _, err = cli("render", run, "--out", out, "--frames", 4, "--alpha", "--video", *SMALL)
     assert code == 0, err
-    assert len(pictures(out)) == len(Film(out / "video.mp4")) == 4
+    assert len(pictures(out)) == len(Film(out / "video.webm")) == 4
+    assert not (out / "video.mp4").exists()
     rgba = [np.asarray(Image.open(out / name)) for name in pictures(out)]
     assert all(x.shape == (48, 32, 4) and x[0, 0, 3] == 0 and x[..., 3].max() > 200 for x in rgba)
     assert np.abs(rgba[0].astype(int) - rgba[2]).mean() > 1
@@ -76,3 +81,60 @@ def test_bad_input_is_one_sentence_and_nothing_is_written(name, run, camera, mon
     code, _, err = cli("render", "run", "--out", "out", *arguments)
     assert code == 2 and sentence in err and err.count("\n") == 1, err
     assert not (run.parent / "out").exists()
+
+
+def touched(folder):
+    return {path.name: path.stat().st_mtime_ns for path in folder.iterdir()}
+
+
+@pytest.mark.parametrize(("alpha", "film"), [((), "video.mp4"), (("--alpha",), "video.webm")])
+def test_what_was_cut_short_is_gone_on_with_and_has_the_same_bits(alpha, film, run, cli):
+    out = run.parent / "out"
+    command = ("render", run, "--out", out, "--frames", 4, "--video", *alpha, *SMALL)
+    code, _, err = cli(*command)
+    assert code == 0, err
+    wanted, times = {path.name: path.read_bytes() for path in out.iterdir()}, touched(out)
+    gone = {"000002.png", "000003.png", film}
+    for name in gone:
+        (out / name).unlink()
+    (out / "000002.png.part").write_bytes(b"cut short")
+    code, said, err = cli(*command)
+    assert code == 0 and f"{out}: goes on, 2 of 5 files are there" in said, err
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == wanted
+    assert {name for name, time in touched(out).items() if time != times[name]} == gone
+    code, _, err = cli(*command)  # all is there
+    assert code == 2 and "already holds something; give --overwrite" in err
+
+
+@pytest.mark.parametrize("other", ["background", "avatar", "poses", "camera", "marker"])
+def test_another_render_is_not_gone_on_with(other, run, known, turning, cli):
+    out, options = run.parent / "out", {"--poses": run / "poses.npz", "--turn": 0}
+    asked = lambda: [word for pair in options.items() for word in pair]
+    code, _, err = cli("render", run, "--out", out, "--path", "static", *asked(), *SMALL)
+    assert code == 0, err
+    (out / "000001.png").unlink()
+    if other == "background":
+        options["--background"] = "red"
+    elif other == "avatar":
+        moved = copy.deepcopy(known)
+        with torch.no_grad():
+            moved.canonical.means += 0.01
+        moved.save(run / "avatar.npz")
+    elif other == "poses":
+        pose, shape = turning(3)
+        pose.rotations[0, 20] += 0.1
+        save_poses(run / "poses.npz", pose, shape, stage=2)
+    elif other == "camera":
+        options["--turn"] = 10
+    else:
+        (out / "render.json").write_text("[]")
+    code, _, err = cli("render", run, "--out", out, "--path", "static", *asked(), *SMALL)
+    assert code == 2 and "already holds something; give --overwrite to replace it" in err
+    assert not (out / "000001.png").exists()
+
+
+def test_two_do_not_render_into_one_folder(run, cli):
+    out = run.parent / "out"
+    with alone_in(out, "gva-mi render"):
+        code, _, err = cli("render", run, "--out", out, *SMALL)
+    assert code == 2 and "gva-mi render (process" in err and not out.exists()

@@ -1,5 +1,6 @@
 """The thread that draws: the newest state only, coarse and then whole; snapshots and cameras."""
 
+import resource
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,7 @@ from gva_mi.body.pose import save_poses
 from gva_mi.data.pictures import read_image
 from gva_mi.data.video import load_cameras
 from gva_mi.fit.renders import over, render_layer
+from gva_mi.lock import alone_in
 from gva_mi.viewer import session
 from gva_mi.viewer.drawing import Drawing
 from gva_mi.viewer.session import COARSE, REST, Click, Session, Stage, free_name
@@ -130,6 +132,34 @@ def test_a_folder_that_takes_no_file_is_told_and_the_session_goes_on(
     opened = Session(drawing, panel, replace(stage, out=tmp_path / "file"))
     assert "cannot be written" in press(opened, panel, page, "snapshot")[0]
     assert len(page.shown) == 1
+
+
+@pytest.mark.parametrize("action", ["snapshot", "save cameras"])
+def test_a_full_disk_is_told_nothing_is_half_written_and_the_session_goes_on(
+    action, opened, panel, page, stage
+):
+    told = press(opened, panel, page, "add keyframe", action)
+    (first,) = stage.out.iterdir()
+    whole = first.read_bytes()
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, before[1]))
+    try:
+        press(opened, panel, page, action)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    second = first.with_name(first.name.replace("000", "001"))
+    assert told[-1] == f"{second}: cannot be written (File too large)"
+    assert list(stage.out.iterdir()) == [first] and first.read_bytes() == whole
+    press(opened, panel, page, action)
+    assert told[-1] == f"saved: {second}" and second.read_bytes() == whole
+
+
+def test_two_viewers_do_not_take_the_same_name(opened, panel, page, stage):
+    with alone_in(stage.out, "gva-mi view"):
+        told = press(opened, panel, page, "snapshot")
+    assert "gva-mi view (process" in told[-1] and not stage.out.exists()
+    press(opened, panel, page, "snapshot")
+    assert told[-1] == f"saved: {stage.out / 'snapshot_000.png'}"
 
 
 def test_beside_the_video_through_its_camera(known, video, panel, page, eye, stage):

@@ -1,9 +1,11 @@
 """What several folders of tests share."""
 
+import importlib.util
 import json
 import os
 import signal
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -42,6 +44,16 @@ def one_thread():
     torch.set_num_threads(1)
     yield
     torch.set_num_threads(before)
+
+
+@pytest.fixture(scope="session")
+def joblib_dump():
+    """The bytes that ``joblib.dump`` writes of a value."""
+    path = Path(__file__).with_name("pickles") / "joblib_files.py"
+    spec = importlib.util.spec_from_file_location("joblib_files", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.joblib_dump
 
 
 # The bare puppet before a camera, 96 pixels wide, in three poses.

@@ -18,7 +18,7 @@ TAKEN = {  # other numbers than were meant, of which check says what it sees; or
     "transl is behind the camera", "transl is in millimetres", "betas are a table",
     "betas are none", "betas are 300", "stage is text", "all test frames are absent",
     "a frame is grey", "a frame is of 16 bits", "a frame has alpha", "a frame has a palette",
-    "a frame is a .jpg", "a frame is missing", "the first frame is missing", "a mask is of colours",
+    "a frame is a .jpg", "a frame is missing", "the first frame is missing",
     "a mask is of 16 bits", "a mask has a palette", "a mask is of one bit", "a mask is black",
     "a mask is white", "a mask is missing", "masks are inverted", "masks are of zero and one",
     "masks are all white", "masks are of one pixel", "masks lie upside down",

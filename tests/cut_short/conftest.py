@@ -14,6 +14,7 @@ import torch
 
 from gva_mi.avatar.avatar import AvatarOptions
 from gva_mi.avatar.canonical import SeedOptions
+from gva_mi.data.pictures import read_image, write_movie
 from gva_mi.data.synthetic import SynthOptions, make_subject
 from gva_mi.fit.options import FitOptions
 from gva_mi.fit.train import fit
@@ -21,6 +22,10 @@ from gva_mi.splat.scene import random_scene
 
 NEVER_ALIKE = re.compile(r"seconds|^s a frame$")  # keys of what is measured in time
 GROWING = ("new/refine.json", "new/avatar.json")  # case by case: they need not be finished
+ABOUT = {  # names of files, and of the poses beside them that they are about
+    **dict.fromkeys(("refinement.json", "refinement.png", "refinement.html"), "poses_refined.npz"),
+    "photometric.json": "poses_photometric.npz",
+}
 
 
 @pytest.fixture(scope="session")
@@ -102,9 +107,15 @@ class Stage:
 
     def require_whole(self, before, wanted):
         """Check that each file that a finished command leaves is as it was before, or finished."""
-        for file, content in self.contents().items():
+        found = self.contents()
+        for file, content in found.items():
             if file in wanted and not file.endswith(GROWING):
                 assert content in (before.get(file), wanted[file]), f"{file} is half-written"
+            path = Path(file)
+            if path.name in ABOUT and not path.parent.name.startswith("."):
+                main = str(path.with_name(ABOUT[path.name]))
+                there = wanted if found.get(main) == wanted[main] else before
+                assert content == there.get(file), f"{file} is not about the {main} that is there"
 
     def finish(self, command, allowed):
         """Run a command once more, with the option that it asks for; returns what was said."""
@@ -145,7 +156,7 @@ def prepared(tmp_path_factory, subject, video, built_in_body):
     (folder / "made").mkdir()
     (folder / "made/synth.json").write_text("{}")
     (folder / "made/frames.txt").write_text("of another subject")
-    frames = len(list((subject / "frames").iterdir()))
+    frames = _as_a_film(folder, subject)
     s = random_scene(torch.Generator().manual_seed(0), gaussians=8, width=20, height=16)
     seen_by = {"viewmat": s.camera.T_camera_world, "K": s.camera.K, "width": 20, "height": 16}
     np.savez(folder / "scene.npz", **{k: v.numpy() for k, v in s.inputs().items()}, **seen_by)
@@ -153,12 +164,31 @@ def prepared(tmp_path_factory, subject, video, built_in_body):
         frames=2, size=32, samples=4, clothes=False, hair=False, novel_poses=0, novel_views=0
     )
     make_subject(folder / "like", bare, built_in_body)
+    shutil.copytree(folder / "like", folder / "bare")
+    _refined_before(folder / "like", folder / "refined")
     np.savez(
         folder / "estimate.npz", global_orient=np.tile([np.pi, 0, 0], (frames, 1)),
         body_pose=np.zeros((frames, 63)), transl=np.tile([0, 0.2, 3.5], (frames, 1)),
         betas=np.zeros((1, 10)), focal=np.array(60.0),
     )  # fmt: skip
     return folder
+
+
+def _as_a_film(folder, subject):
+    """The subject's footage as one film and one array; returns the number of its frames."""
+    pictures, masks = (sorted((subject / kind).iterdir()) for kind in ("frames", "masks"))
+    write_movie(folder / "film.mp4", [read_image(path, 3) for path in pictures])
+    np.save(folder / "masks.npy", np.stack([read_image(path, 1) for path in masks]))
+    return len(pictures)
+
+
+def _refined_before(subject, refined):
+    """The same subject, refined and tracked before, with other results."""
+    shutil.copytree(subject, refined)
+    for main in set(ABOUT.values()):
+        shutil.copy(subject / "poses.npz", refined / main)
+    for name in ABOUT:
+        (refined / name).write_text('{"test_frames": "held out", "figures": {}}')
 
 
 @pytest.fixture

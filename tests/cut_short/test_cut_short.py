@@ -25,9 +25,15 @@ class Command:
     when_full: tuple[str, ...] | None = None  # None: not tried
     when_killed: tuple[str, ...] | None = None  # likewise
     quick: bool = False
+    at_last: int = 1  # changes to the disk before each of which it is killed, counted from the end
+    tries: int | None = None  # of rooms and of moments, for what takes minutes; None: all
 
 
 COMMANDS = {
+    "demo": Command(
+        "demo --out {}/new --frames 2 --size 32 --steps 3 --no-refine", OVERWRITE, OVERWRITE,
+        tries=2,
+    ),
     "synth": Command(f"synth {{}}/new {SYNTH}", NOTHING, OVERWRITE),
     "synth, in the place of another": Command(
         f"synth {{}}/made {SYNTH} --overwrite", when_killed=NOTHING
@@ -38,28 +44,51 @@ COMMANDS = {
         "prepare parameters {}/estimate.npz {}/new --body puppet --frames {}/subject/frames "
         "--masks {}/subject/masks", NOTHING, OVERWRITE
     ),
+    "prepare, of a film": Command(
+        "prepare parameters {}/estimate.npz {}/new --body puppet --frames {}/film.mp4 "
+        "--masks {}/masks.npy", NOTHING, OVERWRITE
+    ),
     "check": Command("check {}/subject --json {}/a.json --sheet {}/b.png", OVERWRITE),
-    "refine": Command("refine {}/subject --passes 1 --size 48", OVERWRITE, OVERWRITE),
+    "refine": Command("refine {}/subject --passes 1 --size 48", OVERWRITE, OVERWRITE, at_last=8),
+    "refine, in the place of another": Command(
+        "refine {}/refined --passes 1 --size 48 --overwrite", NOTHING, NOTHING, at_last=10
+    ),
+    "refine, with a page": Command(
+        "refine {}/bare --passes 1 --size 48 --report", OVERWRITE, OVERWRITE, tries=2
+    ),
     "fit": Command(f"fit {{}}/subject --out {{}}/new {FIT}", RESUME, RESUME),
     "evaluate": Command("evaluate {}/run {}/subject", NOTHING, NOTHING),
     "track": Command("track {}/run/avatar.npz {}/subject --passes 1", OVERWRITE, OVERWRITE),
+    "track, in the place of another": Command(
+        "track {}/run/avatar.npz {}/refined --passes 1 --overwrite", NOTHING, NOTHING, at_last=8
+    ),
     "render": Command(
         "render {}/run --path turntable --frames 4 --size 32 32 --video --out {}/new",
         OVERWRITE, OVERWRITE
     ),
+    "render, see-through": Command(
+        "render {}/run --path turntable --frames 4 --size 32 32 --alpha --video --out {}/new",
+        OVERWRITE, OVERWRITE
+    ),
     "a surface": Command("export {}/run --out {}/new.glb", OVERWRITE, OVERWRITE, quick=True),
     "Gaussians": Command("export {}/run --out {}/new.spz", OVERWRITE, quick=True),
+    "points": Command("export {}/run --out {}/new.splat", OVERWRITE, OVERWRITE, quick=True),
     "poses": Command("export {}/run --out {}/new.npz", OVERWRITE, quick=True),
     "an avatar": Command("export {}/run --no-rig --out {}/new.npz", OVERWRITE, quick=True),
     "a film": Command("export {}/run --size 32 32 --out {}/new.mp4", OVERWRITE, OVERWRITE),
     "a folder": Command("export {}/run --out {}/new", OVERWRITE, OVERWRITE, quick=True),
+    "pictures": Command(
+        "export {}/run --each png --path turntable --frames 4 --size 32 32 --out {}/new",
+        OVERWRITE, OVERWRITE
+    ),
     "motion": Command(
-        "motion {}/subject/poses.npz {}/new.npz --source-fps 30", OVERWRITE, quick=True
+        "motion {}/subject/poses.npz {}/new.npz --source-fps 30", OVERWRITE, OVERWRITE, quick=True
     ),
-    "body": Command("body --out {}/new.npz", OVERWRITE),
+    "body": Command("body --out {}/new.npz", OVERWRITE, OVERWRITE),
     "gradcheck": Command(
-        "gradcheck --scene {}/scene.npz --window 8 --count 1 --out {}/new", NOTHING
+        "gradcheck --scene {}/scene.npz --window 8 --count 1 --out {}/new", NOTHING, NOTHING
     ),
+    "gradcheck avatar": Command("gradcheck avatar --count 1 --out {}/new", NOTHING, tries=1),
     "bench": Command("bench body --repeats 1 --json {}/new.json", NOTHING),
     "study refine": Command(f"study refine --out {{}}/new --frames 2 {SEEN}", NOTHING, NOTHING),
     "study avatar": Command(
@@ -81,11 +110,11 @@ def tried(when):
     ]
 
 
-def rooms(before, wanted):
+def rooms(before, wanted, tries):
     """Bytes beyond which no file can grow: nothing, and too little for the largest files."""
     sizes = sorted(size for file, size in wanted.items() if before.get(file) != size)
     some = np.linspace(0, len(sizes) - 1, ROOMS).round().astype(int)
-    return sorted({0, *(sizes[k] - 1 for k in some)})
+    return sorted({0, *(sizes[k] - 1 for k in some)})[::-1][:tries]
 
 
 @pytest.mark.parametrize("name", tried("when_full"))
@@ -94,7 +123,7 @@ def test_a_full_disk_is_one_sentence_and_the_next_run_goes_on(name, stage):
     stage.set_up()
     sizes = stage.sizes()
     wanted, _ = stage.whole(command)
-    for room in rooms(sizes, stage.sizes()):
+    for room in rooms(sizes, stage.sizes(), COMMANDS[name].tries):
         before = stage.set_up()
         full = stage.run(command, room=room)
         if room == 0 or full.code != 0:  # links to large files need no room
@@ -109,17 +138,19 @@ def test_a_full_disk_is_one_sentence_and_the_next_run_goes_on(name, stage):
         assert other in ([], [NEVER_ALIKE.get(name)]), room
 
 
-def moments(count):
+def moments(count, command):
     """Some of the changes that a command makes to the disk, the first and the last among them."""
-    drawn = np.random.default_rng(count).integers(0, count, MOMENTS)
-    return sorted({0, *drawn.tolist(), count - 1})
+    drawn = np.random.default_rng(count).integers(0, count, command.tries or MOMENTS).tolist()
+    if command.tries:
+        return sorted(set(drawn))
+    return sorted({0, *drawn, *range(max(0, count - command.at_last), count)})
 
 
 @pytest.mark.parametrize("name", tried("when_killed"))
 def test_a_killed_command_is_run_again_and_ends_with_the_same_bits(name, stage):
     command, options = COMMANDS[name].line, COMMANDS[name].when_killed
     wanted, undisturbed = stage.whole(command)
-    for moment in moments(undisturbed.changes):
+    for moment in moments(undisturbed.changes, COMMANDS[name]):
         before = stage.set_up()
         killed = stage.run(command, last=moment)
         assert killed.code == -signal.SIGKILL

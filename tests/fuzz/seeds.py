@@ -20,7 +20,7 @@ from gva_mi.check import check_subject
 from gva_mi.data.fingerprint import fingerprint, require_same_body
 from gva_mi.data.importers.footage import masks, pictures
 from gva_mi.data.importers.hdf5 import read_hdf5
-from gva_mi.data.importers.motions import MotionOptions, read_motion
+from gva_mi.data.importers.motions import Driven, MotionOptions, read_motion
 from gva_mi.data.importers.recordings import read_ranges
 from gva_mi.data.pictures import read_background, write_movie
 from gva_mi.data.synthetic import SynthOptions, describe_noise
@@ -220,7 +220,7 @@ def seeds(subject, avatar):
         torch.save({k: torch.as_tensor(v) for k, v in found.items()}, folder / "motion.pt")
 
     def read_motions(folder, path=None):
-        read = lambda path: read_motion(path, body, MotionOptions())
+        read = lambda path: read_motion(path, Driven.of(None), MotionOptions())
         each(folder, path, {"amass.npz": read, "aist.pkl": read, "motion.pt": read})
 
     def footage(folder):
@@ -230,7 +230,7 @@ def seeds(subject, avatar):
         for suffix in ("png", "jpg", "bmp", "tif", "webp"):
             Image.fromarray(image).save(folder / f"a.{suffix}")
         np.save(folder / "masks.npy", np.ones((T, H, W), bool))
-        write_movie(folder / "film.mp4", [image] * T)
+        write_movie(folder / "film.mp4", [np.full((H, W, 3), 255, dtype=np.uint8)] * T)  # of masks
 
     def read_footage(folder, path=None):
         read = {f"a.{suffix}": lambda path: list(pictures((path,), 3))

@@ -17,12 +17,14 @@ from gva_mi.body.pose import load_offsets
 from gva_mi.body.puppet import PUPPET
 from gva_mi.body.smplx import load_body
 from gva_mi.check import check_subject
+from gva_mi.commands import series
 from gva_mi.data.fingerprint import fingerprint, require_same_body
 from gva_mi.data.importers.footage import masks, pictures
 from gva_mi.data.importers.hdf5 import read_hdf5
-from gva_mi.data.importers.motions import Driven, MotionOptions, read_motion
+from gva_mi.data.importers.motions import Driven, MotionOptions, is_poses, read_motion
+from gva_mi.data.importers.normal_maps import write_maps
 from gva_mi.data.importers.recordings import read_ranges
-from gva_mi.data.pictures import read_background, write_movie
+from gva_mi.data.pictures import read_background, write_image, write_movie
 from gva_mi.data.synthetic import SynthOptions, describe_noise
 from gva_mi.data.synthetic.recorded import made_of
 from gva_mi.data.truth import load_truth
@@ -41,6 +43,7 @@ from gva_mi.pose.evaluation.figures import PoseFigures
 from gva_mi.pose.evaluation.study import CaseResult, StudyOptions
 from gva_mi.pose.evaluation.study_file import load_study, save_study
 from gva_mi.pose.evaluation.summary import rows_of
+from gva_mi.splat import Camera
 from gva_mi.splat.formats.ply import load_ply, save_ply
 from gva_mi.splat.formats.splat import load_splat, save_splat
 from gva_mi.splat.formats.spz import load_spz, save_spz
@@ -179,7 +182,7 @@ def seeds(subject, avatar):
         each(folder, path, {
             "refine.json": lambda path: told(load_study(path, body, StudyOptions())),
             "avatar.json": lambda path: summaries(load_results(path, MADE_WITH)),
-            "marker.json": lambda path: says(path, MADE_WITH),
+            "marker.json": lambda path: (says(path, MADE_WITH), series._hash_in(path)),
         })  # fmt: skip
 
     def gaussians(folder):
@@ -220,7 +223,10 @@ def seeds(subject, avatar):
         torch.save({k: torch.as_tensor(v) for k, v in found.items()}, folder / "motion.pt")
 
     def read_motions(folder, path=None):
-        read = lambda path: read_motion(path, Driven.of(None), MotionOptions())
+        def read(path):
+            assert path.suffix != ".npz" or not is_poses(path)
+            read_motion(path, Driven.of(None), MotionOptions())
+
         each(folder, path, {"amass.npz": read, "aist.pkl": read, "motion.pt": read})
 
     def footage(folder):
@@ -231,12 +237,24 @@ def seeds(subject, avatar):
             Image.fromarray(image).save(folder / f"a.{suffix}")
         np.save(folder / "masks.npy", np.ones((T, H, W), bool))
         write_movie(folder / "film.mp4", [np.full((H, W, 3), 255, dtype=np.uint8)] * T)  # of masks
+        toward_the_camera = np.broadcast_to(np.float32([0, 0, -1]), (H, W, 3))
+        for kind in ("npy", "png"):  # of maps, each with a subject's folder beside it
+            (folder / kind / "maps").mkdir(parents=True)
+            write_image(folder / kind / "masks/000000.png", np.ones((H, W)))
+        np.save(folder / "npy/maps/000000.npy", toward_the_camera)
+        write_image(folder / "png/maps/000000.png", (toward_the_camera + 1) / 2)
+
+    def bring_normals(path):
+        camera = Camera(30.0, 30.0, W / 2, H / 2, np.eye(4), W, H)
+        write_maps(path.parents[1], {0: path}, "perspective", [camera], None)
 
     def read_footage(folder, path=None):
         read = {f"a.{suffix}": lambda path: list(pictures((path,), 3))
                 for suffix in ("png", "jpg", "bmp", "tif", "webp")}  # fmt: skip
         whole = lambda path: list(masks(path))
-        each(folder, path, read | {"masks.npy": whole, "film.mp4": whole})
+        read |= {"masks.npy": whole, "film.mp4": whole}
+        read |= {f"{kind}/maps/000000.{kind}": bring_normals for kind in ("npy", "png")}
+        each(folder, path, read)
         read_background(str(folder / "a.png"), 9, 9)
 
     def ranges(folder):

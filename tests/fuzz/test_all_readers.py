@@ -32,6 +32,8 @@ NOT_A_USERS = {  # functions that read what is no user's file, or not as data; a
     "gva_mi/splat/bench": "this machine's own words about itself",
     "gva_mi/data/networks/normals.py _torch_script": "a program, trusted as one: networks.py",
     "gva_mi/data/pictures.py write_movie": "is written",
+    "gva_mi/data/pictures.py write_see_through": "is written",
+    "gva_mi/commands/render.py render": "pictures that render has written before it was cut short",
     "gva_mi/avatar/formats/glb.py": "is written",
 }
 

@@ -15,11 +15,20 @@ from gva_mi.splat.gsplat_compat import rasterization
 class Doors:
     """Forward and backward passes of colour and alpha, without a depth."""
 
+    gaussians: int
     render: Timing
     rasterization: Timing
     packed: Timing  # rasterization with gsplat's default, rows of those in the picture
     ratio: float  # of the medians of each call's time and its neighbour's: rasterization / render
     ratio_packed: float
+
+    def line(self) -> str:
+        """For the table of all figures."""
+        return (
+            f"gsplat's call, rasterization(), of {self.gaussians:,} Gaussians: {self.ratio:.2f} x "
+            f"render()'s time, packed {self.ratio_packed:.2f} x ({self.render.least:.2f} ms at "
+            "least, without a depth)"
+        )
 
 
 def measure_doors(work: Work, calls: int) -> Doors:
@@ -31,7 +40,7 @@ def measure_doors(work: Work, calls: int) -> Doors:
     call = lambda packed: lambda: _rasterize(plain, matrices, packed)
     ways = (plain.both, call(False), call(True))
     timings, beside = by_turns(ways, calls)
-    return Doors(*timings, *beside[1:])
+    return Doors(len(scene.gaussians), *timings, *beside[1:])
 
 
 def _rasterize(work: Work, matrices: tuple[Tensor, Tensor], packed: bool) -> None:

@@ -70,7 +70,7 @@ class Bench:
     stages: tuple[StageCost, ...]
     compiles: tuple[Compiled, ...]
     moving: Moving
-    doors: Doors
+    doors: tuple[Doors, ...]  # of the scene; where growth is measured, of a larger person's, too
     partial: Partial
     environment: Environment
     first_call: FirstCall
@@ -105,11 +105,7 @@ class Bench:
             f"a new pose at every call: {m.ratio:.2f} x the fixed one's time; memory over "
             f"{m.calls:,} calls {memory}"
         )
-        d = self.doors
-        lines.append(
-            f"gsplat's call, rasterization(): {d.ratio:.2f} x render()'s time, packed "
-            f"{d.ratio_packed:.2f} x ({d.render.least:.2f} ms at least, without a depth)"
-        )
+        lines += [doors.line() for doors in self.doors]
         lines += [self.partial.line(), self.environment.line(), self.first_call.line()]
         if self.gsplat is not None and self.gsplat.time is None:
             seen = f"another picture, {self.gsplat.psnr:.1f} dB from ours: not timed"
@@ -136,6 +132,7 @@ class Bench:
 
 
 _DEFAULTS = BenchOptions()
+MANY = 100_000  # Gaussians of the larger person
 
 
 def bench(
@@ -162,7 +159,9 @@ def bench(
     both = repeated(work.both, options.repeats)
     stages = tuple(measure_stages(work, options.repeats, limits))
     tell()
-    calls = _calls(work, options, tell)
+    many = min(MANY, options.most_gaussians)
+    larger = [] if options.no_growth else [Work.on(person(many, min(512, options.most_pixels)))]
+    calls = _calls(work, larger, options, tell)
     few = max(2, options.repeats // 5)  # calls of what takes long
     gsplat = None if options.no_gsplat else _beside_gsplat(work, few)
     tell()
@@ -196,13 +195,15 @@ def bench(
     )
 
 
-def _calls(work: Work, options: BenchOptions, tell: Callable[[], None]) -> dict[str, Any]:
+def _calls(
+    work: Work, larger: list[Work], options: BenchOptions, tell: Callable[[], None]
+) -> dict[str, Any]:
     """What one way to call costs beside another: fields of :class:`Bench`."""
     repeats, found = options.repeats, {}
     for name, measure in {
         "compiles": lambda: tuple(measure_compiles(work)),
         "moving": lambda: measure_moving(work, options.calls),
-        "doors": lambda: measure_doors(work, repeats),
+        "doors": lambda: tuple(measure_doors(on, repeats) for on in (work, *larger)),
         "partial": lambda: measure_partial(work, repeats),
         "environment": lambda: measure_environment(max(1, repeats // 5), repeats),
         "first_call": lambda: measure_first_call(3),

@@ -8,7 +8,7 @@ import select
 import sys
 from contextlib import suppress
 
-from gva_mi import __version__, llvm
+from gva_mi import __version__, llvm, processor
 from gva_mi.commands import VERBS, load
 from gva_mi.errors import InputError
 from gva_mi.parse import parse
@@ -32,6 +32,7 @@ def main(arguments: list[str] | None = None) -> None:
     arguments = sys.argv[1:] if arguments is None else arguments
     # torch's idle threads would spin on the cores that Dr.Jit's kernels need; read at its import.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    processor.choose_alike()
     try:
         try:
             _run(arguments)

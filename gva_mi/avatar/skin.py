@@ -100,9 +100,9 @@ class Skin:
         nearest = cKDTree(vertices).query(points.detach().double().numpy(), k=count)[1]
         nearest = nearest.reshape(len(points), count)
         X = vertices[nearest] - vertices[nearest].mean(1, keepdims=True)
-        square = X.transpose(0, 2, 1) @ X
+        square = np.einsum("nki,nkj->nij", X, X)
         flat = FLAT * np.trace(square, axis1=1, axis2=2) + 1e-12
-        shares = np.linalg.solve(square + flat[:, None, None] * np.eye(3), X.transpose(0, 2, 1))
+        shares = np.einsum("nij,nkj->nik", _inverse(square + flat[:, None, None] * np.eye(3)), X)
         rows = np.arange(0, shares.size + 1, count)
         columns = np.repeat(nearest, 3, axis=0).ravel()
         planes = csr_array((shares.ravel(), columns, rows), (3 * len(points), len(vertices)))
@@ -128,6 +128,13 @@ class Skin:
         share /= share.sum(1, keepdims=True)
         nearest = torch.from_numpy(nearest.reshape(len(x), count))
         return torch.from_numpy(share).to(self.weights), nearest
+
+
+def _inverse(A: np.ndarray) -> np.ndarray:
+    """Of matrices (N, 3, 3), by cofactors: the bits of BLAS and LAPACK go by the processor."""
+    a, b, c = A[:, 0], A[:, 1], A[:, 2]
+    columns = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=2)
+    return columns / (a * columns[:, :, 0]).sum(1)[:, None, None]
 
 
 def _largest(slopes: Tensor) -> Tensor:

@@ -89,7 +89,7 @@ def _slopes_tangent(D: Lane, mean: Lane, dD: Lane, dmean: Lane) -> tuple[Lane]:
 
 def _bound(E: Lane) -> Any:  # noqa: ANN401
     """β of eq. 2."""
-    return dr.rsqrt(1 + _dot(E, E) / LARGEST**2)
+    return 1 / dr.sqrt(1 + _dot(E, E) / LARGEST**2)
 
 
 def _gradient(A: Lane, E: Lane, beta: Any) -> Lane:  # noqa: ANN401

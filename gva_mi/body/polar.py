@@ -101,7 +101,7 @@ def _top_eigenvector(B: dict[tuple[int, int], Any]) -> list[Any]:
         larger = B[column, column] > best
         q = [dr.select(larger, at(B, i, column), q[i]) for i in range(4)]
         best = dr.maximum(best, B[column, column])
-    scale = dr.rsqrt(sum(v * v for v in q))
+    scale = 1 / dr.sqrt(sum(v * v for v in q))
     return [v * scale for v in q]
 
 

@@ -203,12 +203,12 @@ class Camera:
 def look_at(eye: np.ndarray, target: np.ndarray, up: np.ndarray = (0.0, 1.0, 0.0)) -> np.ndarray:
     """``T_camera_world`` (4, 4) of a camera at ``eye`` that looks at ``target``, ``up`` upwards."""
     eye, target, up = (np.asarray(x, dtype=np.float64) for x in (eye, target, up))
-    forward = (target - eye) / np.linalg.norm(target - eye)
-    right = np.cross(forward, up)
-    right /= np.linalg.norm(right)
+    unit = lambda v: v / np.sqrt((v * v).sum())  # nothing here is BLAS's, whose bits go by the CPU
+    forward = unit(target - eye)
+    right = unit(np.cross(forward, up))
     R = np.stack([right, np.cross(forward, right), forward])
     T = np.eye(4)
-    T[:3, :3], T[:3, 3] = R, -R @ eye
+    T[:3, :3], T[:3, 3] = R, -(R * eye).sum(1)
     return T
 
 

@@ -67,10 +67,10 @@ class Projection:
             L = mi.Matrix3f([[to_world[i, j] for j in range(3)] for i in range(3)])
             origin = mi.Vector3f(to_world[0, 3], to_world[1, 3], to_world[2, 3])
             x, y, z = (mi.Vector3f(L[0, j], L[1, j], L[2, j]) for j in range(3))
-            axis = dr.normalize(z)
+            axis = z / dr.norm(z)
             axis_offset = -dr.dot(axis, origin)
             # Mitsuba's camera looks along +z with x to the left and y up.
-            right, down = -dr.normalize(x), -dr.normalize(y)
+            right, down = -x / dr.norm(x), -y / dr.norm(y)
             camera_world = mi.Matrix3f([list(right), list(down), list(axis)])
 
             K, shift = _camera_to_pixels(sensor, pixel_aspect)

@@ -156,7 +156,8 @@ def interpolate(
 ) -> tuple[mi.Vector3f, mi.Float]:
     """Eq. 3: the normal, and the ray's parameter, where a ray meets a triangle's plane."""
     b1, b2, t = meet_plane(ray, p0, p1, p2)
-    return dr.normalize((1 - b1 - b2) * n0 + b1 * n1 + b2 * n2), t
+    n = (1 - b1 - b2) * n0 + b1 * n1 + b2 * n2
+    return n / dr.norm(n), t
 
 
 def meet_plane(

@@ -177,7 +177,8 @@ class Renderer:
             dr.gather(mi.Vector3f, values, corner[k], active) * weight[k] for k in range(3)
         )
         material = dr.gather(mi.UInt32, self._material, triangle, active)
-        return material, blend(self._rest), blend(self._tint), dr.normalize(blend(self._normals))
+        normal = blend(self._normals)
+        return material, blend(self._rest), blend(self._tint), normal / dr.norm(normal)
 
     def _direct(
         self,

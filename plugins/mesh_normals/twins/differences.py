@@ -73,7 +73,8 @@ class Differences:
                 ray = self._ray(self._lattice(pixels, k, rays))
                 face, u, t, hit = _meet(scene, faces, ray)
                 corner = [dr.gather(mi.Vector3f, normals, 3 * face + j, hit) for j in range(3)]
-                n = dr.normalize(corner[0] * (1 - u.x - u.y) + corner[1] * u.x + corner[2] * u.y)
+                n = corner[0] * (1 - u.x - u.y) + corner[1] * u.x + corner[2] * u.y
+                n /= dr.norm(n)
                 values = (*n, mi.Float(1), self._depth(ray(t)))
                 summed = [
                     s + mi.Float64(dr.select(hit, value, 0))

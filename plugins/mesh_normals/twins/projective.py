@@ -86,7 +86,8 @@ class SurfaceRadiance(PSIntegrator):
         behind, *_ = self.sample(dr.ADMode.Primal, scene, sampler, ss.spawn_ray(), active)
         *_, n0, n1, n2 = self._corners(ss.shape, ss.prim_index, active)
         b1, b2 = ss.uv
-        n = dr.normalize((1 - b1 - b2) * n0 + b1 * n1 + b2 * n2)
+        n = (1 - b1 - b2) * n0 + b1 * n1 + b2 * n2
+        n /= dr.norm(n)
         jump = dr.select(active, self._radiance(n) - behind, 0)
         return jump, active & dr.any(jump != 0)
 
@@ -111,7 +112,7 @@ class SurfaceRadiance(PSIntegrator):
         normals = dr.zeros(mi.Vector3f, t.normal_count)
         for index in t.normals:
             dr.scatter_add(normals, c, index)
-        normals = dr.normalize(normals)
+        normals /= dr.norm(normals)
         at = lambda source, columns: [
             dr.gather(mi.Vector3f, source, dr.gather(mi.UInt32, column, face, active), active)
             for column in columns

@@ -1,4 +1,7 @@
-"""What README and the pages of docs/ tell a reader to type works, and links lead somewhere."""
+"""What README and the pages of docs/ name is there, and links lead somewhere.
+
+Their commands are read here and run in tests/docs.
+"""
 
 import importlib.util
 import io
@@ -10,38 +13,20 @@ import sys
 from contextlib import redirect_stdout
 from pathlib import Path
 
-import numpy as np
 import pytest
 
+
+def module_at(path):
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+pages, site_pages = map(module_at, (ROOT / "tests/docs/pages.py", ROOT / "docs/site_pages.py"))
+PAGES, BLOCKS, commands = pages.PAGES, pages.BLOCKS, pages.commands
 PAGE = pytest.mark.parametrize("page", PAGES, ids=lambda path: str(path.relative_to(ROOT)))
-README = PAGES[0].read_text()
-BLOCKS = re.compile(r"```(\w*)\n(.*?)```", re.DOTALL)
-LINE = re.compile(r"^gva-mi .*?(?=\s*(?:#[ ].*)?$)", re.MULTILINE)
-COMMANDS = LINE.findall(README)
-
-# The same command on less work.
-SMALLER = {
-    "synth": "--size 64 --frames 6 --novel-poses 2 --novel-views 1",
-    "refine": "--passes 2 --size 64",
-    "fit": "--steps 20",
-    "track": "--passes 1",
-}
-
-spec = importlib.util.spec_from_file_location("site_pages", ROOT / "docs/site_pages.py")
-site_pages = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(site_pages)
-
-
-def commands(page):
-    """The commands of a page: lines of its programs for a shell, and what stands in backquotes."""
-    text = page.read_text()
-    for kind, block in BLOCKS.findall(text):
-        if kind == "sh":
-            yield from LINE.findall(block)
-    for written in re.findall(r"`(gva-mi [^`]+)`", BLOCKS.sub("", text)):
-        yield re.sub(r"\[(--\w.*?)\]", r"\1", written)  # options that may be left out are read, too
 
 
 def anchors(page):
@@ -49,19 +34,6 @@ def anchors(page):
     heads = re.findall(r"^#+ (.*)", BLOCKS.sub("", page.read_text()), re.MULTILINE)
     heads = [re.sub(r"[^\w\- ]", "", head.lower()).replace(" ", "-") for head in heads]
     return {*heads, *re.findall(r"^::: (\S+)", page.read_text(), re.MULTILINE)}
-
-
-def test_the_commands_run_one_after_the_other(tmp_path, monkeypatch, cli):
-    monkeypatch.chdir(tmp_path)
-    assert len(COMMANDS) >= 5
-    for command in COMMANDS:
-        words = shlex.split(command)[1:]
-        code, _, err = cli(*words, *shlex.split(SMALLER.get(words[0], "")))
-        assert code == 0, f"{command}: {err}"
-    assert (tmp_path / "renders/video.mp4").exists()
-    assert (tmp_path / "run/report.html").exists()
-    assert (tmp_path / "turntable/000071.png").exists()
-    assert (tmp_path / "person.ply").exists() and (tmp_path / "person.glb").exists()
 
 
 @PAGE
@@ -111,46 +83,6 @@ def test_a_wrong_command_is_found(tmp_path):
     (tmp_path / "page.md").write_text("```sh\ngva-mi fit subject --outt run   # a slip\n```\n")
     with pytest.raises(pytest.fail.Exception, match="--outt run"):
         test_every_command_is_one_of_the_command_line(tmp_path / "page.md")
-
-
-def run_lines(page, cli):
-    """Run a page's commands that need an avatar and no more, where a run and a dance are there."""
-    for command in commands(ROOT / "docs" / page):
-        words = shlex.split(command)[1:]
-        if len(words) > 1 and words[0] in ("export", "motion", "render") and "FILE" not in words:
-            size = [] if words[0] != "render" or "--size" in words else ["--size", 32, 48]
-            code, _, err = cli(*words, *size, *(["--overwrite"] if words[0] == "export" else []))
-            assert code == 0, f"{command}: {err}"
-
-
-@pytest.fixture
-def home(known, turning, tmp_path, monkeypatch):
-    """A working folder with a run in it, and a motion in AMASS's form."""
-    from gva_mi.body.pose import save_poses
-
-    known.save(tmp_path / "run/avatar.npz")
-    save_poses(tmp_path / "run/poses.npz", *turning(3), stage=2)
-    poses = np.zeros((9, 156))
-    poses[:, 0] = np.pi / 2  # z is up
-    poses[:, 50] = np.linspace(0, 0.5, 9)
-    amass = {"poses": poses, "trans": np.zeros((9, 3)), "betas": np.zeros(16)}
-    np.savez(tmp_path / "dance.npz", **amass, mocap_framerate=60.0)
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
-def test_avatars_go_out_as_their_page_says(home, cli):
-    run_lines("export.md", cli)
-    for name in ("person.splat", "frame.ply", "person.glb", "motion.npz", "film.mp4"):
-        assert (home / name).stat().st_size > 100, name
-    assert sorted(path.name for path in (home / "frames").glob("*.splat"))[0] == "000000.splat"
-    assert (home / "again/000002.png").exists()
-
-
-def test_motions_drive_avatars_as_their_page_says(home, cli):
-    run_lines("motions.md", cli)
-    assert len(np.load(home / "walk.npz")["transl"]) == 4  # 9 frames at 60 a second, now at 25
-    assert (home / "orbit/video.mp4").exists() and (home / "turntable/000071.png").exists()
 
 
 def test_the_table_of_kinds_is_whole():

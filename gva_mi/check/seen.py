@@ -107,6 +107,20 @@ def overlap(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return both / np.maximum(either, 1)
 
 
+def laid_over(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Masks ``a`` (n, h, w) moved onto masks ``b`` by one displacement for all, whole pixels.
+
+    It is the median of those of the frames, so that what stays apart is shape and motion.
+    """
+    both = [(x, y) for x, y in zip(a, b, strict=True) if x.any() and y.any()]
+    if not both:
+        return a
+    right, down = np.rint(np.median([middle(y) - middle(x) for x, y in both], axis=0)).astype(int)
+    height, width = a.shape[1:]
+    grown = np.pad(a, ((0, 0), (height, height), (width, width)))
+    return grown[:, height - down : 2 * height - down, width - right : 2 * width - right]
+
+
 def radius(mask: np.ndarray) -> float:
     """Root mean square distance of a mask from its middle, pixels, each of which is a square."""
     y, x = np.nonzero(mask)

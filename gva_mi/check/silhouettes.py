@@ -4,11 +4,17 @@ A reading is compared with the plain one by the IoU of the body's silhouette wit
 frame. It counts where, with d the gain of n frames and I their plain IoU,
 
     1. mean d > SURE · std d / √n                 more than chance: some 40 readings are tried
-    2. mean d > WORTH · (1 − mean I)              a quarter of what is lacking, not a shade
+    2. mean d > WORTH · (1 − mean I)              part of what is lacking, not a shade
+    3. mean e > LIKELY · std e / √n               not by the place alone
 
-and a coarse one, which moves the person altogether, only where the plain reading is wrong (mean
-I < FITS) and it is right. So no shift of a noisy pose is taken for another axis. The best that
-counts is applied, and the rest is looked for under it, so that several faults are found at once.
+where e is the gain once both silhouettes lie on the masks, each moved by one displacement for all
+frames: a body that is always to the left by as much as the person is to the right gains as much by
+mirroring. Frames that follow each other err alike, so n counts stretches of them, BLOCKS at most.
+
+A coarse reading, which moves the person altogether, counts by 1 and 2, and only where the plain one
+is wrong (mean I < FITS) and it is right. So no shift of a noisy pose is taken for another axis. The
+best that counts is applied, and the rest is looked for under it, so that several faults are found
+at once.
 """
 
 from __future__ import annotations
@@ -20,15 +26,20 @@ import numpy as np
 
 from gva_mi.check.findings import Finding
 from gva_mi.check.readings import COARSE, MIRRORED, Reading, shifted
-from gva_mi.check.seen import Seen, Silhouettes, cut_off, middle, overlap, radius
+from gva_mi.check.seen import Seen, Silhouettes, cut_off, laid_over, middle, overlap, radius
 from gva_mi.data.video import spread
 
-LOOKED = 12  # frames that are rendered, evenly spaced
+LOOKED = 48  # frames that are rendered, evenly spaced
+BLOCKS = 12  # stretches of these whose errors are taken for independent
 TRIED = 6  # of these, for a reading that moves the person altogether
 FEWEST = 4  # frames from which a spread can be told
 FITS = 0.5  # IoU: more of both pictures is the person in common than not
 SURE = 4.0  # standard errors: one reading in 30,000 gets there by chance
-WORTH = 0.25
+LIKELY = 2.0
+# Clothes and the estimator's errors are lacking under every reading, so no more than a part can be
+# asked for. A heading that is off by 10 degrees all the time looks late on who turns steadily, and
+# being read so gains it a sixth of what is lacking.
+WORTH = 0.2
 # The root mean square radius of a standing person is some 45 cm. Clothes and hair add 5 cm all
 # round, and grown-ups differ by 8 % from the mean person whom zero betas stand for: a sixth in all.
 DOUBTFUL_SIZE, WRONG_SIZE = 1.2, 1.35
@@ -86,19 +97,25 @@ def _best_reading(
     """The reading that fits best of those that count, and its figure."""
     silhouettes = images[..., 3] > 0.5
     plain = overlap(silhouettes, some.masks)
+    in_place = overlap(laid_over(silhouettes, some.masks), some.masks)
     found: list[tuple[float, Reading, str]] = []
 
-    def consider(reading: Reading, iou: np.ndarray) -> None:
-        before = plain[~np.isnan(iou)]
-        after = iou[~np.isnan(iou)]
-        if counts(after - before, before):
-            figure = f"IoU {before.mean():.2f}, so read {after.mean():.2f}"
-            found.append((float(after.mean()), reading, figure))
+    def consider(reading: Reading, iou: np.ndarray, moved: np.ndarray | None = None) -> None:
+        there = ~np.isnan(iou)
+        before, after = plain[there], iou[there]
+        if not counts(after - before, before):
+            return
+        if moved is not None and not sure(moved[there] - in_place[there], LIKELY):
+            return
+        figure = f"IoU {before.mean():.2f}, so read {after.mean():.2f}"
+        found.append((float(after.mean()), reading, figure))
 
-    consider(MIRRORED, overlap(silhouettes, MIRRORED.apply(some).masks))
+    mirrored = MIRRORED.apply(some).masks
+    mirrored_in_place = overlap(laid_over(silhouettes, mirrored), mirrored)
+    consider(MIRRORED, overlap(silhouettes, mirrored), mirrored_in_place)
     for offset in range(-LATEST, LATEST + 1):
-        if offset and (iou := _late(seen, some, silhouettes, offset)) is not None:
-            consider(shifted(offset), iou)
+        if offset and (late := _late(seen, some, silhouettes, offset)) is not None:
+            consider(shifted(offset), *late)
     if plain.mean() < FITS:
         tried = spread(range(len(some)), TRIED)
         for reading in _likely(some):
@@ -117,8 +134,14 @@ def counts(gained: np.ndarray, plain: np.ndarray) -> bool:
     """Whether a gain (n,) in IoU is sure (eq. 1) and worth a word (eq. 2)."""
     if len(gained) < min(FEWEST, len(plain)):
         return False
-    error = gained.std(ddof=1) / np.sqrt(len(gained)) if len(gained) > 1 else 0.0
-    return bool(gained.mean() > SURE * error and gained.mean() > WORTH * (1 - plain.mean()))
+    return sure(gained, SURE) and bool(gained.mean() > WORTH * (1 - plain.mean()))
+
+
+def sure(gained: np.ndarray, errors: float) -> bool:
+    """Whether the mean of a gain (n,) is so many of its standard errors above zero."""
+    means = np.array([x.mean() for x in np.array_split(gained, min(BLOCKS, len(gained)))])
+    error = means.std(ddof=1) / np.sqrt(len(means)) if len(means) > 1 else 0.0
+    return bool(gained.mean() > errors * error)
 
 
 def _likely(some: Seen) -> list[Reading]:
@@ -141,16 +164,22 @@ def _likely(some: Seen) -> list[Reading]:
     return [COARSE[i] for i in order if scores[i] >= OUTSIDE]
 
 
-def _late(seen: Seen, some: Seen, silhouettes: np.ndarray, offset: int) -> np.ndarray | None:
-    """IoU of the rendered frames with the masks of ``offset`` frames later, NaN without one."""
+def _late(
+    seen: Seen, some: Seen, silhouettes: np.ndarray, offset: int
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """IoU of the rendered frames with the masks of ``offset`` frames later, NaN without one.
+
+    Once where they are, and once moved onto the masks.
+    """
     places = {frame: i for i, frame in enumerate(seen.frames)}
     there = [(i, places[f + offset]) for i, f in enumerate(some.frames) if f + offset in places]
     if len(there) < max(2, len(some) // 2):
         return None
     mine, theirs = map(list, zip(*there, strict=True))
-    found = np.full(len(some), np.nan)
-    found[mine] = overlap(silhouettes[mine], seen.masks[theirs])
-    return found
+    found = np.full((2, len(some)), np.nan)
+    own, masks = silhouettes[mine], seen.masks[theirs]
+    found[:, mine] = overlap(own, masks), overlap(laid_over(own, masks), masks)
+    return found[0], found[1]
 
 
 def _distance(seen: Seen) -> Iterator[Finding]:

@@ -17,16 +17,17 @@ from gva_mi.mesh.bench import bench_normals
 from gva_mi.splat.bench import BenchOptions
 from gva_mi.splat.bench import bench as bench_splat
 from gva_mi.splat.scene import Scene
+from gva_mi.viewer.bench import bench_viewer
 
 
 def bench(
-    what: Positional[Literal["splat", "body", "normals", "fit"]],
+    what: Positional[Literal["splat", "body", "normals", "fit", "viewer"]],
     options: Flat[FlagCreatePairsOff[BenchOptions]],
     *,
     scene: Path | None = None,
     json_file: Annotated[Path | None, arg(name="json")] = None,
 ) -> None:
-    """Measure the renderer, the body model, the normals that the refinement looks at, or a fit.
+    """Measure the renderer, the body model, the normals that refinement looks at, a fit, a viewer.
 
     Milliseconds per stage; of the renderer also shares of the machine's limits, and growth.
 
@@ -50,6 +51,8 @@ def bench(
         found = bench_normals(options.repeats, options.seed)
     elif what == "fit":
         found = bench_fit(options.repeats, options.seed)
+    elif what == "viewer":
+        found = bench_viewer(options.repeats, options.seed)
     else:
         given = None if scene is None else Scene.load(scene)
         with bar("bench") as progress:

@@ -35,6 +35,12 @@ def known_faults():
     return faults.FAULTS
 
 
+@pytest.fixture(scope="session")
+def change_arrays():
+    """Replace arrays of an .npz by functions of them."""
+    return faults.change
+
+
 def motion():
     """A turn of a quarter in steps to the side, one arm up: no frame like another or mirrored."""
     rotations, transl = torch.zeros(FRAMES, 55, 3), torch.zeros(FRAMES, 3)

@@ -10,6 +10,7 @@ from gva_mi.commands.bench import bench
 from gva_mi.errors import InputError
 from gva_mi.fit.bench import bench_fit
 from gva_mi.splat.bench import BenchOptions
+from gva_mi.viewer.bench import bench_viewer
 
 
 def test_bench_writes_its_figures(scene, tmp_path, capsys):
@@ -55,3 +56,16 @@ def test_bench_of_a_fit_writes_its_figures(monkeypatch, tmp_path, capsys):
     assert figures["gaussians"] == 300 and figures["size"] == 32
     assert 0 < figures["driven"]["least"] < figures["step"]["least"]
     assert "frames a second" in capsys.readouterr().out
+
+
+def test_bench_of_a_viewer_writes_its_figures(monkeypatch, tmp_path, capsys):
+    small = lambda repeats, seed: bench_viewer(repeats, seed, gaussians=300)
+    monkeypatch.setattr(importlib.import_module("gva_mi.commands.bench"), "bench_viewer", small)
+    bench("viewer", BenchOptions(repeats=2), json_file=tmp_path / "new" / "viewer.json")
+    figures = json.loads((tmp_path / "new" / "viewer.json").read_text())
+    assert figures["gaussians"] == 300 and figures["size"] == [640, 360]
+    names = [times["name"] for times in figures["updates"]]
+    assert names[:2] == ["Gaussians, another pose", "Gaussians, another eye"] and len(names) == 8
+    times = {times["name"]: times["least"] for times in figures["updates"]}
+    assert 0 < times["mesh, another eye"] < times["mesh, another pose"]
+    assert "a second" in capsys.readouterr().out

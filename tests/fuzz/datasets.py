@@ -71,18 +71,23 @@ def instantavatar(folder):
     np.savez(folder / "poses.npz", transl=PLACE, thetas=THETAS, betas=np.zeros(10))
 
 
-def zju(folder):
+def zju(folder, cameras=(1, 2)):
     for k in range(T):
-        for camera in (1, 2):
+        for camera in cameras:
             write_image(folder / f"Camera_B{camera}/{k:06d}.jpg", IMAGE)
             write_image(folder / f"mask_cihp/Camera_B{camera}/{k:06d}.png", MASK // 255 * 13)
         params = {"poses": THETAS[:1], "Rh": ROOT[:1], "Th": PLACE[:1], "shapes": np.zeros((1, 10))}
         (folder / "new_params").mkdir(exist_ok=True)
         np.save(folder / f"new_params/{k}.npy", params)
-    names = [{"ims": [f"Camera_B{c}/{k:06d}.jpg" for c in (1, 2)]} for k in range(T)]
-    cameras = {"K": [K, K], "D": [np.full((5, 1), 0.01)] * 2, "R": [np.eye(3)] * 2,
-               "T": [np.zeros((3, 1)), np.full((3, 1), 100.0)]}  # fmt: skip
-    np.save(folder / "annots.npy", {"cams": cameras, "ims": names})
+    names = [{"ims": [f"Camera_B{c}/{k:06d}.jpg" for c in cameras]} for k in range(T)]
+    n = len(cameras)
+    lenses = {"K": [K] * n, "D": [np.full((5, 1), 0.01)] * n, "R": [np.eye(3)] * n,
+              "T": [np.full((3, 1), 100.0 * c) for c in range(n)]}  # fmt: skip
+    np.save(folder / "annots.npy", {"cams": lenses, "ims": names})
+
+
+def zju_of_five(folder):
+    zju(folder, range(1, 6))
 
 
 def easymocap(folder, person=None, cameras=("1", "2"), where="smpl"):

@@ -1,0 +1,102 @@
+"""The same commands on less work, and those that no test runs."""
+
+import shlex
+
+# By the first words of a command, the longest that fits. Of an option that is there twice the
+# last one counts.
+SMALLER = {
+    # Nobody has to be dressed.
+    "synth": "--size 48 --frames 4 --samples 1 --novel-poses 1 --novel-views 1 --no-clothes "
+    "--no-hair",
+    "synth --like": "",
+    "refine": "--passes 1 --steps 1 --size 32 --faces 500 --overwrite",
+    "fit": "--steps 20 --checkpoint-every 8",
+    "track": "--passes 1",
+    "evaluate": "",
+    "render --path": "--size 32 48",
+    "render run --poses walk.npz": "--size 32 48",
+    "render run --poses dance.npz": "--size 32 48",
+    "prepare": "--overwrite",
+    "export": "--overwrite",
+    "check": "--overwrite",
+    "view": "--port 0",
+    "gradcheck": "--window 8 --count 1 --scene scene.npz",
+    "gradcheck avatar": "--count 1",
+    "gradcheck-normals": "--count 1 --size 64 --lines 4000 --points 40",
+    "bench": "--repeats 1",
+    "bench splat": "--repeats 1 --calls 2 --no-growth --no-gsplat --scene scene.npz",
+    # Seed 16 wears nothing and is bald: made in a moment.
+    "study refine": "--people 16 --frames 3 --size 48 --refine.passes 1",
+    "study refine --edition": "--people 309 --frames 3 --size 48 --refine.passes 1",
+    "study avatar": "--people 16 --families lean --rows full --frames 3 --size 48 --novel 1 "
+    "--refine.passes 1 --fit.steps 10",
+}
+
+# Words that stand for others.
+NAMED = {
+    "KIND": "zju", "SOURCE": "CoreView_377", "OUT": "subject", "BODY": "puppet",
+    "FILE": "scene.npz", "DIR": "figures",
+}  # fmt: skip
+WRITTEN = {"--json": "figures.json"}  # where FILE is one that a command writes
+
+PUPPETS = "two minutes: tests/sculptor/test_portrait.py draws them smaller"
+SHEET = "pictures of seven people, minutes: tests/data/synthetic/test_contact_sheet.py"
+OPENSPLAT = "needs OpenSplat's sources: tests/splat/bench/test_peers.py"
+REPORTED = "refines once for each term of the loss: tests/commands/test_refine.py"
+NOT_RUN = {
+    "gva-mi refine subject --report": REPORTED,
+    "gva-mi refine subject --report --overwrite": REPORTED,
+    "gva-mi body --sheet puppet.png": PUPPETS,
+    "gva-mi synth --sheet subjects.png": SHEET,
+    "gva-mi synth --sheet FILE.png": SHEET,
+    "gva-mi body --source anny": "needs the package anny, 0.6 GB: tests/body/test_anny.py",
+    "gva-mi refine A B --scheduler ADDRESS": "needs a cluster: tests/pose/test_parallel.py",
+    "gva-mi bench splat --against opensplat": OPENSPLAT,
+    "gva-mi bench splat --no-growth --against gsplat opensplat --opensplat-sources OpenSplat "
+    "--plot peers.png": OPENSPLAT,
+    "gva-mi COMMAND --help": "any: tests/commands",
+}
+
+# What is typed besides, and where it is run.
+OTHERS = {
+    "make demo": "minutes: tests/commands/test_cli.py runs gva-mi demo, smaller",
+    "make PYTHON=python3.12 demo": "likewise",
+    "make test": "runs this test",
+    "make test-all": "runs this test",
+    "make docs": "tests/test_readme.py builds the site, slow",
+    "make doctor": "gva-mi doctor is run",
+    "make clean": "removes what is there",
+    "pip install torch --index-url https://download.pytorch.org/whl/cpu": "needs the network",
+    "pip install .": "tests/test_installed.py, slow",
+    "pip install '.[avatar]'": "tests/test_installed.py, slow, with what is installed here",
+    "pip install 'gva_mi[viewer]'": "needs the network",
+    "pytest -m slow tests/cut_short": "hours",
+    "pytest -m slow tests/fuzz": "hours",
+    "pytest tests/splat": "is run with all tests",
+    "python -m pytest -m slow tests/data/test_scale.py -s": "hours",
+    "python -m pytest -m slow tests/check/test_noisy_people.py -s": "minutes",
+    "python -m gva_mi.sculptor": "minutes: tests/body/test_puppet.py, slow",
+    "python -m http.server": "not ours",
+    "python docs/gallery_pictures.py RUN OUT": "a minute, and needs a whole run",
+    "python docs/floors.py": "minutes",
+    "python docs/train_gaussians.py [--scene FILE] [--out FILE.ply]": "tests/test_training.py",
+}
+
+
+def named(command):
+    """Its words without ``gva-mi``; names of files in the place of words that stand for some."""
+    words = shlex.split(command)[1:]
+    for k, word in enumerate(words):
+        if word in NAMED:
+            words[k] = WRITTEN.get(words[k - 1], NAMED[word])
+    return words
+
+
+def smaller(command):
+    """Options (a list of words) that make a command less work."""
+    words = shlex.split(command)[1:]
+    fitting = [
+        key for key in SMALLER
+        if key.split()[0] == words[0] and all(word in words for word in key.split())
+    ]  # fmt: skip
+    return shlex.split(SMALLER[max(fitting, key=len)]) if fitting else []

@@ -1,0 +1,130 @@
+"""Every command of README and of docs/ runs, on tiny inputs; or a table says why not."""
+
+import importlib.util
+import shlex
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+
+def beside(name):
+    spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+pages, less = beside("pages"), beside("less")
+
+
+def first_told():
+    """The commands of each page that no page before it has, and README neither."""
+    known, found = set(), {}
+    for page in sorted(pages.PAGES, key=lambda page: page.name != "README.md"):
+        for command in pages.typed(page):
+            same = command.replace(" --overwrite", "")
+            if same not in known and command not in less.NOT_RUN:
+                found.setdefault(page.name, []).append(command)
+            known.add(same)
+    del found["README.md"]
+    return found
+
+
+TOLD = first_told()
+
+
+def test_the_commands_of_readme_run_one_after_the_other(readers_folder):
+    assert len(list(pages.typed(pages.PAGES[0]))) >= 9
+    assert (readers_folder / "renders/video.mp4").exists()
+    assert (readers_folder / "run/report.html").exists()
+    assert (readers_folder / "turntable/000071.png").exists()
+    assert (readers_folder / "person.ply").exists() and (readers_folder / "person.glb").exists()
+
+
+def run_as_told(page, folder, gva):
+    """Run a page's commands in its folder."""
+    for command in TOLD[page]:
+        words = less.named(command)
+        before = BEFORE.get((words[0], "--resume" in words))
+        if before is not None:
+            before(folder, gva)
+        code, _, err = gva(folder, *words, *less.smaller(command))
+        assert code == 0, f"{page}: {command}: {err}"
+
+
+def kill_a_fit(folder, gva):
+    """Leave a run that was stopped on its way."""
+    from gva_mi.fit.train import Run
+
+    shutil.rmtree(folder / "run")
+    whole, steps = Run.descend, iter(range(12))
+
+    def descend(*arguments):
+        if next(steps, None) is None:
+            raise KeyboardInterrupt
+        return whole(*arguments)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Run, "descend", descend)
+        words = shlex.split("fit subject --out run")
+        code, _, err = gva(folder, *words, *less.smaller("gva-mi fit subject"))
+    assert code == 130, err
+
+
+BEFORE = {("fit", True): kill_a_fit}
+
+
+def after_export(folder):
+    for name in ("person.splat", "frame.ply", "person.glb", "motion.npz", "film.mp4"):
+        assert (folder / name).stat().st_size > 100, name
+    assert sorted(path.name for path in (folder / "frames").glob("*.splat"))[0] == "000000.splat"
+    assert (folder / "again/000002.png").exists()
+
+
+def after_motions(folder):
+    assert len(np.load(folder / "walk.npz")["transl"]) == 4  # 9 frames at 60 a second, now at 25
+    assert (folder / "orbit/video.mp4").exists() and (folder / "turntable/000071.png").exists()
+
+
+def after_sources(folder):
+    assert len(list((folder / "subject/views/masks").glob("*.png"))) > 1
+
+
+AFTER = {"export.md": after_export, "motions.md": after_motions, "sources.md": after_sources}
+
+
+@pytest.mark.parametrize("page", TOLD)
+def test_the_commands_of_a_page_run(page, reader, gva, monkeypatch):
+    def stopped(server):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("gva_mi.commands.view.pages", stopped)  # nobody looks: it ends at once
+    folder = reader(page)
+    run_as_told(page, folder, gva)
+    if page in AFTER:
+        AFTER[page](folder)
+
+
+def test_the_tables_hold_what_is_told_and_no_more():
+    told = {command for page in pages.PAGES for command in pages.typed(page)}
+    assert set(less.NOT_RUN) <= told
+    others = {command for page in pages.PAGES for command in pages.other_commands(page)}
+    assert set(less.OTHERS) == others
+    verbs = {command.split()[1] for command in told}
+    assert {key.split()[0] for key in less.SMALLER} <= verbs
+    words = {word for command in told for word in shlex.split(command)}
+    assert set(less.NAMED) <= words
+
+
+def test_what_the_tables_name_is_there():
+    for reason in (*less.NOT_RUN.values(), *less.OTHERS.values()):
+        for word in reason.replace(",", " ").replace(":", " ").split():
+            assert not word.startswith("tests/") or (pages.ROOT / word).exists(), reason
+
+
+def test_a_command_that_does_not_run_is_found(tmp_path, gva, monkeypatch):
+    monkeypatch.setitem(TOLD, "steps.md", ["gva-mi fit nowhere --out run"])
+    with pytest.raises(AssertionError, match="steps.md: gva-mi fit nowhere.*no such folder"):
+        run_as_told("steps.md", tmp_path, gva)

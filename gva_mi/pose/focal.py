@@ -22,6 +22,12 @@ What ``s`` changes in a picture is small, a pixel where hands are before or behi
 what is wrong with normals is not: blurred ones, or those of clothes, agree with a bare body better
 the shorter the lens is, by more than its right length gains. So silhouettes alone tell ``s``, in
 the poses and the shape that all evidence has found so far.
+
+Even so it is weakly known, and found too long by some per cent where a person stays metres away.
+Tried against that, in vain: to hold ``s`` until slopes of outlines agree over the parts of a video
+(they do so for the right lens, too: clothes are no part of the body in every frame), and to move
+``s`` to the least of a parabola between passes (each time poses have followed, outlines ask for as
+much again).
 """
 
 from __future__ import annotations

@@ -25,7 +25,9 @@ FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP")  # none of which starts another
 SEE_THROUGH = ".webm"  # of films with alpha, which an .mp4 cannot hold
 # x264 writes its settings, the number of threads among them, into the file: one thread, one file.
 LOSSLESS = {"crf": "0", "preset": "veryfast", "threads": "1"}  # with libx264rgb
-PLAYABLE = {"crf": "18", "threads": "1"}  # with libx264 and yuv420p
+# With libx264 and yuv420p. Its tree of macroblocks looks at memory that nothing was written to: the
+# same pictures gave other bits in other runs.
+PLAYABLE = {"crf": "18", "threads": "1", "mbtree": "0"}
 _WITH_ALPHA = {  # with libvpx-vp9 and yuva420p; it has no reference pictures beside those shown
     "crf": "12", "b": "0", "deadline": "good", "cpu-used": "4", "threads": "1", "row-mt": "0",
     "auto-alt-ref": "0",
@@ -232,15 +234,7 @@ def write_movie(
         stream = container.add_stream("libx264rgb" if lossless else "libx264", rate=fps)
         stream.pix_fmt = "rgb24" if lossless else "yuv420p"
         stream.options = LOSSLESS if lossless else PLAYABLE
-        for k, image in enumerate(images):
-            image = in_8_bits(image)
-            if not lossless:  # 4:2:0 wants even sizes
-                image = image[: image.shape[0] // 2 * 2, : image.shape[1] // 2 * 2]
-            if k == 0:
-                stream.height, stream.width = image.shape[:2]
-            picture = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), "rgb24")
-            container.mux(stream.encode(picture))
-        container.mux(stream.encode())
+        _write_film(container, stream, images, "rgb24", halved=not lossless)
 
 
 def require_see_through(path: Path) -> None:
@@ -277,11 +271,25 @@ def write_see_through(path: Path, images: Iterable[np.ndarray], fps: int = 25) -
         stream = container.add_stream("libvpx-vp9", rate=fps)
         stream.pix_fmt, stream.options = "yuva420p", _WITH_ALPHA
         stream.metadata["alpha_mode"] = "1"  # without which players do not look for it
-        for k, image in enumerate(images):
-            image = in_8_bits(image)
+        _write_film(container, stream, images, "rgba", halved=True)
+
+
+def _write_film(
+    container: av.container.OutputContainer,
+    stream: av.VideoStream,
+    images: Iterable[np.ndarray],
+    kind: str,
+    halved: bool,
+) -> None:
+    """Encode pictures of a kind; where colours are of half the size, even sizes are kept."""
+    import av
+
+    for k, image in enumerate(images):
+        image = in_8_bits(image)
+        if halved:
             image = image[: image.shape[0] // 2 * 2, : image.shape[1] // 2 * 2]
-            if k == 0:
-                stream.height, stream.width = image.shape[:2]
-            picture = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), "rgba")
-            container.mux(stream.encode(picture))
-        container.mux(stream.encode())
+        if k == 0:
+            stream.height, stream.width = image.shape[:2]
+        picture = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), kind)
+        container.mux(stream.encode(picture))
+    container.mux(stream.encode())

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gva_mi.data.film import Film
-from gva_mi.data.pictures import write_movie
+from gva_mi.data.pictures import write_movie, write_see_through
 from gva_mi.errors import InputError
 
 COUNT, SIZE = 40, (24, 32)
@@ -125,3 +125,31 @@ def test_a_film_that_is_cut_short_or_none_is_refused(tmp_path):
         film[3]
     with pytest.raises(InputError, match="cannot be decoded as a video"):
         Film(path)
+
+
+def litter(seed):
+    """Freed memory of many sizes that is not zero: what an encoder must not look at."""
+    rng = np.random.default_rng(seed)
+    sizes = [50, 100, 200, 400, 800, 1500, 3000, 5000, 10_000, 20_000, 60_000, 100_000] * 60
+    kept = [rng.integers(0, 256, size=size, dtype=np.uint8) for size in sizes]
+    del kept[::2]
+    return kept
+
+
+@pytest.mark.parametrize("kind", ["lossless", "playable", "see-through"])
+def test_the_same_pictures_are_the_same_film_to_the_bit(kind, tmp_path):
+    patch = np.random.default_rng(0).integers(0, 255, (20, 12, 4), dtype=np.uint8)
+    pictures = np.full((4, 48, 32, 4), 255, np.uint8)
+    for k, picture in enumerate(pictures):
+        picture[14:34, 6 + 2 * k : 18 + 2 * k] = patch
+    films = set()
+    for seed in range(12):
+        kept = litter(seed)
+        if kind == "see-through":
+            write_see_through(tmp_path / "film.webm", pictures)
+            films.add((tmp_path / "film.webm").read_bytes())
+        else:
+            write_movie(tmp_path / "film.mp4", pictures[..., :3], lossless=kind == "lossless")
+            films.add((tmp_path / "film.mp4").read_bytes())
+        del kept
+    assert len(films) == 1

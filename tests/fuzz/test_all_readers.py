@@ -30,6 +30,7 @@ NOT_A_USERS = {  # functions that read what is no user's file, or not as data; a
     "gva_mi/data/importers/by_networks.py": "pictures that prepare has just written",
     "gva_mi/data/synthetic/estimates.py _true_pictures": "pictures that synth has just written",
     "gva_mi/splat/bench": "this machine's own words about itself",
+    "gva_mi/processor.py": "likewise",
     "gva_mi/data/networks/normals.py _torch_script": "a program, trusted as one: networks.py",
     "gva_mi/data/pictures.py write_movie": "is written",
     "gva_mi/data/pictures.py write_see_through": "is written",

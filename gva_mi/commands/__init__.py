@@ -37,7 +37,7 @@ VERBS = {  # and what each does, told by `gva-mi --help` without importing any o
     "body": "write a body file, and a picture of it from all around",
     "gradcheck": "check the gradients of the renderer, or of an avatar",
     "gradcheck-normals": "check the gradients of the rendered normals",
-    "bench": "measure the renderer, the body model, the rendered normals, or a step of a fit",
+    "bench": "measure the renderer, the body model, the rendered normals, a fit, or the viewer",
     "doctor": "say what this machine has, and what is missing for what",
 }
 

@@ -79,7 +79,9 @@ class SequenceOptions(DescentOptions, RefineOptions):
     translation_lr: Rate = 0.006  # metres in a step at the start; depth is seen weakly
     cloth_lr: Rate = 0.002  # metres in a step at the start
     betas_lr: Rate = 0.05  # standard deviations in a step at the start
-    refine_camera: bool = False  # whether the focal length of the video is an unknown, too
+    # The focal length is an unknown, too: of somebody who stays far away it is found some per cent
+    # too long, whatever the right one is.
+    refine_camera: bool = False
     focal_lr: Rate = 0.003  # of its logarithm, in a step at the start
     focal_prior: Weight = 0.02  # of its logarithm's square
     part: PartFrames = 120  # frames refined together; a longer video is cut into clips

@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from gva_mi.body.pose import save_poses
+
 
 @pytest.fixture
 def scene(tmp_path):
@@ -17,3 +19,11 @@ def scene(tmp_path):
     camera = {"viewmat": c.T_camera_world, "K": c.K, "width": c.width, "height": c.height}
     np.savez(tmp_path / "scene.npz", **arrays, **camera)
     return tmp_path / "scene.npz"
+
+
+@pytest.fixture
+def run(known, turning, tmp_path):
+    """A run's folder: the avatar, and the poses that were trained with it."""
+    known.save(tmp_path / "run/avatar.npz")
+    save_poses(tmp_path / "run/poses.npz", *turning(3), stage=2)
+    return tmp_path / "run"

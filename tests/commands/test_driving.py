@@ -14,13 +14,6 @@ SMALL = ("--size", 32, 48)
 
 
 @pytest.fixture
-def run(known, turning, tmp_path):
-    known.save(tmp_path / "run/avatar.npz")
-    save_poses(tmp_path / "run/poses.npz", *turning(3), stage=2)
-    return tmp_path / "run"
-
-
-@pytest.fixture
 def motions(turning, tmp_path):
     """One motion of six frames in others' forms, at 30 a second, and its poses."""
     pose, _ = turning(6)

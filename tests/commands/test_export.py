@@ -18,14 +18,6 @@ SMALL = ("--size", 32, 48)
 
 
 @pytest.fixture
-def run(known, turning, tmp_path):
-    """A run's folder: the avatar, and the poses that were trained with it."""
-    known.save(tmp_path / "run/avatar.npz")
-    save_poses(tmp_path / "run/poses.npz", *turning(3), stage=2)
-    return tmp_path / "run"
-
-
-@pytest.fixture
 def dance(turning, tmp_path):
     """A motion of five frames, of another person."""
     pose, _ = turning(5, start=1.0)

@@ -7,6 +7,7 @@ import pytest
 import torch
 from scipy.spatial import cKDTree
 
+from gva_mi.avatar import skin
 from gva_mi.avatar.skin import CLOSE, Skin, diffused
 from gva_mi.body import JOINTS, Pose, Shape, joint_transforms, load_body
 from gva_mi.body.skinning import skin_points
@@ -194,3 +195,12 @@ def test_loose_cloth_stays_whole(wardrobe, puppet, name, material, actions, most
         whole = stretches(mesh, skin.at(x).weights, action, puppet, rest)
         assert torn.max() > most > whole.max(), (action, torn.max(), whole.max())
         assert whole.quantile(0.999) < torn.quantile(0.999)
+
+
+def test_an_inverse_by_cofactors_is_one_also_of_what_is_nearly_flat():
+    X = np.random.default_rng(0).normal(size=(200, 16, 3)) * [1, 0.3, 1e-3]
+    A = np.einsum("nki,nkj->nij", X, X)
+    A += skin.FLAT * np.trace(A, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+    np.testing.assert_allclose(
+        skin._inverse(A) @ A, np.broadcast_to(np.eye(3), A.shape), atol=1e-12
+    )

@@ -84,6 +84,7 @@ def prepare(
     person: str | None = None,
     first: Annotated[int, Within(0, 1_000_000_000)] = 0,
     focal: Annotated[float, Within(0, 1e6, "low", "pixels")] | None = None,
+    lens: str | None = None,
     camera: str | None = None,
     views: tuple[str, ...] = (),
     view_frames: Annotated[int, Within(1, 100_000)] = 8,
@@ -109,6 +110,9 @@ def prepare(
         person: the estimator's name of the person; without it, who is in the masks.
         first: the number that the estimator gave the first frame; SMPLer-X starts at 1.
         focal: focal length in pixels, where the estimator's file says none.
+        lens: focal length that it was filmed with, where the estimator assumed another: in pixels,
+            as of 35 mm film, such as 26mm, or recorded, what the file of the video says; the person
+            moves to where the picture stays the same.
         camera: the name of a data set's camera; without it, the first.
         views: names of a data set's other cameras, whose pictures are held out as novel views for
             evaluate; or all.
@@ -125,7 +129,7 @@ def prepare(
     given = Source(
         kind=kind, estimate=source, frames=frames, masks=None if sam else masks, sam=sam,
         normals=networks.normals, expected=networks.expected, person=person, first=first,
-        focal=focal, camera=camera, views=views, view_frames=view_frames, ranges=splits,
+        focal=focal, lens=lens, camera=camera, views=views, view_frames=view_frames, ranges=splits,
     )  # fmt: skip
     with whole_folder(out, MARKER if overwrite else None) as folder, bar("prepare") as progress:
         notes = prepare_folder(folder, given, target, progress)

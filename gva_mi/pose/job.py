@@ -68,6 +68,11 @@ class RefineOptions(ABC):
         return 0
 
     @property
+    def swap_nat(self) -> float | None:
+        """What a nat counts in :func:`gva_mi.pose.swaps.put_right`; None: no limb is exchanged."""
+        return None
+
+    @property
     @abstractmethod
     def description(self) -> str:
         """The way in a few words, for a report."""

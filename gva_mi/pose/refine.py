@@ -48,7 +48,9 @@ from gva_mi.pose.ground import Footing
 from gva_mi.pose.job import Job, RefineOptions, Solution
 from gva_mi.pose.noise import Noise
 from gva_mi.pose.parallel import Done, run
+from gva_mi.pose.stage1 import Stage1
 from gva_mi.pose.stature import with_height
+from gva_mi.pose.swaps import put_right
 from gva_mi.shelf import Shelf
 from gva_mi.splat import Camera
 from gva_mi.threads import one_torch_thread
@@ -71,6 +73,8 @@ class Refined:
     noise: Mapping[str, Noise] = field(default_factory=dict)  # of stage 1, where it was inferred
     footing: Footing | None = None  # how the person stands on the ground, likewise
     focal: float = 1.0  # factor on the focal lengths of the video's cameras, as it was found
+    # Pairs of limbs that stage 1 had taken for each other, and in which frames.
+    swapped: Mapping[str, Sequence[int]] = field(default_factory=dict)
 
 
 def refine(
@@ -141,7 +145,7 @@ class _SeenVideo:
     """A video whose frames have been looked at, on its way through the two rounds."""
 
     coarse: CoarseBody
-    pose: Pose  # stage 1, brought to the person's height where it is known
+    pose: Pose  # stage 1, brought to the person's height where it is known, with limbs put right
     shape: Shape
     cameras: Sequence[Camera]
     options: RefineOptions
@@ -149,6 +153,7 @@ class _SeenVideo:
     pictures: Shelf[FinePicture]  # of the frames that have evidence, where there are close-ups
     kept: dict[int, str]  # frames without evidence, and why
     held_out: dict[int, str]  # test frames that are not looked at
+    swapped: Mapping[str, Sequence[int]]  # limbs that were put right, and in which frames
     seconds: float  # of looking
 
     @staticmethod
@@ -181,6 +186,12 @@ class _SeenVideo:
             pose, shape = with_height(coarse.body, pose, shape, video.cameras, options.height)
         # Where there is nothing to look at more closely, triangles serve better elsewhere.
         compared = coarse if pictures else simplified(options.faces, False)
+        swapped: dict[str, list[int]] = {}
+        if options.swap_nat is not None:
+            bare = Solution(pose, shape, torch.zeros_like(compared.body.v_template))
+            losses = lambda p: _losses(compared.body, evidence, options.silhouette, p, bare)
+            stage1 = Stage1.of(pose, range(len(pose)), video.cameras[0])
+            pose, swapped = put_right(stage1, losses, options.swap_nat)
         seconds = time.perf_counter() - begin
         return _SeenVideo(
             compared,
@@ -192,6 +203,7 @@ class _SeenVideo:
             pictures,
             kept,
             held_out,
+            swapped,
             seconds,
         )
 
@@ -235,7 +247,10 @@ class _SeenVideo:
         begin = time.perf_counter()
         shared = (known or found[0]).result
         pose = join(self.clips, [done.result.pose for done in found])
-        losses_stage1, losses = (self._losses(p, shared) for p in (self.pose, pose))
+        losses_stage1, losses = (
+            _losses(self.coarse.body, self.evidence, self.options.silhouette, p, shared)
+            for p in (self.pose, pose)
+        )
         kept = self.kept | worse_frames(self.evidence, losses_stage1, losses)
         taken = [k for k in (*self.evidence, *self.held_out) if k not in kept]
         pose = with_frames(self.pose, taken, pose[taken])
@@ -257,21 +272,28 @@ class _SeenVideo:
             held_out=list(self.held_out),
             noise=shared.noise,
             footing=shared.footing,
+            swapped=self.swapped,
         )
 
-    @torch.no_grad()
-    def _losses(self, pose: Pose, person: Solution) -> Tensor:
-        """The data term of Eq. 8 in each frame (T,); NaN where there is no evidence."""
-        losses = torch.full((len(pose),), torch.nan)
-        body = self.coarse.body
-        scene = MeshScene(body.faces, body.v_template)
-        focal = None if person.focal == 1 else torch.tensor(person.focal)
-        with one_torch_thread():
-            for k, seen in self.evidence.items():
-                who = body, pose[k], person.shape, person.offsets
-                vertices = seen_body(*who, [seen], focal)
-                losses[k] = mean_loss(scene, vertices, [seen], self.options.silhouette, focal=focal)
-        return losses
+
+@torch.no_grad()
+def _losses(
+    body: BodyModel,
+    evidence: Mapping[int, MaskAndNormals],
+    silhouette: float,
+    pose: Pose,
+    person: Solution,
+) -> Tensor:
+    """The data term of Eq. 8 (T,) of a person in T poses; NaN where there is no evidence."""
+    losses = torch.full((len(pose),), torch.nan)
+    scene = MeshScene(body.faces, body.v_template)
+    focal = None if person.focal == 1 else torch.tensor(person.focal)
+    with one_torch_thread():
+        for k, seen in evidence.items():
+            who = body, pose[k], person.shape, person.offsets
+            vertices = seen_body(*who, [seen], focal)
+            losses[k] = mean_loss(scene, vertices, [seen], silhouette, focal=focal)
+    return losses
 
 
 def _held_out(video: Video, options: RefineOptions) -> dict[int, str]:

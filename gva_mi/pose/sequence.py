@@ -69,6 +69,7 @@ class SequenceOptions(DescentOptions, RefineOptions):
     batch: Batch = 4  # frames of a step, at most
     learn: Learn = 11  # the first of them, after which it is inferred how stage 1 errs
     nat: Nat = 0.015  # what a negative logarithm of a probability counts beside Eq. 8's data term
+    unswap: bool = True  # legs and arms that stage 1 takes for each other are exchanged first
     cloth_smooth: Weight = 1.6e-4  # a of the displacement's energy, for one (1/m)²
     cloth_small: Weight = 10.0  # b of the displacement's energy, for one square metre
     cloth_outward: Weight = 400.0  # c of the displacement's energy, for one square metre
@@ -101,6 +102,10 @@ class SequenceOptions(DescentOptions, RefineOptions):
     @property
     def close_up_size(self) -> int:
         return self.hand_size if self.close_hands > 0 or self.close_feet > 0 else 0
+
+    @property
+    def swap_nat(self) -> float | None:
+        return self.nat if self.unswap else None
 
     @property
     def description(self) -> str:

@@ -32,7 +32,8 @@ from gva_mi.data.importers.mask_values import MaskValues
 from gva_mi.data.importers.normal_maps import maps_of, write_maps
 from gva_mi.data.importers.other_views import known_names, write_views
 from gva_mi.data.importers.prompts import prompts_of
-from gva_mi.data.importers.readings import PELVIS, View
+from gva_mi.data.importers.readings import PELVIS, View, through_lens
+from gva_mi.data.importers.recorded_lens import RECORDED, asked_for, recorded
 from gva_mi.data.importers.recordings import Pictures, Recording, Wanted, read_ranges
 from gva_mi.data.importers.target import Target
 from gva_mi.data.importers.tracks import Track, choose, every_frame, one_shape
@@ -46,6 +47,7 @@ from gva_mi.files import versions, write_json
 from gva_mi.splat import Camera
 
 MARKER = PREPARED  # every folder that was prepared here holds it
+NEARLY = 0.1  # of a focal length's logarithm: nothing is said about less
 _T_CAMERA_WORLD = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
@@ -63,6 +65,7 @@ class Source:
     person: str | None = None  # the estimator's name of them; without it, who is in the masks
     first: int = 0  # the number that the estimator gave the first frame
     focal: float | None = None  # pixels, where the estimate says none
+    lens: str | None = None  # that it was filmed with, where the estimator assumed another
     camera: str | None = None  # the name of a data set's camera; without it, the first
     views: Sequence[str] = ()  # names of a data set's other cameras to hold out, or "all"
     view_frames: int = 8  # of each of them, at most
@@ -98,6 +101,7 @@ def prepare_folder(
     votes = lambda: joints_in_masks(tracks, _masks(recording), source.first, rest, there)
     track, notes = choose(where, tracks, source.person, votes if recording.masks else None)
     others = [replace(t, frames=t.frames - source.first) for t in tracks if t is not track]
+    track, of_lens = _through_its_lens(track, kind, source, recording, size)
     last = int(track.frames.max()) - source.first + 1
     lens = track.K[0]
     count = _write_pictures(out, recording, lens, size, progress, last)
@@ -127,7 +131,8 @@ def prepare_folder(
         asked = (views, np.flatnonzero(inside).tolist(), source.view_frames)
         more += write_views(out, where, recording, *asked, _T_CAMERA_WORLD)
     betas, varied = one_shape(track)
-    notes = [f"{kind}, {track.form}, {count} frames of {size[0]}x{size[1]}", *notes, *more, *varied]
+    about = f"{kind}, {track.form}, {count} frames of {size[0]}x{size[1]}"
+    notes = [about, *notes, *of_lens, *more, *varied]
     notes += [note for note in (recording.note, uneven_rate(recording.frames)) if note]
     if not body.keeps_betas(track.form):
         betas = np.zeros(10)
@@ -142,9 +147,9 @@ def prepare_folder(
     shape = Shape(torch.from_numpy(betas.astype(np.float32)))
     save_poses(out / POSES, _pose(track, body.model, shape), shape, stage=1)
     notes.append(body.takes_over(track.form))
-    about = {"kind": kind, "person": track.person, "form": track.form, "notes": notes}
-    about["body"] = {"name": body.name} | fingerprint(body.model)
-    write_json(out / MARKER, about | {"source": vars(source), "versions": versions()})
+    record = {"kind": kind, "person": track.person, "form": track.form, "notes": notes}
+    record["body"] = {"name": body.name} | fingerprint(body.model)
+    write_json(out / MARKER, record | {"source": vars(source), "versions": versions()})
     return notes
 
 
@@ -162,6 +167,32 @@ class _Networks:
         network = source.normals is not None and not source.normals.is_dir()
         normals = NormalNetwork(source.normals, source.expected) if network else None
         return _Networks(masks, normals)
+
+
+def _through_its_lens(
+    track: Track, kind: str, source: Source, recording: Recording, size: tuple[int, int]
+) -> tuple[Track, list[str]]:
+    """A person through the lens that the video was filmed with, and what to say about it."""
+    if kind in DATASETS:  # which know their lenses
+        if source.lens is not None:
+            raise InputError(
+                f"prepare: --lens is for a pose estimator's output; {kind} has its own"
+            )
+        return track, []
+    known = recorded(recording.frames, size)
+    assumed = float(np.median(np.sqrt(track.K[:, 0, 0] * track.K[:, 1, 1])))
+    if source.lens is None:
+        if known is None or abs(np.log(known / assumed)) < NEARLY:
+            return track, []
+        return track, [
+            f"the poses are for a focal length of {assumed:.0f} pixels; the recording says "
+            f"{known:.0f}, or up to a fifth more if it was stabilised: --lens {RECORDED} takes it"
+        ]
+    focal = asked_for(source.lens, known, size)
+    moved = f"people stand {focal / assumed:.3g} times as far away"
+    return through_lens(track, focal), [
+        f"the focal length is {focal:.0f} pixels, where the estimator took {assumed:.0f}: {moved}"
+    ]
 
 
 def _pose(track: Track, body: BodyModel, shape: Shape) -> Pose:
@@ -182,6 +213,8 @@ def _recorded(
     found = dataset_of(path) if kind == "auto" and path.is_dir() else None
     kind = found or kind
     recording = Recording([], source.frames, source.masks)
+    if kind in DATASETS and source.lens is not None:
+        raise InputError(f"prepare: --lens is for pose estimators; {kind} knows its cameras")
     if kind in DATASETS:
         recording = read_dataset(kind, path, Wanted(source.camera, components))
         frames, cut_outs = source.frames or recording.frames, source.masks or recording.masks

@@ -98,6 +98,40 @@ def seen_from(track: Track, R: np.ndarray, T: np.ndarray) -> Track:
     return replace(track, rotations=rotations, transl=place - pelvis)
 
 
+def through_lens(track: Track, focal: float) -> Track:
+    """A track as a lens of ``focal`` pixels sees it, of an estimator that assumed another one.
+
+    The picture is what the estimator has seen, so in it the person keeps place and size: the pelvis
+    moves along the camera's axis, as many times as far away as the lens is longer. And they turn to
+    the eye the side that they did before: by as much as the ray on which the pelvis is seen turns
+    (as CLIFF, Li et al. 2022, tells the turn of a crop from that of the person).
+
+    Args:
+        track: of one person.
+        focal: pixels.
+    """
+    pelvis, K = np.array(PELVIS[track.form]), track.K.copy()
+    before = track.transl + pelvis
+    scale = np.sqrt(K[:, 0, 0] * K[:, 1, 1])
+    longer = focal / scale
+    aside = longer[:, None] * before[:, :2] * K[:, [0, 1], [0, 1]] / focal
+    after = np.concatenate([aside, longer[:, None] * before[:, 2:]], axis=1)
+    K[:, 0, 0] = K[:, 1, 1] = focal
+    turn = torch.from_numpy(_between(before, after))
+    rotations = track.rotations.copy()
+    root = torch.from_numpy(rotations[:, 0].copy())
+    rotations[:, 0] = roma.rotvec_composition([turn, root]).numpy()
+    return replace(track, rotations=rotations, transl=after - pelvis, K=K)
+
+
+def _between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The shortest turns (n, 3) from directions (n, 3) to others, axis-angle."""
+    axis = np.cross(a, b)
+    sine = np.linalg.norm(axis, axis=1, keepdims=True)
+    angle = np.arctan2(sine, (a * b).sum(1, keepdims=True))
+    return axis * (angle / np.maximum(sine, 1e-300))
+
+
 def make_track(
     where: str,
     person: str,

@@ -1,0 +1,286 @@
+"""The lens that a video was filmed with: told by its file or its owner, taken by ``prepare``."""
+
+import struct
+
+import av
+import numpy as np
+import pytest
+import roma
+import torch
+from PIL import Image
+
+from gva_mi import InputError
+from gva_mi.body.pose import Pose, Shape
+from gva_mi.body.smplx import load_body
+from gva_mi.data.importers.quicktime import numbers
+from gva_mi.data.importers.readings import PELVIS, centred, through_lens
+from gva_mi.data.importers.recorded_lens import asked_for, in_pixels, recorded
+from gva_mi.data.importers.tracks import Track
+from gva_mi.data.video import load_video
+
+KEY = "com.apple.quicktime.camera.focal_length.35mm_equivalent"
+SIZE = (64, 48)  # W, H
+
+
+def box(kind, *held):
+    held = b"".join(held)
+    return struct.pack(">I4s", len(held) + 8, kind) + held
+
+
+def meta(kind, value, key=KEY, mpeg4=False):
+    """One key and its value, as a phone writes them."""
+    handler = box(b"hdlr", bytes(8), b"mdta", bytes(13))
+    keys = box(b"keys", bytes(4), struct.pack(">I", 1), box(b"mdta", key.encode()))
+    data = box(b"data", struct.pack(">II", kind, 0), value)
+    return box(
+        b"meta", bytes(4 if mpeg4 else 0), handler, keys, box(b"ilst", box(b"\0\0\0\1", data))
+    )
+
+
+def film(path, *, of_film=b"", of_track=b"", size=SIZE):
+    """Three pictures, with a ``meta`` at the ends of the film's and of the track's own boxes."""
+    with av.open(str(path), "w", format="mov") as container:
+        stream = container.add_stream("libx264rgb", rate=25)
+        (stream.width, stream.height), stream.pix_fmt = size, "rgb24"
+        for k in range(3):
+            picture = np.full((size[1], size[0], 3), 40 * k, np.uint8)
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, "rgb24")))
+        container.mux(stream.encode())
+    whole = path.read_bytes()
+    start = whole.index(b"moov") - 4
+    moov = whole[start + 8 : start + struct.unpack_from(">I", whole, start)[0]]
+    at = moov.index(b"trak") - 4
+    end = at + struct.unpack_from(">I", moov, at)[0]
+    track = box(b"trak", moov[at + 8 : end], of_track)
+    path.write_bytes(whole[:start] + box(b"moov", moov[:at], track, moov[end:], of_film))
+    return path
+
+
+TYPES = {
+    "text": (1, b"27"), "signed": (21, struct.pack(">i", 27)), "byte": (22, b"\x1b"),
+    "short": (66, struct.pack(">h", 27)), "long": (78, struct.pack(">Q", 27)),
+    "single": (23, struct.pack(">f", 27)), "double": (24, struct.pack(">d", 27)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("mpeg4", [False, True])
+@pytest.mark.parametrize("kind", TYPES)
+def test_a_film_tells_it_or_its_track(tmp_path, kind, mpeg4):
+    said = meta(*TYPES[kind], mpeg4=mpeg4)
+    for place in ("of_film", "of_track"):
+        path = film(tmp_path / "a.mov", **{place: said})
+        assert numbers(path) == {KEY: 27}
+        assert recorded(path, SIZE) == pytest.approx(27 / 43.27 * 80)
+    both = film(tmp_path / "b.mov", of_film=said, of_track=meta(1, b"50", mpeg4=mpeg4))
+    assert numbers(both)[KEY] == 27
+
+
+@pytest.mark.parametrize("said", [b"", meta(1, b"wide"), meta(1, b"27", "com.apple.make"),
+                                  meta(13, b"27"), meta(1, b"0"), meta(1, b"nan"),
+                                  meta(1, b"1e9"), meta(21, struct.pack(">i", -27))])  # fmt: skip
+def test_other_films_tell_nothing(tmp_path, said):
+    assert recorded(film(tmp_path / "a.mov", of_track=said), SIZE) is None
+
+
+def test_a_film_cut_off_or_bent_anywhere_tells_a_number_or_nothing(tmp_path):
+    whole = film(tmp_path / "a.mov", of_track=meta(*TYPES["signed"])).read_bytes()
+    path, random = tmp_path / "bent.mov", np.random.default_rng(0)
+    for end in range(0, len(whole), 7):
+        path.write_bytes(whole[:end])
+        assert recorded(path, SIZE) in (None, in_pixels(27, SIZE))
+    heads = [whole.index(kind) for kind in (b"moov", b"trak", b"keys", b"ilst", b"data")]
+    for head in heads:
+        for byte in range(-4, 8):
+            bent = bytearray(whole)
+            bent[head + byte] = random.integers(256)
+            path.write_bytes(bent)
+            found = recorded(path, SIZE)
+            assert found is None or found > 0
+
+
+def photograph(path, size=SIZE, **tags):
+    exif = Image.Exif()
+    exif.get_ifd(0x8769).update({int(number[1:]): value for number, value in tags.items()})
+    Image.new("RGB", size).save(path, exif=exif)
+    return path
+
+
+def test_a_photograph_tells_it_of_35_mm_film(tmp_path):
+    path = photograph(tmp_path / "0.jpg", _41989=26)
+    assert recorded(tmp_path, SIZE) == pytest.approx(26 / 43.27 * 80)
+    assert recorded((path,), SIZE) == recorded(tmp_path, SIZE)
+
+
+def test_or_of_its_sensor(tmp_path):
+    """A sensor of 22.3 mm and 5568 pixels; the picture was made smaller since."""
+    a_millimetre = 5568 / 22.3
+    for unit, length in ((2, 25.4), (3, 10.0)):
+        path = photograph(
+            tmp_path / "0.jpg", _37386=50.0, _40962=5568, _40963=3712,
+            _41486=length * a_millimetre, _41488=unit,
+        )  # fmt: skip
+        assert recorded((path,), SIZE) == pytest.approx(50 * a_millimetre * 64 / 5568, rel=1e-3)
+
+
+@pytest.mark.parametrize("tags", [{}, {"_41989": 0}, {"_37386": 50.0}, {"_41989": "wide"}])
+def test_other_photographs_tell_nothing(tmp_path, tags):
+    assert recorded((photograph(tmp_path / "0.jpg", **tags),), SIZE) is None
+
+
+def test_a_photograph_with_broken_tags_tells_nothing(tmp_path):
+    Image.new("RGB", SIZE).save(tmp_path / "0.jpg", exif=b"Exif\0\0MM\0*\0\0\0\x08\xff\xff")
+    assert recorded(tmp_path, SIZE) is None
+
+
+def test_wide_pictures_are_cut_from_a_sensor_of_4_to_3():
+    """So a film of 1920 x 1080 has the focal length of the photograph that is as wide."""
+    assert in_pixels(26, (1920, 1080)) == pytest.approx(in_pixels(26, (1920, 1440)))
+    assert in_pixels(26, (1080, 1920)) == in_pixels(26, (1920, 1080))
+    assert in_pixels(43.27, (3000, 2000)) == pytest.approx(np.hypot(3000, 2000))
+
+
+def test_what_a_user_may_ask_for():
+    assert asked_for("1450", None, SIZE) == 1450
+    assert asked_for("recorded", 77.0, SIZE) == 77
+    assert asked_for("26mm", None, SIZE) == asked_for("26 mm", 50.0, SIZE) == in_pixels(26, SIZE)
+    with pytest.raises(InputError, match="no focal length is recorded.*--lens 26mm"):
+        asked_for("recorded", None, SIZE)
+    for wrong in ("", "mm", "0mm", "-26mm", "wide", "nan", "inf", "26cm"):
+        with pytest.raises(InputError, match="--lens must be a focal length in pixels"):
+            asked_for(wrong, 77.0, SIZE)
+
+
+@pytest.fixture
+def track(seen):
+    rotations, transl = seen
+    n = len(transl)
+    transl = transl + np.linspace((-1.5, 0, 0), (1.5, 0.4, 1), n)
+    return Track("0", np.arange(n), rotations, transl, None, centred(900, (640, 480), n), "SMPL-X",
+                 has_hands=True)  # fmt: skip
+
+
+def projected(track, points):
+    seen = points @ track.K.swapaxes(-1, -2)
+    return seen[..., :2] / seen[..., 2:]
+
+
+def pelvises(track):
+    return (track.transl + PELVIS["SMPL-X"])[:, None]
+
+
+def test_through_another_lens_the_person_is_where_they_were_and_as_large(track):
+    """The pelvis in the picture, and how many pixels a metre there has."""
+    track.K[:, 0, 0] *= 1.1  # pixels that are not square become so
+    other = through_lens(track, 400.0)
+    assert (
+        np.abs(projected(track, pelvises(track)) - projected(other, pelvises(other))).max() < 1e-9
+    )
+    a_metre = lambda t: np.sqrt(t.K[:, 0, 0] * t.K[:, 1, 1]) / pelvises(t)[:, 0, 2]
+    assert np.abs(a_metre(track) / a_metre(other) - 1).max() < 1e-12
+
+
+def test_and_shows_the_eye_the_same_side(track):
+    other = through_lens(track, 400.0)
+    sides = []
+    for t in (track, other):
+        ray = pelvises(t)[:, 0] / np.linalg.norm(pelvises(t)[:, 0], axis=1, keepdims=True)
+        R = roma.rotvec_to_rotmat(torch.from_numpy(t.rotations[:, 0])).numpy()
+        sides.append(np.einsum("nji,nj->ni", R, ray))  # of the eye, in the axes of the person
+    assert np.abs(sides[0] - sides[1]).max() < 1e-9
+    assert np.array_equal(track.rotations[:, 1:], other.rotations[:, 1:])
+
+
+def test_through_the_first_lens_again_is_as_before(track):
+    there_and_back = through_lens(through_lens(track, 333.0), 900.0)
+    assert np.abs(there_and_back.transl - track.transl).max() < 1e-9
+    R = [
+        roma.rotvec_to_rotmat(torch.from_numpy(t.rotations[:, 0])) for t in (track, there_and_back)
+    ]
+    assert (R[0] - R[1]).abs().max() < 1e-9
+
+
+def test_somebody_on_the_axis_does_not_turn(track):
+    track.transl[:] = np.array([0, 0, 4.0]) - PELVIS["SMPL-X"]
+    other = through_lens(track, 400.0)
+    matrices = lambda t: roma.rotvec_to_rotmat(torch.from_numpy(t.rotations))
+    assert (matrices(other) - matrices(track)).abs().max() < 1e-12
+
+
+def joints(track, turned):
+    """Joints (n, 22, 3) before the camera, of a body whose pelvis is where the track's is."""
+    body, shape = load_body(dtype=torch.float64), Shape(torch.zeros(10).double())
+    transl = torch.from_numpy(pelvises(track)[:, 0]) - body.rest(shape).joints[0]
+    pose = Pose(torch.from_numpy(turned), transl, torch.zeros(len(turned), 10).double())
+    return body(pose, shape).joints[:, :22].numpy()
+
+
+def test_the_whole_picture_hardly_changes(track):
+    """For half the focal length, joints move by about a hundredth of the person's height."""
+    other = through_lens(track, 450.0)
+    before = projected(track, joints(track, track.rotations))
+    after = projected(other, joints(other, other.rotations))
+    moved = np.linalg.norm(after - before, axis=-1).mean() / np.ptp(before[..., 1])
+    assert 1e-3 < moved < 0.015
+
+
+def written(tmp_path, seen, **tags):
+    """An estimator's file and pictures that say what they were taken with."""
+    rotations, transl = seen
+    body = rotations[:, 1:22].reshape(len(transl), -1)
+    named = {"global_orient": rotations[:, 0], "body_pose": body, "transl": transl}
+    np.savez(tmp_path / "poses.npz", **named, betas=np.zeros(10), focal=np.array(200.0))
+    (tmp_path / "photos").mkdir()
+    for k in range(len(transl)):
+        photograph(tmp_path / f"photos/{k}.jpg", **tags)
+    np.save(tmp_path / "masks.npy", np.ones((len(transl), SIZE[1], SIZE[0]), bool) & stripe())
+    return tmp_path / "poses.npz"
+
+
+def stripe():
+    inside = np.zeros((SIZE[1], SIZE[0]), bool)
+    inside[:, 20:44] = True
+    return inside
+
+
+def prepare(cli, tmp_path, file, *more):
+    where = ("--frames", tmp_path / "photos", "--masks", tmp_path / "masks.npy")
+    return cli("prepare", "parameters", file, tmp_path / "s", "--body", "puppet", *where, *more)
+
+
+def test_prepare_says_what_the_file_tells_and_takes_it(tmp_path, cli, seen):
+    file = written(tmp_path, seen, _41989=26)
+    code, said, _ = prepare(cli, tmp_path, file)
+    assert code == 0
+    assert "the poses are for a focal length of 200 pixels; the recording says 48" in said
+    far = load_video(tmp_path / "s")
+    code, said, _ = prepare(cli, tmp_path, file, "--lens", "recorded", "--overwrite")
+    assert code == 0
+    assert "the focal length is 48 pixels, where the estimator took 200" in said
+    near = load_video(tmp_path / "s")
+    focal = 26 / 43.27 * 80
+    assert near.cameras[0].fx == pytest.approx(focal)
+    body = load_body()
+    places = [body(v.pose, v.shape).joints[:, 0].double().numpy() for v in (far, near)]
+    for k in range(len(near)):
+        a, b = far.cameras[k].project(places[0][k]), near.cameras[k].project(places[1][k])
+        assert np.abs(a - b).max() < 1e-3
+        assert places[1][k, 2] / places[0][k, 2] == pytest.approx(focal / 200, rel=1e-5)
+
+
+def test_prepare_says_nothing_of_a_lens_that_agrees_or_is_not_told(tmp_path, cli, seen):
+    file = written(tmp_path, seen)
+    code, said, _ = prepare(cli, tmp_path, file)
+    assert code == 0 and "focal" not in said
+    code, _, err = prepare(cli, tmp_path, file, "--lens", "recorded", "--overwrite")
+    assert code == 2 and "no focal length is recorded" in err
+    for k in range(len(seen[1])):
+        photograph(tmp_path / f"photos/{k}.jpg", _41989=110)  # 203 pixels
+    code, said, _ = prepare(cli, tmp_path, file, "--overwrite")
+    assert code == 0 and "focal" not in said
+
+
+def test_a_data_set_knows_its_cameras(tmp_path, cli):
+    code, _, err = cli(
+        "prepare", "snapshot", tmp_path, tmp_path / "s", "--body", "puppet", "--lens", 9
+    )
+    assert code == 2 and "--lens is for pose estimators; snapshot knows its cameras" in err

@@ -1,8 +1,8 @@
-"""What a person sees while a step runs: a progress bar with its figures, and lines between."""
+"""What a person reads: a progress bar with its figures, lines between, numbers of frames."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Protocol
 
@@ -59,3 +59,14 @@ def within(progress: Progress | None, before: int, steps: int, total: int) -> Pr
     return lambda done, of, **figures: progress(
         before + steps * done // max(1, of), total, **figures
     )
+
+
+def listed(frames: Sequence[int]) -> str:
+    """Ascending frame numbers for people: ``3, 7-9, 12``."""
+    runs: list[list[int]] = []
+    for k in frames:
+        if runs and k == runs[-1][-1] + 1:
+            runs[-1].append(k)
+        else:
+            runs.append([k])
+    return ", ".join(f"{run[0]}-{run[-1]}" if len(run) > 1 else f"{run[0]}" for run in runs)

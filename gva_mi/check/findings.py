@@ -7,9 +7,7 @@ from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from typing import Literal
 
-import numpy as np
-
-from gva_mi.data.importers.timeline import listed
+from gva_mi.console import listed
 
 Severity = Literal["error", "doubtful"]
 HEAD = ("", "what", "frames", "figure", "likely cause", "what to do")
@@ -76,7 +74,7 @@ def _short(frames: tuple[int, ...], count: int) -> str:
         return ""
     if len(frames) == count:
         return "all"
-    text = listed(np.array(sorted(frames)))
+    text = listed(sorted(frames))
     return text if len(text) <= _LONGEST else f"{len(frames)} of {count}, from {frames[0]} on"
 
 

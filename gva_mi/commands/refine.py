@@ -12,7 +12,7 @@ from tyro.conf import Positional
 
 from gva_mi.body.smplx import BodyModel, load_body
 from gva_mi.commands.arguments import Flat, Switch, say_doubt
-from gva_mi.console import bar, say
+from gva_mi.console import bar, listed, say
 from gva_mi.data.fingerprint import require_same_body
 from gva_mi.data.truth import load_truth
 from gva_mi.data.video import REFINED_POSES, Video, load_video
@@ -97,6 +97,8 @@ def refine(
             if report:
                 _write_report(evaluation, printed, executor)
             refined = evaluation.refined
+            for limbs, frames in refined.swapped.items():
+                say(f"{limbs:11} left and right were exchanged in frames {listed(frames)}")
             for line in in_words(refined.noise, refined.footing):
                 say(line)
             for line in evaluation.measured.means.lines():

@@ -7,6 +7,7 @@ import pickle
 import shutil
 import struct
 
+import av
 import numpy as np
 import pytest
 import torch
@@ -23,6 +24,7 @@ from gva_mi.data.importers.footage import masks, pictures
 from gva_mi.data.importers.hdf5 import read_hdf5
 from gva_mi.data.importers.motions import Driven, MotionOptions, is_poses, read_motion
 from gva_mi.data.importers.normal_maps import write_maps
+from gva_mi.data.importers.recorded_lens import recorded
 from gva_mi.data.importers.recordings import read_ranges
 from gva_mi.data.pictures import read_background, write_image, write_movie
 from gva_mi.data.synthetic import SynthOptions, describe_noise
@@ -229,6 +231,16 @@ def seeds(subject, avatar):
 
         each(folder, path, {"amass.npz": read, "aist.pkl": read, "motion.pt": read})
 
+    def of_a_phone(path):
+        """A film that says what lens it was made with."""
+        with av.open(str(path), "w", options={"movflags": "use_metadata_tags"}) as container:
+            container.metadata["com.apple.quicktime.camera.focal_length.35mm_equivalent"] = "26"
+            stream = container.add_stream("libx264rgb", rate=25)
+            stream.width, stream.height, stream.pix_fmt = W, H, "rgb24"
+            white = np.full((H, W, 3), 255, dtype=np.uint8)
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(white, "rgb24")))
+            container.mux(stream.encode())
+
     def footage(folder):
         image = np.arange(W * H * 3, dtype=np.uint8).reshape(H, W, 3)
         from PIL import Image
@@ -237,6 +249,7 @@ def seeds(subject, avatar):
             Image.fromarray(image).save(folder / f"a.{suffix}")
         np.save(folder / "masks.npy", np.ones((T, H, W), bool))
         write_movie(folder / "film.mp4", [np.full((H, W, 3), 255, dtype=np.uint8)] * T)  # of masks
+        of_a_phone(folder / "phone.mov")
         toward_the_camera = np.broadcast_to(np.float32([0, 0, -1]), (H, W, 3))
         for kind in ("npy", "png"):  # of maps, each with a subject's folder beside it
             (folder / kind / "maps").mkdir(parents=True)
@@ -252,7 +265,9 @@ def seeds(subject, avatar):
         read = {f"a.{suffix}": lambda path: list(pictures((path,), 3))
                 for suffix in ("png", "jpg", "bmp", "tif", "webp")}  # fmt: skip
         whole = lambda path: list(masks(path))
-        read |= {"masks.npy": whole, "film.mp4": whole}
+        lens = lambda path: recorded(path if path.suffix == ".mov" else (path,), (W, H))
+        read |= {"masks.npy": whole, "film.mp4": whole, "phone.mov": lens}
+        read["a.jpg"] = lambda path: (list(pictures((path,), 3)), lens(path))
         read |= {f"{kind}/maps/000000.{kind}": bring_normals for kind in ("npy", "png")}
         each(folder, path, read)
         read_background(str(folder / "a.png"), 9, 9)

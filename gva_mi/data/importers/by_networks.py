@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gva_mi.console import Progress
-from gva_mi.data.importers.timeline import listed
+from gva_mi.console import Progress, listed
 from gva_mi.data.masks import read_mask
 from gva_mi.data.networks.crop import box_of_mask
 from gva_mi.data.networks.normals import NormalNetwork
@@ -65,10 +64,10 @@ def write_masks(
             f"{folder}: Segment Anything found nobody in any frame; are the poses of this video, "
             "and the weights those of Segment Anything?"
         )
-    notes = [f"frames where the network found nobody: {listed(np.array(none))}"] if none else []
+    notes = [f"frames where the network found nobody: {listed(none)}"] if none else []
     if doubtful:
         notes.append(
-            f"masks that hold less than half of the person's points: {listed(np.array(doubtful))}"
+            f"masks that hold less than half of the person's points: {listed(doubtful)}"
         )
     return notes
 

@@ -21,13 +21,14 @@ import torch
 from gva_mi.body.gestures import GESTURES, put_hand
 from gva_mi.body.pose import LEFT_HAND, SMPLX_FIELDS, Pose, Shape
 from gva_mi.body.puppet import PUPPET
+from gva_mi.console import listed
 from gva_mi.data.importers.estimated_motions import estimated, lone_track, refuse_folder
 from gva_mi.data.importers.fields import find_betas, find_joints, find_translation
 from gva_mi.data.importers.frame_files import first_of, plain
 from gva_mi.data.importers.other_bodies import refuse_other_bodies
 from gva_mi.data.importers.readings import PELVIS
 from gva_mi.data.importers.target import Target
-from gva_mi.data.importers.timeline import interpolate, listed, longest_gap
+from gva_mi.data.importers.timeline import interpolate, longest_gap
 from gva_mi.data.importers.tracks import Track, median_betas
 from gva_mi.data.importers.world import UP, up_axis, upright
 from gva_mi.errors import InputError

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
+from gva_mi.console import listed
 from gva_mi.data.importers.footage import PICTURES, files_of
 from gva_mi.data.importers.recordings import Pictures
-from gva_mi.data.importers.timeline import listed
 from gva_mi.data.importers.whole_videos import last_number
 from gva_mi.data.masks import read_mask
 from gva_mi.data.normals import ABOUT, Convention, NormalMaps

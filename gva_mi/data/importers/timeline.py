@@ -45,9 +45,3 @@ def longest_gap(known: np.ndarray) -> int:
     """The most frames in a row (T,) that are not known."""
     edges = np.flatnonzero(np.diff(np.concatenate([[True], known, [True]]).astype(int)))
     return int((edges[1::2] - edges[::2]).max(initial=0))
-
-
-def listed(frames: np.ndarray) -> str:
-    """Frame numbers for people: ``3, 7-9, 12``."""
-    runs = np.split(frames, np.flatnonzero(np.diff(frames) > 1) + 1)
-    return ", ".join(f"{r[0]}-{r[-1]}" if len(r) > 1 else f"{r[0]}" for r in runs if len(r))

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gva_mi.data.importers.timeline import interpolate, listed
+from gva_mi.console import listed
+from gva_mi.data.importers.timeline import interpolate
 from gva_mi.errors import InputError
 
 SPREAD = 0.1  # standard deviations of betas from frame to frame that are worth a word

@@ -15,7 +15,8 @@ so by ``"test_frames": "seen"``. Where they were ``"held out"``, their poses fol
 and ``figures_by_split`` tells them apart. ``stage1_errors`` are standard deviations of how stage 1
 errs, as they were inferred: radians for joints, metres for the place; and how many frames it lasts.
 ``footing`` is how far soles that stand are off one plane, the share of the time that they stand,
-and how far they are lifted else, metres.
+and how far they are lifted else, metres. ``swapped`` are the frames in which legs, or arms, were
+exchanged first, left and right.
 """
 
 from __future__ import annotations
@@ -52,6 +53,7 @@ def write_record(evaluation: Evaluation, versions: dict[str, str]) -> None:
         "figures": evaluation.measured.means.to_json(),
         "stage1_errors": {name: asdict(noise) for name, noise in refined.noise.items()},
         "footing": None if refined.footing is None else asdict(refined.footing),
+        "swapped": refined.swapped,
         "test_frames": "held out" if refined.held_out else "seen",
         **_by_split(evaluation.measured, refined),
         "kept": refined.kept,

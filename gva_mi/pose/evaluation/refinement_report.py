@@ -11,6 +11,7 @@ import torch
 
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
+from gva_mi.console import listed
 from gva_mi.data.video import Frame, Video, spread
 from gva_mi.mesh.overlay import overlay, shaded, strip
 from gva_mi.page import (
@@ -303,6 +304,9 @@ def _exceptions(refined: Refined) -> list[Section]:
     if refined.kept:
         rows = [(str(k), reason) for k, reason in refined.kept.items()]
         sections.append(Section("Kept frames", _KEPT, tables=[Table(("frame", "why"), rows)]))
+    for limbs, frames in refined.swapped.items():
+        text = f"Stage 1 took the left for the right in frames {listed(frames)}."
+        sections.append(Section(f"Exchanged {limbs}", text))
     if refined.held_out:
         numbers = ", ".join(map(str, refined.held_out))
         text = f"Their pictures were not looked at; their poses follow from the others: {numbers}."

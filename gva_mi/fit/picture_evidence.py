@@ -103,6 +103,7 @@ class PictureEvidence:
 
     soles: None = None
     size_known: bool = True  # the avatar's
+    surface_known: bool = True  # likewise
     unseen: Sequence[int] = ()
 
     def __init__(

@@ -143,6 +143,17 @@ class Corrections:
         held = self._held(turns[:, pelvis].mean((0, 1)), None if size_known else moves.mean(0))
         return nats / len(moves) + held
 
+    def same_in_all(self) -> Tensor:
+        """What turns that joints make in all frames would cost if each frame told them anew, nats.
+
+        As :meth:`energy`, a mean over the frames. It is for a descent that does not know yet what
+        the person wears: a skirt that widens toward its hem, or a sole, looks like legs that lean
+        toward the camera, from every side of a person who turns.
+        """
+        mean = self._at(range(len(self.moves)))[0][:, list(JOINTS)].mean(0)
+        variance = self.beliefs.joints.variance_of_mean(bias=True)
+        return (mean.square().sum(-1) / variance).sum() / 2
+
     def _held(self, turn: Tensor, shift: Tensor | None) -> Tensor:
         """What a turn (3,) and a shift (3,) of the person in all frames cost, in each of them.
 

@@ -13,6 +13,9 @@ and ``E`` becomes what that tells; then details are looked at, too. Before, ``E`
 counts for less: where it were believed, small motions would be taken for errors, and what pictures
 corrected would tell no more than the guess. Half as many passes later it is asked once more.
 
+In the first passes, turns that are the same in all frames are held, too, where it is not known what
+the person wears: the surface would adapt to them, and keep them there.
+
 How well a frame agrees with a pose, ``L_k``, is for the evidence to say: masks and normals of the
 posed body (:mod:`gva_mi.pose.sequence`), or pictures under a splatted avatar
 (:mod:`gva_mi.fit.picture_evidence`).
@@ -64,6 +67,7 @@ class Evidence(Protocol):
         soles: of the person, as far as the shape is known by now; None: nothing holds the feet.
         shared: the leaves ``s``, each with its learning rate; often none.
         size_known: whether the person's size is known, so that pictures tell how far away they are.
+        surface_known: whether it is known what the person wears.
         unseen: joints that it does not show for now: their turns stay the likeliest.
     """
 
@@ -73,6 +77,7 @@ class Evidence(Protocol):
     soles: Soles | None
     shared: Sequence[tuple[Tensor, float]]
     size_known: bool
+    surface_known: bool
     unseen: Sequence[int]
 
     def loss(self, frames: Sequence[int], pose: Pose) -> Tensor:
@@ -172,6 +177,8 @@ def descend(
             corrections.stand_on(evidence.soles)
         loss = evidence.loss([frames[i] for i in batch], corrections.pose(batch))
         loss = loss + nat * corrections.energy(evidence.size_known) + evidence.energy()
+        if step < learnt and not evidence.surface_known:
+            loss = loss + options.nat * corrections.same_in_all()
         loss.backward()
         adam.step(options.decay ** (step / len(batches)))
         if progress is not None:

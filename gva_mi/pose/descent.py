@@ -177,7 +177,7 @@ def descend(
             corrections.stand_on(evidence.soles)
         loss = evidence.loss([frames[i] for i in batch], corrections.pose(batch))
         loss = loss + nat * corrections.energy(evidence.size_known) + evidence.energy()
-        if step < learnt and not evidence.surface_known:
+        if step < learnt // 2 and not evidence.surface_known:
             loss = loss + options.nat * corrections.same_in_all()
         loss.backward()
         adam.step(options.decay ** (step / len(batches)))

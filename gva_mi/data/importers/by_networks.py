@@ -66,9 +66,7 @@ def write_masks(
         )
     notes = [f"frames where the network found nobody: {listed(none)}"] if none else []
     if doubtful:
-        notes.append(
-            f"masks that hold less than half of the person's points: {listed(doubtful)}"
-        )
+        notes.append(f"masks that hold less than half of the person's points: {listed(doubtful)}")
     return notes
 
 

@@ -78,7 +78,7 @@ class SequenceOptions(DescentOptions, RefineOptions):
     step: Metres = 0.012
     largest_turn: Turn = 0.03  # radians in such a step; it limits joints with short lever arms
     translation_lr: Rate = 0.006  # metres in a step at the start; depth is seen weakly
-    cloth_lr: Rate = 0.006  # metres in a step at the start
+    cloth_lr: Rate = 0.003  # metres in a step at the start
     betas_lr: Rate = 0.05  # standard deviations in a step at the start
     # The focal length is an unknown, too: of somebody who stays far away it is found some per cent
     # too long, whatever the right one is.

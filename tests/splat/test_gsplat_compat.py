@@ -1,44 +1,18 @@
 """gsplat's call: its shapes and modes, on batches of cameras, and what it refuses."""
 
-import gc
 import inspect
-import weakref
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 import torch
 
-from gva_mi.splat import Screen, rasterization, reference, render
+from gva_mi.splat import rasterization, reference
 from gva_mi.splat.camera import Camera, look_at
 from gva_mi.splat.gaussians import Gaussians
 from gva_mi.splat.gradcheck import random_scene
 from gva_mi.splat.options import SplatOptions
 
-W, H, N, C = 24, 17, 30, 2
-
-
-def arguments(dtype=torch.float64, **kwargs):
-    """Of rasterization(), by name, all float ones leaves; two cameras."""
-    g = random_scene(torch.Generator().manual_seed(3), N, W, H, **kwargs).gaussians
-    views = [look_at((0.6, 0.4, 2.9), (0.0, 0.0, 0.0)), look_at((-0.9, 0.2, 2.5), (0.0, 0.1, 0.0))]
-    K = np.array([[40.0, 0, 12.3], [0, 42, 8.1], [0, 0, 1]])
-    out = {"means": g.means, "quats": g.quats, "scales": g.scales, "opacities": g.opacities}
-    out |= {"colors": g.colors if g.sh is None else g.sh, "viewmats": np.stack(views)}
-    out |= {"Ks": np.stack([K, K + [[3, 0, 0], [0, 2, 0], [0, 0, 0]]])}
-    out = {k: torch.as_tensor(v).to(dtype).clone().requires_grad_() for k, v in out.items()}
-    return out | {"width": W, "height": H}
-
-
-def camera_of(a, c, model="pinhole"):
-    K, T = (a[name][c].detach().double().numpy() for name in ("Ks", "viewmats"))
-    return Camera.from_matrices(K, T, W, H, model)
-
-
-def gradients(loss, a):
-    leaves = {k: v for k, v in a.items() if isinstance(v, torch.Tensor)}
-    found = torch.autograd.grad(loss, list(leaves.values()), allow_unused=True)
-    return dict(zip(leaves, found, strict=True))
+W, H, N, C = 24, 17, 30, 2  # of the arguments
 
 
 def test_parameters_are_gsplats():
@@ -55,7 +29,9 @@ def test_parameters_are_gsplats():
 @pytest.mark.parametrize("rasterize_mode", ["classic", "antialiased"])
 @pytest.mark.parametrize("camera_model", ["pinhole", "ortho", "fisheye"])
 @pytest.mark.parametrize("sh_degree", [None, 1])
-def test_pictures_and_gradients_are_the_twins(sh_degree, camera_model, rasterize_mode):
+def test_pictures_and_gradients_are_the_twins(
+    arguments, gradients, sh_degree, camera_model, rasterize_mode
+):
     a = arguments(degree=None if sh_degree is None else 2)  # more coefficients than are used
     modes = {"rasterize_mode": rasterize_mode, "camera_model": camera_model}
     backgrounds = torch.rand(C, 3, generator=torch.Generator().manual_seed(1)).double()
@@ -103,7 +79,7 @@ def test_torch_agrees_in_both_directions(camera_model):
     assert torch.autograd.gradcheck(images, inputs, check_forward_ad=True, fast_mode=True)
 
 
-def test_render_modes():
+def test_render_modes(arguments):
     a = arguments()
     pictures = {m: rasterization(**a, render_mode=m) for m in "RGB D ED RGB+D RGB+ED".split()}
     rgb, alphas, _ = pictures["RGB"]
@@ -119,14 +95,14 @@ def test_render_modes():
     assert expected[seen].min() > 1.5 and expected[seen].max() < 4
 
 
-def test_expected_depth_has_a_gradient():
+def test_expected_depth_has_a_gradient(arguments, gradients):
     a = arguments()
     g = gradients(rasterization(**a, render_mode="ED")[0].sum(), a)
     for name in ("means", "quats", "scales", "opacities", "viewmats", "Ks"):
         assert torch.isfinite(g[name]).all() and g[name].abs().sum() > 0, name
 
 
-def test_colors_of_each_camera():
+def test_colors_of_each_camera(arguments):
     a = arguments()
     twice = torch.stack([a["colors"], 1 - a["colors"]]).detach()
     found = rasterization(**(a | {"colors": twice}))[0]
@@ -135,76 +111,7 @@ def test_colors_of_each_camera():
         torch.testing.assert_close(found[c], alone[c], atol=0, rtol=0)
 
 
-def test_meta():
-    a = arguments()
-    _, _, meta = rasterization(**a, packed=False)
-    assert (meta["width"], meta["height"], meta["n_cameras"]) == (W, H, C)
-    assert meta["radii"].shape == (C, N, 2) and meta["radii"].dtype == torch.int32
-    for c in range(C):
-        camera = camera_of(a, c)
-        x = a["means"].detach().numpy() @ camera.T_camera_world[:3, :3].T
-        x += camera.T_camera_world[:3, 3]
-        np.testing.assert_allclose(meta["depths"][c].detach(), x[:, 2], rtol=1e-12)
-        projected = camera.project(a["means"].detach().numpy())
-        np.testing.assert_allclose(meta["means2d"][c].detach(), projected, rtol=1e-11)
-        screen = Screen()
-        g = Gaussians(a["means"], a["quats"], a["scales"], a["opacities"], a["colors"])
-        render(g, camera, screen=screen)
-        assert ((meta["radii"][c] > 0).all(dim=1) | ~screen.visible).all()
-        R = torch.tensor(camera.T_camera_world[:3, :3])
-        for i in torch.nonzero(screen.visible)[:, 0].tolist():
-            parts = (torch.tensor(x[i]), reference._covariances(g)[i], R, camera)
-            C2 = reference._project(*parts, torch.tensor(camera.K))[1].detach()
-            C2 = C2 + 0.3 * torch.eye(2, dtype=torch.float64)
-            conic = torch.linalg.inv(C2)[[0, 0, 1], [0, 1, 1]]
-            torch.testing.assert_close(meta["conics"][c, i], conic, rtol=1e-9, atol=1e-12)
-            reach = torch.sqrt(2 * torch.log(255 * a["opacities"][i]) * torch.diagonal(C2))
-            assert (meta["radii"][c, i] == torch.ceil(reach)).all()
-    torch.testing.assert_close(meta["opacities"], a["opacities"].expand(C, N))
-    faded = rasterization(**a, rasterize_mode="antialiased", packed=False)[2]["opacities"]
-    assert (faded <= meta["opacities"] * (1 + 1e-12)).all() and (faded > 0).all()
-
-
-def test_means2d_is_a_node_of_the_graph():
-    a = arguments()
-    colors, _, meta = rasterization(**a, absgrad=True, packed=False)
-    meta["means2d"].retain_grad()
-    w = torch.randn(colors.shape, generator=torch.Generator().manual_seed(2)).double()
-    (colors * w).sum().backward()
-    for c in range(C):
-        screen = Screen(absolute=True)
-        g = Gaussians(*(a[k].detach().requires_grad_() for k in list(a)[:5]))
-        (render(g, camera_of(a, c), screen=screen).color * w[c]).sum().backward()
-        torch.testing.assert_close(meta["means2d"].grad[c], screen.grad)
-        torch.testing.assert_close(meta["means2d"].absgrad[c], screen.absgrad)
-
-
-def test_a_loss_on_means2d_and_depths_reaches_means_and_cameras():
-    a = arguments()
-    for name in ("means2d", "depths"):
-        g = gradients(rasterization(**a, packed=False)[2][name].square().sum(), a)
-        assert g["means"].abs().min() > 0 and (g["viewmats"][:, 2].abs() > 0).all()
-
-
-def test_absolute_gradient_of_one_pixel_is_the_gradients_absolute():
-    """And that of a picture is the sum over its pixels."""
-    a = arguments()
-    g = Gaussians(*(a[k] for k in list(a)[:5]))
-    camera = camera_of(a, 0)
-    screen = Screen(absolute=True)
-    image = render(g, camera, screen=screen)
-    total = 0
-    for y in range(H):
-        for x in range(W):
-            loss = image.color[y, x].sum() + image.depth[y, x]
-            torch.autograd.grad(loss, a["means"], retain_graph=True)
-            torch.testing.assert_close(screen.absgrad, screen.grad.abs())
-            total = total + screen.absgrad
-    torch.autograd.grad(image.color.sum() + image.depth.sum(), a["means"])
-    torch.testing.assert_close(screen.absgrad, total)
-
-
-def test_radius_clip_leaves_out_the_small():
+def test_radius_clip_leaves_out_the_small(arguments):
     a = arguments()
     radii = rasterization(**a, packed=False)[2]["radii"]
     clipped, _, meta = rasterization(**a, packed=False, radius_clip=4.0)
@@ -216,7 +123,7 @@ def test_radius_clip_leaves_out_the_small():
         torch.testing.assert_close(rasterization(**(a | few))[0][c], clipped[c], atol=0, rtol=0)
 
 
-def test_what_means_nothing_on_a_cpu_changes_nothing():
+def test_what_means_nothing_on_a_cpu_changes_nothing(arguments):
     a = arguments()
     idle = {"packed": False, "tile_size": 8, "sparse_grad": True, "channel_chunk": 4}
     idle |= {"segmented": True, "rolling_shutter": SimpleNamespace(name="GLOBAL")}
@@ -224,17 +131,17 @@ def test_what_means_nothing_on_a_cpu_changes_nothing():
 
 
 @pytest.mark.parametrize("threads", [1, 2])
-def test_same_bits_with_any_torch_threads(threads):
+def test_same_bits_with_any_torch_threads(arguments, threads):
     before = torch.get_num_threads()
     torch.set_num_threads(threads)
     try:
-        found = many_bits()
+        found = many_bits(arguments)
     finally:
         torch.set_num_threads(before)
-    assert found == many_bits()
+    assert found == many_bits(arguments)
 
 
-def many_bits():
+def many_bits(arguments):
     a = arguments(torch.float32, degree=1)
     copies = 200  # enough for torch to share work among threads
     for name in ("means", "quats", "scales", "opacities", "colors"):
@@ -250,7 +157,7 @@ def many_bits():
     return [p.detach().numpy().tobytes() for p in parts]
 
 
-def test_unsupported_arguments_raise():
+def test_unsupported_arguments_raise(arguments):
     a = arguments()
     wrong = {"distributed": True, "with_ut": True}
     wrong |= {"with_eval3d": True, "radial_coeffs": torch.zeros(C, 6), "viewmats_rs": a["viewmats"]}
@@ -263,7 +170,7 @@ def test_unsupported_arguments_raise():
             rasterization(**a, **{name: "ftheta"})
 
 
-def test_wrong_shapes_and_kinds_are_named_as_the_caller_named_them():
+def test_wrong_shapes_and_kinds_are_named_as_the_caller_named_them(arguments):
     a = arguments()
     bad = a["means"].detach().clone()
     bad[7, 1] = float("nan")
@@ -295,97 +202,8 @@ def test_wrong_shapes_and_kinds_are_named_as_the_caller_named_them():
             rasterization(**(a | changed))
 
 
-def test_packed_meta_has_the_rows_of_those_in_the_pictures():
-    a = arguments(degree=None)
-    a["means"] = (a["means"] + torch.tensor([0.7, 0, 0])).detach().requires_grad_()
-    w = torch.randn(C, H, W, 3, generator=torch.Generator().manual_seed(2)).double()
-    found = {}
-    for packed in (True, False):
-        for x in a.values():
-            if isinstance(x, torch.Tensor):
-                x.grad = None
-        colors, _, meta = rasterization(**a, packed=packed, absgrad=True)
-        meta["means2d"].retain_grad()
-        (colors * w).sum().backward()
-        found[packed] = {k: v.grad for k, v in a.items() if isinstance(v, torch.Tensor)}, meta
-    (packed_by, packed), (by, whole) = found[True], found[False]
-    for name, grad in by.items():
-        assert torch.equal(grad, packed_by[name]), name
-    seen = (whole["radii"] > 0).all(dim=-1)
-    assert seen.any() and not seen.all()
-    assert torch.equal(
-        torch.stack([packed["camera_ids"], packed["gaussian_ids"]]).T, seen.nonzero()
-    )
-    assert (packed["batch_ids"] == 0).all() and whole["gaussian_ids"] is None
-    for name in ("means2d", "depths", "radii", "conics", "opacities"):
-        assert torch.equal(packed[name], whole[name][seen]), name
-    for name in ("grad", "absgrad"):
-        mine, theirs = (getattr(meta["means2d"], name) for meta in (packed, whole))
-        assert torch.equal(mine, theirs[seen]), name
-
-
-def test_hooks_and_losses_on_means2d_are_heard():
-    """Each part of its gradient reaches the means once, whatever else is added or taken."""
-    a = arguments()
-    w = torch.randn(C, H, W, 3, generator=torch.Generator().manual_seed(2)).double()
-    parts = {}
-    for name, by_picture, by_node in (("picture", 1, 0), ("node", 0, 1), ("both", 1, 3)):
-        colors, _, meta = rasterization(**a, packed=False)
-        loss = by_picture * (colors * w).sum() + by_node * meta["means2d"].sin().sum()
-        parts[name] = gradients(loss, a)
-    colors, _, meta = rasterization(**a, packed=False)
-    meta["means2d"].register_hook(lambda grad: 0 * grad)
-    parts["cut"] = gradients((colors * w).sum(), a)
-    for name in ("means", "viewmats", "Ks"):
-        total = parts["picture"][name] + 3 * parts["node"][name]
-        torch.testing.assert_close(parts["both"][name], total, rtol=1e-9, atol=1e-9)
-        assert (parts["cut"][name] - parts["picture"][name]).abs().max() > 1e-3
-
-
 @pytest.mark.parametrize("packed", [True, False])
-def test_one_thread_copies_the_gradient_that_is_kept_and_then_all_come_back(packed):
-    a, before, seen = arguments(), torch.get_num_threads(), []
-
-    def called(hook=lambda _: seen.append(torch.get_num_threads()), keep=True):
-        colors, _, meta = rasterization(**a, packed=packed)
-        meta["means2d"].register_hook(hook)
-        if keep:
-            meta["means2d"].retain_grad()
-        return colors.sum(), meta["means2d"]
-
-    def refuse(_):
-        raise ZeroDivisionError
-
-    torch.set_num_threads(3)
-    try:
-        for keep in (True, False):
-            loss, node = called(keep=keep)  # who holds the node has its gradient kept
-            loss.backward()
-        assert seen == [1, 3] and torch.get_num_threads() == 3
-        torch.autograd.grad(*called())  # nothing comes after the node
-        assert torch.get_num_threads() == 3
-        loss, node = called(refuse)
-        with pytest.raises(ZeroDivisionError):
-            loss.backward()
-        assert torch.get_num_threads() == 3
-    finally:
-        torch.set_num_threads(before)
-
-
-@pytest.mark.parametrize("packed", [True, False])
-def test_means2d_has_a_gradient_where_means_and_cameras_are_frozen(packed):
-    a = arguments()
-    a = {k: v.detach() if isinstance(v, torch.Tensor) else v for k, v in a.items()}
-    a["colors"].requires_grad_()
-    colors, _, meta = rasterization(**a, packed=packed)
-    meta["means2d"].retain_grad()
-    colors.sum().backward()
-    assert meta["means2d"].grad.abs().sum() > 0 and a["colors"].grad.abs().sum() > 0
-    assert not rasterization(**(a | {"colors": a["colors"].detach()}))[2]["means2d"].requires_grad
-
-
-@pytest.mark.parametrize("packed", [True, False])
-def test_leading_dimensions_are_a_batch(packed):
+def test_leading_dimensions_are_a_batch(arguments, packed):
     a = arguments()
     few = {k: v.detach() for k, v in a.items() if isinstance(v, torch.Tensor)}
     moved = few | {"means": 0.9 * few["means"], "opacities": 0.5 * few["opacities"]}
@@ -405,43 +223,7 @@ def test_leading_dimensions_are_a_batch(packed):
     assert meta["isect_offsets"].shape == (2, 1, C, 3, 3)
 
 
-def test_tiles_list_who_touches_them_front_to_back():
-    """gsplat's lists, against a loop over all tiles and Gaussians."""
-    a, size = arguments(), 8
-    _, _, meta = rasterization(**a, packed=False, tile_size=size)
-    columns, rows = meta["tile_width"], meta["tile_height"]
-    assert (columns, rows) == (3, 3)
-    ids, k = meta["flatten_ids"].tolist(), 0
-    u, radii, depths = (meta[name].detach() for name in ("means2d", "radii", "depths"))
-    touched = torch.zeros(C, N, dtype=torch.int32)
-    for c in range(C):
-        for y in range(rows):
-            for x in range(columns):
-                low = torch.tensor([x, y]) * size
-                inside = (u[c] + radii[c] > low) & (u[c] - radii[c] < low + size)
-                here = (inside & (radii[c] > 0)).all(dim=1).nonzero()[:, 0]
-                here = here[torch.sort(depths[c][here].float(), stable=True).indices]
-                touched[c, here] += 1
-                assert meta["isect_offsets"][c, y, x] == k
-                assert ids[k : k + len(here)] == (here + c * N).tolist()
-                k += len(here)
-    assert k == len(ids) == len(meta["isect_ids"]) and k > N
-    assert torch.equal(meta["tiles_per_gauss"], touched)
-    assert (meta["isect_ids"].diff() >= 0).all()
-
-
-def test_meta_is_a_dictionary():
-    meta = rasterization(**arguments())[2]
-    assert {"radii", "isect_ids", "means2d"} <= set(meta) and len(meta) == len(dict(meta))
-    assert meta["radii"] is meta["radii"] and meta.get("nothing") is None
-    meta["radii"] = 1
-    del meta["conics"]
-    assert meta["radii"] == 1 and "conics" not in meta
-    with pytest.raises(KeyError):
-        meta["conics"]
-
-
-def test_nothing_is_a_picture_too():
+def test_nothing_is_a_picture_too(arguments):
     a = {
         k: v.detach()[:0] if k in "means quats scales opacities colors".split() else v
         for k, v in arguments().items()
@@ -455,24 +237,10 @@ def test_nothing_is_a_picture_too():
 
 
 @pytest.mark.parametrize("name", ["means", "colors", "viewmats"])
-def test_torch_func_goes_through(name):
+def test_torch_func_goes_through(arguments, gradients, name):
     a = arguments()
     loss = lambda x: rasterization(**(a | {name: x}))[0].square().sum()
     expected = gradients(loss(a[name]), a)[name]
     fixed = {k: v.detach() if isinstance(v, torch.Tensor) else v for k, v in a.items()}
     loss = lambda x: rasterization(**(fixed | {name: x}))[0].square().sum()
     assert torch.equal(torch.func.grad(loss)(fixed[name]), expected)
-
-
-@pytest.mark.parametrize("packed", [True, False])
-def test_nothing_stays_in_memory_when_the_caller_lets_go(packed):
-    a = arguments()
-    a["viewmats"], a["Ks"] = (a[name].detach()[:1] for name in ("viewmats", "Ks"))
-    colors, _, meta = rasterization(**a, packed=packed, absgrad=True)
-    meta["means2d"].retain_grad()
-    colors.sum().backward()
-    alive = weakref.ref(meta["means2d"])
-    assert alive().absgrad is not None
-    del colors, meta, _
-    gc.collect()
-    assert alive() is None

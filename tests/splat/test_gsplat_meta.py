@@ -1,0 +1,221 @@
+"""The dictionary that gsplat's call gives back: its rows, and means2d as a node of the graph."""
+
+import gc
+import weakref
+
+import numpy as np
+import pytest
+import torch
+
+from gva_mi.splat import Screen, rasterization, reference, render
+from gva_mi.splat.gaussians import Gaussians
+
+W, H, N, C = 24, 17, 30, 2  # of the arguments
+
+
+def test_meta(arguments, camera_of):
+    a = arguments()
+    _, _, meta = rasterization(**a, packed=False)
+    assert (meta["width"], meta["height"], meta["n_cameras"]) == (W, H, C)
+    assert meta["radii"].shape == (C, N, 2) and meta["radii"].dtype == torch.int32
+    for c in range(C):
+        camera = camera_of(a, c)
+        x = a["means"].detach().numpy() @ camera.T_camera_world[:3, :3].T
+        x += camera.T_camera_world[:3, 3]
+        np.testing.assert_allclose(meta["depths"][c].detach(), x[:, 2], rtol=1e-12)
+        projected = camera.project(a["means"].detach().numpy())
+        np.testing.assert_allclose(meta["means2d"][c].detach(), projected, rtol=1e-11)
+        screen = Screen()
+        g = Gaussians(a["means"], a["quats"], a["scales"], a["opacities"], a["colors"])
+        render(g, camera, screen=screen)
+        assert ((meta["radii"][c] > 0).all(dim=1) | ~screen.visible).all()
+        R = torch.tensor(camera.T_camera_world[:3, :3])
+        for i in torch.nonzero(screen.visible)[:, 0].tolist():
+            parts = (torch.tensor(x[i]), reference._covariances(g)[i], R, camera)
+            C2 = reference._project(*parts, torch.tensor(camera.K))[1].detach()
+            C2 = C2 + 0.3 * torch.eye(2, dtype=torch.float64)
+            conic = torch.linalg.inv(C2)[[0, 0, 1], [0, 1, 1]]
+            torch.testing.assert_close(meta["conics"][c, i], conic, rtol=1e-9, atol=1e-12)
+            reach = torch.sqrt(2 * torch.log(255 * a["opacities"][i]) * torch.diagonal(C2))
+            assert (meta["radii"][c, i] == torch.ceil(reach)).all()
+    torch.testing.assert_close(meta["opacities"], a["opacities"].expand(C, N))
+    faded = rasterization(**a, rasterize_mode="antialiased", packed=False)[2]["opacities"]
+    assert (faded <= meta["opacities"] * (1 + 1e-12)).all() and (faded > 0).all()
+
+
+def test_means2d_is_a_node_of_the_graph(arguments, camera_of):
+    a = arguments()
+    colors, _, meta = rasterization(**a, absgrad=True, packed=False)
+    meta["means2d"].retain_grad()
+    w = torch.randn(colors.shape, generator=torch.Generator().manual_seed(2)).double()
+    (colors * w).sum().backward()
+    for c in range(C):
+        screen = Screen(absolute=True)
+        g = Gaussians(*(a[k].detach().requires_grad_() for k in list(a)[:5]))
+        (render(g, camera_of(a, c), screen=screen).color * w[c]).sum().backward()
+        torch.testing.assert_close(meta["means2d"].grad[c], screen.grad)
+        torch.testing.assert_close(meta["means2d"].absgrad[c], screen.absgrad)
+
+
+def test_a_loss_on_means2d_and_depths_reaches_means_and_cameras(arguments, gradients):
+    a = arguments()
+    for name in ("means2d", "depths"):
+        g = gradients(rasterization(**a, packed=False)[2][name].square().sum(), a)
+        assert g["means"].abs().min() > 0 and (g["viewmats"][:, 2].abs() > 0).all()
+
+
+def test_absolute_gradient_of_one_pixel_is_the_gradients_absolute(arguments, camera_of):
+    """And that of a picture is the sum over its pixels."""
+    a = arguments()
+    g = Gaussians(*(a[k] for k in list(a)[:5]))
+    camera = camera_of(a, 0)
+    screen = Screen(absolute=True)
+    image = render(g, camera, screen=screen)
+    total = 0
+    for y in range(H):
+        for x in range(W):
+            loss = image.color[y, x].sum() + image.depth[y, x]
+            torch.autograd.grad(loss, a["means"], retain_graph=True)
+            torch.testing.assert_close(screen.absgrad, screen.grad.abs())
+            total = total + screen.absgrad
+    torch.autograd.grad(image.color.sum() + image.depth.sum(), a["means"])
+    torch.testing.assert_close(screen.absgrad, total)
+
+
+def test_packed_meta_has_the_rows_of_those_in_the_pictures(arguments):
+    a = arguments(degree=None)
+    a["means"] = (a["means"] + torch.tensor([0.7, 0, 0])).detach().requires_grad_()
+    w = torch.randn(C, H, W, 3, generator=torch.Generator().manual_seed(2)).double()
+    found = {}
+    for packed in (True, False):
+        for x in a.values():
+            if isinstance(x, torch.Tensor):
+                x.grad = None
+        colors, _, meta = rasterization(**a, packed=packed, absgrad=True)
+        meta["means2d"].retain_grad()
+        (colors * w).sum().backward()
+        found[packed] = {k: v.grad for k, v in a.items() if isinstance(v, torch.Tensor)}, meta
+    (packed_by, packed), (by, whole) = found[True], found[False]
+    for name, grad in by.items():
+        assert torch.equal(grad, packed_by[name]), name
+    seen = (whole["radii"] > 0).all(dim=-1)
+    assert seen.any() and not seen.all()
+    assert torch.equal(
+        torch.stack([packed["camera_ids"], packed["gaussian_ids"]]).T, seen.nonzero()
+    )
+    assert (packed["batch_ids"] == 0).all() and whole["gaussian_ids"] is None
+    for name in ("means2d", "depths", "radii", "conics", "opacities"):
+        assert torch.equal(packed[name], whole[name][seen]), name
+    for name in ("grad", "absgrad"):
+        mine, theirs = (getattr(meta["means2d"], name) for meta in (packed, whole))
+        assert torch.equal(mine, theirs[seen]), name
+
+
+def test_hooks_and_losses_on_means2d_are_heard(arguments, gradients):
+    """Each part of its gradient reaches the means once, whatever else is added or taken."""
+    a = arguments()
+    w = torch.randn(C, H, W, 3, generator=torch.Generator().manual_seed(2)).double()
+    parts = {}
+    for name, by_picture, by_node in (("picture", 1, 0), ("node", 0, 1), ("both", 1, 3)):
+        colors, _, meta = rasterization(**a, packed=False)
+        loss = by_picture * (colors * w).sum() + by_node * meta["means2d"].sin().sum()
+        parts[name] = gradients(loss, a)
+    colors, _, meta = rasterization(**a, packed=False)
+    meta["means2d"].register_hook(lambda grad: 0 * grad)
+    parts["cut"] = gradients((colors * w).sum(), a)
+    for name in ("means", "viewmats", "Ks"):
+        total = parts["picture"][name] + 3 * parts["node"][name]
+        torch.testing.assert_close(parts["both"][name], total, rtol=1e-9, atol=1e-9)
+        assert (parts["cut"][name] - parts["picture"][name]).abs().max() > 1e-3
+
+
+@pytest.mark.parametrize("packed", [True, False])
+def test_one_thread_copies_the_gradient_that_is_kept_and_then_all_come_back(arguments, packed):
+    a, before, seen = arguments(), torch.get_num_threads(), []
+
+    def called(hook=lambda _: seen.append(torch.get_num_threads()), keep=True):
+        colors, _, meta = rasterization(**a, packed=packed)
+        meta["means2d"].register_hook(hook)
+        if keep:
+            meta["means2d"].retain_grad()
+        return colors.sum(), meta["means2d"]
+
+    def refuse(_):
+        raise ZeroDivisionError
+
+    torch.set_num_threads(3)
+    try:
+        for keep in (True, False):
+            loss, node = called(keep=keep)  # who holds the node has its gradient kept
+            loss.backward()
+        assert seen == [1, 3] and torch.get_num_threads() == 3
+        torch.autograd.grad(*called())  # nothing comes after the node
+        assert torch.get_num_threads() == 3
+        loss, node = called(refuse)
+        with pytest.raises(ZeroDivisionError):
+            loss.backward()
+        assert torch.get_num_threads() == 3
+    finally:
+        torch.set_num_threads(before)
+
+
+@pytest.mark.parametrize("packed", [True, False])
+def test_means2d_has_a_gradient_where_means_and_cameras_are_frozen(arguments, packed):
+    a = arguments()
+    a = {k: v.detach() if isinstance(v, torch.Tensor) else v for k, v in a.items()}
+    a["colors"].requires_grad_()
+    colors, _, meta = rasterization(**a, packed=packed)
+    meta["means2d"].retain_grad()
+    colors.sum().backward()
+    assert meta["means2d"].grad.abs().sum() > 0 and a["colors"].grad.abs().sum() > 0
+    assert not rasterization(**(a | {"colors": a["colors"].detach()}))[2]["means2d"].requires_grad
+
+
+def test_tiles_list_who_touches_them_front_to_back(arguments):
+    """gsplat's lists, against a loop over all tiles and Gaussians."""
+    a, size = arguments(), 8
+    _, _, meta = rasterization(**a, packed=False, tile_size=size)
+    columns, rows = meta["tile_width"], meta["tile_height"]
+    assert (columns, rows) == (3, 3)
+    ids, k = meta["flatten_ids"].tolist(), 0
+    u, radii, depths = (meta[name].detach() for name in ("means2d", "radii", "depths"))
+    touched = torch.zeros(C, N, dtype=torch.int32)
+    for c in range(C):
+        for y in range(rows):
+            for x in range(columns):
+                low = torch.tensor([x, y]) * size
+                inside = (u[c] + radii[c] > low) & (u[c] - radii[c] < low + size)
+                here = (inside & (radii[c] > 0)).all(dim=1).nonzero()[:, 0]
+                here = here[torch.sort(depths[c][here].float(), stable=True).indices]
+                touched[c, here] += 1
+                assert meta["isect_offsets"][c, y, x] == k
+                assert ids[k : k + len(here)] == (here + c * N).tolist()
+                k += len(here)
+    assert k == len(ids) == len(meta["isect_ids"]) and k > N
+    assert torch.equal(meta["tiles_per_gauss"], touched)
+    assert (meta["isect_ids"].diff() >= 0).all()
+
+
+def test_meta_is_a_dictionary(arguments):
+    meta = rasterization(**arguments())[2]
+    assert {"radii", "isect_ids", "means2d"} <= set(meta) and len(meta) == len(dict(meta))
+    assert meta["radii"] is meta["radii"] and meta.get("nothing") is None
+    meta["radii"] = 1
+    del meta["conics"]
+    assert meta["radii"] == 1 and "conics" not in meta
+    with pytest.raises(KeyError):
+        meta["conics"]
+
+
+@pytest.mark.parametrize("packed", [True, False])
+def test_nothing_stays_in_memory_when_the_caller_lets_go(arguments, packed):
+    a = arguments()
+    a["viewmats"], a["Ks"] = (a[name].detach()[:1] for name in ("viewmats", "Ks"))
+    colors, _, meta = rasterization(**a, packed=packed, absgrad=True)
+    meta["means2d"].retain_grad()
+    colors.sum().backward()
+    alive = weakref.ref(meta["means2d"])
+    assert alive().absgrad is not None
+    del colors, meta, _
+    gc.collect()
+    assert alive() is None

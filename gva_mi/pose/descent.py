@@ -13,8 +13,8 @@ and ``E`` becomes what that tells; then details are looked at, too. Before, ``E`
 counts for less: where it were believed, small motions would be taken for errors, and what pictures
 corrected would tell no more than the guess. Half as many passes later it is asked once more.
 
-In the first passes, turns that are the same in all frames are held, too, where it is not known what
-the person wears: the surface would adapt to them, and keep them there.
+In the first half of these passes, turns that are the same in all frames are held, too, where it is
+not known what the person wears: the surface would adapt to them, and keep them there.
 
 How well a frame agrees with a pose, ``L_k``, is for the evidence to say: masks and normals of the
 posed body (:mod:`gva_mi.pose.sequence`), or pictures under a splatted avatar
@@ -46,6 +46,7 @@ from gva_mi.splat import Camera
 BETAS = (0.9, 0.99)  # Adam's
 GUESSED = 0.2  # weight of E before pictures have shown anything
 AGAIN = 1.5  # times the passes after which it is inferred first: when it is inferred once more
+HELD = 0.5  # of these passes, in which turns that are the same in all frames may be held
 
 
 # Ranges of the options that all ways of fitting poses have.
@@ -177,7 +178,7 @@ def descend(
             corrections.stand_on(evidence.soles)
         loss = evidence.loss([frames[i] for i in batch], corrections.pose(batch))
         loss = loss + nat * corrections.energy(evidence.size_known) + evidence.energy()
-        if step < learnt // 2 and not evidence.surface_known:
+        if step < int(HELD * learnt) and not evidence.surface_known:
             loss = loss + options.nat * corrections.same_in_all()
         loss.backward()
         adam.step(options.decay ** (step / len(batches)))

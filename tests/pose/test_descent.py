@@ -9,9 +9,12 @@ from gva_mi.body.pose import JOINTS, Pose
 from gva_mi.pose import SequenceOptions
 from gva_mi.pose.anatomy import Anatomy
 from gva_mi.pose.descent import descend, with_frames, worse_frames
+from gva_mi.pose.stage1 import Stage1, turns_between
 
 ARMS = torch.full((55,), 0.3)
 ELBOW = JOINTS.index("left_elbow")
+HIP = JOINTS.index("left_hip")
+FRAMES = 24
 FREE = SequenceOptions(
     nat=1e-9, learn=0, passes=200, batch=2, step=0.01, translation_lr=0.01
 )  # nothing but the evidence counts
@@ -152,3 +155,42 @@ def test_poses_that_may_be_right_begin_where_pictures_agree(camera):
     smooth = right * 0  # the jumps are errors
     assert torch.equal(first(smooth, may_be_right=True), first(smooth))
     assert away(first(smooth), smooth) < away(start.transl, smooth)
+
+
+class Leans(Places):
+    """Pictures of a leg that swings want it to lean toward the camera, too, in every frame."""
+
+    def __init__(self, camera, turns, known):
+        super().__init__(camera, range(FRAMES))
+        self.surface_known, self.seen = known, []
+        phase = 2 * torch.pi * torch.arange(FRAMES) / FRAMES
+        self.start = Pose.rest(FRAMES)
+        self.start.rotations[:, 0] = 0
+        self.start.rotations[:, 0, 1] = turns * phase
+        self.start.rotations[:, HIP, 0] = 0.4 * (3 * phase).sin()
+        lean = torch.zeros(FRAMES, len(JOINTS), 3)
+        lean[:, HIP, 0] = 0.2
+        self.lean = Stage1.of(self.start, range(FRAMES), camera).in_joints(lean)[:, HIP]
+
+    def loss(self, frames, pose):
+        turned = turns_between(self.start.rotations[list(frames), HIP], pose.rotations[:, HIP])
+        lean = self.lean[list(frames)]
+        self.seen.append(float((turned.detach() * lean).sum(1).mean() / 0.2**2))
+        return (turned - lean).square().sum(1).mean()
+
+
+def test_what_clothes_would_take_up_waits_until_poses_have_been_looked_for(camera):
+    """Of somebody who turns round, a leg that leans from every side may be a skirt."""
+    options = replace(FREE, nat=1e-2, passes=40, learn=20, batch=4)
+    half = options.learn // 2 * FRAMES // options.batch  # of these passes' steps
+
+    def leans(turns, known):
+        """How far after the first half, and after the second; 1: as far as pictures want."""
+        evidence = Leans(camera, turns, known)
+        descend(evidence, evidence.start, ARMS, options)
+        return [sum(evidence.seen[end - 6 : end]) / 6 for end in (half, 2 * half)]
+
+    waits, then = leans(1, False)
+    known, _ = leans(1, True)
+    assert waits < 0.5 < 0.9 < min(known, then)
+    assert leans(0, False) == pytest.approx(leans(0, True), rel=1e-3)

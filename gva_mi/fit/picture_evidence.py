@@ -102,7 +102,7 @@ class PictureEvidence:
     """
 
     soles: None = None
-    size_known: bool = True  # the avatar's
+    distance_shown: bool = True  # by the avatar's size
     surface_known: bool = True  # likewise
     unseen: Sequence[int] = ()
 

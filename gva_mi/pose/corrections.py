@@ -122,11 +122,11 @@ class Corrections:
         """
         return self._stage1.corrected(which, *self._at(which))
 
-    def energy(self, size_known: bool = False) -> Tensor:
+    def energy(self, distance_shown: bool = False) -> Tensor:
         """What the corrections cost in nats, a mean over the frames.
 
         Args:
-            size_known: whether the person's size is, and with it how far away they are.
+            distance_shown: whether what they agree with tells how far away the person stands.
         """
         turns, moves = self._at(range(len(self.moves)))
         own, beliefs = self._stage1.in_joints(turns), self.beliefs
@@ -140,7 +140,7 @@ class Corrections:
         if beliefs.ground is not None:
             transl = self._stage1.pose.transl + moves @ self._stage1.R_camera_world
             nats = nats + beliefs.ground.energy(rotations, transl)
-        held = self._held(turns[:, pelvis].mean((0, 1)), None if size_known else moves.mean(0))
+        held = self._held(turns[:, pelvis].mean((0, 1)), None if distance_shown else moves.mean(0))
         return nats / len(moves) + held
 
     def same_in_all(self) -> Tensor:

@@ -67,7 +67,7 @@ class Evidence(Protocol):
         anatomy: of the person's joints.
         soles: of the person, as far as the shape is known by now; None: nothing holds the feet.
         shared: the leaves ``s``, each with its learning rate; often none.
-        size_known: whether the person's size is known, so that pictures tell how far away they are.
+        distance_shown: whether it tells how far away the person stands.
         surface_known: whether it is known what the person wears.
         unseen: joints that it does not show for now: their turns stay the likeliest.
     """
@@ -77,7 +77,7 @@ class Evidence(Protocol):
     anatomy: Anatomy
     soles: Soles | None
     shared: Sequence[tuple[Tensor, float]]
-    size_known: bool
+    distance_shown: bool
     surface_known: bool
     unseen: Sequence[int]
 
@@ -177,7 +177,7 @@ def descend(
         if step >= learnt and evidence.soles is not None and step % a_pass == learnt % a_pass:
             corrections.stand_on(evidence.soles)
         loss = evidence.loss([frames[i] for i in batch], corrections.pose(batch))
-        loss = loss + nat * corrections.energy(evidence.size_known) + evidence.energy()
+        loss = loss + nat * corrections.energy(evidence.distance_shown) + evidence.energy()
         if step < int(HELD * learnt) and not evidence.surface_known:
             loss = loss + options.nat * corrections.same_in_all()
         loss.backward()

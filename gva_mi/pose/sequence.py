@@ -174,6 +174,8 @@ class ClothedPerson:
     shared leaves, unless the job knows them from a first round.
     """
 
+    distance_shown = False  # not even where the height is known: they show hair and soles, too
+
     def __init__(self, job: Job, options: SequenceOptions) -> None:
         rest = job.body.rest(job.shape)
         self._job, self._options, self._scene = job, options, job.scene()
@@ -206,11 +208,6 @@ class ClothedPerson:
     def soles(self) -> Soles:
         """The soles of this shape."""
         return Soles.of(self._job.body.rest(self.shape), self._job.body.weights)
-
-    @property
-    def size_known(self) -> bool:
-        """By the height."""
-        return self._options.height is not None
 
     @property
     def surface_known(self) -> bool:

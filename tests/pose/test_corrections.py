@@ -101,12 +101,12 @@ def test_the_face_stays(make, true_pose):
     torch.testing.assert_close(found, true_pose.rotations[:, FACE])
 
 
-def test_to_put_all_frames_elsewhere_costs_unless_the_size_is_known(make, true_pose):
+def test_to_put_all_frames_elsewhere_costs_unless_pictures_show_the_distance(make, true_pose):
     corrections = make(true_pose)
     with torch.no_grad():
-        before = [corrections.energy(size_known) for size_known in (False, True)]
+        before = [corrections.energy(distance_shown) for distance_shown in (False, True)]
         corrections.moves += 0.5
-        after = [corrections.energy(size_known) for size_known in (False, True)]
+        after = [corrections.energy(distance_shown) for distance_shown in (False, True)]
     dear, cheap = (float(b - a) for a, b in zip(before, after, strict=True))
     assert dear > 2 * cheap > 0
 

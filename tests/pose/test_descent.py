@@ -26,7 +26,7 @@ class Places:
     """Frames know where the person stands, and one of them knows an offset of all places."""
 
     anatomy = Anatomy.of(torch.zeros(55, 3))  # all joints in one point: none is held
-    soles, unseen, size_known, surface_known = None, (), False, False
+    soles, unseen, distance_shown, surface_known = None, (), False, False
 
     def __init__(self, camera, frames=(0, 1, 3), share=False):
         self.frames, self.camera, self.visited = frames, camera, []

@@ -30,7 +30,7 @@ joint = JOINTS.index
 class Sight:
     """Frames know where the joints are in the picture, and nothing of how deep."""
 
-    shared, unseen, size_known, surface_known = (), (), False, False
+    shared, unseen, distance_shown, surface_known = (), (), False, False
 
     def __init__(self, person, truth, camera, soles=None):
         self.frames, self.camera, self.anatomy = range(len(truth)), camera, person.anatomy

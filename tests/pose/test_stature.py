@@ -1,5 +1,7 @@
 """A known height decides how far away a person stands."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -75,3 +77,20 @@ def test_a_refinement_keeps_the_height(stature, clip, body):
     assert float(stature.height(refined.shape)) == pytest.approx(height, abs=0.005)
     with pytest.raises(InputError, match="refine: height must be from .* metres, got 178"):
         SequenceOptions(height=178)
+
+
+def test_hair_and_soles_bring_nobody_nearer_whose_height_is_known(stature, clip, body, scene):
+    """They are no part of the body, and pictures of it show them."""
+    pelvis, pictures = body.rest(clip.shape).joints[0], []
+    for k in range(len(clip)):
+        with torch.no_grad():
+            vertices = body(clip.pose[k], clip.shape).vertices[0]
+            centre = pelvis + clip.pose.transl[k]
+            image = scene.render(centre + 1.04 * (vertices - centre), clip.camera).numpy()
+        pictures.append((image[..., 3].copy(), image[..., :3].copy()))
+    options = SequenceOptions(size=96, height=float(stature.height(clip.shape)))
+    refined = refine(replace(clip, pictures=pictures), body, options)
+    sight = torch.from_numpy(clip.camera.T_camera_world[2]).float()
+    nearer = (clip.pose.transl - refined.pose.transl) @ sight[:3]
+    distance = (pelvis + clip.pose.transl) @ sight[:3] + sight[3]
+    assert float((nearer / distance).mean().abs()) < 0.01

@@ -2,16 +2,27 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
+from gva_mi.data.truth import load_truth
+from gva_mi.data.video import load_video
 from gva_mi.errors import InputError
 from gva_mi.pose import SequenceOptions
 from gva_mi.pose.evaluation import study as studies
 from gva_mi.pose.evaluation import study_file
 from gva_mi.pose.evaluation.cases import TUNING
 from gva_mi.pose.evaluation.figures import Change, PoseFigures
-from gva_mi.pose.evaluation.study import CaseResult, StudyOptions, study
+from gva_mi.pose.evaluation.study import (
+    CaseResult,
+    StudyOptions,
+    height_of,
+    study,
+    through_lens_of,
+)
 from gva_mi.pose.evaluation.study_file import load_study, save_study
+from gva_mi.pose.evaluation.subjects import Filming
+from gva_mi.pose.stature import Stature
 
 
 def result(case, noise=1.0, after=20.0):
@@ -87,3 +98,23 @@ def test_a_figure_that_is_not_the_fitted_body_is_judged_by_joints(tmp_path, body
     (found,) = study(tmp_path, stretched[:1], body, options)
     assert found.figures.points == "joints"
     assert 0 < found.figures.surface.stage1 < found.figures.vertices.stage1
+
+
+@pytest.mark.slow
+def test_a_study_that_is_told_height_and_lens_puts_people_where_they_are(tmp_path, body):
+    options = StudyOptions(frames=3, size=48, refine=SequenceOptions(size=48, passes=1), told=True)
+    bare = next(case for case in TUNING if case.take.bare)
+    case = replace(bare, noise="focal", draw=51)
+    video = load_video(Filming(tmp_path, 3, 48).film(case, body))
+    truth = load_truth(video.truth, body)
+    told = through_lens_of(truth, video, body)
+    focal, right = (v.cameras[0].fx / truth.cameras[0].fx for v in (video, told))
+    assert abs(focal - 1) > 0.03 and right == pytest.approx(1)
+    pelvis = [v.pose.transl + body.rest(v.shape).joints[0] for v in (video, told)]
+    seen = [v.cameras[0].project(p.numpy()) for v, p in zip((video, told), pelvis, strict=True)]
+    np.testing.assert_allclose(seen[1], seen[0], atol=1e-3)
+    assert height_of(truth) == pytest.approx(float(Stature.of(body).height(truth.shape)), abs=0.01)
+    (found,) = study(tmp_path, [case], body, options)
+    assert found.figures.focal.refined < 1e-6 < 0.03 < found.figures.focal.stage1
+    depth = found.figures.pelvis_depth
+    assert abs(depth.refined) < 0.5 * abs(depth.stage1)

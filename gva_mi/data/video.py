@@ -28,12 +28,14 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from gva_mi.body.pose import Pose, Shape, load_focal, load_poses
+from gva_mi.data.backdrop import alone
 from gva_mi.data.film import Film
 from gva_mi.data.masks import read_mask
 from gva_mi.data.normals import Convention, NormalMaps, Part
@@ -60,8 +62,12 @@ class Frame:
 
     def on_background(self, color: float | np.ndarray = 1.0) -> np.ndarray:
         """The person alone on a plain background, (H, W, 3); ``color`` is a grey or (3,)."""
-        mask = self.mask[..., None]
-        return self.image * mask + color * (1 - mask)
+        return self.alone + color * (1 - self.mask[..., None])
+
+    @cached_property
+    def alone(self) -> np.ndarray:
+        """The person's colour times the mask, (H, W, 3), without what is behind them."""
+        return alone(self.image, self.mask)
 
 
 @dataclass(frozen=True)

@@ -4,11 +4,12 @@ Reading, decoding and cutting out a frame takes longer than rendering it: every 
 read once, cut to the box of its mask, and kept as 8 bits, those of a long video on disk
 (:mod:`gva_mi.shelf`). When its turn comes, it is composited,
 
-    I = picture · S + background · (1 - S)
+    I = S F + background · (1 - S)
 
-in that part of the picture in which there is something to compare: the person, or a Gaussian that
-strays. Everywhere else render and target are the background, and equal. So a step takes as long as
-the person is large, and not as the room is.
+of the person's colour F (:mod:`gva_mi.data.backdrop`) and their mask S, in that part of the picture
+in which there is something to compare: the person, or a Gaussian that strays. Everywhere else
+render and target are the background, and equal. So a step takes as long as the person is large, and
+not as the room is.
 
 All random numbers of a step come from the run's seed and the step's number alone. A run that is
 resumed therefore draws what an uninterrupted one would have drawn, with no state to save.
@@ -74,7 +75,7 @@ class Sample:
     """What one step of the fit is measured against: a training frame, cut to where its mask is."""
 
     frame: int  # its number in the video
-    picture: Tensor  # (h, w, 3) uint8
+    person: Tensor  # (h, w, 3) uint8, their colour times the mask
     mask: Tensor  # (h, w) uint8
     box: Box  # where in the whole picture they lie
     area: int  # pixels of the person's box
@@ -89,10 +90,8 @@ class Sample:
         rows, columns = within(self.box, part)
         mask, color = torch.zeros(H, W), self.background.expand(H, W, 3).contiguous()
         mask[rows, columns] = self.mask.float() / 255
-        picture = self.picture.float() / 255
-        color[rows, columns] = torch.lerp(
-            self.background.expand_as(picture), picture, mask[rows, columns, None]
-        )
+        behind = (1 - mask[rows, columns, None]) * self.background
+        color[rows, columns] = self.person.float() / 255 + behind
         return Target(color, mask, part.cut_camera(self.camera), within(self.window, part))
 
 
@@ -127,7 +126,7 @@ class Samples:
             mask = _to_8bit(frame.mask)
             self.boxes.append(_box_of(mask > 127))
             kept = _box_of(mask > 0)
-            self._kept[k] = _to_8bit(kept.cut(frame.image)), kept.cut(mask).clone(), kept
+            self._kept[k] = _to_8bit(kept.cut(frame.alone)), kept.cut(mask).clone(), kept
 
     def __len__(self) -> int:
         return len(self.frames)

@@ -1,0 +1,53 @@
+"""Whatever somebody was filmed before, they are cut out in their own colours."""
+
+import numpy as np
+import pytest
+
+from gva_mi.data.backdrop import alone
+
+H, W = 24, 32
+
+
+@pytest.fixture
+def person():
+    """Colours (H, W, 3) in [0, 1], and how much of each pixel is theirs (H, W): a soft disk."""
+    random = np.random.default_rng(0)
+    y, x = np.mgrid[:H, :W]
+    mask = (6.5 - np.hypot(y - 11.3, x - 15.8)).clip(0, 1).astype(np.float32)
+    return random.uniform(0, 1, (H, W, 3)).astype(np.float32), mask
+
+
+@pytest.mark.parametrize("backdrop", [0.0, 1.0, np.float32([0.2, 0.9, 0.4])])
+def test_a_person_before_any_wall_is_the_same_person(person, backdrop):
+    F, S = person[0], person[1][..., None]
+    assert ((S > 0.05) & (S < 0.95)).sum() > 20
+    np.testing.assert_allclose(alone(S * F + (1 - S) * backdrop, S[..., 0]), S * F, atol=1e-6)
+
+
+def test_before_a_wall_of_many_colours_most_of_it_goes(person):
+    F, S = person[0], person[1][..., None]
+    x = np.linspace(0, 1, W, dtype=np.float32)[None, :, None]
+    wall = np.broadcast_to(np.concatenate([x, 1 - x, 0.5 + 0 * x], -1), F.shape)
+    image = S * F + (1 - S) * wall
+    left = [np.abs(found - S * F).max() for found in (alone(image, S[..., 0]), S * image)]
+    assert left[0] < 0.4 * left[1]
+
+
+def test_what_is_left_is_never_negative_nor_brighter_than_white(person):
+    random = np.random.default_rng(1)
+    found = alone(random.uniform(0, 1, (H, W, 3)).astype(np.float32), person[1])
+    assert found.min() >= 0 and (found <= person[1][..., None]).all()
+
+
+def test_a_hard_mask_cuts(person):
+    hard = (person[1] > 0.5).astype(np.float32)
+    assert np.array_equal(alone(person[0], hard), person[0] * hard[..., None])
+
+
+def test_where_no_wall_is_seen_the_picture_counts_as_it_is(person):
+    everywhere = np.full((H, W), 0.5, np.float32)
+    np.testing.assert_allclose(alone(person[0], everywhere), 0.5 * person[0])
+
+
+def test_nobody_leaves_nothing(person):
+    assert not alone(person[0], np.zeros((H, W), np.float32)).any()

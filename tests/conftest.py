@@ -165,13 +165,13 @@ def subject(tmp_path_factory, known, camera, turning):
     from gva_mi.body.pose import save_poses
     from gva_mi.data.pictures import write_image
     from gva_mi.data.video import save_cameras
-    from gva_mi.fit.renders import to_8bit
+    from gva_mi.fit.renders import DRAWN, to_8bit
     from gva_mi.splat import render
 
     folder, (pose, shape) = tmp_path_factory.mktemp("subject"), turning(6)
     for k in range(len(pose)):
         with torch.no_grad():
-            image = render(known(pose[k]), camera, background=torch.full((3,), 0.3))
+            image = render(known(pose[k]), camera, DRAWN, torch.full((3,), 0.3))
         write_image(folder / f"frames/{k:06d}.png", to_8bit(image.color.numpy()))
         write_image(folder / f"masks/{k:06d}.png", to_8bit(image.alpha.numpy()))
     save_poses(folder / "poses.npz", pose, shape, stage=1)

@@ -92,7 +92,7 @@ def bench_fit(repeats: int, seed: int, gaussians: int = 20_000, size: int = 512)
     with tempfile.TemporaryDirectory() as folder, one_torch_thread():
         video = _turning(Path(folder), body, seeds, size)
         run = Run(video, body, options, None, None)
-        samples = Samples(video, video.splits.train, seed, True, options.window)
+        samples = Samples(video, video.splits.train, seed, True, options.window, options.mask_error)
         stages = _stages(run, samples, repeats)
         step = _steps(run, samples, repeats)
         driven = _driven(run, video, repeats)
@@ -138,17 +138,18 @@ def _stages(run: Run, samples: Samples, repeats: int) -> tuple[Stage, ...]:
         with clock("target"):
             target = sample.target(g)
         with clock("splatting"):
-            image = render(g, target.camera, run.options.splat, sample.background, Screen())
+            image = render(g, target.camera, run.options.splat, screen=Screen())
+        seen = image.color, image.alpha
         for name, loss in weights.items():
             with clock(name):
                 losses = render_losses(
-                    image, target.color, target.mask, animated.residual, loss, distance,
-                    target.window, sample.area,
+                    target.before_background(image), target.color, target.mask,
+                    animated.residual, loss, distance, target.window, sample.area,
                 )  # fmt: skip
-                (grad,) = torch.autograd.grad(losses.total(loss), image.color)
+                grad = torch.autograd.grad(losses.total(loss), seen)
         leaves = tuple(g.arrays().values())
         with clock("splatting, back"):
-            grads = torch.autograd.grad(image.color, leaves, grad)
+            grads = torch.autograd.grad(seen, leaves, grad)
         with clock("avatar and pose, back"):
             torch.autograd.backward(leaves, grads)
         with clock("Adam"):

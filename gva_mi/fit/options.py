@@ -12,12 +12,12 @@ from gva_mi.avatar.reinit import ReinitOptions
 from gva_mi.errors import InputError
 from gva_mi.fit.losses import LossOptions
 from gva_mi.fit.poses import PoseOptions
+from gva_mi.fit.renders import DRAWN
 from gva_mi.ranges import InnerShare, Rate, Seed, Share, Within, require_ranges
 from gva_mi.splat import SplatOptions
 
 # Defaults of the parts in a fit, where they differ from the parts' own.
 REINIT = ReinitOptions(floater_sigmas=3.0)  # 2 tears holes into a skirt
-SPLAT = SplatOptions(depth=False)  # no term of the loss looks at the depth
 
 FallingRate = Annotated[float, Within(0, 1, "low")]
 Every = Annotated[int, Within(0, 1_000_000)]  # steps
@@ -92,6 +92,8 @@ class FitOptions:
     finest: Annotated[float, Within(0, 100)] = 0.6
     # Pixels, side of the random part seen by the perceptual and SSIM terms.
     window: Annotated[int, Within(11, 4096)] = 96
+    # Of the person's size: how far outlines of masks may be off; there the picture is believed.
+    mask_error: Annotated[float, Within(0, 0.2)] = 0.01
     # Steps with the perceptual term, which takes longer than the render.
     perceptual_every: FromOne = 4
     vgg16: Path | None = None  # the user's VGG16 weights for the perceptual term; none: rand_vgg
@@ -102,7 +104,7 @@ class FitOptions:
     densify: DensifyOptions = DensifyOptions()
     reinit: ReinitOptions = REINIT
     loss: LossOptions = LossOptions()
-    splat: SplatOptions = SPLAT
+    splat: SplatOptions = DRAWN
     poses: PoseOptions = PoseOptions()
 
     def __post_init__(self) -> None:

@@ -37,13 +37,13 @@ from gva_mi.body.pose import Pose
 from gva_mi.data.video import Frame
 from gva_mi.fit.faces import Face, FaceSteps
 from gva_mi.fit.losses import ssim
+from gva_mi.fit.renders import DRAWN
 from gva_mi.pose.anatomy import Anatomy
 from gva_mi.pose.crop import NoEvidence, person_box
-from gva_mi.splat import Camera, SplatOptions, render
+from gva_mi.splat import Camera, render
 
 MARGIN = 0.1  # of the box around the person, added on each side
 SMALLEST_SIDE = 16  # pixels of that box
-SPLAT = SplatOptions(depth=False)
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class PictureAndMask:
     def loss(self, avatar: Avatar, pose: Pose, weights: PictureWeights) -> Tensor:
         """Eq. 2 for a pose of one frame."""
         picture, mask = self.picture.float() / 255, self.mask.float() / 255
-        image = render(avatar(pose), self.camera, SPLAT)
+        image = render(avatar(pose), self.camera, DRAWN)
         over = image.color + (1 - image.alpha)[..., None] * picture
         loss = (over - picture).abs().mean()
         if weights.alpha:

@@ -14,6 +14,9 @@ from gva_mi.data.video import Frame
 from gva_mi.fit.camera_paths import Shot
 from gva_mi.splat import Camera, Gaussians, SplatOptions, render
 
+# How avatars are drawn, in a fit and after it. The area of a pixel has a variance of 1/12; the 0.3
+# of 3DGS makes outlines wider than pictures show them.
+DRAWN = SplatOptions(blur=0.1, depth=False)
 WHITE, BLACK = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
 
 
@@ -26,7 +29,7 @@ def render_frame(
     options: SplatOptions | None = None,
 ) -> np.ndarray:
     """The avatar in one pose (of one frame), seen by one camera: 8-bit (H, W, 3)."""
-    image = render(avatar(pose), camera, options or SplatOptions(), torch.tensor(background))
+    image = render(avatar(pose), camera, options or DRAWN, torch.tensor(background))
     return to_8bit(image.color.numpy())
 
 
@@ -43,7 +46,7 @@ def layer_of(
     gaussians: Gaussians, camera: Camera, options: SplatOptions | None = None
 ) -> np.ndarray:
     """The same of Gaussians in the world."""
-    image = render(gaussians, camera, options or SplatOptions(depth=False))
+    image = render(gaussians, camera, options or DRAWN)
     return np.concatenate([image.color.numpy(), image.alpha.numpy()[..., None]], axis=2)
 
 

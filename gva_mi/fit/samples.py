@@ -1,15 +1,21 @@
 """The pictures that a fit is measured against, kept at hand and served one a step.
 
 Reading, decoding and cutting out a frame takes longer than rendering it: every training frame is
-read once, cut to the box of its mask, and kept as 8 bits, those of a long video on disk
-(:mod:`gva_mi.shelf`). When its turn comes, it is composited,
+read once, cut to the box around its mask, and kept as 8 bits, those of a long video on disk
+(:mod:`gva_mi.shelf`). When its turn comes, it is laid on a background of another colour than the
+last, so that alpha is learned:
 
-    I = S F + background · (1 - S)
+1. ``I = S P + (1 - S) b``   on the background ``b``
+2. ``I = P``                 on the background ``B``, where the mask is unsure
 
-of the person's colour F (:mod:`gva_mi.data.backdrop`) and their mask S, in that part of the picture
-in which there is something to compare: the person, or a Gaussian that strays. Everywhere else
-render and target are the background, and equal. So a step takes as long as the person is large, and
-not as the room is.
+of the picture P and the person's mask S. Masks are off by some pixels along the outline, by others
+in each frame, and who cuts by them blurs the avatar's edge. The picture itself shows where the
+person ends, to a share of a pixel, if the render is laid over what is behind them, B
+(:mod:`gva_mi.data.backdrop`). So eq. 1 holds for what is plainly inside or outside.
+
+This is done in that part of the picture in which there is something to compare: the person, or a
+Gaussian that strays. Everywhere else render and target are the background, and equal. So a step
+takes as long as the person is large, and not as the room is.
 
 All random numbers of a step come from the run's seed and the step's number alone. A run that is
 resumed therefore draws what an uninterrupted one would have drawn, with no state to save.
@@ -17,9 +23,10 @@ resumed therefore draws what an uninterrupted one would have drawn, with no stat
 
 from __future__ import annotations
 
+import math
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from pathlib import Path
 
@@ -27,11 +34,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from gva_mi.data import backdrop
 from gva_mi.data.video import Video
 from gva_mi.fit.losses import Window
 from gva_mi.pose.crop import Box, Extent
 from gva_mi.shelf import Shelf
-from gva_mi.splat import Camera, Gaussians, SplatOptions
+from gva_mi.splat import Camera, Gaussians, Image, SplatOptions
 from gva_mi.splat.covariances import largest_scales
 
 REACH = 3.4  # standard deviations at which a Gaussian's alpha is below 1/255
@@ -65,9 +73,15 @@ class Target:
     """A part of a picture as it should be rendered, on a background."""
 
     color: Tensor  # (H, W, 3) in [0, 1], the person on the background
+    background: Tensor  # (H, W, 3) in [0, 1]
     mask: Tensor  # (H, W) in [0, 1]
     camera: Camera  # that sees this part
     window: Window  # of this part
+
+    def before_background(self, image: Image) -> Image:
+        """A render of this part without background, on this one."""
+        through = (1 - image.alpha)[..., None]
+        return replace(image, color=image.color + through * self.background)
 
 
 @dataclass(frozen=True)
@@ -75,24 +89,29 @@ class Sample:
     """What one step of the fit is measured against: a training frame, cut to where its mask is."""
 
     frame: int  # its number in the video
-    person: Tensor  # (h, w, 3) uint8, their colour times the mask
-    mask: Tensor  # (h, w) uint8
+    picture: Tensor  # (h, w, 3) uint8, P
+    mask: Tensor  # (h, w) uint8, S
+    backdrop: Tensor  # (h, w, 3) uint8, B
+    unsure: Tensor  # (h, w) bool, where eq. 2 holds
     box: Box  # where in the whole picture they lie
     area: int  # pixels of the person's box
     camera: Camera  # of the whole picture
-    background: Tensor  # (3,) in [0, 1]
+    color: Tensor  # (3,) in [0, 1], b
     window: Box  # a random part of the whole picture, with some of the person in it
 
     def target(self, gaussians: Gaussians) -> Target:
         """The part in which person, window or Gaussians are; all else is background."""
         part = joined(self.box, self.window, drawn(gaussians, self.camera))
         H, W = part.height, part.width
-        rows, columns = within(self.box, part)
-        mask, color = torch.zeros(H, W), self.background.expand(H, W, 3).contiguous()
-        mask[rows, columns] = self.mask.float() / 255
-        behind = (1 - mask[rows, columns, None]) * self.background
-        color[rows, columns] = self.person.float() / 255 + behind
-        return Target(color, mask, part.cut_camera(self.camera), within(self.window, part))
+        mask = torch.zeros(H, W)
+        color, background = (self.color.repeat(H, W, 1) for _ in range(2))
+        here, unsure = within(self.box, part), self.unsure[..., None]
+        mask[here] = self.mask.float() / 255
+        picture, S = self.picture.float() / 255, mask[here][..., None]
+        background[here] = torch.where(unsure, self.backdrop.float() / 255, self.color)
+        color[here] = torch.where(unsure, picture, torch.lerp(self.color, picture, S))
+        camera, window = part.cut_camera(self.camera), within(self.window, part)
+        return Target(color, background, mask, camera, window)
 
 
 class Samples:
@@ -104,6 +123,8 @@ class Samples:
         seed: seed of the run.
         random_background: whether the background has another colour at each step, or is white.
         window: side of the random part, pixels; a smaller image is taken whole.
+        mask_error: how far outlines of masks may be off, as a share of the person's size, which is
+            the root of the area of their box.
         folder: where those of a long video are kept that memory has no room for; None: the
             system's folder of temporary files.
     """
@@ -115,6 +136,7 @@ class Samples:
         seed: int,
         random_background: bool,
         window: int,
+        mask_error: float,
         folder: Path | None = None,
     ) -> None:
         self.frames, self.seed = list(frames), seed
@@ -123,10 +145,14 @@ class Samples:
         self.boxes = []
         self._kept = Shelf(Path(tempfile.gettempdir()) if folder is None else folder)
         for k, frame in enumerate(video.frames(self.frames)):
-            mask = _to_8bit(frame.mask)
-            self.boxes.append(_box_of(mask > 127))
-            kept = _box_of(mask > 0)
-            self._kept[k] = _to_8bit(kept.cut(frame.alone)), kept.cut(mask).clone(), kept
+            box = _box_of(frame.mask > 0.5)
+            width = mask_error * (box.width * box.height) ** 0.5
+            kept = _box_of(frame.mask > 0, math.ceil(width) + 1)
+            P, S = kept.cut(frame.image), kept.cut(frame.mask)
+            unsure = backdrop.unsure(S, width)
+            B = backdrop.behind(P, np.maximum(S, unsure))
+            self.boxes.append(box)
+            self._kept[k] = *map(_to_8bit, (P, S, B)), torch.from_numpy(unsure), kept
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -135,17 +161,17 @@ class Samples:
         """The sample of a step: every pass over the frames goes in another order."""
         which, position = divmod(step, len(self))
         k = int(random_state(self.seed, Stream.ORDER, which).permutation(len(self))[position])
-        background = torch.ones(3)
+        color = torch.ones(3)
         if self.random_background:
             drawn = random_state(self.seed, Stream.BACKGROUND, step).random(3, dtype=np.float32)
-            background = torch.from_numpy(drawn)
+            color = torch.from_numpy(drawn)
         box, window = self.boxes[k], self._window(k, step)
         return Sample(
             self.frames[k],
             *self._kept[k],
             area=box.width * box.height,
             camera=self.cameras[k],
-            background=background,
+            color=color,
             window=window,
         )
 
@@ -210,9 +236,12 @@ def _to_8bit(image: np.ndarray) -> Tensor:
     return torch.from_numpy(np.round(image * 255).astype(np.uint8))
 
 
-def _box_of(mask: Tensor) -> Box:
-    """The box around a mask (H, W) bool; the whole picture where it is empty."""
-    rows, columns = (torch.nonzero(mask.any(axis)).flatten() for axis in (1, 0))
+def _box_of(mask: np.ndarray, margin: int = 0) -> Box:
+    """The box around a mask (H, W) bool, in the picture; the whole picture where it is empty."""
+    H, W = mask.shape
+    rows, columns = (np.flatnonzero(mask.any(axis)) for axis in (1, 0))
     if not len(rows):
-        return Box(0, 0, mask.shape[1], mask.shape[0])
-    return Box(int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1)
+        return Box(0, 0, W, H)
+    left, top = max(0, int(columns[0]) - margin), max(0, int(rows[0]) - margin)
+    right, bottom = min(W, int(columns[-1]) + 1 + margin), min(H, int(rows[-1]) + 1 + margin)
+    return Box(left, top, right, bottom)

@@ -4,8 +4,9 @@ Each step, with one training frame of the video:
 
 1. lower the learning rate of the means
 2. avatar(pose) → Gaussians, MLP(θ)                                          Eq. 5, 6
-3. render them on a background of a random colour                            Eq. 1-3
-4. compare with the person, cut out onto the same background                 Eq. 9
+3. render them on a background of a random colour, and on the picture's own
+   along the outline                                   Eq. 1-3, :mod:`gva_mi.fit.samples`
+4. compare with the person on the same background                            Eq. 9
 5. one step of Adam; after some of them, one of the poses          :mod:`gva_mi.fit.poses`;
    no Gaussian becomes finer than the pictures are
 6. by the schedule: clone, split, prune; put the Gaussians back on the surface      Sec. 4.3;
@@ -82,7 +83,7 @@ def fit(
     state = run_folder.load_state(out)
     with one_torch_thread():
         run = _run(video, body, options, offsets, state, out)
-        chosen = options.seed, options.random_background, options.window
+        chosen = options.seed, options.random_background, options.window, options.mask_error
         samples = Samples(video, video.splits.train, *chosen, out)
         while run.step < options.steps:
             figures = run.descend(samples[run.step], distance)
@@ -140,7 +141,8 @@ class Run:
         self._lower_learning_rate()
         animated = self.avatar.animate(self.poses(sample.frame))
         target, screen = sample.target(animated.gaussians), Screen()
-        image = render(animated.gaussians, target.camera, options.splat, sample.background, screen)
+        image = render(animated.gaussians, target.camera, options.splat, screen=screen)
+        image = target.before_background(image)
         weights = self._loss_of_this_step()
         losses = render_losses(
             image,

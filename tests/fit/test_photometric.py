@@ -14,7 +14,7 @@ from gva_mi.errors import InputError
 from gva_mi.fit.evaluation.evaluate import evaluate
 from gva_mi.fit.perceptual import Weights
 from gva_mi.fit.photometric import PhotometricOptions, fit_poses
-from gva_mi.fit.renders import to_8bit
+from gva_mi.fit.renders import DRAWN, to_8bit
 from gva_mi.splat import Camera, look_at, render
 
 ELBOW, JAW = JOINTS.index("left_elbow"), JOINTS.index("jaw")
@@ -74,7 +74,7 @@ def talking(tmp_path_factory, known, turning):
     )  # fmt: skip
     for k in range(frames):
         with torch.no_grad():
-            image = render(known(pose[k]), near, background=torch.full((3,), 0.3))
+            image = render(known(pose[k]), near, DRAWN, torch.full((3,), 0.3))
         write_image(folder / f"frames/{k:06d}.png", to_8bit(image.color.numpy()))
         write_image(folder / f"masks/{k:06d}.png", to_8bit(image.alpha.numpy()))
     save_poses(folder / "poses.npz", pose, shape, stage=1)

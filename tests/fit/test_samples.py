@@ -8,16 +8,17 @@ import numpy as np
 import pytest
 import torch
 
+from gva_mi.data.backdrop import behind, unsure
 from gva_mi.fit.losses import LossOptions, render_losses
 from gva_mi.fit.samples import Samples, Stream, drawn, random_state, torch_state
 from gva_mi.pose.crop import Box
-from gva_mi.splat import Gaussians, render
+from gva_mi.splat import Gaussians, Image, render
 
 TRAIN = [0, 1, 2, 4, 5]
 
 
-def samples(video, seed=0, random_background=True, window=16):
-    return Samples(video, TRAIN, seed, random_background, window)
+def samples(video, seed=0, random_background=True, window=16, mask_error=0.01):
+    return Samples(video, TRAIN, seed, random_background, window, mask_error)
 
 
 def test_each_pass_shows_every_frame_once_in_another_order(video):
@@ -32,26 +33,50 @@ def test_a_step_draws_the_same_whatever_came_before_it(video):
     for step in (7, 2):
         x, y = a[step], b[step]
         assert x.frame == y.frame and x.window == y.window
-        assert torch.equal(x.background, y.background) and torch.equal(x.person, y.person)
+        assert torch.equal(x.color, y.color) and torch.equal(x.picture, y.picture)
 
 
 def test_another_seed_draws_another_run(video):
     a, b = samples(video), samples(video, seed=1)
     assert [a[k].frame for k in range(10)] != [b[k].frame for k in range(10)]
-    assert not torch.equal(a[0].background, b[0].background)
+    assert not torch.equal(a[0].color, b[0].color)
 
 
 @pytest.mark.parametrize("random_background", [True, False])
-def test_the_person_is_cut_out_onto_the_background(random_background, video):
-    sample = samples(video, random_background=random_background)[0]
+def test_away_from_the_outline_the_person_is_cut_out_onto_the_background(random_background, video):
+    sample = samples(video, random_background=random_background, mask_error=0.03)[0]
     frame = video[sample.frame]
     target = sample.target(everywhere(frame.camera))
-    mask = frame.mask[..., None]
-    kept = np.rint(255 * frame.alone) / 255
-    expected = kept + sample.background.numpy() * (1 - mask)
-    np.testing.assert_allclose(target.color.numpy(), expected, atol=1e-6)
+    sure = ~unsure(frame.mask, 0.03 * sample.area**0.5)
+    inside, outside = sure & (frame.mask == 1), sure & (frame.mask == 0)
+    assert min(x.sum() for x in (inside, outside, ~sure)) > 100
+    color, background = target.color.numpy(), target.background.numpy()
+    np.testing.assert_allclose(color[inside], frame.image[inside], atol=1e-6)
+    for x in (color[outside], background[sure]):
+        np.testing.assert_allclose(x, np.broadcast_to(sample.color, x.shape), atol=1e-6)
+    np.testing.assert_allclose(color[~sure], frame.image[~sure], atol=1e-6)
+    kept = np.rint(255 * behind(frame.image, frame.mask)) / 255
+    np.testing.assert_allclose(background[~sure], kept[~sure], atol=1e-6)
     np.testing.assert_allclose(target.mask.numpy(), frame.mask, atol=1e-6)
-    assert random_background or bool((sample.background == 1).all())
+    assert random_background or bool((sample.color == 1).all())
+
+
+@pytest.mark.parametrize("pixels", [-2, 2])
+def test_the_truth_costs_nothing_where_masks_are_off(pixels, video, monkeypatch):
+    """Who cuts by a mask that is too small or too large pays for a render that is right."""
+    y, x = np.mgrid[:48, :48] + 0.5
+    alpha = (14.5 - np.hypot(x - 24, y - 24)).clip(0, 1).astype(np.float32)
+    mask = (14.5 + pixels - np.hypot(x - 24, y - 24)).clip(0, 1).astype(np.float32)
+    color, wall = np.float32([0.8, 0.3, 0.1]), np.float32([0.2, 0.4, 0.9])
+    picture = alpha[..., None] * color + (1 - alpha[..., None]) * wall
+    frame = dataclasses.replace(video[0], image=picture, mask=mask)
+    monkeypatch.setattr(type(video), "frames", lambda self, indices: (frame for _ in indices))
+    truth = Image(torch.from_numpy(alpha[..., None] * color), torch.from_numpy(alpha))
+    costs = []
+    for error in (0.12, 0.0):
+        target = samples(video, mask_error=error)[0].target(everywhere(frame.camera))
+        costs.append(float((target.before_background(truth).color - target.color).abs().mean()))
+    assert costs[0] < 0.002 < 0.01 < costs[1]
 
 
 def everywhere(camera):
@@ -81,7 +106,7 @@ def test_a_part_of_the_picture_costs_what_the_whole_does(shift, video, known):
     assert whole.mask.shape == (48, 48) and part.mask.numel() < 48 * 48
     found = []
     for target in (whole, part):
-        image = render(g, target.camera, background=sample.background)
+        image = target.before_background(render(g, target.camera))
         losses = render_losses(
             image, target.color, target.mask, torch.zeros(0, 3), LossOptions(alpha=0.1, ssim=0.1),
             lambda a, b: (a - b).square().mean(), target.window, sample.area,
@@ -125,7 +150,7 @@ def test_a_larger_room_changes_no_loss(video, known):
     g, found = known(video.pose[sample.frame]), []
     for each in (within_a_room(20, 20), within_a_room(200, 100)):
         target = each.target(g)
-        image = render(g, target.camera, background=each.background)
+        image = target.before_background(render(g, target.camera))
         losses = render_losses(
             image, target.color, target.mask, torch.zeros(0, 3), LossOptions(),
             lambda a, b: (a - b).square().mean(), target.window, each.area,

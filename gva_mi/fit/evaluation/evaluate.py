@@ -2,7 +2,8 @@
 
 The protocol, the same for every figure of the project:
 
-* the target is the picture cut out by its mask, and both stand on the same plain background;
+* the target is the picture cut out by its mask, without the backdrop that soft pixels of the
+  outline show (:mod:`gva_mi.data.backdrop`), and both stand on the same plain background;
 * both are clamped to [0, 1] and rounded to 8 bits, as if they had been saved and read again;
 * every figure is taken over a region of the picture and averaged over the frames of the split.
 

@@ -28,6 +28,8 @@ SMALLER = {
     # Seed 16 wears nothing and is bald: made in a moment.
     "study refine": "--people 16 --frames 3 --size 48 --refine.passes 1",
     "study refine --edition": "--people 409 --frames 3 --size 48 --refine.passes 1",
+    "study refine --edition 5": "--people 509 --families lean --frames 3 --size 48 "
+    "--refine.passes 1",
     "study avatar": "--people 16 --families lean --rows full --frames 3 --size 48 --novel 1 "
     "--refine.passes 1 --fit.steps 10",
 }

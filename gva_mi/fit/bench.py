@@ -27,7 +27,7 @@ from gva_mi.data.video import Video, load_video, save_cameras
 from gva_mi.fit.losses import render_losses
 from gva_mi.fit.options import FitOptions
 from gva_mi.fit.perceptual import rand_vgg_loss
-from gva_mi.fit.renders import render_frame
+from gva_mi.fit.renders import DRAWN, render_frame
 from gva_mi.fit.samples import Samples
 from gva_mi.fit.train import Run
 from gva_mi.splat import Camera, Screen, look_at, render
@@ -113,7 +113,7 @@ def _turning(folder: Path, body: BodyModel, seeds: SeedOptions, size: int) -> Vi
     camera = Camera(focal, focal, size / 2, size / 2, view, size, size)
     for k in range(FRAMES):
         with torch.no_grad():
-            alpha = render(avatar(pose[k]), camera).alpha
+            alpha = render(avatar(pose[k]), camera, DRAWN).alpha
         write_image(folder / f"frames/{k:06d}.png", render_frame(avatar, pose[k], camera))
         write_image(folder / f"masks/{k:06d}.png", alpha.numpy())
     save_poses(folder / "poses.npz", pose, shape, stage=1)

@@ -8,7 +8,7 @@
 symbol         code name           unit      meaning
 =============  ==================  ========  =============================================
 C (H, W, 3)    ``image.color``     [0, 1]    the render, on a background
-I (H, W, 3)    ``target``          [0, 1]    the person, cut out, on the same background
+I (H, W, 3)    ``target``          [0, 1]    the person on the same background
 A (H, W)       ``image.alpha``     [0, 1]    how much of the background the avatar covers
 S (H, W)       ``mask``            [0, 1]    the person's mask
 MLP(θ) (N, 3)  ``residual``        m         the pose-conditioned shift of the Gaussians

@@ -32,6 +32,8 @@ SMALLER = {
     "--refine.passes 1",
     "study avatar": "--people 16 --families lean --rows full --frames 3 --size 48 --novel 1 "
     "--refine.passes 1 --fit.steps 10",
+    "study avatar --edition": "--people 209 --families lean --rows full --frames 3 --size 48 "
+    "--novel 1 --refine.passes 1 --fit.steps 10",
 }
 
 # Words that stand for others.

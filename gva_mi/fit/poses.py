@@ -15,8 +15,8 @@ what that says.
 * A frame that is not trained on is not looked at. What is probable of it follows from the frames
   around it: an error that lasts is corrected there too, one that is new in every frame is not.
 * Avatar and poses could drift together, such as all knees and the canonical legs, and no picture
-  would change. So nothing is corrected that is the same in all frames, as far as pictures show it:
-  no turn in the axes of its joint, no shift in those of the camera, or of the body while it turns.
+  would change. So nothing is corrected that is the same in all frames: no turn in the axes of its
+  joint, no shift in those of the camera, or of the body while it turns.
 * Jaw and expression are corrected in the same way (:mod:`gva_mi.fit.faces`); eyes stay.
 """
 

@@ -31,13 +31,6 @@ from gva_mi.pose.ground import Ground, Soles
 from gva_mi.pose.inference import JOINTS, PELVIS, Beliefs, from_pictures, from_stage1
 from gva_mi.pose.stage1 import Stage1, turns_between
 
-# What pictures tell of each coordinate, in the camera's axes, beside those they tell best: about as
-# many times less as variances are greater. How far away a person stands is uncertain to a
-# centimetre where how far aside is to a millimetre; how a limb swings across the line of sight
-# shows, how it leans along it hardly.
-SEEN_SHIFTS = (1.0, 1.0, 0.01)
-SEEN_TURNS = (0.01, 0.01, 1.0)
-
 
 class Corrections:
     """``δ`` and ``τ`` of some frames.
@@ -100,16 +93,13 @@ class Corrections:
 
         That are turns of a joint that are the same in all frames, in its own axes, and shifts that
         are, in the camera's axes or in the pelvis's: a body a centimetre behind its pelvis, with
-        all pelvises a centimetre farther to the front. What is constant is told by what pictures
-        show. Who stands too near when facing the camera, and too far when turned away, is shifted
-        by a constant to the front in a plain mean, though no picture shows any such shift; to take
-        that away would push the person aside in all the pictures between.
+        all pelvises a centimetre farther to the front.
         """
         turns, moves = self.found()
-        R_joint_camera = self._stage1.R_joint_camera
+        mean = self._stage1.in_joints(turns).mean(0).expand_as(turns)
         turns0, moves0 = self.start
-        same = constant_turns(turns, R_joint_camera)
-        self.start = turns0 - same, moves0 - constant_shifts(moves, R_joint_camera[:, 0])
+        constant = constant_shifts(moves, self._stage1.R_joint_camera[:, 0])
+        self.start = turns0 - self._stage1.in_camera(mean), moves0 - constant
 
     @torch.no_grad()
     def told_by(self, turns: Tensor, moves: Tensor) -> Corrections:
@@ -192,32 +182,16 @@ class Corrections:
         return turns0[which] + turns, moves0[which] + moves
 
 
-def constant_turns(turns: Tensor, R_joint_camera: Tensor) -> Tensor:
-    """What of some turns (n, J, 3) is constant: (n, J, 3) ``R_kᵀ b`` of the least squares.
-
-    Args:
-        turns: of n frames, in the axes of the camera, weighted by what pictures tell of them.
-        R_joint_camera: (n, J, 3, 3) ``R_k``, takes a vector in these axes to those of a joint.
-    """
-    R, seen = R_joint_camera.double(), torch.tensor(SEEN_TURNS, dtype=torch.float64)
-    weighted = R * seen
-    matrix, vector = weighted @ R.mT, weighted @ turns.double()[..., None]
-    b = torch.linalg.solve(matrix.sum(0), vector.sum(0))
-    return (R.mT @ b)[..., 0].to(turns)
-
-
 def constant_shifts(shifts: Tensor, R_body_camera: Tensor) -> Tensor:
     """What of some shifts (n, 3) is constant: (n, 3) ``a + R_kᵀ b`` of the least squares.
 
     Args:
-        shifts: of n frames, in the axes of the camera, weighted by what pictures tell of them.
+        shifts: of n frames, in the axes of the camera.
         R_body_camera: (n, 3, 3) ``R_k``, takes a vector in these axes to those of the body.
     """
-    R, seen = R_body_camera.double(), torch.tensor(SEEN_SHIFTS, dtype=torch.float64)
-    basis = torch.cat([torch.eye(3, dtype=R.dtype).expand_as(R), R.mT], dim=2)
-    weighted = (basis * seen[:, None]).reshape(-1, 6)
-    basis = basis.reshape(-1, 6)
+    R = R_body_camera.double()
+    basis = torch.cat([torch.eye(3, dtype=R.dtype).expand_as(R), R.mT], dim=2).reshape(-1, 6)
     # Of someone who does not turn, both are the same three columns.
-    inverse = torch.linalg.pinv(weighted.T @ basis, rtol=1e-6, hermitian=True)
-    found = inverse @ (weighted.T @ shifts.double().reshape(-1))
+    inverse = torch.linalg.pinv(basis.T @ basis, rtol=1e-6, hermitian=True)
+    found = inverse @ (basis.T @ shifts.double().reshape(-1))
     return (basis @ found).reshape(shifts.shape).to(shifts)

@@ -254,8 +254,8 @@ def _tables(metrics: Metrics) -> Section:
         "the person. "
         "Poses are trained on the training frames alone; those of a test frame follow "
         f"from the frames around. ‘{AS_REFINED}’ are the same frames without it. ‘{ALIGNED}’: one "
-        "camera does not tell how large the world is; the truth is laid over the avatar's world, "
-        "once for all frames."
+        "camera tells neither how large the world is nor where in its surface the skeleton stands; "
+        "the truth is laid over the avatar's world, once for all frames."
     )
     if any(row.name == FITTED for row in metrics.rows):
         text += (

@@ -1,30 +1,33 @@
 """One similarity transform between the world of an avatar and the true one.
 
 One camera that stands still sees a person of twice the size, twice as far away, in the same
-pixels, so a video does not say how large its world is. And figures of novel views and poses in the
-*true* world mix that with the quality of the avatar. Both are told apart by measuring once more
-after one similarity transform for the whole video, which changes no picture of it: a scale about
-the eye, of the camera that was given and of the true one,
+pixels. And it sees where the person's surface is, but not where in it the skeleton stands: poses
+that are a centimetre too low come with an avatar that lies a centimetre too high on its skeleton.
+So a video says neither how large its world is nor, to a centimetre, where its joints are. And
+figures of novel views and poses in the *true* world mix that with the quality of the avatar. Both
+are told apart by measuring once more after one similarity transform for the whole video, which
+changes no picture of it: a scale about the eye, of the camera that was given and of the true one,
 
     1. s        = argmin Σ_k Σ_j |s (R_c x_kj + t_c) - (R*_c y_kj + t*_c)|²
     2. y        = s R x + t,    R = R*_cᵀ R_c,    t = R*_cᵀ (s t_c - t*_c)
 
 with the joints j of the body, x under the avatar's poses and y the true ones, in the training
-frames k. Where the camera moves, s, R and t are those that lay x onto y (Umeyama 1991). The avatar
-stays as it is. Poses and cameras of the truth are taken over to its world instead:
+frames k. Where the camera moves, s, R and t are those that lay x onto y (Umeyama 1991). How the
+pelvis then stands off from the true one, in its own axes and the mean over the frames, is kept:
 
-    3. camera      R_c (s R x + t) + t_c  ~  (R_c R) x + (R_c t + t_c) / s    pictures have no scale
-    4. root        Rᵀ R*_root, with the pelvis at Rᵀ (y_pelvis - t) / s
+    3. o        = mean_k R_k,rootᵀ (x_k,pelvis - Rᵀ (y_k,pelvis - t) / s)
 
-A video does not say, to a millimetre, where in the person the skeleton stands either. That is not
-taken away: it is what the body model and its refinement are for.
+The avatar stays as it is. Poses and cameras of the truth are taken over to its world instead:
+
+    4. camera      R_c (s R x + t) + t_c  ~  (R_c R) x + (R_c t + t_c) / s    pictures have no scale
+    5. root        Rᵀ R*_root, with the pelvis at Rᵀ (y_pelvis - t) / s + Rᵀ R*_root o
 
 Only figures use it: nothing is trained with it, and the figures without it stand beside.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import roma
@@ -44,18 +47,19 @@ BODY_JOINTS = 22  # of the trunk and the limbs; those of the fingers would count
 
 @dataclass(frozen=True)
 class Similarity:
-    """Eq. 2, in float64."""
+    """Eq. 2 and 3, in float64."""
 
     scale: float
     rotation: np.ndarray  # (3, 3)
     translation: np.ndarray  # (3,) metres
+    stance: np.ndarray = field(default_factory=lambda: np.zeros(3))  # (3,) o, metres
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         """Points (..., 3) of the avatar's world in the true one."""
         return self.scale * points @ self.rotation.T + self.translation
 
     def camera(self, camera: Camera) -> Camera:
-        """A camera of the true world in the avatar's, eq. 3."""
+        """A camera of the true world in the avatar's, eq. 4."""
         R, t = camera.T_camera_world[:3, :3], camera.T_camera_world[:3, 3]
         T = np.eye(4)
         T[:3, :3] = R @ self.rotation
@@ -63,7 +67,7 @@ class Similarity:
         return camera.with_matrices(T_camera_world=T)
 
     def pose(self, pose: Pose, pelvis: Tensor, own_pelvis: Tensor) -> Pose:
-        """Poses of the true world in the avatar's, eq. 4.
+        """Poses of the true world in the avatar's, eq. 5.
 
         Args:
             pose: the true ones, T frames.
@@ -75,14 +79,16 @@ class Similarity:
         place = pose.transl.double() + pelvis - torch.from_numpy(self.translation)
         rotations = pose.rotations.clone()
         rotations[:, 0] = roma.rotmat_to_rotvec(root).to(rotations)
-        transl = (place @ R / self.scale - own_pelvis).to(pose.transl)
+        stance = root @ torch.from_numpy(self.stance)
+        transl = (place @ R / self.scale + stance - own_pelvis).to(pose.transl)
         return Pose(rotations, transl, pose.expression)
 
     def to_json(self) -> dict[str, float]:
         """Its size as a record holds it: scale, turn in degrees, shift in metres."""
         turn = np.degrees(np.arccos(np.clip((np.trace(self.rotation) - 1) / 2, -1, 1)))
         shift = float(np.linalg.norm(self.translation))
-        return {"scale": self.scale, "turn_degrees": float(turn), "shift_m": shift}
+        found = {"scale": self.scale, "turn_degrees": float(turn), "shift_m": shift}
+        return found | {"stance_m": float(np.linalg.norm(self.stance))}
 
 
 def umeyama(x: np.ndarray, y: np.ndarray) -> Similarity:
@@ -120,9 +126,14 @@ def similarity_to_truth(rig: Rig, video: Video, body: BodyModel) -> Similarity |
     given, real = ([cameras[k] for k in frames] for cameras in (video.cameras, truth.cameras))
     stands = all(_same_place(c, some[0]) for some in (given, real) for c in some)
     flat = lambda joints: joints.reshape(-1, 3)
-    if stands:
-        return _about_the_eye(flat(x), flat(y), given[0], real[0])
-    return umeyama(flat(x), flat(y))
+    whole = (
+        _about_the_eye(flat(x), flat(y), given[0], real[0])
+        if stands
+        else umeyama(*map(flat, (x, y)))
+    )
+    back = (y[:, 0] - whole.translation) @ whole.rotation / whole.scale
+    root = roma.rotvec_to_rotmat(video.pose.rotations[frames, 0].double()).numpy()
+    return replace(whole, stance=np.einsum("kji,kj->i", root, x[:, 0] - back) / len(root))
 
 
 def _about_the_eye(x: np.ndarray, y: np.ndarray, given: Camera, real: Camera) -> Similarity:

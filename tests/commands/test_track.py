@@ -115,7 +115,7 @@ def test_an_avatar_is_not_measured_on_another_video(video, body, subject, tmp_pa
     assert not (tmp_path / "run" / run_folder.METRICS).exists()
 
 
-def test_test_frames_are_fitted_only_where_asked(video, body, subject, tmp_path, cli):
+def test_frames_are_fitted_only_where_asked(video, body, subject, tmp_path, cli):
     options = FitOptions(
         steps=4,
         window=16,

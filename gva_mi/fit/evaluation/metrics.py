@@ -9,7 +9,7 @@
     refinement   errors of the poses before and after stage 2; null where they are not known
     training     steps, seconds, Gaussians, size of the pictures
     options, versions, seed       of the run
-    pose_fit     where asked for: how poses were fitted to the test pictures
+    pose_fit     where asked for: how poses were fitted to the pictures they are measured on
 """
 
 from __future__ import annotations
@@ -65,10 +65,10 @@ class Training:
 
 @dataclass(frozen=True)
 class PoseFit:
-    """How the poses of the test frames were fitted to their pictures."""
+    """How poses were fitted to the pictures that they are measured on."""
 
-    options: dict[str, Any]
-    kept: dict[str, str]  # numbers of frames that keep the pose they had, and why
+    options: dict[str, Any]  # of each split
+    kept: dict[str, str]  # frames that keep the pose they had, such as "test 3", and why
     seconds_per_frame: float
 
 
@@ -79,7 +79,7 @@ class Protocol:
     networks: dict[str, Any]  # of each perceptual figure: see Scorer.networks
     training_loss: str  # the perceptual term that the avatar was trained with
     masks: str  # that cut out the targets: "true", or "the video's"
-    seen: dict[str, list[str]]  # what of the test frames was seen, and by which steps or rows
+    seen: dict[str, list[str]]  # what of test and novel frames was seen, and by whom
 
     @staticmethod
     def of(scorer: Scorer, video: Video, poses: Path, options: dict[str, Any]) -> Protocol:
@@ -243,7 +243,11 @@ def with_fitted_poses(
     body: BodyModel,
     progress: Progress | None = None,
 ) -> Metrics:
-    """Add rows for the test frames under poses that are fitted to these very frames.
+    """Add rows for frames under poses that are fitted to these very frames.
+
+    The test frames are fitted from the poses that follow from training, and novel poses and views
+    of a truth from the true ones in the avatar's world: how good the avatar is, wherever in it its
+    skeleton stands.
 
     Args:
         metrics: of the run.
@@ -253,24 +257,34 @@ def with_fitted_poses(
         body: the body model that was fitted.
         progress: called after each step of the pose fit.
     """
-    test = video.splits.test
-    options = _pose_fit_options(len(test))
-    found = fit_poses(avatar, trained, options, test, progress)
-    views = [
-        view.through(lambda source: replace(source, pose=found.pose))
-        for view in views_of(video, ("test",), body)
-    ]
-    rows = evaluate_views(avatar, views, FITTED, Scorer())
-    kept = {str(frame): reason for frame, reason in found.kept.items()}
+    starts = [as_trained(view, trained) for view in views_of(video, ("test",), body)]
+    similarity = similarity_to_truth(avatar.rig, trained, body)
+    if similarity is not None:
+        novel = views_of(video, ("novel_pose", "novel_view"), body)
+        starts += aligned_views(novel, similarity, avatar.rig, body)
+    options = {view.split: _pose_fit_options(len(view.frames)) for view in starts}
+    steps = [len(view.frames) * options[view.split].passes for view in starts]
+    rows, kept, seconds, fitted = [], {}, 0.0, 0
+    for done, view in enumerate(starts):
+        told = within(progress, sum(steps[:done]), steps[done], sum(steps))
+        found = fit_poses(avatar, view.video, options[view.split], view.frames, told)
+        posed = view.through(lambda source, pose=found.pose: replace(source, pose=pose))
+        rows += evaluate_views(avatar, [posed], FITTED, Scorer())
+        kept |= {f"{view.split} {frame}": reason for frame, reason in found.kept.items()}
+        seconds += found.seconds_per_frame * len(view.frames)
+        fitted += len(view.frames)
     protocol = metrics.protocol
     if protocol is not None:
         by_fit = {name: [*protocol.seen[name], FITTED] for name in ("test pictures", "test masks")}
+        if len(starts) > 1:
+            by_fit |= {"novel pictures": [FITTED], "novel masks": [FITTED]}
         protocol = replace(protocol, seen=protocol.seen | by_fit)
+    made_with = {split: asdict(some) for split, some in options.items()}
     return replace(
         metrics,
         rows=(*metrics.rows, *rows),
         protocol=protocol,
-        pose_fit=PoseFit(asdict(options), kept, found.seconds_per_frame),
+        pose_fit=PoseFit(made_with, kept, seconds / max(1, fitted)),
     )
 
 

@@ -259,8 +259,8 @@ def _tables(metrics: Metrics) -> Section:
     )
     if any(row.name == FITTED for row in metrics.rows):
         text += (
-            " ‘Poses fitted to the pictures’ have seen the test frames: the avatar is the same, "
-            "and each pose is fitted to the very picture that it is measured on."
+            " ‘Poses fitted to the pictures’ have seen them: the avatar is the same, and each "
+            "pose is fitted to the very picture that it is measured on."
         )
     return Section("Figures", text, tables=tables)
 

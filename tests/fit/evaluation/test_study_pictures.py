@@ -37,6 +37,8 @@ def runs(subject, tmp_path_factory, body, known, camera, turning):
             write_image(part / f"masks/{k:06d}.png", known_mask(known, pose[k], camera))
         save_poses(part / "poses.npz", pose, shape, stage=0)
         save_cameras(part / "cameras.npz", [camera] * 2)
+    for name in ("poses.npz", "cameras.npz"):
+        shutil.copy(case / name, case / "truth" / name)
     made = {}
     for row in (FULL, NO_HANDS):
         run = RowRun(case, folder / "runs" / row.name, row, body, OPTIONS, {"sources": "a"})
@@ -59,6 +61,8 @@ def test_a_row_is_fitted_and_measured_in_all_ways(runs):
     names = {(row.name, row.split) for row in metrics.rows}
     assert {("full", "train"), ("full", "test"), ("full", "novel_pose")} <= names
     assert {(AS_REFINED, "test"), (FITTED, "test")} <= names
+    assert {(FITTED, "novel_pose"), (FITTED, "novel_view")} <= names
+    assert metrics.protocol.seen["novel pictures"] == [FITTED]
     assert metrics.training.steps == 2 and run.is_done
     without, _ = runs[NO_HANDS.name]
     assert without.avatar().options.hands is False and run.avatar().options.hands is True

@@ -37,8 +37,8 @@ def evaluate(
         poses: the poses it was fitted under; without it the refined ones, else those of stage 1.
         body: the body that it was fitted with, in SMPL-X's .npz format; without it the built-in
             puppet. Hands are measured where it has them.
-        fit_poses: also measure test frames, and novel ones of a truth, in rows of their own, with
-            their poses fitted to these very frames.
+        fit_poses: also measure test frames, and novel ones of a truth, in rows of their own,
+            under poses that are fitted to these very frames.
     """
     avatar = Avatar.load(run / run_folder.AVATAR)
     model = load_body(body)
@@ -79,7 +79,7 @@ def evaluate_run(
         poses: the file of these poses.
         name: of the run, for its rows.
         title: of the report.
-        fit_poses: also measure frames with their poses fitted to these very frames.
+        fit_poses: also measure test and novel frames under poses fitted to these very frames.
     """
     trained = run_folder.under_trained_poses(video, run)
     with bar("evaluate") as progress:

@@ -32,9 +32,9 @@ face           the face's box where it is seen, on white
 
 "The video's" poses are those the video was opened with: the refined ones after stage 2, or those
 trained with the avatar (see :mod:`gva_mi.fit.poses`). The poses of the test frames then come from
-their own masks and normals, as in the paper, and from their neighbours. No pose is fitted to a test
-picture; where a table is to show what that would be worth, such poses
-(:mod:`gva_mi.fit.photometric`) have a row of their own.
+their own masks and normals, as in the paper, and from their neighbours. No pose is fitted to a
+picture that it is measured on; where a table is to show what that would be worth, such poses
+(:mod:`gva_mi.fit.photometric`) have rows of their own.
 
 Masks are the true ones where the subject has a truth, for a figure should tell the avatar's error
 and not the segmenter's; training never sees them. Real videos have their own masks alone.

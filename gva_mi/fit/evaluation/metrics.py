@@ -51,6 +51,7 @@ AS_REFINED = "poses as refined"  # test frames without the trained poses
 ALIGNED = "after one similarity transform"  # novel poses and views in the avatar's own world
 
 POSE_FIT_STEPS = 100  # at least; one of them turns or shifts by little
+SEEN_BY_FIT = ("pictures", "masks")
 
 
 @dataclass(frozen=True)
@@ -275,9 +276,11 @@ def with_fitted_poses(
         fitted += len(view.frames)
     protocol = metrics.protocol
     if protocol is not None:
-        by_fit = {name: [*protocol.seen[name], FITTED] for name in ("test pictures", "test masks")}
-        if len(starts) > 1:
-            by_fit |= {"novel pictures": [FITTED], "novel masks": [FITTED]}
+        looked_at = {view.split.split("_")[0] for view in starts}  # test, novel
+        by_fit = {
+            name: [*protocol.seen.get(name, []), FITTED]
+            for name in (f"{split} {what}" for split in sorted(looked_at) for what in SEEN_BY_FIT)
+        }
         protocol = replace(protocol, seen=protocol.seen | by_fit)
     made_with = {split: asdict(some) for split, some in options.items()}
     return replace(

@@ -259,8 +259,9 @@ def _tables(metrics: Metrics) -> Section:
     )
     if any(row.name == FITTED for row in metrics.rows):
         text += (
-            " ‘Poses fitted to the pictures’ have seen them: the avatar is the same, and each "
-            "pose is fitted to the very picture that it is measured on."
+            " ‘Poses fitted to the pictures’ have seen what they are measured on: the avatar is "
+            "the same, and each pose is fitted to its very picture; those of novel poses and "
+            "views start from the true ones after the similarity transform."
         )
     return Section("Figures", text, tables=tables)
 

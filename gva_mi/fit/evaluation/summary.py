@@ -76,10 +76,10 @@ _WHOLE = (
     ("test, poses fitted", "test", FITTED),
     ("novel pose", "novel_pose", None),
     _NOVEL_POSE,
-    ("novel pose, fitted", "novel_pose", FITTED),
+    ("novel pose, poses fitted", "novel_pose", FITTED),
     ("novel view", "novel_view", None),
     _NOVEL_VIEW,
-    ("novel view, fitted", "novel_view", FITTED),
+    ("novel view, poses fitted", "novel_view", FITTED),
 )
 
 

@@ -10,7 +10,13 @@ import torch
 from gva_mi.body.pose import Pose, save_poses
 from gva_mi.data.video import load_video, save_cameras
 from gva_mi.fit.evaluation.evaluate import evaluate_views, views_of
-from gva_mi.fit.evaluation.metrics import aligned_views
+from gva_mi.fit.evaluation.metrics import (
+    Metrics,
+    Protocol,
+    Training,
+    aligned_views,
+    with_fitted_poses,
+)
 from gva_mi.fit.evaluation.scores import Scorer
 from gva_mi.fit.evaluation.similarity import (
     Similarity,
@@ -21,6 +27,8 @@ from gva_mi.fit.evaluation.similarity import (
     umeyama,
 )
 from gva_mi.fit.perceptual import Weights
+from gva_mi.fit.photometric import FITTED
+from gva_mi.pose.evaluation.figures import PoseFigures
 
 TURN = roma.rotvec_to_rotmat(torch.tensor([0.1, -0.4, 0.2], dtype=torch.float64)).numpy()
 KNOWN = Similarity(1.25, TURN, np.array([0.3, -0.2, 0.9]))
@@ -157,3 +165,34 @@ def test_only_poses_and_cameras_are_taken_over(studio, known, body):
     assert isinstance(found.pose, Pose) and len(found.cameras) == len(studio.cameras)
     assert (found.folder, found.splits) == (studio.folder, studio.splits)
     np.testing.assert_array_equal(found[0].image, studio[0].image)
+
+
+def test_fitted_novel_poses_undo_what_stands_off(moved, known, body):
+    """The true poses, 2 cm beside what the pictures show: a figure of the skeleton, not of the
+    avatar. What is fitted to them sees the avatar, which is the very one they were made with."""
+    video, _ = moved
+    folder = video.truth / "novel_pose"
+    source = load_video(folder)
+    off = torch.tensor([0.02, -0.01, 0.0]).expand(len(source), 3)
+    shifted = Pose(source.pose.rotations, source.pose.transl + off, source.pose.expression)
+    save_poses(folder / "poses.npz", shifted, source.shape, stage=0)
+    similarity = similarity_to_truth(known.rig, video, body)
+    views = aligned_views(views_of(video, body=body), similarity, known.rig, body)
+    before = {row.split: row for row in evaluate_views(known, views, "x", Scorer(Weights()))[:1]}
+    seen = {"test pictures": ["stage 1"], "test masks": []}
+    metrics = Metrics(
+        rows=(),
+        refinement=PoseFigures.from_json({}),
+        training=Training(1, 1.0, 1, video.size),
+        options={"seed": 0},
+        versions={},
+        protocol=Protocol({}, "rand_vgg", "true", seen),
+    )
+    found = with_fitted_poses(metrics, known, video, video, body)
+    after = {row.split: row for row in found.rows if row.region == "white"}
+    assert set(after) == {"novel_pose"} and {row.name for row in found.rows} == {FITTED}
+    assert after["novel_pose"].psnr > before["novel_pose"].psnr + 3
+    assert after["novel_pose"].count == before["novel_pose"].count == len(views[0].frames)
+    assert found.pose_fit.kept == {} and set(found.pose_fit.options) == {"novel_pose"}
+    # Nobody looked at a test frame, for there is none.
+    assert found.protocol.seen == seen | {"novel pictures": [FITTED], "novel masks": [FITTED]}

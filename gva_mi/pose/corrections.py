@@ -10,10 +10,10 @@ show weakly would hardly move if they shared their steps with the others.
 
 The coordinates ``u`` (by ``M``), and the energy that corrections cost, come from what is believed
 of this video (:mod:`gva_mi.pose.inference`, :mod:`gva_mi.pose.belief`), and the energy from what
-bodies can do, too (:mod:`gva_mi.pose.anatomy`), and from the ground they stand on
-(:mod:`gva_mi.pose.ground`). ``δ⁰`` are corrections that are known before: those
-of the greatest probability when no picture has been looked at, and later those that were found
-before beliefs changed.
+bodies can do, too (:mod:`gva_mi.pose.anatomy`), from the ground they stand on
+(:mod:`gva_mi.pose.ground`), and from their not heeding the camera (:mod:`gva_mi.pose.camera_lean`).
+``δ⁰`` are corrections that are known before: those of the greatest probability when no picture has
+been looked at, and later those that were found before beliefs changed.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class Corrections:
         own[:, list(PELVIS)], pelvis = beliefs.pelvis.likeliest()
         own[:, list(JOINTS)], joints = beliefs.joints.likeliest()
         moves, place = beliefs.place.likeliest()
-        beliefs = Beliefs(beliefs.noise, pelvis, joints, place)
+        beliefs = replace(beliefs, pelvis=pelvis, joints=joints, place=place)
         covariance = torch.zeros(given.shape[1], *[len(given)] * 2, dtype=torch.float64)
         covariance[list(JOINTS)] = joints.covariance(own[:, list(JOINTS)])
         likely = roma.rotvec_composition([given, own])
@@ -141,7 +141,7 @@ class Corrections:
             transl = self._stage1.pose.transl + moves @ self._stage1.R_camera_world
             nats = nats + beliefs.ground.energy(rotations, transl)
         held = self._held(turns[:, pelvis].mean((0, 1)), None if distance_shown else moves.mean(0))
-        return nats / len(moves) + held
+        return nats / len(moves) + held + beliefs.lean.energy(rotations)
 
     def same_in_all(self) -> Tensor:
         """What turns that joints make in all frames would cost if each frame told them anew, nats.
@@ -165,7 +165,7 @@ class Corrections:
         the same in all of them, and trousers that widen toward their hems look like feet that are
         nearer than the head. So the mean over stage 1's frames is believed in every one of them.
         No other joint's is: legs that lean toward the camera from every side of a person who turns
-        are a motion, which costs already.
+        are a motion, one that knows of the camera, which costs in every frame for the same reason.
         """
         pelvis, place = self.beliefs.pelvis, self.beliefs.place
         nats = (turn.square() / pelvis.variance_of_mean(bias=True)).sum() / 2

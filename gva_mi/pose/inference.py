@@ -18,6 +18,7 @@ from torch import Tensor
 
 from gva_mi.pose import motion
 from gva_mi.pose.belief import Belief
+from gva_mi.pose.camera_lean import CameraLean
 from gva_mi.pose.ground import Footing, Ground
 from gva_mi.pose.noise import GROUPS, Noise, lasting_part, white_level
 from gva_mi.pose.stage1 import Stage1
@@ -42,6 +43,7 @@ class Beliefs:
         pelvis: one joint, which may turn steadily.
         joints: all others but those of the face, in the order of ``JOINTS``.
         place: of the person, three coordinates in the camera's axes; it may change steadily.
+        lean: how far joints lean toward the camera by chance.
         ground: that soles stand on; None before it is looked for.
     """
 
@@ -49,6 +51,7 @@ class Beliefs:
     pelvis: Belief
     joints: Belief
     place: Belief
+    lean: CameraLean
     ground: Ground | None = None
 
 
@@ -81,6 +84,7 @@ def from_stage1(stage1: Stage1) -> Beliefs:
         Belief.of_stage1(stage1.times, turns[:, list(PELVIS)], _by_joint(noise, PELVIS), True),
         Belief.of_stage1(stage1.times, turns[:, list(JOINTS)], _by_joint(noise, JOINTS)),
         Belief.of_stage1(stage1.times, shifts[..., None], _by_axis(noise), True),
+        CameraLean.of(stage1, stage1.pose.rotations),
     )
 
 
@@ -102,6 +106,7 @@ def from_pictures(before: Beliefs, stage1: Stage1, turns: Tensor, moves: Tensor)
         renewed(before.pelvis, _by_joint(noise, PELVIS), turns[:, root], steps[:, root]),
         renewed(before.joints, _by_joint(noise, JOINTS), turns[:, list(JOINTS)], sideways),
         renewed(before.place, _by_axis(noise), moves[..., None], shifts[..., None]),
+        CameraLean.of(stage1, pose.rotations),
     )
 
 

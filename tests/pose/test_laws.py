@@ -171,7 +171,7 @@ def test_steps_survive_high_and_low(person, degrees, errors):
         assert 0.8 < float(bent @ true / (true @ true)) < 1.1
 
 
-def test_a_lean_of_the_legs_toward_the_camera_is_at_least_halved(person):
+def test_a_lean_of_the_legs_toward_the_camera_goes(person):
     """By the same angle in every frame, while the person turns once."""
     lean = leaning(TURNING.rotations.double().numpy(), CAMERA, Lean(legs=np.radians(4)))
     stage1 = with_white_errors(replace(TURNING, rotations=torch.from_numpy(lean).float()), 0.05)
@@ -181,7 +181,19 @@ def test_a_lean_of_the_legs_toward_the_camera_is_at_least_halved(person):
         legs = [joint(f"{side}_{name}") for side in ("left", "right") for name in ("knee", "ankle")]
         return abs(float((depth[:, legs] - depth[:, :1]).mean()))
 
-    assert leans(person.find(TURNING, stage1)) < 0.5 * leans(stage1)
+    assert leans(person.find(TURNING, stage1)) < 0.08 * leans(stage1)
+
+
+@pytest.mark.parametrize("name", ["shoulder", "elbow", "hip"])
+def test_a_limb_that_moves_once_in_a_turn_keeps_its_motion(person, name):
+    """Toward the camera whenever the person faces it: that is a gesture, and no error."""
+    truth, wave = TURNING.map(torch.clone), torch.cos(torch.arange(N) * 2 * torch.pi / N)
+    moved = joint(f"left_{name}")
+    truth.rotations[:, moved] += wave[:, None] * torch.tensor([-0.3, 0, 0])
+    found = person.find(truth, with_white_errors(truth, 0.05))
+    bent, true = (pose.rotations[:, moved, 0] for pose in (found, truth))
+    true = true - true.mean()
+    assert 0.8 < float(bent @ true / (true @ true)) < 1.1
 
 
 def test_twice_the_frame_rate_leaves_the_same_errors(person):
@@ -203,24 +215,28 @@ def test_twice_the_frame_rate_leaves_the_same_errors(person):
     assert abs(left[1] - left[0]) < 0.05 * stage1[0]
 
 
-def test_the_ground_tells_how_deep_feet_are(person):
-    """From above, under errors of the legs that last: they lean toward the camera, or away."""
+def test_the_ground_tells_how_high_feet_are(person):
+    """From above, under errors of the legs that last; by it, their depth is not told worse."""
     from scipy.ndimage import gaussian_filter1d
 
-    rng = np.random.default_rng(1)
-    truth = perform("half", times(N), person.rest.double().numpy(), 10, rng)
-    errors = gaussian_filter1d(rng.normal(size=(N + 80, 21, 3)), 6.0, axis=0)[40:-40]
-    stage1 = with_errors(truth, torch.from_numpy(0.1 * errors / errors.std()).float())
     above = Camera(100, 100, 50, 50, look_at((0, 1.5, 2.6), (0, 0, 0)), 100, 100)
     sight = torch.from_numpy(above.T_camera_world[2, :3].copy()).float()
     feet = [joint(f"{side}_{name}") for side in ("left", "right") for name in ("ankle", "foot")]
     heights = lambda pose: person.soles.places(pose.rotations, pose.transl)[..., 1]
-    depth, height = [], []
-    for soles in (None, person.soles):
-        found = person.find(truth, stage1, above, soles=soles)
-        depth.append(rms((person.away(found, truth) @ sight)[:, feet, None]))
-        height.append(float((heights(found) - heights(truth)).std()))
-    assert height[1] < 0.8 * height[0] and depth[1] < 0.8 * depth[0]
+    square_depth, square_height = np.zeros((2, 4)), np.zeros((2, 4))
+    for draw in range(4):
+        rng = np.random.default_rng(1 + draw)
+        truth = perform("half", times(N), person.rest.double().numpy(), 10, rng)
+        errors = gaussian_filter1d(rng.normal(size=(N + 80, 21, 3)), 6.0, axis=0)[40:-40]
+        stage1 = with_errors(truth, torch.from_numpy(0.1 * errors / errors.std()).float())
+        for row, soles in enumerate((None, person.soles)):
+            found = person.find(truth, stage1, above, soles=soles)
+            depth = (person.away(found, truth) @ sight)[:, feet]
+            square_depth[row, draw] = float(depth.square().mean())
+            square_height[row, draw] = float((heights(found) - heights(truth)).var())
+    height, depth = (x.mean(1) ** 0.5 for x in (square_height, square_depth))
+    assert (square_height[1] < square_height[0]).all() and height[1] < 0.8 * height[0]
+    assert depth[1] < depth[0]
 
 
 @pytest.mark.parametrize(("frames", "least"), [(3, 0.8), (8, 0.95), (N, 0.98)])

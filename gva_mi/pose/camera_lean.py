@@ -13,11 +13,14 @@ turns. ``c`` is the lean itself of who turns round, and nothing of who does not.
 ``c_z``, about the line of sight, is a sway that pictures show, and by chance: people move as they
 like. In depth, as much is by chance, too, and what is more costs
 
-2. ``E = Σ_j max(|(c_x, c_y)| / σ_j - 2, 0)² / 2``,    ``σ_j² = (ρ² v_j + s²) / 2``
+2. ``E = (ν + 1) / 2m · Σ_j log(1 + max(|(c_x, c_y)| / σ_j - 1, 0)² / ν)``,
+   ``σ_j² = (ρ² v_j + s²) / 2``
 
-nats, with ``v_j`` the mean square of the sways of joint ``j`` about the line of sight, ``ρ²`` the
-usual ``c_z² / v_j``, and ``s²`` the usual ``c_z²``: joints that move much lean more, but those at
-rest may lean a little.
+nats in every frame, with ``v_j`` the mean square of the sways of joint ``j`` about the line of
+sight, ``ρ²`` the usual ``c_z² / v_j``, and ``s²`` the usual ``c_z²``: joints that move much lean
+more, but those at rest may lean a little. It is Student's ``t``, for somebody may point at the
+camera from wherever they stand, and ``m`` frames count as one: all pictures err in the same way
+where clothes look like a lean, so they tell it no better than a few.
 """
 
 from __future__ import annotations
@@ -29,12 +32,12 @@ import roma
 import torch
 from torch import Tensor
 
-from gva_mi.pose.noise import median_of_square
+from gva_mi.pose.noise import FREEDOM, median_of_square
 from gva_mi.pose.stage1 import Stage1
 
 LIMBS = slice(1, 22)  # but not the pelvis: a camera may lean, and all of the person with it
 LEAST = np.radians(0.1)  # σ: 2 mm at a foot
-COMMON = 2.0  # σ: that far, 19 of 20 go by chance
+MEMORY = 6.0  # m, as of joints and soles that are off for a while
 
 
 @dataclass(frozen=True)
@@ -76,7 +79,8 @@ class CameraLean:
         """Eq. 2 of rotations (n, J, 3); differentiable."""
         in_depth = self._of(self._turns(rotations))[:, :2]
         size = (in_depth.square().sum(1) + (0.01 * LEAST) ** 2).sqrt()  # has a slope at 0, too
-        return (size / self.chance - COMMON).clamp_min(0).square().sum() / 2
+        beyond = (size / self.chance - 1).clamp_min(0)
+        return (FREEDOM + 1) / (2 * MEMORY) * torch.log1p(beyond.square() / FREEDOM).sum()
 
     def _turns(self, rotations: Tensor) -> Tensor:
         """``m`` (n, L, 3), radians."""

@@ -9,9 +9,10 @@ what a motion has of the camera is, in the camera's axes,
 1. ``c = P mean_k (R_k - mean R)ᵀ m_k``,    ``P = A / |A|``,    ``A = mean_k |R_k - mean R|²``
 
 with ``A`` of the pelvis and ``|X|² = Xᵀ X``: ``P`` leaves out the axis about which the person
-turns. ``c`` is the lean itself of who turns round, and nothing of who does not. Its coordinate
-``c_z``, about the line of sight, is a sway that pictures show, and by chance: people move as they
-like. In depth, as much is by chance, too, and what is more costs
+turns. ``c`` is the lean itself of who turns round, and nothing of who does not; who turns less than
+half round is left alone. Its coordinate ``c_z``, about the line of sight, is a sway that pictures
+show, and by chance: people move as they like. In depth, as much is by chance, too, and what is more
+costs
 
 2. ``E = (ν + 1) / 2m · Σ_j log(1 + max(|(c_x, c_y)| / σ_j - 1, 0)² / ν)``,
    ``σ_j² = (ρ² v_j + s²) / 2``
@@ -38,6 +39,7 @@ from gva_mi.pose.stage1 import Stage1
 LIMBS = slice(1, 22)  # but not the pelvis: a camera may lean, and all of the person with it
 LEAST = np.radians(0.1)  # σ: 2 mm at a foot
 MEMORY = 6.0  # m, as of joints and soles that are off for a while
+ROUND = 0.5  # of a person's turn, at least: nearly half round
 
 
 @dataclass(frozen=True)
@@ -49,12 +51,14 @@ class CameraLean:
         swings: (n, L, 3, 3) ``R_k - mean R``.
         across: (3, 3) ``P``.
         chance: (L,) ``σ``, radians.
+        shown: whether the person turns so far that a lean tells itself from a gesture.
     """
 
     means: Tensor
     swings: Tensor
     across: Tensor
     chance: Tensor
+    shown: bool
 
     @staticmethod
     @torch.no_grad()
@@ -67,7 +71,8 @@ class CameraLean:
         """
         R = stage1.R_joint_camera[:, LIMBS]
         means = roma.special_procrustes(roma.rotvec_to_rotmat(rotations[:, LIMBS]).mean(0))
-        lean = CameraLean(means, R - R.mean(0), _across(stage1), torch.ones(len(means)))
+        none, shown = torch.ones(len(means)), stage1.turned > ROUND
+        lean = CameraLean(means, R - R.mean(0), _across(stage1), none, shown)
         m = lean._turns(rotations)
         sways = (R.mT @ (m - m.mean(0))[..., None])[..., 2, 0].square().mean(0)
         square = lean._of(m)[:, 2].square()
@@ -77,6 +82,8 @@ class CameraLean:
 
     def energy(self, rotations: Tensor) -> Tensor:
         """Eq. 2 of rotations (n, J, 3); differentiable."""
+        if not self.shown:
+            return rotations.new_zeros(())
         in_depth = self._of(self._turns(rotations))[:, :2]
         size = (in_depth.square().sum(1) + (0.01 * LEAST) ** 2).sqrt()  # has a slope at 0, too
         beyond = (size / self.chance - 1).clamp_min(0)

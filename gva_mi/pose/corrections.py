@@ -153,10 +153,7 @@ class Corrections:
         """
         mean = self._at(range(len(self.moves)))[0][:, list(JOINTS)].mean(0)
         variance = self.beliefs.joints.variance_of_mean(bias=True)
-        # 1 of who does not turn, a third of who turns round an axis.
-        stays = self._stage1.R_joint_camera[:, 0].mean(0).square().sum() / 3
-        turned = (1.5 * (1 - stays)).clamp(0, 1)
-        return turned * (mean.square().sum(-1) / variance).sum() / 2
+        return self._stage1.turned * (mean.square().sum(-1) / variance).sum() / 2
 
     def _held(self, turn: Tensor, shift: Tensor | None) -> Tensor:
         """What a turn (3,) and a shift (3,) of the person in all frames cost, in each of them.

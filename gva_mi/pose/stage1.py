@@ -46,6 +46,13 @@ class Stage1:
         R_joint_camera = torch.einsum("kjai,ca->kjic", T_world_rest[..., :3, :3], R_camera_world)
         return Stage1(torch.tensor(list(frames)), some, R_joint_camera, R_camera_world)
 
+    @property
+    def turned(self) -> float:
+        """How far round the person turns: 1 once, 0.6 half, 0 not at all."""
+        # 1 of who does not turn, a third of who turns round an axis.
+        stays = self.R_joint_camera[:, 0].mean(0).square().sum() / 3
+        return float((1.5 * (1 - stays)).clamp(0, 1))
+
     def corrected(self, which: Sequence[int], turns: Tensor, moves: Tensor) -> Pose:
         """Poses of some of the frames, corrected in the camera's axes.
 

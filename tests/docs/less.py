@@ -27,9 +27,7 @@ SMALLER = {
     "bench splat": "--repeats 1 --calls 2 --no-growth --no-gsplat --scene scene.npz",
     # Seed 16 wears nothing and is bald: made in a moment.
     "study refine": "--people 16 --frames 3 --size 48 --refine.passes 1",
-    "study refine --edition": "--people 409 --frames 3 --size 48 --refine.passes 1",
-    "study refine --edition 5": "--people 509 --families lean --frames 3 --size 48 "
-    "--refine.passes 1",
+    "study refine --edition": "--people 609 --families lean --frames 3 --size 48 --refine.passes 1",
     "study avatar": "--people 16 --families lean --rows full --frames 3 --size 48 --novel 1 "
     "--refine.passes 1 --fit.steps 10",
     "study avatar --edition": "--people 209 --families lean --rows full --frames 3 --size 48 "

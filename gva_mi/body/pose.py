@@ -156,7 +156,7 @@ def save_poses(
         path: the file.
         pose: T frames.
         shape: the person's.
-        stage: 1 from an estimator, 2 from the refinement.
+        stage: 1 from an estimator, 2 from the refinement; see :func:`load_stage`.
         offsets: (V, 3) displacement of the rest surface that the refinement found, metres.
         focal: factor on the focal lengths of the video's cameras that the poses belong to.
     """
@@ -190,6 +190,19 @@ def load_focal(path: Path) -> float:
     if focal.shape != () or focal.dtype.kind not in "fiu" or not 0 < float(focal) < np.inf:
         raise InputError(f"{path}: 'focal' must be a positive number, got {focal}")
     return float(focal)
+
+
+def load_stage(path: Path) -> int:
+    """Who made the poses of a file: 0 the truth, 1 an estimator, 2 the refinement or what trains
+    poses after it. 1 where the file does not say.
+
+    Raises:
+        InputError: it is none of these.
+    """
+    stage = read_arrays(path, "poses under SMPL-X's names (.npz)").get("stage", np.array(1))
+    if stage.shape != () or stage.dtype.kind not in "iuf" or stage.item() not in (0, 1, 2):
+        raise InputError(f"{path}: 'stage' must be 0, 1 or 2, got {stage}")
+    return int(stage)
 
 
 def _tensor(path: Path, name: str, value: np.ndarray, shape: tuple[int, ...]) -> Tensor:

@@ -34,7 +34,7 @@ from typing import Literal
 
 import numpy as np
 
-from gva_mi.body.pose import Pose, Shape, load_focal, load_poses
+from gva_mi.body.pose import Pose, Shape, load_focal, load_poses, load_stage
 from gva_mi.data.backdrop import alone
 from gva_mi.data.film import Film
 from gva_mi.data.masks import read_mask
@@ -120,6 +120,7 @@ class Video:
     normals: NormalMaps | None = None
     absent: Mapping[int, str] = field(default_factory=dict)  # frames that say nothing, and why
     focal: float = 1.0  # factor on the focal lengths of cameras.npz, which the poses belong to
+    stage: int = 1  # who made the poses: gva_mi.body.pose.load_stage
 
     def __len__(self) -> int:
         return len(self.cameras)
@@ -213,6 +214,7 @@ def load_video(
     images, numbers = _open_pictures(folder)
     count = numbers[-1] + 1
     pose, shape = load_poses(poses or folder / POSES)
+    stage = load_stage(poses or folder / POSES)
     if len(pose) != count:
         raise InputError(
             f"{poses or folder / POSES}: holds {len(pose)} frames, but the video has {count}"
@@ -239,7 +241,7 @@ def load_video(
         raise InputError(f"{folder}: no frame can be used; frame 0: {absent[0]}")
     splits = load_splits(folder, count).without(absent)
     absent = dict(sorted(absent.items()))
-    return Video(folder, cameras, pose, shape, splits, images, maps, absent, focal)
+    return Video(folder, cameras, pose, shape, splits, images, maps, absent, focal, stage)
 
 
 def best_poses(folder: Path) -> Path:

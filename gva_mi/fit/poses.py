@@ -74,7 +74,14 @@ class TrainedPoses:
     """
 
     def __init__(
-        self, given: Pose, cameras: Sequence[Camera], rig: Rig, options: PoseOptions, steps: int
+        self,
+        given: Pose,
+        cameras: Sequence[Camera],
+        rig: Rig,
+        options: PoseOptions,
+        steps: int,
+        *,
+        as_given: bool = False,
     ) -> None:
         """Start with what is most probable of the given poses, before any picture.
 
@@ -84,6 +91,10 @@ class TrainedPoses:
             rig: the person's rest body.
             options: how.
             steps: of the whole fit.
+            as_given: start with the bodies as they are. Refined ones were found to be probable
+                already, by masks and normals of each frame; to smooth them once more would take
+                away what these have shown. (Faces, which the refinement leaves alone, start with
+                what is most probable.)
         """
         self.given, self._options, self._steps = given, options, steps
         self._clips: list[_Clip] = []
@@ -93,7 +104,8 @@ class TrainedPoses:
         arms = lever_arms(Rest(rig.vertices, rig.joints), rig.weights, rig.parents)
         for frames in cut(len(given), options.part, overlap=0):
             stage1 = Stage1.of(given, frames, cameras[frames.start])
-            corrections = Corrections.likeliest(stage1, anatomy)
+            likeliest = Corrections.likeliest(stage1, anatomy)
+            corrections = likeliest.none_yet() if as_given else likeliest
             face = Face.likeliest(stage1) if options.expression_lr > 0 else Face(stage1, [])
             self._clips.append(_Clip(frames, corrections, face, arms, options))
 

@@ -5,7 +5,7 @@
     out/
       options.json         options and versions that made it, and hashes of the video
       checkpoint.pt        the last saved state, until the run is finished
-      history.npz          per step: loss and its terms, Gaussians, milliseconds
+      history.npz          per step: loss and its terms, Gaussians, milliseconds by LAPS
       reinit/000900.npz    of each re-initialisation: the Gaussians before and after, the mesh
       poses.npz            of all frames, where poses were trained; see gva_mi.fit.poses
       avatar.npz           the fitted avatar; it is there when the run is finished
@@ -52,6 +52,9 @@ from gva_mi.splat import Gaussians
 AVATAR, CHECKPOINT, HISTORY = "avatar.npz", "checkpoint.pt", "history.npz"
 OPTIONS, TRAINED_POSES, REINIT = "options.json", "poses.npz", "reinit"
 METRICS, REPORT, OVERVIEW = "metrics.json", "report.html", "overview.png"
+# Of the history: what its milliseconds went to. Upkeep is density control, re-initialisation, and
+# looking up what Gaussians follow.
+LAPS = ("milliseconds_frame", "milliseconds_descent", "milliseconds_upkeep")
 GAUSSIANS = ("means", "quats", "scales", "opacities", "sh")
 
 

@@ -86,8 +86,7 @@ def fit(
         chosen = options.seed, options.random_background, options.window, options.mask_error
         samples = Samples(video, video.splits.train, *chosen, out)
         while run.step < options.steps:
-            figures = run.descend(samples[run.step], distance)
-            run.add_and_remove_gaussians(out)
+            figures = run.follow(samples, distance, out)
             if progress:
                 progress(
                     run.step, options.steps, loss=figures["loss"], gaussians=figures["gaussians"]
@@ -126,7 +125,10 @@ class Run:
             self.step = state["step"]
             self.history = {name: list(values) for name, values in state["history"].items()}
         rig = self.avatar.rig
-        self.poses = TrainedPoses(video.pose, video.cameras, rig, options.poses, options.steps)
+        smooth = video.stage >= 2
+        self.poses = TrainedPoses(
+            video.pose, video.cameras, rig, options.poses, options.steps, as_given=smooth
+        )
         self.optimizer = _optimizer(self.avatar, options.rates)
         self._pixel = smallest_pixel(video, rig)
         self.gradients = ScreenGradients(len(self.avatar.canonical))
@@ -135,9 +137,25 @@ class Run:
             self.optimizer.load_state_dict(state["optimizer"])
             self.gradients.total, self.gradients.views = state["gradients"]
 
+    def follow(self, samples: Samples, distance: Distance, out: Path) -> dict[str, float]:
+        """One step and what the schedule says to follow it; returns its line of the history."""
+        times = [time.perf_counter()]
+        sample = samples[self.step]
+        times.append(time.perf_counter())
+        figures = self.descend(sample, distance)
+        times.append(time.perf_counter())
+        self.add_and_remove_gaussians(out)
+        times.append(time.perf_counter())
+        laps = 1e3 * np.diff(times)
+        figures |= dict(zip(run_folder.LAPS, laps.tolist(), strict=True))
+        figures["milliseconds"] = float(laps.sum())
+        for name, value in figures.items():
+            self.history.setdefault(name, []).append(value)
+        return figures
+
     def descend(self, sample: Sample, distance: Distance) -> dict[str, float]:
-        """One step of descent on one frame; returns its line of the history."""
-        start, options = time.perf_counter(), self.options
+        """One step of descent on one frame; returns its losses."""
+        options = self.options
         self._lower_learning_rate()
         animated = self.avatar.animate(self.poses(sample.frame))
         target, screen = sample.target(animated.gaussians), Screen()
@@ -165,11 +183,8 @@ class Run:
         figures = {"step": self.step, "loss": float(total.detach())}
         figures |= {f.name: float(getattr(losses, f.name).detach()) for f in fields(losses)}
         if options.loss.perceptual and not weights.perceptual:  # as it was last seen
-            figures["perceptual"] = self.history["perceptual"][-1]
+            figures["perceptual"] = self.history.get("perceptual", [0.0])[-1]
         figures["gaussians"] = len(self.avatar.canonical)
-        figures["milliseconds"] = 1e3 * (time.perf_counter() - start)
-        for name, value in figures.items():
-            self.history.setdefault(name, []).append(value)
         return figures
 
     def add_and_remove_gaussians(self, out: Path) -> None:

@@ -128,7 +128,7 @@ def test_the_avatars_study_has_a_line_for_each_row_and_a_page(fitted, tmp_path, 
     lines = out.splitlines()
     head = next(k for k, line in enumerate(lines) if line.startswith("row "))
     assert lines[head - 1] == "held-out people: PSNR in dB on white"
-    assert lines[head + 1].split()[:4] == ["full", "30.00", "±", "0.00"]
+    assert lines[head + 1].split()[:4] == ["full", "30.00", "±", "0.00,"]
     assert lines[head + 2].startswith("with residual ") and "(+0.00)" in lines[head + 2]
     record = json.loads((tmp_path / "avatar.json").read_text())
     assert {r["row"] for r in record["results"]} == {"full", "with residual"}

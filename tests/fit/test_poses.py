@@ -126,6 +126,20 @@ def test_what_no_picture_asks_for_stays(truth, known, camera):
     assert turns_between(truth.rotations, found.rotations).norm(dim=-1).max() < 0.02
 
 
+def test_refined_poses_start_as_they_are_and_those_of_stage_1_smoothed(turning, known, camera):
+    frames = 20
+    truth, _ = turning(frames)
+    errors = 0.02 * torch.randn(frames, 3, generator=torch.Generator().manual_seed(0))
+    given = off(truth, errors)
+    smoothed, refined = (
+        TrainedPoses(given, [camera] * frames, known.rig, OPTIONS, STEPS, as_given=as_given).all()
+        for as_given in (False, True)
+    )
+    torch.testing.assert_close(refined.transl, given.transl, rtol=0, atol=1e-6)
+    assert turns_between(refined.rotations, given.rotations).norm(dim=-1).max() < 1e-5
+    assert rms(smoothed, truth, range(frames)) < 0.8 * rms(given, truth, range(frames))
+
+
 def talking(turning, frames, white=0.0, slow=0.0):
     """Someone who talks before the camera, and what an estimator says of it: (truth, given)."""
     truth, t = turning(frames)[0], torch.arange(frames) / frames

@@ -8,6 +8,8 @@
     surface      how the Gaussians lie on the true surface; empty where it is not known
     refinement   errors of the poses before and after stage 2; null where they are not known
     training     steps, seconds, Gaussians, size of the pictures
+    poses_mm     errors of the poses given and trained, means over frames by the names of
+                 gva_mi.pose.evaluation.errors; empty where poses were not trained or no truth is
     options, versions, seed       of the run
     pose_fit     where asked for: how poses were fitted to the pictures they are measured on
 """
@@ -16,7 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +26,7 @@ from gva_mi.avatar.avatar import Avatar, Rig
 from gva_mi.body.pose import Pose
 from gva_mi.body.smplx import BodyModel
 from gva_mi.console import Progress, within
+from gva_mi.data.truth import POSES, load_truth
 from gva_mi.data.video import REFINED_POSES, Video
 from gva_mi.errors import expecting
 from gva_mi.files import read_json, write_json
@@ -40,6 +43,7 @@ from gva_mi.fit.evaluation.similarity import Similarity, in_avatars_world, simil
 from gva_mi.fit.evaluation.surface_figures import SurfaceFigures, surface_figures
 from gva_mi.fit.photometric import FITTED, PhotometricOptions, fit_poses
 from gva_mi.fit.tracking import TRACKED_POSES
+from gva_mi.pose.evaluation.errors import pose_errors
 from gva_mi.pose.evaluation.figures import PoseFigures
 from gva_mi.pose.evaluation.record import REFINEMENT
 from gva_mi.records import from_json
@@ -49,6 +53,8 @@ REFINED = "what `gva-mi refine` writes"  # into REFINEMENT
 # Names of rows that are rendered otherwise than the run's own.
 AS_REFINED = "poses as refined"  # test frames without the trained poses
 ALIGNED = "after one similarity transform"  # novel poses and views in the avatar's own world
+
+GIVEN, TRAINED = "given", "trained"  # keys of poses_mm
 
 POSE_FIT_STEPS = 100  # at least; one of them turns or shifts by little
 SEEN_BY_FIT = ("pictures", "masks")
@@ -119,6 +125,7 @@ class Metrics:
     similarity: dict[str, float] | None = None
     surface: tuple[SurfaceFigures, ...] = ()
     pose_fit: PoseFit | None = None
+    poses_mm: dict[str, dict[str, float]] = field(default_factory=dict)
 
     @property
     def seed(self) -> int:
@@ -136,6 +143,7 @@ class Metrics:
             "protocol": asdict(self.protocol) if self.protocol else None,
             "similarity": self.similarity,
             "surface": [asdict(figures) for figures in self.surface],
+            "poses_mm": self.poses_mm,
             "options": self.options,
             "versions": self.versions,
             "seed": self.seed,
@@ -152,6 +160,9 @@ class Metrics:
     def lines(self) -> Iterator[str]:
         """The main figures, a line each."""
         yield from self.refinement.lines()
+        if self.poses_mm:
+            given, trained = (self.poses_mm[which]["body_aligned"] for which in (GIVEN, TRAINED))
+            yield f"{TRAINED:<11} aligned {given:.1f} → {trained:.1f} mm"
         for row in self.rows:
             if row.region in ("white", "hands", "face"):
                 split = row.split.replace("_", " ")
@@ -211,7 +222,20 @@ def measure_run(
         protocol=Protocol.of(scorer, video, poses, made_with["options"]),
         similarity=None if similarity is None else similarity.to_json(),
         surface=surface_figures(run, avatar, video.folder, body),
+        poses_mm=_errors(video, trained, body),
     )
+
+
+def _errors(video: Video, trained: Video, body: BodyModel) -> dict[str, dict[str, float]]:
+    """How far the poses of a video are off, before and after they were trained."""
+    if trained is video or video.truth is None or not (video.truth / POSES).is_file():
+        return {}
+    truth = load_truth(video.truth, body)
+    both = {GIVEN: video, TRAINED: trained}
+    return {
+        name: pose_errors(body, (which.pose, which.shape), truth).means()
+        for name, which in both.items()
+    }
 
 
 def _training(run: Path, video: Video) -> Training:

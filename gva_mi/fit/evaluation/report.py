@@ -5,7 +5,7 @@ It is made from the run's folder (:mod:`gva_mi.fit.run_folder`) and the subject'
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from gva_mi.data.pictures import read_image, write_image
 from gva_mi.data.video import Video, spread
 from gva_mi.fit import run_folder
 from gva_mi.fit.evaluation.evaluate import REGIONS, Split, SplitScores, source_of
-from gva_mi.fit.evaluation.metrics import ALIGNED, AS_REFINED, Metrics, load_metrics
+from gva_mi.fit.evaluation.metrics import ALIGNED, AS_REFINED, TRAINED, Metrics, load_metrics
 from gva_mi.fit.evaluation.report_pictures import (
     compared,
     dots,
@@ -61,7 +61,7 @@ def write_report(run: Path, avatar: Avatar, video: Video, title: str) -> None:
     sections = [
         _turning(avatar, video),
         _held_out(avatar, video),
-        *_refinement(metrics.refinement, video.folder / OVERLAYS),
+        *_refinement(metrics, video.folder / OVERLAYS),
         *_truth(avatar, video, "novel_pose", "Novel poses", _NOVEL_POSE),
         *_truth(avatar, video, "novel_view", "Novel views", _NOVEL_VIEW),
         *_faces(avatar, video),
@@ -110,32 +110,46 @@ def _held_out(avatar: Avatar, video: Video) -> Section:
     return Section("Test frames", text, pictures, columns=3)
 
 
-def _refinement(figures: PoseFigures, overlays: Path) -> list[Section]:
+def _refinement(metrics: Metrics, overlays: Path) -> list[Section]:
     """The refinement's pictures and figures, where the subject's folder has pictures of it."""
     if not overlays.exists():
         return []
     text = "The body over the frames, before the refinement of Eq. 8 (above) and after it (below)."
     pictures = [picture("stage 1 above, refined below", read_image(overlays, 3))]
-    table = _refinement_table(figures)
+    table = _refinement_table(metrics.refinement, metrics.poses_mm.get(TRAINED, {}))
+    if metrics.poses_mm:
+        text += " ‘Trained’ are the poses that the pictures have corrected along with the avatar."
     return [Section("Pose refinement", text, pictures, columns=1, tables=[table])]
 
 
-def _refinement_table(figures: PoseFigures) -> Table:
-    def row(name: str, digits: int, change: Change | None, true_pose: float | None) -> list[str]:
+def _refinement_table(figures: PoseFigures, trained: Mapping[str, float]) -> Table:
+    """Errors by stage.
+
+    Args:
+        figures: of the refinement.
+        trained: those of the poses that were trained along, by the names of
+            :mod:`gva_mi.pose.evaluation.errors`, millimetres; empty where there are none.
+    """
+
+    def row(name: str, change: Change | None, key: str) -> list[str]:
         both = (change.stage1, change.refined) if change else (None, None)
-        return [name, *(number(x, digits) for x in (*both, true_pose))]
+        return [name, *(number(x, 1) for x in (*both, trained.get(key), None))]
 
     rows = [
-        row("vertices, mm", 1, figures.vertices, None),
-        row("hands, mm", 1, figures.hands, None),
-        row("feet, mm", 1, figures.feet, None),
-        row("vertices, pelvis on pelvis, mm", 1, figures.aligned, None),
-        row("fingers, wrist on wrist, mm", 1, figures.fingers, None),
-        row("ankles too far away, mm", 1, figures.ankles_depth, None),
-        row("wrists too far away, mm", 1, figures.wrists_depth, None),
-        row("silhouette IoU", 3, figures.iou, figures.iou_truth),
+        row("vertices, mm", figures.vertices, "body"),
+        row("hands, mm", figures.hands, "hands"),
+        row("feet, mm", figures.feet, "feet"),
+        row("vertices, pelvis on pelvis, mm", figures.aligned, "body_aligned"),
+        row("hands, pelvis on pelvis, mm", figures.hands_aligned, "hands_aligned"),
+        row("feet, pelvis on pelvis, mm", figures.feet_aligned, "feet_aligned"),
+        row("fingers, wrist on wrist, mm", figures.fingers, "fingers"),
+        row("ankles too far away, mm", figures.ankles_depth, "ankles_depth"),
+        row("wrists too far away, mm", figures.wrists_depth, "wrists_depth"),
     ]
-    return Table(("", "stage 1", "refined", "true pose"), rows)
+    iou = figures.iou
+    overlap = (iou.stage1, iou.refined) if iou else (None, None)
+    rows.append(["silhouette IoU", *(number(x, 3) for x in (*overlap, None, figures.iou_truth))])
+    return Table(("", "stage 1", "refined", "trained", "true pose"), rows)
 
 
 def _truth(avatar: Avatar, video: Video, split: Split, title: str, text: str) -> list[Section]:
@@ -217,6 +231,13 @@ def surface_table(surface: Sequence[SurfaceFigures]) -> Table:
     return Table((*head, *(f"bias of {name}, mm" for name in parts), "stray, mm"), rows)
 
 
+_OF_A_STEP = (
+    "the frame, cut out and on its background",
+    "descent: avatar, splatting, Eq. 9, and all of it back",
+    "density control, re-initialisation, what Gaussians follow",
+)
+
+
 def _curves(history: dict[str, np.ndarray]) -> Section:
     """Losses and the number of Gaussians over the steps."""
     import matplotlib.pyplot as plt
@@ -224,7 +245,8 @@ def _curves(history: dict[str, np.ndarray]) -> Section:
     fig, (left, right) = plt.subplots(1, 2, figsize=(11, 3.2), layout="constrained")
     steps = np.arange(len(history["loss"]))
     for name, values in history.items():
-        if name not in ("step", "gaussians", "milliseconds") and np.any(values):
+        of_a_loss = name not in ("step", "gaussians") and not name.startswith("milliseconds")
+        if of_a_loss and np.any(values):
             left.plot(steps, _smooth(values), label=name, lw=1.2)
     left.set(xlabel="step", title="loss terms, before their weights", yscale="log")
     left.legend(frameon=False, fontsize=8)
@@ -232,8 +254,22 @@ def _curves(history: dict[str, np.ndarray]) -> Section:
     right.set(xlabel="step", title="Gaussians")
     for axis in (left, right):
         axis.spines[["top", "right"]].set_visible(False)
-    text = "Each term of Eq. 9, and how many Gaussians."
-    return Section("Training", text, [plot("", fig)], columns=1)
+    text = "Each term of Eq. 9, how many Gaussians, and what the time went to."
+    return Section("Training", text, [plot("", fig)], columns=1, tables=_time(history))
+
+
+def _time(history: dict[str, np.ndarray]) -> list[Table]:
+    """What a fit's time went to; none of a run whose history does not tell."""
+    if any(name not in history for name in run_folder.LAPS):
+        return []
+    parts = zip(_OF_A_STEP, run_folder.LAPS, strict=True)
+    whole, rows = history["milliseconds"].sum(), []
+    for title, name in (*parts, ("all", "milliseconds")):
+        ms = history[name]
+        figures = (number(x, 1) for x in (ms.sum() / 1e3, np.median(ms), ms.mean(), ms.max()))
+        rows.append([title, *figures, f"{ms.sum() / whole:.0%}"])
+    head = ("", "all steps, s", "a step: median, ms", "mean, ms", "longest, ms", "share")
+    return [Table(head, rows)]
 
 
 def _tables(metrics: Metrics) -> Section:

@@ -23,7 +23,7 @@ from gva_mi.data.truth import load_truth
 from gva_mi.data.video import POSES, REFINED_POSES, TEST_EVERY, Splits, Video, load_video
 from gva_mi.files import says, write_json
 from gva_mi.fit import run_folder
-from gva_mi.fit.evaluation.metrics import Metrics, measure_run, with_fitted_poses
+from gva_mi.fit.evaluation.metrics import Metrics, measure_run, save_metrics, with_fitted_poses
 from gva_mi.fit.evaluation.rows import Row
 from gva_mi.fit.options import FitOptions
 from gva_mi.fit.train import fit
@@ -64,10 +64,11 @@ class RowRun:
             self._poses,
             driven=self.driven(video),
         )
-        if self.row.rigid:  # fitted poses would bend what does not bend
-            return metrics
-        trained = run_folder.under_trained_poses(video, self.out)
-        return with_fitted_poses(metrics, avatar, video, trained, self.body)
+        if not self.row.rigid:  # fitted poses would bend what does not bend
+            trained = run_folder.under_trained_poses(video, self.out)
+            metrics = with_fitted_poses(metrics, avatar, video, trained, self.body)
+        save_metrics(self.out, metrics)
+        return metrics
 
     @property
     def is_done(self) -> bool:

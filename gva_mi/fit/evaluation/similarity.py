@@ -13,9 +13,11 @@ changes no picture of it: a scale about the eye, of the camera that was given an
 
 with the joints j of the body, x under the avatar's poses and y the true ones, in the training
 frames k. Where the camera moves, s, R and t are those that lay x onto y (Umeyama 1991). How the
-pelvis then stands off from the true one, in its own axes and the mean over the frames, is kept:
+skeleton then stands off from the true one, in the axes of its pelvis, is kept as pictures show it,
+by all its joints and without what lies along the camera's axis z:
 
-    3. o        = mean_k R_k,rootᵀ (x_k,pelvis - Rᵀ (y_k,pelvis - t) / s)
+    3. o        = argmin Σ_k |P_k (R_k,root o - mean_j (x_kj - Rᵀ (y_kj - t) / s))|²,
+       P_k      = 1 - z_k z_kᵀ
 
 The avatar stays as it is. Poses and cameras of the truth are taken over to its world instead:
 
@@ -131,9 +133,27 @@ def similarity_to_truth(rig: Rig, video: Video, body: BodyModel) -> Similarity |
         if stands
         else umeyama(*map(flat, (x, y)))
     )
-    back = (y[:, 0] - whole.translation) @ whole.rotation / whole.scale
+    off = (x - (y - whole.translation) @ whole.rotation / whole.scale).mean(1)
     root = roma.rotvec_to_rotmat(video.pose.rotations[frames, 0].double()).numpy()
-    return replace(whole, stance=np.einsum("kji,kj->i", root, x[:, 0] - back) / len(root))
+    z = np.stack([camera.T_camera_world[2, :3] for camera in given])
+    return replace(whole, stance=_stance(off, root, z))
+
+
+def _stance(off: np.ndarray, root: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """Eq. 3.
+
+    Args:
+        off: (n, 3) by what the joints stand off in n frames, in the mean over them, metres.
+        root: (n, 3, 3) turns of the pelvis.
+        z: (n, 3) the cameras' axes.
+
+    Returns:
+        (3,) metres. What no frame shows, for the person never turns, is left at 0.
+    """
+    P = np.eye(3) - z[:, :, None] * z[:, None, :]
+    matrix = np.einsum("kai,kab,kbj->ij", root, P, root)
+    vector = np.einsum("kai,kab,kb->i", root, P, off)
+    return np.linalg.pinv(matrix, rcond=1e-3, hermitian=True) @ vector
 
 
 def _about_the_eye(x: np.ndarray, y: np.ndarray, given: Camera, real: Camera) -> Similarity:

@@ -87,6 +87,7 @@ class RowResult:
     networks: Mapping[str, Any]  # of the perceptual figures
     seconds: float  # of the fit
     gaussians: int
+    poses_mm: Mapping[str, Mapping[str, float]] = field(default_factory=dict)  # as in metrics.json
 
     @staticmethod
     def of(case: Case, row: Row, metrics: Metrics) -> RowResult:
@@ -100,6 +101,7 @@ class RowResult:
             metrics.protocol.networks,
             metrics.training.seconds,
             metrics.training.gaussians,
+            metrics.poses_mm,
         )
 
 

@@ -3,7 +3,7 @@
 ::
 
     {"results": [{"name", "case", "held_out", "row", "scores", "surface", "similarity", "seconds",
-                  "gaussians"}],
+                  "gaussians", "poses_mm"}],
      "networks": of the perceptual figures, "paper": its tables,
      "summary": {people: {row: {column: {"mean", "spread", "worst", "people", "against_full"}}}},
      "made_with": {...}, "versions": {...}}

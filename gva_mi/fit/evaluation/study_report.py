@@ -16,6 +16,7 @@ from gva_mi.fit.evaluation.summary import (
     DEFECTS,
     LPIPS,
     PARTS,
+    POSES,
     PSNR,
     RAND_VGG,
     SSIM,
@@ -33,6 +34,7 @@ TITLES = (
     ("LPIPS", LPIPS),
     ("rand_vgg", RAND_VGG),
     ("PSNR, dB, in the boxes of hands, face and person, and on black", PARTS),
+    ("Errors of the poses, as given and trained along", POSES),
     ("Defects: what spills over the outline, holes within it, flicker, strays", DEFECTS),
     ("Where the Gaussians lie", SURFACE),
 )
@@ -56,7 +58,7 @@ def write_study_report(
         title="The avatar, row by row",
         subtitle=(
             f"{people} people, {len(rows)} ways to make an avatar of each. Mean ± standard "
-            "deviation over people, and in brackets the difference to full."
+            "deviation over people, the worst of them, and in brackets the difference to full."
         ),
         figures=list(_large(results)),
         sections=[
@@ -73,7 +75,8 @@ def write_study_report(
 def table(results: Sequence[RowResult], columns: Sequence[Column]) -> Table:
     """A line for each row of the study; columns that nobody has are left out.
 
-    A cell holds mean ± standard deviation over people, and the difference to the row "full".
+    A cell holds mean ± standard deviation over people, the worst one, and the difference to the row
+    "full".
     """
     shown = [c for c in columns if any(c.of(result) is not None for result in results)]
     rows = dict.fromkeys(result.row for result in results)
@@ -86,6 +89,8 @@ def _cell(results: Sequence[RowResult], row: str, column: Column) -> str:
     if found is None:
         return "–"
     text = f"{found.mean:,.{digits}f} ± {found.spread:.{digits}f}"
+    if found.people > 1 and column.better:
+        text += f", worst {found.worst:,.{digits}f}"
     if row == FULL.name or found.against_full is None:
         return text
     return f"{text} ({found.against_full:+.{digits}f})"

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gva_mi.fit.evaluation.evaluate import Region, Split, SplitScores
-from gva_mi.fit.evaluation.metrics import ALIGNED, AS_REFINED
+from gva_mi.fit.evaluation.metrics import ALIGNED, AS_REFINED, GIVEN, TRAINED
 from gva_mi.fit.evaluation.rows import FULL
 from gva_mi.fit.evaluation.study import RowResult
 from gva_mi.fit.photometric import FITTED
@@ -68,16 +68,17 @@ def score(
 
 # A name, the split, and the poses that it is rendered under.
 _TEST = ("test", "test", None)
+_STRICT = (("novel pose", "novel_pose", None), ("novel view", "novel_view", None))
 _NOVEL_POSE = ("novel pose, aligned", "novel_pose", ALIGNED)
 _NOVEL_VIEW = ("novel view, aligned", "novel_view", ALIGNED)
 _WHOLE = (
     _TEST,
     ("test, poses as given", "test", AS_REFINED),
     ("test, poses fitted", "test", FITTED),
-    ("novel pose", "novel_pose", None),
+    _STRICT[0],
     _NOVEL_POSE,
     ("novel pose, poses fitted", "novel_pose", FITTED),
-    ("novel view", "novel_view", None),
+    _STRICT[1],
     _NOVEL_VIEW,
     ("novel view, poses fitted", "novel_view", FITTED),
 )
@@ -95,7 +96,18 @@ def _part(region: Region) -> tuple[Column, ...]:
     """PSNR in a region."""
     return tuple(
         Column(f"psnr: {name}, {region}", score("psnr", split, region, poses))
-        for name, split, poses in (_TEST, _NOVEL_POSE, _NOVEL_VIEW)
+        for name, split, poses in (_TEST, *_STRICT, _NOVEL_POSE, _NOVEL_VIEW)
+    )
+
+
+def _millimetres(name: str, error: str) -> tuple[Column, ...]:
+    """An error of the poses, as they were given and as they were trained."""
+
+    def of(which: str) -> Callable[[RowResult], float | None]:
+        return lambda result: result.poses_mm.get(which, {}).get(error)
+
+    return tuple(
+        Column(f"poses: {name}, {which}, mm", of(which), 1, -1) for which in (GIVEN, TRAINED)
     )
 
 
@@ -132,6 +144,12 @@ PSNR = _whole("psnr", 2, 1)
 SSIM = _whole("ssim", 4, 1)
 LPIPS, RAND_VGG = _whole("lpips", 4, -1), _whole("rand_vgg", 4, -1)
 PARTS = (*_part("hands"), *_part("face"), *_part("person"), *_part("black"))
+POSES = (
+    *_millimetres("vertices", "body"),
+    *_millimetres("vertices aligned", "body_aligned"),
+    *_millimetres("hands aligned", "hands_aligned"),
+    *_millimetres("feet aligned", "feet_aligned"),
+)
 SURFACE = (
     _surface("spacing at the end", "spacing", "all", "end"),
     _surface("of patterned cloth", "spacing", "patterned cloth", "end"),
@@ -153,7 +171,7 @@ COST = (
     Column("seconds", lambda result: result.seconds, 0, -1),
     Column("Gaussians", lambda result: float(result.gaussians), 0, 0),
 )
-COLUMNS = (*PSNR, *SSIM, *LPIPS, *RAND_VGG, *PARTS, *DEFECTS, *SURFACE, *COST)
+COLUMNS = (*PSNR, *SSIM, *LPIPS, *RAND_VGG, *PARTS, *POSES, *DEFECTS, *SURFACE, *COST)
 
 
 def is_held_out(case: Case) -> bool:

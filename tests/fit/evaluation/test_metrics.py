@@ -61,8 +61,8 @@ def test_what_is_written_is_read_again(metrics, tmp_path):
 def test_the_file_has_the_entries_that_it_always_had(metrics):
     record = metrics.to_json()
     assert list(record) == [
-        "rows", "refinement", "training", "protocol", "similarity", "surface", "options",
-        "versions", "seed",
+        "rows", "refinement", "training", "protocol", "similarity", "surface", "poses_mm",
+        "options", "versions", "seed",
     ]  # fmt: skip
     assert list(record["rows"][0]) == [
         "name", "split", "psnr", "ssim", "lpips", "rand_vgg", "region", "count", "spill", "holes",

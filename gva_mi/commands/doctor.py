@@ -108,7 +108,9 @@ def _weights() -> Iterator[Finding]:
     from gva_mi.fit.perceptual import find_weights
 
     weights = find_weights()
-    vgg = weights.vgg16 or "none; the perceptual loss uses the random network rand_vgg"
-    yield Finding("VGG16", str(vgg))
+    vgg = "none; the perceptual loss uses the random network rand_vgg"
+    if weights.vgg16:
+        vgg = f"{weights.vgg16}; a fit uses it where it is told: gva-mi fit --vgg16 FILE"
+    yield Finding("VGG16", vgg)
     network = weights.lpips_network
     yield Finding("LPIPS", f"on {network}" if network else "none; rand_vgg is reported instead")

@@ -185,6 +185,21 @@ def test_a_focal_length_that_is_no_positive_number_is_refused(subject):
         load_video(subject, subject / "zoomed.npz")
 
 
+def test_a_file_of_poses_says_who_made_them(subject):
+    video = load_video(subject)
+    assert video.stage == 1
+    save_poses(subject / "refined.npz", video.pose, video.shape, stage=2)
+    assert load_video(subject, subject / "refined.npz").stage == 2
+    with np.load(subject / "refined.npz") as data:
+        arrays = dict(data)
+    np.savez(subject / "silent.npz", **{k: v for k, v in arrays.items() if k != "stage"})
+    assert load_video(subject, subject / "silent.npz").stage == 1
+    for odd in (7, 1.5, [1, 1], "two"):
+        np.savez(subject / "odd.npz", **arrays | {"stage": np.array(odd)})
+        with pytest.raises(InputError, match="'stage' must be 0, 1 or 2"):
+            load_video(subject, subject / "odd.npz")
+
+
 def test_outlines_are_the_frames_without_their_pictures(subject):
     (subject / "normals").mkdir()
     normals = np.random.default_rng(0).standard_normal((6, 8, 3)).astype(np.float32)

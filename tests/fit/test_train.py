@@ -90,6 +90,8 @@ def test_the_history_has_a_line_per_step(fitted):
     assert all(len(column) == STEPS for column in history.values())
     np.testing.assert_array_equal(history["step"], np.arange(1, STEPS + 1))
     assert all(np.isfinite(column).all() for column in history.values())
+    laps = np.sum([history[name] for name in run_folder.LAPS], axis=0)
+    np.testing.assert_allclose(history["milliseconds"], laps)
 
 
 def test_the_perceptual_term_counts_in_the_mean_as_much_as_its_weight_says(fitted):

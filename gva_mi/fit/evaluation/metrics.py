@@ -16,6 +16,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -106,10 +107,20 @@ class Protocol:
         normals = ["refine"] if "refine" in masks and video.has_normals else []
         return Protocol(
             networks=scorer.networks(),
-            training_loss=f"VGG16, {options['vgg16']}" if options.get("vgg16") else "rand_vgg",
+            training_loss=_training_loss(options.get("vgg16")),
             masks="true" if video.true_mask(video.splits.train[0]) is not None else "the video's",
             seen={"test pictures": pictures, "test masks": masks, "test normals": normals},
         )
+
+
+def _training_loss(vgg16: str | None) -> str:
+    """The perceptual term of a fit that was given this file of weights."""
+    if vgg16 is None:
+        return "rand_vgg"
+    file = Path(vgg16)
+    if not file.is_file():
+        return f"VGG16, {vgg16}"
+    return f"VGG16, {vgg16}, sha256 {hashlib.sha256(file.read_bytes()).hexdigest()}"
 
 
 @dataclass(frozen=True)

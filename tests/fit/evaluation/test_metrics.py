@@ -1,10 +1,15 @@
 """``metrics.json``: what is written is read again, and what is not known is not invented."""
 
+import hashlib
 import json
+import shutil
 from dataclasses import replace
 
 import pytest
+import torch
 
+from gva_mi.body.pose import Pose, save_poses
+from gva_mi.data.video import load_video, save_cameras
 from gva_mi.errors import InputError
 from gva_mi.fit.evaluation.evaluate import SplitScores
 from gva_mi.fit.evaluation.metrics import (
@@ -12,6 +17,7 @@ from gva_mi.fit.evaluation.metrics import (
     PoseFit,
     Protocol,
     Training,
+    _errors,
     _pose_fit_options,
     load_metrics,
     save_metrics,
@@ -52,6 +58,7 @@ def test_what_is_written_is_read_again(metrics, tmp_path):
         protocol=Protocol({"lpips": None}, "rand_vgg", "true", {"test pictures": ["stage 1"]}),
         similarity={"scale": 1.03, "turn_degrees": 0.5, "shift_m": 0.2},
         surface=(SurfaceFigures(500, "before", 900, {"all": 0.5}, {"hair": 12.0}),),
+        poses_mm={"given": {"body_aligned": 12.5}, "trained": {"body_aligned": 10.0}},
     )
     for some in (metrics, fitted, known, replace(metrics, refinement=UNKNOWN)):
         save_metrics(tmp_path, some)
@@ -137,6 +144,26 @@ def test_the_protocol_says_what_had_seen_the_test_frames(
     assert found.training_loss == "rand_vgg" and found.networks["lpips"] is None
     ours = Protocol.of(Scorer(Weights()), video, tmp_path / poses, {"vgg16": "my.pth"})
     assert ours.training_loss == "VGG16, my.pth"
+    (tmp_path / "my.pth").write_bytes(b"weights")
+    named = Protocol.of(Scorer(Weights()), video, tmp_path / poses, {"vgg16": tmp_path / "my.pth"})
+    assert named.training_loss.endswith("sha256 " + hashlib.sha256(b"weights").hexdigest())
+
+
+def test_trained_poses_are_told_from_given_ones_by_millimetres(studio, body, tmp_path):
+    folder = tmp_path / "known"
+    shutil.copytree(studio.folder, folder)
+    save_poses(folder / "truth/poses.npz", studio.pose, studio.shape, stage=0)
+    save_cameras(folder / "truth/cameras.npz", studio.cameras)
+    video = load_video(folder)
+    aside = video.pose.transl + torch.tensor([0.01, 0, 0])
+    moved = Pose(video.pose.rotations, aside, video.pose.expression)
+    found = _errors(video, replace(video, pose=moved), body)
+    assert list(found) == ["given", "trained"]
+    assert found["given"]["body"] == pytest.approx(0, abs=1e-4)
+    assert found["trained"]["body"] == pytest.approx(10, abs=1e-3)
+    assert found["trained"]["body_aligned"] == pytest.approx(0, abs=1e-3)
+    assert _errors(video, video, body) == {}  # nothing was trained
+    assert _errors(studio, replace(studio, pose=moved), body) == {}  # nothing is known
 
 
 @pytest.mark.parametrize("frames, steps", [(1, 100), (8, 100), (10, 102), (64, 160)])

@@ -39,6 +39,16 @@ WRISTS = {side: JOINTS.index(f"{side}_wrist") for side in ("left", "right")}
 FINGERS = {"left": LEFT_HAND, "right": RIGHT_HAND}
 HEAD = JOINTS.index("head")
 
+# What goes wrong first in a new pose, for pictures alone: joints in the middle, metres of a side.
+CLOSE_UPS = {
+    "head and hair": (("head", "jaw"), 0.44),
+    "left armpit": (("left_shoulder",), 0.38),
+    "right armpit": (("right_shoulder",), 0.38),
+    "hem": (("left_hip", "right_hip", "left_knee", "right_knee"), 0.72),
+    "left hand": (("left_wrist", "left_middle2"), HAND),
+    "right hand": (("right_wrist", "right_middle2"), HAND),
+}
+
 Detail = Literal["hands", "face"]
 
 
@@ -70,6 +80,14 @@ def box_around(camera: Camera, joints: np.ndarray, metres: float, pixels: int = 
     left, top = round(u - side / 2), round(v - side / 2)
     fits = left >= 0 and top >= 0 and left + side <= camera.width and top + side <= camera.height
     return Box(left, top, left + side, top + side) if fits else None
+
+
+def close_ups(camera: Camera, joints: np.ndarray) -> Iterator[tuple[str, Box]]:
+    """The boxes of CLOSE_UPS that lie within the picture, of joints (55, 3), metres, world."""
+    for name, (middle, metres) in CLOSE_UPS.items():
+        box = box_around(camera, joints[[JOINTS.index(joint) for joint in middle]], metres)
+        if box is not None:
+            yield name, box
 
 
 def hand_joints(joints: np.ndarray, side: str) -> np.ndarray:

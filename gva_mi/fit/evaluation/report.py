@@ -17,9 +17,11 @@ from gva_mi.data.video import Video, spread
 from gva_mi.fit import run_folder
 from gva_mi.fit.evaluation.evaluate import REGIONS, Split, SplitScores, source_of
 from gva_mi.fit.evaluation.metrics import ALIGNED, AS_REFINED, TRAINED, Metrics, load_metrics
+from gva_mi.fit.evaluation.regions import CLOSE_UPS
 from gva_mi.fit.evaluation.report_pictures import (
     compared,
     dots,
+    enlarged,
     face,
     hands,
     overview,
@@ -44,6 +46,7 @@ from gva_mi.pose.evaluation.figures import Change, PoseFigures
 from gva_mi.pose.evaluation.record import OVERLAYS
 
 SHOWN = 5  # frames per strip
+ENLARGED = 3  # novel poses that are shown enlarged
 TURN_FRAMES = 24  # pictures of the turning avatar
 
 
@@ -64,6 +67,7 @@ def write_report(run: Path, avatar: Avatar, video: Video, title: str) -> None:
         *_refinement(metrics, video.folder / OVERLAYS),
         *_truth(avatar, video, "novel_pose", "Novel poses", _NOVEL_POSE),
         *_truth(avatar, video, "novel_view", "Novel views", _NOVEL_VIEW),
+        *_close_ups(avatar, video),
         *_faces(avatar, video),
         _hands(avatar, video),
         *_reinitialisation(list(run_folder.load_snapshots(run)), metrics.surface),
@@ -160,6 +164,24 @@ def _truth(avatar: Avatar, video: Video, split: Split, title: str, text: str) ->
     shown = source.frames(spread(range(len(source)), SHOWN))
     images = same_size([compared(avatar, frame, difference=False) for frame in shown])
     return [Section(title, text, [picture("", image) for image in images])]
+
+
+def _close_ups(avatar: Avatar, video: Video) -> list[Section]:
+    """What goes wrong first in a new pose, enlarged."""
+    source = source_of(video, "novel_pose")
+    if source is None:
+        return []
+    frames = source.frames(spread(range(len(source)), ENLARGED))
+    pictures = [
+        picture(f"novel pose {frame.index}, {name}", image)
+        for frame in frames
+        for name, image in enlarged(avatar, frame)
+    ]
+    text = (
+        "Novel poses zoomed on head and hair, armpits, hem and hands: the truth's own pixels "
+        "above, and below the avatar, rendered at the zoomed resolution."
+    )
+    return [Section("Closer", text, pictures, columns=len(CLOSE_UPS))] if pictures else []
 
 
 def _faces(avatar: Avatar, video: Video) -> list[Section]:

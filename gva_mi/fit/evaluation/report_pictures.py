@@ -14,7 +14,14 @@ import torch
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.data.video import Frame, Video
 from gva_mi.fit.camera_paths import circle
-from gva_mi.fit.evaluation.regions import FINGERS, HAND, box_around, face_box, hand_joints
+from gva_mi.fit.evaluation.regions import (
+    FINGERS,
+    HAND,
+    box_around,
+    close_ups,
+    face_box,
+    hand_joints,
+)
 from gva_mi.fit.evaluation.similarity import posed_joints
 from gva_mi.fit.renders import cut_out, render_frame, to_8bit
 from gva_mi.page import around
@@ -71,6 +78,12 @@ def face(avatar: Avatar, frame: Frame) -> np.ndarray | None:
     """The face, the picture above the render; None where it leaves the picture or looks away."""
     box = face_box(frame.camera, _joints(avatar, frame))
     return None if box is None else _zoomed(avatar, frame, box)
+
+
+def enlarged(avatar: Avatar, frame: Frame) -> Iterator[tuple[str, np.ndarray]]:
+    """Head, armpits, hem and hands: the name, and the picture above the render."""
+    for name, box in close_ups(frame.camera, _joints(avatar, frame)):
+        yield name, _zoomed(avatar, frame, box)
 
 
 def _zoomed(avatar: Avatar, frame: Frame, box: Box) -> np.ndarray:

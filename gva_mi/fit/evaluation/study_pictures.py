@@ -17,11 +17,11 @@ from gva_mi.data.video import spread
 from gva_mi.fit import run_folder
 from gva_mi.fit.evaluation.evaluate import Split, View, views_of
 from gva_mi.fit.evaluation.metrics import aligned_views
-from gva_mi.fit.evaluation.regions import person_box
+from gva_mi.fit.evaluation.regions import close_ups, person_box
 from gva_mi.fit.evaluation.report_pictures import dots, same_size
 from gva_mi.fit.evaluation.row_run import RowRun
-from gva_mi.fit.evaluation.rows import FULL, NO_HANDS, NO_REFINEMENT, NO_REINIT_NAKED
-from gva_mi.fit.evaluation.similarity import similarity_to_truth
+from gva_mi.fit.evaluation.rows import FULL, NO_HANDS, NO_REFINEMENT, NO_REINIT_NAKED, TRUE
+from gva_mi.fit.evaluation.similarity import posed_joints, similarity_to_truth
 from gva_mi.fit.renders import cut_out, render_frame
 from gva_mi.page import Picture, Section, picture
 from gva_mi.pose.crop import Box
@@ -122,6 +122,24 @@ def _hands(name: str, rows: Mapping[str, _Shown], other: str) -> list[Picture]:
     return found
 
 
+def _close_ups(name: str, rows: Mapping[str, _Shown], other: str) -> list[Picture]:
+    """Head, armpits, hem and hands in a novel pose."""
+    full = rows[FULL.name]
+    if "novel_pose" not in full.views:
+        return []
+    view = full.views["novel_pose"]
+    k = spread(view.frames, SHOWN)[1 % len(view.frames)]
+    seen = view.video[k]
+    joints = posed_joints(full.avatar.rig, seen.pose)[0].double().numpy()
+    return [
+        picture(
+            f"{name}, frame {k}, {part}: truth, {other}, {FULL.name}",
+            _beside(rows, [other, FULL.name], "novel_pose", k, box),
+        )
+        for part, box in close_ups(seen.camera, joints)
+    ]
+
+
 def _test_frames(name: str, rows: Mapping[str, _Shown], other: str) -> list[Picture]:
     return _of_split(name, rows, other, "test")
 
@@ -179,5 +197,10 @@ _FIGURES = {
         "Novel poses: truth, seeded on the naked body without re-initialisation, and full.",
         (NO_REINIT_NAKED,),
     ): _novel_poses,
+    (
+        "Closer",
+        "What goes wrong first in a novel pose, enlarged: truth, under right poses, and full.",
+        (TRUE,),
+    ): _close_ups,
 }
 _SHOWN_ROWS = {FULL.name} | {row.name for _, _, others in _FIGURES for row in others}

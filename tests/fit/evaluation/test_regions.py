@@ -7,7 +7,16 @@ import pytest
 import torch
 
 from gva_mi.body.pose import JOINTS, Pose, Shape
-from gva_mi.fit.evaluation.regions import FACE, HAND, SMALLEST, Details, box_around, person_box
+from gva_mi.fit.evaluation.regions import (
+    CLOSE_UPS,
+    FACE,
+    HAND,
+    SMALLEST,
+    Details,
+    box_around,
+    close_ups,
+    person_box,
+)
 from gva_mi.splat import Camera, look_at
 
 
@@ -37,6 +46,16 @@ def standing(body):
 def of(details, wanted):
     """The boxes of one kind in the only frame."""
     return [box for region, box in details.boxes(0) if region == wanted]
+
+
+def test_close_ups_hold_the_joints_they_are_of(standing):
+    joints = standing.body(standing.pose, standing.shape).joints[0].detach().double().numpy()
+    boxes = dict(close_ups(standing.cameras[0], joints))
+    assert list(boxes) == list(CLOSE_UPS)
+    for name, box in boxes.items():
+        seen = standing.cameras[0].project(joints[[JOINTS.index(j) for j in CLOSE_UPS[name][0]]])
+        assert ((seen > (box.left, box.top)) & (seen < (box.right, box.bottom))).all()
+    assert boxes["left hand"].left > boxes["left armpit"].left > boxes["right armpit"].left
 
 
 def test_both_hands_are_found_where_the_wrists_are(standing):

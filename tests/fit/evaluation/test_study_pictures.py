@@ -11,8 +11,9 @@ from gva_mi.body.pose import save_poses
 from gva_mi.data.pictures import write_image
 from gva_mi.data.video import save_cameras
 from gva_mi.fit.evaluation.metrics import AS_REFINED
+from gva_mi.fit.evaluation.regions import CLOSE_UPS
 from gva_mi.fit.evaluation.row_run import RowRun
-from gva_mi.fit.evaluation.rows import FULL, NO_HANDS, NO_REFINEMENT, NO_REINIT_NAKED
+from gva_mi.fit.evaluation.rows import FULL, NO_HANDS, NO_REFINEMENT, NO_REINIT_NAKED, TRUE
 from gva_mi.fit.evaluation.study_pictures import CaseRuns, sections_of_pictures
 from gva_mi.fit.options import FitOptions, Schedule
 from gva_mi.fit.photometric import FITTED
@@ -88,12 +89,14 @@ def test_all_figures_are_shown_where_all_rows_are_there(runs):
     (run, _) = runs["full"]
     every = {
         row.name: replace(run, row=replace(FULL, name=row.name))
-        for row in (FULL, NO_HANDS, NO_REFINEMENT, NO_REINIT_NAKED)
+        for row in (FULL, NO_HANDS, NO_REFINEMENT, NO_REINIT_NAKED, TRUE)
     }
-    titles = [s.title for s in sections_of_pictures([CaseRuns("somebody", every)])]
-    assert [title.split("as ")[1] for title in titles] == [
-        "Figure 5)", "Figure 2)", "Figure 10)", "Figure 11)", "Figure 12)"
+    sections = list(sections_of_pictures([CaseRuns("somebody", every)]))
+    assert [section.title.split("as ")[-1] for section in sections] == [
+        "Figure 5)", "Figure 2)", "Figure 10)", "Figure 11)", "Figure 12)", "Closer"
     ]  # fmt: skip
+    parts = [p.caption.split(", ")[2].split(":")[0] for p in sections[-1].pictures]
+    assert parts and set(parts) <= set(CLOSE_UPS)
 
 
 def test_a_case_without_runs_shows_nothing():

@@ -161,7 +161,7 @@ class Recording:
             surface = self.subject.posed(self.body, now, past, options.folds)[0]
             seed = (*options.entropy(RENDER), stream, k)
             worse = taken[k] if taken else None
-            yield Shot(folder, k, surface, camera, options.samples, seed, worse)
+            yield Shot(folder, k, surface, camera, options.samples, seed, worse, options.light)
 
 
 def _lowered(pose: Pose, drop: np.ndarray) -> Pose:

@@ -40,6 +40,7 @@ class SynthOptions:
     samples: Annotated[int, Within(1, 4096)] = 16  # rays per pixel, a square number
     clothes: bool = True  # clothes and shoes; without them a swimsuit is painted on the skin
     hair: bool = True  # without it the head is bald
+    light: Literal["usual", "side", "ambient"] = "usual"  # besides the sky, see render.LIGHTS
     folds: Level = 1.0  # factor on creases where cloth bends and on ends that lag; 0: skinned only
     family: str = "bursts"  # of noise: what goes wrong; see gva_mi.data.synthetic.noise.families
     noise_seed: Seed | None = None  # which noise of the family; without it, the seed's
@@ -66,7 +67,7 @@ class SynthOptions:
             raise InputError(f"synth: samples must be a square number, got {self.samples}")
         choices = {
             "subject": (None, *STUDY), "motion": motion.MOTIONS, "figure": FIGURES,
-            "outfit": ("own", "foreign"),
+            "outfit": ("own", "foreign"), "light": ("usual", "side", "ambient"),
         }  # fmt: skip
         for name, known in choices.items():
             if getattr(self, name) not in known:

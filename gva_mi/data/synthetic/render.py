@@ -17,6 +17,7 @@ All sums have a fixed order: the same seed gives the same bits.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import drjit as dr
@@ -44,11 +45,16 @@ class AreaLight:
     radiance: tuple[float, float, float]  # linear
 
 
-# The key light stands left of the camera and above, a weak fill to the right: both metres wide.
-LIGHTS = (
-    AreaLight((-2.2, 3.0, 3.0), (0.7, 0.0, 0.5), (-0.4, 0.6, 0.55), (15.0, 14.5, 13.8)),
-    AreaLight((3.2, 1.6, 2.2), (0.5, 0.0, -0.75), (0.0, 0.9, 0.0), (1.6, 1.7, 1.9)),
-)
+# Besides the sky. Usual: the key light stands left of the camera and above, a weak fill to the
+# right, both metres wide. Side: all comes from the left, and who turns is lit from all sides in turn.
+LIGHTS = {
+    "usual": (
+        AreaLight((-2.2, 3.0, 3.0), (0.7, 0.0, 0.5), (-0.4, 0.6, 0.55), (15.0, 14.5, 13.8)),
+        AreaLight((3.2, 1.6, 2.2), (0.5, 0.0, -0.75), (0.0, 0.9, 0.0), (1.6, 1.7, 1.9)),
+    ),
+    "side": (AreaLight((-3.6, 1.4, 0.0), (0.0, 0.8, 0.0), (0.0, 0.0, 0.8), (24.0, 23.2, 22.1)),),
+    "ambient": (),
+}
 SKY, EARTH = (0.58, 0.60, 0.63), (0.30, 0.29, 0.28)  # ambient radiance from above and from below
 
 
@@ -87,7 +93,12 @@ class Renderer:
         dr.eval(self._material, self._rest, self._tint, self._given_off)
 
     def __call__(
-        self, vertices: np.ndarray, camera: Camera, samples: int = 16, seed: int = 0
+        self,
+        vertices: np.ndarray,
+        camera: Camera,
+        samples: int = 16,
+        seed: int = 0,
+        light: str = "usual",
     ) -> Rendering:
         """Draw it.
 
@@ -96,6 +107,7 @@ class Renderer:
             camera: the view.
             samples: rays per pixel, a square number.
             seed: of all random numbers.
+            light: one of LIGHTS.
         """
         import mitsuba as mi
 
@@ -106,7 +118,7 @@ class Renderer:
         self._normals = mi.Float(normals.astype(np.float32).ravel())
 
         left, top, width, height = _window(vertices, camera)
-        values = self._trace(camera.cropped(left, top, width, height), samples, seed)
+        values = self._trace(camera.cropped(left, top, width, height), samples, seed, LIGHTS[light])
         values = values.reshape(height, width, samples, 8).astype(np.float64)
         hit = values[..., 7]
         count = hit.sum(2)
@@ -128,7 +140,9 @@ class Renderer:
             placed(color, 1.0), placed(mask, 0.0), placed(normal, 0.0), placed(mean[..., 6], 0.0)
         )
 
-    def _trace(self, camera: Camera, samples: int, seed: int) -> np.ndarray:
+    def _trace(
+        self, camera: Camera, samples: int, seed: int, lights: Sequence[AreaLight]
+    ) -> np.ndarray:
         """All samples of the view, (H W S, 8): radiance, world normal, depth, hit."""
         import mitsuba as mi
 
@@ -156,7 +170,7 @@ class Renderer:
         start = ray(at.t) + n_shading * OFFSET - ray.d * OFFSET
 
         light = mi.Color3f(0)
-        for source in LIGHTS:
+        for source in lights:
             light += self._direct(source, start, n_shading, stratum(), hit)
         light += dr.pi * self._ambient(start, n_shading, stratum(), hit)
         radiance = color * light * dr.inv_pi

@@ -55,6 +55,7 @@ class Shot:
     samples: int  # rays per pixel
     seed: tuple[int, ...]  # of everything random in it
     taken: Taken | None = None  # None: everything is the truth
+    light: str = "usual"  # one of gva_mi.data.synthetic.render.LIGHTS
 
 
 @dataclass(frozen=True)
@@ -124,7 +125,7 @@ def render_shot(renderer: Renderer, shot: Shot) -> ShotResult:
     """Render one picture and write its files."""
     light, errors = np.random.SeedSequence(shot.seed).spawn(2)
     seed = int(light.generate_state(1)[0])
-    true = renderer(shot.surface, shot.camera, shot.samples, seed)
+    true = renderer(shot.surface, shot.camera, shot.samples, seed, shot.light)
     color, error = true.color, None
     if shot.taken is None:
         _write_true(shot.folder, shot.index, true)

@@ -52,6 +52,21 @@ def test_normals_agree_with_differences_of_depth(picture):
     assert ((across * picture.normals[1:-1, 1:-1]).sum(-1)[core] > np.cos(0.1)).all()
 
 
+def test_light_from_the_side_comes_from_the_left_and_the_sky_from_both(renderer, ball):
+    ahead = Camera(70, 70, 32, 30, look_at((0, 0, 3.0), (0, 0, 0)), 64, 60)
+    halves = {}
+    for light in ("usual", "side", "ambient"):
+        seen = renderer(ball.vertices, ahead, 16, 0, light)
+        inside = seen.mask == 1
+        color = np.where(inside, seen.color.mean(-1), np.nan)
+        halves[light] = np.nanmean(color[:, :32]), np.nanmean(color[:, 32:])
+    left, right = halves["side"]
+    assert left > 1.25 * right > 0
+    assert halves["ambient"][0] == pytest.approx(halves["ambient"][1], rel=0.02)
+    assert halves["ambient"][0] < min(halves["usual"])
+    assert right == pytest.approx(halves["ambient"][1], rel=0.05)  # nothing else reaches it
+
+
 def test_color_is_white_where_the_mask_is_zero_and_blended_where_it_is_soft(picture):
     assert (picture.color[picture.mask == 0] == 1).all()
     soft = (picture.mask > 0) & (picture.mask < 1)

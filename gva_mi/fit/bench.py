@@ -1,4 +1,4 @@
-"""How fast a fit is: a step, stage by stage, and an avatar that is driven.
+"""How fast a fit is: a step, stage by stage, a re-initialisation, and an avatar that is driven.
 
 The person is the puppet in stripes, as tall as the picture but for a margin, and turns; the avatar
 lies on it already, with so many Gaussians. Times are wall clock, the least and the median of
@@ -20,6 +20,7 @@ import torch
 
 from gva_mi.avatar.avatar import AvatarOptions, seed_avatar
 from gva_mi.avatar.canonical import SeedOptions
+from gva_mi.avatar.reinit import reinitialise
 from gva_mi.body.pose import Pose, Shape, save_poses
 from gva_mi.body.smplx import BodyModel, load_body
 from gva_mi.data.pictures import write_image
@@ -28,7 +29,7 @@ from gva_mi.fit.losses import render_losses
 from gva_mi.fit.options import FitOptions
 from gva_mi.fit.perceptual import rand_vgg_loss
 from gva_mi.fit.renders import DRAWN, render_frame
-from gva_mi.fit.samples import Samples
+from gva_mi.fit.samples import Samples, Stream, torch_state
 from gva_mi.fit.train import Run
 from gva_mi.splat import Camera, Screen, look_at, render
 from gva_mi.threads import one_torch_thread
@@ -37,6 +38,7 @@ FRAMES = 9  # of the turn; every eighth is a test frame
 FILLED = 0.8  # of the picture's height by the person
 DISTANCE = 3.0  # metres to the camera
 _WARM_UP = 4  # steps before the first that counts
+_REINITS = 5  # re-initialisations at most: one takes as long as dozens of steps
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,7 @@ class FitBench:
     size: int  # pixels, width and height of the pictures
     stages: tuple[Stage, ...]
     step: Stage  # the mean over steps with and without the perceptual term
+    reinitialisation: Stage  # one; a fit has two
     driven: Stage  # skinning and splatting alone
 
     def to_dict(self) -> dict:
@@ -71,7 +74,7 @@ class FitBench:
         """For a person to read."""
         lines = [f"{self.gaussians:,} Gaussians, {self.size} x {self.size} pixels"]
         lines.append(f"{'ms':34}{'least':>9}{'median':>9}")
-        for stage in (*self.stages, self.step, self.driven):
+        for stage in (*self.stages, self.step, self.reinitialisation, self.driven):
             lines.append(f"{stage.name:34}{stage.least:9.2f}{stage.median:9.2f}")
         lines.append(f"driven at {1e3 / self.driven.median:.0f} frames a second")
         return "\n".join(lines)
@@ -96,7 +99,8 @@ def bench_fit(repeats: int, seed: int, gaussians: int = 20_000, size: int = 512)
         stages = _stages(run, samples, repeats)
         step = _steps(run, samples, repeats)
         driven = _driven(run, video, repeats)
-    return FitBench(len(run.avatar.canonical), size, stages, step, driven)
+        reinitialisation = _reinitialisation(run, min(repeats, _REINITS))
+    return FitBench(len(run.avatar.canonical), size, stages, step, reinitialisation, driven)
 
 
 def _turning(folder: Path, body: BodyModel, seeds: SeedOptions, size: int) -> Video:
@@ -171,6 +175,16 @@ def _steps(run: Run, samples: Samples, repeats: int) -> Stage:
     kinds = [Stage.of(name, found) for name, found in clock.times.items()]
     mean = lambda figure: sum(getattr(kind, figure) for kind in kinds) / every
     return Stage("a step, in the mean", mean("least"), mean("median"))
+
+
+def _reinitialisation(run: Run, repeats: int) -> Stage:
+    """Wrapping the Gaussians, and laying as many on the surface; nothing is replaced."""
+    clock, name = _Clock(), "a re-initialisation"
+    for k in range(repeats):
+        generator = torch_state(run.options.seed, Stream.REINIT, k)
+        with clock(name):
+            reinitialise(run.avatar, run.options.reinit, generator)
+    return Stage.of(name, clock.times[name])
 
 
 def _driven(run: Run, video: Video, repeats: int) -> Stage:

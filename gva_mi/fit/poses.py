@@ -12,12 +12,18 @@ where ``E`` says how probable corrections are, of this motion, with joints that 
 do. After some shares of the fit the corrections tell how the given poses err, and ``E`` becomes
 what that says.
 
+* Refined bodies start as they are. Smoothed once more, as poses of stage 1 are, they lost what
+  masks and normals of each frame had shown.
 * A frame that is not trained on is not looked at. What is probable of it follows from the frames
   around it: an error that lasts is corrected there too, one that is new in every frame is not.
 * Avatar and poses could drift together, such as all knees and the canonical legs, and no picture
   would change. So nothing is corrected that is the same in all frames: no turn in the axes of its
   joint, no shift in those of the camera, or of the body while it turns.
 * Jaw and expression are corrected in the same way (:mod:`gva_mi.fit.faces`); eyes stay.
+
+Others who close the loop between poses and an avatar: GART (Lei et al. 2023), ExAvatar (Moon et al.
+2024), *Better Together* (2503.09293), HumanSplatHMR (2605.02784). What holds poses together here is
+the prior of the refinement, a Gaussian process in time whose smoothness the video tells.
 """
 
 from __future__ import annotations

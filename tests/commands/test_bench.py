@@ -55,6 +55,7 @@ def test_bench_of_a_fit_writes_its_figures(monkeypatch, tmp_path, capsys):
     figures = json.loads((tmp_path / "new" / "fit.json").read_text())
     assert figures["gaussians"] == 300 and figures["size"] == 32
     assert 0 < figures["driven"]["least"] < figures["step"]["least"]
+    assert figures["reinitialisation"]["least"] > 0
     assert "frames a second" in capsys.readouterr().out
 
 

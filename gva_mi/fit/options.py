@@ -87,6 +87,8 @@ class FitOptions:
 
     steps: FromOne = 3000  # one frame each
     seed: Seed = 0  # of all random numbers in the run
+    # Seed on the naked body, as the paper does, and not on the surface that a refinement displaced.
+    naked: bool = False
     random_background: bool = True  # another colour each step, so that alpha is learned; else white
     # Pixels of the training frames: the least standard deviation of a Gaussian.
     finest: Annotated[float, Within(0, 100)] = 0.6

@@ -64,7 +64,8 @@ def fit(
         body: the body whose skeleton and surface the avatar takes over.
         options: how the avatar is fitted.
         out: folder of the run, in the form of :mod:`gva_mi.fit.run_folder`.
-        offsets: (V, 3) displacement of the rest surface found by the refinement, metres.
+        offsets: (V, 3) displacement of the rest surface found by the refinement, metres; it is not
+            looked at where ``options.naked``.
         resume: go on from the last checkpoint in ``out``, or start where there is none.
         progress: called after each step with its loss and the number of Gaussians.
 
@@ -81,6 +82,7 @@ def fit(
         run_folder.drop_state(out)
         return Avatar.load(out / run_folder.AVATAR)
     state = run_folder.load_state(out)
+    offsets = None if options.naked else offsets
     with one_torch_thread():
         run = _run(video, body, options, offsets, state, out)
         chosen = options.seed, options.random_background, options.window, options.mask_error

@@ -77,6 +77,15 @@ def test_a_fit_comes_closer_to_frames_it_has_not_seen(video, body, tmp_path):
     assert loss[-20:].mean() < 0.8 * loss[:20].mean()
 
 
+def test_an_avatar_is_seeded_on_the_naked_body_where_it_is_told_to(video, body, tmp_path):
+    """The paper's way: what the refinement displaced is not looked at."""
+    offsets = 0.02 * body.v_template / body.v_template.norm(dim=1, keepdim=True)
+    one = replace(OPTIONS, steps=1)
+    naked = fit(video, body, replace(one, naked=True), tmp_path / "naked", offsets=offsets)
+    assert same(naked, fit(video, body, one, tmp_path / "plain"))
+    assert not same(naked, fit(video, body, one, tmp_path / "displaced", offsets=offsets))
+
+
 def test_the_avatar_is_saved_and_the_checkpoint_is_gone(fitted):
     avatar, out = fitted
     assert same(Avatar.load(out / run_folder.AVATAR), avatar)

@@ -172,8 +172,11 @@ class Metrics:
         """The main figures, a line each."""
         yield from self.refinement.lines()
         if self.poses_mm:
-            given, trained = (self.poses_mm[which]["body_aligned"] for which in (GIVEN, TRAINED))
-            yield f"{TRAINED:<11} aligned {given:.1f} → {trained:.1f} mm"
+            before, after = (self.poses_mm[which] for which in (GIVEN, TRAINED))
+            errors = (
+                f"{before[key]:.1f} → {after[key]:.1f} mm" for key in ("body", "body_aligned")
+            )
+            yield f"{TRAINED:<11} {', aligned '.join(errors)}"
         for row in self.rows:
             if row.region in ("white", "hands", "face"):
                 split = row.split.replace("_", " ")

@@ -97,8 +97,6 @@ class RowRun:
 
     def offsets(self) -> Tensor | None:
         """The displacement that the surface is seeded with; stage 1 knows none."""
-        if self.row.naked:
-            return None
         return load_offsets(self._poses, len(self.body.v_template))
 
     def driven(self, video: Video) -> Callable[[Pose], Pose]:

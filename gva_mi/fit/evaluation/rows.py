@@ -63,7 +63,12 @@ class Row:
             stretch=avatar.stretch and self.stretched,
             residual=replace(avatar.residual, enabled=avatar.residual.enabled or self.residual),
         )
-        options = replace(options, avatar=avatar, loss=self.loss or options.loss)
+        options = replace(
+            options,
+            avatar=avatar,
+            loss=self.loss or options.loss,
+            naked=options.naked or self.naked,
+        )
         if not self.trained:
             options = _with_poses_as_given(options)
         if not self.reinitialised:

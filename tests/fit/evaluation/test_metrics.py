@@ -92,6 +92,16 @@ def test_poses_that_were_not_refined_have_no_figures(metrics):
     assert [line.split()[0] for line in without.lines()] == ["test", "test"]
 
 
+def test_trained_poses_have_a_line_of_their_own(metrics):
+    errors = {
+        "given": {"body": 54.25, "body_aligned": 15.0},
+        "trained": {"body": 61.0, "body_aligned": 13.5},
+    }
+    lines = list(replace(metrics, poses_mm=errors).lines())
+    assert "trained     54.2 → 61.0 mm, aligned 15.0 → 13.5 mm" in lines
+    assert not any(line.startswith("trained") for line in metrics.lines())
+
+
 def test_a_file_of_an_older_version_lacks_some_figures(metrics):
     record = metrics.to_json()
     for name in ("frames_worse", "finger_mm", "ankle_depth_mm_stage1"):

@@ -199,7 +199,8 @@ def load_stage(path: Path) -> int:
     Raises:
         InputError: it is none of these.
     """
-    stage = read_arrays(path, "poses under SMPL-X's names (.npz)").get("stage", np.array(1))
+    held = read_arrays(path, "poses under SMPL-X's names (.npz)", only=("stage",))
+    stage = held.get("stage", np.array(1))
     if stage.shape != () or stage.dtype.kind not in "iuf" or stage.item() not in (0, 1, 2):
         raise InputError(f"{path}: 'stage' must be 0, 1 or 2, got {stage}")
     return int(stage)

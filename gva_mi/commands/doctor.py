@@ -110,7 +110,7 @@ def _weights() -> Iterator[Finding]:
     weights = find_weights()
     vgg = "none; the perceptual loss uses the random network rand_vgg"
     if weights.vgg16:
-        vgg = f"{weights.vgg16}; a fit uses it where it is told: gva-mi fit --vgg16 FILE"
+        vgg = f"{weights.vgg16}; a fit uses it only with gva-mi fit --vgg16 FILE"
     yield Finding("VGG16", vgg)
     network = weights.lpips_network
     yield Finding("LPIPS", f"on {network}" if network else "none; rand_vgg is reported instead")

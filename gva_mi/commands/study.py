@@ -74,8 +74,8 @@ class AvatarStudy(Choice):
     """Fit avatars of several synthetic people: the method, and the same without each of its parts.
 
     Writes avatar.json and avatar.html: PSNR, SSIM, perceptual figures on test frames, novel poses
-    and novel views, how the Gaussians lie, time; mean and spread over people, the paper's tables
-    beside. A study that was cut short goes on where it was.
+    and novel views, errors of poses, how the Gaussians lie, time; mean, spread and worst over
+    people, the paper's tables beside. A study that was cut short goes on where it was.
     """
 
     rows: tuple[str, ...] = ()  # of the table, such as full or "with residual"; all without it

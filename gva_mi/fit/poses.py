@@ -12,8 +12,8 @@ where ``E`` says how probable corrections are, of this motion, with joints that 
 do. After some shares of the fit the corrections tell how the given poses err, and ``E`` becomes
 what that says.
 
-* Refined bodies start as they are. Smoothed once more, as poses of stage 1 are, they lost what
-  masks and normals of each frame had shown.
+* Poses of stage 1 start smoothed, as what is most probable of them. Refined ones start as they
+  are: masks and normals of each frame have been looked at, but for the few that a refinement keeps.
 * A frame that is not trained on is not looked at. What is probable of it follows from the frames
   around it: an error that lasts is corrected there too, one that is new in every frame is not.
 * Avatar and poses could drift together, such as all knees and the canonical legs, and no picture
@@ -97,10 +97,9 @@ class TrainedPoses:
             rig: the person's rest body.
             options: how.
             steps: of the whole fit.
-            as_given: start with the bodies as they are. Refined ones were found to be probable
-                already, by masks and normals of each frame; to smooth them once more would take
-                away what these have shown. (Faces, which the refinement leaves alone, start with
-                what is most probable.)
+            as_given: start with the bodies as they are, which have been found to agree with
+                masks and normals. (Faces, which a refinement leaves alone, start with what is most
+                probable.)
         """
         self.given, self._options, self._steps = given, options, steps
         self._clips: list[_Clip] = []

@@ -127,9 +127,13 @@ class Run:
             self.step = state["step"]
             self.history = {name: list(values) for name, values in state["history"].items()}
         rig = self.avatar.rig
-        smooth = video.stage >= 2
         self.poses = TrainedPoses(
-            video.pose, video.cameras, rig, options.poses, options.steps, as_given=smooth
+            video.pose,
+            video.cameras,
+            rig,
+            options.poses,
+            options.steps,
+            as_given=video.stage != 1,
         )
         self.optimizer = _optimizer(self.avatar, options.rates)
         self._pixel = smallest_pixel(video, rig)

@@ -16,7 +16,7 @@ SUBJECTS = subjects.SUBJECTS
 TAKEN = {  # other numbers than were meant, of which check says what it sees; or frames left out
     "K has skew", "K has a focal length of 1e300", "K looks far aside", "T is inverted",
     "transl is behind the camera", "transl is in millimetres", "betas are a table",
-    "betas are none", "betas are 300", "stage is text", "all test frames are absent",
+    "betas are none", "betas are 300", "all test frames are absent",
     "a frame is grey", "a frame is of 16 bits", "a frame has alpha", "a frame has a palette",
     "a frame is a .jpg", "a frame is missing", "the first frame is missing",
     "a mask is of 16 bits", "a mask has a palette", "a mask is of one bit", "a mask is black",

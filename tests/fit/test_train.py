@@ -7,7 +7,7 @@ import torch
 from gva_mi.avatar.avatar import Avatar, AvatarOptions, seed_avatar
 from gva_mi.avatar.canonical import SeedOptions
 from gva_mi.avatar.residual import ResidualOptions
-from gva_mi.body.pose import load_poses
+from gva_mi.body.pose import Pose, load_poses
 from gva_mi.errors import InputError
 from gva_mi.fit import run_folder
 from gva_mi.fit.colors import seen_colors
@@ -187,6 +187,24 @@ def test_the_poses_of_a_resumed_run_are_those_of_an_uninterrupted_one(
     assert torch.equal(whole.rotations, resumed.rotations)
     assert torch.equal(whole.transl, resumed.transl)
     assert (whole.transl != video.pose.transl).any(1).all()
+
+
+def test_refined_poses_are_trained_from_where_they_are(video, body, tmp_path):
+    """Before their first step, also of a run that goes on; those of stage 1 have been smoothed."""
+    few = replace(OPTIONS, steps=2, poses=PoseOptions(every=8))
+    saved = lambda name: load_poses(tmp_path / name / run_folder.TRAINED_POSES)[0].transl
+    noise = 0.02 * torch.randn(len(video), 3, generator=torch.Generator().manual_seed(0))
+    shaky = Pose(video.pose.rotations, video.pose.transl + noise, video.pose.expression)
+    stage1 = replace(video, pose=shaky)
+    refined = replace(stage1, stage=2)
+    fit(refined, body, few, tmp_path / "refined")
+    fit(stage1, body, few, tmp_path / "stage1")
+    with pytest.raises(Killed):
+        fit(refined, body, few, tmp_path / "resumed", progress=killed_at(1))
+    fit(refined, body, few, tmp_path / "resumed", resume=True)
+    for name in ("refined", "resumed"):
+        torch.testing.assert_close(saved(name), shaky.transl, atol=1e-6, rtol=0)
+    assert (saved("stage1") - shaky.transl).abs().max() > 1e-3
 
 
 def test_poses_that_are_not_trained_are_not_written(video, body, tmp_path):

@@ -148,7 +148,8 @@ def seeds(subject, avatar):
                "rand_vgg": 0.1}  # fmt: skip
         about = {"rows": [row], "refinement": {"figures": {}}, "options": {"seed": 0},
                    "training": {"steps": 1, "seconds": 1.0, "gaussians": 2, "size": [4, 4]},
-                   "versions": {}, "protocol": None}  # fmt: skip
+                   "versions": {}, "protocol": None,
+                   "poses_mm": {"given": {"body": 9.0}, "trained": {"body": 8.0}}}  # fmt: skip
         (folder / "metrics.json").write_text(json.dumps(about))
         refinement = {"figures": {"iou": 0.9, "iou_stage1": 0.8}, "test_frames": "seen"}
         (folder / "refinement.json").write_text(json.dumps(refinement))
@@ -163,7 +164,7 @@ def seeds(subject, avatar):
                 metrics._load_refinement(folder),
                 metrics._refinement_looked_at_test_frames(folder),
             ),
-            "refinement.png": lambda path: report._refinement(PoseFigures(), path),
+            "refinement.png": lambda path: report._refinement(load_metrics(folder), path),
             "options.json": lambda path: run_folder.load_options(folder),
             "history.npz": lambda path: run_folder.load_history(folder),
             "reinit/000002.npz": lambda path: list(run_folder.load_snapshots(folder)),

@@ -46,7 +46,7 @@ class AreaLight:
 
 
 # Besides the sky. Usual: the key light stands left of the camera and above, a weak fill to the
-# right, both metres wide. Side: all comes from the left, so who turns is lit from all sides.
+# right, both metres wide. Side: one lamp to the left, so who turns is lit from all sides.
 LIGHTS = {
     "usual": (
         AreaLight((-2.2, 3.0, 3.0), (0.7, 0.0, 0.5), (-0.4, 0.6, 0.55), (15.0, 14.5, 13.8)),

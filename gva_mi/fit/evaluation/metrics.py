@@ -16,7 +16,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -107,20 +106,10 @@ class Protocol:
         normals = ["refine"] if "refine" in masks and video.has_normals else []
         return Protocol(
             networks=scorer.networks(),
-            training_loss=_training_loss(options.get("vgg16")),
+            training_loss=f"VGG16, {options['vgg16']}" if options.get("vgg16") else "rand_vgg",
             masks="true" if video.true_mask(video.splits.train[0]) is not None else "the video's",
             seen={"test pictures": pictures, "test masks": masks, "test normals": normals},
         )
-
-
-def _training_loss(vgg16: str | None) -> str:
-    """The perceptual term of a fit that was given this file of weights."""
-    if vgg16 is None:
-        return "rand_vgg"
-    file = Path(vgg16)
-    if not file.is_file():
-        return f"VGG16, {vgg16}"
-    return f"VGG16, {vgg16}, sha256 {hashlib.sha256(file.read_bytes()).hexdigest()}"
 
 
 @dataclass(frozen=True)
@@ -171,11 +160,10 @@ class Metrics:
     def lines(self) -> Iterator[str]:
         """The main figures, a line each."""
         yield from self.refinement.lines()
-        if self.poses_mm:
-            before, after = (self.poses_mm[which] for which in (GIVEN, TRAINED))
-            errors = (
-                f"{before[key]:.1f} → {after[key]:.1f} mm" for key in ("body", "body_aligned")
-            )
+        before, after = (self.poses_mm.get(which, {}) for which in (GIVEN, TRAINED))
+        keys = [key for key in ("body", "body_aligned") if key in before and key in after]
+        if keys:
+            errors = (f"{before[key]:.1f} → {after[key]:.1f} mm" for key in keys)
             yield f"{TRAINED:<11} {', aligned '.join(errors)}"
         for row in self.rows:
             if row.region in ("white", "hands", "face"):

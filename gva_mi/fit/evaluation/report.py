@@ -276,8 +276,10 @@ def _curves(history: dict[str, np.ndarray]) -> Section:
     right.set(xlabel="step", title="Gaussians")
     for axis in (left, right):
         axis.spines[["top", "right"]].set_visible(False)
-    text = "Each term of Eq. 9, how many Gaussians, and what the time went to."
-    return Section("Training", text, [plot("", fig)], columns=1, tables=_time(history))
+    text, tables = "Each term of Eq. 9, and how many Gaussians.", _time(history)
+    if tables:
+        text += " Below, what the time went to."
+    return Section("Training", text, [plot("", fig)], columns=1, tables=tables)
 
 
 def _time(history: dict[str, np.ndarray]) -> list[Table]:

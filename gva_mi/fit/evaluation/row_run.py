@@ -96,7 +96,7 @@ class RowRun:
         return replace(video, splits=Splits.one_range(TEST_EVERY, len(video)).without(video.absent))
 
     def offsets(self) -> Tensor | None:
-        """The displacement that the surface is seeded with; stage 1 knows none."""
+        """The displacement that the refinement found; stage 1 knows none."""
         return load_offsets(self._poses, len(self.body.v_template))
 
     def driven(self, video: Video) -> Callable[[Pose], Pose]:

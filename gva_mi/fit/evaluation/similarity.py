@@ -148,12 +148,13 @@ def _stance(off: np.ndarray, root: np.ndarray, z: np.ndarray) -> np.ndarray:
         z: (n, 3) the cameras' axes.
 
     Returns:
-        (3,) metres. What no frame shows, for the person never turns, is left at 0.
+        (3,) metres. What the frames hardly show, for the person turns by less than about a tenth of
+        a radian, is left at 0.
     """
     P = np.eye(3) - z[:, :, None] * z[:, None, :]
     matrix = np.einsum("kai,kab,kbj->ij", root, P, root)
     vector = np.einsum("kai,kab,kb->i", root, P, off)
-    return np.linalg.pinv(matrix, rcond=1e-3, hermitian=True) @ vector
+    return np.linalg.pinv(matrix, rcond=0.01, hermitian=True) @ vector
 
 
 def _about_the_eye(x: np.ndarray, y: np.ndarray, given: Camera, real: Camera) -> Similarity:

@@ -199,7 +199,7 @@ _FIGURES = {
     ): _novel_poses,
     (
         "Closer",
-        "What goes wrong first in a novel pose, enlarged: truth, under right poses, and full.",
+        "What goes wrong first in a novel pose, enlarged: truth, the row of true poses, and full.",
         (TRUE,),
     ): _close_ups,
 }

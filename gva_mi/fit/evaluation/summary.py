@@ -145,8 +145,8 @@ SSIM = _whole("ssim", 4, 1)
 LPIPS, RAND_VGG = _whole("lpips", 4, -1), _whole("rand_vgg", 4, -1)
 PARTS = (*_part("hands"), *_part("face"), *_part("person"), *_part("black"))
 POSES = (
-    *_millimetres("vertices", "body"),
-    *_millimetres("vertices aligned", "body_aligned"),
+    *_millimetres("body", "body"),
+    *_millimetres("body aligned", "body_aligned"),
     *_millimetres("hands aligned", "hands_aligned"),
     *_millimetres("feet aligned", "feet_aligned"),
 )

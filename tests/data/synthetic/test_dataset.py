@@ -1,6 +1,7 @@
 """The folder of a subject: complete, exact where it says so, and the same for the same seed."""
 
 import json
+from typing import get_args, get_type_hints
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from gva_mi.data.fingerprint import fingerprint, require_same_body
 from gva_mi.data.pictures import read_image
 from gva_mi.data.synthetic import STUDY, SynthOptions, describe_noise, make_subject
 from gva_mi.data.synthetic.motion import turn
-from gva_mi.data.synthetic.render import Renderer, camera_around
+from gva_mi.data.synthetic.render import LIGHTS, Renderer, camera_around
 from gva_mi.data.synthetic.subject import draw_subject
 from gva_mi.data.truth import load_truth
 from gva_mi.data.video import load_cameras, load_video
@@ -280,6 +281,21 @@ def test_a_dressed_subjects_normals_are_the_slopes_of_its_depth(body, name):
     angle = np.degrees(np.arccos(np.clip((across * normals).sum(-1)[flat], -1, 1)))
     assert flat.sum() > 3000
     assert np.median(angle) < 5 and (angle < 20).mean() > 0.95
+
+
+def test_light_changes_pictures_and_nothing_else(body, tmp_path):
+    assert set(LIGHTS) == set(get_args(get_type_hints(SynthOptions)["light"]))
+    folders = []
+    for light in ("usual", "ambient"):
+        options = SynthOptions(
+            seed=1, frames=2, size=32, samples=1, novel_poses=0, novel_views=0, clothes=False,
+            hair=False, light=light,
+        )  # fmt: skip
+        make_subject(tmp_path / light, options, body)
+        folders.append(files(tmp_path / light))
+    a, b = folders
+    assert a["frames/000001.png"] != b["frames/000001.png"]
+    assert a["masks/000001.png"] == b["masks/000001.png"] and a["poses.npz"] == b["poses.npz"]
 
 
 @pytest.mark.slow

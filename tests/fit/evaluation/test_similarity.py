@@ -148,6 +148,15 @@ def test_the_stance_is_by_what_pictures_show_of_it():
     np.testing.assert_allclose(_stance(root @ o + deep, root, z), o, atol=1e-12)
 
 
+def test_of_who_hardly_turns_noise_tells_no_stance_along_the_axis():
+    rng = np.random.default_rng(5)
+    about_y = torch.zeros(40, 3, dtype=torch.float64)
+    about_y[:, 1] = 0.03 * torch.from_numpy(rng.standard_normal(40))
+    root, z = roma.rotvec_to_rotmat(about_y).numpy(), np.tile([0.0, 0.0, 1.0], (40, 1))
+    off = root @ np.array([0.01, 0.02, 0.0]) + 0.005 * rng.standard_normal((40, 3))
+    np.testing.assert_allclose(_stance(off, root, z), [0.01, 0.02, 0], atol=0.003)
+
+
 def test_of_who_never_turns_no_stance_along_the_axis_is_told():
     z, root = np.tile([0.0, 0.0, 1.0], (5, 1)), np.tile(np.eye(3), (5, 1, 1))
     found = _stance(np.tile([0.01, 0.02, 0.3], (5, 1)), root, z)

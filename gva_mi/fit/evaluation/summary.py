@@ -68,17 +68,18 @@ def score(
 
 # A name, the split, and the poses that it is rendered under.
 _TEST = ("test", "test", None)
-_STRICT = (("novel pose", "novel_pose", None), ("novel view", "novel_view", None))
+_STRICT_POSE = ("novel pose", "novel_pose", None)
+_STRICT_VIEW = ("novel view", "novel_view", None)
 _NOVEL_POSE = ("novel pose, aligned", "novel_pose", ALIGNED)
 _NOVEL_VIEW = ("novel view, aligned", "novel_view", ALIGNED)
 _WHOLE = (
     _TEST,
     ("test, poses as given", "test", AS_REFINED),
     ("test, poses fitted", "test", FITTED),
-    _STRICT[0],
+    _STRICT_POSE,
     _NOVEL_POSE,
     ("novel pose, poses fitted", "novel_pose", FITTED),
-    _STRICT[1],
+    _STRICT_VIEW,
     _NOVEL_VIEW,
     ("novel view, poses fitted", "novel_view", FITTED),
 )
@@ -96,7 +97,7 @@ def _part(region: Region) -> tuple[Column, ...]:
     """PSNR in a region."""
     return tuple(
         Column(f"psnr: {name}, {region}", score("psnr", split, region, poses))
-        for name, split, poses in (_TEST, *_STRICT, _NOVEL_POSE, _NOVEL_VIEW)
+        for name, split, poses in (_TEST, _STRICT_POSE, _STRICT_VIEW, _NOVEL_POSE, _NOVEL_VIEW)
     )
 
 

@@ -217,13 +217,12 @@ class Avatar(nn.Module):
         else:
             residual = torch.zeros_like(G.means)
         means = G.means + G.moved_by(driven.coefficients) + residual
-        A = G.maps(driven.T_world_rest).to(G.means.dtype)
+        A, E = G.blended(driven.T_world_rest, means)
         sh = lit(G.sh, A, self.light)
         if not self.options.stretch:
             means, quats = carry_frames(A, means, G.quats)
             return Animated(Gaussians(means, quats, G.scales, G.opacities, sh=sh), residual)
-        D = G.map_slopes(driven.T_world_rest)
-        means, covars = carry_stretched(A, D, means, G.quats, G.scales)
+        means, covars = carry_stretched(A, E, means, G.quats, G.scales)
         gaussians = Gaussians(means, None, None, G.opacities, sh=sh, covars=covars)
         return Animated(gaussians, residual)
 

@@ -29,7 +29,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import pad
 
-from gva_mi.avatar.maps import SparseRows
+from gva_mi.avatar.maps import FollowedJoints
 from gva_mi.avatar.skin import Skin
 from gva_mi.mesh.surface import vertex_normals
 from gva_mi.ranges import InnerShare, Within, require_ranges
@@ -97,7 +97,7 @@ class CanonicalGaussians(nn.Module):
         carriers = {"weights": weights, "slopes": slopes, "directions": directions}
         for name in CARRIERS:
             self.register_buffer(name, carriers[name].detach().clone().contiguous())
-        self._sparse: dict[str, tuple[Tensor, int, Any]] = {}
+        self._sparse: dict[tuple[str, ...], tuple[list[Tensor], list[int], Any]] = {}
 
     def __len__(self) -> int:
         return self.means.shape[0]
@@ -120,26 +120,29 @@ class CanonicalGaussians(nn.Module):
 
     def moved_by(self, coefficients: Tensor) -> Tensor:
         """D c: metres (N, 3) that coefficients (up to K,) of blend shapes move the means."""
-        return self._sparse_of("directions", _Moves.of)(coefficients)
+        return self._sparse_of(_Moves.of, "directions")(coefficients)
 
-    def maps(self, T_world_rest: Tensor) -> Tensor:
-        """A (N, 12) float64: the joints' maps (55, 4, 4), blended for each Gaussian (Eq. 5)."""
-        of_rows = lambda weights: SparseRows.of(weights.double())
-        return self._sparse_of("weights", of_rows)(T_world_rest)
+    def blended(self, T_world_rest: Tensor, means: Tensor) -> tuple[Tensor, Tensor]:
+        """The joints' maps as each Gaussian is carried by them: :mod:`gva_mi.avatar.maps`.
 
-    def map_slopes(self, T_world_rest: Tensor) -> Tensor:
-        """D (N, 36) float64: derivatives of A along x, y and z at rest, 1/m."""
-        of_rows = lambda slopes: SparseRows.of(slopes.flatten(0, 1).double())
-        return self._sparse_of("slopes", of_rows)(T_world_rest).view(len(self), 36)
+        Args:
+            T_world_rest: (J, 4, 4) float64.
+            means: (N, 3) metres, moved in the rest pose.
 
-    def _sparse_of(self, name: str, make: Callable[[Tensor], Any]) -> Any:  # noqa: ANN401
-        """A carrier without its zeros, made anew when the carrier has changed."""
-        held = getattr(self, name)
-        if held.is_inference():  # such a tensor does not tell whether it has changed
-            return make(held)
-        known = self._sparse.get(name)
-        if known is None or known[0] is not held or known[1] != held._version:
-            self._sparse[name] = known = held, held._version, make(held)
+        Returns:
+            A (N, 12), the blended maps (Eq. 5), and E (N, 9), how they change around the means.
+        """
+        return self._sparse_of(FollowedJoints.of, "weights", "slopes")(T_world_rest, means)
+
+    def _sparse_of(self, make: Callable[..., Any], *names: str) -> Any:  # noqa: ANN401
+        """Carriers without their zeros, made anew when one of them has changed."""
+        held = [getattr(self, name) for name in names]
+        if any(x.is_inference() for x in held):  # such tensors do not tell whether they changed
+            return make(*held)
+        versions = [x._version for x in held]
+        known = self._sparse.get(names)
+        if known is None or known[1] != versions or list(map(id, known[0])) != list(map(id, held)):
+            self._sparse[names] = known = held, versions, make(*held)
         return known[2]
 
 

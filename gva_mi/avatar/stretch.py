@@ -1,26 +1,22 @@
-"""Gaussians carried by the skin as it stretches: two Dr.Jit kernels each way.
+"""Gaussians carried by the skin as it stretches: one Dr.Jit kernel each way.
 
 Between two joints that turn differently a skin is pulled apart. How a point moves is told by the
-blended map A, how its surroundings do by the derivative of x' = A(x) x, and with it of the weights:
+blended map A, how its surroundings do by the derivative of x' = A(x) x. Beside A_rot, that has a
+part E, by which A itself changes from place to place (:mod:`gva_mi.avatar.maps`):
 
-    1. E_c = D_c [μ; 1],   D_c = Σ_p ∂W_p/∂x_c T_p               column c of E
-    2. J  = A_rot + β E,   β = (1 + |E|² / LARGEST²)^(-1/2)       no more than cloth would bear
-    3. F  = J M S,   Σ' = F Fᵀ                                    M, S: the Gaussian at rest
-    4. μ' = A_rot μ + A_trans                                     Eq. 5
+    1. J  = A_rot + β E,   β = (1 + |E|² / LARGEST²)^(-1/2)       no more than cloth would bear
+    2. F  = J M S,   Σ' = F Fᵀ                                    M, S: the Gaussian at rest
+    3. μ' = A_rot μ + A_trans                                     Eq. 5
 
 Eq. 6 of the paper turns a Gaussian by A_rot, and keeps its size: where a skirt is spread by a wide
-step, Gaussians come apart and show what is behind them. With eq. 3 they grow with the cloth and
+step, Gaussians come apart and show what is behind them. With eq. 2 they grow with the cloth and
 shear as it does. A rigid motion has no E, and is carried exactly.
 
 The adjoint, for gradients g of μ' and G of Σ' (symmetric):
 
-    5. grad_F = 2 G F,   grad_S, grad_M, grad_J by F = J M S
-    6. grad_E = β grad_J - (β³ / LARGEST²) (grad_J : E) E
-    7. grad_A = [grad_J + g μᵀ | g],   grad_μ = A_rotᵀ g
-    8. grad_D_c = grad_E_c [μ; 1]ᵀ,    grad_μ = Σ_c D_c,rotᵀ grad_E_c
-
-Weights change by up to a hundred a metre, on fingers, and joints lie a metre from the origin: E is
-a small difference of large numbers, and eq. 1 and 8 are computed in float64.
+    4. grad_F = 2 G F,   grad_S, grad_M, grad_J by F = J M S
+    5. grad_E = β grad_J - (β³ / LARGEST²) (grad_J : E) E
+    6. grad_A = [grad_J + g μᵀ | g],   grad_μ = A_rotᵀ g
 """
 
 from __future__ import annotations
@@ -43,14 +39,13 @@ Lane = list[Any]  # numbers of one Gaussian; a matrix row by row
 
 
 def carry_stretched(
-    A: Tensor, D: Tensor, means: Tensor, quats: Tensor, scales: Tensor
+    A: Tensor, E: Tensor, means: Tensor, quats: Tensor, scales: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Apply eq. 1 to 4.
+    """Apply eq. 1 to 3.
 
     Args:
         A: (N, 12) blended maps, row by row, each [A_rot | A_trans].
-        D: (N, 36) their derivatives along x, y and z at rest, one map after the other, 1/m; best
-            float64.
+        E: (N, 9) how they change around the means, row by row.
         means: (N, 3) metres, at rest.
         quats: (N, 4) wxyz, of any length.
         scales: (N, 3) metres.
@@ -59,41 +54,16 @@ def carry_stretched(
         Means (N, 3), and covariances (N, 6): xx, xy, xz, yy, yz, zz. Differentiable in everything,
         both ways.
     """
-    E = _Slopes.apply(D.double(), means.double()).to(means.dtype)
     return _CarryStretched.apply(A, E, means, quats, scales)
 
 
-def _slopes(D: Lane, mean: Lane) -> tuple[Lane]:
-    """E of eq. 1, row by row."""
-    along = lambda i, c: sum(D[12 * c + 4 * i + k] * mean[k] for k in AXES) + D[12 * c + 4 * i + 3]
-    return ([along(i, c) for i in AXES for c in AXES],)
-
-
-def _slopes_adjoint(D: Lane, mean: Lane, grad_E: Lane) -> tuple[Lane, Lane]:
-    """Eq. 8."""
-    grad_D = []
-    for c in AXES:
-        for i in AXES:
-            grad_D += [grad_E[3 * i + c] * mean[k] for k in AXES] + [grad_E[3 * i + c]]
-    grad_mean = [
-        sum(D[12 * c + 4 * i + k] * grad_E[3 * i + c] for c in AXES for i in AXES) for k in AXES
-    ]
-    return grad_D, grad_mean
-
-
-def _slopes_tangent(D: Lane, mean: Lane, dD: Lane, dmean: Lane) -> tuple[Lane]:
-    moved = lambda i, c: sum(D[12 * c + 4 * i + k] * dmean[k] for k in AXES)
-    (turned,) = _slopes(dD, mean)
-    return ([turned[3 * i + c] + moved(i, c) for i in AXES for c in AXES],)
-
-
 def _bound(E: Lane) -> Any:  # noqa: ANN401
-    """β of eq. 2."""
+    """β of eq. 1."""
     return 1 / dr.sqrt(1 + _dot(E, E) / LARGEST**2)
 
 
 def _gradient(A: Lane, E: Lane, beta: Any) -> Lane:  # noqa: ANN401
-    """J of eq. 2."""
+    """J of eq. 1."""
     return [A[4 * i + c] + beta * E[3 * i + c] for i in AXES for c in AXES]
 
 
@@ -120,12 +90,12 @@ def _dot(X: Lane, Y: Lane) -> Any:  # noqa: ANN401
 
 
 def _moved(A: Lane, mean: Lane) -> Lane:
-    """Eq. 4."""
+    """Eq. 3."""
     return [sum(A[4 * i + k] * mean[k] for k in AXES) + A[4 * i + 3] for i in AXES]
 
 
 def _forward(A: Lane, E: Lane, mean: Lane, quat: Lane, scale: Lane) -> tuple[Lane, Lane]:
-    """Eq. 2 to 4."""
+    """Eq. 1 to 3."""
     JM = _times(_gradient(A, E, _bound(E)), Rotation.of(quat).M)
     F = _scaled(JM, scale)
     return _moved(A, mean), [sum(F[3 * i + k] * F[3 * j + k] for k in AXES) for i, j in PAIRS]
@@ -134,7 +104,7 @@ def _forward(A: Lane, E: Lane, mean: Lane, quat: Lane, scale: Lane) -> tuple[Lan
 def _adjoint(
     A: Lane, E: Lane, mean: Lane, quat: Lane, scale: Lane, g: Lane, G: Lane
 ) -> tuple[Lane, Lane, Lane, Lane, Lane]:
-    """Eq. 5 to 7."""
+    """Eq. 4 to 6."""
     rotation, beta = Rotation.of(quat), _bound(E)
     J, M = _gradient(A, E, beta), rotation.M
     JM = _times(J, M)
@@ -157,7 +127,7 @@ def _tangent(
     A: Lane, E: Lane, mean: Lane, quat: Lane, scale: Lane,
     dA: Lane, dE: Lane, dmean: Lane, dquat: Lane, dscale: Lane,
 ) -> tuple[Lane, Lane]:  # fmt: skip
-    """Eq. 2 to 4, differentiated."""
+    """Eq. 1 to 3, differentiated."""
     rotation, beta = Rotation.of(quat), _bound(E)
     dbeta = -beta * beta * beta / LARGEST**2 * _dot(E, dE)
     J, M = _gradient(A, E, beta), rotation.M
@@ -168,31 +138,6 @@ def _tangent(
     moved = _plus(_moved(dA, mean), [_dot(A[4 * i : 4 * i + 3], dmean) for i in AXES])
     row = lambda X, i: X[3 * i : 3 * i + 3]
     return moved, [_dot(row(dF, i), row(F, j)) + _dot(row(F, i), row(dF, j)) for i, j in PAIRS]
-
-
-class _Slopes(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: FunctionCtx, D: Tensor, means: Tensor) -> Tensor:
-        ctx.save_for_backward(D, means)
-        ctx.save_for_forward(D, means)
-        return launch(_slopes, D, means)[0] if len(D) else D.new_zeros(0, 9)
-
-    @staticmethod
-    @torch.autograd.function.once_differentiable
-    def backward(ctx: FunctionCtx, grad: Tensor) -> tuple[Tensor, ...]:
-        saved = ctx.saved_tensors
-        return (
-            launch(_slopes_adjoint, *saved, grad)
-            if len(grad)
-            else tuple(map(torch.zeros_like, saved))
-        )
-
-    @staticmethod
-    def jvp(ctx: FunctionCtx, *tangents: Tensor) -> Tensor:
-        saved = ctx.saved_tensors
-        if not len(saved[0]):
-            return saved[0].new_zeros(0, 9)
-        return launch(_slopes_tangent, *saved, *tangents)[0]
 
 
 class _CarryStretched(torch.autograd.Function):

@@ -28,11 +28,9 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor
 
+from gva_mi.fit.ssim import ssim
 from gva_mi.ranges import Weight, require_ranges
 from gva_mi.splat import Image
-
-SSIM_SIGMA, SSIM_RADIUS = 1.5, 5  # pixels: the 11 x 11 Gaussian window of Wang et al. 2004
-SSIM_C1, SSIM_C2 = 0.01**2, 0.03**2  # for values in [0, 1]
 
 Window = tuple[slice, slice]  # rows and columns of a part of an image
 Distance = Callable[[Tensor, Tensor], Tensor]  # of two images (H, W, 3)
@@ -104,34 +102,3 @@ def render_losses(
         alpha=(image.alpha - mask).abs().mean() * share if options.alpha else zero,
         ssim=1 - ssim(color, seen) if options.ssim else zero,
     )
-
-
-def ssim(image: Tensor, target: Tensor) -> Tensor:
-    """Structural similarity of two images (H, W, 3) in [0, 1], averaged over pixels and channels.
-
-    The mean is taken where the window lies inside the image: both sides must be at least 11 pixels.
-
-    Raises:
-        ValueError: for a smaller image.
-    """
-    if min(image.shape[:2]) < 2 * SSIM_RADIUS + 1:
-        raise ValueError(f"ssim(): images must be at least 11 x 11, got {tuple(image.shape[:2])}")
-    x, y = image.permute(2, 0, 1), target.permute(2, 0, 1)
-    # The five moments at once. The window is separable, so its sums are two products with banded
-    # matrices, several times faster on a CPU than a convolution.
-    moments = torch.stack([x, y, x * x, y * y, x * y])
-    rows, columns = _window_sums(x.shape[1], x.dtype), _window_sums(x.shape[2], x.dtype)
-    moments = rows @ moments @ columns.T
-    mean_x, mean_y, xx, yy, xy = moments
-    var_x, var_y, cov = xx - mean_x**2, yy - mean_y**2, xy - mean_x * mean_y
-    luminance = (2 * mean_x * mean_y + SSIM_C1) / (mean_x**2 + mean_y**2 + SSIM_C1)
-    structure = (2 * cov + SSIM_C2) / (var_x + var_y + SSIM_C2)
-    return (luminance * structure).mean()
-
-
-def _window_sums(size: int, dtype: torch.dtype) -> Tensor:
-    """The matrix (size - 10, size) that takes a row of pixels to its means over the window."""
-    distance = torch.arange(size) - torch.arange(size - 2 * SSIM_RADIUS)[:, None] - SSIM_RADIUS
-    weights = torch.exp(-0.5 * (distance.to(dtype) / SSIM_SIGMA) ** 2)
-    weights = torch.where(distance.abs() <= SSIM_RADIUS, weights, 0)
-    return weights / weights.sum(1, keepdim=True)

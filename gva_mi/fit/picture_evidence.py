@@ -36,8 +36,8 @@ from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.pose import Pose
 from gva_mi.data.video import Frame
 from gva_mi.fit.faces import Face, FaceSteps
-from gva_mi.fit.losses import ssim
 from gva_mi.fit.renders import DRAWN
+from gva_mi.fit.ssim import ssim
 from gva_mi.pose.anatomy import Anatomy
 from gva_mi.pose.crop import NoEvidence, person_box
 from gva_mi.splat import Camera, render

@@ -96,8 +96,9 @@ def _plant(monkeypatch, link):
     elif link == "residual":
         monkeypatch.setattr(torch, "tanh", lambda x: bend(x.tanh()))
     elif link == "blend":
-        maps = CanonicalGaussians.maps
-        monkeypatch.setattr(CanonicalGaussians, "maps", lambda self, T: maps(self, bend(T)))
+        blended = CanonicalGaussians.blended
+        bent = lambda self, T, means: blended(self, bend(T), means)
+        monkeypatch.setattr(CanonicalGaussians, "blended", bent)
     elif link == "stretch":
         adjoint = stretch._adjoint
         bent = lambda *lane: [[1.001 * g for g in grads] for grads in adjoint(*lane)]

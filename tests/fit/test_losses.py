@@ -1,9 +1,7 @@
-import numpy as np
 import pytest
 import torch
-from skimage.metrics import structural_similarity
 
-from gva_mi.fit.losses import LossOptions, render_losses, ssim
+from gva_mi.fit.losses import LossOptions, render_losses
 from gva_mi.splat import Image
 
 ALL = LossOptions(perceptual=0.3, residual=0.7, alpha=0.2, ssim=0.4)
@@ -94,28 +92,6 @@ def test_the_window_confines_the_costly_terms(generator):
         render_of(color, mask), target, mask, torch.zeros(0, 3), ALL, mean_square, window
     )
     assert losses.recon > 0 and losses.perceptual == 0 and losses.ssim < 1e-6
-
-
-@pytest.mark.parametrize("shape", [(11, 11), (16, 20), (33, 12)])
-def test_ssim_is_scikit_images(shape, generator):
-    a = picture(generator, *shape).double()
-    b = (a + 0.2 * torch.randn(*shape, 3, generator=generator)).clamp(0, 1)
-    _, full = structural_similarity(
-        a.numpy(), b.numpy(), channel_axis=-1, data_range=1.0, gaussian_weights=True, sigma=1.5,
-        use_sample_covariance=False, full=True,
-    )  # fmt: skip
-    inside = full[5:-5, 5:-5]
-    np.testing.assert_allclose(float(ssim(a, b)), inside.mean(), rtol=1e-9)
-
-
-def test_ssim_of_an_image_with_itself_is_one(generator):
-    a = picture(generator)
-    assert float(ssim(a, a)) == pytest.approx(1, abs=1e-6)
-
-
-def test_ssim_refuses_an_image_smaller_than_its_window(generator):
-    with pytest.raises(ValueError, match="at least 11 x 11"):
-        ssim(picture(generator, 10, 20), picture(generator, 10, 20))
 
 
 def test_a_negative_weight_is_refused():

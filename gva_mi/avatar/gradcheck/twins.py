@@ -80,23 +80,25 @@ def residual(
     return OUTPUT_UNIT * out
 
 
-def blend(weights: Tensor, slopes: Tensor, T_world_rest: Tensor) -> tuple[Tensor, Tensor]:
-    """Each Gaussian's affine map, row by row, (N, 12), and its derivatives (N, 36)."""
-    maps = lambda w: torch.einsum("...j,jab->...ab", w, T_world_rest)[..., :3, :].flatten(-2)
-    return maps(weights), maps(slopes).flatten(1)
+def blend(
+    weights: Tensor, slopes: Tensor, T_world_rest: Tensor, means: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Each Gaussian's affine map, row by row, (N, 12), and how it changes around it (N, 9)."""
+    maps = lambda w: torch.einsum("...j,jab->...ab", w, T_world_rest)[..., :3, :]
+    ones = torch.cat([means, torch.ones_like(means[:, :1])], dim=1)
+    E = torch.einsum("ncab,nb->nac", maps(slopes), ones)
+    return maps(weights).flatten(1), E.flatten(1)
 
 
 def stretch(
-    A: Tensor, D: Tensor, means: Tensor, quats: Tensor, scales: Tensor
+    A: Tensor, E: Tensor, means: Tensor, quats: Tensor, scales: Tensor
 ) -> tuple[Tensor, Tensor]:
     """Means and covariances (N, 6) in the world; one Gaussian after the other."""
     moved, covars = [], []
-    for a, d, mean, quat, scale in zip(A, D, means, quats, scales, strict=True):
-        a, d = a.view(3, 4), d.view(3, 3, 4)
-        one = torch.cat([mean, torch.ones(1).double()])
-        moved.append(a @ one)
-        E = torch.stack([along @ one for along in d], dim=1)
-        J = a[:, :3] + E / (1 + (E / LARGEST).square().sum()).sqrt()
+    for a, e, mean, quat, scale in zip(A, E, means, quats, scales, strict=True):
+        a, e = a.view(3, 4), e.view(3, 3)
+        moved.append(a[:, :3] @ mean + a[:, 3])
+        J = a[:, :3] + e / (1 + (e / LARGEST).square().sum()).sqrt()
         F = J @ rotation(quat) @ torch.diag(scale)
         covars.append((F @ F.T)[torch.triu_indices(3, 3).unbind()])
     return torch.stack(moved), torch.stack(covars)

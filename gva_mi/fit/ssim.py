@@ -1,0 +1,166 @@
+"""Structural similarity of two images and its exact gradient: two Dr.Jit kernels each way.
+
+With m the mean over the 11 x 11 Gaussian window of Wang et al. (2004), which is separable and stays
+inside the image:
+
+    1. a = m(x),  b = m(y),  u = m(x²),  v = m(y²),  w = m(x y)
+    2. L = (2 a b + C1) / (a² + b² + C1)                          luminance
+    3. K = (2 (w - a b) + C2) / (u - a² + v - b² + C2)            contrast and structure
+    4. S = mean of L K over pixels and channels
+
+and the adjoint in x, with D1 and D2 the denominators of L and K, and mᵀ the transpose of m:
+
+    5. S_u = -L K / D2,   S_w = 2 L / D2,   S_a = 2 K (b - a L) / D1 + 2 L (a K - b) / D2
+    6. dS/dx = mᵀ(S_a) + 2 x mᵀ(S_u) + y mᵀ(S_w)
+
+Products with banded matrices, or torch's convolutions, take some five times as long.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import numpy as np
+import torch
+from drjit.llvm import UInt32
+from torch import Tensor
+from torch.autograd.function import FunctionCtx
+
+from gva_mi.body.lanes import FLOATS
+
+SIGMA, RADIUS = 1.5, 5  # pixels: of Wang et al.'s window
+SIDE = 2 * RADIUS + 1
+C1, C2 = 0.01**2, 0.03**2  # for values in [0, 1]
+
+_weights = np.exp(-0.5 * ((np.arange(SIDE) - RADIUS) / SIGMA) ** 2)
+WINDOW = (_weights / _weights.sum()).tolist()
+
+Arrays = list[Any]  # of Dr.Jit, flat
+
+
+def ssim(image: Tensor, target: Tensor) -> Tensor:
+    """Structural similarity of two images (H, W, C) in [0, 1], averaged over pixels and channels.
+
+    The mean is taken where the window lies inside the image: both sides must be at least 11 pixels.
+
+    Returns:
+        A scalar, differentiable in ``image`` both ways; ``target`` is a constant.
+
+    Raises:
+        ValueError: for a smaller image.
+    """
+    if min(image.shape[:2]) < SIDE:
+        raise ValueError(f"ssim(): images must be at least 11 x 11, got {tuple(image.shape[:2])}")
+    return _Ssim.apply(image, target.detach())
+
+
+def _grid(height: int, width: int) -> tuple[UInt32, UInt32]:
+    """Row and column of every lane."""
+    lane = dr.arange(UInt32, height * width)
+    row = lane // width
+    return row, lane - row * width
+
+
+def _taken(source: Any, index: UInt32, step: int) -> list[Any]:  # noqa: ANN401
+    """The numbers of a window that begins at ``index``."""
+    F = type(source)
+    return [dr.gather(F, source, index + k * step) for k in range(SIDE)]
+
+
+def _mean(values: list[Any]) -> Any:  # noqa: ANN401
+    return sum(g * value for g, value in zip(WINDOW, values, strict=True))
+
+
+def _spread(source: Any, place: UInt32, last: int, index: UInt32, step: int) -> Any:  # noqa: ANN401
+    """mᵀ along one axis: from all windows that a number lies in.
+
+    Args:
+        source: numbers of the windows, by their beginning.
+        place: of the number along the axis.
+        last: beginning of the last window.
+        index: where a window that begins at ``place`` lies in ``source``.
+        step: from there to the next.
+    """
+    F, total = type(source), 0
+    for k, g in enumerate(WINDOW):
+        inside = (place >= k) & (place <= last + k)
+        total = total + g * dr.gather(F, source, index - k * step, active=inside)
+    return total
+
+
+def _moments(x: Any, y: Any, height: int, width: int, channels: int) -> Arrays:  # noqa: ANN401
+    """Eq. 1, along rows."""
+    row, at = _grid(height, (width - SIDE + 1) * channels)
+    index = row * (width * channels) + at
+    x, y = _taken(x, index, channels), _taken(y, index, channels)
+    times = lambda p, q: [a * b for a, b in zip(p, q, strict=True)]
+    return [_mean(values) for values in (x, y, times(x, x), times(y, y), times(x, y))]
+
+
+def _similarity(moments: Arrays, height: int, width: int) -> tuple[Any, Arrays]:
+    """Eq. 1 along columns, L K of eq. 2 to 4, and its derivatives of eq. 5."""
+    row, at = _grid(height - SIDE + 1, width)
+    a, b, u, v, w = (_mean(_taken(x, row * width + at, width)) for x in moments)
+    D1, D2 = a * a + b * b + C1, u - a * a + v - b * b + C2
+    L, K = (2 * a * b + C1) / D1, (2 * (w - a * b) + C2) / D2
+    S_a = 2 * K * (b - a * L) / D1 + 2 * L * (a * K - b) / D2
+    return L * K, [S_a, -L * K / D2, 2 * L / D2]
+
+
+def _of_columns(parts: Arrays, height: int, width: int) -> Arrays:
+    """mᵀ of eq. 6, along columns."""
+    row, at = _grid(height, width)
+    return [_spread(part, row, height - SIDE, row * width + at, width) for part in parts]
+
+
+def _of_rows(parts: Arrays, height: int, width: int, channels: int) -> Arrays:
+    """mᵀ of eq. 6, along rows."""
+    row, at = _grid(height, width * channels)
+    windows = width - SIDE + 1
+    index, column = row * (windows * channels) + at, at // channels
+    return [_spread(part, column, windows - 1, index, channels) for part in parts]
+
+
+class _Ssim(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: FunctionCtx, image: Tensor, target: Tensor) -> Tensor:
+        H, W, C = image.shape
+        x, y = _flat(image), _flat(target)
+        moments = _moments(x, y, H, W, C)
+        dr.eval(moments)
+        windows = (W - SIDE + 1) * C
+        S, parts = _similarity(moments, H, windows)
+        dr.eval(S, parts)
+        ctx.parts, ctx.count, ctx.grad = parts, dr.width(S), None
+        ctx.save_for_backward(image, target)
+        ctx.save_for_forward(image, target)
+        dr.sync_thread()
+        return S.torch().mean()
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: FunctionCtx, grad: Tensor) -> tuple[Tensor, None]:
+        return grad * _gradient(ctx), None
+
+    @staticmethod
+    def jvp(ctx: FunctionCtx, dimage: Tensor, _: None) -> Tensor:
+        return (_gradient(ctx) * dimage).sum()
+
+
+def _gradient(ctx: FunctionCtx) -> Tensor:
+    """dS/dx of eq. 6, (H, W, C)."""
+    image, target = ctx.saved_tensors
+    H, W, C = image.shape
+    parts = _of_columns(ctx.parts, H, (W - SIDE + 1) * C)
+    dr.eval(parts)
+    x, y = _flat(image), _flat(target)
+    of_a, of_u, of_w = _of_rows(parts, H, W, C)
+    found = (of_a + 2 * x * of_u + y * of_w) / ctx.count
+    dr.eval(found)
+    dr.sync_thread()
+    return found.torch().view(H, W, C)
+
+
+def _flat(tensor: Tensor) -> Any:  # noqa: ANN401
+    return FLOATS[tensor.dtype](tensor.detach().contiguous().view(-1))

@@ -55,25 +55,36 @@ def ssim(image: Tensor, target: Tensor) -> Tensor:
     return _Ssim.apply(image, target.detach())
 
 
-def _grid(height: int, width: int) -> tuple[UInt32, UInt32]:
-    """Row and column of every lane."""
-    lane = dr.arange(UInt32, height * width)
-    row = lane // width
-    return row, lane - row * width
+def _size(number: int) -> UInt32:
+    """A number that kernels read: compiled into them, it would make others for every image."""
+    return dr.opaque(UInt32, number)
 
 
-def _taken(source: Any, index: UInt32, step: int) -> list[Any]:  # noqa: ANN401
+def _grid(height: int, width: int) -> tuple[UInt32, UInt32, UInt32]:
+    """Row and column of every lane, and how many columns there are."""
+    columns, lane = _size(width), dr.arange(UInt32, height * width)
+    row = lane // columns
+    return row, lane - row * columns, columns
+
+
+def _window(source: Any, index: UInt32, step: UInt32 | int) -> Arrays:  # noqa: ANN401
     """The numbers of a window that begins at ``index``."""
     F = type(source)
     return [dr.gather(F, source, index + k * step) for k in range(SIDE)]
 
 
-def _mean(values: list[Any]) -> Any:  # noqa: ANN401
+def _weighted(values: Arrays) -> Any:  # noqa: ANN401
     return sum(g * value for g, value in zip(WINDOW, values, strict=True))
 
 
-def _spread(source: Any, place: UInt32, last: int, index: UInt32, step: int) -> Any:  # noqa: ANN401
-    """mᵀ along one axis: from all windows that a number lies in.
+def _spread(
+    source: Any,  # noqa: ANN401
+    place: UInt32,
+    last: UInt32,
+    index: UInt32,
+    step: UInt32 | int,
+) -> Any:  # noqa: ANN401
+    """mᵀ along one axis: the weighted sum over the windows that a number lies in.
 
     Args:
         source: numbers of the windows, by their beginning.
@@ -91,17 +102,18 @@ def _spread(source: Any, place: UInt32, last: int, index: UInt32, step: int) -> 
 
 def _moments(x: Any, y: Any, height: int, width: int, channels: int) -> Arrays:  # noqa: ANN401
     """Eq. 1, along rows."""
-    row, at = _grid(height, (width - SIDE + 1) * channels)
-    index = row * (width * channels) + at
-    x, y = _taken(x, index, channels), _taken(y, index, channels)
+    row, at, _ = _grid(height, (width - SIDE + 1) * channels)
+    index = row * _size(width * channels) + at
+    x, y = (_window(source, index, channels) for source in (x, y))
     times = lambda p, q: [a * b for a, b in zip(p, q, strict=True)]
-    return [_mean(values) for values in (x, y, times(x, x), times(y, y), times(x, y))]
+    return [_weighted(values) for values in (x, y, times(x, x), times(y, y), times(x, y))]
 
 
 def _similarity(moments: Arrays, height: int, width: int) -> tuple[Any, Arrays]:
     """Eq. 1 along columns, L K of eq. 2 to 4, and its derivatives of eq. 5."""
-    row, at = _grid(height - SIDE + 1, width)
-    a, b, u, v, w = (_mean(_taken(x, row * width + at, width)) for x in moments)
+    row, at, columns = _grid(height - SIDE + 1, width)
+    first = row * columns + at
+    a, b, u, v, w = (_weighted(_window(source, first, columns)) for source in moments)
     D1, D2 = a * a + b * b + C1, u - a * a + v - b * b + C2
     L, K = (2 * a * b + C1) / D1, (2 * (w - a * b) + C2) / D2
     S_a = 2 * K * (b - a * L) / D1 + 2 * L * (a * K - b) / D2
@@ -110,16 +122,16 @@ def _similarity(moments: Arrays, height: int, width: int) -> tuple[Any, Arrays]:
 
 def _of_columns(parts: Arrays, height: int, width: int) -> Arrays:
     """mᵀ of eq. 6, along columns."""
-    row, at = _grid(height, width)
-    return [_spread(part, row, height - SIDE, row * width + at, width) for part in parts]
+    row, at, columns = _grid(height, width)
+    index, last = row * columns + at, _size(height - SIDE)
+    return [_spread(part, row, last, index, columns) for part in parts]
 
 
 def _of_rows(parts: Arrays, height: int, width: int, channels: int) -> Arrays:
     """mᵀ of eq. 6, along rows."""
-    row, at = _grid(height, width * channels)
-    windows = width - SIDE + 1
-    index, column = row * (windows * channels) + at, at // channels
-    return [_spread(part, column, windows - 1, index, channels) for part in parts]
+    row, at, _ = _grid(height, width * channels)
+    index, last = row * _size((width - SIDE + 1) * channels) + at, _size(width - SIDE)
+    return [_spread(part, at // channels, last, index, channels) for part in parts]
 
 
 class _Ssim(torch.autograd.Function):

@@ -85,27 +85,26 @@ class Skin:
                 self.weights.new_zeros(0, 3, self.weights.shape[1]),
                 self.directions[:0],
             )
-        share, nearest = self.around(points)
-        weights = torch.einsum("nk,nkj->nj", share, self.weights[nearest])
-        blend_shapes = mean_directions(share, self.beneath[nearest], self.directions)
-        return Carriers(strongest(weights, JOINTS), self._slopes(points), blend_shapes)
+        distance, nearest = self._nearest(points, PLANE)
+        share, few = self._shares(distance, nearest)
+        weights = torch.einsum("nk,nkj->nj", share, self.weights[few])
+        blend_shapes = mean_directions(share, self.beneath[few], self.directions)
+        return Carriers(strongest(weights, JOINTS), self._slopes(nearest), blend_shapes)
 
-    def _slopes(self, points: Tensor) -> Tensor:
-        """Eq. 3 at points (N, 3), (N, 3, 55) 1/m, of the joints with the largest."""
+    def _slopes(self, nearest: np.ndarray) -> Tensor:
+        """Eq. 3 of N points by the vertices nearest to them (N, k): (N, 3, 55) 1/m, of the joints
+        with the largest."""
         from scipy.sparse import csr_array
-        from scipy.spatial import cKDTree
 
         vertices, weights = self.vertices.double().numpy(), self.weights.double().numpy()
-        count = min(PLANE, len(vertices))
-        nearest = cKDTree(vertices).query(points.detach().double().numpy(), k=count)[1]
-        nearest = nearest.reshape(len(points), count)
+        count = nearest.shape[1]
         X = vertices[nearest] - vertices[nearest].mean(1, keepdims=True)
         square = np.einsum("nki,nkj->nij", X, X)
         flat = FLAT * np.trace(square, axis1=1, axis2=2) + 1e-12
         shares = np.einsum("nij,nkj->nik", _inverse(square + flat[:, None, None] * np.eye(3)), X)
         rows = np.arange(0, shares.size + 1, count)
         columns = np.repeat(nearest, 3, axis=0).ravel()
-        planes = csr_array((shares.ravel(), columns, rows), (3 * len(points), len(vertices)))
+        planes = csr_array((shares.ravel(), columns, rows), (3 * len(nearest), len(vertices)))
         return _largest(torch.from_numpy(planes @ weights).unflatten(0, (-1, 3))).to(self.weights)
 
     def around(self, points: Tensor) -> tuple[Tensor, Tensor]:
@@ -117,17 +116,24 @@ class Skin:
         Returns:
             Shares (N, k), whose rows sum to 1, and the vertices' numbers (N, k) int64.
         """
+        return self._shares(*self._nearest(points, NEIGHBOURS + 1))
+
+    def _nearest(self, points: Tensor, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Distances and numbers (N, k) of the vertices nearest to points, up to so many."""
         from scipy.spatial import cKDTree
 
         x, tree = points.detach().double().numpy(), cKDTree(self.vertices.double().numpy())
-        count = min(NEIGHBOURS + 1, len(self.vertices))
-        d, nearest = tree.query(x, k=count)
-        d = np.maximum(d.reshape(len(x), count), 1e-9)
+        found = tree.query(x, k=min(count, len(self.vertices)))
+        return tuple(part.reshape(len(x), -1) for part in found)
+
+    def _shares(self, distance: np.ndarray, nearest: np.ndarray) -> tuple[Tensor, Tensor]:
+        """What :meth:`around` returns, of points that know at least those vertices."""
+        distance, nearest = (x[:, : NEIGHBOURS + 1] for x in (distance, nearest))
+        d = np.maximum(distance, 1e-9)
         share = np.square(1 / d - 1 / d[:, -1:])
         share[share.sum(1) == 0, 0] = 1  # all equally far
         share /= share.sum(1, keepdims=True)
-        nearest = torch.from_numpy(nearest.reshape(len(x), count))
-        return torch.from_numpy(share).to(self.weights), nearest
+        return torch.from_numpy(share).to(self.weights), torch.from_numpy(nearest)
 
 
 def _inverse(A: np.ndarray) -> np.ndarray:

@@ -134,6 +134,14 @@ class Recording:
         drops = [np.interp(motion.before(t, k), t, lowest, period=1) for k in back]
         return [_lowered(p, drop.astype("f4")) for p, drop in zip(poses, drops, strict=True)]
 
+    def video_cameras(self, pose: Pose) -> list[Camera]:
+        """The video's cameras, one for each frame: all the same, or on a circle round all poses."""
+        points, count = self.some_points(pose), len(pose)
+        turns = np.zeros(count) if self.options.camera == "stands" else np.arange(count) / count
+        of_turn = {turn: camera_around(points, self.options.size, 2 * np.pi * turn)
+                   for turn in dict.fromkeys(turns.tolist())}  # fmt: skip
+        return [of_turn[turn] for turn in turns.tolist()]
+
     def closest(self, pose: Pose) -> Closest:
         """The fitted body in true poses; they themselves, where the subject is drawn on it."""
         return closest(self.fitted, self.body, pose, self.subject.shape)
@@ -174,8 +182,8 @@ def _lowered(pose: Pose, drop: np.ndarray) -> Pose:
 def _write_video(folder: Path, recording: Recording, poses: list[Pose]) -> None:
     """Frames, masks, normals, cameras and poses of the video, with their truth."""
     options, subject, pose = recording.options, recording.subject, poses[0]
-    camera = camera_around(recording.some_points(pose), options.size)
-    save_cameras(folder / "truth" / "cameras.npz", [camera])
+    cameras = recording.video_cameras(pose)
+    save_cameras(folder / "truth" / "cameras.npz", cameras)
     save_poses(folder / "truth" / "poses.npz", pose, subject.shape, stage=0)
     if recording.body is not recording.fitted:
         write_arrays(folder / "truth" / BODY, **recording.body.arrays())
@@ -183,10 +191,10 @@ def _write_video(folder: Path, recording: Recording, poses: list[Pose]) -> None:
         options.blur * options.size / 512, options.sensor_noise,
         room_background(options.size, options.random(BACKGROUND)) if options.background else None,
     )  # fmt: skip
-    pipeline = Pipeline(options, recording.fitted, camera, recording.closest(pose))
+    pipeline = Pipeline(options, recording.fitted, cameras, recording.closest(pose))
     from_files = pipeline.starts_from_files
     taken = [Taken(effects, noise, from_files) for noise in pipeline.pictures()]
-    shots = recording.shots(folder, poses, [camera] * options.frames, MOTION, taken)
+    shots = recording.shots(folder, poses, cameras, MOTION, taken)
     results = list(recording.pool.render(shots))
     write_movie(folder / "video.mp4", [result.color for result in results])
     pipeline.write(folder, [result.error for result in results])

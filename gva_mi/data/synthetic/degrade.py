@@ -60,7 +60,7 @@ def degrade(
     )  # fmt: skip
     truth = load_truth(subject / "truth", body)
     near = closest(body, truth.body, truth.pose, truth.shape)
-    pipeline = Pipeline(options, body, truth.cameras[0], near)
+    pipeline = Pipeline(options, body, truth.cameras, near)
     with whole_folder(out, replaced) as folder:
         for name in KEPT:
             if (subject / name).exists():

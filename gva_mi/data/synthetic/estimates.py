@@ -49,13 +49,13 @@ class Pipeline:
     Attributes:
         options: which family of noise, at which levels, from which seed.
         body: that the poses are for.
-        camera: the true one.
+        cameras: the true ones, of all frames.
         near: what a perfect estimator would say with that body: the truth, where it was filmed.
     """
 
     options: SynthOptions
     body: BodyModel
-    camera: Camera
+    cameras: Sequence[Camera]
     near: Closest
 
     @property
@@ -72,14 +72,14 @@ class Pipeline:
         """What goes wrong in the mask and the normals of each frame."""
         options, noise, levels = self.options, self.noise, self.options.levels
         seen = mistaken(
-            self.body, self.near.pose, self.near.shape, self.camera, noise.mask, levels.mask,
+            self.body, self.near.pose, self.near.shape, self.cameras[0], noise.mask, levels.mask,
             options.random_noise(MISTAKEN),
         )  # fmt: skip
         share = min(levels.normal * noise.normal.missing, 0.9)
         missing = runs(options.random_noise(MISSING), len(seen), share, MISSING_FRAMES)
         seed = (*options.entropy_of_noise(RENDER), MOTION)
         return [
-            PictureNoise(noise, levels, self.camera, (*seed, k), seen[k], bool(missing[k]))
+            PictureNoise(noise, levels, self.cameras[k], (*seed, k), seen[k], bool(missing[k]))
             for k in range(len(seen))
         ]
 
@@ -92,11 +92,11 @@ class Pipeline:
         """
         options, noise, levels = self.options, self.noise, self.options.levels
         truth, rng = (self.near.pose, self.near.shape), options.random_noise(NOISE)
-        found = noisy_poses(self.body, *truth, self.camera, noise.pose, levels.pose, rng)
+        first = self.cameras[0]
+        found = noisy_poses(self.body, *truth, first, noise.pose, levels.pose, rng)
         save_poses(folder / "poses.npz", *found, stage=1)
-        save_cameras(
-            folder / "cameras.npz", [believed_camera(self.camera, noise.pose, levels.pose)]
-        )
+        believed = [believed_camera(camera, noise.pose, levels.pose) for camera in self.cameras]
+        save_cameras(folder / "cameras.npz", believed)
         if noise.normal.convention != "perspective" and levels.normal > 0:
             write_json(folder / ABOUT, {"convention": noise.normal.convention})
         angles = [error.angle for error in errors if error.angle is not None]
@@ -105,7 +105,7 @@ class Pipeline:
             "seed": options.seed_of_noise,
             "levels": asdict(levels),
             "parameters": asdict(noise),
-            "pose": asdict(pose_error(self.body, *found, *truth, self.camera)),
+            "pose": asdict(pose_error(self.body, *found, *truth, first)),
             "mask": {"iou": float(np.mean([error.iou for error in errors]))},
             "normal": {
                 "angle_deg": float(np.mean(angles)) if angles else None,

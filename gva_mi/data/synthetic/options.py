@@ -41,6 +41,7 @@ class SynthOptions:
     clothes: bool = True  # clothes and shoes; without them a swimsuit is painted on the skin
     hair: bool = True  # without it the head is bald
     light: Literal["usual", "side", "ambient"] = "usual"  # besides the sky, see render.LIGHTS
+    camera: Literal["stands", "circles"] = "stands"  # circles: once round the person; no noise then
     folds: Level = 1.0  # factor on creases where cloth bends and on ends that lag; 0: skinned only
     family: str = "bursts"  # of noise: what goes wrong; see gva_mi.data.synthetic.noise.families
     noise_seed: Seed | None = None  # which noise of the family; without it, the seed's
@@ -68,11 +69,16 @@ class SynthOptions:
         choices = {
             "subject": (None, *STUDY), "motion": motion.MOTIONS, "figure": FIGURES,
             "outfit": ("own", "foreign"), "light": ("usual", "side", "ambient"),
+            "camera": ("stands", "circles"),
         }  # fmt: skip
         for name, known in choices.items():
             if getattr(self, name) not in known:
                 names = ", ".join(str(k) for k in known if k)
                 raise InputError(f"synth: no {name} '{getattr(self, name)}'; there are: {names}")
+        if self.camera == "circles" and any(asdict(self.levels).values()):
+            raise InputError(
+                "synth: noise hangs on a camera that stands; circles needs noise 0"
+            )
 
     def drawn_on(self, body: BodyModel) -> BodyModel:
         """The body that the subject is drawn on, where ``body`` is the one that is fitted."""

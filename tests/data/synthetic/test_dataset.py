@@ -298,6 +298,28 @@ def test_light_changes_pictures_and_nothing_else(body, tmp_path):
     assert a["masks/000001.png"] == b["masks/000001.png"] and a["poses.npz"] == b["poses.npz"]
 
 
+def test_a_camera_that_circles_sees_the_person_from_all_sides(body, tmp_path):
+    options = SynthOptions(
+        seed=1, frames=4, size=32, samples=1, novel_poses=0, novel_views=0, clothes=False,
+        hair=False, motion="still", camera="circles", noise=0,
+    )  # fmt: skip
+    make_subject(tmp_path / "round", options, body)
+    video = load_video(tmp_path / "round")
+    ahead = np.stack([camera.T_camera_world[2, :3] for camera in video.cameras])
+    turns = (ahead @ ahead[0] - ahead[0, 1] ** 2) / (1 - ahead[0, 1] ** 2)
+    np.testing.assert_allclose(turns, [1, 0, -1, 0], atol=1e-9)
+    for frame in video.frames(range(4)):  # the person is where the camera looks
+        rows, columns = np.nonzero(frame.mask > 0.5)
+        assert abs(columns.mean() - 16) < 4 and np.ptp(rows) > 20
+        place = body(frame.pose, video.shape).vertices[0].double().numpy()
+        assert np.abs(frame.camera.project(place).mean(0) - (columns.mean(), rows.mean())).max() < 3
+
+
+def test_noise_is_refused_where_the_camera_circles():
+    with pytest.raises(InputError, match="circles needs noise 0"):
+        SynthOptions(camera="circles")
+
+
 @pytest.mark.slow
 def test_folds_move_cloth_and_leave_the_body(body, tmp_path):
     folders = []

@@ -52,7 +52,7 @@ class Schedule:
 
     densify_every: Every = 200  # steps; 0: never
     densify_from: Share = 0.05  # share of all steps before the first round
-    densify_until: Share = 0.8  # share of all steps after which there is no round
+    densify_until: Share = 0.5  # share of all steps after which there is no round, as in 3DGS
     reinit_at: tuple[InnerShare, ...] = (0.25, 0.5)  # shares of all steps; empty: never
     look_up_every: Every = 100  # steps after which Gaussians follow what is around them; 0: never
 

@@ -76,9 +76,7 @@ class SynthOptions:
                 names = ", ".join(str(k) for k in known if k)
                 raise InputError(f"synth: no {name} '{getattr(self, name)}'; there are: {names}")
         if self.camera == "circles" and any(asdict(self.levels).values()):
-            raise InputError(
-                "synth: noise hangs on a camera that stands; circles needs noise 0"
-            )
+            raise InputError("synth: noise hangs on a camera that stands; circles needs noise 0")
 
     def drawn_on(self, body: BodyModel) -> BodyModel:
         """The body that the subject is drawn on, where ``body`` is the one that is fitted."""

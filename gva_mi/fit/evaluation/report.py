@@ -229,7 +229,8 @@ def _reinitialisation(
             " Spacing is the coefficient of variation of the distance to the nearest Gaussian on "
             "the true surface: 0 on a lattice, 0.52 for points strewn at random. Bias is the 95th "
             "percentile of the distance from the true surface to the nearest Gaussian, stray the "
-            "99th of that from a Gaussian to the surface."
+            "99th of that from a Gaussian to the surface. Elongation is the 99th percentile of a "
+            "Gaussian's length over its breadth."
         )
     return [Section("Re-initialisation", text, pictures, columns=2, tables=tables)]
 
@@ -247,10 +248,13 @@ def surface_table(surface: Sequence[SurfaceFigures]) -> Table:
             *(number(figures.spacing.get(name), 2) for name in textures),
             *(number(figures.bias_mm.get(name), 1) for name in parts),
             number(figures.stray_mm, 1),
+            number(figures.elongation, 1),
+            number(figures.largest_mm, 0),
         )
         for figures in surface
     ]
-    return Table((*head, *(f"bias of {name}, mm" for name in parts), "stray, mm"), rows)
+    bias = (f"bias of {name}, mm" for name in parts)
+    return Table((*head, *bias, "stray, mm", "elongation", "largest, mm"), rows)
 
 
 _OF_A_STEP = (

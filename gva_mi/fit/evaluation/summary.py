@@ -160,6 +160,11 @@ SURFACE = (
     _surface("before the last re-initialisation, mm", "bias_mm", "hair", "before"),
     _surface("after it, mm", "bias_mm", "hair", "after"),
     _surface("bias of hem at the end, mm", "bias_mm", "hem", "end"),
+    _surface("bias of accessories at the end, mm", "bias_mm", "accessories", "end"),
+    _surface(
+        "of accessories before the last re-initialisation, mm", "bias_mm", "accessories", "before"
+    ),
+    _surface("of accessories after it, mm", "bias_mm", "accessories", "after"),
     _surface("bias of the rest at the end, mm", "bias_mm", "rest", "end"),
 )
 DEFECTS = (
@@ -167,6 +172,8 @@ DEFECTS = (
     *_defect("holes"),
     _percent("flicker", "test", "test", None),
     _surface("stray Gaussians at the end, mm", "stray_mm", "", "end"),
+    _surface("elongation of Gaussians", "elongation", "", "end"),
+    _surface("largest Gaussian, mm", "largest_mm", "", "end"),
 )
 COST = (
     Column("seconds", lambda result: result.seconds, 0, -1),

@@ -13,7 +13,13 @@ From points x spread evenly over a part of the true surface,
 
 *Floaters* are what re-initialisation is said to take away:
 
-    4. stray = 99th percentile of min_x |x - μ_i|
+    4. stray = 99th percentile of min_x |x - μ_i|          x: on the inner sides of cloth, too
+
+Needles come apart where skin bends, and huge Gaussians hide what is beside them. Of a Gaussian's
+standard deviations s_1 >= s_2 >= s_3,
+
+    5. elongation = 99th percentile of s_1 / s_2           a disc of the surface has 1
+    6. largest = max s_1
 
 Only opaque Gaussians count, and for (2) only those near the surface. (3) also holds how far
 Gaussians are apart, and (4) how far the points are: half of that is the least there is.
@@ -46,7 +52,9 @@ class SurfaceFigures:
     gaussians: int  # that are opaque
     spacing: dict[str, float]  # eq. 2 by texture, and of "all"
     bias_mm: dict[str, float]  # eq. 3 by part
-    stray_mm: float | None = None  # eq. 4; None in files of older versions
+    stray_mm: float | None = None  # eq. 4; this and the next are None in files of older versions
+    elongation: float | None = None  # eq. 5
+    largest_mm: float | None = None  # eq. 6
 
 
 def surface_figures(
@@ -76,7 +84,8 @@ def surface_figures(
         means = gaussians.means.detach()[opaque].double().numpy()
         if len(means) >= FEWEST:
             figures = spacing(means, truth), bias_mm(means, truth), stray_mm(means, truth)
-            found.append(SurfaceFigures(step, moment, len(means), *figures))
+            sizes = elongation_and_largest(gaussians.scales.detach()[opaque].double().numpy())
+            found.append(SurfaceFigures(step, moment, len(means), *figures, *sizes))
     return tuple(found)
 
 
@@ -116,4 +125,10 @@ def stray_mm(means: np.ndarray, truth: TrueSurface) -> float:
     """Eq. 4 of Gaussians (N, 3), millimetres."""
     from scipy.spatial import cKDTree
 
-    return float(1e3 * np.percentile(cKDTree(truth.points).query(means)[0], 99))
+    return float(1e3 * np.percentile(cKDTree(truth.everywhere).query(means)[0], 99))
+
+
+def elongation_and_largest(scales: np.ndarray) -> tuple[float, float]:
+    """Eq. 5, and eq. 6 in millimetres, of standard deviations (N, 3)."""
+    _, second, first = np.sort(scales, axis=1).T
+    return float(np.percentile(first / second, 99)), float(1e3 * first.max())

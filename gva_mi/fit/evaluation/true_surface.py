@@ -30,11 +30,12 @@ from gva_mi.mesh.visibility import seen_vertices
 
 POINTS = 40_000  # spread over the surface by area: some 7 mm apart
 DISTANCE = 4.0  # metres from the middle of the person to the eyes around
-AROUND = (np.arange(12) * np.pi / 6, np.radians([-50.0, -15.0, 15.0, 50.0]))  # azimuth, height
+# Azimuth and height: where cameras stand. From below one would see into a skirt.
+AROUND = (np.arange(12) * np.pi / 6, np.radians([0.0, 20.0, 50.0]))
 HEM = 0.8  # of a garment's slack: nearer to its loose end it belongs to the hem
 
 TEXTURES = ("skin", "plain cloth", "patterned cloth", "hair")
-PARTS = ("hair", "hem", "rest")
+PARTS = ("hair", "hem", "accessories", "rest")
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,7 @@ class TrueSurface:
     normals: np.ndarray  # (M, 3)
     texture: np.ndarray  # (M,) integers, see TEXTURES
     part: np.ndarray  # (M,) integers, see PARTS
+    everywhere: np.ndarray  # (M, 3) metres, on all of it, seen or not
 
     @staticmethod
     def of(subject: Path, body: BodyModel, rig: Rig) -> TrueSurface | None:
@@ -79,6 +81,7 @@ def _spread(person: Subject, vertices: torch.Tensor, outside: np.ndarray) -> Tru
     """Points on some of the faces, and what they belong to."""
     faces = torch.from_numpy(person.faces)
     normals = vertex_normals(vertices, faces)
+    anywhere, at = spread_over_faces(vertices, faces, POINTS)
     kept = faces[torch.from_numpy(outside)]
     chosen, barycentric = spread_over_faces(vertices, kept, POINTS)
     on_faces = lambda x: (x[kept[chosen]] * barycentric[..., None]).sum(1).numpy()
@@ -89,13 +92,15 @@ def _spread(person: Subject, vertices: torch.Tensor, outside: np.ndarray) -> Tru
         normals=normal / np.linalg.norm(normal, axis=1, keepdims=True),
         texture=_textures(person)[of_face],
         part=_parts(person)[of_face],
+        everywhere=(vertices[faces[anywhere]] * at[..., None]).sum(1).numpy(),
     )
 
 
 def _outside(person: Subject) -> np.ndarray:
     """Which faces (F,) are seen from somewhere around the person, who stands in the rest pose.
 
-    The inner sides of cloth and hair, and skin in the armpits of a shirt, are no surface to reach.
+    The inner sides of cloth and hair, the space under a skirt, and skin in the armpits of a shirt
+    are no surface to reach.
     """
     vertices = torch.from_numpy(person.vertices)
     low, high = person.vertices.min(0), person.vertices.max(0)
@@ -129,5 +134,6 @@ def _parts(person: Subject) -> np.ndarray:
         own = person.material == int(material)
         if slack[own].any():
             parts[own & (slack >= HEM * slack[own].max())] = PARTS.index("hem")
-    parts[person.material == int(Material.HAIR)] = PARTS.index("hair")
+    for material, name in ((Material.HAIR, "hair"), (Material.ACCESSORY, "accessories")):
+        parts[person.material == int(material)] = PARTS.index(name)
     return parts

@@ -6,6 +6,7 @@ import shutil
 import numpy as np
 import pytest
 import torch
+from scipy.spatial import cKDTree
 
 from gva_mi.avatar.avatar import seed_avatar
 from gva_mi.body.pose import Shape
@@ -17,6 +18,7 @@ from gva_mi.errors import InputError
 from gva_mi.fit.evaluation.surface_figures import (
     NEAR,
     bias_mm,
+    elongation_and_largest,
     spacing,
     stray_mm,
     surface_figures,
@@ -34,7 +36,9 @@ def square():
     right = points[:, 0] > 0.5
     texture = np.where(right, TEXTURES.index("hair"), TEXTURES.index("skin"))
     part = np.where(right, PARTS.index("hair"), PARTS.index("rest"))
-    return TrueSurface(points, np.tile([0.0, 0, 1], (len(points), 1)), texture, part)
+    beneath = points - (0, 0, 0.1)  # an inner side
+    everywhere = np.concatenate([points, beneath])
+    return TrueSurface(points, np.tile([0.0, 0, 1], (len(points), 1)), texture, part, everywhere)
 
 
 def lattice(count, height=0.0):
@@ -83,23 +87,36 @@ def test_strays_are_as_far_as_they_are(square):
     assert stray_mm(lying, square) == pytest.approx(0.1, rel=1e-6)
     away = np.concatenate([lying, square.points[:10] + np.array([0, 0, 0.2])])
     assert stray_mm(away, square) == pytest.approx(200, rel=0.05)
+    within = np.concatenate([lying, square.everywhere[-10:]])
+    assert stray_mm(within, square) == pytest.approx(0.1, rel=1e-6)
+
+
+def test_needles_and_huge_gaussians_are_told_from_discs():
+    discs = np.tile([0.002, 0.008, 0.008], (98, 1))
+    needles = np.tile([0.002, 0.08, 0.002], (2, 1))
+    assert elongation_and_largest(discs) == pytest.approx((1, 8))
+    longest, largest = elongation_and_largest(np.concatenate([discs, needles]))
+    assert longest > 10 and largest == pytest.approx(80)
 
 
 def test_a_folder_that_synth_did_not_make_has_no_figures(tmp_path, known, body):
     assert surface_figures(tmp_path, known, tmp_path, body) == ()
 
 
-@pytest.fixture(scope="module")
-def bare(tmp_path_factory, body):
-    """What ``synth.json`` says of a person without clothes and hair."""
-    folder = tmp_path_factory.mktemp("bare")
-    options = SynthOptions(seed=3, clothes=False, hair=False)
+def drawn(folder, body, options):
+    """What ``synth`` says of a person, without any picture."""
     about = {"options": options.recorded(), "body": fingerprint(body)}
     (folder / ABOUT).write_text(json.dumps(about))
-    person = draw_subject(body, options.person(body), clothes=False, hair=False)
+    person = draw_subject(body, options.person(body), options.clothes, options.hair)
     (folder / "truth").mkdir()
     write_surface(folder / SURFACE, person)
     return folder
+
+
+@pytest.fixture(scope="module")
+def bare(tmp_path_factory, body):
+    options = SynthOptions(seed=3, clothes=False, hair=False)
+    return drawn(tmp_path_factory.mktemp("bare"), body, options)
 
 
 def test_the_surface_of_a_bare_person_is_the_body_that_the_avatar_stands_on(bare, body):
@@ -107,13 +124,23 @@ def test_the_surface_of_a_bare_person_is_the_body_that_the_avatar_stands_on(bare
     betas = torch.tensor([2.0, -1.5, *[0.0] * 8])
     avatar = seed_avatar(body, Shape(betas))
     truth = TrueSurface.of(bare, body, avatar.rig)
-    assert set(truth.texture) == {TEXTURES.index("skin")} and set(truth.part) == {2}
+    assert set(truth.texture) == {TEXTURES.index("skin")}
+    assert set(truth.part) == {PARTS.index("rest")}
     rig = avatar.rig
     away = surface_distances(truth.points[::7], rig.vertices.double().numpy(), rig.faces.numpy())
     assert away.mean() < 1e-5
     person, _ = drawn_again(bare, body)
     own = body.rest(person.shape).vertices.detach().numpy()
     assert np.linalg.norm(own - rig.vertices.numpy(), axis=1).max() > 0.01
+
+
+def test_a_cap_is_an_accessory_and_shorts_have_inner_sides(body, tmp_path):
+    folder = drawn(tmp_path, body, SynthOptions(subject="edgar"))
+    truth = TrueSurface.of(folder, body, seed_avatar(body, Shape(torch.zeros(10))).rig)
+    cap = truth.points[truth.part == PARTS.index("accessories")]
+    assert len(cap) > 200 and cap[:, 1].min() > truth.points[:, 1].max() - 0.25
+    hidden = cKDTree(truth.points).query(truth.everywhere)[0] > 0.03
+    assert 0.02 < hidden.mean() < 0.5
 
 
 def test_a_person_that_is_drawn_otherwise_today_has_no_figures(bare, known, body, tmp_path):

@@ -50,7 +50,7 @@ from gva_mi.errors import expecting
 from gva_mi.files import read_arrays, write_arrays
 from gva_mi.splat.gaussians import Gaussians
 
-FORMAT = "gva_mi avatar, version 4"
+FORMAT = "gva_mi avatar, version 5"
 AVATAR_FILE = "an avatar of this version, as `fit` saves it"  # for errors
 RIG = (  # the tensors of a Rig
     "joints", "vertices", "faces", "weights", "looseness", "directions", "pose_features",
@@ -213,7 +213,7 @@ class Avatar(nn.Module):
         """
         driven, G = self.driven(pose), self.canonical
         if self.options.residual.enabled:
-            residual = self.residual(G.means, self.followed(pose)[0])
+            residual = self.residual(G.means, G.weights, self.followed(pose)[0])
         else:
             residual = torch.zeros_like(G.means)
         means = G.means + G.moved_by(driven.coefficients) + residual

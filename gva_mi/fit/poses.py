@@ -21,6 +21,10 @@ what that says.
   joint, no shift in those of the camera, or of the body while it turns.
 * Jaw and expression are corrected in the same way (:mod:`gva_mi.fit.faces`); eyes stay.
 
+Cubic splines in time in the place of the process fit the pictures as well, but leave the body
+farther from the truth. Soles that stand on one ground, which the refinement has seen to, change
+nothing here any more.
+
 Others who close the loop between poses and an avatar: GART (Lei et al. 2023), ExAvatar (Moon et al.
 2024), *Better Together* (2503.09293), HumanSplatHMR (2605.02784). What holds poses together here is
 the prior of the refinement, a Gaussian process in time whose smoothness the video tells.

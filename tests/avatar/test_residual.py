@@ -1,4 +1,5 @@
-"""The residual: zero at first, blind to the root, one function for any set of Gaussians."""
+"""The residual: zero at first and at rest, blind to the root and to joints that are far away, one
+function for any set of Gaussians."""
 
 import pytest
 import torch
@@ -9,6 +10,13 @@ from gva_mi.avatar.residual import OUTPUT_UNIT, PoseResidual, ResidualOptions
 @pytest.fixture
 def points():
     return torch.rand(50, 3, generator=torch.Generator().manual_seed(0)) - 0.5
+
+
+@pytest.fixture
+def weights():
+    """Each of the points follows one joint of the body, most of them a knee or an elbow."""
+    joints = torch.tensor([4, 18, 5, 19, 1, 16, 0, 12, 20, 40]).repeat(5)
+    return torch.nn.functional.one_hot(joints, 55).float()
 
 
 @pytest.fixture
@@ -24,55 +32,69 @@ def network(trained=True, **options):
     return mlp
 
 
-def test_starts_at_exactly_zero(points, rotations):
-    assert (network(trained=False)(points, rotations) == 0).all()
+def test_starts_at_exactly_zero(points, weights, rotations):
+    assert (network(trained=False)(points, weights, rotations) == 0).all()
 
 
-def test_root_does_not_enter(points, rotations):
+def test_is_zero_where_nothing_bends(points, weights, rotations):
+    mlp = network()
+    assert (mlp(points, weights, torch.zeros(55, 3)) == 0).all()
+    elbow = torch.zeros(55, 3)
+    elbow[18] = rotations[18]
+    moved = mlp(points, weights, elbow).abs().amax(1) > 0
+    follows = weights.argmax(1)
+    assert torch.equal(moved, (follows == 18) | (follows == 16))  # forearm and upper arm
+
+
+def test_root_does_not_enter(points, weights, rotations):
     turned = rotations.clone()
     turned[0] += 1
     mlp = network()
-    assert torch.equal(mlp(points, rotations), mlp(points, turned))
+    assert torch.equal(mlp(points, weights, rotations), mlp(points, weights, turned))
 
 
-def test_pose_enters(points, rotations):
+def test_fingers_enter(points, weights, rotations):
     bent = rotations.clone()
-    bent[4] += 1
+    bent[41] += 1  # hangs on joint 40, which some points follow
     mlp = network()
-    assert (mlp(points, rotations) - mlp(points, bent)).abs().max() > 0.1 * OUTPUT_UNIT
+    change = (mlp(points, weights, rotations) - mlp(points, weights, bent)).abs().amax(1)
+    assert change.max() > 0.1 * OUTPUT_UNIT
+    assert torch.equal(change > 0, weights.argmax(1) == 40)
 
 
-def test_a_subset_moves_as_the_whole(points, rotations):
+def test_a_subset_moves_as_the_whole(points, weights, rotations):
     mlp = network()
-    assert torch.allclose(mlp(points[::3], rotations), mlp(points, rotations)[::3], atol=1e-7)
+    some = mlp(points[::3], weights[::3], rotations)
+    assert torch.allclose(some, mlp(points, weights, rotations)[::3], atol=1e-7)
 
 
-def test_no_pose_is_out_of_bounds(points, rotations):
+def test_no_pose_is_out_of_bounds(points, weights, rotations):
     mlp = network()
-    usual = mlp(points, rotations).abs().max()
+    usual = mlp(points, weights, rotations).abs().max()
     for seed in range(10):
         wild = 3 * torch.randn(55, 3, generator=torch.Generator().manual_seed(seed))
-        assert mlp(points, wild).abs().max() < 5 * usual
+        assert mlp(points, weights, wild).abs().max() < 5 * usual
 
 
-def test_every_parameter_receives_a_gradient_after_one_step(points, rotations):
+def test_every_parameter_receives_a_gradient_after_one_step(points, weights, rotations):
     mlp = network(trained=False)
     optimizer = torch.optim.Adam(mlp.parameters(), 1e-3)
     target = torch.randn(50, 3, generator=torch.Generator().manual_seed(3))
     for _ in range(2):  # at the first step the zero layer shields the others
         optimizer.zero_grad()
-        ((mlp(points, rotations) - target) ** 2).sum().backward()
+        ((mlp(points, weights, rotations) - target) ** 2).sum().backward()
         optimizer.step()
     for name, parameter in mlp.named_parameters():
         assert parameter.grad.abs().max() > 0, name
 
 
-def test_pose_gradient_in_double_precision(points):
+def test_pose_gradient_in_double_precision(points, weights):
     mlp = network(width=8, frequencies=2).double()
     rotations = 0.3 * torch.ones(55, 3, dtype=torch.float64)
     rotations += 0.1 * torch.arange(165).view(55, 3).sin()
     rotations.requires_grad_()
-    assert torch.autograd.gradcheck(lambda r: mlp(points[:2].double(), r).sum(), rotations)
+    some = points[:2].double(), weights[:2].double()
+    assert torch.autograd.gradcheck(lambda r: mlp(*some, r).sum(), rotations)
 
 
 def test_learns_a_crease_that_comes_with_a_bent_joint():
@@ -80,15 +102,17 @@ def test_learns_a_crease_that_comes_with_a_bent_joint():
     mlp, points = network(trained=False), torch.rand(200, 3, generator=generator) - 0.5
     optimizer = torch.optim.Adam(mlp.parameters(), 1e-2)
     depth = 0.01 * torch.exp(-points.square().sum(1, keepdim=True) / 0.05)
+    knee = torch.nn.functional.one_hot(torch.full((200,), 5), 55).float()
     rotations = torch.zeros(2, 55, 3)
     rotations[1, 5, 0] = 0.8
     for step in range(80):
         optimizer.zero_grad()
         bent = step % 2
-        loss = (mlp(points, rotations[bent]) - bent * depth).square().mean()
-        loss.backward()
-        optimizer.step()
-    error = mlp(points, rotations[1]) - depth
+        loss = (mlp(points, knee, rotations[bent]) - bent * depth).square().mean()
+        if bent:  # at rest nothing can be wrong
+            loss.backward()
+            optimizer.step()
+    error = mlp(points, knee, rotations[1]) - depth
     assert error.square().mean() < 0.05 * depth.square().mean()
 
 

@@ -30,8 +30,9 @@ OPTIONS = FitOptions(
 PARAMETERS = [
     "light",
     *(f"canonical.{n}" for n in ("means", "quats", "log_scales", "logit_opacities", "sh")),
-    *(f"residual.{n}.weight" for n in ("pose_code", "place", "condition", "hidden", "offset")),
-    *(f"residual.{n}.bias" for n in ("pose_code", "place", "hidden", "offset")),
+    "residual.codes",
+    *(f"residual.{n}.weight" for n in ("place", "condition", "hidden", "offset")),
+    *(f"residual.{n}.bias" for n in ("place", "hidden")),
 ]
 
 

@@ -150,8 +150,9 @@ class Scene:
             Link("residual",
                  ("means", "rotations", *(k for k in self.values if k.startswith(NETWORK))),
                  ("residual",),
-                 lambda v: (functional_call(network, _network(v), (v["means"], v["rotations"])),),
-                 lambda v: (twins.residual(network, _network(v), v["means"].detach(),
+                 lambda v: (functional_call(network, _network(v),
+                                            (v["means"], weights, v["rotations"])),),
+                 lambda v: (twins.residual(network, _network(v), v["means"].detach(), weights,
                                            v["rotations"]),)),
             Link("blend", ("T_world_rest", "shaped_means", "residual"), ("A", "E"),
                  lambda v: G.blended(v["T_world_rest"], v["shaped_means"] + v["residual"]),
@@ -177,9 +178,10 @@ class Scene:
 
     def slope(self, values: Values, grad_residual: Tensor) -> Tensor:
         """The gradient (N, 3) by the means through the residual, which the network leaves out."""
-        network, means = self.models[torch.float64][1].residual, values["means"].clone()
+        avatar, means = self.models[torch.float64][1], values["means"].clone()
+        network, weights = avatar.residual, avatar.canonical.weights
         means.requires_grad_()
-        moved = twins.residual(network, _network(values), means, values["rotations"])
+        moved = twins.residual(network, _network(values), means, weights, values["rotations"])
         return torch.autograd.grad(moved, means, grad_residual)[0]
 
     def _drawn(self, draw: Callable[..., Image], values: Values) -> tuple[Tensor, ...]:
@@ -217,9 +219,8 @@ def _activated(values: Values) -> tuple[Tensor, Tensor]:
 
 def _off_kinks(avatar: Avatar, values: Values) -> tuple[Avatar, Values]:
     """An avatar and its values without the Gaussians at a kink of the network's relu."""
-    before = twins.before_relu(
-        avatar.residual, _network(values), values["means"], values["rotations"]
-    )
+    place = values["means"], avatar.canonical.weights
+    before = twins.before_relu(avatar.residual, _network(values), *place, values["rotations"])
     kept = torch.nonzero((before.abs() > KINK).all(1)).flatten()
     some = {name: values[name][kept] for name in PARAMETERS}
     carriers = {name: getattr(avatar.canonical, name)[kept] for name in CARRIERS}

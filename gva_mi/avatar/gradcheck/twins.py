@@ -16,7 +16,7 @@ from torch import Tensor
 from gva_mi.avatar.light import SHARE
 from gva_mi.avatar.residual import OUTPUT_UNIT, PoseResidual
 from gva_mi.avatar.stretch import LARGEST
-from gva_mi.body.pose import BODY
+from gva_mi.body.pose import PARENTS
 from gva_mi.body.smplx import BodyModel
 from gva_mi.splat.reference import rotation
 
@@ -58,26 +58,41 @@ def transforms(
 
 
 def before_relu(
-    network: PoseResidual, weights: dict[str, Tensor], means: Tensor, rotations: Tensor
+    network: PoseResidual,
+    weights: dict[str, Tensor],
+    means: Tensor,
+    skinning: Tensor,
+    rotations: Tensor,
 ) -> Tensor:
-    """What enters the network's relus, (N, 2 width), layer after layer."""
-    turned = torch.stack([_rotation(r) for r in rotations[BODY]]) - torch.eye(3).double()
+    """What enters the network's relus, (N, 4 width): layer after layer, bent and then at rest."""
+    codes = [
+        torch.tanh(A @ (_rotation(r) - torch.eye(3).double()).reshape(-1))
+        for A, r in zip(weights["codes"], rotations, strict=True)
+    ]
     layer = lambda name, x: x @ weights[f"{name}.weight"].T + weights[f"{name}.bias"]
-    code = torch.tanh(layer("pose_code", turned.reshape(-1)))
     x = (means - network.center) / network.extent
     waves = [2**k * math.pi * x for k in range(network.options.frequencies)]
-    place = torch.cat([x, *map(torch.sin, waves), *map(torch.cos, waves)], dim=1)
-    first = layer("place", place) + weights["condition.weight"] @ code
-    return torch.cat([first, layer("hidden", first.clamp(min=0))], dim=1)
+    at_rest = layer("place", torch.cat([x, *map(torch.sin, waves), *map(torch.cos, waves)], dim=1))
+    bent = at_rest
+    for joint, code in list(enumerate(codes))[1:]:  # what bends with it: it, and what it hangs on
+        share = skinning[:, joint] + skinning[:, PARENTS[joint]]
+        bent = bent + torch.outer(share, weights["condition.weight"] @ code)
+    first = torch.cat([bent, at_rest], dim=1)
+    both = (layer("hidden", x.clamp(min=0)) for x in (bent, at_rest))
+    return torch.cat([first, *both], dim=1)
 
 
 def residual(
-    network: PoseResidual, weights: dict[str, Tensor], means: Tensor, rotations: Tensor
+    network: PoseResidual,
+    weights: dict[str, Tensor],
+    means: Tensor,
+    skinning: Tensor,
+    rotations: Tensor,
 ) -> Tensor:
     """MLP(theta) (N, 3) metres."""
-    second = before_relu(network, weights, means, rotations).chunk(2, dim=1)[1]
-    out = second.clamp(min=0) @ weights["offset.weight"].T + weights["offset.bias"]
-    return OUTPUT_UNIT * out
+    *_, bent, at_rest = before_relu(network, weights, means, skinning, rotations).chunk(4, dim=1)
+    outputs = [x.clamp(min=0) @ weights["offset.weight"].T for x in (bent, at_rest)]
+    return OUTPUT_UNIT * (outputs[0] - outputs[1])
 
 
 def blend(

@@ -29,6 +29,7 @@ from gva_mi.body.kinematics import joint_transforms
 from gva_mi.body.pose import JOINTS, PARENTS, Pose, Shape
 from gva_mi.body.smplx import BodyModel, Rest
 from gva_mi.data.synthetic.clothes.level_sets import vertex_normals
+from gva_mi.threads import one_torch_thread
 
 REACH, TURN = 0.01, 0.1  # m, rad: eq. 4
 STEPS, ROUNDS = 4, 8  # of eq. 4; of eq. 3, whose pairs of points change as the betas do
@@ -73,6 +74,11 @@ def closest(body: BodyModel, true: BodyModel, pose: Pose, shape: Shape) -> Close
     """
     if true is body:
         return Closest(pose, shape, 0.0, 0.0)
+    with one_torch_thread():  # the same bits for any number of threads
+        return _closest(body, true, pose, shape)
+
+
+def _closest(body: BodyModel, true: BodyModel, pose: Pose, shape: Shape) -> Closest:
     fitted, true = deepcopy(body).double(), deepcopy(true).double()
     pose, shape = pose.to(torch.float64), Shape(shape.betas.double())
     goal = true.rest(shape)

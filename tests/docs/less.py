@@ -30,7 +30,7 @@ SMALLER = {
     "study refine --edition": "--people 609 --families lean --frames 3 --size 48 --refine.passes 1",
     "study avatar": "--people 16 --families lean --rows full --frames 3 --size 48 --novel 1 "
     "--refine.passes 1 --fit.steps 10",
-    "study avatar --edition": "--people 209 --families lean --rows full --frames 3 --size 48 "
+    "study avatar --edition": "--people 809 --families lean --rows full --frames 3 --size 48 "
     "--novel 1 --refine.passes 1 --fit.steps 10",
 }
 

@@ -6,8 +6,8 @@
 Of 55 joints a Gaussian follows eight at most: a lane is a Gaussian, and walks the list of its
 joints. The adjoint, for gradients of A and E:
 
-    3. h_np    = Σ_c ∂W_np/∂x_c grad_E_nc
-    4. grad_μ  = Σ_p T_p,rotᵀ h_np
+    3. h_np     = Σ_c ∂W_np/∂x_c grad_E_nc
+    4. grad_μ_n = Σ_p T_p,rotᵀ h_np
     5. grad_T_p = Σ_n W_np grad_A_n + h_np [μ_n; 1]ᵀ
 
 In eq. 5 a lane is a piece of the list of a joint's Gaussians, and the sums of its pieces are added
@@ -30,10 +30,10 @@ from drjit.llvm import Float64, UInt32
 from torch import Tensor
 from torch.autograd.function import FunctionCtx
 
-from gva_mi.body.lanes import FLOATS
+from gva_mi.body.lanes import FLOATS, flat, rows
 from gva_mi.splat.kernels.packets import load_rows
 
-PIECE = 64
+PIECE = 64  # Gaussians of a joint whose contributions one lane adds up
 AXES = range(3)
 ENTRIES = [(i, k) for i in AXES for k in range(4)]  # of a map, row by row
 
@@ -142,13 +142,13 @@ def _four(weights: Any, k: UInt32) -> Lane:  # noqa: ANN401
     return [Float64(w) for w in load_rows(weights, 4, k)]
 
 
-def _row(flat: Any, width: int, index: UInt32) -> Lane:  # noqa: ANN401
+def _row(numbers: Any, width: int, index: UInt32) -> Lane:  # noqa: ANN401
     """A row of a flat array of such rows, float64."""
-    F = type(flat)
+    F = type(numbers)
     if width % 4 == 0:  # aligned packets
-        parts = [load_rows(flat, 4, index * (width // 4) + part) for part in range(width // 4)]
+        parts = [load_rows(numbers, 4, index * (width // 4) + part) for part in range(width // 4)]
         return [Float64(x) for part in parts for x in part]
-    return [Float64(dr.gather(F, flat, index * width + k)) for k in range(width)]
+    return [Float64(dr.gather(F, numbers, index * width + k)) for k in range(width)]
 
 
 def _moved(T: Lane, mean: Lane) -> Lane:
@@ -163,7 +163,7 @@ def _forward(joints: FollowedJoints, maps: Float64, mean: Lane) -> Lane:
         W, *dW = _four(joints.weights, k)
         T = _row(maps, 12, dr.gather(UInt32, joints.joints, k))
         x = _moved(T, mean)
-        A = [dr.fma(W, value, a) for value, a in zip(T, sums, strict=False)]
+        A = [dr.fma(W, value, a) for value, a in zip(T, sums[:12], strict=True)]
         E = [dr.fma(dW[c], x[i], sums[12 + 3 * i + c]) for i in AXES for c in AXES]
         return A + E
 
@@ -233,16 +233,16 @@ class _Blend(torch.autograd.Function):
     ) -> tuple[Tensor | None, Tensor | None, None]:
         T, means = ctx.saved_tensors
         of_T, of_means, _ = ctx.needs_input_grad
-        joints, flats = ctx.joints, [_flat(x) for x in (means, grad_A, grad_E)]
+        joints, memory = ctx.joints, [flat(x) for x in (means, grad_A, grad_E)]
         if not len(means):
             return torch.zeros_like(T), torch.zeros_like(means), None
         found = [None, None]
         if of_T:
-            pieces = _tensor(_adjoint_of_maps(joints.of_joints, *flats), T)
+            (pieces,) = rows([_adjoint_of_maps(joints.of_joints, *memory)], T)
             found[0] = torch.zeros_like(T).index_add(0, joints.of_joints.joints, pieces)
         if of_means:
-            grad = _columns(flats[2], 9, joints.count)
-            found[1] = _tensor(_adjoint_of_means(joints, _flat(T), grad), means)
+            grad = _columns(memory[2], 9, joints.count)
+            (found[1],) = rows([_adjoint_of_means(joints, flat(T), grad)], means)
         return (*found, None)
 
     @staticmethod
@@ -250,41 +250,18 @@ class _Blend(torch.autograd.Function):
         T, means = ctx.saved_tensors
         dA, dE = _blended(ctx.joints, dT, means)
         if len(means):
-            moved = _columns(_flat(dmeans), 3, len(means))
-            dE = dE + _tensor(_turned(ctx.joints, _flat(T), moved), means)
+            moved = _columns(flat(dmeans), 3, len(means))
+            dE = dE + rows([_turned(ctx.joints, flat(T), moved)], means)[0]
         return dA, dE
 
 
 def _blended(joints: FollowedJoints, T: Tensor, means: Tensor) -> tuple[Tensor, Tensor]:
     if not len(means):
         return means.new_zeros(0, 12), means.new_zeros(0, 9)
-    found = _forward(joints, _flat(T), _columns(_flat(means), 3, len(means)))
-    return _tensors([found[:12], found[12:]], means)
+    found = _forward(joints, flat(T), _columns(flat(means), 3, len(means)))
+    return rows([found[:12], found[12:]], means)
 
 
-def _flat(tensor: Tensor) -> Any:  # noqa: ANN401
-    """A tensor's numbers in memory, without a copy where they lie in order."""
-    return FLOATS[tensor.dtype](tensor.detach().contiguous().view(-1))
-
-
-def _columns(flat: Any, width: int, count: int) -> Lane:  # noqa: ANN401
+def _columns(numbers: Any, width: int, count: int) -> Lane:  # noqa: ANN401
     """Rows of a flat array, a lane each, float64."""
-    return _row(flat, width, dr.arange(UInt32, count))
-
-
-def _tensor(columns: Lane, like: Tensor) -> Tensor:
-    return _tensors([columns], like)[0]
-
-
-def _tensors(lists: list[Lane], like: Tensor) -> tuple[Tensor, ...]:
-    """A tensor of rows for each list of columns, in the precision of another tensor."""
-    Float, outs = FLOATS[like.dtype], []
-    for columns in lists:
-        count, width = dr.width(columns[0]), len(columns)
-        lane, out = dr.arange(UInt32, count), dr.empty(Float, count * width)
-        for k, value in enumerate(columns):
-            dr.scatter(out, Float(value), lane * width + k, mode=dr.ReduceMode.NoConflicts)
-        outs.append((out, count, width))
-    dr.eval([out for out, _, _ in outs])
-    dr.sync_thread()
-    return tuple(out.torch().view(count, width) for out, count, width in outs)
+    return _row(numbers, width, dr.arange(UInt32, count))

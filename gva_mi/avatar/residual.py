@@ -13,10 +13,10 @@ The root is left out, for an avatar that turns around or walks away is the same 
 bounds the residual of poses that no frame has shown. Where no joint bends there is none: what all
 poses share belongs to the canonical Gaussians. Eq. 9 keeps |MLP(theta)| small.
 
-Not used by default. With the paper's weight of 0.5 in Eq. 9, per metre, it hardly moves. With a
-weight that lets it, it follows what the video shows, and makes pictures of poses that no frame has
-shown worse, even where all poses are true; a code of all joints together in the place of (1, 2)
-makes them worse still. A short video tells too little of how cloth depends on a pose.
+Not used by default. It follows what the video shows, and makes pictures of poses that no frame has
+shown worse, even where all poses are true, the more the less its weight in Eq. 9. A code of all
+joints together in the place of (1, 2) spoils test frames and novel views, too. A short video tells
+too little of how cloth depends on a pose.
 ``gva-mi study avatar --rows full "with residual"`` measures it.
 """
 

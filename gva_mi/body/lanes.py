@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 
 import drjit as dr
 import torch
@@ -28,15 +28,26 @@ def launch(kernel: Callable, *tensors: Tensor) -> tuple[Tensor, ...]:
     lane = dr.arange(dr.uint32_array_t(Float), n)
     columns = []
     for tensor in tensors:
-        flat, width = Float(tensor.detach().contiguous().view(-1)), tensor.shape[1]
+        numbers, width = flat(tensor), tensor.shape[1]
         row = lane if len(tensor) == n else dr.zeros(dr.uint32_array_t(Float), n)
-        columns.append([dr.gather(Float, flat, row * width + k) for k in range(width)])
-    outputs = []
-    for rows in kernel(*columns):
-        out = dr.empty(Float, n * len(rows))
-        for k, value in enumerate(rows):
-            dr.scatter(out, value, lane * len(rows) + k, mode=dr.ReduceMode.NoConflicts)
-        outputs.append((out, len(rows)))
-    dr.eval([out for out, _ in outputs])
+        columns.append([dr.gather(Float, numbers, row * width + k) for k in range(width)])
+    return rows(kernel(*columns), tensors[0])
+
+
+def flat(tensor: Tensor) -> dr.ArrayBase:
+    """A tensor's numbers in memory, without a copy where they lie in order."""
+    return FLOATS[tensor.dtype](tensor.detach().contiguous().view(-1))
+
+
+def rows(columns: Iterable[Sequence[dr.ArrayBase]], like: Tensor) -> tuple[Tensor, ...]:
+    """A tensor (N, K) for each K columns of N lanes, in the precision of another tensor."""
+    Float, outputs = FLOATS[like.dtype], []
+    for some in columns:
+        n, width = dr.width(some[0]), len(some)
+        lane, out = dr.arange(dr.uint32_array_t(Float), n), dr.empty(Float, n * width)
+        for k, value in enumerate(some):
+            dr.scatter(out, Float(value), lane * width + k, mode=dr.ReduceMode.NoConflicts)
+        outputs.append((out, n, width))
+    dr.eval([out for out, _, _ in outputs])
     dr.sync_thread()
-    return tuple(out.torch().view(n, width) for out, width in outputs)
+    return tuple(out.torch().view(n, width) for out, n, width in outputs)

@@ -7,9 +7,9 @@ shape          betas, expression                                        joints
 skeleton       rotations, joints, transl                                R, T_world_rest  Eq. 4
 blend shapes   means, R, expression                                     shaped_means
 residual       means, rotations, the network's weights                  residual     Sec. 4.1
-blend          T_world_rest                                             A, D             Eq. 5
+blend          T_world_rest, shaped_means, residual                     A, E             Eq. 5
 activations    log_scales, logit_opacities                              scales, opacities
-stretch        A, D, shaped_means, residual, quats, scales              posed_means, covars
+stretch        A, E, shaped_means, residual, quats, scales              posed_means, covars
 colours        sh, A, light                                             posed_sh
 splatting      the posed Gaussians                                      image        Eq. 1-3
 =============  =======================================================  =======================

@@ -69,3 +69,16 @@ def test_annys_rest_pose_is_the_puppets(body):
     assert found.limb_mm < 15 and found.shape.betas.abs().max() <= 3
     assert found.pose.expression.abs().max() == 0  # its face has other coefficients
     assert found.pose.rotations.norm(dim=-1).max() < 0.8
+
+
+def test_same_bits_for_any_number_of_threads(body, truth):
+    other = stretched(body, Stretch.draw(np.random.default_rng(3)))
+    before, found = torch.get_num_threads(), []
+    try:
+        for threads in (1, 2):
+            torch.set_num_threads(threads)
+            near = closest(body, other, *truth)
+            found.append((near.pose.rotations, near.pose.transl, near.shape.betas))
+    finally:
+        torch.set_num_threads(before)
+    assert all(torch.equal(a, b) for a, b in zip(*found, strict=True))

@@ -87,7 +87,9 @@ class Scene:
         seeds, moved = SeedOptions(count=gaussians, opacity=0.6), ResidualOptions(enabled=True)
         options = AvatarOptions(seed=seeds, residual=moved)
         shape = Shape(betas.float())
-        avatar = seed_avatar(bodies[torch.float32], shape, None, options, generator).double()
+        # The network draws from numbers of its own: a larger one is no other pose.
+        of_network = Generator().manual_seed(seed)
+        avatar = seed_avatar(bodies[torch.float32], shape, None, options, of_network).double()
         with torch.no_grad():
             G = avatar.canonical
             G.quats += 0.2 * normal(*G.quats.shape)

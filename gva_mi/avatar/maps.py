@@ -30,8 +30,9 @@ from drjit.llvm import Float64, UInt32
 from torch import Tensor
 from torch.autograd.function import FunctionCtx
 
-from gva_mi.body.lanes import FLOATS, flat, rows
-from gva_mi.splat.kernels.packets import load_rows
+from gva_mi.body.lanes import FLOATS, flat, in_rows, of_rows, tensors
+from gva_mi.splat.kernels.exclusive import exclusive
+from gva_mi.splat.kernels.frozen import Frozen
 
 PIECE = 64  # Gaussians of a joint whose contributions one lane adds up
 AXES = range(3)
@@ -41,38 +42,62 @@ Lane = list[Any]  # numbers of one Gaussian
 
 
 @dataclass(frozen=True)
-class FollowedJoints:
-    """Which joints each of N Gaussians follows, with the weights W and their derivatives.
+class Pairs:
+    """Pairs of a Gaussian and a joint that it follows, in a list for each lane of a kernel.
 
     Attributes:
-        count: N.
-        first: (N + 1,) where a Gaussian's list begins in the next two, and the last one ends.
-        joints: (M,) the joint of each pair of a Gaussian and a joint.
+        begin: (L,) where a lane's list begins in the next two.
+        end: (L,) where it ends.
+        others: (M,) the joint of each pair where a lane is a Gaussian, and the other way round.
         weights: (4 M,) W and its derivatives along x, y, z, in the precision of the model.
-        of_joints: the same pairs, joint by joint.
     """
 
-    count: int
-    first: UInt32
-    joints: UInt32
+    begin: UInt32
+    end: UInt32
+    others: UInt32
     weights: Any
-    of_joints: JointsPieces
+
+    @staticmethod
+    def of(begin: Tensor, end: Tensor, others: Tensor, four: Tensor) -> Pairs:
+        """Those of M pairs with their weights (M, 4)."""
+        whole = lambda numbers: UInt32(numbers.numpy().astype(np.uint32))
+        return Pairs(
+            whole(begin), whole(end), whole(others), FLOATS[four.dtype](four.flatten().numpy())
+        )
+
+
+@dataclass(frozen=True)
+class FollowedJoints:
+    """Which joints each of N Gaussians follows, constant.
+
+    Attributes:
+        of_gaussians: a list for each Gaussian.
+        of_pieces: lists of at most ``PIECE`` Gaussians of one joint.
+        joints: (P,) int64, whose pieces these are.
+    """
+
+    of_gaussians: Pairs
+    of_pieces: Pairs
+    joints: Tensor
 
     @staticmethod
     def of(weights: Tensor, slopes: Tensor) -> FollowedJoints:
-        """Those of weights (N, J) and slopes (N, 3, J), constant from now on."""
+        """Those of weights (N, J) and their derivatives (N, 3, J)."""
         all_four = torch.cat([weights[:, None], slopes], dim=1)  # (N, 4, J)
         gaussians, joints = (all_four != 0).any(1).nonzero().unbind(1)
         four = all_four[gaussians, :, joints]
-        Float = FLOATS[weights.dtype]
-        first = torch.bincount(gaussians, minlength=len(weights)).cumsum(0)
-        return FollowedJoints(
-            count=len(weights),
-            first=_whole(torch.cat([first.new_zeros(1), first])),
-            joints=_whole(joints),
-            weights=Float(four.flatten()),
-            of_joints=JointsPieces.of(gaussians, joints, four),
-        )
+        each = torch.bincount(gaussians, minlength=len(weights))
+        of_gaussians = Pairs.of(each.cumsum(0) - each, each.cumsum(0), joints, four)
+
+        order = torch.argsort(joints, stable=True)
+        within = torch.bincount(joints)
+        pieces = -(-within // PIECE)
+        of_piece = torch.repeat_interleave(torch.arange(len(pieces)), pieces)
+        number = torch.arange(len(of_piece)) - (pieces.cumsum(0) - pieces)[of_piece]
+        begin = (within.cumsum(0) - within)[of_piece] + PIECE * number
+        end = torch.minimum(begin + PIECE, within.cumsum(0)[of_piece])
+        of_pieces = Pairs.of(begin, end, gaussians[order], four[order])
+        return FollowedJoints(of_gaussians, of_pieces, of_piece)
 
     def __call__(self, T_world_rest: Tensor, means: Tensor) -> tuple[Tensor, Tensor]:
         """A (N, 12) and E (N, 9) of eq. 1 and 2, row by row, in the precision of the means.
@@ -87,68 +112,31 @@ class FollowedJoints:
         return _Blend.apply(T_world_rest[:, :3].flatten(1), means, self)
 
 
-@dataclass(frozen=True)
-class JointsPieces:
-    """Pairs of a Gaussian and a joint, joint by joint, in pieces of at most ``PIECE``.
-
-    Attributes:
-        first: (P + 1,) where a piece begins in the next two, and the last one ends.
-        gaussians: (M,) the Gaussian of each pair.
-        weights: (4 M,) as those of :class:`FollowedJoints`.
-        joints: (P,) int64, whose piece it is.
-    """
-
-    first: UInt32
-    gaussians: UInt32
-    weights: Any
-    joints: Tensor
-
-    @staticmethod
-    def of(gaussians: Tensor, joints: Tensor, four: Tensor) -> JointsPieces:
-        """Those of M pairs, and their weights (M, 4)."""
-        order = torch.argsort(joints, stable=True)
-        within = torch.bincount(joints)
-        pieces = -(-within // PIECE)
-        of_piece = torch.repeat_interleave(torch.arange(len(pieces)), pieces)
-        number = torch.arange(len(of_piece)) - (pieces.cumsum(0) - pieces)[of_piece]
-        first = (within.cumsum(0) - within)[of_piece] + PIECE * number
-        return JointsPieces(
-            first=_whole(torch.cat([first, first.new_tensor([len(joints)])])),
-            gaussians=_whole(gaussians[order]),
-            weights=FLOATS[four.dtype](four[order].flatten()),
-            joints=of_piece,
-        )
-
-
-def _whole(numbers: Tensor) -> UInt32:
-    return UInt32(numbers.numpy().astype(np.uint32))
-
-
-def _walk(first: UInt32, sums: int, add: Callable[[UInt32, Lane], Lane]) -> Lane:
+def _walk(pairs: Pairs, sums: int, add: Callable[[UInt32, Lane], Lane]) -> Lane:
     """Walk the list of each lane, adding to ``sums`` numbers, float64."""
-    lane = dr.arange(UInt32, dr.width(first) - 1)
-    begin, end = dr.gather(UInt32, first, lane), dr.gather(UInt32, first, lane + 1)
-    zero = dr.zeros(Float64, dr.width(lane))
+    zero = dr.zeros(Float64, dr.width(pairs.begin))
 
     def body(k: UInt32, *sums: Float64) -> tuple[Any, ...]:
         return (k + 1, *add(k, list(sums)))
 
-    state = (begin, *(zero * 1 for _ in range(sums)))
-    return dr.while_loop(state, lambda k, *_: k < end, body, mode="symbolic", compress=False)[1:]
+    state = (UInt32(pairs.begin), *(zero * 1 for _ in range(sums)))
+    inside = lambda k, *_: k < pairs.end
+    return dr.while_loop(state, inside, body, mode="symbolic", compress=False)[1:]
 
 
 def _four(weights: Any, k: UInt32) -> Lane:  # noqa: ANN401
     """W of a pair and its derivatives."""
-    return [Float64(w) for w in load_rows(weights, 4, k)]
+    return [Float64(w) for w in of_rows(weights, 4, k)]
 
 
 def _row(numbers: Any, width: int, index: UInt32) -> Lane:  # noqa: ANN401
     """A row of a flat array of such rows, float64."""
-    F = type(numbers)
-    if width % 4 == 0:  # aligned packets
-        parts = [load_rows(numbers, 4, index * (width // 4) + part) for part in range(width // 4)]
-        return [Float64(x) for part in parts for x in part]
-    return [Float64(dr.gather(F, numbers, index * width + k)) for k in range(width)]
+    return [Float64(x) for x in of_rows(numbers, width, index)]
+
+
+def _own(numbers: Any, width: int, n: int) -> Lane:  # noqa: ANN401
+    """Each lane's own row."""
+    return _row(numbers, width, dr.arange(UInt32, n))
 
 
 def _moved(T: Lane, mean: Lane) -> Lane:
@@ -156,30 +144,35 @@ def _moved(T: Lane, mean: Lane) -> Lane:
     return [sum(T[4 * i + k] * mean[k] for k in AXES) + T[4 * i + 3] for i in AXES]
 
 
-def _forward(joints: FollowedJoints, maps: Float64, mean: Lane) -> Lane:
-    """Eq. 1 and 2: A, then E."""
+@Frozen
+def _forward(pairs: Pairs, maps: Float64, means: Any, *, n: int) -> list[Any]:  # noqa: ANN401
+    """Eq. 1 and 2: A and E, as flat arrays of rows, from such."""
+    mean = _own(means, 3, n)
 
     def add(k: UInt32, sums: Lane) -> Lane:
-        W, *dW = _four(joints.weights, k)
-        T = _row(maps, 12, dr.gather(UInt32, joints.joints, k))
+        W, *dW = _four(pairs.weights, k)
+        T = _row(maps, 12, dr.gather(UInt32, pairs.others, k))
         x = _moved(T, mean)
         A = [dr.fma(W, value, a) for value, a in zip(T, sums[:12], strict=True)]
         E = [dr.fma(dW[c], x[i], sums[12 + 3 * i + c]) for i in AXES for c in AXES]
         return A + E
 
-    return _walk(joints.first, 21, add)
+    sums = _walk(pairs, 21, add)
+    return _evaluated([in_rows(some, n, type(means)) for some in (sums[:12], sums[12:])])
 
 
-def _turned(joints: FollowedJoints, maps: Float64, dmean: Lane) -> Lane:
+@Frozen
+def _turned(pairs: Pairs, maps: Float64, dmeans: Any, *, n: int) -> list[Any]:  # noqa: ANN401
     """The tangent of E along that of the means."""
+    dmean = _own(dmeans, 3, n)
 
     def add(k: UInt32, sums: Lane) -> Lane:
-        _, *dW = _four(joints.weights, k)
-        T = _row(maps, 12, dr.gather(UInt32, joints.joints, k))
+        _, *dW = _four(pairs.weights, k)
+        T = _row(maps, 12, dr.gather(UInt32, pairs.others, k))
         dx = [sum(T[4 * i + k] * dmean[k] for k in AXES) for i in AXES]
         return [dr.fma(dW[c], dx[i], sums[3 * i + c]) for i in AXES for c in AXES]
 
-    return _walk(joints.first, 9, add)
+    return _evaluated([in_rows(_walk(pairs, 9, add), n, type(dmeans))])
 
 
 def _pull(dW: Lane, grad_E: Lane) -> Lane:
@@ -187,23 +180,35 @@ def _pull(dW: Lane, grad_E: Lane) -> Lane:
     return [sum(dW[c] * grad_E[3 * i + c] for c in AXES) for i in AXES]
 
 
-def _adjoint_of_means(joints: FollowedJoints, maps: Float64, grad_E: Lane) -> Lane:
+@Frozen
+def _adjoint_of_means(
+    pairs: Pairs, maps: Float64, grad_Es: Any, *, n: int  # noqa: ANN401
+) -> list[Any]:
     """Eq. 4."""
+    grad_E = _own(grad_Es, 9, n)
 
     def add(k: UInt32, sums: Lane) -> Lane:
-        _, *dW = _four(joints.weights, k)
-        T, h = _row(maps, 12, dr.gather(UInt32, joints.joints, k)), _pull(dW, grad_E)
+        _, *dW = _four(pairs.weights, k)
+        T, h = _row(maps, 12, dr.gather(UInt32, pairs.others, k)), _pull(dW, grad_E)
         return [sum((T[4 * i + k] * h[i] for i in AXES), sums[k]) for k in AXES]
 
-    return _walk(joints.first, 3, add)
+    return _evaluated([in_rows(_walk(pairs, 3, add), n, type(grad_Es))])
 
 
-def _adjoint_of_maps(pieces: JointsPieces, means: Any, grad_A: Any, grad_E: Any) -> Lane:  # noqa: ANN401
-    """Eq. 5, of each piece; from flat arrays."""
+@Frozen
+def _adjoint_of_maps(
+    pieces: Pairs,
+    means: Any,  # noqa: ANN401
+    grad_A: Any,  # noqa: ANN401
+    grad_E: Any,  # noqa: ANN401
+    *,
+    n: int,
+) -> list[Any]:
+    """Eq. 5, of each piece; float64."""
 
     def add(k: UInt32, sums: Lane) -> Lane:
         W, *dW = _four(pieces.weights, k)
-        n = dr.gather(UInt32, pieces.gaussians, k)
+        n = dr.gather(UInt32, pieces.others, k)
         h, one = _pull(dW, _row(grad_E, 9, n)), [*_row(means, 3, n), 1.0]
         A = _row(grad_A, 12, n)
         return [
@@ -211,7 +216,12 @@ def _adjoint_of_maps(pieces: JointsPieces, means: Any, grad_A: Any, grad_E: Any)
             for s, (i, k) in zip(sums, ENTRIES, strict=True)
         ]
 
-    return _walk(pieces.first, 12, add)
+    return _evaluated([in_rows(_walk(pieces, 12, add), n, Float64)])
+
+
+def _evaluated(arrays: list[Any]) -> list[Any]:
+    dr.eval(arrays)
+    return arrays
 
 
 class _Blend(torch.autograd.Function):
@@ -228,6 +238,7 @@ class _Blend(torch.autograd.Function):
 
     @staticmethod
     @torch.autograd.function.once_differentiable
+    @exclusive
     def backward(
         ctx: FunctionCtx, grad_A: Tensor, grad_E: Tensor
     ) -> tuple[Tensor | None, Tensor | None, None]:
@@ -238,30 +249,28 @@ class _Blend(torch.autograd.Function):
             return torch.zeros_like(T), torch.zeros_like(means), None
         found = [None, None]
         if of_T:
-            (pieces,) = rows([_adjoint_of_maps(joints.of_joints, *memory)], T)
-            found[0] = torch.zeros_like(T).index_add(0, joints.of_joints.joints, pieces)
+            count = len(joints.joints)
+            (pieces,) = tensors(_adjoint_of_maps(joints.of_pieces, *memory, n=count), count)
+            found[0] = torch.zeros_like(T).index_add(0, joints.joints, pieces)
         if of_means:
-            grad = _columns(memory[2], 9, joints.count)
-            (found[1],) = rows([_adjoint_of_means(joints, flat(T), grad)], means)
+            sums = _adjoint_of_means(joints.of_gaussians, flat(T), memory[2], n=len(means))
+            (found[1],) = tensors(sums, len(means))
         return (*found, None)
 
     @staticmethod
+    @exclusive
     def jvp(ctx: FunctionCtx, dT: Tensor, dmeans: Tensor, _: None) -> tuple[Tensor, Tensor]:
         T, means = ctx.saved_tensors
         dA, dE = _blended(ctx.joints, dT, means)
         if len(means):
-            moved = _columns(flat(dmeans), 3, len(means))
-            dE = dE + rows([_turned(ctx.joints, flat(T), moved)], means)[0]
+            turned = _turned(ctx.joints.of_gaussians, flat(T), flat(dmeans), n=len(means))
+            dE = dE + tensors(turned, len(means))[0]
         return dA, dE
 
 
+@exclusive
 def _blended(joints: FollowedJoints, T: Tensor, means: Tensor) -> tuple[Tensor, Tensor]:
     if not len(means):
         return means.new_zeros(0, 12), means.new_zeros(0, 9)
-    found = _forward(joints, flat(T), _columns(flat(means), 3, len(means)))
-    return rows([found[:12], found[12:]], means)
-
-
-def _columns(numbers: Any, width: int, count: int) -> Lane:  # noqa: ANN401
-    """Rows of a flat array, a lane each, float64."""
-    return _row(numbers, width, dr.arange(UInt32, count))
+    n = len(means)
+    return tensors(_forward(joints.of_gaussians, flat(T), flat(means), n=n), n)

@@ -1,4 +1,9 @@
-"""Dr.Jit kernels over the rows of torch tensors: a lane for each row."""
+"""Dr.Jit kernels over the rows of torch tensors: a lane for each row.
+
+They are traced at their first call and replayed from then on
+(:mod:`gva_mi.splat.kernels.frozen`): for 20,000 rows, tracing takes longer than running. The number
+of lanes is a constant of a recording, for so is the size of memory that a kernel allocates.
+"""
 
 from __future__ import annotations
 
@@ -6,48 +11,90 @@ from collections.abc import Callable, Iterable, Sequence
 
 import drjit as dr
 import torch
+from drjit import ArrayBase as Array
 from torch import Tensor
 
-FLOATS = {torch.float32: dr.llvm.Float32, torch.float64: dr.llvm.Float64}
+from gva_mi.splat.autograd import PRECISION as FLOATS
+from gva_mi.splat.autograd import to_drjit
+from gva_mi.splat.kernels.exclusive import exclusive
+from gva_mi.splat.kernels.frozen import Frozen
+from gva_mi.splat.kernels.packets import load_rows, store_rows
+from gva_mi.splat.screen import tensor_of
+
+Lane = list[Array]  # numbers of one row
 
 
-def launch(kernel: Callable, *tensors: Tensor) -> tuple[Tensor, ...]:
+@exclusive
+def launch(kernel: Callable[..., Iterable[Lane]], *inputs: Tensor) -> tuple[Tensor, ...]:
     """Run a kernel over the rows of tensors, without copies of those that are contiguous.
 
     Args:
-        kernel: takes the K columns of each tensor as a list of Dr.Jit arrays, and returns such
-            lists.
-        tensors: (N, K), or (1, K) where all lanes read the same row; of one dtype out of
-            :data:`FLOATS`. The first has N rows.
+        kernel: a function of a module, which takes the K columns of each tensor as a list of
+            Dr.Jit arrays, and returns such lists.
+        inputs: (N, K), or (1, K) where all lanes read the same row; of one dtype out of
+            :data:`FLOATS`. The first has N > 0 rows.
 
     Returns:
         A tensor (N, K') for each list.
     """
-    Float = FLOATS[tensors[0].dtype]
-    n = len(tensors[0])
-    lane = dr.arange(dr.uint32_array_t(Float), n)
-    columns = []
-    for tensor in tensors:
-        numbers, width = flat(tensor), tensor.shape[1]
-        row = lane if len(tensor) == n else dr.zeros(dr.uint32_array_t(Float), n)
-        columns.append([dr.gather(Float, numbers, row * width + k) for k in range(width)])
-    return rows(kernel(*columns), tensors[0])
+    n = len(inputs[0])
+    found = _launch(
+        [flat(x) for x in inputs],
+        n=n,
+        kernel=kernel,
+        widths=tuple(x.shape[1] for x in inputs),
+        shared=tuple(len(x) != n for x in inputs),
+    )
+    return tensors(found, n)
 
 
-def flat(tensor: Tensor) -> dr.ArrayBase:
+@Frozen
+def _launch(
+    inputs: list[Array],
+    *,
+    n: int,
+    kernel: Callable[..., Iterable[Lane]],
+    widths: tuple[int, ...],
+    shared: tuple[bool, ...],
+) -> list[Array]:
+    lane = dr.arange(dr.uint32_array_t(inputs[0]), n)
+    columns = [
+        of_rows(x, width, lane * 0 if same else lane)
+        for x, width, same in zip(inputs, widths, shared, strict=True)
+    ]
+    found = [in_rows(some, n, type(inputs[0])) for some in kernel(*columns)]
+    dr.eval(found)
+    return found
+
+
+def flat(tensor: Tensor) -> Array:
     """A tensor's numbers in memory, without a copy where they lie in order."""
-    return FLOATS[tensor.dtype](tensor.detach().contiguous().view(-1))
+    return to_drjit(tensor, FLOATS[tensor.dtype])
 
 
-def rows(columns: Iterable[Sequence[dr.ArrayBase]], like: Tensor) -> tuple[Tensor, ...]:
-    """A tensor (N, K) for each K columns of N lanes, in the precision of another tensor."""
-    Float, outputs = FLOATS[like.dtype], []
-    for some in columns:
-        n, width = dr.width(some[0]), len(some)
-        lane, out = dr.arange(dr.uint32_array_t(Float), n), dr.empty(Float, n * width)
-        for k, value in enumerate(some):
-            dr.scatter(out, Float(value), lane * width + k, mode=dr.ReduceMode.NoConflicts)
-        outputs.append((out, n, width))
-    dr.eval([out for out, _, _ in outputs])
+def of_rows(numbers: Array, width: int, row: Array) -> Lane:
+    """The columns of a flat array of rows, at some of the rows."""
+    part = _packet(width)
+    packets = range(width // part)
+    return [x for k in packets for x in load_rows(numbers, part, row * len(packets) + k)]
+
+
+def in_rows(columns: Sequence[Array], lanes: int, Float: type) -> Array:
+    """A flat array of rows, from their columns of one number a lane."""
+    width, lane = len(columns), dr.arange(dr.uint32_array_t(Float), lanes)
+    part, out = _packet(width), dr.empty(Float, lanes * width)
+    for k in range(width // part):
+        some = [Float(x) for x in columns[part * k : part * (k + 1)]]
+        store_rows(out, some, lane * (width // part) + k)
+    return out
+
+
+def tensors(arrays: Iterable[Array], rows: int) -> tuple[Tensor, ...]:
+    """Flat arrays of so many rows as tensors (N, K), once the kernels that fill them are done."""
     dr.sync_thread()
-    return tuple(out.torch().view(n, width) for out, n, width in outputs)
+    return tuple(tensor_of(x).view(rows, -1) for x in arrays)
+
+
+def _packet(width: int) -> int:
+    """The largest packet that divides a row."""
+    return min(width & -width, 8)

@@ -370,7 +370,8 @@ def _images(planes: Planes, saved: Saved) -> Images:
 def _to_torch(plane: Array, saved: Saved, *channels: int) -> Tensor:
     """A plane without its padding; in one piece where the width is a multiple of a tile's."""
     layout = saved.layout
-    return tensor_of(plane).view(*layout.padded, *channels)[: layout.height, : layout.width]
+    numbers = tensor_of(plane, math.prod((*layout.padded, *channels)))
+    return numbers.view(*layout.padded, *channels)[: layout.height, : layout.width]
 
 
 def _padded(grad: Tensor | None, saved: Saved, *channels: int) -> Array:

@@ -225,7 +225,8 @@ class Job:
 
     def image(self, plane: Array, *channels: int) -> Tensor:
         """A plane without its padding."""
-        whole = plane.torch().view(*self.layout.padded, *channels)
+        shape = (*self.layout.padded, *channels)
+        whole = plane.torch()[: math.prod(shape)].view(shape)
         return whole[: self.layout.height, : self.layout.width]
 
     def plane(self, grad: Tensor | None, like: Tensor, *channels: int) -> Array:

@@ -26,9 +26,10 @@ from gva_mi.splat.kernels.project import Projected
 from gva_mi.splat.kernels.records import Footprint, Format, Splat
 
 
-def tensor_of(array: Array) -> Tensor:
-    """An array's own memory, (width,); by way of numpy, for ``.torch()`` takes thrice as long."""
-    return torch.from_numpy(array.numpy())
+def tensor_of(array: Array, count: int | None = None) -> Tensor:
+    """An array's own memory, (width,), or its first numbers; by way of numpy, for ``.torch()``
+    takes thrice as long."""
+    return torch.from_numpy(array.numpy()[:count])
 
 
 def of_rows(columns: np.ndarray, rows: Tensor | None = None) -> Tensor:

@@ -119,7 +119,7 @@ def blend(
         grid: the picture.
         background: one array of size one per colour channel.
         limit: None where pixels see all Gaussians.
-        pixels: of the picture, padded to whole tiles.
+        pixels: to make room for: at least those of the picture, padded to whole tiles.
         format: of the splats; with a depth, its picture is made too.
         options: cut-offs.
 

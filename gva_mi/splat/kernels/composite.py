@@ -16,7 +16,7 @@ from gva_mi.splat.kernels.frozen import Frozen
 from gva_mi.splat.kernels.packets import Packets
 from gva_mi.splat.kernels.planes import Planes, Trail
 from gva_mi.splat.kernels.records import Format
-from gva_mi.splat.kernels.tiles import Grid, Lists
+from gva_mi.splat.kernels.tiles import Grid, Lists, capacity
 from gva_mi.splat.options import SplatOptions
 
 
@@ -32,17 +32,19 @@ def composite(
 ) -> tuple[Planes, Trail, Array]:
     """The picture, the trail, and where in ``lists.ids`` each lane stopped.
 
+    Planes hold the picture's pixels first; there may be more memory behind them.
+
     Args:
         splats: chunk by chunk, of ``formats``.
         background: D arrays of size one.
         pixels: of the picture, padded to whole tiles.
         lists, grid, limit, options: as ``blend`` takes them.
     """
-    pictures = []
+    pictures, size = [], capacity(pixels)  # of a video's boxes hardly two are of one size
     parts = zip(splats, chunks.split_background(background, formats), formats, strict=True)
     for part, colors, format in parts:
         picture, trail, stop = blend(
-            part, lists, grid, colors, limit, pixels=pixels, format=format, options=options
+            part, lists, grid, colors, limit, pixels=size, format=format, options=options
         )
         pictures.append(picture)
     return chunks.join_planes(pictures, len(background)), trail, stop

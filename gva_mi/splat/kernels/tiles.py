@@ -12,7 +12,9 @@ A tile is ``WIDTH x HEIGHT`` pixels, the work of one SIMD lane. The steps:
 
 The number of pairs M differs from pose to pose. Pair buffers therefore have a *capacity*, M
 rounded up to one of four sizes per octave: the memory is that of the largest picture so far, and
-does not fragment. The padding belongs to the last tile, and the stable sort leaves it behind.
+does not fragment. The padding belongs to the last tile, and the stable sort leaves it behind. So
+have pixels and lanes, of which there are others in every box that is cut out of a video: few sizes
+are few recordings of the kernels (frozen.py).
 """
 
 from __future__ import annotations
@@ -97,10 +99,10 @@ class Lists:
     real: Array  # (lanes,) False for those that only fill up packets: an empty list, tile 0
 
 
-def capacity(pairs: int) -> int:
-    """``pairs`` rounded up to 4, 5, 6 or 7 times a power of two."""
-    step = 1 << max(0, pairs.bit_length() - 3)
-    return -(-pairs // step) * step
+def capacity(count: int) -> int:
+    """``count`` rounded up to 4, 5, 6 or 7 times a power of two."""
+    step = 1 << max(0, count.bit_length() - 3)
+    return -(-count // step) * step
 
 
 def _rows_touched(g: Footprint, grid: Grid) -> tuple[Array, Array]:
@@ -208,7 +210,7 @@ def _schedule(start: Array, end: Array) -> tuple[Array, ...]:
     tiles = dr.width(start)
     key = LONGEST - dr.minimum(end - start, LONGEST)
     order = dr.detail.block_mkperm(key, tiles, LONGEST + 1)
-    per_block = -(-tiles // (SIMD * BLOCKS))  # packets
+    per_block = capacity(-(-tiles // (SIMD * BLOCKS)))  # packets
     lane = dr.arange(U, per_block * BLOCKS * SIMD)
     packet, stride = lane // SIMD, dr.opaque(U, per_block)  # no constant: a size is no new kernel
     rank = ((packet % stride) * BLOCKS + packet // stride) * SIMD + lane % SIMD

@@ -27,6 +27,7 @@ from dataclasses import dataclass, fields
 
 import torch
 from torch import Tensor
+from torch.autograd.function import FunctionCtx
 
 from gva_mi.fit.ssim import ssim
 from gva_mi.ranges import Weight, require_ranges
@@ -96,9 +97,31 @@ def render_losses(
     color, seen = image.color[window], target[window]
     share = 1.0 if area is None else mask.numel() / area
     return Losses(
-        recon=(image.color - target).abs().mean() * share,
+        recon=_MeanDifference.apply(image.color, target) * share,
         perceptual=distance(color, seen) if options.perceptual else zero,
         residual=residual.abs().mean() if options.residual and residual.numel() else zero,
         alpha=(image.alpha - mask).abs().mean() * share if options.alpha else zero,
         ssim=1 - ssim(color, seen) if options.ssim else zero,
     )
+
+
+class _MeanDifference(torch.autograd.Function):
+    """mean |a - b|, differentiable in a; half the time of the same from torch's operations."""
+
+    @staticmethod
+    def forward(ctx: FunctionCtx, a: Tensor, b: Tensor) -> Tensor:
+        difference = a - b
+        ctx.save_for_backward(difference)
+        ctx.save_for_forward(difference)
+        return difference.abs().mean()
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: FunctionCtx, grad: Tensor) -> tuple[Tensor, None]:
+        (difference,) = ctx.saved_tensors
+        return torch.sgn(difference).mul_(grad / difference.numel()), None
+
+    @staticmethod
+    def jvp(ctx: FunctionCtx, da: Tensor, _: None) -> Tensor:
+        (difference,) = ctx.saved_tensors
+        return (torch.sgn(difference) * da).mean()

@@ -3,7 +3,7 @@
 Reading, decoding and cutting out a frame takes longer than rendering it: every training frame is
 read once, cut to the box around its mask, and kept as 8 bits, those of a long video on disk
 (:mod:`gva_mi.shelf`). When its turn comes, it is laid on a background of another colour than the
-last, so that alpha is learned:
+last, so that alpha is learned (:mod:`gva_mi.fit.backgrounds`):
 
 1. ``I = S P + (1 - S) b``   on the background ``b``
 2. ``I = P``                 on the background ``B``, where the mask is unsure
@@ -36,6 +36,7 @@ from torch import Tensor
 
 from gva_mi.data import backdrop
 from gva_mi.data.video import Video
+from gva_mi.fit.backgrounds import before, lay
 from gva_mi.fit.losses import Window
 from gva_mi.pose.crop import Box, Extent
 from gva_mi.shelf import Shelf
@@ -80,8 +81,7 @@ class Target:
 
     def before_background(self, image: Image) -> Image:
         """A render of this part without background, on this one."""
-        through = (1 - image.alpha)[..., None]
-        return replace(image, color=image.color + through * self.background)
+        return replace(image, color=before(image.color, image.alpha, self.background))
 
 
 @dataclass(frozen=True)
@@ -89,10 +89,8 @@ class Sample:
     """What one step of the fit is measured against: a training frame, cut to where its mask is."""
 
     frame: int  # its number in the video
-    picture: Tensor  # (h, w, 3) uint8, P
-    mask: Tensor  # (h, w) uint8, S
-    backdrop: Tensor  # (h, w, 3) uint8, B
-    unsure: Tensor  # (h, w) bool, where eq. 2 holds
+    person: Tensor  # (h, w, 4) uint8, P and S
+    behind: Tensor  # (h, w, 4) uint8, B, and 255 where eq. 2 holds
     box: Box  # where in the whole picture they lie
     area: int  # pixels of the person's box
     camera: Camera  # of the whole picture
@@ -102,14 +100,7 @@ class Sample:
     def target(self, gaussians: Gaussians) -> Target:
         """The part in which person, window or Gaussians are; all else is background."""
         part = joined(self.box, self.window, drawn(gaussians, self.camera))
-        H, W = part.height, part.width
-        mask = torch.zeros(H, W)
-        color, background = (self.color.repeat(H, W, 1) for _ in range(2))
-        here, unsure = within(self.box, part), self.unsure[..., None]
-        mask[here] = self.mask.float() / 255
-        picture, S = self.picture.float() / 255, mask[here][..., None]
-        background[here] = torch.where(unsure, self.backdrop.float() / 255, self.color)
-        color[here] = torch.where(unsure, picture, torch.lerp(self.color, picture, S))
+        color, background, mask = lay(self.person, self.behind, self.color, self.box, part)
         camera, window = part.cut_camera(self.camera), within(self.window, part)
         return Target(color, background, mask, camera, window)
 
@@ -152,7 +143,7 @@ class Samples:
             unsure = backdrop.unsure(S, width)
             B = backdrop.behind(P, np.maximum(S, unsure))
             self.boxes.append(box)
-            self._kept[k] = *map(_to_8bit, (P, S, B)), torch.from_numpy(unsure), kept
+            self._kept[k] = _to_8bit(P, S), _to_8bit(B, unsure), kept
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -232,8 +223,10 @@ def within(box: Box, part: Box) -> Window:
     return slice(top, top + box.height), slice(left, left + box.width)
 
 
-def _to_8bit(image: np.ndarray) -> Tensor:
-    return torch.from_numpy(np.round(image * 255).astype(np.uint8))
+def _to_8bit(image: np.ndarray, fourth: np.ndarray) -> Tensor:
+    """An image (H, W, 3) and a fourth channel (H, W), all in [0, 1]."""
+    four = np.concatenate([image, fourth[..., None]], axis=-1)
+    return torch.from_numpy(np.round(four * 255).astype(np.uint8))
 
 
 def _box_of(mask: np.ndarray, margin: int = 0) -> Box:

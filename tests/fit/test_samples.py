@@ -33,7 +33,7 @@ def test_a_step_draws_the_same_whatever_came_before_it(video):
     for step in (7, 2):
         x, y = a[step], b[step]
         assert x.frame == y.frame and x.window == y.window
-        assert torch.equal(x.color, y.color) and torch.equal(x.picture, y.picture)
+        assert torch.equal(x.color, y.color) and torch.equal(x.person, y.person)
 
 
 def test_another_seed_draws_another_run(video):

@@ -182,7 +182,11 @@ def _pull(dW: Lane, grad_E: Lane) -> Lane:
 
 @Frozen
 def _adjoint_of_means(
-    pairs: Pairs, maps: Float64, grad_Es: Any, *, n: int  # noqa: ANN401
+    pairs: Pairs,
+    maps: Float64,
+    grad_Es: Any,  # noqa: ANN401
+    *,
+    n: int,
 ) -> list[Any]:
     """Eq. 4."""
     grad_E = _own(grad_Es, 9, n)
@@ -251,7 +255,7 @@ class _Blend(torch.autograd.Function):
         if of_T:
             count = len(joints.joints)
             (pieces,) = tensors(_adjoint_of_maps(joints.of_pieces, *memory, n=count), count)
-            found[0] = torch.zeros_like(T).index_add(0, joints.joints, pieces)
+            found[0] = pieces.new_zeros(T.shape).index_add(0, joints.joints, pieces).to(T)
         if of_means:
             sums = _adjoint_of_means(joints.of_gaussians, flat(T), memory[2], n=len(means))
             (found[1],) = tensors(sums, len(means))

@@ -11,12 +11,12 @@ hair and loose clothes to a few large ones that come apart in new poses. So, 2-3
 
 Where practice differs from the words of the paper:
 
-* The "spherical shell" around the outermost Gaussians is an alpha wrap, not an alpha shape: always
-  watertight, and without inner sheets. The rest body, shrunk, is wrapped with them, so that no hole
-  lets the wrap inside.
+* The "spherical shell" around the outermost Gaussians is the surface of balls that have grown
+  together, not an alpha shape: always watertight, and without inner sheets. The rest body, shrunk,
+  is inside it, so that no hole lets the surface in (:mod:`gva_mi.avatar.envelope`).
 * Laplacian smoothing shrinks, arms most. Taubin's filter is a Laplacian step and a slightly larger
   one back: smooth, and of the same volume.
-* A wrap that bridges holes would also bridge the gaps between fingers. Fingers are bare skin, which
+* What bridges holes would also bridge the gaps between fingers. Fingers are bare skin, which
   the body model knows best: there, points are drawn on its own surface.
 * Points spread by curvature alone are a centimetre apart, and an eye is two or three of them: what
   a viewer looks at first would be what is drawn worst. A face takes few points, so it gets more.
@@ -27,7 +27,7 @@ Where practice differs from the words of the paper:
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import torch
@@ -39,14 +39,19 @@ from gva_mi.avatar.canonical import (
     disc_log_scales,
     disc_quats,
 )
+from gva_mi.avatar.envelope import SurfaceMesh, envelope
 from gva_mi.avatar.skin import Skin, diffused
 from gva_mi.body.pose import EYES, LEFT_HAND, RIGHT_HAND
-from gva_mi.errors import InputError
 from gva_mi.mesh.surface import vertex_normals
-from gva_mi.ranges import Metres, Share, Within, require_ranges
+from gva_mi.ranges import Share, Within, require_ranges
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 # In distances of the eyes: a face's radius, and how far below the eyes its middle lies.
 FACE_RADIUS, BELOW_EYES = 1.4, 0.6
+
+AT_ONCE = 2048  # darts whose neighbours are looked up together
 
 Neighbours = Annotated[int, Within(1, 1000)]
 
@@ -61,9 +66,9 @@ class ReinitOptions:
     floater_neighbours: Neighbours = 16  # a floater's mean distance to so many neighbours ...
     # ... exceeds the mean of all by so many standard deviations.
     floater_sigmas: Annotated[float, Within(0, 1000)] = 2.0
-    alpha: Metres = 0.015  # gaps narrower than twice this are closed; at least the points' spacing
-    offset: Metres = 0.003  # the wrap keeps this far from the points; taken back afterwards
-    # The wrapped body lies so far below its surface.
+    # Gaps narrower than twice this are closed, metres; at least the points' spacing.
+    alpha: Annotated[float, Within(0.004, 1)] = 0.015
+    # The body inside lies so far below its surface.
     filler_depth: Annotated[float, Within(0, 1)] = 0.012
     smoothing: Annotated[int, Within(0, 1000)] = 10  # steps of Taubin's filter
     # Density at the most curved places / in flat ones, minus 1.
@@ -76,18 +81,6 @@ class ReinitOptions:
 
     def __post_init__(self) -> None:
         require_ranges("ReinitOptions", self)
-        if not self.offset < self.alpha:
-            raise InputError(
-                f"ReinitOptions: offset < alpha is needed, got {self.offset}, {self.alpha}"
-            )
-
-
-@dataclass(frozen=True)
-class SurfaceMesh:
-    """Triangles in the rest pose."""
-
-    vertices: np.ndarray  # (V, 3) float64, metres
-    faces: np.ndarray  # (F, 3) int64, counter-clockwise seen from outside
 
 
 @dataclass(frozen=True)
@@ -95,7 +88,7 @@ class Reinitialised:
     """What a re-initialisation returns; the avatar itself has not changed yet."""
 
     canonical: CanonicalGaussians  # see :func:`gva_mi.avatar.densify.replace_gaussians`
-    surface: SurfaceMesh  # the smoothed, watertight wrap
+    surface: SurfaceMesh  # smooth and watertight
     skin: Skin  # the same with fingers, to be worn by the avatar
     floaters: int  # opaque Gaussians that were left out of it
 
@@ -148,29 +141,9 @@ def find_floaters(points: np.ndarray, neighbours: int, sigmas: float) -> np.ndar
 
 def mesh_gaussians(points: np.ndarray, rig: Rig, options: ReinitOptions) -> SurfaceMesh:
     """A closed, smooth surface around points (N, 3) and the rest body inside them."""
-    import pymeshlab
-
-    # Between points that are further apart than alpha, the wrap would sink onto the filler.
-    alpha = max(options.alpha, np.percentile(_mean_distance(points, 6), 90))
-    vertices, faces = _filler(rig, options.filler_depth)
-    # The wrap crashes on points without faces, so each becomes a triangle too small to matter.
-    triangle = 2e-4 * np.array([[1, 0, 0], [-0.5, 0.75**0.5, 0], [-0.5, -(0.75**0.5), 0]])
-    specks = (points[:, None] + triangle).reshape(-1, 3)
-    corners = np.arange(len(specks)).reshape(-1, 3)
-    meshes = pymeshlab.MeshSet()
-    meshes.add_mesh(
-        pymeshlab.Mesh(np.vstack([specks, vertices]), np.vstack([corners, faces + len(specks)]))
-    )
-    meshes.generate_alpha_wrap(
-        alpha=pymeshlab.PureValue(alpha), offset=pymeshlab.PureValue(options.offset)
-    )
-    wrap = meshes.current_mesh()
-    person = _largest_component(wrap.vertex_matrix(), wrap.face_matrix().astype(np.int64))
-    meshes.add_mesh(pymeshlab.Mesh(person.vertices, person.faces))
-    if options.smoothing:
-        meshes.apply_coord_taubin_smoothing(stepsmoothnum=options.smoothing)
-    smooth = np.array(meshes.current_mesh().vertex_matrix())
-    return SurfaceMesh(smooth - options.offset * _normals(smooth, person.faces), person.faces)
+    # Between points that are further apart than alpha, the surface would sink onto the filler.
+    alpha = max(options.alpha, np.percentile(_mean_distance(points, 6), 95))
+    return envelope(points, _filler(rig, options.filler_depth), alpha, options.smoothing)
 
 
 def with_fingers(surface: SurfaceMesh, rig: Rig) -> SurfaceMesh:
@@ -183,9 +156,8 @@ def with_fingers(surface: SurfaceMesh, rig: Rig) -> SurfaceMesh:
         return surface
     bridged = finger[cKDTree(body).query(surface.vertices[surface.faces].mean(1))[1]]
     own = faces[finger[faces].all(1)] + len(surface.vertices)
-    return _without_spares(
-        np.vstack([surface.vertices, body]), np.vstack([surface.faces[~bridged], own])
-    )
+    both = np.vstack([surface.vertices, body]), np.vstack([surface.faces[~bridged], own])
+    return SurfaceMesh(*both).part(np.ones(len(both[1]), dtype=bool))
 
 
 @dataclass(frozen=True)
@@ -224,8 +196,7 @@ def resample(
     from scipy.spatial import cKDTree
 
     v, f = surface.vertices, surface.faces
-    area = np.linalg.norm(np.cross(v[f[:, 1]] - v[f[:, 0]], v[f[:, 2]] - v[f[:, 0]]), axis=1) / 2
-    mass = area * density[f].mean(1)
+    mass = surface.areas() * density[f].mean(1)
     oversampling = 6
     chosen = rng.choice(len(f), oversampling * count, p=mass / mass.sum())
     barycentric = rng.dirichlet([1, 1, 1], len(chosen))[:, :, None]
@@ -238,7 +209,7 @@ def resample(
         if abs(len(kept) / count - 1) < 0.02:
             break
         radius *= np.sqrt(len(kept) / count)
-    points, normals = points[kept], on_faces(_normals(v, f))[kept]
+    points, normals = points[kept], on_faces(surface.normals())[kept]
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     return Samples(points, normals, _mean_distance(points, 3))
 
@@ -270,7 +241,7 @@ def regaussian(
     tensor = lambda array: torch.from_numpy(np.ascontiguousarray(array)).to(dtype)
     K = min(options.neighbours, len(sources))
     tree = cKDTree(old.means.detach()[sources].double().numpy())
-    distance, nearest = (x.reshape(N, K) for x in tree.query(samples.points, k=K))
+    distance, nearest = (x.reshape(N, K) for x in tree.query(samples.points, k=K, workers=-1))
     share = 1 / (distance**2 + 1e-8)  # a tenth of a millimetre counts as touching
     share = tensor(share / share.sum(1, keepdims=True))
     nearest = sources[torch.from_numpy(nearest)]
@@ -294,42 +265,19 @@ def _mean_distance(points: np.ndarray, neighbours: int) -> np.ndarray:
     """Mean distance of each point (N, 3) to its nearest neighbours, (N,)."""
     from scipy.spatial import cKDTree
 
-    return cKDTree(points).query(points, k=neighbours + 1)[0][:, 1:].mean(1)
+    return cKDTree(points).query(points, k=neighbours + 1, workers=-1)[0][:, 1:].mean(1)
 
 
-def _filler(rig: Rig, depth: float) -> tuple[np.ndarray, np.ndarray]:
+def _filler(rig: Rig, depth: float) -> SurfaceMesh:
     """The rest body, moved inside by ``depth``; fingers, which are thinner than that, by less."""
     inwards = depth * (1 - 0.75 * _finger_weights(rig.weights))
     shrunk = rig.vertices - inwards[:, None] * vertex_normals(rig.vertices, rig.faces)
-    return shrunk.double().numpy(), rig.faces.numpy()
+    return SurfaceMesh(shrunk.double().numpy(), rig.faces.numpy())
 
 
 def _finger_weights(weights: Tensor) -> Tensor:
     """How much of each row (N, 55) belongs to fingers, (N,)."""
     return weights[:, LEFT_HAND].sum(1) + weights[:, RIGHT_HAND].sum(1)
-
-
-def _largest_component(vertices: np.ndarray, faces: np.ndarray) -> SurfaceMesh:
-    """The connected piece of a mesh that has the most faces."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
-    V = len(vertices)
-    ones = np.ones(2 * len(faces), dtype=bool)
-    edges = (faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel())
-    label = connected_components(coo_matrix((ones, edges), (V, V)), directed=False)[1]
-    largest = np.bincount(label[faces[:, 0]]).argmax()
-    return _without_spares(vertices, faces[label[faces[:, 0]] == largest])
-
-
-def _without_spares(vertices: np.ndarray, faces: np.ndarray) -> SurfaceMesh:
-    """The mesh without vertices that no face uses, which pymeshlab would drop by itself."""
-    used, renumbered = np.unique(faces, return_inverse=True)
-    return SurfaceMesh(vertices[used], renumbered.reshape(-1, 3))
-
-
-def _normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    return vertex_normals(torch.from_numpy(vertices), torch.from_numpy(faces)).numpy()
 
 
 def _curvature(surface: SurfaceMesh) -> np.ndarray:
@@ -344,15 +292,17 @@ def _curvature(surface: SurfaceMesh) -> np.ndarray:
     return np.clip(curvature / largest, 0, 1) if largest > 0 else np.zeros(len(curvature))
 
 
-def _throw_darts(tree: object, points: np.ndarray, radius: np.ndarray) -> list[int]:
+def _throw_darts(tree: cKDTree, points: np.ndarray, radius: np.ndarray) -> list[int]:
     """Indices of points of which each removes all later ones within its radius, in their order."""
-    around = tree.query_ball_point(points, radius, return_sorted=False)
     alive = np.ones(len(points), dtype=bool)
     kept = []
-    for i, close in enumerate(around):
-        if alive[i]:
-            kept.append(i)
-            alive[close] = False
+    for first in range(0, len(points), AT_ONCE):
+        some = first + np.flatnonzero(alive[first : first + AT_ONCE])  # most are gone by now
+        around = tree.query_ball_point(points[some], radius[some], return_sorted=False)
+        for i, close in zip(some, around, strict=True):
+            if alive[i]:
+                kept.append(i)
+                alive[close] = False
     return kept
 
 

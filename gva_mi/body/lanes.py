@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 
 import drjit as dr
-import torch
 from drjit import ArrayBase as Array
 from torch import Tensor
 

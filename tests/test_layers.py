@@ -19,8 +19,8 @@ HEAVY = {"mitsuba", "pymeshlab", "trimesh", "skimage", "matplotlib", "av", "jinj
 HOMES = {  # packages that only some folders may import, at any depth of the file
     "mitsuba": ("gva_mi_plugins", "gva_mi.mesh", "gva_mi.data.synthetic", "gva_mi.sculptor",
                 "gva_mi.commands.doctor"),
-    "pymeshlab": ("gva_mi.sculptor", "gva_mi.data.synthetic", "gva_mi.avatar.reinit", "gva_mi.avatar.envelope",
-                  "gva_mi.pose.coarse_body", "gva_mi.commands.doctor"),
+    "pymeshlab": ("gva_mi.sculptor", "gva_mi.data.synthetic", "gva_mi.avatar.reinit",
+                  "gva_mi.avatar.envelope", "gva_mi.pose.coarse_body", "gva_mi.commands.doctor"),
     "torch": ("gva_mi.splat.torch_op", "gva_mi.splat.covariances", "gva_mi.splat.autograd",
               "gva_mi.splat.screen",
               "gva_mi.splat.means2d", "gva_mi.splat.first_order",

@@ -37,11 +37,11 @@ from gva_mi.avatar.canonical import (
     SeedOptions,
     seed_on_surface,
 )
+from gva_mi.avatar.carry import carry
 from gva_mi.avatar.light import lit
 from gva_mi.avatar.residual import PoseResidual, ResidualOptions
 from gva_mi.avatar.skin import Skin, diffused
 from gva_mi.avatar.sound import require_sound
-from gva_mi.avatar.stretch import carry_stretched
 from gva_mi.body.kinematics import turn_joints
 from gva_mi.body.polar import carry_frames
 from gva_mi.body.pose import LEFT_HAND, RIGHT_HAND, Pose, Shape
@@ -217,12 +217,13 @@ class Avatar(nn.Module):
         else:
             residual = torch.zeros_like(G.means)
         means = G.means + G.moved_by(driven.coefficients) + residual
-        A, E = G.blended(driven.T_world_rest, means)
-        sh = lit(G.sh, A, self.light)
         if not self.options.stretch:
+            A, _ = G.blended(driven.T_world_rest, means)
             means, quats = carry_frames(A, means, G.quats)
+            sh = lit(G.sh, A, self.light)
             return Animated(Gaussians(means, quats, G.scales, G.opacities, sh=sh), residual)
-        means, covars = carry_stretched(A, E, means, G.quats, G.scales)
+        own = means, G.quats, G.scales, G.sh, self.light
+        means, covars, sh = carry(G.joints, driven.T_world_rest, *own)
         gaussians = Gaussians(means, None, None, G.opacities, sh=sh, covars=covars)
         return Animated(gaussians, residual)
 

@@ -132,7 +132,12 @@ class CanonicalGaussians(nn.Module):
         Returns:
             A (N, 12), the blended maps (Eq. 5), and E (N, 9), how they change around the means.
         """
-        return self._sparse_of(FollowedJoints.of, "weights", "slopes")(T_world_rest, means)
+        return self.joints(T_world_rest, means)
+
+    @property
+    def joints(self) -> FollowedJoints:
+        """Which joints the Gaussians follow."""
+        return self._sparse_of(FollowedJoints.of, "weights", "slopes")
 
     def _sparse_of(self, make: Callable[..., Any], *names: str) -> Any:  # noqa: ANN401
         """Carriers without their zeros, made anew when one of them has changed."""

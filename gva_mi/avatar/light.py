@@ -45,22 +45,28 @@ def lit(sh: Tensor, A: Tensor, light: Tensor) -> Tensor:
     """
     if sh.shape[1] == 1:
         return sh
-    direction = SHARE * torch.nn.functional.normalize(light, dim=0)
-    return _Lit.apply(sh.flatten(1), A, direction.unsqueeze(0)).unsqueeze(1)
+    return _Lit.apply(sh.flatten(1), A, direction(light)).unsqueeze(1)
+
+
+def direction(light: Tensor) -> Tensor:
+    """l (1, 3), of its length."""
+    return SHARE * torch.nn.functional.normalize(light, dim=0).unsqueeze(0)
 
 
 def _toward(A: list[Any], light: list[Any]) -> list[Any]:
     return [sum(A[4 * i + k] * light[i] for i in AXES) for k in AXES]
 
 
-def _forward(A: list[Any], sh: list[Any], light: list[Any]) -> tuple[list[Any]]:
+def forward(A: list[Any], sh: list[Any], light: list[Any]) -> tuple[list[Any]]:
+    """Eq. 1 and 2."""
     t = _toward(A, light)
     return ([sh[c] + sum(t[k] * sh[3 * (1 + k) + c] for k in AXES) for c in AXES],)
 
 
-def _adjoint(
+def adjoint(
     A: list[Any], sh: list[Any], light: list[Any], g: list[Any]
 ) -> tuple[list[Any], list[Any], list[Any]]:
+    """Eq. 3 and 4: by sh, A and the light."""
     t = _toward(A, light)
     grad_sh = [*g, *(t[k] * g[c] for k in AXES for c in AXES)]
     grad_t = [sum(sh[3 * (1 + k) + c] * g[c] for c in AXES) for k in AXES]
@@ -71,10 +77,11 @@ def _adjoint(
     return grad_sh, grad_A, grad_light
 
 
-def _tangent(
+def tangent(
     A: list[Any], sh: list[Any], light: list[Any],
     dA: list[Any], dsh: list[Any], dlight: list[Any],
 ) -> tuple[list[Any]]:  # fmt: skip
+    """Eq. 1 and 2, differentiated."""
     t = _toward(A, light)
     dt = [a + b for a, b in zip(_toward(dA, light), _toward(A, dlight), strict=True)]
     slope = lambda k, c: dt[k] * sh[3 * (1 + k) + c] + t[k] * dsh[3 * (1 + k) + c]
@@ -88,7 +95,7 @@ class _Lit(torch.autograd.Function):
     def forward(ctx: FunctionCtx, sh: Tensor, A: Tensor, light: Tensor) -> Tensor:
         ctx.save_for_backward(sh, A, light)
         ctx.save_for_forward(sh, A, light)
-        return launch(_forward, A, sh, light)[0] if len(A) else sh[:, :3].clone()
+        return launch(forward, A, sh, light)[0] if len(A) else sh[:, :3].clone()
 
     @staticmethod
     @torch.autograd.function.once_differentiable
@@ -96,7 +103,7 @@ class _Lit(torch.autograd.Function):
         sh, A, light = ctx.saved_tensors
         if not len(A):
             return torch.zeros_like(sh), torch.zeros_like(A), torch.zeros_like(light)
-        grad_sh, grad_A, grad_light = launch(_adjoint, A, sh, light, grad)
+        grad_sh, grad_A, grad_light = launch(adjoint, A, sh, light, grad)
         return grad_sh, grad_A, grad_light.sum(0, keepdim=True)
 
     @staticmethod
@@ -104,4 +111,4 @@ class _Lit(torch.autograd.Function):
         sh, A, light = ctx.saved_tensors
         if not len(A):
             return dsh[:, :3].clone()
-        return launch(_tangent, A, sh, light, dA, dsh, dlight)[0]
+        return launch(tangent, A, sh, light, dA, dsh, dlight)[0]

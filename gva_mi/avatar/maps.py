@@ -26,6 +26,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 import torch
+from drjit import ArrayBase as Array
 from drjit.llvm import Float64, UInt32
 from torch import Tensor
 from torch.autograd.function import FunctionCtx
@@ -111,6 +112,26 @@ class FollowedJoints:
         """
         return _Blend.apply(T_world_rest[:, :3].flatten(1), means, self)
 
+    @exclusive
+    def blended(self, T: Tensor, means: Tensor) -> tuple[Tensor, Tensor]:
+        """The same of maps T (J, 12), without gradients."""
+        n = len(means)
+        if not n:
+            return means.new_zeros(0, 12), means.new_zeros(0, 9)
+        return tensors(_blend(self.of_gaussians, flat(T), flat(means), n=n), n)
+
+    @exclusive
+    def tangent(
+        self, T: Tensor, means: Tensor, dT: Tensor, dmeans: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """The tangents of A and E."""
+        dA, dE = self.blended(dT, means)
+        n = len(means)
+        if not n:
+            return dA, dE
+        (turn,) = tensors(_turned(self.of_gaussians, flat(T), flat(dmeans), n=n), n)
+        return dA, dE + turn
+
 
 def _walk(pairs: Pairs, sums: int, add: Callable[[UInt32, Lane], Lane]) -> Lane:
     """Walk the list of each lane, adding to ``sums`` numbers, float64."""
@@ -124,19 +145,14 @@ def _walk(pairs: Pairs, sums: int, add: Callable[[UInt32, Lane], Lane]) -> Lane:
     return dr.while_loop(state, inside, body, mode="symbolic", compress=False)[1:]
 
 
-def _four(weights: Any, k: UInt32) -> Lane:  # noqa: ANN401
+def _four(weights: Array, k: UInt32) -> Lane:
     """W of a pair and its derivatives."""
     return [Float64(w) for w in of_rows(weights, 4, k)]
 
 
-def _row(numbers: Any, width: int, index: UInt32) -> Lane:  # noqa: ANN401
+def _row(numbers: Array, width: int, index: UInt32) -> Lane:
     """A row of a flat array of such rows, float64."""
     return [Float64(x) for x in of_rows(numbers, width, index)]
-
-
-def _own(numbers: Any, width: int, n: int) -> Lane:  # noqa: ANN401
-    """Each lane's own row."""
-    return _row(numbers, width, dr.arange(UInt32, n))
 
 
 def _moved(T: Lane, mean: Lane) -> Lane:
@@ -144,10 +160,9 @@ def _moved(T: Lane, mean: Lane) -> Lane:
     return [sum(T[4 * i + k] * mean[k] for k in AXES) + T[4 * i + 3] for i in AXES]
 
 
-@Frozen
-def _forward(pairs: Pairs, maps: Float64, means: Any, *, n: int) -> list[Any]:  # noqa: ANN401
-    """Eq. 1 and 2: A and E, as flat arrays of rows, from such."""
-    mean = _own(means, 3, n)
+def blend(pairs: Pairs, maps: Float64, mean: Lane) -> tuple[Lane, Lane]:
+    """Eq. 1 and 2: A and E of each Gaussian, float64."""
+    mean = [Float64(x) for x in mean]
 
     def add(k: UInt32, sums: Lane) -> Lane:
         W, *dW = _four(pairs.weights, k)
@@ -158,13 +173,12 @@ def _forward(pairs: Pairs, maps: Float64, means: Any, *, n: int) -> list[Any]:  
         return A + E
 
     sums = _walk(pairs, 21, add)
-    return _evaluated([in_rows(some, n, type(means)) for some in (sums[:12], sums[12:])])
+    return sums[:12], sums[12:]
 
 
-@Frozen
-def _turned(pairs: Pairs, maps: Float64, dmeans: Any, *, n: int) -> list[Any]:  # noqa: ANN401
-    """The tangent of E along that of the means."""
-    dmean = _own(dmeans, 3, n)
+def turned(pairs: Pairs, maps: Float64, dmean: Lane) -> Lane:
+    """The tangent of E along that of the mean."""
+    dmean = [Float64(x) for x in dmean]
 
     def add(k: UInt32, sums: Lane) -> Lane:
         _, *dW = _four(pairs.weights, k)
@@ -172,7 +186,7 @@ def _turned(pairs: Pairs, maps: Float64, dmeans: Any, *, n: int) -> list[Any]:  
         dx = [sum(T[4 * i + k] * dmean[k] for k in AXES) for i in AXES]
         return [dr.fma(dW[c], dx[i], sums[3 * i + c]) for i in AXES for c in AXES]
 
-    return _evaluated([in_rows(_walk(pairs, 9, add), n, type(dmeans))])
+    return _walk(pairs, 9, add)
 
 
 def _pull(dW: Lane, grad_E: Lane) -> Lane:
@@ -180,50 +194,73 @@ def _pull(dW: Lane, grad_E: Lane) -> Lane:
     return [sum(dW[c] * grad_E[3 * i + c] for c in AXES) for i in AXES]
 
 
-@Frozen
-def _adjoint_of_means(
-    pairs: Pairs,
-    maps: Float64,
-    grad_Es: Any,  # noqa: ANN401
-    *,
-    n: int,
-) -> list[Any]:
+def adjoint_of_means(pairs: Pairs, maps: Float64, grad_E: Lane) -> Lane:
     """Eq. 4."""
-    grad_E = _own(grad_Es, 9, n)
+    grad_E = [Float64(x) for x in grad_E]
 
     def add(k: UInt32, sums: Lane) -> Lane:
         _, *dW = _four(pairs.weights, k)
         T, h = _row(maps, 12, dr.gather(UInt32, pairs.others, k)), _pull(dW, grad_E)
         return [sum((T[4 * i + k] * h[i] for i in AXES), sums[k]) for k in AXES]
 
-    return _evaluated([in_rows(_walk(pairs, 3, add), n, type(grad_Es))])
+    return _walk(pairs, 3, add)
+
+
+def adjoint_of_maps(pieces: Pairs, of: Callable[[UInt32], tuple[Lane, Lane, Lane]]) -> Lane:
+    """Eq. 5, of each piece.
+
+    Args:
+        pieces: lists of Gaussians.
+        of: grad_A, grad_E and μ of a Gaussian.
+    """
+
+    def add(k: UInt32, sums: Lane) -> Lane:
+        W, *dW = _four(pieces.weights, k)
+        found = of(dr.gather(UInt32, pieces.others, k))
+        grad_A, grad_E, mean = ([Float64(x) for x in some] for some in found)
+        h, one = _pull(dW, grad_E), [*mean, 1.0]
+        return [
+            s + dr.fma(W, grad_A[4 * i + k], h[i] * one[k])
+            for s, (i, k) in zip(sums, ENTRIES, strict=True)
+        ]
+
+    return _walk(pieces, 12, add)
+
+
+def add_pieces(joints: FollowedJoints, sums: Array, T: Tensor) -> Tensor:
+    """The gradient by the maps T (J, 12), from the sums of all pieces."""
+    (pieces,) = tensors([sums], len(joints.joints))
+    return pieces.new_zeros(T.shape).index_add(0, joints.joints, pieces).to(T)
+
+
+@Frozen
+def _blend(pairs: Pairs, maps: Float64, means: Array, *, n: int) -> list[Array]:
+    F, lane = type(means), dr.arange(UInt32, n)
+    return _evaluated([in_rows(x, n, F) for x in blend(pairs, maps, of_rows(means, 3, lane))])
+
+
+@Frozen
+def _turned(pairs: Pairs, maps: Float64, dmeans: Array, *, n: int) -> list[Array]:
+    found = turned(pairs, maps, of_rows(dmeans, 3, dr.arange(UInt32, n)))
+    return _evaluated([in_rows(found, n, type(dmeans))])
+
+
+@Frozen
+def _adjoint_of_means(pairs: Pairs, maps: Float64, grad_E: Array, *, n: int) -> list[Array]:
+    found = adjoint_of_means(pairs, maps, of_rows(grad_E, 9, dr.arange(UInt32, n)))
+    return _evaluated([in_rows(found, n, type(grad_E))])
 
 
 @Frozen
 def _adjoint_of_maps(
-    pieces: Pairs,
-    means: Any,  # noqa: ANN401
-    grad_A: Any,  # noqa: ANN401
-    grad_E: Any,  # noqa: ANN401
-    *,
-    n: int,
-) -> list[Any]:
-    """Eq. 5, of each piece; float64."""
-
-    def add(k: UInt32, sums: Lane) -> Lane:
-        W, *dW = _four(pieces.weights, k)
-        n = dr.gather(UInt32, pieces.others, k)
-        h, one = _pull(dW, _row(grad_E, 9, n)), [*_row(means, 3, n), 1.0]
-        A = _row(grad_A, 12, n)
-        return [
-            s + dr.fma(W, A[4 * i + k], h[i] * one[k])
-            for s, (i, k) in zip(sums, ENTRIES, strict=True)
-        ]
-
-    return _evaluated([in_rows(_walk(pieces, 12, add), n, Float64)])
+    pieces: Pairs, grad_A: Array, grad_E: Array, means: Array, *, n: int
+) -> list[Array]:
+    rows = (grad_A, 12), (grad_E, 9), (means, 3)
+    found = adjoint_of_maps(pieces, lambda k: tuple(of_rows(x, width, k) for x, width in rows))
+    return _evaluated([in_rows(found, n, Float64)])
 
 
-def _evaluated(arrays: list[Any]) -> list[Any]:
+def _evaluated(arrays: list[Array]) -> list[Array]:
     dr.eval(arrays)
     return arrays
 
@@ -238,43 +275,21 @@ class _Blend(torch.autograd.Function):
         ctx.joints = joints
         ctx.save_for_backward(T, means)
         ctx.save_for_forward(T, means)
-        return _blended(joints, T, means)
+        return joints.blended(T, means)
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     @exclusive
-    def backward(
-        ctx: FunctionCtx, grad_A: Tensor, grad_E: Tensor
-    ) -> tuple[Tensor | None, Tensor | None, None]:
+    def backward(ctx: FunctionCtx, grad_A: Tensor, grad_E: Tensor) -> tuple[Tensor, Tensor, None]:
         T, means = ctx.saved_tensors
-        of_T, of_means, _ = ctx.needs_input_grad
-        joints, memory = ctx.joints, [flat(x) for x in (means, grad_A, grad_E)]
-        if not len(means):
+        joints, n = ctx.joints, len(means)
+        if not n:
             return torch.zeros_like(T), torch.zeros_like(means), None
-        found = [None, None]
-        if of_T:
-            count = len(joints.joints)
-            (pieces,) = tensors(_adjoint_of_maps(joints.of_pieces, *memory, n=count), count)
-            found[0] = pieces.new_zeros(T.shape).index_add(0, joints.joints, pieces).to(T)
-        if of_means:
-            sums = _adjoint_of_means(joints.of_gaussians, flat(T), memory[2], n=len(means))
-            (found[1],) = tensors(sums, len(means))
-        return (*found, None)
+        A, E, x = (flat(tensor) for tensor in (grad_A, grad_E, means))
+        (by_maps,) = _adjoint_of_maps(joints.of_pieces, A, E, x, n=len(joints.joints))
+        by_means = _adjoint_of_means(joints.of_gaussians, flat(T), E, n=n)
+        return add_pieces(joints, by_maps, T), tensors(by_means, n)[0], None
 
     @staticmethod
-    @exclusive
     def jvp(ctx: FunctionCtx, dT: Tensor, dmeans: Tensor, _: None) -> tuple[Tensor, Tensor]:
-        T, means = ctx.saved_tensors
-        dA, dE = _blended(ctx.joints, dT, means)
-        if len(means):
-            turned = _turned(ctx.joints.of_gaussians, flat(T), flat(dmeans), n=len(means))
-            dE = dE + tensors(turned, len(means))[0]
-        return dA, dE
-
-
-@exclusive
-def _blended(joints: FollowedJoints, T: Tensor, means: Tensor) -> tuple[Tensor, Tensor]:
-    if not len(means):
-        return means.new_zeros(0, 12), means.new_zeros(0, 9)
-    n = len(means)
-    return tensors(_forward(joints.of_gaussians, flat(T), flat(means), n=n), n)
+        return ctx.joints.tangent(*ctx.saved_tensors, dT, dmeans)

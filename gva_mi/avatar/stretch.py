@@ -94,14 +94,14 @@ def _moved(A: Lane, mean: Lane) -> Lane:
     return [sum(A[4 * i + k] * mean[k] for k in AXES) + A[4 * i + 3] for i in AXES]
 
 
-def _forward(A: Lane, E: Lane, mean: Lane, quat: Lane, scale: Lane) -> tuple[Lane, Lane]:
+def forward(A: Lane, E: Lane, mean: Lane, quat: Lane, scale: Lane) -> tuple[Lane, Lane]:
     """Eq. 1 to 3."""
     JM = _times(_gradient(A, E, _bound(E)), Rotation.of(quat).M)
     F = _scaled(JM, scale)
     return _moved(A, mean), [sum(F[3 * i + k] * F[3 * j + k] for k in AXES) for i, j in PAIRS]
 
 
-def _adjoint(
+def adjoint(
     A: Lane, E: Lane, mean: Lane, quat: Lane, scale: Lane, g: Lane, G: Lane
 ) -> tuple[Lane, Lane, Lane, Lane, Lane]:
     """Eq. 4 to 6."""
@@ -123,7 +123,7 @@ def _adjoint(
     return grad_A, grad_E, grad_mean, rotation.adjoint(grad_M), grad_scale
 
 
-def _tangent(
+def tangent(
     A: Lane, E: Lane, mean: Lane, quat: Lane, scale: Lane,
     dA: Lane, dE: Lane, dmean: Lane, dquat: Lane, dscale: Lane,
 ) -> tuple[Lane, Lane]:  # fmt: skip
@@ -149,17 +149,17 @@ class _CarryStretched(torch.autograd.Function):
         ctx.save_for_forward(A, E, means, quats, scales)
         if not len(means):
             return means.clone(), means.new_zeros(0, 6)
-        return launch(_forward, A, E, means, quats, scales)
+        return launch(forward, A, E, means, quats, scales)
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: FunctionCtx, g: Tensor, G: Tensor) -> tuple[Tensor, ...]:
         saved = ctx.saved_tensors
-        return launch(_adjoint, *saved, g, G) if len(g) else tuple(map(torch.zeros_like, saved))
+        return launch(adjoint, *saved, g, G) if len(g) else tuple(map(torch.zeros_like, saved))
 
     @staticmethod
     def jvp(ctx: FunctionCtx, *tangents: Tensor) -> tuple[Tensor, Tensor]:
         saved = ctx.saved_tensors
         if not len(saved[0]):
             return saved[2].clone(), saved[2].new_zeros(0, 6)
-        return launch(_tangent, *saved, *tangents)
+        return launch(tangent, *saved, *tangents)

@@ -8,12 +8,13 @@ from dataclasses import replace  # isort: skip
 import pytest
 import torch
 
-from gva_mi.avatar import stretch
+from gva_mi.avatar import carry, stretch
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.canonical import CanonicalGaussians
 from gva_mi.avatar.gradcheck import Scene, Tolerances, chain, gradcheck
 from gva_mi.body import kinematics
 from gva_mi.body.smplx import BodyModel
+from gva_mi.splat.kernels.frozen import Frozen
 
 SMALL = {"gaussians": 60, "size": 16}
 GAUSSIANS = {"means", "quats", "log_scales", "logit_opacities", "sh"}
@@ -100,9 +101,10 @@ def _plant(monkeypatch, link):
         bent = lambda self, T, means: blended(self, bend(T), means)
         monkeypatch.setattr(CanonicalGaussians, "blended", bent)
     elif link == "stretch":
-        adjoint = stretch._adjoint
+        adjoint = stretch.adjoint
         bent = lambda *lane: [[1.001 * g for g in grads] for grads in adjoint(*lane)]
-        monkeypatch.setattr(stretch, "_adjoint", bent)
+        monkeypatch.setattr(stretch, "adjoint", bent)
+        monkeypatch.setattr(carry, "_adjoint", Frozen(carry._adjoint.function))  # records it
     elif link == "activations":
         scales = lambda self: torch.exp(bend(self.log_scales))
         monkeypatch.setattr(CanonicalGaussians, "scales", property(scales))

@@ -178,7 +178,7 @@ def _steps(run: Run, samples: Samples, repeats: int) -> Stage:
 
 
 def _reinitialisation(run: Run, repeats: int) -> Stage:
-    """Wrapping the Gaussians, and laying as many on the surface; nothing is replaced."""
+    """A surface around the Gaussians, and as many laid on it; nothing is replaced."""
     clock, name = _Clock(), "a re-initialisation"
     for k in range(repeats):
         generator = torch_state(run.options.seed, Stream.REINIT, k)

@@ -24,6 +24,7 @@ import torch
 from torch import Tensor
 
 from gva_mi.body.pose import JOINTS, Pose
+from gva_mi.body.turns import compose
 from gva_mi.pose.belief import Belief
 from gva_mi.pose.descent import Steps
 from gva_mi.pose.inference import renewed
@@ -99,7 +100,7 @@ class Face:
         for part in self.parts:
             found = part.at(which)
             if part.name == "jaw":
-                turned = roma.rotvec_composition([rotations[:, JAW : JAW + 1], found])
+                turned = compose(rotations[:, JAW : JAW + 1], found)
                 rotations = torch.cat([rotations[:, :JAW], turned, rotations[:, JAW + 1 :]], 1)
             else:
                 expression = expression.index_add(1, part.coefficients, found[..., 0])

@@ -26,6 +26,7 @@ import torch
 from torch import Tensor
 
 from gva_mi.body.pose import Pose
+from gva_mi.body.turns import compose
 from gva_mi.pose.anatomy import Anatomy
 from gva_mi.pose.ground import Ground, Soles
 from gva_mi.pose.inference import JOINTS, PELVIS, Beliefs, from_pictures, from_stage1
@@ -135,7 +136,7 @@ class Corrections:
         nats = beliefs.pelvis.energy(of_pelvis, turns[:, pelvis], own[:, pelvis])
         nats = nats + beliefs.joints.energy(of_joints, turns[:, joints], own[:, joints])
         nats = nats + beliefs.place.energy(of_place, places, places)
-        rotations = roma.rotvec_composition([self._stage1.pose.rotations, own])
+        rotations = compose(self._stage1.pose.rotations, own)
         nats = nats + self._anatomy.energy(rotations, self._stage1.times)
         if beliefs.ground is not None:
             transl = self._stage1.pose.transl + moves @ self._stage1.R_camera_world

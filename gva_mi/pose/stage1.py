@@ -11,6 +11,7 @@ from torch import Tensor
 
 from gva_mi.body.kinematics import turn_joints
 from gva_mi.body.pose import PARENTS, Pose
+from gva_mi.body.turns import compose
 from gva_mi.splat import Camera
 
 
@@ -63,7 +64,7 @@ class Stage1:
         """
         which = list(which)
         local = self.in_joints(turns, which)
-        rotations = roma.rotvec_composition([self.pose.rotations[which], local])
+        rotations = compose(self.pose.rotations[which], local)
         transl = self.pose.transl[which] + moves @ self.R_camera_world
         return Pose(rotations, transl, self.pose.expression[which])
 

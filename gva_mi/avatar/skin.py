@@ -87,7 +87,7 @@ class Skin:
             )
         distance, nearest = self._nearest(points, PLANE)
         share, few = self._shares(distance, nearest)
-        weights = torch.einsum("nk,nkj->nj", share, self.weights[few])
+        weights = _means(share, few, self.weights)
         blend_shapes = mean_directions(share, self.beneath[few], self.directions)
         return Carriers(strongest(weights, JOINTS), self._slopes(nearest), blend_shapes)
 
@@ -105,7 +105,7 @@ class Skin:
         rows = np.arange(0, shares.size + 1, count)
         columns = np.repeat(nearest, 3, axis=0).ravel()
         planes = csr_array((shares.ravel(), columns, rows), (3 * len(nearest), len(vertices)))
-        return _largest(torch.from_numpy(planes @ weights).unflatten(0, (-1, 3))).to(self.weights)
+        return _largest(torch.from_numpy(planes @ weights).unflatten(0, (-1, 3)), self.weights)
 
     def around(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """The vertices around points (N, 3), of which there is at least one.
@@ -123,7 +123,7 @@ class Skin:
         from scipy.spatial import cKDTree
 
         x, tree = points.detach().double().numpy(), cKDTree(self.vertices.double().numpy())
-        found = tree.query(x, k=min(count, len(self.vertices)))
+        found = tree.query(x, k=min(count, len(self.vertices)), workers=-1)
         return tuple(part.reshape(len(x), -1) for part in found)
 
     def _shares(self, distance: np.ndarray, nearest: np.ndarray) -> tuple[Tensor, Tensor]:
@@ -143,14 +143,14 @@ def _inverse(A: np.ndarray) -> np.ndarray:
     return columns / (a * columns[:, :, 0]).sum(1)[:, None, None]
 
 
-def _largest(slopes: Tensor) -> Tensor:
-    """Slopes (N, 3, J) of the joints with the largest, whose sum is zero again."""
+def _largest(slopes: Tensor, like: Tensor) -> Tensor:
+    """Slopes (N, 3, J) of the joints with the largest, whose sum is zero again, as ``like``."""
     found = slopes.abs().amax(1).topk(min(JOINTS, slopes.shape[2]), dim=1)
     chosen = found.indices[:, None].expand(-1, 3, -1)
     steep = (found.values > STEEP)[:, None].to(slopes)
     kept = slopes.gather(2, chosen) * steep
     kept = steep * (kept - kept.sum(2, keepdim=True) / steep.sum(2, keepdim=True).clamp_min(1))
-    return torch.zeros_like(slopes).scatter(2, chosen, kept)
+    return like.new_zeros(slopes.shape).scatter(2, chosen, kept.to(like))
 
 
 def mean_directions(share: Tensor, vertices: Tensor, directions: Tensor) -> Tensor:
@@ -161,13 +161,17 @@ def mean_directions(share: Tensor, vertices: Tensor, directions: Tensor) -> Tens
         vertices: numbers of the body's vertices, int64.
         directions: (V, 3, K) of all of the body's vertices, metres.
     """
+    return _means(share, vertices, directions.flatten(1)).unflatten(1, directions.shape[1:])
+
+
+def _means(share: Tensor, rows: Tensor, of: Tensor) -> Tensor:
+    """Means (N, K) of rows (N, k) of a matrix (V, K), by their shares (N, k)."""
     from scipy.sparse import csr_array
 
     N, k = share.shape
-    rows = np.arange(0, N * k + 1, k)
-    mean = csr_array((share.numpy().ravel(), vertices.numpy().ravel(), rows), (N, len(directions)))
-    found = mean @ directions.flatten(1).numpy()
-    return torch.from_numpy(found).unflatten(1, directions.shape[1:])
+    first = np.arange(0, N * k + 1, k)
+    mean = csr_array((share.numpy().ravel(), rows.numpy().ravel(), first), (N, len(of)))
+    return torch.from_numpy(mean @ of.numpy())
 
 
 def diffused(vertices: np.ndarray, faces: np.ndarray, body: Skin, looseness: Tensor) -> Skin:

@@ -1,23 +1,23 @@
-"""Synthetic subjects: a clothed person from a seed, its video, and what is true about both.
+"""Synthetic subjects: a clothed person from a seed, its video, and their ground truth.
 
 ==========================================  ====================================================
-People       ``people``                     who it is: shape, colours, the cut of the clothes
+People       ``people``, ``look``           who it is: shape, colours, cut of the clothes
              ``rest_body``                  the body below the clothes
-             ``clothes/``                   what is worn, and how it moves with the body
-             ``texture``, ``color``         colours of skin, cloth and hair
+             ``clothes/``                   clothes and hair, and how they follow the body
+             ``texture``                    colours of skin, cloth and hair
              ``subject``                    all of it as one surface
-Figure       ``stretched``                  a body of other proportions than the fitted one
-             ``closest``                    what a perfect estimator says of it with the fitted one
-Motion       ``motion/``                    what the video shows, and poses that it does not show
-Pictures     ``render``                     rays, light, and the camera
-             ``camera_effects``             background, blur, noise of the sensor
-             ``shots``                      the files of one picture, by one process or several
-Noise        ``noise/``                     families of wrong poses, masks and normals
-             ``estimates``                  what a pipeline makes of a recording, with such noise
-The folder   ``options``                    all that can be chosen
-             ``dataset``                    makes a subject's folder
-             ``degrade``                    the same recording under another noise
-             ``recorded``                   what a folder was made of, and its person drawn again
+Bodies       ``stretched``                  a body of other proportions than the fitted one
+             ``closest``                    ground truth on the fitted body for such a person
+Motion       ``motion/``                    motions of the video, and held-out poses
+Pictures     ``framing``, ``render``        cameras, rays and light
+             ``camera_effects``             background, blur, sensor noise
+             ``shots``                      files of one picture, by one process or several
+Errors       ``noise/``                     error models of poses, masks and normals
+             ``estimates``                  estimates of a pipeline with such errors
+Folder       ``options``                    all options
+             ``dataset``                    writes a subject's folder
+             ``degrade``                    the same recording with other errors
+             ``recorded``                   options of a folder, and its person made again
              ``contact_sheet``              a picture of all subjects and of one's folder
 ==========================================  ====================================================
 """

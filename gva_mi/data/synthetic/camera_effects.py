@@ -1,19 +1,41 @@
-"""What a camera adds to a clean picture: a background, blur, and the noise of its sensor.
-
-Applied in this order to the stored, sRGB-encoded picture; masks and truth stay as they are.
-"""
+"""Background, blur and sensor noise, applied in this order to sRGB-encoded pictures."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-# Standard deviation of a pixel's noise at level 1: read noise, the same everywhere, and shot noise,
-# which grows with the light.
-READ, SHOT = 0.006, 0.02
+READ, SHOT = 0.006, 0.02  # standard deviation at level 1: constant, and growing with the light
+
+
+@dataclass(frozen=True)
+class CameraEffects:
+    """What the camera of a video adds to clean pictures."""
+
+    blur: float  # px, standard deviation
+    sensor: float  # level of the sensor noise; 0 is none
+    background: np.ndarray | None  # (H, W, 3); None is white
+
+    def apply(self, color: np.ndarray, mask: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """Return a clean picture (H, W, 3) on white, with its mask (H, W), as this camera sees it.
+
+        ``rng`` draws the sensor noise.
+        """
+        from scipy.ndimage import gaussian_filter
+
+        if self.background is not None:
+            color = color + (1 - mask[..., None]) * (self.background - 1)
+        if self.blur > 0:
+            color = gaussian_filter(color, (self.blur, self.blur, 0))
+        if self.sensor > 0:
+            sigma = self.sensor * np.sqrt(READ**2 + SHOT**2 * np.clip(color, 0, 1))
+            color = color + sigma * rng.normal(size=color.shape)
+        return np.clip(color, 0, 1).astype(np.float32)
 
 
 def room_background(size: int, rng: np.random.Generator) -> np.ndarray:
-    """A room out of focus, (size, size, 3) in [0, 1]: a wall, a floor, and things in it."""
+    """Draw a room out of focus, (size, size, 3) in [0, 1]: a wall, a floor and things in it."""
     from scipy.ndimage import gaussian_filter
 
     y, x = np.mgrid[:size, :size] / size
@@ -30,29 +52,3 @@ def room_background(size: int, rng: np.random.Generator) -> np.ndarray:
     grain = gaussian_filter(rng.normal(size=(size, size)), size / 90)
     image = image * (1 + 0.06 * grain / grain.std())[..., None]
     return np.clip(gaussian_filter(image, (size / 110, size / 110, 0)), 0, 1).astype(np.float32)
-
-
-def over_background(color: np.ndarray, mask: np.ndarray, background: np.ndarray) -> np.ndarray:
-    """A picture on white (H, W, 3) with its mask (H, W), put before another background."""
-    return color + (1 - mask[..., None]) * (background - 1)
-
-
-def blur_and_noise(
-    color: np.ndarray, blur: float, level: float, rng: np.random.Generator
-) -> np.ndarray:
-    """The picture (H, W, 3) as lens and sensor give it.
-
-    Args:
-        color: in [0, 1].
-        blur: standard deviation in pixels.
-        level: of the noise; 0 is none.
-        rng: for the noise.
-    """
-    from scipy.ndimage import gaussian_filter
-
-    if blur > 0:
-        color = gaussian_filter(color, (blur, blur, 0))
-    if level > 0:
-        sigma = level * np.sqrt(READ**2 + SHOT**2 * np.clip(color, 0, 1))
-        color = color + sigma * rng.normal(size=color.shape)
-    return np.clip(color, 0, 1).astype(np.float32)

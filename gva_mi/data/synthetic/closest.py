@@ -1,18 +1,17 @@
-"""What a perfect estimator says of a person whom its body model does not span.
+"""Poses and betas of the fitted body that come closest to a person whom it does not span.
 
-Stage-1 poses are rotations of the *fitted* body's joints, whoever was filmed. With the rest joints
-J of the fitted body and J* of the true one, at the true rotations W*_j in the world:
+They are the ground truth of stage 1 for such a person: rotations of the *fitted* body's joints.
+With the rest joints J of the fitted body and J* of the true one, at true rotations W*_j (world):
 
     1. C_j    turns the fitted body's bones at j into the true ones: C_j (J_c − J_j) ∥ J*_c − J*_j
-    2. R_j    = C_pᵀ R*_j C_j,  so that W_j = W*_j C_j: every bone points where the true one does
+    2. R_j    = C_pᵀ R*_j C_j,  so that W_j = W*_j C_j: every bone has the true bone's direction
     3. betas  least squares of limbs' joints and surface (point to plane), both in the rest pose
-    4. steps  of Gauss and Newton on rotations and translation: limbs' joints onto each other,
-              while a turn of ``TURN`` costs as much as ``REACH`` of distance
+    4. Gauss-Newton steps on rotations and translation match the limbs' joints; a rotation by
+       ``TURN`` costs as much as a distance of ``REACH``
 
-Only the joints of the limbs are matched: where along the trunk a spine has its joints is each
-body's own choice, and no one can see it.
-What is left of the distances after that is the least that any refinement with the fitted body
-reaches. A person in its span is found exactly: all C are 1, nothing is left.
+Only joints of the limbs are matched, because spines of different bodies have their joints at
+arbitrary, invisible places. The remaining distances are a lower bound for any refinement with the
+fitted body. A person within its span is found exactly: all C are 1 and no distance remains.
 """
 
 from __future__ import annotations
@@ -33,11 +32,11 @@ from gva_mi.threads import one_torch_thread
 
 REACH, TURN = 0.01, 0.1  # m, rad: eq. 4
 STEPS, ROUNDS = 4, 8  # of eq. 4; of eq. 3, whose pairs of points change as the betas do
-THINNED = 5  # every fifth vertex is enough for eq. 3
-PAIRED = 0.04  # m, points farther apart are no pair
-LARGEST = 3.0  # standard deviations: betas beyond are no person
-RIDGE = 1e-9  # m², on every squared beta: what no point sees stays at zero
-# The rest pose turns these alike in every body: soles level, the head upright.
+THINNED = 5  # eq. 3 uses every fifth vertex
+PAIRED = 0.04  # m, largest distance of paired points
+LARGEST = 3.0  # standard deviations, bound of the betas
+RIDGE = 1e-9  # m², on squared betas: keeps undetermined betas at zero
+# Joints with the same orientation in every rest pose: level soles, an upright head.
 LEVEL = tuple(
     JOINTS.index(name)
     for name in ("left_ankle", "right_ankle", "left_foot", "right_foot", "head", "jaw",
@@ -52,29 +51,29 @@ LIMBS = tuple(
 
 @dataclass(frozen=True)
 class Closest:
-    """The fitted body as near as it comes to the true person."""
+    """The fitted body in the poses and shape closest to the true person."""
 
     pose: Pose  # T frames
     shape: Shape
-    joint_mm: float  # the distance of joints that is left, mean over frames and all joints
-    limb_mm: float  # the same, of the limbs' joints
+    joint_mm: float  # remaining distance, mean over frames and all joints
+    limb_mm: float  # mean over frames and the joints of the limbs
 
 
 def closest(body: BodyModel, true: BodyModel, pose: Pose, shape: Shape) -> Closest:
-    """Poses and betas of one body that come closest to a person on another.
+    """Find poses and betas of one body that come closest to a person on another.
 
     Args:
-        body: the one that is fitted.
-        true: the person's, with SMPL-X's joints.
-        pose, shape: the person's on ``true``, T frames. The expression is kept where both bodies
-            have the same surface, and is neutral where its coefficients mean another face.
+        body: the fitted body.
+        true: the person's body, with SMPL-X's joints.
+        pose, shape: of the person on ``true``, T frames. The expression is kept if both bodies
+            have the same faces, and neutral otherwise.
 
     Returns:
-        The given pose and shape themselves, where both bodies are the same object.
+        the given pose and shape if both bodies are the same object.
     """
     if true is body:
         return Closest(pose, shape, 0.0, 0.0)
-    with one_torch_thread():  # the same bits for any number of threads
+    with one_torch_thread():  # bit-identical for any number of threads
         return _closest(body, true, pose, shape)
 
 
@@ -90,32 +89,33 @@ def _closest(body: BodyModel, true: BodyModel, pose: Pose, shape: Shape) -> Clos
     R = roma.rotvec_to_rotmat(pose.rotations)
     above = torch.cat([torch.eye(3, dtype=C.dtype)[None], C[list(PARENTS[1:])]])
     rotations = roma.rotmat_to_rotvec(above.mT @ R @ C)
-    targets = _places(joint_transforms(pose.rotations, goal.joints, PARENTS, pose.transl), goal)
+    targets = _places(
+        joint_transforms(pose.rotations, goal.joints, PARENTS, pose.transl), goal.joints
+    )
     transl = pose.transl.clone()
     for _ in range(STEPS):
         rotations, transl = _step(rotations, transl, joints, targets)
-    start = Rest(goal.vertices, joints)
-    reached = _places(joint_transforms(rotations, joints, PARENTS, transl), start)
+    reached = _places(joint_transforms(rotations, joints, PARENTS, transl), joints)
     left = 1000 * (reached - targets).norm(dim=-1).mean(0)
     found = Shape(found.betas.to(body.v_template.dtype))
     near = Pose(rotations, transl, expression).to(torch.float32)
     return Closest(near, found, float(left.mean()), float(left[list(LIMBS)].mean()))
 
 
-def _places(T_world_rest: Tensor, rest: Rest) -> Tensor:
-    """Joints in the world (T, 55, 3), from their maps (T, 55, 4, 4)."""
+def _places(T_world_rest: Tensor, joints: Tensor) -> Tensor:
+    """Return joints in the world (T, 55, 3) for transforms (T, 55, 4, 4)."""
     A, t = T_world_rest[..., :3, :3], T_world_rest[..., :3, 3]
-    return (A @ rest.joints[..., None])[..., 0] + t
+    return (A @ joints[..., None])[..., 0] + t
 
 
 def _bones(joints: Tensor, goal: Tensor) -> Tensor:
-    """C of eq. 1, (55, 3, 3), for rest joints (55, 3) of both bodies."""
+    """Return C of eq. 1, (55, 3, 3), for rest joints (55, 3) of both bodies."""
     C = torch.eye(3, dtype=joints.dtype).repeat(len(JOINTS), 1, 1)
     for joint in range(len(JOINTS)):
         children = [k for k, parent in enumerate(PARENTS) if parent == joint]
         if joint in LEVEL:
             continue
-        if not children:  # the end of a finger goes on straight
+        if not children:  # a fingertip keeps the direction of its bone
             C[joint] = C[PARENTS[joint]]
             continue
         a, b = (x[children] - x[joint] for x in (joints, goal))
@@ -127,7 +127,7 @@ def _bones(joints: Tensor, goal: Tensor) -> Tensor:
 
 
 def _between(a: Tensor, b: Tensor) -> Tensor:
-    """The smallest rotation that turns direction a (3,) into b."""
+    """Return the smallest rotation from direction a (3,) to b."""
     a, b = a / a.norm(), b / b.norm()
     axis = torch.linalg.cross(a, b)
     sine = axis.norm()
@@ -135,10 +135,10 @@ def _between(a: Tensor, b: Tensor) -> Tensor:
 
 
 def _closest_shape(body: BodyModel, goal: Rest, faces: Tensor) -> Shape:
-    """The betas of eq. 3.
+    """Solve eq. 3 for the betas.
 
-    With the bones' directions held, vertices and joints are linear in the betas, so that every
-    round is one linear problem, in the betas and a translation.
+    For fixed bone directions, vertices and joints are linear in betas and translation, so every
+    round is a bounded linear least-squares problem.
     """
     from scipy.optimize import lsq_linear
     from scipy.spatial import cKDTree
@@ -153,7 +153,7 @@ def _closest_shape(body: BodyModel, goal: Rest, faces: Tensor) -> Shape:
         C = _bones(body.rest(Shape(torch.from_numpy(solution[:count]))).joints, goal.joints)
         surface, joints = _linear(body, C)
         distance, index = tree.query(surface[0] + np.tensordot(solution, surface[1:], axes=1))
-        # Joints alone first: the bodies are apart.
+        # First joints alone, because the bodies are still apart.
         weight = area.numpy() * (distance < PAIRED) if round_ else np.zeros(len(some))
         weight = np.sqrt(weight / max(weight.sum(), 1e-12))
         n, apart = normals[index] * weight[:, None], goal.vertices.numpy()[index] - surface[0]
@@ -174,8 +174,11 @@ def _closest_shape(body: BodyModel, goal: Rest, faces: Tensor) -> Shape:
 
 
 def _linear(body: BodyModel, C: Tensor) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices and joints of the body with its bones turned by C (55, 3, 3), as linear functions:
-    at zero, then what each beta and each axis of the translation adds, (1 + B + 3, V or 55, 3)."""
+    """Return vertices and joints, bones turned by C, as linear functions of betas and translation.
+
+    Returns:
+        two arrays (1 + B + 3, V or 55, 3): the value at zero, then the derivatives.
+    """
     above = torch.cat([torch.eye(3, dtype=C.dtype)[None], C[list(PARENTS[1:])]])
     pose = Pose.rest(1, 0, C.dtype)
     pose = Pose(roma.rotmat_to_rotvec(above.mT @ C)[None], pose.transl, pose.expression)
@@ -190,7 +193,7 @@ def _linear(body: BodyModel, C: Tensor) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """The area around each vertex (V,), m²: a third of its faces'."""
+    """Return vertex areas (V,), m²: a third of the adjacent faces' area."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6
     return sum(np.bincount(faces[:, k], area, len(vertices)) for k in range(3))
@@ -199,14 +202,14 @@ def _areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 def _step(
     rotations: Tensor, transl: Tensor, joints: Tensor, targets: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """One step of eq. 4: rotations (T, 55, 3) and translations (T, 3), towards targets (T, 55, 3).
+    """Move rotations (T, 55, 3) and translations (T, 3) one step of eq. 4 to targets (T, 55, 3).
 
-    A turn ω of joint k about itself, in the world, moves what hangs on it by ω × (p_j − p_k).
+    A rotation vector ω of joint k in the world moves a descendant j by ω × (p_j − p_k).
     """
     T_world_rest = joint_transforms(rotations, joints, PARENTS, transl)
-    places = _places(T_world_rest, Rest(joints, joints))
+    places = _places(T_world_rest, joints)
     limbs = list(LIMBS)
-    hangs = _hangs_on()[limbs].to(places.dtype)  # (j, k)
+    hangs = _descends()[limbs].to(places.dtype)  # (j, k)
     arm = (places[:, limbs, None] - places[:, None]) * hangs[..., None]  # (T, j, k, 3)
     # ω × a = [a]×ᵀ ω
     zero = torch.zeros_like(arm[..., 0])
@@ -228,8 +231,8 @@ def _step(
     return roma.rotmat_to_rotvec(R), transl + change[:, -3:]
 
 
-def _hangs_on() -> Tensor:
-    """(55, 55): one in row j, column k where joint j hangs on joint k and is not it."""
+def _descends() -> Tensor:
+    """Return (55, 55) with 1 where joint j (row) is a descendant of joint k (column)."""
     hangs = torch.zeros(len(JOINTS), len(JOINTS))
     for joint, parent in enumerate(PARENTS):
         if parent >= 0:

@@ -1,4 +1,4 @@
-"""A contact sheet: the study's subjects, and what the video of one of them holds."""
+"""A contact sheet of the study's subjects and of one subject's video."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from gva_mi.body.pose import ROOT
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.synthetic import motion
 from gva_mi.data.synthetic.dataset import make_subject
+from gva_mi.data.synthetic.framing import camera_around
 from gva_mi.data.synthetic.options import SynthOptions
 from gva_mi.data.synthetic.people import STUDY
-from gva_mi.data.synthetic.render import Renderer, camera_around
+from gva_mi.data.synthetic.render import Renderer
 from gva_mi.data.synthetic.subject import Subject, draw_subject
 from gva_mi.data.video import Video, load_video
 from gva_mi.files import replacing_together
@@ -24,8 +25,8 @@ CAPTION, GAP = 22, 6  # px, height of a line of text; space between pictures
 COLUMNS = len(STUDY)
 COLORS = 256  # of the file's palette
 TALL = 1.25  # size of a picture of the whole person, over the width that is shown
-HEAD, REACH = (-0.03, -0.03, -0.06), 0.17  # m, a portrait's middle from the left eye; half its size
-AZIMUTHS = (2.6, 0.7, -0.9, -2.3, 0.5, 1.2, 2.2)  # rad, from where the poses are seen
+HEAD, REACH = (-0.03, -0.03, -0.06), 0.17  # m, a portrait's centre from the left eye; half its size
+AZIMUTHS = (2.6, 0.7, -0.9, -2.3, 0.5, 1.2, 2.2)  # rad, of the views of poses
 
 
 def contact_sheet(
@@ -37,11 +38,11 @@ def contact_sheet(
     samples: int = 16,
     progress: Callable[..., None] | None = None,
 ) -> None:
-    """Write the sheet as a PNG: portraits, fronts and poses of all subjects, a video below.
+    """Write the sheet as a PNG: portrait, front and a pose of all subjects, and a video.
 
     Args:
         path: the file.
-        body: the body they are made on.
+        body: of the subjects.
         subject: whose video is shown.
         size: width of a picture, pixels.
         samples: rays per pixel, a square number.
@@ -63,7 +64,7 @@ def contact_sheet(
         list(STUDY), [], [], [f"{subject}: frames of a video"], ["masks"], ["normals"],
         ["stage-1 poses over the frames"],
     ]  # fmt: skip
-    # The video beside the sheet, where the next one finds and removes what a killed process left.
+    # The video lies beside the sheet, where the next call removes what a killed process left.
     with replacing_together(path) as folder:
         make_subject(folder / subject, options, body)
         shown = _video_rows(load_video(folder / subject), body)
@@ -73,7 +74,7 @@ def contact_sheet(
 
 
 def _write(path: Path, canvas: np.ndarray) -> None:
-    """Write a picture in [0, 1] as a PNG with a palette, which is small."""
+    """Write a picture in [0, 1] as a small PNG with a palette."""
     from PIL import Image
 
     image = Image.fromarray(np.round(255 * canvas).astype(np.uint8))
@@ -84,27 +85,24 @@ def _write(path: Path, canvas: np.ndarray) -> None:
 def _portrait_front_pose(
     subject: Subject, body: BodyModel, k: int, size: int, samples: int
 ) -> list[np.ndarray]:
-    """Three pictures of the k-th subject: its head, the A-pose, and a pose seen from elsewhere."""
+    """Render the head, the A-pose, and another pose of the k-th subject."""
     renderer, tall = Renderer(subject), round(TALL * size)
     rng = np.random.default_rng(k)
     standing = motion.turn(np.array([0.0]), body.num_expressions, rng)
     acting = motion.novel(COLUMNS, body.num_expressions, rng)[k]
     standing.rotations[:, ROOT] = 0
-    surfaces = [subject.posed(body, pose, folds=1.0)[0] for pose in (standing, acting)]
+    still, pose = (subject.posed(body, p, folds=1.0)[0] for p in (standing, acting))
     head = np.abs(subject.vertices - subject.look.face.eyes[0] - HEAD).max(1) < REACH
-    cameras = [
-        camera_around(surfaces[0][head], size, 0.5, 0.05),
-        camera_around(surfaces[0], tall),
-        camera_around(surfaces[1], tall, AZIMUTHS[k % len(AZIMUTHS)], 0.12),
+    views = [
+        (still, camera_around(still[head], size, 0.5, 0.05)),
+        (still, camera_around(still, tall)),
+        (pose, camera_around(pose, tall, AZIMUTHS[k % len(AZIMUTHS)], 0.12)),
     ]
-    return [
-        renderer(surfaces[i], camera, samples, k).color
-        for i, camera in zip((0, 0, 1), cameras, strict=True)
-    ]
+    return [renderer(surface, camera, samples, k).color for surface, camera in views]
 
 
 def _video_rows(video: Video, body: BodyModel) -> list[list[np.ndarray]]:
-    """Frames, masks, normals and overlays of a video."""
+    """Return rows of frames, masks, normals and overlays of a video."""
     rows: list[list[np.ndarray]] = [[], [], [], []]
     for frame in video.frames():
         with torch.no_grad():
@@ -119,7 +117,7 @@ def _video_rows(video: Video, body: BodyModel) -> list[list[np.ndarray]]:
 
 
 def _laid_out(rows: list[list[np.ndarray]], captions: list[list[str]], size: int) -> np.ndarray:
-    """Rows of pictures on white, each below its captions, without the white above and below."""
+    """Arrange rows of pictures below their captions on white, cropped to their content."""
     from PIL import Image, ImageDraw, ImageFont
 
     width = COLUMNS * (size + GAP) - GAP

@@ -1,9 +1,9 @@
-"""The same recording under another noise, so that a study of many renders each person once.
+"""Degrade an existing recording with other errors, so that a study renders each person once.
 
-Frames and truth are those of a subject that is there, by hard links where the disk allows it; what
-a pipeline says about them is drawn anew. The folder holds what :func:`make_subject` would write
-with that family and that seed of the noise, whatever noise the subject had before. ``bursts`` alone
-starts from normals as they were rendered: over files, its normals are up to a grey level off.
+Frames and ground truth are hard-linked from the old folder if the disk allows it; estimates are
+drawn anew. The result is what :func:`make_subject` writes for that error model and seed, whatever
+errors the recording had before. Only ``bursts`` degrades normals as rendered, so over files its
+normals are up to one grey level off.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.console import Progress
 from gva_mi.data.fingerprint import require_same_body
 from gva_mi.data.synthetic.closest import closest
-from gva_mi.data.synthetic.estimates import Pipeline, spoil_pictures
+from gva_mi.data.synthetic.estimates import Pipeline, write_estimates
 from gva_mi.data.synthetic.recorded import made_of
 from gva_mi.data.truth import load_truth
 from gva_mi.files import replacing, whole_folder, write_json
@@ -35,21 +35,21 @@ def degrade(
     progress: Progress | None = None,
     replaced: str | None = None,
 ) -> None:
-    """Write a recording's folder with another noise; it appears when it is complete.
+    """Write a recording's folder with other errors; it appears when it is complete.
 
     Args:
         subject: a folder that :func:`make_subject` or this function made.
         out: the new folder, which must not exist or be empty.
-        family: of the noise.
-        seed: of the noise.
+        family: the error model.
+        seed: of the errors.
         body: the body that the subject was made on.
-        level: factor on all of the noise; 0 is exact.
+        level: factor on all errors; 0 is exact.
         progress: called as ``progress(done, total)`` after each frame.
-        replaced: the marker of a folder that may be replaced, once the new one is complete.
+        replaced: marker file of a folder that may be replaced once the new one is complete.
 
     Raises:
-        InputError: ``out`` already holds something else; ``subject`` is none that was made here, or
-            on another body; there is no such family.
+        InputError: ``out`` holds something else, ``subject`` was not made here or on another body,
+            or there is no such error model.
     """
     subject, out = Path(subject), Path(out)
     about, options = made_of(subject)
@@ -64,25 +64,25 @@ def degrade(
     with whole_folder(out, replaced) as folder:
         for name in KEPT:
             if (subject / name).exists():
-                _linked(subject / name, folder / name)
-        # Older subjects have none: all their noise left the camera alone.
+                _link(subject / name, folder / name)
+        # Old subjects have none, because no error model changed the camera.
         if not (folder / "truth" / "cameras.npz").exists():
-            _linked(subject / "cameras.npz", folder / "truth" / "cameras.npz")
-        errors = []
-        for k, noise in enumerate(pipeline.pictures()):
-            errors.append(spoil_pictures(folder, k, noise, options.samples))
+            _link(subject / "cameras.npz", folder / "truth" / "cameras.npz")
+        statistics = []
+        for k, errors in enumerate(pipeline.pictures()):
+            statistics.append(write_estimates(folder, k, errors, options.samples))
             if progress is not None:
                 progress(k + 1, len(near.pose))
-        pipeline.write(folder, errors)
+        pipeline.write(folder, statistics)
         write_json(folder / "synth.json", about | {"options": options.recorded()})
 
 
-def _linked(source: Path, target: Path) -> None:
-    """The same files at another place: links, or copies where there can be none."""
+def _link(source: Path, target: Path) -> None:
+    """Hard-link a file or a folder's files, or copy them where links are not possible."""
     if source.is_dir():
         target.mkdir(parents=True, exist_ok=True)
         for path in sorted(source.iterdir()):
-            _linked(path, target / path.name)
+            _link(path, target / path.name)
         return
     target.parent.mkdir(parents=True, exist_ok=True)
     try:

@@ -1,8 +1,8 @@
-"""What a pipeline says about a recording: imperfect poses, camera, masks and normals.
+"""The estimates of a pipeline for a recording: poses, camera, masks and normals with errors.
 
-Its noise is drawn from a family. Truth and options alone decide it, so that a recording that is
-there can be given another noise, see :mod:`gva_mi.data.synthetic.degrade`: what is wrong in a
-frame's mask and normals starts from the files of the truth, 8 bits a channel.
+They depend on the ground truth and the options alone, so a recording can be degraded again, see
+:mod:`gva_mi.data.synthetic.degrade`. Masks and normals are degraded from the files of the ground
+truth, which have 8 bits per channel.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ import numpy as np
 
 from gva_mi.body.pose import save_poses
 from gva_mi.body.smplx import BodyModel
-from gva_mi.data.normals import ABOUT, NormalMaps
+from gva_mi.data.normals import ABOUT, NormalMaps, to_icon
 from gva_mi.data.pictures import read_image, write_image
 from gva_mi.data.synthetic.closest import Closest
-from gva_mi.data.synthetic.noise.errors import mask_iou, normal_error, pose_error
-from gva_mi.data.synthetic.noise.families import FAMILIES, Noise, draw
-from gva_mi.data.synthetic.noise.masks import mistaken
-from gva_mi.data.synthetic.noise.pictures import PictureNoise
-from gva_mi.data.synthetic.noise.poses import believed_camera, noisy_poses
+from gva_mi.data.synthetic.noise.families import EXACT, ErrorParameters, Levels, draw_errors
+from gva_mi.data.synthetic.noise.masks import Confusion, confusions, noisy_mask
+from gva_mi.data.synthetic.noise.measure import mask_iou, normal_error, pose_error
+from gva_mi.data.synthetic.noise.normals import noisy_normals
+from gva_mi.data.synthetic.noise.poses import estimated_camera, noisy_poses
 from gva_mi.data.synthetic.noise.processes import runs
 from gva_mi.data.synthetic.options import MISSING, MISTAKEN, MOTION, NOISE, RENDER, SynthOptions
 from gva_mi.data.video import save_cameras
@@ -31,26 +31,54 @@ from gva_mi.errors import expecting
 from gva_mi.files import read_json, write_json
 from gva_mi.splat import Camera
 
-MISSING_FRAMES = 3.0  # frames in a row without normals, on average
+MISSING_FRAMES = 3.0  # mean number of consecutive frames without normals
 
 
 @dataclass(frozen=True)
-class PictureError:
-    """How far one frame's mask and normals are from the truth."""
+class PictureErrors:
+    """The errors of one frame's mask and normals."""
+
+    parameters: ErrorParameters
+    levels: Levels
+    camera: Camera
+    seed: tuple[int, ...]  # of everything random in them
+    confusion: Confusion = Confusion()
+    no_normals: bool = False  # the frame has none
+
+    def apply(self, mask: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+        """Degrade a true mask (H, W) and true normals (H, W, 3) in camera space."""
+        _, errors = np.random.SeedSequence(self.seed).spawn(2)  # the first is the renderer's
+        of_mask, of_normals = (np.random.default_rng(s) for s in errors.spawn(2))
+        found, levels = self.parameters, self.levels
+        mask = noisy_mask(mask, found.mask, levels.mask, of_mask, self.confusion)
+        if self.no_normals:
+            return mask, None
+        return mask, noisy_normals(normals, mask, found.normal, levels.normal, of_normals)
+
+    def in_convention(self, normals: np.ndarray) -> np.ndarray:
+        """Convert normals in camera space to the convention of the files."""
+        if self.parameters.normal.convention == "icon" and self.levels.normal > 0:
+            return to_icon(normals, self.camera)
+        return normals
+
+
+@dataclass(frozen=True)
+class ErrorStatistics:
+    """How far one frame's mask and normals are from the ground truth."""
 
     iou: float  # of the masks
-    angle: float | None  # degrees, between the normals; None where the frame has none
+    angle: float | None  # degrees, between the normals; None without normals
 
 
 @dataclass(frozen=True)
 class Pipeline:
-    """What looks at a recording and gives poses, masks and normals for it.
+    """A pipeline that estimates poses, masks and normals of a recording.
 
     Attributes:
-        options: which family of noise, at which levels, from which seed.
-        body: that the poses are for.
+        options: error model, levels and seed.
+        body: of the estimated poses.
         cameras: the true ones, of all frames.
-        near: what a perfect estimator would say with that body: the truth, where it was filmed.
+        near: the ground truth on that body.
     """
 
     options: SynthOptions
@@ -60,56 +88,55 @@ class Pipeline:
 
     @property
     def starts_from_files(self) -> bool:
-        """Whether what is wrong in masks and normals starts from the files of the truth."""
-        return not FAMILIES[self.options.family].exact
+        """Whether masks and normals are degraded from the files of the ground truth."""
+        return self.options.family != EXACT
 
     @property
-    def noise(self) -> Noise:
-        """What goes wrong."""
-        return draw(self.options.family, self.options.seed_of_noise)
+    def errors(self) -> ErrorParameters:
+        return draw_errors(self.options.family, self.options.seed_of_noise)
 
-    def pictures(self) -> list[PictureNoise]:
-        """What goes wrong in the mask and the normals of each frame."""
-        options, noise, levels = self.options, self.noise, self.options.levels
-        seen = mistaken(
-            self.body, self.near.pose, self.near.shape, self.cameras[0], noise.mask, levels.mask,
+    def pictures(self) -> list[PictureErrors]:
+        """Draw the errors of mask and normals of each frame."""
+        options, errors, levels = self.options, self.errors, self.options.levels
+        confused = confusions(
+            self.body, self.near.pose, self.near.shape, self.cameras[0], errors.mask, levels.mask,
             options.random_noise(MISTAKEN),
         )  # fmt: skip
-        share = min(levels.normal * noise.normal.missing, 0.9)
-        missing = runs(options.random_noise(MISSING), len(seen), share, MISSING_FRAMES)
+        share = min(levels.normal * errors.normal.missing, 0.9)
+        missing = runs(options.random_noise(MISSING), len(confused), share, MISSING_FRAMES)
         seed = (*options.entropy_of_noise(RENDER), MOTION)
         return [
-            PictureNoise(noise, levels, self.cameras[k], (*seed, k), seen[k], bool(missing[k]))
-            for k in range(len(seen))
+            PictureErrors(errors, levels, self.cameras[k], (*seed, k), confused[k], bool(gone))
+            for k, gone in enumerate(missing)
         ]
 
-    def write(self, folder: Path, errors: Sequence[PictureError]) -> None:
-        """Write poses, camera, how normals are written, and what the noise is like.
+    def write(self, folder: Path, pictures: Sequence[ErrorStatistics]) -> None:
+        """Write poses, cameras, the convention of normals, and ``noise.json``.
 
         Args:
-            folder: the subject's.
-            errors: of the masks and normals of all frames, which are there already.
+            folder: of the subject.
+            pictures: errors of the masks and normals of all frames, whose files exist already.
         """
-        options, noise, levels = self.options, self.noise, self.options.levels
+        options, errors, levels = self.options, self.errors, self.options.levels
         truth, rng = (self.near.pose, self.near.shape), options.random_noise(NOISE)
         first = self.cameras[0]
-        found = noisy_poses(self.body, *truth, first, noise.pose, levels.pose, rng)
+        found = noisy_poses(self.body, *truth, first, errors.pose, levels.pose, rng)
         save_poses(folder / "poses.npz", *found, stage=1)
-        believed = [believed_camera(camera, noise.pose, levels.pose) for camera in self.cameras]
-        save_cameras(folder / "cameras.npz", believed)
-        if noise.normal.convention != "perspective" and levels.normal > 0:
-            write_json(folder / ABOUT, {"convention": noise.normal.convention})
-        angles = [error.angle for error in errors if error.angle is not None]
+        cameras = [estimated_camera(camera, errors.pose, levels.pose) for camera in self.cameras]
+        save_cameras(folder / "cameras.npz", cameras)
+        if errors.normal.convention != "perspective" and levels.normal > 0:
+            write_json(folder / ABOUT, {"convention": errors.normal.convention})
+        angles = [picture.angle for picture in pictures if picture.angle is not None]
         statistics = {
             "family": options.family,
             "seed": options.seed_of_noise,
             "levels": asdict(levels),
-            "parameters": asdict(noise),
+            "parameters": asdict(errors),
             "pose": asdict(pose_error(self.body, *found, *truth, first)),
-            "mask": {"iou": float(np.mean([error.iou for error in errors]))},
+            "mask": {"iou": float(np.mean([picture.iou for picture in pictures]))},
             "normal": {
                 "angle_deg": float(np.mean(angles)) if angles else None,
-                "missing": len(errors) - len(angles),
+                "missing": len(pictures) - len(angles),
             },
             "floor": {"joint_mm": self.near.joint_mm, "limb_mm": self.near.limb_mm},
         }
@@ -117,21 +144,18 @@ class Pipeline:
 
 
 def describe_noise(folder: Path) -> list[str]:
-    """What the noise of a subject's folder is like, in a few lines for people."""
+    """Describe the errors of a subject's folder in a few lines."""
     path, expected = Path(folder) / "noise.json", "what gva-mi synth writes"
     found = read_json(path, expected)
     with expecting(path, expected):
-        return list(_noise_in_words(found))
+        return list(_in_words(found))
 
 
-def _noise_in_words(found: dict[str, Any]) -> Iterator[str]:
-    """Lines about what ``noise.json`` holds."""
+def _in_words(found: dict[str, Any]) -> Iterator[str]:
     pose, levels, normal = found["pose"], found["levels"], found["normal"]
     lost = len(pose["lost_left_hand"]), len(pose["lost_right_hand"])
     angle, missing = normal["angle_deg"], normal.get("missing", 0)
     known = "none" if angle is None else f"{angle:.1f} degrees off"
-    floor = found.get("floor", {"joint_mm": 0.0})
-    foreign = "the fitted body comes as near as {limb_mm:.1f} mm to the joints of the limbs"
     yield f"noise: family {found.get('family', 'bursts')}, seed {found.get('seed', 'unknown')}"
     yield (
         f"stage-1 poses (level {levels['pose']:g}): body {pose['vertex_mm']:.0f} mm, hands "
@@ -139,37 +163,38 @@ def _noise_in_words(found: dict[str, Any]) -> Iterator[str]:
         f"{pose['sideways']:.1f} times the rotation error; left hand lost in {lost[0]} frames, "
         f"right in {lost[1]}"
     )
-    yield f"masks (level {levels['mask']:g}): IoU {found['mask']['iou']:.3f} with the truth"
+    yield f"masks (level {levels['mask']:g}): IoU {found['mask']['iou']:.3f} with the ground truth"
     also = f"; missing in {missing} frames" if missing else ""
     yield f"normals (level {levels['normal']:g}): {known}{also}"
-    if floor["joint_mm"] > 0:
-        yield foreign.format(**floor)
+    if "floor" in found and found["floor"]["joint_mm"] > 0:
+        limb_mm = found["floor"]["limb_mm"]
+        yield f"the fitted body comes as near as {limb_mm:.1f} mm to the joints of the limbs"
 
 
-def spoil_pictures(
+def write_estimates(
     folder: Path,
     index: int,
-    noise: PictureNoise,
+    errors: PictureErrors,
     samples: int,
     rendered: tuple[np.ndarray, np.ndarray] | None = None,
-) -> PictureError:
-    """Write the noisy mask and normals of a frame whose true ones are in ``truth``.
+) -> ErrorStatistics:
+    """Write mask and normals with errors for a frame whose ground truth is in ``truth``.
 
     Args:
-        folder: the subject's.
+        folder: of the subject.
         index: of the frame.
-        noise: what goes wrong.
-        samples: rays per pixel that the truth was rendered with.
-        rendered: mask (H, W) and normals (H, W, 3) to start from in place of the files.
+        errors: of the frame.
+        samples: rays per pixel of the ground truth.
+        rendered: mask (H, W) and normals (H, W, 3) to degrade instead of the files.
     """
-    truth = rendered or _true_pictures(folder / "truth", index, noise.camera, samples)
-    mask, normals = noise.of(*truth)
+    truth = rendered or _true_pictures(folder / "truth", index, errors.camera, samples)
+    mask, normals = errors.apply(*truth)
     write_image(folder / "masks" / f"{index:06d}.png", mask)
     if normals is None:
         (folder / "normals").mkdir(exist_ok=True)
-        return PictureError(mask_iou(mask, truth[0]), None)
-    write_normals(folder, index, noise.in_convention(normals))
-    return PictureError(mask_iou(mask, truth[0]), normal_error(normals, truth[1]))
+        return ErrorStatistics(mask_iou(mask, truth[0]), None)
+    write_normals(folder, index, errors.in_convention(normals))
+    return ErrorStatistics(mask_iou(mask, truth[0]), normal_error(normals, truth[1]))
 
 
 def write_normals(folder: Path, index: int, normals: np.ndarray) -> None:
@@ -180,9 +205,8 @@ def write_normals(folder: Path, index: int, normals: np.ndarray) -> None:
 def _true_pictures(
     truth: Path, index: int, camera: Camera, samples: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Mask and normals as they were rendered, but for what 8 bits cannot hold of normals."""
+    """Read mask and normals of the ground truth; only normals lose precision in 8 bits."""
     stored = read_image(truth / "masks" / f"{index:06d}.png", 1)
-    hits = np.round(stored * (samples / 255))  # a mask is a share of the rays: nothing is lost
+    hits = np.round(stored * (samples / 255))  # a mask is a fraction of the rays
     mask = (hits / samples).astype(np.float32)
-    normals = NormalMaps(truth / "normals", "perspective", None).read(index, camera)
-    return mask, normals
+    return mask, NormalMaps(truth / "normals", "perspective", None).read(index, camera)

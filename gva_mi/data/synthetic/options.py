@@ -1,4 +1,4 @@
-"""All that can be chosen about a synthetic subject, and the random numbers it is made with."""
+"""Options of a synthetic subject, and the random number streams it is made with."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from gva_mi.data.synthetic.stretched import Stretch, stretched
 from gva_mi.errors import InputError
 from gva_mi.ranges import PictureSide, Seed, Within, Workers, require_ranges
 
-# One stream of random numbers for each thing that is drawn.
+# Random number streams, one for each purpose.
 MOTION, NOISE, NOVEL_POSE, NOVEL_VIEW, RENDER, BACKGROUND, MISTAKEN, MISSING = range(1, 9)
 FIGURE, OUTFIT = 11, 12
 FIGURES = ("own", "stretched", "anny")
-MOST_PIXELS = 1 << 31  # of a whole video, which is in memory while it is made
+MOST_PIXELS = 1 << 31  # of a whole video, which is held in memory
 VideoFrames = Annotated[int, Within(2, 10_000)]
 NovelPictures = Annotated[int, Within(0, 1000)]
 Level = Annotated[float, Within(0, 10)]
@@ -28,11 +28,11 @@ Level = Annotated[float, Within(0, 10)]
 
 @dataclass(frozen=True)
 class SynthOptions:
-    """A synthetic subject: who, doing what, seen how, and how wrong its stage-1 data are."""
+    """A synthetic subject, its motion, its pictures, and the errors of its stage-1 data."""
 
-    seed: Seed = 0  # another seed is another person: shape, clothes, hair, colours, motion, noise
-    subject: str | None = None  # one of the study's seven by name; the seed varies motion, noise
-    figure: Literal["own", "stretched", "anny"] = "own"  # the body drawn, where not the fitted one
+    seed: Seed = 0  # of the person, its motion and its errors
+    subject: str | None = None  # one of the seven by name; the seed varies motion, errors
+    figure: Literal["own", "stretched", "anny"] = "own"  # the body drawn
     outfit: Literal["own", "foreign"] = "own"  # foreign: thick soles, wide trousers, bag, hood
     motion: Literal["turn", "everyday", "still", "half", "walk", "sit", "dance"] = "turn"
     frames: VideoFrames = 80  # of the video, which is one full turn
@@ -40,21 +40,21 @@ class SynthOptions:
     samples: Annotated[int, Within(1, 4096)] = 16  # rays per pixel, a square number
     clothes: bool = True  # clothes and shoes; without them a swimsuit is painted on the skin
     hair: bool = True  # without it the head is bald
-    light: Literal["usual", "side", "ambient"] = "usual"  # besides the sky, see render.LIGHTS
-    camera: Literal["stands", "circles"] = "stands"  # circles: once round the person; no noise then
-    folds: Level = 1.0  # factor on creases where cloth bends and on ends that lag; 0: skinned only
-    family: str = "bursts"  # of noise: what goes wrong; see gva_mi.data.synthetic.noise.families
-    noise_seed: Seed | None = None  # which noise of the family; without it, the seed's
-    noise: Level = 1.0  # factor on the three levels below; 0: exact poses, masks and normals
-    pose_noise: Level = 1.0  # of the stage-1 poses; 1 is a vertex error of about 66 mm in bursts
-    mask_noise: Level = 1.0  # of the masks; 1 is a boundary off by about 1 pixel at 512 in bursts
-    normal_noise: Level = 1.0  # of the normals; 1 is a blur of 2 pixels at 512, 9 degrees in bursts
-    novel_poses: NovelPictures = 8  # pictures of poses that the video does not hold
-    novel_views: NovelPictures = 8  # pictures of video frames from other sides
-    background: bool = False  # a room behind the person, in the frames of the video
-    blur: Level = 0.0  # of these frames, pixels at 512
-    sensor_noise: Level = 0.0  # of these frames; 1 is about 1.5 % of white
-    workers: Workers = 1  # processes that take pictures; any number gives the same bits
+    light: Literal["usual", "side", "ambient"] = "usual"  # lamps besides the sky
+    camera: Literal["stands", "circles"] = "stands"  # circles: once around the person, with noise 0
+    folds: Level = 1.0  # factor on creases and lagging ends of cloth; 0: skinned only
+    family: str = "bursts"  # error model of poses, masks and normals
+    noise_seed: Seed | None = None  # of the errors; without it, seed
+    noise: Level = 1.0  # factor on the three levels below; 0: exact
+    pose_noise: Level = 1.0  # of the stage-1 poses; in bursts, 1 is about 66 mm vertex error
+    mask_noise: Level = 1.0  # of the masks; in bursts, 1 is about 1 pixel off at size 512
+    normal_noise: Level = 1.0  # of the normals; in bursts, 1 is about 9 degrees
+    novel_poses: NovelPictures = 8  # held-out pictures of other poses
+    novel_views: NovelPictures = 8  # held-out pictures of frames from other sides
+    background: bool = False  # a room behind the person in the video
+    blur: Level = 0.0  # of the video, pixels at 512
+    sensor_noise: Level = 0.0  # of the video; 1 is about 1.5 % of white
+    workers: Workers = 1  # processes that render; any number gives the same bits
 
     def __post_init__(self) -> None:
         require_ranges("synth", self)
@@ -76,10 +76,10 @@ class SynthOptions:
                 names = ", ".join(str(k) for k in known if k)
                 raise InputError(f"synth: no {name} '{getattr(self, name)}'; there are: {names}")
         if self.camera == "circles" and any(asdict(self.levels).values()):
-            raise InputError("synth: noise hangs on a camera that stands; circles needs noise 0")
+            raise InputError("synth: errors need a fixed camera; --camera circles needs --noise 0")
 
     def drawn_on(self, body: BodyModel) -> BodyModel:
-        """The body that the subject is drawn on, where ``body`` is the one that is fitted."""
+        """Return the body that the subject is drawn on, given the fitted ``body``."""
         if self.figure == "anny":
             return load_body(anny_body())
         if self.figure == "stretched":
@@ -87,45 +87,45 @@ class SynthOptions:
         return body
 
     def person(self, body: BodyModel) -> Person:
-        """Who the subject is."""
+        """Return the person for a body."""
         named = self.subject is not None
         person = STUDY[self.subject] if named else Person.draw(self.seed, body.num_betas)
         outfit = person.outfit
         if self.outfit == "foreign":
             outfit = foreign_outfit(outfit, self.random(OUTFIT))
-        if self.figure == "anny" and outfit.bottom == "skirt":  # its legs come through the cut
+        if self.figure == "anny" and outfit.bottom == "skirt":  # its legs would come through
             outfit = replace(outfit, bottom="trousers", length=1.9, flare=0.015)
         return person if outfit is person.outfit else replace(person, outfit=outfit)
 
     def recorded(self) -> dict[str, object]:
-        """What to write down: all but the number of workers, which changes no bit."""
+        """Return what is recorded: all but ``workers``, which changes no bit."""
         return {k: v for k, v in asdict(self).items() if k != "workers"}
 
     @property
     def levels(self) -> Levels:
-        """How large each kind of noise is."""
+        """Levels of all errors."""
         each = (self.pose_noise, self.mask_noise, self.normal_noise)
         return Levels(*(self.noise * level for level in each))
 
     @property
     def seed_of_noise(self) -> int:
-        """Which noise of the family."""
+        """Seed of the errors."""
         return self.seed if self.noise_seed is None else self.noise_seed
 
     def entropy(self, stream: int) -> tuple[int, ...]:
-        """What seeds one of the streams above; no two of the study's subjects share it."""
+        """Return the seed of a stream, different for all subjects of the study."""
         return (self.seed, stream, *self._named)
 
     def random(self, stream: int) -> np.random.Generator:
-        """The random numbers of one of the streams above."""
+        """Return the generator of a stream."""
         return np.random.default_rng(self.entropy(stream))
 
     def entropy_of_noise(self, stream: int) -> tuple[int, ...]:
-        """The same for what another noise of the same recording changes."""
+        """Return the seed of a stream that depends on the seed of the errors."""
         return (self.seed_of_noise, stream, *self._named)
 
     def random_noise(self, stream: int) -> np.random.Generator:
-        """The random numbers of one of the streams above, for this noise."""
+        """Return the generator of a stream that depends on the seed of the errors."""
         return np.random.default_rng(self.entropy_of_noise(stream))
 
     @property

@@ -1,7 +1,7 @@
-"""Who a subject is: shape, colours, clothes and hair; from a seed, or one of the study's seven.
+"""Synthetic subjects: shape, colours, clothes and hair, drawn from a seed or one of seven by name.
 
-The seven differ in what an avatar finds hard: hair that stands off the head, a skirt, cloth without
-texture, fine glasses, the shadow of a cap.
+The seven subjects of the study cover what is hard for an avatar: hair away from the head, a skirt,
+cloth without texture, thin glasses, the shadow of a cap.
 """
 
 from __future__ import annotations
@@ -13,54 +13,45 @@ from typing import Literal
 
 import numpy as np
 
-from gva_mi.data.synthetic.color import Color, linear, palette
-from gva_mi.data.synthetic.texture import Fabric
+from gva_mi.data.synthetic.look import Color, Fabric, linear, palette
 
-SKINS = [
-    linear(*c)
-    for c in ((232, 190, 165), (214, 165, 135), (190, 135, 102), (146, 98, 72), (104, 68, 50))
-]
-HAIRS = [
-    linear(*c) for c in ((38, 28, 24), (70, 45, 30), (120, 78, 45), (176, 132, 78), (60, 58, 60))
-]
-IRISES = [linear(*c) for c in ((70, 45, 30), (75, 105, 125), (85, 105, 70), (50, 35, 28))]
-CLOTHS = [
-    linear(*c)
-    for c in (
-        (180, 40, 45), (30, 60, 110), (235, 230, 220), (45, 90, 75), (225, 165, 50), (60, 60, 68),
-        (130, 155, 190), (120, 55, 95), (205, 120, 90), (25, 28, 38), (150, 175, 140),
-    )
-]  # fmt: skip
-DENIMS = [linear(*c) for c in ((45, 60, 90), (75, 85, 105), (38, 40, 46), (125, 110, 85))]
-
+_linear = lambda *colors: [linear(*c) for c in colors]
+SKINS = _linear((232, 190, 165), (214, 165, 135), (190, 135, 102), (146, 98, 72), (104, 68, 50))
+HAIRS = _linear((38, 28, 24), (70, 45, 30), (120, 78, 45), (176, 132, 78), (60, 58, 60))
+IRISES = _linear((70, 45, 30), (75, 105, 125), (85, 105, 70), (50, 35, 28))
+CLOTHS = _linear(
+    (180, 40, 45), (30, 60, 110), (235, 230, 220), (45, 90, 75), (225, 165, 50), (60, 60, 68),
+    (130, 155, 190), (120, 55, 95), (205, 120, 90), (25, 28, 38), (150, 175, 140),
+)  # fmt: skip
+DENIMS = _linear((45, 60, 90), (75, 85, 105), (38, 40, 46), (125, 110, 85))
 
 HairStyle = Literal["short", "bob", "long"]
 
 
 @dataclass(frozen=True)
 class Outfit:
-    """The cut of clothes and hair."""
+    """The cut of clothes and hair, and accessories."""
 
-    sleeve: float  # where sleeves end, in (0, 2): 1 the elbow, 2 the wrist
-    hem: float  # m, the shirt's end below the pelvis
-    loose: float  # m, how far the shirt stands off
+    sleeve: float  # end of the sleeves in (0, 2): 1 is the elbow, 2 the wrist
+    hem: float  # m, end of the shirt below the pelvis
+    loose: float  # m, distance of the shirt from the body
     bottom: str  # "trousers", "shorts" or "skirt"
-    length: float  # where the bottom ends, in (0, 2): 1 the knee, 2 the ankle
-    flare: float  # trousers: m that the hems stand off; skirt: growth of its radius per metre
+    length: float  # end of the bottom in (0, 2): 1 is the knee, 2 the ankle
+    flare: float  # trousers: m, distance of the hem; skirt: growth of its radius per metre
     hair: HairStyle
     hair_thick: float  # m
     glasses: bool = False
     cap: bool = False
-    sole: float = 0.0  # m, by how much the soles are thicker than a flat shoe's
+    sole: float = 0.0  # m, thickness added to the flat soles
     bag: Literal["none", "shoulder", "backpack"] = "none"
     hood: Literal["none", "down", "up"] = "none"
 
 
 @dataclass(frozen=True)
 class Person:
-    """Everything about a person but the body's surface."""
+    """A synthetic subject's shape coefficients, colours and outfit."""
 
-    seed: int  # of everything else that is random: folds, locks, motion, noise
+    seed: int  # of everything else that is random: folds, locks, motion, errors
     betas: tuple[float, ...]  # standard deviations
     skin: Color
     hair: Color
@@ -69,11 +60,11 @@ class Person:
     bottom: Fabric
     shoes: Color
     outfit: Outfit
-    accent: Color = CLOTHS[9]  # cap, or the frame of the glasses
+    accent: Color = CLOTHS[9]  # of cap, glasses and bag
 
     @staticmethod
     def draw(seed: int, num_betas: int) -> Person:
-        """The person that a seed stands for; ``num_betas`` is how many the body has."""
+        """Draw a person from a seed, for a body with ``num_betas`` shape coefficients."""
         rng = np.random.default_rng([seed, 0])
         betas = np.clip(rng.normal(0, 0.7, min(10, num_betas)), -1.4, 1.4)
         outfit = _draw_outfit(rng)
@@ -108,18 +99,18 @@ def _draw_outfit(rng: np.random.Generator) -> Outfit:
     hair, thick = str(rng.choice(["bob", "bob", "long", "short"])), float(rng.uniform(0.012, 0.02))
     drawn = Outfit(sleeve, hem, loose, bottom, float(length), float(flare), hair, thick)
     drawn = replace(drawn, glasses=bool(rng.random() < 0.2), cap=bool(rng.random() < 0.15))
-    # A skirt spreads from the hips, and would come through a longer shirt.
+    # A skirt spreads from the hips and would come through a longer shirt.
     return replace(drawn, hem=0.4 * drawn.hem) if bottom == "skirt" else drawn
 
 
 def foreign_outfit(outfit: Outfit, rng: np.random.Generator) -> Outfit:
-    """What none of the people here wears: thick soles, and mostly wide trousers, a bag, a hood."""
+    """Change an outfit to one unlike the others: thick soles, wide trousers, a bag, a hood."""
     outfit = replace(outfit, sole=float(rng.uniform(0.01, 0.05)))
     if rng.random() < 0.7:
         length, flare = float(rng.uniform(1.8, 1.95)), float(rng.uniform(0.03, 0.06))
         outfit = replace(outfit, bottom="trousers", length=length, flare=flare)
     bag, hood = rng.choice(["none", "shoulder", "backpack"]), rng.choice(["none", "down", "up"])
-    if hood == "up":  # it hides the hair, and leaves no room for a cap
+    if hood == "up":  # hides the hair and leaves no room for a cap
         outfit = replace(outfit, hair="short", hair_thick=0.012, cap=False)
     return replace(outfit, bag=str(bag), hood=str(hood))
 

@@ -1,4 +1,4 @@
-"""What a subject's folder was made of: its options, and the person drawn once more."""
+"""The provenance of a subject's folder: its options, and its person made again."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SURFACE = "truth/surface.ply"  # in the subject's folder
 
 
 def made_of(subject: Path) -> tuple[dict, SynthOptions]:
-    """What a subject's ``synth.json`` says, and the options in it.
+    """Read a subject's ``synth.json`` and the options in it.
 
     Raises:
         InputError: the folder was not made by ``gva-mi synth``.
@@ -39,17 +39,16 @@ def write_surface(path: Path, person: Subject) -> None:
 
 
 def drawn_again(subject: Path, body: BodyModel) -> tuple[Subject, BodyModel] | None:
-    """The person of a folder, and the body that it was drawn on.
+    """Make the person of a folder again, with materials and binding, and its body.
 
-    The folder keeps the outer surface alone, :data:`SURFACE`; which triangle is cloth or hair, and
-    what it follows, is drawn anew, and the surface tells whether this is who was filmed.
+    The folder holds only the outer surface, :data:`SURFACE`, which is compared.
 
     Args:
         subject: the folder.
-        body: the one that its stage-1 poses belong to.
+        body: the body of its stage-1 poses.
 
     Returns:
-        None where an older program drew another surface.
+        None if another version of this program made another surface.
 
     Raises:
         InputError: the folder was not made by ``gva-mi synth``, or on another body.
@@ -58,10 +57,10 @@ def drawn_again(subject: Path, body: BodyModel) -> tuple[Subject, BodyModel] | N
     _, options = made_of(subject)
     drawn_on = options.drawn_on(body)
     person = draw_subject(drawn_on, options.person(drawn_on), options.clothes, options.hair)
-    return (person, drawn_on) if _was_filmed(subject / SURFACE, person) else None
+    return (person, drawn_on) if _same_surface(subject / SURFACE, person) else None
 
 
-def _was_filmed(path: Path, person: Subject) -> bool:
+def _same_surface(path: Path, person: Subject) -> bool:
     import trimesh
 
     if not path.is_file():

@@ -1,18 +1,18 @@
-"""Pictures of a subject by Mitsuba's rays, under lights that stay while the person turns.
+"""Render a synthetic subject with Mitsuba's rays under fixed lights.
 
-A pixel has S samples over its area, each a ray that misses, or hits the surface at x with normal n
-and albedo a:
+A pixel has S samples over its area. Each ray misses, or hits the surface at x with normal n and
+albedo a:
 
     1. radiance = a/π · ( Σ_l E_l(x) + π · mean over directions ω ~ cos of  L(ω) )
     2. E_l      = area of l · L_l · cos θ_x · cos θ_l / r² · visible,        one point per sample
-    3. L(ω)     = sky(ω) where nothing is hit, else what the surface there gives off on average
-    4. mask     = fraction of samples that hit;  normal = their mean, made unit
+    3. L(ω)     = sky(ω) where nothing is hit, else the average colour of the surface there
+    4. mask     = fraction of samples that hit;  normal = their mean, normalised
     5. color    = mask · sRGB( mean radiance of the hits ) + (1 − mask) · white
 
-Eq. 5 blends what is stored, so that color and mask agree as a renderer of 8-bit pictures expects.
-Lights and directions are stratified over the S samples and every light is sampled by each of them:
-Mitsuba's path tracer picks one light at random for each sample, which is noisier.
-All sums have a fixed order: the same seed gives the same bits.
+Eq. 5 blends encoded values, so color and mask agree as a renderer of 8-bit pictures expects.
+Lights and directions are stratified over the S samples and every sample uses all lights, because
+Mitsuba's path tracer, which picks one at random, is noisier. All sums have a fixed order: a seed
+always gives the same bits.
 """
 
 from __future__ import annotations
@@ -24,29 +24,27 @@ import drjit as dr
 import numpy as np
 
 from gva_mi.data.synthetic.clothes.level_sets import vertex_normals
-from gva_mi.data.synthetic.color import encode
+from gva_mi.data.synthetic.look import Material, encode
 from gva_mi.data.synthetic.subject import Subject
-from gva_mi.data.synthetic.texture import Material, albedo
-from gva_mi.splat import Camera, look_at
+from gva_mi.data.synthetic.texture import albedo
+from gva_mi.splat import Camera
 
 VARIANT = "llvm_ad_rgb"
-FOCAL = 1.45  # focal length over the picture's width
-MARGIN = 0.06  # of the picture, kept free around the person
-OFFSET = 1e-4  # m, secondary rays start this far off the surface
+OFFSET = 1e-4  # m, distance of secondary rays' origins from the surface
 
 
 @dataclass(frozen=True)
 class AreaLight:
-    """A parallelogram that shines to one side."""
+    """A parallelogram that emits light on one side."""
 
     centre: tuple[float, float, float]  # metres, world
-    u: tuple[float, float, float]  # half edges; u × v points to the side that shines
+    u: tuple[float, float, float]  # half edges; u × v points to the emitting side
     v: tuple[float, float, float]
     radiance: tuple[float, float, float]  # linear
 
 
-# Besides the sky. Usual: the key light stands left of the camera and above, a weak fill to the
-# right, both metres wide. Side: one lamp to the left, so who turns is lit from all sides.
+# Besides the sky. Usual: a key light at the upper left of the camera and a weak fill light to the
+# right, both metres wide. Side: one lamp to the left, which lights a turning person from all sides.
 LIGHTS = {
     "usual": (
         AreaLight((-2.2, 3.0, 3.0), (0.7, 0.0, 0.5), (-0.4, 0.6, 0.55), (15.0, 14.5, 13.8)),
@@ -60,16 +58,16 @@ SKY, EARTH = (0.58, 0.60, 0.63), (0.30, 0.29, 0.28)  # ambient radiance from abo
 
 @dataclass(frozen=True)
 class Rendering:
-    """The pictures of a subject that one camera sees."""
+    """Images of a subject from one camera."""
 
     color: np.ndarray  # (H, W, 3) float32 in [0, 1], sRGB-encoded, on white
-    mask: np.ndarray  # (H, W) float32 in [0, 1], covered fraction of each pixel
-    normals: np.ndarray  # (H, W, 3) float32, camera space, OpenCV axes; zero where nothing is
-    depth: np.ndarray  # (H, W) float32, metres along z; zero where nothing is
+    mask: np.ndarray  # (H, W) float32 in [0, 1], coverage
+    normals: np.ndarray  # (H, W, 3) float32, camera space, OpenCV axes; zero where empty
+    depth: np.ndarray  # (H, W) float32, metres along z; zero where empty
 
 
 class Renderer:
-    """Draws one subject in any number of poses."""
+    """Render one subject in any number of poses."""
 
     def __init__(self, subject: Subject) -> None:
         import mitsuba as mi
@@ -88,9 +86,9 @@ class Renderer:
         self._rest = mi.Float(subject.vertices.ravel())
         self._tint = mi.Float(subject.tint.ravel())
         self._corner = self._params["faces"]
-        given_off = np.array([subject.look.mean_color(p) for p in Material])
-        self._given_off = mi.Float((0.55 * given_off).ravel().astype(np.float32))
-        dr.eval(self._material, self._rest, self._tint, self._given_off)
+        emission = np.array([subject.look.mean_color(p) for p in Material])
+        self._emission = mi.Float((0.55 * emission).ravel().astype(np.float32))
+        dr.eval(self._material, self._rest, self._tint, self._emission)
 
     def __call__(
         self,
@@ -100,10 +98,10 @@ class Renderer:
         seed: int = 0,
         light: str = "usual",
     ) -> Rendering:
-        """Draw it.
+        """Render the surface.
 
         Args:
-            vertices: (N, 3) of the subject's surface in the world, metres.
+            vertices: (N, 3) of the subject in the world, metres.
             camera: the view.
             samples: rays per pixel, a square number.
             seed: of all random numbers.
@@ -143,7 +141,7 @@ class Renderer:
     def _trace(
         self, camera: Camera, samples: int, seed: int, lights: Sequence[AreaLight]
     ) -> np.ndarray:
-        """All samples of the view, (H W S, 8): radiance, world normal, depth, hit."""
+        """Trace all samples of a view, (H W S, 8): radiance, world normal, depth, hit."""
         import mitsuba as mi
 
         n = int(round(samples**0.5))
@@ -176,13 +174,13 @@ class Renderer:
         radiance = color * light * dr.inv_pi
         values = [*radiance, *n_shading, at.t / per_depth, dr.select(hit, 1.0, 0.0)]
         values = [dr.select(hit, value, 0.0) for value in values]
-        dr.eval(values)  # together: one kernel
+        dr.eval(values)  # together, as one kernel
         return np.stack([value.numpy() for value in values], axis=-1)
 
     def _surface(
         self, triangle: dr.ArrayBase, uv: dr.ArrayBase, active: dr.ArrayBase
     ) -> tuple[dr.ArrayBase, dr.ArrayBase, dr.ArrayBase, dr.ArrayBase]:
-        """Material, rest position, tint and shading normal at a point of a triangle."""
+        """Return material, rest position, tint and shading normal at points of triangles."""
         import mitsuba as mi
 
         corner = dr.gather(mi.Vector3u, self._corner, triangle, active)
@@ -202,7 +200,7 @@ class Renderer:
         uv: dr.ArrayBase,
         active: dr.ArrayBase,
     ) -> dr.ArrayBase:
-        """Irradiance from one point of an area light (eq. 2)."""
+        """Return the irradiance from one point of an area light (eq. 2)."""
         import mitsuba as mi
 
         u, v = np.array(source.u), np.array(source.v)
@@ -210,12 +208,8 @@ class Renderer:
         area = 4 * float(np.linalg.norm(across))
         facing = mi.Vector3f(*(across / np.linalg.norm(across)).tolist())
         centre = mi.Point3f(*source.centre)
-        point = (
-            centre
-            + mi.Vector3f(*source.u) * (2 * uv.x - 1)
-            + mi.Vector3f(*source.v) * (2 * uv.y - 1)
-        )
-        to = point - x
+        edge_u, edge_v = mi.Vector3f(*source.u), mi.Vector3f(*source.v)
+        to = centre + edge_u * (2 * uv.x - 1) + edge_v * (2 * uv.y - 1) - x
         distance = dr.norm(to)
         to = to / distance
         cosines = dr.maximum(dr.dot(n, to), 0) * dr.abs(dr.dot(facing, to))
@@ -227,7 +221,7 @@ class Renderer:
     def _ambient(
         self, x: dr.ArrayBase, n: dr.ArrayBase, uv: dr.ArrayBase, active: dr.ArrayBase
     ) -> dr.ArrayBase:
-        """The mean of L over directions that follow the cosine (eq. 3)."""
+        """Return L of a cosine-distributed direction (eq. 3)."""
         import mitsuba as mi
 
         local = mi.warp.square_to_cosine_hemisphere(uv)
@@ -235,15 +229,15 @@ class Renderer:
         pi = self._scene.ray_intersect_preliminary(mi.Ray3f(x, direction), active=active)
         blocked = pi.is_valid()
         material = dr.gather(mi.UInt32, self._material, pi.prim_index, active & blocked)
-        given_off = dr.gather(mi.Color3f, self._given_off, material, active & blocked)
+        emission = dr.gather(mi.Color3f, self._emission, material, active & blocked)
         sky = dr.lerp(mi.Color3f(*EARTH), mi.Color3f(*SKY), 0.5 + 0.5 * direction.y)
-        return dr.select(blocked, given_off, sky)
+        return dr.select(blocked, emission, sky)
 
 
 def _primary_rays(
     camera: Camera, x: dr.ArrayBase, y: dr.ArrayBase
 ) -> tuple[dr.ArrayBase, dr.ArrayBase]:
-    """Rays through points of the picture, pixels; and their length per metre of depth."""
+    """Return rays through image points (pixels), and their length per metre of depth."""
     import mitsuba as mi
 
     number = lambda x: dr.opaque(mi.Float, x)
@@ -263,9 +257,9 @@ def _primary_rays(
 
 
 class _Strata:
-    """Points of the unit square, one in each cell of an n × n grid over a pixel's samples.
+    """Stratified points of the unit square: one per cell of an n × n grid over a pixel's samples.
 
-    Each call and pixel has its own order of the cells, so that dimensions do not correlate.
+    The cells are permuted for each call and pixel, so that dimensions do not correlate.
     """
 
     def __init__(
@@ -287,41 +281,9 @@ class _Strata:
 
 
 def _window(vertices: np.ndarray, camera: Camera) -> tuple[int, int, int, int]:
-    """The part of the picture that holds the projected vertices: left, top, width, height."""
+    """Return the window of the picture that holds the vertices: left, top, width, height."""
     uv = camera.project(vertices.astype(np.float64))
     size = np.array([camera.width, camera.height])
     lo = np.clip(np.floor(uv.min(0)) - 1, 0, size - 1).astype(int)
     hi = np.clip(np.ceil(uv.max(0)) + 1, lo + 1, size).astype(int)
     return int(lo[0]), int(lo[1]), int(hi[0] - lo[0]), int(hi[1] - lo[1])
-
-
-def camera_around(
-    surface: np.ndarray, size: int, azimuth: float = 0.0, elevation: float = 0.06
-) -> Camera:
-    """A camera that holds all of a surface in its picture.
-
-    Its principal point lies off the middle, as in cropped videos.
-
-    Args:
-        surface: points (..., 3) in the world, metres.
-        size: pixels, width and height.
-        azimuth: where it stands around the vertical, radians; 0 is in front.
-        elevation: how high it stands, radians.
-    """
-    points = surface.reshape(-1, 3)
-    # The margin makes room for the points that are left out.
-    points = points[:: max(1, len(points) // 50_000)].astype(np.float64)
-    middle = (points.min(0) + points.max(0)) / 2
-    flat = np.cos(elevation)
-    away = np.array([np.sin(azimuth) * flat, np.sin(elevation), np.cos(azimuth) * flat])
-    centre = np.array([0.515, 0.485]) * size
-    free = (0.485 - MARGIN) * size
-    distance = 2.0
-    for _ in range(30):  # steps back or forth until it just fits: converges geometrically
-        T_camera_world = look_at(middle + distance * away, middle)
-        camera = Camera(FOCAL * size, FOCAL * size, *centre, T_camera_world, size, size)
-        reach = np.abs(camera.project(points) - centre).max() / free
-        distance *= max(reach, 0.2)
-        if abs(reach - 1) < 1e-4:
-            break
-    return camera

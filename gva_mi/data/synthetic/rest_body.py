@@ -1,4 +1,4 @@
-"""The body below the clothes, in its rest pose, and what is found on it: face, nails, knuckles."""
+"""The body below the clothes in its rest pose, and landmarks on it: face, nails, knuckles."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ import numpy as np
 from gva_mi.body.pose import JAW, JOINTS, LEFT_HAND, RIGHT_HAND, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.synthetic.clothes.level_sets import BodySurface, vertex_normals
-from gva_mi.data.synthetic.texture import FaceLandmarks, Point
+from gva_mi.data.synthetic.look import FaceLandmarks, Point
 
 _WRISTS = [JOINTS.index(f"{side}_wrist") for side in ("left", "right")]
+_FINGERS = ("index", "middle", "ring", "pinky", "thumb")
 
 
 @dataclass(frozen=True)
@@ -24,11 +25,11 @@ class RestBody:
     normals: np.ndarray  # (V, 3) unit, outwards
     joints: Mapping[str, np.ndarray]  # (3,) metres, by name
     weights: np.ndarray  # (V, 55) skinning weights
-    surface: BodySurface  # answers how far a point is
+    surface: BodySurface  # measures distances from the body
 
     @staticmethod
     def of(body: BodyModel, shape: Shape) -> RestBody:
-        """The body model in one shape."""
+        """Take a body model in one shape."""
         rest = body.rest(shape)
         vertices, faces = rest.vertices.detach().double().numpy(), body.faces.numpy()
         joints = dict(zip(JOINTS, rest.joints.detach().double().numpy(), strict=True))
@@ -38,41 +39,39 @@ class RestBody:
         return RestBody(vertices, faces, normals, joints, weights, surface)
 
     def skin_tint(self) -> np.ndarray:
-        """Factors (V, 3) on the colour of the skin: redder knuckles, paler palms."""
+        """Return factors (V, 3) on the skin colour: redder knuckles, paler palms."""
         tint = np.ones((len(self.vertices), 3))
         hands = self.weights[:, LEFT_HAND.start : RIGHT_HAND.stop].sum(1)
         hands = hands + self.weights[:, _WRISTS[0]] + self.weights[:, _WRISTS[1]]
         palm = np.clip(hands, 0, 1) * np.clip(-self.normals[:, 1], 0, 1)
         tint *= 1 + palm[:, None] * np.array([0.12, 0.10, 0.12])
         for name, joint in self.joints.items():
-            if name.rstrip("123").endswith(("index", "middle", "ring", "pinky", "thumb")):
+            if name.rstrip("123").endswith(_FINGERS):
                 near = np.exp(-((self.vertices - joint) ** 2).sum(1) / (2 * 0.006**2))
                 near *= np.clip(self.normals[:, 1], 0.2, 1)
                 tint *= 1 - near[:, None] * np.array([0.06, 0.24, 0.24])
         return tint
 
     def nails(self) -> tuple[Point, ...]:
-        """The centres of the nails, on the back of each finger's end, metres."""
+        """Return the centres of the nails, on the back of each fingertip, metres."""
         nails = []
-        for side in ("left", "right"):
-            for finger in ("index", "middle", "ring", "pinky", "thumb"):
-                name = f"{side}_{finger}3"
-                end = self.vertices[self.weights[:, JOINTS.index(name)] > 0.6]
-                if len(end) == 0:
-                    continue
-                along = self.joints[name] - self.joints[f"{side}_{finger}2"]
-                along = along / np.linalg.norm(along)
-                tip = end[(end @ along).argmax()] - 0.006 * along
-                near = end[np.linalg.norm(end - tip, axis=1) < 0.012]
-                nails.append((tip[0], near[:, 1].max() if len(near) else tip[1], tip[2]))
+        for finger in (f"{side}_{name}" for side in ("left", "right") for name in _FINGERS):
+            end = self.vertices[self.weights[:, JOINTS.index(f"{finger}3")] > 0.6]
+            if len(end) == 0:
+                continue
+            along = self.joints[f"{finger}3"] - self.joints[f"{finger}2"]
+            along = along / np.linalg.norm(along)
+            tip = end[(end @ along).argmax()] - 0.006 * along
+            near = end[np.linalg.norm(end - tip, axis=1) < 0.012]
+            nails.append((tip[0], near[:, 1].max() if len(near) else tip[1], tip[2]))
         return tuple(point(nail) for nail in nails)
 
 
 def face_landmarks(body: BodyModel, shape: Shape, rest: RestBody) -> FaceLandmarks:
-    """Where eyes and mouth are: the mouth is where the skin below the nose parts as the jaw drops.
+    """Find eyes and mouth; the mouth is where the skin below the nose parts as the jaw drops.
 
     Args:
-        body, shape: pose the jaw.
+        body, shape: used to pose the jaw.
         rest: the same body in the rest pose.
     """
     vertices = rest.vertices
@@ -99,5 +98,5 @@ def face_landmarks(body: BodyModel, shape: Shape, rest: RestBody) -> FaceLandmar
 
 
 def point(x: np.ndarray) -> Point:
-    """Three numbers as plain floats."""
+    """Convert three numbers to plain floats."""
     return (float(x[0]), float(x[1]), float(x[2]))

@@ -15,9 +15,9 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.data.synthetic.clothes.dressing import Worn, covered, dress
 from gva_mi.data.synthetic.clothes.folds import Crease, creases, lag
 from gva_mi.data.synthetic.clothes.level_sets import vertex_normals
+from gva_mi.data.synthetic.look import Look, Material
 from gva_mi.data.synthetic.people import Person
 from gva_mi.data.synthetic.rest_body import RestBody, face_landmarks, point
-from gva_mi.data.synthetic.texture import Look, Material
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -25,37 +25,32 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Subject:
-    """A person's whole outer surface in the rest pose.
-
-    Skin under clothes is left out, so that it cannot come through them.
-    """
+    """A person's outer surface in the rest pose, without the skin under clothes."""
 
     vertices: np.ndarray  # (N, 3) float32 metres
     faces: np.ndarray  # (F, 3) int64
-    binding: csr_array  # (N, V) rows sum to 1: which vertices of the body a vertex follows
-    weights: torch.Tensor  # (N, 55) skinning weights: those of these vertices
-    tint: np.ndarray  # (N, 3) float32, multiplies the colour: dark openings, red knuckles
+    binding: csr_array  # (N, V) rows sum to 1: the vertices of the body that a vertex follows
+    weights: torch.Tensor  # (N, 55) skinning weights, from these vertices
+    tint: np.ndarray  # (N, 3) float32, factor on the colour: dark openings, red knuckles
     material: np.ndarray  # (F,) uint32, see Material
     look: Look
     shape: Shape
-    slack: np.ndarray  # (N,) metres: how far loose ends may lag behind
+    slack: np.ndarray  # (N,) metres, the most that loose ends may lag behind
     creases: tuple[Crease, ...]
 
     def posed(
         self, body: BodyModel, pose: Pose, past: Sequence[Pose] = (), folds: float = 0.0
     ) -> np.ndarray:
-        """The surface in the world, (T, N, 3) float32, metres.
+        """Return the surface in the world, (T, N, 3) float32, metres.
 
-        It is skinned like the body. Whatever else moves the body's vertices, such as pose
-        correctives, moves what follows them as well. Creases and lags are added to that, see
-        :mod:`gva_mi.data.synthetic.clothes.folds`.
+        It is skinned like the body, and follows the body's pose correctives. Creases and lags of
+        :mod:`gva_mi.data.synthetic.clothes.folds` are added.
 
         Args:
-            body: the body it was drawn on.
+            body: the body that the subject is drawn on.
             pose: T frames.
-            past: poses of T frames each, a step, two steps, ... before these; without them no end
-                lags behind.
-            folds: factor on creases and lags; 0 leaves them out.
+            past: poses of T frames each, one step, two steps, ... before; empty for no lag.
+            folds: factor on creases and lags; 0 omits them.
         """
         skinned = self._skinned(body, pose, np.arange(len(self.vertices)))
         if folds == 0:
@@ -80,7 +75,7 @@ class Subject:
         return skinned
 
     def _skinned(self, body: BodyModel, pose: Pose, index: np.ndarray) -> np.ndarray:
-        """Some vertices without folds, (T, n, 3) float32."""
+        """Return the vertices ``index`` without folds, (T, n, 3) float32."""
         rest, points = body.rest(self.shape).vertices, torch.from_numpy(self.vertices[index])
         weights, binding = self.weights[torch.from_numpy(index)], self.binding[index]
         frames = []
@@ -92,7 +87,7 @@ class Subject:
         return np.stack(frames).astype(np.float32)
 
     def thinned(self, every: int) -> Subject:
-        """Every n-th vertex of the surface, without faces: to measure it, not to draw it."""
+        """Keep every n-th vertex and no faces: enough to measure the surface."""
         index = np.arange(0, len(self.vertices), every)
         return replace(
             self, vertices=self.vertices[index], faces=np.zeros((0, 3), np.int64),
@@ -105,11 +100,11 @@ class Subject:
 def draw_subject(
     body: BodyModel, who: int | Person, clothes: bool = True, hair: bool = True
 ) -> Subject:
-    """A person's surface.
+    """Make a person's surface.
 
     Args:
-        body: whose shape space and surface are used.
-        who: a person, or a seed: another seed is another person.
+        body: the body below the clothes.
+        who: a person, or the seed of one.
         clothes: dress the person; otherwise a swimsuit is painted on the skin.
         hair: with hair; otherwise the head is bald.
     """
@@ -133,7 +128,7 @@ def draw_subject(
 def _joined(
     rest: RestBody, worn: Worn, look: Look, shape: Shape, rng: np.random.Generator
 ) -> Subject:
-    """Skin that is seen and all pieces as one surface."""
+    """Join the visible skin and all pieces to one surface."""
     from scipy.sparse import csr_array, vstack
 
     skin = rest.faces[~covered(rest.vertices, worn.cloth)[rest.faces].all(1)]

@@ -1,128 +1,39 @@
-"""Colours of skin, cloth and hair: formulas of the rest position, crisp at any resolution.
+"""Colours of skin, cloth and hair: formulas of the rest position, sharp at any resolution.
 
-Nothing is baked into a bitmap: a ray that hits the surface knows where its point lies in the rest
-pose, and the colour is computed there, on Dr.Jit arrays. Colours are linear albedo, Rec. 709
-primaries.
+Nothing is baked into a bitmap: the colour of a point is computed from its position in the rest
+pose, on Dr.Jit arrays. Colours are linear albedo with Rec. 709 primaries.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from enum import IntEnum
-from typing import Literal
-
 import drjit as dr
 import numpy as np
 
-from gva_mi.data.synthetic.color import Color
-
-Point = tuple[float, float, float]
-Pattern = Literal["smooth", "plain", "stripes", "plaid", "dots", "print"]
-
-
-class Material(IntEnum):
-    """What a triangle belongs to."""
-
-    SKIN = 0
-    TOP = 1
-    BOTTOM = 2
-    SHOES = 3
-    HAIR = 4
-    ACCESSORY = 5
-
-
-@dataclass(frozen=True)
-class Fabric:
-    """A cloth: its pattern and colours; "plain" has only a weave, "smooth" not even that."""
-
-    pattern: Pattern
-    colors: tuple[Color, Color, Color]  # ground, figure, thin lines; linear albedo
-    scale: float  # m, one repeat of the pattern
-
-
-@dataclass(frozen=True)
-class FaceLandmarks:
-    """Where the face is painted, rest pose, metres."""
-
-    eyes: tuple[Point, Point]  # left, right
-    mouth: Point
-    unit: float  # distance between the eyes
-
-
-@dataclass(frozen=True)
-class SkirtCone:
-    """The cone that a skirt is sewn into; its cloth lies flat, so that patterns keep their size."""
-
-    apex: Point  # metres
-    slope: float  # radius per metre below the apex
-    aspect: float  # width over depth
-
-    def unrolled(self, p: dr.ArrayBase) -> tuple[dr.ArrayBase, dr.ArrayBase]:
-        """Where points lie on the flat cloth, metres along and around; the seam is behind."""
-        sine = self.slope / np.sqrt(1 + self.slope**2)
-        slant = (self.apex[1] - p.y) * float(np.sqrt(1 + self.slope**2))
-        angle = dr.atan2(p.x - self.apex[0], self.aspect * (p.z - self.apex[2])) * float(sine)
-        return -slant * dr.cos(angle), slant * dr.sin(angle)
-
-    def share(self, p: dr.ArrayBase) -> dr.ArrayBase:
-        """How far out points lie between the axis, 0, and the cone, 1."""
-        depth = p.z - self.apex[2]
-        out = dr.sqrt(dr.square((p.x - self.apex[0]) / self.aspect) + dr.square(depth))
-        return 0.5 * (1 + self.aspect) * out / (self.slope * (self.apex[1] - p.y))
-
-
-@dataclass(frozen=True)
-class Look:
-    """The colours of a person, and where on the rest surface they go."""
-
-    skin: Color
-    lips: Color
-    iris: Color
-    hair: Color
-    brows: Color
-    top: Fabric
-    bottom: Fabric
-    shoes: Color
-    swimsuit: bool  # painted on the skin where there are no clothes
-    face: FaceLandmarks
-    nails: tuple[Point, ...]  # centres on the fingers' backs, metres
-    shoulder: Point  # left shoulder; sleeves begin here
-    hip: Point  # left hip
-    ground: float  # m, height of the soles
-    accessory: Color = (0.02, 0.02, 0.02)
-    cone: SkirtCone | None = None  # of a skirt
-
-    def mean_color(self, material: Material) -> Color:
-        """A colour that stands for the material in indirect light."""
-        fabric = {Material.TOP: self.top, Material.BOTTOM: self.bottom}.get(material)
-        if fabric is not None:
-            a, b = np.array(fabric.colors[0]), np.array(fabric.colors[1])
-            return tuple(0.6 * a + 0.4 * b)
-        plain = {Material.SKIN: self.skin, Material.SHOES: self.shoes, Material.HAIR: self.hair}
-        return plain.get(material, self.accessory)
+from gva_mi.data.synthetic.look import Fabric, Look, Material, Point
 
 
 def albedo(look: Look, material: dr.ArrayBase, rest: dr.ArrayBase) -> dr.ArrayBase:
-    """The colour at points of the rest pose.
+    """Return the colour at points of the rest surface.
 
     Args:
-        look: the person.
+        look: of the person.
         material: values of :class:`Material`, a Dr.Jit integer array.
         rest: positions in the rest pose, a Dr.Jit ``Array3f``, metres.
 
     Returns:
-        An array like ``rest``: linear albedo.
+        linear albedo, an array like ``rest``.
     """
     color = _skin(look, rest)
-    color = dr.select(material == int(Material.TOP), _top(look, rest), color)
-    color = dr.select(material == int(Material.BOTTOM), _bottom(look, rest), color)
-    color = dr.select(material == int(Material.SHOES), _shoes(look, rest), color)
-    color = dr.select(material == int(Material.HAIR), _hair(look, rest), color)
+    parts = {
+        Material.TOP: _top, Material.BOTTOM: _bottom, Material.SHOES: _shoes, Material.HAIR: _hair
+    }  # fmt: skip
+    for part, formula in parts.items():
+        color = dr.select(material == int(part), formula(look, rest), color)
     return dr.select(material == int(Material.ACCESSORY), type(rest)(*look.accessory), color)
 
 
 def _skin(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
-    """Skin with what is painted on it: cheeks, brows, eyes, lips, nails, and a swimsuit."""
+    """Skin with cheeks, brows, eyes, lips, nails and, without clothes, a swimsuit."""
     face = look.face
     base = type(p)(*look.skin)
     blotches = _noise(p * 35) * 0.10 + _noise(p * 140) * 0.05
@@ -149,15 +60,7 @@ def _skin(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
 def _around_eye(
     look: Look, p: dr.ArrayBase, color: dr.ArrayBase, eye: Point, front: dr.ArrayBase
 ) -> dr.ArrayBase:
-    """A colour of skin with a redder cheek, the brow, and the eye with its lids and lashes.
-
-    Args:
-        look: the person.
-        p: positions in the rest pose, metres.
-        color: what is there already.
-        eye: the eye's centre, metres.
-        front: which positions lie on the front of the head.
-    """
+    """Paint cheek, brow and eye over ``color`` where ``front`` is true; ``eye`` is its centre."""
     like, unit = type(p), look.face.unit
     outward = 1.0 if eye[0] > 0 else -1.0
     dx, dy = (p.x - eye[0]) / unit, (p.y - eye[1]) / unit
@@ -183,7 +86,7 @@ def _around_eye(
 
 
 def _mouth(look: Look, p: dr.ArrayBase, color: dr.ArrayBase) -> dr.ArrayBase:
-    """A colour of skin with lips and the dark gap between them."""
+    """Paint lips and the dark gap between them over ``color``."""
     like, face = type(p), look.face
     dx, dy = (p.x - face.mouth[0]) / face.unit, (p.y - face.mouth[1]) / face.unit
     bow = 0.085 * (1 - dr.square(dx / 0.40)) - 0.02 * dr.exp(-dr.square(dx / 0.06))
@@ -196,12 +99,12 @@ def _mouth(look: Look, p: dr.ArrayBase, color: dr.ArrayBase) -> dr.ArrayBase:
 
 
 def _top(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
-    """A sewn shirt: the pattern runs along the sleeves, and a seam joins them to the trunk."""
+    """Shirt: the pattern runs along the sleeves, and a seam joins them to the trunk."""
     side = dr.abs(p.x)
     seam = look.shoulder[0] + 0.02
-    arm_level = p.y > look.shoulder[1] - 0.25  # wide hips reach past the seam too
+    arm_level = p.y > look.shoulder[1] - 0.25  # wide hips extend past the seam too
     sleeve = (side > seam) & arm_level
-    # On the shoulders, which are level, cloth goes on backwards: along the front, over, and down.
+    # Over the level shoulders the cloth continues backwards and down.
     level = dr.clip((p.y - look.shoulder[1] + 0.08) / 0.10, 0, 1)
     over = level * (0.09 - dr.abs(p.z - look.shoulder[2]))
     along = dr.select(sleeve, side + 0.31, p.y + over)
@@ -217,7 +120,7 @@ def _top(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
 
 
 def _bottom(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
-    """Trousers, or a skirt with its lining, and the seams at their sides."""
+    """Trousers, or a skirt with its lining, with side seams."""
     seam = _inside(0.0025 - dr.abs(p.z - look.hip[2]), 0.001)
     lining = dr.mask_t(p.x)(False)
     if look.cone is not None:
@@ -247,7 +150,7 @@ def _shoes(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
 
 
 def _hair(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
-    """Strands: noise that varies fast around the head and slowly down it."""
+    """Hair: noise that varies fast around the head and slowly down it."""
     _, eye_y, eye_z = look.face.eyes[0]
     x, y, z = p.x, p.y - eye_y - 0.14, p.z - eye_z + 0.11
     around = dr.atan2(z, x)
@@ -260,7 +163,7 @@ def _hair(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
 def _cloth(
     fabric: Fabric, p: dr.ArrayBase, along: dr.ArrayBase, around: dr.ArrayBase
 ) -> dr.ArrayBase:
-    """The pattern of a fabric where it lies ``along`` and ``around`` the limb, metres."""
+    """Return the pattern of a fabric at positions ``along`` and ``around`` a limb, metres."""
     like = type(p)
     ground, figure, line = (like(*c) for c in fabric.colors)
     band = lambda t, width: _inside(width - dr.abs(t - dr.round(t)), 0.01)
@@ -284,7 +187,7 @@ def _cloth(
 
 
 def _print(fabric: Fabric, color: dr.ArrayBase, p: dr.ArrayBase, height: float) -> dr.ArrayBase:
-    """A motif on the chest, another on the back, so that front and back differ."""
+    """Print a motif on the chest and another on the back."""
     like = type(p)
     x, y = p.x, p.y - height
     radius, angle = dr.sqrt(dr.square(x) + dr.square(y)), dr.atan2(y, x)
@@ -297,12 +200,12 @@ def _print(fabric: Fabric, color: dr.ArrayBase, p: dr.ArrayBase, height: float) 
 
 
 def _inside(x: dr.ArrayBase, width: float) -> dr.ArrayBase:
-    """A step that is 1 where ``x`` > 0, softened over ``width``."""
+    """Soft step: 1 where ``x`` > 0, blurred over ``width``."""
     return dr.clip(x / width + 0.5, 0, 1)
 
 
 def _noise(p: dr.ArrayBase) -> dr.ArrayBase:
-    """Value noise in [-1, 1] on the integer lattice, smooth between."""
+    """Value noise in [-1, 1] on the integer lattice."""
     cell = dr.floor(p)
     f = p - cell
     f = f * f * (3 - 2 * f)
@@ -316,7 +219,7 @@ def _noise(p: dr.ArrayBase) -> dr.ArrayBase:
 
 
 def _hash(*lattice: dr.ArrayBase) -> dr.ArrayBase:
-    """An integer lattice point to a number in [0, 1)."""
+    """Hash an integer lattice point to a number in [0, 1)."""
     Int = dr.int32_array_t(type(lattice[0]))
     UInt = dr.uint32_array_t(Int)
     h = UInt(0)

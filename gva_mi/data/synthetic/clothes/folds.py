@@ -1,4 +1,4 @@
-"""How cloth and hair move besides following the body: creases where it bends, ends that lag behind.
+"""Secondary motion of cloth and hair: creases at bent joints, and loose ends that lag behind.
 
 At a joint whose rotation bends its bone b (rest pose) by the axis-angle r,
 
@@ -6,12 +6,12 @@ At a joint whose rotation bends its bone b (rest pose) by the axis-angle r,
     2. inside    g = ½ + ½ cos(angle of x about b to r × b)
     3. crease    h = a(x) · window(x) · cos(2π b·(x − J) / 4 cm + phase(x)) · s · g
 
-displaces along the posed normal. Loose ends hang where the body was a moment ago: with p_k the
-skinned position k steps back, and ℓ the slack, the most that a vertex may move,
+displaces along the posed normal. Loose ends lag: with p_k the skinned position k steps back and ℓ
+the slack, the largest displacement of a vertex,
 
     4. lag       u = Σ_k w_k p_k − p_0,   displacement ℓ u / √(ℓ² + |u|²),   w_k ~ exp(−k / 2)
 
-Both are smooth in the pose, and vanish in the rest pose and at rest.
+Both are smooth in the pose. Creases vanish in the rest pose, lags without motion.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ import numpy as np
 
 from gva_mi.body.pose import JOINTS
 
-BONES: Mapping[str, str] = {  # joint -> the joint that its bone leads to
+BONES: Mapping[str, str] = {  # joint -> the end of its bone
     "left_elbow": "left_wrist", "right_elbow": "right_wrist", "left_shoulder": "left_elbow",
     "right_shoulder": "right_elbow", "left_knee": "left_ankle", "right_knee": "right_ankle",
     "left_hip": "left_knee", "right_hip": "right_knee", "spine1": "spine2", "spine2": "spine3",
 }  # fmt: skip
 WAVELENGTH = 0.04  # m, from crease to crease
-ALONG, ACROSS = 0.075, 0.15  # m, reach of creases along the bone and across it
-HALF = 0.5  # rad, bend at which a crease has half of its height
-MEMORY = 5  # steps back in time that a lag depends on
-INWARD = 0.6  # share of a lag into the body that is taken back
+ALONG, ACROSS = 0.075, 0.15  # m, extent of creases along the bone and across it
+HALF = 0.5  # rad, bend at which a crease has half its height
+MEMORY = 5  # time steps that a lag depends on
+INWARD = 0.6  # fraction removed from a lag into the body
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Crease:
     around: np.ndarray  # (n, 3) unit, from the bone to the vertex
 
     def displacement(self, rotation: np.ndarray) -> np.ndarray:
-        """Along the normals (n,), metres, for an axis-angle rotation (3,)."""
+        """Return displacements (n,) along the normals, metres, for an axis-angle rotation (3,)."""
         across = rotation - self.bone * (rotation @ self.bone)
         bend = np.linalg.norm(across)
         if bend < 1e-6:
@@ -62,13 +62,13 @@ def creases(
     joints: Mapping[str, np.ndarray],
     rng: np.random.Generator,
 ) -> tuple[Crease, ...]:
-    """The creases of all joints.
+    """Place the creases of all joints at random.
 
     Args:
         vertices: (N, 3) rest pose, metres.
         amplitude: (N,) metres, height of the creases; zero where there are none.
         joints: rest positions by name.
-        rng: for where the creases lie.
+        rng: draws their positions.
     """
     found = []
     cloth = np.flatnonzero(amplitude > 0)
@@ -89,22 +89,17 @@ def creases(
     return tuple(found)
 
 
-def lag_weights() -> np.ndarray:
-    """w of eq. 4, (MEMORY,), for k = 1, 2, ...; they sum to 1."""
-    weights = np.exp(-np.arange(1, MEMORY + 1) / 2)
-    return weights / weights.sum()
-
-
 def lag(now: np.ndarray, past: np.ndarray, slack: np.ndarray, away: np.ndarray) -> np.ndarray:
-    """Displacements (n, 3) of loose ends (eq. 4), metres.
+    """Return displacements (n, 3) of loose ends (eq. 4), metres.
 
     Args:
         now: (n, 3) skinned positions.
-        past: (MEMORY, n, 3) the same, step by step further back.
-        slack: (n,) the most that a vertex may move, metres.
+        past: (MEMORY, n, 3) positions of the previous steps, the latest first.
+        slack: (n,) largest displacement of a vertex, metres.
         away: (n, 3) unit, from the body to the vertex.
     """
-    behind = np.tensordot(lag_weights(), past, axes=1) - now
+    weights = np.exp(-np.arange(1, MEMORY + 1) / 2)
+    behind = np.tensordot(weights / weights.sum(), past, axes=1) - now
     bounded = behind * (slack / np.sqrt(slack**2 + (behind**2).sum(1)))[:, None]
     inward = np.minimum((bounded * away).sum(1), 0)
     return bounded - INWARD * inward[:, None] * away

@@ -1,8 +1,8 @@
-"""Closed surfaces as level sets on grids of voxels, around a body's surface.
+"""Closed surfaces as zero level sets of fields on voxel grids around a body.
 
-A field f is negative inside a surface and positive outside, in metres, and near the surface about a
-distance. The surface is its zero level set. Level sets cannot intersect themselves, are closed, and
-always show a face that looks outwards, so that silhouettes and normals are well defined.
+A field f is negative inside and positive outside, in metres, and close to a signed distance near
+the surface. Level sets are closed and never intersect themselves, so silhouettes and normals are
+well defined.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-BAND = 0.05  # m, how far from the body's surface distances are exact
-_CRUMB = 400  # faces; connected pieces no larger, where two fields barely meet, are left out
+BAND = 0.05  # m, distances are exact this close to the body's surface
+_CRUMB = 400  # faces; connected components of at most this size are dropped
 
 
 @dataclass(frozen=True)
@@ -21,12 +21,12 @@ class ClosedMesh:
 
     vertices: np.ndarray  # (V, 3) metres
     faces: np.ndarray  # (F, 3) counter-clockwise seen from outside
-    shade: np.ndarray  # (V,) in [0, 1]: share of the light that reaches it; less inside openings
+    shade: np.ndarray  # (V,) in [0, 1], fraction of light received; below 1 inside openings
 
 
 @dataclass(frozen=True)
 class VoxelGrid:
-    """A block of regular cells; ``x``, ``y``, ``z`` (metres) broadcast to its shape."""
+    """A regular grid; ``x``, ``y``, ``z`` are its coordinates in metres and broadcast."""
 
     lo: np.ndarray  # (3,) metres
     cell: float  # metres
@@ -34,30 +34,29 @@ class VoxelGrid:
 
     @staticmethod
     def around(lo: np.ndarray, hi: np.ndarray, cell: float) -> VoxelGrid:
-        """The grid of a box with the corners ``lo`` and ``hi``, (3,) metres."""
+        """Return the grid of the box between corners ``lo`` and ``hi``, (3,) metres."""
         shape = np.ceil((np.asarray(hi) - lo) / cell).astype(int) + 1
         return VoxelGrid(np.asarray(lo, dtype=np.float64), cell, tuple(int(n) for n in shape))
 
-    def axis(self, k: int) -> np.ndarray:
-        """Coordinates along axis k, float32, in the shape that broadcasts to the grid's."""
+    def _axis(self, k: int) -> np.ndarray:
         values = (self.lo[k] + self.cell * np.arange(self.shape[k])).astype(np.float32)
         return values.reshape([-1 if i == k else 1 for i in range(3)])
 
     @property
     def x(self) -> np.ndarray:
-        return self.axis(0)
+        return self._axis(0)
 
     @property
     def y(self) -> np.ndarray:
-        return self.axis(1)
+        return self._axis(1)
 
     @property
     def z(self) -> np.ndarray:
-        return self.axis(2)
+        return self._axis(2)
 
 
 def smax(a: np.ndarray, b: np.ndarray, k: float = 0.012) -> np.ndarray:
-    """Smooth maximum: rounds the edge between two fields over about ``k`` metres."""
+    """Smooth maximum: round the edge between two fields over about ``k`` metres."""
     h = np.maximum(k - np.abs(a - b), 0) / k
     return np.maximum(a, b) + h * h * (k / 4)
 
@@ -68,13 +67,13 @@ def smin(a: np.ndarray, b: np.ndarray, k: float = 0.012) -> np.ndarray:
 
 
 def smoothstep(x: np.ndarray, lo: float, hi: float) -> np.ndarray:
-    """0 below ``lo``, 1 above ``hi``, smooth between."""
+    """Smooth step: 0 below ``lo``, 1 above ``hi``."""
     t = np.clip((x - lo) / (hi - lo), 0, 1)
     return t * t * (3 - 2 * t)
 
 
 class BodySurface:
-    """The body's rest surface as oriented points, for signed distances that are smooth.
+    """A body's rest surface as oriented points, which give smooth signed distances.
 
     Attributes:
         points: (N, 3) metres, about 7 mm apart.
@@ -85,7 +84,7 @@ class BodySurface:
         from scipy.spatial import cKDTree
 
         corners, directions = vertices[faces], normals[faces]
-        # The vertices, and of each face its centre, three points around it, two edges' midpoints.
+        # Vertices; for each face its centre, three points around it and two edge midpoints.
         weights = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4], [3, 3, 0], [0, 3, 3]])
         weights = weights / weights.sum(1, keepdims=True)
         self.points = np.concatenate([vertices, *np.einsum("wk,fkc->wfc", weights, corners)])
@@ -94,7 +93,7 @@ class BodySurface:
         self.tree = cKDTree(self.points)
 
     def distance(self, x: np.ndarray, smooth: float = 0.012) -> np.ndarray:
-        """Signed distance (N,) of points (N, 3): the mean of the nearest tangent planes."""
+        """Return signed distances (N,) of points (N, 3) to the mean of nearby tangent planes."""
         distance, index = self.tree.query(x, k=6, workers=-1)
         weight = np.exp((distance[:, :1] ** 2 - distance**2) / smooth**2)
         height = np.einsum("nkc,nkc->nk", x[:, None] - self.points[index], self.normals[index])
@@ -102,7 +101,7 @@ class BodySurface:
         return np.where(np.abs(plane) > distance[:, 0], np.sign(plane) * distance[:, 0], plane)
 
     def sample(self, grid: VoxelGrid, band: float = BAND) -> np.ndarray:
-        """The signed distance on a grid, exact within ``band``; beyond, the distance in cells."""
+        """Return signed distances on a grid: exact within ``band``, counted in cells beyond it."""
         from scipy.ndimage import distance_transform_edt
 
         cells = np.round((self.points - grid.lo) / grid.cell).astype(int)
@@ -111,17 +110,14 @@ class BodySurface:
         empty[tuple(cells.T)] = False
         coarse = distance_transform_edt(empty).astype(np.float32) * grid.cell
         near = coarse < band
-        at = np.argwhere(near) * grid.cell + grid.lo
         values = coarse
-        values[near] = self.distance(at)
-        # Far cells are outside, except those that the surface encloses: deep inside the trunk.
-        inside = _deep_inside(values, near)
-        values[inside] *= -1
+        values[near] = self.distance(np.argwhere(near) * grid.cell + grid.lo)
+        values[_deep_inside(values, near)] *= -1
         return values
 
 
 def _deep_inside(values: np.ndarray, near: np.ndarray) -> np.ndarray:
-    """Cells far from the surface that border on cells of negative distance, (X, Y, Z) bool."""
+    """Return the cells far from the surface that it encloses, such as deep in the trunk."""
     from scipy.ndimage import label
 
     blobs, count = label(~near)
@@ -139,12 +135,12 @@ def _deep_inside(values: np.ndarray, near: np.ndarray) -> np.ndarray:
 
 
 def surface_of(grid: VoxelGrid, field: np.ndarray, uncut: np.ndarray | None = None) -> ClosedMesh:
-    """The zero level set of a field, by marching cubes.
+    """Extract the zero level set of a field by marching cubes.
 
     Args:
-        grid: where the field is known.
-        field: negative inside.
-        uncut: the field before openings were cut into it; what lies deep inside it is in shade.
+        grid: where the field is sampled.
+        field: negative inside, metres.
+        uncut: the field before openings were cut; vertices deep inside it are shaded.
     """
     import trimesh
     from scipy.ndimage import map_coordinates
@@ -172,18 +168,13 @@ def surface_of(grid: VoxelGrid, field: np.ndarray, uncut: np.ndarray | None = No
 
 
 def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Unit normals (V, 3) float64, averaged over the faces around each vertex by area.
+    """Return area-weighted unit vertex normals (V, 3) in float64.
 
-    Unlike those of ``gva_mi.mesh.surface``, sums are float64 for float32 vertices as well, and
-    corner by corner: the surfaces of the people that are drawn depend on its rounding.
+    ``gva_mi.mesh.surface`` sums in another order; synthetic subjects depend on this rounding.
     """
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     cross = np.cross(b - a, c - a)
-    normals = np.stack(
-        [
-            sum(np.bincount(faces[:, k], cross[:, i], len(vertices)) for k in range(3))
-            for i in range(3)
-        ],
-        axis=1,
-    )
+    count = len(vertices)
+    sums = [sum(np.bincount(faces[:, k], cross[:, i], count) for k in range(3)) for i in range(3)]
+    normals = np.stack(sums, axis=1)
     return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)

@@ -1,15 +1,13 @@
-"""How a subject moves: what the video shows, and poses that it does not show.
+"""Motions of a subject: what the video shows, and poses that it does not show.
 
-A motion is a function of the time t in [0, 1), one round of the video, and is periodic: it can be
-asked for any frames, and for the moments just before them.
+A motion is a periodic function of the time t in [0, 1), one round of the video. It can be evaluated
+at any moments, such as those just before a frame.
 
 ==================  ================================================================
-``moments``         the times of frames, and those just before
-``turning``         what all share: sway, gestures, a face that speaks
-``actions``         squats, steps, and what arms do in front of the body
-``on_the_spot``     the turn, the everyday video; novel poses
-``legs``            a leg that reaches for a point: two bones, in closed form
-``footwork``        steps along any path: feet that stand still while they carry
+``turning``         what all motions share; the turn, the everyday video, novel poses
+``actions``         squats, steps, and gestures with the arms
+``legs``            inverse kinematics of a leg: two bones, in closed form
+``footwork``        steps along any path, with feet that do not slide
 ``on_foot``         standing, half a turn, walking, sitting down, dancing
 ==================  ================================================================
 """
@@ -19,30 +17,41 @@ from __future__ import annotations
 import numpy as np
 
 from gva_mi.body.pose import Pose
-from gva_mi.data.synthetic.motion.moments import before, times
 from gva_mi.data.synthetic.motion.on_foot import ON_FOOT
-from gva_mi.data.synthetic.motion.on_the_spot import ON_THE_SPOT, everyday, novel, turn
+from gva_mi.data.synthetic.motion.turning import everyday, novel, turn
 
 __all__ = ["MOTIONS", "before", "everyday", "novel", "perform", "times", "turn"]
 
-MOTIONS: tuple[str, ...] = (*ON_THE_SPOT, *ON_FOOT)
+MOTIONS: tuple[str, ...] = ("turn", "everyday", *ON_FOOT)
+DURATION = 6.0  # s, one round
+STEP = 0.04  # s, time step of lagging cloth
 
 
 def perform(
     name: str, t: np.ndarray, joints: np.ndarray, expressions: int, rng: np.random.Generator
 ) -> Pose:
-    """One of ``MOTIONS``.
+    """Evaluate one of ``MOTIONS``.
 
     Args:
-        name: which one.
+        name: of the motion.
         t: moments (T,), in rounds.
-        joints: (55, 3) of the body at rest, metres: feet that stand still need legs of a length.
+        joints: (55, 3) of the body at rest, metres; steps depend on the length of the legs.
         expressions: width of the expression.
-        rng: the same numbers are drawn for all ``t``.
+        rng: its draws do not depend on ``t``.
 
     Returns:
         T frames near the origin, at any height above the ground.
     """
-    if name in ON_THE_SPOT:
-        return ON_THE_SPOT[name](t, expressions, rng)
-    return ON_FOOT[name](t, joints, expressions, rng)
+    if name in ON_FOOT:
+        return ON_FOOT[name](t, joints, expressions, rng)
+    return {"turn": turn, "everyday": everyday}[name](t, expressions, rng)
+
+
+def times(frames: int) -> np.ndarray:
+    """Return the moments of a video's frames (T,), in rounds."""
+    return np.arange(frames) / frames
+
+
+def before(t: np.ndarray, steps: int) -> np.ndarray:
+    """Return the moments some steps of ``STEP`` seconds earlier."""
+    return t - steps * STEP / DURATION

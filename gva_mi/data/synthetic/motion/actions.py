@@ -1,4 +1,4 @@
-"""What a body does beside standing in the A-pose: actions, as rotations of some joints."""
+"""Actions: rotations of some joints in place of the A-pose, with a gesture of each hand."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND
 
 @dataclass(frozen=True)
 class Action:
-    """What a body does beside standing in the A-pose."""
+    """An action."""
 
-    joints: Mapping[str, AxisAngle]  # rotations in place of the A-pose's, by name
+    joints: Mapping[str, AxisAngle]  # rotations in place of those of the A-pose, by name
     left: str  # gesture of the left hand
     right: str  # gesture of the right hand
 
@@ -48,7 +48,7 @@ ACTIONS: Mapping[str, Action] = {  # of the everyday video
         "open", "rest",
     ),
 }  # fmt: skip
-POSES: Mapping[str, Action] = {  # that no video holds
+POSES: Mapping[str, Action] = {  # held-out poses
     "wave": Action({"right_shoulder": (0, 0, -0.5), "right_elbow": (0, 0.3, -1.5)}, "rest", "open"),
     "point": Action(
         {"left_shoulder": (0, -1.25, -0.15), "left_elbow": (0, -0.1, 0)}, "point", "rest"
@@ -83,7 +83,7 @@ POSES: Mapping[str, Action] = {  # that no video holds
          "left_elbow": (0, 0, 0), "right_elbow": (0, 0, 0)}, "three", "fist",
     ),
 }  # fmt: skip
-GESTURING: Mapping[str, Action] = {  # of who stands still: arms and trunk alone
+GESTURING: Mapping[str, Action] = {  # of a standing person: arms and trunk alone
     name: ACTIONS[name] for name in ACTIONS if not any("knee" in j for j in ACTIONS[name].joints)
 }
 
@@ -91,13 +91,13 @@ GESTURING: Mapping[str, Action] = {  # of who stands still: arms and trunk alone
 def act(
     rotations: np.ndarray, t: np.ndarray, actions: Mapping[str, Action], rng: np.random.Generator
 ) -> None:
-    """Interrupt a motion: each action rises from it and sinks back into it, one after the other.
+    """Blend actions into a motion, one after the other.
 
     Args:
         rotations: (T, 55, 3), changed in place.
         t: moments (T,), in rounds.
-        actions: all of them happen once a round, in random order.
-        rng: for their order and how far they go.
+        actions: each happens once a round, in random order.
+        rng: draws their order and amplitudes.
     """
     names = [str(n) for n in rng.permutation(list(actions))]
     share, index = np.modf((t % 1.0) * len(names))

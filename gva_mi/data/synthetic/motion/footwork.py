@@ -1,13 +1,13 @@
-"""Steps along any path: feet that stand still while they carry, and legs that reach for them.
+"""Steps along any path: feet that do not slide in their stance, and legs that reach for them.
 
-A path says where the pelvis is over the ground and where it faces, at any time. Each foot stands
-for a share ``DUTY`` of a cycle of two steps, on the print that suits the path in the middle of that
-time, and swings to the next print in the rest. It comes down on the heel and leaves from the ball,
-as far as the step is long; heel and ball stay where they are while the foot pivots on them.
+A path gives position and yaw of the pelvis at any time. A foot stands for the fraction ``DUTY`` of
+a cycle of two steps, on the footprint that suits the path in the middle of this stance, and swings
+to the next footprint in the rest. It lands on the heel and leaves from the ball, with a pitch that
+grows with the length of the step; heel and ball stay in place while the foot pivots on them.
 
 The pelvis is as high as both legs allow:
 
-    1. y(t) = min over legs of  a_y + √((STRETCH · l)² − d²)          a ankle, d its distance aside
+    1. y(t) = min over legs of  a_y + √((STRETCH · l)² − d²)    a ankle, d its horizontal distance
     2. smoothed over the round, below its own minimum over the same window
 """
 
@@ -21,44 +21,42 @@ import numpy as np
 from gva_mi.body.pose import JOINTS
 from gva_mi.data.synthetic.motion.legs import Leg, about, to_matrix, to_rotvec
 
-DUTY = 0.6  # share of a cycle in which a foot stands
-LIFT = 0.07  # m, how far a swinging foot is lifted
-STRIKE, LEAVE = -0.3, 0.95  # rad, pitch of a foot that comes down and leaves, in a step of LONG
+DUTY = 0.6  # of a cycle, stance of a foot
+LIFT = 0.07  # m, lift of a swinging foot
+STRIKE, LEAVE = -0.3, 0.95  # rad, pitch at landing and leaving in a step of LONG
 LONG = 0.6  # m
-STRETCH = 0.996  # share of its length to which a leg is stretched at most, so that the knee bends
-SMOOTH = 0.004  # rounds, over which the pelvis's height is smoothed
-DENSE = 960  # moments of a round at which that height is computed
+STRETCH = 0.996  # of its length, the largest extension of a leg; keeps the knee bent
+SMOOTH = 0.004  # rounds, smoothing of the height of the pelvis
+DENSE = 960  # moments per round at which this height is computed
 TOES_OUT = 0.12  # rad
 HEEL = 0.05  # m, from the ankle back to the heel
 
 
 @dataclass(frozen=True)
 class Path:
-    """Where a person goes; all three are functions of moments (T,), in rounds."""
+    """The path of a person, as functions of moments (T,) in rounds."""
 
     place: Callable[[np.ndarray], np.ndarray]  # (T, 2) x and z of the pelvis, metres; periodic
-    yaw: Callable[[np.ndarray], np.ndarray]  # (T,) rad; whole turns more after a round
-    low: Callable[[np.ndarray], np.ndarray]  # (T,) m, how far the pelvis stays below its height
+    yaw: Callable[[np.ndarray], np.ndarray]  # (T,) rad; periodic up to whole turns
+    low: Callable[
+        [np.ndarray], np.ndarray
+    ]  # (T,) m, distance of the pelvis below its highest position
     lean: Callable[[np.ndarray], np.ndarray]  # (T, 2) rad, of the pelvis about x and z
-    cycles: int  # of two steps a round; 0: the feet stay
+    cycles: int  # of two steps per round; 0: fixed feet
     apart: float = 1.0  # distance of the feet over that of the hips
 
 
 @dataclass(frozen=True)
 class _Foot:
-    ankle: np.ndarray  # (T, 3) metres, zero height where the foot is flat
+    ankle: np.ndarray  # (T, 3) metres, height 0 for a flat foot
     yaw: np.ndarray  # (T,)
     pitch: np.ndarray  # (T,) rad, positive with the heel up
 
 
 def follow(path: Path, rotations: np.ndarray, t: np.ndarray, joints: np.ndarray) -> np.ndarray:
-    """Write root and legs into rotations (T, 55, 3), and return the translations (T, 3), metres.
+    """Write root and legs into rotations (T, 55, 3) in place, and return translations (T, 3).
 
-    Args:
-        path: the way to go.
-        rotations: of the body on its way, changed in place.
-        t: moments (T,), in rounds.
-        joints: (55, 3) of the body at rest, metres.
+    ``t`` are moments (T,) in rounds, ``joints`` (55, 3) those of the body at rest, metres.
     """
     legs = [Leg.of(joints, side) for side in ("left", "right")]
     pelvis = joints[0].astype(float)
@@ -74,7 +72,7 @@ def follow(path: Path, rotations: np.ndarray, t: np.ndarray, joints: np.ndarray)
         for name, value in leg.reach(hip, foot.ankle, R_root, R_foot).items():
             rotations[:, JOINTS.index(name)] = value
         toes = np.zeros((len(t), 3))
-        toes[:, 0] = -np.maximum(foot.pitch, 0)  # they stay on the ground as the heel leaves it
+        toes[:, 0] = -np.maximum(foot.pitch, 0)  # they stay on the ground while the heel rises
         rotations[:, JOINTS.index(f"{leg.side}_foot")] = toes
     return root - pelvis
 
@@ -87,7 +85,7 @@ def _root(path: Path, t: np.ndarray) -> np.ndarray:
 
 
 def _height(path: Path, legs: list[Leg], pelvis: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """The height of the pelvis (T,), over a whole round (eq. 1, 2)."""
+    """Return the height of the pelvis (T,) over a whole round (eq. 1, 2)."""
     from scipy.ndimage import gaussian_filter1d, minimum_filter1d
 
     R_root, place = _root(path, t), path.place(t)
@@ -105,7 +103,7 @@ def _height(path: Path, legs: list[Leg], pelvis: np.ndarray, t: np.ndarray) -> n
 
 
 def _feet(path: Path, legs: list[Leg], t: np.ndarray) -> list[_Foot]:
-    """Both feet at moments (T,)."""
+    """Return both feet at moments (T,)."""
     if path.cycles == 0:
         start = np.zeros_like(t)
         still = [_print(path, leg, start) for leg in legs]
@@ -114,14 +112,14 @@ def _feet(path: Path, legs: list[Leg], t: np.ndarray) -> list[_Foot]:
 
 
 def _stepping(path: Path, leg: Leg, t: np.ndarray, phase: float) -> _Foot:
-    """A foot at moments (T,) that comes down at ``phase`` of every cycle."""
+    """Return a foot at moments (T,) that lands at ``phase`` of every cycle."""
     cycle, u = np.divmod(t * path.cycles - phase, 1.0)
-    now = (cycle + phase + DUTY / 2) / path.cycles  # the middle of this stand, and of the next
+    now = (cycle + phase + DUTY / 2) / path.cycles  # the middle of this stance
     (here, yaw), (there, next_yaw) = (
         _print(path, leg, when) for when in (now, now + 1 / path.cycles)
     )
     (behind, _) = _print(path, leg, now - 1 / path.cycles)
-    # Comes down and leaves as far as the steps before and after are long.
+    # Pitch at landing and leaving grows with the length of the steps before and after.
     long = lambda a, b: np.minimum(np.linalg.norm(b - a, axis=1) / (2 * LONG), 1.2)
     strike, leave = STRIKE * long(behind, here), LEAVE * long(here, there)
     stand = np.clip(u / DUTY, 0, 1)
@@ -139,7 +137,7 @@ def _stepping(path: Path, leg: Leg, t: np.ndarray, phase: float) -> _Foot:
 
 
 def _print(path: Path, leg: Leg, when: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where a flat foot stands: its ankle (T, 3), and its yaw (T,)."""
+    """Return the footprint of a flat foot: its ankle (T, 3) and yaw (T,)."""
     sign = 1.0 if leg.side == "left" else -1.0
     yaw, place = path.yaw(when), path.place(when)
     aside = path.apart * (leg.hip[0] + leg.ankle[0]) / 2
@@ -150,7 +148,7 @@ def _print(path: Path, leg: Leg, when: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def _pivoted(leg: Leg, flat: np.ndarray, yaw: np.ndarray, pitch: np.ndarray) -> np.ndarray:
-    """The ankle (T, 3) of a foot that pivots on its ball, with the heel up, or on its heel."""
+    """Return the ankle (T, 3) of a foot that pivots on its ball (heel up) or on its heel."""
     ball = leg.ball - leg.ankle
     heel = np.array([0.0, ball[1], -HEEL])
     pivot = np.where(pitch[:, None] > 0, ball, heel)

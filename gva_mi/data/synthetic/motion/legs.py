@@ -1,4 +1,4 @@
-"""A leg that reaches for a point: inverse kinematics of two bones, in closed form.
+"""Inverse kinematics of a leg with two bones, in closed form.
 
 With the hip h, the ankle a, bones of lengths l1 and l2, d = |a − h| and u = (a − h) / d,
 
@@ -6,7 +6,7 @@ With the hip h, the ankle a, bones of lengths l1 and l2, d = |a − h| and u = (
     2. k = h + l1 (cos α u + sin α p)                     the knee; p ⟂ u points forward
     3. R = [bone, side, bone × side]_world · [...]_restᵀ  of thigh and shin; side = p × u
 
-and rotations relative to the parent are R_hip = R_rootᵀ R_thigh, and so on down to the toes.
+Rotations relative to the parent are R_hip = R_rootᵀ R_thigh, and so on down to the toes.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import torch
 
 from gva_mi.body.pose import JOINTS
 
-LONGEST = 0.999  # share of its length to which a leg is stretched at most
+LONGEST = 0.999  # of its length, the largest extension of a leg
 
 
 @dataclass(frozen=True)
@@ -34,24 +34,24 @@ class Leg:
 
     @staticmethod
     def of(joints: np.ndarray, side: str) -> Leg:
-        """A leg of rest joints (55, 3)."""
+        """Take a leg from rest joints (55, 3)."""
         names = ("hip", "knee", "ankle", "foot")
         return Leg(side, *(joints[JOINTS.index(f"{side}_{name}")].astype(float) for name in names))
 
     @property
     def length(self) -> float:
-        """Of thigh and shin, metres."""
+        """Length of thigh and shin, metres."""
         thigh, shin = self.knee - self.hip, self.ankle - self.knee
         return float(np.linalg.norm(thigh) + np.linalg.norm(shin))
 
     def reach(
         self, hip: np.ndarray, ankle: np.ndarray, R_root: np.ndarray, R_foot: np.ndarray
     ) -> dict[str, np.ndarray]:
-        """Rotations of hip, knee and ankle, by the joint's name, axis-angle (T, 3).
+        """Return rotations of hip, knee and ankle by joint name, axis-angle (T, 3).
 
         Args:
-            hip, ankle: (T, 3) where they are, metres; an ankle out of reach is not reached.
-            R_root, R_foot: (T, 3, 3) how pelvis and foot are turned in the world.
+            hip, ankle: (T, 3) positions, metres; an ankle out of reach is approached.
+            R_root, R_foot: (T, 3, 3) rotations of pelvis and foot in the world.
         """
         thigh, shin = self.knee - self.hip, self.ankle - self.knee
         l1, l2 = np.linalg.norm(thigh), np.linalg.norm(shin)
@@ -74,22 +74,22 @@ class Leg:
 
 
 def to_matrix(rotvec: np.ndarray) -> np.ndarray:
-    """Matrices (T, 3, 3) of axis-angles (T, 3)."""
+    """Convert axis-angles (T, 3) to matrices (T, 3, 3)."""
     return roma.rotvec_to_rotmat(torch.from_numpy(rotvec)).numpy()
 
 
 def to_rotvec(R: np.ndarray) -> np.ndarray:
-    """Axis-angles (T, 3) of matrices (T, 3, 3)."""
+    """Convert matrices (T, 3, 3) to axis-angles (T, 3)."""
     return roma.rotmat_to_rotvec(torch.from_numpy(R)).numpy()
 
 
 def about(axis: int, angle: np.ndarray) -> np.ndarray:
-    """Matrices (T, 3, 3) that turn by angles (T,) about one of the axes."""
+    """Return matrices (T, 3, 3) that rotate by angles (T,) about one axis."""
     return to_matrix(angle[:, None] * np.eye(3)[axis])
 
 
 def _frames(bone: np.ndarray, side: np.ndarray) -> np.ndarray:
-    """Orthonormal frames (T, 3, 3) with the bone (T, 3) first, and ``side`` (T, 3) about second."""
+    """Return frames (T, 3, 3): the bone (T, 3), then ``side`` (T, 3) made orthogonal to it."""
     first = _unit(bone)
     second = _unit(side - (side * first).sum(1, keepdims=True) * first)
     return np.stack([first, second, np.cross(first, second)], axis=2)

@@ -1,4 +1,9 @@
-"""What all motions share: a person who sways and turns in the A-pose, with gestures and a face."""
+"""A person who turns and sways in the A-pose, with gestures and a face; and held-out poses.
+
+On the spot the person turns as on a turntable, feet included. Arguments of motions are the moments
+``t`` (T,) in rounds, the width ``expressions`` of the expression, and a generator whose draws do
+not depend on ``t``.
+"""
 
 from __future__ import annotations
 
@@ -6,14 +11,53 @@ import numpy as np
 import roma
 import torch
 
-from gva_mi.body.gestures import blend_between, put_hand
+from gva_mi.body.gestures import GESTURES, blend_between, put_hand
 from gva_mi.body.pose import JOINTS, Pose
+from gva_mi.data.synthetic.motion.actions import ACTIONS, POSES, act
 
-A_POSE = 0.98  # rad, how far the arms hang down from the T-pose
+A_POSE = 0.98  # rad, angle of the arms below the T-pose
+
+
+def turn(t: np.ndarray, expressions: int, rng: np.random.Generator) -> Pose:
+    """Turn once in the A-pose, slightly swaying, while hands and face go through gestures."""
+    rotations, transl = turning(t, rng)
+    return with_face(rotations, transl, t, expressions, rng)
+
+
+def everyday(t: np.ndarray, expressions: int, rng: np.random.Generator) -> Pose:
+    """Turn, interrupted by a squat, steps, and gestures with the arms."""
+    rotations, transl = turning(t, rng)
+    act(rotations, t, ACTIONS, rng)
+    return with_face(rotations, transl, t, expressions, rng)
+
+
+def novel(count: int, expressions: int, rng: np.random.Generator) -> Pose:
+    """Draw ``count`` poses that no video shows: gestures, steps, arms raised and in front.
+
+    Returns:
+        ``count`` unrelated frames, root at the origin, facing roughly forward.
+    """
+    rotations = np.zeros((count, 55, 3))
+    names = list(POSES)
+    for k in range(count):
+        action = POSES[names[k % len(names)]]
+        for side, sign in (("left", 1.0), ("right", -1.0)):
+            rotations[k, JOINTS.index(f"{side}_shoulder"), 2] = -sign * A_POSE
+            rotations[k, JOINTS.index(f"{side}_elbow"), 1] = -sign * 0.2
+        for name, value in action.joints.items():
+            rotations[k, JOINTS.index(name)] = np.array(value) * rng.uniform(0.9, 1.1)
+        for side, gesture in (("left", action.left), ("right", action.right)):
+            put_hand(rotations[k : k + 1], side, GESTURES[gesture].values)
+        rotations[k, JOINTS.index("head")] += rng.normal(0, 0.08, 3)
+        rotations[k, JOINTS.index("jaw"), 0] = rng.uniform(0, 0.15)
+    facing = rng.uniform(-0.9, 0.9, count)
+    rotations[:, 0] = _turned(facing, np.zeros((count, 2)))
+    expression = rng.normal(0, 0.5, (count, expressions)) * (np.arange(expressions) < 10)
+    return _to_pose(rotations, np.zeros((count, 3)), expression)
 
 
 def turning(t: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Rotations (T, 55, 3) and translations (T, 3) of a person who turns once, at an even pace."""
+    """Return rotations (T, 55, 3) and translations (T, 3) of one turn at constant speed."""
     frames = len(t)
     rotations = np.zeros((frames, 55, 3))
     wave = lambda size: slow_wave(t, size, rng)
@@ -42,25 +86,22 @@ def turning(t: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.nda
         put_hand(rotations, side, blend_between(["rest", *(str(n) for n in names)], at))
     transl = np.stack([wave(0.008), np.zeros(frames), wave(0.008)], axis=1)
     yaw = direction * 2 * np.pi * t
-    rotations[:, 0] = turned(yaw, np.stack([wave(0.015), wave(0.015)], axis=1))
+    rotations[:, 0] = _turned(yaw, np.stack([wave(0.015), wave(0.015)], axis=1))
     return rotations, transl
 
 
 def slow_wave(t: np.ndarray, size: float, rng: np.random.Generator) -> np.ndarray:
-    """A slow random function of time (T,)."""
+    """Draw a slow random function of time (T,)."""
     return sum(
         rng.normal(0, size / k) * np.sin(2 * np.pi * (k * t + rng.uniform())) for k in (1, 2)
     )
 
 
 def with_face(
-    rotations: np.ndarray,
-    transl: np.ndarray,
-    t: np.ndarray,
-    expressions: int,
+    rotations: np.ndarray, transl: np.ndarray, t: np.ndarray, expressions: int,
     rng: np.random.Generator,
-) -> Pose:
-    """The pose with a face that speaks and looks around."""
+) -> Pose:  # fmt: skip
+    """Add a face that speaks and looks around, and return the pose."""
     opened = 0.5 - 0.5 * np.cos(2 * np.pi * (6 * t + rng.uniform()))  # six words a round
     speaks = np.clip(0.6 + slow_wave(t, 0.5, rng), 0, 1)
     rotations[:, JOINTS.index("jaw"), 0] = 0.14 * opened * speaks
@@ -70,18 +111,18 @@ def with_face(
     expression = np.zeros((len(t), expressions))
     for k in range(min(expressions, 10)):
         expression[:, k] = slow_wave(t, 0.45, rng)
-    return to_pose(rotations, transl, expression)
+    return _to_pose(rotations, transl, expression)
 
 
-def turned(yaw: np.ndarray, lean: np.ndarray) -> np.ndarray:
-    """Axis-angle of a turn about y after a small lean about x and z."""
+def _turned(yaw: np.ndarray, lean: np.ndarray) -> np.ndarray:
+    """Return the axis-angle of a rotation about y after a small one about x and z."""
     about = lambda axis, a: torch.from_numpy(np.outer(a, axis))
     leaned = torch.from_numpy(np.stack([lean[:, 0], 0 * yaw, lean[:, 1]], axis=1))
     R = roma.rotvec_to_rotmat(about([0, 1, 0], yaw)) @ roma.rotvec_to_rotmat(leaned)
     return roma.rotmat_to_rotvec(R).numpy()
 
 
-def to_pose(rotations: np.ndarray, transl: np.ndarray, expression: np.ndarray) -> Pose:
-    """Rotations (T, 55, 3), translations (T, 3) and expression (T, E) as a Pose, in float32."""
+def _to_pose(rotations: np.ndarray, transl: np.ndarray, expression: np.ndarray) -> Pose:
+    """Convert to a float32 Pose."""
     tensor = lambda x: torch.from_numpy(x).float()
     return Pose(tensor(rotations), tensor(transl), tensor(expression))

@@ -1,9 +1,8 @@
-"""Masks as a segmenter gives them: level 1 is usual, 0 is exact.
+"""Error model of masks: level 1 is usual, 0 is exact.
 
-The boundary wobbles by a pixel or two, with some notches. A segmenter may also draw every boundary
-too far out or in, lose the feet for some frames, or take a thing for a part of the person: a bag,
-which stays at the same place of the body in all frames. Lengths in pixels are those of a picture
-512 pixels wide, and scale with its width.
+The boundary wobbles by a pixel or two and has some notches. A segmenter may also draw every
+boundary too far out or in, lose the feet for some frames, or include a bag that stays at the same
+place of the body. Lengths in pixels refer to pictures 512 pixels wide and scale with the width.
 """
 
 from __future__ import annotations
@@ -19,42 +18,42 @@ from gva_mi.data.synthetic.noise.outliers import SIDES
 from gva_mi.data.synthetic.noise.processes import field, runs
 from gva_mi.splat import Camera
 
-FEET_FRAMES = 6.0  # frames in a row in which a foot is lost, on average
-FOOT = 0.30  # m, how far a foot reaches from its ankle
-FLESH = 0.09  # m, from the joint of a hip out to the side
+FEET_FRAMES = 6.0  # mean number of consecutive frames without a foot
+FOOT = 0.30  # m, length of a foot from the ankle
+FLESH = 0.09  # m, from the hip joint to the side of the body
 
 
 @dataclass(frozen=True)
 class MaskNoise:
-    """How wrong the masks of a video are."""
+    """Sizes of the errors of a video's masks."""
 
     wobble: float = 1.1  # px at 512, error of the boundary
-    wobble_length: float = 14.0  # px at 512, over which it varies
+    wobble_length: float = 14.0  # px at 512, scale of its variation
     notches: int = 4  # dents and bumps on a mask's boundary
     notch_radius: float = 4.0  # px at 512
-    grown: float = 0.0  # px at 512 by which the boundary lies too far out; below 0: too far in
-    lost_feet: float = 0.0  # share of the frames, in runs, in which a foot is cut off
-    bag: float = 0.0  # m, radius of what hangs at a hip and is taken for the person; 0: nothing
+    grown: float = 0.0  # px at 512 that the boundary lies too far out; negative: too far in
+    lost_feet: float = 0.0  # fraction of the frames, in runs, without a foot
+    bag: float = 0.0  # m, radius of a bag at a hip that counts as person; 0: none
 
 
 @dataclass(frozen=True)
 class HalfDisc:
-    """The part of a disc that lies on one side of its middle, in pixels."""
+    """Half of a disc, in pixels."""
 
     centre: tuple[float, float]
-    toward: tuple[float, float]  # unit vector to the side that is meant
+    toward: tuple[float, float]  # unit vector to that half
     radius: float
 
 
 @dataclass(frozen=True)
-class Mistaken:
-    """What is taken for something else in one frame."""
+class Confusion:
+    """What a segmenter confuses in one frame."""
 
-    lost: tuple[HalfDisc, ...] = ()  # feet, from the ankle on
+    lost: tuple[HalfDisc, ...] = ()  # feet, beyond the ankle
     bag: tuple[float, float, float] | None = None  # px, centre and radius
 
 
-def mistaken(
+def confusions(
     body: BodyModel,
     pose: Pose,
     shape: Shape,
@@ -62,17 +61,10 @@ def mistaken(
     noise: MaskNoise,
     level: float,
     rng: np.random.Generator,
-) -> list[Mistaken]:
-    """What is taken for something else in each of T frames.
+) -> list[Confusion]:
+    """Draw in which of T frames feet are lost and on which side a bag hangs.
 
-    Args:
-        body: whose feet and hips they are.
-        pose: T frames.
-        shape: the person's.
-        camera: that sees it.
-        noise: what is lost, and what is added.
-        level: factor on both.
-        rng: in which frames feet are lost; on which side the bag hangs.
+    ``level`` is a factor on both.
     """
     frames, rest = len(pose), body.rest(shape).joints
     T_world_rest = joint_transforms(pose.rotations, rest, PARENTS, pose.transl).double().numpy()
@@ -85,7 +77,7 @@ def mistaken(
     found = []
     for k in range(frames):
         feet = [side for side in SIDES if lost[side][k]]
-        found.append(Mistaken(tuple(_foot(joints[k], camera, s) for s in feet), bags[k]))
+        found.append(Confusion(tuple(_foot(joints[k], camera, s) for s in feet), bags[k]))
     return found
 
 
@@ -94,20 +86,20 @@ def noisy_mask(
     noise: MaskNoise,
     level: float,
     rng: np.random.Generator,
-    seen: Mistaken = Mistaken(),  # noqa: B008 (frozen)
+    confusion: Confusion = Confusion(),  # noqa: B008 (frozen)
 ) -> np.ndarray:
-    """A mask (H, W) in [0, 1] with a boundary that is off by a pixel or two at level 1."""
+    """Degrade a mask (H, W) in [0, 1]; the boundary is off by a pixel or two at level 1."""
     if level == 0:
         return mask
     from scipy.ndimage import distance_transform_edt, gaussian_filter
 
     pixel = mask.shape[1] / 512
-    inside = _mistaken_for(mask > 0.5, seen)
+    inside = _confused(mask > 0.5, confusion)
     if not inside.any():
         return np.zeros_like(mask)
     distance = distance_transform_edt(inside) - distance_transform_edt(~inside)
     distance += np.where(inside, -0.5, 0.5)  # signed, zero on the boundary, positive inside
-    distance = gaussian_filter(distance, 0.6)  # over the steps from pixel to pixel
+    distance = gaussian_filter(distance, 0.6)  # over the steps between pixels
     length = max(noise.wobble_length * pixel, 0.7)
     wobble = level * max(noise.wobble * pixel, 0.25) * field(rng, mask.shape, length)
     edge = np.argwhere(np.abs(distance) < 1)
@@ -121,16 +113,16 @@ def noisy_mask(
     return np.clip(distance + wobble + grown + 0.5, 0, 1).astype(np.float32)
 
 
-def _mistaken_for(inside: np.ndarray, seen: Mistaken) -> np.ndarray:
-    """A hard mask with what is added, without what is lost."""
-    if not seen.lost and seen.bag is None:
+def _confused(inside: np.ndarray, confusion: Confusion) -> np.ndarray:
+    """Add the bag to a binary mask and cut off lost feet."""
+    if not confusion.lost and confusion.bag is None:
         return inside
     y, x = np.mgrid[: inside.shape[0], : inside.shape[1]] + 0.5
     inside = inside.copy()
-    if seen.bag is not None:
-        u, v, radius = seen.bag
+    if confusion.bag is not None:
+        u, v, radius = confusion.bag
         inside |= np.hypot(x - u, y - v) < radius
-    for foot in seen.lost:
+    for foot in confusion.lost:
         dx, dy = x - foot.centre[0], y - foot.centre[1]
         beyond = dx * foot.toward[0] + dy * foot.toward[1] > 0
         inside &= ~(beyond & (np.hypot(dx, dy) < foot.radius))
@@ -138,7 +130,7 @@ def _mistaken_for(inside: np.ndarray, seen: Mistaken) -> np.ndarray:
 
 
 def _foot(joints: np.ndarray, camera: Camera, side: str) -> HalfDisc:
-    """What lies beyond the ankle, seen along the shin."""
+    """Return what lies beyond the ankle in the direction of the shin."""
     knee, ankle = (joints[JOINTS.index(f"{side}_{name}")] for name in ("knee", "ankle"))
     start, end = camera.project(knee), camera.project(ankle)
     toward = (end - start) / max(float(np.linalg.norm(end - start)), 1e-6)
@@ -148,7 +140,7 @@ def _foot(joints: np.ndarray, camera: Camera, side: str) -> HalfDisc:
 def _bags(
     joints: np.ndarray, R_pelvis: np.ndarray, camera: Camera, radius: float, side: str
 ) -> list[tuple[float, float, float] | None]:
-    """Centre and radius, in pixels, of a ball that hangs beside a hip."""
+    """Return centre and radius, in pixels, of a ball beside a hip."""
     if radius == 0:
         return [None] * len(joints)
     outward = 1.0 if side == "left" else -1.0
@@ -162,6 +154,6 @@ def _bags(
 
 
 def _scale(camera: Camera, point: np.ndarray) -> float:
-    """Pixels per metre where a point lies."""
+    """Return pixels per metre at the depth of a point."""
     depth = camera.T_camera_world[2, :3] @ point + camera.T_camera_world[2, 3]
     return float(camera.fx / depth)

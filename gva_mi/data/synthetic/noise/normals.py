@@ -1,8 +1,7 @@
-"""Normals as a network gives them: level 1 is usual, 0 is exact.
+"""Error model of normals: level 1 is usual, 0 is exact.
 
-They are blurred, and turned by an error that varies slowly over the picture. A network may also see
-everything flatter than it is, or turned the same way in every frame; give its normals in another
-convention; and give none at all for some frames.
+Normals are blurred and turned by an error that varies slowly over the picture. They may also be
+flattened, turned the same way in every frame, given in another convention, or missing in frames.
 """
 
 from __future__ import annotations
@@ -19,15 +18,15 @@ from gva_mi.data.synthetic.noise.processes import field
 
 @dataclass(frozen=True)
 class NormalNoise:
-    """How wrong the normals of a video are."""
+    """Sizes of the errors of a video's normals."""
 
     blur: float = 2.2  # px at 512, standard deviation
     tilt: float = 0.14  # rad, error that varies over the picture
-    tilt_length: float = 50.0  # px at 512, over which it varies
-    flat: float = 0.0  # share by which they are shorter across the line of sight, made unit again
-    turn: tuple[float, float, float] = (0.0, 0.0, 0.0)  # rad, the same everywhere, camera axes
-    convention: Convention = "perspective"  # in which they are written
-    missing: float = 0.0  # share of the frames that have none
+    tilt_length: float = 50.0  # px at 512, scale of its variation
+    flat: float = 0.0  # relative shortening across the line of sight, before normalisation
+    turn: tuple[float, float, float] = (0.0, 0.0, 0.0)  # rad, constant, camera axes
+    convention: Convention = "perspective"  # of the files
+    missing: float = 0.0  # fraction of the frames without normals
 
 
 def noisy_normals(
@@ -37,7 +36,7 @@ def noisy_normals(
     level: float,
     rng: np.random.Generator,
 ) -> np.ndarray:
-    """Normals (H, W, 3) in camera space as a network would give them inside a mask (H, W)."""
+    """Degrade normals (H, W, 3) in camera space inside a mask (H, W)."""
     if level == 0:
         return normals
     from scipy.ndimage import distance_transform_edt, gaussian_filter
@@ -47,24 +46,18 @@ def noisy_normals(
     channels = [gaussian_filter(normals[..., k], reach) for k in range(3)]
     blurred = np.stack(channels, axis=-1)
     length = np.linalg.norm(blurred, axis=-1)
-    # Where the mask reaches past the surface, the nearest normal is taken.
+    # Where the mask extends past the surface, use the nearest normal.
     rows, columns = distance_transform_edt(
         length < 1e-3, return_distances=False, return_indices=True
     )
     blurred = blurred[rows, columns] / np.maximum(length[rows, columns], 1e-9)[..., None]
     axes = [field(rng, mask.shape, noise.tilt_length * pixel) for _ in range(3)]
     turned = blurred + level * noise.tilt / np.sqrt(2) * np.cross(np.stack(axes, -1), blurred)
-    turned = _biased(turned, noise, level)
-    turned[..., 2] = np.minimum(turned[..., 2], 0)  # what is seen faces the camera
-    turned /= np.maximum(np.linalg.norm(turned, axis=-1, keepdims=True), 1e-9)
-    return (turned * (mask > 0.5)[..., None]).astype(np.float32)
-
-
-def _biased(normals: np.ndarray, noise: NormalNoise, level: float) -> np.ndarray:
-    """Normals with the error that is the same everywhere."""
     if noise.flat:
-        normals = normals * np.array([1 - min(level * noise.flat, 1)] * 2 + [1])
+        turned = turned * np.array([1 - min(level * noise.flat, 1)] * 2 + [1])
     if any(noise.turn):
         turn = torch.tensor(noise.turn, dtype=torch.float64)
-        normals = normals @ roma.rotvec_to_rotmat(level * turn).numpy().T
-    return normals
+        turned = turned @ roma.rotvec_to_rotmat(level * turn).numpy().T
+    turned[..., 2] = np.minimum(turned[..., 2], 0)  # visible surfaces face the camera
+    turned /= np.maximum(np.linalg.norm(turned, axis=-1, keepdims=True), 1e-9)
+    return (turned * (mask > 0.5)[..., None]).astype(np.float32)

@@ -1,9 +1,9 @@
-"""What is badly wrong with a pose in some frames, and right in the others.
+"""Gross errors of poses that occur in some frames only.
 
-* A hand is lost, and its mean pose on a straight wrist is given instead.
+* A hand is lost, and replaced by its mean pose on a straight wrist.
 * Left and right leg are swapped: each has the mirrored rotations of the other.
-* Nothing is right: errors of all joints are several times as large.
-* The whole person sits somewhere else.
+* A frame is spoilt: the errors of all joints are several times as large.
+* The whole person jumps to another place.
 """
 
 from __future__ import annotations
@@ -17,27 +17,27 @@ from gva_mi.data.synthetic.noise.processes import runs
 
 SIDES = ("left", "right")
 LEG = ("hip", "knee", "ankle", "foot")
-LOST_FRAMES, SWAPPED_FRAMES, JUMP_FRAMES = 5.0, 4.0, 4.0  # in a row, on average
-MEAN_FINGER = 0.3  # rad, how far the fingers of the mean hand curl
-SPOILT = 5.0  # factor on the errors of a frame of which nothing is right
+LOST_FRAMES, SWAPPED_FRAMES, JUMP_FRAMES = 5.0, 4.0, 4.0  # mean length of a run
+MEAN_FINGER = 0.3  # rad, curl of the fingers of the mean hand
+SPOILT = 5.0  # factor on the errors in a spoilt frame
 JUMP_AXES = np.array([0.6, 0.6, 1.5])  # of a jump: right, down, deep; their mean square is near 1
 
 
 @dataclass(frozen=True)
 class Outliers:
-    """Shares of the frames in which something is badly wrong."""
+    """Fractions of the frames with gross errors."""
 
     lost: float = 0.08  # in runs: a hand
     swapped: float = 0.0  # in runs: left and right leg
-    whole: float = 0.0  # single frames: everything
-    jumps: float = 0.0  # in runs: where the person is
-    jump: float = 0.08  # m, how far away, root mean square
+    whole: float = 0.0  # single frames: all joints
+    jumps: float = 0.0  # in runs: the place of the person
+    jump: float = 0.08  # m, root mean square distance of a jump
 
 
 def lose_hands(
     rotations: np.ndarray, outliers: Outliers, level: float, rng: np.random.Generator
 ) -> None:
-    """In some frames, put the mean hand on a straight wrist; ``rotations`` (T, 55, 3) change."""
+    """Replace hands by the mean hand in some frames, in place in ``rotations`` (T, 55, 3)."""
     for side, hand in (("left", LEFT_HAND), ("right", RIGHT_HAND)):
         lost = runs(rng, len(rotations), _share(level, outliers.lost), LOST_FRAMES)
         lost = min(level, 1.0) * lost[:, None, None]
@@ -47,7 +47,7 @@ def lose_hands(
 
 
 def mean_hand(side: str) -> np.ndarray:
-    """Rotations (15, 3) of a relaxed hand."""
+    """Return rotations (15, 3) of a relaxed hand."""
     sign = 1.0 if side == "left" else -1.0
     rotations = np.zeros((15, 3))
     rotations[:12, 2] = -sign * MEAN_FINGER  # all but the thumb
@@ -57,7 +57,7 @@ def mean_hand(side: str) -> np.ndarray:
 def swap_legs(
     rotations: np.ndarray, outliers: Outliers, level: float, rng: np.random.Generator
 ) -> None:
-    """In some frames, give each leg what the other does; ``rotations`` (T, 55, 3) change."""
+    """Swap the legs in some frames, in place in ``rotations`` (T, 55, 3)."""
     where = runs(rng, len(rotations), _share(level, outliers.swapped), SWAPPED_FRAMES)
     left, right = ([JOINTS.index(f"{side}_{name}") for name in LEG] for side in SIDES)
     mirrored = rotations[np.ix_(where, right + left)] * (1, -1, -1)  # in the plane x = 0
@@ -71,14 +71,9 @@ def spoil_frames(
     level: float,
     rng: np.random.Generator,
 ) -> None:
-    """In some frames, add large errors to all joints; ``rotations`` (T, 55, 3) change.
+    """Add large errors to all joints in some frames, in place in ``rotations`` (T, 55, 3).
 
-    Args:
-        rotations: radians.
-        sizes: (55, T) usual root mean square errors, radians.
-        outliers: how many frames.
-        level: factor on frames and errors.
-        rng: for both.
+    ``sizes`` (55, T) are the usual root mean square errors, radians.
     """
     where = rng.random(len(rotations)) < _share(level, outliers.whole)
     error = rng.normal(size=rotations.shape) / np.sqrt(3)
@@ -86,9 +81,9 @@ def spoil_frames(
 
 
 def jumps(frames: int, outliers: Outliers, level: float, rng: np.random.Generator) -> np.ndarray:
-    """Displacements (T, 3) in camera axes, metres: constant over each of some runs of frames."""
+    """Draw displacements (T, 3) in camera axes, metres, constant over runs of frames."""
     away = runs(rng, frames, _share(level, outliers.jumps), JUMP_FRAMES)
-    run = np.cumsum(np.diff(away, prepend=False) & away)  # its number, where there is one
+    run = np.cumsum(np.diff(away, prepend=False) & away)  # its number, within a run
     where = outliers.jump * rng.normal(size=(frames + 1, 3)) * JUMP_AXES / np.sqrt(3)
     return where[run] * away[:, None]
 

@@ -1,8 +1,8 @@
-"""Stage-1 poses as an estimator on single frames gives them: level 1 is usual, 0 is exact.
+"""Error model of stage-1 poses, as of an estimator on single frames: level 1 is usual, 0 is exact.
 
-Errors of rotations grow toward hands and feet and persist over some frames; depth is known worst.
-How far depends on :class:`PoseNoise`, which also says what else goes wrong: what is the same in
-every frame (:mod:`gva_mi.data.synthetic.noise.camera_bias`), and what comes in some frames alone
+Rotation errors grow toward hands and feet and persist over some frames; depth has the largest
+translation error. :class:`PoseNoise` holds the sizes of all errors, including constant ones
+(:mod:`gva_mi.data.synthetic.noise.camera_bias`) and gross ones in some frames
 (:mod:`gva_mi.data.synthetic.noise.outliers`).
 """
 
@@ -29,23 +29,22 @@ from gva_mi.data.synthetic.noise.outliers import (
 from gva_mi.data.synthetic.noise.processes import bumps, curve
 from gva_mi.splat import Camera
 
-# Root mean square rotation errors in radians, before the doubling at the side. They grow along the
-# limbs; what leans the whole trunk is known best.
+# Root mean square rotation errors in radians, seen from the front. They grow along the limbs.
 ROTATION: Mapping[str, float] = {
     "pelvis": 0.045, "spine1": 0.02, "spine2": 0.02, "spine3": 0.02, "neck": 0.05, "head": 0.07,
     "collar": 0.03, "shoulder": 0.055, "elbow": 0.095, "wrist": 0.16,
     "hip": 0.06, "knee": 0.085, "ankle": 0.15, "foot": 0.15,
 }  # fmt: skip
 FACE, FINGER = 0.02, 0.16  # jaw and eyes; every joint of the fingers
-PARTS: Mapping[str, Sequence[str]] = {  # of JointFactors; jaw and eyes belong to the head
+PARTS: Mapping[str, Sequence[str]] = {  # of JointFactors; all other joints are the head's
     "trunk": ("pelvis", "spine1", "spine2", "spine3"),
     "arms": ("collar", "shoulder", "elbow", "wrist"),
     "legs": LEG,
 }
-LIMBS: Sequence[Sequence[str]] = tuple(  # a burst comes over one of them
+LIMBS: Sequence[Sequence[str]] = tuple(  # a burst affects one of them
     tuple(f"{side}_{name}" for name in PARTS[part]) for part in ("arms", "legs") for side in SIDES
 )
-BURST_EVERY, BURST_LENGTH = 25.0, 2.5  # frames between bursts, on average; half length of one
+BURST_EVERY, BURST_LENGTH = 25.0, 2.5  # mean frames between bursts; half length of one
 
 
 @dataclass(frozen=True)
@@ -61,21 +60,21 @@ class JointFactors:
 
 @dataclass(frozen=True)
 class PoseNoise:
-    """How wrong the stage-1 poses of a video are."""
+    """Sizes of the errors of a video's stage-1 poses."""
 
     sizes: JointFactors = JointFactors()
-    memory: float = 5.0  # frames over which the slow part of an error persists
-    white: float = 0.0  # share of the variance that is independent from frame to frame, 0 to 1
-    calm: float = 0.66  # factor on errors of limbs, at rest
-    burst: float = 3.1  # the same at the height of a burst, at most
-    sideways: float = 1.0  # how much larger errors are where the person stands sideways
+    memory: float = 5.0  # frames, persistence of the slow part of an error
+    white: float = 0.0  # fraction of the variance that is independent from frame to frame
+    calm: float = 0.66  # factor on errors of limbs between bursts
+    burst: float = 3.1  # largest factor within a burst
+    sideways: float = 1.0  # relative growth of errors seen from the side
     depth: float = 0.028  # m, translation along the line of sight
     aside: float = 0.008  # m, across it
     betas: float = 0.25  # standard deviations
-    depth_follows: bool = False  # who is taken for larger is put farther away: the picture stays
-    expression: float = 0.3  # standard deviations, of every coefficient that moves at all
+    depth_follows: bool = False  # a person estimated larger is placed farther: the picture stays
+    expression: float = 0.3  # standard deviations, of all nonzero coefficients
     lean: Lean = Lean()
-    focal: float = 0.0  # the focal length is taken for this share longer; depth follows
+    focal: float = 0.0  # relative error of the focal length; depth follows
     outliers: Outliers = Outliers()
 
 
@@ -88,16 +87,15 @@ def noisy_poses(
     level: float,
     rng: np.random.Generator,
 ) -> tuple[Pose, Shape]:
-    """Stage-1 poses of a video.
+    """Draw stage-1 poses of a video.
 
     Args:
-        body: the poses are for it.
-        pose: the truth, T frames.
-        shape: the truth.
-        camera: the true view; it decides what is sideways and what is depth.
-        noise: what goes wrong, and how far.
-        level: factor on all of it; 0 returns the truth itself.
-        rng: for all errors.
+        body: of the poses.
+        pose, shape: the ground truth, T frames.
+        camera: the true view; it defines sideways and depth.
+        noise: sizes of the errors.
+        level: factor on all errors; 0 returns the ground truth itself.
+        rng: draws the errors.
     """
     if level == 0:
         return pose, shape
@@ -132,13 +130,13 @@ def noisy_poses(
 
 
 def sideways(pose: Pose, camera: Camera) -> np.ndarray:
-    """How far a person stands sideways (T,): 0 seen from front or back, 1 from the side."""
+    """Return (T,): 0 if a person is seen from front or back, 1 from the side."""
     facing = matrices(pose.rotations[:, 0].double().numpy())[:, :, 2]
     return np.abs(facing @ camera.T_camera_world[0, :3])
 
 
 def _sizes(noise: PoseNoise, frames: int, rng: np.random.Generator) -> np.ndarray:
-    """Root mean square error of each joint's rotation in each frame, radians, (55, T)."""
+    """Draw the root mean square error of each joint's rotation per frame, radians, (55, T)."""
     part = {name: part for part, names in PARTS.items() for name in names}
     sizes = []
     for name in (joint.split("_")[-1] for joint in JOINTS):
@@ -155,12 +153,12 @@ def _sizes(noise: PoseNoise, frames: int, rng: np.random.Generator) -> np.ndarra
 
 
 def _growth(body: BodyModel, before: Shape, after: Shape) -> float:
-    """How many times as large a person is, by the distances of joints from the pelvis."""
+    """Return the ratio of body sizes, by the distances of joints from the pelvis."""
     small, large = (body.rest(shape).joints[:22].double() for shape in (before, after))
     return float((large - large[0]).norm() / (small - small[0]).norm())
 
 
-def believed_camera(camera: Camera, noise: PoseNoise, level: float) -> Camera:
-    """The camera whose focal length the estimator takes for the true one."""
+def estimated_camera(camera: Camera, noise: PoseNoise, level: float) -> Camera:
+    """Return the camera with the focal length that the estimator assumes."""
     factor = 1 + level * noise.focal
     return replace(camera, fx=camera.fx * factor, fy=camera.fy * factor)

@@ -1,4 +1,4 @@
-"""Random processes that errors follow: in time, curves, bumps and runs; in a picture, fields."""
+"""Random processes for errors: curves, bumps and runs in time, fields in a picture."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ import numpy as np
 
 
 def curve(rng: np.random.Generator, frames: int, memory: float, white: float = 0.0) -> np.ndarray:
-    """A random curve (T, 3) whose root mean square length is 1.
+    """Draw a random curve (T, 3) of root mean square length 1.
 
     Args:
-        rng: for both parts.
+        rng: draws both parts.
         frames: T.
-        memory: frames, standard deviation of the window over which its slow part is smooth.
-        white: share of its variance, from 0 to 1, that is independent from frame to frame.
+        memory: frames, standard deviation of the window that smooths the slow part.
+        white: fraction of the variance that is independent from frame to frame.
     """
     from scipy.ndimage import gaussian_filter1d
 
@@ -28,30 +28,30 @@ def curve(rng: np.random.Generator, frames: int, memory: float, white: float = 0
 def bumps(
     rng: np.random.Generator, frames: int, calm: float, top: float, every: float, length: float
 ) -> np.ndarray:
-    """A curve (T,) that is calm and rises at random moments.
+    """Draw a curve (T,) that rises from ``calm`` at random moments.
 
     Args:
-        rng: for the moments and heights.
+        rng: draws moments and heights.
         frames: T.
-        calm: its value at rest.
-        top: its value at the height of the highest bump; the others reach at least half as far.
-        every: frames between bumps, on average.
+        calm: value between bumps.
+        top: upper bound; each bump reaches at least half of the way there.
+        every: mean frames between bumps.
         length: frames, half length of a bump.
     """
     margin = int(3 * length)
     t = np.arange(frames)
-    envelope = np.full(frames, calm)
+    curve = np.full(frames, calm)
     for centre in range(-margin, frames + margin):
         if rng.random() < 1 / every:
             height = rng.uniform(0.5, 1.0) * (top - calm)
             bump = height * np.exp(-(((t - centre) / length) ** 2) / 2)
-            envelope = np.maximum(envelope, calm + bump)
-    return envelope
+            curve = np.maximum(curve, calm + bump)
+    return curve
 
 
 def runs(rng: np.random.Generator, frames: int, share: float, length: float) -> np.ndarray:
-    """Frames in a row, (T,) bool: runs of some ``length`` on average that hold a ``share`` of T."""
-    start = share / (length * max(1 - share, 0.1))  # chance, frame by frame
+    """Draw runs of frames, (T,) bool, of mean ``length``, that cover a ``share`` of all frames."""
+    start = share / (length * max(1 - share, 0.1))  # probability per frame
     inside = np.zeros(frames, dtype=bool)
     for k in np.flatnonzero(rng.random(frames) < start):
         inside[k : k + rng.poisson(length - 1) + 1] = True
@@ -59,10 +59,10 @@ def runs(rng: np.random.Generator, frames: int, share: float, length: float) -> 
 
 
 def field(rng: np.random.Generator, shape: tuple[int, int], length: float) -> np.ndarray:
-    """A smooth random image of unit variance that varies over ``length`` pixels."""
+    """Draw a smooth random image of unit variance that varies over ``length`` pixels."""
     from scipy.ndimage import zoom
 
-    nodes = [int(np.ceil(n / length)) + 3 for n in shape]  # a lattice that is interpolated
+    nodes = [int(np.ceil(n / length)) + 3 for n in shape]  # a lattice to interpolate
     scale = max((n + 2 * length) / k for n, k in zip(shape, nodes, strict=True))
     fine = zoom(rng.normal(size=nodes), scale, order=3)
     top, left = ((f - n) // 2 for f, n in zip(fine.shape, shape, strict=True))

@@ -1,4 +1,4 @@
-"""How far noisy poses, masks and normals are from the truth."""
+"""Measure how far estimated poses, masks and normals are from the ground truth."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from gva_mi.splat import Camera
 
 @dataclass(frozen=True)
 class PoseError:
-    """Distance of noisy from true poses: vertices in millimetres, rotations in degrees."""
+    """Mean error of poses over frames: vertices in millimetres, rotations in degrees."""
 
     vertex_mm: float
     hand_vertex_mm: float
     foot_vertex_mm: float
     rotation_deg: float
     transl_mm: float
-    sideways: float  # rotation error where the person stands sideways, over that from front or back
+    sideways: float  # rotation error seen from the side, over that from front or back
     lost_left_hand: tuple[int, ...]  # frames in which the hand is lost
     lost_right_hand: tuple[int, ...]
 
@@ -32,15 +32,15 @@ class PoseError:
 def pose_error(
     body: BodyModel, pose: Pose, shape: Shape, true: Pose, true_shape: Shape, camera: Camera
 ) -> PoseError:
-    """How far poses are from the truth, the mean over frames and vertices.
+    """Compare poses with the ground truth.
 
-    A hand counts as lost where all of its noisy fingers are those of the mean hand.
+    A hand is lost in the frames where all its fingers are those of the mean hand.
 
     Args:
-        body: takes both to vertices.
-        pose, shape: the noisy ones.
-        true, true_shape: the truth.
-        camera: tells who stands sideways.
+        body: of both.
+        pose, shape: the estimate.
+        true, true_shape: the ground truth.
+        camera: decides which frames show the person from the side.
     """
     away = torch.cat([
         (body(a, shape).vertices - body(b, true_shape).vertices).norm(dim=-1)
@@ -57,7 +57,6 @@ def pose_error(
     side, front = degrees[turned > 0.87].mean(1), degrees[turned < 0.5].mean(1)  # 30 degrees
     ratio = side.mean() / front.mean() if len(side) and len(front) and front.any() else 1.0
     millimetres = lambda x: float(1000 * x.double().mean())
-    lost = lambda hand, side: _lost(pose.rotations[:, hand].numpy(), side)
     return PoseError(
         vertex_mm=millimetres(away),
         hand_vertex_mm=millimetres(away[:, hand]),
@@ -65,14 +64,14 @@ def pose_error(
         rotation_deg=float(degrees.mean()),
         transl_mm=millimetres((pose.transl - true.transl).norm(dim=-1)),
         sideways=float(ratio),
-        lost_left_hand=lost(LEFT_HAND, "left"),
-        lost_right_hand=lost(RIGHT_HAND, "right"),
+        lost_left_hand=_lost(pose, LEFT_HAND, "left"),
+        lost_right_hand=_lost(pose, RIGHT_HAND, "right"),
     )
 
 
-def _lost(fingers: np.ndarray, side: str) -> tuple[int, ...]:
-    """The frames in which fingers (T, 15, 3) are those of the mean hand."""
-    off = np.abs(fingers - mean_hand(side)).max((1, 2))
+def _lost(pose: Pose, hand: slice, side: str) -> tuple[int, ...]:
+    """Return the frames in which a hand is the mean hand."""
+    off = np.abs(pose.rotations[:, hand].numpy() - mean_hand(side)).max((1, 2))
     return tuple(np.flatnonzero(off < 1e-5).tolist())
 
 
@@ -81,13 +80,13 @@ def _chunks(pose: Pose, frames: int = 32) -> list[Pose]:
 
 
 def mask_iou(mask: np.ndarray, true: np.ndarray) -> float:
-    """Intersection over union of two masks in [0, 1], cut at one half."""
+    """Return the intersection over union of two masks in [0, 1], cut at one half."""
     a, b = mask > 0.5, true > 0.5
     return float((a & b).sum() / max((a | b).sum(), 1))
 
 
 def normal_error(normals: np.ndarray, true: np.ndarray) -> float:
-    """Mean angle in degrees between normals, where both are."""
+    """Return the mean angle between normals in degrees, where both exist."""
     both = (np.abs(normals).sum(-1) > 0) & (np.abs(true).sum(-1) > 0)
     cosine = (normals[both] * true[both]).sum(-1)
     return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean()) if both.any() else 0.0

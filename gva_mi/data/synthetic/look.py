@@ -1,0 +1,118 @@
+"""Colours and patterns of a synthetic subject, and where on its rest surface they go.
+
+Colours are linear albedo with Rec. 709 primaries; points are in the rest pose, metres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Literal
+
+import drjit as dr
+import numpy as np
+
+Color = tuple[float, float, float]  # linear albedo
+Point = tuple[float, float, float]
+Pattern = Literal["smooth", "plain", "stripes", "plaid", "dots", "print"]
+
+
+class Material(IntEnum):
+    """The material of a triangle."""
+
+    SKIN = 0
+    TOP = 1
+    BOTTOM = 2
+    SHOES = 3
+    HAIR = 4
+    ACCESSORY = 5
+
+
+@dataclass(frozen=True)
+class Fabric:
+    """Pattern and colours of a cloth; "plain" has only a weave, "smooth" nothing."""
+
+    pattern: Pattern
+    colors: tuple[Color, Color, Color]  # ground, figure, thin lines; linear albedo
+    scale: float  # m, one repeat of the pattern
+
+
+@dataclass(frozen=True)
+class FaceLandmarks:
+    """Where the face is painted."""
+
+    eyes: tuple[Point, Point]  # left, right
+    mouth: Point
+    unit: float  # distance between the eyes
+
+
+@dataclass(frozen=True)
+class SkirtCone:
+    """The cone of a skirt, whose cloth is unrolled so that patterns keep their size."""
+
+    apex: Point  # metres
+    slope: float  # radius per metre below the apex
+    aspect: float  # width over depth
+
+    def unrolled(self, p: dr.ArrayBase) -> tuple[dr.ArrayBase, dr.ArrayBase]:
+        """Unroll points onto the flat cloth, metres along and around; the seam is behind."""
+        sine = self.slope / np.sqrt(1 + self.slope**2)
+        slant = (self.apex[1] - p.y) * float(np.sqrt(1 + self.slope**2))
+        angle = dr.atan2(p.x - self.apex[0], self.aspect * (p.z - self.apex[2])) * float(sine)
+        return -slant * dr.cos(angle), slant * dr.sin(angle)
+
+    def share(self, p: dr.ArrayBase) -> dr.ArrayBase:
+        """Return how far out points lie, from 0 on the axis to 1 on the cone."""
+        depth = p.z - self.apex[2]
+        out = dr.sqrt(dr.square((p.x - self.apex[0]) / self.aspect) + dr.square(depth))
+        return 0.5 * (1 + self.aspect) * out / (self.slope * (self.apex[1] - p.y))
+
+
+@dataclass(frozen=True)
+class Look:
+    """Colours and landmarks that the texture is computed from."""
+
+    skin: Color
+    lips: Color
+    iris: Color
+    hair: Color
+    brows: Color
+    top: Fabric
+    bottom: Fabric
+    shoes: Color
+    swimsuit: bool  # painted on the skin, for a person without clothes
+    face: FaceLandmarks
+    nails: tuple[Point, ...]  # centres, on the backs of the fingers
+    shoulder: Point  # left shoulder; sleeves begin here
+    hip: Point  # left hip
+    ground: float  # m, height of the soles
+    accessory: Color = (0.02, 0.02, 0.02)
+    cone: SkirtCone | None = None  # of a skirt
+
+    def mean_color(self, material: Material) -> Color:
+        """Return the average colour of a material, for indirect light."""
+        fabric = {Material.TOP: self.top, Material.BOTTOM: self.bottom}.get(material)
+        if fabric is not None:
+            a, b = np.array(fabric.colors[0]), np.array(fabric.colors[1])
+            return tuple(0.6 * a + 0.4 * b)
+        plain = {Material.SKIN: self.skin, Material.SHOES: self.shoes, Material.HAIR: self.hair}
+        return plain.get(material, self.accessory)
+
+
+def linear(*srgb: int) -> Color:
+    """Convert an 8-bit sRGB colour to linear albedo."""
+    c = np.array(srgb, dtype=np.float64) / 255
+    return tuple(float(x) for x in np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4))
+
+
+def encode(linear_rgb: np.ndarray) -> np.ndarray:
+    """Encode linear light as sRGB in [0, 1], float32."""
+    x = np.clip(linear_rgb, 0, 1)
+    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055).astype(np.float32)
+
+
+def palette(rng: np.random.Generator, colors: Sequence[Color]) -> Color:
+    """Draw one of the colours, slightly varied."""
+    color = np.array(colors[rng.integers(len(colors))])
+    return tuple(float(c) for c in np.clip(color * rng.uniform(0.85, 1.15, 3), 0.01, 0.85))

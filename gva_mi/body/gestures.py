@@ -86,9 +86,9 @@ def put_hand(rotations: np.ndarray, side: str, values: np.ndarray) -> None:
         rotations[:, JOINTS.index(f"{side}_thumb{k + 1}")] = mirror * thumb[:, k]
 
 
-def hand_rotations(gesture: Gesture, side: str) -> dict[str, AxisAngle]:
-    """A gesture of the hand on one ``side`` as the rotations of its joints, by name."""
+def hand_rotations(gesture: str, side: str) -> dict[str, AxisAngle]:
+    """Return one of GESTURES on one ``side`` as rotations of its joints, by name."""
     rotations = np.zeros((1, len(JOINTS), 3))
-    put_hand(rotations, side, gesture.values)
+    put_hand(rotations, side, GESTURES[gesture].values)
     hand = LEFT_HAND if side == "left" else RIGHT_HAND
     return {JOINTS[k]: tuple(rotations[0, k].tolist()) for k in range(hand.start, hand.stop)}

@@ -11,10 +11,10 @@ from gva_mi.body.smplx import load_body
 from gva_mi.commands.arguments import Switch
 from gva_mi.console import say
 from gva_mi.data.pictures import require_picture, write_image
+from gva_mi.data.synthetic.portrait import pose_sheet as draw_sheet
+from gva_mi.data.synthetic.portrait import turntable
 from gva_mi.errors import InputError
 from gva_mi.files import replacing, require_room
-from gva_mi.sculptor.portrait import pose_sheet as draw_sheet
-from gva_mi.sculptor.portrait import turntable
 
 
 def body(

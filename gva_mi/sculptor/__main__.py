@@ -1,6 +1,6 @@
-"""Rebuilds the puppet's file: ``python -m gva_mi.sculptor``."""
+"""Rebuild the file of the built-in body: ``python -m gva_mi.sculptor``."""
 
-from gva_mi.sculptor.sculpt import write_puppet
+from gva_mi.sculptor.generate import write_body
 
 if __name__ == "__main__":
-    write_puppet()
+    write_body()

@@ -1,7 +1,7 @@
-"""The puppet's anatomy in numbers: where its joints are, and the solids that make its left half.
+"""Anatomy of the built-in body: joint positions, and the solids of its left half.
 
 Metres, T-pose, y up, facing +z, the left hand toward +x, the pelvis at the origin; about 1.77 m
-tall. The right half is the mirror image of the left.
+tall. The right half mirrors the left.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gva_mi.body.pose import JOINTS
-from gva_mi.sculptor.solids import Ball, Cone, Loft, Part
+from gva_mi.sculptor.solids import Ball, Cone, Join, Loft
 
 _MIDDLE = {
     "pelvis": (0, 0, 0), "spine1": (0, 0.105, -0.012), "spine2": (0, 0.225, -0.018),
@@ -27,11 +27,11 @@ _LEFT = {
 
 EYE = _LEFT["eye_smplhf"]
 EYE_RADIUS, LID_RADIUS = 0.0122, 0.0140
-EYE_SLIT = (0.0134, 0.0060)  # half width and half height between the lids
+EYE_SLIT = (0.0134, 0.0060)  # half width and half height of the opening between the lids
 
 
 @dataclass(frozen=True)
-class _Finger:
+class Finger:
     """A finger of the left hand, metres."""
 
     knuckle: tuple[float, float, float]  # the first one, relative to the wrist
@@ -41,29 +41,29 @@ class _Finger:
     tip: float  # radius at the tip
 
 
-_FINGERS = {
-    "index": _Finger(
+FINGERS = {
+    "index": Finger(
         (0.098, 0.003, 0.0290), (1, -0.02, 0.075), (0.040, 0.024, 0.021), 0.0096, 0.0079
     ),
-    "middle": _Finger(
+    "middle": Finger(
         (0.102, 0.005, 0.0070), (1, -0.02, 0.010), (0.044, 0.028, 0.022), 0.0098, 0.0081
     ),
-    "ring": _Finger(
+    "ring": Finger(
         (0.097, 0.003, -0.0145), (1, -0.02, -0.055), (0.041, 0.026, 0.021), 0.0093, 0.0077
     ),
-    "pinky": _Finger(
+    "pinky": Finger(
         (0.088, 0.000, -0.0340), (1, -0.02, -0.14), (0.032, 0.019, 0.018), 0.0082, 0.0068
     ),
-    "thumb": _Finger(
+    "thumb": Finger(
         (0.024, -0.008, 0.0270), (0.74, -0.1, 0.66), (0.046, 0.034, 0.025), 0.0125, 0.0092
     ),
 }
 
 
 def joint_positions() -> np.ndarray:
-    """Joints in the T-pose, (55, 3), in the order of JOINTS."""
+    """Return the joints in the T-pose, (55, 3), in the order of JOINTS."""
     left = dict(_LEFT)
-    for finger in _FINGERS:
+    for finger in FINGERS:
         for k, position in enumerate(finger_chain(finger)[:3], start=1):
             left[f"{finger}{k}"] = position
     places = dict(_MIDDLE)
@@ -74,88 +74,19 @@ def joint_positions() -> np.ndarray:
 
 
 def finger_chain(finger: str) -> np.ndarray:
-    """The three joints of a finger of the left hand and its tip, (4, 3)."""
-    of = _FINGERS[finger]
+    """Return the three joints and the tip of a finger of the left hand, (4, 3)."""
+    of = FINGERS[finger]
     direction = np.asarray(of.direction) / np.linalg.norm(of.direction)
     reach = np.concatenate([[0], np.cumsum(of.bones)])
     return np.asarray(_LEFT["wrist"]) + of.knuckle + reach[:, None] * direction
 
 
-@dataclass(frozen=True)
-class Bone:
-    """What a joint moves, as a thick segment."""
-
-    joint: int
-    start: np.ndarray  # (3,) metres
-    end: np.ndarray  # (3,)
-    radius: float  # of the limb around it, metres
-    softness: float = 1.0  # the larger, the more gradually its region passes into the next
-
-
-def bones() -> list[Bone]:
-    """The segments that skinning weights spread from, both sides."""
-    J = dict(zip(JOINTS, joint_positions(), strict=True))
-    found = [
-        Bone(JOINTS.index(name), np.array(a, float), np.array(b, float), radius, softness)
-        for name, a, b, radius, softness in (
-            ("pelvis", (0, -0.06, 0), (0, 0.04, 0), 0.11, 0.6),
-            ("spine1", J["spine1"], (0, 0.20, -0.015), 0.11, 0.5),
-            ("spine2", J["spine2"], (0, 0.30, -0.018), 0.11, 0.5),
-            ("spine3", J["spine3"], (0, 0.43, -0.02), 0.12, 0.6),
-            ("neck", J["neck"], J["head"], 0.055, 1.0),
-            ("head", (0, 0.64, 0), (0, 0.72, -0.01), 0.078, 1.0),
-        )
-    ]
-    limbs = [
-        ("hip", J["left_hip"] - (0, 0.01, 0), J["left_knee"], 0.078),
-        ("knee", J["left_knee"], J["left_ankle"], 0.048),
-        ("ankle", J["left_ankle"] - (0, 0.04, 0.03), J["left_foot"], 0.034),
-        ("foot", J["left_foot"] + (0, 0, 0.008), J["left_foot"] + (0, -0.008, 0.06), 0.022),
-        ("collar", J["left_collar"] + (0.025, 0.012, 0), J["left_shoulder"] - (0.03, 0, 0), 0.052),
-        ("shoulder", J["left_shoulder"] + (0.012, 0, 0), J["left_elbow"], 0.046),
-        ("elbow", J["left_elbow"], J["left_wrist"], 0.036),
-    ]  # fmt: skip
-    for finger, of in _FINGERS.items():
-        chain = finger_chain(finger)
-        if finger != "thumb":  # the palm: a ray toward each knuckle
-            start = 0.8 * J["left_wrist"] + 0.2 * chain[0]
-            limbs.append(("wrist", start, chain[0] - (0.006, 0, 0), 0.014))
-        limbs += [(f"{finger}{k + 1}", chain[k], chain[k + 1], of.base) for k in range(3)]
-    for side, mirror in (("left", (1, 1, 1)), ("right", (-1, 1, 1))):
-        for name, a, b, radius in limbs:
-            found.append(Bone(JOINTS.index(f"{side}_{name}"), a * mirror, b * mirror, radius))
-    return found
-
-
-def facial_regions(points: np.ndarray) -> list[tuple[int, np.ndarray, float]]:
-    """Which points (V, 3) jaw, head and eyes hold, and how firmly.
-
-    Returns:
-        (joint, mask (V,), distance), later ones over earlier ones; a smaller distance in metres,
-        as if to the joint's bone, holds more firmly.
-    """
-    x, y, z = points.T
-    # The line between the jaws rises from the mouth to the ear.
-    line = np.minimum(0.6072 + 0.10 * np.maximum(0.085 - z, 0), 0.6125)
-    line = np.where((np.abs(x) < 0.024) & (z > 0.070), 0.6072, line)
-    jaw = (y < line) & (y > 0.562 - 0.25 * (z - 0.06)) & (z > 0.022)
-    upper = (y > line) & (y < 0.72) & (z > 0.022)  # held as firmly, or the upper lip would follow
-    regions = [(JOINTS.index("jaw"), jaw, 0.018), (JOINTS.index("head"), upper, 0.015)]
-    for name in ("left_eye_smplhf", "right_eye_smplhf"):
-        centre = joint_positions()[JOINTS.index(name)]
-        radius = np.where(z > centre[2], np.linalg.norm(points - centre, axis=1), np.inf)
-        ball, lids = radius < EYE_RADIUS + 0.0002, radius < LID_RADIUS + 0.003
-        regions.append((JOINTS.index("head"), lids & ~ball, 0.003))
-        regions.append((JOINTS.index(name), ball, 0.003))
-    return regions
-
-
-def left_half() -> list[Part]:
-    """The solids of x ≥ 0, in the order in which they are joined."""
+def left_half() -> list[Join]:
+    """Return the solids of x ≥ 0 in the order in which they are joined."""
     return [*_trunk(), *_leg(), *_foot(), *_arm(), *_hand(), *_head(), *_face()]
 
 
-def _trunk() -> list[Part]:
+def _trunk() -> list[Join]:
     # y: centre x, z; half width twice; depth to the back, to the front
     trunk = Loft(1, [
         (-0.130, 0, -0.005, 0.075, 0.075, 0.060, 0.062),
@@ -172,16 +103,16 @@ def _trunk() -> list[Part]:
         (0.490, 0, -0.024, 0.076, 0.076, 0.056, 0.046),
     ], power=2.25, caps=(0.03, 0.02))  # fmt: skip
     return [
-        Part(trunk, 0.02),
-        Part(Cone((0.030, 0.500, -0.034), (0.150, 0.458, -0.026), 0.036, 0.036), 0.05),  # trapezius
-        Part(Ball((0.072, 0.335, 0.058), (0.075, 0.058, 0.046), (0, 0.25, -0.25)), 0.045),  # chest
-        Part(Ball((0.085, 0.330, -0.075), (0.070, 0.085, 0.034), (0, -0.3, 0.1)), 0.05),  # blade
-        Part(Ball((0.074, -0.055, -0.062), (0.078, 0.078, 0.062)), 0.035),  # buttock
-        Part(Cone((0, 0.06, -0.118), (0, 0.36, -0.134), 0.016, 0.02), 0.03, carve=True),  # spine
+        Join(trunk, 0.02),
+        Join(Cone((0.030, 0.500, -0.034), (0.150, 0.458, -0.026), 0.036, 0.036), 0.05),  # trapezius
+        Join(Ball((0.072, 0.335, 0.058), (0.075, 0.058, 0.046), (0, 0.25, -0.25)), 0.045),  # chest
+        Join(Ball((0.085, 0.330, -0.075), (0.070, 0.085, 0.034), (0, -0.3, 0.1)), 0.05),  # blade
+        Join(Ball((0.074, -0.055, -0.062), (0.078, 0.078, 0.062)), 0.035),  # buttock
+        Join(Cone((0, 0.06, -0.118), (0, 0.36, -0.134), 0.016, 0.02), 0.03, carve=True),  # spine
     ]
 
 
-def _leg() -> list[Part]:
+def _leg() -> list[Join]:
     leg = Loft(1, [
         (-0.915, 0.104, -0.034, 0.028, 0.028, 0.044, 0.034),
         (-0.890, 0.104, -0.032, 0.029, 0.029, 0.037, 0.034),
@@ -199,16 +130,16 @@ def _leg() -> list[Part]:
         (-0.040, 0.085, 0.000, 0.076, 0.080, 0.086, 0.082),
     ], caps=(0.02, 0.07))  # fmt: skip
     return [
-        Part(leg, 0.03),
-        Part(Ball((0.098, -0.474, 0.040), (0.030, 0.034, 0.022)), 0.02),  # kneecap
-        Part(Ball((0.080, -0.612, -0.050), (0.026, 0.085, 0.032)), 0.03),  # calf, inner head
-        Part(Ball((0.122, -0.600, -0.045), (0.022, 0.080, 0.030)), 0.03),
-        Part(Ball((0.131, -0.902, -0.034), (0.010, 0.014, 0.013)), 0.012),  # ankle bones
-        Part(Ball((0.076, -0.895, -0.026), (0.010, 0.014, 0.013)), 0.012),
+        Join(leg, 0.03),
+        Join(Ball((0.098, -0.474, 0.040), (0.030, 0.034, 0.022)), 0.02),  # kneecap
+        Join(Ball((0.080, -0.612, -0.050), (0.026, 0.085, 0.032)), 0.03),  # calf, inner head
+        Join(Ball((0.122, -0.600, -0.045), (0.022, 0.080, 0.030)), 0.03),
+        Join(Ball((0.131, -0.902, -0.034), (0.010, 0.014, 0.013)), 0.012),  # ankle bones
+        Join(Ball((0.076, -0.895, -0.026), (0.010, 0.014, 0.013)), 0.012),
     ]
 
 
-def _foot() -> list[Part]:
+def _foot() -> list[Join]:
     # z: centre x, y; inner, outer; down to the sole, up to the instep
     foot = Loft(2, [
         (-0.078, 0.103, -0.948, 0.024, 0.024, 0.028, 0.032),
@@ -219,18 +150,18 @@ def _foot() -> list[Part]:
         (0.100, 0.116, -0.960, 0.040, 0.043, 0.018, 0.017),
         (0.122, 0.117, -0.962, 0.036, 0.040, 0.015, 0.012),
     ], power=2.6, caps=(0.018, 0.016))  # fmt: skip
-    parts = [Part(foot, 0.03)]
+    parts = [Join(foot, 0.03)]
     toes = (  # base x, z; tip x, z; radius
         (0.0905, 0.120, 0.0925, 0.154, 0.0135), (0.1110, 0.122, 0.1125, 0.156, 0.0095),
         (0.1275, 0.118, 0.1285, 0.147, 0.0088), (0.1425, 0.111, 0.1425, 0.136, 0.0083),
         (0.1555, 0.101, 0.1545, 0.123, 0.0080),
     )  # fmt: skip
     for x0, z0, x1, z1, r in toes:
-        parts.append(Part(Cone((x0, -0.964, z0), (x1, -0.977 + r, z1), r * 0.95, r), 0.005))
+        parts.append(Join(Cone((x0, -0.964, z0), (x1, -0.977 + r, z1), r * 0.95, r), 0.005))
     return parts
 
 
-def _arm() -> list[Part]:
+def _arm() -> list[Join]:
     # x: centre y, z; down, up; back, front
     arm = Loft(0, [
         (0.150, 0.436, -0.014, 0.060, 0.046, 0.060, 0.056),
@@ -246,14 +177,14 @@ def _arm() -> list[Part]:
         (0.700, 0.436, -0.008, 0.0205, 0.0205, 0.027, 0.027),
     ], caps=(0.03, 0.02))  # fmt: skip
     return [
-        Part(arm, 0.035),
-        Part(Ball((0.192, 0.450, -0.014), (0.055, 0.042, 0.054), (0, 0, -0.2)), 0.03),  # deltoid
-        Part(Ball((0.330, 0.446, 0.004), (0.070, 0.030, 0.030)), 0.025),  # biceps
-        Part(Ball((0.444, 0.436, -0.056), (0.018, 0.016, 0.012)), 0.018),  # elbow
+        Join(arm, 0.035),
+        Join(Ball((0.192, 0.450, -0.014), (0.055, 0.042, 0.054), (0, 0, -0.2)), 0.03),  # deltoid
+        Join(Ball((0.330, 0.446, 0.004), (0.070, 0.030, 0.030)), 0.025),  # biceps
+        Join(Ball((0.444, 0.436, -0.056), (0.018, 0.016, 0.012)), 0.018),  # elbow
     ]
 
 
-def _hand() -> list[Part]:
+def _hand() -> list[Join]:
     w = np.asarray(_LEFT["wrist"])
     palm = Loft(0, [
         (w[0] - 0.010, 0.436, -0.008, 0.0190, 0.0190, 0.026, 0.026),
@@ -264,30 +195,30 @@ def _hand() -> list[Part]:
     ], power=2.6, caps=(0.01, 0.010))  # fmt: skip
     thenar = Ball(w + (0.036, -0.013, 0.020), (0.034, 0.0145, 0.018), (0, -0.55, 0))
     parts = [
-        Part(palm, 0.012),
-        Part(thenar, 0.012),
-        Part(Cone(w + (0.034, -0.004, 0.022), w + (0.074, 0, 0.030), 0.010, 0.0085), 0.012),  # web
-        Part(Ball(w + (0.044, -0.012, -0.028), (0.034, 0.010, 0.014)), 0.010),
+        Join(palm, 0.012),
+        Join(thenar, 0.012),
+        Join(Cone(w + (0.034, -0.004, 0.022), w + (0.074, 0, 0.030), 0.010, 0.0085), 0.012),  # web
+        Join(Ball(w + (0.044, -0.012, -0.028), (0.034, 0.010, 0.014)), 0.010),
     ]
-    for finger in _FINGERS:
-        chain, of = finger_chain(finger), _FINGERS[finger]
+    for finger in FINGERS:
+        chain, of = finger_chain(finger), FINGERS[finger]
         radii = np.linspace(of.base, of.tip, 4)
         if finger == "thumb":
             radii[0] = 0.0142
             ends = zip(chain[:-1], chain[1:], radii[:-1], radii[1:], strict=True)
-            parts += [Part(Cone(a, b, r, s), 0.008) for a, b, r, s in ends]
+            parts += [Join(Cone(a, b, r, s), 0.008) for a, b, r, s in ends]
             continue
         chain = chain.copy()
         chain[3] -= (chain[3] - chain[2]) * 0.25  # the ball at the tip adds its radius
         knuckle = Ball(chain[0] + (-0.002, 0.004, 0), (0.012, 0.0085, 0.0092))
-        parts.append(Part(knuckle, 0.006))
+        parts.append(Join(knuckle, 0.006))
         ends = zip(chain[:-1], chain[1:], radii[:-1], radii[1:], strict=True)
-        parts += [Part(Cone(a, b, r, s), 0.0035) for a, b, r, s in ends]
-        parts.append(Part(Ball(chain[1], np.full(3, radii[1] * 1.06)), 0.003))  # middle knuckle
+        parts += [Join(Cone(a, b, r, s), 0.0035) for a, b, r, s in ends]
+        parts.append(Join(Ball(chain[1], np.full(3, radii[1] * 1.06)), 0.003))  # middle knuckle
     return parts
 
 
-def _head() -> list[Part]:
+def _head() -> list[Join]:
     neck = Loft(1, [
         (0.440, 0, -0.026, 0.066, 0.066, 0.060, 0.060),
         (0.490, 0, -0.022, 0.058, 0.058, 0.056, 0.052),
@@ -305,32 +236,32 @@ def _head() -> list[Part]:
         (0.730, 0, 0.000, 0.070, 0.070, 0.066, 0.080),
     ], power=2.2, caps=(0.012, 0.05))  # fmt: skip
     return [
-        Part(neck, 0.03),
-        Part(Ball((0, 0.706, -0.014), (0.076, 0.088, 0.098), (0.15, 0, 0)), 0.03),  # skull
-        Part(face, 0.025),
-        Part(Cone((0.030, 0.625, -0.034), (0.022, 0.480, 0.022), 0.020, 0.012), 0.018),
+        Join(neck, 0.03),
+        Join(Ball((0, 0.706, -0.014), (0.076, 0.088, 0.098), (0.15, 0, 0)), 0.03),  # skull
+        Join(face, 0.025),
+        Join(Cone((0.030, 0.625, -0.034), (0.022, 0.480, 0.022), 0.020, 0.012), 0.018),
     ]
 
 
-def _face() -> list[Part]:
+def _face() -> list[Join]:
     return [
-        Part(Ball((0, 0.580, 0.078), (0.020, 0.013, 0.013)), 0.018),  # chin
-        Part(Ball((0.043, 0.648, 0.052), (0.019, 0.014, 0.018), (0, 0.6, 0)), 0.026),  # cheekbone
-        Part(Ball((0.037, 0.620, 0.054), (0.020, 0.022, 0.020), (0, 0.6, 0)), 0.030),  # cheek
-        Part(Cone((0.010, 0.692, 0.085), (0.048, 0.695, 0.066), 0.0075, 0.0060), 0.018),  # brow
-        Part(Ball((0.0335, 0.674, 0.098), (0.0225, 0.0140, 0.022)), 0.014, carve=True),  # socket
-        Part(Ball(EYE, (LID_RADIUS,) * 3), 0.007),  # lids
-        Part(Ball((EYE[0], EYE[1], 0.088), (*EYE_SLIT, 0.030), (0, 0, 0.06)), 0.0012, carve=True),
-        Part(Ball(EYE, (EYE_RADIUS,) * 3), 0.0008),  # eyeball
-        Part(Cone((0, 0.684, 0.083), (0, 0.642, 0.096), 0.0085, 0.0120), 0.014),  # nose
-        Part(Ball((0, 0.640, 0.104), (0.0105, 0.0090, 0.0105)), 0.008),
-        Part(Ball((0.0100, 0.6375, 0.0935), (0.0080, 0.0070, 0.0105)), 0.006),  # nostril's wing
-        Part(Ball((0.0055, 0.6310, 0.1000), (0.0030, 0.0030, 0.0050)), 0.003, carve=True),
-        Part(Ball((0, 0.626, 0.080), (0.017, 0.014, 0.0140)), 0.012),  # below the nose
-        Part(Ball((0, 0.610, 0.080), (0.026, 0.022, 0.014)), 0.014),  # muzzle
-        Part(Ball((0.006, 0.6125, 0.0905), (0.0200, 0.0062, 0.0078), (0, 0.3, -0.10)), 0.005),
-        Part(Ball((0, 0.6020, 0.0890), (0.0190, 0.0065, 0.0082)), 0.005),  # lower lip
-        Part(Ball((0, 0.6072, 0.0930), (0.0235, 0.0012, 0.0200)), 0.0012, carve=True),  # mouth
-        Part(Ball((0.0735, 0.657, -0.014), (0.0085, 0.0300, 0.0190), (-0.15, -0.50, -0.12)), 0.005),
-        Part(Ball((0.0800, 0.660, -0.007), (0.0065, 0.017, 0.01), (-0.15, -0.5, 0)), 0.004, True),
+        Join(Ball((0, 0.580, 0.078), (0.020, 0.013, 0.013)), 0.018),  # chin
+        Join(Ball((0.043, 0.648, 0.052), (0.019, 0.014, 0.018), (0, 0.6, 0)), 0.026),  # cheekbone
+        Join(Ball((0.037, 0.620, 0.054), (0.020, 0.022, 0.020), (0, 0.6, 0)), 0.030),  # cheek
+        Join(Cone((0.010, 0.692, 0.085), (0.048, 0.695, 0.066), 0.0075, 0.0060), 0.018),  # brow
+        Join(Ball((0.0335, 0.674, 0.098), (0.0225, 0.0140, 0.022)), 0.014, carve=True),  # socket
+        Join(Ball(EYE, (LID_RADIUS,) * 3), 0.007),  # lids
+        Join(Ball((EYE[0], EYE[1], 0.088), (*EYE_SLIT, 0.030), (0, 0, 0.06)), 0.0012, carve=True),
+        Join(Ball(EYE, (EYE_RADIUS,) * 3), 0.0008),  # eyeball
+        Join(Cone((0, 0.684, 0.083), (0, 0.642, 0.096), 0.0085, 0.0120), 0.014),  # nose
+        Join(Ball((0, 0.640, 0.104), (0.0105, 0.0090, 0.0105)), 0.008),
+        Join(Ball((0.0100, 0.6375, 0.0935), (0.0080, 0.0070, 0.0105)), 0.006),  # nostril's wing
+        Join(Ball((0.0055, 0.6310, 0.1000), (0.0030, 0.0030, 0.0050)), 0.003, carve=True),
+        Join(Ball((0, 0.626, 0.080), (0.017, 0.014, 0.0140)), 0.012),  # below the nose
+        Join(Ball((0, 0.610, 0.080), (0.026, 0.022, 0.014)), 0.014),  # muzzle
+        Join(Ball((0.006, 0.6125, 0.0905), (0.0200, 0.0062, 0.0078), (0, 0.3, -0.10)), 0.005),
+        Join(Ball((0, 0.6020, 0.0890), (0.0190, 0.0065, 0.0082)), 0.005),  # lower lip
+        Join(Ball((0, 0.6072, 0.0930), (0.0235, 0.0012, 0.0200)), 0.0012, carve=True),  # mouth
+        Join(Ball((0.0735, 0.657, -0.014), (0.0085, 0.0300, 0.0190), (-0.15, -0.50, -0.12)), 0.005),
+        Join(Ball((0.0800, 0.660, -0.007), (0.0065, 0.017, 0.01), (-0.15, -0.5, 0)), 0.004, True),
     ]  # fmt: skip

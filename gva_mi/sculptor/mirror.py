@@ -1,8 +1,8 @@
-"""From half of a surface, open at x = 0, to a closed one that is symmetric to the bit.
+"""Mirror half of a surface, open at x = 0, to a closed one that is exactly symmetric.
 
-border_of → onto_border    the border gets back the outline that decimation changed
-without_chords             edges go that the mirror image would have, too
-mirrored                   both halves, welded along the border
+border_of, onto_border     restore the border's outline, which decimation changes
+without_chords             remove edges that the mirror image would share
+mirrored                   weld both halves along the border
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import numpy as np
 
 
 def border_of(faces: np.ndarray) -> np.ndarray:
-    """The vertices of a half's open border in their order, once around."""
+    """Return the vertices of a half's open border in order, once around."""
     sides = np.concatenate([faces[:, [k, (k + 1) % 3]] for k in range(3)])
     inner = set(map(tuple, sides[:, ::-1].tolist()))
     after = {a: b for a, b in sides.tolist() if (a, b) not in inner}
@@ -24,18 +24,10 @@ def border_of(faces: np.ndarray) -> np.ndarray:
 
 
 def onto_border(vertices: np.ndarray, faces: np.ndarray, outline: np.ndarray) -> np.ndarray:
-    """Bring the border of a decimated half back onto the outline that it had.
+    """Return vertices (V, 3) with the border of a decimated half back on its outline (S, 3).
 
-    Decimation slides vertices along straight stretches, past each other too, and the faces between
-    them fold. So they take their places on the outline in the order of the border.
-
-    Args:
-        vertices: (V, 3) decimated.
-        faces: (F, 3)
-        outline: (S, 3) closed, the border of the full half in its order.
-
-    Returns:
-        vertices, (V, 3).
+    Decimation slides vertices along straight stretches and past each other, which folds faces. So
+    they are placed on the outline, the border before decimation, in the order of the border.
     """
     moved = border_of(faces)
     start, along = outline, np.roll(outline, -1, axis=0) - outline
@@ -46,7 +38,7 @@ def onto_border(vertices: np.ndarray, faces: np.ndarray, outline: np.ndarray) ->
     length = np.linalg.norm(along, axis=1)
     before = np.concatenate([[0], np.cumsum(length)])
     place = before[nearest] + (t * length)[np.arange(len(moved)), nearest]
-    # Begin where the outline does, but for vertices that were slid past that point.
+    # Start where the outline does, except for vertices that slid past that point.
     turn = int(np.argmin(place))
     place = np.sort(np.roll(place, -turn))
     closed = np.concatenate([outline, outline[:1]])
@@ -58,10 +50,10 @@ def onto_border(vertices: np.ndarray, faces: np.ndarray, outline: np.ndarray) ->
 
 
 def without_chords(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Make the border of a half ready to be welded to its mirror image.
+    """Prepare the border of a half for welding to its mirror image.
 
-    A chord is an inner edge between two border vertices: its mirror image would be the same edge.
-    Faces with all three corners on the border go, other chords get a vertex in their middle.
+    A chord is an inner edge between two border vertices, which both halves would share. Faces with
+    all corners on the border are removed; other chords get a vertex in their middle.
     """
     while True:
         edges, count = _edges(faces)
@@ -81,7 +73,7 @@ def without_chords(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray,
 
 
 def mirrored(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Both halves, welded along the border: vertices, faces, and the twin of each vertex (V,)."""
+    """Weld both halves: return vertices, faces, and the mirror image of each vertex (V,)."""
     edges, count = _edges(faces)
     border = np.unique(edges[count == 1])
     inner = np.setdiff1d(np.arange(len(vertices)), border)
@@ -95,6 +87,6 @@ def mirrored(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def _edges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Edges (E, 2) without direction, and how many faces each has (E,)."""
+    """Return undirected edges (E, 2), and the number of faces of each (E,)."""
     sides = np.sort(np.concatenate([faces[:, [k, (k + 1) % 3]] for k in range(3)]), axis=1)
     return np.unique(sides, axis=0, return_counts=True)

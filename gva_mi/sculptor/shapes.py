@@ -1,18 +1,18 @@
-"""How the puppet varies, as displacement fields: shapes, expressions, correctives of poses.
+"""Shapes, expressions and pose correctives of the built-in body, as displacement fields.
 
-Each direction says how the skin moves for one unit of its coefficient, a clear but common deviation
-of people from each other.
+A direction is the displacement of the skin for one unit of its coefficient, which is a clear but
+common deviation among people.
 
-* Shapes stretch bones. Joint j carries a linear map D_j; joints move along the tree, and the skin
+* Shapes stretch bones. Joint j has a linear map D_j; joints move along the tree, and the skin
   follows with its weights:
 
       dJ_j = dJ_parent(j) + D_parent(j) (J_j − J_parent(j)),    dv = Σ_j w_j (dJ_j + D_j (v − J_j))
 
-* Expressions are sums of Gaussian bumps on the left half of the face and its mirror image; but the
-  jaw's turns about its joint, and lids slide over the eyeball.
-* Correctives answer linear blend skinning's loss of volume: where two bones share a vertex and one
-  is bent by φ, the vertex comes nearer to the joint by the factor cos(φ/2). The skin on the outer
-  side is moved out in proportion to 1 − cos φ = − uᵀ (R − I) u for a bone along the unit vector u.
+* Expressions are sums of Gaussian bumps and their mirror images, except that the jaw rotates about
+  its joint and lids slide over the eyeball.
+* Correctives compensate the volume loss of linear blend skinning: a vertex between two bones bent
+  by φ approaches the joint by the factor cos(φ/2). The skin on the outer side is moved out in
+  proportion to 1 − cos φ = − uᵀ (R − I) u for a bone along the unit vector u.
 """
 
 from __future__ import annotations
@@ -21,28 +21,23 @@ import numpy as np
 
 from gva_mi.body.pose import JOINTS, LEFT_HAND, PARENTS
 from gva_mi.body.puppet import SHAPES
-from gva_mi.sculptor.anatomy import (
-    EYE_RADIUS,
-    EYE_SLIT,
-    LID_RADIUS,
-    joint_positions,
-)
+from gva_mi.sculptor.anatomy import EYE_RADIUS, EYE_SLIT, LID_RADIUS, joint_positions
 
-Stretch = dict[str, tuple[float, float, float]]  # joint, of both sides: strain along x, y, z
+Strains = dict[str, tuple[float, float, float]]  # joint, of both sides: strain along x, y, z
 
 _TRUNK = ("pelvis", "spine1", "spine2", "spine3")
 _HAND = ("wrist", *(n.removeprefix("left_") for n in JOINTS[LEFT_HAND]))
 _FOOT = ("ankle", "foot")
 _HEAD = ("head", "jaw", "eye_smplhf")
-_LID_FOLD = 1.25  # radians over the eye's centre: beyond, the skin of the lids stays where it is
-_LID_SKIN = 0.0008  # metres between the eyeball and a lid that slides over it
+_LID_FOLD = 1.25  # radians over the eye's centre, beyond which the lids do not move
+_LID_SKIN = 0.0008  # metres between the eyeball and a sliding lid
 
 
 def shapes(vertices: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The fields of puppet.SHAPES on the skin (V, 3, 10), and the joints' moves (55, 3, 10)."""
+    """Return the directions of puppet.SHAPES on skin (V, 3, 10) and joints (55, 3, 10)."""
     every = {_without_side(name) for name in JOINTS}
     all_of = lambda names, *strain: {name: strain for name in names}
-    stretches: dict[str, Stretch] = {
+    stretches: dict[str, Strains] = {
         "height": all_of(every, 0.04, 0.04, 0.04),
         "weight": all_of(_TRUNK, 0.065, 0, 0.08) | all_of(("hip", "knee"), 0.085, 0, 0.085)
         | all_of(("shoulder", "elbow"), 0, 0.09, 0.09) | all_of(("neck",), 0.06, 0, 0.05)
@@ -73,7 +68,7 @@ def shapes(vertices: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def expressions(vertices: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """The fields of puppet.EXPRESSIONS, (V, 3, 10); joints stay where they are."""
+    """Return the directions of puppet.EXPRESSIONS (V, 3, 10), which leave the joints."""
     jaw = weights[:, JOINTS.index("jaw"), None]
     corner, wide = (0.024, 0.607, 0.086), (0.011, 0.010, 0.020)
     fields = [
@@ -97,7 +92,7 @@ def expressions(vertices: np.ndarray, weights: np.ndarray) -> np.ndarray:
 
 
 def correctives(vertices: np.ndarray, normals: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Pose directions (V, 3, 486), on the entries of R − I that tell how far a joint is bent."""
+    """Return pose directions (V, 3, 486) on the entries of R − I."""
     fingers = [f"{finger}{k}" for finger in ("index", "middle", "ring", "pinky") for k in (1, 2, 3)]
     x, y = (1, 0, 0), (0, 1, 0)
     outer = {  # joint: its bone, outer side of the bend, radius of the limb, strength
@@ -120,16 +115,16 @@ def correctives(vertices: np.ndarray, normals: np.ndarray, weights: np.ndarray) 
 
 
 def _smooth(x: np.ndarray) -> np.ndarray:
-    """From 0 to 1 as x does, without a corner at either end."""
+    """Smooth step from 0 to 1."""
     x = np.clip(x, 0, 1)
     return x * x * (3 - 2 * x)
 
 
 def _blink(vertices: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """The lids closed, the eyeball still.
+    """Close the lids over the fixed eyeball.
 
-    Seen from the eyeball's centre, the lids' skin turns about the axis from ear to ear, so that it
-    slides over the ball: the edges meet low, and the skin behind each follows less and less.
+    The skin of the lids rotates about the axis from ear to ear through the eyeball's centre, so it
+    slides over the ball. The edges meet low; skin farther from them moves less.
     """
     field = np.zeros_like(vertices)
     for name in ("left_eye_smplhf", "right_eye_smplhf"):
@@ -151,9 +146,9 @@ def _blink(vertices: np.ndarray, weights: np.ndarray) -> np.ndarray:
 
 
 def _stretched(
-    vertices: np.ndarray, weights: np.ndarray, stretch: Stretch
+    vertices: np.ndarray, weights: np.ndarray, stretch: Strains
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What stretched bones do to the skin, dv (V, 3), and to the joints, dJ (55, 3)."""
+    """Return the displacement of skin dv (V, 3) and joints dJ (55, 3) by stretched bones."""
     J = joint_positions()
     strain = np.array([stretch.get(_without_side(name), (0, 0, 0)) for name in JOINTS])
     moves = np.zeros_like(J)
@@ -167,7 +162,7 @@ def _without_side(name: str) -> str:
 
 
 def _bumps(vertices: np.ndarray, bumps: list[tuple], both: bool = True) -> np.ndarray:
-    """Sum of Gaussians (centre, widths, displacement), each with its mirror image."""
+    """Sum Gaussians (centre, widths, displacement), each with its mirror image."""
     field = np.zeros_like(vertices)
     for centre, width, move in bumps:
         images = ((1, 1, 1), (-1, 1, 1)) if both and centre[0] else ((1, 1, 1),)

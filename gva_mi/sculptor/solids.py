@@ -1,13 +1,11 @@
-"""Implicit solids, their smooth union, and its surface: what the puppet is modelled with.
+"""Implicit solids, their smooth union, and its surface.
 
-Each solid has a ``distance``: negative inside, near the surface about the Euclidean distance,
-metres. A body is a list of parts; each joins what came before it (or is carved out) with a fillet
-of k metres:
+Each solid has a signed ``distance``, about Euclidean near the surface, metres. A body is a list of
+solids; each is joined to those before it (or carved out) with a fillet of k metres:
 
     union(a, b) = min(a, b) − k h³ / 6,    h = max(k − |a − b|, 0) / k
 
-Coordinates come as three arrays that broadcast together, so that the open axes of a grid cost
-little.
+Coordinates are three arrays that broadcast together.
 """
 
 from __future__ import annotations
@@ -25,13 +23,13 @@ _TINY = 1e-9
 
 
 class Solid(Protocol):
-    """What a part is made of."""
+    """A solid."""
 
     def distance(self, at: Coordinates) -> np.ndarray:
-        """Signed distance, of the shape that the coordinates broadcast to."""
+        """Return the signed distance, in the broadcast shape of the coordinates."""
 
     def bounds(self) -> Box:
-        """A box that holds the solid."""
+        """Return a box that contains the solid."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +56,7 @@ class Cone:
 
 @dataclass(frozen=True)
 class Ball:
-    """A ball with three radii, an ellipsoid, turned about the x, then the y, then the z axis."""
+    """An ellipsoid, rotated about the x, then the y, then the z axis."""
 
     centre: Sequence[float]
     radii: Sequence[float]
@@ -88,16 +86,16 @@ class Ball:
 
 @dataclass(frozen=True)
 class Loft:
-    """Elliptic sections along one axis, smooth in between, closed by half ellipsoids.
+    """Elliptic sections along one axis, interpolated smoothly and closed by half ellipsoids.
 
-    A section is ``(t, c, d, -c, +c, -d, +d)``: where it is on the axis; its centre on the other
-    two, in the order x, y, z; and its four radii, toward lower and higher c, lower and higher d.
+    A section is ``(t, c, d, -c, +c, -d, +d)``: its position on the axis, its centre on the other
+    two axes in the order x, y, z, and its radii toward lower and higher c, lower and higher d.
     """
 
     axis: int
     sections: Sequence[Sequence[float]]
-    power: float = 2.0  # 2 draws ellipses; more, boxes with round corners
-    caps: tuple[float, float] = (0.02, 0.02)  # metres that the closing half ellipsoids stand out
+    power: float = 2.0  # 2 is an ellipse; larger powers approach a box
+    caps: tuple[float, float] = (0.02, 0.02)  # m, height of the closing half ellipsoids
 
     def distance(self, at: Coordinates) -> np.ndarray:
         from scipy.interpolate import PchipInterpolator
@@ -126,21 +124,20 @@ class Loft:
 
 
 @dataclass(frozen=True)
-class Part:
-    """A solid and how it joins the body."""
+class Join:
+    """A solid and how it is joined to the body."""
 
     solid: Solid
     blend: float  # fillet, metres
-    carve: bool = False  # take it away instead
+    carve: bool = False  # subtract it instead
 
 
-def surface(parts: Sequence[Part], axes: Coordinates) -> tuple[np.ndarray, np.ndarray]:
-    """Marching cubes over a grid whose planes may be unevenly spaced.
+def surface(joins: Sequence[Join], axes: Coordinates) -> tuple[np.ndarray, np.ndarray]:
+    """Extract a surface by marching cubes on a grid whose planes may be unevenly spaced.
 
     Args:
-        parts: the body, in the order of assembly.
-        axes: x, y, z of the grid's planes, increasing. Where the body leaves the grid, the surface
-            is open.
+        joins: the solids, in the order of assembly.
+        axes: x, y, z of the grid's planes, increasing. The surface is open at the grid's border.
 
     Returns:
         vertices (V, 3) and faces (F, 3), counter-clockwise seen from outside.
@@ -148,26 +145,23 @@ def surface(parts: Sequence[Part], axes: Coordinates) -> tuple[np.ndarray, np.nd
     from skimage.measure import marching_cubes
 
     field = np.full([len(axis) for axis in axes], 0.2, dtype=np.float32)
-    for part in parts:
-        low, high = part.solid.bounds()
-        margin = part.blend + 0.012  # beyond it the part cannot change the surface
+    for join in joins:
+        low, high = join.solid.bounds()
+        margin = join.blend + 0.012  # beyond it the solid cannot change the surface
         box = tuple(
             slice(*np.searchsorted(axis, (low[k] - margin, high[k] + margin)))
             for k, axis in enumerate(axes)
         )
         at = np.ix_(*(axis[s] for axis, s in zip(axes, box, strict=True)))
         if all(s.start < s.stop for s in box):
-            field[box] = join(field[box], part.solid.distance(at), part)
+            body, distance = field[box], join.solid.distance(at)
+            if join.carve:
+                field[box] = -_union(-body, distance, join.blend)
+            else:
+                field[box] = _union(body, distance, join.blend)
     vertices, faces, _, _ = marching_cubes(field, 0.0)
     places = [np.interp(vertices[:, k], np.arange(len(axis)), axis) for k, axis in enumerate(axes)]
     return np.stack(places, axis=1), faces.astype(np.int64)
-
-
-def join(body: np.ndarray, distance: np.ndarray, part: Part) -> np.ndarray:
-    """The field of the body with one more part."""
-    if part.carve:
-        return -_union(-body, distance, part.blend)
-    return _union(body, distance, part.blend)
 
 
 def _union(a: np.ndarray, b: np.ndarray, k: float) -> np.ndarray:

@@ -77,6 +77,7 @@ def face_landmarks(body: BodyModel, shape: Shape, rest: RestBody) -> FaceLandmar
     vertices = rest.vertices
     eyes = np.stack([rest.joints["left_eye_smplhf"], rest.joints["right_eye_smplhf"]])
     unit, middle = float(np.linalg.norm(eyes[0] - eyes[1])), eyes.mean(0)
+    unit = max(unit, 1e-3)  # bodies of SMPL and SMPL+H have no eyes
     x, y = np.abs(vertices[:, 0] - middle[0]), middle[1] - vertices[:, 1]
     near = vertices[(x < 0.2 * unit) & (y > 0.2 * unit) & (y < 1.1 * unit)]
     nose = near[near[:, 2].argmax()] if len(near) else middle + [0, -0.5 * unit, 0.4 * unit]

@@ -38,9 +38,7 @@ class Path:
 
     place: Callable[[np.ndarray], np.ndarray]  # (T, 2) x and z of the pelvis, metres; periodic
     yaw: Callable[[np.ndarray], np.ndarray]  # (T,) rad; periodic up to whole turns
-    low: Callable[
-        [np.ndarray], np.ndarray
-    ]  # (T,) m, distance of the pelvis below its highest position
+    low: Callable[[np.ndarray], np.ndarray]  # (T,) m, pelvis below its highest position
     lean: Callable[[np.ndarray], np.ndarray]  # (T, 2) rad, of the pelvis about x and z
     cycles: int  # of two steps per round; 0: fixed feet
     apart: float = 1.0  # distance of the feet over that of the hips

@@ -1,10 +1,10 @@
-"""Sculpts the puppet, the body that comes with this package: ``python -m gva_mi.sculptor``.
+"""Generate the built-in body: ``python -m gva_mi.sculptor``.
 
     anatomy (solids) → left half by marching cubes → decimated → mirrored → weights, regressor,
     shapes → puppet.npz
 
-The left half is modelled alone, its border held on the plane x = 0, so that the body is symmetric
-to the bit. The grid is finer at fingers, face and toes, and these keep more triangles.
+Only the left half is modelled, with its border on the plane x = 0, so the body is exactly
+symmetric. Grid and triangles are finer at fingers, face and toes.
 """
 
 from __future__ import annotations
@@ -24,39 +24,39 @@ from gva_mi.sculptor.rig import joint_regressor, skinning_weights
 from gva_mi.sculptor.shapes import correctives, expressions, shapes
 from gva_mi.sculptor.solids import surface
 
-_EYE_FACES = 350  # of one eyeball, as far as it shows
+_EYE_FACES = 350  # of the visible part of one eyeball
 
 
 @dataclass(frozen=True)
-class SculptOptions:
-    """How fine the puppet is; other values than these make another body."""
+class GeneratorOptions:
+    """Resolution of the body; other values make another body."""
 
     faces: int = 22_000  # of the whole body
-    grid: float = 1.0  # spacing of the grid, 1 is the usual one
+    grid: float = 1.0  # factor on the spacing of the grid
 
 
-def write_puppet(out: Path = PUPPET) -> None:
-    """Write the puppet's file."""
-    write_arrays(out, **sculpt())
+def write_body(out: Path = PUPPET) -> None:
+    """Write the file of the built-in body."""
+    write_arrays(out, **generate())
 
 
-def sculpt(options: SculptOptions | None = None) -> dict[str, np.ndarray]:
-    """The puppet as the arrays of an SMPL-X file."""
+def generate(options: GeneratorOptions | None = None) -> dict[str, np.ndarray]:
+    """Return the built-in body as the arrays of an SMPL-X file."""
     import trimesh
 
-    options = options or SculptOptions()
-    vertices, faces = half_surface(options)
+    options = options or GeneratorOptions()
+    vertices, faces = _half_surface(options.grid)
     outline = vertices[border_of(faces)]
-    vertices, faces = without_chords(*decimate(vertices, faces, options.faces // 2))
+    vertices, faces = without_chords(*_decimate(vertices, faces, options.faces // 2))
     vertices, faces, twin = mirrored(onto_border(vertices, faces, outline), faces)
-    # What follows is exact on the vertices that the file holds.
+    # The rest is exact on the float32 vertices of the file.
     vertices = vertices.astype(np.float32).astype(np.float64)
     weights = skinning_weights(vertices, faces, twin)
     fields, moves = shapes(vertices, weights)
     fields = np.concatenate([fields, expressions(vertices, weights)], axis=2).astype(np.float16)
     moves = np.concatenate([moves, np.zeros((55, 3, 10))], axis=2)
     normals = trimesh.Trimesh(vertices, faces, process=False).vertex_normals
-    hand = relaxed_hand()
+    hand = _relaxed_hand()
     return {
         "v_template": vertices.astype(np.float32),
         "f": faces.astype(np.uint32),
@@ -73,8 +73,8 @@ def sculpt(options: SculptOptions | None = None) -> dict[str, np.ndarray]:
     }
 
 
-def relaxed_hand() -> np.ndarray:
-    """The left hand as it hangs, axis-angle (45,): the fingers curled, the little one most."""
+def _relaxed_hand() -> np.ndarray:
+    """Return a relaxed left hand, axis-angle (45,): curled fingers, the little one most."""
     curl = {"index": 0.25, "middle": 0.32, "ring": 0.38, "pinky": 0.42}
     hand = np.zeros((15, 3), np.float32)
     for k, name in enumerate(JOINTS[LEFT_HAND]):
@@ -86,29 +86,22 @@ def relaxed_hand() -> np.ndarray:
     return hand.ravel()
 
 
-def half_surface(options: SculptOptions) -> tuple[np.ndarray, np.ndarray]:
-    """The left half at full resolution, open at x = 0."""
+def _half_surface(spacing: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the left half at full resolution, open at x = 0."""
     axes = [
-        _planes(
-            [(0, 0.0010), (0.018, 0.0007), (0.048, 0.0013), (0.10, 0.0050), (0.69, 0.0015),
-             (0.935, 0)], options.grid,
-        ),
-        _planes(
-            [(-1.0, 0.0020), (-0.93, 0.0050), (0.395, 0.0015), (0.470, 0.0040), (0.56, 0.0015),
-             (0.598, 0.0006), (0.616, 0.0012), (0.658, 0.0007), (0.686, 0.0015),
-             (0.700, 0.0030), (0.82, 0)], options.grid,
-        ),
-        _planes([(-0.18, 0.0050), (-0.065, 0.0014), (0.068, 0.0009), (0.092, 0.0014), (0.175, 0)],
-                options.grid),
+        [(0, 0.0010), (0.018, 0.0007), (0.048, 0.0013), (0.10, 0.0050), (0.69, 0.0015), (0.935, 0)],
+        [(-1.0, 0.0020), (-0.93, 0.0050), (0.395, 0.0015), (0.470, 0.0040), (0.56, 0.0015),
+         (0.598, 0.0006), (0.616, 0.0012), (0.658, 0.0007), (0.686, 0.0015), (0.700, 0.0030),
+         (0.82, 0)],
+        [(-0.18, 0.0050), (-0.065, 0.0014), (0.068, 0.0009), (0.092, 0.0014), (0.175, 0)],
     ]  # fmt: skip
-    return surface(left_half(), axes)
+    return surface(left_half(), [_planes(knots, spacing) for knots in axes])
 
 
-def decimate(vertices: np.ndarray, faces: np.ndarray, target: int) -> tuple[np.ndarray, np.ndarray]:
-    """Fewer triangles by quadric errors, with most detail kept at hands, face and toes.
-
-    The open border stays in its plane.
-    """
+def _decimate(
+    vertices: np.ndarray, faces: np.ndarray, target: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Decimate by quadric errors, with most detail kept at hands, face and toes."""
     import pymeshlab
 
     x, y, z = vertices.T
@@ -122,7 +115,7 @@ def decimate(vertices: np.ndarray, faces: np.ndarray, target: int) -> tuple[np.n
     detail[(y > 0.661) & (y < 0.684) & (z > 0.07) & (x > 0.016) & (x < 0.05)] = 40.0  # eye
     mesh = pymeshlab.MeshSet()
     mesh.add_mesh(pymeshlab.Mesh(vertices, faces.astype(np.int32), v_scalar_array=detail))
-    # An eyeball is as round as a finger and much smaller: its share is set, and not by its error.
+    # Eyeballs are small and round, so their number of faces is set instead of their error.
     centre = "".join(f"+({axis}-({c}))^2" for axis, c in zip("xyz", EYE, strict=True))
     mesh.compute_selection_by_condition_per_vertex(
         condselect=f"(0{centre} < {(EYE_RADIUS + 0.0006) ** 2}) && (z > {EYE[2]})"
@@ -140,7 +133,7 @@ def decimate(vertices: np.ndarray, faces: np.ndarray, target: int) -> tuple[np.n
 
 
 def _planes(knots: list[tuple[float, float]], factor: float) -> np.ndarray:
-    """Grid planes from (start, spacing) of consecutive stretches; the last one only ends."""
+    """Return grid planes from (start, spacing) of consecutive stretches; the last is the end."""
     stretches = [
         np.linspace(a, b, max(2, round((b - a) / (step * factor))), endpoint=False)
         for (a, step), (b, _) in zip(knots[:-1], knots[1:], strict=True)

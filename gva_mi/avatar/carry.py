@@ -32,7 +32,7 @@ from gva_mi.avatar.maps import (
     adjoint_of_means,
     blend,
 )
-from gva_mi.body.lanes import flat, in_rows, launch, of_rows, tensors
+from gva_mi.jit.rowwise import flat, in_rows, launch, of_rows, tensors
 from gva_mi.splat.kernels.exclusive import exclusive
 from gva_mi.splat.kernels.frozen import Frozen
 

@@ -25,7 +25,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import FunctionCtx
 
-from gva_mi.body.lanes import launch
+from gva_mi.jit.rowwise import launch
 
 AXES = range(3)
 SHARE = 0.3  # |l|

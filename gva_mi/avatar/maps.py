@@ -31,7 +31,7 @@ from drjit.llvm import Float64, UInt32
 from torch import Tensor
 from torch.autograd.function import FunctionCtx
 
-from gva_mi.body.lanes import FLOATS, flat, in_rows, of_rows, tensors
+from gva_mi.jit.rowwise import FLOATS, flat, in_rows, of_rows, tensors
 from gva_mi.splat.kernels.exclusive import exclusive
 from gva_mi.splat.kernels.frozen import Frozen
 

@@ -28,7 +28,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import FunctionCtx
 
-from gva_mi.body.lanes import launch
+from gva_mi.jit.rowwise import launch
 from gva_mi.splat.kernels.ellipse import Rotation
 
 LARGEST = 3.0  # of |J - A_rot|: cloth that is pulled to four times its length would tear

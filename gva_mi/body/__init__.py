@@ -1,17 +1,18 @@
-"""The articulated body, in torch: Eq. 4 and the skinning of Eq. 5 and 6.
+"""The articulated body in torch: Eq. 4, and the skinning of Eq. 5 and 6.
 
 ==================  ================================================================
-``pose``            ``Pose`` and ``Shape``: what moves a body, and their files
-``smplx``           the parametric body: shape and pose to vertices and joints
-``body_file``       body files of SMPL-X, SMPL+H and SMPL, read and checked
-``smpl``            the older formats on SMPL-X's joints, and their poses
+``pose``            ``Pose`` and ``Shape``, and their files
+``smplx``           the parametric body: from shape and pose to vertices and joints
+``body_file``       body files of SMPL-X, SMPL+H and SMPL
+``smpl``            the older formats and their poses on SMPL-X's joints
 ``puppet, anny``    the two bodies that need no licence
-``kinematics``      rotations of joints to rigid maps
+``kinematics``      from joint rotations to rigid transforms
+``so3``             composition of rotations
 ``blend_shapes``    a surface plus a weighted sum of directions
-``skinning``        points and Gaussians that follow the joints
+``skinning``        LBS of points and Gaussians
 ``polar``           the rotation nearest to a blend of rotations
-``gestures``        poses of the hands
-``bench``           how fast all of it is
+``gestures``        hand poses
+``bench``           timings
 ==================  ================================================================
 """
 

@@ -1,14 +1,14 @@
-"""The free realistic body: Anny (Apache-2.0 code, CC0 data) in SMPL-X's format, cached.
+"""Anny as a body in SMPL-X's format: free and realistic (code Apache-2.0, data CC0), cached.
 
     phenotypes → rest surfaces of 64 people → T-pose → PCA → 10 betas
     52 facial actions → PCA → 10 expressions;    163 bones → 55 joints
 
-Anny is asked for its own topology alone: those named after SMPL and SMPL-X would fetch data whose
-licence is non-commercial. It has no pose correctives. Its own axes are z up; here y is up.
+Only Anny's own topology is used, because those named after SMPL and SMPL-X would download data
+under a non-commercial licence. There are no pose correctives. Anny's z axis is up; here y is up.
 
-Surfaces come in Anny's rest pose, arms obliquely down. :func:`_t_pose` turns the bones of arms and
-hands until the arms point sideways, palms down, fingers straight and nearly parallel, and skins the
-surface along, so that the zero pose means what it means in SMPL-X.
+Anny's rest pose has the arms obliquely down. :func:`_t_pose` rotates the bones of arms and hands
+until the arms point sideways, palms down, fingers straight and nearly parallel, and skins the
+surface, so that the zero pose means the same as in SMPL-X.
 """
 
 from __future__ import annotations
@@ -30,37 +30,37 @@ from gva_mi.files import write_arrays
 if TYPE_CHECKING:
     from anny import Anny
 
-FILE = "anny_0.6_v1.npz"  # has another name when something else is built
-_PEOPLE, _SEED = 64, 0  # people that the shape space is made from
-_NEAREST = 120  # vertices that a joint is regressed from
-_RIDGE = 1e-3  # of the regression, which keeps their weights even
+FILE = "anny_0.6_v1.npz"  # change the name when the result changes
+_PEOPLE, _SEED = 64, 0  # number of people in the shape space, and their seed
+_NEAREST = 120  # vertices that regress a joint
+_RIDGE = 1e-3  # of this regression
 _Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 _DIGITS = {"thumb": 1, "index": 2, "middle": 3, "ring": 4, "pinky": 5}
-_SPREAD = 0.35  # share of the fingers' own spread that is kept in the T-pose
+_SPREAD = 0.35  # fraction of the fingers' spread that is kept in the T-pose
 
 
 def anny_body(cache: Path | None = None) -> Path:
-    """The body's file; the first call builds it, in about a minute.
+    """Return the body's file; the first call builds it, in about a minute.
 
     Args:
         cache: folder; the user's own cache folder by default.
 
     Raises:
-        InputError: where it is not built yet and the package is missing.
+        InputError: it is not built yet and the package is missing.
     """
     if cache is None:
         cache = Path(os.environ.get("XDG_CACHE_HOME", "~/.cache")).expanduser() / "gva_mi"
     path = cache / FILE
     if not path.exists():
         arrays = build_anny()
-        part = path.with_name(f"{path.stem}.{os.getpid()}.npz")  # others may be building it, too
+        part = path.with_name(f"{path.stem}.{os.getpid()}.npz")  # another process may build it, too
         write_arrays(part, **arrays)
         part.replace(path)
     return path
 
 
 def build_anny() -> dict[str, np.ndarray]:
-    """Anny as the arrays of an SMPL-X file."""
+    """Build Anny as the arrays of an SMPL-X file."""
     try:
         import anny
     except ImportError as error:
@@ -117,7 +117,7 @@ class _Source:
         self.average = dict.fromkeys(model.phenotype_labels, 0.5) | {"age": 2 / 3}  # an adult
 
     def people(self, count: int, seed: int) -> list[dict[str, float]]:
-        """Phenotypes of ``count`` random adults."""
+        """Draw the phenotypes of ``count`` adults."""
         rng = np.random.default_rng(seed)
         found = []
         for _ in range(count):
@@ -127,7 +127,7 @@ class _Source:
         return found
 
     def person(self, phenotype: dict[str, float]) -> _Person:
-        """The surface and the joints of a phenotype in the T-pose."""
+        """Return surface and joints of a phenotype in the T-pose."""
         vertices, heads = self._t_pose(*self._rest(phenotype))
         joints = heads[[self._bones[bone] for bone in _bone_of_joint().values()]]
         # SMPL-X's pelvis lies a little above the middle of the hips, Anny's root far below.
@@ -135,13 +135,13 @@ class _Source:
         return _Person(vertices - joints[0], joints - joints[0])
 
     def expressions(self) -> np.ndarray:
-        """What each facial action does to the average person, (A, V, 3)."""
+        """Return the displacement of the average person by each facial action, (A, V, 3)."""
         neutral, _ = self._rest(self.average)
         actions = self._model.facial_action_labels
         return np.stack([self._rest(self.average, {a: 1.0})[0] - neutral for a in actions])
 
     def weights_of_joints(self) -> np.ndarray:
-        """Skinning weights (V, 55): each bone counts for the nearest joint above it."""
+        """Return skinning weights (V, 55), each bone counted for its nearest ancestor joint."""
         joint_of = {self._bones[bone]: k for k, bone in enumerate(_bone_of_joint().values())}
         for side, letter in (("left", "L"), ("right", "R")):
             joint_of[self._bones[f"pelvis.{letter}"]] = 0
@@ -159,7 +159,7 @@ class _Source:
     def _rest(
         self, phenotype: dict[str, float], face: dict[str, float] | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Surface (V, 3) and where the bones begin (bones, 3)."""
+        """Return the surface (V, 3) and the heads of the bones (bones, 3)."""
         still = torch.eye(4).repeat(1, len(self._bones), 1, 1)
         with torch.no_grad():
             found = self._model(
@@ -169,7 +169,7 @@ class _Source:
         return tuple(found[key][0].numpy().astype(np.float64) @ _Y_UP.T for key in keys)
 
     def _t_pose(self, vertices: np.ndarray, heads: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Surface and beginnings of the bones with the arms sideways, palms down."""
+        """Return surface and bone heads with the arms sideways, palms down."""
         turned = {}
         for letter, sign in (("L", 1.0), ("R", -1.0)):
             turned |= self._arm(vertices, heads, letter, np.array([sign, 0, 0]))
@@ -186,7 +186,7 @@ class _Source:
     def _arm(
         self, vertices: np.ndarray, heads: np.ndarray, letter: str, side: np.ndarray
     ) -> dict[str, np.ndarray]:
-        """The bones' rotations (3, 3) from rest to T-pose, arm and hand of one side."""
+        """Return rotations (3, 3) from rest to T-pose for arm and hand of one side."""
         at = lambda bone: heads[self._bones[f"{bone}.{letter}"]]
         upper = _between(at("lowerarm01") - at("upperarm01"), side)
         lower = _between(upper @ (at("wrist") - at("lowerarm01")), side) @ upper
@@ -199,7 +199,7 @@ class _Source:
         turned = {
             "shoulder01": _axis_angle(np.array([0, 0, 0.2 * side[0] * raised])),
             "upperarm01": upper,
-            # The forearm takes up the twist bit by bit.
+            # The twist is spread over the forearm.
             "lowerarm01": _about_x(0.25 * twist) @ lower,
             "lowerarm02": _about_x(0.70 * twist) @ lower,
             "wrist": palm,
@@ -207,7 +207,7 @@ class _Source:
         for digit in (2, 3, 4, 5):
             chain = [at(f"finger{digit}-{k}") for k in (1, 2, 3)]
             last = self._weights[:, self._bones[f"finger{digit}-3.{letter}"]] > 0.9
-            chain.append(vertices[last].mean(0))  # stands for the tip
+            chain.append(vertices[last].mean(0))  # approximates the tip
             fan = palm @ (chain[0] - at("wrist"))
             straight, above = np.array([fan[0], 0, _SPREAD * fan[2]]), palm
             for k in range(3):
@@ -217,7 +217,7 @@ class _Source:
 
 
 def _bone_of_joint() -> dict[str, str]:
-    """SMPL-X's joints, in their order, and the bone that begins there."""
+    """Return the bone at each of SMPL-X's joints, in their order."""
     bones = {
         "pelvis": "root", "spine1": "spine04", "spine2": "spine03", "spine3": "spine02",
         "neck": "neck01", "head": "head", "jaw": "jaw",
@@ -234,24 +234,24 @@ def _bone_of_joint() -> dict[str, str]:
 
 
 def _components(samples: np.ndarray, count: int = 10, *, centred: bool = False) -> np.ndarray:
-    """The strongest directions of samples (N, V, 3), scaled to standard deviations, (V, 3, 10)."""
+    """Return principal directions (V, 3, 10) of samples (N, V, 3), as standard deviations."""
     flat = samples.reshape(len(samples), -1)
     _, s, rows = np.linalg.svd(flat if centred else flat - flat.mean(0), full_matrices=False)
     rows = rows[:count] * (s[:count, None] / np.sqrt(len(flat)))
     directions = rows.reshape(count, -1, 3).transpose(1, 2, 0)
-    # A direction's sign is arbitrary: more is taller, and for a face, wider.
+    # The sign is arbitrary: positive is taller.
     return directions * np.where(directions[:, 1].sum(0) < 0, -1, 1)
 
 
 def _regressor(surfaces: np.ndarray, joints: np.ndarray) -> np.ndarray:
-    """Sparse rows (55, V) that sum to 1 and find the joints (N, 55, 3) in surfaces (N, V, 3)."""
+    """Fit sparse rows (55, V) with sum 1 that regress joints (N, 55, 3) from (N, V, 3)."""
     regressor = np.zeros((len(JOINTS), surfaces.shape[1]))
     for j in range(len(JOINTS)):
         distance = ((surfaces[0] - joints[0, j]) ** 2).sum(1)
         near = np.argsort(distance, kind="stable")[:_NEAREST]
         A = surfaces[:, near].transpose(0, 2, 1).reshape(-1, _NEAREST)
         mean = A.mean(1, keepdims=True)
-        A = A - mean  # differences of weights from even ones, so that rows sum to 1
+        A = A - mean  # solve for differences from equal weights, so that rows sum to 1
         normal = A.T @ A + _RIDGE * np.eye(_NEAREST)
         change = np.linalg.solve(normal, A.T @ (joints[:, j].reshape(-1) - mean[:, 0]))
         regressor[j, near] = 1 / _NEAREST + change - change.mean()
@@ -259,7 +259,7 @@ def _regressor(surfaces: np.ndarray, joints: np.ndarray) -> np.ndarray:
 
 
 def _between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The smallest rotation that turns direction a into b."""
+    """Return the smallest rotation from direction a to b."""
     a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
     axis = np.cross(a, b)
     sine = np.linalg.norm(axis)

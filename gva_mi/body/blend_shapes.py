@@ -1,12 +1,11 @@
-"""Blend shapes: a surface plus a weighted sum of directions, and how both cores share one frame.
+"""Blend shapes: a surface plus a weighted sum of directions.
 
     1. x = x₀ + Σ_k c_k D_k
     2. grad_c_k = ⟨grad_x, D_k⟩,    grad_x₀ = grad_x
 
-A body of 10,000 vertices has 58 MB of pose directions, which must be read once each way: for one
-frame it is the memory that takes the time. The libraries behind torch leave a vector times a matrix
-to one core. The two halves of the surface, as a batch of two products, go to both, take half the
-time, and are the same bits on one core as on two.
+A body of 10,000 vertices has 58 MB of pose directions, so the time of one frame is that of reading
+them. Torch multiplies a vector by a matrix on one core. Halves of the surface as a batch of two
+products use two cores, take half the time, and give the same bits on any number of cores.
 """
 
 from __future__ import annotations
@@ -19,10 +18,9 @@ from torch.nn.functional import pad
 
 
 def as_rows(directions: np.ndarray) -> np.ndarray:
-    """Directions (V, 3, K) of a file, one in each row: all x, then all y, then all z.
+    """Convert directions (V, 3, K) to rows (K, W): all x, then all y, then all z.
 
-    Returns:
-        (K, W), W is 3 V, and one more where that is odd, so that it can be halved.
+    W is 3 V, padded to be even.
     """
     vertices, _, count = directions.shape
     rows = np.zeros((count, 3 * vertices + vertices % 2), directions.dtype)
@@ -31,12 +29,12 @@ def as_rows(directions: np.ndarray) -> np.ndarray:
 
 
 def as_directions(rows: np.ndarray, vertices: int) -> np.ndarray:
-    """The directions (V, 3, K) of a file, from :func:`as_rows` of them (K, W)."""
+    """Convert rows (K, W) of :func:`as_rows` back to directions (V, 3, K)."""
     return rows[:, : 3 * vertices].reshape(len(rows), 3, vertices).transpose(2, 1, 0)
 
 
 def columns_of(rows: Tensor, vertices: Tensor, count: int) -> Tensor:
-    """The rows of some ``vertices`` (n,), of rows (K, W) of ``count`` vertices."""
+    """Select ``vertices`` (n,) from rows (K, W) of ``count`` vertices."""
     some = rows[:, : 3 * count].unflatten(1, (3, count))[:, :, vertices].flatten(1)
     return pad(some, (0, some.shape[1] % 2))
 
@@ -46,7 +44,7 @@ def add_directions(surface: Tensor, coefficients: Tensor, directions: Tensor) ->
 
     Args:
         surface: (1, 3 V) or (T, 3 V) metres, all x, then all y, then all z.
-        coefficients: (T, K), K no more than the directions; those that are missing count as zero.
+        coefficients: (T, K), K at most the number of directions; missing ones count as zero.
         directions: (K', W) from :func:`as_rows`.
 
     Returns:
@@ -82,11 +80,11 @@ class _AddDirections(torch.autograd.Function):
 
 
 def _weighted(coefficients: Tensor, directions: Tensor) -> Tensor:
-    """The sum of eq. 1, (T, W)."""
+    """Return the sum of eq. 1, (T, W)."""
     moved = torch.bmm(coefficients.expand(2, -1, -1), _halves(directions))
     return moved.transpose(0, 1).flatten(1)
 
 
 def _halves(rows: Tensor) -> Tensor:
-    """Rows (K, W) as (2, K, W / 2), without a copy."""
+    """View rows (K, W) as (2, K, W / 2)."""
     return rows.unflatten(1, (2, -1)).transpose(0, 1)

@@ -1,4 +1,4 @@
-"""Body files on disk: SMPL-X's, SMPL+H's and SMPL's, .npz or .pkl, checked array by array.
+"""Read and check body files of SMPL-X, SMPL+H and SMPL, .npz or .pkl.
 
 ==================  ===================================  ======================================
 Key                 Shape                                Meaning
@@ -14,11 +14,11 @@ hands_meanl, -r     (45,)                                mean hand relative to f
 hands_componentsl…  (K, 45)                              PCA of hand poses; optional
 ==================  ===================================  ======================================
 
-J is 55, 52 or 24; SMPL has no hands. The mean hands and their components are checked like the rest
-of the format and then left alone, for poses here are relative to the flat hand.
+J is 55, 52 or 24; SMPL has no hands. Mean hands and their components are checked but not used,
+because poses here are relative to the flat hand.
 
-In SMPL-X, 400 directions or more are 300 betas and then expressions (version 1.1), fewer are 10
-betas and up to 10 expressions (1.0). In the older formats all of them are betas.
+SMPL-X files with 400 directions or more hold 300 betas, then expressions (version 1.1); with fewer,
+10 betas and up to 10 expressions (1.0). In the older formats all directions are betas.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from pathlib import Path
 import numpy as np
 
 from gva_mi.body.pose import JOINTS, PARENTS
-from gva_mi.body.smpl import FORMATS, SMPL, SMPLX, Format, lift
+from gva_mi.body.smpl import FORMATS, SMPL, SMPLX, BodyFormat, lift
 from gva_mi.errors import InputError
 from gva_mi.files import read_arrays
 from gva_mi.pickles.reader import read_objects
 
 LICENSED = "https://smpl-x.is.tue.mpg.de"
-LARGEST = 1e9  # number in a body's file
-FEWEST_SHARED = 0.8  # of the edges: a border is longest in a small part of a body
+LARGEST = 1e9  # absolute value of any number in a body file
+FEWEST_SHARED = 0.8  # fraction of edges that belong to two triangles
 _ROOT = 4294967295  # the root's parent in the files: -1 as an unsigned integer
 _SKIN = (
     "v_template", "f", "shapedirs", "posedirs", "J_regressor", "weights", "kintree_table",
@@ -46,8 +46,8 @@ _OPTIONAL = ("hands_componentsl", "hands_componentsr", "joint_names")
 
 
 def read_body(path: Path) -> dict[str, np.ndarray]:
-    """The arrays of a body file, on SMPL-X's 55 joints; ``num_betas`` and ``num_expressions``
-    beside them say how the shape directions divide.
+    """Read the arrays of a body file, on SMPL-X's 55 joints, with the numbers of shape directions
+    that are betas and expressions, ``num_betas`` and ``num_expressions``.
 
     Raises:
         InputError: naming the file, the key, and the shape that was found.
@@ -55,7 +55,7 @@ def read_body(path: Path) -> dict[str, np.ndarray]:
     if not path.is_file():
         raise InputError(
             f"{path}: no such file; expected a body in SMPL-X's format, .npz or .pkl. SMPL-X is "
-            f"licensed at {LICENSED}; without a body file the built-in puppet is used"
+            f"licensed at {LICENSED}; without a body file the built-in body is used"
         )
     pickled = path.suffix.lower() in (".pkl", ".pickle")
     arrays = _read_pickle(path) if pickled else _read(path)
@@ -66,12 +66,12 @@ def read_body(path: Path) -> dict[str, np.ndarray]:
 
 
 def kintree_table() -> np.ndarray:
-    """The tree of the 55 joints as files hold it, (2, 55) int64."""
+    """Return the tree of the 55 joints as in files, (2, 55) int64."""
     return np.stack([np.array([_ROOT, *PARENTS[1:]], dtype=np.int64), np.arange(len(JOINTS))])
 
 
 def _read_pickle(path: Path) -> dict[str, np.ndarray]:
-    """The arrays of the format; SMPL's regressor is sparse, and old files hold chumpy's arrays."""
+    """Read the arrays from a pickle, including sparse regressors and chumpy's arrays."""
     found = read_objects(path, f"a body in SMPL-X's format: {', '.join(_SKIN)}")
     if not isinstance(found, dict):
         raise InputError(f"{path}: holds no dictionary; expected one with {', '.join(_SKIN)}")
@@ -88,15 +88,15 @@ def _require(path: Path, found: Collection[str]) -> None:
 
 
 def _read(path: Path) -> dict[str, np.ndarray]:
-    """The arrays of the format, without the others that a file may hold."""
+    """Read the arrays of the format from a .npz file."""
     keys = (*_SKIN, *_HANDS, *_OPTIONAL)
     arrays = read_arrays(path, f"a body in SMPL-X's format: {', '.join(_SKIN)}", keys)
     _require(path, arrays)
     return arrays
 
 
-def _check(path: Path, arrays: dict[str, np.ndarray]) -> Format:
-    """The format of a file all of whose arrays have the right shapes and values."""
+def _check(path: Path, arrays: dict[str, np.ndarray]) -> BodyFormat:
+    """Check shapes and values of all arrays, and return the format."""
     form = _format(path, arrays)
     missing = [key for key in _HANDS if key not in arrays and form is not SMPL]
     if missing:
@@ -128,9 +128,9 @@ def _check(path: Path, arrays: dict[str, np.ndarray]) -> Format:
 
 
 def _check_surface(path: Path, faces: np.ndarray) -> None:
-    """Refuse triangles that hang together nowhere: what makes meshes coarser would not come back.
+    """Refuse disconnected triangles, on which mesh decimation would not terminate.
 
-    Nearly all edges of a body belong to two triangles; where a surface has a border, to one.
+    Nearly all edges of a body belong to two triangles, and edges of a border to one.
     """
     sides = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     edges, count = np.unique(sides, axis=0, return_counts=True)
@@ -158,8 +158,8 @@ def _check_array(path: Path, key: str, array: np.ndarray, shape: tuple[int | Non
         raise InputError(f"{path}: '{key}' holds a number that is not finite, or absurd")
 
 
-def _format(path: Path, arrays: dict[str, np.ndarray]) -> Format:
-    """Which format it is, by its tree."""
+def _format(path: Path, arrays: dict[str, np.ndarray]) -> BodyFormat:
+    """Return the format of a file, identified by its tree."""
     tree = arrays["kintree_table"]
     form = FORMATS.get(tree.shape[-1]) if tree.ndim == 2 else None
     if form is None:
@@ -180,8 +180,8 @@ def _format(path: Path, arrays: dict[str, np.ndarray]) -> Format:
     )
 
 
-def _split(directions: int, form: Format) -> tuple[int, int]:
-    """How many of the shape directions are betas, and how many after them expressions."""
+def _split(directions: int, form: BodyFormat) -> tuple[int, int]:
+    """Return how many shape directions are betas and how many are expressions."""
     if form is not SMPLX:
         return directions, 0
     betas = 300 if directions >= 400 else min(10, directions)

@@ -1,8 +1,8 @@
-"""Gestures of the hands, as rotations of SMPL-X's joints relative to the flat hand.
+"""Hand gestures as rotations of SMPL-X's joints relative to the flat hand.
 
-A finger curls by one angle c, its three joints by 1.35 c, 1.75 c and 1.15 c, so that c = 1 brings
-its tip to the palm. Fingers hinge about the hand's z axis and spread about its y axis; the thumb,
-which has a saddle and no hinge, is given joint by joint.
+A finger has one curl c; its joints bend by 1.35 c, 1.75 c and 1.15 c about the hand's z axis, so
+that c = 1 brings the tip to the palm. Fingers spread about the y axis. The thumb has no hinge and
+is given joint by joint.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND
 AxisAngle = tuple[float, float, float]  # axis-angle, radians
 
 FINGERS = ("index", "middle", "ring", "pinky")
-CURL = (1.35, 1.75, 1.15)  # rad at each joint of a finger that is curled into the palm
+CURL = (1.35, 1.75, 1.15)  # rad at each joint for curl 1
 SPREAD = (1.0, 0.25, -0.45, -1.0)  # share of each finger in a spread
 
 _STRAIGHT: tuple[AxisAngle, ...] = ((0, 0, 0), (0, 0, 0), (0, 0, 0))
@@ -29,15 +29,15 @@ _UP: tuple[AxisAngle, ...] = ((-0.16, -0.37, 0.12), (-0.10, -0.36, 0.06), (-0.06
 
 @dataclass(frozen=True)
 class Gesture:
-    """A shape of the left hand, which the right one mirrors."""
+    """A gesture of the left hand, which the right one mirrors."""
 
     curl: tuple[float, float, float, float]  # of each finger; 0 straight, 1 in the palm
-    spread: float  # rad, of index and little finger from the middle
+    spread: float  # rad, of index and little finger from the middle finger
     thumb: tuple[AxisAngle, ...]  # of its three joints
 
     @property
     def values(self) -> np.ndarray:
-        """The gesture as (14,) numbers that may be blended: curls, spread, thumb."""
+        """The gesture as (14,) numbers that can be blended: curls, spread, thumb."""
         return np.array([*self.curl, self.spread, *np.ravel(self.thumb)])
 
 
@@ -55,10 +55,10 @@ GESTURES: Mapping[str, Gesture] = {
 
 
 def blend_between(names: Sequence[str], at: np.ndarray) -> np.ndarray:
-    """Gestures held for a while, with smooth changes between; the last leads back to the first.
+    """Blend a cycle of gestures, each held for a while.
 
     Args:
-        names: of the gestures, in their order.
+        names: of the gestures, in order.
         at: (T,) moments; gesture k is held from k on for a third of a unit.
 
     Returns:
@@ -72,7 +72,7 @@ def blend_between(names: Sequence[str], at: np.ndarray) -> np.ndarray:
 
 
 def put_hand(rotations: np.ndarray, side: str, values: np.ndarray) -> None:
-    """Write gestures' values (T, 14) or (14,) into rotations (T, 55, 3) of "left" or "right"."""
+    """Write values (T, 14) or (14,) of a "left" or "right" hand into rotations (T, 55, 3)."""
     mirror = np.array([1, 1, 1] if side == "left" else [1, -1, -1])
     values = np.atleast_2d(values)
     curls, spread, thumb = values[:, :4], values[:, 4], values[:, 5:].reshape(-1, 3, 3)

@@ -1,4 +1,4 @@
-"""Forward kinematics: rotations of joints to rigid maps; adjoint and tangent in closed form.
+"""Forward kinematics: from joint rotations to rigid transforms, with adjoint and tangent.
 
     1. R_j = I + a [r_j]× + b [r_j]×²,    a = sin θ / θ,  b = (1 − cos θ) / θ²,  θ = |r_j|
     2. T_j = T_parent(j) · [R_j | J_j − R_j J_j]        joint j turns what hangs on it about itself
@@ -44,7 +44,7 @@ from torch.autograd.function import FunctionCtx
 def joint_transforms(
     rotations: Tensor, joints: Tensor, parents: Sequence[int], transl: Tensor
 ) -> Tensor:
-    """The rigid map of each joint from the rest pose to the world (eq. 2).
+    """Return the rigid transform of each joint from the rest pose to the world (eq. 2).
 
     Args:
         rotations: (T, J, 3) axis-angle relative to the parent, radians.
@@ -134,7 +134,7 @@ class _TurnJoints(torch.autograd.Function):
         force, grad_A = grad_T[..., :3, 3], grad_T[..., :3, :3]  # eq. 3
         moment = torch.linalg.cross(t, force) + _vee(grad_A @ A.mT)
         wrench = torch.cat([force, moment], dim=-1).unsqueeze(1)
-        # As a product of matrices it would wake a second core, which takes longer than the sums.
+        # A matrix product would start a second thread, which takes longer than the sums.
         force, moment = (tree.hangs_on.unsqueeze(-1) * wrench).sum(2).split(3, dim=-1)
 
         torque = moment - torch.linalg.cross(places, force)  # eq. 4

@@ -38,7 +38,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import FunctionCtx
 
-from gva_mi.body.lanes import FLOATS, launch
+from gva_mi.jit.rowwise import FLOATS, launch
 
 SQUARINGS = 9  # B^512: the second eigenvalue is gone in float64 for joints up to 170 degrees apart
 MIN_GAP = 1e-4  # smallest pivot of the adjoint's system

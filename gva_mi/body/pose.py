@@ -1,4 +1,4 @@
-"""What moves a body: ``Pose`` and ``Shape``, in SMPL-X's order of joints; files use its names."""
+"""``Pose`` and ``Shape`` of a body on SMPL-X's joints, and their files under SMPL-X's names."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ PARENTS: tuple[int, ...] = (
     21, 40, 41, 21, 43, 44, 21, 46, 47, 21, 49, 50, 21, 52, 53,
 )  # fmt: skip
 
-# Which of JOINTS each field of SMPL-X holds. Its fields follow each other in the order of JOINTS.
+# The fields of SMPL-X as slices of JOINTS.
 ROOT, BODY = slice(0, 1), slice(1, 22)
 JAW, LEFT_EYE, RIGHT_EYE = slice(22, 23), slice(23, 24), slice(24, 25)
 EYES, JAW_AND_EYES = slice(23, 25), slice(22, 25)
-# What a person's numbers stay below by far: radians, metres, standard deviations.
+# Generous bounds of valid files: metres, standard deviations, radians.
 LARGEST = {"transl": 1e6, "expression": 1e4, "betas": 1e4, "offsets": 10.0}
 LARGEST_ANGLE = 1e3
 
@@ -70,7 +70,7 @@ class Pose:
 
     @staticmethod
     def from_smplx(named: Mapping[str, Tensor]) -> Pose:
-        """A pose from SMPL-X's names, as :meth:`to_smplx` gives them.
+        """Build a pose from tensors under SMPL-X's names, as of :meth:`to_smplx`.
 
         Args:
             named: ``global_orient`` (T, 3), ``body_pose`` (T, 63), ``jaw_pose``, ``leye_pose``,
@@ -81,7 +81,7 @@ class Pose:
         return Pose(columns.unflatten(1, (-1, 3)), named["transl"], named["expression"])
 
     def to_smplx(self) -> dict[str, Tensor]:
-        """The pose under SMPL-X's names, in the order in which files hold them."""
+        """Return the pose under SMPL-X's names, in the order of files."""
         joints = {name: self.rotations[:, part].flatten(1) for name, part in SMPLX_FIELDS.items()}
         return joints | {"transl": self.transl, "expression": self.expression}
 
@@ -89,23 +89,23 @@ class Pose:
         return self.transl.shape[0]
 
     def __getitem__(self, frames: int | slice | list[int] | Tensor) -> Pose:
-        """Some of the frames; an int keeps the frame axis: the result is a Pose of one frame."""
+        """Select frames; an int gives a Pose of one frame."""
         if isinstance(frames, int):
             frames = [frames]
         return self.map(lambda x: x[frames])
 
     def map(self, function: Callable[[Tensor], Tensor]) -> Pose:
-        """Apply a function of one tensor to rotations, translation and expression."""
+        """Apply a function to rotations, translation and expression."""
         return Pose(function(self.rotations), function(self.transl), function(self.expression))
 
     def to(self, dtype: torch.dtype) -> Pose:
-        """The same pose in another precision."""
+        """Convert to another precision."""
         return self.map(lambda x: x.to(dtype))
 
 
 @dataclass(frozen=True)
 class Shape:
-    """Who the body is: shape coefficients, one person for the whole video."""
+    """Shape coefficients of one person, the same for a whole video."""
 
     betas: Tensor  # (B,)
 
@@ -113,10 +113,10 @@ class Shape:
 def load_poses(path: Path) -> tuple[Pose, Shape]:
     """Read ``poses.npz``: SMPL-X's names, each (T, ...), and ``betas`` (B,).
 
-    Face and hands may be missing: they are then zero. Other keys are ignored.
+    Face and hands are zero if missing. Other keys are ignored.
 
     Raises:
-        InputError: a missing key, a wrong shape or dtype, or a number that is not finite.
+        InputError: a key is missing, a shape or dtype is wrong, or a number is not finite.
     """
     data = read_arrays(path, "poses under SMPL-X's names (.npz)")
     require_keys(path, data, ("global_orient", "body_pose", "transl", "betas"))
@@ -133,7 +133,7 @@ def load_poses(path: Path) -> tuple[Pose, Shape]:
     }
     betas = data["betas"]
     if betas.ndim == 2 and (betas == betas[:1]).all():
-        betas = betas[0]  # repeated per frame, as some estimators write it
+        betas = betas[0]  # some estimators repeat them per frame
     if betas.ndim != 1:
         raise InputError(
             f"{path}: 'betas' must be (B,), one person for all frames; got {betas.shape}"
@@ -156,9 +156,9 @@ def save_poses(
         path: the file.
         pose: T frames.
         shape: the person's.
-        stage: 1 from an estimator, 2 from the refinement; see :func:`load_stage`.
-        offsets: (V, 3) displacement of the rest surface that the refinement found, metres.
-        focal: factor on the focal lengths of the video's cameras that the poses belong to.
+        stage: origin of the poses, see :func:`load_stage`.
+        offsets: (V, 3) refined displacement of the rest surface, metres.
+        focal: factor on the focal lengths of the video's cameras for these poses.
     """
     data = {name: value.detach().numpy() for name, value in pose.to_smplx().items()}
     if offsets is not None:
@@ -169,10 +169,10 @@ def save_poses(
 
 
 def load_offsets(path: Path, vertices: int) -> Tensor | None:
-    """The displacement (V, 3) of the rest surface in a file of poses, metres; None without one.
+    """Read the displacement (V, 3) of the rest surface from a file of poses, metres, or None.
 
     Raises:
-        InputError: the displacement is not finite, or of another number of vertices.
+        InputError: it is not finite, or has another number of vertices.
     """
     data = read_arrays(path, "poses under SMPL-X's names (.npz)")
     if "offsets" not in data:
@@ -181,10 +181,10 @@ def load_offsets(path: Path, vertices: int) -> Tensor | None:
 
 
 def load_focal(path: Path) -> float:
-    """The factor on the focal lengths that a file of poses belongs to; 1 where it says none.
+    """Read the factor on focal lengths from a file of poses, 1 by default.
 
     Raises:
-        InputError: it is no positive number.
+        InputError: it is not a positive number.
     """
     focal = read_arrays(path, "poses under SMPL-X's names (.npz)").get("focal", np.array(1.0))
     if focal.shape != () or focal.dtype.kind not in "fiu" or not 0 < float(focal) < np.inf:
@@ -193,8 +193,7 @@ def load_focal(path: Path) -> float:
 
 
 def load_stage(path: Path) -> int:
-    """Who made the poses of a file: 0 the truth, 1 an estimator, 2 the refinement or what trains
-    poses after it. 1 where the file does not say.
+    """Read the origin of poses: 0 ground truth, 1 an estimator (default), 2 refinement or fit.
 
     Raises:
         InputError: it is none of these.
@@ -207,11 +206,12 @@ def load_stage(path: Path) -> int:
 
 
 def _tensor(path: Path, name: str, value: np.ndarray, shape: tuple[int, ...]) -> Tensor:
+    """Check an array of a file and convert it."""
     if not np.issubdtype(value.dtype, np.floating):
         raise InputError(f"{path}: '{name}' must be floating point, got {value.dtype}")
     if value.shape != shape:
         raise InputError(f"{path}: '{name}' must be {shape}, got {value.shape}")
-    with np.errstate(over="ignore"):  # 1e308 is not finite in the precision that is used
+    with np.errstate(over="ignore"):  # 1e308 becomes infinite
         value = np.ascontiguousarray(value, dtype=np.float32)
     if not np.isfinite(value).all():
         where = np.argwhere(~np.isfinite(value))[0]

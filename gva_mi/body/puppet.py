@@ -1,12 +1,11 @@
-"""The built-in body: a puppet in SMPL-X's format that needs no licence.
+"""The built-in body, in SMPL-X's format and under the licence of this package.
 
-``puppet.npz`` holds the keys of an SMPL-X file and is read by the same loader. It is modelled from
-scratch, as a smooth union of simple solids, by ``python -m gva_mi.sculptor``, and
-comes under the licence of this package.
+``puppet.npz`` has the keys of an SMPL-X file and is read by the same loader. It is generated from
+scratch, as a smooth union of simple solids, by ``python -m gva_mi.sculptor``.
 
-* 11,000 vertices, watertight, of one piece, symmetric; more of them at hands, face and toes.
+* 11,000 vertices, watertight, connected, symmetric; denser at hands, face and toes.
 * 1.77 m tall; the pelvis at the origin, y up, facing +z, the left hand toward +x.
-* Fingers apart, a mouth that opens with the jaw, eyes that turn, correctives where joints bend.
+* Separate fingers, a mouth that opens with the jaw, eyes that turn, pose correctives.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from pathlib import Path
 
 PUPPET = Path(__file__).with_name("puppet.npz")
 
-# What its coefficients mean; one unit is a clear but common deviation (height: 4 %).
+# Its coefficients; one unit is a clear but common deviation (height: 4 %).
 SHAPES = (
     "height", "weight", "leg length", "arm length", "shoulder width", "hip width", "chest", "belly",
     "muscles", "size of the head",

@@ -8,8 +8,8 @@
 Eq. 6 of the paper multiplies a Gaussian's rotation by A_rot as if it were one. It is a blend of
 rotations, which shears and shrinks wherever its joints turn differently. Here means follow the
 whole affine map, so that they stay on the skinned mesh, while orientations follow the rotation
-nearest to A_rot, its polar factor: Gaussians keep their learned scales, and a rigid motion is
-carried exactly. See :mod:`gva_mi.body.polar`.
+nearest to A_rot, its polar factor: Gaussians keep their learned scales, and rigid motions are
+exact. See :mod:`gva_mi.body.polar`.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from torch.autograd.function import FunctionCtx
 
 from gva_mi.body.polar import carry_frames
 
-_FRAMES = 4  # skinned together by skin_points: 10k blended maps of each are 0.5 MB
+_FRAMES = 4  # frames per block of skin_points; 10k blended transforms take 0.5 MB
 
 
 def skin_points(points: Tensor, weights: Tensor, T_world_rest: Tensor) -> Tensor:
-    """Carry points of the rest pose into the world (eq. 2, 3), for one pose or for T of them.
+    """Move points from the rest pose to the world (eq. 2, 3), for one pose or T poses.
 
     Args:
-        points: (N, 3), or (T, N, 3) where they differ between the poses.
+        points: (N, 3), or (T, N, 3) if they differ between poses.
         weights: (N, J), rows sum to 1.
         T_world_rest: (J, 4, 4) or (T, J, 4, 4).
 
@@ -42,15 +42,15 @@ def skin_points(points: Tensor, weights: Tensor, T_world_rest: Tensor) -> Tensor
 
 
 class _SkinPoints(torch.autograd.Function):
-    """Eq. 2 and 3, a few frames at a time, so that blended maps stay in the processor's cache.
+    """Eq. 2 and 3 in blocks of frames, so that blended transforms stay in the cache.
 
-    Coordinates come first and points last: sums then run along memory. Autograd's own adjoint would
-    fill a map of zeros for each of its 12 entries.
+    Coordinates are the first axis and points the last, so sums run along memory. Autograd's adjoint
+    would fill a transform of zeros for each of its 12 entries.
     """
 
     @staticmethod
     def forward(ctx: FunctionCtx, points: Tensor, weights: Tensor, maps: Tensor) -> Tensor:
-        """From points (T or 1, N, 3), weights (N, J) and the joints' maps (T, 12, J)."""
+        """Skin points (T or 1, N, 3) by weights (N, J) and joint transforms (T, 12, J)."""
         frames, n = len(maps), len(weights)
         x = points.mT  # (T or 1, 3, N)
         out = points.new_empty(frames, n, 3)
@@ -71,7 +71,7 @@ class _SkinPoints(torch.autograd.Function):
         points, weights, maps, *blended = ctx.saved_tensors
         wanted_points, wanted_weights, wanted_maps = ctx.needs_input_grad
         n, x = len(weights), points.mT
-        each = len(x) == len(maps)  # or all frames have one x, whose gradient they share
+        each = len(x) == len(maps)  # otherwise all frames share one x and its gradient
         grad_x = x.new_empty(x.shape) if each else x.new_zeros(x.shape)
         grad_weights = torch.zeros_like(weights) if wanted_weights else None
         grad_maps = torch.empty_like(maps) if wanted_maps else None
@@ -102,18 +102,18 @@ def _parts(frames: int) -> list[slice]:
 
 
 def _of(x: Tensor, part: slice) -> Tensor:
-    """A part's frames of points that may be the same in all."""
+    """Select frames of points, which may be shared by all frames."""
     return x if len(x) == 1 else x[part]
 
 
 def skin_gaussians(
     means: Tensor, quats: Tensor, weights: Tensor, T_world_rest: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Carry Gaussians of the rest pose into the world (eq. 2-4).
+    """Move Gaussians from the rest pose to the world (eq. 2-4).
 
     Args:
         means: (N, 3) metres, rest pose.
-        quats: (N, 4) wxyz, of any length but zero, which is kept.
+        quats: (N, 4) wxyz, of any nonzero length, which is kept.
         weights: (N, J), rows sum to 1.
         T_world_rest: (J, 4, 4), its upper left 3x3 blocks rotations.
 
@@ -138,12 +138,12 @@ def skin_gaussians(
 
 
 def blend(weights: Tensor, T_world_rest: Tensor) -> Tensor:
-    """The blended affine map of each point, row by row (eq. 2), (..., N, 12)."""
+    """Return the blended affine map of each point, row by row (eq. 2), (..., N, 12)."""
     return weights @ T_world_rest[..., :3, :].flatten(-2)
 
 
 def strongest(weights: Tensor, joints: int = 4) -> Tensor:
-    """Keep the largest weights of each row (N, J), scaled to sum 1; of equal ones the first."""
+    """Keep the largest weights of each row (N, J), the first of equal ones, scaled to sum 1."""
     order = torch.sort(weights, dim=1, descending=True, stable=True).indices[:, :joints]
     kept = torch.zeros_like(weights).scatter(1, order, weights.gather(1, order))
     return kept / kept.sum(1, keepdim=True)

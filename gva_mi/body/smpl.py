@@ -1,26 +1,25 @@
-"""SMPL and SMPL+H among SMPL-X: their joints, files and poses in the order of ``JOINTS``.
+"""SMPL and SMPL+H: files and poses on SMPL-X's 55 joints.
 
-The older bodies move the same 22 joints in the same way. They differ above them:
+All three formats share the first 22 joints:
 
 ========  ======  ==========================================================================
-Format    Joints  Beyond the 22 of the body
+Format    Joints  Beyond these 22
 ========  ======  ==========================================================================
-SMPL      24      one joint per hand, at the knuckles: the hand is a mitten
+SMPL      24      one joint per hand, at the knuckles (a mitten)
 SMPL+H    52      15 joints per hand, in SMPL-X's order
 SMPL-X    55      jaw, two eyes, 15 joints per hand
 ========  ======  ==========================================================================
 
-A file is *lifted* to 55 joints: joints that it lacks get no skin, so that they can turn without
-effect; the mitten hangs on the middle finger's first knuckle. Shape, skin, and correctives are the
-file's own, and the lifted body is exactly the old one.
+A file is *lifted* to 55 joints: missing joints get no skinning weights, and the mitten becomes the
+middle finger's first knuckle. The lifted body is exactly the old one.
 
-What a pose keeps on its way to SMPL-X, see :func:`pose_from_smpl` and :func:`pose_from_smplh`:
+What a pose keeps on its way to SMPL-X (:func:`pose_from_smpl`, :func:`pose_from_smplh`):
 
-* the global and the 21 body rotations carry over as they are: rest poses and axes agree;
-* SMPL+H's fingers carry over; SMPL's mittens do not, the hands become flat;
-* there is no face: jaw, eyes and expression are zero;
-* **betas do not carry over**, for the shape spaces differ: fit them anew, or start from zero;
-* ``transl`` means another place, for each body turns about its own pelvis: see
+* global and body rotations are kept, because rest poses and axes agree;
+* SMPL+H's fingers are kept; SMPL's hands become flat;
+* jaw, eyes and expression are zero;
+* **betas are not converted**, because the shape spaces differ: fit them again, or start from zero;
+* ``transl`` has another meaning, because each body rotates about its own pelvis: see
   :func:`keep_pelvis`.
 """
 
@@ -38,31 +37,31 @@ _MITTENS = (JOINTS.index("left_middle1"), JOINTS.index("right_middle1"))
 
 
 @dataclass(frozen=True)
-class Format:
-    """A body format, by its joints."""
+class BodyFormat:
+    """A body format, defined by its joints."""
 
     name: str
-    joints: tuple[int, ...]  # where each of its joints stands among SMPL-X's 55
+    joints: tuple[int, ...]  # their indices among SMPL-X's 55
 
     @property
     def parents(self) -> tuple[int, ...]:
-        """The tree of its joints, -1 for the root."""
+        """Parents of its joints, -1 for the root."""
         among_55 = [PARENTS[j] for j in self.joints]
         return tuple(self.joints.index(p) if p >= 0 else -1 for p in among_55)
 
 
-_SHARED = range(BODY.stop)  # root and body, in the same order in all three
-SMPL = Format("SMPL", (*_SHARED, *_MITTENS))
-SMPLH = Format("SMPL+H", (*_SHARED, *range(LEFT_HAND.start, RIGHT_HAND.stop)))
-SMPLX = Format("SMPL-X", tuple(range(len(JOINTS))))
+_SHARED = range(BODY.stop)  # root and body, in the same order in all formats
+SMPL = BodyFormat("SMPL", (*_SHARED, *_MITTENS))
+SMPLH = BodyFormat("SMPL+H", (*_SHARED, *range(LEFT_HAND.start, RIGHT_HAND.stop)))
+SMPLX = BodyFormat("SMPL-X", tuple(range(len(JOINTS))))
 FORMATS = {len(f.joints): f for f in (SMPL, SMPLH, SMPLX)}
 
 
-def lift(arrays: dict[str, np.ndarray], form: Format) -> dict[str, np.ndarray]:
-    """The arrays of an SMPL or SMPL+H file on SMPL-X's 55 joints.
+def lift(arrays: dict[str, np.ndarray], form: BodyFormat) -> dict[str, np.ndarray]:
+    """Lift the arrays of an SMPL or SMPL+H file to SMPL-X's 55 joints.
 
-    Joints that the file lacks are regressed where their nearest relative is: jaw and eyes at the
-    head, all fingers of a mitten at its knuckle.
+    Missing joints are regressed at their nearest relative: jaw and eyes at the head, all fingers of
+    a mitten at its knuckle.
     """
     if form is SMPLX:
         return arrays
@@ -82,13 +81,13 @@ def lift(arrays: dict[str, np.ndarray], form: Format) -> dict[str, np.ndarray]:
 
 
 def pose_from_smpl(poses: Tensor, transl: Tensor, *, mittens: bool = False) -> Pose:
-    """SMPL's poses as poses for a body of 55 joints; the module says what carries over.
+    """Convert SMPL poses to 55 joints.
 
     Args:
         poses: (T, 72), global orientation and 23 body joints, axis-angle, radians.
         transl: (T, 3) metres.
-        mittens: keep the two hand joints, for a body that was loaded from an SMPL file; on
-            SMPL-X they would bend the middle fingers alone.
+        mittens: keep the two hand joints, for a body from an SMPL file; on SMPL-X they would
+            bend only the middle fingers.
     """
     rotations = _rotations("pose_from_smpl", poses, transl, SMPL)
     if not mittens:
@@ -97,7 +96,7 @@ def pose_from_smpl(poses: Tensor, transl: Tensor, *, mittens: bool = False) -> P
 
 
 def pose_from_smplh(poses: Tensor, transl: Tensor) -> Pose:
-    """SMPL+H's poses, as AMASS stores them, as poses for a body of 55 joints.
+    """Convert SMPL+H poses, as AMASS stores them, to 55 joints.
 
     Args:
         poses: (T, 156), global orientation, 21 body joints, left and right hand, axis-angle
@@ -109,10 +108,9 @@ def pose_from_smplh(poses: Tensor, transl: Tensor) -> Pose:
 
 
 def keep_pelvis(pose: Pose, pelvis: Tensor, new_pelvis: Tensor) -> Pose:
-    """A pose for another body, translated so that the pelvis stays where it was in the world.
+    """Translate a pose for another body so that the pelvis stays in place in the world.
 
-    A body turns about its own pelvis at rest, which lies elsewhere in each body and each shape:
-    the pelvis of pose p is at ``pelvis + transl``.
+    A body rotates about its own pelvis at rest, and its posed pelvis is at ``pelvis + transl``.
 
     Args:
         pose: of the old body.
@@ -123,7 +121,7 @@ def keep_pelvis(pose: Pose, pelvis: Tensor, new_pelvis: Tensor) -> Pose:
 
 
 def _relative(joint: int, known: dict[int, int]) -> int:
-    """The joint itself, else the mitten it belongs to, else its nearest ancestor that is known."""
+    """Return the joint if known, else its mitten, else its nearest known ancestor."""
     for hand, mitten in zip((LEFT_HAND, RIGHT_HAND), _MITTENS, strict=True):
         if hand.start <= joint < hand.stop and joint not in known:
             return mitten
@@ -132,8 +130,8 @@ def _relative(joint: int, known: dict[int, int]) -> int:
     return joint
 
 
-def _rotations(caller: str, poses: Tensor, transl: Tensor, form: Format) -> Tensor:
-    """Poses (T, 3 joints) of a format as rotations (T, 55, 3), checked."""
+def _rotations(caller: str, poses: Tensor, transl: Tensor, form: BodyFormat) -> Tensor:
+    """Check poses (T, 3 joints) of a format and convert them to rotations (T, 55, 3)."""
     joints = len(form.joints)
     if poses.ndim != 2 or poses.shape[1] != 3 * joints:
         raise ValueError(f"{caller}(): poses must be (T, {3 * joints}), got {tuple(poses.shape)}")

@@ -1,4 +1,4 @@
-"""The parametric body of Eq. 4: shape and pose to vertices, joints and transforms.
+"""The parametric body of Eq. 4: from shape and pose to vertices, joints and transforms.
 
     1. v_shaped = v_template + S β + E ψ                        S, E: shape, expression directions
     2. J = J_regressor · v_shaped
@@ -15,7 +15,7 @@ w           ``weights``                         (V, 55)              rows sum to
 —           ``offsets`` (SMPL-X + D)            (V, 3)               metres, rest pose
 ==========  ==================================  ===================  ========================
 
-Offsets stand for clothes: they move vertices and leave the joints where the naked shape has them.
+Offsets represent clothes: they move vertices but not joints.
 """
 
 from __future__ import annotations
@@ -51,30 +51,30 @@ class Posed:
 
     vertices: Tensor  # (T, V, 3) metres
     joints: Tensor  # (T, 55, 3) metres
-    T_world_rest: Tensor  # (T, 55, 4, 4) takes the rest pose to the world, joint by joint
+    T_world_rest: Tensor  # (T, 55, 4, 4) from the rest pose to the world, per joint
 
 
 class BodyModel(nn.Module):
     """A body in SMPL-X's format, ``body(pose, shape, offsets) -> Posed``.
 
-    All its numbers are buffers, of one precision: ``body.to(torch.float64)`` changes it. Nothing
-    in it trains.
+    All numbers are buffers of one precision, which ``body.to(torch.float64)`` changes. It has no
+    trainable parameters.
 
     Attributes:
         v_template: (V, 3) the mean person in the T-pose, metres.
         faces: (F, 3) int64, counter-clockwise seen from outside.
         weights: (V, 55) skinning weights.
         parents: 55 indices, -1 for the root.
-        num_betas, num_expressions: how many coefficients the file has; missing ones count as zero.
+        num_betas, num_expressions: of the file; missing coefficients count as zero.
     """
 
     parents: tuple[int, ...] = PARENTS
 
     def __init__(self, arrays: dict[str, np.ndarray], dtype: torch.dtype = torch.float32) -> None:
-        """From the arrays of a file, whose names and shapes :func:`load_body` has checked.
+        """Build a body from the arrays of a file, checked by :func:`load_body`.
 
-        ``num_betas`` and ``num_expressions`` among them say how the ``shapedirs`` divide, in this
-        order; 10 each, or what there is, where they are missing.
+        ``shapedirs`` hold ``num_betas``, then ``num_expressions`` directions; at most 10 each if
+        these numbers are missing.
         """
         super().__init__()
         tensor = lambda array: torch.from_numpy(np.ascontiguousarray(array)).to(dtype)
@@ -86,7 +86,7 @@ class BodyModel(nn.Module):
         self.register_buffer("faces", torch.from_numpy(arrays["f"].astype(np.int64)))
         self.register_buffer("weights", tensor(arrays["weights"]))
         self.register_buffer("shape_directions", tensor(directions[betas]))  # (B, W)
-        # Joints are linear in the coefficients too: regress the directions once, not every frame.
+        # Joints are linear in the coefficients, so the directions are regressed once.
         regressor = arrays["J_regressor"].astype(np.float64)
         joints = regressor @ arrays["shapedirs"].reshape(len(arrays["v_template"]), -1)
         joints = joints.reshape(165, -1).T
@@ -94,9 +94,9 @@ class BodyModel(nn.Module):
         self.register_buffer("j_template", tensor(regressor @ arrays["v_template"]))
         self.register_buffer("shape_joints", tensor(joints[betas]))  # (B, 165)
         self.register_buffer("expression_joints", tensor(joints[expressions]))  # (E, 165)
-        used = np.flatnonzero(arrays["posedirs"].any((0, 1)))  # only these cost time
+        used = np.flatnonzero(arrays["posedirs"].any((0, 1)))  # skips zero directions
         self.register_buffer("pose_features", torch.from_numpy(used))
-        # What changes with the frame is one sum: pose directions, and after them the face's.
+        # All that changes per frame is one sum: pose directions, then expressions.
         bent = as_rows(arrays["posedirs"][..., used])
         both = tensor(np.concatenate([bent, directions[expressions]]))
         self.register_buffer("frame_directions", both)  # (P + E, W)
@@ -111,32 +111,29 @@ class BodyModel(nn.Module):
 
     @property
     def expression_directions(self) -> Tensor:
-        """(E, W)."""
+        """Expression directions (E, W)."""
         return self.frame_directions[len(self.pose_features) :]
 
     def on(self, vertices: Tensor, faces: Tensor) -> BodyModel:
-        """The same body with only some of its vertices, which move as they do here.
+        """Return the body restricted to some vertices, with the same joints.
 
         Args:
-            vertices: (n,) their numbers; the joints stay the same.
-            faces: (F, 3) triangles between them, numbered from 0 to n - 1.
+            vertices: (n,) indices.
+            faces: (F, 3) triangles of these, numbered from 0 to n - 1.
         """
         some = copy.copy(self)
-        some._buffers = dict(self._buffers)  # what does not change is shared
+        some._buffers = dict(self._buffers)  # the others are shared
         some.v_template, some.weights = self.v_template[vertices], self.weights[vertices]
-        some.faces, some.regressor = faces, None  # no part tells where the joints are
+        some.faces, some.regressor = faces, None  # joints need all vertices
         for name in ("shape_directions", "frame_directions"):
             setattr(some, name, columns_of(getattr(self, name), vertices, len(self.v_template)))
         return some
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """The arrays of a file that :func:`load_body` reads as this body.
-
-        It is a file of version 1.0: it holds ten betas, which are zero directions where this body
-        has fewer, and no more than ten expressions.
+        """Return the arrays of a file of version 1.0 with ten betas and at most ten expressions.
 
         Raises:
-            ValueError: for a part of a body, which has no joints of its own.
+            ValueError: for a restricted body, which has no joint regressor.
         """
         if self.regressor is None:
             raise ValueError("BodyModel.arrays(): this is a part of a body, from BodyModel.on()")
@@ -160,7 +157,7 @@ class BodyModel(nn.Module):
         }
 
     def rest(self, shape: Shape, expression: Tensor | None = None) -> Rest:
-        """The person in the T-pose (eq. 1, 2).
+        """Return the person in the T-pose (eq. 1, 2).
 
         Args:
             shape: betas (B,), B up to ``num_betas``.
@@ -173,7 +170,7 @@ class BodyModel(nn.Module):
         return Rest(flat[0].view(3, -1).mT.contiguous(), joints[0])
 
     def forward(self, pose: Pose, shape: Shape, offsets: Tensor | None = None) -> Posed:
-        """The person in the world (eq. 1-4), differentiable in everything that is given.
+        """Return the person in the world (eq. 1-4), differentiable in all arguments.
 
         Args:
             pose: T frames; the expression may have fewer coefficients than the file.
@@ -196,8 +193,7 @@ class BodyModel(nn.Module):
         return Posed(skinned, (R_world @ joints.unsqueeze(-1)).squeeze(-1) + t, T_world_rest)
 
     def _shaped(self, shape: Shape, psi: Tensor, template: Tensor) -> tuple[Tensor, Tensor]:
-        """Rest vertices without the face (1, 3 V), all x, then all y, then all z; and joints
-        (T, 55, 3) with it (eq. 1, 2)."""
+        """Return rest vertices without expression (1, 3 V), and joints with it (T, 55, 3)."""
         betas = _coefficients("betas", shape.betas[None], self.num_betas)
         flat = add_directions(template.mT.reshape(1, -1), betas, self.shape_directions)
         joints = self.j_template.view(1, -1)
@@ -206,24 +202,22 @@ class BodyModel(nn.Module):
         return flat, joints.unflatten(1, (-1, 3))
 
     def _bent(self, R: Tensor) -> Tensor:
-        """The pose features that have directions, entries of R − I, (T, P) (eq. 3)."""
+        """Return the entries of R − I that have pose directions, (T, P) (eq. 3)."""
         features = (R[:, 1:] - torch.eye(3, dtype=R.dtype)).flatten(1)
         if len(self.pose_features) == features.shape[1]:
             return features
-        # Each feature is taken once, so that the gradients of no two are added.
         return features[:, self.pose_features]
 
 
-PUPPET_NAME = "puppet"  # of the built-in body, on the command line and in records
+PUPPET_NAME = "puppet"  # the built-in body on the command line and in records
 
 
 def load_body(path: Path | None = None, dtype: torch.dtype = torch.float32) -> BodyModel:
-    """Read a body: a file in SMPL-X's npz format, or the built-in puppet where none is given.
+    """Read a body file, or the built-in body.
 
     Args:
-        path: ``SMPLX_NEUTRAL.npz`` or the like, version 1.0 or 1.1, any gender. Files with 400
-            shape directions hold 300 betas and then expressions; files with fewer hold 10 betas
-            and then up to 10 expressions. ``puppet`` is the built-in one, too.
+        path: a file such as ``SMPLX_NEUTRAL.npz``, see :mod:`gva_mi.body.body_file`; None or
+            ``puppet`` is the built-in body.
         dtype: float32 or float64.
 
     Raises:
@@ -235,17 +229,17 @@ def load_body(path: Path | None = None, dtype: torch.dtype = torch.float32) -> B
 
 
 def body_file(path: Path | None) -> Path:
-    """The file that :func:`load_body` reads."""
+    """Return the file that :func:`load_body` reads."""
     return PUPPET if path is None or str(path) == PUPPET_NAME else Path(path)
 
 
 def body_name(path: Path | None) -> str:
-    """What :func:`load_body` read, in a word."""
+    """Return a short name of what :func:`load_body` reads."""
     return PUPPET_NAME if path is None else Path(path).stem
 
 
 def _coefficients(name: str, values: Tensor, available: int) -> Tensor:
-    """Coefficients (T, K) that the file has directions for; those beyond must be zero."""
+    """Cut coefficients (T, K) to those of the file; the others must be zero."""
     if values.shape[1] > available and bool((values[:, available:] != 0).any()):
         raise InputError(
             f"the pose or shape has {values.shape[1]} {name}, but the body file has {available}"

@@ -1,4 +1,4 @@
-"""The command ``gva-mi body``: a body file, and pictures to judge it by."""
+"""The command ``gva-mi body``: write a body file and pictures of it."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ def body(
 ) -> None:
     """Write a body file and a picture of it from all around.
 
-    Poses of SMPL and SMPL+H, and hands as components of a PCA, are converted by gva-mi motion, and
-    with a video by gva-mi prepare parameters.
+    To convert poses of SMPL, SMPL+H or hand components, use gva-mi motion, or with a video gva-mi
+    prepare parameters.
 
     Args:
-        source: "puppet", the built-in body; "anny", the free realistic one; or a file in SMPL-X's,
-            SMPL+H's or SMPL's format, .npz or .pkl.
-        out: the body file, .npz; the picture lies beside it as .png. Without it there is only a
-            picture, in the working folder, named after the source.
-        sheet: also write a picture (.png) of the body in many poses, its hands and its face.
-        overwrite: replace files that are there.
+        source: "puppet", the built-in body; "anny", the free realistic body; or a file of SMPL-X,
+            SMPL+H or SMPL, .npz or .pkl.
+        out: the body file, .npz, with the picture beside it as .png. Without it, only the picture
+            is written, to the working folder, named after the source.
+        sheet: also write a picture (.png) of poses, hands and faces.
+        overwrite: replace existing files.
     """
     path = _body_file(source)
     model = load_body(path)
@@ -61,7 +61,7 @@ def body(
 
 
 def _body_file(source: str) -> Path:
-    """The file of a body; Anny's is made where it is missing."""
+    """Return the file of a body; Anny's is built if missing."""
     if source == "puppet":
         return PUPPET
     return anny_body() if source == "anny" else Path(source)

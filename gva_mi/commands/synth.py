@@ -17,7 +17,7 @@ from gva_mi.errors import InputError
 from gva_mi.files import require_replaceable, require_writable
 from gva_mi.lock import alone_in
 
-MARKER = "synth.json"  # every subject that was made here holds it
+MARKER = "synth.json"  # every synthetic subject has it
 
 
 def synth(
@@ -29,16 +29,15 @@ def synth(
     body: Path | None = None,
     overwrite: Switch = False,
 ) -> None:
-    """Make a synthetic subject: video, masks, normals, cameras, noisy poses, and the truth apart.
+    """Make a synthetic subject: video, masks, normals, cameras and poses with errors; ground truth.
 
     Args:
         out: the subject's folder.
-        options: what it is like.
-        like: a subject that is there: take its recording, with noise of another --family and
-            --seed, at the level --noise.
-        sheet: write a picture (.png) of the study's seven subjects, and of what comes with a video.
-        body: a body in SMPL-X's .npz format; without it the built-in puppet.
-        overwrite: replace a subject and a sheet that are there.
+        options: of the subject.
+        like: an existing subject, whose recording gets the errors of --family, --seed and --noise.
+        sheet: write a picture (.png) of the study's seven subjects and of one's video.
+        body: a body file in SMPL-X's .npz format; without it the built-in body.
+        overwrite: replace an existing subject and sheet.
     """
     if out is None and sheet is None:
         raise InputError("synth: give a folder for a subject, or --sheet FILE.png, or both")
@@ -71,12 +70,12 @@ def synth(
 
 
 def _require_noise_alone(options: SynthOptions) -> None:
-    """Raise an InputError where options ask for more than another noise."""
+    """Raise an InputError if options other than those of the errors are given."""
     ours = {name: getattr(options, name) for name in ("family", "seed", "noise_seed", "noise")}
     plain = asdict(SynthOptions(**ours))
     for name, value in asdict(options).items():
         if value != plain[name]:
             raise InputError(
-                f"synth: --{name.replace('_', '-')} is the recording's own, which --like keeps; "
+                f"synth: --{name.replace('_', '-')} is fixed by the recording of --like; "
                 "give --family, --seed and --noise alone"
             )

@@ -24,7 +24,7 @@ import torch
 from torch import Tensor
 
 from gva_mi.body.pose import JOINTS, Pose
-from gva_mi.body.turns import compose
+from gva_mi.body.so3 import compose
 from gva_mi.pose.belief import Belief
 from gva_mi.pose.descent import Steps
 from gva_mi.pose.inference import renewed

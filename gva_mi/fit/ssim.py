@@ -27,7 +27,7 @@ from drjit.llvm import UInt32
 from torch import Tensor
 from torch.autograd.function import FunctionCtx
 
-from gva_mi.body.lanes import flat
+from gva_mi.jit.rowwise import flat
 
 SIGMA, RADIUS = 1.5, 5  # pixels: of Wang et al.'s window
 SIDE = 2 * RADIUS + 1

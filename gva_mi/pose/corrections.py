@@ -26,7 +26,7 @@ import torch
 from torch import Tensor
 
 from gva_mi.body.pose import Pose
-from gva_mi.body.turns import compose
+from gva_mi.body.so3 import compose
 from gva_mi.pose.anatomy import Anatomy
 from gva_mi.pose.ground import Ground, Soles
 from gva_mi.pose.inference import JOINTS, PELVIS, Beliefs, from_pictures, from_stage1

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from gva_mi.body.kinematics import turn_joints
 from gva_mi.body.pose import PARENTS, Pose
-from gva_mi.body.turns import compose
+from gva_mi.body.so3 import compose
 from gva_mi.splat import Camera
 
 

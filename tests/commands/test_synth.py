@@ -31,8 +31,8 @@ def test_a_recording_gets_another_noise(recording, tmp_path, cli):
 @pytest.mark.parametrize(
     "options, said",
     [
-        (("--frames", 3), "--frames is the recording's own"),
-        (("--pose-noise", 0.5), "--pose-noise is the recording's own"),
+        (("--frames", 3), "--frames is fixed by the recording"),
+        (("--pose-noise", 0.5), "--pose-noise is fixed by the recording"),
         (("--family", "pink"), "no family 'pink' of noise; there are: bursts, white"),
     ],
 )

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-
 from gva_mi.data.synthetic.color import linear
+
 from gva_mi.data.synthetic.texture import SkirtCone, albedo
 
 pytest.importorskip("mitsuba")

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 import torch
+from gva_mi.data.synthetic.noise.errors import mask_iou
 
 from gva_mi.body.pose import JOINTS, Pose, Shape
-from gva_mi.data.synthetic.noise.errors import mask_iou
 from gva_mi.data.synthetic.noise.masks import HalfDisc, MaskNoise, Mistaken, mistaken, noisy_mask
 
 USUAL = MaskNoise()

@@ -1,9 +1,9 @@
 """Noise of normals: smooth, of unit length, facing the camera, and biased where that is asked."""
 
 import numpy as np
+from gva_mi.data.synthetic.noise.errors import normal_error
 
 from gva_mi.data.normals import NormalMaps, to_icon
-from gva_mi.data.synthetic.noise.errors import normal_error
 from gva_mi.data.synthetic.noise.normals import NormalNoise, noisy_normals
 
 USUAL = NormalNoise()

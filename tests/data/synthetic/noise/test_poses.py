@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import torch
+from gva_mi.data.synthetic.noise.errors import pose_error
 
 from gva_mi.body.pose import BODY, JOINTS, LEFT_HAND, Pose, Shape
-from gva_mi.data.synthetic.noise.errors import pose_error
 from gva_mi.data.synthetic.noise.outliers import mean_hand
 from gva_mi.data.synthetic.noise.poses import JointFactors, PoseNoise, noisy_poses
 

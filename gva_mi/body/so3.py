@@ -1,9 +1,9 @@
-"""One rotation after another, axis-angle, with its exact derivative.
+"""Composition of rotations in axis-angle form, with its exact derivative.
 
     1. c = log(exp(a) exp(b))
 
-A small change of a vector x turns exp(x) from the right by its Jacobian J, and a turn w that comes
-from the right changes the vector by the inverse:
+A small change of x rotates exp(x) from the right by its right Jacobian J, and a small rotation w
+from the right changes x by the inverse of J:
 
     2. J(x) = I - B [x] + C [x]²,      J⁻¹(x) = I + ½ [x] + D [x]²,      θ = |x|
        B = (1 - cos θ) / θ²,   C = (θ - sin θ) / θ³,   D = (1 - ½ θ cot ½ θ) / θ²
@@ -13,8 +13,8 @@ and the adjoint, for a gradient g of c:
 
     4. w = J⁻ᵀ(c) g,    grad_b = Jᵀ(b) w,    grad_a = Jᵀ(a) exp(b) w
 
-Eq. 1 goes by quaternions, as in roma, whose graph of some forty operations takes thrice as long:
-every step of a fit and of a refinement comes through here.
+Eq. 1 uses quaternions as roma does. It is written out because roma's graph of some forty operations
+takes three times as long, in every step of a fit and of a refinement.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ import torch
 from torch import Tensor
 from torch.autograd.function import FunctionCtx
 
-SMALL = 1e-6  # θ² from which on series are cut off
+SMALL = 1e-6  # θ² below which C and D take their limits
 
 
 def compose(a: Tensor, b: Tensor) -> Tensor:
-    """Eq. 1: ``a`` after ``b``, both (..., 3) radians; differentiable both ways."""
+    """Rotate by ``b``, then ``a`` (eq. 1), both (..., 3) radians; has adjoint and tangent."""
     return _Compose.apply(*torch.broadcast_tensors(a, b))
 
 
@@ -56,7 +56,7 @@ class _Compose(torch.autograd.Function):
 
 
 def _composed(a: Tensor, b: Tensor) -> Tensor:
-    """Eq. 1, at most half a turn long."""
+    """Evaluate eq. 1; the result is at most half a turn."""
     (w, u), (z, v) = _quaternion(a), _quaternion(b)
     real = w * z - (u * v).sum(-1, keepdim=True)
     rest = w * v + z * u + torch.linalg.cross(u, v)
@@ -67,13 +67,13 @@ def _composed(a: Tensor, b: Tensor) -> Tensor:
 
 
 def _quaternion(x: Tensor) -> tuple[Tensor, Tensor]:
-    """Its real part (..., 1), and the others (..., 3)."""
+    """Return the quaternion of an axis-angle as real part (..., 1) and vector (..., 3)."""
     theta = x.square().sum(-1, keepdim=True).sqrt()
     return (theta / 2).cos(), x * (torch.sinc(theta / (2 * torch.pi)) / 2)
 
 
 def _jacobian(x: Tensor, v: Tensor) -> Tensor:
-    """J(x) v; with -x it is Jᵀ(x) v."""
+    """Return J(x) v; for -x it is Jᵀ(x) v."""
     square = x.square().sum(-1, keepdim=True)
     theta = square.sqrt()
     B = torch.sinc(theta / (2 * torch.pi)).square() / 2
@@ -83,7 +83,7 @@ def _jacobian(x: Tensor, v: Tensor) -> Tensor:
 
 
 def _inverse(x: Tensor, v: Tensor) -> Tensor:
-    """J⁻¹(x) v; with -x it is J⁻ᵀ(x) v."""
+    """Return J⁻¹(x) v; for -x it is J⁻ᵀ(x) v."""
     square = x.square().sum(-1, keepdim=True)
     half = square.sqrt() / 2
     D = torch.where(square > SMALL, (1 - half / half.tan()) / square, 1 / 12)
@@ -92,7 +92,7 @@ def _inverse(x: Tensor, v: Tensor) -> Tensor:
 
 
 def _turned(x: Tensor, v: Tensor) -> Tensor:
-    """exp(x) v."""
+    """Return exp(x) v."""
     square = x.square().sum(-1, keepdim=True)
     theta = square.sqrt()
     B = torch.sinc(theta / (2 * torch.pi)).square() / 2

@@ -4,7 +4,7 @@ import pytest
 import roma
 import torch
 
-from gva_mi.body.turns import compose
+from gva_mi.body.so3 import compose
 
 
 def vectors(*sizes, seed=0):

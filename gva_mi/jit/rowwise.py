@@ -1,8 +1,8 @@
-"""Dr.Jit kernels over the rows of torch tensors: a lane for each row.
+"""Rowwise kernels: run a Dr.Jit function over the rows of torch tensors, one lane per row.
 
-They are traced at their first call and replayed from then on
-(:mod:`gva_mi.splat.kernels.frozen`): for 20,000 rows, tracing takes longer than running. The number
-of lanes is a constant of a recording, for so is the size of memory that a kernel allocates.
+Kernels are traced at their first call and replayed afterwards
+(:mod:`gva_mi.splat.kernels.frozen`), because tracing takes longer than running 20,000 rows. The
+number of rows is a constant of a recording, because the memory that a kernel allocates is.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from gva_mi.splat.kernels.frozen import Frozen
 from gva_mi.splat.kernels.packets import load_rows, store_rows
 from gva_mi.splat.screen import tensor_of
 
-Lane = list[Array]  # numbers of one row
+Lane = list[Array]  # the columns of a row
 
 
 @exclusive
 def launch(kernel: Callable[..., Iterable[Lane]], *inputs: Tensor) -> tuple[Tensor, ...]:
-    """Run a kernel over the rows of tensors, without copies of those that are contiguous.
+    """Run a kernel over the rows of tensors; contiguous ones are not copied.
 
     Args:
-        kernel: a function of a module, which takes the K columns of each tensor as a list of
+        kernel: a module-level function that takes the K columns of each tensor as a list of
             Dr.Jit arrays, and returns such lists.
-        inputs: (N, K), or (1, K) where all lanes read the same row; of one dtype out of
-            :data:`FLOATS`. The first has N > 0 rows.
+        inputs: (N, K), or (1, K) for a row shared by all lanes; of one dtype of :data:`FLOATS`.
+            The first has N > 0 rows.
 
     Returns:
-        A tensor (N, K') for each list.
+        a tensor (N, K') for each list.
     """
     n = len(inputs[0])
     found = _launch(
@@ -67,19 +67,19 @@ def _launch(
 
 
 def flat(tensor: Tensor) -> Array:
-    """A tensor's numbers in memory, without a copy where they lie in order."""
+    """Return the memory of a contiguous tensor as a flat array, without a copy."""
     return to_drjit(tensor, FLOATS[tensor.dtype])
 
 
 def of_rows(numbers: Array, width: int, row: Array) -> Lane:
-    """The columns of a flat array of rows, at some of the rows."""
+    """Load the columns of some rows from a flat array of rows."""
     part = _packet(width)
     packets = range(width // part)
     return [x for k in packets for x in load_rows(numbers, part, row * len(packets) + k)]
 
 
 def in_rows(columns: Sequence[Array], lanes: int, Float: type) -> Array:
-    """A flat array of rows, from their columns of one number a lane."""
+    """Store columns, one number per lane, as a flat array of rows."""
     width, lane = len(columns), dr.arange(dr.uint32_array_t(Float), lanes)
     part, out = _packet(width), dr.empty(Float, lanes * width)
     for k in range(width // part):
@@ -89,11 +89,11 @@ def in_rows(columns: Sequence[Array], lanes: int, Float: type) -> Array:
 
 
 def tensors(arrays: Iterable[Array], rows: int) -> tuple[Tensor, ...]:
-    """Flat arrays of so many rows as tensors (N, K), once the kernels that fill them are done."""
+    """Convert flat arrays of ``rows`` rows to tensors (N, K) when their kernels have finished."""
     dr.sync_thread()
     return tuple(tensor_of(x).view(rows, -1) for x in arrays)
 
 
 def _packet(width: int) -> int:
-    """The largest packet that divides a row."""
+    """Return the largest packet that divides a row."""
     return min(width & -width, 8)

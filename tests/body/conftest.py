@@ -1,5 +1,4 @@
-"""A small random body in SMPL-X's format: no symmetry, no zeros, so that every term of Eq. 4
-shows."""
+"""A small random body in SMPL-X's format without zeros, so that every term of Eq. 4 matters."""
 
 from pathlib import Path
 

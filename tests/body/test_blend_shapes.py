@@ -1,3 +1,5 @@
+"""Blend shapes: weighted sums, exact derivatives, the same bits on any number of cores."""
+
 import gva_mi  # noqa: F401, I001  (first: it chooses the libLLVM)
 
 import numpy as np
@@ -56,14 +58,6 @@ def test_the_same_bits_on_one_thread_and_on_two(frames):
     finally:
         torch.set_num_threads(before)
     assert all(torch.equal(a, b) for a, b in zip(*found, strict=True))
-
-
-def test_no_directions_at_all_leave_the_surface_still():
-    rows = torch.from_numpy(as_rows(np.zeros((4, 3, 0))))
-    surface = torch.ones(1, 12, dtype=F64)
-    for frames in (1, 2):
-        moved = add_directions(surface, torch.zeros(frames, 0, dtype=F64), rows)
-        assert torch.equal(moved, surface.expand(frames, 12))
 
 
 def test_rows_hold_x_then_y_then_z():

@@ -1,3 +1,5 @@
+"""Forward kinematics against a step-by-step reference, with exact derivatives."""
+
 import gva_mi  # noqa: F401, I001  (first: it chooses the libLLVM)
 
 import pytest
@@ -18,8 +20,8 @@ def moves(angle=0.4, joints=55):
     return angle * normal(2, joints, 3), 0.5 * normal(joints, 3), normal(2, 3)
 
 
-def step_by_step(rotations, joints, transl):
-    """The slow twin: from the root outward, one joint after the other."""
+def reference(rotations, joints, transl):
+    """Reference implementation: from the root outward, joint by joint."""
     R = roma.rotvec_to_rotmat(rotations)
     T = []
     for joint, parent in enumerate(PARENTS):
@@ -33,22 +35,13 @@ def step_by_step(rotations, joints, transl):
     return R, torch.cat([top, G[..., 3:, :]], dim=-2)
 
 
-def test_agrees_with_the_slow_twin():
+def test_agrees_with_the_reference_implementation():
     inputs = moves()
-    for x, y in zip(
-        turn_joints(*inputs[:2], PARENTS, inputs[2]), step_by_step(*inputs), strict=True
-    ):
+    for x, y in zip(turn_joints(*inputs[:2], PARENTS, inputs[2]), reference(*inputs), strict=True):
         torch.testing.assert_close(x, y)
 
 
-def test_joints_at_rest_do_not_move():
-    zero = torch.zeros(2, 55, 3, dtype=F64)
-    joints = torch.randn(55, 3, generator=torch.Generator().manual_seed(1), dtype=F64)
-    T = joint_transforms(zero, joints, PARENTS, zero[:, 0])
-    torch.testing.assert_close(T, torch.eye(4, dtype=F64).expand(2, 55, 4, 4))
-
-
-def test_turning_a_joint_moves_its_descendants_about_it_and_nobody_else():
+def test_a_joint_rotates_its_descendants_about_itself_and_nothing_else():
     g = torch.Generator().manual_seed(2)
     joints = torch.randn(55, 3, generator=g, dtype=F64)
     rotations = torch.zeros(1, 55, 3, dtype=F64)
@@ -65,23 +58,6 @@ def test_turning_a_joint_moves_its_descendants_about_it_and_nobody_else():
         torch.testing.assert_close(T[joint], moved if joint in below else torch.eye(4, dtype=F64))
 
 
-def test_transforms_are_rigid():
-    rotations, joints, transl = moves(angle=1.5)
-    R = joint_transforms(rotations, joints, PARENTS, transl)[..., :3, :3]
-    torch.testing.assert_close(R @ R.mT, torch.eye(3, dtype=F64).expand(2, 55, 3, 3))
-    assert (torch.linalg.det(R) > 0).all()
-
-
-def test_every_map_holds_its_joint_where_its_parent_carries_it():
-    rotations, joints, transl = moves()
-    T = joint_transforms(rotations, joints, PARENTS, transl)
-    held = T @ torch.cat([joints, torch.ones(55, 1, dtype=F64)], dim=1).unsqueeze(-1)
-    for joint, parent in enumerate(PARENTS[1:], start=1):
-        carried = T[:, parent, :3, :3] @ joints[joint] + T[:, parent, :3, 3]
-        torch.testing.assert_close(held[:, joint, :3, 0], carried)
-    torch.testing.assert_close(held[:, 0, :3, 0], joints[0] + transl)
-
-
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-3, 0.5, 3.1, 40.0])
 def test_rotations_agree_with_roma(angle):
     rotations, joints, transl = moves(angle=angle)
@@ -89,7 +65,7 @@ def test_rotations_agree_with_roma(angle):
     torch.testing.assert_close(R, roma.rotvec_to_rotmat(rotations), rtol=0, atol=1e-13)
 
 
-@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-3, 0.5, 3.0])
+@pytest.mark.parametrize("angle", [0.0, 1e-3, 3.0])
 @pytest.mark.parametrize("shared", [True, False], ids=["one skeleton", "one a frame"])
 def test_gradients_against_differences(angle, shared):
     rotations, joints, transl = moves(angle=angle, joints=len(FEW))
@@ -106,20 +82,10 @@ def test_gradients_on_the_whole_tree_are_those_of_autograd():
     R, T = turn_joints(*leaves[:2], PARENTS, leaves[2])
     weights = torch.randn(2, 55, 4, 4, generator=torch.Generator().manual_seed(4), dtype=F64)
     found = torch.autograd.grad((T * weights).sum() + R.sin().sum(), leaves)
-    R, T = step_by_step(*leaves)
+    R, T = reference(*leaves)
     wanted = torch.autograd.grad((T * weights).sum() + R.sin().sum(), leaves)
     for name, x, y in zip(("rotations", "joints", "transl"), found, wanted, strict=True):
         torch.testing.assert_close(x, y, msg=name)
-
-
-def test_float32_agrees_with_float64():
-    outputs = {}
-    for dtype in (torch.float32, F64):
-        leaves = [x.to(dtype).requires_grad_() for x in moves()]
-        T = joint_transforms(*leaves[:2], PARENTS, leaves[2])
-        outputs[dtype] = [T, *torch.autograd.grad(T.sin().sum(), leaves)]
-    for low, high in zip(outputs[torch.float32], outputs[F64], strict=True):
-        assert (low.double() - high).norm() / high.norm() < 2e-6
 
 
 def test_a_tree_in_the_wrong_order_is_refused():

@@ -1,3 +1,5 @@
+"""LBS of points and Gaussians: rigid motions, polar factors, exact derivatives."""
+
 import gva_mi  # noqa: F401, I001  (first: it chooses the libLLVM)
 
 import pytest
@@ -6,18 +8,13 @@ import torch
 
 from gva_mi.body.kinematics import joint_transforms
 from gva_mi.body.pose import PARENTS
-from gva_mi.body.skinning import (
-    blend,
-    skin_gaussians,
-    skin_points,
-    strongest,
-)
+from gva_mi.body.skinning import blend, skin_gaussians, skin_points, strongest
 
 F64 = torch.float64
 
 
 def rotation(quats):
-    """(N, 4) wxyz of any length to (N, 3, 3)."""
+    """Convert quaternions (N, 4) wxyz of any length to (N, 3, 3)."""
     unit = quats / quats.norm(dim=-1, keepdim=True)
     return roma.unitquat_to_rotmat(roma.quat_wxyz_to_xyzw(unit))
 
@@ -36,19 +33,13 @@ def scene(n=40, angle=0.3, dtype=F64, seed=0, parents=PARENTS):
     return tuple(x.to(dtype) for x in (normal(n, 3), normal(n, 4), weights, T))
 
 
-def test_means_stay_on_the_skinned_mesh():
+def test_means_are_skinned_like_points_and_quaternions_keep_their_length():
     means, quats, weights, T = scene()
-    torch.testing.assert_close(
-        skin_gaussians(means, quats, weights, T)[0], skin_points(means, weights, T)
-    )
-
-
-def test_points_of_many_poses_agree_with_each_alone():
-    means, _, weights, T = scene()
-    other = scene(seed=4)[3]
-    both = skin_points(means, weights, torch.stack([T, other]))
-    for t, one in enumerate((T, other)):
-        torch.testing.assert_close(both[t], skin_points(means, weights, one))
+    moved, turned = skin_gaussians(means, quats, weights, T)
+    both = skin_points(means, weights, torch.stack([T, scene(seed=4)[3]]))
+    torch.testing.assert_close(moved, both[0])
+    torch.testing.assert_close(both[1], skin_points(means, weights, scene(seed=4)[3]))
+    torch.testing.assert_close(turned.norm(dim=1), quats.norm(dim=1))
 
 
 def test_a_rigid_motion_turns_gaussians_exactly():
@@ -61,14 +52,7 @@ def test_a_rigid_motion_turns_gaussians_exactly():
     torch.testing.assert_close(rotation(turned), R @ rotation(quats))
 
 
-def test_the_identity_pose_leaves_gaussians_still():
-    means, quats, weights, _ = scene()
-    moved, turned = skin_gaussians(means, quats, weights, torch.eye(4, dtype=F64).expand(55, 4, 4))
-    torch.testing.assert_close(moved, means)
-    torch.testing.assert_close(turned, quats)
-
-
-@pytest.mark.parametrize("angle", [0.1, 0.5, 1.0])
+@pytest.mark.parametrize("angle", [0.1, 1.0])
 def test_orientations_follow_the_polar_factor(angle):
     means, quats, weights, T = scene(n=300, angle=angle)
     U, S, Vh = torch.linalg.svd(blend(weights, T).unflatten(1, (3, 4))[..., :3])
@@ -78,12 +62,6 @@ def test_orientations_follow_the_polar_factor(angle):
     assert clear.sum() > 200
     _, turned = skin_gaussians(means, quats, weights, T)
     torch.testing.assert_close(rotation(turned)[clear], ((U @ Vh) @ rotation(quats))[clear])
-
-
-def test_lengths_of_quaternions_are_kept():
-    means, quats, weights, T = scene()
-    _, turned = skin_gaussians(means, quats, weights, T)
-    torch.testing.assert_close(turned.norm(dim=1), quats.norm(dim=1))
 
 
 @pytest.mark.parametrize("name", ["means", "quats", "weights", "T_world_rest"])
@@ -99,26 +77,6 @@ def test_gradients_against_differences(name):
     torch.autograd.gradcheck(
         lambda x: skin_gaussians(**(values | {name: x})), leaf, check_forward_ad=True
     )
-
-
-def test_gradients_at_the_rest_pose():
-    means, quats, weights, _ = scene(n=3, parents=FEW)
-    T = torch.eye(4, dtype=F64).repeat(len(FEW), 1, 1).requires_grad_()
-    torch.autograd.gradcheck(lambda T: skin_gaussians(means, quats, weights, T), T)
-
-
-def test_poses_can_be_trained_through_gaussians():
-    means, quats, weights, _ = scene(n=4, parents=FEW)
-    joints = means.new_tensor(range(15)).view(5, 3).sin()
-    zero = means.new_zeros(1, 3)
-
-    def orientation(r):
-        T = joint_transforms(r, joints, FEW, zero)[0]
-        return rotation(skin_gaussians(means, quats, weights, T)[1])
-
-    g = torch.Generator().manual_seed(8)
-    start = 0.3 * torch.randn(1, 5, 3, generator=g, dtype=F64)
-    torch.autograd.gradcheck(orientation, start.requires_grad_())
 
 
 def test_opposite_joints_give_finite_gradients():
@@ -144,30 +102,12 @@ def test_float32_agrees_with_float64():
         assert (low.double() - high).norm() / high.norm() < 1e-5
 
 
-def test_same_bits_twice():
-    def run():
-        leaves = [x.requires_grad_() for x in scene(n=2000, dtype=torch.float32)]
-        moved, turned = skin_gaussians(*leaves)
-        (moved.sin().sum() + turned.cos().sum()).backward()
-        return [moved, turned, *(x.grad for x in leaves)]
-
-    assert all(torch.equal(a, b) for a, b in zip(run(), run(), strict=True))
-
-
 def test_no_gaussians_at_all():
     means, quats, weights, T = scene(n=0)
     moved, turned = skin_gaussians(means, quats, weights, T.requires_grad_())
     assert moved.shape == (0, 3) and turned.shape == (0, 4)
     (moved.sum() + turned.sum()).backward()
     assert (T.grad == 0).all()
-
-
-def test_wrong_shapes_are_named():
-    means, quats, weights, T = scene(n=5)
-    with pytest.raises(ValueError, match=r"quats must be \(5, 4\), got \(5, 3\)"):
-        skin_gaussians(means, means, weights, T)
-    with pytest.raises(ValueError, match="quats is torch.float32, but means are torch.float64"):
-        skin_gaussians(means, quats.float(), weights, T)
 
 
 def test_only_the_strongest_joints_are_kept():

@@ -1,3 +1,5 @@
+"""SMPL-X: Eq. 4 against a reference implementation, and body files."""
+
 import gva_mi  # noqa: F401, I001  (first: it chooses the libLLVM)
 
 import pickle
@@ -27,8 +29,8 @@ def person():
     return pose, Shape(normal(10)), 0.02 * normal(90, 3)
 
 
-def slow_twin(a, rotations, transl, betas, psi, offsets):
-    """Eq. 4 for one frame in numpy, joint by joint and vertex by vertex."""
+def reference(a, rotations, transl, betas, psi, offsets):
+    """Eq. 4 for one frame in numpy, joint by joint."""
     shaped = a["v_template"] + a["shapedirs"][..., : len(betas)] @ betas
     shaped = shaped + a["shapedirs"][..., 10 : 10 + len(psi)] @ psi
     joints = a["J_regressor"] @ shaped
@@ -47,11 +49,11 @@ def slow_twin(a, rotations, transl, betas, psi, offsets):
     return vertices + transl, np.stack([g[:3, 3] for g in G]) + transl
 
 
-def test_agrees_with_the_slow_twin(body, person, random_arrays):
+def test_agrees_with_the_reference_implementation(body, person, random_arrays):
     pose, shape, offsets = person
     posed = body(pose, shape, offsets)
     for t in range(3):
-        vertices, joints = slow_twin(
+        vertices, joints = reference(
             random_arrays,
             pose.rotations[t].numpy(),
             pose.transl[t].numpy(),
@@ -73,7 +75,7 @@ def test_float32_agrees_with_float64(random_file, body, person):
     )
 
 
-def test_identity_pose_leaves_the_rest_pose_still(body, person):
+def test_the_zero_pose_is_the_rest_pose(body, person):
     _, shape, _ = person
     posed, rest = body(Pose.rest(2, dtype=F64), shape), body.rest(shape)
     for frame in range(2):
@@ -93,30 +95,6 @@ def test_rotating_the_root_moves_everything_rigidly(body, person):
     root = before.joints[:, :1]
     for x, y in ((before.vertices, after.vertices), (before.joints, after.joints)):
         torch.testing.assert_close(y, (x - root) @ turn.T + root + shift)
-
-
-def test_bones_keep_their_length(body, person):
-    pose, shape, _ = person
-    rest = body.rest(shape, pose.expression[0]).joints
-    posed = body(pose[0], shape).joints[0]
-    parents = list(PARENTS[1:])
-    length = lambda joints: (joints[1:] - joints[parents]).norm(dim=1)
-    torch.testing.assert_close(length(posed), length(rest))
-
-
-def test_frames_do_not_see_each_other(body, person):
-    pose, shape, offsets = person
-    together = body(pose, shape, offsets).vertices
-    for t in range(3):
-        torch.testing.assert_close(body(pose[t], shape, offsets).vertices[0], together[t])
-
-
-def test_missing_coefficients_count_as_zero(body):
-    few = Shape(torch.tensor([0.5, -1.0], dtype=F64))
-    all_of_them = Shape(torch.cat([few.betas, torch.zeros(8, dtype=F64)]))
-    torch.testing.assert_close(body.rest(few).vertices, body.rest(all_of_them).vertices)
-    face = body.rest(few, torch.zeros(0, dtype=F64))
-    torch.testing.assert_close(face.vertices, body.rest(few).vertices)
 
 
 def test_coefficients_beyond_the_file_must_be_zero(body):
@@ -173,21 +151,13 @@ def test_gradients_against_central_differences(body, person):
         )
 
 
-def test_the_rest_pose_has_finite_gradients(body):
-    rotations = torch.zeros(1, 55, 3, dtype=F64, requires_grad=True)
-    zero = torch.zeros(1, 3, dtype=F64)
-    posed = body(Pose(rotations, zero, zero), Shape(zero[0]))
-    posed.vertices.square().sum().backward()
-    assert rotations.grad.isfinite().all() and (rotations.grad != 0).any()
-
-
 def test_a_missing_file_is_explained(tmp_path):
     with pytest.raises(InputError, match="no such file.*smpl-x.is.tue.mpg.de.*puppet"):
         load_body(tmp_path / "SMPLX_NEUTRAL.npz")
 
 
 def test_a_pickled_body_is_the_same_body(tmp_path):
-    """As SMPL's are: the regressor sparse, integers unsigned, written by Python 2's protocol."""
+    """Like SMPL's files: sparse regressor, unsigned integers, protocol of Python 2."""
     sparse = pytest.importorskip("scipy.sparse")
     with np.load(PUPPET) as file:
         arrays = dict(file)
@@ -210,22 +180,7 @@ def test_a_pickle_without_a_body_is_named(tmp_path):
         load_body(path)
 
 
-def test_a_truncated_file_is_named(random_file):
-    random_file.write_bytes(random_file.read_bytes()[:4000])
-    with pytest.raises(InputError, match="body.npz.*cut short"):
-        load_body(random_file)
-
-
-def test_a_damaged_array_is_named(random_file):
-    content = bytearray(random_file.read_bytes())
-    middle = content.find(b"posedirs.npy") + 2000
-    content[middle : middle + 8] = b"\xff" * 8
-    random_file.write_bytes(content)
-    with pytest.raises(InputError, match="body.npz.*'posedirs"):
-        load_body(random_file)
-
-
-@pytest.mark.parametrize("key", ["v_template", "posedirs", "kintree_table", "hands_meanr"])
+@pytest.mark.parametrize("key", ["v_template", "hands_meanr"])
 def test_a_missing_key_is_named(random_arrays, tmp_path, key):
     path = tmp_path / "body.npz"
     np.savez(path, **{k: v for k, v in random_arrays.items() if k != key})
@@ -237,15 +192,11 @@ def test_a_missing_key_is_named(random_arrays, tmp_path, key):
     "key, value, sentence",
     [
         ("J_regressor", np.zeros((24, 90)), r"'J_regressor' must be \(55, 90\), found \(24, 90\)"),
-        ("v_template", np.zeros(90), r"'v_template' must be \(90, 3\), found \(90,\)"),
-        ("posedirs", np.zeros((90, 3, 207)), r"must be \(90, 3, 486\), found \(90, 3, 207\)"),
         ("f", np.zeros((9, 3)), "'f' must hold integers, found float64"),
         ("f", np.full((9, 3), 90), "'f' names vertex 90, but there are 90"),
         ("shapedirs", np.full((90, 3, 18), 1e308), "'shapedirs' holds a number that is not finite"),
         ("f", np.arange(90).reshape(30, 3), "'f' is no surface, 0% of its edges belong to two"),
-        ("f", np.zeros((9, 3), int), "'f' is no surface, 0% of its edges belong to two"),
         ("weights", np.full((90, 55), 0.5), "'weights' must have rows that sum to 1"),
-        ("shapedirs", np.full((90, 3, 10), np.nan), "'shapedirs' holds a number that is not"),
         ("kintree_table", np.zeros((2, 55), int), "'kintree_table' is not the tree"),
         ("joint_names", np.array(JOINTS[::-1]), "'joint_names' is not the tree"),
         ("weights", np.array([{}]), "'weights': pickled objects"),
@@ -256,14 +207,3 @@ def test_a_wrong_array_is_named(random_arrays, tmp_path, key, value, sentence):
     np.savez(path, **(random_arrays | {key: value}))
     with pytest.raises(InputError, match=sentence):
         load_body(path)
-
-
-def test_objects_beside_the_keys_are_left_alone(random_arrays, tmp_path):
-    path = tmp_path / "body.npz"
-    np.savez(path, **random_arrays, part2num=np.array({"head": 1}, dtype=object))
-    assert load_body(path).v_template.shape == (90, 3)
-
-
-def test_wrong_offsets_are_refused(body):
-    with pytest.raises(ValueError, match=r"offsets must be \(90, 3\), got \(9, 3\)"):
-        body(Pose.rest(dtype=F64), Shape(torch.zeros(10, dtype=F64)), torch.zeros(9, 3, dtype=F64))

@@ -1,10 +1,12 @@
+"""Implicit solids and their surface."""
+
 import gva_mi  # noqa: F401, I001  (first: it chooses the libLLVM)
 
 import numpy as np
 import pytest
 import trimesh
 
-from gva_mi.sculptor.solids import Ball, Cone, Loft, Part, surface
+from gva_mi.sculptor.solids import Ball, Cone, Join, Loft, surface
 
 ROUND = {
     "ball": Ball((0.1, 0, 0), (0.3, 0.3, 0.3), (0.4, 0.2, 0.9)),
@@ -36,15 +38,15 @@ def test_a_solid_lies_in_its_bounds(solid):
     assert (inside.T > low - 1e-6).all() and (inside.T < high + 1e-6).all()
 
 
-def test_surfaces_are_closed_face_outward_and_stand_at_distance_zero():
-    parts = [
-        Part(Ball((0, 0, 0), (0.3, 0.3, 0.3)), 0.01),
-        Part(Ball((0.3, 0, 0), (0.2, 0.2, 0.2)), 0.01, carve=True),
+def test_surfaces_are_closed_and_point_outward_at_distance_zero():
+    joins = [
+        Join(Ball((0, 0, 0), (0.3, 0.3, 0.3)), 0.01),
+        Join(Ball((0.3, 0, 0), (0.2, 0.2, 0.2)), 0.01, carve=True),
     ]
     uneven = np.concatenate([np.linspace(-0.5, 0.1, 30), np.linspace(0.1, 0.5, 40)[1:]])
-    mesh = trimesh.Trimesh(*surface(parts, [uneven] * 3), process=False)
+    mesh = trimesh.Trimesh(*surface(joins, [uneven] * 3), process=False)
     assert mesh.is_watertight and mesh.euler_number == 2 and mesh.volume > 0
-    body, bite = (part.solid.distance(mesh.vertices.T) for part in parts)
+    body, bite = (join.solid.distance(mesh.vertices.T) for join in joins)
     assert np.abs(np.maximum(body, -bite)).max() < 0.008  # fillet and grid
 
 
@@ -53,6 +55,6 @@ def test_the_fillet_fills_the_corner_between_two_solids():
     volumes = []
     for fillet in (0.001, 0.05):
         axes = [np.linspace(-0.5, 0.5, 50)] * 3
-        parts = [Part(ball, fillet) for ball in touching]
-        volumes.append(trimesh.Trimesh(*surface(parts, axes), process=False).volume)
+        joins = [Join(ball, fillet) for ball in touching]
+        volumes.append(trimesh.Trimesh(*surface(joins, axes), process=False).volume)
     assert volumes[1] > volumes[0]

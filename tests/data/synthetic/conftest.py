@@ -1,12 +1,13 @@
-"""A ball as a subject, for laws that have an answer in closed form."""
+"""The built-in body, and a ball as a subject, which has closed-form answers."""
 
 import numpy as np
 import pytest
 import torch
 
 from gva_mi.body.pose import Shape
+from gva_mi.body.smplx import load_body
+from gva_mi.data.synthetic.look import Fabric, FaceLandmarks, Look, Material
 from gva_mi.data.synthetic.subject import Subject
-from gva_mi.data.synthetic.texture import Fabric, FaceLandmarks, Look, Material
 
 GREY = Fabric("plain", ((0.5, 0.5, 0.5),) * 3, 0.05)
 LOOK = Look(
@@ -16,6 +17,11 @@ LOOK = Look(
     shoulder=(0.2, 9, 0), hip=(0.1, 8, 0), ground=-9.0,
 )  # fmt: skip
 RADIUS = 0.5  # m
+
+
+@pytest.fixture(scope="session")
+def body():
+    return load_body()
 
 
 @pytest.fixture(scope="session")

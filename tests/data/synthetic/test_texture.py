@@ -1,10 +1,10 @@
-"""Cloth keeps its size on a skirt, which is a cone and unrolls without stretching."""
+"""Textures: cloth of a skirt unrolls without stretching; colours are albedos."""
 
 import numpy as np
 import pytest
-from gva_mi.data.synthetic.color import linear
 
-from gva_mi.data.synthetic.texture import SkirtCone, albedo
+from gva_mi.data.synthetic.look import SkirtCone
+from gva_mi.data.synthetic.texture import albedo
 
 pytest.importorskip("mitsuba")
 CONE = SkirtCone(apex=(0.0, 1.2, 0.05), slope=0.35, aspect=1.0)
@@ -21,7 +21,7 @@ def unrolled(points):
     return np.stack([x.numpy() for x in CONE.unrolled(Array3f(points.astype(np.float32)))])
 
 
-def test_lengths_on_a_cone_stay_when_it_is_unrolled():
+def test_unrolling_a_cone_keeps_lengths():
     random = np.random.default_rng(0)
     height, angle = random.uniform(0.4, 0.9, 200), random.uniform(-2.8, 2.8, 200)
     for dy, da in ((0.01, 0.0), (0.0, 0.02), (0.007, -0.02)):
@@ -31,7 +31,7 @@ def test_lengths_on_a_cone_stay_when_it_is_unrolled():
         assert np.allclose(np.linalg.norm(flat, axis=0), length, rtol=0.01)
 
 
-def test_points_on_the_cone_have_share_one_and_the_axis_none():
+def test_the_share_is_one_on_the_cone_and_zero_on_the_axis():
     from drjit.llvm import Array3f
 
     random = np.random.default_rng(0)
@@ -41,14 +41,10 @@ def test_points_on_the_cone_have_share_one_and_the_axis_none():
     assert np.allclose(CONE.share(Array3f(points)).numpy(), 0, atol=1e-4)
 
 
-def test_colors_are_albedos_whatever_the_part(ball):
+def test_colors_are_albedos_for_all_materials(ball):
     from drjit.llvm import Array3f, UInt32
 
     points = np.random.default_rng(0).uniform(-1, 1, (3, 600)).astype(np.float32)
     parts = np.repeat(np.arange(6, dtype=np.uint32), 100)
     color = np.stack([c.numpy() for c in albedo(ball.look, UInt32(parts), Array3f(points))])
     assert np.isfinite(color).all() and (color >= 0).all() and (color < 1).all()
-
-
-def test_srgb_to_linear_ends_at_black_and_white():
-    assert linear(0, 0, 0) == (0, 0, 0) and np.allclose(linear(255, 255, 255), 1)

@@ -1,4 +1,4 @@
-"""Clothes: openings that are hollow."""
+"""Garments, bags and hoods."""
 
 import numpy as np
 import pytest
@@ -6,15 +6,14 @@ import torch
 import trimesh
 
 from gva_mi.body.pose import Shape
-from gva_mi.body.smplx import load_body
-from gva_mi.data.synthetic.clothes import bags, garments, hoods
+from gva_mi.data.synthetic.clothes import accessories, garments
 from gva_mi.data.synthetic.clothes.level_sets import surface_of
 from gva_mi.data.synthetic.rest_body import RestBody
 
 
 @pytest.fixture(scope="module")
-def rest():
-    return RestBody.of(load_body(), Shape(torch.zeros(10)))
+def rest(body):
+    return RestBody.of(body, Shape(torch.zeros(10)))
 
 
 def closed(mesh):
@@ -31,8 +30,8 @@ def test_an_opening_is_dark_and_hollow(sampled):
     assert inner.any() and mesh.shade[inner].max() < 0.5 and mesh.shade.max() == 1
 
 
-def test_a_thick_sole_is_that_much_lower_and_flat(rest):
-    flat, thick = (garments.shoe(rest.surface, rest.joints, "left", 0.008, s) for s in (0, 0.04))
+def test_a_thick_sole_is_lower_and_flat(rest):
+    flat, thick = (garments.shoe(rest, "left", s) for s in (0, 0.04))
     lowest = [mesh.vertices[:, 1].min() for mesh in (flat, thick)]
     assert abs(lowest[0] - lowest[1] - 0.04) < 0.002  # metres
     sole = thick.vertices[thick.vertices[:, 1] < lowest[1] + 0.001]
@@ -41,9 +40,9 @@ def test_a_thick_sole_is_that_much_lower_and_flat(rest):
     assert closed(thick).is_watertight
 
 
-@pytest.mark.parametrize("make", [bags.backpack, bags.shoulder_bag])
+@pytest.mark.parametrize("make", [accessories.backpack, accessories.shoulder_bag])
 def test_a_bag_hangs_outside_the_body_on_a_strap(rest, make):
-    bag, strap, joint = make(rest.surface, rest.joints, 0.02)
+    bag, strap, joint = make(rest, 0.02)
     assert joint in rest.joints and closed(bag).is_watertight and closed(bag).volume > 0.002
     assert (rest.surface.distance(bag.vertices.astype(float)) > 0).mean() > 0.95
     assert (rest.surface.distance(strap.vertices.astype(float)) > 0.01).all()
@@ -52,10 +51,10 @@ def test_a_bag_hangs_outside_the_body_on_a_strap(rest, make):
 
 
 def test_a_hood_leaves_the_face_free(rest):
-    up = hoods.hood_up(rest.surface, rest.joints, 0.02)
+    up = accessories.hood_up(rest, 0.02)
     eyes = (rest.joints["left_eye_smplhf"] + rest.joints["right_eye_smplhf"]) / 2
     before = up.vertices[up.vertices[:, 2] > eyes[2] - 0.02] - eyes
     assert (np.abs(before[:, :2]) > [0.03, 0.05]).any(1).all()  # metres beside the eyes
     assert up.vertices[:, 1].max() > rest.vertices[:, 1].max() + 0.01
-    down = hoods.hood_down(rest.surface, rest.joints, 0.02)
+    down = accessories.hood_down(rest, 0.02)
     assert down.vertices[:, 1].max() < eyes[1] and closed(down).is_watertight

@@ -1,17 +1,11 @@
-"""A body, a camera, a person who turns once, and a ball as a mask with its normals."""
+"""A camera, a person who turns once, and a ball as a mask with its normals."""
 
 import numpy as np
 import pytest
 import torch
 
 from gva_mi.body.pose import Pose, Shape
-from gva_mi.body.smplx import load_body
 from gva_mi.splat import Camera, look_at
-
-
-@pytest.fixture(scope="session")
-def body():
-    return load_body()
 
 
 @pytest.fixture(scope="session")

@@ -1,3 +1,5 @@
+"""The built-in body: a closed symmetric surface whose coefficients mean what they say."""
+
 import gva_mi  # noqa: F401, I001  (first: it chooses the libLLVM)
 
 from copy import deepcopy
@@ -10,9 +12,10 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from gva_mi.body import JOINTS, Pose, Shape, load_body
-from gva_mi.body.puppet import EXPRESSIONS, PUPPET, SHAPES
-from gva_mi.sculptor.sculpt import sculpt
+from gva_mi.body.puppet import EXPRESSIONS, PUPPET
 from gva_mi.sculptor.anatomy import EYE_RADIUS, joint_positions
+from gva_mi.sculptor.generate import generate
+from gva_mi.sculptor.rig import MIRRORED
 
 F64 = torch.float64
 
@@ -23,7 +26,7 @@ def body():
 
 
 def pose_with(**rotations):
-    """A pose of one frame from a rotation (3,) for each named joint."""
+    """Return a pose of one frame from rotations (3,) by joint."""
     all_of_them = torch.zeros(1, 55, 3, dtype=F64)
     for name, rotation in rotations.items():
         all_of_them[0, JOINTS.index(name)] = torch.tensor(rotation, dtype=F64)
@@ -40,13 +43,9 @@ def neutral():
     return Shape(torch.zeros(10, dtype=F64))
 
 
-def edges_of(faces):
-    return np.concatenate([faces[:, [k, (k + 1) % 3]] for k in range(3)])
-
-
-def test_the_skin_is_watertight_of_one_piece_and_without_handles(body):
+def test_the_surface_is_closed_connected_and_without_handles(body):
     faces, n = body.faces.numpy(), len(body.v_template)
-    edges = edges_of(faces)
+    edges = np.concatenate([faces[:, [k, (k + 1) % 3]] for k in range(3)])
     codes = edges[:, 0] * n + edges[:, 1]
     back = edges[:, 1] * n + edges[:, 0]
     assert len(np.unique(codes)) == len(codes)
@@ -56,7 +55,7 @@ def test_the_skin_is_watertight_of_one_piece_and_without_handles(body):
     assert n - len(edges) // 2 + len(faces) == 2  # Euler
 
 
-def test_faces_look_outward(body):
+def test_faces_point_outward(body):
     assert 0.05 < volume(body.v_template, body.faces) < 0.09  # cubic metres, a person
 
 
@@ -64,19 +63,12 @@ def test_left_and_right_are_mirror_images(body):
     vertices, weights = body.v_template.numpy(), body.weights.numpy()
     distance, twin = cKDTree(vertices).query(vertices * (-1, 1, 1))
     assert distance.max() == 0
-    swap = {"left": "right", "right": "left"}
-    mirror = [
-        JOINTS.index(
-            f"{swap[n.split('_')[0]]}_{n.split('_', 1)[1]}" if n[:4] in ("left", "righ") else n
-        )
-        for n in JOINTS
-    ]
-    np.testing.assert_allclose(weights[twin][:, mirror], weights, atol=1 / 4096)
+    np.testing.assert_allclose(weights[twin][:, MIRRORED], weights, atol=1 / 4096)
     joints = body.rest(neutral()).joints.numpy()
-    np.testing.assert_allclose(joints[mirror] * (-1, 1, 1), joints, atol=1e-6)
+    np.testing.assert_allclose(joints[MIRRORED] * (-1, 1, 1), joints, atol=1e-6)
 
 
-def test_weights_name_at_most_four_joints_and_sum_to_one(body):
+def test_weights_have_at_most_four_joints_and_sum_to_one(body):
     assert ((body.weights > 0).sum(1) <= 4).all()
     assert (body.weights >= 0).all() and (body.weights.sum(1) == 1).all()
     assert (body.weights.sum(0) > 0).all()  # no joint without skin
@@ -96,30 +88,7 @@ def test_one_unit_of_height_is_four_percent(body):
     torch.testing.assert_close(taller.joints, 1.04 * rest.joints, rtol=0, atol=5e-4)
 
 
-@pytest.mark.parametrize(
-    "shape, bone, other",
-    [
-        ("leg length", ("left_hip", "left_knee"), ("left_shoulder", "left_elbow")),
-        ("arm length", ("right_elbow", "right_wrist"), ("right_knee", "right_ankle")),
-        ("shoulder width", ("left_shoulder", "right_shoulder"), ("left_hip", "right_hip")),
-        ("hip width", ("left_hip", "right_hip"), ("left_elbow", "left_wrist")),
-    ],
-)
-def test_shapes_change_what_they_are_called_after(body, shape, bone, other):
-    more = Shape(torch.eye(10, dtype=F64)[SHAPES.index(shape)])
-
-    def growth(ends):
-        a, b = (JOINTS.index(name) for name in ends)
-        length = [
-            (r.joints[a] - r.joints[b]).norm() for r in (body.rest(neutral()), body.rest(more))
-        ]
-        return (length[1] / length[0] - 1).item()
-
-    assert growth(bone) > 0.03
-    assert abs(growth(other)) < 0.002
-
-
-def test_expressions_move_the_face_alone(body):
+def test_expressions_move_only_the_face(body):
     rest = body.rest(neutral())
     for k in range(len(EXPRESSIONS)):
         moved = body.rest(neutral(), torch.eye(10, dtype=F64)[k])
@@ -131,34 +100,10 @@ def test_expressions_move_the_face_alone(body):
         torch.testing.assert_close(moved.joints, rest.joints, rtol=0, atol=5e-4)
 
 
-def test_fingers_are_apart(body):
-    strongest = body.weights.argmax(1).numpy()
-    fingers = [
-        body.v_template.numpy()[np.isin(strongest, [25 + 3 * k + 1, 25 + 3 * k + 2])]
-        for k in range(5)
-    ]
-    for k, finger in enumerate(fingers):
-        assert len(finger) > 60
-        for other in fingers[k + 1 :]:
-            assert cKDTree(finger).query(other)[0].min() > 0.002
-
-
-def test_the_mouth_opens_with_the_jaw(body):
-    rest = body.rest(neutral()).vertices
-    lips = (rest[:, 0].abs() < 0.01) & (rest[:, 2] > 0.085) & ((rest[:, 1] - 0.607).abs() < 0.008)
-    jaw = body.weights[:, JOINTS.index("jaw")]
-    upper, lower = lips & (jaw < 0.3), lips & (jaw > 0.6)
-    assert upper.any() and lower.any()
-    posed = body(pose_with(jaw=(0.4, 0, 0)), neutral()).vertices[0]
-    gap = lambda v: (v[upper, 1].mean() - v[lower, 1].mean()).item()
-    assert gap(posed) > gap(rest) + 0.010
-
-
 @pytest.mark.parametrize(
     "joint, rotation",
     [
-        ("left_elbow", (0, -2.0, 0)), ("right_knee", (2.0, 0, 0)), ("left_index2", (0, 0, -1.5)),
-        ("right_thumb3", (0, -1.2, 0)),
+        ("left_elbow", (0, -2.0, 0)), ("right_knee", (2.0, 0, 0)),
     ],
 )  # fmt: skip
 def test_correctives_keep_volume_where_a_joint_bends(body, joint, rotation):
@@ -172,7 +117,7 @@ def test_correctives_keep_volume_where_a_joint_bends(body, joint, rotation):
     assert abs(corrected - rest) < 0.6 * (rest - collapsed)
 
 
-def test_a_blink_closes_the_lids_over_a_still_eyeball(body):
+def test_a_blink_closes_the_lids_and_leaves_the_eyeball(body):
     open_, blink = body.rest(neutral()), torch.eye(10, dtype=F64)[EXPRESSIONS.index("blink")]
     closed = body.rest(neutral(), blink).vertices
     for side in ("left", "right"):
@@ -191,29 +136,10 @@ def test_a_blink_closes_the_lids_over_a_still_eyeball(body):
         assert (closed - open_.joints[eye])[lids].norm(dim=1).min() > EYE_RADIUS
 
 
-def test_the_halves_meet_without_a_fold(body):
-    vertices, faces = body.v_template, body.faces
-    a, b, c = vertices[faces].unbind(1)
-    normals = torch.nn.functional.normalize(torch.linalg.cross(b - a, c - a), dim=1).numpy()
-    owner = {}
-    for face, corners in enumerate(faces.tolist()):
-        for k in range(3):
-            owner[corners[k], corners[(k + 1) % 3]] = face
-    x = vertices[:, 0].tolist()
-    pairs = [(f, owner[q, p]) for (p, q), f in owner.items() if x[p] == 0 or x[q] == 0]
-    one, other = np.array(pairs).T
-    assert len(pairs) > 500
-    assert (normals[one] * normals[other]).sum(1).min() > -0.97  # 14 degrees from folded flat
-
-
 @pytest.mark.slow
-def test_the_file_is_what_the_sculptor_makes():
-    made = sculpt()
+def test_the_generator_makes_the_file():
+    made = generate()
     with np.load(PUPPET) as file:
         assert set(file.files) == set(made)
         for key in file.files:
             np.testing.assert_array_equal(file[key], made[key], err_msg=key)
-
-
-def test_the_file_is_small():
-    assert PUPPET.stat().st_size < 1.5e6

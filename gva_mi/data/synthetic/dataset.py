@@ -47,7 +47,7 @@ from gva_mi.data.synthetic.options import (
     SynthOptions,
 )
 from gva_mi.data.synthetic.recorded import SURFACE, write_surface
-from gva_mi.data.synthetic.shots import Degradation, RenderJob, RenderPool
+from gva_mi.data.synthetic.shots import Degradation, Render, RenderJob, rendering
 from gva_mi.data.synthetic.subject import Subject, draw_subject
 from gva_mi.data.truth import BODY
 from gva_mi.data.video import TEST_EVERY, Splits, save_cameras
@@ -88,8 +88,8 @@ def make_subject(
 
     drawn_on = options.drawn_on(body)
     subject = draw_subject(drawn_on, options.person(drawn_on), options.clothes, options.hair)
-    with whole_folder(out, replaced) as folder, RenderPool(subject, options.workers, step) as pool:
-        writer = _SubjectWriter(options, drawn_on, body, subject, pool)
+    with whole_folder(out, replaced) as folder, rendering(subject, options.workers, step) as render:
+        writer = _SubjectWriter(options, drawn_on, body, subject, render)
         poses = writer.video_poses()
         writer.write_video(folder, poses)
         writer.write_novel_poses(folder / "truth" / "novel_pose")
@@ -109,7 +109,7 @@ class _SubjectWriter:
     body: BodyModel  # that the subject is drawn on
     fitted: BodyModel  # of the estimated poses
     subject: Subject
-    pool: RenderPool
+    render: Render
 
     def _points(self, pose: Pose) -> np.ndarray:
         """Return some points of the surface without folds, (T, n, 3), metres."""
@@ -190,7 +190,7 @@ class _SubjectWriter:
         from_files = pipeline.starts_from_files
         degradations = [Degradation(effects, e, from_files) for e in pipeline.pictures()]
         jobs = self._jobs(folder, poses, cameras, MOTION, degradations)
-        results = list(self.pool.render(jobs))
+        results = list(self.render(jobs))
         write_movie(folder / "video.mp4", [result.color for result in results])
         pipeline.write(folder, [result.error for result in results])
 
@@ -225,7 +225,7 @@ class _SubjectWriter:
         self, folder: Path, poses: list[Pose], cameras: list[Camera], stream: int
     ) -> None:
         """Write exact pictures, masks, normals, cameras and poses."""
-        for _ in self.pool.render(self._jobs(folder, poses, cameras, stream)):
+        for _ in self.render(self._jobs(folder, poses, cameras, stream)):
             pass
         save_cameras(folder / "cameras.npz", cameras)
         near = self._closest(poses[0])  # on the fitted body, like an avatar

@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -61,54 +61,48 @@ class RenderResult:
     error: ErrorStatistics | None  # of its mask and normals; None for the ground truth
 
 
-class RenderPool:
-    """Context that renders jobs, in this process or in ``workers`` processes.
+Render = Callable[[Iterable[RenderJob]], Iterator[RenderResult]]
+
+
+@contextmanager
+def rendering(subject: Subject, workers: int, step: Callable[[], None]) -> Iterator[Render]:
+    """Yield a function that renders jobs, writes their files and yields results in order.
 
     Args:
         subject: who is rendered.
         workers: processes; 1 is this process.
         step: called after each picture.
+
+    Raises:
+        InputError: a worker process died.
     """
+    with ExitStack() as stack:
+        if workers == 1:
+            results = partial(map, partial(render_job, Renderer(subject)))
+        else:
+            pool = stack.enter_context(processes(workers, _start_worker, subject))
+            results = partial(_in_order, pool, 2 * workers)
 
-    def __init__(self, subject: Subject, workers: int, step: Callable[[], None]) -> None:
-        self._subject, self._workers, self._step = subject, workers, step
-        self._held = ExitStack()
-        self._pool: Executor | None = None
-        self._renderer = Renderer(subject) if workers == 1 else None
+        def render(jobs: Iterable[RenderJob]) -> Iterator[RenderResult]:
+            for result in results(jobs):
+                step()
+                yield result
 
-    def __enter__(self) -> RenderPool:
-        if self._workers > 1:
-            work = processes(self._workers, _start_worker, self._subject)
-            self._pool = self._held.enter_context(work)
-        return self
+        yield render
 
-    def __exit__(self, *error: Any) -> None:  # noqa: ANN401
-        self._held.__exit__(*error)
 
-    def render(self, jobs: Iterable[RenderJob]) -> Iterator[RenderResult]:
-        """Render jobs and write their files; yield results in the order of the jobs.
-
-        Raises:
-            InputError: a worker process died.
-        """
-        if self._pool is None:
-            for job in jobs:
-                yield self._done(render_job(self._renderer, job))
-            return
-        waiting: deque[Future[RenderResult]] = deque()
-        try:
-            for job in jobs:  # few ahead, because each holds a surface
-                waiting.append(self._pool.submit(_render_in_worker, job))
-                if len(waiting) > 2 * self._workers:
-                    yield self._done(waiting.popleft().result())
-            while waiting:
-                yield self._done(waiting.popleft().result())
-        except BrokenExecutor as error:
-            raise lost(error) from None
-
-    def _done(self, result: RenderResult) -> RenderResult:
-        self._step()
-        return result
+def _in_order(pool: Executor, ahead: int, jobs: Iterable[RenderJob]) -> Iterator[RenderResult]:
+    """Submit at most ``ahead`` jobs at a time, because each holds a surface."""
+    waiting: deque[Future[RenderResult]] = deque()
+    try:
+        for job in jobs:
+            waiting.append(pool.submit(_render_in_worker, job))
+            if len(waiting) > ahead:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
+    except BrokenExecutor as error:
+        raise lost(error) from None
 
 
 def render_job(renderer: Renderer, job: RenderJob) -> RenderResult:

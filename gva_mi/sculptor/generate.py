@@ -48,10 +48,10 @@ def generate(options: GeneratorOptions | None = None) -> dict[str, np.ndarray]:
     vertices, faces = _half_surface(options.grid)
     outline = vertices[border_of(faces)]
     vertices, faces = without_chords(*_decimate(vertices, faces, options.faces // 2))
-    vertices, faces, twin = mirrored(onto_border(vertices, faces, outline), faces)
+    vertices, faces, image = mirrored(onto_border(vertices, faces, outline), faces)
     # The rest is exact on the float32 vertices of the file.
     vertices = vertices.astype(np.float32).astype(np.float64)
-    weights = skinning_weights(vertices, faces, twin)
+    weights = skinning_weights(vertices, faces, image)
     fields, moves = shapes(vertices, weights)
     fields = np.concatenate([fields, expressions(vertices, weights)], axis=2).astype(np.float16)
     moves = np.concatenate([moves, np.zeros((55, 3, 10))], axis=2)
@@ -62,7 +62,7 @@ def generate(options: GeneratorOptions | None = None) -> dict[str, np.ndarray]:
         "f": faces.astype(np.uint32),
         "shapedirs": fields,
         "posedirs": correctives(vertices, normals, weights).astype(np.float16),
-        "J_regressor": joint_regressor(vertices, fields.astype(np.float64), moves, twin),
+        "J_regressor": joint_regressor(vertices, fields.astype(np.float64), moves, image),
         "weights": weights.astype(np.float32),
         "kintree_table": kintree_table(),
         "hands_meanl": hand,

@@ -93,7 +93,7 @@ def facial_regions(points: np.ndarray) -> list[tuple[int, np.ndarray, float]]:
     return regions
 
 
-def skinning_weights(vertices: np.ndarray, faces: np.ndarray, twin: np.ndarray) -> np.ndarray:
+def skinning_weights(vertices: np.ndarray, faces: np.ndarray, image: np.ndarray) -> np.ndarray:
     """Return weights (V, 55) as the equilibrium of heat diffusing from the bones over the skin.
 
     Each vertex is held at the temperature of its nearest bone with strength h = 1 / d² (d: distance
@@ -102,7 +102,7 @@ def skinning_weights(vertices: np.ndarray, faces: np.ndarray, twin: np.ndarray) 
         (L + M h) w_j = M h p_j,    p_j = 1 where bone j is the nearest, else 0
 
     The weights are smooth, lie in [0, 1], sum to 1, and blend over about the radius of a limb.
-    ``twin`` (V,) is the mirror image of each vertex.
+    ``image`` (V,) is the mirror image of each vertex.
     """
     import scipy.sparse as sparse
     from scipy.sparse.linalg import splu
@@ -122,7 +122,7 @@ def skinning_weights(vertices: np.ndarray, faces: np.ndarray, twin: np.ndarray) 
     target = np.zeros((n, len(JOINTS)))
     target[np.arange(n), nearest] = 1
     weights = splu((L + hold).tocsc()).solve(hold @ target)
-    return _four_strongest((weights + weights[twin][:, MIRRORED]) / 2)
+    return _four_strongest((weights + weights[image][:, MIRRORED]) / 2)
 
 
 def _laplacian(vertices: np.ndarray, faces: np.ndarray) -> tuple[sparse.csr_matrix, np.ndarray]:
@@ -144,7 +144,7 @@ def _laplacian(vertices: np.ndarray, faces: np.ndarray) -> tuple[sparse.csr_matr
 
 
 def joint_regressor(
-    vertices: np.ndarray, directions: np.ndarray, moves: np.ndarray, twin: np.ndarray
+    vertices: np.ndarray, directions: np.ndarray, moves: np.ndarray, image: np.ndarray
 ) -> np.ndarray:
     """Return sparse rows (55, V) that sum to 1 and regress the joints from the vertices.
 
@@ -155,14 +155,14 @@ def joint_regressor(
         vertices: (V, 3) template.
         directions: (V, 3, K) shapes.
         moves: (55, 3, K) displacement of the joints by each shape.
-        twin: (V,) the mirror image of each vertex.
+        image: (V,) the mirror image of each vertex.
     """
     J = joint_positions()
     regressor = np.zeros((len(J), len(vertices)))
     for j, joint in enumerate(J):
         if JOINTS[j].startswith("right_"):
             left = JOINTS.index(JOINTS[j].replace("right_", "left_"))
-            regressor[j, twin] = regressor[left]
+            regressor[j, image] = regressor[left]
             continue
         near = np.argsort(((vertices - joint) ** 2).sum(1), kind="stable")[:_NEAREST]
         affine = np.vstack([np.ones(len(near)), 10 * (vertices[near] - joint).T])
@@ -172,7 +172,7 @@ def joint_regressor(
         w = even + np.linalg.pinv(rows, rcond=1e-4) @ (goal - rows @ even)
         regressor[j, near] = w + np.linalg.pinv(affine) @ (goal[:4] - affine @ w)
         if not JOINTS[j].startswith("left_"):
-            regressor[j] = (regressor[j] + regressor[j, twin]) / 2
+            regressor[j] = (regressor[j] + regressor[j, image]) / 2
     return regressor
 
 

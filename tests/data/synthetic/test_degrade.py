@@ -106,21 +106,6 @@ def test_the_estimated_and_the_true_camera_are_written(recording, degraded):
     assert estimated.fy == pytest.approx(factor * true.fy)
 
 
-def test_normals_in_icons_convention_are_read_back(recording, body, tmp_path):
-    seed = next(k for k in range(50) if draw_errors("normals", k).normal.convention == "icon")
-    degrade(recording, tmp_path / "icon", "normals", seed, body)
-    assert json.loads((tmp_path / "icon/normals.json").read_text())["convention"] == "icon"
-    angle = json.loads((tmp_path / "icon/noise.json").read_text())["normal"]["angle_deg"]
-    frames = [f for f in load_video(tmp_path / "icon").frames() if f.normals is not None]
-    off = []
-    for frame in frames:
-        true = read_image(recording / f"truth/normals/{frame.index:06d}.png", 3) / 127.5 - 1
-        both = (np.linalg.norm(true, axis=-1) > 0.5) & (np.abs(frame.normals).sum(-1) > 0)
-        cosine = (true[both] * frame.normals[both]).sum(-1) / np.linalg.norm(true[both], axis=-1)
-        off.append(np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean())
-    assert frames and np.mean(off) == pytest.approx(angle, abs=0.3)
-
-
 def test_level_zero_is_exact(recording, body, tmp_path):
     degrade(recording, tmp_path / "exact", "anything", 1, body, level=0.0)
     pose, shape = load_poses(tmp_path / "exact/poses.npz")

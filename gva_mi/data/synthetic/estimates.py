@@ -100,11 +100,11 @@ class Pipeline:
         options, errors, levels = self.options, self.errors, self.options.levels
         confused = confusions(
             self.body, self.near.pose, self.near.shape, self.cameras[0], errors.mask, levels.mask,
-            options.random_noise(MISTAKEN),
+            options.random(MISTAKEN, errors=True),
         )  # fmt: skip
         share = min(levels.normal * errors.normal.missing, 0.9)
-        missing = runs(options.random_noise(MISSING), len(confused), share, MISSING_FRAMES)
-        seed = (*options.entropy_of_noise(RENDER), MOTION)
+        missing = runs(options.random(MISSING, errors=True), len(confused), share, MISSING_FRAMES)
+        seed = (*options.entropy(RENDER, errors=True), MOTION)
         return [
             PictureErrors(errors, levels, self.cameras[k], (*seed, k), confused[k], bool(gone))
             for k, gone in enumerate(missing)
@@ -118,7 +118,7 @@ class Pipeline:
             pictures: errors of the masks and normals of all frames, whose files exist already.
         """
         options, errors, levels = self.options, self.errors, self.options.levels
-        truth, rng = (self.near.pose, self.near.shape), options.random_noise(NOISE)
+        truth, rng = (self.near.pose, self.near.shape), options.random(NOISE, errors=True)
         first = self.cameras[0]
         found = noisy_poses(self.body, *truth, first, errors.pose, levels.pose, rng)
         save_poses(folder / "poses.npz", *found, stage=1)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 
 from gva_mi.body.anny import anny_body
 from gva_mi.body.smplx import BodyModel, load_body
-from gva_mi.data.synthetic import motion
 from gva_mi.data.synthetic.noise.families import Levels, require_family
 from gva_mi.data.synthetic.people import STUDY, Person, foreign_outfit
 from gva_mi.data.synthetic.stretched import Stretch, stretched
@@ -19,7 +18,6 @@ from gva_mi.ranges import PictureSide, Seed, Within, Workers, require_ranges
 # Random number streams, one for each purpose.
 MOTION, NOISE, NOVEL_POSE, NOVEL_VIEW, RENDER, BACKGROUND, MISTAKEN, MISSING = range(1, 9)
 FIGURE, OUTFIT = 11, 12
-FIGURES = ("own", "stretched", "anny")
 MOST_PIXELS = 1 << 31  # of a whole video, which is held in memory
 VideoFrames = Annotated[int, Within(2, 10_000)]
 NovelPictures = Annotated[int, Within(0, 1000)]
@@ -66,11 +64,11 @@ class SynthOptions:
         require_family(self.family)
         if round(self.samples**0.5) ** 2 != self.samples:
             raise InputError(f"synth: samples must be a square number, got {self.samples}")
-        choices = {
-            "subject": (None, *STUDY), "motion": motion.MOTIONS, "figure": FIGURES,
-            "outfit": ("own", "foreign"), "light": ("usual", "side", "ambient"),
-            "camera": ("stands", "circles"),
-        }  # fmt: skip
+        choices = {"subject": (None, *STUDY)} | {
+            name: get_args(hint)
+            for name, hint in get_type_hints(SynthOptions).items()
+            if get_origin(hint) is Literal
+        }
         for name, known in choices.items():
             if getattr(self, name) not in known:
                 names = ", ".join(str(k) for k in known if k)
@@ -112,22 +110,14 @@ class SynthOptions:
         """Seed of the errors."""
         return self.seed if self.noise_seed is None else self.noise_seed
 
-    def entropy(self, stream: int) -> tuple[int, ...]:
-        """Return the seed of a stream, different for all subjects of the study."""
-        return (self.seed, stream, *self._named)
+    def entropy(self, stream: int, errors: bool = False) -> tuple[int, ...]:
+        """Return the seed of a stream, different for all subjects of the study.
 
-    def random(self, stream: int) -> np.random.Generator:
-        """Return the generator of a stream."""
-        return np.random.default_rng(self.entropy(stream))
+        With ``errors``, it depends on the seed of the errors instead.
+        """
+        named = () if self.subject is None else (STUDY[self.subject].seed,)
+        return (self.seed_of_noise if errors else self.seed, stream, *named)
 
-    def entropy_of_noise(self, stream: int) -> tuple[int, ...]:
-        """Return the seed of a stream that depends on the seed of the errors."""
-        return (self.seed_of_noise, stream, *self._named)
-
-    def random_noise(self, stream: int) -> np.random.Generator:
-        """Return the generator of a stream that depends on the seed of the errors."""
-        return np.random.default_rng(self.entropy_of_noise(stream))
-
-    @property
-    def _named(self) -> tuple[int, ...]:
-        return () if self.subject is None else (STUDY[self.subject].seed,)
+    def random(self, stream: int, errors: bool = False) -> np.random.Generator:
+        """Return the generator of a stream, see :meth:`entropy`."""
+        return np.random.default_rng(self.entropy(stream, errors))

@@ -40,6 +40,7 @@ def test_a_thick_sole_is_lower_and_flat(rest):
     assert closed(thick).is_watertight
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [accessories.backpack, accessories.shoulder_bag])
 def test_a_bag_hangs_outside_the_body_on_a_strap(rest, make):
     bag, strap, joint = make(rest, 0.02)
@@ -50,6 +51,7 @@ def test_a_bag_hangs_outside_the_body_on_a_strap(rest, make):
     assert apart.min() < 0.02  # metres: the strap meets the bag
 
 
+@pytest.mark.slow
 def test_a_hood_leaves_the_face_free(rest):
     up = accessories.hood_up(rest, 0.02)
     eyes = (rest.joints["left_eye_smplhf"] + rest.joints["right_eye_smplhf"]) / 2

@@ -9,7 +9,7 @@ import sys
 from contextlib import suppress
 
 from gva_mi import __version__, llvm, processor
-from gva_mi.commands import VERBS, load
+from gva_mi.commands import RENAMED_VERBS, VERBS, load
 from gva_mi.errors import InputError
 from gva_mi.parse import parse
 
@@ -97,6 +97,8 @@ def _run(arguments: list[str]) -> None:
     elif verb in VERBS:
         llvm.require()
         parse(load(verb), f"gva-mi {verb}", arguments[1:])()
+    elif verb in RENAMED_VERBS:
+        raise InputError(f"{verb} is now `gva-mi {RENAMED_VERBS[verb]}`")
     else:
         found = f"there is no command '{verb}'" if verb else "a command is missing"
         raise InputError(f"{found}; expected one of {', '.join(VERBS)}")

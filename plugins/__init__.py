@@ -7,8 +7,8 @@
     gva_mi_plugins.register()
     integrator = mi.load_dict({"type": "mesh_normals"})
 
-``mesh_normals/`` shows normals and silhouettes of meshes, ``gaussian_splat/`` the Gaussians of a
-scene; each says in its own docstring what is where.
+``mesh_normals/`` renders normals and silhouettes of meshes, ``gaussian_splat/`` the Gaussians of a
+scene; each package's docstring says what its files hold.
 
 Importing this package loads no plugin. Mitsuba's types exist only once a variant is set, and so the
 plugin files are loaded by :func:`register`.
@@ -24,12 +24,10 @@ _registered_for: str | None = None  # the variant whose types the plugins' class
 
 
 def register() -> None:
-    """Make the plugins known to Mitsuba under their names: ``mesh_normals``, ``gaussian_splat``,
-    and ``mesh_normals_projective``, a cross-check of the first.
+    """Register the integrators ``mesh_normals`` and ``gaussian_splat`` with Mitsuba.
 
-    Call it after ``mi.set_variant``, with a differentiable variant (``llvm_ad_rgb``), and again
-    after a change to another one: Mitsuba keeps its plugins by variant. Calling it twice does no
-    harm.
+    Call it after ``mi.set_variant`` with a differentiable variant (``llvm_ad_rgb``), and again
+    after a change to another one: Mitsuba keeps its plugins by variant. A second call is harmless.
 
     Raises:
         ImportError: this machine has no libLLVM that works.
@@ -51,8 +49,6 @@ def register() -> None:
     _registered_for = variant
     from gva_mi_plugins.gaussian_splat.integrator import GaussianSplat
     from gva_mi_plugins.mesh_normals.integrator import MeshNormals
-    from gva_mi_plugins.mesh_normals.twins.projective import MeshNormalsProjective
 
     mi.register_integrator("gaussian_splat", GaussianSplat)
     mi.register_integrator("mesh_normals", MeshNormals)
-    mi.register_integrator("mesh_normals_projective", MeshNormalsProjective)

@@ -92,8 +92,6 @@ def test_every_package_comes_from_there_with_its_data(fresh, tmp_path):
     assert int(done.stdout) > 1000
     for name in DATA:
         assert (fresh[1] / name).read_bytes() == (ROOT / name).read_bytes()
-    compiled = {p.name for p in (fresh[1] / "gva_mi/splat/bench").glob("*.cpp")}
-    assert compiled == {p.name for p in (ROOT / "gva_mi/splat/bench").glob("*.cpp")} != set()
 
 
 @pytest.mark.slow
@@ -102,7 +100,7 @@ def test_its_command_works_elsewhere(fresh, tmp_path):
     assert done.returncode == 0 and "gradcheck" in done.stdout, done.stderr
     done = run(fresh, tmp_path, "gva-mi", "gradcheck", "--window", "8", "--count", "1")
     assert done.returncode == 0, done.stderr
-    assert "gradients are right in all 1 windows" in done.stdout
+    assert "all gradients are right" in done.stdout
 
 
 @pytest.mark.slow

@@ -35,11 +35,12 @@ VERBS = {  # and what each does, told by `gva-mi --help` without importing any o
     "motion": "turn a motion of AMASS, AIST++ or the like into poses that drive an avatar",
     "study": "refine, or fit, several synthetic people, and print how near they come to the truth",
     "body": "write a body file, and a picture of it from all around",
-    "gradcheck": "check the gradients of the renderer, or of an avatar",
-    "gradcheck-normals": "check the gradients of the rendered normals",
-    "bench": "measure the renderer, the body model, the rendered normals, a fit, or the viewer",
+    "gradcheck": "check the gradients of the renderer, of an avatar, or of rendered normals",
+    "bench": "run the benchmarks of a checkout",
     "doctor": "say what this machine has, and what is missing for what",
 }
+
+RENAMED_VERBS = {"gradcheck-normals": "gradcheck normals"}  # the old name answers with the new one
 
 
 def load(verb: str) -> Callable[..., None]:

@@ -1,66 +1,64 @@
-"""The command ``gva-mi bench``: how fast are the kernels?"""
+"""The command ``gva-mi bench``: the door to the benchmarks of a checkout."""
 
 from __future__ import annotations
 
+import sys
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Literal
 
 from tyro.conf import FlagCreatePairsOff, Positional, arg
 
-from gva_mi.body.bench import bench_body
-from gva_mi.commands.arguments import Flat
-from gva_mi.console import bar, say
+import gva_mi
+from gva_mi.console import say
 from gva_mi.errors import InputError
 from gva_mi.files import require_room, write_json
-from gva_mi.fit.bench import bench_fit
-from gva_mi.mesh.bench import bench_normals
-from gva_mi.splat.bench import BenchOptions
-from gva_mi.splat.bench import bench as bench_splat
-from gva_mi.splat.scene import Scene
-from gva_mi.viewer.bench import bench_viewer
+from gva_mi.ranges import Seed, Within
+
+CHECKOUT = Path(gva_mi.__file__).parents[1]
+MODULES = {"splat": "splatting"}  # of a benchmark, where its name is another one
+Repeats = Annotated[int, Within(1, 100_000)]
 
 
 def bench(
-    what: Positional[Literal["splat", "body", "normals", "fit", "viewer"]],
-    options: Flat[FlagCreatePairsOff[BenchOptions]],
+    what: Positional[Literal["splat", "fit", "mesh", "body", "viewer"]],
     *,
+    repeats: Repeats = 20,
+    seed: Seed = 0,
     scene: Path | None = None,
+    no_growth: FlagCreatePairsOff[bool] = False,
     json_file: Annotated[Path | None, arg(name="json")] = None,
 ) -> None:
-    """Measure the renderer, the body model, the normals that refinement looks at, a fit, a viewer.
+    """Measure the renderer, a fit, the rendered normals, the body model, or the viewer.
 
-    Milliseconds per stage; of the renderer also shares of the machine's limits, and growth.
+    Prints tables of milliseconds; on a shared machine trust only ratios within one run.
 
     Args:
-        what: the part to measure. Of the options all but splat use repeats and seed only.
-        options: what to measure, and how often.
-        scene: a .ply, .splat, .spz or .npz file as for gradcheck; without it a person of 20,000
-            Gaussians at 512 px.
+        what: the part to measure.
+        repeats: calls per figure.
+        seed: of the scene.
+        scene: splat: a .ply, .splat, .spz or .npz file as for gradcheck; without it a person of
+            20,000 Gaussians at 512 px.
+        no_growth: splat: leave larger scenes out.
         json_file: where to write all figures.
     """
-    if what != "splat" and scene is not None:
-        raise InputError(f"bench {what}: there is no --scene, the body is the command's own")
-    if what != "splat" and options.against:
-        raise InputError(f"bench {what}: --against is for splat, which has peers")
-    for file in (json_file, options.plot):
-        if file is not None:
-            require_room(file, overwrite=True)
-    if what == "body":
-        found = bench_body(options.repeats, options.seed)
-    elif what == "normals":
-        found = bench_normals(options.repeats, options.seed)
-    elif what == "fit":
-        found = bench_fit(options.repeats, options.seed)
-    elif what == "viewer":
-        found = bench_viewer(options.repeats, options.seed)
-    else:
-        given = None if scene is None else Scene.load(scene)
-        with bar("bench") as progress:
-            found = bench_splat(given, options, progress)
-    say(found.table())
-    if json_file is not None:  # before the plot, which a full disk may have no room for
-        write_json(json_file, found.to_dict())
+    if what != "splat" and (scene is not None or no_growth):
+        raise InputError(f"bench {what}: --scene and --no-growth are options of bench splat")
+    if not (CHECKOUT / "benchmarks/__main__.py").exists():
+        raise InputError(
+            "bench: benchmarks are in the repository and not in the installed package; clone it "
+            f"and run there: python -m benchmarks {what}"
+        )
+    if json_file is not None:
+        require_room(json_file, overwrite=True)
+    if str(CHECKOUT) not in sys.path:
+        sys.path.insert(0, str(CHECKOUT))
+    benchmark = import_module(f"benchmarks.{MODULES.get(what, what)}")
+    options = {"path": scene, "growth": not no_growth} if what == "splat" else {}
+    tables = []
+    for table in benchmark.run(repeats, seed, **options):
+        tables.append({"title": table.title, "rows": table.rows})
+        say(f"{table}\n")
+    if json_file is not None:
+        write_json(json_file, tables)
         say(f"figures: {json_file}")
-    if options.plot is not None:
-        found.peers.draw(options.plot)
-        say(f"plot: {options.plot}")

@@ -1,9 +1,9 @@
-"""The command ``gva-mi gradcheck``: are the gradients of the renderer, of an avatar, right?"""
+"""The command ``gva-mi gradcheck``: are the gradients of renderer, avatar and normals right?"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -11,42 +11,69 @@ import numpy as np
 from torch import Generator
 from tyro.conf import Positional
 
-from gva_mi.avatar.gradcheck import Report as AvatarReport
-from gva_mi.avatar.gradcheck import Scene as AvatarScene
-from gva_mi.avatar.gradcheck import gradcheck as check_avatar
 from gva_mi.commands.arguments import Flat, Switch
-from gva_mi.console import say
+from gva_mi.console import bar, say
 from gva_mi.errors import InputError
 from gva_mi.files import require_writable
+from gva_mi.gradcheck.avatar import check_avatar
+from gva_mi.gradcheck.chain import PosedAvatar
+from gva_mi.gradcheck.engine import Report, write_reports
+from gva_mi.gradcheck.normals import COORDINATES, NormalsCheck, check_normals
+from gva_mi.gradcheck.picture import write_picture
+from gva_mi.gradcheck.probes import IMAGES
+from gva_mi.gradcheck.splat import gradcheck as check_renderer
 from gva_mi.ranges import Seed, Within, require_ranges
 from gva_mi.splat import render
 from gva_mi.splat.camera import CameraModel
-from gva_mi.splat.gradcheck import Report as SplatReport
-from gva_mi.splat.gradcheck import gradcheck as check
-from gva_mi.splat.gradcheck.verdict import IMAGES, write_json, write_picture
 from gva_mi.splat.scene import Scene, person_scene
 
 REPORT, PICTURE = "gradcheck.json", "gradcheck.png"
+What = Literal["splat", "avatar", "normals"]
+ONLY: dict[str, tuple[What, ...]] = {  # options that only some checks have
+    "seed": ("splat", "avatar"),
+    **dict.fromkeys(("window", "camera_model", "antialiased", "channels", "images"), ("splat",)),
+    **dict.fromkeys(("size", "spp", "lines", "points"), ("normals",)),
+}
 
 
 @dataclass(frozen=True)
 class GradcheckOptions:
-    """Where to look, and through what: the defaults are the scene as it is."""
+    """What to look at, and how finely."""
 
-    # Width and height of a window, px; the time grows with its square and more.
+    # Windows, from the fullest to the emptiest (3); random poses of an avatar (3); coordinates of
+    # the body's pose, from the first (all 16).
+    count: Annotated[int, Within(1, 1000)] | None = None
+    seed: Seed = 0  # of the loss, and of the choice of entries
+    # splat: width and height of a window, px; the time grows with its square and more.
     window: Annotated[int, Within(1, 1024)] = 24
-    count: Annotated[int, Within(1, 1000)] = 3  # windows, from the fullest to the emptiest
-    camera_model: CameraModel | None = None  # another one than the scene's own
-    antialiased: Switch = False  # opacities less what the blur adds in area
-    # Random features of this width in the place of the colours; 0 leaves them.
+    camera_model: CameraModel | None = None  # splat: another one than the scene's own
+    antialiased: Switch = False  # splat: opacities reduced by what the blur adds in area
+    # splat: random features of this width in the place of the colours; 0 keeps the colours.
     channels: Annotated[int, Within(0, 1024)] = 0
-    images: tuple[Literal["color", "alpha", "depth"], ...] = IMAGES  # that the loss looks at
-    seed: Seed = 0  # of the loss, and of what is looked at closely
+    images: tuple[Literal["color", "alpha", "depth"], ...] = IMAGES  # splat: in the loss
+    size: Annotated[int, Within(32, 4096)] = 512  # normals: width and height of the picture, px
+    spp: Annotated[int, Within(1, 4096)] = 16  # normals: rays for a pixel of the gradient
+    # normals: lines across the rectangle that moves, for the true boundary term.
+    lines: Annotated[int, Within(1, 1_000_000)] = 16000
+    points: Annotated[int, Within(1, 10_000)] = 89  # normals: on each face, for the true interior
 
     def __post_init__(self) -> None:
         require_ranges("gradcheck", self)
         if not self.images:
             raise InputError(f"gradcheck: images must be some of {', '.join(IMAGES)}")
+
+    def require_only(self, what: What) -> None:
+        """Raise an InputError for an option that another check has."""
+        if what == "normals" and self.count is not None:
+            Within(1, len(COORDINATES)).require("gradcheck normals", "count", self.count)
+        for field in fields(self):
+            checks = ONLY.get(field.name, (what,))
+            if what not in checks and getattr(self, field.name) != field.default:
+                option = field.name.replace("_", "-")
+                raise InputError(
+                    f"gradcheck {what}: there is no --{option}; it is an option of "
+                    f"`gva-mi gradcheck {checks[0]}`"
+                )
 
     def applied(self, scene: Scene) -> Scene:
         """The scene under these options."""
@@ -58,70 +85,80 @@ class GradcheckOptions:
 
 
 def gradcheck(
-    what: Positional[Literal["splat", "avatar"]] = "splat",
+    what: Positional[What] = "splat",
     options: Flat[GradcheckOptions] = GradcheckOptions(),  # noqa: B008 (frozen)
     *,
     scene: Path | None = None,
     body: Path | None = None,
     out: Path | None = None,
 ) -> None:
-    """Compare every gradient of the renderer, or of a whole avatar, with independent answers.
+    """Compare the gradients of the renderer, of an avatar or of rendered normals with references.
 
-    Of the renderer: a slow twin, differences and Dr.Jit's autodiff, in small windows of a picture.
-    Of an avatar, from its pose to the picture: slow twins of every link, differences and tangents,
-    and which link loses digits in float32. Ends with an error where a gradient is wrong, less
-    accurate than allowed, or missing.
+    splat: the renderer against its reference implementation and central differences, in small
+    windows of a picture. avatar: the whole chain from a pose to the picture, and every link of it,
+    against differences and tangents. normals: mesh_normals by the body's pose against an exact
+    reference. Ends with an error where a gradient is wrong, less accurate than allowed, or missing.
 
     Args:
-        what: the renderer, or an avatar in random poses, of which the options count and seed tell
-            how many.
-        options: where to look, and through what.
-        scene: of the renderer: a .ply, .splat or .spz, or an .npz file with means, quats, scales,
-            opacities, sh or colors, viewmat, K, width, height, background; without it a person of
-            20,000 Gaussians.
-        body: of an avatar: a body in SMPL-X's .npz format; without it the built-in puppet.
-        out: a folder for gradcheck.json and, of the renderer, gradcheck.png.
+        what: what to check.
+        options: what to look at, and how finely.
+        scene: splat: a .ply, .splat or .spz, or an .npz file with means, quats, scales, opacities,
+            sh or colors, viewmat, K, width, height, background; without it a person of 20,000
+            Gaussians.
+        body: avatar: a body in SMPL-X's .npz format; without it the built-in body.
+        out: a folder for gradcheck.json and, of splat, gradcheck.png.
     """
-    if what == "avatar":
-        if scene is not None or options != GradcheckOptions(count=options.count, seed=options.seed):
-            raise InputError("gradcheck avatar: of the options, it has --count, --seed and --body")
-        asked = _avatars(options, body)
-    else:
-        if body is not None:
-            raise InputError("gradcheck splat: there is no --body; a scene is given by --scene")
-        asked = _windows(options, scene)
+    options.require_only(what)
+    for name, given, has in (("scene", scene, "splat"), ("body", body, "avatar")):
+        if given is not None and what != has:
+            raise InputError(
+                f"gradcheck {what}: there is no --{name}; it is an option of "
+                f"`gva-mi gradcheck {has}`"
+            )
     if out is not None:
         require_writable(out)
+    checks = {"splat": lambda: _windows(options, scene), "avatar": lambda: _poses(options, body)}
     reports = {}
-    for name, report in asked:
+    for name, report in checks.get(what, lambda: _normals(options))():
         reports[name] = report
         say(f"{name}:\n{report.table()}\n")
     if out is not None:
-        write_json(reports, out / REPORT)
+        write_reports(reports, out / REPORT)
         say(f"figures: {out / REPORT}")
         if what == "splat":
             write_picture(reports, out / PICTURE)
             say(f"picture: {out / PICTURE}")
-    failed = []
-    for name, report in reports.items():
-        missing = report.notes if what == "splat" else ()  # what a renderer may lack
-        if not report.passed or missing:
-            failed.append(f"{name}: {'; '.join([report.verdict, *missing])}")
+    failed = [
+        f"{name}: {'; '.join([report.verdict, *report.notes])}"
+        for name, report in reports.items()
+        if not report.passed or report.notes  # a note: a gradient is missing
+    ]
     if failed:
-        raise InputError(f"gradcheck: {'; '.join(failed)}")
-    places = "poses" if what == "avatar" else "windows"
-    say(f"gradients are right in all {len(reports)} {places}")
+        raise InputError(f"gradcheck {what}: {'; '.join(failed)}")
+    say(f"gradcheck {what}: all gradients are right")
 
 
-def _windows(options: GradcheckOptions, scene: Path | None) -> Iterator[tuple[str, SplatReport]]:
+def _windows(options: GradcheckOptions, scene: Path | None) -> Iterator[tuple[str, Report]]:
     """The renderer in windows of a picture."""
     whole = person_scene(np.random.default_rng(0)) if scene is None else Scene.load(scene)
-    for place, part in options.applied(whole).windows(options.window, options.count):
-        report = check(render, part, images=options.images, seed=options.seed)
+    for place, part in options.applied(whole).windows(options.window, options.count or 3):
+        report = check_renderer(render, part, images=options.images, seed=options.seed)
         yield f"window at {place}", report
 
 
-def _avatars(options: GradcheckOptions, body: Path | None) -> Iterator[tuple[str, AvatarReport]]:
+def _poses(options: GradcheckOptions, body: Path | None) -> Iterator[tuple[str, Report]]:
     """An avatar in random poses."""
-    for seed in range(options.seed, options.seed + options.count):
-        yield f"pose {seed}", check_avatar(AvatarScene.random(seed, body=body), seed=seed)
+    for seed in range(options.seed, options.seed + (options.count or 3)):
+        yield f"pose {seed}", check_avatar(PosedAvatar.random(seed, body=body), seed=seed)
+
+
+def _normals(options: GradcheckOptions) -> Iterator[tuple[str, Report]]:
+    """``mesh_normals`` by coordinates of the body's pose."""
+    count = min(options.count or len(COORDINATES), len(COORDINATES))
+    check = NormalsCheck(options.size, options.spp, options.lines, options.points)
+    rows = []
+    with bar("gradcheck") as progress:
+        for done, found in enumerate(check_normals(check, count), 1):
+            rows += found
+            progress(done, count)
+    yield "mesh_normals", Report(tuple(rows), f"{count} coordinates of the pose, {options.size} px")

@@ -123,15 +123,15 @@ BAD = {
         "--splat.blur must be a",
     ),
     "no number": (("fit", "nowhere", "--out", "new", "--steps", "ten"), "--steps must be a whole"),
-    "no calls": (("bench", "splat", "--calls", "0"), "--calls must be a whole number from 1 to"),
+    "no calls": (("bench", "splat", "--repeats", "0"), "--repeats must be a whole number from 1 to"),
     "no window": (("gradcheck", "--window", "0"), "--window must be a whole number from 1"),
     "no images": (("gradcheck", "--images"), "images must be some of color, alpha, depth"),
-    "no size": (("gradcheck-normals", "--size", "0"), "--size must be a whole number from 32"),
+    "no size": (("gradcheck", "normals", "--size", "0"), "--size must be a whole number from 32"),
     "too many cases": (
-        ("gradcheck-normals", "--count", "99"),
-        "--count must be a whole number from 1 to 16",
+        ("gradcheck", "normals", "--count", "99"),
+        "count must be from 1 to 16, got 99",
     ),
-    "no lines": (("gradcheck-normals", "--lines", "0"), "--lines must be a whole number from 1"),
+    "no lines": (("gradcheck", "normals", "--lines", "0"), "--lines must be a whole number from 1"),
     "no scene": (
         ("gradcheck", "--scene", "nowhere.npz"),
         "nowhere.npz: no such file; expected a scene",
@@ -165,7 +165,7 @@ def test_a_body_with_a_missing_key_is_named(tmp_path, cli):
 # What nobody asked for, and what is none of the choices: tyro's frame tells what there is instead.
 UNKNOWN = {
     "option": (("fit", "nowhere", "--out", "new", "--step", "3"), "--steps"),
-    "choice": (("bench", "all"), "normals"),
+    "choice": (("bench", "all"), "viewer"),
     "missing": (("fit", "nowhere"), "--out"),
 }
 

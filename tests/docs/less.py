@@ -22,9 +22,9 @@ SMALLER = {
     "view": "--port 0",
     "gradcheck": "--window 8 --count 1 --scene scene.npz",
     "gradcheck avatar": "--count 1",
-    "gradcheck-normals": "--count 1 --size 64 --lines 4000 --points 40",
+    "gradcheck normals": "--count 1 --size 64 --lines 4000 --points 40",
     "bench": "--repeats 1",
-    "bench splat": "--repeats 1 --calls 2 --no-growth --no-gsplat --scene scene.npz",
+    "bench splat": "--repeats 1 --no-growth --scene scene.npz",
     # Seed 16 wears nothing and is bald: made in a moment.
     "study refine": "--people 16 --frames 3 --size 48 --refine.passes 1",
     "study refine --edition": "--people 609 --families lean --frames 3 --size 48 --refine.passes 1",
@@ -43,7 +43,6 @@ WRITTEN = {"--json": "figures.json"}  # where FILE is one that a command writes
 
 PUPPETS = "two minutes: tests/sculptor/test_portrait.py draws them smaller"
 SHEET = "pictures of seven people, minutes: tests/data/synthetic/test_contact_sheet.py"
-OPENSPLAT = "needs OpenSplat's sources: tests/splat/bench/test_peers.py"
 REPORTED = "refines once for each term of the loss: tests/commands/test_refine.py"
 NOT_RUN = {
     "gva-mi refine subject --report": REPORTED,
@@ -53,9 +52,6 @@ NOT_RUN = {
     "gva-mi synth --sheet FILE.png": SHEET,
     "gva-mi body --source anny": "needs the package anny, 0.6 GB: tests/body/test_anny.py",
     "gva-mi refine A B --scheduler ADDRESS": "needs a cluster: tests/pose/test_parallel.py",
-    "gva-mi bench splat --against opensplat": OPENSPLAT,
-    "gva-mi bench splat --no-growth --against gsplat opensplat --opensplat-sources OpenSplat "
-    "--plot peers.png": OPENSPLAT,
     "gva-mi COMMAND --help": "any: tests/commands",
 }
 
@@ -78,6 +74,8 @@ OTHERS = {
     "python -m pytest -m slow tests/data/test_scale.py -s": "hours",
     "python -m pytest -m slow tests/check/test_noisy_people.py -s": "minutes",
     "python -m gva_mi.sculptor": "minutes: tests/body/test_puppet.py, slow",
+    "python -m benchmarks mesh": "tests/benchmarks",
+    "python -m benchmarks splat [--scene FILE] [--json FILE]": "tests/benchmarks",
     "python -m http.server": "not ours",
     "python docs/gallery_pictures.py RUN OUT": "a minute, and needs a whole run",
     "python docs/floors.py": "minutes",

@@ -115,7 +115,7 @@ def fin(size=0.5, parts=8):
 
 
 # name -> list of (vertices, faces, facets): outer contour, self-occlusion, one mesh before another,
-# facets, meshes that pierce one another, a mesh pressed against its mirror image, an open mesh,
+# facets, meshes that intersect, a mesh pressed against its mirror image, an open mesh,
 # three faces at an edge
 SCENES = {
     "sphere": lambda: [(*sphere(), False)],
@@ -125,7 +125,7 @@ SCENES = {
         (*torus(center=(-0.1, 0, -0.3)), False),
     ],
     "facets": lambda: [(*torus(), True), (*sphere(5, 8, 0.25, (0.2, 0, 1.0)), True)],
-    "piercing": lambda: [
+    "intersecting": lambda: [
         (*torus(), False),
         (*sphere(radius=0.3, center=(0.35, 0.1, 0.15)), False),
     ],
@@ -139,8 +139,8 @@ SCENES = {
 
 
 def moving(name):
-    """The parts of a scene, each with a motion of its own: moved, turned, sheared."""
-    from gva_mi_plugins.mesh_normals.twins.moving_mesh import MovingMesh
+    """A scene as one mesh, each part with a motion of its own: moved, turned, sheared."""
+    from gva_mi.gradcheck.moving_mesh import MovingMesh
 
     ways = [([1.0, 0.5, 0.6], 0.7, 0.6), ([-0.6, 0.7, -0.5], 0.3, -0.5)]
     parts = []
@@ -148,7 +148,7 @@ def moving(name):
         x, y, z = vertices.T
         motion = way + np.stack([turn * z + shear * y, x * y, shear * x * y - turn * x], axis=1)
         parts.append(MovingMesh(vertices, faces, motion, facets))
-    return parts
+    return MovingMesh.joined(parts)
 
 
 def load(name):

@@ -66,6 +66,5 @@ def test_the_examples_run(scenes):
         exec(block, names)
     assert names["image"].shape == (64, 64, 5)
     assert np.array(names["grad"]).any()
-    assert names["reference"].aov_names() == names["scene"].integrator().aov_names()[:4]
     for block in re.findall(r"```xml\n(.*?)```", text, re.DOTALL):
         mi.load_string(block.replace("<integrator ", '<integrator version="3.0.0" ', 1))

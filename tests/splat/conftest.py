@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from gva_mi.splat.camera import Camera, look_at
-from gva_mi.splat.gradcheck import random_scene
+from gva_mi.splat.scene import random_scene
 
 W, H, N = 24, 17, 30
 

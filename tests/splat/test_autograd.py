@@ -8,7 +8,7 @@ from torch.autograd import forward_ad, functional, gradgradcheck
 from torch.func import grad, hessian, jacfwd, jacrev, jvp, vjp, vmap
 
 from gva_mi.splat import Camera, Gaussians, rasterization, render
-from gva_mi.splat.gradcheck import random_scene
+from gva_mi.splat.scene import random_scene
 
 SCENE = random_scene(torch.Generator().manual_seed(0), 8, 16, 12)
 MEANS = SCENE.gaussians.means

@@ -7,8 +7,8 @@ import torch
 from gva_mi.splat import quat_scale_to_covar_preci, rasterization, reference
 from gva_mi.splat.camera import Camera, look_at
 from gva_mi.splat.gaussians import Gaussians
-from gva_mi.splat.gradcheck import random_scene
 from gva_mi.splat.options import SplatOptions
+from gva_mi.splat.scene import random_scene
 
 W, H, N = 24, 17, 30
 

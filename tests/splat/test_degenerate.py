@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
+from gva_mi.gradcheck import random_scene, tangent_image
 from gva_mi.splat import reference
 from gva_mi.splat.camera import Camera
-from gva_mi.splat.gradcheck import random_scene, tangent_image
 from gva_mi.splat.torch_op import render
 
 

@@ -10,7 +10,7 @@ from drjit.llvm import TensorXf64
 from gva_mi.splat import drjit_op as native
 from gva_mi.splat.camera import Camera
 from gva_mi.splat.gaussians import Gaussians
-from gva_mi.splat.gradcheck import random_scene
+from gva_mi.splat.scene import random_scene
 from gva_mi.splat.torch_op import render
 
 

@@ -12,7 +12,7 @@ from drjit.llvm import TensorXf, ad
 from gva_mi.splat import torch_op
 from gva_mi.splat.drjit_op import render
 from gva_mi.splat.gaussians import Gaussians
-from gva_mi.splat.gradcheck import random_scene
+from gva_mi.splat.scene import random_scene
 
 
 @pytest.mark.parametrize(

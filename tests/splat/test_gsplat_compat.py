@@ -9,8 +9,8 @@ import torch
 from gva_mi.splat import rasterization, reference
 from gva_mi.splat.camera import Camera, look_at
 from gva_mi.splat.gaussians import Gaussians
-from gva_mi.splat.gradcheck import random_scene
 from gva_mi.splat.options import SplatOptions
+from gva_mi.splat.scene import random_scene
 
 W, H, N, C = 24, 17, 30, 2  # of the arguments
 

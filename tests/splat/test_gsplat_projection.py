@@ -8,7 +8,7 @@ import torch
 
 from gva_mi.splat import fully_fused_projection, quat_scale_to_covar_preci, rasterization, reference
 from gva_mi.splat.camera import Camera, look_at
-from gva_mi.splat.gradcheck import random_scene
+from gva_mi.splat.scene import random_scene
 
 W, H, N = 24, 17, 30
 MODELS = pytest.mark.parametrize("camera_model", ["pinhole", "ortho", "fisheye"])

@@ -10,7 +10,7 @@ import torch
 
 from gva_mi.splat import Screen, render
 from gva_mi.splat.camera import look_at
-from gva_mi.splat.gradcheck import random_scene
+from gva_mi.splat.scene import random_scene
 
 
 def resident() -> int:

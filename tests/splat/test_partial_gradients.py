@@ -6,8 +6,8 @@ import torch
 from gva_mi.splat import Camera, Gaussians, Screen, render
 from gva_mi.splat import reference as twin
 from gva_mi.splat.autograd import Call, Tensors
-from gva_mi.splat.gradcheck import random_scene
 from gva_mi.splat.kernels.inputs import Wanted
+from gva_mi.splat.scene import random_scene
 
 SCENE = random_scene(torch.Generator().manual_seed(0), 40, 32, 24)
 IMAGES = {"color": ("color",), "all": ("color", "alpha", "depth"), "depth": ("depth",)}

@@ -7,7 +7,7 @@ from drjit.llvm import TensorXf64
 from gva_mi.splat import drjit_op as native
 from gva_mi.splat import reference
 from gva_mi.splat.gaussians import Gaussians
-from gva_mi.splat.gradcheck import random_scene
+from gva_mi.splat.scene import random_scene
 
 
 def test_a_pixel_shows_what_is_nearer_than_its_limit():

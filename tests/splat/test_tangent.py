@@ -9,12 +9,12 @@ import torch
 from drjit.llvm import ad
 from torch.autograd import forward_ad
 
+from gva_mi.gradcheck import random_scene, tangent_image
+from gva_mi.gradcheck.probes import IMAGES
 from gva_mi.splat import reference
 from gva_mi.splat.camera import Camera
 from gva_mi.splat.drjit_op import render as native
 from gva_mi.splat.gaussians import Gaussians
-from gva_mi.splat.gradcheck import random_scene, tangent_image
-from gva_mi.splat.gradcheck.verdict import IMAGES
 from gva_mi.splat.options import SplatOptions
 from gva_mi.splat.torch_op import render
 

@@ -19,7 +19,7 @@ import threading
 import torch
 from torch.autograd import forward_ad
 from gva_mi.splat import SplatOptions, drjit_op, exclusive, render
-from gva_mi.splat.gradcheck import random_scene
+from gva_mi.splat.scene import random_scene
 from gva_mi.splat.gaussians import Gaussians
 import drjit as dr
 from drjit.llvm import ad
@@ -91,7 +91,7 @@ FORKED = """
 import os, sys
 import torch
 from gva_mi.splat import render
-from gva_mi.splat.gradcheck import random_scene
+from gva_mi.splat.scene import random_scene
 
 s = random_scene(torch.Generator().manual_seed(0))
 render(s.gaussians, s.camera)
@@ -121,7 +121,7 @@ IDLE = """
 import os, time
 import torch
 from gva_mi.splat import render
-from gva_mi.splat.gradcheck import random_scene
+from gva_mi.splat.scene import random_scene
 
 torch.set_num_threads(3)
 s = random_scene(torch.Generator().manual_seed(0))

@@ -8,9 +8,9 @@ import pytest
 import torch
 
 from gva_mi.splat import Screen, reference, render
-from gva_mi.splat.gradcheck import random_scene
 from gva_mi.splat.kernels import passes
 from gva_mi.splat.kernels.blend import blend, blend_adjoint
+from gva_mi.splat.scene import random_scene
 
 
 def scene(seed=0, **kwargs):

@@ -10,7 +10,7 @@ import pytest
 
 MASK = (3,)
 FINE = 610  # rays per pixel of the reference: a Fibonacci number fills the lattice most evenly
-SCENES = ["sphere", "torus", "occluding", "facets", "piercing", "mirrored", "open", "fin"]
+SCENES = ["sphere", "torus", "occluding", "facets", "intersecting", "mirrored", "open", "fin"]
 
 
 @pytest.fixture(scope="module")
@@ -95,21 +95,19 @@ def test_forward_and_backward_are_transposes(scenes, integrator, name):
         assert abs(dot(tangent, image) - dot(adjoint, move)) < 2e-5 * scale
 
 
-def errors(scenes, name, sensor, spp, step, rays, points, **options):
+def errors(scenes, references, name, sensor, spp, step, rays, points):
     """Relative errors of the mask, the normals and depth inside, and their boundary terms.
 
     Each is that of a vector: the derivatives of several linear functions of the image.
     """
-    from gva_mi_plugins.mesh_normals.twins.differences import Differences
-
-    parts = scenes.moving(name)
-    differences = Differences(parts, sensor)
-    interior, total = differences.interior(1e-5, points), differences.total(step, rays)
+    mesh, lens = scenes.moving(name), references.lens(sensor)
+    interior = references.interior(mesh, lens, 1e-5, points)
+    total = references.total(mesh, lens, step, rays)
     scene, *_ = scenes.load(name)
-    options = {"type": "mesh_normals", "channels": "normal, mask, depth", **options}
-    view = mi.load_dict(options).view(scene, sensor, spp)
-    motion = np.concatenate([part.motion for part in parts]).astype(np.float32)
-    ours = [np.array(part, np.float64) for part in view.tangent_parts(mi.Vector3f(motion.T))]
+    plugin = {"type": "mesh_normals", "channels": "normal, mask, depth"}
+    view = mi.load_dict(plugin).view(scene, sensor, spp)
+    motion = mi.Vector3f(mesh.motion.T.astype(np.float32))
+    ours = [np.array(part, np.float64) for part in view.tangent_parts(motion)]
     theirs = [interior, total - interior]
     found = {}
     for what, channels in (("normal", slice(0, 3)), ("mask", slice(3, 4)), ("depth", slice(4, 5))):
@@ -118,42 +116,46 @@ def errors(scenes, name, sensor, spp, step, rays, points, **options):
             a, b = ((w * x[..., channels]).sum((1, 2, 3)) for x in (a, b))
             found[what, term] = np.linalg.norm(a - b), np.linalg.norm(b)
     assert found.pop(("mask", "interior")) == (0, 0)
-    if all(part.facets for part in parts):
+    if np.all(mesh.facets):
         # Normals of facets change only as the facets turn: too little to be a scale.
         error, _ = found.pop(("normal", "interior"))
         assert error < 0.02 * found["normal", "boundary"][1]
     return {key: error / scale for key, (error, scale) in found.items()}
 
 
-@pytest.mark.parametrize("name", [*SCENES, "orthographic piercing", "orthographic fin"])
-def test_gradients_match_differences(scenes, name):
+# Together: outer contours, occlusion, facets, lines of intersection, borders, three faces an edge.
+QUICK = ["occluding", "facets", "orthographic intersecting", "orthographic fin"]
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_gradients_match_differences(scenes, references, name):
     *kind, name = name.split()
-    found = errors(scenes, name, scenes.camera(48, *kind), 16, 3e-3, 377, 34)
+    found = errors(scenes, references, name, scenes.camera(48, *kind), 16, 3e-3, 377, 34)
     assert max(found.values()) < 0.05, found
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["perspective", "orthographic"])
 @pytest.mark.parametrize("name", SCENES)
-def test_gradients_match_differences_closely_on_many_pixels(scenes, name, kind):
-    found = errors(scenes, name, scenes.camera(192, kind), 16, 2e-3, 987, 144)
+def test_gradients_match_differences_closely_on_many_pixels(scenes, references, name, kind):
+    sensor = scenes.camera(192, kind)
+    found = errors(scenes, references, name, sensor, 16, 2e-3, 987, 144)
     assert max(found.values()) < 0.03, found
 
 
-@pytest.mark.parametrize("name", ["piercing", "mirrored"])
-def test_lines_of_piercing_carry_a_gradient(scenes, name):
-    from gva_mi_plugins.mesh_normals.twins.scanlines import Scanlines
-
-    parts, sensor = scenes.moving(name), scenes.camera(48)
+@pytest.mark.parametrize("name", ["intersecting", "mirrored"])
+def test_lines_of_intersection_carry_a_gradient(scenes, references, name):
+    mesh, sensor = scenes.moving(name), scenes.camera(48)
     weightings = scenes.weightings(48, channels=3)
     functions = lambda image: (weightings * np.array(image)[..., :3]).sum((1, 2, 3))
-    truth = functions(Scanlines(parts, sensor).boundary(1000, np.random.default_rng(0)))
-    motion = np.concatenate([part.motion for part in parts]).astype(np.float32)
+    lens, generator = references.lens(sensor), np.random.default_rng(0)
+    truth = functions(references.boundary(mesh, lens, 1000, generator))
+    motion = mi.Vector3f(mesh.motion.T.astype(np.float32))
     scene, *_ = scenes.load(name)
     found = []
     for piercing in (True, False):
         view = mi.load_dict({"type": "mesh_normals", "piercing": piercing}).view(scene, sensor, 4)
-        jumps = functions(view.tangent_parts(mi.Vector3f(motion.T))[1])
+        jumps = functions(view.tangent_parts(motion)[1])
         found.append(np.linalg.norm(jumps - truth) / np.linalg.norm(truth))
     assert found[0] < 0.03 and found[1] > 5 * found[0]
 

@@ -7,9 +7,9 @@ from drjit.llvm import Float
 
 from gva_mi.splat import Screen, reference, render
 from gva_mi.splat.gaussians import Gaussians
-from gva_mi.splat.gradcheck import random_scene
 from gva_mi.splat.kernels import chunks
 from gva_mi.splat.kernels.records import Format
+from gva_mi.splat.scene import random_scene
 
 CHUNK = chunks.CHUNK
 

@@ -7,10 +7,10 @@ import torch
 from drjit.llvm import Float64
 
 from gva_mi.splat import reference
-from gva_mi.splat.gradcheck import random_scene
 from gva_mi.splat.kernels import tiles
 from gva_mi.splat.kernels.inputs import Inputs
 from gva_mi.splat.kernels.passes import render_forward
+from gva_mi.splat.scene import random_scene
 
 
 def forward(scene):

@@ -1,0 +1,129 @@
+"""A fit: a step stage by stage, a re-initialisation, and a driven avatar.
+
+The subject is the built-in body in stripes, 0.8 of the picture's height, and turns; the avatar lies
+on it already. One step in ``perceptual_every`` has the perceptual term: Eq. 9 is timed with and
+without it, and the mean step has its share.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+
+from benchmarks.timing import WARM_UP, Clock, Table, Timing
+from gva_mi.avatar.avatar import AvatarOptions, seed_avatar
+from gva_mi.avatar.canonical import SeedOptions
+from gva_mi.avatar.reinit import reinitialise
+from gva_mi.body.pose import Pose, Shape, save_poses
+from gva_mi.body.smplx import BodyModel, load_body
+from gva_mi.data.pictures import write_image
+from gva_mi.data.video import Video, load_video, save_cameras
+from gva_mi.fit.losses import render_losses
+from gva_mi.fit.options import FitOptions
+from gva_mi.fit.perceptual import rand_vgg_loss
+from gva_mi.fit.renders import DRAWN, render_frame
+from gva_mi.fit.samples import Samples, Stream, torch_state
+from gva_mi.fit.train import Run
+from gva_mi.splat import Camera, Screen, look_at, render
+from gva_mi.threads import one_torch_thread
+
+FRAMES = 9  # of the turn; every eighth is a test frame
+FILLED = 0.8  # of the picture's height by the subject
+DISTANCE = 3.0  # metres to the camera
+
+
+def run(repeats: int, seed: int, gaussians: int = 20_000, size: int = 512) -> Iterator[Table]:
+    """Yield the stages of a step, and whole steps, re-initialisations and driven frames."""
+    body, seeds = load_body(), SeedOptions(count=gaussians)
+    options = FitOptions(steps=10**6, seed=seed, avatar=AvatarOptions(seed=seeds))
+    with tempfile.TemporaryDirectory() as folder, one_torch_thread():
+        video = _turning(Path(folder), body, seeds, size)
+        fit = Run(video, body, options, None, None)
+        samples = Samples(video, video.splits.train, seed, True, options.window, options.mask_error)
+        title = f"fit, {gaussians:,} Gaussians, {size} x {size} pixels"
+        yield _stages(fit, samples, repeats).table(f"{title}: a step", WARM_UP)
+        clock = Clock()
+        step = _mean_step(fit, samples, repeats)
+        for k in range(WARM_UP + repeats):
+            frame = k % len(video)
+            with clock("a frame of the driven avatar"), torch.no_grad():
+                render(fit.avatar(video.pose[frame]), video.cameras[frame], options.splat)
+        for k in range(WARM_UP + min(repeats, 5)):  # one takes as long as dozens of steps
+            generator = torch_state(seed, Stream.REINIT, k)
+            with clock("a re-initialisation"):
+                reinitialise(fit.avatar, options.reinit, generator)
+        table = clock.table(f"{title}: as a whole", WARM_UP)
+        table.rows.insert(0, {"": "a step, mean"} | step.columns)
+        yield table
+
+
+def _turning(folder: Path, body: BodyModel, seeds: SeedOptions, size: int) -> Video:
+    """The built-in body in stripes, turning once before the camera."""
+    x = body.v_template
+    stripes = 0.5 + 0.4 * torch.sin(torch.stack([19 * x[:, 0], 31 * x[:, 1], 17 * x.sum(1)], 1))
+    shape, pose = Shape(torch.zeros(body.num_betas)), Pose.rest(FRAMES)
+    pose.rotations[:, 0, 1] = 2 * torch.pi * torch.arange(FRAMES) / FRAMES
+    avatar = seed_avatar(body, shape, None, AvatarOptions(seed=seeds), colors=stripes)
+    low, high = x.amin(0), x.amax(0)
+    center = ((low + high) / 2).numpy()
+    focal = FILLED * size * DISTANCE / float(high[1] - low[1])
+    view = look_at(center + (0, 0, DISTANCE), center)
+    camera = Camera(focal, focal, size / 2, size / 2, view, size, size)
+    for k in range(FRAMES):
+        with torch.no_grad():
+            alpha = render(avatar(pose[k]), camera, DRAWN).alpha
+        write_image(folder / f"frames/{k:06d}.png", render_frame(avatar, pose[k], camera))
+        write_image(folder / f"masks/{k:06d}.png", alpha.numpy())
+    save_poses(folder / "poses.npz", pose, shape, stage=1)
+    save_cameras(folder / "cameras.npz", [camera])
+    return load_video(folder)
+
+
+def _stages(fit: Run, samples: Samples, repeats: int) -> Clock:
+    """A step taken apart."""
+    distance, clock = rand_vgg_loss(), Clock()
+    weights = {"Eq. 9 and back, with VGG": fit.options.loss}
+    weights["Eq. 9 and back, without"] = replace(fit.options.loss, perceptual=0.0)
+    for k in range(WARM_UP + repeats):
+        sample = samples[k]
+        with clock("pose"):
+            pose = fit.poses(sample.frame)
+        with clock("avatar"):
+            animated = fit.avatar.animate(pose)
+        g = animated.gaussians
+        with clock("target"):
+            target = sample.target(g)
+        with clock("splatting"):
+            image = render(g, target.camera, fit.options.splat, screen=Screen())
+        seen = image.color, image.alpha
+        for name, loss in weights.items():
+            with clock(name):
+                losses = render_losses(
+                    target.before_background(image), target.color, target.mask,
+                    animated.residual, loss, distance, target.window, sample.area,
+                )  # fmt: skip
+                grad = torch.autograd.grad(losses.total(loss), seen)
+        leaves = tuple(g.arrays().values())
+        with clock("splatting, back"):
+            grads = torch.autograd.grad(seen, leaves, grad)
+        with clock("avatar and pose, back"):
+            torch.autograd.backward(leaves, grads)
+        with clock("Adam"):
+            fit.optimizer.step()
+        fit.optimizer.zero_grad(set_to_none=True)
+    return clock
+
+
+def _mean_step(fit: Run, samples: Samples, repeats: int) -> Timing:
+    """Whole steps as a fit takes them: the mean over steps with and without the perceptual term."""
+    distance, every, clock = rand_vgg_loss(), fit.options.perceptual_every, Clock()
+    for _ in range(every * (WARM_UP + repeats)):
+        with clock(str(fit.step % every)):
+            fit.descend(samples[fit.step], distance)
+    kinds = [Timing.of(times[WARM_UP:]) for times in clock.times.values()]
+    mean = lambda figures: sum(figures) / every
+    return Timing(mean(kind.minimum for kind in kinds), mean(kind.median for kind in kinds))

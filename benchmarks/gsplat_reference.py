@@ -1,0 +1,140 @@
+"""gsplat's own torch reference on the CPU, timed beside ours where the package is installed.
+
+gsplat renders on CUDA alone. Its torch reference needs CUDA too, for two steps in the middle, and
+those two are supplied here: the list of (pixel, Gaussian) pairs, made once and not timed, and the
+products along a pixel's list, by a cumulative sum of logarithms. Timed are its projection, its
+spherical harmonics, its compositing and torch's backward through them: a lower bound of what a user
+of its reference would wait.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from benchmarks.timing import Table, by_turns
+from gva_mi.splat import render as our_render
+from gva_mi.splat.scene import Scene
+
+SAME = 40.0  # dB: a renderer whose image differs by more is not timed
+
+
+def installed() -> bool:
+    """Whether there is a gsplat."""
+    return importlib.util.find_spec("gsplat") is not None
+
+
+def compare(scene: Scene, repeats: int) -> Table:
+    """Time gsplat's reference and ours in turn, forward and backward, if their images agree.
+
+    Args:
+        scene: of float32, with spherical harmonics and a pinhole camera.
+        repeats: calls of each.
+    """
+    scene = replace(scene, options=replace(scene.options, depth=False))
+    pairs, g = _pairs(scene), scene.gaussians
+    theirs = lambda: render(scene, *pairs)
+    ours = lambda: our_render(g, scene.camera, scene.options, scene.background).color
+    return compare_with(theirs, ours, list(g.arrays().items()), repeats)
+
+
+def compare_with(
+    theirs: Callable[[], Tensor],
+    ours: Callable[[], Tensor],
+    inputs: list[tuple[str, Tensor]],
+    repeats: int,
+) -> Table:
+    """Time two functions that draw one image, forward and backward, in turn.
+
+    Args:
+        theirs: the other renderer's colour (H, W, D).
+        ours: the reference of the comparison.
+        inputs: what both are differentiated by.
+        repeats: calls of each.
+    """
+    leaves = [v for _, v in inputs]
+    expected = ours().detach()
+    weights = torch.randn(expected.shape, generator=torch.Generator().manual_seed(0))
+    step = lambda draw: torch.autograd.grad(draw(), leaves, weights)
+    error = float((theirs().detach().double() - expected.double()).square().mean())
+    psnr = -10 * math.log10(max(error, 1e-20))
+    if not psnr >= SAME:
+        title = f"gsplat's torch reference draws another image ({psnr:.1f} dB) and is not timed"
+        return Table(title, [{"PSNR dB": psnr}])
+    off = [float((a - b).norm() / b.norm()) for a, b in zip(step(theirs), step(ours), strict=True)]
+    worst = max(range(len(off)), key=off.__getitem__)
+    title = (
+        f"gsplat's torch reference, forward and backward ({psnr:.0f} dB; gradients differ by up to "
+        f"{off[worst]:.0e}, {inputs[worst][0]})"
+    )
+    return by_turns(title, {"ours": lambda: step(ours), "gsplat": lambda: step(theirs)}, repeats)
+
+
+def _project(scene: Scene) -> tuple[Tensor, Tensor, Tensor]:
+    """gsplat's projection: means and conics in the picture, depths."""
+    from gsplat.cuda import _torch_impl as theirs
+
+    g, camera = scene.gaussians, scene.camera
+    pose = torch.tensor(camera.T_camera_world, dtype=torch.float32)[None]
+    K = torch.tensor(camera.K, dtype=torch.float32)[None]
+    covariances, _ = theirs._quat_scale_to_covar_preci(g.quats, g.scales, True, False, False)
+    _, means2d, depths, conics, _ = theirs._fully_fused_projection(
+        g.means, covariances, pose, K, camera.width, camera.height, eps2d=scene.options.blur
+    )
+    return means2d[0], conics[0], depths[0]
+
+
+def _pairs(scene: Scene) -> tuple[Tensor, Tensor, Tensor]:
+    """Pixel and Gaussian of all pairs with alpha >= alpha_min, by pixel, front to back; starts."""
+    with torch.no_grad():
+        means2d, conics, depths = _project(scene)
+    W, H = scene.camera.width, scene.camera.height
+    determinant = conics[:, 0] * conics[:, 2] - conics[:, 1] ** 2
+    tau = 2 * torch.log(scene.gaussians.opacities.detach() / scene.options.alpha_min)
+    reach = torch.sqrt(tau.clamp(min=0) * conics[:, [2, 0]].T / determinant).T
+    pixels, ids = [], []
+    for i in torch.argsort(depths).tolist():
+        if not tau[i] > 0 or depths[i] <= scene.options.near:
+            continue
+        (x0, y0), (x1, y1) = (means2d[i] - reach[i] - 0.5).ceil(), (means2d[i] + reach[i] + 0.5)
+        x = torch.arange(max(0, int(x0)), min(W, int(x1)))
+        y = torch.arange(max(0, int(y0)), min(H, int(y1)))
+        dx, dy = x + 0.5 - means2d[i, 0], (y + 0.5 - means2d[i, 1])[:, None]
+        a, b, c = conics[i]
+        inside = a * dx * dx + 2 * b * dx * dy + c * dy * dy <= tau[i]
+        found = (y[:, None] * W + x)[inside]
+        pixels.append(found)
+        ids.append(torch.full_like(found, i))
+    pixel, order = torch.sort(torch.cat(pixels), stable=True)
+    start = torch.searchsorted(pixel, pixel)
+    return pixel, torch.cat(ids)[order], start
+
+
+def render(scene: Scene, pixel: Tensor, ids: Tensor, start: Tensor) -> Tensor:
+    """The colour (H, W, 3)."""
+    from gsplat.cuda import _torch_impl as theirs
+
+    g, camera = scene.gaussians, scene.camera
+    means2d, conics, _ = _project(scene)
+    toward = g.means - torch.tensor(camera.position, dtype=torch.float32)
+    degree = int(g.sh.shape[1] ** 0.5) - 1
+    colors = torch.clamp_min(theirs._spherical_harmonics(degree, toward, g.sh) + 0.5, 0)
+    d = torch.stack([pixel % camera.width, pixel // camera.width], dim=-1) + 0.5 - means2d[ids]
+    c = conics[ids]
+    sigma = 0.5 * (c[:, 0] * d[:, 0] ** 2 + c[:, 2] * d[:, 1] ** 2) + c[:, 1] * d[:, 0] * d[:, 1]
+    alpha = torch.clamp_max(g.opacities[ids] * torch.exp(-sigma), scene.options.alpha_max)
+    logs = torch.log1p(-alpha).double()
+    before = torch.cumsum(logs, dim=0) - logs
+    transmittance = torch.exp(before - before[start]).float()
+    goes_on = transmittance.detach() * (1 - alpha.detach()) > scene.options.transmittance_min
+    weights = torch.where(goes_on, transmittance * alpha, 0.0)
+    size = camera.width * camera.height
+    image = torch.zeros(size, 3).index_add(0, pixel, weights[:, None] * colors[ids])
+    covered = torch.zeros(size).index_add(0, pixel, weights)
+    image = image + (1 - covered)[:, None] * scene.background
+    return image.view(camera.height, camera.width, 3)

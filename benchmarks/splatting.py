@@ -1,0 +1,286 @@
+"""The renderer: stages, what changes cost, ways to call it, growth, and gsplat's reference.
+
+Without ``--scene`` it draws a person of 20,000 Gaussians at 512 px with harmonics of degree 3.
+"""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import drjit as dr
+import numpy as np
+import torch
+from torch import Tensor
+
+from benchmarks import gsplat_reference
+from benchmarks.timing import WARM_UP, Clock, Table, by_turns, timed
+from gva_mi.splat import Camera, Gaussians, rasterization, render
+from gva_mi.splat.kernels import composite, passes, tiles
+from gva_mi.splat.scene import Scene, person_scene
+
+STAGES = {  # a stage's name, and the function that is it
+    "project": (passes, "_project"),
+    "tile lists": (tiles, "make_lists"),
+    "composite": (composite, "blend"),
+    "composite, adjoint": (composite, "blend_adjoint"),
+    "sum and project, adjoint": (passes, "_gaussians_adjoint"),
+}
+COUNTS = (1_000, 10_000, 100_000, 1_000_000)
+WIDTHS = (128, 256, 512, 1024, 2048)  # px, of square pictures
+
+
+def run(
+    repeats: int,
+    seed: int,
+    path: Path | None = None,
+    growth: bool = True,
+    gaussians: int = 20_000,
+    size: int = 512,
+    processes: int = 3,
+) -> Iterator[Table]:
+    """Yield all tables.
+
+    Args:
+        repeats: calls per figure.
+        seed: of the scene.
+        path: a scene's file instead.
+        growth: whether to measure larger scenes.
+        gaussians, size: of the person, and of the picture in pixels.
+        processes: fresh ones, to time their first picture.
+    """
+    person = lambda n, size: person_scene(np.random.default_rng(seed), n, size)
+    work = Work.on(person(gaussians, size) if path is None else Scene.load(path))
+    g, camera = work.scene.gaussians, work.scene.camera
+    title = (
+        f"{len(g):,} Gaussians, {camera.width} x {camera.height} px, {dr.thread_count()} threads"
+    )
+    clock = Clock()
+    with _timed_stages(clock):
+        for _ in range(WARM_UP + repeats):
+            work.both()
+    table = clock.table(f"renderer, {title}", WARM_UP)
+    for name, call in (("forward", work.forward), ("forward and backward", work.both)):
+        table.rows.append({"": name} | timed(call, repeats).columns)
+    yield table
+    yield _compiled(work)
+    moving = iter(range(10**9))
+    poses = lambda: _turned(work, 0.3 * math.sin(0.7 * next(moving))).both()
+    yield by_turns("camera", {"fixed": work.both, "another pose each call": poses}, repeats)
+    yield by_turns("entry points, no depth", _entry_points(work), repeats)
+    names = list(g.arrays())
+    some = {"all": names, "colours alone": names[-1:], "means and quats alone": ["means", "quats"]}
+    partial = {name: _by_some(work, wanted) for name, wanted in some.items()}
+    yield by_turns("gradients by some inputs", partial, repeats)
+    if processes:
+        yield _first_picture(processes)
+    if gsplat_reference.installed() and g.sh is not None and camera.model == "pinhole":
+        yield gsplat_reference.compare(work.scene, max(2, repeats // 5))
+    if growth:
+        yield _growth(person, max(2, repeats // 5))
+
+
+@dataclass(frozen=True)
+class Work:
+    """A scene in float32, and the gradient that its picture is given: no loss is timed."""
+
+    scene: Scene
+    weights: Tensor  # (H, W, D)
+
+    @staticmethod
+    def on(scene: Scene) -> Work:
+        """``scene`` in float32, with random weights."""
+        scene = scene.to(torch.float32)
+        size = (scene.camera.height, scene.camera.width, len(scene.background))
+        return Work(scene, torch.randn(size, generator=torch.Generator().manual_seed(0)))
+
+    def forward(self) -> None:
+        """Draw the picture."""
+        s = self.scene
+        with torch.no_grad():
+            render(s.gaussians, s.camera, s.options, s.background)
+
+    def both(self) -> None:
+        """Draw the picture and its gradient by every input."""
+        s = self.scene
+        image = render(s.gaussians, s.camera, s.options, s.background)
+        torch.autograd.grad(image.color, list(s.inputs().values()), self.weights)
+
+
+@contextmanager
+def _timed_stages(clock: Clock) -> Iterator[None]:
+    """Within the context, every stage of a pass is timed."""
+    originals = {name: getattr(*place) for name, place in STAGES.items()}
+
+    def wrapped(name: str) -> Callable[..., object]:
+        def stage(*args: object, **kwargs: object) -> object:
+            dr.sync_thread()
+            with clock(name):
+                return originals[name](*args, **kwargs)
+
+        return stage
+
+    try:
+        for name, place in STAGES.items():
+            setattr(*place, wrapped(name))
+        yield
+    finally:
+        for name, place in STAGES.items():
+            setattr(*place, originals[name])
+
+
+def _compiled(work: Work) -> Table:
+    """How many kernels a call compiles after one thing changed.
+
+    A size is new once per process: where it was rendered before, nothing is compiled.
+    """
+    work.both()
+    s, c = work.scene, work.scene.camera
+    fewer = {k: v[: -max(1, len(v) // 7)] for k, v in s.gaussians.arrays().items()}
+    smaller = c.resized(max(1, 3 * c.width // 4 - 5), max(1, 2 * c.height // 3 + 3))
+    rows = []
+    for name, changed in (
+        ("nothing", work),
+        ("pose", _turned(work, 0.1)),
+        ("number of Gaussians", Work.on(replace(s, gaussians=Gaussians(**fewer)))),
+        ("size of the picture", Work.on(replace(s, camera=smaller))),
+    ):
+        dr.kernel_history_clear()
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
+            changed.both()
+        kernels = dr.kernel_history((dr.KernelType.JIT,))
+        new = sum(not kernel["cache_hit"] for kernel in kernels)
+        rows.append({"changed": name, "compiled": new, "launched": len(kernels)})
+    return Table("kernels compiled by forward and backward", rows)
+
+
+def _turned(work: Work, angle: float) -> Work:
+    """The scene from another side: its camera turned about the Gaussians' middle."""
+    c, s, camera = math.cos(angle), math.sin(angle), work.scene.camera
+    middle = work.scene.gaussians.means.detach().double().mean(dim=0).numpy()
+    T = np.eye(4)
+    T[:3, :3] = [[c, 0, s], [0, 1, 0], [-s, 0, c]]
+    T[:3, 3] = middle - T[:3, :3] @ middle
+    camera = replace(camera, T_camera_world=camera.T_camera_world @ T)
+    return Work(replace(work.scene, camera=camera), work.weights)
+
+
+def _entry_points(work: Work) -> dict[str, Callable[[], None]]:
+    """``render``, and gsplat's call as a densifier makes it, with ``means2d.grad`` kept."""
+    scene = replace(work.scene, options=replace(work.scene.options, depth=False))
+    g, camera, dtype = scene.gaussians, scene.camera, scene.gaussians.means.dtype
+    matrices = [torch.tensor(m, dtype=dtype)[None] for m in (camera.T_camera_world, camera.K)]
+    colors, degree = (g.colors, None) if g.sh is None else (g.sh, math.isqrt(g.sh.shape[1]) - 1)
+
+    def rasterized(packed: bool) -> None:
+        pictures, _, meta = rasterization(
+            g.means, g.quats, g.scales, g.opacities, colors, *matrices, camera.width,
+            camera.height, sh_degree=degree, packed=packed, backgrounds=scene.background[None],
+            camera_model=camera.model,
+        )  # fmt: skip
+        meta["means2d"].retain_grad()
+        leaves = [*g.arrays().values(), scene.background]
+        torch.autograd.grad(pictures, leaves, work.weights[None])
+
+    return {
+        "render": Work(scene, work.weights).both,
+        "rasterization, packed=False": lambda: rasterized(False),
+        "rasterization, packed": lambda: rasterized(True),
+    }
+
+
+def _by_some(work: Work, wanted: list[str]) -> Callable[[], None]:
+    """A forward and backward pass whose gradients are by the inputs named."""
+    scene, options = work.scene, replace(work.scene.options, depth=False)
+    arrays = {k: v.detach().clone() for k, v in scene.gaussians.arrays().items()}
+    leaves = [arrays[name].requires_grad_() for name in wanted]
+    gaussians, background = Gaussians(**arrays), scene.background.detach()
+
+    def both() -> None:
+        image = render(gaussians, scene.camera, options, background)
+        torch.autograd.grad(image.color, leaves, work.weights)
+
+    return both
+
+
+FIRST = """
+import time; a = time.perf_counter()
+import torch; b = time.perf_counter()
+import gva_mi.splat; c = time.perf_counter()
+import numpy as np
+from benchmarks.splatting import Work, person_scene
+work = Work.on(person_scene(np.random.default_rng(0), 20_000, 512)); d = time.perf_counter()
+work.both(); e = time.perf_counter()
+work.both(); f = time.perf_counter()
+print(b - a, c - b, e - d, f - e)
+"""
+
+
+def _first_picture(processes: int) -> Table:
+    """Seconds of a fresh process, its kernels compiled by the process before it."""
+    places = f"import sys; sys.path[:0] = {[p or '.' for p in sys.path]!r}\n"
+    command = [sys.executable, "-c", places + FIRST]
+    runs = []
+    for _ in range(processes):
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
+        runs.append([float(word) for word in done.stdout.split()])
+    names = ("import torch", "import gva_mi.splat", "first picture", "second picture")
+    least = [min(times) for times in zip(*(runs[1:] or runs), strict=True)]
+    rows = [{"": name, "min s": seconds} for name, seconds in zip(names, least, strict=True)]
+    return Table("a fresh process, forward and backward", rows)
+
+
+def _growth(person: Callable[[int, int], Scene], repeats: int) -> Table:
+    """Time and memory as the scene grows, and in scenes that are hard for renderers."""
+    scenes = [("more Gaussians", lambda n=n: person(n, 512)) for n in COUNTS]
+    scenes += [("more pixels", lambda w=w: person(20_000, w)) for w in WIDTHS]
+    scenes.append(("one covers all", lambda: _with_a_huge_one(person(20_000, 512))))
+    scenes.append(("all large", lambda: _large(person(2_000, 512))))
+    scenes.append(("full HD", lambda: _full_hd(person(1_000_000, 1080))))
+    rows = []
+    for name, make in scenes:
+        work = Work.on(make())
+        forward, both = timed(work.forward, repeats), timed(work.both, repeats)
+        dr.flush_malloc_cache()
+        dr.detail.malloc_clear_statistics()
+        work.both()
+        memory = dr.detail.malloc_watermark(dr.JitBackend.LLVM) / 2**20
+        c, count = work.scene.camera, len(work.scene.gaussians)
+        row = {"growth": name, "Gaussians": count, "pixels": f"{c.width}x{c.height}"}
+        figures = {"forward min ms": forward.minimum, "both min ms": both.minimum}
+        rows.append(row | figures | {"Dr.Jit's MiB": round(memory)})
+    return Table("growth", rows)
+
+
+def _with_a_huge_one(scene: Scene) -> Scene:
+    """The scene with a translucent Gaussian of 3 m before all others, which touches every tile."""
+    ahead = scene.camera.position + 1.0 * scene.camera.T_camera_world[2, :3]
+    huge = {
+        "means": torch.from_numpy(ahead), "quats": torch.tensor([1.0, 0.0, 0.0, 0.0]),
+        "scales": torch.full((3,), 3.0), "opacities": torch.tensor(0.3),
+    }  # fmt: skip
+    arrays = scene.gaussians.arrays()
+    joined = {
+        k: torch.cat([v, huge[k].to(v)[None] if k in huge else v[:1]]) for k, v in arrays.items()
+    }
+    return replace(scene, gaussians=Gaussians(**joined))
+
+
+def _large(scene: Scene) -> Scene:
+    """Translucent Gaussians, each over a good part of the picture: long lists everywhere."""
+    generator, n = torch.Generator().manual_seed(0), len(scene.gaussians)
+    uniform = lambda *shape: torch.rand(*shape, generator=generator, dtype=torch.float64)
+    large = {"scales": 0.2 + 0.3 * uniform(n, 3), "opacities": 0.01 + 0.04 * uniform(n)}
+    return scene.with_inputs(scene.inputs() | large)
+
+
+def _full_hd(scene: Scene) -> Scene:
+    """The same view on 1920 x 1080 pixels."""
+    c = scene.camera
+    camera = Camera(c.fx, c.fy, 960, c.cy, c.T_camera_world, 1920, c.height, c.model)
+    return replace(scene, camera=camera)

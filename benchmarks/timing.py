@@ -1,0 +1,102 @@
+"""Times of calls, calls that take turns, and tables of them."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+import drjit as dr
+
+WARM_UP = 2  # calls before the first that counts: they compile and allocate
+
+
+@dataclass(frozen=True)
+class Timing:
+    """The duration of repeated calls."""
+
+    minimum: float  # ms
+    median: float  # ms
+
+    @staticmethod
+    def of(milliseconds: Sequence[float]) -> Timing:
+        """From the time of each call."""
+        return Timing(min(milliseconds), statistics.median(milliseconds))
+
+    @property
+    def columns(self) -> dict[str, float]:
+        """Cells of a table."""
+        return {"min ms": self.minimum, "median ms": self.median}
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of figures under a title; the first row's keys are the columns."""
+
+    title: str
+    rows: list[dict[str, str | float | int]] = field(default_factory=list)
+
+    def __str__(self) -> str:
+        cells = [list(self.rows[0]), *([_cell(v) for v in row.values()] for row in self.rows)]
+        widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+        lines = []
+        for row in cells:
+            pairs = zip(row, widths, strict=True)
+            aligned = [f"{c:{w}}" if k == 0 else f"{c:>{w}}" for k, (c, w) in enumerate(pairs)]
+            lines.append("  ".join(aligned).rstrip())
+        return "\n".join([f"{self.title}:", *lines])
+
+
+class Clock:
+    """Milliseconds of what is done within ``with clock(name)``, by name."""
+
+    def __init__(self) -> None:
+        self.times: dict[str, list[float]] = {}
+
+    @contextmanager
+    def __call__(self, name: str) -> Iterator[None]:
+        """Time one piece of work, up to the end of its kernels."""
+        start = time.perf_counter()
+        yield
+        dr.sync_thread()
+        self.times.setdefault(name, []).append(1e3 * (time.perf_counter() - start))
+
+    def table(self, title: str, warm_up: int = 0) -> Table:
+        """All names, without the first calls of each."""
+        rows = [{"": k} | Timing.of(t[warm_up:]).columns for k, t in self.times.items()]
+        return Table(title, rows)
+
+
+def milliseconds(call: Callable[[], object]) -> float:
+    """Wall clock of one call until its last kernel has ended."""
+    start = time.perf_counter()
+    call()
+    dr.sync_thread()
+    return 1e3 * (time.perf_counter() - start)
+
+
+def timed(call: Callable[[], object], repeats: int) -> Timing:
+    """Time repeated calls."""
+    return Timing.of([milliseconds(call) for _ in range(WARM_UP + repeats)][WARM_UP:])
+
+
+def by_turns(title: str, ways: dict[str, Callable[[], object]], calls: int) -> Table:
+    """Time several ways in turn, so that the machine's other work falls on all of them.
+
+    The ratio is the median over the rounds of a way's time and the first way's.
+    """
+    rounds = [[milliseconds(way) for way in ways.values()] for _ in range(WARM_UP + calls)]
+    columns = list(zip(*rounds[WARM_UP:], strict=True))
+    rows = []
+    for name, own in zip(ways, columns, strict=True):
+        ratio = statistics.median(a / b for a, b in zip(own, columns[0], strict=True))
+        rows.append({"": name} | Timing.of(own).columns | {"ratio": ratio})
+    return Table(title, rows)
+
+
+def _cell(value: str | float) -> str:
+    if isinstance(value, float):
+        return f"{value:.2f}" if abs(value) >= 0.01 or value == 0 else f"{value:.1e}"
+    return value if isinstance(value, str) else f"{value:,}"

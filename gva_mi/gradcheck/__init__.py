@@ -1,0 +1,39 @@
+"""Gradient checks: the renderer, your own renderer, an avatar, the rendered normals.
+
+Every check returns a :class:`Report`, a list of comparisons with errors and tolerances::
+
+    from gva_mi.gradcheck import gradcheck, random_scene
+
+    report = gradcheck(my_render, random_scene(torch.Generator().manual_seed(0)))
+    assert report.passed, report.table()
+
+==========================  ===========================================================
+``engine.py``               one comparison, a report, its table and JSON
+``probes.py``               directions, tangents and finite differences
+``splat.py``                a renderer against the reference implementation
+``avatar.py``, ``chain.py`` an avatar, link by link from pose to picture
+``normals.py``              ``mesh_normals`` by the body's pose, against ``scanlines.py``
+                            and ``interior.py``
+``picture.py``              what ``gva-mi gradcheck --out`` draws
+==========================  ===========================================================
+
+Importing this package needs drjit, numpy and torch alone; avatar and normals are imported by name.
+"""
+
+from gva_mi.gradcheck.engine import Comparison, Report
+from gva_mi.gradcheck.probes import Renderer, difference_image, tangent_image
+from gva_mi.gradcheck.splat import RendererReport, Tolerances, gradcheck
+from gva_mi.splat.scene import Scene, random_scene
+
+__all__ = [
+    "Comparison",
+    "Renderer",
+    "RendererReport",
+    "Report",
+    "Scene",
+    "Tolerances",
+    "difference_image",
+    "gradcheck",
+    "random_scene",
+    "tangent_image",
+]

@@ -1,0 +1,132 @@
+"""The record that every gradient check fills: comparisons, a verdict, a table, JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from gva_mi.files import write_json
+from gva_mi.gradcheck.probes import Probe
+
+COARSE = 1e-3  # a failing float32 comparison below this error has lost digits; above, it is wrong
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One result beside the one it should equal."""
+
+    method: str  # how the result was computed, such as "adjoint f32"
+    name: str  # of the input whose gradient it is, or of the image
+    error: float  # relative L2
+    worst: float  # greatest absolute error of an entry
+    where: tuple[int, ...]  # its index; () for a derivative along a direction of all entries
+    tolerance: float  # of the error
+    group: str = ""  # the part that was checked alone, such as a link of the avatar
+
+    @staticmethod
+    def of(
+        method: str, name: str, found: Tensor, truth: Tensor, tolerance: float, group: str = ""
+    ) -> Comparison:
+        """Compare two tensors of one shape."""
+        off = found - truth
+        norm = float(truth.norm())
+        error = float(off.norm()) / norm if norm else float(off.norm())
+        if not off.numel():
+            return Comparison(method, name, error, 0.0, (), tolerance, group)
+        where = torch.unravel_index(off.abs().argmax(), off.shape)
+        index = tuple(int(i) for i in where)
+        return Comparison(method, name, error, float(off.abs()[where]), index, tolerance, group)
+
+    @staticmethod
+    def along(
+        method: str,
+        name: str,
+        probe: Probe,
+        found: Sequence[float],
+        gradient: Tensor,
+        tolerance: float,
+        group: str = "",
+    ) -> Comparison:
+        """Compare <w, J v> with <J^T w, v> for every direction v of a probe.
+
+        Args:
+            method, name, tolerance, group: as in the fields.
+            probe: the directions.
+            found: <w, J v> of each.
+            gradient: J^T w, of the input's shape.
+        """
+        values = torch.tensor(found, dtype=torch.float64)
+        row = Comparison.of(method, name, values, probe.along(gradient), tolerance, group)
+        return replace(row, where=((), *probe.entries)[row.where[0]])
+
+    @property
+    def passed(self) -> bool:
+        """Whether the error is within the tolerance; a NaN is not."""
+        return self.error <= self.tolerance
+
+    @property
+    def coarse(self) -> bool:
+        """Whether float32 lost digits here and nothing is wrong otherwise."""
+        return not self.passed and self.method.endswith("f32") and self.error < COARSE
+
+    @property
+    def label(self) -> str:
+        """Group and name."""
+        return f"{self.group}: {self.name}" if self.group else self.name
+
+
+@dataclass(frozen=True)
+class Report:
+    """All comparisons of one scene."""
+
+    rows: tuple[Comparison, ...]
+    subject: str  # what was looked at, for the verdict: "40 Gaussians, 1024 pixels"
+    notes: tuple[str, ...] = ()  # comparisons that could not be made
+
+    @property
+    def passed(self) -> bool:
+        """Whether every comparison passes."""
+        return all(row.passed for row in self.rows)
+
+    @property
+    def verdict(self) -> str:
+        """The result in one sentence."""
+        return f"{self.finding()} ({self.subject})"
+
+    def finding(self) -> str:
+        """The verdict without the scene."""
+        failed = [row for row in self.rows if not row.passed]
+        if not failed:
+            return f"all {len(self.rows)} comparisons pass"
+        wrong = [row for row in failed if not row.coarse]
+        named = ", ".join(f"{row.method} of {row.label}" for row in wrong or failed)
+        return f"WRONG: {named}" if wrong else f"less accurate than allowed: {named}"
+
+    def table(self) -> str:
+        """All comparisons and the verdict as text."""
+        width = max([12, *(len(row.label) for row in self.rows)])
+        kind = max([12, *(len(row.method) for row in self.rows)])
+        heads = "".join(f" {title:>10}" for title in ("error", "allowed", "worst"))
+        lines = [f"{'method':{kind}} {'of':{width}}{heads}  at"]
+        for row in self.rows:
+            figures = "".join(f" {x:10.1e}" for x in (row.error, row.tolerance, row.worst))
+            where = list(row.where) if row.where else "a direction"
+            failed = "" if row.passed else "  <- FAILS"
+            lines.append(f"{row.method:{kind}} {row.label:{width}}{figures}  {where}{failed}")
+        return "\n".join([*lines, *self.notes, self.verdict])
+
+    def to_dict(self) -> dict:
+        """The report for JSON."""
+        rows = [asdict(row) | {"passed": row.passed} for row in self.rows]
+        found = {"passed": self.passed, "verdict": self.verdict, "subject": self.subject}
+        return found | {"notes": list(self.notes), "rows": rows}
+
+
+def write_reports(reports: dict[str, Report], path: Path) -> None:
+    """Write all reports by the names of their scenes, and one verdict over all of them."""
+    passed = all(report.passed for report in reports.values())
+    write_json(path, {"passed": passed, "scenes": {k: r.to_dict() for k, r in reports.items()}})

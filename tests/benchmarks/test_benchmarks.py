@@ -1,0 +1,80 @@
+"""Every benchmark runs at a tiny size; times themselves are not tested."""
+
+import json
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+import torch
+
+ROOT = Path(__file__).parents[2]
+TINY = {
+    "splatting": {"gaussians": 300, "size": 64, "growth": False, "processes": 0},
+    "fit": {"gaussians": 300, "size": 32},
+    "mesh": {"sizes": (48,)},
+    "body": {"vertices": 60, "frames": (1, 2)},
+    "viewer": {"gaussians": 300},
+}
+
+
+@pytest.fixture(autouse=True)
+def checkout(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT))
+
+
+@pytest.mark.parametrize("name", TINY)
+def test_a_benchmark_runs(name):
+    tables = list(import_module(f"benchmarks.{name}").run(1, 0, **TINY[name]))
+    assert tables
+    for table in tables:
+        assert table.rows and len(str(table).splitlines()) == 2 + len(table.rows)
+        times = [v for row in table.rows for k, v in row.items() if k.endswith(("ms", "min s"))]
+        assert all(time > 0 for time in times)
+    kernels = [row for t in tables if "kernels compiled" in t.title for row in t.rows]
+    assert all(row["compiled"] == 0 for row in kernels if row["changed"] != "size of the picture")
+
+
+def test_a_renderer_with_another_image_is_not_timed():
+    compare = import_module("benchmarks.gsplat_reference").compare_with
+    x = torch.rand(4, 4, 3, requires_grad=True)
+    same = compare(lambda: 2 * x, lambda: x + x, [("x", x)], 2)
+    assert [row[""] for row in same.rows] == ["ours", "gsplat"] and same.rows[0]["ratio"] == 1
+    other = compare(lambda: 3 * x, lambda: x + x, [("x", x)], 2)
+    assert "is not timed" in other.title and "ratio" not in other.rows[0]
+
+
+def test_the_verb_runs_the_benchmarks_of_a_checkout(cli, monkeypatch, tmp_path, scene_file):
+    splatting = import_module("benchmarks.splatting")
+    monkeypatch.setattr(splatting, "_first_picture", lambda count: splatting.Table("", [{}]))
+    code, out, err = cli(
+        "bench", "splat", "--repeats", 1, "--no-growth", "--scene", scene_file,
+        "--json", tmp_path / "figures.json",
+    )  # fmt: skip
+    assert code == 0, err
+    assert "composite, adjoint" in out
+    titles = [table["title"] for table in json.loads((tmp_path / "figures.json").read_text())]
+    assert titles[0].startswith("renderer, 8 Gaussians")
+    code, _, err = cli("bench", "body", "--no-growth")
+    assert code == 2 and "options of bench splat" in err
+    monkeypatch.setattr("gva_mi.commands.bench.CHECKOUT", tmp_path)
+    code, _, err = cli("bench", "fit")
+    assert code == 2 and "in the repository" in err and "python -m benchmarks fit" in err
+
+
+@pytest.mark.slow
+def test_a_fresh_process_is_timed():
+    table = import_module("benchmarks.splatting")._first_picture(1)
+    assert len(table.rows) == 4 and all(row["min s"] > 0 for row in table.rows)
+
+
+@pytest.fixture
+def scene_file(tmp_path):
+    import numpy as np
+
+    from gva_mi.splat.scene import random_scene
+
+    s = random_scene(torch.Generator().manual_seed(0), gaussians=8, width=20, height=16)
+    c, arrays = s.camera, {k: v.numpy() for k, v in s.inputs().items()}
+    camera = {"viewmat": c.T_camera_world, "K": c.K, "width": c.width, "height": c.height}
+    np.savez(tmp_path / "scene.npz", **arrays, **camera)
+    return tmp_path / "scene.npz"

@@ -1,0 +1,213 @@
+"""The renderer's gradients equal the reference's by every method, and planted errors are found."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from gva_mi.gradcheck import gradcheck
+from gva_mi.splat import reference, render
+from gva_mi.splat.camera import CameraTensors
+from gva_mi.splat.gaussians import Image
+from gva_mi.splat.options import SplatOptions
+from gva_mi.splat.scene import random_scene
+
+SCENES = {
+    "sh 1": {"degree": 1},
+    "sh 4": {"degree": 4},
+    "five channels, odd size": {"channels": 5, "width": 23, "height": 17},
+}
+METHODS = {
+    "adjoint f32",
+    "adjoint f64",
+    "tangent f32",
+    "tangent f64",
+    "differences",
+}
+
+
+def scene(seed=1, **kwargs):
+    return random_scene(torch.Generator().manual_seed(seed), **kwargs)
+
+
+@pytest.fixture(scope="module")
+def small():
+    return gradcheck(render, scene(gaussians=6, width=12, height=9))
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_every_gradient_is_right(name):
+    report = gradcheck(render, scene(**SCENES[name]))
+    assert report.passed and not report.notes, report.table()
+    assert report.band < 0.02 * report.pixels
+
+
+@pytest.mark.parametrize(
+    ("model", "antialiased"), [("pinhole", True), ("ortho", False), ("fisheye", True)]
+)
+def test_every_camera_model(model, antialiased):
+    s = scene(gaussians=20, width=16, height=14, degree=1)
+    camera = replace(s.camera, model=model)
+    if model == "ortho":
+        camera = replace(camera, fx=6.0, fy=7.0)
+    s = replace(s, camera=camera, options=SplatOptions(antialiased=antialiased))
+    report = gradcheck(render, s)
+    assert report.passed and not report.notes, report.table()
+
+
+def test_pictures_without_depth():
+    s = scene(gaussians=10, width=12, height=9)
+    report = gradcheck(render, replace(s, options=SplatOptions(depth=False)))
+    assert report.passed and not report.notes, report.table()
+    assert "depth" not in {row.name for row in report.rows}
+
+
+def test_other_cut_offs():
+    options = SplatOptions(alpha_min=0.02, alpha_max=0.9, transmittance_min=0.05, blur=1.0)
+    report = gradcheck(render, replace(scene(2), options=options))
+    assert report.passed, report.table()
+
+
+def test_an_empty_scene():
+    s = scene(gaussians=0, width=9, height=5)
+    report = gradcheck(render, s)
+    assert report.passed, report.table()
+    assert (report.gaussians, report.pixels, report.band) == (0, 45, 0)
+
+
+def test_names_every_input_and_image(small):
+    inputs = set(scene().with_camera_inputs().inputs())
+    gaussians = {"means", "quats", "scales", "opacities", "colors"}
+    assert inputs == gaussians | {"background", "T_camera_world", "K"}
+    found = {method: set() for method in {row.method for row in small.rows}}
+    for row in small.rows:
+        found[row.method].add(row.name)
+    assert found.keys() == METHODS and not small.notes
+    for method, names in found.items():
+        images = {"color", "alpha", "depth"} if method.startswith("adjoint") else set()
+        assert names == inputs | images, method
+
+
+@pytest.mark.parametrize("image", ["color", "alpha", "depth"])
+def test_the_loss_looks_at_some_images_alone(image):
+    """So an error that hides behind a larger gradient can be looked for."""
+    s = scene(gaussians=6, width=12, height=9)
+
+    def wrong_in_depth(gaussians, camera, options, background):
+        found = render(gaussians, camera, options, background)
+        return replace(found, depth=_Doubled.apply(found.depth))
+
+    assert gradcheck(render, s, images=(image,)).passed
+    assert gradcheck(wrong_in_depth, s, images=(image,)).passed == (image != "depth")
+
+
+def test_unknown_images_are_named():
+    with pytest.raises(ValueError, match="must be some of color, alpha, depth, got"):
+        gradcheck(render, scene(), images=("normals",))
+
+
+def test_pixels_at_a_step_are_left_out_of_both_precisions():
+    """One Gaussian whose alpha at a pixel is the cut-off: no method may look at that pixel."""
+    s = scene(gaussians=1, width=12, height=9)
+    camera, cut = replace(s.camera, fx=10.0, fy=10.0, cx=6.5, cy=4.5), s.options.alpha_min
+    view = torch.tensor(camera.T_camera_world)
+    means = (torch.linalg.inv(view) @ torch.tensor([0, 0, 2.0, 1]).double())[None, :3]
+    inputs = s.inputs() | {"means": means, "opacities": torch.tensor([cut]).double()}
+    report = gradcheck(render, replace(s.with_inputs(inputs), camera=camera))
+    assert report.band == 1 and report.maps.band[4, 6]
+    assert report.passed, report.table()
+    assert "1 at a step were left out" in report.verdict
+
+
+def test_neighbours_in_depth_that_may_swap_are_a_step():
+    s = scene(gaussians=2, width=12, height=9)
+    forward = torch.tensor(s.camera.T_camera_world[2, :3].copy())
+    for gap, tied in ((1e-7, True), (1e-3, False), (0.0, False)):
+        means = torch.stack([0 * forward, gap * forward])
+        big = {"scales": torch.full((2, 3), 0.5).double(), "means": means}
+        moved = s.with_inputs(s.inputs() | big)
+        band = reference.threshold_band(moved.gaussians, moved.camera)
+        assert (band.double().mean() > 0.5) == tied, gap
+
+
+def test_a_wrong_adjoint_is_found():
+    def wrong(gaussians, camera, options, background):
+        gaussians = replace(gaussians, scales=_Doubled.apply(gaussians.scales))
+        return Image(**vars(render(gaussians, camera, options, background)))
+
+    report = gradcheck(wrong, scene(gaussians=12, width=16, height=16))
+    assert not report.passed
+    assert {row.name for row in report.rows if not row.passed} == {"scales"}
+    assert "WRONG" in report.verdict and "FAILS" in report.table()
+    assert {row.method for row in report.rows if not row.passed} >= {"adjoint f32", "adjoint f64"}
+
+
+def test_a_wrong_picture_is_found():
+    def wrong(gaussians, camera, options, background):
+        image = render(gaussians, camera, options, background)
+        color = image.color.clone()
+        color[3, 4] += 1e-3
+        return replace(image, color=color)
+
+    report = gradcheck(wrong, scene(gaussians=12, width=16, height=16))
+    failed = [row for row in report.rows if not row.passed]
+    assert {row.name for row in failed} == {"color"}
+    assert all(row.where[:2] == (3, 4) for row in failed)
+
+
+def test_what_a_renderer_lacks_is_noted():
+    def single(gaussians, camera, options, background):
+        if gaussians.means.dtype != torch.float32:
+            raise TypeError("float32 only")
+        fixed = replace(camera, tensors=CameraTensors())
+        return render(gaussians, fixed, options, background)
+
+    report = gradcheck(single, scene(gaussians=12, width=16, height=16))
+    assert any("float32 only" in note for note in report.notes)
+    assert any("T_camera_world" in note for note in report.notes)
+    assert {row.method for row in report.rows} == {"adjoint f32", "tangent f32"}
+    assert report.passed, report.table()
+
+
+def test_threads_are_left_as_they_were(small):
+    before = torch.get_num_threads()
+    gradcheck(render, scene(gaussians=1, width=4, height=4))
+    assert torch.get_num_threads() == before
+
+
+def test_a_wrong_tangent_is_found():
+    def wrong(gaussians, camera, options, background):
+        opacities = _Stretched.apply(gaussians.opacities)
+        return render(replace(gaussians, opacities=opacities), camera, options, background)
+
+    report = gradcheck(wrong, scene(gaussians=12, width=16, height=16))
+    failed = {(row.method, row.name) for row in report.rows if not row.passed}
+    assert failed == {("tangent f32", "opacities"), ("tangent f64", "opacities")}
+
+
+class _Stretched(torch.autograd.Function):
+    """The identity with a tangent that is 0.1 % too long."""
+
+    @staticmethod
+    def forward(ctx, x):
+        return x.clone()
+
+    @staticmethod
+    def backward(ctx, g):
+        return g
+
+    @staticmethod
+    def jvp(ctx, t):
+        return 1.001 * t
+
+
+class _Doubled(torch.autograd.Function):
+    """The identity with twice its gradient."""
+
+    @staticmethod
+    def forward(ctx, x):
+        return x.clone()
+
+    @staticmethod
+    def backward(ctx, g):
+        return 2 * g

@@ -3,6 +3,6 @@
 * ``surface.py``: normals and Laplacian of a surface, in torch alone;
 * ``sensor.py``: a camera as a Mitsuba sensor;
 * ``mesh_scene.py``: from vertices and a camera to an image, around the plugin ``mesh_normals``;
-* ``overlay.py``: pictures of a mesh for people;
-* ``gradcheck.py``, ``bench.py``: whether the gradients are right, and what they cost.
+* ``overlay.py``: pictures of a mesh, alone or over a photograph;
+* ``visibility.py``: which vertices are seen from some places.
 """

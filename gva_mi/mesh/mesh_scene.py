@@ -1,6 +1,6 @@
 """From a mesh and a camera to an image of normals and mask, differentiable in torch.
 
-One mesh stands in a Mitsuba scene, and the plugin ``mesh_normals`` looks at it through the sensor
+One mesh stands in a Mitsuba scene, and the plugin ``mesh_normals`` renders it through the sensor
 that ``sensor.py`` makes of a camera. The gradient by the vertices has both terms, interior and
 boundary.
 """
@@ -28,7 +28,7 @@ MOST_SENSORS = 1000  # kept by a scene
 
 
 class MeshScene:
-    """A mesh whose vertices move, and its renderings.
+    """A mesh whose vertices move, rendered from any camera.
 
     Example:
         >>> scene = MeshScene(faces, vertices)  # doctest: +SKIP
@@ -53,7 +53,7 @@ class MeshScene:
         self.vertex_count = len(vertices)
 
     def render(self, vertices: Tensor, camera: Camera) -> Tensor:
-        """Normals in camera space (OpenCV axes) and mask, seen at the centres of the pixels.
+        """Render normals in camera space (OpenCV axes) and the mask, at the centres of the pixels.
 
         Args:
             vertices: (V, 3) float32, world, metres.
@@ -65,18 +65,18 @@ class MeshScene:
         return self.render_together(vertices, [camera])[0]
 
     def render_together(self, vertices: Tensor, cameras: Sequence[Camera]) -> list[Tensor]:
-        """The same of several crops of one picture, for little more than one costs.
+        """Render several crops of one picture, for little more than the cost of one.
 
         Args:
             vertices: (V, 3) float32, world, metres.
-            cameras: the first sees all of the picture that counts, the others parts of it, each at
-                a resolution of its own; what they see beyond the first's picture has no gradient.
+            cameras: the first sees the whole picture, the others parts of it, each at a resolution
+                of its own; what they see beyond the first's picture has no gradient.
 
         Returns:
             (H, W, 4) of each camera.
 
         Raises:
-            ValueError: cameras that are no crops of one picture.
+            ValueError: the cameras are not crops of one picture.
         """
         if vertices.shape != (self.vertex_count, 3) or vertices.dtype != torch.float32:
             raise ValueError(
@@ -89,10 +89,10 @@ class MeshScene:
         return [x.view(shape) for x, shape in zip(pixels.split(counts), shapes, strict=True)]
 
     def view(self, vertices: Tensor, camera: Camera, *others: Camera) -> MeshView:
-        """The plugin's view of the mesh with these vertices, in tiles where there are others."""
+        """Return the plugin's view of the mesh, in tiles if there are other cameras."""
         self.show(vertices)
         sensor, aspect = self._sensor(camera), pixel_aspect(camera)
-        if aspect not in self._integrators:  # each knows how the faces hang together
+        if aspect not in self._integrators:  # each keeps the mesh's topology
             self._integrators[aspect] = _integrator(aspect)
         tiles = [tile_of(other, camera) for other in (camera, *others)] if others else ()
         return self._integrators[aspect].view(self._scene, sensor, tiles=tiles)
@@ -108,8 +108,8 @@ class MeshScene:
             self._shown = vertices
 
     def _sensor(self, camera: Camera) -> mi.Sensor:
-        """The sensor of a camera; it is kept, for a video has few cameras. Those of a browser are
-        many: the oldest are forgotten."""
+        """Return the sensor of a camera, from a cache: a video has few cameras. A browser has many,
+        and the oldest are dropped."""
         import mitsuba as mi
 
         key = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
@@ -122,7 +122,7 @@ class MeshScene:
 
 
 def load_plugins() -> None:
-    """Register the plugins, in the variant ``llvm_ad_rgb`` where none is chosen yet."""
+    """Register the plugins; set the variant ``llvm_ad_rgb`` if none is set."""
     import gva_mi_plugins
     import mitsuba as mi
 
@@ -132,7 +132,7 @@ def load_plugins() -> None:
 
 
 def scene_of(faces: Tensor, vertices: Tensor) -> mi.Scene:
-    """A scene of one shape, ``mesh``, with smooth normals.
+    """Return a scene of one shape, ``mesh``, with smooth normals.
 
     Args:
         faces: (F, 3) integers.
@@ -151,13 +151,12 @@ def scene_of(faces: Tensor, vertices: Tensor) -> mi.Scene:
 def _integrator(pixel_aspect: float) -> MeshNormals:
     import mitsuba as mi
 
-    # To search for where a body is pressed into itself would cost a fifth of a step, and there is
-    # little of it.
+    # Searching for where a body intersects itself would cost a fifth of a step, for few pixels.
     return mi.load_dict({"type": "mesh_normals", "pixel_aspect": pixel_aspect, "piercing": False})
 
 
 class _RenderNormals(torch.autograd.Function):
-    """The pixels (N, 4) of all cameras."""
+    """Renders the pixels (N, 4) of all cameras."""
 
     @staticmethod
     def forward(
@@ -181,14 +180,14 @@ class _RenderNormals(torch.autograd.Function):
 
 
 def _to_mitsuba(vertices: Tensor) -> mi.Float:
-    """The vertices for Mitsuba, without a copy: Dr.Jit keeps the tensor's memory alive."""
+    """Pass vertices to Mitsuba without a copy: Dr.Jit keeps the tensor's memory alive."""
     import mitsuba as mi
 
     return mi.Float(vertices.detach().contiguous().view(-1))
 
 
 def _to_torch(value: mi.TensorXf) -> Tensor:
-    """An array for torch, without a copy, once the kernels that compute it have ended."""
+    """Pass an array to torch without a copy, after its kernels have ended."""
     import drjit as dr
 
     dr.eval(value)

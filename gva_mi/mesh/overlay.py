@@ -1,4 +1,4 @@
-"""Pictures of a mesh for people: over a photograph, with its outline, or alone."""
+"""Pictures of a mesh: over a photograph, with its outline, or alone."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ OPACITY = 0.45  # of the shaded mesh over the picture
 
 @torch.no_grad()
 def overlay(image: np.ndarray, camera: Camera, vertices: Tensor, faces: Tensor) -> np.ndarray:
-    """A picture with a mesh laid over it, (H, W, 3) float32 in [0, 1].
+    """Draw a mesh over a picture, (H, W, 3) float32 in [0, 1].
 
     Args:
         image: (H, W, 3) the picture.
@@ -34,13 +34,13 @@ def overlay(image: np.ndarray, camera: Camera, vertices: Tensor, faces: Tensor) 
 
 
 def outlined(image: np.ndarray, mask: np.ndarray, color: tuple[float, ...]) -> np.ndarray:
-    """A picture (H, W, 3) with the outline of a mask (H, W) bool drawn on it, float32."""
+    """Draw the outline of a mask (H, W) bool on a picture (H, W, 3); float32."""
     return np.where(_outline(mask)[..., None], color, image).astype(np.float32)
 
 
 @torch.no_grad()
 def shaded(vertices: Tensor, faces: Tensor, angle: float, size: int = 300) -> np.ndarray:
-    """A surface on white, lit by a lamp on the camera, (size, size, 3) float32 in [0, 1].
+    """Draw a surface on white, lit by a lamp on the camera, (size, size, 3) float32 in [0, 1].
 
     Args:
         vertices: (V, 3) float32, world, metres; the picture is as wide as their largest extent.
@@ -59,9 +59,9 @@ def shaded(vertices: Tensor, faces: Tensor, angle: float, size: int = 300) -> np
 
 
 def strip(rows: list[list[np.ndarray]], gap: int = 4) -> np.ndarray:
-    """Pictures of one size laid out in rows on white, such as before above after.
+    """Lay out pictures of one size in rows on white, such as before above after.
 
-    All are floats in [0, 1], or all 8-bit, and so is what is returned, (H, W, 3).
+    All are floats in [0, 1] or all 8-bit; the result (H, W, 3) is the same.
     """
     height, width = rows[0][0].shape[:2]
     columns = max(len(row) for row in rows)
@@ -76,7 +76,7 @@ def strip(rows: list[list[np.ndarray]], gap: int = 4) -> np.ndarray:
 
 
 def _outline(mask: np.ndarray) -> np.ndarray:
-    """Pixels of a mask (H, W) that touch one outside it, above, below or beside."""
+    """Return the pixels of a mask (H, W) that touch one outside it, above, below or beside."""
     padded = np.pad(mask, 1)
     inner = padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
     return mask & ~inner

@@ -8,9 +8,8 @@
    corner lies at ``c - c_tile / r``,
 5. ``fy / fx`` is left to the ``pixel_aspect`` of ``mesh_normals``: Mitsuba's pixels are square.
 
-Mitsuba keeps the angle as a float32 number of degrees and turns it back into a focal length. That
-costs a rounding or two, as much as float32 does anyway. Were K handed over instead, pictures would
-change in their last bits.
+Mitsuba stores the angle as a float32 number of degrees and turns it back into a focal length, which
+costs a rounding or two. Passing K instead would change pictures in their last bits.
 """
 
 from __future__ import annotations
@@ -22,15 +21,15 @@ import numpy as np
 from gva_mi.splat import Camera
 
 if TYPE_CHECKING:
-    from gva_mi_plugins.mesh_normals.mosaic import Tile
+    from gva_mi_plugins.mesh_normals.multi_crop import Tile
 
 NEAR, FAR = 0.01, 1000.0  # metres
 
 
 def sensor_of(camera: Camera) -> dict[str, Any]:
-    """A pinhole camera as a dictionary for ``mi.load_dict`` (eq. 1-3).
+    """Return a pinhole camera as a dictionary for ``mi.load_dict`` (eq. 1-3).
 
-    The pixels of the sensor are square: give :func:`pixel_aspect` to the integrator.
+    The sensor's pixels are square: pass :func:`pixel_aspect` to the integrator.
 
     Raises:
         ValueError: another model of camera.
@@ -61,17 +60,17 @@ def sensor_of(camera: Camera) -> dict[str, Any]:
 
 
 def pixel_aspect(camera: Camera) -> float:
-    """Width of a pixel over its height (eq. 5)."""
+    """Return the width of a pixel over its height (eq. 5)."""
     return camera.fy / camera.fx
 
 
 def tile_of(crop: Camera, whole: Camera) -> Tile:
-    """The tile of a view that another camera sees (eq. 4).
+    """Return the tile of a view that another camera sees (eq. 4).
 
     Raises:
-        ValueError: that camera stands elsewhere, or its lens has other proportions.
+        ValueError: that camera stands elsewhere, or its pixels have another aspect.
     """
-    from gva_mi_plugins.mesh_normals.mosaic import Tile
+    from gva_mi_plugins.mesh_normals.multi_crop import Tile
 
     same = np.array_equal(crop.T_camera_world, whole.T_camera_world) and crop.model == whole.model
     if not same or not np.isclose(pixel_aspect(crop), pixel_aspect(whole), rtol=1e-9):

@@ -1,4 +1,4 @@
-"""Two things that follow from the triangles of a surface: its normals, and how it bends.
+"""Vertex normals and the uniform Laplacian of a triangle mesh.
 
 * ``n_v = Σ_f c_f / |Σ_f c_f|`` over the faces at vertex ``v``, with ``c_f`` the cross product of
   two sides of face ``f``: normals weighted by area.
@@ -13,9 +13,9 @@ from torch import Tensor
 
 
 def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
-    """Unit normals (V, 3), averaged over the faces around each vertex by area.
+    """Return unit normals (V, 3), averaged over the faces around each vertex by area.
 
-    Everything is computed in the precision of the vertices: give float64 ones for exact normals.
+    They are computed in the precision of the vertices.
 
     Args:
         vertices: (V, 3).
@@ -31,9 +31,9 @@ def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
 
 
 def uniform_laplacian(faces: np.ndarray, count: int) -> Tensor:
-    """Sparse (V, V) float32: a vertex minus the mean of its neighbours; zero where it has none.
+    """Return the sparse (V, V) float32 Laplacian: a vertex minus the mean of its neighbours.
 
-    In torch's coordinate format, whose product runs through the entries in their order.
+    Zero where a vertex has none. In torch's coordinate format, whose products add in a fixed order.
 
     Args:
         faces: (F, 3) integers.

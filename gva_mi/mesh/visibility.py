@@ -1,7 +1,7 @@
-"""Which points of a surface are seen from some places.
+"""Which vertices of a mesh are visible from given places.
 
-A point is seen where its surface faces the eye, ``n · (eye - x) > 0``, and where the straight line
-to the eye meets no triangle. The line starts a little off the surface, so that the triangles around
+A vertex is visible if its surface faces the eye, ``n · (eye - x) > 0``, and the straight line to
+the eye meets no triangle. The line starts a little off the surface, so that the triangles around
 the point do not hide it.
 """
 
@@ -18,7 +18,7 @@ OFF = 0.002  # metres off the surface
 
 
 def seen_vertices(vertices: Tensor, faces: Tensor, eyes: np.ndarray) -> Tensor:
-    """Which vertices are seen from each of E places, (E, V) bool.
+    """Return which vertices are visible from each of E places, (E, V) bool.
 
     Args:
         vertices: (V, 3) world, metres.

@@ -1,4 +1,4 @@
-"""The channels of an image: what is seen on a ray, and how a motion changes it.
+"""The channels of an image: their values on a ray, and their derivatives.
 
 ==================  ========  ==================================================================
 Name                Channels  A pixel holds

@@ -1,4 +1,4 @@
-"""The boundary term at edges: what an image gains and loses where edges sweep over it.
+"""The boundary term at edges: how an image changes where edges sweep over it.
 
 Inside a region the image ``I`` of a surface changes smoothly with the vertices. Across an edge seen
 by the camera it jumps by ``ΔI = I_inside - I_outside``, and a moving edge carries the jump along:
@@ -15,7 +15,7 @@ Edges are cut at the near plane and at the border of the image first.
 
 Edges that can show a jump: **contours**, whose faces all lie on one side of them on the image (a
 fold seen from the front, and any border of an open mesh), and **creases**, where two faces do not
-share a normal. Two rays, one on either side and very close to the edge, tell ``I_inside``,
+share a normal. Two rays, one on either side and very close to the edge, give ``I_inside``,
 ``I_outside``, and whether the edge is seen at all. At a contour the inner ray must hit a face of
 the edge, or one that shares a corner with it and does not reach over the edge (the edge's own face
 may be seen so flat that the ray misses it), and the outer ray must hit nothing in front of the
@@ -28,10 +28,10 @@ from dataclasses import dataclass, fields
 
 import drjit as dr
 import mitsuba as mi
-from gva_mi_plugins.mesh_normals.projection import Projection, share_on_segment
+from gva_mi_plugins.mesh_normals.projection import SensorProjection, share_on_segment
 from gva_mi_plugins.mesh_normals.rays import RayCaster, RayHits
 from gva_mi_plugins.mesh_normals.segment_sums import sum_runs
-from gva_mi_plugins.mesh_normals.surface import Surface, meet_plane
+from gva_mi_plugins.mesh_normals.surface import MeshSurface, meet_plane
 from gva_mi_plugins.mesh_normals.topology import Topology
 
 BESIDE = 5e-4  # pixels from an edge to the rays beside it: far above float32's step there
@@ -53,10 +53,10 @@ class Contours:
 
     @staticmethod
     def of(caster: RayCaster, density: float) -> Contours | None:
-        """Sample the edges seen; None where there are none.
+        """Sample the visible edges; None where there are none.
 
         Args:
-            caster: looks at the meshes.
+            caster: of the meshes.
             density: samples for a pixel of length.
         """
         topology, projection = caster.surface.topology, caster.projection
@@ -113,7 +113,7 @@ class _EdgesOnImage:
     wb: mi.Float  # (E,) depth of its second end
 
     @staticmethod
-    def of(surface: Surface, projection: Projection) -> _EdgesOnImage:
+    def of(surface: MeshSurface, projection: SensorProjection) -> _EdgesOnImage:
         topology = surface.topology
         corner = dr.gather(mi.Vector3f, surface.positions, topology.vertices[0])
         turned_away = dr.dot(surface.face_normals, projection.toward(corner)) > 0
@@ -152,7 +152,7 @@ class _EdgesOnImage:
 
 
 @dataclass(frozen=True)
-class _Samples:
+class _EdgeSamples:
     """Places in the middle of equal parts of edges."""
 
     edge: mi.UInt32  # (S,)
@@ -167,7 +167,7 @@ class _Samples:
 
 def _sample(
     on_image: _EdgesOnImage, edges: mi.UInt32, density: float
-) -> tuple[mi.UInt32, _Samples]:
+) -> tuple[mi.UInt32, _EdgeSamples]:
     """Eq. 2: the first sample (R,) of each of some edges (R,), and the samples (S,)."""
     count = mi.UInt32(dr.maximum(dr.ceil(on_image.length(edges) * density), 1))
     start = dr.prefix_sum(count)
@@ -188,10 +188,10 @@ def _sample(
     across = dr.select(e.inside_is_left, across, -across)
     step = across * (e.t1 - e.t0) / count
     q, w = dr.lerp(e.a, e.b, t), dr.lerp(e.wa, e.wb, s)
-    return start, _Samples(edge, e.is_contour, q, h, s, w, across, step)
+    return start, _EdgeSamples(edge, e.is_contour, q, h, s, w, across, step)
 
 
-def _is_seen(caster: RayCaster, samples: _Samples, inner: RayHits, outer: RayHits) -> mi.Bool:
+def _is_seen(caster: RayCaster, samples: _EdgeSamples, inner: RayHits, outer: RayHits) -> mi.Bool:
     """Whether an edge is seen at its samples, by what the rays beside it meet."""
     surface, projection, edge = caster.surface, caster.projection, samples.edge
     topology = surface.topology
@@ -218,7 +218,7 @@ def _adjoins(topology: Topology, face: mi.UInt32, edge: mi.UInt32) -> mi.Bool:
     return adjoins
 
 
-def _covers(surface: Surface, ray: mi.Ray3f, face: mi.UInt32, t: mi.Float) -> mi.Bool:
+def _covers(surface: MeshSurface, ray: mi.Ray3f, face: mi.UInt32, t: mi.Float) -> mi.Bool:
     """Whether rays meet a face before their parameter ``t``."""
     corners = [dr.gather(mi.UInt32, vertex, face) for vertex in surface.topology.vertices]
     p = [dr.gather(mi.Vector3f, surface.positions, vertex) for vertex in corners]

@@ -1,4 +1,4 @@
-"""``mesh_normals``: an integrator that shows normals and mask of meshes, with right gradients.
+"""``mesh_normals``: an integrator that renders normals and mask of meshes, with right gradients.
 
 .. pluginparameters::
 
@@ -16,21 +16,21 @@
      the root of ``spp``. (Default: 4)
  * - piercing
    - |bool|
-   - Whether lines in which surfaces pierce one another carry a gradient, too. (Default: true)
+   - Whether lines in which surfaces intersect carry a gradient, too. (Default: true)
  * - pixel_aspect
    - |float|
    - Width of a pixel over its height, ``f_y / f_x``, which Mitsuba's sensors cannot express.
      (Default: 1)
 
-Every shape must be a mesh, but for ``ellipsoids`` and ``ellipsoidsmesh``, which are not looked at:
-a scene that has them for ``gaussian_splat`` serves here, too. A mesh with ``face_normals`` is
-faceted; any other is smooth, with normals averaged from its faces by area (those in a file are not
-looked at: they would not move with the vertices). Vertices of one mesh at one place are one point
-of its surface, and an edge between them is no border. Sensors are ``perspective`` or
-``orthographic``, films of any kind, with any reconstruction filter and any crop window.
+Every shape must be a mesh, except ``ellipsoids`` and ``ellipsoidsmesh``, which are ignored: a scene
+that has them for ``gaussian_splat`` works here, too. A mesh with ``face_normals`` is faceted; any
+other is smooth, with normals averaged from its faces by area (those in a file are ignored, because
+they would not move with the vertices). Vertices of one mesh at one place are one point of its
+surface, and an edge between them is no border. Sensors are ``perspective`` or ``orthographic``,
+films of any kind, with any reconstruction filter and any crop window.
 
 Differentiable parameters, under the names that ``mi.traverse`` gives them: ``*.vertex_positions``
-of every mesh, and ``to_world`` of the sensor. ``mesh_view.py`` tells how.
+of every mesh, and ``to_world`` of the sensor. ``mesh_view.py`` explains how.
 
 Note:
     There is no noise and ``seed`` has no effect. Not differentiable: the field of view and the
@@ -46,11 +46,11 @@ import drjit as dr
 import mitsuba as mi
 from gva_mi_plugins.mesh_normals.channels import Channels
 from gva_mi_plugins.mesh_normals.mesh_view import MeshView
-from gva_mi_plugins.mesh_normals.mosaic import Mosaic, Tile
+from gva_mi_plugins.mesh_normals.multi_crop import MultiCrop, Tile
 from gva_mi_plugins.mesh_normals.pixel_filter import PixelFilter
-from gva_mi_plugins.mesh_normals.projection import Projection
+from gva_mi_plugins.mesh_normals.projection import SensorProjection
 from gva_mi_plugins.mesh_normals.rays import RayCaster
-from gva_mi_plugins.mesh_normals.surface import Surface
+from gva_mi_plugins.mesh_normals.surface import MeshSurface
 from gva_mi_plugins.mesh_normals.topology import Topology, meshes_of, without_ellipsoids
 
 
@@ -73,13 +73,13 @@ class MeshNormals(mi.ad.integrators.common.ADIntegrator):
     def view(
         self, scene: mi.Scene, sensor: mi.Sensor, spp: int = 1, tiles: Sequence[Tile] = ()
     ) -> MeshView:
-        """What a sensor sees: the image and its derivatives, without automatic differentiation.
+        """Return a sensor's image and its derivatives, without automatic differentiation.
 
         Args:
             scene: its meshes.
             sensor: the view.
             spp: rays for a pixel.
-            tiles: parts of the view that are shown in place of it, at one ray for a pixel; the
+            tiles: parts of the view that are rendered in place of it, at one ray for a pixel; the
                 image then has one row, with the pixels of one tile after the other, and edges have
                 as many samples as in a picture of the finest.
 
@@ -92,10 +92,10 @@ class MeshNormals(mi.ad.integrators.common.ADIntegrator):
             meshes = meshes_of(scene)
             buffers = [dr.detach(mesh.vertex_positions_buffer()) for mesh in meshes]
             positions = _joined([dr.unravel(mi.Vector3f, x) for x in buffers])
-            surface = Surface.of(self._topology_of(meshes), positions)
-            projection = Projection.of(sensor, self.pixel_aspect)
+            surface = MeshSurface.of(self._topology_of(meshes), positions)
+            projection = SensorProjection.of(sensor, self.pixel_aspect)
             film = sensor.film()
-            filter = Mosaic.of(tiles, film) if tiles else PixelFilter.of(film, spp)
+            filter = MultiCrop.of(tiles, film) if tiles else PixelFilter.of(film, spp)
             traced = without_ellipsoids(scene)
             caster = RayCaster(traced, surface, projection, self.channels)
             density = self.edge_density * max((tile.scale for tile in tiles), default=1.0)

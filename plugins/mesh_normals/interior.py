@@ -1,4 +1,4 @@
-"""The interior term: what an image gains as surfaces move within their contours.
+"""The interior term: how an image changes as surfaces move within their contours.
 
 1. A point seen keeps to its triangle, and its normal and depth change: ``∂I/∂v = ∫ ∂v/∂x f dA``.
    Where a surface is seen flat the integrand grows as one over the cosine of the angle. The rays
@@ -11,7 +11,7 @@
 4. With the doubled area ``c`` of a triangle in the world, ``A = |det| |c · d| / 2 h²`` on the ray
    ``o + w d`` at the scale ``h`` (``projection.py``).
 
-Triangles whose plane all but holds the ray are left out: float32 cannot tell where they meet.
+Triangles nearly parallel to the ray are left out: in float32 their intersection is not determined.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ import mitsuba as mi
 from gva_mi_plugins.mesh_normals.pixel_filter import PixelFilter
 from gva_mi_plugins.mesh_normals.rays import RayCaster, RayHits
 from gva_mi_plugins.mesh_normals.segment_sums import concat
-from gva_mi_plugins.mesh_normals.surface import Surface
+from gva_mi_plugins.mesh_normals.surface import MeshSurface
 
 GOLDEN = (0.7548776662466927, 0.5698402909980532)  # steps of a lattice without gaps in two axes
-FLAT = 1e-4  # sine of an angle between ray and triangle below which it counts as no angle
+FLAT = 1e-4  # sine of an angle between ray and triangle below which it counts as zero
 HIDDEN = 1e-4  # what hides a point lies nearer than it by more than this share of its depth
 
 
 @dataclass(frozen=True)
 class Interior:
-    """Samples of what one view sees: first those on the image's rays, then those on triangles."""
+    """Samples of one view: first those on the image's rays, then those on triangles."""
 
     caster: RayCaster
     filter: PixelFilter
@@ -48,7 +48,7 @@ class Interior:
         """Gather the samples; None where nothing is seen.
 
         Args:
-            caster: looks at the meshes.
+            caster: of the meshes.
             filter: of the image.
             seen: what the image's rays met.
         """
@@ -116,7 +116,7 @@ def _entries_from(values: mi.Float, start: int) -> mi.Float:
     return dr.gather(mi.Float, values, index)
 
 
-def _is_slanted(surface: Surface, ray: mi.Ray3f, face: mi.UInt32) -> mi.Bool:
+def _is_slanted(surface: MeshSurface, ray: mi.Ray3f, face: mi.UInt32) -> mi.Bool:
     """Whether rays leave the planes of faces by an angle that float32 can divide by."""
     c = dr.gather(mi.Vector3f, surface.face_normals, face)
     return dr.abs(dr.dot(c, ray.d)) > FLAT * dr.norm(c) * dr.norm(ray.d)
@@ -147,7 +147,7 @@ def _points_on_triangles(caster: RayCaster) -> tuple[mi.UInt32, mi.Point2f]:
     return dr.gather(mi.UInt32, face, seen), dr.gather(mi.Point2f, q, seen)
 
 
-def _one_point_each(surface: Surface) -> mi.Vector3f:
+def _one_point_each(surface: MeshSurface) -> mi.Vector3f:
     """A point on every triangle (F,), world, of a lattice folded into the triangle."""
     topology = surface.topology
     face = dr.arange(mi.UInt32, topology.face_count)

@@ -1,8 +1,8 @@
-"""The boundary term where surfaces pass through one another: the image jumps, and no edge is there.
+"""The boundary term where surfaces intersect: the image jumps without an edge.
 
-An arm pressed into a belly meets it in a line; on its two sides one sees two surfaces, with other
-normals. The line is a chain of segments, one for each pair of faces ``f, g`` that cut one another
-(``triangle_cuts.py``):
+An arm pressed into a belly meets it in a line; on its two sides one sees two surfaces, with
+different normals. The line is a chain of segments, one for each pair of faces ``f, g`` that cut one
+another (``triangle_cuts.py``):
 
 1. A point ``x`` of the segment lies in both planes. As the vertices move, with ``c`` the planes'
    normals and ``dx_f = Σ_k β_k dv_k`` the motion of ``f`` at ``x`` (``β`` barycentric), the segment
@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from gva_mi_plugins.mesh_normals.projection import Projection, share_on_segment
+from gva_mi_plugins.mesh_normals.projection import SensorProjection, share_on_segment
 from gva_mi_plugins.mesh_normals.rays import RayCaster, RayHits
 from gva_mi_plugins.mesh_normals.segment_sums import sum_by_key
 from gva_mi_plugins.mesh_normals.triangle_cuts import TriangleCuts
@@ -43,10 +43,10 @@ class Intersections:
 
     @staticmethod
     def of(caster: RayCaster, density: float) -> Intersections | None:
-        """Sample the lines seen; None where there are none.
+        """Sample the visible lines; None where there are none.
 
         Args:
-            caster: looks at the meshes.
+            caster: of the meshes.
             density: samples for a pixel of length.
         """
         surface, projection = caster.surface, caster.projection
@@ -104,7 +104,7 @@ class Intersections:
 
 
 @dataclass(frozen=True)
-class _Samples:
+class _LineSamples:
     """Places in the middle of equal parts of segments."""
 
     f: mi.UInt32  # (S,) the one face
@@ -116,7 +116,9 @@ class _Samples:
     step: mi.Vector2f  # (S,) m times the part's
 
 
-def _sample(cuts: TriangleCuts, projection: Projection, density: float) -> _Samples | None:
+def _sample(
+    cuts: TriangleCuts, projection: SensorProjection, density: float
+) -> _LineSamples | None:
     """Samples on the parts of segments that lie on the image; None where there are none."""
     (a, ha), (b, hb) = projection.pixel(cuts.start), projection.pixel(cuts.end)
     t0, t1 = projection.clip(a, b)
@@ -137,11 +139,15 @@ def _sample(cuts: TriangleCuts, projection: Projection, density: float) -> _Samp
     s = share_on_segment(t, ha, hb)
     x, h = dr.lerp(start, end, s), dr.lerp(ha, hb, s)
     across = mi.Vector2f(b.y - a.y, a.x - b.x)
-    return _Samples(f, g, x, dr.lerp(a, b, t), h, across, across * (t1 - t0) / count)
+    return _LineSamples(f, g, x, dr.lerp(a, b, t), h, across, across * (t1 - t0) / count)
 
 
 def _sides(
-    samples: _Samples, cf: mi.Vector3f, cg: mi.Vector3f, projection: Projection, hits: RayHits
+    samples: _LineSamples,
+    cf: mi.Vector3f,
+    cg: mi.Vector3f,
+    projection: SensorProjection,
+    hits: RayHits,
 ) -> tuple[RayHits, RayHits]:
     """Eq. 3: what is seen against and along ``across``. Rays beside the line could not tell faces
     that lie flat to one another."""
@@ -156,7 +162,7 @@ def _sides(
 def _along_normals(
     sweep: mi.Vector3f, cf: mi.Vector3f, cg: mi.Vector3f
 ) -> tuple[mi.Float, mi.Float, mi.Bool]:
-    """Eq. 2: the factors ``A, B`` of ``sweep = A c_f + B c_g``, and whether they can be told."""
+    """Eq. 2: the factors ``A, B`` of ``sweep = A c_f + B c_g``, and whether they are determined."""
     ff, gg, fg = dr.dot(cf, cf), dr.dot(cg, cg), dr.dot(cf, cg)
     sf, sg = dr.dot(sweep, cf), dr.dot(sweep, cg)
     determinant = ff * gg - fg * fg

@@ -1,7 +1,7 @@
-"""What a sensor sees of the meshes of a scene: the image, its tangent and its adjoint.
+"""A sensor's image of the meshes of a scene, with its tangent and its adjoint.
 
 1. A pixel is the mean over its area, ``I = ∫ f v dA``, of what is seen, ``v``: the channels of
-   ``channels.py``. It is taken by ``spp`` rays at fixed places, one in the middle or a lattice.
+   ``channels.py``. It is estimated by ``spp`` rays at fixed places, one in the middle or a lattice.
    There is no noise: two renderings are equal to the last bit.
 2. **Interior**: triangles that rays meet stay the same under a small motion; normals, depths and
    barycentric coordinates move with the vertices (``interior.py``).
@@ -32,20 +32,20 @@ from gva_mi_plugins.mesh_normals.sensor_motion import (
     opposite_motion,
     turn,
 )
-from gva_mi_plugins.mesh_normals.surface import Surface
+from gva_mi_plugins.mesh_normals.surface import MeshSurface
 
 
 @dataclass(frozen=True)
 class MeshView:
-    """What a camera sees of the meshes of a scene, kept to be differentiated.
+    """An image of the meshes of a scene, kept to be differentiated.
 
-    It holds for the scene as it was: after the vertices moved, make another one.
+    It is valid for the scene as it was: after the vertices moved, make another one.
     """
 
     caster: RayCaster
     filter: PixelFilter
     edge_density: float  # samples for a pixel of an edge's length, at one ray for each pixel
-    with_intersections: bool  # whether lines in which surfaces pierce one another count
+    with_intersections: bool  # whether lines in which surfaces intersect count
     seen: RayHits  # what each ray met, (H W spp,)
 
     @staticmethod
@@ -58,7 +58,7 @@ class MeshView:
         return MeshView(caster, filter, edge_density, with_intersections, seen)
 
     @property
-    def surface(self) -> Surface:
+    def surface(self) -> MeshSurface:
         """The meshes that are seen."""
         return self.caster.surface
 
@@ -73,7 +73,7 @@ class MeshView:
     def tangent(
         self, d_positions: mi.Vector3f, d_to_world: mi.Matrix4f | None = None
     ) -> mi.TensorXf:
-        """How the image (H, W, C) changes as vertices and sensor move.
+        """Return the derivative of the image (H, W, C) as vertices and sensor move.
 
         Args:
             d_positions: (V,) how the vertices of all meshes move, world.
@@ -98,7 +98,7 @@ class MeshView:
         return self._tensor(interior), self._tensor(boundary)
 
     def adjoint(self, grad_image: mi.TensorXf) -> mi.Vector3f:
-        """From the gradient by the image (H, W, C) to that by the vertices' positions (V,)."""
+        """Return the gradient by the vertices' positions (V,) from that by the image (H, W, C)."""
         interior, boundary = self.adjoint_parts(grad_image)
         return interior + boundary
 

@@ -1,4 +1,4 @@
-"""From samples to pixels: reconstruction filters, and the same backward.
+"""From samples to pixels: reconstruction filters and their adjoint.
 
 With a filter ``f`` of radius ``r`` and pixel centres ``c_p``, and samples ``v_i`` at ``q_i``:
 
@@ -29,7 +29,7 @@ QUADRATURE = 256  # points for a pixel in M_p
 
 @dataclass(frozen=True)
 class PixelFilter:
-    """How W x H pixels and ``spp`` samples in each belong together."""
+    """The weights between W x H pixels and ``spp`` samples in each."""
 
     width: int
     height: int

@@ -26,7 +26,7 @@ PINHOLE, PARALLEL = "PerspectiveCamera", "OrthographicCamera"
 
 
 @dataclass(frozen=True)
-class Projection:
+class SensorProjection:
     """A view of the world on W x H pixels."""
 
     pinhole: bool  # else orthographic
@@ -44,7 +44,7 @@ class Projection:
     size: mi.Point2f  # width and height in pixels; no constants: each would have its own kernels
 
     @staticmethod
-    def of(sensor: mi.Sensor, pixel_aspect: float = 1.0) -> Projection:
+    def of(sensor: mi.Sensor, pixel_aspect: float = 1.0) -> SensorProjection:
         """The projection of a sensor.
 
         Args:
@@ -87,7 +87,7 @@ class Projection:
             reach = mi.Float(sensor.far_clip() - sensor.near_clip())
             dr.make_opaque(rows, offset, pixel_to_world, eye, axis, axis_offset)
             dr.make_opaque(camera_world, to_world, near, reach, determinant, size)
-        return Projection(
+        return SensorProjection(
             pinhole=pinhole,
             rows=rows,
             offset=offset,

@@ -1,6 +1,6 @@
-"""Rays from the sensor: which faces they meet, what is seen there, and how it jumps between two.
+"""Rays from the sensor: the faces they meet, the channels there, and jumps between two rays.
 
-Interior, contours and intersections all look at the meshes through one :class:`RayCaster`.
+Interior, contours and intersections share one :class:`RayCaster`.
 """
 
 from __future__ import annotations
@@ -10,13 +10,13 @@ from dataclasses import dataclass, replace
 import drjit as dr
 import mitsuba as mi
 from gva_mi_plugins.mesh_normals.channels import Channels
-from gva_mi_plugins.mesh_normals.projection import Projection
-from gva_mi_plugins.mesh_normals.surface import Surface
+from gva_mi_plugins.mesh_normals.projection import SensorProjection
+from gva_mi_plugins.mesh_normals.surface import MeshSurface
 
 
 @dataclass(frozen=True)
 class RayHits:
-    """What some rays meet first."""
+    """The first hits of some rays."""
 
     ray: mi.Ray3f  # (R,)
     face: mi.UInt32  # (R,) 0 where nothing is hit
@@ -26,11 +26,11 @@ class RayHits:
 
 @dataclass(frozen=True)
 class RayCaster:
-    """Looks at the meshes of a scene through the pixels of an image."""
+    """Casts rays at the meshes of a scene through the pixels of an image."""
 
     scene: mi.Scene
-    surface: Surface
-    projection: Projection
+    surface: MeshSurface
+    projection: SensorProjection
     channels: Channels
 
     def cast(self, q: mi.Point2f, coherent: bool = False) -> RayHits:
@@ -42,13 +42,13 @@ class RayCaster:
         return RayHits(ray, face, found.t + self.projection.near, hit)
 
     def values(self, hits: RayHits) -> list[mi.Float]:
-        """Each channel where rays hit, (R,); zero elsewhere."""
+        """Return each channel where rays hit, (R,); zero elsewhere."""
         n, t = self.surface.shade(hits.ray, hits.face, hits.hit)
         w = t + self.projection.near
         return self.channels.values(n, w, hits.hit, self.projection.camera_world)
 
     def jump(self, inner: RayHits, outer: RayHits, seen: mi.Bool) -> list[mi.Float]:
-        """``ΔI = I_inside - I_outside`` of each channel, (R,); zero where not seen."""
+        """Return ``ΔI = I_inside - I_outside`` of each channel, (R,); zero where not seen."""
         inside, outside = (
             self.values(replace(side, hit=side.hit & seen)) for side in (inner, outer)
         )

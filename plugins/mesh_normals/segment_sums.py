@@ -1,4 +1,4 @@
-"""Sums over segments of an array, in an order that never changes.
+"""Sums over segments of an array, in a fixed order.
 
 Floating-point addition is not associative: where several threads add into one place in the order in
 which they happen to arrive, the last bits differ from run to run. Here one lane owns one segment

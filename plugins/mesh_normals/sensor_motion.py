@@ -1,4 +1,4 @@
-"""The sensor's motion as the opposite motion of everything that it sees.
+"""The derivative by the sensor's pose: its motion is the opposite motion of all it sees.
 
 With ``T`` the sensor's ``to_world`` and ``y = T^{-1} x̃`` a point in the sensor's frame:
 

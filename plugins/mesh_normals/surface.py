@@ -22,7 +22,7 @@ from gva_mi_plugins.mesh_normals.topology import Topology
 
 
 @dataclass(frozen=True)
-class Surface:
+class MeshSurface:
     """Meshes with their vertices at one place, and the normals that follow from it."""
 
     topology: Topology
@@ -32,7 +32,7 @@ class Surface:
     inverse_length: mi.Float  # (N,) 1 / |Σ c_f|
 
     @staticmethod
-    def of(topology: Topology, positions: mi.Vector3f) -> Surface:
+    def of(topology: Topology, positions: mi.Vector3f) -> MeshSurface:
         """Eq. 1 and 2."""
         p = [dr.gather(mi.Vector3f, positions, vertex) for vertex in topology.vertices]
         face_normals = dr.cross(p[1] - p[0], p[2] - p[0])
@@ -41,7 +41,7 @@ class Surface:
         inverse_length = dr.rcp(dr.maximum(dr.norm(total), 1e-30))
         normals = total * inverse_length
         dr.eval(normals, inverse_length)
-        return Surface(topology, positions, face_normals, normals, inverse_length)
+        return MeshSurface(topology, positions, face_normals, normals, inverse_length)
 
     def tangent(self, d_positions: mi.Vector3f) -> mi.Vector3f:
         """Eq. 1 and 2 forward: how the shading normals (N,) move with the positions (V,)."""

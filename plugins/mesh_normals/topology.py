@@ -1,4 +1,4 @@
-"""What meshes are made of beside positions: corners, shared normals, edges and faces.
+"""The parts of meshes that do not depend on positions: corners, normals, edges and faces.
 
 Built once for the meshes of a scene, with numpy; the arrays are Mitsuba's. Names and sizes: ``V``
 vertices of all meshes one after the other, ``F`` faces, ``E`` edges, ``N`` shading normals; corner
@@ -26,7 +26,7 @@ from gva_mi_plugins.mesh_normals.segment_sums import Segments
 
 @dataclass(frozen=True)
 class Topology:
-    """Everything of the meshes that stays while their vertices move."""
+    """All of the meshes that does not change while their vertices move."""
 
     vertex_counts: tuple[int, ...]  # of each mesh
     first_face: mi.UInt32  # of the mesh with a given number in Mitsuba's registry of shapes
@@ -118,7 +118,7 @@ def without_ellipsoids(scene: mi.Scene) -> mi.Scene:
     """A scene that rays can be traced through: itself, or one of its meshes alone.
 
     With ellipsoids, one scene can feed both plugins. A ray would end at them, so the meshes become
-    a scene of their own, anew for every picture: only the first one is told when they move.
+    a scene of their own, anew for every picture: only the first one is notified when they move.
     """
     if not any(shape.is_ellipsoids() for shape in scene.shapes()):
         return scene

@@ -1,4 +1,4 @@
-"""Which triangles cut one another, and in which segments.
+"""The segments in which triangles intersect.
 
 1. **Pairs**: of two triangles that cut one another, an edge of one passes through the other in
    either end of their segment, and a ray along that edge finds it. Where edges pass through edges,
@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from gva_mi_plugins.mesh_normals.surface import Surface
+from gva_mi_plugins.mesh_normals.surface import MeshSurface
 from gva_mi_plugins.mesh_normals.topology import Topology
 
 CROSSINGS = 6  # hits that a ray along an edge looks for, triangles at its own ends included
@@ -38,8 +38,8 @@ class TriangleCuts:
     end: mi.Vector3f  # (R,)
 
     @staticmethod
-    def of(scene: mi.Scene, surface: Surface) -> TriangleCuts | None:
-        """Find them all; None where there are none.
+    def of(scene: mi.Scene, surface: MeshSurface) -> TriangleCuts | None:
+        """Find all segments; None where there are none.
 
         Args:
             scene: holds the meshes.
@@ -107,7 +107,7 @@ def _crossed(corners: np.ndarray, above: np.ndarray) -> np.ndarray:
     return (a + t[:, None] * (b - a)).reshape(-1, 2, 3)
 
 
-def _crossings(scene: mi.Scene, surface: Surface) -> tuple[np.ndarray, np.ndarray]:
+def _crossings(scene: mi.Scene, surface: MeshSurface) -> tuple[np.ndarray, np.ndarray]:
     """Edges that pass through a triangle (X,), and those triangles (X,)."""
     topology = surface.topology
     A, B = (dr.gather(mi.Vector3f, surface.positions, end) for end in topology.ends)

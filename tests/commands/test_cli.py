@@ -123,7 +123,10 @@ BAD = {
         "--splat.blur must be a",
     ),
     "no number": (("fit", "nowhere", "--out", "new", "--steps", "ten"), "--steps must be a whole"),
-    "no calls": (("bench", "splat", "--repeats", "0"), "--repeats must be a whole number from 1 to"),
+    "no calls": (
+        ("bench", "splat", "--repeats", "0"),
+        "--repeats must be a whole number from 1 to",
+    ),
     "no window": (("gradcheck", "--window", "0"), "--window must be a whole number from 1"),
     "no images": (("gradcheck", "--images"), "images must be some of color, alpha, depth"),
     "no size": (("gradcheck", "normals", "--size", "0"), "--size must be a whole number from 32"),

@@ -2,11 +2,13 @@
 
 import importlib
 import json
+from dataclasses import replace
 
 import pytest
 
 from gva_mi.commands.gradcheck import PICTURE, REPORT, GradcheckOptions, gradcheck
 from gva_mi.errors import InputError
+from gva_mi.gradcheck import Comparison, Report
 
 command = importlib.import_module("gva_mi.commands.gradcheck")
 
@@ -44,18 +46,19 @@ def test_it_fails_where_a_gradient_is_wrong(scene, monkeypatch):
 
 
 def test_avatar_and_normals_write_one_table_each(monkeypatch, tmp_path, capsys):
-    random = command.PosedAvatar.random
-    small = lambda seed, body: random(seed, gaussians=60, size=16, body=body)
-    monkeypatch.setattr(command.PosedAvatar, "random", small)
-    gradcheck("avatar", GradcheckOptions(1), out=tmp_path)
+    right = Comparison("tangent f32", "mask", 1e-3, 1e-4, (), 1e-2, "a limb")
+    wrong = replace(right, error=0.1, name="boundary")
+    monkeypatch.setattr(command.PosedAvatar, "random", lambda seed, body: None)
+    monkeypatch.setattr(command, "check_avatar", lambda *a, **k: Report((right,), "an avatar"))
+    gradcheck("avatar", GradcheckOptions(2, seed=3), out=tmp_path)
     figures = json.loads((tmp_path / REPORT).read_text())
-    assert figures["passed"] and list(figures["scenes"]) == ["pose 0"]
-    few = GradcheckOptions(1, size=96, lines=2000, points=20)
-    gradcheck("normals", few, out=tmp_path)
+    assert figures["passed"] and list(figures["scenes"]) == ["pose 3", "pose 4"]
+    monkeypatch.setattr(command, "check_normals", lambda check, count: count * [[right, wrong]])
+    with pytest.raises(InputError, match="WRONG: tangent f32 of a limb: boundary"):
+        gradcheck("normals", GradcheckOptions(2), out=tmp_path)
     figures = json.loads((tmp_path / REPORT).read_text())
-    rows = figures["scenes"]["mesh_normals"]["rows"]
-    assert figures["passed"] and {row["group"] for row in rows} == {"free, transl x"}
-    assert "free, transl x: boundary" in capsys.readouterr().out
+    assert not figures["passed"] and len(figures["scenes"]["mesh_normals"]["rows"]) == 4
+    assert "a limb: boundary" in capsys.readouterr().out
     assert not (tmp_path / PICTURE).exists()
 
 

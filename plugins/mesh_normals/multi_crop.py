@@ -1,8 +1,8 @@
-"""Several pictures of one view at once, each a part of it at a resolution of its own.
+"""Several crops of one view rendered together, each at a resolution of its own.
 
 A crop of a picture is seen from the same place, so its rays, contours and samples are those of the
-picture, on another grid of pixels. A view on a mosaic shoots the rays of all its tiles together and
-samples every edge once. With the scale ``r`` of a tile, its pixels for one of the view:
+picture, on another grid of pixels. A view of several crops shoots the rays of all its tiles
+together and samples every edge once. With the scale ``r`` of a tile, its pixels for one of the view:
 
 1. ray       pixel ``(i, j)`` of the tile lies at ``corner + (i + 1/2, j + 1/2) / r`` in the view,
 2. edges     a point of an edge carries ``r²`` times as much to each tile that holds it as to the
@@ -44,14 +44,14 @@ class _Grid:
 
 
 @dataclass(frozen=True)
-class Mosaic(PixelFilter):
+class MultiCrop(PixelFilter):
     """The pixels of all tiles, one tile after the other, as an image of one row."""
 
     grids: tuple[_Grid, ...]
 
     @staticmethod
-    def of(tiles: Sequence[Tile], film: mi.Film) -> Mosaic:
-        """A mosaic on a film with a box filter, which is not sampled itself.
+    def of(tiles: Sequence[Tile], film: mi.Film) -> MultiCrop:
+        """Crops of a film with a box filter, which is not sampled itself.
 
         Raises:
             ValueError: another filter.
@@ -67,7 +67,7 @@ class Mosaic(PixelFilter):
             dr.make_opaque(grid.corner, grid.scale, grid.size, grid.columns, grid.start)
             grids.append(grid)
             start += tile.width * tile.height
-        return Mosaic(start, 1, 1, 0, film.rfilter(), one, one, one, tuple(grids))
+        return MultiCrop(start, 1, 1, 0, film.rfilter(), one, one, one, tuple(grids))
 
     def positions(self, rays: mi.UInt32 | None = None) -> mi.Point2f:
         """Eq. 1: where the rays of pixels lie in the view."""

@@ -2,7 +2,8 @@
 
 A crop of a picture is seen from the same place, so its rays, contours and samples are those of the
 picture, on another grid of pixels. A view of several crops shoots the rays of all its tiles
-together and samples every edge once. With the scale ``r`` of a tile, its pixels for one of the view:
+together and samples every edge once. With the scale ``r`` of a tile, its pixels per pixel of the
+view:
 
 1. ray       pixel ``(i, j)`` of the tile lies at ``corner + (i + 1/2, j + 1/2) / r`` in the view,
 2. edges     a point of an edge carries ``r²`` times as much to each tile that holds it as to the

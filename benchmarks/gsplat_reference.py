@@ -29,34 +29,20 @@ def installed() -> bool:
     return importlib.util.find_spec("gsplat") is not None
 
 
-def compare(scene: Scene, repeats: int) -> Table:
+def compare(scene: Scene, repeats: int, theirs: Callable[[], Tensor] | None = None) -> Table:
     """Time gsplat's reference and ours in turn, forward and backward, if their images agree.
 
     Args:
         scene: of float32, with spherical harmonics and a pinhole camera.
         repeats: calls of each.
+        theirs: draws the colour (H, W, 3) of the scene; gsplat's reference where None.
     """
     scene = replace(scene, options=replace(scene.options, depth=False))
-    pairs, g = _pairs(scene), scene.gaussians
-    theirs = lambda: render(scene, *pairs)
+    g, inputs = scene.gaussians, list(scene.gaussians.arrays().items())
+    if theirs is None:
+        pairs = _pairs(scene)
+        theirs = lambda: render(scene, *pairs)
     ours = lambda: our_render(g, scene.camera, scene.options, scene.background).color
-    return compare_with(theirs, ours, list(g.arrays().items()), repeats)
-
-
-def compare_with(
-    theirs: Callable[[], Tensor],
-    ours: Callable[[], Tensor],
-    inputs: list[tuple[str, Tensor]],
-    repeats: int,
-) -> Table:
-    """Time two functions that draw one image, forward and backward, in turn.
-
-    Args:
-        theirs: the other renderer's colour (H, W, D).
-        ours: the reference of the comparison.
-        inputs: what both are differentiated by.
-        repeats: calls of each.
-    """
     leaves = [v for _, v in inputs]
     expected = ours().detach()
     weights = torch.randn(expected.shape, generator=torch.Generator().manual_seed(0))

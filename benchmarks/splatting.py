@@ -236,11 +236,9 @@ def _first_picture(processes: int) -> Table:
 
 
 def _growth(person: Callable[[int, int], Scene], repeats: int) -> Table:
-    """Time and memory as the scene grows, and in scenes that are hard for renderers."""
+    """Time and memory as the scene grows."""
     scenes = [("more Gaussians", lambda n=n: person(n, 512)) for n in COUNTS]
     scenes += [("more pixels", lambda w=w: person(20_000, w)) for w in WIDTHS]
-    scenes.append(("one covers all", lambda: _with_a_huge_one(person(20_000, 512))))
-    scenes.append(("all large", lambda: _large(person(2_000, 512))))
     scenes.append(("full HD", lambda: _full_hd(person(1_000_000, 1080))))
     rows = []
     for name, make in scenes:
@@ -255,28 +253,6 @@ def _growth(person: Callable[[int, int], Scene], repeats: int) -> Table:
         figures = {"forward min ms": forward.minimum, "both min ms": both.minimum}
         rows.append(row | figures | {"Dr.Jit's MiB": round(memory)})
     return Table("growth", rows)
-
-
-def _with_a_huge_one(scene: Scene) -> Scene:
-    """The scene with a translucent Gaussian of 3 m before all others, which touches every tile."""
-    ahead = scene.camera.position + 1.0 * scene.camera.T_camera_world[2, :3]
-    huge = {
-        "means": torch.from_numpy(ahead), "quats": torch.tensor([1.0, 0.0, 0.0, 0.0]),
-        "scales": torch.full((3,), 3.0), "opacities": torch.tensor(0.3),
-    }  # fmt: skip
-    arrays = scene.gaussians.arrays()
-    joined = {
-        k: torch.cat([v, huge[k].to(v)[None] if k in huge else v[:1]]) for k, v in arrays.items()
-    }
-    return replace(scene, gaussians=Gaussians(**joined))
-
-
-def _large(scene: Scene) -> Scene:
-    """Translucent Gaussians, each over a good part of the picture: long lists everywhere."""
-    generator, n = torch.Generator().manual_seed(0), len(scene.gaussians)
-    uniform = lambda *shape: torch.rand(*shape, generator=generator, dtype=torch.float64)
-    large = {"scales": 0.2 + 0.3 * uniform(n, 3), "opacities": 0.01 + 0.04 * uniform(n)}
-    return scene.with_inputs(scene.inputs() | large)
 
 
 def _full_hd(scene: Scene) -> Scene:

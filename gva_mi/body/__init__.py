@@ -12,7 +12,6 @@
 ``skinning``        LBS of points and Gaussians
 ``polar``           the rotation nearest to a blend of rotations
 ``gestures``        hand poses
-``bench``           timings
 ==================  ================================================================
 """
 

@@ -27,9 +27,7 @@ def run(
     body = random_body(vertices, np.random.default_rng(seed))
     generator = torch.Generator().manual_seed(seed)
     for count in frames:
-        title = (
-            f"body model, {vertices:,} vertices, {count} frames, {torch.get_num_threads()} threads"
-        )
+        title = f"body model, {vertices:,} vertices, {count} frame(s), {torch.get_num_threads()} threads"
         rows = []
         for name, (forward, leaves) in _stages(body, count, generator).items():
             both = _with_gradients(forward, leaves)

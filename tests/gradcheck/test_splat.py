@@ -13,17 +13,10 @@ from gva_mi.splat.options import SplatOptions
 from gva_mi.splat.scene import random_scene
 
 SCENES = {
-    "sh 1": {"degree": 1},
     "sh 4": {"degree": 4},
     "five channels, odd size": {"channels": 5, "width": 23, "height": 17},
 }
-METHODS = {
-    "adjoint f32",
-    "adjoint f64",
-    "tangent f32",
-    "tangent f64",
-    "differences",
-}
+METHODS = {"adjoint f32", "adjoint f64", "tangent f32", "tangent f64", "differences"}
 
 
 def scene(seed=1, **kwargs):
@@ -45,13 +38,14 @@ def test_every_gradient_is_right(name):
 @pytest.mark.parametrize(
     ("model", "antialiased"), [("pinhole", True), ("ortho", False), ("fisheye", True)]
 )
-def test_every_camera_model(model, antialiased):
+def test_every_camera_model_and_other_cut_offs(model, antialiased):
     s = scene(gaussians=20, width=16, height=14, degree=1)
     camera = replace(s.camera, model=model)
     if model == "ortho":
         camera = replace(camera, fx=6.0, fy=7.0)
-    s = replace(s, camera=camera, options=SplatOptions(antialiased=antialiased))
-    report = gradcheck(render, s)
+    cut_offs = {"alpha_min": 0.02, "alpha_max": 0.9, "transmittance_min": 0.05, "blur": 1.0}
+    options = SplatOptions(antialiased=antialiased, **(cut_offs if model == "pinhole" else {}))
+    report = gradcheck(render, replace(s, camera=camera, options=options))
     assert report.passed and not report.notes, report.table()
 
 
@@ -60,12 +54,6 @@ def test_pictures_without_depth():
     report = gradcheck(render, replace(s, options=SplatOptions(depth=False)))
     assert report.passed and not report.notes, report.table()
     assert "depth" not in {row.name for row in report.rows}
-
-
-def test_other_cut_offs():
-    options = SplatOptions(alpha_min=0.02, alpha_max=0.9, transmittance_min=0.05, blur=1.0)
-    report = gradcheck(render, replace(scene(2), options=options))
-    assert report.passed, report.table()
 
 
 def test_an_empty_scene():
@@ -88,8 +76,7 @@ def test_names_every_input_and_image(small):
         assert names == inputs | images, method
 
 
-@pytest.mark.parametrize("image", ["color", "alpha", "depth"])
-def test_the_loss_looks_at_some_images_alone(image):
+def test_the_loss_may_look_at_one_image_alone():
     """So an error that hides behind a larger gradient can be looked for."""
     s = scene(gaussians=6, width=12, height=9)
 
@@ -97,8 +84,8 @@ def test_the_loss_looks_at_some_images_alone(image):
         found = render(gaussians, camera, options, background)
         return replace(found, depth=_Doubled.apply(found.depth))
 
-    assert gradcheck(render, s, images=(image,)).passed
-    assert gradcheck(wrong_in_depth, s, images=(image,)).passed == (image != "depth")
+    assert gradcheck(wrong_in_depth, s, images=("color", "alpha")).passed
+    assert not gradcheck(wrong_in_depth, s, images=("depth",)).passed
 
 
 def test_unknown_images_are_named():
@@ -185,22 +172,6 @@ def test_a_wrong_tangent_is_found():
     assert failed == {("tangent f32", "opacities"), ("tangent f64", "opacities")}
 
 
-class _Stretched(torch.autograd.Function):
-    """The identity with a tangent that is 0.1 % too long."""
-
-    @staticmethod
-    def forward(ctx, x):
-        return x.clone()
-
-    @staticmethod
-    def backward(ctx, g):
-        return g
-
-    @staticmethod
-    def jvp(ctx, t):
-        return 1.001 * t
-
-
 class _Doubled(torch.autograd.Function):
     """The identity with twice its gradient."""
 
@@ -211,3 +182,15 @@ class _Doubled(torch.autograd.Function):
     @staticmethod
     def backward(ctx, g):
         return 2 * g
+
+
+class _Stretched(_Doubled):
+    """The identity with a tangent that is 0.1 % too long."""
+
+    @staticmethod
+    def backward(ctx, g):
+        return g
+
+    @staticmethod
+    def jvp(ctx, t):
+        return 1.001 * t

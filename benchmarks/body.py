@@ -27,7 +27,8 @@ def run(
     body = random_body(vertices, np.random.default_rng(seed))
     generator = torch.Generator().manual_seed(seed)
     for count in frames:
-        title = f"body model, {vertices:,} vertices, {count} frame(s), {torch.get_num_threads()} threads"
+        threads = torch.get_num_threads()
+        title = f"body model, {vertices:,} vertices, {count} frame(s), {threads} threads"
         rows = []
         for name, (forward, leaves) in _stages(body, count, generator).items():
             both = _with_gradients(forward, leaves)

@@ -19,13 +19,10 @@ from gva_mi.files import write_arrays, write_json
 from gva_mi.fit.run_folder import save_state
 from gva_mi.lock import alone_in
 from gva_mi.page import write_page
-from gva_mi.splat.bench.peers import Bounds, Comparison
-from gva_mi.splat.bench.results import PLOTS
 from gva_mi.splat.formats.ply import save_ply
 from gva_mi.splat.formats.splat import save_splat
 from gva_mi.splat.formats.spz import save_spz
 
-PEERS = Comparison((), (Bounds(1_000, 1.0, 2.0), Bounds(3_000, 3.0, 6.0)))
 NOISE = np.random.default_rng(0).integers(0, 256, (64, 64, 3), np.uint8)
 
 
@@ -51,7 +48,6 @@ WRITERS = {
     "a.ply": lambda path, known: save_ply(path, known(Pose.rest())),
     "a.splat": lambda path, known: save_splat(path, known(Pose.rest())),
     "a.spz": lambda path, known: save_spz(path, known(Pose.rest())),
-    **{f"peers{kind}": lambda path, known: PEERS.draw(path) for kind in PLOTS},
     "a.glb": lambda path, known: save_gltf(path, known, None, 30),
     "checkpoint.pt": lambda path, known: save_state(path.parent, {"a": "x" * 1000}),
 }

@@ -44,6 +44,9 @@ SMPLX_FIELDS: Mapping[str, slice] = {
 }  # fmt: skip
 
 
+_WIDTHS = {name: 3 * (part.stop - part.start) for name, part in SMPLX_FIELDS.items()}
+
+
 @dataclass(frozen=True)
 class Pose:
     """T frames of joint rotations, root translation and facial expression.
@@ -110,35 +113,97 @@ class Shape:
     betas: Tensor  # (B,)
 
 
-def load_poses(path: Path) -> tuple[Pose, Shape]:
+@dataclass(frozen=True)
+class PoseFile:
+    """Everything that a file of poses holds."""
+
+    pose: Pose
+    shape: Shape
+    stage: int  # who made the poses: 0 ground truth, 1 an estimator, 2 refinement or training
+    focal: float  # factor on the focal lengths of the video's cameras that the poses belong to
+    offsets: Tensor | None  # (V, 3) displacement of the rest surface that refinement found, metres
+
+
+_EXPECTED = "poses under SMPL-X's names (.npz)"
+_REQUIRED = ("global_orient", "body_pose", "transl", "betas")
+
+
+def read_pose_file(path: Path) -> PoseFile:
     """Read ``poses.npz``: SMPL-X's names, each (T, ...), and ``betas`` (B,).
 
-    Face and hands are zero if missing. Other keys are ignored.
+    Face and hands may be missing: they are then zero. So may ``stage`` (1), ``focal`` (1) and
+    ``offsets``. Other keys are ignored.
 
     Raises:
-        InputError: a key is missing, a shape or dtype is wrong, or a number is not finite.
+        InputError: a missing key, a wrong shape or dtype, or a number that is not finite.
     """
-    data = read_arrays(path, "poses under SMPL-X's names (.npz)")
-    require_keys(path, data, ("global_orient", "body_pose", "transl", "betas"))
+    data = read_arrays(path, _EXPECTED)
+    require_keys(path, data, _REQUIRED)
     frames = len(data["transl"])
     if frames == 0:
         raise InputError(f"{path}: 'transl' holds no frame; expected (T, 3) with T of at least 1")
-    widths = {name: 3 * (part.stop - part.start) for name, part in SMPLX_FIELDS.items()}
-    widths["transl"] = 3
     expression = data.get("expression", np.zeros((frames, 10)))
-    widths["expression"] = np.shape(expression)[-1]
+    widths = _WIDTHS | {"transl": 3, "expression": np.shape(expression)[-1]}
     named = {
         name: _tensor(path, name, data.get(name, np.zeros((frames, width))), (frames, width))
         for name, width in widths.items()
     }
     betas = data["betas"]
     if betas.ndim == 2 and (betas == betas[:1]).all():
-        betas = betas[0]  # some estimators repeat them per frame
+        betas = betas[0]  # repeated per frame, as some estimators write it
     if betas.ndim != 1:
         raise InputError(
             f"{path}: 'betas' must be (B,), one person for all frames; got {betas.shape}"
         )
-    return Pose.from_smplx(named), Shape(_tensor(path, "betas", betas, betas.shape))
+    shape = Shape(_tensor(path, "betas", betas, betas.shape))
+    stage, focal = data.get("stage", np.array(1)), data.get("focal", np.array(1.0))
+    if stage.shape != () or stage.dtype.kind not in "iuf" or stage.item() not in (0, 1, 2):
+        raise InputError(f"{path}: 'stage' must be 0, 1 or 2, got {stage}")
+    if focal.shape != () or focal.dtype.kind not in "fiu" or not 0 < float(focal) < np.inf:
+        raise InputError(f"{path}: 'focal' must be a positive number, got {focal}")
+    offsets = data.get("offsets")
+    if offsets is not None:
+        offsets = _tensor(path, "offsets", offsets, (*offsets.shape[:1], 3))
+    return PoseFile(Pose.from_smplx(named), shape, int(stage), float(focal), offsets)
+
+
+def is_pose_file(path: Path) -> bool:
+    """Whether a file holds poses in this program's own form, and not another program's motion.
+
+    They have SMPL-X's names in the widths that :func:`read_pose_file` expects. A file that is
+    missing counts, too: that reader reports it.
+    """
+    if not path.exists():
+        return True
+    try:
+        found = read_arrays(path, _EXPECTED)
+    except InputError:
+        return False
+    if "stage" in found:  # written here, whatever happened to it since
+        return True
+    return set(_REQUIRED) <= set(found) and all(
+        found[name].ndim == 2 and found[name].shape[1] == width
+        for name, width in _WIDTHS.items()
+        if name in found
+    )
+
+
+def load_poses(path: Path) -> tuple[Pose, Shape]:
+    """Read the poses and the shape of a file: :func:`read_pose_file`."""
+    found = read_pose_file(path)
+    return found.pose, found.shape
+
+
+def load_offsets(path: Path, vertices: int) -> Tensor | None:
+    """Read the displacement (V, 3) of the rest surface in a file of poses; None without one.
+
+    Raises:
+        InputError: it is of another number of vertices.
+    """
+    offsets = read_pose_file(path).offsets
+    if offsets is not None and len(offsets) != vertices:
+        raise InputError(f"{path}: 'offsets' must be {(vertices, 3)}, got {tuple(offsets.shape)}")
+    return offsets
 
 
 def save_poses(
@@ -156,7 +221,7 @@ def save_poses(
         path: the file.
         pose: T frames.
         shape: the person's.
-        stage: origin of the poses, see :func:`load_stage`.
+        stage: origin of the poses, see :class:`PoseFile`.
         offsets: (V, 3) refined displacement of the rest surface, metres.
         focal: factor on the focal lengths of the video's cameras for these poses.
     """
@@ -166,43 +231,6 @@ def save_poses(
     if focal != 1:
         data["focal"] = np.array(focal)
     write_arrays(path, **data, betas=shape.betas.detach().numpy(), stage=np.array(stage))
-
-
-def load_offsets(path: Path, vertices: int) -> Tensor | None:
-    """Read the displacement (V, 3) of the rest surface from a file of poses, metres, or None.
-
-    Raises:
-        InputError: it is not finite, or has another number of vertices.
-    """
-    data = read_arrays(path, "poses under SMPL-X's names (.npz)")
-    if "offsets" not in data:
-        return None
-    return _tensor(path, "offsets", data["offsets"], (vertices, 3))
-
-
-def load_focal(path: Path) -> float:
-    """Read the factor on focal lengths from a file of poses, 1 by default.
-
-    Raises:
-        InputError: it is not a positive number.
-    """
-    focal = read_arrays(path, "poses under SMPL-X's names (.npz)").get("focal", np.array(1.0))
-    if focal.shape != () or focal.dtype.kind not in "fiu" or not 0 < float(focal) < np.inf:
-        raise InputError(f"{path}: 'focal' must be a positive number, got {focal}")
-    return float(focal)
-
-
-def load_stage(path: Path) -> int:
-    """Read the origin of poses: 0 ground truth, 1 an estimator (default), 2 refinement or fit.
-
-    Raises:
-        InputError: it is none of these.
-    """
-    held = read_arrays(path, "poses under SMPL-X's names (.npz)", only=("stage",))
-    stage = held.get("stage", np.array(1))
-    if stage.shape != () or stage.dtype.kind not in "iuf" or stage.item() not in (0, 1, 2):
-        raise InputError(f"{path}: 'stage' must be 0, 1 or 2, got {stage}")
-    return int(stage)
 
 
 def _tensor(path: Path, name: str, value: np.ndarray, shape: tuple[int, ...]) -> Tensor:

@@ -9,9 +9,10 @@ import torch
 from torch.nn.functional import pad
 
 from gva_mi.avatar.avatar import Avatar
-from gva_mi.body.pose import Pose, Shape
+from gva_mi.body.pose import Pose, Shape, is_pose_file
 from gva_mi.console import say
-from gva_mi.data.importers.motions import Driven, MotionOptions, is_poses, read_motion
+from gva_mi.data.importers.motions import MotionOptions, read_motion
+from gva_mi.data.importers.target import TargetBody
 from gva_mi.fit.run_folder import load_motion
 
 
@@ -33,11 +34,11 @@ def motion_of(
     Raises:
         InputError: there are no poses, or they cannot be read.
     """
-    if given is None or is_poses(given):
+    if given is None or is_pose_file(given):
         pose, shape, path = load_motion(run, given)
     else:
-        driven = replace(Driven.of(body), joints=avatar.rig.joints.double().numpy())
-        found, path = read_motion(given, driven, MotionOptions(fps=fps)), given
+        target = replace(TargetBody.read(body), joints=avatar.rig.joints.double().numpy())
+        found, path = read_motion(given, target, MotionOptions(fps=fps)), given
         pose, shape = found.pose, found.shape
         for note in found.notes:
             say(f"{given}: {note}")

@@ -1,4 +1,4 @@
-"""The command ``gva-mi motion``: a motion from anywhere, as poses that drive an avatar."""
+"""The command ``gva-mi motion``: a motion of another program, as poses that drive an avatar."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from tyro.conf import Positional
 from gva_mi.body.pose import save_poses
 from gva_mi.commands.arguments import Flat, Switch
 from gva_mi.console import say
-from gva_mi.data.importers.motions import Driven, MotionOptions, read_motion
+from gva_mi.data.importers.motions import MotionOptions, read_motion
+from gva_mi.data.importers.target import TargetBody
 from gva_mi.errors import InputError
 from gva_mi.files import require_room
 
@@ -22,7 +23,7 @@ def motion(
     body: Path | None = None,
     overwrite: Switch = False,
 ) -> None:
-    """Turn a motion of AMASS, AIST++, a pose estimator, or the like into poses that drive.
+    """Convert a motion of AMASS, AIST++, a pose estimator, or the like into poses.
 
     Args:
         source: .npz, .npy, .pkl or .pt, or an estimator's folder; pickles run no code.
@@ -35,7 +36,7 @@ def motion(
     if out.suffix != ".npz":
         raise InputError(f"{out}: a file of poses ends in .npz")
     require_room(out, overwrite)
-    found = read_motion(source, Driven.of(body), options)
+    found = read_motion(source, TargetBody.read(body), options)
     save_poses(out, found.pose, found.shape, stage=1)
     for note in found.notes:
         say(f"{source}: {note}")

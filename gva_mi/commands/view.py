@@ -14,12 +14,11 @@ import torch
 from tyro.conf import Positional
 
 from gva_mi.avatar.avatar import Avatar, digest
-from gva_mi.body.pose import JOINTS, Pose
+from gva_mi.body.pose import JOINTS, Pose, is_pose_file
 from gva_mi.body.puppet import EXPRESSIONS
 from gva_mi.body.smplx import load_body
 from gva_mi.commands.driving import motion_of
 from gva_mi.console import say
-from gva_mi.data.importers.motions import is_poses
 from gva_mi.data.video import Video, load_video
 from gva_mi.errors import InputError
 from gva_mi.files import require_writable
@@ -96,7 +95,7 @@ def _tried(out: Path) -> Iterator[None]:
 
 def _video_of(run: Path, subject: Path, poses: Path | None) -> Video:
     """The video whose poses are shown; without ``--poses`` the one that the run was fitted to."""
-    if poses is not None and not is_poses(poses):
+    if poses is not None and not is_pose_file(poses):
         raise InputError(
             f"{poses}: a motion of another program, of which no video is shown beside; expected "
             f"poses of {subject}, or no --subject"

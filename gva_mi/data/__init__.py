@@ -2,11 +2,16 @@
 
 ==================  ================================================================
 ``video``           ``Video`` and ``Frame``: the folder, opened and checked
-``pictures``        8-bit pictures, arrays and films on disk
-``masks``           masks as segmenters write them
+``cameras``         ``cameras.npz``
+``splits``          train and test frames
+``pictures``        8-bit pictures and films on disk (``film``: in any order)
+``masks``           masks as segmenters write them (``mattes``: of pictures)
 ``normals``         normal maps as networks write them
-``truth``           what is true about a synthetic video, and on which body
-``fingerprint``     whether a synthetic subject is used with its own body
+``backdrop``        the person without the background
+``views``           what other cameras saw, for evaluation
+``truth``           ground truth of a synthetic video
+``identity``        hashes of a video
+``fingerprint``     whether a subject is used with its own body
 ``importers/``      reads what other programs wrote
 ``synthetic/``      makes such folders
 ==================  ================================================================

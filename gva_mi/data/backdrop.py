@@ -1,37 +1,28 @@
-"""What is behind a person, near their outline, and the person without it.
+"""Separate a person from the background along the outline.
 
-A pixel of the outline is of two colours, the person's F and the backdrop's B, in the shares that a
-mask S tells:
+A pixel of the outline mixes two colours, the person's F and the background's B, by a mask S:
 
 1. ``I = S F + (1 - S) B``
 
-Before another background, ``S I`` would keep ``S (1 - S) B`` of the old one: a bright seam around
-everybody who was filmed before a white wall. What has to be kept is
+On another background, ``S I`` would keep ``S (1 - S) B`` of the old one: a bright seam around a
+person filmed before a white wall. What has to be kept is
 
 2. ``S F = I - (1 - S) B``,   between 0 and ``S``
 
-with B as seen beside the person. Where a mask is hard there are no such pixels, and ``S F = S I``.
+with B as seen beside the person. Where a mask is hard, ``S F = S I``.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-AROUND = 3  # pixels, side of the squares whose mean is the backdrop
-MARGIN = 8  # pixels around the mask, in which the backdrop is looked for
-NOTHING = 0.5 / 255  # of a mask
+AROUND = 3  # pixels, side of the squares whose mean is the background
+MARGIN = 8  # pixels around the mask, in which the background is looked for
+NOTHING = 0.5 / 255  # a mask below this is zero
 
 
 def alone(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Eq. 2.
-
-    Args:
-        image: (H, W, 3) in [0, 1].
-        mask: (H, W) in [0, 1].
-
-    Returns:
-        (H, W, 3), the person's colour times the mask; zero where the mask is.
-    """
+    """The person's colour times the mask (eq. 2), (H, W, 3), of a picture and a mask (H, W)."""
     person = np.zeros_like(image)
     rows, columns = (np.flatnonzero((mask > NOTHING).any(axis)) for axis in (1, 0))
     if len(rows):
@@ -42,14 +33,10 @@ def alone(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
 
 
 def behind(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """B: the picture where the mask is nothing; elsewhere the mean around the nearest such pixel.
+    """The background B (H, W, 3) of a picture (H, W, 3) with a mask (H, W), both in [0, 1].
 
-    Args:
-        image: (H, W, 3) in [0, 1].
-        mask: (H, W) in [0, 1]; the picture is taken as it is where no pixel is nothing.
-
-    Returns:
-        (H, W, 3).
+    It is the picture where the mask is zero, elsewhere the mean around the nearest such pixel;
+    without any such pixel it is the picture itself.
     """
     from scipy.ndimage import distance_transform_edt, uniform_filter
 
@@ -65,8 +52,7 @@ def behind(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
 
 
 def unsure(mask: np.ndarray, width: float) -> np.ndarray:
-    """Pixels (H, W) in which a mask (H, W) may be wrong: those that it says are of both, those at
-    the edge between inside and outside, and all that are no farther than ``width`` from them."""
+    """Pixels (H, W) where a mask (H, W) may be wrong: within ``width`` of soft pixels and edges."""
     from scipy.ndimage import distance_transform_edt
 
     inside, both = mask > 0.5, (mask > NOTHING) & (mask < 1 - NOTHING)

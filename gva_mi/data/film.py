@@ -1,10 +1,8 @@
 """``Film``: the pictures of a video file, in any order, without all of them in memory at once.
 
-Opening a film decodes all of it once, for what is wrong with one shows nowhere else, and notes the
-moments of its pictures. The last ones that were decoded in a row stay at hand as the decoder left
-them, most in half the bytes of an RGB array: all of a short film, and of a long one enough to go
-back by some. Any other is decoded when it is asked for: the next one at once, else by way of those
-from the key picture before it.
+Opening a film decodes all of it once, because damage shows nowhere else, and notes the time stamps.
+The last pictures that were decoded in a row stay in memory as the decoder left them, most in half
+the bytes of an RGB array. Any other is decoded on demand, from the key picture before it.
 """
 
 from __future__ import annotations
@@ -19,18 +17,14 @@ import numpy as np
 from gva_mi.data.pictures import require_size, size_of, turned
 from gva_mi.errors import MALFORMED, InputError, reason_of
 
-KEPT = 1 << 27  # bytes of pictures at hand: 43 of 1920 x 1080, decoded from 4:2:0
+KEPT = 1 << 27  # bytes of decoded pictures: 43 of 1920 x 1080 in 4:2:0
 
 
 class Film(Sequence[np.ndarray]):
     """The pictures of a video file, each (H, W, 3) 8-bit, turned as its metadata say."""
 
     def __init__(self, path: Path, kept: int = KEPT) -> None:
-        """Decode all of it once.
-
-        Args:
-            path: of the file.
-            kept: bytes of decoded pictures that may stay at hand.
+        """Decode all of it once; ``kept`` bytes of decoded pictures may stay in memory.
 
         Raises:
             InputError: it cannot be decoded, or holds no picture.
@@ -39,7 +33,7 @@ class Film(Sequence[np.ndarray]):
         self.sizes: list[tuple[int, int]] = []  # (W, H) of each picture
         self._moments: list[int | None] = []
         self._keys: list[int] = []  # numbers of the key pictures
-        self._at: tuple[int, Iterator[Any], Any] | None = None  # the next one's number, and whence
+        self._at: tuple[int, Iterator[Any], Any] | None = None  # number of the next one
         self._near, self._kept = _Near(kept), kept
         with self._open() as container:
             for frame in self._decoded(container):
@@ -68,7 +62,7 @@ class Film(Sequence[np.ndarray]):
         raise InputError(f"{self.path}: picture {index} was there, and cannot be decoded any more")
 
     def __getstate__(self) -> dict[str, Any]:
-        """Without the open file and what came of it: another process opens its own."""
+        """The state without the open file: another process opens its own."""
         return self.__dict__ | {"_at": None, "_near": _Near(self._kept)}
 
     def _take(self, frame: Any) -> None:  # noqa: ANN401
@@ -81,14 +75,14 @@ class Film(Sequence[np.ndarray]):
         self._moments.append(frame.pts)
 
     def _key_before(self, index: int) -> int:
-        """The key picture at or before a picture; the start, where none is known."""
+        """The key picture at or before a picture; the start without one."""
         return self._keys[max(0, bisect_right(self._keys, index) - 1)] if self._keys else 0
 
     def _seek(self, index: int) -> None:
         """Go to the key picture at or before a picture, or to the start."""
         if self._at is not None:
             self._at[2].close()
-        # A decoder's memory goes with the last of its pictures, so none is kept beside another's.
+        # A decoder's memory is freed with its last picture, so drop all of the old decoder's.
         self._at, self._near = None, _Near(self._kept)
         known = {moment: k for k, moment in enumerate(self._moments)}
         moment = self._moments[index]
@@ -131,10 +125,10 @@ class Film(Sequence[np.ndarray]):
 
 
 class _Near:
-    """The pictures that were decoded last, one after the other, as the decoder left them."""
+    """The pictures that were decoded last, in a row, as the decoder left them."""
 
     def __init__(self, room: int) -> None:
-        """None yet; the last one is kept even where it takes more than the ``room``, bytes."""
+        """An empty store of ``room`` bytes; it keeps the last picture whatever its size."""
         self._room = room
         self._frames: dict[int, Any] = {}  # by number, in their order
         self._converter: Any = None  # one for all: each would keep tables of its own
@@ -143,21 +137,21 @@ class _Near:
         return number in self._frames
 
     def put(self, number: int, frame: Any) -> None:  # noqa: ANN401 (as _open)
-        """Keep the next one, and the first ones no longer where there is no room."""
+        """Keep the next one, and drop the first ones where there is no room."""
         self._frames[number] = frame
         self._room -= _bytes_of(frame)
         while self._room < 0 and len(self._frames) > 1:
             self._room += _bytes_of(self._frames.pop(next(iter(self._frames))))
 
     def rgb(self, number: int) -> np.ndarray:
-        """One of them, (H, W, 3) 8-bit."""
+        """A picture (H, W, 3) 8-bit."""
         from av.video.reformatter import VideoReformatter
 
         if self._converter is None:
             self._converter = VideoReformatter()
         frame = self._frames[number]
         found = self._converter.reformat(frame, format="rgb24")
-        array = turned(found.to_ndarray(), frame)  # which may look at what it is made of
+        array = turned(found.to_ndarray(), frame)  # may share the frame's memory
         return array.copy() if found is frame else array
 
 
@@ -166,6 +160,6 @@ def _bytes_of(frame: Any) -> int:  # noqa: ANN401 (as _open)
 
 
 def _again(first: Any, frames: Iterator[Any]) -> Iterator[Any]:  # noqa: ANN401
-    """Frames with one before them that was taken out already."""
+    """Put back the first of some frames."""
     yield first
     yield from frames

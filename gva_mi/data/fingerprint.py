@@ -1,15 +1,14 @@
-"""Checks that a subject is used with the body that its poses belong to.
+"""Check that a subject is used with the body that its poses belong to.
 
 A subject's poses are rotations of one body's joints, and its betas belong to that body. With
-another body, even a slightly newer puppet, they mean other people, and every error measured
-against the truth is silently wrong. So ``synth.json`` and ``prepare.json`` keep a sketch of the
-body: K signed sums of all its vertices x (metres) in two states that use every joint, beta and
-expression,
+another body they mean another person, and every error against ground truth is silently wrong. So
+``synth.json`` and ``prepare.json`` keep a sketch of the body: K signed sums of all its vertices x
+(metres) in two states that use every joint, beta and expression,
 
     1. s_k = Σ_i σ_ki x_i / √V,    σ_ki = ±1 at random
     2. mean over k of (s_k - s'_k)²  ≈  mean over the vertices of |x_i - x'_i|²
 
-which tells how far two bodies are apart, and not only whether they differ.
+which says how far two bodies are apart, and not only whether they differ.
 """
 
 from __future__ import annotations
@@ -24,15 +23,14 @@ from gva_mi.body.smplx import PUPPET_NAME, BodyModel
 from gva_mi.errors import InputError, expecting
 from gva_mi.files import read_json
 
-SUMS = 32  # K: their root mean square is right to one part in √(2 K), 12 %
-SAME = 3e-6  # m, root mean square; what float32 rounds away is a tenth of it
-# In the subject's folder; each holds {"body": {"vertices": V, "sketch": [...]}}, and the second a
-# "name" there too.
+SUMS = 32  # K: their root mean square has a relative error of 1 / √(2 K), 12 %
+SAME = 3e-6  # m, root mean square; float32 rounding is a tenth of it
+# In the subject's folder; each holds {"body": {"vertices": V, "sketch": [...]}}.
 ABOUT, PREPARED = "synth.json", "prepare.json"
 
 
 def fingerprint(body: BodyModel) -> dict[str, object]:
-    """The number of vertices, and the sketch of eq. 1, metres; what ``synth.json`` keeps."""
+    """The number of vertices and the sketch of eq. 1, metres, as ``synth.json`` keeps them."""
     dtype = body.v_template.dtype
     wave = lambda n, size: size * torch.sin(1.0 + torch.arange(n, dtype=torch.float64)).to(dtype)
     shape = Shape(wave(body.num_betas, 1.5))
@@ -43,7 +41,7 @@ def fingerprint(body: BodyModel) -> dict[str, object]:
     with torch.no_grad():
         states = torch.stack([body.rest(shape).vertices, body(bent, shape).vertices[0]])
     x = states.double().numpy() / np.sqrt(2)  # the mean of both states, in eq. 2
-    # RandomState, for its stream is frozen: a fingerprint outlives versions of numpy.
+    # RandomState's stream is frozen, so a fingerprint outlives versions of numpy.
     signs = np.random.RandomState(0).randint(0, 2, (SUMS, *x.shape)) * 2.0 - 1
     sketch = np.einsum("ksvc,svc->k", signs, x) / np.sqrt(x.shape[1])
     return {"vertices": x.shape[1], "sketch": [round(float(s), 8) for s in sketch]}
@@ -59,16 +57,10 @@ def distance(a: dict[str, object], b: dict[str, object]) -> float:
 def require_same_body(folder: Path, body: BodyModel) -> None:
     """Check that a subject was made on, or prepared for, this body.
 
-    Another body is an error and not a warning: nothing that follows from it is of use, and a
-    warning would scroll away before the figures come. Folders without a fingerprint pass: those
-    that somebody put together by hand, and subjects older than this check.
-
-    Args:
-        folder: of the subject.
-        body: the body that its poses are about to be used with.
+    Folders without a fingerprint pass: those made by hand, and those older than this check.
 
     Raises:
-        InputError: where it is another body.
+        InputError: it is another body. This is no warning, because every result would be wrong.
     """
     for name, written_by in ((ABOUT, "gva-mi synth"), (PREPARED, "gva-mi prepare")):
         known = _body_of(Path(folder) / name, written_by)
@@ -88,13 +80,13 @@ def require_same_body(folder: Path, body: BodyModel) -> None:
                 f"expected {_argument(known.get('name'))}, or prepare it again for this body"
             )
         raise InputError(
-            f"{folder}: made on another body ({how}), so that its poses and its truth mean nothing "
-            "here; give the --body it was made with, or make it again with gva-mi synth"
+            f"{folder}: made on another body ({how}), so that its poses and its ground truth mean "
+            "nothing here; give the --body it was made with, or make it again with gva-mi synth"
         )
 
 
 def _body_of(file: Path, written_by: str) -> dict | None:
-    """The body that a folder's file tells of; None where it tells of none."""
+    """The body that a folder's file names; None without one."""
     if not file.is_file():
         return None
     expected = f"what {written_by} writes"
@@ -110,7 +102,7 @@ def _body_of(file: Path, written_by: str) -> dict | None:
 
 
 def _argument(name: str | None) -> str:
-    """How a command is told to use a body."""
+    """The option that makes a command use a body."""
     if name == PUPPET_NAME:
         return "the built-in puppet, that is no --body"
     return f"--body with that body's file ({name})"

@@ -1,9 +1,8 @@
-"""Which video it is: hashes of what a fit sees of it, kept with the run.
+"""Hashes that identify the video a run was fitted to.
 
-Poses that were trained on one video mean nothing in another, though it may have as many frames. So
-a run keeps the hashes of :data:`PARTS`, and says which of them are others.
-
-Files are hashed as they are: a video that was encoded anew is another one, without a loss too.
+Poses trained on one video mean nothing in another, though it may have as many frames. So a run
+keeps the hashes of :data:`PARTS`, and reports which differ. Files are hashed as they are: a video
+that was encoded again is another one, even if lossless.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ _BLOCK = 1 << 20  # bytes read at once
 
 
 def identity(video: Video) -> dict[str, str]:
-    """A hash of each of :data:`PARTS`; poses are those that the video was opened with."""
+    """Hash each of :data:`PARTS`; poses are those that the video was opened with."""
     folder, pose = video.folder, video.pose
     pictures = sorted((folder / "frames").glob("*.png")) or [folder / "video.mp4"]
     cameras = [x for c in video.cameras for x in (c.K, c.T_camera_world, [c.width, c.height])]
@@ -37,7 +36,7 @@ def identity(video: Video) -> dict[str, str]:
 
 
 def differing(known: Mapping[str, str], video: Video) -> list[str]:
-    """Those of :data:`PARTS` in which a video is another one than a run's; none for no record."""
+    """Those of :data:`PARTS` in which a video differs from a run's; none without a record."""
     if not known:
         return []
     found = identity(video)
@@ -45,7 +44,7 @@ def differing(known: Mapping[str, str], video: Video) -> list[str]:
 
 
 def _of_files(paths: Iterable[Path]) -> str:
-    """A hash of files, their names and their order."""
+    """Hash files, their names and their order."""
     total = hashlib.blake2b(digest_size=16)
     for path in paths:
         total.update(f"{path.name}:{path.stat().st_size}\n".encode())
@@ -56,7 +55,7 @@ def _of_files(paths: Iterable[Path]) -> str:
 
 
 def of_arrays(arrays: Iterable[object]) -> str:
-    """A hash of numbers or words, and their shapes."""
+    """Hash numbers or words, and their shapes."""
     total = hashlib.blake2b(digest_size=16)
     for array in map(np.asarray, arrays):
         total.update(f"{array.shape}:{array.dtype}\n".encode())

@@ -6,8 +6,7 @@
 ``000000.npy``            Boolean; 8-bit as above; or floating point in [0, 1]
 ========================  ====================================================
 
-A picture whose largest value is 1 is read as one of zeros and ones: read as a soft mask, it would
-be empty.
+A picture whose largest value is 1 holds zeros and ones: read as a soft mask it would be empty.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A picture as a mask: which of its numbers says what is inside the person.
+"""Read a picture as a mask: which of its numbers says what is inside the person.
 
 =========================================  ====================================================
 Picture                                    Inside
@@ -11,7 +11,7 @@ one colour before black, hard or soft      how much of that colour
 more colours                               refused: a photograph, or a drawing of labels
 =========================================  ====================================================
 
-Alpha that is 255 everywhere is what programs add on their own, and says nothing.
+Alpha that is 255 everywhere is ignored: some programs always add it.
 """
 
 from __future__ import annotations
@@ -25,21 +25,14 @@ from gva_mi.errors import InputError
 if TYPE_CHECKING:
     from PIL import Image
 
-GREY = 32  # most that the channels of a grey differ, after JPEG
-ALIKE = 48  # most that a pixel differs from its share of the one colour, likewise
-STRAY = 0.02  # of coloured pixels, that may differ more: at edges, of which JPEG halves the colour
+GREY = 32  # largest difference of a grey pixel's channels, after JPEG
+ALIKE = 48  # largest difference of a pixel from its share of the one colour, likewise
+STRAY = 0.02  # share of coloured pixels that may differ more: at edges JPEG blurs colour
 DARK = 64  # black, after JPEG
 
 
 def matte_of(where: str, image: Image.Image) -> np.ndarray:
-    """The mask that a picture of 8 bits is.
-
-    Args:
-        where: the file, for the error.
-        image: of any mode but those of more than 8 bits (:func:`.pictures.to_8_bits`).
-
-    Returns:
-        (H, W) 8-bit, 255 inside.
+    """The mask (H, W) 8-bit, 255 inside, of an 8-bit picture; ``where`` names it in errors.
 
     Raises:
         InputError: it is in several colours.
@@ -58,7 +51,7 @@ def matte_of(where: str, image: Image.Image) -> np.ndarray:
 
 
 def matte_of_pixels(where: str, pixels: np.ndarray) -> np.ndarray:
-    """The same of pixels (H, W, 3) RGB or (H, W, 4) RGBA, 8-bit, such as a film's."""
+    """The mask of pixels (H, W, 3) RGB or (H, W, 4) RGBA, 8-bit, such as a film's."""
     if pixels.shape[2] == 4 and pixels[..., 3].min(initial=255) < 255:
         return np.ascontiguousarray(pixels[..., 3])
     from PIL import Image
@@ -81,7 +74,7 @@ def matte_of_pixels(where: str, pixels: np.ndarray) -> np.ndarray:
 
 
 def _of_palette(image: Image.Image) -> np.ndarray:
-    """Inside by colour, where only black and white are used; otherwise by label."""
+    """By colour where only black and white are used, otherwise by label."""
     labels = np.asarray(image if image.mode == "P" else image.getchannel(0))
     colors = np.asarray(image.convert("RGB"))
     if np.isin(colors, (0, 255)).all() and (colors == colors[..., :1]).all():

@@ -1,17 +1,16 @@
-"""What is true about a synthetic video: the body that was filmed, its poses, and the cameras.
+"""Ground truth of a synthetic video: the body that was filmed, its poses, and the cameras.
 
-The subject of a synthetic video may be drawn on another body than the one that its stage-1 poses
-belong to, and that is fitted: people are not in the span of any body model. Then the folder
-``truth`` holds that body beside its poses:
+The subject may be drawn on another body than the one that is fitted, because real people are not in
+the span of any body model. Then the folder ``truth`` holds that body beside its poses:
 
 ===============  ===============================================================================
-``poses.npz``    poses and betas, of the body that was filmed
+``poses.npz``    poses and betas of the body that was filmed
 ``body.npz``     that body, where it is not the fitted one; in SMPL-X's format
-``cameras.npz``  the cameras, where the video's own may be off; without it these are true
+``cameras.npz``  the cameras, where the video's own may be off
 ===============  ===============================================================================
 
-Joints of two bodies can be compared one by one, for all have SMPL-X's 55. Rotations, betas and the
-numbers of vertices mean something on their own body alone.
+All bodies have SMPL-X's 55 joints, which can be compared one by one. Rotations, betas and vertex
+numbers have a meaning on their own body only.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ POSES, BODY, CAMERAS = "poses.npz", "body.npz", "cameras.npz"
 
 @dataclass(frozen=True)
 class Truth:
-    """The person that was filmed: ``body(pose, shape)`` is its true surface."""
+    """The person that was filmed: ``body(pose, shape)`` is the ground-truth surface."""
 
     body: BodyModel
     pose: Pose  # T frames
@@ -39,11 +38,11 @@ class Truth:
 
 
 def load_truth(folder: Path, body: BodyModel) -> Truth:
-    """Read the truth of a synthetic video.
+    """Read the ground truth of a synthetic video.
 
     Args:
         folder: the video's folder ``truth``.
-        body: the one that is fitted; it is also the true one where the folder holds no other.
+        body: the one that is fitted; also the one filmed where the folder holds no other.
 
     Raises:
         InputError: ``poses.npz`` is missing, or a file is not what it should be.

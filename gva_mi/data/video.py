@@ -25,8 +25,7 @@ Everything is checked when it is opened, once, so that a step never stops half-w
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -34,19 +33,21 @@ from typing import Literal
 
 import numpy as np
 
-from gva_mi.body.pose import Pose, Shape, load_focal, load_poses, load_stage
+from gva_mi.body.pose import Pose, Shape, read_pose_file
 from gva_mi.data.backdrop import alone
+from gva_mi.data.cameras import load_cameras
+from gva_mi.data.cameras import save_cameras as save_cameras
 from gva_mi.data.film import Film
 from gva_mi.data.masks import read_mask
 from gva_mi.data.normals import Convention, NormalMaps, Part
-from gva_mi.data.pictures import read_image, require_size
-from gva_mi.errors import InputError, expecting
-from gva_mi.files import read_arrays, read_json, require_keys, write_arrays
+from gva_mi.data.pictures import read_image
+from gva_mi.data.splits import TEST_EVERY as TEST_EVERY
+from gva_mi.data.splits import Splits, load_splits
+from gva_mi.errors import InputError
 from gva_mi.splat import Camera
 
 POSES = "poses.npz"  # of stage 1
 REFINED_POSES = "poses_refined.npz"  # of stage 2, where it was run
-TEST_EVERY = 8  # without splits.json, every 8th frame is a test frame
 
 
 @dataclass(frozen=True)
@@ -79,32 +80,6 @@ class Outline:
     normals: Callable[[Part], np.ndarray | None]  # of a part of the frame, otherwise as in Frame
     camera: Camera
     pose: Pose  # of one frame
-
-
-@dataclass(frozen=True)
-class Splits:
-    """Which frames are trained on, and which are never seen in training."""
-
-    train: list[int]
-    test: list[int]
-
-    @staticmethod
-    def every(step: int, frames: int) -> Splits:
-        """Every ``step``-th frame is a test frame."""
-        test = list(range(step // 2, frames, step))
-        return Splits([k for k in range(frames) if k not in set(test)], test)
-
-    @staticmethod
-    def one_range(share: int, frames: int) -> Splits:
-        """One ``share``-th of the frames, in the middle and all in a row, are test frames."""
-        count = max(1, frames // share)
-        test = list(range((frames - count) // 2, (frames + count) // 2))
-        return Splits([k for k in range(frames) if k not in set(test)], test)
-
-    def without(self, frames: Container[int]) -> Splits:
-        """The same lists without some frames."""
-        keep = lambda split: [k for k in split if k not in frames]
-        return Splits(keep(self.train), keep(self.test))
 
 
 @dataclass(frozen=True)
@@ -213,15 +188,13 @@ def load_video(
     cameras = load_cameras(folder / "cameras.npz")
     images, numbers = _open_pictures(folder)
     count = numbers[-1] + 1
-    pose, shape = load_poses(poses or folder / POSES)
-    stage = load_stage(poses or folder / POSES)
-    if len(pose) != count:
-        raise InputError(
-            f"{poses or folder / POSES}: holds {len(pose)} frames, but the video has {count}"
-        )
+    poses = poses or folder / POSES
+    found = read_pose_file(poses)
+    if len(found.pose) != count:
+        raise InputError(f"{poses}: holds {len(found.pose)} frames, but the video has {count}")
     # Where the refinement moved the focal length too, its poses hold for that one only.
-    if (focal := load_focal(poses or folder / POSES)) != 1:
-        cameras = [camera.zoomed(focal) for camera in cameras]
+    if found.focal != 1:
+        cameras = [camera.zoomed(found.focal) for camera in cameras]
     if len(cameras) == 1:
         cameras = cameras * count
     if len(cameras) != count:
@@ -241,99 +214,16 @@ def load_video(
         raise InputError(f"{folder}: no frame can be used; frame 0: {absent[0]}")
     splits = load_splits(folder, count).without(absent)
     absent = dict(sorted(absent.items()))
-    return Video(folder, cameras, pose, shape, splits, images, maps, absent, focal, stage)
+    return Video(
+        folder, cameras, found.pose, found.shape, splits, images, maps, absent, found.focal,
+        found.stage,
+    )  # fmt: skip
 
 
 def best_poses(folder: Path) -> Path:
     """The refined poses of a subject; where it has none, those of stage 1."""
     refined = folder / REFINED_POSES
     return refined if refined.exists() else folder / POSES
-
-
-def load_cameras(path: Path) -> list[Camera]:
-    """Read ``cameras.npz``; one camera stands for all frames.
-
-    Raises:
-        InputError: a missing file or key, or a wrong shape.
-    """
-    data = read_arrays(path, "K, T_camera_world, width, height (.npz)")
-    require_keys(path, data, ("K", "T_camera_world", "width", "height"))
-    K, T = data["K"], data["T_camera_world"]
-    for name, value, shape in (("K", K, (3, 3)), ("T_camera_world", T, (4, 4))):
-        if value.shape[-2:] != shape or value.ndim not in (2, 3):
-            raise InputError(
-                f"{path}: '{name}' must be {shape} or (T, *{shape}), got {value.shape}"
-            )
-        if value.dtype.kind not in "iuf" or not np.isfinite(value).all():
-            raise InputError(f"{path}: '{name}' must hold finite numbers")
-        # A K that is not normalised, or a transposed one, would be a camera that nobody meant.
-        last = [0] * (shape[0] - 1) + [1]
-        if bad := [row for row in value[..., -1, :].reshape(-1, shape[0]) if any(row != last)]:
-            raise InputError(
-                f"{path}: the last row of '{name}' must be {last}, got {bad[0].tolist()}"
-            )
-    width, height = (_pixels(path, name, data[name]) for name in ("width", "height"))
-    require_size(str(path), width, height)
-    mirrored = [k for k, R in enumerate(T.reshape(-1, 4, 4)[:, :3, :3]) if np.linalg.det(R) < 0]
-    if mirrored:
-        raise InputError(
-            f"{path}: 'T_camera_world' of camera {mirrored[0]} is mirrored (its determinant is "
-            "below 0); expected x right, y down, z forward"
-        )
-    with expecting(path, "cameras that see something"):
-        count = max(len(x) if x.ndim == 3 else 1 for x in (K, T))
-        K, T = np.broadcast_to(K, (count, 3, 3)), np.broadcast_to(T, (count, 4, 4))
-        return [Camera.from_matrices(K[k], T[k], width, height) for k in range(count)]
-
-
-def _pixels(path: Path, name: str, value: np.ndarray) -> int:
-    """A number of pixels."""
-    number = value.dtype.kind in "iuf" and value.size == 1
-    if not number or not np.isfinite(value).all() or value.item() != int(value.item()):
-        raise InputError(f"{path}: '{name}' must be a whole number of pixels, got {value}")
-    return int(value.item())
-
-
-def save_cameras(path: Path, cameras: Sequence[Camera]) -> None:
-    """Write ``cameras.npz``; equal cameras are written once."""
-    K = np.stack([c.K for c in cameras])
-    T = np.stack([c.T_camera_world for c in cameras])
-    if (K == K[:1]).all() and (T == T[:1]).all():
-        K, T = K[0], T[0]
-    size = {"width": np.array(cameras[0].width), "height": np.array(cameras[0].height)}
-    write_arrays(path, K=K, T_camera_world=T, **size)
-
-
-def load_splits(folder: Path, frames: int) -> Splits:
-    """Read ``splits.json``; without it, every 8th frame is a test frame.
-
-    Raises:
-        InputError: unreadable, a frame that does not exist, or one in both lists.
-    """
-    path = folder / "splits.json"
-    if not path.exists():
-        return Splits.every(TEST_EVERY, frames)
-    expected = '{"train": [...], "test": [...]} of frame numbers'
-    data = read_json(path, expected)
-    with expecting(path, expected):
-        train, test = (list(data[name]) for name in ("train", "test"))
-        if odd := [k for k in (*train, *test) if type(k) is not int]:
-            raise InputError(f"{path}: frames must be whole numbers, got {str(odd[0]):.40}")
-    outside = [k for k in (*train, *test) if not 0 <= k < frames]
-    both = sorted(set(train) & set(test))
-    twice = [k for split in (train, test) for k, times in Counter(split).items() if times > 1]
-    if outside or both or twice or not train:
-        reason = (
-            f"frame {outside[0]} does not exist"
-            if outside
-            else f"frame {both[0]} is in both"
-            if both
-            else f"frame {twice[0]} is there twice"
-            if twice
-            else "no train frame"
-        )
-        raise InputError(f"{path}: {reason}; the video has frames 0 to {frames - 1}")
-    return Splits(train, test)
 
 
 def _picture(folder: Path, index: int) -> Path:

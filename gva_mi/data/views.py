@@ -1,4 +1,4 @@
-"""Frames of a video as other cameras saw them at the same time: held out, for figures alone.
+"""Frames of a video as other cameras saw them at the same time: held out, for evaluation only.
 
 ::
 
@@ -10,8 +10,8 @@
         views.json              {"frames": [...], "cameras": [...]}: which frame of the video each
                                 picture is of, and the name of the camera that saw it
 
-Poses are the video's own, whichever it was opened with: a moment has one pose, from all sides.
-Nothing but evaluation reads this folder. (Synthetic people have their novel views with the truth.)
+Poses are those that the video was opened with. Only evaluation reads this folder. (Synthetic
+subjects have their novel views in the ground truth.)
 """
 
 from __future__ import annotations
@@ -31,10 +31,7 @@ VIEWS, ABOUT = "views", "views.json"
 
 
 def held_out_views(video: Video) -> Video | None:
-    """What other cameras saw of a video, a frame a picture; None where there is nothing.
-
-    Args:
-        video: whose poses count.
+    """What other cameras saw of a video, under its poses; None without such views.
 
     Raises:
         InputError: a file is missing, or is not what it should be.
@@ -50,11 +47,11 @@ def held_out_views(video: Video) -> Video | None:
 
 
 def read_views(subject: Path, count: int) -> tuple[list[int], list[Camera]] | None:
-    """The video's frame and the camera of each picture; None where there are none.
+    """The video's frame and the camera of each picture; None without such views.
 
     Args:
         subject: its folder.
-        count: frames of the video.
+        count: number of the video's frames.
 
     Raises:
         InputError: a file is missing, or is not what it should be.
@@ -85,20 +82,13 @@ def read_views(subject: Path, count: int) -> tuple[list[int], list[Camera]] | No
 def save_views(
     folder: Path, frames: Sequence[int], names: Sequence[str], cameras: Sequence[Camera]
 ) -> None:
-    """Write what says which pictures these are, beside the pictures.
-
-    Args:
-        folder: the subject's ``views``.
-        frames: of the video, for each picture.
-        names: of the cameras, for each picture.
-        cameras: likewise, all of one size.
-    """
+    """Write ``views.json`` and ``cameras.npz``: frame and camera of each picture."""
     save_cameras(folder / "cameras.npz", cameras)
     write_json(folder / ABOUT, {"frames": list(frames), "cameras": list(names)})
 
 
 def _frames(path: Path, count: int) -> list[int]:
-    """Which frame of the video, of ``count`` frames, each picture is of."""
+    """The video's frame of each picture; the video has ``count``."""
     expected = '{"frames": [...]}, the video\'s frame of each picture'
     found = read_json(path, expected)
     with expecting(path, expected):

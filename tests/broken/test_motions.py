@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from gva_mi.data.importers.motions import Driven, MotionOptions, read_motion
+from gva_mi.data.importers.motions import MotionOptions, read_motion
+from gva_mi.data.importers.target import TargetBody
 from gva_mi.errors import InputError
 
 spec = importlib.util.spec_from_file_location("motions", Path(__file__).with_name("motions.py"))
@@ -19,7 +20,7 @@ OF_ESTIMATORS = ("gvhmr", "wham", "phalp", "pymafx")  # whose files say no rate
 
 @pytest.fixture(scope="module")
 def driven():
-    return Driven.of(None)
+    return TargetBody.read(None)
 
 
 def options(name):

@@ -11,8 +11,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pytest
 
-from gva_mi.data.importers.prepare import Source, prepare_folder
-from gva_mi.data.importers.target import Target
+from gva_mi.data.importers.prepare import PrepareOptions, prepare_folder
+from gva_mi.data.importers.target import TargetBody
 from gva_mi.data.pictures import write_image, write_movie
 
 W, H, T = 32, 24, 3
@@ -27,12 +27,14 @@ SMPLX = {"global_orient": 3, "body_pose": 63, "transl": 3, "jaw_pose": 3, "expre
 
 def datasets():
     """All of them by name."""
-    puppet = Target.read(Path("puppet"))
+    puppet = TargetBody.read(None)
 
     def prepared(kind, *views):
         def read(folder, _=None):
             with TemporaryDirectory() as out:
-                prepare_folder(Path(out), Source(kind, folder, views=views), puppet)
+                prepare_folder(
+                    Path(out), kind, folder, PrepareOptions(Path("puppet"), views=views), puppet
+                )
 
         return read
 
@@ -43,7 +45,6 @@ def datasets():
         "easymocap": (easymocap, prepared("easymocap", "all")),
         "easymocap smplx": (easymocap_smplx, prepared("easymocap")),
         "avatarrex": (avatarrex, prepared("avatarrex", "all")),
-        "neuman": (neuman, prepared("neuman")),
         "exavatar": (exavatar, prepared("exavatar")),
     }
 
@@ -131,23 +132,6 @@ def avatarrex(folder):
     (folder / "calibration_full.json").write_text(json.dumps({"1": camera, "2": camera}))
     arrays = {name: np.full((T, size), 0.1) for name, size in SMPLX.items()}
     np.savez(folder / "smpl_params.npz", betas=np.zeros((1, 10)), **arrays)
-
-
-def neuman(folder):
-    lines, aligned = ["# images"], {}
-    for k in range(T):
-        write_image(folder / f"images/{k:05d}.png", IMAGE)
-        write_image(folder / f"segmentations/{k:05d}.png", 255 - MASK)
-        aligned[f"{k:05d}.png"] = np.concatenate([np.eye(3), [[0, 0, 4]]])
-        lines += [f"{k} 1 0 0 0 0 0 0 1 {k:05d}.png", "1.0 2.0 -1"]
-    (folder / "sparse").mkdir()
-    (folder / "sparse/images.txt").write_text("\n".join(lines))
-    (folder / "sparse/cameras.txt").write_text(f"1 PINHOLE {W} {H} 40 40 16 12\n")
-    np.save(folder / "alignments.npy", aligned)
-    found = {1: {"pose": THETAS, "betas": np.zeros((T, 10))}}
-    (folder / "smpl_output_romp.pkl").write_bytes(pickle.dumps(found))
-    (folder / "train_split.txt").write_text("00000.png\n00001.png\n")
-    (folder / "test_split.txt").write_text("00002.png\n")
 
 
 def exavatar(folder):

@@ -6,11 +6,11 @@ import pickle
 import numpy as np
 import torch
 
+from gva_mi.data.importers.estimator_record import VideoInfo
 from gva_mi.data.importers.estimators import read_estimator
-from gva_mi.data.importers.readings import View
 
 W, H, T = 32, 24, 3
-VIEW = View((W, H), 40.0)
+VIEW = VideoInfo((W, H), 40.0)
 
 
 def estimators():
@@ -27,11 +27,6 @@ def estimators():
             "pose": pose, "trans": transl, "betas": betas, "frame_ids": frames,
             "pose_world": pose, "trans_world": transl, "verts": np.zeros((T, 9, 3)),
         }}),
-        "vibe": ("a.pkl", {1: {
-            "pred_cam": np.ones((T, 3)), "orig_cam": np.ones((T, 4)), "verts": np.zeros((T, 9, 3)),
-            "pose": pose, "betas": betas, "joints2d": None, "bboxes": np.zeros((T, 4)),
-            "frame_ids": frames,
-        }}),
         "gvhmr": ("a.pt", {
             "smpl_params_global": incam, "smpl_params_incam": incam, "K_fullimg": tensor(K),
         }),
@@ -39,13 +34,6 @@ def estimators():
             "tid": [2], "tracked_ids": [2], "smpl": [smpl], "time": k, "camera": [transl[k]],
             "size": [[H, W]], "mask": [],
         } for k in range(T)}),
-        "glamr": ("a.pkl", {"cam_pose": np.tile(np.eye(4), (T, 1, 1)), "meta": {"num_fr": T},
-                            "person_data": {0: {
-            "visible": np.ones(T), "exist_frames": np.ones(T, bool), "frames": frames,
-            "frame2ind": {k: k for k in range(T)}, "scale": None, "smpl_pose": pose[:, :69],
-            "smpl_beta": betas, "smpl_orient_cam": pose[:, :3], "root_trans_cam": transl,
-            "smpl_orient_cam_in_world": pose[:, :3], "root_trans_cam_in_world": transl, "cam_K": K,
-        }}}),
         "hybrik": ("a.pk", {
             "pred_thetas": R.reshape(T, -1), "pred_betas": betas, "pred_cam_root": transl,
             "transl": transl, "bbox": np.tile([0.0, 0, 20, 20], (T, 1)), "height": np.full(T, H),

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.data.networks.normals import Expected, NormalNetwork
+from gva_mi.data.networks.normals import NormalNetwork, NormalsSpec
 from gva_mi.data.networks.sam_weights import load_network
 from gva_mi.fit.perceptual import Weights, find_weights, lpips
 
@@ -30,7 +30,6 @@ def networks():
     """All of them by name."""
     return {
         "sam": (sam, lambda folder, _=None: load_network(folder)),
-        "sam of Meta": (sam_of_meta, lambda folder, _=None: load_network(folder / "a.pth")),
         "onnx": (onnx, read_onnx),
         "perceptual": (perceptual, lambda folder, _=None: lpips(own_weights(folder))),
     }
@@ -54,10 +53,6 @@ def sam(folder):
     tiny_sam().save_pretrained(folder)
 
 
-def sam_of_meta(folder):
-    torch.save(of_tests("test_segment_anything").metas(tiny_sam()), folder / "a.pth")
-
-
 def onnx(folder):
     of_tests("test_normal_networks").onnx_file(folder / "a.onnx", (16, 16))
 
@@ -65,7 +60,7 @@ def onnx(folder):
 def read_onnx(folder, _=None):
     mask = np.zeros((24, 32), np.float32)
     mask[4:20, 8:24] = 1
-    network = NormalNetwork(folder / "a.onnx", Expected("icon", (16, 16)))
+    network = NormalNetwork(folder / "a.onnx", NormalsSpec("icon", (16, 16)))
     network.see(np.full((24, 32, 3), 99, np.uint8), mask, np.array([8.0, 4, 24, 20]))
 
 

@@ -14,18 +14,19 @@ import torch
 
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.formats.without_body import save_without_body
-from gva_mi.body.pose import load_offsets
+from gva_mi.body.pose import is_pose_file, load_offsets
 from gva_mi.body.puppet import PUPPET
 from gva_mi.body.smplx import load_body
 from gva_mi.check import check_subject
 from gva_mi.commands import series
 from gva_mi.data.fingerprint import fingerprint, require_same_body
+from gva_mi.data.importers.capture import read_ranges
 from gva_mi.data.importers.footage import masks, pictures
 from gva_mi.data.importers.hdf5 import read_hdf5
-from gva_mi.data.importers.motions import Driven, MotionOptions, is_poses, read_motion
+from gva_mi.data.importers.lens import recorded
+from gva_mi.data.importers.motions import MotionOptions, read_motion
 from gva_mi.data.importers.normal_maps import write_maps
-from gva_mi.data.importers.recorded_lens import recorded
-from gva_mi.data.importers.recordings import read_ranges
+from gva_mi.data.importers.target import TargetBody
 from gva_mi.data.pictures import read_background, write_image, write_movie
 from gva_mi.data.synthetic import SynthOptions, describe_noise
 from gva_mi.data.synthetic.recorded import made_of
@@ -227,8 +228,8 @@ def seeds(subject, avatar):
 
     def read_motions(folder, path=None):
         def read(path):
-            assert path.suffix != ".npz" or not is_poses(path)
-            read_motion(path, Driven.of(None), MotionOptions())
+            assert path.suffix != ".npz" or not is_pose_file(path)
+            read_motion(path, TargetBody.read(None), MotionOptions())
 
         each(folder, path, {"amass.npz": read, "aist.pkl": read, "motion.pt": read})
 

@@ -78,9 +78,9 @@ def named(path, name):
 def test_functions_that_open_files_are_found():
     names = {named(path, name) for (path, _), name in READERS.items()}
     assert {
-        "gva_mi/body/pose.py load_poses", "gva_mi/splat/formats/spz.py load_spz",
+        "gva_mi/body/pose.py read_pose_file", "gva_mi/splat/formats/spz.py load_spz",
         "gva_mi/data/importers/multi_view.py _yaml", "gva_mi/fit/run_folder.py load_state",
-        "gva_mi/data/importers/hdf5.py _opened", "gva_mi/data/networks/sam_weights.py _of_folder",
+        "gva_mi/data/importers/hdf5.py _opened", "gva_mi/data/networks/sam_weights.py load_network",
     } <= names  # fmt: skip
     assert len(READERS) > 60
     for pattern in NOT_A_USERS:

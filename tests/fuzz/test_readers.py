@@ -17,10 +17,10 @@ from gva_mi.errors import InputError
 
 READERS = (
     "subject", "views", "true masks", "film", "check", "synth.json", "run", "study", "gaussians",
-    "body", "motion", "footage", "ranges", "hdf5", "wham", "vibe", "gvhmr", "4dhumans", "glamr",
+    "body", "motion", "footage", "ranges", "hdf5", "wham", "gvhmr", "4dhumans",
     "pymafx", "hybrik", "tram", "romp", "multihmr", "smplifyx", "smplerx", "osx", "smplestx",
     "parameters", "snapshot", "instantavatar", "zju", "easymocap", "easymocap smplx", "avatarrex",
-    "neuman", "exavatar", "sam", "sam of Meta", "onnx", "perceptual",
+    "exavatar", "sam", "onnx", "perceptual",
 )  # fmt: skip
 SECONDS, MEMORY = 20, 3 << 30  # that one file may take
 QUICK, THOROUGH = 12, 400  # files for each reader

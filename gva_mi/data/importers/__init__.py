@@ -1,30 +1,27 @@
-"""Files of other programs, as poses of this one.
+"""Read files of other programs: motions, pose estimators, data sets, films and masks.
 
-=====================  ===============================================================
-``fields``             joints under everybody's names and shapes, as 55 rotations
-``timeline``           frames that are missing, frame rates: rotations between rotations
-``world``              which way is up, and turning that upright
-``motions``            AMASS, AIST++ and the like, as driving poses
-``estimated_motions``  the same of what estimators saw: in their world, or their camera's axes
-``other_bodies``       parameters of MHR, refused by name
-``tracks``             one person as an estimator saw them; who, which frames, which shape
-``readings``           lenses, cameras and poses of their files, as tracks
-``whole_videos``       estimators that write a file a video
-``frame_files``        estimators that write a file a frame
-``smplx_json``         OSX, NeuralAnnot, ExAvatar: JSON a frame
-``estimators``         which of them wrote a file: WHAM, GVHMR, TRAM, PyMAF-X, SMPLify-X, ...
-``recordings``         people with their pictures, masks and splits
-``footage``            pictures and masks as people keep them
-``hdf5``               arrays of HDF5 files that may be hostile
-``lenses``             pictures without their lens's distortion
-``people_snapshot``    People-Snapshot, and InstantAvatar's form of it
-``multi_view``         ZJU-MoCap, EasyMocap, AvatarReX
-``exavatar``           ExAvatar's frames, masks and SMPL-X
-``other_views``        other cameras of these, as views that are held out
-``neuman``             NeuMan's walks past a moving camera
-``datasets``           which of these a folder is
-``prompts``            where the person is, for a network that is told
-``by_networks``        masks and normals that networks make
-``prepare``            all of that as a folder that every step reads
-=====================  ===============================================================
+======================  ============================================================
+``fields``              joints under other programs' names and shapes
+``tracks``              one person, frame by frame, in a camera's axes
+``people``              which of several people is the subject
+``numbering``           frame numbers
+``timeline``            missing frames, other frame rates
+``rotations``           rotations of numpy arrays
+``world``               which axis is up
+``lens``                focal lengths: assumed, recorded (``quicktime``), or given
+``distortion``          pictures without their lens's distortion
+``estimators``          one record for each pose estimator (``estimator_record``), and
+                        the readers of their files (``estimator_files``, ``smplx_json``)
+``motions``             AMASS, AIST++ and what estimators saw, as driving poses
+``capture``             people with their pictures, masks and splits
+``datasets``            one record for each data set (``one_camera``, ``multi_view``)
+``other_views``         a data set's other cameras, held out
+``footage``             pictures and masks of films, folders and arrays (``hdf5``)
+``mask_units``          what the numbers of masks mean
+``normal_maps``         normals of another program
+``prompts``             where the person is, for Segment Anything
+``by_networks``         masks and normals by networks
+``target``              the body that poses are converted to
+``prepare``             all of it as a subject's folder
+======================  ============================================================
 """

@@ -1,4 +1,4 @@
-"""Masks and normals of a subject's frames, by networks that people bring."""
+"""Make masks and normals of a subject's frames by networks that users bring."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from gva_mi.console import Progress, listed
 from gva_mi.data.masks import read_mask
 from gva_mi.data.networks.crop import box_of_mask
 from gva_mi.data.networks.normals import NormalNetwork
-from gva_mi.data.networks.segment_anything import Prompt, Segment, SegmentAnything
+from gva_mi.data.networks.segment_anything import MaskGuess, Prompt, SegmentAnything
 from gva_mi.data.normals import ABOUT
 from gva_mi.data.pictures import read_image, write_image
 from gva_mi.errors import InputError
@@ -26,31 +26,25 @@ def write_masks(
     prompts: Sequence[Prompt | None],
     progress: Progress | None = None,
 ) -> list[str]:
-    """Write ``masks/`` beside ``frames/``, frame by frame, each after the one before.
+    """Write ``masks/`` beside ``frames/``, each after the one before; return notes.
 
     Args:
         folder: of the subject.
         network: that finds the person.
-        prompts: where they are in each frame; None: nowhere, and no mask is written.
-        progress: told how many frames are done.
-
-    Returns:
-        What to say about them: frames without a mask, and those where it is doubtful.
+        prompts: where the person is in each frame; None: no mask is written.
+        progress: called after each frame.
 
     Raises:
         InputError: no frame has a mask.
     """
-    before: Segment | None = None
+    before: MaskGuess | None = None
     none, doubtful = [], []
     for k, prompt in enumerate(prompts):
-        if prompt is None:
-            before = None
-        else:
+        if prompt is not None:
             image = read_image(folder / "frames" / f"{k:06d}.png", 3)
             before = network.find(image, prompt, before)
-            if not before.mask.any():
-                before = None
-        if before is None:
+        if prompt is None or not before.mask.any():
+            before = None
             none.append(k)
         else:
             write_image(folder / "masks" / f"{k:06d}.png", before.mask * np.uint8(255))
@@ -73,22 +67,18 @@ def write_masks(
 def write_normals(
     folder: Path, network: NormalNetwork, count: int, progress: Progress | None = None
 ) -> list[str]:
-    """Write ``normals/`` and ``normals.json`` beside ``frames/`` and ``masks/``.
+    """Write ``normals/`` and ``normals.json`` of a subject that has its masks; return notes.
 
-    A map shows a part of the frame, at the network's own resolution: the boxes of
-    :mod:`gva_mi.data.normals` say which.
+    A map shows a part of the frame, which ``normals.json`` says, at the network's own resolution.
 
     Args:
-        folder: of the subject, whose masks are there.
+        folder: of the subject.
         network: that sees normals.
         count: of frames.
-        progress: told how many frames are done.
-
-    Returns:
-        What to say about them.
+        progress: called after each frame.
 
     Raises:
-        InputError: the network does not answer as it should.
+        InputError: the network fails, or its answer is of another form.
     """
     boxes, maps = [[0, 0, 1, 1]] * count, 0
     for k in range(count):
@@ -102,5 +92,5 @@ def write_normals(
             maps += 1
         if progress:
             progress(k + 1, count)
-    write_json(folder / ABOUT, {"convention": network.how.convention, "boxes": boxes})
-    return [f"normals of {maps} frames by {network.path.name}, {network.how.convention}"]
+    write_json(folder / ABOUT, {"convention": network.spec.convention, "boxes": boxes})
+    return [f"normals of {maps} frames by {network.path.name}, {network.spec.convention}"]

@@ -1,67 +1,84 @@
-"""Data sets that come with their own pictures and masks; each is told by its files.
+"""Data sets that bring their own pictures and masks: one record for each.
 
-``people_snapshot``, ``multi_view``, ``neuman`` and ``exavatar`` hold the readers, and what each
-expects.
+:mod:`.one_camera` and :mod:`.multi_view` hold the readers.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
-from gva_mi.data.importers import exavatar, multi_view, neuman, people_snapshot
-from gva_mi.data.importers.estimators import told
-from gva_mi.data.importers.recordings import Recording, Wanted
-from gva_mi.errors import InputError
+import numpy as np
+
+from gva_mi.data.importers import multi_view, one_camera
+from gva_mi.data.importers.capture import Capture
+from gva_mi.errors import InputError, expecting
+
+
+@dataclass(frozen=True)
+class DataSet:
+    """How a data set's folder is recognised and read."""
+
+    files: tuple[str, ...]  # all of them are there, each "a" or "a|b"
+    read: Callable[[str, Path, str | None, np.ndarray | None], Capture]
+    expects: str  # for messages
+
+    def recognises(self, folder: Path) -> bool:
+        """Whether a folder holds its files."""
+        return all(any((folder / x).exists() for x in name.split("|")) for name in self.files)
+
+
+DATASETS = {
+    "snapshot": DataSet(
+        ("camera.pkl", "reconstructed_poses.hdf5"), one_camera.snapshot,
+        "camera.pkl, masks.hdf5, reconstructed_poses.hdf5 and a film",
+    ),
+    "instantavatar": DataSet(
+        ("cameras.npz", "images", "masks", "poses.npz|poses_optimized.npz"),
+        one_camera.instantavatar, "cameras.npz, images/, masks/ and poses.npz",
+    ),
+    "zju": DataSet(
+        ("annots.npy",), multi_view.zju, "annots.npy, new_params/ and mask_cihp/",
+    ),
+    "easymocap": DataSet(
+        ("intri.yml", "extri.yml"), multi_view.easymocap,
+        "intri.yml, extri.yml, images/ and smpl/ with a .json a frame",
+    ),
+    "avatarrex": DataSet(
+        ("calibration_full.json", "smpl_params.npz"), multi_view.avatarrex,
+        "calibration_full.json, smpl_params.npz and a folder a camera",
+    ),
+    "exavatar": DataSet(
+        ("smplx_optimized/shape_param.json", "frames"), one_camera.exavatar,
+        "frames/, masks/, cam_params/ and smplx_optimized/",
+    ),
+}  # fmt: skip
 
 
 def dataset_of(folder: Path) -> str | None:
     """The kind of a folder that is a data set; None of anything else."""
-    return next((kind for kind, (fits, _, _) in DATASETS.items() if fits(folder)), None)
+    return next((kind for kind, record in DATASETS.items() if record.recognises(folder)), None)
 
 
-def read_dataset(kind: str, folder: Path, wanted: Wanted) -> Recording:
+def read_dataset(
+    kind: str, folder: Path, camera: str | None, components: np.ndarray | None
+) -> Capture:
     """A data set's people, pictures and masks.
 
     Args:
         kind: one of :data:`DATASETS`.
         folder: of one subject.
-        wanted: of it.
+        camera: the name of the camera that becomes the video; None: the first.
+        components: (2, K, 45) PCA of hands of the body's file.
 
     Raises:
         InputError: the folder is of another kind, or not of its form.
     """
-    fits, read, what = DATASETS[kind]
-    if not fits(folder):
-        raise InputError(f"{folder}: not of the kind {kind}; expected a folder with {what}")
-    return told(folder, kind, what, read, folder, wanted)
-
-
-Reader = Callable[[str, Path, Wanted], Recording]
-DATASETS: dict[str, tuple[Callable[[Path], bool], Reader, str]] = {
-    "snapshot": (
-        people_snapshot.is_snapshot, people_snapshot.read_snapshot,
-        "camera.pkl, masks.hdf5, reconstructed_poses.hdf5 and a film",
-    ),
-    "instantavatar": (
-        people_snapshot.is_instantavatar, people_snapshot.read_instantavatar,
-        "cameras.npz, images/, masks/ and poses.npz",
-    ),
-    "zju": (multi_view.is_zju, multi_view.read_zju, "annots.npy, new_params/ and mask_cihp/"),
-    "easymocap": (
-        multi_view.is_easymocap, multi_view.read_easymocap,
-        "intri.yml, extri.yml, images/ and smpl/ with a .json a frame",
-    ),
-    "avatarrex": (
-        multi_view.is_avatarrex, multi_view.read_avatarrex,
-        "calibration_full.json, smpl_params.npz and a folder a camera",
-    ),
-    "neuman": (
-        neuman.is_neuman, neuman.read_neuman,
-        "images/, segmentations/, sparse/, alignments.npy and smpl_output_romp.pkl",
-    ),
-    "exavatar": (
-        exavatar.is_exavatar, exavatar.read_exavatar,
-        "frames/, masks/, cam_params/ and smplx_optimized/",
-    ),
-}  # fmt: skip
+    record = DATASETS[kind]
+    if not record.recognises(folder):
+        raise InputError(
+            f"{folder}: not of the kind {kind}; expected a folder with {record.expects}"
+        )
+    with expecting(f"{folder} (of the kind {kind})", record.expects):
+        return record.read(str(folder), folder, camera, components)

@@ -1,13 +1,11 @@
-"""What pose estimators write, as tracks; each is told by its keys.
+"""What pose estimators write, as tracks: one record for each estimator.
 
 ===============  ===============================================  ==============================
 Kind             File, by the public repository's own code        Camera
 ===============  ===============================================  ==============================
 ``wham``         ``wham_output.pkl`` (yohanshin/WHAM)             f = √(W² + H²), centred
-``vibe``         ``vibe_output.pkl`` (mkocabas/VIBE)              weak perspective, f = 5000 here
 ``gvhmr``        ``hmr4d_results.pt`` (zju3dv/GVHMR)              ``K_fullimg``
 ``4dhumans``     PHALP's ``.pkl`` (shubham-goel/4D-Humans)        f = 5000/256 max(W, H), centred
-``glamr``        ``grecon/*.pkl`` (NVlabs/GLAMR)                  ``cam_K`` of its own pictures
 ``pymafx``       ``output.pkl`` (HongwenZhang/PyMAF-X)            f = 5000, centred
 ``hybrik``       ``res.pk`` (jeffffffli/HybrIK), 24 or 55 joints  f = 1000/256 width of the box
 ``tram``         ``hps/hps_track_0.npy`` (yufu-wang/tram)         ``camera.npy`` above
@@ -21,39 +19,50 @@ Kind             File, by the public repository's own code        Camera
                  ``cam_param`` (IDEA-Research/OSX, NeuralAnnot);
                  forks of SMPLest-X: :mod:`.smplx_json`
 ``parameters``   SMPL's or SMPL-X's, by the names and in the      ``K``, ``focal``, or ``--focal``
-                 shapes of :mod:`fields`
+                 shapes of :mod:`.fields`
 ===============  ===============================================  ==============================
 
-All give root rotation and translation in the axes of the camera. Focal lengths are what the
-estimator assumed: they are kept, for its translations only hold with them. ``whole_videos`` and
-``frame_files`` hold the readers.
+Root rotation and translation are in the camera's axes. The focal length that an estimator assumed
+is kept, because its translations hold with that one only.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from gva_mi.data.importers import frame_files as frames
+from gva_mi.body.pose import SMPLX_FIELDS
+from gva_mi.data.importers import estimator_files as files
 from gva_mi.data.importers import smplx_json
-from gva_mi.data.importers import whole_videos as videos
-from gva_mi.data.importers.other_bodies import refuse_other_bodies
-from gva_mi.data.importers.readings import View
+from gva_mi.data.importers.estimator_files import Person, any_holds, holds
+from gva_mi.data.importers.estimator_record import (
+    Estimator,
+    VideoInfo,
+    World,
+    focal_of,
+    lens_by_name,
+    lens_of_hybrik,
+    lens_of_romp,
+    lens_of_wham,
+    own_K,
+)
 from gva_mi.data.importers.tracks import Track
 from gva_mi.errors import InputError, expecting
-from gva_mi.pickles.reader import read_objects
+
+FAR_FOCAL = 5000.0  # pixels, of estimators that assume that a person stands far away
+_OF_MHR = {"mhr_model_params", "mhr_shape_params", "body_pose_params"}
 
 
-def read_estimator(kind: str, source: Path, view: View) -> tuple[str, list[Track]]:
+def read_estimator(kind: str, source: Path, info: VideoInfo) -> tuple[str, list[Track]]:
     """The people that an estimator saw.
 
     Args:
         kind: one of :data:`KINDS`, or "auto".
         source: its file, or its folder.
-        view: the video's size, which some cameras follow from, and what the file does not say.
+        info: the video's size, and what the file does not say.
 
     Returns:
         The kind, and a track a person.
@@ -61,89 +70,175 @@ def read_estimator(kind: str, source: Path, view: View) -> tuple[str, list[Track
     Raises:
         InputError: the source is of another kind, or of none that is known.
     """
-    found = _open(source)
-    _refuse(source, found)
-    kind = kind_of(found) or "" if kind == "auto" else kind
-    if not kind:
-        known = "; ".join(f"{name}: {what}" for name, (_, _, what) in KINDS.items())
-        raise InputError(f"{source}: of no kind that is known; looked for {known}")
-    return kind, tracks_of(kind, source, found, view)
-
-
-def kind_of(found: Any) -> str | None:  # noqa: ANN401
-    """Which of :data:`KINDS` wrote what a file holds, or a folder (its path), if any did."""
-    return next((name for name, (fits, _, _) in KINDS.items() if fits(found)), None)
-
-
-def tracks_of(kind: str, source: Path, found: Any, view: View) -> list[Track]:  # noqa: ANN401
-    """The people in what a file holds, or in a folder (its path), frames ascending.
-
-    Raises:
-        InputError: it is not of this kind, or not in its form.
-    """
-    fits, read, what = KINDS[kind]
-    if not fits(found):
-        raise InputError(f"{source}: not of the kind {kind}; expected {what}")
-    return [track.sorted() for track in told(source, kind, what, read, found, view)]
-
-
-def told(source: Path, kind: str, what: str, read: Callable[..., Any], *arguments: Any) -> Any:  # noqa: ANN401
-    """What a reader returns; where a file is of its kind and not of its form, one sentence.
-
-    Raises:
-        InputError: whatever the reader stumbles over.
-    """
-    with expecting(f"{source} (of the kind {kind})", what):
-        return read(str(source), *arguments)
-
-
-def _open(source: Path) -> Any:  # noqa: ANN401
-    """What a file holds; a folder as its path."""
-    if source.is_dir():
-        return source
-    expected = "what a pose estimator wrote, a .pkl, .pt, .npy or .npz, or its folder"
-    return frames.plain(read_objects(source, expected))
-
-
-def _refuse(source: Path, found: Any) -> None:  # noqa: ANN401
-    """Raise an InputError for what has no meaning without something that is not there."""
+    found = files.read_source(source, "what a pose estimator wrote, a .pkl, .pt, .npy or .npz, or "
+                              "its folder")  # fmt: skip
     if isinstance(found, np.ndarray) and not found.dtype.hasobject:
         raise InputError(
             f"{source}: an array {found.shape} without names, which could be any parameters in any "
             "order; save them by name: global_orient, body_pose, transl, betas (.npz)"
         )
-    refuse_other_bodies(source, frames.first_of(source) if source.is_dir() else found)
+    refuse_mhr(source, files.first_of(found))
+    kind = kind_of(found) or "" if kind == "auto" else kind
+    if not kind:
+        known = "; ".join(f"{name}: {record.expects}" for name, record in KINDS.items())
+        raise InputError(f"{source}: of no kind that is known; looked for {known}")
+    return kind, tracks_of(kind, source, found, info)
 
 
-Reader = Callable[[str, Any, View], list[Track]]
-KINDS: dict[str, tuple[Callable[[Any], bool], Reader, str]] = {
-    "wham": (videos.is_wham, videos.read_wham, "people with pose, trans and frame_ids"),
-    "vibe": (videos.is_vibe, videos.read_vibe, "people with pose, orig_cam and frame_ids"),
-    "gvhmr": (videos.is_gvhmr, videos.read_gvhmr, "smpl_params_incam and K_fullimg"),
-    "4dhumans": (videos.is_phalp, videos.read_phalp, "frames with tid, smpl and camera"),
-    "glamr": (videos.is_glamr, videos.read_glamr, "person_data and cam_pose"),
-    "pymafx": (videos.is_pymafx, videos.read_pymafx, "smplx_params, orig_cam_t and frame_ids"),
-    "hybrik": (videos.is_hybrik, videos.read_hybrik, "pred_thetas, pred_cam_root and bbox"),
-    "tram": (frames.is_tram, frames.read_tram, "a folder with hps/hps_track_0.npy and camera.npy"),
-    "romp": (frames.is_romp, frames.read_romp, "results with smpl_thetas and cam_trans"),
-    "multihmr": (
-        frames.is_multihmr, frames.read_multihmr,
+def kind_of(found: Any) -> str | None:  # noqa: ANN401
+    """Which of :data:`KINDS` wrote what a file holds, or a folder (its path), if any did."""
+    return next((name for name, record in KINDS.items() if record.recognises(found)), None)
+
+
+def tracks_of(kind: str, source: Path, found: Any, info: VideoInfo) -> list[Track]:  # noqa: ANN401
+    """The people in what a file holds, or in a folder (its path), frames ascending.
+
+    Raises:
+        InputError: it is not of this kind, or not in its form.
+    """
+    record = KINDS[kind]
+    if not record.recognises(found):
+        raise InputError(f"{source}: not of the kind {kind}; expected {record.expects}")
+    with expecting(f"{source} (of the kind {kind})", record.expects):
+        return record.tracks(str(source), found, info)
+
+
+def refuse_mhr(where: object, found: Any, deep: int = 4) -> None:  # noqa: ANN401
+    """Refuse by name the parameters of MHR, the body of SAM 3D Body, however deep they lie.
+
+    Raises:
+        InputError: they are of that body, which is not read.
+    """
+    if isinstance(found, np.ndarray):
+        found = found.ravel()[:20].tolist() if found.dtype.hasobject else ()
+    if isinstance(found, Mapping) and _OF_MHR & set(map(str, found)):
+        raise InputError(
+            f"{where}: holds parameters of MHR, as SAM 3D Body writes, which is another body than "
+            "SMPL-X; fit SMPL-X to its vertices with MHR's own conversion, and save that by name"
+        )
+    if deep and isinstance(found, Mapping | list | tuple):
+        inner = found.values() if isinstance(found, Mapping) else found
+        for value in list(inner)[:20]:  # frames are alike
+            refuse_mhr(where, value, deep - 1)
+
+
+def _gvhmr(name: str) -> Callable[[str, dict], Iterable[Person]]:
+    """A reader of one of GVHMR's two sets of one person's parameters."""
+
+    def people(where: str, found: dict) -> Iterable[Person]:
+        person = found[name]
+        yield Person(
+            "0", np.arange(len(person["body_pose"])), {**person, "K": found.get("K_fullimg")}
+        )
+
+    return people
+
+
+def _along_path(found: Path, tracks: list[Track]) -> list[Track] | None:
+    """TRAM's people in the world of its camera's path."""
+    about = files.tram_camera(found)
+    if not holds(about, "pred_cam_R", "pred_cam_T"):
+        return None
+    R, T = (np.asarray(about[f"pred_cam_{x}"], np.float64) for x in "RT")
+    if R.ndim != 3 or T.ndim != 2:
+        return None
+    return [track.seen_from(R[track.frames], T[track.frames]) for track in tracks]
+
+
+def _size_of_phalp(found: dict) -> Any:  # noqa: ANN401
+    sizes = (frame.get("size") for frame in found.values())
+    sizes = [np.reshape(size, (-1, 2))[0] for size in sizes if size is not None and np.size(size)]
+    return sizes[0][::-1] if sizes else None
+
+
+def _size_of_pymafx(found: dict) -> Any:  # noqa: ANN401
+    """Where a picture of width W is seen as s, PyMAF-X puts a person at z = 2 f / (s W)."""
+    if "orig_cam" not in found:
+        return None
+    seen = np.reshape(found["orig_cam"], (-1, 4))
+    depth = np.reshape(found["orig_cam_t"], (-1, 3))[:, 2]
+    width = float(np.median(2 * FAR_FOCAL / (seen[:, 0] * depth)))
+    return width, width * float(np.median(seen[:, 0] / seen[:, 1]))
+
+
+_MULTI_HMR_ANGLE = np.radians(60.0 / 2)  # half of what the longer side is seen under
+_ALL = {name: name for name in SMPLX_FIELDS}
+_PYMAFX = {  # the root stands before the body, and SMPL's mittens after it
+    "global_orient": ("body_pose", slice(0, 1)), "body_pose": ("body_pose", slice(1, 22)),
+    "left_hand_pose": "left_hand_pose", "right_hand_pose": "right_hand_pose",
+    "jaw_pose": "jaw_pose", "leye_pose": "leye_pose", "reye_pose": "reye_pose",
+    "betas": "shape", "transl": "orig_cam_t",
+}  # fmt: skip
+_MULTIHMR = {  # joints: the root, 21 of the body, both hands relative to the flat ones, the jaw
+    "global_orient": ("rotvec", slice(0, 1)), "body_pose": ("rotvec", slice(1, 22)),
+    "left_hand_pose": ("rotvec", slice(22, 37)), "right_hand_pose": ("rotvec", slice(37, 52)),
+    "jaw_pose": ("rotvec", slice(52, 53)), "betas": "shape", "transl": "transl_pelvis",
+}  # fmt: skip
+_SMPLIFYX = {name: f"{name}?" for name in (*SMPLX_FIELDS, "betas")}
+
+KINDS: dict[str, Estimator] = {
+    "wham": Estimator(
+        "people with pose, trans and frame_ids",
+        lambda x: any(any_holds(x, "pose", "trans", key) for key in ("frame_ids", "frame_id")),
+        files.wham, lens_of_wham, {"pose": "pose", "transl": "trans", "betas": "betas?"},
+        world=World(files.is_wham_world, files.wham_world,
+                    {"pose": "pose_world", "transl": "trans_world?", "betas": "betas?"}),
+    ),
+    "gvhmr": Estimator(
+        "smpl_params_incam and K_fullimg",
+        lambda x: holds(x, "smpl_params_incam", "K_fullimg"), _gvhmr("smpl_params_incam"), own_K,
+        world=World(lambda x: holds(x, "smpl_params_global"), _gvhmr("smpl_params_global")),
+    ),
+    "4dhumans": Estimator(
+        "frames with tid, smpl and camera",
+        lambda x: any_holds(x, "tid", "smpl", "camera"), files.phalp,
+        focal_of(lambda info: 5000 / 256 * max(info.size)),
+        {"global_orient": "global_orient", "body_pose": "body_pose", "betas": "betas",
+         "transl": "camera"},
+        far_size=_size_of_phalp,
+    ),
+    "pymafx": Estimator(
+        "smplx_params, orig_cam_t and frame_ids",
+        lambda x: holds(x, "smplx_params", "orig_cam_t", "frame_ids"), files.pymafx,
+        focal_of(lambda info: FAR_FOCAL), _PYMAFX, far_size=_size_of_pymafx,
+    ),
+    "hybrik": Estimator(
+        "pred_thetas, pred_cam_root and bbox",
+        lambda x: holds(x, "pred_thetas", "pred_cam_root", "bbox"), files.hybrik, lens_of_hybrik,
+        {"pose": "pred_thetas", "transl": "pred_cam_root", "betas": "pred_betas"}, of_pelvis=True,
+        far_size=lambda x: [np.ravel(x[name])[0] for name in ("width", "height")],
+    ),
+    "tram": Estimator(
+        "a folder with hps/hps_track_0.npy and camera.npy",
+        lambda x: bool(files.tram_files(x)), files.tram, own_K,
+        {"pose": "pred_rotmat", "transl": "pred_trans", "betas": "pred_shape"},
+        along_path=_along_path,
+    ),
+    "romp": Estimator(
+        "results with smpl_thetas and cam_trans", files.is_romp, files.romp, lens_of_romp,
+        {"pose": "smpl_thetas", "transl": "cam_trans", "betas": "smpl_betas"},
+    ),
+    "multihmr": Estimator(
         "a folder with people of rotvec and transl_pelvis, a file a frame",
+        files.is_multihmr, files.multihmr,
+        focal_of(lambda info: info.focal or max(info.size) / 2 / np.tan(_MULTI_HMR_ANGLE)),
+        _MULTIHMR, of_pelvis=True,
     ),
-    "smplifyx": (
-        frames.is_smplifyx, frames.read_smplifyx,
+    "smplifyx": Estimator(
         "a folder with results/000/000.pkl with camera_translation",
+        files.is_smplifyx, files.smplifyx, focal_of(lambda info: info.focal or FAR_FOCAL),
+        _SMPLIFYX | {"transl": "camera_translation"}, mean_hand=True, needs_video=True,
     ),
-    "smplerx": (
-        frames.is_smplerx, frames.read_smplerx,
+    "smplerx": Estimator(
         "a folder with smplx/00001_0.npz and meta/00001_0.json",
+        lambda x: bool(files.smplerx_files(x)), files.smplerx, own_K, mean_hand=True,
     ),
-    "osx": (
-        smplx_json.is_osx, smplx_json.read_osx,
+    "osx": Estimator(
         "a folder with 12_0.json of smplx_param and cam_param",
+        smplx_json.is_osx, smplx_json.osx, own_K, mean_hand=True,
     ),
-    "parameters": (
-        frames.is_parameters, frames.read_parameters,
+    "parameters": Estimator(
         "global_orient, body_pose and transl by name, in a file or one a frame",
+        files.is_parameters, files.parameters, lens_by_name,
     ),
 }  # fmt: skip

@@ -1,20 +1,20 @@
-"""Joints under everybody's names and shapes, as rotations of SMPL-X's 55 joints.
+"""Joint rotations under the names and shapes of other programs, as those of SMPL-X's 55 joints.
 
 =================================================  ==========================================
-Names                                              Who writes them
+Names                                              Written by
 =================================================  ==========================================
 ``poses``, ``pose``, ``fullpose``, ``smpl_poses``  one row a frame: AMASS, AIST++, WHAM, GRAB,
 ``thetas``, ``smpl_thetas``                        InstantAvatar, ROMP
 ``root_orient``, ``pose_body``, ``pose_hand``,     AMASS in parts
 ``pose_jaw``, ``pose_eye``
-``global_orient``, ``body_pose``, ...              SMPL-X's own, most estimators
+``global_orient``, ``body_pose``, ...              SMPL-X itself, most estimators
 =================================================  ==========================================
 
-Each may be axis-angle, flat (T, 3 J) or (T, J, 3), or rotation matrices (T, J, 3, 3). How many
-numbers a row has tells the body: 165 SMPL-X, 156 SMPL+H, 72 SMPL, 66 its 22 joints above.
+Each may be axis-angle, flat (T, 3 J) or (T, J, 3), or rotation matrices (T, J, 3, 3). The numbers
+of a row tell the body: 165 SMPL-X, 156 SMPL+H, 72 SMPL, 66 the 22 joints that all have.
 
-Fingers may be components of SMPL-X's PCA, c (T, k) with k < 45: they are c C, relative to the
-mean hand, where the body's file has its components C.
+Fingers may be components of SMPL-X's PCA, c (T, k) with k < 45: they are c C relative to the mean
+hand, with the components C of the body's file.
 """
 
 from __future__ import annotations
@@ -24,28 +24,27 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import roma
-import torch
 
 from gva_mi.body.pose import BODY, JOINTS, LEFT_HAND, RIGHT_HAND, SMPLX_FIELDS
-from gva_mi.body.smpl import SMPL, SMPLH, SMPLX
+from gva_mi.body.smpl import FORMATS, SMPL, SMPLH, SMPLX
+from gva_mi.data.importers.rotations import nearest_rotations, to_rotvecs
 from gva_mi.errors import InputError
 
 WHOLE = ("poses", "pose", "fullpose", "full_pose", "smpl_poses", "thetas", "smpl_thetas")
 TRANSLATIONS = ("trans", "transl", "smpl_trans", "translation")
 SCALES = ("smpl_scaling", "body_scale")  # and "scale" where the translation is "translation"
-AMASS_PARTS = {  # and what each holds of JOINTS
+AMASS_PARTS = {  # and which of JOINTS each holds
     "root_orient": slice(0, 1), "pose_body": BODY, "pose_jaw": slice(22, 23),
     "pose_eye": slice(23, 25), "pose_hand": slice(LEFT_HAND.start, RIGHT_HAND.stop),
 }  # fmt: skip
 VPOSER = 32  # numbers of VPoser's latent code
-_HANDS = ("left_hand_pose", "right_hand_pose")
 FINGERS = 3 * (LEFT_HAND.stop - LEFT_HAND.start)  # numbers of a hand in axis-angle
+_HANDS = ("left_hand_pose", "right_hand_pose")
 
 
 @dataclass(frozen=True)
 class Joints:
-    """Rotations as a file has them, without any meaning of its world."""
+    """Rotations as a file has them, in the file's own world."""
 
     rotations: np.ndarray  # (T, 55, 3) axis-angle, radians; may hold NaN
     form: str  # "SMPL", "SMPL+H" or "SMPL-X": whose betas they go with
@@ -56,15 +55,15 @@ class Joints:
 def find_joints(
     where: str, found: Mapping[str, Any], components: np.ndarray | None = None
 ) -> Joints:
-    """The joints of T frames, under whichever names they stand.
+    """Find the joints of T frames, whatever their names.
 
     Args:
         where: file, and person if there are several, for the error.
         found: arrays by name.
-        components: (2, K, 45) of the PCA of hands, left before right, of the body's file.
+        components: (2, K, 45) PCA of hands of the body's file, left before right.
 
     Raises:
-        InputError: no names that are known; a shape that no body has; a latent code.
+        InputError: no known names; a shape that no body has; a latent code.
     """
     whole = next((name for name in WHOLE if name in found), None)
     if whole is not None:
@@ -72,7 +71,7 @@ def find_joints(
     if "root_orient" in found and "pose_body" in found:
         return _parts(where, found, AMASS_PARTS)
     if "global_orient" in found and "body_pose" in found:
-        fingers = _decoded(where, found, components)
+        fingers = _fingers(where, found, components)
         joints = _parts(where, {**found, **fingers}, SMPLX_FIELDS)
         return replace(joints, from_mean_hand=bool(fingers))
     names = ", ".join(sorted(map(str, found))[:12]) or "nothing"
@@ -82,13 +81,18 @@ def find_joints(
     )
 
 
-def find_translation(where: str, found: Mapping[str, Any], frames: int) -> np.ndarray:
-    """The root's translation (T, 3), metres, before a body that is not scaled.
+def translation_name(found: Mapping[str, Any]) -> str | None:
+    """The name under which a file holds the translation; None without one."""
+    return next((name for name in TRANSLATIONS if found.get(name) is not None), None)
 
-    Where a body is scaled by s, as AIST++'s and THuman's are, all is divided by s: x = s b + t
-    looks the same as b + t / s.
+
+def find_translation(where: str, found: Mapping[str, Any], frames: int) -> np.ndarray:
+    """The root's translation (T, 3), metres, of a body that is not scaled.
+
+    Where a body is scaled by s, as in AIST++ and THuman, all is divided by s: x = s b + t looks
+    the same as b + t / s.
     """
-    name = next((name for name in TRANSLATIONS if found.get(name) is not None), None)
+    name = translation_name(found)
     if name is None:
         return np.zeros((frames, 3))
     transl = _numbers(where, name, found[name])
@@ -106,17 +110,17 @@ def find_betas(where: str, found: Mapping[str, Any]) -> np.ndarray | None:
     """The person's betas (B,), or (T, B) where they differ from frame to frame; None without."""
     if found.get("betas") is None:
         return None
-    betas = _numbers(where, "betas", found["betas"])
-    if not betas.size:
-        raise InputError(f"{where}: 'betas' must be finite (B,) or (T, B), got {betas.shape}")
-    betas = betas.reshape(betas.shape[-1]) if betas.size == betas.shape[-1] else np.squeeze(betas)
-    if betas.ndim not in (1, 2) or not np.isfinite(betas).all():
-        raise InputError(f"{where}: 'betas' must be finite (B,) or (T, B), got {betas.shape}")
+    given = betas = _numbers(where, "betas", found["betas"])
+    if betas.size:
+        one = betas.size == betas.shape[-1]
+        betas = betas.reshape(betas.shape[-1]) if one else np.squeeze(betas)
+    if not betas.size or betas.ndim not in (1, 2) or not np.isfinite(betas).all():
+        raise InputError(f"{where}: 'betas' must be finite (B,) or (T, B), got {given.shape}")
     return betas
 
 
 def axis_angles(where: str, name: str, value: Any) -> np.ndarray:  # noqa: ANN401
-    """Rotations of any of the shapes above, (T, J, 3) float64 axis-angle.
+    """Rotations of any of the shapes above, as (T, J, 3) float64 axis-angle.
 
     Raises:
         InputError: another shape, or matrices that do not rotate.
@@ -134,47 +138,46 @@ def axis_angles(where: str, name: str, value: Any) -> np.ndarray:  # noqa: ANN40
 
 
 def _of_matrices(where: str, name: str, matrices: np.ndarray) -> np.ndarray:
-    """Axis-angle (T, J, 3) of matrices that a network has made orthogonal to a few digits."""
+    """Axis-angle (T, J, 3) of matrices that a network made orthogonal to a few digits."""
     known = np.isfinite(matrices).all((-1, -2), keepdims=True)
     matrices = np.where(known, matrices, np.eye(3))
     product = matrices @ matrices.swapaxes(-1, -2)
     if np.abs(product - np.eye(3)).max() > 0.1 or (np.linalg.det(matrices) < 0).any():
         raise InputError(f"{where}: '{name}' {matrices.shape} must hold rotation matrices")
-    rotvecs = roma.rotmat_to_rotvec(roma.special_procrustes(torch.from_numpy(matrices))).numpy()
-    return np.where(known[..., 0], rotvecs, np.nan)
+    return np.where(known[..., 0], to_rotvecs(nearest_rotations(matrices)), np.nan)
 
 
 def _whole(where: str, name: str, value: Any) -> Joints:  # noqa: ANN401
     angles = axis_angles(where, name, value)
-    forms = {len(form.joints): form for form in (SMPL, SMPLH, SMPLX)}
     count = angles.shape[1]
-    if count not in (*forms, BODY.stop):
+    if count not in (*FORMATS, BODY.stop):
         raise InputError(
             f"{where}: '{name}' has {3 * count} numbers a frame; expected 165 (SMPL-X), "
             "156 (SMPL+H), 72 (SMPL) or 66 (its 22 joints above the hands)"
         )
     rotations = np.zeros((len(angles), len(JOINTS), 3))
-    form = forms.get(count, SMPL)
+    form = FORMATS.get(count, SMPL)
     joints = list(range(BODY.stop)) if form is SMPL else list(form.joints)  # without mittens
     rotations[:, joints] = angles[:, : len(joints)]
     return Joints(rotations, form.name, form is not SMPL)
 
 
-def _decoded(
+def _fingers(
     where: str, found: Mapping[str, Any], components: np.ndarray | None
 ) -> dict[str, np.ndarray]:
-    """Hands (T, 45) of those that are components of a PCA; nothing where none are."""
+    """The hands (T, 45) of those that are components of a PCA; nothing where none are."""
     fingers, rows = {}, np.shape(found["body_pose"])[:1]
     for side, name in enumerate(_HANDS):
         shape = np.shape(found.get(name))
-        if len(shape) != 2 or shape[:1] != rows or not 0 < shape[1] < FINGERS:
-            continue
-        fingers[name] = decoded(where, _numbers(where, name, found[name]), side, components)
+        if len(shape) == 2 and shape[:1] == rows and 0 < shape[1] < FINGERS:
+            fingers[name] = hand_angles(where, _numbers(where, name, found[name]), side, components)
     return fingers
 
 
-def decoded(where: str, hand: np.ndarray, side: int, components: np.ndarray | None) -> np.ndarray:
-    """The fingers (T, 45) of components of the PCA of hands (T, k), or of fingers as they are.
+def hand_angles(
+    where: str, hand: np.ndarray, side: int, components: np.ndarray | None
+) -> np.ndarray:
+    """The fingers (T, 45), axis-angle, of a hand that may be components of a PCA (T, k).
 
     Args:
         where: file and person, for the error.

@@ -2,27 +2,28 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 
 from gva_mi.data.importers.hdf5 import SUFFIXES, rows_of_hdf5
-from gva_mi.data.importers.recordings import Pictures
+from gva_mi.data.importers.mask_units import full_value, to_8_bits
+from gva_mi.data.importers.numbering import by_number
 from gva_mi.data.mattes import matte_of_pixels
 from gva_mi.data.pictures import decoded, pixels_of, read_image, steps_of
 from gva_mi.errors import InputError
 from gva_mi.files import read_array
 
+Pictures = Path | tuple[Path, ...]  # a film or a folder, or single files in order
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 
 
 def pictures(source: Pictures, channels: int) -> Iterator[np.ndarray]:
-    """The pictures of a film or of a folder, one by one, turned as their metadata say.
+    """The pictures of a film, a folder or files, one by one, turned as their metadata say.
 
     Args:
-        source: a film, a folder, whose files go by the last number in their names, or files.
+        source: files of a folder go by the last number in their names.
         channels: 3 for RGB (H, W, 3), 1 for masks (H, W), 8-bit: :mod:`gva_mi.data.mattes`.
 
     Raises:
@@ -39,7 +40,7 @@ def pictures(source: Pictures, channels: int) -> Iterator[np.ndarray]:
 
 
 def files_of(source: Pictures) -> list[Path] | None:
-    """The files of pictures, by the last number in their names; None of a film.
+    """The files of pictures, by the last number in their names; None for a film.
 
     Raises:
         InputError: a folder holds none.
@@ -51,7 +52,12 @@ def files_of(source: Pictures) -> list[Path] | None:
     files = [path for path in source.iterdir() if path.suffix.lower() in PICTURES]
     if not files:
         raise InputError(f"{source}: holds no pictures ({', '.join(PICTURES)})")
-    return sorted(files, key=_in_order)
+    return sorted(files, key=by_number)
+
+
+def folder_of(source: Pictures) -> Path:
+    """The film or folder of a source of pictures, for messages."""
+    return source[0].parent if isinstance(source, tuple) else source
 
 
 def masks(source: Pictures) -> Iterator[np.ndarray]:
@@ -66,16 +72,16 @@ def masks(source: Pictures) -> Iterator[np.ndarray]:
     whole = isinstance(source, Path)
     if whole and source.suffix in SUFFIXES and source.is_file():
         for k, mask in enumerate(rows_of_hdf5(source, "masks")):
-            yield _scaled(f"{source}: mask {k}", mask, _inside(mask))
-    elif whole and source.is_dir() and (files := sorted(source.glob("*.npy"), key=_in_order)):
+            yield to_8_bits(f"{source}: mask {k}", mask, full_value(mask))
+    elif whole and source.is_dir() and (files := sorted(source.glob("*.npy"), key=by_number)):
         for path in files:
             mask = _stack(path, read_array(path)[None])[0]
-            yield _scaled(str(path), mask, _inside(mask))
+            yield to_8_bits(str(path), mask, full_value(mask))
     elif whole and source.suffix == ".npy" and source.is_file():
         rows = _rows_of_npy(source)
-        inside = max((_inside(mask) for mask in rows()), default=1)
+        full = max((full_value(mask) for mask in rows()), default=1)
         for k, mask in enumerate(rows()):
-            yield _scaled(f"{source}: mask {k}", mask, inside)
+            yield to_8_bits(f"{source}: mask {k}", mask, full)
     else:
         for mask in pictures(source, 1):
             yield mask * np.uint8(255) if mask.max(initial=0) <= 1 else mask
@@ -95,35 +101,10 @@ def _rows_of_npy(path: Path) -> Callable[[], Iterator[np.ndarray]]:
 
     def rows() -> Iterator[np.ndarray]:
         for k in range(len(whole)):
-            # Mapped anew, for pages that were read of one mapping stay in memory with it.
+            # Mapped anew: pages that were read through one mapping stay in memory with it.
             yield _stack(path, read_array(path, mapped=True))[k]
 
     return rows
-
-
-def _inside(mask: np.ndarray) -> int:
-    """What a mask counts to: 1, 255, or 65535 where it has 16 bits."""
-    most = mask.max(initial=0)
-    if mask.dtype.kind == "b" or most <= 1:
-        return 1
-    return 65535 if mask.dtype == np.uint16 and most > 255 else 255
-
-
-def _scaled(where: str, mask: np.ndarray, inside: int) -> np.ndarray:
-    """A mask of 8 bits."""
-    low, high = (mask.min(), mask.max()) if mask.size else (0, 0)
-    if not 0 <= low <= high <= inside:  # NaN is neither
-        raise InputError(
-            f"{where}: its values go from {low:g} to {high:g}, such as a network's own before they "
-            "are shares; expected Boolean, 0 to 1, or 0 to 255"
-        )
-    return np.round(mask.astype(np.float32) * (255 / inside)).astype(np.uint8)
-
-
-def _in_order(path: Path) -> tuple[int, str]:
-    """The last number in a name, as people number frames: frame_2 before frame_10."""
-    numbers = re.findall(r"\d+", path.stem)
-    return (int(numbers[-1]) if numbers else -1, path.name)
 
 
 def _film(path: Path, channels: int) -> Iterator[np.ndarray]:
@@ -137,15 +118,12 @@ def _film(path: Path, channels: int) -> Iterator[np.ndarray]:
 
 
 def uneven_rate(source: Pictures) -> str | None:
-    """That a film's pictures do not come at one rate, for people; None where they do.
-
-    Each of them is a frame all the same: none is left out, and none is shown twice.
-    """
+    """A note where a film's pictures do not come at one rate; each is one frame all the same."""
     if isinstance(source, tuple) or not source.is_file():
         return None
     steps, tick = steps_of(source)
     usual = float(np.median(steps)) if len(steps) else 0.0
-    # Moments are whole ticks: 30 a second are 33 or 34 ms apart where these are 1 ms.
+    # Moments are whole ticks: 30 a second are 33 or 34 ms apart where a tick is 1 ms.
     if not len(steps) or np.abs(steps - usual).max() <= max(0.1 * usual, 1.5 * tick):
         return None
     return (

@@ -1,7 +1,7 @@
-"""Arrays of HDF5 files, of which none may lead out of the file or claim more than it holds.
+"""Read arrays of HDF5 files that may be hostile.
 
-A name in such a file may be a link to another file; an array may lie in another file, or be put
-together from others, or claim any size. Such arrays are refused before anything is read.
+A name in such a file may link to another file; an array may lie in another file, be put together
+from others, or claim any size. Such arrays are refused before anything of them is read.
 """
 
 from __future__ import annotations
@@ -14,21 +14,20 @@ from typing import Any
 import numpy as np
 
 from gva_mi.budget import LARGEST
-from gva_mi.errors import InputError
+from gva_mi.errors import InputError, reason_of
 
 SUFFIXES = (".hdf5", ".h5")
-_FILTERS = (None, "lzf", "gzip", "szip")  # what h5py brings itself
+_FILTERS = (None, "lzf", "gzip", "szip")  # those that h5py brings
 _LARGEST_CHUNK = 1 << 28  # bytes that one block may unfold to
 
 
 def read_hdf5(path: Path, name: str) -> np.ndarray:
-    """One array of numbers.
+    """Read one array of numbers.
 
     Raises:
         InputError: no such file, no such array, or one that is refused.
     """
-    with _opened(path) as file:
-        array = _array(path, file, name)
+    with _opened(path, name) as array:
         if array.size * array.dtype.itemsize > LARGEST:
             raise InputError(f"{path}: '{name}' {array.shape} is larger than {LARGEST >> 30} GiB")
         return array[()]
@@ -40,8 +39,7 @@ def rows_of_hdf5(path: Path, name: str) -> Iterator[np.ndarray]:
     Raises:
         InputError: as above; or the array has other axes.
     """
-    with _opened(path) as file:
-        array = _array(path, file, name)
+    with _opened(path, name) as array:
         if array.ndim != 3:
             raise InputError(f"{path}: '{name}' must be (T, H, W), got {array.shape}")
         if array[:1].size * array.dtype.itemsize > _LARGEST_CHUNK:
@@ -51,8 +49,8 @@ def rows_of_hdf5(path: Path, name: str) -> Iterator[np.ndarray]:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[Any]:
-    """An open file; whatever the library stumbles over, one sentence."""
+def _opened(path: Path, name: str) -> Iterator[Any]:
+    """The array of a name in an open file; any error of the library becomes one sentence."""
     try:
         import h5py
     except ModuleNotFoundError:
@@ -63,12 +61,11 @@ def _opened(path: Path) -> Iterator[Any]:
         raise InputError(f"{path}: no such file; expected arrays in HDF5")
     try:
         with h5py.File(path, "r") as file:
-            yield file
+            yield _array(path, file, name)
     except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
         if isinstance(error, InputError):
             raise
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(f"{path}: damaged, or no HDF5 file ({reason:.80})") from None
+        raise InputError(f"{path}: damaged, or no HDF5 file ({reason_of(error):.80})") from None
 
 
 def _array(path: Path, file: Any, name: str) -> Any:  # noqa: ANN401

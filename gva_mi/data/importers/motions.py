@@ -1,11 +1,15 @@
-"""Motions of AMASS, AIST++ and their look-alikes, as poses that drive an avatar.
+"""Motions of AMASS, AIST++, pose estimators and the like, as poses that drive an avatar.
 
 Facts about the files are from the public descriptions of AMASS (nghorbani/amass) and AIST++
-(google/aistplusplus_api); of what pose estimators write, from :mod:`estimators`.
+(google/aistplusplus_api). A file may hold ``poses`` of any body, or parts of them; translations in
+metres, or in centimetres with ``smpl_scaling``; a frame rate under several names; NaN where markers
+were lost; angles of more than half a turn; and any axis may be up.
 
-A file may hold ``poses`` of any body, or parts of them; translations in metres, or in centimetres
-with ``smpl_scaling``; a frame rate under several names, none of them exact; NaN where markers were
-lost; angles of more than half a turn; and any axis may be up.
+What an estimator saw is a motion of the world where it found one, or where its camera's path is
+known; else of the camera's axes, and then the camera is taken to stand still. An estimator that
+assumes a lens far too long also makes depth, and steps toward the camera, too large by as much: a
+point (x, z) is seen at f x / z, so z f'/f before a lens f' shows the same. f' = √(W² + H²) is used,
+as WHAM does for an unknown lens.
 """
 
 from __future__ import annotations
@@ -19,21 +23,18 @@ import numpy as np
 import torch
 
 from gva_mi.body.gestures import GESTURES, put_hand
-from gva_mi.body.pose import LEFT_HAND, SMPLX_FIELDS, Pose, Shape
-from gva_mi.body.puppet import PUPPET
+from gva_mi.body.pose import LEFT_HAND, Pose, Shape
 from gva_mi.console import listed
-from gva_mi.data.importers.estimated_motions import estimated, lone_track, refuse_folder
-from gva_mi.data.importers.fields import find_betas, find_joints, find_translation
-from gva_mi.data.importers.frame_files import first_of, plain
-from gva_mi.data.importers.other_bodies import refuse_other_bodies
-from gva_mi.data.importers.readings import PELVIS
-from gva_mi.data.importers.target import Target
+from gva_mi.data.importers.estimator_files import first_of, holds, read_source
+from gva_mi.data.importers.estimator_record import VideoInfo
+from gva_mi.data.importers.estimators import KINDS, kind_of, refuse_mhr, tracks_of
+from gva_mi.data.importers.fields import find_betas
+from gva_mi.data.importers.people import choose
+from gva_mi.data.importers.target import TargetBody
 from gva_mi.data.importers.timeline import interpolate, longest_gap
-from gva_mi.data.importers.tracks import Track, median_betas
+from gva_mi.data.importers.tracks import Track, make_track, median_betas
 from gva_mi.data.importers.world import UP, up_axis, upright
-from gva_mi.errors import InputError
-from gva_mi.files import read_arrays
-from gva_mi.pickles.reader import read_objects
+from gva_mi.errors import InputError, expecting
 from gva_mi.ranges import Within, require_ranges
 
 EXPECTED = "a motion such as AMASS's .npz or AIST++'s .pkl"
@@ -54,9 +55,9 @@ class MotionOptions:
     up: Literal["auto", "x", "-x", "y", "-y", "z", "-z"] = "auto"  # the source's axis that is up
     hands: Literal["relaxed", "flat"] = "relaxed"  # where the source has none
     place: Literal["start", "source"] = "start"  # the pelvis in the first frame: at rest's place
-    # Seconds without numbers in a row that are still interpolated.
+    # Seconds in a row without numbers that are still interpolated.
     gap: Annotated[float, Within(0, 3600, "low")] = 1.0
-    # The estimator's name of one of several people; without it, who is seen longest.
+    # The estimator's name of one of several people; without it, the person seen longest.
     person: str | None = None
 
     def __post_init__(self) -> None:
@@ -65,77 +66,33 @@ class MotionOptions:
 
 @dataclass(frozen=True)
 class Motion:
-    """What came of a source."""
+    """A motion that was read."""
 
     pose: Pose
     shape: Shape
-    notes: tuple[str, ...]  # what was found and done, for people
+    notes: tuple[str, ...]  # what was found and done
 
 
-@dataclass(frozen=True)
-class Driven:
-    """The body that a motion is for."""
-
-    joints: np.ndarray  # (55, 3) at rest, metres
-    mean_hands: np.ndarray  # (30, 3) left before right, relative to flat ones
-    components: np.ndarray | None  # (2, K, 45) of SMPL-X's PCA of hands, in the same order
-
-    @staticmethod
-    def of(path: Path | None) -> Driven:
-        """A body's file at its mean shape; None: the puppet.
-
-        Raises:
-            InputError: as :func:`gva_mi.body.smplx.load_body`.
-        """
-        target = Target.read(path or PUPPET)
-        shape = Shape(torch.zeros(0, dtype=target.model.v_template.dtype))
-        joints = target.model.rest(shape).joints.double().numpy()
-        return Driven(joints, target.mean_hands, target.components)
-
-
-def is_poses(path: Path) -> bool:
-    """Whether a file holds poses in this program's own form, which are driven as they are.
-
-    They have all names of :func:`gva_mi.body.pose.load_poses` in its widths. A file that is not
-    there counts, too: that reader says so.
-    """
-    if not path.exists():
-        return True
-    try:
-        found = read_arrays(path, EXPECTED)
-    except InputError:
-        return False
-    if "stage" in found:  # made here, whatever happened to it since
-        return True
-    widths = {name: 3 * (part.stop - part.start) for name, part in SMPLX_FIELDS.items()}
-    return {"global_orient", "body_pose", "transl", "betas"} <= set(found) and all(
-        found[name].ndim == 2 and found[name].shape[1] == width
-        for name, width in widths.items()
-        if name in found
-    )
-
-
-def read_motion(path: Path, driven: Driven, options: MotionOptions) -> Motion:
-    """Read a motion, and turn, fill and resample it.
+def read_motion(path: Path, body: TargetBody, options: MotionOptions) -> Motion:
+    """Read a motion; turn it upright, fill its gaps, resample it.
 
     Args:
         path: .npz, .npy, .pkl or .pt, or an estimator's folder; pickles run no code.
-        driven: whose pelvis stays in place when the world is turned upright, and whose hands
+        body: whose pelvis stays in place when the world is turned upright, and whose hands
             components of a PCA weigh.
         options: as above.
 
     Raises:
-        InputError: what the file lacks, or cannot be told from it.
+        InputError: what the file lacks, or does not say.
     """
     where = str(path)
-    track, rate, betas, said = _found(path, driven, options)
+    track, rate, betas, notes = _read(path, body, options)
     rotations, transl, known = _timeline(where, track)
-    notes = [*said]
     if not known.all():
         _check_gaps(where, known, rate, options)
         notes.append(f"frames without numbers, interpolated: {listed(np.flatnonzero(~known))}")
     if track.from_mean_hand:
-        rotations[:, LEFT_HAND.start :] += driven.mean_hands
+        rotations[:, LEFT_HAND.start :] += body.mean_hands
         notes.append("hands are components of a PCA, added to the body's mean hand")
     if not track.has_hands:
         for side in ("left", "right") if options.hands == "relaxed" else ():
@@ -147,13 +104,13 @@ def read_motion(path: Path, driven: Driven, options: MotionOptions) -> Motion:
         raise InputError(f"{where}: {count:,} frames at {options.fps:g} a second; give less --fps")
     wanted = np.arange(count) / options.fps
     rotations, transl = interpolate(times[known], rotations[known], transl[known], wanted)
-    up = up_axis(rotations, transl, driven.joints) if options.up == "auto" else options.up
+    up = up_axis(rotations, transl, body.joints) if options.up == "auto" else options.up
     if up is None:
         raise InputError(
             f"{where}: the head is above the feet along no axis; give --up of gva-mi motion, one "
             f"of {', '.join(UP)}"
         )
-    rotations, transl = upright(rotations, transl, up, driven.joints[0])
+    rotations, transl = upright(rotations, transl, up, body.joints[0])
     if options.place == "start":
         transl = transl - transl[0]
     notes.insert(0, f"{track.form}, {len(known)} frames at {rate:g} a second, {up} up; "
@@ -163,24 +120,30 @@ def read_motion(path: Path, driven: Driven, options: MotionOptions) -> Motion:
     return Motion(pose, Shape(tensor(betas)), tuple(notes))
 
 
-def _found(
-    path: Path, driven: Driven, options: MotionOptions
+def _read(
+    path: Path, body: TargetBody, options: MotionOptions
 ) -> tuple[Track, float, np.ndarray, list[str]]:
-    """One person's track, frames a second, their betas (B,), and what to say."""
-    where, found = str(path), _opened(path)
-    refuse_other_bodies(where, first_of(path) if path.is_dir() else found)
-    people = estimated(path, found, options.person, driven.components)
-    if people is None and isinstance(found, Path):
-        refuse_folder(path)
-    if people is not None:
-        track, notes = people
+    """One person's track, frames a second, betas (B,), and notes."""
+    where, found = str(path), read_source(path, EXPECTED)
+    refuse_mhr(where, first_of(found))
+    if not isinstance(found, dict | Path) or not found:
+        raise InputError(f"{path}: holds no arrays by name; expected {EXPECTED}")
+    kind = _kind(found)
+    if kind is not None and (kind != "parameters" or isinstance(found, Path)):
+        track, notes = _estimated(kind, path, found, options.person, body.components)
         rate, betas = _rate(where, {}, options), track.betas
-        # From the source's body to the driven one, whose pelvis is elsewhere at rest.
-        place = track.transl + np.array(PELVIS[track.form])
-        track = replace(track, transl=place - driven.joints[0])
+        # The target's pelvis is elsewhere at rest than that of the source's body.
+        track = replace(track, transl=track.transl + track.pelvis - body.joints[0])
+    elif isinstance(found, Path):
+        _refuse_folder(path)
+    elif holds(found, "pred_rotmat", "pred_trans"):
+        raise InputError(
+            f"{path}: one person of TRAM without its camera; give the folder with hps/ and "
+            "camera.npy"
+        )
     else:
-        lone_track(path, found)
-        track, notes = _by_name(where, found, driven.components), []
+        named = {name: x for name, x in found.items() if name != "betas"}  # of any number of rows
+        track, notes = make_track(where, "0", None, named, np.eye(3), body.components), []
         rate, betas = _rate(where, found, options), find_betas(where, found)
     if betas is None or track.form != "SMPL-X":
         return track, rate, np.zeros(10), notes  # the shape spaces differ, and avatars have one
@@ -188,21 +151,65 @@ def _found(
     return track, rate, betas, [*notes, *varied]
 
 
-def _by_name(where: str, found: Mapping[str, Any], components: np.ndarray | None) -> Track:
-    """One person's arrays, as fields.py knows them; K and betas mean nothing."""
-    joints = find_joints(where, found, components)
-    count = len(joints.rotations)
-    transl, K = find_translation(where, found, count), np.tile(np.eye(3), (count, 1, 1))
-    return Track(
-        "0", np.arange(count), joints.rotations, transl, None, K, joints.form, joints.has_hands,
-        joints.from_mean_hand,
-    )  # fmt: skip
+def _kind(found: Any) -> str | None:  # noqa: ANN401
+    """The estimator that wrote a motion; a file may hold its world and no camera."""
+    worlds = (k for k, record in KINDS.items() if record.world and record.world.recognises(found))
+    return next(worlds, None) or kind_of(found)
+
+
+def _estimated(
+    kind: str,
+    path: Path,
+    found: Any,  # noqa: ANN401
+    person: str | None,
+    components: np.ndarray | None,
+) -> tuple[Track, list[str]]:
+    """One person of what an estimator wrote, in the axes that the module's docstring says."""
+    record = KINDS[kind]
+    if record.needs_video:
+        raise InputError(
+            f"{path}: written by {kind}, whose places follow from the size of the pictures, which "
+            f"it does not say; expected a motion in metres, or gva-mi prepare {kind} with its video"
+        )
+    with expecting(f"{path} (of the kind {kind})", "a motion of one person at least"):
+        tracks, axes = record.world_tracks(str(path), found, components), "in the axes of its world"
+        if not tracks:
+            size = record.far_size(found) if record.far_size else (1000, 1000)
+            if size is None or not all(0 < float(x) < 1e6 for x in size):
+                raise InputError(
+                    f"{path}: {kind} says no size of its pictures, which depth follows from"
+                )
+            size = round(float(size[0])), round(float(size[1]))
+            tracks = tracks_of(kind, path, found, VideoInfo(size, 1.0, components))
+            tracks, axes = _before_camera(kind, found, tracks, size)
+        track, notes = choose(str(path), tracks, person, None)
+    return track, [f"{kind}, {axes}", *notes]
+
+
+def _before_camera(
+    kind: str,
+    found: Any,  # noqa: ANN401
+    tracks: list[Track],
+    size: tuple[int, int],
+) -> tuple[list[Track], str]:
+    """Tracks along the camera's path, or at the depth of a usual lens, and what they are."""
+    record, stands = KINDS[kind], "in the axes of the camera, which is taken to stand still"
+    if record.along_path and (placed := record.along_path(found, tracks)) is not None:
+        return placed, "in the world of its camera's path"
+    if record.far_size is None:
+        return tracks, stands
+    focal, nearer = np.hypot(*size), []
+    for track in tracks:
+        scale = np.stack([np.ones(len(track.frames))] * 2 + [focal / track.K[:, 0, 0]], 1)
+        transl = (track.transl + track.pelvis) * scale - track.pelvis
+        nearer.append(replace(track, transl=transl))
+    return nearer, f"{stands}; depth as before a lens of {focal:.0f} px"
 
 
 def _timeline(where: str, track: Track) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Rotations (T, 55, 3), translations (T, 3) and whether they are known (T,), first to last.
 
-    Frames that an estimator left out are NaN, as those are whose numbers are.
+    Frames that an estimator left out are NaN.
     """
     rows = track.frames - track.frames.min()
     count = int(rows.max()) + 1
@@ -218,7 +225,6 @@ def _timeline(where: str, track: Track) -> tuple[np.ndarray, np.ndarray, np.ndar
 
 
 def _check_gaps(where: str, known: np.ndarray, rate: float, options: MotionOptions) -> None:
-    """Raise an InputError where too many frames in a row, or all, hold no numbers."""
     if not known.any():
         raise InputError(f"{where}: every frame holds a number that is not finite")
     gap = longest_gap(known) / rate
@@ -227,17 +233,6 @@ def _check_gaps(where: str, known: np.ndarray, rate: float, options: MotionOptio
             f"{where}: {gap:.3g} s in a row without numbers, in frames "
             f"{listed(np.flatnonzero(~known))}; --gap {options.gap:g} of gva-mi motion allows less"
         )
-
-
-def _opened(path: Path) -> Any:  # noqa: ANN401
-    """What a file holds by name; a folder as its path."""
-    if path.is_dir():
-        return path
-    found = plain(read_objects(path, EXPECTED))
-    if isinstance(found, dict) and found:
-        return found
-    refuse_other_bodies(path, found)
-    raise InputError(f"{path}: holds no arrays by name; expected {EXPECTED}")
 
 
 def _rate(where: str, found: Mapping[str, Any], options: MotionOptions) -> float:
@@ -259,3 +254,16 @@ def _rate(where: str, found: Mapping[str, Any], options: MotionOptions) -> float
     if not 0 < rate <= FASTEST:
         raise InputError(f"{where}: '{name}' must be frames a second, got {found[name]!s:.40}")
     return float(round(rate)) if abs(rate - round(rate)) < 1e-3 * rate and rate > 1 else rate
+
+
+def _refuse_folder(path: Path) -> None:
+    """Say what a folder holds, and which motions are read."""
+    names = sorted(x.name + "/" * x.is_dir() for x in path.iterdir())
+    held = f"{', '.join(names[:5])}{', ...' if len(names) > 5 else ''}" if names else "nothing"
+    poses = [name for name in ("poses_refined.npz", "poses.npz") if name in names]
+    hint = f"; its motion is {path / poses[0]}" if poses else ""
+    raise InputError(
+        f"{path}: a folder that holds {held}, and no motion that is known; expected a file such as "
+        f"AMASS's .npz or AIST++'s .pkl, or the folder of TRAM, ROMP, BEV, Multi-HMR, SMPLer-X or "
+        f"OSX{hint}"
+    )

@@ -1,7 +1,7 @@
-"""Normals that another program left in a folder, as the subject's: one map of a whole frame each.
+"""Normal maps that another program left in a folder: one of a whole frame each.
 
-Maps are matched to frames by the last number in their names: that of the frame's own file where
-frames are files; of a film, the first is 0, or 1 where the maps count from 1 to the last.
+Maps belong to frames by the last number in their names: that of the frame's own file where frames
+are files; of a film, the first is 0, or 1 where the maps count from 1 to the last.
 """
 
 from __future__ import annotations
@@ -13,9 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from gva_mi.console import listed
-from gva_mi.data.importers.footage import PICTURES, files_of
-from gva_mi.data.importers.recordings import Pictures
-from gva_mi.data.importers.whole_videos import last_number
+from gva_mi.data.importers.footage import PICTURES, Pictures, files_of
+from gva_mi.data.importers.numbering import number_in
 from gva_mi.data.masks import read_mask
 from gva_mi.data.normals import ABOUT, Convention, NormalMaps
 from gva_mi.data.pictures import in_8_bits, read_image, write_image
@@ -34,13 +33,13 @@ def maps_of(folder: Path, frames: Pictures, count: int, loose: bool) -> dict[int
         loose: maps of no frame are passed over.
 
     Raises:
-        InputError: none is there, two are of one frame, or one is of none.
+        InputError: there is none, two are of one frame, or one is of none.
     """
     kinds = (*PICTURES, ".npy")
-    paths = [path for path in folder.iterdir() if path.suffix.lower() in kinds]
+    paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in kinds)
     if not paths:
         raise InputError(f"{folder}: holds no normals ({', '.join(kinds)})")
-    numbers = {path: _number(path) for path in sorted(paths)}
+    numbers = {path: _number(path) for path in paths}
     both = [number for number, times in Counter(numbers.values()).items() if times > 1]
     if both:
         names = " and ".join(path.name for path, k in numbers.items() if k == both[0])
@@ -69,21 +68,18 @@ def write_maps(
     cameras: Sequence[Camera],
     straight: Callable[[np.ndarray], np.ndarray] | None,
 ) -> list[str]:
-    """Write ``normals/`` and ``normals.json`` of a subject's folder, whose masks are there.
+    """Write ``normals/`` and ``normals.json`` of a subject's folder with masks; return notes.
 
     Args:
         out: the subject's folder.
         maps: of :func:`maps_of`.
         convention: how the maps were made.
         cameras: of all frames.
-        straight: what takes the lens's distortion out of an 8-bit picture; None: a pinhole.
-
-    Returns:
-        What to say about them.
+        straight: takes the lens's distortion out of an 8-bit picture; None: a pinhole.
 
     Raises:
-        InputError: one is unreadable or of another size; all inside the masks say nothing, or look
-            away from the camera.
+        InputError: one is unreadable or of another size; all inside the masks are no directions, or
+            look away from the camera.
     """
     for k, path in sorted(maps.items()):
         stored = _read(path, cameras[k])
@@ -118,7 +114,7 @@ def write_maps(
 
 def _number(path: Path) -> int:
     with expecting(path, "the frame's number in the name, such as normal_000012.png"):
-        return last_number(path)
+        return number_in(path)
 
 
 def _read(path: Path, camera: Camera) -> np.ndarray:

@@ -1,10 +1,9 @@
-"""Keys of a QuickTime film's metadata, of the film and of its tracks.
+"""Numbers among a QuickTime film's metadata, of the film and of its tracks.
 
-FFmpeg, by which films are decoded here, tells the keys of the film and not those of its tracks,
-where phones say what they filmed with. A film is boxes in boxes, each its size, four letters, and
-what it holds. ``moov``, and each ``trak`` in it, may hold a ``meta`` with two lists: ``keys`` has
-names, ``ilst`` values, each under the number of its name (Apple, *QuickTime File Format*,
-"Metadata").
+FFmpeg reads the keys of the film, but not those of its tracks, where phones record the lens. A film
+is boxes in boxes, each its size, four letters, and contents. ``moov``, and each ``trak`` in it, may
+hold a ``meta`` with two lists: ``keys`` has names, ``ilst`` values, each under the number of its
+name (Apple, *QuickTime File Format*, "Metadata").
 """
 
 from __future__ import annotations
@@ -15,47 +14,43 @@ from pathlib import Path
 from typing import BinaryIO
 
 LARGEST = 64 << 20  # bytes of a ``moov`` that is read; that of an hour's film has a few million
-# Types of numbers, of as many bytes as there are: whole with a sign, and without.
+# Types of whole numbers, of any number of bytes: signed, unsigned.
 _SIGNED, _UNSIGNED = (21, 65, 66, 67, 74), (22, 75, 76, 77, 78)
 _TEXT, _FLOATS = 1, {23: ">f", 24: ">d"}
 
 
 def numbers(path: Path) -> dict[str, float]:
-    """The keys whose values are numbers, or text of one; none of what is no QuickTime film.
+    """The keys whose values are numbers; none for a file that is no QuickTime film.
 
-    What the film says goes before what its tracks say, and the first track before the others.
+    The film's own keys win over those of its tracks, and the first track's over the others'.
     """
     try:
         with path.open("rb") as file:
             moov = _moov(file)
-        found = [_numbers(meta) for meta in _metas(moov)]
+        tracks = [held for kind, held in _boxes(moov) if kind == b"trak"]
+        metas = [dict(_boxes(holder)).get(b"meta", b"") for holder in (moov, *tracks)]
+        found = [_numbers(meta) for meta in metas]
     except (OSError, struct.error):
         return {}
     return {key: value for one in reversed(found) for key, value in one.items()}
 
 
 def _moov(file: BinaryIO) -> bytes:
-    """What the film's ``moov`` holds; nothing where there is none, or it is too large."""
+    """The contents of the film's ``moov``; nothing where it is missing or too large."""
     file.seek(0, 2)
     end, at = file.tell(), 0
     while at + 8 <= end:
         file.seek(at)
         size, kind = struct.unpack(">I4s", file.read(8))
         head = 8
-        if size == 1:  # a long one: the size comes after the letters
+        if size == 1:  # a long box: its size comes after the letters
             size, head = struct.unpack(">Q", file.read(8))[0], 16
         if kind == b"moov":
             return file.read(size - head) if head < size <= LARGEST else b""
-        if size < head:  # 0: to the end
+        if size < head:  # 0: to the end of the file
             break
         at += size
     return b""
-
-
-def _metas(moov: bytes) -> Iterator[bytes]:
-    tracks = [held for kind, held in _boxes(moov) if kind == b"trak"]
-    for holder in (moov, *tracks):
-        yield from (held for kind, held in _boxes(holder) if kind == b"meta")
 
 
 def _boxes(held: bytes) -> Iterator[tuple[bytes, bytes]]:
@@ -71,7 +66,7 @@ def _boxes(held: bytes) -> Iterator[tuple[bytes, bytes]]:
 
 def _numbers(meta: bytes) -> dict[str, float]:
     """The numbers of one ``meta``, by their keys."""
-    if meta[4:8] != b"hdlr":  # as in MPEG-4, four bytes go before
+    if meta[4:8] != b"hdlr":  # as in MPEG-4, where four bytes come before
         meta = meta[4:]
     lists = dict(_boxes(meta))
     names = [name.decode("utf-8", "replace") for _, name in _boxes(lists.get(b"keys", b"")[8:])]
@@ -85,13 +80,13 @@ def _numbers(meta: bytes) -> dict[str, float]:
 
 
 def _value(data: bytes) -> float | None:
-    """The number in a ``data``, after its type and its language; None: there is none."""
+    """The number in a ``data`` box, after its type and its language; None: there is none."""
     kind, value = int.from_bytes(data[:4], "big"), data[8:]
     if kind in _SIGNED or kind in _UNSIGNED:
         return float(int.from_bytes(value[:8], "big", signed=kind in _SIGNED))
-    if kind in _FLOATS and len(value) == struct.calcsize(_FLOATS[kind]):
-        return struct.unpack(_FLOATS[kind], value)[0]
     try:
+        if kind in _FLOATS:
+            return struct.unpack(_FLOATS[kind], value)[0]
         return float(value) if kind == _TEXT else None
-    except ValueError:
+    except (ValueError, struct.error):
         return None

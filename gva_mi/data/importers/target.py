@@ -1,4 +1,4 @@
-"""``Target``: the body that a folder's poses are for, and what it takes over from another."""
+"""``TargetBody``: the body that poses are converted to, and what it takes over from another."""
 
 from __future__ import annotations
 
@@ -6,46 +6,51 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import torch
 
 from gva_mi.body.body_file import read_body
+from gva_mi.body.pose import Shape
 from gva_mi.body.puppet import PUPPET
 from gva_mi.body.smplx import BodyModel, body_file, body_name
 
 
 @dataclass(frozen=True)
-class Target:
-    """The body that a folder's poses are for."""
+class TargetBody:
+    """The body that poses are for."""
 
     name: str
     model: BodyModel
+    joints: np.ndarray  # (55, 3) at rest, of the mean shape, metres
     mean_hands: np.ndarray  # (30, 3) left before right, relative to flat ones
     own_betas: bool  # it is SMPL-X, whose betas an estimator of SMPL-X gives
     components: np.ndarray | None  # (2, K, 45) of SMPL-X's PCA of hands, in the same order
 
     @staticmethod
-    def read(path: Path) -> Target:
-        """From a body's file, or the word ``puppet``.
+    def read(path: Path | None) -> TargetBody:
+        """Read a body's file; the built-in body for the word ``puppet``, or for None.
 
         Raises:
             InputError: as :func:`gva_mi.body.smplx.load_body`.
         """
+        path = path or PUPPET
         arrays = read_body(body_file(path))
         hands = [arrays.get(f"hands_mean{side}", np.zeros(45)) for side in "lr"]
-        # SMPL-X's alone has a face; the puppet has one, and betas of its own.
+        # SMPL-X alone has a face; the built-in body has one, and betas of its own.
         own_betas = body_file(path) != PUPPET and int(arrays["num_expressions"]) > 0
-        weighed = own_betas and "hands_componentsl" in arrays
-        parts = [arrays[f"hands_components{side}"] for side in "lr"] if weighed else None
+        components = None
+        if own_betas and "hands_componentsl" in arrays:
+            components = np.stack([arrays[f"hands_components{side}"] for side in "lr"])
         model = BodyModel(arrays)
-        components = None if parts is None else np.stack(parts)
-        mean_hands = np.stack(hands).reshape(30, 3)
-        return Target(body_name(path), model, mean_hands, own_betas, components)
+        joints = model.rest(Shape(torch.zeros(0))).joints.double().numpy()
+        hands = np.stack(hands).reshape(30, 3)
+        return TargetBody(body_name(path), model, joints, hands, own_betas, components)
 
     def keeps_betas(self, form: str) -> bool:
         """Whether betas of a source of this form mean the same person here."""
         return self.own_betas and form == "SMPL-X"
 
     def takes_over(self, form: str) -> str:
-        """What of a source of this form is kept, for people."""
+        """A note: what is kept of a source of this form."""
         if self.keeps_betas(form):
             return f"for the body {self.name}: rotations, place and betas are the source's own"
         return (

@@ -1,8 +1,8 @@
-"""Rotations between rotations: frames that are missing, and another frame rate.
+"""Interpolate rotations between frames: missing frames, another frame rate.
 
     r(t) = r_k ∘ exp(s log(r_k⁻¹ ∘ r_k+1)),    s = (t − t_k) / (t_k+1 − t_k)
 
-joint by joint, on the shorter way round. Translations are interpolated along a line.
+joint by joint, on the shorter way round. Translations are interpolated linearly.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ import torch
 def interpolate(
     times: np.ndarray, rotations: np.ndarray, transl: np.ndarray, wanted: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A motion at other times. Before the first and after the last known time it is held.
+    """Sample a motion at other times; it is held before its first and after its last time.
 
     Args:
-        times: (n,) ascending, of what is known.
+        times: (n,) ascending.
         rotations: (n, J, 3) axis-angle of any length.
         transl: (n, 3).
         wanted: (m,).

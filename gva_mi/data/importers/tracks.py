@@ -1,125 +1,126 @@
-"""``Track``: one person as a pose estimator saw them, frame by frame, before any camera's axes."""
+"""``Track``: one person as a pose estimator saw them, frame by frame, in the camera's axes."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from gva_mi.console import listed
+from gva_mi.data.importers.fields import find_betas, find_joints, find_translation
+from gva_mi.data.importers.rotations import compose, nearest_rotations, to_rotvecs
 from gva_mi.data.importers.timeline import interpolate
 from gva_mi.errors import InputError
 
-SPREAD = 0.1  # standard deviations of betas from frame to frame that are worth a word
+# The pelvis of the neutral mean person at rest, metres, as the public models regress it.
+PELVIS = {
+    "SMPL": (-0.0018, -0.2233, 0.0282), "SMPL+H": (-0.0018, -0.2233, 0.0282),
+    "SMPL-X": (0.0031, -0.3514, 0.0120),
+}  # fmt: skip
+BETAS_VARY = 0.1  # standard deviation of betas over frames from which a note is given
 
 
 @dataclass(frozen=True)
 class Track:
-    """What an estimator says of one person; frames ascend, and may have gaps."""
+    """What an estimator says of one person; frames ascend and may have gaps."""
 
     person: str  # the estimator's name of them
     frames: np.ndarray  # (n,) int
-    rotations: np.ndarray  # (n, 55, 3) axis-angle, the root's to the axes of the camera
-    transl: np.ndarray  # (n, 3) metres, in the axes of the camera: x right, y down, z forward
+    rotations: np.ndarray  # (n, 55, 3) axis-angle; the root's is relative to the camera's axes
+    transl: np.ndarray  # (n, 3) metres, in the camera's axes: x right, y down, z forward
     betas: np.ndarray | None  # (n, B)
     K: np.ndarray  # (n, 3, 3) pixels
     form: str  # "SMPL", "SMPL+H" or "SMPL-X"
     has_hands: bool
     from_mean_hand: bool = False  # fingers are relative to the model's mean hand, not to the flat
 
+    @property
+    def pelvis(self) -> np.ndarray:
+        """(3,) where the source's body has its pelvis at rest, metres."""
+        return np.array(PELVIS[self.form])
+
     def sorted(self) -> Track:
-        """The same with ascending frames, each once."""
+        """The track with ascending frames, each once."""
         return self.where(np.unique(self.frames, return_index=True)[1])
 
     def where(self, rows: np.ndarray) -> Track:
-        """Some of its rows: a mask (n,), or their numbers."""
+        """Some of its rows: a mask (n,), or row numbers."""
         betas = None if self.betas is None else self.betas[rows]
         arrays = {
             name: getattr(self, name)[rows] for name in ("frames", "rotations", "transl", "K")
         }
         return replace(self, betas=betas, **arrays)
 
+    def turned(self, turn: np.ndarray, places: np.ndarray) -> Track:
+        """The track with its root turned by ``turn`` (n, 3) and its pelvis at ``places`` (n, 3)."""
+        rotations = self.rotations.copy()
+        rotations[:, 0] = compose(turn, rotations[:, 0])
+        return replace(self, rotations=rotations, transl=places - self.pelvis)
 
-@dataclass(frozen=True)
-class Votes:
-    """What the joints of a track say about its being the person in the masks.
+    def seen_from(self, R: np.ndarray, T: np.ndarray) -> Track:
+        """A track of the world in a camera's axes, x_cam = R x + T; a body turns at its pelvis.
 
-    A person's joints lie in the person, so in the right masks nearly all joints are inside. Each
-    joint in each frame votes: for, where it is inside, against, where it is not. A passer-by who is
-    seen for long collects votes against, and so does not win over the person by length.
-    """
-
-    inside: int  # joints in a mask, of all frames
-    outside: int
-
-    @property
-    def majority(self) -> int:
-        """Votes for, less those against."""
-        return self.inside - self.outside
-
-    @property
-    def share(self) -> float:
-        """Of the votes that are for; 0 where there are none."""
-        return self.inside / max(1, self.inside + self.outside)
+        Args:
+            R: (3, 3), or (n, 3, 3) of a moving camera; made a rotation where digits were lost.
+            T: (3,) or (n, 3) metres.
+        """
+        R = np.broadcast_to(nearest_rotations(R), (len(self.frames), 3, 3))
+        places = np.einsum("nij,nj->ni", R, self.transl + self.pelvis) + np.reshape(T, (-1, 3))
+        return self.turned(to_rotvecs(R), places)
 
 
-def choose(
+def make_track(
     where: str,
-    tracks: Sequence[Track],
-    person: str | None,
-    votes: Callable[[], Sequence[Votes]] | None,
-) -> tuple[Track, list[str]]:
-    """The person of a name, or the one who is in the masks; and what to say about it.
+    person: str,
+    frames: np.ndarray | None,
+    found: Mapping[str, Any],
+    K: np.ndarray,
+    components: np.ndarray | None = None,
+    of_pelvis: bool = False,
+) -> Track:
+    """Make a track of arrays that hold all its frames.
 
     Args:
-        where: the source, for errors.
-        tracks: a person each.
-        person: the estimator's name of one of them.
-        votes: of the joints of each of them, for being the person in the masks; asked where that
-            decides. Where no vote is for anybody, or without masks, it is the one who is seen in
-            most frames.
+        where: file and person, for errors.
+        person: the estimator's name of them.
+        frames: (n,) frame numbers; None: 0 to n − 1.
+        found: arrays by the names of :mod:`fields`.
+        K: (3, 3) or (n, 3, 3) pixels.
+        components: (2, K, 45) PCA of hands of the body's file.
+        of_pelvis: the translation is where the pelvis is, not the offset of the body's origin.
 
     Raises:
-        InputError: nobody is there, or nobody of that name.
+        InputError: arrays of another form, or of another number of frames.
     """
-    if not tracks:
-        raise InputError(f"{where}: holds nobody; expected one person at least")
-    names = ", ".join(f"{t.person} ({len(t.frames)} frames)" for t in tracks[:20])
-    if person is not None:
-        chosen = next((t for t in tracks if t.person == person), None)
-        if chosen is None:
-            raise InputError(f"{where}: has no person '{person}'; it has {names}")
-        return chosen, []
-    if len(tracks) == 1:
-        return tracks[0], []
-    if votes is None:
-        chosen = max(tracks, key=lambda t: len(t.frames))
-        return chosen, [f"person {chosen.person}, seen longest of {names}; --person takes another"]
-    found = list(votes())
-    best = max(range(len(tracks)), key=lambda i: found[i].majority)
-    if found[best].majority > 0:
-        shares = ", ".join(
-            f"{t.person} ({len(t.frames)} frames, {100 * v.share:.0f} % of the joints)"
-            for t, v in zip(tracks[:20], found, strict=False)
+    joints = find_joints(where, found, components)
+    frames = np.arange(len(joints.rotations)) if frames is None else frames
+    count = len(frames)
+    K = np.broadcast_to(K, (count, 3, 3)) if K.shape in ((3, 3), (1, 3, 3)) else K
+    if len(joints.rotations) != count or K.shape != (count, 3, 3):
+        raise InputError(
+            f"{where}: {len(joints.rotations)} poses and K {K.shape} for {count} frames"
         )
-        chosen = tracks[best]
-        note = f"person {chosen.person}, who is in the masks best of {shares}"
-    else:
-        chosen = max(tracks, key=lambda t: len(t.frames))
-        note = f"person {chosen.person}, seen longest of {names}, for nobody is in the masks"
-    return chosen, [f"{note}; --person takes another"]
+    betas = find_betas(where, found)
+    betas = None if betas is None else np.broadcast_to(betas, (count, betas.shape[-1]))
+    transl = find_translation(where, found, count)
+    track = Track(
+        person, frames, joints.rotations, transl, betas, K, joints.form, joints.has_hands,
+        joints.from_mean_hand,
+    )  # fmt: skip
+    return replace(track, transl=transl - track.pelvis) if of_pelvis else track
 
 
 def every_frame(where: str, track: Track, count: int) -> tuple[Track, np.ndarray, list[str]]:
-    """A track at each of a video's frames, and which of them it was seen in or between.
+    """Fill a track so that it has each of a video's frames.
 
     Returns:
-        The track at frames 0 to ``count`` − 1, held before the first and after the last; (count,)
-        whether a frame lies between these; and what to say about it.
+        The track at frames 0 to ``count`` − 1, held before the first known frame and after the
+        last; (count,) whether a frame lies between these; and notes.
 
     Raises:
-        InputError: frames beyond the video's, or numbers that are not finite in all of them.
+        InputError: a frame that the video does not have, or no frame of finite numbers.
     """
     outside = track.frames[(track.frames < 0) | (track.frames >= count)]
     if len(outside):
@@ -138,8 +139,8 @@ def every_frame(where: str, track: Track, count: int) -> tuple[Track, np.ndarray
     rotations, transl = interpolate(
         known.astype(float), track.rotations[good], track.transl[good], wanted.astype(float)
     )
-    # An estimator that gives each frame a lens of its own puts the person farther away by as much
-    # as the lens is longer: so both are interpolated alike.
+    # An estimator with a lens for each frame puts the person as many times farther away as the
+    # lens is longer, so K is interpolated as translations are.
     entries = track.K[good].reshape(-1, 9).T
     K = np.stack([np.interp(wanted, known, x) for x in entries], axis=1).reshape(-1, 3, 3)
     inside = (wanted >= known[0]) & (wanted <= known[-1])
@@ -151,19 +152,16 @@ def every_frame(where: str, track: Track, count: int) -> tuple[Track, np.ndarray
     return replace(track, frames=wanted, rotations=rotations, transl=transl, K=K), inside, notes
 
 
-def one_shape(track: Track) -> tuple[np.ndarray, list[str]]:
-    """The median of a person's betas (B,), and a word where they differ from frame to frame."""
-    return (np.zeros(10), []) if track.betas is None else median_betas(track.betas)
+def median_betas(betas: np.ndarray | None) -> tuple[np.ndarray, list[str]]:
+    """One person's betas (B,) of those of all frames (T, B); a note where these differ.
 
-
-def median_betas(betas: np.ndarray) -> tuple[np.ndarray, list[str]]:
-    """One person's betas (B,) of those of all frames (T, B), and a word where these differ.
-
-    The median: a few frames that an estimator got wrong do not move it.
+    The median is taken: a few frames that an estimator got wrong do not move it.
     """
+    if betas is None:
+        return np.zeros(10), []
     betas = betas[np.isfinite(betas).all(1)]
     if not len(betas):
         return np.zeros(10), ["no betas are finite; they are zero"]
     spread = float(betas.std(0).max())
     note = f"betas differ by up to {spread:.2g} from frame to frame; their median is taken"
-    return np.median(betas, axis=0), [note] if spread > SPREAD else []
+    return np.median(betas, axis=0), [note] if spread > BETAS_VARY else []

@@ -1,14 +1,13 @@
-"""Which way is up in a motion, and turning it so that y is."""
+"""Which axis of a motion is up, and turning the motion so that y is."""
 
 from __future__ import annotations
 
 import numpy as np
-import roma
 import torch
-from torch import Tensor
 
 from gva_mi.body.kinematics import joint_transforms
 from gva_mi.body.pose import JOINTS, PARENTS
+from gva_mi.data.importers.rotations import compose, to_matrices
 
 UP = ("x", "-x", "y", "-y", "z", "-z")
 _CLEAR = 0.7  # share of the way from feet to head that must lie along one axis
@@ -18,8 +17,23 @@ _TO_Y = {  # axis-angle in quarter turns that takes an axis to y
 }  # fmt: skip
 
 
+def joint_places(rotations: np.ndarray, transl: np.ndarray, joints: np.ndarray) -> np.ndarray:
+    """Where the joints of a posed body are, (T, 55, 3) metres.
+
+    Args:
+        rotations: (T, 55, 3) axis-angle.
+        transl: (T, 3) metres.
+        joints: (55, 3) of the body at rest, metres.
+    """
+    rotations, rest, transl = (
+        torch.from_numpy(np.array(x, np.float64)) for x in (rotations, joints, transl)
+    )
+    T = joint_transforms(rotations, rest, PARENTS, transl).numpy()
+    return np.einsum("tjab,jb->tja", T[..., :3, :3], joints) + T[..., :3, 3]
+
+
 def up_axis(rotations: np.ndarray, transl: np.ndarray, joints: np.ndarray) -> str | None:
-    """Along which axis the head is above the feet, in the mean of all frames.
+    """The axis along which the head is above the feet, in the mean of all frames.
 
     Args:
         rotations: (T, 55, 3).
@@ -27,12 +41,9 @@ def up_axis(rotations: np.ndarray, transl: np.ndarray, joints: np.ndarray) -> st
         joints: (55, 3) of any body at rest, metres.
 
     Returns:
-        One of :data:`UP`; None where no axis is clearly up, such as for one who lies down.
+        One of :data:`UP`; None where no axis is clearly up, as for a person who lies down.
     """
-    T_world_rest = joint_transforms(
-        torch.from_numpy(rotations), torch.from_numpy(joints), PARENTS, torch.from_numpy(transl)
-    ).numpy()
-    places = np.einsum("tjab,jb->tja", T_world_rest[..., :3, :3], joints) + T_world_rest[..., :3, 3]
+    places = joint_places(rotations, transl, joints)
     at = lambda name: places[:, JOINTS.index(name)]
     upward = (at("head") - (at("left_ankle") + at("right_ankle")) / 2).mean(0)
     axis = int(np.abs(upward).argmax())
@@ -44,9 +55,9 @@ def up_axis(rotations: np.ndarray, transl: np.ndarray, joints: np.ndarray) -> st
 def upright(
     rotations: np.ndarray, transl: np.ndarray, up: str, pelvis: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A motion turned with its world, W: the root R becomes W R, and t becomes W (p + t) − p.
+    """Turn a motion with its world, W: the root R becomes W R, and t becomes W (p + t) − p.
 
-    For the body turns about its pelvis at rest, p, and not about the origin.
+    A body turns about its pelvis at rest, p, and not about the origin.
 
     Args:
         rotations: (T, 55, 3).
@@ -57,13 +68,7 @@ def upright(
     Returns:
         Rotations and translations in a world with y up.
     """
-    turn = torch.tensor(_TO_Y[up], dtype=torch.float64) * (torch.pi / 2)
-    W = roma.rotvec_to_rotmat(turn)
+    turn = np.array(_TO_Y[up], np.float64) * np.pi / 2
     rotations = rotations.copy()
-    rotations[:, 0] = _turned(turn, torch.from_numpy(rotations[:, 0])).numpy()
-    return rotations, (pelvis + transl) @ W.numpy().T - pelvis
-
-
-def _turned(turn: Tensor, rotvecs: Tensor) -> Tensor:
-    """The rotation ``turn`` (3,) after each of (T, 3)."""
-    return roma.rotvec_composition([turn.expand_as(rotvecs), rotvecs])
+    rotations[:, 0] = compose(turn, rotations[:, 0])
+    return rotations, (pelvis + transl) @ to_matrices(turn).T - pelvis

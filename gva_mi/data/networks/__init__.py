@@ -1,9 +1,9 @@
-"""Networks that people bring, as files of their own: none is shipped or fetched.
+"""Networks that users bring as files of their own; none is shipped or downloaded.
 
 ====================  ==================================================================
-``segment_anything``  the person's mask, from Segment Anything and where the pose is
-``sam_weights``       the files that Segment Anything's weights come in
-``normals``           the person's normals, from a TorchScript or an ONNX file
-``crop``              the person cut out for a network, and its answer put back
+``segment_anything``  the person's mask, by Segment Anything, prompted by the pose
+``sam_weights``       reads Segment Anything's weights
+``normals``           the person's normals, by a TorchScript or an ONNX file
+``crop``              cuts the person out for a network
 ====================  ==================================================================
 """

@@ -1,4 +1,4 @@
-"""The person cut out for a network: a rectangle of whole pixels, also beyond the border."""
+"""Cut the person out for a network: a rectangle of whole pixels, which may cross the border."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class Crop:
+class CropBox:
     """A rectangle of a picture, in its pixels."""
 
     left: int
@@ -17,20 +17,20 @@ class Crop:
     height: int
 
     @staticmethod
-    def round_box(box: np.ndarray, margin: float, size: tuple[int, int] = (1, 1)) -> Crop:
-        """The rectangle round a box that has the shape of what a network sees.
+    def round_box(box: np.ndarray, margin: float, size: tuple[int, int] = (1, 1)) -> CropBox:
+        """The rectangle around a box, in the proportions of what a network sees.
 
         Args:
             box: (4,) left, top, right, bottom in pixels.
-            margin: of the box's longer side, at least added on each side of it.
-            size: (w, h) what it is to be as wide and high as, in proportion; a square by default.
+            margin: of the box's longer side, added on each side at least.
+            size: (w, h) in proportion; a square by default.
         """
         low, high = np.asarray(box[:2], np.float64), np.asarray(box[2:], np.float64)
         needed = high - low + 2 * margin * (high - low).max()
         unit = float((needed / size).max())
         width, height = (max(1, round(unit * n)) for n in size)
         left, top = np.round((low + high - (width, height)) / 2).astype(int).tolist()
-        return Crop(left, top, width, height)
+        return CropBox(left, top, width, height)
 
     @property
     def box(self) -> tuple[int, int, int, int]:
@@ -40,12 +40,9 @@ class Crop:
     def cut(
         self, image: np.ndarray, size: tuple[int, int], fill: tuple[int, int, int]
     ) -> np.ndarray:
-        """The rectangle of an 8-bit picture (H, W, 3) as (h, w, 3) 8-bit.
+        """The rectangle of a picture (H, W, 3) 8-bit, resized to ``size`` (w, h) pixels.
 
-        Args:
-            image: the picture.
-            size: (w, h) what the network sees, pixels.
-            fill: the colour of what lies out of the picture.
+        What lies outside of the picture gets the colour ``fill``.
         """
         from PIL import Image
 
@@ -54,13 +51,13 @@ class Crop:
         return np.asarray(canvas.resize(size, Image.Resampling.BILINEAR))
 
     def to_network(self, pixels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-        """Places (..., 2) in the picture as those in what a network of (w, h) pixels sees."""
+        """Pixels (..., 2) of the picture in the resized rectangle of ``size`` (w, h)."""
         scale = np.array(size) / (self.width, self.height)
         return (np.asarray(pixels, np.float64) - (self.left, self.top)) * scale
 
 
 def box_of_mask(mask: np.ndarray) -> np.ndarray | None:
-    """Left, top, right, bottom (4,) of what is inside a mask (H, W) bool; None where nothing is."""
+    """Left, top, right, bottom (4,) around a mask (H, W) bool; None where it is empty."""
     rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
     if not len(rows):
         return None

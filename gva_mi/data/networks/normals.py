@@ -1,15 +1,12 @@
-"""The person's normals, by a network in a TorchScript or an ONNX file.
+"""Estimate the person's normals by a network in a TorchScript or an ONNX file.
 
-===========================  ============================================================
-What the network is given    (1, 3, h, w) float32: the person cut out, (rgb/255 − mean) / std
-What it has to answer        normals (1, 3, h', w') of unit length, or (n + 1) / 2 of these;
-                             the first array where it answers with several
-===========================  ============================================================
+Input: (1, 3, h, w) float32, the person cut out, (rgb/255 − mean) / std. Output: normals
+(1, 3, h', w') of unit length, or (n + 1) / 2; the first array where there are several.
 
-Where the convention is ``icon``, what is around the person is taken away first, as ICON, ECON and
-PIFuHD are trained: it becomes the mean. In the other conventions the surroundings stay.
+With the convention ``icon`` the background becomes the mean first, as ICON, ECON and PIFuHD are
+trained. With the other conventions it stays.
 
-A TorchScript file is a program and runs here as whoever starts it: trust it as you would any
+A TorchScript file is a program and runs here with the user's rights: trust it as you would any
 program. ONNX describes arithmetic alone.
 """
 
@@ -17,26 +14,26 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import torch
 
-from gva_mi.data.networks.crop import Crop
+from gva_mi.data.networks.crop import CropBox
 from gva_mi.data.normals import LONGEST, SHORTEST, Convention
 from gva_mi.errors import InputError
 
 SUFFIXES = (".pt", ".pth", ".torchscript", ".onnx")
-MARGIN = 0.1  # of the longer side of the mask's box, round it: what the network sees
+MARGIN = 0.1  # of the longer side of the mask's box, around it: shown to the network
 _ASKED = "a network that takes (1, 3, h, w) and answers with normals (1, 3, h, w)"
 
 Answer = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
-class Expected:
-    """What a network of normals is given, and what it means by its answer."""
+class NormalsSpec:
+    """What a network of normals takes, and what its output means."""
 
     convention: Convention  # axes, and the kind of view: gva_mi.data.normals
     size: tuple[int, int] = (512, 512)  # (w, h) pixels, where an ONNX file does not say it itself
@@ -45,9 +42,9 @@ class Expected:
 
 
 class NormalNetwork:
-    """A network of a file, and what it expects."""
+    """A network in a file, and what it takes."""
 
-    def __init__(self, path: Path, how: Expected) -> None:
+    def __init__(self, path: Path, spec: NormalsSpec) -> None:
         """Read the file.
 
         Raises:
@@ -61,34 +58,31 @@ class NormalNetwork:
         self.path = path
         onnx = path.suffix.lower() == ".onnx"
         self._answer, size = _onnx(path) if onnx else (_torch_script(path), None)
-        self.how = Expected(how.convention, size or how.size, how.mean, how.std)
+        self.spec = replace(spec, size=size or spec.size)
 
-    def see(self, image: np.ndarray, mask: np.ndarray, box: np.ndarray) -> tuple[Crop, np.ndarray]:
-        """The normals of a person.
-
-        Args:
-            image: (H, W, 3) 8-bit.
-            mask: (H, W) in [0, 1].
-            box: (4,) of the mask.
+    def see(
+        self, image: np.ndarray, mask: np.ndarray, box: np.ndarray
+    ) -> tuple[CropBox, np.ndarray]:
+        """Estimate normals of a picture (H, W, 3) 8-bit, of a mask (H, W) with a box (4,).
 
         Returns:
             The part of the picture that is shown, and (h, w, 3) unit normals in the convention's
             axes, zero where unknown.
 
         Raises:
-            InputError: the network fails, or answers with something else.
+            InputError: the network fails, or its output is of another form.
         """
-        crop = Crop.round_box(box, MARGIN, self.how.size)
-        mean, std = np.array(self.how.mean), np.array(self.how.std)
+        crop = CropBox.round_box(box, MARGIN, self.spec.size)
+        mean, std = np.array(self.spec.mean), np.array(self.spec.std)
         fill = np.round(255 * mean)
-        if self.how.convention == "icon":
+        if self.spec.convention == "icon":
             image = np.round(image * mask[..., None] + fill * (1 - mask[..., None]))
-        shown = crop.cut(image.astype(np.uint8), self.how.size, tuple(fill.astype(int).tolist()))
+        shown = crop.cut(image.astype(np.uint8), self.spec.size, tuple(fill.astype(int).tolist()))
         given = ((shown / 255 - mean) / std).astype(np.float32).transpose(2, 0, 1)[None]
         return crop, self._checked(self._answer(given))
 
     def _checked(self, answer: np.ndarray) -> np.ndarray:
-        """Unit normals (h, w, 3) of an answer."""
+        """Unit normals (h, w, 3) of the network's output."""
         if answer.ndim != 4 or answer.shape[:2] != (1, 3) or answer.dtype.kind != "f":
             raise InputError(
                 f"{self.path}: answers with {answer.dtype} {answer.shape}; expected {_ASKED}"
@@ -108,13 +102,13 @@ class NormalNetwork:
 
 
 def _from_unit(normals: np.ndarray) -> float:
-    """How far vectors (h, w, 3) are from unit length, in the median."""
+    """Median distance of the vectors (h, w, 3) from unit length."""
     return float(np.median(np.abs(np.linalg.norm(normals, axis=-1) - 1)))
 
 
 def _torch_script(path: Path) -> Answer:
     try:
-        with warnings.catch_warnings():  # torch would rather have torch.export, which few files are
+        with warnings.catch_warnings():  # torch recommends torch.export, which few files use
             warnings.simplefilter("ignore", DeprecationWarning)
             network = torch.jit.load(path, map_location="cpu").eval()
     except (RuntimeError, ValueError, OSError) as error:
@@ -135,7 +129,7 @@ def _torch_script(path: Path) -> Answer:
 
 
 def _onnx(path: Path) -> tuple[Answer, tuple[int, int] | None]:
-    """What runs the network, and the (w, h) that the file itself says."""
+    """A function that runs the network, and the (w, h) that the file fixes."""
     try:
         import onnxruntime
     except ModuleNotFoundError:
@@ -143,7 +137,7 @@ def _onnx(path: Path) -> tuple[Answer, tuple[int, int] | None]:
             f"{path}: needs the package onnxruntime to be run; pip install 'gva_mi[onnx]'"
         ) from None
     options = onnxruntime.SessionOptions()
-    options.log_severity_level = 4  # its own words come as an InputError
+    options.log_severity_level = 4  # its messages come as an InputError
     try:
         session = onnxruntime.InferenceSession(
             str(path), options, providers=["CPUExecutionProvider"]
@@ -176,7 +170,7 @@ def _first(found: object) -> object:
 
 
 def _first_line(error: Exception) -> str:
-    """What an error says, shortly: of TorchScript's traces the last line is the reason."""
+    """One line of an error; in TorchScript's traces, the last one with the reason."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     chosen = next((line for line in reversed(lines) if "Error:" in line), lines[0] if lines else "")
     return f"{chosen or type(error).__name__:.120}"

@@ -1,15 +1,15 @@
-"""The person's mask, by Segment Anything or SAM 2, of a box and of points where the body is.
+"""Segment the person by Segment Anything or SAM 2, prompted by a box and points of the body.
 
-The network sees a square round the box, at its own resolution, so that a person who is small in a
-large picture is not. It guesses three masks; where the frame before has one, that one is shown to
-it for a fourth guess. Taken is the guess with the largest sum of
+The network sees a square around the box at its own resolution, so that a small person in a large
+picture is large to it. It guesses three masks; with the mask of the frame before as a prompt, it
+makes a fourth guess. The guess with the largest sum of these scores is taken:
 
-* the overlap with the truth that the network itself expects of it, in [0, 1];
+* the overlap with the ground truth that the network itself predicts, in [0, 1];
 * the share of the person's points inside, less the share of other people's;
-* the share of the guess that is in the box;
+* the share of the guess that lies in the box;
 * the overlap with the mask of the frame before, where there is one.
 
-The first alone would often be a sleeve or a face, which are whole things, too.
+By the first score alone, a sleeve or a face would often win.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from gva_mi.data.networks.crop import Crop
+from gva_mi.data.networks.crop import CropBox
 from gva_mi.data.networks.sam_weights import load_network
 
-MARGIN = 0.15  # of the box's longer side, on each side: what the network sees round the person
+MARGIN = 0.15  # of the box's longer side, on each side: shown to the network around the person
 _MEAN, _STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # of the pictures it was trained on
 _FILL = tuple(round(255 * x) for x in _MEAN)  # zero, as the network sees it
-_NOTHING = 32.0  # a logit of certainty; what the last frame says nothing about is outside
+_NOTHING = 32.0  # a logit of certainty: beyond the last frame's crop, all is outside
 
 
 @dataclass(frozen=True)
@@ -39,19 +39,19 @@ class Prompt:
 
 
 @dataclass(frozen=True)
-class Segment:
-    """What was found in a picture."""
+class MaskGuess:
+    """A mask that was found in a picture."""
 
     mask: np.ndarray  # (H, W) bool
-    crop: Crop
+    crop: CropBox
     logits: torch.Tensor  # (h, w) of the crop, above zero inside
 
-    def seen_in(self, crop: Crop) -> torch.Tensor:
-        """The logits (h, w) of another crop of the same place; outside of this one: outside."""
+    def seen_in(self, crop: CropBox) -> torch.Tensor:
+        """The logits (h, w) resampled to another crop; beyond this one all is outside."""
         size = self.logits.shape[0]
         centres = (np.arange(size) + 0.5) / size * crop.width
         x, y = centres + crop.left - self.crop.left, centres + crop.top - self.crop.top
-        # torch counts from −1 at one border to 1 at the other.
+        # grid_sample counts from −1 at one border to 1 at the other.
         place = np.stack(np.meshgrid(x, y), axis=-1) * (2 / self.crop.width) - 1
         grid = torch.from_numpy(place.astype(np.float32))[None]
         moved = torch.nn.functional.grid_sample(
@@ -61,32 +61,22 @@ class Segment:
 
 
 class SegmentAnything:
-    """A network that finds whatever boxes and points are on."""
+    """A network that segments what boxes and points are on."""
 
     def __init__(self, network: torch.nn.Module) -> None:
         self.network = network
         side = int(network.config.prompt_encoder_config.image_size)
-        self.size = (side, side)  # what it sees, pixels
+        self.size = (side, side)  # of its input, pixels
 
     @staticmethod
     def load(path: Path) -> SegmentAnything:
-        """From a checkpoint: see :mod:`.sam_weights`.
-
-        Raises:
-            InputError: nothing is there, the package is missing, or it is of another form.
-        """
+        """Load a checkpoint: :mod:`.sam_weights`."""
         return SegmentAnything(load_network(path))
 
     @torch.inference_mode()
-    def find(self, image: np.ndarray, prompt: Prompt, before: Segment | None = None) -> Segment:
-        """The person in a picture.
-
-        Args:
-            image: (H, W, 3) 8-bit.
-            prompt: where they are.
-            before: what was found in the frame before.
-        """
-        crop = Crop.round_box(prompt.box, MARGIN)
+    def find(self, image: np.ndarray, prompt: Prompt, before: MaskGuess | None = None) -> MaskGuess:
+        """Segment the person in a picture (H, W, 3) 8-bit, given the frame before's mask."""
+        crop = CropBox.round_box(prompt.box, MARGIN)
         seen = torch.from_numpy(crop.cut(image, self.size, _FILL).astype(np.float32) / 255)
         seen = (seen - torch.tensor(_MEAN)) / torch.tensor(_STD)
         embeddings = self.network.get_image_embeddings(seen.permute(2, 0, 1)[None])
@@ -100,13 +90,13 @@ class SegmentAnything:
             for guess, score in zip(logits, scores, strict=True)
         ]
         chosen = logits[int(np.argmax(worth))].clone()
-        return Segment(_in_picture(chosen, crop, image.shape[:2]), crop, chosen)
+        return MaskGuess(_in_picture(chosen, crop, image.shape[:2]), crop, chosen)
 
     def _guess(
-        self, embeddings: object, crop: Crop, prompt: Prompt, last: torch.Tensor | None
+        self, embeddings: object, crop: CropBox, prompt: Prompt, last: torch.Tensor | None
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Logits (n, h, w) of the crop and the overlaps (n,) that the network expects."""
-        # The network itself adds the half pixel to whatever it is given.
+        """Logits (n, h, w) of the crop, and the overlaps (n,) that the network predicts."""
+        # The network itself adds half a pixel to its input.
         place = lambda x: torch.from_numpy(crop.to_network(x, self.size).astype(np.float32) - 0.5)
         found = self.network(
             image_embeddings=embeddings,
@@ -119,8 +109,8 @@ class SegmentAnything:
         return found.pred_masks[0, 0], found.iou_scores[0, 0]
 
 
-def _agreement(inside: torch.Tensor, crop: Crop, prompt: Prompt) -> float:
-    """Of a guess (h, w) with a prompt, in [−1, 2]."""
+def _agreement(inside: torch.Tensor, crop: CropBox, prompt: Prompt) -> float:
+    """How well a guess (h, w) agrees with a prompt, in [−1, 2]."""
     side = inside.shape[0]
     place = np.floor(crop.to_network(prompt.points, (side, side))).astype(int).clip(0, side - 1)
     hits, own = inside.numpy()[place[:, 1], place[:, 0]], prompt.labels == 1
@@ -133,15 +123,15 @@ def _agreement(inside: torch.Tensor, crop: Crop, prompt: Prompt) -> float:
 
 
 def _overlap(guess: torch.Tensor, last: torch.Tensor | None) -> float:
-    """Intersection over union of two guesses; 0 where there is no last one."""
+    """Intersection over union of two guesses; 0 without a last one."""
     if last is None:
         return 0.0
     both, either = (guess > 0) & (last > 0), (guess > 0) | (last > 0)
     return float(both.sum() / either.sum().clamp(min=1))
 
 
-def _in_picture(logits: torch.Tensor, crop: Crop, shape: tuple[int, int]) -> np.ndarray:
-    """What is inside (H, W) bool, of the logits of a crop."""
+def _in_picture(logits: torch.Tensor, crop: CropBox, shape: tuple[int, int]) -> np.ndarray:
+    """The mask (H, W) bool of a crop's logits."""
     whole = torch.nn.functional.interpolate(
         logits[None, None], (crop.height, crop.width), mode="bilinear", align_corners=False
     )[0, 0]

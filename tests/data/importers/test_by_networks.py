@@ -10,8 +10,8 @@ import torch
 
 from gva_mi.body.pose import Shape
 from gva_mi.body.smplx import load_body
+from gva_mi.data.importers.lens import centred
 from gva_mi.data.importers.prompts import prompts_of
-from gva_mi.data.importers.readings import centred
 from gva_mi.data.importers.tracks import Track
 from gva_mi.data.pictures import write_image
 from gva_mi.data.video import load_video
@@ -28,7 +28,7 @@ def people(seen):
     for name, aside in (("0", 0.0), ("1", -1.2)):
         both.append(Track(
             name, np.arange(FRAMES), rotations, transl + (aside, 0.0, 0.0), None,
-            centred(FOCAL, (WIDTH, HEIGHT), FRAMES), "SMPL", False,
+            np.tile(centred(FOCAL, (WIDTH, HEIGHT)), (FRAMES, 1, 1)), "SMPL", False,
         ))  # fmt: skip
     return both
 
@@ -105,7 +105,7 @@ def test_masks_by_segment_anything(tmp_path, cli, tiny_sam, people, joints, wham
         found = frame.mask > 0.5
         assert (found & inside).sum() / (found | inside).sum() > 0.85
     about = json.loads((out / "prepare.json").read_text())["source"]
-    assert about["sam"] == str(tiny_sam) and about["masks"] is None
+    assert about["sam_checkpoint"] == str(tiny_sam) and about["masks"] == "sam"
 
 
 def test_what_masks_by_segment_anything_need(tmp_path, cli, people, joints, wham_file):

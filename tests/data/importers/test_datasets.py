@@ -10,12 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import roma
-import torch
 
+from gva_mi.data.importers.capture import read_ranges
 from gva_mi.data.importers.datasets import dataset_of
-from gva_mi.data.importers.lenses import pinhole
-from gva_mi.data.importers.recordings import read_ranges
+from gva_mi.data.importers.distortion import undistort
 from gva_mi.data.pictures import read_image, write_image, write_movie
 from gva_mi.data.video import load_video
 from gva_mi.errors import InputError
@@ -90,7 +88,7 @@ def test_people_snapshot_without_distortion(snapshot, prepared):
     (snapshot / "camera.pkl").write_bytes(pickle.dumps(found, protocol=2))
     folder, _ = prepared(snapshot)
     straight = read_image(folder / "masks/000000.png", 1)
-    wanted = pinhole("x", K, found["camera_k"], (WIDTH, HEIGHT))(MASK)
+    wanted = undistort("x", K, found["camera_k"], (WIDTH, HEIGHT))(MASK)
     assert np.array_equal(straight, wanted) and not np.array_equal(straight, MASK)
 
 
@@ -107,12 +105,14 @@ def test_a_straight_line_is_straight_again():
         v, u = np.meshgrid(np.arange(HEIGHT) + 0.5, np.arange(WIDTH) + 0.5, indexing="ij")
         at = bent * K[[0, 1], [0, 1]] + K[:2, 2]
         dot = np.exp(-((u - at[0]) ** 2 + (v - at[1]) ** 2) / 8)
-        found = pinhole("x", K, np.array(k), (WIDTH, HEIGHT))((dot * 255).astype(np.uint8)) / 255.0
+        found = (
+            undistort("x", K, np.array(k), (WIDTH, HEIGHT))((dot * 255).astype(np.uint8)) / 255.0
+        )
         centre = np.array([(found * u).sum(), (found * v).sum()]) / found.sum()
         wanted = np.array([x, y]) * K[[0, 1], [0, 1]] + K[:2, 2]
         assert np.abs(centre - wanted).max() < 0.15
     with pytest.raises(InputError, match="distortion must be"):
-        pinhole("x", K, np.zeros(3), (WIDTH, HEIGHT))
+        undistort("x", K, np.zeros(3), (WIDTH, HEIGHT))
 
 
 HOSTILE = {
@@ -200,41 +200,3 @@ def test_what_is_no_data_set_needs_pictures(tmp_path, cli):
     assert code == 2 and "brings no frames of its own; give --frames" in err
     code, _, err = cli("prepare", "zju", tmp_path / "x", tmp_path / "s", *PUPPET)
     assert code == 2 and "not of the kind zju; expected a folder with annots.npy" in err
-
-
-def test_neuman(tmp_path, seen, thetas, world, prepared, stands, cli):
-    """A body that its alignment scales is seen as one that is nearer, and is not scaled."""
-    source, names = tmp_path / "bike", [f"{k:05d}.png" for k in range(FRAMES)]
-    rotations, places = seen
-    scale = np.array([1.0, 1.5, 2.0, 0.5, 1.25])
-    quat = roma.rotmat_to_unitquat(torch.from_numpy(matrices(TURN))).numpy()[[3, 0, 1, 2]]
-    images, alignments = ["# Image list", "#   IMAGE_ID, QW, ..."], {}
-    for k, (name, shot) in enumerate(zip(names, shots(), strict=True)):
-        write_image(source / "images" / name, shot)
-        write_image(source / "segmentations" / name, 255 - MASK)
-        # The body stands at the origin; the alignment turns nothing, and the root has its turn.
-        transf = np.zeros((4, 3))
-        transf[:3] = scale[k] * np.eye(3)
-        camera = scale[k] * (places[k] - matrices(TURN) @ SMPL) - MOVE  # x_c = R x + MOVE
-        transf[3] = matrices(TURN).T @ camera
-        alignments[name] = transf
-        numbers = " ".join(f"{x:.12f}" for x in (*quat, *MOVE))
-        images += [f"{FRAMES - k} {numbers} 1 {name}", "1.0 2.0 -1"]
-    (source / "sparse").mkdir()
-    (source / "sparse/images.txt").write_text("\n".join(images))
-    lens = f"1 PINHOLE {WIDTH} {HEIGHT} {K[0, 0]} {K[1, 1]} {K[0, 2]} {K[1, 2]}"
-    (source / "sparse/cameras.txt").write_text(f"# Camera list\n{lens}\n")
-    np.save(source / "alignments.npy", alignments)
-    for name, poses in (("romp", 0 * thetas), ("optimized", list(thetas[:, None]))):
-        found = {1: {"pose": poses, "betas": np.zeros((FRAMES, 10))}}
-        (source / f"smpl_output_{name}.pkl").write_bytes(pickle.dumps(found))
-    (source / "train_split.txt").write_text("00000.png\n00001.png\n00004.png\n")
-    (source / "test_split.txt").write_text("00002.png\n")
-    folder, said = prepared(source)
-    assert "neuman, SMPL" in said
-    video = stands(folder, rotations, places, K)
-    assert np.array_equal(video[2].mask > 0.5, MASK > 0)
-    assert (video.splits.train, video.splits.test) == ([0, 1, 4], [2])
-    (source / "sparse/cameras.txt").write_text(lens.replace("PINHOLE", "FOV"))
-    code, _, err = cli("prepare", "auto", source, tmp_path / "b", *PUPPET)
-    assert code == 2 and "a lens FOV; expected one of PINHOLE" in err

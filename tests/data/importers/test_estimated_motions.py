@@ -8,7 +8,8 @@ import pytest
 import roma
 import torch
 
-from gva_mi.data.importers.motions import Driven, MotionOptions, read_motion
+from gva_mi.data.importers.motions import MotionOptions, read_motion
+from gva_mi.data.importers.target import TargetBody
 from gva_mi.errors import InputError
 
 
@@ -68,7 +69,7 @@ def test_wham_in_its_world_from_a_dump_of_joblib(tmp_path, walk, joblib_dump):
     people = {0: person([0, 2]), 7: person([0, 1, 2, 4, 5])}
     for name, pack in (("flat.pkl", bytes), ("packed.pkl", zlib.compress)):
         (tmp_path / name).write_bytes(pack(joblib_dump(people)))
-        motion = read_motion(tmp_path / name, Driven.of(None), OF_ESTIMATORS)
+        motion = read_motion(tmp_path / name, TargetBody.read(None), OF_ESTIMATORS)
         moves_alike(motion, rotations, transl, tolerance=1e-3)  # frame 3 is interpolated
         keep = [0, 1, 2, 4, 5]
         assert same(motion.pose.rotations[keep, :22], rotations[keep, :22])
@@ -76,21 +77,7 @@ def test_wham_in_its_world_from_a_dump_of_joblib(tmp_path, walk, joblib_dump):
         assert "frames without numbers, interpolated: 3" in motion.notes
         assert any("person 7, seen longest of 0 (2 frames), 7 (5" in n for n in motion.notes)
         options = MotionOptions(fps=30, source_fps=30, person="0")
-        assert len(read_motion(tmp_path / name, Driven.of(None), options).pose) == 3
-
-
-def test_glamr_in_its_world(tmp_path, walk, before_camera):
-    rotations, transl = walk(6)
-    there = np.array([False, True, True, True, True, True])
-    person = {
-        "exist_frames": there, "smpl_pose": as_smpl(rotations)[:, 1:].reshape(6, 69),
-        "smpl_beta": np.zeros((6, 10)), "smpl_orient_world": rotations[:, 0],
-        "root_trans_world": transl, "cam_K": np.tile(np.eye(3), (6, 1, 1)),
-    }  # fmt: skip
-    path = dumped(tmp_path / "g.pkl", {"person_data": {0: person}, "cam_pose": np.eye(4)[None]})
-    motion = read_motion(path, Driven.of(None), OF_ESTIMATORS)
-    moves_alike(motion, rotations[1:], transl[1:])
-    assert "glamr, in the axes of its world" in motion.notes
+        assert len(read_motion(tmp_path / name, TargetBody.read(None), options).pose) == 3
 
 
 def test_tram_follows_its_cameras_path(tmp_path, before_camera):
@@ -110,17 +97,17 @@ def test_tram_follows_its_cameras_path(tmp_path, before_camera):
     np.save(tmp_path / "run/hps/hps_track_0.npy", track)
     camera = {"pred_cam_R": R, "pred_cam_T": T, "img_focal": 70.0, "img_center": np.ones(2)}
     np.save(tmp_path / "run/camera.npy", camera)
-    motion = read_motion(tmp_path / "run", Driven.of(None), OF_ESTIMATORS)
+    motion = read_motion(tmp_path / "run", TargetBody.read(None), OF_ESTIMATORS)
     moves_alike(motion, rotations, places)
     assert "tram, in the world of its camera's path" in motion.notes
     with pytest.raises(InputError, match="one person of TRAM without its camera; give the folder"):
-        read_motion(tmp_path / "run/hps/hps_track_0.npy", Driven.of(None), OF_ESTIMATORS)
+        read_motion(tmp_path / "run/hps/hps_track_0.npy", TargetBody.read(None), OF_ESTIMATORS)
     np.save(tmp_path / "run/camera.npy", {k: camera[k] for k in ("img_focal", "img_center")})
-    motion = read_motion(tmp_path / "run", Driven.of(None), OF_ESTIMATORS)
+    motion = read_motion(tmp_path / "run", TargetBody.read(None), OF_ESTIMATORS)
     assert "tram, in the axes of the camera, which is taken to stand still" in motion.notes
     np.save(tmp_path / "run/camera.npy", camera | {"pred_cam_R": R[:2]})
     with pytest.raises(InputError, match=r"\(of the kind tram\): of another form"):
-        read_motion(tmp_path / "run", Driven.of(None), OF_ESTIMATORS)
+        read_motion(tmp_path / "run", TargetBody.read(None), OF_ESTIMATORS)
 
 
 WIDTH, HEIGHT = 640, 480
@@ -186,13 +173,13 @@ def romp(rotations, places):
 def test_what_a_camera_saw_is_a_motion_where_it_stands(written, tmp_path, before_camera):
     rotations, places, seen, pelvis = before_camera
     name, value = written(seen, pelvis)
-    motion = read_motion(dumped(tmp_path / name, value), Driven.of(None), OF_ESTIMATORS)
+    motion = read_motion(dumped(tmp_path / name, value), TargetBody.read(None), OF_ESTIMATORS)
     moves_alike(motion, rotations, places, tolerance=2e-3)  # the picture's size is whole pixels
     assert "-y up" in motion.notes[0]
     assert any("the camera, which is taken to stand still" in n for n in motion.notes)
     assert any("a lens of 800 px" in n for n in motion.notes) == (written is not romp)
     with pytest.raises(InputError, match="says no frame rate.*--source-fps of gva-mi motion"):
-        read_motion(tmp_path / name, Driven.of(None), MotionOptions())
+        read_motion(tmp_path / name, TargetBody.read(None), MotionOptions())
 
 
 def test_parameters_a_file_a_frame_are_a_motion(tmp_path, walk):
@@ -202,18 +189,19 @@ def test_parameters_a_file_a_frame_are_a_motion(tmp_path, walk):
                  "transl": transl[k : k + 1], "betas": np.zeros((1, 10))}  # fmt: skip
         dumped(tmp_path / f"out/{k}.pkl", frame)
     options = MotionOptions(fps=30, source_fps=30, hands="flat")
-    moves_alike(read_motion(tmp_path / "out", Driven.of(None), options), rotations, transl)
+    moves_alike(read_motion(tmp_path / "out", TargetBody.read(None), options), rotations, transl)
 
 
 def test_places_that_a_file_does_not_say_are_refused(tmp_path, before_camera):
     _, _, seen, pelvis = before_camera
-    vibe = {1: {"pose": np.zeros((6, 72)), "orig_cam": np.ones((6, 4)), "frame_ids": np.arange(6)}}
-    with pytest.raises(InputError, match="written by vibe, whose places follow from the size"):
-        read_motion(dumped(tmp_path / "v.pkl", vibe), Driven.of(None), OF_ESTIMATORS)
+    smplifyx = {"camera_translation": np.zeros((1, 3))}
+    dumped(tmp_path / "out/results/0/000.pkl", smplifyx)
+    with pytest.raises(InputError, match="written by smplifyx, whose places follow from the size"):
+        read_motion(tmp_path / "out", TargetBody.read(None), OF_ESTIMATORS)
     name, frames = phalp(seen, pelvis)
     path = dumped(tmp_path / name, {k: f | {"size": None} for k, f in frames.items()})
     with pytest.raises(InputError, match="4dhumans says no size of its pictures"):
-        read_motion(path, Driven.of(None), OF_ESTIMATORS)
+        read_motion(path, TargetBody.read(None), OF_ESTIMATORS)
 
 
 def test_a_folder_is_told_what_it_holds(tmp_path):
@@ -228,17 +216,17 @@ def test_a_folder_is_told_what_it_holds(tmp_path):
             (folder / name).parent.mkdir(exist_ok=True)
             (folder / name).write_text("")
         with pytest.raises(InputError, match=words) as caught:
-            read_motion(folder, Driven.of(None), MotionOptions())
+            read_motion(folder, TargetBody.read(None), MotionOptions())
         assert str(folder) in str(caught.value)
     with pytest.raises(InputError, match="nowhere: no such file; expected a motion such as"):
-        read_motion(tmp_path / "nowhere", Driven.of(None), MotionOptions())
+        read_motion(tmp_path / "nowhere", TargetBody.read(None), MotionOptions())
 
 
 def test_frames_that_lie_far_apart_are_refused(tmp_path):
     person = {"pose": np.zeros((2, 72)), "trans": np.zeros((2, 3)), "betas": np.zeros((2, 10)),
               "frame_ids": np.array([0, 10**12])}  # fmt: skip
     with pytest.raises(InputError, match="frames 0 to 1000000000000, expected at most 1,000,000"):
-        read_motion(dumped(tmp_path / "w.pkl", {0: person}), Driven.of(None), OF_ESTIMATORS)
+        read_motion(dumped(tmp_path / "w.pkl", {0: person}), TargetBody.read(None), OF_ESTIMATORS)
 
 
 MHR = {"mhr_model_params": np.zeros(204), "shape_params": np.zeros(45), "pred_cam_t": np.zeros(3)}
@@ -247,8 +235,8 @@ MHR = {"mhr_model_params": np.zeros(204), "shape_params": np.zeros(45), "pred_ca
 def test_parameters_of_mhr_are_refused_by_name(tmp_path):
     for k, found in enumerate((MHR, {"outputs": [MHR]}, {"a": {0: MHR}}, [[MHR]])):
         with pytest.raises(InputError, match="parameters of MHR, as SAM 3D Body writes"):
-            read_motion(dumped(tmp_path / f"{k}.pkl", found), Driven.of(None), OF_ESTIMATORS)
+            read_motion(dumped(tmp_path / f"{k}.pkl", found), TargetBody.read(None), OF_ESTIMATORS)
     (tmp_path / "folder").mkdir()
     np.savez(tmp_path / "folder/0.npz", data=np.array([MHR], object))
     with pytest.raises(InputError, match="folder: holds parameters of MHR"):
-        read_motion(tmp_path / "folder", Driven.of(None), OF_ESTIMATORS)
+        read_motion(tmp_path / "folder", TargetBody.read(None), OF_ESTIMATORS)

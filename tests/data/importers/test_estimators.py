@@ -9,8 +9,10 @@ import roma
 import torch
 
 from gva_mi.body.puppet import PUPPET
+from gva_mi.data.importers.estimator_record import VideoInfo
 from gva_mi.data.importers.estimators import read_estimator
-from gva_mi.data.importers.readings import View, follow, rescaled
+from gva_mi.data.importers.lens import rescaled
+from gva_mi.data.importers.people import follow
 from gva_mi.errors import InputError
 
 WIDTH, HEIGHT, FRAMES = 64, 48, 5
@@ -81,54 +83,9 @@ def test_pymaf_x_writes_batches_of_matrices(tmp_path, seen, prepared, stands):
     assert "pymafx, SMPL-X" in said and "no hands" not in said
     stands(folder, rotations, SMPLX + transl, CENTRED(5000), joints=55)
     output["smplx_params"] = output["smplx_params"][:1]
-    with pytest.raises(InputError, match="'global_orient' has 3 rows for 5 frame_ids"):
+    with pytest.raises(InputError, match="'body_pose' has 3 rows for 5 frame_ids"):
         path = dumped(tmp_path / "output.pkl", output)
-        read_estimator("pymafx", path, View((WIDTH, HEIGHT)))
-
-
-def test_vibe_sees_in_weak_perspective(tmp_path, seen, prepared, stands):
-    rotations, transl = seen
-    scale = np.array([0.3, 0.3, 0.4, 0.4, 0.5])
-    cameras = np.stack([scale, scale * WIDTH / HEIGHT, 0.1 + 0 * scale, 0.2 + 0 * scale], axis=1)
-    person = {
-        "pred_cam": cameras[:, :3], "orig_cam": cameras, "verts": np.zeros((FRAMES, 9, 3)),
-        "pose": of_smpl(rotations).reshape(FRAMES, 72), "betas": np.zeros((FRAMES, 10)),
-        "joints2d": None, "bboxes": np.zeros((FRAMES, 4)), "frame_ids": np.arange(FRAMES),
-    }  # fmt: skip
-    folder, said = prepared(dumped(tmp_path / "vibe_output.pkl", {1: person}))
-    assert "vibe, SMPL" in said
-    t = np.stack([cameras[:, 2], cameras[:, 3], 2 * 5000 / (scale * WIDTH)], axis=1)
-    video = stands(folder, rotations, SMPL + t, CENTRED(5000))
-    for k, camera in enumerate(video.cameras):  # what weak perspective showed, u = W/2 (1 + s(X+t))
-        x = (SMPL[:2] + cameras[k, 2:]) * cameras[k, :2] + 1
-        place = np.diag([1.0, -1.0, -1.0]) @ (SMPL + t[k])
-        assert np.abs(camera.project(place) - x * np.array([WIDTH, HEIGHT]) / 2).max() < 0.01
-
-
-def test_glamr_has_a_lens_of_its_own_pictures(tmp_path, seen, prepared, refused, stands):
-    rotations, transl = seen
-    pose = of_smpl(rotations)
-    there = np.array([False, True, True, True, True])
-    K = np.tile(np.array([[1000.0, 0, 640], [0, 1000, 480], [0, 0, 1]]), (FRAMES, 1, 1))
-    K[~there] = 0
-    person = {
-        "visible": there.astype(float), "exist_frames": there, "frames": np.arange(FRAMES),
-        "frame2ind": {np.int64(k): k for k in range(FRAMES)}, "scale": None,
-        "smpl_pose": pose[:, 1:].reshape(FRAMES, 69), "smpl_beta": np.zeros((FRAMES, 10)),
-        "smpl_orient_cam": 0 * pose[:, 0], "root_trans_cam": 0 * transl,
-        "smpl_orient_cam_in_world": pose[:, 0], "root_trans_cam_in_world": transl, "cam_K": K,
-    }  # fmt: skip
-    out = {"person_data": {0: person}, "cam_pose": np.tile(np.eye(4), (FRAMES, 1, 1)),
-           "meta": {"num_fr": FRAMES}}  # fmt: skip
-    folder, said = prepared(dumped(tmp_path / "grecon.pkl", out))
-    assert "glamr, SMPL" in said and "left out: 0" in said
-    rotations[0], transl[0] = rotations[1], transl[1]  # held, where nobody is seen
-    stands(folder, rotations, transl, CENTRED(50))
-    K[:, 1, 2] = 640
-    path = dumped(tmp_path / "square.pkl", out)
-    code = "its camera is of pictures of 1280x1280, but the video has 64x48"
-    with pytest.raises(InputError, match=code):
-        read_estimator("auto", path, View((WIDTH, HEIGHT)))
+        read_estimator("pymafx", path, VideoInfo((WIDTH, HEIGHT)))
 
 
 @pytest.mark.parametrize("joints", [24, 55])
@@ -266,7 +223,7 @@ def test_smplify_x_takes_another_lens_and_no_latent_code(tmp_path, seen, prepare
     stands(folder, rotations, SMPLX + transl, CENTRED(90))
     latent = smplify_x(tmp_path / "latent", seen, hands, body=np.zeros((1, 32), "f4"))
     with pytest.raises(InputError, match="latent code of VPoser"):
-        read_estimator("auto", latent, View((WIDTH, HEIGHT)))
+        read_estimator("auto", latent, VideoInfo((WIDTH, HEIGHT)))
 
 
 def parameters(seen, **more):
@@ -290,7 +247,7 @@ def test_parameters_in_one_file(tmp_path, seen, prepared, refused, stands):
     stands(folder, rotations, SMPLX + transl, CENTRED(70), joints=23)
     np.savez(tmp_path / "no.npz", **{k: x for k, x in parameters(seen).items() if k != "transl"})
     with pytest.raises(InputError, match=r"no translation; expected transl \(T, 3\)"):
-        read_estimator("auto", tmp_path / "no.npz", View((WIDTH, HEIGHT), 70))
+        read_estimator("auto", tmp_path / "no.npz", VideoInfo((WIDTH, HEIGHT), 70))
 
 
 def test_parameters_a_file_a_frame_as_matrices(tmp_path, seen, prepared, stands):
@@ -350,8 +307,6 @@ def test_what_has_no_names_or_another_body_is_refused(tmp_path, refused):
 
 
 def test_an_intended_kind_that_is_damaged_is_said_in_one_sentence(tmp_path, refused):
-    vibe = {1: {"pose": np.zeros((5, 72)), "orig_cam": np.zeros((4, 2)), "frame_ids": np.arange(5)}}
-    refused("\\(of the kind vibe\\): of another form", dumped(tmp_path / "v.pkl", vibe))
     res = {"pred_thetas": np.zeros((1, 7)), "pred_cam_root": 0, "bbox": 0, "img_path": ["x"]}
     refused("\\(of the kind hybrik\\): of another form", dumped(tmp_path / "r.pk", res))
 

@@ -5,9 +5,9 @@ import pytest
 
 from gva_mi import InputError
 from gva_mi.body.smplx import load_body
-from gva_mi.data.importers.in_masks import joints_in_masks
-from gva_mi.data.importers.readings import centred
-from gva_mi.data.importers.tracks import Track, Votes, choose
+from gva_mi.data.importers.lens import centred
+from gva_mi.data.importers.people import Votes, choose, joints_in_masks
+from gva_mi.data.importers.tracks import Track
 
 SIZE = (64, 48)
 PELVIS = np.zeros(3)
@@ -19,7 +19,7 @@ def track(person, x, frames, z=4.0):
     rotations = np.zeros((count, 55, 3))
     rotations[:, 0, 0] = np.pi  # upright in the camera's axes
     transl = np.tile([x, 0.0, z], (count, 1))
-    K = centred(80.0, SIZE, count)
+    K = np.tile(centred(80.0, SIZE), (count, 1, 1))
     return Track(person, np.array(frames), rotations, transl, None, K, "SMPL", False)
 
 
@@ -29,7 +29,7 @@ def joints():
 
 
 def votes(tracks, cut_outs, joints, first=0):
-    return joints_in_masks(tracks, cut_outs, first, joints, [PELVIS] * len(tracks))
+    return joints_in_masks(tracks, cut_outs, first, joints)
 
 
 def cut_outs(count, left, right):
@@ -45,7 +45,7 @@ def test_who_is_in_the_masks_wins_over_who_is_seen_longest(joints):
     assert found[1].share > 0.9 and found[0].share < 0.1
     chosen, notes = choose("x.pkl", [long, short], None, lambda: found)
     assert chosen is short
-    assert "person short, who is in the masks best of long (9 frames, " in notes[0]
+    assert "person short, most inside the masks, of long (9 frames, " in notes[0]
 
 
 def test_a_passer_by_who_is_sometimes_inside_loses(joints):

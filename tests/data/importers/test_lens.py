@@ -12,10 +12,9 @@ from PIL import Image
 from gva_mi import InputError
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import load_body
+from gva_mi.data.importers.lens import asked_for, centred, in_pixels, recorded, through_lens
 from gva_mi.data.importers.quicktime import numbers
-from gva_mi.data.importers.readings import PELVIS, centred, through_lens
-from gva_mi.data.importers.recorded_lens import asked_for, in_pixels, recorded
-from gva_mi.data.importers.tracks import Track
+from gva_mi.data.importers.tracks import PELVIS, Track
 from gva_mi.data.video import load_video
 
 KEY = "com.apple.quicktime.camera.focal_length.35mm_equivalent"
@@ -155,8 +154,8 @@ def track(seen):
     rotations, transl = seen
     n = len(transl)
     transl = transl + np.linspace((-1.5, 0, 0), (1.5, 0.4, 1), n)
-    return Track("0", np.arange(n), rotations, transl, None, centred(900, (640, 480), n), "SMPL-X",
-                 has_hands=True)  # fmt: skip
+    K = np.tile(centred(900, (640, 480)), (n, 1, 1))
+    return Track("0", np.arange(n), rotations, transl, None, K, "SMPL-X", has_hands=True)
 
 
 def projected(track, points):

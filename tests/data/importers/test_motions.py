@@ -9,7 +9,8 @@ import torch
 
 from gva_mi.body.kinematics import joint_transforms
 from gva_mi.body.pose import PARENTS, Shape, load_poses
-from gva_mi.data.importers.motions import Driven, MotionOptions, read_motion
+from gva_mi.data.importers.motions import MotionOptions, read_motion
+from gva_mi.data.importers.target import TargetBody
 from gva_mi.errors import InputError
 
 SAME_RATE = MotionOptions(fps=30, hands="flat")
@@ -25,7 +26,7 @@ def read(tmp_path):
             path.write_bytes(pickle.dumps(arrays, protocol=2))
         else:
             np.savez(path, **arrays)
-        return read_motion(path, Driven.of(None), options)
+        return read_motion(path, TargetBody.read(None), options)
 
     return save_and_read
 

@@ -6,7 +6,7 @@ import pickle
 import numpy as np
 import pytest
 
-from gva_mi.data.importers.readings import centred
+from gva_mi.data.importers.lens import centred
 from gva_mi.data.normals import to_icon
 from gva_mi.data.pictures import read_image, write_image, write_movie
 from gva_mi.data.video import load_video
@@ -14,7 +14,7 @@ from gva_mi.splat import Camera
 
 WIDTH, HEIGHT, FRAMES = 64, 48, 5
 CAMERA = Camera.from_matrices(
-    centred(np.hypot(WIDTH, HEIGHT), (WIDTH, HEIGHT), 1)[0], np.eye(4), WIDTH, HEIGHT
+    centred(np.hypot(WIDTH, HEIGHT), (WIDTH, HEIGHT)), np.eye(4), WIDTH, HEIGHT
 )
 INSIDE = np.zeros((HEIGHT, WIDTH), bool)
 INSIDE[10:40, 20:40] = True

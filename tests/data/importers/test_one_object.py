@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from gva_mi import InputError
+from gva_mi.data.importers.estimator_record import VideoInfo
 from gva_mi.data.importers.estimators import read_estimator
-from gva_mi.data.importers.motions import Driven, MotionOptions, read_motion
-from gva_mi.data.importers.readings import View
+from gva_mi.data.importers.motions import MotionOptions, read_motion
+from gva_mi.data.importers.target import TargetBody
 
-VIEW = View((64, 48), focal=70.0)
+VIEW = VideoInfo((64, 48), focal=70.0)
 KEYS = pytest.mark.parametrize("key", ["arr_0", "motion", "poses"])
 
 
@@ -24,7 +25,7 @@ def test_a_motion(key, tmp_path, walk):
     np.save(tmp_path / "m.npy", motion)
     np.savez(tmp_path / "m.npz", **{key: motion})
     options = MotionOptions(fps=30)
-    driven = Driven.of(None)
+    driven = TargetBody.read(None)
     plain, packed = (read_motion(tmp_path / name, driven, options) for name in ("m.npy", "m.npz"))
     assert packed.notes == plain.notes and "SMPL-X, 9 frames at 30 a second" in packed.notes[0]
     assert (packed.pose.rotations == plain.pose.rotations).all()
@@ -50,7 +51,7 @@ def test_an_estimators_people_in_a_file_and_a_file_a_frame(key, tmp_path, seen):
 def test_what_may_run_code_is_refused_as_ever(key, tmp_path, capsys):
     np.savez(tmp_path / "m.npz", **{key: {"poses": Evil()}})
     with pytest.raises(InputError, match="which is not read, for it may run code"):
-        read_motion(tmp_path / "m.npz", Driven.of(None), MotionOptions())
+        read_motion(tmp_path / "m.npz", TargetBody.read(None), MotionOptions())
     with pytest.raises(InputError, match="which is not read, for it may run code"):
         read_estimator("auto", tmp_path / "m.npz", VIEW)
     assert "this ran" not in capsys.readouterr().out

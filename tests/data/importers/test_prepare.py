@@ -103,7 +103,7 @@ def test_the_masks_choose_the_person(tmp_path, cli, seen, footage):
     np.save(tmp_path / "masks.npy", mask)
     code, said, err = cli("prepare", "wham", file, tmp_path / "subject", *footage)
     assert code == 0, err
-    assert "person 7, who is in the masks best of 0 (5 frames, " in said
+    assert "person 7, most inside the masks, of 0 (5 frames, " in said
     assert json.loads((tmp_path / "subject/prepare.json").read_text())["person"] == "7"
 
 

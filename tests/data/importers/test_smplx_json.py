@@ -7,8 +7,8 @@ import pytest
 
 from gva_mi.body.puppet import PUPPET
 from gva_mi.body.smplx import load_body
+from gva_mi.data.importers.estimator_record import VideoInfo
 from gva_mi.data.importers.estimators import read_estimator
-from gva_mi.data.importers.readings import View
 from gva_mi.data.pictures import read_image, write_image
 from gva_mi.data.video import load_video
 from gva_mi.errors import InputError
@@ -92,7 +92,7 @@ def test_parameters_a_frame(form, tmp_path, cli, seen, footage, stands):
 def test_what_is_missing_is_said(tmp_path, seen):
     def refused(words, folder):
         with pytest.raises(InputError, match=words) as error:
-            read_estimator("osx", folder, View((WIDTH, HEIGHT)))
+            read_estimator("osx", folder, VideoInfo((WIDTH, HEIGHT)))
         assert "\n" not in str(error.value)
 
     rotations, transl = seen

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.data.networks.normals import Expected, NormalNetwork
+from gva_mi.data.networks.normals import NormalNetwork, NormalsSpec
 from gva_mi.errors import InputError
 
 SIZE = (24, 32)
@@ -83,7 +83,7 @@ def test_what_it_sees_and_what_it_says(form, person, tmp_path):
     else:
         path = torch_script(tmp_path / "normals.pt", FromColour(form == "encoded"))
     asked = (64, 64) if "size" in form else SIZE  # the file's own size is what counts
-    network = NormalNetwork(path, Expected("perspective", asked))
+    network = NormalNetwork(path, NormalsSpec("perspective", asked))
     crop, normals = network.see(*person)
     assert crop.width * SIZE[1] == pytest.approx(crop.height * SIZE[0], rel=0.05)
     assert crop.top <= 10 - 4 and crop.top + crop.height >= 50 + 4
@@ -96,11 +96,11 @@ def test_what_it_sees_and_what_it_says(form, person, tmp_path):
 
 def test_around_the_person_is_the_mean_where_people_are_cut_out(person, tmp_path):
     path = torch_script(tmp_path / "normals.pt", FromColour())
-    _, whole = NormalNetwork(path, Expected("opengl", SIZE)).see(*person)
-    _, alone = NormalNetwork(path, Expected("icon", SIZE)).see(*person)
+    _, whole = NormalNetwork(path, NormalsSpec("opengl", SIZE)).see(*person)
+    _, alone = NormalNetwork(path, NormalsSpec("icon", SIZE)).see(*person)
     assert np.abs(whole[16, 1, 0]) > 0.3 and np.abs(alone[16, 1, :2]).max() < 0.01
     assert np.allclose(alone[16, 12], whole[16, 12], atol=0.02)
-    mean = Expected("perspective", SIZE, (0.4, 0.4, 0.4), (0.25, 0.25, 0.25))
+    mean = NormalsSpec("perspective", SIZE, (0.4, 0.4, 0.4), (0.25, 0.25, 0.25))
     _, shifted = NormalNetwork(path, mean).see(*person)
     green = person[0][30, 40, 1] / 255
     assert shifted[16, 12, 1] == pytest.approx(min(0.6, (green - 0.4) / 0.25), abs=0.05)
@@ -124,7 +124,7 @@ class Wrong(torch.nn.Module):
 def test_what_is_no_network_of_normals_is_said_in_one_sentence(person, tmp_path):
     def refused(path, words):
         with pytest.raises(InputError, match=words) as error:
-            NormalNetwork(path, Expected("icon", SIZE)).see(*person)
+            NormalNetwork(path, NormalsSpec("icon", SIZE)).see(*person)
         assert "\n" not in str(error.value) and "expected" in str(error.value)
 
     refused(tmp_path / "none.pt", "no such network of normals")
@@ -145,7 +145,7 @@ def test_what_is_no_onnx_network_of_normals_is_said_in_one_sentence(person, tmp_
     pytest.importorskip("onnxruntime")
     (tmp_path / "text.onnx").write_text("hello")
     with pytest.raises(InputError, match="no ONNX network .*expected a network that takes"):
-        NormalNetwork(tmp_path / "text.onnx", Expected("icon"))
-    many = NormalNetwork(onnx_file(tmp_path / "many.onnx", channels=5), Expected("icon", SIZE))
+        NormalNetwork(tmp_path / "text.onnx", NormalsSpec("icon"))
+    many = NormalNetwork(onnx_file(tmp_path / "many.onnx", channels=5), NormalsSpec("icon", SIZE))
     with pytest.raises(InputError, match="many.onnx: fails .*expected a network that takes"):
         many.see(*person)

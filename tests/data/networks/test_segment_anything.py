@@ -1,14 +1,12 @@
 """Segment Anything in a small size: what it sees, what it is told, which guess is taken."""
 
-import re
-
 import numpy as np
 import pytest
 import torch
 
-from gva_mi.data.networks.crop import Crop, box_of_mask
+from gva_mi.data.networks.crop import CropBox, box_of_mask
 from gva_mi.data.networks.sam_weights import load_network
-from gva_mi.data.networks.segment_anything import Prompt, Segment, SegmentAnything
+from gva_mi.data.networks.segment_anything import MaskGuess, Prompt, SegmentAnything
 from gva_mi.errors import InputError
 
 transformers = pytest.importorskip("transformers")
@@ -40,23 +38,23 @@ def prompt(inside, points):
 def test_what_is_at_a_place_is_there_in_the_crop():
     image = np.zeros((50, 70, 3), np.uint8)
     image[20:22, 40:42] = 255  # its middle is at (41, 21)
-    crop = Crop.round_box(np.array([30.0, 10, 60, 28]), 0.1)
+    crop = CropBox.round_box(np.array([30.0, 10, 60, 28]), 0.1)
     assert (crop.width, crop.height) == (36, 36) and crop.box == (27, 1, 63, 37)
     seen = crop.cut(image, (144, 144), (9, 9, 9)).astype(float).mean(-1)
     rows, columns = np.mgrid[:144, :144] + 0.5
     middle = np.array([(seen * columns).sum(), (seen * rows).sum()]) / seen.sum()
     assert np.abs(middle - crop.to_network(np.array([41.0, 21.0]), (144, 144))).max() < 0.1
-    outside = Crop.round_box(np.array([-40.0, -40, -20, -20]), 0).cut(image, (8, 8), (9, 8, 7))
+    outside = CropBox.round_box(np.array([-40.0, -40, -20, -20]), 0).cut(image, (8, 8), (9, 8, 7))
     assert (outside == (9, 8, 7)).all()
-    high = Crop.round_box(np.array([0.0, 0, 10, 10]), 0, (30, 60))
+    high = CropBox.round_box(np.array([0.0, 0, 10, 10]), 0, (30, 60))
     assert (high.width, high.height) == (10, 20)
 
 
 def test_a_guess_in_another_crop_of_the_same_place():
     logits = torch.linspace(-1, 1, 16)[None].repeat(16, 1)
-    found = Segment(np.zeros((1, 1), bool), Crop(10, 20, 16, 16), logits)
-    same = found.seen_in(Crop(10, 20, 16, 16))
-    moved = found.seen_in(Crop(13, 20, 16, 16))
+    found = MaskGuess(np.zeros((1, 1), bool), CropBox(10, 20, 16, 16), logits)
+    same = found.seen_in(CropBox(10, 20, 16, 16))
+    moved = found.seen_in(CropBox(13, 20, 16, 16))
     assert torch.allclose(same, logits, atol=1e-5)
     assert torch.allclose(moved[:, :12], logits[:, 3:15], atol=1e-5)
     assert (moved[:, 14:] < -30).all()  # nothing is known there
@@ -83,7 +81,7 @@ def test_it_is_shown_and_told_what_the_processor_of_transformers_shows_and_tells
         wanted = sam.network(**{k: given[k].float() if given[k].is_floating_point() else given[k]
                                 for k in ("pixel_values", "input_points", "input_labels",
                                           "input_boxes")})  # fmt: skip
-        crop = Crop(0, 0, 64, 64)
+        crop = CropBox(0, 0, 64, 64)
         seen = torch.from_numpy(crop.cut(image, sam.size, (0, 0, 0)).astype(np.float32) / 255)
         mean, std = torch.tensor([0.485, 0.456, 0.406]), torch.tensor([0.229, 0.224, 0.225])
         seen = ((seen - mean) / std).permute(2, 0, 1)[None]
@@ -140,73 +138,10 @@ def test_the_guess_that_holds_the_points_and_stays_in_the_box_is_taken():
     assert torch.equal(found.logits, person)
     others = Prompt(box, np.array([[50.0, 30.0], [30.0, 60.0]]), np.array([1, 0]))
     assert torch.equal(guesses.find(image, others).logits, sleeve)  # that point is somebody else
-    last = Segment(found.mask, found.crop, sleeve)
+    last = MaskGuess(found.mask, found.crop, sleeve)
     after = Guesses([(person, 0.9), (all_of_it, 0.9)], [(sleeve, 0.99)])
     upper = Prompt(box, np.array([[50.0, 30.0]]), np.ones(1, int))
     assert torch.equal(after.find(image, upper, last).logits, sleeve)  # as in the frame before
-
-
-def metas(network):
-    """A network's weights by the names that Meta's files have."""
-    renames = (
-        (r"^vision_encoder\.", "image_encoder."), (r"projection", "proj"),
-        (r"image_encoder\.layers", "image_encoder.blocks"),
-        (r"neck\.conv1", "neck.0"), (r"neck\.layer_norm1", "neck.1"), (r"neck\.conv2", "neck.2"),
-        (r"neck\.layer_norm2", "neck.3"),
-        (r"shared_embedding\.positional_embedding", "pe_layer.positional_encoding_gaussian_matrix"),
-        (r"r\.point_embed\.", "r.point_embeddings."),
-        (r"mask_embed\.conv1", "mask_downscaling.0"), (r"mask_embed\.conv2", "mask_downscaling.3"),
-        (r"mask_embed\.conv3", "mask_downscaling.6"),
-        (r"mask_embed\.layer_norm1", "mask_downscaling.1"),
-        (r"mask_embed\.layer_norm2", "mask_downscaling.4"),
-        (r"upscale_conv1", "output_upscaling.0"), (r"upscale_layer_norm", "output_upscaling.1"),
-        (r"upscale_conv2", "output_upscaling.3"), (r"layer_norm_final_attn", "norm_final_attn"),
-        (r"layer_norm(\d)", r"norm\1"), (r"(mlps\.\d|head)\.layers\.0", r"\1.layers.1"),
-        (r"proj_in", "layers.0"), (r"(mlps\.\d|head)\.proj_out", r"\1.layers.2"),
-    )  # fmt: skip
-    named = {}
-    for name, x in network.state_dict().items():
-        if name.startswith("shared_image_embedding"):
-            continue  # the same array as the prompt encoder's
-        for pattern, instead in renames:
-            name = re.sub(pattern, instead, name)
-        named[name] = x.clone()
-    return named
-
-
-def test_a_file_of_metas_is_the_same_network(tmp_path):
-    torch.manual_seed(1)
-    vision = transformers.SamVisionConfig(
-        hidden_size=16, num_hidden_layers=3, num_attention_heads=2, image_size=64, patch_size=8,
-        window_size=4, global_attn_indexes=[1], output_channels=16, mlp_ratio=2.0, num_pos_feats=8,
-    )  # fmt: skip
-    prompts = transformers.SamPromptEncoderConfig(
-        hidden_size=16, image_size=64, patch_size=8, mask_input_channels=8
-    )
-    masks = transformers.SamMaskDecoderConfig(hidden_size=16, mlp_dim=32, iou_head_hidden_dim=12)
-    network = transformers.SamModel(transformers.SamConfig(
-        vision_config=vision, prompt_encoder_config=prompts, mask_decoder_config=masks
-    )).eval()  # fmt: skip
-    arrays = metas(network)
-    for name in ("image_encoder.blocks.2.norm1.weight", "mask_decoder.output_upscaling.1.bias",
-                 "mask_decoder.transformer.layers.1.norm4.bias", "prompt_encoder.mask_downscaling."
-                 "6.weight", "mask_decoder.iou_prediction_head.layers.2.bias"):  # fmt: skip
-        assert name in arrays  # as sam_vit_b_01ec64.pth has them
-    torch.save(arrays, tmp_path / "sam_vit_b_01ec64.pth")
-    read = load_network(tmp_path / "sam_vit_b_01ec64.pth")
-    given = {
-        "pixel_values": torch.randn(1, 3, 64, 64),
-        "input_boxes": torch.tensor([[[5.0, 6, 50, 60]]]),
-        "input_points": torch.tensor([[[[10.0, 20.0]]]]),
-        "input_labels": torch.ones(1, 1, 1).long(),
-    }  # fmt: skip
-    with torch.no_grad():
-        found, wanted = read(**given), network(**given)
-    assert torch.allclose(found.pred_masks, wanted.pred_masks, atol=1e-6)
-    del arrays["mask_decoder.iou_token.weight"]
-    torch.save(arrays, tmp_path / "short.pth")
-    with pytest.raises(InputError, match="no weights of Segment Anything .*expected a folder"):
-        load_network(tmp_path / "short.pth")
 
 
 class Evil:

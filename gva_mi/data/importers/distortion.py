@@ -1,11 +1,9 @@
-"""Pictures of a lens that distorts, as a pinhole with the same K sees them.
+"""Take a lens's distortion out of pictures, which then are those of a pinhole with the same K.
 
 With x = (u − cx)/fx, y = (v − cy)/fy and r² = x² + y², the lens shows at (x', y') what a pinhole
-shows at (x, y):
+shows at (x, y), as OpenCV has it, with coefficients (k1, k2, p1, p2, k3):
 
-    x' = x (1 + k1 r² + k2 r⁴ + k3 r⁶) + 2 p1 x y + p2 (r² + 2 x²),    y' alike,
-
-as OpenCV has it, with coefficients (k1, k2, p1, p2, k3).
+    x' = x (1 + k1 r² + k2 r⁴ + k3 r⁶) + 2 p1 x y + p2 (r² + 2 x²),    y' alike.
 """
 
 from __future__ import annotations
@@ -18,25 +16,25 @@ import torch
 from gva_mi.errors import InputError
 
 
-def pinhole(
-    where: str, K: np.ndarray, coefficients: np.ndarray, size: tuple[int, int]
-) -> Callable[[np.ndarray], np.ndarray]:
-    """A function of a picture (H, W) or (H, W, C), 8-bit, that takes the distortion out of it.
+def undistort(
+    where: object, K: np.ndarray, coefficients: np.ndarray | None, size: tuple[int, int]
+) -> Callable[[np.ndarray], np.ndarray] | None:
+    """A function of a picture (H, W) or (H, W, C), 8-bit; None where nothing is distorted.
 
     Args:
         where: the file, for the error.
         K: (3, 3) pixels.
-        coefficients: 4 or 5 of them; all zero: pictures stay as they are.
+        coefficients: 4 or 5 of them; all zero, or None: a pinhole.
         size: (W, H).
 
     Raises:
         InputError: another number of coefficients, or one that is not finite.
     """
-    c = np.ravel(np.asarray(coefficients, np.float64))
+    c = np.ravel(np.asarray(np.zeros(5) if coefficients is None else coefficients, np.float64))
     if len(c) not in (4, 5) or not np.isfinite(c).all():
         raise InputError(f"{where}: distortion must be (k1, k2, p1, p2, k3), got {c}")
     if not c.any():
-        return lambda image: image
+        return None
     k1, k2, p1, p2, k3 = (*c, 0.0)[:5]
     u, v = np.meshgrid(np.arange(size[0]) + 0.5, np.arange(size[1]) + 0.5)
     x, y = (u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1]
@@ -44,7 +42,7 @@ def pinhole(
     radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
     u = K[0, 0] * (x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)) + K[0, 2]
     v = K[1, 1] * (y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y) + K[1, 2]
-    # torch counts from −1 at one border of the picture to 1 at the other.
+    # grid_sample counts from −1 at one border of the picture to 1 at the other.
     place = np.stack([2 * u / size[0] - 1, 2 * v / size[1] - 1], axis=-1)
     grid = torch.from_numpy(place.astype(np.float32))[None]
 

@@ -1,0 +1,67 @@
+"""The cameras of a video: ``cameras.npz``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from gva_mi.data.pictures import require_size
+from gva_mi.errors import InputError, expecting
+from gva_mi.files import read_arrays, require_keys, write_arrays
+from gva_mi.splat import Camera
+
+
+def load_cameras(path: Path) -> list[Camera]:
+    """Read ``cameras.npz``; one camera stands for all frames.
+
+    Raises:
+        InputError: a missing file or key, or a wrong shape.
+    """
+    data = read_arrays(path, "K, T_camera_world, width, height (.npz)")
+    require_keys(path, data, ("K", "T_camera_world", "width", "height"))
+    K, T = data["K"], data["T_camera_world"]
+    for name, value, shape in (("K", K, (3, 3)), ("T_camera_world", T, (4, 4))):
+        if value.shape[-2:] != shape or value.ndim not in (2, 3):
+            raise InputError(
+                f"{path}: '{name}' must be {shape} or (T, *{shape}), got {value.shape}"
+            )
+        if value.dtype.kind not in "iuf" or not np.isfinite(value).all():
+            raise InputError(f"{path}: '{name}' must hold finite numbers")
+        # A K that is not normalised, or a transposed one, would be a camera that nobody meant.
+        last = [0] * (shape[0] - 1) + [1]
+        if bad := [row for row in value[..., -1, :].reshape(-1, shape[0]) if any(row != last)]:
+            raise InputError(
+                f"{path}: the last row of '{name}' must be {last}, got {bad[0].tolist()}"
+            )
+    width, height = (_pixels(path, name, data[name]) for name in ("width", "height"))
+    require_size(str(path), width, height)
+    mirrored = [k for k, R in enumerate(T.reshape(-1, 4, 4)[:, :3, :3]) if np.linalg.det(R) < 0]
+    if mirrored:
+        raise InputError(
+            f"{path}: 'T_camera_world' of camera {mirrored[0]} is mirrored (its determinant is "
+            "below 0); expected x right, y down, z forward"
+        )
+    with expecting(path, "cameras that see something"):
+        count = max(len(x) if x.ndim == 3 else 1 for x in (K, T))
+        K, T = np.broadcast_to(K, (count, 3, 3)), np.broadcast_to(T, (count, 4, 4))
+        return [Camera.from_matrices(K[k], T[k], width, height) for k in range(count)]
+
+
+def _pixels(path: Path, name: str, value: np.ndarray) -> int:
+    """A number of pixels."""
+    number = value.dtype.kind in "iuf" and value.size == 1
+    if not number or not np.isfinite(value).all() or value.item() != int(value.item()):
+        raise InputError(f"{path}: '{name}' must be a whole number of pixels, got {value}")
+    return int(value.item())
+
+
+def save_cameras(path: Path, cameras: Sequence[Camera]) -> None:
+    """Write ``cameras.npz``; equal cameras are written once."""
+    K = np.stack([c.K for c in cameras])
+    T = np.stack([c.T_camera_world for c in cameras])
+    if (K == K[:1]).all() and (T == T[:1]).all():
+        K, T = K[0], T[0]
+    size = {"width": np.array(cameras[0].width), "height": np.array(cameras[0].height)}
+    write_arrays(path, K=K, T_camera_world=T, **size)

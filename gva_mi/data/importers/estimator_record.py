@@ -1,0 +1,148 @@
+"""``Estimator``: how one estimator's files are recognised, read, and meant.
+
+The table of all of them is in :mod:`.estimators`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from gva_mi.data.importers.estimator_files import Person
+from gva_mi.data.importers.fields import translation_name
+from gva_mi.data.importers.lens import centred, rescaled
+from gva_mi.data.importers.tracks import Track, make_track
+from gva_mi.errors import InputError
+
+
+@dataclass(frozen=True)
+class VideoInfo:
+    """What a reader needs to know beside the file."""
+
+    size: tuple[int, int]  # (W, H) of the video, pixels
+    focal: float | None = None  # pixels, where the file says none
+    components: np.ndarray | None = None  # (2, K, 45) PCA of hands of the body's file
+
+
+Arrays = Mapping[str, Any]  # (n, ...) each
+Lens = Callable[[str, Arrays, VideoInfo], np.ndarray]  # where, arrays → K (3, 3) or (n, 3, 3)
+# Ours: theirs, or theirs and which joints of it. "betas?" may be missing.
+Names = Mapping[str, "str | tuple[str, slice]"]
+
+
+@dataclass(frozen=True)
+class World:
+    """People whom an estimator places in a world of its own."""
+
+    recognises: Callable[[Any], bool]
+    people: Callable[[str, Any], Iterable[Person]]
+    names: Names = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Estimator:
+    """How one estimator's files are recognised, and what they mean."""
+
+    expects: str  # for messages
+    recognises: Callable[[Any], bool]  # of what a file holds, or of a folder's path
+    people: Callable[[str, Any], Iterable[Person]]
+    lens: Lens
+    names: Names = field(default_factory=dict)  # none: the names of fields.py
+    of_pelvis: bool = False  # its translation is where the pelvis is
+    mean_hand: bool = False  # fingers are relative to the mean hand
+    world: World | None = None
+    # Tracks of the camera in the world of its path; None where the file says no path.
+    along_path: Callable[[Any, list[Track]], list[Track] | None] | None = None
+    far_size: Callable[[Any], Any] | None = None  # (W, H), where the assumed lens is far too long
+    needs_video: bool = False  # without the pictures' size nobody has a place
+
+    def tracks(self, where: str, found: Any, info: VideoInfo) -> list[Track]:  # noqa: ANN401
+        """The people before the camera, frames ascending."""
+        tracks = []
+        for person in self.people(where, found):
+            at = f"{where}: person {person.name}"
+            K = np.asarray(self.lens(at, person.arrays, info), np.float64)
+            track = _track(at, person, self.names, K, info.components, self.of_pelvis)
+            mean = track.from_mean_hand or (self.mean_hand and track.has_hands)
+            tracks.append(replace(track, from_mean_hand=mean).sorted())
+        return tracks
+
+    def world_tracks(self, where: str, found: Any, components: np.ndarray | None) -> list[Track]:  # noqa: ANN401
+        """The people in the estimator's own world; none where it has none. K means nothing."""
+        if self.world is None or not self.world.recognises(found):
+            return []
+        names = self.world.names
+        return [
+            _track(f"{where}: person {p.name}", p, names, np.eye(3), components).sorted()
+            for p in self.world.people(where, found)
+        ]
+
+
+def _track(
+    where: str,
+    person: Person,
+    names: Names,
+    K: np.ndarray,
+    components: np.ndarray | None,
+    of_pelvis: bool = False,
+) -> Track:
+    given = dict(person.arrays) if not names else {}
+    for ours, theirs in names.items():
+        theirs, joints = theirs if isinstance(theirs, tuple) else (theirs, slice(None))
+        key = theirs.removesuffix("?")
+        if key in person.arrays or not theirs.endswith("?"):
+            given[ours] = person.arrays[key]
+            given[ours] = given[ours] if joints == slice(None) else given[ours][:, joints]
+    return make_track(where, person.name, person.frames, given, K, components, of_pelvis)
+
+
+def own_K(where: str, arrays: Arrays, info: VideoInfo) -> np.ndarray:
+    return arrays["K"]
+
+
+def focal_of(rule: Callable[[VideoInfo], float]) -> Lens:
+    """A lens that an estimator assumed, centred, whose focal length follows from the video."""
+    return lambda where, arrays, info: centred(rule(info), info.size)
+
+
+def lens_of_wham(where: str, arrays: Arrays, info: VideoInfo) -> np.ndarray:
+    return centred(np.ravel(arrays.get("focal_length", np.hypot(*info.size)))[0], info.size)
+
+
+def lens_of_hybrik(where: str, arrays: Arrays, info: VideoInfo) -> np.ndarray:
+    """A lens for each person's box, of pictures of the estimator's size."""
+    box, sizes = arrays["bbox"], zip(arrays["width"], arrays["height"], strict=True)
+    widths = 1000 / 256 * (box[:, 2] - box[:, 0])
+    return np.stack([
+        rescaled(where, centred(f, of), of, info.size)
+        for f, of in zip(widths, sizes, strict=True)
+    ])  # fmt: skip
+
+
+def lens_of_romp(where: str, arrays: Arrays, info: VideoInfo) -> np.ndarray:
+    """ROMP pads pictures to a square; the centre is that of the square in whole pixels."""
+    side = max(info.size)
+    K = centred(443.4 / 512 * side, info.size)
+    K[:2, 2] = [side / 2 - (side - length) // 2 for length in info.size]
+    return K
+
+
+def lens_by_name(where: str, arrays: Arrays, info: VideoInfo) -> np.ndarray:
+    """The camera that a file says, or the focal length that a user gives."""
+    count = len(np.ravel(arrays[translation_name(arrays)])) // 3
+    for name in ("K", "cam_K", "intrinsic", "intrinsics"):
+        if arrays.get(name) is not None:
+            K = np.asarray(arrays[name], np.float64)
+            if K.shape[-2:] != (3, 3) or K.size not in (9, 9 * count):
+                raise InputError(f"{where}: '{name}' must be (3, 3) or (T, 3, 3), got {K.shape}")
+            return K.reshape(-1, 3, 3)
+    focal = arrays.get("focal", arrays.get("focal_length", info.focal))
+    if focal is None:
+        raise InputError(f"{where}: says no camera (K, or focal); give --focal, in pixels")
+    focal = np.ravel(np.asarray(focal, np.float64))
+    if focal.size not in (1, count) or not (focal > 0).all():
+        raise InputError(f"{where}: 'focal' must be one number above 0, or (T,); got {focal}")
+    return np.stack([centred(f, info.size) for f in focal])

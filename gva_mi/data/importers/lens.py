@@ -1,0 +1,204 @@
+"""The lens of a video: what an estimator assumed, what the recording says, what a user gives.
+
+Photographs by EXIF, and films of some phones by a key of QuickTime, say which lens of 35 mm film
+shows as much. Diagonals are compared; that film's is 43.27 mm:
+
+1. ``f = millimetres · diagonal / 43.27``,   ``diagonal = √(W² + H²)`` pixels
+
+Sensors are 4:3 or 3:2. Wider pictures, such as 16:9, are cut from one of 4:3 whose longer side they
+show whole: its diagonal counts, 5/4 of that side. What stabilisation cuts off is not recorded: a
+phone's film has a focal length up to a fifth longer than eq. 1. Photographs without that number may
+hold the lens's own focal length and the sensor's pixels per millimetre.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gva_mi.data.importers.footage import Pictures, files_of
+from gva_mi.data.importers.quicktime import numbers
+from gva_mi.data.importers.rotations import shortest
+from gva_mi.data.importers.tracks import Track
+from gva_mi.data.pictures import opened
+from gva_mi.errors import MALFORMED, InputError
+from gva_mi.files import read_json
+from gva_mi.ranges import Within
+
+RECORDED = "recorded"  # in the place of a focal length: what the file says
+PIXELS = Within(0, 1e6, "low", "pixels")
+EXPECTED = f"a focal length in pixels, such as 1450, as of 35 mm film, such as 26mm, or {RECORDED}"
+CAMERA = 'a camera such as {"focal": [fx, fy], "princpt": [cx, cy]}'
+NEARLY = 0.1  # of a focal length's logarithm: a smaller difference is not worth a note
+_SAME_SHAPE = 0.01  # how much two pictures' sides may differ in proportion
+_DIAGONAL = 43.27  # mm of 36 x 24
+_WIDEST = 1.6  # longer over shorter side of a whole sensor's picture
+_QUICKTIME = "com.apple.quicktime.camera.focal_length.35mm_equivalent"
+_IN_35MM, _FOCAL, _WIDTH, _HEIGHT, _A_UNIT, _UNIT = 41989, 37386, 40962, 40963, 41486, 41488  # EXIF
+_EXIF = 0x8769  # the photograph's tags among those of the file
+_MILLIMETRES = {2: 25.4, 3: 10.0, 4: 1.0}  # of a unit: inch, centimetre, millimetre
+
+
+def pinhole_K(focal: object, centre: object) -> np.ndarray:
+    """K (3, 3) of a focal length, or two (fx, fy), and a principal point (cx, cy), pixels."""
+    (fx, fy), (cx, cy) = np.broadcast_to(np.ravel(focal), 2), np.ravel(centre)
+    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64)
+
+
+def lens_of(path: Path) -> np.ndarray:
+    """K (3, 3) of a JSON file."""
+    return lens_in(path, read_json(path, CAMERA))
+
+
+def lens_in(where: object, about: Mapping[str, Any]) -> np.ndarray:
+    """K (3, 3) of a camera's ``focal`` and ``princpt``, or as a fork of SMPLest-X names them."""
+    try:
+        named = (("focal", "focal_length"), ("princpt", "principal_point"))
+        return pinhole_K(*(np.reshape(about.get(a, about.get(b)), 2) for a, b in named))
+    except (TypeError, ValueError, AttributeError):
+        raise InputError(f"{where}: expected {CAMERA}") from None
+
+
+def centred(focal: float, size: tuple[int, int]) -> np.ndarray:
+    """K (3, 3) of a lens whose axis meets the middle of a picture of ``size`` (W, H)."""
+    return pinhole_K(focal, (size[0] / 2, size[1] / 2))
+
+
+def rescaled(where: str, K: np.ndarray, of: Sequence[float], size: tuple[int, int]) -> np.ndarray:
+    """K (..., 3, 3) of pictures of the size ``of`` (W, H), for pictures of ``size``.
+
+    Raises:
+        InputError: the two are of different proportions.
+    """
+    factors = np.array(size, np.float64) / np.maximum(of, 1e-9)
+    if not abs(factors[0] / factors[1] - 1) <= _SAME_SHAPE or min(of) < 1:
+        raise InputError(
+            f"{where}: its camera is of pictures of {of[0]:g}x{of[1]:g}, but the video has "
+            f"{size[0]}x{size[1]}; expected the same shape"
+        )
+    return K * np.array([*factors, 1])[:, None]
+
+
+def filmed_with(
+    track: Track, given: str | None, frames: Pictures, size: tuple[int, int]
+) -> tuple[Track, list[str]]:
+    """A person through the lens that the video was filmed with, and notes.
+
+    Args:
+        track: of an estimator that assumed a lens.
+        given: focal length by the user, as :func:`asked_for` reads it; None: the estimator's.
+        frames: the video, whose files may record a focal length.
+        size: (W, H) of the pictures.
+    """
+    known = recorded(frames, size)
+    assumed = float(np.median(np.sqrt(track.K[:, 0, 0] * track.K[:, 1, 1])))
+    if given is None:
+        if known is None or abs(np.log(known / assumed)) < NEARLY:
+            return track, []
+        return track, [
+            f"the poses are for a focal length of {assumed:.0f} pixels; the recording says "
+            f"{known:.0f}, or up to a fifth more if it was stabilised: --lens {RECORDED} takes it"
+        ]
+    focal = asked_for(given, known, size)
+    moved = f"people stand {focal / assumed:.3g} times as far away"
+    return through_lens(track, focal), [
+        f"the focal length is {focal:.0f} pixels, where the estimator took {assumed:.0f}: {moved}"
+    ]
+
+
+def through_lens(track: Track, focal: float) -> Track:
+    """A track as a lens of ``focal`` pixels sees it, of an estimator that assumed another one.
+
+    The person keeps place and size in the picture: the pelvis moves along the camera's axis, as
+    many times as far away as the lens is longer. The person turns with the ray on which the pelvis
+    is seen, so that the camera sees the same side (as CLIFF, Li et al. 2022, separates the turn of
+    a crop from that of the person).
+    """
+    before, K = track.transl + track.pelvis, track.K.copy()
+    scale = np.sqrt(K[:, 0, 0] * K[:, 1, 1])
+    longer = focal / scale
+    aside = longer[:, None] * before[:, :2] * K[:, [0, 1], [0, 1]] / focal
+    after = np.concatenate([aside, longer[:, None] * before[:, 2:]], axis=1)
+    K[:, 0, 0] = K[:, 1, 1] = focal
+    return replace(track.turned(shortest(before, after), after), K=K)
+
+
+def in_pixels(millimetres: float, size: tuple[int, int]) -> float:
+    """Eq. 1, for pictures of ``size`` (W, H)."""
+    longer, shorter = max(size), min(size)
+    whole = longer <= _WIDEST * shorter
+    diagonal = np.hypot(longer, shorter) if whole else 1.25 * longer
+    return float(millimetres * diagonal / _DIAGONAL)
+
+
+def recorded(source: Pictures, size: tuple[int, int]) -> float | None:
+    """Focal length in pixels that a film's file, or the first picture's, records; None: none.
+
+    Args:
+        source: a film, a folder of pictures, or files.
+        size: (W, H) of its pictures.
+    """
+    files = files_of(source)
+    if files is None:
+        found = in_pixels(numbers(source).get(_QUICKTIME, 0), size)
+    else:
+        found = _of_photograph(files[0], size)
+    return found if found in PIXELS else None
+
+
+def asked_for(text: str, of_file: float | None, size: tuple[int, int]) -> float:
+    """The focal length in pixels that a user gives.
+
+    Args:
+        text: pixels, millimetres of 35 mm film, or the word ``recorded``.
+        of_file: what the file records, in pixels.
+        size: (W, H) of the pictures.
+
+    Raises:
+        InputError: it is none of these, or the file records none.
+    """
+    if text == RECORDED and of_file is None:
+        raise InputError(
+            "prepare: --lens recorded, but no focal length is recorded: neither by EXIF nor by "
+            "QuickTime's camera.focal_length.35mm_equivalent; give --lens 26mm, or pixels"
+        )
+    if text == RECORDED:
+        return of_file
+    try:
+        number = float(text.removesuffix("mm"))
+    except ValueError:
+        number = 0.0
+    found = in_pixels(number, size) if text.endswith("mm") else number
+    if found not in PIXELS:
+        raise InputError(f"prepare: --lens must be {EXPECTED}; got {text}")
+    return found
+
+
+def _of_photograph(path: Path, size: tuple[int, int]) -> float:
+    """The focal length that EXIF records, in pixels; 0: none."""
+    with opened(path) as image:
+        try:
+            tags = image.getexif().get_ifd(_EXIF)
+        except MALFORMED:  # the picture is readable without its tags
+            return 0.0
+    number = lambda tag: _number(tags.get(tag))
+    if number(_IN_35MM) > 0:
+        return in_pixels(number(_IN_35MM), size)
+    pixels = max(number(_WIDTH), number(_HEIGHT))
+    unit = _MILLIMETRES.get(tags.get(_UNIT, 2), 0.0)
+    if not pixels > 0 or not unit:
+        return 0.0
+    # The picture may have been made smaller since.
+    return number(_FOCAL) * number(_A_UNIT) / unit * max(size) / pixels
+
+
+def _number(value: object) -> float:
+    """A tag as a number; 0 where it is none."""
+    try:
+        return float(value)
+    except (TypeError, ValueError, ZeroDivisionError):
+        return 0.0

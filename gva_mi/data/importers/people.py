@@ -1,0 +1,165 @@
+"""Which of an estimator's people is the subject: by name, by the masks, or by how long it is seen.
+
+A person's joints lie inside the person's mask. Each joint in each frame votes: for, where it is
+inside the mask, against, where it is outside. So a passer-by who is seen for long collects votes
+against, and does not win by length.
+
+A joint of a track is seen at ``K (t + p + place of the joint relative to the pelvis)``, with t the
+track's translation and p the pelvis at rest of the estimator's body. Places relative to the pelvis
+are those of any body in the track's rotations: limbs are wider than the error that this makes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gva_mi.body.pose import BODY
+from gva_mi.data.importers.mask_units import BARELY
+from gva_mi.data.importers.tracks import Track
+from gva_mi.data.importers.world import joint_places
+from gva_mi.errors import InputError
+
+_REACH = 1.0  # metres that a person moves from frame to frame at most
+
+
+@dataclass(frozen=True)
+class Votes:
+    """How many joints of a track lie in the masks, over all frames."""
+
+    inside: int
+    outside: int
+
+    @property
+    def majority(self) -> int:
+        """Votes for, less votes against."""
+        return self.inside - self.outside
+
+    @property
+    def share(self) -> float:
+        """Share of the votes that are for; 0 without votes."""
+        return self.inside / max(1, self.inside + self.outside)
+
+
+def choose(
+    where: str,
+    tracks: Sequence[Track],
+    person: str | None,
+    votes: Callable[[], Sequence[Votes]] | None,
+) -> tuple[Track, list[str]]:
+    """Choose the subject, and say how.
+
+    Args:
+        where: the source, for errors.
+        tracks: a person each.
+        person: the estimator's name of one of them.
+        votes: a track's each, called only where masks decide. Without masks, or where nobody lies
+            in them, the person who is seen in most frames is taken.
+
+    Raises:
+        InputError: there is nobody, or nobody of that name.
+    """
+    if not tracks:
+        raise InputError(f"{where}: holds nobody; expected one person at least")
+    names = ", ".join(f"{t.person} ({len(t.frames)} frames)" for t in tracks[:20])
+    if person is not None:
+        chosen = next((t for t in tracks if t.person == person), None)
+        if chosen is None:
+            raise InputError(f"{where}: has no person '{person}'; it has {names}")
+        return chosen, []
+    if len(tracks) == 1:
+        return tracks[0], []
+    found = list(votes()) if votes else []
+    best = max(range(len(found)), key=lambda i: found[i].majority, default=None)
+    if best is not None and found[best].majority > 0:
+        shares = ", ".join(
+            f"{t.person} ({len(t.frames)} frames, {100 * v.share:.0f} % of the joints)"
+            for t, v in zip(tracks[:20], found, strict=False)
+        )
+        chosen, how = tracks[best], f"most inside the masks, of {shares}"
+    else:
+        chosen = max(tracks, key=lambda t: len(t.frames))
+        how = f"seen longest of {names}" + (", as nobody is in the masks" if votes else "")
+    return chosen, [f"person {chosen.person}, {how}; --person takes another"]
+
+
+def joints_in_masks(
+    tracks: Sequence[Track], masks: Iterable[np.ndarray], first: int, joints: np.ndarray
+) -> list[Votes]:
+    """Count the votes of each track's joints, without hands and face.
+
+    A frame with an empty mask has no vote, and neither has a joint beyond the picture's border.
+
+    Args:
+        tracks: of n people.
+        masks: (H, W) 8-bit, frame by frame.
+        first: the number that the estimator gave the first frame.
+        joints: (55, 3) of a body at rest, metres.
+    """
+    seen = [joint_pixels(track, joints) for track in tracks]
+    rows = [{int(f) - first: i for i, f in enumerate(track.frames)} for track in tracks]
+    votes = np.zeros((len(tracks), 2), int)
+    for k, mask in enumerate(masks):
+        inside = mask > BARELY
+        if not inside.any():
+            continue
+        for person, row in enumerate(rows):
+            if k in row:
+                votes[person] += _votes(seen[person][row[k]], inside)
+    return [Votes(int(inside), int(outside)) for inside, outside in votes]
+
+
+def _votes(pixels: np.ndarray, inside: np.ndarray) -> tuple[int, int]:
+    """How many of (J, 2) pixels are inside a mask (H, W), and how many outside."""
+    height, width = inside.shape
+    # A joint that is not finite, or behind the camera, is beyond the border.
+    u, v = np.floor(np.nan_to_num(pixels, nan=-1.0, posinf=-1.0, neginf=-1.0).clip(-1, 1e6)).T
+    there = (u >= 0) & (v >= 0) & (u < width) & (v < height)
+    hits = int(inside[v[there].astype(int), u[there].astype(int)].sum())
+    return hits, int(there.sum()) - hits
+
+
+def joint_pixels(track: Track, joints: np.ndarray, count: int = BODY.stop) -> np.ndarray:
+    """Where the first joints are seen, (n, count, 2); not finite for those behind the camera.
+
+    Args:
+        track: of n frames.
+        joints: (55, 3) of a body at rest, metres.
+        count: of joints; root and body by default.
+    """
+    places = joint_places(track.rotations, np.zeros((len(track.frames), 3)), joints)[:, :count]
+    x = places - places[:, :1] + (track.pelvis + track.transl)[:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        projected = np.einsum("tab,tjb->tja", track.K, x)
+        seen = projected[..., :2] / projected[..., 2:]
+    return np.where(x[..., 2:] > 0, seen, np.inf)
+
+
+def follow(places: Sequence[Sequence[np.ndarray]]) -> list[list[str]]:
+    """Name people whom an estimator saw in each frame anew: the nearest one of before goes on.
+
+    Args:
+        places: of each frame, where its people are, (3,) metres each.
+
+    Returns:
+        Of each frame, the names of its people, "0" for the first who is seen.
+    """
+    last: list[np.ndarray] = []  # where each person was seen last
+    names = []
+    for found in places:
+        found = np.asarray(found, np.float64).reshape(-1, 3)
+        chosen: dict[int, int] = {}
+        pairs = [(np.linalg.norm(x - y), i, j) for i, x in enumerate(found)
+                 for j, y in enumerate(last)]  # fmt: skip
+        for distance, i, j in sorted(pairs):
+            if distance < _REACH and i not in chosen and j not in chosen.values():
+                chosen[i] = j
+        for i, place in enumerate(found):
+            if i not in chosen:
+                chosen[i] = len(last)
+                last.append(place)
+            last[chosen[i]] = place
+        names.append([str(chosen[i]) for i in range(len(found))])
+    return names

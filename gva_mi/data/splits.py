@@ -1,0 +1,71 @@
+"""Which frames of a video are trained on: ``splits.json``."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Container
+from dataclasses import dataclass
+from pathlib import Path
+
+from gva_mi.errors import InputError, expecting
+from gva_mi.files import read_json
+
+TEST_EVERY = 8  # without splits.json, every 8th frame is a test frame
+
+
+@dataclass(frozen=True)
+class Splits:
+    """Which frames are trained on, and which are never seen in training."""
+
+    train: list[int]
+    test: list[int]
+
+    @staticmethod
+    def every(step: int, frames: int) -> Splits:
+        """Every ``step``-th frame is a test frame."""
+        test = list(range(step // 2, frames, step))
+        return Splits([k for k in range(frames) if k not in set(test)], test)
+
+    @staticmethod
+    def one_range(share: int, frames: int) -> Splits:
+        """One ``share``-th of the frames, in the middle and all in a row, are test frames."""
+        count = max(1, frames // share)
+        test = list(range((frames - count) // 2, (frames + count) // 2))
+        return Splits([k for k in range(frames) if k not in set(test)], test)
+
+    def without(self, frames: Container[int]) -> Splits:
+        """The same lists without some frames."""
+        keep = lambda split: [k for k in split if k not in frames]
+        return Splits(keep(self.train), keep(self.test))
+
+
+def load_splits(folder: Path, frames: int) -> Splits:
+    """Read ``splits.json``; without it, every 8th frame is a test frame.
+
+    Raises:
+        InputError: unreadable, a frame that does not exist, or one in both lists.
+    """
+    path = folder / "splits.json"
+    if not path.exists():
+        return Splits.every(TEST_EVERY, frames)
+    expected = '{"train": [...], "test": [...]} of frame numbers'
+    data = read_json(path, expected)
+    with expecting(path, expected):
+        train, test = (list(data[name]) for name in ("train", "test"))
+        if odd := [k for k in (*train, *test) if type(k) is not int]:
+            raise InputError(f"{path}: frames must be whole numbers, got {str(odd[0]):.40}")
+    outside = [k for k in (*train, *test) if not 0 <= k < frames]
+    both = sorted(set(train) & set(test))
+    twice = [k for split in (train, test) for k, times in Counter(split).items() if times > 1]
+    if outside or both or twice or not train:
+        reason = (
+            f"frame {outside[0]} does not exist"
+            if outside
+            else f"frame {both[0]} is in both"
+            if both
+            else f"frame {twice[0]} is there twice"
+            if twice
+            else "no train frame"
+        )
+        raise InputError(f"{path}: {reason}; the video has frames 0 to {frames - 1}")
+    return Splits(train, test)

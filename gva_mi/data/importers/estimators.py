@@ -1,29 +1,7 @@
 """What pose estimators write, as tracks: one record for each estimator.
 
-===============  ===============================================  ==============================
-Kind             File, by the public repository's own code        Camera
-===============  ===============================================  ==============================
-``wham``         ``wham_output.pkl`` (yohanshin/WHAM)             f = √(W² + H²), centred
-``gvhmr``        ``hmr4d_results.pt`` (zju3dv/GVHMR)              ``K_fullimg``
-``4dhumans``     PHALP's ``.pkl`` (shubham-goel/4D-Humans)        f = 5000/256 max(W, H), centred
-``pymafx``       ``output.pkl`` (HongwenZhang/PyMAF-X)            f = 5000, centred
-``hybrik``       ``res.pk`` (jeffffffli/HybrIK), 24 or 55 joints  f = 1000/256 width of the box
-``tram``         ``hps/hps_track_0.npy`` (yufu-wang/tram)         ``camera.npy`` above
-``romp``         ``.npz`` a frame or ``video_results.npz``, ROMP  f = 443.4/512 max(W, H)
-                 and BEV (Arthur151/ROMP)
-``multihmr``     its people, pickled a frame (naver/multi-hmr)    60° over max(W, H)
-``smplifyx``     ``results/000/000.pkl`` (vchoutas/smplify-x)     f = 5000, or ``--focal``
-``smplerx``      ``smplx/00001_0.npz`` and ``meta/00001_0.json``  ``focal``, ``princpt`` a frame
-                 (caizhongang/SMPLer-X)
-``osx``          ``12_0.json`` with ``smplx_param`` and           ``focal``, ``princpt`` a frame
-                 ``cam_param`` (IDEA-Research/OSX, NeuralAnnot);
-                 forks of SMPLest-X: :mod:`.smplx_json`
-``parameters``   SMPL's or SMPL-X's, by the names and in the      ``K``, ``focal``, or ``--focal``
-                 shapes of :mod:`.fields`
-===============  ===============================================  ==============================
-
-Root rotation and translation are in the camera's axes. The focal length that an estimator assumed
-is kept, because its translations hold with that one only.
+``docs/sources.md`` lists their files. Root rotation and translation are in the camera's axes. The
+focal length that an estimator assumed is kept, because its translations hold with that one only.
 """
 
 from __future__ import annotations
@@ -36,6 +14,7 @@ import numpy as np
 
 from gva_mi.body.pose import SMPLX_FIELDS
 from gva_mi.data.importers import estimator_files as files
+from gva_mi.data.importers import frame_files as frames
 from gva_mi.data.importers import smplx_json
 from gva_mi.data.importers.estimator_files import Person, any_holds, holds
 from gva_mi.data.importers.estimator_record import (
@@ -215,23 +194,23 @@ KINDS: dict[str, Estimator] = {
         along_path=_along_path,
     ),
     "romp": Estimator(
-        "results with smpl_thetas and cam_trans", files.is_romp, files.romp, lens_of_romp,
+        "results with smpl_thetas and cam_trans", frames.is_romp, frames.romp, lens_of_romp,
         {"pose": "smpl_thetas", "transl": "cam_trans", "betas": "smpl_betas"},
     ),
     "multihmr": Estimator(
         "a folder with people of rotvec and transl_pelvis, a file a frame",
-        files.is_multihmr, files.multihmr,
+        frames.is_multihmr, frames.multihmr,
         focal_of(lambda info: info.focal or max(info.size) / 2 / np.tan(_MULTI_HMR_ANGLE)),
         _MULTIHMR, of_pelvis=True,
     ),
     "smplifyx": Estimator(
         "a folder with results/000/000.pkl with camera_translation",
-        files.is_smplifyx, files.smplifyx, focal_of(lambda info: info.focal or FAR_FOCAL),
+        frames.is_smplifyx, frames.smplifyx, focal_of(lambda info: info.focal or FAR_FOCAL),
         _SMPLIFYX | {"transl": "camera_translation"}, mean_hand=True, needs_video=True,
     ),
     "smplerx": Estimator(
         "a folder with smplx/00001_0.npz and meta/00001_0.json",
-        lambda x: bool(files.smplerx_files(x)), files.smplerx, own_K, mean_hand=True,
+        lambda x: bool(frames.smplerx_files(x)), frames.smplerx, own_K, mean_hand=True,
     ),
     "osx": Estimator(
         "a folder with 12_0.json of smplx_param and cam_param",
@@ -239,6 +218,6 @@ KINDS: dict[str, Estimator] = {
     ),
     "parameters": Estimator(
         "global_orient, body_pose and transl by name, in a file or one a frame",
-        files.is_parameters, files.parameters, lens_by_name,
+        frames.is_parameters, frames.parameters, lens_by_name,
     ),
 }  # fmt: skip

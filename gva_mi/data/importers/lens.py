@@ -7,8 +7,7 @@ shows as much. Diagonals are compared; that film's is 43.27 mm:
 
 Sensors are 4:3 or 3:2. Wider pictures, such as 16:9, are cut from one of 4:3 whose longer side they
 show whole: its diagonal counts, 5/4 of that side. What stabilisation cuts off is not recorded: a
-phone's film has a focal length up to a fifth longer than eq. 1. Photographs without that number may
-hold the lens's own focal length and the sensor's pixels per millimetre.
+phone's film has a focal length up to a fifth longer than eq. 1.
 """
 
 from __future__ import annotations
@@ -38,9 +37,7 @@ _SAME_SHAPE = 0.01  # how much two pictures' sides may differ in proportion
 _DIAGONAL = 43.27  # mm of 36 x 24
 _WIDEST = 1.6  # longer over shorter side of a whole sensor's picture
 _QUICKTIME = "com.apple.quicktime.camera.focal_length.35mm_equivalent"
-_IN_35MM, _FOCAL, _WIDTH, _HEIGHT, _A_UNIT, _UNIT = 41989, 37386, 40962, 40963, 41486, 41488  # EXIF
-_EXIF = 0x8769  # the photograph's tags among those of the file
-_MILLIMETRES = {2: 25.4, 3: 10.0, 4: 1.0}  # of a unit: inch, centimetre, millimetre
+_EXIF, _IN_35MM = 0x8769, 41989  # the photograph's tags among the file's, and the one
 
 
 def pinhole_K(focal: object, centre: object) -> np.ndarray:
@@ -185,20 +182,7 @@ def _of_photograph(path: Path, size: tuple[int, int]) -> float:
             tags = image.getexif().get_ifd(_EXIF)
         except MALFORMED:  # the picture is readable without its tags
             return 0.0
-    number = lambda tag: _number(tags.get(tag))
-    if number(_IN_35MM) > 0:
-        return in_pixels(number(_IN_35MM), size)
-    pixels = max(number(_WIDTH), number(_HEIGHT))
-    unit = _MILLIMETRES.get(tags.get(_UNIT, 2), 0.0)
-    if not pixels > 0 or not unit:
-        return 0.0
-    # The picture may have been made smaller since.
-    return number(_FOCAL) * number(_A_UNIT) / unit * max(size) / pixels
-
-
-def _number(value: object) -> float:
-    """A tag as a number; 0 where it is none."""
     try:
-        return float(value)
+        return in_pixels(float(tags.get(_IN_35MM, 0)), size)
     except (TypeError, ValueError, ZeroDivisionError):
         return 0.0

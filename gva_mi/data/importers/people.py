@@ -12,7 +12,6 @@ are those of any body in the track's rotations: limbs are wider than the error t
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -25,29 +24,11 @@ from gva_mi.errors import InputError
 _REACH = 1.0  # metres that a person moves from frame to frame at most
 
 
-@dataclass(frozen=True)
-class Votes:
-    """How many joints of a track lie in the masks, over all frames."""
-
-    inside: int
-    outside: int
-
-    @property
-    def majority(self) -> int:
-        """Votes for, less votes against."""
-        return self.inside - self.outside
-
-    @property
-    def share(self) -> float:
-        """Share of the votes that are for; 0 without votes."""
-        return self.inside / max(1, self.inside + self.outside)
-
-
 def choose(
     where: str,
     tracks: Sequence[Track],
     person: str | None,
-    votes: Callable[[], Sequence[Votes]] | None,
+    votes: Callable[[], np.ndarray] | None,
 ) -> tuple[Track, list[str]]:
     """Choose the subject, and say how.
 
@@ -55,8 +36,8 @@ def choose(
         where: the source, for errors.
         tracks: a person each.
         person: the estimator's name of one of them.
-        votes: a track's each, called only where masks decide. Without masks, or where nobody lies
-            in them, the person who is seen in most frames is taken.
+        votes: joints (n, 2) of each track inside the masks and outside, called only where masks
+            decide. Where nobody lies in them, the person who is seen in most frames is taken.
 
     Raises:
         InputError: there is nobody, or nobody of that name.
@@ -71,12 +52,13 @@ def choose(
         return chosen, []
     if len(tracks) == 1:
         return tracks[0], []
-    found = list(votes()) if votes else []
-    best = max(range(len(found)), key=lambda i: found[i].majority, default=None)
-    if best is not None and found[best].majority > 0:
+    inside, outside = (votes() if votes else np.zeros((1, 2), int)).T
+    best = int(np.argmax(inside - outside))
+    if inside[best] > outside[best]:
+        share = 100 * inside / np.maximum(1, inside + outside)
         shares = ", ".join(
-            f"{t.person} ({len(t.frames)} frames, {100 * v.share:.0f} % of the joints)"
-            for t, v in zip(tracks[:20], found, strict=False)
+            f"{t.person} ({len(t.frames)} frames, {s:.0f} % of the joints)"
+            for t, s in zip(tracks[:20], share, strict=False)
         )
         chosen, how = tracks[best], f"most inside the masks, of {shares}"
     else:
@@ -87,8 +69,8 @@ def choose(
 
 def joints_in_masks(
     tracks: Sequence[Track], masks: Iterable[np.ndarray], first: int, joints: np.ndarray
-) -> list[Votes]:
-    """Count the votes of each track's joints, without hands and face.
+) -> np.ndarray:
+    """Count each track's joints inside the masks and outside, (n, 2), without hands and face.
 
     A frame with an empty mask has no vote, and neither has a joint beyond the picture's border.
 
@@ -108,7 +90,7 @@ def joints_in_masks(
         for person, row in enumerate(rows):
             if k in row:
                 votes[person] += _votes(seen[person][row[k]], inside)
-    return [Votes(int(inside), int(outside)) for inside, outside in votes]
+    return votes
 
 
 def _votes(pixels: np.ndarray, inside: np.ndarray) -> tuple[int, int]:

@@ -8,12 +8,11 @@ name (Apple, *QuickTime File Format*, "Metadata").
 
 from __future__ import annotations
 
+import mmap
 import struct
 from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO
 
-LARGEST = 64 << 20  # bytes of a ``moov`` that is read; that of an hour's film has a few million
 # Types of whole numbers, of any number of bytes: signed, unsigned.
 _SIGNED, _UNSIGNED = (21, 65, 66, 67, 74), (22, 75, 76, 77, 78)
 _TEXT, _FLOATS = 1, {23: ">f", 24: ">d"}
@@ -25,42 +24,28 @@ def numbers(path: Path) -> dict[str, float]:
     The film's own keys win over those of its tracks, and the first track's over the others'.
     """
     try:
-        with path.open("rb") as file:
-            moov = _moov(file)
-        tracks = [held for kind, held in _boxes(moov) if kind == b"trak"]
+        with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as held:
+            with memoryview(held) as view:
+                moov = next((bytes(box) for kind, box in _boxes(view) if kind == b"moov"), b"")
+        tracks = [box for kind, box in _boxes(moov) if kind == b"trak"]
         metas = [dict(_boxes(holder)).get(b"meta", b"") for holder in (moov, *tracks)]
-        found = [_numbers(meta) for meta in metas]
-    except (OSError, struct.error):
+        found = [_numbers(bytes(meta)) for meta in metas]
+    except (OSError, ValueError, struct.error):
         return {}
     return {key: value for one in reversed(found) for key, value in one.items()}
 
 
-def _moov(file: BinaryIO) -> bytes:
-    """The contents of the film's ``moov``; nothing where it is missing or too large."""
-    file.seek(0, 2)
-    end, at = file.tell(), 0
-    while at + 8 <= end:
-        file.seek(at)
-        size, kind = struct.unpack(">I4s", file.read(8))
-        head = 8
-        if size == 1:  # a long box: its size comes after the letters
-            size, head = struct.unpack(">Q", file.read(8))[0], 16
-        if kind == b"moov":
-            return file.read(size - head) if head < size <= LARGEST else b""
-        if size < head:  # 0: to the end of the file
-            break
-        at += size
-    return b""
-
-
-def _boxes(held: bytes) -> Iterator[tuple[bytes, bytes]]:
-    """Letters and contents of the boxes in a box."""
+def _boxes(held: bytes | memoryview) -> Iterator[tuple[bytes, bytes | memoryview]]:
+    """Letters and contents of the boxes in a box, up to one that is damaged."""
     at = 0
     while at + 8 <= len(held):
         size, kind = struct.unpack_from(">I4s", held, at)
-        if size < 8 or at + size > len(held):
+        head = 8
+        if size == 1 and at + 16 <= len(held):  # a long box: its size comes after the letters
+            size, head = struct.unpack_from(">Q", held, at + 8)[0], 16
+        if size < head or at + size > len(held):
             return
-        yield kind, held[at + 8 : at + size]
+        yield kind, held[at + head : at + size]
         at += size
 
 

@@ -10,8 +10,6 @@ import torch
 from gva_mi.body.puppet import PUPPET
 from gva_mi.body.smplx import load_body
 from gva_mi.data.fingerprint import require_same_body
-from gva_mi.data.importers.footage import masks, pictures
-from gva_mi.data.pictures import write_movie
 from gva_mi.data.video import load_video
 
 WIDTH, HEIGHT, FRAMES = 64, 48, 5
@@ -215,29 +213,3 @@ def test_what_does_not_fit_is_said_in_one_sentence(tmp_path, cli, seen, footage)
     refused("holds 2 masks, but there are more pictures", "auto", file, out, *few)
     np.save(tmp_path / "few.npy", np.ones((FRAMES, 9, WIDTH), bool))
     refused("mask 0 is 64x9, expected 64x48", "auto", file, out, *few)
-
-
-def test_pictures_and_masks_of_many_kinds(tmp_path):
-    from PIL import Image
-
-    folder, grey = tmp_path / "labels", np.zeros((4, 6), np.uint8)
-    folder.mkdir()
-    grey[1:3, 2:4] = 1
-    palette = Image.fromarray(grey, mode="P")
-    palette.putpalette([0, 0, 0, 128, 0, 0])
-    palette.save(folder / "2.png")
-    Image.fromarray(grey).save(folder / "10.png")
-    Image.fromarray(grey.astype(np.uint16) * 65535).save(folder / "11.png")
-    rgba = np.zeros((4, 6, 4), np.uint8)
-    rgba[..., 3] = grey * 255
-    Image.fromarray(rgba).save(folder / "12.png")
-    found = list(masks(folder))
-    assert len(found) == 4 and all(np.array_equal(mask, grey * 255) for mask in found)
-    turned = Image.fromarray(np.zeros((4, 6, 3), np.uint8))
-    exif = turned.getexif()
-    exif[0x0112] = 6  # a quarter turn
-    (tmp_path / "phone").mkdir()
-    turned.save(tmp_path / "phone/IMG_1.jpg", exif=exif)
-    assert next(pictures(tmp_path / "phone", 3)).shape == (6, 4, 3)
-    write_movie(tmp_path / "film.mp4", [np.full((4, 6, 3), k, np.uint8) for k in (10, 20)])
-    assert [int(image[0, 0, 0]) for image in pictures(tmp_path / "film.mp4", 3)] == [10, 20]

@@ -1,0 +1,166 @@
+"""Read estimators that write a folder with a file for each frame."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gva_mi.body.pose import SMPLX_FIELDS
+from gva_mi.data.importers.estimator_files import (
+    ROMP,
+    Person,
+    files_in,
+    first_of,
+    followed,
+    holds,
+    plain,
+    read_named,
+    read_source,
+    stacked,
+)
+from gva_mi.data.importers.fields import translation_name
+from gva_mi.data.importers.lens import lens_of
+from gva_mi.data.importers.numbering import number_in
+from gva_mi.data.importers.rotations import to_matrices
+from gva_mi.data.importers.tracks import PELVIS
+from gva_mi.errors import InputError
+from gva_mi.pickles.reader import read_objects
+
+# From the pelvis to the middle of the hips at rest, metres: BEV's translations are of the latter.
+_TO_HIPS = np.array([0.0, -0.09, -0.01])
+_NAME = re.compile(r"(\d+)_(\d+)\.npz")  # frame and person of SMPLer-X
+
+
+def romp(where: str, found: Any) -> list[Person]:  # noqa: ANN401
+    """ROMP's and BEV's people, by their track ids; without these, who is nearest goes on."""
+    frames = [(number, r) for number, r in _romp_frames(found) if len(r["smpl_thetas"])]
+    each = lambda r: [
+        {key: r[key][k] for key in ("smpl_thetas", "smpl_betas", "cam_trans")}
+        for k in range(len(r["smpl_thetas"]))
+    ]
+    if all("track_ids" in r for _, r in frames):
+        people = stacked(where, (
+            (str(name), number, person)
+            for number, r in frames
+            for name, person in zip(np.ravel(r["track_ids"]), each(r), strict=True)
+        ))  # fmt: skip
+    else:
+        people = followed(where, ((number, each(r)) for number, r in frames), "cam_trans")
+    for person in people:
+        x = person.arrays
+        if x["smpl_betas"].shape[1] == 11:  # BEV, whose place is that of the hips
+            R = to_matrices(x["smpl_thetas"][:, :3])
+            x["cam_trans"] = x["cam_trans"] - R @ _TO_HIPS - np.array(PELVIS["SMPL"])
+        x["smpl_betas"] = x["smpl_betas"][:, :10]
+    return people
+
+
+def _romp_frames(found: Any) -> list[tuple[int, dict]]:  # noqa: ANN401
+    """Number and result of each frame, by the first number of a picture's name."""
+    if isinstance(found, dict):
+        results = plain(found[ROMP])
+        if "smpl_thetas" in results:
+            return [(0, results)]
+        frames = ((number_in(name, 0), result) for name, result in results.items())
+    elif (found / "video_results.npz").is_file():
+        return _romp_frames(read_objects(found / "video_results.npz", "ROMP's results of a video"))
+    else:
+        read = lambda path: plain(read_objects(path, "ROMP's results of a frame")[ROMP])
+        frames = ((number_in(path, 0), read(path)) for path in files_in(found, "*.npz"))
+    return sorted(frames, key=lambda frame: frame[0])
+
+
+def is_romp(found: Any) -> bool:  # noqa: ANN401
+    first = first_of(found)
+    return isinstance(first, dict) and isinstance(plain(first.get(ROMP)), dict)
+
+
+def _humans(found: Any) -> list[dict]:  # noqa: ANN401
+    """The people of a frame: a list of dictionaries, or one of them."""
+    if isinstance(found, np.ndarray) and found.dtype.hasobject:
+        found = found.ravel().tolist()
+    found = [found] if isinstance(found, dict) else found
+    whole = isinstance(found, list) and all(isinstance(person, dict) for person in found)
+    return found if whole else []
+
+
+def is_multihmr(found: Any) -> bool:  # noqa: ANN401
+    people = _humans(first_of(found))
+    return bool(people) and holds(people[0], "rotvec", "transl_pelvis")
+
+
+def multihmr(where: str, found: Path) -> list[Person]:
+    """A list of people a frame."""
+    names = ("rotvec", "transl_pelvis", "shape")
+    read = lambda path: [
+        {name: person[name] for name in names}
+        for person in _humans(read_source(path, "the people of a frame"))
+    ]
+    frames = sorted(((number_in(path), read(path)) for path in files_in(found)), key=lambda f: f[0])
+    return followed(where, (frame for frame in frames if frame[1]), "transl_pelvis")
+
+
+def _smplifyx_files(found: Any) -> list[Path]:  # noqa: ANN401
+    return files_in(found, "results/*/*.pkl", "*/*.pkl")
+
+
+def is_smplifyx(found: Any) -> bool:  # noqa: ANN401
+    paths = _smplifyx_files(found)
+    return bool(paths) and holds(read_source(paths[0]), "camera_translation")
+
+
+def smplifyx(where: str, found: Path) -> list[Person]:
+    """A folder a picture and a file a person."""
+    names = (*SMPLX_FIELDS, "betas", "camera_translation")
+    return stacked(found, (
+        (path.stem, number_in(path.parent.name), _some(path, names))
+        for path in _smplifyx_files(found)
+    ))  # fmt: skip
+
+
+def smplerx_files(found: Any) -> list[tuple[str, int, Path]]:  # noqa: ANN401
+    """Person, frame and file of each ``smplx/00001_0.npz``."""
+    inner = isinstance(found, Path) and (found / "smplx").is_dir()
+    files = files_in(found / "smplx" if inner else found, "*.npz")
+    matches = ((path, _NAME.fullmatch(path.name)) for path in files)
+    return [(match[2], int(match[1]), path) for path, match in matches if match]
+
+
+def smplerx(where: str, found: Path) -> list[Person]:
+    """A file a frame and person, and its lens in a file of the same name in ``meta/``."""
+    lens = lambda path: path.parent.parent / "meta" / path.with_suffix(".json").name
+    names = (*SMPLX_FIELDS, "transl", "betas")
+    return stacked(found, (
+        (person, frame, _some(path, names) | {"K": lens_of(lens(path))})
+        for person, frame, path in smplerx_files(found)
+    ))  # fmt: skip
+
+
+def _some(path: Path, names: tuple[str, ...]) -> dict[str, Any]:
+    found = read_named(path, "SMPL-X's parameters of one frame")
+    return {name: found[name] for name in names if name in found}
+
+
+def is_parameters(found: Any) -> bool:  # noqa: ANN401
+    first = first_of(found)
+    return any(holds(first, name) for name in ("body_pose", "poses", "thetas", "fullpose"))
+
+
+def parameters(where: str, found: Any) -> Iterator[Person]:  # noqa: ANN401
+    """One person in a file, or in a file a frame, by the names of :mod:`.fields`."""
+    if isinstance(found, dict):
+        if (name := translation_name(found)) is None:
+            raise InputError(f"{where}: holds no translation; expected transl (T, 3) in the camera")
+        yield Person("0", np.arange(np.size(found[name]) // 3), found)
+        return
+    files = sorted(files_in(found), key=number_in)
+    each = [read_named(path, "a body's parameters by name") for path in files]
+    numbers = [k for k, x in each[0].items() if np.asarray(x).dtype.kind in "fiu"]
+    rows = ({k: frame[k] for k in numbers if k in frame} for frame in each)
+    yield from stacked(
+        found, (("0", number_in(p), row) for p, row in zip(files, rows, strict=True))
+    )

@@ -13,7 +13,8 @@ from gva_mi.console import bar, say
 from gva_mi.data.fingerprint import PREPARED
 from gva_mi.data.importers.datasets import DATASETS
 from gva_mi.data.importers.estimators import KINDS
-from gva_mi.data.importers.prepare import PrepareOptions, prepare_folder
+from gva_mi.data.importers.prepare import prepare_folder
+from gva_mi.data.importers.prepare_options import PrepareOptions
 from gva_mi.data.importers.target import TargetBody
 from gva_mi.errors import InputError
 from gva_mi.files import whole_folder

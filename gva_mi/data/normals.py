@@ -1,35 +1,30 @@
-"""Normal maps as networks write them, brought to the frame's pixels and the camera's axes.
+"""Read normal maps as networks write them, in the frame's pixels and the camera's axes.
 
-Three conventions:
+===============  ===================================================================
+``perspective``  as a renderer with the video's camera sees them: camera space, x right, y down,
+                 z forward; ``n · d < 0`` along the pixel's ray ``d``
+``opengl``       likewise with x right, y *up*, z toward the viewer, as most networks write
+``icon``         as ICON and PIFuHD see them: an orthographic view of a square crop, in
+                 ``opengl``'s axes
+===============  ===================================================================
 
-* ``perspective``: as a renderer with the video's camera would see them, in camera space and OpenCV
-  axes (x right, y down, z forward; what is seen has ``n · d < 0`` along the pixel's ray ``d``).
-* ``opengl``: the same in OpenGL's axes (x right, y *up*, z toward the viewer), as most networks of
-  normals of whole scenes write.
-* ``icon``: as ICON, PIFuHD and similar networks see them: an orthographic view of a square crop,
-  x right, y *up*, z toward the viewer.
+A perspective picture is orthographic along each ray, not along the axis of the lens. So the z of an
+orthographic network is taken to be each pixel's own ray:
 
-A perspective picture is orthographic along each of its rays, not along the axis of the lens: a
-person who fills the picture is seen from above at the feet and from below at the head. What an
-orthographic network calls z is therefore taken to be each pixel's own ray:
+    n_camera = R(d) diag(1, -1, -1) n_icon,        R(d) the shortest rotation that takes z to d
 
-    n_camera = R(d) diag(1, -1, -1) n_icon,        R(d) the least rotation that takes z to d
+Then on the outline, where ``n_icon`` lies in the picture's plane, ``n_camera`` is at a right angle
+to the ray. Otherwise normals would be off by the angle between ray and axis: 17 degrees at the feet
+of a person three metres away.
 
-so that on the person's outline, where ``n_icon`` lies in the picture's plane, ``n_camera`` is at a
-right angle to the ray, as it is in truth. Without it normals are off by the angle between ray and
-axis: 17 degrees at the feet of someone who stands three metres away.
-
-``normals.json``, beside the folder ``normals/``, says how they were made; without it they are
-``perspective`` and as large as the frames::
+``normals.json`` beside ``normals/`` says how they were made, and the part of the frame, in pixels,
+that each map shows: a box for each frame, or one for all, which may cross the picture's border::
 
     {"convention": "icon", "boxes": [[left, top, right, bottom], ...]}
 
-with the part of the frame, in pixels, that each map shows: a box for each frame, or one for all; it
-may reach out of the picture. Without ``boxes`` a map shows the whole frame.
-
-Files are ``000000.npy`` (floating point, (h, w, 3)) or ``000000.png`` (``(n + 1) / 2``). Where the
-stored vector is far from unit length, as on a black, white or grey background, the normal is
-unknown. So are all normals of a frame without a file.
+Without it maps are ``perspective``; without ``boxes`` they show whole frames. Files are
+``000000.npy`` (floating point, (h, w, 3)) or ``000000.png`` (``(n + 1) / 2``). A normal is unknown
+where the stored vector is far from unit length, as on a black, white or grey background.
 """
 
 from __future__ import annotations
@@ -62,12 +57,12 @@ class NormalMaps:
 
     @staticmethod
     def open(folder: Path, frames: int, convention: Convention | None = None) -> NormalMaps | None:
-        """The normal maps of a subject's folder; None where it holds no ``normals/``.
+        """The normal maps of a subject's folder; None without a folder ``normals/``.
 
         Args:
             folder: the subject's.
-            frames: of the video.
-            convention: how they were made; it takes precedence over ``normals.json``.
+            frames: number of the video's frames.
+            convention: how they were made; it overrides ``normals.json``.
 
         Raises:
             InputError: an unreadable ``normals.json``.
@@ -85,8 +80,8 @@ class NormalMaps:
 
         Args:
             index: of the frame.
-            camera: its camera, which tells the size and the rays.
-            part: the rows and columns of the frame that are wanted; all of them by default.
+            camera: the frame's, for size and rays.
+            part: rows and columns of the frame; all of them by default.
 
         Raises:
             InputError: the file cannot be read, or is not of the expected size.
@@ -119,11 +114,11 @@ class NormalMaps:
         return (normals * (long / np.sqrt(np.maximum(square, 1e-12)))).astype(np.float32)
 
     def check(self, index: int, camera: Camera) -> None:
-        """Raise what :meth:`read` would raise, without the work of reading."""
+        """Raise what :meth:`read` would raise, and read hardly anything."""
         self.read(index, camera, (slice(0, 1), slice(0, 1)))
 
     def _stored(self, index: int) -> tuple[np.ndarray | None, Path]:
-        """What the file holds (h, w, 3), 8-bit or floating point; and its path."""
+        """The file's array (h, w, 3), 8-bit or floating point, and its path."""
         path = self.folder / f"{index:06d}.npy"
         if path.exists():
             normals = read_array(path)
@@ -150,29 +145,29 @@ def _directions(stored: np.ndarray) -> np.ndarray:
 
 
 def _square_lengths(normals: np.ndarray) -> np.ndarray:
-    """Of vectors (h, w, 3), (h, w, 1)."""
+    """Squared lengths (h, w, 1) of vectors (h, w, 3)."""
     return np.einsum("hwc,hwc->hw", normals, normals)[..., None]
 
 
 def to_icon(normals: np.ndarray, camera: Camera) -> np.ndarray:
-    """Normals (H, W, 3) in camera space, zero where unknown, as ICON would give them."""
+    """Convert normals (H, W, 3) from camera space, zero where unknown, to ICON's convention."""
     v, z = _turns_to_rays(camera)
     once = np.cross(-v, normals)
     return (normals + once + np.cross(-v, once) / (1 + z)) * (1, -1, -1)
 
 
 def _pasted(normals: np.ndarray, box: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """A map (h, w, 3) of a box put on the frame's pixels: (H, W, 3), zero outside the box."""
+    """Resample a map (h, w, 3) of a box to the frame's pixels (H, W, 3), zero outside."""
     from PIL import Image
 
     out = np.zeros((*size, 3), np.float32)
-    low = np.maximum(np.ceil(box[:2]), 0).astype(int)  # the frame's pixels that lie in the box
+    low = np.maximum(np.ceil(box[:2]), 0).astype(int)  # the frame's pixels inside the box
     high = np.minimum(np.floor(box[2:]), size[::-1]).astype(int)
     if (high <= low).any():
         return out
-    scale = np.array(normals.shape[1::-1]) / (box[2:] - box[:2])  # pixels of the map in the frame's
+    scale = np.array(normals.shape[1::-1]) / (box[2:] - box[:2])  # map pixels a frame pixel
     source = tuple(np.concatenate([(low - box[:2]) * scale, (high - box[:2]) * scale]).tolist())
-    for k in range(3):  # the filter widens where the map is the finer of the two
+    for k in range(3):  # the filter widens where the map is finer
         channel = Image.fromarray(np.ascontiguousarray(normals[..., k], np.float32))
         part = channel.resize(tuple((high - low).tolist()), Image.Resampling.BILINEAR, box=source)
         out[low[1] : high[1], low[0] : high[0], k] = np.asarray(part)

@@ -1,4 +1,4 @@
-"""Pictures and films on disk: 8-bit PNG, mp4; and what lies behind a render."""
+"""Read and write pictures and films; read a render's background."""
 
 from __future__ import annotations
 
@@ -20,22 +20,21 @@ if TYPE_CHECKING:
 
 MOST_PIXELS = 1 << 25  # of a picture; 8K UHD has fewer
 FORMAT_OF = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG"}  # of pictures that are written
-FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP")  # none of which starts another program
+FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP")  # none starts another program
 
 SEE_THROUGH = ".webm"  # of films with alpha, which an .mp4 cannot hold
-# x264 writes its settings, the number of threads among them, into the file: one thread, one file.
+# x264 writes its settings into the file, the number of threads among them: always use one.
 LOSSLESS = {"crf": "0", "preset": "veryfast", "threads": "1"}  # with libx264rgb
-# With libx264 and yuv420p. Its tree of macroblocks looks at memory that nothing was written to: the
-# same pictures gave other bits in other runs.
+# With libx264 and yuv420p. mbtree reads uninitialised memory: other bits in every run.
 PLAYABLE = {"crf": "18", "threads": "1", "mbtree": "0"}
-_WITH_ALPHA = {  # with libvpx-vp9 and yuva420p; it has no reference pictures beside those shown
+_WITH_ALPHA = {  # with libvpx-vp9 and yuva420p
     "crf": "12", "b": "0", "deadline": "good", "cpu-used": "4", "threads": "1", "row-mt": "0",
     "auto-alt-ref": "0",
 }  # fmt: skip
 
 
 def read_image(path: Path, channels: int) -> np.ndarray:
-    """An 8-bit picture, turned as its metadata say.
+    """Read a picture as 8 bits, turned as its metadata say.
 
     Args:
         path: of the file.
@@ -54,7 +53,7 @@ def read_image(path: Path, channels: int) -> np.ndarray:
 
 
 def to_8_bits(image: Image.Image) -> Image.Image:
-    """A picture of 16 bits, or of whole numbers, as one of 8, which Pillow would cut off."""
+    """Scale a picture of 16 bits or of whole numbers to 8 bits, which Pillow would clip."""
     from PIL import Image
 
     if not image.mode.startswith("I") and image.mode != "F":
@@ -65,11 +64,10 @@ def to_8_bits(image: Image.Image) -> Image.Image:
 
 @contextmanager
 def opened(path: Path) -> Iterator[Image.Image]:
-    """A picture whose size is known and whose pixels are not decoded yet.
+    """Open a picture of an acceptable size, whose pixels are not decoded yet.
 
     Raises:
-        InputError: there is no such file, no memory would hold it, or it cannot be decoded, here
-            or within.
+        InputError: no such file, too large, or it cannot be decoded, here or within.
     """
     from PIL import Image
 
@@ -88,11 +86,7 @@ def opened(path: Path) -> Iterator[Image.Image]:
 
 
 def require_size(where: str, width: int, height: int) -> None:
-    """Refuse a picture that no memory would hold, before any is taken.
-
-    Raises:
-        InputError: it has no pixel, or more than :data:`MOST_PIXELS`.
-    """
+    """Refuse a picture without pixels, or of more than :data:`MOST_PIXELS`, before it is read."""
     if min(width, height) < 1 or width * height > MOST_PIXELS:
         raise InputError(
             f"{where}: pictures must have from 1 to {MOST_PIXELS:,} pixels, got {width}x{height}"
@@ -108,17 +102,17 @@ def write_image(path: Path, image: np.ndarray) -> None:
 
 
 def in_8_bits(image: np.ndarray) -> np.ndarray:
-    """A picture of floats in [0, 1] as one of 8 bits; one that is already, as it is."""
+    """Convert a picture of floats in [0, 1] to 8 bits; one of 8 bits is returned as it is."""
     if image.dtype == np.uint8:
         return image
     return np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)
 
 
 def require_picture(path: Path, overwrite: bool) -> None:
-    """Check that a picture can be written, before the work whose result it is to show.
+    """Check that a .png can be written, before the work whose result it shows.
 
     Raises:
-        InputError: it is no .png, is there and may not be replaced, or its folder takes no file.
+        InputError: another suffix, a file that may not be replaced, or a read-only folder.
     """
     if path.suffix.lower() != ".png":
         raise InputError(f"{path}: a picture's name ends in .png")
@@ -126,15 +120,12 @@ def require_picture(path: Path, overwrite: bool) -> None:
 
 
 def read_background(name: str, width: int, height: int) -> np.ndarray:
-    """What lies behind a render, float32 in [0, 1].
+    """A render's background, float32 in [0, 1]: (3,) for a colour, (height, width, 3) otherwise.
 
     Args:
         name: of a colour, such as "white" or "#ff8800"; or a picture file, which is scaled to cover
-            the size, and cut at its longer sides.
+            the size, and cropped.
         width, height: pixels.
-
-    Returns:
-        (3,) for a colour, (height, width, 3) for a picture.
 
     Raises:
         InputError: it is neither.
@@ -156,7 +147,7 @@ def decoded(path: Path) -> Iterator[av.VideoFrame]:
     """The frames of a film, one by one.
 
     Raises:
-        InputError: it cannot be decoded, holds no picture, or one that no memory would hold.
+        InputError: it cannot be decoded, holds no picture, or one that is too large.
     """
     import av
 
@@ -178,22 +169,20 @@ def decoded(path: Path) -> Iterator[av.VideoFrame]:
 
 
 def pixels_of(frame: av.VideoFrame, form: str) -> np.ndarray:
-    """A film's picture as its metadata turn it: (W, H, C) of a stored (H, W, C) at quarter turns.
+    """A decoded picture (H, W, C) 8-bit, turned as its metadata say.
 
-    Args:
-        frame: as it was decoded, of any depth.
-        form: FFmpeg's name of the pixels wanted, such as "rgb24", which are 8-bit.
+    ``form`` is FFmpeg's name of the pixels' format, such as "rgb24".
     """
     return turned(frame.to_ndarray(format=form), frame)
 
 
 def turned(pixels: np.ndarray, frame: av.VideoFrame) -> np.ndarray:
-    """A decoded picture (H, W, C) as the metadata of its frame turn it."""
+    """Turn a picture (H, W, C) as the metadata of its frame say."""
     return np.ascontiguousarray(np.rot90(pixels, _quarter_turns(frame)))
 
 
 def size_of(frame: av.VideoFrame) -> tuple[int, int]:
-    """(W, H) of what :func:`pixels_of` makes of a frame, without the work."""
+    """(W, H) of what :func:`pixels_of` returns."""
     size = frame.width, frame.height
     return size[::-1] if _quarter_turns(frame) % 2 else size
 
@@ -204,11 +193,7 @@ def _quarter_turns(frame: av.VideoFrame) -> int:
 
 
 def steps_of(path: Path) -> tuple[np.ndarray, float]:
-    """Seconds (T − 1,) between a film's pictures, and the one tick that they are counted in.
-
-    Raises:
-        InputError: it is no film.
-    """
+    """Seconds (T − 1,) between a film's pictures, and the length of one tick of its clock."""
     import av
 
     try:
@@ -224,10 +209,7 @@ def steps_of(path: Path) -> tuple[np.ndarray, float]:
 def write_movie(
     path: Path, images: Iterable[np.ndarray], fps: int = 25, lossless: bool = True
 ) -> None:
-    """Write an mp4, RGB without loss by default; otherwise yuv420p, which every player shows.
-
-    An older one is replaced once the new one is whole.
-    """
+    """Write an mp4, lossless RGB by default; otherwise yuv420p, which every player shows."""
     import av
 
     with replacing(path) as unfinished, av.open(str(unfinished), "w", format="mp4") as container:
@@ -238,11 +220,7 @@ def write_movie(
 
 
 def require_see_through(path: Path) -> None:
-    """Check that films with alpha can be written here.
-
-    Raises:
-        InputError: they cannot.
-    """
+    """Raise an InputError where films with alpha cannot be written."""
     import av
 
     if "libvpx-vp9" not in av.codecs_available:
@@ -253,24 +231,24 @@ def require_see_through(path: Path) -> None:
 
 
 def write_see_through(path: Path, images: Iterable[np.ndarray], fps: int = 25) -> None:
-    """Write a film with alpha, a .webm of VP9 in yuva420p, as browsers and editors show it.
+    """Write a film with alpha, a .webm of VP9 in yuva420p.
 
     Args:
-        path: of the .webm; an older one is replaced once the new one is whole.
-        images: RGBA (H, W, 4), floats in [0, 1] or 8-bit, colours not times alpha; odd sizes lose
-            their last row or column.
+        path: of the .webm.
+        images: RGBA (H, W, 4), floats in [0, 1] or 8-bit, straight alpha; odd sizes lose their last
+            row or column.
         fps: pictures a second.
     """
     import av
 
-    bare = {"fflags": "+bitexact"}  # without the moment and a random number: the same bytes
+    bare = {"fflags": "+bitexact"}  # no time stamp or random number
     with (
         replacing(path) as unfinished,
         av.open(str(unfinished), "w", format="webm", options=bare) as container,
     ):
         stream = container.add_stream("libvpx-vp9", rate=fps)
         stream.pix_fmt, stream.options = "yuva420p", _WITH_ALPHA
-        stream.metadata["alpha_mode"] = "1"  # without which players do not look for it
+        stream.metadata["alpha_mode"] = "1"  # players need it
         _write_film(container, stream, images, "rgba", halved=True)
 
 
@@ -281,7 +259,7 @@ def _write_film(
     kind: str,
     halved: bool,
 ) -> None:
-    """Encode pictures of a kind; where colours are of half the size, even sizes are kept."""
+    """Encode pictures of a pixel format; ``halved`` crops them to even sizes."""
     import av
 
     for k, image in enumerate(images):

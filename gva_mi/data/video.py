@@ -6,21 +6,21 @@
       video.mp4 | frames/000000.png ...   8-bit RGB; the frames win where both are there
       masks/000000.png | .npy             hard or soft: gva_mi.data.masks
       normals/000000.png | .npy           optional; gva_mi.data.normals
-      normals.json                        optional: how the normals were made, ICON's way or another
+      normals.json                        optional: how the normals were made
       cameras.npz                         K (3,3) or (T,3,3); T_camera_world (4,4) or (T,4,4);
                                           width, height
       poses.npz                           SMPL-X names, each (T, ...); betas (B,); stage
-      poses_refined.npz                   optional: the same after stage 2; focal, where it was
-                                          refined too: a factor on the fx and fy of cameras.npz
+      poses_refined.npz                   optional: poses after stage 2; focal, if it was refined:
+                                          a factor on the fx and fy of cameras.npz
       splits.json                         optional: {"train": [...], "test": [...]} frame numbers
       views/                              optional: what other cameras saw; gva_mi.data.views
-      truth/                              synthetic subjects only, with the true cameras.npz too;
-                                          read by nothing but evaluation
+      truth/                              ground truth of synthetic subjects; read by evaluation
+                                          only
 
 Pictures, masks and normals of single frames may be missing. A frame without a picture, or whose
 mask is missing or empty, is *absent*: it belongs to no split, and its pose stays as it is.
 
-Everything is checked when it is opened, once, so that a step never stops half-way for a bad file.
+Everything is checked once when it is opened, so that no step stops half-way for a bad file.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class Outline:
-    """What is known about a frame without its picture, which takes longest to read."""
+    """A frame without its picture, which takes longest to read."""
 
     index: int
     mask: np.ndarray  # (H, W) float32 in [0, 1]
@@ -95,7 +95,7 @@ class Video:
     normals: NormalMaps | None = None
     absent: Mapping[int, str] = field(default_factory=dict)  # frames that say nothing, and why
     focal: float = 1.0  # factor on the focal lengths of cameras.npz, which the poses belong to
-    stage: int = 1  # who made the poses: gva_mi.body.pose.load_stage
+    stage: int = 1  # who made the poses: gva_mi.body.pose.PoseFile
 
     def __len__(self) -> int:
         return len(self.cameras)
@@ -125,7 +125,7 @@ class Video:
             yield Outline(k, mask, self._normals_of(k, mask), self.cameras[k], self.pose[k])
 
     def _normals_of(self, index: int, mask: np.ndarray) -> Callable[[Part], np.ndarray | None]:
-        """The normals of a frame inside its mask, once somebody asks for a part of them."""
+        """A function that reads a part of a frame's normals, zero outside its mask."""
 
         def normals(part: Part) -> np.ndarray | None:
             found = self.normals.read(index, self.cameras[index], part) if self.normals else None
@@ -139,7 +139,7 @@ class Video:
         return self.cameras[0].width, self.cameras[0].height
 
     def require_train_frames(self) -> None:
-        """Raise an InputError where no train frame is there, for steps that train on some."""
+        """Raise an InputError without a train frame, for steps that train on some."""
         if not self.splits.train:
             k, reason = next(iter(self.absent.items()))
             raise InputError(f"{self.folder}: no train frame can be used; frame {k}: {reason}")
@@ -151,12 +151,12 @@ class Video:
 
     @property
     def truth(self) -> Path | None:
-        """The folder with the truth of a synthetic subject."""
+        """The folder with the ground truth of a synthetic subject."""
         folder = self.folder / "truth"
         return folder if folder.is_dir() else None
 
     def true_mask(self, index: int) -> np.ndarray | None:
-        """The mask (H, W) that a synthetic subject's truth knows; for figures alone."""
+        """The ground-truth mask (H, W) of a synthetic subject; for evaluation only."""
         path = self.truth / "masks" / f"{index:06d}.png" if self.truth else None
         if path is None or not path.exists():
             return None
@@ -173,8 +173,7 @@ def load_video(
     Args:
         folder: in the format above.
         poses: another file of poses than ``folder/poses.npz``, such as the refined ones.
-        normals: how the normals were made, against what ``normals.json`` says; ``"none"`` leaves
-            them alone.
+        normals: how the normals were made, overriding ``normals.json``; ``"none"`` ignores them.
 
     Raises:
         InputError: the first thing that cannot be used: file, key, frame, and the expected form.
@@ -221,7 +220,7 @@ def load_video(
 
 
 def best_poses(folder: Path) -> Path:
-    """The refined poses of a subject; where it has none, those of stage 1."""
+    """The file of a subject's refined poses; without one, that of stage 1."""
     refined = folder / REFINED_POSES
     return refined if refined.exists() else folder / POSES
 
@@ -236,7 +235,7 @@ def is_frame(path: Path) -> bool:
 
 
 def _open_pictures(folder: Path) -> tuple[Film | list[np.ndarray], Sequence[int]]:
-    """The film, where pictures come as one, and the numbers of the frames that are there."""
+    """The film, or [] for frames, and the numbers of the frames that are there."""
     frames = sorted((folder / "frames").glob("*.png"))
     if frames:
         for path in frames:
@@ -261,7 +260,7 @@ def _check_picture(folder: Path, index: int, size: tuple[int, int] | None, camer
 
 
 def _why_absent(masks: Path, index: int, camera: Camera) -> str | None:
-    """What keeps a frame from being used; None where it can be."""
+    """Why a frame cannot be used; None where it can."""
     mask = read_mask(masks, index)
     if mask is None:
         return "it has no mask"

@@ -11,7 +11,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pytest
 
-from gva_mi.data.importers.prepare import PrepareOptions, prepare_folder
+from gva_mi.data.importers.prepare import prepare_folder
+from gva_mi.data.importers.prepare_options import PrepareOptions
 from gva_mi.data.importers.target import TargetBody
 from gva_mi.data.pictures import write_image, write_movie
 

@@ -22,6 +22,6 @@
 ``prompts``             where the person is, for Segment Anything
 ``by_networks``         masks and normals by networks
 ``target``              the body that poses are converted to
-``prepare``             all of it as a subject's folder
+``prepare``             all of it as a subject's folder (``prepare_options``)
 ======================  ============================================================
 """

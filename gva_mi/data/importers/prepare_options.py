@@ -1,0 +1,91 @@
+"""``PrepareOptions``: the options of ``gva-mi prepare``, declared once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, get_args
+
+from gva_mi.data.networks.normals import NormalNetwork, NormalsSpec
+from gva_mi.data.networks.sam_weights import GET
+from gva_mi.data.networks.segment_anything import SegmentAnything
+from gva_mi.data.normals import Convention
+from gva_mi.errors import InputError
+from gva_mi.ranges import Within, require_ranges
+
+SAM = Path("sam")  # in the place of masks
+Side = Annotated[int, Within(1, 8192, unit="pixels")]  # of what a network of normals is shown
+Colour = Annotated[float, Within(-1000, 1000)]  # some take values up to 255
+Spread = Annotated[float, Within(0, 1000, "low")]
+
+
+@dataclass(frozen=True)
+class PrepareOptions:
+    """What ``prepare`` is told beside the source."""
+
+    # The body in SMPL-X's format that the poses are for, and that the other steps will be given; or
+    # the word puppet for the built-in one, which keeps rotations and no shape.
+    body: Path
+    frames: Path | None = None  # a film, or a folder of pictures; a data set has its own
+    # A film, a folder of pictures, a .npy (T, H, W), or a .hdf5 with masks; as many as frames; a
+    # data set has its own. Or the word sam, with --sam-checkpoint.
+    masks: Path | None = None
+    person: str | None = None  # the estimator's name of the person; without it, who is in the masks
+    # The number that the estimator gave the first frame; SMPLer-X starts at 1.
+    first: Annotated[int, Within(0, 1_000_000_000)] = 0
+    # Focal length in pixels, where the estimator's file says none.
+    focal: Annotated[float, Within(0, 1e6, "low", "pixels")] | None = None
+    # Focal length that it was filmed with, where the estimator assumed another: in pixels, as of
+    # 35 mm film, such as 26mm, or recorded, what the file of the video says; the person moves to
+    # where the picture stays the same.
+    lens: str | None = None
+    camera: str | None = None  # the name of a data set's camera; without it, the first
+    # Names of a data set's other cameras, whose pictures are held out as novel views for evaluate;
+    # or all.
+    views: tuple[str, ...] = ()
+    # Of the video, by each of these cameras, evenly spaced.
+    view_frames: Annotated[int, Within(1, 100_000)] = 8
+    # A file of train and test ranges, such as InstantAvatar's confs/dataset/*.yaml.
+    splits: Path | None = None
+    sam_checkpoint: Path | None = None  # of Segment Anything or SAM 2, a folder; it makes the masks
+    # A folder of maps, one a frame by the last number in its name; or a network: .pt (TorchScript,
+    # a program that will run) or .onnx, that takes (1, 3, h, w) and answers likewise.
+    normals: Path | None = None
+    # Axes and view of the maps, or of the network's answer; icon: cut out.
+    normals_convention: Convention | None = None
+    # Pixels that the network is shown, if an .onnx does not say.
+    normals_size: tuple[Side, Side] = NormalsSpec.size
+    normals_mean: tuple[Colour, Colour, Colour] = NormalsSpec.mean  # rgb in [0, 1], subtracted
+    normals_std: tuple[Spread, Spread, Spread] = NormalsSpec.std  # then it is divided by this
+
+    def __post_init__(self) -> None:
+        if self.normals is not None and self.normals_convention is None:
+            raise InputError(
+                "prepare: --normals needs --normals-convention, what its normals mean: "
+                f"{', '.join(get_args(Convention))}"
+            )
+        for name in ("size", "mean", "std") if self.has_maps else ():
+            if getattr(self, f"normals_{name}") != getattr(NormalsSpec, name):
+                raise InputError(
+                    f"prepare: --normals-{name} is for a network, and {self.normals} is a folder"
+                )
+        require_ranges("prepare", self)
+        if self.masks == SAM and self.sam_checkpoint is None and not SAM.exists():
+            raise InputError(f"prepare: --masks sam needs --sam-checkpoint; expected {GET}")
+        if self.sam_checkpoint is not None and self.masks != SAM:
+            raise InputError("prepare: --sam-checkpoint makes masks, so it needs --masks sam")
+
+    @property
+    def has_maps(self) -> bool:
+        """Whether the normals are maps in a folder, and not a network."""
+        return self.normals is not None and self.normals.is_dir()
+
+    def networks(self) -> tuple[SegmentAnything | None, NormalNetwork | None]:
+        """The networks that make masks and normals, read before any work is done."""
+        masks = SegmentAnything.load(self.sam_checkpoint) if self.sam_checkpoint else None
+        if self.normals is None or self.has_maps:
+            return masks, None
+        spec = NormalsSpec(
+            self.normals_convention, self.normals_size, self.normals_mean, self.normals_std
+        )
+        return masks, NormalNetwork(self.normals, spec)

@@ -28,11 +28,7 @@ def write_masks(
 ) -> list[str]:
     """Write ``masks/`` beside ``frames/``, each after the one before; return notes.
 
-    Args:
-        folder: of the subject.
-        network: that finds the person.
-        prompts: where the person is in each frame; None: no mask is written.
-        progress: called after each frame.
+    A frame without a prompt gets no mask.
 
     Raises:
         InputError: no frame has a mask.
@@ -70,12 +66,6 @@ def write_normals(
     """Write ``normals/`` and ``normals.json`` of a subject that has its masks; return notes.
 
     A map shows a part of the frame, which ``normals.json`` says, at the network's own resolution.
-
-    Args:
-        folder: of the subject.
-        network: that sees normals.
-        count: of frames.
-        progress: called after each frame.
 
     Raises:
         InputError: the network fails, or its answer is of another form.

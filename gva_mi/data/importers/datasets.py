@@ -64,13 +64,10 @@ def dataset_of(folder: Path) -> str | None:
 def read_dataset(
     kind: str, folder: Path, camera: str | None, components: np.ndarray | None
 ) -> Capture:
-    """A data set's people, pictures and masks.
+    """A data set's people, pictures and masks, in the folder of one subject.
 
-    Args:
-        kind: one of :data:`DATASETS`.
-        folder: of one subject.
-        camera: the name of the camera that becomes the video; None: the first.
-        components: (2, K, 45) PCA of hands of the body's file.
+    ``camera`` names the one that becomes the video; None: the first. ``components`` are the body
+    file's PCA of hands (2, K, 45).
 
     Raises:
         InputError: the folder is of another kind, or not of its form.

@@ -19,13 +19,9 @@ from gva_mi.errors import InputError
 def undistort(
     where: object, K: np.ndarray, coefficients: np.ndarray | None, size: tuple[int, int]
 ) -> Callable[[np.ndarray], np.ndarray] | None:
-    """A function of a picture (H, W) or (H, W, C), 8-bit; None where nothing is distorted.
+    """A function that undistorts a picture (H, W) or (H, W, C), 8-bit; None for a pinhole.
 
-    Args:
-        where: the file, for the error.
-        K: (3, 3) pixels.
-        coefficients: 4 or 5 of them; all zero, or None: a pinhole.
-        size: (W, H).
+    ``coefficients`` are 4 or 5; all zero, or None: a pinhole. ``size`` is (W, H).
 
     Raises:
         InputError: another number of coefficients, or one that is not finite.

@@ -36,15 +36,7 @@ _OF_MHR = {"mhr_model_params", "mhr_shape_params", "body_pose_params"}
 
 
 def read_estimator(kind: str, source: Path, info: VideoInfo) -> tuple[str, list[Track]]:
-    """The people that an estimator saw.
-
-    Args:
-        kind: one of :data:`KINDS`, or "auto".
-        source: its file, or its folder.
-        info: the video's size, and what the file does not say.
-
-    Returns:
-        The kind, and a track a person.
+    """The kind of a file or a folder (one of :data:`KINDS`, or "auto"), and a track a person.
 
     Raises:
         InputError: the source is of another kind, or of none that is known.

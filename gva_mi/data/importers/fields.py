@@ -57,10 +57,7 @@ def find_joints(
 ) -> Joints:
     """Find the joints of T frames, whatever their names.
 
-    Args:
-        where: file, and person if there are several, for the error.
-        found: arrays by name.
-        components: (2, K, 45) PCA of hands of the body's file, left before right.
+    ``components`` are the body file's PCA of hands (2, K, 45), left before right.
 
     Raises:
         InputError: no known names; a shape that no body has; a latent code.
@@ -177,13 +174,9 @@ def _fingers(
 def hand_angles(
     where: str, hand: np.ndarray, side: int, components: np.ndarray | None
 ) -> np.ndarray:
-    """The fingers (T, 45), axis-angle, of a hand that may be components of a PCA (T, k).
+    """Fingers (T, 45), axis-angle, of a hand that may be components of a PCA (T, k).
 
-    Args:
-        where: file and person, for the error.
-        hand: of one hand.
-        side: 0 the left, 1 the right.
-        components: (2, K, 45) of the body's file.
+    ``side`` is 0 for the left; ``components`` are (2, K, 45) of the body's file.
 
     Raises:
         InputError: no components are known, or fewer.

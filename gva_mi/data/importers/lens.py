@@ -83,13 +83,10 @@ def rescaled(where: str, K: np.ndarray, of: Sequence[float], size: tuple[int, in
 def filmed_with(
     track: Track, given: str | None, frames: Pictures, size: tuple[int, int]
 ) -> tuple[Track, list[str]]:
-    """A person through the lens that the video was filmed with, and notes.
+    """A person through the lens that the video of ``size`` (W, H) was filmed with, and notes.
 
-    Args:
-        track: of an estimator that assumed a lens.
-        given: focal length by the user, as :func:`asked_for` reads it; None: the estimator's.
-        frames: the video, whose files may record a focal length.
-        size: (W, H) of the pictures.
+    ``given`` is the user's focal length, as :func:`asked_for` reads it; None keeps the one that the
+    estimator assumed.
     """
     known = recorded(frames, size)
     assumed = float(np.median(np.sqrt(track.K[:, 0, 0] * track.K[:, 1, 1])))
@@ -133,12 +130,7 @@ def in_pixels(millimetres: float, size: tuple[int, int]) -> float:
 
 
 def recorded(source: Pictures, size: tuple[int, int]) -> float | None:
-    """Focal length in pixels that a film's file, or the first picture's, records; None: none.
-
-    Args:
-        source: a film, a folder of pictures, or files.
-        size: (W, H) of its pictures.
-    """
+    """Focal length in pixels that a film's file, or the first picture's, records; None: none."""
     files = files_of(source)
     if files is None:
         found = in_pixels(numbers(source).get(_QUICKTIME, 0), size)
@@ -148,12 +140,9 @@ def recorded(source: Pictures, size: tuple[int, int]) -> float | None:
 
 
 def asked_for(text: str, of_file: float | None, size: tuple[int, int]) -> float:
-    """The focal length in pixels that a user gives.
+    """The focal length in pixels of a user's text: pixels, "26mm" of 35 mm film, or "recorded".
 
-    Args:
-        text: pixels, millimetres of 35 mm film, or the word ``recorded``.
-        of_file: what the file records, in pixels.
-        size: (W, H) of the pictures.
+    ``of_file`` is what the video of ``size`` (W, H) records, in pixels.
 
     Raises:
         InputError: it is none of these, or the file records none.

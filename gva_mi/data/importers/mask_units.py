@@ -23,12 +23,7 @@ def full_value(mask: np.ndarray) -> int:
 
 
 def to_8_bits(where: str, mask: np.ndarray, full: int) -> np.ndarray:
-    """A mask (H, W) as 8 bits, 255 inside.
-
-    Args:
-        where: the file and the mask, for the error.
-        mask: of any numbers.
-        full: the value that is fully inside.
+    """A mask (H, W) of any numbers as 8 bits, 255 inside; ``full`` is the value fully inside.
 
     Raises:
         InputError: values beyond it, or NaN.
@@ -43,11 +38,7 @@ def to_8_bits(where: str, mask: np.ndarray, full: int) -> np.ndarray:
 
 
 def require_person(where: str, counts: np.ndarray) -> None:
-    """Refuse the masks of a video of which no pixel is inside, or all are.
-
-    Args:
-        where: the masks, for the error.
-        counts: (256,) how often each value stands in all of them.
+    """Refuse a video's masks if no pixel is inside, or all are; ``counts`` (256,) is of values.
 
     Raises:
         InputError: with the values, and what they may be.

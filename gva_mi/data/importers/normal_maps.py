@@ -26,11 +26,8 @@ from gva_mi.splat import Camera
 def maps_of(folder: Path, frames: Pictures, count: int, loose: bool) -> dict[int, Path]:
     """The map of each frame that has one.
 
-    Args:
-        folder: of pictures, or of .npy.
-        frames: a film, a folder or files, whose first ``count`` are the subject's frames.
-        count: of frames.
-        loose: maps of no frame are passed over.
+    The subject's frames are the first ``count`` of ``frames``; with ``loose``, maps of no frame are
+    passed over.
 
     Raises:
         InputError: there is none, two are of one frame, or one is of none.
@@ -70,12 +67,7 @@ def write_maps(
 ) -> list[str]:
     """Write ``normals/`` and ``normals.json`` of a subject's folder with masks; return notes.
 
-    Args:
-        out: the subject's folder.
-        maps: of :func:`maps_of`.
-        convention: how the maps were made.
-        cameras: of all frames.
-        straight: takes the lens's distortion out of an 8-bit picture; None: a pinhole.
+    ``straight`` takes the lens's distortion out of an 8-bit picture; None: a pinhole.
 
     Raises:
         InputError: one is unreadable or of another size; all inside the masks are no directions, or

@@ -10,11 +10,7 @@ import numpy as np
 
 
 def number_in(name: object, which: int = -1) -> int:
-    """A number in a file's name: the last one, by which most programs number frames.
-
-    Args:
-        name: a name or path; its suffix does not count.
-        which: 0 for the first number instead.
+    """The last number in a file's name, by which most programs number frames; ``which`` 0: first.
 
     Raises:
         ValueError: there is none.

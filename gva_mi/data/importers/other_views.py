@@ -26,12 +26,7 @@ ALL = "all"  # in the place of names
 
 
 def known_names(where: str, capture: Capture, names: Sequence[str]) -> list[str]:
-    """The names of the other cameras that are held out.
-
-    Args:
-        where: the data set, for errors.
-        capture: with its other cameras.
-        names: of those wanted, or "all"; none: none.
+    """The names of the cameras that ``names`` hold out; "all" is every other camera.
 
     Raises:
         InputError: there is no such camera.
@@ -60,7 +55,7 @@ def write_views(
         out: the subject's folder.
         where: the data set, for errors.
         capture: with its other cameras.
-        names: of those wanted, of :func:`known_names`.
+        names: of the cameras that are held out.
         frames: of the video, that may be seen.
         each: at most so many of them by each camera, evenly spaced.
         upright: (4, 4) W.

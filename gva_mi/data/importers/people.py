@@ -73,12 +73,8 @@ def joints_in_masks(
     """Count each track's joints inside the masks and outside, (n, 2), without hands and face.
 
     A frame with an empty mask has no vote, and neither has a joint beyond the picture's border.
-
-    Args:
-        tracks: of n people.
-        masks: (H, W) 8-bit, frame by frame.
-        first: the number that the estimator gave the first frame.
-        joints: (55, 3) of a body at rest, metres.
+    Masks are (H, W) 8-bit, frame by frame; ``first`` is the estimator's number of the first frame;
+    ``joints`` are (55, 3) of a body at rest, metres.
     """
     seen = [joint_pixels(track, joints) for track in tracks]
     rows = [{int(f) - first: i for i, f in enumerate(track.frames)} for track in tracks]
@@ -104,12 +100,9 @@ def _votes(pixels: np.ndarray, inside: np.ndarray) -> tuple[int, int]:
 
 
 def joint_pixels(track: Track, joints: np.ndarray, count: int = BODY.stop) -> np.ndarray:
-    """Where the first joints are seen, (n, count, 2); not finite for those behind the camera.
+    """Pixels (n, count, 2) of a track's first joints, by default root and body.
 
-    Args:
-        track: of n frames.
-        joints: (55, 3) of a body at rest, metres.
-        count: of joints; root and body by default.
+    They are not finite behind the camera. ``joints`` are (55, 3) of a body at rest, metres.
     """
     places = joint_places(track.rotations, np.zeros((len(track.frames), 3)), joints)[:, :count]
     x = places - places[:, :1] + (track.pelvis + track.transl)[:, None]
@@ -120,13 +113,9 @@ def joint_pixels(track: Track, joints: np.ndarray, count: int = BODY.stop) -> np
 
 
 def follow(places: Sequence[Sequence[np.ndarray]]) -> list[list[str]]:
-    """Name people whom an estimator saw in each frame anew: the nearest one of before goes on.
+    """Name people whom an estimator does not track: the nearest one of the frames before goes on.
 
-    Args:
-        places: of each frame, where its people are, (3,) metres each.
-
-    Returns:
-        Of each frame, the names of its people, "0" for the first who is seen.
+    ``places`` are those of each frame's people, (3,) metres each. Names begin with "0".
     """
     last: list[np.ndarray] = []  # where each person was seen last
     names = []

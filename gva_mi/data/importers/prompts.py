@@ -36,11 +36,7 @@ def prompts_of(
 ) -> list[Prompt | None]:
     """A prompt for each frame of a track; None where nothing of the person is in the picture.
 
-    Args:
-        track: the person, in frames of the video.
-        others: other people, likewise.
-        joints: (55, 3) of a body at rest, metres.
-        size: (W, H) of the pictures.
+    Frames are the video's; ``joints`` are (55, 3) of a body at rest, metres; ``size`` is (W, H).
     """
     by_frame = lambda t: dict(zip(t.frames.tolist(), joint_pixels(t, joints, 55), strict=True))
     theirs = [by_frame(other) for other in others]

@@ -15,16 +15,10 @@ import torch
 def interpolate(
     times: np.ndarray, rotations: np.ndarray, transl: np.ndarray, wanted: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Sample a motion at other times; it is held before its first and after its last time.
+    """Sample rotations (n, J, 3) and translations (n, 3) at times ``wanted`` (m,).
 
-    Args:
-        times: (n,) ascending.
-        rotations: (n, J, 3) axis-angle of any length.
-        transl: (n, 3).
-        wanted: (m,).
-
-    Returns:
-        Rotations (m, J, 3) of at most half a turn, and translations (m, 3).
+    ``times`` (n,) ascend; the motion is held before the first and after the last. Returned
+    rotations are at most half a turn long.
     """
     after = np.clip(np.searchsorted(times, wanted, side="right"), 1, max(1, len(times) - 1))
     before = after - 1

@@ -18,12 +18,9 @@ _TO_Y = {  # axis-angle in quarter turns that takes an axis to y
 
 
 def joint_places(rotations: np.ndarray, transl: np.ndarray, joints: np.ndarray) -> np.ndarray:
-    """Where the joints of a posed body are, (T, 55, 3) metres.
+    """Places (T, 55, 3) of the joints of a body in ``rotations`` (T, 55, 3) axis-angle, metres.
 
-    Args:
-        rotations: (T, 55, 3) axis-angle.
-        transl: (T, 3) metres.
-        joints: (55, 3) of the body at rest, metres.
+    ``transl`` is (T, 3); ``joints`` are (55, 3) of the body at rest.
     """
     rotations, rest, transl = (
         torch.from_numpy(np.array(x, np.float64)) for x in (rotations, joints, transl)
@@ -33,15 +30,10 @@ def joint_places(rotations: np.ndarray, transl: np.ndarray, joints: np.ndarray) 
 
 
 def up_axis(rotations: np.ndarray, transl: np.ndarray, joints: np.ndarray) -> str | None:
-    """The axis along which the head is above the feet, in the mean of all frames.
+    """The axis of :data:`UP` along which the head is above the feet, in the mean of all frames.
 
-    Args:
-        rotations: (T, 55, 3).
-        transl: (T, 3) metres.
-        joints: (55, 3) of any body at rest, metres.
-
-    Returns:
-        One of :data:`UP`; None where no axis is clearly up, as for a person who lies down.
+    None where no axis is clearly up, as for a person who lies down. Arguments are those of
+    :func:`joint_places`, with the joints of any body.
     """
     places = joint_places(rotations, transl, joints)
     at = lambda name: places[:, JOINTS.index(name)]
@@ -57,16 +49,8 @@ def upright(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Turn a motion with its world, W: the root R becomes W R, and t becomes W (p + t) − p.
 
-    A body turns about its pelvis at rest, p, and not about the origin.
-
-    Args:
-        rotations: (T, 55, 3).
-        transl: (T, 3) metres.
-        up: the axis that is up, one of :data:`UP`.
-        pelvis: (3,) metres.
-
-    Returns:
-        Rotations and translations in a world with y up.
+    A body turns about its pelvis at rest, p (3,), and not about the origin. ``up`` is one of
+    :data:`UP`; afterwards y is up.
     """
     turn = np.array(_TO_Y[up], np.float64) * np.pi / 2
     rotations = rotations.copy()

@@ -10,7 +10,7 @@ import torch
 from gva_mi.body.kinematics import turn_joints
 from gva_mi.body.pose import JOINTS, PARENTS, Pose, Shape
 from gva_mi.data.synthetic.motion import perform, times
-from gva_mi.data.synthetic.noise.camera_bias import Lean, leaning
+from gva_mi.data.synthetic.noise.camera_bias import Lean, tilted
 from gva_mi.pose import SequenceOptions
 from gva_mi.pose.anatomy import Anatomy
 from gva_mi.pose.descent import descend
@@ -173,7 +173,7 @@ def test_steps_survive_high_and_low(person, degrees, errors):
 
 def test_a_lean_of_the_legs_toward_the_camera_goes(person):
     """By the same angle in every frame, while the person turns once."""
-    lean = leaning(TURNING.rotations.double().numpy(), CAMERA, Lean(legs=np.radians(4)))
+    lean = tilted(TURNING.rotations.double().numpy(), CAMERA, Lean(legs=np.radians(4)))
     stage1 = with_white_errors(replace(TURNING, rotations=torch.from_numpy(lean).float()), 0.05)
 
     def leans(pose):

@@ -46,7 +46,7 @@ class Lean:
         return {JOINTS.index(name): a for name, a in (down | up).items() if a != 0}
 
 
-def leaning(rotations: np.ndarray, camera: Camera, lean: Lean) -> np.ndarray:
+def tilted(rotations: np.ndarray, camera: Camera, lean: Lean) -> np.ndarray:
     """Tilt rotations (T, 55, 3), axis-angle relative to the parent, toward the camera."""
     angles = lean._angles()
     if not angles:

@@ -16,7 +16,7 @@ import torch
 
 from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, Pose, Shape
 from gva_mi.body.smplx import BodyModel
-from gva_mi.data.synthetic.noise.camera_bias import Lean, leaning, matrices, placed
+from gva_mi.data.synthetic.noise.camera_bias import Lean, matrices, placed, tilted
 from gva_mi.data.synthetic.noise.outliers import (
     LEG,
     SIDES,
@@ -121,7 +121,7 @@ def noisy_poses(
     swap_legs(rotations, noise.outliers, level, rng)
     spoil_frames(rotations, sizes, noise.outliers, level, rng)
     transl += jumps(frames, noise.outliers, level, rng) @ R_camera_world
-    rotations = leaning(rotations, camera, noise.lean.times(level))
+    rotations = tilted(rotations, camera, noise.lean.times(level))
     grown = _growth(body, shape, Shape(betas)) if noise.depth_follows else 1.0
     joints = (body.rest(shape).joints[0], body.rest(Shape(betas)).joints[0])
     transl = placed(transl, camera, *joints, grown, level * noise.focal)

@@ -8,7 +8,7 @@ import torch
 
 from gva_mi.body.kinematics import joint_transforms
 from gva_mi.body.pose import JOINTS, PARENTS
-from gva_mi.data.synthetic.noise.camera_bias import Lean, leaning
+from gva_mi.data.synthetic.noise.camera_bias import Lean, tilted
 from gva_mi.data.synthetic.noise.outliers import Outliers
 from gva_mi.data.synthetic.noise.poses import (
     JointFactors,
@@ -45,7 +45,7 @@ def test_a_tilt_is_one_rotation_in_camera_axes_while_the_person_turns(turning_an
     rotations = turning_and_bent[0].rotations.double().numpy()
     lean = Lean(legs=0.1, trunk=0.04, arms=0.06)
     before = in_camera_axes(rotations, camera)
-    after = in_camera_axes(leaning(rotations, camera, lean), camera)
+    after = in_camera_axes(tilted(rotations, camera, lean), camera)
     L = after @ before.swapaxes(-1, -2)
     for names, angle in (
         (("left_hip", "right_knee", "left_foot"), -0.1),

@@ -10,12 +10,7 @@ from gva_mi.body.kinematics import joint_transforms
 from gva_mi.body.pose import JOINTS, PARENTS
 from gva_mi.data.synthetic.noise.camera_bias import Lean, tilted
 from gva_mi.data.synthetic.noise.outliers import Outliers
-from gva_mi.data.synthetic.noise.poses import (
-    JointFactors,
-    PoseNoise,
-    estimated_camera,
-    noisy_poses,
-)
+from gva_mi.data.synthetic.noise.poses import JointFactors, PoseNoise, estimated_camera, noisy_poses
 
 NOTHING = PoseNoise(
     sizes=JointFactors(0, 0, 0, 0, 0), depth=0, aside=0, betas=0, expression=0,

@@ -41,7 +41,7 @@ NAMED = {
 }  # fmt: skip
 WRITTEN = {"--json": "figures.json"}  # where FILE is one that a command writes
 
-PUPPETS = "two minutes: tests/sculptor/test_portrait.py draws them smaller"
+PUPPETS = "two minutes: tests/data/synthetic/test_portrait.py draws them smaller"
 SHEET = "pictures of seven people, minutes: tests/data/synthetic/test_contact_sheet.py"
 REPORTED = "refines once for each term of the loss: tests/commands/test_refine.py"
 NOT_RUN = {
@@ -73,7 +73,7 @@ OTHERS = {
     "pytest tests/splat": "is run with all tests",
     "python -m pytest -m slow tests/data/test_scale.py -s": "hours",
     "python -m pytest -m slow tests/check/test_noisy_people.py -s": "minutes",
-    "python -m gva_mi.sculptor": "minutes: tests/body/test_puppet.py, slow",
+    "python -m gva_mi.sculptor": "minutes: tests/body/test_built_in_body.py, slow",
     "python -m benchmarks mesh": "tests/benchmarks",
     "python -m benchmarks splat [--scene FILE] [--json FILE]": "tests/benchmarks",
     "python -m http.server": "not ours",

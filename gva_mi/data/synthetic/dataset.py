@@ -38,6 +38,7 @@ from gva_mi.data.synthetic.closest import Closest, closest
 from gva_mi.data.synthetic.clothes.folds import MEMORY
 from gva_mi.data.synthetic.estimates import Pipeline
 from gva_mi.data.synthetic.framing import camera_around
+from gva_mi.data.synthetic.noise.families import EXACT
 from gva_mi.data.synthetic.options import (
     BACKGROUND,
     MOTION,
@@ -113,7 +114,8 @@ class _SubjectWriter:
 
     def _points(self, pose: Pose) -> np.ndarray:
         """Return some points of the surface without folds, (T, n, 3), metres."""
-        return self.subject.thinned(THINNED).posed(self.body, pose)
+        index = np.arange(0, len(self.subject.vertices), THINNED)
+        return self.subject.skinned(self.body, pose, index)
 
     def video_poses(self) -> list[Pose]:
         """Return the video's poses, and those one step, two steps, ... before its frames."""
@@ -187,7 +189,7 @@ class _SubjectWriter:
             room = room_background(options.size, options.random(BACKGROUND))
         effects = CameraEffects(options.blur * options.size / 512, options.sensor_noise, room)
         pipeline = Pipeline(options, self.fitted, cameras, self._closest(pose))
-        from_files = pipeline.starts_from_files
+        from_files = options.family != EXACT
         degradations = [Degradation(effects, e, from_files) for e in pipeline.pictures()]
         jobs = self._jobs(folder, poses, cameras, MOTION, degradations)
         results = list(self.render(jobs))

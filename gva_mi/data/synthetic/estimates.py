@@ -19,7 +19,7 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.data.normals import ABOUT, NormalMaps, to_icon
 from gva_mi.data.pictures import read_image, write_image
 from gva_mi.data.synthetic.closest import Closest
-from gva_mi.data.synthetic.noise.families import EXACT, ErrorParameters, Levels, draw_errors
+from gva_mi.data.synthetic.noise.families import ErrorParameters, Levels, draw_errors
 from gva_mi.data.synthetic.noise.masks import Confusion, confusions, noisy_mask
 from gva_mi.data.synthetic.noise.measure import mask_iou, normal_error, pose_error
 from gva_mi.data.synthetic.noise.normals import noisy_normals
@@ -85,11 +85,6 @@ class Pipeline:
     body: BodyModel
     cameras: Sequence[Camera]
     near: Closest
-
-    @property
-    def starts_from_files(self) -> bool:
-        """Whether masks and normals are degraded from the files of the ground truth."""
-        return self.options.family != EXACT
 
     @property
     def errors(self) -> ErrorParameters:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -52,11 +52,11 @@ class Subject:
             past: poses of T frames each, one step, two steps, ... before; empty for no lag.
             folds: factor on creases and lags; 0 omits them.
         """
-        skinned = self._skinned(body, pose, np.arange(len(self.vertices)))
+        skinned = self.skinned(body, pose, np.arange(len(self.vertices)))
         if folds == 0:
             return skinned
         loose = np.flatnonzero(self.slack > 0) if past else np.zeros(0, int)
-        before = [self._skinned(body, p, loose) for p in past] if len(loose) else []
+        before = [self.skinned(body, p, loose) for p in past] if len(loose) else []
         rotations = pose.rotations.double().numpy()
         for k, surface in enumerate(skinned):
             moved = np.zeros(surface.shape)
@@ -74,8 +74,8 @@ class Subject:
             skinned[k] = surface + moved
         return skinned
 
-    def _skinned(self, body: BodyModel, pose: Pose, index: np.ndarray) -> np.ndarray:
-        """Return the vertices ``index`` without folds, (T, n, 3) float32."""
+    def skinned(self, body: BodyModel, pose: Pose, index: np.ndarray) -> np.ndarray:
+        """Return the vertices ``index`` (n,) in the world without folds, (T, n, 3) float32."""
         rest, points = body.rest(self.shape).vertices, torch.from_numpy(self.vertices[index])
         weights, binding = self.weights[torch.from_numpy(index)], self.binding[index]
         frames = []
@@ -85,16 +85,6 @@ class Subject:
             corrected = posed.vertices[0] - skin_points(rest, body.weights, T)
             frames.append(skin_points(points, weights, T).numpy() + binding @ corrected.numpy())
         return np.stack(frames).astype(np.float32)
-
-    def thinned(self, every: int) -> Subject:
-        """Keep every n-th vertex and no faces: enough to measure the surface."""
-        index = np.arange(0, len(self.vertices), every)
-        return replace(
-            self, vertices=self.vertices[index], faces=np.zeros((0, 3), np.int64),
-            binding=self.binding[index], weights=self.weights[torch.from_numpy(index)],
-            tint=self.tint[index], material=np.zeros(0, np.uint32), slack=self.slack[index],
-            creases=(),
-        )  # fmt: skip
 
 
 def draw_subject(

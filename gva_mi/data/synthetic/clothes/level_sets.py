@@ -42,17 +42,9 @@ class VoxelGrid:
         values = (self.lo[k] + self.cell * np.arange(self.shape[k])).astype(np.float32)
         return values.reshape([-1 if i == k else 1 for i in range(3)])
 
-    @property
-    def x(self) -> np.ndarray:
-        return self._axis(0)
-
-    @property
-    def y(self) -> np.ndarray:
-        return self._axis(1)
-
-    @property
-    def z(self) -> np.ndarray:
-        return self._axis(2)
+    x = property(lambda self: self._axis(0))
+    y = property(lambda self: self._axis(1))
+    z = property(lambda self: self._axis(2))
 
 
 def smax(a: np.ndarray, b: np.ndarray, k: float = 0.012) -> np.ndarray:

@@ -23,8 +23,8 @@ from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import load_body
 from gva_mi.splat import look_at
 from gva_mi.threads import one_torch_thread
+from gva_mi.viewer.cameras import coarser, lens, start
 from gva_mi.viewer.drawing import Drawing
-from gva_mi.viewer.eyes import coarser, lens, start
 from gva_mi.viewer.server import JPEG_QUALITY
 from gva_mi.viewer.session import COARSE
 from gva_mi.viewer.state import Mode, State

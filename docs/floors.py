@@ -18,7 +18,8 @@ SOURCES = sorted((ROOT / "gva_mi").rglob("*.py")) + sorted((ROOT / "plugins").rg
 # longest prefix that fits.
 FLOORS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("ground", "errors, ranges, files, libLLVM, console, pages",
-     ("gva_mi", "gva_mi.errors", "gva_mi.ranges", "gva_mi.records", "gva_mi.budget",
+     ("gva_mi", "gva_mi.errors", "gva_mi.options", "gva_mi.atomic", "gva_mi.provenance",
+      "gva_mi.ranges", "gva_mi.records", "gva_mi.budget",
       "gva_mi.arrays", "gva_mi.files", "gva_mi.shelf", "gva_mi.lock", "gva_mi.llvm",
       "gva_mi.console", "gva_mi.page", "gva_mi.threads", "gva_mi.processor",
       "gva_mi.processes")),

@@ -1,4 +1,4 @@
-"""The command line: finds the verb, reads its arguments, and says in one sentence what is wrong."""
+"""The entry point ``gva-mi``: find the command, read its arguments, explain errors."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from gva_mi.parse import parse
 BAD_INPUT = 2  # exit codes
 INTERRUPTED, BROKEN_PIPE = 130, 141  # a shell's for SIGINT and SIGPIPE
 WHOLE = "every file that is there is whole"
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # a disk, somebody's share of it, a file
-AFTER_STOP = {  # what goes on with the work of a verb
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # full disk, quota, largest file
+AFTER_STOP = {  # how to continue after Ctrl-C
     "fit": "--resume goes on with it",
     "render": "the same command goes on with it",
     "study": "the same command goes on with it",
@@ -28,16 +28,16 @@ OF_COMMANDS = (
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run ``gva-mi``; bad input ends with one sentence and exit code 2."""
+    """Run a command; bad input ends with one sentence and exit code 2."""
     arguments = sys.argv[1:] if arguments is None else arguments
-    # torch's idle threads would spin on the cores that Dr.Jit's kernels need; read at its import.
+    # Read when torch is imported: its idle threads must not spin on the cores that Dr.Jit needs.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     processor.choose_alike()
     try:
         try:
             _run(arguments)
         finally:
-            sys.stdout.flush()  # here, where a reader that is gone can still be dealt with
+            sys.stdout.flush()  # here, where a closed pipe can still be handled
     except (InputError, ImportError) as error:
         print(f"gva-mi: {_explained(error)}", file=sys.stderr)
         sys.exit(BAD_INPUT)
@@ -47,10 +47,10 @@ def main(arguments: list[str] | None = None) -> None:
         sys.exit(INTERRUPTED)
     except BrokenPipeError:
         if not _reader_is_gone():
-            raise  # it is another pipe that broke, such as that to a worker
+            raise  # another pipe broke, such as one to a worker
         _write_no_more()
         sys.exit(BROKEN_PIPE)
-    except OSError as error:  # a disk that is full, a folder that may not be read
+    except OSError as error:  # a full disk, an unreadable folder
         if error.strerror is None or (error.filename is None and error.errno not in FULL):
             raise
         where = error.filename or "the output"
@@ -60,10 +60,10 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def run() -> None:
-    """The process of ``gva-mi``: as :func:`main`, and after Ctrl-C at an end at once.
+    """Run :func:`main` as a process, and exit without cleanup after Ctrl-C.
 
-    Dr.Jit and Mitsuba clear up as the process ends. After kernels that were cut short they may
-    crash in that, or wait for ever. Files, locks and workers are cleared up by then.
+    Dr.Jit and Mitsuba may crash or hang in their cleanup after interrupted kernels. Files, locks
+    and workers are cleaned up before.
     """
     try:
         main()
@@ -77,7 +77,7 @@ def run() -> None:
 
 
 def _explained(error: InputError | ImportError) -> str:
-    """What is wrong; of a package that the bare installation lacks, how it is installed."""
+    """Return the error's sentence; for a missing package, how to install it."""
     package = (getattr(error, "name", None) or "").split(".")[0]
     if not isinstance(error, ModuleNotFoundError) or package not in OF_COMMANDS:
         return str(error)
@@ -92,11 +92,11 @@ def _run(arguments: list[str]) -> None:
         print(f"gva-mi {__version__}")
     elif verb.startswith("--tyro-"):
         _write_completion(arguments)
-    elif arguments == ["doctor"]:  # without tyro and libLLVM, which may be what is missing
+    elif arguments == ["doctor"]:  # works without tyro and libLLVM, which may be missing
         load(verb)()
     elif verb in VERBS:
         llvm.require()
-        parse(load(verb), f"gva-mi {verb}", arguments[1:])()
+        parse(load(verb), verb, arguments[1:])()
     elif verb in RENAMED_VERBS:
         raise InputError(f"{verb} is now `gva-mi {RENAMED_VERBS[verb]}`")
     else:
@@ -105,7 +105,7 @@ def _run(arguments: list[str]) -> None:
 
 
 def _overview() -> str:
-    """What ``gva-mi --help`` says."""
+    """Return the text of ``gva-mi --help``."""
     width = max(map(len, VERBS))
     verbs = "\n".join(f"  {verb:<{width}}  {does}" for verb, does in VERBS.items())
     return (
@@ -117,7 +117,7 @@ def _overview() -> str:
 
 
 def _write_completion(arguments: list[str]) -> None:
-    """Let tyro write its script for a shell's completion, which has to know every command."""
+    """Let tyro write a completion script for a shell, which lists every command."""
     import tyro
 
     commands = {verb: load(verb) for verb in VERBS}
@@ -125,7 +125,7 @@ def _write_completion(arguments: list[str]) -> None:
 
 
 def _write_no_more() -> None:
-    """Let what is printed go nowhere: Python flushes once more at its end, and would complain."""
+    """Send further output nowhere, so that Python's last flush does not fail."""
     try:
         sys.stdout.flush()
     except OSError:
@@ -133,7 +133,7 @@ def _write_no_more() -> None:
 
 
 def _reader_is_gone() -> bool:
-    """Whether nobody reads the output any more, as after ``gva-mi ... | head``."""
+    """Return whether the reader of our output has gone, as after ``gva-mi ... | head``."""
     poll = select.poll()
     poll.register(sys.stdout.fileno(), 0)
     return any(event & select.POLLERR for _, event in poll.poll(0))

@@ -1,8 +1,8 @@
-"""Arrays in ``.npy`` and ``.npz``: no file makes more memory than it holds bytes for.
+"""Read ``.npy`` and ``.npz`` data without allocating more memory than the file accounts for.
 
-A header may claim any size, a zip's entry may unfold to a thousand times its own, and many entries
-may share their bytes. So sizes are compared before anything is allocated, and the bytes of one file
-are counted against a :class:`~gva_mi.budget.Budget`.
+A header may claim any size, a zip entry may unfold to a thousand times its own, and many entries
+may share their bytes. So sizes are compared before anything is allocated, and all bytes made of
+one file are counted against a :class:`Budget`.
 """
 
 from __future__ import annotations
@@ -15,14 +15,35 @@ from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
-from gva_mi.budget import Budget, Damaged, Refused
 from gva_mi.errors import reason_of
 
-_DENSEST = 1100  # deflate packs no more than 1032 bytes into one
+LARGEST = 4 << 30  # bytes that one file may unfold to
+_DENSEST = 1100  # deflate packs at most 1032 bytes into one
+
+
+class Refused(Exception):  # noqa: N818 (a verdict, which the reader turns into an InputError)
+    """A file holds something that is not allowed; the message says what."""
+
+
+class Damaged(Exception):  # noqa: N818
+    """A file contradicts itself or ends too early; the message says how."""
+
+
+class Budget:
+    """Bytes that may still be made of one file."""
+
+    def __init__(self, size: int = LARGEST) -> None:
+        self.left = size
+
+    def spend(self, size: int) -> None:
+        """Take ``size`` bytes before they are allocated; raise Refused if too few are left."""
+        if size > self.left:
+            raise Refused(f"contents that unfold to more than {LARGEST >> 30} GiB")
+        self.left -= size
 
 
 class Header(NamedTuple):
-    """What a ``.npy`` says of its array, which follows."""
+    """The head of a ``.npy``: what it says of the array that follows."""
 
     shape: tuple[int, ...]
     order: str  # "C" or "F"
@@ -30,12 +51,7 @@ class Header(NamedTuple):
 
 
 def read_header(file: BinaryIO) -> Header:
-    """Read a ``.npy`` up to its array.
-
-    Raises:
-        Refused: it is of a version that is not known.
-        ValueError: it is no header.
-    """
+    """Read a ``.npy`` up to its array; raise Refused or ValueError if it is none."""
     version = np.lib.format.read_magic(file)
     read = {
         (1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0,
@@ -47,11 +63,7 @@ def read_header(file: BinaryIO) -> Header:
 
 
 def read_npy(data: bytes) -> np.ndarray:
-    """The array of a whole ``.npy``; objects are refused.
-
-    Raises:
-        Refused, Damaged, ValueError: it is none, or claims other bytes than there are.
-    """
+    """Return the array of a whole ``.npy``; raise Refused, Damaged or ValueError if it is none."""
     file = io.BytesIO(data)
     header = read_header(file)
     if header.dtype.hasobject:
@@ -60,12 +72,7 @@ def read_npy(data: bytes) -> np.ndarray:
 
 
 def read_entry(file: zipfile.ZipFile, name: str, budget: Budget) -> bytes:
-    """The bytes of one file in a zip.
-
-    Raises:
-        Damaged: it claims other bytes than it holds.
-        Refused: the budget is spent.
-    """
+    """Return the bytes of one zip entry; raise Damaged if its size is a lie."""
     info = file.getinfo(name)
     if info.file_size > _DENSEST * (info.compress_size + 1):
         raise Damaged(f"'{name}' claims {info.file_size:,} bytes")
@@ -73,7 +80,7 @@ def read_entry(file: zipfile.ZipFile, name: str, budget: Budget) -> bytes:
     try:
         with file.open(info) as entry:
             data = entry.read(info.file_size + 1)
-    except Exception as error:  # the zip and zlib each have their own
+    except Exception as error:  # zipfile and zlib each raise their own
         raise Damaged(f"'{name}': {reason_of(error)}") from None
     if len(data) != info.file_size:
         raise Damaged(f"'{name}' claims {info.file_size:,} bytes, but holds {len(data):,}")
@@ -83,12 +90,7 @@ def read_entry(file: zipfile.ZipFile, name: str, budget: Budget) -> bytes:
 def arrays_in(
     file: zipfile.ZipFile, budget: Budget, only: Collection[str] | None = None
 ) -> Iterator[tuple[str, bytes]]:
-    """Names and contents of the ``.npy`` in an ``.npz``, or of some of them.
-
-    Raises:
-        Damaged: there are none, or one claims other bytes than it holds.
-        Refused: they unfold to too much.
-    """
+    """Yield name and ``.npy`` content of the arrays in an ``.npz``, or of ``only`` some of them."""
     names = [name.removesuffix(".npy") for name in file.namelist() if name.endswith(".npy")]
     if not names:
         raise Damaged("a zip without arrays")
@@ -100,11 +102,7 @@ def arrays_in(
 def bytes_to_array(
     data: bytes | memoryview, dtype: np.dtype, shape: tuple[int, ...], order: str = "C"
 ) -> np.ndarray:
-    """A copy of bytes as an array that owns its memory and may be written to.
-
-    Raises:
-        Damaged: the shape claims more or fewer bytes than there are.
-    """
+    """Copy bytes into a writable array; raise Damaged if shape and bytes disagree."""
     require_bytes(shape, dtype.itemsize, len(data))
     if dtype.itemsize == 0:
         return np.zeros(shape, dtype)
@@ -112,7 +110,7 @@ def bytes_to_array(
 
 
 def require_bytes(shape: tuple[int, ...], itemsize: int, found: int) -> None:
-    """Raise Damaged where a shape claims other bytes than there are."""
+    """Raise Damaged if a shape claims another number of bytes than there are."""
     claimed = math.prod(shape) * itemsize
     if itemsize == 0 and math.prod(shape) > found + 1024:
         raise Damaged(f"an array claims {math.prod(shape):,} items of no size")

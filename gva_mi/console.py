@@ -1,4 +1,4 @@
-"""What a person reads: a progress bar with its figures, lines between, numbers of frames."""
+"""Output for people: a progress bar with figures, lines above it, lists of frames."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from typing import Protocol
 
 
 class Progress(Protocol):
-    """What long work calls to say how far it is."""
+    """The function that long work calls to report progress."""
 
     def __call__(self, done: int, total: int, **figures: float) -> None:
-        """``done`` of ``total`` units are done; ``figures`` are the latest values worth showing."""
+        """Report ``done`` of ``total`` units, and the latest values worth showing."""
 
 
 _FORM = (
@@ -21,7 +21,7 @@ _FORM = (
 
 @contextmanager
 def bar(step: str) -> Iterator[Progress]:
-    """A progress bar: the step, how far it is, the time left, and its latest figures."""
+    """Show a progress bar: the step, its share, the time left, and its latest figures."""
     from tqdm import tqdm
 
     with tqdm(desc=step, bar_format=_FORM, dynamic_ncols=True, mininterval=0.5) as shown:
@@ -35,7 +35,7 @@ def bar(step: str) -> Iterator[Progress]:
 
 
 def say(line: str) -> None:
-    """Print a line, above a bar that is being drawn."""
+    """Print a line above the progress bar."""
     from tqdm import tqdm
 
     tqdm.write(line)
@@ -46,12 +46,12 @@ def _short(value: float) -> str:
 
 
 def within(progress: Progress | None, before: int, steps: int, total: int) -> Progress | None:
-    """Progress of one piece of work, told as that of the whole.
+    """Return a progress function for one piece of some work.
 
     Args:
-        progress: of the whole; None where nobody watches.
-        before: steps of the whole that lie before this piece.
-        steps: how many steps of the whole this piece is.
+        progress: the function of the whole; None reports nothing.
+        before: steps of the whole before this piece.
+        steps: steps of the whole that this piece counts for.
         total: steps of the whole.
     """
     if progress is None:
@@ -62,7 +62,7 @@ def within(progress: Progress | None, before: int, steps: int, total: int) -> Pr
 
 
 def listed(frames: Sequence[int]) -> str:
-    """Ascending frame numbers for people: ``3, 7-9, 12``."""
+    """Return ascending frame numbers as text: ``3, 7-9, 12``."""
     runs: list[list[int]] = []
     for k in frames:
         if runs and k == runs[-1][-1] + 1:

@@ -1,4 +1,4 @@
-"""The one error a user can cause: input that does not have the expected form."""
+"""The one error that a user can cause: input without the expected form."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ LONGEST = 1500  # characters of a sentence
 
 
 class InputError(ValueError):
-    """A file, folder or option that cannot be used, in one sentence.
+    """A file, folder or option that cannot be used, described in one sentence.
 
-    The sentence names what was found, where, and which form was expected. The command line prints
-    it and leaves with exit code 2; everything else is a bug and keeps its traceback. Words of a
-    file that it quotes move no cursor and fill no screen.
+    The sentence names what was found, where, and the expected form. The command line prints it and
+    exits with code 2; every other exception is a bug and keeps its traceback. Control characters
+    quoted from a file are removed, and long sentences are cut.
     """
 
     def __init__(self, sentence: str = "") -> None:
@@ -22,7 +22,7 @@ class InputError(ValueError):
         super().__init__(line if len(line) <= LONGEST else f"{line[:LONGEST]} ...")
 
 
-# What Python, numpy and torch raise for content that is not of the form which a reader counts on.
+# What Python, numpy and torch raise when a file's content does not have the form a reader expects.
 MALFORMED = (
     ArithmeticError, AssertionError, AttributeError, LookupError, RuntimeError, StopIteration,
     TypeError, ValueError,
@@ -31,14 +31,11 @@ MALFORMED = (
 
 @contextmanager
 def expecting(where: Path | str, expected: str) -> Iterator[None]:
-    """Whatever fails within is the fault of a file's content, and becomes one sentence.
+    """Turn any error caused by malformed content into an InputError.
 
     Args:
-        where: the file.
+        where: the file that is read.
         expected: what it should hold.
-
-    Raises:
-        InputError: for any error that content of another form leads to.
     """
     try:
         yield
@@ -50,7 +47,7 @@ def expecting(where: Path | str, expected: str) -> Iterator[None]:
 
 
 def reason_of(error: BaseException) -> str:
-    """The first line of what an error says; else its kind."""
+    """Return the first line of an error's message, or its class if it has none."""
     line = next(iter(str(error).splitlines()), "")[:160]
     name = type(error).__name__
     return f"{name}: {line}" if line and isinstance(error, KeyError) else line or name

@@ -1,9 +1,8 @@
-"""Finds a libLLVM that Dr.Jit can use, before Dr.Jit is imported.
+"""Find a libLLVM that Dr.Jit can use, before Dr.Jit is imported.
 
-Dr.Jit loads ``libLLVM`` when it is imported and looks at ``DRJIT_LIBLLVM_PATH`` only then. LLVM 15
-and 16 lack the float ``minimum`` and ``maximum`` that Dr.Jit emits: the first such kernel aborts
-the whole process, which no ``except`` can catch. So the library is chosen here, by :func:`prepare`,
-which ``import gva_mi`` calls.
+Dr.Jit loads ``libLLVM`` when it is imported and reads ``DRJIT_LIBLLVM_PATH`` only then. LLVM 15 and
+16 lack the float ``minimum`` and ``maximum`` that Dr.Jit emits: the first such kernel aborts the
+whole process. So ``import gva_mi`` calls :func:`prepare`, which chooses the library.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ print(*dr.detail.llvm_version())
 
 @dataclass(frozen=True)
 class Library:
-    """One ``libLLVM`` on this machine; ``major`` is 0 where the file name does not tell."""
+    """A ``libLLVM`` on this machine."""
 
     path: Path
     major: int
@@ -55,11 +54,11 @@ problem: str | None = None  # why Dr.Jit cannot be used, once prepare() has run
 def prepare() -> None:
     """Choose the library; called by ``import gva_mi``.
 
-    A machine without a usable library is no reason to fail yet (``gva-mi doctor`` wants to say so):
-    the reason is kept, and :func:`require` raises it before Dr.Jit is used.
+    Without a usable library this does not fail yet, because ``gva-mi doctor`` reports it: the
+    reason is kept, and :func:`require` raises it before Dr.Jit is used.
 
     Raises:
-        ImportError: where Dr.Jit was imported before, with a library that would abort the process.
+        ImportError: Dr.Jit was imported before, with a library that would abort the process.
     """
     global problem
     if "drjit" in sys.modules:
@@ -78,17 +77,13 @@ def prepare() -> None:
 
 
 def require() -> None:
-    """Raise what :func:`prepare` kept; called by every package that needs Dr.Jit."""
+    """Raise the error that :func:`prepare` kept; every package that needs Dr.Jit calls this."""
     if problem:
         raise ImportError(problem)
 
 
 def find() -> Library:
-    """The newest library on this machine that works.
-
-    Raises:
-        ImportError: where there is none; it names what was found and the package to install.
-    """
+    """Return the newest working library; raise an ImportError that names a package to install."""
     found = sorted(installed(), key=lambda library: library.major, reverse=True)
     for library in found:
         if library.major in TESTED or (library.major >= OLDEST and not trial(library.path)):
@@ -101,7 +96,7 @@ def find() -> Library:
 
 
 def installed() -> Iterator[Library]:
-    """Every ``libLLVM`` in the usual places, oldest first within a folder, each file once."""
+    """Yield every ``libLLVM`` in the usual places once."""
     folders = [Path(d) for d in SEARCH_DIRS]
     folders += sorted(Path("/usr/lib").glob("llvm-*/lib"))
     seen = set()
@@ -115,7 +110,7 @@ def installed() -> Iterator[Library]:
 
 
 def trial(path: Path) -> str:
-    """Run a kernel with a library in a process of its own; returns what went wrong, or ``""``."""
+    """Run a kernel in a process of its own; return what went wrong, or ``""``."""
     if not path.exists():
         return "there is no such file"
     environment = {**os.environ, _PATH: str(path)}

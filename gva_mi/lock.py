@@ -1,7 +1,7 @@
-"""One process at a time writes into a folder; a second one is told who does.
+"""Let one process at a time write into a folder, and tell a second one who does.
 
-The lock is the system's (``flock``), on a small file beside the folder: it dies with the process
-that holds it, however that ends, so there is none that somebody would have to remove.
+The lock is the system's (``flock``) on a small file beside the folder. It dies with its process,
+however that ends, so there is never a stale lock to remove.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ def alone_in(folder: Path, doing: str) -> Iterator[bool]:
 
     Args:
         folder: it may be missing, and may be replaced meanwhile.
-        doing: what is done there, for whoever is kept away, such as ``gva-mi fit``.
+        doing: the command that holds the lock, such as ``gva-mi fit``; a second one is told.
 
     Yields:
-        Whether the file system knows locks; where it does not, nobody is kept away.
+        Whether the file system has locks; without them nobody is kept away.
 
     Raises:
         InputError: another process writes there; the sentence says which, where, and since when.
@@ -38,42 +38,44 @@ def alone_in(folder: Path, doing: str) -> Iterator[bool]:
     folder = Path(folder).resolve()
     folder.parent.mkdir(parents=True, exist_ok=True)
     path = folder.with_name(f".{folder.name}.lock")
-    file, locked = _taken(path, folder)
+    file, locked = _acquire(path, folder)
     try:
         about = {"doing": doing, "pid": os.getpid(), "host": platform.node()}
         about["since"] = time.strftime("%Y-%m-%d %H:%M:%S")
-        with suppress(OSError):  # a full disk: the lock holds, and the work's own files will say so
+        with suppress(OSError):  # on a full disk the lock still holds
             os.truncate(file, 0)
             os.write(file, json.dumps(about).encode())
         yield locked
     finally:
-        with suppress(OSError):  # the file itself means nothing: the lock goes as it is closed
+        with suppress(OSError):
             path.unlink()
         os.close(file)
 
 
-def _taken(path: Path, folder: Path) -> tuple[int, bool]:
-    """The open file of the lock, which this process holds now; whether there are locks at all."""
+def _acquire(path: Path, folder: Path) -> tuple[int, bool]:
+    """Open and lock the file; return its descriptor, and whether the file system has locks."""
     while True:
         file = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
+            if error.errno in _NO_LOCKS:
+                return file, False
             holder = os.read(file, 4096)
             os.close(file)
-            if error.errno not in _NO_LOCKS:
-                raise InputError(f"{folder}: {_in_words(holder)} writes there; wait until it ends, "
-                                 "or choose another folder") from None  # fmt: skip
-            return os.open(path, os.O_RDWR), False
-        # Who held it before may have removed the file between our opening and our locking it.
+            raise InputError(
+                f"{folder}: {_describe(holder)} writes there; wait until it ends, or choose "
+                "another folder"
+            ) from None
+        # The previous holder may have removed the file between our opening and our locking it.
         with suppress(FileNotFoundError):
             if os.path.samestat(os.fstat(file), path.stat()):
                 return file, True
         os.close(file)
 
 
-def _in_words(holder: bytes) -> str:
-    """Who holds a lock, as its file says."""
+def _describe(holder: bytes) -> str:
+    """Return who holds a lock, according to the lock's file."""
     try:
         about = json.loads(holder)
         process = f"process {about['pid']} on {about['host']}, since {about['since']}"

@@ -1,7 +1,7 @@
-"""Arguments of the command line: read by tyro from a command's signature and its options.
+"""Read a command's arguments with tyro, from its signature and its option dataclasses.
 
-What :mod:`gva_mi.ranges` says of a number is told in ``--help`` beside its kind, and a number that
-lies outside is refused under the name that it has on the command line.
+The range of a number (:mod:`gva_mi.options`) is shown in ``--help``. Every refused value ends in
+one sentence that names the option.
 """
 
 from __future__ import annotations
@@ -11,54 +11,77 @@ import functools
 import inspect
 import io
 import operator
-import re
+import os
+import shutil
 import sys
-from collections.abc import Callable
-from contextlib import redirect_stderr
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, redirect_stderr
 from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin, get_type_hints
 
+from gva_mi.commands.retired import PYTHON_ONLY, require_current
 from gva_mi.errors import InputError
-from gva_mi.ranges import Within
+from gva_mi.options import Within
 
 if TYPE_CHECKING:
     from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec
 
+NARROWEST = 40  # columns: in a narrower terminal tyro never finishes a long --help
 
-Refused = list[str]  # what an option must be, and what it is: of numbers that were refused
+Refusals = list[str]  # what a number must be and what was given, of each that was refused
 
 
-def parse(command: Callable[..., None], program: str, arguments: list[str]) -> Callable[[], None]:
-    """Read a command's arguments, and return the call without making it.
+def parse(command: Callable[..., None], verb: str, arguments: list[str]) -> Callable[[], None]:
+    """Read a command's arguments; return the call without making it.
 
-    So whatever is raised here is about the arguments, and what the command raises later is not.
+    Errors raised here are about the arguments; errors of the command come with the call.
 
     Raises:
-        InputError: a value that cannot be read, or that options refuse.
+        InputError: a value that cannot be read or that the options refuse, or a retired option.
     """
     import tyro
+
+    require_current(verb, arguments)
 
     def call(*values: object, **options: object) -> Callable[[], None]:
         return functools.partial(command, *values, **options)
 
-    complaint, refused = io.StringIO(), Refused()
+    told, refusals = io.StringIO(), Refusals()
     hints = get_type_hints(command, include_extras=True)
-    call.__annotations__ = {name: _told(hint, refused) for name, hint in hints.items()}
+    call.__annotations__ = {name: _with_ranges(hint, refusals) for name, hint in hints.items()}
     call.__signature__, call.__doc__ = inspect.signature(command), command.__doc__
     try:
-        with redirect_stderr(complaint):
-            return tyro.cli(call, prog=program, args=arguments, registry=_registry(refused))
-    except ValueError as error:  # of options without a prefix, which tyro lets through
+        with redirect_stderr(told), _wide_enough():
+            return tyro.cli(
+                call, prog=f"gva-mi {verb}", args=arguments, registry=_registry(refusals),
+                config=(tyro.conf.SuppressFixed,),
+            )  # fmt: skip
+    except ValueError as error:  # from options without a prefix, which tyro does not catch
         raise InputError(str(error)) from None
     except SystemExit as stop:
-        refusal = _refusal(stop)
-        if refusal is not None:
-            raise InputError(_sentence(refusal, complaint.getvalue(), refused)) from None
-        sys.stderr.write(complaint.getvalue())  # arguments that are missing, unknown, no choice
+        sentence = _refusal(stop, refusals)
+        if sentence is not None:
+            raise InputError(sentence) from None
+        sys.stderr.write(told.getvalue())  # missing or unknown arguments, or no such choice
         raise
 
 
-def _registry(refused: Refused) -> ConstructorRegistry:
-    """A rule for tyro: options are read as ever, the ranges of their numbers told."""
+@contextmanager
+def _wide_enough() -> Iterator[None]:
+    """Let tyro see a terminal of at least :data:`NARROWEST` columns."""
+    before = os.environ.get("COLUMNS")
+    if shutil.get_terminal_size().columns < NARROWEST:
+        os.environ["COLUMNS"] = str(NARROWEST)
+    try:
+        yield
+    finally:
+        os.environ.pop("COLUMNS", None)
+        if before is not None:
+            os.environ["COLUMNS"] = before
+
+
+def _registry(refusals: Refusals) -> ConstructorRegistry:
+    """Return a rule for tyro: show ranges of a dataclass's numbers, hide what only Python sets."""
+    from tyro.conf import Fixed
     from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructTypeInfo
 
     registry, asked = ConstructorRegistry(), []
@@ -67,34 +90,38 @@ def _registry(refused: Refused) -> ConstructorRegistry:
     def with_ranges(info: StructTypeInfo) -> StructConstructorSpec | None:
         if asked or not dataclasses.is_dataclass(info.type):
             return None
-        asked.append(info)  # so that tyro's own rule is the one that answers
+        asked.append(info)  # so that tyro's own rule answers
         try:
             spec = ConstructorRegistry.get_struct_spec(info)
         finally:
             asked.clear()
-        told = lambda field: dataclasses.replace(field, type=_told(field.type, refused))
-        return dataclasses.replace(spec, fields=tuple(map(told, spec.fields)))
+        _, hidden = PYTHON_ONLY.get(info.type.__name__, ("", ()))
+        shown = lambda f: (
+            Annotated[f.type, Fixed] if f.name in hidden else _with_ranges(f.type, refusals)
+        )
+        fields = tuple(dataclasses.replace(f, type=shown(f)) for f in spec.fields)
+        return dataclasses.replace(spec, fields=fields)
 
     return registry
 
 
-def _told(hint: Any, refused: Refused) -> Any:  # noqa: ANN401
-    """An annotation with tyro's words in the place of each range."""
+def _with_ranges(hint: Any, refusals: Refusals) -> Any:  # noqa: ANN401
+    """Return an annotation in which tyro's specification stands for each range."""
     if get_origin(hint) is Annotated:
         kind, *rest = get_args(hint)
-        told = (_number(kind, x, refused) if isinstance(x, Within) else x for x in rest)
-        return Annotated[(_told(kind, refused), *told)]
+        rest = (_number(kind, x, refusals) if isinstance(x, Within) else x for x in rest)
+        return Annotated[(_with_ranges(kind, refusals), *rest)]
     parts = get_args(hint)
     if not parts or not any(get_args(part) for part in parts):
         return hint
-    told = tuple(_told(part, refused) for part in parts)
-    return tuple[told] if get_origin(hint) is tuple else functools.reduce(operator.or_, told)
+    parts = tuple(_with_ranges(part, refusals) for part in parts)
+    return tuple[parts] if get_origin(hint) is tuple else functools.reduce(operator.or_, parts)
 
 
 def _number(
-    kind: type[int] | type[float], within: Within, refused: Refused
+    kind: type[int] | type[float], within: Within, refusals: Refusals
 ) -> PrimitiveConstructorSpec:
-    """How tyro reads and tells a number of some range."""
+    """Return how tyro reads and shows a number of some range."""
     from tyro.constructors import PrimitiveConstructorSpec
 
     def read(words: list[str]) -> float:
@@ -104,8 +131,8 @@ def _number(
             number = None
         if number not in within:
             form = "a whole number" if kind is int else "a number"
-            refused.append(f"must be {form} {within}, got {words[0]}")
-            raise ValueError(refused[-1])
+            refusals.append(f"must be {form} {within}, got {words[0]}")
+            raise ValueError(refusals[-1])
         return number
 
     return PrimitiveConstructorSpec(
@@ -117,24 +144,20 @@ def _number(
     )
 
 
-def _refusal(stop: SystemExit) -> ValueError | None:
-    """The error of a value for which tyro stopped, which Python keeps as the context of the exit.
+def _refusal(stop: SystemExit, refusals: Refusals) -> str | None:
+    """Return the sentence for a refused value; None if tyro stopped for another reason.
 
-    tyro draws a frame around this error's sentence and breaks its lines; the error has it whole.
+    Python keeps tyro's error and the error of the value as contexts of the exit; tyro's error
+    knows the argument. A number does not know the name of its option, and options that refuse a
+    value name it themselves.
     """
-    error: BaseException | None = stop
+    error, option = stop.__context__, None
     while error is not None and not isinstance(error, ValueError):
+        lowered = getattr(getattr(error, "arg", None), "lowered", None)
+        option = lowered.name_or_flags[-1] if lowered is not None else option
         error = error.__context__
-    return error
-
-
-def _sentence(refusal: ValueError, text: str, refused: Refused) -> str:
-    """What was wrong, with the option's name where tyro's text tells it.
-
-    Options refuse a value in a sentence that names them, but a number of the wrong form does not
-    know which option it stood for. Then tyro's text has "Error parsing --steps:". Were its wording
-    to change, the sentence would lack the name.
-    """
-    named = re.search(r"Error parsing (--[\w.-]+)", re.sub(r"\x1b\[[\d;]*m", "", text))
-    reason = refused[-1] if refused and (named or str(refusal) == refused[-1]) else str(refusal)
-    return f"{named.group(1)} {reason}" if named else reason
+    if error is None:
+        return None
+    named = option is not None and option.startswith("--")
+    reason = refusals[-1] if refusals and (named or str(error) == refusals[-1]) else str(error)
+    return f"{option} {reason}" if named else reason

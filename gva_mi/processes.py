@@ -1,11 +1,10 @@
-"""Processes of this machine that share work, and never outlive the one that has it.
+"""Worker processes that share work on this machine and never outlive their parent.
 
-* Where that one is killed, they see it and end at once: none goes on writing where the next run of
-  the same command writes.
-* Ctrl-C, which a terminal sends to all of them, is left to the first. It tells the others to stop;
-  one that has not cleared up after :data:`GRACE` seconds is killed.
-* Where one of them is killed, or runs out of memory, whoever waits for it gets a
-  ``BrokenExecutor``, for which :func:`lost` has words.
+* If the parent is killed, its workers notice and end at once, so none goes on writing where the
+  next run of the same command writes. (loky's workers do not; that is why this is not loky.)
+* Ctrl-C reaches every process of a terminal. Workers ignore it; the parent tells them to stop, and
+  kills one that has not cleaned up after :data:`GRACE` seconds.
+* If a worker dies, whoever waits for it gets ``BrokenExecutor``; :func:`lost` explains it.
 """
 
 from __future__ import annotations
@@ -29,12 +28,12 @@ GRACE = 5.0  # seconds
 
 @contextmanager
 def processes(count: int, begin: Callable[..., None], *given: Any) -> Iterator[ProcessPoolExecutor]:  # noqa: ANN401
-    """An executor of ``count`` processes, which end with this context.
+    """Yield an executor whose processes end with this context.
 
     Args:
-        count: of processes.
-        begin: what each calls first.
-        given: to ``begin``; it must be possible to pickle both.
+        count: number of processes.
+        begin: called first in each of them; picklable.
+        given: its arguments; picklable.
     """
     context = multiprocessing.get_context("spawn")  # Dr.Jit's threads do not survive a fork
     others = set(multiprocessing.active_children())
@@ -42,7 +41,7 @@ def processes(count: int, begin: Callable[..., None], *given: Any) -> Iterator[P
     try:
         yield pool
     except BaseException:
-        # It waits for what they do, and perhaps for ever for one that is killed as it answers.
+        # shutdown() waits for running work, and for ever for a worker killed while it answers.
         cancelled = {"cancel_futures": True}
         closing = threading.Thread(target=pool.shutdown, kwargs=cancelled, daemon=True)
         closing.start()
@@ -53,33 +52,33 @@ def processes(count: int, begin: Callable[..., None], *given: Any) -> Iterator[P
 
 
 class _Pool(ProcessPoolExecutor):
-    """Its processes start with Ctrl-C held back, until they know what to do about it."""
+    """An executor that starts its processes with Ctrl-C blocked until they can handle it."""
 
     def submit(self, work: Callable[..., Any], /, *given: Any, **named: Any) -> Future:  # noqa: ANN401
         with _ctrl_c_held():
-            return super().submit(_do, work, *given, **named)  # which starts them, one by one
+            return super().submit(_do, work, *given, **named)  # which starts the processes
 
 
 @contextmanager
 def _ctrl_c_held() -> Iterator[None]:
-    """Ctrl-C comes later to this process, and not at all to those that it starts within."""
+    """Delay Ctrl-C for this process, and block it in processes started within."""
     came: list[int] = []
     here = threading.current_thread() is threading.main_thread()
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))  # which is inherited
-    # Other threads may be given the signal, and the main one then raises what it means.
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))  # children inherit it
+    # Another thread may receive the signal; its Python handler still runs in the main thread.
     handler = signal.signal(signal.SIGINT, lambda number, _: came.append(number)) if here else None
     try:
         yield
     finally:
         if here:
-            signal.signal(signal.SIGINT, handler or signal.SIG_DFL)  # None: of a program in C
+            signal.signal(signal.SIGINT, handler or signal.SIG_DFL)  # None: set by a C program
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         if came:
             signal.raise_signal(signal.SIGINT)
 
 
 def lost(error: BaseException) -> InputError:
-    """What to say of a worker that ended before its work did."""
+    """Return the sentence for a worker that died before its work was done."""
     return InputError(
         f"a worker process, or the scheduler, is gone ({reason_of(error)}): killed, or out of "
         "memory; every file that is there is whole; run it again, with fewer workers where "
@@ -88,7 +87,7 @@ def lost(error: BaseException) -> InputError:
 
 
 def _stop(workers: Sequence[BaseProcess]) -> None:
-    """End processes: by their own hand, or by force where that takes long."""
+    """Terminate processes, and kill those that take longer than :data:`GRACE`."""
     for worker in workers:
         worker.terminate()
     left, until = {worker.sentinel: worker for worker in workers}, time.monotonic() + GRACE
@@ -100,7 +99,7 @@ def _stop(workers: Sequence[BaseProcess]) -> None:
 
 
 def _begin(begin: Callable[..., None], given: Sequence[Any]) -> None:
-    """What a worker does first."""
+    """Prepare a worker: ignore Ctrl-C, watch the parent, call ``begin``."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT,))
     threading.Thread(target=_end_with_parent, daemon=True).start()
@@ -108,7 +107,7 @@ def _begin(begin: Callable[..., None], given: Sequence[Any]) -> None:
 
 
 class _Stopped(SystemExit):
-    """This worker is to end, without a word; what it is doing clears up."""
+    """Ends a worker silently; whatever it is doing cleans up."""
 
 
 def _stop_here(*_: object) -> None:
@@ -116,14 +115,14 @@ def _stop_here(*_: object) -> None:
 
 
 def _do(work: Callable[..., Any], *given: Any, **named: Any) -> Any:  # noqa: ANN401
-    """A piece of work, after which there is no other for a worker that is to end."""
+    """Run one piece of work; exit the worker if it was told to stop meanwhile."""
     signal.signal(signal.SIGTERM, _stop_here)
     try:
         return work(*given, **named)
     except _Stopped:
-        os._exit(1)  # Dr.Jit may wait for ever to clear up after kernels that were cut short
+        os._exit(1)  # Dr.Jit's own cleanup may hang after interrupted kernels
     finally:
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)  # between pieces there is nothing to clear up
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)  # nothing to clean up between two pieces
 
 
 def _end_with_parent() -> None:

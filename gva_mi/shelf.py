@@ -1,7 +1,7 @@
-"""``Shelf``: values by number, in memory as long as there is room and then in a file of its own.
+"""A cache for values of frames: in memory while there is room, then in an unnamed file.
 
-Long videos make more of each frame than memory holds. The file has no name: it is gone with the
-process, however that ends.
+Data derived from the frames of a long video does not fit into memory. The file has no name, so it
+vanishes with the process however that ends.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import os
 import pickle
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -19,37 +20,39 @@ KEPT = 1 << 28  # bytes of values that stay in memory
 T = TypeVar("T")
 
 
-class Shelf(Mapping[int, T], Generic[T]):
-    """Values that are put in one by one, and the same to the bit when they are looked at.
+@dataclass(frozen=True)
+class _OnDisk:
+    """The place of a pickled value."""
 
-    Where it is sent to another process, it is sent as a plain dictionary of what it holds.
+    file: io.FileIO
+    start: int
+    size: int
+
+
+class Shelf(Mapping[int, T], Generic[T]):
+    """A mapping from frame numbers to values, which come back bit-identical.
+
+    It is pickled as a plain dictionary of its values.
     """
 
     def __init__(self, folder: Path, kept: int = KEPT) -> None:
-        """An empty one.
+        """Make an empty cache.
 
         Args:
-            folder: where its file is, if it needs one: on the disk that results go to, for the
-                system's folder of temporary files may be memory.
-            kept: bytes of values that may stay in memory.
+            folder: where the file lies if one is needed; on the disk that results go to, because
+                the system's folder for temporary files may be in memory.
+            kept: bytes of values that stay in memory.
         """
         self._folder, self._room = folder, kept
-        self._near: dict[int, T] = {}
-        self._far: dict[int, tuple[int, int]] = {}  # where in the file, and how many bytes
+        self._entries: dict[int, T | _OnDisk] = {}
         self._file: io.FileIO | None = None
 
     def __setitem__(self, number: int, value: T) -> None:
-        """Add a value, or put it in another's place.
-
-        Raises:
-            OSError: the disk is full, with the folder's name.
-        """
+        """Add or replace a value; a full disk raises OSError with the folder's name."""
         stored = pickle.dumps(value, pickle.HIGHEST_PROTOCOL)
-        self._near.pop(number, None)
-        self._far.pop(number, None)
         if len(stored) <= self._room:
             self._room -= len(stored)
-            self._near[number] = value
+            self._entries[number] = value
             return
         try:
             if self._file is None:
@@ -60,48 +63,28 @@ class Shelf(Mapping[int, T], Generic[T]):
                 left = left[self._file.write(left) :]
         except OSError as error:
             raise OSError(error.errno, error.strerror, str(self._folder)) from None
-        self._far[number] = start, len(stored)
+        self._entries[number] = _OnDisk(self._file, start, len(stored))
 
     def __getitem__(self, number: int) -> T:
-        if number in self._near:
-            return self._near[number]
-        start, size = self._far[number]
-        return pickle.loads(os.pread(self._file.fileno(), size, start))
+        entry = self._entries[number]
+        if isinstance(entry, _OnDisk):
+            return pickle.loads(os.pread(entry.file.fileno(), entry.size, entry.start))
+        return entry
 
     def __iter__(self) -> Iterator[int]:
-        return iter(sorted([*self._near, *self._far]))
+        return iter(sorted(self._entries))
 
     def __len__(self) -> int:
-        return len(self._near) + len(self._far)
+        return len(self._entries)
 
     def __contains__(self, number: object) -> bool:
-        return number in self._near or number in self._far
+        return number in self._entries
 
-    def part(self, numbers: Iterable[int], first: int = 0) -> Part[T]:
-        """Those of some values that are here, counted from ``first``, as they were put in."""
-        return Part(self, {k - first: k for k in numbers if k in self})
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return dict, (dict(self),)
-
-
-class Part(Mapping[int, T], Generic[T]):
-    """Some values of a shelf, under other numbers."""
-
-    def __init__(self, of: Shelf[T], places: Mapping[int, int]) -> None:
-        self._of, self._places = of, dict(places)
-
-    def __getitem__(self, number: int) -> T:
-        return self._of[self._places[number]]
-
-    def __contains__(self, number: object) -> bool:
-        return number in self._places
-
-    def __iter__(self) -> Iterator[int]:
-        return iter(self._places)
-
-    def __len__(self) -> int:
-        return len(self._places)
+    def part(self, numbers: Iterable[int], first: int = 0) -> Shelf[T]:
+        """Return the entries that exist among some numbers, counted from ``first``; no copies."""
+        found = Shelf(self._folder, 0)
+        found._entries = {k - first: self._entries[k] for k in numbers if k in self._entries}
+        return found
 
     def __reduce__(self) -> tuple[Any, ...]:
         return dict, (dict(self),)

@@ -1,4 +1,4 @@
-"""A file is the old one or the new one, whole; one that cannot be read is named."""
+"""A file is the old one or the new one, whole; a file that cannot be read is named."""
 
 import errno
 import json
@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gva_mi import InputError, budget
+from gva_mi import InputError
+from gva_mi.arrays import Budget
 from gva_mi.errors import expecting
 from gva_mi.files import (
     make_room,
@@ -30,30 +31,28 @@ from gva_mi.files import (
 )
 
 
-def test_arrays_come_back(tmp_path):
-    write_arrays(tmp_path / "new" / "a.npz", loss=np.arange(3.0))
-    assert read_arrays(tmp_path / "new" / "a.npz", "losses")["loss"].tolist() == [0, 1, 2]
+def contents(folder):
+    return {path.name: path.read_text() for path in folder.iterdir()}
 
 
-def test_a_file_that_fails_half_way_leaves_the_old_one(tmp_path):
+def test_a_failed_write_leaves_the_old_file(tmp_path):
     path = tmp_path / "value.json"
     write_json(path, {"value": 1})
     with pytest.raises(RuntimeError), replacing(path) as unfinished:
         unfinished.write_text("{")
         raise RuntimeError("killed")
-    assert path.read_text() == '{\n  "value": 1\n}\n'
-    assert [p.name for p in tmp_path.iterdir()] == ["value.json"]
+    assert contents(tmp_path) == {"value.json": '{\n  "value": 1\n}\n'}
 
 
 @pytest.mark.parametrize("changes", range(7))
-def test_what_is_about_a_file_is_about_the_one_that_is_there(changes, tmp_path, monkeypatch):
-    """Of files that are replaced together, however many changes to the disk they came through."""
+def test_files_that_describe_another_never_belong_to_an_older_one(changes, tmp_path, monkeypatch):
+    """Interrupt the replacement of four files after each change to the disk."""
     names = ("poses", "record", "picture", "page")
     for name in names:
         (tmp_path / name).write_text("old")
     done = []
 
-    def only_so_many(change):
+    def limited(change):
         def instead(*given, **named):
             if len(done) == changes:
                 raise KeyboardInterrupt
@@ -63,25 +62,22 @@ def test_what_is_about_a_file_is_about_the_one_that_is_there(changes, tmp_path, 
         return instead
 
     for change in ("unlink", "replace"):
-        monkeypatch.setattr(Path, change, only_so_many(getattr(Path, change)))
-    with suppress(KeyboardInterrupt):
-        with replacing_together(tmp_path / "poses", *names[1:]) as folder:
-            for name in names[:3]:
-                (folder / name).write_text("new")
+        monkeypatch.setattr(Path, change, limited(getattr(Path, change)))
+    with suppress(KeyboardInterrupt), replacing_together(tmp_path / "poses", *names[1:]) as folder:
+        for name in names[:3]:
+            (folder / name).write_text("new")
     monkeypatch.undo()
-    found = {path.name: path.read_text() for path in tmp_path.iterdir()}
+    found = contents(tmp_path)
     assert set(found) <= set(names) and set(found.values()) == {found["poses"]}
     assert len(done) == changes and (changes or found == dict.fromkeys(names, "old"))
     with replacing_together(tmp_path / "poses", *names[1:]) as folder:
         assert not list(folder.iterdir())
         for name in names[:3]:
             (folder / name).write_text("newer")
-    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == dict.fromkeys(
-        names[:3], "newer"
-    )
+    assert contents(tmp_path) == dict.fromkeys(names[:3], "newer")
 
 
-def test_files_that_fail_half_way_leave_all_the_old_ones(tmp_path):
+def test_a_full_disk_leaves_all_old_files_and_names_the_new_one(tmp_path):
     for name in ("poses", "record"):
         (tmp_path / name).write_text("old")
     killed = tmp_path / ".poses.gva-mi-part"
@@ -89,30 +85,31 @@ def test_files_that_fail_half_way_leave_all_the_old_ones(tmp_path):
     (killed / "record").write_text("half")
     with pytest.raises(OSError, match="full") as error:
         with replacing_together(tmp_path / "poses", "record") as folder:
-            assert not list(folder.iterdir())  # what a killed process left is gone
+            assert not list(folder.iterdir())  # leftovers of a killed process are gone
             (folder / "poses").write_text("new")
             raise OSError(errno.ENOSPC, "full")
     assert error.value.filename == str(tmp_path / "poses")
-    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {
-        "poses": "old", "record": "old"
-    }  # fmt: skip
+    assert contents(tmp_path) == {"poses": "old", "record": "old"}
 
 
-def test_what_cannot_be_read_is_named(tmp_path):
+def test_unreadable_arrays_are_named(tmp_path):
+    path = tmp_path / "a.npz"
     with pytest.raises(InputError, match=r"a\.npz: no such file; expected poses"):
-        read_arrays(tmp_path / "a.npz", "poses")
-    (tmp_path / "a.npz").write_bytes(b"no archive")
+        read_arrays(path, "poses")
+    path.write_bytes(b"no archive")
     with pytest.raises(InputError, match=r"a\.npz: not a readable \.npz"):
-        read_arrays(tmp_path / "a.npz", "poses")
+        read_arrays(path, "poses")
     np.savez(tmp_path / "objects.npz", a=np.array([{}], dtype=object))
     with pytest.raises(InputError, match="not a readable"):
         read_arrays(tmp_path / "objects.npz", "poses")
-    write_arrays(tmp_path / "a.npz", b=np.zeros(1))
+    write_arrays(path, b=np.arange(2))
+    found = read_arrays(path, "poses")
+    assert found["b"].tolist() == [0, 1]
     with pytest.raises(InputError, match="key 'c' is missing; found: b"):
-        require_keys(tmp_path / "a.npz", read_arrays(tmp_path / "a.npz", "poses"), ("b", "c"))
+        require_keys(path, found, ("b", "c"))
 
 
-def test_room_is_made_only_where_this_program_wrote(tmp_path):
+def test_only_a_folder_with_the_marker_is_removed(tmp_path, monkeypatch):
     make_room(tmp_path / "new", "ours.json", overwrite=False)
     make_room(tmp_path, "ours.json", overwrite=False)  # empty
     (tmp_path / "thesis.tex").write_text("years of work")
@@ -121,11 +118,19 @@ def test_room_is_made_only_where_this_program_wrote(tmp_path):
     with pytest.raises(InputError, match="has no ours.json, so gva-mi did not make it"):
         make_room(tmp_path, "ours.json", overwrite=True)
     (tmp_path / "ours.json").write_text("{}")
+
+    def killed(self):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr("gva_mi.files.Path.unlink", killed)
+        make_room(tmp_path, "ours.json", overwrite=True)
+    assert (tmp_path / "ours.json").exists()  # the marker goes last
     make_room(tmp_path, "ours.json", overwrite=True)
     assert not tmp_path.exists()
 
 
-def test_room_for_a_file_is_asked_for_before_the_work(tmp_path):
+def test_room_for_a_file_is_checked_before_the_work(tmp_path):
     file = tmp_path / "new/a.ply"
     require_room(file, overwrite=False)
     assert file.parent.is_dir() and not list(file.parent.iterdir())
@@ -140,15 +145,18 @@ def test_room_for_a_file_is_asked_for_before_the_work(tmp_path):
         require_room(file / "b.ply", overwrite=True)
 
 
-def test_a_started_folder_says_what_made_it(tmp_path):
-    start_folder(tmp_path / "out", "made.json", False, {"avatar": "a"})
-    about = json.loads((tmp_path / "out/made.json").read_text())
+def test_a_started_folder_records_what_made_it(tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "made.json.part").write_text("{")  # a half-written marker is no content
+    start_folder(out, "made.json", False, {"avatar": "a"})
+    about = json.loads((out / "made.json").read_text())
     assert about["avatar"] == "a" and about["versions"].keys() >= {"python", "torch"}
     with pytest.raises(InputError, match="--overwrite"):
-        start_folder(tmp_path / "out", "made.json", False, {})
-    (tmp_path / "out/000000.png").touch()
-    start_folder(tmp_path / "out", "made.json", True, {})
-    assert [file.name for file in (tmp_path / "out").iterdir()] == ["made.json"]
+        start_folder(out, "made.json", False, {})
+    (out / "000000.png").touch()
+    start_folder(out, "made.json", True, {})
+    assert [file.name for file in out.iterdir()] == ["made.json"]
 
 
 def test_a_folder_is_replaced_once_the_new_one_is_whole(tmp_path):
@@ -158,7 +166,7 @@ def test_a_folder_is_replaced_once_the_new_one_is_whole(tmp_path):
     with pytest.raises(RuntimeError, match="no source"), whole_folder(out, "marker") as folder:
         (folder / "half").write_text("new")
         raise RuntimeError("no source")
-    assert [path.name for path in out.iterdir()] == ["marker"]  # nothing is lost
+    assert contents(out) == {"marker": "old"}
     with whole_folder(out, "marker") as folder:
         (folder / "marker").write_text("new")
     assert (out / "marker").read_text() == "new" and list(tmp_path.iterdir()) == [out]
@@ -173,7 +181,7 @@ def test_a_folder_is_replaced_once_the_new_one_is_whole(tmp_path):
     assert (out / "marker").read_text() == "the other's" and list(tmp_path.iterdir()) == [out]
 
 
-def test_what_a_killed_process_left_of_a_folder_is_removed(tmp_path):
+def test_leftovers_of_a_killed_process_are_removed(tmp_path):
     out, part, old = (tmp_path / name for name in ("out", ".out.gva-mi-part", ".out.gva-mi-old"))
     part.mkdir()
     (part / "half").write_text("new")
@@ -181,7 +189,7 @@ def test_what_a_killed_process_left_of_a_folder_is_removed(tmp_path):
         assert folder == part and not list(folder.iterdir())
         (folder / "marker").write_text("new")
     assert list(tmp_path.iterdir()) == [out] and (out / "marker").read_text() == "new"
-    out.rename(old)  # as a kill between a folder's last two steps leaves it
+    out.rename(old)  # killed between the last two renames
     part.mkdir()
     with pytest.raises(RuntimeError, match="no source"), whole_folder(out, "marker"):
         raise RuntimeError("no source")
@@ -210,42 +218,13 @@ def test_one_process_at_a_time_makes_a_folder(tmp_path, monkeypatch):
     assert (out / "marker").read_text() == "mine"
 
 
-def test_a_folder_that_was_being_emptied_is_still_known(tmp_path, monkeypatch):
-    out = tmp_path / "out"
-    start_folder(out, "made.json", False, {})
-    for name in ("a", "z"):
-        (out / f"{name}.png").touch()
-        (out / name).mkdir()
-
-    def killed(self):
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr("gva_mi.files.Path.unlink", killed)
-        make_room(out, "made.json", overwrite=True)
-    assert (out / "made.json").exists()
-    make_room(out, "made.json", overwrite=True)
-    assert not out.exists()
-
-
-def test_a_marker_that_was_being_written_is_in_nobody_s_way(tmp_path):
-    out = tmp_path / "out"
-    out.mkdir()
-    (out / "made.json.part").write_text("{")
-    start_folder(out, "made.json", False, {})
-    assert [path.name for path in out.iterdir()] == ["made.json"]
-    (out / "made.json").rename(out / "other.json.part")
-    with pytest.raises(InputError, match="already holds something"):
-        start_folder(out, "made.json", False, {})
-
-
 def claiming(shape):
-    """A .npy without numbers, whose header claims some."""
+    """Return a .npy without numbers whose header claims some."""
     head = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}".ljust(117) + "\n"
     return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(head)) + head.encode()
 
 
-def test_a_claim_of_100_gigabytes_is_refused_before_anything_is_allocated(tmp_path, monkeypatch):
+def test_a_claim_of_100_gigabytes_is_refused_before_allocating(tmp_path, monkeypatch):
     (tmp_path / "a.npy").write_bytes(claiming((12_500_000_000,)))
     with pytest.raises(InputError, match="claims 100,000,000,000 bytes, but holds 0"):
         read_array(tmp_path / "a.npy")
@@ -255,32 +234,25 @@ def test_a_claim_of_100_gigabytes_is_refused_before_anything_is_allocated(tmp_pa
         read_arrays(tmp_path / "a.npz", "poses")
     with zipfile.ZipFile(tmp_path / "b.npz", "w", zipfile.ZIP_DEFLATED) as file:
         file.writestr("a.npy", bytes(1 << 21))
-    monkeypatch.setattr(budget.Budget.__init__, "__defaults__", (1 << 20,))
+    monkeypatch.setattr(Budget.__init__, "__defaults__", (1 << 20,))
     with pytest.raises(InputError, match="unfold to more than 4 GiB"):
         read_arrays(tmp_path / "b.npz", "poses")
 
 
-@pytest.mark.parametrize("text", ["[" * 100_000, "{", '{"a": ' + "1" * 5000 + "}", "\x00"])
-def test_what_is_no_json_is_one_sentence(tmp_path, text):
-    (tmp_path / "a.json").write_text(text)
-    with pytest.raises(
-        InputError, match=r"a\.json: not readable as JSON \(.*\); expected metrics$"
-    ):
-        read_json(tmp_path / "a.json", "metrics")
+def test_malformed_json_is_one_sentence(tmp_path):
+    path = tmp_path / "a.json"
+    for text in ("[" * 100_000, "{", '{"a": ' + "1" * 5000 + "}", "\x00"):
+        path.write_text(text)
+        with pytest.raises(InputError, match=r"a\.json: not readable as JSON \(.*\); expected b$"):
+            read_json(path, "b")
+        assert not says(path, {})
+    write_json(path, {"a": (1, 2), "b": path})
+    assert says(path, {"a": (1, 2), "b": path}) and not says(path, {"a": [1]})
     with pytest.raises(InputError, match=r"b\.json: no such file; expected metrics"):
         read_json(tmp_path / "b.json", "metrics")
 
 
-def test_a_file_that_cannot_be_read_says_nothing(tmp_path):
-    path = tmp_path / "a.json"
-    assert not says(path, {})
-    write_json(path, {"a": (1, 2), "b": path})
-    assert says(path, {"a": (1, 2), "b": path}) and not says(path, {"a": [1]})
-    path.write_text('{"a": [1, 2')
-    assert not says(path, {"a": (1, 2), "b": path})
-
-
-def test_content_of_another_form_is_one_sentence_whatever_fails():
+def test_malformed_content_is_one_sentence_whatever_it_breaks():
     for fails in (
         lambda: {}["a"], lambda: [][3], lambda: None.a, lambda: int(float("inf")), lambda: 1 / 0,
         lambda: next(iter(())), lambda: np.zeros(2) + np.zeros(3), lambda: len(3),
@@ -292,6 +264,6 @@ def test_content_of_another_form_is_one_sentence_whatever_fails():
         raise InputError("mine")
 
 
-def test_words_of_a_file_move_no_cursor_and_fill_no_screen():
+def test_quoted_content_moves_no_cursor_and_fills_no_screen():
     assert str(InputError("a\x1b[2J\nb")) == "a [2J b"
     assert len(str(InputError("x" * 10**6))) < 2000

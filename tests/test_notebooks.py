@@ -1,5 +1,7 @@
-"""Every notebook runs from top to bottom, with its one parameter cell shortened."""
+"""Every notebook is a short lesson with stored outputs, and runs (slow) with small parameters."""
 
+import ast
+import importlib
 from pathlib import Path
 
 import pytest
@@ -8,7 +10,7 @@ nbformat = pytest.importorskip("nbformat")
 nbclient = pytest.importorskip("nbclient")
 
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
-SHORT = {  # what a test sets after the parameter cell
+SHORT = {  # set after the parameter cell
     "1_one_gaussian": "SIZE, STEPS = 16, 8",
     "2_checking_gradients": "GAUSSIANS, SIZE, SWEEP = 12, 16, 5",
     "3_refining_a_pose": "SIZE, STEPS, SWEEP, FRAMES, PASSES = 48, 20, 3, 3, 1",
@@ -32,6 +34,7 @@ def path(request):
     return request.param
 
 
+@pytest.mark.slow
 def test_runs(path, monkeypatch):
     from traitlets.config import Config
 
@@ -43,22 +46,24 @@ def test_runs(path, monkeypatch):
     nbclient.NotebookClient(notebook, timeout=300, config=local).execute()
 
 
-def test_is_a_lesson_in_order(path):
+def test_is_a_short_lesson_with_small_outputs(path):
     notebook = nbformat.read(path, as_version=4)
     text = "\n".join(cell.source for cell in cells(notebook, "markdown")).lower()
     places = [text.find(part) for part in PARTS]
     assert -1 not in places and places == sorted(places), dict(zip(PARTS, places, strict=True))
-
-
-def test_has_one_parameter_cell_and_short_functions(path):
-    notebook = nbformat.read(path, as_version=4)
     assert len(parameters(notebook)) == 1
     assert all(len(cell.source.splitlines()) <= 45 for cell in cells(notebook, "code"))
-
-
-def test_was_stored_with_its_small_outputs(path):
-    notebook = nbformat.read(path, as_version=4)
     assert path.stat().st_size < 600_000
     outputs = [output for cell in cells(notebook, "code") for output in cell.outputs]
     assert any("image/png" in output.get("data", {}) for output in outputs)
     assert not any(output.output_type == "error" for output in outputs)
+
+
+def test_every_import_of_a_notebook_exists(path):
+    notebook = nbformat.read(path, as_version=4)
+    for cell in cells(notebook, "code"):
+        for node in ast.walk(ast.parse(cell.source)):
+            if isinstance(node, ast.ImportFrom) and node.module.startswith("gva_mi"):
+                module = importlib.import_module(node.module)
+                missing = [x.name for x in node.names if not hasattr(module, x.name)]
+                assert not missing, f"{node.module} has no {missing}"

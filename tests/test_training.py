@@ -1,4 +1,4 @@
-"""docs/train_gaussians.py learns a scene, with more Gaussians than it began with."""
+"""docs/train_gaussians.py learns a scene and adds Gaussians."""
 
 import importlib.util
 import sys
@@ -23,7 +23,7 @@ def program():
     del sys.modules[spec.name]
 
 
-def test_new_views_become_better_and_gaussians_more(program):
+def test_unseen_views_improve_and_gaussians_are_added(program):
     scene = random_scene(torch.Generator().manual_seed(0), gaussians=40)
     seen, unseen = program.Views.around(scene, 6, 32), program.Views.around(scene, 2, 32, 0.4)
     before, after = (program.train(scene, seen, steps, count=60) for steps in (0, 110))
@@ -31,7 +31,7 @@ def test_new_views_become_better_and_gaussians_more(program):
     assert len(after["means"]) > len(before["means"]) == 60
 
 
-def test_rows_keep_their_moments_and_new_ones_have_none(program):
+def test_kept_rows_keep_their_adam_moments(program):
     params = {"a": torch.nn.Parameter(torch.arange(4.0)[:, None])}
     adam = torch.optim.Adam([{"params": [params["a"]], "name": "a", "lr": 0.0}])
     params["a"].grad = torch.tensor([[1.0], [2.0], [3.0], [4.0]])
@@ -44,7 +44,7 @@ def test_rows_keep_their_moments_and_new_ones_have_none(program):
     assert torch.allclose(adam.state[p]["exp_avg"].flatten(), torch.tensor([0.1, 0.3, 0.0]))
 
 
-def test_from_a_file_to_a_file(program, tmp_path, capsys):
+def test_it_reads_and_writes_files(program, tmp_path, capsys):
     save_ply(tmp_path / "a.ply", random_scene(torch.Generator().manual_seed(0), 20).gaussians)
     out = tmp_path / "b.ply"
     program.main(["--scene", str(tmp_path / "a.ply"), "--steps=2", "--size=16", f"--out={out}"])

@@ -1,4 +1,4 @@
-"""Arguments that several commands have, and what they mean."""
+"""Arguments that several commands share, and how their files are opened."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from gva_mi.data.video import REFINED_POSES, Video, best_poses
 
 T = TypeVar("T")
 Flat = Annotated[T, arg(name="")]  # options without a prefix on the command line
-Switch = Annotated[bool, FlagCreatePairsOff]  # off unless given, so that there is no --no-... flag
+Switch = Annotated[bool, FlagCreatePairsOff]  # off by default and without a --no-... form
 
 
 def poses_of(subject: Path, given: Path | None = None) -> Path:
-    """The file that ``--poses`` names; without it the refined poses, else those of stage 1.
+    """Return the file that ``--poses`` names; without it the refined poses, else stage 1's.
 
-    Poses that were never refined are no error, but a line says so.
+    Unrefined poses are no error, but a line mentions them.
     """
     poses = given or best_poses(subject)
     if given is None and poses.name != REFINED_POSES:
@@ -29,6 +29,6 @@ def poses_of(subject: Path, given: Path | None = None) -> Path:
 
 
 def say_doubt(video: Video, model: BodyModel) -> None:
-    """Say that the body does not stand where the masks are, before work that would be in vain."""
+    """Warn if the body does not stand where the masks are, before the work starts."""
     if doubt := glance(video, model):
         say(doubt)

@@ -37,31 +37,22 @@ def body(
         sheet: also write a picture (.png) of poses, hands and faces.
         overwrite: replace existing files.
     """
-    path = _body_file(source)
+    path = PUPPET if source == "puppet" else anny_body() if source == "anny" else Path(source)
     model = load_body(path)
     if out is not None and out.suffix != ".npz":
         raise InputError(f"{out}: a body file ends in .npz")
     if out is not None and path.suffix != ".npz":
         raise InputError(f"{path}: --out copies a file, expected one that is .npz already")
     picture = (out or Path(f"{path.stem}.npz")).with_suffix(".png")
-    written = [p for p in (out, picture, sheet) if p is not None]
     if out is not None:
         require_room(out, overwrite)
-    for file in (picture, sheet):
-        if file is not None:
-            require_picture(file, overwrite)
+    for file in filter(None, (picture, sheet)):
+        require_picture(file, overwrite)
     if out is not None and not (out.exists() and out.samefile(path)):
         with replacing(out) as unfinished:
             shutil.copyfile(path, unfinished)
     write_image(picture, turntable(model))
     if sheet is not None:
         write_image(sheet, draw_sheet(model))
-    for file in written:
+    for file in filter(None, (out, picture, sheet)):
         say(str(file))
-
-
-def _body_file(source: str) -> Path:
-    """Return the file of a body; Anny's is built if missing."""
-    if source == "puppet":
-        return PUPPET
-    return anny_body() if source == "anny" else Path(source)

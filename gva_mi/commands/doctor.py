@@ -16,7 +16,7 @@ from gva_mi import llvm
 # Packages beyond the bare install: what each is needed for, and the extra that brings it.
 PACKAGES = {
     "mitsuba": ("mesh normals and silhouettes, synthetic subjects", "mitsuba"),
-    "pymeshlab": ("meshing in the re-initialisation, the built-in body's maker", "mesh"),
+    "pymeshlab": ("meshing in the re-initialisation, the built-in body's generator", "mesh"),
     "trimesh": ("meshes", "mesh"),
     "skimage": ("PSNR and SSIM", "mesh"),
     "scipy": ("nearest neighbours", "mesh"),
@@ -30,13 +30,13 @@ PACKAGES = {
 
 
 @dataclass(frozen=True)
-class Finding:
+class Component:
     """One line of the report."""
 
     name: str
     found: str
     fine: bool = True
-    needed_for: str = ""  # said where it is missing
+    needed_for: str = ""  # said if it is missing
 
     def __str__(self) -> str:
         mark = "ok     " if self.fine else "MISSING"
@@ -49,30 +49,30 @@ def doctor() -> None:
 
     Ends with exit code 1 where something is missing.
     """
-    findings = []
-    for finding in examine():
-        findings.append(finding)
-        # Not by gva_mi.console, whose package may be what is missing.
-        sys.stdout.write(f"{finding}\n")
+    fine = True
+    for component in examine():
+        fine &= component.fine
+        # Not with gva_mi.console, whose package may be missing.
+        sys.stdout.write(f"{component}\n")
         sys.stdout.flush()
-    sys.exit(0 if all(finding.fine for finding in findings) else 1)
+    sys.exit(0 if fine else 1)
 
 
-def examine() -> Iterator[Finding]:
-    """Look at everything the program can use, the essential first."""
+def examine() -> Iterator[Component]:
+    """Look at everything that the program can use, the essential first."""
     version = sys.version_info
-    yield Finding("python", platform.python_version(), version >= (3, 11), "everything")
-    yield Finding("system", f"{platform.platform()}, {os.cpu_count()} cores")
+    yield Component("python", platform.python_version(), version >= (3, 11), "everything")
+    yield Component("system", f"{platform.platform()}, {os.cpu_count()} cores")
     yield from _dr_jit()
     for module in ("torch", *PACKAGES):
-        needed_for, extra = PACKAGES.get(module, ("everything", ""))
-        yield _package(module, needed_for, extra)
+        yield _package(module, *PACKAGES.get(module, ("everything", "")))
     yield from _weights()
 
 
-def _dr_jit() -> Iterator[Finding]:
+def _dr_jit() -> Iterator[Component]:
+    """Run a kernel that aborts with an old libLLVM, and read its vector width from its code."""
     if llvm.problem:
-        yield Finding("libLLVM", llvm.problem, False, "every kernel")
+        yield Component("libLLVM", llvm.problem, False, "every kernel")
         return
     import drjit as dr
     from drjit.llvm import Float
@@ -81,36 +81,36 @@ def _dr_jit() -> Iterator[Finding]:
         smaller = dr.minimum(dr.opaque(Float, 1, 64), 0.5)
         dr.eval(smaller)
         code = "".join(kernel["ir"].getvalue() for kernel in dr.kernel_history() if "ir" in kernel)
-    lanes = re.search(r"<(\d+) x float>", code)  # the width that the generated code really has
+    lanes = re.search(r"<(\d+) x float>", code)
     found = ".".join(map(str, dr.detail.llvm_version()))
-    yield Finding("libLLVM", f"{found} at {os.environ.get(llvm._PATH, 'the default path')}")
+    yield Component("libLLVM", f"{found} at {os.environ.get(llvm._PATH, 'the default path')}")
     width = f", {lanes.group(1)} float32 lanes" if lanes else ""
     says = f"{dr.__version__}, {dr.thread_count()} threads{width}"
-    yield Finding("drjit", says, bool(dr.all(smaller == 0.5)), "every kernel")
+    yield Component("drjit", says, bool(dr.all(smaller == 0.5)), "every kernel")
 
 
-def _package(module: str, needed_for: str, extra: str) -> Finding:
-    # In a process of its own: a wheel that lacks a system library may fail in any way it likes.
+def _package(module: str, needed_for: str, extra: str) -> Component:
+    """Import a package in a process of its own, because a broken wheel may fail in any way."""
     trial = f"import gva_mi, {module}"
     result = subprocess.run([sys.executable, "-c", trial], capture_output=True, text=True)
     if result.returncode == 0:
         names = metadata.packages_distributions().get(module, [module])
-        return Finding(module, metadata.version(names[0]))
+        return Component(module, metadata.version(names[0]))
     last = (result.stderr.strip().splitlines() or [f"exit code {result.returncode}"])[-1]
     install = f"; pip install 'gva_mi[{extra}]'" if "ModuleNotFound" in last else ""
     if "libGL" in last or "libX11" in last:
         install = "; apt-get install libgl1 libx11-6"
-    return Finding(module, last + install, False, needed_for)
+    return Component(module, last + install, False, needed_for)
 
 
-def _weights() -> Iterator[Finding]:
-    """Weights are never needed: say what there is, and what serves without."""
+def _weights() -> Iterator[Component]:
+    """Report network weights; they are never needed, so say what is used without them."""
     from gva_mi.fit.perceptual import find_weights
 
     weights = find_weights()
     vgg = "none; the perceptual loss uses the random network rand_vgg"
     if weights.vgg16:
         vgg = f"{weights.vgg16}; a fit uses it only with gva-mi fit --vgg16 FILE"
-    yield Finding("VGG16", vgg)
+    yield Component("VGG16", vgg)
     network = weights.lpips_network
-    yield Finding("LPIPS", f"on {network}" if network else "none; rand_vgg is reported instead")
+    yield Component("LPIPS", f"on {network}" if network else "none; rand_vgg is reported instead")

@@ -1,4 +1,4 @@
-"""What drives an avatar: the motion that ``render``, ``export`` and ``view`` are given."""
+"""The motion that drives an avatar in ``render``, ``export`` and ``view``."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from gva_mi.fit.run_folder import load_motion
 def motion_of(
     run: Path, avatar: Avatar, given: Path | None, fps: float, body: Path | None
 ) -> tuple[Pose, Shape]:
-    """The motion that ``--poses`` names; without it the poses that were trained with the avatar.
+    """Return the motion that ``--poses`` names; without it the poses trained with the avatar.
 
-    Of a motion of AMASS and the like, which is brought to the avatar's conventions, a line says
-    what it was taken for; of another person's, what becomes of it.
+    Lines tell how a motion of another program was read, and that another person's bones are not
+    used.
 
     Args:
         run: folder of a run, or an avatar's file.
-        avatar: that is driven.
+        avatar: the avatar to be driven.
         given: a file of poses, or any motion that ``gva-mi motion`` reads.
         fps: frames a second that such a motion is resampled to; poses are played as they are.
-        body: the file of the avatar's body, whose hands components of a PCA weigh.
+        body: the file of the avatar's body, for hands given as PCA components.
 
     Raises:
         InputError: there are no poses, or they cannot be read.
@@ -42,10 +42,9 @@ def motion_of(
         pose, shape = found.pose, found.shape
         for note in found.notes:
             say(f"{given}: {note}")
-    own = avatar.rig.betas
-    count = max(len(own), len(shape.betas))
-    one, two = (pad(x.double(), (0, count - len(x))) for x in (own, shape.betas))
-    if not torch.allclose(one, two, atol=1e-4):
+    count = max(len(avatar.rig.betas), len(shape.betas))
+    own, theirs = (pad(x.double(), (0, count - len(x))) for x in (avatar.rig.betas, shape.betas))
+    if not torch.allclose(own, theirs, atol=1e-4):
         say(
             f"{path}: poses of a person of another shape, driven as they are: joints turn and the "
             "root moves as there, bones keep the avatar's lengths, so feet may slide or float"

@@ -1,12 +1,13 @@
-"""The command ``gva-mi export``: an avatar, its poses, or a film of it, for other programs."""
+"""The command ``gva-mi export``: an avatar, its poses or a film of it, in other programs' files."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
+import numpy as np
 import torch
 from tyro.conf import Positional
 
@@ -19,7 +20,7 @@ from gva_mi.body.smplx import body_name, load_body
 from gva_mi.commands.arguments import Flat, Switch
 from gva_mi.commands.driving import motion_of
 from gva_mi.commands.series import HASH, hash_of, series
-from gva_mi.console import bar, say
+from gva_mi.console import Progress, bar, say
 from gva_mi.data.pictures import (
     SEE_THROUGH,
     read_background,
@@ -33,7 +34,7 @@ from gva_mi.files import require_room
 from gva_mi.fit.camera_paths import CameraPath, Shot, shots
 from gva_mi.fit.renders import over, render_shots, see_through
 from gva_mi.fit.run_folder import load_avatar
-from gva_mi.ranges import Within, require_ranges
+from gva_mi.options import Within, require_ranges
 from gva_mi.splat import Gaussians
 from gva_mi.splat.formats import LOAD
 from gva_mi.splat.formats.compressed_ply_writer import save_compressed_ply
@@ -41,31 +42,11 @@ from gva_mi.splat.formats.ply import save_ply
 from gva_mi.splat.formats.splat import save_splat
 from gva_mi.splat.formats.spz import save_spz
 
-MARKER = "export.json"  # every folder of exports that was made here holds it
-COMPRESSED = ".compressed.ply"  # the name's end by which SuperSplat knows them, too
-FORMATS = {  # by the suffix of --out
-    ".ply": "Gaussians in one pose, for viewers of 3DGS",
-    COMPRESSED: "the same in 16 bytes each, as SuperSplat writes it",
-    ".splat": "the same in 32 bytes each, for viewers in a browser",
-    ".spz": "Niantic's, a quarter of a .ply, with spherical harmonics",
-    ".glb": "the surface with skeleton, skin, colours, and a motion",
-    ".npz": "poses as AMASS has them; with --no-rig the avatar without its body",
-    ".mp4": "a film",
-    SEE_THROUGH: "a see-through film",
-    "": "a folder with one file a frame",
-}
+MARKER = "export.json"  # every folder of exports holds it
+COMPRESSED = ".compressed.ply"  # the ending by which SuperSplat knows its files, too
 SAVE = {
     ".ply": save_ply, COMPRESSED: save_compressed_ply, ".splat": save_splat, ".spz": save_spz,
 }  # fmt: skip
-FILMS = (".mp4", SEE_THROUGH)
-FOR = {  # what the options are about; the others are about all
-    "frame": (*SAVE, *FILMS),
-    "every": ("",),
-    "each": ("",),
-    "fps": (".glb", ".npz", *FILMS),
-    "background": (".mp4",),
-    "no_rig": (".npz",),
-}
 
 
 @dataclass(frozen=True)
@@ -78,7 +59,7 @@ class ExportOptions:
     frame: Annotated[int, Within(0, 1_000_000)] | None = None
     # Into a folder: one file for every so many frames.
     every: Annotated[int, Within(1, 1_000_000)] = 1
-    # Kind of these files; .png are see-through.
+    # Kind of these files; .png are transparent where the avatar is not.
     each: Literal["ply", "compressed.ply", "splat", "spz", "png"] = "ply"
     fps: Annotated[int, Within(1, 1000)] = 30  # frames a second
     background: str = "white"  # of a film: a colour, such as #ff8800, or a picture file
@@ -88,9 +69,12 @@ class ExportOptions:
         require_ranges("export", self)
 
 
+Work = Callable[[], None]  # writes to --out; everything it can fail on has been checked
+
+
 @dataclass(frozen=True)
-class _Job:
-    """One call of the command, its avatar read."""
+class _Export:
+    """One call of the command with its avatar."""
 
     run: Path
     avatar: Avatar
@@ -101,12 +85,12 @@ class _Job:
     overwrite: bool
 
     def driving(self) -> tuple[Pose, Shape]:
-        """The poses that were asked for, and whose they are."""
+        """Return the poses that were asked for, and the shape of their person."""
         options = self.options
         return motion_of(self.run, self.avatar, options.poses, options.fps, self.body)
 
     def motion(self) -> Pose:
-        """The poses that were asked for, in which there is the frame that was."""
+        """Return these poses; raise an InputError if --frame is not among them."""
         motion, _ = self.driving()
         if (self.options.frame or 0) >= len(motion):
             frame = self.options.frame
@@ -114,12 +98,15 @@ class _Job:
         return motion
 
     def shots(self, motion: Pose) -> list[Shot]:
-        """The pictures of a film."""
+        """Return the pictures to be taken of a motion."""
         view = self.view.or_usual(moving=self.options.poses is not None)
         return shots(view, self.avatar.rig, motion, self.options.frame or 0)
 
-
-Work = Callable[[], None]  # writes to a job's --out; all that it can fail on has been checked
+    @torch.no_grad()
+    def save_gaussians(self, path: Path, pose: Pose) -> None:
+        """Write the avatar's Gaussians in one pose."""
+        gaussians: Gaussians = self.avatar(pose)
+        SAVE[_suffix(path)](path, gaussians)
 
 
 def export(
@@ -133,7 +120,7 @@ def export(
 ) -> None:
     """Write an avatar, its poses, or a film of it in a file of other programs.
 
-    Where a folder's was cut short, the same command goes on with it.
+    If writing a folder was interrupted, the same command resumes it.
 
     Args:
         run: the folder of a finished fit, or an avatar.npz; or a .ply, also a compressed one, a
@@ -142,19 +129,20 @@ def export(
         view: of films and .png.
         out: the file, whose suffix says what it is: .ply, .compressed.ply (SuperSplat's), .splat,
             .spz (Gaussians in one pose), .glb (the surface with skeleton and skin), .npz (poses as
-            AMASS has them, or with --no-rig the avatar), .mp4 (a film), .webm (a see-through one);
+            AMASS has them, or with --no-rig the avatar), .mp4 (a film), .webm (a transparent one);
             or a folder for one file a frame.
         body: the body file of an avatar without its body, or for --no-rig; without it the built-in
             puppet.
         overwrite: replace what is there.
     """
-    suffix = _suffix(out)
+    suffix = "" if out.is_dir() else _suffix(out)
     _require_meant(suffix, options, view)
     if run.suffix in LOAD and not run.is_dir():
         work = _converted(run, options, suffix, out)
     else:
         avatar = load_avatar(run, body)
-        work = _READY[suffix](_Job(run, avatar, options, view, out, body, overwrite))
+        job = _Export(run, avatar, options, view, out, body, overwrite)
+        work = FORMATS[suffix].prepare(job)
     if suffix:
         require_room(out, overwrite)
     work()
@@ -162,29 +150,32 @@ def export(
 
 
 def _suffix(out: Path) -> str:
-    """The one of :data:`FORMATS` that is asked for."""
-    suffix = "" if out.is_dir() else out.suffix.lower()
+    """Return the key of :data:`FORMATS` that a name asks for."""
+    suffix = out.suffix.lower()
     suffix = COMPRESSED if suffix and out.name.lower().endswith(COMPRESSED) else suffix
     if suffix not in FORMATS:
-        there = ", ".join(f"{name} ({what})" for name, what in FORMATS.items() if name)
-        raise InputError(f"{out}: no format ends in {suffix}; expected {there}, or {FORMATS['']}")
+        there = ", ".join(f"{name} ({format.what})" for name, format in FORMATS.items() if name)
+        raise InputError(
+            f"{out}: no format ends in {suffix}; expected {there}, or {FORMATS[''].what}"
+        )
     return suffix
 
 
 def _require_meant(suffix: str, options: ExportOptions, view: CameraPath) -> None:
-    """Refuse options that say nothing about the format."""
+    """Raise an InputError for options that have no effect on the format."""
     kind = suffix or "a folder"
     for field in fields(options):
-        of = FOR.get(field.name, (suffix,))
-        if getattr(options, field.name) != field.default and suffix not in of:
-            name, meant = field.name.replace("_", "-"), " and ".join(x or "a folder" for x in of)
-            raise InputError(f"export: --{name} is for {meant}, not for {kind}")
-    pictures = suffix in FILMS or (not suffix and options.each == "png")
+        meant = [name or "a folder" for name, f in FORMATS.items() if field.name in f.options]
+        if getattr(options, field.name) != field.default and kind not in meant:
+            name = field.name.replace("_", "-")
+            raise InputError(f"export: --{name} is for {' and '.join(meant)}, not for {kind}")
+    pictures = suffix in (".mp4", SEE_THROUGH) or (not suffix and options.each == "png")
     if view != CameraPath() and not pictures:
         raise InputError(f"export: cameras are for .mp4, .webm and --each png, not for {kind}")
 
 
 def _converted(source: Path, options: ExportOptions, suffix: str, out: Path) -> Work:
+    """Prepare to write a file of Gaussians as another one."""
     if suffix not in SAVE or options != ExportOptions():
         raise InputError(
             f"{source}: holds Gaussians alone, which become {', '.join(SAVE)} as they are; "
@@ -194,19 +185,19 @@ def _converted(source: Path, options: ExportOptions, suffix: str, out: Path) -> 
     return lambda: SAVE[suffix](out, gaussians)
 
 
-def _gaussians(job: _Job) -> Work:
+def _gaussians(job: _Export) -> Work:
     options = job.options
     at_rest = options.poses is None and options.frame is None
     pose = Pose.rest() if at_rest else job.motion()[options.frame or 0]
-    return lambda: SAVE[_suffix(job.out)](job.out, _posed(job.avatar, pose))
+    return lambda: job.save_gaussians(job.out, pose)
 
 
-def _surface(job: _Job) -> Work:
+def _surface(job: _Export) -> Work:
     motion = job.motion() if job.options.poses else None
     return lambda: save_gltf(job.out, job.avatar, motion, job.options.fps)
 
 
-def _poses(job: _Job) -> Work:
+def _poses(job: _Export) -> Work:
     if job.options.no_rig:
         if job.options.poses is not None:
             raise InputError("export: --no-rig writes the avatar, --poses its poses; not both")
@@ -217,75 +208,83 @@ def _poses(job: _Job) -> Work:
     return lambda: save_amass(job.out, motion, shape, job.options.fps)
 
 
-def _film(job: _Job) -> Work:
-    motion = job.motion()
+def _film(job: _Export) -> Work:
     background = read_background(job.options.background, *job.view.size)
-    pictures = job.shots(motion)
-
-    def work() -> None:
-        with bar("render") as progress:
-            layers = render_shots(job.avatar, motion, pictures, progress)
-            images = (over(layer, background) for layer in layers)
-            write_movie(job.out, images, fps=job.options.fps, lossless=False)
-
-    return work
+    write = lambda images: write_movie(job.out, images, fps=job.options.fps, lossless=False)
+    return _filmed(job, lambda layer: over(layer, background), write)
 
 
-def _see_through_film(job: _Job) -> Work:
+def _transparent_film(job: _Export) -> Work:
+    require_see_through(job.out)
+    write = lambda images: write_see_through(job.out, images, fps=job.options.fps)
+    return _filmed(job, see_through, write)
+
+
+def _filmed(
+    job: _Export,
+    image_of: Callable[[np.ndarray], np.ndarray],
+    write: Callable[[Iterator[np.ndarray]], None],
+) -> Work:
+    """Prepare to render layers, turn each into a picture, and write these."""
     motion = job.motion()
     pictures = job.shots(motion)
-    require_see_through(job.out)
 
     def work() -> None:
         with bar("render") as progress:
-            layers = render_shots(job.avatar, motion, pictures, progress)
-            write_see_through(job.out, map(see_through, layers), fps=job.options.fps)
+            write(map(image_of, render_shots(job.avatar, motion, pictures, progress)))
 
     return work
 
 
-def _folder(job: _Job) -> Work:
+def _folder(job: _Export) -> Work:
     motion, options = job.motion(), job.options
     pictures = job.shots(motion) if options.each == "png" else []
-    of_file = {
-        f"{k:06d}.{options.each}": k for k in range(0, len(pictures or motion), options.every)
-    }
+    frames = range(0, len(pictures or motion), options.every)
+    frame_of = {f"{k:06d}.{options.each}": k for k in frames}
     made_of = hash_of(job.avatar, motion, pictures, (options.each, options.every))
     about = {"avatar": str(job.run), "poses": options.poses, HASH: made_of}
 
+    def write(missing: list[str], progress: Progress) -> None:
+        if options.each == "png":
+            taken = [pictures[frame_of[name]] for name in missing]
+            layers = render_shots(job.avatar, motion, taken, progress)
+            for name, layer in zip(missing, layers, strict=True):
+                write_image(job.out / name, see_through(layer))
+            return
+        for done, name in enumerate(missing, 1):
+            job.save_gaussians(job.out / name, motion[frame_of[name]])
+            progress(done, len(missing))
+
     def work() -> None:
-        with (
-            series(job.out, MARKER, list(of_file), job.overwrite, about) as missing,
-            bar("export") as progress,
-        ):
-            if options.each == "png":
-                taken = [pictures[of_file[name]] for name in missing]
-                layers = render_shots(job.avatar, motion, taken, progress)
-                for name, layer in zip(missing, layers, strict=True):
-                    write_image(job.out / name, see_through(layer))
-                return
-            for done, name in enumerate(missing, 1):
-                path = job.out / name
-                SAVE[f".{options.each}"](path, _posed(job.avatar, motion[of_file[name]]))
-                progress(done, len(missing))
+        names = series(job.out, MARKER, list(frame_of), job.overwrite, about)
+        with names as missing, bar("export") as progress:
+            write(missing, progress)
 
     return work
 
 
-_READY: dict[str, Callable[[_Job], Work]] = {
-    ".ply": _gaussians,
-    COMPRESSED: _gaussians,
-    ".splat": _gaussians,
-    ".spz": _gaussians,
-    ".glb": _surface,
-    ".npz": _poses,
-    ".mp4": _film,
-    SEE_THROUGH: _see_through_film,
-    "": _folder,
-}
+class Format(NamedTuple):
+    """What a suffix of ``--out`` stands for."""
+
+    what: str
+    prepare: Callable[[_Export], Work]
+    options: tuple[str, ...]  # names of the options that have an effect
 
 
-@torch.no_grad()
-def _posed(avatar: Avatar, pose: Pose) -> Gaussians:
-    """The Gaussians of one pose."""
-    return avatar(pose)
+_ONE_POSE = _gaussians, ("poses", "frame")
+FORMATS = {
+    ".ply": Format("Gaussians in one pose, for viewers of 3DGS", *_ONE_POSE),
+    COMPRESSED: Format("the same in 16 bytes each, as SuperSplat writes it", *_ONE_POSE),
+    ".splat": Format("the same in 32 bytes each, for viewers in a browser", *_ONE_POSE),
+    ".spz": Format("Niantic's, a quarter of a .ply, with spherical harmonics", *_ONE_POSE),
+    ".glb": Format(
+        "the surface with skeleton, skin, colours, and a motion", _surface, ("poses", "fps")
+    ),
+    ".npz": Format(
+        "poses as AMASS has them; with --no-rig the avatar without its body", _poses,
+        ("poses", "fps", "no_rig"),
+    ),
+    ".mp4": Format("a film", _film, ("poses", "frame", "fps", "background")),
+    SEE_THROUGH: Format("a transparent film", _transparent_film, ("poses", "frame", "fps")),
+    "": Format("a folder with one file a frame", _folder, ("poses", "every", "each")),
+}  # fmt: skip

@@ -40,7 +40,7 @@ def fit(
         poses: the poses to fit under; without it the refined ones, else those of stage 1.
         body: a body in SMPL-X's .npz format; without it the built-in puppet.
         overwrite: replace a run that is there.
-        resume: go on with a run that was stopped.
+        resume: continue a run that was stopped.
     """
     model = load_body(body)
     require_same_body(subject, model)
@@ -71,11 +71,11 @@ def fit_video(
 
     Args:
         video: opened with the poses to fit under.
-        poses: their file, which may hold the offsets of the displaced surface too.
+        poses: their file, which may also hold offsets of the surface.
         model: the body model.
         options: of the fit.
         out: the run's folder.
-        resume: go on with a run that was stopped.
+        resume: continue a run that was stopped.
     """
     offsets = load_offsets(poses, len(model.v_template))
     start = time.perf_counter()

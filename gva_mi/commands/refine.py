@@ -1,4 +1,4 @@
-"""The command ``gva-mi refine``: stage 2, poses made to agree with normals and silhouettes."""
+"""The command ``gva-mi refine``: stage 2, poses that agree with normals and silhouettes."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from gva_mi.data.video import REFINED_POSES, Video, load_video
 from gva_mi.errors import InputError
 from gva_mi.files import require_room, versions
 from gva_mi.lock import alone_in
+from gva_mi.options import Weight, Workers
 from gva_mi.pose.evaluation.ablation import ablate
 from gva_mi.pose.evaluation.measure import Evaluation
 from gva_mi.pose.evaluation.record import OVERLAYS, PAGE, write_record
@@ -30,7 +31,6 @@ from gva_mi.pose.parallel import workers as local_workers
 from gva_mi.pose.refine import refine_all
 from gva_mi.pose.sequence import SequenceOptions
 from gva_mi.pose.single_frame import SingleFrameOptions, Steps
-from gva_mi.ranges import Weight, Workers
 
 
 def refine(
@@ -54,15 +54,15 @@ def refine(
     Args:
         subjects: folders with video, masks, cameras, stage-1 poses; normals where there are some.
         options: of the refinement.
-        loss: all frames together, or Eq. 8 as printed, frame by frame; it takes size, faces,
-            silhouette, step and largest-turn from the options, and the two that follow.
+        loss: all frames together, or Eq. 8 as printed, frame by frame; the latter uses size, faces,
+            silhouette, step and largest-turn of the options, and the next two.
         steps: for each frame; of --loss paper.
         paper_prior: λ2, for one square radian; of --loss paper.
         normals: how the normals were made: as the video's camera sees them, or as ICON writes them
             (orthographic, y up); none: they are not used. Without it as normals.json says.
         workers: processes on this machine; any number gives the same bits.
         scheduler: address of a dask.distributed cluster that does the work instead.
-        report: also write refinement.html, for which all terms of the loss are left out in turn.
+        report: also write refinement.html, with an ablation of every term of the loss.
         body: a body in SMPL-X's .npz format; without it the built-in puppet.
         overwrite: replace refined poses that are there.
     """
@@ -75,7 +75,10 @@ def refine(
         raise InputError(
             f"refine: {name} needs all frames together, and --loss paper takes each for itself"
         )
-    printed = _as_printed(options, steps, paper_prior)
+    shared = ("size", "faces", "silhouette", "height", "step", "largest_turn")
+    printed = SingleFrameOptions(
+        **{name: getattr(options, name) for name in shared}, steps=steps, prior=paper_prior
+    )
     model = load_body(body)
     for subject in subjects:
         poses = subject / REFINED_POSES
@@ -93,19 +96,10 @@ def refine(
         executor = held.enter_context(made)
         way = printed if loss == "paper" else options
         for evaluation in refine_videos(videos, model, way, executor):
-            folder = evaluation.video.folder
             if report:
                 _write_report(evaluation, printed, executor)
-            refined = evaluation.refined
-            for limbs, frames in refined.swapped.items():
-                say(f"{limbs:11} left and right were exchanged in frames {listed(frames)}")
-            for line in in_words(refined.noise, refined.footing):
+            for line in _summary(evaluation, report):
                 say(line)
-            for line in evaluation.measured.means.lines():
-                say(line)
-            say(f"poses: {folder / REFINED_POSES}; overlays: {folder / OVERLAYS}")
-            if report:
-                say(f"report: {folder / PAGE}")
 
 
 def refine_videos(
@@ -114,7 +108,7 @@ def refine_videos(
     options: RefineOptions,
     executor: Executor | None = None,
 ) -> Iterator[Evaluation]:
-    """Refine videos, and write what was found into each subject's folder as soon as it is there."""
+    """Refine videos and write each result into its subject's folder as soon as it is ready."""
     for video in videos:
         if not video.has_normals:
             say(f"{video.folder}: no normals, the refinement uses the silhouettes alone")
@@ -129,24 +123,22 @@ def refine_videos(
             yield evaluation
 
 
-def _as_printed(options: SequenceOptions, steps: int, prior: float) -> SingleFrameOptions:
-    """Eq. 8 as printed, with all that it shares with the refinement of a sequence."""
-    return SingleFrameOptions(
-        size=options.size,
-        faces=options.faces,
-        silhouette=options.silhouette,
-        height=options.height,
-        step=options.step,
-        largest_turn=options.largest_turn,
-        steps=steps,
-        prior=prior,
-    )
+def _summary(evaluation: Evaluation, report: bool) -> Iterator[str]:
+    """Yield the lines that tell what a refinement found, and where its files are."""
+    folder, refined = evaluation.video.folder, evaluation.refined
+    for limbs, frames in refined.swapped.items():
+        yield f"{limbs:11} left and right were exchanged in frames {listed(frames)}"
+    yield from in_words(refined.noise, refined.footing)
+    yield from evaluation.measured.means.lines()
+    yield f"poses: {folder / REFINED_POSES}; overlays: {folder / OVERLAYS}"
+    if report:
+        yield f"report: {folder / PAGE}"
 
 
 def _write_report(
     evaluation: Evaluation, printed: SingleFrameOptions, executor: Executor | None
 ) -> None:
-    """Write the page, for which the video is refined again with each term left out in turn."""
+    """Refine the video again without each term of the loss, and write the page."""
     others = {} if evaluation.options is printed else {printed.description: printed}
     with bar("ablation") as progress:
         ablation = ablate(evaluation, others, progress, executor)

@@ -29,9 +29,9 @@ from gva_mi.fit.camera_paths import CameraPath, Shot, shots
 from gva_mi.fit.renders import over, render_shots, see_through
 from gva_mi.fit.run_folder import load_avatar
 
-MARKER = "render.json"  # every folder of renders that was made here holds it
+MARKER = "render.json"  # every folder of renders holds it
 MOVIE = "video.mp4"
-FPS = 25  # frames a second that films are played at, and motions are brought to
+FPS = 25  # frames a second of films; motions are resampled to it
 
 
 def render(
@@ -49,7 +49,7 @@ def render(
 ) -> None:
     """Drive an avatar by any poses, seen by any cameras: pictures, or a film.
 
-    Where it was cut short, the same command goes on with it.
+    If it was interrupted, the same command resumes it.
 
     Args:
         run: the folder of a finished fit, or an avatar.npz.
@@ -59,7 +59,7 @@ def render(
             the poses trained with the avatar.
         cameras: K, T_camera_world, width, height; one for all frames, or T.
         background: a colour, such as white or #ff8800, or a picture file.
-        alpha: pictures are see-through where the avatar is not, and so is a film, a .webm then.
+        alpha: pictures are transparent around the avatar, and so is a film, then a .webm.
         video: also write video.mp4 there; with --alpha video.webm.
         body: the body file of an avatar that was exported without its body; without it the puppet.
         overwrite: replace renders that are there.
@@ -83,8 +83,7 @@ def render(
     names = [*files, movie] if video else files
 
     def images(missing: Collection[str]) -> Iterator[np.ndarray]:
-        """The pictures, see-through or over their background, each once its file is there; of a
-        film all."""
+        """Render and write the missing pictures, and yield them; for a film yield all."""
         drawn = [k for k, file in enumerate(files) if file in missing]
         layers = render_shots(avatar, motion, [pictures[k] for k in drawn], progress)
         for k in range(len(files)) if movie in missing else drawn:
@@ -108,7 +107,7 @@ def render(
 
 
 def _given(cameras: Path, motion: Pose) -> list[Shot]:
-    """A picture of each frame of the motion, by the cameras of a file."""
+    """Return a shot of each frame of the motion by the cameras of a file."""
     views = load_cameras(cameras)
     if len(views) not in (1, len(motion)):
         raise InputError(

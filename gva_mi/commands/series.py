@@ -1,8 +1,8 @@
-"""A folder of files that ``render`` and ``export`` write one by one, a frame each.
+"""Write a folder of files, one per frame, so that an interrupted command can resume.
 
-Each file is whole or not there, and a marker says by a hash what all of them depend on. So a series
-that was cut short is gone on with by whoever asks for the very same; the files that are there have
-the bits that they would get again.
+Each file is whole or missing, and a marker holds a hash of everything the files depend on. The
+same command, run again, writes only the missing files, and they get the bits of an uninterrupted
+run. ``render`` and ``export`` work this way.
 """
 
 from __future__ import annotations
@@ -16,17 +16,11 @@ from typing import Any
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.pose import Pose
 from gva_mi.console import say
-from gva_mi.data.identity import of_arrays
 from gva_mi.errors import InputError
-from gva_mi.files import (
-    program_digest,
-    read_json,
-    require_writable,
-    start_folder,
-    versions,
-)
+from gva_mi.files import read_json, require_writable, start_folder
 from gva_mi.fit.camera_paths import Shot
 from gva_mi.lock import alone_in
+from gva_mi.provenance import hash_arrays, program_digest, versions
 
 HASH = "made_of"  # its name in the marker
 
@@ -35,23 +29,19 @@ HASH = "made_of"  # its name in the marker
 def series(
     out: Path, marker: str, names: Sequence[str], overwrite: bool, about: dict[str, Any]
 ) -> Iterator[list[str]]:
-    """Keep others from writing into a folder, make room in it, or go on with what is there.
+    """Lock a folder, then start it anew or continue it; yield the names that are missing.
 
     Args:
         out: the folder.
         marker: name of a file that every such folder holds.
-        names: of all files that are to be written.
-        overwrite: whether all is to be made again.
+        names: all files to be written, in order.
+        overwrite: write all of them again.
         about: what the marker says; under :data:`HASH` what all files depend on.
 
-    Yields:
-        The names that are missing, in their order.
-
     Raises:
-        InputError: the folder holds something else, or all of it; or another process writes there.
+        InputError: the folder holds something else, or all files; or another process writes there.
     """
-    verb = Path(marker).stem
-    with alone_in(out, f"gva-mi {verb}"):
+    with alone_in(out, f"gva-mi {Path(marker).stem}"):
         missing = [name for name in names if not (out / name).exists()]
         if overwrite or not missing or _hash_in(out / marker) != about[HASH]:
             start_folder(out, marker, overwrite, about)
@@ -64,25 +54,23 @@ def series(
 
 
 def hash_of(avatar: Avatar, motion: Pose, shots: Iterable[Shot], how: Iterable[object]) -> str:
-    """A hash of what renders, and other files, depend on: this program is a part of that.
+    """Return a hash of everything that the files of a folder depend on, this program included.
 
     Args:
-        avatar: that is driven.
-        motion: by which.
-        shots: the pictures to be taken; none for files without cameras.
-        how: numbers, words and arrays: all else.
+        avatar: the avatar.
+        motion: the poses that drive it.
+        shots: the pictures to be taken; empty for files without cameras.
+        how: other numbers, words and arrays that matter.
     """
-    cameras = (x for s in shots for x in (s.frame, s.camera.K, s.camera.T_camera_world, _lens(s)))
+    lens = lambda camera: f"{camera.model}, {camera.width}x{camera.height}"
+    cameras = (x for s in shots for x in (s.frame, s.camera.K, s.camera.T_camera_world,
+                                          lens(s.camera)))  # fmt: skip
     arrays = (*avatar.record().values(), *motion.to_smplx().values(), *cameras, *how)
-    return of_arrays((program_digest(), json.dumps(versions()), *arrays))
-
-
-def _lens(shot: Shot) -> str:
-    return f"{shot.camera.model}, {shot.camera.width}x{shot.camera.height}"
+    return hash_arrays((program_digest(), json.dumps(versions()), *arrays))
 
 
 def _hash_in(path: Path) -> str | None:
-    """What a marker's files depend on; None where it does not say, or is not there."""
+    """Return the hash in a marker; None if it is missing or cannot be read."""
     try:
         found = read_json(path, "what this folder holds")
     except InputError:

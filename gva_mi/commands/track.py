@@ -1,4 +1,4 @@
-"""The command ``gva-mi track``: a video's poses, fitted to its pictures through an avatar."""
+"""The command ``gva-mi track``: fit a video's poses to its pictures through an avatar."""
 
 from __future__ import annotations
 
@@ -31,17 +31,16 @@ def track(
 ) -> None:
     """Fit the poses of a video to its pictures, seen through an avatar of the person.
 
-    Writes poses_photometric.npz and photometric.json into the subject's folder. They have seen the
-    test frames: another step uses them only where its --poses names them.
+    Writes poses_photometric.npz and photometric.json into the subject's folder. These poses have
+    seen the test frames, so other steps use them only if --poses names them.
 
     Args:
         run: the folder of a finished fit, or an avatar.npz, of this video or of another one of the
             same person.
         subject: a folder with video, masks, cameras and poses.
         options: of the fit.
-        poses: where it starts; without it the poses trained with the avatar, if ``run`` is a folder
-            that has some and was fitted to this video; else the refined ones, else those of
-            stage 1.
+        poses: the start; without it the poses trained with the avatar, if ``run`` is a folder that
+            was fitted to this video; else the refined ones, else those of stage 1.
         body: a body in SMPL-X's .npz format; without it the built-in puppet.
         overwrite: replace poses that are there.
     """

@@ -23,13 +23,13 @@ from gva_mi.data.video import Video, load_video
 from gva_mi.errors import InputError
 from gva_mi.files import require_writable
 from gva_mi.fit.run_folder import TRAINED_POSES, load_avatar, other_parts
-from gva_mi.ranges import Within
+from gva_mi.options import Within
 from gva_mi.threads import one_torch_thread
-from gva_mi.viewer.controls import FPS, Controls, Offers
+from gva_mi.viewer.cameras import start
+from gva_mi.viewer.controls import FPS, Choices, Controls
 from gva_mi.viewer.drawing import Drawing
-from gva_mi.viewer.eyes import start
 from gva_mi.viewer.server import address, close_server, open_server, pages, when_moved
-from gva_mi.viewer.session import Session, Stage
+from gva_mi.viewer.session import Session, SessionSetup
 
 
 def view(
@@ -48,11 +48,11 @@ def view(
         run: the folder of a finished fit, or an avatar.npz.
         poses: SMPL-X's names, each (T, ...), or any motion that gva-mi motion reads; without it
             the poses trained with the avatar.
-        subject: the folder of the video that these poses are of, to be shown beside.
+        subject: the folder of the video that these poses belong to, to be shown beside.
         out: folder for snapshots and cameras; what is there is never replaced.
         body: the body file of an avatar that was exported without its body; without it the puppet.
-        host: who is served: this machine alone, or with 0.0.0.0 whoever reaches it.
-        port: of the page; 0: any that is free.
+        host: address to listen on: this machine alone, or 0.0.0.0 for the whole network.
+        port: of the page; 0 picks a free one.
     """
     avatar = load_avatar(run, body)
     motion, _ = motion_of(run, avatar, poses, FPS, body)
@@ -62,17 +62,17 @@ def view(
     begin = start(avatar.rig, motion)
     title = f"{run.name}: {len(avatar.canonical):,} Gaussians"
     with ExitStack() as held:
-        held.enter_context(_tried(out))
+        held.enter_context(_writable(out))
         server = open_server(host, port, begin, title)
         held.callback(close_server, server)
         held.enter_context(suppress(KeyboardInterrupt))
         changed = threading.Event()
         when_moved(server, changed.set)
-        controls = Controls(server.gui, _offers(avatar, motion, video), changed.set)
-        stage = Stage(len(motion), begin.up, video.cameras if video else [], out)
-        session = Session(Drawing(avatar, motion, video), controls, stage)
+        controls = Controls(server.gui, _choices(avatar, motion, video), changed.set)
+        setup = SessionSetup(len(motion), begin.up, video.cameras if video else [], out)
+        session = Session(Drawing(avatar, motion, video), controls, setup)
         say(f"{address(server)}: open it in a browser; Ctrl-C ends it")
-        sys.stdout.flush()  # for whoever reads the address from a pipe
+        sys.stdout.flush()  # a program may read the address from a pipe
         with one_torch_thread():
             while True:
                 changed.clear()
@@ -81,8 +81,8 @@ def view(
 
 
 @contextmanager
-def _tried(out: Path) -> Iterator[None]:
-    """See that a folder takes files; one that was made for that and holds none goes again."""
+def _writable(out: Path) -> Iterator[None]:
+    """Check that a folder takes files; remove it at the end if it is new and still empty."""
     there = out.exists()
     require_writable(out)
     try:
@@ -94,10 +94,10 @@ def _tried(out: Path) -> Iterator[None]:
 
 
 def _video_of(run: Path, subject: Path, poses: Path | None) -> Video:
-    """The video whose poses are shown; without ``--poses`` the one that the run was fitted to."""
+    """Return the video whose poses are shown; without ``--poses`` it must be the run's own."""
     if poses is not None and not is_pose_file(poses):
         raise InputError(
-            f"{poses}: a motion of another program, of which no video is shown beside; expected "
+            f"{poses}: a motion of another program, which no video can be shown beside; expected "
             f"poses of {subject}, or no --subject"
         )
     video = load_video(subject, poses or run / TRAINED_POSES, "none")
@@ -110,13 +110,13 @@ def _video_of(run: Path, subject: Path, poses: Path | None) -> Video:
     return video
 
 
-def _offers(avatar: Avatar, motion: Pose, video: Video | None) -> Offers:
-    """What the avatar, its motion and its video let one choose."""
+def _choices(avatar: Avatar, motion: Pose, video: Video | None) -> Choices:
+    """Return what the avatar, its motion and its video let a user choose."""
     every = Pose(torch.ones(1, len(JOINTS), 3), torch.zeros(1, 3), torch.zeros(1, 0))
     followed = avatar.followed(every).any(2)[0].tolist()
     count = avatar.rig.expression_joints.shape[2]
     of_puppet = count == len(EXPRESSIONS) and avatar.rig.body == digest(load_body())
-    return Offers(
+    return Choices(
         frames=len(motion),
         joints=[name for name, follows in zip(JOINTS, followed, strict=True) if follows],
         expression=EXPRESSIONS if of_puppet else [f"expression {k + 1}" for k in range(count)],

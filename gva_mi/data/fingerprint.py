@@ -1,14 +1,14 @@
-"""Check that a subject is used with the body that its poses belong to.
+"""Check that a subject is used with the body model that its poses belong to.
 
-A subject's poses are rotations of one body's joints, and its betas belong to that body. With
-another body they mean another person, and every error against ground truth is silently wrong. So
-``synth.json`` and ``prepare.json`` keep a sketch of the body: K signed sums of all its vertices x
-(metres) in two states that use every joint, beta and expression,
+Poses are rotations of one body's joints, and betas belong to that body. With another body, even a
+slightly newer built-in one, they describe another person, and every error measured against the
+ground truth is silently wrong. So ``synth.json`` and ``prepare.json`` keep a sketch of the body: K
+signed sums of all its vertices x (metres) in two poses that use every joint, beta and expression,
 
     1. s_k = Σ_i σ_ki x_i / √V,    σ_ki = ±1 at random
     2. mean over k of (s_k - s'_k)²  ≈  mean over the vertices of |x_i - x'_i|²
 
-which says how far two bodies are apart, and not only whether they differ.
+so that two sketches tell how far apart two bodies are, and not only whether they differ.
 """
 
 from __future__ import annotations
@@ -23,14 +23,15 @@ from gva_mi.body.smplx import PUPPET_NAME, BodyModel
 from gva_mi.errors import InputError, expecting
 from gva_mi.files import read_json
 
-SUMS = 32  # K: their root mean square has a relative error of 1 / √(2 K), 12 %
+SUMS = 32  # K: their root mean square is right to one part in √(2 K), 12 %
 SAME = 3e-6  # m, root mean square; float32 rounding is a tenth of it
-# In the subject's folder; each holds {"body": {"vertices": V, "sketch": [...]}}.
+# Files of a subject; each holds {"body": {"vertices": V, "sketch": [...]}}, the second also a
+# "name" there.
 ABOUT, PREPARED = "synth.json", "prepare.json"
 
 
 def fingerprint(body: BodyModel) -> dict[str, object]:
-    """The number of vertices and the sketch of eq. 1, metres, as ``synth.json`` keeps them."""
+    """Return vertex count and sketch (eq. 1, metres), as ``synth.json`` keeps them."""
     dtype = body.v_template.dtype
     wave = lambda n, size: size * torch.sin(1.0 + torch.arange(n, dtype=torch.float64)).to(dtype)
     shape = Shape(wave(body.num_betas, 1.5))
@@ -40,27 +41,28 @@ def fingerprint(body: BodyModel) -> dict[str, object]:
     )  # fmt: skip
     with torch.no_grad():
         states = torch.stack([body.rest(shape).vertices, body(bent, shape).vertices[0]])
-    x = states.double().numpy() / np.sqrt(2)  # the mean of both states, in eq. 2
-    # RandomState's stream is frozen, so a fingerprint outlives versions of numpy.
+    x = states.double().numpy() / np.sqrt(2)  # eq. 2 averages over both poses
+    # RandomState, because its stream is frozen: a fingerprint outlives versions of numpy.
     signs = np.random.RandomState(0).randint(0, 2, (SUMS, *x.shape)) * 2.0 - 1
     sketch = np.einsum("ksvc,svc->k", signs, x) / np.sqrt(x.shape[1])
     return {"vertices": x.shape[1], "sketch": [round(float(s), 8) for s in sketch]}
 
 
 def distance(a: dict[str, object], b: dict[str, object]) -> float:
-    """Root mean square distance between two bodies' vertices (eq. 2), metres."""
+    """Return the root mean square distance between two bodies' vertices (eq. 2), metres."""
     if a["vertices"] != b["vertices"]:
         return float("inf")
     return float(np.sqrt(np.square(np.subtract(a["sketch"], b["sketch"])).mean()))
 
 
 def require_same_body(folder: Path, body: BodyModel) -> None:
-    """Check that a subject was made on, or prepared for, this body.
+    """Raise an InputError if a subject was made on, or prepared for, another body.
 
-    Folders without a fingerprint pass: those made by hand, and those older than this check.
+    Folders without a fingerprint pass: those put together by hand, or older than this check.
 
-    Raises:
-        InputError: it is another body. This is no warning, because every result would be wrong.
+    Args:
+        folder: the subject.
+        body: the body that its poses are about to be used with.
     """
     for name, written_by in ((ABOUT, "gva-mi synth"), (PREPARED, "gva-mi prepare")):
         known = _body_of(Path(folder) / name, written_by)
@@ -74,35 +76,32 @@ def require_same_body(folder: Path, body: BodyModel) -> None:
             if np.isfinite(away)
             else f"of {known['vertices']} vertices, not {len(body.v_template)}"
         )
-        if name == PREPARED:
+        if name == ABOUT:
             raise InputError(
-                f"{folder}: its poses were prepared for another body, {known.get('name')} ({how}); "
-                f"expected {_argument(known.get('name'))}, or prepare it again for this body"
+                f"{folder}: made on another body ({how}), so that its poses and its ground truth "
+                "mean nothing here; give the --body it was made with, or make it again with "
+                "gva-mi synth"
             )
+        theirs = known.get("name")
+        given = f"--body with that body's file ({theirs})"
+        expected = "the built-in puppet, that is no --body" if theirs == PUPPET_NAME else given
         raise InputError(
-            f"{folder}: made on another body ({how}), so that its poses and its ground truth mean "
-            "nothing here; give the --body it was made with, or make it again with gva-mi synth"
+            f"{folder}: its poses were prepared for another body, {theirs} ({how}); "
+            f"expected {expected}, or prepare it again for this body"
         )
 
 
 def _body_of(file: Path, written_by: str) -> dict | None:
-    """The body that a folder's file names; None without one."""
+    """Return the body that a subject's file describes; None if it describes none."""
     if not file.is_file():
         return None
     expected = f"what {written_by} writes"
     about = read_json(file, expected)
     with expecting(file, expected):
         body = about.get("body")
-        if not isinstance(body, dict):  # older folders name a format here, or nothing
+        if not isinstance(body, dict):  # older folders hold something else here, or nothing
             return None
         return body | {
             "sketch": np.reshape(np.float64(body["sketch"]), SUMS).tolist(),
             "vertices": body["vertices"],
         }
-
-
-def _argument(name: str | None) -> str:
-    """The option that makes a command use a body."""
-    if name == PUPPET_NAME:
-        return "the built-in puppet, that is no --body"
-    return f"--body with that body's file ({name})"

@@ -1,7 +1,7 @@
-"""The panel: sliders, switches and buttons of viser, and the state that they say.
+"""The panel: sliders, switches and buttons of viser, and the state they stand for.
 
-All browsers share it. viser's threads keep the values; they are read, and written back while a
-motion plays or another joint is chosen, by the one thread that draws. Buttons are noted down.
+All browsers share it. viser's threads keep the values. The thread that draws reads them, and writes
+them back while a motion plays or when another joint is chosen. Pressed buttons are queued.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ RESETS = ("reset joint", "reset all joints", "reset expression")
 
 
 @dataclass(frozen=True)
-class Offers:
-    """What an avatar, its motion and its video let one choose."""
+class Choices:
+    """What an avatar, its motion and its video let a user choose."""
 
     frames: int
     joints: Sequence[str]  # some of JOINTS
     expression: Sequence[str]  # what each coefficient does
-    video: bool  # whether there is one
+    video: bool  # whether a video is shown beside
 
 
 class Controls:
@@ -42,18 +42,18 @@ class Controls:
         playing: whether the motion plays.
     """
 
-    def __init__(self, gui: viser.GuiApi, offers: Offers, changed: Callable[[], None]) -> None:
+    def __init__(self, gui: viser.GuiApi, choices: Choices, changed: Callable[[], None]) -> None:
         """Build the panel.
 
         Args:
-            gui: where.
-            offers: what can be chosen.
-            changed: called, in any thread, when something was.
+            gui: where the panel is built.
+            choices: what can be chosen.
+            changed: called, in any thread, after a change.
         """
-        self._gui, self._offers, self._changed = gui, offers, changed
+        self._gui, self._choices, self._changed = gui, choices, changed
         self._clicked: SimpleQueue[tuple[str, int]] = SimpleQueue()
         self._turned: dict[str, Angles] = {}
-        self._joint = offers.joints[0]
+        self._joint = choices.joints[0]
         self._playback = Playback()
         self.playing = False
         self._mode = self._watched(gui.add_dropdown("show", get_args(Mode)))
@@ -65,21 +65,21 @@ class Controls:
         with gui.add_folder("Expression", expand_by_default=False):
             self._expression = [
                 self._watched(gui.add_slider(name, -WIDEST, WIDEST, 0.1, 0.0))
-                for name in offers.expression
+                for name in choices.expression
             ]
             self._add_button("reset expression", "Reset expression")
         with gui.add_folder("Camera"):
             self._add_camera()
 
     def _add_motion(self) -> None:
-        gui, last = self._gui, self._offers.frames - 1
+        gui, last = self._gui, self._choices.frames - 1
         self._play = self._watched(gui.add_checkbox("play", False, disabled=last == 0))
         self._frame = self._watched(gui.add_slider("frame", 0, last, 1, 0))
         self._fps = self._watched(gui.add_slider("frames a second", 1, FASTEST, 1, FPS))
 
     def _add_joints(self) -> None:
         gui = self._gui
-        self._chosen = self._watched(gui.add_dropdown("joint", tuple(self._offers.joints)))
+        self._chosen = self._watched(gui.add_dropdown("joint", tuple(self._choices.joints)))
         about = "degrees about this axis of the joint, added to the motion's rotation"
         self._angles = [
             self._watched(gui.add_slider(axis, -180.0, 180.0, 1.0, 0.0, hint=about))
@@ -89,7 +89,7 @@ class Controls:
         self._add_button("reset all joints", "Reset all joints")
 
     def _add_camera(self) -> None:
-        gui, video = self._gui, self._offers.video
+        gui, video = self._gui, self._choices.video
         places = tuple(x for x in get_args(SeenFrom) if video or x != "video")
         self._seen_from = self._watched(
             gui.add_dropdown(
@@ -100,8 +100,8 @@ class Controls:
             )
         )
         self._beside = self._watched(gui.add_checkbox("beside the video", video, visible=video))
-        self._see_through = self._watched(
-            gui.add_checkbox("see-through", False, hint="snapshots are RGBA, of the avatar alone")
+        self._transparent = self._watched(
+            gui.add_checkbox("transparent", False, hint="snapshots are RGBA, of the avatar alone")
         )
         self._add_button("snapshot", "Snapshot to PNG")
         self._add_button("add keyframe", "Add keyframe")
@@ -109,8 +109,8 @@ class Controls:
         self._save = self._add_button("save cameras", "Save cameras.npz")
 
     def state(self, now: float) -> State:
-        """What is to be shown at a time, seconds; while the motion plays, its slider follows."""
-        last = self._offers.frames - 1
+        """Return what to show at a time, seconds; a playing motion moves its slider."""
+        last = self._choices.frames - 1
         frame = min(max(self._frame.value, 0), last)
         self.playing = self._play.value and last > 0
         if self.playing:
@@ -130,11 +130,11 @@ class Controls:
             background=tuple(self._background.value),
             seen_from=self._seen_from.value,
             beside=self._beside.value,
-            see_through=self._see_through.value,
+            transparent=self._transparent.value,
         )
 
     def clicks(self) -> Iterator[Click]:
-        """The buttons pressed since the last call; those that move sliders are done here."""
+        """Yield buttons pressed since the last call; those that reset sliders are done here."""
         while True:
             try:
                 action, browser = self._clicked.get_nowait()
@@ -152,11 +152,11 @@ class Controls:
                 yield Click(action, browser)
 
     def count_keyframes(self, count: int) -> None:
-        """Say how many keyframes there are."""
+        """Show the number of keyframes."""
         self._save.label = f"Save cameras.npz (keyframes: {count})"
 
     def _read_joint(self) -> None:
-        """Keep what the sliders say; where another joint was chosen since, show its angles."""
+        """Keep the angles of the sliders; if another joint was chosen, show its angles."""
         chosen = self._chosen.value
         angles = tuple(slider.value for slider in self._angles)
         self._turned.pop(self._joint, None)
@@ -171,7 +171,7 @@ class Controls:
             slider.value = angle
 
     def _watched(self, handle: Any) -> Any:  # noqa: ANN401 (viser's inputs have no base)
-        """An input whose changes are told."""
+        """Report changes of an input, and return it."""
         handle.on_update(lambda _: self._changed())
         return handle
 

@@ -1,7 +1,7 @@
-"""From a state and a camera to a picture: what a browser shows, and what a snapshot holds.
+"""From a state and a camera to a picture, for browsers and snapshots.
 
-Gaussians are drawn as ``gva-mi render`` draws them, to the bit. What does not change from picture
-to picture, the posed avatar above all, is kept.
+Gaussians are drawn with the same bits as by ``gva-mi render``. What does not change from picture to
+picture, above all the posed avatar, is cached.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from gva_mi.body.pose import Pose
 from gva_mi.data.video import Video
 from gva_mi.fit.renders import layer_of, over, to_8bit
 from gva_mi.splat import Camera, Gaussians
-from gva_mi.viewer.eyes import inscribed
+from gva_mi.viewer.cameras import inscribed
 from gva_mi.viewer.skeleton import draw_skeleton
 from gva_mi.viewer.state import State, posed
-from gva_mi.viewer.surface import Surface, SurfaceDrawing, posed_surface
+from gva_mi.viewer.surface import PosedSurface, SurfaceRenderer, posed_surface
 
 FAINT = 0.25  # of the avatar behind its skeleton
 
@@ -29,29 +29,29 @@ class Drawing:
     """Draws one avatar, driven by one motion."""
 
     def __init__(self, avatar: Avatar, motion: Pose, video: Video | None = None) -> None:
-        """Take what is to be drawn.
+        """Take what is drawn.
 
         Args:
             avatar: the avatar.
             motion: T frames.
-            video: T frames to stand beside it.
+            video: T frames to show beside it.
         """
         self._avatar, self._motion, self._video = avatar, motion, video
         self._rig = avatar.rig
-        self._surfaces: SurfaceDrawing | None = None  # made with Mitsuba, once it is asked for
+        self._surfaces: SurfaceRenderer | None = None  # made with Mitsuba, on first use
         self._kept: dict[str, tuple[Hashable, Any]] = {}
 
     def picture(self, state: State, camera: Camera, fine: bool = True) -> np.ndarray:
-        """The avatar before the background, 8-bit (H, W, 3)."""
+        """Draw the avatar over the background, 8-bit (H, W, 3)."""
         return flattened(self.layer(state, camera, fine), state.background)
 
     def layer(self, state: State, camera: Camera, fine: bool = True) -> np.ndarray:
-        """The avatar alone: (H, W, 4) float32, colour times alpha, and alpha.
+        """Draw the avatar alone: (H, W, 4) float32, premultiplied colour and alpha.
 
         Args:
             state: what is shown.
             camera: the view.
-            fine: whether a mesh has all its triangles, and smooth edges.
+            fine: whether a mesh has all its triangles and smooth edges.
         """
         if state.mode == "Gaussians":
             return layer_of(self._gaussians(state), camera)
@@ -63,12 +63,12 @@ class Drawing:
             layer += bones
             return layer
         if self._surfaces is None:
-            self._surfaces = SurfaceDrawing(self._rig)
+            self._surfaces = SurfaceRenderer(self._rig)
         draw = self._surfaces.normals if state.mode == "normals" else self._surfaces.shaded
         return draw(surface, camera, fine)
 
     def frame(self, state: State, width: int, height: int) -> np.ndarray:
-        """The frame of the video, in the middle of a picture, 8-bit (height, width, 3)."""
+        """Return the frame of the video centred in a picture, 8-bit (height, width, 3)."""
         key = (state.frame, state.background, width, height)
         return self._keep("frame", key, lambda: self._inscribed_frame(state, width, height))
 
@@ -87,21 +87,21 @@ class Drawing:
         pose = lambda: posed(self._motion, state)
         return self._keep("gaussians", _pose_key(state), lambda: self._avatar(pose()))
 
-    def _surface(self, state: State) -> Surface:
+    def _surface(self, state: State) -> PosedSurface:
         make = lambda: posed_surface(self._avatar, self._rig, posed(self._motion, state))
         return self._keep("surface", _pose_key(state), make)
 
     def _keep(self, name: str, key: Hashable, make: Callable[[], Any]) -> Any:  # noqa: ANN401
-        """The value made last, unless another one is asked for by now."""
+        """Return the cached value if its key is the same; else make a new one."""
         if name not in self._kept or self._kept[name][0] != key:
             self._kept[name] = key, make()
         return self._kept[name][1]
 
 
 def flattened(layer: np.ndarray, background: tuple[int, int, int]) -> np.ndarray:
-    """A layer (H, W, 4) before an 8-bit colour, as :func:`over` has it: 8-bit (H, W, 3).
+    """Composite a layer (H, W, 4) over an 8-bit colour as :func:`over` does: 8-bit (H, W, 3).
 
-    Most of a picture is background, and is not computed.
+    Only the box around the avatar is computed; the rest is background.
     """
     picture = np.full((*layer.shape[:2], 3), background, dtype=np.uint8)
     there = layer[..., 3] > 0
@@ -113,5 +113,5 @@ def flattened(layer: np.ndarray, background: tuple[int, int, int]) -> np.ndarray
 
 
 def _pose_key(state: State) -> Hashable:
-    """What of a state its pose depends on."""
+    """Return the part of a state that the pose depends on."""
     return state.frame, state.turned, state.expression

@@ -1,12 +1,12 @@
-"""Some views that a browser had become the cameras of a film.
+"""Interpolate views of a browser to the cameras of a film.
 
-Between them a camera moves as a browser does. With c the point that is looked at, u the axis of the
-orbits and e1, e2 level axes across it,
+A camera moves like a browser between them. With c the point that is looked at, u the axis of the
+orbits and e1, e2 horizontal axes perpendicular to it,
 
     eye = c + d (cos(el) (cos(az) e1 + sin(az) e2) + sin(el) u)
 
-and az, el, log d, c and log tan(fov / 2) are each interpolated by monotone cubics (PCHIP): smooth,
-and never beyond the views that were chosen. az takes the shorter way round.
+and az, el, log d, c and log tan(fov / 2) are each interpolated by monotone cubics (PCHIP), which
+are smooth and never overshoot the chosen views. az takes the shorter way round.
 """
 
 from __future__ import annotations
@@ -16,20 +16,22 @@ from collections.abc import Sequence
 import numpy as np
 
 from gva_mi.splat import Camera, look_at
-from gva_mi.viewer.eyes import Eye, lens
+from gva_mi.viewer.cameras import ViewerCamera, lens
 
-STEEPEST = np.radians(89.9)  # straight above, no way round is a direction
+STEEPEST = np.radians(89.9)  # at 90 degrees the azimuth is undefined
 NEAREST = 1e-3  # metres
 
 
-def film(views: Sequence[Eye], up: np.ndarray, count: int, width: int, height: int) -> list[Camera]:
-    """Cameras that go from view to view in equal times.
+def film(
+    views: Sequence[ViewerCamera], up: np.ndarray, count: int, width: int, height: int
+) -> list[Camera]:
+    """Return cameras that go from view to view in equal times.
 
     Args:
         views: at least one.
         up: (3,) unit, the axis of the orbits.
-        count: cameras, the first and last of them at the first and last view; of a single view, one
-            camera for all pictures.
+        count: number of cameras, from the first view to the last; a single view gives one camera
+            for all pictures.
         width, height: pixels of each.
     """
     across = _level(up)
@@ -44,14 +46,14 @@ def film(views: Sequence[Eye], up: np.ndarray, count: int, width: int, height: i
 
 
 def _level(up: np.ndarray) -> np.ndarray:
-    """e1 and e2, (2, 3)."""
+    """Return e1 and e2, (2, 3)."""
     e1 = np.cross(up, np.eye(3)[np.abs(up).argmin()])
     e1 /= np.linalg.norm(e1)
     return np.stack([e1, np.cross(up, e1)])
 
 
-def _orbit(view: Eye, up: np.ndarray, across: np.ndarray) -> np.ndarray:
-    """az, el, log d, c (3,) and log tan(fov / 2) of a view, (7,)."""
+def _orbit(view: ViewerCamera, up: np.ndarray, across: np.ndarray) -> np.ndarray:
+    """Return az, el, log d, c (3,) and log tan(fov / 2) of a view, (7,)."""
     centre = np.array(view.look_at)
     away = np.array(view.position) - centre
     distance = max(np.linalg.norm(away), NEAREST)

@@ -1,4 +1,4 @@
-"""The browsers: a viser server on this machine, and what it sends to each of its pages."""
+"""The browsers: a viser server on this machine, and what each of its pages shows."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gva_mi.errors import InputError
-from gva_mi.viewer.eyes import Eye, Start
+from gva_mi.viewer.cameras import Start, ViewerCamera
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -20,15 +20,15 @@ if TYPE_CHECKING:
     import viser
 
 JPEG_QUALITY = 85  # while something changes
-NEAR = 0.01  # metres; browsers come as close
+NEAR = 0.01  # metres, the nearest that a browser shows
 
 
 def open_server(host: str, port: int, start: Start, title: str) -> viser.ViserServer:
-    """A server whose browsers begin at a place.
+    """Open a server whose browsers start with a view.
 
     Args:
         host: the address that it listens to, such as 127.0.0.1 for this machine alone.
-        port: 0: any that is free.
+        port: 0 picks a free one.
         start: where browsers look from.
         title: of the panel.
 
@@ -41,8 +41,8 @@ def open_server(host: str, port: int, start: Start, title: str) -> viser.ViserSe
         raise InputError(
             "view: the package viser is not installed: pip install 'gva_mi[viewer]'"
         ) from None
-    _require_free(host, port)  # viser would look for another port, or for ever
-    with redirect_stdout(io.StringIO()):  # of its own accord it prints a table
+    _require_free(host, port)  # viser would pick another port, or try for ever
+    with redirect_stdout(io.StringIO()):  # it prints a table
         server = viser.ViserServer(host=host, port=port, verbose=False)
     server.gui.configure_theme(show_logo=False, show_share_button=False)
     server.gui.set_panel_label(title)
@@ -51,17 +51,13 @@ def open_server(host: str, port: int, start: Start, title: str) -> viser.ViserSe
     camera = server.initial_camera
     camera.position, camera.look_at, camera.up = start.position, start.look_at, start.up
     camera.fov, camera.near = start.fov, NEAR
-    # Browsers open connections that they never use: websockets would print a traceback for each.
+    # Browsers open connections that they never use; websockets would print a traceback for each.
     logging.getLogger("websockets.server").addHandler(logging.NullHandler())
     return server
 
 
 def _require_free(host: str, port: int) -> None:
-    """Check that something can listen there.
-
-    Raises:
-        InputError: nothing can.
-    """
+    """Raise an InputError if nothing can listen there."""
     try:
         family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
         socket.create_server((host, port), family=family).close()
@@ -74,20 +70,20 @@ def _require_free(host: str, port: int) -> None:
 
 
 def close_server(server: viser.ViserServer) -> None:
-    """End a server and its threads."""
+    """Stop a server and its threads."""
     with redirect_stdout(io.StringIO()):
         server.stop()
 
 
 def address(server: viser.ViserServer) -> str:
-    """What a browser on this machine is to open."""
+    """Return the URL for a browser on this machine."""
     host = server.get_host()
     name = "localhost" if host in ("127.0.0.1", "0.0.0.0") else host
     return f"http://{f'[{name}]' if ':' in name else name}:{server.get_port()}"
 
 
 def when_moved(server: viser.ViserServer, changed: Callable[[], None]) -> None:
-    """Call a function, in any thread, when a browser comes or looks from elsewhere."""
+    """Call a function, in any thread, when a browser connects or moves its camera."""
 
     @server.on_client_connect
     def _(client: viser.ClientHandle) -> None:
@@ -101,11 +97,11 @@ class Page:
     def __init__(self, client: viser.ClientHandle) -> None:
         self._client = client
 
-    def eye(self) -> Eye | None:
-        """Where it looks from."""
+    def camera(self) -> ViewerCamera | None:
+        """Return its camera."""
         camera = self._client.camera
         floats = lambda values: tuple(float(x) for x in values)
-        return Eye(
+        return ViewerCamera(
             position=floats(camera.position),
             look_at=floats(camera.look_at),
             wxyz=floats(camera.wxyz),
@@ -115,17 +111,17 @@ class Page:
         )
 
     def show(self, picture: np.ndarray, fine: bool) -> None:
-        """Show an 8-bit picture (H, W, 3); ``fine``: without loss."""
+        """Show an 8-bit picture (H, W, 3), lossless if ``fine``."""
         kind = {"format": "png"} if fine else {"format": "jpeg", "jpeg_quality": JPEG_QUALITY}
-        with warnings.catch_warnings():  # of a page that was closed just now
+        with warnings.catch_warnings():  # the page may just have been closed
             warnings.filterwarnings("ignore", "Queued a .* on a closed connection")
             self._client.scene.set_background_image(picture, **kind)
 
     def tell(self, sentence: str) -> None:
-        """Show a sentence."""
+        """Show a sentence as a notification."""
         self._client.add_notification("gva-mi", sentence, auto_close_seconds=8)
 
 
 def pages(server: viser.ViserServer) -> dict[int, Page]:
-    """The pages that are open, by their numbers."""
+    """Return the open pages by their numbers."""
     return {k: Page(client) for k, client in server.get_clients().items()}

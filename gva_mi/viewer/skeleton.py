@@ -1,4 +1,4 @@
-"""A skeleton as a picture: bones as lines, joints as dots, larger ones for the body."""
+"""Draw a skeleton: bones as lines, joints as dots, larger for the body than for fingers."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ import numpy as np
 from gva_mi.mesh.overlay import BLUE, OUTLINE
 from gva_mi.splat import Camera
 
-NEAR = 0.05  # metres before the camera; what is nearer is not drawn
+NEAR = 0.05  # metres in front of the camera; nearer joints are not drawn
 BONE = (0.25, 0.27, 0.30)
-FINE = 25  # joints from this number on are fingers', drawn thinner
-THICK = 400  # of the picture's height: the width of a bone is one such part, at least a pixel
-SAMPLES = 2  # squared, for a pixel of a fine picture
+FINE = 25  # joints from this number on belong to fingers and are drawn thinner
+THICK = 400  # picture height / width of a bone, which is at least a pixel
+SAMPLES = 2  # per pixel and axis of a fine picture
 
 
 def draw_skeleton(
     joints: np.ndarray, parents: Sequence[int], camera: Camera, marked: int, fine: bool = True
 ) -> np.ndarray:
-    """A layer (H, W, 4) float32: colour times alpha, and alpha.
+    """Draw a layer (H, W, 4) float32: premultiplied colour and alpha.
 
     Args:
         joints: (J, 3) metres, world.
         parents: J indices, -1 for the root.
         camera: the view.
-        marked: the joint that is drawn in orange.
+        marked: the joint to draw in orange.
         fine: whether lines have smooth edges.
     """
     from PIL import Image, ImageDraw
@@ -36,7 +36,7 @@ def draw_skeleton(
     depth = joints @ view.T_camera_world[2, :3] + view.T_camera_world[2, 3]
     seen = depth > NEAR
     at = view.project(np.where(seen[:, None], joints, view.position + view.T_camera_world[2, :3]))
-    # Far outside the picture a line would be walked pixel by pixel.
+    # Lines far outside the picture would be rasterised pixel by pixel.
     seen &= (np.abs(at - (width / 2, height / 2)) < 4 * max(width, height)).all(1)
     picture = Image.new("RGBA", (width, height))
     draw, bone = ImageDraw.Draw(picture), max(1, height // THICK)
@@ -51,7 +51,7 @@ def draw_skeleton(
             ink = _ink(OUTLINE if joint == marked else BLUE)
             (x, y), r = at[joint], radius
             draw.ellipse((x - r, y - r, x + r, y + r), ink)
-    picture = picture.convert("RGBa")  # with a small a: colour times alpha
+    picture = picture.convert("RGBa")  # RGBa, with a small a, is premultiplied
     return np.asarray(picture.reduce(samples), dtype=np.float32) / 255
 
 

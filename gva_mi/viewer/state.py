@@ -1,11 +1,11 @@
-"""What a viewer shows, as a value: two equal states are one picture.
+"""What a viewer shows, as a value: equal states give equal pictures.
 
-A state says how an avatar differs from the motion that it is driven by:
+A state holds how an avatar differs from the motion that drives it:
 
     R_j' = R_j exp([r_j]×),    psi' = psi + e
 
-so that a joint j that is turned by r_j is turned in every frame, about the axes it has there, and
-what nobody touched stays as it is, to the bit.
+So joint j is turned by r_j in every frame, about its own axes there. Joints and expressions that
+were not changed keep their bits.
 """
 
 from __future__ import annotations
@@ -27,21 +27,21 @@ Angles = tuple[float, float, float]  # degrees about x, y and z: a rotation vect
 
 @dataclass(frozen=True)
 class State:
-    """What is shown; where a browser looks from is an :class:`~gva_mi.viewer.eyes.Eye`."""
+    """What is shown, except for the browser's camera."""
 
     frame: int = 0  # of the motion
     mode: Mode = "Gaussians"
-    turned: tuple[tuple[int, Angles], ...] = ()  # joints by their numbers, and r_j
-    joint: int = 0  # the one whose sliders are shown
-    expression: tuple[float, ...] = ()  # e: as many coefficients as the avatar knows, or none
+    turned: tuple[tuple[int, Angles], ...] = ()  # joint numbers and r_j
+    joint: int = 0  # whose sliders are shown
+    expression: tuple[float, ...] = ()  # e: as many coefficients as the avatar has, or none
     background: tuple[int, int, int] = (255, 255, 255)  # 8-bit
     seen_from: SeenFrom = "browser"
     beside: bool = False  # the frame of the video to the left
-    see_through: bool = False  # snapshots
+    transparent: bool = False  # background of snapshots
 
 
 def posed(motion: Pose, state: State) -> Pose:
-    """The pose (of one frame) that a state asks for.
+    """Return the pose (of one frame) that a state asks for.
 
     Args:
         motion: T frames.
@@ -62,18 +62,18 @@ def posed(motion: Pose, state: State) -> Pose:
 
 
 class Playback:
-    """A motion that plays in a loop, whenever anybody looks."""
+    """A motion that plays in a loop by the clock."""
 
     def __init__(self) -> None:
-        self._at = 0.0  # frames, with what is left over from the last look
+        self._at = 0.0  # frames, with a fraction
         self._shown, self._then = -1, 0.0
 
     def advance(self, frame: int, now: float, fps: float, count: int) -> int:
-        """The frame to be shown.
+        """Return the frame to show now.
 
         Args:
-            frame: that is shown; where it is not the one of the last call, it plays on from there.
-            now: seconds on any clock.
+            frame: the frame shown; if it is not the last call's, the motion plays on from there.
+            now: seconds of any clock.
             fps: frames a second.
             count: frames of the motion.
         """
@@ -84,5 +84,5 @@ class Playback:
         return self._shown
 
     def stop(self) -> None:
-        """Forget when the last look was."""
+        """Forget the time of the last call."""
         self._shown = -1

@@ -1,4 +1,4 @@
-"""The surface and the skeleton under an avatar's Gaussians, in one pose; and the surface drawn."""
+"""Pose the surface and skeleton under an avatar's Gaussians, and draw the surface."""
 
 from __future__ import annotations
 
@@ -18,34 +18,34 @@ from gva_mi.pose.coarse_body import collapse
 from gva_mi.splat import Camera, exclusive
 
 COARSE_FACES = 5000  # while something moves
-NEAR = 0.05  # metres; of a surface that is nearer, or behind, the whole picture is drawn
+NEAR = 0.05  # metres; if part of the surface is nearer or behind, the whole picture is drawn
 
 
 @dataclass(frozen=True)
-class Surface:
-    """The rig in one pose."""
+class PosedSurface:
+    """Surface and joints of an avatar's rig in one pose."""
 
     vertices: Tensor  # (V, 3) float32, world, metres
     joints: np.ndarray  # (55, 3) world, metres
 
 
 @torch.no_grad()
-def posed_surface(avatar: Avatar, rig: Rig, pose: Pose) -> Surface:
-    """The rig's surface and joints in a pose (of one frame), moved as the Gaussians are."""
+def posed_surface(avatar: Avatar, rig: Rig, pose: Pose) -> PosedSurface:
+    """Pose the rig's surface and joints (one frame) the way the Gaussians are."""
     driven = avatar.driven(pose)
     vertices = rig.vertices + moved_by(driven.coefficients, rig.directions)
     T_world_rest = driven.T_world_rest.to(vertices.dtype)
     R, t = T_world_rest[:, :3, :3], T_world_rest[:, :3, 3]
     joints = (R @ driven.joints.unsqueeze(-1)).squeeze(-1) + t
     skinned = skin_points(vertices, rig.weights, T_world_rest)
-    return Surface(skinned.float(), joints.double().numpy())
+    return PosedSurface(skinned.float(), joints.double().numpy())
 
 
-class SurfaceDrawing:
-    """Draws one surface, in any pose and from anywhere.
+class SurfaceRenderer:
+    """Draws one surface in any pose, from anywhere.
 
-    For each pose Mitsuba builds the tree of its ray tracer anew, which takes most of the time:
-    while something moves, some of the triangles stand for all. A camera that moves costs less.
+    For each pose Mitsuba rebuilds its ray tracing tree, which takes most of the time. So a coarse
+    mesh is drawn while something moves. A moving camera costs less.
     """
 
     def __init__(self, rig: Rig) -> None:
@@ -56,23 +56,23 @@ class SurfaceDrawing:
             kept, faces = collapse(vertices, rig.faces, COARSE_FACES)
             self._coarse = _Mesh(MeshScene(faces, vertices[kept]), kept)
 
-    def normals(self, surface: Surface, camera: Camera, fine: bool) -> np.ndarray:
-        """Camera-space normals, OpenCV's axes, as colours: ``(n + 1) / 2``; a layer (H, W, 4)."""
+    def normals(self, surface: PosedSurface, camera: Camera, fine: bool) -> np.ndarray:
+        """Draw camera-space normals (OpenCV axes) as ``(n + 1) / 2``; a layer (H, W, 4)."""
         return self._layer(lambda n: (n + 1) / 2, surface, camera, fine)
 
-    def shaded(self, surface: Surface, camera: Camera, fine: bool) -> np.ndarray:
-        """Clay, lit by a lamp on the camera; a layer (H, W, 4)."""
+    def shaded(self, surface: PosedSurface, camera: Camera, fine: bool) -> np.ndarray:
+        """Draw clay, lit from the camera; a layer (H, W, 4)."""
         light = lambda n: 0.2 + 0.75 * np.clip(-n[..., 2:], 0, 1)
         return self._layer(lambda n: light(n) * np.float32(CLAY), surface, camera, fine)
 
     def _layer(
         self,
         color: Callable[[np.ndarray], np.ndarray],
-        surface: Surface,
+        surface: PosedSurface,
         camera: Camera,
         fine: bool,
     ) -> np.ndarray:
-        """(H, W, 4) float32, colour times alpha, and alpha; ``color`` of normals (h, w, 3)."""
+        """Draw (H, W, 4) float32, premultiplied colour and alpha; ``color`` maps normals."""
         layer = np.zeros((camera.height, camera.width, 4), dtype=np.float32)
         left, top, right, bottom = _box(surface, camera)
         if left >= right or top >= bottom:
@@ -90,22 +90,22 @@ class SurfaceDrawing:
 
 
 class _Mesh:
-    """A scene with some of the vertices."""
+    """A Mitsuba scene with some of the vertices."""
 
     def __init__(self, scene: MeshScene, kept: Tensor) -> None:
         self._scene, self._kept = scene, kept
-        self._of, self._vertices = kept, kept  # of no surface yet
+        self._of, self._vertices = kept, kept  # no surface yet
 
-    def seen(self, surface: Surface, camera: Camera) -> np.ndarray:
-        """Normals and mask, (H, W, 4) float32."""
-        if self._of is not surface.vertices:  # the scene knows the same tensor again
+    def seen(self, surface: PosedSurface, camera: Camera) -> np.ndarray:
+        """Return normals and mask, (H, W, 4) float32."""
+        if self._of is not surface.vertices:  # the scene caches by tensor identity
             self._of, self._vertices = surface.vertices, surface.vertices[self._kept]
         with exclusive:
             return np.array(self._scene.view(self._vertices, camera).image(), dtype=np.float32)
 
 
-def _box(surface: Surface, camera: Camera) -> tuple[int, int, int, int]:
-    """Left, top, right and bottom of the pixels that a surface may touch."""
+def _box(surface: PosedSurface, camera: Camera) -> tuple[int, int, int, int]:
+    """Return left, top, right and bottom of the pixels that a surface may cover."""
     points = surface.vertices.double().numpy()
     ahead = points @ camera.T_camera_world[2, :3] + camera.T_camera_world[2, 3]
     if ahead.min() < NEAR:

@@ -1,4 +1,4 @@
-"""``gva-mi synth``: a recording under another noise."""
+"""``gva-mi synth --like``: a recording with another error model."""
 
 import json
 
@@ -20,7 +20,7 @@ def recording(tmp_path_factory):
     return out
 
 
-def test_a_recording_gets_another_noise(recording, tmp_path, cli):
+def test_a_recording_gets_another_error_model(recording, tmp_path, cli):
     out = tmp_path / "other"
     code, printed, _ = cli("synth", out, "--like", recording, "--family", "lean", "--seed", 3)
     assert code == 0 and "family lean, seed 3" in printed
@@ -36,7 +36,7 @@ def test_a_recording_gets_another_noise(recording, tmp_path, cli):
         (("--family", "pink"), "no family 'pink' of noise; there are: bursts, white"),
     ],
 )
-def test_what_a_recording_cannot_change_is_refused(recording, tmp_path, cli, options, said):
+def test_options_of_the_recording_are_refused(recording, tmp_path, cli, options, said):
     code, _, err = cli("synth", tmp_path / "other", "--like", recording, *options)
     assert code == 2 and said in err and err.count("\n") == 1
     assert not (tmp_path / "other").exists()

@@ -1,4 +1,4 @@
-"""``gva-mi view``: what cannot be shown is one sentence, before any page is served."""
+"""``gva-mi view``: bad input is one sentence before any page is served."""
 
 import json
 
@@ -25,18 +25,17 @@ BAD = {
 }
 
 
-@pytest.mark.parametrize("name", BAD)
-def test_bad_input_is_one_sentence(name, run, subject, turning, tmp_path, monkeypatch, cli):
+def test_bad_input_is_one_sentence(run, subject, turning, tmp_path, monkeypatch, cli):
     monkeypatch.chdir(tmp_path)
     save_poses(tmp_path / "few.npz", *turning(3), stage=2)
-    arguments, sentence = BAD[name]
-    code, out, err = cli("view", *(subject if x == "SUBJECT" else x for x in arguments))
-    assert code == 2 and sentence in err and err.count("\n") == 1, err
-    assert "http" not in out
+    for arguments, sentence in BAD.values():
+        code, out, err = cli("view", *(subject if x == "SUBJECT" else x for x in arguments))
+        assert code == 2 and sentence in err and err.count("\n") == 1, err
+        assert "http" not in out
 
 
 @pytest.mark.parametrize("saved", [False, True])
-def test_a_folder_that_was_tried_stays_where_something_was_saved(
+def test_the_output_folder_stays_only_if_something_was_saved(
     saved, run, tmp_path, cli, monkeypatch
 ):
     def stopped(server):
@@ -49,7 +48,7 @@ def test_a_folder_that_was_tried_stays_where_something_was_saved(
     assert code == 0 and not err and (tmp_path / "out").exists() == saved
 
 
-def test_a_video_that_the_run_was_not_fitted_to_is_refused(run, subject, cli):
+def test_another_video_than_the_run_s_is_refused(run, subject, cli):
     about = {"frames": "another", "masks": "", "cameras": "", "poses": "", "splits": ""}
     (run / "options.json").write_text(json.dumps({"options": {}, "video": about}))
     code, _, err = cli("view", run, "--subject", subject)

@@ -1,9 +1,9 @@
-"""Runs commands that do not come to their end: a line of JSON in, a line of JSON out.
+"""Run commands and kill them: a line of JSON in, a line of JSON out.
 
-Each runs in a child of a process that has imported all there is and started nothing, so that a
-start costs milliseconds. What the child changes on disk is counted as Python's audit events tell
-it: opening to write, renaming, removing, making folders. Between two of them nothing but the length
-of an open file changes, so a kill before each of them is a kill at any moment.
+Each command runs in a fork of a process that has imported everything and started no thread, so a
+start costs milliseconds. Python's audit events count the fork's changes to the disk: opening to
+write, renaming, removing, making folders. Between two of them only the length of an open file
+changes, so a kill before each of them covers a kill at any moment.
 """
 
 import json
@@ -13,13 +13,13 @@ import selectors
 import signal
 import sys
 
-PATIENCE = 900  # seconds; what takes longer hangs, on two slow cores with others too
+PATIENCE = 900  # seconds before a command counts as hanging
 WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC
 CHANGING = ("os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.link")
 
 
 class Counter:
-    """Counts changes within a folder, and ends its process before one of them."""
+    """Counts changes within a folder, and kills its process before one of them."""
 
     def __init__(self, folder, last):
         self.folder, self.last, self.count = folder, last, 0
@@ -35,9 +35,9 @@ class Counter:
             return
         try:
             path = os.fspath(path)
-        except TypeError:  # a number of an open file
+        except TypeError:  # a file descriptor
             return
-        # A folder's removal names what is in it by numbers of open folders.
+        # rmtree names files relative to the descriptor of their folder.
         inside = str(path).startswith(self.folder) or (event != "open" and arguments[-1] != -1)
         if not inside:
             return
@@ -47,11 +47,11 @@ class Counter:
 
 
 def work(task):
-    """What a child does; returns its exit code."""
+    """Run a command in the fork; return its exit code."""
     from gva_mi.__main__ import main
     from gva_mi.splat.kernels.exclusive import exclusive
 
-    exclusive._forked = False  # Dr.Jit was imported, but has started no thread that could be missed
+    exclusive._forked = False  # Dr.Jit was imported but has started no thread
     signal.alarm(PATIENCE)
     if task["room"] is not None:  # of any file, bytes
         _, most = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -72,7 +72,7 @@ def work(task):
 
 
 def run(task):
-    """Run a command in a child, and tell how it ended and what it said."""
+    """Run a command in a fork; return its exit code and its output."""
     ends = {name: os.pipe() for name in ("out", "err", "changes")}
     pid = os.fork()
     if pid == 0:
@@ -100,9 +100,11 @@ def run(task):
 
 def main():
     from gva_mi.commands import VERBS, load
+    from gva_mi.provenance import program_digest
 
     for verb in VERBS:
         load(verb)
+    program_digest()  # cached for all forks
     answers = os.fdopen(os.dup(1), "w")
     for line in sys.stdin:
         answers.write(json.dumps(run(json.loads(line))) + "\n")

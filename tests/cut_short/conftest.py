@@ -1,4 +1,4 @@
-"""Commands that are cut short, what they leave behind, and what an undisturbed run leaves."""
+"""Run commands that are interrupted, and compare what they leave with an undisturbed run."""
 
 import json
 import re
@@ -10,19 +10,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 from gva_mi.avatar.avatar import AvatarOptions
 from gva_mi.avatar.canonical import SeedOptions
-from gva_mi.data.pictures import read_image, write_movie
 from gva_mi.data.synthetic import SynthOptions, make_subject
 from gva_mi.fit.options import FitOptions
 from gva_mi.fit.train import fit
-from gva_mi.splat.scene import random_scene
 
-NEVER_ALIKE = re.compile(r"seconds|^s a frame$")  # keys of what is measured in time
-GROWING = ("new/refine.json", "new/avatar.json")  # case by case: they need not be finished
-ABOUT = {  # names of files, and of the poses beside them that they are about
+TIMES = re.compile(r"seconds|^s a frame$")  # keys of measured times
+GROWING = ("new/refine.json", "new/avatar.json")  # grow case by case
+ABOUT = {  # files, and the poses beside them that they describe
     **dict.fromkeys(("refinement.json", "refinement.png", "refinement.html"), "poses_refined.npz"),
     "photometric.json": "poses_photometric.npz",
 }
@@ -30,7 +27,7 @@ ABOUT = {  # names of files, and of the poses beside them that they are about
 
 @pytest.fixture(scope="session")
 def children():
-    """Where commands run: see children.py."""
+    """The process that runs commands, see children.py."""
     program = [sys.executable, str(Path(__file__).with_name("children.py"))]
     process = subprocess.Popen(program, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     yield process
@@ -40,16 +37,16 @@ def children():
 
 @dataclass(frozen=True)
 class Ended:
-    """How a command ended."""
+    """The end of a command."""
 
     code: int  # the exit code; that of a signal below 0
     out: str
     err: str
-    changes: int | None  # that it made to the disk; None: it was killed
+    changes: int | None  # to the disk; None: it was killed
 
     @property
     def sentence(self):
-        """The one that a person reads, if all the rest is progress."""
+        """The one sentence beside the progress bars."""
         assert "Traceback" not in self.err, self.err
         lines = self.err.replace("\r", "\n").split("\n")
         said = [line for line in lines if line.strip() and not re.search(r"\d+% ", line)]
@@ -57,25 +54,25 @@ class Ended:
         return said[0]
 
 
-class Stage:
-    """A folder that is set up anew for every run, always in the same place."""
+class Workplace:
+    """A folder that is restored for every run, always at the same path."""
 
     def __init__(self, folder, prepared, children):
         self.folder, self._prepared, self._children = folder, prepared, children
 
     def set_up(self):
-        """Put everything back to how it was before any run; returns all files."""
+        """Restore the folder; return all files."""
         shutil.rmtree(self.folder, ignore_errors=True)
         shutil.copytree(self._prepared, self.folder)
         return self.contents()
 
     def run(self, command, last=None, room=None):
-        """Run a command, in which {} is the stage.
+        """Run a command, in which {} is the folder.
 
         Args:
             command: its words.
-            last: it is killed before it makes this change to the disk; None: not at all.
-            room: bytes beyond which no file can grow.
+            last: kill it before this change to the disk; None: not at all.
+            room: largest size of a file, bytes.
         """
         words = command.replace("{}", str(self.folder)).split()
         task = {"words": words, "folder": str(self.folder), "last": last, "room": room}
@@ -85,15 +82,14 @@ class Stage:
         return Ended(**found | {"changes": int(found["changes"]) if found["changes"] else None})
 
     def whole(self, command):
-        """What an undisturbed run leaves, and how it ended."""
+        """Return what an undisturbed run leaves, and its end."""
         self.set_up()
         ended = self.run(command)
         assert ended.code == 0, ended.err
         return self.contents(), ended
 
     def contents(self):
-        """All files by their names, without what is measured in time, and the files of locks, which
-        mean nothing once their process is gone."""
+        """Return the content of all files but locks, without measured times."""
         return {
             str(path.relative_to(self.folder)): _content(path)
             for path in sorted(self.folder.rglob("*"))
@@ -101,12 +97,12 @@ class Stage:
         }
 
     def sizes(self):
-        """Bytes of all files by their names."""
+        """Return the sizes of all files."""
         files = [path for path in sorted(self.folder.rglob("*")) if path.is_file()]
         return {str(path.relative_to(self.folder)): path.stat().st_size for path in files}
 
     def require_whole(self, before, wanted):
-        """Check that each file that a finished command leaves is as it was before, or finished."""
+        """Check that each file of a finished command is the old one or the finished one."""
         found = self.contents()
         for file, content in found.items():
             if file in wanted and not file.endswith(GROWING):
@@ -115,10 +111,10 @@ class Stage:
             if path.name in ABOUT and not path.parent.name.startswith("."):
                 main = str(path.with_name(ABOUT[path.name]))
                 there = wanted if found.get(main) == wanted[main] else before
-                assert content == there.get(file), f"{file} is not about the {main} that is there"
+                assert content == there.get(file), f"{file} does not describe the {main} beside it"
 
     def finish(self, command, allowed):
-        """Run a command once more, with the option that it asks for; returns what was said."""
+        """Run a command again, with the option that it asks for."""
         ended = self.run(command)
         if ended.code == 0:
             return ended
@@ -134,38 +130,37 @@ def _content(path):
         return _timeless(json.loads(path.read_text()))
     if path.suffix == ".npz":
         with np.load(path) as file:
-            return {k: file[k].tobytes() for k in file.files if not NEVER_ALIKE.search(k)}
-    if path.suffix == ".html":  # of which times are a part
+            return {k: file[k].tobytes() for k in file.files if not TIMES.search(k)}
+    if path.suffix == ".html":  # holds times
         return path.read_text().count("<h2>")
     return path.read_bytes()
 
 
 def _timeless(value):
     if isinstance(value, dict):
-        return {k: _timeless(v) for k, v in value.items() if not NEVER_ALIKE.search(k)}
+        return {k: _timeless(v) for k, v in value.items() if not TIMES.search(k)}
     return [_timeless(v) for v in value] if isinstance(value, list) else value
 
 
 @pytest.fixture(scope="session")
-def prepared(tmp_path_factory, subject, video, built_in_body):
-    """What commands are given: a subject, an avatar, a motion, and what an estimator wrote."""
+def prepared(request, tmp_path_factory, subject, video, built_in_body):
+    """The commands' inputs; synthetic subjects only if slow tests run, which use them."""
     folder = tmp_path_factory.mktemp("prepared")
     shutil.copytree(subject, folder / "subject")
     seeded = AvatarOptions(seed=SeedOptions(count=300))
     fit(video, built_in_body, FitOptions(steps=3, window=16, avatar=seeded), folder / "run")
+    if not any(item.get_closest_marker("slow") for item in request.session.items):
+        return folder
     (folder / "made").mkdir()
     (folder / "made/synth.json").write_text("{}")
     (folder / "made/frames.txt").write_text("of another subject")
-    frames = _as_a_film(folder, subject)
-    s = random_scene(torch.Generator().manual_seed(0), gaussians=8, width=20, height=16)
-    seen_by = {"viewmat": s.camera.T_camera_world, "K": s.camera.K, "width": 20, "height": 16}
-    np.savez(folder / "scene.npz", **{k: v.numpy() for k, v in s.inputs().items()}, **seen_by)
     bare = SynthOptions(
         frames=2, size=32, samples=4, clothes=False, hair=False, novel_poses=0, novel_views=0
     )
     make_subject(folder / "like", bare, built_in_body)
     shutil.copytree(folder / "like", folder / "bare")
     _refined_before(folder / "like", folder / "refined")
+    frames = len(video)
     np.savez(
         folder / "estimate.npz", global_orient=np.tile([np.pi, 0, 0], (frames, 1)),
         body_pose=np.zeros((frames, 63)), transl=np.tile([0, 0.2, 3.5], (frames, 1)),
@@ -174,16 +169,8 @@ def prepared(tmp_path_factory, subject, video, built_in_body):
     return folder
 
 
-def _as_a_film(folder, subject):
-    """The subject's footage as one film and one array; returns the number of its frames."""
-    pictures, masks = (sorted((subject / kind).iterdir()) for kind in ("frames", "masks"))
-    write_movie(folder / "film.mp4", [read_image(path, 3) for path in pictures])
-    np.save(folder / "masks.npy", np.stack([read_image(path, 1) for path in masks]))
-    return len(pictures)
-
-
 def _refined_before(subject, refined):
-    """The same subject, refined and tracked before, with other results."""
+    """Copy a subject, as if it had been refined and tracked with other results."""
     shutil.copytree(subject, refined)
     for main in set(ABOUT.values()):
         shutil.copy(subject / "poses.npz", refined / main)
@@ -193,4 +180,4 @@ def _refined_before(subject, refined):
 
 @pytest.fixture
 def stage(tmp_path, prepared, children):
-    return Stage(tmp_path / "stage", prepared, children)
+    return Workplace(tmp_path / "stage", prepared, children)

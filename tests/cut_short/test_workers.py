@@ -1,4 +1,4 @@
-"""Workers end with the process whose work they do, however that ends."""
+"""Workers end with their parent, however that ends."""
 
 import os
 import signal
@@ -12,9 +12,7 @@ import pytest
 from gva_mi import InputError
 from gva_mi.pose.parallel import run, workers
 
-pytestmark = pytest.mark.skipif(
-    not Path("/proc/self/task").exists(), reason="no /proc to ask for children"
-)
+pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="needs /proc")
 
 HOLDS = """
 import os, sys, time
@@ -40,7 +38,7 @@ if __name__ == "__main__":
 
 @pytest.fixture
 def holder(tmp_path):
-    """A process whose two workers are at work, for ever; all in one group, as of a terminal."""
+    """A process with two endless workers, in one process group as under a terminal."""
     (tmp_path / "holds.py").write_text(HOLDS)
     process = subprocess.Popen(
         [sys.executable, tmp_path / "holds.py"], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
@@ -61,7 +59,7 @@ def is_there(pid):
 
 
 def none_is_left(pids):
-    """Whether processes end; whoever waits for them does not know when."""
+    """Wait for processes to end; return whether they did."""
     until = time.monotonic() + 60
     while any(map(is_there, pids)) and time.monotonic() < until:
         time.sleep(0.05)
@@ -69,7 +67,7 @@ def none_is_left(pids):
 
 
 @pytest.mark.parametrize("whom", ["the first", "all"])  # kill -INT, and Ctrl-C in a terminal
-def test_ctrl_c_ends_all_at_once_and_lets_them_clear_up(holder, whom):
+def test_ctrl_c_ends_workers_and_lets_them_clean_up(holder, whom):
     (os.killpg if whom == "all" else os.kill)(holder.pid, signal.SIGINT)
     out, err = holder.communicate(timeout=60)
     assert holder.returncode == -signal.SIGINT and none_is_left(holder.workers)
@@ -77,14 +75,14 @@ def test_ctrl_c_ends_all_at_once_and_lets_them_clear_up(holder, whom):
     assert err.count("Traceback") == 1 and "KeyboardInterrupt" in err  # the holder's own
 
 
-def test_workers_do_not_outlive_whom_they_work_for(holder):
-    """They would go on writing where the next run of the same command writes."""
+def test_workers_do_not_outlive_a_killed_parent(holder):
+    """They would write where the next run of the same command writes."""
     holder.kill()
     assert none_is_left(holder.workers)
 
 
 class Waits:
-    """Work that tells one of its processes to end, and waits."""
+    """Work that ends its own process."""
 
     steps = 1
 
@@ -98,7 +96,7 @@ class Waits:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("sign", [signal.SIGTERM, signal.SIGKILL])
-def test_a_worker_that_somebody_ends_is_one_sentence(sign):
+def test_a_killed_worker_is_one_sentence(sign):
     with pytest.raises(InputError) as error, workers(2) as pool:
         list(run([Waits(sign)], pool))
     assert "a worker process, or the scheduler, is gone" in str(error.value)
@@ -111,7 +109,7 @@ def test_a_worker_that_somebody_ends_is_one_sentence(sign):
     "--refine.size 48 --refine.part 12 --refine.overlap 2 --workers 2 --out {}/new",
     "synth {}/new --frames 600 --workers 2",
 ])  # fmt: skip
-def test_ctrl_c_does_not_wait_for_what_workers_do(command, tmp_path):
+def test_ctrl_c_does_not_wait_for_running_work(command, tmp_path):
     words = command.replace("{}", str(tmp_path)).split()
     program = [sys.executable, "-m", "gva_mi", *words]
     with subprocess.Popen(
@@ -130,7 +128,7 @@ def test_ctrl_c_does_not_wait_for_what_workers_do(command, tmp_path):
 
 
 def at_work(pid):
-    """The children of a process that Python's multiprocessing started to do work."""
+    """Return the worker processes of a process."""
     found = []
     for task in Path(f"/proc/{pid}/task").glob("*/children"):
         for child in task.read_text().split():

@@ -1,4 +1,4 @@
-"""Folders in which the commands of the documentation run, on tiny inputs."""
+"""Folders in which the documented commands run on tiny inputs."""
 
 import contextlib
 import importlib.util
@@ -40,7 +40,7 @@ def gva():
 
 @pytest.fixture(scope="session")
 def readers_folder(tmp_path_factory, gva):
-    """Where README's commands were run, one after the other: a subject, a run, what came of it."""
+    """Run README's commands one after the other in a folder: a subject, a run, its results."""
     pages, less = module_of("pages"), module_of("less")
     folder = tmp_path_factory.mktemp("reader")
     for command in pages.typed(pages.PAGES[0]):
@@ -51,7 +51,7 @@ def readers_folder(tmp_path_factory, gva):
 
 @pytest.fixture
 def reader(readers_folder, known, turning, tmp_path):
-    """Makes a folder of one's own in which a page begins, with what the page presupposes."""
+    """Return a function that makes a folder with everything a page presupposes."""
     presupposed = module_of("presupposed")
 
     def prepared(page):

@@ -1,11 +1,9 @@
-"""The same commands on less work, and those that no test runs."""
+"""Options that make the documented commands quick, and commands that no test runs."""
 
 import shlex
 
-# By the first words of a command, the longest that fits. Of an option that is there twice the
-# last one counts.
+# By the first words of a command, the longest match. Of a repeated option the last one counts.
 SMALLER = {
-    # Nobody has to be dressed.
     "synth": "--size 48 --frames 4 --samples 1 --novel-poses 1 --novel-views 1 --no-clothes "
     "--no-hair",
     "synth --like": "",
@@ -25,7 +23,7 @@ SMALLER = {
     "gradcheck normals": "--count 1 --size 64 --lines 4000 --points 40",
     "bench": "--repeats 1",
     "bench splat": "--repeats 1 --no-growth --scene scene.npz",
-    # Seed 16 wears nothing and is bald: made in a moment.
+    # Seed 16 wears nothing and is bald, which is quick.
     "study refine": "--people 16 --frames 3 --size 48 --refine.passes 1",
     "study refine --edition": "--people 609 --families lean --frames 3 --size 48 --refine.passes 1",
     "study avatar": "--people 16 --families lean --rows full --frames 3 --size 48 --novel 1 "
@@ -34,7 +32,7 @@ SMALLER = {
     "--novel 1 --refine.passes 1 --fit.steps 10",
 }
 
-# Words that stand for others.
+# Placeholders.
 NAMED = {
     "KIND": "zju", "SOURCE": "CoreView_377", "OUT": "subject", "BODY": "puppet",
     "FILE": "scene.npz", "DIR": "figures",
@@ -55,36 +53,9 @@ NOT_RUN = {
     "gva-mi COMMAND --help": "any: tests/commands",
 }
 
-# What is typed besides, and where it is run.
-OTHERS = {
-    "make demo": "minutes: tests/commands/test_cli.py runs gva-mi demo, smaller",
-    "make PYTHON=python3.12 demo": "likewise",
-    "make test": "runs this test",
-    "make test-all": "runs this test",
-    "make docs": "tests/test_readme.py builds the site, slow",
-    "make doctor": "gva-mi doctor is run",
-    "make clean": "removes what is there",
-    "pip install torch --index-url https://download.pytorch.org/whl/cpu": "needs the network",
-    "pip install .": "tests/test_installed.py, slow",
-    "pip install '.[avatar]'": "tests/test_installed.py, slow, with what is installed here",
-    "pip install 'gva_mi[viewer]'": "needs the network",
-    "pytest -m slow tests/cut_short": "hours",
-    "pytest -m slow tests/fuzz": "hours",
-    "pytest tests/splat": "is run with all tests",
-    "python -m pytest -m slow tests/data/test_scale.py -s": "hours",
-    "python -m pytest -m slow tests/check/test_noisy_people.py -s": "minutes",
-    "python -m gva_mi.sculptor": "minutes: tests/body/test_built_in_body.py, slow",
-    "python -m benchmarks mesh": "tests/benchmarks",
-    "python -m benchmarks splat [--scene FILE] [--json FILE]": "tests/benchmarks",
-    "python -m http.server": "not ours",
-    "python docs/gallery_pictures.py RUN OUT": "a minute, and needs a whole run",
-    "python docs/floors.py": "minutes",
-    "python docs/train_gaussians.py [--scene FILE] [--out FILE.ply]": "tests/test_training.py",
-}
-
 
 def named(command):
-    """Its words without ``gva-mi``; names of files in the place of words that stand for some."""
+    """Return a command's words without ``gva-mi``, placeholders replaced by file names."""
     words = shlex.split(command)[1:]
     for k, word in enumerate(words):
         if word in NAMED:
@@ -93,7 +64,7 @@ def named(command):
 
 
 def smaller(command):
-    """Options (a list of words) that make a command less work."""
+    """Return options (a list of words) that make a command quick."""
     words = shlex.split(command)[1:]
     fitting = [
         key for key in SMALLER

@@ -1,4 +1,4 @@
-"""Files that a page presupposes, tiny ones: films, masks, poses of estimators, data sets, views."""
+"""Tiny files that a page presupposes: films, masks, estimators' poses, data sets, views."""
 
 import importlib.util
 import pickle
@@ -28,10 +28,10 @@ def of_fuzz(name):
 
 
 def prepare(page, folder, known, turning):
-    """Write what the page needs beside what README's commands have left in a folder."""
+    """Write what a page needs beside the results of README's commands."""
     dance(folder)
     scene(folder)
-    if page in ("export.md", "motions.md"):  # an avatar that is seen to move
+    if page in ("export.md", "motions.md"):  # an avatar that visibly moves
         shutil.rmtree(folder / "run")
         known.save(folder / "run/avatar.npz")
         save_poses(folder / "run/poses.npz", *turning(3), stage=2)
@@ -56,7 +56,7 @@ def prepare(page, folder, known, turning):
 
 
 def dance(folder):
-    """A motion in AMASS's form."""
+    """Write a motion in AMASS's form."""
     poses = np.zeros((9, 156))
     poses[:, 0] = np.pi / 2  # z is up
     poses[:, 50] = np.linspace(0, 0.5, 9)
@@ -65,7 +65,7 @@ def dance(folder):
 
 
 def scene(folder):
-    """8 Gaussians before a camera."""
+    """Write a scene of 8 Gaussians and a camera."""
     s = random_scene(torch.Generator().manual_seed(0), gaussians=8, width=20, height=16)
     c = s.camera
     arrays = {k: v.numpy() for k, v in s.inputs().items()}
@@ -74,7 +74,7 @@ def scene(folder):
 
 
 def two_more(folder):
-    """Subjects A and B that nobody has refined."""
+    """Write unrefined subjects A and B."""
     for name in "AB":
         shutil.copytree(folder / "subject", folder / name)
         for path in (folder / name).glob("*refine*"):
@@ -82,7 +82,7 @@ def two_more(folder):
 
 
 def footage(folder):
-    """A film, and its frames; masks as a film, as pictures and as an array; maps of normals."""
+    """Write a film and its frames; masks as film, pictures and array; normal maps."""
     shots = np.random.default_rng(0).integers(0, 256, (T, H, W, 3), np.uint8)
     mask = np.zeros((H, W), np.uint8)
     mask[6:20, 10:22] = 255
@@ -98,7 +98,7 @@ def footage(folder):
 
 
 def estimated(folder):
-    """What four estimators write, of a person who stands in the masks."""
+    """Write the output of four estimators for a person inside the masks."""
     made = of_fuzz("estimators").estimators()
     for kind, name, path in (
         ("wham", "a.pkl", "wham_output.pkl"), ("gvhmr", "a.pt", "hmr4d_results.pt"),
@@ -120,14 +120,14 @@ def data_sets(folder):
 
 
 class Facing(torch.nn.Module):
-    """Normals that face the camera, whatever is seen."""
+    """A network whose normals always face the camera."""
 
     def forward(self, seen: torch.Tensor) -> torch.Tensor:
         return torch.cat([torch.zeros_like(seen[:, :2]), torch.ones_like(seen[:, :1])], dim=1)
 
 
 def networks(folder):
-    """Segment Anything with weights that nobody trained, and two networks of normals."""
+    """Write Segment Anything with random weights, and two networks of normals."""
     made = of_fuzz("networks")
     torch.manual_seed(0)
     made.sam(folder / "sam2.1-hiera-tiny")
@@ -138,7 +138,7 @@ def networks(folder):
 
 
 def bodies(folder):
-    """The puppet under the names of licensed bodies: as SMPL-X, and with SMPL's joints alone."""
+    """Write the built-in body under licensed names: as SMPL-X, and reduced to SMPL's joints."""
     shutil.copy(PUPPET, folder / "SMPLX_NEUTRAL.npz")
     with np.load(PUPPET) as file:
         arrays = {name: file[name] for name in file.files}

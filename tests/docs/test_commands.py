@@ -1,4 +1,4 @@
-"""Every command of README and of docs/ runs, on tiny inputs; or a table says why not."""
+"""The commands of README run on tiny inputs, and (slow) those of the other pages."""
 
 import importlib.util
 import shlex
@@ -19,8 +19,8 @@ def beside(name):
 pages, less = beside("pages"), beside("less")
 
 
-def first_told():
-    """The commands of each page that no page before it has, and README neither."""
+def new_commands():
+    """Return the commands of each page that neither README nor a page before it has."""
     known, found = set(), {}
     for page in sorted(pages.PAGES, key=lambda page: page.name != "README.md"):
         for command in pages.typed(page):
@@ -32,7 +32,7 @@ def first_told():
     return found
 
 
-TOLD = first_told()
+NEW = new_commands()
 
 
 def test_the_commands_of_readme_run_one_after_the_other(readers_folder):
@@ -43,9 +43,9 @@ def test_the_commands_of_readme_run_one_after_the_other(readers_folder):
     assert (readers_folder / "person.ply").exists() and (readers_folder / "person.glb").exists()
 
 
-def run_as_told(page, folder, gva):
+def run_commands(page, folder, gva):
     """Run a page's commands in its folder."""
-    for command in TOLD[page]:
+    for command in NEW[page]:
         words = less.named(command)
         before = BEFORE.get((words[0], "--resume" in words))
         if before is not None:
@@ -55,7 +55,7 @@ def run_as_told(page, folder, gva):
 
 
 def kill_a_fit(folder, gva):
-    """Leave a run that was stopped on its way."""
+    """Leave an interrupted run."""
     from gva_mi.fit.train import Run
 
     shutil.rmtree(folder / "run")
@@ -95,36 +95,20 @@ def after_sources(folder):
 AFTER = {"export.md": after_export, "motions.md": after_motions, "sources.md": after_sources}
 
 
-@pytest.mark.parametrize("page", TOLD)
+@pytest.mark.slow
+@pytest.mark.parametrize("page", NEW)
 def test_the_commands_of_a_page_run(page, reader, gva, monkeypatch):
     def stopped(server):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("gva_mi.commands.view.pages", stopped)  # nobody looks: it ends at once
+    monkeypatch.setattr("gva_mi.commands.view.pages", stopped)  # ends at once
     folder = reader(page)
-    run_as_told(page, folder, gva)
+    run_commands(page, folder, gva)
     if page in AFTER:
         AFTER[page](folder)
 
 
-def test_the_tables_hold_what_is_told_and_no_more():
-    told = {command for page in pages.PAGES for command in pages.typed(page)}
-    assert set(less.NOT_RUN) <= told
-    others = {command for page in pages.PAGES for command in pages.other_commands(page)}
-    assert set(less.OTHERS) == others
-    verbs = {command.split()[1] for command in told}
-    assert {key.split()[0] for key in less.SMALLER} <= verbs
-    words = {word for command in told for word in shlex.split(command)}
-    assert set(less.NAMED) <= words
-
-
-def test_what_the_tables_name_is_there():
-    for reason in (*less.NOT_RUN.values(), *less.OTHERS.values()):
-        for word in reason.replace(",", " ").replace(":", " ").split():
-            assert not word.startswith("tests/") or (pages.ROOT / word).exists(), reason
-
-
 def test_a_command_that_does_not_run_is_found(tmp_path, gva, monkeypatch):
-    monkeypatch.setitem(TOLD, "steps.md", ["gva-mi fit nowhere --out run"])
+    monkeypatch.setitem(NEW, "steps.md", ["gva-mi fit nowhere --out run"])
     with pytest.raises(AssertionError, match="steps.md: gva-mi fit nowhere.*no such folder"):
-        run_as_told("steps.md", tmp_path, gva)
+        run_commands("steps.md", tmp_path, gva)

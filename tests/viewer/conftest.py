@@ -1,9 +1,9 @@
-"""What the tests of the viewer share: a known avatar, its motion, plain panels and pages."""
+"""Fixtures of the viewer's tests: a known avatar, its motion, plain panels and pages."""
 
 import pytest
 
+from gva_mi.viewer.cameras import ViewerCamera, start
 from gva_mi.viewer.drawing import Drawing
-from gva_mi.viewer.eyes import Eye, start
 from gva_mi.viewer.state import State
 
 
@@ -24,24 +24,24 @@ def place(known, motion):
 
 @pytest.fixture
 def looking(place):
-    """A browser that looks at the person from somewhere."""
+    """Return a function that makes a browser's view of the person from a position."""
     import roma
     import torch
 
     from gva_mi.splat import look_at
 
-    def eye(position, width=80, height=64):
+    def view(position, width=80, height=64):
         R = torch.from_numpy(look_at(position, place.look_at, place.up)[:3, :3].T.copy())
         x, y, z, w = roma.rotmat_to_unitquat(R).tolist()
         at = tuple(map(float, position)), tuple(map(float, place.look_at))
-        return Eye(*at, (w, x, y, z), place.fov, width, height)
+        return ViewerCamera(*at, (w, x, y, z), place.fov, width, height)
 
-    return eye
+    return view
 
 
 @pytest.fixture
-def eye(place, looking):
-    """A browser that has not been touched."""
+def view(place, looking):
+    """The first view of a browser."""
     return looking(place.position)
 
 
@@ -51,12 +51,12 @@ def panel():
 
 
 @pytest.fixture
-def page(eye):
-    return PlainPage(eye)
+def page(view):
+    return PlainPage(view)
 
 
 class PlainPanel:
-    """A panel whose state is set by hand."""
+    """A panel whose state tests set."""
 
     def __init__(self):
         self.now, self.playing, self.pressed, self.keyframes = State(), False, [], 0
@@ -73,12 +73,12 @@ class PlainPanel:
 
 
 class PlainPage:
-    """A page that keeps what it is shown and told."""
+    """A page that records what it is sent."""
 
-    def __init__(self, eye):
-        self.at, self.shown, self.told = eye, [], []
+    def __init__(self, view):
+        self.at, self.shown, self.told = view, [], []
 
-    def eye(self):
+    def camera(self):
         return self.at
 
     def show(self, picture, fine):

@@ -1,4 +1,4 @@
-"""The panel of a real server, without a browser: a value that is set is a slider that was moved."""
+"""The panel of a real server without a browser; setting a value stands for moving a slider."""
 
 import socket
 import sys
@@ -8,8 +8,8 @@ import pytest
 
 from gva_mi import InputError
 from gva_mi.body.pose import JOINTS
-from gva_mi.viewer.controls import Controls, Offers
-from gva_mi.viewer.eyes import Start
+from gva_mi.viewer.cameras import Start
+from gva_mi.viewer.controls import Choices, Controls
 from gva_mi.viewer.server import address, close_server, open_server
 from gva_mi.viewer.session import Click
 
@@ -32,8 +32,8 @@ def told():
 
 @pytest.fixture
 def controls(server, told):
-    offers = Offers(9, ("pelvis", "left_shoulder", "left_elbow"), ("smile", "blink"), False)
-    yield Controls(server.gui, offers, lambda: told.append(1))
+    choices = Choices(9, ("pelvis", "left_shoulder", "left_elbow"), ("smile", "blink"), False)
+    yield Controls(server.gui, choices, lambda: told.append(1))
     server.gui.reset()
 
 
@@ -51,7 +51,7 @@ def press(server, label):
         pressed(GuiEvent(None, 7, button))
 
 
-def test_a_slider_moves_the_joint_that_is_chosen_and_shows_the_next_one_s(server, controls, told):
+def test_sliders_belong_to_the_chosen_joint(server, controls, told):
     panel = inputs(server)
     panel["joint"].value = "left_shoulder"
     assert controls.state(0.0).joint == SHOULDER
@@ -79,17 +79,17 @@ def test_expressions_and_the_rest_of_the_panel(server, controls):
     assert controls.state(0.0).expression == ()
     panel["blink"].value = 1.5
     panel["show"].value, panel["background"].value = "normals", (1, 2, 3)
-    panel["see-through"].value, panel["frame"].value = True, 5
+    panel["transparent"].value, panel["frame"].value = True, 5
     state = controls.state(0.0)
     assert state.expression == (0.0, 1.5) and state.frame == 5
-    assert (state.mode, state.background, state.see_through) == ("normals", (1, 2, 3), True)
+    assert (state.mode, state.background, state.transparent) == ("normals", (1, 2, 3), True)
     assert state.seen_from == "browser" and not state.beside
     press(server, "Reset expression")
     list(controls.clicks())
     assert controls.state(0.0).expression == ()
 
 
-def test_the_slider_of_frames_follows_the_motion(server, controls):
+def test_the_frame_slider_follows_the_motion(server, controls):
     panel = inputs(server)
     panel["frames a second"].value, panel["play"].value = 10, True
     shown = [controls.state(t).frame for t in (0.0, 0.11, 0.5, 0.89, 0.95)]
@@ -100,7 +100,7 @@ def test_the_slider_of_frames_follows_the_motion(server, controls):
     assert controls.state(9.0).frame == panel["frame"].value == 5 and not controls.playing
 
 
-def test_buttons_are_noted_with_their_browser(server, controls):
+def test_pressed_buttons_are_queued_with_their_browser(server, controls):
     press(server, "Snapshot")
     press(server, "Add keyframe")
     assert list(controls.clicks()) == [Click("snapshot", 7), Click("add keyframe", 7)]
@@ -109,13 +109,13 @@ def test_buttons_are_noted_with_their_browser(server, controls):
     assert any("(keyframes: 3)" in name for name in inputs(server))
 
 
-def test_it_listens_to_this_machine_and_says_where(server):
+def test_it_listens_on_this_machine(server):
     assert address(server) == f"http://localhost:{server.get_port()}"
     with socket.create_connection(("127.0.0.1", server.get_port())):
         pass
 
 
-def test_a_port_that_is_taken_or_an_address_elsewhere_is_one_sentence(server):
+def test_an_unusable_address_is_one_sentence(server):
     for host, port in (("127.0.0.1", server.get_port()), ("203.0.113.9", 0), ("127.0.0.1", 10**6)):
         with pytest.raises(InputError, match=f"view: cannot listen at {host}, port {port}"):
             open_server(host, port, START, "a test")

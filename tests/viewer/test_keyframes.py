@@ -1,4 +1,4 @@
-"""A film passes its views, keeps its distance to what it looks at, and turns the short way."""
+"""A film passes its views, keeps its distance, and turns the short way."""
 
 import numpy as np
 
@@ -15,15 +15,15 @@ def around(place, looking, degrees, rise=0.0, distance=3.0):
     return looking(place.look_at + distance * away)
 
 
-def test_it_begins_ends_and_passes_where_views_were(place, looking):
+def test_it_passes_every_view(place, looking):
     views = [around(place, looking, *x) for x in ((0, 0), (60, 20, 2), (150, 80), (170, -30, 5))]
     cameras = film(views, place.up, 13, 80, 64)
     for view, camera in zip(views, cameras[::4], strict=True):
-        assert np.allclose(camera.T_camera_world, view.camera().T_camera_world, atol=1e-6)
-        assert np.allclose(camera.K, view.camera().K)
+        assert np.allclose(camera.T_camera_world, view.to_camera().T_camera_world, atol=1e-6)
+        assert np.allclose(camera.K, view.to_camera().K)
 
 
-def test_it_keeps_its_distance_and_stays_between(place, looking):
+def test_it_keeps_its_distance_and_takes_the_short_way(place, looking):
     cameras = film([around(place, looking, x) for x in (170, -170, -100)], place.up, 21, 80, 64)
     away = np.stack([camera.position for camera in cameras]) - place.look_at
     assert np.allclose(np.linalg.norm(away, axis=1), 3)
@@ -34,12 +34,7 @@ def test_it_keeps_its_distance_and_stays_between(place, looking):
     assert np.allclose(middles, (40, 32), atol=1e-4)
 
 
-def test_of_one_view_there_is_one_camera(place, looking):
-    (camera,) = film([around(place, looking, 30)], place.up, 50, 80, 64)
-    assert (camera.width, camera.height) == (80, 64)
-
-
-def test_a_view_from_straight_above_is_passed(place, looking):
+def test_a_view_from_straight_above_is_finite(place, looking):
     views = [around(place, looking, 0, 0), around(place, looking, 0, 89.99)]
     for camera in film(views, place.up, 5, 80, 64):
         assert np.isfinite(camera.T_camera_world).all()

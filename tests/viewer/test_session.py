@@ -1,4 +1,4 @@
-"""The thread that draws: the newest state only, coarse and then whole; snapshots and cameras."""
+"""The drawing loop: only the newest state, coarse first; snapshots and cameras."""
 
 import resource
 from dataclasses import replace
@@ -11,20 +11,19 @@ from gva_mi.data.pictures import read_image
 from gva_mi.data.video import load_cameras
 from gva_mi.fit.renders import over, render_layer
 from gva_mi.lock import alone_in
-from gva_mi.viewer import session
 from gva_mi.viewer.drawing import Drawing
-from gva_mi.viewer.session import COARSE, REST, Click, Session, Stage, free_name
+from gva_mi.viewer.session import COARSE, REST, Click, Session, SessionSetup
 from gva_mi.viewer.state import State
 
 
 @pytest.fixture
-def stage(motion, place, tmp_path):
-    return Stage(len(motion), place.up, [], tmp_path / "out")
+def setup(motion, place, tmp_path):
+    return SessionSetup(len(motion), place.up, [], tmp_path / "out")
 
 
 @pytest.fixture
-def opened(drawing, panel, stage):
-    return Session(drawing, panel, stage)
+def opened(drawing, panel, setup):
+    return Session(drawing, panel, setup)
 
 
 def press(opened, panel, page, *actions):
@@ -35,8 +34,8 @@ def press(opened, panel, page, *actions):
     return page.told
 
 
-def test_a_picture_is_coarse_and_then_that_of_render(known, motion, opened, panel, page, eye):
-    page.at = replace(eye, width=900, height=600)  # more pixels than while something moves
+def test_a_picture_is_coarse_first_and_then_as_rendered(known, motion, opened, panel, page, view):
+    page.at = replace(view, width=900, height=600)  # more pixels than while something moves
     panel.now = State(frame=2)
     assert opened.step({7: page}, 0.0) == REST
     assert opened.step({7: page}, REST / 2) == REST
@@ -45,7 +44,7 @@ def test_a_picture_is_coarse_and_then_that_of_render(known, motion, opened, pane
     (coarse, first), (whole, second) = page.shown  # and nothing twice
     assert not first and second
     assert coarse.shape[0] * coarse.shape[1] <= COARSE and coarse.shape[0] / 600 > 0.5
-    expected = over(render_layer(known, motion[2], page.at.camera()), np.ones(3, "f4"))
+    expected = over(render_layer(known, motion[2], page.at.to_camera()), np.ones(3, "f4"))
     assert np.array_equal(whole, expected)
 
 
@@ -54,10 +53,10 @@ def test_only_the_newest_state_is_drawn(opened, panel, page, drawing):
         panel.now = State(frame=frame)
     opened.step({7: page}, 0.0)
     assert len(page.shown) == 1
-    assert np.array_equal(page.shown[0][0], drawing.picture(State(frame=2), page.at.camera()))
+    assert np.array_equal(page.shown[0][0], drawing.picture(State(frame=2), page.at.to_camera()))
 
 
-def test_a_browser_that_moves_waits_for_its_whole_picture_again(opened, page, place, looking):
+def test_a_moving_browser_waits_for_its_fine_picture(opened, page, place, looking):
     opened.step({7: page}, 0.0)
     page.at = looking(place.position + 0.2 * place.up)
     opened.step({7: page}, 0.9 * REST)
@@ -67,34 +66,34 @@ def test_a_browser_that_moves_waits_for_its_whole_picture_again(opened, page, pl
     assert page.shown[-1][1] and np.array_equal(page.shown[-1][0], page.shown[1][0])
 
 
-def test_each_browser_has_its_own_view_and_may_go(opened, panel, page, eye):
-    other = type(page)(replace(eye, width=40))
+def test_each_browser_has_its_own_view_and_may_leave(opened, panel, page, view):
+    other = type(page)(replace(view, width=40))
     opened.step({1: page, 2: other}, 0.0)
     opened.step({2: other}, 1.0)
     assert len(page.shown) == 1 and [fine for _, fine in other.shown] == [False, True]
     assert other.shown[1][0].shape == (64, 40, 3)
-    hidden = type(page)(replace(eye, width=0))
+    hidden = type(page)(replace(view, width=0))
     opened.step({3: hidden}, 2.0)
     assert not hidden.shown
 
 
-def test_a_snapshot_is_what_is_seen_or_see_through(known, motion, opened, panel, page, stage):
+def test_a_snapshot_is_the_picture_or_transparent(known, motion, opened, panel, page, setup):
     from PIL import Image
 
     panel.now = State(frame=1)
     press(opened, panel, page, "snapshot")
-    panel.now = State(frame=1, see_through=True)
+    panel.now = State(frame=1, transparent=True)
     told = press(opened, panel, page, "snapshot")
-    first, second = (stage.out / f"snapshot_00{k}.png" for k in (0, 1))
+    first, second = (setup.out / f"snapshot_00{k}.png" for k in (0, 1))
     assert told == [f"saved: {first}", f"saved: {second}"]
-    layer = render_layer(known, motion[1], page.at.camera())
+    layer = render_layer(known, motion[1], page.at.to_camera())
     assert np.array_equal(read_image(first, 3), over(layer, np.ones(3, "f4")))
     rgba = np.asarray(Image.open(second))
     assert np.array_equal(rgba[..., 3], np.round(255 * np.clip(layer[..., 3], 0, 1)))
 
 
-def test_saved_cameras_are_those_of_the_keyframes_and_render_takes_them(
-    known, motion, turning, opened, panel, page, place, looking, stage, tmp_path, cli
+def test_render_reads_the_saved_cameras_of_keyframes(
+    known, motion, turning, opened, panel, page, place, looking, setup, tmp_path, cli
 ):
     views = [page.at, looking(place.position + [2.0, 0.3, -1.0])]
     press(opened, panel, page, "add keyframe")
@@ -103,11 +102,11 @@ def test_saved_cameras_are_those_of_the_keyframes_and_render_takes_them(
     assert told == [f"keyframes: {k}" for k in (1, 2, 3, 2)]
     assert panel.keyframes == 2
     press(opened, panel, page, "save cameras")
-    path = stage.out / "cameras_000.npz"
+    path = setup.out / "cameras_000.npz"
     cameras = load_cameras(path)
     assert len(cameras) == len(motion) and (cameras[0].width, cameras[0].height) == (80, 64)
     for camera, view in ((cameras[0], views[0]), (cameras[-1], views[1])):
-        assert np.allclose(camera.T_camera_world, view.camera().T_camera_world, atol=1e-6)
+        assert np.allclose(camera.T_camera_world, view.to_camera().T_camera_world, atol=1e-6)
 
     known.save(tmp_path / "avatar.npz")
     save_poses(tmp_path / "poses.npz", motion, turning(1)[1], stage=2)
@@ -120,26 +119,10 @@ def test_saved_cameras_are_those_of_the_keyframes_and_render_takes_them(
     assert np.array_equal(found, read_image(tmp_path / "renders/000002.png", 3))
 
 
-def test_without_keyframes_nothing_is_saved(opened, panel, page, stage):
-    assert "no keyframe" in press(opened, panel, page, "save cameras")[0]
-    assert not stage.out.exists()
-
-
-def test_a_folder_that_takes_no_file_is_told_and_the_session_goes_on(
-    drawing, panel, page, stage, tmp_path
-):
-    (tmp_path / "file").write_text("")
-    opened = Session(drawing, panel, replace(stage, out=tmp_path / "file"))
-    assert "cannot be written" in press(opened, panel, page, "snapshot")[0]
-    assert len(page.shown) == 1
-
-
-@pytest.mark.parametrize("action", ["snapshot", "save cameras"])
-def test_a_full_disk_is_told_nothing_is_half_written_and_the_session_goes_on(
-    action, opened, panel, page, stage
-):
-    told = press(opened, panel, page, "add keyframe", action)
-    (first,) = stage.out.iterdir()
+def test_after_a_full_disk_the_session_goes_on(opened, panel, page, setup):
+    action = "snapshot"
+    told = press(opened, panel, page, action)
+    (first,) = setup.out.iterdir()
     whole = first.read_bytes()
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100, before[1]))
@@ -149,24 +132,24 @@ def test_a_full_disk_is_told_nothing_is_half_written_and_the_session_goes_on(
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     second = first.with_name(first.name.replace("000", "001"))
     assert told[-1] == f"{second}: cannot be written (File too large)"
-    assert list(stage.out.iterdir()) == [first] and first.read_bytes() == whole
+    assert list(setup.out.iterdir()) == [first] and first.read_bytes() == whole
     press(opened, panel, page, action)
     assert told[-1] == f"saved: {second}" and second.read_bytes() == whole
 
 
-def test_two_viewers_do_not_take_the_same_name(opened, panel, page, stage):
-    with alone_in(stage.out, "gva-mi view"):
+def test_two_viewers_do_not_take_the_same_name(opened, panel, page, setup):
+    with alone_in(setup.out, "gva-mi view"):
         told = press(opened, panel, page, "snapshot")
-    assert "gva-mi view (process" in told[-1] and not stage.out.exists()
+    assert "gva-mi view (process" in told[-1] and not setup.out.exists()
     press(opened, panel, page, "snapshot")
-    assert told[-1] == f"saved: {stage.out / 'snapshot_000.png'}"
+    assert told[-1] == f"saved: {setup.out / 'snapshot_000.png'}"
 
 
-def test_beside_the_video_through_its_camera(known, video, panel, page, eye, stage):
+def test_beside_the_video_through_its_camera(known, video, panel, page, view, setup):
     opened = Session(
-        Drawing(known, video.pose, video), panel, replace(stage, cameras=video.cameras)
+        Drawing(known, video.pose, video), panel, replace(setup, cameras=video.cameras)
     )
-    page.at = replace(eye, width=96, height=48)
+    page.at = replace(view, width=96, height=48)
     panel.now = State(frame=5, beside=True, seen_from="video", background=(77, 77, 77))
     opened.step({7: page}, 0.0)
     opened.step({7: page}, 1.0)
@@ -174,15 +157,3 @@ def test_beside_the_video_through_its_camera(known, video, panel, page, eye, sta
     # The subject's pictures were made by this avatar, before a grey of 0.3, and so must these be.
     assert np.abs(left - right).max() <= 2
     assert page.shown[0][0].shape == (48, 96, 3)
-
-
-def test_a_number_is_never_taken_twice(tmp_path):
-    assert free_name(tmp_path, "x_{}.png").name == "x_000.png"
-    for k in (0, 1, 3):
-        (tmp_path / f"x_{k:03d}.png").touch()
-    assert free_name(tmp_path, "x_{}.png").name == "x_002.png"
-
-
-def test_while_it_plays_it_is_asked_often(opened, panel, page):
-    panel.playing = True
-    assert opened.step({7: page}, 0.0) == session.TICK < REST

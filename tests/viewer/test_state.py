@@ -1,4 +1,4 @@
-"""States: what was not touched stays to the bit, joints turn about their own axes, motions loop."""
+"""Untouched values keep their bits, joints turn about their own axes, motions loop."""
 
 import math
 
@@ -11,7 +11,7 @@ from gva_mi.viewer.state import Playback, State, posed
 KNEE = JOINTS.index("left_knee")
 
 
-def test_an_untouched_state_is_the_frame_to_the_bit(motion):
+def test_an_untouched_state_has_the_bits_of_the_frame(motion):
     for k in range(len(motion)):
         pose = posed(motion, State(frame=k, turned=((KNEE, (0.0, 0.0, 0.0)),), expression=(0.0,)))
         assert torch.equal(pose.rotations, motion[k].rotations)
@@ -19,7 +19,7 @@ def test_an_untouched_state_is_the_frame_to_the_bit(motion):
         assert torch.equal(pose.transl, motion[k].transl)
 
 
-def test_a_joint_turns_about_the_axes_it_has_and_no_other_does(motion):
+def test_only_the_turned_joint_moves_about_its_own_axes(motion):
     shoulder = JOINTS.index("left_shoulder")  # which the motion turns, too
     pose = posed(motion, State(frame=2, turned=((shoulder, (0.0, 30.0, 0.0)),)))
     before, after = (roma.rotvec_to_rotmat(x.rotations[0]) for x in (motion[2], pose))
@@ -29,7 +29,7 @@ def test_a_joint_turns_about_the_axes_it_has_and_no_other_does(motion):
     assert torch.equal(pose.rotations[:, others], motion[2].rotations[:, others])
 
 
-def test_an_expression_is_added_and_may_be_longer_than_that_of_the_motion(motion):
+def test_an_expression_is_added_and_may_be_longer(motion):
     few = motion.map(torch.clone)
     few.expression[:, 0] = 1.0
     added = (0.5, *[0.0] * 10, 2.0)  # 12, the motion has 10
@@ -37,7 +37,7 @@ def test_an_expression_is_added_and_may_be_longer_than_that_of_the_motion(motion
     assert found.shape == (1, 12) and found[0, 0] == 1.5 and found[0, 11] == 2.0
 
 
-def test_a_motion_plays_by_the_clock_however_often_anybody_looks():
+def test_a_motion_plays_by_the_clock():
     playback, seldom = Playback(), Playback()
     frame = other = 3
     for k in range(1, 101):
@@ -47,7 +47,7 @@ def test_a_motion_plays_by_the_clock_however_often_anybody_looks():
     assert frame == other == (3 + int(99 * 0.013 * 30)) % 40
 
 
-def test_it_plays_on_from_where_the_slider_was_put():
+def test_it_plays_on_from_the_slider():
     playback = Playback()
     assert playback.advance(0, 5.0, 10, 100) == 0
     assert playback.advance(0, 5.31, 10, 100) == 3

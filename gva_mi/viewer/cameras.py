@@ -1,7 +1,7 @@
-"""A browser's camera, where it begins, and how other cameras fit into its picture.
+"""A browser's camera, where it starts, and how other cameras fit into its picture.
 
-Browsers orbit round a point that they look at, about an axis that stands still: the person's own
-upright, for a video does not say which way is up.
+A browser orbits a point about a fixed axis. That axis is the person's own upright, because a video
+does not say which way is up.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
-class Eye:
-    """Where a browser looks from. Equal numbers are one view."""
+class ViewerCamera:
+    """The camera of a browser; equal numbers are the same view."""
 
     position: Vector  # metres, world
     look_at: Vector  # metres, world: what it orbits
@@ -33,14 +33,14 @@ class Eye:
     height: int  # pixels
 
     def usable(self) -> bool:
-        """Whether there is a picture to be made: a browser that is hidden has no pixels."""
+        """Return whether a picture can be drawn: a hidden browser has no pixels."""
         numbers = np.array([*self.position, *self.look_at, *self.wxyz, self.fov])
         pixels = min(self.width, self.height) >= 2 and self.width * self.height <= MOST_PIXELS
         unit = abs(np.linalg.norm(self.wxyz) - 1) < 1e-3
         return bool(pixels and np.isfinite(numbers).all() and unit and 0 < self.fov < np.pi)
 
-    def camera(self) -> Camera:
-        """The same as a camera."""
+    def to_camera(self) -> Camera:
+        """Return the camera that the renderer uses."""
         w, *xyz = self.wxyz
         quat = torch.tensor([*xyz, w], dtype=torch.float64)
         R_world_camera = roma.unitquat_to_rotmat(quat / quat.norm()).numpy()
@@ -52,7 +52,7 @@ class Eye:
 
 @dataclass(frozen=True)
 class Start:
-    """Where browsers begin."""
+    """The view that browsers start with."""
 
     position: np.ndarray  # (3,) metres
     look_at: np.ndarray  # (3,) metres
@@ -61,7 +61,7 @@ class Start:
 
 
 def start(rig: Rig, motion: Pose) -> Start:
-    """Before the person, from where all of the motion is seen.
+    """Return a view from in front of the person that shows all of the motion.
 
     Args:
         rig: the rest body.
@@ -71,25 +71,25 @@ def start(rig: Rig, motion: Pose) -> Start:
         shots(CameraPath("static", elevation=degrees), rig, motion[:])[0].camera
         for degrees in (CameraPath.elevation, 0.0)
     )
-    eye, ahead = view.position, view.T_camera_world[2, :3]
-    # The camera looks at the middle of the motion, which a level one sees straight ahead, too.
+    position, ahead = view.position, view.T_camera_world[2, :3]
+    # Both cameras look at the middle of the motion, so it lies where their axes cross.
     across = level.T_camera_world[2, :3]
     A = np.stack([ahead, -across], axis=1)
-    depth = np.linalg.lstsq(A, level.position - eye, rcond=None)[0][0]
+    depth = np.linalg.lstsq(A, level.position - position, rcond=None)[0][0]
     fov = 2 * np.arctan(view.height / (2 * view.fy))
-    return Start(eye, eye + depth * ahead, -level.T_camera_world[1, :3], float(fov))
+    return Start(position, position + depth * ahead, -level.T_camera_world[1, :3], float(fov))
 
 
 def lens(fov: float, width: int, height: int, T_camera_world: np.ndarray) -> Camera:
-    """A camera of some field of view over its height, radians."""
+    """Return a camera by its vertical field of view, radians."""
     focal = height / (2 * np.tan(fov / 2))
     return Camera(focal, focal, width / 2, height / 2, T_camera_world, width, height)
 
 
 def fitted(camera: Camera, width: int, height: int) -> Camera:
-    """A camera whose whole picture stands in the middle of a larger or smaller one.
+    """Return a camera whose picture is centred in one of another size.
 
-    What it adds at the sides is what the camera would have seen there.
+    Margins show what the camera would have seen there.
     """
     inner = camera.resized(*inscribed(camera.width, camera.height, width, height))
     left, top = (width - inner.width) // 2, (height - inner.height) // 2
@@ -97,12 +97,12 @@ def fitted(camera: Camera, width: int, height: int) -> Camera:
 
 
 def inscribed(width: int, height: int, in_width: int, in_height: int) -> tuple[int, int]:
-    """The size of a picture, scaled to fit into another."""
+    """Return the size of a picture scaled to fit into another."""
     scale = min(in_width / width, in_height / height)
     return max(1, round(width * scale)), max(1, round(height * scale))
 
 
 def coarser(camera: Camera, pixels: int) -> Camera:
-    """The same view with at most so many pixels."""
+    """Return the same view with at most so many pixels."""
     scale = min(1.0, (pixels / (camera.width * camera.height)) ** 0.5)
     return camera.resized(max(1, int(camera.width * scale)), max(1, int(camera.height * scale)))

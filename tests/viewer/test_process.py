@@ -1,0 +1,43 @@
+"""``gva-mi view`` in a process of its own serves a page until Ctrl-C."""
+
+import os
+import signal
+import subprocess
+import sys
+import urllib.request
+
+import pytest
+
+from gva_mi.body.pose import save_poses
+
+FRAMES = 5
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture
+def served(known, turning, tmp_path):
+    """``gva-mi view`` in a process of its own, and its address."""
+    pytest.importorskip("viser", reason="viser is not installed: pip install 'gva_mi[viewer]'")
+    known.save(tmp_path / "run/avatar.npz")
+    save_poses(tmp_path / "run/poses.npz", *turning(FRAMES), stage=2)
+    command = (sys.executable, "-m", "gva_mi", "view", tmp_path / "run", "--port", "0")
+    # A background job ignores Ctrl-C, and so would its child.
+    heard = {"preexec_fn": lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)}
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True} | heard
+    out = ("--out", tmp_path / "out")
+    with subprocess.Popen(
+        (*command, *out), env=os.environ | {"OMP_NUM_THREADS": "1"}, **pipes
+    ) as p:
+        try:
+            yield p, p.stdout.readline().split(": ")[0]
+        finally:
+            p.kill()
+
+
+def test_it_serves_a_page_and_ctrl_c_ends_it(served, tmp_path):
+    process, url = served
+    with urllib.request.urlopen(url, timeout=30) as page:
+        assert b"<html" in page.read()[:2000]
+    process.send_signal(signal.SIGINT)
+    assert process.wait(30) == 0
+    assert process.stdout.read() == "" and not (tmp_path / "out").exists()

@@ -1,11 +1,11 @@
-"""Train Gaussians on pictures with gsplat's names and 3DGS's density control, in a minute.
+"""Train Gaussians on pictures, with gsplat's names and 3DGS's density control, in a minute.
 
     python docs/train_gaussians.py [--scene FILE] [--steps 400] [--size 64] [--out FILE.ply]
 
-It needs the bare install alone. The scene to be learned is a .ply, a .splat or an .npz, or random
-Gaussians; its pictures are drawn first, from cameras on a ring. The rules are those of gsplat's
-DefaultStrategy without its reset of opacities, which is for runs of thousands of steps; thresholds
-are for small pictures. With your own data, replace ``Views``.
+It needs only the bare install. The target scene is a .ply, a .splat or an .npz, or random
+Gaussians; its pictures are rendered first, from cameras on a ring. The rules are those of gsplat's
+DefaultStrategy without the reset of opacities, which is for runs of thousands of steps. Thresholds
+are for small pictures. To use your own data, replace ``Views``.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import torch
 from torch import Tensor
 
 from gva_mi.errors import InputError
-from gva_mi.splat import Gaussians, look_at, quat_scale_to_covar_preci, rasterization
+from gva_mi.splat import Gaussians, look_at, rasterization
 from gva_mi.splat.formats.ply import save_ply
 from gva_mi.splat.scene import Scene, random_scene
 
@@ -31,7 +31,7 @@ Params = dict[str, torch.nn.Parameter]  # log scales, logit opacities, as gsplat
 
 @dataclass(frozen=True)
 class Views:
-    """Cameras and what they see."""
+    """Cameras and their pictures."""
 
     viewmats: Tensor  # (C, 4, 4)
     Ks: Tensor  # (C, 3, 3)
@@ -39,7 +39,7 @@ class Views:
 
     @staticmethod
     def around(scene: Scene, count: int, size: int, start: float = 0.0) -> Views:
-        """Pictures of a scene from a ring of cameras about its middle, y up."""
+        """Render a scene from a ring of cameras about its middle, y up."""
         g, camera = scene.gaussians, scene.camera.resized(size, size)
         middle = g.means.median(dim=0).values.numpy()
         distance = np.linalg.norm(camera.position - middle)
@@ -58,7 +58,7 @@ class Views:
 
 @dataclass
 class Density:
-    """Where Gaussians are added and removed; the fields have DefaultStrategy's names."""
+    """Adds and removes Gaussians; the fields have DefaultStrategy's names."""
 
     scene_scale: float  # m
     grow_grad2d: float = 2e-3  # of the loss, by means2d in halves of the picture
@@ -69,8 +69,8 @@ class Density:
     grad2d: Tensor | float = 0.0
     count: Tensor | float = 0.0
 
-    def look(self, meta: dict) -> None:
-        """After backward: add up how much each Gaussian wants to move in the picture."""
+    def accumulate(self, meta: dict) -> None:
+        """After backward, accumulate the gradient of each Gaussian's mean in the picture."""
         N = meta["means2d"].grad.new_zeros(meta["n_gaussians"])
         half = torch.tensor([meta["width"], meta["height"]]) / 2 * meta["n_cameras"]
         moved = (meta["means2d"].grad * half).norm(dim=-1)
@@ -79,26 +79,32 @@ class Density:
 
     @torch.no_grad()
     def refine(self, params: Params, adam: torch.optim.Adam, generator: torch.Generator) -> None:
-        """Duplicate, split and prune; what has been added up starts anew."""
+        """Duplicate, split and prune, then reset the accumulated gradients."""
         scales, opaque = params["scales"].exp(), params["opacities"].sigmoid() > self.prune_opa
         grown = (self.grad2d / self.count.clamp(min=1) > self.grow_grad2d) & opaque
         grown &= torch.tensor(len(scales) < self.most)
         large = scales.max(dim=1).values > self.grow_scale3d * self.scene_scale
         split, copied = (grown & large).nonzero()[:, 0].repeat(2), (grown & ~large).nonzero()[:, 0]
         new = {name: p[torch.cat([copied, split])] for name, p in params.items()}
-        covars, _ = quat_scale_to_covar_preci(params["quats"], scales, compute_preci=False)
-        normal = torch.randn(len(split), 3, 1, generator=generator)
-        drawn = torch.linalg.cholesky(covars[split].double()).float() @ normal  # from each itself
-        new["means"][len(copied) :] += drawn[..., 0]
+        normal = torch.randn(len(split), 3, generator=generator)
+        new["means"][len(copied) :] += _rotate(params["quats"][split], scales[split] * normal)
         new["scales"][len(copied) :] -= math.log(1.6)
         _replace_rows(params, adam, opaque & ~(grown & large), new)
         self.grad2d = self.count = 0.0
 
 
+def _rotate(quats: Tensor, vectors: Tensor) -> Tensor:
+    """Rotate vectors (N, 3) by quaternions wxyz (N, 4) of any length."""
+    unit = torch.nn.functional.normalize(quats, dim=1)
+    w, axis = unit[:, :1], unit[:, 1:]
+    cross = torch.linalg.cross(axis, vectors)
+    return vectors + 2 * (w * cross + torch.linalg.cross(axis, cross))
+
+
 def _replace_rows(
     params: Params, adam: torch.optim.Adam, kept: Tensor, new: dict[str, Tensor]
 ) -> None:
-    """Parameters of the kept Gaussians and then the new ones, whose moments are zero."""
+    """Keep some Gaussians and append new ones, whose moments in Adam are zero."""
     for group in adam.param_groups:
         name = group["name"]
         old, rows = params[name], new[name]
@@ -110,7 +116,7 @@ def _replace_rows(
 
 
 def start(scene: Scene, count: int, generator: torch.Generator) -> Params:
-    """Grey Gaussians strewn over the place where the scene's lie."""
+    """Spread grey Gaussians over the volume of the scene's."""
     means = scene.gaussians.means.float()
     low, high = means.quantile(0.05, dim=0), means.quantile(0.95, dim=0)
     places = low + (high - low) * torch.rand(count, 3, generator=generator)
@@ -126,7 +132,7 @@ def start(scene: Scene, count: int, generator: torch.Generator) -> Params:
 
 
 def draw(params: Params, viewmats: Tensor, Ks: Tensor, size: int) -> tuple[Tensor, dict]:
-    """Pictures (C, size, size, 3), and gsplat's ``meta``."""
+    """Render pictures (C, size, size, 3); also return gsplat's ``meta``."""
     colors, _, meta = rasterization(
         params["means"],
         params["quats"],
@@ -145,14 +151,14 @@ def draw(params: Params, viewmats: Tensor, Ks: Tensor, size: int) -> tuple[Tenso
 
 @torch.no_grad()
 def psnr(params: Params, views: Views) -> float:
-    """How near the pictures are, dB."""
+    """PSNR of the pictures, dB."""
     size = views.images.shape[1]
     error = draw(params, views.viewmats, views.Ks, size)[0] - views.images
     return -10 * math.log10(error.square().mean().item())
 
 
 def train(scene: Scene, views: Views, steps: int, count: int = 100, seed: int = 0) -> Params:
-    """Gaussians that look as ``views`` do; one view a step, in random order."""
+    """Fit Gaussians to ``views``; one view a step, in random order."""
     generator = torch.Generator().manual_seed(seed)
     params = start(scene, count, generator)
     groups = [{"params": [p], "name": k, "lr": RATES[k]} for k, p in params.items()]
@@ -164,7 +170,7 @@ def train(scene: Scene, views: Views, steps: int, count: int = 100, seed: int = 
         image, meta = draw(params, views.viewmats[v], views.Ks[v], size)
         meta["means2d"].retain_grad()
         (image - views.images[v]).abs().mean().backward()
-        density.look(meta)
+        density.accumulate(meta)
         adam.step()
         adam.zero_grad()
         if step % density.refine_every == 0 and step <= 0.7 * steps:
@@ -178,7 +184,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--scene", type=Path, help=".ply, .splat or .npz; else random Gaussians")
     parser.add_argument("--steps", type=int, default=400)
     parser.add_argument("--size", type=int, default=64, help="of the pictures, px")
-    parser.add_argument("--out", type=Path, help="a .ply of what was learned")
+    parser.add_argument("--out", type=Path, help="a .ply of the fitted Gaussians")
     given = parser.parse_args(arguments)
     scene = random_scene(torch.Generator().manual_seed(0), gaussians=60)
     if given.scene is not None:

@@ -32,7 +32,7 @@ def main(arguments: list[str] | None = None) -> None:
     arguments = sys.argv[1:] if arguments is None else arguments
     # Read when torch is imported: its idle threads must not spin on the cores that Dr.Jit needs.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-    processor.choose_alike()
+    processor.pin_cpu_features()
     try:
         try:
             _run(arguments)

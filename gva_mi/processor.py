@@ -1,10 +1,10 @@
-"""Has libraries compute the same bits on every x86 processor since AVX2.
+"""Settings that make numerical libraries compute the same bits on every x86 CPU with AVX2.
 
-OpenBLAS (numpy, scipy), MKL, oneDNN and torch's own kernels are chosen by the processor they run
-on, and sum in another order on each. What is theirs to choose is set here, before they are
-imported, to what all such processors have. Dr.Jit compiles for the processor's own vectors, and
-gives the same bits for any width of them, but for ``rsqrt``: processors estimate it each in their
-own way. So this program's kernels have none.
+OpenBLAS (numpy, scipy), MKL, oneDNN and torch's own kernels choose their code by the CPU, and each
+choice sums in another order. These settings, made before the libraries are imported, choose the
+code that all CPUs with AVX2 have. Dr.Jit compiles for the CPU's own vectors and gives the same bits
+for any vector width, except for ``rsqrt``, which every CPU estimates in its own way. Therefore no
+kernel of this package uses it.
 """
 
 from __future__ import annotations
@@ -13,25 +13,25 @@ import os
 import platform
 from pathlib import Path
 
-ALIKE = {
+SETTINGS = {
     "OPENBLAS_CORETYPE": "Haswell",
     "MKL_CBWR": "AVX2",
     "ONEDNN_MAX_CPU_ISA": "AVX2",
     "ATEN_CPU_CAPABILITY": "avx2",
 }
-NEEDS = {"avx2", "fma"}
+REQUIRED_FLAGS = {"avx2", "fma"}
 _FLAGS = Path("/proc/cpuinfo")
 
 
-def alike() -> dict[str, str]:
-    """The settings, for ``os.environ``; none for processors that cannot, or nobody knows."""
+def cpu_settings() -> dict[str, str]:
+    """Return the settings for ``os.environ``; empty if the CPU has no AVX2, or is unknown."""
     if platform.machine() not in ("x86_64", "AMD64") or not _FLAGS.exists():
         return {}
     flags = next((line for line in _FLAGS.read_text().splitlines() if line.startswith("flags")), "")
-    return ALIKE if NEEDS <= set(flags.split()) else {}
+    return SETTINGS if REQUIRED_FLAGS <= set(flags.split()) else {}
 
 
-def choose_alike() -> None:
-    """Set them for this process and its children, where the user has not set others."""
-    for name, value in alike().items():
+def pin_cpu_features() -> None:
+    """Apply the settings to this process and its children, except where the user set others."""
+    for name, value in cpu_settings().items():
         os.environ.setdefault(name, value)

@@ -1,4 +1,4 @@
-"""How torch and Dr.Jit share the cores."""
+"""Threads of torch while Dr.Jit's kernels run on all cores."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from pathlib import Path
 
 import torch
 
-SOFT = 1  # omp_pause_soft: settings stay
+OMP_PAUSE_SOFT = 1  # OpenMP's omp_pause_soft: settings are kept
 
 
 @contextmanager
 def one_torch_thread() -> Iterator[None]:
-    """Leave the cores to Dr.Jit: after each operation torch's OpenMP threads would spin on them.
+    """Run torch on one thread, so that its OpenMP threads do not spin on Dr.Jit's cores.
 
     On two cores one thread is 1.3 to 20 times faster for tensors as small as ours, the more the
-    busier the cores are, and it makes every sum independent of their number.
+    busier the cores are, and it makes every sum independent of the number of threads.
     """
     before = torch.get_num_threads()
     if before > 1:
@@ -31,24 +31,24 @@ def one_torch_thread() -> Iterator[None]:
 
 
 @contextmanager
-def alone_on_the_cores() -> Iterator[None]:
-    """As :func:`one_torch_thread`, and the threads that wait for torch's next operation are ended.
+def quiet_openmp() -> Iterator[None]:
+    """End torch's idle OpenMP threads, then run torch on one thread.
 
-    They spin while they wait: on a core that Dr.Jit's kernels need they take milliseconds, unless
-    ``OMP_WAIT_POLICY=PASSIVE`` was set before torch was imported, which nobody knows who imports a
-    library. This is OpenMP's own call, in any order of imports: no setting changes, and the same
+    Idle threads spin while they wait for torch's next operation. On a core that Dr.Jit's kernels
+    need they cost milliseconds, unless ``OMP_WAIT_POLICY=PASSIVE`` was set before torch was
+    imported. OpenMP's own call ends them whatever was imported first. No setting changes: the same
     number of threads comes back with the next operation that wants them.
     """
     pause = _pause()
     if pause is not None and torch.get_num_threads() > 1:
-        pause(SOFT)
+        pause(OMP_PAUSE_SOFT)
     with one_torch_thread():
         yield
 
 
 @functools.cache
 def _pause() -> Callable[[int], int] | None:
-    """``omp_pause_resource_all`` of the OpenMP that torch is linked with; None: it has none."""
+    """Return ``omp_pause_resource_all`` of the OpenMP that torch is linked with, if it has one."""
     for library in (Path(torch.__file__).parent / "lib").glob("libtorch_cpu.*"):
         pause = getattr(ctypes.CDLL(str(library)), "omp_pause_resource_all", None)
         if pause is not None:

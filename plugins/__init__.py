@@ -1,4 +1,4 @@
-"""Plugins for any Mitsuba 3 scene: import, choose a variant, call :func:`register`.
+"""Plugins for Mitsuba 3: import, choose a variant, call :func:`register`.
 
     import gva_mi_plugins  # before mitsuba: it chooses a libLLVM that works
     import mitsuba as mi
@@ -10,8 +10,8 @@
 ``mesh_normals/`` renders normals and silhouettes of meshes, ``gaussian_splat/`` the Gaussians of a
 scene; each package's docstring says what its files hold.
 
-Importing this package loads no plugin. Mitsuba's types exist only once a variant is set, and so the
-plugin files are loaded by :func:`register`.
+Importing this package loads no plugin. Mitsuba's types exist only after a variant is set, therefore
+:func:`register` loads the plugin files.
 """
 
 import sys
@@ -20,7 +20,7 @@ from gva_mi import llvm
 
 __all__ = ["register"]
 
-_registered_for: str | None = None  # the variant whose types the plugins' classes were made of
+_registered_for: str | None = None  # the variant whose types the plugins' classes use
 
 
 def register() -> None:
@@ -30,8 +30,8 @@ def register() -> None:
     after a change to another one: Mitsuba keeps its plugins by variant. A second call is harmless.
 
     Raises:
-        ImportError: this machine has no libLLVM that works.
-        RuntimeError: where no variant is set, or one without derivatives.
+        ImportError: this machine has no working libLLVM.
+        RuntimeError: no variant is set, or one without derivatives.
     """
     llvm.require()
     import mitsuba as mi
@@ -43,7 +43,7 @@ def register() -> None:
             f'{variant}; call mi.set_variant("llvm_ad_rgb") first'
         )
     global _registered_for
-    if _registered_for not in (None, variant):  # their classes are of the other variant's types
+    if _registered_for not in (None, variant):  # the classes use the other variant's types
         for name in [name for name in sys.modules if name.startswith(f"{__name__}.")]:
             del sys.modules[name]
     _registered_for = variant

@@ -91,7 +91,7 @@ def test_no_kernel_uses_an_estimate():
                 assert not asks, f"{path}:{node.lineno}: {node.attr}; divide by the norm"
 
 
-NARROW = platform.machine() == "x86_64" and processor.alike() and CORE.exists()
+NARROW = platform.machine() == "x86_64" and processor.cpu_settings() and CORE.exists()
 
 
 @pytest.mark.skipif(not NARROW, reason="needs x86 with AVX2")
@@ -112,16 +112,16 @@ def test_the_command_line_pins_libraries_before_they_are_imported():
         "import sys, os; from gva_mi.__main__ import main; from gva_mi import processor; "
         "before = {'numpy', 'torch', 'drjit'} & set(sys.modules); "
         "main(['--version']); "
-        "print(before, all(os.environ[k] == v for k, v in processor.alike().items()))"
+        "print(before, all(os.environ[k] == v for k, v in processor.cpu_settings().items()))"
     )
-    clean = {k: v for k, v in os.environ.items() if k not in processor.ALIKE}
+    clean = {k: v for k, v in os.environ.items() if k not in processor.SETTINGS}
     run = lambda env: (
         subprocess.run(
             [sys.executable, "-c", code], env=env, capture_output=True, text=True, cwd=ROOT
         ).stdout
     )
     assert run(clean).endswith("set() True\n")
-    if processor.alike():
+    if processor.cpu_settings():
         assert run(clean | {"OPENBLAS_CORETYPE": "Prescott"}).endswith("set() False\n")
 
 
@@ -130,8 +130,8 @@ def test_older_and_other_processors_are_not_pinned(tmp_path, monkeypatch):
     for flags, asked in (("fpu avx avx2 fma", True), ("fpu avx fma", False), ("", False)):
         (tmp_path / "cpuinfo").write_text(f"processor : 0\nflags\t\t: {flags}\n")
         monkeypatch.setattr(processor, "_FLAGS", tmp_path / "cpuinfo")
-        assert bool(processor.alike()) == asked
+        assert bool(processor.cpu_settings()) == asked
     monkeypatch.setattr(platform, "machine", lambda: "aarch64")
-    assert not processor.alike()
+    assert not processor.cpu_settings()
     monkeypatch.setattr(processor, "_FLAGS", tmp_path / "nowhere")
-    assert not processor.alike()
+    assert not processor.cpu_settings()

@@ -1,4 +1,4 @@
-"""The camera, and every convention about axes and pixels in one place.
+"""The camera, and all conventions about axes and pixels.
 
 * World: right-handed, y up, metres.
 * Camera: OpenCV axes, x right, y down, z forward. ``x_cam = T_camera_world · x_world``.
@@ -7,8 +7,7 @@
 * Ortho: ``u = fx · x + cx``: parallel rays, the focal lengths are pixels per metre.
 * Fisheye: ``u = fx · x · s + cx`` with ``s = atan2(r, z)/r``, ``r`` the distance from the axis: the
   equidistant lens, without distortion; focal lengths are pixels per radian.
-* Transforms are named target first: ``T_camera_world`` takes world to camera, so that chains
-  cancel by eye.
+* Transforms are named target first: ``T_camera_world`` takes world to camera.
 """
 
 from __future__ import annotations
@@ -21,7 +20,9 @@ from typing import Any, Literal, NamedTuple, get_args
 import drjit as dr
 import numpy as np
 
-VIEWS = 1024  # whose numbers need not be looked at again
+from gva_mi.splat.argument_error import ArgumentError
+
+CHECKED_VIEWS = 1024  # so many cameras are kept, and not checked again
 MOST_PIXELS = 1 << 28  # of an image; its five channels take 5 GiB
 CameraModel = Literal["pinhole", "ortho", "fisheye"]
 
@@ -30,7 +31,7 @@ _ROUNDING = 1e-4 + 1e-5 * _UNIT
 
 
 class CameraTensors(NamedTuple):
-    """The matrices of a camera to differentiate by, torch's or Dr.Jit's; None: it is a constant."""
+    """The matrices of a camera to differentiate by, torch's or Dr.Jit's; None for a constant."""
 
     T_camera_world: Any = None  # (4, 4)
     K: Any = None  # (3, 3)
@@ -40,8 +41,8 @@ class CameraTensors(NamedTuple):
 class Camera:
     """One view: intrinsics in pixels, a rigid pose, and the size of the image.
 
-    The numbers say what is seen. A camera made by :meth:`from_matrices` from tensors also keeps
-    these, and a renderer differentiates by them. Cameras with the same numbers are equal.
+    A camera that :meth:`from_matrices` made from tensors also keeps the tensors, and renderers
+    differentiate by them. Cameras with the same numbers are equal.
     """
 
     fx: float  # focal length in x, pixels
@@ -57,22 +58,21 @@ class Camera:
     def __post_init__(self) -> None:
         T = np.array(self.T_camera_world, dtype=np.float64)
         if T.shape != (4, 4):
-            raise ValueError(f"Camera: T_camera_world must be (4, 4), got {T.shape}")
+            raise _refusal("T_camera_world", f"must be (4, 4), got {T.shape}")
         if not np.isfinite(T).all() or not _is_rotation(T[:3, :3]):
-            raise ValueError(
-                "Camera: T_camera_world must be rigid: finite, with a rotation in [:3, :3]"
-            )
+            problem = "must be rigid: finite, with a rotation in [:3, :3]"
+            raise _refusal("T_camera_world", problem)
         if self.model not in get_args(CameraModel):
             known = ", ".join(get_args(CameraModel))
-            raise ValueError(f"Camera: model must be one of {known}, got {self.model!r}")
+            raise _refusal("model", f"must be one of {known}, got {self.model!r}")
         if not all(math.isfinite(x) for x in (self.fx, self.fy, self.cx, self.cy)):
             found = f"{self.fx}, {self.fy}, {self.cx}, {self.cy}"
-            raise ValueError(f"Camera: fx, fy, cx, cy must be finite, got {found}")
+            raise _refusal("fx, fy, cx, cy", f"must be finite, got {found}")
         if min(self.width, self.height) < 1 or self.width * self.height > MOST_PIXELS:
             found = f"{self.width}x{self.height}"
-            raise ValueError(f"Camera: size must be 1x1 to {MOST_PIXELS:,} pixels, got {found}")
+            raise _refusal("size", f"must be 1x1 to {MOST_PIXELS:,} pixels, got {found}")
         if not (self.fx > 0 and self.fy > 0):
-            raise ValueError(f"Camera: focal lengths must be positive, got {self.fx}, {self.fy}")
+            raise _refusal("focal lengths", f"must be positive, got {self.fx}, {self.fy}")
         T.setflags(write=False)
         object.__setattr__(self, "T_camera_world", T)
         for name, tensor in self.tensors._asdict().items():
@@ -80,19 +80,19 @@ class Camera:
             if tensor is None:
                 continue
             given = _numbers(tensor)
-            if not (  # in this order: the second takes as long as all else here
+            if not (  # in this order: allclose takes as long as everything else here
                 np.array_equal(given, number) or np.allclose(given, number, 1e-4, 1e-3)
             ):
-                raise ValueError(f"Camera: {name} differs from its tensor; use with_matrices")
+                raise _refusal(name, "differs from its tensor; use with_matrices")
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Camera) and self._seen() == other._seen()
+        return isinstance(other, Camera) and self._key() == other._key()
 
     def __hash__(self) -> int:
-        return hash(self._seen())
+        return hash(self._key())
 
-    def _seen(self) -> tuple[Any, ...]:
-        """The numbers that say what is seen."""
+    def _key(self) -> tuple[Any, ...]:
+        """All numbers, without the tensors."""
         pose = tuple(self.T_camera_world.ravel().tolist())
         lens = (self.fx, self.fy, self.cx, self.cy, self.width, self.height, self.model)
         return (*lens, pose)
@@ -105,7 +105,7 @@ class Camera:
         height: int,
         model: CameraModel = "pinhole",
     ) -> Camera:
-        """A camera from its intrinsics and its pose.
+        """Make a camera from its intrinsics and its pose.
 
         Args:
             K: (3, 3) intrinsics, px; numbers, or a torch or Dr.Jit tensor to differentiate by.
@@ -115,13 +115,13 @@ class Camera:
         """
         k = _numbers(K)
         if k.shape != (3, 3):
-            raise ValueError(f"Camera: K must be (3, 3), got {k.shape}")
+            raise _refusal("K", f"must be (3, 3), got {k.shape}")
         T, size = _numbers(T_camera_world), (int(width), int(height))
         if isinstance(model, str):
-            checked = _checked_once(k.tobytes(), T.tobytes(), T.shape, *size, model)
+            checked = _checked_cached(k.tobytes(), T.tobytes(), T.shape, *size, model)
         else:
             checked = _checked(k, T, *size, model)
-        # its numbers are the tensors': they need not be read again and compared
+        # the numbers come from the tensors: no need to compare them
         tensors = CameraTensors(*(x if _is_tensor(x) else None for x in (T_camera_world, K)))
         camera = object.__new__(Camera)
         vars(camera).update(vars(checked), tensors=tensors)
@@ -132,7 +132,7 @@ class Camera:
         T_camera_world: Any = None,  # noqa: ANN401
         K: Any = None,  # noqa: ANN401
     ) -> Camera:
-        """The same view with another pose (4, 4) or intrinsics (3, 3); None keeps its own."""
+        """Replace the pose (4, 4) or the intrinsics (3, 3); None keeps its own."""
         if T_camera_world is None:
             T_camera_world = self.tensors.T_camera_world
         if K is None:
@@ -148,12 +148,12 @@ class Camera:
 
     @property
     def position(self) -> np.ndarray:
-        """Where the camera stands in the world, (3,)."""
+        """Position of the camera in the world, (3,)."""
         R, t = self.T_camera_world[:3, :3], self.T_camera_world[:3, 3]
         return -np.linalg.solve(R, t)
 
     def resized(self, width: int, height: int) -> Camera:
-        """The same view on another grid of pixels."""
+        """Return the same view on another grid of pixels."""
         x, y = width / self.width, height / self.height
         K = self.tensors.K
         if K is not None:
@@ -170,7 +170,7 @@ class Camera:
         )
 
     def cropped(self, left: int, top: int, width: int, height: int) -> Camera:
-        """The part of the view that starts at pixel (left, top)."""
+        """Return the part of the view that starts at pixel (left, top)."""
         K = self.tensors.K
         if K is not None:
             K = K - _like(K, [[0, 0, left], [0, 0, top], [0, 0, 0]])
@@ -178,7 +178,7 @@ class Camera:
         return replace(self, cx=cx, cy=cy, width=width, height=height, tensors=tensors)
 
     def zoomed(self, factor: float) -> Camera:
-        """The same view through a lens with ``factor`` times the focal lengths."""
+        """Return the view through a lens with ``factor`` times the focal lengths."""
         K = self.tensors.K
         if K is not None:
             K = K * _like(K, [[factor, 1, 1], [1, factor, 1], [1, 1, 1]])
@@ -186,7 +186,7 @@ class Camera:
         return replace(self, fx=self.fx * factor, fy=self.fy * factor, tensors=tensors)
 
     def project(self, points: np.ndarray) -> np.ndarray:
-        """World points (..., 3) to pixels (..., 2); meaningless for a point behind the camera."""
+        """Project world points (..., 3) to pixels (..., 2); meaningless behind the camera."""
         x = points @ self.T_camera_world[:3, :3].T + self.T_camera_world[:3, 3]
         if self.model == "pinhole":
             scale = 1 / x[..., 2]
@@ -203,7 +203,7 @@ class Camera:
 def look_at(eye: np.ndarray, target: np.ndarray, up: np.ndarray = (0.0, 1.0, 0.0)) -> np.ndarray:
     """``T_camera_world`` (4, 4) of a camera at ``eye`` that looks at ``target``, ``up`` upwards."""
     eye, target, up = (np.asarray(x, dtype=np.float64) for x in (eye, target, up))
-    unit = lambda v: v / np.sqrt((v * v).sum())  # nothing here is BLAS's, whose bits go by the CPU
+    unit = lambda v: v / np.sqrt((v * v).sum())  # no BLAS: its bits depend on the CPU
     forward = unit(target - eye)
     right = unit(np.cross(forward, up))
     R = np.stack([right, np.cross(forward, right), forward])
@@ -212,42 +212,46 @@ def look_at(eye: np.ndarray, target: np.ndarray, up: np.ndarray = (0.0, 1.0, 0.0
     return T
 
 
+def _refusal(name: str, problem: str) -> ArgumentError:
+    return ArgumentError("Camera", name, problem)
+
+
 def _checked(K: np.ndarray, T: np.ndarray, width: int, height: int, model: CameraModel) -> Camera:
-    """A camera of numbers alone."""
+    """Make a camera from numbers."""
     fx, fy, cx, cy = (float(x) for x in (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
     return Camera(fx, fy, cx, cy, T, width, height, model)
 
 
-@functools.lru_cache(VIEWS)
-def _checked_once(
+@functools.lru_cache(CHECKED_VIEWS)
+def _checked_cached(
     K: bytes, T: bytes, shape: tuple[int, ...], width: int, height: int, model: CameraModel
 ) -> Camera:
-    """The same of float64 in memory: who trains comes back to the same views, again and again."""
+    """Make a camera from float64 memory, cached: training renders the same views repeatedly."""
     arrays = np.frombuffer(K).reshape(3, 3), np.frombuffer(T).reshape(shape)
     return _checked(*arrays, width, height, model)
 
 
 def _is_rotation(R: np.ndarray) -> bool:
-    """Whether R R^T is 1, within 1e-4 and the digits of a float32; np.allclose takes six times."""
+    """Whether R R^T is 1 within float32 digits; np.allclose takes six times as long."""
     return bool((np.abs(R @ R.T - _UNIT) <= _ROUNDING).all())
 
 
 def _is_tensor(matrix: Any) -> bool:  # noqa: ANN401
-    """Whether it is a tensor; torch's is known by its method, for torch is not imported here."""
+    """Whether a matrix is a tensor. This module does not import torch: its method tells."""
     return hasattr(matrix, "new_tensor") or isinstance(matrix, dr.ArrayBase)
 
 
 def _numbers(matrix: Any) -> np.ndarray:  # noqa: ANN401
-    """A matrix of any kind in float64, detached."""
+    """Return a matrix of any kind in float64, detached."""
     if hasattr(matrix, "new_tensor"):
-        matrix = matrix.detach().tolist()  # .numpy() not under torch.func
+        matrix = matrix.detach().tolist()  # .numpy() fails under torch.func
     elif isinstance(matrix, dr.ArrayBase):
         matrix = dr.detach(matrix).numpy()
     return np.asarray(matrix, dtype=np.float64)
 
 
 def _like(tensor: Any, numbers: list[list[float]]) -> Any:  # noqa: ANN401
-    """Constants of the kind and precision of a tensor."""
+    """Return constants of the kind and precision of a tensor."""
     if isinstance(tensor, dr.ArrayBase):
         return type(tensor)(np.array(numbers, dtype=np.float64))
     return tensor.new_tensor(numbers)

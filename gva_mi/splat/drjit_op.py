@@ -1,16 +1,13 @@
-"""``render`` on Dr.Jit tensors: Gaussians and a camera make a picture.
+"""``render`` on Dr.Jit tensors, for programs without torch.
 
-For those who have no torch in their program; ``gva_mi.splat.render`` is the one on torch tensors.
-
-Dr.Jit's autodiff goes both ways through it: ``dr.backward`` runs the adjoint kernels, and
-``dr.forward`` the tangent ones. A program in several threads holds ``gva_mi.splat.exclusive``
-while it works with Dr.Jit, ``dr.backward`` included.
+It supports both modes of Dr.Jit's autodiff: ``dr.backward`` runs the adjoint kernels and
+``dr.forward`` the tangent kernels. A program with several threads must hold
+``gva_mi.splat.exclusive`` while it uses Dr.Jit, including ``dr.backward``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import fields
 
 import drjit as dr
 import numpy as np
@@ -19,14 +16,14 @@ from drjit import ArrayBase as Array
 from gva_mi.splat.camera import Camera, CameraTensors
 from gva_mi.splat.gaussians import Gaussians, Image
 from gva_mi.splat.kernels.exclusive import exclusive
-from gva_mi.splat.kernels.inputs import Inputs, Wanted
+from gva_mi.splat.kernels.inputs import Inputs, RequestedGradients
 from gva_mi.splat.kernels.passes import render_adjoint, render_forward, render_tangent
 from gva_mi.splat.kernels.planes import Planes
 from gva_mi.splat.kernels.tiles import Layout
 from gva_mi.splat.options import SplatOptions
 
 _DEFAULTS = SplatOptions()
-NAMES = tuple(field.name for field in fields(Inputs))
+NAMES = ("means", "quats", "scales", "opacities", "colors")  # of what is differentiated
 
 
 @exclusive
@@ -38,7 +35,7 @@ def render(
     *,
     depth_limit: Array = None,
 ) -> Image:
-    """The picture of ``gaussians`` from ``camera``.
+    """Draw ``gaussians`` as seen from ``camera``.
 
     Args:
         gaussians: Dr.Jit tensors of one kind: ``TensorXf`` or ``TensorXf64`` from ``drjit.llvm`` or
@@ -49,14 +46,14 @@ def render(
         background: (D,) tensor of the same kind, the colour behind the Gaussians; None is black, as
             in gsplat.
         depth_limit: (H, W) tensor of the same kind, m along the camera's z: a pixel shows only the
-            Gaussians whose means are nearer, as where an opaque surface stands. Infinity is none.
+            Gaussians whose means are nearer, as in front of an opaque surface; infinity shows all.
 
     Returns:
         color (H, W, D), alpha (H, W) and depth (H, W), tensors of the same kind; no depth where
         ``options.depth`` is off.
 
     Raises:
-        ValueError: for wrong shapes or kinds, NaN or infinite numbers.
+        ValueError: a shape or kind is wrong, or a number is NaN or infinite.
 
     Note:
         The order by depth, the set of pixels a Gaussian reaches and ``depth_limit`` are not
@@ -103,7 +100,7 @@ def _numpy(tensor: Array) -> np.ndarray:
 
 
 class _Render(dr.CustomOp):
-    """The three passes of passes.py, as Dr.Jit's autodiff calls them."""
+    """The three passes of passes.py as an operation of Dr.Jit's autodiff."""
 
     def eval(
         self,
@@ -118,11 +115,12 @@ class _Render(dr.CustomOp):
         constants: Callable[[], tuple[bool, Camera, SplatOptions, Array]],
     ) -> tuple[Array, ...]:
         harmonics, camera, options, limit = constants()
-        parts = Inputs(means, quats, scales, opacities, colors)
-        self.kind, self.shapes = type(means), [part.shape for part in parts]
+        parts = dict(zip(NAMES, (means, quats, scales, opacities, colors), strict=True))
+        self.kind, self.shapes = type(means), {k: part.shape for k, part in parts.items()}
         given = CameraTensors(T_camera_world, K)._asdict()
         self.matrices = [name for name, matrix in given.items() if matrix is not None]
-        inputs = Inputs(*(dr.detach(part.array, preserve_type=False) for part in parts))
+        flat = {k: dr.detach(part.array, preserve_type=False) for k, part in parts.items()}
+        inputs = Inputs.of_named(flat)
         self.layout = Layout(camera.width, camera.height)
         limit = None if limit is None else self._plane(limit)
         behind = background.numpy().tolist()
@@ -137,20 +135,19 @@ class _Render(dr.CustomOp):
             self._plane(alpha),
             self._plane(depth[0]) if depth else None,
         )
-        found = render_adjoint(self.saved, grad, Wanted(camera=bool(self.matrices)))
-        for name, shape in zip(NAMES, self.shapes, strict=True):
-            flat = dr.array_t(self.kind)(getattr(found.inputs, name))
-            self.set_grad_in(name, self.kind(flat, shape=shape))
+        found = render_adjoint(self.saved, grad, RequestedGradients(camera=bool(self.matrices)))
+        for name, flat in found.named():
+            self.set_grad_in(name, self.kind(dr.array_t(self.kind)(flat), shape=self.shapes[name]))
         self.set_grad_in("background", self.kind(found.background))
         for name in self.matrices:
             self.set_grad_in(name, self.kind(getattr(found, name)))
 
     @exclusive
     def forward(self) -> None:
-        flat = lambda name: dr.detach(self.grad_in(name).array, preserve_type=False)
+        flat = {k: dr.detach(self.grad_in(k).array, preserve_type=False) for k in NAMES}
         matrices = {"T_camera_world": np.zeros((4, 4)), "K": np.zeros((3, 3))}
         matrices |= {name: _numpy(self.grad_in(name)) for name in self.matrices}
-        tangents = Inputs(*(flat(name) for name in NAMES))
+        tangents = Inputs.of_named(flat)
         dr.make_opaque(tangents)
         planes = render_tangent(
             self.saved, tangents, *matrices.values(), _numpy(self.grad_in("background")).tolist()
@@ -162,14 +159,14 @@ class _Render(dr.CustomOp):
         return tuple(images) if planes.depth is None else (*images, self._image(planes.depth))
 
     def _image(self, plane: Array, channels: int = 0) -> Array:
-        """A plane as an image, without its padding; 0 channels: without that axis."""
+        """Convert a plane to an image without padding; 0 channels leave out that axis."""
         layout = self.layout
         pixels = dr.gather(type(plane), plane, self._inside(channels or 1))
         shape = (layout.height, layout.width) + ((channels,) if channels else ())
         return self.kind(dr.array_t(self.kind)(pixels), shape=shape)
 
     def _plane(self, image: Array, channels: int = 1) -> Array:
-        """An image as a plane, padded with zeros."""
+        """Convert an image to a plane, padded with zeros."""
         height, width = self.layout.padded
         plane = dr.zeros(dr.detached_t(dr.array_t(self.kind)), height * width * channels)
         dr.scatter(plane, dr.detach(image.array, preserve_type=False), self._inside(channels))
@@ -177,7 +174,7 @@ class _Render(dr.CustomOp):
         return plane
 
     def _inside(self, channels: int) -> Array:
-        """Index in a plane of every number of the picture."""
+        """Indices in a plane of all numbers of the picture."""
         layout = self.layout
         row = layout.width * channels
         k = dr.arange(dr.uint32_array_t(dr.detached_t(dr.array_t(self.kind))), layout.height * row)

@@ -1,8 +1,8 @@
-"""The records of splatting: what goes in, and what comes out.
+"""``Gaussians``, the input of splatting, and ``Image``, its output.
 
-Both hold arrays of any one kind (Dr.Jit, torch, numpy): the kernels take Dr.Jit arrays,
-``torch_op`` takes torch tensors. Quaternions are wxyz and need not be normalised; scales are
-metres, not logarithms; opacities lie in [0, 1], not logits; colours are linear.
+Both hold arrays of one kind (Dr.Jit, torch or numpy). Quaternions are wxyz and need not be
+normalised; scales are metres, not logarithms; opacities lie in [0, 1], not logits; colours are
+linear.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ MAX_DEGREE = 4  # of the spherical harmonics
 
 @dataclass(frozen=True)
 class Gaussians:
-    """N anisotropic 3D Gaussians with a colour each: plain, or in spherical harmonics."""
+    """N anisotropic 3D Gaussians, each with a plain colour or one in spherical harmonics."""
 
     means: Any  # (N, 3) metres, world
     quats: Any  # (N, 4) wxyz, normalised inside
@@ -36,11 +36,11 @@ class Gaussians:
 
     @property
     def channels(self) -> int:
-        """D, the channels of the colour."""
+        """D, the number of channels of the colour."""
         return 3 if self.colors is None else int(self.colors.shape[1])
 
     def arrays(self) -> dict[str, Any]:
-        """The arrays that are set, by name."""
+        """Return the arrays that are set, by name."""
         form = ("quats", "scales") if self.covars is None else ("covars",)
         named = {name: getattr(self, name) for name in ("means", *form, "opacities")}
         return named | ({"sh": self.sh} if self.colors is None else {"colors": self.colors})
@@ -49,7 +49,7 @@ class Gaussians:
         """Check that the arrays fit each other.
 
         Raises:
-            ValueError: one does not; the error names the first.
+            ValueError: an array does not fit; the message names the first.
         """
         shapes = {name: tuple(array.shape) for name, array in self.arrays().items()}
         n = shapes["means"][0] if shapes["means"] else 0
@@ -72,7 +72,7 @@ class Gaussians:
 
 @dataclass(frozen=True)
 class Image:
-    """What a render returns; all is differentiable."""
+    """What ``render`` returns; all images are differentiable."""
 
     color: Any  # (H, W, D), background blended in
     alpha: Any  # (H, W) in [0, 1]
@@ -81,10 +81,10 @@ class Image:
 
 
 def degree_of(coefficients: int) -> int:
-    """The degree whose basis has that many functions.
+    """Return the degree whose basis has that many functions.
 
     Raises:
-        ValueError: where there is none up to :data:`MAX_DEGREE`.
+        ValueError: there is none up to :data:`MAX_DEGREE`.
     """
     for degree in range(MAX_DEGREE + 1):
         if (degree + 1) ** 2 == coefficients:

@@ -1,4 +1,4 @@
-"""The constants of splatting, in one home: kernels and slow twin read the same ones."""
+"""Cut-offs of splatting, read by the kernels and the reference implementation alike."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ Distance = Annotated[float, Within(0, 1e12, "low")]  # metres
 
 @dataclass(frozen=True)
 class SplatOptions:
-    """Cut-offs of the image formation. The defaults are those of gsplat 1.5.3, which users know."""
+    """Cut-offs of the image formation. The defaults are those of gsplat 1.5.3."""
 
-    alpha_min: InnerShare = 1 / 255  # a pixel-Gaussian pair below it is skipped
+    alpha_min: InnerShare = 1 / 255  # a Gaussian is skipped in pixels where its alpha is below
     alpha_max: InnerShare = 0.999  # alpha is clamped to it
     transmittance_min: Share = 1e-4  # a pixel stops before its transmittance falls to this
     # Added to the diagonal of the 2D covariance, square pixels.
@@ -25,8 +25,8 @@ class SplatOptions:
     far: Distance = 1e10  # metres
     # Pixels; a Gaussian that reaches no further in x and y is not drawn.
     radius_min: Annotated[float, Within(0, 1e6)] = 0.0
-    antialiased: bool = False  # what blurring adds in area is taken from the opacity
-    depth: bool = True  # whether the depth image is made too; pictures without it are faster
+    antialiased: bool = False  # reduce the opacity by the area that the blur adds
+    depth: bool = True  # make the depth image too; pictures without it are faster
 
     def __post_init__(self) -> None:
         require_ranges("SplatOptions", self)
@@ -36,13 +36,13 @@ class SplatOptions:
         if not self.near < self.far:
             raise InputError(f"SplatOptions: near < far is needed, got {self.near}, {self.far}")
 
-    def of_code(self) -> SplatOptions:
-        """Those that are constants of the kernels' code; the rest are arguments, as a pose is."""
-        return _of_code(self)
+    def kernel_constants(self) -> SplatOptions:
+        """Return the options that are constants in the kernels' code; the rest are arguments."""
+        return _kernel_constants(self)
 
 
-@functools.lru_cache  # every picture asks, and ranges are looked at anew
-def _of_code(options: SplatOptions) -> SplatOptions:
+@functools.lru_cache  # every picture needs it, and construction checks all ranges
+def _kernel_constants(options: SplatOptions) -> SplatOptions:
     return replace(
         options,
         blur=SplatOptions.blur,

@@ -1,12 +1,12 @@
-"""The slow twin: the same picture in dense float64 torch, gradients by autograd alone.
+"""The reference implementation: the same picture in dense float64 torch, gradients by autograd.
 
-It shares no code with the kernels, only the constants and the records, and is written to be
-obviously right: every Gaussian meets every pixel, one after the other; nothing is tiled or
-pre-scaled. Use it to check the kernels (:mod:`gva_mi.splat.gradcheck`), on small pictures.
+It shares no code with the kernels, only constants and records, and is written to be obviously
+right: every Gaussian meets every pixel, one after the other; nothing is tiled or pre-scaled. Use it
+to check the kernels (:mod:`gva_mi.gradcheck`), on small pictures.
 
     Sigma = M S S M^T,   Sigma' = J R Sigma R^T J^T + blur I,   J = du/dx by autograd
     alpha = min(alpha_max, o exp(-d^T Sigma'^-1 d / 2))
-    antialiased: o sqrt(det(Sigma' - blur I) / det Sigma') in the place of o
+    antialiased: o sqrt(det(Sigma' - blur I) / det Sigma') replaces o
     color = sum_i T_i alpha_i c_i + T background
 """
 
@@ -30,13 +30,13 @@ def render(
     *,
     depth_limit: Tensor | None = None,
 ) -> Image:
-    """What ``torch_op.render`` shall return, to the precision of float64.
+    """Draw ``gaussians`` as ``torch_op.render`` does, in float64.
 
     Args:
         gaussians: torch tensors of any precision; computed in float64, differentiable.
-        camera: the view; differentiable where it is made from tensors.
+        camera: the view; differentiable if it is made from tensors.
         options: cut-offs.
-        background: (D,), black where None.
+        background: (D,); black if None.
         depth_limit: (H, W), m along the camera's z; a pixel shows what is nearer.
     """
     options = options or SplatOptions()
@@ -51,7 +51,7 @@ def threshold_band(
     transmittance: float = 1e-3,
     depth: float = 2**-22,
 ) -> Tensor:
-    """Pixels whose picture may change by a step when the last digits do, (H, W) bool.
+    """Find pixels that may change by a step when the last digits do, (H, W) bool.
 
     Args:
         gaussians: torch tensors.
@@ -59,10 +59,9 @@ def threshold_band(
         options: cut-offs.
         alpha: a pixel counts where a Gaussian's alpha is relatively nearer to ``alpha_min`` or
             ``alpha_max`` than this.
-        transmittance: the same for T and ``transmittance_min``.
-        depth: a pixel counts where two Gaussians that follow each other in it have depths
-            relatively nearer than this (four float32 roundings), and not equal: they may change
-            places.
+        transmittance: relative distance of T to ``transmittance_min`` below which a pixel counts.
+        depth: a pixel counts where two consecutive Gaussians have depths relatively nearer than
+            this (four float32 roundings), and not equal: they may change places.
     """
     with torch.no_grad():
         margins = _render(gaussians, camera, options or SplatOptions(), None)[1]
@@ -71,7 +70,7 @@ def threshold_band(
 
 @dataclass(frozen=True)
 class _Margins:
-    """How near a pixel is to a step of its picture: relative distances, (H, W)."""
+    """Relative distances of each pixel to the nearest step of its picture, (H, W)."""
 
     alpha: Tensor  # of any alpha to alpha_min or alpha_max
     rest: Tensor  # of any T to transmittance_min
@@ -86,15 +85,15 @@ class _Margins:
         stopped: Tensor,
         seen: Tensor,
     ) -> _Margins:
-        """After one more Gaussian.
+        """Return the margins after one more Gaussian.
 
         Args:
             options: cut-offs.
             free: its alpha before it is clamped, (H, W).
             rest: T behind it, (H, W).
-            gap: how much farther it is than the one in front, relatively, (H, W).
-            stopped: pixels that had stopped before it.
-            seen: pixels that see it.
+            gap: its relative distance behind the Gaussian in front, (H, W).
+            stopped: pixels that stopped before it.
+            seen: pixels that show it.
         """
         off = lambda value, cut: (value / cut - 1).abs()
         to_cut = torch.minimum(off(free, options.alpha_min), off(free, options.alpha_max))
@@ -107,7 +106,7 @@ class _Margins:
 
 
 def _matrices(camera: Camera) -> tuple[Tensor, Tensor]:
-    """T_camera_world (4, 4) and K (3, 3), float64: the camera's tensors where it has some."""
+    """Return T_camera_world (4, 4) and K (3, 3), float64; the camera's tensors if it has some."""
     T, K = camera.tensors
     T = torch.tensor(camera.T_camera_world) if T is None else T.to(torch.float64)
     return T, torch.tensor(camera.K) if K is None else K.to(torch.float64)
@@ -175,7 +174,7 @@ def _render(
 
 
 def _covariances(gaussians: Gaussians) -> list[Tensor]:
-    """Sigma (3, 3) of each Gaussian, square metres."""
+    """Return Sigma (3, 3) of each Gaussian, square metres."""
     if gaussians.covars is not None:
         rows = ((0, 1, 2), (1, 3, 4), (2, 4, 5))
         given = gaussians.covars.to(torch.float64)
@@ -186,7 +185,7 @@ def _covariances(gaussians: Gaussians) -> list[Tensor]:
 
 
 def _colors(gaussians: Gaussians, means: Tensor, position: Tensor) -> Tensor:
-    """The colours (N, D), seen from the camera's position (3,)."""
+    """Return the colours (N, D) as seen from the camera's position (3,)."""
     if gaussians.sh is None:
         return gaussians.colors.to(torch.float64)
     toward = means - position
@@ -198,7 +197,7 @@ def _colors(gaussians: Gaussians, means: Tensor, position: Tensor) -> Tensor:
 def _project(
     x: Tensor, covariance: Tensor, R: Tensor, camera: Camera, K: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """One Gaussian's mean (2,) and covariance before the blur (2, 2); ``x``: camera space."""
+    """Project one Gaussian at ``x`` in camera space: mean (2,), covariance (2, 2) before blur."""
     falls = lambda x: picture_point(x, K, camera.model)
     J = torch.func.jacrev(falls)(x)
     if camera.model == "pinhole":
@@ -212,7 +211,7 @@ def _project(
 
 
 def picture_point(x: Tensor, K: Tensor, model: CameraModel) -> Tensor:
-    """Where a point (3,) of camera space falls in the picture, (2,) px."""
+    """Project a point (3,) of camera space into the picture, (2,) px."""
     if model == "pinhole":
         p = x[:2] / x[2]
     elif model == "ortho":
@@ -224,7 +223,7 @@ def picture_point(x: Tensor, K: Tensor, model: CameraModel) -> Tensor:
 
 
 def rotation(quat: Tensor) -> Tensor:
-    """The rotation matrix (3, 3) of a quaternion wxyz of any length; of zero, the identity."""
+    """Return the rotation matrix of a quaternion wxyz of any length; the identity for zero."""
     length = quat.norm()
     if length.detach() == 0:
         return torch.eye(3, dtype=quat.dtype)
@@ -241,10 +240,10 @@ def rotation(quat: Tensor) -> Tensor:
 
 
 def harmonics(directions: Tensor, count: int) -> Tensor:
-    """The first ``count`` real spherical harmonics at unit vectors (N, 3), as (N, count).
+    """Evaluate the first ``count`` real spherical harmonics at unit vectors (N, 3): (N, count).
 
-    In the order and sign of 3DGS. By the recurrences of the associated Legendre functions, which
-    have nothing in common with the kernels' polynomials.
+    Order and sign are those of 3DGS. The recurrences of the associated Legendre functions have
+    nothing in common with the kernels' polynomials.
     """
     x, y, z = directions.unbind(1)
     out = []

@@ -1,4 +1,4 @@
-"""Scenes to check and to measure the kernels with: from a file, strewn at random, or a person."""
+"""Scenes to test and measure the kernels with: from a file, random, or shaped like a person."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ ARRAYS = ("means", "quats", "scales", "opacities")  # of a scene's file, beside 
 
 @dataclass(frozen=True)
 class Scene:
-    """Everything a picture is made of."""
+    """Gaussians, a camera, a background and options: everything a picture is made of."""
 
     gaussians: Gaussians  # float64 torch tensors
-    camera: Camera  # of float64 torch tensors, where it is to be differentiated too
+    camera: Camera  # made of float64 torch tensors if it is differentiated too
     background: Tensor  # (D,) float64
     options: SplatOptions = SplatOptions()
 
@@ -37,14 +37,14 @@ class Scene:
         background: np.ndarray,
         options: SplatOptions | None = None,
     ) -> Scene:
-        """From Gaussians of numpy arrays."""
+        """Make a scene from Gaussians of numpy arrays."""
         to_torch = lambda array: torch.tensor(np.asarray(array, dtype=np.float64))
         tensors = Gaussians(**{k: to_torch(v) for k, v in gaussians.arrays().items()})
         return Scene(tensors, camera, to_torch(background), options or SplatOptions())
 
     @staticmethod
     def load(path: Path) -> Scene:
-        """A scene from a file.
+        """Load a scene from a file.
 
         Args:
             path: a .ply of Gaussians, also a compressed one, a .splat or a .spz, seen by
@@ -54,7 +54,7 @@ class Scene:
                 camera_model, pinhole where missing.
 
         Raises:
-            InputError: naming what is missing or does not fit.
+            InputError: something is missing or does not fit; the message names it.
         """
         if path.suffix.lower() in LOAD:
             return in_front(path, LOAD[path.suffix.lower()](path))
@@ -75,17 +75,17 @@ class Scene:
             return Scene.of(gaussians, camera, arrays.get("background", black))
 
     def inputs(self) -> dict[str, Tensor]:
-        """What is differentiated, by name."""
+        """Return what is differentiated, by name."""
         matrices = {k: v for k, v in self.camera.tensors._asdict().items() if v is not None}
         return self.gaussians.arrays() | {"background": self.background} | matrices
 
     def with_camera_inputs(self) -> Scene:
-        """The same scene, whose camera is to be differentiated too."""
+        """Return the scene with a camera made of tensors, to differentiate by it too."""
         T, K = (torch.tensor(matrix) for matrix in (self.camera.T_camera_world, self.camera.K))
         return replace(self, camera=self.camera.with_matrices(T, K))
 
     def with_inputs(self, inputs: dict[str, Tensor]) -> Scene:
-        """The same scene with other tensors."""
+        """Return the scene with other tensors."""
         inputs = dict(inputs)
         background = inputs.pop("background")
         matrices = {k: inputs.pop(k) for k in CameraTensors._fields if k in inputs}
@@ -93,12 +93,12 @@ class Scene:
         return replace(self, gaussians=Gaussians(**inputs), background=background, camera=camera)
 
     def to(self, dtype: torch.dtype) -> Scene:
-        """The same scene in another precision, detached and ready for gradients."""
+        """Return the scene in another precision, detached, as leaves that need gradients."""
         inputs = self.inputs().items()
         return self.with_inputs({k: v.detach().to(dtype).requires_grad_() for k, v in inputs})
 
     def rounded(self) -> Scene:
-        """The same scene with every number as float32 holds it, the camera's too."""
+        """Round every number to float32, the camera's too."""
         round32 = lambda x: np.asarray(x, dtype=np.float32).astype(np.float64)
         c = self.camera
         rounded = self.to(torch.float32).to(torch.float64)
@@ -108,7 +108,7 @@ class Scene:
         return replace(rounded, camera=camera)
 
     def window(self, left: int, top: int, width: int, height: int) -> Scene:
-        """A part of the picture as a scene of its own, without the Gaussians that miss it."""
+        """Cut out a part of the picture as a scene, without the Gaussians that miss it."""
         g, camera = self.gaussians, self.camera.cropped(left, top, width, height)
         means, scales = g.means.detach().numpy(), g.scales.detach().numpy()
         x = means @ camera.T_camera_world[:3, :3].T + camera.T_camera_world[:3, 3]
@@ -129,7 +129,7 @@ class Scene:
         return replace(self, gaussians=Gaussians(**kept), camera=camera)
 
     def through(self, model: CameraModel) -> Scene:
-        """The same view with another camera model; the Gaussians' middle stays about as large."""
+        """Return the view with another camera model; the Gaussians' middle stays about as large."""
         c, means = self.camera, self.gaussians.means.detach().numpy()
         size = 1.0
         if len(means) and (model == "ortho") != (c.model == "ortho"):  # px per metre, not per slope
@@ -138,14 +138,14 @@ class Scene:
         return replace(self, camera=replace(c, model=model, fx=c.fx * size, fy=c.fy * size))
 
     def featured(self, channels: int, generator: Generator) -> Scene:
-        """The same Gaussians with random features of any width in the place of their colours."""
+        """Replace the colours by random features of any width."""
         draw = lambda *shape: torch.rand(*shape, generator=generator, dtype=torch.float64)
         kept = {k: v for k, v in self.gaussians.arrays().items() if k not in ("sh", "colors")}
         gaussians = Gaussians(**kept, colors=draw(len(self.gaussians), channels))
         return replace(self, gaussians=gaussians, background=draw(channels))
 
     def windows(self, size: int, count: int) -> Iterator[tuple[str, Scene]]:
-        """``count`` windows of ``size`` pixels from the fullest to the emptiest, named by place."""
+        """Yield ``count`` windows of ``size`` pixels, fullest to emptiest, named by place."""
         means, T = self.gaussians.means.detach().numpy(), self.camera.T_camera_world
         u = self.camera.project(means[means @ T[2, :3] + T[2, 3] > self.options.near])
         columns, rows = max(1, self.camera.width // size), max(1, self.camera.height // size)
@@ -163,9 +163,9 @@ class Scene:
 
 
 def in_front(path: Path, gaussians: Gaussians, size: int = 512) -> Scene:
-    """Gaussians of a file that holds no camera, seen from their front, +z, on black.
+    """Look at the Gaussians of a file without a camera from their front, +z, on black.
 
-    Nine tenths of them fill its middle: the rest of a captured scene is far away.
+    Nine tenths of them fill the middle: the rest of a captured scene is far away.
 
     Args:
         path: of the file, for errors.
@@ -173,7 +173,7 @@ def in_front(path: Path, gaussians: Gaussians, size: int = 512) -> Scene:
         size: width and height of the picture, px.
 
     Raises:
-        InputError: there are none, or their numbers are not finite.
+        InputError: there are no Gaussians, or their numbers are not finite.
     """
     if not len(gaussians):
         raise InputError(f"{path}: holds no Gaussians; a scene needs one")
@@ -197,7 +197,7 @@ def random_scene(
     degree: int | None = None,
     channels: int = 3,
 ) -> Scene:
-    """Gaussians strewn about the origin, some beyond the picture's border, seen from 3 m.
+    """Spread random Gaussians about the origin, some beyond the picture's border, seen from 3 m.
 
     Args:
         generator: of all random numbers.
@@ -245,9 +245,9 @@ PERSON = (  # tapered capsules: end a, end b (m, y up), radius at a, radius at b
 def person_scene(
     generator: np.random.Generator, gaussians: int = 20_000, size: int = 512, degree: int = 3
 ) -> Scene:
-    """Gaussians on a person of capsules, seen whole from 3 m: what an avatar looks like.
+    """Cover a person made of capsules with Gaussians, seen from 3 m: like an avatar.
 
-    Their size follows the spacing on the surface, so that the picture stays closed at any number.
+    Their size follows the spacing on the surface, so that there are no holes at any number.
 
     Args:
         generator: of all random numbers.

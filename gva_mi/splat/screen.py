@@ -1,4 +1,4 @@
-"""The Gaussians as one picture saw them: what densification, and gsplat's ``meta``, need to know.
+"""The Gaussians in the picture: means, sizes and gradients, for densification and gsplat's meta.
 
 The gradient by each Gaussian's mean in the picture::
 
@@ -16,56 +16,29 @@ from dataclasses import dataclass, field
 import drjit as dr
 import numpy as np
 import torch
-from drjit import ArrayBase as Array
 from torch import Tensor
 
 from gva_mi.splat.kernels.exclusive import exclusive
-from gva_mi.splat.kernels.packets import Packets
-from gva_mi.splat.kernels.passes import Saved
-from gva_mi.splat.kernels.project import Projected
-from gva_mi.splat.kernels.records import Footprint, Format, Splat
-
-
-def tensor_of(array: Array, count: int | None = None) -> Tensor:
-    """An array's own memory, (width,), or its first numbers; by way of numpy, for ``.torch()``
-    takes thrice as long."""
-    return torch.from_numpy(array.numpy()[:count])
-
-
-def of_rows(columns: np.ndarray, rows: Tensor | None = None) -> Tensor:
-    """The first two of some columns, (N, 2 k), in memory of their own, as torch's tensor.
-
-    Args:
-        columns: of float32 or float64, row by row in memory.
-        rows: (M,) int64, those to return; None returns all.
-
-    A pair is copied as one complex number, by numpy: torch copies rows of two numbers as slowly as
-    long ones, and takes longer to be called.
-    """
-    number = np.complex64 if columns.dtype == np.float32 else np.complex128
-    pairs = columns.view(number)[:, 0]
-    if rows is None:
-        found = pairs.copy()
-    else:  # take() would copy the whole first, did its numbers not lie side by side
-        rows = rows.numpy()
-        found = pairs.take(rows) if pairs.flags.contiguous else pairs[rows]
-    return torch.from_numpy(found.view(columns.dtype).reshape(-1, 2))
+from gva_mi.splat.kernels.project import ProjectedMemory
+from gva_mi.splat.kernels.records import Footprint, RecordFormat, Splat
+from gva_mi.splat.kernels.saved import SavedState
+from gva_mi.splat.tensors import first_two_columns, tensor_of
 
 
 @dataclass
 class Screen:
-    """The Gaussians as one picture saw them: filled by ``render``, gradients by ``backward``.
+    """The Gaussians in one picture: filled by ``render``; gradients by ``backward``.
 
-    What is asked of it is read out of the kernels' memory then; what is not costs nothing.
+    Every property is read from the kernels' memory when it is used; unused ones cost nothing.
     """
 
     absolute: bool = False  # set to have absgrad filled as well
     grad: Tensor | None = None  # (N, 2) dL/dmeans2d, per px; 0 where not drawn
-    absgrad: Tensor | None = None  # (N, 2) grad with the share of every pixel taken absolutely
-    seen: Seen | None = field(default=None, repr=False)
+    absgrad: Tensor | None = None  # (N, 2) like grad, with the absolute value of each pixel's share
+    memory: KernelMemory | None = field(default=None, repr=False)
 
-    def fill(self, saved: Saved, means: Tensor) -> None:
-        """Take what the kernels saved.
+    def fill(self, saved: SavedState, means: Tensor) -> None:
+        """Take over the memory of a forward pass.
 
         Args:
             saved: what ``render_forward`` returned.
@@ -73,7 +46,8 @@ class Screen:
         """
         self.grad = self.absgrad = None
         size = (saved.layout.width, saved.layout.height)
-        self.seen = Seen(saved.projected, saved.plan.formats[0], size, means.new_zeros(0))
+        empty = means.new_zeros(0)
+        self.memory = KernelMemory(saved.projected, saved.plan.formats[0], size, empty)
 
     @property
     def visible(self) -> Tensor:
@@ -82,97 +56,97 @@ class Screen:
 
     @property
     def means2d(self) -> Tensor:
-        """(N, 2) px; meaningless where not visible."""
+        """Means in the picture, (N, 2) px; meaningless where not visible."""
         return self.means2d_of(None)
 
     def means2d_of(self, rows: Tensor | None) -> Tensor:
-        """The same of some rows (M,) int64, (M, 2)."""
-        return of_rows(self.seen.footprint_rows, rows)
+        """Return ``means2d`` of the rows (M,) int64, (M, 2)."""
+        return first_two_columns(self.memory.footprint_rows, rows)
 
     @property
     def depths(self) -> Tensor:
-        """Along the camera's z, (N,) m."""
-        return self.seen.number("depths")
+        """Depths along the camera's z, (N,) m."""
+        return self.memory.number("depths")
 
     @property
     def radii(self) -> Tensor:
         """3 sigma of the longer axis, (N,) px; 0 where not drawn."""
-        return self.seen.number("radii")
+        return self.memory.number("radii")
 
     @property
     def extents(self) -> Tensor:
-        """How far each reaches in x and y, alpha >= alpha_min, (N, 2) px; 0 where culled."""
-        found = self.seen.footprint
+        """Half extents in x and y where alpha >= alpha_min, (N, 2) px; 0 where culled."""
+        found = self.memory.footprint
         return torch.where(found.ry >= 0, torch.stack([found.rx, found.ry]), 0).T
 
     @property
     def boxes(self) -> Tensor:
-        """Extents in whole pixels, (N, 2) int32; 0 where they are outside the picture."""
+        """Extents in whole pixels, (N, 2) int32; 0 where they lie outside the picture."""
         radii, means2d = torch.ceil(self.extents), self.means2d
-        reaches = (means2d + radii > 0) & (means2d - radii < torch.tensor(self.seen.size))
-        return torch.where(reaches.all(dim=1, keepdim=True), radii, 0).to(torch.int32)
+        inside = (means2d + radii > 0) & (means2d - radii < torch.tensor(self.memory.size))
+        return torch.where(inside.all(dim=1, keepdim=True), radii, 0).to(torch.int32)
 
     @property
     def rows(self) -> Tensor:
-        """The Gaussians that have a box, (M,) int64, ascending."""
-        # numpy: every picture of gsplat's call comes here, and torch takes eight times as long
-        return torch.from_numpy(np.flatnonzero(self.seen.boxed))
+        """Indices of the Gaussians that have a box, (M,) int64, ascending."""
+        # numpy: every picture of rasterization() needs this, and torch takes eight times as long
+        return torch.from_numpy(np.flatnonzero(self.memory.boxed))
 
     @property
     def conics(self) -> Tensor:
         """Inverse covariances in the picture, (N, 3): xx, xy, yy, per px^2."""
-        p, q, r = self.seen.splat.p, self.seen.splat.q, self.seen.splat.r
+        splat = self.memory.splat
+        p, q, r = splat.p, splat.q, splat.r
         return 2 * math.log(2) * torch.stack([p * p, p * q, q * q + r * r], dim=1)
 
     @property
     def opacities(self) -> Tensor:
-        """Opacities as drawn: less than the Gaussians' own with ``antialiased``, (N,)."""
-        return torch.exp2(self.seen.splat.lo)
+        """Opacities as drawn, (N,): with ``antialiased`` lower than the Gaussians' own."""
+        return torch.exp2(self.memory.splat.lo)
 
 
 @dataclass(frozen=True)
-class Seen:
-    """The kernels' memory, read as torch's tensors."""
+class KernelMemory:
+    """The projected Gaussians in the kernels' memory, read as torch's tensors."""
 
-    projected: Projected | None  # None where there is no Gaussian
-    format: Format  # of its splats
+    projected: ProjectedMemory | None  # None if there is no Gaussian
+    format: RecordFormat  # of its splats
     size: tuple[int, int]  # of the picture: width, height, px
-    nothing: Tensor  # (0,), of the Gaussians' dtype
+    empty: Tensor  # (0,), of the Gaussians' dtype
 
     @property
+    @exclusive
     def splat(self) -> Splat:
-        """The record of all Gaussians, its fields as tensors (N,); colours of the first chunk."""
+        """The splats of all Gaussians, fields (N,); the colours are those of the first chunk."""
         if self.projected is None:
-            return Splat.unpack([self.nothing] * Splat.columns(self.format), self.format)
-        return Splat.unpack(self._columns(self.projected.splats[0]), self.format)
+            return Splat.unpack([self.empty] * Splat.columns(self.format), self.format)
+        n, columns = dr.width(self.projected.radii), []
+        for part in self.projected.splats[0]:
+            columns += tensor_of(part).view(n, -1).unbind(1)
+        return Splat.unpack(columns, self.format)
 
     @property
     def footprint(self) -> Footprint:
-        """The same of the ellipses."""
+        """The footprints of all Gaussians, fields (N,)."""
         return Footprint.unpack(torch.from_numpy(self.footprint_rows).unbind(1))
 
     @property
     @exclusive
     def footprint_rows(self) -> np.ndarray:
-        """The rows of these records, (N, columns)."""
+        """The footprints as a table (N, columns)."""
         width = Footprint.columns()
         if self.projected is None:
-            return self.nothing.detach().view(0, width).numpy()  # torch's graph may have it
+            return self.empty.detach().view(0, width).numpy()  # under torch.func it is no plain one
         (rows,) = self.projected.footprints
         return rows.numpy().reshape(-1, width)
 
     @exclusive
     def number(self, name: str) -> Tensor:
-        """One of the numbers that ``Projected`` has of each Gaussian, (N,)."""
-        return self.nothing if self.projected is None else tensor_of(getattr(self.projected, name))
+        """Return the field ``name`` of ``ProjectedMemory``, (N,)."""
+        return self.empty if self.projected is None else tensor_of(getattr(self.projected, name))
 
     @property
     @exclusive
     def boxed(self) -> np.ndarray:
-        """``Projected.boxed``, (N,)."""
+        """``ProjectedMemory.boxed``, (N,)."""
         return np.zeros(0, bool) if self.projected is None else self.projected.boxed.numpy()
-
-    @exclusive
-    def _columns(self, record: Packets) -> list[Tensor]:
-        n = dr.width(self.projected.radii)
-        return [column for part in record for column in tensor_of(part).view(n, -1).unbind(1)]

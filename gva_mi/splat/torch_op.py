@@ -1,23 +1,22 @@
-"""``render`` on torch tensors: what it takes, and what it refuses.
+"""``render`` on torch tensors.
 
 The precision is that of the tensors: float64 Gaussians run the same kernels in float64. All three
 images are differentiable by every tensor of the Gaussians, by the background, and by the camera's
-matrices where these are tensors. What densification needs to know of a picture is written to a
-:class:`Screen`, where one is given. How torch's autograd reaches the kernels is autograd.py.
+matrices where these are tensors. A :class:`Screen` receives what densification needs. autograd.py
+has the operations for torch's autograd.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from torch import Tensor
 
-from gva_mi.splat.autograd import PRECISION, Call, Render, Tensors, not_compiled
+from gva_mi.splat.autograd import Render
 from gva_mi.splat.camera import Camera
-from gva_mi.splat.covariances import in_the_place_of_quats_and_scales
 from gva_mi.splat.gaussians import Gaussians, Image
 from gva_mi.splat.options import SplatOptions
 from gva_mi.splat.screen import Screen
+from gva_mi.splat.tensors import PRECISION, not_compiled
+from gva_mi.splat.torch_passes import Call, Tensors
 
 _DEFAULTS = SplatOptions()
 
@@ -30,7 +29,7 @@ def render(
     background: Tensor | None = None,
     screen: Screen | None = None,
 ) -> Image:
-    """The picture of ``gaussians`` from ``camera``.
+    """Draw ``gaussians`` as seen from ``camera``.
 
     Args:
         gaussians: CPU tensors of one dtype, float32 or float64; contiguous ones are not copied.
@@ -46,24 +45,30 @@ def render(
         where ``options.depth`` is off.
 
     Raises:
-        ValueError: for wrong shapes, dtypes or devices, NaN or infinite numbers.
+        ValueError: a shape, dtype or device is wrong, or a number is NaN or infinite.
 
     Note:
         The order by depth and the set of pixels a Gaussian reaches are not differentiated: the
-        image is smooth but for steps of ``options.alpha_min`` and ``options.transmittance_min``.
-        Derivatives of derivatives are refused, in a sentence. ``torch.func``'s transforms work,
-        ``vmap`` one element after the other; ``torch.compile`` runs it as it is, between graphs.
+        image is smooth except for steps of ``options.alpha_min`` and ``transmittance_min``.
+        Second derivatives raise. ``torch.func``'s transforms work, ``vmap`` one element after the
+        other; ``torch.compile`` runs it between graphs, uncompiled.
     """
     check(gaussians, background, camera)
+    images = Render.apply(
+        *tensors_of(gaussians, background, camera),
+        Call(camera, options, gaussians.sh is not None, screen),
+    )
+    return Image(*images[:-1])
+
+
+def tensors_of(gaussians: Gaussians, background: Tensor | None, camera: Camera) -> Tensors:
+    """Collect everything that is differentiated; black where there is no background."""
+    g = gaussians
     if background is None:
-        background = gaussians.means.new_zeros(gaussians.channels)
-    by_covars = gaussians.covars is not None
-    if by_covars:
-        quats, scales = in_the_place_of_quats_and_scales(gaussians.covars)
-        gaussians = replace(gaussians, quats=quats, scales=scales, covars=None)
-    tensors = Tensors(*gaussians.arrays().values(), background, *camera.tensors, None, None)
-    call = Call(camera, options, gaussians.sh is not None, screen, by_covars)
-    return Image(*Render.apply(*tensors, call))
+        background = g.means.new_zeros(g.channels)
+    colors = g.colors if g.sh is None else g.sh
+    shape = (g.quats, g.scales, g.covars)
+    return Tensors(g.means, *shape, g.opacities, colors, background, *camera.tensors, None, None)
 
 
 def expected_depth(image: Image) -> Tensor:
@@ -72,10 +77,10 @@ def expected_depth(image: Image) -> Tensor:
 
 
 def check(gaussians: Gaussians, background: Tensor | None, camera: Camera) -> None:
-    """Refuse what the kernels cannot take.
+    """Check everything that the kernels rely on.
 
     Raises:
-        ValueError: for wrong kinds, dtypes, devices or shapes.
+        ValueError: a kind, dtype, device or shape is wrong.
     """
     dtype = getattr(gaussians.means, "dtype", None)
     for name, tensor in gaussians.arrays().items():

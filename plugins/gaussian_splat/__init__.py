@@ -1,7 +1,7 @@
 """``gaussian_splat``: the ``ellipsoids`` of a scene by splatting.
 
-* ``ellipsoids.py``: the shapes' parameters as the Gaussians of ``gva_mi.splat``;
-* ``sensor.py``: Mitsuba's sensor as its camera;
-* ``other_shapes.py``: the shapes that may hide ellipsoids, and what they look like;
-* ``integrator.py``: the plugin, which puts the three together. Read it first.
+* ``integrator.py``: the plugin. Read it first.
+* ``ellipsoids.py``: converts the shapes' parameters to the Gaussians of ``gva_mi.splat``.
+* ``sensor.py``: converts Mitsuba's sensor to a camera.
+* ``other_shapes.py``: picture and depth of the shapes that may hide ellipsoids.
 """

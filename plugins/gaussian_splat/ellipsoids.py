@@ -1,14 +1,14 @@
-"""Mitsuba's ``ellipsoids`` shapes as the Gaussians of ``gva_mi.splat``, differentiable.
+"""Conversion of Mitsuba's ``ellipsoids`` to the Gaussians of ``gva_mi.splat``, differentiable.
 
 | what | in the shape | in the kernels |
 |---|---|---|
 | center, scale, rotation | ``data``, ten floats each: 3, 3, 4 | ``means, scales, quats`` |
-| rotation | quaternion xyzw, taken for a unit one | wxyz, normalised inside |
+| rotation | unit quaternion xyzw | wxyz, normalised inside |
 | scale | standard deviations along its axes | the same |
 | opacity at the center | ``opacities`` (N, 1) | ``opacities`` (N,) |
 | colour | ``sh_coeffs`` (N, 3 K), coefficient by coefficient | ``sh`` (N, K, 3), the same basis |
 
-The shape's ``extent`` cuts an ellipsoid off for ray tracers; a splat ends where its alpha falls to
+The shape's ``extent`` limits an ellipsoid for ray tracers; a splat ends where its alpha falls to
 1/255.
 """
 
@@ -28,10 +28,10 @@ COEFFICIENTS = [(degree + 1) ** 2 for degree in range(MAX_DEGREE + 1)]
 
 
 def gaussians_of(scene: mi.Scene) -> Gaussians:
-    """All ellipsoids of a scene, shape after shape, attached to the shapes' parameters.
+    """Collect all ellipsoids of a scene, attached to the shapes' parameters.
 
     Raises:
-        ValueError: there is no ellipsoid, or a shape lacks an attribute or has one of wrong size.
+        ValueError: there is no ellipsoid, or an attribute is missing or has the wrong size.
     """
     parts = [_Ellipsoids.of(shape) for shape in scene.shapes() if shape.is_ellipsoids()]
     if not parts:
@@ -48,7 +48,7 @@ def gaussians_of(scene: mi.Scene) -> Gaussians:
 
 
 def seen_along(gaussians: Gaussians, direction: list[mi.Float]) -> Gaussians:
-    """The Gaussians with the colours they have for parallel rays along a unit vector."""
+    """Evaluate the colours for parallel rays along a unit vector."""
     n, K, _ = gaussians.sh.shape
     basis = sh.basis(sh.degree_of(K), *direction)
     k = dr.arange(mi.UInt32, 3 * n)
@@ -64,7 +64,7 @@ def seen_along(gaussians: Gaussians, direction: list[mi.Float]) -> Gaussians:
 
 @dataclass(frozen=True)
 class _Ellipsoids:
-    """The parameters of one shape."""
+    """Parameters of one shape."""
 
     data: mi.Float  # 10 N
     opacities: mi.Float  # N
@@ -96,14 +96,14 @@ class _Ellipsoids:
         return _Ellipsoids(data, opacities, sh, count, coefficients)
 
     def columns(self, *columns: int) -> mi.Float:
-        """Some columns of ``data``, as one flat array of rows."""
+        """Select columns of ``data``, as one flat array of rows."""
         width = len(columns)
         k = dr.arange(mi.UInt32, self.count * width)
         column = dr.gather(mi.UInt32, mi.UInt32(columns), k % width)
         return _gather(self.data, k // width * DATA + column)
 
     def harmonics(self, coefficients: int) -> mi.Float:
-        """``sh`` with zeros for the coefficients beyond its own."""
+        """Pad ``sh`` with zeros to so many coefficients."""
         if coefficients == self.coefficients:
             return self.sh
         wide, own = 3 * coefficients, 3 * self.coefficients
@@ -112,5 +112,5 @@ class _Ellipsoids:
 
 
 def _gather(source: mi.Float, index: mi.UInt32, active: mi.Bool = True) -> mi.Float:
-    """Numbers from places that are all different, so that the adjoint needs no atomics."""
+    """Gather from distinct indices, so that the adjoint needs no atomics."""
     return dr.gather(mi.Float, source, index, active=active, mode=dr.ReduceMode.NoConflicts)

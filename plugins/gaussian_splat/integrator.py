@@ -1,37 +1,37 @@
 """``gaussian_splat``: an integrator that splats the ``ellipsoids`` of a scene (EWA splatting).
 
-Any scene made for Mitsuba's ray-traced ``volprim_rf_basic``, or loaded from a 3DGS .ply, is shown
-by the kernels of ``gva_mi.splat`` instead: no rays, no noise, and right gradients.
+It draws any scene made for Mitsuba's ray-traced ``volprim_rf_basic``, or loaded from a 3DGS .ply,
+with the kernels of ``gva_mi.splat``: no rays, no noise, and right gradients.
 
 1. C, α = splat(ellipsoids, sensor)         ``ellipsoids.py``, ``sensor.py``
-2. I = C + (1 - α) B                        B: the background, or what the other shapes show
-3. Where ``meshes`` is ``depth``, a pixel splats only the ellipsoids whose centers are nearer than
-   the surface that the ray through the pixel's own center meets (``other_shapes.py``).
+2. I = C + (1 - α) B                        B: the background, or the other shapes' picture
+3. With ``meshes`` = ``depth``, a pixel shows only the ellipsoids whose centers are nearer than the
+   surface at the pixel's center (``other_shapes.py``).
 
 Parameters:
-    ``meshes`` (string): ``none`` shows the ellipsoids alone; ``depth`` puts them among the other
+    ``meshes`` (string): ``none`` shows only the ellipsoids; ``depth`` puts them among the other
         shapes of the scene. Default: ``none``.
-    nested integrator: shows the other shapes, where ``meshes`` is ``depth``. Default: ``path``.
-    ``background`` (colour): behind the ellipsoids, where ``meshes`` is ``none``; with ``depth`` the
-        scene's environment is seen there. Default: black.
+    nested integrator: renders the other shapes, with ``meshes`` = ``depth``. Default: ``path``.
+    ``background`` (colour): behind the ellipsoids, with ``meshes`` = ``none``; with ``depth`` the
+        scene's environment is there. Default: black.
     ``srgb_primitives`` (boolean): whether the ellipsoids' colours are sRGB, as 3DGS trains them.
-        Then eq. 2 is in sRGB too, and the image linear, as a film must be. Default: true.
+        Then eq. 2 is in sRGB too; the image is linear, as a film must be. Default: true.
     ``depth`` (boolean): adds the channel ``depth``, Σ Tᵢ αᵢ zᵢ of the ellipsoids in metres along
         the sensor's axis. Default: false.
     ``blur`` (float): added to the diagonal of the 2D covariances, square pixels. Default: 0.3.
-    ``antialiased`` (boolean): whether what the blur adds in area is taken from the opacity.
+    ``antialiased`` (boolean): reduce the opacity by the area that the blur adds.
         Default: false.
 
 The sensor is ``perspective`` or ``orthographic``, with its crop window, clip distances and
-principal point. ``spp``, ``seed`` and the film's filter act on the nested integrator alone. A film
-with alpha gets the opacity of ellipsoids and meshes together.
+principal point. ``spp``, ``seed`` and the film's filter affect only the nested integrator. A film
+with alpha receives the opacity of ellipsoids and meshes together.
 
 Note:
     Differentiable in ``data``, ``opacities`` and ``sh_coeffs`` of the shapes, in the sensor's
     ``to_world``, ``x_fov`` and principal point, and in whatever the nested integrator
-    differentiates. Not in the order by depth, nor in the line where a surface hides an ellipsoid.
-    Meshes cast no light or shadow on ellipsoids, nor these on them; glass hides what is behind it.
-    A function under ``dr.freeze`` must not render with it: the kernels are frozen already.
+    differentiates. Not in the order by depth, nor along the line where a surface hides an
+    ellipsoid. Meshes and ellipsoids cast no light or shadow on each other; glass hides what is
+    behind it. A function under ``dr.freeze`` must not use it: the kernels are frozen already.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ from gva_mi.splat.kernels.exclusive import exclusive
 
 
 class GaussianSplat(mi.ad.integrators.common.ADIntegrator):
-    """The integrator; see the module's docstring."""
+    """The integrator ``gaussian_splat``; the module's docstring describes it."""
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
@@ -90,7 +90,7 @@ class GaussianSplat(mi.ad.integrators.common.ADIntegrator):
         develop: bool = True,
         evaluate: bool = True,
     ) -> mi.TensorXf:
-        """The image: (H, W, 3), one more channel for a film with alpha, one for ``depth``."""
+        """Render (H, W, 3); one more channel for a film with alpha, and one for ``depth``."""
         with dr.suspend_grad():
             image = self._image(scene, sensor, seed, spp)
             if evaluate:
@@ -106,7 +106,7 @@ class GaussianSplat(mi.ad.integrators.common.ADIntegrator):
         seed: int = 0,
         spp: int = 0,
     ) -> mi.TensorXf:
-        """Derivative of the image in the direction that the parameters' gradients hold."""
+        """Derivative of the image along the parameters' gradients."""
         with dr.resume_grad():
             image = self._image(scene, sensor, seed, spp)
             if dr.grad_enabled(image):
@@ -123,7 +123,7 @@ class GaussianSplat(mi.ad.integrators.common.ADIntegrator):
         seed: int = 0,
         spp: int = 0,
     ) -> None:
-        """Add the gradient by the image to the gradients of the parameters."""
+        """Propagate the gradient by the image to the gradients of the parameters."""
         with dr.resume_grad():
             image = self._image(scene, sensor, seed, spp)
             if dr.grad_enabled(image):
@@ -137,12 +137,12 @@ class GaussianSplat(mi.ad.integrators.common.ADIntegrator):
         return ["depth"] if self.depth else []
 
     def to_string(self) -> str:
-        """As Mitsuba prints it."""
+        """Text that Mitsuba prints."""
         return f"GaussianSplat[meshes={self.meshes}, srgb_primitives={self.srgb_primitives}]"
 
     def _image(self, scene: mi.Scene, sensor: mi.Sensor | int, seed: int, spp: int) -> mi.TensorXf:
-        """Eq. 1-3, attached to whatever is differentiated."""
-        if dr.flag(dr.JitFlag.FreezingScope):  # else Dr.Jit 1.5.0 ends the process
+        """Eq. 1-3, attached to everything that is differentiated."""
+        if dr.flag(dr.JitFlag.FreezingScope):  # otherwise Dr.Jit 1.5.0 ends the process
             raise RuntimeError(
                 "gaussian_splat: a function under dr.freeze must not render with it; its kernels "
                 "are frozen already"
@@ -179,7 +179,7 @@ class GaussianSplat(mi.ad.integrators.common.ADIntegrator):
         return render(gaussians, view.camera, options, background, depth_limit=limit)
 
     def _to_primitives(self, color: mi.TensorXf) -> mi.TensorXf:
-        """Linear colours in the space of the primitives'."""
+        """Convert linear colours to the colour space of the primitives."""
         if not self.srgb_primitives:
             return color
         return mi.TensorXf(mi.math.linear_to_srgb(color.array), color.shape)
@@ -187,7 +187,7 @@ class GaussianSplat(mi.ad.integrators.common.ADIntegrator):
     def _develop(
         self, sensor: mi.Sensor, color: mi.TensorXf, alpha: mi.TensorXf, depth: mi.TensorXf | None
     ) -> mi.TensorXf:
-        """The film's image, made of colours in the space of the primitives'."""
+        """Develop the film's image from colours in the primitives' colour space."""
         if self.srgb_primitives:
             color = mi.TensorXf(mi.math.srgb_to_linear(color.array), color.shape)
         film = sensor.film()
@@ -203,5 +203,5 @@ class GaussianSplat(mi.ad.integrators.common.ADIntegrator):
 
 
 def _channel(image: mi.TensorXf) -> mi.TensorXf:
-    """(H, W) as (H, W, 1)."""
+    """Reshape (H, W) to (H, W, 1)."""
     return mi.TensorXf(image.array, (*image.shape, 1))

@@ -1,8 +1,8 @@
-"""The other shapes of a scene, among which the ellipsoids lie: their picture and their depth.
+"""Picture and depth of a scene's other shapes, among which the ellipsoids lie.
 
-A ray tracer cannot pass through the ellipsoids of a scene. So the rest of it becomes a scene of its
-own, which shares shapes, materials and emitters with the first. It is made anew for every picture,
-at the price of the other shapes' BVH: they may have moved, and only the first scene is told.
+A ray tracer cannot ignore the ellipsoids of a scene. So the other shapes become a scene of their
+own, which shares shapes, materials and emitters with the first. It is built again for every
+picture, with a new BVH, because shapes may have moved and only the first scene is notified.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from gva_mi.splat import Camera
 
 @dataclass(frozen=True)
 class OtherShapes:
-    """All shapes of a scene but its ellipsoids, under the scene's emitters, before a sensor."""
+    """All shapes of a scene except ellipsoids, with the scene's emitters and a sensor."""
 
     scene: mi.Scene
     sensor: mi.Sensor
 
     @staticmethod
     def of(scene: mi.Scene, sensor: mi.Sensor) -> OtherShapes:
-        """The shapes of a scene that are no ellipsoids.
+        """Collect the shapes of a scene that are not ellipsoids.
 
         Raises:
-            ValueError: it has none.
+            ValueError: there are none.
         """
         shapes = [shape for shape in scene.shapes() if not shape.is_ellipsoids()]
         if not shapes:
@@ -40,7 +40,7 @@ class OtherShapes:
         return OtherShapes(others, sensor)
 
     def image(self, integrator: mi.Integrator, seed: int, spp: int) -> mi.TensorXf:
-        """What an integrator shows of them, (H, W, 3) or (H, W, 4), by its own derivatives."""
+        """Render them with an integrator, (H, W, 3) or (H, W, 4), with its own derivatives."""
         params = mi.traverse(self.scene)
         image = mi.render(self.scene, params, self.sensor, integrator, seed=seed, spp=spp)
         if image.shape[2] not in (3, 4):
@@ -51,9 +51,9 @@ class OtherShapes:
         return image
 
     def depth(self, camera: Camera) -> mi.TensorXf:
-        """Where the ray through each pixel's centre ends: (H, W) m along the camera's z.
+        """Depth (H, W) m along the camera's z of the surface at each pixel's centre.
 
-        Infinite where it meets no surface. Not differentiable.
+        Infinite where there is no surface. Not differentiable.
         """
         width, height = camera.width, camera.height
         with dr.suspend_grad():

@@ -1,4 +1,4 @@
-"""A Mitsuba sensor as a camera of ``gva_mi.splat``, differentiable in the sensor's parameters.
+"""Conversion of a Mitsuba sensor to a camera of ``gva_mi.splat``, differentiable.
 
 A Mitsuba sensor looks along +z, with x to the left and y up: F = diag(-1, -1, 1) makes that OpenCV.
 With ``to_world = [M | o]``, the film's size (W, H) and the corner of its crop window, in pixels:
@@ -25,19 +25,19 @@ RIGID = 1e-4  # by how much R may fail to be orthonormal
 
 @dataclass(frozen=True)
 class SensorCamera:
-    """A sensor's camera, and what a camera does not hold."""
+    """A sensor's camera, its axis and its clip distances."""
 
-    camera: Camera  # holds tensors, attached to the sensor's parameters, where one has a gradient
-    axis: list[mi.Float]  # where the sensor looks: a unit vector of the world
+    camera: Camera  # holds tensors attached to the sensor's parameters if one has a gradient
+    axis: list[mi.Float]  # viewing direction: a unit vector of the world
     near: float  # m
     far: float  # m
 
     @staticmethod
     def of(sensor: mi.Sensor) -> SensorCamera:
-        """The camera of a ``perspective`` or ``orthographic`` sensor.
+        """Convert a ``perspective`` or ``orthographic`` sensor.
 
         Raises:
-            ValueError: for another sensor, or one whose to_world is sheared.
+            ValueError: another kind of sensor, or a sheared to_world.
         """
         parameters, film = mi.traverse(sensor), sensor.film()
         to_world, size = sensor.world_transform().matrix, film.size()

@@ -1,4 +1,4 @@
-"""``register``: for every variant, as often as one likes, and never for one without derivatives."""
+"""``register`` works repeatedly and for every differentiable variant, and refuses others."""
 
 import subprocess
 import sys
@@ -37,7 +37,7 @@ except RuntimeError as error:
 
 
 def test_a_change_of_variant():
-    """In a process of its own: a variant is a matter of the whole process."""
+    """In a process of its own, because a variant holds for the whole process."""
     done = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert "needs a differentiable variant, and mi.variant() is scalar_rgb" in done.stdout

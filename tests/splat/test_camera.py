@@ -1,4 +1,4 @@
-"""Cameras: where points fall by each model, and what the door refuses."""
+"""Cameras: projection of each model, derived views, and wrong arguments."""
 
 from dataclasses import replace
 
@@ -46,6 +46,8 @@ def test_matrices_and_back(model):
     moved = c.with_matrices(np.eye(4), 2 * c.K)
     assert (moved.fx, moved.cy, moved.width) == (100, 50, 64)
     np.testing.assert_array_equal(moved.position, 0)
+    centre = np.array([c.cx, c.cy])
+    np.testing.assert_allclose(c.zoomed(1.3).project(x) - centre, 1.3 * (c.project(x) - centre))
 
 
 def test_position_is_what_the_pose_takes_to_the_origin():
@@ -75,8 +77,7 @@ def part_of(view, change):
 
 @pytest.mark.parametrize("change", ["resized", "cropped"])
 @pytest.mark.parametrize("kind", ["torch", "drjit"])
-def test_what_a_camera_is_made_from_goes_with_it(change, kind):
-    """The tensors of a part of the view are its numbers, differentiable by the whole's."""
+def test_tensors_of_a_part_of_the_view_are_differentiable_by_the_whole(change, kind):
     c = camera()
     K = torch.tensor(c.K, requires_grad=True) if kind == "torch" else TensorXf64(c.K)
     dr.enable_grad(K) if kind == "drjit" else None
@@ -96,14 +97,6 @@ def test_what_a_camera_is_made_from_goes_with_it(change, kind):
         expected[0], expected[1] = 32 / 64, 36 / 48
     np.testing.assert_allclose(grad.numpy(), expected)
     assert part.tensors.T_camera_world is None
-
-
-def test_another_lens_stretches_the_picture_about_the_principal_point():
-    c, points = camera(), np.array([[0.1, 0.5, 0.0], [-0.3, 0.2, 0.4]])
-    centre = np.array([c.cx, c.cy])
-    np.testing.assert_allclose(
-        c.zoomed(1.3).project(points) - centre, 1.3 * (c.project(points) - centre)
-    )
 
 
 def test_cameras_with_the_same_numbers_are_equal():

@@ -1,4 +1,4 @@
-"""Gaussians whose covariances are given are drawn as those with quaternions and scales."""
+"""Gaussians given by covariances, against the reference and against quaternions and scales."""
 
 import gva_mi  # noqa: F401  (chooses libLLVM before Dr.Jit is imported)
 
@@ -7,9 +7,12 @@ from dataclasses import replace  # isort: skip
 import pytest
 import torch
 
-from gva_mi.splat import Gaussians, Screen, drjit_op, quat_scale_to_covar_preci, reference, render
+from gva_mi.splat import Gaussians, Screen, drjit_op, rasterization, reference, render
 from gva_mi.splat.covariances import largest_scales, matrices, with_axes
+from gva_mi.splat.options import SplatOptions
 from gva_mi.splat.scene import random_scene
+
+ROWS, COLUMNS = torch.triu_indices(3, 3)
 
 
 @pytest.fixture
@@ -17,55 +20,107 @@ def scene():
     return random_scene(torch.Generator().manual_seed(3), 30, 24, 20)
 
 
+def sigma(g):
+    """Covariances (N, 3, 3) of quaternions and scales."""
+    M = torch.stack([reference.rotation(q) for q in g.quats])
+    A = M * g.scales[:, None]
+    return A @ A.mT
+
+
 def by_covars(g):
-    covars, _ = quat_scale_to_covar_preci(g.quats, g.scales, compute_preci=False, triu=True)
-    return replace(g, quats=None, scales=None, covars=covars)
+    return replace(g, quats=None, scales=None, covars=sigma(g)[:, ROWS, COLUMNS])
 
 
-def test_the_same_picture(scene):
-    g = by_covars(scene.gaussians)
-    one, other = (render(x, scene.camera, scene.options) for x in (scene.gaussians, g))
-    torch.testing.assert_close(one.color, other.color, rtol=1e-9, atol=1e-9)
-    torch.testing.assert_close(one.depth, other.depth, rtol=1e-9, atol=1e-9)
-
-
-def test_gradients_are_those_of_the_slow_twin(scene):
-    found = []
+@pytest.mark.parametrize("antialiased", [False, True])
+@pytest.mark.parametrize("model", ["pinhole", "ortho", "fisheye"])
+def test_pictures_and_gradients_match_the_reference(scene, model, antialiased):
+    scene, options = scene.through(model), SplatOptions(antialiased=antialiased)
+    found, g = [], by_covars(scene.gaussians)
     for draw in (render, reference.render):
-        g = by_covars(scene.gaussians)
         leaves = {k: v.detach().clone().requires_grad_() for k, v in g.arrays().items()}
-        image = draw(Gaussians(**{"quats": None, "scales": None} | leaves), scene.camera,
-                     scene.options)  # fmt: skip
-        found.append(torch.autograd.grad((image.color * image.color.detach().cos()).sum(),
-                                         list(leaves.values())))  # fmt: skip
-    for name, a, b in zip(g.arrays(), *found, strict=True):
+        image = draw(Gaussians(**{"quats": None, "scales": None} | leaves), scene.camera, options)
+        loss = image.color.square().sum() + image.depth.sum()
+        found.append((image.color, *torch.autograd.grad(loss, list(leaves.values()))))
+    for name, a, b in zip(("color", *g.arrays()), *found, strict=True):
         assert (a - b).norm() <= 1e-9 * b.norm(), name
+
+
+@pytest.mark.parametrize("antialiased", [False, True])
+def test_torchs_gradcheck_agrees_in_both_modes(antialiased):
+    """Also where two axes are equally long, and no decomposition has a derivative."""
+    s = random_scene(torch.Generator().manual_seed(3), 5, 12, 10)
+    g = by_covars(s.gaussians)
+    g.covars[0] = 0.02 * torch.eye(3)[ROWS, COLUMNS]
+
+    def draw(covars, means, opacities):
+        moved = replace(g, covars=covars, means=means, opacities=opacities)
+        image = render(moved, s.camera, SplatOptions(antialiased=antialiased))
+        return image.color, image.alpha, image.depth
+
+    inputs = [x.clone().requires_grad_() for x in (g.covars, g.means, g.opacities)]
+    assert torch.autograd.gradcheck(draw, inputs, check_forward_ad=True, fast_mode=True)
+
+
+def test_pictures_and_screens_are_those_of_quats_and_scales(scene):
+    found = []
+    for g in (scene.gaussians, by_covars(scene.gaussians)):
+        means, screen = g.means.detach().clone().requires_grad_(), Screen(absolute=True)
+        image = render(replace(g, means=means), scene.camera, scene.options, screen=screen)
+        image.color.sum().backward()
+        found.append((image, screen))
+    (image, screen), (other_image, other) = found
+    for name in ("color", "alpha", "depth"):
+        one, two = (getattr(x, name) for x in (image, other_image))
+        torch.testing.assert_close(one, two, rtol=1e-9, atol=1e-9)
+    for name in ("means2d", "radii", "conics", "depths", "grad", "absgrad"):
+        one, two = (getattr(x, name).double() for x in (screen, other))
+        torch.testing.assert_close(one, two, rtol=1e-7, atol=1e-9)
+
+
+def by_rasterization(scene, covars):
+    g, camera = scene.gaussians, scene.camera
+    T, K = (torch.tensor(x)[None] for x in (camera.T_camera_world, camera.K))
+    size = (camera.width, camera.height)
+    found = rasterization(g.means, None, None, g.opacities, g.colors, T, K, *size, covars=covars)
+    return found[0]
+
+
+def test_rasterization_reads_only_the_upper_triangle(scene):
+    covars = sigma(scene.gaussians)
+    lower = (covars + torch.tril(torch.ones(3, 3), -1).double()).requires_grad_()
+    color = by_rasterization(scene, lower)
+    assert torch.equal(color, by_rasterization(scene, covars))
+    image = render(by_covars(scene.gaussians), scene.camera)
+    assert torch.equal(color[0], image.color)
+    (grad,) = torch.autograd.grad(color.sum(), lower)
+    assert (grad.tril(-1) == 0).all() and (grad[..., 0, 1] != 0).any()
+
+
+def test_matrices_that_are_no_covariances_are_refused_or_harmless(scene):
+    covars = sigma(scene.gaussians)
+    with pytest.raises(ValueError, match=r"covars must be \(30, 3, 3\), got \(30, 6\)"):
+        by_rasterization(scene, torch.zeros(30, 6).double())
+    with pytest.raises(ValueError, match="covars must be finite"):
+        by_rasterization(scene, covars * torch.nan)
+    with pytest.raises(ValueError, match="quats must be a torch tensor, got NoneType"):
+        by_rasterization(scene, None)
+    for shape in (0 * covars, -covars):
+        leaf = shape.requires_grad_()
+        color = by_rasterization(scene, leaf)
+        assert color.isfinite().all()
+        assert torch.autograd.grad(color.sum(), leaf)[0].isfinite().all()
 
 
 def test_axes_make_the_same_covariances(scene):
     g = by_covars(scene.gaussians)
     turned = with_axes(g)
-    again = by_covars(turned).covars
-    torch.testing.assert_close(again, g.covars, rtol=1e-9, atol=1e-15)
+    torch.testing.assert_close(by_covars(turned).covars, g.covars, rtol=1e-9, atol=1e-15)
     assert with_axes(turned) is turned
     assert (largest_scales(g) >= largest_scales(turned) * (1 - 1e-12)).all()
-    assert torch.equal(matrices(g.covars), matrices(g.covars).mT)
+    assert torch.equal(matrices(g.covars), sigma(scene.gaussians))
 
 
-def test_densification_is_told_the_same(scene):
-    screens = []
-    for g in (scene.gaussians, by_covars(scene.gaussians)):
-        means = g.means.detach().clone().requires_grad_()
-        screen = Screen(absolute=True)
-        image = render(replace(g, means=means), scene.camera, scene.options, screen=screen)
-        image.color.sum().backward()
-        screens.append(screen)
-    for name in ("means2d", "radii", "grad", "absgrad"):
-        one, other = (getattr(s, name).double() for s in screens)
-        torch.testing.assert_close(one, other, rtol=1e-7, atol=1e-9)
-
-
-def test_one_form_or_the_other(scene):
+def test_gaussians_have_one_form_or_the_other(scene):
     g = scene.gaussians
     with pytest.raises(ValueError, match="either quats .* and scales .*, or covars"):
         Gaussians(g.means, g.quats, None, g.opacities, sh=g.sh, colors=g.colors)
@@ -73,12 +128,12 @@ def test_one_form_or_the_other(scene):
         replace(g, covars=by_covars(g).covars)
     with pytest.raises(ValueError, match=r"covars must be \(N, 6\), got \(30, 3\) where N is 30"):
         render(replace(by_covars(g), covars=by_covars(g).covars[:, :3]), scene.camera)
+    infinite = by_covars(g)
+    infinite.covars[7, 1] = torch.inf
+    with pytest.raises(ValueError, match=r"covars\[7, 1\] is inf, must be finite"):
+        render(infinite, scene.camera)
+    from drjit.llvm import TensorXf64
 
-
-def test_dr_jit_takes_quats_and_scales(scene):
-    import drjit as dr
-
-    g = by_covars(scene.gaussians)
-    tensors = {k: dr.llvm.TensorXf64(v.detach().numpy()) for k, v in g.arrays().items()}
+    tensors = {k: TensorXf64(v.detach().numpy()) for k, v in by_covars(g).arrays().items()}
     with pytest.raises(ValueError, match="covars are taken as torch tensors"):
         drjit_op.render(Gaussians(**{"quats": None, "scales": None} | tensors), scene.camera)

@@ -1,4 +1,4 @@
-"""The Dr.Jit door gives the same bits as torch's, through Dr.Jit's own autodiff."""
+"""``render`` on Dr.Jit tensors gives the same bits as on torch's, through Dr.Jit's autodiff."""
 
 import subprocess
 import sys

@@ -1,12 +1,12 @@
-"""Gaussians in files of other programs.
+"""Readers and writers of other programs' files of Gaussians.
 
 =========================  =======================================================
-``ply``                    as 3D Gaussian Splatting and its viewers have them
+``ply``                    the .ply of 3D Gaussian Splatting and its viewers
 ``compressed_ply``         the .ply of PlayCanvas' SuperSplat, 16 bytes a Gaussian and up
-``compressed_ply_writer``  how Gaussians are rounded to it
-``ply_elements``           what is common to both: a .ply's header, and its tables
+``compressed_ply_writer``  writer of that format
+``ply_elements``           header and tables of any .ply
 ``splat``                  32 bytes a Gaussian, for viewers in a browser
-``spz``                    Niantic's, about 20 bytes a Gaussian before they are packed
+``spz``                    Niantic's, about 20 bytes a Gaussian before compression
 =========================  =======================================================
 """
 

@@ -1,20 +1,20 @@
-"""The compressed .ply of PlayCanvas' SuperSplat: 16 bytes a Gaussian, and a byte a coefficient.
+"""Reader of SuperSplat's compressed .ply: 16 bytes a Gaussian, and a byte a coefficient.
 
 Layout and rounding are those of playcanvas/splat-transform (``compressed-chunk.ts``,
-``write-compressed-ply.ts``). Gaussians lie in chunks of 256, the last of which may have fewer:
+``write-compressed-ply.ts``). Gaussians are stored in chunks of 256, the last may have fewer:
 
     element chunk   float  min_x y z, max_x y z, min_scale_x y z, max_scale_x y z,
                            in newer files min_r g b, max_r g b
     element vertex  uint   packed_position, packed_rotation, packed_scale, packed_color
     element sh      uchar  f_rest_0 … 8, 23 or 44, where colours depend on the direction
 
-* a position and a scale are 11, 10, 11 bits from the highest on, from their chunk's least (0) to
-  its greatest (all ones); scales are logarithms;
-* a colour is 8 bits each of red, green, blue, opacity; it is f_dc C0 + 1/2, between the chunk's
-  bounds where there are some; the opacity is no logit;
-* a rotation is 2 bits that say which of w, x, y, z is largest, and 10 bits of each other, from
-  -sqrt(1/2) to sqrt(1/2); the largest is positive and follows from length 1;
-* f_rest goes channel by channel, from -4 (0) to 4 (255); between, a byte means its middle.
+* a position and a scale have 11, 10, 11 bits from the highest bit on, between the chunk's minimum
+  (0) and maximum (all ones); scales are logarithms;
+* a colour has 8 bits each of red, green, blue, opacity; it is f_dc C0 + 1/2, between the chunk's
+  bounds if there are some; the opacity is not a logit;
+* a rotation has 2 bits for the index of the largest of w, x, y, z, and 10 bits for each other one,
+  from -sqrt(1/2) to sqrt(1/2); the largest is positive and follows from length 1;
+* f_rest goes channel by channel, from -4 (0) to 4 (255); a byte in between means its middle.
 """
 
 from __future__ import annotations
@@ -34,19 +34,19 @@ REST = (9, 24, 45)  # properties of "sh"
 
 
 def is_compressed(elements: dict[str, np.ndarray]) -> bool:
-    """Whether the tables of a .ply are those of a compressed one."""
+    """Whether the tables of a .ply are in the compressed format."""
     return "vertex" in elements and PACKED[0] in elements["vertex"].dtype.names
 
 
 def decompressed(path: Path, elements: dict[str, np.ndarray]) -> Gaussians:
-    """The Gaussians of a compressed .ply.
+    """Decode the Gaussians of a compressed .ply.
 
     Args:
         path: of the file, for errors.
         elements: its tables.
 
     Raises:
-        InputError: a table or property is missing or does not fit, or numbers are not finite.
+        InputError: a table or property is missing or does not fit, or a number is not finite.
     """
     vertex, chunk = elements["vertex"], _chunks_of(path, elements)
     position, rotation, scale, color = (vertex[name] for name in PACKED)
@@ -72,7 +72,7 @@ def decompressed(path: Path, elements: dict[str, np.ndarray]) -> Gaussians:
 
 
 def _chunks_of(path: Path, elements: dict[str, np.ndarray]) -> np.ndarray:
-    """The chunk of each Gaussian, (N,); the tables are checked."""
+    """Check the tables, and return the chunk of each Gaussian, (N,)."""
     vertex, chunk = elements["vertex"], elements.get("chunk")
     if chunk is None:
         raise InputError(f"{path}: element 'chunk' is missing; expected a compressed .ply")
@@ -100,7 +100,7 @@ def _require(
     kind: str,
     of: str,
 ) -> None:
-    """Refuse a table that lacks a property, or has it in another type."""
+    """Check that a table has all properties, in the right type."""
     for name in names:
         if name not in (table.dtype.names or ()) or table.dtype[name] != np.dtype(kind):
             raise InputError(
@@ -110,7 +110,7 @@ def _require(
 
 
 def _rest_of(path: Path, elements: dict[str, np.ndarray]) -> np.ndarray:
-    """The coefficients above the constant, (N, K - 1, 3)."""
+    """Decode the coefficients above the constant one, (N, K - 1, 3)."""
     vertex, table = elements["vertex"], elements.get("sh")
     if table is None:
         return np.zeros((len(vertex), 0, 3))
@@ -126,7 +126,7 @@ def _rest_of(path: Path, elements: dict[str, np.ndarray]) -> np.ndarray:
 
 
 def _fields(packed: np.ndarray, bits: tuple[int, ...]) -> np.ndarray:
-    """Numbers in [0, 1] that lie in so many bits each, the last ones lowest, (N, len(bits))."""
+    """Unpack numbers in [0, 1] of so many bits each, the last one lowest, (N, len(bits))."""
     columns, shift = [], 0
     for width in reversed(bits):
         most = (1 << width) - 1
@@ -136,7 +136,7 @@ def _fields(packed: np.ndarray, bits: tuple[int, ...]) -> np.ndarray:
 
 
 def _between(chunk: np.ndarray, low: str, high: str, axes: str, share: np.ndarray) -> np.ndarray:
-    """What lies at ``share`` (N, 3) of the way between the bounds of each Gaussian's chunk."""
+    """Interpolate between the bounds of each Gaussian's chunk by ``share`` (N, 3)."""
     start, end = (
         np.column_stack([chunk[name + axis] for axis in axes]).astype(np.float64)
         for name in (low, high)
@@ -145,7 +145,7 @@ def _between(chunk: np.ndarray, low: str, high: str, axes: str, share: np.ndarra
 
 
 def _quaternions(packed: np.ndarray) -> np.ndarray:
-    """Unit quaternions wxyz, (N, 4)."""
+    """Unpack unit quaternions wxyz, (N, 4)."""
     largest = (packed >> np.uint32(30)).astype(int)
     others = (2 * _fields(packed, (10, 10, 10)) - 1) * np.sqrt(0.5)
     missing = np.sqrt(np.maximum(0, 1 - (others**2).sum(axis=1)))

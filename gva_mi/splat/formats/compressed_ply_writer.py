@@ -1,18 +1,18 @@
-"""Gaussians as SuperSplat's compressed .ply: how each number is rounded.
+"""Writer of SuperSplat's compressed .ply.
 
-The layout is that of :mod:`.compressed_ply`. Gaussians are written in the order of their places on
-a Morton curve, so that those of a chunk lie close together and its bounds are narrow: each number
-is off by half a step of its chunk's range at most.
+The layout is described in :mod:`.compressed_ply`. Gaussians are written along a Morton curve, so
+that those of a chunk are close together and its bounds are narrow: the rounding error of a number
+is at most half a step of its chunk's range.
 
 ===========  =======================================================
-Number       Off by at most
+Number       Rounding error, at most
 ===========  =======================================================
 mean         1/4094 (x, z) or 1/2046 (y) of its chunk's extent
 log scale    likewise of its chunk's range
 quaternion   1/1446 in each of the three components that are stored
 opacity      0.5 / 255
 colour       1/510 of its chunk's range
-harmonics    1/32 within ±4, beyond which they are cut off
+harmonics    1/32 within ±4, clipped beyond
 ===========  =======================================================
 """
 
@@ -30,26 +30,28 @@ from gva_mi.splat.formats.ply import harmonics_of
 from gva_mi.splat.gaussians import Gaussians
 from gva_mi.splat.kernels.sh import C0
 
-_WIDEST = 20.0  # logarithms of scales at most; SuperSplat's own bounds
-_FINE = 10  # bits of each axis of the Morton curve
+_MAX_LOG_SCALE = 20.0  # of either sign; SuperSplat's own bounds
+_MORTON_BITS = 10  # of each axis
 
 
 def save_compressed_ply(path: Path, gaussians: Gaussians) -> None:
-    """Write Gaussians, rounded to the bits of the format, in another order.
+    """Write Gaussians, rounded to the format's bits, in another order.
 
     Args:
         path: of the .ply; an older one is replaced once the new one is whole.
         gaussians: torch tensors; plain colours become the constant band of spherical harmonics.
 
     Raises:
-        InputError: harmonics of degree 4, which the format has not; or numbers that are not finite.
+        InputError: harmonics of degree 4, which the format lacks, or numbers that are not finite.
     """
     gaussians = with_axes(gaussians)
     array = lambda tensor: tensor.detach().double().numpy()
     sh, means = harmonics_of(gaussians), array(gaussians.means)
     if 3 * (sh.shape[1] - 1) not in (0, *REST):
         raise InputError(f"{path}: a compressed .ply holds harmonics up to degree 3")
-    scales = np.clip(np.log(np.maximum(array(gaussians.scales), 1e-12)), -_WIDEST, _WIDEST)
+    scales = np.clip(
+        np.log(np.maximum(array(gaussians.scales), 1e-12)), -_MAX_LOG_SCALE, _MAX_LOG_SCALE
+    )
     quats, opacities = array(gaussians.quats), array(gaussians.opacities)
     if not all(np.isfinite(x).all() for x in (means, scales, quats, opacities, sh)):
         raise InputError(f"{path}: a compressed .ply holds finite numbers alone; some are not")
@@ -85,27 +87,27 @@ def save_compressed_ply(path: Path, gaussians: Gaussians) -> None:
 
 
 def _bounds_named() -> list[str]:
-    """The properties of a chunk, in order."""
+    """Names of a chunk's properties, in order."""
     groups = [[f"{kind}{axis}" for axis in axes]
               for kind, axes in (("", "xyz"), ("scale_", "xyz"), ("", "rgb"))]  # fmt: skip
     return [f"{end}_{name}" for names in groups for end in ("min", "max") for name in names]
 
 
 def _morton(means: np.ndarray) -> np.ndarray:
-    """The order of places (N, 3) on a Morton curve through the box around them."""
+    """Sort points (N, 3) along a Morton curve through their bounding box."""
     low, high = means.min(0, initial=np.inf), means.max(0, initial=-np.inf)
-    cells = (1 << _FINE) - 1
+    cells = (1 << _MORTON_BITS) - 1
     with np.errstate(invalid="ignore"):
         spot = ((means - low) / np.maximum(high - low, 1e-12) * cells).astype(np.int64)
     code = np.zeros(len(means), np.int64)
-    for bit in range(_FINE):
+    for bit in range(_MORTON_BITS):
         for axis in range(3):
             code |= (spot[:, axis] >> bit & 1) << (3 * bit + axis)
     return np.argsort(code, kind="stable")
 
 
 def _in_chunks(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Bounds of each chunk (M, 6) float32, and where between them values (N, 3) lie, in [0, 1]."""
+    """Return each chunk's bounds (M, 6) float32, and values (N, 3) relative to them, in [0, 1]."""
     starts = np.arange(0, len(values), CHUNK)
     if not len(starts):
         return np.zeros((0, 6), np.float32), np.zeros((0, 3))
@@ -118,7 +120,7 @@ def _in_chunks(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _packed(shares: np.ndarray, bits: tuple[int, ...]) -> np.ndarray:
-    """Numbers (N, len(bits)) in [0, 1] in so many bits each, the last ones lowest, (N,)."""
+    """Pack numbers (N, len(bits)) in [0, 1] into so many bits each, the last one lowest, (N,)."""
     packed = np.zeros(len(shares), np.int64)
     for column, width in zip(shares.T, bits, strict=True):
         packed = packed << width | np.floor(column * ((1 << width) - 1) + 0.5).astype(np.int64)
@@ -126,7 +128,7 @@ def _packed(shares: np.ndarray, bits: tuple[int, ...]) -> np.ndarray:
 
 
 def _rotations(quats: np.ndarray) -> np.ndarray:
-    """Quaternions wxyz (N, 4) of any length above zero, packed, (N,)."""
+    """Pack quaternions wxyz (N, 4) of any positive length, (N,)."""
     quats = quats / np.maximum(np.linalg.norm(quats, axis=1, keepdims=True), 1e-12)
     largest = np.abs(quats).argmax(axis=1)
     rows = np.arange(len(quats))

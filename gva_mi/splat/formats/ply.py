@@ -1,4 +1,4 @@
-"""The .ply of 3D Gaussian Splatting, which its viewers read.
+"""The .ply of 3D Gaussian Splatting: reader and writer.
 
 One binary little-endian vertex per Gaussian, all float32, in the order of the original code:
 
@@ -24,11 +24,11 @@ from gva_mi.splat.gaussians import Gaussians, degree_of
 from gva_mi.splat.kernels.sh import C0
 
 _GEOMETRY = ["opacity", *(f"scale_{i}" for i in range(3)), *(f"rot_{i}" for i in range(4))]
-_CERTAIN = 1e-7  # opacities are kept this far from 0 and 1, whose logits are infinite
+_MARGIN = 1e-7  # distance of opacities to 0 and 1, whose logits are infinite
 
 
 def save_ply(path: Path, gaussians: Gaussians) -> None:
-    """Write Gaussians as 3DGS does.
+    """Write Gaussians in the format of 3DGS.
 
     Args:
         path: of the .ply; an older one is replaced once the new one is whole.
@@ -39,7 +39,7 @@ def save_ply(path: Path, gaussians: Gaussians) -> None:
     array = lambda tensor: tensor.detach().double().numpy()
     sh = harmonics_of(gaussians)
     means, opacities = array(gaussians.means), array(gaussians.opacities)
-    eta = np.clip(opacities, _CERTAIN, 1 - _CERTAIN)
+    eta = np.clip(opacities, _MARGIN, 1 - _MARGIN)
     table = np.column_stack(
         [
             means,
@@ -64,19 +64,19 @@ def save_ply(path: Path, gaussians: Gaussians) -> None:
 
 
 def harmonics_of(gaussians: Gaussians) -> np.ndarray:
-    """Coefficients (N, K, 3) of their colours; plain ones are the constant band."""
+    """Return the colours' coefficients (N, K, 3); plain colours become the constant band."""
     if gaussians.sh is None:
         return ((gaussians.colors.detach().double().numpy() - 0.5) / C0)[:, None]
     return gaussians.sh.detach().double().numpy()
 
 
 def load_ply(path: Path) -> Gaussians:
-    """Read Gaussians as 3DGS writes them, or compressed as SuperSplat does.
+    """Read a .ply of 3DGS, or a compressed one of SuperSplat.
 
-    Properties may come in any order; other ones, and other elements, are left alone.
+    Properties may come in any order; unknown properties and elements are ignored.
 
     Raises:
-        InputError: not a binary .ply of Gaussians, cut short, or a property is missing.
+        InputError: not a binary .ply of Gaussians, truncated, or a property is missing.
     """
     path = Path(path)
     elements = read_elements(path)
@@ -113,6 +113,6 @@ def load_ply(path: Path) -> Gaussians:
 
 
 def _properties(coefficients: int) -> list[str]:
-    """The columns of a file whose colours have so many SH coefficients."""
+    """Columns of a file whose colours have so many SH coefficients."""
     rest = [f"f_rest_{i}" for i in range(3 * (coefficients - 1))]
     return ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", *rest, *_GEOMETRY]

@@ -1,4 +1,4 @@
-"""A binary .ply: a header that names its tables, and the tables.
+"""Reader of any binary .ply: a header that names tables, and the tables.
 
     ply · format binary_little_endian 1.0 · element NAME COUNT · property TYPE NAME · … · end_header
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from gva_mi.errors import InputError
 
-TYPES = {  # both of the names that each has
+TYPES = {  # each has two names
     **dict.fromkeys(("char", "int8"), "i1"),
     **dict.fromkeys(("uchar", "uint8"), "u1"),
     **dict.fromkeys(("short", "int16"), "<i2"),
@@ -26,10 +26,10 @@ TYPES = {  # both of the names that each has
 
 
 def read_elements(path: Path) -> dict[str, np.ndarray]:
-    """The tables of a .ply by name: structured arrays, whose fields are the properties.
+    """Read the tables of a .ply by name: structured arrays with a field per property.
 
     Raises:
-        InputError: no such file, not a binary little-endian .ply of plain numbers, or cut short.
+        InputError: no such file, not a binary little-endian .ply of plain numbers, or truncated.
     """
     path = Path(path)
     try:
@@ -59,7 +59,7 @@ def read_elements(path: Path) -> dict[str, np.ndarray]:
 
 
 def _announced(path: Path, lines: list[list[str]]) -> dict[str, tuple[int, list[tuple[str, str]]]]:
-    """Of each element that a header names: rows, and names and types of its properties."""
+    """Parse a header: rows of each element, and names and types of its properties."""
     found: dict[str, tuple[int, list[tuple[str, str]]]] = {}
     for line in lines:
         if line[:1] == ["element"]:

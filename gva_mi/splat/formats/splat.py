@@ -1,12 +1,12 @@
-"""The .splat of antimatter15's viewer, which many viewers in a browser read: 32 bytes a Gaussian.
+"""The .splat of browser viewers (antimatter15's): reader and writer, 32 bytes a Gaussian.
 
     means 3 float32 · scales 3 float32 · rgb and opacity 4 uint8 · quaternion 4 uint8
 
-* no header, little-endian; scales are standard deviations, no logarithms;
+* no header, little-endian; scales are standard deviations, not logarithms;
 * a quaternion wxyz of length one is stored as q 128 + 128;
-* the largest and most opaque come first, for a viewer shows what it has while the rest loads.
+* the largest and most opaque come first, because viewers draw while the rest loads.
 
-It holds one colour a Gaussian: what of a colour depends on where it is seen from is left out.
+It holds one colour a Gaussian: view-dependent colour is dropped.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ ROW = np.dtype(
 
 
 def save_splat(path: Path, gaussians: Gaussians) -> None:
-    """Write Gaussians, rounded to the 8 bits of the format.
+    """Write Gaussians, rounded to the format's 8 bits.
 
     Args:
         path: of the .splat; an older one is replaced once the new one is whole.
@@ -53,7 +53,7 @@ def load_splat(path: Path) -> Gaussians:
     """Read a .splat.
 
     Raises:
-        InputError: no such file, or its length is no multiple of 32 bytes, or numbers that are not
+        InputError: no such file, a length that is no multiple of 32 bytes, or numbers that are not
             finite.
     """
     path = Path(path)
@@ -80,7 +80,7 @@ def load_splat(path: Path) -> Gaussians:
 
 
 def plain_colors(gaussians: Gaussians) -> np.ndarray:
-    """Colours (N, 3) in [0, 1] that do not depend on where they are seen from."""
+    """Return view-independent colours (N, 3) in [0, 1]."""
     if gaussians.sh is None:
         colors = gaussians.colors.detach().double().numpy()
     else:

@@ -1,11 +1,11 @@
-"""The .spz of Niantic, a quarter of a .ply or less: each number in as few bits as the eye allows.
+"""Niantic's .spz, at most a quarter of a .ply: reader of versions 2 to 4, writer of version 3.
 
 Versions 2 and 3 are one gzip stream: a header of 16 bytes, then all Gaussians' positions, then all
-opacities, and so on. Version 4 has a header of 32 bytes and packs each of these streams with zstd.
-Version 3 is written, which most viewers read; 2, 3 and 4 are read.
+opacities, and so on. Version 4 has a header of 32 bytes and compresses each of these streams with
+zstd. Most viewers read version 3.
 
 ============  ==============================  ===========================  ======================
-Stream        Stored, little-endian           Means                        Off by at most
+Stream        Stored, little-endian           Means                        Rounding error
 ============  ==============================  ===========================  ======================
 means         3 × 24-bit, signed              i / 2^f, f of the header     2^−f / 2, where
                                                                            |x| < 2^(23−f)
@@ -19,9 +19,9 @@ quaternions   the largest's number, 2 bits;   x 2^−½ / 511, the sign in    0.
 harmonics     8-bit each, colours innermost   (b − 128) / 128              0.5 / 128 in [−1, 0.99]
 ============  ==============================  ===========================  ======================
 
-Version 2 has quaternions xyz in 3 × 8 bits. Harmonics keep all of their 8 bits here, of which
-Niantic's own program drops three or four. Its y is up and its z goes to the viewer, as in this
-program's worlds: nothing is turned round.
+Version 2 stores quaternions xyz in 3 × 8 bits. Harmonics keep all 8 bits here; Niantic's own
+program drops three or four. Its y is up and its z points to the viewer, as in this program: no axis
+is flipped.
 """
 
 from __future__ import annotations
@@ -41,25 +41,27 @@ from gva_mi.splat.formats.ply import harmonics_of
 from gva_mi.splat.gaussians import Gaussians, degree_of
 
 MAGIC = 0x5053474E  # NGSP
-FINEST = 16  # fractional bits of means at most: off by 8 µm, within ±128 m
+MAX_FRACTION_BITS = 16  # of means: rounding error 8 µm within ±128 m
 _HEADER = struct.Struct("<IIIBBBB")  # magic, version, Gaussians, degree, f, flags, reserved
-_HEADER_4 = struct.Struct("<IIIBBBBI12x")  # the last two: streams, and where their sizes stand
-_LARGEST = 0x7FFFFF  # of 24 bits with a sign
+_HEADER_4 = struct.Struct(
+    "<IIIBBBBI12x"
+)  # the last two: number of streams, and offset of their sizes
+_MAX_24_BIT = 0x7FFFFF  # signed
 _COLOR = 0.15
-_HALF = np.sqrt(0.5)  # no component but the largest is larger
-_DENSEST = 1100  # gzip and zstd pack no more than this into a byte of such a file
-_MOST = 1 << 26  # Gaussians
+_HALF = np.sqrt(0.5)  # bound of all components but the largest
+_MAX_RATIO = 1100  # gzip and zstd compress such a file no further
+_MAX_COUNT = 1 << 26  # Gaussians
 
 
 def save_spz(path: Path, gaussians: Gaussians) -> None:
-    """Write Gaussians, rounded to the bits of the format, as version 3.
+    """Write Gaussians as version 3, rounded to the format's bits.
 
     Args:
         path: of the .spz; an older one is replaced once the new one is whole.
         gaussians: torch tensors; plain colours become the constant band of spherical harmonics.
 
     Raises:
-        InputError: harmonics of degree 4, which version 3 has not; or means beyond 8,388 km.
+        InputError: harmonics of degree 4, which version 3 lacks, or means beyond 8,388 km.
     """
     gaussians = with_axes(gaussians)
     array = lambda tensor: tensor.detach().double().numpy()
@@ -69,9 +71,9 @@ def save_spz(path: Path, gaussians: Gaussians) -> None:
         raise InputError(f"{path}: a .spz holds harmonics up to degree 3, got {degree}")
     means = array(gaussians.means)
     farthest = float(np.abs(means).max(initial=0))
-    if not farthest < _LARGEST:
-        raise InputError(f"{path}: a .spz holds means up to {_LARGEST} m, got {farthest:.4g}")
-    bits = int(np.clip(np.floor(np.log2(_LARGEST / max(farthest, 1e-9))), 0, FINEST))
+    if not farthest < _MAX_24_BIT:
+        raise InputError(f"{path}: a .spz holds means up to {_MAX_24_BIT} m, got {farthest:.4g}")
+    bits = int(np.clip(np.floor(np.log2(_MAX_24_BIT / max(farthest, 1e-9))), 0, MAX_FRACTION_BITS))
     fixed = np.round(means * 2**bits).astype("<i4")
     log_scales = np.log(np.maximum(array(gaussians.scales), 1e-12))
     streams = [
@@ -92,7 +94,7 @@ def load_spz(path: Path) -> Gaussians:
     """Read a .spz of version 2, 3 or 4.
 
     Raises:
-        InputError: no such file, of another form or version, or cut short.
+        InputError: no such file, another format or version, or truncated.
     """
     path = Path(path)
     try:
@@ -109,7 +111,7 @@ def load_spz(path: Path) -> Gaussians:
         raise InputError(f"{path}: holds {found}; expected a .spz of version 2, 3 or 4")
     widths = (9, 1, 3, 3, 3 if version == 2 else 4, 3 * (degree + 1) ** 2 - 3)
     sizes = [count * width for width in widths]
-    if degree > 4 or bits > 23 or count > _MOST or sum(sizes) > _DENSEST * len(content):
+    if degree > 4 or bits > 23 or count > _MAX_COUNT or sum(sizes) > _MAX_RATIO * len(content):
         raise InputError(
             f"{path}: announces {count} Gaussians of degree {degree} with {bits} bits in "
             f"{len(content)} bytes; expected a .spz"
@@ -130,10 +132,10 @@ def load_spz(path: Path) -> Gaussians:
 
 
 def _gaussians(rows: list[np.ndarray], bits: int, version: int) -> Gaussians:
-    """Of the streams' bytes (N, n)."""
+    """Decode the streams' bytes (N, n)."""
     means, opacities, colors, scales, quats, sh = rows
     fixed = np.zeros((len(means), 3, 4), "u1")
-    fixed[..., 1:] = means.reshape(-1, 3, 3)  # at the upper end, so that the sign is the sign
+    fixed[..., 1:] = means.reshape(-1, 3, 3)  # in the upper bytes, for the sign
     tensor = lambda x: torch.from_numpy(np.ascontiguousarray(x, np.float32))
     dc = (colors / 255 - 0.5) / _COLOR
     higher = (sh.reshape(len(sh), sh.shape[1] // 3, 3) - 128.0) / 128
@@ -147,7 +149,7 @@ def _gaussians(rows: list[np.ndarray], bits: int, version: int) -> Gaussians:
 
 
 def _smallest_three(quats: np.ndarray) -> np.ndarray:
-    """Quaternions wxyz (N, 4) without the largest of x, y, z, w, in 32 bits each."""
+    """Pack quaternions wxyz (N, 4) into 32 bits each, without the largest of x, y, z, w."""
     unit = quats / np.maximum(np.linalg.norm(quats, axis=1, keepdims=True), 1e-12)
     unit = unit[:, [1, 2, 3, 0]]
     largest = np.abs(unit).argmax(1)
@@ -161,7 +163,7 @@ def _smallest_three(quats: np.ndarray) -> np.ndarray:
 
 
 def _of_smallest_three(stored: np.ndarray) -> np.ndarray:
-    """Unit quaternions wxyz (N, 4) of 4 bytes each."""
+    """Unpack unit quaternions wxyz (N, 4) of 4 bytes each."""
     packed = np.ascontiguousarray(stored).view("<u4")[:, 0].copy()
     largest = packed >> 30
     unit = np.zeros((len(packed), 4))
@@ -175,13 +177,13 @@ def _of_smallest_three(stored: np.ndarray) -> np.ndarray:
 
 
 def _of_first_three(stored: np.ndarray) -> np.ndarray:
-    """Unit quaternions wxyz (N, 4) of xyz in a byte each, w not negative."""
+    """Unpack unit quaternions wxyz (N, 4) of xyz in a byte each; w is not negative."""
     xyz = stored / 127.5 - 1
     return np.column_stack([np.sqrt(np.maximum(1 - (xyz**2).sum(1), 0)), xyz])
 
 
 def _unzipped(path: Path, content: bytes, most: int) -> bytes:
-    """At most so many bytes of a gzip stream."""
+    """Decompress at most so many bytes of a gzip stream."""
     try:
         return zlib.decompressobj(wbits=31).decompress(content, most)
     except zlib.error as error:
@@ -189,7 +191,7 @@ def _unzipped(path: Path, content: bytes, most: int) -> bytes:
 
 
 def _of_version_4(path: Path, content: bytes, sizes: list[int]) -> list[bytes]:
-    """The streams of a file that packs each of them."""
+    """Decompress the streams of a version 4 file."""
     try:
         import zstandard
     except ModuleNotFoundError:

@@ -1,20 +1,23 @@
-"""The kernels of splatting, and what they are made of; they know Dr.Jit and numpy alone.
+"""The kernels of splatting; they depend on Dr.Jit and numpy alone.
 
 | file | what | equations |
 |---|---|---|
-| project.py | a Gaussian in the picture: lens.py, ellipse.py and sh.py together | (1) |
-| lens.py | where its mean falls, for three camera models | (2)-(3) |
-| ellipse.py | its shape and opacity there | (4)-(7) |
-| covariance.py | the same where its covariance is given | (6)-(7) |
-| sh.py | its colour from there | (8)-(10) |
+| project.py | projection of a Gaussian: lens.py, ellipse.py and sh.py together | (1) |
+| lens.py | projection of its mean, for three camera models | (2)-(3) |
+| ellipse.py | its shape and opacity in the picture | (4)-(7) |
+| covariance.py | the shape where a covariance is given | (6)-(7) |
+| sh.py | its colour | (8)-(10) |
 | tiles.py | which Gaussians touch which tile, front to back | |
-| pixel.py | one pixel meets one Gaussian: step, step back, step of the tangent | (11)-(17) |
-| blend.py | the loops around these steps, a tile for each SIMD lane | |
+| pixel.py | one pixel meets one Gaussian: forward, adjoint and tangent step | (11)-(17) |
+| pair_gradient.py | the sums over a tile's pixels | (16) |
+| tile_iterator.py | iteration over a tile's list | |
+| blend.py | the loops around these steps, one tile per SIMD lane | |
 | chunks.py | wide colours, some channels at a time | |
-| composite.py | blend.py for all chunks, there and back | |
-| passes.py | all of it in order: forward, adjoint, tangent | |
+| composite.py | blend.py for all chunks, forward and adjoint | |
+| passes.py | everything in order: forward, adjoint, tangent | |
 
-Below them: inputs.py (the Gaussians as flat arrays), records.py (what the kernels hand to one
-another), planes.py (pictures), packets.py (how records lie in memory), frozen.py (kernels that are
-traced once).
+Below them: geometry.py, inputs.py and camera_arrays.py (the Gaussians and the camera as arrays),
+records.py (what the kernels pass to one another), saved.py (what a forward pass leaves), planes.py
+(pictures), packets.py (records in memory), frozen.py (kernels that are traced once), exclusive.py
+(one thread at a time).
 """

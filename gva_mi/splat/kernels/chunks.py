@@ -1,9 +1,9 @@
-"""Wide colours in chunks: D channels composited a few at a time, by one kernel for all of them.
+"""Wide colours in chunks: D channels are composited a few at a time, by one kernel for all chunks.
 
 The compositing kernels hold every pixel's channels in registers and are compiled for their number.
-Beyond ``CHUNK`` channels the same lists are walked once per chunk, the last one filled up with
-zeros: time and compile time grow with D, and not faster. The first chunk also has the depth. The
-moments of eq. 16 are linear in the loss's gradient, so those of the chunks add up.
+Beyond ``CHUNK`` channels the same lists are composited once per chunk, the last one padded with
+zeros: time grows linearly with D. The first chunk also has the depth. The moments of eq. 16 are
+linear in the loss's gradient, so those of the chunks add up.
 """
 
 from __future__ import annotations
@@ -16,26 +16,26 @@ from drjit import ArrayBase as Array
 from gva_mi.splat.kernels import packets
 from gva_mi.splat.kernels.frozen import Frozen
 from gva_mi.splat.kernels.planes import Planes
-from gva_mi.splat.kernels.records import Format, Slot, Splat
+from gva_mi.splat.kernels.records import PairGradient, RecordFormat, Splat
 
 CHUNK = 8  # channels composited at a time
 
 
-def formats(channels: int, depth: bool, whole: bool = False) -> tuple[Format, ...]:
-    """What each chunk's splats hold, padding included.
+def formats(channels: int, depth: bool, whole: bool = False) -> tuple[RecordFormat, ...]:
+    """Return the format of each chunk's splats, padding included.
 
     Args:
         channels: D.
-        depth: whether it is composited too.
-        whole: make one chunk of all channels, however many.
+        depth: whether the depth is composited too.
+        whole: make one chunk of all channels.
     """
     if whole or channels <= CHUNK:
-        return (Format(channels, depth),)
-    return tuple(Format(CHUNK, depth and k == 0) for k in range(-(-channels // CHUNK)))
+        return (RecordFormat(channels, depth),)
+    return tuple(RecordFormat(CHUNK, depth and k == 0) for k in range(-(-channels // CHUNK)))
 
 
-def split_splat(splat: Splat, formats: tuple[Format, ...]) -> list[Splat]:
-    """Each chunk's splat: the same ellipse, some of the channels."""
+def split_splat(splat: Splat, formats: tuple[RecordFormat, ...]) -> list[Splat]:
+    """Split a splat: the same ellipse in every chunk, some of the channels each."""
     out, first = [], 0
     for format in formats:
         color = splat.color[first : first + format.channels]
@@ -45,8 +45,10 @@ def split_splat(splat: Splat, formats: tuple[Format, ...]) -> list[Splat]:
     return out
 
 
-def split_background(background: list[Array], formats: tuple[Format, ...]) -> list[list[Array]]:
-    """The background's channels, chunk by chunk."""
+def split_background(
+    background: list[Array], formats: tuple[RecordFormat, ...]
+) -> list[list[Array]]:
+    """Split the background's channels into chunks."""
     F, total = type(background[0]), sum(format.channels for format in formats)
     rest = background + [dr.opaque(F, 0) for _ in range(total - len(background))]
     out = []
@@ -58,7 +60,7 @@ def split_background(background: list[Array], formats: tuple[Format, ...]) -> li
 
 @Frozen
 def join(parts: list[Array], alpha: Array, whole: Array, *, channels: int) -> Array:
-    """One plane of ``channels`` from the chunks' planes."""
+    """Join the planes of the chunks to one of ``channels``."""
     pixel = dr.arange(dr.uint32_array_t(type(alpha)), dr.width(alpha))
     for c in range(channels):
         value = dr.gather(type(alpha), parts[c // CHUNK], pixel * CHUNK + c % CHUNK)
@@ -69,7 +71,7 @@ def join(parts: list[Array], alpha: Array, whole: Array, *, channels: int) -> Ar
 
 @Frozen
 def split(whole: Array, nothing: Array, parts: list[Array], *, channels: int) -> list[Array]:
-    """The reverse of :func:`join`; ``nothing`` is a zero for each pixel."""
+    """Reverse of :func:`join`; ``nothing`` is a zero for each pixel."""
     pixel = dr.arange(dr.uint32_array_t(type(nothing)), dr.width(nothing))
     for c in range(CHUNK * len(parts)):
         value = nothing * 1
@@ -82,7 +84,7 @@ def split(whole: Array, nothing: Array, parts: list[Array], *, channels: int) ->
 
 
 def join_planes(parts: list[Planes], channels: int) -> Planes:
-    """The picture from those of its chunks."""
+    """Join the pictures of the chunks."""
     if len(parts) == 1:
         return parts[0]
     alpha = parts[0].alpha
@@ -92,7 +94,7 @@ def join_planes(parts: list[Planes], channels: int) -> Planes:
 
 
 def split_gradient(grad: Planes, channels: int, parts: int) -> list[Planes]:
-    """The gradient of the picture, chunk by chunk; alpha's and depth's go with the first."""
+    """Split the picture's gradient into chunks; the first has alpha's and depth's."""
     if parts == 1:
         return [grad]
     F, size = type(grad.color), dr.width(grad.color) // channels
@@ -103,13 +105,13 @@ def split_gradient(grad: Planes, channels: int, parts: int) -> list[Planes]:
     return [Planes(colors[0], grad.alpha, grad.depth), *rest]
 
 
-def add_slots(parts: list[Slot], channels: int) -> Slot:
-    """One slot of D channels from the chunks'."""
+def add_slots(parts: list[PairGradient], channels: int) -> PairGradient:
+    """Add the slots of the chunks to one of D channels."""
     first = parts[0]
     if len(parts) == 1:
         return first
     color = [channel for part in parts for channel in part.color][:channels]
     rows = zip(*(replace(part, color=[], depth=None).pack() for part in parts), strict=True)
     sums = [sum(row[1:], row[0]) for row in rows]
-    format = Format(0, False, bool(first.absolute), first.m0 is not None)
-    return replace(Slot.unpack(sums, format), color=color, depth=first.depth)
+    format = RecordFormat(0, False, bool(first.absolute), first.m0 is not None)
+    return replace(PairGradient.unpack(sums, format), color=color, depth=first.depth)

@@ -1,10 +1,9 @@
-"""The same ellipse of a Gaussian whose covariance is given in the place of quaternion and scales.
+"""The ellipse of a Gaussian whose covariance is given, not its quaternion and scales.
 
-    C = B Sigma B^T + blur I,  B = J R                 in the place of eq. 4 and 5
+    C = B Sigma B^T + blur I,  B = J R                 replaces eq. 4 and 5 of ellipse.py
 
-Sigma comes in the arrays that are there: its diagonal xx, yy, zz in the place of the scales, and
-xy, xz, yz behind a number that is not used in the place of the quaternion. What eq. 5's cross
-product saves for a needle is lost already where Sigma was rounded.
+There is no cross product as in ellipse.py: the digits that it would save for a needle were already
+lost when Sigma was rounded.
 """
 
 from __future__ import annotations
@@ -14,20 +13,29 @@ from dataclasses import dataclass
 import drjit as dr
 from drjit import ArrayBase as Array
 
-from gva_mi.splat.kernels.ellipse import LN2, Factor, Grad, dot, plus, product, product_adjoint
+from gva_mi.splat.kernels.ellipse import (
+    LN2,
+    EllipseGradient,
+    Factor,
+    dot,
+    plus,
+    product,
+    product_adjoint,
+)
+from gva_mi.splat.kernels.geometry import Covariance
 from gva_mi.splat.kernels.lens import Matrix
 from gva_mi.splat.options import SplatOptions
 
 
-def _matrix(quat: list[Array], s: list[Array]) -> list[Array]:
+def _matrix(geometry: Covariance) -> list[Array]:
     """Sigma, row by row."""
-    _, xy, xz, yz = quat
-    return [s[0], xy, xz, xy, s[1], yz, xz, yz, s[2]]
+    xx, xy, xz, yy, yz, zz = geometry.covars
+    return [xx, xy, xz, xy, yy, yz, xz, yz, zz]
 
 
 @dataclass(frozen=True)
 class CovarianceEllipse:
-    """Eq. 6-7 of one Gaussian, called as :class:`gva_mi.splat.kernels.ellipse.Ellipse` is."""
+    """Eq. 6-7 of one Gaussian, with the interface of ``ellipse.Ellipse``."""
 
     J: Matrix
     R: list[Array]
@@ -47,16 +55,17 @@ class CovarianceEllipse:
     def of(
         J: Matrix,
         R: list[Array],
-        quat: list[Array],
-        s: list[Array],
+        geometry: Covariance,
         o: Array,
         blur: Array,
         options: SplatOptions,
     ) -> CovarianceEllipse:
         B = product(J, R)
-        BS = product(B, _matrix(quat, s))
+        BS = product(B, _matrix(geometry))
         xx, xy, yy = dot(BS[:3], B[:3]), dot(BS[:3], B[3:]), dot(BS[3:], B[3:])
-        xx, yy = (dr.select(v > 0, v, 0) for v in (xx, yy))  # what is no covariance stays finite
+        xx, yy = (
+            dr.select(v > 0, v, 0) for v in (xx, yy)
+        )  # finite even where Sigma is no covariance
         sharp_det = xx * yy - xy * xy
         sharp_det = dr.select(sharp_det > 0, sharp_det, 0)
         C, det = [xx + blur, xy, yy + blur], sharp_det + blur * (xx + yy + blur)
@@ -66,10 +75,10 @@ class CovarianceEllipse:
         L, sharp = Factor.of(C, det), [xx, xy, yy]
         return CovarianceEllipse(J, R, o, blur, B, BS, sharp, sharp_det, C, det, L, lo, options)
 
-    def adjoint(self, m0: Array, mxx: Array, mxy: Array, myy: Array) -> Grad:
-        """From the moments, as ``Ellipse``: dL/dSigma = B^T dL/dC B, dL/dB = 2 dL/dC B Sigma.
+    def adjoint(self, m0: Array, mxx: Array, mxy: Array, myy: Array) -> EllipseGradient:
+        """From the moments: dL/dSigma = B^T dL/dC B and dL/dB = 2 dL/dC B Sigma.
 
-        Entries beside the diagonal stand for two of Sigma, and get the gradients of both.
+        An off-diagonal number stands for two entries of Sigma and receives both gradients.
         """
         B, BS = self.B, self.BS
         gC = self.L.adjoint(mxx, mxy, myy)
@@ -86,16 +95,16 @@ class CovarianceEllipse:
         gB = [2 * (gC[0] * BS[n] + gC[1] * BS[3 + n]) for n in range(3)]
         gB += [2 * (gC[1] * BS[n] + gC[2] * BS[3 + n]) for n in range(3)]
         gJ, gR = product_adjoint(gB, self.J, self.R)
-        beside = [0 * m0, 2 * G(0, 1), 2 * G(0, 2), 2 * G(1, 2)]
-        return Grad(gJ, gR, beside, [G(0, 0), G(1, 1), G(2, 2)], m0 / self.o)
+        by_sigma = [G(0, 0), 2 * G(0, 1), 2 * G(0, 2), G(1, 1), 2 * G(1, 2), G(2, 2)]
+        return EllipseGradient(gJ, gR, Covariance(by_sigma), m0 / self.o)
 
     def tangent(
-        self, dJ: Matrix, dR: list[Array], dquat: list[Array], ds: list[Array], do: Array
+        self, dJ: Matrix, dR: list[Array], dgeometry: Covariance, do: Array
     ) -> tuple[Array, Array, Array, Array]:
         """Tangents of p, q, r, lo."""
         B, BS = self.B, self.BS
         dB = [plus(a, b) for a, b in zip(product(dJ, self.R), product(self.J, dR), strict=True)]
-        BdS = product(B, _matrix(dquat, ds))
+        BdS = product(B, _matrix(dgeometry))
         dxx = 2 * dot(dB[:3], BS[:3]) + dot(BdS[:3], B[:3])
         dxy = dot(dB[:3], BS[3:]) + dot(BS[:3], dB[3:]) + dot(BdS[:3], B[3:])
         dyy = 2 * dot(dB[3:], BS[3:]) + dot(BdS[3:], B[3:])

@@ -6,12 +6,12 @@ With J of lens.py, the camera's R, and M the rotation of the Gaussian's quaterni
 (5)  C   = V V^T + blur I                            covariance in the picture
 (6)  L   = [[p, q], [0, r]],  L^T L = C^-1 / (2 ln 2)
 (7)  alpha(d) = o exp(-d^T C^-1 d / 2) = 2^(lo - |L d|^2),  lo = log2(o),  d = pixel centre - u
-     antialiased: o sqrt(det(V V^T) / det C) in the place of o
+     antialiased: o sqrt(det(V V^T) / det C) replaces o
 
-The factor of eq. 6 is what the compositing evaluates: it has one square less to cancel than the
-polynomial in d, so that a needle of 100 pixels keeps its float32 digits. Base 2 saves a product.
-Determinants come from n = V_0 x V_1, the cross product of V's rows, for the same reason:
-det(V V^T) = |n|^2, and det C = |n|^2 + blur (tr V V^T + blur).
+Compositing evaluates the factor of eq. 6: it has one square less to cancel than the polynomial in
+d, so a needle of 100 pixels keeps its float32 digits. Base 2 saves a product. For the same reason
+determinants come from n = V_0 x V_1, the cross product of V's rows: det(V V^T) = |n|^2, and
+det C = |n|^2 + blur (tr V V^T + blur).
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from dataclasses import dataclass
 import drjit as dr
 from drjit import ArrayBase as Array
 
+from gva_mi.splat.kernels.geometry import Geometry, QuatScale
 from gva_mi.splat.kernels.lens import Matrix
 from gva_mi.splat.options import SplatOptions
 
@@ -35,12 +36,12 @@ def dot(a: list[Array | None], b: list[Array | None]) -> Array | None:
 
 
 def cross(a: list[Array], b: list[Array]) -> list[Array]:
-    """Of two vectors."""
+    """Cross product of two vectors."""
     return [a[(k + 1) % 3] * b[(k + 2) % 3] - a[(k + 2) % 3] * b[(k + 1) % 3] for k in range(3)]
 
 
 def product(A: Matrix, B: Matrix) -> Matrix:
-    """A (2, 3) times B (3, 3)."""
+    """Product of A (2, 3) and B (3, 3)."""
     return [dot(A[3 * k : 3 * k + 3], B[n::3]) for k in range(2) for n in range(3)]
 
 
@@ -75,7 +76,7 @@ class Factor:
         return [k2 * p * N[0], k2 * p * N[1], k2 * (q * N[1] + r * N[3])]
 
     def tangent(self, dxy: Array, dyy: Array, rdet: Array) -> tuple[Array, Array, Array]:
-        """Of p, q, r; ``rdet`` is the relative tangent of the determinant."""
+        """Tangents of p, q, r; ``rdet`` is the relative tangent of the determinant."""
         ryy = dyy / self.C[2]
         dp = 0.5 * self.p * (ryy - rdet)
         dq = 0.5 * self.q * (-ryy - rdet) - self.p * dxy / self.C[2]
@@ -90,7 +91,7 @@ def product_adjoint(gB: list[Array], J: Matrix, R: list[Array]) -> tuple[list[Ar
 
 
 def rotation_entries(q: list[Array]) -> list[Array]:
-    """The nine numbers of a unit quaternion's matrix, row by row; arrays of any kind."""
+    """Rotation matrix of a unit quaternion wxyz, row by row; for arrays of any kind."""
     w, i, j, k = q
     M = [1 - 2 * (j * j + k * k), 2 * (i * j - w * k), 2 * (i * k + w * j)]
     M += [2 * (i * j + w * k), 1 - 2 * (i * i + k * k), 2 * (j * k - w * i)]
@@ -100,7 +101,7 @@ def rotation_entries(q: list[Array]) -> list[Array]:
 
 @dataclass(frozen=True)
 class Rotation:
-    """A quaternion of any length as a matrix; of zero, the identity."""
+    """Rotation matrix of a quaternion of any length; the zero quaternion gives the identity."""
 
     q: list[Array]  # wxyz, unit
     rq: Array  # 1/|quaternion|
@@ -141,19 +142,18 @@ class Rotation:
 
 
 @dataclass(frozen=True)
-class Grad:
-    """Adjoints of an ellipse."""
+class EllipseGradient:
+    """Gradients by what an ellipse is made of."""
 
     J: Matrix
     R: list[Array]
-    quat: list[Array]
-    s: list[Array]
+    geometry: Geometry
     o: Array
 
 
 @dataclass(frozen=True)
 class Ellipse:
-    """Eq. 4-7 of one Gaussian, and the intermediate values its adjoint and tangent need."""
+    """Eq. 4-7 of one Gaussian, with the intermediate values for its adjoint and tangent."""
 
     J: Matrix
     R: list[Array]
@@ -176,13 +176,12 @@ class Ellipse:
     def of(
         J: Matrix,
         R: list[Array],
-        quat: list[Array],
-        s: list[Array],
+        geometry: QuatScale,
         o: Array,
         blur: Array,
         options: SplatOptions,
     ) -> Ellipse:
-        rotation = Rotation.of(quat)
+        rotation, s = Rotation.of(geometry.quats), geometry.scales
         B = product(J, R)
         BM = product(B, rotation.M)
         V = [BM[k] * s[k % 3] for k in range(6)]
@@ -198,11 +197,11 @@ class Ellipse:
             lo += 0.5 * dr.log2(sharp / det)
         return Ellipse(J, R, s, o, blur, rotation, B, BM, V, C, n, sharp, det, L, lo, options)
 
-    def adjoint(self, m0: Array, mxx: Array, mxy: Array, myy: Array) -> Grad:
+    def adjoint(self, m0: Array, mxx: Array, mxy: Array, myy: Array) -> EllipseGradient:
         """From the moments m0 = dL/dln o and m2 of eq. 16 (pixel.py).
 
-        dL/dV = 2 dL/dC V; antialiased, ln o has
-        (ln det(V V^T) - ln det C) / 2 added, where d det(V V^T)/dV_0 = 2 V_1 x n.
+        dL/dV = 2 dL/dC V. Antialiasing adds (ln det(V V^T) - ln det C) / 2 to ln o, where
+        d det(V V^T)/dV_0 = 2 V_1 x n.
         """
         V, M = self.V, self.rotation.M
         gC = self.L.adjoint(mxx, mxy, myy)
@@ -222,13 +221,14 @@ class Ellipse:
         rows = [gBM[:3], gBM[3:]]
         gB = [dot(rows[k], M[3 * j : 3 * j + 3]) for k in range(2) for j in range(3)]
         gJ, gR = product_adjoint(gB, self.J, self.R)
-        return Grad(gJ, gR, self.rotation.adjoint(gM), grad_s, m0 / self.o)
+        geometry = QuatScale(self.rotation.adjoint(gM), grad_s)
+        return EllipseGradient(gJ, gR, geometry, m0 / self.o)
 
     def tangent(
-        self, dJ: Matrix, dR: list[Array], dquat: list[Array], ds: list[Array], do: Array
+        self, dJ: Matrix, dR: list[Array], dgeometry: QuatScale, do: Array
     ) -> tuple[Array, Array, Array, Array]:
         """Tangents of p, q, r, lo."""
-        dM = self.rotation.tangent(dquat)
+        dM, ds = self.rotation.tangent(dgeometry.quats), dgeometry.scales
         dB = [plus(a, b) for a, b in zip(product(dJ, self.R), product(self.J, dR), strict=True)]
         dBM = [
             a + b for a, b in zip(product(dB, self.rotation.M), product(self.B, dM), strict=True)

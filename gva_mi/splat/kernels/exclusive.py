@@ -1,18 +1,18 @@
-"""One thread at a time: what every door to the kernels takes before it touches Dr.Jit.
+"""The lock that every entry point takes before it uses Dr.Jit: one thread at a time.
 
 ``dr.freeze`` of Dr.Jit 1.5.0 is not made for threads: two that record or replay at once end the
-process (``jit_var(r14): unknown variable!``). So a pass from its first array to its last holds
-:data:`exclusive`, forward, adjoint and tangent alike. The kernels use all cores by themselves:
-nothing is lost. (What another thread must not do even outside of it: frozen.py.)
+process (``jit_var(r14): unknown variable!``). So every pass, forward, adjoint or tangent, holds
+:data:`exclusive` from its first array to its last. Nothing is lost, because the kernels use all
+cores themselves. (frozen.py says what another thread must not do even outside of a pass.)
 
-It covers this library. A program that also freezes functions of its own, or runs Dr.Jit's autodiff
-or Mitsuba in another thread than the one that renders, holds the same lock there::
+The lock covers this library. A program that freezes functions of its own, or runs Dr.Jit's autodiff
+or Mitsuba in another thread than the one that renders, holds it there too::
 
     with exclusive:
         image = mi.render(scene)
 
-A process forked from one that had imported Dr.Jit is without its threads, and would wait for them
-for ever. A ``DataLoader``'s workers may be forked, as long as they do not render.
+A process forked from one that had imported Dr.Jit lacks Dr.Jit's threads and would wait for them
+forever. A ``DataLoader``'s workers may be forked as long as they do not render.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from contextlib import ContextDecorator
 
 
 class Exclusive(ContextDecorator):
-    """A lock that the thread which has it may take again; a context, and a decorator."""
+    """A reentrant lock, as a context manager and as a decorator."""
 
     def __init__(self) -> None:
         self._lock = threading.RLock()

@@ -1,20 +1,20 @@
-"""Kernels that are traced once: ``dr.freeze``, with the constants of the code kept apart.
+"""Kernels that are traced once: ``dr.freeze``, with constants kept apart from arrays.
 
-A frozen function replays what it did at its first call, as long as its arguments look the same.
-Arrays may change in size and values. Python numbers and strings may not: they are constants of the
-code, and another value is another recording. Dr.Jit 1.5.0 compares them badly: a constant that
-equals an earlier one of the same call is not looked at, so that ``f(x, False, True, True)`` and
-``f(x, False, True, False)`` share a recording, and the second gives the first one's result. So
-constants are keyword arguments here, and every set of them has a frozen function of its own.
+A frozen function replays its first call as long as its arguments look the same. Arrays may change
+in size and values. Python numbers and strings may not: they are constants of the code, and another
+value needs another recording. Dr.Jit 1.5.0 compares them wrongly: it ignores a constant that equals
+an earlier one of the same call. So ``f(x, False, True, True)`` and ``f(x, False, True, False)``
+share a recording, and the second call returns the first one's result. Therefore constants are
+keyword arguments here, and every set of constants has a frozen function of its own.
 
-While ``dr.freeze`` looks through arguments and results it holds Dr.Jit's lock. For a dataclass it
-runs Python code, in which another thread may take its turn; one that frees an array then waits for
-Dr.Jit's lock, and this one for its next turn, for ever. Through lists it goes without running
-Python. So it gets flat lists of arrays; the records around them are taken off and put on here.
+``dr.freeze`` holds Dr.Jit's lock while it traverses arguments and results. For a dataclass it runs
+Python code, during which another thread may run. If that thread frees an array, it waits for
+Dr.Jit's lock while this one waits for Python's: a deadlock. Lists are traversed without Python
+code. So ``dr.freeze`` gets flat lists of arrays, and the records are flattened and rebuilt here.
 
-While a function is traced Python collects no garbage. A collection may free what is not ours, such
-as a Mitsuba scene whose ray tracer is taken down on Dr.Jit's queue; within a recording that ends
-the process.
+Python's garbage collection is off while a function is traced. It may free objects of others, such
+as a Mitsuba scene whose ray tracer is destroyed on Dr.Jit's queue; during a recording that ends the
+process.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ from typing import Any
 
 import drjit as dr
 
-LIMIT = 64  # sets of constants that are kept, and recordings of each
+LIMIT = 64  # sets of constants to keep, and recordings of each
 
-Shape = tuple[type, Any] | None  # of nested records, hashable: a type, and its parts; None: array
+Shape = tuple[type, Any] | None  # of nested records, hashable: a type and its parts; None: array
 Key = tuple[Shape, tuple[tuple[str, Any], ...]]  # of the arrays, and the constants by name
 
 
 class Frozen:
     """A function of arrays (positional) and constants (keywords, hashable), traced once.
 
-    Arrays may lie in lists, tuples and dataclasses; what else lies there is a constant too.
+    Arrays may be in lists, tuples and dataclasses; everything else in there is a constant too.
     """
 
     def __init__(self, function: Callable[..., Any]) -> None:
@@ -52,19 +52,19 @@ class Frozen:
         variant = self.variants.pop(key, None)
         if variant is None:
             variant = dr.freeze(self._of_leaves(key), limit=LIMIT, warn_after=1000)
-        self.variants[key] = variant  # used last, it is forgotten last
+        self.variants[key] = variant  # the least recently used one is dropped first
         if len(self.variants) > LIMIT:
             oldest = next(iter(self.variants))
             del self.variants[oldest], self.results[oldest]
-        with _no_garbage_collected():
+        with _without_garbage_collection():
             found = variant(leaves)
         return _unflatten(self.results[key], iter(found))
 
     def _of_leaves(self, key: Key) -> Callable[[list[dr.ArrayBase]], list[dr.ArrayBase]]:
-        """The function of flat arrays alone.
+        """Return the function of flat arrays.
 
-        Constants are defaults of its arguments and no closure: what a closure holds, ``dr.freeze``
-        looks through at every call.
+        Constants are default arguments, not a closure: ``dr.freeze`` traverses a closure at every
+        call.
         """
 
         def run(
@@ -83,12 +83,12 @@ class Frozen:
 
 
 class _Constant:
-    """Marks a part that holds no array."""
+    """Marks a part that is not an array."""
 
 
-@functools.cache  # dr.ArrayBase takes its time to say what is one
+@functools.cache  # isinstance of dr.ArrayBase is slow
 def _role(kind: type) -> str:
-    """What a value of some type is to :func:`_flatten`."""
+    """Classify a type for :func:`_flatten`."""
     if issubclass(kind, dr.ArrayBase):
         return "array"
     if issubclass(kind, list | tuple):
@@ -97,7 +97,7 @@ def _role(kind: type) -> str:
 
 
 def _flatten(value: Any, leaves: list[dr.ArrayBase]) -> Shape:  # noqa: ANN401
-    """Append the arrays of nested records to ``leaves``; returns what is left without them."""
+    """Append the arrays of nested records to ``leaves``; return the structure without them."""
     kind = type(value)
     role = _role(kind)
     if role == "array":
@@ -110,7 +110,7 @@ def _flatten(value: Any, leaves: list[dr.ArrayBase]) -> Shape:  # noqa: ANN401
 
 
 def _unflatten(shape: Shape, leaves: Iterator[dr.ArrayBase]) -> Any:  # noqa: ANN401
-    """The reverse of :func:`_flatten`."""
+    """Reverse of :func:`_flatten`."""
     if shape is None:
         return next(leaves)
     kind, parts = shape
@@ -121,7 +121,7 @@ def _unflatten(shape: Shape, leaves: Iterator[dr.ArrayBase]) -> Any:  # noqa: AN
 
 
 @contextmanager
-def _no_garbage_collected() -> Iterator[None]:
+def _without_garbage_collection() -> Iterator[None]:
     collecting = gc.isenabled()
     gc.disable()
     try:

@@ -1,6 +1,7 @@
-"""The Gaussians as flat arrays: what the kernels take, and where their gradients go.
+"""The Gaussians as the kernels take them, flat arrays, and where their gradients are written.
 
-Both doors (autograd.py, drjit_op.py) hand their arrays over in this form, without copies.
+Both front ends (torch's autograd.py, Dr.Jit's drjit_op.py) hand their arrays over in this form,
+without copies.
 """
 
 from __future__ import annotations
@@ -12,9 +13,11 @@ import drjit as dr
 import numpy as np
 from drjit import ArrayBase as Array
 
+from gva_mi.splat.argument_error import ArgumentError
 from gva_mi.splat.kernels import packets
+from gva_mi.splat.kernels.geometry import Covariance, Geometry, QuatScale
 from gva_mi.splat.kernels.packets import Allocate
-from gva_mi.splat.kernels.records import Format, ViewGradient
+from gva_mi.splat.kernels.records import CameraGradient, RecordFormat
 from gva_mi.splat.options import SplatOptions
 
 
@@ -23,14 +26,24 @@ class Inputs:
     """What is differentiated, as flat Dr.Jit arrays of one precision; also gradients, tangents."""
 
     means: Array  # 3 N
-    quats: Array  # 4 N
-    scales: Array  # 3 N
+    geometry: Geometry
     opacities: Array  # N
     colors: Array  # D N channels, or 3 K N coefficients of harmonics
 
-    def __iter__(self) -> Iterator[Array]:
-        """The arrays, in the order above."""
-        return (getattr(self, field.name) for field in fields(self))
+    @staticmethod
+    def of_named(arrays: dict[str, Array]) -> Inputs:
+        """Build the record from arrays by their names in ``Gaussians``."""
+        a, colors = arrays, arrays["sh"] if "sh" in arrays else arrays["colors"]
+        geometry = Covariance(a["covars"]) if "covars" in a else QuatScale(a["quats"], a["scales"])
+        return Inputs(a["means"], geometry, a["opacities"], colors)
+
+    def named(self) -> Iterator[tuple[str, Array]]:
+        """Yield every array with its name in ``Gaussians``; harmonics are called colors too."""
+        yield "means", self.means
+        for field in fields(self.geometry):
+            yield field.name, getattr(self.geometry, field.name)
+        yield "opacities", self.opacities
+        yield "colors", self.colors
 
     def __len__(self) -> int:
         """N, the number of Gaussians."""
@@ -47,24 +60,25 @@ class Inputs:
         return dr.width(self.colors) // max(1, len(self))
 
     def zeros(self) -> Inputs:
-        """Arrays of the same sizes, of zeros."""
-        return Inputs(*(dr.zeros(self.float_type, dr.width(array)) for array in self))
+        """Arrays of the same sizes, filled with zeros."""
+        F = self.float_type
+        return Inputs.of_named({k: dr.zeros(F, dr.width(x)) for k, x in self.named()})
 
-    def lane(self) -> Array:
-        """The numbers of all Gaussians, one in each lane of a kernel."""
+    def index(self) -> Array:
+        """The index of the Gaussian that each lane of a kernel works on."""
         return dr.arange(dr.uint32_array_t(self.float_type), len(self))
 
     def require_finite(self, harmonics: bool) -> None:
-        """Name the first number that is NaN or infinite.
+        """Check that no number is NaN or infinite.
 
         Args:
             harmonics: whether ``colors`` holds coefficients.
 
         Raises:
-            ValueError: there is one.
+            ArgumentError: one is; the message names the first.
         """
         n = len(self)
-        for name, array in zip((field.name for field in fields(self)), self, strict=True):
+        for name, array in self.named():
             numbers = array.numpy()
             bad = np.flatnonzero(~np.isfinite(numbers))
             if not bad.size:
@@ -75,88 +89,88 @@ class Inputs:
             index = np.unravel_index(bad[0], numbers.reshape(shape).shape)
             where = ", ".join(str(i) for i in index)
             count = f" ({bad.size} such numbers)" if bad.size > 1 else ""
-            found = f"{name}[{where}] is {numbers[bad[0]]}"
-            raise ValueError(f"render(): {found}, must be finite{count}")
+            problem = f"is {numbers[bad[0]]}, must be finite{count}"
+            raise ArgumentError("render()", name, problem, f"[{where}]")
 
 
 @dataclass(frozen=True)
 class Plan:
     """What is the same for all kernels of a picture: constants of their code."""
 
-    options: SplatOptions  # of_code()
+    options: SplatOptions  # kernel_constants()
     harmonics: bool  # whether inputs.colors holds coefficients
     color_width: int  # numbers of each Gaussian in inputs.colors
     channels: int  # D
-    formats: tuple[Format, ...]  # of the splats, chunk by chunk (chunks.py)
-    covariances: bool = False  # whether scales and quats hold covariances (covariance.py)
+    formats: tuple[RecordFormat, ...]  # of the splats, one per chunk (chunks.py)
 
 
 @dataclass(frozen=True)
 class Gaussian3D:
-    """One Gaussian in each lane."""
+    """One Gaussian per lane."""
 
     m: list[Array]  # mean
-    quat: list[Array]
-    s: list[Array]  # scales
+    geometry: Geometry  # columns
     o: Array  # opacity
     color: list[Array]  # channels, or coefficients
 
     @staticmethod
     def load(inputs: Inputs, color_width: int, i: Array) -> Gaussian3D:
-        """The Gaussians with the numbers ``i``."""
+        """Read the Gaussians ``i``."""
         F = inputs.float_type
         m = [dr.gather(F, inputs.means, 3 * i + k) for k in range(3)]
-        s = [dr.gather(F, inputs.scales, 3 * i + k) for k in range(3)]
-        quat = packets.load_rows(inputs.quats, 4, i)
+        geometry = inputs.geometry.load(i)
         o = dr.gather(F, inputs.opacities, i)
-        return Gaussian3D(m, quat, s, o, packets.load_rows(inputs.colors, color_width, i))
+        return Gaussian3D(m, geometry, o, packets.load_rows(inputs.colors, color_width, i))
 
 
 @dataclass(frozen=True)
-class Wanted:
-    """Which gradients an adjoint is asked for: constants of its kernels' code."""
+class RequestedGradients:
+    """Which gradients an adjoint computes: constants of its kernels' code."""
 
-    geometry: bool = True  # by all that is no colour: means to opacities, means2d, the camera
+    geometry: bool = True  # by everything but the colours: means to opacities, means2d, the camera
     colors: bool = True  # or coefficients
     camera: bool = False
-    absolute: bool = False  # by means2d, with every pixel's share taken absolutely
+    absolute: bool = False  # by means2d, summing the absolute value of every pixel's share
 
 
 @dataclass(frozen=True)
 class GradientMemory:
-    """Where the gradients are written; None for one that was not asked for."""
+    """Where the gradients are written; None for a gradient that was not requested."""
 
-    inputs: Inputs
+    means: Array | None
+    geometry: Geometry | None
+    opacities: Array | None
+    colors: Array | None
     u: Array | None  # 2 N, by the mean in the picture, per px
-    absolute: Array | None  # 2 N, the same with every pixel's share taken absolutely
-    view: packets.Packets | None  # a ViewGradient for each Gaussian
+    absolute: Array | None  # 2 N, like u, with the absolute value of every pixel's share
+    camera: packets.Packets | None  # a CameraGradient for each Gaussian
 
     @staticmethod
     def empty(
-        F: type,
+        inputs: Inputs,
         n: int,
         color_width: int,
-        wanted: Wanted,
+        requested: RequestedGradients,
         allocate: Allocate = packets.memory,
     ) -> GradientMemory:
-        """Memory for the gradients of n Gaussians."""
-        rows = lambda columns, asked: allocate(F, columns * n) if asked else None
+        """Allocate memory for the gradients of n Gaussians of the kind of ``inputs``."""
+        F, geometry = inputs.float_type, requested.geometry
+        rows = lambda columns, wanted: allocate(F, columns * n) if wanted else None
         return GradientMemory(
-            Inputs(
-                *(rows(columns, wanted.geometry) for columns in (3, 4, 3, 1)),
-                rows(color_width, wanted.colors),
-            ),
-            rows(2, wanted.geometry),
-            rows(2, wanted.absolute),
-            packets.empty(ViewGradient, None, n, F, allocate) if wanted.camera else None,
+            rows(3, geometry),
+            type(inputs.geometry).empty(F, n, allocate) if geometry else None,
+            rows(1, geometry),
+            rows(color_width, requested.colors),
+            rows(2, geometry),
+            rows(2, requested.absolute),
+            packets.empty(CameraGradient, None, n, F, allocate) if requested.camera else None,
         )
 
     def store(self, grad: Gaussian3D, grad_u: list[Array], i: Array) -> None:
-        """Write the gradients of the Gaussians ``i``, but for the colours."""
-        target, mode = self.inputs, dr.ReduceMode.NoConflicts
+        """Write the gradients of the Gaussians ``i``, without the colours'."""
+        mode = dr.ReduceMode.NoConflicts
         for k in range(3):
-            dr.scatter(target.means, grad.m[k], 3 * i + k, mode=mode)
-            dr.scatter(target.scales, grad.s[k], 3 * i + k, mode=mode)
-        packets.store_rows(target.quats, grad.quat, i)
+            dr.scatter(self.means, grad.m[k], 3 * i + k, mode=mode)
+        self.geometry.store(grad.geometry, i)
         packets.store_rows(self.u, grad_u, i)
-        dr.scatter(target.opacities, grad.o, i, mode=mode)
+        dr.scatter(self.opacities, grad.o, i, mode=mode)

@@ -1,9 +1,9 @@
-"""Where a point falls in the picture, and how it moves there: three camera models (paper, Eq. 2).
+"""Projection of a point into the picture, and its derivative: three camera models (paper, Eq. 2).
 
 From a point x in camera space, with focal lengths f and principal point c, both px, and k = 0, 1:
 
 (2)  u_k = w_k + c_k               mean in the picture
-(3)  J   = du/dx, (2, 3)           but for a pinhole's w, held within the picture and its margin
+(3)  J   = du/dx, (2, 3)           a pinhole's w is held within the picture and its margin
 
 | model | w_k | J |
 |---|---|---|
@@ -17,10 +17,10 @@ are functions of t = r^2 = x_0^2 + x_1^2 and z. With rho^2 = t + z^2, and subscr
     s_t = e / 2    s_z = h = -1 / rho^2    e_t = k    e_z = 2 h_t = 2 / rho^4    h_z = 2 z / rho^4
 
 ``held`` clamps to the picture and 15 % of its size on each side, as in gsplat: the linearisation of
-a Gaussian far outside a pinhole's picture is unbounded, and of no use.
+a Gaussian far outside a pinhole's picture is unbounded and useless.
 
-Each model is one class: built by its forward, it keeps what its ``adjoint`` and ``tangent`` need.
-Entries of J that are zero whatever x are None.
+Each model is one class: ``at`` is its forward, and it keeps what ``adjoint`` and ``tangent`` need.
+Entries of J that are zero for every x are None.
 """
 
 from __future__ import annotations
@@ -28,108 +28,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import drjit as dr
-import numpy as np
 from drjit import ArrayBase as Array
-from drjit.llvm import Float64
 
-from gva_mi.splat.camera import Camera, CameraModel
 from gva_mi.splat.kernels import packets
-from gva_mi.splat.kernels.records import ViewGradient
-from gva_mi.splat.options import SplatOptions
-
-MARGIN = 0.15  # of the picture's size, on each side, where a pinhole's J still follows the mean
+from gva_mi.splat.kernels.camera_arrays import CameraArrays
 
 Matrix = list[Array | None]  # row by row; None is a zero
 
 
 @dataclass(frozen=True)
-class View:
-    """A camera, or its tangent, as the kernels see it: arrays, so that a pose is no constant.
-
-    R, t, o are the rotation, the translation and the position: ``x = R m + t``, ``R o + t = 0``.
-    """
-
-    R: list[Array]  # 9, row by row
-    t: list[Array]  # 3
-    f: list[Array]  # 2, px
-    c: list[Array]  # 2, px
-    o: list[Array]  # 3, world
-    low: list[Array]  # 2, least w of ``held``, px
-    high: list[Array]  # 2, greatest
-    reach: list[Array]  # 4, cut-offs that are no constants of the code: see the properties
-    model: CameraModel
-
-    @property
-    def near(self) -> Array:
-        """Depth from which on Gaussians are drawn, m."""
-        return self.reach[0]
-
-    @property
-    def far(self) -> Array:
-        """Depth up to which, m."""
-        return self.reach[1]
-
-    @property
-    def blur(self) -> Array:
-        """What is added to the diagonal of the covariances in the picture, px^2."""
-        return self.reach[2]
-
-    @property
-    def radius(self) -> Array:
-        """Gaussians that reach no further are not drawn, px; negative: all are."""
-        return self.reach[3]
-
-    def to(self, F: type) -> View:
-        """The same in another precision, inside a kernel."""
-        cast = lambda numbers: [F(x) for x in numbers]
-        parts = (self.R, self.t, self.f, self.c, self.o, self.low, self.high, self.reach)
-        return View(*map(cast, parts), self.model)
-
-
-def view_of(camera: Camera, options: SplatOptions) -> View:
-    """The camera and those cut-offs that may change from call to call, in float64, evaluated."""
-    f, c = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
-    size = np.array([camera.width, camera.height])
-    T = camera.T_camera_world
-    low, high = -MARGIN * size - c, (1 + MARGIN) * size - c
-    radius = options.radius_min if options.radius_min > 0 else -1
-    reach = np.array([options.near, options.far, options.blur, radius])
-    parts = [T[:3, :3].ravel(), T[:3, 3], f, c, camera.position, low, high, reach]
-    return _view(parts, camera.model)
-
-
-def view_tangent(camera: Camera, dT: np.ndarray, dK: np.ndarray) -> View:
-    """The tangent of :func:`view_of` along those of ``T_camera_world`` (4, 4) and ``K`` (3, 3)."""
-    T = camera.T_camera_world
-    dR, dt, dc = dT[:3, :3], dT[:3, 3], dK[:2, 2]
-    do = -np.linalg.solve(T[:3, :3], dR @ camera.position + dt)
-    parts = [dR.ravel(), dt, dK.diagonal()[:2], dc, do, -dc, -dc, np.zeros(4)]
-    return _view(parts, camera.model)
-
-
-def view_adjoint(camera: Camera, grad: ViewGradient) -> tuple[np.ndarray, np.ndarray]:
-    """From the gradient by R, t, f, c, o, added up, to those by ``T_camera_world`` and ``K``."""
-    T = camera.T_camera_world
-    go = -np.linalg.solve(T[:3, :3].T, grad.o)
-    grad_T, grad_K = np.zeros((4, 4)), np.zeros((3, 3))
-    grad_T[:3, :3] = np.reshape(grad.R, (3, 3)) + np.outer(go, camera.position)
-    grad_T[:3, 3] = grad.t + go
-    grad_K[0, 0], grad_K[1, 1] = grad.f
-    grad_K[:2, 2] = grad.c
-    return grad_T, grad_K
-
-
-def _view(parts: list[np.ndarray], model: CameraModel) -> View:
-    numbers = np.concatenate(parts)
-    array = Float64(numbers)
-    x = [dr.gather(Float64, array, k) for k in range(numbers.size)]
-    dr.eval(x)
-    return View(x[:9], x[9:12], x[12:14], x[14:16], x[16:19], x[19:21], x[21:23], x[23:], model)
-
-
-@dataclass(frozen=True)
-class Grad:
-    """Adjoints of a lens: by the point in camera space, the focal lengths, the principal point."""
+class LensGradient:
+    """Gradients by the point in camera space, the focal lengths and the principal point."""
 
     x: list[Array]
     f: list[Array]
@@ -149,7 +58,7 @@ class Pinhole:
     J: Matrix
 
     @staticmethod
-    def at(x: list[Array], z: Array, view: View) -> Pinhole:
+    def at(x: list[Array], z: Array, view: CameraArrays) -> Pinhole:
         f, rz = view.f, 1 / z
         w = [f[k] * (x[k] * rz) for k in range(2)]
         held = [dr.select(w[k] < view.low[k], view.low[k], w[k]) for k in range(2)]
@@ -159,7 +68,7 @@ class Pinhole:
         J = [f[0] * rz, None, -held[0] * rz, None, f[1] * rz, -held[1] * rz]
         return Pinhole(x, f, rz, held, free, u, J)
 
-    def adjoint(self, gu: list[Array], gJ: Matrix) -> Grad:
+    def adjoint(self, gu: list[Array], gJ: Matrix) -> LensGradient:
         x, f, rz = self.x, self.f, self.rz
         by_axis, by_depth = [gJ[0], gJ[4]], [gJ[2], gJ[5]]
         gheld = [-rz * by_depth[k] for k in range(2)]
@@ -168,9 +77,9 @@ class Pinhole:
         gf = [rz * (x[k] * gw[k] + by_axis[k]) for k in range(2)]
         gx = [f[k] * rz * gw[k] for k in range(2)]
         grz = [f[k] * (x[k] * gw[k] + by_axis[k]) - self.held[k] * by_depth[k] for k in range(2)]
-        return Grad([*gx, -rz * rz * (grz[0] + grz[1])], gf, gc)
+        return LensGradient([*gx, -rz * rz * (grz[0] + grz[1])], gf, gc)
 
-    def tangent(self, dx: list[Array], view: View) -> tuple[list[Array], Matrix]:
+    def tangent(self, dx: list[Array], view: CameraArrays) -> tuple[list[Array], Matrix]:
         x, f, rz = self.x, self.f, self.rz
         drz = -rz * rz * dx[2]
         dw = [view.f[k] * x[k] * rz + f[k] * (dx[k] * rz + x[k] * drz) for k in range(2)]
@@ -192,17 +101,17 @@ class Ortho:
     J: Matrix
 
     @staticmethod
-    def at(x: list[Array], z: Array, view: View) -> Ortho:
+    def at(x: list[Array], z: Array, view: CameraArrays) -> Ortho:
         f = view.f
         u = [f[k] * x[k] + view.c[k] for k in range(2)]
         return Ortho(x, f, u, [f[0] + 0 * z, None, None, None, f[1] + 0 * z, None])
 
-    def adjoint(self, gu: list[Array], gJ: Matrix) -> Grad:
+    def adjoint(self, gu: list[Array], gJ: Matrix) -> LensGradient:
         x, f = self.x, self.f
         gf = [x[k] * gu[k] + gJ[4 * k] for k in range(2)]
-        return Grad([f[0] * gu[0], f[1] * gu[1], gu[0] * 0], gf, gu)
+        return LensGradient([f[0] * gu[0], f[1] * gu[1], gu[0] * 0], gf, gu)
 
-    def tangent(self, dx: list[Array], view: View) -> tuple[list[Array], Matrix]:
+    def tangent(self, dx: list[Array], view: CameraArrays) -> tuple[list[Array], Matrix]:
         x, f = self.x, self.f
         du = [view.f[k] * x[k] + f[k] * dx[k] + view.c[k] for k in range(2)]
         return du, [view.f[0] + 0 * dx[2], None, None, None, view.f[1] + 0 * dx[2], None]
@@ -222,7 +131,7 @@ class Fisheye:
     J: Matrix
 
     @staticmethod
-    def at(x: list[Array], z: Array, view: View) -> Fisheye:
+    def at(x: list[Array], z: Array, view: CameraArrays) -> Fisheye:
         f = view.f
         t = x[0] * x[0] + x[1] * x[1]
         h = -1 / (t + z * z)
@@ -233,7 +142,7 @@ class Fisheye:
         J += [f[1] * cross, f[1] * (s + e * x[1] * x[1]), f[1] * x[1] * h]
         return Fisheye([*x[:2], z], f, s, e, h, k, u, J)
 
-    def adjoint(self, gu: list[Array], gJ: Matrix) -> Grad:
+    def adjoint(self, gu: list[Array], gJ: Matrix) -> LensGradient:
         (x, y, z), (fx, fy), e, h = self.x, self.f, self.e, self.h
         a, b = [fx * g for g in gJ[:3]], [fy * g for g in gJ[3:]]  # by J / f
         v = [fx * gu[0], fy * gu[1]]
@@ -252,9 +161,9 @@ class Fisheye:
             gf[k] + sum(self.J[3 * k + j] * gJ[3 * k + j] for j in range(3)) / self.f[k]
             for k in range(2)
         ]
-        return Grad(gx, gf, gu)
+        return LensGradient(gx, gf, gu)
 
-    def tangent(self, dx: list[Array], view: View) -> tuple[list[Array], Matrix]:
+    def tangent(self, dx: list[Array], view: CameraArrays) -> tuple[list[Array], Matrix]:
         x, f, s, e, h = self.x, self.f, self.s, self.e, self.h
         dt = 2 * (x[0] * dx[0] + x[1] * dx[1])
         ds, de = e / 2 * dt + h * dx[2], self.k * dt + 2 * h * h * dx[2]
@@ -275,7 +184,7 @@ TERMS = 12  # of the series of s, e and k in q = t / z^2
 
 
 def _equidistant(t: Array, z: Array, h: Array) -> tuple[Array, Array, Array]:
-    """s, e and k of the fisheye: near the axis, where the formulas cancel, by their series."""
+    """Compute the fisheye's s, e and k; by series near the axis, where the formulas cancel."""
     rz = 1 / z
     q = t * rz * rz
     near = q < (0.04 if packets.is_double(type(t)) else 0.25)
@@ -303,4 +212,5 @@ def _polynomial(q: Array, coefficients: list[float]) -> Array:
     return value
 
 
-LENSES = {"pinhole": Pinhole, "ortho": Ortho, "fisheye": Fisheye}
+Lens = Pinhole | Ortho | Fisheye
+LENSES: dict[str, type[Lens]] = {"pinhole": Pinhole, "ortho": Ortho, "fisheye": Fisheye}

@@ -1,9 +1,9 @@
-"""Rows of floats in memory, records in a kernel.
+"""Records in a kernel, stored in memory as rows of floats.
 
 Dr.Jit reads and writes a row of 2, 4 or 8 neighbouring floats per lane in one go (a *packet*),
 several times faster than as many single floats. So a record of the kernels (records.py), such as
-the ten floats of a projected Gaussian, is kept as a few flat arrays whose row widths are powers of
-two: 10 is 8 + 2. This module holds that arithmetic, and the records the order of their columns.
+the ten floats of a projected Gaussian, is stored as a few flat arrays whose row widths are powers
+of two: 10 is 8 + 2. This module holds that arithmetic; the records know the order of their columns.
 The precision is that of the arrays given: ``drjit.llvm.Float`` or ``Float64``.
 """
 
@@ -20,22 +20,22 @@ Packets = list[Array]  # flat arrays of n rows each, widths as in widths()
 Allocate = Callable[[type, int], Array]  # memory for so many numbers of a type
 
 
-class Record(Protocol):
-    """What a kernel reads or writes as one row."""
+class PackedRecord(Protocol):
+    """Interface of what a kernel reads or writes as one row."""
 
     @staticmethod
     def columns(format: Any) -> int:  # noqa: ANN401
-        """How many floats it is."""
+        """Number of floats."""
 
     def pack(self) -> list[Array]:
-        """Its columns."""
+        """Return its columns."""
 
     @staticmethod
-    def unpack(columns: Sequence[Array], format: Any) -> Record:  # noqa: ANN401
-        """The record of some columns."""
+    def unpack(columns: Sequence[Array], format: Any) -> PackedRecord:  # noqa: ANN401
+        """Make the record from its columns."""
 
 
-R = TypeVar("R", bound=Record)
+R = TypeVar("R", bound=PackedRecord)
 
 
 def is_double(F: type) -> bool:
@@ -44,49 +44,49 @@ def is_double(F: type) -> bool:
 
 
 def packet_type(F: type) -> type:
-    """The dynamic array whose entries are of type ``F``: floats, or 32-bit unsigned integers."""
+    """Return the dynamic array type with entries of type ``F``: floats, or unsigned integers."""
     if not dr.is_float_v(F):
         return ArrayXu
     return ArrayXf64 if is_double(F) else ArrayXf
 
 
 def widths(columns: int) -> list[int]:
-    """Powers of two, at most 8, that add up to ``columns``; largest first."""
+    """Split ``columns`` into powers of two, at most 8; largest first."""
     out = [8] * (columns // 8)
     return out + [w for w in (4, 2, 1) if columns & w]
 
 
 def memory(F: type, size: int) -> Array:
-    """Uninitialised memory for ``size`` numbers, as an argument of a frozen kernel.
+    """Allocate ``size`` numbers, uninitialised, as an argument of a frozen kernel.
 
     Inside a frozen kernel memory is allocated by ``dr.empty``.
     """
     array = dr.empty(F, size)
-    dr.make_opaque(array)  # until then it has only a size, which dr.freeze takes for a constant
+    dr.make_opaque(array)  # before it has only a size, which dr.freeze takes for a constant
     return array
 
 
 def empty(
-    kind: type[Record],
+    kind: type[PackedRecord],
     format: Any,  # noqa: ANN401
     rows: int,
     F: type,
     allocate: Allocate = memory,
 ) -> Packets:
-    """Memory for ``rows`` records of a kind, of numbers of type ``F``."""
+    """Allocate ``rows`` records of a kind, of numbers of type ``F``."""
     return [allocate(F, width * rows) for width in widths(kind.columns(format))]
 
 
 def load(source: Packets, kind: type[R], format: Any, index: Array) -> R:  # noqa: ANN401
-    """The records in the rows ``index``."""
+    """Load the records in the rows ``index``."""
     columns = []
     for packet, width in zip(source, widths(kind.columns(format)), strict=True):
         columns += load_rows(packet, width, index)
     return kind.unpack(columns, format)
 
 
-def store(target: Packets, record: Record, index: Array, active: Array = True) -> None:
-    """Write records to the rows ``index``; no two lanes may name the same row."""
+def store(target: Packets, record: PackedRecord, index: Array, active: Array = True) -> None:
+    """Store records to the rows ``index``; no two lanes may name the same row."""
     columns, first = record.pack(), 0
     for packet, width in zip(target, widths(len(columns)), strict=True):
         store_rows(packet, columns[first : first + width], index, active)
@@ -94,7 +94,7 @@ def store(target: Packets, record: Record, index: Array, active: Array = True) -
 
 
 def load_rows(source: Array, width: int, index: Array) -> list[Array]:
-    """The numbers in the rows ``index`` of one flat array of any row width."""
+    """Load the rows ``index`` of one flat array of any row width."""
     F = type(source)
     if width == 1:
         return [dr.gather(F, source, index)]
@@ -103,6 +103,6 @@ def load_rows(source: Array, width: int, index: Array) -> list[Array]:
 
 
 def store_rows(target: Array, numbers: list[Array], index: Array, active: Array = True) -> None:
-    """Write numbers to the rows ``index`` of one flat array of any row width."""
+    """Store to the rows ``index`` of one flat array of any row width."""
     value = numbers[0] if len(numbers) == 1 else packet_type(type(target))(numbers)
     dr.scatter(target, value, index, active=active, mode=dr.ReduceMode.NoConflicts)

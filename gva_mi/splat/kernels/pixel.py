@@ -1,4 +1,4 @@
-"""One pixel meets one Gaussian: a step of the compositing, its adjoint, its tangent (paper, Eq. 3).
+"""One pixel meets one Gaussian: a compositing step, its adjoint and its tangent (paper, Eq. 3).
 
 Per pixel, over the Gaussians i of its tile's list in depth order, with d_i = pixel centre - u_i and
 L_i = [[p, q], [0, r]], lo_i of eq. 6-7 (ellipse.py):
@@ -6,7 +6,7 @@ L_i = [[p, q], [0, r]], lo_i of eq. 6-7 (ellipse.py):
 (11)  w_i     = L_i d_i = (p d_x + q d_y, r d_y)
 (12)  alpha_i = min(alpha_max, 2^(lo_i - |w_i|^2));  0 where that is below alpha_min
 (13)  T_0 = 1,  T_{i+1} = T_i (1 - alpha_i);  stop before T_{i+1} falls to transmittance_min, and
-      before the first Gaussian that is no nearer than the pixel's limit, if it has one
+      before the first Gaussian that is not nearer than the pixel's limit, if it has one
 (14)  y_k     = sum_i T_i alpha_i f_ik + T background_k,   alpha = 1 - T,   T the last one
 
 The product of the paper's Eq. 3 includes i itself; it must not (T_i = prod_{j<i}). The features f
@@ -21,9 +21,9 @@ Adjoint, back to front, from g_k = dL/dy_k, h = dL/dalpha, the last T and where 
 (16)  m0 = sum v,  m1 = sum v w,  m2 = sum v w w^T,  grad_f_k = sum T_i alpha_i g_k
       over the tile's pixels, for every pair (tile, Gaussian);  grad_background_k = sum T g_k
 
-Eq. 15 adds and multiplies what is of one size. From front to back, what lies behind i would be the
-whole less what was passed, and behind an opaque Gaussian nothing but the rounding of both. T and B
-are the whole state of a pixel.
+Eq. 15 adds and multiplies numbers of similar size. From front to back, what lies behind i would be
+a difference: the whole minus what was passed. Behind an opaque Gaussian that is only the rounding
+of both. T and B are the whole state of a pixel.
 
 With ``absolute`` there are two more sums, of |v w_x| and of |v (q w_x + r w_y)|: absolute values of
 each pixel's derivatives by u, without the factors that all pixels share.
@@ -36,7 +36,8 @@ Tangent, where d_ marks tangents and ln2 comes from the base in eq. 12:
       d_y_k   = sum_i (d_T_i alpha + T_i d_alpha) f_k + T_i alpha d_f_k
                 + d_T background_k + T d_background_k,   d_alpha of the picture = -d_T
 
-The steps are below, beside each other. What walks the lists, and loads and stores, is blend.py.
+The steps are below, beside each other; the sums of eq. 16 are in pair_gradient.py. The loops over
+the lists are in blend.py.
 """
 
 from __future__ import annotations
@@ -49,12 +50,12 @@ import drjit as dr
 from drjit import ArrayBase as Array
 
 from gva_mi.splat.kernels import packets
-from gva_mi.splat.kernels.records import Format, Slot, Splat
+from gva_mi.splat.kernels.records import Splat
 from gva_mi.splat.kernels.tiles import HEIGHT, WIDTH
 from gva_mi.splat.options import SplatOptions
 
-PIXELS = WIDTH * HEIGHT  # of a tile: one lane's
-PLACES = [i - (WIDTH - 1) / 2 for i in range(WIDTH)]  # of a row's pixels about its middle
+PIXELS = WIDTH * HEIGHT  # of a tile, which is one lane
+PLACES = [i - (WIDTH - 1) / 2 for i in range(WIDTH)]  # of a row's pixels, from its middle
 MIRRORED = [i for left in range(WIDTH // 2) for i in (left, WIDTH - 1 - left)]  # outside inwards
 LN2 = math.log(2.0)
 
@@ -63,8 +64,8 @@ LN2 = math.log(2.0)
 class PixelRow:
     """Eq. 11 and the exponent of eq. 12 along one row of a tile's pixels.
 
-    Along a row w_y is one number and w_x = middle + p e, where e are the pixels' places about the
-    row's middle: a few values for all pixels, and small numbers where cancellation would hurt.
+    Along a row w_y is constant and w_x = middle + p e, where e is a pixel's position relative to
+    the row's middle: few values for all pixels, and small ones where cancellation would hurt.
     """
 
     p: Array
@@ -92,7 +93,7 @@ class Alpha:
 
     @staticmethod
     def at(row: PixelRow, e: float, options: SplatOptions, shown: Array | None = None) -> Alpha:
-        """At the place ``e`` of a row; 0 where the pixel does not show the Gaussian."""
+        """Evaluate at the place ``e`` of a row; 0 where the pixel does not show the Gaussian."""
         wx = dr.fma(row.p, e, row.middle)
         exponent = dr.fma(-wx, wx, row.base)
         free = exp2(exponent)
@@ -107,14 +108,14 @@ class Alpha:
 
 
 def w_tangent(g: Splat, d: Splat, dx: Array, dy: Array) -> tuple[Array, Array]:
-    """Eq. 17, d_w at the distance (dx, dy) from a Gaussian ``g`` whose tangent is ``d``."""
+    """Eq. 17, d_w at the offset (dx, dy) from a Gaussian ``g`` whose tangent is ``d``."""
     (du, dv), dw_y = d.u, d.r * dy - g.r * d.u[1]
     return d.p * dx + d.q * dy - g.p * du - g.q * dv, dw_y
 
 
 @dataclass(frozen=True)
 class Pixel:
-    """One pixel on its way from front to back."""
+    """State of one pixel, from front to back."""
 
     T: Array  # transmittance; negative once the pixel has stopped
     end: Array  # in its tile's list: one past the last Gaussian that it shows
@@ -128,7 +129,7 @@ class Pixel:
         Args:
             alpha: eq. 12.
             f: the Gaussian's features.
-            end: one past it.
+            end: one past its place in the list.
             within: whether it is nearer than the pixel's limit; None where pixels have none.
             options: cut-offs.
         """
@@ -145,7 +146,7 @@ class Pixel:
 
     @staticmethod
     def state(pixels: list[Pixel]) -> list[Array]:
-        """The loop's variables for the pixels of a tile."""
+        """Flatten the pixels of a tile to the loop's variables."""
         y = [number for pixel in pixels for number in pixel.y]
         return [*(pixel.T for pixel in pixels), *(pixel.end for pixel in pixels), *y]
 
@@ -159,15 +160,15 @@ class Pixel:
 
 @dataclass(frozen=True)
 class PixelAdjoint:
-    """One pixel on its way back to front."""
+    """State of one pixel, from back to front."""
 
     T: Array  # transmittance behind the Gaussian that comes next
-    B: Array | None  # what lies there, times g; None where no v is asked for
+    B: Array | None  # what lies there, times g; None if no v is needed
 
     def step_back(
         self, alpha: Alpha, f: list[Array], g: list[Array], options: SplatOptions
     ) -> tuple[PixelAdjoint, Array | None, Array]:
-        """Eq. 15: take one Gaussian back; also returns v_i and T_i alpha_i.
+        """Eq. 15: undo the step of one Gaussian; also return v_i and T_i alpha_i.
 
         Args:
             alpha: eq. 12, 0 where the pixel does not show the Gaussian.
@@ -187,7 +188,7 @@ class PixelAdjoint:
 
     @staticmethod
     def state(pixels: list[PixelAdjoint]) -> list[Array]:
-        """The loop's variables for the pixels of a tile."""
+        """Flatten the pixels of a tile to the loop's variables."""
         B = [pixel.B for pixel in pixels if pixel.B is not None]
         return [*(pixel.T for pixel in pixels), *B]
 
@@ -200,9 +201,9 @@ class PixelAdjoint:
 
 @dataclass(frozen=True)
 class PixelTangent:
-    """One pixel on its way from front to back, and its tangent."""
+    """State of one pixel and its tangent, from front to back."""
 
-    T: Array  # as a Pixel's
+    T: Array  # as in Pixel
     dT: Array
     dy: list[Array]
 
@@ -225,7 +226,7 @@ class PixelTangent:
 
     @staticmethod
     def state(pixels: list[PixelTangent]) -> list[Array]:
-        """The loop's variables for the pixels of a tile."""
+        """Flatten the pixels of a tile to the loop's variables."""
         dy = [number for pixel in pixels for number in pixel.dy]
         return [*(pixel.T for pixel in pixels), *(pixel.dT for pixel in pixels), *dy]
 
@@ -237,55 +238,7 @@ class PixelTangent:
         return [PixelTangent(T[i], dT[i], dy[n * i : n * i + n]) for i in range(PIXELS)]
 
 
-class SlotSums:
-    """Eq. 16 of one pair, added up over the tile's pixels; None is a zero."""
-
-    def __init__(self, format: Format) -> None:
-        self.m0: Array | None = None
-        self.m1: list[Array | None] = [None] * (2 * format.moments)
-        self.m2: list[Array | None] = [None] * (3 * format.moments)
-        self.absolute: list[Array | None] = [None] * (2 * format.absolute)
-        self.grad_f: list[Array | None] = [None] * (format.channels + format.depth)
-        self.format = format
-
-    def add_pixel(self, g: Splat, alpha: Alpha, v: Array, weight: Array, by_y: list[Array]) -> None:
-        """Add what is summed pixel by pixel: grad_f, and the absolute sums."""
-        channels, depth = self.format.channels, self.format.depth
-        for c, by_feature in enumerate([*by_y[:channels], *by_y[len(by_y) - depth :]]):
-            self.grad_f[c] = _fma(weight, by_feature, self.grad_f[c])
-        if self.absolute:
-            ax, ay = self.absolute
-            by_v = g.q * alpha.wx + g.r * alpha.wy
-            self.absolute = [_add(ax, dr.abs(v * alpha.wx)), _add(ay, dr.abs(v * by_v))]
-
-    def add_row(self, row: PixelRow, v: list[Array]) -> None:
-        """Add the moments of a row of pixels, made of those of v about the row's middle.
-
-        Pixels at e and -e share a product: s_n = sum v e^n.
-        """
-        s0 = s1 = s2 = None
-        for left in range(WIDTH // 2):
-            e = -PLACES[left]
-            both, difference = v[left] + v[WIDTH - 1 - left], v[WIDTH - 1 - left] - v[left]
-            s0, s1, s2 = _add(s0, both), _fma(difference, e, s1), _fma(both, e * e, s2)
-        ps1, vy = row.p * s1, s0 * row.wy
-        sx = dr.fma(row.middle, s0, ps1)  # sum v w_x
-        self.m0 = _add(self.m0, s0)
-        self.m1 = [_add(self.m1[0], sx), _add(self.m1[1], vy)]
-        self.m2 = [
-            _add(self.m2[0], dr.fma(row.middle, sx + ps1, row.p * row.p * s2)),
-            _fma(sx, row.wy, self.m2[1]),
-            _fma(vy, row.wy, self.m2[2]),
-        ]
-
-    def slot(self) -> Slot:
-        """The sums as a record."""
-        color = self.grad_f[: self.format.channels]
-        depth = self.grad_f[-1] if self.format.depth else None
-        return Slot(self.m0, self.m1, self.m2, self.absolute, color, depth)
-
-
-# 2^f on [-1/2, 1/2], its series: relative error 3.2e-6 at the ends, 1e-7 within 1/4
+# series of 2^f on [-1/2, 1/2]: relative error 3.2e-6 at the ends, 1e-7 within 1/4
 EXP2 = (1.0, 0.69314720, 0.24022651, 0.05550357, 0.00961814, 0.00133335)
 ROUND = 12582912.0  # 1.5 * 2^23: adding it rounds a float32 to an integer in the low bits
 
@@ -305,18 +258,10 @@ def exp2(x: Array) -> Array:
 
 
 def larger(a: Array, b: Array) -> Array:
-    """``dr.maximum`` without its care for NaN."""
+    """``dr.maximum`` without NaN handling."""
     return dr.select(a > b, a, b)
 
 
 def smaller(a: Array, b: Array) -> Array:
-    """``dr.minimum`` without its care for NaN."""
+    """``dr.minimum`` without NaN handling."""
     return dr.select(a < b, a, b)
-
-
-def _add(a: Array | None, b: Array) -> Array:
-    return b if a is None else a + b
-
-
-def _fma(a: Array, b: Array, c: Array | None) -> Array:
-    return a * b if c is None else dr.fma(a, b, c)

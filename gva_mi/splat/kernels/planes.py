@@ -1,8 +1,8 @@
-"""Pictures as the kernels keep them: flat arrays padded to whole tiles, a tile for each SIMD lane.
+"""Pictures as the kernels store them: flat arrays padded to whole tiles, one tile per SIMD lane.
 
-A lane's 32 pixels are unrolled in the trace: a number per pixel is a list of 32 Dr.Jit variables,
-row by row, and no operation crosses lanes. Since pictures are padded, a row of a tile is one packet
-of memory.
+A lane's 32 pixels are unrolled in the trace: a quantity per pixel is a list of 32 Dr.Jit variables,
+row by row, and no operation crosses lanes. Because pictures are padded, a row of a tile is one
+packet of memory.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from drjit import ArrayBase as Array
 
 from gva_mi.splat.kernels import packets
 from gva_mi.splat.kernels.packets import Allocate
-from gva_mi.splat.kernels.records import Format
+from gva_mi.splat.kernels.records import RecordFormat
 from gva_mi.splat.kernels.tiles import HEIGHT, WIDTH, Grid, Lists
 
 
@@ -24,18 +24,20 @@ class Planes:
     """A picture, its gradient or its tangent."""
 
     color: Array  # (rows, columns, D), background blended in
-    alpha: Array | None  # (rows, columns); None where no loss looks at it
-    depth: Array | None  # (rows, columns); None where it is not made, or no loss looks at it
+    alpha: Array | None  # (rows, columns); None if no loss depends on it
+    depth: Array | None  # (rows, columns); None if it is not made, or no loss depends on it
 
     @staticmethod
-    def empty(F: type, format: Format, pixels: int, allocate: Allocate = packets.memory) -> Planes:
-        """Memory for a picture of so many pixels, padding included."""
+    def empty(
+        F: type, format: RecordFormat, pixels: int, allocate: Allocate = packets.memory
+    ) -> Planes:
+        """Allocate a picture of so many pixels, padding included."""
         color, alpha = allocate(F, pixels * format.channels), allocate(F, pixels)
         return Planes(color, alpha, allocate(F, pixels) if format.depth else None)
 
     @staticmethod
     def of_background(background: list[Array], pixels: int, depth: bool) -> Planes:
-        """The picture of nothing."""
+        """Make the picture of no Gaussians."""
         F, D = type(background[0]), len(background)
         color = packets.memory(F, pixels * D)
         pixel = dr.arange(dr.uint32_array_t(F), pixels)
@@ -47,25 +49,25 @@ class Planes:
 
 
 @dataclass(frozen=True)
-class Trail:
-    """What the compositing leaves for its way back, each one number per pixel."""
+class SavedPixels:
+    """What compositing saves for its adjoint: one number per pixel each."""
 
     T: Array  # the last transmittance of eq. 13
-    end: Array  # place in ``ids`` where the pixel stopped: one past the last Gaussian that it shows
+    end: Array  # index in ``ids`` where the pixel stopped: one past the last Gaussian that it shows
 
 
 @dataclass(frozen=True)
 class Window:
-    """A lane's tile in the picture."""
+    """Position of a lane's tile in the picture."""
 
-    x: Array  # its left upper corner, px
+    x: Array  # left upper corner, px
     y: Array
     rows: list[Array]  # the number of each of its rows of pixels, in rows of a tile's width
-    real: Array  # False for lanes that only fill up packets: nothing is written
+    real: Array  # False for lanes that only fill up packets and write nothing
 
     @staticmethod
     def of(lists: Lists, grid: Grid, F: type) -> Window:
-        """The window of each lane, in numbers of type ``F``."""
+        """Compute the window of each lane, in numbers of type ``F``."""
         columns = type(lists.tile)(grid.columns)
         row = lists.tile // columns
         column = lists.tile - row * columns
@@ -74,17 +76,17 @@ class Window:
         return Window(F(column * WIDTH), F(row * HEIGHT), rows, lists.real)
 
     def inside(self, grid: Grid, F: type) -> list[Array]:
-        """Which of the tile's pixels lie in the picture."""
+        """Whether each pixel of the tile lies in the picture."""
         in_x = [self.x + i < F(grid.width) for i in range(WIDTH)]
         in_y = [self.y + j < F(grid.height) for j in range(HEIGHT)]
         return [a & b for b in in_y for a in in_x]
 
     def load(self, plane: Array) -> list[Array]:
-        """A number of each pixel."""
+        """Load a number for each pixel."""
         return [number for row in self.rows for number in packets.load_rows(plane, WIDTH, row)]
 
     def load_channels(self, plane: Array, channels: int) -> list[list[Array]]:
-        """The channels of each pixel."""
+        """Load the channels of each pixel."""
         out = []
         for row in self.rows:
             numbers = packets.load_rows(plane, WIDTH * channels, row)
@@ -92,11 +94,11 @@ class Window:
         return out
 
     def store(self, plane: Array, pixels: Sequence[Array]) -> None:
-        """Write a number for each pixel."""
+        """Store a number for each pixel."""
         self.store_channels(plane, [[number] for number in pixels])
 
     def store_channels(self, plane: Array, pixels: Sequence[Sequence[Array]]) -> None:
-        """Write the channels of each pixel."""
+        """Store the channels of each pixel."""
         for j, row in enumerate(self.rows):
             of_row = pixels[j * WIDTH : (j + 1) * WIDTH]
             numbers = [number for pixel in of_row for number in pixel]

@@ -1,12 +1,12 @@
-"""A 3D Gaussian in the picture: EWA projection, forward, adjoint and tangent (paper, Eq. 1-2).
+"""EWA projection of 3D Gaussians: forward, adjoint and tangent (paper, Eq. 1-2).
 
 (1)      x = R m + t            mean in camera space, depth z = x_2
-(2)-(3)  u, J                   where it falls in the picture, and du/dx: lens.py
-(4)-(7)  p, q, r, lo            its ellipse and opacity there: ellipse.py, covariance.py
-(8)-(10) color                  its colour from there, where it is in spherical harmonics: sh.py
+(2)-(3)  u, J                   position in the picture, and du/dx: lens.py
+(4)-(7)  p, q, r, lo            ellipse and opacity there: ellipse.py, covariance.py
+(8)-(10) color                  colour from spherical harmonics, if it has some: sh.py
 
-The equations go on in pixel.py. Each of the three directions below is one kernel, lane per
-Gaussian, that calls the same direction of the files named on the right.
+The equations continue in pixel.py. Each of the three functions below is one kernel with one lane
+per Gaussian; it calls the same function of the files on the right.
 
 | paper | code | shape | unit |
 |---|---|---|---|
@@ -28,76 +28,89 @@ import drjit as dr
 from drjit import ArrayBase as Array
 
 from gva_mi.splat.kernels import packets, sh
+from gva_mi.splat.kernels.camera_arrays import CameraArrays
 from gva_mi.splat.kernels.covariance import CovarianceEllipse
 from gva_mi.splat.kernels.ellipse import LN2, Ellipse, dot
+from gva_mi.splat.kernels.geometry import Covariance
 from gva_mi.splat.kernels.inputs import Gaussian3D, GradientMemory, Inputs, Plan
-from gva_mi.splat.kernels.lens import LENSES, View
+from gva_mi.splat.kernels.lens import LENSES, Lens
 from gva_mi.splat.kernels.packets import Allocate
-from gva_mi.splat.kernels.records import Footprint, Format, Slot, Splat, ViewGradient
+from gva_mi.splat.kernels.records import (
+    CameraGradient,
+    Footprint,
+    PairGradient,
+    RecordFormat,
+    Splat,
+)
+from gva_mi.splat.options import SplatOptions
 
 
 @dataclass(frozen=True)
-class Projection:
-    """Every Gaussian in the picture, (N,) each."""
+class ProjectedGaussians:
+    """Every Gaussian in the picture, in a kernel: (N,) each."""
 
     splat: Splat  # all channels of the colour, and the depth
     footprint: Footprint
     radii: Array  # px, three standard deviations along the longer axis
-    finite: Array  # whether all its numbers are
+    finite: Array  # whether all its numbers are finite
 
 
 @dataclass(frozen=True)
-class Projected:
-    """The same in memory, for the kernels that come next."""
+class ProjectedMemory:
+    """Every Gaussian in the picture, in memory: the input of the next kernels."""
 
-    splats: list[packets.Packets]  # what blend.py reads, chunk by chunk
-    footprints: packets.Packets  # what tiles.py reads
+    splats: list[packets.Packets]  # one per chunk; read by blend.py
+    footprints: packets.Packets  # read by tiles.py
     depths: Array  # (N,) m
     counts: Array  # (N,) tiles touched
     radii: Array  # (N,) px, 3 sigma along the longer axis; 0 where not drawn
-    boxed: Array  # (N,) whether its box of whole pixels reaches into the picture
+    boxed: Array  # (N,) whether its bounding box in whole pixels overlaps the picture
     finite: Array  # (N,)
 
 
 def splat_memory(
-    F: type, n: int, formats: tuple[Format, ...], allocate: Allocate = packets.memory
+    F: type, n: int, formats: tuple[RecordFormat, ...], allocate: Allocate = packets.memory
 ) -> list[packets.Packets]:
-    """Memory for the splats of n Gaussians, chunk by chunk."""
+    """Allocate memory for the splats of n Gaussians, one per chunk."""
     return [packets.empty(Splat, format, n, F, allocate) for format in formats]
 
 
 def footprint_memory(F: type, n: int, allocate: Allocate = packets.memory) -> packets.Packets:
-    """Memory for the footprints of n Gaussians."""
+    """Allocate memory for the footprints of n Gaussians."""
     return packets.empty(Footprint, None, n, F, allocate)
 
 
-def _in_camera(m: list[Array], view: View) -> tuple[list[Array], Array]:
-    """Eq. 1, and z; a Gaussian before the near plane is not drawn, and z = 1 keeps it finite."""
+def _in_camera(m: list[Array], view: CameraArrays) -> tuple[list[Array], Array]:
+    """Eq. 1, and z; z = 1 keeps a Gaussian before the near plane finite: it is not drawn."""
     x = [dot(view.R[3 * k : 3 * k + 3], m) + view.t[k] for k in range(3)]
     return x, dr.select(x[2] > view.near, x[2], 1)
 
 
-def _ellipse(plan: Plan) -> type[Ellipse] | type[CovarianceEllipse]:
-    return CovarianceEllipse if plan.covariances else Ellipse
+def _ellipse(
+    lens: Lens, view: CameraArrays, g: Gaussian3D, options: SplatOptions
+) -> Ellipse | CovarianceEllipse:
+    """Eq. 4-7, for the form in which the covariance is given."""
+    kind = CovarianceEllipse if isinstance(g.geometry, Covariance) else Ellipse
+    return kind.of(lens.J, view.R, g.geometry, g.o, view.blur, options)
 
 
-def project(inputs: Inputs, plan: Plan, exact: View) -> Projection:
+def project(inputs: Inputs, plan: Plan, exact: CameraArrays) -> ProjectedGaussians:
     """Eq. 1-10 for every Gaussian.
 
     Args:
         inputs: the Gaussians.
-        plan: cut-offs, and what the colours are.
+        plan: cut-offs, and the kind of the colours.
         exact: the camera, in float64: u is a small difference of large numbers, and its rounding
-            is the largest of all errors of a float32 picture. So eq. 1-2 are float64 throughout.
+            would be the largest error of a float32 picture. So eq. 1-2 are computed in float64.
     """
     options, F = plan.options, inputs.float_type
     D = dr.float64_array_t(F)
-    g = Gaussian3D.load(inputs, plan.color_width, inputs.lane())
+    g = Gaussian3D.load(inputs, plan.color_width, inputs.index())
     fine, fine_z = _in_camera([D(v) for v in g.m], exact)
     x, z, view = [F(v) for v in fine], F(fine_z), exact.to(F)
     u = [F(v) for v in LENSES[view.model].at(fine, fine_z, exact).u]
     lens = LENSES[view.model].at(x, z, view)
-    e = _ellipse(plan).of(lens.J, view.R, g.quat, g.s, g.o, view.blur, options)
+    e = _ellipse(lens, view, g, options)
     xx, xy, yy = e.C
     color = sh.color(g.color, g.m, view.o) if plan.harmonics else g.color
 
@@ -113,45 +126,45 @@ def project(inputs: Inputs, plan: Plan, exact: View) -> Projection:
 
     middle, half = 0.5 * (xx + yy), 0.5 * (xx - yy)
     radii = 3 * dr.sqrt(middle + dr.sqrt(half * half + xy * xy))
-    total = sum((dr.abs(v) for v in [*g.m, *g.quat, *g.s, *g.color]), dr.abs(g.o))
+    total = sum((dr.abs(v) for v in [*g.m, *g.geometry.columns(), *g.color]), dr.abs(g.o))
     splat = Splat(u, e.L.p, e.L.q, e.L.r, e.lo, color, x[2])
-    return Projection(splat, footprint, radii, dr.isfinite(total))
+    return ProjectedGaussians(splat, footprint, radii, dr.isfinite(total))
 
 
 def project_adjoint(
     inputs: Inputs,
     plan: Plan,
-    view: View,
-    slot: Slot,
+    view: CameraArrays,
+    slot: PairGradient,
     drawn: Array,
     target: GradientMemory,
 ) -> None:
     """Eq. 1-10 reversed, for every Gaussian.
 
-    Without geometry in ``target`` only the colours are looked at.
-    With the moments m1 of eq. 16:  dL/du = 2 ln2 L^T m1.
+    With the moments m1 of eq. 16:  dL/du = 2 ln2 L^T m1. Where ``target`` has no memory for
+    geometry, only the gradient of the colours is computed.
 
     Args:
         inputs, plan, view: as :func:`project` took them.
-        slot: the sums over the Gaussian's pairs, eq. 16, of all channels of the colour.
-        drawn: False where a Gaussian has no pairs, and so no gradient.
-        target: where the gradients go.
+        slot: the sums of eq. 16 over the Gaussian's pairs, for all channels of the colour.
+        drawn: False where a Gaussian has no pairs, and therefore no gradient.
+        target: memory for the gradients.
     """
-    i = inputs.lane()
+    i = inputs.index()
     view = view.to(inputs.float_type)
     g = Gaussian3D.load(inputs, plan.color_width, i)
     where = lambda columns: [dr.select(drawn, c, 0) for c in columns]
     grad_color, toward = slot.color, [0, 0, 0]
     if plan.harmonics:
         grad_color, toward = sh.color_adjoint(g.color, g.m, view.o, slot.color)
-    if target.inputs.colors is not None:
-        packets.store_rows(target.inputs.colors, where(grad_color), i)
+    if target.colors is not None:
+        packets.store_rows(target.colors, where(grad_color), i)
     if target.u is None:
         return
 
     x, z = _in_camera(g.m, view)
     lens = LENSES[view.model].at(x, z, view)
-    e = _ellipse(plan).of(lens.J, view.R, g.quat, g.s, g.o, view.blur, plan.options)
+    e = _ellipse(lens, view, g, plan.options)
     k1, (mx, my) = 2 * LN2, slot.m1
     gu = [k1 * e.L.p * mx, k1 * (e.L.q * mx + e.L.r * my)]
     by_ellipse = e.adjoint(slot.m0, *slot.m2)
@@ -166,22 +179,25 @@ def project_adjoint(
     if plan.harmonics:
         grad_m = [a + b for a, b in zip(grad_m, toward, strict=True)]
     (grad_o,) = where([by_ellipse.o])
-    grad = Gaussian3D(where(grad_m), where(by_ellipse.quat), where(by_ellipse.s), grad_o, [])
+    geometry = by_ellipse.geometry.map(where)
+    grad = Gaussian3D(where(grad_m), geometry, grad_o, [])
     if target.absolute is not None:
         ax, ay = slot.absolute
         packets.store_rows(target.absolute, where([k1 * e.L.p * ax, k1 * ay]), i)
     target.store(grad, where(gu), i)
-    if target.view is not None:
+    if target.camera is not None:
         gR = [gx[k] * g.m[n] for k in range(3) for n in range(3)]
         gR = [a if b is None else a + b for a, b in zip(gR, by_ellipse.R, strict=True)]
         go = [0 * gx[0] - v for v in toward]
         parts = (gR, gx, by_lens.f, by_lens.c, go)
-        packets.store(target.view, ViewGradient(*map(where, parts)), i)
+        packets.store(target.camera, CameraGradient(*map(where, parts)), i)
 
 
-def project_tangent(inputs: Inputs, plan: Plan, view: View, dinputs: Inputs, dview: View) -> Splat:
-    """The tangent of :func:`project`'s splat along those of the Gaussians and of the camera."""
-    i, F = inputs.lane(), inputs.float_type
+def project_tangent(
+    inputs: Inputs, plan: Plan, view: CameraArrays, dinputs: Inputs, dview: CameraArrays
+) -> Splat:
+    """Tangent of :func:`project`'s splat along the tangents of the Gaussians and the camera."""
+    i, F = inputs.index(), inputs.float_type
     view, dview = view.to(F), dview.to(F)
     g, d = (Gaussian3D.load(source, plan.color_width, i) for source in (inputs, dinputs))
     x, z = _in_camera(g.m, view)
@@ -191,8 +207,8 @@ def project_tangent(inputs: Inputs, plan: Plan, view: View, dinputs: Inputs, dvi
     ]
     lens = LENSES[view.model].at(x, z, view)
     du, dJ = lens.tangent(dx, dview)
-    e = _ellipse(plan).of(lens.J, view.R, g.quat, g.s, g.o, view.blur, plan.options)
-    dp, dq, dr_, dlo = e.tangent(dJ, dview.R, d.quat, d.s, d.o)
+    e = _ellipse(lens, view, g, plan.options)
+    dp, dq, dr_, dlo = e.tangent(dJ, dview.R, d.geometry, d.o)
     dcolor = d.color
     if plan.harmonics:
         dcolor = sh.color_tangent(g.color, g.m, view.o, d.color, d.m, dview.o)

@@ -1,15 +1,15 @@
-"""What the kernels hand to one another through memory, with its fields by name.
+"""Records that the kernels pass to one another through memory, with named fields.
 
 | record | written by | read by | one for each |
 |---|---|---|---|
 | ``Footprint`` | ``project`` | tiles.py | Gaussian |
 | ``Splat`` | ``project``, ``project_tangent`` | blend.py, in all directions | Gaussian, chunk |
-| ``Slot`` | ``blend_adjoint`` | ``sum_slots``, for ``project_adjoint`` | pair, chunk |
-| ``ViewGradient`` | ``project_adjoint`` | the host, which adds them up | Gaussian |
+| ``PairGradient`` | ``blend_adjoint`` | ``sum_slots``, for ``project_adjoint`` | pair, chunk |
+| ``CameraGradient`` | ``project_adjoint`` | the host, which adds them up | Gaussian |
 
-In memory a record is a row of floats (packets.py); in a kernel its fields are Dr.Jit arrays, a lane
-each. A *pair* is a tile and a Gaussian that touches it, a *chunk* some of the colour's channels
-(chunks.py). ``pack`` and ``unpack`` are the only places that know the order of the columns.
+In memory a record is a row of floats (packets.py); in a kernel its fields are Dr.Jit arrays, one
+record per lane. A *pair* is a tile and a Gaussian that touches it; a *chunk* is some channels of
+the colour (chunks.py). Only ``pack`` and ``unpack`` know the order of the columns.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ from drjit import ArrayBase as Array
 
 
 @dataclass(frozen=True)
-class Format:
-    """Which optional fields a ``Splat`` or a ``Slot`` has."""
+class RecordFormat:
+    """The optional fields of a ``Splat`` or a ``PairGradient``."""
 
     channels: int  # of the colour
     depth: bool  # whether the depth is a feature too
     absolute: bool = False  # whether a slot holds the two absolute sums
-    moments: bool = True  # whether it holds those of eq. 16
+    moments: bool = True  # whether a slot holds the moments of eq. 16
 
 
 @dataclass(frozen=True)
 class Footprint:
-    """Where alpha >= alpha_min in the picture, an ellipse (ellipse.py, eq. 7); px."""
+    """The ellipse in the picture where alpha >= alpha_min (ellipse.py, eq. 7); px."""
 
     u: Array  # mean
     v: Array
@@ -44,23 +44,23 @@ class Footprint:
 
     @staticmethod
     def columns(format: None = None) -> int:
-        """How many columns there are: the fields, and one that fills the packet up."""
+        """Number of columns: the fields, and one that fills up the packet."""
         return 8
 
     def pack(self) -> list[Array]:
-        """The columns of the record."""
+        """Return the columns of the record."""
         fields = [self.u, self.v, self.rx, self.ry, self.shear, self.half, self.turn]
         return [*fields, self.u]
 
     @staticmethod
     def unpack(columns: Sequence[Array], format: None = None) -> Footprint:
-        """The record of some columns."""
+        """Make the record from its columns."""
         return Footprint(*columns[:7])
 
 
 @dataclass(frozen=True)
 class Splat:
-    """A Gaussian in the picture: mean, ellipse and opacity (lens.py, ellipse.py), and features."""
+    """A projected Gaussian: mean, ellipse and opacity (lens.py, ellipse.py), and features."""
 
     u: list[Array]  # 2, mean, px
     p: Array  # eq. 6
@@ -72,31 +72,31 @@ class Splat:
 
     @property
     def features(self) -> list[Array]:
-        """f of eq. 14: the channels of the colour and, if it is one, the depth."""
+        """f of eq. 14: the channels of the colour and, if composited, the depth."""
         return self.color if self.depth is None else [*self.color, self.depth]
 
     @staticmethod
-    def columns(format: Format) -> int:
-        """How many columns there are."""
+    def columns(format: RecordFormat) -> int:
+        """Number of columns."""
         return 6 + format.channels + format.depth
 
     def pack(self) -> list[Array]:
-        """The columns of the record."""
+        """Return the columns of the record."""
         return [*self.u, self.p, self.q, self.r, self.lo, *self.features]
 
     @staticmethod
-    def unpack(columns: Sequence[Array], format: Format) -> Splat:
-        """The record of some columns."""
+    def unpack(columns: Sequence[Array], format: RecordFormat) -> Splat:
+        """Make the record from its columns."""
         u0, u1, p, q, r, lo, *features = columns
         depth = features.pop() if format.depth else None
         return Splat([u0, u1], p, q, r, lo, features, depth)
 
 
 @dataclass(frozen=True)
-class Slot:
-    """What one pair, or all pairs of a Gaussian, give to its gradient (pixel.py, eq. 16)."""
+class PairGradient:
+    """Contribution of one pair, or of all pairs, to a Gaussian's gradient (pixel.py, eq. 16)."""
 
-    m0: Array | None  # None where no moments are asked for, and no others
+    m0: Array | None  # None, with empty m1 and m2, if no moments are requested
     m1: list[Array]  # 2: x, y
     m2: list[Array]  # 3: xx, xy, yy
     absolute: list[Array]  # 2 absolute sums, or none
@@ -104,28 +104,28 @@ class Slot:
     depth: Array | None
 
     @staticmethod
-    def columns(format: Format) -> int:
-        """How many columns there are."""
+    def columns(format: RecordFormat) -> int:
+        """Number of columns."""
         return 6 * format.moments + 2 * format.absolute + format.channels + format.depth
 
     def pack(self) -> list[Array]:
-        """The columns of the record."""
+        """Return the columns of the record."""
         m0, depth = ([] if x is None else [x] for x in (self.m0, self.depth))
         return [*m0, *self.m1, *self.m2, *self.absolute, *self.color, *depth]
 
     @staticmethod
-    def unpack(columns: Sequence[Array], format: Format) -> Slot:
-        """The record of some columns."""
+    def unpack(columns: Sequence[Array], format: RecordFormat) -> PairGradient:
+        """Make the record from its columns."""
         moments, rest = columns[: 6 * format.moments], list(columns[6 * format.moments :])
         depth = rest.pop() if format.depth else None
         absolute, color = (rest[:2], rest[2:]) if format.absolute else ([], rest)
         m0 = moments[0] if format.moments else None
-        return Slot(m0, list(moments[1:3]), list(moments[3:]), absolute, color, depth)
+        return PairGradient(m0, list(moments[1:3]), list(moments[3:]), absolute, color, depth)
 
 
 @dataclass(frozen=True)
-class ViewGradient:
-    """What one Gaussian, or all of them, give to the gradient by the camera (lens.py, ``View``)."""
+class CameraGradient:
+    """Contribution of one Gaussian, or of all, to the gradient by ``CameraArrays``."""
 
     R: list[Array]  # 9, row by row
     t: list[Array]  # 3
@@ -135,16 +135,16 @@ class ViewGradient:
 
     @staticmethod
     def columns(format: None = None) -> int:
-        """How many columns there are."""
+        """Number of columns."""
         return 19
 
     def pack(self) -> list[Array]:
-        """The columns of the record."""
+        """Return the columns of the record."""
         return [*self.R, *self.t, *self.f, *self.c, *self.o]
 
     @staticmethod
-    def unpack(columns: Sequence[Array], format: None = None) -> ViewGradient:
-        """The record of some columns."""
-        return ViewGradient(
+    def unpack(columns: Sequence[Array], format: None = None) -> CameraGradient:
+        """Make the record from its columns."""
+        return CameraGradient(
             columns[:9], columns[9:12], columns[12:14], columns[14:16], columns[16:]
         )

@@ -1,11 +1,11 @@
-"""Colour by spherical harmonics: what a Gaussian looks like from one direction.
+"""Colour by spherical harmonics: what a Gaussian looks like from a direction.
 
 (8)  d   = (m - o) / |m - o|                  from the camera's position o to the mean m
 (9)  b_i = real spherical harmonics of d, i < K = (degree + 1)^2, in the sign and order of 3DGS
 (10) c   = max(0, sum_i b_i h_i + 1/2)        per channel, h_i the coefficients
 
-Below, ``d = (x, y, z)``. The basis functions are written as homogeneous polynomials: any extension
-off the unit sphere does, since eq. 8 projects the radial part of the derivative away.
+Below, ``d = (x, y, z)``. The basis functions are written as homogeneous polynomials. Any extension
+off the unit sphere is right, because eq. 8 projects the radial part of the derivative away.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ def basis_adjoint(degree: int, x: Array, y: Array, z: Array, g: list[Array]) -> 
 
 
 def direction(m: list[Array], o: list[Array]) -> tuple[list[Array], Array]:
-    """Eq. 8: the unit direction and 1/|m - o|; a mean at the camera has none and gets zero."""
+    """Eq. 8: the unit direction and 1/|m - o|; zero for a mean at the camera."""
     v = [m[k] - o[k] for k in range(3)]
     squared = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
     reciprocal = dr.select(squared > 0, 1 / dr.sqrt(squared), 0)

@@ -1,20 +1,20 @@
-"""Which Gaussians touch which tile of the picture, front to back: integers, no gradient.
+"""Lists of the Gaussians that touch each tile, front to back: integers, without gradients.
 
 A tile is ``WIDTH x HEIGHT`` pixels, the work of one SIMD lane. The steps:
 
-1. count the tiles that each Gaussian's ellipse alpha >= alpha_min (ellipse.py, eq. 7) touches,
-   exactly, one row of tiles after the other;
-2. sort the Gaussians by depth, stably, and sum the counts up: where the pairs of each start;
+1. count exactly the tiles that each Gaussian's ellipse alpha >= alpha_min (ellipse.py, eq. 7)
+   touches, one row of tiles after the other;
+2. sort the Gaussians by depth, stably, and sum up the counts: where the pairs of each start;
 3. emit one (tile, Gaussian) pair per touched tile, in depth order;
 4. sort the pairs by tile, stably, so that every tile's list is in depth order;
-5. schedule: tiles with lists of like length share a SIMD packet, and packets are dealt round-robin
-   over the blocks that threads work on, or one thread would get all the long lists.
+5. schedule: tiles with lists of similar length share a SIMD packet, and packets are dealt
+   round-robin over the blocks that threads work on, or one thread would get all long lists.
 
-The number of pairs M differs from pose to pose. Pair buffers therefore have a *capacity*, M
-rounded up to one of four sizes per octave: the memory is that of the largest picture so far, and
-does not fragment. The padding belongs to the last tile, and the stable sort leaves it behind. So
-have pixels and lanes, of which there are others in every box that is cut out of a video: few sizes
-are few recordings of the kernels (frozen.py).
+The number of pairs M differs from pose to pose. Pair buffers therefore have a *capacity*: M rounded
+up to one of four sizes per octave. So memory stays that of the largest picture so far, without
+fragmentation. The padding belongs to the last tile, and the stable sort leaves it at the end.
+Pixels and lanes have a capacity too, because every box cut out of a video has another size: few
+sizes need few recordings of the kernels (frozen.py).
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import drjit as dr
-import numpy as np
 from drjit import ArrayBase as Array
 
 from gva_mi.splat.kernels import packets
@@ -31,17 +30,17 @@ from gva_mi.splat.kernels.records import Footprint
 
 WIDTH, HEIGHT = 8, 4  # pixels of a tile
 SIMD = 16  # lanes of a packet with AVX-512; AVX2's 8 lanes divide it
-BLOCKS = 16  # packets are dealt over this many parts
+BLOCKS = 16  # packets are dealt over so many parts
 LONGEST = 1023  # lists are ordered by length up to this one
 MAX_PAIRS = 2**29 - 1  # slots are packets of 8 floats, counted by 32-bit indices
-SLACK = 1e-3  # pixels by which an ellipse is widened against rounding
+SLACK = 1e-3  # pixels; widens an ellipse against rounding
 
 NoConflicts = dr.ReduceMode.NoConflicts
 
 
 @dataclass(frozen=True)
 class Grid:
-    """The picture in tiles, as the kernels see it: arrays, so that a size is not a constant."""
+    """The picture in tiles, as arrays for the kernels: another size needs no other kernel."""
 
     width: Array  # px
     height: Array  # px
@@ -50,24 +49,24 @@ class Grid:
 
 @dataclass(frozen=True)
 class Layout:
-    """The picture in tiles, as the host sees it."""
+    """The picture in tiles, as numbers on the host."""
 
     width: int  # px
     height: int  # px
 
     @property
     def columns(self) -> int:
-        """Tiles side by side."""
+        """Number of tiles side by side."""
         return -(-self.width // WIDTH)
 
     @property
     def rows(self) -> int:
-        """Tiles on top of each other."""
+        """Number of tiles on top of each other."""
         return -(-self.height // HEIGHT)
 
     @property
     def tiles(self) -> int:
-        """All tiles."""
+        """Number of tiles."""
         return self.columns * self.rows
 
     @property
@@ -77,11 +76,11 @@ class Layout:
 
     @property
     def pixels(self) -> int:
-        """All pixels, padding included."""
+        """Number of pixels, padding included."""
         return self.tiles * WIDTH * HEIGHT
 
     def grid(self, I: type) -> Grid:
-        """The same for the kernels, in signed integers of type ``I``."""
+        """Return the arrays for the kernels, in signed integers of type ``I``."""
         return Grid(*(dr.opaque(I, n) for n in (self.width, self.height, self.columns)))
 
 
@@ -90,23 +89,23 @@ class Lists:
     """Every tile's Gaussians, front to back."""
 
     ids: Array  # (capacity,) Gaussian of each pair, sorted by tile, then depth
-    slots: Array  # (capacity,) position in ids of each pair in the order of emission
+    slots: Array  # (capacity,) index in ids of each pair, in the order of emission
     first: Array  # (N,) first pair of each Gaussian in the order of emission
     counts: Array  # (N,) tiles each Gaussian touches
     tile: Array  # (lanes,) tile of each lane of the compositing kernel
     start: Array  # (lanes,) its list in ids: first
     end: Array  # (lanes,) and one past the last
-    real: Array  # (lanes,) False for those that only fill up packets: an empty list, tile 0
+    real: Array  # (lanes,) False for lanes that only fill up packets: an empty list, tile 0
 
 
 def capacity(count: int) -> int:
-    """``count`` rounded up to 4, 5, 6 or 7 times a power of two."""
+    """Round ``count`` up to 4, 5, 6 or 7 times a power of two."""
     step = 1 << max(0, count.bit_length() - 3)
     return -(-count // step) * step
 
 
 def _rows_touched(g: Footprint, grid: Grid) -> tuple[Array, Array]:
-    """Rows of tiles [first, last) that an ellipse may reach."""
+    """Return the rows of tiles [first, last) that an ellipse may reach."""
     F, I = type(g.u), type(grid.height)
     low = dr.maximum(dr.ceil(g.v - g.ry - 0.5 - SLACK), 0)
     high = dr.minimum(dr.floor(g.v + g.ry - 0.5 + SLACK), F(grid.height) - 1)
@@ -117,7 +116,7 @@ def _rows_touched(g: Footprint, grid: Grid) -> tuple[Array, Array]:
 
 
 def _columns_touched(g: Footprint, row: Array, grid: Grid) -> tuple[Array, Array]:
-    """Tiles [left, right) of a row of tiles whose pixel centres the ellipse holds."""
+    """Return the tiles [left, right) of a row of tiles with pixel centres in the ellipse."""
     F, I = type(g.u), type(row)
     y = F(row * HEIGHT) + 0.5
     top, bottom = dr.maximum(y - g.v, -g.ry), dr.minimum(y + (HEIGHT - 1) - g.v, g.ry)
@@ -134,7 +133,7 @@ def _columns_touched(g: Footprint, row: Array, grid: Grid) -> tuple[Array, Array
 
 
 def boxed(g: Footprint, grid: Grid) -> Array:
-    """Whether the box of whole pixels around an ellipse reaches into the picture, (N,)."""
+    """Whether the box of whole pixels around an ellipse overlaps the picture, (N,)."""
     F = type(g.u)
     rx, ry = dr.ceil(g.rx), dr.ceil(g.ry)
     beside = (rx > 0) & (g.u + rx > 0) & (g.u - rx < F(grid.width))
@@ -142,7 +141,7 @@ def boxed(g: Footprint, grid: Grid) -> Array:
 
 
 def count(g: Footprint, grid: Grid) -> Array:
-    """Step 1: how many tiles each Gaussian touches, (N,)."""
+    """Step 1: count the tiles that each Gaussian touches, (N,)."""
     U = dr.uint32_array_t(type(g.u))
     first, last = _rows_touched(g, grid)
 
@@ -157,7 +156,7 @@ def count(g: Footprint, grid: Grid) -> Array:
 def _emit(
     footprints: packets.Packets, order: Array, start: Array, grid: Grid, tile: Array, ids: Array
 ) -> tuple[Array, Array]:
-    """Step 3: lane per Gaussian, front to back; row by row, one pair per turn of the inner loop."""
+    """Step 3: one lane per Gaussian, front to back; one pair per turn of the inner loop."""
     U, I = type(order), type(grid.width)
     g = packets.load(footprints, Footprint, None, order)
     first, last = _rows_touched(g, grid)
@@ -189,7 +188,7 @@ def _ranges(
     end: Array,
     slots: Array,
 ) -> tuple[Array, ...]:
-    """Step 4, after the sort: the lists, their ranges, and the inverse of the permutation."""
+    """Step 4, after the sort: make the lists, their ranges, and the inverse permutation."""
     U = type(tile)
     k = dr.arange(U, dr.width(permutation))
     ids, here = dr.gather(U, emitted, permutation), dr.gather(U, tile, permutation)
@@ -205,14 +204,17 @@ def _ranges(
 
 
 def _schedule(start: Array, end: Array) -> tuple[Array, ...]:
-    """Step 5: the tile of each lane, and its list."""
+    """Step 5: assign each lane a tile and its list."""
     U = type(start)
     tiles = dr.width(start)
     key = LONGEST - dr.minimum(end - start, LONGEST)
     order = dr.detail.block_mkperm(key, tiles, LONGEST + 1)
     per_block = capacity(-(-tiles // (SIMD * BLOCKS)))  # packets
     lane = dr.arange(U, per_block * BLOCKS * SIMD)
-    packet, stride = lane // SIMD, dr.opaque(U, per_block)  # no constant: a size is no new kernel
+    packet, stride = (
+        lane // SIMD,
+        dr.opaque(U, per_block),
+    )  # an array: another size needs no other kernel
     rank = ((packet % stride) * BLOCKS + packet // stride) * SIMD + lane % SIMD
     real = rank < dr.opaque(U, tiles)
     tile = dr.gather(U, order, rank, active=real)
@@ -224,10 +226,10 @@ def _schedule(start: Array, end: Array) -> tuple[Array, ...]:
 def make_lists(
     footprints: packets.Packets, depths: Array, counts: Array, layout: Layout, grid: Grid
 ) -> Lists | None:
-    """Steps 2-5; None where nothing is to be drawn.
+    """Steps 2-5; return None if nothing is drawn.
 
     Raises:
-        ValueError: for more pairs than 32-bit indices hold.
+        ValueError: there are more pairs than 32-bit indices hold.
     """
     U = dr.uint32_array_t(type(depths))
     n = dr.width(depths)
@@ -259,22 +261,3 @@ def make_lists(
     dr.scatter(first, start, order, mode=dr.ReduceMode.Permute)
     dr.eval(first)
     return Lists(ids, slots, first, counts, *_schedule(begin, end))
-
-
-def lists_of(ids: np.ndarray, start: np.ndarray, end: np.ndarray, n: int, U: type) -> Lists:
-    """The lists of tiles whose pairs somebody else has found.
-
-    Args:
-        ids: (pairs,) > 0 of them, the Gaussian of each, sorted by tile, front to back.
-        start, end: (tiles,) where the list of each tile starts in ``ids``, and one past its end.
-        n: Gaussians.
-        U: unsigned integers.
-    """
-    pairs = len(ids)
-    kept, slots = np.zeros((2, capacity(pairs)), np.uint32)
-    kept[:pairs], slots[:pairs] = ids, np.argsort(ids, kind="stable")
-    counts = np.bincount(ids, minlength=n)
-    first = np.cumsum(counts) - counts
-    array = lambda numbers: U(numbers.astype(np.uint32))
-    scheduled = _schedule(array(start), array(end))
-    return Lists(array(kept), array(slots), array(first), array(counts), *scheduled)

@@ -1,4 +1,4 @@
-"""Small scenes of ellipsoids, the sensors that see them, and the same as Gaussians: ``splats``."""
+"""The fixture ``splats``: small scenes of ellipsoids, sensors, and the same Gaussians."""
 
 import gva_mi  # noqa: F401  chooses libLLVM before Dr.Jit is imported
 
@@ -25,7 +25,7 @@ def splats(scenes):  # whose fixture sets the variant and registers the plugins
 
 
 def arrays(n, degree, seed=0, scales=(0.08, 0.3), opacities=(0.3, 0.9)):
-    """Gaussians about the origin, wxyz."""
+    """Make Gaussians about the origin, wxyz."""
     rng = np.random.default_rng(seed)
     return {
         "means": rng.uniform(-0.8, 0.8, (n, 3)),
@@ -41,7 +41,7 @@ def unit(quats):
 
 
 def ellipsoids(g):
-    """The same as a Mitsuba shape, xyzw."""
+    """Convert to a Mitsuba shape, xyzw."""
     tensor = lambda x: mi.TensorXf(np.ascontiguousarray(x, np.float32))
     return {
         "type": "ellipsoids",
@@ -58,7 +58,7 @@ def scene(g, **others):
 
 
 def gaussians(g):
-    """The same for the kernels."""
+    """Convert to the kernels' Gaussians."""
     as_tensor = lambda x: mi.TensorXf(np.ascontiguousarray(x, np.float32))
     return Gaussians(**{k: as_tensor(unit(x) if k == "quats" else x) for k, x in g.items()})
 
@@ -102,7 +102,7 @@ def picture(scene, view, **parameters):
 
 
 def camera_of(view):
-    """The camera from the sensor's own parameters, in float64."""
+    """Compute the camera from the sensor's own parameters, in float64."""
     p = mi.traverse(view)
     full, window = np.array(p["film.size"]), np.array(p["film.crop_size"])
     corner, M = np.array(p["film.crop_offset"]), np.array(p["to_world"].matrix, np.float64)
@@ -119,14 +119,14 @@ def camera_of(view):
 
 
 def weights(shape):
-    """A smooth image that weighs every channel; opposite sides do not cancel."""
+    """Make smooth weights of every channel; opposite sides do not cancel."""
     y, x = np.mgrid[: shape[0], : shape[1]] / shape[0] - 0.5
     ramps = [x + 0.5 * y + 1, y - 0.3 * x + 1, 0.5 + x * y, 2 * x - y + 0.5, 0.3 + 0.1 * x]
     return np.stack(ramps[: shape[2]], axis=-1).astype(np.float32)
 
 
 def total(image):
-    """The loss on the host, in float64."""
+    """Evaluate the loss on the host, in float64."""
     return (np.array(image).astype(np.float64) * weights(image.shape)).sum()
 
 
@@ -135,7 +135,7 @@ def loss(image):
 
 
 def three_ways(render, make, parameters, name):
-    """Derivative along u -> make(u) at u = 0: backward, forward and by differences."""
+    """Differentiate along u -> make(u) at u = 0: backward, forward and by differences."""
     found = []
     for direction in ("backward", "forward"):
         u = dr.opaque(mi.Float, 0)

@@ -1,4 +1,4 @@
-"""What docs/plugins.md tells a reader to type works."""
+"""The examples of docs/plugins.md run."""
 
 import gva_mi  # noqa: F401  chooses libLLVM before Dr.Jit is imported
 
@@ -17,7 +17,7 @@ SECTION = (
 
 
 def run(samples):
-    """The example's names after it ran in the current folder."""
+    """Run the example in the current folder, and return its names."""
     (program,) = re.findall(r"```python\n(.*?)```", SECTION, re.DOTALL)
     assert '"sample_count": 64' in program
     names = {}
@@ -27,7 +27,7 @@ def run(samples):
 
 
 def difference(folder):
-    """The example's picture less the one that is shown, of 255."""
+    """Difference of the example's picture and the one in docs, of 255."""
     made, shown = (np.array(mi.Bitmap(str(p / "gaussian_splat.png"))) for p in (folder, DOCS))
     return made.astype(float) - shown
 
@@ -35,7 +35,9 @@ def difference(folder):
 def test_the_example_runs(splats, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     run(samples=1)
-    np.testing.assert_allclose(difference(tmp_path)[:, 320:640], 0, atol=1)  # what has no noise
+    np.testing.assert_allclose(
+        difference(tmp_path)[:, 320:640], 0, atol=1
+    )  # the part without noise
 
 
 @pytest.mark.slow
@@ -48,7 +50,7 @@ def test_the_example_makes_its_picture_and_its_figure(splats, tmp_path, monkeypa
 
 
 def test_every_parameter_is_documented(splats):
-    """Mitsuba refuses a property that nobody asks for, so these are all there are."""
+    """Mitsuba refuses unknown properties, so the table lists all."""
     table = re.findall(r"^\| `(\w+)` \|", SECTION, re.MULTILINE)
     assert table == ["meshes", "background", "srgb_primitives", "depth", "blur", "antialiased"]
     given = {"srgb_primitives": False, "depth": True, "blur": 0.1, "antialiased": True}

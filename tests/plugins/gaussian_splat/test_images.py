@@ -1,4 +1,4 @@
-"""Images of ``gaussian_splat``: the kernels', the ray-traced peer's, and the film's laws."""
+"""Images of ``gaussian_splat``: those of the kernels and of a ray tracer, and the film's laws."""
 
 import gva_mi  # noqa: F401  chooses libLLVM before Dr.Jit is imported
 
@@ -18,8 +18,8 @@ PARAMETERS = ["data", "opacities", "sh_coeffs"]
 
 
 @pytest.mark.parametrize("name", SENSORS)
-def test_the_kernels_picture_bit_for_bit(splats, name):
-    """A scene's picture is that of gva_mi.splat, whatever the sensor."""
+def test_the_picture_is_the_kernels_bit_for_bit(splats, name):
+    """For every sensor the picture is that of ``gva_mi.splat``."""
     from gva_mi_plugins.gaussian_splat.ellipsoids import seen_along
     from gva_mi_plugins.gaussian_splat.sensor import SensorCamera
 
@@ -36,7 +36,7 @@ def test_the_kernels_picture_bit_for_bit(splats, name):
 
 @pytest.mark.parametrize("name", SENSORS)
 def test_the_camera_is_the_sensors(splats, name):
-    """Mitsuba's rays through a pixel end in points that the camera sees in that pixel."""
+    """The camera projects points on Mitsuba's ray through a pixel into that pixel."""
     from gva_mi_plugins.gaussian_splat.sensor import SensorCamera
 
     view = splats.SENSORS[name]()
@@ -56,36 +56,20 @@ def test_the_camera_is_the_sensors(splats, name):
 
 
 @pytest.mark.parametrize("kind", ["perspective", "orthographic"])
-def test_like_the_ray_traced_peer(splats, kind):
-    """volprim_rf_basic shows nearly the same where ellipsoids are small: EWA's lens is linear."""
+def test_a_ray_tracer_shows_nearly_the_same(splats, kind):
+    """volprim_rf_basic agrees where ellipsoids are small: EWA linearises the lens."""
     g = splats.arrays(300, 2, scales=(0.02, 0.06))
     scene = splats.scene(g)
     view = splats.sensor(kind, film={"width": 64, "height": 64})
-    peer = mi.load_dict({"type": "volprim_rf_basic", "max_depth": 64})
-    traced = np.array(mi.render(scene, sensor=view, integrator=peer, spp=64))
+    tracer = mi.load_dict({"type": "volprim_rf_basic", "max_depth": 64})
+    traced = np.array(mi.render(scene, sensor=view, integrator=tracer, spp=64))
     splatted = splats.picture(scene, view, srgb_primitives=True, blur=1 / 12)  # variance of a pixel
     assert traced.std() > 0.05
     assert -10 * np.log10(np.mean((splatted - traced) ** 2)) > 36
 
 
-def test_the_peer_stops_where_its_max_depth_does(splats):
-    """A ray through a real scene meets hundreds of Gaussians, most of them faint."""
-    g = splats.arrays(300, 0, scales=(0.1, 0.2))
-    g["opacities"] = np.full_like(g["opacities"], 0.02)
-    g["means"][:, :2] *= 0.1
-    scene, view = splats.scene(g), splats.sensor("perspective", film={"width": 16, "height": 16})
-    splatted = splats.picture(scene, view, srgb_primitives=True, blur=1 / 12)
-
-    def db(depth):
-        peer = mi.load_dict({"type": "volprim_rf_basic", "max_depth": depth})
-        traced = np.array(mi.render(scene, sensor=view, integrator=peer, spp=16))
-        return -10 * np.log10(np.mean((splatted - traced) ** 2))
-
-    assert db(400) > db(64) + 5
-
-
-def test_shapes_of_different_degree_are_one(splats):
-    """Two shapes show what one with zeros for the higher coefficients does."""
+def test_shapes_of_different_degree_are_drawn_together(splats):
+    """Two shapes look like one shape padded with zero coefficients."""
     first, second = splats.arrays(20, 3), splats.arrays(30, 1, seed=1)
     padded = second | {"sh": np.pad(second["sh"], ((0, 0), (0, 12), (0, 0)))}
     whole = {name: np.concatenate([first[name], padded[name]]) for name in first}
@@ -95,16 +79,8 @@ def test_shapes_of_different_degree_are_one(splats):
     np.testing.assert_array_equal(*images)
 
 
-def test_ellipsoidsmesh_is_the_same(splats):
-    """The shape that a ray tracer meets as triangles has the same parameters."""
-    g, view = splats.arrays(20, 1), splats.sensor(fov=40.0)
-    mesh = {"type": "scene", "splats": splats.ellipsoids(g) | {"type": "ellipsoidsmesh"}}
-    expected = splats.picture(splats.scene(g), view)
-    np.testing.assert_array_equal(splats.picture(mi.load_dict(mesh), view), expected)
-
-
 def test_a_3dgs_file_loaded_by_mitsuba(splats, tmp_path):
-    """What splat.formats.ply writes, Mitsuba reads, and it looks the same."""
+    """Mitsuba reads what splat.formats.ply writes, and it looks the same."""
     g = splats.arrays(50, 2)
     of_torch = Gaussians(**{name: torch.tensor(x, dtype=torch.float32) for name, x in g.items()})
     save_ply(tmp_path / "splats.ply", of_torch)
@@ -138,7 +114,7 @@ def test_channels_background_and_colour_space(splats):
 
 
 def test_the_film_holds_what_render_returns(splats):
-    """view.film() can be written to a file, like any other integrator's."""
+    """The film can be written to a file, as with any other integrator."""
     scene = splats.scene(splats.arrays(15, 1))
     view = splats.sensor(fov=40.0, film=splats.CROP)
     image = splats.picture(scene, view)
@@ -176,7 +152,7 @@ def test_the_same_call_gives_the_same_bits(splats):
             np.testing.assert_array_equal(got, expected)
 
 
-def test_what_cannot_be_rendered_is_refused(splats):
+def test_unsupported_scenes_raise(splats):
     g = splats.arrays(4, 1)
     scene, shape = splats.scene(g), splats.ellipsoids(g)
     view = splats.sensor(fov=40.0)
@@ -205,8 +181,8 @@ def test_what_cannot_be_rendered_is_refused(splats):
             splats.integrator(**parameters)
 
 
-def test_rendering_under_freeze_is_refused(splats, monkeypatch):
-    """Dr.Jit 1.5.0 would end the process; so the test only pretends to record."""
+def test_rendering_under_freeze_raises(splats, monkeypatch):
+    """Dr.Jit 1.5.0 would end the process, so the test only pretends to record."""
     scene, view = splats.scene(splats.arrays(4, 1)), splats.sensor(fov=40.0)
     monkeypatch.setattr(dr, "flag", lambda flag: flag == dr.JitFlag.FreezingScope)
     with pytest.raises(RuntimeError, match="dr.freeze"):

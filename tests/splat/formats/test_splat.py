@@ -1,4 +1,4 @@
-"""A .splat: the rows that viewers expect, and back as far as 8 bits go."""
+"""The .splat format: the rows that viewers expect, and reading back within 8 bits."""
 
 import numpy as np
 import pytest
@@ -57,7 +57,7 @@ def test_no_gaussians_at_all(tmp_path):
     assert len(load_splat(tmp_path / "a.splat")) == 0
 
 
-def test_what_is_not_such_a_file_is_explained(tmp_path):
+def test_other_files_are_explained(tmp_path):
     path = tmp_path / "a.splat"
     with pytest.raises(InputError, match="No such file"):
         load_splat(path)

@@ -1,4 +1,4 @@
-"""Wide colours: composited in chunks, and yet one picture."""
+"""Wide colours are composited in chunks to one picture."""
 
 import drjit as dr
 import pytest
@@ -8,7 +8,7 @@ from drjit.llvm import Float
 from gva_mi.splat import Screen, reference, render
 from gva_mi.splat.gaussians import Gaussians
 from gva_mi.splat.kernels import chunks
-from gva_mi.splat.kernels.records import Format
+from gva_mi.splat.kernels.records import RecordFormat
 from gva_mi.splat.scene import random_scene
 
 CHUNK = chunks.CHUNK
@@ -25,7 +25,7 @@ def test_formats_hold_all_channels_and_the_depth_once():
         assert channels <= sum(widths) < channels + CHUNK
         assert len(set(widths)) == 1  # one kernel for all, but for the depth
         assert [format.depth for format in formats] == [k == 0 for k in range(len(formats))]
-        assert chunks.formats(channels, depth=False, whole=True) == (Format(channels, False),)
+        assert chunks.formats(channels, depth=False, whole=True) == (RecordFormat(channels, False),)
 
 
 def test_split_undoes_join():
@@ -40,7 +40,7 @@ def test_split_undoes_join():
     )
 
 
-@pytest.mark.parametrize("channels", [CHUNK, CHUNK + 1, 32, 33])
+@pytest.mark.parametrize("channels", [CHUNK, 33])
 def test_every_channel_is_the_picture_of_its_own(channels):
     s = scene(channels)
     g = s.gaussians
@@ -55,7 +55,7 @@ def test_every_channel_is_the_picture_of_its_own(channels):
 
 
 @pytest.mark.parametrize("loss", ["color", "depth"])
-def test_gradients_are_the_twins(loss):
+def test_gradients_match_the_reference(loss):
     gradients = []
     for draw in (render, reference.render):
         s = scene(CHUNK + 3)

@@ -1,4 +1,4 @@
-"""A frozen function is traced once per set of constants, and never mistakes one for another."""
+"""A frozen function is traced once per set of constants, and never confuses two sets."""
 
 import gc
 
@@ -16,7 +16,7 @@ def opaque(size):
 
 
 def recordings(function):
-    """How often a frozen function was traced and kept."""
+    """Count the recordings of a frozen function."""
     return sum(variant.n_recordings for variant in function.variants.values())
 
 
@@ -33,7 +33,7 @@ def test_traced_once_for_any_size():
     assert len(calls) == recordings(doubled) == 1
 
 
-def test_constants_that_equal_others_are_told_apart():
+def test_equal_constants_are_distinguished():
     @Frozen
     def chosen(x, *, a, b, c):
         return x + (1 if a else 2) + (10 if b else 20) + (100 if c else 200)

@@ -1,4 +1,4 @@
-"""Two cameras that look at one cloud, as gsplat's call takes them."""
+"""Arguments of ``rasterization``: one cloud of Gaussians, seen by two cameras."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ W, H, N = 24, 17, 30
 
 @pytest.fixture
 def arguments():
-    """Makes those of rasterization(), by name, all float ones leaves."""
+    """Make the arguments by name; all float tensors are leaves."""
 
     def made(dtype=torch.float64, **kwargs):
         g = random_scene(torch.Generator().manual_seed(3), N, W, H, **kwargs).gaussians
@@ -32,7 +32,7 @@ def arguments():
 
 @pytest.fixture
 def camera_of():
-    """Makes the camera that some arguments describe."""
+    """Make the camera that some arguments describe."""
 
     def made(a, c, model="pinhole"):
         K, T = (a[name][c].detach().double().numpy() for name in ("Ks", "viewmats"))
@@ -43,7 +43,7 @@ def camera_of():
 
 @pytest.fixture
 def gradients():
-    """Differentiates a loss by all arguments: by name, None where it does not depend on one."""
+    """Differentiate a loss by all arguments: a dictionary, None where it does not depend on one."""
 
     def found(loss, a):
         leaves = {k: v for k, v in a.items() if isinstance(v, torch.Tensor)}

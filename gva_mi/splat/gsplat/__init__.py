@@ -1,0 +1,14 @@
+"""gsplat's ``rasterization`` on a CPU, with the ``meta`` that gsplat's strategies read.
+
+==================  ==========================================================
+``rasterization``   the function: change one import, keep the program
+``arguments``       checks of its arguments, by the names the caller used
+``views``           all pictures of one call, and their ``meta``
+``means2d``         ``meta["means2d"]`` as a node of torch's graph
+``meta``            the dictionary
+==================  ==========================================================
+"""
+
+from gva_mi.splat.gsplat.rasterization import rasterization
+
+__all__ = ["rasterization"]

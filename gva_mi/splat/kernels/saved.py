@@ -1,0 +1,61 @@
+"""What a forward pass leaves for its adjoint and tangent, and what the adjoint returns."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from drjit import ArrayBase as Array
+
+from gva_mi.splat.camera import Camera
+from gva_mi.splat.kernels import chunks
+from gva_mi.splat.kernels.camera_arrays import CameraArrays
+from gva_mi.splat.kernels.geometry import Geometry
+from gva_mi.splat.kernels.inputs import Inputs, Plan
+from gva_mi.splat.kernels.planes import Planes, SavedPixels
+from gva_mi.splat.kernels.project import ProjectedMemory
+from gva_mi.splat.kernels.tiles import Grid, Layout, Lists
+
+
+@dataclass(frozen=True)
+class SavedState:
+    """A picture, and what its adjoint and tangent need from the forward pass."""
+
+    inputs: Inputs
+    plan: Plan
+    camera: Camera
+    view: CameraArrays
+    background: list[Array]  # D
+    layout: Layout
+    grid: Grid
+    planes: Planes
+    projected: ProjectedMemory | None  # None if there is no Gaussian
+    lists: Lists | None  # None if none is drawn
+    saved_pixels: SavedPixels | None
+    stop: Array | None  # where each lane of blend stopped
+
+    def backgrounds(self) -> list[list[Array]]:
+        """The background of each chunk."""
+        return chunks.split_background(self.background, self.plan.formats)
+
+
+@dataclass(frozen=True)
+class Gradients:
+    """What :func:`render_adjoint` returns; None for a gradient that was not requested."""
+
+    means: Array | None
+    geometry: Geometry | None
+    opacities: Array | None
+    colors: Array | None
+    means2d: Array | None  # 2 N, per px
+    absolute: Array | None  # 2 N, like means2d, with the absolute value of every pixel's share
+    background: list[float]  # D
+    T_camera_world: np.ndarray | None  # (4, 4)
+    K: np.ndarray | None  # (3, 3)
+
+    def named(self) -> Iterator[tuple[str, Array]]:
+        """Yield the gradients by the Gaussians' arrays that were requested, by name."""
+        parts = {"means": self.means, "opacities": self.opacities, "colors": self.colors}
+        parts |= {} if self.geometry is None else vars(self.geometry)
+        yield from ((name, array) for name, array in parts.items() if array is not None)

@@ -49,8 +49,8 @@ from gva_mi.pose.descent import (
     worse_frames,
 )
 from gva_mi.pose.evidence import gather
-from gva_mi.pose.priors import lever_arms
 from gva_mi.pose.stage1 import Stage1
+from gva_mi.pose.vector_adam import lever_arms
 from gva_mi.ranges import Metres, Seed, Turn, Weight, Within
 from gva_mi.shelf import Shelf
 from gva_mi.threads import one_torch_thread

@@ -47,9 +47,8 @@ from gva_mi.pose.anatomy import Anatomy
 from gva_mi.pose.clips import cut
 from gva_mi.pose.corrections import Corrections
 from gva_mi.pose.descent import Nat, optimiser
-from gva_mi.pose.priors import lever_arms
 from gva_mi.pose.stage1 import Stage1
-from gva_mi.pose.vector_adam import VectorAdam
+from gva_mi.pose.vector_adam import VectorAdam, lever_arms
 from gva_mi.ranges import InnerShare, Metres, Turn, Within, require_ranges
 from gva_mi.splat import Camera
 

@@ -1,8 +1,24 @@
-"""Stage 2: poses made to agree with the pictures (Eq. 8).
+"""Stage 2: poses refined until they agree with masks and normals (Eq. 8).
 
-:func:`refine` takes a video, a body and one of two options types, which also chooses the way:
+:func:`refine` takes a video, a body and one of two options types, which also chooses the method:
 :class:`SequenceOptions` refines all frames together, :class:`SingleFrameOptions` minimises Eq. 8 as
 printed, frame by frame.
+
+Both minimise evidence + prior, and each side has one interface:
+
+* **Evidence** compares poses with what was observed. It implements
+  :class:`gva_mi.pose.descent.Evidence`: ``loss(frames, pose)`` for the poses, and ``energy()`` for
+  the unknowns that all frames share (clothes, shape, focal length). Implementations:
+  ``ClothedPerson`` (``sequence.py``: masks and normals of ``evidence.py``, close-ups of
+  ``close_ups.py``) and ``gva_mi.fit.picture_evidence``. A further kind of evidence, such as
+  landmarks, is one more term of ``ClothedPerson.loss``, or a class of its own.
+* **Prior terms** say how probable poses are without any image, in nats. They implement
+  :class:`gva_mi.pose.inference.PriorTerm`: ``energy(rotations, transl, times)``. Implementations:
+  ``anatomy.py``, ``ground.py``, ``camera_lean.py``. Stage 1 and inertia (``belief.py``) are a
+  Gaussian process over the corrections instead: its errors are modelled in ``noise.py``, its
+  motion in ``motion.py``, and ``inference.py`` estimates both from the video itself.
+
+``corrections.py`` holds the unknowns, and ``descent.py`` optimises them.
 """
 
 from gva_mi.pose.refine import Refined, refine

@@ -1,27 +1,26 @@
-"""What bodies cannot do: hinges bend one way, and the joints of a finger bend together.
+"""Anatomical limits: hinges bend about one axis and within a range, fingers bend as one.
 
-A knee, an elbow or a finger's joint bends about one axis; about the other two it hardly turns, in
-whichever person. Estimators of single frames know it loosely, pictures of this size show little of
-it, and a limb that leans toward the camera breaks it first. With ``x = log R`` of all joints, in
-the axes of the rest pose, and the bone ``b`` that a joint moves, the axes of a hinge that bends
-toward ``d`` are
+A knee, an elbow or a finger joint bends about one axis, and hardly turns about the other two.
+Single-frame estimators know that only loosely, and images of this size show little of it. With
+``x = log R`` of all joints, in the axes of the rest pose, and the bone ``b`` that a joint moves,
+the axes of a hinge that bends toward ``d`` are
 
 1. ``bend = b × d``,  ``aside = bend × b``,  ``twist = b``    (unit vectors)
 
-and what is held is linear in ``x``: an angle ``a_q = Σ_i A_qi · x_i``, one of
+and the angles that should be zero are linear in ``x``: ``a_q = Σ_i A_qi · x_i``, one of
 
 2. ``aside · x`` and ``twist · x`` of a hinge,
 3. ``bend · (x_3 - 2/3 x_2)`` of a finger, whose last joint follows the middle one (Rijpkema and
    Girard, *Computer Animation of Knowledge-Based Human Grasping*, 1991).
 
-Nobody's hinges are perfect, and the joints of a body model are not those of a skeleton: each angle
-may be off by some constant, and some less may vary with the pose, for a while. So its covariance is
-that of a noise (:mod:`gva_mi.pose.noise`), and a motion costs
+Hinges are not perfect, and a body model's joints are not those of a skeleton: each angle may have a
+constant offset, and a smaller one that varies slowly, so its covariance ``K`` has the form of
+:mod:`gva_mi.pose.noise`. A motion costs
 
 4. ``E = Σ_q a_q · K_q⁻¹ a_q / 2 + Σ_hinges Σ_k max(low - bend · x, bend · x - high, 0)² / 2 m σ²``
 
-in nats for the whole clip, with a second term for joints bent past their limits, ``low`` and
-``high`` (:data:`HINGES`), in which ``m`` frames count as one.
+in nats for the whole clip. The second term penalises bends beyond ``low`` and ``high``
+(:data:`HINGES`); in it ``m`` frames count as one.
 """
 
 from __future__ import annotations
@@ -36,18 +35,18 @@ from torch import Tensor
 
 from gva_mi.body.pose import JOINTS
 
-MEMORY = 6.0  # m, frames for which an angle stays off by what varies
+MEMORY = 6.0  # m, frames for which the varying offset of an angle lasts
 PAST_LIMIT = 5.0  # σ, degrees
-LEAST = 1.0  # degrees that an angle is off by in every frame anew: keeps K from being singular
-FOLLOWS = 2 / 3  # of the middle joint's bend: the last joint's
+LEAST = 1.0  # degrees of white offset; keeps K from being singular
+FOLLOWS = 2 / 3  # bend of a finger's last joint, relative to the middle one's
 
 
 @dataclass(frozen=True)
 class Freedom:
-    """By how much an angle is off, standard deviations in degrees."""
+    """Standard deviations of an angle, degrees."""
 
-    always: float
-    varying: float
+    always: float  # of the constant offset
+    varying: float  # of the one that varies with the pose
 
 
 FOLLOWING = Freedom(12.0, 6.0)  # eq. 3
@@ -55,14 +54,14 @@ FOLLOWING = Freedom(12.0, 6.0)  # eq. 3
 
 @dataclass(frozen=True)
 class Hinge:
-    """How freely a kind of joint turns, degrees; None: as it likes."""
+    """How freely a kind of joint turns, degrees; None: freely."""
 
     aside: Freedom | None
     twist: Freedom | None
     bend: tuple[float, float] | None  # from full extension to full flexion
 
 
-# Ranges of motion are those of anatomy's textbooks, rounded outward.
+# Ranges of motion are those of anatomy textbooks, rounded outward.
 HINGES: Mapping[str, Hinge] = MappingProxyType(
     {
         "knee": Hinge(Freedom(5, 3), Freedom(8, 4), (-5, 155)),
@@ -78,7 +77,7 @@ _FOUR = ("index", "middle", "ring", "pinky")
 
 @dataclass
 class Anatomy:
-    """The angles that a body's joints hold.
+    """The angles that a body's joints should keep at zero, and their limits.
 
     Attributes:
         A: (Q, J, 3) of eq. 2 and 3.
@@ -95,7 +94,7 @@ class Anatomy:
 
     @staticmethod
     def of(joints: Tensor) -> Anatomy:
-        """That of a body whose joints (J, 3) stand so at rest; those without a bone are free."""
+        """Derive it from joints (J, 3) at rest; joints without a bone are free."""
         rows, freedoms, bends, limits = [], [], [], []
 
         def held(freedom: Freedom, *parts: tuple[int, Tensor]) -> None:
@@ -122,34 +121,27 @@ class Anatomy:
                 if middle in axes and last in axes:
                     held(FOLLOWING, (last, axes[last][1]), (middle, -FOLLOWS * axes[middle][1]))
         empty = torch.zeros(0, len(JOINTS), 3)
-        return Anatomy(
-            torch.stack(rows) if rows else empty,
-            freedoms,
-            torch.stack(bends) if bends else empty,
-            torch.tensor(limits).view(-1, 2),
-        )
+        A, bends = (torch.stack(x) if x else empty for x in (rows, bends))
+        return Anatomy(A, freedoms, bends, torch.tensor(limits).view(-1, 2))
 
-    def energy(self, rotations: Tensor, times: Tensor) -> Tensor:
-        """Eq. 4, of rotations (n, J, 3) axis-angle at times (n,); differentiable."""
+    def energy(self, rotations: Tensor, transl: Tensor | None, times: Tensor) -> Tensor:
+        """Return eq. 4; see :class:`gva_mi.pose.inference.PriorTerm`."""
         angles = torch.einsum("qjc,njc->qn", self.A, rotations)
         total = rotations.new_zeros(())
         for freedom in dict.fromkeys(self.freedoms):
-            a = angles[self._which(freedom)]
+            a = angles[[q for q, other in enumerate(self.freedoms) if other == freedom]]
             total = total + (a * (a @ self._precision(freedom, times))).sum() / 2
         bend = torch.einsum("hjc,njc->nh", self.bends, rotations)
         past = (self.limits[:, 0] - bend).clamp_min(0) + (bend - self.limits[:, 1]).clamp_min(0)
         return total + past.square().sum() / (2 * MEMORY * np.radians(PAST_LIMIT) ** 2)
 
     def conditioned(self, rotations: Tensor, covariance: Tensor, times: Tensor) -> Tensor:
-        """The rotations that are most probable, if these were without any anatomy.
+        """Return the mean rotations (n, J, 3) of a Gaussian, conditioned on eq. 2 and 3.
 
         Args:
-            rotations: (n, J, 3) axis-angle.
+            rotations: (n, J, 3) axis-angle, the unconditioned mean.
             covariance: (J, n, n) of each of their coordinates, float64; zero for joints that stay.
             times: (n,) numbers of the frames.
-
-        Returns:
-            (n, J, 3).
         """
         found = rotations.double()
         for row, freedom in zip(self.A.double(), self.freedoms, strict=True):
@@ -164,9 +156,6 @@ class Anatomy:
                 found[:, joint] -= (covariance[joint] @ pull)[:, None] * row[joint]
         return found.to(rotations.dtype)
 
-    def _which(self, freedom: Freedom) -> list[int]:
-        return [q for q, other in enumerate(self.freedoms) if other == freedom]
-
     def _precision(self, freedom: Freedom, times: Tensor) -> Tensor:
         key = (freedom.always, freedom.varying, *times.tolist())
         if key not in self._precisions:
@@ -176,7 +165,7 @@ class Anatomy:
 
 
 def _covariance(freedom: Freedom, times: Tensor) -> Tensor:
-    """``K`` (n, n) float64, square radians."""
+    """Return ``K`` (n, n) float64, square radians."""
     x = 3**0.5 * (times[:, None] - times).abs().double() / MEMORY
     varying = freedom.varying**2 * (1 + x) * torch.exp(-x)
     K = freedom.always**2 + varying + LEAST**2 * torch.eye(len(times), dtype=torch.float64)
@@ -184,7 +173,7 @@ def _covariance(freedom: Freedom, times: Tensor) -> Tensor:
 
 
 def _hinges(joints: Tensor) -> dict[int, tuple[str, Tensor, Tensor, Tensor]]:
-    """Eq. 1 of every hinge: its kind, and the axes ``bend``, ``aside`` and ``twist``."""
+    """Return eq. 1 of every hinge: its kind, and the axes ``bend``, ``aside`` and ``twist``."""
     at = {name: joints[i] for i, name in enumerate(JOINTS)}
     found = {}
 
@@ -195,7 +184,7 @@ def _hinges(joints: Tensor) -> dict[int, tuple[str, Tensor, Tensor, Tensor]]:
             bend = torch.nn.functional.normalize(bend, dim=0)
             found[JOINTS.index(name)] = (kind, bend, torch.linalg.cross(bend, b), b)
 
-    # Toes point outward: in the mean of both feet, knees bend straight ahead.
+    # Toes point outward, but the mean of both feet points to where knees bend.
     ahead = sum(at[f"{side}_foot"] - at[f"{side}_ankle"] for side in ("left", "right"))
     for side in ("left", "right"):
         shin = at[f"{side}_ankle"] - at[f"{side}_knee"]

@@ -1,19 +1,15 @@
-"""A long video cut into overlapping clips that are refined apart, and joined again.
+"""Cut a long video into overlapping clips that are refined separately, and join the results.
 
-What all frames share, the displacement that stands for the clothes, must not differ from clip to
-clip, and a clip that shows the person from one side alone could not find it. So a long video is
-refined in two rounds:
+The clothes' displacement must be the same in all clips, and a clip that shows the person from one
+side alone could not find it. So a long video is refined in two rounds:
 
-1. *Skim*: some short runs of frames, spread over the whole video, are refined together, as a short
-   video would be. Only what all frames share is kept of the result. The frames come in runs because
-   the energies between neighbours in time need neighbours.
-2. *Clips*: what is shared stays as the first round found it. Every clip then depends on its own
-   frames alone, and clips can be refined at the same time on any number of machines, with the same
-   result.
+1. *Skim*: short runs of frames, spread over the whole video, are refined together. Only what all
+   frames share is kept. Frames come in runs because the prior between neighbours needs neighbours.
+2. *Clips*: the shared unknowns stay fixed. Every clip then depends on its own frames alone, and
+   clips can be refined at the same time on any number of machines, with the same result.
 
-Neighbouring clips overlap. At its ends a clip lacks the neighbours in time that would correct it,
-so both solutions are blended where two clips overlap, the weight of each falling linearly toward
-its own end:
+Near its ends a clip lacks the neighbours that would correct it, so both solutions are blended where
+two clips overlap, each weight falling linearly toward the clip's own end:
 
     R_k = R_k^a exp(w_k log(R_k^a⁻¹ R_k^b)),    t_k = (1 - w_k) t_k^a + w_k t_k^b,
     w_k = (k - start_b + 1) / (overlap + 1)
@@ -23,8 +19,7 @@ The cut depends on the video's length alone, not on the number of workers.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TypeVar
+from collections.abc import Sequence
 
 import roma
 import torch
@@ -34,11 +29,9 @@ from gva_mi.body.pose import Pose
 
 RUNS = 8  # of the skim: a person who turns once is seen from eight sides
 
-Value = TypeVar("Value")
-
 
 def cut(frames: int, longest: int, overlap: int) -> list[range]:
-    """Clips of nearly equal length, at most ``longest``, each sharing ``overlap`` with the next."""
+    """Return clips of nearly equal length, at most ``longest``, that overlap by ``overlap``."""
     if frames <= longest:
         return [range(frames)]
     count = -(-(frames - overlap) // (longest - overlap))
@@ -48,7 +41,7 @@ def cut(frames: int, longest: int, overlap: int) -> list[range]:
 
 
 def skim(frames: int, count: int) -> list[int]:
-    """About ``count`` of the frames, in runs spread evenly over all of them."""
+    """Return about ``count`` of the frames, in runs spread evenly over all of them."""
     length = max(1, count // RUNS)
     if frames <= count or frames <= length * RUNS:
         return list(range(frames))
@@ -56,23 +49,13 @@ def skim(frames: int, count: int) -> list[int]:
     return sorted({k for start in starts for k in range(start, start + length)})
 
 
-def of_clip(clip: range, by_frame: Mapping[int, Value]) -> dict[int, Value]:
-    """The values of a clip's frames, where there are any, counted from the clip's first frame."""
-    return {k - clip.start: by_frame[k] for k in clip if k in by_frame}
-
-
 def poses_of_clip(clip: range, pose: Pose) -> Pose:
-    """The poses of a clip's frames."""
+    """Return the poses of a clip's frames."""
     return pose[slice(clip.start, clip.stop)]
 
 
 def join(clips: Sequence[range], poses: Sequence[Pose]) -> Pose:
-    """The poses of all frames from those of the clips.
-
-    Args:
-        clips: as :func:`cut` gives them.
-        poses: of each clip.
-    """
+    """Return the poses of all frames from those of the clips that :func:`cut` made."""
     first, *_ = poses
     R, t, psi = first.rotations, first.transl, first.expression
     for clip, other in zip(clips[1:], poses[1:], strict=True):
@@ -89,6 +72,6 @@ def join(clips: Sequence[range], poses: Sequence[Pose]) -> Pose:
 
 
 def _slerp(a: Tensor, b: Tensor, weight: Tensor) -> Tensor:
-    """The rotation (..., 3) on the way from ``a`` to ``b``, axis-angle."""
+    """Interpolate between two rotations (..., 3), axis-angle."""
     way = roma.rotvec_composition([roma.rotvec_inverse(a), b])
     return roma.rotvec_composition([a, weight * way])

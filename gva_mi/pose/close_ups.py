@@ -1,20 +1,18 @@
-"""Close-ups: hands and feet at the picture's own resolution, cut where the pose has them now.
+"""Close-ups: hands and feet at the video's own resolution, cropped around the current pose.
 
-At the scale at which a person is compared, a hand is a few pixels wide, and its silhouette tells
-little of its fingers. Where the video has more pixels, it is asked for them:
+At the scale at which a person is compared, a hand is a few pixels wide, and its silhouette shows
+little of its fingers. If the video has more pixels, they are used:
 
-1. The surroundings of the person are kept once, on a grid on which a hand of the body, at its usual
-   distance, is ``hand_size`` pixels long; or on the video's own grid, where that is coarser.
-2. A close-up is a box of that picture around the part's vertices ``P`` in the current pose, with
-   half of the part's length more on each side. Nothing is computed but which pixels these are, so
-   it is cut anew for each pose that is compared.
-3. It is compared as the whole person is (:mod:`gva_mi.pose.evidence`), divided by the area in
-   pixels that the part covers in the mean over all directions: for a convex surface ``A``, that is
-   ``A / 4`` in square metres (Cauchy), times ``fx fy / z²``. So a hand seen edge-on counts no more
-   than one seen flat, and one behind the back no more than one in front.
+1. The surroundings of the person are stored once, on a grid on which a hand, at its usual distance,
+   is ``hand_size`` pixels long; or on the video's own grid if that is coarser.
+2. A close-up is a box of that image around the part's vertices ``P`` in the current pose, with half
+   of the part's length added on each side. It is cropped anew for each pose, which costs nothing.
+3. It is compared as the whole person is (:mod:`gva_mi.pose.evidence`), divided by the part's mean
+   area in pixels over all view directions: ``A / 4`` in square metres for a convex surface ``A``
+   (Cauchy), times ``fx fy / z²``. So a hand counts the same, edge-on or flat.
 
-Whatever else is seen in a close-up, a sleeve or the trunk behind, is compared too: the whole mesh
-is rendered. A part that is hidden gets no gradient.
+The whole mesh is rendered, so whatever else a close-up shows, such as a sleeve or the trunk, is
+compared too. A hidden part gets no gradient.
 """
 
 from __future__ import annotations
@@ -29,20 +27,19 @@ from torch import Tensor
 from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.video import Outline
-from gva_mi.pose.crop import Box, Crop, Extent, person_extent
-from gva_mi.pose.evidence import MARGIN, SHOWN, MaskAndNormals
+from gva_mi.pose.crop import Box, Extent
+from gva_mi.pose.evidence import MaskAndNormals
 from gva_mi.splat import Camera
 
 BORDER = 0.5  # of a part's length, added on each side (2)
-SMALLEST_SIDE = 8  # pixels of a close-up; of less a part is at the edge of the picture
-GAIN = 1.25  # pixels of a close-up for one of the person's picture, at least; less gains nothing
+SMALLEST_SIDE = 8  # pixels of a close-up; below, a part is at the edge of the image
+GAIN = 1.25  # pixels of a close-up per pixel of the person's image, at least; below nothing is won
 UNIT = 127  # of a stored normal
 
 
 @dataclass(frozen=True)
 class FinePicture:
-    """The surroundings of a person at the resolution of close-ups (1); in 8 bits, for videos are
-    long."""
+    """A person's surroundings at the resolution of close-ups (1), in 8 bits to save memory."""
 
     camera: Camera  # of the part that was cut out
     mask: Tensor  # (H, W) uint8, 255 where the person is
@@ -50,28 +47,13 @@ class FinePicture:
 
     @staticmethod
     def of(outline: Outline, scale: float, points: Tensor) -> FinePicture:
-        """Cut a frame to its person, as the person's own evidence is cut.
-
-        Args:
-            outline: of the frame.
-            scale: pixels of the result for one of the video, at most 1.
-            points: (V, 3) world, the body in its stage-1 pose.
-
-        Raises:
-            NoEvidence: the mask is empty, or the body is not seen by the camera.
-        """
-        extent = person_extent(outline.mask, outline.camera, points.double().numpy(), SHOWN)
-        crop = Crop.around(extent, outline.camera, scale, MARGIN)
-        part = crop.cover(*outline.mask.shape)
-        mask, normals = crop.shrink(outline.mask[part], part), outline.normals(part)
-        if normals is not None:
-            unit = torch.nn.functional.normalize(crop.shrink(normals, part), dim=-1)
-            normals = (UNIT * unit * (mask > 0.5)[..., None]).round().to(torch.int8)
-        mask = (255 * mask).round().to(torch.uint8)
-        return FinePicture(crop.cut_camera(outline.camera), mask, normals)
+        """Crop a frame as :meth:`MaskAndNormals.of` does."""
+        fine = MaskAndNormals.of(outline, scale, points)
+        normals = None if fine.normals is None else (UNIT * fine.normals).round().to(torch.int8)
+        return FinePicture(fine.camera, (255 * fine.mask).round().to(torch.uint8), normals)
 
     def cut(self, box: Box, area: float) -> MaskAndNormals:
-        """The evidence in a box, whose losses are divided by an area in pixels."""
+        """Return the evidence in a box, whose losses are divided by an area in pixels."""
         normals = None
         if self.normals is not None:
             normals = torch.nn.functional.normalize(box.cut(self.normals).float(), dim=-1)
@@ -81,7 +63,7 @@ class FinePicture:
 
 
 @dataclass(frozen=True)
-class Part:
+class BodyPart:
     """A hand or a foot."""
 
     name: str  # "hand" or "foot"
@@ -91,17 +73,17 @@ class Part:
 
 
 class CloseUps:
-    """Close-ups of the hands and feet of one body in the pictures of some frames."""
+    """Close-ups of the hands and feet of one body in the images of some frames."""
 
     def __init__(
         self, pictures: Mapping[int, FinePicture], body: BodyModel, weights: Mapping[str, float]
     ) -> None:
-        """Look at the body's parts.
+        """Find the body's hands and feet.
 
         Args:
             pictures: of frames by number; other frames have no close-ups.
             body: whose vertices will be given.
-            weights: of a part's loss, by its name; parts of weight 0 are not looked at.
+            weights: of a part's loss, by its name; parts of weight 0 are skipped.
         """
         self._pictures = pictures
         self._parts = [(weights[p.name], p) for p in parts_of(body) if weights[p.name] > 0]
@@ -109,45 +91,47 @@ class CloseUps:
     def of(
         self, frame: int, vertices: Tensor, person: MaskAndNormals
     ) -> list[tuple[float, MaskAndNormals]]:
-        """The close-ups of a frame with their weights, at most one for each part.
+        """Return the close-ups of a frame with their weights, at most one for each part.
 
         Args:
             frame: its number.
             vertices: (V, 3) the body in its current pose, world, metres; not differentiated.
-            person: the evidence of the whole person, whose picture holds all close-ups.
+            person: the evidence of the whole person, whose image contains all close-ups.
         """
         picture = self._pictures.get(frame)
         if picture is None:
             return []
         found = (
-            (weight, self._of_part(picture, part, vertices, person.camera))
+            (weight, _close_up(picture, part, vertices, person.camera))
             for weight, part in self._parts
         )
         return [(weight, seen) for weight, seen in found if seen is not None]
 
-    def _of_part(
-        self, picture: FinePicture, part: Part, vertices: Tensor, whole: Camera
-    ) -> MaskAndNormals | None:
-        """Eq. 2 and 3; None where the part is out of the picture."""
-        camera = picture.camera
-        points = vertices[part.vertices].double().numpy()
-        depth = points @ camera.T_camera_world[2, :3] + camera.T_camera_world[2, 3]
-        if depth.min() <= 0:
-            return None
-        pixels, per_metre = camera.project(points), camera.fx * camera.fy / depth.mean() ** 2
-        border = BORDER * part.length * per_metre**0.5
-        extent = Extent(pixels.min(0) - border, pixels.max(0) + border)
-        low, high = _seen_by(whole, camera)
-        extent = Extent(np.clip(extent.low, low, high), np.clip(extent.high, low, high))
-        if (extent.high - extent.low).min() < SMALLEST_SIDE:
-            return None
-        return picture.cut(
-            extent.box(0, np.array([camera.width, camera.height])), part.area / 4 * per_metre
-        )
+
+def _close_up(
+    picture: FinePicture, part: BodyPart, vertices: Tensor, whole: Camera
+) -> MaskAndNormals | None:
+    """Return eq. 2 and 3; None if the part is outside what the camera ``whole`` sees."""
+    camera = picture.camera
+    points = vertices[part.vertices].double().numpy()
+    depth = points @ camera.T_camera_world[2, :3] + camera.T_camera_world[2, 3]
+    if depth.min() <= 0:
+        return None
+    pixels, per_metre = camera.project(points), camera.fx * camera.fy / depth.mean() ** 2
+    border = BORDER * part.length * per_metre**0.5
+    scale = camera.fx / whole.fx
+    low = np.array([camera.cx - scale * whole.cx, camera.cy - scale * whole.cy])
+    high = low + scale * np.array([whole.width, whole.height])
+    ends = pixels.min(0) - border, pixels.max(0) + border
+    extent = Extent(*(np.clip(end, low, high) for end in ends))
+    if (extent.high - extent.low).min() < SMALLEST_SIDE:
+        return None
+    box = extent.box(0, np.array([camera.width, camera.height]))
+    return picture.cut(box, part.area / 4 * per_metre)
 
 
-def parts_of(body: BodyModel) -> list[Part]:
-    """Hands and feet: what is moved by more than half by wrists and fingers, ankles and toes."""
+def parts_of(body: BodyModel) -> list[BodyPart]:
+    """Return hands and feet: what wrists and fingers, ankles and toes move by more than half."""
     parts = []
     for side, fingers in (("left", LEFT_HAND), ("right", RIGHT_HAND)):
         hand = [JOINTS.index(f"{side}_wrist"), *range(fingers.start, fingers.stop)]
@@ -158,7 +142,7 @@ def parts_of(body: BodyModel) -> list[Part]:
             a, b, c = body.v_template[body.faces[inside[body.faces].all(1)]].unbind(1)
             area = float(torch.linalg.cross(b - a, c - a).norm(dim=1).sum()) / 2
             length = float((vertices.amax(0) - vertices.amin(0)).max())
-            parts.append(Part(name, inside.nonzero()[:, 0], length, area))
+            parts.append(BodyPart(name, inside.nonzero()[:, 0], length, area))
     return parts
 
 
@@ -170,12 +154,11 @@ def close_up_scale(
     person_scale: float,
     hand_size: int,
 ) -> float | None:
-    """The scale of :class:`FinePicture` (1); None where close-ups would show no more.
+    """Return the scale of :class:`FinePicture` (1); None if close-ups would show no more.
 
     Args:
-        body: whose hands are seen.
+        body, shape: the person.
         pose: T frames of stage 1.
-        shape: of the person.
         cameras: of the T frames.
         person_scale: at which the whole person is compared.
         hand_size: pixels of a hand's length.
@@ -189,10 +172,3 @@ def close_up_scale(
     hand = parts_of(body)[0].length * float(np.median((focal / depth)[depth > 0]))
     scale = min(1.0, hand_size / hand)
     return scale if scale >= GAIN * person_scale else None
-
-
-def _seen_by(whole: Camera, camera: Camera) -> Sequence[np.ndarray]:
-    """The corners, low and high (2,), of what a camera sees, in the pixels of another one."""
-    scale = camera.fx / whole.fx
-    low = np.array([camera.cx - scale * whole.cx, camera.cy - scale * whole.cy])
-    return low, low + scale * np.array([whole.width, whole.height])

@@ -1,13 +1,12 @@
-"""The body on fewer triangles: refining a pose on it takes less than half the time.
+"""The body on fewer triangles, which more than halves the time of a step.
 
-A quarter of the triangles draws the same picture: at the size that is compared a pixel is 8 mm
-wide, and holds several triangles of the body. The time of a step grows with their number, because
-Mitsuba builds the tree of its ray tracer anew for every pose, and every vertex is posed.
+The time of a step grows with the number of triangles: Mitsuba rebuilds its ray-tracing tree for
+every pose, and every vertex is posed. At the compared size a pixel is 8 mm wide and holds several
+triangles, so a quarter of them draws the same image.
 
-Edges are collapsed onto one of their ends in the order of Garland and Heckbert's quadric error, so
-that the vertices that are left are vertices of the body, with their own directions and weights.
-Where close-ups show hands and feet at several times the person's scale, errors count more there,
-and these parts keep about a third of their triangles.
+Edges are collapsed onto one of their ends by Garland and Heckbert's quadric error, so the remaining
+vertices keep their own blend shapes and weights. Where close-ups show hands and feet at several
+times the person's scale, these parts keep about a third of their triangles.
 """
 
 from __future__ import annotations
@@ -47,7 +46,7 @@ class CoarseBody:
             self.body = whole.on(self.kept, triangles)
 
     def spread(self, offsets: Tensor) -> Tensor:
-        """A displacement of the coarse body (n, 3), extended to the whole one (V, 3).
+        """Extend a displacement of the coarse body (n, 3) to the whole one (V, 3).
 
         It is the smoothest one that agrees on the kept vertices:
 
@@ -70,7 +69,7 @@ class CoarseBody:
 def collapse(
     vertices: Tensor, faces: Tensor, count: int, finer: Tensor | None = None
 ) -> tuple[Tensor, Tensor]:
-    """Numbers (n,) of the vertices that are kept, and the triangles (count, 3) between them.
+    """Return numbers (n,) of the kept vertices, and the triangles (count, 3) between them.
 
     Args:
         vertices: (V, 3) metres.
@@ -83,8 +82,7 @@ def collapse(
 
     points = vertices.double().numpy()
     meshes = pymeshlab.MeshSet()
-    # pymeshlab brings the qualities to a range of its own: only which are larger counts.
-    quality = np.zeros(len(points))
+    quality = np.zeros(len(points))  # pymeshlab rescales qualities: only their order counts
     if finer is not None:
         quality[finer.numpy()] = 1
     meshes.add_mesh(pymeshlab.Mesh(points, faces.numpy(), v_scalar_array=quality))

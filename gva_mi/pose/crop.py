@@ -1,14 +1,14 @@
-"""Cutting a frame to the surroundings of the person, or saying why it does not show the person.
+"""Crop a frame to the person's surroundings and shrink it, or say why it shows no person.
 
-A frame is cut first and shrunk afterwards, so that the person's size decides how fine the picture
-is, and not the size of the room. Shrinking lays a coarser grid over the picture, with both left
-upper corners in one place. With the scale ``s``, pixels of the grid for one of the picture:
+Cropping comes first, so that the person's size decides the resolution, and not the room's.
+Shrinking lays a coarser grid over the image, with the upper left corners in one place. With the
+scale ``s``, pixels of the grid per pixel of the image:
 
 1. Pixel ``(i, j)`` of the grid covers ``[i, i + 1) x [j, j + 1)``, divided by ``s``.
-2. It holds the mean over this area: pixels that lie in it partly count by that part.
+2. It holds the mean over this area; pixels that lie in it partly count by that part.
 3. The camera of the grid has ``s`` times the focal lengths and the principal point.
 
-So the pictures of a video on one grid show the person at one scale, wherever they are cut.
+So the images of a video on one grid show the person at one scale, wherever they are cut.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ Image = TypeVar("Image", np.ndarray, Tensor)
 
 
 class NoEvidence(Exception):
-    """Why a frame says nothing about the pose. The frame keeps its pose, and nothing stops."""
+    """Why a frame shows nothing of the pose: the frame keeps its pose, and the others go on."""
 
 
 @dataclass(frozen=True)
 class Box:
-    """A part of a picture, in whole pixels; ``right`` and ``bottom`` lie just outside."""
+    """A part of an image, in whole pixels; ``right`` and ``bottom`` lie just outside."""
 
     left: int
     top: int
@@ -50,49 +50,39 @@ class Box:
         return self.bottom - self.top
 
     def cut(self, image: Image) -> Image:
-        """The part of a picture (H, W, ...) inside the box."""
+        """Return the part of an image (H, W, ...) inside the box."""
         return image[self.top : self.bottom, self.left : self.right]
 
     def cut_camera(self, camera: Camera) -> Camera:
-        """The camera that sees this part of its picture."""
+        """Return the camera that sees this part of its image."""
         return camera.cropped(self.left, self.top, self.width, self.height)
 
 
 @dataclass(frozen=True)
-class Crop:
-    """A part of a picture on a coarser grid; on the picture's own, where ``scale`` is 1."""
+class ScaledCrop:
+    """A part of an image on a coarser grid; on the image's own if ``scale`` is 1."""
 
-    scale: float  # pixels of the grid for one of the picture, at most 1
+    scale: float  # pixels of the grid per pixel of the image, at most 1
     box: Box  # in pixels of the grid
 
     @staticmethod
-    def around(extent: Extent, camera: Camera, scale: float, margin: float) -> Crop:
-        """The crop around an extent, inside the picture.
+    def around(extent: Extent, camera: Camera, scale: float, margin: float) -> ScaledCrop:
+        """Return the crop around an extent, both inside the camera's image.
 
-        Args:
-            extent: in pixels of the picture.
-            camera: of the picture.
-            scale: of the grid.
-            margin: added on each side, as a fraction of the extent's longer side.
+        ``margin`` is added on each side, as a fraction of the extent's longer side.
         """
         whole = Extent(extent.low * scale, extent.high * scale)
-        # A last column or row that the picture fills only partly is left out.
+        # A last column or row that the image fills only partly is left out.
         size = np.array([camera.width, camera.height]) * scale
-        return Crop(scale, whole.box(margin, np.maximum(np.floor(size + 1e-6), 1)))
+        return ScaledCrop(scale, whole.box(margin, np.maximum(np.floor(size + 1e-6), 1)))
 
     def cut_camera(self, camera: Camera) -> Camera:
-        """The camera that sees the crop (eq. 3)."""
-        scaled = replace(
-            camera,
-            fx=camera.fx * self.scale,
-            fy=camera.fy * self.scale,
-            cx=camera.cx * self.scale,
-            cy=camera.cy * self.scale,
-        )
-        return self.box.cut_camera(scaled)
+        """Return the camera that sees the crop (eq. 3)."""
+        scaled = {name: getattr(camera, name) * self.scale for name in ("fx", "fy", "cx", "cy")}
+        return self.box.cut_camera(replace(camera, **scaled))
 
     def cover(self, height: int, width: int) -> tuple[slice, slice]:
-        """The rows and columns of a picture of some size that the crop touches."""
+        """Return the rows and columns of an image of some size that the crop touches."""
         box, s = self.box, self.scale
         return tuple(
             slice(min(size - 1, math.floor(low / s)), min(size, math.ceil(high / s)))
@@ -100,14 +90,11 @@ class Crop:
         )
 
     def shrink(self, image: np.ndarray, part: tuple[slice, slice]) -> Tensor:
-        """Means over the areas of the grid's pixels (eq. 2).
+        """Return means (H, W, ...) over the areas of the grid's pixels (eq. 2).
 
         Args:
-            image: (h, w) or (h, w, C) floating point, the part of the picture that is covered.
+            image: (h, w) or (h, w, C) floating point, the part of the image that is covered.
             part: as :meth:`cover` gives it.
-
-        Returns:
-            (H, W) or (H, W, C), of the size of the box.
         """
         shrunk = image
         if self.scale != 1:
@@ -120,7 +107,7 @@ class Crop:
 
 @dataclass(frozen=True)
 class Extent:
-    """A rectangle on a picture, in pixels."""
+    """A rectangle on an image, in pixels."""
 
     low: np.ndarray  # (2,) left, top
     high: np.ndarray  # (2,) right, bottom
@@ -131,15 +118,13 @@ class Extent:
         return float((self.high - self.low).max())
 
     def joined(self, other: Extent) -> Extent:
-        """The least one that holds both."""
+        """Return the smallest extent that contains both."""
         return Extent(np.minimum(self.low, other.low), np.maximum(self.high, other.high))
 
     def box(self, margin: float, size: np.ndarray) -> Box:
-        """Whole pixels around it, inside a picture of some size (2,): width, height.
+        """Return whole pixels around it, inside an image of some size (2,): width, height.
 
-        Args:
-            margin: added on each side, as a fraction of the longer side.
-            size: of the picture.
+        ``margin`` is added on each side, as a fraction of the longer side.
         """
         border = margin * self.longer
         left, top = np.clip(np.floor(self.low - border), 0, size - 1).astype(int)
@@ -148,7 +133,7 @@ class Extent:
 
 
 def mask_extent(mask: np.ndarray) -> Extent:
-    """The extent of a mask (H, W) in [0, 1].
+    """Return the extent of a mask (H, W) in [0, 1].
 
     Raises:
         NoEvidence: it is empty.
@@ -164,15 +149,15 @@ def mask_extent(mask: np.ndarray) -> Extent:
 
 
 def points_extent(points: np.ndarray, camera: Camera, shown: str) -> Extent:
-    """The extent of points on a picture, also where it reaches out of the picture.
+    """Return the extent of points on a camera's image, which it may exceed.
 
     Args:
         points: (N, 3) float64, world, metres.
-        camera: of the picture.
-        shown: what the points belong to, such as "its stage-1 body", for the reasons.
+        camera: of the image.
+        shown: what the points belong to, such as "its stage-1 body", for messages.
 
     Raises:
-        NoEvidence: the points are not seen by the camera.
+        NoEvidence: the camera does not see the points.
     """
     T = camera.T_camera_world
     if (points @ T[2, :3] + T[2, 3]).min() <= 0:
@@ -185,18 +170,10 @@ def points_extent(points: np.ndarray, camera: Camera, shown: str) -> Extent:
 
 
 def person_extent(mask: np.ndarray, camera: Camera, points: np.ndarray, shown: str) -> Extent:
-    """The extent of a person's mask and of points of the person's model.
+    """Return the extent of a person's mask and of the points of their model.
 
     Both are needed: the model may lie outside the mask, and an optimiser must see it there.
-
-    Args:
-        mask: (H, W) in [0, 1].
-        camera: of the picture.
-        points: (N, 3) float64, world, metres.
-        shown: what the points belong to, such as "its stage-1 body", for the reasons.
-
-    Raises:
-        NoEvidence: the mask is empty, or the points are not seen by the camera.
+    Arguments and errors are those of :func:`mask_extent` and :func:`points_extent`.
     """
     return mask_extent(mask).joined(points_extent(points, camera, shown))
 
@@ -204,29 +181,15 @@ def person_extent(mask: np.ndarray, camera: Camera, points: np.ndarray, shown: s
 def person_box(
     mask: np.ndarray, camera: Camera, points: np.ndarray, margin: float, shown: str
 ) -> Box:
-    """The box of whole pixels around :func:`person_extent`.
-
-    Args:
-        mask, camera, points, shown: as there.
-        margin: added on each side, as a fraction of the longer side.
-
-    Raises:
-        NoEvidence: the mask is empty, or the points are not seen by the camera.
-    """
+    """Return the whole pixels around :func:`person_extent`, with a margin as in ``Extent.box``."""
     extent = person_extent(mask, camera, points, shown)
     return extent.box(margin, np.array([camera.width, camera.height]))
 
 
 def _shares(first: int, count: int, scale: float, part: slice) -> np.ndarray:
-    """How much of each of the grid's pixels along one axis is covered by which of the picture's.
+    """Return weights (count, w) of w image pixels in grid pixels along one axis; rows sum to 1.
 
-    Args:
-        first, count: of the grid's pixels.
-        scale: of the grid.
-        part: of the picture's pixels.
-
-    Returns:
-        (count, pixels of the part); rows add up to 1.
+    ``first`` and ``count`` are the grid's pixels, ``part`` the image's.
     """
     start = (np.arange(count) + first)[:, None]
     pixel = np.arange(part.start, part.stop)
@@ -236,8 +199,8 @@ def _shares(first: int, count: int, scale: float, part: slice) -> np.ndarray:
 
 
 def _mixed_rows(shares: np.ndarray, image: np.ndarray) -> np.ndarray:
-    """Rows (H, w, ...) that are sums of rows of an image (h, w, ...), by their shares (H, h)."""
-    from scipy.sparse import csr_matrix  # nearly all shares are zero
+    """Return weighted sums (H, w, ...) of the rows of an image (h, w, ...), by weights (H, h)."""
+    from scipy.sparse import csr_matrix  # nearly all weights are zero
 
     mixed = csr_matrix(shares.astype(image.dtype)) @ image.reshape(len(image), -1)
     return mixed.reshape(len(shares), *image.shape[1:])

@@ -1,24 +1,22 @@
-"""Poses of many frames, moved together downhill until they agree with what the frames show.
+"""Optimise the poses of many frames together, on evidence and prior.
 
 Unknown are the corrections of the poses, turns ``δ`` and shifts ``τ`` of every frame
 (:mod:`gva_mi.pose.corrections`), and ``s``, whatever else the evidence leaves open and all frames
-share. A step takes a batch of frames ``k``, chosen at random so that a pass visits every frame
-once, and follows the gradient of
+share. A step takes a random batch of frames ``k``, so that a pass visits every frame once, and
+follows the gradient of
 
 1. ``L(δ, τ, s) = mean_k L_k(pose_k(δ, τ), s) + E(δ, τ) + E(s)``
 
-with :class:`VectorAdam`, whose learning rates fall from ``r`` to ``decay · r``. After the first
-``learn`` passes pictures have shown how the poses err that were given, and how the person moves,
-and ``E`` becomes what that tells; then details are looked at, too. Before, ``E`` is a guess, and
-counts for less: where it were believed, small motions would be taken for errors, and what pictures
-corrected would tell no more than the guess. Half as many passes later it is asked once more.
+with :class:`VectorAdam`, whose learning rates fall from ``r`` to ``decay · r``.
 
-In the first half of these passes, turns that are the same in all frames are held, too, where it is
-not known what the person wears: the surface would adapt to them, and keep them there.
+``E(δ, τ)`` is the prior. It is first estimated from stage 1 alone, and has a low weight: otherwise
+small motions would be taken for errors, and the corrections would show no more than the guess.
+After ``learn`` passes the error model and the speed of the motion are inferred from the corrections
+that the images made, the prior gets its full weight, and details such as hands are compared. Half
+as many passes later the prior is inferred once more.
 
-How well a frame agrees with a pose, ``L_k``, is for the evidence to say: masks and normals of the
-posed body (:mod:`gva_mi.pose.sequence`), or pictures under a splatted avatar
-(:mod:`gva_mi.fit.picture_evidence`).
+If the clothes are unknown, turns that are the same in all frames are penalised during the first
+half of the ``learn`` passes. Otherwise the clothes' surface would adapt to them, and keep them.
 """
 
 from __future__ import annotations
@@ -36,20 +34,18 @@ from gva_mi.errors import InputError
 from gva_mi.pose.anatomy import Anatomy
 from gva_mi.pose.corrections import Corrections
 from gva_mi.pose.ground import Soles
-from gva_mi.pose.inference import Beliefs
-from gva_mi.pose.priors import turn_rates
+from gva_mi.pose.inference import PosePrior
 from gva_mi.pose.stage1 import Stage1
-from gva_mi.pose.vector_adam import VectorAdam
+from gva_mi.pose.vector_adam import VectorAdam, turn_rates
 from gva_mi.ranges import Metres, Seed, Turn, Within, require_ranges
 from gva_mi.splat import Camera
 
 BETAS = (0.9, 0.99)  # Adam's
-GUESSED = 0.2  # weight of E before pictures have shown anything
-AGAIN = 1.5  # times the passes after which it is inferred first: when it is inferred once more
-HELD = 0.5  # of these passes, in which turns that are the same in all frames may be held
+GUESSED = 0.2  # weight of the prior before it is inferred from corrections
+AGAIN = 1.5  # the prior is inferred again after this many times the ``learn`` passes
+HELD = 0.5  # of the ``learn`` passes: how long turns that all frames share are penalised
 
-
-# Ranges of the options that all ways of fitting poses have.
+# Ranges of the options that all fits of poses have.
 Passes = Annotated[int, Within(1, 10_000)]
 Learn = Annotated[int, Within(0, 10_000)]
 Nat = Annotated[float, Within(0, 1e6, "low")]
@@ -59,17 +55,17 @@ Overlap = Annotated[int, Within(0, 5_000)]
 
 
 class Evidence(Protocol):
-    """What the frames of a clip say about their poses.
+    """Compares poses of a clip with what its frames show.
 
     Attributes:
-        frames: numbers of the frames that say something.
+        frames: numbers of the frames that have evidence.
         camera: of one of them; corrections are made along its axes.
         anatomy: of the person's joints.
-        soles: of the person, as far as the shape is known by now; None: nothing holds the feet.
+        soles: of the person, for the current shape; None: no ground term.
         shared: the leaves ``s``, each with its learning rate; often none.
-        distance_shown: whether it tells how far away the person stands.
-        surface_known: whether it is known what the person wears.
-        unseen: joints that it does not show for now: their turns stay the likeliest.
+        distance_shown: whether it shows how far away the person stands.
+        surface_known: whether the person's clothes are known.
+        unseen: joints that it does not show yet, whose turns stay at the MAP estimate.
     """
 
     frames: Sequence[int]
@@ -82,33 +78,33 @@ class Evidence(Protocol):
     unseen: Sequence[int]
 
     def loss(self, frames: Sequence[int], pose: Pose) -> Tensor:
-        """Mean of ``L_k`` over some frames in these poses; differentiable in poses and ``s``."""
+        """Return the mean of ``L_k`` over some frames; differentiable in poses and ``s``."""
         ...
 
     def energy(self) -> Tensor | float:
-        """``E(s)``; zero where nothing is shared."""
+        """Return ``E(s)``; zero if nothing is shared."""
         ...
 
     def come_closer(self) -> None:
-        """Poses are nearly right: from now on, look at details that would mislead before."""
+        """Start to compare details that would mislead while poses are far off."""
         ...
 
 
 class Steps(Protocol):
-    """How far poses move in a step."""
+    """How far poses move in a step; fields as in :class:`DescentOptions`."""
 
-    step: float  # metres that a turned joint moves what turns with it, in a step at the start
-    largest_turn: float  # radians in such a step; it limits joints with short lever arms
-    translation_lr: float  # metres in a step at the start
+    step: float
+    largest_turn: float
+    translation_lr: float
 
 
 @dataclass(frozen=True)
 class DescentOptions:
-    """How poses descend on eq. 1; each way of fitting poses has defaults of its own."""
+    """Options of the optimisation; each method has its own defaults."""
 
     passes: Passes  # how often every frame is visited
-    learn: Learn  # the first of them, after which it is inferred how stage 1 errs
-    nat: Nat  # what a nat of E counts, in units of L_k
+    learn: Learn  # passes after which the prior is inferred from corrections
+    nat: Nat  # what a nat of the prior counts, in units of L_k
     batch: Batch  # frames of a step, at most
     step: Metres  # metres that a turned joint moves what turns with it, in a step at the start
     largest_turn: Turn  # radians in such a step; it limits joints with short lever arms
@@ -118,7 +114,7 @@ class DescentOptions:
     seed: Seed  # of the order in which frames are visited
 
     command: ClassVar[str]  # whose options they are, for errors
-    decay: ClassVar[float]  # what is left of the learning rates at the end
+    decay: ClassVar[float]  # final learning rates, relative to the initial ones
 
     def __post_init__(self) -> None:
         require_ranges(self.command, self)
@@ -131,10 +127,10 @@ class DescentOptions:
 
 @dataclass(frozen=True)
 class Descent:
-    """Where a descent ended, and what it took for probable."""
+    """The result of an optimisation."""
 
     pose: Pose  # of all T frames; those without evidence stay as they were
-    beliefs: Beliefs
+    prior: PosePrior  # as inferred last
 
 
 def descend(
@@ -149,14 +145,14 @@ def descend(
     """Minimise eq. 1; the leaves ``evidence.shared`` are moved in place.
 
     Args:
-        evidence: what some of the frames say.
+        evidence: of some of the frames.
         start: poses of all T frames, which are corrected.
         arms: (J,) lever arms of the person's joints, metres.
         options: weights, passes, learning rates and the seed.
         progress: called as ``progress(done, total, loss=...)`` after every step.
-        following: frames without evidence, whose poses follow from what ``E`` says.
-        may_be_right: whether ``start`` is where to begin if pictures agree better with it than with
-            what is most probable of it, which takes all that is jerky for an error.
+        following: frames without evidence, whose poses follow from the prior.
+        may_be_right: start from ``start`` itself if it has a lower loss than the MAP estimate,
+            which takes all jerky motion for errors.
     """
     frames = sorted({*evidence.frames, *following})
     stage1 = Stage1.of(start, frames, evidence.camera)
@@ -167,31 +163,31 @@ def descend(
     seen = [i for i, k in enumerate(frames) if k not in set(following)]
     batches = [[seen[i] for i in batch] for batch in _batches(len(seen), options)]
     learnt = options.learn * len(batches) // options.passes
-    nat, a_pass = GUESSED * options.nat, len(batches) // options.passes
+    weight, a_pass = GUESSED * options.nat, len(batches) // options.passes
     for step, batch in enumerate(batches):
         if step in (learnt, int(AGAIN * learnt)):
             if step == learnt:
                 evidence.come_closer()
-            corrections, nat = corrections.told_by(*corrections.found()), options.nat
+            corrections, weight = corrections.told_by(*corrections.found()), options.nat
             adam = optimiser(corrections, arms, options, evidence.unseen, evidence.shared)
         if step >= learnt and evidence.soles is not None and step % a_pass == learnt % a_pass:
-            corrections.stand_on(evidence.soles)
+            corrections.fit_ground(evidence.soles)
         loss = evidence.loss([frames[i] for i in batch], corrections.pose(batch))
-        loss = loss + nat * corrections.energy(evidence.distance_shown) + evidence.energy()
+        loss = loss + weight * corrections.energy(evidence.distance_shown) + evidence.energy()
         if step < int(HELD * learnt) and not evidence.surface_known:
-            loss = loss + options.nat * corrections.same_in_all()
+            loss = loss + options.nat * corrections.constant_turn_energy()
         loss.backward()
         adam.step(options.decay ** (step / len(batches)))
         if progress is not None:
             progress(step + 1, len(batches), loss=float(loss.detach()))
     with torch.no_grad():
         found = corrections.pose(range(len(frames)))
-    return Descent(with_frames(start, frames, found), corrections.beliefs)
+    return Descent(with_frames(start, frames, found), corrections.prior)
 
 
 @torch.no_grad()
 def _better(evidence: Evidence, frames: list[int], *starts: Corrections) -> Corrections:
-    """Of several corrections those that the frames with evidence agree with best."""
+    """Return the corrections of the lowest loss."""
     seen = [i for i, k in enumerate(frames) if k in set(evidence.frames)]
     numbers = [frames[i] for i in seen]
     losses = [float(evidence.loss(numbers, corrections.pose(seen))) for corrections in starts]
@@ -199,12 +195,12 @@ def _better(evidence: Evidence, frames: list[int], *starts: Corrections) -> Corr
 
 
 def with_frames(start: Pose, frames: Sequence[int], found: Pose) -> Pose:
-    """Poses of T frames, in which some frames have taken the poses that were found for them.
+    """Return poses of T frames, of which the n given frames are replaced.
 
     Args:
         start: T frames.
         frames: numbers of n of them.
-        found: the n poses.
+        found: their new poses.
     """
     frames = list(frames)
     taken = start.map(torch.clone)
@@ -216,12 +212,12 @@ def with_frames(start: Pose, frames: Sequence[int], found: Pose) -> Pose:
 def worse_frames(
     frames: Iterable[int], before: Tensor, after: Tensor, digits: int = 3
 ) -> dict[int, str]:
-    """Those frames whose loss did not stay or fall, and the sentence that says so.
+    """Return the frames whose loss grew, each with a sentence that says so.
 
     Args:
         frames: that are compared.
         before: (T,) losses at the poses a fit started from.
-        after: (T,) losses at the poses it found; NaN counts as worse.
+        after: (T,) losses at the poses it found; NaN counts as grown.
         digits: of the losses in the sentence.
     """
     return {
@@ -238,16 +234,16 @@ def optimiser(
     unseen: Sequence[int] = (),
     shared: Sequence[tuple[Tensor, float]] = (),
 ) -> VectorAdam:
-    """What moves corrections, and the leaves ``s``.
+    """Return the optimiser of corrections and of the leaves ``s``.
 
     Args:
         corrections: their leaves.
         arms: (J,) lever arms of the person's joints, metres.
         options: how far in a step.
-        unseen: joints that stay the likeliest.
+        unseen: joints that do not move.
         shared: the leaves ``s``, each with its learning rate.
     """
-    # The three coordinates of a turn have steps of their own, which together are as long as one.
+    # The three coordinates of a turn have step sizes of their own, together as long as one.
     turns = turn_rates(arms, options.step, options.largest_turn)[..., None] / 3**0.5
     turns[list(unseen)] = 0
     leaves = [(corrections.turns, turns), (corrections.moves, options.translation_lr)]
@@ -256,7 +252,7 @@ def optimiser(
 
 
 def _batches(frames: int, options: DescentOptions) -> Iterator[list[int]]:
-    """Places of the frames of every step: each pass shuffles all of them and deals them out."""
+    """Yield the indices of every step's frames: each pass shuffles all of them and deals them."""
     generator = torch.Generator().manual_seed(options.seed)
     count = -(-frames // options.batch)
     for _ in range(options.passes):

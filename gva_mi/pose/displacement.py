@@ -1,15 +1,13 @@
-"""The surface that is seen: the body's rest surface, displaced (SMPL-X + D).
+"""The clothes: one displacement of the rest surface (SMPL-X + D), shared by all frames.
 
 Clothes and hair stand off the body, and no pose of a bare body fills the mask of a clothed person:
-fitted without them, limbs, size and depth would change to make up for the cloth. One displacement
-``D`` (V, 3) of the rest surface, shared by all frames, stands for them. Its energy is
+limbs, size and depth would change to make up for the cloth. The displacement ``D`` (V, 3) costs
 
     E(D) = a mean |Δ D|² / h⁴ + b mean |D|² + c mean min(D · n, 0)²
 
 with the rest surface's normals ``n``, ``Δ`` a vertex minus the mean of its neighbours, and ``h²``
-the mean square of the edges. It keeps ``D`` smooth, small, and pointing outward, because cloth lies
-on the body and not in it. On the hands ``D`` is zero: they are bare, and it is by their shape that
-their pose is recognised.
+the mean square of the edges. It keeps ``D`` smooth, small, and outward, because cloth lies on the
+body. On the hands ``D`` is zero: they are bare, and their pose is found by their shape.
 """
 
 from __future__ import annotations
@@ -31,13 +29,7 @@ class Displacement:
     """
 
     def __init__(self, vertices: Tensor, faces: Tensor, weights: Tensor) -> None:
-        """Start without any displacement.
-
-        Args:
-            vertices: (V, 3) the rest surface, metres.
-            faces: (F, 3).
-            weights: (V, 55) skinning weights, by which the hands are found.
-        """
+        """Start at zero on a rest surface (V, 3), metres, with skinning weights (V, 55)."""
         exact = vertex_normals(vertices.detach().double(), faces)
         self._normals = exact.to(vertices.dtype)
         ends = vertices[faces], vertices[faces.roll(1, dims=1)]
@@ -52,7 +44,7 @@ class Displacement:
         return self.raw * self._free
 
     def energy(self, offsets: Tensor, smooth: float, small: float, outward: float) -> Tensor:
-        """``E(D)`` with weights a, for one (1/m)², and b and c, for one square metre."""
+        """Return ``E(D)`` with weights a, for one (1/m)², and b and c, for one square metre."""
         bent = torch.sparse.mm(self._laplacian, offsets).square().sum() / self._square_edge**2
         inward = (offsets * self._normals).sum(1).clamp_max(0).square().sum()
         total = smooth * bent + small * offsets.square().sum() + outward * inward
@@ -60,6 +52,6 @@ class Displacement:
 
 
 def hand_vertices(weights: Tensor) -> Tensor:
-    """Which vertices (V,) belong to the hands: more than half moved by wrists and fingers."""
+    """Return which vertices (V,) are more than half moved by wrists and fingers."""
     hands = weights[:, LEFT_HAND].sum(1) + weights[:, RIGHT_HAND].sum(1)
     return hands + weights[:, _WRISTS].sum(1) > 0.5

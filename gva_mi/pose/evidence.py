@@ -1,28 +1,23 @@
-"""What a frame's mask and normals say about the posed body: the data term of Eq. 8.
+"""Compare masks and normals with the rendered body: the data term of Eq. 8.
 
     1. L_data = L_normal + λ1 L_silhouette
     2. L_normal = Σ_known pixels |N - N_pred|_1 / 3 / area
     3. L_silhouette = Σ_pixels |S - S_pred| / area
 
 with the normals ``N`` (H, W, 3) and the mask ``S`` (H, W) of the frame, and those of the rendered
-body. Normals are known inside the mask alone: where the body reaches beyond it, eq. 3 counts. Were
-``N`` zero there, a mask that misses thin things would count twice, and hands would rather hide
-before the trunk than be where the mask has no fingers. A frame without normals has eq. 3 alone,
-which then counts more. Everything is divided by the person's area in pixels, so that a weight
-means the same for a person who fills the picture and one who stands far away, and for any
-resolution.
+body. Normals are compared inside the mask alone; where the body exceeds it, eq. 3 counts. If ``N``
+were zero there, thin parts that a mask misses would count twice, and hands would rather hide in
+front of the trunk. A frame without normals has eq. 3 alone, with a higher weight. All terms are
+divided by the person's area in pixels, so that weights do not depend on size or resolution.
 
-The absolute value of eq. 3 sees half of the outline. Masks are rendered with one ray through the
-centre of each pixel. Of the pixels that the rendered outline crosses, those whose centre it covers
-differ from the mask of the frame, and pull with slope 1; the others agree with it, and the slope of
-``|x|`` at 0 counts as 0. So the derivative of eq. 3 is half of the true one, everywhere along the
-outline: a constant factor, which belongs to λ1. Squares would give the whole derivative, the slopes
-being 2 and 0, and on hard masks exactly twice that of eq. 3. They are not taken, because λ1 was
-chosen with the factor, and because Eq. 8 prints no square.
-
-Where the frame's mask is soft, the slopes are 1 and -1 on the two sides of the rendered outline,
-and cancel: within a soft edge eq. 3 does not pull. Shrinking leaves edges that are soft for one
-pixel. The factor is also in the outline's part of eq. 2, where normals end at the background.
+Half the outline: masks are rendered with one ray through the centre of each pixel. Of the pixels
+that the rendered outline crosses, those whose centre it covers differ from the frame's mask, and
+pull with slope 1; the others agree with it, and the slope of ``|x|`` at 0 counts as 0. So the
+derivative of eq. 3 is half of the true one, everywhere along the outline: a constant factor, which
+λ1 includes. Squares would give the whole derivative, but Eq. 8 prints none. Within the soft edge of
+a mask the slopes on the two sides of the outline, 1 and -1, cancel, and eq. 3 does not pull;
+shrinking leaves edges that are soft for one pixel. The factor also holds for the outline's part of
+eq. 2.
 """
 
 from __future__ import annotations
@@ -41,9 +36,9 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.data.video import Frame, Outline, Video
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.crop import (
-    Crop,
     Extent,
     NoEvidence,
+    ScaledCrop,
     mask_extent,
     person_extent,
     points_extent,
@@ -52,7 +47,7 @@ from gva_mi.pose.focal import brought_back, follow, stretched
 from gva_mi.shelf import Shelf
 from gva_mi.splat import Camera
 
-ALONE = 3.0  # times that a silhouette counts where there are no normals
+ALONE = 3.0  # weight of a silhouette without normals
 MARGIN = 0.15  # of the box around the person, added on each side
 SHOWN = "its stage-1 body"
 
@@ -62,7 +57,7 @@ Seen = TypeVar("Seen")
 
 @dataclass(frozen=True)
 class MaskAndNormals:
-    """The evidence of one frame, cut to the person's surroundings and shrunk."""
+    """The evidence of one frame, cropped to the person's surroundings and shrunk."""
 
     camera: Camera  # of the part that was cut out
     mask: Tensor  # (H, W) in [0, 1]
@@ -71,31 +66,32 @@ class MaskAndNormals:
 
     @staticmethod
     def of(outline: Outline, scale: float, points: Tensor) -> MaskAndNormals:
-        """Cut a frame to a box around its mask and the body's stage-1 vertices, and shrink it.
+        """Crop a frame to a box around its mask and the body's stage-1 vertices, and shrink it.
 
         Args:
             outline: of the frame, as the video gives it.
-            scale: pixels of the result for one of the video, at most 1; see :func:`common_scale`.
+            scale: pixels of the result per pixel of the video, at most 1; see
+                :func:`common_scale`.
             points: (V, 3) world, the body in its stage-1 pose.
 
         Raises:
-            NoEvidence: the mask is empty, or the body is not seen by the camera.
+            NoEvidence: the mask is empty, or the camera does not see the body.
         """
         camera, corners = outline.camera, points.numpy().astype(np.float64)
         extent = person_extent(outline.mask, camera, corners, SHOWN)
-        crop = Crop.around(extent, camera, scale, MARGIN)
+        crop = ScaledCrop.around(extent, camera, scale, MARGIN)
         part = crop.cover(*outline.mask.shape)
         mask = crop.shrink(outline.mask[part], part)
         normals = outline.normals(part)
         if normals is not None:
-            # Means of unit vectors are shorter than 1: they are made unit again, and left out
-            # where the mask covers less than half of the pixel.
+            # Means of unit vectors are shorter than 1. They are normalised, and dropped where the
+            # mask covers less than half of the pixel.
             normals = torch.nn.functional.normalize(crop.shrink(normals, part), dim=-1)
             normals = normals * (mask > 0.5)[..., None]
         return MaskAndNormals(crop.cut_camera(camera), mask, normals, float(mask.sum()))
 
     def loss(self, image: Tensor, silhouette: float, focal: Tensor | None = None) -> Tensor:
-        """Eq. 1, the data term of Eq. 8, of a rendering (H, W, 4) of normals and mask.
+        """Return eq. 1 of a rendering (H, W, 4) of normals and mask.
 
         Args:
             image: as :meth:`gva_mi.mesh.mesh_scene.MeshScene.render` gives it.
@@ -107,7 +103,7 @@ class MaskAndNormals:
         return self.normal_loss(image, focal) + silhouette * self.silhouette_loss(image)
 
     def normal_loss(self, image: Tensor, focal: Tensor | None = None) -> Tensor:
-        """Eq. 2 of a rendering (H, W, 4); zero where the frame has no normals."""
+        """Return eq. 2 of a rendering (H, W, 4); zero if the frame has no normals."""
         if self.normals is None:
             return image.new_zeros(())
         found = image[..., :3]
@@ -117,23 +113,23 @@ class MaskAndNormals:
         return ((found - self.normals).abs() * known[..., None]).sum() / (3 * self.area)
 
     def silhouette_loss(self, image: Tensor) -> Tensor:
-        """Eq. 3 of a rendering (H, W, 4); its derivative is half of the true one, see above."""
+        """Return eq. 3 of a rendering (H, W, 4); its derivative is half of the true one."""
         return (image[..., 3] - self.mask).abs().sum() / self.area
 
 
 def common_scale(
     video: Video, frames: Iterable[int], size: int, body_at: Callable[[Outline], Tensor]
 ) -> float:
-    """The scale at which all frames of a video are compared, at most 1.
+    """Return the scale at which all frames of a video are compared, at most 1.
 
-    It is the same for all of them, so that a pixel, and with it a weight, means the same in each:
-    the largest person among the frames gets the size that is asked for. How large a person is, the
-    mask and the stage-1 body both say; the smaller one is believed, for a mask may have grains far
-    from the person, and a body may stand too close.
+    With one scale for all frames a pixel, and with it a weight, means the same in each. The largest
+    person among the frames gets ``size`` pixels on the longer side. A person's size is the smaller
+    one of mask and stage-1 body, because a mask may have specks far from the person, and a body may
+    stand too close.
 
     Args:
         video: whose frames.
-        frames: numbers of the frames that are looked at.
+        frames: numbers of the frames that are used.
         size: pixels of the longer side of the largest person.
         body_at: the vertices (V, 3) of the body in a frame's stage-1 pose, world, metres.
     """
@@ -156,14 +152,14 @@ def gather(
     look: Callable[[Read], Seen],
     found: dict[int, Seen] | Shelf[Seen],
 ) -> dict[int, str]:
-    """Gather evidence of those frames that say something; returns why the others do not.
+    """Gather the evidence of some frames; return why the other frames have none.
 
     Args:
-        frames: numbers of the frames that are looked at.
+        frames: numbers of the frames that are used.
         absent: frames that cannot be read, and why.
         read: reads frames by their numbers, such as :meth:`gva_mi.data.video.Video.outlines`.
         look: makes the evidence of what was read, or raises :class:`NoEvidence`.
-        found: where the evidence is put, such as a dictionary, or a shelf for a long video.
+        found: receives the evidence.
     """
     wanted = list(frames)
     reasons = {k: absent[k] for k in wanted if k in absent}
@@ -183,13 +179,13 @@ def seen_body(
     seen: Sequence[MaskAndNormals],
     focal: Tensor | None,
 ) -> Tensor:
-    """The vertices (B, V, 3) that a scene shows of a body in B frames.
+    """Return the vertices (B, V, 3) of a body as they are rendered in B frames.
 
     Args:
         body, shape, offsets: the person.
         pose: of the B frames.
         seen: their evidence, whose cameras see the body.
-        focal: a factor on their focal length, for which the body follows in depth and is stretched
+        focal: a factor on their focal length, for which the body moves in depth and is stretched
             (:mod:`gva_mi.pose.focal`); None: 1.
     """
     if focal is None:
@@ -208,23 +204,22 @@ def mean_loss(
     focal: Tensor | None = None,
     outlines: Tensor | None = None,
 ) -> Tensor:
-    """Mean over frames of eq. 1, and of eq. 1 of close-ups, differentiable in the vertices.
+    """Return the mean over frames of eq. 1, close-ups included; differentiable in the vertices.
 
-    The gradient is computed along with the loss, while the scene shows each body: moving the mesh
-    a second time for it would cost more than anything else in a step. Close-ups are seen together
-    with the whole person, for the same reason.
+    The gradient is computed with the loss, while the scene shows each body, because moving the mesh
+    a second time would dominate the cost of a step. For the same reason close-ups are rendered
+    together with the whole person.
 
     Args:
-        scene: where the bodies are rendered.
+        scene: in which the bodies are rendered.
         vertices: (B, V, 3) world, metres: the body in each frame's pose.
         seen: the evidence of the same B frames.
         silhouette: λ1.
-        closer: close-ups of the same B frames, crops of their pictures, each with its weight, where
-            that of the person is 1; nothing: there are none.
+        closer: close-ups of the same B frames with weights relative to the person's; empty: none.
         focal: a factor on the focal length (:mod:`gva_mi.pose.focal`), for which the vertices are
             already stretched; normals are brought back here.
-        outlines: (B, V, 3) the vertices once more, for what silhouettes of whole persons alone
-            shall tell; None: nothing.
+        outlines: (B, V, 3) the vertices once more; they get the gradient of the whole persons'
+            silhouettes alone. None: nothing gets it.
     """
     closer = closer or [()] * len(seen)
     frames = [((1.0, whole), *parts) for whole, parts in zip(seen, closer, strict=True)]

@@ -1,16 +1,16 @@
-"""Infers how stage 1 errs, and how the person moves, from stage 1 and from what pictures corrected.
+"""Infer the prior of a video: how stage 1 errs, and how the person moves.
 
-Before any picture is looked at, white errors and outliers can be told, for a person cannot move
-like that; how errors that last look like, cannot. Pictures then correct, and show it: sideways, at
-right angles to the line of sight, they leave nothing to believe. So beliefs are formed twice, by
-:func:`from_stage1` and by :func:`from_pictures`; what they say goes with the poses into the record
-of the refinement.
+Before any image is used, white errors and outliers can be inferred from stage 1 alone, because
+people cannot move like that (:func:`prior_from_stage1`). Errors that last look like motion. Images
+then correct them, most reliably about the line of sight, and the corrections show how large they
+are (:func:`prior_from_corrections`). The error model goes into the record of the refinement.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -18,45 +18,59 @@ from torch import Tensor
 
 from gva_mi.pose import motion
 from gva_mi.pose.belief import Belief
-from gva_mi.pose.camera_lean import CameraLean
-from gva_mi.pose.ground import Footing, Ground
+from gva_mi.pose.camera_lean import CameraTilt
+from gva_mi.pose.ground import ContactStats, Ground
 from gva_mi.pose.noise import GROUPS, Noise, lasting_part, white_level
 from gva_mi.pose.stage1 import Stage1
 
-# What is believed of errors that last before pictures have shown them; small, for a motion of a few
-# degrees must not be taken for an error. Only videos too short to infer anything keep it.
+# Lasting errors before images have shown them. They are small, because a motion of a few degrees
+# must not be taken for an error. Only videos too short to infer anything keep them.
 TURN = Noise(white=0.0, slow=0.05, memory=6.0)  # radians
 PLACE = {"aside": Noise(0.0, 0.02, 6.0), "depth": Noise(0.0, 0.05, 6.0)}  # metres
 
 AXES: Mapping[str, tuple[int, ...]] = {"aside": (0, 1), "depth": (2,)}  # the camera's
 PELVIS = GROUPS["pelvis"]
 JOINTS = tuple(i for name, group in GROUPS.items() if name != "pelvis" for i in group)
-LEAST_SLOW = 0.5  # of what all groups together show: no group is believed to err less
+LEAST_SLOW = 0.5  # least slow error of a group, relative to the mean over all groups
+
+
+class PriorTerm(Protocol):
+    """How improbable a motion is without any image."""
+
+    def energy(self, rotations: Tensor, transl: Tensor, times: Tensor) -> Tensor:
+        """Return nats, differentiable.
+
+        Args:
+            rotations: (n, J, 3) axis-angle, relative to the parent joint.
+            transl: (n, 3) metres, world.
+            times: (n,) numbers of the frames.
+        """
+        ...
 
 
 @dataclass(frozen=True)
-class Beliefs:
-    """About all that is corrected.
+class PosePrior:
+    """The prior of all corrections of a clip.
 
     Attributes:
-        noise: of stage 1: of each group of joints in radians, and of the place in metres.
-        pelvis: one joint, which may turn steadily.
-        joints: all others but those of the face, in the order of ``JOINTS``.
-        place: of the person, three coordinates in the camera's axes; it may change steadily.
-        lean: how far joints lean toward the camera by chance.
-        ground: that soles stand on; None before it is looked for.
+        noise: stage 1's errors: of each group of joints in radians, of the position in metres.
+        pelvis: process of one joint, which may turn steadily.
+        joints: process of all others but the face, in the order of ``JOINTS``.
+        place: process of the person's position in the camera's axes; it may change steadily.
+        tilt: a :class:`PriorTerm`, whose nats are a mean over the frames.
+        ground: a :class:`PriorTerm`, whose nats are of the whole clip; None before it is fitted.
     """
 
     noise: Mapping[str, Noise]
     pelvis: Belief
     joints: Belief
     place: Belief
-    lean: CameraLean
+    tilt: CameraTilt
     ground: Ground | None = None
 
 
-def in_words(noise: Mapping[str, Noise], footing: Footing | None) -> Iterator[str]:
-    """How stage 1 errs, and how the person stands: lines for people, none where it is not known."""
+def describe(noise: Mapping[str, Noise], contact: ContactStats | None) -> Iterator[str]:
+    """Yield lines for the user on stage 1's errors and foot contact, if they were inferred."""
     if not noise:
         return
     turns = ", ".join(f"{name} {np.degrees(noise[name].size):.1f}°" for name in GROUPS)
@@ -65,13 +79,13 @@ def in_words(noise: Mapping[str, Noise], footing: Footing | None) -> Iterator[st
     white = ", ".join(f"{name} {np.degrees(noise[name].white):.1f}°" for name in GROUPS)
     lasts = sorted({noise[name].memory for name in GROUPS})
     yield f"            white {white}; the rest lasts {lasts[0]:g} to {lasts[-1]:g} frames"
-    if footing is not None:
-        stands = f"soles stand {footing.share:.0%} of the time"
-        yield f"ground      {stands}, within {1000 * footing.spread:.0f} mm of one plane"
+    if contact is not None:
+        stands = f"soles stand {contact.share:.0%} of the time"
+        yield f"ground      {stands}, within {1000 * contact.spread:.0f} mm of one plane"
 
 
-def from_stage1(stage1: Stage1) -> Beliefs:
-    """What stage 1 alone tells: its white errors, and how fast it moves."""
+def prior_from_stage1(stage1: Stage1) -> PosePrior:
+    """Infer white errors and the speed of the motion from stage 1 alone."""
     turns, shifts = stage1.steps(stage1.pose)
     noise = {
         name: replace(TURN, white=white_level(turns[:, list(group)]))
@@ -79,20 +93,22 @@ def from_stage1(stage1: Stage1) -> Beliefs:
     }
     for name, axes in AXES.items():
         noise[name] = replace(PLACE[name], white=white_level(shifts[:, list(axes), None]))
-    return Beliefs(
+    return PosePrior(
         noise,
         Belief.of_stage1(stage1.times, turns[:, list(PELVIS)], _by_joint(noise, PELVIS), True),
         Belief.of_stage1(stage1.times, turns[:, list(JOINTS)], _by_joint(noise, JOINTS)),
         Belief.of_stage1(stage1.times, shifts[..., None], _by_axis(noise), True),
-        CameraLean.of(stage1, stage1.pose.rotations),
+        CameraTilt.of(stage1, stage1.pose.rotations),
     )
 
 
-def from_pictures(before: Beliefs, stage1: Stage1, turns: Tensor, moves: Tensor) -> Beliefs:
-    """What corrections show that pictures have made, believing less.
+def prior_from_corrections(
+    before: PosePrior, stage1: Stage1, turns: Tensor, moves: Tensor
+) -> PosePrior:
+    """Infer the prior from corrections that images made under a weaker one.
 
     Args:
-        before: what was believed.
+        before: the prior so far.
         stage1: what was corrected.
         turns: (n, J, 3) in the camera's axes, radians.
         moves: (n, 3) in the camera's axes, metres.
@@ -101,42 +117,42 @@ def from_pictures(before: Beliefs, stage1: Stage1, turns: Tensor, moves: Tensor)
     pose = stage1.corrected(range(len(moves)), turns, moves)
     steps, shifts = stage1.steps(pose)
     root, sideways = list(PELVIS), stage1.in_camera(steps, slice(0, -1))[:, list(JOINTS), 2:]
-    return Beliefs(
+    return PosePrior(
         noise,
         renewed(before.pelvis, _by_joint(noise, PELVIS), turns[:, root], steps[:, root]),
         renewed(before.joints, _by_joint(noise, JOINTS), turns[:, list(JOINTS)], sideways),
         renewed(before.place, _by_axis(noise), moves[..., None], shifts[..., None]),
-        CameraLean.of(stage1, pose.rotations),
+        CameraTilt.of(stage1, pose.rotations),
     )
 
 
 def renewed(before: Belief, noises: list[Noise], corrections: Tensor, steps: Tensor) -> Belief:
-    """A belief after corrections have shown more.
+    """Update a process after corrections have shown more.
 
     Args:
-        before: what was believed.
-        noises: how C values err, as far as that is known by now.
+        before: the process so far.
+        noises: the C updated error models.
         corrections: (n, C, d).
-        steps: (n - 1, C, ...) from frame to frame, of what pictures show of them.
+        steps: (n - 1, C, ...) from frame to frame, of the coordinates that images show.
     """
     changes = before.changes(steps)
     times = before.times[: len(changes)].float()
     square = motion.excursions(changes, motion.SPAN).square().mean(-1)
-    believed = before.with_noise(noises).moving(motion.mean_square(square, times))
-    return believed.doubting(corrections)
+    updated = replace(before, noises=noises).moving(motion.mean_square(square, times))
+    return updated.doubting(corrections)
 
 
 def _noise(
     before: Mapping[str, Noise], times: Tensor, turns: Tensor, moves: Tensor
 ) -> dict[str, Noise]:
-    """How stage 1 errs, group by group, from corrections in the camera's axes."""
-    seen = {name: turns[:, list(group), 2] for name, group in GROUPS.items()}  # about the sight
+    """Infer stage 1's error models, group by group, from corrections in the camera's axes."""
+    seen = {name: turns[:, list(group), 2] for name, group in GROUPS.items()}  # line of sight
     seen |= {name: moves[:, list(axes)] for name, axes in AXES.items()}
     found = {
         name: lasting_part(-errors, times, before[name].white, before[name])
         for name, errors in seen.items()
     }
-    # Where a group is small in the picture, little is corrected: that is no proof of no errors.
+    # A group that is small in the image is corrected little, which does not prove small errors.
     least = LEAST_SLOW * torch.tensor([found[name].slow for name in GROUPS]).square().mean().sqrt()
     for name in GROUPS:
         found[name] = replace(found[name], slow=max(found[name].slow, float(least)))

@@ -1,23 +1,22 @@
-"""How stage 1 errs, inferred from the video itself.
+"""The error model of stage 1, inferred from the video itself.
 
-An estimator's error in frame ``k`` is what the pose must be corrected by, with the other sign. It
-has a part that is new in every frame, one that lasts for some frames, and one that never ends:
+An estimator's error in frame ``k`` is the negative of its correction. It has a part that is new in
+every frame, one that lasts for some frames, and a constant one:
 
 1. ``e_k = white_k + slow_k + bias``
 2. ``K_kl = white² f_k [k = l] + slow² (κ(|t_k - t_l| / memory) + 1)``
    with ``κ(x) = (1 + √3 x) e^(-√3 x)``
 
-the covariance of its coordinates, which is the same for the three of them. How large the parts are,
-and for how long one lasts, differs from estimator to estimator, and from hips to fingers. Nothing
-of it is a constant here; it is found group by group of joints (:data:`GROUPS`):
+``K`` is the covariance of each of its coordinates. The parts' sizes and the memory differ between
+estimators, and between hips and fingers, so they are inferred for each group of joints
+(:data:`GROUPS`):
 
-3. ``white``: from third differences of stage 1. What lasts, and what moves, is nearly gone in them,
-   and a median leaves out what is rare: 20 times the variance of white errors is left.
-4. ``slow`` and ``memory``: from what pictures corrected *sideways*, about the line of sight. They
-   show that well, and depth, for which the covariance is needed, badly. Its values at some lags are
-   fitted by eq. 2.
-5. ``f_k``: by which factor a frame is worse than usual, such as one in which a leg was taken for
-   the other. It is that of Student's t distribution, whose Gaussian has the variance ``white² f``.
+3. ``white``: from third differences of stage 1. They nearly remove lasting errors and motion, and a
+   median ignores outliers; they have 20 times the variance of white errors.
+4. ``slow`` and ``memory``: from the corrections *about the line of sight*, which images show well.
+   Their autocovariance at some lags is fitted by eq. 2, and then used for depth, too.
+5. ``f_k``: the outlier factor of a frame, such as one in which a leg was taken for the other: that
+   of Student's t distribution as a scale mixture of Gaussians of variance ``white² f``.
 """
 
 from __future__ import annotations
@@ -49,16 +48,16 @@ GROUPS: Mapping[str, tuple[int, ...]] = MappingProxyType(
 # Medians of χ²: of the square length of a vector whose d coordinates have variance 1.
 _MEDIAN = {1: 0.4549, 3: 2.3660}
 FREEDOM = 3.0  # ν of Student's t: two or three frames in a hundred are far off
-MEMORIES = (1.5, 3.0, 6.0, 12.0, 24.0)  # frames, between which eq. 4 chooses
-LAGS = 12  # frames, over which it looks
-LEAST_WHITE = 0.1  # of the slow part: keeps eq. 2 from being singular
+MEMORIES = (1.5, 3.0, 6.0, 12.0, 24.0)  # frames, candidates of eq. 4
+LAGS = 12  # largest lag of eq. 4, frames
+LEAST_WHITE = 0.1  # relative to the slow part; keeps eq. 2 from being singular
 
 
 @dataclass(frozen=True)
 class Noise:
-    """The errors of one group of joints, or of the place of the person (eq. 2)."""
+    """The errors of one group of joints, or of the person's position (eq. 2)."""
 
-    white: float  # standard deviation of a coordinate; radians, or metres for the place
+    white: float  # standard deviation of a coordinate; radians, or metres for the position
     slow: float  # the same of the part that lasts
     memory: float  # frames that it lasts
 
@@ -73,13 +72,13 @@ class Noise:
         return max(self.white, LEAST_WHITE * self.slow) ** 2
 
     def lasting(self, times: Tensor) -> Tensor:
-        """Eq. 2 (n, n) float64 at times (n,), without the white part."""
+        """Return eq. 2 (n, n) float64 at times (n,), without the white part."""
         x = 3**0.5 * (times[:, None] - times).abs().double() / self.memory
         return self.slow**2 * ((1 + x) * torch.exp(-x) + 1)
 
 
 def covariance(noises: Sequence[Noise], times: Tensor, factors: Tensor) -> Tensor:
-    """Eq. 2 (C, n, n) float64 of C noises at times (n,), with factors (C, n)."""
+    """Return eq. 2 (C, n, n) float64 of C models at times (n,), with factors (C, n)."""
     lasting = {noise: noise.lasting(times) for noise in set(noises)}
     white = torch.tensor([noise.white_variance for noise in noises], dtype=torch.float64)
     diagonal = torch.diag_embed(white[:, None] * factors.double())
@@ -87,16 +86,12 @@ def covariance(noises: Sequence[Noise], times: Tensor, factors: Tensor) -> Tenso
 
 
 def median_of_square(dimension: int) -> float:
-    """The median of the square length of a vector of that many coordinates of variance 1."""
+    """Return the median square length of a vector whose coordinates have variance 1."""
     return _MEDIAN[dimension]
 
 
 def white_level(steps: Tensor) -> float:
-    """Eq. 3: the standard deviation of a coordinate's white part; zero where it cannot be told.
-
-    Args:
-        steps: (n, C, d) of some values from frame to frame.
-    """
+    """Return eq. 3, a standard deviation, from steps (n, C, d); zero for too few frames."""
     if len(steps) < 3:
         return 0.0
     third = steps[2:] - 2 * steps[1:-1] + steps[:-2]
@@ -105,13 +100,13 @@ def white_level(steps: Tensor) -> float:
 
 
 def lasting_part(errors: Tensor, times: Tensor, white: float, guess: Noise) -> Noise:
-    """Eq. 4.
+    """Fit eq. 4.
 
     Args:
-        errors: (n, J) of one coordinate that is known well.
+        errors: (n, J) of one coordinate that images show well.
         times: (n,) frames.
         white: the standard deviation of the white part.
-        guess: what is believed before; it counts as much as ``LAGS`` frames.
+        guess: the model before; it has the weight of ``LAGS`` frames.
     """
     from scipy.optimize import nnls
 
@@ -120,7 +115,7 @@ def lasting_part(errors: Tensor, times: Tensor, white: float, guess: Noise) -> N
     lags = [lag for lag in range(min(LAGS, len(times) // 3) + 1) if bool((gaps == lag).any())]
     C = np.array([float(products[gaps == lag].mean()) for lag in lags])
     C[0] = max(C[0] - white**2, 0.0)
-    # Where lags are seen more often, they count more.
+    # Lags that occur more often weigh more.
     weight = np.sqrt([int((gaps == lag).sum()) for lag in lags])
     fits = []
     for memory in MEMORIES:
@@ -135,16 +130,13 @@ def lasting_part(errors: Tensor, times: Tensor, white: float, guess: Noise) -> N
 
 
 def worse_than_usual(errors: Tensor, K: Tensor, noises: Sequence[Noise], factors: Tensor) -> Tensor:
-    """Eq. 5 once more, from errors and the factors they were found with.
+    """Update the factors (C, n) of eq. 5.
 
     Args:
         errors: (C, n, d).
-        K: (C, n, n) eq. 2 with these factors, float64.
-        noises: C of them.
-        factors: (C, n).
-
-    Returns:
-        (C, n).
+        K: (C, n, n) eq. 2 with the present factors, float64.
+        noises: C models.
+        factors: (C, n), the present ones.
     """
     variance = torch.tensor([noise.white_variance for noise in noises])[:, None, None]
     # The expectation of the white part, given all errors.

@@ -1,12 +1,11 @@
-"""Independent pieces of work, and who does them.
+"""Run independent tasks in this process, in worker processes, or on a cluster.
 
-A piece of work holds all that its result depends on, so that it may be done in this process, in
-another one, or on another machine, and gives the same bits everywhere. Work can be given to any
-:class:`concurrent.futures.Executor`:
+A task holds all that its result depends on, so that it gives the same bits wherever it runs. Any
+:class:`concurrent.futures.Executor` can run tasks:
 
-* :func:`workers`: processes of this machine, which share its cores among them;
-* :func:`cluster`: a scheduler of dask.distributed (extra ``[cluster]``). Its workers need the same
-  packages; pictures and the body travel with the work, and no file system need be shared.
+* :func:`workers`: processes on this machine, which share its cores;
+* :func:`cluster`: a dask.distributed scheduler (extra ``[cluster]``). Its workers need the same
+  packages; images and the body travel with the task, and no shared file system is needed.
 """
 
 from __future__ import annotations
@@ -29,17 +28,17 @@ CONNECT = 10  # seconds to wait for a scheduler
 
 Result = TypeVar("Result", covariant=True)
 
-# A worker of a cluster may have several threads. The one that works may be given a part of its own
-# work: a piece of a study holds a refinement, whose pieces are solved here too.
+# A cluster's worker may have several threads, of which one may work at a time. The lock is
+# re-entrant because a task of a study refines videos, whose tasks are solved in the same thread.
 _one_at_a_time = threading.RLock()
 
 
-class Work(Protocol[Result]):
-    """What can be done anywhere; it must be possible to pickle it."""
+class Task(Protocol[Result]):
+    """Work that can be done anywhere; it must be possible to pickle it."""
 
     @property
     def steps(self) -> int:
-        """How much work it is, for progress."""
+        """The amount of work, for progress."""
         ...
 
     def solve(self, progress: Progress | None = None) -> Result:
@@ -49,60 +48,60 @@ class Work(Protocol[Result]):
 
 @dataclass(frozen=True)
 class Done(Generic[Result]):
-    """What came of a piece of work."""
+    """The result of a task."""
 
     result: Result
-    seconds: float  # of work, whoever did it
+    seconds: float  # of work
 
 
-def solve(work: Work[Result], progress: Progress | None = None) -> Done[Result]:
-    """Do a piece of work in this process, while no other thread does one."""
+def solve(task: Task[Result], progress: Progress | None = None) -> Done[Result]:
+    """Solve a task in this process, while no other thread solves one."""
     with _one_at_a_time, one_torch_thread():
         begin = time.perf_counter()
-        result = work.solve(progress)
+        result = task.solve(progress)
         return Done(result, time.perf_counter() - begin)
 
 
 def run(
-    pieces: Sequence[Work[Result]],
+    tasks: Sequence[Task[Result]],
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> Iterator[Done[Result]]:
-    """What comes of some pieces of work, in their order.
+    """Solve tasks, and yield their results in order.
 
     Args:
-        pieces: what to do.
-        executor: who does it; None: this process, one after the other.
-        progress: called as ``progress(done, total, **figures)`` with the steps of all pieces.
+        tasks: what to do.
+        executor: runs them; None: this process, one after the other.
+        progress: called as ``progress(done, total, **figures)`` with the steps of all tasks.
     """
-    total, before = sum(work.steps for work in pieces), 0
-    futures = [] if executor is None else [executor.submit(solve, work) for work in pieces]
+    total, before = sum(task.steps for task in tasks), 0
+    futures = [] if executor is None else [executor.submit(solve, task) for task in tasks]
     try:
-        for number, work in enumerate(pieces):
-            of_piece = within(progress, before, work.steps, total)
+        for number, task in enumerate(tasks):
+            of_task = within(progress, before, task.steps, total)
             if executor is None:
-                yield solve(work, of_piece)
+                yield solve(task, of_task)
             else:
                 done = _result(futures[number])
-                if of_piece is not None:
-                    of_piece(work.steps, work.steps)
+                if of_task is not None:
+                    of_task(task.steps, task.steps)
                 yield done
-            before += work.steps
+            before += task.steps
     finally:
         for future in futures:
             future.cancel()
 
 
 def _result(future: Future[Done[Result]]) -> Done[Result]:
-    """What came of a piece of work that somebody else did.
+    """Wait for a result.
 
     Raises:
-        InputError: who did it is gone: killed, out of memory, or no longer reached.
+        InputError: the worker is gone: killed, out of memory, or no longer reachable.
     """
     try:
         return future.result()
     except Exception as error:
-        # distributed has errors of its own for workers that were lost again and again.
+        # distributed has its own errors for workers that were lost repeatedly.
         theirs = type(error).__module__.split(".")[0] == "distributed"
         if not theirs and not isinstance(error, BrokenExecutor | CancelledError):
             raise
@@ -111,7 +110,7 @@ def _result(future: Future[Done[Result]]) -> Done[Result]:
 
 @contextmanager
 def workers(count: int) -> Iterator[Executor | None]:
-    """An executor of ``count`` processes of this machine; None, this process itself, for one."""
+    """Start an executor of ``count`` processes; for one, yield None: this process itself."""
     if count < 1:
         raise InputError(f"refine: --workers must be at least 1, got {count}")
     if count == 1:
@@ -124,10 +123,10 @@ def workers(count: int) -> Iterator[Executor | None]:
 
 @contextmanager
 def cluster(address: str) -> Iterator[Executor]:
-    """The workers of a dask.distributed scheduler, such as ``tcp://10.0.0.1:8786``.
+    """Connect to a dask.distributed scheduler, such as ``tcp://10.0.0.1:8786``.
 
     Raises:
-        InputError: the package is missing, or nobody answers there.
+        InputError: the package is missing, or no scheduler answers.
     """
     try:
         import dask
@@ -142,7 +141,7 @@ def cluster(address: str) -> Iterator[Executor]:
     except (OSError, ValueError) as error:
         reason = str(error).splitlines()[0]
         raise InputError(f"refine: no scheduler answers at {address} ({reason})") from None
-    # Pictures and the body travel with the work, and dask's warning above 10 MB is of no help here.
+    # Tasks hold images and the body; dask's warning above 10 MB is no help here.
     large = {"distributed.admin.large-graph-warning-threshold": "1GB"}
     with client, dask.config.set(large):
         yield client.get_executor(pure=False)

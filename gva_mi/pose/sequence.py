@@ -1,21 +1,21 @@
-"""All frames refined together, the clothes explained by one displacement of the surface.
+"""Refine all frames together, with one displacement of the surface for the clothes.
 
-The poses of all frames, the displacement ``D`` and the shape ``β``, which all frames share, go
-downhill (:mod:`gva_mi.pose.descent`) on
+The poses of all frames, and the displacement ``D`` and shape ``β`` that all frames share, are
+optimised (:mod:`gva_mi.pose.descent`) on
 
-    L = mean_k( d_k + λc Σ_parts d_k,part )    d: Eq. 8's data term (gva_mi.pose.evidence), for the
-                                               body β displaced by D, posed; and once more for hands
-                                               and feet, seen closer (gva_mi.pose.close_ups)
-        + ν E(δ, τ)                            stage 1, motion, anatomy and the ground:
-                                               gva_mi.pose.corrections
+    L = mean_k( d_k + λc Σ_parts d_k,part )    d: Eq. 8's data term (gva_mi.pose.evidence) of the
+                                               posed body with shape β, displaced by D; again for
+                                               hands and feet (gva_mi.pose.close_ups)
+        + ν E(δ, τ)                            prior: stage 1, motion, anatomy, ground
+                                               (gva_mi.pose.corrections)
         + E(D)                                 gva_mi.pose.displacement
         + λβ |β - β^stage1|²
-        + λh (h(β) - H)²                       where the height H is known: gva_mi.pose.stature
-        + λs (log s)²                          with an unknown focal length: gva_mi.pose.focal
+        + λh (h(β) - H)²                       if the height H is known: gva_mi.pose.stature
+        + λs (log s)²                          if the focal length is refined: gva_mi.pose.focal
 
-One frame cannot tell cloth from limb; many frames in which the person turns can, for the cloth goes
-along with the body and the error of the pose does not. Nor does one frame tell how far a limb leans
-toward the camera; the frames before and after do, in which it is seen from another side.
+One frame cannot separate cloth from limb. Many frames in which the person turns can, because the
+cloth moves with the body and the pose error does not. Likewise one frame does not show how far a
+limb tilts toward the camera, but its neighbours see the limb from another side.
 """
 
 from __future__ import annotations
@@ -30,7 +30,6 @@ from torch import Tensor
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.console import Progress
 from gva_mi.pose.anatomy import Anatomy
-from gva_mi.pose.clips import cut, skim
 from gva_mi.pose.close_ups import CloseUps
 from gva_mi.pose.descent import (
     Batch,
@@ -45,31 +44,31 @@ from gva_mi.pose.descent import (
 from gva_mi.pose.displacement import Displacement
 from gva_mi.pose.evidence import MaskAndNormals, mean_loss, seen_body
 from gva_mi.pose.ground import Soles
-from gva_mi.pose.job import Job, RefineOptions, Solution
+from gva_mi.pose.job import RefineJob, RefineOptions, Solution
 from gva_mi.pose.noise import GROUPS
-from gva_mi.pose.priors import lever_arms
 from gva_mi.pose.stature import Stature
+from gva_mi.pose.vector_adam import lever_arms
 from gva_mi.ranges import Metres, Rate, Seed, Turn, Weight, Within
 
 STEPS_A_PASS = 16  # at least
 FINGERS = GROUPS["fingers"]
-HOLD_HEIGHT = 1e3  # for one square metre between the body's height and the person's
+HOLD_HEIGHT = 1e3  # λh, for one square metre
 
 
 @dataclass(frozen=True)
 class SequenceOptions(DescentOptions, RefineOptions):
-    """How all frames of a video are refined together."""
+    """Options of the refinement of all frames together."""
 
-    # Of each hand's close-up, where the loss of the whole person counts 1.
+    # Weight of each hand's close-up, where the loss of the whole person has weight 1.
     close_hands: Weight = 0.5
-    close_feet: Weight = 0.1  # the same of a foot's: shoes are not of the body's form
-    # Pixels of a hand's length in them, where the video has as many.
+    close_feet: Weight = 0.1  # the same of a foot's; lower because shoes differ from the body
+    # Pixels of a hand's length in close-ups, if the video has as many.
     hand_size: Annotated[int, Within(1, 1024)] = 44
-    passes: Passes = 32  # how often every frame is visited, more often where there are very few
+    passes: Passes = 32  # how often every frame is visited, more often if there are very few
     batch: Batch = 4  # frames of a step, at most
-    learn: Learn = 11  # the first of them, after which it is inferred how stage 1 errs
-    nat: Nat = 0.015  # what a negative logarithm of a probability counts beside Eq. 8's data term
-    unswap: bool = True  # legs and arms that stage 1 takes for each other are exchanged first
+    learn: Learn = 11  # passes after which stage 1's error model is inferred
+    nat: Nat = 0.015  # ν: what a nat of the prior counts beside Eq. 8's data term
+    unswap: bool = True  # first fix legs and arms whose left and right stage 1 swapped
     cloth_smooth: Weight = 1.6e-4  # a of the displacement's energy, for one (1/m)²
     cloth_small: Weight = 10.0  # b of the displacement's energy, for one square metre
     cloth_outward: Weight = 400.0  # c of the displacement's energy, for one square metre
@@ -80,14 +79,14 @@ class SequenceOptions(DescentOptions, RefineOptions):
     translation_lr: Rate = 0.006  # metres in a step at the start; depth is seen weakly
     cloth_lr: Rate = 0.003  # metres in a step at the start
     betas_lr: Rate = 0.05  # standard deviations in a step at the start
-    # The focal length is an unknown, too: of somebody who stays far away it is found some per cent
-    # too long, whatever the right one is.
+    # Also refine the focal length. It comes out some per cent too long if the person stays far
+    # away, whatever the right one is.
     refine_camera: bool = False
     focal_lr: Rate = 0.003  # of its logarithm, in a step at the start
-    focal_prior: Weight = 0.02  # of its logarithm's square
+    focal_prior: Weight = 0.02  # λs, of its logarithm's square
     part: PartFrames = 120  # frames refined together; a longer video is cut into clips
     overlap: Overlap = 16  # frames that a clip shares with the next
-    # Frames of a longer video that tell what all its clips share.
+    # Frames of a longer video from which the unknowns that its clips share are found.
     skim: Annotated[int, Within(1, 10_000)] = 96
     seed: Seed = 0  # of the order in which frames are visited
 
@@ -101,29 +100,12 @@ class SequenceOptions(DescentOptions, RefineOptions):
 
     @property
     def close_up_size(self) -> int:
+        """Pixels of a hand in close-ups; 0: there are none."""
         return self.hand_size if self.close_hands > 0 or self.close_feet > 0 else 0
-
-    @property
-    def swap_nat(self) -> float | None:
-        return self.nat if self.unswap else None
 
     @property
     def description(self) -> str:
         return f"all frames together, seed {self.seed}"
-
-    def clips(self, frames: int) -> list[range]:
-        return cut(frames, self.part, self.overlap)
-
-    def first_round(self, frames: int, seen: Sequence[int]) -> Sequence[int]:
-        if frames <= self.part:
-            return ()
-        return [seen[i] for i in skim(len(seen), self.skim)]
-
-    def steps_for(self, frames: int) -> int:
-        return frames * self.passes * often(frames)
-
-    def solve(self, job: Job, progress: Progress | None = None) -> Solution:
-        return refine_sequence(job, self, progress)
 
     def variants(self) -> dict[str, RefineOptions]:
         return {
@@ -135,48 +117,44 @@ class SequenceOptions(DescentOptions, RefineOptions):
 
 
 def refine_sequence(
-    job: Job, options: SequenceOptions, progress: Progress | None = None
+    job: RefineJob, options: SequenceOptions, progress: Progress | None = None
 ) -> Solution:
-    """Refine the frames that have evidence; the others keep their pose, and affect no frame.
-
-    Args:
-        job: what is known.
-        options: of the refinement.
-        progress: called as ``progress(done, total, loss=...)`` after every step.
-    """
+    """Refine the frames that have evidence; the others keep their pose, and affect no frame."""
     person = ClothedPerson(job, options)
-    # With few frames a step takes fewer of them, and with very few they are visited more often, or
-    # there would be too few steps to arrive.
+    # With few frames a step takes fewer of them, and with very few they are visited more often:
+    # otherwise there would be too few steps to converge.
     frames = len(job.evidence)
     options = replace(
         options,
         batch=max(1, min(options.batch, frames // STEPS_A_PASS)),
-        passes=often(frames) * options.passes,
-        learn=often(frames) * options.learn,
+        passes=repeats(frames) * options.passes,
+        learn=repeats(frames) * options.learn,
     )
     found = descend(person, job.pose, person.arms, options, progress, job.following)
     shape, offsets = Shape(person.shape.betas.detach()), person.offsets.detach()
     focal = float(person.focal.detach())
-    ground = found.beliefs.ground
-    footing = None if ground is None else ground.footing
-    return Solution(found.pose, shape, offsets, found.beliefs.noise, footing, focal)
+    ground = found.prior.ground
+    contact = None if ground is None else ground.contact
+    return Solution(found.pose, shape, offsets, found.prior.noise, contact, focal)
 
 
-def often(frames: int) -> int:
-    """How many times a pass visits each of so many frames."""
+def repeats(frames: int) -> int:
+    """Return how many times a pass visits each of so many frames."""
     return max(1, -(-STEPS_A_PASS // max(1, frames)))
 
 
 class ClothedPerson:
-    """The person of all frames, ``D`` and ``β``, compared with their masks and normals.
+    """The :class:`gva_mi.pose.descent.Evidence` of the refinement: a clothed person in all frames.
 
-    This is the :class:`gva_mi.pose.descent.Evidence` of the refinement. ``D`` and ``β`` are its
-    shared leaves, unless the job knows them from a first round.
+    The body with shape ``β``, displaced by ``D``, is compared with masks and normals. ``D``, ``β``
+    and the focal length are the shared leaves, unless the job knows them from a first round.
     """
 
-    distance_shown = False  # not even where the height is known: they show hair and soles, too
+    # With a known height, depth is scaled with body size and not fitted, because hair and shoes
+    # bias the silhouette; without one, depth and size are ambiguous.
+    distance_shown = False
 
-    def __init__(self, job: Job, options: SequenceOptions) -> None:
+    def __init__(self, job: RefineJob, options: SequenceOptions) -> None:
         rest = job.body.rest(job.shape)
         self._job, self._options, self._scene = job, options, job.scene()
         weights = {"hand": options.close_hands, "foot": options.close_feet}
@@ -205,20 +183,9 @@ class ClothedPerson:
         return self._cloth.offsets
 
     @property
-    def soles(self) -> Soles:
-        """The soles of this shape."""
-        return Soles.of(self._job.body.rest(self.shape), self._job.body.weights)
-
-    @property
-    def surface_known(self) -> bool:
-        """From a first round."""
-        return self._job.known is not None
-
-    @property
-    def unseen(self) -> Sequence[int]:
-        """The fingers, until they are looked at closely: before, masks' errors would bend them."""
-        close = self._close and self._job.fine and self._options.close_hands > 0
-        return () if close else FINGERS
+    def shape(self) -> Shape:
+        """``β``."""
+        return Shape(self._betas[:, 0])
 
     @property
     def focal(self) -> Tensor:
@@ -226,12 +193,23 @@ class ClothedPerson:
         return self._log_focal.exp()[0, 0]
 
     @property
-    def shape(self) -> Shape:
-        """``β``, the shape."""
-        return Shape(self._betas[:, 0])
+    def soles(self) -> Soles:
+        """The soles of the current shape."""
+        return Soles.of(self._job.body.rest(self.shape), self._job.body.weights)
+
+    @property
+    def surface_known(self) -> bool:
+        """Whether the clothes are known, from a first round."""
+        return self._job.known is not None
+
+    @property
+    def unseen(self) -> Sequence[int]:
+        """The fingers, until close-ups are used: before, mask errors would bend them."""
+        close = self._close and self._job.fine and self._options.close_hands > 0
+        return () if close else FINGERS
 
     def loss(self, frames: Sequence[int], pose: Pose) -> Tensor:
-        """The data term in these poses, a mean over their frames."""
+        """Return the data term in these poses, a mean over their frames."""
         seen = [self._job.evidence[k] for k in frames]
         focal = self.focal.detach() if self._options.refine_camera else None
         vertices = seen_body(self._job.body, pose, self.shape, self.offsets, seen, focal)
@@ -243,13 +221,11 @@ class ClothedPerson:
         return mean_loss(self._scene, vertices, seen, o.silhouette, closer, focal, outlines)
 
     def come_closer(self) -> None:
-        """From now on, look at hands and feet by themselves: a hand must be near its picture. And
-        at the lens, for which all of the person must be."""
+        """Start to use close-ups and refine the focal length: both need nearly right poses."""
         self._close = True
 
     def _outlines(self, pose: Pose, seen: Sequence[MaskAndNormals]) -> Tensor | None:
-        """The person as they are by now, whose outlines tell the lens (:mod:`gva_mi.pose.focal`);
-        None where it is not looked for."""
+        """Return the current person, detached from all but the focal length, if it is refined."""
         if not (self._options.refine_camera and self._close):
             return None
         still = Pose(pose.rotations.detach(), pose.transl.detach(), pose.expression)
@@ -257,7 +233,7 @@ class ClothedPerson:
         return seen_body(self._job.body, *person, seen, self.focal)
 
     def energy(self) -> Tensor:
-        """``E(D) + λβ |β - β^stage1|²``."""
+        """Return the terms of clothes, shape, height and focal length."""
         o = self._options
         moved = (self.shape.betas - self._job.shape.betas).square().sum()
         cloth = self._cloth.energy(self.offsets, o.cloth_smooth, o.cloth_small, o.cloth_outward)

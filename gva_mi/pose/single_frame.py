@@ -1,13 +1,16 @@
-"""Eq. 8 as printed: each frame for itself, the bare body, rotations only.
+"""Eq. 8 as printed: each frame on its own, the bare body, rotations only.
 
     L_pose = |N - N_pred| + λ1 |S - S_pred| + λ2 Σ_i ω_i |θ_i - θ_i^stage1|²
 
-The norm that the regulariser lacks is taken squared (:mod:`gva_mi.pose.priors`). The translation
-stays as stage 1 gave it, because Eq. 8 speaks of ``θ`` alone.
+Eq. 8 prints no norm for the regulariser, which could then fall without bound; it is taken squared.
+Its weights fall with the depth in the kinematic tree, ``ω_i = 1 / (1 + depth_i)``: the farther out
+a joint, the less accurate is its stage-1 rotation. The translation stays at stage 1, because Eq. 8
+optimises ``θ`` alone.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar
 
@@ -17,22 +20,20 @@ from torch import Tensor
 from gva_mi.body.pose import Pose
 from gva_mi.console import Progress, within
 from gva_mi.mesh.mesh_scene import MeshScene
-from gva_mi.pose.clips import cut
 from gva_mi.pose.descent import with_frames
-from gva_mi.pose.job import Job, RefineOptions, Solution
-from gva_mi.pose.priors import joint_weights, lever_arms, turn_rates
-from gva_mi.pose.vector_adam import VectorAdam
+from gva_mi.pose.job import RefineJob, RefineOptions, Solution
+from gva_mi.pose.vector_adam import VectorAdam, lever_arms, turn_rates
 from gva_mi.ranges import Metres, Turn, Weight, Within
 
 Steps = Annotated[int, Within(1, 100_000)]
 
-DECAY = 0.1  # what is left of the learning rates at the end
-FRAMES_A_JOB = 16  # each is refined for itself, but a job for each would be too small
+DECAY = 0.1  # final learning rates, relative to the initial ones
+FRAMES_A_JOB = 16  # each is refined on its own, but a job for each would be too small
 
 
 @dataclass(frozen=True)
 class SingleFrameOptions(RefineOptions):
-    """How every frame is refined for itself."""
+    """Options of the refinement frame by frame."""
 
     steps: Steps = 80  # for each frame
     prior: Weight = 0.5  # λ2, for one square radian
@@ -46,48 +47,33 @@ class SingleFrameOptions(RefineOptions):
     def description(self) -> str:
         return "Eq. 8 as printed"
 
-    def clips(self, frames: int) -> list[range]:
-        return cut(frames, FRAMES_A_JOB, 0)
-
-    def steps_for(self, frames: int) -> int:
-        return frames * self.steps
-
-    def solve(self, job: Job, progress: Progress | None = None) -> Solution:
-        return refine_single_frames(job, self, progress)
-
     def variants(self) -> dict[str, RefineOptions]:
         return {"no prior": replace(self, prior=0.0)}
 
 
 def refine_single_frames(
-    job: Job, options: SingleFrameOptions, progress: Progress | None = None
+    job: RefineJob, options: SingleFrameOptions, progress: Progress | None = None
 ) -> Solution:
-    """Minimise Eq. 8 in every frame that has evidence; the others keep their pose.
-
-    Args:
-        job: what is known.
-        options: of the refinement.
-        progress: called as ``progress(done, total, loss=...)`` after every step.
-    """
+    """Minimise Eq. 8 in every frame that has evidence; the others keep their pose."""
     scene, pose = job.scene(), job.pose
     rest = job.body.rest(job.shape)
     arms = lever_arms(rest, job.body.weights, job.body.parents)
     rates = turn_rates(arms, options.step, options.largest_turn)
+    total = options.steps * len(job.evidence)
     for number, k in enumerate(sorted(job.evidence)):
-        told = within(progress, number * options.steps, options.steps, job.steps)
-        pose = with_frames(pose, [k], _refine_frame(job, k, options, scene, rates, told))
+        of_frame = within(progress, number * options.steps, options.steps, total)
+        pose = with_frames(pose, [k], _refine_frame(job, k, options, scene, rates, of_frame))
     return Solution(pose, job.shape, torch.zeros_like(job.body.v_template))
 
 
 def _refine_frame(
-    job: Job,
+    job: RefineJob,
     k: int,
     options: SingleFrameOptions,
     scene: MeshScene,
     rates: Tensor,
     progress: Progress | None,
 ) -> Pose:
-    """The pose of one frame."""
     stage1, evidence = job.pose[k], job.evidence[k]
     weights = joint_weights(job.body.parents)[:, None]
     theta = stage1.rotations.clone().requires_grad_()
@@ -102,3 +88,11 @@ def _refine_frame(
         if progress is not None:
             progress(step + 1, options.steps, loss=float(loss.detach()))
     return Pose(theta.detach(), stage1.transl, stage1.expression)
+
+
+def joint_weights(parents: Sequence[int]) -> Tensor:
+    """``ω`` (J,): 1 for the root, 1/2 for its children, and so on."""
+    depth: list[int] = []
+    for parent in parents:
+        depth.append(0 if parent < 0 else depth[parent] + 1)
+    return 1 / (1 + torch.tensor(depth, dtype=torch.float32))

@@ -1,4 +1,4 @@
-"""What stage 1 says of some frames, in the axes in which it is corrected."""
+"""Stage-1 poses of some frames, and the camera's axes in which they are corrected."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from gva_mi.splat import Camera
 
 @dataclass(frozen=True)
 class Stage1:
-    """Poses of n frames, and the camera's axes seen from their joints.
+    """Poses of n frames, and the camera's axes relative to their joints.
 
     Attributes:
         times: (n,) numbers of the frames, ascending.
         pose: n frames.
-        R_joint_camera: (n, J, 3, 3) takes a vector in the camera's axes to those of a joint.
+        R_joint_camera: (n, J, 3, 3) rotates a vector from the camera's axes to those of a joint.
         R_camera_world: (3, 3).
     """
 
@@ -33,12 +33,12 @@ class Stage1:
 
     @staticmethod
     def of(pose: Pose, frames: Sequence[int], camera: Camera) -> Stage1:
-        """Some frames of a video.
+        """Take some frames of a video.
 
         Args:
             pose: of all frames.
             frames: numbers of those that are corrected, ascending.
-            camera: in whose axes they are; that of one frame, where cameras differ.
+            camera: whose axes are used; that of one frame, where cameras differ.
         """
         some = pose[list(frames)]
         R_camera_world = torch.from_numpy(camera.T_camera_world[:3, :3].copy()).float()
@@ -49,16 +49,16 @@ class Stage1:
 
     @property
     def turned(self) -> float:
-        """How far round the person turns: 1 once, 0.6 half, 0 not at all."""
-        # 1 of who does not turn, a third of who turns round an axis.
+        """How far the person turns round: 1 for a full turn, 0.6 for half, 0 for none."""
+        # Without a turn the mean rotation has square norm 3, after a full one a third of it.
         stays = self.R_joint_camera[:, 0].mean(0).square().sum() / 3
         return float((1.5 * (1 - stays)).clamp(0, 1))
 
     def corrected(self, which: Sequence[int], turns: Tensor, moves: Tensor) -> Pose:
-        """Poses of some of the frames, corrected in the camera's axes.
+        """Return poses of some frames, corrected in the camera's axes.
 
         Args:
-            which: r places among the n.
+            which: indices of r of the n frames.
             turns: (r, J, 3) radians.
             moves: (r, 3) metres.
         """
@@ -69,15 +69,15 @@ class Stage1:
         return Pose(rotations, transl, self.pose.expression[which])
 
     def in_joints(self, turns: Tensor, which: Sequence[int] | slice = slice(None)) -> Tensor:
-        """Vectors (r, J, 3) in the camera's axes, in those of the joints."""
+        """Rotate vectors (r, J, 3) from the camera's axes to those of the joints."""
         return (self.R_joint_camera[which] @ turns[..., None])[..., 0]
 
     def in_camera(self, turns: Tensor, which: Sequence[int] | slice = slice(None)) -> Tensor:
-        """Vectors (r, J, 3) in the axes of the joints, in those of the camera."""
+        """Rotate vectors (r, J, 3) from the axes of the joints to those of the camera."""
         return (self.R_joint_camera[which].mT @ turns[..., None])[..., 0]
 
     def steps(self, pose: Pose) -> tuple[Tensor, Tensor]:
-        """How poses of the n frames change from frame to frame.
+        """Return how poses of the n frames change from frame to frame.
 
         Returns:
             Turns (n - 1, J, 3) in the axes of the joints, shifts (n - 1, 3) in the camera's.
@@ -87,5 +87,5 @@ class Stage1:
 
 
 def turns_between(before: Tensor, after: Tensor) -> Tensor:
-    """The turns ``log(Rᵀ R')`` (..., 3) from rotations ``R`` to others ``R'``, axis-angle."""
+    """Return the turns ``log(Rᵀ R')`` (..., 3) between rotations ``R`` and ``R'``, axis-angle."""
     return roma.rotvec_composition([roma.rotvec_inverse(before), after])

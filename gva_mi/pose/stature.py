@@ -1,18 +1,17 @@
-"""A person whose height is known: the body gets it, and its distance follows.
+"""A measured height sets the body's size, and its distance follows.
 
-One camera tells neither how large a person is nor how far away: a larger person farther away makes
-the same picture. A height that somebody measured decides the first. The rest height of a body, from
-the top of the head to the soles, is that of its two vertices ``a`` and ``b`` highest and lowest in
-the mean person, and linear in the shape:
+One camera cannot separate a person's size from their distance. A measured height decides the size.
+The rest height of a body, from head to soles, is that of its two vertices ``a`` and ``b`` highest
+and lowest in the mean person, and linear in the shape:
 
 1. ``h(β) = h_0 + g · β``,    ``g = (S_a - S_b)_y``.
 2. The shape of height ``H`` nearest to stage 1's, in standard deviations, is
    ``β + g (H - h(β)) / |g|²``.
-3. The picture stays as it was where the person's distance grows as the person does: every frame's
-   pelvis moves along its line of sight, by the factor ``h(β') / h(β)``. That is right for an
-   estimator that finds the distance by the size. Pictures are not asked where the person stands
-   then: of somebody 4 m away, hair and soles are 2 % of the outline, which is 8 cm of distance.
-4. A descent that moves the shape holds the height with ``(h(β) - H)²``.
+3. The image stays as it was if every frame's pelvis moves along its line of sight by the factor
+   ``h(β') / h(β)``, which is right for an estimator that derives distance from size. Depth is
+   scaled with body size and not fitted, because hair and shoes bias the silhouette: 4 m away they
+   are 2 % of the outline, which is 8 cm of distance.
+4. An optimisation that changes the shape holds the height with ``(h(β) - H)²``.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ PEOPLE = Within(0.4, 2.6, unit="metres")  # their heights
 
 @dataclass(frozen=True)
 class Stature:
-    """The rest height of a body by its shape (1)."""
+    """The rest height of a body as a function of its shape (1)."""
 
     mean: float  # h_0, metres
     slope: Tensor  # g (B,), metres for one standard deviation
@@ -51,16 +50,16 @@ class Stature:
         return Stature(float(mean), slope.to(y.dtype))
 
     def height(self, shape: Shape) -> Tensor:
-        """Eq. 1, metres; differentiable in the shape."""
+        """Return eq. 1, metres; differentiable in the shape."""
         betas = shape.betas[: len(self.slope)]
         return self.mean + self.slope[: len(betas)] @ betas
 
     def energy(self, shape: Shape, height: float) -> Tensor:
-        """Eq. 4, square metres."""
+        """Return eq. 4, square metres."""
         return (self.height(shape) - height).square()
 
     def nearest(self, shape: Shape, height: float) -> Shape:
-        """Eq. 2: the shape that has a height, nearest to another one."""
+        """Return eq. 2: the shape with that height nearest to another shape."""
         slope = torch.zeros_like(shape.betas)
         slope[: len(self.slope)] = self.slope[: len(slope)]
         missing = height - self.height(shape)
@@ -70,17 +69,12 @@ class Stature:
 def with_height(
     body: BodyModel, pose: Pose, shape: Shape, cameras: Sequence[Camera], height: float
 ) -> tuple[Pose, Shape]:
-    """Poses and shape of a person of known height who fills the picture as before (2, 3).
+    """Return T poses and a shape of a known height, in metres, at the same place in the images.
 
-    Args:
-        body: that the poses move.
-        pose: T frames; rotations stay as they are.
-        shape: the person's, of stage 1.
-        cameras: of the T frames.
-        height: of the person, metres.
+    Rotations stay as they are, distances follow eq. 3.
 
     Raises:
-        InputError: no person is so tall.
+        InputError: nobody has that height.
     """
     PEOPLE.require("with_height()", "height", height)
     stature = Stature.of(body)

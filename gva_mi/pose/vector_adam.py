@@ -1,11 +1,14 @@
-"""Adam for vectors: one step size for a vector, not one for each of its coordinates.
+"""The optimiser: Adam with one step size per vector, and how far each joint turns in a step.
 
     m ← β1 m + (1 - β1) g,     v ← β2 v + (1 - β2) |g|²,     x ← x - lr m̂ / (√v̂ + ε)
 
-with ``|g|²`` over the last axis (Ling et al., *VectorAdam*, 2022). Adam proper moves every
-coordinate by about its learning rate, however little the picture says about it: the twist of a
-forearm, which is hardly seen, would drift as fast as its swing. VectorAdam keeps the direction of
-the gradient, and its result does not depend on the axes.
+with ``|g|²`` over the last axis (Ling et al., *VectorAdam*, 2022). Adam moves every coordinate by
+about its learning rate, however weak its gradient: the twist of a forearm, which is hardly visible,
+would drift as fast as its swing. VectorAdam keeps the direction of the gradient, so its result does
+not depend on the axes.
+
+Learning rates of joints are divided by their lever arms, so that a step moves the surface by about
+the same distance whichever joint turns.
 """
 
 from __future__ import annotations
@@ -15,6 +18,9 @@ from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
+
+from gva_mi.body.pose import JAW_AND_EYES
+from gva_mi.body.smplx import Rest
 
 EPSILON = 1e-12
 
@@ -28,14 +34,12 @@ class _Moments:
 
 @dataclass
 class VectorAdam:
-    """Moves tensors (..., D) of vectors.
-
-    A tensor without a gradient is left as it is, and so are its ``m`` and ``v``.
+    """Adam on tensors (..., D) of vectors; a tensor without a gradient stays as it is.
 
     Attributes:
         tensors: the leaves.
-        rates: for each leaf its learning rate, a number or (..., 1) of the leaf's shape.
-        betas: β1 and β2, how slowly ``m`` and ``v`` forget.
+        rates: the learning rate of each leaf, a number or (..., 1) of the leaf's shape.
+        betas: β1 and β2, the decay of ``m`` and ``v``.
     """
 
     tensors: Sequence[Tensor]
@@ -44,20 +48,16 @@ class VectorAdam:
     _moments: dict[int, _Moments] = field(default_factory=dict, repr=False)
 
     def state(self) -> dict[int, tuple[int, Tensor, Tensor]]:
-        """Steps, ``m`` and ``v`` of each leaf that was moved, by its place; for a checkpoint."""
+        """Steps, ``m`` and ``v`` of each leaf that was moved, by its index; for a checkpoint."""
         return {k: (moments.steps, moments.m, moments.v) for k, moments in self._moments.items()}
 
     def load_state(self, state: dict[int, tuple[int, Tensor, Tensor]]) -> None:
-        """Go on from a :meth:`state`."""
+        """Continue from a :meth:`state`."""
         self._moments = {k: _Moments(*values) for k, values in state.items()}
 
     @torch.no_grad()
     def step(self, factor: float = 1.0) -> None:
-        """One step of all leaves that have a gradient, which is then cleared.
-
-        Args:
-            factor: multiplies all learning rates, for a schedule.
-        """
+        """Move all leaves that have a gradient, and clear it; ``factor`` scales all rates."""
         beta1, beta2 = self.betas
         for number, (x, rate) in enumerate(zip(self.tensors, self.rates, strict=True)):
             if x.grad is None:
@@ -73,3 +73,33 @@ class VectorAdam:
             v = state.v / (1 - beta2**state.steps)
             x -= factor * rate * m / (v.sqrt() + EPSILON)
             x.grad = None
+
+
+def lever_arms(rest: Rest, weights: Tensor, parents: Sequence[int]) -> Tensor:
+    """Quadratic mean distance (J,) between a joint and the vertices that turn with it, metres.
+
+    Args:
+        rest: the person's vertices (V, 3) and joints (J, 3) in the rest pose.
+        weights: (V, J) skinning weights.
+        parents: of the joints, -1 for the root.
+    """
+    moved = weights.clone()
+    for joint in reversed(range(1, len(parents))):
+        moved[:, parents[joint]] += moved[:, joint]
+    square = (rest.vertices[:, None] - rest.joints).square().sum(-1)
+    return ((moved * square).sum(0) / moved.sum(0).clamp_min(1e-6)).sqrt()
+
+
+def turn_rates(arms: Tensor, step: float, largest_turn: float) -> Tensor:
+    """Learning rates (J, 1) of joint rotations, radians; zero for jaw and eyes.
+
+    Masks and normals of this size do not show jaw and eyes, so they are never turned.
+
+    Args:
+        arms: (J,) lever arms, metres.
+        step: metres that a step moves what turns with the joint.
+        largest_turn: radians; no joint turns more in a step, however short its lever arm.
+    """
+    rates = (step / arms).clamp_max(largest_turn)[:, None]
+    rates[JAW_AND_EYES] = 0
+    return rates

@@ -51,7 +51,7 @@ def turned(*turns):
 
 
 def cost(*turns):
-    return float(STRAIGHT.energy(turned(*turns), TIMES))
+    return float(STRAIGHT.energy(turned(*turns), None, TIMES))
 
 
 def noise(size, frames=N, seed=0):
@@ -134,12 +134,12 @@ def test_what_is_always_off_costs_less_than_what_trembles():
 
 def test_frames_far_from_each_other_may_differ_more():
     rotations = turned(("left_knee", "z", 5 * (-1.0) ** TIMES))
-    near, far = (float(STRAIGHT.energy(rotations, step * TIMES)) for step in (1, 30))
+    near, far = (float(STRAIGHT.energy(rotations, None, step * TIMES)) for step in (1, 30))
     assert far < 0.2 * near
 
 
 def test_rest_costs_nothing(anatomy):
-    assert float(anatomy.energy(turned(), TIMES)) == 0
+    assert float(anatomy.energy(turned(), None, TIMES)) == 0
 
 
 @pytest.mark.parametrize("size", [0.02, 0.5])
@@ -149,14 +149,14 @@ def test_left_and_right_mirror_each_other(anatomy, size):
     names = (name.split("_") for name in JOINTS)
     order = [joint("_".join([other.get(side, side), *rest])) for side, *rest in names]
     mirrored = rotations[:, order] * torch.tensor([1.0, -1.0, -1.0])
-    energies = [float(anatomy.energy(x, TIMES)) for x in (rotations, mirrored)]
+    energies = [float(anatomy.energy(x, None, TIMES)) for x in (rotations, mirrored)]
     assert energies[0] == pytest.approx(energies[1], rel=1e-3)
 
 
 def test_gradient_matches_differences(anatomy):
     rotations, direction = noise(0.5).cumsum(0) / 5, noise(1.0, seed=1)
     leaf = rotations.clone().requires_grad_()
-    anatomy.energy(leaf, TIMES).backward()
+    anatomy.energy(leaf, None, TIMES).backward()
     at = lambda step: float(anatomy.energy(rotations + step * direction, TIMES))
     slope = float((leaf.grad * direction).sum())
     assert slope == pytest.approx((at(0.02) - at(-0.02)) / 0.04, rel=2e-3)
@@ -164,7 +164,7 @@ def test_gradient_matches_differences(anatomy):
 
 def test_every_joint_that_is_held_receives_a_gradient(anatomy):
     leaf = noise(0.5).requires_grad_()
-    anatomy.energy(leaf, TIMES).backward()
+    anatomy.energy(leaf, None, TIMES).backward()
     kinds = ("knee", "elbow", "foot", "index", "middle", "ring", "pinky", "thumb2", "thumb3")
     held = {i for i, name in enumerate(JOINTS) if name.split("_")[-1].startswith(kinds)}
     assert set(leaf.grad.any(2).any(0).nonzero()[:, 0].tolist()) == held
@@ -179,7 +179,7 @@ def motion(request, body):
 
 
 def test_true_motions_cost_little(anatomy, motion):
-    true, noisy = (float(anatomy.energy(rotations, TIMES)) for rotations in motion)
+    true, noisy = (float(anatomy.energy(rotations, None, TIMES)) for rotations in motion)
     assert true < 0.05 * noisy
 
 
@@ -230,7 +230,7 @@ def test_hands_like_mittens_have_no_hinges(at):
     for side, hand in (("left", LEFT_HAND), ("right", RIGHT_HAND)):
         rest[hand] = rest[joint(f"{side}_{at}")].clone()
     anatomy, leaf = Anatomy.of(rest), noise(0.5).requires_grad_()
-    energy = anatomy.energy(leaf, TIMES)
+    energy = anatomy.energy(leaf, None, TIMES)
     energy.backward()
     assert energy > 0 and leaf.grad.isfinite().all()
     assert not leaf.grad[:, LEFT_HAND].any() and not leaf.grad[:, RIGHT_HAND].any()
@@ -241,7 +241,7 @@ def test_hands_like_mittens_have_no_hinges(at):
 
 def test_a_body_without_bones_is_free():
     anatomy, leaf = Anatomy.of(torch.zeros(55, 3)), noise(0.5).requires_grad_()
-    energy = anatomy.energy(leaf, TIMES)
+    energy = anatomy.energy(leaf, None, TIMES)
     energy.backward()
     assert energy == 0 and not leaf.grad.any()
     assert torch.equal(anatomy.conditioned(leaf.detach(), white(10), TIMES), leaf)
@@ -249,6 +249,6 @@ def test_a_body_without_bones_is_free():
 
 def test_one_frame_is_no_special_case(anatomy):
     rotations, time = noise(0.5, frames=1), torch.tensor([7])
-    assert 0 < float(anatomy.energy(rotations, time)) < float("inf")
+    assert 0 < float(anatomy.energy(rotations, None, time)) < float("inf")
     found = anatomy.conditioned(rotations, white(10, frames=1), time)
-    assert float(anatomy.energy(found, time)) < float(anatomy.energy(rotations, time))
+    assert float(anatomy.energy(found, None, time)) < float(anatomy.energy(rotations, None, time))

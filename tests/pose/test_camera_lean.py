@@ -8,7 +8,7 @@ import roma
 import torch
 
 from gva_mi.body.pose import JOINTS, Pose
-from gva_mi.pose.camera_lean import LEAST, LIMBS, CameraLean
+from gva_mi.pose.camera_lean import LEAST, LIMBS, CameraTilt
 from gva_mi.pose.stage1 import Stage1
 from gva_mi.splat import Camera, look_at
 
@@ -42,13 +42,13 @@ def leaning(pose, angle, axis=DEPTH, joint=KNEE):
 def nats(pose, rotations=None):
     stage1 = Stage1.of(pose, range(N), CAMERA)
     shown = pose.rotations
-    return CameraLean.of(stage1, shown).energy(shown if rotations is None else rotations)
+    return CameraTilt.of(stage1, shown).energy(shown if rotations is None else rotations)
 
 
 @pytest.mark.parametrize("axis", [DEPTH, SIDEWAYS], ids=["in depth", "sideways"])
 def test_it_is_the_angle_that_a_joint_leans_by(axis):
     pose, angle = turning(), np.radians(4)
-    lean = CameraLean.of(Stage1.of(pose, range(N), CAMERA), pose.rotations)
+    lean = CameraTilt.of(Stage1.of(pose, range(N), CAMERA), pose.rotations)
     before, after = (
         lean._of(lean._turns(p.rotations))[KNEE - 1] for p in (pose, leaning(pose, angle, axis))
     )
@@ -62,7 +62,7 @@ def test_motions_of_other_rhythms_are_by_chance():
 def test_a_lean_in_depth_costs_and_one_that_pictures_show_does_not():
     pose = turning()
     stage1 = Stage1.of(pose, range(N), CAMERA)
-    lean = CameraLean.of(stage1, pose.rotations)
+    lean = CameraTilt.of(stage1, pose.rotations)
     cost = lambda axis: float(lean.energy(leaning(pose, np.radians(4), axis).rotations))
     assert cost(DEPTH) > 1
     assert cost(SIDEWAYS) < 0.1 * cost(DEPTH)
@@ -75,12 +75,12 @@ def test_who_sways_sideways_by_as_much_may_lean_by_it():
         pose = leaning(pose, np.radians(4), SIDEWAYS, joint)
     tilted = leaning(pose, np.radians(4))
     stage1 = Stage1.of(pose, range(N), CAMERA)
-    assert float(CameraLean.of(stage1, pose.rotations).energy(tilted.rotations)) < 0.5
+    assert float(CameraTilt.of(stage1, pose.rotations).energy(tilted.rotations)) < 0.5
 
 
 def test_who_does_not_turn_may_lean():
     pose = turning(rounds=0.0)
-    lean = CameraLean.of(Stage1.of(pose, range(N), CAMERA), pose.rotations)
+    lean = CameraTilt.of(Stage1.of(pose, range(N), CAMERA), pose.rotations)
     # Nothing of them but what their limbs turn, of whose frames the axes are.
     assert float(lean.energy(leaning(pose, np.radians(6)).rotations)) < 0.5
 
@@ -91,7 +91,7 @@ def test_any_number_of_frames_tells_no_more_than_one():
     leans = []
     for pose in (once, again):
         stage1 = Stage1.of(pose, range(len(pose)), CAMERA)
-        lean = CameraLean.of(stage1, pose.rotations)
+        lean = CameraTilt.of(stage1, pose.rotations)
         turns = torch.zeros(len(pose), len(JOINTS), 3)
         turns[:, KNEE, 0] = np.radians(4)
         tilted = stage1.corrected(range(len(pose)), turns, torch.zeros(len(pose), 3))
@@ -108,7 +108,7 @@ def test_no_direction_of_the_world_is_special():
     T_new_world[:3, :3] = R.T.double().numpy()
     camera = replace(CAMERA, T_camera_world=CAMERA.T_camera_world @ T_new_world)
     a, b = (
-        CameraLean.of(Stage1.of(p, range(N), c), p.rotations)
+        CameraTilt.of(Stage1.of(p, range(N), c), p.rotations)
         for p, c in ((pose, CAMERA), (replace(pose, rotations=rotations), camera))
     )
     assert torch.allclose(a.chance, b.chance, rtol=1e-3)
@@ -124,7 +124,7 @@ def test_who_turns_less_than_half_round_is_left_alone(rounds):
 @pytest.mark.parametrize("frames", [1, 2, 5])
 def test_few_frames_that_rest_cost_nothing(frames):
     pose = Pose.rest(frames)
-    lean = CameraLean.of(Stage1.of(pose, range(frames), CAMERA), pose.rotations)
+    lean = CameraTilt.of(Stage1.of(pose, range(frames), CAMERA), pose.rotations)
     assert float(lean.chance.min()) >= LEAST * 0.999
     assert float(lean.energy(pose.rotations)) == 0
 
@@ -140,9 +140,9 @@ def test_a_person_at_rest_who_turns_has_a_slope():
 
 def test_gradient_matches_differences():
     pose = turning()
-    lean = CameraLean.of(Stage1.of(pose, range(N), CAMERA), pose.rotations)
+    lean = CameraTilt.of(Stage1.of(pose, range(N), CAMERA), pose.rotations)
     to64 = lambda x: x.double()
-    lean = CameraLean(*map(to64, (lean.means, lean.swings, lean.across, lean.chance)), True)
+    lean = CameraTilt(*map(to64, (lean.means, lean.swings, lean.across, lean.chance)), True)
     x = leaning(pose, np.radians(4)).rotations.double().requires_grad_()
     generator = torch.Generator().manual_seed(1)
     d = torch.randn(x.shape, generator=generator, dtype=torch.float64)

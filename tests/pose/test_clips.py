@@ -5,7 +5,7 @@ import roma
 import torch
 
 from gva_mi.body.pose import Pose
-from gva_mi.pose.clips import cut, join, of_clip, poses_of_clip, skim
+from gva_mi.pose.clips import cut, join, poses_of_clip, skim
 
 
 @pytest.mark.parametrize("overlap", [0, 3, 16])
@@ -80,7 +80,3 @@ def test_two_solutions_half_a_turn_of_numbers_apart_are_blended_the_short_way():
     clips = [range(0, 6), range(2, 8)]
     found = join(clips, [pose(half), pose(-half)])
     assert float(apart(found.rotations[2:6], half[:4]).max()) < 0.09
-
-
-def test_frames_of_a_clip_are_counted_from_its_first():
-    assert of_clip(range(3, 6), {2: "a", 3: "b", 5: "c", 6: "d"}) == {0: "b", 2: "c"}

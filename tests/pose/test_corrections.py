@@ -120,8 +120,8 @@ def test_a_tilt_of_the_person_costs_in_every_frame_a_lean_of_a_limb_once(body, c
         stage1 = Stage1.of(at_rest(frames), range(frames), camera)
         turns = torch.zeros(frames, len(JOINTS), 3)
         turns[:, JOINTS.index(joint), 0] = 0.05
-        beliefs = Corrections.likeliest(stage1, anatomy).beliefs
-        found = Corrections(stage1, anatomy, beliefs, turns, torch.zeros(frames, 3))
+        prior = Corrections.likeliest(stage1, anatomy).prior
+        found = Corrections(stage1, anatomy, prior, turns, torch.zeros(frames, 3))
         return float(found.energy().detach())
 
     few, many = 8, 64
@@ -138,12 +138,12 @@ def test_what_is_the_same_in_all_frames_may_cost_in_each(body, camera, round):
         pose.rotations[:, 0] = 0
         pose.rotations[:, 0, 1] = 2 * torch.pi * round * torch.arange(frames) / frames
         stage1 = Stage1.of(pose, range(frames), camera)
-        beliefs = Corrections.likeliest(stage1, anatomy).beliefs
+        prior = Corrections.likeliest(stage1, anatomy).prior
         turns = torch.zeros(frames, len(JOINTS), 3)
         turns[:, JOINTS.index("left_hip"), 0] = 0.05
         swing = turns * torch.tensor([1.0, -1.0]).repeat(frames // 2)[:, None, None]
         same, none = (
-            float(Corrections(stage1, anatomy, beliefs, x, torch.zeros(frames, 3)).same_in_all())
+            float(Corrections(stage1, anatomy, prior, x, torch.zeros(frames, 3)).constant_turn_energy())
             for x in (turns, swing)
         )
         assert none < 1e-9
@@ -189,7 +189,7 @@ def test_what_pictures_corrected_tells_how_stage_1_erred(make):
     with torch.no_grad():
         corrections.start[0][:, elbows] = -errors
     renewed = corrections.told_by(*corrections.found())
-    noise = renewed.beliefs.noise
+    noise = renewed.prior.noise
     assert noise["elbows"].slow == pytest.approx(0.2, rel=0.4)
     assert 3 <= noise["elbows"].memory <= 12
     assert noise["knees"].slow < 0.5 * noise["elbows"].slow

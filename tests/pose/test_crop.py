@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.pose.crop import Box, Crop, Extent, NoEvidence, person_box
+from gva_mi.pose.crop import Box, ScaledCrop, Extent, NoEvidence, person_box
 from gva_mi.splat import Camera, look_at
 
 CAMERA = Camera(100, 100, 50, 40, look_at((0, 0, 5), (0, 0, 0)), 100, 80)
@@ -70,7 +70,7 @@ def test_cutting_and_shrinking_change_places_where_the_ratio_is_whole(ratio):
     picture = np.random.default_rng(1).random((24 * ratio, 30 * ratio, 3))
     shrunk = picture.reshape(24, ratio, 30, ratio, 3).mean((1, 3))
     box = Box(4, 5, 21, 24)
-    np.testing.assert_allclose(coarser(picture, Crop(1 / ratio, box)), box.cut(shrunk), atol=1e-12)
+    np.testing.assert_allclose(coarser(picture, ScaledCrop(1 / ratio, box)), box.cut(shrunk), atol=1e-12)
 
 
 @pytest.mark.parametrize(("times", "ratio"), [(3, 5), (5, 6), (4, 13)])
@@ -81,11 +81,11 @@ def test_pixels_that_lie_in_a_coarser_one_partly_count_by_that_part(times, ratio
     box = Box(2, 1, 18, 16)
     finer = finer[ratio * box.top : ratio * box.bottom, ratio * box.left : ratio * box.right]
     means = finer.reshape(box.height, ratio, box.width, ratio, 3).mean((1, 3))
-    np.testing.assert_allclose(coarser(picture, Crop(times / ratio, box)), means, atol=1e-12)
+    np.testing.assert_allclose(coarser(picture, ScaledCrop(times / ratio, box)), means, atol=1e-12)
 
 
 def test_a_crop_ends_where_the_picture_ends():
-    crop = Crop.around(Extent(np.array([80.0, 60]), np.array([120.0, 80])), CAMERA, 0.33, 0.2)
+    crop = ScaledCrop.around(Extent(np.array([80.0, 60]), np.array([120.0, 80])), CAMERA, 0.33, 0.2)
     assert (crop.box.right, crop.box.bottom) == (33, 26)  # 33 and 26.4 pixels
     assert coarser(np.ones((80, 100)), crop).shape == (crop.box.height, crop.box.width)
     assert torch.allclose(coarser(np.ones((80, 100)), crop), torch.tensor(1.0, dtype=torch.float64))
@@ -96,7 +96,7 @@ def test_a_body_s_shrunken_mask_is_the_mask_of_the_shrunken_camera(body, scene):
     up = (0.3, 1, 0)  # so that no outline runs along the pixels
     fine = Camera(400, 420, 250.4, 260.2, look_at((0.2, 0.1, 3), (0, -0.1, 0), up), 480, 520)
     extent = Extent(np.array([120.0, 40]), np.array([380.0, 500]))
-    crop = Crop.around(extent, fine, 0.37, 0.1)
+    crop = ScaledCrop.around(extent, fine, 0.37, 0.1)
     with torch.no_grad():
         shrunk = coarser(scene.render(body.v_template, fine)[..., 3].numpy(), crop)
         seen = scene.render(body.v_template, crop.cut_camera(fine))[..., 3]

@@ -7,8 +7,8 @@ import torch
 
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.data.synthetic.motion import perform, times
-from gva_mi.pose.ground import Footing, Ground, Soles
-from gva_mi.pose.inference import AXES, in_words
+from gva_mi.pose.ground import ContactStats, Ground, Soles
+from gva_mi.pose.inference import AXES, describe
 from gva_mi.pose.noise import GROUPS, Noise
 
 MEAN = Shape(torch.zeros(10))
@@ -79,7 +79,7 @@ def test_who_walks_is_seen_to_stand_and_to_swing(soles, moving):
     assert 0.2 < still.float().mean() < 0.7
     assert stands[1:-1][still].min() > 0.8 and height[1:-1][still].abs().max() < 0.005
     assert stands[height > 0.04].max() < 0.2
-    assert ground.footing.spread < 0.006 and 0.3 < ground.footing.share < 0.9
+    assert ground.contact.spread < 0.006 and 0.3 < ground.contact.share < 0.9
 
 
 def test_a_foot_that_tips_for_a_while_is_turned_back(soles, moving):
@@ -161,8 +161,8 @@ def test_gradients_are_those_of_the_energy(soles, moving):
 
 
 def test_what_is_inferred_is_said():
-    assert not list(in_words({}, Footing(0.004, 0.6, 0.05)))
+    assert not list(describe({}, ContactStats(0.004, 0.6, 0.05)))
     noise = {name: Noise(0.01, 0.02, 6.0) for name in (*GROUPS, *AXES)}
-    assert len(list(in_words(noise, None))) == 2
-    *_, ground = in_words(noise, Footing(spread=0.0072, share=0.613, lift=0.05))
+    assert len(list(describe(noise, None))) == 2
+    *_, ground = describe(noise, ContactStats(spread=0.0072, share=0.613, lift=0.05))
     assert ground == "ground      soles stand 61% of the time, within 7 mm of one plane"

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import roma
 import torch
+from gva_mi.pose.vector_adam import lever_arms
 
 from gva_mi.body.kinematics import turn_joints
 from gva_mi.body.pose import JOINTS, PARENTS, Pose, Shape
@@ -15,7 +16,6 @@ from gva_mi.pose import SequenceOptions
 from gva_mi.pose.anatomy import Anatomy
 from gva_mi.pose.descent import descend
 from gva_mi.pose.ground import Soles
-from gva_mi.pose.priors import lever_arms
 from gva_mi.splat import Camera, look_at
 
 N = 48

@@ -1,14 +1,14 @@
 """What is known of poses without looking."""
 
 import torch
-
-from gva_mi.body.pose import JOINTS, PARENTS, Shape
 from gva_mi.pose.priors import (
     FACE,
     joint_weights,
     lever_arms,
     turn_rates,
 )
+
+from gva_mi.body.pose import JOINTS, PARENTS, Shape
 
 
 def test_weights_fall_along_every_limb():

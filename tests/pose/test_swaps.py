@@ -10,7 +10,7 @@ import torch
 from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, Pose, Shape
 from gva_mi.pose import SequenceOptions, refine
 from gva_mi.pose.stage1 import Stage1
-from gva_mi.pose.swaps import BEGINS, EACH, LIMBS, exchanged, likeliest, put_right
+from gva_mi.pose.swaps import BEGINS, EACH, LIMBS, exchanged, fix_swaps, least_states
 from gva_mi.splat import Camera, look_at
 
 N = 48
@@ -53,7 +53,7 @@ def unseen(pose):
 
 
 def found(pose, losses=unseen):
-    return put_right(Stage1.of(pose, range(len(pose)), CAMERA), losses, nat=0.015)
+    return fix_swaps(Stage1.of(pose, range(len(pose)), CAMERA), losses, nat=0.015)
 
 
 @pytest.mark.parametrize("name", LIMBS)
@@ -83,7 +83,7 @@ def test_the_likeliest_states_are_those_of_the_least_energy():
             return of_frames + of_steps + EACH * sum(states) + BEGINS * begins
 
         least = min(product((0, 1), repeat=7), key=energy)
-        assert likeliest(data, motion).int().tolist() == list(least)
+        assert least_states(data, motion).int().tolist() == list(least)
 
 
 @pytest.mark.parametrize("size", [0.0, 0.05])

@@ -1,0 +1,242 @@
+"""A video on its way through refinement: gather evidence, make the tasks, join their results."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import torch
+from torch import Tensor
+
+from gva_mi.body.pose import Pose, Shape
+from gva_mi.body.smplx import BodyModel
+from gva_mi.console import Progress
+from gva_mi.data.video import Outline, Video
+from gva_mi.mesh.mesh_scene import MeshScene
+from gva_mi.pose.clips import cut, join, poses_of_clip, skim
+from gva_mi.pose.close_ups import FinePicture, close_up_scale, parts_of
+from gva_mi.pose.coarse_body import CoarseBody
+from gva_mi.pose.descent import with_frames, worse_frames
+from gva_mi.pose.evidence import MaskAndNormals, common_scale, gather, mean_loss, seen_body
+from gva_mi.pose.focal import follow
+from gva_mi.pose.ground import ContactStats
+from gva_mi.pose.job import RefineJob, RefineOptions, Solution
+from gva_mi.pose.noise import Noise
+from gva_mi.pose.parallel import Done
+from gva_mi.pose.sequence import SequenceOptions, refine_sequence, repeats
+from gva_mi.pose.single_frame import FRAMES_A_JOB, refine_single_frames
+from gva_mi.pose.stage1 import Stage1
+from gva_mi.pose.stature import with_height
+from gva_mi.pose.swaps import fix_swaps
+from gva_mi.shelf import Shelf
+from gva_mi.splat import Camera
+from gva_mi.threads import one_torch_thread
+
+
+@dataclass(frozen=True)
+class Refined:
+    """Poses after stage 2, and how they were found."""
+
+    pose: Pose  # all frames
+    shape: Shape
+    offsets: Tensor  # (V, 3) displacement of the rest surface, shared by all frames, metres
+    losses_stage1: Tensor  # (T,) the data term of Eq. 8 at stage 1; NaN where there is no evidence
+    losses: Tensor  # (T,) the same at the poses that were found, also those that were rejected
+    kept: dict[int, str]  # frames that keep their stage-1 pose, and why
+    without_normals: list[int]  # frames that were fitted to their silhouette alone
+    seconds_per_frame: float  # of work, summed over all workers
+    cameras: list[Camera] | None = None  # of all frames if the focal length was refined
+    held_out: list[int] = field(default_factory=list)  # test frames that were not looked at
+    noise: Mapping[str, Noise] = field(default_factory=dict)  # stage 1's errors, if inferred
+    footing: ContactStats | None = None  # how the feet touch the ground, if inferred
+    focal: float = 1.0  # factor on the focal lengths of the video's cameras
+    # Pairs of limbs that stage 1 had swapped, and in which frames.
+    swapped: Mapping[str, Sequence[int]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class RefineTask:
+    """A job and its options: a :class:`gva_mi.pose.parallel.Task`."""
+
+    job: RefineJob
+    options: RefineOptions
+
+    @property
+    def steps(self) -> int:
+        return _steps(self.options, len(self.job.evidence))
+
+    def solve(self, progress: Progress | None = None) -> Solution:
+        job = self.job
+        if not job.evidence:
+            return Solution(job.pose, job.shape, torch.zeros_like(job.body.v_template))
+        in_memory = replace(job, evidence=dict(job.evidence), fine=dict(job.fine))
+        if isinstance(self.options, SequenceOptions):
+            return refine_sequence(in_memory, self.options, progress)
+        return refine_single_frames(in_memory, self.options, progress)
+
+
+@dataclass(frozen=True)
+class ObservedVideo:
+    """A video whose evidence has been gathered, on its way through the two rounds."""
+
+    coarse: CoarseBody
+    pose: Pose  # stage 1 at the known height, with swapped limbs fixed
+    shape: Shape
+    cameras: Sequence[Camera]
+    options: RefineOptions
+    evidence: Shelf[MaskAndNormals]
+    pictures: Shelf[FinePicture]  # of the frames that have evidence, if there are close-ups
+    kept: dict[int, str]  # frames without evidence, and why
+    held_out: Sequence[int]  # test frames that are not looked at
+    swapped: Mapping[str, Sequence[int]]  # limbs that were fixed, and in which frames
+    seconds: float  # to gather the evidence
+
+    @staticmethod
+    def of(
+        video: Video, simplified: Callable[[int, bool], CoarseBody], options: RefineOptions
+    ) -> ObservedVideo:
+        """Gather the evidence of all frames."""
+        begin = time.perf_counter()
+        in_sequence = isinstance(options, SequenceOptions)
+        hand_size = options.close_up_size if in_sequence else 0
+        coarse = simplified(options.faces, hand_size > 0)
+
+        def body_at(outline: Outline) -> Tensor:
+            return coarse.body(outline.pose, video.shape).vertices[0]
+
+        def look(outline: Outline) -> MaskAndNormals:
+            points = body_at(outline)
+            whole = MaskAndNormals.of(outline, scale, points)
+            if fine is not None:
+                pictures[outline.index] = FinePicture.of(outline, fine, points)
+            return whole
+
+        held_out = list(video.splits.test) if options.hold_out_test else []
+        evidence, pictures = Shelf(video.folder), Shelf(video.folder)
+        frames = [k for k in range(len(video)) if k not in held_out]
+        with one_torch_thread(), torch.no_grad():
+            scale = common_scale(video, frames, options.size, body_at)
+            person = coarse.body, video.pose, video.shape, video.cameras
+            fine = close_up_scale(*person, scale, hand_size) if hand_size > 0 else None
+            kept = gather(frames, video.absent, video.outlines, look, evidence)
+        pose, shape = video.pose.to(torch.float32), Shape(video.shape.betas.to(torch.float32))
+        if options.height is not None:
+            pose, shape = with_height(coarse.body, pose, shape, video.cameras, options.height)
+        # Without close-ups, hands and feet need no more triangles than the rest.
+        compared = coarse if pictures else simplified(options.faces, False)
+        swapped: dict[str, list[int]] = {}
+        if in_sequence and options.unswap:
+            bare = Solution(pose, shape, torch.zeros_like(compared.body.v_template))
+            losses = lambda p: _losses(compared.body, evidence, options.silhouette, p, bare)
+            stage1 = Stage1.of(pose, range(len(pose)), video.cameras[0])
+            pose, swapped = fix_swaps(stage1, losses, options.nat)
+        seconds = time.perf_counter() - begin
+        gathered = evidence, pictures, kept, held_out, swapped, seconds
+        return ObservedVideo(compared, pose, shape, video.cameras, options, *gathered)
+
+    @property
+    def clips(self) -> list[range]:
+        """The pieces that are solved as separate jobs."""
+        frames, options = len(self.pose), self.options
+        if isinstance(options, SequenceOptions):
+            return cut(frames, options.part, options.overlap)
+        return cut(frames, FRAMES_A_JOB, 0)
+
+    @property
+    def clip_steps(self) -> int:
+        """The steps of the second round."""
+        return sum(_steps(self.options, len(self.evidence.part(clip))) for clip in self.clips)
+
+    def first_task(self) -> RefineTask | None:
+        """Return what is solved before the clips, if anything is."""
+        if len(self.clips) == 1 or not isinstance(self.options, SequenceOptions):
+            return None
+        seen = sorted(self.evidence)
+        frames = [seen[i] for i in skim(len(seen), self.options.skim)]
+        evidence, pictures = self.evidence.part(frames), self.pictures.part(frames)
+        if not evidence:
+            return None
+        job = RefineJob(evidence, self.coarse.body, self.pose, self.shape, fine=pictures)
+        return RefineTask(job, self.options)
+
+    def clip_tasks(self, known: Done[Solution] | None) -> list[RefineTask]:
+        """Return the tasks of the clips, once the first round is done."""
+        jobs = [
+            RefineJob(
+                self.evidence.part(clip, clip.start),
+                self.coarse.body,
+                poses_of_clip(clip, self.pose),
+                self.shape,
+                None if known is None else known.result,
+                self.pictures.part(clip, clip.start),
+                [k - clip.start for k in clip if k in self.held_out],
+            )
+            for clip in self.clips
+        ]
+        return [RefineTask(job, self.options) for job in jobs]
+
+    def finished(self, known: Done[Solution] | None, found: Sequence[Done[Solution]]) -> Refined:
+        """Join the clips, and keep stage 1 in frames whose loss did not fall."""
+        begin = time.perf_counter()
+        shared = (known or found[0]).result
+        pose = join(self.clips, [done.result.pose for done in found])
+        losses_stage1, losses = (
+            _losses(self.coarse.body, self.evidence, self.options.silhouette, p, shared)
+            for p in (self.pose, pose)
+        )
+        kept = self.kept | worse_frames(self.evidence, losses_stage1, losses)
+        taken = [k for k in (*self.evidence, *self.held_out) if k not in kept]
+        pose = with_frames(self.pose, taken, pose[taken])
+        if shared.focal != 1:
+            pelvis = self.coarse.body.rest(shared.shape).joints[0]
+            pose = follow(pose, pelvis, self.cameras, shared.focal)
+        work = self.seconds + sum(done.seconds for done in (*found, *([known] if known else [])))
+        return Refined(
+            pose=pose,
+            shape=shared.shape,
+            offsets=self.coarse.spread(shared.offsets),
+            focal=shared.focal,
+            cameras=[c.zoomed(shared.focal) for c in self.cameras] if shared.focal != 1 else None,
+            losses_stage1=losses_stage1,
+            losses=losses,
+            kept=dict(sorted(kept.items())),
+            without_normals=[k for k, seen in self.evidence.items() if seen.normals is None],
+            seconds_per_frame=(work + time.perf_counter() - begin) / len(self.pose),
+            held_out=list(self.held_out),
+            noise=shared.noise,
+            footing=shared.footing,
+            swapped=self.swapped,
+        )
+
+
+def _steps(options: RefineOptions, frames: int) -> int:
+    """Return the steps that so many frames take, for progress."""
+    if isinstance(options, SequenceOptions):
+        return frames * options.passes * repeats(frames)
+    return frames * options.steps
+
+
+@torch.no_grad()
+def _losses(
+    body: BodyModel,
+    evidence: Mapping[int, MaskAndNormals],
+    silhouette: float,
+    pose: Pose,
+    person: Solution,
+) -> Tensor:
+    """Return the data term of Eq. 8 (T,) in T poses; NaN where there is no evidence."""
+    losses = torch.full((len(pose),), torch.nan)
+    scene = MeshScene(body.faces, body.v_template)
+    focal = None if person.focal == 1 else torch.tensor(person.focal)
+    with one_torch_thread():
+        for k, seen in evidence.items():
+            vertices = seen_body(body, pose[k], person.shape, person.offsets, [seen], focal)
+            losses[k] = mean_loss(scene, vertices, [seen], silhouette, focal=focal)
+    return losses
+
+
+def simplified_body(body: BodyModel, faces: int, close_ups: bool) -> CoarseBody:
+    """Return the body that is compared, finer at hands and feet if there are close-ups."""
+    finer = torch.cat([part.vertices for part in parts_of(body)]) if close_ups else None
+    return CoarseBody(body, faces, finer)

@@ -41,7 +41,7 @@ ROUND = 0.5  # least turn of the person: nearly half round
 
 
 @dataclass(frozen=True)
-class CameraTilt:
+class TiltPrior:
     """The chance level of camera-locked tilt of the L joints of the body.
 
     Attributes:
@@ -60,12 +60,12 @@ class CameraTilt:
 
     @staticmethod
     @torch.no_grad()
-    def of(stage1: Stage1, rotations: Tensor) -> CameraTilt:
+    def of(stage1: Stage1, rotations: Tensor) -> TiltPrior:
         """Estimate the chance level from a motion, rotations (n, J, 3)."""
         R = stage1.R_joint_camera[:, LIMBS]
         means = roma.special_procrustes(roma.rotvec_to_rotmat(rotations[:, LIMBS]).mean(0))
         none, shown = torch.ones(len(means)), stage1.turned > ROUND
-        tilt = CameraTilt(means, R - R.mean(0), _across(stage1), none, shown)
+        tilt = TiltPrior(means, R - R.mean(0), _across(stage1), none, shown)
         m = tilt._turns(rotations)
         sways = (R.mT @ (m - m.mean(0))[..., None])[..., 2, 0].square().mean(0)
         square = tilt._locked(m)[:, 2].square()

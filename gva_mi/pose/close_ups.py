@@ -62,7 +62,7 @@ class FinePicture:
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class BodyPart:
     """A hand or a foot."""
 
@@ -72,40 +72,21 @@ class BodyPart:
     area: float  # of its surface, square metres
 
 
-class CloseUps:
-    """Close-ups of the hands and feet of one body in the images of some frames."""
+def close_ups(
+    picture: FinePicture, parts: Mapping[BodyPart, float], vertices: Tensor, person: MaskAndNormals
+) -> list[tuple[float, MaskAndNormals]]:
+    """Return a frame's close-ups with their weights, at most one for each part.
 
-    def __init__(
-        self, pictures: Mapping[int, FinePicture], body: BodyModel, weights: Mapping[str, float]
-    ) -> None:
-        """Find the body's hands and feet.
-
-        Args:
-            pictures: of frames by number; other frames have no close-ups.
-            body: whose vertices will be given.
-            weights: of a part's loss, by its name; parts of weight 0 are skipped.
-        """
-        self._pictures = pictures
-        self._parts = [(weights[p.name], p) for p in parts_of(body) if weights[p.name] > 0]
-
-    def of(
-        self, frame: int, vertices: Tensor, person: MaskAndNormals
-    ) -> list[tuple[float, MaskAndNormals]]:
-        """Return the close-ups of a frame with their weights, at most one for each part.
-
-        Args:
-            frame: its number.
-            vertices: (V, 3) the body in its current pose, world, metres; not differentiated.
-            person: the evidence of the whole person, whose image contains all close-ups.
-        """
-        picture = self._pictures.get(frame)
-        if picture is None:
-            return []
-        found = (
-            (weight, _close_up(picture, part, vertices, person.camera))
-            for weight, part in self._parts
-        )
-        return [(weight, seen) for weight, seen in found if seen is not None]
+    Args:
+        picture: of the frame.
+        parts: the weight of each part's loss; parts of weight 0 are skipped.
+        vertices: (V, 3) the body in its current pose, world, metres; not differentiated.
+        person: the evidence of the whole person, whose image contains all close-ups.
+    """
+    found = [
+        (w, _close_up(picture, part, vertices, person.camera)) for part, w in parts.items() if w
+    ]
+    return [(weight, seen) for weight, seen in found if seen is not None]
 
 
 def _close_up(

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from gva_mi.pose import motion
 from gva_mi.pose.belief import Belief
-from gva_mi.pose.camera_lean import CameraTilt
+from gva_mi.pose.camera_lean import TiltPrior
 from gva_mi.pose.ground import ContactStats, Ground
 from gva_mi.pose.noise import GROUPS, Noise, lasting_part, white_level
 from gva_mi.pose.stage1 import Stage1
@@ -65,11 +65,11 @@ class PosePrior:
     pelvis: Belief
     joints: Belief
     place: Belief
-    tilt: CameraTilt
+    tilt: TiltPrior
     ground: Ground | None = None
 
 
-def describe(noise: Mapping[str, Noise], contact: ContactStats | None) -> Iterator[str]:
+def in_words(noise: Mapping[str, Noise], contact: ContactStats | None) -> Iterator[str]:
     """Yield lines for the user on stage 1's errors and foot contact, if they were inferred."""
     if not noise:
         return
@@ -98,7 +98,7 @@ def prior_from_stage1(stage1: Stage1) -> PosePrior:
         Belief.of_stage1(stage1.times, turns[:, list(PELVIS)], _by_joint(noise, PELVIS), True),
         Belief.of_stage1(stage1.times, turns[:, list(JOINTS)], _by_joint(noise, JOINTS)),
         Belief.of_stage1(stage1.times, shifts[..., None], _by_axis(noise), True),
-        CameraTilt.of(stage1, stage1.pose.rotations),
+        TiltPrior.of(stage1, stage1.pose.rotations),
     )
 
 
@@ -122,7 +122,7 @@ def prior_from_corrections(
         renewed(before.pelvis, _by_joint(noise, PELVIS), turns[:, root], steps[:, root]),
         renewed(before.joints, _by_joint(noise, JOINTS), turns[:, list(JOINTS)], sideways),
         renewed(before.place, _by_axis(noise), moves[..., None], shifts[..., None]),
-        CameraTilt.of(stage1, pose.rotations),
+        TiltPrior.of(stage1, pose.rotations),
     )
 
 

@@ -30,7 +30,7 @@ from torch import Tensor
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.console import Progress
 from gva_mi.pose.anatomy import Anatomy
-from gva_mi.pose.close_ups import CloseUps
+from gva_mi.pose.close_ups import close_ups, parts_of
 from gva_mi.pose.descent import (
     Batch,
     DescentOptions,
@@ -158,7 +158,7 @@ class ClothedPerson:
         rest = job.body.rest(job.shape)
         self._job, self._options, self._scene = job, options, job.scene()
         weights = {"hand": options.close_hands, "foot": options.close_feet}
-        self._close_ups = CloseUps(job.fine, job.body, weights)
+        self._parts = {part: weights[part.name] for part in parts_of(job.body)}
         self._stature = Stature.of(job.body)
         self._close = False
         self._cloth = Displacement(rest.vertices, job.body.faces, job.body.weights)
@@ -217,7 +217,7 @@ class ClothedPerson:
         closer, o = [], self._options
         if self._close and self._job.fine:
             bodies = zip(frames, vertices.detach(), seen, strict=True)
-            closer = [self._close_ups.of(*body) for body in bodies]
+            closer = [close_ups(self._job.fine[k], self._parts, *body) for k, *body in bodies]
         return mean_loss(self._scene, vertices, seen, o.silhouette, closer, focal, outlines)
 
     def come_closer(self) -> None:

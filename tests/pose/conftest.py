@@ -1,4 +1,4 @@
-"""A clip in memory: the bare puppet in known poses, seen as masks and normals of few pixels."""
+"""A clip in memory: the bare built-in body in known poses, as small masks and normals."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,14 +14,14 @@ from gva_mi.splat import Camera
 
 @dataclass
 class Clip:
-    """What ``refine`` needs of a Video."""
+    """The parts of a ``Video`` that ``refine`` uses."""
 
     pose: Pose
     shape: Shape
     pictures: list  # (mask, normals or None) of each frame
     camera: Camera
     absent: dict = field(default_factory=dict)
-    folder: Path = Path()  # where a long one would keep its evidence
+    folder: Path = Path()  # of a disk cache
 
     def true_mask(self, index):
         return self.pictures[index][0]
@@ -51,13 +51,13 @@ def _outline_of(frame):
 
 @pytest.fixture(scope="session")
 def outline_of():
-    """A frame without its picture, as a Video reads it."""
+    """Converts a frame to an outline, as a Video reads it."""
     return _outline_of
 
 
 @pytest.fixture(scope="session", autouse=True)
 def quiet(one_thread):
-    """All tests of this folder are of tensors."""
+    """Limit torch to one thread."""
 
 
 @pytest.fixture(scope="session")
@@ -72,7 +72,7 @@ def camera(puppet_camera):
 
 @pytest.fixture(scope="session")
 def clip(body, scene, camera, true_pose):
-    """Stage 1 is off at shoulders and elbows, by an error that changes slowly."""
+    """Stage 1 has constant errors at shoulders and an elbow."""
     shape, pictures = Shape(torch.zeros(10)), []
     for k in range(len(true_pose)):
         with torch.no_grad():

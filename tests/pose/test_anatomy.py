@@ -1,4 +1,4 @@
-"""Joints bend where bodies bend, and what does not is held."""
+"""Hinges bend as bodies do, and other turns cost."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ import roma
 import torch
 
 from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND
-from gva_mi.data.synthetic.motion import MOTIONS, perform
+from gva_mi.data.synthetic.motion import perform
 from gva_mi.pose.anatomy import Anatomy
 from gva_mi.pose.stage1 import turns_between
 
@@ -16,23 +16,16 @@ joint = JOINTS.index
 
 
 def straight():
-    """Joints (55, 3) of a body whose bones all lie along axes: x to its left, y up, z ahead."""
+    """Joints (55, 3) of a body whose bones lie along axes: x to its left, y up, z ahead."""
     rest = torch.zeros(55, 3)
     for side, sign in (("left", 1), ("right", -1)):
-
-        def at(name, x, y, z, side=side, sign=sign):
-            rest[joint(f"{side}_{name}")] = torch.tensor([sign * x, y, z])
-
-        at("knee", 0.1, -0.5, 0)
-        at("ankle", 0.1, -0.9, 0)
-        at("foot", 0.1, -0.9, 0.15)
-        at("elbow", 0.45, 0.4, 0)
-        at("wrist", 0.7, 0.4, 0)
+        places = {"knee": (0.1, -0.5, 0), "ankle": (0.1, -0.9, 0), "foot": (0.1, -0.9, 0.15)}
+        places |= {"elbow": (0.45, 0.4, 0), "wrist": (0.7, 0.4, 0)}
         for finger, z in (("index", 0.03), ("middle", 0.01), ("ring", -0.01), ("pinky", -0.03)):
-            for k in (1, 2, 3):
-                at(f"{finger}{k}", 0.77 + 0.03 * k, 0.4, z)
-        for k in (1, 2, 3):
-            at(f"thumb{k}", 0.73 + 0.03 * k, 0.4, 0.02 + 0.03 * k)
+            places |= {f"{finger}{k}": (0.77 + 0.03 * k, 0.4, z) for k in (1, 2, 3)}
+        places |= {f"thumb{k}": (0.73 + 0.03 * k, 0.4, 0.02 + 0.03 * k) for k in (1, 2, 3)}
+        for name, (x, y, z) in places.items():
+            rest[joint(f"{side}_{name}")] = torch.tensor([sign * x, y, z])
     return rest
 
 
@@ -40,7 +33,7 @@ STRAIGHT = Anatomy.of(straight())
 
 
 def turned(*turns):
-    """Rotations (N, 55, 3) of some joints, each by its name, an axis and degrees, or N of them."""
+    """Rotations (N, 55, 3) of joints, each given by name, axis and degrees (one or N)."""
     rotations = torch.zeros(N, 55, 3)
     for name, axis, degrees in turns:
         sign = -1 if axis[0] == "-" else 1
@@ -50,8 +43,12 @@ def turned(*turns):
     return rotations
 
 
+def energy(anatomy, rotations, times=TIMES):
+    return anatomy.energy(rotations, None, times)
+
+
 def cost(*turns):
-    return float(STRAIGHT.energy(turned(*turns), None, TIMES))
+    return float(energy(STRAIGHT, turned(*turns)))
 
 
 def noise(size, frames=N, seed=0):
@@ -59,7 +56,7 @@ def noise(size, frames=N, seed=0):
 
 
 def white(size, frames=N):
-    """The covariance of errors that are new in every frame, degrees."""
+    """The covariance (55, n, n) of errors that are independent in every frame, degrees."""
     variance = np.radians(size) ** 2 * torch.eye(frames, dtype=torch.float64)
     return variance.repeat(55, 1, 1)
 
@@ -69,54 +66,44 @@ def anatomy(body):
     return Anatomy.of(body.j_template)
 
 
-BENDS = pytest.mark.parametrize(
+@pytest.mark.parametrize(
     ("name", "axis", "degrees"),
     [
         ("left_knee", "x", 150), ("right_knee", "x", 150), ("left_elbow", "-y", 150),
         ("right_elbow", "y", 150), ("left_index1", "-z", 100), ("right_pinky1", "z", 100),
     ],
 )  # fmt: skip
-
-
-@BENDS
-def test_hinges_bend_freely(name, axis, degrees):
+def test_hinges_bend_forward_freely_and_not_backward(name, axis, degrees):
     assert cost((name, axis, torch.linspace(0, degrees, N))) < 1e-6
-
-
-@BENDS
-def test_no_hinge_bends_backward(name, axis, degrees):
     back, farther = (cost((name, axis, -angle)) for angle in (45, 60))
     assert 0.5 < back < farther
 
 
-def test_a_joint_past_its_limit_costs_the_square():
-    """A knee may bend back by 5°; 5° more are a standard deviation; six frames count once."""
+def test_beyond_a_limit_the_energy_is_quadratic():
+    """A knee may bend back by 5°; 5° more are a standard deviation; six frames count as one."""
     assert cost(("left_knee", "x", -4)) == 0
     assert cost(("left_knee", "x", -15)) == pytest.approx(N / 6 * 2**2 / 2, rel=1e-4)
     assert cost(("left_knee", "x", 155 + 20)) == pytest.approx(N / 6 * 4**2 / 2, rel=1e-4)
 
 
-@pytest.mark.parametrize("side", ["left", "right"])
-def test_toes_bend_either_way(side):
-    assert cost((f"{side}_foot", "x", torch.linspace(-60, 60, N))) < 1e-6
+def test_free_turns_cost_nothing():
+    """Toes bend both ways, forearms twist, shoulders turn about all axes."""
+    wave = 60 * torch.sin(TIMES / 3.0)
+    assert cost(("left_foot", "x", wave), ("right_foot", "x", -wave)) < 1e-6
+    assert cost(("left_elbow", "x", wave), ("right_elbow", "x", -wave)) < 1e-6
+    assert cost(*(("left_shoulder", axis, wave) for axis in "xyz")) == 0
 
 
 @pytest.mark.parametrize(
     ("name", "axis"),
     [
         ("left_knee", "z"), ("left_knee", "y"), ("right_elbow", "z"), ("left_foot", "y"),
-        ("right_foot", "z"), ("left_ring2", "x"), ("left_ring2", "y"), ("right_middle1", "y"),
+        ("left_ring2", "x"), ("left_ring2", "y"), ("right_middle1", "y"),
     ],
 )  # fmt: skip
-def test_no_hinge_turns_aside_or_twists(name, axis):
+def test_hinges_do_not_turn_aside_or_twist(name, axis):
     once, twice = cost((name, axis, 10)), cost((name, axis, 20))
     assert 0.1 < once and twice == pytest.approx(4 * once, rel=1e-4)
-
-
-def test_forearms_twist_and_shoulders_turn_as_they_like():
-    wave = 60 * torch.sin(TIMES / 3.0)
-    assert cost(("left_elbow", "x", wave), ("right_elbow", "x", -wave)) < 1e-6
-    assert cost(*(("left_shoulder", axis, wave) for axis in "xyz")) == 0
 
 
 @pytest.mark.parametrize(("side", "axis"), [("left", "-z"), ("right", "z")])
@@ -127,72 +114,51 @@ def test_the_last_joint_of_a_finger_follows_the_middle_one(side, axis):
     assert follows < 1e-3 < 1 < min(cost((*middle, bend)), cost((*last, 2 / 3 * bend)))
 
 
-def test_what_is_always_off_costs_less_than_what_trembles():
+def test_a_constant_offset_costs_less_than_a_tremor_and_distant_frames_may_differ():
     always, trembles = (cost(("left_knee", "z", 10 * x)) for x in (torch.ones(N), (-1.0) ** TIMES))
     assert always < 10**2 / 5**2 / 2 < trembles / 50
-
-
-def test_frames_far_from_each_other_may_differ_more():
     rotations = turned(("left_knee", "z", 5 * (-1.0) ** TIMES))
-    near, far = (float(STRAIGHT.energy(rotations, None, step * TIMES)) for step in (1, 30))
+    near, far = (float(energy(STRAIGHT, rotations, step * TIMES)) for step in (1, 30))
     assert far < 0.2 * near
 
 
-def test_rest_costs_nothing(anatomy):
-    assert float(anatomy.energy(turned(), None, TIMES)) == 0
-
-
 @pytest.mark.parametrize("size", [0.02, 0.5])
-def test_left_and_right_mirror_each_other(anatomy, size):
+def test_left_and_right_are_symmetric(anatomy, size):
     rotations = noise(size)
     other = {"left": "right", "right": "left"}
     names = (name.split("_") for name in JOINTS)
     order = [joint("_".join([other.get(side, side), *rest])) for side, *rest in names]
     mirrored = rotations[:, order] * torch.tensor([1.0, -1.0, -1.0])
-    energies = [float(anatomy.energy(x, None, TIMES)) for x in (rotations, mirrored)]
+    energies = [float(energy(anatomy, x)) for x in (rotations, mirrored)]
     assert energies[0] == pytest.approx(energies[1], rel=1e-3)
 
 
-def test_gradient_matches_differences(anatomy):
+def test_gradient_matches_differences_and_reaches_every_held_joint(anatomy):
     rotations, direction = noise(0.5).cumsum(0) / 5, noise(1.0, seed=1)
     leaf = rotations.clone().requires_grad_()
-    anatomy.energy(leaf, None, TIMES).backward()
-    at = lambda step: float(anatomy.energy(rotations + step * direction, TIMES))
+    energy(anatomy, leaf).backward()
+    at = lambda step: float(energy(anatomy, rotations + step * direction))
     slope = float((leaf.grad * direction).sum())
     assert slope == pytest.approx((at(0.02) - at(-0.02)) / 0.04, rel=2e-3)
-
-
-def test_every_joint_that_is_held_receives_a_gradient(anatomy):
-    leaf = noise(0.5).requires_grad_()
-    anatomy.energy(leaf, None, TIMES).backward()
     kinds = ("knee", "elbow", "foot", "index", "middle", "ring", "pinky", "thumb2", "thumb3")
     held = {i for i, name in enumerate(JOINTS) if name.split("_")[-1].startswith(kinds)}
     assert set(leaf.grad.any(2).any(0).nonzero()[:, 0].tolist()) == held
 
 
-@pytest.fixture(scope="module", params=MOTIONS)
-def motion(request, body):
-    """Rotations of N frames, true and off by 0.1 radians."""
-    t, rng = np.arange(N) / N, np.random.default_rng(0)
-    true = perform(request.param, t, body.j_template.numpy(), 10, rng).rotations
-    return true, roma.rotvec_composition([true, noise(0.1)])
+def test_true_motions_cost_little_and_conditioning_reduces_errors(anatomy, body):
+    """Only the error of a hinge's bend remains, of three coordinates."""
+    for motion in ("turn", "walk"):
+        rng = np.random.default_rng(0)
+        true = perform(motion, np.arange(N) / N, body.j_template.numpy(), 10, rng).rotations
+        noisy = roma.rotvec_composition([true, noise(0.1)])
+        assert float(energy(anatomy, true)) < 0.05 * float(energy(anatomy, noisy))
+        found = anatomy.conditioned(noisy, white(np.degrees(0.1)), TIMES)
+        for name in ("left_knee", "right_foot", "left_index2", "right_ring3"):
+            before, after = (turns_between(true, x)[:, joint(name)].norm() for x in (noisy, found))
+            assert after < 0.75 * before
 
 
-def test_true_motions_cost_little(anatomy, motion):
-    true, noisy = (float(anatomy.energy(rotations, None, TIMES)) for rotations in motion)
-    assert true < 0.05 * noisy
-
-
-@pytest.mark.parametrize("name", ["left_knee", "right_foot", "left_index2", "right_ring3"])
-def test_conditioning_brings_errors_of_hinges_nearer_to_the_truth(anatomy, motion, name):
-    """Of their three coordinates, hardly more than the bend is left off."""
-    true, noisy = motion
-    found = anatomy.conditioned(noisy, white(np.degrees(0.1)), TIMES)
-    before, after = (turns_between(true, x)[:, joint(name)].norm() for x in (noisy, found))
-    assert after < 0.75 * before
-
-
-def test_what_trembles_aside_is_taken_away_and_bends_stay():
+def test_conditioning_removes_tremor_aside_and_keeps_bends():
     tremor = 10 * (-1.0) ** TIMES
     bend = ("left_knee", "x", 60 + 5 * (-1.0) ** TIMES)
     free = (("left_hip", "z", tremor), ("right_elbow", "x", tremor))
@@ -202,13 +168,15 @@ def test_what_trembles_aside_is_taken_away_and_bends_stay():
     torch.testing.assert_close(found[..., 0], before[..., 0], atol=1e-6, rtol=0)
 
 
-def test_what_is_aside_in_every_frame_stays():
+def test_conditioning_keeps_constant_offsets_and_exact_rotations(anatomy):
     before = turned(("left_knee", "z", 5))
     angle = STRAIGHT.conditioned(before, white(5), TIMES)[:, joint("left_knee"), 2].rad2deg()
     assert angle.min() > 4
+    rotations = noise(0.5)
+    assert torch.equal(anatomy.conditioned(rotations, white(0), TIMES), rotations)
 
 
-def test_of_two_joints_of_a_finger_the_one_that_is_known_less_follows():
+def test_of_two_finger_joints_the_less_certain_one_moves():
     trembles = ("left_index2", "-z", 45 + 15 * (-1.0) ** TIMES)
     before = turned(trembles, ("left_index3", "-z", 30))
     covariance = white(20)
@@ -218,37 +186,25 @@ def test_of_two_joints_of_a_finger_the_one_that_is_known_less_follows():
     torch.testing.assert_close(found, expected, atol=0.01, rtol=0)
 
 
-def test_who_is_known_exactly_stays(anatomy):
-    rotations = noise(0.5)
-    assert torch.equal(anatomy.conditioned(rotations, white(0), TIMES), rotations)
-
-
 @pytest.mark.parametrize("at", ["wrist", "middle1"])
-def test_hands_like_mittens_have_no_hinges(at):
-    """As in files that have no joints for fingers: all of them lie in one point."""
+def test_hands_without_finger_joints_have_no_hinges(at):
+    """In some body files all finger joints lie in one point."""
     rest = straight()
     for side, hand in (("left", LEFT_HAND), ("right", RIGHT_HAND)):
         rest[hand] = rest[joint(f"{side}_{at}")].clone()
     anatomy, leaf = Anatomy.of(rest), noise(0.5).requires_grad_()
-    energy = anatomy.energy(leaf, None, TIMES)
-    energy.backward()
-    assert energy > 0 and leaf.grad.isfinite().all()
+    energy(anatomy, leaf).backward()
+    assert leaf.grad.isfinite().all() and leaf.grad[:, joint("left_knee")].any()
     assert not leaf.grad[:, LEFT_HAND].any() and not leaf.grad[:, RIGHT_HAND].any()
-    assert leaf.grad[:, joint("left_knee")].any()
     found = anatomy.conditioned(leaf.detach(), white(10), TIMES)
     assert found.isfinite().all() and torch.equal(found[:, LEFT_HAND], leaf[:, LEFT_HAND])
 
 
-def test_a_body_without_bones_is_free():
-    anatomy, leaf = Anatomy.of(torch.zeros(55, 3)), noise(0.5).requires_grad_()
-    energy = anatomy.energy(leaf, None, TIMES)
-    energy.backward()
-    assert energy == 0 and not leaf.grad.any()
-    assert torch.equal(anatomy.conditioned(leaf.detach(), white(10), TIMES), leaf)
-
-
-def test_one_frame_is_no_special_case(anatomy):
+def test_degenerate_bodies_and_clips(anatomy):
+    """A body without bones is free, and one frame is enough."""
+    boneless, rotations = Anatomy.of(torch.zeros(55, 3)), noise(0.5)
+    assert energy(boneless, rotations) == 0
+    assert torch.equal(boneless.conditioned(rotations, white(10), TIMES), rotations)
     rotations, time = noise(0.5, frames=1), torch.tensor([7])
-    assert 0 < float(anatomy.energy(rotations, None, time)) < float("inf")
     found = anatomy.conditioned(rotations, white(10, frames=1), time)
-    assert float(anatomy.energy(found, None, time)) < float(anatomy.energy(rotations, None, time))
+    assert energy(anatomy, found, time) < energy(anatomy, rotations, time) < float("inf")

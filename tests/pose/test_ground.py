@@ -1,4 +1,4 @@
-"""Feet that stand share a plane and stay where they are; feet that swing, or go round, are free."""
+"""Standing feet share a plane and stay; swinging feet, and a turntable, are free."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ import torch
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.data.synthetic.motion import perform, times
 from gva_mi.pose.ground import ContactStats, Ground, Soles
-from gva_mi.pose.inference import AXES, describe
+from gva_mi.pose.inference import AXES, in_words
 from gva_mi.pose.noise import GROUPS, Noise
 
 MEAN = Shape(torch.zeros(10))
@@ -19,24 +19,15 @@ HEELS, BALLS = slice(0, 2), slice(2, 4)
 
 
 @pytest.fixture(scope="module")
-def rest(body):
-    return body.rest(MEAN)
+def soles(body):
+    return Soles.of(body.rest(MEAN), body.weights)
 
 
 @pytest.fixture(scope="module")
-def soles(rest, body):
-    return Soles.of(rest, body.weights)
-
-
-@pytest.fixture(scope="module")
-def moving(rest):
-    """Poses of one of the motions."""
-
-    def pose(motion, frames=FRAMES):
-        rng = np.random.default_rng(5)
-        return perform(motion, times(frames), rest.joints.numpy(), 10, rng)
-
-    return pose
+def moving(body):
+    """Poses of a synthetic motion."""
+    joints = body.rest(MEAN).joints.numpy()
+    return lambda motion, n=FRAMES: perform(motion, times(n), joints, 10, np.random.default_rng(5))
 
 
 def under(soles, pose, R_camera_world=CAMERA):
@@ -44,8 +35,8 @@ def under(soles, pose, R_camera_world=CAMERA):
 
 
 def nats(soles, pose, ground=None):
-    ground = ground or under(soles, pose)
-    return float(ground.energy(pose.rotations, pose.transl)) / len(pose)
+    ground, n = ground or under(soles, pose), len(pose)
+    return float(ground.energy(pose.rotations, pose.transl, torch.arange(n))) / n
 
 
 def turned(pose, joint, axis, degrees):
@@ -58,7 +49,7 @@ def turned(pose, joint, axis, degrees):
     return Pose(rotations, pose.transl, pose.expression)
 
 
-def test_points_touch_the_ground_and_turn_with_the_feet(soles, body, moving):
+def test_points_touch_the_ground_and_move_with_the_feet(soles, body, moving):
     assert soles.points[:, 1].max() - body.rest(MEAN).vertices[:, 1].min() < 0.006
     assert soles.points[BALLS, 2].min() > soles.points[HEELS, 2].max() + 0.08
     pose = moving("walk")
@@ -70,7 +61,7 @@ def test_points_touch_the_ground_and_turn_with_the_feet(soles, body, moving):
         torch.testing.assert_close(places[:, q], expected, atol=1e-6, rtol=0)
 
 
-def test_who_walks_is_seen_to_stand_and_to_swing(soles, moving):
+def test_standing_and_swinging_are_told_apart(soles, moving):
     pose = moving("walk")
     ground = under(soles, pose)
     places = soles.places(pose.rotations, pose.transl)
@@ -83,7 +74,7 @@ def test_who_walks_is_seen_to_stand_and_to_swing(soles, moving):
 
 
 def test_a_foot_that_tips_for_a_while_is_turned_back(soles, moving):
-    """The least energy is at the true turn of the ankle, to a degree, and all pulls point there."""
+    """The minimum is at the true turn of the ankle, and all pulls point there."""
     pose, at = moving("still"), JOINTS.index("left_ankle")
     while_ = 1.0 * ((TIMES > 10) & (TIMES < 24))[:, None]
     for axis in (0, 2):
@@ -93,15 +84,15 @@ def test_a_foot_that_tips_for_a_while_is_turned_back(soles, moving):
         costs = [nats(soles, tipped(d), ground) for d in degrees]
         assert abs(float(degrees[int(np.argmin(costs))])) <= 1
         rotations = tipped(3.0).rotations.clone().requires_grad_()
-        ground.energy(rotations, pose.transl).backward()
-        # But for the first and the last two: whoever tips a foot at once would rather do it slowly.
+        ground.energy(rotations, pose.transl, TIMES).backward()
         pull = rotations.grad[11:24, at, axis]
+        # At both ends a slower tip costs less.
         assert (pull[2:-2] > 0).all() and pull[:2].sum() > 0 and pull[-2:].sum() > 0
 
 
-def test_who_stands_does_not_slide_but_who_is_turned_on_a_disc_may(soles, moving):
+def test_standing_feet_do_not_slide_except_on_a_turntable(soles, moving):
     wobble = 0.01 * torch.randn(FRAMES, 1, generator=torch.Generator().manual_seed(1))
-    ahead = torch.tensor([[0.0, 0.0, 1.0]])  # along the line of sight: pictures do not show it
+    ahead = torch.tensor([[0.0, 0.0, 1.0]])  # along the line of sight, which images do not show
 
     def cost(motion):
         pose = moving(motion)
@@ -121,48 +112,41 @@ def test_who_stands_does_not_slide_but_who_is_turned_on_a_disc_may(soles, moving
     assert faster(1.0) < min(faster(0.95), faster(1.05))
 
 
-def test_turning_the_world_changes_nothing(soles, moving):
-    pose = moving("walk")
-    # Whichever way is up: a camera that hangs sideways, and a hill of 5 degrees.
-    for turn in ([0, 0, np.pi / 2], [0.3, -1.2, 2.0]):
-        R = roma.rotvec_to_rotmat(torch.tensor(turn, dtype=torch.float32))
-        pelvis = soles.joints[0]
-        rotations = pose.rotations.clone()
-        rotations[:, 0] = roma.rotmat_to_rotvec(R @ roma.rotvec_to_rotmat(rotations[:, 0]))
-        transl = (pelvis + pose.transl) @ R.T - pelvis
-        other = Pose(rotations, transl, pose.expression)
-        ground = under(soles, other, CAMERA @ R.T)
-        assert nats(soles, other, ground) == pytest.approx(nats(soles, pose), abs=2e-3)
+@pytest.mark.parametrize("turn", [(0, 0, np.pi / 2), (0.3, -1.2, 2.0)])
+def test_rotating_the_world_changes_nothing(soles, moving, turn):
+    pose, R = moving("walk"), roma.rotvec_to_rotmat(torch.tensor(turn, dtype=torch.float32))
+    pelvis = soles.joints[0]
+    rotations = pose.rotations.clone()
+    rotations[:, 0] = roma.rotmat_to_rotvec(R @ roma.rotvec_to_rotmat(rotations[:, 0]))
+    other = Pose(rotations, (pelvis + pose.transl) @ R.T - pelvis, pose.expression)
+    ground = under(soles, other, CAMERA @ R.T)
+    assert nats(soles, other, ground) == pytest.approx(nats(soles, pose), abs=2e-3)
 
 
-def test_where_no_ground_shows_little_is_believed(soles, moving):
+def test_on_stairs_the_term_is_weak(soles, moving):
     pose = moving("walk")
     up = 0.17 * torch.arange(FRAMES).div(6, rounding_mode="floor")[:, None]
-    stairs = up * torch.tensor([0, 1.0, 0])
-    climbing = Pose(pose.rotations, pose.transl + stairs, pose.expression)
-    tipped = lambda pose: turned(pose, "left_ankle", 0, 5.0)
-    held = [
-        nats(soles, tipped(p), ground) - nats(soles, p, ground)
-        for p in (pose, climbing)
-        for ground in [under(soles, p)]
-    ]
+    climbing = Pose(pose.rotations, pose.transl + up * torch.tensor([0, 1.0, 0]), pose.expression)
+    held = []
+    for p in (pose, climbing):
+        ground = under(soles, p)
+        held += [nats(soles, turned(p, "left_ankle", 0, 5.0), ground) - nats(soles, p, ground)]
     assert held[0] > 5 * abs(held[1])
 
 
-def test_gradients_are_those_of_the_energy(soles, moving):
-    """And in no frame, joint or coordinate something else: gradients of the points are dense."""
+def test_the_gradient_is_right(soles, moving):
     pose = moving("walk", 12).to(torch.float64)
     exact = Soles(soles.joints.double(), soles.points.double())
     rng = torch.Generator().manual_seed(0)
     shaken = pose.rotations + 0.02 * torch.randn(pose.rotations.shape, generator=rng)
     ground = under(exact, Pose(shaken, pose.transl, pose.expression), CAMERA.double())
-    energy = lambda rotations: ground.energy(rotations, pose.transl)
+    energy = lambda rotations: ground.energy(rotations, pose.transl, torch.arange(12))
     assert torch.autograd.gradcheck(energy, shaken.requires_grad_(), fast_mode=True)
 
 
-def test_what_is_inferred_is_said():
-    assert not list(describe({}, ContactStats(0.004, 0.6, 0.05)))
+def test_the_user_is_told_what_was_inferred():
+    assert not list(in_words({}, ContactStats(0.004, 0.6, 0.05)))
     noise = {name: Noise(0.01, 0.02, 6.0) for name in (*GROUPS, *AXES)}
-    assert len(list(describe(noise, None))) == 2
-    *_, ground = describe(noise, ContactStats(spread=0.0072, share=0.613, lift=0.05))
+    assert len(list(in_words(noise, None))) == 2
+    *_, ground = in_words(noise, ContactStats(spread=0.0072, share=0.613, lift=0.05))
     assert ground == "ground      soles stand 61% of the time, within 7 mm of one plane"

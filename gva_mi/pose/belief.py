@@ -31,7 +31,7 @@ import torch
 from torch import Tensor
 
 from gva_mi.pose import motion
-from gva_mi.pose.noise import Noise, covariance, worse_than_usual
+from gva_mi.pose.noise import Noise, covariance, outlier_factors
 
 ROUNDS = 8  # of eq. 2
 LEAST_SPEED = 0.02  # least speed of a joint in a frame, relative to its error
@@ -78,7 +78,7 @@ class Belief:
             motion.usual_square(motion.excursions(process.steps, span)) - of_white * white / span
             for span in motion.SPANS
         ]
-        return process.moving(torch.stack(seen).amax(0).clamp(min=0))
+        return process.with_speeds(torch.stack(seen).amax(0).clamp(min=0))
 
     def changes(self, steps: Tensor) -> Tensor:
         """Return ``Δ`` of steps (n - 1, ...): the steps, or if steady their differences."""
@@ -87,16 +87,16 @@ class Belief:
         gaps = self.times.diff().to(steps.dtype).view(-1, *[1] * (steps.ndim - 1))
         return (steps / gaps).diff(dim=0)
 
-    def moving(self, square_speed: Tensor) -> Belief:
+    def with_speeds(self, square_speed: Tensor) -> Belief:
         """Return the process with other speeds, one for each step."""
         sizes = torch.tensor([noise.size for noise in self.noises])
         return replace(self, square_speed=square_speed + (LEAST_SPEED * sizes).square())
 
-    def doubting(self, corrections: Tensor) -> Belief:
+    def with_outlier_factors(self, corrections: Tensor) -> Belief:
         """Return the process with the outlier factors of corrections (n, C, d)."""
         K = covariance(self.noises, self.times, self.factors)
         errors = -corrections.transpose(0, 1)
-        return replace(self, factors=worse_than_usual(errors, K, self.noises, self.factors))
+        return replace(self, factors=outlier_factors(errors, K, self.noises, self.factors))
 
     def likeliest(self) -> tuple[Tensor, Belief]:
         """Return the MAP estimate (n, C, d), and the process with its outlier factors."""
@@ -109,7 +109,7 @@ class Belief:
             corrections = (
                 torch.cholesky_solve(-pull, torch.linalg.cholesky(H)).transpose(0, 1).float()
             )
-            process = process.doubting(corrections)
+            process = process.with_outlier_factors(corrections)
         return corrections, process
 
     def energy(self, precision: Tensor, corrections: Tensor, own: Tensor) -> Tensor:

@@ -138,8 +138,8 @@ def renewed(before: Belief, noises: list[Noise], corrections: Tensor, steps: Ten
     changes = before.changes(steps)
     times = before.times[: len(changes)].float()
     square = motion.excursions(changes, motion.SPAN).square().mean(-1)
-    updated = replace(before, noises=noises).moving(motion.mean_square(square, times))
-    return updated.doubting(corrections)
+    updated = replace(before, noises=noises).with_speeds(motion.mean_square(square, times))
+    return updated.with_outlier_factors(corrections)
 
 
 def _noise(

@@ -36,7 +36,7 @@ class RefineOptions:
     silhouette: Weight = 1.0  # λ1
     # Measured height of the person: sets body size and depth, which are then not fitted.
     height: Annotated[float, PEOPLE] | None = None
-    hold_out_test: bool = False  # test frames are not looked at; the motion prior fills them in
+    hold_out_test: bool = False  # test frames are not used; the motion prior fills them in
 
     name: ClassVar[str]  # of the method, on the command line and in records
     description: ClassVar[str]  # of the method in a few words, for a report

@@ -129,7 +129,7 @@ def lasting_part(errors: Tensor, times: Tensor, white: float, guess: Noise) -> N
     return Noise(white, float(slow**0.5), memory)
 
 
-def worse_than_usual(errors: Tensor, K: Tensor, noises: Sequence[Noise], factors: Tensor) -> Tensor:
+def outlier_factors(errors: Tensor, K: Tensor, noises: Sequence[Noise], factors: Tensor) -> Tensor:
     """Update the factors (C, n) of eq. 5.
 
     Args:

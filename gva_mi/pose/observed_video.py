@@ -47,7 +47,7 @@ class Refined:
     without_normals: list[int]  # frames that were fitted to their silhouette alone
     seconds_per_frame: float  # of work, summed over all workers
     cameras: list[Camera] | None = None  # of all frames if the focal length was refined
-    held_out: list[int] = field(default_factory=list)  # test frames that were not looked at
+    held_out: list[int] = field(default_factory=list)  # test frames that were not used
     noise: Mapping[str, Noise] = field(default_factory=dict)  # stage 1's errors, if inferred
     footing: ContactStats | None = None  # how the feet touch the ground, if inferred
     focal: float = 1.0  # factor on the focal lengths of the video's cameras
@@ -88,7 +88,7 @@ class ObservedVideo:
     evidence: Shelf[MaskAndNormals]
     pictures: Shelf[FinePicture]  # of the frames that have evidence, if there are close-ups
     kept: dict[int, str]  # frames without evidence, and why
-    held_out: Sequence[int]  # test frames that are not looked at
+    held_out: Sequence[int]  # test frames that are not used
     swapped: Mapping[str, Sequence[int]]  # limbs that were fixed, and in which frames
     seconds: float  # to gather the evidence
 

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ class Clip:
     camera: Camera
     absent: dict = field(default_factory=dict)
     folder: Path = Path()  # of a disk cache
+    splits: SimpleNamespace = field(default_factory=lambda: SimpleNamespace(test=[]))
 
     def true_mask(self, index):
         return self.pictures[index][0]

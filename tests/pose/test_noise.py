@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from gva_mi.body.pose import JAW_AND_EYES, JOINTS
-from gva_mi.pose.noise import GROUPS, Noise, covariance, lasting_part, white_level, worse_than_usual
+from gva_mi.pose.noise import GROUPS, Noise, covariance, lasting_part, outlier_factors, white_level
 
 TIMES = torch.arange(120)
 GUESS = Noise(0.0, 0.3, 6.0)
@@ -62,7 +62,7 @@ def test_outliers_get_large_factors():
     errors[0, 50] += 0.6
     factors = torch.ones(1, n)
     for _ in range(5):
-        factors = worse_than_usual(errors, covariance([noise], TIMES, factors), [noise], factors)
+        factors = outlier_factors(errors, covariance([noise], TIMES, factors), [noise], factors)
     assert factors[0].argmax() == 50 and factors[0, 50] > 20
     assert factors[0].median() < 2
 

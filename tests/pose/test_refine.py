@@ -1,6 +1,7 @@
 """Stage 2 finds the true poses from masks and normals."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -70,6 +71,18 @@ def test_a_frame_without_a_person_keeps_its_pose(clip, body, options):
     assert "empty" in refined.kept[1]
     assert torch.equal(refined.pose.rotations[1], clip.pose.rotations[1])
     assert refined.losses[1].isnan()
+
+
+def test_held_out_frames_follow_the_motion_whatever_their_images_show(clip, body):
+    options = replace(SEQUENCE, passes=2, learn=1, hold_out_test=True)
+    held = replace(clip, splits=SimpleNamespace(test=[1]))
+    pictures = [clip.pictures[0], clip.pictures[2], clip.pictures[2]]
+    first, other = (
+        refine(video, body, options) for video in (held, replace(held, pictures=pictures))
+    )
+    assert first.held_out == [1] and first.losses[1].isnan() and not first.kept
+    assert not torch.equal(first.pose.rotations[1], clip.pose.rotations[1])
+    assert torch.equal(first.pose.rotations, other.pose.rotations)
 
 
 def test_a_frame_whose_loss_grew_keeps_its_pose(clip, body):

@@ -103,9 +103,7 @@ class MaskAndNormals:
         return self.normal_loss(image, focal) + silhouette * self.silhouette_loss(image)
 
     def normal_loss(self, image: Tensor, focal: Tensor | None = None) -> Tensor:
-        """Return eq. 2 of a rendering (H, W, 4); zero if the frame has no normals."""
-        if self.normals is None:
-            return image.new_zeros(())
+        """Return eq. 2 of a rendering (H, W, 4), for a frame with normals."""
         found = image[..., :3]
         if focal is not None:
             found = brought_back(found, focal)

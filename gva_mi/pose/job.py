@@ -10,7 +10,6 @@ from torch import Tensor
 
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
-from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.close_ups import FinePicture
 from gva_mi.pose.evidence import MaskAndNormals
 from gva_mi.pose.ground import ContactStats
@@ -68,7 +67,3 @@ class RefineJob:
     known: Solution | None = None  # of the first round: the shared unknowns are taken from it
     fine: Mapping[int, FinePicture] = field(default_factory=dict)  # for close-ups, by number
     following: Sequence[int] = ()  # frames without evidence that the motion prior fills in
-
-    def scene(self) -> MeshScene:
-        """Return a scene in which the body can be rendered."""
-        return MeshScene(self.body.faces, self.body.v_template)

@@ -29,6 +29,7 @@ from torch import Tensor
 
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.console import Progress
+from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.anatomy import Anatomy
 from gva_mi.pose.close_ups import close_ups, parts_of
 from gva_mi.pose.descent import (
@@ -156,7 +157,8 @@ class ClothedPerson:
 
     def __init__(self, job: RefineJob, options: SequenceOptions) -> None:
         rest = job.body.rest(job.shape)
-        self._job, self._options, self._scene = job, options, job.scene()
+        self._job, self._options = job, options
+        self._scene = MeshScene(job.body.faces, job.body.v_template)
         weights = {"hand": options.close_hands, "foot": options.close_feet}
         self._parts = {part: weights[part.name] for part in parts_of(job.body)}
         self._stature = Stature.of(job.body)

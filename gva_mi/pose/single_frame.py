@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from gva_mi.body.pose import Pose
-from gva_mi.console import Progress, within
+from gva_mi.console import Progress
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.descent import with_frames
 from gva_mi.pose.job import RefineJob, RefineOptions, Solution
@@ -55,39 +55,28 @@ def refine_single_frames(
     job: RefineJob, options: SingleFrameOptions, progress: Progress | None = None
 ) -> Solution:
     """Minimise Eq. 8 in every frame that has evidence; the others keep their pose."""
-    scene, pose = job.scene(), job.pose
-    rest = job.body.rest(job.shape)
-    arms = lever_arms(rest, job.body.weights, job.body.parents)
+    body, pose, total = job.body, job.pose, options.steps * len(job.evidence)
+    scene, rest = MeshScene(body.faces, body.v_template), body.rest(job.shape)
+    arms = lever_arms(rest, body.weights, body.parents)
     rates = turn_rates(arms, options.step, options.largest_turn)
-    total = options.steps * len(job.evidence)
+    weights = joint_weights(body.parents)[:, None]
     for number, k in enumerate(sorted(job.evidence)):
-        of_frame = within(progress, number * options.steps, options.steps, total)
-        pose = with_frames(pose, [k], _refine_frame(job, k, options, scene, rates, of_frame))
-    return Solution(pose, job.shape, torch.zeros_like(job.body.v_template))
-
-
-def _refine_frame(
-    job: RefineJob,
-    k: int,
-    options: SingleFrameOptions,
-    scene: MeshScene,
-    rates: Tensor,
-    progress: Progress | None,
-) -> Pose:
-    stage1, evidence = job.pose[k], job.evidence[k]
-    weights = joint_weights(job.body.parents)[:, None]
-    theta = stage1.rotations.clone().requires_grad_()
-    adam = VectorAdam([theta], [rates])
-    for step in range(options.steps):
-        pose = Pose(theta, stage1.transl, stage1.expression)
-        image = scene.render(job.body(pose, job.shape).vertices[0], evidence.camera)
-        turned = (weights * (theta - stage1.rotations).square()).sum()
-        loss = evidence.loss(image, options.silhouette) + options.prior * turned
-        loss.backward()
-        adam.step(DECAY ** (step / options.steps))
-        if progress is not None:
-            progress(step + 1, options.steps, loss=float(loss.detach()))
-    return Pose(theta.detach(), stage1.transl, stage1.expression)
+        stage1, evidence = job.pose[k], job.evidence[k]
+        theta = stage1.rotations.clone().requires_grad_()
+        adam = VectorAdam([theta], [rates])
+        for step in range(options.steps):
+            turned = Pose(theta, stage1.transl, stage1.expression)
+            image = scene.render(body(turned, job.shape).vertices[0], evidence.camera)
+            loss = evidence.loss(image, options.silhouette)
+            square = (weights * (theta - stage1.rotations).square()).sum()
+            loss = loss + options.prior * square
+            loss.backward()
+            adam.step(DECAY ** (step / options.steps))
+            if progress is not None:
+                progress(number * options.steps + step + 1, total, loss=float(loss.detach()))
+        found = Pose(theta.detach(), stage1.transl, stage1.expression)
+        pose = with_frames(pose, [k], found)
+    return Solution(pose, job.shape, torch.zeros_like(body.v_template))
 
 
 def joint_weights(parents: Sequence[int]) -> Tensor:

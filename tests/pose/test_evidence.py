@@ -78,7 +78,7 @@ def test_without_normals_the_silhouette_weighs_more(cut, frame, points):
     moved = shown(seen).roll(3, dims=1)
     alone = float(blind.loss(moved, 2.0))
     assert alone == pytest.approx(2 * ALONE * float(seen.silhouette_loss(moved)))
-    assert float(seen.silhouette_loss(moved)) < alone and float(blind.normal_loss(moved)) == 0
+    assert float(seen.silhouette_loss(moved)) < alone
 
 
 def test_frames_without_evidence_say_why(cut, frame, points):

@@ -137,6 +137,7 @@ print(woken, threads() - before, torch.get_num_threads(), torch.equal(numbers.su
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="counts threads on Linux")
 def test_torchs_idle_threads_are_gone_while_kernels_run_and_come_back():
     found = subprocess.run(

@@ -86,6 +86,9 @@ def _explained(error: InputError | ImportError) -> str:
 
 def _run(arguments: list[str]) -> None:
     verb = arguments[0] if arguments else ""
+    for old, new in RENAMED_VERBS.items():
+        if arguments[: len(old.split())] == old.split():
+            raise InputError(f"{old} is now `gva-mi {new}`")
     if verb in ("-h", "--help"):
         print(_overview())
     elif verb == "--version":
@@ -97,8 +100,6 @@ def _run(arguments: list[str]) -> None:
     elif verb in VERBS:
         llvm.require()
         parse(load(verb), verb, arguments[1:])()
-    elif verb in RENAMED_VERBS:
-        raise InputError(f"{verb} is now `gva-mi {RENAMED_VERBS[verb]}`")
     else:
         found = f"there is no command '{verb}'" if verb else "a command is missing"
         raise InputError(f"{found}; expected one of {', '.join(VERBS)}")

@@ -39,7 +39,8 @@ VERBS = {  # shown by `gva-mi --help`, which imports none of them
     "doctor": "report what this machine has, and what is missing for what",
 }
 
-RENAMED_VERBS = {"gradcheck-normals": "gradcheck normals"}  # the old name answers with the new one
+# Old names, answered with the new one.
+RENAMED_VERBS = {"gradcheck-normals": "gradcheck normals", "bench normals": "bench mesh"}
 
 
 def load(verb: str) -> Callable[..., None]:

@@ -44,7 +44,7 @@ def bench(
     """
     if what != "splat" and (scene is not None or no_growth):
         raise InputError(f"bench {what}: --scene and --no-growth are options of bench splat")
-    if not (CHECKOUT / "benchmarks/__main__.py").exists():
+    if not (CHECKOUT / "benchmarks/splatting.py").exists():
         raise InputError(
             "bench: benchmarks are in the repository and not in the installed package; clone it "
             f"and run there: python -m benchmarks {what}"

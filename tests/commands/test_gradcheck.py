@@ -76,6 +76,8 @@ def test_an_option_of_another_check_is_refused_with_its_name(cli, words, says):
     assert code == 2 and says in err
 
 
-def test_the_old_verb_names_the_new_one(cli):
+def test_the_old_names_are_answered_with_the_new_ones(cli):
     code, _, err = cli("gradcheck-normals", "--count", 1)
     assert code == 2 and "gradcheck-normals is now `gva-mi gradcheck normals`" in err
+    code, _, err = cli("bench", "normals")
+    assert code == 2 and "bench normals is now `gva-mi bench mesh`" in err

@@ -41,12 +41,12 @@ CHAIN = "chain"  # the group of the whole chain's comparisons
 F64, F32 = 1e-8, 1e-5  # the greatest relative L2 error allowed
 BAND = 1e-3  # relative distance of an alpha to its cut-off, beyond reach of a difference's steps
 STEPS = {  # times the step of a difference: inputs that move many pixels, or a small part of one
-    "rotations": 0.1, "transl": 0.1, "means": 0.1, "expression": 60.0, "light": 30.0,
-    "posed_means": 0.1, "covars": 0.01,
+    "rotations": 0.1, "transl": 0.1, "means": 0.1, "betas": 20.0, "expression": 60.0,
+    "light": 30.0, "posed_means": 0.1, "covars": 0.01,
 }  # fmt: skip
 LINEAR = {"shape": 30.0, "blend shapes": 30.0, "blend": 30.0}  # links: times as long, still exact
 NETWORK_STEP = 4.0  # the same for the network's weights; well within chain.py's KINK
-FEW = 12  # inputs of so many entries are differentiated by each of them
+FEW = 4  # an input of so many times the entries asked for is differentiated by each of its own
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ def check_avatar(
         posed: the avatar, its pose and its camera; some hundred Gaussians take seconds.
         tolerances: the greatest relative L2 errors allowed in float64 and in float32.
         entries: how many entries of every input to differentiate one by one; of an input of few
-            entries all, unless it is 0.
+            entries (at most 4 times as many) all.
         step: of the differences, in the input's units.
         seed: of the loss's weights and of the choice of entries.
     """
@@ -130,7 +130,7 @@ class _Question:
         weights = weights[..., :3], weights[..., 3], weights[..., 4]
         seen = {k: v for k, v in values.items() if v.requires_grad}
         found = gradients([values[name] for name in IMAGES], seen, weights)
-        count = lambda g: g.numel() if entries and g.numel() <= FEW else entries
+        count = lambda g: g.numel() if g.numel() <= FEW * entries else entries
         probes = {k: Probe.among(g, count(g), generator) for k, g in found.items()}
         values = {k: v.detach() for k, v in values.items()}
         return _Question(posed, links, band, weights, values, found, probes, step, tolerances)
@@ -153,10 +153,11 @@ class _Question:
             for name in names:
                 moves = lambda v, name=name, x=leaves: tangents(self._images, x, name, v)
                 yield self._along(f"tangent {label}", name, moves, self.weights, allowed, CHAIN)
-        composed = lambda first: [run(self.links, first)[name] for name in IMAGES]
-        first = self.posed.values | {STILL_MEANS: self.values["means"]}
         for name in names:
-            yield self._differences(composed, first, name, self.weights, CHAIN)
+            composed = lambda values, name=name: [
+                run(self.links, values, name)[image] for image in IMAGES
+            ]
+            yield self._differences(composed, self.values, name, self.weights, CHAIN)
 
     def link(self, link: Link, coarse: Link) -> Iterator[Comparison]:
         """Check one link alone, and its float32 form against its float64 form."""

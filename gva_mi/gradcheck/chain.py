@@ -173,11 +173,20 @@ class PosedAvatar:
         return image.color, image.alpha, image.depth
 
 
-def run(links: tuple[Link, ...], values: Tensors) -> Tensors:
-    """The first inputs and all that follows from them."""
+def run(links: tuple[Link, ...], values: Tensors, moved: str | None = None) -> Tensors:
+    """Return the first inputs and all that follows from them.
+
+    Args:
+        links: the chain.
+        values: the first inputs; with ``moved`` all values of the chain.
+        moved: the one input that differs from those the other values were made of.
+    """
     values = {STILL_MEANS: values["means"].detach()} | values
+    stale = {moved}
     for link in links:
-        values = link.extended(values)
+        if moved is None or stale.intersection(link.inputs):
+            values = link.extended(values)
+            stale.update(link.outputs)
     return values
 
 

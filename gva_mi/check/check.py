@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from gva_mi.body.pose import Shape, load_offsets
+from gva_mi.body.pose import Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.check.cameras import check_cameras, usable_cameras
 from gva_mi.check.contents import Contents, attempt, read_contents, small_size
@@ -81,8 +81,9 @@ def check_subject(
 
 def _open(contents: Contents, body: BodyModel) -> None:
     """Open the folder as the other steps do: what they refuse is an error, named above or not."""
-    load_video(contents.folder, contents.poses_file).require_train_frames()
-    load_offsets(contents.poses_file, len(body.v_template))
+    video = load_video(contents.folder, contents.poses_file)
+    video.require_train_frames()
+    video.offsets_of(len(body.v_template))
 
 
 def _seen(

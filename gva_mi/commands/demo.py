@@ -80,6 +80,6 @@ def _run(
         list(refine_videos([load_video(subject)], model, SequenceOptions(seed=options.seed)))
     poses = poses_of(subject)
     video = load_video(subject, poses)
-    avatar = fit_video(video, poses, model, fit_options, out)
+    avatar = fit_video(video, model, fit_options, out)
     name = "no_refine" if options.no_refine else "full"
     evaluate_run(out, avatar, video, model, poses, name=name, title="The demo subject")

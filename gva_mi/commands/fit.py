@@ -8,7 +8,6 @@ from pathlib import Path
 from tyro.conf import Positional
 
 from gva_mi.avatar.avatar import Avatar
-from gva_mi.body.pose import load_offsets
 from gva_mi.body.smplx import BodyModel, load_body
 from gva_mi.commands.arguments import Flat, Switch, poses_of, say_doubt
 from gva_mi.console import bar, say
@@ -55,13 +54,12 @@ def fit(
             run_folder.require_none_begun(out, overwrite)
             make_room(out, run_folder.OPTIONS, overwrite)
         require_writable(out)
-        fit_video(video, poses, model, options, out, resume)
+        fit_video(video, model, options, out, resume)
     say(f"avatar: {out / run_folder.AVATAR}")
 
 
 def fit_video(
     video: Video,
-    poses: Path,
     model: BodyModel,
     options: FitOptions,
     out: Path,
@@ -70,14 +68,13 @@ def fit_video(
     """Fit an avatar and say how long it took.
 
     Args:
-        video: opened with the poses to fit under.
-        poses: their file, which may also hold offsets of the surface.
+        video: opened with the poses to fit under, whose file may hold offsets of the surface.
         model: the body model.
         options: of the fit.
         out: the run's folder.
         resume: continue a run that was stopped.
     """
-    offsets = load_offsets(poses, len(model.v_template))
+    offsets = video.offsets_of(len(model.v_template))
     start = time.perf_counter()
     with bar("fit") as progress:
         avatar = fit_avatar(

@@ -6,7 +6,6 @@ from pathlib import Path
 
 from tyro.conf import Positional
 
-from gva_mi.body.pose import load_offsets
 from gva_mi.body.smplx import load_body
 from gva_mi.commands.arguments import Flat, Switch, poses_of, say_doubt
 from gva_mi.console import bar, say
@@ -52,6 +51,7 @@ def track(
     require_same_body(subject, model)
     refined = poses_of(subject, poses)
     video, start = load_video(subject, refined), refined
+    offsets = video.offsets_of(len(model.v_template))
     if poses is None and (trained := run / TRAINED_POSES).exists():
         if others := set(other_parts(run, video)) & {"frames", "cameras"}:
             parts = " and ".join(sorted(others))
@@ -59,7 +59,6 @@ def track(
         else:
             video, start = load_video(subject, trained), trained
     say_doubt(video, model)
-    offsets = load_offsets(refined, len(model.v_template))
     with alone_in(subject, "gva-mi track"):
         require_room(out, overwrite)
         with bar("track") as progress:

@@ -32,6 +32,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from torch import Tensor
 
 from gva_mi.body.pose import Pose, Shape, read_pose_file
 from gva_mi.data.backdrop import alone
@@ -96,6 +97,7 @@ class Video:
     absent: Mapping[int, str] = field(default_factory=dict)  # frames that say nothing, and why
     focal: float = 1.0  # factor on the focal lengths of cameras.npz, which the poses belong to
     stage: int = 1  # who made the poses: gva_mi.body.pose.PoseFile
+    offsets: Tensor | None = None  # (V, 3) of the rest surface, which the file of poses holds
 
     def __len__(self) -> int:
         return len(self.cameras)
@@ -137,6 +139,19 @@ class Video:
     def size(self) -> tuple[int, int]:
         """(W, H) in pixels."""
         return self.cameras[0].width, self.cameras[0].height
+
+    def offsets_of(self, vertices: int) -> Tensor | None:
+        """The displacement of the rest surface of a body with so many vertices; None without one.
+
+        Raises:
+            InputError: it is of another number of vertices.
+        """
+        if self.offsets is not None and len(self.offsets) != vertices:
+            raise InputError(
+                f"{self.folder}: its poses have 'offsets' {tuple(self.offsets.shape)}, expected "
+                f"{(vertices, 3)}"
+            )
+        return self.offsets
 
     def require_train_frames(self) -> None:
         """Raise an InputError without a train frame, for steps that train on some."""
@@ -215,7 +230,7 @@ def load_video(
     absent = dict(sorted(absent.items()))
     return Video(
         folder, cameras, found.pose, found.shape, splits, images, maps, absent, found.focal,
-        found.stage,
+        found.stage, found.offsets,
     )  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""Whatever somebody was filmed before, they are cut out in their own colours."""
+"""The person is separated from any background without its colours."""
 
 import numpy as np
 import pytest
@@ -18,13 +18,13 @@ def person():
 
 
 @pytest.mark.parametrize("backdrop", [0.0, 1.0, np.float32([0.2, 0.9, 0.4])])
-def test_a_person_before_any_wall_is_the_same_person(person, backdrop):
+def test_a_plain_background_leaves_no_trace_in_the_person(person, backdrop):
     F, S = person[0], person[1][..., None]
     assert ((S > 0.05) & (S < 0.95)).sum() > 20
     np.testing.assert_allclose(alone(S * F + (1 - S) * backdrop, S[..., 0]), S * F, atol=1e-6)
 
 
-def test_before_a_wall_of_many_colours_most_of_it_goes(person):
+def test_most_of_a_coloured_background_is_removed(person):
     F, S = person[0], person[1][..., None]
     x = np.linspace(0, 1, W, dtype=np.float32)[None, :, None]
     wall = np.broadcast_to(np.concatenate([x, 1 - x, 0.5 + 0 * x], -1), F.shape)
@@ -33,7 +33,7 @@ def test_before_a_wall_of_many_colours_most_of_it_goes(person):
     assert left[0] < 0.4 * left[1]
 
 
-def test_what_is_left_is_never_negative_nor_brighter_than_white(person):
+def test_the_person_s_colour_stays_between_zero_and_the_mask(person):
     random = np.random.default_rng(1)
     found = alone(random.uniform(0, 1, (H, W, 3)).astype(np.float32), person[1])
     assert found.min() >= 0 and (found <= person[1][..., None]).all()
@@ -44,10 +44,10 @@ def test_a_hard_mask_cuts(person):
     assert np.array_equal(alone(person[0], hard), person[0] * hard[..., None])
 
 
-def test_where_no_wall_is_seen_the_picture_counts_as_it_is(person):
+def test_without_background_pixels_the_picture_is_kept(person):
     everywhere = np.full((H, W), 0.5, np.float32)
     np.testing.assert_allclose(alone(person[0], everywhere), 0.5 * person[0])
 
 
-def test_nobody_leaves_nothing(person):
+def test_an_empty_mask_gives_an_empty_picture(person):
     assert not alone(person[0], np.zeros((H, W), np.float32)).any()

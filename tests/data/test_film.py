@@ -1,4 +1,4 @@
-"""A film's pictures in any order, kept in memory or not: the same ones."""
+"""A film gives the same pictures in any order, kept in memory or not."""
 
 import pickle
 
@@ -39,7 +39,7 @@ def path(request, tmp_path):
     return path
 
 
-def test_in_any_order_and_with_any_memory_the_pictures_are_the_same(path):
+def test_pictures_are_the_same_in_any_order_and_memory(path):
     whole = Film(path)
     assert len(whole) == COUNT and whole.sizes == [SIZE[::-1]] * COUNT
     images = list(whole)
@@ -58,7 +58,7 @@ def test_in_any_order_and_with_any_memory_the_pictures_are_the_same(path):
             film[COUNT]
 
 
-def test_who_writes_into_a_picture_changes_it_for_nobody_else(tmp_path):
+def test_writing_into_a_picture_does_not_change_the_film(tmp_path):
     path = tmp_path / "film.mov"
     with av.open(str(path), "w") as container:  # decoded to RGB, so that nothing is converted
         stream = container.add_stream("png", rate=25)
@@ -81,7 +81,7 @@ def decoded(monkeypatch):
     return moments
 
 
-def test_going_on_decodes_no_picture_twice(path, decoded):
+def test_reading_forward_decodes_no_picture_twice(path, decoded):
     """In order, and in leaps between key pictures: at most those from one key picture on."""
     film = Film(path, kept=0)
     decoded.clear()
@@ -100,7 +100,7 @@ def test_a_short_film_is_decoded_once(path, decoded):
     assert len(decoded) == COUNT
 
 
-def test_going_back_by_some_decodes_nothing_again(path, decoded):
+def test_reading_back_a_little_decodes_nothing_again(path, decoded):
     """As `evaluate` does, to see how an avatar flickers: a frame, and the one before it."""
     film = Film(path, SOME)
     for k in range(31):
@@ -116,7 +116,7 @@ def _bytes(frame):
     return sum(plane.buffer_size for plane in frame.planes)
 
 
-def test_a_film_that_is_cut_short_or_none_is_refused(tmp_path):
+def test_a_damaged_film_is_refused(tmp_path):
     path = tmp_path / "film.mp4"
     write_movie(path, (shown(k) for k in range(COUNT)))
     film = Film(path, kept=0)
@@ -137,7 +137,7 @@ def litter(seed):
 
 
 @pytest.mark.parametrize("kind", ["lossless", "playable", "see-through"])
-def test_the_same_pictures_are_the_same_film_to_the_bit(kind, tmp_path):
+def test_equal_pictures_give_equal_films_to_the_bit(kind, tmp_path):
     patch = np.random.default_rng(0).integers(0, 255, (20, 12, 4), dtype=np.uint8)
     pictures = np.full((4, 48, 32, 4), 255, np.uint8)
     for k, picture in enumerate(pictures):

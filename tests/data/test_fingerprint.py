@@ -36,7 +36,7 @@ def test_the_same_body_passes_in_any_precision(made_on, tmp_path):
 
 
 @pytest.mark.parametrize("key", ["v_template", "shapedirs", "posedirs", "weights", "J_regressor"])
-def test_every_part_of_a_body_is_in_it(arrays, made_on, tmp_path, key):
+def test_the_fingerprint_covers_every_part_of_a_body(arrays, made_on, tmp_path, key):
     other = dict(arrays)
     random = np.random.default_rng(0)
     if key in ("weights", "J_regressor"):  # rows sum to 1
@@ -55,7 +55,7 @@ def test_the_distance_is_how_far_vertices_are_apart(arrays, made_on):
     assert 0.7 < distance(made_on, fingerprint(other)) / 0.005 < 1.4
 
 
-def test_another_number_of_vertices_is_told(made_on, tmp_path):
+def test_another_number_of_vertices_is_reported(made_on, tmp_path):
     folder = written(tmp_path, {"body": made_on | {"vertices": 10475}})
     with pytest.raises(InputError, match="10475 vertices"):
         require_same_body(folder, load_body())

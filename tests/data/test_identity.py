@@ -1,4 +1,4 @@
-"""A video is known again by what a fit sees of it, and by nothing else."""
+"""A video's identity covers what a fit sees of it, and nothing else."""
 
 import shutil
 from dataclasses import replace
@@ -19,7 +19,7 @@ def video(subject):
     return load_video(subject)
 
 
-def test_a_video_is_itself_also_elsewhere(video, subject, tmp_path):
+def test_a_copied_video_has_the_same_identity(video, subject, tmp_path):
     known = identity(video)
     assert set(known) == set(PARTS)
     copied = load_video(shutil.copytree(subject, tmp_path / "copy"))
@@ -29,7 +29,7 @@ def test_a_video_is_itself_also_elsewhere(video, subject, tmp_path):
 
 
 @pytest.mark.parametrize("part", ["frames", "masks"])
-def test_another_file_is_another_video(part, video, subject, tmp_path):
+def test_a_changed_file_is_another_video(part, video, subject, tmp_path):
     folder = shutil.copytree(subject, tmp_path / "other")
     first, second = folder / part / "000000.png", folder / part / "000001.png"
     assert first.read_bytes() != second.read_bytes()
@@ -37,7 +37,7 @@ def test_another_file_is_another_video(part, video, subject, tmp_path):
     assert differing(identity(video), load_video(folder)) == [part]
 
 
-def test_other_numbers_are_another_video(video):
+def test_changed_numbers_are_another_video(video):
     known = identity(video)
     others = {
         "cameras": replace(video, cameras=[c.zoomed(1.01) for c in video.cameras]),

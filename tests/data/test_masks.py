@@ -1,4 +1,4 @@
-"""Masks of every make say the same."""
+"""Masks of every form read the same."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ BYTES = [name for name, mask in HARD.items() if mask.dtype == np.uint8]  # what 
 @pytest.mark.parametrize(
     ("suffix", "name"), [("npy", name) for name in HARD] + [("png", name) for name in BYTES]
 )
-def test_hard_masks_of_every_make_say_the_same(name, suffix, tmp_path):
+def test_hard_masks_of_every_form_read_the_same(name, suffix, tmp_path):
     if suffix == "npy":
         np.save(tmp_path / "000003.npy", HARD[name])
     else:

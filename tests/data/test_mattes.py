@@ -64,7 +64,7 @@ def both(folder):
 
 
 @pytest.mark.parametrize("name", SAME)
-def test_both_readers_say_the_same(name, tmp_path):
+def test_subjects_and_prepare_read_a_mask_alike(name, tmp_path):
     image, expected = SAME[name]
     image.save(tmp_path / "000000.png")
     prepared, own = both(tmp_path)
@@ -95,7 +95,7 @@ DOUBTFUL = {
 
 
 @pytest.mark.parametrize("name", DOUBTFUL)
-def test_several_colours_do_not_say_what_is_inside(name, tmp_path):
+def test_a_mask_in_several_colours_is_refused(name, tmp_path):
     Image.fromarray(DOUBTFUL[name]).save(tmp_path / "000000.png")
     for read in (lambda: list(masks(tmp_path)), lambda: read_mask(tmp_path, 0)):
         with pytest.raises(InputError, match=r"000000\.png: a mask in several colours") as error:
@@ -125,7 +125,7 @@ ARRAYS = {
 
 
 @pytest.mark.parametrize("name", ARRAYS)
-def test_arrays_count_to_what_they_are_made_for(name, tmp_path):
+def test_arrays_of_every_range_are_scaled_to_255(name, tmp_path):
     given, expected = ARRAYS[name]
     np.save(tmp_path / "masks.npy", np.stack([given, 0 * given]))
     first, second = masks(tmp_path / "masks.npy")
@@ -137,7 +137,7 @@ def test_arrays_count_to_what_they_are_made_for(name, tmp_path):
 
 
 @pytest.mark.parametrize("value", [-4.0, np.nan, 300.0])
-def test_a_networks_own_values_are_no_shares(value, tmp_path):
+def test_values_beyond_the_range_are_refused(value, tmp_path):
     given = np.where(INSIDE, 8.0, value)
     np.save(tmp_path / "masks.npy", given[None])
     with pytest.raises(InputError, match=r"masks\.npy: mask 0: its values go from"):

@@ -76,7 +76,7 @@ def test_icon_s_normals_belong_to_rays(tmp_path):
     assert angle(flat[hit], truth[hit]).mean() > 3 * angle(found[hit], truth[hit]).mean()
 
 
-def test_turning_to_the_ray_is_undone_by_turning_back(tmp_path):
+def test_the_rotation_takes_the_axis_to_each_ray(tmp_path):
     """The least rotation from the axis to the ray, transposed, takes every ray to the axis."""
     d = rays()
     icon = d * (1, -1, -1)  # as if all of the surface faced away along the ray, unturned
@@ -101,7 +101,7 @@ def test_on_the_axis_icon_s_normals_only_change_axes(tmp_path):
     np.testing.assert_allclose(found[52, 40], (0.6, -0.48, -0.64), atol=0.01)
 
 
-def test_a_crop_is_put_where_its_box_says(tmp_path):
+def test_a_map_of_a_box_lands_in_its_box(tmp_path):
     """Also one that reaches out of the picture, and is finer than the frame's pixels."""
     normals, hit = ball(np.array([-0.1, 0.02, 0.4]))
     left, top, right, bottom = -20, 25, 60, 105
@@ -117,7 +117,7 @@ def test_a_crop_is_put_where_its_box_says(tmp_path):
 
 
 @pytest.mark.parametrize("colour", [0.0, 0.5, 1.0])
-def test_a_plain_background_says_nothing(tmp_path, colour):
+def test_normals_on_a_plain_background_are_unknown(tmp_path, colour):
     (tmp_path / "normals").mkdir()
     write_image(tmp_path / "normals/000000.png", np.full((SIZE, SIZE, 3), colour))
     assert not NormalMaps.open(tmp_path, 1).read(0, CAMERA).any()
@@ -129,7 +129,7 @@ def test_no_folder_and_no_file_are_no_normals(tmp_path):
     assert maps.read(1, CAMERA) is None
 
 
-def test_the_caller_s_word_counts_more_than_the_file_s(tmp_path):
+def test_the_caller_s_convention_overrides_the_file_s(tmp_path):
     folder_with(tmp_path, [np.ones((SIZE, SIZE, 3))], {"convention": "icon"})
     assert NormalMaps.open(tmp_path, 1).convention == "icon"
     assert NormalMaps.open(tmp_path, 1, "perspective").convention == "perspective"
@@ -169,7 +169,7 @@ def test_maps_of_another_size_need_boxes(tmp_path):
 
 
 @pytest.mark.parametrize("about", [None, {"convention": "icon", "boxes": [[5, -8, 90.5, 77]]}])
-def test_a_part_is_that_part_of_the_whole(tmp_path, about):
+def test_a_part_equals_that_part_of_the_whole_map(tmp_path, about):
     normals, _ = ball(np.array([0.03, 0.01, 0.4]))
     maps = folder_with(tmp_path, [normals], about)
     part = np.s_[30:75, 21:84]

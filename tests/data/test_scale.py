@@ -1,4 +1,4 @@
-"""Long videos: what a frame more costs. 2,000 frames of 1080p must fit into 4 GiB.
+"""Cost per frame of long videos: 2,000 frames of 1080p must fit into 4 GiB.
 
     python -m pytest -m slow tests/data/test_scale.py -s
 
@@ -186,12 +186,12 @@ def require_flat(few, many, fewer, more):
         assert seconds_more < 1.5 * few[name][1] / fewer, name
 
 
-def test_a_frame_more_costs_no_memory_and_the_same_time(tmp_path):
+def test_memory_and_time_per_frame_stay_constant(tmp_path):
     few, many = steps(tmp_path / "few", FEW), steps(tmp_path / "many", MANY)
     require_flat(few, many, FEW, MANY)
 
 
-def test_a_frame_more_is_refined_and_fitted_in_the_same_memory_and_time(tmp_path, built_in_body):
+def test_refine_and_fit_need_constant_time_per_frame(tmp_path, built_in_body):
     few = solved(tmp_path / "few", FEW_SOLVED, built_in_body)
     many = solved(tmp_path / "many", MANY_SOLVED, built_in_body)
     require_flat(few, many, FEW_SOLVED, MANY_SOLVED)

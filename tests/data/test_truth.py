@@ -1,4 +1,4 @@
-"""The truth is told on the body that was filmed."""
+"""Ground truth is on the body that was filmed."""
 
 import numpy as np
 import pytest
@@ -25,14 +25,14 @@ def camera(focal):
     return Camera(focal, focal, 32, 32, np.eye(4), 64, 64)
 
 
-def test_without_a_body_of_its_own_the_truth_is_told_on_the_fitted_one(folder):
+def test_without_a_body_file_the_fitted_body_was_filmed(folder):
     body = load_body()
     truth = load_truth(folder, body)
     assert truth.body is body and not truth.foreign
     assert len(truth.pose) == 2 and torch.equal(truth.shape.betas, torch.ones(10))
 
 
-def test_a_body_of_its_own_is_the_one_that_was_filmed(folder):
+def test_a_body_file_is_the_body_that_was_filmed(folder):
     with np.load(PUPPET) as arrays:
         larger = {**arrays, "v_template": 1.1 * arrays["v_template"]}
     np.savez(folder / "body.npz", **larger)
@@ -41,12 +41,12 @@ def test_a_body_of_its_own_is_the_one_that_was_filmed(folder):
     assert truth.foreign and torch.allclose(truth.body.v_template, 1.1 * body.v_template)
 
 
-def test_the_cameras_are_the_videos_where_the_truth_has_none_of_its_own(folder):
+def test_without_cameras_of_its_own_the_video_s_are_ground_truth(folder):
     assert [c.fx for c in load_truth(folder, load_body()).cameras] == [60.0, 60.0]
     save_cameras(folder / "cameras.npz", [camera(54.0)])
     assert [c.fx for c in load_truth(folder, load_body()).cameras] == [54.0, 54.0]
 
 
-def test_a_truth_without_poses_is_named(tmp_path):
+def test_ground_truth_without_poses_is_named(tmp_path):
     with pytest.raises(InputError, match="poses.npz"):
         load_truth(tmp_path, load_body())

@@ -30,7 +30,7 @@ def test_a_subject_comes_back_as_it_was_written(subject):
     assert len(frame.pose) == 1
 
 
-def test_a_film_without_loss_serves_like_frames(subject):
+def test_a_lossless_film_reads_like_frames(subject):
     frames = [f.image for f in load_video(subject).frames()]
     write_movie(subject / "video.mp4", frames)
     shutil.rmtree(subject / "frames")
@@ -62,7 +62,7 @@ def test_normals_are_unit_inside_the_mask_and_zero_outside(subject):
     assert abs(difference).max() < 1 / 127
 
 
-def test_what_is_missing_belongs_to_no_split_and_stops_nothing(subject):
+def test_absent_frames_belong_to_no_split(subject):
     (subject / "frames/000001.png").unlink()
     (subject / "splits.json").write_text(json.dumps({"train": [0, 1], "test": [2]}))
     video = load_video(subject)
@@ -168,7 +168,7 @@ def test_indices_are_spread_evenly_with_both_ends():
     assert spread([3, 5], 4) == [3, 5] and spread([], 4) == []
 
 
-def test_poses_with_a_focal_length_of_their_own_come_with_its_cameras(subject):
+def test_the_poses_focal_factor_scales_the_cameras(subject):
     plain = load_video(subject)
     save_poses(subject / "zoomed.npz", plain.pose, plain.shape, stage=2, focal=1.25)
     zoomed = load_video(subject, subject / "zoomed.npz")
@@ -185,7 +185,7 @@ def test_a_focal_length_that_is_no_positive_number_is_refused(subject):
         load_video(subject, subject / "zoomed.npz")
 
 
-def test_a_file_of_poses_says_who_made_them(subject):
+def test_a_file_of_poses_holds_its_stage(subject):
     video = load_video(subject)
     assert video.stage == 1
     save_poses(subject / "refined.npz", video.pose, video.shape, stage=2)

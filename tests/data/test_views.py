@@ -30,7 +30,7 @@ def views(subject):
     return subject
 
 
-def test_they_have_the_video_s_poses_and_their_own_cameras(views):
+def test_views_have_the_video_s_poses_and_their_own_cameras(views):
     video = load_video(views)
     transl = torch.tensor([[0.0, 0, 0], [7, 0, 0], [14, 0, 0]])
     moved = Pose(video.pose.rotations, transl, video.pose.expression)
@@ -45,7 +45,7 @@ def test_a_subject_without_them_has_none(subject):
     assert held_out_views(load_video(subject)) is None
 
 
-def test_what_is_wrong_is_said_in_one_sentence(views):
+def test_damaged_views_are_refused_in_one_sentence(views):
     video = load_video(views)
 
     def refused(words):

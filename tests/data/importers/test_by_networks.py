@@ -108,7 +108,7 @@ def test_masks_by_segment_anything(tmp_path, cli, tiny_sam, people, joints, wham
     assert about["sam_checkpoint"] == str(tiny_sam) and about["masks"] == "sam"
 
 
-def test_what_masks_by_segment_anything_need(tmp_path, cli, people, joints, wham_file):
+def test_segment_anything_needs_a_checkpoint(tmp_path, cli, people, joints, wham_file):
     draw(tmp_path / "shots", prompts_of(people[0], [], joints, (WIDTH, HEIGHT)))
     given = [wham_file, tmp_path / "s", "--body", "puppet", "--frames", tmp_path / "shots"]
 

@@ -1,4 +1,4 @@
-"""Data sets as they are in the wild, of a few frames: the person stands where the camera saw.
+"""Data sets of a few frames: the person stands where the camera saw them.
 
 Those of many cameras are in test_multi_view.py.
 """
@@ -193,7 +193,7 @@ def test_instantavatar(tmp_path, seen, thetas, world, prepared, stands, form):
     assert np.array_equal(video[1].mask > 0.5, MASK > 0)
 
 
-def test_what_is_no_data_set_needs_pictures(tmp_path, cli):
+def test_a_folder_that_is_no_data_set_is_refused(tmp_path, cli):
     (tmp_path / "x").mkdir()
     assert dataset_of(tmp_path / "x") is None
     code, _, err = cli("prepare", "auto", tmp_path / "x", tmp_path / "s", *PUPPET)

@@ -21,7 +21,7 @@ PLACES = 3.0 * np.arange(WIDTH) + 20, 4.0 * np.arange(HEIGHT) + 10  # what a pix
 
 
 def ramp():
-    """A picture that tells of each of its points where it is: interpolated, it still does."""
+    """A picture whose colours are its coordinates, also where it is interpolated."""
     x, y = np.meshgrid(*PLACES)
     return np.stack([x, y, 0 * x], axis=-1).round().astype(np.uint8)
 

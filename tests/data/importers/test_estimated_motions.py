@@ -170,7 +170,7 @@ def romp(rotations, places):
 
 
 @pytest.mark.parametrize("written", [phalp, pymafx, hybrik, romp])
-def test_what_a_camera_saw_is_a_motion_where_it_stands(written, tmp_path, before_camera):
+def test_a_camera_s_axes_are_upright_and_depth_is_scaled(written, tmp_path, before_camera):
     rotations, places, seen, pelvis = before_camera
     name, value = written(seen, pelvis)
     motion = read_motion(dumped(tmp_path / name, value), TargetBody.read(None), OF_ESTIMATORS)
@@ -192,7 +192,7 @@ def test_parameters_a_file_a_frame_are_a_motion(tmp_path, walk):
     moves_alike(read_motion(tmp_path / "out", TargetBody.read(None), options), rotations, transl)
 
 
-def test_places_that_a_file_does_not_say_are_refused(tmp_path, before_camera):
+def test_a_file_without_places_is_refused(tmp_path, before_camera):
     _, _, seen, pelvis = before_camera
     smplifyx = {"camera_translation": np.zeros((1, 3))}
     dumped(tmp_path / "out/results/0/000.pkl", smplifyx)
@@ -204,7 +204,7 @@ def test_places_that_a_file_does_not_say_are_refused(tmp_path, before_camera):
         read_motion(path, TargetBody.read(None), OF_ESTIMATORS)
 
 
-def test_a_folder_is_told_what_it_holds(tmp_path):
+def test_an_unknown_folder_is_described(tmp_path):
     for names, words in (
         ((), "a folder that holds nothing, and no motion that is known; expected a file such as"),
         (("a.txt", "b.txt"), r"holds a.txt, b.txt, and no motion"),

@@ -1,4 +1,4 @@
-"""Every estimator's file, made in exactly its form: the person stands where it says."""
+"""Files in exactly the form of each estimator: the person stands where the file says."""
 
 import pickle
 import re
@@ -289,7 +289,7 @@ def test_a_scaled_body_comes_nearer_instead(tmp_path, seen, prepared, stands, na
     stands(folder, rotations, SMPLX + transl, CENTRED(70))
 
 
-def test_what_has_no_names_or_another_body_is_refused(tmp_path, refused):
+def test_arrays_without_names_and_other_bodies_are_refused(tmp_path, refused):
     np.save(tmp_path / "flat.npy", np.zeros((5, 265)))
     refused(r"an array \(5, 265\) without names.*save them by name", tmp_path / "flat.npy")
     mhr = [{"pred_vertices": np.zeros((9, 3)), "pred_cam_t": np.zeros(3), "focal_length": 900.0,
@@ -306,12 +306,12 @@ def test_what_has_no_names_or_another_body_is_refused(tmp_path, refused):
     refused("out: holds " + words, tmp_path / "out")
 
 
-def test_an_intended_kind_that_is_damaged_is_said_in_one_sentence(tmp_path, refused):
+def test_a_damaged_file_is_refused_in_one_sentence(tmp_path, refused):
     res = {"pred_thetas": np.zeros((1, 7)), "pred_cam_root": 0, "bbox": 0, "img_path": ["x"]}
     refused("\\(of the kind hybrik\\): of another form", dumped(tmp_path / "r.pk", res))
 
 
-def test_who_is_nearest_goes_on():
+def test_the_nearest_person_keeps_the_name():
     a, b = np.array([0.0, 0, 4]), np.array([0.6, 0, 4])
     assert follow([[a], [b, a], [a, b], [], [b + 0.1]]) == [
         ["0"],

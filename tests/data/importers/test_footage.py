@@ -1,4 +1,4 @@
-"""Films as phones and cameras write them, and masks that are none: through ``prepare``."""
+"""Films as phones and cameras write them, and masks that are refused."""
 
 import pickle
 from fractions import Fraction
@@ -80,7 +80,7 @@ def test_ten_bits_are_read_as_eight(tmp_path):
             assert off.max() <= 8 and off.mean() < 3
 
 
-def test_a_rate_that_varies_is_said_and_every_picture_is_a_frame(tmp_path):
+def test_a_varying_rate_is_reported_and_every_picture_is_a_frame(tmp_path):
     moments = [0, 33, 66, 100, 250, 283]
     uneven = film(tmp_path / "uneven.mp4", 6, moments=moments)
     for found in (list(pictures(uneven, 3)), list(Film(uneven))):
@@ -108,7 +108,7 @@ def estimate(tmp_path, seen):
     return ["prepare", "wham", path, tmp_path / "s", "--body", "puppet"]
 
 
-def test_prepare_says_that_the_rate_varies(tmp_path, cli, estimate):
+def test_prepare_reports_a_varying_rate(tmp_path, cli, estimate):
     path = film(tmp_path / "film.mp4", 5, moments=[0, 40, 80, 200, 240])
     mask = np.zeros((5, *SIZE), bool)
     mask[:, 8:20, 10:30] = True
@@ -130,7 +130,9 @@ NONE = {
 
 @pytest.mark.parametrize("stored", ["png", "npy"])
 @pytest.mark.parametrize("name", NONE)
-def test_masks_that_are_none_are_refused(name, stored, tmp_path, cli, estimate, footage):
+def test_masks_of_labels_or_of_one_value_are_refused(
+    name, stored, tmp_path, cli, estimate, footage
+):
     values, words = NONE[name]
     given = tmp_path / ("labels" if stored == "png" else "labels.npy")
     if stored == "png":

@@ -1,4 +1,4 @@
-"""The lens that a video was filmed with: told by its file or its owner, taken by ``prepare``."""
+"""The lens of a recording: read from its file or given, and used by ``prepare``."""
 
 import struct
 
@@ -64,7 +64,7 @@ TYPES = {
 
 @pytest.mark.parametrize("mpeg4", [False, True])
 @pytest.mark.parametrize("kind", TYPES)
-def test_a_film_tells_it_or_its_track(tmp_path, kind, mpeg4):
+def test_the_lens_is_read_from_the_film_or_its_track(tmp_path, kind, mpeg4):
     said = meta(*TYPES[kind], mpeg4=mpeg4)
     for place in ("of_film", "of_track"):
         path = film(tmp_path / "a.mov", **{place: said})
@@ -77,11 +77,11 @@ def test_a_film_tells_it_or_its_track(tmp_path, kind, mpeg4):
 @pytest.mark.parametrize("said", [b"", meta(1, b"wide"), meta(1, b"27", "com.apple.make"),
                                   meta(13, b"27"), meta(1, b"0"), meta(1, b"nan"),
                                   meta(1, b"1e9"), meta(21, struct.pack(">i", -27))])  # fmt: skip
-def test_other_films_tell_nothing(tmp_path, said):
+def test_other_films_record_no_lens(tmp_path, said):
     assert recorded(film(tmp_path / "a.mov", of_track=said), SIZE) is None
 
 
-def test_a_film_cut_off_or_bent_anywhere_tells_a_number_or_nothing(tmp_path):
+def test_a_damaged_film_records_a_number_or_nothing(tmp_path):
     whole = film(tmp_path / "a.mov", of_track=meta(*TYPES["signed"])).read_bytes()
     path, random = tmp_path / "bent.mov", np.random.default_rng(0)
     for end in range(0, len(whole), 7):
@@ -104,18 +104,18 @@ def photograph(path, size=SIZE, **tags):
     return path
 
 
-def test_a_photograph_tells_it_of_35_mm_film(tmp_path):
+def test_the_lens_is_read_from_a_photograph(tmp_path):
     path = photograph(tmp_path / "0.jpg", _41989=26)
     assert recorded(tmp_path, SIZE) == pytest.approx(26 / 43.27 * 80)
     assert recorded((path,), SIZE) == recorded(tmp_path, SIZE)
 
 
 @pytest.mark.parametrize("tags", [{}, {"_41989": 0}, {"_41989": "wide"}])
-def test_other_photographs_tell_nothing(tmp_path, tags):
+def test_other_photographs_record_no_lens(tmp_path, tags):
     assert recorded((photograph(tmp_path / "0.jpg", **tags),), SIZE) is None
 
 
-def test_a_photograph_with_broken_tags_tells_nothing(tmp_path):
+def test_a_photograph_with_broken_tags_records_no_lens(tmp_path):
     Image.new("RGB", SIZE).save(tmp_path / "0.jpg", exif=b"Exif\0\0MM\0*\0\0\0\x08\xff\xff")
     assert recorded(tmp_path, SIZE) is None
 
@@ -156,7 +156,7 @@ def pelvises(track):
     return (track.transl + PELVIS["SMPL-X"])[:, None]
 
 
-def test_through_another_lens_the_person_is_where_they_were_and_as_large(track):
+def test_another_lens_keeps_place_and_size_in_the_picture(track):
     """The pelvis in the picture, and how many pixels a metre there has."""
     track.K[:, 0, 0] *= 1.1  # pixels that are not square become so
     other = through_lens(track, 400.0)
@@ -167,7 +167,7 @@ def test_through_another_lens_the_person_is_where_they_were_and_as_large(track):
     assert np.abs(a_metre(track) / a_metre(other) - 1).max() < 1e-12
 
 
-def test_and_shows_the_eye_the_same_side(track):
+def test_another_lens_sees_the_same_side_of_the_person(track):
     other = through_lens(track, 400.0)
     sides = []
     for t in (track, other):
@@ -186,7 +186,7 @@ def joints(track, turned):
     return body(pose, shape).joints[:, :22].numpy()
 
 
-def test_the_whole_picture_hardly_changes(track):
+def test_another_lens_hardly_moves_the_joints(track):
     """For half the focal length, joints move by about a hundredth of the person's height."""
     other = through_lens(track, 450.0)
     before = projected(track, joints(track, track.rotations))
@@ -219,7 +219,7 @@ def prepare(cli, tmp_path, file, *more):
     return cli("prepare", "parameters", file, tmp_path / "s", "--body", "puppet", *where, *more)
 
 
-def test_prepare_says_what_the_file_tells_and_takes_it(tmp_path, cli, seen):
+def test_prepare_reports_the_recorded_lens_and_takes_it(tmp_path, cli, seen):
     file = written(tmp_path, seen, _41989=26)
     code, said, _ = prepare(cli, tmp_path, file)
     assert code == 0
@@ -239,7 +239,7 @@ def test_prepare_says_what_the_file_tells_and_takes_it(tmp_path, cli, seen):
         assert places[1][k, 2] / places[0][k, 2] == pytest.approx(focal / 200, rel=1e-5)
 
 
-def test_prepare_says_nothing_of_a_lens_that_agrees_or_is_not_told(tmp_path, cli, seen):
+def test_prepare_reports_no_lens_that_agrees_or_is_missing(tmp_path, cli, seen):
     file = written(tmp_path, seen)
     code, said, _ = prepare(cli, tmp_path, file)
     assert code == 0 and "focal" not in said

@@ -1,4 +1,4 @@
-"""Motions as they are in the wild: every form gives the same poses."""
+"""Motions in every form give the same poses."""
 
 import pickle
 
@@ -116,7 +116,7 @@ def places(rotations, transl, joints):
     return (torch.einsum("tjab,jb->tja", T[..., :3, :3], joints) + T[..., :3, 3]).numpy()
 
 
-def test_who_lies_down_needs_to_say_what_is_up(read, walk):
+def test_a_lying_person_needs_an_up_axis(read, walk):
     rotations, transl = walk(3)
     rotations[:, 0] = (0.6755, 0, -0.6755)  # upward is now the diagonal of the axes
     with pytest.raises(InputError, match="above the feet along no axis; give --up"):
@@ -171,7 +171,7 @@ def smplx_file(folder):
 
 
 @pytest.mark.parametrize("count", [6, 12])
-def test_hands_of_components_are_the_bodys_own(tmp_path, walk, count, cli):
+def test_hands_as_pca_are_of_the_given_body(tmp_path, walk, count, cli):
     rotations, transl = walk(5)
     random = np.random.default_rng(0)
     c = [random.normal(0, 0.3, (5, count)) for _ in "lr"]
@@ -198,7 +198,7 @@ def test_hands_of_components_are_the_bodys_own(tmp_path, walk, count, cli):
     assert code == 2 and "components of a PCA need the body" in err and "(5, 44)" in err
 
 
-def test_betas_that_vary_are_their_median_and_it_is_said(read, walk):
+def test_varying_betas_become_their_median(read, walk):
     rotations, transl = walk(7)
     betas = np.tile(np.linspace(0, 1, 10), (7, 1))
     betas[:, 0] += np.array([0, 0, 0, 0, 9, 0, 0])  # one frame that the estimator got wrong
@@ -236,7 +236,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_what_cannot_be_read_is_said_in_one_sentence(read, case):
+def test_a_bad_motion_is_refused_in_one_sentence(read, case):
     arrays, words = BAD[case]
     with pytest.raises(InputError, match=words) as caught:
         read(**arrays)

@@ -112,7 +112,7 @@ def test_other_cameras_see_the_person_where_they_are(two_cameras, world, prepare
     assert np.array_equal(read_image(folder / "views/frames/000001.png", 3).shape, (48, 64, 3))
 
 
-def test_views_that_are_not_there(two_cameras, tmp_path, cli):
+def test_missing_views_are_refused(two_cameras, tmp_path, cli):
     def refused(words, *more):
         code, _, err = cli("prepare", "zju", two_cameras, tmp_path / "b", *PUPPET, *more)
         assert code == 2 and words in err and err.count("\n") <= 2, err
@@ -216,7 +216,7 @@ def test_easymocap_with_hands(tmp_path, seen, thetas, world, cli, stands, form):
         assert code == 2 and "'poses' has 70 numbers a frame; expected SMPL's 72 or 69" in err
 
 
-def test_views_of_cameras_with_files_of_their_own(tmp_path, thetas, world, prepared):
+def test_views_of_cameras_of_different_sizes(tmp_path, thetas, world, prepared):
     """EasyMocap; one camera's pictures are larger than those of the first that is held out."""
     source = tmp_path / "scene"
     Rh, Th = about_origin(thetas, world)

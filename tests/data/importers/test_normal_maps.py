@@ -133,14 +133,14 @@ BAD = {
 
 
 @pytest.mark.parametrize("what", BAD)
-def test_maps_that_do_not_fit_are_one_sentence(what, maps, given, cli, tmp_path):
+def test_bad_maps_are_refused_in_one_sentence(what, maps, given, cli, tmp_path):
     more = ("--normals", spoiled(maps, what), "--normals-convention", "perspective")
     code, _, err = cli(*given, *more)
     assert code == 2 and BAD[what] in err and err.count("\n") <= 2, err
     assert not (tmp_path / "s").exists()
 
 
-def test_what_a_folder_needs_and_what_is_for_networks_alone(maps, given, cli, tmp_path):
+def test_options_of_networks_are_refused_for_a_folder(maps, given, cli, tmp_path):
     folder = maps(lambda k: f"{k + 8}.png")
     code, _, err = cli(*given, "--normals", folder)
     assert code == 2 and "--normals needs --normals-convention" in err

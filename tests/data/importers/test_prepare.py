@@ -1,4 +1,4 @@
-"""Estimators' files as they are in the wild: the person stands where the estimator saw them."""
+"""``prepare`` with WHAM, GVHMR, 4D-Humans and SMPLer-X: the person stands where they saw it."""
 
 import json
 import pickle
@@ -68,7 +68,7 @@ def test_wham(tmp_path, cli, seen, footage):
     assert code == 2 and "--overwrite" in err
 
 
-def test_who_is_seen_longest_and_what_is_missing_between(tmp_path, cli, seen, footage):
+def test_the_longest_track_is_taken_and_gaps_are_filled(tmp_path, cli, seen, footage):
     rotations, transl = seen
     part = [0, 1, 3]
     people = wham((rotations[part], transl[part]), frames=np.array(part))
@@ -105,7 +105,7 @@ def test_the_masks_choose_the_person(tmp_path, cli, seen, footage):
     assert json.loads((tmp_path / "subject/prepare.json").read_text())["person"] == "7"
 
 
-def test_a_body_is_demanded_and_expected_by_the_later_steps(tmp_path, cli, seen, footage):
+def test_later_steps_expect_the_body_that_was_prepared_for(tmp_path, cli, seen, footage):
     file, subject = tmp_path / "wham_output.pkl", tmp_path / "subject"
     file.write_bytes(pickle.dumps(wham(seen)))
     code, _, err = cli("prepare", "wham", file, subject, *footage[2:])
@@ -196,7 +196,7 @@ def test_smpler_x(tmp_path, cli, seen, footage):
     assert np.abs(matrices(video.pose.rotations[:, 25:]) - fingers).max() < 1e-5
 
 
-def test_what_does_not_fit_is_said_in_one_sentence(tmp_path, cli, seen, footage):
+def test_bad_sources_are_refused_in_one_sentence(tmp_path, cli, seen, footage):
     def refused(words, *arguments):
         code, _, err = cli("prepare", *arguments)
         assert code == 2 and words in err and err.count("\n") <= 2, err

@@ -1,4 +1,4 @@
-"""OSX's JSON and its line, forks of SMPLest-X, ExAvatar: the person stands where they saw them."""
+"""JSON of OSX, forks of SMPLest-X, and ExAvatar: the person stands where they saw them."""
 
 import json
 
@@ -89,7 +89,7 @@ def test_parameters_a_frame(form, tmp_path, cli, seen, footage, stands):
         assert "person 0, " in said and "1 (2 frames" in said
 
 
-def test_what_is_missing_is_said(tmp_path, seen):
+def test_missing_parameters_are_named(tmp_path, seen):
     def refused(words, folder):
         with pytest.raises(InputError, match=words) as error:
             read_estimator("osx", folder, VideoInfo((WIDTH, HEIGHT)))
@@ -152,7 +152,7 @@ def test_exavatar(exavatar, tmp_path, cli, seen, stands):
     assert np.array_equal(read_image(tmp_path / "s/frames/000003.png", 3), seen_there)
 
 
-def test_betas_that_a_body_s_file_does_not_have(exavatar, tmp_path, cli):
+def test_betas_beyond_the_body_s_are_dropped(exavatar, tmp_path, cli):
     """ExAvatar's shape has a hundred numbers, a file of SMPL-X's first version ten."""
     with np.load(PUPPET) as arrays:
         body = {key: arrays[key] for key in arrays.files}

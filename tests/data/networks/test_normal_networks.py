@@ -1,4 +1,4 @@
-"""Networks of normals from files that the tests write: what they see, and what becomes of it."""
+"""Networks of normals in files that the tests write: their input and output."""
 
 import warnings
 
@@ -75,7 +75,7 @@ def person():
 
 
 @pytest.mark.parametrize("form", ["script", "encoded", "onnx", "onnx of one size"])
-def test_what_it_sees_and_what_it_says(form, person, tmp_path):
+def test_the_network_s_input_and_output_are_in_its_convention(form, person, tmp_path):
     """Red 170, as in the middle of the person, is (170/255 − 0.5) / 0.5 for the network."""
     if form.startswith("onnx"):
         sides = SIZE[::-1] if "size" in form else ("h", "w")
@@ -94,7 +94,7 @@ def test_what_it_sees_and_what_it_says(form, person, tmp_path):
     assert np.abs(normals[place[1], place[0], :2] - (red, green)).max() < 0.04
 
 
-def test_around_the_person_is_the_mean_where_people_are_cut_out(person, tmp_path):
+def test_with_icon_the_background_is_the_mean(person, tmp_path):
     path = torch_script(tmp_path / "normals.pt", FromColour())
     _, whole = NormalNetwork(path, NormalsSpec("opengl", SIZE)).see(*person)
     _, alone = NormalNetwork(path, NormalsSpec("icon", SIZE)).see(*person)
@@ -121,7 +121,7 @@ class Wrong(torch.nn.Module):
         return torch.cat([seen, seen], dim=2).reshape(7)
 
 
-def test_what_is_no_network_of_normals_is_said_in_one_sentence(person, tmp_path):
+def test_a_bad_network_is_refused_in_one_sentence(person, tmp_path):
     def refused(path, words):
         with pytest.raises(InputError, match=words) as error:
             NormalNetwork(path, NormalsSpec("icon", SIZE)).see(*person)
@@ -141,7 +141,7 @@ def test_what_is_no_network_of_normals_is_said_in_one_sentence(person, tmp_path)
         refused(torch_script(tmp_path / f"{kind}.pt", Wrong(kind)), words)
 
 
-def test_what_is_no_onnx_network_of_normals_is_said_in_one_sentence(person, tmp_path):
+def test_a_bad_onnx_network_is_refused_in_one_sentence(person, tmp_path):
     pytest.importorskip("onnxruntime")
     (tmp_path / "text.onnx").write_text("hello")
     with pytest.raises(InputError, match="no ONNX network .*expected a network that takes"):

@@ -1,4 +1,4 @@
-"""Segment Anything in a small size: what it sees, what it is told, which guess is taken."""
+"""A small Segment Anything: its input, its prompts, and the guess that is taken."""
 
 import numpy as np
 import pytest
@@ -35,7 +35,7 @@ def prompt(inside, points):
     return Prompt(box_of_mask(inside), np.array(points, float), np.ones(len(points), int))
 
 
-def test_what_is_at_a_place_is_there_in_the_crop():
+def test_a_point_keeps_its_place_in_the_crop():
     image = np.zeros((50, 70, 3), np.uint8)
     image[20:22, 40:42] = 255  # its middle is at (41, 21)
     crop = CropBox.round_box(np.array([30.0, 10, 60, 28]), 0.1)
@@ -50,7 +50,7 @@ def test_what_is_at_a_place_is_there_in_the_crop():
     assert (high.width, high.height) == (10, 20)
 
 
-def test_a_guess_in_another_crop_of_the_same_place():
+def test_logits_are_resampled_to_another_crop():
     logits = torch.linspace(-1, 1, 16)[None].repeat(16, 1)
     found = MaskGuess(np.zeros((1, 1), bool), CropBox(10, 20, 16, 16), logits)
     same = found.seen_in(CropBox(10, 20, 16, 16))
@@ -60,7 +60,7 @@ def test_a_guess_in_another_crop_of_the_same_place():
     assert (moved[:, 14:] < -30).all()  # nothing is known there
 
 
-def test_it_is_shown_and_told_what_the_processor_of_transformers_shows_and_tells(tiny_sam):
+def test_inputs_equal_those_of_the_processor_of_transformers(tiny_sam):
     """A crop that is the picture itself: the network's own preparation gives the same guesses."""
     image, inside = ellipse((64, 64), (30, 33), (12, 20))
     points, box = np.array([[30.0, 33.0], [28.0, 25.0]]), box_of_mask(inside)
@@ -95,7 +95,7 @@ def test_it_is_shown_and_told_what_the_processor_of_transformers_shows_and_tells
     ((200, 120), (60, 55), (14, 40)),  # a wide picture: the crop is finer than the whole
     ((90, 160), (80, 90), (24, 50)),  # partly beyond the border
 ])  # fmt: skip
-def test_it_finds_what_it_is_told_of(tiny_sam, size, centre, radii):
+def test_the_prompted_ellipse_is_found(tiny_sam, size, centre, radii):
     image, inside = ellipse(size, centre, radii)
     place = (min(centre[0], size[0] - 4), centre[1])
     found = SegmentAnything.load(tiny_sam).find(image, prompt(inside, [place]))
@@ -144,7 +144,7 @@ def test_the_guess_that_holds_the_points_and_stays_in_the_box_is_taken():
     assert torch.equal(after.find(image, upper, last).logits, sleeve)  # as in the frame before
 
 
-def test_what_is_no_checkpoint_is_said_in_one_sentence(tmp_path):
+def test_a_bad_checkpoint_is_refused_in_one_sentence(tmp_path):
     def refused(path, words):
         with pytest.raises(InputError, match=words) as error:
             load_network(path)

@@ -133,7 +133,6 @@ def _size_of_pymafx(found: dict) -> Any:  # noqa: ANN401
 
 
 _MULTI_HMR_ANGLE = np.radians(60.0 / 2)  # half of what the longer side is seen under
-_ALL = {name: name for name in SMPLX_FIELDS}
 _PYMAFX = {  # the root stands before the body, and SMPL's mittens after it
     "global_orient": ("body_pose", slice(0, 1)), "body_pose": ("body_pose", slice(1, 22)),
     "left_hand_pose": "left_hand_pose", "right_hand_pose": "right_hand_pose",

@@ -263,7 +263,7 @@ def _folder(job: _Export) -> Work:
     return work
 
 
-class Format(NamedTuple):
+class OutputFormat(NamedTuple):
     """What a suffix of ``--out`` stands for."""
 
     what: str
@@ -273,18 +273,18 @@ class Format(NamedTuple):
 
 _ONE_POSE = _gaussians, ("poses", "frame")
 FORMATS = {
-    ".ply": Format("Gaussians in one pose, for viewers of 3DGS", *_ONE_POSE),
-    COMPRESSED: Format("the same in 16 bytes each, as SuperSplat writes it", *_ONE_POSE),
-    ".splat": Format("the same in 32 bytes each, for viewers in a browser", *_ONE_POSE),
-    ".spz": Format("Niantic's, a quarter of a .ply, with spherical harmonics", *_ONE_POSE),
-    ".glb": Format(
+    ".ply": OutputFormat("Gaussians in one pose, for viewers of 3DGS", *_ONE_POSE),
+    COMPRESSED: OutputFormat("the same in 16 bytes each, as SuperSplat writes it", *_ONE_POSE),
+    ".splat": OutputFormat("the same in 32 bytes each, for viewers in a browser", *_ONE_POSE),
+    ".spz": OutputFormat("Niantic's, a quarter of a .ply, with spherical harmonics", *_ONE_POSE),
+    ".glb": OutputFormat(
         "the surface with skeleton, skin, colours, and a motion", _surface, ("poses", "fps")
     ),
-    ".npz": Format(
+    ".npz": OutputFormat(
         "poses as AMASS has them; with --no-rig the avatar without its body", _poses,
         ("poses", "fps", "no_rig"),
     ),
-    ".mp4": Format("a film", _film, ("poses", "frame", "fps", "background")),
-    SEE_THROUGH: Format("a transparent film", _transparent_film, ("poses", "frame", "fps")),
-    "": Format("a folder with one file a frame", _folder, ("poses", "every", "each")),
+    ".mp4": OutputFormat("a film", _film, ("poses", "frame", "fps", "background")),
+    SEE_THROUGH: OutputFormat("a transparent film", _transparent_film, ("poses", "frame", "fps")),
+    "": OutputFormat("a folder with one file a frame", _folder, ("poses", "every", "each")),
 }  # fmt: skip

@@ -96,11 +96,6 @@ class Workplace:
             if path.is_file() and path.suffix != ".lock"
         }
 
-    def sizes(self):
-        """Return the sizes of all files."""
-        files = [path for path in sorted(self.folder.rglob("*")) if path.is_file()]
-        return {str(path.relative_to(self.folder)): path.stat().st_size for path in files}
-
     def require_whole(self, before, wanted):
         """Check that each file of a finished command is the old one or the finished one."""
         found = self.contents()

@@ -14,7 +14,7 @@ SYNTH = "--frames 2 --size 32 --samples 4 --no-clothes --no-hair --novel-poses 1
 SEEN = "--cases tuning --people 3 --size 48 --refine.passes 1 --refine.size 48"
 AVATAR = "--fit.steps 5 --fit.checkpoint-every 2 --fit.window 16 --fit.avatar.seed.count 300"
 FIT = "--steps 5 --checkpoint-every 2 --window 16 --avatar.seed.count 300"
-NOTHING, OVERWRITE, RESUME = (), ("--overwrite",), ("--resume", "--overwrite")
+OVERWRITE, RESUME = ("--overwrite",), ("--resume", "--overwrite")
 
 
 @dataclass(frozen=True)
@@ -22,105 +22,64 @@ class Command:
     """A command, and the options that its error may ask for in the next call."""
 
     line: str
-    when_full: tuple[str, ...] | None = None  # None: not tried
-    when_killed: tuple[str, ...] | None = None  # likewise
+    options: tuple[str, ...] = ()
     quick: bool = False
     at_last: int = 1  # kill it before each of so many changes to the disk, counted from the end
-    tries: int | None = None  # least number of rooms and moments, for slow commands
+    tries: int | None = None  # number of moments, for slow commands
 
 
 COMMANDS = {
     "demo": Command(
-        "demo --out {}/new --frames 2 --size 32 --steps 3 --no-refine", OVERWRITE, OVERWRITE,
-        tries=2,
+        "demo --out {}/new --frames 2 --size 32 --steps 3 --no-refine", OVERWRITE, tries=2
     ),
-    "synth": Command(f"synth {{}}/new {SYNTH}", NOTHING, OVERWRITE),
-    "synth, in the place of another": Command(
-        f"synth {{}}/made {SYNTH} --overwrite", when_killed=NOTHING
-    ),
-    "another noise": Command("synth {}/new --like {}/like --family white", NOTHING),
+    "synth": Command(f"synth {{}}/new {SYNTH}", OVERWRITE),
+    "synth, in the place of another": Command(f"synth {{}}/made {SYNTH} --overwrite"),
+    "another noise": Command("synth {}/new --like {}/like --family white", OVERWRITE),
     "prepare": Command(
         "prepare parameters {}/estimate.npz {}/new --body puppet --frames {}/subject/frames "
-        "--masks {}/subject/masks", NOTHING, OVERWRITE
+        "--masks {}/subject/masks", OVERWRITE
     ),
     "check": Command("check {}/subject --json {}/a.json --sheet {}/b.png", OVERWRITE),
-    "refine": Command("refine {}/subject --passes 1 --size 48", OVERWRITE, OVERWRITE, at_last=8),
+    "refine": Command("refine {}/subject --passes 1 --size 48", OVERWRITE, at_last=8),
     "refine, in the place of another": Command(
-        "refine {}/refined --passes 1 --size 48 --overwrite", NOTHING, NOTHING, at_last=10
+        "refine {}/refined --passes 1 --size 48 --overwrite", at_last=10
     ),
     "refine, with a page": Command(
-        "refine {}/bare --passes 1 --size 48 --report", OVERWRITE, OVERWRITE, tries=2
+        "refine {}/bare --passes 1 --size 48 --report", OVERWRITE, tries=2
     ),
     "a run": Command(
-        f"fit {{}}/subject --out {{}}/new {FIT}", when_killed=RESUME, quick=True, tries=2
+        f"fit {{}}/subject --out {{}}/new {FIT}", RESUME, quick=True, tries=2
     ),
-    "fit": Command(f"fit {{}}/subject --out {{}}/new {FIT}", RESUME, RESUME),
-    "evaluate": Command("evaluate {}/run {}/subject", NOTHING, NOTHING),
-    "track": Command("track {}/run/avatar.npz {}/subject --passes 1", OVERWRITE, OVERWRITE),
+    "fit": Command(f"fit {{}}/subject --out {{}}/new {FIT}", RESUME),
+    "evaluate": Command("evaluate {}/run {}/subject"),
+    "track": Command("track {}/run/avatar.npz {}/subject --passes 1", OVERWRITE),
     "track, in the place of another": Command(
-        "track {}/run/avatar.npz {}/refined --passes 1 --overwrite", NOTHING, NOTHING, at_last=8
+        "track {}/run/avatar.npz {}/refined --passes 1 --overwrite", at_last=8
     ),
     "render": Command(
         "render {}/run --path turntable --frames 4 --size 32 32 --video --out {}/new",
-        OVERWRITE, OVERWRITE
+        OVERWRITE
     ),
-    "a surface": Command("export {}/run --out {}/new.glb", OVERWRITE, OVERWRITE),
-    "a file": Command("export {}/run --out {}/new.splat", OVERWRITE, OVERWRITE, quick=True),
+    "a surface": Command("export {}/run --out {}/new.glb", OVERWRITE),
+    "a file": Command("export {}/run --out {}/new.splat", OVERWRITE, quick=True),
     "an avatar": Command("export {}/run --no-rig --out {}/new.npz", OVERWRITE),
-    "a film": Command("export {}/run --size 32 32 --out {}/new.mp4", OVERWRITE, OVERWRITE),
-    "a folder": Command("export {}/run --out {}/new", OVERWRITE, OVERWRITE, quick=True, tries=3),
+    "a film": Command("export {}/run --size 32 32 --out {}/new.mp4", OVERWRITE),
+    "a folder": Command("export {}/run --out {}/new", OVERWRITE, quick=True, tries=3),
     "pictures": Command(
         "export {}/run --each png --path turntable --frames 4 --size 32 32 --out {}/new",
-        OVERWRITE, OVERWRITE
+        OVERWRITE
     ),
     "motion": Command(
-        "motion {}/subject/poses.npz {}/new.npz --source-fps 30", OVERWRITE, OVERWRITE
+        "motion {}/subject/poses.npz {}/new.npz --source-fps 30", OVERWRITE
     ),
-    "body": Command("body --out {}/new.npz", OVERWRITE, OVERWRITE),
-    "study refine": Command(f"study refine --out {{}}/new --frames 2 {SEEN}", NOTHING, NOTHING),
+    "body": Command("body --out {}/new.npz", OVERWRITE),
+    "study refine": Command(f"study refine --out {{}}/new --frames 2 {SEEN}"),
     "study avatar": Command(
         f"study avatar --out {{}}/new --frames 8 --novel 1 {SEEN} {AVATAR} --rows full",
-        NOTHING, NOTHING
     ),
 }  # fmt: skip
-ROOMS = 3  # between nothing and enough
 MOMENTS = 6  # of a command, beside the first and the last
-
-
-def tried(when):
-    """Return the commands to try; one for each kind of output is quick, the rest slow."""
-    return [
-        name if command.quick else pytest.param(name, marks=pytest.mark.slow)
-        for name, command in COMMANDS.items()
-        if getattr(command, when) is not None
-    ]
-
-
-def rooms(before, wanted, tries):
-    """Return limits of file sizes: nothing, and too little for the largest files."""
-    sizes = sorted(size for file, size in wanted.items() if before.get(file) != size)
-    some = np.linspace(0, len(sizes) - 1, ROOMS).round().astype(int)
-    return sorted({0, *(sizes[k] - 1 for k in some)})[::-1][:tries]
-
-
-@pytest.mark.parametrize("name", tried("when_full"))
-def test_a_full_disk_is_one_sentence_and_the_next_run_goes_on(name, stage):
-    command, options = COMMANDS[name].line, COMMANDS[name].when_full
-    stage.set_up()
-    sizes = stage.sizes()
-    wanted, _ = stage.whole(command)
-    for room in rooms(sizes, stage.sizes(), COMMANDS[name].tries):
-        before = stage.set_up()
-        full = stage.run(command, room=room)
-        if room == 0 or full.code != 0:  # links to large files need no room
-            assert full.code == 2 and "File too large" in full.sentence, (room, full.err)
-            stage.require_whole(before, wanted)
-            left = stage.contents().keys() - before.keys() - wanted.keys()
-            assert all(file.endswith("checkpoint.pt") for file in left), (room, left)
-            stage.finish(command, options)
-        found = stage.contents()
-        assert found.keys() == wanted.keys(), room
-        assert not [file for file in wanted if found[file] != wanted[file]], room
+FULL = -1  # in the place of a moment: no file can grow
 
 
 def moments(count, command):
@@ -131,14 +90,22 @@ def moments(count, command):
     return sorted({0, *drawn, *range(max(0, count - command.at_last), count)})
 
 
-@pytest.mark.parametrize("name", tried("when_killed"))
-def test_a_killed_command_is_run_again_and_ends_with_the_same_bits(name, stage):
-    command, options = COMMANDS[name].line, COMMANDS[name].when_killed
+@pytest.mark.parametrize("name", [
+    name if command.quick else pytest.param(name, marks=pytest.mark.slow)
+    for name, command in COMMANDS.items()
+])  # fmt: skip
+def test_after_kill_9_or_a_full_disk_the_next_run_ends_with_the_same_bits(name, stage):
+    """One command for each kind of output is quick."""
+    command, options = COMMANDS[name].line, COMMANDS[name].options
     wanted, undisturbed = stage.whole(command)
-    for moment in moments(undisturbed.changes, COMMANDS[name]):
+    for moment in (FULL, *moments(undisturbed.changes, COMMANDS[name])):
         before = stage.set_up()
-        killed = stage.run(command, last=moment)
-        assert killed.code == -signal.SIGKILL
+        if moment == FULL:
+            full = stage.run(command, room=0)
+            assert full.code == 2 and "File too large" in full.sentence, full.err
+        else:
+            killed = stage.run(command, last=moment)
+            assert killed.code == -signal.SIGKILL
         stage.require_whole(before, wanted)
         stage.finish(command, options)
         found = stage.contents()

@@ -18,7 +18,6 @@ from gva_mi.atomic import part_of as part_of  # other areas import these from he
 from gva_mi.atomic import replacing_together as replacing_together
 from gva_mi.atomic import whole_folder as whole_folder
 from gva_mi.errors import InputError, reason_of
-from gva_mi.provenance import program_digest as program_digest
 from gva_mi.provenance import versions as versions
 
 LARGEST_TEXT = 1 << 28  # bytes of a JSON file

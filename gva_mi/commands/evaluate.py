@@ -16,9 +16,10 @@ from gva_mi.data.video import Video, load_video
 from gva_mi.errors import InputError
 from gva_mi.files import require_room
 from gva_mi.fit import run_folder
-from gva_mi.fit.evaluation.metrics import measure_run, save_metrics, with_fitted_poses
-from gva_mi.fit.evaluation.report import write_report
 from gva_mi.lock import alone_in
+from gva_mi.study.fitted_poses import with_fitted_poses
+from gva_mi.study.metrics import measure_run, save_metrics
+from gva_mi.study.report import write_report
 
 
 def evaluate(

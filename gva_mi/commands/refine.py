@@ -20,10 +20,6 @@ from gva_mi.errors import InputError
 from gva_mi.files import require_room, versions
 from gva_mi.lock import alone_in
 from gva_mi.options import Weight, Workers
-from gva_mi.pose.evaluation.ablation import ablate
-from gva_mi.pose.evaluation.measure import Evaluation
-from gva_mi.pose.evaluation.record import OVERLAYS, PAGE, write_record
-from gva_mi.pose.evaluation.refinement_report import write_report
 from gva_mi.pose.inference import in_words
 from gva_mi.pose.job import RefineOptions
 from gva_mi.pose.parallel import cluster
@@ -31,6 +27,9 @@ from gva_mi.pose.parallel import workers as local_workers
 from gva_mi.pose.refine import refine_all
 from gva_mi.pose.sequence import SequenceOptions
 from gva_mi.pose.single_frame import SingleFrameOptions, Steps
+from gva_mi.study.measure import Evaluation
+from gva_mi.study.refinement import OVERLAYS, PAGE, ablate, write_record
+from gva_mi.study.refinement_report import write_refinement_report
 
 
 def refine(
@@ -142,7 +141,7 @@ def _write_report(
     others = {} if evaluation.options is printed else {printed.description: printed}
     with bar("ablation") as progress:
         ablation = ablate(evaluation, others, progress, executor)
-    write_report(
+    write_refinement_report(
         evaluation.video.folder / PAGE,
         evaluation,
         title=f"Poses of {evaluation.video.folder.name}",

@@ -9,6 +9,10 @@ from gva_mi.errors import InputError
 # (verb, old option): the new option, or a sentence that says why there is none.
 RENAMED: dict[tuple[str, str], str] = {
     ("bench", "--calls"): "--repeats",
+    ("study", "--edition"): "--held-out-set",
+    ("study", "--people"): "--subjects",
+    ("study", "--families"): "--error-models",
+    ("study", "--told"): "--known",
     **{
         ("bench", f"--{name}"): "is gone: benchmarks/ of a checkout holds what is measured"
         for name in (

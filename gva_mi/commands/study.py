@@ -1,4 +1,4 @@
-"""The command ``gva-mi study``: how well a step does on people and noise it was not tuned on."""
+"""The command ``gva-mi study``: how well a step does on subjects it was not tuned on."""
 
 from __future__ import annotations
 
@@ -10,192 +10,172 @@ from typing import Annotated, Literal
 
 from tyro.conf import arg, subcommand
 
-from gva_mi.body.smplx import BodyModel, load_body
+from gva_mi.body.smplx import load_body
 from gva_mi.commands.arguments import Flat, Switch
 from gva_mi.console import bar, say
 from gva_mi.errors import InputError
 from gva_mi.files import require_writable, versions
-from gva_mi.fit.evaluation.rows import Row, rows_named
-from gva_mi.fit.evaluation.study import AvatarStudyOptions, RowResult, row_runs
-from gva_mi.fit.evaluation.study import study as fit_rows
-from gva_mi.fit.evaluation.study_file import load_results, save_results
-from gva_mi.fit.evaluation.study_pictures import CaseRuns
-from gva_mi.fit.evaluation.study_report import table, write_study_report
-from gva_mi.fit.evaluation.summary import COST, PSNR, by_people
 from gva_mi.lock import alone_in
-from gva_mi.pose.evaluation.cases import TUNING, Case, held_out
-from gva_mi.pose.evaluation.study import CaseResult, StudyOptions
-from gva_mi.pose.evaluation.study import study as refine_cases
-from gva_mi.pose.evaluation.study_file import load_study, save_study
-from gva_mi.pose.evaluation.summary import COLUMNS, rows_of
+from gva_mi.options import Within, Workers, require_ranges
 from gva_mi.pose.parallel import workers as local_workers
-from gva_mi.ranges import Within, Workers, require_ranges
+from gva_mi.study.avatar_study import AvatarStudy, AvatarStudyOptions
+from gva_mi.study.cases import TUNING, StudyCase, held_out
+from gva_mi.study.engine import Outcome, StudyFile, run_study
+from gva_mi.study.page import Table
+from gva_mi.study.refine_study import RefineStudy, RefineStudyOptions
+from gva_mi.study.study_report import tables, write_study_report
+from gva_mi.study.tables import avatar_cells, refine_cells, to_json
+from gva_mi.study.variants import variants_named
 
 IN_PICTURES = 3  # cases that the avatar's page shows
 
 
 @dataclass(frozen=True)
-class Choice:
-    """What both studies are asked for."""
+class _Choice:
+    """Options of both studies."""
 
     out: Path  # folder for figures, and for the subjects, which are made where they are missing
-    cases: Literal["held-out", "tuning", "all"] = "held-out"  # people it was not tuned on, or was
-    # Of the held-out people and noises: who has chosen by one takes the next.
-    edition: Annotated[int, Within(1, 1000)] = 1
-    families: tuple[str, ...] = ()  # of noise; all without it
-    people: tuple[str, ...] = ()  # names of the study's subjects, or seeds; all without it
+    cases: Literal["held-out", "tuning", "all"] = "held-out"  # nothing was tuned on the held-out
+    # Number of the held-out set; once you tune on its results, take the next.
+    held_out_set: Annotated[int, Within(1, 1000)] = 1
+    error_models: tuple[str, ...] = ()  # rows of the refinement's table; all without it
+    subjects: tuple[str, ...] = ()  # names of the synthetic subjects, or seeds; all without it
     workers: Workers = 1  # processes on this machine; any number gives the same bits
-    body: Path | None = None  # a body in SMPL-X's .npz format; without it the built-in puppet
+    body: Path | None = None  # a body in SMPL-X's .npz format; without it the built-in body
     overwrite: Switch = False  # compute again what the file of figures holds
 
     def __post_init__(self) -> None:
         require_ranges("study", self)
 
-    @property
-    def asked_for(self) -> tuple[Case, ...]:
-        """The cases of which families and people are chosen."""
-        judging = held_out(self.edition)
-        return {"held-out": judging, "tuning": TUNING, "all": (*TUNING, *judging)}[self.cases]
+
+@dataclass(frozen=True)
+class RefineChoice(_Choice):
+    """Refine several synthetic subjects, and compare the poses with the ground truth.
+
+    Writes refine.json and refine.html: by error model, by how much errors changed, and the depth of
+    refined ankles and wrists, above zero if too far away. A study that was cut short is resumed.
+    """
+
+    options: Flat[RefineStudyOptions] = field(default_factory=RefineStudyOptions)
 
 
 @dataclass(frozen=True)
-class RefineStudy(Choice):
-    """Refine several synthetic people and print how far their poses are from the truth.
+class AvatarChoice(_Choice):
+    """Fit avatars of several synthetic subjects: the method, and the method without each part.
 
-    Errors are shares by which refinement changed them; depths are those of refined ankles and
-    wrists, above zero where they are too far away. A study that was cut short goes on where it was.
+    Writes avatar.json and avatar.html: PSNR, SSIM, perceptual metrics on test frames, novel poses
+    and novel views, pose errors, how the Gaussians lie, time; mean, spread and worst over subjects.
+    A study that was cut short is resumed.
     """
 
-    options: Flat[StudyOptions] = field(default_factory=StudyOptions)
-
-
-@dataclass(frozen=True)
-class AvatarStudy(Choice):
-    """Fit avatars of several synthetic people: the method, and the same without each of its parts.
-
-    Writes avatar.json and avatar.html: PSNR, SSIM, perceptual figures on test frames, novel poses
-    and novel views, errors of poses, how the Gaussians lie, time; mean, spread and worst over
-    people, the paper's tables beside. A study that was cut short goes on where it was.
-    """
-
-    rows: tuple[str, ...] = ()  # of the table, such as full or "with residual"; all without it
+    rows: tuple[str, ...] = ()  # variants, such as full or "with residual"; all without it
     options: Flat[AvatarStudyOptions] = field(default_factory=AvatarStudyOptions)
 
 
 def study(
     what: Annotated[
-        Annotated[RefineStudy, subcommand("refine", prefix_name=False)]
-        | Annotated[AvatarStudy, subcommand("avatar", prefix_name=False)],
+        Annotated[RefineChoice, subcommand("refine", prefix_name=False)]
+        | Annotated[AvatarChoice, subcommand("avatar", prefix_name=False)],
         arg(name=""),
     ],
 ) -> None:
-    """How well a step does on people, and families of noise, that it was not tuned on.
+    """Measure how well a step does on subjects, and error models, that it was not tuned on.
 
     Args:
-        what: the step that is studied; its figures are written to a file of its name.
+        what: the step; its figures are written to files of its name.
     """
-    model = load_body(what.body)
-    chosen = _chosen(what.asked_for, what.families, what.people)
-    rows = () if isinstance(what, RefineStudy) else rows_named(what.rows)
+    body, cases = load_body(what.body), _chosen(what)
+    if isinstance(what, RefineChoice):
+        made = RefineStudy(what.out, body, what.options)
+    else:
+        made = AvatarStudy(what.out, body, what.options, variants_named(what.rows))
     with alone_in(what.out, "gva-mi study"):
         require_writable(what.out)
-        if isinstance(what, RefineStudy):
-            _study_refinement(what, chosen, model)
-        else:
-            _study_avatar(what, chosen, model, rows)
+        _run(what, made, cases)
 
 
-def _study_refinement(asked: RefineStudy, chosen: Sequence[Case], model: BodyModel) -> None:
-    figures, options = asked.out / "refine.json", asked.options
-    known = [] if asked.overwrite else load_study(figures, model, options)
-    there = [r for r in known if r.case in chosen and r.noise in options.noise]
-    others = [r for r in known if r not in there]
-    if there:
-        say(f"{len(there)} cases are in {figures}; --overwrite computes them again")
-    results = []
-    with bar("study") as progress, local_workers(asked.workers) as executor:
-        for result in refine_cases(asked.out, chosen, model, options, there, progress, executor):
-            results.append(result)
-            done = {(r.case, r.noise) for r in results}
-            waiting = [r for r in there if (r.case, r.noise) not in done]
-            save_study(figures, results, model, options, [*waiting, *others])
-    for line in _refinement_lines(results):
-        say(line)
-    say(f"figures: {figures}")
-
-
-def _study_avatar(
-    asked: AvatarStudy, chosen: Sequence[Case], model: BodyModel, rows: Sequence[Row]
-) -> None:
-    figures, page, options = asked.out / "avatar.json", asked.out / "avatar.html", asked.options
-    made_with, wanted = options.made_with(model), {row.name for row in rows}
-    try:
-        known = load_results(figures, made_with)
-    except InputError:
-        if not asked.overwrite:
-            raise
-        known = []
-    there = [r for r in known if r.case in chosen and r.row in wanted]
-    others = [r for r in known if r not in there]
-    if asked.overwrite:
-        there = []
-        for run in row_runs(asked.out, [(c, row) for c in chosen for row in rows], model, options):
-            shutil.rmtree(run.out, ignore_errors=True)
-    if there:
-        say(f"{len(there)} rows are in {figures}; --overwrite computes them again")
-    results: list[RowResult] = []
-    with bar("study") as progress, local_workers(asked.workers) as executor:
-        found = fit_rows(asked.out, chosen, rows, model, options, there, progress, executor)
-        for result in found:
-            results.append(result)
-            done = {(r.case, r.row) for r in results}
-            waiting = [r for r in there if (r.case, r.row) not in done]
-            save_results(figures, results, made_with, [*waiting, *others])
-    for people, group in by_people(results).items():
-        say(f"{people}: PSNR in dB on white")
-        made = table(group, (*PSNR, *COST))
-        for line in _lines([made.head, *made.rows]):
+def _run(what: _Choice, made: RefineStudy | AvatarStudy, cases: Sequence[StudyCase]) -> None:
+    """Resume the study, save after each outcome, then print and write the tables."""
+    summarise = refine_cells if isinstance(made, RefineStudy) else avatar_cells
+    file = StudyFile(what.out / f"{made.kind}.json", made.kind, made.made_with)
+    known, others = _kept(what, file, made, cases)
+    if what.overwrite and isinstance(made, AvatarStudy):
+        for case in cases:
+            for variant in made.variants:
+                shutil.rmtree(made.run(case, variant).out, ignore_errors=True)
+    if known:
+        say(f"{len(known)} results are in {file.path}; --overwrite computes them again")
+    outcomes: list[Outcome] = []
+    with bar("study") as progress, local_workers(what.workers) as executor:
+        for outcome in run_study(made, cases, known, progress, executor):
+            outcomes.append(outcome)
+            done = {outcome.key for outcome in outcomes}
+            waiting = [outcome for outcome in known if outcome.key not in done]
+            summary = {title: to_json(own) for title, own in summarise(outcomes).items()}
+            file.save([*outcomes, *waiting, *others], summary)
+    cells, page = summarise(outcomes), file.path.with_suffix(".html")
+    for title, own in cells.items():
+        for line in _lines(tables(made.kind, title, own)[0]):
             say(line)
-    shown = []
-    for case in chosen[:IN_PICTURES]:
-        runs = row_runs(asked.out, [(case, row) for row in rows], model, options)
-        finished = {run.row.name: run for run in runs if run.is_done}
-        shown.append(CaseRuns(case.name, finished))
-    write_study_report(page, results, shown, {**made_with, "versions": versions()})
-    say(f"figures: {figures}; page: {page}")
+    settings = {**made.made_with, "versions": versions()}
+    write_study_report(page, made.kind, outcomes, cells, settings, _pictures(made, cases))
+    say(f"figures: {file.path}; page: {page}")
 
 
-def _chosen(cases: Sequence[Case], families: Sequence[str], people: Sequence[str]) -> list[Case]:
-    """The cases of some families and people, without those that lack a package."""
+def _kept(
+    what: _Choice, file: StudyFile, made: RefineStudy | AvatarStudy, cases: Sequence[StudyCase]
+) -> tuple[list[Outcome], list[Outcome]]:
+    """Return results of the file that were asked for, and all others."""
+    try:
+        kept = file.load()
+    except InputError:
+        if not what.overwrite:
+            raise
+        kept = []
+    asked = [o for o in kept if o.case in cases and o.variant in made.variants]
+    return ([] if what.overwrite else asked), [o for o in kept if o not in asked]
+
+
+def _pictures(made: RefineStudy | AvatarStudy, cases: Sequence[StudyCase]) -> list:
+    """Return the finished runs of the first cases, by variant."""
+    if isinstance(made, RefineStudy):
+        return []
+    runs = [
+        (case, [made.run(case, name) for name in made.variants]) for case in cases[:IN_PICTURES]
+    ]
+    return [(case, {r.variant.name: r for r in own if r.is_done}) for case, own in runs]
+
+
+def _chosen(what: _Choice) -> list[StudyCase]:
+    """Return the cases that were asked for, without those that lack a package."""
+    judging = held_out(what.held_out_set)
+    cases = {"held-out": judging, "tuning": TUNING, "all": (*TUNING, *judging)}[what.cases]
     for name, asked, there in (
-        ("families", families, [case.family for case in cases]),
-        ("people", people, [case.take.person for case in cases]),
+        ("error-models", what.error_models, [case.family for case in cases]),
+        ("subjects", what.subjects, [case.take.person for case in cases]),
     ):
         for one in asked:
             if one not in there:
                 known = ", ".join(dict.fromkeys(there))
-                raise InputError(f"study: --{name} has no '{one}'; in these cases are: {known}")
-    chosen = []
-    for case in cases:
-        if families and case.family not in families or people and case.take.person not in people:
-            continue
+                raise InputError(f"study: --{name} has no '{one}'; these cases have: {known}")
+    chosen = [
+        case
+        for case in cases
+        if (not what.error_models or case.family in what.error_models)
+        and (not what.subjects or case.take.person in what.subjects)
+    ]
+    for case in chosen:
         if case.lacks is not None:
-            say(f"{case.name}: left out, for the package {case.lacks} is not installed")
-            continue
-        chosen.append(case)
+            say(f"{case.name}: left out, because the package {case.lacks} is not installed")
+    chosen = [case for case in chosen if case.lacks is None]
     if not chosen:
-        raise InputError("study: no case is of these families and these people at once")
+        raise InputError("study: no case has both one of these error models and these subjects")
     return chosen
 
 
-def _refinement_lines(results: Sequence[CaseResult]) -> Iterator[str]:
-    """A line for each family, their mean, and the worst of each column."""
-    head = ("family", "cases", *(column.name for column in COLUMNS))
-    return _lines([head, *(row.cells() for row in rows_of(results))])
-
-
-def _lines(cells: Sequence[Sequence[str]]) -> Iterator[str]:
-    """A table's lines, its columns below each other."""
+def _lines(table: Table) -> Iterator[str]:
+    """Write a table as aligned lines."""
+    cells = [table.head, *table.rows]
     widths = [max(len(cell) for cell in column) for column in zip(*cells, strict=True)]
     for first, *others in cells:
         padded = [cell.rjust(width) for cell, width in zip(others, widths[1:], strict=True)]

@@ -9,8 +9,8 @@
       reinit/000900.npz    of each re-initialisation: the Gaussians before and after, the mesh
       poses.npz            of all frames, where poses were trained; see gva_mi.fit.poses
       avatar.npz           the fitted avatar; it is there when the run is finished
-      metrics.json         of its evaluation: gva_mi.fit.evaluation.metrics
-      report.html          the same as a page with pictures: gva_mi.fit.evaluation.report
+      metrics.json         of its evaluation: gva_mi.study.metrics
+      report.html          the same as a page with pictures: gva_mi.study.report
       overview.png         the page's first picture on its own
 
 A file is written under another name and then renamed: after a kill it is the old one or the new

@@ -22,7 +22,7 @@ from gva_mi.data.truth import load_truth
 from gva_mi.data.video import POSES, Video
 from gva_mi.files import replacing_together, versions, write_json
 from gva_mi.fit.photometric import FittedPoses, PhotometricOptions
-from gva_mi.pose.evaluation.errors import pose_errors
+from gva_mi.pose.errors import means, pose_errors
 
 TRACKED_POSES, TRACKING = "poses_photometric.npz", "photometric.json"
 REGIONS = {"vertices": "body", "hands": "hands", "feet": "feet", "aligned": "body_aligned"}
@@ -112,4 +112,4 @@ def _errors(video: Video, body: BodyModel, found: FittedPoses) -> dict[str, dict
         "start": (video.pose, video.shape),
         "tracked": (found.pose, video.shape),
     }
-    return {stage: pose_errors(body, poses, truth).means() for stage, poses in stages.items()}
+    return {stage: means(pose_errors(body, poses, truth)) for stage, poses in stages.items()}

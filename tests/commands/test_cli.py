@@ -14,9 +14,9 @@ import pytest
 
 from gva_mi import InputError, __version__
 from gva_mi.commands import VERBS, load, retired
-from gva_mi.fit.evaluation.metrics import ALIGNED
 from gva_mi.options import ranges
 from gva_mi.parse import parse
+from gva_mi.study.metrics import ALIGNED
 
 TINY = ("--size", 64, "--frames", 6)
 

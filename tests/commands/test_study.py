@@ -1,160 +1,149 @@
-"""``gva-mi study``: the table says what was found, and cases and rows are chosen by name."""
+"""``gva-mi study``: cases are chosen by name, results are kept, tables say what was found."""
 
 import json
+from dataclasses import dataclass
+from typing import Any
 
 import pytest
 
-from gva_mi.commands import study as studies
-from gva_mi.fit.evaluation import study_report
-from gva_mi.fit.evaluation.evaluate import SplitScores
-from gva_mi.fit.evaluation.rows import ROWS
-from gva_mi.fit.evaluation.study import RowResult
-from gva_mi.pose.evaluation.cases import HELD_OUT, TUNING, Case
-from gva_mi.pose.evaluation.figures import Change, PoseFigures
-from gva_mi.pose.evaluation.study import CaseResult
+from gva_mi.study import avatar_study, refine_study
+from gva_mi.study.cases import HELD_OUT, TUNING, StudyCase
+from gva_mi.study.pose_figures import PoseFigures
+from gva_mi.study.variants import VARIANTS
+
+FIGURES = PoseFigures.from_json({
+    "vertex_mm_stage1": 80.0, "vertex_mm": 20.0, "hand_vertex_mm_stage1": 80.0,
+    "hand_vertex_mm": 160.0, "ankle_depth_mm_stage1": 40.0, "ankle_depth_mm": -8.0,
+    "frames_worse": 0.25, "iou_stage1": 0.7, "iou": 0.8, "iou_truth": 0.75,
+})  # fmt: skip
 
 
-def figures(before, after):
-    return PoseFigures(
-        vertices=Change(before, after), hands=Change(before, 2 * before),
-        feet=Change(before, after),
-        ankles_depth=Change(40.0, -8.0), frames_worse=0.25, iou=Change(0.7, 0.8), iou_truth=0.75,
-        seconds_per_frame=1.0,
-    )  # fmt: skip
+@dataclass
+class Work:
+    """As if a case were computed at once."""
+
+    figures: dict[str, Any]
+    log: list
+    pair: tuple
+    steps: int = 1
+
+    def solve(self, progress=None):
+        self.log.append(self.pair)
+        return self.figures
 
 
 @pytest.fixture
 def done(monkeypatch):
-    """As if cases were refined at once, each to three quarters less; keeps those that were."""
-    computed = []
+    """Cases and variants that were computed, in their order."""
+    log = []
+    refined = refine_study.columns(FIGURES) | FIGURES.to_json()
+    fitted = {"psnr: test": 30.0, "cost: seconds": 60.0}
+    for study, figures in (
+        (refine_study.RefineStudy, refined),
+        (avatar_study.AvatarStudy, fitted),
+    ):
+        rounds = lambda self, missing, f=figures: [[Work(f, log, pair) for pair in missing]]
+        monkeypatch.setattr(study, "rounds", rounds)
+    monkeypatch.setattr(StudyCase, "lacks", None)
+    return log
 
-    def refine(folder, cases, body, options, known, progress, executor):
-        there = {(r.case, r.noise): r for r in known}
-        for case in cases:
-            if (case, 1.0) not in there:
-                computed.append(case)
-            yield there.get((case, 1.0), CaseResult(case, 1.0, figures(80.0, 20.0)))
 
-    monkeypatch.setattr(studies, "refine_cases", refine)
-    monkeypatch.setattr(Case, "lacks", None)
-    return computed
-
-
-def test_the_table_has_a_line_for_each_family_and_the_file_one_for_each_case(done, tmp_path, cli):
+def test_the_refinements_table_has_a_row_for_each_error_model(done, tmp_path, cli):
     code, out, err = cli("study", "refine", "--out", tmp_path / "new", "--refine.passes", 3)
     assert code == 0, err
     families = list(dict.fromkeys(case.family for case in HELD_OUT))
     lines = out.splitlines()
     head, rows = lines[-4 - len(families)], lines[-3 - len(families) : -1]
-    assert head.split()[:5] == ["family", "cases", "body", "hands", "feet"]
+    assert head.split()[:4] == ["error", "models", "body", "hands"]
     assert [row.split("  ")[0] for row in rows] == [*families, "mean", "worst"]
-    assert rows[0].split()[1:8] == ["2", "-75", "%", "+100", "%", "-75", "%"]
+    assert rows[0].split()[1:5] == ["-75", "%", "+100", "%"]
     record = json.loads((tmp_path / "new/refine.json").read_text())
-    assert [case["name"] for case in record["cases"]] == [case.name for case in HELD_OUT]
-    assert record["cases"][0]["figures"]["ankle_depth_mm"] == -8
-    assert record["families"]["mean"]["hands"] == pytest.approx(1.0)
+    assert [result["name"] for result in record["results"]] == [case.name for case in HELD_OUT]
+    assert record["results"][0]["figures"]["ankle_depth_mm"] == -8
+    mean = record["summary"]["error models"]["mean"]
+    assert mean["change: hands"]["mean"] == pytest.approx(1.0)
     assert record["made_with"]["options"]["refine"]["passes"] == 3 and record["versions"]
+    page = (tmp_path / "new/refine.html").read_text()
+    assert "bruno: bursts 1000" in page and "held out" in page and "+100 %" in page
 
 
-def test_people_it_was_tuned_on_are_apart(done, tmp_path, cli):
+def test_the_avatars_table_has_a_row_for_each_variant(done, tmp_path, cli):
+    avatar = ("study", "avatar", "--out", tmp_path, "--subjects", "bruno", "edgar")
+    code, out, err = cli(*avatar, "--rows", "full", "with residual", "--fit.steps", 600)
+    assert code == 0, err
+    lines = out.splitlines()
+    head = next(k for k, line in enumerate(lines) if line.startswith("held-out subjects, psnr"))
+    assert lines[head + 1].split()[:4] == ["full", "30.00", "±", "0.00,"]
+    assert lines[head + 2].startswith("with residual ") and "(+0.00)" in lines[head + 2]
+    record = json.loads((tmp_path / "avatar.json").read_text())
+    assert {r["variant"] for r in record["results"]} == {"full", "with residual"}
+    assert record["made_with"]["options"]["fit"]["steps"] == 600
+    page = (tmp_path / "avatar.html").read_text()
+    assert "Table 4" in page and "bruno: bursts 1000" in page and "held out" in page
+
+
+def test_cases_are_those_of_the_set_that_was_asked_for(done, tmp_path, cli):
     for name, cases in (("tuning", TUNING), ("held-out", HELD_OUT), ("all", TUNING + HELD_OUT)):
         done.clear()
         assert cli("study", "refine", "--out", tmp_path / name, "--cases", name)[0] == 0
-        assert tuple(done) == cases
+        assert tuple(case for case, _ in done) == cases
+    done.clear()
+    assert cli("study", "refine", "--out", tmp_path / "8", "--held-out-set", 8)[0] == 0
+    assert done[0][0].take.seed == 800
 
 
-def test_a_study_goes_on_where_it_was_cut_short(done, tmp_path, cli):
-    lean = ("study", "refine", "--out", tmp_path, "--families", "lean")
+def test_a_study_is_resumed_and_keeps_other_results(done, tmp_path, cli):
+    lean = ("study", "refine", "--out", tmp_path, "--error-models", "lean")
     assert cli(*lean)[0] == 0
     first = list(done)
-    assert first and {case.family for case in first} == {"lean"}
+    assert first and {case.family for case, _ in first} == {"lean"}
     code, out, _ = cli("study", "refine", "--out", tmp_path)
-    assert f"{len(first)} cases are in" in out and len(done) == len(HELD_OUT)
+    assert f"{len(first)} results are in" in out and len(done) == len(HELD_OUT)
     done.clear()
     assert cli(*lean)[0] == 0 and not done
-    names = [case["name"] for case in json.loads((tmp_path / "refine.json").read_text())["cases"]]
-    assert sorted(names) == sorted(case.name for case in HELD_OUT)  # the others are kept
+    record = json.loads((tmp_path / "refine.json").read_text())
+    names = [result["name"] for result in record["results"]]
+    assert sorted(names) == sorted(case.name for case in HELD_OUT)
     assert cli(*lean, "--overwrite")[0] == 0 and done == first
 
 
-def test_people_and_families_are_chosen_by_name(done, tmp_path, cli):
-    assert cli("study", "refine", "--out", tmp_path, "--people", "bruno", "13")[0] == 0
-    assert {case.take.person for case in done} == {"bruno", "13"}
-    for argument, name in (("--people", "amira"), ("--families", "lost")):
-        code, _, err = cli("study", "refine", "--out", tmp_path, argument, name)
-        assert code == 2 and f"no '{name}'" in err and "in these cases are:" in err
-    code, _, err = cli(
-        "study", "refine", "--out", tmp_path, "--people", "bruno", "--families", "focal"
-    )
-    assert code == 2 and "at once" in err
+def test_overwriting_removes_the_runs_of_an_avatar_study(done, tmp_path, cli):
+    avatar = ("study", "avatar", "--out", tmp_path, "--cases", "tuning", "--error-models", "white")
+    avatar += ("--subjects", "dalia")
+    assert cli(*avatar)[0] == 0 and len(done) == len(VARIANTS)
+    run = tmp_path / "runs/dalia-white-3/full"
+    run.mkdir(parents=True)
+    done.clear()
+    assert cli(*avatar, "--rows", "full", "--overwrite")[0] == 0 and len(done) == 1
+    assert not run.exists()  # or its avatar would be taken for the new one
+    kept = json.loads((tmp_path / "avatar.json").read_text())["results"]
+    assert [r["variant"] for r in kept] == [variant.name for variant in VARIANTS]
+
+
+def test_names_that_no_case_has_are_refused(done, tmp_path, cli):
+    refine = ("study", "refine", "--out", tmp_path)
+    assert cli(*refine, "--subjects", "bruno", "13")[0] == 0
+    assert {case.take.person for case, _ in done} == {"bruno", "13"}
+    for argument, name in (("--subjects", "amira"), ("--error-models", "lost")):
+        code, _, err = cli(*refine, argument, name)
+        assert code == 2 and f"no '{name}'" in err and "these cases have:" in err
+    code, _, err = cli(*refine, "--subjects", "bruno", "--error-models", "focal")
+    assert code == 2 and "no case has both" in err
+    code, _, err = cli("study", "avatar", "--out", tmp_path, "--rows", "best")
+    assert code == 2 and "no 'best'; there are: full, " in err
 
 
 def test_a_case_that_lacks_a_package_is_left_out_with_a_line(done, tmp_path, cli, monkeypatch):
     lacks = property(lambda case: "anny" if case.take.figure == "anny" else None)
-    monkeypatch.setattr(Case, "lacks", lacks)
-    code, out, _ = cli("study", "refine", "--out", tmp_path, "--families", "mixed")
-    assert code == 0 and "for the package anny is not installed" in out
-    assert all(case.take.figure != "anny" for case in done) and len(done) == 1
+    monkeypatch.setattr(StudyCase, "lacks", lacks)
+    code, out, _ = cli("study", "refine", "--out", tmp_path, "--error-models", "mixed")
+    assert code == 0 and "because the package anny is not installed" in out
+    assert all(case.take.figure != "anny" for case, _ in done) and len(done) == 1
 
 
-def scored(case, row):
-    scores = (SplitScores(row.name, "test", 30.0, 0.97, None, 0.02, "white", 8),)
-    return RowResult(case, row.name, scores, (), None, {"lpips": None}, 60.0, 20_000)
-
-
-@pytest.fixture
-def fitted(monkeypatch):
-    """As if rows were fitted at once; keeps those that were."""
-    computed = []
-
-    def fit(folder, cases, rows, body, options, known, progress, executor):
-        there = {(r.case, r.row): r for r in known}
-        for case in cases:
-            for row in rows:
-                if (case, row.name) not in there:
-                    computed.append((case, row.name))
-                yield there.get((case, row.name)) or scored(case, row)
-
-    monkeypatch.setattr(studies, "fit_rows", fit)
-    monkeypatch.setattr(study_report, "sections_of_pictures", lambda runs: [])
-    monkeypatch.setattr(Case, "lacks", None)
-    return computed
-
-
-def test_the_avatars_study_has_a_line_for_each_row_and_a_page(fitted, tmp_path, cli):
-    avatar = ("study", "avatar", "--out", tmp_path, "--people", "bruno", "edgar")
-    code, out, err = cli(*avatar, "--rows", "full", "with residual", "--fit.steps", 600)
-    assert code == 0, err
-    lines = out.splitlines()
-    head = next(k for k, line in enumerate(lines) if line.startswith("row "))
-    assert lines[head - 1] == "held-out people: PSNR in dB on white"
-    assert lines[head + 1].split()[:4] == ["full", "30.00", "±", "0.00,"]
-    assert lines[head + 2].startswith("with residual ") and "(+0.00)" in lines[head + 2]
-    record = json.loads((tmp_path / "avatar.json").read_text())
-    assert {r["row"] for r in record["results"]} == {"full", "with residual"}
-    assert record["made_with"]["options"]["fit"]["steps"] == 600
-    page = (tmp_path / "avatar.html").read_text()
-    assert "Table 4: ablation" in page and "bruno: bursts 1000" in page and "held out" in page
-
-
-def test_the_avatars_study_goes_on_where_it_was_cut_short(fitted, tmp_path, cli):
-    avatar = ("study", "avatar", "--out", tmp_path, "--cases", "tuning", "--families", "white")
-    avatar += ("--people", "dalia")
-    assert cli(*avatar, "--rows", "full")[0] == 0
-    assert [row for _, row in fitted] == ["full"]
-    code, out, _ = cli(*avatar)
-    assert code == 0 and "1 rows are in" in out and len(fitted) == len(ROWS)
-    assert "people it was tuned on" in out
-    fitted.clear()
-    assert cli(*avatar)[0] == 0 and not fitted
-    run = tmp_path / "runs/dalia-white-3/full"
-    run.mkdir(parents=True)
-    assert cli(*avatar, "--rows", "full", "--overwrite")[0] == 0 and len(fitted) == 1
-    assert not run.exists()  # or its avatar would be taken for the new one
-    kept = json.loads((tmp_path / "avatar.json").read_text())["results"]
-    assert [r["row"] for r in kept] == [row.name for row in ROWS]  # the others are kept
-
-
-def test_a_row_is_chosen_by_its_name(fitted, tmp_path, cli):
-    code, _, err = cli("study", "avatar", "--out", tmp_path, "--rows", "best")
-    assert code == 2 and "no 'best'; there are: full, " in err and not fitted
+def test_an_older_study_is_named_and_can_be_overwritten(done, tmp_path, cli):
+    (tmp_path / "refine.json").write_text('{"cases": []}')
+    refine = ("study", "refine", "--out", tmp_path, "--error-models", "lean")
+    code, _, err = cli(*refine)
+    assert code == 2 and "another version of gva-mi wrote this study" in err and not done
+    assert cli(*refine, "--overwrite")[0] == 0

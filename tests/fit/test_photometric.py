@@ -11,11 +11,11 @@ from gva_mi.body.pose import JOINTS, Pose, save_poses
 from gva_mi.data.pictures import write_image
 from gva_mi.data.video import load_video, save_cameras
 from gva_mi.errors import InputError
-from gva_mi.fit.evaluation.evaluate import evaluate
 from gva_mi.fit.perceptual import Weights
 from gva_mi.fit.photometric import PhotometricOptions, fit_poses
 from gva_mi.fit.renders import DRAWN, to_8bit
 from gva_mi.splat import Camera, look_at, render
+from gva_mi.study.evaluate import evaluate
 
 ELBOW, JAW = JOINTS.index("left_elbow"), JOINTS.index("jaw")
 OPTIONS = PhotometricOptions(passes=12, nat=1e-6, step=0.015, translation_lr=0.015)

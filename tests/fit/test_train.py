@@ -11,12 +11,12 @@ from gva_mi.body.pose import Pose, load_poses
 from gva_mi.errors import InputError
 from gva_mi.fit import run_folder
 from gva_mi.fit.colors import seen_colors
-from gva_mi.fit.evaluation.evaluate import evaluate
 from gva_mi.fit.options import FitOptions, Schedule
 from gva_mi.fit.perceptual import Weights
 from gva_mi.fit.poses import PoseOptions
 from gva_mi.fit.samples import Stream, torch_state
 from gva_mi.fit.train import fit, smallest_pixel
+from gva_mi.study.evaluate import evaluate
 
 STEPS = 24
 OPTIONS = FitOptions(

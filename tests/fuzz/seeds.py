@@ -35,22 +35,17 @@ from gva_mi.data.video import load_video
 from gva_mi.data.views import held_out_views, save_views
 from gva_mi.files import says, write_json
 from gva_mi.fit import run_folder
-from gva_mi.fit.evaluation import metrics, report
-from gva_mi.fit.evaluation.evaluate import SplitScores
-from gva_mi.fit.evaluation.metrics import load_metrics
-from gva_mi.fit.evaluation.study import RowResult
-from gva_mi.fit.evaluation.study_file import load_results, save_results
-from gva_mi.fit.evaluation.summary import summaries
-from gva_mi.pose.evaluation.cases import HELD_OUT
-from gva_mi.pose.evaluation.figures import PoseFigures
-from gva_mi.pose.evaluation.study import CaseResult, StudyOptions
-from gva_mi.pose.evaluation.study_file import load_study, save_study
-from gva_mi.pose.evaluation.summary import rows_of
 from gva_mi.splat import Camera
 from gva_mi.splat.formats.ply import load_ply, save_ply
 from gva_mi.splat.formats.splat import load_splat, save_splat
 from gva_mi.splat.formats.spz import load_spz, save_spz
 from gva_mi.splat.scene import Scene, random_scene
+from gva_mi.study import report
+from gva_mi.study.cases import HELD_OUT
+from gva_mi.study.engine import Outcome, StudyFile
+from gva_mi.study.metrics import load_metrics
+from gva_mi.study.refinement import load_refinement
+from gva_mi.study.tables import refine_cells
 
 W, H, T = 32, 24, 3
 MADE_WITH = {"sources": "0"}
@@ -161,10 +156,7 @@ def seeds(subject, avatar):
             "avatar.npz": Avatar.load, "bare.npz": run_folder.load_avatar,
             "checkpoint.pt": lambda path: run_folder.load_state(folder),
             "metrics.json": lambda path: list(load_metrics(folder).lines()),
-            "refinement.json": lambda path: (
-                metrics._load_refinement(folder),
-                metrics._refinement_looked_at_test_frames(folder),
-            ),
+            "refinement.json": lambda path: load_refinement(folder),
             "refinement.png": lambda path: report._refinement(load_metrics(folder), path),
             "options.json": lambda path: run_folder.load_options(folder),
             "history.npz": lambda path: run_folder.load_history(folder),
@@ -172,20 +164,14 @@ def seeds(subject, avatar):
         })  # fmt: skip
 
     def study(folder):
-        result = CaseResult(HELD_OUT[0], 1.0, PoseFigures.from_json({}))
-        save_study(folder / "refine.json", [result], body, StudyOptions(), [])
-        scores = SplitScores("full", "test", 20.0, 0.9, None, 0.1)
-        row = RowResult(HELD_OUT[0], "full", (scores,), (), None, {}, 1.0, 9)
-        save_results(folder / "avatar.json", [row], MADE_WITH)
+        outcome = Outcome(HELD_OUT[0], "noise 1", {"change: body": -0.5, "points": "vertices"})
+        StudyFile(folder / "refine.json", "refine", MADE_WITH).save([outcome], {})
         write_json(folder / "marker.json", MADE_WITH)
 
-    def told(results):
-        return results and list(rows_of(results))
-
     def read_study(folder, path=None):
+        file = StudyFile(folder / "refine.json", "refine", MADE_WITH)
         each(folder, path, {
-            "refine.json": lambda path: told(load_study(path, body, StudyOptions())),
-            "avatar.json": lambda path: summaries(load_results(path, MADE_WITH)),
+            "refine.json": lambda path: refine_cells(file.load()),
             "marker.json": lambda path: (says(path, MADE_WITH), series._hash_in(path)),
         })  # fmt: skip
 

@@ -25,7 +25,7 @@ NOT_A_USERS = {  # functions that read what is no user's file, or not as data; a
     "gva_mi/lock.py": "the lock's own file, whose words a test of its own bends",
     "gva_mi/__main__.py": "/dev/null",
     "gva_mi/provenance.py": "this program, and bytes that are hashed",
-    "gva_mi/fit/evaluation/scores.py": "bytes that are hashed",
+    "gva_mi/study/scores.py": "bytes that are hashed",
     "gva_mi/data/importers/by_networks.py": "pictures that prepare has just written",
     "gva_mi/data/synthetic/estimates.py _true_pictures": "pictures that synth has just written",
     "gva_mi/processor.py": "this machine's own words about itself",

@@ -10,7 +10,7 @@ import torch
 from gva_mi.body.pose import JAW_AND_EYES
 from gva_mi.data.truth import Truth
 from gva_mi.pose import SequenceOptions, SingleFrameOptions, refine
-from gva_mi.pose.evaluation.measure import measure
+from gva_mi.study.measure import measure
 
 SEQUENCE = SequenceOptions(size=96)
 PAPER = SingleFrameOptions(size=96, steps=14)
@@ -30,8 +30,8 @@ def paper(clip, body):
 def test_a_known_error_is_corrected(request, clip, body, true_pose, way, left):
     refined = request.getfixturevalue(way)
     errors = measure(clip, body, refined, Truth(body, true_pose, clip.shape, clip.cameras)).means
-    assert errors.vertices.refined < left * errors.vertices.stage1
-    assert errors.iou.refined > errors.iou.stage1 and errors.iou_truth > 0.99
+    assert errors.relative("body") < left - 1
+    assert errors["iou"] > errors["iou_stage1"] and errors["iou_truth"] > 0.99
     assert (refined.losses < refined.losses_stage1).all() and not refined.kept
 
 
@@ -58,7 +58,7 @@ def test_without_normals_the_silhouette_suffices(clip, body, true_pose):
     refined = refine(blind, body, SEQUENCE)
     assert refined.without_normals == [0, 1, 2]
     errors = measure(blind, body, refined, Truth(body, true_pose, clip.shape, clip.cameras)).means
-    assert errors.vertices.refined < 0.55 * errors.vertices.stage1
+    assert errors.relative("body") < 0.55 - 1
 
 
 @pytest.mark.parametrize(
@@ -100,10 +100,10 @@ def test_a_frame_whose_loss_grew_keeps_its_pose(clip, body):
 def test_the_ground_truth_has_no_error(clip, body, true_pose, sequence):
     perfect = replace(sequence, pose=true_pose, shape=clip.shape)
     errors = measure(clip, body, perfect, Truth(body, true_pose, clip.shape, clip.cameras)).means
-    assert errors.vertices.refined == errors.hands.refined == errors.aligned.refined == 0
-    assert errors.iou.refined == errors.iou_truth and errors.frames_worse == 0
+    assert errors["vertex_mm"] == errors["hand_vertex_mm"] == errors["aligned_vertex_mm"] == 0
+    assert errors["iou"] == errors["iou_truth"] and errors["frames_worse"] == 0
     unknown = measure(clip, body, perfect).means
-    assert unknown.vertices is None and unknown.iou_truth is None and unknown.iou == errors.iou
+    assert unknown["vertex_mm"] is None is unknown["iou_truth"] and unknown["iou"] == errors["iou"]
 
 
 @pytest.mark.parametrize(

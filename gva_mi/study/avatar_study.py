@@ -1,0 +1,251 @@
+"""The avatar study: every variant (:mod:`gva_mi.study.variants`) is fitted to every case.
+
+Work is done in three rounds: takes are filmed, the poses of each case are refined, and each variant
+of each case is fitted and measured. A run is kept in ``runs/CASE/VARIANT/``, in the form of
+:mod:`gva_mi.fit.run_folder`: if the study is killed, only the steps since the last checkpoint are
+lost, and the page can show the avatar.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from torch import Tensor
+
+from gva_mi.avatar.avatar import Avatar
+from gva_mi.body.pose import Pose, load_offsets
+from gva_mi.body.smplx import BodyModel
+from gva_mi.console import Progress
+from gva_mi.data.synthetic.closest import closest
+from gva_mi.data.synthetic.options import NovelPictures, VideoFrames
+from gva_mi.data.truth import load_truth
+from gva_mi.data.video import POSES, REFINED_POSES, TEST_EVERY, Splits, Video, load_video
+from gva_mi.files import says, versions, write_json
+from gva_mi.fit import run_folder
+from gva_mi.fit.options import FitOptions
+from gva_mi.fit.photometric import FITTED
+from gva_mi.fit.train import fit
+from gva_mi.options import PictureSide, require_ranges
+from gva_mi.pose.parallel import Task
+from gva_mi.pose.sequence import SequenceOptions
+from gva_mi.study.cases import StudyCase
+from gva_mi.study.engine import made_with
+from gva_mi.study.fitted_poses import with_fitted_poses
+from gva_mi.study.metrics import ALIGNED, AS_REFINED, Metrics, measure_run, save_metrics
+from gva_mi.study.refine_study import refine_case
+from gva_mi.study.refinement import write_record
+from gva_mi.study.subjects import Filming, filming_work
+from gva_mi.study.variants import AvatarVariant
+
+PREPARED = "prepared.json"  # in a case's folder: what its refined poses were made with
+MADE_WITH = "made_with.json"  # in a run's folder
+
+
+@dataclass(frozen=True)
+class AvatarStudyOptions:
+    """Size of the study."""
+
+    frames: VideoFrames = 80  # of each video
+    size: PictureSide = 512  # pixels, width and height of the pictures
+    novel: NovelPictures = 8  # pictures of novel poses, and as many of novel views
+    refine: SequenceOptions = field(default_factory=SequenceOptions)
+    fit: FitOptions = field(default_factory=FitOptions)
+
+    def __post_init__(self) -> None:
+        require_ranges("study", self)
+
+
+@dataclass(frozen=True)
+class AvatarStudy:
+    """A study whose variants are ways to make an avatar."""
+
+    folder: Path
+    body: BodyModel
+    options: AvatarStudyOptions
+    rows: Sequence[AvatarVariant]
+    kind: str = "avatar"
+
+    @property
+    def variants(self) -> tuple[str, ...]:
+        """Their names."""
+        return tuple(variant.name for variant in self.rows)
+
+    @cached_property
+    def made_with(self) -> dict[str, Any]:
+        """Everything that results depend on."""
+        return made_with(self.kind, self.options, self.body)
+
+    @property
+    def _filming(self) -> Filming:
+        return Filming(self.folder, self.options.frames, self.options.size, self.options.novel)
+
+    def rounds(self, missing: Sequence[tuple[StudyCase, str]]) -> list[Sequence[Task]]:
+        """Film the takes, refine each case, then fit each variant."""
+        cases, filming = dict.fromkeys(case for case, _ in missing), self._filming
+        films = filming_work(filming, [(case, 1.0) for case in cases], self.body)
+        prepare = [
+            PrepareCase(filming.subject(case), case, self.body, self.options.refine, self.made_with)
+            for case in cases
+        ]
+        return [films, prepare, [self.run(*pair) for pair in missing]]
+
+    def run(self, case: StudyCase, variant: str) -> VariantRun:
+        """Return the run of a variant; the case's folder must exist before it is solved."""
+        (row,) = (row for row in self.rows if row.name == variant)
+        out = self.folder / "runs" / file_name(case.name) / file_name(variant)
+        options = replace(self.options.fit, seed=case.draw)
+        return VariantRun(self._filming.subject(case), out, row, self.body, options, self.made_with)
+
+
+def file_name(name: str) -> str:
+    """Return the folder's name of a case or variant."""
+    return re.sub(r"\W+", "-", name).strip("-")
+
+
+@dataclass(frozen=True)
+class PrepareCase:
+    """Refine the poses of a case, unless that was done with the same options: a Task."""
+
+    subject: Path
+    case: StudyCase
+    body: BodyModel
+    options: SequenceOptions
+    made_with: dict[str, Any]
+
+    @property
+    def steps(self) -> int:
+        """Amount of work, for the progress bar, in steps of a fit."""
+        return 1000
+
+    def solve(self, progress: Progress | None = None) -> None:
+        """Write the refined poses and their figures into the case's folder."""
+        if not says(self.subject / PREPARED, self.made_with):
+            args = (self.subject, self.case, self.body, self.options)
+            write_record(refine_case(*args, progress=progress), versions())
+            write_json(self.subject / PREPARED, self.made_with)
+
+
+@dataclass(frozen=True)
+class VariantRun:
+    """Fit one variant to one case, and measure it: a Task."""
+
+    subject: Path  # the case's folder, refined
+    out: Path  # the run's folder
+    variant: AvatarVariant
+    body: BodyModel
+    options: FitOptions  # of the study; the variant changes them
+    made_with: dict[str, Any]
+
+    @property
+    def steps(self) -> int:
+        """Amount of work, for the progress bar."""
+        return self.options.steps
+
+    def solve(self, progress: Progress | None = None) -> dict[str, float | None]:
+        """Fit, or resume a fit, and return the figures of the table."""
+        self._make_room()
+        video = self.video()
+        avatar = fit(
+            video, self.body, self.variant.of(self.options), self.out, offsets=self.offsets(),
+            resume=True, progress=progress,
+        )  # fmt: skip
+        args = (self.out, avatar, video, self.variant.name, self.body, self._poses)
+        metrics = measure_run(*args, driven=self.driven(video))
+        if not self.variant.rigid:  # fitted poses would bend a rigid body
+            trained = run_folder.under_trained_poses(video, self.out)
+            metrics = with_fitted_poses(metrics, avatar, video, trained, self.body)
+        save_metrics(self.out, metrics)
+        return columns(metrics)
+
+    @property
+    def is_done(self) -> bool:
+        """Whether its avatar exists; figures may be kept without it."""
+        return (self.out / run_folder.AVATAR).exists()
+
+    def avatar(self) -> Avatar:
+        """Load the finished avatar."""
+        return run_folder.load_avatar(self.out)
+
+    def video(self) -> Video:
+        """Open the case's video under the poses that this variant is fitted with."""
+        video = load_video(self.subject, self._poses)
+        if self.variant.one_range:
+            splits = Splits.one_range(TEST_EVERY, len(video)).without(video.absent)
+            video = replace(video, splits=splits)
+        if self.variant.rigid:
+            return replace(video, pose=self.driven(video)(video.pose))
+        if self.variant.poses != "true":
+            return video
+        truth = load_truth(video.truth, self.body)
+        near = closest(self.body, truth.body, truth.pose, truth.shape)
+        return replace(video, pose=near.pose, shape=near.shape, cameras=truth.cameras)
+
+    def offsets(self) -> Tensor | None:
+        """Load the refinement's displacement (V, 3); stage 1 has none."""
+        return load_offsets(self._poses, len(self.body.v_template))
+
+    def driven(self, video: Video) -> Callable[[Pose], Pose]:
+        """Return what is applied to every pose before it drives the avatar."""
+        if not self.variant.rigid:
+            return lambda pose: pose
+        joints = video.pose.rotations[video.splits.train[0], 1:]
+
+        def rigid(pose: Pose) -> Pose:
+            rotations = pose.rotations.clone()
+            rotations[:, 1:] = joints
+            return replace(pose, rotations=rotations)
+
+        return rigid
+
+    @property
+    def _poses(self) -> Path:
+        return self.subject / (POSES if self.variant.poses == "stage 1" else REFINED_POSES)
+
+    def _make_room(self) -> None:
+        """Remove a run that was made with something else."""
+        held = self.out / MADE_WITH
+        if self.out.exists() and not says(held, self.made_with):
+            shutil.rmtree(self.out)
+        if not held.exists():
+            write_json(held, self.made_with)
+
+
+ROWS_UNDER = {AS_REFINED: "as given", ALIGNED: "aligned", FITTED: "poses fitted"}
+
+
+def columns(metrics: Metrics) -> dict[str, float | None]:
+    """Return a run's metrics as columns of the study's tables (:mod:`gva_mi.study.tables`)."""
+    figures: dict[str, float | None] = {
+        "cost: seconds": metrics.training.seconds,
+        "cost: Gaussians": float(metrics.training.gaussians),
+    }
+    for row in metrics.rows:
+        where = row.split.replace("_", " ")
+        if row.name in ROWS_UNDER:
+            where += f", {ROWS_UNDER[row.name]}"
+        if row.region != "white":
+            figures[f"psnr in boxes: {where}, {row.region}"] = row.psnr
+            continue
+        for metric in ("psnr", "ssim", "lpips", "rand_vgg"):
+            figures[f"{metric}: {where}"] = getattr(row, metric)
+        for metric in ("spill", "holes", "flicker"):
+            share = getattr(row, metric)
+            figures[f"defects, %: {metric}, {where}"] = None if share is None else 100 * share
+    for which, errors in metrics.poses_mm.items():
+        figures |= {f"pose error, mm: {name}, {which}": error for name, error in errors.items()}
+    for surface in metrics.surface:  # a later moment replaces an earlier one of its name
+        moment = surface.moment
+        figures |= {f"surface: spacing of {k}, {moment}": x for k, x in surface.spacing.items()}
+        figures |= {f"surface: bias of {k}, {moment}, mm": x for k, x in surface.bias_mm.items()}
+        figures |= {
+            f"surface: stray, {moment}, mm": surface.stray_mm,
+            f"surface: elongation, {moment}": surface.elongation,
+            f"surface: largest, {moment}, mm": surface.largest_mm,
+        }
+    return figures

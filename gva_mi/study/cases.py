@@ -1,0 +1,186 @@
+"""Synthetic subjects and error models by which refinement and avatars are tuned and judged.
+
+Choices (weights, rates, what is inferred and how) may use :data:`TUNING`. They are judged on
+held-out cases, once, after the last choice: other subjects, and other draws of the error models.
+Some of the error models, and half a turn, do not occur in TUNING at all.
+
+=============  =========================================  ========================================
+..             TUNING                                     HELD_OUT (set 1)
+=============  =========================================  ========================================
+subjects       amira, dalia, seeds 0, 2, 3, 21-26         bruno, edgar, seeds 11-13, 16, 17, 31-35
+motions        turn, still, dance, everyday, walk         turn, everyday, half, walk
+bodies         own, stretched                             own, stretched, anny
+error models   all but shape, focal, normals              all; no normals
+draws          below 100                                  1000 to 1999
+=============  =========================================  ========================================
+
+Once you tune on these results they are no longer held out. So HELD_OUT is only set 1:
+:func:`held_out` draws other subjects and errors for each further set, with the same motions,
+bodies, clothes and error models. Of set 1, bruno and seed 11 were looked at while the training of
+poses was designed, and all of it was looked at between changes of the refinement.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from importlib.util import find_spec
+
+from gva_mi.data.synthetic import SynthOptions
+
+NO_NORMALS = "no normals"  # counts as an error model of its own
+
+
+@dataclass(frozen=True)
+class Take:
+    """A video of one synthetic subject, rendered once and degraded by several error models."""
+
+    subject: str | None = None  # one of the seven named subjects; None: drawn from the seed
+    seed: int = 0
+    motion: str = "turn"
+    figure: str = "own"  # or a body that the fitted one does not span
+    outfit: str = "own"  # or clothes that nothing was tuned on
+    bare: bool = False  # without clothes and hair
+
+    @property
+    def person(self) -> str:
+        """The subject's name or seed, as ``--subjects`` takes it."""
+        return self.subject or str(self.seed)
+
+    @property
+    def name(self) -> str:
+        """A title such as ``seed 31, stretched``."""
+        what = [
+            self.motion if self.motion != "turn" else None,
+            self.figure if self.figure != "own" else None,
+            f"{self.outfit} clothes" if self.outfit != "own" else None,
+            "bare" if self.bare else None,
+        ]
+        return ", ".join([self.subject or f"seed {self.seed}", *filter(None, what)])
+
+    def synth(self, frames: int, size: int, novel: int = 0) -> SynthOptions:
+        """Return the options that make it, with so many novel poses and views."""
+        return SynthOptions(
+            seed=self.seed, subject=self.subject, motion=self.motion, figure=self.figure,
+            outfit=self.outfit, frames=frames, size=size, clothes=not self.bare,
+            hair=not self.bare, novel_poses=novel, novel_views=novel,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class StudyCase:
+    """A take under one draw of an error model."""
+
+    take: Take
+    noise: str  # the error model
+    draw: int  # its seed
+    normals: bool = True  # False: the refinement uses silhouettes only
+
+    @property
+    def family(self) -> str:
+        """The row of the table it counts to, as ``--error-models`` takes it."""
+        return self.noise if self.normals else NO_NORMALS
+
+    @property
+    def name(self) -> str:
+        """A title such as ``bruno: white 1000``."""
+        without = "" if self.normals else f", {NO_NORMALS}"
+        return f"{self.take.name}: {self.noise} {self.draw}{without}"
+
+    @property
+    def held_out(self) -> bool:
+        """Whether nothing was tuned on it."""
+        return self not in TUNING
+
+    @property
+    def lacks(self) -> str | None:
+        """The package that must be installed first; None if nothing is missing."""
+        return "anny" if self.take.figure == "anny" and find_spec("anny") is None else None
+
+
+_TUNED = {
+    "amira": Take("amira"),
+    "dalia": Take("dalia"),
+    "0": Take(seed=0),
+    "2": Take(seed=2),
+    "bare": Take(seed=3, bare=True),
+    "stretched": Take(seed=21, figure="stretched"),
+    "outfit": Take(seed=22, outfit="foreign"),
+    "still": Take(seed=23, motion="still"),
+    "dance": Take(seed=24, motion="dance"),
+    "walk": Take(seed=25, motion="walk"),
+    "everyday": Take(seed=26, motion="everyday"),
+}
+TUNING = (
+    StudyCase(_TUNED["amira"], "bursts", 1),
+    StudyCase(_TUNED["bare"], "bursts", 2),
+    StudyCase(_TUNED["dalia"], "white", 3),
+    StudyCase(_TUNED["0"], "white", 4),
+    StudyCase(_TUNED["2"], "lean", 5),
+    StudyCase(_TUNED["stretched"], "lean", 6),
+    StudyCase(_TUNED["amira"], "slow", 7),
+    StudyCase(_TUNED["outfit"], "slow", 8),
+    StudyCase(_TUNED["0"], "bursts", 9, normals=False),
+    StudyCase(_TUNED["still"], "lean", 10),
+    StudyCase(_TUNED["dance"], "bursts", 11),
+    StudyCase(_TUNED["outfit"], "masks", 12),
+    StudyCase(_TUNED["dalia"], "masks", 13),
+    StudyCase(_TUNED["2"], "mixed", 14),
+    StudyCase(_TUNED["stretched"], "outliers", 15),
+    StudyCase(_TUNED["dance"], "anything", 16),
+    StudyCase(_TUNED["outfit"], "anything", 17),
+    StudyCase(_TUNED["walk"], "outliers", 18),
+    StudyCase(_TUNED["everyday"], "outliers", 19),
+)
+
+_JUDGED = {
+    "bruno": Take("bruno"),
+    "edgar": Take("edgar"),
+    "11": Take(seed=11),
+    "12": Take(seed=12),
+    "13": Take(seed=13),
+    "bare": Take(seed=16, bare=True),
+    "everyday": Take(seed=17, motion="everyday"),
+    "stretched": Take(seed=31, figure="stretched"),
+    "outfit": Take(seed=32, outfit="foreign"),
+    "anny": Take(seed=33, figure="anny"),
+    "half": Take(seed=34, motion="half"),
+    "walk": Take(seed=35, motion="walk"),
+}
+HELD_OUT = (
+    StudyCase(_JUDGED["bruno"], "bursts", 1000),
+    StudyCase(_JUDGED["everyday"], "bursts", 1001),
+    StudyCase(_JUDGED["11"], "white", 1002),
+    StudyCase(_JUDGED["half"], "white", 1003),
+    StudyCase(_JUDGED["12"], "slow", 1004),
+    StudyCase(_JUDGED["stretched"], "slow", 1005),
+    StudyCase(_JUDGED["edgar"], "mixed", 1006),
+    StudyCase(_JUDGED["anny"], "mixed", 1007),
+    StudyCase(_JUDGED["13"], "lean", 1008),
+    StudyCase(_JUDGED["bare"], "lean", 1009),
+    StudyCase(_JUDGED["bruno"], "shape", 1010),
+    StudyCase(_JUDGED["walk"], "outliers", 1011),
+    StudyCase(_JUDGED["11"], "focal", 1012),
+    StudyCase(_JUDGED["outfit"], "masks", 1013),
+    StudyCase(_JUDGED["12"], "normals", 1014),
+    StudyCase(_JUDGED["13"], "anything", 1015),
+    StudyCase(_JUDGED["outfit"], "anything", 1016),
+    StudyCase(_JUDGED["edgar"], "bursts", 1017, normals=False),
+)
+
+
+def held_out(number: int = 1) -> tuple[StudyCase, ...]:
+    """Return held-out set ``number``.
+
+    Set 1 is :data:`HELD_OUT`. Set n has subjects of seeds from 100 n and draws from 1000 n, so no
+    two sets share a subject or an error.
+    """
+    if number == 1:
+        return HELD_OUT
+    takes = dict.fromkeys(case.take for case in HELD_OUT)
+    others = {
+        take: replace(take, subject=None, seed=100 * number + k) for k, take in enumerate(takes)
+    }
+    return tuple(
+        replace(case, take=others[case.take], draw=case.draw + 1000 * (number - 1))
+        for case in HELD_OUT
+    )

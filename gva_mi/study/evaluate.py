@@ -1,0 +1,230 @@
+"""Compare an avatar's renders with pictures, split by split and region by region.
+
+The protocol of every metric: the target is the picture cut out by its mask
+(:mod:`gva_mi.data.backdrop`); target and render stand on the same plain background; both are
+clamped to [0, 1] and rounded to 8 bits; scores are averaged over the frames of a split.
+
+=============  ========================================================  ====================
+split          frames                                                    poses
+=============  ========================================================  ====================
+train          of the video, seen in training, evenly spaced             the video's
+test           of the video, never seen in training                      the video's
+novel_pose     of another motion, synthetic subjects only                ground truth
+novel_view     of the video's motion from other cameras: synthetic       ground truth, or the
+               subjects, or a data set's (:mod:`gva_mi.data.views`)      video's
+=============  ========================================================  ====================
+
+=============  =======================================================================
+region         pixels: :mod:`gva_mi.study.regions`
+=============  =======================================================================
+white          the whole picture on white: what tables of this field mean, and every
+               figure here that names no region
+black          the whole picture on black, where white clothes are visible
+person         the person's box on white: independent of the picture's size
+hands, face    the boxes of visible hands, and of a visible face, on white
+=============  =======================================================================
+
+"The video's" poses are those the video was opened with: refined, or trained with the avatar
+(:mod:`gva_mi.fit.poses`). Poses of test frames then come from their own masks and normals, as in
+the paper, and from their neighbours. No pose is fitted to a picture that it is measured on; poses
+that are (:mod:`gva_mi.fit.photometric`) have rows of their own. Masks are the ground-truth ones of
+a synthetic subject, so that scores measure the avatar and not the segmenter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, astuple, dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from gva_mi.avatar.avatar import Avatar
+from gva_mi.body.smplx import BodyModel
+from gva_mi.console import Progress
+from gva_mi.data.video import Frame, Video, load_video, spread
+from gva_mi.data.views import held_out_views
+from gva_mi.fit.perceptual import Weights
+from gva_mi.fit.renders import BLACK, WHITE, cut_out, render_frame
+from gva_mi.pose.crop import Box
+from gva_mi.study.defects import Defects, flicker
+from gva_mi.study.regions import Detail, Details, person_box
+from gva_mi.study.scores import ImageScores, Scorer
+
+Split = Literal["train", "test", "novel_pose", "novel_view"]
+SPLITS: tuple[Split, ...] = ("train", "test", "novel_pose", "novel_view")
+Region = Literal["white", "black", "person"] | Detail
+REGIONS: tuple[Region, ...] = ("white", "black", "person", "hands", "face")
+TRAIN_FRAMES = 16  # of the train split that are evaluated
+
+
+@dataclass(frozen=True)
+class SplitScores:
+    """Mean scores over the frames of a split."""
+
+    name: str  # of the run, or of the poses it is rendered under
+    split: Split
+    psnr: float
+    ssim: float
+    lpips: float | None  # None without the user's weights
+    rand_vgg: float
+    region: Region = "white"
+    count: int = 0  # pictures, or boxes, in the mean; 0: not recorded
+    spill: float | None = None  # see defects.py; only of whole pictures on white
+    holes: float | None = None
+    flicker: float | None = None  # of test frames against the frames before them
+
+    @staticmethod
+    def mean(
+        name: str, split: Split, scores: Sequence[ImageScores], region: Region = "white"
+    ) -> SplitScores:
+        """Average the scores of the frames of a split."""
+        mean = ImageScores(*np.mean([astuple(s) for s in scores], axis=0).tolist())
+        perceptual = None if np.isnan(mean.lpips) else mean.lpips
+        figures = (mean.psnr, mean.ssim, perceptual, mean.rand_vgg)
+        return SplitScores(name, split, *figures, region, len(scores))
+
+
+@dataclass(frozen=True)
+class SplitView:
+    """The frames of a split, and the poses and cameras they are rendered under."""
+
+    split: Split
+    video: Video
+    frames: Sequence[int]
+    details: Details | None = None  # None: hands and face are not measured
+
+    def through(self, change: Callable[[Video], Video]) -> SplitView:
+        """Return the same pictures under other poses or cameras; details stay in place."""
+        return replace(self, video=change(self.video))
+
+
+def views_of(
+    video: Video, splits: Sequence[Split] = SPLITS, body: BodyModel | None = None
+) -> list[SplitView]:
+    """Return those of some splits that a video has.
+
+    Args:
+        video: opened with the poses to evaluate under, see the module's table.
+        splits: those wanted.
+        body: the body of the poses; None: hands and face are not measured.
+
+    Raises:
+        InputError: a ground-truth folder cannot be read.
+    """
+    details = None if body is None else Details.of(video, body)
+    views = []
+    for split in splits:
+        if split == "train":
+            frames = spread(video.splits.train, TRAIN_FRAMES)
+            views.append(SplitView(split, video, frames, details))
+        elif split == "test":
+            views.append(SplitView(split, video, video.splits.test, details))
+        elif (source := source_of(video, split)) is not None:
+            theirs = None if body is None else Details.of(source, body)
+            views.append(SplitView(split, source, range(len(source)), theirs))
+    return [view for view in views if len(view.frames)]
+
+
+def evaluate(
+    avatar: Avatar,
+    video: Video,
+    name: str = "full",
+    splits: Sequence[Split] = SPLITS,
+    weights: Weights | None = None,
+    progress: Progress | None = None,
+    body: BodyModel | None = None,
+) -> list[SplitScores]:
+    """Measure an avatar on splits of a video: :func:`evaluate_views` of :func:`views_of`."""
+    return evaluate_views(avatar, views_of(video, splits, body), name, Scorer(weights), progress)
+
+
+def evaluate_views(
+    avatar: Avatar,
+    views: Sequence[SplitView],
+    name: str,
+    scorer: Scorer,
+    progress: Progress | None = None,
+) -> list[SplitScores]:
+    """Measure an avatar on some views; scores are named ``name``.
+
+    Returns:
+        The scores of each view, region by region, without regions that no frame has.
+    """
+    rows, done, total = [], 0, sum(len(view.frames) for view in views)
+    for view in views:
+        scores: dict[Region, list[ImageScores]] = {region: [] for region in REGIONS}
+        defects: list[Defects] = []
+        flickers: list[float] = []
+        for frame in view.video.frames(view.frames):
+            pair = _Compared.of(avatar, frame, view)
+            for region, found in pair.scores(view, scorer):
+                scores[region].append(found)
+            defects.append(Defects.of(*pair.renders, pair.frame.mask))
+            before = frame.index - 1
+            if view.split == "test" and before >= 0 and before not in view.video.absent:
+                flickers.append(pair.flicker(_Compared.of(avatar, view.video[before], view)))
+            done += 1
+            if progress:
+                progress(done, total, psnr=scores["white"][-1].psnr)
+        whole, *parts = (
+            SplitScores.mean(name, view.split, s, region) for region, s in scores.items() if s
+        )
+        whole = replace(whole, **asdict(Defects.mean(defects)))
+        rows += [replace(whole, flicker=float(np.mean(flickers)) if flickers else None), *parts]
+    return rows
+
+
+@dataclass(frozen=True)
+class _Compared:
+    """Renders of one frame and their targets, each on white and on black."""
+
+    frame: Frame  # with the true mask if it is known
+    renders: tuple[np.ndarray, np.ndarray]
+    targets: tuple[np.ndarray, np.ndarray]
+
+    @staticmethod
+    def of(avatar: Avatar, frame: Frame, view: SplitView) -> _Compared:
+        mask = view.video.true_mask(frame.index)
+        frame = frame if mask is None else replace(frame, mask=mask)
+        renders = (render_frame(avatar, frame.pose, frame.camera, on) for on in (WHITE, BLACK))
+        return _Compared(frame, tuple(renders), tuple(cut_out(frame, on) for on in (WHITE, BLACK)))
+
+    def scores(self, view: SplitView, scorer: Scorer) -> Iterator[tuple[Region, ImageScores]]:
+        pairs = tuple(zip(self.renders, self.targets, strict=True))
+        for region, pair in zip(("white", "black"), pairs, strict=True):
+            yield region, scorer(*pair)
+        boxes: list[tuple[Region, Box]] = [("person", person_box(self.frame.mask))]
+        if view.details is not None:
+            boxes += view.details.boxes(self.frame.index)
+        for region, box in boxes:
+            yield region, scorer(*(box.cut(image) for image in pairs[0]))
+
+    def flicker(self, before: _Compared) -> float:
+        renders = before.renders[0], self.renders[0]
+        targets = before.targets[0], self.targets[0]
+        return flicker(renders, targets, self.frame.mask)
+
+
+def source_of(video: Video, split: Split) -> Video | None:
+    """Open the pictures of novel poses or views; None if the subject has none.
+
+    Raises:
+        InputError: a folder cannot be read.
+    """
+    found = true_video(video, split)
+    return held_out_views(video) if found is None and split == "novel_view" else found
+
+
+def as_trained(view: SplitView, trained: Video) -> SplitView:
+    """Put a view under the poses trained with the avatar, unless its poses are ground truth."""
+    if view.split in ("train", "test"):
+        return view.through(lambda _: trained)
+    known = true_video(trained, view.split) is not None
+    return view if known else view.through(lambda _: source_of(trained, view.split))
+
+
+def true_video(video: Video, split: Split) -> Video | None:
+    """Open the ground-truth folder of a split of a synthetic subject; None if there is none."""
+    folder = video.truth / split if video.truth else None
+    return load_video(folder) if folder is not None and folder.is_dir() else None

@@ -1,0 +1,78 @@
+"""Scores under poses that are fitted to the very pictures they are measured on, as GART reports."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, replace
+
+from gva_mi.avatar.avatar import Avatar
+from gva_mi.body.smplx import BodyModel
+from gva_mi.console import Progress, within
+from gva_mi.data.video import Video
+from gva_mi.fit.photometric import FITTED, PhotometricOptions, fit_poses
+from gva_mi.study.evaluate import as_trained, evaluate_views, views_of
+from gva_mi.study.metrics import Metrics, PoseFit, aligned_views
+from gva_mi.study.scores import Scorer
+from gva_mi.study.similarity import similarity_to_truth
+
+POSE_FIT_STEPS = 100  # at least; one step moves a pose by little
+SEEN_BY_FIT = ("pictures", "masks")
+
+
+def with_fitted_poses(
+    metrics: Metrics,
+    avatar: Avatar,
+    video: Video,
+    trained: Video,
+    body: BodyModel,
+    progress: Progress | None = None,
+) -> Metrics:
+    """Add rows for frames under poses that are fitted to these very frames.
+
+    Test frames start from the poses that follow from training, novel poses and views from the true
+    ones in the avatar's world: the scores show the avatar, wherever its skeleton is inside it.
+
+    Args:
+        metrics: of the run.
+        avatar: the fitted avatar.
+        video: opened with the poses that the fit began with; they locate hands and face.
+        trained: opened with the poses that the avatar was trained under.
+        body: the fitted body model.
+        progress: called after each step of the pose fit.
+    """
+    starts = [as_trained(view, trained) for view in views_of(video, ("test",), body)]
+    similarity = similarity_to_truth(avatar.rig, trained, body)
+    if similarity is not None:
+        novel = views_of(video, ("novel_pose", "novel_view"), body)
+        starts += aligned_views(novel, similarity, avatar.rig, body)
+    options = {view.split: _pose_fit_options(len(view.frames)) for view in starts}
+    steps = [len(view.frames) * options[view.split].passes for view in starts]
+    rows, kept, seconds, fitted = [], {}, 0.0, 0
+    for done, view in enumerate(starts):
+        part = within(progress, sum(steps[:done]), steps[done], sum(steps))
+        found = fit_poses(avatar, view.video, options[view.split], view.frames, part)
+        posed = view.through(lambda source, pose=found.pose: replace(source, pose=pose))
+        rows += evaluate_views(avatar, [posed], FITTED, Scorer())
+        kept |= {f"{view.split} {frame}": reason for frame, reason in found.kept.items()}
+        seconds += found.seconds_per_frame * len(view.frames)
+        fitted += len(view.frames)
+    protocol = metrics.protocol
+    if protocol is not None:
+        splits = sorted({view.split.split("_")[0] for view in starts})  # test, novel
+        names = (f"{split} {what}" for split in splits for what in SEEN_BY_FIT)
+        by_fit = {name: [*protocol.seen.get(name, []), FITTED] for name in names}
+        protocol = replace(protocol, seen=protocol.seen | by_fit)
+    made_with = {split: asdict(some) for split, some in options.items()}
+    return replace(
+        metrics,
+        rows=(*metrics.rows, *rows),
+        protocol=protocol,
+        pose_fit=PoseFit(made_with, kept, seconds / max(1, fitted)),
+    )
+
+
+def _pose_fit_options(frames: int) -> PhotometricOptions:
+    """Return the options of ``track``, with more passes for the few frames of a test split."""
+    usual = PhotometricOptions()
+    steps_of_a_pass = max(1, math.ceil(frames / usual.batch))
+    return replace(usual, passes=max(usual.passes, math.ceil(POSE_FIT_STEPS / steps_of_a_pass)))

@@ -1,0 +1,137 @@
+"""Reports: one HTML file with its pictures inside that opens from disk.
+
+A page is a heading, a row of large numbers, and sections of text, pictures and tables.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gva_mi.files import replacing
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True)
+class Picture:
+    """An image in the page."""
+
+    caption: str
+    data: str  # a data: address
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of text under a head."""
+
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of the page."""
+
+    title: str
+    text: str
+    pictures: Sequence[Picture] = ()
+    columns: int = 5  # pictures side by side
+    tables: Sequence[Table] = ()
+
+
+@dataclass(frozen=True)
+class Headline:
+    """One of the large numbers at the top."""
+
+    value: str
+    label: str
+
+
+def write_page(
+    path: Path,
+    *,
+    title: str,
+    subtitle: str,
+    headlines: Sequence[Headline],
+    sections: Sequence[Section],
+    settings: dict[str, Any],
+) -> None:
+    """Write the page; ``settings`` (options, versions, seed) are shown as JSON at its end."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    loader = PackageLoader("gva_mi.study", ".")
+    environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined)
+    text = environment.get_template("page.html").render(
+        title=title,
+        subtitle=subtitle,
+        headlines=headlines,
+        sections=sections,
+        settings=json.dumps(settings, indent=2, default=str),
+    )
+    with replacing(path) as unfinished:
+        unfinished.write_text(text)
+
+
+def picture(caption: str, image: np.ndarray) -> Picture:
+    """Embed an image (H, W, 3), 8-bit or in [0, 1]."""
+    if image.dtype != np.uint8:
+        image = np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)
+    return _webp(caption, [image], quality=92)
+
+
+def animation(caption: str, images: Sequence[np.ndarray]) -> Picture:
+    """Embed 8-bit images (H, W, 3) as an endless film."""
+    return _webp(caption, images, quality=88, duration=100, loop=0)
+
+
+def _webp(caption: str, images: Sequence[np.ndarray], **options: int) -> Picture:
+    from PIL import Image
+
+    first, *rest = (Image.fromarray(image) for image in images)
+    if rest:
+        options |= {"save_all": True, "append_images": rest}
+    buffer = io.BytesIO()
+    first.save(buffer, "WEBP", **options)
+    return Picture(caption, _address(buffer.getvalue(), "webp"))
+
+
+def plot(caption: str, figure: Figure) -> Picture:
+    """Embed a Matplotlib figure as SVG, and close it."""
+    import matplotlib.pyplot as plt
+
+    for axis in figure.axes:
+        axis.spines[["top", "right"]].set_visible(False)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="svg")
+    plt.close(figure)
+    return Picture(caption, _address(buffer.getvalue(), "svg+xml"))
+
+
+def number(value: float | None, digits: int, sign: bool = False) -> str:
+    """Write a number for a table cell; a dash for None."""
+    return "–" if value is None else f"{value:{'+' if sign else ''}.{digits}f}"
+
+
+def around(inside: np.ndarray, margin: int) -> tuple[slice, slice]:
+    """Return the rows and columns that hold all of a mask (H, W), and a margin."""
+    if not inside.any():
+        return slice(None), slice(None)
+    found = []
+    for axis in (1, 0):
+        where = np.flatnonzero(inside.any(axis))
+        low, high = where[0] - margin, where[-1] + 1 + margin
+        found.append(slice(max(0, low), min(inside.shape[1 - axis], high)))
+    return found[0], found[1]
+
+
+def _address(data: bytes, kind: str) -> str:
+    return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"

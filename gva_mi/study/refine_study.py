@@ -1,0 +1,150 @@
+"""The refinement study: how well stage 2 does on subjects and errors it was not tuned on.
+
+One camera hardly shows how large somebody is, how far away, and through which lens. The owner of a
+video knows: with :attr:`RefineStudyOptions.known`, height and focal length are the true ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from gva_mi.body.smplx import BodyModel
+from gva_mi.console import Progress
+from gva_mi.data.synthetic.options import Level, VideoFrames
+from gva_mi.data.truth import Truth, load_truth
+from gva_mi.data.video import Video, load_video
+from gva_mi.options import PictureSide, require_ranges
+from gva_mi.pose.focal import follow
+from gva_mi.pose.parallel import Task
+from gva_mi.pose.refine import refine
+from gva_mi.pose.sequence import SequenceOptions
+from gva_mi.study.cases import StudyCase
+from gva_mi.study.engine import made_with
+from gva_mi.study.measure import Evaluation
+from gva_mi.study.pose_figures import PoseFigures
+from gva_mi.study.subjects import Filming, filming_work
+
+
+@dataclass(frozen=True)
+class RefineStudyOptions:
+    """Size of the study."""
+
+    noise: tuple[Level, ...] = (1.0,)  # levels of the errors of poses, masks, normals; 1 is usual
+    frames: VideoFrames = 64  # of each video
+    size: PictureSide = 512  # pixels, width and height of the pictures
+    known: bool = False  # the subject's height and the focal length are given
+    refine: SequenceOptions = field(default_factory=SequenceOptions)
+
+    def __post_init__(self) -> None:
+        require_ranges("study", self)
+
+
+@dataclass(frozen=True)
+class RefineStudy:
+    """A study whose variants are levels of noise."""
+
+    folder: Path
+    body: BodyModel
+    options: RefineStudyOptions
+    kind: str = "refine"
+
+    @property
+    def variants(self) -> tuple[str, ...]:
+        """One for each level of noise."""
+        return tuple(self._levels)
+
+    @property
+    def made_with(self) -> dict[str, Any]:
+        """Everything that results depend on."""
+        made = made_with(self.kind, self.options, self.body)
+        del made["options"]["noise"]  # each result has its own
+        return made
+
+    @property
+    def _levels(self) -> dict[str, float]:
+        return {f"noise {level:g}": level for level in self.options.noise}
+
+    def rounds(self, missing: Sequence[tuple[StudyCase, str]]) -> list[Sequence[Task]]:
+        """Film the takes, then refine each case."""
+        filming = Filming(self.folder, self.options.frames, self.options.size)
+        pairs = [(case, self._levels[variant]) for case, variant in missing]
+        work = [
+            RefineCase(filming.subject(*pair), pair[0], self.body, self.options) for pair in pairs
+        ]
+        return [filming_work(filming, pairs, self.body), work]
+
+
+@dataclass(frozen=True)
+class RefineCase:
+    """Refine one case, and measure the poses: a Task."""
+
+    subject: Path
+    case: StudyCase
+    body: BodyModel
+    options: RefineStudyOptions
+
+    @property
+    def steps(self) -> int:
+        """Amount of work, for the progress bar."""
+        return 10 * self.options.frames
+
+    def solve(self, progress: Progress | None = None) -> dict[str, Any]:
+        """Return the columns of the table, and the figures of ``refinement.json``."""
+        found = refine_case(
+            self.subject, self.case, self.body, self.options.refine, self.options.known, progress
+        )
+        means = found.measured.means
+        return columns(means) | means.to_json()
+
+
+def columns(figures: PoseFigures) -> dict[str, float | None]:
+    """Return what the study's table shows of a refinement (:mod:`gva_mi.study.tables`)."""
+    names = ("body", "hands", "feet", "body_aligned", "hands_aligned", "feet_aligned", "fingers")
+    titles = (" ".join(reversed(name.split("_"))) for name in names)  # aligned body
+    shown = {f"change: {t}": figures.relative(name) for t, name in zip(titles, names, strict=True)}
+    iou, limit = figures["iou"], figures["iou_truth"]
+    return shown | {
+        "depth: ankles, mm": figures["ankle_depth_mm"],
+        "depth: wrists, mm": figures["wrist_depth_mm"],
+        "frames: increased": figures["frames_worse"],
+        "frames: increased, hands": figures["frames_worse_hands"],
+        "iou: IoU - limit": None if None in (iou, limit) else iou - limit,
+        "time: s a frame": figures["seconds_per_frame"],
+    }
+
+
+def refine_case(
+    subject: Path,
+    case: StudyCase,
+    body: BodyModel,
+    options: SequenceOptions,
+    known: bool = False,
+    progress: Progress | None = None,
+) -> Evaluation:
+    """Refine and measure a case's video; ``known``: with the true height and focal length."""
+    video = load_video(subject, normals=None if case.normals else "none")
+    truth, options = load_truth(video.truth, body), replace(options, seed=case.draw)
+    if not known:
+        refined = refine(video, body, options, progress)
+    else:
+        zoomed = with_true_focal(truth, video, body)
+        refined = refine(zoomed, body, replace(options, height=height_of(truth)), progress)
+        refined = replace(refined, cameras=refined.cameras or zoomed.cameras)
+    return Evaluation.of(video, body, options, refined, truth)
+
+
+def with_true_focal(truth: Truth, video: Video, body: BodyModel) -> Video:
+    """Give a video the true focal length; its poses follow, as by ``prepare --lens``."""
+    longer = truth.cameras[0].fx / video.cameras[0].fx
+    pelvis = body.rest(video.shape).joints[0]
+    cameras = [camera.zoomed(longer) for camera in video.cameras]
+    return replace(video, cameras=cameras, pose=follow(video.pose, pelvis, video.cameras, longer))
+
+
+def height_of(truth: Truth) -> float:
+    """Return the subject's height at rest, from head to soles, metres."""
+    y = truth.body.rest(truth.shape).vertices[:, 1]
+    return float(y.max() - y.min())

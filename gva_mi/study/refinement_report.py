@@ -1,0 +1,280 @@
+"""The report of a refinement: pose errors frame by frame, overlays, and the ablation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from gva_mi.body.smplx import BodyModel
+from gva_mi.console import listed
+from gva_mi.data.video import Video, spread
+from gva_mi.mesh.overlay import overlay, shaded, strip
+from gva_mi.pose.refine import Refined
+from gva_mi.study.measure import Evaluation, Measured
+from gva_mi.study.page import Headline, Section, Table, around, number, picture, plot, write_page
+from gva_mi.study.pose_figures import ERRORS, PoseFigures
+
+SHOWN = 6  # frames of a strip
+BEFORE, AFTER, TRUTH = "#b3261e", "#2f6f5e", "#667085"  # colours of curves
+
+LENGTHS = {  # titles of errors in tables
+    "body": "{points}",
+    "hands": "hands",
+    "feet": "feet",
+    "body_aligned": "{points}, pelvis-aligned",
+    "hands_aligned": "hands, pelvis-aligned",
+    "feet_aligned": "feet, pelvis-aligned",
+    "fingers": "fingers, wrist-aligned",
+    "joints": "joints of the body",
+    "surface": "distance of the surfaces",
+    "hands_surface": "distance of the hands' surfaces",
+    "feet_surface": "distance of the feet's surfaces",
+}
+DEPTHS = {
+    "pelvis_depth": "depth of the pelvis",
+    "ankles_depth": "depth of the ankles",
+    "wrists_depth": "depth of the wrists",
+}
+
+
+def write_refinement_report(
+    path: Path,
+    evaluation: Evaluation,
+    *,
+    title: str,
+    versions: Mapping[str, str],
+    ablation: Mapping[str, PoseFigures] | None = None,
+) -> None:
+    """Write the page.
+
+    Args:
+        path: the ``.html`` file.
+        evaluation: of the refinement.
+        title: its heading.
+        versions: of what may change the figures.
+        ablation: figures of variants of the refinement, by name.
+    """
+    video, refined, measured = evaluation.video, evaluation.refined, evaluation.measured
+    there = [k for k in range(len(video)) if k not in video.absent]
+    width, height = video.size
+    write_page(
+        path,
+        title=title,
+        subtitle=(
+            f"Poses of {len(video)} frames of {width} x {height} pixels, refined to agree with "
+            f"normals and silhouettes: {evaluation.options.description}."
+        ),
+        headlines=_headlines(measured.means, refined),
+        sections=[
+            _means(measured.means),
+            _curves(refined, measured),
+            _frames("Worst frames", _WORST, _worst(video, measured), evaluation),
+            _frames("Evenly spaced frames", "", spread(there, SHOWN), evaluation),
+            *([_ablation(measured.means, ablation)] if ablation else []),
+            *([_surface(evaluation.body, refined)] if refined.offsets.any() else []),
+            *_exceptions(refined),
+        ],
+        settings={"options": asdict(evaluation.options), "versions": dict(versions)},
+    )
+
+
+_WORST = (
+    "The frames with the largest error of the refined body or, without ground truth, with the "
+    "smallest silhouette IoU."
+)
+_ABLATION = (
+    "The same video refined without one part, and by Eq. 8 as the paper prints it: every frame on "
+    "its own, the bare body, rotations only. A bare body cannot fill the mask of a clothed person: "
+    "what is closest to the mask is not what is closest to the ground truth."
+)
+
+
+def errors_table(figures: PoseFigures, trained: Mapping[str, float] | None = None) -> Table:
+    """List the known errors at stage 1 and after refinement.
+
+    Args:
+        figures: of the refinement.
+        trained: errors of poses trained with the avatar, by the names of
+            :mod:`gva_mi.pose.errors`, millimetres; None: no such column.
+    """
+    rows, further = [], lambda text: [] if trained is None else [text]
+    for name, title in (LENGTHS | DEPTHS).items():
+        change, later, signed = figures.change(name), (trained or {}).get(name), name in DEPTHS
+        if change is None and later is None:
+            continue
+        values = ("–", "–", "–")
+        if change is not None:
+            share = None if signed else figures.relative(name)
+            grew = number(change[1] - change[0], 1, sign=True)
+            grew = grew if share is None else f"{100 * share:+.0f} %"
+            values = (*(number(x, 1, signed) for x in change), grew)
+        title = title.format(points=figures["points"] or "vertices")
+        rows.append([f"{title}, mm", *values, *further(number(later, 1, signed)), "–"])
+    if iou := figures.change("iou"):
+        values = (number(x, 3) for x in iou)
+        grew, limit = number(iou[1] - iou[0], 3, sign=True), figures["iou_truth"]
+        rows.append(["silhouette IoU", *values, grew, *further("–"), number(limit, 3)])
+    head = ("", "stage 1", "refined", "change", *further("trained"), "ground-truth pose")
+    return Table(head, rows)
+
+
+def _headlines(means: PoseFigures, refined: Refined) -> list[Headline]:
+    headlines = []
+    for label, name in (("mean vertex error", "body"), ("error of the hands", "hands")):
+        if change := means.change(name):
+            value = f"{change[0]:.0f} → {change[1]:.0f} mm"
+            headlines.append(Headline(value, f"{label}, stage 1 → refined"))
+    best, iou = means["iou_truth"], means.change("iou")
+    limit = "" if best is None else f" ({best:.3f} at the ground-truth pose)"
+    headlines.append(Headline(f"{iou[0]:.3f} → {iou[1]:.3f}", f"silhouette IoU{limit}"))
+    headlines.append(Headline(f"{refined.seconds_per_frame:.2f} s", "of work for a frame"))
+    headlines.append(Headline(str(len(refined.kept)), "frames keep their stage-1 pose"))
+    return headlines
+
+
+def _means(means: PoseFigures) -> Section:
+    if means["frames_worse"] is None:
+        text = "Means over all frames. Without ground truth, only the masks can tell."
+    else:
+        body, hands = (100 * means[key] for key in ("frames_worse", "frames_worse_hands"))
+        text = (
+            f"Means over all frames. Errors are distances of {means['points']} from the ground "
+            "truth. Depths are signed: above zero is too far away. The error increased against "
+            f"stage 1 in {body:.0f} % of all frames, that of the hands in {hands:.0f} %."
+        )
+    return Section("Figures", text, tables=[errors_table(means)])
+
+
+def _curves(refined: Refined, measured: Measured) -> Section:
+    """Plot errors, IoU and loss over the frames."""
+    import matplotlib.pyplot as plt
+
+    frames, panels = measured.frames, []
+    for region in ("body", "hands", "feet", "fingers"):
+        if (key := ERRORS[region]) in frames:
+            panels.append((f"{region}, mm", frames[f"{key}_stage1"], frames[key], None))
+    panels += [
+        ("silhouette IoU", frames["iou_stage1"], frames["iou"], frames.get("iou_truth")),
+        ("loss: normals + λ1 silhouette", refined.losses_stage1, refined.losses, None),
+    ]
+    fig, axes = plt.subplots(len(panels), 1, figsize=(11, 1.7 * len(panels)), sharex=True)
+    for axis, (title, before, after, truth) in zip(axes, panels, strict=True):
+        axis.plot(before, color=BEFORE, lw=1.2, label="stage 1")
+        axis.plot(after, color=AFTER, lw=1.6, label="refined")
+        if truth is not None:
+            axis.plot(truth, color=TRUTH, lw=1, ls="--", label="ground-truth pose")
+        for k in refined.kept:
+            axis.axvspan(k - 0.5, k + 0.5, color="#e4e7ec", lw=0)
+        axis.set_title(title, loc="left", fontsize=9)
+        if "IoU" not in title:
+            axis.set_ylim(bottom=0)
+    axes[-1].set_xlabel("frame")
+    iou = axes[-2]  # has all three curves
+    iou.legend(frameon=False, fontsize=8, ncols=3, loc="lower right", bbox_to_anchor=(1, 0.98))
+    fig.tight_layout()
+    text = "Grey bars are frames that keep their stage-1 pose." if refined.kept else ""
+    return Section("Frame by frame", text, [plot("", fig)], columns=1)
+
+
+def _worst(video: Video, measured: Measured) -> list[int]:
+    """Return the frames with the largest errors, or else the smallest IoU, worst first."""
+    badness = measured.frames.get("vertex_mm", -measured.frames["iou"])
+    order = badness.nan_to_num(-torch.inf).argsort(descending=True, stable=True).tolist()
+    return [k for k in order if k not in video.absent][:SHOWN]
+
+
+@torch.no_grad()
+def _frames(title: str, text: str, shown: Sequence[int], evaluation: Evaluation) -> Section:
+    """Show overlays of some frames, all poses of a frame side by side."""
+    video, body, refined = evaluation.video, evaluation.body, evaluation.refined
+    cameras, truth, measured = (
+        refined.cameras or video.cameras,
+        evaluation.truth,
+        evaluation.measured,
+    )
+    bodies = {
+        "stage 1": (body, video.pose, video.shape, video.cameras),
+        "refined": (body, refined.pose, refined.shape, cameras),
+    }
+    if truth is not None:
+        bodies["ground-truth pose"] = (truth.body, truth.pose, truth.shape, truth.cameras)
+    pictures = []
+    seen = np.any([outline.mask > 0.5 for outline in video.outlines(shown)], axis=0)
+    part = around(seen, margin=len(seen) // 12)
+    for frame in video.frames(shown):
+        k, panels = frame.index, [frame.image[part]]
+        for model, pose, shape, views in bodies.values():
+            vertices = model(pose[k], shape).vertices[0]
+            panels.append(overlay(frame.image, views[k], vertices, model.faces)[part])
+        caption = f"frame {k}: {_caption(k, measured)}"
+        pictures.append(picture(caption, strip([panels])))
+    text = f"{text} From left to right: the picture, {', '.join(bodies)}.".strip()
+    return Section(title, text, pictures, columns=3)
+
+
+def _caption(frame: int, measured: Measured) -> str:
+    """Write a frame's own figures."""
+    known = {key: float(x[frame]) for key, x in measured.frames.items()}
+    parts = [
+        f"{name} {known[f'{key}_stage1']:.0f} → {known[key]:.0f} mm"
+        for name, key in (("body", "vertex_mm"), ("hands", "hand_vertex_mm"))
+        if key in known
+    ]
+    return ", ".join([*parts, f"IoU {known['iou_stage1']:.2f} → {known['iou']:.2f}"])
+
+
+def _ablation(means: PoseFigures, ablation: Mapping[str, PoseFigures]) -> Section:
+    rows = []
+    stage1 = {"stage 1": (means, "_stage1")}
+    later = {name: (figures, "") for name, figures in {"refined": means, **ablation}.items()}
+    keys = ("vertex_mm", "hand_vertex_mm", "foot_vertex_mm", "aligned_vertex_mm")
+    for name, (figures, stage) in (stage1 | later).items():
+        cells = [number(figures[key + stage], 1) for key in keys]
+        share, seconds = figures["frames_worse"], figures["seconds_per_frame"]
+        cells.append("–" if stage or share is None else f"{100 * share:.0f} %")
+        rows.append([name, *cells, number(figures["iou" + stage], 3)])
+        rows[-1].append("–" if stage else number(seconds, 2))
+    head = ("", "vertices, mm", "hands, mm", "feet, mm", "pelvis-aligned, mm")
+    head += ("frames whose error increased", "IoU", "s a frame")
+    return Section("What each term is worth", _ABLATION, tables=[Table(head, rows)])
+
+
+def _surface(body: BodyModel, refined: Refined) -> Section:
+    """Show the rest surface, bare and displaced."""
+    bare = body.rest(refined.shape).vertices
+    rows = [
+        [shaded(x, body.faces, angle) for angle in (0.0, np.pi / 2, np.pi)]
+        for x in (bare, bare + refined.offsets)
+    ]
+    part = around(np.any([image.min(-1) < 1 for row in rows for image in row], axis=0), 4)
+    length = 1e3 * refined.offsets.norm(dim=1)
+    text = (
+        "The rest surface of the body (above) and with the displacement that stands for clothes "
+        f"and hair (below): {length.mean():.0f} mm on average, {length.max():.0f} mm at most. All "
+        "frames share it, and it is stored with the poses."
+    )
+    pictures = [picture("", strip([[image[part] for image in row] for row in rows]))]
+    return Section("Displaced surface", text, pictures, columns=2)
+
+
+def _exceptions(refined: Refined) -> list[Section]:
+    """List frames that were not refined, or not like the others."""
+    sections = []
+    if refined.kept:
+        rows = [(str(k), reason) for k, reason in refined.kept.items()]
+        text = "These frames keep the pose of stage 1."
+        sections.append(Section("Kept frames", text, tables=[Table(("frame", "why"), rows)]))
+    for limbs, frames in refined.swapped.items():
+        text = f"Stage 1 exchanged left and right in frames {listed(frames)}."
+        sections.append(Section(f"Exchanged {limbs}", text))
+    if refined.held_out:
+        text = f"Poses follow from the other frames: {listed(refined.held_out)}."
+        sections.append(Section("Held-out test frames", text))
+    if refined.without_normals:
+        text = f"Fitted to silhouettes alone: {listed(refined.without_normals)}."
+        sections.append(Section("Frames without normals", text))
+    return sections

@@ -1,0 +1,143 @@
+"""Regions of a picture that metrics are taken on, besides the whole picture.
+
+* **Person**: the bounding box of the mask, with a margin of :data:`MARGIN` of its longer side. A
+  metric of the whole picture depends on how much background there is.
+* **Hands**: a square of :data:`HAND` around wrist and finger joints. It counts if a quarter of the
+  hand's vertices are visible, half of what a hand in front of the body shows, and if the square
+  lies in the picture.
+* **Face**: a square of :data:`FACE` around jaw and eyes. It counts if the face looks toward the
+  camera and the square lies in the picture.
+
+Boxes do not depend on the avatar, so all avatars are compared on the same pixels: they come from
+the ground-truth pose if there is one, and else from the video's pose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import torch
+
+from gva_mi.body.pose import EYES, JAW_AND_EYES, JOINTS, LEFT_HAND, RIGHT_HAND, Pose, Shape
+from gva_mi.body.smplx import BodyModel
+from gva_mi.data.truth import POSES, load_truth
+from gva_mi.data.video import Video
+from gva_mi.mesh.visibility import seen_vertices
+from gva_mi.pose.crop import Box
+from gva_mi.splat import Camera
+
+MARGIN = 0.03  # of the longer side of the mask's box
+HAND = 0.28  # metres, the side of a hand's box
+FACE = 0.26  # metres, the side of the face's box
+SMALLEST = 16  # pixels of a side, which the metrics' networks need
+SEEN = 0.25  # share of the hand's vertices, of which about half face the camera
+
+WRISTS = {side: JOINTS.index(f"{side}_wrist") for side in ("left", "right")}
+FINGERS = {"left": LEFT_HAND, "right": RIGHT_HAND}
+HEAD = JOINTS.index("head")
+
+# Close-ups of what fails first in a new pose: joints in the middle, side in metres.
+CLOSE_UPS = {
+    "head and hair": (("head", "jaw"), 0.44),
+    "left armpit": (("left_shoulder",), 0.38),
+    "right armpit": (("right_shoulder",), 0.38),
+    "hem": (("left_hip", "right_hip", "left_knee", "right_knee"), 0.72),
+    "left hand": (("left_wrist", "left_middle2"), HAND),
+    "right hand": (("right_wrist", "right_middle2"), HAND),
+}
+
+Detail = Literal["hands", "face"]
+
+
+def person_box(mask: np.ndarray) -> Box:
+    """Return the box around a mask (H, W) that is not empty, inside the picture."""
+    height, width = mask.shape
+    rows, columns = (np.flatnonzero((mask > 0.5).any(axis)) for axis in (1, 0))
+    margin = round(MARGIN * max(np.ptp(rows), np.ptp(columns)))
+    left, right = _at_least(columns[0] - margin, columns[-1] + 1 + margin, width)
+    top, bottom = _at_least(rows[0] - margin, rows[-1] + 1 + margin, height)
+    return Box(left, top, right, bottom)
+
+
+def box_around(camera: Camera, joints: np.ndarray, metres: float, pixels: int = 2) -> Box | None:
+    """Return a square around joints (n, 3), world; None if the picture's edge cuts it.
+
+    Args:
+        camera: of the picture.
+        joints: in the middle, metres.
+        metres, pixels: of a side; at least so many pixels.
+    """
+    R, t = camera.T_camera_world[:3, :3], camera.T_camera_world[:3, 3]
+    depth = float((joints @ R.T + t)[:, 2].mean())
+    if depth <= 0:
+        return None
+    u, v = camera.project(joints).mean(0)
+    side = max(pixels, round(camera.fx * metres / depth))
+    left, top = round(u - side / 2), round(v - side / 2)
+    fits = left >= 0 and top >= 0 and left + side <= camera.width and top + side <= camera.height
+    return Box(left, top, left + side, top + side) if fits else None
+
+
+def close_ups(camera: Camera, joints: np.ndarray) -> Iterator[tuple[str, Box]]:
+    """Yield the boxes of CLOSE_UPS that lie in the picture, for joints (55, 3), metres, world."""
+    for name, (middle, metres) in CLOSE_UPS.items():
+        box = box_around(camera, joints[[JOINTS.index(joint) for joint in middle]], metres)
+        if box is not None:
+            yield name, box
+
+
+def hand_box(camera: Camera, joints: np.ndarray, side: str, pixels: int = 2) -> Box | None:
+    """Return a hand's box for joints (55, 3); None if the picture's edge cuts it."""
+    hand = np.vstack([joints[WRISTS[side]], joints[FINGERS[side]]])
+    return box_around(camera, hand, HAND, pixels)
+
+
+def face_box(camera: Camera, joints: np.ndarray, pixels: int = 2) -> Box | None:
+    """Return the face's box for joints (55, 3); None if it looks away or the edge cuts it."""
+    looks = joints[EYES].mean(0) - joints[HEAD]
+    if looks @ (camera.position - joints[HEAD]) <= 0:
+        return None
+    return box_around(camera, joints[JAW_AND_EYES], FACE, pixels)
+
+
+@dataclass(frozen=True)
+class Details:
+    """Poses that say where hands and face of the person in a video are."""
+
+    body: BodyModel
+    pose: Pose
+    shape: Shape
+    cameras: list[Camera]
+
+    @staticmethod
+    def of(video: Video, body: BodyModel) -> Details:
+        """Use the ground truth of a synthetic video, else the poses the video was opened with."""
+        if video.truth is not None and (video.truth / POSES).is_file():
+            truth = load_truth(video.truth, body)
+            return Details(truth.body, truth.pose, truth.shape, truth.cameras)
+        return Details(body, video.pose, video.shape, video.cameras)
+
+    @torch.no_grad()
+    def boxes(self, frame: int) -> Iterator[tuple[Detail, Box]]:
+        """Yield the boxes of visible hands, and of a visible face, in a frame."""
+        posed, camera = self.body(self.pose[frame], self.shape), self.cameras[frame]
+        seen = seen_vertices(posed.vertices[0], self.body.faces, camera.position[None])[0]
+        joints, weights = posed.joints[0].double().numpy(), self.body.weights
+        for side, fingers in FINGERS.items():
+            own = weights[:, fingers].sum(1) + weights[:, WRISTS[side]] > 0.5
+            box = hand_box(camera, joints, side, SMALLEST)
+            if box is not None and seen[own].float().mean() >= SEEN:
+                yield "hands", box
+        box = face_box(camera, joints, SMALLEST)
+        if box is not None:
+            yield "face", box
+
+
+def _at_least(low: int, high: int, size: int) -> tuple[int, int]:
+    """Grow a span to the smallest side, inside the picture."""
+    grown = max(0, SMALLEST - (high - low))
+    low, high = low - grown // 2, high + grown - grown // 2
+    return max(0, int(low)), min(size, int(high))

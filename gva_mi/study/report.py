@@ -1,0 +1,294 @@
+"""The report of a run: pictures of the avatar, its metrics, and its training.
+
+It is made from the run's folder (:mod:`gva_mi.fit.run_folder`) and the subject's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from gva_mi.avatar.avatar import Avatar
+from gva_mi.data.pictures import read_image, write_image
+from gva_mi.data.video import Video, spread
+from gva_mi.fit import run_folder
+from gva_mi.fit.photometric import FITTED
+from gva_mi.fit.run_folder import Snapshot
+from gva_mi.study.evaluate import REGIONS, Split, source_of
+from gva_mi.study.metrics import ALIGNED, AS_REFINED, TRAINED, Metrics, load_metrics
+from gva_mi.study.page import (
+    Headline,
+    Section,
+    Table,
+    animation,
+    number,
+    picture,
+    plot,
+    write_page,
+)
+from gva_mi.study.refinement import OVERLAYS
+from gva_mi.study.refinement_report import errors_table
+from gva_mi.study.regions import CLOSE_UPS
+from gva_mi.study.report_pictures import compared, dots, overview, same_size, turntable, zoomed
+from gva_mi.study.surface import SurfaceFigures
+from gva_mi.study.true_surface import PARTS, TEXTURES
+
+SHOWN = 5  # frames of a strip
+ENLARGED = 3  # novel poses that are shown enlarged
+TURN_FRAMES = 24  # pictures of the turning avatar
+
+
+def write_report(run: Path, avatar: Avatar, video: Video, title: str) -> None:
+    """Write the page, and its first picture as a file of its own.
+
+    Args:
+        run: the folder of a run that was evaluated.
+        avatar: the fitted avatar.
+        video: opened with the poses that the avatar was trained under.
+        title: heading of the page.
+    """
+    metrics, history = load_metrics(run), run_folder.load_history(run)
+    write_image(run / run_folder.OVERVIEW, overview(avatar, video))
+    width, height = metrics.training.size
+    write_page(
+        run / run_folder.REPORT,
+        title=title,
+        subtitle=(
+            f"A 3D Gaussian avatar of body and hands from a monocular video, {width} x {height} "
+            f"pixels, seed {metrics.seed}."
+        ),
+        headlines=_headlines(metrics),
+        sections=[
+            _turning(avatar, video),
+            _test_frames(avatar, video),
+            *_refinement(metrics, video.folder / OVERLAYS),
+            *_novel(avatar, video, "novel_pose", "Novel poses", _NOVEL_POSE),
+            *_novel(avatar, video, "novel_view", "Novel views", _NOVEL_VIEW),
+            *_details(avatar, video),
+            *_reinitialisation(list(run_folder.load_snapshots(run)), metrics.surface),
+            _curves(history),
+            _tables(metrics),
+        ],
+        settings={
+            "options": metrics.options,
+            "protocol": metrics.protocol and asdict(metrics.protocol),
+            "similarity": metrics.similarity,
+            "versions": metrics.versions,
+            "seed": metrics.seed,
+        },
+    )
+
+
+_NOVEL_POSE = (
+    "A motion that is not in the video, under its true poses: ground truth left, render right."
+)
+_NOVEL_VIEW = "Poses of the video from cameras that never saw it: ground truth left, render right."
+_DETAILS = "The picture's own pixels above; the avatar below, rendered at the enlarged resolution."
+_SURFACE = (
+    "Spacing is the coefficient of variation of the distance to the nearest Gaussian on the true "
+    "surface: 0 on a lattice, 0.52 for random points. Bias is the 95th percentile of the distance "
+    "from the true surface to the nearest Gaussian, stray the 99th of that from a Gaussian to the "
+    "surface, elongation the 99th of a Gaussian's length over its breadth."
+)
+_SCORES = (
+    "The whole picture on white, then on black, the person's box, and the boxes of visible hands "
+    "and faces. LPIPS needs the user's weights; rand_vgg is the same distance in a random network "
+    "of a fixed seed, comparable only with itself. Spill is what the avatar covers beside the "
+    "person, holes what it leaves open inside, flicker what changes in it but not in the person "
+    "since the frame before, all as shares of the person. Poses are trained on the training frames "
+    "only; those of a test frame follow from the frames around it, "
+    f"‘{AS_REFINED}’ is without that. ‘{ALIGNED}’: one camera shows neither the scale of the world "
+    "nor where the skeleton is inside the surface, so the ground truth is transformed to the "
+    "avatar's world, once for all frames."
+)
+_FITTED = (
+    f" ‘{FITTED}’ have seen what they are measured on: the avatar is the same, and each pose is "
+    "fitted to its own picture."
+)
+_LAPS = (
+    "the frame, cut out and on its background",
+    "descent: avatar, splatting, Eq. 9, and its gradients",
+    "density control, re-initialisation, skinning weights",
+)
+
+
+def _headlines(metrics: Metrics) -> list[Headline]:
+    own = [r for r in metrics.rows if r.name == metrics.rows[0].name and r.region == "white"]
+    headlines = [
+        Headline(f"{row.psnr:.1f} dB", f"PSNR, {row.split.replace('_', ' ')}")
+        for row in own
+        if row.split != "train"
+    ]
+    training = metrics.training
+    if change := metrics.refinement.change("body"):
+        value = f"{change[0]:.0f} → {change[1]:.0f} mm"
+        headlines.append(Headline(value, "mean vertex error, stage 1 → refined"))
+    if change := metrics.refinement.change("iou"):
+        value = f"{change[0]:.3f} → {change[1]:.3f}"
+        headlines.append(Headline(value, "silhouette IoU, stage 1 → refined"))
+    headlines.append(Headline(f"{training.gaussians:,}", "Gaussians"))
+    minutes, seconds = divmod(round(training.seconds), 60)
+    headlines.append(Headline(f"{minutes} min {seconds:02d} s", f"for {training.steps:,} steps"))
+    return headlines
+
+
+def _turning(avatar: Avatar, video: Video) -> Section:
+    caption = f"{len(avatar.canonical):,} Gaussians, {TURN_FRAMES} views"
+    pictures = list(turntable(avatar, video[len(video) // 2], TURN_FRAMES))
+    text = "Fitted to one video of one camera, seen from all around."
+    return Section("The avatar", text, [animation(caption, pictures)], columns=3)
+
+
+def _test_frames(avatar: Avatar, video: Video) -> Section:
+    shown = spread(video.splits.test or video.splits.train, SHOWN + 1)
+    images = same_size([compared(avatar, frame) for frame in video.frames(shown)])
+    pictures = [picture(f"frame {k}", image) for k, image in zip(shown, images, strict=True)]
+    text = (
+        "Frames of the video that training left out: the picture cut out by its mask, the render, "
+        "and the largest difference of the three channels (white 0, red 64 of 255 and more)."
+    )
+    return Section("Test frames", text, pictures, columns=3)
+
+
+def _refinement(metrics: Metrics, overlays: Path) -> list[Section]:
+    """Show the refinement's picture and errors, if the subject's folder has the picture."""
+    if not overlays.exists():
+        return []
+    text = "The body over the frames, before the refinement of Eq. 8 (above) and after it (below)."
+    if metrics.poses_mm:
+        text += " ‘Trained’ poses were corrected by the pictures along with the avatar."
+    table = errors_table(metrics.refinement, metrics.poses_mm.get(TRAINED, {}))
+    pictures = [picture("stage 1 above, refined below", read_image(overlays, 3))]
+    return [Section("Pose refinement", text, pictures, columns=1, tables=[table])]
+
+
+def _novel(avatar: Avatar, video: Video, split: Split, title: str, text: str) -> list[Section]:
+    """Show ground truth beside render, if the subject has the split."""
+    source = source_of(video, split)
+    if source is None:
+        return []
+    shown = source.frames(spread(range(len(source)), SHOWN))
+    images = same_size([compared(avatar, frame, difference=False) for frame in shown])
+    return [Section(title, text, [picture("", image) for image in images])]
+
+
+def _details(avatar: Avatar, video: Video) -> list[Section]:
+    """Enlarge parts for which the whole body leaves few pixels."""
+    novel, test = source_of(video, "novel_pose"), video.splits.test or video.splits.train
+    close = [] if novel is None else spread(range(len(novel)), ENLARGED)
+    sections = []
+    for title, source, frames, what, columns in (
+        ("Close-ups of novel poses", novel, close, "close-ups", len(CLOSE_UPS)),
+        ("Faces in test frames", video, spread(test, 2 * SHOWN), "face", SHOWN),
+        ("Hands in test frames", video, spread(test, SHOWN), "hands", 2 * SHOWN),
+    ):
+        pictures = [
+            picture(f"frame {frame.index}, {name}", image)
+            for frame in (source.frames(frames) if frames else ())
+            for name, image in zoomed(avatar, frame, what)
+        ]
+        if pictures:
+            sections.append(Section(title, _DETAILS, pictures, columns=columns))
+    return sections
+
+
+def _reinitialisation(
+    snapshots: Sequence[Snapshot], surface: Sequence[SurfaceFigures]
+) -> list[Section]:
+    if not snapshots:
+        return []
+    pictures = []
+    for snapshot in snapshots:
+        for name, gaussians in (("before", snapshot.before), ("after", snapshot.after)):
+            caption = f"step {snapshot.step}, {name}: {len(gaussians):,} Gaussians"
+            pictures.append(picture(caption, dots(gaussians)))
+    text = (
+        "Surface-guided re-initialisation: every Gaussian as a dot of its own colour, in the rest "
+        "pose. Clumps in textured regions spread, and floaters return to the surface."
+    )
+    tables = [surface_table(surface)] if surface else []
+    text = f"{text} {_SURFACE}" if surface else text
+    return [Section("Re-initialisation", text, pictures, columns=2, tables=tables)]
+
+
+def surface_table(surface: Sequence[SurfaceFigures]) -> Table:
+    """List how the Gaussians lie on the true surface, a row for each moment of a fit."""
+    textures = [name for name in ("all", *TEXTURES) if any(name in f.spacing for f in surface)]
+    parts = [name for name in PARTS if any(name in f.bias_mm for f in surface)]
+    head = ("step", "", "Gaussians", *(f"spacing, {name}" for name in textures))
+    head += (*(f"bias of {name}, mm" for name in parts), "stray, mm", "elongation", "largest, mm")
+    rows = [
+        (
+            f"{figures.step:,}",
+            figures.moment,
+            f"{figures.gaussians:,}",
+            *(number(figures.spacing.get(name), 2) for name in textures),
+            *(number(figures.bias_mm.get(name), 1) for name in parts),
+            number(figures.stray_mm, 1),
+            number(figures.elongation, 1),
+            number(figures.largest_mm, 0),
+        )
+        for figures in surface
+    ]
+    return Table(head, rows)
+
+
+def _curves(history: Mapping[str, np.ndarray]) -> Section:
+    """Plot losses and the number of Gaussians over the steps; tabulate the time."""
+    import matplotlib.pyplot as plt
+
+    fig, (left, right) = plt.subplots(1, 2, figsize=(11, 3.2), layout="constrained")
+    steps = np.arange(len(history["loss"]))
+    for name, values in history.items():
+        is_loss = name not in ("step", "gaussians") and not name.startswith("milliseconds")
+        if is_loss and np.any(values):
+            left.plot(steps, _smooth(values), label=name, lw=1.2)
+    left.set(xlabel="step", title="loss terms, before their weights", yscale="log")
+    left.legend(frameon=False, fontsize=8)
+    right.plot(steps, history["gaussians"], color="#2f6f5e")
+    right.set(xlabel="step", title="Gaussians")
+    text = "Each term of Eq. 9, the number of Gaussians, and where the time went."
+    return Section("Training", text, [plot("", fig)], columns=1, tables=_time(history))
+
+
+def _time(history: Mapping[str, np.ndarray]) -> list[Table]:
+    """Tabulate the time of a fit; empty if its history does not record the parts."""
+    if any(name not in history for name in run_folder.LAPS):
+        return []
+    whole, rows = history["milliseconds"].sum(), []
+    names = dict(zip(_LAPS, run_folder.LAPS, strict=True)) | {"all": "milliseconds"}
+    for title, name in names.items():
+        ms = history[name]
+        figures = (number(x, 1) for x in (ms.sum() / 1e3, np.median(ms), ms.mean(), ms.max()))
+        rows.append([title, *figures, f"{ms.sum() / whole:.0%}"])
+    head = ("", "all steps, s", "a step: median, ms", "mean, ms", "longest, ms", "share")
+    return [Table(head, rows)]
+
+
+def _smooth(values: np.ndarray, over: int = 25) -> np.ndarray:
+    """Take a running mean, because the loss of one step depends on its frame."""
+    over = min(over, len(values))
+    padded = np.pad(values, (over // 2, over - 1 - over // 2), mode="edge")
+    return np.convolve(padded, np.full(over, 1 / over), mode="valid")
+
+
+def _tables(metrics: Metrics) -> Section:
+    """List all scores, a table for each region."""
+    metric = ("psnr", "ssim", "lpips", "rand_vgg", "spill", "holes", "flicker")
+    head = ("run", "split", "region", "frames", "PSNR, dB", "SSIM", "LPIPS", *metric[3:])
+    order = [(row.name, row.split) for row in metrics.rows if row.region == "white"]
+    tables = []
+    for region in REGIONS:
+        own = [row for row in metrics.rows if row.region == region]
+        rows = []
+        for row in sorted(own, key=lambda row: order.index((row.name, row.split))):
+            names = (row.name.replace("_", " "), row.split.replace("_", " "), region)
+            figures = (number(getattr(row, m), 2 if m == "psnr" else 4) for m in metric)
+            rows.append((*names, str(row.count), *figures))
+        if rows:
+            tables.append(Table(head, rows))
+    text = _SCORES + (_FITTED if any(row.name == FITTED for row in metrics.rows) else "")
+    return Section("Figures", text, tables=tables)

@@ -1,0 +1,97 @@
+"""Metrics of one render against its target: PSNR, SSIM, LPIPS and ``rand_vgg``.
+
+* PSNR is limited to what rounding to 8 bits allows, :data:`PSNR_MAX`, which equal pictures reach;
+* SSIM is that of Wang et al. 2004: 11 x 11 Gaussian window, sigma 1.5, population covariance;
+* LPIPS and ``rand_vgg`` are distances between features of a network, :mod:`gva_mi.fit.perceptual`.
+  The deepest layers would see only the border of a picture below 64 pixels: there each pixel is
+  repeated until both sides are long enough.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+
+from gva_mi.fit.perceptual import (
+    RAND_SEED,
+    RAND_WIDTH,
+    FeatureMetric,
+    Weights,
+    find_weights,
+    lpips,
+    rand_vgg,
+)
+
+# The PSNR of rounding to 8 bits, an error with a variance of 1/12 of a level squared: 58.9 dB.
+PSNR_MAX = float(20 * np.log10(255) + 10 * np.log10(12))
+NETWORK_SIDE = 64  # pixels, the smallest side that the networks see
+
+
+@dataclass(frozen=True)
+class ImageScores:
+    """How close one render comes to its target."""
+
+    psnr: float  # dB, more is better
+    ssim: float  # at most 1, more is better
+    lpips: float  # less is better; NaN without the user's weights
+    rand_vgg: float  # less is better; comparable only with itself
+
+
+class Scorer:
+    """Scores renders with the networks of the metrics, which are loaded once."""
+
+    def __init__(self, weights: Weights | None = None) -> None:
+        """Load the networks; ``weights`` for LPIPS, None: those that ``find_weights`` finds."""
+        self._weights = find_weights() if weights is None else weights
+        self.rand_vgg = rand_vgg()
+        self.lpips: FeatureMetric | None = lpips(self._weights)
+
+    def __call__(self, render: np.ndarray, target: np.ndarray) -> ImageScores:
+        """Score two 8-bit images (H, W, 3), both sides at least 11 pixels."""
+        times = -(-NETWORK_SIDE // min(render.shape[:2]))
+        enlarged = (x.repeat(times, 0).repeat(times, 1) for x in (render, target))
+        a, b = (torch.from_numpy(x.astype(np.float32) / 255) for x in enlarged)
+        return ImageScores(
+            psnr(render, target),
+            ssim(render, target),
+            np.nan if self.lpips is None else float(self.lpips(a, b)),
+            float(self.rand_vgg(a, b)),
+        )
+
+    def networks(self) -> dict[str, Any]:
+        """Describe network and weights of each perceptual metric; None for LPIPS without any."""
+        found, name = self._weights, self._weights.lpips_network
+        files = {
+            "AlexNet": (found.alexnet, found.lpips_alex),
+            "VGG16": (found.vgg16, found.lpips_vgg),
+            None: (),
+        }[name]
+        digests = {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
+        return {
+            "lpips": {"network": name, "sha256": digests} if name else None,
+            "rand_vgg": {
+                "network": f"VGG16's layers, {RAND_WIDTH:g} of its channels",
+                "weights": f"random, seed {RAND_SEED}",
+            },
+        }
+
+
+def psnr(render: np.ndarray, target: np.ndarray) -> float:
+    """Return the peak signal-to-noise ratio of two 8-bit images, dB, at most :data:`PSNR_MAX`."""
+    from skimage.metrics import mean_squared_error, peak_signal_noise_ratio
+
+    if mean_squared_error(render, target) == 0:
+        return PSNR_MAX
+    return min(PSNR_MAX, float(peak_signal_noise_ratio(target, render)))
+
+
+def ssim(render: np.ndarray, target: np.ndarray) -> float:
+    """Return the structural similarity of two 8-bit images (H, W, 3), sides at least 11 pixels."""
+    from skimage.metrics import structural_similarity
+
+    options = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
+    return float(structural_similarity(target, render, channel_axis=-1, **options))

@@ -1,0 +1,192 @@
+"""One similarity transform between the world of an avatar and the ground truth's.
+
+One static camera shows a person of twice the size, twice as far away, in the same pixels. It also
+shows where the person's surface is, but not where the skeleton is inside it: poses a centimetre too
+low come with an avatar that lies a centimetre too high on its skeleton. Errors of novel views and
+poses in the *true* world mix that with the quality of the avatar. So they are measured once more
+after one similarity transform for the whole video, which changes none of its pictures: a scale
+about the eye, with the given camera c and the true one c*,
+
+    1. s        = argmin Σ_k Σ_j |s (R_c x_kj + t_c) - (R*_c y_kj + t*_c)|²
+    2. y        = s R x + t,    R = R*_cᵀ R_c,    t = R*_cᵀ (s t_c - t*_c)
+
+over the joints j of the body, x under the avatar's poses and y the true ones, in the training
+frames k. If the camera moves, s, R and t are those of Umeyama (1991). The offset o of the skeleton
+from the true one, in the axes of its pelvis, is what pictures show of it, without the part along
+the camera's axis z:
+
+    3. o        = argmin Σ_k |P_k (R_k,root o - mean_j (x_kj - Rᵀ (y_kj - t) / s))|²,
+       P_k      = 1 - z_k z_kᵀ
+
+The avatar stays as it is; true poses and cameras are transformed into its world:
+
+    4. camera      R_c (s R x + t) + t_c  ~  (R_c R) x + (R_c t + t_c) / s    pictures have no scale
+    5. root        Rᵀ R*_root, with the pelvis at Rᵀ (y_pelvis - t) / s + Rᵀ R*_root o
+
+Only evaluation uses it, and the strict figures are reported beside.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import roma
+import torch
+from torch import Tensor
+
+from gva_mi.avatar.avatar import Rig
+from gva_mi.body.kinematics import joint_transforms
+from gva_mi.body.pose import Pose, Shape
+from gva_mi.body.smplx import BodyModel
+from gva_mi.data.truth import POSES, load_truth
+from gva_mi.data.video import Video
+from gva_mi.splat import Camera
+
+BODY_JOINTS = 22  # of trunk and limbs; finger joints would outnumber them
+
+
+@dataclass(frozen=True)
+class Similarity:
+    """Eq. 2 and 3, in float64."""
+
+    scale: float
+    rotation: np.ndarray  # (3, 3)
+    translation: np.ndarray  # (3,) metres
+    stance: np.ndarray = field(default_factory=lambda: np.zeros(3))  # (3,) o, metres
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        """Transform points (..., 3) from the avatar's world to the true one."""
+        return self.scale * points @ self.rotation.T + self.translation
+
+    def camera(self, camera: Camera) -> Camera:
+        """Transform a camera from the true world to the avatar's, eq. 4."""
+        R, t = camera.T_camera_world[:3, :3], camera.T_camera_world[:3, 3]
+        T = np.eye(4)
+        T[:3, :3] = R @ self.rotation
+        T[:3, 3] = (R @ self.translation + t) / self.scale
+        return camera.with_matrices(T_camera_world=T)
+
+    def pose(self, pose: Pose, pelvis: Tensor, own_pelvis: Tensor) -> Pose:
+        """Transform true poses to the avatar's world, eq. 5.
+
+        Args:
+            pose: T frames.
+            pelvis, own_pelvis: (3,) rest pelvis of their body and of the avatar, metres.
+        """
+        R = torch.from_numpy(self.rotation)
+        root = R.T @ roma.rotvec_to_rotmat(pose.rotations[:, 0].double())
+        place = pose.transl.double() + pelvis - torch.from_numpy(self.translation)
+        rotations = pose.rotations.clone()
+        rotations[:, 0] = roma.rotmat_to_rotvec(root).to(rotations)
+        stance = root @ torch.from_numpy(self.stance)
+        transl = (place @ R / self.scale + stance - own_pelvis).to(pose.transl)
+        return Pose(rotations, transl, pose.expression)
+
+    def to_json(self) -> dict[str, float]:
+        """Summarise it for a file: scale, turn in degrees, shift and stance in metres."""
+        turn = np.degrees(np.arccos(np.clip((np.trace(self.rotation) - 1) / 2, -1, 1)))
+        shift = float(np.linalg.norm(self.translation))
+        found = {"scale": self.scale, "turn_degrees": float(turn), "shift_m": shift}
+        return found | {"stance_m": float(np.linalg.norm(self.stance))}
+
+
+def umeyama(x: np.ndarray, y: np.ndarray) -> Similarity:
+    """Return the least-squares similarity from points x to points y, both (N, 3).
+
+    Raises:
+        ValueError: fewer than three points, or all on one line, which determine no rotation.
+    """
+    mean_x, mean_y = x.mean(0), y.mean(0)
+    a, b = x - mean_x, y - mean_y
+    U, S, Vt = np.linalg.svd(b.T @ a / len(x))
+    if len(x) < 3 or S[1] <= 1e-9 * max(S[0], 1e-30):
+        raise ValueError("umeyama(): needs three points at least that are not on one line")
+    mirrored = np.array([1.0, 1.0, np.sign(np.linalg.det(U) * np.linalg.det(Vt))])
+    R = U @ np.diag(mirrored) @ Vt
+    scale = float((S * mirrored).sum() / np.square(a).sum(1).mean())
+    return Similarity(scale, R, mean_y - scale * R @ mean_x)
+
+
+@torch.no_grad()
+def similarity_to_truth(rig: Rig, video: Video, body: BodyModel) -> Similarity | None:
+    """Return the similarity from an avatar's world to the true one; None without ground truth.
+
+    Args:
+        rig: the avatar's rest body.
+        video: opened with the poses that the avatar was trained under.
+        body: the fitted body model.
+    """
+    if video.truth is None or not (video.truth / POSES).is_file():
+        return None
+    truth, frames = load_truth(video.truth, body), video.splits.train
+    found = posed_joints(rig, video.pose[frames])
+    true = truth.body(truth.pose[frames], truth.shape).joints
+    x, y = (joints[:, :BODY_JOINTS].double().numpy() for joints in (found, true))
+    given, real = ([cameras[k] for k in frames] for cameras in (video.cameras, truth.cameras))
+    static = all(_same_place(c, some[0]) for some in (given, real) for c in some)
+    flat = lambda joints: joints.reshape(-1, 3)
+    whole = (
+        _about_the_eye(flat(x), flat(y), given[0], real[0])
+        if static
+        else umeyama(*map(flat, (x, y)))
+    )
+    off = (x - (y - whole.translation) @ whole.rotation / whole.scale).mean(1)
+    root = roma.rotvec_to_rotmat(video.pose.rotations[frames, 0].double()).numpy()
+    z = np.stack([camera.T_camera_world[2, :3] for camera in given])
+    return replace(whole, stance=_stance(off, root, z))
+
+
+def _stance(off: np.ndarray, root: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """Solve eq. 3 for o (3,), metres.
+
+    What frames hardly show, because the person turns by less than about 0.1 rad, is left at 0.
+
+    Args:
+        off: (n, 3) mean offset of the joints in n frames, metres.
+        root: (n, 3, 3) rotations of the pelvis.
+        z: (n, 3) the cameras' axes.
+    """
+    P = np.eye(3) - z[:, :, None] * z[:, None, :]
+    matrix = np.einsum("kai,kab,kbj->ij", root, P, root)
+    vector = np.einsum("kai,kab,kb->i", root, P, off)
+    return np.linalg.pinv(matrix, rcond=0.01, hermitian=True) @ vector
+
+
+def _about_the_eye(x: np.ndarray, y: np.ndarray, given: Camera, real: Camera) -> Similarity:
+    """Solve eq. 1 and 2 for points (N, 3)."""
+    (R, t), (R_real, t_real) = (
+        (c.T_camera_world[:3, :3], c.T_camera_world[:3, 3]) for c in (given, real)
+    )
+    a, b = x @ R.T + t, y @ R_real.T + t_real
+    scale = float((a * b).sum() / np.square(a).sum())
+    return Similarity(scale, R_real.T @ R, R_real.T @ (scale * t - t_real))
+
+
+def _same_place(a: Camera, b: Camera) -> bool:
+    return np.allclose(a.T_camera_world, b.T_camera_world, atol=1e-9)
+
+
+@torch.no_grad()
+def in_avatars_world(similarity: Similarity, source: Video, rig: Rig, body: BodyModel) -> Video:
+    """Transform the poses and cameras of a ground-truth video to the avatar's world.
+
+    Args:
+        similarity: from the avatar's world to that of the video.
+        source: opened with true poses of ``body``, such as ``truth/novel_pose``.
+        rig: the avatar's rest body.
+        body: the fitted body model.
+    """
+    pelvis = body.rest(Shape(source.shape.betas)).joints[0].double()
+    return replace(
+        source,
+        pose=similarity.pose(source.pose, pelvis, rig.joints[0].double()),
+        cameras=[similarity.camera(camera) for camera in source.cameras],
+    )
+
+
+def posed_joints(rig: Rig, pose: Pose) -> Tensor:
+    """Return an avatar's joints in T poses, (T, 55, 3) metres, world."""
+    T_world_rest = joint_transforms(pose.rotations, rig.joints, rig.parents, pose.transl)
+    R, t = T_world_rest[..., :3, :3], T_world_rest[..., :3, 3]
+    return (R @ rig.joints[..., None])[..., 0] + t

@@ -1,0 +1,71 @@
+"""The videos of a study: a subject is rendered once, and each error model degrades a copy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from gva_mi.body.smplx import BodyModel
+from gva_mi.console import Progress
+from gva_mi.data.fingerprint import require_same_body
+from gva_mi.data.synthetic import degrade, make_subject
+from gva_mi.study.cases import StudyCase, Take
+
+
+@dataclass(frozen=True)
+class Filming:
+    """How the videos of a study are made, and where they are."""
+
+    folder: Path  # of the study
+    frames: int  # of each video
+    size: int  # pixels, width and height of the pictures
+    novel: int = 0  # pictures of novel poses, and as many of novel views
+
+    def subject(self, case: StudyCase, noise: float = 1.0) -> Path:
+        """Return the folder of a case's video, existing or not."""
+        name = f"{self._name(case.take)}-{case.noise}-{case.draw}-{noise:g}"
+        return self.folder / "videos" / name
+
+    def film(self, case: StudyCase, body: BodyModel, noise: float = 1.0) -> Path:
+        """Make a case's video if it is missing; ``noise`` scales the errors, 1 is usual."""
+        take, subject = self.folder / "takes" / self._name(case.take), self.subject(case, noise)
+        if not take.exists():
+            make_subject(take, case.take.synth(self.frames, self.size, self.novel), body)
+        if not subject.exists():
+            degrade(take, subject, case.noise, case.draw, body, noise)
+        require_same_body(subject, body)
+        return subject
+
+    def _name(self, take: Take) -> str:
+        name = f"{take.name.replace(', ', '-').replace(' ', '')}-{self.frames}-{self.size}"
+        return f"{name}-novel{self.novel}" if self.novel else name
+
+
+@dataclass(frozen=True)
+class FilmTake:
+    """Film a take and all its cases, so that no two workers render the same subject: a Task."""
+
+    filming: Filming
+    cases: tuple[tuple[StudyCase, float], ...]  # with the noise level of each
+    body: BodyModel
+
+    @property
+    def steps(self) -> int:
+        """Amount of work, for the progress bar."""
+        return self.filming.frames * len(self.cases)
+
+    def solve(self, progress: Progress | None = None) -> None:
+        """Make the videos that are missing."""
+        for case, noise in self.cases:
+            self.filming.film(case, self.body, noise)
+
+
+def filming_work(
+    filming: Filming, cases: Sequence[tuple[StudyCase, float]], body: BodyModel
+) -> list[FilmTake]:
+    """Return the work of filming some cases, a piece for each take."""
+    by_take: dict[Take, dict[tuple[StudyCase, float], None]] = {}
+    for case, noise in cases:
+        by_take.setdefault(case.take, {})[case, noise] = None
+    return [FilmTake(filming, tuple(several), body) for several in by_take.values()]

@@ -1,0 +1,166 @@
+"""Tables of both studies.
+
+Figures of an outcome are named ``GROUP: TITLE``, and a name is a column: :data:`STYLES` says how
+the figures of a group are written, and which of several is the worst. Others are kept in the file
+only.
+
+A subject counts once in a cell: the figures of its cases are averaged first. The refinement study
+has a row for each error model, their mean, and the worst of each column. The avatar study has a row
+for each variant, separately for held-out and tuned subjects, with the mean difference to the
+variant "full" of the same cases, because subjects differ more than variants do.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from gva_mi.study.engine import Outcome
+from gva_mi.study.page import Table
+from gva_mi.study.variants import FULL
+
+Worst = Callable[[Iterable[float]], float]
+
+
+def _farthest(values: Iterable[float]) -> float:
+    return max(values, key=abs)
+
+
+STYLES: dict[str, tuple[str, Worst]] = {  # by the group of a figure
+    "change": ("{:+.0%}", max),  # relative, of an error
+    "depth": ("{:+.0f}", _farthest),
+    "frames": ("{:.0%}", max),
+    "iou": ("{:+.3f}", min),
+    "time": ("{:.2f}", max),
+    "psnr": ("{:.2f}", min),
+    "cost": ("{:,.0f}", max),
+    "ssim": ("{:.4f}", min),
+    "lpips": ("{:.4f}", max),
+    "rand_vgg": ("{:.4f}", max),
+    "psnr in boxes": ("{:.2f}", min),
+    "pose error, mm": ("{:.1f}", max),
+    "defects, %": ("{:.2f}", max),
+    "surface": ("{:.2f}", max),
+}
+
+
+def group_of(name: str) -> str:
+    """Return the group of a figure; empty if its name has none."""
+    return name.rpartition(": ")[0]
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A figure over the subjects of a row."""
+
+    mean: float
+    std: float  # over subjects; 0 for one
+    worst: float
+    subjects: int
+    against_full: float | None = None  # mean difference to "full" in the same cases
+
+    def text(self, name: str, spread: bool = False) -> str:
+        """Write the mean, and on request spread, worst and difference."""
+        form, _ = STYLES[group_of(name)]
+        mean = form.format(self.mean).replace("%", " %")
+        if not spread:
+            return mean
+        worst = f", worst {form.format(self.worst)}" if self.subjects > 1 else ""
+        digits = form.partition(".")[2][:1]
+        against = "" if self.against_full is None else f" ({self.against_full:+.{digits}f})"
+        return f"{mean} ± {self.std:.{digits}f}{worst}{against}"
+
+
+Cells = dict[str, dict[str, Cell]]  # by row and name
+
+
+def cell(outcomes: Sequence[Outcome], name: str, full: Sequence[Outcome] = ()) -> Cell | None:
+    """Summarise a figure over outcomes of one row; None if no outcome has it.
+
+    Args:
+        outcomes: of the row.
+        name: of the figure.
+        full: outcomes of the variant "full", to compare with.
+    """
+    own = {outcome.case: outcome.figures.get(name) for outcome in outcomes}
+    means = _subject_means((case.take.name, value) for case, value in own.items())
+    if not len(means):
+        return None
+    base = {outcome.case: outcome.figures.get(name) for outcome in full}
+    differences = _subject_means(
+        (case.take.name, value - base[case])
+        for case, value in own.items()
+        if None not in (value, base.get(case))
+    )
+    against = float(differences.mean()) if len(differences) else None
+    worst = float(STYLES[group_of(name)][1](means.tolist()))
+    return Cell(float(means.mean()), float(means.std()), worst, len(means), against)
+
+
+def _subject_means(values: Iterable[tuple[str, float | None]]) -> np.ndarray:
+    """Average the finite values of each subject."""
+    subjects: dict[str, list[float]] = {}
+    for subject, value in values:
+        if value is not None and math.isfinite(value):
+            subjects.setdefault(subject, []).append(value)
+    return np.array([np.mean(own) for own in subjects.values()])
+
+
+def grouped(outcomes: Sequence[Outcome], key: Callable[[Outcome], str]) -> dict[str, list[Outcome]]:
+    """Group outcomes by a name, in the order in which names appear."""
+    groups: dict[str, list[Outcome]] = {}
+    for outcome in outcomes:
+        groups.setdefault(key(outcome), []).append(outcome)
+    return groups
+
+
+def _row(group: Sequence[Outcome], full: Sequence[Outcome] = ()) -> dict[str, Cell]:
+    names = dict.fromkeys(name for outcome in group for name in outcome.figures)
+    cells = {name: cell(group, name, full) for name in names if group_of(name) in STYLES}
+    return {name: cell for name, cell in cells.items() if cell is not None}
+
+
+def refine_cells(outcomes: Sequence[Outcome]) -> dict[str, Cells]:
+    """Summarise the refinement study: a row for each error model, then "mean" and "worst"."""
+    several = len({outcome.variant for outcome in outcomes}) > 1
+    name = lambda o: o.case.family + (f", {o.variant}" if several else "")
+    cells = {row: _row(group) for row, group in grouped(outcomes, name).items()}
+    mean, worst = {}, {}
+    for column in dict.fromkeys(column for row in cells.values() for column in row):
+        means = [row[column].mean for row in cells.values() if column in row]
+        farthest = float(STYLES[group_of(column)][1](means))
+        mean[column] = Cell(float(np.mean(means)), float(np.std(means)), farthest, len(means))
+        worst[column] = Cell(farthest, 0.0, farthest, 1)
+    return {"error models": cells | {"mean": mean, "worst": worst}}
+
+
+def avatar_cells(outcomes: Sequence[Outcome]) -> dict[str, Cells]:
+    """Summarise the avatar study: for held-out and for tuned subjects, a row for each variant."""
+    title = lambda o: "held-out subjects" if o.case.held_out else "subjects of the tuning set"
+    tables = {}
+    for subjects, group in sorted(grouped(outcomes, title).items()):
+        rows = grouped(group, lambda outcome: outcome.variant)
+        full = rows.get(FULL.name, ())
+        tables[subjects] = {
+            row: _row(own, () if own is full else full) for row, own in rows.items()
+        }
+    return tables
+
+
+def text_table(title: str, cells: Cells, groups: Sequence[str], spread: bool = False) -> Table:
+    """Write the cells of some groups as text, under a head that begins with ``title``."""
+    names = dict.fromkeys(name for row in cells.values() for name in row)
+    shown = [name for name in names if group_of(name) in groups]
+    rows = [
+        [row, *(own[name].text(name, spread) if name in own else "–" for name in shown)]
+        for row, own in cells.items()
+    ]
+    return Table((title, *(name.rpartition(": ")[2] for name in shown)), rows)
+
+
+def to_json(cells: Cells) -> dict[str, dict[str, dict]]:
+    """Return the cells as a study's file holds them."""
+    return {row: {name: asdict(c) for name, c in own.items()} for row, own in cells.items()}

@@ -1,0 +1,85 @@
+"""The study's protocol: nothing that judges was there to choose by."""
+
+from collections import Counter
+
+import pytest
+
+from gva_mi.data.synthetic import STUDY
+from gva_mi.data.synthetic.noise.families import FAMILIES
+from gva_mi.study import cases
+from gva_mi.study.cases import HELD_OUT, NO_NORMALS, TUNING, StudyCase, Take, held_out
+
+BOTH = pytest.mark.parametrize(
+    "some", [TUNING, HELD_OUT, held_out(2)], ids=["tuning", "held out", "set 2"]
+)
+
+
+def test_nobody_is_both_tuned_on_and_judged():
+    people = [{case.take.person for case in some} for some in (TUNING, HELD_OUT)]
+    assert not people[0] & people[1]
+    assert not {case.name for case in TUNING} & {case.name for case in HELD_OUT}
+
+
+def test_no_draw_of_a_noise_is_both_tuned_on_and_judged():
+    assert all(case.draw < 100 for case in TUNING)
+    assert all(case.draw >= 1000 for case in HELD_OUT)
+
+
+def test_editions_share_nobody_and_no_noise_and_are_alike_in_all_else():
+    editions = [TUNING, *(held_out(n) for n in (1, 2, 3, 1000))]
+    for k, some in enumerate(editions):
+        for others in editions[:k]:
+            assert not {c.take.person for c in some} & {c.take.person for c in others}
+            assert not {c.draw for c in some} & {c.draw for c in others}
+    alike = lambda c: (c.family, c.take.motion, c.take.figure, c.take.outfit, c.take.bare)
+    assert held_out() is HELD_OUT
+    assert [alike(c) for c in held_out(2)] == [alike(c) for c in HELD_OUT]
+
+
+@BOTH
+def test_every_case_is_another_one(some):
+    assert len({case.name for case in some}) == len({case.draw for case in some}) == len(some)
+    assert all(case.take.subject in (None, *STUDY) and case.noise in FAMILIES for case in some)
+
+
+@BOTH
+def test_a_person_is_filmed_once(some):
+    takes = {case.take.person: set() for case in some}
+    for case in some:
+        takes[case.take.person].add(case.take)
+    assert all(len(several) == 1 for several in takes.values())
+
+
+def test_all_families_judge_and_some_of_them_tuned_nothing():
+    families = Counter(case.family for case in HELD_OUT)
+    assert set(families) == {*FAMILIES, NO_NORMALS}
+    assert set(families) - {case.family for case in TUNING} == {"shape", "focal", "normals"}
+    takes = {case.take for case in HELD_OUT}
+    assert {take.figure for take in takes} == {"own", "stretched", "anny"}
+    assert {take.motion for take in takes} == {"turn", "everyday", "half", "walk"}
+    assert {take.outfit for take in takes} == {"own", "foreign"}
+    assert any(take.bare for take in takes)
+
+
+def test_names_say_what_is_special():
+    assert StudyCase(Take("bruno"), "white", 1000).name == "bruno: white 1000"
+    walking = Take(seed=3, motion="walk", figure="stretched", bare=True)
+    case = StudyCase(walking, "bursts", 4, normals=False)
+    assert case.name == "seed 3, walk, stretched, bare: bursts 4, no normals"
+    assert case.family == NO_NORMALS and walking.person == "3"
+
+
+def test_only_a_case_that_needs_a_package_lacks_it(monkeypatch):
+    monkeypatch.setattr(cases, "find_spec", lambda name: None)
+    assert {case.take.figure for case in HELD_OUT if case.lacks} == {"anny"}
+    monkeypatch.setattr(cases, "find_spec", lambda name: object())
+    assert not any(case.lacks for case in HELD_OUT)
+
+
+@BOTH
+def test_every_take_can_be_asked_for(some):
+    """Its motion, figure and outfit are ones that subjects have; else the options refuse."""
+    for case in some:
+        options = case.take.synth(8, 64)
+        assert options.frames == 8 and options.novel_views == options.novel_poses == 0
+        assert options.clothes is options.hair is not case.take.bare

@@ -1,0 +1,73 @@
+"""Defects of an outline, of pictures whose defects are known."""
+
+import numpy as np
+import pytest
+
+from gva_mi.study.defects import EDGE, Defects, flicker
+
+SIZE = 40
+
+
+def square(low, high):
+    mask = np.zeros((SIZE, SIZE))
+    mask[low:high, low:high] = 1
+    return mask
+
+
+def seen(alpha, color=0.3):
+    """An avatar of one colour, on white and on black, as 8-bit pictures."""
+    on = lambda ground: alpha[..., None] * color + (1 - alpha[..., None]) * np.full(3, ground)
+    return tuple(np.round(255 * on(ground)).astype(np.uint8) for ground in (1.0, 0.0))
+
+
+def test_the_person_itself_has_none():
+    mask = square(10, 30)
+    assert Defects.of(*seen(mask), mask) == Defects(0, 0)
+
+
+@pytest.mark.parametrize("grown", [EDGE, -EDGE])
+def test_the_border_does_not_count(grown):
+    mask, alpha = square(10, 30), square(10 - grown, 30 + grown)
+    assert Defects.of(*seen(alpha), mask) == Defects(0, 0)
+    alpha = square(10 - 2 * grown, 30 + 2 * grown)
+    assert sum(Defects.of(*seen(alpha), mask).__dict__.values()) > 0.1
+
+
+def test_a_floater_spills_by_its_share_of_the_person():
+    mask = square(10, 30)
+    alpha = mask.copy()
+    alpha[2:6, 34:39] = 0.6
+    found = Defects.of(*seen(alpha), mask)
+    assert found.spill == pytest.approx(0.6 * 20 / 400, rel=0.01) and found.holes == 0
+
+
+def test_a_hole_counts_by_how_much_shows_through():
+    mask = square(10, 30)
+    alpha = mask.copy()
+    alpha[18:22, 18:22] = 0.25
+    found = Defects.of(*seen(alpha), mask)
+    assert found.holes == pytest.approx(0.75 * 16 / 400, rel=0.01) and found.spill == 0
+
+
+def test_whoever_stands_beside_the_person_has_both():
+    mask = square(10, 30)
+    found = Defects.of(*seen(np.roll(mask, 6, axis=1)), mask)
+    assert found.spill > 0.1 and found.holes > 0.1
+
+
+def test_means():
+    assert Defects.mean([Defects(0.0, 0.2), Defects(0.4, 0.0)]) == Defects(0.2, 0.1)
+
+
+def test_what_changes_in_the_avatar_and_not_in_the_person_flickers():
+    mask = square(10, 30)
+    person = (seen(mask)[0], seen(np.roll(mask, 1, axis=1))[0])
+    assert flicker(person, person, mask) == 0
+    brighter = (seen(mask)[0], seen(np.roll(mask, 1, axis=1), color=0.5)[0])
+    assert flicker(brighter, person, mask) == pytest.approx(0.2, abs=0.005)
+
+
+def test_what_is_always_wrong_does_not_flicker():
+    mask = square(10, 30)
+    wrong, right = seen(mask, color=0.9)[0], seen(mask)[0]
+    assert flicker((wrong, wrong), (right, right), mask) == 0

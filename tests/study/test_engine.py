@@ -1,0 +1,158 @@
+"""A study computes what is missing, keeps what still holds, and is resumed."""
+
+import json
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from gva_mi import provenance
+from gva_mi.data.truth import load_truth
+from gva_mi.data.video import load_video
+from gva_mi.errors import InputError
+from gva_mi.pose import SequenceOptions
+from gva_mi.pose.stature import Stature
+from gva_mi.study.avatar_study import AvatarStudy, AvatarStudyOptions
+from gva_mi.study.cases import TUNING
+from gva_mi.study.engine import Outcome, StudyFile, run_study
+from gva_mi.study.refine_study import RefineStudy, RefineStudyOptions, height_of, with_true_focal
+from gva_mi.study.subjects import Filming, filming_work
+from gva_mi.study.variants import FULL
+
+MADE = {"options": {"frames": 8}, "results_version": 1}
+
+
+@dataclass(frozen=True)
+class Counted:
+    """A piece of work that says what was done."""
+
+    what: object
+    steps: int = 3
+
+    def solve(self, progress=None):
+        DONE.append(self.what)
+        return {"psnr: test": float(len(DONE))}
+
+
+DONE = []
+
+
+class Counting:
+    """A study of two rounds."""
+
+    kind, variants, made_with = "avatar", ("a", "b"), MADE
+
+    def rounds(self, missing):
+        return [[Counted(case) for case, _ in missing[:1]], [Counted(pair) for pair in missing]]
+
+
+def test_only_what_is_missing_is_computed_in_the_order_of_the_cases():
+    DONE.clear()
+    known = [Outcome(TUNING[0], "b", {"psnr: test": 5.0})]
+    found = list(run_study(Counting(), TUNING[:2], known))
+    assert [o.key for o in found] == [(case, v) for case in TUNING[:2] for v in "ab"]
+    missing = [(TUNING[0], "a"), (TUNING[1], "a"), (TUNING[1], "b")]
+    assert found[1] is known[0] and DONE == [TUNING[0], *missing]
+    DONE.clear()
+    assert list(run_study(Counting(), TUNING[:2], found)) == found and not DONE
+
+
+def test_progress_counts_up_to_all_of_the_work():
+    seen = []
+    progress = lambda now, total, **_: seen.append((now, total))
+    with ThreadPoolExecutor(1) as executor:
+        list(run_study(Counting(), TUNING[:1], (), progress, executor))
+    assert seen[-1] == (9, 9) and seen == sorted(seen)
+
+
+def test_results_hold_for_the_same_options_body_and_version_alone(tmp_path, body, monkeypatch):
+    study = RefineStudy(tmp_path, body, RefineStudyOptions())
+    made, options = study.made_with, study.options
+    assert set(made) == {"options", "body", "results_version"}
+    assert json.loads(json.dumps(made)) == made
+    assert RefineStudy(tmp_path, body, replace(options, noise=(1.0, 2.0))).made_with == made
+    fewer = body.on(range(0, len(body.v_template), 2), body.faces[:0])
+    for other in (
+        RefineStudy(tmp_path, body, replace(options, frames=32)),
+        RefineStudy(tmp_path, body, replace(options, refine=SequenceOptions(passes=7))),
+        RefineStudy(tmp_path, fewer, options),
+        AvatarStudy(tmp_path, body, AvatarStudyOptions(), [FULL]),
+    ):
+        assert other.made_with != made
+    monkeypatch.setitem(provenance.RESULTS_VERSIONS, "refine", 2)
+    assert RefineStudy(tmp_path, body, options).made_with != made
+
+
+def test_the_file_keeps_results_as_long_as_they_hold(tmp_path):
+    file = StudyFile(tmp_path / "avatar.json", "avatar", MADE)
+    assert file.load() == []
+    outcomes = [Outcome(case, "full", {"psnr: test": 30.0, "lpips: test": None}) for case in TUNING]
+    file.save(outcomes, {"tuned": {}})
+    assert file.load() == outcomes
+    assert replace(file, made_with={}).load() == replace(file, kind="refine").load() == []
+    record = json.loads(file.path.read_text())
+    assert record["results"][0]["held_out"] is False and record["summary"] == {"tuned": {}}
+
+
+@pytest.mark.parametrize(
+    "text, match",
+    [("{", "not readable"), ("[]", "of another form"), ('{"cases": []}', "another version")],
+)
+def test_a_file_that_cannot_be_used_is_named(tmp_path, text, match):
+    (tmp_path / "a.json").write_text(text)
+    with pytest.raises(InputError, match=rf"a.json: .*{match}.*--overwrite"):
+        StudyFile(tmp_path / "a.json", "avatar", MADE).load()
+
+
+def test_a_take_is_filmed_by_one_worker(tmp_path, body):
+    amira = [case for case in TUNING if case.take.person == "amira"]
+    work = filming_work(Filming(tmp_path, 8, 64), [(c, 1.0) for c in (*amira, TUNING[1])], body)
+    assert [[case for case, _ in film.cases] for film in work] == [amira, [TUNING[1]]]
+    folders = {film.filming.subject(*case) for film in work for case in film.cases}
+    assert len(folders) == len(amira) + 1
+
+
+@pytest.mark.slow
+def test_a_small_study_runs_and_keeps_its_subjects(tmp_path, body):
+    options = RefineStudyOptions(frames=3, size=48, refine=SequenceOptions(size=48, passes=2))
+    study = RefineStudy(tmp_path, body, options)
+    bare = next(case for case in TUNING if case.take.bare)
+    two = [bare, replace(bare, noise="white", draw=50, normals=False)]
+    first, second = run_study(study, two)
+    assert first.figures["points"] == "vertices" and first.figures["finger_mm_stage1"] > 0
+    assert first.figures["vertex_mm_stage1"] != second.figures["vertex_mm_stage1"]
+    assert [len(list((tmp_path / name).iterdir())) for name in ("takes", "videos")] == [1, 2]
+    (again,) = run_study(study, two[:1])
+    timed = {"time: s a frame": 0, "seconds_per_frame": 0}
+    assert {**again.figures, **timed} == {**first.figures, **timed}
+
+
+@pytest.mark.slow
+def test_a_foreign_body_is_measured_by_joints(tmp_path, body):
+    options = RefineStudyOptions(frames=2, size=48, refine=SequenceOptions(size=48, passes=1))
+    stretched = next(case for case in TUNING if case.take.figure == "stretched")
+    (found,) = run_study(RefineStudy(tmp_path, body, options), [stretched])
+    assert found.figures["points"] == "joints"
+    assert 0 < found.figures["surface_mm_stage1"] < found.figures["vertex_mm_stage1"]
+
+
+@pytest.mark.slow
+def test_known_height_and_lens_put_subjects_in_their_place(tmp_path, body):
+    refine = SequenceOptions(size=48, passes=1)
+    options = RefineStudyOptions(frames=3, size=48, refine=refine, known=True)
+    bare = next(case for case in TUNING if case.take.bare)
+    case = replace(bare, noise="focal", draw=51)
+    video = load_video(Filming(tmp_path, 3, 48).film(case, body))
+    truth = load_truth(video.truth, body)
+    zoomed = with_true_focal(truth, video, body)
+    focal, right = (v.cameras[0].fx / truth.cameras[0].fx for v in (video, zoomed))
+    assert abs(focal - 1) > 0.03 and right == pytest.approx(1)
+    pelvis = [v.pose.transl + body.rest(v.shape).joints[0] for v in (video, zoomed)]
+    seen = [v.cameras[0].project(p.numpy()) for v, p in zip((video, zoomed), pelvis, strict=True)]
+    np.testing.assert_allclose(seen[1], seen[0], atol=1e-3)
+    assert height_of(truth) == pytest.approx(float(Stature.of(body).height(truth.shape)), abs=0.01)
+    (found,) = run_study(RefineStudy(tmp_path, body, options), [case])
+    figures = found.figures
+    assert figures["focal_error"] < 1e-6 < 0.03 < figures["focal_error_stage1"]
+    assert abs(figures["pelvis_depth_mm"]) < 0.5 * abs(figures["pelvis_depth_mm_stage1"])

@@ -1,0 +1,45 @@
+"""A page holds what it is given, and nothing from elsewhere."""
+
+import numpy as np
+
+from gva_mi.study.page import (
+    Headline,
+    Section,
+    Table,
+    animation,
+    around,
+    number,
+    picture,
+    write_page,
+)
+
+
+def test_a_page_is_one_file_with_its_pictures(tmp_path):
+    image = np.zeros((4, 6, 3))
+    section = Section(
+        "Section <1>",
+        "A & B",
+        [picture("grey", image + 0.5), animation("moving", [image.astype(np.uint8)] * 2)],
+        tables=[Table(("name", "value"), [("x < y", number(1.25, 1)), ("z", number(None, 3))])],
+    )
+    write_page(
+        tmp_path / "page.html",
+        title="Title",
+        subtitle="Subtitle",
+        headlines=[Headline("3 mm", "error")],
+        sections=[section],
+        settings={"seed": 7},
+    )
+    page = (tmp_path / "page.html").read_text()
+    for text in ("Section &lt;1&gt;", "A &amp; B", "x &lt; y", "1.2", "–", "3 mm"):
+        assert text in page, text
+    assert "&#34;seed&#34;: 7" in page and page.count("data:image/webp;base64,") == 2
+    assert "http" not in page and [p.name for p in tmp_path.iterdir()] == ["page.html"]
+
+
+def test_around_holds_a_mask_with_its_margin():
+    inside = np.zeros((10, 12), bool)
+    inside[3:5, 8:11] = True
+    assert around(inside, 2) == (slice(1, 7), slice(6, 12))
+    assert inside[around(inside, 0)].all() and inside[around(inside, 0)].size == 6
+    assert around(np.zeros((3, 3), bool), 1) == (slice(None), slice(None))

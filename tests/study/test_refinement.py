@@ -1,0 +1,137 @@
+"""A refinement is measured frame by frame, written, and reported."""
+
+import json
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from gva_mi.errors import InputError
+from gva_mi.pose import SequenceOptions, SingleFrameOptions
+from gva_mi.study.measure import Evaluation, measure
+from gva_mi.study.pose_figures import PoseFigures
+from gva_mi.study.refinement import ablations, load_refinement, write_record
+from gva_mi.study.refinement_report import _worst, errors_table, write_refinement_report
+
+
+@pytest.fixture(scope="module")
+def measured(estimated, body, refined, truth):
+    return measure(estimated, body, refined, truth)
+
+
+def test_frames_are_measured_one_by_one(measured):
+    frames = measured.frames
+    assert (frames["vertex_mm"][:5] == 0).all() and (
+        frames["aligned_hand_vertex_mm"][:5] == 0
+    ).all()
+    assert frames["vertex_mm"][5] == frames["vertex_mm_stage1"][5] > 0
+    assert (frames["hand_vertex_mm_stage1"] > frames["vertex_mm_stage1"]).all()  # arms are off
+    torch.testing.assert_close(frames["iou"][:5], frames["iou_truth"][:5])
+    assert frames["iou"].mean() > frames["iou_stage1"].mean()
+    means = measured.means
+    assert means["vertex_mm"] == pytest.approx(float(frames["vertex_mm"][5]) / 6)
+    assert means.relative("body") == pytest.approx(-5 / 6, abs=0.02)
+    assert means["points"] == "vertices" and means["surface_mm"] is None
+
+
+def test_frames_whose_error_increased_are_counted(estimated, body, refined, truth):
+    worse = replace(estimated, pose=refined.pose)  # found at stage 1, and lost again
+    found = measure(worse, body, replace(refined, pose=estimated.pose), truth).means
+    assert found["frames_worse"] == found["frames_worse_hands"] == pytest.approx(5 / 6)
+
+
+def test_figures_of_some_frames_are_those_frames(measured):
+    assert measured.of([0, 1]).means["vertex_mm"] == 0
+    last = measured.of([5]).means
+    assert last["vertex_mm"] == last["vertex_mm_stage1"] > 0
+
+
+def test_a_frame_without_a_mask_has_no_iou(estimated, body, refined):
+    lacking = replace(estimated, absent={1: "it has no mask"})
+    found = measure(lacking, body, refined)
+    assert found.frames["iou"].isnan().tolist() == [False, True] + 4 * [False]
+    assert np.isfinite(found.means["iou"]) and found.means.change("body") is None
+
+
+def test_a_found_camera_is_measured_and_used(estimated, body, refined, truth):
+    short = [replace(c, fx=0.9 * c.fx, fy=0.9 * c.fy) for c in estimated.cameras]
+    misled = replace(estimated, cameras=short)
+    found = measure(misled, body, replace(refined, cameras=truth.cameras), truth).means
+    assert found["focal_error_stage1"] == pytest.approx(-0.1) and found["focal_error"] == 0
+    left = measure(misled, body, refined, truth).means
+    assert left["focal_error"] == pytest.approx(-0.1) and left["iou"] < found["iou"]
+    assert any(line.startswith("focal") for line in left.lines())
+
+
+def test_figures_come_back_from_json(measured, estimated, body, refined):
+    for means in (measured.means, measure(estimated, body, refined).means, PoseFigures()):
+        record = json.loads(json.dumps(means.to_json()))
+        assert PoseFigures.from_json(record).to_json() == means.to_json()
+    with pytest.raises(TypeError, match="'iou' is 'high'"):
+        PoseFigures.from_json({"iou": "high"})
+
+
+def test_the_record_holds_figures_by_split(estimated, body, refined, truth, tmp_path):
+    shutil.copytree(estimated.folder, tmp_path, dirs_exist_ok=True)
+    video = replace(estimated, folder=tmp_path)
+    refined = replace(refined, held_out=[5])
+    evaluation = Evaluation.of(video, body, SequenceOptions(), refined, truth)
+    (tmp_path / "refinement.html").write_text("of an older refinement")
+    write_record(evaluation, {"gva_mi": "1.2.3"})
+    record = json.loads((tmp_path / "refinement.json").read_text())
+    splits = record["figures_by_split"]
+    assert splits["train"]["vertex_mm"] == 0 < splits["test"]["vertex_mm"]
+    assert record["kept"] == {"5": refined.kept[5]} and record["test_frames"] == "held out"
+    assert (tmp_path / "refinement.png").exists() and (tmp_path / "poses_refined.npz").exists()
+    assert not (tmp_path / "refinement.html").exists()
+    figures, seen = load_refinement(tmp_path)
+    assert figures == evaluation.measured.means and not seen
+    assert load_refinement(tmp_path / "none") == (PoseFigures.from_json({}), True)
+    (tmp_path / "refinement.json").write_text("[]")
+    with pytest.raises(InputError, match="refinement.json: .*`gva-mi refine` writes"):
+        load_refinement(tmp_path)
+
+
+def test_the_worst_frames_come_first(estimated, measured):
+    assert _worst(estimated, measured)[0] == 5
+    assert _worst(replace(estimated, absent={5: "gone"}), measured)[0] != 5
+    blind = replace(measured, frames={"iou": torch.tensor([0.9, 0.3, torch.nan, 1, 1, 1])})
+    assert _worst(estimated, blind)[:2] == [1, 0]
+
+
+@pytest.mark.parametrize("given", [True, False], ids=["ground truth", "none"])
+def test_the_report_is_complete(tmp_path, estimated, body, refined, truth, given):
+    args = (estimated, body, SequenceOptions(), refined, truth if given else None)
+    evaluation = Evaluation.of(*args)
+    write_refinement_report(
+        tmp_path / "page.html",
+        evaluation,
+        title="Poses of somebody",
+        versions={"gva_mi": "1.2.3"},
+        ablation={"no prior": evaluation.measured.means},
+    )
+    page = (tmp_path / "page.html").read_text()
+    assert "its loss grew from 0.100 to &lt;0.200&gt;" in page  # escaped
+    for text in ("Worst frames", "no prior", "silhouettes alone: 1.", "1.2.3", "passes"):
+        assert text in page, text
+    assert ("Errors are distances" in page) is ("hands, pelvis-aligned" in page) is given
+    assert page.count("data:image/webp") >= 12
+
+
+def test_trained_poses_have_a_column_beside_refined_ones():
+    figures = PoseFigures({"vertex_mm_stage1": 20.0, "vertex_mm": 10.0, "ankle_depth_mm": 4.0,
+                           "ankle_depth_mm_stage1": -5.0})  # fmt: skip
+    table = errors_table(figures, {"body": 12.34, "feet_aligned": 5.0})
+    rows = {row[0]: row[1:] for row in table.rows}
+    assert rows["vertices, mm"] == ["20.0", "10.0", "-50 %", "12.3", "–"]
+    assert rows["depth of the ankles, mm"] == ["-5.0", "+4.0", "+9.0", "–", "–"]
+    assert rows["feet, pelvis-aligned, mm"] == ["–", "–", "–", "5.0", "–"]
+    assert len(errors_table(figures).head) == len(table.head) - 1
+
+
+def test_every_ablation_changes_something():
+    for options in (SequenceOptions(), SingleFrameOptions()):
+        for changed, normals in ablations(options, {"other": SingleFrameOptions(steps=3)}).values():
+            assert changed != options or not normals

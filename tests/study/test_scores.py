@@ -1,0 +1,54 @@
+"""Each metric is its definition, and says which network it looked through."""
+
+import hashlib
+
+import numpy as np
+import pytest
+import torch
+
+from gva_mi.fit.perceptual import ALEXNET_TAPS, Weights, _alexnet
+from gva_mi.study.scores import NETWORK_SIDE, PSNR_MAX, Scorer, psnr, ssim
+
+
+def test_psnr_is_its_definition():
+    random = np.random.default_rng(0)
+    a, b = random.integers(0, 256, (2, 12, 14, 3), dtype=np.uint8)
+    error = np.mean((a.astype(float) - b) ** 2)
+    assert psnr(a, b) == pytest.approx(10 * np.log10(255**2 / error))
+    assert psnr(a, a) == PSNR_MAX
+
+
+def test_one_level_in_one_pixel_is_not_perfect_but_limited():
+    a = np.zeros((64, 64, 3), np.uint8)
+    b = a.copy()
+    b[0, 0, 0] = 1
+    assert psnr(a, b) == PSNR_MAX and ssim(a, b) < 1
+
+
+def test_small_pictures_are_enlarged_for_the_networks_alone():
+    random = np.random.default_rng(1)
+    a, b = random.integers(0, 256, (2, NETWORK_SIDE // 4, NETWORK_SIDE // 2, 3), dtype=np.uint8)
+    scorer = Scorer(Weights())
+    enlarged = [x.repeat(4, 0).repeat(4, 1) for x in (a, b)]
+    assert scorer(a, b).rand_vgg == scorer(*enlarged).rand_vgg > 0
+    assert scorer(a, b).psnr == psnr(a, b) and scorer(a, b).ssim == ssim(a, b)
+
+
+def test_networks_and_weights_are_named(tmp_path):
+    assert Scorer(Weights()).networks()["lpips"] is None
+    layers, alexnet, heads = _alexnet(), tmp_path / "alexnet.pth", tmp_path / "lpips_alex.pth"
+    torch.save(
+        {f"features.{k}": torch.zeros_like(x) for k, x in layers.state_dict().items()}, alexnet
+    )
+    widths = [layers[tap - 1].out_channels for tap in ALEXNET_TAPS]
+    torch.save(
+        {f"lin{k}.model.1.weight": torch.ones(1, n, 1, 1) for k, n in enumerate(widths)}, heads
+    )
+    scorer = Scorer(Weights(alexnet=alexnet, lpips_alex=heads))
+    named = scorer.networks()
+    assert named["lpips"]["network"] == "AlexNet"
+    digest = hashlib.sha256(alexnet.read_bytes()).hexdigest()
+    assert named["lpips"]["sha256"]["alexnet.pth"] == digest
+    assert named["rand_vgg"]["weights"] == "random, seed 0"
+    box = np.zeros((16, 16, 3), np.uint8)  # of a small hand
+    assert np.isfinite(scorer(box, box + 9).lpips)

@@ -1,0 +1,155 @@
+"""Spacing and bias are what their equations say, on surfaces whose answer is known."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial import cKDTree
+
+from gva_mi.avatar.avatar import seed_avatar
+from gva_mi.body.pose import Shape
+from gva_mi.data.fingerprint import ABOUT, fingerprint
+from gva_mi.data.synthetic import SynthOptions, drawn_again
+from gva_mi.data.synthetic.recorded import SURFACE, write_surface
+from gva_mi.data.synthetic.subject import draw_subject
+from gva_mi.errors import InputError
+from gva_mi.pose.surface_distance import surface_distances
+from gva_mi.study.surface import (
+    NEAR,
+    bias_mm,
+    elongation_and_largest,
+    spacing,
+    stray_mm,
+    surface_figures,
+)
+from gva_mi.study.true_surface import PARTS, TEXTURES, TrueSurface
+
+
+@pytest.fixture
+def square():
+    """One square metre of the plane z = 0: skin where x < 0.5, hair and a hem beyond."""
+    side = (np.arange(200) + 0.5) / 200
+    points = np.stack([*np.meshgrid(side, side, indexing="ij"), np.zeros((200, 200))], -1)
+    points = points.reshape(-1, 3)
+    right = points[:, 0] > 0.5
+    texture = np.where(right, TEXTURES.index("hair"), TEXTURES.index("skin"))
+    part = np.where(right, PARTS.index("hair"), PARTS.index("rest"))
+    beneath = points - (0, 0, 0.1)  # an inner side
+    everywhere = np.concatenate([points, beneath])
+    return TrueSurface(points, np.tile([0.0, 0, 1], (len(points), 1)), texture, part, everywhere)
+
+
+def lattice(count, height=0.0):
+    side = (np.arange(count) + 0.5) / count
+    x, y = np.meshgrid(side, side, indexing="ij")
+    return np.stack([x, y, np.full_like(x, height)], -1).reshape(-1, 3)
+
+
+def test_spacing_is_zero_on_a_lattice_and_that_of_poisson_s_points_at_random(square):
+    assert spacing(lattice(50), square) == pytest.approx(dict.fromkeys(("all", "skin", "hair"), 0))
+    strewn = np.random.default_rng(0).random((40_000, 3)) * (1, 1, 0)
+    assert spacing(strewn, square)["all"] == pytest.approx(0.523, abs=0.01)
+
+
+def test_spacing_is_measured_along_the_surface(square):
+    """Gaussians that lie at random heights over a lattice are as evenly spread as the lattice."""
+    means = lattice(50)
+    means[:, 2] = np.random.default_rng(1).uniform(-0.02, 0.02, len(means))
+    assert spacing(means, square)["all"] == pytest.approx(0, abs=1e-9)
+
+
+def test_a_clump_in_one_texture_is_found_there(square):
+    clump = np.random.default_rng(2).uniform((0.7, 0.4, 0), (0.75, 0.45, 0), (400, 3))
+    found = spacing(np.vstack([lattice(40), clump]), square)
+    assert found["skin"] == pytest.approx(0) and found["hair"] > 0.5
+
+
+def test_floaters_do_not_count_and_few_gaussians_have_no_figure(square):
+    floaters = np.random.default_rng(3).random((300, 3)) + (0, 0, 2 * NEAR)
+    assert spacing(np.vstack([lattice(50), floaters]), square)["all"] == pytest.approx(0)
+    few = lattice(20)
+    assert "hair" not in spacing(few[few[:, 0] < 0.5], square)
+
+
+def test_bias_is_the_distance_that_was_not_reached(square):
+    """Gaussians 30 mm below the hair: 30 mm but for the spacing, sqrt(30² + 5²) at most."""
+    low = lattice(100)
+    low[low[:, 0] > 0.5, 2] = -0.030
+    found = bias_mm(low, square)
+    assert set(found) == {"hair", "rest"}
+    assert found["rest"] < 10 / np.sqrt(2) and 30 < found["hair"] < 31
+
+
+def test_strays_are_as_far_as_they_are(square):
+    lying = square.points[:300] + np.array([0, 0, 1e-4])
+    assert stray_mm(lying, square) == pytest.approx(0.1, rel=1e-6)
+    away = np.concatenate([lying, square.points[:10] + np.array([0, 0, 0.2])])
+    assert stray_mm(away, square) == pytest.approx(200, rel=0.05)
+    within = np.concatenate([lying, square.everywhere[-10:]])
+    assert stray_mm(within, square) == pytest.approx(0.1, rel=1e-6)
+
+
+def test_needles_and_huge_gaussians_are_told_from_discs():
+    discs = np.tile([0.002, 0.008, 0.008], (98, 1))
+    needles = np.tile([0.002, 0.08, 0.002], (2, 1))
+    assert elongation_and_largest(discs) == pytest.approx((1, 8))
+    longest, largest = elongation_and_largest(np.concatenate([discs, needles]))
+    assert longest > 10 and largest == pytest.approx(80)
+
+
+def test_a_folder_that_synth_did_not_make_has_no_figures(tmp_path, known, body):
+    assert surface_figures(tmp_path, known, tmp_path, body) == ()
+
+
+def drawn(folder, body, options):
+    """What ``synth`` says of a person, without any picture."""
+    about = {"options": options.recorded(), "body": fingerprint(body)}
+    (folder / ABOUT).write_text(json.dumps(about))
+    person = draw_subject(body, options.person(body), options.clothes, options.hair)
+    (folder / "truth").mkdir()
+    write_surface(folder / SURFACE, person)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def bare(tmp_path_factory, body):
+    options = SynthOptions(seed=3, clothes=False, hair=False)
+    return drawn(tmp_path_factory.mktemp("bare"), body, options)
+
+
+def test_the_surface_of_a_bare_person_is_the_body_that_the_avatar_stands_on(bare, body):
+    """Carried over to an avatar of other betas, it lies on that avatar's own rest surface."""
+    betas = torch.tensor([2.0, -1.5, *[0.0] * 8])
+    avatar = seed_avatar(body, Shape(betas))
+    truth = TrueSurface.of(bare, body, avatar.rig)
+    assert set(truth.texture) == {TEXTURES.index("skin")}
+    assert set(truth.part) == {PARTS.index("rest")}
+    rig = avatar.rig
+    away = surface_distances(truth.points[::7], rig.vertices.double().numpy(), rig.faces.numpy())
+    assert away.mean() < 1e-5
+    person, _ = drawn_again(bare, body)
+    own = body.rest(person.shape).vertices.detach().numpy()
+    assert np.linalg.norm(own - rig.vertices.numpy(), axis=1).max() > 0.01
+
+
+def test_a_cap_is_an_accessory_and_shorts_have_inner_sides(body, tmp_path):
+    folder = drawn(tmp_path, body, SynthOptions(subject="edgar"))
+    truth = TrueSurface.of(folder, body, seed_avatar(body, Shape(torch.zeros(10))).rig)
+    cap = truth.points[truth.part == PARTS.index("accessories")]
+    assert len(cap) > 200 and cap[:, 1].min() > truth.points[:, 1].max() - 0.25
+    hidden = cKDTree(truth.points).query(truth.everywhere)[0] > 0.03
+    assert 0.02 < hidden.mean() < 0.5
+
+
+def test_a_person_that_is_drawn_otherwise_today_has_no_figures(bare, known, body, tmp_path):
+    folder = shutil.copytree(bare, tmp_path / "older")
+    (folder / "truth/surface.ply").unlink()
+    assert drawn_again(folder, body) is None
+    assert TrueSurface.of(folder, body, known.rig) is None
+
+
+def test_a_folder_without_its_options_is_named(tmp_path, body):
+    with pytest.raises(InputError, match="synth.json: no such file"):
+        drawn_again(tmp_path, body)

@@ -1,0 +1,106 @@
+"""Subjects count once, error models count once, and tuned subjects are never mixed with others."""
+
+from dataclasses import asdict
+
+import pytest
+
+from gva_mi.study.cases import HELD_OUT, TUNING, StudyCase, Take
+from gva_mi.study.engine import Outcome
+from gva_mi.study.pose_figures import PoseFigures
+from gva_mi.study.refine_study import columns
+from gva_mi.study.study_report import PAPER, tables
+from gva_mi.study.tables import avatar_cells, cell, refine_cells, text_table
+from gva_mi.study.variants import VARIANTS
+
+BRUNO = [case for case in HELD_OUT if case.take.person == "bruno"]
+EDGAR = [case for case in HELD_OUT if case.take.person == "edgar"]
+TEST = "psnr: test"
+
+
+def outcome(case, variant, psnr):
+    figures = {TEST: psnr, "psnr in boxes: test, hands": psnr - 5, "lpips: test": None}
+    return Outcome(case, variant, figures | {"cost: seconds": 60.0, "text": "not in a table"})
+
+
+OUTCOMES = [
+    outcome(BRUNO[0], "full", 30.0), outcome(BRUNO[1], "full", 32.0),
+    outcome(EDGAR[0], "full", 28.0), outcome(TUNING[0], "full", 99.0),
+    outcome(BRUNO[0], "with residual", 29.0), outcome(EDGAR[0], "with residual", 26.0),
+]  # fmt: skip
+
+
+def test_a_subject_counts_once_however_many_errors_are_drawn():
+    found = cell(OUTCOMES[:3], TEST)
+    assert (found.mean, found.std, found.worst, found.subjects) == (29.5, 1.5, 28.0, 2)
+    assert cell(OUTCOMES, "lpips: test") is None
+
+
+def test_differences_are_those_of_the_same_case():
+    """Of Bruno one case has both variants: 29 - 30, and not 29 minus the mean of his two."""
+    found = cell(OUTCOMES[4:], TEST, OUTCOMES[:4])
+    assert found.against_full == pytest.approx(((29 - 30) + (26 - 28)) / 2)
+    assert cell(OUTCOMES[4:], TEST).against_full is None
+
+
+def test_subjects_of_the_tuning_set_are_apart():
+    found = avatar_cells(OUTCOMES[::-1])
+    assert list(found) == ["held-out subjects", "subjects of the tuning set"]
+    assert found["subjects of the tuning set"]["full"][TEST].mean == 99
+    assert found["held-out subjects"]["full"][TEST].mean == 29.5
+
+
+def test_a_table_is_written_for_each_group():
+    cells = avatar_cells(OUTCOMES[:3] + OUTCOMES[4:])["held-out subjects"]
+    psnr, cost, boxes = tables("avatar", "held out", cells)
+    assert psnr.head == ("held out, psnr", "test") and boxes.head[1:] == ("test, hands",)
+    assert psnr.rows[0] == ["full", "29.50 ± 1.50, worst 28.00"]
+    assert psnr.rows[1] == ["with residual", "27.50 ± 1.50, worst 26.00 (-1.50)"]
+    assert cost.rows[0] == ["full", "60 ± 0, worst 60"]
+
+
+def refinement(family, draw, after, ankles=0.0, variant="noise 1", **others):
+    """An outcome whose body error was 100 mm at stage 1."""
+    figures = {"vertex_mm_stage1": 100.0, "vertex_mm": after, "ankle_depth_mm": ankles, **others}
+    found = PoseFigures.from_json(figures)
+    case = StudyCase(Take(seed=draw), family, draw)
+    return Outcome(case, variant, columns(found) | found.to_json())
+
+
+def test_an_error_model_counts_once_however_many_cases_it_has():
+    white = [refinement("white", k, after) for k, after in enumerate((10.0, 20.0, 30.0))]
+    rows = refine_cells([*white, refinement("lean", 9, 60.0)])["error models"]
+    assert list(rows) == ["white", "lean", "mean", "worst"]
+    changes = [row["change: body"].mean for row in rows.values()]
+    assert changes == pytest.approx([-0.8, -0.4, -0.6, -0.4])
+    assert rows["white"]["change: body"].subjects == 3
+
+
+def test_depths_keep_their_sign_and_the_worst_is_the_farthest_off():
+    some = [refinement("white", 1, 1.0, ankles=10.0), refinement("lean", 2, 1.0, ankles=-30.0)]
+    rows = refine_cells(some)["error models"]
+    assert [row["depth: ankles, mm"].mean for row in rows.values()] == [10, -30, -10, -30]
+
+
+def test_the_worst_iou_is_the_lowest_against_its_limit():
+    some = [refinement(f, 1, 1.0, iou=iou, iou_truth=0.8) for f, iou in (("a", 0.7), ("b", 0.85))]
+    rows = refine_cells(some)["error models"]
+    assert rows["worst"]["iou: IoU - limit"].mean == pytest.approx(-0.1)
+
+
+def test_unknown_figures_are_left_out():
+    exact = {"foot_vertex_mm_stage1": 0.0, "foot_vertex_mm": 1.0}  # no relative change of zero
+    rows = refine_cells([refinement("white", 1, 1.0, **exact)])["error models"]
+    assert "change: feet" not in rows["white"] and "change: feet" not in rows["mean"]
+
+
+def test_levels_of_noise_are_apart_and_cells_are_readable():
+    some = [refinement("white", 1, 31.0, ankles=-7.6, variant=v) for v in ("noise 1", "noise 2")]
+    cells = refine_cells(some)["error models"]
+    table = text_table("error model", cells, ("change", "depth"))
+    assert table.head == ("error model", "body", "ankles, mm")
+    assert table.rows[0] == ["white, noise 1", "-69 %", "-8"]
+    assert asdict(cells["white, noise 2"]["change: body"])["mean"] == pytest.approx(-0.69)
+
+
+def test_the_papers_ablation_names_variants_that_exist():
+    assert all(set(row[-1].split("; ")) <= {v.name for v in VARIANTS} for row in PAPER.rows)

@@ -1,0 +1,71 @@
+"""Each row changes what its name says, and nothing else."""
+
+from dataclasses import asdict
+
+import pytest
+
+from gva_mi.errors import InputError
+from gva_mi.fit.options import FitOptions
+from gva_mi.study.variants import FULL, VARIANTS, variants_named
+
+
+def changed(name):
+    """The options in which a row differs from full, by their paths."""
+
+    def paths(before, after, path=""):
+        for key in before:
+            here = f"{path}.{key}".lstrip(".")
+            if isinstance(before[key], dict):
+                yield from paths(before[key], after[key], here)
+            elif before[key] != after[key]:
+                yield here
+
+    (variant,) = variants_named((name,))
+    return set(paths(asdict(FitOptions()), asdict(variant.of(FitOptions()))))
+
+
+def test_full_and_rows_that_differ_in_their_input_change_no_option():
+    assert FULL.of(FitOptions()) == FitOptions()
+    for name in ("without refinement", "one held-out range"):
+        assert not changed(name)
+
+
+@pytest.mark.parametrize(
+    "name, options",
+    [
+        ("without hand skeleton", {"avatar.hands"}),
+        ("with residual", {"avatar.residual.enabled", "loss.residual"}),
+        ("without re-initialisation", {"schedule.reinit_at"}),
+        ("without re-initialisation, naked", {"schedule.reinit_at", "naked"}),
+        ("seeded on the naked body", {"naked"}),
+        ("without trained poses", {"poses.trained"}),
+        ("without either", {"poses.trained"}),
+        ("true poses", {"poses.trained"}),
+    ],
+)
+def test_a_row_leaves_one_part_out(name, options):
+    assert changed(name) == options
+
+
+def test_gart_and_a_still_life_leave_most_out():
+    assert changed("GART-like") == {
+        "avatar.hands", "avatar.stretch", "naked", "schedule.reinit_at", "loss.perceptual",
+        "loss.residual", "loss.alpha", "loss.ssim",
+    }  # fmt: skip
+    assert changed("static 3DGS") == {
+        "avatar.hands", "schedule.reinit_at", "poses.trained"
+    }  # fmt: skip
+
+
+def test_rows_are_chosen_by_name_and_keep_their_order():
+    assert variants_named(()) == list(VARIANTS)
+    names = [v.name for v in variants_named(("true poses", "full"))]
+    assert names == ["full", "true poses"]
+    with pytest.raises(InputError, match="--rows has no 'best'; there are: full, "):
+        variants_named(("best",))
+
+
+def test_names_are_names_of_folders_too():
+    from gva_mi.study.avatar_study import file_name
+
+    assert len({file_name(v.name) for v in VARIANTS}) == len(VARIANTS)

@@ -21,8 +21,8 @@ from gva_mi.avatar.avatar import AvatarOptions, seed_avatar
 from gva_mi.avatar.canonical import SeedOptions
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import load_body
+from gva_mi.core.threads import one_torch_thread
 from gva_mi.splat import look_at
-from gva_mi.threads import one_torch_thread
 from gva_mi.viewer.cameras import coarser, lens, start
 from gva_mi.viewer.drawing import Drawing
 from gva_mi.viewer.server import JPEG_QUALITY

@@ -20,7 +20,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gva_mi.errors import InputError
+from gva_mi.core.errors import InputError
 from gva_mi.splat import Gaussians, look_at, rasterization
 from gva_mi.splat.formats.ply import save_ply
 from gva_mi.splat.scene import Scene, random_scene

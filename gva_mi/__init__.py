@@ -9,8 +9,8 @@ Dr.Jit and Mitsuba 3. The folders tell the paper: ``splat`` (Eq. 1-3), ``body`` 
 Importing it imports nothing heavy: it only chooses the libLLVM that Dr.Jit is going to load.
 """
 
-from gva_mi.errors import InputError
-from gva_mi.llvm import prepare as _prepare_llvm
+from gva_mi.core.errors import InputError
+from gva_mi.core.llvm import prepare as _prepare_llvm
 
 __version__ = "0.1.0"
 __all__ = ["InputError", "__version__"]

@@ -8,10 +8,12 @@ import select
 import sys
 from contextlib import suppress
 
-from gva_mi import __version__, llvm, processor
-from gva_mi.commands import RENAMED_VERBS, VERBS, load
-from gva_mi.errors import InputError
-from gva_mi.parse import parse
+from gva_mi import __version__
+from gva_mi.cli import RENAMED_VERBS, VERBS, load
+from gva_mi.cli.parse import parse
+from gva_mi.core import cpu as processor
+from gva_mi.core import llvm
+from gva_mi.core.errors import InputError
 
 BAD_INPUT = 2  # exit codes
 INTERRUPTED, BROKEN_PIPE = 130, 141  # a shell's for SIGINT and SIGPIPE

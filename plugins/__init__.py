@@ -16,7 +16,7 @@ Importing this package loads no plugin. Mitsuba's types exist only after a varia
 
 import sys
 
-from gva_mi import llvm
+from gva_mi.core import llvm
 
 __all__ = ["register"]
 

@@ -20,7 +20,7 @@ CALLED_FROM_OUTSIDE = {  # by torch's autograd, Dr.Jit's, torch.nn, Mitsuba, the
     "render", "render_forward", "render_backward", "aov_names", "to_string",
     "sample", "sample_radiance_difference", "traverse",
     "find_class", "persistent_load", "get_extension", "readline",  # by pickle's machine
-    "main", "gradcheck_normals",  # a verb with a hyphen: gva_mi.commands.load knows its file
+    "main", "gradcheck_normals",  # a verb with a hyphen: gva_mi.cli.load knows its file
 }  # fmt: skip
 
 

@@ -6,9 +6,9 @@ from typing import Annotated, Any, Literal
 
 import pytest
 
-from gva_mi.errors import InputError
+from gva_mi.core.errors import InputError
+from gva_mi.core.options import Within, from_json, require_ranges
 from gva_mi.fit.options import FitOptions, Rates
-from gva_mi.options import Within, from_json, require_ranges
 from gva_mi.pose.sequence import SequenceOptions
 from gva_mi.splat import SplatOptions
 

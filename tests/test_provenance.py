@@ -1,6 +1,6 @@
 """A program's digest changes with its code, and with nothing else."""
 
-from gva_mi.provenance import code_of, hash_arrays, program_digest
+from gva_mi.core.provenance import code_of, hash_arrays, program_digest
 
 
 def test_comments_docstrings_and_layout_do_not_change_a_digest():

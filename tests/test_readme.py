@@ -34,8 +34,8 @@ def anchors(page):
 
 def require_commands(page):
     """Parse every command of a page; a verb alone in backquotes is a name."""
-    from gva_mi.commands import VERBS, load
-    from gva_mi.parse import parse
+    from gva_mi.cli import VERBS, load
+    from gva_mi.cli.parse import parse
 
     for command in commands(page):
         verb, *arguments = shlex.split(command)[1:]
@@ -62,8 +62,8 @@ def test_a_wrong_command_is_found(tmp_path):
 
 def test_every_option_named_alone_exists():
     """A switch takes no value True or False."""
-    from gva_mi.commands import VERBS, load
-    from gva_mi.parse import parse
+    from gva_mi.cli import VERBS, load
+    from gva_mi.cli.parse import parse
 
     options = set()
     for verb in VERBS:
@@ -84,14 +84,14 @@ def test_tables_list_every_source_error_family_and_extra():
 
     from gva_mi.data.importers.datasets import DATASETS
     from gva_mi.data.importers.estimators import KINDS
-    from gva_mi.data.synthetic.noise.families import FAMILIES
+    from gva_mi.synthetic.error_models.models import ERROR_MODELS
 
     sources, people, installation = (
         (ROOT / "docs" / n).read_text() for n in ("sources.md", "people.md", "installation.md")
     )
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert not [kind for kind in (*KINDS, *DATASETS) if f"\n| `{kind}` | " not in sources]
-    assert not [family for family in FAMILIES if f"`{family}`" not in people]
+    assert not [family for family in ERROR_MODELS if f"`{family}`" not in people]
     extras = project["optional-dependencies"]
     assert not [extra for extra in extras if f"\n| `{extra}` | " not in installation]
 

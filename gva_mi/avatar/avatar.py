@@ -46,8 +46,8 @@ from gva_mi.body.kinematics import turn_joints
 from gva_mi.body.polar import carry_frames
 from gva_mi.body.pose import LEFT_HAND, RIGHT_HAND, Pose, Shape
 from gva_mi.body.smplx import BodyModel
-from gva_mi.errors import expecting
-from gva_mi.files import read_arrays, write_arrays
+from gva_mi.core.errors import expecting
+from gva_mi.core.files import read_arrays, write_arrays
 from gva_mi.splat.gaussians import Gaussians
 
 FORMAT = "gva_mi avatar, version 5"
@@ -56,7 +56,7 @@ RIG = (  # the tensors of a Rig
     "joints", "vertices", "faces", "weights", "looseness", "directions", "pose_features",
     "expression_joints", "betas",
 )  # fmt: skip
-WORN = ("vertices", "weights", "beneath")  # of an outer skin; its directions are the rig's
+SKIN_ARRAYS = ("vertices", "weights", "beneath")  # of an outer skin; its directions are the rig's
 _LIGHT = (0.6, 0.6, 0.6)  # before anything is learned: along no axis that a person turns about
 
 
@@ -169,7 +169,7 @@ class Avatar(nn.Module):
         self._parents, self._body = rig.parents, rig.body
         for name in RIG:
             self.register_buffer(f"rest_{name}", getattr(rig, name).detach().clone())
-        self.wear(skin)
+        self.set_skin_weights(skin)
         fingers = torch.zeros(len(rig.parents), 1, dtype=torch.bool)
         fingers[LEFT_HAND] = fingers[RIGHT_HAND] = not options.hands
         self.register_buffer("_held", fingers, persistent=False)
@@ -184,15 +184,15 @@ class Avatar(nn.Module):
     @property
     def skin(self) -> Skin:
         """The outer skin, in the precision of the avatar."""
-        own = (getattr(self, f"skin_{name}") for name in WORN)
+        own = (getattr(self, f"skin_{name}") for name in SKIN_ARRAYS)
         return Skin(*own, self.rest_directions)
 
-    def wear(self, skin: Skin) -> None:
+    def set_skin_weights(self, skin: Skin) -> None:
         """Take another outer skin, which the Gaussians are to follow from the next look-up."""
-        for name in WORN:
+        for name in SKIN_ARRAYS:
             self.register_buffer(f"skin_{name}", getattr(skin, name).detach().clone())
 
-    def look_up(self) -> None:
+    def rebind_weights(self) -> None:
         """Let the Gaussians follow the skin around where they are now."""
         G = self.canonical
         for name, value in self.skin.at(G.means).named().items():
@@ -280,7 +280,7 @@ class Avatar(nn.Module):
             body=described["body"],
             **{name: state[f"rest_{name}"] for name in RIG},
         )
-        skin = Skin(*(state[f"skin_{name}"] for name in WORN), rig.directions)
+        skin = Skin(*(state[f"skin_{name}"] for name in SKIN_ARRAYS), rig.directions)
         canonical = CanonicalGaussians(
             **{name: state[f"canonical.{name}"] for name in (*PARAMETERS, *CARRIERS)}
         )

@@ -31,8 +31,8 @@ from torch.nn.functional import pad
 
 from gva_mi.avatar.maps import FollowedJoints
 from gva_mi.avatar.skin import Skin
+from gva_mi.core.options import InnerShare, Within, require_ranges
 from gva_mi.mesh.surface import vertex_normals
-from gva_mi.ranges import InnerShare, Within, require_ranges
 from gva_mi.splat.kernels.sh import C0
 
 PARAMETERS = ("means", "quats", "log_scales", "logit_opacities", "sh")
@@ -113,7 +113,7 @@ class CanonicalGaussians(nn.Module):
         return torch.sigmoid(self.logit_opacities)
 
     @torch.no_grad()
-    def thicken(self, least: float) -> None:
+    def clamp_scales(self, least: float) -> None:
         """Let no standard deviation be below so many metres."""
         if least > 0:
             self.log_scales.clamp_(min=math.log(least))

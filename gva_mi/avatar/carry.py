@@ -32,9 +32,9 @@ from gva_mi.avatar.maps import (
     adjoint_of_means,
     blend,
 )
+from gva_mi.jit.exclusive import exclusive
+from gva_mi.jit.frozen import Frozen
 from gva_mi.jit.rowwise import flat, in_rows, launch, of_rows, tensors
-from gva_mi.splat.kernels.exclusive import exclusive
-from gva_mi.splat.kernels.frozen import Frozen
 
 Lane = list[Any]  # numbers of one Gaussian
 WIDTHS = (3, 4, 3, 12)  # of the rows of means, quats, scales and colours

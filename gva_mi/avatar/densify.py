@@ -22,8 +22,8 @@ from torch import Tensor
 
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.canonical import CARRIERS, PARAMETERS, CanonicalGaussians
-from gva_mi.errors import InputError
-from gva_mi.ranges import Metres, Share, Within, require_ranges
+from gva_mi.core.errors import InputError
+from gva_mi.core.options import Metres, Share, Within, require_ranges
 from gva_mi.splat import Screen
 
 

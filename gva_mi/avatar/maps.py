@@ -31,9 +31,9 @@ from drjit.llvm import Float64, UInt32
 from torch import Tensor
 from torch.autograd.function import FunctionCtx
 
+from gva_mi.jit.exclusive import exclusive
+from gva_mi.jit.frozen import Frozen
 from gva_mi.jit.rowwise import FLOATS, flat, in_rows, of_rows, tensors
-from gva_mi.splat.kernels.exclusive import exclusive
-from gva_mi.splat.kernels.frozen import Frozen
 
 PIECE = 64  # Gaussians of a joint whose contributions one lane adds up
 AXES = range(3)

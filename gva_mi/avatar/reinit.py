@@ -42,8 +42,8 @@ from gva_mi.avatar.canonical import (
 from gva_mi.avatar.envelope import SurfaceMesh, envelope
 from gva_mi.avatar.skin import Skin, diffused
 from gva_mi.body.pose import EYES, LEFT_HAND, RIGHT_HAND
+from gva_mi.core.options import Share, Within, require_ranges
 from gva_mi.mesh.surface import vertex_normals
-from gva_mi.ranges import Share, Within, require_ranges
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree

@@ -31,7 +31,7 @@ import torch
 from torch import Tensor, nn
 
 from gva_mi.body.pose import PARENTS
-from gva_mi.ranges import Within, require_ranges
+from gva_mi.core.options import Within, require_ranges
 
 OUTPUT_UNIT = 0.01  # metres per unit of the last layer: Adam's steps are parts of a millimetre
 

@@ -24,8 +24,8 @@ import torch
 
 from gva_mi.body.body_file import kintree_table
 from gva_mi.body.pose import JOINTS
-from gva_mi.errors import InputError
-from gva_mi.files import write_arrays
+from gva_mi.core.errors import InputError
+from gva_mi.core.files import write_arrays
 
 if TYPE_CHECKING:
     from anny import Anny

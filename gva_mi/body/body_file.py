@@ -30,9 +30,9 @@ import numpy as np
 
 from gva_mi.body.pose import JOINTS, PARENTS
 from gva_mi.body.smpl import FORMATS, SMPL, SMPLX, BodyFormat, lift
-from gva_mi.errors import InputError
-from gva_mi.files import read_arrays
-from gva_mi.pickles.reader import read_objects
+from gva_mi.core.errors import InputError
+from gva_mi.core.files import read_arrays
+from gva_mi.core.pickles.reader import read_objects
 
 LICENSED = "https://smpl-x.is.tue.mpg.de"
 LARGEST = 1e9  # absolute value of any number in a body file

@@ -30,11 +30,11 @@ from torch import Tensor, nn
 
 from gva_mi.body.blend_shapes import add_directions, as_directions, as_rows, columns_of
 from gva_mi.body.body_file import kintree_table, read_body
+from gva_mi.body.built_in import BUILT_IN_BODY
 from gva_mi.body.kinematics import turn_joints
 from gva_mi.body.pose import PARENTS, Pose, Shape
-from gva_mi.body.puppet import PUPPET
 from gva_mi.body.skinning import skin_points
-from gva_mi.errors import InputError, expecting
+from gva_mi.core.errors import InputError, expecting
 
 
 @dataclass(frozen=True)
@@ -209,7 +209,7 @@ class BodyModel(nn.Module):
         return features[:, self.pose_features]
 
 
-PUPPET_NAME = "puppet"  # the built-in body on the command line and in records
+BUILT_IN_NAME = "puppet"  # the built-in body on the command line and in records
 
 
 def load_body(path: Path | None = None, dtype: torch.dtype = torch.float32) -> BodyModel:
@@ -230,12 +230,12 @@ def load_body(path: Path | None = None, dtype: torch.dtype = torch.float32) -> B
 
 def body_file(path: Path | None) -> Path:
     """Return the file that :func:`load_body` reads."""
-    return PUPPET if path is None or str(path) == PUPPET_NAME else Path(path)
+    return BUILT_IN_BODY if path is None or str(path) == BUILT_IN_NAME else Path(path)
 
 
 def body_name(path: Path | None) -> str:
     """Return a short name of what :func:`load_body` reads."""
-    return PUPPET_NAME if path is None else Path(path).stem
+    return BUILT_IN_NAME if path is None else Path(path).stem
 
 
 def _coefficients(name: str, values: Tensor, available: int) -> Tensor:

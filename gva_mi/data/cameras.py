@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from gva_mi.core.errors import InputError, expecting
+from gva_mi.core.files import read_arrays, require_keys, write_arrays
 from gva_mi.data.pictures import require_size
-from gva_mi.errors import InputError, expecting
-from gva_mi.files import read_arrays, require_keys, write_arrays
 from gva_mi.splat import Camera
 
 

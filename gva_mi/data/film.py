@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from gva_mi.core.errors import MALFORMED, InputError, reason_of
 from gva_mi.data.pictures import require_size, size_of, turned
-from gva_mi.errors import MALFORMED, InputError, reason_of
 
 KEPT = 1 << 27  # bytes of decoded pictures: 43 of 1920 x 1080 in 4:2:0
 

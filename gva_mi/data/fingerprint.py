@@ -19,9 +19,9 @@ import numpy as np
 import torch
 
 from gva_mi.body.pose import Pose, Shape
-from gva_mi.body.smplx import PUPPET_NAME, BodyModel
-from gva_mi.errors import InputError, expecting
-from gva_mi.files import read_json
+from gva_mi.body.smplx import BUILT_IN_NAME, BodyModel
+from gva_mi.core.errors import InputError, expecting
+from gva_mi.core.files import read_json
 
 SUMS = 32  # K: their root mean square is right to one part in √(2 K), 12 %
 SAME = 3e-6  # m, root mean square; float32 rounding is a tenth of it
@@ -84,7 +84,7 @@ def require_same_body(folder: Path, body: BodyModel) -> None:
             )
         theirs = known.get("name")
         given = f"--body with that body's file ({theirs})"
-        expected = "the built-in puppet, that is no --body" if theirs == PUPPET_NAME else given
+        expected = "the built-in puppet, that is no --body" if theirs == BUILT_IN_NAME else given
         raise InputError(
             f"{folder}: its poses were prepared for another body, {theirs} ({how}); "
             f"expected {expected}, or prepare it again for this body"

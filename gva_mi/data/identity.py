@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from gva_mi.core.provenance import hash_arrays, hash_files
 from gva_mi.data.video import Video
-from gva_mi.provenance import hash_arrays, hash_files
 
 PARTS = ("frames", "masks", "cameras", "poses", "splits")
 

@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
+from gva_mi.core.errors import InputError
+from gva_mi.core.files import read_array
 from gva_mi.data.pictures import read_image
-from gva_mi.errors import InputError
-from gva_mi.files import read_array
 
 
 def read_mask(folder: Path, index: int) -> np.ndarray | None:

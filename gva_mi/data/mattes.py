@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gva_mi.errors import InputError
+from gva_mi.core.errors import InputError
 
 if TYPE_CHECKING:
     from PIL import Image

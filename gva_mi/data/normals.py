@@ -35,9 +35,9 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from gva_mi.core.errors import InputError
+from gva_mi.core.files import read_array, read_json
 from gva_mi.data.pictures import read_image
-from gva_mi.errors import InputError
-from gva_mi.files import read_array, read_json
 from gva_mi.splat import Camera
 
 Convention = Literal["perspective", "opengl", "icon"]

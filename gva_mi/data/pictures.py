@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gva_mi.core.errors import MALFORMED, InputError, reason_of
+from gva_mi.core.files import atomic_write, require_room
 from gva_mi.data.mattes import matte_of
-from gva_mi.errors import MALFORMED, InputError, reason_of
-from gva_mi.files import replacing, require_room
 
 if TYPE_CHECKING:
     import av
@@ -97,7 +97,7 @@ def write_image(path: Path, image: np.ndarray) -> None:
     """Write a picture, floats in [0, 1] or 8-bit, grey (H, W), RGB (H, W, 3) or RGBA (H, W, 4)."""
     from PIL import Image
 
-    with replacing(path) as unfinished:
+    with atomic_write(path) as unfinished:
         Image.fromarray(in_8_bits(image)).save(unfinished, FORMAT_OF[Path(path).suffix.lower()])
 
 
@@ -212,7 +212,7 @@ def write_movie(
     """Write an mp4, lossless RGB by default; otherwise yuv420p, which every player shows."""
     import av
 
-    with replacing(path) as unfinished, av.open(str(unfinished), "w", format="mp4") as container:
+    with atomic_write(path) as unfinished, av.open(str(unfinished), "w", format="mp4") as container:
         stream = container.add_stream("libx264rgb" if lossless else "libx264", rate=fps)
         stream.pix_fmt = "rgb24" if lossless else "yuv420p"
         stream.options = LOSSLESS if lossless else PLAYABLE
@@ -243,7 +243,7 @@ def write_see_through(path: Path, images: Iterable[np.ndarray], fps: int = 25) -
 
     bare = {"fflags": "+bitexact"}  # no time stamp or random number
     with (
-        replacing(path) as unfinished,
+        atomic_write(path) as unfinished,
         av.open(str(unfinished), "w", format="webm", options=bare) as container,
     ):
         stream = container.add_stream("libvpx-vp9", rate=fps)

@@ -7,8 +7,8 @@ from collections.abc import Container
 from dataclasses import dataclass
 from pathlib import Path
 
-from gva_mi.errors import InputError, expecting
-from gva_mi.files import read_json
+from gva_mi.core.errors import InputError, expecting
+from gva_mi.core.files import read_json
 
 TEST_EVERY = 8  # without splits.json, every 8th frame is a test frame
 

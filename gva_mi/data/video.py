@@ -35,6 +35,7 @@ import numpy as np
 from torch import Tensor
 
 from gva_mi.body.pose import Pose, Shape, read_pose_file
+from gva_mi.core.errors import InputError
 from gva_mi.data.backdrop import alone
 from gva_mi.data.cameras import load_cameras
 from gva_mi.data.cameras import save_cameras as save_cameras
@@ -44,7 +45,6 @@ from gva_mi.data.normals import Convention, NormalMaps, Part
 from gva_mi.data.pictures import read_image
 from gva_mi.data.splits import TEST_EVERY as TEST_EVERY
 from gva_mi.data.splits import Splits, load_splits
-from gva_mi.errors import InputError
 from gva_mi.splat import Camera
 
 POSES = "poses.npz"  # of stage 1

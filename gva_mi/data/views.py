@@ -20,11 +20,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from gva_mi.core.errors import InputError, expecting
+from gva_mi.core.files import read_json, write_json
 from gva_mi.data.masks import read_mask
 from gva_mi.data.pictures import read_image
 from gva_mi.data.video import Splits, Video, load_cameras, save_cameras
-from gva_mi.errors import InputError, expecting
-from gva_mi.files import read_json, write_json
 from gva_mi.splat import Camera
 
 VIEWS, ABOUT = "views", "views.json"

@@ -23,8 +23,8 @@ from drjit.llvm import Float, Float64, Int32, UInt32
 from torch import Tensor
 from torch.autograd.function import FunctionCtx
 
+from gva_mi.data.crop import Box
 from gva_mi.jit.rowwise import flat, in_rows, of_rows, tensors
-from gva_mi.pose.crop import Box
 
 
 def lay(

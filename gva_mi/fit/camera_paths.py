@@ -22,8 +22,8 @@ from gva_mi.avatar.avatar import Rig
 from gva_mi.body.kinematics import joint_transforms
 from gva_mi.body.pose import Pose
 from gva_mi.body.skinning import skin_points
+from gva_mi.core.options import Within, require_ranges
 from gva_mi.data.pictures import MOST_PIXELS, require_size
-from gva_mi.ranges import Within, require_ranges
 from gva_mi.splat import Camera, look_at
 
 Kind = Literal["turntable", "orbit", "static"]

@@ -9,7 +9,7 @@ is wide.
 2. ``δ_k = δ⁰_k + Σ_l M_kl u_l``,   ``ε`` the same way, each coefficient for itself
 
 with an energy and coordinates ``u`` that come from what is believed of the errors and of the motion
-(:mod:`gva_mi.pose.belief`), at first from what was given alone, and then from the corrections in
+(:mod:`gva_mi.pose.prior.process`), at first from what was given alone, and then from the corrections in
 those frames in which the face looks toward the camera. A coefficient that is zero in all frames was
 not estimated, and stays; so does a jaw.
 """
@@ -25,10 +25,10 @@ from torch import Tensor
 
 from gva_mi.body.pose import JOINTS, Pose
 from gva_mi.body.so3 import compose
-from gva_mi.pose.belief import Belief
-from gva_mi.pose.descent import Steps
-from gva_mi.pose.inference import renewed
-from gva_mi.pose.noise import Noise, lasting_part, white_level
+from gva_mi.pose.optimize import Steps
+from gva_mi.pose.prior.error_model import Noise, fit_slow_part, white_level
+from gva_mi.pose.prior.inference import updated_process
+from gva_mi.pose.prior.process import ProcessPrior
 from gva_mi.pose.stage1 import Stage1, turns_between
 
 JAW = JOINTS.index("jaw")
@@ -70,7 +70,7 @@ class Face:
         self._stage1, self.parts = stage1, parts
 
     @staticmethod
-    def likeliest(stage1: Stage1) -> Face:
+    def map_estimate(stage1: Stage1) -> Face:
         """Where to start: what is most probable before any picture is looked at."""
         pose = stage1.pose
         moving = pose.expression.any(0).nonzero()[:, 0]
@@ -78,13 +78,13 @@ class Face:
         parts = []
         if bool(jaw.any()):
             steps = turns_between(jaw[:-1], jaw[1:])
-            parts.append(Part.likeliest("jaw", moving[:0], stage1.times, steps, TURN))
+            parts.append(Part.map_estimate("jaw", moving[:0], stage1.times, steps, TURN))
         if len(moving):
             steps = pose.expression[:, moving].diff(dim=0)[..., None]
-            parts.append(Part.likeliest("expression", moving, stage1.times, steps, EXPRESSION))
+            parts.append(Part.map_estimate("expression", moving, stage1.times, steps, EXPRESSION))
         return Face(stage1, parts)
 
-    def none_yet(self) -> Face:
+    def zeroed(self) -> Face:
         """The same beliefs, with nothing corrected: faces as they were given."""
         same = [(p.name, p.coefficients, p.belief, torch.zeros_like(p.start)) for p in self.parts]
         return Face(self._stage1, [Part(*part) for part in same])
@@ -123,12 +123,12 @@ class Face:
         """The corrections of all frames, part by part, (n, C, d)."""
         return [part.found() for part in self.parts]
 
-    def told_by(self, found: Sequence[Tensor]) -> Face:
+    def with_updated_prior(self, found: Sequence[Tensor]) -> Face:
         """Corrections that pictures have :meth:`found`, under what they tell of the video."""
         # Where the camera's axis comes out of the face, it looks at the person's front.
         seen = self._stage1.R_joint_camera[:, JAW, 2, 2] < 0
         parts = [
-            part.told_by(corrections, seen, steps)
+            part.with_updated_prior(corrections, seen, steps)
             for part, corrections, steps in zip(self.parts, found, self._steps(found), strict=True)
         ]
         return Face(self._stage1, parts)
@@ -157,18 +157,22 @@ class Part:
         u: (n, C, d), a leaf.
     """
 
-    def __init__(self, name: str, coefficients: Tensor, belief: Belief, start: Tensor) -> None:
+    def __init__(
+        self, name: str, coefficients: Tensor, belief: ProcessPrior, start: Tensor
+    ) -> None:
         self.name, self.coefficients, self.belief, self.start = name, coefficients, belief, start
         self._spread, self._precision = belief.spread(start), belief.precision()
         self.u = torch.zeros_like(start).requires_grad_()
 
     @staticmethod
-    def likeliest(
+    def map_estimate(
         name: str, coefficients: Tensor, times: Tensor, steps: Tensor, guess: Noise
     ) -> Part:
         """What is most probable of values that change so (n - 1, C, d) from frame to frame."""
         noise = replace(guess, white=white_level(steps))
-        start, belief = Belief.of_stage1(times, steps, [noise] * steps.shape[1]).likeliest()
+        start, belief = ProcessPrior.of_stage1(
+            times, steps, [noise] * steps.shape[1]
+        ).map_estimate()
         return Part(name, coefficients, belief, start)
 
     def at(self, which: Sequence[int]) -> Tensor:
@@ -191,11 +195,13 @@ class Part:
         """Take away the mean over the frames."""
         self.start = self.start - self.found().mean(0)
 
-    def told_by(self, found: Tensor, seen: Tensor, steps: Tensor) -> Part:
+    def with_updated_prior(self, found: Tensor, seen: Tensor, steps: Tensor) -> Part:
         """The same under what corrections (n, C, d) tell, in the frames (n,) that show them."""
         [noise] = set(self.belief.noises)
         if int(seen.sum()) > 1:
             errors = -found[seen].flatten(1)
-            noise = lasting_part(errors, self.belief.times[seen], noise.white, noise)
+            noise = fit_slow_part(errors, self.belief.times[seen], noise.white, noise)
         noises = [noise] * found.shape[1]
-        return Part(self.name, self.coefficients, renewed(self.belief, noises, found, steps), found)
+        return Part(
+            self.name, self.coefficients, updated_process(self.belief, noises, found, steps), found
+        )

@@ -29,8 +29,8 @@ import torch
 from torch import Tensor
 from torch.autograd.function import FunctionCtx
 
+from gva_mi.core.options import Weight, require_ranges
 from gva_mi.fit.ssim import ssim
-from gva_mi.ranges import Weight, require_ranges
 from gva_mi.splat import Image
 
 Window = tuple[slice, slice]  # rows and columns of a part of an image

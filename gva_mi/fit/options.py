@@ -9,11 +9,11 @@ from typing import Annotated, Any
 from gva_mi.avatar.avatar import AvatarOptions
 from gva_mi.avatar.densify import DensifyOptions
 from gva_mi.avatar.reinit import ReinitOptions
-from gva_mi.errors import InputError
+from gva_mi.core.errors import InputError
+from gva_mi.core.options import InnerShare, Rate, Seed, Share, Within, require_ranges
 from gva_mi.fit.losses import LossOptions
 from gva_mi.fit.poses import PoseOptions
 from gva_mi.fit.renders import DRAWN
-from gva_mi.ranges import InnerShare, Rate, Seed, Share, Within, require_ranges
 from gva_mi.splat import SplatOptions
 
 # Defaults of the parts in a fit, where they differ from the parts' own.
@@ -76,7 +76,7 @@ class Schedule:
         """Whether a re-initialisation follows a step."""
         return step in {max(1, round(share * steps)) for share in self.reinit_at}
 
-    def looks_up(self, step: int) -> bool:
+    def rebinds_weights(self, step: int) -> bool:
         """Whether Gaussians look up, after a step, what of the outer skin they follow."""
         return self.look_up_every > 0 and step % self.look_up_every == 0
 

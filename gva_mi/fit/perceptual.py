@@ -29,7 +29,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.utils import skip_init
 
-from gva_mi.errors import InputError
+from gva_mi.core.errors import InputError
 
 VGG16_WIDTHS = ((64, 64), (128, 128), (256,) * 3, (512,) * 3, (512,) * 3)  # a pool after each group
 VGG16_TAPS = (3, 8, 15, 22, 29)  # the last ReLU of each group, as an index into the layers

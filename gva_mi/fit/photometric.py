@@ -1,7 +1,7 @@
 """Poses fitted to the pictures themselves: the photometric pass through the splatted avatar.
 
 An avatar that does not change is a better judge of poses than a bare body, for it wears the
-person's clothes and colours. All frames together descend (:mod:`gva_mi.pose.descent`) on
+person's clothes and colours. All frames together descend (:mod:`gva_mi.pose.optimize`) on
 
     L = mean_k L_k(R_k exp(δ_k), t_k + τ_k) + E(δ, τ)
 
@@ -31,29 +31,29 @@ from torch import Tensor
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.pose import Pose
 from gva_mi.body.smplx import Rest
-from gva_mi.console import Progress, within
+from gva_mi.core.console import Progress, within
+from gva_mi.core.options import Metres, Seed, Turn, Weight, Within
+from gva_mi.core.spill_cache import SpillCache
+from gva_mi.core.threads import one_torch_thread
 from gva_mi.data.video import Frame, Video
 from gva_mi.fit.faces import Face, FaceSteps
 from gva_mi.fit.picture_evidence import PictureAndMask, PictureEvidence, PictureWeights
 from gva_mi.pose.clips import cut, join, poses_of_clip
-from gva_mi.pose.descent import (
+from gva_mi.pose.evidence.masks_normals import gather
+from gva_mi.pose.optimize import (
     Batch,
     DescentOptions,
     Learn,
-    Nat,
     Overlap,
     PartFrames,
     Passes,
+    PriorWeight,
     descend,
     with_frames,
     worse_frames,
 )
-from gva_mi.pose.evidence import gather
+from gva_mi.pose.optimizer import lever_arms
 from gva_mi.pose.stage1 import Stage1
-from gva_mi.pose.vector_adam import lever_arms
-from gva_mi.ranges import Metres, Seed, Turn, Weight, Within
-from gva_mi.shelf import Shelf
-from gva_mi.threads import one_torch_thread
 
 FITTED = "poses fitted to the pictures"  # the name of the row of figures under such poses
 
@@ -67,7 +67,9 @@ class PhotometricOptions(DescentOptions):
     alpha: Weight = 0.5  # λα, of the avatar's outline against the mask
     ssim: Weight = 0.1  # λs, of 1 - SSIM
     learn: Learn = 3  # the first of them, after which it is inferred how the given poses err
-    nat: Nat = 0.001  # what a negative logarithm of a probability counts beside the pictures
+    nat: PriorWeight = (
+        0.001  # what a negative logarithm of a probability counts beside the pictures
+    )
     step: Metres = 0.0005  # metres that a turned joint moves what hangs on it, in a first step
     largest_turn: Turn = 0.03  # radians in such a step; it limits joints with short lever arms
     translation_lr: Metres = 0.0003  # metres in a step at the start
@@ -135,7 +137,7 @@ def fit_poses(
         return PictureAndMask.of(frame, resting(frame.pose).means.double().numpy())
 
     with one_torch_thread():
-        seen = Shelf(video.folder)
+        seen = SpillCache(video.folder)
         kept = gather(wanted, video.absent, video.frames, look, seen)
         pose = _fit_clips(resting, video.pose, seen, options, progress)
         before, after = (_losses(resting, p, seen, options) for p in (video.pose, pose))
@@ -154,7 +156,7 @@ def fit_poses(
 def _fit_clips(
     avatar: Avatar,
     pose: Pose,
-    seen: Shelf[PictureAndMask],
+    seen: SpillCache[PictureAndMask],
     options: PhotometricOptions,
     progress: Progress | None,
 ) -> Pose:
@@ -170,7 +172,7 @@ def _fit_clips(
         if frames:
             evidence = _evidence(avatar, part, dict(frames), arms, options)
             told = within(progress, sum(steps[:number]), steps[number], sum(steps))
-            part = descend(evidence, part, arms, options, told, may_be_right=True).pose
+            part = descend(evidence, part, arms, options, told, try_uncorrected=True).pose
             with torch.no_grad():
                 turned = part[evidence.frames]
                 turned = evidence.face.corrected(turned, range(len(turned)))
@@ -191,11 +193,11 @@ def _evidence(
     given, or what is most probable of it, which takes all that is jerky for an error."""
     frames = sorted(seen)
     stage1 = Stage1.of(pose, frames, seen[frames[0]].camera)
-    likeliest = Face.likeliest(stage1) if options.expression_lr > 0 else Face(stage1, [])
+    map_estimate = Face.map_estimate(stage1) if options.expression_lr > 0 else Face(stage1, [])
     steps = FaceSteps.of(arms, options, options.expression_lr, options.nat)
     starts = [
         PictureEvidence(avatar, seen, options.weights, face, steps)
-        for face in (likeliest, likeliest.none_yet())
+        for face in (map_estimate, map_estimate.zeroed())
     ]
     return min(starts, key=lambda start: float(start.loss(frames, pose[frames])))
 

@@ -34,12 +34,12 @@ from torch import Tensor
 
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.pose import Pose
+from gva_mi.data.crop import NoEvidence, person_box
 from gva_mi.data.video import Frame
 from gva_mi.fit.faces import Face, FaceSteps
 from gva_mi.fit.renders import DRAWN
 from gva_mi.fit.ssim import ssim
-from gva_mi.pose.anatomy import Anatomy
-from gva_mi.pose.crop import NoEvidence, person_box
+from gva_mi.pose.prior.anatomy import Anatomy
 from gva_mi.splat import Camera, render
 
 MARGIN = 0.1  # of the box around the person, added on each side
@@ -92,7 +92,7 @@ class PictureAndMask:
 
 
 class PictureEvidence:
-    """Pictures of some frames under one avatar: a :class:`gva_mi.pose.descent.Evidence`.
+    """Pictures of some frames under one avatar: a :class:`gva_mi.pose.optimize.Evidence`.
 
     The avatar does not change, so the frames share no unknowns; the leaves beside their poses are
     their faces.
@@ -142,9 +142,9 @@ class PictureEvidence:
         """The leaves of the faces."""
         return self.face.leaves(self._face_steps)
 
-    def come_closer(self) -> None:
+    def enable_details(self) -> None:
         """Pictures are whole from the start; faces have shown by now how they err."""
-        self.face = self.face.told_by(self.face.found())
+        self.face = self.face.with_updated_prior(self.face.found())
 
     def energy(self) -> Tensor | float:
         """What the faces cost."""

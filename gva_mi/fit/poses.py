@@ -42,14 +42,14 @@ from torch import Tensor
 from gva_mi.avatar.avatar import Rig
 from gva_mi.body.pose import Pose
 from gva_mi.body.smplx import Rest
+from gva_mi.core.options import InnerShare, Metres, Turn, Within, require_ranges
 from gva_mi.fit.faces import Face, FaceSteps
-from gva_mi.pose.anatomy import Anatomy
 from gva_mi.pose.clips import cut
 from gva_mi.pose.corrections import Corrections
-from gva_mi.pose.descent import Nat, optimiser
+from gva_mi.pose.optimize import PriorWeight, optimiser
+from gva_mi.pose.optimizer import VectorAdam, lever_arms
+from gva_mi.pose.prior.anatomy import Anatomy
 from gva_mi.pose.stage1 import Stage1
-from gva_mi.pose.vector_adam import VectorAdam, lever_arms
-from gva_mi.ranges import InnerShare, Metres, Turn, Within, require_ranges
 from gva_mi.splat import Camera
 
 
@@ -60,7 +60,7 @@ class PoseOptions:
     trained: bool = True  # False: the poses stay as they were given
     # Steps of the fit, after which poses take one.
     every: Annotated[int, Within(1, 1_000_000)] = 8
-    nat: Nat = 1e-5  # ν: what a negative logarithm of a probability counts beside Eq. 9
+    nat: PriorWeight = 1e-5  # ν: what a negative logarithm of a probability counts beside Eq. 9
     # Shares of all steps, when it is learned how they err.
     learn_at: tuple[InnerShare, ...] = (0.3, 0.5)
     step: Metres = 0.003  # metres that a turned joint moves what turns with it, in a first step
@@ -112,9 +112,9 @@ class TrainedPoses:
         arms = lever_arms(Rest(rig.vertices, rig.joints), rig.weights, rig.parents)
         for frames in cut(len(given), options.part, overlap=0):
             stage1 = Stage1.of(given, frames, cameras[frames.start])
-            likeliest = Corrections.likeliest(stage1, anatomy)
-            corrections = likeliest.none_yet() if as_given else likeliest
-            face = Face.likeliest(stage1) if options.expression_lr > 0 else Face(stage1, [])
+            map_estimate = Corrections.map_estimate(stage1, anatomy)
+            corrections = map_estimate.zeroed() if as_given else map_estimate
+            face = Face.map_estimate(stage1) if options.expression_lr > 0 else Face(stage1, [])
             self._clips.append(_Clip(frames, corrections, face, arms, options))
 
     @property
@@ -236,8 +236,8 @@ class _Clip:
 
     def _tell(self, turns: Tensor, moves: Tensor, face: list[Tensor], options: PoseOptions) -> None:
         self._told.append((turns, moves, face))
-        self.corrections = self.corrections.told_by(turns, moves)
-        self.face = self.face.told_by(face)
+        self.corrections = self.corrections.with_updated_prior(turns, moves)
+        self.face = self.face.with_updated_prior(face)
         self._adam = self._optimiser(options)
 
     def _leaves(self) -> list[Tensor]:

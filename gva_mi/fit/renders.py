@@ -9,7 +9,7 @@ import torch
 
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.pose import Pose
-from gva_mi.console import Progress
+from gva_mi.core.console import Progress
 from gva_mi.data.video import Frame
 from gva_mi.fit.camera_paths import Shot
 from gva_mi.splat import Camera, Gaussians, SplatOptions, render

@@ -35,18 +35,18 @@ from gva_mi.avatar.formats.without_body import WITHOUT_BODY, with_body
 from gva_mi.avatar.reinit import SurfaceMesh
 from gva_mi.body.pose import Pose, Shape, load_poses
 from gva_mi.body.smplx import body_name, load_body
-from gva_mi.data.identity import differing, identity
-from gva_mi.data.video import Video
-from gva_mi.errors import InputError, expecting, reason_of
-from gva_mi.files import (
+from gva_mi.core.errors import InputError, expecting, reason_of
+from gva_mi.core.files import (
+    atomic_write,
     part_of,
     read_arrays,
     read_json,
-    replacing,
     versions,
     write_arrays,
     write_json,
 )
+from gva_mi.data.identity import differing, identity
+from gva_mi.data.video import Video
 from gva_mi.splat import Gaussians
 
 AVATAR, CHECKPOINT, HISTORY = "avatar.npz", "checkpoint.pt", "history.npz"
@@ -142,7 +142,7 @@ def save_state(out: Path, state: dict[str, Any]) -> None:
     """Write the checkpoint: tensors, numbers, strings, and lists and dictionaries of them."""
     whole = io.BytesIO()  # torch's own writer says nothing of a disk that is full
     torch.save(state, whole)
-    with replacing(out / CHECKPOINT) as unfinished:
+    with atomic_write(out / CHECKPOINT) as unfinished:
         unfinished.write_bytes(whole.getbuffer())
 
 

@@ -2,7 +2,7 @@
 
 Reading, decoding and cutting out a frame takes longer than rendering it: every training frame is
 read once, cut to the box around its mask, and kept as 8 bits, those of a long video on disk
-(:mod:`gva_mi.shelf`). When its turn comes, it is laid on a background of another colour than the
+(:mod:`gva_mi.core.spill_cache`). When its turn comes, it is laid on a background of another colour than the
 last, so that alpha is learned (:mod:`gva_mi.fit.backgrounds`):
 
 1. ``I = S P + (1 - S) b``   on the background ``b``
@@ -34,14 +34,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from gva_mi.core.spill_cache import SpillCache
 from gva_mi.data import backdrop
+from gva_mi.data.crop import Box, Extent
 from gva_mi.data.video import Video
 from gva_mi.fit.backgrounds import before, lay
 from gva_mi.fit.losses import Window
-from gva_mi.pose.crop import Box, Extent
-from gva_mi.shelf import Shelf
 from gva_mi.splat import Camera, Gaussians, Image, SplatOptions
-from gva_mi.splat.covariances import largest_scales
+from gva_mi.splat.geometry import largest_scales
 
 REACH = 3.4  # standard deviations at which a Gaussian's alpha is below 1/255
 BORDER = 2  # pixels, for the blur that every Gaussian gets
@@ -134,7 +134,7 @@ class Samples:
         self.random_background, self.window = random_background, window
         self.cameras = [video.cameras[k] for k in self.frames]
         self.boxes = []
-        self._kept = Shelf(Path(tempfile.gettempdir()) if folder is None else folder)
+        self._kept = SpillCache(Path(tempfile.gettempdir()) if folder is None else folder)
         for k, frame in enumerate(video.frames(self.frames)):
             box = _box_of(frame.mask > 0.5)
             width = mask_error * (box.width * box.height) ** 0.5

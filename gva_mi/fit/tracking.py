@@ -18,9 +18,9 @@ from torch import Tensor
 
 from gva_mi.body.pose import load_poses, save_poses
 from gva_mi.body.smplx import BodyModel
-from gva_mi.data.truth import load_truth
+from gva_mi.core.files import atomic_files, versions, write_json
+from gva_mi.data.ground_truth import load_ground_truth
 from gva_mi.data.video import POSES, Video
-from gva_mi.files import replacing_together, versions, write_json
 from gva_mi.fit.photometric import FittedPoses, PhotometricOptions
 from gva_mi.pose.errors import means, pose_errors
 
@@ -91,7 +91,7 @@ def write_tracking(
         "options": asdict(options),
         "versions": versions(),
     }
-    with replacing_together(video.folder / TRACKED_POSES, TRACKING) as unfinished:
+    with atomic_files(video.folder / TRACKED_POSES, TRACKING) as unfinished:
         save_poses(
             unfinished / TRACKED_POSES,
             found.pose,
@@ -106,7 +106,7 @@ def write_tracking(
 def _errors(video: Video, body: BodyModel, found: FittedPoses) -> dict[str, dict[str, float]]:
     if video.truth is None:
         return {}
-    truth = load_truth(video.truth, body)
+    truth = load_ground_truth(video.truth, body)
     stages = {
         "stage 1": load_poses(video.folder / POSES),
         "start": (video.pose, video.shape),

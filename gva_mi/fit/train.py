@@ -29,10 +29,11 @@ from gva_mi.avatar.densify import ScreenGradients, densify, replace_gaussians
 from gva_mi.avatar.reinit import reinitialise
 from gva_mi.body.pose import save_poses
 from gva_mi.body.smplx import BodyModel
-from gva_mi.console import Progress
+from gva_mi.core.console import Progress
+from gva_mi.core.errors import expecting
+from gva_mi.core.files import write_arrays
+from gva_mi.core.threads import one_torch_thread
 from gva_mi.data.video import Video
-from gva_mi.errors import expecting
-from gva_mi.files import write_arrays
 from gva_mi.fit import run_folder
 from gva_mi.fit.colors import seen_colors
 from gva_mi.fit.losses import Distance, LossOptions, render_losses
@@ -41,7 +42,6 @@ from gva_mi.fit.perceptual import rand_vgg_loss, vgg16_loss
 from gva_mi.fit.poses import TrainedPoses
 from gva_mi.fit.samples import Sample, Samples, Stream, torch_state
 from gva_mi.splat import Screen, render
-from gva_mi.threads import one_torch_thread
 
 
 def fit(
@@ -95,7 +95,7 @@ def fit(
                 )
             if run.step % options.checkpoint_every == 0 and run.step < options.steps:
                 run_folder.save_state(out, run.state())
-        run.thicken()  # also what the last step has split
+        run.clamp_scales()  # also what the last step has split
     write_arrays(out / run_folder.HISTORY, **run.history)
     if run.poses.trained:
         poses = run.poses.all()
@@ -182,7 +182,7 @@ class Run:
         self.optimizer.zero_grad(set_to_none=True)
         total.backward()
         self.optimizer.step()
-        self.thicken()
+        self.clamp_scales()
         self.gradients.add(screen, sample.area)
         self.step += 1
         self.poses.step(self.step, sample.frame)
@@ -206,14 +206,14 @@ class Run:
             new = reinitialise(self.avatar, options.reinit, generator)
             run_folder.save_snapshot(out, self.step, before, new.canonical, new.surface)
             replace_gaussians(self.avatar, self.optimizer, new.canonical)
-            self.avatar.wear(new.skin)
+            self.avatar.set_skin_weights(new.skin)
             self.gradients = ScreenGradients(len(self.avatar.canonical))
-        elif schedule.looks_up(self.step):
-            self.avatar.look_up()
+        elif schedule.rebinds_weights(self.step):
+            self.avatar.rebind_weights()
 
-    def thicken(self) -> None:
+    def clamp_scales(self) -> None:
         """Let no Gaussian be finer than the pictures are."""
-        self.avatar.canonical.thicken(self.options.finest * self._pixel)
+        self.avatar.canonical.clamp_scales(self.options.finest * self._pixel)
 
     def state(self) -> dict[str, Any]:
         """The whole state of the run, for its checkpoint."""

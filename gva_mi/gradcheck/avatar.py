@@ -24,6 +24,7 @@ from dataclasses import dataclass
 import torch
 from torch import Generator, Tensor
 
+from gva_mi.core.threads import one_torch_thread
 from gva_mi.gradcheck.chain import (
     NETWORK,
     STILL_MEANS,
@@ -35,7 +36,6 @@ from gva_mi.gradcheck.chain import (
 from gva_mi.gradcheck.engine import Comparison, Report
 from gva_mi.gradcheck.probes import IMAGES, Probe, Tensors, differences, gradients, tangents
 from gva_mi.splat import reference
-from gva_mi.threads import one_torch_thread
 
 CHAIN = "chain"  # the group of the whole chain's comparisons
 F64, F32 = 1e-8, 1e-5  # the greatest relative L2 error allowed

@@ -9,7 +9,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from gva_mi.files import write_json
+from gva_mi.core.files import write_json
 from gva_mi.gradcheck.probes import Probe
 
 COARSE = 1e-3  # a failing float32 comparison below this error has lost digits; above, it is wrong

@@ -30,6 +30,7 @@ import numpy as np
 import torch
 from torch import Generator, Tensor
 
+from gva_mi.core.threads import one_torch_thread
 from gva_mi.gradcheck.engine import Comparison, Report
 from gva_mi.gradcheck.probes import (
     IMAGES,
@@ -46,7 +47,6 @@ from gva_mi.gradcheck.probes import (
 from gva_mi.splat import reference
 from gva_mi.splat.gaussians import Image
 from gva_mi.splat.scene import Scene
-from gva_mi.threads import one_torch_thread
 
 PRECISIONS = {"f32": torch.float32, "f64": torch.float64}
 NO_CAMERA = (

@@ -1,7 +1,7 @@
 """Rowwise kernels: run a Dr.Jit function over the rows of torch tensors, one lane per row.
 
 Kernels are traced at their first call and replayed afterwards
-(:mod:`gva_mi.splat.kernels.frozen`), because tracing takes longer than running 20,000 rows. The
+(:mod:`gva_mi.jit.frozen`), because tracing takes longer than running 20,000 rows. The
 number of rows is a constant of a recording, because the memory that a kernel allocates is.
 """
 
@@ -13,11 +13,11 @@ import drjit as dr
 from drjit import ArrayBase as Array
 from torch import Tensor
 
+from gva_mi.jit.exclusive import exclusive
+from gva_mi.jit.frozen import Frozen
+from gva_mi.jit.packets import load_rows, store_rows
 from gva_mi.splat.autograd import PRECISION as FLOATS
 from gva_mi.splat.autograd import to_drjit
-from gva_mi.splat.kernels.exclusive import exclusive
-from gva_mi.splat.kernels.frozen import Frozen
-from gva_mi.splat.kernels.packets import load_rows, store_rows
 from gva_mi.splat.screen import tensor_of
 
 Lane = list[Array]  # the columns of a row

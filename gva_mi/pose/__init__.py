@@ -7,13 +7,13 @@ printed, frame by frame.
 Both minimise evidence + prior, and each side has one interface:
 
 * **Evidence** compares poses with what was observed. It implements
-  :class:`gva_mi.pose.descent.Evidence`: ``loss(frames, pose)`` for the poses, and ``energy()`` for
+  :class:`gva_mi.pose.optimize.Evidence`: ``loss(frames, pose)`` for the poses, and ``energy()`` for
   the unknowns that all frames share (clothes, shape, focal length). Implementations:
   ``ClothedPerson`` (``sequence.py``: masks and normals of ``evidence.py``, close-ups of
   ``close_ups.py``) and ``gva_mi.fit.picture_evidence``. A further kind of evidence, such as
   landmarks, is one more term of ``ClothedPerson.loss``, or a class of its own.
 * **Prior terms** say how probable poses are without any image, in nats. They implement
-  :class:`gva_mi.pose.inference.PriorTerm`: ``energy(rotations, transl, times)``. Implementations:
+  :class:`gva_mi.pose.prior.inference.PriorTerm`: ``energy(rotations, transl, times)``. Implementations:
   ``anatomy.py``, ``ground.py``, ``camera_lean.py``. Stage 1 and inertia (``belief.py``) are a
   Gaussian process over the corrections instead: its errors are modelled in ``noise.py``, its
   motion in ``motion.py``, and ``inference.py`` estimates both from the video itself.

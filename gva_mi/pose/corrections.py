@@ -9,7 +9,7 @@ sideways, much better than a tilt toward the camera, and depth. With one step si
 coordinates that images show weakly would hardly move.
 
 The preconditioner ``M`` and the energy of the corrections come from the prior of this video
-(:mod:`gva_mi.pose.inference`, :mod:`gva_mi.pose.belief`). The energy has further terms of the
+(:mod:`gva_mi.pose.prior.inference`, :mod:`gva_mi.pose.prior.process`). The energy has further terms of the
 corrected pose: anatomy, the ground and camera-locked tilt. ``δ⁰`` is where the optimisation starts:
 first the MAP estimate without any image, later the corrections found before the prior was updated.
 """
@@ -25,9 +25,9 @@ from torch import Tensor
 
 from gva_mi.body.pose import Pose
 from gva_mi.body.so3 import compose
-from gva_mi.pose.anatomy import Anatomy
-from gva_mi.pose.ground import Ground, Soles
-from gva_mi.pose.inference import (
+from gva_mi.pose.prior.anatomy import Anatomy
+from gva_mi.pose.prior.ground import Ground, Soles
+from gva_mi.pose.prior.inference import (
     JOINTS,
     PELVIS,
     PosePrior,
@@ -43,7 +43,7 @@ class Corrections:
 
     Attributes:
         turns: (n, J, 3, 1) ``u`` of the turns, a leaf.
-        moves: (n, 3, 1) ``u`` of the shifts, a leaf. :class:`gva_mi.pose.vector_adam.VectorAdam`
+        moves: (n, 3, 1) ``u`` of the shifts, a leaf. :class:`gva_mi.pose.optimizer.VectorAdam`
             takes the last axis for a vector, so each coordinate has its own step size.
         start: ``δ⁰`` (n, J, 3) and ``τ⁰`` (n, 3), in the camera's axes.
         prior: of the corrections.
@@ -66,14 +66,14 @@ class Corrections:
         self.moves = torch.zeros(n, 3, 1).requires_grad_()
 
     @staticmethod
-    def likeliest(stage1: Stage1, anatomy: Anatomy) -> Corrections:
+    def map_estimate(stage1: Stage1, anatomy: Anatomy) -> Corrections:
         """Start from the MAP estimate, without any image."""
         prior = prior_from_stage1(stage1)
         given = stage1.pose.rotations
         own = torch.zeros(given.shape)
-        own[:, list(PELVIS)], pelvis = prior.pelvis.likeliest()
-        own[:, list(JOINTS)], joints = prior.joints.likeliest()
-        moves, place = prior.place.likeliest()
+        own[:, list(PELVIS)], pelvis = prior.pelvis.map_estimate()
+        own[:, list(JOINTS)], joints = prior.joints.map_estimate()
+        moves, place = prior.place.map_estimate()
         prior = replace(prior, pelvis=pelvis, joints=joints, place=place)
         covariance = torch.zeros(given.shape[1], *[len(given)] * 2, dtype=torch.float64)
         covariance[list(JOINTS)] = joints.covariance(own[:, list(JOINTS)])
@@ -82,7 +82,7 @@ class Corrections:
         own = turns_between(given, wanted)
         return Corrections(stage1, anatomy, prior, stage1.in_camera(own), moves[..., 0])
 
-    def none_yet(self) -> Corrections:
+    def zeroed(self) -> Corrections:
         """Return the same prior with zero corrections: stage 1 as it is."""
         turns0, moves0 = (torch.zeros_like(x) for x in self.start)
         return Corrections(self._stage1, self._anatomy, self.prior, turns0, moves0)
@@ -107,7 +107,7 @@ class Corrections:
         self.start = turns0 - self._stage1.in_camera(mean), moves0 - constant
 
     @torch.no_grad()
-    def told_by(self, turns: Tensor, moves: Tensor) -> Corrections:
+    def with_updated_prior(self, turns: Tensor, moves: Tensor) -> Corrections:
         """Return corrections that were :meth:`found`, with the prior inferred from them."""
         prior = prior_from_corrections(self.prior, self._stage1, turns, moves)
         return Corrections(self._stage1, self._anatomy, prior, turns, moves)

@@ -31,10 +31,10 @@ from torch import Tensor
 
 from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, Pose, Shape
 from gva_mi.body.smplx import BodyModel, Posed
-from gva_mi.data.truth import Truth
+from gva_mi.core.threads import one_torch_thread
+from gva_mi.data.ground_truth import Truth
 from gva_mi.pose.displacement import hand_vertices
 from gva_mi.pose.surface_distance import surface_distances
-from gva_mi.threads import one_torch_thread
 
 NAMES = (  # of errors, in the order of files
     "body", "hands", "feet", "body_aligned", "hands_aligned", "feet_aligned", "joints",

@@ -10,12 +10,12 @@ from torch import Tensor
 
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
-from gva_mi.pose.close_ups import FinePicture
-from gva_mi.pose.evidence import MaskAndNormals
-from gva_mi.pose.ground import ContactStats
-from gva_mi.pose.noise import Noise
+from gva_mi.core.options import Weight, Within, require_ranges
+from gva_mi.pose.evidence.close_ups import FinePicture
+from gva_mi.pose.evidence.masks_normals import MaskAndNormals
+from gva_mi.pose.prior.error_model import Noise
+from gva_mi.pose.prior.ground import ContactStats
 from gva_mi.pose.stature import PEOPLE
-from gva_mi.ranges import Weight, Within, require_ranges
 
 FEWEST_FACES = 500  # a body with fewer has no hands left
 
@@ -25,7 +25,7 @@ class RefineOptions:
     """Options that both methods have.
 
     The losses that the weights multiply are divided by the person's area in pixels
-    (:mod:`gva_mi.pose.evidence`).
+    (:mod:`gva_mi.pose.evidence.masks_normals`).
     """
 
     # Pixels of the person's longer side in the images that are compared.

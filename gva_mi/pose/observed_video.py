@@ -11,27 +11,33 @@ from torch import Tensor
 
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
-from gva_mi.console import Progress
+from gva_mi.core.console import Progress
+from gva_mi.core.spill_cache import SpillCache
+from gva_mi.core.tasks import Done
+from gva_mi.core.threads import one_torch_thread
 from gva_mi.data.video import Outline, Video
+from gva_mi.mesh.coarse_body import CoarseBody
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.clips import cut, join, poses_of_clip, skim
-from gva_mi.pose.close_ups import FinePicture, close_up_scale, parts_of
-from gva_mi.pose.coarse_body import CoarseBody
-from gva_mi.pose.descent import with_frames, worse_frames
-from gva_mi.pose.evidence import MaskAndNormals, common_scale, gather, mean_loss, seen_body
+from gva_mi.pose.evidence.close_ups import FinePicture, close_up_scale, parts_of
+from gva_mi.pose.evidence.masks_normals import (
+    MaskAndNormals,
+    common_scale,
+    gather,
+    mean_loss,
+    seen_body,
+)
 from gva_mi.pose.focal import follow
-from gva_mi.pose.ground import ContactStats
 from gva_mi.pose.job import RefineJob, RefineOptions, Solution
-from gva_mi.pose.noise import Noise
-from gva_mi.pose.parallel import Done
+from gva_mi.pose.optimize import with_frames, worse_frames
+from gva_mi.pose.prior.error_model import Noise
+from gva_mi.pose.prior.ground import ContactStats
 from gva_mi.pose.sequence import SequenceOptions, refine_sequence, repeats
 from gva_mi.pose.single_frame import FRAMES_A_JOB, refine_single_frames
 from gva_mi.pose.stage1 import Stage1
 from gva_mi.pose.stature import with_height
 from gva_mi.pose.swaps import fix_swaps
-from gva_mi.shelf import Shelf
 from gva_mi.splat import Camera
-from gva_mi.threads import one_torch_thread
 
 
 @dataclass(frozen=True)
@@ -57,7 +63,7 @@ class Refined:
 
 @dataclass(frozen=True)
 class RefineTask:
-    """A job and its options: a :class:`gva_mi.pose.parallel.Task`."""
+    """A job and its options: a :class:`gva_mi.core.tasks.Task`."""
 
     job: RefineJob
     options: RefineOptions
@@ -85,8 +91,8 @@ class ObservedVideo:
     shape: Shape
     cameras: Sequence[Camera]
     options: RefineOptions
-    evidence: Shelf[MaskAndNormals]
-    pictures: Shelf[FinePicture]  # of the frames that have evidence, if there are close-ups
+    evidence: SpillCache[MaskAndNormals]
+    pictures: SpillCache[FinePicture]  # of the frames that have evidence, if there are close-ups
     kept: dict[int, str]  # frames without evidence, and why
     held_out: Sequence[int]  # test frames that are not used
     swapped: Mapping[str, Sequence[int]]  # limbs that were fixed, and in which frames
@@ -113,7 +119,7 @@ class ObservedVideo:
             return whole
 
         held_out = list(video.splits.test) if options.hold_out_test else []
-        evidence, pictures = Shelf(video.folder), Shelf(video.folder)
+        evidence, pictures = SpillCache(video.folder), SpillCache(video.folder)
         frames = [k for k in range(len(video)) if k not in held_out]
         with one_torch_thread(), torch.no_grad():
             scale = common_scale(video, frames, options.size, body_at)

@@ -12,7 +12,7 @@ with the normals ``N`` and the silhouette ``S`` of the posed body, rendered by
 
 Frames of all splits are refined in the same way, from their own masks and normals; frames without
 normals from their silhouettes alone. Single frames, clips of long videos (:mod:`gva_mi.pose.clips`)
-and videos are independent jobs and may run in parallel (:mod:`gva_mi.pose.parallel`). The jobs do
+and videos are independent jobs and may run in parallel (:mod:`gva_mi.core.tasks`). The jobs do
 not depend on the number of workers, so any number finds the same poses.
 """
 
@@ -23,11 +23,11 @@ from concurrent.futures import Executor
 from functools import cache, partial
 
 from gva_mi.body.smplx import BodyModel
-from gva_mi.console import Progress, within
+from gva_mi.core.console import Progress, within
+from gva_mi.core.tasks import run
 from gva_mi.data.video import Video
 from gva_mi.pose.job import RefineOptions
 from gva_mi.pose.observed_video import ObservedVideo, Refined, simplified_body
-from gva_mi.pose.parallel import run
 
 
 def refine(

@@ -1,11 +1,11 @@
 """Refine all frames together, with one displacement of the surface for the clothes.
 
 The poses of all frames, and the displacement ``D`` and shape ``β`` that all frames share, are
-optimised (:mod:`gva_mi.pose.descent`) on
+optimised (:mod:`gva_mi.pose.optimize`) on
 
-    L = mean_k( d_k + λc Σ_parts d_k,part )    d: Eq. 8's data term (gva_mi.pose.evidence) of the
+    L = mean_k( d_k + λc Σ_parts d_k,part )    d: Eq. 8's data term (gva_mi.pose.evidence.masks_normals) of the
                                                posed body with shape β, displaced by D; again for
-                                               hands and feet (gva_mi.pose.close_ups)
+                                               hands and feet (gva_mi.pose.evidence.close_ups)
         + ν E(δ, τ)                            prior: stage 1, motion, anatomy, ground
                                                (gva_mi.pose.corrections)
         + E(D)                                 gva_mi.pose.displacement
@@ -28,28 +28,28 @@ import torch
 from torch import Tensor
 
 from gva_mi.body.pose import Pose, Shape
-from gva_mi.console import Progress
+from gva_mi.core.console import Progress
+from gva_mi.core.options import Metres, Rate, Seed, Turn, Weight, Within
 from gva_mi.mesh.mesh_scene import MeshScene
-from gva_mi.pose.anatomy import Anatomy
-from gva_mi.pose.close_ups import close_ups, parts_of
-from gva_mi.pose.descent import (
+from gva_mi.pose.displacement import Displacement
+from gva_mi.pose.evidence.close_ups import close_ups, parts_of
+from gva_mi.pose.evidence.masks_normals import MaskAndNormals, mean_loss, seen_body
+from gva_mi.pose.job import RefineJob, RefineOptions, Solution
+from gva_mi.pose.optimize import (
     Batch,
     DescentOptions,
     Learn,
-    Nat,
     Overlap,
     PartFrames,
     Passes,
+    PriorWeight,
     descend,
 )
-from gva_mi.pose.displacement import Displacement
-from gva_mi.pose.evidence import MaskAndNormals, mean_loss, seen_body
-from gva_mi.pose.ground import Soles
-from gva_mi.pose.job import RefineJob, RefineOptions, Solution
-from gva_mi.pose.noise import GROUPS
+from gva_mi.pose.optimizer import lever_arms
+from gva_mi.pose.prior.anatomy import Anatomy
+from gva_mi.pose.prior.error_model import GROUPS
+from gva_mi.pose.prior.ground import Soles
 from gva_mi.pose.stature import Stature
-from gva_mi.pose.vector_adam import lever_arms
-from gva_mi.ranges import Metres, Rate, Seed, Turn, Weight, Within
 
 STEPS_A_PASS = 16  # at least
 FINGERS = GROUPS["fingers"]
@@ -68,7 +68,7 @@ class SequenceOptions(DescentOptions, RefineOptions):
     passes: Passes = 32  # how often every frame is visited, more often if there are very few
     batch: Batch = 4  # frames of a step, at most
     learn: Learn = 11  # passes after which stage 1's error model is inferred
-    nat: Nat = 0.015  # ν: what a nat of the prior counts beside Eq. 8's data term
+    nat: PriorWeight = 0.015  # ν: what a nat of the prior counts beside Eq. 8's data term
     unswap: bool = True  # first fix legs and arms whose left and right stage 1 swapped
     cloth_smooth: Weight = 1.6e-4  # a of the displacement's energy, for one (1/m)²
     cloth_small: Weight = 10.0  # b of the displacement's energy, for one square metre
@@ -145,7 +145,7 @@ def repeats(frames: int) -> int:
 
 
 class ClothedPerson:
-    """The :class:`gva_mi.pose.descent.Evidence` of the refinement: a clothed person in all frames.
+    """The :class:`gva_mi.pose.optimize.Evidence` of the refinement: a clothed person in all frames.
 
     The body with shape ``β``, displaced by ``D``, is compared with masks and normals. ``D``, ``β``
     and the focal length are the shared leaves, unless the job knows them from a first round.
@@ -222,7 +222,7 @@ class ClothedPerson:
             closer = [close_ups(self._job.fine[k], self._parts, *body) for k, *body in bodies]
         return mean_loss(self._scene, vertices, seen, o.silhouette, closer, focal, outlines)
 
-    def come_closer(self) -> None:
+    def enable_details(self) -> None:
         """Start to use close-ups and refine the focal length: both need nearly right poses."""
         self._close = True
 

@@ -18,12 +18,12 @@ import torch
 from torch import Tensor
 
 from gva_mi.body.pose import Pose
-from gva_mi.console import Progress
+from gva_mi.core.console import Progress
+from gva_mi.core.options import Metres, Turn, Weight, Within
 from gva_mi.mesh.mesh_scene import MeshScene
-from gva_mi.pose.descent import with_frames
 from gva_mi.pose.job import RefineJob, RefineOptions, Solution
-from gva_mi.pose.vector_adam import VectorAdam, lever_arms, turn_rates
-from gva_mi.ranges import Metres, Turn, Weight, Within
+from gva_mi.pose.optimize import with_frames
+from gva_mi.pose.optimizer import VectorAdam, lever_arms, turn_rates
 
 Steps = Annotated[int, Within(1, 100_000)]
 

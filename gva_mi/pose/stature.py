@@ -25,7 +25,7 @@ from torch import Tensor
 
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
-from gva_mi.ranges import Within
+from gva_mi.core.options import Within
 from gva_mi.splat import Camera
 
 PEOPLE = Within(0.4, 2.6, unit="metres")  # their heights

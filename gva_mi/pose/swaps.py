@@ -9,7 +9,7 @@ that halves the body at rest. The states minimise
 1. ``E(s) = w Σ_k (L_k(s_k) / nat + cost(Δ_k(s_k, s_k+1))) + Σ_k (a s_k + b [s_k-1 < s_k])``
 
 with ``L_k`` the data term of Eq. 8 at this pose of stage 1, and the cost of how the limbs' joints
-turn from frame to frame (:mod:`gva_mi.pose.motion`, eq. 2), at the speed that stage 1 shows. The
+turn from frame to frame (:mod:`gva_mi.pose.prior.motion`, eq. 2), at the speed that stage 1 shows. The
 chain of two states a frame is minimised by dynamic programming (Viterbi).
 
 ``w`` is below 1 because joints of a limb turn together, and so do the pixels on it. With legs
@@ -27,9 +27,9 @@ import torch
 from torch import Tensor
 
 from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, Pose
-from gva_mi.pose.inference import JOINTS as CORRECTED
-from gva_mi.pose.inference import prior_from_stage1
-from gva_mi.pose.motion import cost
+from gva_mi.pose.prior.inference import JOINTS as CORRECTED
+from gva_mi.pose.prior.inference import prior_from_stage1
+from gva_mi.pose.prior.motion import cost
 from gva_mi.pose.stage1 import Stage1, turns_between
 
 EACH, BEGINS = 1.0, 4.6  # a and b, nats: one frame in a hundred begins a run of exchanged ones

@@ -3,7 +3,7 @@
 Usable alone:
 
 * ``render(gaussians, camera)`` draws torch tensors, differentiably; for Dr.Jit tensors use
-  :func:`gva_mi.splat.drjit_op.render`.
+  :func:`gva_mi.splat.drjit_render.render`.
 * ``rasterization(...)`` has gsplat's signature, and its ``meta``.
 
 Read kernels/ in this order: lens.py (where a point falls in the picture), ellipse.py (a Gaussian's
@@ -21,16 +21,16 @@ Importing this package imports Dr.Jit and numpy; torch is imported with the firs
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from gva_mi import llvm
+from gva_mi.core import llvm
+from gva_mi.jit.exclusive import exclusive
 from gva_mi.splat.camera import Camera, look_at
 from gva_mi.splat.gaussians import Gaussians, Image
-from gva_mi.splat.kernels.exclusive import exclusive
 from gva_mi.splat.options import SplatOptions
 
 if TYPE_CHECKING:
     from gva_mi.splat.gsplat import rasterization
     from gva_mi.splat.screen import Screen
-    from gva_mi.splat.torch_op import render
+    from gva_mi.splat.torch_render import render
 
 llvm.require()
 
@@ -46,7 +46,11 @@ __all__ = [
     "render",
 ]
 
-_NEED_TORCH = {"Screen": "screen", "rasterization": "gsplat", "render": "torch_op"}  # their modules
+_NEED_TORCH = {
+    "Screen": "screen",
+    "rasterization": "gsplat",
+    "render": "torch_render",
+}  # their modules
 
 
 def __getattr__(name: str) -> Any:  # noqa: ANN401

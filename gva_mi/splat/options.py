@@ -6,8 +6,8 @@ import functools
 from dataclasses import dataclass, replace
 from typing import Annotated
 
-from gva_mi.errors import InputError
-from gva_mi.ranges import InnerShare, Share, Within, require_ranges
+from gva_mi.core.errors import InputError
+from gva_mi.core.options import InnerShare, Share, Within, require_ranges
 
 Distance = Annotated[float, Within(0, 1e12, "low")]  # metres
 

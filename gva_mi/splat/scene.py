@@ -11,8 +11,8 @@ import numpy as np
 import torch
 from torch import Generator, Tensor
 
-from gva_mi.errors import InputError, expecting
-from gva_mi.files import read_arrays
+from gva_mi.core.errors import InputError, expecting
+from gva_mi.core.files import read_arrays
 from gva_mi.splat.camera import Camera, CameraModel, CameraTensors, look_at
 from gva_mi.splat.formats import LOAD
 from gva_mi.splat.gaussians import Gaussians

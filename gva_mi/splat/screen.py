@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gva_mi.splat.kernels.exclusive import exclusive
+from gva_mi.jit.exclusive import exclusive
 from gva_mi.splat.kernels.project import ProjectedMemory
 from gva_mi.splat.kernels.records import Footprint, RecordFormat, Splat
 from gva_mi.splat.kernels.saved import SavedState

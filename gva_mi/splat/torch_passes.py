@@ -13,8 +13,9 @@ import drjit as dr
 import numpy as np
 from torch import Tensor
 
+from gva_mi.core.threads import quiet_openmp
+from gva_mi.jit.exclusive import exclusive
 from gva_mi.splat.camera import Camera
-from gva_mi.splat.kernels.exclusive import exclusive
 from gva_mi.splat.kernels.inputs import Inputs, RequestedGradients
 from gva_mi.splat.kernels.passes import render_adjoint, render_forward, render_tangent
 from gva_mi.splat.kernels.planes import Planes
@@ -29,7 +30,6 @@ from gva_mi.splat.tensors import (
     tensor_of,
     to_drjit,
 )
-from gva_mi.threads import quiet_openmp
 
 IMAGES = 3  # color, alpha, depth
 NO_BATCHES = (

@@ -21,18 +21,16 @@ from torch import Tensor
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.pose import Pose, load_offsets
 from gva_mi.body.smplx import BodyModel
-from gva_mi.console import Progress
-from gva_mi.data.synthetic.closest import closest
-from gva_mi.data.synthetic.options import NovelPictures, VideoFrames
-from gva_mi.data.truth import load_truth
+from gva_mi.core.console import Progress
+from gva_mi.core.files import says, versions, write_json
+from gva_mi.core.options import PictureSide, require_ranges
+from gva_mi.core.tasks import Task
+from gva_mi.data.ground_truth import load_ground_truth
 from gva_mi.data.video import POSES, REFINED_POSES, TEST_EVERY, Splits, Video, load_video
-from gva_mi.files import says, versions, write_json
 from gva_mi.fit import run_folder
 from gva_mi.fit.options import FitOptions
 from gva_mi.fit.photometric import FITTED
 from gva_mi.fit.train import fit
-from gva_mi.options import PictureSide, require_ranges
-from gva_mi.pose.parallel import Task
 from gva_mi.pose.sequence import SequenceOptions
 from gva_mi.study.cases import StudyCase
 from gva_mi.study.engine import made_with
@@ -42,6 +40,8 @@ from gva_mi.study.refine_study import refine_case
 from gva_mi.study.refinement import write_record
 from gva_mi.study.subjects import Filming, filming_work
 from gva_mi.study.variants import AvatarVariant
+from gva_mi.synthetic.closest import closest
+from gva_mi.synthetic.options import NovelPictures, VideoFrames
 
 PREPARED = "prepared.json"  # in a case's folder: what its refined poses were made with
 MADE_WITH = "made_with.json"  # in a run's folder
@@ -182,7 +182,7 @@ class VariantRun:
             return replace(video, pose=self.driven(video)(video.pose))
         if self.variant.poses != "true":
             return video
-        truth = load_truth(video.truth, self.body)
+        truth = load_ground_truth(video.truth, self.body)
         near = closest(self.body, truth.body, truth.pose, truth.shape)
         return replace(video, pose=near.pose, shape=near.shape, cameras=truth.cameras)
 

@@ -25,7 +25,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 
-from gva_mi.data.synthetic import SynthOptions
+from gva_mi.synthetic import SynthOptions
 
 NO_NORMALS = "no normals"  # counts as an error model of its own
 

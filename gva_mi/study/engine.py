@@ -9,7 +9,7 @@ A study's folder holds::
     runs/CASE/VARIANT/  runs of the avatar study
 
 A result is used again only if everything it depends on is the same: the options, the body, and the
-results version of the study (:data:`gva_mi.provenance.RESULTS_VERSIONS`).
+results version of the study (:data:`gva_mi.core.provenance.RESULTS_VERSIONS`).
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from gva_mi.body.smplx import BodyModel
-from gva_mi.console import Progress, within
+from gva_mi.core.console import Progress, within
+from gva_mi.core.errors import InputError, expecting
+from gva_mi.core.files import read_json, write_json
+from gva_mi.core.options import from_json
+from gva_mi.core.provenance import RESULTS_VERSIONS, versions
+from gva_mi.core.tasks import Task, run
 from gva_mi.data.fingerprint import fingerprint
-from gva_mi.errors import InputError, expecting
-from gva_mi.files import read_json, write_json
-from gva_mi.pose.parallel import Task, run
-from gva_mi.provenance import RESULTS_VERSIONS, versions
-from gva_mi.records import from_json
 from gva_mi.study.cases import StudyCase
 
 FORMAT = 2

@@ -41,12 +41,12 @@ import numpy as np
 
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.smplx import BodyModel
-from gva_mi.console import Progress
+from gva_mi.core.console import Progress
+from gva_mi.data.crop import Box
 from gva_mi.data.video import Frame, Video, load_video, spread
 from gva_mi.data.views import held_out_views
 from gva_mi.fit.perceptual import Weights
 from gva_mi.fit.renders import BLACK, WHITE, cut_out, render_frame
-from gva_mi.pose.crop import Box
 from gva_mi.study.defects import Defects, flicker
 from gva_mi.study.regions import Detail, Details, person_box
 from gva_mi.study.scores import ImageScores, Scorer

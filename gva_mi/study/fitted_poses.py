@@ -7,7 +7,7 @@ from dataclasses import asdict, replace
 
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.smplx import BodyModel
-from gva_mi.console import Progress, within
+from gva_mi.core.console import Progress, within
 from gva_mi.data.video import Video
 from gva_mi.fit.photometric import FITTED, PhotometricOptions, fit_poses
 from gva_mi.study.evaluate import as_trained, evaluate_views, views_of

@@ -16,7 +16,8 @@ from torch import Tensor
 
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
-from gva_mi.data.truth import Truth
+from gva_mi.core.threads import one_torch_thread
+from gva_mi.data.ground_truth import Truth
 from gva_mi.data.video import Video
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.errors import pose_errors
@@ -24,7 +25,6 @@ from gva_mi.pose.job import RefineOptions
 from gva_mi.pose.refine import Refined
 from gva_mi.splat import Camera
 from gva_mi.study.pose_figures import ERRORS, PoseFigures
-from gva_mi.threads import one_torch_thread
 
 
 @dataclass(frozen=True)

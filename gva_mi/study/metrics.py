@@ -24,15 +24,15 @@ from typing import Any
 from gva_mi.avatar.avatar import Avatar, Rig
 from gva_mi.body.pose import Pose
 from gva_mi.body.smplx import BodyModel
-from gva_mi.console import Progress, within
-from gva_mi.data.truth import POSES, load_truth
+from gva_mi.core.console import Progress, within
+from gva_mi.core.errors import expecting
+from gva_mi.core.files import read_json, write_json
+from gva_mi.core.options import from_json
+from gva_mi.data.ground_truth import POSES, load_ground_truth
 from gva_mi.data.video import REFINED_POSES, Video
-from gva_mi.errors import expecting
-from gva_mi.files import read_json, write_json
 from gva_mi.fit import run_folder
 from gva_mi.fit.tracking import TRACKED_POSES
 from gva_mi.pose.errors import means, pose_errors
-from gva_mi.records import from_json
 from gva_mi.study.evaluate import SplitScores, SplitView, as_trained, evaluate_views, views_of
 from gva_mi.study.pose_figures import PoseFigures
 from gva_mi.study.refinement import load_refinement
@@ -217,7 +217,7 @@ def _pose_errors(video: Video, trained: Video, body: BodyModel) -> dict[str, dic
     """Measure the poses of a video before and after they were trained."""
     if trained is video or video.truth is None or not (video.truth / POSES).is_file():
         return {}
-    truth = load_truth(video.truth, body)
+    truth = load_ground_truth(video.truth, body)
     both = {GIVEN: video, TRAINED: trained}
     return {name: means(pose_errors(body, (v.pose, v.shape), truth)) for name, v in both.items()}
 

@@ -12,13 +12,12 @@ from pathlib import Path
 from typing import Any
 
 from gva_mi.body.smplx import BodyModel
-from gva_mi.console import Progress
-from gva_mi.data.synthetic.options import Level, VideoFrames
-from gva_mi.data.truth import Truth, load_truth
+from gva_mi.core.console import Progress
+from gva_mi.core.options import PictureSide, require_ranges
+from gva_mi.core.tasks import Task
+from gva_mi.data.ground_truth import Truth, load_ground_truth
 from gva_mi.data.video import Video, load_video
-from gva_mi.options import PictureSide, require_ranges
 from gva_mi.pose.focal import follow
-from gva_mi.pose.parallel import Task
 from gva_mi.pose.refine import refine
 from gva_mi.pose.sequence import SequenceOptions
 from gva_mi.study.cases import StudyCase
@@ -26,6 +25,7 @@ from gva_mi.study.engine import made_with
 from gva_mi.study.measure import Evaluation
 from gva_mi.study.pose_figures import PoseFigures
 from gva_mi.study.subjects import Filming, filming_work
+from gva_mi.synthetic.options import Level, VideoFrames
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ def refine_case(
 ) -> Evaluation:
     """Refine and measure a case's video; ``known``: with the true height and focal length."""
     video = load_video(subject, normals=None if case.normals else "none")
-    truth, options = load_truth(video.truth, body), replace(options, seed=case.draw)
+    truth, options = load_ground_truth(video.truth, body), replace(options, seed=case.draw)
     if not known:
         refined = refine(video, body, options, progress)
     else:

@@ -28,11 +28,11 @@ import numpy as np
 import torch
 
 from gva_mi.body.pose import save_poses
-from gva_mi.console import Progress
+from gva_mi.core.console import Progress
+from gva_mi.core.errors import expecting
+from gva_mi.core.files import atomic_files, read_json, write_json
 from gva_mi.data.pictures import in_8_bits, write_image
 from gva_mi.data.video import REFINED_POSES, spread
-from gva_mi.errors import expecting
-from gva_mi.files import read_json, replacing_together, write_json
 from gva_mi.mesh.overlay import overlay, strip
 from gva_mi.pose.job import RefineOptions
 from gva_mi.pose.refine import Refined, refine_all
@@ -64,7 +64,7 @@ def write_record(evaluation: Evaluation, versions: dict[str, str]) -> None:
     pose, shape, offsets = refined.pose, refined.shape, refined.offsets
     focal = video.focal * refined.focal
     others = (REFINEMENT, OVERLAYS, PAGE)
-    with replacing_together(folder / REFINED_POSES, *others) as unfinished:
+    with atomic_files(folder / REFINED_POSES, *others) as unfinished:
         save_poses(unfinished / REFINED_POSES, pose, shape, stage=2, offsets=offsets, focal=focal)
         write_json(unfinished / REFINEMENT, record)
         write_image(unfinished / OVERLAYS, _overlays(evaluation))

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from gva_mi.body.smplx import BodyModel
-from gva_mi.console import listed
+from gva_mi.core.console import listed
 from gva_mi.data.video import Video, spread
 from gva_mi.mesh.overlay import overlay, shaded, strip
 from gva_mi.pose.refine import Refined

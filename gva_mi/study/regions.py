@@ -23,10 +23,10 @@ import torch
 
 from gva_mi.body.pose import EYES, JAW_AND_EYES, JOINTS, LEFT_HAND, RIGHT_HAND, Pose, Shape
 from gva_mi.body.smplx import BodyModel
-from gva_mi.data.truth import POSES, load_truth
+from gva_mi.data.crop import Box
+from gva_mi.data.ground_truth import POSES, load_ground_truth
 from gva_mi.data.video import Video
 from gva_mi.mesh.visibility import seen_vertices
-from gva_mi.pose.crop import Box
 from gva_mi.splat import Camera
 
 MARGIN = 0.03  # of the longer side of the mask's box
@@ -116,7 +116,7 @@ class Details:
     def of(video: Video, body: BodyModel) -> Details:
         """Use the ground truth of a synthetic video, else the poses the video was opened with."""
         if video.truth is not None and (video.truth / POSES).is_file():
-            truth = load_truth(video.truth, body)
+            truth = load_ground_truth(video.truth, body)
             return Details(truth.body, truth.pose, truth.shape, truth.cameras)
         return Details(body, video.pose, video.shape, video.cameras)
 

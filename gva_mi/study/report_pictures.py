@@ -9,12 +9,12 @@ import numpy as np
 import torch
 
 from gva_mi.avatar.avatar import Avatar
+from gva_mi.data.crop import Box
 from gva_mi.data.video import Frame, Video
 from gva_mi.fit.camera_paths import circle
 from gva_mi.fit.renders import cut_out, render_frame, to_8bit
-from gva_mi.pose.crop import Box
 from gva_mi.splat import Camera, Gaussians, look_at, render
-from gva_mi.splat.covariances import with_axes
+from gva_mi.splat.geometry import with_axes
 from gva_mi.study.page import around
 from gva_mi.study.regions import FINGERS, close_ups, face_box, hand_box
 from gva_mi.study.similarity import posed_joints

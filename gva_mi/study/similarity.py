@@ -39,7 +39,7 @@ from gva_mi.avatar.avatar import Rig
 from gva_mi.body.kinematics import joint_transforms
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
-from gva_mi.data.truth import POSES, load_truth
+from gva_mi.data.ground_truth import POSES, load_ground_truth
 from gva_mi.data.video import Video
 from gva_mi.splat import Camera
 
@@ -119,7 +119,7 @@ def similarity_to_truth(rig: Rig, video: Video, body: BodyModel) -> Similarity |
     """
     if video.truth is None or not (video.truth / POSES).is_file():
         return None
-    truth, frames = load_truth(video.truth, body), video.splits.train
+    truth, frames = load_ground_truth(video.truth, body), video.splits.train
     found = posed_joints(rig, video.pose[frames])
     true = truth.body(truth.pose[frames], truth.shape).joints
     x, y = (joints[:, :BODY_JOINTS].double().numpy() for joints in (found, true))

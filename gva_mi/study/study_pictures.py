@@ -12,10 +12,10 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from gva_mi.data.crop import Box
 from gva_mi.data.video import Frame, spread
 from gva_mi.fit import run_folder
 from gva_mi.fit.renders import cut_out, render_frame
-from gva_mi.pose.crop import Box
 from gva_mi.splat import Gaussians
 from gva_mi.study.avatar_study import VariantRun
 from gva_mi.study.cases import StudyCase

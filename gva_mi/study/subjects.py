@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gva_mi.body.smplx import BodyModel
-from gva_mi.console import Progress
+from gva_mi.core.console import Progress
 from gva_mi.data.fingerprint import require_same_body
-from gva_mi.data.synthetic import degrade, make_subject
 from gva_mi.study.cases import StudyCase, Take
+from gva_mi.synthetic import degrade, make_subject
 
 
 @dataclass(frozen=True)

@@ -21,12 +21,12 @@ from gva_mi.avatar.avatar import Rig
 from gva_mi.avatar.canonical import spread_over_faces
 from gva_mi.body.pose import Shape
 from gva_mi.body.smplx import BodyModel
-from gva_mi.data.synthetic import drawn_again
-from gva_mi.data.synthetic.recorded import made_of
-from gva_mi.data.synthetic.subject import Subject
-from gva_mi.data.synthetic.texture import Fabric, Material
 from gva_mi.mesh.surface import vertex_normals
 from gva_mi.mesh.visibility import seen_vertices
+from gva_mi.synthetic import remake_subject
+from gva_mi.synthetic.provenance import recorded_options
+from gva_mi.synthetic.subject import Subject
+from gva_mi.synthetic.texture import Fabric, Material
 
 POINTS = 40_000  # spread over the surface by area: some 7 mm apart
 DISTANCE = 4.0  # metres from the person's centre to the cameras around
@@ -59,9 +59,9 @@ class TrueSurface:
         Raises:
             InputError: the folder was not made by ``gva-mi synth``, or on another body.
         """
-        if made_of(subject)[1].figure == "anny":  # has vertices of its own
+        if recorded_options(subject)[1].figure == "anny":  # has vertices of its own
             return None
-        again = drawn_again(subject, body)
+        again = remake_subject(subject, body)
         if again is None:
             return None
         person, drawn_on = again

@@ -29,7 +29,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from gva_mi.errors import InputError
+from gva_mi.core.errors import InputError
 from gva_mi.fit.losses import LossOptions
 from gva_mi.fit.options import FitOptions
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gva_mi.errors import InputError
+from gva_mi.core.errors import InputError
 from gva_mi.viewer.cameras import Start, ViewerCamera
 
 if TYPE_CHECKING:

@@ -14,12 +14,12 @@ from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 
-from gva_mi.console import say
+from gva_mi.core.console import say
+from gva_mi.core.errors import InputError
+from gva_mi.core.files import atomic_write
+from gva_mi.core.lock import folder_lock
 from gva_mi.data.video import save_cameras
-from gva_mi.errors import InputError
-from gva_mi.files import replacing
 from gva_mi.fit.renders import see_through
-from gva_mi.lock import alone_in
 from gva_mi.splat import Camera
 from gva_mi.viewer.cameras import ViewerCamera, coarser, fitted
 from gva_mi.viewer.drawing import Drawing
@@ -174,7 +174,7 @@ class Session:
         name = "snapshot_{}.png" if action == "snapshot" else "cameras_{}.npz"
         path = out = self._setup.out
         try:
-            with alone_in(out, "gva-mi view"):  # another viewer may want the same name
+            with folder_lock(out, "gva-mi view"):  # another viewer may want the same name
                 path = free_name(out, name)
                 if action == "snapshot":
                     self._write_snapshot(path, state, view)
@@ -195,7 +195,7 @@ class Session:
             image = see_through(self._drawing.layer(alone, self._camera(alone, view)))
         else:
             image = self.picture(state, view)
-        with replacing(path) as unfinished:
+        with atomic_write(path) as unfinished:
             Image.fromarray(image).save(unfinished, "PNG")
 
 

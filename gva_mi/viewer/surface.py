@@ -12,9 +12,9 @@ from torch import Tensor
 from gva_mi.avatar.avatar import Avatar, Rig, moved_by
 from gva_mi.body.pose import Pose
 from gva_mi.body.skinning import skin_points
+from gva_mi.mesh.coarse_body import collapse
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.mesh.overlay import CLAY
-from gva_mi.pose.coarse_body import collapse
 from gva_mi.splat import Camera, exclusive
 
 COARSE_FACES = 5000  # while something moves

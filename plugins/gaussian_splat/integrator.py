@@ -44,9 +44,9 @@ from gva_mi_plugins.gaussian_splat.ellipsoids import gaussians_of, seen_along
 from gva_mi_plugins.gaussian_splat.other_shapes import OtherShapes
 from gva_mi_plugins.gaussian_splat.sensor import SensorCamera
 
+from gva_mi.jit.exclusive import exclusive
 from gva_mi.splat import Image, SplatOptions
-from gva_mi.splat.drjit_op import render
-from gva_mi.splat.kernels.exclusive import exclusive
+from gva_mi.splat.drjit_render import render
 
 
 class GaussianSplat(mi.ad.integrators.common.ADIntegrator):

@@ -11,11 +11,11 @@ from gva_mi.avatar import skin
 from gva_mi.avatar.skin import CLOSE, Skin, diffused
 from gva_mi.body import JOINTS, Pose, Shape, joint_transforms, load_body
 from gva_mi.body.skinning import skin_points
-from gva_mi.data.synthetic.clothes.dressing import dress
-from gva_mi.data.synthetic.motion.actions import ACTIONS, POSES
-from gva_mi.data.synthetic.people import STUDY
-from gva_mi.data.synthetic.rest_body import RestBody
-from gva_mi.data.synthetic.texture import Material
+from gva_mi.synthetic.clothes.dressing import dress
+from gva_mi.synthetic.motion.actions import ACTIONS, POSES
+from gva_mi.synthetic.people import STUDY
+from gva_mi.synthetic.rest_body import RestBody
+from gva_mi.synthetic.texture import Material
 
 LEFT, RIGHT = JOINTS.index("left_hip"), JOINTS.index("right_hip")
 

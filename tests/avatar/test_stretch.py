@@ -7,7 +7,7 @@ import torch
 import gva_mi  # noqa: F401  (chooses libLLVM before Dr.Jit is imported)
 from gva_mi.avatar.maps import PIECE, FollowedJoints
 from gva_mi.avatar.stretch import LARGEST, carry_stretched
-from gva_mi.splat.covariances import matrices
+from gva_mi.splat.geometry import matrices
 from gva_mi.splat.reference import rotation
 
 F64 = torch.float64

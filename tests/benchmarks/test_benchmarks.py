@@ -71,7 +71,7 @@ def test_the_verb_runs_the_benchmarks_of_a_checkout(cli, monkeypatch, tmp_path, 
     assert titles[0].startswith("renderer, 8 Gaussians")
     code, _, err = cli("bench", "body", "--no-growth")
     assert code == 2 and "options of bench splat" in err
-    monkeypatch.setattr("gva_mi.commands.bench.CHECKOUT", tmp_path)
+    monkeypatch.setattr("gva_mi.cli.bench.CHECKOUT", tmp_path)
     code, _, err = cli("bench", "fit")
     assert code == 2 and "in the repository" in err and "python -m benchmarks fit" in err
 

@@ -10,7 +10,7 @@ import torch
 
 from gva_mi.body import JOINTS, Shape, load_body
 from gva_mi.body.anny import FILE, _between, _regressor, anny_body
-from gva_mi.errors import InputError
+from gva_mi.core.errors import InputError
 
 
 def test_a_missing_package_is_explained(tmp_path, monkeypatch):

@@ -12,10 +12,10 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from gva_mi.body import JOINTS, Pose, Shape, load_body
-from gva_mi.body.puppet import EXPRESSIONS, PUPPET
-from gva_mi.sculptor.anatomy import EYE_RADIUS, joint_positions
-from gva_mi.sculptor.generate import generate
-from gva_mi.sculptor.rig import MIRRORED
+from gva_mi.body.built_in import EXPRESSIONS, BUILT_IN_BODY
+from gva_mi.synthetic.body_generator.anatomy import EYE_RADIUS, joint_positions
+from gva_mi.synthetic.body_generator.generate import generate
+from gva_mi.synthetic.body_generator.rig import MIRRORED
 
 F64 = torch.float64
 
@@ -75,7 +75,7 @@ def test_weights_have_at_most_four_joints_and_sum_to_one(body):
 
 
 def test_the_regressor_finds_the_joints():
-    with np.load(PUPPET) as file:
+    with np.load(BUILT_IN_BODY) as file:
         regressor, template = file["J_regressor"], file["v_template"]
     np.testing.assert_allclose(regressor.sum(1), 1, atol=1e-9)
     np.testing.assert_allclose(regressor @ template, joint_positions(), atol=1e-6)
@@ -139,7 +139,7 @@ def test_a_blink_closes_the_lids_and_leaves_the_eyeball(body):
 @pytest.mark.slow
 def test_the_generator_makes_the_file():
     made = generate()
-    with np.load(PUPPET) as file:
+    with np.load(BUILT_IN_BODY) as file:
         assert set(file.files) == set(made)
         for key in file.files:
             np.testing.assert_array_equal(file[key], made[key], err_msg=key)

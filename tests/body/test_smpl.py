@@ -8,7 +8,7 @@ import torch
 
 from gva_mi.body import Pose, Shape, load_body
 from gva_mi.body.smpl import SMPL, SMPLH, keep_pelvis, pose_from_smpl, pose_from_smplh
-from gva_mi.errors import InputError
+from gva_mi.core.errors import InputError
 
 F64 = torch.float64
 PARENTS_OF_SMPL = (-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21)

@@ -10,9 +10,9 @@ import roma
 import torch
 
 from gva_mi.body import JOINTS, Pose, Shape, load_body
-from gva_mi.body.puppet import PUPPET
+from gva_mi.body.built_in import BUILT_IN_BODY
 from gva_mi.body.smpl import SMPLX
-from gva_mi.errors import InputError
+from gva_mi.core.errors import InputError
 
 F64 = torch.float64
 
@@ -118,7 +118,7 @@ def test_a_missing_file_is_explained(tmp_path):
 def test_a_pickled_body_is_the_same_body(tmp_path):
     """Like SMPL's files: sparse regressor, unsigned integers, protocol of Python 2."""
     sparse = pytest.importorskip("scipy.sparse")
-    with np.load(PUPPET) as file:
+    with np.load(BUILT_IN_BODY) as file:
         arrays = dict(file)
     path = tmp_path / "SMPLX_NEUTRAL.pkl"
     arrays["J_regressor"] = sparse.csc_matrix(arrays["J_regressor"])

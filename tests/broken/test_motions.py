@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 import torch
 
+from gva_mi.core.errors import InputError
 from gva_mi.data.importers.motions import MotionOptions, read_motion
 from gva_mi.data.importers.target import TargetBody
-from gva_mi.errors import InputError
 
 spec = importlib.util.spec_from_file_location("motions", Path(__file__).with_name("motions.py"))
 motions = importlib.util.module_from_spec(spec)

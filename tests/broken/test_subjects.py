@@ -38,13 +38,13 @@ NOT_IN_THE_MASKS = {
 @pytest.fixture
 def no_work(monkeypatch):
     """``fit`` does all but its work."""
-    monkeypatch.setattr("gva_mi.commands.fit.fit_video", lambda *_, **__: None)
+    monkeypatch.setattr("gva_mi.cli.fit.fit_video", lambda *_, **__: None)
 
 
 @pytest.mark.parametrize("name", SUBJECTS)
 def test_fit_takes_it_or_says_why(name, copied, no_work, refused_or_taken, tmp_path, monkeypatch):
     doubts = []
-    monkeypatch.setattr("gva_mi.commands.arguments.say", doubts.append)
+    monkeypatch.setattr("gva_mi.cli.arguments.say", doubts.append)
     SUBJECTS[name](copied)
     refused = refused_or_taken("fit", copied, "--out", tmp_path / "out")
     if name == "offsets are of another body":

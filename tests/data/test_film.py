@@ -6,9 +6,9 @@ import av
 import numpy as np
 import pytest
 
+from gva_mi.core.errors import InputError
 from gva_mi.data.film import Film
 from gva_mi.data.pictures import write_movie, write_see_through
-from gva_mi.errors import InputError
 
 COUNT, SIZE = 40, (24, 32)
 SOME = 1 << 15  # bytes: of some pictures, not of all

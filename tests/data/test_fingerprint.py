@@ -7,14 +7,14 @@ import pytest
 import torch
 
 from gva_mi import InputError
-from gva_mi.body.puppet import PUPPET
+from gva_mi.body.built_in import BUILT_IN_BODY
 from gva_mi.body.smplx import BodyModel, load_body
 from gva_mi.data.fingerprint import distance, fingerprint, require_same_body
 
 
 @pytest.fixture(scope="module")
 def arrays():
-    with np.load(PUPPET) as file:
+    with np.load(BUILT_IN_BODY) as file:
         return {key: file[key] for key in file.files}
 
 

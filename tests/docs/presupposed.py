@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from gva_mi.body.built_in import BUILT_IN_BODY
 from gva_mi.body.pose import JOINTS, save_poses
-from gva_mi.body.puppet import PUPPET
 from gva_mi.data.pictures import write_image, write_movie
 from gva_mi.data.video import save_cameras
 from gva_mi.splat import Camera, look_at
@@ -139,8 +139,8 @@ def networks(folder):
 
 def bodies(folder):
     """Write the built-in body under licensed names: as SMPL-X, and reduced to SMPL's joints."""
-    shutil.copy(PUPPET, folder / "SMPLX_NEUTRAL.npz")
-    with np.load(PUPPET) as file:
+    shutil.copy(BUILT_IN_BODY, folder / "SMPLX_NEUTRAL.npz")
+    with np.load(BUILT_IN_BODY) as file:
         arrays = {name: file[name] for name in file.files}
     fingers = [[j for j, name in enumerate(JOINTS) if name.startswith(side) and j > 24]
                for side in ("left", "right")]  # fmt: skip

@@ -101,7 +101,7 @@ def test_the_commands_of_a_page_run(page, reader, gva, monkeypatch):
     def stopped(server):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("gva_mi.commands.view.pages", stopped)  # ends at once
+    monkeypatch.setattr("gva_mi.cli.view.pages", stopped)  # ends at once
     folder = reader(page)
     run_commands(page, folder, gva)
     if page in AFTER:

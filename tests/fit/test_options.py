@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from gva_mi.errors import InputError
+from gva_mi.core.errors import InputError
 from gva_mi.fit.options import FitOptions, Schedule
 
 
@@ -29,9 +29,9 @@ def test_no_round_of_density_control_follows_where_a_reinitialisation_does():
 
 
 def test_weights_are_looked_up_every_so_many_steps():
-    found = [k for k in range(1, 301) if Schedule(look_up_every=100).looks_up(k)]
+    found = [k for k in range(1, 301) if Schedule(look_up_every=100).rebinds_weights(k)]
     assert found == [100, 200, 300]
-    assert not any(Schedule(look_up_every=0).looks_up(k) for k in range(1, 301))
+    assert not any(Schedule(look_up_every=0).rebinds_weights(k) for k in range(1, 301))
     with pytest.raises(InputError, match="look_up_every"):
         Schedule(look_up_every=-1)
 

@@ -2,7 +2,7 @@ import pytest
 import torch
 from scipy.ndimage import gaussian_filter
 
-from gva_mi.errors import InputError
+from gva_mi.core.errors import InputError
 from gva_mi.fit import perceptual
 from gva_mi.fit.perceptual import (
     Weights,

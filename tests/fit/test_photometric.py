@@ -8,9 +8,9 @@ import pytest
 import torch
 
 from gva_mi.body.pose import JOINTS, Pose, save_poses
+from gva_mi.core.errors import InputError
 from gva_mi.data.pictures import write_image
 from gva_mi.data.video import load_video, save_cameras
-from gva_mi.errors import InputError
 from gva_mi.fit.perceptual import Weights
 from gva_mi.fit.photometric import PhotometricOptions, fit_poses
 from gva_mi.fit.renders import DRAWN, to_8bit

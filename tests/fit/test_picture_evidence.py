@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from gva_mi.body.pose import JOINTS, Pose
+from gva_mi.data.crop import NoEvidence
 from gva_mi.fit.picture_evidence import PictureAndMask, PictureWeights
-from gva_mi.pose.crop import NoEvidence
 from gva_mi.splat import render
 
 BOTH = PictureWeights(alpha=0.5, ssim=0.1)

@@ -7,7 +7,7 @@ import roma
 import torch
 
 from gva_mi.body.pose import JOINTS, Pose
-from gva_mi.errors import InputError
+from gva_mi.core.errors import InputError
 from gva_mi.fit.poses import PoseOptions, TrainedPoses
 from gva_mi.pose.stage1 import turns_between
 

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from gva_mi.body.pose import save_poses
-from gva_mi.errors import InputError
+from gva_mi.core.errors import InputError
 from gva_mi.fit import run_folder
 
 

@@ -9,9 +9,9 @@ import pytest
 import torch
 
 from gva_mi.data.backdrop import behind, unsure
+from gva_mi.data.crop import Box
 from gva_mi.fit.losses import LossOptions, render_losses
 from gva_mi.fit.samples import Samples, Stream, drawn, random_state, torch_state
-from gva_mi.pose.crop import Box
 from gva_mi.splat import Gaussians, Image, render
 
 TRAIN = [0, 1, 2, 4, 5]

@@ -8,7 +8,7 @@ from gva_mi.avatar.avatar import Avatar, AvatarOptions, seed_avatar
 from gva_mi.avatar.canonical import SeedOptions
 from gva_mi.avatar.residual import ResidualOptions
 from gva_mi.body.pose import Pose, load_poses
-from gva_mi.errors import InputError
+from gva_mi.core.errors import InputError
 from gva_mi.fit import run_folder
 from gva_mi.fit.colors import seen_colors
 from gva_mi.fit.options import FitOptions, Schedule

@@ -14,12 +14,14 @@ import torch
 
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.formats.without_body import save_without_body
+from gva_mi.body.built_in import BUILT_IN_BODY
 from gva_mi.body.pose import is_pose_file, load_offsets
-from gva_mi.body.puppet import PUPPET
 from gva_mi.body.smplx import load_body
-from gva_mi.check import check_subject
-from gva_mi.commands import series
+from gva_mi.cli import series
+from gva_mi.core.files import says, write_json
+from gva_mi.data.check import check_subject
 from gva_mi.data.fingerprint import fingerprint, require_same_body
+from gva_mi.data.ground_truth import load_ground_truth
 from gva_mi.data.importers.capture import read_ranges
 from gva_mi.data.importers.footage import masks, pictures
 from gva_mi.data.importers.hdf5 import read_hdf5
@@ -28,12 +30,8 @@ from gva_mi.data.importers.motions import MotionOptions, read_motion
 from gva_mi.data.importers.normal_maps import write_maps
 from gva_mi.data.importers.target import TargetBody
 from gva_mi.data.pictures import read_background, write_image, write_movie
-from gva_mi.data.synthetic import SynthOptions, describe_noise
-from gva_mi.data.synthetic.recorded import made_of
-from gva_mi.data.truth import load_truth
 from gva_mi.data.video import load_video
 from gva_mi.data.views import held_out_views, save_views
-from gva_mi.files import says, write_json
 from gva_mi.fit import run_folder
 from gva_mi.splat import Camera
 from gva_mi.splat.formats.ply import load_ply, save_ply
@@ -46,6 +44,8 @@ from gva_mi.study.engine import Outcome, StudyFile
 from gva_mi.study.metrics import load_metrics
 from gva_mi.study.refinement import load_refinement
 from gva_mi.study.tables import refine_cells
+from gva_mi.synthetic import SynthOptions, describe_errors
+from gva_mi.synthetic.provenance import recorded_options
 
 W, H, T = 32, 24, 3
 MADE_WITH = {"sources": "0"}
@@ -285,9 +285,9 @@ def seeds(subject, avatar):
         "true masks": (with_true_masks, cut_by_truth),
         "check": (copied, checked),
         "synth.json": (synthetic, lambda folder, path=None: each(folder, path, {
-            "synth.json": lambda path: made_of(folder),
-            "noise.json": lambda path: describe_noise(folder),
-            "truth/poses.npz": lambda path: load_truth(path.parent, body),
+            "synth.json": lambda path: recorded_options(folder),
+            "noise.json": lambda path: describe_errors(folder),
+            "truth/poses.npz": lambda path: load_ground_truth(path.parent, body),
             "prepare.json": lambda path: require_same_body(folder, body)})),
         "run": (run, read_run),
         "study": (study, read_study),
@@ -310,7 +310,7 @@ def each(folder, path, readers):
 
 def body_of_few_vertices():
     """SMPL-X's arrays of the puppet's first triangles."""
-    with np.load(PUPPET) as file:
+    with np.load(BUILT_IN_BODY) as file:
         arrays = {key: file[key] for key in file.files}
     n, corner = 60, np.arange(6)[:, None] * 10 + np.arange(9)  # of a grid of 6 x 10
     for key in ("v_template", "shapedirs", "posedirs", "weights"):

@@ -22,17 +22,17 @@ OPEN = {  # names under which files are opened for reading
 }  # fmt: skip
 OPEN_OF = {("np", "load"), ("torch", "load"), ("jit", "load")}
 NOT_A_USERS = {  # functions that read what is no user's file, or not as data; and why
-    "gva_mi/lock.py": "the lock's own file, whose words a test of its own bends",
+    "gva_mi/core/lock.py": "the lock's own file, whose words a test of its own bends",
     "gva_mi/__main__.py": "/dev/null",
-    "gva_mi/provenance.py": "this program, and bytes that are hashed",
+    "gva_mi/core/provenance.py": "this program, and bytes that are hashed",
     "gva_mi/study/scores.py": "bytes that are hashed",
     "gva_mi/data/importers/by_networks.py": "pictures that prepare has just written",
-    "gva_mi/data/synthetic/estimates.py _true_pictures": "pictures that synth has just written",
-    "gva_mi/processor.py": "this machine's own words about itself",
+    "gva_mi/synthetic/estimates.py _true_pictures": "pictures that synth has just written",
+    "gva_mi/core/cpu.py": "this machine's own words about itself",
     "gva_mi/data/networks/normals.py _torch_script": "a program, trusted as one: networks.py",
     "gva_mi/data/pictures.py write_movie": "is written",
     "gva_mi/data/pictures.py write_see_through": "is written",
-    "gva_mi/commands/render.py render": "pictures that render has written before it was cut short",
+    "gva_mi/cli/render.py render": "pictures that render has written before it was cut short",
     "gva_mi/avatar/formats/glb.py": "is written",
 }
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from gva_mi.errors import InputError
+from gva_mi.core.errors import InputError
 
 READERS = (
     "subject", "views", "true masks", "film", "check", "synth.json", "run", "study", "gaussians",

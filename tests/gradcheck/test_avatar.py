@@ -15,7 +15,7 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.gradcheck import chain
 from gva_mi.gradcheck.avatar import CHAIN, check_avatar
 from gva_mi.gradcheck.chain import PosedAvatar
-from gva_mi.splat.kernels.frozen import Frozen
+from gva_mi.jit.frozen import Frozen
 
 SMALL = {"gaussians": 150, "size": 24}
 GAUSSIANS = {"means", "quats", "log_scales", "logit_opacities", "sh"}

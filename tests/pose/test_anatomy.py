@@ -6,9 +6,9 @@ import roma
 import torch
 
 from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND
-from gva_mi.data.synthetic.motion import perform
-from gva_mi.pose.anatomy import Anatomy
+from gva_mi.pose.prior.anatomy import Anatomy
 from gva_mi.pose.stage1 import turns_between
+from gva_mi.synthetic.motion import perform
 
 N = 24
 TIMES = torch.arange(N)

@@ -8,8 +8,8 @@ import torch
 
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.data.video import Outline
-from gva_mi.pose.close_ups import FinePicture, close_up_scale, close_ups, parts_of
-from gva_mi.pose.evidence import MaskAndNormals, mean_loss
+from gva_mi.pose.evidence.close_ups import FinePicture, close_up_scale, close_ups, parts_of
+from gva_mi.pose.evidence.masks_normals import MaskAndNormals, mean_loss
 from gva_mi.pose.refine import refine
 from gva_mi.pose.sequence import SequenceOptions
 

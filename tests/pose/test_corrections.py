@@ -7,9 +7,9 @@ import torch
 
 from gva_mi.body.kinematics import turn_joints
 from gva_mi.body.pose import JAW_AND_EYES, JOINTS, PARENTS, Pose
-from gva_mi.pose.anatomy import Anatomy
 from gva_mi.pose.corrections import Corrections, constant_shifts
-from gva_mi.pose.noise import GROUPS
+from gva_mi.pose.prior.anatomy import Anatomy
+from gva_mi.pose.prior.error_model import GROUPS
 from gva_mi.pose.stage1 import Stage1
 
 ELBOW = JOINTS.index("left_elbow")
@@ -25,7 +25,7 @@ def make(camera, body):
 
     def corrections(pose, frames=None):
         frames = range(len(pose)) if frames is None else frames
-        return Corrections.likeliest(Stage1.of(pose, frames, camera), anatomy)
+        return Corrections.map_estimate(Stage1.of(pose, frames, camera), anatomy)
 
     return corrections
 
@@ -37,7 +37,7 @@ def with_turns(camera, body):
 
     def corrections(pose, turns):
         stage1 = Stage1.of(pose, range(len(pose)), camera)
-        prior = Corrections.likeliest(stage1, anatomy).prior
+        prior = Corrections.map_estimate(stage1, anatomy).prior
         return Corrections(stage1, anatomy, prior, turns, torch.zeros(len(pose), 3))
 
     return corrections
@@ -174,7 +174,7 @@ def test_the_error_model_is_inferred_from_corrections(make):
     corrections = make(at_rest(frames))
     with torch.no_grad():
         corrections.start[0][:, list(GROUPS["elbows"])] = -errors
-    updated = corrections.told_by(*corrections.found())
+    updated = corrections.with_updated_prior(*corrections.found())
     noise = updated.prior.noise
     assert noise["elbows"].slow == pytest.approx(0.2, rel=0.4)
     assert 3 <= noise["elbows"].memory <= 12

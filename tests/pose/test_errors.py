@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 
+from gva_mi.body.built_in import BUILT_IN_BODY
 from gva_mi.body.pose import JOINTS, LEFT_HAND, Pose, Shape
-from gva_mi.body.puppet import PUPPET
 from gva_mi.body.smplx import load_body
-from gva_mi.data.truth import Truth
+from gva_mi.data.ground_truth import Truth
 from gva_mi.pose.errors import means, pose_errors
 
 SHAPE = Shape(torch.zeros(10))
@@ -24,7 +24,7 @@ def truth(body, true_pose, camera):
 def giant(body, tmp_path_factory):
     """A foreign body: the same one, a tenth larger, on other triangles."""
     file = tmp_path_factory.mktemp("giant") / "body.npz"
-    with np.load(PUPPET) as arrays:
+    with np.load(BUILT_IN_BODY) as arrays:
         np.savez(file, **{**arrays, "v_template": 1.1 * arrays["v_template"]})
     return load_body(file)
 

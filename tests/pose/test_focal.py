@@ -9,7 +9,7 @@ import torch
 
 from gva_mi.body.pose import Shape
 from gva_mi.data.video import Frame
-from gva_mi.pose.evidence import MaskAndNormals, mean_loss, seen_body
+from gva_mi.pose.evidence.masks_normals import MaskAndNormals, mean_loss, seen_body
 from gva_mi.pose.focal import brought_back, follow, stretched
 from gva_mi.pose.refine import refine
 from gva_mi.pose.sequence import SequenceOptions

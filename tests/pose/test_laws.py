@@ -9,14 +9,14 @@ import torch
 
 from gva_mi.body.kinematics import turn_joints
 from gva_mi.body.pose import JOINTS, PARENTS, Pose, Shape
-from gva_mi.data.synthetic.motion import perform, times
-from gva_mi.data.synthetic.noise.camera_bias import Lean, tilted
 from gva_mi.pose import SequenceOptions
-from gva_mi.pose.anatomy import Anatomy
-from gva_mi.pose.descent import descend
-from gva_mi.pose.ground import Soles
-from gva_mi.pose.vector_adam import lever_arms
+from gva_mi.pose.optimize import descend
+from gva_mi.pose.optimizer import lever_arms
+from gva_mi.pose.prior.anatomy import Anatomy
+from gva_mi.pose.prior.ground import Soles
 from gva_mi.splat import Camera, look_at
+from gva_mi.synthetic.error_models.camera_bias import CameraTilt, tilted
+from gva_mi.synthetic.motion import perform, times
 
 N = 48
 BODY = slice(1, 22)  # joints with errors
@@ -45,7 +45,7 @@ class Sight:
     def energy(self):
         return 0.0
 
-    def come_closer(self):
+    def enable_details(self):
         pass
 
 
@@ -160,7 +160,7 @@ def test_high_and_low_steps_survive(person, degrees, errors):
 
 
 def test_a_camera_locked_tilt_of_the_legs_is_removed(person):
-    tilt = tilted(TURNING.rotations.double().numpy(), CAMERA, Lean(legs=np.radians(4)))
+    tilt = tilted(TURNING.rotations.double().numpy(), CAMERA, CameraTilt(legs=np.radians(4)))
     stage1 = with_white_errors(replace(TURNING, rotations=torch.from_numpy(tilt).float()), 0.05)
 
     def tilts(pose):

@@ -11,8 +11,8 @@ import pytest
 import torch
 
 from gva_mi import InputError
+from gva_mi.core.tasks import cluster, run, workers
 from gva_mi.pose import SequenceOptions, SingleFrameOptions, refine
-from gva_mi.pose.parallel import cluster, run, workers
 from gva_mi.pose.refine import refine_all
 
 # Three frames in two clips of two, skimmed first.
@@ -185,6 +185,6 @@ def test_a_missing_package_and_a_missing_scheduler_are_explained(monkeypatch):
         with pytest.raises(InputError, match=r"pip install 'gva_mi\[cluster\]'"):
             cluster("tcp://127.0.0.1:1").__enter__()
     pytest.importorskip("distributed")
-    monkeypatch.setattr("gva_mi.pose.parallel.CONNECT", 0.2)
+    monkeypatch.setattr("gva_mi.core.tasks.CONNECT", 0.2)
     with pytest.raises(InputError, match="no scheduler answers at tcp://127.0.0.1:1"):
         cluster("tcp://127.0.0.1:1").__enter__()

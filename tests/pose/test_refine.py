@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from gva_mi.body.pose import JAW_AND_EYES
-from gva_mi.data.truth import Truth
+from gva_mi.data.ground_truth import Truth
 from gva_mi.pose import SequenceOptions, SingleFrameOptions, refine
 from gva_mi.study.measure import measure
 

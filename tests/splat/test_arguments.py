@@ -7,11 +7,11 @@ import pytest
 import torch
 from drjit.llvm import TensorXf64
 
-from gva_mi.splat import drjit_op as native
+from gva_mi.splat import drjit_render as native
 from gva_mi.splat.camera import Camera
 from gva_mi.splat.gaussians import Gaussians
 from gva_mi.splat.scene import random_scene
-from gva_mi.splat.torch_op import render
+from gva_mi.splat.torch_render import render
 
 
 def scene(**kwargs):

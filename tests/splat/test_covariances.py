@@ -7,8 +7,9 @@ from dataclasses import replace  # isort: skip
 import pytest
 import torch
 
-from gva_mi.splat import Gaussians, Screen, drjit_op, rasterization, reference, render
-from gva_mi.splat.covariances import largest_scales, matrices, with_axes
+from gva_mi.splat import Gaussians, Screen, rasterization, reference, render
+from gva_mi.splat import drjit_render as drjit_op
+from gva_mi.splat.geometry import largest_scales, matrices, with_axes
 from gva_mi.splat.options import SplatOptions
 from gva_mi.splat.scene import random_scene
 

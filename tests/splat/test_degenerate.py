@@ -9,7 +9,7 @@ import torch
 from gva_mi.gradcheck import random_scene, tangent_image
 from gva_mi.splat import reference
 from gva_mi.splat.camera import Camera
-from gva_mi.splat.torch_op import render
+from gva_mi.splat.torch_render import render
 
 
 def scene(**kwargs):

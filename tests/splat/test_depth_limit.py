@@ -12,7 +12,7 @@ import torch
 from drjit.llvm.ad import TensorXf, TensorXf64
 
 from gva_mi.splat import Camera, Gaussians, look_at, reference
-from gva_mi.splat.drjit_op import render
+from gva_mi.splat.drjit_render import render
 from gva_mi.splat.scene import random_scene
 
 WIDTH, HEIGHT = 37, 30

@@ -9,8 +9,8 @@ import pytest
 import torch
 from drjit.llvm import TensorXf, ad
 
-from gva_mi.splat import torch_op
-from gva_mi.splat.drjit_op import render
+from gva_mi.splat import torch_render as torch_op
+from gva_mi.splat.drjit_render import render
 from gva_mi.splat.gaussians import Gaussians
 from gva_mi.splat.scene import random_scene
 
@@ -60,7 +60,7 @@ def test_kinds_must_agree():
 FREEZE = """
 import numpy as np
 from gva_mi.splat import Camera, Gaussians
-from gva_mi.splat.drjit_op import render
+from gva_mi.splat.drjit_render import render
 import drjit as dr
 from drjit.llvm import TensorXf
 ones = lambda *shape: TensorXf(np.ones(shape, np.float32))

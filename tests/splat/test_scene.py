@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.errors import InputError
+from gva_mi.core.errors import InputError
 from gva_mi.splat.formats.ply import save_ply
 from gva_mi.splat.formats.splat import save_splat
 from gva_mi.splat.gaussians import Gaussians
 from gva_mi.splat.scene import Scene, person_scene, random_scene
-from gva_mi.splat.torch_op import render
+from gva_mi.splat.torch_render import render
 
 
 def draw(scene):

@@ -11,7 +11,9 @@ def test_all_names_exist():
 
 
 def test_torch_is_not_imported():
-    code = "import gva_mi.splat.drjit_op, sys; assert not {'torch', 'mitsuba'} & set(sys.modules)"
+    code = (
+        "import gva_mi.splat.drjit_render, sys; assert not {'torch', 'mitsuba'} & set(sys.modules)"
+    )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
 
 
@@ -19,9 +21,9 @@ def test_render_and_rasterization_are_functions_where_users_look_for_them():
     """Also after their modules were imported: a module does not hide the function."""
     code = (
         "from gva_mi.splat import rasterization, render, Screen\n"
-        "import gva_mi.splat.gsplat, gva_mi.splat.torch_op, gva_mi.splat.drjit_op\n"
+        "import gva_mi.splat.gsplat, gva_mi.splat.torch_render, gva_mi.splat.drjit_render\n"
         "import gva_mi.splat as splat\n"
         "assert callable(rasterization) and splat.rasterization is rasterization\n"
-        "assert callable(render) and splat.render is gva_mi.splat.torch_op.render is render\n"
+        "assert callable(render) and splat.render is gva_mi.splat.torch_render.render is render\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=120)

@@ -13,10 +13,10 @@ from gva_mi.gradcheck import random_scene, tangent_image
 from gva_mi.gradcheck.probes import IMAGES
 from gva_mi.splat import reference
 from gva_mi.splat.camera import Camera
-from gva_mi.splat.drjit_op import render as native
+from gva_mi.splat.drjit_render import render as native
 from gva_mi.splat.gaussians import Gaussians
 from gva_mi.splat.options import SplatOptions
-from gva_mi.splat.torch_op import render
+from gva_mi.splat.torch_render import render
 
 WIDE = np.eye(4)
 WIDE[:3, 3] = (0.1, -0.1, 0.9)  # amid the Gaussians: wide angles

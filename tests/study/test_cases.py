@@ -4,10 +4,10 @@ from collections import Counter
 
 import pytest
 
-from gva_mi.data.synthetic import STUDY
-from gva_mi.data.synthetic.noise.families import FAMILIES
 from gva_mi.study import cases
 from gva_mi.study.cases import HELD_OUT, NO_NORMALS, TUNING, StudyCase, Take, held_out
+from gva_mi.synthetic import STUDY
+from gva_mi.synthetic.error_models.models import ERROR_MODELS
 
 BOTH = pytest.mark.parametrize(
     "some", [TUNING, HELD_OUT, held_out(2)], ids=["tuning", "held out", "set 2"]
@@ -39,7 +39,7 @@ def test_editions_share_nobody_and_no_noise_and_are_alike_in_all_else():
 @BOTH
 def test_every_case_is_another_one(some):
     assert len({case.name for case in some}) == len({case.draw for case in some}) == len(some)
-    assert all(case.take.subject in (None, *STUDY) and case.noise in FAMILIES for case in some)
+    assert all(case.take.subject in (None, *STUDY) and case.noise in ERROR_MODELS for case in some)
 
 
 @BOTH
@@ -52,7 +52,7 @@ def test_a_person_is_filmed_once(some):
 
 def test_all_families_judge_and_some_of_them_tuned_nothing():
     families = Counter(case.family for case in HELD_OUT)
-    assert set(families) == {*FAMILIES, NO_NORMALS}
+    assert set(families) == {*ERROR_MODELS, NO_NORMALS}
     assert set(families) - {case.family for case in TUNING} == {"shape", "focal", "normals"}
     takes = {case.take for case in HELD_OUT}
     assert {take.figure for take in takes} == {"own", "stretched", "anny"}

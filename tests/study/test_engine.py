@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from gva_mi import provenance
-from gva_mi.data.truth import load_truth
+from gva_mi.core import provenance
+from gva_mi.core.errors import InputError
+from gva_mi.data.ground_truth import load_ground_truth
 from gva_mi.data.video import load_video
-from gva_mi.errors import InputError
 from gva_mi.pose import SequenceOptions
 from gva_mi.pose.stature import Stature
 from gva_mi.study.avatar_study import AvatarStudy, AvatarStudyOptions
@@ -144,7 +144,7 @@ def test_known_height_and_lens_put_subjects_in_their_place(tmp_path, body):
     bare = next(case for case in TUNING if case.take.bare)
     case = replace(bare, noise="focal", draw=51)
     video = load_video(Filming(tmp_path, 3, 48).film(case, body))
-    truth = load_truth(video.truth, body)
+    truth = load_ground_truth(video.truth, body)
     zoomed = with_true_focal(truth, video, body)
     focal, right = (v.cameras[0].fx / truth.cameras[0].fx for v in (video, zoomed))
     assert abs(focal - 1) > 0.03 and right == pytest.approx(1)

@@ -7,12 +7,12 @@ import pytest
 import torch
 
 from gva_mi.body.pose import Pose
+from gva_mi.data.crop import Box
 from gva_mi.data.pictures import write_image
 from gva_mi.data.video import load_video
 from gva_mi.data.views import save_views
 from gva_mi.fit.perceptual import Weights
 from gva_mi.fit.renders import render_frame, to_8bit
-from gva_mi.pose.crop import Box
 from gva_mi.splat import look_at
 from gva_mi.study.evaluate import as_trained, evaluate, evaluate_views, views_of
 from gva_mi.study.scores import PSNR_MAX, Scorer

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.errors import InputError
+from gva_mi.core.errors import InputError
 from gva_mi.pose import SequenceOptions, SingleFrameOptions
 from gva_mi.study.measure import Evaluation, measure
 from gva_mi.study.pose_figures import PoseFigures

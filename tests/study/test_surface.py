@@ -10,11 +10,8 @@ from scipy.spatial import cKDTree
 
 from gva_mi.avatar.avatar import seed_avatar
 from gva_mi.body.pose import Shape
+from gva_mi.core.errors import InputError
 from gva_mi.data.fingerprint import ABOUT, fingerprint
-from gva_mi.data.synthetic import SynthOptions, drawn_again
-from gva_mi.data.synthetic.recorded import SURFACE, write_surface
-from gva_mi.data.synthetic.subject import draw_subject
-from gva_mi.errors import InputError
 from gva_mi.pose.surface_distance import surface_distances
 from gva_mi.study.surface import (
     NEAR,
@@ -25,6 +22,9 @@ from gva_mi.study.surface import (
     surface_figures,
 )
 from gva_mi.study.true_surface import PARTS, TEXTURES, TrueSurface
+from gva_mi.synthetic import SynthOptions, remake_subject
+from gva_mi.synthetic.provenance import SURFACE, write_surface
+from gva_mi.synthetic.subject import draw_subject
 
 
 @pytest.fixture
@@ -129,7 +129,7 @@ def test_the_surface_of_a_bare_person_is_the_body_that_the_avatar_stands_on(bare
     rig = avatar.rig
     away = surface_distances(truth.points[::7], rig.vertices.double().numpy(), rig.faces.numpy())
     assert away.mean() < 1e-5
-    person, _ = drawn_again(bare, body)
+    person, _ = remake_subject(bare, body)
     own = body.rest(person.shape).vertices.detach().numpy()
     assert np.linalg.norm(own - rig.vertices.numpy(), axis=1).max() > 0.01
 
@@ -146,10 +146,10 @@ def test_a_cap_is_an_accessory_and_shorts_have_inner_sides(body, tmp_path):
 def test_a_person_that_is_drawn_otherwise_today_has_no_figures(bare, known, body, tmp_path):
     folder = shutil.copytree(bare, tmp_path / "older")
     (folder / "truth/surface.ply").unlink()
-    assert drawn_again(folder, body) is None
+    assert remake_subject(folder, body) is None
     assert TrueSurface.of(folder, body, known.rig) is None
 
 
 def test_a_folder_without_its_options_is_named(tmp_path, body):
     with pytest.raises(InputError, match="synth.json: no such file"):
-        drawn_again(tmp_path, body)
+        remake_subject(tmp_path, body)

@@ -4,7 +4,7 @@ from dataclasses import asdict
 
 import pytest
 
-from gva_mi.errors import InputError
+from gva_mi.core.errors import InputError
 from gva_mi.fit.options import FitOptions
 from gva_mi.study.variants import FULL, VARIANTS, variants_named
 

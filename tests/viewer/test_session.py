@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from gva_mi.body.pose import save_poses
+from gva_mi.core.lock import folder_lock
 from gva_mi.data.pictures import read_image
 from gva_mi.data.video import load_cameras
 from gva_mi.fit.renders import over, render_layer
-from gva_mi.lock import alone_in
 from gva_mi.viewer.drawing import Drawing
 from gva_mi.viewer.session import COARSE, REST, Click, Session, SessionSetup
 from gva_mi.viewer.state import State
@@ -138,7 +138,7 @@ def test_after_a_full_disk_the_session_goes_on(opened, panel, page, setup):
 
 
 def test_two_viewers_do_not_take_the_same_name(opened, panel, page, setup):
-    with alone_in(setup.out, "gva-mi view"):
+    with folder_lock(setup.out, "gva-mi view"):
         told = press(opened, panel, page, "snapshot")
     assert "gva-mi view (process" in told[-1] and not setup.out.exists()
     press(opened, panel, page, "snapshot")

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from gva_mi.body.pose import Pose, Shape
-from gva_mi.files import write_arrays
+from gva_mi.core.files import write_arrays
 
 
 def save_amass(path: Path, pose: Pose, shape: Shape, fps: float, gender: str = "neutral") -> None:

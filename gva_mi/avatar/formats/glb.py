@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from gva_mi.files import replacing
+from gva_mi.core.files import atomic_write
 
 _COMPONENTS = {"uint8": 5121, "uint16": 5123, "uint32": 5125, "float32": 5126}
 _KINDS = {(): "SCALAR", (2,): "VEC2", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
@@ -72,7 +72,7 @@ class Glb:
         text = json.dumps(described, separators=(",", ":")).encode()
         text += b" " * (-len(text) % 4)
         length = 12 + 8 + len(text) + 8 + len(self._binary)
-        with replacing(path) as unfinished, unfinished.open("wb") as file:
+        with atomic_write(path) as unfinished, unfinished.open("wb") as file:
             file.write(struct.pack("<III", _MAGIC, 2, length))
             for kind, chunk in ((_JSON, text), (_BINARY, self._binary)):
                 file.write(struct.pack("<II", len(chunk), kind))

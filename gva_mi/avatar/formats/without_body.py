@@ -21,12 +21,12 @@ from typing import Any
 import numpy as np
 import torch
 
-from gva_mi.avatar.avatar import FORMAT, RIG, WORN, Avatar, Rig, digest
+from gva_mi.avatar.avatar import FORMAT, RIG, SKIN_ARRAYS, Avatar, Rig, digest
 from gva_mi.avatar.skin import mean_directions
 from gva_mi.body.pose import Shape
 from gva_mi.body.smplx import BodyModel
-from gva_mi.errors import InputError, expecting
-from gva_mi.files import write_arrays
+from gva_mi.core.errors import InputError, expecting
+from gva_mi.core.files import write_arrays
 
 WITHOUT_BODY = "gva_mi avatar without its body, version 1"
 DIRECTIONS = "canonical.directions"  # of the Gaussians' blend shapes: means of the body's
@@ -120,6 +120,6 @@ def with_body(path: Path, arrays: dict[str, np.ndarray], body: BodyModel, name: 
         record[DIRECTIONS] = mean_directions(shares, beneath, rig.directions)
         record |= {f"rest_{key}": getattr(rig, key) for key in RIG}
         skin = rig.outer_skin()
-        record |= {f"skin_{key}": getattr(skin, key) for key in WORN}
+        record |= {f"skin_{key}": getattr(skin, key) for key in SKIN_ARRAYS}
         described["body"] = rig.body
         return Avatar.from_record(record | {"format": FORMAT, "description": json.dumps(described)})

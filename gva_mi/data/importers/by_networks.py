@@ -7,15 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
-from gva_mi.console import Progress, listed
+from gva_mi.core.console import Progress, listed
+from gva_mi.core.errors import InputError
+from gva_mi.core.files import write_json
 from gva_mi.data.masks import read_mask
 from gva_mi.data.networks.crop import box_of_mask
 from gva_mi.data.networks.normals import NormalNetwork
 from gva_mi.data.networks.segment_anything import MaskGuess, Prompt, SegmentAnything
 from gva_mi.data.normals import ABOUT
 from gva_mi.data.pictures import read_image, write_image
-from gva_mi.errors import InputError
-from gva_mi.files import write_json
 
 HELD = 0.5  # of the person's points: a mask with fewer is doubtful
 

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
+from gva_mi.core.errors import InputError
 from gva_mi.data.importers.footage import Pictures, masks
 from gva_mi.data.importers.tracks import Track
 from gva_mi.data.video import Splits
-from gva_mi.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
+from gva_mi.core.errors import InputError, expecting
 from gva_mi.data.importers import multi_view, one_camera
 from gva_mi.data.importers.capture import Capture
-from gva_mi.errors import InputError, expecting
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
-from gva_mi.errors import InputError
+from gva_mi.core.errors import InputError
 
 
 def undistort(

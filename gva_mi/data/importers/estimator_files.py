@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
+from gva_mi.core.errors import InputError
+from gva_mi.core.pickles.reader import read_objects
 from gva_mi.data.importers.lens import pinhole_K
 from gva_mi.data.importers.numbering import frame_numbers, number_in
 from gva_mi.data.importers.people import follow
-from gva_mi.errors import InputError
-from gva_mi.pickles.reader import read_objects
 
 ROMP = "results"  # the one key of ROMP's .npz
 _PICKLED = (".pkl", ".pickle", ".npz", ".npy", ".pt")

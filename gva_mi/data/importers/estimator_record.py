@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from gva_mi.core.errors import InputError
 from gva_mi.data.importers.estimator_files import Person
 from gva_mi.data.importers.fields import translation_name
 from gva_mi.data.importers.lens import centred, rescaled
 from gva_mi.data.importers.tracks import Track, make_track
-from gva_mi.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from gva_mi.body.pose import SMPLX_FIELDS
+from gva_mi.core.errors import InputError, expecting
 from gva_mi.data.importers import estimator_files as files
 from gva_mi.data.importers import frame_files as frames
 from gva_mi.data.importers import smplx_json
@@ -29,7 +30,6 @@ from gva_mi.data.importers.estimator_record import (
     own_K,
 )
 from gva_mi.data.importers.tracks import Track
-from gva_mi.errors import InputError, expecting
 
 FAR_FOCAL = 5000.0  # pixels, of estimators that assume that a person stands far away
 _OF_MHR = {"mhr_model_params", "mhr_shape_params", "body_pose_params"}

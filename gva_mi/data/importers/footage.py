@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
+from gva_mi.core.errors import InputError
+from gva_mi.core.files import read_array
 from gva_mi.data.importers.hdf5 import SUFFIXES, rows_of_hdf5
 from gva_mi.data.importers.mask_units import full_value, to_8_bits
 from gva_mi.data.importers.numbering import by_number
 from gva_mi.data.mattes import matte_of_pixels
 from gva_mi.data.pictures import decoded, pixels_of, read_image, steps_of
-from gva_mi.errors import InputError
-from gva_mi.files import read_array
 
 Pictures = Path | tuple[Path, ...]  # a film or a folder, or single files in order
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 
 from gva_mi.body.pose import SMPLX_FIELDS
+from gva_mi.core.errors import InputError
+from gva_mi.core.pickles.reader import read_objects
 from gva_mi.data.importers.estimator_files import (
     ROMP,
     Person,
@@ -27,8 +29,6 @@ from gva_mi.data.importers.lens import lens_of
 from gva_mi.data.importers.numbering import number_in
 from gva_mi.data.importers.rotations import to_matrices
 from gva_mi.data.importers.tracks import PELVIS
-from gva_mi.errors import InputError
-from gva_mi.pickles.reader import read_objects
 
 # From the pelvis to the middle of the hips at rest, metres: BEV's translations are of the latter.
 _TO_HIPS = np.array([0.0, -0.09, -0.01])

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from gva_mi.budget import LARGEST
-from gva_mi.errors import InputError, reason_of
+from gva_mi.core.arrays import LARGEST
+from gva_mi.core.errors import InputError, reason_of
 
 SUFFIXES = (".hdf5", ".h5")
 _FILTERS = (None, "lzf", "gzip", "szip")  # those that h5py brings

@@ -19,14 +19,14 @@ from typing import Any
 
 import numpy as np
 
+from gva_mi.core.errors import MALFORMED, InputError
+from gva_mi.core.files import read_json
+from gva_mi.core.options import Within
 from gva_mi.data.importers.footage import Pictures, files_of
 from gva_mi.data.importers.quicktime import numbers
 from gva_mi.data.importers.rotations import shortest
 from gva_mi.data.importers.tracks import Track
 from gva_mi.data.pictures import opened
-from gva_mi.errors import MALFORMED, InputError
-from gva_mi.files import read_json
-from gva_mi.ranges import Within
 
 RECORDED = "recorded"  # in the place of a focal length: what the file says
 PIXELS = Within(0, 1e6, "low", "pixels")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gva_mi.errors import InputError
+from gva_mi.core.errors import InputError
 
 BARELY = 127  # 8-bit masks above this are inside
 _FEW = 6  # values that are named

@@ -24,7 +24,9 @@ import torch
 
 from gva_mi.body.gestures import GESTURES, put_hand
 from gva_mi.body.pose import LEFT_HAND, Pose, Shape
-from gva_mi.console import listed
+from gva_mi.core.console import listed
+from gva_mi.core.errors import InputError, expecting
+from gva_mi.core.options import Within, require_ranges
 from gva_mi.data.importers.estimator_files import first_of, holds, read_source
 from gva_mi.data.importers.estimator_record import VideoInfo
 from gva_mi.data.importers.estimators import KINDS, kind_of, refuse_mhr, tracks_of
@@ -34,8 +36,6 @@ from gva_mi.data.importers.target import TargetBody
 from gva_mi.data.importers.timeline import interpolate, longest_gap
 from gva_mi.data.importers.tracks import Track, make_track, median_betas
 from gva_mi.data.importers.world import UP, up_axis, upright
-from gva_mi.errors import InputError, expecting
-from gva_mi.ranges import Within, require_ranges
 
 EXPECTED = "a motion such as AMASS's .npz or AIST++'s .pkl"
 RATES = ("mocap_framerate", "mocap_frame_rate", "fps", "framerate", "frame_rate")

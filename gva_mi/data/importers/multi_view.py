@@ -28,6 +28,8 @@ from typing import Any
 
 import numpy as np
 
+from gva_mi.core.errors import InputError
+from gva_mi.core.files import read_arrays, read_json
 from gva_mi.data.importers.capture import Capture, FixedCamera
 from gva_mi.data.importers.estimator_files import read_source
 from gva_mi.data.importers.fields import hand_angles
@@ -35,8 +37,6 @@ from gva_mi.data.importers.footage import files_of
 from gva_mi.data.importers.numbering import number_in
 from gva_mi.data.importers.rotations import compose, to_matrices
 from gva_mi.data.importers.tracks import PELVIS, Track, make_track
-from gva_mi.errors import InputError
-from gva_mi.files import read_arrays, read_json
 
 _SMPL = (
     "output-smpl-3d/smpl", "output-smpl-3d/smplfull", "output/smplx/smpl", "output/smplh/smpl",

@@ -12,14 +12,14 @@ from pathlib import Path
 
 import numpy as np
 
-from gva_mi.console import listed
+from gva_mi.core.console import listed
+from gva_mi.core.errors import InputError, expecting
+from gva_mi.core.files import atomic_write, read_array, write_json
 from gva_mi.data.importers.footage import PICTURES, Pictures, files_of
 from gva_mi.data.importers.numbering import number_in
 from gva_mi.data.masks import read_mask
 from gva_mi.data.normals import ABOUT, Convention, NormalMaps
 from gva_mi.data.pictures import in_8_bits, read_image, write_image
-from gva_mi.errors import InputError, expecting
-from gva_mi.files import read_array, replacing, write_json
 from gva_mi.splat import Camera
 
 
@@ -80,7 +80,7 @@ def write_maps(
         if stored.dtype == np.uint8:
             write_image(out / "normals" / f"{k:06d}.png", stored)
         else:
-            with replacing(out / "normals" / f"{k:06d}.npy") as unfinished:
+            with atomic_write(out / "normals" / f"{k:06d}.npy") as unfinished:
                 with unfinished.open("wb") as file:
                     np.save(file, stored)
     write_json(out / ABOUT, {"convention": convention})

@@ -25,6 +25,9 @@ from pathlib import Path
 
 import numpy as np
 
+from gva_mi.core.errors import InputError
+from gva_mi.core.files import read_arrays, read_json, require_keys
+from gva_mi.core.pickles.reader import read_objects
 from gva_mi.data.importers import smplx_json
 from gva_mi.data.importers.capture import Capture
 from gva_mi.data.importers.estimator_files import stacked
@@ -34,9 +37,6 @@ from gva_mi.data.importers.lens import CAMERA, lens_in, pinhole_K
 from gva_mi.data.importers.rotations import to_matrices
 from gva_mi.data.importers.tracks import make_track
 from gva_mi.data.video import Splits
-from gva_mi.errors import InputError
-from gva_mi.files import read_arrays, read_json, require_keys
-from gva_mi.pickles.reader import read_objects
 
 FILMS = (".mp4", ".mov", ".avi", ".mkv")
 _EXAVATAR = ("smplx_optimized/smplx_params_smoothed", "smplx_optimized/smplx_params")

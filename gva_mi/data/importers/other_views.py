@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gva_mi.core.errors import InputError, expecting
 from gva_mi.data.importers.capture import Capture, FixedCamera
 from gva_mi.data.importers.distortion import undistort
 from gva_mi.data.importers.footage import pictures
@@ -19,7 +20,6 @@ from gva_mi.data.importers.rotations import nearest_rotations
 from gva_mi.data.pictures import write_image
 from gva_mi.data.video import spread
 from gva_mi.data.views import VIEWS, save_views
-from gva_mi.errors import InputError, expecting
 from gva_mi.splat import Camera
 
 ALL = "all"  # in the place of names

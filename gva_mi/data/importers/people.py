@@ -16,10 +16,10 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 
 from gva_mi.body.pose import BODY
+from gva_mi.core.errors import InputError
 from gva_mi.data.importers.mask_units import BARELY
 from gva_mi.data.importers.tracks import Track
 from gva_mi.data.importers.world import joint_places
-from gva_mi.errors import InputError
 
 _REACH = 1.0  # metres that a person moves from frame to frame at most
 

@@ -19,7 +19,9 @@ import numpy as np
 import torch
 
 from gva_mi.body.pose import LEFT_HAND, Pose, Shape, save_poses
-from gva_mi.console import Progress
+from gva_mi.core.console import Progress
+from gva_mi.core.errors import InputError
+from gva_mi.core.files import versions, write_json
 from gva_mi.data.fingerprint import PREPARED, fingerprint
 from gva_mi.data.importers.by_networks import write_masks, write_normals
 from gva_mi.data.importers.capture import Capture, read_ranges
@@ -40,8 +42,6 @@ from gva_mi.data.importers.tracks import Track, every_frame, median_betas
 from gva_mi.data.importers.world import upright
 from gva_mi.data.pictures import write_image
 from gva_mi.data.video import POSES, save_cameras
-from gva_mi.errors import InputError
-from gva_mi.files import versions, write_json
 from gva_mi.splat import Camera
 
 _T_CAMERA_WORLD = np.diag([1.0, -1.0, -1.0, 1.0])

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, get_args
 
+from gva_mi.core.errors import InputError
+from gva_mi.core.options import Within, require_ranges
 from gva_mi.data.networks.normals import NormalNetwork, NormalsSpec
 from gva_mi.data.networks.sam_weights import GET
 from gva_mi.data.networks.segment_anything import SegmentAnything
 from gva_mi.data.normals import Convention
-from gva_mi.errors import InputError
-from gva_mi.ranges import Within, require_ranges
 
 SAM = Path("sam")  # in the place of masks
 Side = Annotated[int, Within(1, 8192, unit="pixels")]  # of what a network of normals is shown

@@ -24,11 +24,11 @@ from typing import Any
 
 import numpy as np
 
+from gva_mi.core.errors import InputError
+from gva_mi.core.files import read_json
 from gva_mi.data.importers.estimator_files import Person, followed
 from gva_mi.data.importers.lens import lens_in, lens_of
 from gva_mi.data.importers.numbering import number_in
-from gva_mi.errors import InputError
-from gva_mi.files import read_json
 
 NAMES = {
     "root_pose": "global_orient", "body_pose": "body_pose", "jaw_pose": "jaw_pose",

@@ -9,8 +9,8 @@ import numpy as np
 import torch
 
 from gva_mi.body.body_file import read_body
+from gva_mi.body.built_in import BUILT_IN_BODY
 from gva_mi.body.pose import Shape
-from gva_mi.body.puppet import PUPPET
 from gva_mi.body.smplx import BodyModel, body_file, body_name
 
 
@@ -32,11 +32,11 @@ class TargetBody:
         Raises:
             InputError: as :func:`gva_mi.body.smplx.load_body`.
         """
-        path = path or PUPPET
+        path = path or BUILT_IN_BODY
         arrays = read_body(body_file(path))
         hands = [arrays.get(f"hands_mean{side}", np.zeros(45)) for side in "lr"]
         # SMPL-X alone has a face; the built-in body has one, and betas of its own.
-        own_betas = body_file(path) != PUPPET and int(arrays["num_expressions"]) > 0
+        own_betas = body_file(path) != BUILT_IN_BODY and int(arrays["num_expressions"]) > 0
         components = None
         if own_betas and "hands_componentsl" in arrays:
             components = np.stack([arrays[f"hands_components{side}"] for side in "lr"])

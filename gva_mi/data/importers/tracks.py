@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from gva_mi.console import listed
+from gva_mi.core.console import listed
+from gva_mi.core.errors import InputError
 from gva_mi.data.importers.fields import find_betas, find_joints, find_translation
 from gva_mi.data.importers.rotations import compose, nearest_rotations, to_rotvecs
 from gva_mi.data.importers.timeline import interpolate
-from gva_mi.errors import InputError
 
 # The pelvis of the neutral mean person at rest, metres, as the public models regress it.
 PELVIS = {

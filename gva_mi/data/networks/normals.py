@@ -20,9 +20,9 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from gva_mi.core.errors import InputError
 from gva_mi.data.networks.crop import CropBox
 from gva_mi.data.normals import LONGEST, SHORTEST, Convention
-from gva_mi.errors import InputError
 
 SUFFIXES = (".pt", ".pth", ".torchscript", ".onnx")
 MARGIN = 0.1  # of the longer side of the mask's box, around it: shown to the network

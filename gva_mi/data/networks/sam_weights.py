@@ -10,8 +10,8 @@ from pathlib import Path
 
 import torch
 
-from gva_mi.errors import InputError
-from gva_mi.files import read_json
+from gva_mi.core.errors import InputError
+from gva_mi.core.files import read_json
 
 GET = (
     "a folder as transformers saves it (config.json, model.safetensors), such as "

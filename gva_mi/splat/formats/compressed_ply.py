@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from gva_mi.errors import InputError
+from gva_mi.core.errors import InputError
 from gva_mi.splat.gaussians import Gaussians
 from gva_mi.splat.kernels.sh import C0
 

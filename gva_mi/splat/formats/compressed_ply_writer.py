@@ -22,12 +22,12 @@ from pathlib import Path
 
 import numpy as np
 
-from gva_mi.errors import InputError
-from gva_mi.files import replacing
-from gva_mi.splat.covariances import with_axes
+from gva_mi.core.errors import InputError
+from gva_mi.core.files import atomic_write
 from gva_mi.splat.formats.compressed_ply import CHUNK, PACKED, REST
 from gva_mi.splat.formats.ply import harmonics_of
 from gva_mi.splat.gaussians import Gaussians
+from gva_mi.splat.geometry import with_axes
 from gva_mi.splat.kernels.sh import C0
 
 _MAX_LOG_SCALE = 20.0  # of either sign; SuperSplat's own bounds
@@ -82,7 +82,7 @@ def save_compressed_ply(path: Path, gaussians: Gaussians) -> None:
         header.append(f"element {element} {len(table)}")
         header += [f"property {kind} {name}" for name in names]
     content = "\n".join([*header, "end_header\n"]).encode("ascii")
-    with replacing(path) as unfinished:
+    with atomic_write(path) as unfinished:
         unfinished.write_bytes(content + b"".join(table.tobytes() for *_, table in tables))
 
 

@@ -15,12 +15,12 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from gva_mi.errors import InputError
-from gva_mi.files import replacing
-from gva_mi.splat.covariances import with_axes
+from gva_mi.core.errors import InputError
+from gva_mi.core.files import atomic_write
 from gva_mi.splat.formats.compressed_ply import decompressed, is_compressed
 from gva_mi.splat.formats.ply_elements import read_elements
 from gva_mi.splat.gaussians import Gaussians, degree_of
+from gva_mi.splat.geometry import with_axes
 from gva_mi.splat.kernels.sh import C0
 
 _GEOMETRY = ["opacity", *(f"scale_{i}" for i in range(3)), *(f"rot_{i}" for i in range(4))]
@@ -59,7 +59,7 @@ def save_ply(path: Path, gaussians: Gaussians) -> None:
         "end_header\n",
     ]
     content = "\n".join(header).encode("ascii") + table.astype("<f4").tobytes()
-    with replacing(path) as unfinished:
+    with atomic_write(path) as unfinished:
         unfinished.write_bytes(content)
 
 

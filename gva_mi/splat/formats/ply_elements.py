@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gva_mi.errors import InputError
+from gva_mi.core.errors import InputError
 
 TYPES = {  # each has two names
     **dict.fromkeys(("char", "int8"), "i1"),

@@ -16,10 +16,10 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from gva_mi.errors import InputError
-from gva_mi.files import replacing
-from gva_mi.splat.covariances import with_axes
+from gva_mi.core.errors import InputError
+from gva_mi.core.files import atomic_write
 from gva_mi.splat.gaussians import Gaussians
+from gva_mi.splat.geometry import with_axes
 from gva_mi.splat.kernels.sh import C0
 
 ROW = np.dtype(
@@ -45,7 +45,7 @@ def save_splat(path: Path, gaussians: Gaussians) -> None:
     unit = quats / np.maximum(np.linalg.norm(quats, axis=1, keepdims=True), 1e-12)
     rows["quats"] = _byte(128 * unit + 128)
     order = np.argsort(-scales.prod(1) * opacities, kind="stable")
-    with replacing(path) as unfinished:
+    with atomic_write(path) as unfinished:
         unfinished.write_bytes(rows[order].tobytes())
 
 

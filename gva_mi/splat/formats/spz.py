@@ -34,11 +34,11 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from gva_mi.errors import InputError
-from gva_mi.files import replacing
-from gva_mi.splat.covariances import with_axes
+from gva_mi.core.errors import InputError
+from gva_mi.core.files import atomic_write
 from gva_mi.splat.formats.ply import harmonics_of
 from gva_mi.splat.gaussians import Gaussians, degree_of
+from gva_mi.splat.geometry import with_axes
 
 MAGIC = 0x5053474E  # NGSP
 MAX_FRACTION_BITS = 16  # of means: rounding error 8 µm within ±128 m
@@ -86,7 +86,7 @@ def save_spz(path: Path, gaussians: Gaussians) -> None:
     ]
     header = _HEADER.pack(MAGIC, 3, len(means), degree, bits, 0, 0)
     content = header + b"".join(stream.tobytes() for stream in streams)
-    with replacing(path) as unfinished:
+    with atomic_write(path) as unfinished:
         unfinished.write_bytes(gzip.compress(content, mtime=0))  # the same bytes every time
 
 

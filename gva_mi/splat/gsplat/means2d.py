@@ -22,11 +22,11 @@ from torch import Tensor
 from torch.autograd.function import FunctionCtx
 from torch.func import vjp
 
+from gva_mi.core.threads import quiet_openmp
+from gva_mi.jit.exclusive import exclusive
 from gva_mi.splat.autograd import one_by_one
-from gva_mi.splat.kernels.exclusive import exclusive
 from gva_mi.splat.tensors import not_compiled
 from gva_mi.splat.torch_passes import Drawn, Tensors, draw
-from gva_mi.threads import quiet_openmp
 
 ON_AXIS = 1e-6  # below this (r / z)^2 a fisheye's s is the start of its series
 

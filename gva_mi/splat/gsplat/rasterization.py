@@ -12,6 +12,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from gva_mi.core.threads import quiet_openmp
+from gva_mi.jit.exclusive import exclusive
 from gva_mi.splat.argument_error import ArgumentError
 from gva_mi.splat.camera import Camera, CameraModel
 from gva_mi.splat.gaussians import Gaussians, Image
@@ -29,11 +31,9 @@ from gva_mi.splat.gsplat.arguments import (
 )
 from gva_mi.splat.gsplat.meta import Meta
 from gva_mi.splat.gsplat.views import RenderedView, RenderedViews, joined
-from gva_mi.splat.kernels.exclusive import exclusive
 from gva_mi.splat.options import SplatOptions
 from gva_mi.splat.tensors import not_compiled
-from gva_mi.splat.torch_op import expected_depth
-from gva_mi.threads import quiet_openmp
+from gva_mi.splat.torch_render import expected_depth
 
 
 @not_compiled

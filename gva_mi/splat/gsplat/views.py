@@ -16,8 +16,8 @@ from gva_mi.splat.gsplat.means2d import ProjectMeans
 from gva_mi.splat.gsplat.meta import Meta
 from gva_mi.splat.options import SplatOptions
 from gva_mi.splat.screen import Screen
-from gva_mi.splat.torch_op import tensors_of
 from gva_mi.splat.torch_passes import Call, Drawn, Tensors
+from gva_mi.splat.torch_render import tensors_of
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import drjit as dr
 from drjit import ArrayBase as Array
 
-from gva_mi.splat.kernels import packets
-from gva_mi.splat.kernels.frozen import Frozen
+from gva_mi.jit import packets
+from gva_mi.jit.frozen import Frozen
 from gva_mi.splat.kernels.pair_gradient import PairGradientSums
 from gva_mi.splat.kernels.pixel import (
     MIRRORED,

@@ -13,8 +13,8 @@ from dataclasses import replace
 import drjit as dr
 from drjit import ArrayBase as Array
 
-from gva_mi.splat.kernels import packets
-from gva_mi.splat.kernels.frozen import Frozen
+from gva_mi.jit import packets
+from gva_mi.jit.frozen import Frozen
 from gva_mi.splat.kernels.planes import Planes
 from gva_mi.splat.kernels.records import PairGradient, RecordFormat, Splat
 

@@ -6,9 +6,9 @@ import drjit as dr
 import numpy as np
 from drjit import ArrayBase as Array
 
+from gva_mi.jit.packets import Packets
 from gva_mi.splat.kernels import chunks
 from gva_mi.splat.kernels.blend import Limit, blend, blend_adjoint
-from gva_mi.splat.kernels.packets import Packets
 from gva_mi.splat.kernels.planes import Planes, SavedPixels
 from gva_mi.splat.kernels.records import RecordFormat
 from gva_mi.splat.kernels.tiles import Grid, Lists, capacity

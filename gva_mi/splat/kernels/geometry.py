@@ -14,8 +14,8 @@ from typing import Any
 import drjit as dr
 from drjit import ArrayBase as Array
 
-from gva_mi.splat.kernels import packets
-from gva_mi.splat.kernels.packets import Allocate
+from gva_mi.jit import packets
+from gva_mi.jit.packets import Allocate
 
 Columns = Callable[[list[Array]], list[Array]]
 

@@ -13,10 +13,10 @@ import drjit as dr
 import numpy as np
 from drjit import ArrayBase as Array
 
+from gva_mi.jit import packets
+from gva_mi.jit.packets import Allocate
 from gva_mi.splat.argument_error import ArgumentError
-from gva_mi.splat.kernels import packets
 from gva_mi.splat.kernels.geometry import Covariance, Geometry, QuatScale
-from gva_mi.splat.kernels.packets import Allocate
 from gva_mi.splat.kernels.records import CameraGradient, RecordFormat
 from gva_mi.splat.options import SplatOptions
 

@@ -30,7 +30,7 @@ from dataclasses import dataclass
 import drjit as dr
 from drjit import ArrayBase as Array
 
-from gva_mi.splat.kernels import packets
+from gva_mi.jit import packets
 from gva_mi.splat.kernels.camera_arrays import CameraArrays
 
 Matrix = list[Array | None]  # row by row; None is a zero

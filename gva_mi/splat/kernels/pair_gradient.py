@@ -5,7 +5,7 @@ from __future__ import annotations
 import drjit as dr
 from drjit import ArrayBase as Array
 
-from gva_mi.splat.kernels import packets
+from gva_mi.jit import packets
 from gva_mi.splat.kernels.pixel import PLACES, Alpha, PixelRow
 from gva_mi.splat.kernels.records import PairGradient, RecordFormat, Splat
 from gva_mi.splat.kernels.tiles import WIDTH, Lists

@@ -23,9 +23,11 @@ import drjit as dr
 import numpy as np
 from drjit import ArrayBase as Array
 
+from gva_mi.jit import packets
+from gva_mi.jit.frozen import Frozen
 from gva_mi.splat.argument_error import ArgumentError
 from gva_mi.splat.camera import Camera
-from gva_mi.splat.kernels import chunks, packets, tiles
+from gva_mi.splat.kernels import chunks, tiles
 from gva_mi.splat.kernels.blend import Limit, blend_tangent
 from gva_mi.splat.kernels.camera_arrays import (
     CameraArrays,
@@ -34,7 +36,6 @@ from gva_mi.splat.kernels.camera_arrays import (
     camera_tangent,
 )
 from gva_mi.splat.kernels.composite import composite, composite_adjoint, sum_rows
-from gva_mi.splat.kernels.frozen import Frozen
 from gva_mi.splat.kernels.inputs import GradientMemory, Inputs, Plan, RequestedGradients
 from gva_mi.splat.kernels.pair_gradient import sum_slots
 from gva_mi.splat.kernels.planes import Planes

@@ -49,7 +49,7 @@ from dataclasses import dataclass
 import drjit as dr
 from drjit import ArrayBase as Array
 
-from gva_mi.splat.kernels import packets
+from gva_mi.jit import packets
 from gva_mi.splat.kernels.records import Splat
 from gva_mi.splat.kernels.tiles import HEIGHT, WIDTH
 from gva_mi.splat.options import SplatOptions

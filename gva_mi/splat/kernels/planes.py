@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import drjit as dr
 from drjit import ArrayBase as Array
 
-from gva_mi.splat.kernels import packets
-from gva_mi.splat.kernels.packets import Allocate
+from gva_mi.jit import packets
+from gva_mi.jit.packets import Allocate
 from gva_mi.splat.kernels.records import RecordFormat
 from gva_mi.splat.kernels.tiles import HEIGHT, WIDTH, Grid, Lists
 

@@ -27,14 +27,15 @@ from dataclasses import dataclass
 import drjit as dr
 from drjit import ArrayBase as Array
 
-from gva_mi.splat.kernels import packets, sh
+from gva_mi.jit import packets
+from gva_mi.jit.packets import Allocate
+from gva_mi.splat.kernels import sh
 from gva_mi.splat.kernels.camera_arrays import CameraArrays
 from gva_mi.splat.kernels.covariance import CovarianceEllipse
 from gva_mi.splat.kernels.ellipse import LN2, Ellipse, dot
 from gva_mi.splat.kernels.geometry import Covariance
 from gva_mi.splat.kernels.inputs import Gaussian3D, GradientMemory, Inputs, Plan
 from gva_mi.splat.kernels.lens import LENSES, Lens
-from gva_mi.splat.kernels.packets import Allocate
 from gva_mi.splat.kernels.records import (
     CameraGradient,
     Footprint,

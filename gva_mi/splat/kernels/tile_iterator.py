@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import drjit as dr
 from drjit import ArrayBase as Array
 
-from gva_mi.splat.kernels import packets
+from gva_mi.jit import packets
 from gva_mi.splat.kernels.records import RecordFormat, Splat
 
 UNSEEN = -1e30  # lo of a Gaussian that no pixel sees

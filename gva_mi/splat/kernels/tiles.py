@@ -24,8 +24,8 @@ from dataclasses import dataclass
 import drjit as dr
 from drjit import ArrayBase as Array
 
-from gva_mi.splat.kernels import packets
-from gva_mi.splat.kernels.frozen import Frozen
+from gva_mi.jit import packets
+from gva_mi.jit.frozen import Frozen
 from gva_mi.splat.kernels.records import Footprint
 
 WIDTH, HEIGHT = 8, 4  # pixels of a tile

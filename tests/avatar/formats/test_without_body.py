@@ -9,7 +9,7 @@ from gva_mi.avatar import AvatarOptions, ResidualOptions, SeedOptions, seed_avat
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.formats.without_body import fingerprint, save_without_body, with_body
 from gva_mi.body import BodyModel, Shape
-from gva_mi.files import read_arrays
+from gva_mi.core.files import read_arrays
 
 OWN = {  # what of an avatar is not its body's
     "format", "description", "light", "betas", "offsets", "beneath", "shares",
@@ -29,7 +29,7 @@ def clothed(body):
         avatar.canonical.means += 0.01
         avatar.residual.offset.weight.normal_(generator=generator)
         avatar.light.copy_(torch.tensor([0.1, 0.9, 0.3]))
-    avatar.look_up()
+    avatar.rebind_weights()
     return avatar
 
 

@@ -65,7 +65,7 @@ def prepared(tmp_path, cli):
     """Prepare a data set for the puppet: the subject's folder, and what was said."""
 
     def run(source, *more, kind="auto"):
-        code, said, err = cli("prepare", kind, source, tmp_path / "s", *filmed.PUPPET, *more)
+        code, said, err = cli("prepare", kind, source, tmp_path / "s", *filmed.BUILT_IN_BODY, *more)
         assert code == 0, err
         return tmp_path / "s", said
 

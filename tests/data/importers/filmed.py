@@ -9,7 +9,7 @@ WIDTH, HEIGHT, FRAMES = 64, 48, 5
 SMPL, SMPLX = np.array([-0.0018, -0.2233, 0.0282]), np.array([0.0031, -0.3514, 0.0120])  # pelvises
 K = np.array([[70.0, 0, 33], [0, 72, 23], [0, 0, 1]])
 TURN, MOVE = np.array([0.1, -0.4, 0.05]), np.array([0.2, 0.1, 0.5])  # x_cam = R(TURN) x + MOVE
-PUPPET = ("--body", "puppet")
+BUILT_IN_BODY = ("--body", "puppet")
 MASK = np.zeros((HEIGHT, WIDTH), np.uint8)
 MASK[10:40, 20:40] = 255
 

@@ -11,19 +11,25 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gva_mi.core.errors import InputError
 from gva_mi.data.importers.capture import read_ranges
 from gva_mi.data.importers.datasets import dataset_of
 from gva_mi.data.importers.distortion import undistort
 from gva_mi.data.pictures import read_image, write_image, write_movie
 from gva_mi.data.video import load_video
-from gva_mi.errors import InputError
 
 spec = importlib.util.spec_from_file_location("filmed", Path(__file__).with_name("filmed.py"))
 filmed = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(filmed)
 
 WIDTH, HEIGHT, FRAMES, SMPL = filmed.WIDTH, filmed.HEIGHT, filmed.FRAMES, filmed.SMPL
-K, TURN, MOVE, MASK, PUPPET = filmed.K, filmed.TURN, filmed.MOVE, filmed.MASK, filmed.PUPPET
+K, TURN, MOVE, MASK, BUILT_IN_BODY = (
+    filmed.K,
+    filmed.TURN,
+    filmed.MOVE,
+    filmed.MASK,
+    filmed.BUILT_IN_BODY,
+)
 matrices, shots = filmed.matrices, filmed.shots
 
 
@@ -158,14 +164,14 @@ def test_hdf5_that_leads_elsewhere_is_refused(snapshot, tmp_path, cli, case):
             file["other" if case == "another name" else "masks"] = shape
     if case == "no file":
         path.write_bytes(b"\x89HDF\r\n\x1a\nand then nothing")
-    code, _, err = cli("prepare", "auto", snapshot, tmp_path / "s", *PUPPET)
+    code, _, err = cli("prepare", "auto", snapshot, tmp_path / "s", *BUILT_IN_BODY)
     assert code == 2 and HOSTILE[case] in err and err.count("\n") <= 2, err
     assert not (tmp_path / "s").exists()
 
 
 def test_hdf5_needs_a_package(snapshot, tmp_path, cli, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "h5py", None)
-    code, _, err = cli("prepare", "snapshot", snapshot, tmp_path / "s", *PUPPET)
+    code, _, err = cli("prepare", "snapshot", snapshot, tmp_path / "s", *BUILT_IN_BODY)
     assert code == 2 and "needs the package h5py to be read; pip install 'gva_mi[hdf5]'" in err
 
 
@@ -196,7 +202,7 @@ def test_instantavatar(tmp_path, seen, thetas, world, prepared, stands, form):
 def test_a_folder_that_is_no_data_set_is_refused(tmp_path, cli):
     (tmp_path / "x").mkdir()
     assert dataset_of(tmp_path / "x") is None
-    code, _, err = cli("prepare", "auto", tmp_path / "x", tmp_path / "s", *PUPPET)
+    code, _, err = cli("prepare", "auto", tmp_path / "x", tmp_path / "s", *BUILT_IN_BODY)
     assert code == 2 and "brings no frames of its own; give --frames" in err
-    code, _, err = cli("prepare", "zju", tmp_path / "x", tmp_path / "s", *PUPPET)
+    code, _, err = cli("prepare", "zju", tmp_path / "x", tmp_path / "s", *BUILT_IN_BODY)
     assert code == 2 and "not of the kind zju; expected a folder with annots.npy" in err

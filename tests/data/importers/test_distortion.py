@@ -101,5 +101,5 @@ def test_links_in_a_data_set_are_followed(zju, prepared, cli):
     folder, _ = prepared(zju)
     assert not any(path.is_symlink() for path in folder.rglob("*"))
     (zju.parent / "mask.png").unlink()
-    code, _, err = cli("prepare", "zju", zju, zju.parent / "b", *filmed.PUPPET)
+    code, _, err = cli("prepare", "zju", zju, zju.parent / "b", *filmed.BUILT_IN_BODY)
     assert code == 2 and f"{mask}: no such file" in err and err.count("\n") <= 2

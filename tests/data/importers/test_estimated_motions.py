@@ -8,9 +8,9 @@ import pytest
 import roma
 import torch
 
+from gva_mi.core.errors import InputError
 from gva_mi.data.importers.motions import MotionOptions, read_motion
 from gva_mi.data.importers.target import TargetBody
-from gva_mi.errors import InputError
 
 
 def matrices(rotations):

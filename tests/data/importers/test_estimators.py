@@ -8,12 +8,12 @@ import pytest
 import roma
 import torch
 
-from gva_mi.body.puppet import PUPPET
+from gva_mi.body.built_in import BUILT_IN_BODY
+from gva_mi.core.errors import InputError
 from gva_mi.data.importers.estimator_record import VideoInfo
 from gva_mi.data.importers.estimators import read_estimator
 from gva_mi.data.importers.lens import rescaled
 from gva_mi.data.importers.people import follow
-from gva_mi.errors import InputError
 
 WIDTH, HEIGHT, FRAMES = 64, 48, 5
 SMPL, SMPLX = np.array([-0.0018, -0.2233, 0.0282]), np.array([0.0031, -0.3514, 0.0120])
@@ -202,7 +202,7 @@ def test_smplify_x_bends_fingers_by_components(tmp_path, seen, prepared, refused
     hands = [random.normal(0, 0.3, (FRAMES, count)) for _ in "lr"]
     out = smplify_x(tmp_path / "out", seen, hands)
     refused(r"'left_hand_pose' must be \(T, 45\).*--body with the SMPL-X file.*\(5, ", out)
-    with np.load(PUPPET) as file:
+    with np.load(BUILT_IN_BODY) as file:
         body = dict(file)
     np.savez(tmp_path / "body.npz", **body)
     folder, said = prepared(out, "--body", tmp_path / "body.npz")

@@ -9,9 +9,9 @@ import torch
 
 from gva_mi.body.kinematics import joint_transforms
 from gva_mi.body.pose import PARENTS, Shape, load_poses
+from gva_mi.core.errors import InputError
 from gva_mi.data.importers.motions import MotionOptions, read_motion
 from gva_mi.data.importers.target import TargetBody
-from gva_mi.errors import InputError
 
 SAME_RATE = MotionOptions(fps=30, hands="flat")
 SMPL = [*range(22)]
@@ -162,9 +162,9 @@ def test_short_gaps_are_filled_and_listed(read, walk):
 
 def smplx_file(folder):
     """The puppet's arrays as a body's file of its own, whose PCA of hands is known."""
-    from gva_mi.body.puppet import PUPPET
+    from gva_mi.body.built_in import BUILT_IN_BODY
 
-    with np.load(PUPPET) as file:
+    with np.load(BUILT_IN_BODY) as file:
         arrays = dict(file)
     np.savez(folder / "body.npz", **arrays)
     return folder / "body.npz", arrays

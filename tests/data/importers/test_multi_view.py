@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.body.puppet import PUPPET as PUPPET_FILE
+from gva_mi.body.built_in import BUILT_IN_BODY as PUPPET_FILE
 from gva_mi.body.smplx import load_body
 from gva_mi.data.pictures import read_image, write_image
 from gva_mi.data.video import load_video
@@ -19,7 +19,13 @@ filmed = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(filmed)
 
 WIDTH, HEIGHT, FRAMES = filmed.WIDTH, filmed.HEIGHT, filmed.FRAMES
-K, TURN, MOVE, MASK, PUPPET = filmed.K, filmed.TURN, filmed.MOVE, filmed.MASK, filmed.PUPPET
+K, TURN, MOVE, MASK, BUILT_IN_BODY = (
+    filmed.K,
+    filmed.TURN,
+    filmed.MOVE,
+    filmed.MASK,
+    filmed.BUILT_IN_BODY,
+)
 SMPL, SMPLX, matrices, shots = filmed.SMPL, filmed.SMPLX, filmed.matrices, filmed.shots
 
 
@@ -58,11 +64,11 @@ def test_zju_mocap(tmp_path, seen, thetas, world, prepared, stands, cli, named):
     assert np.abs(video.cameras[0].K - K).max() < 1e-6
     R = matrices(video.pose.rotations)[:, 0]
     assert np.abs(np.diag([1, -1, -1]) @ R - matrices(rotations)[:, 0]).max() < 1e-3
-    code, _, err = cli("prepare", "zju", source, tmp_path / "b", *PUPPET, "--camera", "7")
+    code, _, err = cli("prepare", "zju", source, tmp_path / "b", *BUILT_IN_BODY, "--camera", "7")
     assert code == 2 and "has no camera '7'; it has 0, 1" in err
     annots["ims"][0]["ims"][1] = "../../secret.jpg"
     np.save(source / "annots.npy", annots)
-    code, _, err = cli("prepare", "zju", source, tmp_path / "b", *PUPPET, "--camera", "1")
+    code, _, err = cli("prepare", "zju", source, tmp_path / "b", *BUILT_IN_BODY, "--camera", "1")
     assert code == 2 and "'../../secret.jpg', which is outside of the folder" in err
 
 
@@ -114,12 +120,14 @@ def test_other_cameras_see_the_person_where_they_are(two_cameras, world, prepare
 
 def test_missing_views_are_refused(two_cameras, tmp_path, cli):
     def refused(words, *more):
-        code, _, err = cli("prepare", "zju", two_cameras, tmp_path / "b", *PUPPET, *more)
+        code, _, err = cli("prepare", "zju", two_cameras, tmp_path / "b", *BUILT_IN_BODY, *more)
         assert code == 2 and words in err and err.count("\n") <= 2, err
         assert not (tmp_path / "b").exists()
 
     refused("has no other camera '0' to hold out; it has 1", "--views", "0")
-    code, _, err = cli("prepare", "auto", two_cameras, tmp_path / "b", *PUPPET, "--views", "7")
+    code, _, err = cli(
+        "prepare", "auto", two_cameras, tmp_path / "b", *BUILT_IN_BODY, "--views", "7"
+    )
     assert code == 2 and "100%" not in err and "camera '7'" in err  # before anything is written
     refused(
         "--view-frames must be a whole number from 1 to 100,000, got 0",

@@ -7,7 +7,7 @@ import numpy as np
 import roma
 import torch
 
-from gva_mi.body.puppet import PUPPET
+from gva_mi.body.built_in import BUILT_IN_BODY
 from gva_mi.body.smplx import load_body
 from gva_mi.data.fingerprint import require_same_body
 from gva_mi.data.video import load_video
@@ -110,7 +110,7 @@ def test_later_steps_expect_the_body_that_was_prepared_for(tmp_path, cli, seen, 
     file.write_bytes(pickle.dumps(wham(seen)))
     code, _, err = cli("prepare", "wham", file, subject, *footage[2:])
     assert code == 2 and "--body" in err and not subject.exists()
-    with np.load(PUPPET) as arrays:
+    with np.load(BUILT_IN_BODY) as arrays:
         other = {key: arrays[key] for key in arrays.files}
     other["v_template"] = 1.02 * other["v_template"]
     np.savez(tmp_path / "taller.npz", **other)
@@ -189,7 +189,7 @@ def test_smpler_x(tmp_path, cli, seen, footage):
     code, _, err = cli("prepare", "auto", tmp_path / "run", tmp_path / "s", *footage, "--first", 1)
     assert code == 0, err
     video = check(tmp_path / "s", seen, SMPLX, 80)
-    with np.load(PUPPET) as body:
+    with np.load(BUILT_IN_BODY) as body:
         mean = np.concatenate([body["hands_meanl"], body["hands_meanr"]]).reshape(30, 3)
     assert np.abs(mean).max() > 0.1
     fingers = matrices(rotations[:, 25:] + mean)

@@ -5,13 +5,13 @@ import json
 import numpy as np
 import pytest
 
-from gva_mi.body.puppet import PUPPET
+from gva_mi.body.built_in import BUILT_IN_BODY
 from gva_mi.body.smplx import load_body
+from gva_mi.core.errors import InputError
 from gva_mi.data.importers.estimator_record import VideoInfo
 from gva_mi.data.importers.estimators import read_estimator
 from gva_mi.data.pictures import read_image, write_image
 from gva_mi.data.video import load_video
-from gva_mi.errors import InputError
 
 WIDTH, HEIGHT, FRAMES = 64, 48, 5
 SMPLX = np.array([0.0031, -0.3514, 0.0120])
@@ -68,7 +68,7 @@ def smplest_x(folder, seen):
 
 
 def with_mean_hands(rotations):
-    with np.load(PUPPET) as body:
+    with np.load(BUILT_IN_BODY) as body:
         mean = np.concatenate([body["hands_meanl"], body["hands_meanr"]]).reshape(30, 3)
     rotations = rotations.copy()
     rotations[:, 25:] += mean
@@ -154,7 +154,7 @@ def test_exavatar(exavatar, tmp_path, cli, seen, stands):
 
 def test_betas_beyond_the_body_s_are_dropped(exavatar, tmp_path, cli):
     """ExAvatar's shape has a hundred numbers, a file of SMPL-X's first version ten."""
-    with np.load(PUPPET) as arrays:
+    with np.load(BUILT_IN_BODY) as arrays:
         body = {key: arrays[key] for key in arrays.files}
     np.savez(tmp_path / "SMPLX_NEUTRAL.npz", **body)
     betas = np.linspace(-1, 1, 100)

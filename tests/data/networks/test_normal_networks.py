@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
+from gva_mi.core.errors import InputError
 from gva_mi.data.networks.normals import NormalNetwork, NormalsSpec
-from gva_mi.errors import InputError
 
 SIZE = (24, 32)
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import torch
 
+from gva_mi.core.errors import InputError
 from gva_mi.data.networks.crop import CropBox, box_of_mask
 from gva_mi.data.networks.sam_weights import load_network
 from gva_mi.data.networks.segment_anything import MaskGuess, Prompt, SegmentAnything
-from gva_mi.errors import InputError
 
 transformers = pytest.importorskip("transformers")
 

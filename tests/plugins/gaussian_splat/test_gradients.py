@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.splat import Gaussians, torch_op
+from gva_mi.splat import Gaussians
+from gva_mi.splat import torch_render as torch_op
 
 PARAMETERS = ["data", "opacities", "sh_coeffs"]
 

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.splat import Gaussians, SplatOptions, torch_op
-from gva_mi.splat.drjit_op import render
+from gva_mi.splat import Gaussians, SplatOptions
+from gva_mi.splat import torch_render as torch_op
+from gva_mi.splat.drjit_render import render
 from gva_mi.splat.formats.ply import save_ply
 
 SENSORS = ["perspective", "window", "orthographic"]

@@ -7,7 +7,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from gva_mi.splat.drjit_op import render
+from gva_mi.splat.drjit_render import render
 
 SKY = {"type": "constant", "radiance": {"type": "rgb", "value": [0.3, 0.5, 0.9]}}
 

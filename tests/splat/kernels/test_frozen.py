@@ -6,7 +6,7 @@ import drjit as dr
 import pytest
 from drjit.llvm import Float
 
-from gva_mi.splat.kernels.frozen import Frozen
+from gva_mi.jit.frozen import Frozen
 
 
 def opaque(size):

@@ -6,7 +6,7 @@ import drjit as dr
 import pytest
 from drjit.llvm import Float, Float64, UInt32
 
-from gva_mi.splat.kernels import packets
+from gva_mi.jit import packets
 from gva_mi.splat.kernels.records import (
     CameraGradient,
     Footprint,

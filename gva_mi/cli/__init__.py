@@ -1,0 +1,49 @@
+"""The commands of ``gva-mi``: each verb is a function in a file of its own.
+
+::
+
+    synth ──▶ subject/ ──▶ refine ──▶ subject/poses_refined.npz ──▶ fit ──▶ run/ ──▶ evaluate
+                                                                            ├──────▶ render
+                                                                            ├──────▶ view
+                                                                            ├──────▶ export
+                                                                            └──────▶ track
+
+``prepare`` makes such a subject/ from a real video, and ``check`` reports what is wrong with one.
+``demo`` runs synth, refine, fit and evaluate. Each command reads a folder, writes a folder, and can
+be run alone; no output is replaced unless asked for. A command checks its arguments, calls the
+library, and reports the result. A new command is a new file and a line in :data:`VERBS`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib import import_module
+
+VERBS = {  # shown by `gva-mi --help`, which imports none of them
+    "demo": "all of it on a synthetic subject: synth, refine, fit, evaluate, report",
+    "synth": "make a synthetic subject: a video with masks, normals, poses and ground truth",
+    "prepare": "make a subject from a video, masks, and the output of a pose estimator",
+    "check": "report everything that is wrong with a subject's folder",
+    "refine": "refine poses with normals and masks: stage 2 of the paper, Eq. 8",
+    "fit": "fit an avatar to a video: Eq. 9, densification, re-initialisation",
+    "evaluate": "measure an avatar on the splits of a subject",
+    "track": "fit the poses of a video to its pictures, seen through an avatar",
+    "render": "drive an avatar by any poses, seen by any cameras",
+    "view": "turn, pose and play an avatar in the browser",
+    "export": "write an avatar, its poses, or a film of it for other programs",
+    "motion": "convert a motion of AMASS, AIST++ or the like to poses that drive an avatar",
+    "study": "refine or fit several synthetic subjects and measure the errors",
+    "body": "write a body file, and a picture of it from all around",
+    "gradcheck": "check the gradients of the renderer, of an avatar, or of rendered normals",
+    "bench": "run the benchmarks of a checkout",
+    "doctor": "report what this machine has, and what is missing for what",
+}
+
+# Old names, answered with the new one.
+RENAMED_VERBS = {"gradcheck-normals": "gradcheck normals", "bench normals": "bench mesh"}
+
+
+def load(verb: str) -> Callable[..., None]:
+    """Import a verb's module, and no other, and return its function."""
+    name = verb.replace("-", "_")
+    return getattr(import_module(f"gva_mi.cli.{name}"), name)

@@ -1,0 +1,34 @@
+"""Arguments that several commands share, and how their files are opened."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, TypeVar
+
+from tyro.conf import FlagCreatePairsOff, arg
+
+from gva_mi.body.smplx import BodyModel
+from gva_mi.core.console import say
+from gva_mi.data.check.glance import glance
+from gva_mi.data.video import REFINED_POSES, Video, best_poses
+
+T = TypeVar("T")
+Flat = Annotated[T, arg(name="")]  # options without a prefix on the command line
+Switch = Annotated[bool, FlagCreatePairsOff]  # off by default and without a --no-... form
+
+
+def poses_of(subject: Path, given: Path | None = None) -> Path:
+    """Return the file that ``--poses`` names; without it the refined poses, else stage 1's.
+
+    Unrefined poses are no error, but a line mentions them.
+    """
+    poses = given or best_poses(subject)
+    if given is None and poses.name != REFINED_POSES:
+        say(f"{subject}: no {REFINED_POSES}, the stage-1 poses are used as they are")
+    return poses
+
+
+def warn_if_outside_masks(video: Video, model: BodyModel) -> None:
+    """Warn if the body does not stand where the masks are, before the work starts."""
+    if doubt := glance(video, model):
+        say(doubt)

@@ -1,0 +1,67 @@
+"""The command ``gva-mi check``: all that is wrong with a subject's folder, in one pass."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from pathlib import Path
+
+from tyro.conf import Positional
+
+from gva_mi.body.smplx import load_body
+from gva_mi.cli.arguments import Switch
+from gva_mi.core.console import bar, say
+from gva_mi.core.files import require_room, write_json
+from gva_mi.data.check import check_subject
+from gva_mi.data.check.sheet import draw_sheet
+from gva_mi.data.pictures import require_picture, write_image
+
+NARROWEST = 110  # characters of a table that can be read
+WRONG = 1  # exit code
+
+
+def check(
+    subject: Positional[Path],
+    *,
+    poses: Path | None = None,
+    body: Path | None = None,
+    json: Path | None = None,
+    sheet: Path | None = None,
+    overwrite: Switch = False,
+) -> None:
+    """Say all that is wrong with a subject's folder, in one pass: files, axes, units, poses.
+
+    Ends with exit code 0 where no error was found, 1 where one was, and 2 where the folder cannot
+    be read.
+
+    Args:
+        subject: the folder.
+        poses: another file of poses than its poses.npz, such as the refined ones.
+        body: the body that its poses are for, in SMPL-X's format; without it the built-in puppet.
+        json: also write all findings, with all their frames, to this file.
+        sheet: also write a picture (.png) of some frames with the outlines of mask and body.
+        overwrite: replace these files.
+    """
+    model = load_body(body)
+    if json is not None:
+        require_room(json, overwrite)
+    if sheet is not None:
+        require_picture(sheet, overwrite)
+    with bar("check") as progress:
+        checked = check_subject(subject, model, poses, progress)
+    report = checked.report
+    for line in report.lines(max(NARROWEST, shutil.get_terminal_size().columns)):
+        say(line)
+    for line in report.skipped:
+        say(f"{subject}: {line}")
+    errors, doubts = len(report.errors), len(report.findings) - len(report.errors)
+    agree = f"; mean IoU of body and masks {report.figures['iou']:.2f}" if report.figures else ""
+    say(f"{subject}: {report.frames} frames, {errors} errors, {doubts} doubtful{agree}")
+    if json is not None:
+        write_json(json, report.to_json())
+        say(f"findings: {json}")
+    if sheet is not None and checked.compared is not None:
+        write_image(sheet, draw_sheet(checked.contents, checked.compared, model))
+        say(f"sheet: {sheet}")
+    if errors:
+        sys.exit(WRONG)

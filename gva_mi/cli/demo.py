@@ -1,0 +1,85 @@
+"""The command ``gva-mi demo``: all steps on a synthetic subject."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from gva_mi.body.smplx import BodyModel, load_body
+from gva_mi.cli.arguments import Flat, Switch, poses_of
+from gva_mi.cli.evaluate import evaluate_run
+from gva_mi.cli.fit import fit_video
+from gva_mi.cli.refine import refine_videos
+from gva_mi.core.console import bar, say
+from gva_mi.core.files import start_folder
+from gva_mi.core.lock import folder_lock
+from gva_mi.core.options import PictureSide, Seed
+from gva_mi.data.video import load_video
+from gva_mi.fit import run_folder
+from gva_mi.fit.options import FitOptions, FromOne
+from gva_mi.fit.poses import PoseOptions
+from gva_mi.pose.sequence import SequenceOptions
+from gva_mi.synthetic import SynthOptions, make_subject
+from gva_mi.synthetic.options import VideoFrames
+
+SUBJECT = "subject"  # where the subject lies within the demo's folder
+MARKER = "demo.json"  # every demo's folder holds it
+
+
+@dataclass(frozen=True)
+class DemoOptions:
+    """How large the demo is; the defaults take some 10 minutes on 2 cores."""
+
+    seed: Seed = 0  # of the subject, the refinement and the fit
+    subject: str = "amira"  # one of the study's seven
+    frames: VideoFrames = 64  # of the video
+    size: PictureSide = 400  # pixels, width and height
+    steps: FromOne = 2000  # of the fit
+    no_refine: Switch = False  # stage-1 poses as they are, to see what refining them is worth
+
+
+def demo(
+    options: Flat[DemoOptions], *, out: Path, body: Path | None = None, overwrite: Switch = False
+) -> None:
+    """All of it on a synthetic subject: synth, refine, fit, evaluate, report.
+
+    Args:
+        options: how large it is.
+        out: folder for the subject, the run and the report.
+        body: a body in SMPL-X's .npz format; without it the built-in puppet.
+        overwrite: replace a demo that is there.
+    """
+    start = time.perf_counter()
+    model = load_body(body)
+    # All options first: a bad one is refused before anything is written or replaced.
+    synth_options = SynthOptions(
+        seed=options.seed, subject=options.subject, frames=options.frames, size=options.size
+    )
+    poses = PoseOptions(trained=not options.no_refine)
+    fit_options = FitOptions(seed=options.seed, steps=options.steps, poses=poses)
+    with folder_lock(out, "gva-mi demo"):
+        start_folder(out, MARKER, overwrite, {"options": asdict(options)})
+        _run(out, options, synth_options, fit_options, model)
+    minutes = (time.perf_counter() - start) / 60
+    say(f"{minutes:.1f} minutes; report: {out / run_folder.REPORT}")
+
+
+def _run(
+    out: Path,
+    options: DemoOptions,
+    synth_options: SynthOptions,
+    fit_options: FitOptions,
+    model: BodyModel,
+) -> None:
+    """All steps, one after the other."""
+    subject = out / SUBJECT
+    with bar("synth") as progress:
+        make_subject(subject, synth_options, model, progress)
+    if not options.no_refine:
+        list(refine_videos([load_video(subject)], model, SequenceOptions(seed=options.seed)))
+    poses = poses_of(subject)
+    video = load_video(subject, poses)
+    avatar = fit_video(video, model, fit_options, out)
+    name = "no_refine" if options.no_refine else "full"
+    evaluate_run(out, avatar, video, model, poses, name=name, title="The demo subject")

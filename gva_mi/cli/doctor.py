@@ -1,0 +1,116 @@
+"""The command ``gva-mi doctor``: what this machine has, and what is missing for what."""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib import metadata
+
+from gva_mi.core import llvm
+
+# Packages beyond the bare install: what each is needed for, and the extra that brings it.
+PACKAGES = {
+    "mitsuba": ("mesh normals and silhouettes, synthetic subjects", "mitsuba"),
+    "pymeshlab": ("meshing in the re-initialisation, the built-in body's generator", "mesh"),
+    "trimesh": ("meshes", "mesh"),
+    "skimage": ("PSNR and SSIM", "mesh"),
+    "scipy": ("nearest neighbours", "mesh"),
+    "av": ("reading and writing mp4", "avatar"),
+    "PIL": ("reading and writing PNG", "avatar"),
+    "jinja2": ("the report", "avatar"),
+    "matplotlib": ("the report's plots", "avatar"),
+    "roma": ("rotations", "avatar"),
+    "tyro": ("the command line", "avatar"),
+}
+
+
+@dataclass(frozen=True)
+class Component:
+    """One line of the report."""
+
+    name: str
+    found: str
+    fine: bool = True
+    needed_for: str = ""  # said if it is missing
+
+    def __str__(self) -> str:
+        mark = "ok     " if self.fine else "MISSING"
+        why = "" if self.fine or not self.needed_for else f"  (needed for: {self.needed_for})"
+        return f"{mark}  {self.name:<12} {self.found}{why}"
+
+
+def doctor() -> None:
+    """Say what this machine has, and what is missing for what.
+
+    Ends with exit code 1 where something is missing.
+    """
+    fine = True
+    for component in examine():
+        fine &= component.fine
+        # Not with gva_mi.core.console, whose package may be missing.
+        sys.stdout.write(f"{component}\n")
+        sys.stdout.flush()
+    sys.exit(0 if fine else 1)
+
+
+def examine() -> Iterator[Component]:
+    """Look at everything that the program can use, the essential first."""
+    version = sys.version_info
+    yield Component("python", platform.python_version(), version >= (3, 11), "everything")
+    yield Component("system", f"{platform.platform()}, {os.cpu_count()} cores")
+    yield from _dr_jit()
+    for module in ("torch", *PACKAGES):
+        yield _package(module, *PACKAGES.get(module, ("everything", "")))
+    yield from _weights()
+
+
+def _dr_jit() -> Iterator[Component]:
+    """Run a kernel that aborts with an old libLLVM, and read its vector width from its code."""
+    if llvm.problem:
+        yield Component("libLLVM", llvm.problem, False, "every kernel")
+        return
+    import drjit as dr
+    from drjit.llvm import Float
+
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        smaller = dr.minimum(dr.opaque(Float, 1, 64), 0.5)
+        dr.eval(smaller)
+        code = "".join(kernel["ir"].getvalue() for kernel in dr.kernel_history() if "ir" in kernel)
+    lanes = re.search(r"<(\d+) x float>", code)
+    found = ".".join(map(str, dr.detail.llvm_version()))
+    yield Component("libLLVM", f"{found} at {os.environ.get(llvm._PATH, 'the default path')}")
+    width = f", {lanes.group(1)} float32 lanes" if lanes else ""
+    says = f"{dr.__version__}, {dr.thread_count()} threads{width}"
+    yield Component("drjit", says, bool(dr.all(smaller == 0.5)), "every kernel")
+
+
+def _package(module: str, needed_for: str, extra: str) -> Component:
+    """Import a package in a process of its own, because a broken wheel may fail in any way."""
+    trial = f"import gva_mi, {module}"
+    result = subprocess.run([sys.executable, "-c", trial], capture_output=True, text=True)
+    if result.returncode == 0:
+        names = metadata.packages_distributions().get(module, [module])
+        return Component(module, metadata.version(names[0]))
+    last = (result.stderr.strip().splitlines() or [f"exit code {result.returncode}"])[-1]
+    install = f"; pip install 'gva_mi[{extra}]'" if "ModuleNotFound" in last else ""
+    if "libGL" in last or "libX11" in last:
+        install = "; apt-get install libgl1 libx11-6"
+    return Component(module, last + install, False, needed_for)
+
+
+def _weights() -> Iterator[Component]:
+    """Report network weights; they are never needed, so say what is used without them."""
+    from gva_mi.fit.perceptual import find_weights
+
+    weights = find_weights()
+    vgg = "none; the perceptual loss uses the random network rand_vgg"
+    if weights.vgg16:
+        vgg = f"{weights.vgg16}; a fit uses it only with gva-mi fit --vgg16 FILE"
+    yield Component("VGG16", vgg)
+    network = weights.lpips_network
+    yield Component("LPIPS", f"on {network}" if network else "none; rand_vgg is reported instead")

@@ -1,0 +1,94 @@
+"""The command ``gva-mi evaluate``: how close an avatar comes to pictures, as figures and a page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+from tyro.conf import Positional
+
+from gva_mi.avatar.avatar import Avatar
+from gva_mi.body.smplx import BodyModel, load_body
+from gva_mi.cli.arguments import Switch, poses_of, warn_if_outside_masks
+from gva_mi.core.console import bar, say
+from gva_mi.core.errors import InputError
+from gva_mi.core.files import require_room
+from gva_mi.core.lock import folder_lock
+from gva_mi.data.fingerprint import require_same_body
+from gva_mi.data.video import Video, load_video
+from gva_mi.fit import run_folder
+from gva_mi.study.fitted_poses import with_fitted_poses
+from gva_mi.study.metrics import measure_run, save_metrics
+from gva_mi.study.report import write_report
+
+
+def evaluate(
+    run: Positional[Path],
+    subject: Positional[Path],
+    *,
+    poses: Path | None = None,
+    body: Path | None = None,
+    fit_poses: Switch = False,
+) -> None:
+    """Measure an avatar on the splits of a subject; writes metrics.json and report.html.
+
+    Args:
+        run: the folder of a finished fit.
+        subject: the folder it was fitted to.
+        poses: the poses it was fitted under; without it the refined ones, else those of stage 1.
+        body: the body that it was fitted with, in SMPL-X's .npz format; without it the built-in
+            puppet. Hands are measured where it has them.
+        fit_poses: also measure test frames, and novel ones of a truth, in rows of their own,
+            under poses that are fitted to these very frames.
+    """
+    avatar = Avatar.load(run / run_folder.AVATAR)
+    model = load_body(body)
+    require_same_body(subject, model)
+    if not torch.equal(avatar.rig.weights, model.weights):
+        raise InputError(f"{run}: its avatar was fitted with another body; give that one's --body")
+    poses = poses_of(subject, poses)
+    video = load_video(subject, poses)
+    video.require_train_frames()
+    warn_if_outside_masks(video, model)
+    title = subject.resolve().name
+    with folder_lock(run, "gva-mi evaluate"):
+        require_room(run / run_folder.METRICS, overwrite=True)
+        evaluate_run(
+            run, avatar, video, model, poses, name="full", title=title, fit_poses=fit_poses
+        )
+    say(f"report: {run / run_folder.REPORT}")
+
+
+def evaluate_run(
+    run: Path,
+    avatar: Avatar,
+    video: Video,
+    model: BodyModel,
+    poses: Path,
+    *,
+    name: str,
+    title: str,
+    fit_poses: bool = False,
+) -> None:
+    """Measure the avatar of a run, write figures and report into its folder, and say the figures.
+
+    Args:
+        run: the folder of the finished fit.
+        avatar: what was fitted.
+        video: opened with the poses that the fit began with.
+        model: the body model that was fitted.
+        poses: the file of these poses.
+        name: of the run, for its rows.
+        title: of the report.
+        fit_poses: also measure test and novel frames under poses fitted to these very frames.
+    """
+    trained = run_folder.under_trained_poses(video, run)
+    with bar("evaluate") as progress:
+        metrics = measure_run(run, avatar, video, name, model, poses, progress)
+    if fit_poses:
+        with bar("poses") as progress:
+            metrics = with_fitted_poses(metrics, avatar, video, trained, model, progress)
+    save_metrics(run, metrics)
+    write_report(run, avatar, trained, title)
+    for line in metrics.lines():
+        say(line)

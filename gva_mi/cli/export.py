@@ -1,0 +1,290 @@
+"""The command ``gva-mi export``: an avatar, its poses or a film of it, in other programs' files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Annotated, Literal, NamedTuple
+
+import numpy as np
+import torch
+from tyro.conf import Positional
+
+from gva_mi.avatar.avatar import Avatar
+from gva_mi.avatar.formats.amass import save_amass
+from gva_mi.avatar.formats.gltf import save_gltf
+from gva_mi.avatar.formats.without_body import require_body_of, save_without_body
+from gva_mi.body.pose import Pose, Shape
+from gva_mi.body.smplx import body_name, load_body
+from gva_mi.cli.arguments import Flat, Switch
+from gva_mi.cli.driving import motion_of
+from gva_mi.cli.series import HASH, hash_of, series
+from gva_mi.core.console import Progress, bar, say
+from gva_mi.core.errors import InputError
+from gva_mi.core.files import require_room
+from gva_mi.core.options import Within, require_ranges
+from gva_mi.data.pictures import (
+    SEE_THROUGH,
+    read_background,
+    require_see_through,
+    write_image,
+    write_movie,
+    write_see_through,
+)
+from gva_mi.fit.camera_paths import CameraPath, Shot, shots
+from gva_mi.fit.renders import over, render_shots, see_through
+from gva_mi.fit.run_folder import load_avatar
+from gva_mi.splat import Gaussians
+from gva_mi.splat.formats import LOAD
+from gva_mi.splat.formats.compressed_ply_writer import save_compressed_ply
+from gva_mi.splat.formats.ply import save_ply
+from gva_mi.splat.formats.splat import save_splat
+from gva_mi.splat.formats.spz import save_spz
+
+MARKER = "export.json"  # every folder of exports holds it
+COMPRESSED = ".compressed.ply"  # the ending by which SuperSplat knows its files, too
+SAVE = {
+    ".ply": save_ply, COMPRESSED: save_compressed_ply, ".splat": save_splat, ".spz": save_spz,
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class ExportOptions:
+    """What of an avatar is written."""
+
+    # A motion: SMPL-X's names, or whatever gva-mi motion reads; none: those trained with it.
+    poses: Path | None = None
+    # Of the poses; Gaussians without it and --poses are at rest.
+    frame: Annotated[int, Within(0, 1_000_000)] | None = None
+    # Into a folder: one file for every so many frames.
+    every: Annotated[int, Within(1, 1_000_000)] = 1
+    # Kind of these files; .png are transparent where the avatar is not.
+    each: Literal["ply", "compressed.ply", "splat", "spz", "png"] = "ply"
+    fps: Annotated[int, Within(1, 1000)] = 30  # frames a second
+    background: str = "white"  # of a film: a colour, such as #ff8800, or a picture file
+    no_rig: Switch = False  # .npz: the avatar, without what it holds of a licensed body
+
+    def __post_init__(self) -> None:
+        require_ranges("export", self)
+
+
+Work = Callable[[], None]  # writes to --out; everything it can fail on has been checked
+
+
+@dataclass(frozen=True)
+class _Export:
+    """One call of the command with its avatar."""
+
+    run: Path
+    avatar: Avatar
+    options: ExportOptions
+    view: CameraPath
+    out: Path
+    body: Path | None
+    overwrite: bool
+
+    def driving(self) -> tuple[Pose, Shape]:
+        """Return the poses that were asked for, and the shape of their person."""
+        options = self.options
+        return motion_of(self.run, self.avatar, options.poses, options.fps, self.body)
+
+    def motion(self) -> Pose:
+        """Return these poses; raise an InputError if --frame is not among them."""
+        motion, _ = self.driving()
+        if (self.options.frame or 0) >= len(motion):
+            frame = self.options.frame
+            raise InputError(f"export: frame {frame} is not there, the poses have {len(motion)}")
+        return motion
+
+    def shots(self, motion: Pose) -> list[Shot]:
+        """Return the pictures to be taken of a motion."""
+        view = self.view.or_usual(moving=self.options.poses is not None)
+        return shots(view, self.avatar.rig, motion, self.options.frame or 0)
+
+    @torch.no_grad()
+    def save_gaussians(self, path: Path, pose: Pose) -> None:
+        """Write the avatar's Gaussians in one pose."""
+        gaussians: Gaussians = self.avatar(pose)
+        SAVE[_suffix(path)](path, gaussians)
+
+
+def export(
+    run: Positional[Path],
+    options: Flat[ExportOptions] = ExportOptions(),  # noqa: B008 (frozen)
+    view: Flat[CameraPath] = CameraPath(),  # noqa: B008 (frozen)
+    *,
+    out: Path,
+    body: Path | None = None,
+    overwrite: Switch = False,
+) -> None:
+    """Write an avatar, its poses, or a film of it in a file of other programs.
+
+    If writing a folder was interrupted, the same command resumes it.
+
+    Args:
+        run: the folder of a finished fit, or an avatar.npz; or a .ply, also a compressed one, a
+            .splat or a .spz, which becomes another of these.
+        options: what is written.
+        view: of films and .png.
+        out: the file, whose suffix says what it is: .ply, .compressed.ply (SuperSplat's), .splat,
+            .spz (Gaussians in one pose), .glb (the surface with skeleton and skin), .npz (poses as
+            AMASS has them, or with --no-rig the avatar), .mp4 (a film), .webm (a transparent one);
+            or a folder for one file a frame.
+        body: the body file of an avatar without its body, or for --no-rig; without it the built-in
+            puppet.
+        overwrite: replace what is there.
+    """
+    suffix = "" if out.is_dir() else _suffix(out)
+    _require_meant(suffix, options, view)
+    if run.suffix in LOAD and not run.is_dir():
+        work = _converted(run, options, suffix, out)
+    else:
+        avatar = load_avatar(run, body)
+        job = _Export(run, avatar, options, view, out, body, overwrite)
+        work = FORMATS[suffix].prepare(job)
+    if suffix:
+        require_room(out, overwrite)
+    work()
+    say(f"exported: {out}")
+
+
+def _suffix(out: Path) -> str:
+    """Return the key of :data:`FORMATS` that a name asks for."""
+    suffix = out.suffix.lower()
+    suffix = COMPRESSED if suffix and out.name.lower().endswith(COMPRESSED) else suffix
+    if suffix not in FORMATS:
+        there = ", ".join(f"{name} ({format.what})" for name, format in FORMATS.items() if name)
+        raise InputError(
+            f"{out}: no format ends in {suffix}; expected {there}, or {FORMATS[''].what}"
+        )
+    return suffix
+
+
+def _require_meant(suffix: str, options: ExportOptions, view: CameraPath) -> None:
+    """Raise an InputError for options that have no effect on the format."""
+    kind = suffix or "a folder"
+    for field in fields(options):
+        meant = [name or "a folder" for name, f in FORMATS.items() if field.name in f.options]
+        if getattr(options, field.name) != field.default and kind not in meant:
+            name = field.name.replace("_", "-")
+            raise InputError(f"export: --{name} is for {' and '.join(meant)}, not for {kind}")
+    pictures = suffix in (".mp4", SEE_THROUGH) or (not suffix and options.each == "png")
+    if view != CameraPath() and not pictures:
+        raise InputError(f"export: cameras are for .mp4, .webm and --each png, not for {kind}")
+
+
+def _converted(source: Path, options: ExportOptions, suffix: str, out: Path) -> Work:
+    """Prepare to write a file of Gaussians as another one."""
+    if suffix not in SAVE or options != ExportOptions():
+        raise InputError(
+            f"{source}: holds Gaussians alone, which become {', '.join(SAVE)} as they are; "
+            f"expected such a name without other options, got {out}"
+        )
+    gaussians = LOAD[source.suffix](source)
+    return lambda: SAVE[suffix](out, gaussians)
+
+
+def _gaussians(job: _Export) -> Work:
+    options = job.options
+    at_rest = options.poses is None and options.frame is None
+    pose = Pose.rest() if at_rest else job.motion()[options.frame or 0]
+    return lambda: job.save_gaussians(job.out, pose)
+
+
+def _surface(job: _Export) -> Work:
+    motion = job.motion() if job.options.poses else None
+    return lambda: save_gltf(job.out, job.avatar, motion, job.options.fps)
+
+
+def _poses(job: _Export) -> Work:
+    if job.options.no_rig:
+        if job.options.poses is not None:
+            raise InputError("export: --no-rig writes the avatar, --poses its poses; not both")
+        body, name = load_body(job.body), body_name(job.body)
+        require_body_of(job.avatar, body, name)
+        return lambda: save_without_body(job.out, job.avatar, body, name)
+    motion, shape = job.driving()
+    return lambda: save_amass(job.out, motion, shape, job.options.fps)
+
+
+def _film(job: _Export) -> Work:
+    background = read_background(job.options.background, *job.view.size)
+    write = lambda images: write_movie(job.out, images, fps=job.options.fps, lossless=False)
+    return _filmed(job, lambda layer: over(layer, background), write)
+
+
+def _transparent_film(job: _Export) -> Work:
+    require_see_through(job.out)
+    write = lambda images: write_see_through(job.out, images, fps=job.options.fps)
+    return _filmed(job, see_through, write)
+
+
+def _filmed(
+    job: _Export,
+    image_of: Callable[[np.ndarray], np.ndarray],
+    write: Callable[[Iterator[np.ndarray]], None],
+) -> Work:
+    """Prepare to render layers, turn each into a picture, and write these."""
+    motion = job.motion()
+    pictures = job.shots(motion)
+
+    def work() -> None:
+        with bar("render") as progress:
+            write(map(image_of, render_shots(job.avatar, motion, pictures, progress)))
+
+    return work
+
+
+def _folder(job: _Export) -> Work:
+    motion, options = job.motion(), job.options
+    pictures = job.shots(motion) if options.each == "png" else []
+    frames = range(0, len(pictures or motion), options.every)
+    frame_of = {f"{k:06d}.{options.each}": k for k in frames}
+    recorded_options = hash_of(job.avatar, motion, pictures, (options.each, options.every))
+    about = {"avatar": str(job.run), "poses": options.poses, HASH: recorded_options}
+
+    def write(missing: list[str], progress: Progress) -> None:
+        if options.each == "png":
+            taken = [pictures[frame_of[name]] for name in missing]
+            layers = render_shots(job.avatar, motion, taken, progress)
+            for name, layer in zip(missing, layers, strict=True):
+                write_image(job.out / name, see_through(layer))
+            return
+        for done, name in enumerate(missing, 1):
+            job.save_gaussians(job.out / name, motion[frame_of[name]])
+            progress(done, len(missing))
+
+    def work() -> None:
+        names = series(job.out, MARKER, list(frame_of), job.overwrite, about)
+        with names as missing, bar("export") as progress:
+            write(missing, progress)
+
+    return work
+
+
+class OutputFormat(NamedTuple):
+    """What a suffix of ``--out`` stands for."""
+
+    what: str
+    prepare: Callable[[_Export], Work]
+    options: tuple[str, ...]  # names of the options that have an effect
+
+
+_ONE_POSE = _gaussians, ("poses", "frame")
+FORMATS = {
+    ".ply": OutputFormat("Gaussians in one pose, for viewers of 3DGS", *_ONE_POSE),
+    COMPRESSED: OutputFormat("the same in 16 bytes each, as SuperSplat writes it", *_ONE_POSE),
+    ".splat": OutputFormat("the same in 32 bytes each, for viewers in a browser", *_ONE_POSE),
+    ".spz": OutputFormat("Niantic's, a quarter of a .ply, with spherical harmonics", *_ONE_POSE),
+    ".glb": OutputFormat(
+        "the surface with skeleton, skin, colours, and a motion", _surface, ("poses", "fps")
+    ),
+    ".npz": OutputFormat(
+        "poses as AMASS has them; with --no-rig the avatar without its body", _poses,
+        ("poses", "fps", "no_rig"),
+    ),
+    ".mp4": OutputFormat("a film", _film, ("poses", "frame", "fps", "background")),
+    SEE_THROUGH: OutputFormat("a transparent film", _transparent_film, ("poses", "frame", "fps")),
+    "": OutputFormat("a folder with one file a frame", _folder, ("poses", "every", "each")),
+}  # fmt: skip

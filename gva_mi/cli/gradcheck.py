@@ -1,0 +1,164 @@
+"""The command ``gva-mi gradcheck``: are the gradients of renderer, avatar and normals right?"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from torch import Generator
+from tyro.conf import Positional
+
+from gva_mi.cli.arguments import Flat, Switch
+from gva_mi.core.console import bar, say
+from gva_mi.core.errors import InputError
+from gva_mi.core.files import require_writable
+from gva_mi.core.options import Seed, Within, require_ranges
+from gva_mi.gradcheck.avatar import check_avatar
+from gva_mi.gradcheck.chain import PosedAvatar
+from gva_mi.gradcheck.engine import Report, write_reports
+from gva_mi.gradcheck.normals import COORDINATES, NormalsCheck, check_normals
+from gva_mi.gradcheck.picture import write_picture
+from gva_mi.gradcheck.probes import IMAGES
+from gva_mi.gradcheck.splat import gradcheck as check_renderer
+from gva_mi.splat import render
+from gva_mi.splat.camera import CameraModel
+from gva_mi.splat.scene import Scene, person_scene
+
+REPORT, PICTURE = "gradcheck.json", "gradcheck.png"
+What = Literal["splat", "avatar", "normals"]
+ONLY: dict[str, tuple[What, ...]] = {  # options that only some checks have
+    "seed": ("splat", "avatar"),
+    **dict.fromkeys(("window", "camera_model", "antialiased", "channels", "images"), ("splat",)),
+    **dict.fromkeys(("size", "spp", "lines", "points"), ("normals",)),
+}
+
+
+@dataclass(frozen=True)
+class GradcheckOptions:
+    """What to look at, and how finely."""
+
+    # Windows, from the fullest to the emptiest (3); random poses of an avatar (3); coordinates of
+    # the body's pose, from the first (all 16).
+    count: Annotated[int, Within(1, 1000)] | None = None
+    seed: Seed = 0  # of the loss, and of the choice of entries
+    # splat: width and height of a window, px; the time grows with its square and more.
+    window: Annotated[int, Within(1, 1024)] = 24
+    camera_model: CameraModel | None = None  # splat: another one than the scene's own
+    antialiased: Switch = False  # splat: opacities reduced by what the blur adds in area
+    # splat: random features of this width in the place of the colours; 0 keeps the colours.
+    channels: Annotated[int, Within(0, 1024)] = 0
+    images: tuple[Literal["color", "alpha", "depth"], ...] = IMAGES  # splat: in the loss
+    size: Annotated[int, Within(32, 4096)] = 512  # normals: width and height of the picture, px
+    spp: Annotated[int, Within(1, 4096)] = 16  # normals: rays for a pixel of the gradient
+    # normals: lines across the rectangle that moves, for the true boundary term.
+    lines: Annotated[int, Within(1, 1_000_000)] = 16000
+    points: Annotated[int, Within(1, 10_000)] = 89  # normals: on each face, for the true interior
+
+    def __post_init__(self) -> None:
+        require_ranges("gradcheck", self)
+        if not self.images:
+            raise InputError(f"gradcheck: images must be some of {', '.join(IMAGES)}")
+
+    def require_only(self, what: What) -> None:
+        """Raise an InputError for an option that another check has."""
+        if what == "normals" and self.count is not None:
+            Within(1, len(COORDINATES)).require("gradcheck normals", "count", self.count)
+        for field in fields(self):
+            checks = ONLY.get(field.name, (what,))
+            if what not in checks and getattr(self, field.name) != field.default:
+                option = field.name.replace("_", "-")
+                raise InputError(
+                    f"gradcheck {what}: there is no --{option}; it is an option of "
+                    f"`gva-mi gradcheck {checks[0]}`"
+                )
+
+    def applied(self, scene: Scene) -> Scene:
+        """The scene under these options."""
+        if self.camera_model is not None:
+            scene = scene.through(self.camera_model)
+        if self.channels:
+            scene = scene.featured(self.channels, Generator().manual_seed(self.seed))
+        return replace(scene, options=replace(scene.options, antialiased=self.antialiased))
+
+
+def gradcheck(
+    what: Positional[What] = "splat",
+    options: Flat[GradcheckOptions] = GradcheckOptions(),  # noqa: B008 (frozen)
+    *,
+    scene: Path | None = None,
+    body: Path | None = None,
+    out: Path | None = None,
+) -> None:
+    """Compare the gradients of the renderer, of an avatar or of rendered normals with references.
+
+    splat: the renderer against its reference implementation and central differences, in small
+    windows of a picture. avatar: the whole chain from a pose to the picture, and every link of it,
+    against differences and tangents. normals: mesh_normals by the body's pose against an exact
+    reference. Ends with an error where a gradient is wrong, less accurate than allowed, or missing.
+
+    Args:
+        what: what to check.
+        options: what to look at, and how finely.
+        scene: splat: a .ply, .splat or .spz, or an .npz file with means, quats, scales, opacities,
+            sh or colors, viewmat, K, width, height, background; without it a person of 20,000
+            Gaussians.
+        body: avatar: a body in SMPL-X's .npz format; without it the built-in body.
+        out: a folder for gradcheck.json and, of splat, gradcheck.png.
+    """
+    options.require_only(what)
+    for name, given, has in (("scene", scene, "splat"), ("body", body, "avatar")):
+        if given is not None and what != has:
+            raise InputError(
+                f"gradcheck {what}: there is no --{name}; it is an option of "
+                f"`gva-mi gradcheck {has}`"
+            )
+    if out is not None:
+        require_writable(out)
+    checks = {"splat": lambda: _windows(options, scene), "avatar": lambda: _poses(options, body)}
+    reports = {}
+    for name, report in checks.get(what, lambda: _normals(options))():
+        reports[name] = report
+        say(f"{name}:\n{report.table()}\n")
+    if out is not None:
+        write_reports(reports, out / REPORT)
+        say(f"figures: {out / REPORT}")
+        if what == "splat":
+            write_picture(reports, out / PICTURE)
+            say(f"picture: {out / PICTURE}")
+    failed = [
+        f"{name}: {'; '.join([report.verdict, *report.notes])}"
+        for name, report in reports.items()
+        if not report.passed or report.notes  # a note: a gradient is missing
+    ]
+    if failed:
+        raise InputError(f"gradcheck {what}: {'; '.join(failed)}")
+    say(f"gradcheck {what}: all gradients are right")
+
+
+def _windows(options: GradcheckOptions, scene: Path | None) -> Iterator[tuple[str, Report]]:
+    """The renderer in windows of a picture."""
+    whole = person_scene(np.random.default_rng(0)) if scene is None else Scene.load(scene)
+    for place, part in options.applied(whole).windows(options.window, options.count or 3):
+        report = check_renderer(render, part, images=options.images, seed=options.seed)
+        yield f"window at {place}", report
+
+
+def _poses(options: GradcheckOptions, body: Path | None) -> Iterator[tuple[str, Report]]:
+    """An avatar in random poses."""
+    for seed in range(options.seed, options.seed + (options.count or 3)):
+        yield f"pose {seed}", check_avatar(PosedAvatar.random(seed, body=body), seed=seed)
+
+
+def _normals(options: GradcheckOptions) -> Iterator[tuple[str, Report]]:
+    """``mesh_normals`` by coordinates of the body's pose."""
+    count = min(options.count or len(COORDINATES), len(COORDINATES))
+    check = NormalsCheck(options.size, options.spp, options.lines, options.points)
+    rows = []
+    with bar("gradcheck") as progress:
+        for done, found in enumerate(check_normals(check, count), 1):
+            rows += found
+            progress(done, count)
+    yield "mesh_normals", Report(tuple(rows), f"{count} coordinates of the pose, {options.size} px")

@@ -1,0 +1,163 @@
+"""Read a command's arguments with tyro, from its signature and its option dataclasses.
+
+The range of a number (:mod:`gva_mi.core.options`) is shown in ``--help``. Every refused value ends in
+one sentence that names the option.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import inspect
+import io
+import operator
+import os
+import shutil
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, redirect_stderr
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin, get_type_hints
+
+from gva_mi.cli.retired import PYTHON_ONLY, require_current
+from gva_mi.core.errors import InputError
+from gva_mi.core.options import Within
+
+if TYPE_CHECKING:
+    from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec
+
+NARROWEST = 40  # columns: in a narrower terminal tyro never finishes a long --help
+
+Refusals = list[str]  # what a number must be and what was given, of each that was refused
+
+
+def parse(command: Callable[..., None], verb: str, arguments: list[str]) -> Callable[[], None]:
+    """Read a command's arguments; return the call without making it.
+
+    Errors raised here are about the arguments; errors of the command come with the call.
+
+    Raises:
+        InputError: a value that cannot be read or that the options refuse, or a retired option.
+    """
+    import tyro
+
+    require_current(verb, arguments)
+
+    def call(*values: object, **options: object) -> Callable[[], None]:
+        return functools.partial(command, *values, **options)
+
+    told, refusals = io.StringIO(), Refusals()
+    hints = get_type_hints(command, include_extras=True)
+    call.__annotations__ = {name: _with_ranges(hint, refusals) for name, hint in hints.items()}
+    call.__signature__, call.__doc__ = inspect.signature(command), command.__doc__
+    try:
+        with redirect_stderr(told), _wide_enough():
+            return tyro.cli(
+                call, prog=f"gva-mi {verb}", args=arguments, registry=_registry(refusals),
+                config=(tyro.conf.SuppressFixed,),
+            )  # fmt: skip
+    except ValueError as error:  # from options without a prefix, which tyro does not catch
+        raise InputError(str(error)) from None
+    except SystemExit as stop:
+        sentence = _refusal(stop, refusals)
+        if sentence is not None:
+            raise InputError(sentence) from None
+        sys.stderr.write(told.getvalue())  # missing or unknown arguments, or no such choice
+        raise
+
+
+@contextmanager
+def _wide_enough() -> Iterator[None]:
+    """Let tyro see a terminal of at least :data:`NARROWEST` columns."""
+    before = os.environ.get("COLUMNS")
+    if shutil.get_terminal_size().columns < NARROWEST:
+        os.environ["COLUMNS"] = str(NARROWEST)
+    try:
+        yield
+    finally:
+        os.environ.pop("COLUMNS", None)
+        if before is not None:
+            os.environ["COLUMNS"] = before
+
+
+def _registry(refusals: Refusals) -> ConstructorRegistry:
+    """Return a rule for tyro: show ranges of a dataclass's numbers, hide what only Python sets."""
+    from tyro.conf import Fixed
+    from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructTypeInfo
+
+    registry, asked = ConstructorRegistry(), []
+
+    @registry.struct_rule
+    def with_ranges(info: StructTypeInfo) -> StructConstructorSpec | None:
+        if asked or not dataclasses.is_dataclass(info.type):
+            return None
+        asked.append(info)  # so that tyro's own rule answers
+        try:
+            spec = ConstructorRegistry.get_struct_spec(info)
+        finally:
+            asked.clear()
+        _, hidden = PYTHON_ONLY.get(info.type.__name__, ("", ()))
+        shown = lambda f: (
+            Annotated[f.type, Fixed] if f.name in hidden else _with_ranges(f.type, refusals)
+        )
+        fields = tuple(dataclasses.replace(f, type=shown(f)) for f in spec.fields)
+        return dataclasses.replace(spec, fields=fields)
+
+    return registry
+
+
+def _with_ranges(hint: Any, refusals: Refusals) -> Any:  # noqa: ANN401
+    """Return an annotation in which tyro's specification stands for each range."""
+    if get_origin(hint) is Annotated:
+        kind, *rest = get_args(hint)
+        rest = (_number(kind, x, refusals) if isinstance(x, Within) else x for x in rest)
+        return Annotated[(_with_ranges(kind, refusals), *rest)]
+    parts = get_args(hint)
+    if not parts or not any(get_args(part) for part in parts):
+        return hint
+    parts = tuple(_with_ranges(part, refusals) for part in parts)
+    return tuple[parts] if get_origin(hint) is tuple else functools.reduce(operator.or_, parts)
+
+
+def _number(
+    kind: type[int] | type[float], within: Within, refusals: Refusals
+) -> PrimitiveConstructorSpec:
+    """Return how tyro reads and shows a number of some range."""
+    from tyro.constructors import PrimitiveConstructorSpec
+
+    def read(words: list[str]) -> float:
+        try:
+            number = kind(words[0])
+        except ValueError:
+            number = None
+        if number not in within:
+            form = "a whole number" if kind is int else "a number"
+            refusals.append(f"must be {form} {within}, got {words[0]}")
+            raise ValueError(refusals[-1])
+        return number
+
+    return PrimitiveConstructorSpec(
+        nargs=1,
+        metavar=f"{kind.__name__.upper()} {within}",
+        instance_from_str=read,
+        is_instance=lambda found: isinstance(found, int | float),
+        str_from_instance=lambda found: [str(found)],
+    )
+
+
+def _refusal(stop: SystemExit, refusals: Refusals) -> str | None:
+    """Return the sentence for a refused value; None if tyro stopped for another reason.
+
+    Python keeps tyro's error and the error of the value as contexts of the exit; tyro's error
+    knows the argument. A number does not know the name of its option, and options that refuse a
+    value name it themselves.
+    """
+    error, option = stop.__context__, None
+    while error is not None and not isinstance(error, ValueError):
+        lowered = getattr(getattr(error, "arg", None), "lowered", None)
+        option = lowered.name_or_flags[-1] if lowered is not None else option
+        error = error.__context__
+    if error is None:
+        return None
+    named = option is not None and option.startswith("--")
+    reason = refusals[-1] if refusals and (named or str(error) == refusals[-1]) else str(error)
+    return f"{option} {reason}" if named else reason

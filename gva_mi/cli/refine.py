@@ -1,0 +1,150 @@
+"""The command ``gva-mi refine``: stage 2, poses that agree with normals and silhouettes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Literal
+
+from tyro.conf import Positional
+
+from gva_mi.body.smplx import BodyModel, load_body
+from gva_mi.cli.arguments import Flat, Switch, warn_if_outside_masks
+from gva_mi.core.console import bar, listed, say
+from gva_mi.core.errors import InputError
+from gva_mi.core.files import require_room, versions
+from gva_mi.core.lock import folder_lock
+from gva_mi.core.options import Weight, Workers
+from gva_mi.core.tasks import cluster
+from gva_mi.core.tasks import workers as local_workers
+from gva_mi.data.fingerprint import require_same_body
+from gva_mi.data.ground_truth import load_ground_truth
+from gva_mi.data.video import REFINED_POSES, Video, load_video
+from gva_mi.pose.job import RefineOptions
+from gva_mi.pose.prior.inference import describe_prior
+from gva_mi.pose.refine import refine_all
+from gva_mi.pose.sequence import SequenceOptions
+from gva_mi.pose.single_frame import SingleFrameOptions, Steps
+from gva_mi.study.measure import Evaluation
+from gva_mi.study.refinement import OVERLAYS, PAGE, ablate, write_record
+from gva_mi.study.refinement_report import write_refinement_report
+
+
+def refine(
+    subjects: Positional[tuple[Path, ...]],
+    options: Flat[SequenceOptions],
+    *,
+    loss: Literal["sequence", "paper"] = "sequence",
+    steps: Steps = SingleFrameOptions.steps,
+    paper_prior: Weight = SingleFrameOptions.prior,
+    normals: Literal["perspective", "opengl", "icon", "none"] | None = None,
+    workers: Workers = 1,
+    scheduler: str | None = None,
+    report: Switch = False,
+    body: Path | None = None,
+    overwrite: Switch = False,
+) -> None:
+    """Refine the poses of videos with their normals and masks: stage 2 of the paper, Eq. 8.
+
+    Writes poses_refined.npz, refinement.json and refinement.png into each subject's folder.
+
+    Args:
+        subjects: folders with video, masks, cameras, stage-1 poses; normals where there are some.
+        options: of the refinement.
+        loss: all frames together, or Eq. 8 as printed, frame by frame; the latter uses size, faces,
+            silhouette, step and largest-turn of the options, and the next two.
+        steps: for each frame; of --loss paper.
+        paper_prior: λ2, for one square radian; of --loss paper.
+        normals: how the normals were made: as the video's camera sees them, or as ICON writes them
+            (orthographic, y up); none: they are not used. Without it as normals.json says.
+        workers: processes on this machine; any number gives the same bits.
+        scheduler: address of a dask.distributed cluster that does the work instead.
+        report: also write refinement.html, with an ablation of every term of the loss.
+        body: a body in SMPL-X's .npz format; without it the built-in puppet.
+        overwrite: replace refined poses that are there.
+    """
+    if not subjects:
+        raise InputError("refine: give the folder of a subject, or of several")
+    if scheduler is not None and workers != 1:
+        raise InputError("refine: give --workers or --scheduler, not both")
+    if loss == "paper" and (options.hold_out_test or options.refine_camera):
+        name = "--hold-out-test" if options.hold_out_test else "--refine-camera"
+        raise InputError(
+            f"refine: {name} needs all frames together, and --loss paper takes each for itself"
+        )
+    shared = ("size", "faces", "silhouette", "height", "step", "largest_turn")
+    printed = SingleFrameOptions(
+        **{name: getattr(options, name) for name in shared}, steps=steps, prior=paper_prior
+    )
+    model = load_body(body)
+    for subject in subjects:
+        poses = subject / REFINED_POSES
+        if poses.exists() and not overwrite:
+            raise InputError(f"{poses}: exists already; give --overwrite to replace it")
+        require_same_body(subject, model)
+    videos = [load_video(subject, normals=normals) for subject in subjects]
+    for video in videos:
+        warn_if_outside_masks(video, model)
+    with ExitStack() as held:
+        for subject in subjects:
+            held.enter_context(folder_lock(subject, "gva-mi refine"))
+            require_room(subject / REFINED_POSES, overwrite)
+        made = cluster(scheduler) if scheduler is not None else local_workers(workers)
+        executor = held.enter_context(made)
+        way = printed if loss == "paper" else options
+        for evaluation in refine_videos(videos, model, way, executor):
+            if report:
+                _write_report(evaluation, printed, executor)
+            for line in _summary(evaluation, report):
+                say(line)
+
+
+def refine_videos(
+    videos: Sequence[Video],
+    model: BodyModel,
+    options: RefineOptions,
+    executor: Executor | None = None,
+) -> Iterator[Evaluation]:
+    """Refine videos and write each result into its subject's folder as soon as it is ready."""
+    for video in videos:
+        if not video.has_normals:
+            say(f"{video.folder}: no normals, the refinement uses the silhouettes alone")
+    with bar("refine") as progress:
+        found = refine_all([(video, options) for video in videos], model, progress, executor)
+        for video, refined in zip(videos, found, strict=True):
+            for frame, reason in refined.kept.items():
+                say(f"{video.folder}: frame {frame} keeps its stage-1 pose: {reason}")
+            truth = load_ground_truth(video.truth, model) if video.truth else None
+            evaluation = Evaluation.of(video, model, options, refined, truth)
+            write_record(evaluation, versions())
+            yield evaluation
+
+
+def _summary(evaluation: Evaluation, report: bool) -> Iterator[str]:
+    """Yield the lines that tell what a refinement found, and where its files are."""
+    folder, refined = evaluation.video.folder, evaluation.refined
+    for limbs, frames in refined.swapped.items():
+        yield f"{limbs:11} left and right were exchanged in frames {listed(frames)}"
+    yield from describe_prior(refined.noise, refined.footing)
+    yield from evaluation.measured.means.lines()
+    yield f"poses: {folder / REFINED_POSES}; overlays: {folder / OVERLAYS}"
+    if report:
+        yield f"report: {folder / PAGE}"
+
+
+def _write_report(
+    evaluation: Evaluation, printed: SingleFrameOptions, executor: Executor | None
+) -> None:
+    """Refine the video again without each term of the loss, and write the page."""
+    others = {} if evaluation.options is printed else {printed.description: printed}
+    with bar("ablation") as progress:
+        ablation = ablate(evaluation, others, progress, executor)
+    write_refinement_report(
+        evaluation.video.folder / PAGE,
+        evaluation,
+        title=f"Poses of {evaluation.video.folder.name}",
+        versions=versions(),
+        ablation=ablation,
+    )

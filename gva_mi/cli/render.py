@@ -1,0 +1,117 @@
+"""The command ``gva-mi render``: an avatar driven by any poses, seen by any cameras."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Collection, Iterator
+from pathlib import Path
+
+import numpy as np
+from tyro.conf import Positional
+
+from gva_mi.body.pose import Pose
+from gva_mi.cli.arguments import Flat, Switch
+from gva_mi.cli.driving import motion_of
+from gva_mi.cli.series import HASH, hash_of, series
+from gva_mi.core.console import bar, say
+from gva_mi.core.errors import InputError
+from gva_mi.data.pictures import (
+    SEE_THROUGH,
+    read_background,
+    read_image,
+    require_see_through,
+    write_image,
+    write_movie,
+    write_see_through,
+)
+from gva_mi.data.video import load_cameras
+from gva_mi.fit.camera_paths import CameraPath, Shot, shots
+from gva_mi.fit.renders import over, render_shots, see_through
+from gva_mi.fit.run_folder import load_avatar
+
+MARKER = "render.json"  # every folder of renders holds it
+MOVIE = "video.mp4"
+FPS = 25  # frames a second of films; motions are resampled to it
+
+
+def render(
+    run: Positional[Path],
+    view: Flat[CameraPath] = CameraPath(),  # noqa: B008 (frozen)
+    *,
+    out: Path,
+    poses: Path | None = None,
+    cameras: Path | None = None,
+    background: str = "white",
+    alpha: Switch = False,
+    video: Switch = False,
+    body: Path | None = None,
+    overwrite: Switch = False,
+) -> None:
+    """Drive an avatar by any poses, seen by any cameras: pictures, or a film.
+
+    If it was interrupted, the same command resumes it.
+
+    Args:
+        run: the folder of a finished fit, or an avatar.npz.
+        view: where cameras stand, without --cameras.
+        out: folder for 000000.png ...
+        poses: SMPL-X's names, each (T, ...), or any motion that gva-mi motion reads; without it
+            the poses trained with the avatar.
+        cameras: K, T_camera_world, width, height; one for all frames, or T.
+        background: a colour, such as white or #ff8800, or a picture file.
+        alpha: pictures are transparent around the avatar, and so is a film, then a .webm.
+        video: also write video.mp4 there; with --alpha video.webm.
+        body: the body file of an avatar that was exported without its body; without it the puppet.
+        overwrite: replace renders that are there.
+    """
+    if cameras is not None and view != CameraPath():
+        raise InputError("render: give --cameras, or say where cameras stand; not both")
+    avatar = load_avatar(run, body)
+    motion, _ = motion_of(run, avatar, poses, FPS, body)
+    if cameras is None:
+        pictures = shots(view.or_usual(moving=poses is not None), avatar.rig, motion)
+    else:
+        pictures = _given(cameras, motion)
+    size = pictures[0].camera.width, pictures[0].camera.height
+    behind = read_background(background, *size)
+    movie = Path(MOVIE).stem + SEE_THROUGH if alpha else MOVIE
+    if video and alpha:
+        require_see_through(out / movie)
+    recorded_options = hash_of(avatar, motion, pictures, (behind, alpha, video))
+    about = {"avatar": str(run), "poses": poses, "cameras": cameras, HASH: recorded_options}
+    files = [f"{k:06d}.png" for k in range(len(pictures))]
+    names = [*files, movie] if video else files
+
+    def images(missing: Collection[str]) -> Iterator[np.ndarray]:
+        """Render and write the missing pictures, and yield them; for a film yield all."""
+        drawn = [k for k, file in enumerate(files) if file in missing]
+        layers = render_shots(avatar, motion, [pictures[k] for k in drawn], progress)
+        for k in range(len(files)) if movie in missing else drawn:
+            path = out / files[k]
+            if files[k] not in missing:
+                yield read_image(path, 4 if alpha else 3)
+                continue
+            layer = next(layers)
+            image = see_through(layer) if alpha else over(layer, behind)
+            write_image(path, image)
+            yield image
+
+    with series(out, MARKER, names, overwrite, about) as missing, bar("render") as progress:
+        if movie in missing and alpha:
+            write_see_through(out / movie, images(missing))
+        elif movie in missing:
+            write_movie(out / movie, images(missing), lossless=False)
+        else:
+            deque(images(missing), maxlen=0)
+    say(f"{len(pictures)} pictures: {out}")
+
+
+def _given(cameras: Path, motion: Pose) -> list[Shot]:
+    """Return a shot of each frame of the motion by the cameras of a file."""
+    views = load_cameras(cameras)
+    if len(views) not in (1, len(motion)):
+        raise InputError(
+            f"{cameras}: holds {len(views)} cameras, expected one, or one for each of the "
+            f"{len(motion)} frames of the poses"
+        )
+    return [Shot(k, views[k % len(views)]) for k in range(len(motion))]

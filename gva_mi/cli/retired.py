@@ -1,0 +1,68 @@
+"""Options that were renamed or removed: the command line answers each with one sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from gva_mi.core.errors import InputError
+
+# (verb, old option): the new option, or a sentence that says why there is none.
+RENAMED: dict[tuple[str, str], str] = {
+    ("bench", "--calls"): "--repeats",
+    ("study", "--edition"): "--held-out-set",
+    ("study", "--people"): "--subjects",
+    ("study", "--families"): "--error-models",
+    ("study", "--told"): "--known",
+    **{
+        ("bench", f"--{name}"): "is gone: benchmarks/ of a checkout holds what is measured"
+        for name in (
+            "most-gaussians",
+            "most-pixels",
+            "no-gsplat",
+            "against",
+            "opensplat-sources",
+            "plot",
+        )
+    },
+}
+
+# Constants of the method that Python sets and the command line does not: by dataclass the name it
+# has in dotted options, and its fields.
+PYTHON_ONLY: dict[str, tuple[str, tuple[str, ...]]] = {
+    "SplatOptions": ("splat", (
+        "alpha_min", "alpha_max", "transmittance_min", "near", "far", "radius_min", "depth",
+    )),
+    "SeedOptions": ("seed", ("opacity", "overlap", "flatness")),
+    "ResidualOptions": ("residual", ("code", "frequencies", "width")),
+    "Rates": ("rates", ("means_end", "quats", "log_scales", "logit_opacities", "light")),
+    "DensifyOptions": ("densify", ("split_shrink", "min_opacity", "max_scale")),
+    "ReinitOptions": ("reinit", (
+        "opaque", "floater_neighbours", "floater_sigmas", "alpha", "filler_depth", "smoothing",
+        "curvature_gain", "neighbours", "scale_jitter",
+    )),
+    "PoseOptions": ("poses", ("step", "largest_turn", "translation_lr", "decay", "part")),
+}  # fmt: skip
+
+_REMOVED = {
+    f"{name}.{field.replace('_', '-')}": kind
+    for kind, (name, fields) in PYTHON_ONLY.items()
+    for field in fields
+}
+
+
+def require_current(verb: str, arguments: Sequence[str]) -> None:
+    """Raise an InputError for the first option that was renamed or removed."""
+    for argument in arguments:
+        if not argument.startswith("--"):
+            continue
+        option = argument.split("=")[0].replace("_", "-")
+        now = RENAMED.get((verb, option))
+        if now is not None:
+            told = f"is called {now} now" if now.startswith("--") else now
+            raise InputError(f"{verb}: {option} {told}")
+        kind = _REMOVED.get(".".join(option.lstrip("-").split(".")[-2:]))
+        if kind is not None:
+            raise InputError(
+                f"{verb}: {option} is no option any more and keeps its default; Python sets it, as "
+                f"a field of {kind}"
+            )

@@ -1,0 +1,182 @@
+"""The command ``gva-mi study``: how well a step does on subjects it was not tuned on."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import arg, subcommand
+
+from gva_mi.body.smplx import load_body
+from gva_mi.cli.arguments import Flat, Switch
+from gva_mi.core.console import bar, say
+from gva_mi.core.errors import InputError
+from gva_mi.core.files import require_writable, versions
+from gva_mi.core.lock import folder_lock
+from gva_mi.core.options import Within, Workers, require_ranges
+from gva_mi.core.tasks import workers as local_workers
+from gva_mi.study.avatar_study import AvatarStudy, AvatarStudyOptions
+from gva_mi.study.cases import TUNING, StudyCase, held_out
+from gva_mi.study.engine import Outcome, StudyFile, run_study
+from gva_mi.study.page import Table
+from gva_mi.study.refine_study import RefineStudy, RefineStudyOptions
+from gva_mi.study.study_report import tables, write_study_report
+from gva_mi.study.tables import avatar_cells, refine_cells, to_json
+from gva_mi.study.variants import variants_named
+
+IN_PICTURES = 3  # cases that the avatar's page shows
+
+
+@dataclass(frozen=True)
+class _Choice:
+    """Options of both studies."""
+
+    out: Path  # folder for figures, and for the subjects, which are made where they are missing
+    cases: Literal["held-out", "tuning", "all"] = "held-out"  # nothing was tuned on the held-out
+    # Number of the held-out set; once you tune on its results, take the next.
+    held_out_set: Annotated[int, Within(1, 1000)] = 1
+    error_models: tuple[str, ...] = ()  # rows of the refinement's table; all without it
+    subjects: tuple[str, ...] = ()  # names of the synthetic subjects, or seeds; all without it
+    workers: Workers = 1  # processes on this machine; any number gives the same bits
+    body: Path | None = None  # a body in SMPL-X's .npz format; without it the built-in body
+    overwrite: Switch = False  # compute again what the file of figures holds
+
+    def __post_init__(self) -> None:
+        require_ranges("study", self)
+
+
+@dataclass(frozen=True)
+class RefineChoice(_Choice):
+    """Refine several synthetic subjects, and compare the poses with the ground truth.
+
+    Writes refine.json and refine.html: by error model, by how much errors changed, and the depth of
+    refined ankles and wrists, above zero if too far away. A study that was cut short is resumed.
+    """
+
+    options: Flat[RefineStudyOptions] = field(default_factory=RefineStudyOptions)
+
+
+@dataclass(frozen=True)
+class AvatarChoice(_Choice):
+    """Fit avatars of several synthetic subjects: the method, and the method without each part.
+
+    Writes avatar.json and avatar.html: PSNR, SSIM, perceptual metrics on test frames, novel poses
+    and novel views, pose errors, how the Gaussians lie, time; mean, spread and worst over subjects.
+    A study that was cut short is resumed.
+    """
+
+    rows: tuple[str, ...] = ()  # variants, such as full or "with residual"; all without it
+    options: Flat[AvatarStudyOptions] = field(default_factory=AvatarStudyOptions)
+
+
+def study(
+    what: Annotated[
+        Annotated[RefineChoice, subcommand("refine", prefix_name=False)]
+        | Annotated[AvatarChoice, subcommand("avatar", prefix_name=False)],
+        arg(name=""),
+    ],
+) -> None:
+    """Measure how well a step does on subjects, and error models, that it was not tuned on.
+
+    Args:
+        what: the step; its figures are written to files of its name.
+    """
+    body, cases = load_body(what.body), _chosen(what)
+    if isinstance(what, RefineChoice):
+        made = RefineStudy(what.out, body, what.options)
+    else:
+        made = AvatarStudy(what.out, body, what.options, variants_named(what.rows))
+    with folder_lock(what.out, "gva-mi study"):
+        require_writable(what.out)
+        _run(what, made, cases)
+
+
+def _run(what: _Choice, made: RefineStudy | AvatarStudy, cases: Sequence[StudyCase]) -> None:
+    """Resume the study, save after each outcome, then print and write the tables."""
+    summarise = refine_cells if isinstance(made, RefineStudy) else avatar_cells
+    file = StudyFile(what.out / f"{made.kind}.json", made.kind, made.made_with)
+    known, others = _kept(what, file, made, cases)
+    if what.overwrite and isinstance(made, AvatarStudy):
+        for case in cases:
+            for variant in made.variants:
+                shutil.rmtree(made.run(case, variant).out, ignore_errors=True)
+    if known:
+        say(f"{len(known)} results are in {file.path}; --overwrite computes them again")
+    outcomes: list[Outcome] = []
+    with bar("study") as progress, local_workers(what.workers) as executor:
+        for outcome in run_study(made, cases, known, progress, executor):
+            outcomes.append(outcome)
+            done = {outcome.key for outcome in outcomes}
+            waiting = [outcome for outcome in known if outcome.key not in done]
+            summary = {title: to_json(own) for title, own in summarise(outcomes).items()}
+            file.save([*outcomes, *waiting, *others], summary)
+    cells, page = summarise(outcomes), file.path.with_suffix(".html")
+    for title, own in cells.items():
+        for line in _lines(tables(made.kind, title, own)[0]):
+            say(line)
+    settings = {**made.made_with, "versions": versions()}
+    write_study_report(page, made.kind, outcomes, cells, settings, _pictures(made, cases))
+    say(f"figures: {file.path}; page: {page}")
+
+
+def _kept(
+    what: _Choice, file: StudyFile, made: RefineStudy | AvatarStudy, cases: Sequence[StudyCase]
+) -> tuple[list[Outcome], list[Outcome]]:
+    """Return results of the file that were asked for, and all others."""
+    try:
+        kept = file.load()
+    except InputError:
+        if not what.overwrite:
+            raise
+        kept = []
+    asked = [o for o in kept if o.case in cases and o.variant in made.variants]
+    return ([] if what.overwrite else asked), [o for o in kept if o not in asked]
+
+
+def _pictures(made: RefineStudy | AvatarStudy, cases: Sequence[StudyCase]) -> list:
+    """Return the finished runs of the first cases, by variant."""
+    if isinstance(made, RefineStudy):
+        return []
+    runs = [
+        (case, [made.run(case, name) for name in made.variants]) for case in cases[:IN_PICTURES]
+    ]
+    return [(case, {r.variant.name: r for r in own if r.is_done}) for case, own in runs]
+
+
+def _chosen(what: _Choice) -> list[StudyCase]:
+    """Return the cases that were asked for, without those that lack a package."""
+    judging = held_out(what.held_out_set)
+    cases = {"held-out": judging, "tuning": TUNING, "all": (*TUNING, *judging)}[what.cases]
+    for name, asked, there in (
+        ("error-models", what.error_models, [case.family for case in cases]),
+        ("subjects", what.subjects, [case.take.person for case in cases]),
+    ):
+        for one in asked:
+            if one not in there:
+                known = ", ".join(dict.fromkeys(there))
+                raise InputError(f"study: --{name} has no '{one}'; these cases have: {known}")
+    chosen = [
+        case
+        for case in cases
+        if (not what.error_models or case.family in what.error_models)
+        and (not what.subjects or case.take.person in what.subjects)
+    ]
+    for case in chosen:
+        if case.lacks is not None:
+            say(f"{case.name}: left out, because the package {case.lacks} is not installed")
+    chosen = [case for case in chosen if case.lacks is None]
+    if not chosen:
+        raise InputError("study: no case has both one of these error models and these subjects")
+    return chosen
+
+
+def _lines(table: Table) -> Iterator[str]:
+    """Write a table as aligned lines."""
+    cells = [table.head, *table.rows]
+    widths = [max(len(cell) for cell in column) for column in zip(*cells, strict=True)]
+    for first, *others in cells:
+        padded = [cell.rjust(width) for cell, width in zip(others, widths[1:], strict=True)]
+        yield "  ".join([first.ljust(widths[0]), *padded]).rstrip()

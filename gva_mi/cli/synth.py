@@ -1,0 +1,81 @@
+"""The command ``gva-mi synth``: a synthetic subject."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+
+from tyro.conf import Positional
+
+from gva_mi.body.smplx import load_body
+from gva_mi.cli.arguments import Flat, Switch
+from gva_mi.core.console import bar, say
+from gva_mi.core.errors import InputError
+from gva_mi.core.files import require_replaceable, require_writable
+from gva_mi.core.lock import folder_lock
+from gva_mi.data.pictures import require_picture
+from gva_mi.synthetic import SynthOptions, degrade, describe_errors, make_subject
+from gva_mi.synthetic.contact_sheet import contact_sheet as draw_sheet
+
+MARKER = "synth.json"  # every synthetic subject has it
+
+
+def synth(
+    out: Positional[Path | None] = None,
+    options: Flat[SynthOptions] = SynthOptions(),  # noqa: B008 (frozen)
+    *,
+    like: Path | None = None,
+    sheet: Path | None = None,
+    body: Path | None = None,
+    overwrite: Switch = False,
+) -> None:
+    """Make a synthetic subject: video, masks, normals, cameras and poses with errors; ground truth.
+
+    Args:
+        out: the subject's folder.
+        options: of the subject.
+        like: an existing subject, whose recording gets the errors of --family, --seed and --noise.
+        sheet: write a picture (.png) of the study's seven subjects and of one's video.
+        body: a body file in SMPL-X's .npz format; without it the built-in body.
+        overwrite: replace an existing subject and sheet.
+    """
+    if out is None and sheet is None:
+        raise InputError("synth: give a folder for a subject, or --sheet FILE.png, or both")
+    if like is not None:
+        _require_noise_alone(options)
+        if out is not None and out.resolve() == like.resolve():
+            raise InputError(f"{out}: is the recording itself; expected another folder than --like")
+    model = load_body(body)
+    if sheet is not None:
+        require_picture(sheet, overwrite)
+    if out is not None:
+        require_replaceable(out, MARKER, overwrite)
+        require_writable(out.absolute().parent)
+    if sheet is not None:
+        with folder_lock(sheet, "gva-mi synth"), bar("sheet") as progress:
+            draw_sheet(sheet, model, progress=progress)
+        say(f"sheet: {sheet}")
+    if out is None:
+        return
+    replaced = MARKER if overwrite else None
+    with bar("synth") as progress:
+        if like is None:
+            make_subject(out, options, model, progress, replaced)
+        else:
+            seed, level = options.seed_of_noise, options.noise
+            degrade(like, out, options.family, seed, model, level, progress, replaced)
+    for line in describe_errors(out):
+        say(line)
+    say(f"subject: {out}")
+
+
+def _require_noise_alone(options: SynthOptions) -> None:
+    """Raise an InputError if options other than those of the errors are given."""
+    ours = {name: getattr(options, name) for name in ("family", "seed", "noise_seed", "noise")}
+    plain = asdict(SynthOptions(**ours))
+    for name, value in asdict(options).items():
+        if value != plain[name]:
+            raise InputError(
+                f"synth: --{name.replace('_', '-')} is fixed by the recording of --like; "
+                "give --family, --seed and --noise alone"
+            )

@@ -1,0 +1,124 @@
+"""The command ``gva-mi view``: an avatar in the browser."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from typing import Annotated
+
+import torch
+from tyro.conf import Positional
+
+from gva_mi.avatar.avatar import Avatar, digest
+from gva_mi.body.built_in import EXPRESSIONS
+from gva_mi.body.pose import JOINTS, Pose, is_pose_file
+from gva_mi.body.smplx import load_body
+from gva_mi.cli.driving import motion_of
+from gva_mi.core.console import say
+from gva_mi.core.errors import InputError
+from gva_mi.core.files import require_writable
+from gva_mi.core.options import Within
+from gva_mi.core.threads import one_torch_thread
+from gva_mi.data.video import Video, load_video
+from gva_mi.fit.run_folder import TRAINED_POSES, load_avatar, other_parts
+from gva_mi.viewer.cameras import start
+from gva_mi.viewer.controls import FPS, Choices, Controls
+from gva_mi.viewer.drawing import Drawing
+from gva_mi.viewer.server import address, close_server, open_server, pages, when_moved
+from gva_mi.viewer.session import Session, SessionSetup
+
+
+def view(
+    run: Positional[Path],
+    *,
+    poses: Path | None = None,
+    subject: Path | None = None,
+    out: Path = Path("view"),
+    body: Path | None = None,
+    host: str = "127.0.0.1",
+    port: Annotated[int, Within(0, 65535)] = 8080,
+) -> None:
+    """Turn, pose and play an avatar in the browser, until Ctrl-C.
+
+    Args:
+        run: the folder of a finished fit, or an avatar.npz.
+        poses: SMPL-X's names, each (T, ...), or any motion that gva-mi motion reads; without it
+            the poses trained with the avatar.
+        subject: the folder of the video that these poses belong to, to be shown beside.
+        out: folder for snapshots and cameras; what is there is never replaced.
+        body: the body file of an avatar that was exported without its body; without it the puppet.
+        host: address to listen on: this machine alone, or 0.0.0.0 for the whole network.
+        port: of the page; 0 picks a free one.
+    """
+    avatar = load_avatar(run, body)
+    motion, _ = motion_of(run, avatar, poses, FPS, body)
+    video = None if subject is None else _video_of(run, subject, poses)
+    if out.exists() and not out.is_dir():
+        raise InputError(f"{out}: is a file; expected a folder for snapshots and cameras")
+    begin = start(avatar.rig, motion)
+    title = f"{run.name}: {len(avatar.canonical):,} Gaussians"
+    with ExitStack() as held:
+        held.enter_context(_writable(out))
+        server = open_server(host, port, begin, title)
+        held.callback(close_server, server)
+        held.enter_context(suppress(KeyboardInterrupt))
+        changed = threading.Event()
+        when_moved(server, changed.set)
+        controls = Controls(server.gui, _choices(avatar, motion, video), changed.set)
+        setup = SessionSetup(len(motion), begin.up, video.cameras if video else [], out)
+        session = Session(Drawing(avatar, motion, video), controls, setup)
+        say(f"{address(server)}: open it in a browser; Ctrl-C ends it")
+        sys.stdout.flush()  # a program may read the address from a pipe
+        with one_torch_thread():
+            while True:
+                changed.clear()
+                seconds = session.step(pages(server), time.monotonic())
+                changed.wait(seconds)
+
+
+@contextmanager
+def _writable(out: Path) -> Iterator[None]:
+    """Check that a folder takes files; remove it at the end if it is new and still empty."""
+    there = out.exists()
+    require_writable(out)
+    try:
+        yield
+    finally:
+        if not there:
+            with suppress(OSError):
+                out.rmdir()
+
+
+def _video_of(run: Path, subject: Path, poses: Path | None) -> Video:
+    """Return the video whose poses are shown; without ``--poses`` it must be the run's own."""
+    if poses is not None and not is_pose_file(poses):
+        raise InputError(
+            f"{poses}: a motion of another program, which no video can be shown beside; expected "
+            f"poses of {subject}, or no --subject"
+        )
+    video = load_video(subject, poses or run / TRAINED_POSES, "none")
+    others = set(other_parts(run, video)) & {"frames", "cameras"}
+    if poses is None and others:
+        raise InputError(
+            f"{run}: was fitted to another video than {subject}, which has other "
+            f"{' and '.join(sorted(others))}; give that one, or --poses of this one"
+        )
+    return video
+
+
+def _choices(avatar: Avatar, motion: Pose, video: Video | None) -> Choices:
+    """Return what the avatar, its motion and its video let a user choose."""
+    every = Pose(torch.ones(1, len(JOINTS), 3), torch.zeros(1, 3), torch.zeros(1, 0))
+    followed = avatar.followed(every).any(2)[0].tolist()
+    count = avatar.rig.expression_joints.shape[2]
+    of_puppet = count == len(EXPRESSIONS) and avatar.rig.body == digest(load_body())
+    return Choices(
+        frames=len(motion),
+        joints=[name for name, follows in zip(JOINTS, followed, strict=True) if follows],
+        expression=EXPRESSIONS if of_puppet else [f"expression {k + 1}" for k in range(count)],
+        video=video is not None,
+    )

@@ -1,0 +1,118 @@
+"""Read ``.npy`` and ``.npz`` data without allocating more memory than the file accounts for.
+
+A header may claim any size, a zip entry may unfold to a thousand times its own, and many entries
+may share their bytes. So sizes are compared before anything is allocated, and all bytes made of
+one file are counted against a :class:`Budget`.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import zipfile
+from collections.abc import Collection, Iterator
+from typing import BinaryIO, NamedTuple
+
+import numpy as np
+
+from gva_mi.core.errors import reason_of
+
+LARGEST = 4 << 30  # bytes that one file may unfold to
+_DENSEST = 1100  # deflate packs at most 1032 bytes into one
+
+
+class Refused(Exception):  # noqa: N818 (a verdict, which the reader turns into an InputError)
+    """A file holds something that is not allowed; the message says what."""
+
+
+class Damaged(Exception):  # noqa: N818
+    """A file contradicts itself or ends too early; the message says how."""
+
+
+class Budget:
+    """Bytes that may still be made of one file."""
+
+    def __init__(self, size: int = LARGEST) -> None:
+        self.left = size
+
+    def spend(self, size: int) -> None:
+        """Take ``size`` bytes before they are allocated; raise Refused if too few are left."""
+        if size > self.left:
+            raise Refused(f"contents that unfold to more than {LARGEST >> 30} GiB")
+        self.left -= size
+
+
+class Header(NamedTuple):
+    """The head of a ``.npy``: what it says of the array that follows."""
+
+    shape: tuple[int, ...]
+    order: str  # "C" or "F"
+    dtype: np.dtype
+
+
+def read_header(file: BinaryIO) -> Header:
+    """Read a ``.npy`` up to its array; raise Refused or ValueError if it is none."""
+    version = np.lib.format.read_magic(file)
+    read = {
+        (1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0,
+    }.get(version)  # fmt: skip
+    if read is None:
+        raise Refused(f"a .npy of version {version}")
+    shape, fortran, dtype = read(file)
+    return Header(shape, "F" if fortran else "C", dtype)
+
+
+def read_npy(data: bytes) -> np.ndarray:
+    """Return the array of a whole ``.npy``; raise Refused, Damaged or ValueError if it is none."""
+    file = io.BytesIO(data)
+    header = read_header(file)
+    if header.dtype.hasobject:
+        raise Refused("pickled objects")
+    return bytes_to_array(memoryview(data)[file.tell() :], header.dtype, header.shape, header.order)
+
+
+def read_entry(file: zipfile.ZipFile, name: str, budget: Budget) -> bytes:
+    """Return the bytes of one zip entry; raise Damaged if its size is a lie."""
+    info = file.getinfo(name)
+    if info.file_size > _DENSEST * (info.compress_size + 1):
+        raise Damaged(f"'{name}' claims {info.file_size:,} bytes")
+    budget.spend(info.file_size)
+    try:
+        with file.open(info) as entry:
+            data = entry.read(info.file_size + 1)
+    except Exception as error:  # zipfile and zlib each raise their own
+        raise Damaged(f"'{name}': {reason_of(error)}") from None
+    if len(data) != info.file_size:
+        raise Damaged(f"'{name}' claims {info.file_size:,} bytes, but holds {len(data):,}")
+    return data
+
+
+def arrays_in(
+    file: zipfile.ZipFile, budget: Budget, only: Collection[str] | None = None
+) -> Iterator[tuple[str, bytes]]:
+    """Yield name and ``.npy`` content of the arrays in an ``.npz``, or of ``only`` some of them."""
+    names = [name.removesuffix(".npy") for name in file.namelist() if name.endswith(".npy")]
+    if not names:
+        raise Damaged("a zip without arrays")
+    for name in names:
+        if only is None or name in only:
+            yield name, read_entry(file, f"{name}.npy", budget)
+
+
+def bytes_to_array(
+    data: bytes | memoryview, dtype: np.dtype, shape: tuple[int, ...], order: str = "C"
+) -> np.ndarray:
+    """Copy bytes into a writable array; raise Damaged if shape and bytes disagree."""
+    require_bytes(shape, dtype.itemsize, len(data))
+    if dtype.itemsize == 0:
+        return np.zeros(shape, dtype)
+    return np.frombuffer(data, dtype).reshape(shape, order=order).copy(order=order)
+
+
+def require_bytes(shape: tuple[int, ...], itemsize: int, found: int) -> None:
+    """Raise Damaged if a shape claims another number of bytes than there are."""
+    claimed = math.prod(shape) * itemsize
+    if itemsize == 0 and math.prod(shape) > found + 1024:
+        raise Damaged(f"an array claims {math.prod(shape):,} items of no size")
+    if claimed != found:
+        raise Damaged(f"an array claims {claimed:,} bytes, but holds {found:,}")

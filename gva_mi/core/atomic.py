@@ -1,0 +1,159 @@
+"""Write files and folders whole or not at all, whatever stops the process."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from gva_mi.core.errors import InputError
+from gva_mi.core.lock import folder_lock
+
+
+@contextmanager
+def atomic_write(path: Path) -> Iterator[Path]:
+    """Yield a temporary path to write to, which replaces ``path`` once it is written whole.
+
+    Raises:
+        OSError: such as a full disk, with the file's name.
+    """
+    path = Path(path)
+    unfinished = part_of(path)
+    try:
+        with with_filename(path, always=True):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            yield unfinished
+            unfinished.replace(path)
+    finally:
+        with suppress(OSError):
+            unfinished.unlink(missing_ok=True)
+
+
+def part_of(path: Path) -> Path:
+    """Return where a file is written until it is whole; a later run overwrites leftovers."""
+    return path.with_name(path.name + ".part")
+
+
+@contextmanager
+def atomic_files(main: Path, *about: str) -> Iterator[Path]:
+    """Yield a hidden folder for a file and others that describe it, moved into place once whole.
+
+    The old describing files are removed before the main file is replaced, and the new ones follow
+    it. So a describing file always belongs to the main file beside it. A process killed in between
+    leaves the main file alone, old or new.
+
+    Args:
+        main: the file.
+        about: names of all files that may describe it; one that is not written now is removed.
+
+    Raises:
+        OSError: such as a full disk; older files stay.
+    """
+    main = Path(main)
+    unfinished = main.with_name(f".{main.name}.gva-mi-part")
+    try:
+        with with_filename(main):
+            if unfinished.exists():  # left by a killed process
+                shutil.rmtree(unfinished)
+            unfinished.mkdir(parents=True)
+            yield unfinished
+            for name in about:
+                main.with_name(name).unlink(missing_ok=True)
+            for name in (main.name, *about):
+                if (unfinished / name).exists():
+                    (unfinished / name).replace(main.with_name(name))
+    finally:
+        shutil.rmtree(unfinished, ignore_errors=True)
+
+
+@contextmanager
+def with_filename(path: Path, always: bool = False) -> Iterator[None]:
+    """Add a file name to any OSError raised within, because not every writer reports one.
+
+    Args:
+        path: the file or folder that is written.
+        always: replace the name that an error already has.
+    """
+    try:
+        yield
+    except OSError as error:
+        if error.errno is None or (error.filename is not None and not always):
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from None
+
+
+@contextmanager
+def atomic_dir(out: Path, replaced: str | None = None) -> Iterator[Path]:
+    """Yield a folder beside ``out`` that becomes ``out`` on success and is removed on failure.
+
+    At any moment ``out`` is the old folder or the new one, whole. A killed process leaves its
+    temporary folder behind; the next one that makes ``out`` removes it.
+
+    Args:
+        out: a new or empty folder, or one that may be replaced.
+        replaced: marker file of a folder that may be replaced, see :func:`gva_mi.core.files.make_room`.
+
+    Raises:
+        InputError: ``out`` holds something that may not be replaced, or another process makes it.
+        OSError: such as a full disk, with the name of a file or the folder.
+    """
+    out = Path(out).absolute()
+    unfinished, old = (out.with_name(f".{out.name}.gva-mi-{what}") for what in ("part", "old"))
+    require_writable(out.parent)
+    with folder_lock(out, "gva-mi") as locked:
+        if locked:  # remove what a killed process left
+            if old.exists() and not out.exists():  # killed between its last two renames
+                old.rename(out)
+            for left in filter(Path.exists, (unfinished, old)):
+                shutil.rmtree(left)
+        if holds_something(out):
+            if replaced is None or not out.is_dir():
+                raise InputError(f"{out}: already there; expected a new or an empty folder")
+            require_ours(out, replaced)
+        if unfinished.exists():  # without locks nobody knows whose it is
+            raise InputError(
+                f"{unfinished}: is there already: another process makes {out}, or one was killed "
+                "while it did; remove it where none does"
+            )
+        try:
+            with with_filename(out):
+                unfinished.mkdir()
+                yield unfinished
+                if holds_something(out):
+                    if replaced is None:
+                        raise InputError(
+                            f"{out}: was made by another process meanwhile; nothing is replaced"
+                        )
+                    out.rename(old)
+                unfinished.rename(out)
+        finally:
+            for left in (unfinished, old):
+                shutil.rmtree(left, ignore_errors=True)
+
+
+def require_writable(folder: Path) -> None:
+    """Create a folder if it is missing, and raise an InputError if it takes no file."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written to ({error.strerror})") from None
+
+
+def holds_something(folder: Path, marker: str | None = None) -> bool:
+    """Return whether a folder is not empty; a half-written marker does not count."""
+    if not folder.is_dir():
+        return folder.exists()
+    begun = part_of(folder / marker) if marker else None
+    return any(path != begun for path in folder.iterdir())
+
+
+def require_ours(folder: Path, marker: str) -> None:
+    """Raise an InputError if a folder lacks the marker of this program's output folders."""
+    if not (folder / marker).exists():
+        raise InputError(
+            f"{folder}: has no {marker}, so gva-mi did not make it and will not replace it"
+        )

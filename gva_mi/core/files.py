@@ -1,0 +1,189 @@
+"""Read arrays and JSON with one clear error; write them whole; make room for output."""
+
+from __future__ import annotations
+
+import io
+import json
+import shutil
+import zipfile
+from collections.abc import Collection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gva_mi.core.arrays import (
+    Budget,
+    Damaged,
+    Refused,
+    arrays_in,
+    read_header,
+    read_npy,
+    require_bytes,
+)
+from gva_mi.core.atomic import atomic_dir as atomic_dir
+from gva_mi.core.atomic import atomic_files as atomic_files
+from gva_mi.core.atomic import atomic_write, holds_something, require_ours, require_writable
+from gva_mi.core.atomic import part_of as part_of  # other areas import these from here
+from gva_mi.core.errors import InputError, reason_of
+from gva_mi.core.provenance import versions as versions
+
+LARGEST_TEXT = 1 << 28  # bytes of a JSON file
+
+
+def read_arrays(
+    path: Path, expected: str, only: Collection[str] | None = None
+) -> dict[str, np.ndarray]:
+    """Read the arrays of an ``.npz``; pickled objects are refused.
+
+    Args:
+        path: the file.
+        expected: what it should hold, for the error.
+        only: names of the arrays to read, as far as they exist; None reads all.
+
+    Raises:
+        InputError: the file is missing or cannot be read.
+    """
+    if not Path(path).is_file():
+        raise InputError(f"{path}: no such file; expected {expected}")
+    if not zipfile.is_zipfile(path):
+        raise InputError(f"{path}: not a readable .npz, or cut short; expected {expected}")
+    found = {}
+    try:
+        with zipfile.ZipFile(path) as file:
+            for name, data in arrays_in(file, Budget(), only):
+                try:
+                    found[name] = read_npy(data)
+                except Exception as error:
+                    raise Damaged(f"'{name}': {reason_of(error)}") from None
+    except Exception as error:  # zipfile, zlib and numpy each raise their own
+        reason = reason_of(error)
+        raise InputError(f"{path}: not a readable .npz ({reason}); expected {expected}") from None
+    return found
+
+
+def read_array(path: Path, mapped: bool = False) -> np.ndarray:
+    """Read a ``.npy``; pickled objects are refused.
+
+    Args:
+        path: the file.
+        mapped: map it into memory and read from disk on access.
+
+    Raises:
+        InputError: the file is missing or cannot be read.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; expected an array (.npy)")
+    try:
+        with path.open("rb") as file:
+            header = read_header(file)
+            if header.dtype.hasobject:
+                raise Refused("pickled objects")
+            left = path.stat().st_size - file.tell()
+            require_bytes(header.shape, header.dtype.itemsize, left)
+            if mapped:
+                form = header.shape, header.order
+                return np.memmap(path, header.dtype, "r", file.tell(), *form)
+            return np.fromfile(file, header.dtype).reshape(header.shape, order=header.order)
+    except Exception as error:
+        raise InputError(f"{path}: not a readable .npy ({reason_of(error)})") from None
+
+
+def read_json(path: Path, expected: str) -> Any:  # noqa: ANN401
+    """Read a JSON file.
+
+    Args:
+        path: the file.
+        expected: what it should say, for the error.
+
+    Raises:
+        InputError: it is missing, no JSON, or larger than any file this program writes.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; expected {expected}")
+    try:
+        if path.stat().st_size > LARGEST_TEXT:
+            raise ValueError(f"{path.stat().st_size:,} bytes")
+        return json.loads(path.read_text())
+    except (OSError, ValueError, RecursionError) as error:
+        reason = reason_of(error)
+        raise InputError(f"{path}: not readable as JSON ({reason}); expected {expected}") from None
+
+
+def says(path: Path, value: Any) -> bool:  # noqa: ANN401
+    """Return whether a JSON file holds exactly this value; False if it cannot be read."""
+    try:
+        return read_json(path, "") == json.loads(json.dumps(value, default=str))
+    except InputError:
+        return False
+
+
+def require_keys(path: Path, arrays: dict[str, np.ndarray], keys: tuple[str, ...]) -> None:
+    """Raise an InputError that names the first missing key, and the keys that were found."""
+    for key in keys:
+        if key not in arrays:
+            found = ", ".join(sorted(arrays)) or "none"
+            raise InputError(f"{path}: key '{key}' is missing; found: {found}")
+
+
+def require_room(path: Path, overwrite: bool) -> None:
+    """Raise an InputError if a file cannot be written; called before the work starts."""
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; expected the name of a file")
+    if path.exists() and not overwrite:
+        raise InputError(f"{path}: exists already; give --overwrite to replace it")
+    require_writable(path.parent)
+
+
+def make_room(folder: Path, marker: str, overwrite: bool) -> None:
+    """Remove an output folder that may be replaced; a missing or empty one is left as it is.
+
+    Args:
+        folder: where output is to be written.
+        marker: name of a file that every such folder holds; without it the folder is not ours.
+        overwrite: whether the folder may be replaced.
+
+    Raises:
+        InputError: the folder holds something and may not be replaced, or has no marker.
+    """
+    require_replaceable(folder, marker, overwrite)
+    if not holds_something(folder, marker):
+        return
+    for path in folder.iterdir():  # the marker last, so that a killed process leaves our folder
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path)
+        elif path.name != marker:
+            path.unlink()
+    shutil.rmtree(folder)
+
+
+def require_replaceable(folder: Path, marker: str, overwrite: bool) -> None:
+    """Raise what :func:`make_room` raises, and leave the folder as it is."""
+    if not holds_something(folder, marker):
+        return
+    if not overwrite:
+        raise InputError(f"{folder}: already holds something; give --overwrite to replace it")
+    require_ours(folder, marker)
+
+
+def start_folder(folder: Path, marker: str, overwrite: bool, about: dict[str, Any]) -> None:
+    """Make room for an output folder and write its marker: ``about`` and the versions."""
+    make_room(folder, marker, overwrite)
+    require_writable(folder)
+    write_json(folder / marker, about | {"versions": versions()})
+
+
+def write_arrays(path: Path, **arrays: np.ndarray) -> None:
+    """Write a compressed ``.npz``: most blend shapes and skinning weights are zero."""
+    whole = io.BytesIO()  # in memory, so that a full disk is one error and not the zip's as well
+    np.savez_compressed(whole, **arrays)
+    with atomic_write(path) as unfinished:
+        unfinished.write_bytes(whole.getbuffer())
+
+
+def write_json(path: Path, value: Any) -> None:  # noqa: ANN401
+    """Write indented JSON; a path is written as its text."""
+    with atomic_write(path) as unfinished:
+        unfinished.write_text(json.dumps(value, indent=2, default=str) + "\n")

@@ -1,0 +1,172 @@
+"""Options as dataclasses: the range of each number, stated once beside its type, and JSON.
+
+::
+
+    steps: Annotated[int, Within(1, 1_000_000)] = 3000
+
+The command line shows the range in ``--help`` and refuses other numbers; :func:`require_ranges`
+does the same for options made in Python. Both ends are finite, so NaN and infinity are in no range.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import numbers
+import types
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from gva_mi.core.errors import InputError
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Within:
+    """The numbers between two finite ends, which are included unless ``open`` names them."""
+
+    low: float
+    high: float
+    open: str = ""  # "low" or "low high": ends that are excluded
+    unit: str = ""  # such as metres, for people
+
+    def __contains__(self, number: object) -> bool:
+        if isinstance(number, bool) or not isinstance(number, numbers.Real):
+            return False
+        above = number > self.low if "low" in self.open else number >= self.low
+        below = number < self.high if "high" in self.open else number <= self.high
+        return above and below
+
+    def __str__(self) -> str:
+        low, high = (f"{end:,.10g}" for end in (self.low, self.high))
+        above = f"above {low}" if "low" in self.open else f"from {low}"
+        below = "to" if not self.open else "and below" if "high" in self.open else "and at most"
+        return f"{above} {below} {high} {self.unit}".rstrip()
+
+    def require(self, where: str, name: str, number: object) -> None:
+        """Raise an InputError for a number outside."""
+        if number not in self:
+            raise InputError(f"{where}: {name} must be {self}, got {number}")
+
+
+Share = Annotated[float, Within(0, 1)]
+InnerShare = Annotated[float, Within(0, 1, "low high")]
+Weight = Annotated[float, Within(0, 1e6)]
+Rate = Annotated[float, Within(0, 1)]
+Seed = Annotated[int, Within(0, 2**32 - 1)]
+Workers = Annotated[int, Within(1, 256)]
+Metres = Annotated[float, Within(0, 10, "low")]  # a step, or the size of a detail of a person
+Turn = Annotated[float, Within(0, 10, "low")]  # radians per step
+PictureSide = Annotated[int, Within(16, 4096, unit="pixels")]
+
+
+def require_ranges(where: str, options: object) -> None:
+    """Raise an InputError for the first field of a dataclass that lies outside its range.
+
+    Args:
+        where: the command that the options belong to, for the sentence.
+        options: a dataclass whose annotations name ranges; fields that are None are skipped.
+    """
+    for name, kind, within in _ranges_of(type(options)):
+        value = getattr(options, name)
+        values = value if isinstance(value, tuple | list) else () if value is None else (value,)
+        for one in values:
+            within.require(where, name, one)
+            if kind is int and one != int(one):
+                raise InputError(f"{where}: {name} must be a whole number, got {one}")
+
+
+def ranges(hint: Any) -> Iterator[tuple[Any, Within]]:  # noqa: ANN401
+    """Yield type and range of each number in an annotation, as in ``tuple[Share, ...] | None``."""
+    kind, *rest = get_args(hint) or (hint,)
+    if get_origin(hint) is Annotated:
+        yield from ((kind, part) for part in rest if isinstance(part, Within))
+    for part in get_args(hint):
+        if get_args(part):
+            yield from ranges(part)
+
+
+@functools.cache
+def _hints(kind: type) -> dict[str, Any]:
+    return get_type_hints(kind, include_extras=True)
+
+
+@functools.cache
+def _ranges_of(kind: type) -> tuple[tuple[str, Any, Within], ...]:
+    """Return name, type and range of each ranged field of a dataclass."""
+    return tuple((name, *found) for name, hint in _hints(kind).items() for found in ranges(hint))
+
+
+def from_json(kind: type[T], record: Any) -> T:  # noqa: ANN401
+    """Make a dataclass from parsed JSON and check the type of every field.
+
+    Args:
+        kind: the dataclass: numbers, text, lists, dictionaries and other dataclasses.
+        record: the parsed JSON; missing names take the field's default.
+
+    Raises:
+        TypeError, ValueError: a value has another type, or a name is missing or unknown. Readers
+            turn these into a sentence with :func:`gva_mi.core.errors.expecting`.
+    """
+    if not isinstance(record, Mapping):
+        raise TypeError(f"{_short(record)} in the place of a {kind.__name__}")
+    hints = _hints(kind)
+    known = lambda name, value: require(hints[name], value, name) if name in hints else value
+    return kind(**{name: known(name, value) for name, value in record.items()})
+
+
+def require(hint: Any, value: Any, name: str) -> Any:  # noqa: ANN401
+    """Convert a JSON value to an annotated type: lists to tuples, dictionaries to dataclasses.
+
+    Args:
+        hint: the annotation, such as ``float | None``.
+        value: the JSON value.
+        name: the field's name, for the error.
+
+    Raises:
+        TypeError: the value has another type.
+    """
+    origin, parts = get_origin(hint), get_args(hint)
+    if origin is Annotated:
+        return require(parts[0], value, name)
+    if origin in (Union, types.UnionType):
+        for kind in parts[:-1]:
+            try:
+                return require(kind, value, name)
+            except TypeError:
+                continue
+        return require(parts[-1], value, name)
+    if dataclasses.is_dataclass(hint):
+        return value if isinstance(value, hint) else from_json(hint, value)
+    if origin is tuple and isinstance(value, list | tuple):
+        if parts[-1] is not Ellipsis and len(parts) != len(value):
+            raise TypeError(f"'{name}' has {len(value)} values, not {len(parts)}")
+        kinds = parts[:1] * len(value) if parts[-1] is Ellipsis else parts
+        return tuple(require(kind, x, name) for kind, x in zip(kinds, value, strict=True))
+    if origin is list and isinstance(value, list):
+        return [require(parts[0], x, name) for x in value]
+    if origin in (dict, Mapping) and isinstance(value, Mapping):
+        return {key: require(parts[1], x, f"{name}.{key}") for key, x in value.items()}
+    if not _is_plain(hint, value):
+        raise TypeError(f"'{name}' is {_short(value)}")
+    return value
+
+
+def _is_plain(hint: Any, value: Any) -> bool:  # noqa: ANN401
+    """Return whether a value has a type without parts; True is no number."""
+    if hint is Any:
+        return True
+    if get_origin(hint) is Literal:
+        return isinstance(value, str | int) and value in get_args(hint)
+    if hint is None or hint is type(None):
+        return value is None
+    if hint in (int, float) and isinstance(value, bool):
+        return False
+    return isinstance(value, int | float if hint is float else hint)
+
+
+def _short(value: Any) -> str:  # noqa: ANN401
+    text = repr(value)
+    return text if len(text) <= 40 else f"{text[:40]} ..."

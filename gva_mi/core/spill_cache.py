@@ -1,0 +1,90 @@
+"""A cache for values of frames: in memory while there is room, then in an unnamed file.
+
+Data derived from the frames of a long video does not fit into memory. The file has no name, so it
+vanishes with the process however that ends.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import pickle
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+KEPT = 1 << 28  # bytes of values that stay in memory
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class _OnDisk:
+    """The place of a pickled value."""
+
+    file: io.FileIO
+    start: int
+    size: int
+
+
+class SpillCache(Mapping[int, T], Generic[T]):
+    """A mapping from frame numbers to values, which come back bit-identical.
+
+    It is pickled as a plain dictionary of its values.
+    """
+
+    def __init__(self, folder: Path, kept: int = KEPT) -> None:
+        """Make an empty cache.
+
+        Args:
+            folder: where the file lies if one is needed; on the disk that results go to, because
+                the system's folder for temporary files may be in memory.
+            kept: bytes of values that stay in memory.
+        """
+        self._folder, self._room = folder, kept
+        self._entries: dict[int, T | _OnDisk] = {}
+        self._file: io.FileIO | None = None
+
+    def __setitem__(self, number: int, value: T) -> None:
+        """Add or replace a value; a full disk raises OSError with the folder's name."""
+        stored = pickle.dumps(value, pickle.HIGHEST_PROTOCOL)
+        if len(stored) <= self._room:
+            self._room -= len(stored)
+            self._entries[number] = value
+            return
+        try:
+            if self._file is None:
+                self._file = tempfile.TemporaryFile(dir=self._folder, buffering=0)
+            start = self._file.seek(0, os.SEEK_END)
+            left = memoryview(stored)
+            while left:
+                left = left[self._file.write(left) :]
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, str(self._folder)) from None
+        self._entries[number] = _OnDisk(self._file, start, len(stored))
+
+    def __getitem__(self, number: int) -> T:
+        entry = self._entries[number]
+        if isinstance(entry, _OnDisk):
+            return pickle.loads(os.pread(entry.file.fileno(), entry.size, entry.start))
+        return entry
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(sorted(self._entries))
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    def __contains__(self, number: object) -> bool:
+        return number in self._entries
+
+    def part(self, numbers: Iterable[int], first: int = 0) -> SpillCache[T]:
+        """Return the entries that exist among some numbers, counted from ``first``; no copies."""
+        found = SpillCache(self._folder, 0)
+        found._entries = {k - first: self._entries[k] for k in numbers if k in self._entries}
+        return found
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return dict, (dict(self),)

@@ -1,0 +1,259 @@
+"""Compare masks and normals with the rendered body: the data term of Eq. 8.
+
+    1. L_data = L_normal + λ1 L_silhouette
+    2. L_normal = Σ_known pixels |N - N_pred|_1 / 3 / area
+    3. L_silhouette = Σ_pixels |S - S_pred| / area
+
+with the normals ``N`` (H, W, 3) and the mask ``S`` (H, W) of the frame, and those of the rendered
+body. Normals are compared inside the mask alone; where the body exceeds it, eq. 3 counts. If ``N``
+were zero there, thin parts that a mask misses would count twice, and hands would rather hide in
+front of the trunk. A frame without normals has eq. 3 alone, with a higher weight. All terms are
+divided by the person's area in pixels, so that weights do not depend on size or resolution.
+
+Half the outline: masks are rendered with one ray through the centre of each pixel. Of the pixels
+that the rendered outline crosses, those whose centre it covers differ from the frame's mask, and
+pull with slope 1; the others agree with it, and the slope of ``|x|`` at 0 counts as 0. So the
+derivative of eq. 3 is half of the true one, everywhere along the outline: a constant factor, which
+λ1 includes. Squares would give the whole derivative, but Eq. 8 prints none. Within the soft edge of
+a mask the slopes on the two sides of the outline, 1 and -1, cancel, and eq. 3 does not pull;
+shrinking leaves edges that are soft for one pixel. The factor also holds for the outline's part of
+eq. 2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.autograd.function import FunctionCtx
+
+from gva_mi.body.pose import Pose, Shape
+from gva_mi.body.smplx import BodyModel
+from gva_mi.core.spill_cache import SpillCache
+from gva_mi.data.crop import (
+    Extent,
+    NoEvidence,
+    ScaledCrop,
+    mask_extent,
+    person_extent,
+    points_extent,
+)
+from gva_mi.data.video import Frame, Outline, Video
+from gva_mi.mesh.mesh_scene import MeshScene
+from gva_mi.pose.focal import brought_back, follow, stretched
+from gva_mi.splat import Camera
+
+ALONE = 3.0  # weight of a silhouette without normals
+MARGIN = 0.15  # of the box around the person, added on each side
+SHOWN = "its stage-1 body"
+
+Read = TypeVar("Read", Frame, Outline)
+Seen = TypeVar("Seen")
+
+
+@dataclass(frozen=True)
+class MaskAndNormals:
+    """The evidence of one frame, cropped to the person's surroundings and shrunk."""
+
+    camera: Camera  # of the part that was cut out
+    mask: Tensor  # (H, W) in [0, 1]
+    normals: Tensor | None  # (H, W, 3) unit, zero outside the mask
+    area: float  # of the person, pixels
+
+    @staticmethod
+    def of(outline: Outline, scale: float, points: Tensor) -> MaskAndNormals:
+        """Crop a frame to a box around its mask and the body's stage-1 vertices, and shrink it.
+
+        Args:
+            outline: of the frame, as the video gives it.
+            scale: pixels of the result per pixel of the video, at most 1; see
+                :func:`common_scale`.
+            points: (V, 3) world, the body in its stage-1 pose.
+
+        Raises:
+            NoEvidence: the mask is empty, or the camera does not see the body.
+        """
+        camera, corners = outline.camera, points.numpy().astype(np.float64)
+        extent = person_extent(outline.mask, camera, corners, SHOWN)
+        crop = ScaledCrop.around(extent, camera, scale, MARGIN)
+        part = crop.cover(*outline.mask.shape)
+        mask = crop.shrink(outline.mask[part], part)
+        normals = outline.normals(part)
+        if normals is not None:
+            # Means of unit vectors are shorter than 1. They are normalised, and dropped where the
+            # mask covers less than half of the pixel.
+            normals = torch.nn.functional.normalize(crop.shrink(normals, part), dim=-1)
+            normals = normals * (mask > 0.5)[..., None]
+        return MaskAndNormals(crop.cut_camera(camera), mask, normals, float(mask.sum()))
+
+    def loss(self, image: Tensor, silhouette: float, focal: Tensor | None = None) -> Tensor:
+        """Return eq. 1 of a rendering (H, W, 4) of normals and mask.
+
+        Args:
+            image: as :meth:`gva_mi.mesh.mesh_scene.MeshScene.render` gives it.
+            silhouette: λ1.
+            focal: the factor for which the body is stretched (:mod:`gva_mi.pose.focal`); None: 1.
+        """
+        if self.normals is None:
+            return ALONE * silhouette * self.silhouette_loss(image)
+        return self.normal_loss(image, focal) + silhouette * self.silhouette_loss(image)
+
+    def normal_loss(self, image: Tensor, focal: Tensor | None = None) -> Tensor:
+        """Return eq. 2 of a rendering (H, W, 4), for a frame with normals."""
+        found = image[..., :3]
+        if focal is not None:
+            found = brought_back(found, focal)
+        known = self.normals.any(-1)  # inside a mask they may be missing, too
+        return ((found - self.normals).abs() * known[..., None]).sum() / (3 * self.area)
+
+    def silhouette_loss(self, image: Tensor) -> Tensor:
+        """Return eq. 3 of a rendering (H, W, 4); its derivative is half of the true one."""
+        return (image[..., 3] - self.mask).abs().sum() / self.area
+
+
+def common_scale(
+    video: Video, frames: Iterable[int], size: int, body_at: Callable[[Outline], Tensor]
+) -> float:
+    """Return the scale at which all frames of a video are compared, at most 1.
+
+    With one scale for all frames a pixel, and with it a weight, means the same in each. The largest
+    person among the frames gets ``size`` pixels on the longer side. A person's size is the smaller
+    one of mask and stage-1 body, because a mask may have specks far from the person, and a body may
+    stand too close.
+
+    Args:
+        video: whose frames.
+        frames: numbers of the frames that are used.
+        size: pixels of the longer side of the largest person.
+        body_at: the vertices (V, 3) of the body in a frame's stage-1 pose, world, metres.
+    """
+
+    def look(outline: Outline) -> float:
+        camera = outline.camera
+        body = points_extent(body_at(outline).double().numpy(), camera, SHOWN)
+        low, high = (np.clip(x, 0, (camera.width, camera.height)) for x in (body.low, body.high))
+        return min(Extent(low, high).longer, mask_extent(outline.mask).longer)
+
+    found: dict[int, float] = {}
+    gather(frames, video.absent, video.outlines, look, found)
+    return min(1.0, size / max(found.values(), default=size))
+
+
+def gather(
+    frames: Iterable[int],
+    absent: Mapping[int, str],
+    read: Callable[[Iterable[int]], Iterable[Read]],
+    look: Callable[[Read], Seen],
+    found: dict[int, Seen] | SpillCache[Seen],
+) -> dict[int, str]:
+    """Gather the evidence of some frames; return why the other frames have none.
+
+    Args:
+        frames: numbers of the frames that are used.
+        absent: frames that cannot be read, and why.
+        read: reads frames by their numbers, such as :meth:`gva_mi.data.video.Video.outlines`.
+        look: makes the evidence of what was read, or raises :class:`NoEvidence`.
+        found: receives the evidence.
+    """
+    wanted = list(frames)
+    reasons = {k: absent[k] for k in wanted if k in absent}
+    for frame in read(k for k in wanted if k not in absent):
+        try:
+            found[frame.index] = look(frame)
+        except NoEvidence as reason:
+            reasons[frame.index] = str(reason)
+    return reasons
+
+
+def seen_body(
+    body: BodyModel,
+    pose: Pose,
+    shape: Shape,
+    offsets: Tensor,
+    seen: Sequence[MaskAndNormals],
+    focal: Tensor | None,
+) -> Tensor:
+    """Return the vertices (B, V, 3) of a body as they are rendered in B frames.
+
+    Args:
+        body, shape, offsets: the person.
+        pose: of the B frames.
+        seen: their evidence, whose cameras see the body.
+        focal: a factor on their focal length, for which the body moves in depth and is stretched
+            (:mod:`gva_mi.pose.focal`); None: 1.
+    """
+    if focal is None:
+        return body(pose, shape, offsets).vertices
+    cameras = [frame.camera for frame in seen]
+    pose = follow(pose, body.rest(shape).joints[0], cameras, focal)
+    return stretched(body(pose, shape, offsets).vertices, cameras, focal)
+
+
+def mean_loss(
+    scene: MeshScene,
+    vertices: Tensor,
+    seen: Sequence[MaskAndNormals],
+    silhouette: float,
+    closer: Sequence[Sequence[tuple[float, MaskAndNormals]]] = (),
+    focal: Tensor | None = None,
+    outlines: Tensor | None = None,
+) -> Tensor:
+    """Return the mean over frames of eq. 1, close-ups included; differentiable in the vertices.
+
+    The gradient is computed with the loss, while the scene shows each body, because moving the mesh
+    a second time would dominate the cost of a step. For the same reason close-ups are rendered
+    together with the whole person.
+
+    Args:
+        scene: in which the bodies are rendered.
+        vertices: (B, V, 3) world, metres: the body in each frame's pose.
+        seen: the evidence of the same B frames.
+        silhouette: λ1.
+        closer: close-ups of the same B frames with weights relative to the person's; empty: none.
+        focal: a factor on the focal length (:mod:`gva_mi.pose.focal`), for which the vertices are
+            already stretched; normals are brought back here.
+        outlines: (B, V, 3) the vertices once more; they get the gradient of the whole persons'
+            silhouettes alone. None: nothing gets it.
+    """
+    closer = closer or [()] * len(seen)
+    frames = [((1.0, whole), *parts) for whole, parts in zip(seen, closer, strict=True)]
+    return _MeanLoss.apply(vertices, outlines, focal, scene, frames, silhouette)
+
+
+class _MeanLoss(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: FunctionCtx,
+        vertices: Tensor,
+        outlines: Tensor | None,
+        focal: Tensor | None,
+        scene: MeshScene,
+        frames: Sequence[Sequence[tuple[float, MaskAndNormals]]],
+        silhouette: float,
+    ) -> Tensor:
+        losses, gradients, of_outlines = [], [], []
+        for body, views in zip(vertices.detach().unbind(), frames, strict=True):
+            with torch.enable_grad():
+                body = body.contiguous().requires_grad_()
+                images = scene.render_together(body, [seen.camera for _, seen in views])
+                loss = sum(
+                    weight * seen.loss(image, silhouette, focal)
+                    for (weight, seen), image in zip(views, images, strict=True)
+                )
+                if outlines is not None:
+                    whole = views[0][1].silhouette_loss(images[0])
+                    of_outlines += torch.autograd.grad(whole, body, retain_graph=True)
+                gradients += torch.autograd.grad(loss, body)
+            losses.append(float(loss.detach()))
+        means = [torch.stack(x) / len(frames) for x in (gradients, of_outlines) if x]
+        ctx.save_for_backward(*means)
+        return vertices.new_tensor(sum(losses) / len(frames))
+
+    @staticmethod
+    def backward(ctx: FunctionCtx, grad_loss: Tensor) -> tuple[Tensor | None, ...]:
+        gradient, *of_outlines = (grad_loss * mean for mean in ctx.saved_tensors)
+        return gradient, (of_outlines[0] if of_outlines else None), None, None, None, None

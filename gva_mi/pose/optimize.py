@@ -1,0 +1,260 @@
+"""Optimise the poses of many frames together, on evidence and prior.
+
+Unknown are the corrections of the poses, turns ``δ`` and shifts ``τ`` of every frame
+(:mod:`gva_mi.pose.corrections`), and ``s``, whatever else the evidence leaves open and all frames
+share. A step takes a random batch of frames ``k``, so that a pass visits every frame once, and
+follows the gradient of
+
+1. ``L(δ, τ, s) = mean_k L_k(pose_k(δ, τ), s) + E(δ, τ) + E(s)``
+
+with :class:`VectorAdam`, whose learning rates fall from ``r`` to ``decay · r``.
+
+``E(δ, τ)`` is the prior. It is first estimated from stage 1 alone, and has a low weight: otherwise
+small motions would be taken for errors, and the corrections would show no more than the guess.
+After ``learn`` passes the error model and the speed of the motion are inferred from the corrections
+that the images made, the prior gets its full weight, and details such as hands are compared. Half
+as many passes later the prior is inferred once more.
+
+If the clothes are unknown, turns that are the same in all frames are penalised during the first
+half of the ``learn`` passes. Otherwise the clothes' surface would adapt to them, and keep them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Protocol
+
+import torch
+from torch import Tensor
+
+from gva_mi.body.pose import Pose
+from gva_mi.core.console import Progress
+from gva_mi.core.errors import InputError
+from gva_mi.core.options import Metres, Seed, Turn, Within, require_ranges
+from gva_mi.pose.corrections import Corrections
+from gva_mi.pose.optimizer import VectorAdam, turn_rates
+from gva_mi.pose.prior.anatomy import Anatomy
+from gva_mi.pose.prior.ground import Soles
+from gva_mi.pose.prior.inference import PosePrior
+from gva_mi.pose.stage1 import Stage1
+from gva_mi.splat import Camera
+
+BETAS = (0.9, 0.99)  # Adam's
+GUESSED = 0.2  # weight of the prior before it is inferred from corrections
+AGAIN = 1.5  # the prior is inferred again after this many times the ``learn`` passes
+HELD = 0.5  # of the ``learn`` passes: how long turns that all frames share are penalised
+
+# Ranges of the options that all fits of poses have.
+Passes = Annotated[int, Within(1, 10_000)]
+Learn = Annotated[int, Within(0, 10_000)]
+PriorWeight = Annotated[float, Within(0, 1e6, "low")]
+Batch = Annotated[int, Within(1, 10_000)]
+PartFrames = Annotated[int, Within(1, 10_000)]
+Overlap = Annotated[int, Within(0, 5_000)]
+
+
+class Evidence(Protocol):
+    """Compares poses of a clip with what its frames show.
+
+    Attributes:
+        frames: numbers of the frames that have evidence.
+        camera: of one of them; corrections are made along its axes.
+        anatomy: of the person's joints.
+        soles: of the person, for the current shape; None: no ground term.
+        shared: the leaves ``s``, each with its learning rate; often none.
+        distance_shown: whether it shows how far away the person stands.
+        surface_known: whether the person's clothes are known.
+        unseen: joints that it does not show yet, whose turns stay at the MAP estimate.
+    """
+
+    frames: Sequence[int]
+    camera: Camera
+    anatomy: Anatomy
+    soles: Soles | None
+    shared: Sequence[tuple[Tensor, float]]
+    distance_shown: bool
+    surface_known: bool
+    unseen: Sequence[int]
+
+    def loss(self, frames: Sequence[int], pose: Pose) -> Tensor:
+        """Return the mean of ``L_k`` over some frames; differentiable in poses and ``s``."""
+        ...
+
+    def energy(self) -> Tensor | float:
+        """Return ``E(s)``; zero if nothing is shared."""
+        ...
+
+    def enable_details(self) -> None:
+        """Start to compare details that would mislead while poses are far off."""
+        ...
+
+
+class Steps(Protocol):
+    """How far poses move in a step; fields as in :class:`DescentOptions`."""
+
+    step: float
+    largest_turn: float
+    translation_lr: float
+
+
+@dataclass(frozen=True)
+class DescentOptions:
+    """Options of the optimisation; each method has its own defaults."""
+
+    passes: Passes  # how often every frame is visited
+    learn: Learn  # passes after which the prior is inferred from corrections
+    nat: PriorWeight  # what a nat of the prior counts, in units of L_k
+    batch: Batch  # frames of a step, at most
+    step: Metres  # metres that a turned joint moves what turns with it, in a step at the start
+    largest_turn: Turn  # radians in such a step; it limits joints with short lever arms
+    translation_lr: Metres  # metres in a step at the start
+    part: PartFrames  # frames fitted together; a longer video is cut into clips
+    overlap: Overlap  # frames that a clip shares with the next
+    seed: Seed  # of the order in which frames are visited
+
+    command: ClassVar[str]  # whose options they are, for errors
+    decay: ClassVar[float]  # final learning rates, relative to the initial ones
+
+    def __post_init__(self) -> None:
+        require_ranges(self.command, self)
+        if not 2 * self.overlap < self.part:
+            raise InputError(
+                f"{self.command}: overlap must be less than half a part, "
+                f"got overlap {self.overlap}, part {self.part}"
+            )
+
+
+@dataclass(frozen=True)
+class Descent:
+    """The result of an optimisation."""
+
+    pose: Pose  # of all T frames; those without evidence stay as they were
+    prior: PosePrior  # as inferred last
+
+
+def descend(
+    evidence: Evidence,
+    start: Pose,
+    arms: Tensor,
+    options: DescentOptions,
+    progress: Progress | None = None,
+    following: Sequence[int] = (),
+    try_uncorrected: bool = False,
+) -> Descent:
+    """Minimise eq. 1; the leaves ``evidence.shared`` are moved in place.
+
+    Args:
+        evidence: of some of the frames.
+        start: poses of all T frames, which are corrected.
+        arms: (J,) lever arms of the person's joints, metres.
+        options: weights, passes, learning rates and the seed.
+        progress: called as ``progress(done, total, loss=...)`` after every step.
+        following: frames without evidence, whose poses follow from the prior.
+        try_uncorrected: start from ``start`` itself if it has a lower loss than the MAP estimate,
+            which takes all jerky motion for errors.
+    """
+    frames = sorted({*evidence.frames, *following})
+    stage1 = Stage1.of(start, frames, evidence.camera)
+    corrections = Corrections.map_estimate(stage1, evidence.anatomy)
+    if try_uncorrected:
+        corrections = _better(evidence, frames, corrections, corrections.zeroed())
+    adam = optimiser(corrections, arms, options, evidence.unseen, evidence.shared)
+    seen = [i for i, k in enumerate(frames) if k not in set(following)]
+    batches = [[seen[i] for i in batch] for batch in _batches(len(seen), options)]
+    learnt = options.learn * len(batches) // options.passes
+    weight, a_pass = GUESSED * options.nat, len(batches) // options.passes
+    for step, batch in enumerate(batches):
+        if step in (learnt, int(AGAIN * learnt)):
+            if step == learnt:
+                evidence.enable_details()
+            corrections, weight = corrections.with_updated_prior(*corrections.found()), options.nat
+            adam = optimiser(corrections, arms, options, evidence.unseen, evidence.shared)
+        if step >= learnt and evidence.soles is not None and step % a_pass == learnt % a_pass:
+            corrections.fit_ground(evidence.soles)
+        loss = evidence.loss([frames[i] for i in batch], corrections.pose(batch))
+        loss = loss + weight * corrections.energy(evidence.distance_shown) + evidence.energy()
+        if step < int(HELD * learnt) and not evidence.surface_known:
+            loss = loss + options.nat * corrections.constant_turn_energy()
+        loss.backward()
+        adam.step(options.decay ** (step / len(batches)))
+        if progress is not None:
+            progress(step + 1, len(batches), loss=float(loss.detach()))
+    with torch.no_grad():
+        found = corrections.pose(range(len(frames)))
+    return Descent(with_frames(start, frames, found), corrections.prior)
+
+
+@torch.no_grad()
+def _better(evidence: Evidence, frames: list[int], *starts: Corrections) -> Corrections:
+    """Return the corrections of the lowest loss."""
+    seen = [i for i, k in enumerate(frames) if k in set(evidence.frames)]
+    numbers = [frames[i] for i in seen]
+    losses = [float(evidence.loss(numbers, corrections.pose(seen))) for corrections in starts]
+    return starts[losses.index(min(losses))]
+
+
+def with_frames(start: Pose, frames: Sequence[int], found: Pose) -> Pose:
+    """Return poses of T frames, of which the n given frames are replaced.
+
+    Args:
+        start: T frames.
+        frames: numbers of n of them.
+        found: their new poses.
+    """
+    frames = list(frames)
+    taken = start.map(torch.clone)
+    taken.rotations[frames], taken.transl[frames] = found.rotations, found.transl
+    taken.expression[frames] = found.expression
+    return taken
+
+
+def worse_frames(
+    frames: Iterable[int], before: Tensor, after: Tensor, digits: int = 3
+) -> dict[int, str]:
+    """Return the frames whose loss grew, each with a sentence that says so.
+
+    Args:
+        frames: that are compared.
+        before: (T,) losses at the poses a fit started from.
+        after: (T,) losses at the poses it found; NaN counts as grown.
+        digits: of the losses in the sentence.
+    """
+    return {
+        k: f"its loss grew from {before[k]:.{digits}f} to {after[k]:.{digits}f}"
+        for k in frames
+        if not after[k] <= before[k]
+    }
+
+
+def optimiser(
+    corrections: Corrections,
+    arms: Tensor,
+    options: Steps,
+    unseen: Sequence[int] = (),
+    shared: Sequence[tuple[Tensor, float]] = (),
+) -> VectorAdam:
+    """Return the optimiser of corrections and of the leaves ``s``.
+
+    Args:
+        corrections: their leaves.
+        arms: (J,) lever arms of the person's joints, metres.
+        options: how far in a step.
+        unseen: joints that do not move.
+        shared: the leaves ``s``, each with its learning rate.
+    """
+    # The three coordinates of a turn have step sizes of their own, together as long as one.
+    turns = turn_rates(arms, options.step, options.largest_turn)[..., None] / 3**0.5
+    turns[list(unseen)] = 0
+    leaves = [(corrections.turns, turns), (corrections.moves, options.translation_lr)]
+    tensors, rates = zip(*leaves, *shared, strict=True)
+    return VectorAdam(tensors, rates, BETAS)
+
+
+def _batches(frames: int, options: DescentOptions) -> Iterator[list[int]]:
+    """Yield the indices of every step's frames: each pass shuffles all of them and deals them."""
+    generator = torch.Generator().manual_seed(options.seed)
+    count = -(-frames // options.batch)
+    for _ in range(options.passes):
+        order = torch.randperm(frames, generator=generator).tolist()
+        yield from (order[first::count] for first in range(count))

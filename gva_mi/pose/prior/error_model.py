@@ -1,0 +1,149 @@
+"""The error model of stage 1, inferred from the video itself.
+
+An estimator's error in frame ``k`` is the negative of its correction. It has a part that is new in
+every frame, one that lasts for some frames, and a constant one:
+
+1. ``e_k = white_k + slow_k + bias``
+2. ``K_kl = white² f_k [k = l] + slow² (κ(|t_k - t_l| / memory) + 1)``
+   with ``κ(x) = (1 + √3 x) e^(-√3 x)``
+
+``K`` is the covariance of each of its coordinates. The parts' sizes and the memory differ between
+estimators, and between hips and fingers, so they are inferred for each group of joints
+(:data:`GROUPS`):
+
+3. ``white``: from third differences of stage 1. They nearly remove lasting errors and motion, and a
+   median ignores outliers; they have 20 times the variance of white errors.
+4. ``slow`` and ``memory``: from the corrections *about the line of sight*, which images show well.
+   Their autocovariance at some lags is fitted by eq. 2, and then used for depth, too.
+5. ``f_k``: the outlier factor of a frame, such as one in which a leg was taken for the other: that
+   of Student's t distribution as a scale mixture of Gaussians of variance ``white² f``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND
+
+# Joints that stage 1 is taken to know equally well. Jaw and eyes are in none: they are not turned.
+_KINDS: Mapping[str, Sequence[str]] = {
+    "pelvis": ("pelvis",), "spine": ("spine1", "spine2", "spine3"), "head": ("neck", "head"),
+    "shoulders": ("collar", "shoulder"), "elbows": ("elbow",), "wrists": ("wrist",),
+    "hips": ("hip",), "knees": ("knee",), "feet": ("ankle", "foot"),
+}  # fmt: skip
+GROUPS: Mapping[str, tuple[int, ...]] = MappingProxyType(
+    {
+        kind: tuple(i for i in range(22) if JOINTS[i].split("_")[-1] in names)
+        for kind, names in _KINDS.items()
+    }
+    | {"fingers": tuple(range(LEFT_HAND.start, RIGHT_HAND.stop))}
+)
+
+# Medians of χ²: of the square length of a vector whose d coordinates have variance 1.
+_MEDIAN = {1: 0.4549, 3: 2.3660}
+FREEDOM = 3.0  # ν of Student's t: two or three frames in a hundred are far off
+MEMORIES = (1.5, 3.0, 6.0, 12.0, 24.0)  # frames, candidates of eq. 4
+LAGS = 12  # largest lag of eq. 4, frames
+LEAST_WHITE = 0.1  # relative to the slow part; keeps eq. 2 from being singular
+
+
+@dataclass(frozen=True)
+class Noise:
+    """The errors of one group of joints, or of the person's position (eq. 2)."""
+
+    white: float  # standard deviation of a coordinate; radians, or metres for the position
+    slow: float  # the same of the part that lasts
+    memory: float  # frames that it lasts
+
+    @property
+    def size(self) -> float:
+        """Standard deviation of a coordinate, without the bias."""
+        return float(np.hypot(self.white, self.slow))
+
+    @property
+    def white_variance(self) -> float:
+        """``white²``, but large enough that eq. 2 is not singular."""
+        return max(self.white, LEAST_WHITE * self.slow) ** 2
+
+    def lasting(self, times: Tensor) -> Tensor:
+        """Return eq. 2 (n, n) float64 at times (n,), without the white part."""
+        x = 3**0.5 * (times[:, None] - times).abs().double() / self.memory
+        return self.slow**2 * ((1 + x) * torch.exp(-x) + 1)
+
+
+def covariance(noises: Sequence[Noise], times: Tensor, factors: Tensor) -> Tensor:
+    """Return eq. 2 (C, n, n) float64 of C models at times (n,), with factors (C, n)."""
+    lasting = {noise: noise.lasting(times) for noise in set(noises)}
+    white = torch.tensor([noise.white_variance for noise in noises], dtype=torch.float64)
+    diagonal = torch.diag_embed(white[:, None] * factors.double())
+    return torch.stack([lasting[noise] for noise in noises]) + diagonal
+
+
+def median_of_square(dimension: int) -> float:
+    """Return the median square length of a vector whose coordinates have variance 1."""
+    return _MEDIAN[dimension]
+
+
+def white_level(steps: Tensor) -> float:
+    """Return eq. 3, a standard deviation, from steps (n, C, d); zero for too few frames."""
+    if len(steps) < 3:
+        return 0.0
+    third = steps[2:] - 2 * steps[1:-1] + steps[:-2]
+    square = third.square().sum(-1).median() / median_of_square(steps.shape[-1])
+    return float((square / 20).sqrt())
+
+
+def fit_slow_part(errors: Tensor, times: Tensor, white: float, guess: Noise) -> Noise:
+    """Fit eq. 4.
+
+    Args:
+        errors: (n, J) of one coordinate that images show well.
+        times: (n,) frames.
+        white: the standard deviation of the white part.
+        guess: the model before; it has the weight of ``LAGS`` frames.
+    """
+    from scipy.optimize import nnls
+
+    gaps = times[None] - times[:, None]
+    products = (errors @ errors.T / errors.shape[1]).double()
+    lags = [lag for lag in range(min(LAGS, len(times) // 3) + 1) if bool((gaps == lag).any())]
+    C = np.array([float(products[gaps == lag].mean()) for lag in lags])
+    C[0] = max(C[0] - white**2, 0.0)
+    # Lags that occur more often weigh more.
+    weight = np.sqrt([int((gaps == lag).sum()) for lag in lags])
+    fits = []
+    for memory in MEMORIES:
+        x = 3**0.5 * np.array(lags) / memory
+        columns = np.stack([(1 + x) * np.exp(-x), np.ones_like(x)], axis=1)
+        (slow, _), residual = nnls(columns * weight[:, None], C * weight)
+        fits.append((residual, memory, slow))
+    _, memory, slow = min(fits)
+    trust = len(times) / (len(times) + LAGS)
+    slow = trust * slow + (1 - trust) * guess.slow**2
+    return Noise(white, float(slow**0.5), memory)
+
+
+def outlier_factors(errors: Tensor, K: Tensor, noises: Sequence[Noise], factors: Tensor) -> Tensor:
+    """Update the factors (C, n) of eq. 5.
+
+    Args:
+        errors: (C, n, d).
+        K: (C, n, n) eq. 2 with the present factors, float64.
+        noises: C models.
+        factors: (C, n), the present ones.
+    """
+    variance = torch.tensor([noise.white_variance for noise in noises])[:, None, None]
+    # The expectation of the white part, given all errors.
+    white = (
+        variance
+        * factors[..., None]
+        * torch.cholesky_solve(errors.double(), torch.linalg.cholesky(K))
+    )
+    square = (white.square() / variance).sum(-1)
+    return ((FREEDOM + square) / (FREEDOM + errors.shape[-1])).float()

@@ -1,0 +1,172 @@
+"""Infer the prior of a video: how stage 1 errs, and how the person moves.
+
+Before any image is used, white errors and outliers can be inferred from stage 1 alone, because
+people cannot move like that (:func:`prior_from_stage1`). Errors that last look like motion. Images
+then correct them, most reliably about the line of sight, and the corrections show how large they
+are (:func:`prior_from_corrections`). The error model goes into the record of the refinement.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gva_mi.pose.prior import motion
+from gva_mi.pose.prior.camera_tilt import TiltPrior
+from gva_mi.pose.prior.error_model import GROUPS, Noise, fit_slow_part, white_level
+from gva_mi.pose.prior.ground import ContactStats, Ground
+from gva_mi.pose.prior.process import ProcessPrior
+from gva_mi.pose.stage1 import Stage1
+
+# Lasting errors before images have shown them. They are small, because a motion of a few degrees
+# must not be taken for an error. Only videos too short to infer anything keep them.
+TURN = Noise(white=0.0, slow=0.05, memory=6.0)  # radians
+PLACE = {"aside": Noise(0.0, 0.02, 6.0), "depth": Noise(0.0, 0.05, 6.0)}  # metres
+
+AXES: Mapping[str, tuple[int, ...]] = {"aside": (0, 1), "depth": (2,)}  # the camera's
+PELVIS = GROUPS["pelvis"]
+JOINTS = tuple(i for name, group in GROUPS.items() if name != "pelvis" for i in group)
+LEAST_SLOW = 0.5  # least slow error of a group, relative to the mean over all groups
+
+
+class PriorTerm(Protocol):
+    """How improbable a motion is without any image."""
+
+    def energy(self, rotations: Tensor, transl: Tensor, times: Tensor) -> Tensor:
+        """Return nats, differentiable.
+
+        Args:
+            rotations: (n, J, 3) axis-angle, relative to the parent joint.
+            transl: (n, 3) metres, world.
+            times: (n,) numbers of the frames.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class PosePrior:
+    """The prior of all corrections of a clip.
+
+    Attributes:
+        noise: stage 1's errors: of each group of joints in radians, of the position in metres.
+        pelvis: process of one joint, which may turn steadily.
+        joints: process of all others but the face, in the order of ``JOINTS``.
+        place: process of the person's position in the camera's axes; it may change steadily.
+        tilt: a :class:`PriorTerm`, whose nats are a mean over the frames.
+        ground: a :class:`PriorTerm`, whose nats are of the whole clip; None before it is fitted.
+    """
+
+    noise: Mapping[str, Noise]
+    pelvis: ProcessPrior
+    joints: ProcessPrior
+    place: ProcessPrior
+    tilt: TiltPrior
+    ground: Ground | None = None
+
+
+def describe_prior(noise: Mapping[str, Noise], contact: ContactStats | None) -> Iterator[str]:
+    """Yield lines for the user on stage 1's errors and foot contact, if they were inferred."""
+    if not noise:
+        return
+    turns = ", ".join(f"{name} {np.degrees(noise[name].size):.1f}°" for name in GROUPS)
+    places = " and ".join(f"{1000 * noise[name].size:.0f} mm {name}" for name in AXES)
+    yield f"stage 1     errs by {turns}; by {places}"
+    white = ", ".join(f"{name} {np.degrees(noise[name].white):.1f}°" for name in GROUPS)
+    lasts = sorted({noise[name].memory for name in GROUPS})
+    yield f"            white {white}; the rest lasts {lasts[0]:g} to {lasts[-1]:g} frames"
+    if contact is not None:
+        stands = f"soles stand {contact.share:.0%} of the time"
+        yield f"ground      {stands}, within {1000 * contact.spread:.0f} mm of one plane"
+
+
+def prior_from_stage1(stage1: Stage1) -> PosePrior:
+    """Infer white errors and the speed of the motion from stage 1 alone."""
+    turns, shifts = stage1.steps(stage1.pose)
+    noise = {
+        name: replace(TURN, white=white_level(turns[:, list(group)]))
+        for name, group in GROUPS.items()
+    }
+    for name, axes in AXES.items():
+        noise[name] = replace(PLACE[name], white=white_level(shifts[:, list(axes), None]))
+    return PosePrior(
+        noise,
+        ProcessPrior.of_stage1(
+            stage1.times, turns[:, list(PELVIS)], _by_joint(noise, PELVIS), True
+        ),
+        ProcessPrior.of_stage1(stage1.times, turns[:, list(JOINTS)], _by_joint(noise, JOINTS)),
+        ProcessPrior.of_stage1(stage1.times, shifts[..., None], _by_axis(noise), True),
+        TiltPrior.of(stage1, stage1.pose.rotations),
+    )
+
+
+def prior_from_corrections(
+    before: PosePrior, stage1: Stage1, turns: Tensor, moves: Tensor
+) -> PosePrior:
+    """Infer the prior from corrections that images made under a weaker one.
+
+    Args:
+        before: the prior so far.
+        stage1: what was corrected.
+        turns: (n, J, 3) in the camera's axes, radians.
+        moves: (n, 3) in the camera's axes, metres.
+    """
+    noise = _noise(before.noise, stage1.times, turns, moves)
+    pose = stage1.corrected(range(len(moves)), turns, moves)
+    steps, shifts = stage1.steps(pose)
+    root, sideways = list(PELVIS), stage1.in_camera(steps, slice(0, -1))[:, list(JOINTS), 2:]
+    return PosePrior(
+        noise,
+        updated_process(before.pelvis, _by_joint(noise, PELVIS), turns[:, root], steps[:, root]),
+        updated_process(before.joints, _by_joint(noise, JOINTS), turns[:, list(JOINTS)], sideways),
+        updated_process(before.place, _by_axis(noise), moves[..., None], shifts[..., None]),
+        TiltPrior.of(stage1, pose.rotations),
+    )
+
+
+def updated_process(
+    before: ProcessPrior, noises: list[Noise], corrections: Tensor, steps: Tensor
+) -> ProcessPrior:
+    """Update a process after corrections have shown more.
+
+    Args:
+        before: the process so far.
+        noises: the C updated error models.
+        corrections: (n, C, d).
+        steps: (n - 1, C, ...) from frame to frame, of the coordinates that images show.
+    """
+    changes = before.changes(steps)
+    times = before.times[: len(changes)].float()
+    square = motion.excursions(changes, motion.SPAN).square().mean(-1)
+    updated = replace(before, noises=noises).with_speeds(motion.mean_square(square, times))
+    return updated.with_outlier_factors(corrections)
+
+
+def _noise(
+    before: Mapping[str, Noise], times: Tensor, turns: Tensor, moves: Tensor
+) -> dict[str, Noise]:
+    """Infer stage 1's error models, group by group, from corrections in the camera's axes."""
+    seen = {name: turns[:, list(group), 2] for name, group in GROUPS.items()}  # line of sight
+    seen |= {name: moves[:, list(axes)] for name, axes in AXES.items()}
+    found = {
+        name: fit_slow_part(-errors, times, before[name].white, before[name])
+        for name, errors in seen.items()
+    }
+    # A group that is small in the image is corrected little, which does not prove small errors.
+    least = LEAST_SLOW * torch.tensor([found[name].slow for name in GROUPS]).square().mean().sqrt()
+    for name in GROUPS:
+        found[name] = replace(found[name], slow=max(found[name].slow, float(least)))
+    return found
+
+
+def _by_joint(noise: Mapping[str, Noise], joints: tuple[int, ...]) -> list[Noise]:
+    kind = {i: name for name, group in GROUPS.items() for i in group}
+    return [noise[kind[i]] for i in joints]
+
+
+def _by_axis(noise: Mapping[str, Noise]) -> list[Noise]:
+    return [noise[name] for name, axes in AXES.items() for _ in axes]

@@ -1,0 +1,166 @@
+"""The Gaussian-process prior of corrections: stage 1's errors and the inertia of a motion.
+
+Stage 1 gives ``y_k``, the true value is ``x_k = y_k + δ_k``. The error model
+(:mod:`gva_mi.pose.prior.error_model`) and the motion model (:mod:`gva_mi.pose.prior.motion`) give the corrections
+``δ`` of one joint, or of one coordinate of a position, the energy (a negative log probability)
+
+1. ``E(δ) = 1/2 Σ_kl δ_k · P_kl δ_l + Σ_k cost(Δ_k)``,   ``P = K⁻¹``,   ``Δ_k = m_k + δ_k+1 - δ_k``
+
+with ``m_k = y_k+1 - y_k``; for a joint ``log(R_kᵀ R_k+1)``, in its own axes. Its curvature at ``δ``
+is close to
+
+2. ``H = P + Dᵀ W D``,    ``D δ = (δ_k+1 - δ_k)``,   ``W`` the stiffness of each step
+
+so its minimum, the MAP estimate without any image, is found by solving ``H δ = -Dᵀ W m`` several
+times, each time with updated ``W`` and outlier factors ``f`` of the errors.
+
+``H`` also gives the coordinates ``u`` in which an optimiser should move ``δ``:
+
+3. ``δ = M u``,    ``M = min(H⁻¹ / h, 1)^(1/2)``,    ``h`` the mean variance, by eigenvalues
+
+Errors that last for many frames then move in large steps, and improbable ones, such as a tremor, in
+small ones (in the spirit of Nicolet et al., *Large Steps in Inverse Rendering*, 2021).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from gva_mi.pose.prior import motion
+from gva_mi.pose.prior.error_model import Noise, covariance, outlier_factors
+
+ROUNDS = 8  # of eq. 2
+LEAST_SPEED = 0.02  # least speed of a joint in a frame, relative to its error
+
+
+@dataclass(frozen=True)
+class ProcessPrior:
+    """The process of C joints, or coordinates of a position, in n frames, each a vector of d.
+
+    Attributes:
+        times: (n,) numbers of the frames.
+        steps: (n - 1, C, d) ``m``; if steady, its changes (n - 2, C, d).
+        noises: C error models.
+        factors: (C, n) ``f``.
+        square_speed: (n - 1 or n - 2, C) ``s²`` of each step.
+        steady: whether constant speed is as probable as rest.
+    """
+
+    times: Tensor
+    steps: Tensor
+    noises: Sequence[Noise]
+    factors: Tensor
+    square_speed: Tensor
+    steady: bool
+
+    @staticmethod
+    def of_stage1(
+        times: Tensor, steps: Tensor, noises: Sequence[Noise], steady: bool = False
+    ) -> ProcessPrior:
+        """Estimate the speeds from stage 1 alone.
+
+        Args:
+            times: (n,) numbers of the frames.
+            steps: (n - 1, C, d) from frame to frame.
+            noises: C error models.
+            steady: whether constant speed is as probable as rest.
+        """
+        factors = torch.ones(steps.shape[1], len(times))
+        process = ProcessPrior(times, steps, noises, factors, steps[..., 0], steady)
+        process = replace(process, steps=process.changes(steps))
+        white = torch.tensor([noise.white for noise in noises]).square()
+        of_white = 4 if steady else 2  # the variance of a change, for white errors of variance 1
+        seen = [
+            motion.usual_square(motion.excursions(process.steps, span)) - of_white * white / span
+            for span in motion.SPANS
+        ]
+        return process.with_speeds(torch.stack(seen).amax(0).clamp(min=0))
+
+    def changes(self, steps: Tensor) -> Tensor:
+        """Return ``Δ`` of steps (n - 1, ...): the steps, or if steady their differences."""
+        if not self.steady:
+            return steps
+        gaps = self.times.diff().to(steps.dtype).view(-1, *[1] * (steps.ndim - 1))
+        return (steps / gaps).diff(dim=0)
+
+    def with_speeds(self, square_speed: Tensor) -> ProcessPrior:
+        """Return the process with other speeds, one for each step."""
+        sizes = torch.tensor([noise.size for noise in self.noises])
+        return replace(self, square_speed=square_speed + (LEAST_SPEED * sizes).square())
+
+    def with_outlier_factors(self, corrections: Tensor) -> ProcessPrior:
+        """Return the process with the outlier factors of corrections (n, C, d)."""
+        K = covariance(self.noises, self.times, self.factors)
+        errors = -corrections.transpose(0, 1)
+        return replace(self, factors=outlier_factors(errors, K, self.noises, self.factors))
+
+    def map_estimate(self) -> tuple[Tensor, ProcessPrior]:
+        """Return the MAP estimate (n, C, d), and the process with its outlier factors."""
+        process, D = self, self._difference().double()
+        corrections = torch.zeros(len(self.times), *self.steps.shape[1:])
+        for round in range(ROUNDS):
+            # No step counts as a jump at first, however large: otherwise nothing would move.
+            H, W = process._curvature(corrections, jumps=round >= ROUNDS // 2)
+            pull = torch.einsum("pk,cp,pcd->ckd", D, W, self.steps.double())
+            corrections = (
+                torch.cholesky_solve(-pull, torch.linalg.cholesky(H)).transpose(0, 1).float()
+            )
+            process = process.with_outlier_factors(corrections)
+        return corrections, process
+
+    def energy(self, precision: Tensor, corrections: Tensor, own: Tensor) -> Tensor:
+        """Return eq. 1.
+
+        Args:
+            precision: ``P`` (C, n, n).
+            corrections: (n, C, d) in axes in which stage 1's errors last, such as the camera's.
+            own: the same in the axes of ``steps``.
+        """
+        e = corrections.transpose(0, 1)
+        moved = motion.cost(self._changed(own), self.square_speed)
+        return (e * (precision @ e)).sum() / 2 + moved.sum()
+
+    def variance_of_mean(self, bias: bool) -> Tensor:
+        """Return the variance (C,) of stage 1's mean error, with or without its bias."""
+        K = covariance(self.noises, self.times, self.factors).mean((1, 2))
+        without = torch.tensor([noise.slow**2 for noise in self.noises])
+        return (K if bias else K - without).float()
+
+    def precision(self) -> Tensor:
+        """Return ``P`` (C, n, n)."""
+        return self._precision().float()
+
+    def covariance(self, corrections: Tensor) -> Tensor:
+        """Return ``H⁻¹`` (C, n, n) float64 of one coordinate, at corrections (n, C, d)."""
+        return torch.cholesky_inverse(torch.linalg.cholesky(self._curvature(corrections)[0]))
+
+    def spread(self, corrections: Tensor) -> Tensor:
+        """Return ``M`` (C, n, n), eq. 3, at corrections (n, C, d)."""
+        values, vectors = torch.linalg.eigh(self._curvature(corrections)[0])
+        gain = (1 / values / (1 / values).mean(1, keepdim=True)).clamp(max=1).sqrt()
+        return ((vectors * gain[:, None]) @ vectors.mT).float()
+
+    def _curvature(self, corrections: Tensor, jumps: bool = True) -> tuple[Tensor, Tensor]:
+        """Return ``H`` (C, n, n) and the diagonal of ``W`` (C, n - 1 or n - 2), float64."""
+        D, changes = self._difference(), self._changed(corrections)
+        W = motion.stiffness(changes if jumps else 0 * changes, self.square_speed).double().T
+        D = D.double()
+        return self._precision() + D.T @ (W[..., None] * D), W
+
+    def _precision(self) -> Tensor:
+        # Cholesky, because torch's batched LU fails after its number of threads was changed.
+        K = covariance(self.noises, self.times, self.factors)
+        return torch.cholesky_inverse(torch.linalg.cholesky(K))
+
+    def _changed(self, corrections: Tensor) -> Tensor:
+        """Return ``Δ`` (n - 1 or n - 2, C, d) under corrections (n, C, d)."""
+        n, C, d = corrections.shape
+        return self.steps + (self._difference() @ corrections.flatten(1)).view(-1, C, d)
+
+    def _difference(self) -> Tensor:
+        """Return ``D`` (n - 1 or n - 2, n)."""
+        return self.changes(torch.eye(len(self.times)).diff(dim=0))

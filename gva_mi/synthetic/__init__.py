@@ -1,0 +1,32 @@
+"""Synthetic subjects: a clothed person from a seed, its video, and their ground truth.
+
+==========================================  ====================================================
+People       ``people``, ``look``           who it is: shape, colours, cut of the clothes
+             ``rest_body``                  the body below the clothes
+             ``clothes/``                   clothes and hair, and how they follow the body
+             ``texture``                    colours of skin, cloth and hair
+             ``subject``                    all of it as one surface
+Bodies       ``stretched``                  a body of other proportions than the fitted one
+             ``closest``                    ground truth on the fitted body for such a person
+Motion       ``motion/``                    motions of the video, and held-out poses
+Pictures     ``framing``, ``render``        cameras, rays and light
+             ``camera_effects``             background, blur, sensor noise
+             ``shots``                      files of one picture, by one process or several
+Errors       ``noise/``                     error models of poses, masks and normals
+             ``estimates``                  estimates of a pipeline with such errors
+Folder       ``options``                    all options
+             ``dataset``                    writes a subject's folder
+             ``degrade``                    the same recording with other errors
+             ``recorded``                   options of a folder, and its person made again
+             ``contact_sheet``              a picture of all subjects and of one's folder
+==========================================  ====================================================
+"""
+
+from gva_mi.synthetic.degrade import degrade
+from gva_mi.synthetic.estimates import describe_errors
+from gva_mi.synthetic.options import SynthOptions
+from gva_mi.synthetic.people import STUDY
+from gva_mi.synthetic.provenance import remake_subject
+from gva_mi.synthetic.subject_folder import make_subject
+
+__all__ = ["STUDY", "SynthOptions", "degrade", "describe_errors", "remake_subject", "make_subject"]

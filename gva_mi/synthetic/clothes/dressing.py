@@ -1,0 +1,176 @@
+"""Dress a body: choose clothes, hair and accessories, and bind them to it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gva_mi.synthetic.clothes import accessories, binding, garments
+from gva_mi.synthetic.clothes.hair import hair_mesh
+from gva_mi.synthetic.clothes.level_sets import (
+    BAND,
+    BodySurface,
+    ClosedMesh,
+    VoxelGrid,
+    smoothstep,
+    vertex_normals,
+)
+from gva_mi.synthetic.look import Material, SkirtCone
+from gva_mi.synthetic.people import Outfit
+from gva_mi.synthetic.rest_body import RestBody
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A garment, hair or an accessory, bound to the body."""
+
+    material: Material
+    mesh: ClosedMesh
+    binding: csr_array  # (V, vertices of the body), rows sum to 1
+    slack: np.ndarray | float = 0.0  # (V,) metres, the most it may lag behind
+    crease: float = 0.0  # m, height of its creases
+
+
+@dataclass(frozen=True)
+class Worn:
+    """Everything a person wears, hair included."""
+
+    pieces: tuple[Piece, ...]
+    cone: SkirtCone | None = None  # of a skirt
+
+    @property
+    def cloth(self) -> list[ClosedMesh]:
+        """Clothes and shoes, which hide the skin below them."""
+        open_ = (Material.HAIR, Material.ACCESSORY)
+        return [piece.mesh for piece in self.pieces if piece.material not in open_]
+
+
+def dress(
+    rest: RestBody, outfit: Outfit, rng: np.random.Generator, clothes: bool, hair: bool
+) -> Worn:
+    """Dress a person.
+
+    Args:
+        rest: the body.
+        outfit: the cut of clothes and hair.
+        rng: draws folds, pleats and locks.
+        clothes: with clothes, shoes and accessories.
+        hair: with hair.
+    """
+    pieces: list[Piece] = []
+    cone = None
+    if clothes:
+        pieces, cone = _clothes(rest, outfit, rng)
+    if hair:
+        pieces.append(_hair(rest, outfit, rng, pieces))
+    if clothes:
+        pieces += _accessories(rest, outfit)
+    return Worn(tuple(pieces), cone)
+
+
+def _clothes(
+    rest: RestBody, outfit: Outfit, rng: np.random.Generator
+) -> tuple[list[Piece], SkirtCone | None]:
+    """Make top, bottom and shoes; also return the cone of a skirt."""
+    vertices, joints, loose, cone = rest.vertices, rest.joints, outfit.loose, None
+    reach = np.array([0.09, 0.09, 0.22 if outfit.bottom == "skirt" else 0.09])
+    grid = VoxelGrid.around(vertices.min(0) - reach, vertices.max(0) + reach, garments.CLOTH_CELL)
+    wide = outfit.flare + 0.02 if outfit.bottom != "skirt" else 0.0
+    d = rest.surface.sample(grid, max(BAND, wide))
+    top = garments.shirt(grid, d, joints, outfit, rng)
+    if outfit.bottom == "skirt":
+        bottom, cone = garments.skirt(grid, d, joints, outfit, rng)
+    else:
+        bottom = garments.trousers(grid, d, joints, outfit)
+    height = lambda mesh: mesh.vertices[:, 1].astype(np.float64)
+    chest, hip = joints["spine3"][1], joints["left_hip"][1]
+    low = smoothstep(chest - height(top), 0.0, chest - joints["pelvis"][1] + outfit.hem)
+    out = np.abs(top.vertices[:, 0]) - joints["left_shoulder"][0]
+    slack = 0.9 * loose * low + 0.35 * loose * smoothstep(out, 0.05, 0.4)
+    pieces = [_soft(rest, Material.TOP, top, 0.025, slack, 0.15 * loose + 0.002)]
+    drop = smoothstep(hip - height(bottom), 0.02, 0.4)
+    if cone is not None:
+        hangs = binding.hang_from_hips(bottom.vertices, rest)
+        pieces.append(Piece(Material.BOTTOM, bottom, hangs, 0.035 * drop))
+    else:
+        pieces.append(_soft(rest, Material.BOTTOM, bottom, 0.025, 0.4 * loose * drop, 0.004))
+    shoes = [garments.shoe(rest, side, outfit.sole) for side in ("left", "right")]
+    return pieces + [_soft(rest, Material.SHOES, shoe, 0.02) for shoe in shoes], cone
+
+
+def _hair(
+    rest: RestBody, outfit: Outfit, rng: np.random.Generator, clothes: Sequence[Piece]
+) -> Piece:
+    """Make the hair; long hair falls over the shirt."""
+    shirts = [piece.mesh for piece in clothes if piece.material is Material.TOP]
+    worn = [BodySurface(m.vertices, m.faces, vertex_normals(m.vertices, m.faces)) for m in shirts]
+    mesh = hair_mesh(rest, outfit, rng, *worn)
+    below = rest.joints["head"][1] + 0.06 - mesh.vertices[:, 1].astype(np.float64)
+    free = smoothstep(below, 0.0, 0.12)
+    if outfit.hair == "long":  # hair on the shoulders does not swing
+        free = free * (1 - smoothstep(below, 0.12, 0.2))
+    slack = {"short": 0.0, "bob": 0.014, "long": 0.012}[outfit.hair] * free
+    return _soft(rest, Material.HAIR, mesh, 0.03, slack)
+
+
+def _accessories(rest: RestBody, outfit: Outfit) -> list[Piece]:
+    """Make the hood, the bag with its strap, the glasses and the cap of an outfit."""
+    pieces = []
+    if outfit.hood == "up":
+        hood = accessories.hood_up(rest, outfit.hair_thick + 0.012)
+        pieces.append(_soft(rest, Material.TOP, hood, 0.03))
+    elif outfit.hood == "down":
+        hood = accessories.hood_down(rest, outfit.loose + 0.012)
+        pieces.append(_soft(rest, Material.TOP, hood, 0.03))
+    if outfit.bag != "none":
+        make = accessories.backpack if outfit.bag == "backpack" else accessories.shoulder_bag
+        bag, strap, joint = make(rest, outfit.loose)
+        pieces += [_stiff(rest, bag, joint), _soft(rest, Material.ACCESSORY, strap, 0.025)]
+    if outfit.glasses:
+        pieces.append(_stiff(rest, accessories.glasses(rest), "head"))
+    if outfit.cap:
+        cap = accessories.cap(rest, 1.35 * outfit.hair_thick + 0.004)
+        pieces.append(_stiff(rest, cap, "head"))
+    return pieces
+
+
+def _soft(
+    rest: RestBody,
+    material: Material,
+    mesh: ClosedMesh,
+    smooth: float,
+    slack: np.ndarray | float = 0.0,
+    crease: float = 0.0,
+) -> Piece:
+    """Bind a mesh to the nearest vertices of the body, weighted over ``smooth`` metres."""
+    bound = binding.follow_nearest(mesh.vertices, rest.vertices, smooth)
+    return Piece(material, mesh, bound, slack, crease)
+
+
+def _stiff(rest: RestBody, mesh: ClosedMesh, joint: str) -> Piece:
+    """Bind an accessory to one joint."""
+    bound = binding.follow_joint(mesh.vertices, rest.weights, joint)
+    return Piece(Material.ACCESSORY, mesh, bound)
+
+
+def covered(vertices: np.ndarray, cloth: Sequence[ClosedMesh]) -> np.ndarray:
+    """Return which vertices (V, 3) of the body lie just below cloth, (V,) bool."""
+    from scipy.spatial import cKDTree
+
+    found = np.zeros(len(vertices), dtype=bool)
+    for mesh in cloth:
+        lit = mesh.shade > 0.98
+        normals = vertex_normals(mesh.vertices.astype(np.float64), mesh.faces)[lit]
+        tree = cKDTree(mesh.vertices[lit])
+        _, index = tree.query(vertices)
+        away = vertices - mesh.vertices[lit][index]
+        height = np.einsum("vc,vc->v", away, normals[index])
+        aside = np.linalg.norm(away - height[:, None] * normals[index], axis=1)
+        found |= (height < -0.004) & (height > -0.08) & (aside < 0.008)
+    return found

@@ -1,0 +1,92 @@
+"""Degrade an existing recording with other errors, so that a study renders each person once.
+
+Frames and ground truth are hard-linked from the old folder if the disk allows it; estimates are
+drawn anew. The result is what :func:`make_subject` writes for that error model and seed, whatever
+errors the recording had before. Only ``bursts`` degrades normals as rendered, so over files its
+normals are up to one grey level off.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+from gva_mi.body.smplx import BodyModel
+from gva_mi.core.console import Progress
+from gva_mi.core.files import atomic_dir, atomic_write, write_json
+from gva_mi.data.fingerprint import require_same_body
+from gva_mi.data.ground_truth import load_ground_truth
+from gva_mi.synthetic.closest import closest
+from gva_mi.synthetic.estimates import Pipeline, write_estimates
+from gva_mi.synthetic.provenance import recorded_options
+
+KEPT = ("video.mp4", "frames", "truth", "splits.json")
+
+
+def degrade(
+    subject: Path,
+    out: Path,
+    family: str,
+    seed: int,
+    body: BodyModel,
+    level: float = 1.0,
+    progress: Progress | None = None,
+    replaced: str | None = None,
+) -> None:
+    """Write a recording's folder with other errors; it appears when it is complete.
+
+    Args:
+        subject: a folder that :func:`make_subject` or this function made.
+        out: the new folder, which must not exist or be empty.
+        family: the error model.
+        seed: of the errors.
+        body: the body that the subject was made on.
+        level: factor on all errors; 0 is exact.
+        progress: called as ``progress(done, total)`` after each frame.
+        replaced: marker file of a folder that may be replaced once the new one is complete.
+
+    Raises:
+        InputError: ``out`` holds something else, ``subject`` was not made here or on another body,
+            or there is no such error model.
+    """
+    subject, out = Path(subject), Path(out)
+    about, options = recorded_options(subject)
+    require_same_body(subject, body)
+    options = replace(
+        options, family=family, noise_seed=seed, noise=level, pose_noise=1.0, mask_noise=1.0,
+        normal_noise=1.0,
+    )  # fmt: skip
+    truth = load_ground_truth(subject / "truth", body)
+    near = closest(body, truth.body, truth.pose, truth.shape)
+    pipeline = Pipeline(options, body, truth.cameras, near)
+    with atomic_dir(out, replaced) as folder:
+        for name in KEPT:
+            if (subject / name).exists():
+                _link(subject / name, folder / name)
+        # Old subjects have none, because no error model changed the camera.
+        if not (folder / "truth" / "cameras.npz").exists():
+            _link(subject / "cameras.npz", folder / "truth" / "cameras.npz")
+        statistics = []
+        for k, errors in enumerate(pipeline.pictures()):
+            statistics.append(write_estimates(folder, k, errors, options.samples))
+            if progress is not None:
+                progress(k + 1, len(near.pose))
+        pipeline.write(folder, statistics)
+        write_json(folder / "synth.json", about | {"options": options.recorded()})
+
+
+def _link(source: Path, target: Path) -> None:
+    """Hard-link a file or a folder's files, or copy them where links are not possible."""
+    if source.is_dir():
+        target.mkdir(parents=True, exist_ok=True)
+        for path in sorted(source.iterdir()):
+            _link(path, target / path.name)
+        return
+    target.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        os.link(source, target)
+    except OSError:
+        with atomic_write(target) as unfinished:
+            shutil.copy2(source, unfinished)

@@ -1,0 +1,98 @@
+"""Errors that are constant in camera axes over all frames.
+
+* Limbs tilt toward the camera: with A the global rotation of a joint, A_p that of its parent, and L
+  a constant rotation about the camera's x axis, brought to world axes,
+
+      A' = L A,    that is  R' = A_pᵀ L A_p R  for the rotation R relative to the parent.
+
+* A person estimated s times as large is placed s times as far away. With the focal length estimated
+  1 + f times too long, depth grows by this factor: with P the pelvis in camera axes,
+
+      P' = s (P_x, P_y, (1 + f) P_z).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import roma
+import torch
+from torch import Tensor
+
+from gva_mi.body.pose import JOINTS, PARENTS
+from gva_mi.splat import Camera
+
+HANGS = {"legs": ("left_hip", "right_hip"), "arms": ("left_shoulder", "right_shoulder")}
+STANDS = {"trunk": ("spine1",)}  # stands on its joint: what is above moves with it
+
+
+@dataclass(frozen=True)
+class CameraTilt:
+    """Tilt of body parts toward the camera, radians; negative is away from it."""
+
+    legs: float = 0.0
+    trunk: float = 0.0
+    arms: float = 0.0
+
+    def times(self, factor: float) -> CameraTilt:
+        """Scale all tilts."""
+        return CameraTilt(factor * self.legs, factor * self.trunk, factor * self.arms)
+
+    def _angles(self) -> dict[int, float]:
+        """Return angles about the x axis of the camera, by joint; below 0, limbs swing forward."""
+        down = {name: -getattr(self, part) for part, names in HANGS.items() for name in names}
+        up = {name: getattr(self, part) for part, names in STANDS.items() for name in names}
+        return {JOINTS.index(name): a for name, a in (down | up).items() if a != 0}
+
+
+def tilted(rotations: np.ndarray, camera: Camera, lean: CameraTilt) -> np.ndarray:
+    """Tilt rotations (T, 55, 3), axis-angle relative to the parent, toward the camera."""
+    angles = lean._angles()
+    if not angles:
+        return rotations
+    R = matrices(rotations.reshape(-1, 3)).reshape(*rotations.shape, 3)
+    C = camera.T_camera_world[:3, :3]
+    rotations, A, turned = rotations.copy(), [], []  # A: global; turned: tilt in front of it
+    for joint, parent in enumerate(PARENTS):
+        above = np.broadcast_to(np.eye(3), R[:, 0].shape) if parent < 0 else A[parent]
+        before = np.eye(3) if parent < 0 else turned[parent]
+        A.append(above @ R[:, joint])
+        turned.append(before)
+        if joint in angles:
+            L = C.T @ matrices(np.array([[angles[joint], 0.0, 0.0]]))[0] @ C
+            turned[joint] = L @ before
+            local = (before @ above).swapaxes(1, 2) @ L @ before @ A[joint]
+            rotations[:, joint] = roma.rotmat_to_rotvec(torch.from_numpy(local)).numpy()
+    return rotations
+
+
+def placed(
+    transl: np.ndarray,
+    camera: Camera,
+    pelvis: Tensor,
+    estimated_pelvis: Tensor,
+    growth: float,
+    focal: float,
+) -> np.ndarray:
+    """Move translations (T, 3) so that a misjudged size or focal length keeps the picture.
+
+    Args:
+        transl: metres, world.
+        camera: the true view.
+        pelvis: (3,) of the true shape at rest, metres; ``transl`` is added to it.
+        estimated_pelvis: (3,) of the estimated shape at rest.
+        growth: estimated over true size of the person.
+        focal: relative error of the focal length.
+    """
+    if growth == 1 and focal == 0:
+        return transl
+    R, t = camera.T_camera_world[:3, :3], camera.T_camera_world[:3, 3]
+    P = (transl + pelvis.double().numpy()) @ R.T + t
+    P = P * (growth * np.array([1, 1, 1 + focal]))
+    return (P - t) @ R - estimated_pelvis.double().numpy()
+
+
+def matrices(rotvecs: np.ndarray) -> np.ndarray:
+    """Convert axis-angle vectors (N, 3) to rotation matrices (N, 3, 3)."""
+    return roma.rotvec_to_rotmat(torch.from_numpy(rotvecs)).numpy()

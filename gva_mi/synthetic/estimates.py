@@ -1,0 +1,207 @@
+"""The estimates of a pipeline for a recording: poses, camera, masks and normals with errors.
+
+They depend on the ground truth and the options alone, so a recording can be degraded again, see
+:mod:`gva_mi.synthetic.degrade`. Masks and normals are degraded from the files of the ground
+truth, which have 8 bits per channel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gva_mi.body.pose import save_poses
+from gva_mi.body.smplx import BodyModel
+from gva_mi.core.errors import expecting
+from gva_mi.core.files import read_json, write_json
+from gva_mi.data.normals import ABOUT, NormalMaps, to_icon
+from gva_mi.data.pictures import read_image, write_image
+from gva_mi.data.video import save_cameras
+from gva_mi.splat import Camera
+from gva_mi.synthetic.closest import Closest
+from gva_mi.synthetic.error_models.masks import Confusion, confusions, noisy_mask
+from gva_mi.synthetic.error_models.measure import mask_iou, normal_error, pose_error
+from gva_mi.synthetic.error_models.models import ErrorParameters, Levels, draw_errors
+from gva_mi.synthetic.error_models.normals import noisy_normals
+from gva_mi.synthetic.error_models.poses import estimated_camera, noisy_poses
+from gva_mi.synthetic.error_models.processes import runs
+from gva_mi.synthetic.options import MISSING, MISTAKEN, MOTION, NOISE, RENDER, SynthOptions
+
+MISSING_FRAMES = 3.0  # mean number of consecutive frames without normals
+
+
+@dataclass(frozen=True)
+class PictureErrors:
+    """The errors of one frame's mask and normals."""
+
+    parameters: ErrorParameters
+    levels: Levels
+    camera: Camera
+    seed: tuple[int, ...]  # of everything random in them
+    confusion: Confusion = Confusion()
+    no_normals: bool = False  # the frame has none
+
+    def apply(self, mask: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+        """Degrade a true mask (H, W) and true normals (H, W, 3) in camera space."""
+        _, errors = np.random.SeedSequence(self.seed).spawn(2)  # the first is the renderer's
+        of_mask, of_normals = (np.random.default_rng(s) for s in errors.spawn(2))
+        found, levels = self.parameters, self.levels
+        mask = noisy_mask(mask, found.mask, levels.mask, of_mask, self.confusion)
+        if self.no_normals:
+            return mask, None
+        return mask, noisy_normals(normals, mask, found.normal, levels.normal, of_normals)
+
+    def in_convention(self, normals: np.ndarray) -> np.ndarray:
+        """Convert normals in camera space to the convention of the files."""
+        if self.parameters.normal.convention == "icon" and self.levels.normal > 0:
+            return to_icon(normals, self.camera)
+        return normals
+
+
+@dataclass(frozen=True)
+class ErrorStatistics:
+    """How far one frame's mask and normals are from the ground truth."""
+
+    iou: float  # of the masks
+    angle: float | None  # degrees, between the normals; None without normals
+
+
+@dataclass(frozen=True)
+class Pipeline:
+    """A pipeline that estimates poses, masks and normals of a recording.
+
+    Attributes:
+        options: error model, levels and seed.
+        body: of the estimated poses.
+        cameras: the true ones, of all frames.
+        near: the ground truth on that body.
+    """
+
+    options: SynthOptions
+    body: BodyModel
+    cameras: Sequence[Camera]
+    near: Closest
+
+    @property
+    def errors(self) -> ErrorParameters:
+        return draw_errors(self.options.family, self.options.seed_of_noise)
+
+    def pictures(self) -> list[PictureErrors]:
+        """Draw the errors of mask and normals of each frame."""
+        options, errors, levels = self.options, self.errors, self.options.levels
+        confused = confusions(
+            self.body, self.near.pose, self.near.shape, self.cameras[0], errors.mask, levels.mask,
+            options.random(MISTAKEN, errors=True),
+        )  # fmt: skip
+        share = min(levels.normal * errors.normal.missing, 0.9)
+        missing = runs(options.random(MISSING, errors=True), len(confused), share, MISSING_FRAMES)
+        seed = (*options.entropy(RENDER, errors=True), MOTION)
+        return [
+            PictureErrors(errors, levels, self.cameras[k], (*seed, k), confused[k], bool(gone))
+            for k, gone in enumerate(missing)
+        ]
+
+    def write(self, folder: Path, pictures: Sequence[ErrorStatistics]) -> None:
+        """Write poses, cameras, the convention of normals, and ``noise.json``.
+
+        Args:
+            folder: of the subject.
+            pictures: errors of the masks and normals of all frames, whose files exist already.
+        """
+        options, errors, levels = self.options, self.errors, self.options.levels
+        truth, rng = (self.near.pose, self.near.shape), options.random(NOISE, errors=True)
+        first = self.cameras[0]
+        found = noisy_poses(self.body, *truth, first, errors.pose, levels.pose, rng)
+        save_poses(folder / "poses.npz", *found, stage=1)
+        cameras = [estimated_camera(camera, errors.pose, levels.pose) for camera in self.cameras]
+        save_cameras(folder / "cameras.npz", cameras)
+        if errors.normal.convention != "perspective" and levels.normal > 0:
+            write_json(folder / ABOUT, {"convention": errors.normal.convention})
+        angles = [picture.angle for picture in pictures if picture.angle is not None]
+        statistics = {
+            "family": options.family,
+            "seed": options.seed_of_noise,
+            "levels": asdict(levels),
+            "parameters": asdict(errors),
+            "pose": asdict(pose_error(self.body, *found, *truth, first)),
+            "mask": {"iou": float(np.mean([picture.iou for picture in pictures]))},
+            "normal": {
+                "angle_deg": float(np.mean(angles)) if angles else None,
+                "missing": len(pictures) - len(angles),
+            },
+            "floor": {"joint_mm": self.near.joint_mm, "limb_mm": self.near.limb_mm},
+        }
+        write_json(folder / "noise.json", statistics)
+
+
+def describe_errors(folder: Path) -> list[str]:
+    """Describe the errors of a subject's folder in a few lines."""
+    path, expected = Path(folder) / "noise.json", "what gva-mi synth writes"
+    found = read_json(path, expected)
+    with expecting(path, expected):
+        return list(_in_words(found))
+
+
+def _in_words(found: dict[str, Any]) -> Iterator[str]:
+    pose, levels, normal = found["pose"], found["levels"], found["normal"]
+    lost = len(pose["lost_left_hand"]), len(pose["lost_right_hand"])
+    angle, missing = normal["angle_deg"], normal.get("missing", 0)
+    known = "none" if angle is None else f"{angle:.1f} degrees off"
+    yield f"noise: family {found.get('family', 'bursts')}, seed {found.get('seed', 'unknown')}"
+    yield (
+        f"stage-1 poses (level {levels['pose']:g}): body {pose['vertex_mm']:.0f} mm, hands "
+        f"{pose['hand_vertex_mm']:.0f}, feet {pose['foot_vertex_mm']:.0f}; sideways "
+        f"{pose['sideways']:.1f} times the rotation error; left hand lost in {lost[0]} frames, "
+        f"right in {lost[1]}"
+    )
+    yield f"masks (level {levels['mask']:g}): IoU {found['mask']['iou']:.3f} with the ground truth"
+    also = f"; missing in {missing} frames" if missing else ""
+    yield f"normals (level {levels['normal']:g}): {known}{also}"
+    if "floor" in found and found["floor"]["joint_mm"] > 0:
+        limb_mm = found["floor"]["limb_mm"]
+        yield f"the fitted body comes as near as {limb_mm:.1f} mm to the joints of the limbs"
+
+
+def write_estimates(
+    folder: Path,
+    index: int,
+    errors: PictureErrors,
+    samples: int,
+    rendered: tuple[np.ndarray, np.ndarray] | None = None,
+) -> ErrorStatistics:
+    """Write mask and normals with errors for a frame whose ground truth is in ``truth``.
+
+    Args:
+        folder: of the subject.
+        index: of the frame.
+        errors: of the frame.
+        samples: rays per pixel of the ground truth.
+        rendered: mask (H, W) and normals (H, W, 3) to degrade instead of the files.
+    """
+    truth = rendered or _true_pictures(folder / "truth", index, errors.camera, samples)
+    mask, normals = errors.apply(*truth)
+    write_image(folder / "masks" / f"{index:06d}.png", mask)
+    if normals is None:
+        (folder / "normals").mkdir(exist_ok=True)
+        return ErrorStatistics(mask_iou(mask, truth[0]), None)
+    write_normals(folder, index, errors.in_convention(normals))
+    return ErrorStatistics(mask_iou(mask, truth[0]), normal_error(normals, truth[1]))
+
+
+def write_normals(folder: Path, index: int, normals: np.ndarray) -> None:
+    """Write normals (H, W, 3) of a frame."""
+    write_image(folder / "normals" / f"{index:06d}.png", (normals + 1) / 2)
+
+
+def _true_pictures(
+    truth: Path, index: int, camera: Camera, samples: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Read mask and normals of the ground truth; only normals lose precision in 8 bits."""
+    stored = read_image(truth / "masks" / f"{index:06d}.png", 1)
+    hits = np.round(stored * (samples / 255))  # a mask is a fraction of the rays
+    mask = (hits / samples).astype(np.float32)
+    return mask, NormalMaps(truth / "normals", "perspective", None).read(index, camera)

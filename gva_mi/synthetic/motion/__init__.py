@@ -1,0 +1,57 @@
+"""Motions of a subject: what the video shows, and poses that it does not show.
+
+A motion is a periodic function of the time t in [0, 1), one round of the video. It can be evaluated
+at any moments, such as those just before a frame.
+
+==================  ================================================================
+``turning``         what all motions share; the turn, the everyday video, novel poses
+``actions``         squats, steps, and gestures with the arms
+``legs``            inverse kinematics of a leg: two bones, in closed form
+``footwork``        steps along any path, with feet that do not slide
+``on_foot``         standing, half a turn, walking, sitting down, dancing
+==================  ================================================================
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gva_mi.body.pose import Pose
+from gva_mi.synthetic.motion.on_foot import WITH_FOOTWORK
+from gva_mi.synthetic.motion.turning import everyday, novel, turn
+
+__all__ = ["MOTIONS", "before", "everyday", "novel", "perform", "times", "turn"]
+
+MOTIONS: tuple[str, ...] = ("turn", "everyday", *WITH_FOOTWORK)
+DURATION = 6.0  # s, one round
+STEP = 0.04  # s, time step of lagging cloth
+
+
+def perform(
+    name: str, t: np.ndarray, joints: np.ndarray, expressions: int, rng: np.random.Generator
+) -> Pose:
+    """Evaluate one of ``MOTIONS``.
+
+    Args:
+        name: of the motion.
+        t: moments (T,), in rounds.
+        joints: (55, 3) of the body at rest, metres; steps depend on the length of the legs.
+        expressions: width of the expression.
+        rng: its draws do not depend on ``t``.
+
+    Returns:
+        T frames near the origin, at any height above the ground.
+    """
+    if name in WITH_FOOTWORK:
+        return WITH_FOOTWORK[name](t, joints, expressions, rng)
+    return {"turn": turn, "everyday": everyday}[name](t, expressions, rng)
+
+
+def times(frames: int) -> np.ndarray:
+    """Return the moments of a video's frames (T,), in rounds."""
+    return np.arange(frames) / frames
+
+
+def before(t: np.ndarray, steps: int) -> np.ndarray:
+    """Return the moments some steps of ``STEP`` seconds earlier."""
+    return t - steps * STEP / DURATION

@@ -1,0 +1,123 @@
+"""Options of a synthetic subject, and the random number streams it is made with."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from typing import Annotated, Literal, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from gva_mi.body.anny import anny_body
+from gva_mi.body.smplx import BodyModel, load_body
+from gva_mi.core.errors import InputError
+from gva_mi.core.options import PictureSide, Seed, Within, Workers, require_ranges
+from gva_mi.synthetic.error_models.models import Levels, require_family
+from gva_mi.synthetic.people import STUDY, Person, foreign_outfit
+from gva_mi.synthetic.stretched import BodyStretch, stretched
+
+# Random number streams, one for each purpose.
+MOTION, NOISE, NOVEL_POSE, NOVEL_VIEW, RENDER, BACKGROUND, MISTAKEN, MISSING = range(1, 9)
+FIGURE, OUTFIT = 11, 12
+MOST_PIXELS = 1 << 31  # of a whole video, which is held in memory
+VideoFrames = Annotated[int, Within(2, 10_000)]
+NovelPictures = Annotated[int, Within(0, 1000)]
+Level = Annotated[float, Within(0, 10)]
+
+
+@dataclass(frozen=True)
+class SynthOptions:
+    """A synthetic subject, its motion, its pictures, and the errors of its stage-1 data."""
+
+    seed: Seed = 0  # of the person, its motion and its errors
+    subject: str | None = None  # one of the seven by name; the seed varies motion, errors
+    figure: Literal["own", "stretched", "anny"] = "own"  # the body drawn
+    outfit: Literal["own", "foreign"] = "own"  # foreign: thick soles, wide trousers, bag, hood
+    motion: Literal["turn", "everyday", "still", "half", "walk", "sit", "dance"] = "turn"
+    frames: VideoFrames = 80  # of the video, which is one full turn
+    size: PictureSide = 512  # pixels, width and height of the pictures
+    samples: Annotated[int, Within(1, 4096)] = 16  # rays per pixel, a square number
+    clothes: bool = True  # clothes and shoes; without them a swimsuit is painted on the skin
+    hair: bool = True  # without it the head is bald
+    light: Literal["usual", "side", "ambient"] = "usual"  # lamps besides the sky
+    camera: Literal["stands", "circles"] = "stands"  # circles: once around the person, with noise 0
+    folds: Level = 1.0  # factor on creases and lagging ends of cloth; 0: skinned only
+    family: str = "bursts"  # error model of poses, masks and normals
+    noise_seed: Seed | None = None  # of the errors; without it, seed
+    noise: Level = 1.0  # factor on the three levels below; 0: exact
+    pose_noise: Level = 1.0  # of the stage-1 poses; in bursts, 1 is about 66 mm vertex error
+    mask_noise: Level = 1.0  # of the masks; in bursts, 1 is about 1 pixel off at size 512
+    normal_noise: Level = 1.0  # of the normals; in bursts, 1 is about 9 degrees
+    novel_poses: NovelPictures = 8  # held-out pictures of other poses
+    novel_views: NovelPictures = 8  # held-out pictures of frames from other sides
+    background: bool = False  # a room behind the person in the video
+    blur: Level = 0.0  # of the video, pixels at 512
+    sensor_noise: Level = 0.0  # of the video; 1 is about 1.5 % of white
+    workers: Workers = 1  # processes that render; any number gives the same bits
+
+    def __post_init__(self) -> None:
+        require_ranges("synth", self)
+        if self.frames * self.size**2 > MOST_PIXELS:
+            found = f"{self.frames} of {self.size}x{self.size}"
+            raise InputError(
+                f"synth: a video must have at most {MOST_PIXELS:,} pixels, got {found}"
+            )
+        require_family(self.family)
+        if round(self.samples**0.5) ** 2 != self.samples:
+            raise InputError(f"synth: samples must be a square number, got {self.samples}")
+        choices = {"subject": (None, *STUDY)} | {
+            name: get_args(hint)
+            for name, hint in get_type_hints(SynthOptions).items()
+            if get_origin(hint) is Literal
+        }
+        for name, known in choices.items():
+            if getattr(self, name) not in known:
+                names = ", ".join(str(k) for k in known if k)
+                raise InputError(f"synth: no {name} '{getattr(self, name)}'; there are: {names}")
+        if self.camera == "circles" and any(asdict(self.levels).values()):
+            raise InputError("synth: errors need a fixed camera; --camera circles needs --noise 0")
+
+    def drawn_on(self, body: BodyModel) -> BodyModel:
+        """Return the body that the subject is drawn on, given the fitted ``body``."""
+        if self.figure == "anny":
+            return load_body(anny_body())
+        if self.figure == "stretched":
+            return stretched(body, BodyStretch.draw(self.random(FIGURE)))
+        return body
+
+    def person(self, body: BodyModel) -> Person:
+        """Return the person for a body."""
+        named = self.subject is not None
+        person = STUDY[self.subject] if named else Person.draw(self.seed, body.num_betas)
+        outfit = person.outfit
+        if self.outfit == "foreign":
+            outfit = foreign_outfit(outfit, self.random(OUTFIT))
+        if self.figure == "anny" and outfit.bottom == "skirt":  # its legs would come through
+            outfit = replace(outfit, bottom="trousers", length=1.9, flare=0.015)
+        return person if outfit is person.outfit else replace(person, outfit=outfit)
+
+    def recorded(self) -> dict[str, object]:
+        """Return what is recorded: all but ``workers``, which changes no bit."""
+        return {k: v for k, v in asdict(self).items() if k != "workers"}
+
+    @property
+    def levels(self) -> Levels:
+        """Levels of all errors."""
+        each = (self.pose_noise, self.mask_noise, self.normal_noise)
+        return Levels(*(self.noise * level for level in each))
+
+    @property
+    def seed_of_noise(self) -> int:
+        """Seed of the errors."""
+        return self.seed if self.noise_seed is None else self.noise_seed
+
+    def entropy(self, stream: int, errors: bool = False) -> tuple[int, ...]:
+        """Return the seed of a stream, different for all subjects of the study.
+
+        With ``errors``, it depends on the seed of the errors instead.
+        """
+        named = () if self.subject is None else (STUDY[self.subject].seed,)
+        return (self.seed_of_noise if errors else self.seed, stream, *named)
+
+    def random(self, stream: int, errors: bool = False) -> np.random.Generator:
+        """Return the generator of a stream, see :meth:`entropy`."""
+        return np.random.default_rng(self.entropy(stream, errors))

@@ -1,0 +1,70 @@
+"""The provenance of a subject's folder: its options, and its person made again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from gva_mi.body.smplx import BodyModel
+from gva_mi.core.errors import expecting
+from gva_mi.core.files import atomic_write, read_json
+from gva_mi.data.fingerprint import ABOUT, require_same_body
+from gva_mi.synthetic.options import SynthOptions
+from gva_mi.synthetic.subject import Subject, draw_subject
+
+SURFACE = "truth/surface.ply"  # in the subject's folder
+
+
+def recorded_options(subject: Path) -> tuple[dict, SynthOptions]:
+    """Read a subject's ``synth.json`` and the options in it.
+
+    Raises:
+        InputError: the folder was not made by ``gva-mi synth``.
+    """
+    path = subject / ABOUT
+    expected = "a folder that gva-mi synth made"
+    about = read_json(path, expected)
+    with expecting(path, expected):
+        return about, SynthOptions(**about["options"])
+
+
+def write_surface(path: Path, person: Subject) -> None:
+    """Write a person's outer surface in the rest pose."""
+    import trimesh
+
+    mesh = trimesh.Trimesh(person.vertices, person.faces, process=False)
+    with atomic_write(path) as unfinished:
+        unfinished.write_bytes(trimesh.exchange.ply.export_ply(mesh, vertex_normal=False))
+
+
+def remake_subject(subject: Path, body: BodyModel) -> tuple[Subject, BodyModel] | None:
+    """Make the person of a folder again, with materials and binding, and its body.
+
+    The folder holds only the outer surface, :data:`SURFACE`, which is compared.
+
+    Args:
+        subject: the folder.
+        body: the body of its stage-1 poses.
+
+    Returns:
+        None if another version of this program made another surface.
+
+    Raises:
+        InputError: the folder was not made by ``gva-mi synth``, or on another body.
+    """
+    require_same_body(subject, body)
+    _, options = recorded_options(subject)
+    drawn_on = options.drawn_on(body)
+    person = draw_subject(drawn_on, options.person(drawn_on), options.clothes, options.hair)
+    return (person, drawn_on) if _same_surface(subject / SURFACE, person) else None
+
+
+def _same_surface(path: Path, person: Subject) -> bool:
+    import trimesh
+
+    if not path.is_file():
+        return False
+    filmed = trimesh.load(path, process=False)
+    same = filmed.faces.shape == person.faces.shape and np.array_equal(filmed.faces, person.faces)
+    return same and np.allclose(filmed.vertices, person.vertices, atol=1e-6)

@@ -1,0 +1,270 @@
+"""The command line: bad input is one sentence and exit code 2, and nothing is half-written."""
+
+import dataclasses
+import inspect
+import json
+import os
+import re
+import subprocess
+import sys
+from typing import Annotated, ClassVar, get_args, get_origin, get_type_hints
+
+import numpy as np
+import pytest
+
+from gva_mi import InputError, __version__
+from gva_mi.cli import VERBS, load, retired
+from gva_mi.cli.parse import parse
+from gva_mi.core.options import ranges
+from gva_mi.study.metrics import ALIGNED
+
+TINY = ("--size", 64, "--frames", 6)
+
+
+@pytest.fixture(scope="session")
+def tiny_demo(tmp_path_factory):
+    """A whole demo of 6 frames and 30 steps; shared, so do not change what is in it."""
+    from gva_mi.cli.demo import DemoOptions, demo
+
+    out = tmp_path_factory.mktemp("demo") / "out"
+    demo(DemoOptions(size=64, frames=6, steps=30), out=out)
+    return out
+
+
+def files(folder):
+    return sorted(str(p.relative_to(folder)) for p in folder.rglob("*"))
+
+
+@pytest.mark.slow
+def test_the_demo_writes_subject_run_and_report(tiny_demo):
+    assert (tiny_demo / "subject/poses_refined.npz").exists()
+    assert (tiny_demo / "avatar.npz").exists()
+    page = (tiny_demo / "report.html").read_text()
+    assert page.count("data:image/") > 10 and "http" not in page.split("</style>")[1]
+    metrics = json.loads((tiny_demo / "metrics.json").read_text())
+    splits = {row["split"] for row in metrics["rows"]}
+    assert splits == {"train", "test", "novel_pose", "novel_view"}
+    assert metrics["refinement"]["vertex_mm"] is not None
+    assert metrics["training"]["size"] == [64, 64]
+    assert {row["region"] for row in metrics["rows"]} >= {"white", "black", "person"}
+    assert {row["split"] for row in metrics["rows"] if row["name"] == ALIGNED} == {
+        "novel_pose", "novel_view"
+    }  # fmt: skip
+    assert metrics["similarity"]["scale"] > 0 and metrics["surface"][-1]["moment"] == "end"
+    assert metrics["protocol"]["seen"]["test masks"] == ["refine"]
+    assert not list(tiny_demo.rglob("*.part"))
+
+
+def test_no_output_is_replaced_without_being_asked(subject, tmp_path, cli):
+    """Not even with --overwrite if it is no output of this program."""
+    (tmp_path / "run").mkdir()
+    for name in ("options.json", "demo.json"):
+        (tmp_path / "run" / name).write_text("{}")
+    (tmp_path / "thesis").mkdir()
+    (tmp_path / "thesis/thesis.tex").write_text("years of work")
+    before = files(tmp_path)
+    for command in (
+        ("demo", "--out", tmp_path / "run", *TINY),
+        ("fit", subject, "--out", tmp_path / "run"),
+        ("synth", tmp_path / "run", *TINY),
+    ):
+        code, _, err = cli(*command)
+        assert code == 2 and "--overwrite" in err and err.count("\n") == 1, err
+    for command in (
+        ("demo", "--out", tmp_path / "thesis", "--overwrite", *TINY),
+        ("synth", tmp_path / "thesis", "--overwrite", *TINY),
+    ):
+        code, _, err = cli(*command)
+        assert code == 2 and "did not make it" in err
+    assert files(tmp_path) == before
+
+
+BAD = {
+    "no subject": (("refine", "nowhere"), "nowhere: no such folder"),
+    "no run": (("evaluate", "nowhere", "nowhere"), "avatar.npz: no such file"),
+    "no body": (("synth", "new", "--body", "nowhere.npz"), "nowhere.npz: no such file"),
+    "incomplete body": (("synth", "new", "--body", "body.npz"), "key 'f' is missing"),
+    "range": (
+        ("refine", "nowhere", "--passes", "0"),
+        "--passes must be a whole number from 1 to 10,000, got 0",
+    ),
+    "nobody": (("demo", "--out", "new", "--subject", "nobody"), "nobody"),
+    "prefix": (
+        ("fit", "nowhere", "--out", "new", "--loss.alpha", "-1"),
+        "--loss.alpha must be a number from 0 to 1,000,000, got -1",
+    ),
+    "no number": (("fit", "nowhere", "--out", "new", "--steps", "ten"), "--steps must be a whole"),
+    "renamed command": (("gradcheck-normals",), "is now `gva-mi gradcheck normals`"),
+    "several numbers": (
+        ("fit", "nowhere", "--out", "new", "--schedule.reinit-at", "never"),
+        "--schedule.reinit-at must be a number above 0 and below 1, got never",
+    ),
+    "two numbers": (("render", "run", "--out", "new", "--size", "9", "1e9"), "--size must be a"),
+    "removed option": (
+        ("fit", "nowhere", "--out", "new", "--splat.near=3"),
+        "fit: --splat.near is no option any more",
+    ),
+    "no command": (("fitt", "nowhere"), "there is no command 'fitt'; expected one of demo, synth"),
+    "nothing": ((), "a command is missing; expected one of demo, synth"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_input_is_one_sentence_and_exit_code_2(name, tmp_path, monkeypatch, cli):
+    monkeypatch.chdir(tmp_path)
+    np.savez("body.npz", v_template=np.zeros((10, 3)))
+    command, sentence = BAD[name]
+    code, _, err = cli(*command)
+    assert code == 2 and sentence in err
+    assert err.count("\n") == 1 and "Traceback" not in err
+    assert files(tmp_path) == ["body.npz"]
+
+
+def test_colours_of_a_terminal_do_not_hide_the_option(monkeypatch, cli):
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    _, _, err = cli(*BAD["no number"][0])
+    assert BAD["no number"][1] in err and err.count("\n") == 1
+
+
+def test_a_renamed_option_names_its_successor(monkeypatch, cli):
+    monkeypatch.setitem(retired.RENAMED, ("fit", "--poses.nat"), "--poses.prior-weight")
+    code, _, err = cli("fit", "subject", "--out", "run", "--poses.nat", 3)
+    assert code == 2 and err == "gva-mi: fit: --poses.nat is called --poses.prior-weight now\n"
+
+
+def test_options_set_only_in_python_keep_their_defaults():
+    """Also where the command's default is not that of the dataclass, as of the pixel's blur."""
+    from gva_mi.fit.options import FitOptions
+
+    call = parse(load("fit"), "fit", ["subject", "--out", "run", "--steps", "7"])
+    assert call.keywords["options"] == FitOptions(steps=7)
+
+
+@pytest.mark.parametrize("command, there", [
+    (("fit", "nowhere", "--out", "new", "--step", "3"), "--steps"),
+    (("refine", "nowhere", "--loss", "all"), "paper"),
+    (("fit", "nowhere"), "--out"),
+])  # fmt: skip
+def test_unknown_and_missing_arguments_are_answered_with_the_known_ones(command, there, cli):
+    code, out, err = cli(*command)
+    assert code == 2 and there in err and not out and "Traceback" not in err
+
+
+def test_an_error_of_a_command_is_not_taken_for_bad_arguments(monkeypatch, cli):
+    def body():
+        raise ValueError("a bug")
+
+    monkeypatch.setattr("gva_mi.__main__.load", lambda verb: body)
+    with pytest.raises(ValueError, match="a bug"):
+        cli("body")
+
+
+def test_help_names_every_command_and_version_the_version(cli):
+    for asked in ("-h", "--help"):
+        code, out, err = cli(asked)
+        assert code == 0 and not err
+        for verb, does in VERBS.items():
+            assert f"  {verb}" in out and does in out
+    assert cli("--version") == (0, f"gva-mi {__version__}\n", "")
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_command_explains_itself(verb, cli, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "1")  # where tyro alone would not come to an end
+    code, out, err = cli(verb, "--help")
+    assert code == 0 and not err and os.environ["COLUMNS"] == "1"
+    assert out.startswith(f"usage: gva-mi {verb} ")
+    assert inspect.getdoc(load(verb)).split()[0] in out
+
+
+def test_switches_are_shown_with_their_two_forms(cli):
+    _, out, _ = cli("synth", "--help")
+    assert "--hair, --no-hair" in out and "--clothes, --no-clothes" in out
+    assert "--overwrite " in out and "--no-overwrite" not in out
+    _, out, _ = cli("demo", "--help")
+    assert "--no-refine " in out and "--no-no-refine" not in out
+
+
+def numbers(hint, name=""):
+    """Yield name and annotation of every number in a signature, as in ``--loss.alpha``."""
+    hints = get_type_hints(hint, include_extras=True) if callable(hint) else {}
+    for field, kind in hints.items():
+        yield from number(kind, f"{name}{field}")
+
+
+def number(kind, name):
+    if get_origin(kind) is ClassVar:
+        return
+    if kind in (int, float) or get_origin(kind) is Annotated and get_args(kind)[0] in (int, float):
+        yield name, kind
+    elif dataclasses.is_dataclass(kind):
+        yield from numbers(kind, f"{name}.")
+    else:
+        for part in get_args(kind):
+            yield from number(part, name)
+
+
+def test_every_number_states_its_range():
+    found = {(verb, name): kind for verb in VERBS for name, kind in numbers(load(verb))}
+    assert {("fit", "options.loss.alpha"), ("refine", "workers"), ("view", "port")} <= set(found)
+    assert not [name for name, kind in found.items() if not list(ranges(kind))]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("verb, words", [
+    ("fit", "subject --out new"), ("track", "run subject"), ("refine", "subject"), ("synth", "x"),
+])  # fmt: skip
+def test_every_number_outside_its_range_is_refused_under_its_name(verb, words, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "400")
+    with pytest.raises(SystemExit):
+        parse(load(verb), verb, ["--help"])
+    help_text = capsys.readouterr().out
+    options = re.findall(r"(--[\w.-]+) [^\s\w]*(?:None[^\s\w]*)?(?:INT|FLOAT) ", help_text)
+    assert len(options) > 5
+    for turn, option in enumerate(options):
+        bad = ("nan", "inf", "-inf", "1e30", "-1e30", "1" + 20 * "0")[turn % 6]
+        with pytest.raises(InputError) as error:
+            parse(load(verb), verb, [*words.split(), option, bad])
+        sentence = str(error.value)
+        assert sentence.startswith(f"{option} must be a") and sentence.endswith(f", got {bad}")
+        assert "\n" not in sentence
+
+
+@pytest.mark.slow
+def test_shell_completion_knows_every_command(cli):
+    code, out, err = cli("--tyro-print-completion", "bash")
+    assert not code and not err and all(f"'{verb}'" in out for verb in VERBS)
+
+
+@pytest.mark.parametrize("command, unbuffered", [
+    (("--help",), ""), (("--help",), "1"), (("fit", "--help"), ""),
+], ids=str)  # fmt: skip
+def test_a_closed_pipe_ends_quietly(command, unbuffered):
+    """As after ``gva-mi ... | head -3``, when head has ended before the first word."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    program = [sys.executable, "-m", "gva_mi", *command]
+    environment = os.environ | {"PYTHONUNBUFFERED": unbuffered}
+    run = subprocess.run(program, env=environment, stdout=writer, stderr=subprocess.PIPE)
+    os.close(writer)
+    assert run.stderr == b"" and run.returncode == 141
+
+
+def test_help_imports_no_command():
+    program = """
+import sys
+from gva_mi.__main__ import main
+main(["--help"])
+print("imported", *sorted(x for x in sys.modules if x.startswith(("gva_mi.cli.", "torch"))))
+"""
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert run.stdout.splitlines()[-1] == "imported gva_mi.cli.retired"
+
+
+def test_a_missing_package_is_named_with_its_extra(monkeypatch, cli):
+    monkeypatch.setitem(sys.modules, "tyro", None)
+    code, out, complaint = cli("synth", "new")
+    assert code == 2 and not out
+    needed = "the commands need: pip install 'gva_mi[avatar]'"
+    assert complaint == f"gva-mi: tyro is not installed; {needed}\n"

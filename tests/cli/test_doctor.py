@@ -1,0 +1,30 @@
+"""``gva-mi doctor``: what was found, and what is used if something is missing."""
+
+import pytest
+
+from gva_mi.cli.doctor import examine
+
+
+@pytest.mark.slow
+def test_every_component_is_listed(cli):
+    code, out, _ = cli("doctor")
+    assert code == 0
+    for name in ("python", "libLLVM", "drjit", "mitsuba", "torch", "pymeshlab", "LPIPS"):
+        assert name in out
+
+
+@pytest.mark.parametrize("there", [False, True])
+def test_weights_are_optional_and_a_fit_must_be_given_them(there, tmp_path, monkeypatch):
+    weights = tmp_path / "hub/checkpoints/vgg16-397923af.pth"
+    if there:
+        weights.parent.mkdir(parents=True)
+        weights.write_bytes(b"")
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
+    monkeypatch.setattr("gva_mi.cli.doctor.PACKAGES", {})
+    monkeypatch.setattr("gva_mi.cli.doctor._package", lambda *_: None)
+    found = {x.name: x.found for x in examine() if x is not None}
+    assert found["drjit"] and found["libLLVM"]
+    if there:
+        assert str(weights) in found["VGG16"] and "--vgg16" in found["VGG16"]
+    else:
+        assert "rand_vgg" in found["VGG16"] and "rand_vgg" in found["LPIPS"]

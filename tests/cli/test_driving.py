@@ -1,0 +1,139 @@
+"""``--poses`` of render, export and view: any motion that ``gva-mi motion`` reads."""
+
+import pickle
+
+import numpy as np
+import pytest
+import torch
+
+from gva_mi.body.built_in import BUILT_IN_BODY
+from gva_mi.body.pose import load_poses, save_poses
+from gva_mi.splat.formats.ply import load_ply
+
+SMALL = ("--size", 32, 48)
+
+
+@pytest.fixture
+def motions(turning, tmp_path):
+    """One motion of six frames in two other forms, at 30 a second, and its poses."""
+    pose, _ = turning(6)
+    rotations, transl = pose.rotations.numpy(), pose.transl.numpy()
+    smpl = np.concatenate([rotations[:, :22], np.zeros((6, 2, 3))], axis=1).reshape(6, 72)
+    np.savez(tmp_path / "amass.npz", poses=rotations, trans=transl, mocap_frame_rate=30,
+             betas=np.zeros(10))  # fmt: skip
+    aist = {"smpl_poses": smpl, "smpl_trans": 90 * transl, "smpl_scaling": 90.0, "fps": 30}
+    (tmp_path / "aist.pkl").write_bytes(pickle.dumps(aist))
+    return pose
+
+
+def test_a_motion_of_another_program_drives_unchanged(run, motions, known, cli):
+    path, out = run.parent / "amass.npz", run / "a.ply"
+    code, said, err = cli("export", run, "--poses", path, "--frame", 4, "--out", out)
+    assert code == 0, err
+    assert f"{path}: SMPL" in said and "6 frames at 30 a second, y up; now 6 at 30" in said
+    pose = motions[4]
+    pose.transl[:] -= motions.transl[0]
+    with torch.no_grad():
+        assert torch.allclose(load_ply(out).means, known(pose).means, rtol=1e-4, atol=1e-5)
+
+
+def test_each_command_resamples_it_to_its_own_rate(run, motions, cli, monkeypatch):
+    path, out = run.parent / "aist.pkl", run.parent / "out"
+    code, said, err = cli("render", run, "--poses", path, "--out", out, *SMALL)
+    assert code == 0, err
+    assert "now 5 at 25, y up" in said and len(list(out.glob("*.png"))) == 5
+
+    out = run.parent / "amass60.npz"
+    motion = ("--poses", run.parent / "amass.npz", "--fps", 60, "--out", out)
+    code, said, err = cli("export", run, *motion)
+    assert code == 0, err
+    assert "6 frames at 30 a second, y up; now 11 at 60" in said
+    with np.load(out) as file:
+        assert len(file["poses"]) == 11 and float(file["mocap_frame_rate"]) == 60
+
+    def stopped(server):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("gva_mi.cli.view.pages", stopped)
+    given = ("--poses", path, "--out", run.parent / "v", "--port", 0)
+    code, said, err = cli("view", run, *given)
+    assert code == 0, err
+    assert "6 frames at 30 a second, y up; now 6 at 30" in said and "open it in a browser" in said
+
+
+def test_own_poses_are_neither_turned_nor_resampled(run, turning, cli):
+    pose, shape = turning(6)
+    pose.rotations[:, 0, 0] += np.pi  # a headstand
+    save_poses(run.parent / "own.npz", pose, shape, stage=1)
+    with np.load(run.parent / "own.npz") as file:
+        named = {k: x for k, x in file.items() if k != "stage"}
+    np.savez(run.parent / "named.npz", **named, fps=120.0)
+    for name in ("own.npz", "named.npz"):
+        out = run.parent / f"amass_{name}"
+        code, said, err = cli("export", run, "--poses", run.parent / name, "--out", out)
+        assert code == 0, err
+        assert "a second" not in said
+        with np.load(out) as file:
+            assert len(file["poses"]) == 6
+
+
+def test_hands_of_pca_components_need_their_body(run, turning, cli):
+    pose, _ = turning(4)
+    names = {"global_orient": pose.rotations[:, 0].numpy(), "transl": pose.transl.numpy(),
+             "body_pose": pose.rotations[:, 1:22].flatten(1).numpy(), "betas": np.zeros(10),
+             "left_hand_pose": np.ones((4, 6)), "right_hand_pose": np.ones((4, 6)),
+             "fps": 30}  # fmt: skip
+    np.savez(run.parent / "pca.npz", **names)
+    given = ("render", run, "--poses", run.parent / "pca.npz", *SMALL, "--out", run.parent / "out")
+    code, _, err = cli(*given)
+    assert code == 2 and "--body with the SMPL-X file whose hands_components they weigh" in err
+    with np.load(BUILT_IN_BODY) as file:
+        np.savez(run.parent / "body.npz", **file)
+    code, said, err = cli(*given, "--body", run.parent / "body.npz")
+    assert code == 0 and "added to the body's mean hand" in said, err
+
+
+BAD = {
+    "no rate": ({"poses": np.zeros((3, 72))}, "--source-fps of gva-mi motion"),
+    "no poses": ({"a": np.zeros(3), "fps": 30}, "holds no poses; expected one of poses, pose"),
+    "lying": (
+        {"poses": np.tile([0.6755, 0, -0.6755, *[0] * 69], (3, 1)), "fps": 30},
+        "give --up of gva-mi motion",
+    ),
+    "MHR": ({"mhr_model_params": np.zeros((3, 204))}, "parameters of MHR"),
+}
+
+
+@pytest.mark.parametrize(
+    "case, command", list(zip(BAD, ("render", "export", "view", "render"), strict=True))
+)
+def test_an_unreadable_motion_is_one_sentence(case, command, run, cli):
+    arrays, words = BAD[case]
+    path, out = run.parent / "bad.npz", run.parent / "new"
+    np.savez(path, **arrays)
+    given = ("--out", out / "a.ply" if command == "export" else out)
+    code, _, err = cli(command, run, "--poses", path, *given)
+    assert code == 2 and words in err and str(path) in err and err.count("\n") == 1, err
+    assert not out.exists()
+
+
+def test_a_folder_is_no_motion_and_no_video_fits_another_program_s(run, motions, subject, cli):
+    code, _, err = cli("render", run, "--poses", run, "--out", run.parent / "out")
+    assert code == 2 and f"its motion is {run / 'poses.npz'}" in err
+    given = ("--poses", run.parent / "amass.npz", "--subject", subject)
+    code, _, err = cli("view", run, *given)
+    assert code == 2 and "which no video can be shown beside; expected poses of" in err
+
+
+def test_a_converted_motion_is_the_same_motion(run, motions, cli):
+    code, _, err = cli("motion", run.parent / "aist.pkl", run.parent / "own.npz", "--fps", 30)
+    assert code == 0, err
+    found = []
+    for name in ("own.npz", "aist.pkl"):
+        out = run.parent / f"out_{name[:3]}.npz"
+        code, _, err = cli("export", run, "--poses", run.parent / name, "--out", out)
+        assert code == 0, err
+        with np.load(out) as file:
+            found.append(file["poses"])
+    assert np.allclose(*found, atol=1e-6)
+    assert len(load_poses(run.parent / "own.npz")[0]) == 6

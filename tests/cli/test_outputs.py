@@ -1,0 +1,189 @@
+"""Outputs are tried before the work, and a full disk or Ctrl-C costs nothing that was finished."""
+
+import errno
+import json
+import resource
+import shutil
+import subprocess
+import sys
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+from gva_mi.avatar.formats.gltf import save_gltf
+from gva_mi.body.pose import Pose
+from gva_mi.core.files import write_arrays, write_json
+from gva_mi.core.lock import folder_lock
+from gva_mi.data.pictures import write_image, write_movie
+from gva_mi.fit.run_folder import save_state
+from gva_mi.splat.formats.ply import save_ply
+from gva_mi.splat.formats.splat import save_splat
+from gva_mi.splat.formats.spz import save_spz
+
+NOISE = np.random.default_rng(0).integers(0, 256, (64, 64, 3), np.uint8)
+
+
+@contextmanager
+def full_disk(room=100):
+    """Let no file grow beyond so many bytes, as on a full disk or beyond a quota."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (room, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+WRITERS = {
+    "a.npz": lambda path, known: write_arrays(path, a=NOISE),
+    "a.json": lambda path, known: write_json(path, {"a": "x" * 1000}),
+    "a.png": lambda path, known: write_image(path, NOISE),
+    "a.mp4": lambda path, known: write_movie(path, [NOISE] * 3),
+    "a.ply": lambda path, known: save_ply(path, known(Pose.rest())),
+    "a.splat": lambda path, known: save_splat(path, known(Pose.rest())),
+    "a.spz": lambda path, known: save_spz(path, known(Pose.rest())),
+    "a.glb": lambda path, known: save_gltf(path, known, None, 30),
+    "checkpoint.pt": lambda path, known: save_state(path.parent, {"a": "x" * 1000}),
+}
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_full_disk_leaves_the_old_file(name, tmp_path, known):
+    path = tmp_path / name
+    path.write_text("hours of work")
+    with full_disk(), pytest.raises(OSError) as error:
+        WRITERS[name](path, known)
+    assert error.value.errno == errno.EFBIG and error.value.filename == str(path)
+    assert path.read_text() == "hours of work" and list(tmp_path.iterdir()) == [path]
+    WRITERS[name](path, known)
+    assert path.read_bytes() != b"hours of work"
+
+
+def test_a_full_disk_is_one_sentence(tmp_path, cli, known):
+    known.save(tmp_path / "avatar.npz")
+    out = tmp_path / "a.glb"
+    with full_disk(1000):
+        code, _, err = cli("export", tmp_path / "avatar.npz", "--out", out)
+    assert code == 2 and err.endswith("a.glb: File too large; every file that is there is whole\n")
+    assert not out.exists() and not list(tmp_path.glob("*.part"))
+
+
+COMMANDS = {  # {} is the folder that output goes to
+    "demo": "demo --out {}/new",
+    "synth": "synth {}/new",
+    "sheet": "synth --sheet {}/sheet.png",
+    "refine": "refine {subject}",
+    "fit": "fit {subject} --out {}/new",
+    "evaluate": "evaluate {run} {subject}",
+    "track": "track {run} {subject}",
+    "render": "render {run} --path turntable --poses {subject}/poses.npz --out {}/new",
+    "export": "export {run} --out {}/a.ply",
+    "pictures": "export {run} --poses {subject}/poses.npz --each png --out {}/new",
+    "motion": "motion {subject}/poses.npz {}/a.npz",
+    "study": "study refine --out {}/new",
+    "body": "body --out {}/a.npz",
+    "check": "check {subject} --json {}/a.json",
+    "view": "view {run} --poses {subject}/poses.npz --port 0 --out {}/new",
+    "prepare": "prepare auto {subject}/poses.npz {}/new --body puppet",
+}
+LOCKED = ("demo", "sheet", "refine", "fit", "evaluate", "track", "render", "pictures", "study")
+
+
+@pytest.fixture
+def run(known, tmp_path):
+    """A run's folder with an avatar."""
+    known.save(tmp_path / "run/avatar.npz")
+    (tmp_path / "run/options.json").write_text(json.dumps({"options": {"seed": 0}}))
+    return tmp_path / "run"
+
+
+def test_a_read_only_folder_is_reported_before_the_work(tmp_path, cli, subject, run, monkeypatch):
+    """Without permissions, which would not stop a test run by root."""
+
+    def refuse(*_, **__):
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    monkeypatch.setattr("gva_mi.core.atomic.tempfile.TemporaryFile", refuse)
+    monkeypatch.setattr("gva_mi.core.atomic.tempfile.mkdtemp", refuse)
+    for name, line in COMMANDS.items():
+        out = tmp_path / name
+        out.mkdir()
+        code, _, err = cli(*line.replace("{}", str(out)).format(subject=subject, run=run).split())
+        assert code == 2 and "Read-only file system" in err and err.count("\n") == 1, (name, err)
+        assert not list(out.rglob("*.*")), name
+
+
+def test_a_folder_that_another_process_writes_is_left_alone(tmp_path, cli, subject, run):
+    folders = {
+        "refine": subject,
+        "track": subject,
+        "evaluate": run,
+        "sheet": tmp_path / "sheet.png",
+    }
+    for name in LOCKED:
+        folder = folders.get(name, tmp_path / "new")
+        command = COMMANDS[name].replace("{}", str(tmp_path)).format(subject=subject, run=run)
+        with folder_lock(folder, "gva-mi of somebody"):
+            code, _, err = cli(*command.split())
+        assert code == 2 and f"{folder}: gva-mi of somebody (process " in err, (name, err)
+        assert err.count("\n") == 1
+        assert not (tmp_path / "new").exists() and not (tmp_path / "sheet.png").exists()
+
+
+@pytest.mark.parametrize("verb, told", [("fit", "--resume goes on with it"), ("synth", "is whole")])
+def test_ctrl_c_tells_how_to_continue(verb, told, cli, monkeypatch):
+    def stopped():
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("gva_mi.__main__.load", lambda verb: stopped)
+    code, _, err = cli(verb)
+    assert code == 130 and err.startswith("\ngva-mi: stopped; ") and err.endswith(f"{told}\n")
+
+
+@pytest.mark.parametrize("code", [0, 130])
+def test_only_after_ctrl_c_a_process_exits_without_cleanup(code, monkeypatch):
+    """Dr.Jit's cleanup may crash after interrupted kernels."""
+    from gva_mi import __main__
+
+    def ended(*_):
+        sys.exit(code)
+
+    at_once = []
+    monkeypatch.setattr(__main__, "main", ended)
+    monkeypatch.setattr(__main__.os, "_exit", at_once.append)
+    with pytest.raises(SystemExit):
+        __main__.run()
+    assert at_once == ([130] if code == 130 else [])
+
+
+INTERRUPTED = """
+import os, signal, sys, threading
+import gva_mi.cli.{verb}
+from gva_mi.__main__ import run
+sys.argv = ["gva-mi", *sys.argv[1:]]
+threading.Timer(1.0, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
+run()
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", [
+    "refine {subject} --passes 5000 --size 64", "fit {subject} --out {out}/new --steps 100000",
+    "synth {out}/new --frames 600", "study refine --out {out}/new", "demo --out {out}/new",
+    "track {run} {subject} --passes 5000",
+])  # fmt: skip
+def test_ctrl_c_in_the_middle_of_the_work_is_one_sentence(command, subject, run, tmp_path):
+    folder = shutil.copytree(subject, tmp_path / "subject")
+    words = command.format(subject=folder, run=run / "avatar.npz", out=tmp_path).split()
+    program = [sys.executable, "-c", INTERRUPTED.format(verb=words[0]), *words]
+    ended = subprocess.run(program, capture_output=True, text=True, timeout=120)
+    assert ended.returncode == 130 and "Traceback" not in ended.stderr, ended.stderr
+    assert "gva-mi: stopped; " in ended.stderr and not list(tmp_path.rglob("*.part"))
+    assert not list(tmp_path.glob(".*.lock")) and not (tmp_path / "new/avatar.npz").exists()
+
+
+def test_a_picture_of_another_kind_is_refused_at_once(tmp_path, cli):
+    for command in ("synth --sheet {}.xyz", "body --sheet {}.jpg", "check nowhere --sheet {}.gif"):
+        code, _, err = cli(*command.format(tmp_path / "sheet").split())
+        assert code == 2 and "a picture's name ends in .png" in err and not list(tmp_path.iterdir())

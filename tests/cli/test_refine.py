@@ -1,0 +1,120 @@
+"""``gva-mi refine``: several subjects, several conventions, and frames without evidence."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from gva_mi.body.pose import load_offsets, load_poses
+from gva_mi.body.smplx import load_body
+from gva_mi.synthetic import SynthOptions, make_subject
+
+SHORT = ("--size", 48, "--passes", 1, "--steps", 1)
+
+
+@pytest.fixture(scope="session")
+def synthetic(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("subject") / "somebody"
+    options = SynthOptions(
+        size=48, frames=3, samples=1, clothes=False, hair=False, novel_poses=0, novel_views=0
+    )
+    make_subject(folder, options, load_body())
+    return folder
+
+
+@pytest.fixture
+def subject(synthetic, tmp_path):
+    return shutil.copytree(synthetic, tmp_path / "somebody")
+
+
+@pytest.mark.slow
+def test_several_subjects_are_refined_by_one_command(subject, tmp_path, cli):
+    other = shutil.copytree(subject, tmp_path / "other")
+    code, out, err = cli("refine", subject, other, *SHORT)
+    assert code == 0, err
+    for folder in (subject, other):
+        assert {"poses_refined.npz", "refinement.json", "refinement.png"} <= {
+            path.name for path in folder.iterdir()
+        }
+        assert str(folder / "poses_refined.npz") in out
+    a, b = (load_poses(folder / "poses_refined.npz")[0] for folder in (subject, other))
+    assert (a.rotations == b.rotations).all()
+    code, _, err = cli("refine", other, subject, *SHORT)
+    assert code == 2 and "--overwrite" in err
+
+
+@pytest.mark.slow
+def test_frames_without_evidence_are_listed_and_keep_their_pose(subject, cli):
+    (subject / "masks/000001.png").unlink()
+    (subject / "normals/000002.png").unlink()
+    code, out, err = cli("refine", subject, *SHORT)
+    assert code == 0, err
+    assert "frame 1 keeps its stage-1 pose: it has no mask" in out
+    record = json.loads((subject / "refinement.json").read_text())
+    assert record["kept"]["1"] == "it has no mask" and 2 in record["without_normals"]
+    before, after = (load_poses(subject / f"poses{x}.npz")[0] for x in ("", "_refined"))
+    assert (before.rotations[1] == after.rotations[1]).all()
+    assert load_offsets(subject / "poses_refined.npz", len(load_body().v_template)) is not None
+
+
+@pytest.mark.slow
+def test_normals_are_read_by_the_given_convention(subject, cli):
+    found = {}
+    for way in ("none", "icon"):
+        code, out, err = cli("refine", subject, *SHORT, "--normals", way, "--overwrite")
+        assert code == 0, err
+        assert ("silhouettes alone" in out) == (way == "none")
+        found[way] = load_poses(subject / "poses_refined.npz")[0].rotations.numpy()
+    assert not np.array_equal(found["none"], found["icon"])
+
+
+@pytest.mark.slow
+def test_a_report_is_written_on_request(subject, cli):
+    code, out, err = cli("refine", subject, *SHORT, "--report", "--workers", 2)
+    assert code == 0, err
+    page = (subject / "refinement.html").read_text()
+    assert "Eq. 8 as printed" in page and "no prior" in page
+    assert str(subject / "refinement.html") in out
+
+
+BAD = {
+    "nobody": ((), "refine: give the folder of a subject, or of several"),
+    "both": (
+        ("nowhere", "--workers", "2", "--scheduler", "tcp://10.0.0.1:8786"),
+        "not both",
+    ),
+    "overlap": (("nowhere", "--overlap", "200"), "overlap must be less than half a part"),
+    "paper, held out": (
+        ("nowhere", "--loss", "paper", "--hold-out-test"),
+        "--hold-out-test needs all frames together",
+    ),
+    "paper, camera": (
+        ("nowhere", "--loss", "paper", "--refine-camera"),
+        "--refine-camera needs all frames together",
+    ),
+}
+
+
+def test_bad_input_is_one_sentence_and_exit_code_2(tmp_path, monkeypatch, cli):
+    monkeypatch.chdir(tmp_path)
+    for command, sentence in BAD.values():
+        code, _, err = cli("refine", *command)
+        assert code == 2 and sentence in err and err.count("\n") == 1
+
+
+def test_the_content_of_held_out_frames_changes_nothing(subject, tmp_path, cli):
+    (subject / "splits.json").write_text(json.dumps({"train": [0, 2], "test": [1]}))
+    other = shutil.copytree(subject, tmp_path / "other")
+    for kind in ("masks", "normals"):
+        shutil.copy(other / kind / "000000.png", other / kind / "000001.png")
+    code, _, err = cli("refine", subject, other, *SHORT, "--hold-out-test")
+    assert code == 0, err
+    found = [load_poses(folder / "poses_refined.npz")[0] for folder in (subject, other)]
+    np.testing.assert_array_equal(found[0].rotations, found[1].rotations)
+    np.testing.assert_array_equal(found[0].transl, found[1].transl)
+    record = json.loads((subject / "refinement.json").read_text())
+    assert record["test_frames"] == "held out"
+    assert {"train", "test"} == set(record["figures_by_split"])
+    stage1 = load_poses(subject / "poses.npz")[0]
+    assert not np.array_equal(found[0].rotations[1], stage1.rotations[1])

@@ -1,0 +1,47 @@
+"""``gva-mi synth --like``: a recording with another error model."""
+
+import json
+
+import pytest
+
+from gva_mi.body.smplx import load_body
+from gva_mi.synthetic import SynthOptions, make_subject
+
+pytest.importorskip("mitsuba")
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    out = tmp_path_factory.mktemp("recording") / "subject"
+    options = SynthOptions(
+        frames=2, size=32, samples=4, clothes=False, hair=False, novel_poses=0, novel_views=0
+    )
+    make_subject(out, options, load_body())
+    return out
+
+
+def test_a_recording_gets_another_error_model(recording, tmp_path, cli):
+    out = tmp_path / "other"
+    code, printed, _ = cli("synth", out, "--like", recording, "--family", "lean", "--seed", 3)
+    assert code == 0 and "family lean, seed 3" in printed
+    assert json.loads((out / "noise.json").read_text())["levels"]["mask"] == 1
+    assert (out / "frames/000001.png").samefile(recording / "frames/000001.png")
+
+
+@pytest.mark.parametrize(
+    "options, said",
+    [
+        (("--frames", 3), "--frames is fixed by the recording"),
+        (("--pose-noise", 0.5), "--pose-noise is fixed by the recording"),
+        (("--family", "pink"), "no family 'pink' of noise; there are: bursts, white"),
+    ],
+)
+def test_options_of_the_recording_are_refused(recording, tmp_path, cli, options, said):
+    code, _, err = cli("synth", tmp_path / "other", "--like", recording, *options)
+    assert code == 2 and said in err and err.count("\n") == 1
+    assert not (tmp_path / "other").exists()
+
+
+def test_a_recording_is_not_replaced_by_itself(recording, cli):
+    code, _, err = cli("synth", recording, "--like", recording, "--overwrite")
+    assert code == 2 and "is the recording itself" in err and (recording / "synth.json").exists()

@@ -1,0 +1,55 @@
+"""``gva-mi view``: bad input is one sentence before any page is served."""
+
+import json
+
+import pytest
+
+from gva_mi.body.pose import save_poses
+
+
+@pytest.fixture
+def run(known, turning, tmp_path):
+    known.save(tmp_path / "run/avatar.npz")
+    save_poses(tmp_path / "run/poses.npz", *turning(6), stage=2)
+    return tmp_path / "run"
+
+
+BAD = {
+    "no run": (("nowhere",), "nowhere: no such file"),
+    "no poses": (("run/avatar.npz",), "holds no poses.npz"),
+    "no subject": (("run", "--subject", "nowhere"), "nowhere: no such folder"),
+    "other frames": (("run", "--subject", "SUBJECT", "--poses", "few.npz"), "holds 3 frames, but"),
+    "a file": (("run", "--out", "few.npz"), "few.npz: is a file; expected a folder"),
+    "no address": (("run", "--host", "203.0.113.9"), "cannot listen at 203.0.113.9, port 8080"),
+    "no port": (("run", "--port", "eighty"), "--port must be a whole number from 0"),
+}
+
+
+def test_bad_input_is_one_sentence(run, subject, turning, tmp_path, monkeypatch, cli):
+    monkeypatch.chdir(tmp_path)
+    save_poses(tmp_path / "few.npz", *turning(3), stage=2)
+    for arguments, sentence in BAD.values():
+        code, out, err = cli("view", *(subject if x == "SUBJECT" else x for x in arguments))
+        assert code == 2 and sentence in err and err.count("\n") == 1, err
+        assert "http" not in out
+
+
+@pytest.mark.parametrize("saved", [False, True])
+def test_the_output_folder_stays_only_if_something_was_saved(
+    saved, run, tmp_path, cli, monkeypatch
+):
+    def stopped(server):
+        if saved:
+            (tmp_path / "out/snapshot_000.png").touch()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("gva_mi.cli.view.pages", stopped)
+    code, _, err = cli("view", run, "--port", "0", "--out", tmp_path / "out")
+    assert code == 0 and not err and (tmp_path / "out").exists() == saved
+
+
+def test_another_video_than_the_run_s_is_refused(run, subject, cli):
+    about = {"frames": "another", "masks": "", "cameras": "", "poses": "", "splits": ""}
+    (run / "options.json").write_text(json.dumps({"options": {}, "video": about}))
+    code, _, err = cli("view", run, "--subject", subject)
+    assert code == 2 and "was fitted to another video than" in err and "frames" in err

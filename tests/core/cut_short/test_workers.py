@@ -1,0 +1,138 @@
+"""Workers end with their parent, however that ends."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from gva_mi import InputError
+from gva_mi.core.tasks import run, workers
+
+pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="needs /proc")
+
+HOLDS = """
+import os, sys, time
+from gva_mi.core.workers import processes
+
+def begin(*_):
+    pass
+
+def work(number):
+    try:
+        print("at work", os.getpid(), flush=True)
+        while True:
+            time.sleep(0.01)
+    finally:
+        print("cleared up", flush=True)
+
+if __name__ == "__main__":
+    with processes(2, begin) as pool:
+        for future in [pool.submit(work, k) for k in range(5)]:
+            future.result()
+"""
+
+
+@pytest.fixture
+def holder(tmp_path):
+    """A process with two endless workers, in one process group as under a terminal."""
+    (tmp_path / "holds.py").write_text(HOLDS)
+    process = subprocess.Popen(
+        [sys.executable, tmp_path / "holds.py"], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        text=True, start_new_session=True,
+    )  # fmt: skip
+    with process:
+        process.workers = [int(process.stdout.readline().split()[-1]) for _ in range(2)]
+        yield process
+        process.kill()
+
+
+def is_there(pid):
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
+    except OSError:
+        return False
+    return state != "Z"
+
+
+def none_is_left(pids):
+    """Wait for processes to end; return whether they did."""
+    until = time.monotonic() + 60
+    while any(map(is_there, pids)) and time.monotonic() < until:
+        time.sleep(0.05)
+    return not any(map(is_there, pids))
+
+
+@pytest.mark.parametrize("whom", ["the first", "all"])  # kill -INT, and Ctrl-C in a terminal
+def test_ctrl_c_ends_workers_and_lets_them_clean_up(holder, whom):
+    (os.killpg if whom == "all" else os.kill)(holder.pid, signal.SIGINT)
+    out, err = holder.communicate(timeout=60)
+    assert holder.returncode == -signal.SIGINT and none_is_left(holder.workers)
+    assert out.count("cleared up") == 2 and "at work" not in out
+    assert err.count("Traceback") == 1 and "KeyboardInterrupt" in err  # the holder's own
+
+
+def test_workers_do_not_outlive_a_killed_parent(holder):
+    """They would write where the next run of the same command writes."""
+    holder.kill()
+    assert none_is_left(holder.workers)
+
+
+class Waits:
+    """Work that ends its own process."""
+
+    steps = 1
+
+    def __init__(self, sign):
+        self.sign = sign
+
+    def solve(self, progress=None):
+        os.kill(os.getpid(), self.sign)
+        time.sleep(600)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sign", [signal.SIGTERM, signal.SIGKILL])
+def test_a_killed_worker_is_one_sentence(sign):
+    with pytest.raises(InputError) as error, workers(2) as pool:
+        list(run([Waits(sign)], pool))
+    assert "a worker process, or the scheduler, is gone" in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", [
+    "study refine --cases tuning --people 3 --frames 24 --size 64 --refine.passes 5000 "
+    "--refine.size 48 --refine.part 12 --refine.overlap 2 --workers 2 --out {}/new",
+    "synth {}/new --frames 600 --workers 2",
+])  # fmt: skip
+def test_ctrl_c_does_not_wait_for_running_work(command, tmp_path):
+    words = command.replace("{}", str(tmp_path)).split()
+    program = [sys.executable, "-m", "gva_mi", *words]
+    with subprocess.Popen(
+        program, stderr=subprocess.PIPE, text=True, start_new_session=True
+    ) as process:
+        until = time.monotonic() + 120
+        while not (found := at_work(process.pid)) and time.monotonic() < until:
+            time.sleep(0.1)
+        os.killpg(process.pid, signal.SIGINT)
+        _, err = process.communicate(timeout=60)
+    assert found, err
+    assert process.returncode == 130 and none_is_left(found), err
+    _, told = err.rsplit("\ngva-mi: stopped; ", 1)
+    assert "Traceback" not in err and told.count("\n") == 1, err
+    assert not list(tmp_path.glob(".*"))
+
+
+def at_work(pid):
+    """Return the worker processes of a process."""
+    found = []
+    for task in Path(f"/proc/{pid}/task").glob("*/children"):
+        for child in task.read_text().split():
+            command = Path(f"/proc/{child}/cmdline")
+            if command.exists() and b"spawn_main" in command.read_bytes():
+                found.append(int(child))
+    return found

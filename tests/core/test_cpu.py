@@ -1,0 +1,137 @@
+"""Other processors give the same bits: library settings, and kernels of any vector width."""
+
+import ast
+import ctypes
+import json
+import os
+import platform
+import subprocess
+import sys
+from pathlib import Path
+
+import drjit as dr
+import pytest
+
+from gva_mi.core import cpu as processor
+
+ROOT = Path(__file__).parents[1]
+OURS = [path for folder in ("gva_mi", "plugins") for path in (ROOT / folder).rglob("*.py")]
+ESTIMATED = {"rsqrt", "normalize"}  # Dr.Jit functions that use the processor's estimate
+SET_TARGET = "_Z19jit_llvm_set_targetPKcS0_j"  # (processor, features, lanes) of Dr.Jit 1.5
+CORE = Path(dr.__file__).parent / "libdrjit-core.so"
+
+HASHES = """
+import ctypes, hashlib, json, sys
+import numpy as np, torch
+import gva_mi
+import drjit as dr
+from drjit.llvm import Float
+dr.eval(Float(1, 2) + 1)  # the backend starts with this processor's width
+if len(sys.argv) > 1:
+    core, name, lanes = sys.argv[1:]
+    set_target = getattr(ctypes.CDLL(core), name)
+    set_target.argtypes = [ctypes.c_char_p, ctypes.c_char_p, ctypes.c_uint32]
+    set_target(b"x86-64-v3", b"+avx2,+fma,+f16c", int(lanes))
+from gva_mi.avatar.maps import FollowedJoints
+from gva_mi.avatar.stretch import carry_stretched
+from gva_mi.body.polar import carry_frames
+from gva_mi.body.pose import Pose, Shape
+from gva_mi.body.smplx import load_body
+from gva_mi.mesh.mesh_scene import MeshScene
+from gva_mi.splat import look_at, render
+from gva_mi.splat.scene import person_scene
+from gva_mi.splat import Camera
+
+found = {"rsqrt": dr.rsqrt(dr.arange(Float, 1000) + 0.3).torch()}
+def add(name, out, inputs):
+    weights = torch.linspace(-1, 1, out.numel(), dtype=out.dtype).reshape(out.shape)
+    found[name] = out
+    for k, grad in enumerate(torch.autograd.grad((out * weights).sum(), inputs, retain_graph=True)):
+        found[f"{name}, adjoint {k}"] = grad
+
+s = person_scene(np.random.default_rng(0), 500, 64).to(torch.float32)
+inputs = [x.requires_grad_() for x in s.inputs().values()]
+add("splatting", render(s.gaussians, s.camera, s.options, s.background).color, inputs)
+body = load_body()
+v = body(Pose.rest(1), Shape(torch.zeros(10))).vertices[0].detach().contiguous().requires_grad_()
+K = [[90.0, 0, 32], [0, 90, 32], [0, 0, 1]]
+camera = Camera.from_matrices(K, look_at((0.3, 0.4, 3.0), (0, -0.1, 0)), 64, 64)
+add("normals and silhouette", MeshScene(body.faces, body.v_template).render(v, camera), [v])
+generator = torch.Generator().manual_seed(0)
+random = lambda *shape: torch.randn(*shape, generator=generator)
+A = (torch.eye(3, 4).reshape(12) + 0.3 * random(300, 12)).requires_grad_()
+E, means, quats, scales = random(300, 9), random(300, 3), random(300, 4), random(300, 3).exp()
+inputs = [x.requires_grad_() for x in (random(9, 4, 4).double(), means.clone())]
+blend = FollowedJoints.of(random(300, 9).softmax(1), random(300, 3, 9))
+for name, out in zip(("maps", "changes"), blend(*inputs)):
+    add(f"blended {name}", out, inputs[: 1 if name == "maps" else 2])
+for name, out in zip(("means", "frames"), carry_frames(A, means, quats)):
+    add(name, out, [A])
+for name, out in zip(("means", "covariances"), carry_stretched(A, E, means, quats, scales)):
+    add(f"stretched {name}", out, [A])
+bits = lambda x: hashlib.md5(x.detach().contiguous().numpy().tobytes()).hexdigest()
+print(json.dumps({name: bits(x) for name, x in found.items()}))
+"""
+
+
+def hashes(*lanes):
+    target = (str(CORE), SET_TARGET, *map(str, lanes)) if lanes else ()
+    done = subprocess.run(
+        [sys.executable, "-c", HASHES, *target], capture_output=True, text=True, cwd=ROOT
+    )
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+def test_no_kernel_uses_an_estimate():
+    for path in OURS:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+                asks = node.value.id in ("dr", "mi") and node.attr in ESTIMATED
+                assert not asks, f"{path}:{node.lineno}: {node.attr}; divide by the norm"
+
+
+NARROW = platform.machine() == "x86_64" and processor.cpu_settings() and CORE.exists()
+
+
+@pytest.mark.skipif(not NARROW, reason="needs x86 with AVX2")
+def test_kernels_give_the_same_bits_in_vectors_of_any_width():
+    if not hasattr(ctypes.CDLL(str(CORE)), SET_TARGET):
+        pytest.skip("needs Dr.Jit 1.5")
+    own, eight, four = hashes(), hashes(8), hashes(4)
+    assert own.keys() == eight.keys() == four.keys() and len(own) > 8
+    assert len({h["rsqrt"] for h in (own, eight, four)}) > 1, (
+        "the three widths are indistinguishable"
+    )
+    for other in (eight, four):
+        assert {k for k in own if own[k] != other[k]} <= {"rsqrt"}
+
+
+def test_the_command_line_pins_libraries_before_they_are_imported():
+    code = (
+        "import sys, os; from gva_mi.__main__ import main; from gva_mi import processor; "
+        "before = {'numpy', 'torch', 'drjit'} & set(sys.modules); "
+        "main(['--version']); "
+        "print(before, all(os.environ[k] == v for k, v in processor.cpu_settings().items()))"
+    )
+    clean = {k: v for k, v in os.environ.items() if k not in processor.SETTINGS}
+    run = lambda env: (
+        subprocess.run(
+            [sys.executable, "-c", code], env=env, capture_output=True, text=True, cwd=ROOT
+        ).stdout
+    )
+    assert run(clean).endswith("set() True\n")
+    if processor.cpu_settings():
+        assert run(clean | {"OPENBLAS_CORETYPE": "Prescott"}).endswith("set() False\n")
+
+
+def test_older_and_other_processors_are_not_pinned(tmp_path, monkeypatch):
+    monkeypatch.setattr(platform, "machine", lambda: "x86_64")
+    for flags, asked in (("fpu avx avx2 fma", True), ("fpu avx fma", False), ("", False)):
+        (tmp_path / "cpuinfo").write_text(f"processor : 0\nflags\t\t: {flags}\n")
+        monkeypatch.setattr(processor, "_FLAGS", tmp_path / "cpuinfo")
+        assert bool(processor.cpu_settings()) == asked
+    monkeypatch.setattr(platform, "machine", lambda: "aarch64")
+    assert not processor.cpu_settings()
+    monkeypatch.setattr(processor, "_FLAGS", tmp_path / "nowhere")
+    assert not processor.cpu_settings()

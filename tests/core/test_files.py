@@ -1,0 +1,269 @@
+"""A file is the old one or the new one, whole; a file that cannot be read is named."""
+
+import errno
+import json
+import shutil
+import struct
+import zipfile
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gva_mi import InputError
+from gva_mi.core.arrays import Budget
+from gva_mi.core.errors import expecting
+from gva_mi.core.files import (
+    atomic_dir,
+    atomic_files,
+    atomic_write,
+    make_room,
+    read_array,
+    read_arrays,
+    read_json,
+    require_keys,
+    require_room,
+    says,
+    start_folder,
+    write_arrays,
+    write_json,
+)
+
+
+def contents(folder):
+    return {path.name: path.read_text() for path in folder.iterdir()}
+
+
+def test_a_failed_write_leaves_the_old_file(tmp_path):
+    path = tmp_path / "value.json"
+    write_json(path, {"value": 1})
+    with pytest.raises(RuntimeError), atomic_write(path) as unfinished:
+        unfinished.write_text("{")
+        raise RuntimeError("killed")
+    assert contents(tmp_path) == {"value.json": '{\n  "value": 1\n}\n'}
+
+
+@pytest.mark.parametrize("changes", range(7))
+def test_files_that_describe_another_never_belong_to_an_older_one(changes, tmp_path, monkeypatch):
+    """Interrupt the replacement of four files after each change to the disk."""
+    names = ("poses", "record", "picture", "page")
+    for name in names:
+        (tmp_path / name).write_text("old")
+    done = []
+
+    def limited(change):
+        def instead(*given, **named):
+            if len(done) == changes:
+                raise KeyboardInterrupt
+            done.append(given)
+            return change(*given, **named)
+
+        return instead
+
+    for change in ("unlink", "replace"):
+        monkeypatch.setattr(Path, change, limited(getattr(Path, change)))
+    with suppress(KeyboardInterrupt), atomic_files(tmp_path / "poses", *names[1:]) as folder:
+        for name in names[:3]:
+            (folder / name).write_text("new")
+    monkeypatch.undo()
+    found = contents(tmp_path)
+    assert set(found) <= set(names) and set(found.values()) == {found["poses"]}
+    assert len(done) == changes and (changes or found == dict.fromkeys(names, "old"))
+    with atomic_files(tmp_path / "poses", *names[1:]) as folder:
+        assert not list(folder.iterdir())
+        for name in names[:3]:
+            (folder / name).write_text("newer")
+    assert contents(tmp_path) == dict.fromkeys(names[:3], "newer")
+
+
+def test_a_full_disk_leaves_all_old_files_and_names_the_new_one(tmp_path):
+    for name in ("poses", "record"):
+        (tmp_path / name).write_text("old")
+    killed = tmp_path / ".poses.gva-mi-part"
+    killed.mkdir()
+    (killed / "record").write_text("half")
+    with pytest.raises(OSError, match="full") as error:
+        with atomic_files(tmp_path / "poses", "record") as folder:
+            assert not list(folder.iterdir())  # leftovers of a killed process are gone
+            (folder / "poses").write_text("new")
+            raise OSError(errno.ENOSPC, "full")
+    assert error.value.filename == str(tmp_path / "poses")
+    assert contents(tmp_path) == {"poses": "old", "record": "old"}
+
+
+def test_unreadable_arrays_are_named(tmp_path):
+    path = tmp_path / "a.npz"
+    with pytest.raises(InputError, match=r"a\.npz: no such file; expected poses"):
+        read_arrays(path, "poses")
+    path.write_bytes(b"no archive")
+    with pytest.raises(InputError, match=r"a\.npz: not a readable \.npz"):
+        read_arrays(path, "poses")
+    np.savez(tmp_path / "objects.npz", a=np.array([{}], dtype=object))
+    with pytest.raises(InputError, match="not a readable"):
+        read_arrays(tmp_path / "objects.npz", "poses")
+    write_arrays(path, b=np.arange(2))
+    found = read_arrays(path, "poses")
+    assert found["b"].tolist() == [0, 1]
+    with pytest.raises(InputError, match="key 'c' is missing; found: b"):
+        require_keys(path, found, ("b", "c"))
+
+
+def test_only_a_folder_with_the_marker_is_removed(tmp_path, monkeypatch):
+    make_room(tmp_path / "new", "ours.json", overwrite=False)
+    make_room(tmp_path, "ours.json", overwrite=False)  # empty
+    (tmp_path / "thesis.tex").write_text("years of work")
+    with pytest.raises(InputError, match="give --overwrite to replace it"):
+        make_room(tmp_path, "ours.json", overwrite=False)
+    with pytest.raises(InputError, match="has no ours.json, so gva-mi did not make it"):
+        make_room(tmp_path, "ours.json", overwrite=True)
+    (tmp_path / "ours.json").write_text("{}")
+
+    def killed(self):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr("gva_mi.core.files.Path.unlink", killed)
+        make_room(tmp_path, "ours.json", overwrite=True)
+    assert (tmp_path / "ours.json").exists()  # the marker goes last
+    make_room(tmp_path, "ours.json", overwrite=True)
+    assert not tmp_path.exists()
+
+
+def test_room_for_a_file_is_checked_before_the_work(tmp_path):
+    file = tmp_path / "new/a.ply"
+    require_room(file, overwrite=False)
+    assert file.parent.is_dir() and not list(file.parent.iterdir())
+    file.write_text("hours of work")
+    with pytest.raises(InputError, match="exists already; give --overwrite"):
+        require_room(file, overwrite=False)
+    require_room(file, overwrite=True)
+    assert file.read_text() == "hours of work"
+    with pytest.raises(InputError, match="is a folder; expected the name of a file"):
+        require_room(file.parent, overwrite=True)
+    with pytest.raises(InputError, match="cannot be written to"):
+        require_room(file / "b.ply", overwrite=True)
+
+
+def test_a_started_folder_records_what_made_it(tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "made.json.part").write_text("{")  # a half-written marker is no content
+    start_folder(out, "made.json", False, {"avatar": "a"})
+    about = json.loads((out / "made.json").read_text())
+    assert about["avatar"] == "a" and about["versions"].keys() >= {"python", "torch"}
+    with pytest.raises(InputError, match="--overwrite"):
+        start_folder(out, "made.json", False, {})
+    (out / "000000.png").touch()
+    start_folder(out, "made.json", True, {})
+    assert [file.name for file in out.iterdir()] == ["made.json"]
+
+
+def test_a_folder_is_replaced_once_the_new_one_is_whole(tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "marker").write_text("old")
+    with pytest.raises(RuntimeError, match="no source"), atomic_dir(out, "marker") as folder:
+        (folder / "half").write_text("new")
+        raise RuntimeError("no source")
+    assert contents(out) == {"marker": "old"}
+    with atomic_dir(out, "marker") as folder:
+        (folder / "marker").write_text("new")
+    assert (out / "marker").read_text() == "new" and list(tmp_path.iterdir()) == [out]
+    with pytest.raises(InputError, match="has no other"), atomic_dir(out, "other"):
+        pass
+    with pytest.raises(InputError, match="a new or an empty folder"), atomic_dir(out):
+        pass
+    (out / "marker").unlink()
+    with pytest.raises(InputError, match="by another process"), atomic_dir(out) as folder:
+        (folder / "marker").write_text("mine")
+        (out / "marker").write_text("the other's")
+    assert (out / "marker").read_text() == "the other's" and list(tmp_path.iterdir()) == [out]
+
+
+def test_leftovers_of_a_killed_process_are_removed(tmp_path):
+    out, part, old = (tmp_path / name for name in ("out", ".out.gva-mi-part", ".out.gva-mi-old"))
+    part.mkdir()
+    (part / "half").write_text("new")
+    with atomic_dir(out, "marker") as folder:
+        assert folder == part and not list(folder.iterdir())
+        (folder / "marker").write_text("new")
+    assert list(tmp_path.iterdir()) == [out] and (out / "marker").read_text() == "new"
+    out.rename(old)  # killed between the last two renames
+    part.mkdir()
+    with pytest.raises(RuntimeError, match="no source"), atomic_dir(out, "marker"):
+        raise RuntimeError("no source")
+    assert list(tmp_path.iterdir()) == [out] and (out / "marker").read_text() == "new"
+    shutil.copytree(out, old)
+    with atomic_dir(out, "marker"):
+        pass
+    assert list(tmp_path.iterdir()) == [out] and not list(out.iterdir())
+
+
+def test_one_process_at_a_time_makes_a_folder(tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    with atomic_dir(out) as folder:
+        (folder / "marker").write_text("mine")
+        with pytest.raises(InputError, match="out: gva-mi .*writes there"), atomic_dir(out):
+            pass
+        with monkeypatch.context() as patch:  # a file system without locks
+
+            def none(*_):
+                raise OSError(errno.ENOLCK, "No locks available")
+
+            patch.setattr("gva_mi.core.lock.fcntl.flock", none)
+            told = "gva-mi-part: is there already: another process .* remove it where none does"
+            with pytest.raises(InputError, match=told), atomic_dir(out):
+                pass
+    assert (out / "marker").read_text() == "mine"
+
+
+def claiming(shape):
+    """Return a .npy without numbers whose header claims some."""
+    head = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}".ljust(117) + "\n"
+    return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(head)) + head.encode()
+
+
+def test_a_claim_of_100_gigabytes_is_refused_before_allocating(tmp_path, monkeypatch):
+    (tmp_path / "a.npy").write_bytes(claiming((12_500_000_000,)))
+    with pytest.raises(InputError, match="claims 100,000,000,000 bytes, but holds 0"):
+        read_array(tmp_path / "a.npy")
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as file:
+        file.writestr("poses.npy", claiming((12_500_000_000,)))
+    with pytest.raises(InputError, match=r"'poses': an array claims 100,000,000,000 bytes"):
+        read_arrays(tmp_path / "a.npz", "poses")
+    with zipfile.ZipFile(tmp_path / "b.npz", "w", zipfile.ZIP_DEFLATED) as file:
+        file.writestr("a.npy", bytes(1 << 21))
+    monkeypatch.setattr(Budget.__init__, "__defaults__", (1 << 20,))
+    with pytest.raises(InputError, match="unfold to more than 4 GiB"):
+        read_arrays(tmp_path / "b.npz", "poses")
+
+
+def test_malformed_json_is_one_sentence(tmp_path):
+    path = tmp_path / "a.json"
+    for text in ("[" * 100_000, "{", '{"a": ' + "1" * 5000 + "}", "\x00"):
+        path.write_text(text)
+        with pytest.raises(InputError, match=r"a\.json: not readable as JSON \(.*\); expected b$"):
+            read_json(path, "b")
+        assert not says(path, {})
+    write_json(path, {"a": (1, 2), "b": path})
+    assert says(path, {"a": (1, 2), "b": path}) and not says(path, {"a": [1]})
+    with pytest.raises(InputError, match=r"b\.json: no such file; expected metrics"):
+        read_json(tmp_path / "b.json", "metrics")
+
+
+def test_malformed_content_is_one_sentence_whatever_it_breaks():
+    for fails in (
+        lambda: {}["a"], lambda: [][3], lambda: None.a, lambda: int(float("inf")), lambda: 1 / 0,
+        lambda: next(iter(())), lambda: np.zeros(2) + np.zeros(3), lambda: len(3),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=r"^a: of another form \(.+\); expected b$"):
+            with expecting("a", "b"):
+                fails()
+    with pytest.raises(InputError, match="^mine$"), expecting("a", "b"):
+        raise InputError("mine")
+
+
+def test_quoted_content_moves_no_cursor_and_fills_no_screen():
+    assert str(InputError("a\x1b[2J\nb")) == "a [2J b"
+    assert len(str(InputError("x" * 10**6))) < 2000

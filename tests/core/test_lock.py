@@ -1,0 +1,76 @@
+"""One process writes into a folder; a second one is told which; no lock outlives its process."""
+
+import errno
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from gva_mi.core.errors import InputError
+from gva_mi.core.lock import folder_lock
+
+HOLDS = """
+import sys, time
+from gva_mi.core.lock import folder_lock
+with folder_lock(sys.argv[1], "gva-mi fit"):
+    print("held", flush=True)
+    time.sleep(60)
+"""
+
+
+@pytest.fixture
+def holder(tmp_path):
+    """Another process that writes into the folder ``run``."""
+    program = [sys.executable, "-c", HOLDS, str(tmp_path / "run")]
+    with subprocess.Popen(program, stdout=subprocess.PIPE) as process:
+        assert process.stdout.readline() == b"held\n"
+        yield process
+        process.kill()
+
+
+@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGINT])
+def test_a_second_process_is_told_and_the_lock_dies_with_the_first(holder, tmp_path, end):
+    told = rf"run: gva-mi fit \(process {holder.pid} on \S+, since \d{{4}}-[-\d: ]+\) writes there"
+    with pytest.raises(InputError, match=told), folder_lock(tmp_path / "run", "gva-mi evaluate"):
+        pass
+    with folder_lock(tmp_path / "another", "gva-mi fit"):
+        pass
+    holder.send_signal(end)
+    holder.wait()
+    with folder_lock(tmp_path / "run", "gva-mi fit"):
+        assert str(os.getpid()) in (tmp_path / ".run.lock").read_text()
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_folder_may_be_replaced_meanwhile(tmp_path):
+    (tmp_path / "run").mkdir()
+    with folder_lock(tmp_path / "run", "gva-mi fit"):
+        (tmp_path / "run").rmdir()
+        (tmp_path / "run").mkdir()
+        with (
+            pytest.raises(InputError, match="writes there"),
+            folder_lock(tmp_path / "run", "another"),
+        ):
+            pass
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
+
+
+@pytest.mark.parametrize("number, locked", [(errno.ENOSPC, True), (errno.ENOLCK, False)])
+def test_a_full_disk_and_a_file_system_without_locks_stop_nobody(
+    number, locked, tmp_path, monkeypatch
+):
+    def fails(*_):
+        raise OSError(number, os.strerror(number))
+
+    target = "gva_mi.core.lock.os.write" if locked else "gva_mi.core.lock.fcntl.flock"
+    monkeypatch.setattr(target, fails)
+    with folder_lock(tmp_path / "run", "gva-mi fit") as found:
+        assert found is locked
+
+
+def test_a_file_without_a_holder_is_no_lock(tmp_path):
+    (tmp_path / ".run.lock").write_text("{")
+    with folder_lock(tmp_path / "run", "gva-mi fit"):
+        pass

@@ -1,0 +1,102 @@
+"""The box around a person, and the image on a coarser grid inside it."""
+
+import numpy as np
+import pytest
+import torch
+
+from gva_mi.data.crop import Box, Extent, NoEvidence, ScaledCrop, person_box
+from gva_mi.splat import Camera, look_at
+
+CAMERA = Camera(100, 100, 50, 40, look_at((0, 0, 5), (0, 0, 0)), 100, 80)
+
+
+def mask(rows, columns):
+    found = np.zeros((80, 100), np.float32)
+    found[slice(*rows), slice(*columns)] = 1
+    return found
+
+
+MASK = mask((30, 50), (40, 60))
+
+
+def at(*pixels):
+    """Points that project to some pixels (x, y)."""
+    return np.array([[(x - 50) / 20, (40 - y) / 20, 0.0] for x, y in pixels])
+
+
+def edges(box):
+    return box.left, box.top, box.right, box.bottom
+
+
+def test_the_box_contains_mask_points_and_margin_and_ends_with_the_image():
+    assert edges(person_box(MASK, CAMERA, at((70.5, 45)), 0.1, "it")) == (36, 26, 74, 54)
+    wide = mask((0, 80), (90, 100)), CAMERA, at((200, -30), (95, 40)), 1, "it"
+    assert edges(person_box(*wide)) == (0, 0, 100, 80)
+
+
+def test_the_cropped_camera_sees_the_cropped_image():
+    points = at((41, 31), (66, 47))
+    box = person_box(MASK, CAMERA, points, 0.2, "it")
+    picture = np.random.default_rng(0).random((80, 100, 3))
+    camera = box.cut_camera(CAMERA)
+    assert box.cut(picture).shape[:2] == (camera.height, camera.width)
+    moved = CAMERA.project(points) - camera.project(points)
+    np.testing.assert_allclose(moved, [[box.left, box.top]] * 2, atol=1e-9)
+    assert box.cut(picture)[0, 0, 0] == picture[box.top, box.left, 0]
+
+
+@pytest.mark.parametrize(
+    ("mask", "points", "sentence"),
+    [
+        (MASK, at((150, 40)), "its avatar is out of view"),
+        (MASK, np.array([[0.0, 0, 6]]), "its avatar reaches behind the camera"),
+        (mask((0, 3), (0, 5)), at((50, 40)), "its mask is empty"),
+    ],
+)
+def test_frames_that_show_nothing_say_why(mask, points, sentence):
+    with pytest.raises(NoEvidence, match=sentence):
+        person_box(mask, CAMERA, points, 0.1, "its avatar")
+
+
+def coarser(picture, crop):
+    part = crop.cover(*picture.shape[:2])
+    return crop.shrink(picture[part], part)
+
+
+@pytest.mark.parametrize(("times", "ratio"), [(1, 1), (1, 3), (3, 5), (4, 13)])
+def test_pixels_count_by_the_part_that_a_coarser_one_covers(times, ratio):
+    """Shrinking by times / ratio is repeating pixels, and then taking whole means."""
+    picture = np.random.default_rng(2).random((52, 60, 3))
+    finer = picture.repeat(times, 0).repeat(times, 1)
+    box = Box(2, 1, 18, 16)
+    finer = finer[ratio * box.top : ratio * box.bottom, ratio * box.left : ratio * box.right]
+    means = finer.reshape(box.height, ratio, box.width, ratio, 3).mean((1, 3))
+    found = coarser(picture, ScaledCrop(times / ratio, box))
+    np.testing.assert_allclose(found, means, atol=1e-12)
+
+
+def test_a_crop_ends_where_the_image_ends():
+    extent = Extent(np.array([80.0, 60]), np.array([120.0, 80]))
+    crop = ScaledCrop.around(extent, CAMERA, 0.33, 0.2)
+    assert (crop.box.right, crop.box.bottom) == (33, 26)  # 33 and 26.4 pixels
+    found = coarser(np.ones((80, 100)), crop)
+    assert found.shape == (crop.box.height, crop.box.width)
+    assert torch.allclose(found, torch.tensor(1.0, dtype=torch.float64))
+
+
+def test_a_shrunken_mask_is_the_mask_of_the_shrunken_camera(body, scene):
+    """The mean outlines of the two differ by less than a tenth of a pixel."""
+    up = (0.3, 1, 0)  # so that no outline runs along the pixels
+    fine = Camera(400, 420, 250.4, 260.2, look_at((0.2, 0.1, 3), (0, -0.1, 0), up), 480, 520)
+    extent = Extent(np.array([120.0, 40]), np.array([380.0, 500]))
+    crop = ScaledCrop.around(extent, fine, 0.37, 0.1)
+    with torch.no_grad():
+        shrunk = coarser(scene.render(body.v_template, fine)[..., 3].numpy(), crop)
+        seen = scene.render(body.v_template, crop.cut_camera(fine))[..., 3]
+    assert seen.shape == shrunk.shape
+    outline = float((shrunk[:, 1:] - shrunk[:, :-1]).abs().sum())  # pixels, by its height
+    assert abs(float((seen - shrunk).sum())) / outline < 0.1  # it is not wider,
+    for axis in (0, 1):  # and it is not moved
+        place = torch.arange(shrunk.shape[axis])
+        means = [(x.sum(1 - axis) * place).sum() / x.sum() for x in (seen, shrunk)]
+        assert abs(float(means[0] - means[1])) < 0.1

@@ -1,0 +1,98 @@
+"""The MAP estimate of a motion without any image."""
+
+import pytest
+import torch
+
+from gva_mi.pose.prior.error_model import Noise
+from gva_mi.pose.prior.process import ProcessPrior
+
+N = 90
+TIMES = torch.arange(N)
+
+
+def noisy(truth, white):
+    return truth + white * torch.randn(truth.shape, generator=torch.Generator().manual_seed(0))
+
+
+def process_of(y, white, steady=False):
+    noises = [Noise(white, 0.02, 6.0)] * y.shape[1]
+    return ProcessPrior.of_stage1(TIMES, y.diff(dim=0), noises, steady)
+
+
+def estimate(y, white, steady=False):
+    corrections, process = process_of(y, white, steady).map_estimate()
+    return y + corrections, process
+
+
+def rms(x):
+    return float(x.square().mean().sqrt())
+
+
+def moving_average(y, half):
+    padded = torch.cat([y[:1].expand(half, -1, -1), y, y[-1:].expand(half, -1, -1)])
+    return torch.stack([padded[k : k + 2 * half + 1].mean(0) for k in range(len(y))])
+
+
+def test_white_errors_fall_as_under_the_best_moving_average():
+    """Nearly as much as under the best of nine, which one cannot know beforehand."""
+    t = TIMES[:, None, None] / 15.0
+    truth = 0.3 * torch.sin(t + torch.arange(3))
+    y = noisy(truth, 0.1)
+    means = [rms(moving_average(y, half) - truth) for half in range(9)]
+    left = rms(estimate(y, 0.1)[0] - truth)
+    assert left < means[2] and left < 1.25 * min(means)
+
+
+def test_a_joint_at_rest_stays_at_rest():
+    found, _ = estimate(noisy(torch.zeros(N, 4, 3), 0.1), 0.1)
+    assert rms(found.diff(dim=0)) < 0.01
+
+
+def test_a_fast_motion_survives():
+    """Up and down by one radian within half a second, in the midst of rest."""
+    truth = torch.zeros(N, 1, 3)
+    truth[40:56, 0, 0] = 0.5 - 0.5 * torch.cos(torch.arange(16) * torch.pi / 7.5)
+    found, _ = estimate(noisy(truth, 0.005), 0.005)
+    assert float(found[40:56, 0, 0].max()) > 0.85
+
+
+def test_an_outlier_takes_the_value_of_its_neighbours():
+    y = noisy(torch.zeros(N, 1, 3), 0.01)
+    y[30:32] += 1.0
+    found, process = estimate(y, 0.01)
+    assert found[30:32].abs().max() < 0.05
+    assert process.factors[0, 30:32].min() > 50 * process.factors[0].median()
+
+
+def test_a_steady_motion_keeps_its_speed():
+    found, _ = estimate(noisy(0.1 * TIMES[:, None, None].expand(N, 1, 3), 0.02), 0.02, steady=True)
+    speed = found.diff(dim=0)
+    assert float(speed.mean()) == pytest.approx(0.1, rel=0.01) and rms(speed - 0.1) < 0.01
+
+
+def test_the_map_estimate_minimises_the_energy():
+    corrections, process = process_of(noisy(torch.zeros(N, 2, 3), 0.1), 0.1).map_estimate()
+    precision = process.precision()
+    energy = lambda c: float(process.energy(precision, c, c))
+    generator = torch.Generator().manual_seed(1)
+    for _ in range(5):
+        aside = 0.02 * torch.randn(corrections.shape, generator=generator)
+        assert energy(corrections) < energy(corrections + aside)
+
+
+def test_the_preconditioner_passes_lasting_errors_and_damps_tremor():
+    M = process_of(noisy(torch.zeros(N, 1, 3), 0.01), 0.01).spread(torch.zeros(N, 1, 3))[0]
+    assert rms(M @ torch.ones(N)) == pytest.approx(1, abs=0.1)
+    assert rms(M @ (-1.0) ** TIMES) < 0.3
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+@pytest.mark.parametrize("steady", [False, True])
+def test_short_videos_are_no_special_case(n, steady):
+    y = torch.zeros(n, 2, 3)
+    process = ProcessPrior.of_stage1(
+        torch.arange(n), y.diff(dim=0), [Noise(0, 0.1, 6.0)] * 2, steady
+    )
+    corrections, process = process.map_estimate()
+    assert torch.equal(corrections, torch.zeros_like(y))
+    assert process.spread(corrections).shape == (2, n, n)

@@ -1,0 +1,39 @@
+"""The built-in body, and a ball as a subject, which has closed-form answers."""
+
+import numpy as np
+import pytest
+import torch
+
+from gva_mi.body.pose import Shape
+from gva_mi.body.smplx import load_body
+from gva_mi.synthetic.look import Fabric, FaceLandmarks, Look, Material
+from gva_mi.synthetic.subject import Subject
+
+GREY = Fabric("plain", ((0.5, 0.5, 0.5),) * 3, 0.05)
+LOOK = Look(
+    skin=(0.5, 0.4, 0.3), lips=(0.5, 0.2, 0.2), iris=(0.1, 0.2, 0.3), hair=(0.1, 0.1, 0.1),
+    brows=(0.1, 0.1, 0.1), top=GREY, bottom=GREY, shoes=(0.3, 0.3, 0.3), swimsuit=False,
+    face=FaceLandmarks(((0.03, 9, 0), (-0.03, 9, 0)), (0, 9, 0), 0.06), nails=(),
+    shoulder=(0.2, 9, 0), hip=(0.1, 8, 0), ground=-9.0,
+)  # fmt: skip
+RADIUS = 0.5  # m
+
+
+@pytest.fixture(scope="session")
+def body():
+    return load_body()
+
+
+@pytest.fixture(scope="session")
+def ball():
+    import trimesh
+    from scipy.sparse import csr_array
+
+    mesh = trimesh.creation.icosphere(subdivisions=4, radius=RADIUS)
+    count = len(mesh.vertices)
+    return Subject(
+        np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.int64),
+        csr_array((count, 1)), torch.eye(55)[:1].expand(count, 55), np.ones((count, 3), np.float32),
+        np.full(len(mesh.faces), int(Material.TOP), np.uint32), LOOK, Shape(torch.zeros(10)),
+        np.zeros(count), (),
+    )  # fmt: skip

@@ -1,0 +1,81 @@
+"""Error model of masks: the boundary, lost feet, and a bag."""
+
+import numpy as np
+import pytest
+import torch
+
+from gva_mi.body.pose import Pose, Shape
+from gva_mi.synthetic.error_models.masks import (
+    Confusion,
+    HalfDisc,
+    MaskErrors,
+    confusions,
+    noisy_mask,
+)
+from gva_mi.synthetic.error_models.measure import mask_iou
+
+USUAL = MaskErrors()
+
+
+def test_level_zero_is_exact(disc, rng):
+    assert noisy_mask(disc[0], USUAL, 0.0, rng) is disc[0]
+
+
+def test_a_mask_is_off_at_its_boundary_only(disc, rng):
+    mask, _ = disc
+    noisy = noisy_mask(mask, USUAL, 1.0, rng)
+    y, x = np.mgrid[:64, :64] - 31.5
+    r = np.hypot(x, y)
+    assert not np.array_equal(noisy, mask)
+    assert (noisy[r < 20] == 1).all() and (noisy[r > 28] == 0).all()
+    assert mask_iou(noisy, mask) > 0.9
+
+
+def test_boundaries_keep_their_numbers(disc, rng):
+    row = noisy_mask(disc[0], USUAL, 1.0, rng)[8, 26:30]
+    assert np.allclose(row, (0.103937, 0.780935, 0.786507, 0.826753), rtol=0, atol=2e-6)
+
+
+@pytest.mark.parametrize("grown", [-20.0, 20.0])
+def test_a_boundary_is_shifted_all_around(disc, grown):
+    """20 pixels at width 512 are 2.5 pixels here; the radius is 24."""
+    still = MaskErrors(wobble=0.0, notches=0, grown=grown)
+    area = noisy_mask(disc[0], still, 1.0, np.random.default_rng(0)).sum()
+    assert abs(np.sqrt(area / np.pi) - (24 + np.sign(grown) * 2.5)) < 0.5
+
+
+def test_a_foot_is_cut_off_and_a_bag_is_added_where_they_are(disc, rng):
+    seen = Confusion((HalfDisc((32, 44), (0, 1), 30),), (58, 20, 5))
+    mask = noisy_mask(disc[0], MaskErrors(wobble=0.0, notches=0), 1.0, rng, seen)
+    assert not mask[46:].any() and (mask[36:42, 28:36] > 0.9).all()  # below the ankle; above it
+    assert mask[20, 58] == 1 and mask[20, 52] == 1  # outside the ball
+
+
+def standing(frames=300):
+    pose = Pose.rest(frames)
+    pose.rotations[:, 0, 1] = torch.linspace(0, 2 * torch.pi, frames)
+    return pose, Shape(torch.zeros(10))
+
+
+def test_feet_are_lost_in_runs_of_the_given_share(body, camera, rng):
+    found = confusions(body, *standing(), camera, MaskErrors(lost_feet=0.3), 1.0, rng)
+    lost = np.array([len(seen.lost) for seen in found])
+    assert 0.15 < lost.mean() / 2 < 0.45
+    assert (np.diff(lost) != 0).mean() < 0.25
+
+
+def test_a_bag_turns_with_the_person(body, camera, rng):
+    pose, shape = standing(41)
+    bags = [m.bag for m in confusions(body, pose, shape, camera, MaskErrors(bag=0.1), 1.0, rng)]
+    u, _, radius = np.array(bags).T
+    hip = camera.project(body(pose, shape).joints.double().numpy()[:, 0])[:, 0]
+    side = u - hip
+    assert side.max() > 3 and side.min() < -3  # on either side of the pelvis, by turns
+    assert np.abs(np.diff(side)).max() < 2  # and it goes there step by step
+    depth = 80 * 0.1 / radius
+    assert (2 < depth).all() and (depth < 4).all()  # m: its size is that of a ball of 0.1 m
+
+
+def test_nothing_is_confused_at_level_zero(body, camera, rng):
+    noise = MaskErrors(lost_feet=0.3, bag=0.1)
+    assert set(confusions(body, *standing(20), camera, noise, 0.0, rng)) == {Confusion()}

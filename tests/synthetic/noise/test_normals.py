@@ -1,0 +1,46 @@
+"""Error model of normals: unit length, facing the camera, with bias."""
+
+import numpy as np
+
+from gva_mi.data.normals import NormalMaps, to_icon
+from gva_mi.synthetic.error_models.measure import normal_error
+from gva_mi.synthetic.error_models.normals import NormalErrors, noisy_normals
+
+USUAL = NormalErrors()
+STILL = NormalErrors(blur=0.0, tilt=0.0)
+
+
+def test_level_zero_is_exact(disc, rng):
+    assert noisy_normals(disc[1], disc[0], USUAL, 0.0, rng) is disc[1]
+
+
+def test_normals_stay_unit_face_the_camera_and_fill_the_mask(disc, rng):
+    mask, normals = disc
+    wider = (np.hypot(*(np.mgrid[:64, :64] - 31.5)) < 26).astype(np.float32)
+    noisy = noisy_normals(normals, wider, USUAL, 1.0, rng)
+    length = np.linalg.norm(noisy, axis=-1)
+    assert np.allclose(length[wider > 0.5], 1, atol=1e-5) and (length[wider <= 0.5] == 0).all()
+    assert (noisy[..., 2] <= 0).all()
+    assert 2 < normal_error(noisy, normals) < 20
+
+
+def test_normals_keep_their_numbers(disc, rng):
+    noisy = noisy_normals(disc[1], disc[0], USUAL, 1.0, rng)
+    assert np.allclose(noisy[20, 20], (-0.590828, -0.530492, -0.607866), rtol=0, atol=2e-6)
+
+
+def test_flat_normals_turn_toward_the_camera_everywhere(disc, rng):
+    mask, normals = disc
+    plain = noisy_normals(normals, mask, STILL, 1.0, rng)
+    flat = noisy_normals(normals, mask, NormalErrors(blur=0.0, tilt=0.0, flat=0.3), 1.0, rng)
+    inner = np.hypot(*(np.mgrid[:64, :64] - 31.5)) < 20
+    across = lambda n: np.hypot(n[..., 0], n[..., 1])[inner] / -n[..., 2][inner]
+    assert np.allclose(across(flat), 0.7 * across(plain), atol=1e-4)
+
+
+def test_icons_convention_is_read_back(disc, camera, tmp_path):
+    _, normals = disc
+    (tmp_path / "normals").mkdir()
+    np.save(tmp_path / "normals/000000.npy", to_icon(normals, camera).astype(np.float32))
+    read = NormalMaps(tmp_path / "normals", "icon", None).read(0, camera)
+    assert np.abs(read - normals).max() < 1e-6

@@ -1,0 +1,221 @@
+"""The folder of a subject: complete, exact at level 0, and reproducible."""
+
+import json
+
+import numpy as np
+import pytest
+
+from gva_mi import InputError
+from gva_mi.body.pose import load_poses
+from gva_mi.data.film import Film
+from gva_mi.data.fingerprint import require_same_body
+from gva_mi.data.ground_truth import load_ground_truth
+from gva_mi.data.pictures import read_image
+from gva_mi.data.video import load_cameras, load_video
+from gva_mi.synthetic import SynthOptions, describe_errors, make_subject
+
+pytest.importorskip("mitsuba")
+BARE = dict(
+    frames=3, size=64, samples=16, clothes=False, hair=False, novel_poses=1, novel_views=1
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def exact(body, tmp_path_factory):
+    """A bare body without noise."""
+    out = tmp_path_factory.mktemp("exact") / "subject"
+    make_subject(out, SynthOptions(noise=0.0, **BARE), body)
+    return out
+
+
+@pytest.fixture(scope="module")
+def noisy(body, tmp_path_factory):
+    """A bare body with noise."""
+    out = tmp_path_factory.mktemp("noisy") / "subject"
+    make_subject(out, SynthOptions(**BARE), body)
+    return out
+
+
+def files(folder):
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
+def inside(mask, pixels, reach=0):
+    """Return which pixels (V, 2) lie in a mask (H, W) or at most ``reach`` pixels beside it."""
+    x, y = np.floor(pixels).astype(int).T
+    assert (x >= reach).all() and (x < mask.shape[1] - reach).all()
+    assert (y >= reach).all() and (y < mask.shape[0] - reach).all()
+    near = range(-reach, reach + 1)
+    return np.any([mask[y + dy, x + dx] > 0 for dx in near for dy in near], axis=0)
+
+
+def assert_overlay(mask, pixels):
+    """Points of the surface lie in the mask; rays may miss part of a pixel at the rim."""
+    assert inside(mask, pixels).mean() > 0.985
+    assert inside(mask, pixels, reach=1).all()
+
+
+def test_the_folder_opens_as_a_video(noisy, body):
+    video = load_video(noisy)
+    assert len(video) == 3 and video.size == (64, 64) and video.has_normals
+    assert video.truth == noisy / "truth"
+    require_same_body(noisy, body)
+    for k, image in enumerate(Film(noisy / "video.mp4")):
+        assert np.array_equal(image, read_image(noisy / f"frames/{k:06d}.png", 3))
+    for frame in video.frames():
+        assert 0.02 < frame.mask.mean() < 0.5
+        assert (frame.image[frame.mask < 0.01].mean()) > 0.8
+
+
+@pytest.mark.parametrize("part", ["truth", "truth/novel_pose", "truth/novel_view"])
+def test_the_posed_body_lies_in_the_true_mask(exact, body, part):
+    folder = exact / part
+    pose, shape = load_poses(folder / "poses.npz")
+    cameras = load_cameras((exact if part == "truth" else folder) / "cameras.npz")
+    for k in range(len(pose)):
+        camera = cameras[min(k, len(cameras) - 1)]
+        mask = read_image(folder / f"masks/{k:06d}.png", 1)
+        pixels = camera.project(body(pose[k], shape).vertices[0].double().numpy())
+        assert_overlay(mask, pixels)
+        filled = np.zeros(mask.shape, bool)
+        x, y = np.floor(pixels).astype(int).T
+        filled[y, x] = True
+        assert filled[mask == 255].mean() > 0.8  # the vertices fill it, too
+
+
+def test_level_zero_is_exact(exact):
+    truth, seen = load_poses(exact / "truth/poses.npz"), load_poses(exact / "poses.npz")
+    assert np.array_equal(truth[0].rotations, seen[0].rotations)
+    assert np.array_equal(truth[0].transl, seen[0].transl)
+    assert np.array_equal(truth[1].betas, seen[1].betas)
+    for kind in ("masks", "normals"):
+        for k in range(3):
+            name = f"{kind}/{k:06d}.png"
+            assert (exact / name).read_bytes() == (exact / "truth" / name).read_bytes()
+    statistics = json.loads((exact / "noise.json").read_text())
+    assert statistics["pose"]["vertex_mm"] == 0 and statistics["mask"]["iou"] == 1
+
+
+def test_noise_does_not_touch_frames_or_truth(exact, noisy):
+    a, b = files(exact), files(noisy)
+    same = [name for name in a if name.startswith(("frames/", "truth/"))]
+    assert len(same) > 10 and all(a[name] == b[name] for name in same)
+    assert all(
+        a[name] != b[name] for name in ("poses.npz", "masks/000001.png", "normals/000001.png")
+    )
+    assert json.loads((noisy / "noise.json").read_text())["pose"]["vertex_mm"] > 10
+
+
+def test_same_seed_same_bits_and_another_seed_another_video(noisy, body, tmp_path):
+    make_subject(tmp_path / "again", SynthOptions(**BARE), body)
+    make_subject(tmp_path / "other", SynthOptions(seed=1, **BARE), body)
+    a, again, other = (files(f) for f in (noisy, tmp_path / "again", tmp_path / "other"))
+    assert a == again
+    assert a.keys() == other.keys() and a["frames/000000.png"] != other["frames/000000.png"]
+
+
+def test_splits_do_not_overlap(noisy):
+    splits = json.loads((noisy / "splits.json").read_text())
+    video, _ = load_poses(noisy / "truth/poses.npz")
+    novel, _ = load_poses(noisy / "truth/novel_pose/poses.npz")
+    away = (video.rotations[:, None, 1:22] - novel.rotations[None, :, 1:22]).norm(dim=-1)
+    assert away.amax(-1).min() > 0.2  # radians: no novel pose is in the video
+    folders = (noisy, noisy / "truth/novel_view")
+    (ours,), (other,) = (load_cameras(f / "cameras.npz") for f in folders)
+    turned = ours.T_camera_world[:3, :3] @ other.T_camera_world[:3, :3].T
+    assert np.arccos((np.trace(turned) - 1) / 2) > 0.3  # radians: nor is a novel view
+    assert not set(splits["train"]) & set(splits["test"])
+    assert sorted(splits["train"] + splits["test"]) == [0, 1, 2]
+    assert splits["novel_pose"] == [0] and len(splits["novel_view"]) == 1
+
+
+def test_nothing_is_overwritten_and_nothing_partial_remains(noisy, body, tmp_path):
+    with pytest.raises(InputError, match="already there"):
+        make_subject(noisy, SynthOptions(**BARE), body)
+
+    def stop(done, total):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        make_subject(tmp_path / "subject", SynthOptions(**BARE), body, stop)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_background_blur_and_sensor_noise_are_in_the_frames_alone(exact, body, tmp_path):
+    out = tmp_path / "room"
+    options = SynthOptions(noise=0.0, background=True, blur=1.0, sensor_noise=1.0, **BARE)
+    make_subject(out, options, body)
+    a, b = files(exact), files(out)
+    changed = {name for name in a if a[name] != b[name]}
+    assert changed == {"synth.json", "video.mp4", *(f"frames/{k:06d}.png" for k in range(3))}
+    outside = read_image(out / "masks/000000.png", 1) == 0
+    assert read_image(out / "frames/000000.png", 3)[outside].std() > 10
+
+
+@pytest.fixture(scope="module")
+def foreign(body, tmp_path_factory):
+    """A person outside the span of the body, without noise."""
+    out = tmp_path_factory.mktemp("foreign") / "subject"
+    make_subject(out, SynthOptions(noise=0.0, figure="stretched", **BARE), body)
+    return out
+
+
+def test_a_foreign_person_has_poses_of_the_fitted_body_and_its_own_surface(foreign, body):
+    require_same_body(foreign, body)
+    (camera,) = load_cameras(foreign / "cameras.npz")
+    truth, (pose, shape) = (
+        load_ground_truth(foreign / "truth", body),
+        load_poses(foreign / "poses.npz"),
+    )
+    away = body(pose, shape).joints - truth.body(truth.pose, truth.shape).joints
+    floor = json.loads((foreign / "noise.json").read_text())["floor"]
+    assert 0 < 1000 * away.norm(dim=-1).mean() == pytest.approx(floor["joint_mm"], abs=0.01)
+    assert "as near as" in describe_errors(foreign)[-1]
+    assert truth.foreign
+    for k in range(3):
+        vertices = truth.body(truth.pose[k], truth.shape).vertices[0]
+        mask = read_image(foreign / f"truth/masks/{k:06d}.png", 1)
+        assert_overlay(mask, camera.project(vertices.double().numpy()))
+
+
+def test_the_noise_is_described(noisy, exact):
+    lines = describe_errors(noisy)
+    assert len(lines) == 4 and lines[0] == "noise: family bursts, seed 0"
+    assert "hands" in lines[1] and "IoU" in lines[2] and "degrees" in lines[3]
+    assert "body 0 mm" in describe_errors(exact)[1]
+
+
+@pytest.mark.slow
+def test_any_number_of_workers_writes_the_same_bits(noisy, body, tmp_path):
+    make_subject(tmp_path / "two", SynthOptions(workers=2, **BARE), body)
+    assert files(noisy) == files(tmp_path / "two")
+
+
+def test_a_camera_that_circles_sees_the_person_from_all_sides(body, tmp_path):
+    options = SynthOptions(
+        seed=1, frames=4, size=32, samples=1, novel_poses=0, novel_views=0, clothes=False,
+        hair=False, motion="still", camera="circles", noise=0,
+    )  # fmt: skip
+    make_subject(tmp_path / "round", options, body)
+    video = load_video(tmp_path / "round")
+    ahead = np.stack([camera.T_camera_world[2, :3] for camera in video.cameras])
+    turns = (ahead @ ahead[0] - ahead[0, 1] ** 2) / (1 - ahead[0, 1] ** 2)
+    np.testing.assert_allclose(turns, [1, 0, -1, 0], atol=1e-9)
+    for frame in video.frames(range(4)):  # the person is where the camera looks
+        rows, columns = np.nonzero(frame.mask > 0.5)
+        assert abs(columns.mean() - 16) < 4 and np.ptp(rows) > 20
+        place = body(frame.pose, video.shape).vertices[0].double().numpy()
+        assert np.abs(frame.camera.project(place).mean(0) - (columns.mean(), rows.mean())).max() < 3
+
+
+@pytest.mark.parametrize(
+    "options, sentence",
+    [({"frames": 1}, "frames"), ({"samples": 5}, "samples"), ({"camera": "circles"}, "--noise 0")],
+)
+def test_bad_options_are_refused(options, sentence):
+    with pytest.raises(InputError, match=sentence):
+        SynthOptions(**options)

@@ -1,0 +1,131 @@
+"""Degrading a recording gives the folder that these errors would have made."""
+
+import json
+import os
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gva_mi import InputError
+from gva_mi.body.pose import load_poses
+from gva_mi.data.pictures import read_image
+from gva_mi.data.video import load_cameras, load_video
+from gva_mi.synthetic import SynthOptions, degrade, describe_errors, make_subject
+from gva_mi.synthetic.error_models.models import ERROR_MODELS, draw_errors
+
+pytest.importorskip("mitsuba")
+PLAIN = SynthOptions(
+    frames=3, size=48, samples=16, clothes=False, hair=False, novel_poses=1, novel_views=0
+)
+
+
+@pytest.fixture(scope="module")
+def recording(body, tmp_path_factory):
+    """A subject with the usual errors."""
+    out = tmp_path_factory.mktemp("recording") / "subject"
+    make_subject(out, PLAIN, body)
+    return out
+
+
+@pytest.fixture(scope="module")
+def degraded(recording, body, tmp_path_factory):
+    """Return a function that degrades the recording by an error model, once."""
+    folder = tmp_path_factory.mktemp("degraded")
+
+    def made(family):
+        if not (folder / family).exists():
+            degrade(recording, folder / family, family, 7, body)
+        return folder / family
+
+    return made
+
+
+def files(folder):
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
+SLOW = [pytest.param(f, marks=pytest.mark.slow) for f in ("masks", "focal")]
+
+
+@pytest.mark.parametrize("family", ["normals", "anything", *SLOW])
+def test_it_equals_make_subject(degraded, body, tmp_path, family):
+    make_subject(tmp_path / "made", replace(PLAIN, family=family, noise_seed=7), body)
+    assert files(tmp_path / "made") == files(degraded(family))
+
+
+def test_bursts_too_up_to_a_grey_level_of_the_normals(degraded, body, tmp_path):
+    make_subject(tmp_path / "made", replace(PLAIN, noise_seed=7), body)
+    made, drawn = files(tmp_path / "made"), files(degraded("bursts"))
+    normals = [f"normals/{k:06d}.png" for k in range(3)]
+    assert {name for name in made if made[name] != drawn[name]} <= {"noise.json", *normals}
+    for name in normals:
+        pair = [read_image(f / name, 3) for f in (tmp_path / "made", degraded("bursts"))]
+        assert np.abs(pair[0].astype(int) - pair[1]).max() <= 1
+
+
+@pytest.mark.parametrize("family", ["lean"])
+def test_earlier_errors_do_not_matter(degraded, body, tmp_path, family):
+    for before in ("focal", "normals"):
+        degrade(degraded(before), tmp_path / before, family, 7, body)
+        assert files(tmp_path / before) == files(degraded(family))
+
+
+def test_frames_and_ground_truth_are_linked(recording, degraded):
+    for path in sorted(recording.rglob("*")):
+        name = path.relative_to(recording)
+        if path.is_file() and name.parts[0] in ("frames", "truth", "video.mp4"):
+            assert os.path.samefile(path, degraded("white") / name), name
+
+
+@pytest.mark.parametrize("family", ERROR_MODELS)
+def test_every_error_model_opens_as_a_video_and_is_described(degraded, family):
+    video = load_video(degraded(family))
+    assert len(video) == 3 and not video.absent
+    assert describe_errors(degraded(family))[0] == f"noise: family {family}, seed 7"
+    found = json.loads((degraded(family) / "noise.json").read_text())
+    assert {"memory", "white", "lean"} <= found["parameters"]["pose"].keys()
+
+
+def test_the_estimated_and_the_true_camera_are_written(recording, degraded):
+    factor = 1 + draw_errors("focal", 7).pose.focal
+    (true,), (estimated,), (before,) = (
+        load_cameras(path)
+        for path in (
+            degraded("focal") / "truth/cameras.npz", degraded("focal") / "cameras.npz",
+            recording / "cameras.npz",
+        )
+    )  # fmt: skip
+    assert (true.K == before.K).all() and factor != 1
+    assert (true.T_camera_world == estimated.T_camera_world).all()
+    assert estimated.fx == pytest.approx(factor * true.fx)
+    assert estimated.fy == pytest.approx(factor * true.fy)
+
+
+def test_level_zero_is_exact(recording, body, tmp_path):
+    degrade(recording, tmp_path / "exact", "anything", 1, body, level=0.0)
+    pose, shape = load_poses(tmp_path / "exact/poses.npz")
+    true_pose, true_shape = load_poses(recording / "truth/poses.npz")
+    assert (pose.rotations == true_pose.rotations).all() and (pose.transl == true_pose.transl).all()
+    assert (shape.betas == true_shape.betas).all()
+    for name in ("masks/000000.png", "normals/000002.png"):
+        a, b = (read_image(f / name, 3) for f in (tmp_path / "exact", recording / "truth"))
+        assert np.abs(a.astype(int) - b).max() <= 1
+    assert not (tmp_path / "exact/normals.json").exists()
+
+
+def test_other_folders_are_refused(recording, body, tmp_path):
+    with pytest.raises(InputError, match="synth.json: no such file; expected a folder that gva-mi"):
+        degrade(tmp_path, tmp_path / "out", "white", 0, body)
+    with pytest.raises(InputError, match="no family 'pink'"):
+        degrade(recording, tmp_path / "out", "pink", 0, body)
+    with pytest.raises(InputError, match="already there"):
+        degrade(recording, recording, "white", 0, body)
+    (tmp_path / "synth.json").write_text('{"options": {"colour": 1}}')
+    with pytest.raises(InputError, match="synth.json: of another form"):
+        degrade(tmp_path, tmp_path / "out", "white", 0, body)
+    assert not (tmp_path / "out").exists()

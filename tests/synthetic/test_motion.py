@@ -1,0 +1,124 @@
+"""Motions of subjects: periodic, smooth, with feet that do not slide."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+import torch
+
+from gva_mi.body.kinematics import joint_transforms
+from gva_mi.body.pose import JOINTS, PARENTS, Pose, Shape
+from gva_mi.body.smplx import load_body
+from gva_mi.synthetic import motion
+
+JOINT_POSITIONS = torch.tensor(np.random.default_rng(0).normal(0, 0.3, (55, 3))).float()
+
+
+def turn(frames=48, seed=0):
+    return motion.turn(motion.times(frames), 10, np.random.default_rng(seed))
+
+
+def everyday(frames=80, seed=0):
+    return motion.everyday(motion.times(frames), 10, np.random.default_rng(seed))
+
+
+@cache
+def rest_joints():
+    return load_body().rest(Shape(torch.zeros(10))).joints.numpy()
+
+
+def on_foot(name, frames=240, seed=0):
+    """Return a motion with feet on the ground, and its joints in the world (T, 55, 3)."""
+    joints = torch.from_numpy(rest_joints())
+    rng = np.random.default_rng(seed)
+    pose = motion.perform(name, motion.times(frames), rest_joints(), 10, rng)
+    T = joint_transforms(pose.rotations, joints, PARENTS, pose.transl)
+    return pose, ((T[..., :3, :3] @ joints[..., None])[..., 0] + T[..., :3, 3]).numpy()
+
+
+def facing(pose: Pose) -> np.ndarray:
+    """Return the yaw of the pelvis, radians, (T,)."""
+    T = joint_transforms(pose.rotations, JOINT_POSITIONS, PARENTS, pose.transl)
+    forward = T[:, 0, :3, 2].numpy()
+    return np.arctan2(forward[:, 0], forward[:, 2])
+
+
+def test_the_video_is_one_full_turn_at_constant_speed():
+    steps = np.diff(np.unwrap(facing(turn(48))))
+    assert np.allclose(steps, steps[0], atol=0.03)
+    assert np.isclose(abs(steps.sum()) + abs(steps.mean()), 2 * np.pi, atol=0.05)
+
+
+@pytest.mark.parametrize("name", motion.MOTIONS)
+def test_a_motion_is_a_function_of_time_and_periodic(name):
+    def at(t):
+        return motion.perform(name, t, rest_joints(), 10, np.random.default_rng(5))
+
+    t = motion.times(12)
+    whole, part, round_on = at(t), at(t[3:5]), at(t + 1)
+    assert torch.equal(whole.rotations[3:5], part.rotations)
+    assert torch.equal(whole.expression[3:5], part.expression)
+    assert torch.allclose(whole.rotations[:, 1:], round_on.rotations[:, 1:], atol=1e-5)
+
+
+def test_the_everyday_video_squats_steps_and_brings_the_hands_together():
+    pose = everyday()
+    knees = pose.rotations[:, [JOINTS.index(f"{s}_knee") for s in ("left", "right")], 0]
+    elbows = pose.rotations[:, [JOINTS.index(f"{s}_elbow") for s in ("left", "right")], 1].abs()
+    assert knees.min(1).values.max() > 0.8 and elbows.min(1).values.max() > 0.8
+    assert (knees[:, 0] - knees[:, 1]).abs().max() > 0.08
+    assert pose.rotations[:, 1:].diff(dim=0).abs().amax() < 0.6
+
+
+BALLS = [JOINTS.index(f"{side}_foot") for side in ("left", "right")]
+
+
+@pytest.mark.parametrize("name", ["still", "half", "walk", "sit", "dance"])
+def test_a_standing_foot_does_not_slide(name):
+    _, places = on_foot(name)
+    ground = places[:, BALLS, 1].min()
+    carries = places[:, BALLS, 1] < ground + 0.0005  # metres
+    assert carries.mean() > 0.4
+    assert carries.any(1).mean() > 0.9
+    for k in range(2):
+        stands = np.split(places[:, BALLS[k]], np.flatnonzero(np.diff(carries[:, k])) + 1)
+        for stand, on in zip(stands, carries[np.r_[0, np.cumsum([len(s) for s in stands])[:-1]], k],
+                             strict=True):  # fmt: skip
+            if on:
+                assert np.ptp(stand[:, [0, 2]], axis=0).max() < 0.01
+
+
+@pytest.mark.parametrize("name", ["still", "half", "walk", "sit", "dance"])
+def test_legs_reach_the_ground_and_knees_bend_forward(name):
+    pose, places = on_foot(name)
+    knees = pose.rotations[:, [JOINTS.index(f"{s}_knee") for s in ("left", "right")]]
+    assert (knees[..., 0] > 0).all() and knees.norm(dim=-1).max() < 2.3  # radians
+    assert places[:, BALLS, 1].min(1).max() < places[:, BALLS, 1].min() + 0.002
+
+
+def test_standing_stays_in_place():
+    for seed in range(5):
+        pose, places = on_foot("still", seed=seed)
+        assert np.abs(np.degrees(facing(pose))).max() < 15
+        assert np.ptp(places[:, 0, [0, 2]], axis=0).max() < 0.15  # metres, the pelvis
+        assert np.ptp(places[:, JOINTS.index("left_wrist")], axis=0).max() > 0.2  # but gestures
+
+
+def test_walking_covers_some_metres_and_faces_ahead():
+    for seed in range(4):
+        pose, places = on_foot("walk", seed=seed)
+        pelvis = places[:, 0]
+        steps = np.diff(pelvis[:, [0, 2]], axis=0)
+        assert np.linalg.norm(steps, axis=1).sum() > 4  # metres
+        assert (np.ptp(pelvis[:, [0, 2]], axis=0) > 1.2).all()  # across the view, and toward it
+        ahead = np.arctan2(steps[:, 0], steps[:, 1])
+        away = np.angle(np.exp(1j * (ahead - facing(pose)[:-1])))
+        assert np.abs(np.degrees(away)).max() < 20
+
+
+@pytest.mark.parametrize("video", [turn, everyday])
+def test_novel_poses_are_not_in_the_video(video):
+    video = video(80).rotations[:, 1:22]
+    for pose in motion.novel(10, 10, np.random.default_rng(0)).rotations[:, 1:22]:
+        nearest = (video - pose).norm(dim=-1).amax(dim=1).min()
+        assert nearest > 0.2  # radians, for at least one joint of the body

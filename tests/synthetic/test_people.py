@@ -1,0 +1,44 @@
+"""The seven subjects of the study, and outfits."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from gva_mi import InputError
+from gva_mi.synthetic import STUDY, SynthOptions
+from gva_mi.synthetic.people import Person
+
+
+def test_the_seven_subjects_differ():
+    assert len({person.seed for person in STUDY.values()}) == 7
+    for a, b in itertools.combinations(STUDY.values(), 2):
+        assert np.abs(np.subtract(a.betas, b.betas)).max() > 0.5
+        assert a.top != b.top and a.outfit != b.outfit
+
+
+def test_the_seven_subjects_cover_the_hard_cases():
+    wardrobes = [person.outfit for person in STUDY.values()]
+    assert {w.hair for w in wardrobes} == {"short", "bob", "long"}
+    assert {w.bottom for w in wardrobes} == {"trousers", "shorts", "skirt"}
+    assert sum(w.glasses for w in wardrobes) == 1 and sum(w.cap for w in wardrobes) == 1
+    assert {"smooth", "stripes", "plaid", "print", "dots"} <= {
+        person.top.pattern for person in STUDY.values()
+    }
+
+
+def test_a_foreign_outfit_differs_from_all_others(body):
+    for seed in range(10):
+        own = SynthOptions(seed=seed).person(body).outfit
+        worn = SynthOptions(seed=seed, outfit="foreign").person(body).outfit
+        assert own.sole == 0 and own.bag == own.hood == "none"
+        assert 0.01 <= worn.sole <= 0.05 and worn.flare <= 0.3
+    again = SynthOptions(seed=9, outfit="foreign").person(body)
+    assert again.outfit == worn and again.betas == Person.draw(9, 10).betas
+
+
+def test_an_unknown_name_lists_the_known_ones():
+    with pytest.raises(InputError, match="amira, bruno"):
+        SynthOptions(subject="zoe")
+    with pytest.raises(InputError, match="everyday"):
+        SynthOptions(motion="crawl")

@@ -1,0 +1,50 @@
+"""Textures: cloth of a skirt unrolls without stretching; colours are albedos."""
+
+import numpy as np
+import pytest
+
+from gva_mi.synthetic.look import SkirtCone
+from gva_mi.synthetic.texture import albedo
+
+pytest.importorskip("mitsuba")
+CONE = SkirtCone(apex=(0.0, 1.2, 0.05), slope=0.35, aspect=1.0)
+
+
+def on_cone(height, angle):
+    radius = CONE.slope * (CONE.apex[1] - height)
+    return np.stack([radius * np.sin(angle), height, CONE.apex[2] + radius * np.cos(angle)])
+
+
+def unrolled(points):
+    from drjit.llvm import Array3f
+
+    return np.stack([x.numpy() for x in CONE.unrolled(Array3f(points.astype(np.float32)))])
+
+
+def test_unrolling_a_cone_keeps_lengths():
+    random = np.random.default_rng(0)
+    height, angle = random.uniform(0.4, 0.9, 200), random.uniform(-2.8, 2.8, 200)
+    for dy, da in ((0.01, 0.0), (0.0, 0.02), (0.007, -0.02)):
+        on = [on_cone(height, angle), on_cone(height + dy, angle + da)]
+        flat = unrolled(on[1]) - unrolled(on[0])
+        length = np.linalg.norm(on[1] - on[0], axis=0)
+        assert np.allclose(np.linalg.norm(flat, axis=0), length, rtol=0.01)
+
+
+def test_the_share_is_one_on_the_cone_and_zero_on_the_axis():
+    from drjit.llvm import Array3f
+
+    random = np.random.default_rng(0)
+    points = on_cone(random.uniform(0.4, 0.9, 50), random.uniform(-3, 3, 50)).astype(np.float32)
+    assert np.allclose(CONE.share(Array3f(points)).numpy(), 1, atol=1e-4)
+    points[0], points[2] = CONE.apex[0], CONE.apex[2]
+    assert np.allclose(CONE.share(Array3f(points)).numpy(), 0, atol=1e-4)
+
+
+def test_colors_are_albedos_for_all_materials(ball):
+    from drjit.llvm import Array3f, UInt32
+
+    points = np.random.default_rng(0).uniform(-1, 1, (3, 600)).astype(np.float32)
+    parts = np.repeat(np.arange(6, dtype=np.uint32), 100)
+    color = np.stack([c.numpy() for c in albedo(ball.look, UInt32(parts), Array3f(points))])
+    assert np.isfinite(color).all() and (color >= 0).all() and (color < 1).all()

@@ -115,7 +115,8 @@ def _run(what: _Choice, made: RefineStudy | AvatarStudy, cases: Sequence[StudyCa
             file.save([*outcomes, *waiting, *others], summary)
     cells, page = summarise(outcomes), file.path.with_suffix(".html")
     for title, own in cells.items():
-        for line in _lines(tables(made.kind, title, own)[0]):
+        say(title)
+        for line in _lines(tables(made.kind, own)[0]):
             say(line)
     settings = {**made.made_with, "versions": versions()}
     write_study_report(page, made.kind, outcomes, cells, settings, _pictures(made, cases))

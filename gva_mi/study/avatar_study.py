@@ -226,6 +226,8 @@ def columns(metrics: Metrics) -> dict[str, float | None]:
         "cost: Gaussians": float(metrics.training.gaussians),
     }
     for row in metrics.rows:
+        if row.split == "train":
+            continue
         where = row.split.replace("_", " ")
         if row.name in ROWS_UNDER:
             where += f", {ROWS_UNDER[row.name]}"
@@ -238,7 +240,9 @@ def columns(metrics: Metrics) -> dict[str, float | None]:
             share = getattr(row, metric)
             figures[f"defects, %: {metric}, {where}"] = None if share is None else 100 * share
     for which, errors in metrics.poses_mm.items():
-        figures |= {f"pose error, mm: {name}, {which}": error for name, error in errors.items()}
+        for name in ("body", "body_aligned", "hands_aligned", "feet_aligned"):
+            title = " ".join(reversed(name.split("_")))  # aligned body
+            figures[f"pose error, mm: {title}, {which}"] = errors[name]
     for surface in metrics.surface:  # a later moment replaces an earlier one of its name
         moment = surface.moment
         figures |= {f"surface: spacing of {k}, {moment}": x for k, x in surface.spacing.items()}

@@ -45,13 +45,13 @@ AVATAR_TEXT = (
 )
 
 
-def tables(kind: str, title: str, cells: Cells, spread: bool = True) -> list[Table]:
+def tables(kind: str, cells: Cells) -> list[Table]:
     """Write the tables of a study: one for all columns of refinement, one a group for avatars."""
     names = [name for row in cells.values() for name in row]
     groups = [group for group in STYLES if any(group_of(name) == group for name in names)]
     if kind == "refine":
-        return [text_table(title, cells, groups)]
-    return [text_table(f"{title}, {group}", cells, (group,), spread) for group in groups]
+        return [text_table("error model", cells, groups)]
+    return [text_table(group, cells, (group,), spread=True) for group in groups]
 
 
 def write_study_report(
@@ -77,7 +77,7 @@ def write_study_report(
     shown = "change: aligned" if kind == "refine" else "psnr: "
     sections = []
     for title, own in cells.items():
-        sections.append(Section(title.capitalize(), text, tables=tables(kind, title, own)))
+        sections.append(Section(title.capitalize(), text, tables=tables(kind, own)))
         text = ""
     sections += sections_of_pictures(pictures)
     sections.append(_cases(outcomes, "change" if kind == "refine" else "psnr"))
@@ -88,7 +88,7 @@ def write_study_report(
     write_page(
         path,
         title=f"Study: {kind}",
-        subtitle=f"{subjects} synthetic subjects; {', '.join(variants)}.",
+        subtitle=f"Synthetic subjects: {subjects}. Variants: {', '.join(variants)}.",
         headlines=[
             Headline(found.text(name), name)
             for name, found in top.items()

@@ -54,7 +54,7 @@ def test_the_refinements_table_has_a_row_for_each_error_model(done, tmp_path, cl
     families = list(dict.fromkeys(case.family for case in HELD_OUT))
     lines = out.splitlines()
     head, rows = lines[-4 - len(families)], lines[-3 - len(families) : -1]
-    assert head.split()[:4] == ["error", "models", "body", "hands"]
+    assert head.split()[:4] == ["error", "model", "body", "hands"]
     assert [row.split("  ")[0] for row in rows] == [*families, "mean", "worst"]
     assert rows[0].split()[1:5] == ["-75", "%", "+100", "%"]
     record = json.loads((tmp_path / "new/refine.json").read_text())
@@ -72,7 +72,8 @@ def test_the_avatars_table_has_a_row_for_each_variant(done, tmp_path, cli):
     code, out, err = cli(*avatar, "--rows", "full", "with residual", "--fit.steps", 600)
     assert code == 0, err
     lines = out.splitlines()
-    head = next(k for k, line in enumerate(lines) if line.startswith("held-out subjects, psnr"))
+    head = lines.index("held-out subjects") + 1
+    assert lines[head].split() == ["psnr", "test"]
     assert lines[head + 1].split()[:4] == ["full", "30.00", "±", "0.00,"]
     assert lines[head + 2].startswith("with residual ") and "(+0.00)" in lines[head + 2]
     record = json.loads((tmp_path / "avatar.json").read_text())

@@ -12,8 +12,10 @@ from gva_mi.body.pose import load_poses, save_poses
 from gva_mi.data.pictures import write_image
 from gva_mi.data.video import save_cameras
 from gva_mi.fit.options import FitOptions, Schedule
+from gva_mi.fit.photometric import PhotometricOptions
 from gva_mi.fit.renders import render_frame, render_layer
 from gva_mi.pose import SequenceOptions
+from gva_mi.study import fitted_poses
 from gva_mi.study.avatar_study import MADE_WITH, AvatarStudy, AvatarStudyOptions, VariantRun
 from gva_mi.study.cases import TUNING
 from gva_mi.study.engine import run_study
@@ -108,12 +110,14 @@ def runs(subject, tmp_path_factory, body, known, camera, turning):
         save_cameras(part / "cameras.npz", [camera] * 2)
     for name in ("poses.npz", "cameras.npz"):
         shutil.copy(case / name, case / "truth" / name)
-    made = {}
-    for variant in (FULL, NO_HANDS):
-        out = folder / "runs" / variant.name
-        run = VariantRun(case, out, variant, body, OPTIONS, {"version": 1})
-        made[variant.name] = (run, run.solve())
-    return made
+    made, few = {}, lambda frames: PhotometricOptions(passes=1)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(fitted_poses, "_pose_fit_options", few)
+        for variant in (FULL, NO_HANDS):
+            out = folder / "runs" / variant.name
+            run = VariantRun(case, out, variant, body, OPTIONS, {"version": 1})
+            made[variant.name] = (run, run.solve())
+        yield made
 
 
 def test_a_variant_is_fitted_and_measured_in_all_ways(runs):

@@ -134,6 +134,7 @@ def test_the_surface_of_a_bare_person_is_the_body_that_the_avatar_stands_on(bare
     assert np.linalg.norm(own - rig.vertices.numpy(), axis=1).max() > 0.01
 
 
+@pytest.mark.slow
 def test_a_cap_is_an_accessory_and_shorts_have_inner_sides(body, tmp_path):
     folder = drawn(tmp_path, body, SynthOptions(subject="edgar"))
     truth = TrueSurface.of(folder, body, seed_avatar(body, Shape(torch.zeros(10))).rig)

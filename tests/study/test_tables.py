@@ -51,8 +51,8 @@ def test_subjects_of_the_tuning_set_are_apart():
 
 def test_a_table_is_written_for_each_group():
     cells = avatar_cells(OUTCOMES[:3] + OUTCOMES[4:])["held-out subjects"]
-    psnr, cost, boxes = tables("avatar", "held out", cells)
-    assert psnr.head == ("held out, psnr", "test") and boxes.head[1:] == ("test, hands",)
+    psnr, cost, boxes = tables("avatar", cells)
+    assert psnr.head == ("psnr", "test") and boxes.head[1:] == ("test, hands",)
     assert psnr.rows[0] == ["full", "29.50 ± 1.50, worst 28.00"]
     assert psnr.rows[1] == ["with residual", "27.50 ± 1.50, worst 26.00 (-1.50)"]
     assert cost.rows[0] == ["full", "60 ± 0, worst 60"]

@@ -9,7 +9,7 @@ from tyro.conf import FlagCreatePairsOff, arg
 
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import say
-from gva_mi.data.check.glance import glance
+from gva_mi.data.check.sanity import sanity_check
 from gva_mi.data.video import REFINED_POSES, Video, best_poses
 
 T = TypeVar("T")
@@ -30,5 +30,5 @@ def poses_of(subject: Path, given: Path | None = None) -> Path:
 
 def warn_if_outside_masks(video: Video, model: BodyModel) -> None:
     """Warn if the body does not stand where the masks are, before the work starts."""
-    if doubt := glance(video, model):
+    if doubt := sanity_check(video, model):
         say(doubt)

@@ -1,4 +1,4 @@
-"""The command ``gva-mi check``: all that is wrong with a subject's folder, in one pass."""
+"""The command ``gva-mi check``: find what is wrong with a subject's folder, in one pass."""
 
 from __future__ import annotations
 
@@ -29,16 +29,15 @@ def check(
     sheet: Path | None = None,
     overwrite: Switch = False,
 ) -> None:
-    """Say all that is wrong with a subject's folder, in one pass: files, axes, units, poses.
+    """Find what is wrong with a subject's folder, in one pass: files, axes, units, poses.
 
-    Ends with exit code 0 where no error was found, 1 where one was, and 2 where the folder cannot
-    be read.
+    The exit code 0 means no error, 1 at least one, and 2 that the folder cannot be read.
 
     Args:
         subject: the folder.
         poses: another file of poses than its poses.npz, such as the refined ones.
         body: the body that its poses are for, in SMPL-X's format; without it the built-in puppet.
-        json: also write all findings, with all their frames, to this file.
+        json: also write all findings with all their frames to this file.
         sheet: also write a picture (.png) of some frames with the outlines of mask and body.
         overwrite: replace these files.
     """
@@ -48,20 +47,19 @@ def check(
     if sheet is not None:
         require_picture(sheet, overwrite)
     with bar("check") as progress:
-        checked = check_subject(subject, model, poses, progress)
-    report = checked.report
+        report, files, shown = check_subject(subject, model, poses, progress)
     for line in report.lines(max(NARROWEST, shutil.get_terminal_size().columns)):
         say(line)
     for line in report.skipped:
         say(f"{subject}: {line}")
-    errors, doubts = len(report.errors), len(report.findings) - len(report.errors)
+    errors, doubts = len(report.errors), len(report.problems) - len(report.errors)
     agree = f"; mean IoU of body and masks {report.figures['iou']:.2f}" if report.figures else ""
     say(f"{subject}: {report.frames} frames, {errors} errors, {doubts} doubtful{agree}")
     if json is not None:
         write_json(json, report.to_json())
         say(f"findings: {json}")
-    if sheet is not None and checked.compared is not None:
-        write_image(sheet, draw_sheet(checked.contents, checked.compared, model))
+    if sheet is not None and shown is not None:
+        write_image(sheet, draw_sheet(files, shown, model))
         say(f"sheet: {sheet}")
     if errors:
         sys.exit(WRONG)

@@ -1,6 +1,6 @@
-"""Good folders of data sets, and who prepares them: for each kind, as in seeds.py.
+"""Good folders of data sets, as in seeds.py.
 
-Folders of several cameras hold views out, so that the files of all of their cameras are read.
+Folders of several cameras hold out views, so that the files of all of their cameras are read.
 """
 
 import json

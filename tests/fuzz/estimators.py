@@ -1,4 +1,4 @@
-"""Good files of pose estimators, and who reads them: for each kind, as in seeds.py."""
+"""Good files of pose estimators, as in seeds.py."""
 
 import json
 import pickle

@@ -1,7 +1,6 @@
-"""Good files of networks that people bring, tiny ones, and who reads them: as in seeds.py.
+"""Good files of networks that users bring, as in seeds.py.
 
-TorchScript is left out: such a file is a program, and whoever brings one is told to trust it as one
-(docs/sources.md). To damage it is to write another program.
+TorchScript is left out, because such a file is a program that its user has to trust.
 """
 
 import importlib.util

@@ -1,15 +1,15 @@
-"""Good files of every kind that is read: pairs of what writes some into an empty folder, and what
-reads them again, when one of them has been damaged."""
+"""Good files of this program's own formats and of bodies, motions and footage.
 
-import gzip
+For each kind: a function that writes files into an empty folder, and one that reads them again when
+one of them has been damaged.
+"""
+
+import functools
 import json
 import pickle
 import shutil
-import struct
 
-import av
 import numpy as np
-import pytest
 import torch
 
 from gva_mi.avatar.avatar import Avatar
@@ -19,21 +19,17 @@ from gva_mi.body.pose import is_pose_file, load_offsets
 from gva_mi.body.smplx import load_body
 from gva_mi.cli import series
 from gva_mi.core.files import says, write_json
-from gva_mi.data.check import check_subject
 from gva_mi.data.fingerprint import fingerprint, require_same_body
 from gva_mi.data.ground_truth import load_ground_truth
 from gva_mi.data.importers.capture import read_ranges
 from gva_mi.data.importers.footage import masks, pictures
 from gva_mi.data.importers.hdf5 import read_hdf5
-from gva_mi.data.importers.lens import recorded
 from gva_mi.data.importers.motions import MotionOptions, read_motion
-from gva_mi.data.importers.normal_maps import write_maps
 from gva_mi.data.importers.target import TargetBody
-from gva_mi.data.pictures import read_background, write_image, write_movie
+from gva_mi.data.pictures import read_background, write_movie
 from gva_mi.data.video import load_video
 from gva_mi.data.views import held_out_views, save_views
 from gva_mi.fit import run_folder
-from gva_mi.splat import Camera
 from gva_mi.splat.formats.ply import load_ply, save_ply
 from gva_mi.splat.formats.splat import load_splat, save_splat
 from gva_mi.splat.formats.spz import load_spz, save_spz
@@ -48,6 +44,7 @@ from gva_mi.synthetic import SynthOptions, describe_errors
 from gva_mi.synthetic.provenance import recorded_options
 
 W, H, T = 32, 24, 3
+target = functools.cache(lambda: TargetBody.read(None))
 MADE_WITH = {"sources": "0"}
 
 
@@ -86,20 +83,6 @@ def seeds(subject, avatar):
     def opened_by_others(folder, _=None):
         for frame in held_out_views(load_video(folder)).frames():
             frame.on_background()
-
-    def with_true_masks(folder):
-        copied(folder)
-        shutil.copytree(subject / "masks", folder / "truth/masks")
-
-    def cut_by_truth(folder, _=None):
-        video = load_video(folder)
-        for k in range(len(video)):
-            video.true_mask(k)
-
-    def checked(folder, _=None):
-        contents = check_subject(folder, body).contents
-        for k in contents.pictures:
-            contents.picture(k)
 
     def filmed(folder):
         copied(folder)
@@ -180,9 +163,6 @@ def seeds(subject, avatar):
         save_ply(folder / "a.ply", scene.gaussians)
         save_splat(folder / "a.splat", scene.gaussians)
         save_spz(folder / "a.spz", scene.gaussians)
-        (folder / "b.spz").write_bytes(
-            spz_of_version_4(gzip.decompress((folder / "a.spz").read_bytes()))
-        )
         c = scene.camera
         camera = {"viewmat": c.T_camera_world, "K": c.K, "width": c.width, "height": c.height}
         arrays = {k: v.numpy() for k, v in scene.inputs().items()}
@@ -192,7 +172,7 @@ def seeds(subject, avatar):
     def read_gaussians(folder, path=None):
         each(folder, path, {
             "a.ply": load_ply, "a.splat": load_splat, "a.npz": Scene.load,
-            "compressed.ply": load_ply, "a.spz": load_spz, "b.spz": load_spz,
+            "compressed.ply": load_ply, "a.spz": load_spz,
         })  # fmt: skip
 
     def bodies(folder):
@@ -215,19 +195,9 @@ def seeds(subject, avatar):
     def read_motions(folder, path=None):
         def read(path):
             assert path.suffix != ".npz" or not is_pose_file(path)
-            read_motion(path, TargetBody.read(None), MotionOptions())
+            read_motion(path, target(), MotionOptions())
 
         each(folder, path, {"amass.npz": read, "aist.pkl": read, "motion.pt": read})
-
-    def of_a_phone(path):
-        """A film that says what lens it was made with."""
-        with av.open(str(path), "w", options={"movflags": "use_metadata_tags"}) as container:
-            container.metadata["com.apple.quicktime.camera.focal_length.35mm_equivalent"] = "26"
-            stream = container.add_stream("libx264rgb", rate=25)
-            stream.width, stream.height, stream.pix_fmt = W, H, "rgb24"
-            white = np.full((H, W, 3), 255, dtype=np.uint8)
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(white, "rgb24")))
-            container.mux(stream.encode())
 
     def footage(folder):
         image = np.arange(W * H * 3, dtype=np.uint8).reshape(H, W, 3)
@@ -237,26 +207,12 @@ def seeds(subject, avatar):
             Image.fromarray(image).save(folder / f"a.{suffix}")
         np.save(folder / "masks.npy", np.ones((T, H, W), bool))
         write_movie(folder / "film.mp4", [np.full((H, W, 3), 255, dtype=np.uint8)] * T)  # of masks
-        of_a_phone(folder / "phone.mov")
-        toward_the_camera = np.broadcast_to(np.float32([0, 0, -1]), (H, W, 3))
-        for kind in ("npy", "png"):  # of maps, each with a subject's folder beside it
-            (folder / kind / "maps").mkdir(parents=True)
-            write_image(folder / kind / "masks/000000.png", np.ones((H, W)))
-        np.save(folder / "npy/maps/000000.npy", toward_the_camera)
-        write_image(folder / "png/maps/000000.png", (toward_the_camera + 1) / 2)
-
-    def bring_normals(path):
-        camera = Camera(30.0, 30.0, W / 2, H / 2, np.eye(4), W, H)
-        write_maps(path.parents[1], {0: path}, "perspective", [camera], None)
 
     def read_footage(folder, path=None):
         read = {f"a.{suffix}": lambda path: list(pictures((path,), 3))
                 for suffix in ("png", "jpg", "bmp", "tif", "webp")}  # fmt: skip
         whole = lambda path: list(masks(path))
-        lens = lambda path: recorded(path if path.suffix == ".mov" else (path,), (W, H))
-        read |= {"masks.npy": whole, "film.mp4": whole, "phone.mov": lens}
-        read["a.jpg"] = lambda path: (list(pictures((path,), 3)), lens(path))
-        read |= {f"{kind}/maps/000000.{kind}": bring_normals for kind in ("npy", "png")}
+        read |= {"masks.npy": whole, "film.mp4": whole}
         each(folder, path, read)
         read_background(str(folder / "a.png"), 9, 9)
 
@@ -282,8 +238,6 @@ def seeds(subject, avatar):
         "subject": (copied, opened),
         "views": (seen_by_others, opened_by_others),
         "film": (filmed, opened),
-        "true masks": (with_true_masks, cut_by_truth),
-        "check": (copied, checked),
         "synth.json": (synthetic, lambda folder, path=None: each(folder, path, {
             "synth.json": lambda path: recorded_options(folder),
             "noise.json": lambda path: describe_errors(folder),
@@ -333,18 +287,3 @@ def compressed_ply():
     head += [f"property uint {name}" for name in packed] + ["end_header\n"]
     table = np.arange(12, dtype="<f4").tobytes() + np.arange(32, dtype="<u4").tobytes()
     return "\n".join(head).encode() + table
-
-
-def spz_of_version_4(third):
-    """A .spz of version 3, unpacked, as one of version 4: each of its streams by zstd."""
-    zstandard = pytest.importorskip("zstandard")
-    magic, _, count, degree, *rest = struct.unpack("<IIIBBBB", third[:16])
-    streams, start = [], 16
-    for width in (9, 1, 3, 3, 4, 3 * (degree + 1) ** 2 - 3):
-        streams.append(third[start : start + width * count])
-        start += width * count
-    packed = [zstandard.compress(stream) for stream in streams]
-    sizes = zip(packed, streams, strict=True)
-    table = b"".join(struct.pack("<QQ", len(p), len(stream)) for p, stream in sizes)
-    head = struct.pack("<IIIBBBBI12x", magic, 4, count, degree, *rest[:2], len(streams), 32)
-    return head + table + b"".join(packed)

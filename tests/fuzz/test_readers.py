@@ -1,9 +1,11 @@
-"""Whatever a file holds, who reads it ends with one sentence, in bounded time and memory.
+"""Whatever a file holds, its reader ends with one sentence, in bounded time and memory.
 
-Files are made by a seeded generator (mutations.py) of good ones (seeds.py). The short form takes a
-few of each kind; ``pytest -m slow tests/fuzz`` more than 10,000.
+Damaged files come from a seeded generator (mutations.py) and good ones (seeds.py and its
+neighbours). The quick test takes 12 files of the main readers, ``pytest -m slow tests/fuzz`` 400 of
+every reader.
 """
 
+import importlib.util
 import random
 import resource
 import shutil
@@ -14,21 +16,47 @@ from pathlib import Path
 import pytest
 
 from gva_mi.core.errors import InputError
+from gva_mi.data.importers.datasets import DATASETS
+from gva_mi.data.importers.estimators import KINDS
+from gva_mi.splat.formats import LOAD
 
-READERS = (
-    "subject", "views", "true masks", "film", "check", "synth.json", "run", "study", "gaussians",
-    "body", "motion", "footage", "ranges", "hdf5", "wham", "gvhmr", "4dhumans",
-    "pymafx", "hybrik", "tram", "romp", "multihmr", "smplifyx", "smplerx", "osx", "smplestx",
-    "parameters", "snapshot", "instantavatar", "zju", "easymocap", "easymocap smplx", "avatarrex",
-    "exavatar", "sam", "onnx", "perceptual",
+OURS = ("subject", "views", "film", "synth.json", "run", "study", "gaussians", "body", "motion",
+        "footage", "ranges", "hdf5")  # fmt: skip
+ESTIMATORS = (
+    "wham", "gvhmr", "4dhumans", "pymafx", "hybrik", "tram", "romp", "multihmr",
+    "smplifyx", "smplerx", "osx", "smplestx", "parameters",
 )  # fmt: skip
+OF_DATASETS = ("snapshot", "instantavatar", "zju", "easymocap", "easymocap smplx", "avatarrex",
+               "exavatar")  # fmt: skip
+NETWORKS = ("sam", "onnx", "perceptual")
+READERS = OURS + ESTIMATORS + OF_DATASETS + NETWORKS
+MAIN = ("subject", "film", "run", "study", "gaussians", "body", "motion", "footage", "wham",
+        "gvhmr", "romp", "osx", "zju")  # fmt: skip
 SECONDS, MEMORY = 20, 3 << 30  # that one file may take
 QUICK, THOROUGH = 12, 400  # files for each reader
 
 
+def module(name):
+    spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
+    found = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(found)
+    return found
+
+
+mutated = module("mutations").mutated
+
+
+@pytest.fixture(scope="module")
+def seeds(subject, known):
+    """For each reader, a function that writes its good files and one that reads them."""
+    ours = module("seeds").seeds(subject, known)
+    others = module("datasets").datasets() | module("networks").networks()
+    return ours | module("estimators").estimators() | others
+
+
 @contextmanager
 def bounded():
-    """No more than so many seconds, and so much memory beyond what this process has."""
+    """Allow SECONDS, and MEMORY beyond what this process has."""
 
     def late(*_):
         raise AssertionError(f"still reading after {SECONDS} s")
@@ -46,25 +74,12 @@ def bounded():
         signal.signal(signal.SIGALRM, handler)
 
 
-@pytest.fixture(scope="module")
-def whole(seeds, tmp_path_factory):
-    """A folder of good files for a reader, which reads them."""
-    made = {}
-
-    def of(name):
-        if name not in made:
-            write, read = seeds[name]
-            made[name] = tmp_path_factory.mktemp(name)
-            write(made[name])
-            read(made[name])
-        return made[name]
-
-    return of
-
-
-def attack(name, whole, seeds, mutated, tmp_path, count, first=0):
-    """How many of so many bad files were refused; the others were taken for good."""
-    good, bad, refused = whole(name), tmp_path / "bad", 0
+def attack(name, seeds, tmp_path, count, first=0):
+    """Damage one good file after another; return how many of them were refused."""
+    (write, read), good, bad, refused = seeds[name], tmp_path / "good", tmp_path / "bad", 0
+    good.mkdir()
+    write(good)
+    read(good)
     files = sorted(path.relative_to(good) for path in good.rglob("*") if path.is_file())
     strangers = [(good / path).read_bytes() for path in files][:20]
     shutil.copytree(good, bad)
@@ -75,7 +90,7 @@ def attack(name, whole, seeds, mutated, tmp_path, count, first=0):
         (bad / path).write_bytes(mutated(rng, path.name, content, strangers))
         try:
             with bounded():
-                seeds[name][1](bad, path)
+                read(bad, path)
         except InputError as error:
             refused += 1
             sentence = str(error)
@@ -88,16 +103,20 @@ def attack(name, whole, seeds, mutated, tmp_path, count, first=0):
     return refused
 
 
-def test_every_reader_has_good_files(seeds):
-    assert set(READERS) == set(seeds)
-
-
-@pytest.mark.parametrize("name", READERS)
-def test_some_bad_files(name, whole, seeds, mutated, tmp_path):
-    assert attack(name, whole, seeds, mutated, tmp_path, QUICK) > 0 or name in ("check", "run")
+@pytest.mark.parametrize(
+    "name", [pytest.param(x, marks=() if x in MAIN else pytest.mark.slow) for x in READERS]
+)
+def test_some_bad_files(name, seeds, tmp_path):
+    assert attack(name, seeds, tmp_path, QUICK) > 0 or name == "run"
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", READERS)
-def test_thousands_of_bad_files(name, whole, seeds, mutated, tmp_path):
-    attack(name, whole, seeds, mutated, tmp_path, THOROUGH, QUICK)
+def test_hundreds_of_bad_files(name, seeds, tmp_path):
+    attack(name, seeds, tmp_path, THOROUGH, QUICK)
+
+
+def test_every_format_has_good_files(seeds, tmp_path):
+    assert set(KINDS) | set(DATASETS) <= set(seeds) == set(READERS)
+    seeds["gaussians"][0](tmp_path)
+    assert {path.suffix for path in tmp_path.iterdir()} >= set(LOAD)

@@ -1,24 +1,16 @@
-"""``read_objects``: what any file of arrays and plain values holds, by whichever container it is.
+"""``read_objects``: what a file of arrays and plain values holds, whatever its container.
 
-=============================  =====================================================
-Container                      Who writes it
-=============================  =====================================================
-pickle, protocols 0 to 5       ``pickle.dump`` of Python 2 and 3
-the same, arrays behind        ``joblib.dump``
-zlib, gzip, bzip2, xz around   ``joblib.dump(compress=...)``, ``gzip.open``
-zip with ``data.pkl``          ``torch.save``; the row of pickles before it, too
-zip of ``.npy``                ``numpy.savez``, arrays of objects included
-``.npy``                       ``numpy.save``, arrays of objects included
-=============================  =====================================================
+Read are pickles of protocols 0 to 5 and what ``joblib.dump`` writes, either packed by zlib, gzip,
+bzip2 or xz; torch's files, old and new; ``.npy`` and ``.npz``, with or without objects.
 """
 
 from __future__ import annotations
 
 import bz2
-import io
 import lzma
 import zipfile
 import zlib
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -32,17 +24,17 @@ from gva_mi.core.arrays import (
     read_entry,
     read_header,
 )
-from gva_mi.core.errors import InputError
-from gva_mi.core.pickles.machine import Machine, Stream, resolved
-from gva_mi.core.pickles.tensors import TENSORS, read_row_of_pickles, read_zip
+from gva_mi.core.errors import InputError, reason_of
+from gva_mi.core.pickles.torch_files import WITH_TENSORS, read_row_of_pickles, read_zip
+from gva_mi.core.pickles.unpickler import Unpickler, require_modest, resolve
 
 _ROW_OF_PICKLES = b"\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19."  # torch's magic number, pickled
 
 
 def read_objects(path: Path, expected: str) -> Any:  # noqa: ANN401
-    """What a file holds: dictionaries, lists, text, numbers and arrays, and nothing that runs.
+    """Return what a file holds: dictionaries, lists, text, numbers and arrays.
 
-    Tensors, sparse matrices and chumpy's arrays become plain arrays.
+    Tensors, sparse matrices and chumpy's arrays become plain arrays. No code of the file runs.
 
     Args:
         path: the file.
@@ -56,67 +48,63 @@ def read_objects(path: Path, expected: str) -> Any:  # noqa: ANN401
         raise InputError(f"{path}: no such file; expected {expected}")
     budget = Budget()
     try:
-        return resolved(_opened(path, budget), budget)
+        return resolve(_load(path), budget)
     except Refused as error:
         raise InputError(
-            f"{path}: holds {_printable(str(error))}, which is not read, for it may run code or is "
-            f"no plain array; expected {expected}"
+            f"{path}: holds {error}, which is not read because it may run code or is no plain "
+            f"array; expected {expected}"
         ) from None
     except Exception as error:  # a damaged file can fail in any opcode, and in any way
-        reason = _printable(str(error).split("\n")[0] or type(error).__name__)
         raise InputError(
-            f"{path}: damaged, cut short, or of another kind ({reason}); expected {expected}"
+            f"{path}: damaged, cut short, or of another kind ({reason_of(error)}); expected "
+            f"{expected}"
         ) from None
 
 
-def _printable(text: str) -> str:
-    """A file's own words, without what would move a terminal's cursor."""
-    return "".join(c if c.isprintable() else "?" for c in text[:120])
-
-
-def _opened(path: Path, budget: Budget) -> Any:  # noqa: ANN401
-    """The root object, in which arrays may still be records."""
+def _load(path: Path) -> Any:  # noqa: ANN401
+    """Return the root object, in which arrays may still be shells."""
     if path.stat().st_size > 2 * LARGEST:
         raise Refused(f"{path.stat().st_size:,} bytes")
     with path.open("rb") as file:
         zipped = file.read(4) in (b"PK\x03\x04", b"PK\x05\x06")  # the second: an empty one
     if zipped:
-        entries = Budget()  # apart from what is made of them
+        entries = Budget()  # apart from the budget of what is made of them
         with zipfile.ZipFile(path) as file:
             if any(name.rsplit("/")[-1] == "data.pkl" for name in file.namelist()):
                 return read_zip(file, lambda name: read_entry(file, name, entries))
             return {name: _npy(data) for name, data in arrays_in(file, entries)}
     data = path.read_bytes()
     if data[:1] == b"\x78" or data[:2] == b"\x1f\x8b":
-        data = _inflated(zlib.decompressobj(wbits=47), data, budget)
+        data = _unpacked(zlib.decompressobj(wbits=47), data)
     elif data[:3] == b"BZh":
-        data = _inflated(bz2.BZ2Decompressor(), data, budget)
+        data = _unpacked(bz2.BZ2Decompressor(), data)
     elif data[:6] == b"\xfd7zXZ\x00" or data[:3] == b"\x5d\x00\x00":
-        data = _inflated(lzma.LZMADecompressor(memlimit=1 << 28), data, budget)
+        data = _unpacked(lzma.LZMADecompressor(memlimit=1 << 28), data)
     if data[:6] == b"\x93NUMPY":
         return _npy(data)
     if _ROW_OF_PICKLES in data[:32]:
         return read_row_of_pickles(data)
-    return Machine(Stream(data), TENSORS).load_raw()
+    return _pickle(data)
 
 
-def _inflated(decompressor: Any, data: bytes, budget: Budget) -> bytes:  # noqa: ANN401
-    """Everything that was compressed, as long as the budget lasts."""
-    whole = bytearray()
-    while not decompressor.eof:
-        part = decompressor.decompress(data, 1 << 24)
-        data = getattr(decompressor, "unconsumed_tail", b"")
-        if not part and not data:
-            raise Damaged("the compressed data end too early")
-        budget.spend(len(part))
-        whole += part
+def _unpacked(decompressor: Any, data: bytes) -> bytes:  # noqa: ANN401
+    whole = decompressor.decompress(data, LARGEST)
+    if not decompressor.eof:
+        raise Damaged(f"compressed data end too early, or hold more than {LARGEST >> 30} GiB")
     return whole
 
 
 def _npy(data: bytes) -> Any:  # noqa: ANN401
-    """A .npy's array, or the pickle behind its header where it holds objects."""
-    file = io.BytesIO(data)
+    """Return the array of a .npy, or the pickle behind its header where it holds objects."""
+    file = BytesIO(data)
     header = read_header(file)
+    data = data[file.tell() :]
     if header.dtype.hasobject:
-        return Machine(Stream(data[file.tell() :]), TENSORS).load_raw()
-    return bytes_to_array(data[file.tell() :], header.dtype, header.shape, header.order)
+        return _pickle(data)
+    return bytes_to_array(data, header.dtype, header.shape, header.order)
+
+
+def _pickle(data: bytes) -> Any:  # noqa: ANN401
+    if b"NumpyArrayWrapper" not in data:  # joblib has the bytes of arrays between opcodes
+        require_modest(data)
+    return Unpickler(BytesIO(data), WITH_TENSORS).load()

@@ -1,250 +1,279 @@
-"""Counts, sizes, masks that say nothing, splits, and the body that a folder is for."""
+"""Read everything in a subject's folder, each file for itself; what cannot be read is a problem.
+
+:func:`gva_mi.data.video.load_video` stops at the first thing that it cannot use.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
+from gva_mi.body.pose import PoseFile, load_offsets, read_pose_file
 from gva_mi.body.smplx import BodyModel
-from gva_mi.core.errors import InputError, expecting
-from gva_mi.core.files import read_json
-from gva_mi.data.check.contents import Contents, MaskSeen
-from gva_mi.data.check.findings import Finding
+from gva_mi.core.console import Progress
+from gva_mi.core.errors import InputError
+from gva_mi.data.cameras import load_cameras
+from gva_mi.data.check.cameras import check_intrinsics
+from gva_mi.data.check.problems import Problem, doubt, error
+from gva_mi.data.film import Film
 from gva_mi.data.fingerprint import require_same_body
+from gva_mi.data.masks import read_mask
 from gva_mi.data.normals import ABOUT, NormalMaps
+from gva_mi.data.pictures import read_image
+from gva_mi.data.splits import load_splits
+from gva_mi.data.video import POSES, is_frame
 from gva_mi.data.views import read_views
 from gva_mi.splat import Camera
 
-FULL = 0.995  # of a picture: what lies outside is noise of a file's compression
-# A person stands on one side of the border, or on two where head and feet are cut off; what is
-# around the person touches all four.
+T = TypeVar("T")
+SMALL = 192  # px, longer side of the masks that are compared: a person of 1.8 m has 1 px a cm
+FULL = 0.995  # of a picture: what is missing is noise of a file's compression
+# A person touches one side of the border, or two if head and feet are cut off; what is around the
+# person touches all four.
 AROUND = 0.5  # of the border
 
 
-def check_files(contents: Contents, body: BodyModel) -> Iterator[Finding]:
-    """Everything that needs no picture of the body."""
-    yield from _pictures(contents)
-    yield from _masks(contents)
-    yield from _counts(contents)
-    yield from _splits(contents)
-    yield from _views(contents)
-    try:
-        require_same_body(contents.folder, body)
-    except InputError as error:
-        yield Finding(
-            "error", "another body", str(error), "poses of one body on another are other poses",
-            "give the --body that the folder is for",
-        )  # fmt: skip
+@dataclass(frozen=True)
+class MaskSummary:
+    """A mask, as far as it is needed."""
+
+    size: tuple[int, int]  # (W, H)
+    small: np.ndarray  # (h, w) bool, at most SMALL pixels long
+    share: float  # of its pixels that are inside
+    border: float  # of the picture's border that is inside
+    greatest: float  # value
+
+    @property
+    def inverted(self) -> bool:
+        """Whether it shows what is around the person."""
+        return AROUND < self.border and self.share < FULL
+
+    @property
+    def has_outline(self) -> bool:
+        """Whether it is neither empty nor full."""
+        return 0 < self.share < FULL
 
 
-def inverted(mask: MaskSeen) -> bool:
-    """Whether a mask is of what is around the person."""
-    return AROUND < mask.border and mask.share < FULL
+@dataclass
+class SubjectFiles:
+    """What can be read of a folder."""
 
+    folder: Path
+    poses_file: Path
+    pictures: dict[int, tuple[int, int]] = field(default_factory=dict)  # (W, H) of each
+    film: Sequence[np.ndarray] = ()  # if the pictures come as one
+    masks: dict[int, MaskSummary] = field(default_factory=dict)
+    cameras: dict[int, Camera] = field(default_factory=dict)  # of each picture
+    poses: PoseFile | None = None
+    maps: NormalMaps | None = None
+    problems: list[Problem] = field(default_factory=list)
 
-def says_nothing(mask: MaskSeen) -> bool:
-    """Whether a mask has no outline."""
-    return mask.share == 0 or mask.share >= FULL
+    @property
+    def count(self) -> int:
+        """Frames of the video, with missing ones in between."""
+        return max(self.pictures, default=-1) + 1
 
+    def picture(self, index: int) -> np.ndarray:
+        """Read a frame, (H, W, 3) 8-bit."""
+        if len(self.film):
+            return self.film[index]
+        return read_image(self.folder / "frames" / f"{index:06d}.png", 3)
 
-def _pictures(contents: Contents) -> Iterator[Finding]:
-    there = contents.pictures
-    gaps = [k for k in range(contents.count) if k not in there]
-    if gaps:
-        yield Finding(
-            "doubtful", "missing pictures", f"{len(gaps)} of {contents.count}",
-            "frames were lost, or numbered with a step",
-            "number frames 0, 1, 2, ... without gaps, masks and poses alike", tuple(gaps),
-        )  # fmt: skip
-    if not there:
-        return
-    size = _size(contents.cameras)
-    where = "cameras.npz"
-    if size is None:
-        size, where = next(iter(there.values())), "the first frame"
-    other = [k for k, s in there.items() if s != size]
-    if other:
-        w, h = there[other[0]]
-        yield Finding(
-            "error", "picture size", f"{w}x{h}, {where} says {size[0]}x{size[1]}",
-            "the pictures were shrunk or turned after the cameras were made, or before",
-            "use the pictures that K belongs to, or scale K and width, height with them",
-            tuple(other),
-        )  # fmt: skip
-
-
-def _masks(contents: Contents) -> Iterator[Finding]:
-    there, masks = contents.pictures, contents.masks
-    folder = contents.folder / "masks"
-    files = {p.stem for p in folder.glob("*") if p.suffix in (".png", ".npy")}
-    missing = [k for k in there if f"{k:06d}" not in files]
-    if missing:
-        none = len(missing) == len(there)
-        yield Finding(
-            "error" if none else "doubtful", "missing masks", f"{len(missing)} of {len(there)}",
-            "no segmentation, or its files have other names" if none else "the segmenter gave none",
-            "write masks/000000.png ...; frames without one are left out", tuple(missing),
-        )  # fmt: skip
-    more = sorted(name for name in files if not _names(name, contents))
-    if more and there:
-        yield Finding(
-            "doubtful", "masks without a frame", f"{len(more)}, such as {more[0]}",
-            "masks and frames are of different videos, or numbered from another number",
-            "number masks as the frames",
-        )  # fmt: skip
-    other = [k for k, m in masks.items() if k in there and m.size != there[k]]
-    if other:
-        (w, h), (fw, fh) = masks[other[0]].size, there[other[0]]
-        yield Finding(
-            "error", "mask size", f"{w}x{h}, its frame is {fw}x{fh}",
-            "the segmenter shrank or turned its input", "scale the masks to the frames' size",
-            tuple(other),
-        )  # fmt: skip
-    yield from _outlines(masks)
-
-
-def _names(stem: str, contents: Contents) -> bool:
-    return stem.isdecimal() and int(stem) < contents.count
-
-
-def _outlines(masks: dict[int, MaskSeen]) -> Iterator[Finding]:
-    """Masks that are empty, full, or of the background."""
-    some = lambda fits: tuple(k for k, m in masks.items() if fits(m))
-    empty = some(lambda m: m.share == 0)
-    labels = [masks[k].largest for k in empty if 1 < masks[k].largest < 128]
-    if labels:
-        yield Finding(
-            "error", "masks of labels", f"largest value {max(labels)} of 255",
-            "numbers of people or parts, not 0 and 255",
-            "write 255 where the person is", empty,
-        )  # fmt: skip
-    elif empty:
-        yield Finding(
-            "error" if len(empty) == len(masks) else "doubtful", "empty masks",
-            f"{len(empty)} of {len(masks)}", "the segmenter lost the person",
-            "none, if so: these frames are left out", empty,
-        )  # fmt: skip
-    full = some(lambda m: m.share >= FULL)
-    if full:
-        share = min(masks[k].share for k in full)
-        yield Finding(
-            "error", "full masks", f"{100 * share:.1f} % of the picture",
-            "an alpha channel that was never written, or a threshold of zero",
-            "make these masks again, or delete them: frames without one are left out", full,
-        )  # fmt: skip
-    around = some(inverted)
-    if around:
-        share = np.median([masks[k].border for k in around])
-        yield Finding(
-            "error", "inverted masks", f"{100 * share:.0f} % of the picture's border is inside",
-            "255 is the background", "write 255 where the person is", around,
-        )  # fmt: skip
-
-
-def _counts(contents: Contents) -> Iterator[Finding]:
-    count = contents.count
-    if not count:
-        return
-    lengths: list[tuple[str, int]] = []
-    if contents.poses is not None and np.ndim(contents.poses.get("transl")) == 2:
-        lengths.append((contents.poses_file.name, len(contents.poses["transl"])))
-    for key in ("K", "T_camera_world"):
-        array = (contents.cameras or {}).get(key)
-        if np.ndim(array) == 3 and len(array) != 1:
-            lengths.append((f"cameras.npz, {key}", len(array)))
-    for name, length in lengths:
-        if length != count:
-            yield Finding(
-                "error", "counts", f"{name}: {length} frames, the video has {count}",
-                "the estimator dropped frames, or another frame rate was extracted",
-                "make poses and cameras of exactly these frames",
-            )  # fmt: skip
-
-
-def _views(contents: Contents) -> Iterator[Finding]:
-    try:
-        read_views(contents.folder, contents.count)
-    except InputError as error:
-        yield Finding(
-            "error", "views of other cameras", str(error), "files were lost, or of another video",
-            "prepare the folder again with --views, or remove views/",
-        )  # fmt: skip
-
-
-def _splits(contents: Contents) -> Iterator[Finding]:
-    path = contents.folder / "splits.json"
-    if not path.exists():
-        return
-    form = '{"train": [...], "test": [...]} of frame numbers'
-    try:
-        data = read_json(path, form)
-        with expecting(path, form):
-            lists = {name: [int(k) for k in data[name]] for name in ("train", "test")}
-    except InputError as error:
-        yield Finding("error", "splits", f"unreadable ({error})", "of another form", form)
-        return
-    train, test = set(lists["train"]), set(lists["test"])
-    both = sorted(train & test)
-    if both:
-        yield Finding(
-            "error", "splits overlap", f"{len(both)} frames are in train and test",
-            "ranges that include both ends", "take each frame into one list alone", tuple(both),
-        )  # fmt: skip
-    outside = sorted(k for k in train | test if not 0 <= k < contents.count)
-    if outside and contents.count:
-        yield Finding(
-            "error", "splits beyond the video",
-            f"frame {outside[0]}, the video has 0 to {contents.count - 1}",
-            "numbered from 1, or for a longer video", form, tuple(outside),
-        )  # fmt: skip
-    gone = sorted(k for k in train | test if 0 <= k < contents.count and _absent(contents, k))
-    if gone:
-        yield Finding(
-            "doubtful", "splits of absent frames", f"{len(gone)} frames",
-            "they have no picture or no mask", "none, if so: they are left out", tuple(gone),
-        )  # fmt: skip
-    if not train:
-        yield Finding("error", "splits", "no train frame", "the list is empty", form)
-
-
-def _absent(contents: Contents, index: int) -> bool:
-    mask = contents.masks.get(index)
-    return index not in contents.pictures or mask is None or mask.share == 0
-
-
-def _size(cameras: dict[str, np.ndarray] | None) -> tuple[int, int] | None:
-    """(W, H) of the cameras; None where they say none."""
-    found = [(cameras or {}).get(name) for name in ("width", "height")]
-    if any(x is None or x.size != 1 or x.dtype.kind not in "iuf" for x in found):
-        return None
-    return tuple(int(x.item()) if np.isfinite(x.item()) else 0 for x in found)
-
-
-def open_normals(
-    contents: Contents, cameras: dict[int, Camera], say: Callable[[Finding], None]
-) -> NormalMaps | None:
-    """The normal maps; a finding for each kind of map that cannot be read."""
-    try:
-        maps = NormalMaps.open(contents.folder, max(1, contents.count))
-    except InputError as error:
-        say(_unreadable(str(error), ()))
-        return None
-    if maps is None:
-        return None
-    reasons: dict[int, str] = {}
-    for k in sorted(cameras):
+    def attempt(
+        self, what: str, read: Callable[[], T], cause: str = "missing, cut short, or of another "
+        "form", remedy: str = "write it again in the form that docs/own_video.md describes",
+        frames: Sequence[int] = (),
+    ) -> T | None:  # fmt: skip
+        """Return what ``read`` returns; None, and a problem, if it cannot read."""
         try:
-            maps.check(k, cameras[k])
-        except InputError as error:
-            reasons[k] = str(error)
-    if reasons:
-        say(_unreadable(next(iter(reasons.values())), reasons))
-    return None if len(reasons) == len(cameras) else maps
+            return read()
+        except InputError as reason:
+            self.problems.append(error(what, str(reason), cause, remedy, frames))
+            return None
 
 
-def _unreadable(figure: str, frames: Iterable[int]) -> Finding:
-    return Finding(
-        "error", "normals cannot be read", figure, "maps of a crop, or of another size",
-        f"write maps of the frame's size, or the crop's 'boxes' into {ABOUT}", tuple(frames),
+def read_subject(
+    folder: Path, poses: Path | None, body: BodyModel, progress: Progress | None
+) -> SubjectFiles:
+    """Read a folder.
+
+    Raises:
+        InputError: there is no such folder, or nothing of a subject in it.
+    """
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder; expected a subject's")
+    parts = ("video.mp4", "frames", "masks", "cameras.npz", POSES)
+    if not any((folder / part).exists() for part in parts):
+        raise InputError(f"{folder}: no subject's folder; expected some of {', '.join(parts)}")
+    files = SubjectFiles(folder, poses or folder / POSES)
+    _read_pictures(files)
+    _read_masks(files, progress)
+    _read_poses(files, body)
+    _read_cameras(files)
+    files.problems += _sizes_and_masks(files)
+    if files.count:
+        files.attempt("splits", lambda: load_splits(folder, files.count))
+        files.attempt(
+            "views of other cameras", lambda: read_views(folder, files.count),
+            "files were lost, or of another video", "prepare the folder again with --views",
+        )  # fmt: skip
+    files.attempt(
+        "another body", lambda: require_same_body(folder, body),
+        "poses of one body on another are other poses", "give the --body that the folder is for",
     )  # fmt: skip
+    _open_normals(files)
+    return files
+
+
+def _read_pictures(files: SubjectFiles) -> None:
+    folder = files.folder
+    paths = sorted((folder / "frames").glob("*.png"))
+    misnamed = [p.name for p in paths if not is_frame(p)]
+    if misnamed:
+        files.problems.append(
+            error("frames named otherwise", f"{len(misnamed)}, such as {misnamed[0]}",
+                  "numbered by another program", "name them 000000.png, 000001.png, ...")
+        )  # fmt: skip
+    for path in paths:
+        if path.name not in misnamed:
+            image = files.attempt("unreadable", lambda path=path: read_image(path, 3))
+            if image is not None:
+                files.pictures[int(path.stem)] = image.shape[1::-1]
+    film = folder / "video.mp4"
+    if not paths and film.exists():
+        files.film = files.attempt("unreadable", lambda: Film(film)) or ()
+        files.pictures = dict(enumerate(getattr(files.film, "sizes", ())))
+    elif not paths:
+        files.problems.append(
+            error("no pictures", "0 frames", "neither frames/ nor video.mp4 is there",
+                  "put video.mp4 or frames/000000.png ... into the folder")
+        )  # fmt: skip
+
+
+def _read_masks(files: SubjectFiles, progress: Progress | None) -> None:
+    for done, k in enumerate(sorted(files.pictures)):
+        if progress is not None:
+            progress(done + 1, len(files.pictures))
+        mask = files.attempt("unreadable", lambda k=k: read_mask(files.folder / "masks", k))
+        if mask is not None and mask.size:
+            files.masks[k] = _summary(mask)
+
+
+def _summary(mask: np.ndarray) -> MaskSummary:
+    from PIL import Image
+
+    height, width = mask.shape
+    inside = mask > 0.5
+    border = np.concatenate([inside[0], inside[-1], inside[:, 0], inside[:, -1]])
+    shrunk = Image.fromarray(inside.astype(np.float32)).resize(
+        small_size(width, height), Image.Resampling.BOX
+    )
+    small = np.asarray(shrunk) > 0.5
+    share, edge = float(inside.mean()), float(border.mean())
+    return MaskSummary((width, height), small, share, edge, float(mask.max()))
+
+
+def small_size(width: int, height: int) -> tuple[int, int]:
+    """Return (w, h) of a picture at which it is compared."""
+    scale = min(1.0, SMALL / max(width, height))
+    return max(1, round(width * scale)), max(1, round(height * scale))
+
+
+def _read_poses(files: SubjectFiles, body: BodyModel) -> None:
+    path = files.poses_file
+    files.poses = files.attempt("unreadable", lambda: read_pose_file(path))
+    if files.poses is None:
+        return
+    files.attempt("unreadable", lambda: load_offsets(path, len(body.v_template)))
+    betas = files.poses.shape.betas
+    if betas[body.num_betas :].any():
+        files.problems.append(
+            error("betas", f"{len(betas)}, the body has {body.num_betas}", "they belong to another "
+                  "body", "give the --body that they belong to")
+        )  # fmt: skip
+        files.poses = None
+    elif files.count and len(files.poses.pose) != files.count:
+        files.problems.append(_other_count(path.name, len(files.poses.pose), files.count))
+
+
+def _read_cameras(files: SubjectFiles) -> None:
+    path = files.folder / "cameras.npz"
+    found = files.attempt("unreadable", lambda: load_cameras(path))
+    if found is None:
+        return
+    focal = files.poses.focal if files.poses is not None else 1.0
+    if len(found) == 1:
+        found = found * max(1, files.count)
+    if files.count and len(found) != files.count:
+        files.problems.append(_other_count(path.name, len(found), files.count))
+    files.problems += check_intrinsics(found)
+    files.cameras = {k: c.zoomed(focal) for k, c in enumerate(found) if k in files.pictures}
+
+
+def _other_count(name: str, length: int, count: int) -> Problem:
+    return error(
+        "counts", f"{name}: {length} frames, the video has {count}",
+        "the estimator dropped frames, or another frame rate was extracted",
+        "make poses and cameras of exactly these frames",
+    )  # fmt: skip
+
+
+def _sizes_and_masks(files: SubjectFiles) -> Iterator[Problem]:
+    there, masks, count = files.pictures, files.masks, files.count
+    if gaps := [k for k in range(count) if k not in there]:
+        yield doubt("missing pictures", f"{len(gaps)} of {count}", "frames were lost, or numbered "
+                    "with a step", "number frames, masks and poses 0, 1, 2, ...", gaps)  # fmt: skip
+    sizes = {k: (c.width, c.height) for k, c in files.cameras.items()}
+    of_masks = {k: m.size for k, m in masks.items()}
+    for what, found, wanted in (
+        ("picture size", there, sizes),
+        ("mask size", of_masks, sizes or there),
+    ):
+        if other := [k for k, size in found.items() if size != wanted.get(k, size)]:
+            (w, h), (W, H) = found[other[0]], wanted[other[0]]
+            yield error(what, f"{w}x{h}, expected {W}x{H}", "one of them was shrunk or turned",
+                        "scale frames, masks and K together", other)  # fmt: skip
+    for what, severity, chosen, cause, remedy in (
+        ("missing masks", doubt, [k for k in there if k not in masks],
+         "the segmenter gave none, or its files have other names",
+         "write masks/000000.png ...; frames without one are left out"),
+        ("empty masks", doubt, [k for k, m in masks.items() if m.share == 0],
+         "the segmenter lost the person, or wrote labels", "write 255 where the person is"),
+        ("full masks", error, [k for k, m in masks.items() if m.share >= FULL],
+         "an alpha channel that was never written, or a threshold of zero",
+         "make these masks again, or delete them: frames without one are left out"),
+        ("inverted masks", error, [k for k, m in masks.items() if m.inverted],
+         "255 is the background", "write 255 where the person is"),
+    ):  # fmt: skip
+        if chosen:
+            problem = error if len(chosen) == len(there) else severity
+            greatest = max((masks[k].greatest for k in chosen if k in masks), default=None)
+            figure = f"{len(chosen)} of {len(there)}"
+            figure += "" if greatest is None else f", greatest value {greatest:.2g} of 1"
+            yield problem(what, figure, cause, remedy, chosen)
+
+
+def _open_normals(files: SubjectFiles) -> None:
+    cause = "maps of a crop, or of another size"
+    remedy = f"write maps of the frame's size, or the crop's 'boxes' into {ABOUT}"
+    what = "normals cannot be read"
+    opened = files.attempt(
+        what, lambda: NormalMaps.open(files.folder, max(1, files.count)), cause, remedy
+    )
+    if opened is None:
+        return
+    reasons: dict[int, str] = {}
+    for k, camera in files.cameras.items():
+        try:
+            opened.check(k, camera)
+        except InputError as reason:
+            reasons[k] = str(reason)
+    if reasons:
+        first = next(iter(reasons.values()))
+        files.problems.append(error(what, first, cause, remedy, reasons))
+    if len(reasons) < len(files.cameras):
+        files.maps = opened

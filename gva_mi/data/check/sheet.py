@@ -1,4 +1,4 @@
-"""Frames with the outlines of mask and body over them: what a report's figures look like."""
+"""The picture sheet: frames with the outlines of mask and body."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from gva_mi.body.smplx import BodyModel
-from gva_mi.data.check.contents import Contents
-from gva_mi.data.check.seen import Seen, Silhouettes
-from gva_mi.data.check.silhouettes import Compared
+from gva_mi.data.check.files import SubjectFiles
+from gva_mi.data.check.frames import CheckedFrames, SilhouetteRenderer
+from gva_mi.data.check.silhouettes import SilhouetteCheck
 from gva_mi.data.video import spread
 from gva_mi.mesh.overlay import OUTLINE, outlined, strip
 
@@ -19,42 +19,42 @@ CAPTION = 20  # px, height of a line of text
 MASK = (0.1, 0.75, 0.35)  # green, beside the body's orange
 
 
-def draw_sheet(contents: Contents, compared: Compared, body: BodyModel) -> np.ndarray:
-    """The sheet, (h, w, 3) float32: the plain reading, and the one that fits in a row below.
+def draw_sheet(files: SubjectFiles, shown: SilhouetteCheck, body: BodyModel) -> np.ndarray:
+    """Draw the sheet, (h, w, 3) float32: the folder as it is, and mended in a row below.
 
     Args:
-        contents: of the folder.
-        compared: what was looked at.
+        files: of the folder.
+        shown: what silhouettes show.
         body: that is drawn.
     """
-    renderer = Silhouettes(body)
-    legend = "orange: body, green: mask"
-    rows = [_captioned(_row(contents, compared.some, renderer), f"as it is; {legend}")]
-    if compared.accepted:
-        how = ", ".join(reading.what for reading in compared.accepted)
-        # Where masks are other ones, or elsewhere, the pictures on disk do not go with them.
-        moved = any(reading.moves_pictures for reading in compared.accepted)
-        shown = _row(None if moved else contents, compared.final, renderer)
-        rows.append(_captioned(shown, f"read without: {how}"))
+    renderer = SilhouetteRenderer(body)
+    rows = [_captioned(_row(files, shown.frames, renderer), "as it is; orange: body, green: mask")]
+    if shown.accepted:
+        how = ", ".join(hypothesis.what for hypothesis in shown.accepted)
+        # If masks are others, or elsewhere, the pictures on disk do not go with them.
+        moved = any(hypothesis.moves_pictures for hypothesis in shown.accepted)
+        row = _row(None if moved else files, shown.final, renderer)
+        rows.append(_captioned(row, f"read without: {how}"))
     width = max(row.shape[1] for row in rows)
     padded = [np.pad(r, ((0, 0), (0, width - r.shape[1]), (0, 0)), constant_values=1) for r in rows]
     return np.concatenate(padded)
 
 
-def _row(contents: Contents | None, seen: Seen, renderer: Silhouettes) -> list[np.ndarray]:
-    """Some frames, or white without contents, with both outlines."""
-    some = seen.of(spread(range(len(seen)), SHOWN))
+def _row(
+    files: SubjectFiles | None, frames: CheckedFrames, renderer: SilhouetteRenderer
+) -> list[np.ndarray]:
+    """Return some frames, or white without files, with both outlines."""
+    some = frames.of(spread(range(len(frames)), SHOWN))
     first = some.cameras[0]
     size = max(1, round(HEIGHT * first.width / first.height)), HEIGHT
     large = replace(some, cameras=tuple(c.resized(*size) for c in some.cameras))
-    shown = renderer.render(large)[..., 3] > 0.5
-    pictures = []
-    for i, frame in enumerate(some.frames):
+    bodies, pictures = renderer.silhouettes(large), []
+    for number, mask, body in zip(some.numbers, some.masks, bodies, strict=True):
         picture = np.ones((size[1], size[0], 3), np.float32)
-        if contents is not None:
-            picture = _resized(contents.picture(frame), size).astype(np.float32) / 255
-        mask = _resized(some.masks[i].astype(np.uint8) * 255, size) > 127
-        pictures.append(outlined(outlined(picture, mask, MASK), shown[i], OUTLINE))
+        if files is not None:
+            picture = _resized(files.picture(number), size).astype(np.float32) / 255
+        mask = _resized(mask.astype(np.uint8) * 255, size) > 127
+        pictures.append(outlined(outlined(picture, mask, MASK), body, OUTLINE))
     return pictures
 
 
@@ -65,7 +65,7 @@ def _resized(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 
 def _captioned(pictures: list[np.ndarray], text: str) -> np.ndarray:
-    """Pictures beside each other under a line of text."""
+    """Return pictures beside each other under a line of text."""
     from PIL import Image, ImageDraw, ImageFont
 
     row = strip([pictures])

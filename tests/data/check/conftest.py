@@ -1,44 +1,27 @@
-"""A small subject that nothing is wrong with: the bare puppet, turning beside the middle.
+"""A small subject without a fault: the built-in body, turning beside the middle.
 
 Its pictures are its silhouettes; masks and normals are the body's own. Tests break copies of it.
 """
 
-import importlib.util
 import json
 import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
 from gva_mi.body.pose import Pose, Shape, save_poses
+from gva_mi.data.cameras import save_cameras
 from gva_mi.data.pictures import write_image
-from gva_mi.data.video import save_cameras
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.splat import Camera, look_at
 
 WIDTH, HEIGHT, FRAMES = 80, 72, 8
 
-spec = importlib.util.spec_from_file_location("faults", Path(__file__).with_name("faults.py"))
-faults = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(faults)
-
 
 @pytest.fixture(scope="session", autouse=True)
 def quiet(one_thread):
     """All tests of this folder are of small tensors."""
-
-
-@pytest.fixture(scope="session")
-def known_faults():
-    return faults.FAULTS
-
-
-@pytest.fixture(scope="session")
-def change_arrays():
-    """Replace arrays of an .npz by functions of them."""
-    return faults.change
 
 
 def motion():

@@ -49,9 +49,9 @@ def test_an_estimators_people_in_a_file_and_a_file_a_frame(key, tmp_path, seen):
 
 def test_an_object_that_may_run_code_is_refused(tmp_path, capsys):
     np.savez(tmp_path / "m.npz", motion={"poses": Evil()})
-    with pytest.raises(InputError, match="which is not read, for it may run code"):
+    with pytest.raises(InputError, match="which is not read because it may run code"):
         read_motion(tmp_path / "m.npz", TargetBody.read(None), MotionOptions())
-    with pytest.raises(InputError, match="which is not read, for it may run code"):
+    with pytest.raises(InputError, match="which is not read because it may run code"):
         read_estimator("auto", tmp_path / "m.npz", VIEW)
     assert "this ran" not in capsys.readouterr().out
 

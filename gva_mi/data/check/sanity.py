@@ -1,8 +1,8 @@
-"""One look at a video before hours of work: does the person stand where the masks are?
+"""A quick sanity check before hours of work: does the person stand where the masks are?
 
-``gva-mi check`` looks at everything, and takes as long. This costs a moment, and tells what is far
-off: an inverted T_camera_world, a body in millimetres, a picture plane that sees somebody else's
-place, inverted masks. Joints beyond the picture's edge say nothing: many videos end at the hips.
+``gva-mi check`` checks everything, and takes as long. This takes a moment, and sees what is far
+off: an inverted T_camera_world, a body in millimetres, masks of another place, inverted masks.
+Joints beyond the picture's edge are ignored, because many videos end at the hips.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.data.video import Video, spread
 
 BODY = 22  # joints without face and fingers, which are within a pixel of each other
-FRAMES = 8  # that are looked at
-FEWEST = 0.5  # of those in the picture lie in the masks; noise and loose clothes leave most there
-FEWEST_SEEN = 0.2  # of all joints lie in the picture; head and shoulders are a third of them
+FRAMES = 8  # that are read
+FEWEST_INSIDE = 0.5  # of those in the picture; noise and loose clothes leave most in the masks
+FEWEST_SEEN = 0.2  # of all joints are in the picture; head and shoulders are a third of them
 
 
 @torch.no_grad()
-def glance(video: Video, body: BodyModel) -> str | None:
-    """What is doubtful, with the figure that makes it so; None where nothing is.
+def sanity_check(video: Video, body: BodyModel) -> str | None:
+    """Return what is doubtful, with its figure; None if nothing is.
 
     Args:
         video: opened with the poses that the work begins with.
@@ -43,7 +43,7 @@ def glance(video: Video, body: BodyModel) -> str | None:
     share, where = joints_seen / max(1, of), "picture"
     if share >= FEWEST_SEEN:
         share, where = joints_inside / joints_seen, "masks"
-        if share >= FEWEST:
+        if share >= FEWEST_INSIDE:
             return None
     return (
         f"{video.folder}: doubtful: {share:.0%} of the body's joints lie in the {where}, expected "

@@ -1,15 +1,15 @@
-"""One look at a video, before hours of work."""
+"""The sanity check before hours of work warns of a body that is not where the masks are."""
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from gva_mi.data.check.glance import glance
+from gva_mi.data.check.sanity import sanity_check
 from gva_mi.data.video import load_video
 
 
 def cut(subject, top, bottom):
-    """Leave what lies between two shares of the height of every picture."""
+    """Crop every picture to what lies between two shares of its height."""
     with np.load(subject / "cameras.npz") as stored:
         cameras = dict(stored)
     height = int(cameras["height"])
@@ -24,17 +24,17 @@ def cut(subject, top, bottom):
 
 
 @pytest.mark.parametrize("bottom", [1.0, 0.55, 0.4])
-def test_who_is_cut_off_by_the_picture_raises_no_doubt(subject, built_in_body, bottom):
-    assert glance(cut(subject, 0.0, bottom), built_in_body) is None
+def test_a_person_cut_off_by_the_picture_is_no_doubt(subject, built_in_body, bottom):
+    assert sanity_check(cut(subject, 0.0, bottom), built_in_body) is None
 
 
-def test_who_is_hardly_in_the_picture_does(subject, built_in_body):
-    doubt = glance(cut(subject, 0.68, 1.0), built_in_body)
+def test_a_person_hardly_in_the_picture_is_doubtful(subject, built_in_body):
+    doubt = sanity_check(cut(subject, 0.68, 1.0), built_in_body)
     assert "of the body's joints lie in the picture, expected most of them" in doubt
 
 
-def test_inverted_masks_do(subject, built_in_body):
+def test_inverted_masks_are_doubtful(subject, built_in_body):
     for path in subject.glob("masks/*.png"):
         Image.fromarray(255 - np.asarray(Image.open(path))).save(path)
-    doubt = glance(load_video(subject, normals="none"), built_in_body)
+    doubt = sanity_check(load_video(subject, normals="none"), built_in_body)
     assert "of the body's joints lie in the masks" in doubt and str(subject) in doubt

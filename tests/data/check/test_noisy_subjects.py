@@ -1,0 +1,93 @@
+"""Faults of synthetic subjects in clothes, with hair, whose poses err as an estimator's do."""
+
+import importlib.util
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gva_mi.data.check import check_subject
+from gva_mi.synthetic import SynthOptions, make_subject
+
+spec = importlib.util.spec_from_file_location("faults", Path(__file__).with_name("faults.py"))
+faults = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(faults)
+
+SUBJECTS = {  # seed: motion, error model of stage 1
+    51: ("turn", "mixed"), 52: ("everyday", "bursts"), 53: ("walk", "lean"), 54: ("half", "slow"),
+    55: ("dance", "white"), 56: ("turn", "anything"), 57: ("everyday", "mixed"),
+    58: ("turn", "bursts"),
+}  # fmt: skip
+BROKEN = {  # fault: the problem that names it, and how the folder is broken
+    "none": ("", lambda folder: None),
+    "poses late by two frames": ("frame offset", faults.FAULTS["frame offset"]),
+    "mirrored video": ("mirrored video", faults.FAULTS["mirrored video"]),
+    "focal length 1.2 times too short": ("focal length or distance", faults.longer(1 / 1.2)),
+    "focal length 1.5 times too long": ("focal length or distance", faults.longer(1.5)),
+}
+
+
+def make(folder, body, seed, motion, family, frames):
+    options = SynthOptions(
+        seed=seed, motion=motion, family=family, frames=frames, size=128, samples=1,
+        novel_poses=0, novel_views=0,
+    )  # fmt: skip
+    make_subject(folder, options, body)
+    return folder
+
+
+def problems(folder, change, tmp_path, body, severities=("error",)):
+    """Names of the problems of a broken copy."""
+    copy = shutil.copytree(folder, tmp_path / "copy")
+    change(copy)
+    report, _, _ = check_subject(copy, body)
+    shutil.rmtree(copy)
+    return {problem.what for problem in report.problems if problem.severity in severities}
+
+
+@pytest.fixture(scope="module")
+def walker(tmp_path_factory, built_in_body):
+    """16 frames of another subject than those above."""
+    folder = tmp_path_factory.mktemp("noisy") / "walker"
+    return make(folder, built_in_body, 61, "walk", "mixed", 16)
+
+
+@pytest.mark.parametrize("fault", ["none", "poses late by two frames", "mirrored video"])
+def test_a_fault_of_a_walking_subject_is_named_and_no_other(fault, walker, tmp_path, built_in_body):
+    what, change = BROKEN[fault]
+    assert problems(walker, change, tmp_path, built_in_body) == ({what} if what else set())
+
+
+def test_a_biased_heading_is_no_frame_offset(walker, tmp_path, built_in_body):
+    """Ten degrees, all the time, to either side."""
+    import roma
+    import torch
+
+    for angle in (-10.0, 10.0):
+        turned = torch.tensor([0.0, np.radians(angle), 0.0]).float()
+
+        def turn(given, turned=turned):
+            given = torch.from_numpy(given).float()
+            return roma.rotvec_composition([turned.expand_as(given), given]).numpy()
+
+        change = faults.poses(global_orient=turn)
+        assert "frame offset" not in problems(walker, change, tmp_path, built_in_body)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("frames", [8, 24])
+def test_detection_rates(frames, tmp_path, built_in_body):
+    """The table of docs/own_video.md, which ``-s`` prints: faults named of those that were made."""
+    named = dict.fromkeys(BROKEN, 0)
+    for seed, (motion, family) in SUBJECTS.items():
+        folder = make(tmp_path / str(seed), built_in_body, seed, motion, family, frames)
+        for fault, (what, change) in BROKEN.items():
+            severities = ("error", "doubtful") if what else ("error",)
+            found = problems(folder, change, tmp_path, built_in_body, severities)
+            named[fault] += what in found if what else bool(found)
+    for fault, count in named.items():
+        print(f"{frames} frames | {fault} | {count} of {len(SUBJECTS)}")  # noqa: T201
+    assert named["none"] == 0
+    assert named["mirrored video"] > len(SUBJECTS) // 2
+    assert named["focal length 1.5 times too long"] == len(SUBJECTS)

@@ -1,8 +1,9 @@
 """Hooks of mkdocs: pages of the site that are files of the repository, and formulas as MathML.
 
 On the forge, pages link to code and lessons by relative paths. On the site, such a link leads to a
-page that shows the file: ``../gva_mi/core/llvm.py`` becomes ``source/gva_mi/core/llvm.py.md``. README.md is
-the page ``demo.md``, and CHANGELOG.md ``changes.md``. Formulas need no script, but MathML alone.
+page that shows the file: ``../gva_mi/core/llvm.py`` becomes
+``source/gva_mi/core/llvm.py.md``. README.md is the page ``demo.md``, and CHANGELOG.md is
+``changes.md``. Formulas become MathML, without a script.
 """
 
 from __future__ import annotations

@@ -1,149 +1,206 @@
-"""The floors of the house: a file imports only from below, and the drawing is the code's own."""
+"""Rules for every source file: imports point down, files are short, nothing is dead."""
 
 import ast
 import importlib
 import importlib.util
+import json
 import re
+from collections import Counter, defaultdict
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[1]
-spec = importlib.util.spec_from_file_location("floors", ROOT / "docs/layers.py")
-floors = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(floors)
+spec = importlib.util.spec_from_file_location("layers", ROOT / "docs/layers.py")
+layers = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(layers)
 
-SOURCES, MODULES, module = floors.SOURCES, floors.MODULES, floors.module
-HEAVY = {"mitsuba", "pymeshlab", "trimesh", "skimage", "matplotlib", "av", "jinja2", "PIL", "scipy",
-         "viser", "h5py", "transformers", "onnxruntime"}  # fmt: skip
-HOMES = {  # packages that only some folders may import, at any depth of the file
-    "mitsuba": ("gva_mi_plugins", "gva_mi.mesh", "gva_mi.synthetic", "gva_mi.synthetic.body_generator",
+MODULES = layers.MODULES
+TREES = {name: ast.parse(path.read_text()) for name, path in MODULES.items()}
+OPTIONAL = {"mitsuba", "pymeshlab", "trimesh", "skimage", "matplotlib", "av", "jinja2", "PIL",
+            "scipy", "viser", "h5py", "transformers", "onnxruntime"}  # fmt: skip
+HOMES = {  # packages that only some modules may import
+    "mitsuba": ("gva_mi_plugins", "gva_mi.mesh", "gva_mi.synthetic", "gva_mi.gradcheck",
                 "gva_mi.cli.doctor"),
-    "pymeshlab": ("gva_mi.synthetic.body_generator", "gva_mi.synthetic", "gva_mi.avatar.reinit",
-                  "gva_mi.avatar.envelope", "gva_mi.mesh.coarse_body", "gva_mi.cli.doctor"),
-    "torch": ("gva_mi.splat.torch_render", "gva_mi.splat.geometry", "gva_mi.splat.autograd",
-              "gva_mi.splat.screen",
-              "gva_mi.splat.means2d", "gva_mi.splat.first_order",
-              "gva_mi.splat.gsplat_compat", "gva_mi.splat.gsplat_meta",
-              "gva_mi.splat.gsplat_lists", "gva_mi.splat.gsplat_pixels",
-              "gva_mi.splat.gsplat_views", "gva_mi.splat.gsplat_projection",
-              "gva_mi.splat.gsplat_functions", "gva_mi.splat.formats", "gva_mi.splat.reference",
-              "gva_mi.splat.scene",
-              "gva_mi.splat.gradcheck",
-              "gva_mi.splat.bench", "gva_mi.body", "gva_mi.mesh", "gva_mi.data", "gva_mi.data.check",
-              "gva_mi.synthetic.body_generator", "gva_mi.avatar", "gva_mi.pose", "gva_mi.fit", "gva_mi.core.threads",
-              "gva_mi.viewer", "gva_mi.cli"),
-    "viser": ("gva_mi.viewer.server", "gva_mi.viewer.controls"),
-    "transformers": ("gva_mi.data.networks.sam_weights",),
-    "onnxruntime": ("gva_mi.data.networks.normals",),
-    "tyro": ("gva_mi.cli", "gva_mi.cli.parse", "gva_mi.__main__"),
+    "pymeshlab": ("gva_mi.synthetic", "gva_mi.avatar", "gva_mi.pose", "gva_mi.cli.doctor"),
+    "viser": ("gva_mi.viewer",),
+    "transformers": ("gva_mi.data.networks",),
+    "onnxruntime": ("gva_mi.data.networks",),
+    "tyro": ("gva_mi.cli", "gva_mi.core.options"),
 }  # fmt: skip
-MODULE = pytest.mark.parametrize("path", SOURCES, ids=module)
+CALLED_FROM_OUTSIDE = {  # by torch's autograd, Dr.Jit's, torch.nn, Mitsuba, pickle, argparse
+    "forward", "backward", "jvp", "vmap", "setup_context", "eval",
+    "render", "render_forward", "render_backward", "aov_names", "to_string",
+    "sample", "sample_radiance_difference", "traverse", "find_class", "persistent_load", "main",
+}  # fmt: skip
 
 
 def within(name, homes):
     return any(name == home or name.startswith(home + ".") for home in homes)
 
 
-@MODULE
-def test_imports_point_down(path):
-    here = module(path)
-    assert floors.floor(here) >= 0, f"{here} stands on no floor: give it one in docs/layers.py"
-    for name in floors.imports(path) & MODULES.keys():
-        above = floors.floor(name) > floors.floor(here)
-        assert not above, (
-            f"{here} ({floors.FLOORS[floors.floor(here)][0]}) imports {name}, which stands above"
-        )
+def test_every_module_has_a_layer_and_imports_point_down():
+    assert not [name for name in MODULES if layers.layer_of(name) < 0]
+    upward = [
+        f"{name} -> {other}"
+        for name, path in MODULES.items()
+        for other in layers.imports(path) & MODULES.keys()
+        if layers.layer_of(other) > layers.layer_of(name)
+    ]
+    assert not upward
 
 
-def test_no_circle_of_files():
-    """Whatever is imported at the top, inside a function, or for a type."""
-    graph = {name: floors.imports(path) & MODULES.keys() - {name} for name, path in MODULES.items()}
-    for package in [name for name, path in MODULES.items() if path.name == "__init__.py"]:
-        graph[package] = set()  # a folder's face shows what is inside
-    assert not floors.circle(graph)
+def test_no_files_import_each_other_in_a_cycle():
+    """Imports inside functions and for types count too."""
+    graph = {name: layers.imports(p) & MODULES.keys() - {name} for name, p in MODULES.items()}
+    for name, path in MODULES.items():
+        if path.name == "__init__.py":
+            graph[name] = set()  # a package re-exports what is inside
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        pytest.fail(" -> ".join(error.args[1]))
 
 
-def test_a_circle_is_found():
-    graph = {"a": {"b"}, "b": {"c"}, "c": {"d", "b"}, "d": set()}
-    assert floors.circle(graph) == ["b", "c", "b"]
-    assert not floors.circle(graph | {"c": {"d"}})
-
-
-@pytest.mark.parametrize("name", [name for _, _, prefixes in floors.FLOORS for name in prefixes])
-def test_every_floor_has_a_room(name):
-    assert name in MODULES, f"docs/layers.py names {name}, which does not exist"
-
-
-def test_the_drawing_is_of_the_code_as_it_is():
+def test_the_drawing_of_layers_is_current():
     page = (ROOT / "docs/architecture.md").read_text()
-    assert floors.drawing() in page, "run `python docs/layers.py` and put the drawing in"
+    assert layers.drawing() in page, "run `python docs/layers.py` and put the drawing in"
 
 
-def test_the_page_of_the_house_names_files_that_exist():
+def test_the_architecture_page_names_files_that_exist():
     page = (ROOT / "docs/architecture.md").read_text()
-    sources = [*SOURCES, *(ROOT / "docs").glob("*.py")]
-    there = [f"/{path.relative_to(ROOT)}" for path in sources]
-    there.append("/tests/test_layers.py")
-    for name in set(re.findall(r"[\w/]+\.py", page)):
-        assert any(path.endswith(f"/{name}") for path in there), name
+    tops = ("gva_mi", "plugins", "docs", "tests", "benchmarks")
+    files = [f"/{p.relative_to(ROOT)}" for top in tops for p in (ROOT / top).rglob("*.py")]
+    named = set(re.findall(r"[\w/]+\.py", page))
+    assert not [name for name in named if not any(f.endswith(f"/{name}") for f in files)]
 
 
-@MODULE
-def test_each_package_is_imported_only_where_it_belongs(path):
-    here = module(path)
-    for name in floors.imports(path):
-        homes = HOMES.get(name.split(".")[0])
-        assert not homes or within(here, homes), (
-            f"{here} imports {name}, which belongs to {', '.join(homes)}"
+def test_packages_are_imported_only_where_they_belong():
+    misplaced = [
+        f"{name} imports {other}"
+        for name, path in MODULES.items()
+        for other in layers.imports(path)
+        if not within(name, HOMES.get(other.split(".")[0], (name,)))
+    ]
+    assert not misplaced
+
+
+def test_plugins_serve_any_scene():
+    """gaussian_splat may import the kernels; other plugins import only the choice of libLLVM."""
+    wrong = []
+    for name, path in MODULES.items():
+        if not name.startswith("gva_mi_plugins"):
+            continue
+        allowed = ("gva_mi.core.llvm",)
+        if name.startswith("gva_mi_plugins.gaussian_splat"):
+            allowed += ("gva_mi.splat", "gva_mi.jit")
+        ours = {o for o in layers.imports(path) if o.split(".")[0] == "gva_mi" and o != "gva_mi"}
+        wrong += [f"{name} imports {other}" for other in ours if not within(other, allowed)]
+    assert not wrong
+
+
+def test_importing_loads_no_optional_package():
+    """Optional packages are imported inside the functions that need them."""
+    eager = {
+        name: found
+        for name, path in MODULES.items()
+        if not name.startswith("gva_mi_plugins.")  # loaded by register(), once Mitsuba is there
+        and (
+            found := {o.split(".")[0] for o in layers.imports(path, top_level_only=True)} & OPTIONAL
         )
+    }
+    assert not eager
 
 
-@pytest.mark.parametrize(
-    "path", [p for p in SOURCES if module(p).startswith("gva_mi_plugins")], ids=module
-)
-def test_a_plugin_serves_any_scene(path):
-    """gaussian_splat knows the kernels, and no plugin anything else of gva_mi but its libLLVM."""
-    here = module(path)
-    allowed = ("gva_mi.core.llvm",)
-    if here.startswith("gva_mi_plugins.gaussian_splat"):
-        allowed += ("gva_mi.splat",)
-    for name in floors.imports(path):
-        assert name.split(".")[0] != "gva_mi" or name == "gva_mi" or within(name, allowed), (
-            f"{here} imports {name}"
-        )
+def test_files_and_functions_are_short():
+    """At most 290 lines a file, and 60 a function below its signature and docstring."""
+    long = [f"{n}: {len(p.read_text().splitlines())}" for n, p in MODULES.items()
+            if len(p.read_text().splitlines()) > 290]  # fmt: skip
+    for name, tree in TREES.items():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.FunctionDef):
+                documented = ast.get_docstring(node, clean=False) or ""
+                lines = node.end_lineno - node.body[0].lineno + 1 - len(documented.splitlines())
+                long += [f"{name}.{node.name}: {lines}"] if lines > 60 else []
+    assert not long
 
 
-@MODULE
-def test_importing_costs_nothing(path):
-    if module(path).startswith("gva_mi_plugins."):
-        return  # loaded by register() alone, when Mitsuba is there
-    heavy = {name.split(".")[0] for name in floors.imports(path, top_level_only=True)} & HEAVY
-    assert not heavy, f"{module(path)} imports {heavy} at its top: move it into the function"
+def test_a_class_name_has_one_meaning():
+    places = defaultdict(list)
+    for name, tree in TREES.items():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ClassDef):
+                places[node.name].append(name)
+    assert not {name: where for name, where in places.items() if len(where) > 1}
 
 
-@MODULE
-def test_a_file_is_one_idea(path):
-    """What takes more than 400 lines to say is two."""
-    assert len(path.read_text().splitlines()) <= 400
+def test_public_names_exist():
+    missing = []
+    for name, path in MODULES.items():
+        if path.name == "__init__.py" and not name.startswith("gva_mi_plugins."):
+            package = importlib.import_module(name)
+            missing += [
+                f"{name}.{x}" for x in getattr(package, "__all__", []) if not hasattr(package, x)
+            ]
+    assert not missing
 
 
-@MODULE
-def test_a_function_fits_on_a_screen(path):
-    """60 lines, below its signature and its docstring."""
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.FunctionDef):
-            documented = ast.get_docstring(node, clean=False) or ""
-            lines = node.end_lineno - node.body[0].lineno + 1 - len(documented.splitlines())
-            assert lines <= 60, f"{module(path)}.{node.name} has {lines} lines"
+def used_names(tree):
+    """Count how often each name is used, other than by its own definition."""
+    found = Counter()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Name):
+            found[node.id] += 1
+        elif isinstance(node, ast.Attribute):
+            found[node.attr] += 1
+        elif isinstance(node, ast.alias):
+            found[node.name.rsplit(".")[-1]] += 1
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            found.update(re.findall(r"^\w+$", node.value))  # getattr, __all__, tables of names
+    return found
 
 
-@pytest.mark.parametrize("path", [p for p in SOURCES if p.name == "__init__.py"], ids=module)
-def test_public_names_exist(path):
-    if module(path).startswith("gva_mi_plugins."):
-        return
-    package = importlib.import_module(module(path))
-    for name in getattr(package, "__all__", []):
-        assert hasattr(package, name), (
-            f"{package.__name__}.__all__ lists {name}, which is not there"
-        )
+def shown_names():
+    """Count the names in programs of README and docs, in notebooks and in benchmarks."""
+    found = Counter()
+    for page in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]:
+        for program in re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL):
+            found.update(re.findall(r"\w+", program))
+    for notebook in (ROOT / "notebooks").glob("*.ipynb"):
+        for cell in json.loads(notebook.read_text())["cells"]:
+            if cell["cell_type"] == "code":
+                found.update(re.findall(r"\w+", "".join(cell["source"])))
+    for path in [*(ROOT / "benchmarks").glob("*.py"), *(ROOT / "docs").glob("*.py")]:
+        found.update(re.findall(r"\w+", path.read_text()))
+    return found
+
+
+def definitions(tree):
+    """Yield public functions and classes, and the public methods of these."""
+    for node in tree.body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
+            yield node
+        if isinstance(node, ast.ClassDef):
+            for inner in node.body:
+                if isinstance(inner, ast.FunctionDef) and not inner.name.startswith("_"):
+                    yield inner
+
+
+def unreached(trees, shown):
+    """Return public definitions that nothing but tests reaches, by name."""
+    used = sum((used_names(tree) for tree in trees.values()), Counter())
+    return [
+        f"{name}.{node.name}"
+        for name, tree in trees.items()
+        for node in definitions(tree)
+        if used[node.name] <= used_names(node)[node.name]
+        and not shown[node.name]
+        and node.name not in CALLED_FROM_OUTSIDE
+    ]
+
+
+def test_no_public_definition_is_dead():
+    planted = ast.parse("def alive(): return 1\ndef dead(): return dead()\nx = alive()\n")
+    assert unreached({"m": planted}, Counter()) == ["m.dead"]
+    assert not unreached(TREES, shown_names())

@@ -1,7 +1,7 @@
 """Read a command's arguments with tyro, from its signature and its option dataclasses.
 
-The range of a number (:mod:`gva_mi.core.options`) is shown in ``--help``. Every refused value ends in
-one sentence that names the option.
+The range of a number (:mod:`gva_mi.core.options`) is shown in ``--help``. Every refused value ends
+in one sentence that names the option.
 """
 
 from __future__ import annotations

@@ -93,7 +93,7 @@ def atomic_dir(out: Path, replaced: str | None = None) -> Iterator[Path]:
 
     Args:
         out: a new or empty folder, or one that may be replaced.
-        replaced: marker file of a folder that may be replaced, see :func:`gva_mi.core.files.make_room`.
+        replaced: marker file of a folder that may be replaced, see :func:`make_room`.
 
     Raises:
         InputError: ``out`` holds something that may not be replaced, or another process makes it.

@@ -9,9 +9,9 @@ is wide.
 2. ``δ_k = δ⁰_k + Σ_l M_kl u_l``,   ``ε`` the same way, each coefficient for itself
 
 with an energy and coordinates ``u`` that come from what is believed of the errors and of the motion
-(:mod:`gva_mi.pose.prior.process`), at first from what was given alone, and then from the corrections in
-those frames in which the face looks toward the camera. A coefficient that is zero in all frames was
-not estimated, and stays; so does a jaw.
+(:mod:`gva_mi.pose.prior.process`), at first from what was given alone, and then from the
+corrections in those frames in which the face looks toward the camera. A coefficient that is zero in
+all frames was not estimated, and stays; so does a jaw.
 """
 
 from __future__ import annotations

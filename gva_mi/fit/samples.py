@@ -2,8 +2,8 @@
 
 Reading, decoding and cutting out a frame takes longer than rendering it: every training frame is
 read once, cut to the box around its mask, and kept as 8 bits, those of a long video on disk
-(:mod:`gva_mi.core.spill_cache`). When its turn comes, it is laid on a background of another colour than the
-last, so that alpha is learned (:mod:`gva_mi.fit.backgrounds`):
+(:mod:`gva_mi.core.spill_cache`). When its turn comes, it is laid on a background of another colour
+than the last, so that alpha is learned (:mod:`gva_mi.fit.backgrounds`):
 
 1. ``I = S P + (1 - S) b``   on the background ``b``
 2. ``I = P``                 on the background ``B``, where the mask is unsure

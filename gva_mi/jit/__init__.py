@@ -1,1 +1,1 @@
-"""Where Dr.Jit and torch meet: kernels over the rows of torch tensors, usable by any layer."""
+"""What joins Dr.Jit and torch: frozen functions, packets of rows, the lock, row-wise kernels."""

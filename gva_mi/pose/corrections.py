@@ -9,9 +9,10 @@ sideways, much better than a tilt toward the camera, and depth. With one step si
 coordinates that images show weakly would hardly move.
 
 The preconditioner ``M`` and the energy of the corrections come from the prior of this video
-(:mod:`gva_mi.pose.prior.inference`, :mod:`gva_mi.pose.prior.process`). The energy has further terms of the
-corrected pose: anatomy, the ground and camera-locked tilt. ``δ⁰`` is where the optimisation starts:
-first the MAP estimate without any image, later the corrections found before the prior was updated.
+(:mod:`gva_mi.pose.prior.inference`, :mod:`gva_mi.pose.prior.process`). The energy has further terms
+of the corrected pose: anatomy, the ground and camera-locked tilt. ``δ⁰`` is where the optimisation
+starts: first the MAP estimate without any image, later the corrections found before the prior was
+updated.
 """
 
 from __future__ import annotations

@@ -3,9 +3,9 @@
 The poses of all frames, and the displacement ``D`` and shape ``β`` that all frames share, are
 optimised (:mod:`gva_mi.pose.optimize`) on
 
-    L = mean_k( d_k + λc Σ_parts d_k,part )    d: Eq. 8's data term (gva_mi.pose.evidence.masks_normals) of the
-                                               posed body with shape β, displaced by D; again for
-                                               hands and feet (gva_mi.pose.evidence.close_ups)
+    L = mean_k( d_k + λc Σ_parts d_k,part )    d: Eq. 8's data term of the posed body
+                                               with shape β, displaced by D; again for hands and
+                                               feet (gva_mi.pose.evidence)
         + ν E(δ, τ)                            prior: stage 1, motion, anatomy, ground
                                                (gva_mi.pose.corrections)
         + E(D)                                 gva_mi.pose.displacement

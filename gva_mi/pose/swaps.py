@@ -9,8 +9,8 @@ that halves the body at rest. The states minimise
 1. ``E(s) = w Σ_k (L_k(s_k) / nat + cost(Δ_k(s_k, s_k+1))) + Σ_k (a s_k + b [s_k-1 < s_k])``
 
 with ``L_k`` the data term of Eq. 8 at this pose of stage 1, and the cost of how the limbs' joints
-turn from frame to frame (:mod:`gva_mi.pose.prior.motion`, eq. 2), at the speed that stage 1 shows. The
-chain of two states a frame is minimised by dynamic programming (Viterbi).
+turn from frame to frame (:mod:`gva_mi.pose.prior.motion`, eq. 2), at the speed that stage 1 shows.
+The chain of two states a frame is minimised by dynamic programming (Viterbi).
 
 ``w`` is below 1 because joints of a limb turn together, and so do the pixels on it. With legs
 apart, images and motion decide by tens of nats. ``a`` and ``b`` decide where they do not: for limbs

@@ -74,7 +74,7 @@ class TiltPrior:
         return replace(tilt, chance=chance.sqrt().clamp_min(LEAST))
 
     def energy(self, rotations: Tensor, transl: Tensor, times: Tensor) -> Tensor:
-        """Return eq. 2, a mean over the frames; see :class:`gva_mi.pose.prior.inference.PriorTerm`."""
+        """Return eq. 2, a mean over the frames."""
         if not self.shown:
             return rotations.new_zeros(())
         in_depth = self._locked(self._turns(rotations))[:, :2]

@@ -20,9 +20,9 @@ that a point stands, poses cost
 
 3. ``E = -Σ_kq log p(h_kq) / m + Σ_kq r_k-1,q r_kq r_k+1,q cost(x_k-1,q - 2 x_kq + x_k+1,q)``
 
-in which ``m`` frames count as one, and ``cost`` is that of :mod:`gva_mi.pose.prior.motion`. Standing
-points may slide at constant velocity, as on a turntable: penalising steps instead of their changes
-would stop that turn. How much steps may change is what images show sideways of the foot.
+in which ``m`` frames count as one, and ``cost`` is that of :mod:`gva_mi.pose.prior.motion`.
+Standing points may slide at constant velocity, as on a turntable: penalising steps instead of their
+changes would stop that turn. How much steps may change is what images show sideways of the foot.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """The Gaussian-process prior of corrections: stage 1's errors and the inertia of a motion.
 
 Stage 1 gives ``y_k``, the true value is ``x_k = y_k + δ_k``. The error model
-(:mod:`gva_mi.pose.prior.error_model`) and the motion model (:mod:`gva_mi.pose.prior.motion`) give the corrections
+(:mod:`gva_mi.pose.prior.error_model`) and the motion model (:mod:`gva_mi.pose.prior.motion`) give
+the corrections
 ``δ`` of one joint, or of one coordinate of a position, the energy (a negative log probability)
 
 1. ``E(δ) = 1/2 Σ_kl δ_k · P_kl δ_l + Σ_k cost(Δ_k)``,   ``P = K⁻¹``,   ``Δ_k = m_k + δ_k+1 - δ_k``

@@ -1,6 +1,6 @@
 """The Gaussians as the kernels take them, flat arrays, and where their gradients are written.
 
-Both front ends (torch's autograd.py, Dr.Jit's drjit_op.py) hand their arrays over in this form,
+Both front ends (torch's autograd.py, Dr.Jit's drjit_render.py) hand their arrays over in this form,
 without copies.
 """
 

@@ -4,7 +4,7 @@
     render_adjoint:   project_adjoint  <-  sum_slots  <-  blend_adjoint
     render_tangent:   project_tangent  ->  blend_tangent
 
-drjit_op.py wraps them for Dr.Jit's autodiff, autograd.py for torch's. Pictures are *planes* here:
+drjit_render.py wraps them for Dr.Jit's autodiff, autograd.py for torch's. Pictures are *planes* here:
 flat arrays, padded to whole tiles.
 
 The kernels are frozen (frozen.py). The first call traces and compiles them (0.1-0.5 s each, cached

@@ -1,4 +1,6 @@
-"""Generator of the built-in body: ``python -m gva_mi.synthetic.body_generator`` rebuilds its file bit by bit.
+"""Generator of the built-in body.
+
+``python -m gva_mi.synthetic.body_generator`` rebuilds its file bit by bit.
 
 ==================  ================================================================
 ``solids``          ellipsoids, cones, lofts, and their smooth union as a surface

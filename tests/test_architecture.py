@@ -23,11 +23,11 @@ OPTIONAL = {"mitsuba", "pymeshlab", "trimesh", "skimage", "matplotlib", "av", "j
 HOMES = {  # packages that only some modules may import
     "mitsuba": ("gva_mi_plugins", "gva_mi.mesh", "gva_mi.synthetic", "gva_mi.gradcheck",
                 "gva_mi.cli.doctor"),
-    "pymeshlab": ("gva_mi.synthetic", "gva_mi.avatar", "gva_mi.pose", "gva_mi.cli.doctor"),
+    "pymeshlab": ("gva_mi.synthetic", "gva_mi.avatar", "gva_mi.mesh.coarse_body", "gva_mi.cli.doctor"),
     "viser": ("gva_mi.viewer",),
     "transformers": ("gva_mi.data.networks",),
     "onnxruntime": ("gva_mi.data.networks",),
-    "tyro": ("gva_mi.cli", "gva_mi.core.options"),
+    "tyro": ("gva_mi.cli", "gva_mi.core.options", "gva_mi.__main__"),
 }  # fmt: skip
 CALLED_FROM_OUTSIDE = {  # by torch's autograd, Dr.Jit's, torch.nn, Mitsuba, pickle, argparse
     "forward", "backward", "jvp", "vmap", "setup_context", "eval",

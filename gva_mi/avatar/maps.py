@@ -33,7 +33,8 @@ from torch.autograd.function import FunctionCtx
 
 from gva_mi.jit.exclusive import exclusive
 from gva_mi.jit.frozen import Frozen
-from gva_mi.jit.rowwise import FLOATS, flat, in_rows, of_rows, tensors
+from gva_mi.jit.rowwise import flat, in_rows, of_rows, tensors
+from gva_mi.jit.tensors import PRECISION
 
 PIECE = 64  # Gaussians of a joint whose contributions one lane adds up
 AXES = range(3)
@@ -63,7 +64,7 @@ class Pairs:
         """Those of M pairs with their weights (M, 4)."""
         whole = lambda numbers: UInt32(numbers.numpy().astype(np.uint32))
         return Pairs(
-            whole(begin), whole(end), whole(others), FLOATS[four.dtype](four.flatten().numpy())
+            whole(begin), whole(end), whole(others), PRECISION[four.dtype](four.flatten().numpy())
         )
 
 

@@ -38,7 +38,8 @@ import torch
 from torch import Tensor
 from torch.autograd.function import FunctionCtx
 
-from gva_mi.jit.rowwise import FLOATS, launch
+from gva_mi.jit.rowwise import launch
+from gva_mi.jit.tensors import PRECISION
 
 SQUARINGS = 9  # B^512: the second eigenvalue is gone in float64 for joints up to 170 degrees apart
 MIN_GAP = 1e-4  # smallest pivot of the adjoint's system
@@ -57,7 +58,7 @@ def carry_frames(A: Tensor, means: Tensor, quats: Tensor) -> tuple[Tensor, Tenso
     Returns:
         means (N, 3) and quats (N, 4), differentiable in everything.
     """
-    if A.dtype not in FLOATS:
+    if A.dtype not in PRECISION:
         raise ValueError(f"carry_frames(): expected float32 or float64, got {A.dtype}")
     return _CarryFrames.apply(A, means, quats)
 

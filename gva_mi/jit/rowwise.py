@@ -1,8 +1,8 @@
 """Rowwise kernels: run a Dr.Jit function over the rows of torch tensors, one lane per row.
 
-Kernels are traced at their first call and replayed afterwards
-(:mod:`gva_mi.jit.frozen`), because tracing takes longer than running 20,000 rows. The
-number of rows is a constant of a recording, because the memory that a kernel allocates is.
+Kernels are traced at their first call and replayed afterwards (:mod:`gva_mi.jit.frozen`), because
+tracing takes longer than running 20,000 rows. The number of rows is a constant of a recording,
+because the memory that a kernel allocates is.
 """
 
 from __future__ import annotations
@@ -16,9 +16,7 @@ from torch import Tensor
 from gva_mi.jit.exclusive import exclusive
 from gva_mi.jit.frozen import Frozen
 from gva_mi.jit.packets import load_rows, store_rows
-from gva_mi.splat.autograd import PRECISION as FLOATS
-from gva_mi.splat.autograd import to_drjit
-from gva_mi.splat.screen import tensor_of
+from gva_mi.jit.tensors import PRECISION, tensor_of, to_drjit
 
 Lane = list[Array]  # the columns of a row
 
@@ -30,7 +28,7 @@ def launch(kernel: Callable[..., Iterable[Lane]], *inputs: Tensor) -> tuple[Tens
     Args:
         kernel: a module-level function that takes the K columns of each tensor as a list of
             Dr.Jit arrays, and returns such lists.
-        inputs: (N, K), or (1, K) for a row shared by all lanes; of one dtype of :data:`FLOATS`.
+        inputs: (N, K), or (1, K) for a row shared by all lanes; of one dtype of :data:`PRECISION`.
             The first has N > 0 rows.
 
     Returns:
@@ -68,7 +66,7 @@ def _launch(
 
 def flat(tensor: Tensor) -> Array:
     """Return the memory of a contiguous tensor as a flat array, without a copy."""
-    return to_drjit(tensor, FLOATS[tensor.dtype])
+    return to_drjit(tensor, PRECISION[tensor.dtype])
 
 
 def of_rows(numbers: Array, width: int, row: Array) -> Lane:

@@ -19,10 +19,11 @@ import torch
 from torch import Tensor
 
 from gva_mi.jit.exclusive import exclusive
+from gva_mi.jit.tensors import tensor_of
 from gva_mi.splat.kernels.project import ProjectedMemory
 from gva_mi.splat.kernels.records import Footprint, RecordFormat, Splat
 from gva_mi.splat.kernels.saved import SavedState
-from gva_mi.splat.tensors import first_two_columns, tensor_of
+from gva_mi.splat.tensors import first_two_columns
 
 
 @dataclass

@@ -1,4 +1,4 @@
-"""torch's tensors and Dr.Jit's arrays in the same memory, and pictures as padded planes."""
+"""Pictures as padded planes, columns of tables, and functions that torch must not compile."""
 
 from __future__ import annotations
 
@@ -12,29 +12,10 @@ import drjit as dr
 import numpy as np
 import torch
 from drjit import ArrayBase as Array
-from drjit.llvm import Float, Float64
 from torch import Tensor
 
+from gva_mi.jit.tensors import to_drjit
 from gva_mi.splat.kernels.tiles import Layout
-
-ALIGNMENT = 64  # bytes; torch's own memory has it
-PRECISION = {torch.float32: Float, torch.float64: Float64}
-
-
-def to_drjit(tensor: Tensor, F: type) -> Array:
-    """Return the tensor's own memory as a flat array; a copy if it is not aligned or contiguous."""
-    tensor = tensor.detach().contiguous()
-    if tensor.data_ptr() % ALIGNMENT:  # from numpy, or a slice
-        tensor = tensor.clone()
-    return F(tensor.view(-1))
-
-
-def tensor_of(array: Array, count: int | None = None) -> Tensor:
-    """Return an array's own memory as a tensor (width,), or its first ``count`` numbers.
-
-    It goes through numpy, because Dr.Jit's ``.torch()`` takes three times as long.
-    """
-    return torch.from_numpy(array.numpy()[:count])
 
 
 def first_two_columns(table: np.ndarray, rows: Tensor | None = None) -> Tensor:

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from gva_mi.core.threads import quiet_openmp
 from gva_mi.jit.exclusive import exclusive
+from gva_mi.jit.tensors import PRECISION, tensor_of, to_drjit
 from gva_mi.splat.camera import Camera
 from gva_mi.splat.kernels.inputs import Inputs, RequestedGradients
 from gva_mi.splat.kernels.passes import render_adjoint, render_forward, render_tangent
@@ -22,14 +23,7 @@ from gva_mi.splat.kernels.planes import Planes
 from gva_mi.splat.kernels.saved import SavedState
 from gva_mi.splat.options import SplatOptions
 from gva_mi.splat.screen import Screen
-from gva_mi.splat.tensors import (
-    PRECISION,
-    first_two_columns,
-    image_of,
-    plane_of,
-    tensor_of,
-    to_drjit,
-)
+from gva_mi.splat.tensors import first_two_columns, image_of, plane_of
 
 IMAGES = 3  # color, alpha, depth
 NO_BATCHES = (

@@ -7,9 +7,9 @@ from typing import Any, Literal, NoReturn, get_args
 import torch
 from torch import Tensor
 
+from gva_mi.jit.tensors import PRECISION
 from gva_mi.splat.camera import CameraModel
 from gva_mi.splat.gaussians import MAX_DEGREE
-from gva_mi.splat.tensors import PRECISION
 
 RenderMode = Literal["RGB", "D", "ED", "RGB+D", "RGB+ED"]
 RasterizeMode = Literal["classic", "antialiased"]

@@ -4,8 +4,8 @@
     render_adjoint:   project_adjoint  <-  sum_slots  <-  blend_adjoint
     render_tangent:   project_tangent  ->  blend_tangent
 
-drjit_render.py wraps them for Dr.Jit's autodiff, autograd.py for torch's. Pictures are *planes* here:
-flat arrays, padded to whole tiles.
+drjit_render.py wraps them for Dr.Jit's autodiff, autograd.py for torch's. Pictures are *planes*
+here: flat arrays, padded to whole tiles.
 
 The kernels are frozen (frozen.py). The first call traces and compiles them (0.1-0.5 s each, cached
 on disk). Later calls replay them for any number of Gaussians, pose and cut-off of distance or size

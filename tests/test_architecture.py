@@ -23,7 +23,8 @@ OPTIONAL = {"mitsuba", "pymeshlab", "trimesh", "skimage", "matplotlib", "av", "j
 HOMES = {  # packages that only some modules may import
     "mitsuba": ("gva_mi_plugins", "gva_mi.mesh", "gva_mi.synthetic", "gva_mi.gradcheck",
                 "gva_mi.cli.doctor"),
-    "pymeshlab": ("gva_mi.synthetic", "gva_mi.avatar", "gva_mi.mesh.coarse_body", "gva_mi.cli.doctor"),
+    "pymeshlab": ("gva_mi.synthetic", "gva_mi.avatar", "gva_mi.mesh.coarse_body",
+    "gva_mi.cli.doctor"),
     "viser": ("gva_mi.viewer",),
     "transformers": ("gva_mi.data.networks",),
     "onnxruntime": ("gva_mi.data.networks",),

@@ -32,8 +32,8 @@ COMMANDS = {  # what of a run's folder each reads
     "track": ("track {run} {subject}", ("poses", "records")),
 }
 WORK = (
-    "commands.fit.fit_video", "commands.render.render_shots", "commands.view.open_server",
-    "commands.track.fit_poses", "commands.evaluate.measure_run",
+    "cli.fit.fit_video", "cli.render.render_shots", "cli.view.open_server",
+    "cli.track.fit_poses", "cli.evaluate.measure_run",
 )  # fmt: skip
 
 

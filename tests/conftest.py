@@ -49,7 +49,7 @@ def one_thread():
 @pytest.fixture(scope="session")
 def joblib_dump():
     """The bytes that ``joblib.dump`` writes of a value."""
-    path = Path(__file__).with_name("pickles") / "joblib_files.py"
+    path = Path(__file__).with_name("core") / "pickles/joblib_files.py"
     spec = importlib.util.spec_from_file_location("joblib_files", path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)

@@ -17,18 +17,10 @@ from gva_mi.data.video import Video, spread
 from gva_mi.fit import run_folder
 from gva_mi.fit.photometric import FITTED
 from gva_mi.fit.run_folder import Snapshot
+from gva_mi.study import page
 from gva_mi.study.evaluate import REGIONS, Split, source_of
 from gva_mi.study.metrics import ALIGNED, AS_REFINED, TRAINED, Metrics, load_metrics
-from gva_mi.study.page import (
-    Headline,
-    Section,
-    Table,
-    animation,
-    number,
-    picture,
-    plot,
-    write_page,
-)
+from gva_mi.study.page import Headline, Section, Table, animation, number, picture, plot
 from gva_mi.study.refinement import OVERLAYS
 from gva_mi.study.refinement_report import errors_table
 from gva_mi.study.regions import CLOSE_UPS
@@ -53,7 +45,7 @@ def write_report(run: Path, avatar: Avatar, video: Video, title: str) -> None:
     metrics, history = load_metrics(run), run_folder.load_history(run)
     write_image(run / run_folder.OVERVIEW, overview(avatar, video))
     width, height = metrics.training.size
-    write_page(
+    page.write_page(
         run / run_folder.REPORT,
         title=title,
         subtitle=(

@@ -24,12 +24,13 @@ SMALLER = {
     "bench": "--repeats 1",
     "bench splat": "--repeats 1 --no-growth --scene scene.npz",
     # Seed 16 wears nothing and is bald, which is quick.
-    "study refine": "--people 16 --frames 3 --size 48 --refine.passes 1",
-    "study refine --edition": "--people 609 --families lean --frames 3 --size 48 --refine.passes 1",
-    "study avatar": "--people 16 --families lean --rows full --frames 3 --size 48 --novel 1 "
+    "study refine": "--subjects 16 --frames 3 --size 48 --refine.passes 1",
+    "study refine --held-out-set": "--subjects 609 --error-models lean --frames 3 --size 48 "
+    "--refine.passes 1",
+    "study avatar": "--subjects 16 --error-models lean --rows full --frames 3 --size 48 --novel 1 "
     "--refine.passes 1 --fit.steps 10",
-    "study avatar --edition": "--people 809 --families lean --rows full --frames 3 --size 48 "
-    "--novel 1 --refine.passes 1 --fit.steps 10",
+    "study avatar --held-out-set": "--subjects 809 --error-models lean --rows full --frames 3 "
+    "--size 48 --novel 1 --refine.passes 1 --fit.steps 10",
 }
 
 # Placeholders.

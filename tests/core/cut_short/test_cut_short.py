@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 SYNTH = "--frames 2 --size 32 --samples 4 --no-clothes --no-hair --novel-poses 1 --novel-views 1"
-SEEN = "--cases tuning --people 3 --size 48 --refine.passes 1 --refine.size 48"
+SEEN = "--cases tuning --subjects 3 --size 48 --refine.passes 1 --refine.size 48"
 AVATAR = "--fit.steps 5 --fit.checkpoint-every 2 --fit.window 16 --fit.avatar.seed.count 300"
 FIT = "--steps 5 --checkpoint-every 2 --window 16 --avatar.seed.count 300"
 OVERWRITE, RESUME = ("--overwrite",), ("--resume", "--overwrite")

@@ -105,7 +105,7 @@ def test_a_killed_worker_is_one_sentence(sign):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("command", [
-    "study refine --cases tuning --people 3 --frames 24 --size 64 --refine.passes 5000 "
+    "study refine --cases tuning --subjects 3 --frames 24 --size 64 --refine.passes 5000 "
     "--refine.size 48 --refine.part 12 --refine.overlap 2 --workers 2 --out {}/new",
     "synth {}/new --frames 600 --workers 2",
 ])  # fmt: skip

@@ -2,6 +2,7 @@
 # else is for developers.
 PYTHON ?= python3
 BIN := .venv/bin
+JOBS ?= 2
 LIBRARIES := libllvm19 libgl1 libx11-6
 export MPLBACKEND := Agg
 
@@ -13,10 +14,11 @@ demo: .venv/ready
 test: .venv/ready
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest --numprocesses $(JOBS) --dist worksteal
 
+# Nightly: all pages, notebooks, installation, fuzzing and kill -9 too.
 test-all: .venv/ready
-	$(BIN)/python -m pytest -m "slow or not slow"
+	$(BIN)/python -m pytest --numprocesses $(JOBS) --dist worksteal -m "slow or not slow"
 
 lint: .venv/ready
 	$(BIN)/ruff check --fix .

@@ -1,4 +1,4 @@
-"""What several folders of tests share."""
+"""Fixtures that several folders of tests share."""
 
 import importlib.util
 import json
@@ -11,15 +11,25 @@ import pytest
 
 import gva_mi  # noqa: F401  chooses the libLLVM before a test imports Dr.Jit
 
-# As the command line does: torch's idle threads leave the cores to Dr.Jit's.
+# As the command line does: idle threads of torch leave the cores to Dr.Jit's threads.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-# Of a shell's background job Ctrl-C is ignored, and so it would be of the processes tests start.
+# A shell's background job ignores Ctrl-C, and so would the processes that tests start.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_configure(config):
+    """Give each worker of pytest-xdist one thread, as there are as many workers as cores."""
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        import drjit as dr
+        import torch
+
+        torch.set_num_threads(1)
+        dr.set_thread_count(1)
 
 
 @pytest.fixture
 def cli(capsys, monkeypatch):
-    """Run ``gva-mi`` in this process; returns exit code, standard output and standard error."""
+    """Run ``gva-mi`` in this process; it returns exit code, standard output and standard error."""
     from gva_mi.__main__ import main
 
     def run(*arguments):
@@ -37,7 +47,7 @@ def cli(capsys, monkeypatch):
 
 @pytest.fixture(scope="session")
 def one_thread():
-    """Tests may share the cores with others: OpenMP's threads would wait for each other."""
+    """Limit torch to one thread: with busy cores OpenMP's threads would wait for each other."""
     import torch
 
     before = torch.get_num_threads()
@@ -48,15 +58,15 @@ def one_thread():
 
 @pytest.fixture(scope="session")
 def joblib_dump():
-    """The bytes that ``joblib.dump`` writes of a value."""
-    path = Path(__file__).with_name("core") / "pickles/joblib_files.py"
+    """Return a function from a value to the bytes that ``joblib.dump`` writes."""
+    path = Path(__file__).parent / "core/pickles/joblib_files.py"
     spec = importlib.util.spec_from_file_location("joblib_files", path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module.joblib_dump
 
 
-# The bare puppet before a camera, 96 pixels wide, in three poses.
+# The built-in body before a camera, 96 pixels wide, in three poses.
 
 
 @pytest.fixture(scope="session")
@@ -93,13 +103,13 @@ def true_pose():
     return Pose(rotations, torch.zeros(3, 3), torch.zeros(3, 10))
 
 
-# A tiny subject made by a known avatar: the puppet in colours, turning before a camera. It is made
-# where a test asks for it, so that tests of the lower floors need nothing from the higher ones.
+# A tiny subject rendered from a known avatar: the built-in body in colours, turning before a
+# camera. It is made where a test asks for it, so that tests of lower layers import no higher one.
 
 
 @pytest.fixture(scope="session")
 def built_in_body():
-    """The puppet. A folder may have another ``body``; fixtures of the session never stand on it."""
+    """The built-in body. A folder may override ``body``; session fixtures use this one."""
     from gva_mi.body.smplx import load_body
 
     return load_body()
@@ -112,7 +122,7 @@ def body(built_in_body):
 
 @pytest.fixture(scope="session")
 def known(built_in_body):
-    """The avatar that the pictures show."""
+    """The avatar from which the frames of ``subject`` are rendered."""
     import torch
 
     from gva_mi.avatar.avatar import AvatarOptions, seed_avatar
@@ -128,7 +138,7 @@ def known(built_in_body):
 
 @pytest.fixture(scope="session")
 def camera(built_in_body):
-    """48 pixels wide, 3 m before the body."""
+    """A camera of 48 pixels, 3 m before the body."""
     from gva_mi.splat import Camera, look_at
 
     size = 48
@@ -140,7 +150,8 @@ def camera(built_in_body):
 
 @pytest.fixture(scope="session")
 def turning():
-    """A motion of so many frames, and the shape: once around, with the arms moving."""
+    """Return a function: n frames to a motion of one turn with moving arms, and a shape."""
+
     import torch
 
     from gva_mi.body.pose import Pose, Shape
@@ -159,7 +170,7 @@ def turning():
 
 @pytest.fixture(scope="session")
 def subject(tmp_path_factory, known, camera, turning):
-    """6 frames before a grey wall, with the avatar's alpha as masks; frame 3 is the test frame."""
+    """A folder of 6 frames with a grey background, alpha as masks; frame 3 is the test frame."""
     import torch
 
     from gva_mi.body.pose import save_poses

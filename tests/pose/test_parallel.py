@@ -16,8 +16,8 @@ from gva_mi.pose import SequenceOptions, SingleFrameOptions, refine
 from gva_mi.pose.refine import refine_all
 
 # Three frames in two clips of two, skimmed first.
-CLIPS = SequenceOptions(size=64, passes=6, part=2, overlap=0, skim=3)
-SINGLE = SingleFrameOptions(size=64, steps=2)
+CLIPS = SequenceOptions(size=48, faces=1000, passes=4, learn=2, part=2, overlap=0, skim=3)
+SINGLE = SingleFrameOptions(size=48, faces=1000, steps=2)
 
 
 def assert_same(some, others):

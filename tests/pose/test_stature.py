@@ -70,7 +70,7 @@ def test_a_height_that_is_not_in_metres_is_refused(body, shape, camera, true_pos
 
 def test_a_refinement_keeps_the_height(stature, clip, body):
     height = 1.1 * float(stature.height(clip.shape))
-    refined = refine(clip, body, SequenceOptions(size=48, passes=4, height=height))
+    refined = refine(clip, body, SequenceOptions(size=48, faces=2000, passes=4, height=height))
     assert float(stature.height(refined.shape)) == pytest.approx(height, abs=0.005)
 
 
@@ -84,7 +84,7 @@ def test_hair_and_soles_do_not_bias_depth_if_the_height_is_known(stature, clip, 
             image = scene.render(centre + 1.04 * (vertices - centre), clip.camera).numpy()
         pictures.append((image[..., 3].copy(), image[..., :3].copy()))
     height = float(stature.height(clip.shape))
-    options = SequenceOptions(size=64, passes=16, learn=6, height=height)
+    options = SequenceOptions(size=64, faces=2000, passes=8, learn=3, height=height)
     refined = refine(replace(clip, pictures=pictures), body, options)
     sight = torch.from_numpy(clip.camera.T_camera_world[2]).float()
     nearer = (clip.pose.transl - refined.pose.transl) @ sight[:3]

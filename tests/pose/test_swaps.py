@@ -114,16 +114,14 @@ def test_only_images_can_swap_a_whole_video(walk):
     assert torch.equal(fixed.rotations, walk.rotations)
 
 
-@pytest.mark.parametrize("unswap", [True, False])
-def test_refine_fixes_swaps_first(body, scene, camera, walk, clip, unswap):
+def test_refine_fixes_swaps_first(body, scene, camera, walk, clip):
     frames, part = [3, 4, 5], walk[2:12]
     with torch.no_grad():
         views = [scene.render(body(pose, MEAN).vertices[0], camera).numpy()
                  for pose in map(part.__getitem__, range(10))]  # fmt: skip
     pictures = [(view[..., 3].copy(), view[..., :3].copy()) for view in views]
     wrong = replace(clip, pose=swapped_in(part, "legs", frames), pictures=pictures)
-    refined = refine(wrong, body, SequenceOptions(size=96, passes=1, learn=0, unswap=unswap))
-    assert refined.swapped == ({"legs": frames} if unswap else {})
+    refined = refine(wrong, body, SequenceOptions(size=96, faces=2000, passes=1, learn=0))
+    assert refined.swapped == {"legs": frames}
     error = (refined.pose.rotations - part.rotations)[:, PAIRS["legs"][0]].abs().amax((1, 2))
-    assert (error[frames].min() > 0.3) == (not unswap)
-    assert (error[frames].max() < 0.2) == unswap
+    assert error[frames].max() < 0.2

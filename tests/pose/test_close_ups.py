@@ -56,7 +56,11 @@ def test_a_close_up_contains_its_part_and_a_border(body, seen, vertices):
     closer = close_ups(picture, dict.fromkeys(parts, 1.0), vertices, person)
     assert len(closer) == len(parts) == 4
     for part, (_, view) in zip(parts, closer, strict=True):
-        pixels = view.camera.project(vertices[part.vertices].double().numpy())
+        points = vertices[part.vertices].double().numpy()
+        pixels, T = view.camera.project(points), view.camera.T_camera_world
+        depth = (points @ T[2, :3] + T[2, 3]).mean()
+        mean_area = part.area / 4 * (view.camera.fx / depth) ** 2  # over all directions (Cauchy)
+        assert view.area == pytest.approx(mean_area, rel=1e-6)
         length = np.ptp(pixels, 0).max()
         assert (pixels.min(0) > 0.2 * length).all()
         assert (pixels.max(0) < np.array([view.camera.width, view.camera.height])).all()

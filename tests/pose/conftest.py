@@ -10,6 +10,7 @@ import torch
 
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.data.video import Frame, Outline
+from gva_mi.pose.coarse_body import CoarseBody
 from gva_mi.splat import Camera
 
 
@@ -60,6 +61,12 @@ def outline_of():
 @pytest.fixture(scope="session", autouse=True)
 def quiet(one_thread):
     """Limit torch to one thread."""
+
+
+@pytest.fixture(scope="session")
+def coarse(body):
+    """The body on few triangles, which no refinement has to simplify again."""
+    return CoarseBody(body, 2000).body
 
 
 @pytest.fixture(scope="session")

@@ -109,10 +109,10 @@ def test_a_video_without_more_pixels_has_no_close_ups(body, fine, true_pose):
     assert scale(0.9 * 10 / hand, 10) is None
 
 
-def test_a_refinement_uses_close_ups_if_asked(clip, body):
+def test_a_refinement_uses_close_ups_if_asked(clip, coarse):
     options = SequenceOptions(size=40, faces=2000, passes=2, learn=1, close_feet=0)
     poses = [
-        refine(clip, body, replace(options, close_hands=weight, hand_size=40)).pose.rotations
+        refine(clip, coarse, replace(options, close_hands=weight, hand_size=40)).pose.rotations
         for weight in (0.0, 1.0)
     ]
     assert not torch.equal(*poses)

@@ -107,11 +107,11 @@ def test_bad_normals_do_not_favour_another_focal_length():
         assert loss(1.1) == pytest.approx(loss(1.0), rel=1e-6)
 
 
-def test_a_refinement_changes_the_focal_length_if_asked(clip, body):
+def test_a_refinement_changes_the_focal_length_if_asked(clip, coarse):
     """Also if some frames have no normals."""
     (mask, _), *others = clip.pictures
     clip = replace(clip, pictures=[(mask, None), *others])
     options = SequenceOptions(passes=2, learn=1, size=48, faces=2000, refine_camera=True)
-    refined = refine(clip, body, options)
+    refined = refine(clip, coarse, options)
     assert refined.focal != 1
     assert refined.cameras[0].fx == pytest.approx(refined.focal * clip.camera.fx)

@@ -16,8 +16,8 @@ from gva_mi.pose import SequenceOptions, SingleFrameOptions, refine
 from gva_mi.pose.refine import refine_all
 
 # Three frames in two clips of two, skimmed first.
-CLIPS = SequenceOptions(size=48, faces=1000, passes=4, learn=2, part=2, overlap=0, skim=3)
-SINGLE = SingleFrameOptions(size=48, faces=1000, steps=2)
+CLIPS = SequenceOptions(size=48, passes=4, learn=2, part=2, overlap=0, skim=3)
+SINGLE = SingleFrameOptions(size=64, steps=2)
 
 
 def assert_same(some, others):
@@ -28,9 +28,9 @@ def assert_same(some, others):
 
 
 @pytest.fixture(scope="module")
-def alone(clip, body):
+def alone(clip, coarse):
     """Two subjects, the second of two frames, refined by this process."""
-    return list(refine_all(subjects(clip), body))
+    return list(refine_all(subjects(clip), coarse))
 
 
 def subjects(clip):
@@ -41,43 +41,43 @@ def shorter(clip):
     return replace(clip, pictures=clip.pictures[:2], pose=clip.pose[:2])
 
 
-def test_clips_share_one_displacement_and_subjects_do_not_interact(alone, clip, body):
+def test_clips_share_one_displacement_and_subjects_do_not_interact(alone, clip, coarse):
     refined = alone[0]
     assert refined.offsets.any() and not refined.kept
     assert (refined.losses < refined.losses_stage1).all()
-    assert_same(alone[1:], [refine(shorter(clip), body, CLIPS)])
+    assert_same(alone[1:], [refine(shorter(clip), coarse, CLIPS)])
 
 
-def test_a_clip_without_evidence_does_not_change_the_others(clip, body):
+def test_a_clip_without_evidence_does_not_change_the_others(clip, coarse):
     """Not even the first one, from which the shared surface could have been taken."""
     gone = {0: "it has no picture", 1: "it has no mask"}
     pictures = [(np.zeros((96, 96), np.float32), None)] * 2 + clip.pictures[2:]
     options = replace(CLIPS, part=1)
-    refined = refine(replace(clip, pictures=pictures, absent=gone), body, options)
+    refined = refine(replace(clip, pictures=pictures, absent=gone), coarse, options)
     assert refined.kept == gone and refined.offsets.any()
     assert torch.equal(refined.pose.rotations[:2], clip.pose.rotations[:2])
     assert refined.losses[2] < refined.losses_stage1[2]
 
 
-def test_single_frames_are_independent(clip, body):
-    whole = refine(clip, body, SINGLE)
-    first = refine(shorter(clip), body, SINGLE)
+def test_single_frames_are_independent(clip, coarse):
+    whole = refine(clip, coarse, SINGLE)
+    first = refine(shorter(clip), coarse, SINGLE)
     assert torch.equal(first.pose.rotations, whole.pose.rotations[:2])
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("count", [2, 3])
-def test_any_number_of_workers_finds_the_same_bits(alone, clip, body, count):
+def test_any_number_of_workers_finds_the_same_bits(alone, clip, coarse, count):
     calls = []
     with workers(count) as pool:
-        found = list(refine_all(subjects(clip), body, lambda *a: calls.append(a), pool))
+        found = list(refine_all(subjects(clip), coarse, lambda *a: calls.append(a), pool))
     assert_same(alone, found)
     assert calls == sorted(calls) and calls[-1][0] == calls[-1][1]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("killed", [False, True])
-def test_a_cluster_finds_the_same_bits(alone, clip, body, killed):
+def test_a_cluster_finds_the_same_bits(alone, clip, coarse, killed):
     """Also if one of its workers is killed: the scheduler gives its tasks to another one."""
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(
@@ -90,7 +90,7 @@ def test_a_cluster_finds_the_same_bits(alone, clip, body, killed):
                 os.kill(victims.pop(), signal.SIGKILL)
 
         with cluster(local.scheduler_address) as executor:
-            found = list(refine_all(subjects(clip), body, kill, executor))
+            found = list(refine_all(subjects(clip), coarse, kill, executor))
     assert not victims
     assert_same(alone, found)
 

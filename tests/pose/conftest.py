@@ -10,7 +10,7 @@ import torch
 
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.data.video import Frame, Outline
-from gva_mi.pose.coarse_body import CoarseBody
+from gva_mi.mesh.coarse_body import CoarseBody
 from gva_mi.splat import Camera
 
 

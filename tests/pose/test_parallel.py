@@ -16,7 +16,7 @@ from gva_mi.pose import SequenceOptions, SingleFrameOptions, refine
 from gva_mi.pose.refine import refine_all
 
 # Three frames in two clips of two, skimmed first.
-CLIPS = SequenceOptions(size=48, passes=4, learn=2, part=2, overlap=0, skim=3)
+CLIPS = SequenceOptions(size=48, passes=3, learn=1, part=2, overlap=0, skim=3)
 SINGLE = SingleFrameOptions(size=64, steps=2)
 
 

@@ -12,7 +12,7 @@ from gva_mi.data.ground_truth import Truth
 from gva_mi.pose import SequenceOptions, SingleFrameOptions, refine
 from gva_mi.study.measure import measure
 
-SEQUENCE = SequenceOptions(size=96, faces=2000, passes=8, learn=3)
+SEQUENCE = SequenceOptions(size=96, faces=2000, passes=12, learn=5)
 SHORT = replace(SEQUENCE, passes=1, learn=0, unswap=False)
 PAPER = SingleFrameOptions(size=96, faces=2000, steps=14)
 

@@ -9,9 +9,10 @@ from gva_mi.body.anny import anny_body
 from gva_mi.body.built_in import BUILT_IN_BODY
 from gva_mi.body.smplx import load_body
 from gva_mi.cli.arguments import Switch
+from gva_mi.core.atomic import atomic_write
 from gva_mi.core.console import say
 from gva_mi.core.errors import InputError
-from gva_mi.core.files import atomic_write, require_room
+from gva_mi.core.files import require_room
 from gva_mi.data.pictures import require_picture, write_image
 from gva_mi.synthetic.portrait import pose_sheet as draw_sheet
 from gva_mi.synthetic.portrait import turntable

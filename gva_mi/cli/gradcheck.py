@@ -12,9 +12,9 @@ from torch import Generator
 from tyro.conf import Positional
 
 from gva_mi.cli.arguments import Flat, Switch
+from gva_mi.core.atomic import require_writable
 from gva_mi.core.console import bar, say
 from gva_mi.core.errors import InputError
-from gva_mi.core.files import require_writable
 from gva_mi.core.options import Seed, Within, require_ranges
 from gva_mi.gradcheck.avatar import check_avatar
 from gva_mi.gradcheck.chain import PosedAvatar

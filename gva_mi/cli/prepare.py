@@ -9,9 +9,9 @@ from tyro.conf import Positional, arg
 
 from gva_mi.body.smplx import BUILT_IN_NAME
 from gva_mi.cli.arguments import Flat, Switch
+from gva_mi.core.atomic import atomic_dir
 from gva_mi.core.console import bar, say
 from gva_mi.core.errors import InputError
-from gva_mi.core.files import atomic_dir
 from gva_mi.data.fingerprint import PREPARED
 from gva_mi.data.importers.datasets import DATASETS
 from gva_mi.data.importers.estimators import KINDS

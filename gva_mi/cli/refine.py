@@ -14,9 +14,10 @@ from gva_mi.body.smplx import BodyModel, load_body
 from gva_mi.cli.arguments import Flat, Switch, warn_if_outside_masks
 from gva_mi.core.console import bar, listed, say
 from gva_mi.core.errors import InputError
-from gva_mi.core.files import require_room, versions
+from gva_mi.core.files import require_room
 from gva_mi.core.lock import folder_lock
 from gva_mi.core.options import Weight, Workers
+from gva_mi.core.provenance import versions
 from gva_mi.core.tasks import cluster
 from gva_mi.core.tasks import workers as local_workers
 from gva_mi.data.fingerprint import require_same_body

@@ -15,9 +15,10 @@ from typing import Any
 
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.pose import Pose
+from gva_mi.core.atomic import require_writable
 from gva_mi.core.console import say
 from gva_mi.core.errors import InputError
-from gva_mi.core.files import read_json, require_writable, start_folder
+from gva_mi.core.files import read_json, start_folder
 from gva_mi.core.lock import folder_lock
 from gva_mi.core.provenance import hash_arrays, program_digest, versions
 from gva_mi.fit.camera_paths import Shot

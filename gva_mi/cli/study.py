@@ -12,11 +12,12 @@ from tyro.conf import arg, subcommand
 
 from gva_mi.body.smplx import load_body
 from gva_mi.cli.arguments import Flat, Switch
+from gva_mi.core.atomic import require_writable
 from gva_mi.core.console import bar, say
 from gva_mi.core.errors import InputError
-from gva_mi.core.files import require_writable, versions
 from gva_mi.core.lock import folder_lock
 from gva_mi.core.options import Within, Workers, require_ranges
+from gva_mi.core.provenance import versions
 from gva_mi.core.tasks import workers as local_workers
 from gva_mi.study.avatar_study import AvatarStudy, AvatarStudyOptions
 from gva_mi.study.cases import TUNING, StudyCase, held_out

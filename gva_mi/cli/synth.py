@@ -9,9 +9,10 @@ from tyro.conf import Positional
 
 from gva_mi.body.smplx import load_body
 from gva_mi.cli.arguments import Flat, Switch
+from gva_mi.core.atomic import require_writable
 from gva_mi.core.console import bar, say
 from gva_mi.core.errors import InputError
-from gva_mi.core.files import require_replaceable, require_writable
+from gva_mi.core.files import require_replaceable
 from gva_mi.core.lock import folder_lock
 from gva_mi.data.pictures import require_picture
 from gva_mi.synthetic import SynthOptions, degrade, describe_errors, make_subject

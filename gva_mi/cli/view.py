@@ -18,9 +18,9 @@ from gva_mi.body.built_in import EXPRESSIONS
 from gva_mi.body.pose import JOINTS, Pose, is_pose_file
 from gva_mi.body.smplx import load_body
 from gva_mi.cli.driving import motion_of
+from gva_mi.core.atomic import require_writable
 from gva_mi.core.console import say
 from gva_mi.core.errors import InputError
-from gva_mi.core.files import require_writable
 from gva_mi.core.options import Within
 from gva_mi.core.threads import one_torch_thread
 from gva_mi.data.video import Video, load_video

@@ -21,12 +21,9 @@ from gva_mi.core.arrays import (
     read_npy,
     require_bytes,
 )
-from gva_mi.core.atomic import atomic_dir as atomic_dir
-from gva_mi.core.atomic import atomic_files as atomic_files
 from gva_mi.core.atomic import atomic_write, holds_something, require_ours, require_writable
-from gva_mi.core.atomic import part_of as part_of  # other areas import these from here
 from gva_mi.core.errors import InputError, reason_of
-from gva_mi.core.provenance import versions as versions
+from gva_mi.core.provenance import versions
 
 LARGEST_TEXT = 1 << 28  # bytes of a JSON file
 
@@ -112,7 +109,7 @@ def read_json(path: Path, expected: str) -> Any:  # noqa: ANN401
         raise InputError(f"{path}: not readable as JSON ({reason}); expected {expected}") from None
 
 
-def says(path: Path, value: Any) -> bool:  # noqa: ANN401
+def json_equals(path: Path, value: Any) -> bool:  # noqa: ANN401
     """Return whether a JSON file holds exactly this value; False if it cannot be read."""
     try:
         return read_json(path, "") == json.loads(json.dumps(value, default=str))

@@ -22,7 +22,7 @@ from typing import Generic, Protocol, TypeVar
 from gva_mi.core.console import Progress, within
 from gva_mi.core.errors import InputError
 from gva_mi.core.threads import one_torch_thread
-from gva_mi.core.workers import lost, processes
+from gva_mi.core.workers import worker_died, worker_processes
 
 CONNECT = 10  # seconds to wait for a scheduler
 
@@ -105,7 +105,7 @@ def _result(future: Future[Done[Result]]) -> Done[Result]:
         theirs = type(error).__module__.split(".")[0] == "distributed"
         if not theirs and not isinstance(error, BrokenExecutor | CancelledError):
             raise
-        raise lost(error) from None
+        raise worker_died(error) from None
 
 
 @contextmanager
@@ -117,7 +117,7 @@ def workers(count: int) -> Iterator[Executor | None]:
         yield None
         return
     threads = max(1, (os.cpu_count() or 1) // count)
-    with processes(count, _start_worker, threads) as pool:
+    with worker_processes(count, _start_worker, threads) as pool:
         yield pool
 
 

@@ -4,7 +4,7 @@
   next run of the same command writes. (loky's workers do not; that is why this is not loky.)
 * Ctrl-C reaches every process of a terminal. Workers ignore it; the parent tells them to stop, and
   kills one that has not cleaned up after :data:`GRACE` seconds.
-* If a worker dies, whoever waits for it gets ``BrokenExecutor``; :func:`lost` explains it.
+* If a worker dies, whoever waits for it gets ``BrokenExecutor``; :func:`worker_died` explains it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,11 @@ GRACE = 5.0  # seconds
 
 
 @contextmanager
-def processes(count: int, begin: Callable[..., None], *given: Any) -> Iterator[ProcessPoolExecutor]:  # noqa: ANN401
+def worker_processes(
+    count: int,
+    begin: Callable[..., None],
+    *given: Any,  # noqa: ANN401
+) -> Iterator[ProcessPoolExecutor]:
     """Yield an executor whose processes end with this context.
 
     Args:
@@ -77,7 +81,7 @@ def _ctrl_c_held() -> Iterator[None]:
             signal.raise_signal(signal.SIGINT)
 
 
-def lost(error: BaseException) -> InputError:
+def worker_died(error: BaseException) -> InputError:
     """Return the sentence for a worker that died before its work was done."""
     return InputError(
         f"a worker process, or the scheduler, is gone ({reason_of(error)}): killed, or out of "

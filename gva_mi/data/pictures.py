@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gva_mi.core.atomic import atomic_write
 from gva_mi.core.errors import MALFORMED, InputError, reason_of
-from gva_mi.core.files import atomic_write, require_room
+from gva_mi.core.files import require_room
 from gva_mi.data.mattes import matte_of
 
 if TYPE_CHECKING:

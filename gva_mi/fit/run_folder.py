@@ -35,16 +35,10 @@ from gva_mi.avatar.formats.without_body import WITHOUT_BODY, with_body
 from gva_mi.avatar.reinit import SurfaceMesh
 from gva_mi.body.pose import Pose, Shape, load_poses
 from gva_mi.body.smplx import body_name, load_body
+from gva_mi.core.atomic import atomic_write, part_of
 from gva_mi.core.errors import InputError, expecting, reason_of
-from gva_mi.core.files import (
-    atomic_write,
-    part_of,
-    read_arrays,
-    read_json,
-    versions,
-    write_arrays,
-    write_json,
-)
+from gva_mi.core.files import read_arrays, read_json, write_arrays, write_json
+from gva_mi.core.provenance import versions
 from gva_mi.data.identity import differing, identity
 from gva_mi.data.video import Video
 from gva_mi.splat import Gaussians

@@ -18,7 +18,9 @@ from torch import Tensor
 
 from gva_mi.body.pose import load_poses, save_poses
 from gva_mi.body.smplx import BodyModel
-from gva_mi.core.files import atomic_files, versions, write_json
+from gva_mi.core.atomic import atomic_files
+from gva_mi.core.files import write_json
+from gva_mi.core.provenance import versions
 from gva_mi.data.ground_truth import load_ground_truth
 from gva_mi.data.video import POSES, Video
 from gva_mi.fit.photometric import FittedPoses, PhotometricOptions

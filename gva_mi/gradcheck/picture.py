@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gva_mi.core.files import atomic_write
+from gva_mi.core.atomic import atomic_write
 from gva_mi.gradcheck.probes import IMAGES
 from gva_mi.gradcheck.splat import RendererReport
 

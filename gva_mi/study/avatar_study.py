@@ -22,8 +22,9 @@ from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.pose import Pose, load_offsets
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
-from gva_mi.core.files import says, versions, write_json
+from gva_mi.core.files import json_equals, write_json
 from gva_mi.core.options import PictureSide, require_ranges
+from gva_mi.core.provenance import versions
 from gva_mi.core.tasks import Task
 from gva_mi.data.ground_truth import load_ground_truth
 from gva_mi.data.video import POSES, REFINED_POSES, TEST_EVERY, Splits, Video, load_video
@@ -125,7 +126,7 @@ class PrepareCase:
 
     def solve(self, progress: Progress | None = None) -> None:
         """Write the refined poses and their figures into the case's folder."""
-        if not says(self.subject / PREPARED, self.made_with):
+        if not json_equals(self.subject / PREPARED, self.made_with):
             args = (self.subject, self.case, self.body, self.options)
             write_record(refine_case(*args, progress=progress), versions())
             write_json(self.subject / PREPARED, self.made_with)
@@ -210,7 +211,7 @@ class VariantRun:
     def _make_room(self) -> None:
         """Remove a run that was made with something else."""
         held = self.out / MADE_WITH
-        if self.out.exists() and not says(held, self.made_with):
+        if self.out.exists() and not json_equals(held, self.made_with):
             shutil.rmtree(self.out)
         if not held.exists():
             write_json(held, self.made_with)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gva_mi.core.files import atomic_write
+from gva_mi.core.atomic import atomic_write
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -28,9 +28,10 @@ import numpy as np
 import torch
 
 from gva_mi.body.pose import save_poses
+from gva_mi.core.atomic import atomic_files
 from gva_mi.core.console import Progress
 from gva_mi.core.errors import expecting
-from gva_mi.core.files import atomic_files, read_json, write_json
+from gva_mi.core.files import read_json, write_json
 from gva_mi.data.pictures import in_8_bits, write_image
 from gva_mi.data.video import REFINED_POSES, spread
 from gva_mi.mesh.overlay import overlay, strip

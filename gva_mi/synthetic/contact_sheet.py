@@ -10,7 +10,7 @@ import torch
 
 from gva_mi.body.pose import ROOT
 from gva_mi.body.smplx import BodyModel
-from gva_mi.core.files import atomic_files
+from gva_mi.core.atomic import atomic_files
 from gva_mi.data.video import Video, load_video
 from gva_mi.mesh.overlay import overlay
 from gva_mi.synthetic import motion

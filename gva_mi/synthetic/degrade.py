@@ -14,8 +14,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from gva_mi.body.smplx import BodyModel
+from gva_mi.core.atomic import atomic_dir, atomic_write
 from gva_mi.core.console import Progress
-from gva_mi.core.files import atomic_dir, atomic_write, write_json
+from gva_mi.core.files import write_json
 from gva_mi.data.fingerprint import require_same_body
 from gva_mi.data.ground_truth import load_ground_truth
 from gva_mi.synthetic.closest import closest

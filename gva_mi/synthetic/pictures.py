@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gva_mi.core.workers import lost, processes
+from gva_mi.core.workers import worker_died, worker_processes
 from gva_mi.data.pictures import write_image
 from gva_mi.splat import Camera
 from gva_mi.synthetic.camera_effects import CameraEffects
@@ -80,7 +80,7 @@ def rendering(subject: Subject, workers: int, step: Callable[[], None]) -> Itera
         if workers == 1:
             results = partial(map, partial(render_job, Renderer(subject)))
         else:
-            pool = stack.enter_context(processes(workers, _start_worker, subject))
+            pool = stack.enter_context(worker_processes(workers, _start_worker, subject))
             results = partial(_in_order, pool, 2 * workers)
 
         def render(jobs: Iterable[RenderJob]) -> Iterator[RenderResult]:
@@ -102,7 +102,7 @@ def _in_order(pool: Executor, ahead: int, jobs: Iterable[RenderJob]) -> Iterator
         while waiting:
             yield waiting.popleft().result()
     except BrokenExecutor as error:
-        raise lost(error) from None
+        raise worker_died(error) from None
 
 
 def render_job(renderer: Renderer, job: RenderJob) -> RenderResult:

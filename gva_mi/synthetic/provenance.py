@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from gva_mi.body.smplx import BodyModel
+from gva_mi.core.atomic import atomic_write
 from gva_mi.core.errors import expecting
-from gva_mi.core.files import atomic_write, read_json
+from gva_mi.core.files import read_json
 from gva_mi.data.fingerprint import ABOUT, require_same_body
 from gva_mi.synthetic.options import SynthOptions
 from gva_mi.synthetic.subject import Subject, draw_subject

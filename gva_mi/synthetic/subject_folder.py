@@ -30,7 +30,8 @@ import torch
 import gva_mi
 from gva_mi.body.pose import Pose, save_poses
 from gva_mi.body.smplx import BodyModel
-from gva_mi.core.files import atomic_dir, write_arrays, write_json
+from gva_mi.core.atomic import atomic_dir
+from gva_mi.core.files import write_arrays, write_json
 from gva_mi.data.fingerprint import fingerprint
 from gva_mi.data.ground_truth import BODY
 from gva_mi.data.pictures import write_movie

@@ -14,9 +14,9 @@ from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 
+from gva_mi.core.atomic import atomic_write
 from gva_mi.core.console import say
 from gva_mi.core.errors import InputError
-from gva_mi.core.files import atomic_write
 from gva_mi.core.lock import folder_lock
 from gva_mi.data.video import save_cameras
 from gva_mi.fit.renders import see_through

@@ -13,18 +13,16 @@ import pytest
 
 from gva_mi import InputError
 from gva_mi.core.arrays import Budget
+from gva_mi.core.atomic import atomic_dir, atomic_files, atomic_write
 from gva_mi.core.errors import expecting
 from gva_mi.core.files import (
-    atomic_dir,
-    atomic_files,
-    atomic_write,
+    json_equals,
     make_room,
     read_array,
     read_arrays,
     read_json,
     require_keys,
     require_room,
-    says,
     start_folder,
     write_arrays,
     write_json,
@@ -245,9 +243,9 @@ def test_malformed_json_is_one_sentence(tmp_path):
         path.write_text(text)
         with pytest.raises(InputError, match=r"a\.json: not readable as JSON \(.*\); expected b$"):
             read_json(path, "b")
-        assert not says(path, {})
+        assert not json_equals(path, {})
     write_json(path, {"a": (1, 2), "b": path})
-    assert says(path, {"a": (1, 2), "b": path}) and not says(path, {"a": [1]})
+    assert json_equals(path, {"a": (1, 2), "b": path}) and not json_equals(path, {"a": [1]})
     with pytest.raises(InputError, match=r"b\.json: no such file; expected metrics"):
         read_json(tmp_path / "b.json", "metrics")
 

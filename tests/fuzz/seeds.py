@@ -18,7 +18,7 @@ from gva_mi.body.built_in import BUILT_IN_BODY
 from gva_mi.body.pose import is_pose_file, load_offsets
 from gva_mi.body.smplx import load_body
 from gva_mi.cli import series
-from gva_mi.core.files import says, write_json
+from gva_mi.core.files import json_equals, write_json
 from gva_mi.data.fingerprint import fingerprint, require_same_body
 from gva_mi.data.ground_truth import load_ground_truth
 from gva_mi.data.importers.capture import read_ranges
@@ -155,7 +155,7 @@ def seeds(subject, avatar):
         file = StudyFile(folder / "refine.json", "refine", MADE_WITH)
         each(folder, path, {
             "refine.json": lambda path: refine_cells(file.load()),
-            "marker.json": lambda path: (says(path, MADE_WITH), series._hash_in(path)),
+            "marker.json": lambda path: (json_equals(path, MADE_WITH), series._hash_in(path)),
         })  # fmt: skip
 
     def gaussians(folder):

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from gva_mi.core.files import atomic_write
+from gva_mi.core.atomic import atomic_write
 
 _COMPONENTS = {"uint8": 5121, "uint16": 5123, "uint32": 5125, "float32": 5126}
 _KINDS = {(): "SCALAR", (2,): "VEC2", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}

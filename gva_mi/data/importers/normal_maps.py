@@ -12,9 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
+from gva_mi.core.atomic import atomic_write
 from gva_mi.core.console import listed
 from gva_mi.core.errors import InputError, expecting
-from gva_mi.core.files import atomic_write, read_array, write_json
+from gva_mi.core.files import read_array, write_json
 from gva_mi.data.importers.footage import PICTURES, Pictures, files_of
 from gva_mi.data.importers.numbering import number_in
 from gva_mi.data.masks import read_mask

@@ -21,7 +21,8 @@ import torch
 from gva_mi.body.pose import LEFT_HAND, Pose, Shape, save_poses
 from gva_mi.core.console import Progress
 from gva_mi.core.errors import InputError
-from gva_mi.core.files import versions, write_json
+from gva_mi.core.files import write_json
+from gva_mi.core.provenance import versions
 from gva_mi.data.fingerprint import PREPARED, fingerprint
 from gva_mi.data.importers.by_networks import write_masks, write_normals
 from gva_mi.data.importers.capture import Capture, read_ranges

@@ -22,8 +22,8 @@ from pathlib import Path
 
 import numpy as np
 
+from gva_mi.core.atomic import atomic_write
 from gva_mi.core.errors import InputError
-from gva_mi.core.files import atomic_write
 from gva_mi.splat.formats.compressed_ply import CHUNK, PACKED, REST
 from gva_mi.splat.formats.ply import harmonics_of
 from gva_mi.splat.gaussians import Gaussians

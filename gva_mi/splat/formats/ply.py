@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from gva_mi.core.atomic import atomic_write
 from gva_mi.core.errors import InputError
-from gva_mi.core.files import atomic_write
 from gva_mi.splat.formats.compressed_ply import decompressed, is_compressed
 from gva_mi.splat.formats.ply_elements import read_elements
 from gva_mi.splat.gaussians import Gaussians, degree_of

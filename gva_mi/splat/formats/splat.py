@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from gva_mi.core.atomic import atomic_write
 from gva_mi.core.errors import InputError
-from gva_mi.core.files import atomic_write
 from gva_mi.splat.gaussians import Gaussians
 from gva_mi.splat.geometry import with_axes
 from gva_mi.splat.kernels.sh import C0

@@ -34,8 +34,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from gva_mi.core.atomic import atomic_write
 from gva_mi.core.errors import InputError
-from gva_mi.core.files import atomic_write
 from gva_mi.splat.formats.ply import harmonics_of
 from gva_mi.splat.gaussians import Gaussians, degree_of
 from gva_mi.splat.geometry import with_axes

@@ -16,7 +16,7 @@ pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="ne
 
 HOLDS = """
 import os, sys, time
-from gva_mi.core.workers import processes
+from gva_mi.core.workers import worker_processes
 
 def begin(*_):
     pass
@@ -30,7 +30,7 @@ def work(number):
         print("cleared up", flush=True)
 
 if __name__ == "__main__":
-    with processes(2, begin) as pool:
+    with worker_processes(2, begin) as pool:
         for future in [pool.submit(work, k) for k in range(5)]:
             future.result()
 """

@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 import torch
 
-from gva_mi.splat.formats.ply import load_ply, save_ply
 from gva_mi.splat.scene import random_scene
 
 PROGRAM = Path(__file__).parents[1] / "docs/train_gaussians.py"
@@ -42,14 +41,3 @@ def test_kept_rows_keep_their_adam_moments(program):
     (p,) = adam.param_groups[0]["params"]
     assert p is params["a"] and list(adam.state) == [p]
     assert torch.allclose(adam.state[p]["exp_avg"].flatten(), torch.tensor([0.1, 0.3, 0.0]))
-
-
-def test_it_reads_and_writes_files(program, tmp_path, capsys):
-    save_ply(tmp_path / "a.ply", random_scene(torch.Generator().manual_seed(0), 20).gaussians)
-    out = tmp_path / "b.ply"
-    program.main(["--scene", str(tmp_path / "a.ply"), "--steps=2", "--size=16", f"--out={out}"])
-    assert "after 2 steps: 100 Gaussians" in capsys.readouterr().out
-    assert len(load_ply(out)) == 100
-    with pytest.raises(SystemExit) as stop:
-        program.main(["--scene", str(tmp_path / "missing.ply")])
-    assert stop.value.code == 2 and "no such file" in capsys.readouterr().err

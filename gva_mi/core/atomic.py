@@ -16,8 +16,7 @@ from gva_mi.core.lock import folder_lock
 def atomic_write(path: Path) -> Iterator[Path]:
     """Yield a temporary path to write to, which replaces ``path`` once it is written whole.
 
-    Raises:
-        OSError: such as a full disk, with the file's name.
+    Every OSError, such as a full disk, gets the file's name.
     """
     path = Path(path)
     unfinished = part_of(path)
@@ -44,12 +43,8 @@ def atomic_files(main: Path, *about: str) -> Iterator[Path]:
     it. So a describing file always belongs to the main file beside it. A process killed in between
     leaves the main file alone, old or new.
 
-    Args:
-        main: the file.
-        about: names of all files that may describe it; one that is not written now is removed.
-
-    Raises:
-        OSError: such as a full disk; older files stay.
+    One of the files ``about`` it that is not written now is removed. If writing fails, all older
+    files stay.
     """
     main = Path(main)
     unfinished = main.with_name(f".{main.name}.gva-mi-part")
@@ -70,12 +65,7 @@ def atomic_files(main: Path, *about: str) -> Iterator[Path]:
 
 @contextmanager
 def with_filename(path: Path, always: bool = False) -> Iterator[None]:
-    """Add a file name to any OSError raised within, because not every writer reports one.
-
-    Args:
-        path: the file or folder that is written.
-        always: replace the name that an error already has.
-    """
+    """Add a file name to any OSError raised within, or ``always`` replace the one it has."""
     try:
         yield
     except OSError as error:
@@ -91,13 +81,8 @@ def atomic_dir(out: Path, replaced: str | None = None) -> Iterator[Path]:
     At any moment ``out`` is the old folder or the new one, whole. A killed process leaves its
     temporary folder behind; the next one that makes ``out`` removes it.
 
-    Args:
-        out: a new or empty folder, or one that may be replaced.
-        replaced: marker file of a folder that may be replaced, see :func:`make_room`.
-
-    Raises:
-        InputError: ``out`` holds something that may not be replaced, or another process makes it.
-        OSError: such as a full disk, with the name of a file or the folder.
+    An ``out`` that holds something is replaced only if it has the file ``replaced``, by which this
+    program knows its own folders.
     """
     out = Path(out).absolute()
     unfinished, old = (out.with_name(f".{out.name}.gva-mi-{what}") for what in ("part", "old"))

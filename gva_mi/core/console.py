@@ -46,13 +46,9 @@ def _short(value: float) -> str:
 
 
 def within(progress: Progress | None, before: int, steps: int, total: int) -> Progress | None:
-    """Return a progress function for one piece of some work.
+    """Return a progress function for a piece of some work, or None if nothing is reported.
 
-    Args:
-        progress: the function of the whole; None reports nothing.
-        before: steps of the whole before this piece.
-        steps: steps of the whole that this piece counts for.
-        total: steps of the whole.
+    The piece counts for ``steps`` of all ``total`` steps, after ``before`` others.
     """
     if progress is None:
         return None

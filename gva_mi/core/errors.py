@@ -31,11 +31,9 @@ MALFORMED = (
 
 @contextmanager
 def expecting(where: Path | str, expected: str) -> Iterator[None]:
-    """Turn any error caused by malformed content into an InputError.
+    """Turn any error caused by malformed content of a file into an InputError.
 
-    Args:
-        where: the file that is read.
-        expected: what it should hold.
+    ``expected`` says what the file should hold.
     """
     try:
         yield

@@ -31,15 +31,9 @@ LARGEST_TEXT = 1 << 28  # bytes of a JSON file
 def read_arrays(
     path: Path, expected: str, only: Collection[str] | None = None
 ) -> dict[str, np.ndarray]:
-    """Read the arrays of an ``.npz``; pickled objects are refused.
+    """Read the arrays of an ``.npz``, or of ``only`` some of them; pickled objects are refused.
 
-    Args:
-        path: the file.
-        expected: what it should hold, for the error.
-        only: names of the arrays to read, as far as they exist; None reads all.
-
-    Raises:
-        InputError: the file is missing or cannot be read.
+    ``expected`` says in the InputError what the file should hold.
     """
     if not Path(path).is_file():
         raise InputError(f"{path}: no such file; expected {expected}")
@@ -60,15 +54,7 @@ def read_arrays(
 
 
 def read_array(path: Path, mapped: bool = False) -> np.ndarray:
-    """Read a ``.npy``; pickled objects are refused.
-
-    Args:
-        path: the file.
-        mapped: map it into memory and read from disk on access.
-
-    Raises:
-        InputError: the file is missing or cannot be read.
-    """
+    """Read a ``.npy``; pickled objects are refused. A ``mapped`` one is read on access."""
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: no such file; expected an array (.npy)")
@@ -88,15 +74,7 @@ def read_array(path: Path, mapped: bool = False) -> np.ndarray:
 
 
 def read_json(path: Path, expected: str) -> Any:  # noqa: ANN401
-    """Read a JSON file.
-
-    Args:
-        path: the file.
-        expected: what it should say, for the error.
-
-    Raises:
-        InputError: it is missing, no JSON, or larger than any file this program writes.
-    """
+    """Read a JSON file; ``expected`` says in the InputError what it should hold."""
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: no such file; expected {expected}")
@@ -137,13 +115,7 @@ def require_room(path: Path, overwrite: bool) -> None:
 def make_room(folder: Path, marker: str, overwrite: bool) -> None:
     """Remove an output folder that may be replaced; a missing or empty one is left as it is.
 
-    Args:
-        folder: where output is to be written.
-        marker: name of a file that every such folder holds; without it the folder is not ours.
-        overwrite: whether the folder may be replaced.
-
-    Raises:
-        InputError: the folder holds something and may not be replaced, or has no marker.
+    A folder that holds something else than a run of ours lacks the file ``marker``.
     """
     require_replaceable(folder, marker, overwrite)
     if not holds_something(folder, marker):

@@ -12,22 +12,17 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 OLDEST = 17  # the first major version whose code generator knows fminimum and fmaximum
 TESTED = range(19, 23)  # others are tried in a subprocess before they are used
 PACKAGE = "libllvm19"  # Debian 12's and Ubuntu 24.04's name of a version that works
 
 SEARCH_DIRS = (
-    "/usr/lib/x86_64-linux-gnu",
-    "/usr/lib/aarch64-linux-gnu",
-    "/usr/lib64",
-    "/usr/lib",
-    "/usr/local/lib",
-    "/opt/homebrew/opt/llvm/lib",
-    "/usr/local/opt/llvm/lib",
-)
+    "/usr/lib/x86_64-linux-gnu", "/usr/lib/aarch64-linux-gnu", "/usr/lib64", "/usr/lib",
+    "/usr/local/lib", "/opt/homebrew/opt/llvm/lib", "/usr/local/opt/llvm/lib",
+)  # fmt: skip
 
 _PATH, _CHECKED = "DRJIT_LIBLLVM_PATH", "GVA_MI_LLVM_CHECKED"
 
@@ -40,8 +35,7 @@ print(*dr.detail.llvm_version())
 """
 
 
-@dataclass(frozen=True)
-class Library:
+class Library(NamedTuple):
     """A ``libLLVM`` on this machine."""
 
     path: Path
@@ -52,13 +46,10 @@ problem: str | None = None  # why Dr.Jit cannot be used, once prepare() has run
 
 
 def prepare() -> None:
-    """Choose the library; called by ``import gva_mi``.
+    """Choose the library, or raise an ImportError if Dr.Jit was imported before with a bad one.
 
     Without a usable library this does not fail yet, because ``gva-mi doctor`` reports it: the
     reason is kept, and :func:`require` raises it before Dr.Jit is used.
-
-    Raises:
-        ImportError: Dr.Jit was imported before, with a library that would abort the process.
     """
     global problem
     if "drjit" in sys.modules:
@@ -69,7 +60,11 @@ def prepare() -> None:
         if chosen is None:
             chosen = str(find().path)
         elif os.environ.get(_CHECKED) != chosen:
-            _check_choice(chosen)
+            if reason := trial(Path(chosen)):
+                raise ImportError(
+                    f"{_PATH}={chosen} cannot be used: {reason}. "
+                    f"Unset it, or point it to a libLLVM {OLDEST} or newer."
+                )
     except ImportError as error:
         problem = str(error)
     else:
@@ -121,15 +116,6 @@ def trial(path: Path) -> str:
         return ""
     last = (run.stderr.strip().splitlines() or ["no message"])[-1]
     return f"a trial kernel ended with exit code {run.returncode} ({last})"
-
-
-def _check_choice(path: str) -> None:
-    reason = trial(Path(path))
-    if reason:
-        raise ImportError(
-            f"{_PATH}={path} cannot be used: {reason}. "
-            f"Unset it, or point it to a libLLVM {OLDEST} or newer."
-        )
 
 
 def _check_loaded() -> None:

@@ -23,17 +23,11 @@ _NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)  # on 
 
 @contextmanager
 def folder_lock(folder: Path, doing: str) -> Iterator[bool]:
-    """Keep other processes from writing into a folder.
+    """Keep other processes from writing into a folder, which may be missing or replaced meanwhile.
 
-    Args:
-        folder: it may be missing, and may be replaced meanwhile.
-        doing: the command that holds the lock, such as ``gva-mi fit``; a second one is told.
-
-    Yields:
-        Whether the file system has locks; without them nobody is kept away.
-
-    Raises:
-        InputError: another process writes there; the sentence says which, where, and since when.
+    A second process gets an InputError that says who writes there since when; ``doing`` is the
+    command, such as ``gva-mi fit``. Yields whether the file system has locks; without them nobody
+    is kept away.
     """
     folder = Path(folder).resolve()
     folder.parent.mkdir(parents=True, exist_ok=True)

@@ -15,6 +15,7 @@ import functools
 import numbers
 import types
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -65,9 +66,7 @@ PictureSide = Annotated[int, Within(16, 4096, unit="pixels")]
 def require_ranges(where: str, options: object) -> None:
     """Raise an InputError for the first field of a dataclass that lies outside its range.
 
-    Args:
-        where: the command that the options belong to, for the sentence.
-        options: a dataclass whose annotations name ranges; fields that are None are skipped.
+    ``where`` names the command in the sentence. Fields that are None are skipped.
     """
     for name, kind, within in _ranges_of(type(options)):
         value = getattr(options, name)
@@ -100,71 +99,49 @@ def _ranges_of(kind: type) -> tuple[tuple[str, Any, Within], ...]:
 
 
 def from_json(kind: type[T], record: Any) -> T:  # noqa: ANN401
-    """Make a dataclass from parsed JSON and check the type of every field.
-
-    Args:
-        kind: the dataclass: numbers, text, lists, dictionaries and other dataclasses.
-        record: the parsed JSON; missing names take the field's default.
+    """Make a dataclass from parsed JSON; missing names take the field's default.
 
     Raises:
         TypeError, ValueError: a value has another type, or a name is missing or unknown. Readers
             turn these into a sentence with :func:`gva_mi.core.errors.expecting`.
     """
-    if not isinstance(record, Mapping):
+    if not isinstance(record, dict):
         raise TypeError(f"{_short(record)} in the place of a {kind.__name__}")
     hints = _hints(kind)
-    known = lambda name, value: require(hints[name], value, name) if name in hints else value
-    return kind(**{name: known(name, value) for name, value in record.items()})
+    return kind(**{k: _checked(hints.get(k, Any), value, k) for k, value in record.items()})
 
 
-def require(hint: Any, value: Any, name: str) -> Any:  # noqa: ANN401
-    """Convert a JSON value to an annotated type: lists to tuples, dictionaries to dataclasses.
-
-    Args:
-        hint: the annotation, such as ``float | None``.
-        value: the JSON value.
-        name: the field's name, for the error.
-
-    Raises:
-        TypeError: the value has another type.
-    """
+def _checked(hint: Any, value: Any, name: str) -> Any:  # noqa: ANN401
+    """Convert a JSON value to an annotated type: lists to tuples, dictionaries to dataclasses."""
     origin, parts = get_origin(hint), get_args(hint)
     if origin is Annotated:
-        return require(parts[0], value, name)
+        return _checked(parts[0], value, name)
     if origin in (Union, types.UnionType):
-        for kind in parts[:-1]:
-            try:
-                return require(kind, value, name)
-            except TypeError:
-                continue
-        return require(parts[-1], value, name)
-    if dataclasses.is_dataclass(hint):
+        for kind in parts:
+            with suppress(TypeError):
+                return _checked(kind, value, name)
+    elif dataclasses.is_dataclass(hint):
         return value if isinstance(value, hint) else from_json(hint, value)
-    if origin is tuple and isinstance(value, list | tuple):
-        if parts[-1] is not Ellipsis and len(parts) != len(value):
-            raise TypeError(f"'{name}' has {len(value)} values, not {len(parts)}")
+    elif origin is tuple and isinstance(value, list | tuple):
         kinds = parts[:1] * len(value) if parts[-1] is Ellipsis else parts
-        return tuple(require(kind, x, name) for kind, x in zip(kinds, value, strict=True))
-    if origin is list and isinstance(value, list):
-        return [require(parts[0], x, name) for x in value]
-    if origin in (dict, Mapping) and isinstance(value, Mapping):
-        return {key: require(parts[1], x, f"{name}.{key}") for key, x in value.items()}
-    if not _is_plain(hint, value):
-        raise TypeError(f"'{name}' is {_short(value)}")
-    return value
+        if len(kinds) == len(value):
+            return tuple(_checked(kind, x, name) for kind, x in zip(kinds, value, strict=True))
+    elif origin is list and isinstance(value, list):
+        return [_checked(parts[0], x, name) for x in value]
+    elif origin in (dict, Mapping) and isinstance(value, dict):
+        return {key: _checked(parts[1], x, f"{name}.{key}") for key, x in value.items()}
+    elif hint is Any or _is_plain(origin or hint, value, parts):
+        return value
+    raise TypeError(f"'{name}' is {_short(value)}")
 
 
-def _is_plain(hint: Any, value: Any) -> bool:  # noqa: ANN401
-    """Return whether a value has a type without parts; True is no number."""
-    if hint is Any:
-        return True
-    if get_origin(hint) is Literal:
-        return isinstance(value, str | int) and value in get_args(hint)
-    if hint is None or hint is type(None):
-        return value is None
-    if hint in (int, float) and isinstance(value, bool):
-        return False
-    return isinstance(value, int | float if hint is float else hint)
+def _is_plain(kind: Any, value: Any, choices: tuple) -> bool:  # noqa: ANN401
+    """Return whether a value is text, a number or one of some choices; True is no number."""
+    if kind is Literal:
+        return isinstance(value, str | int) and value in choices
+    if isinstance(value, bool):
+        return kind is bool
+    return isinstance(value, int | float if kind is float else kind)
 
 
 def _short(value: Any) -> str:  # noqa: ANN401

@@ -11,17 +11,15 @@ import os
 import pickle
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 KEPT = 1 << 28  # bytes of values that stay in memory
 
 T = TypeVar("T")
 
 
-@dataclass(frozen=True)
-class _OnDisk:
+class _OnDisk(NamedTuple):
     """The place of a pickled value."""
 
     file: io.FileIO
@@ -33,16 +31,14 @@ class SpillCache(Mapping[int, T], Generic[T]):
     """A mapping from frame numbers to values, which come back bit-identical.
 
     It is pickled as a plain dictionary of its values.
+
+    Args:
+        folder: where the file lies if one is needed; on the disk that results go to, because the
+            system's folder for temporary files may be in memory.
+        kept: bytes of values that stay in memory.
     """
 
     def __init__(self, folder: Path, kept: int = KEPT) -> None:
-        """Make an empty cache.
-
-        Args:
-            folder: where the file lies if one is needed; on the disk that results go to, because
-                the system's folder for temporary files may be in memory.
-            kept: bytes of values that stay in memory.
-        """
         self._folder, self._room = folder, kept
         self._entries: dict[int, T | _OnDisk] = {}
         self._file: io.FileIO | None = None
@@ -55,8 +51,7 @@ class SpillCache(Mapping[int, T], Generic[T]):
             self._entries[number] = value
             return
         try:
-            if self._file is None:
-                self._file = tempfile.TemporaryFile(dir=self._folder, buffering=0)
+            self._file = self._file or tempfile.TemporaryFile(dir=self._folder, buffering=0)
             start = self._file.seek(0, os.SEEK_END)
             left = memoryview(stored)
             while left:

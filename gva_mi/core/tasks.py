@@ -67,12 +67,9 @@ def run(
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> Iterator[Done[Result]]:
-    """Solve tasks, and yield their results in order.
+    """Solve tasks and yield their results in order; without an executor in this process.
 
-    Args:
-        tasks: what to do.
-        executor: runs them; None: this process, one after the other.
-        progress: called as ``progress(done, total, **figures)`` with the steps of all tasks.
+    ``progress`` is called with the steps of all tasks.
     """
     total, before = sum(task.steps for task in tasks), 0
     futures = [] if executor is None else [executor.submit(solve, task) for task in tasks]
@@ -93,11 +90,7 @@ def run(
 
 
 def _result(future: Future[Done[Result]]) -> Done[Result]:
-    """Wait for a result.
-
-    Raises:
-        InputError: the worker is gone: killed, out of memory, or no longer reachable.
-    """
+    """Wait for a result; raise an InputError if the worker is gone."""
     try:
         return future.result()
     except Exception as error:
@@ -123,11 +116,7 @@ def workers(count: int) -> Iterator[Executor | None]:
 
 @contextmanager
 def cluster(address: str) -> Iterator[Executor]:
-    """Connect to a dask.distributed scheduler, such as ``tcp://10.0.0.1:8786``.
-
-    Raises:
-        InputError: the package is missing, or no scheduler answers.
-    """
+    """Connect to a dask.distributed scheduler, such as ``tcp://10.0.0.1:8786``."""
     try:
         import dask
         from distributed import Client

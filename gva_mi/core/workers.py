@@ -34,10 +34,7 @@ def worker_processes(
 ) -> Iterator[ProcessPoolExecutor]:
     """Yield an executor whose processes end with this context.
 
-    Args:
-        count: number of processes.
-        begin: called first in each of them; picklable.
-        given: its arguments; picklable.
+    Each of them first calls ``begin``, which must be picklable as its arguments.
     """
     context = multiprocessing.get_context("spawn")  # Dr.Jit's threads do not survive a fork
     others = set(multiprocessing.active_children())

@@ -14,7 +14,7 @@ import pytest
 
 from gva_mi.core import cpu as processor
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 OURS = [path for folder in ("gva_mi", "plugins") for path in (ROOT / folder).rglob("*.py")]
 ESTIMATED = {"rsqrt", "normalize"}  # Dr.Jit functions that use the processor's estimate
 SET_TARGET = "_Z19jit_llvm_set_targetPKcS0_j"  # (processor, features, lanes) of Dr.Jit 1.5
@@ -109,10 +109,10 @@ def test_kernels_give_the_same_bits_in_vectors_of_any_width():
 
 def test_the_command_line_pins_libraries_before_they_are_imported():
     code = (
-        "import sys, os; from gva_mi.__main__ import main; from gva_mi import processor; "
+        "import sys, os; from gva_mi.__main__ import main; from gva_mi.core import cpu; "
         "before = {'numpy', 'torch', 'drjit'} & set(sys.modules); "
         "main(['--version']); "
-        "print(before, all(os.environ[k] == v for k, v in processor.cpu_settings().items()))"
+        "print(before, all(os.environ[k] == v for k, v in cpu.cpu_settings().items()))"
     )
     clean = {k: v for k, v in os.environ.items() if k not in processor.SETTINGS}
     run = lambda env: (

@@ -35,7 +35,7 @@ SMALLER = {
 
 # Placeholders.
 NAMED = {
-    "KIND": "zju", "SOURCE": "CoreView_377", "OUT": "subject", "BODY": "puppet",
+    "BODY": "puppet",
     "FILE": "scene.npz", "DIR": "figures",
 }  # fmt: skip
 WRITTEN = {"--json": "figures.json"}  # where FILE is one that a command writes

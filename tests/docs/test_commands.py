@@ -29,6 +29,7 @@ def new_commands():
                 found.setdefault(page.name, []).append(command)
             known.add(same)
     del found["README.md"]
+    del found["sources.md"]  # other programs' files: tests/data/importers makes and reads them
     return found
 
 
@@ -88,11 +89,7 @@ def after_motions(folder):
     assert (folder / "orbit/video.mp4").exists() and (folder / "turntable/000071.png").exists()
 
 
-def after_sources(folder):
-    assert len(list((folder / "subject/views/masks").glob("*.png"))) > 1
-
-
-AFTER = {"export.md": after_export, "motions.md": after_motions, "sources.md": after_sources}
+AFTER = {"export.md": after_export, "motions.md": after_motions}
 
 
 @pytest.mark.slow

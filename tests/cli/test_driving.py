@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from gva_mi.body.built_in import BUILT_IN_BODY
-from gva_mi.body.pose import load_poses, save_poses
+from gva_mi.body.pose import save_poses
 from gva_mi.splat.formats.ply import load_ply
 
 SMALL = ("--size", 32, 48)
@@ -93,28 +93,21 @@ def test_hands_of_pca_components_need_their_body(run, turning, cli):
     assert code == 0 and "added to the body's mean hand" in said, err
 
 
-BAD = {
-    "no rate": ({"poses": np.zeros((3, 72))}, "--source-fps of gva-mi motion"),
-    "no poses": ({"a": np.zeros(3), "fps": 30}, "holds no poses; expected one of poses, pose"),
-    "lying": (
-        {"poses": np.tile([0.6755, 0, -0.6755, *[0] * 69], (3, 1)), "fps": 30},
-        "give --up of gva-mi motion",
-    ),
-    "MHR": ({"mhr_model_params": np.zeros((3, 204))}, "parameters of MHR"),
-}
-
-
-@pytest.mark.parametrize(
-    "case, command", list(zip(BAD, ("render", "export", "view", "render"), strict=True))
+BAD = (
+    ({"poses": np.zeros((3, 72))}, "--source-fps of gva-mi motion"),
+    ({"a": np.zeros(3), "fps": 30}, "holds no poses; expected one of poses, pose"),
+    ({"mhr_model_params": np.zeros((3, 204))}, "parameters of MHR"),
 )
-def test_an_unreadable_motion_is_one_sentence(case, command, run, cli):
-    arrays, words = BAD[case]
+
+
+def test_an_unreadable_motion_is_one_sentence(run, cli):
     path, out = run.parent / "bad.npz", run.parent / "new"
-    np.savez(path, **arrays)
-    given = ("--out", out / "a.ply" if command == "export" else out)
-    code, _, err = cli(command, run, "--poses", path, *given)
-    assert code == 2 and words in err and str(path) in err and err.count("\n") == 1, err
-    assert not out.exists()
+    for (arrays, words), command in zip(BAD, ("render", "export", "view"), strict=True):
+        np.savez(path, **arrays)
+        given = ("--out", out / "a.ply" if command == "export" else out)
+        code, _, err = cli(command, run, "--poses", path, *given)
+        assert code == 2 and words in err and str(path) in err and err.count("\n") == 1, err
+        assert not out.exists()
 
 
 def test_a_folder_is_no_motion_and_no_video_fits_another_program_s(run, motions, subject, cli):
@@ -123,17 +116,3 @@ def test_a_folder_is_no_motion_and_no_video_fits_another_program_s(run, motions,
     given = ("--poses", run.parent / "amass.npz", "--subject", subject)
     code, _, err = cli("view", run, *given)
     assert code == 2 and "which no video can be shown beside; expected poses of" in err
-
-
-def test_a_converted_motion_is_the_same_motion(run, motions, cli):
-    code, _, err = cli("motion", run.parent / "aist.pkl", run.parent / "own.npz", "--fps", 30)
-    assert code == 0, err
-    found = []
-    for name in ("own.npz", "aist.pkl"):
-        out = run.parent / f"out_{name[:3]}.npz"
-        code, _, err = cli("export", run, "--poses", run.parent / name, "--out", out)
-        assert code == 0, err
-        with np.load(out) as file:
-            found.append(file["poses"])
-    assert np.allclose(*found, atol=1e-6)
-    assert len(load_poses(run.parent / "own.npz")[0]) == 6

@@ -153,16 +153,6 @@ def test_a_transparent_film(run, dance, cli):
     assert (run / "a.webm").read_bytes() == before
 
 
-def test_a_missing_encoder_is_named_before_the_work(run, cli, monkeypatch):
-    import av
-
-    monkeypatch.setattr(av, "codecs_available", av.codecs_available - {"libvpx-vp9"})
-    code, _, err = cli("export", run, "--out", run / "a.webm")
-    assert code == 2 and "has no libvpx-vp9" in err and err.count("\n") == 1
-    code, _, err = cli("render", run, "--out", run / "b", "--alpha", "--video", *SMALL)
-    assert code == 2 and "video.webm: the installed PyAV" in err and not (run / "b").exists()
-
-
 def test_poses_in_amass_form_and_a_surface_with_a_motion(run, dance, cli):
     for chosen, frames in (((), 3), (("--poses", dance, "--fps", 60), 5)):
         code, _, err = cli("export", run, "--out", run / "amass.npz", "--overwrite", *chosen)

@@ -48,16 +48,17 @@ WRITERS = {
 }
 
 
-@pytest.mark.parametrize("name", WRITERS)
-def test_a_full_disk_leaves_the_old_file(name, tmp_path, known):
-    path = tmp_path / name
-    path.write_text("hours of work")
-    with full_disk(), pytest.raises(OSError) as error:
-        WRITERS[name](path, known)
-    assert error.value.errno == errno.EFBIG and error.value.filename == str(path)
-    assert path.read_text() == "hours of work" and list(tmp_path.iterdir()) == [path]
-    WRITERS[name](path, known)
-    assert path.read_bytes() != b"hours of work"
+def test_a_full_disk_leaves_the_old_file(tmp_path, known):
+    for name, write in WRITERS.items():
+        path = tmp_path / name
+        path.write_text("hours of work")
+        with full_disk(), pytest.raises(OSError) as error:
+            write(path, known)
+        assert error.value.errno == errno.EFBIG and error.value.filename == str(path)
+        assert path.read_text() == "hours of work" and list(tmp_path.iterdir()) == [path]
+        write(path, known)
+        assert path.read_bytes() != b"hours of work"
+        path.unlink()
 
 
 def test_a_full_disk_is_one_sentence(tmp_path, cli, known):
@@ -141,22 +142,6 @@ def test_ctrl_c_tells_how_to_continue(verb, told, cli, monkeypatch):
     assert code == 130 and err.startswith("\ngva-mi: stopped; ") and err.endswith(f"{told}\n")
 
 
-@pytest.mark.parametrize("code", [0, 130])
-def test_only_after_ctrl_c_a_process_exits_without_cleanup(code, monkeypatch):
-    """Dr.Jit's cleanup may crash after interrupted kernels."""
-    from gva_mi import __main__
-
-    def ended(*_):
-        sys.exit(code)
-
-    at_once = []
-    monkeypatch.setattr(__main__, "main", ended)
-    monkeypatch.setattr(__main__.os, "_exit", at_once.append)
-    with pytest.raises(SystemExit):
-        __main__.run()
-    assert at_once == ([130] if code == 130 else [])
-
-
 INTERRUPTED = """
 import os, signal, sys, threading
 import gva_mi.cli.{verb}
@@ -170,8 +155,7 @@ run()
 @pytest.mark.slow
 @pytest.mark.parametrize("command", [
     "refine {subject} --passes 5000 --size 64", "fit {subject} --out {out}/new --steps 100000",
-    "synth {out}/new --frames 600", "study refine --out {out}/new", "demo --out {out}/new",
-    "track {run} {subject} --passes 5000",
+    "synth {out}/new --frames 600", "track {run} {subject} --passes 5000",
 ])  # fmt: skip
 def test_ctrl_c_in_the_middle_of_the_work_is_one_sentence(command, subject, run, tmp_path):
     folder = shutil.copytree(subject, tmp_path / "subject")

@@ -29,22 +29,6 @@ def subject(synthetic, tmp_path):
 
 
 @pytest.mark.slow
-def test_several_subjects_are_refined_by_one_command(subject, tmp_path, cli):
-    other = shutil.copytree(subject, tmp_path / "other")
-    code, out, err = cli("refine", subject, other, *SHORT)
-    assert code == 0, err
-    for folder in (subject, other):
-        assert {"poses_refined.npz", "refinement.json", "refinement.png"} <= {
-            path.name for path in folder.iterdir()
-        }
-        assert str(folder / "poses_refined.npz") in out
-    a, b = (load_poses(folder / "poses_refined.npz")[0] for folder in (subject, other))
-    assert (a.rotations == b.rotations).all()
-    code, _, err = cli("refine", other, subject, *SHORT)
-    assert code == 2 and "--overwrite" in err
-
-
-@pytest.mark.slow
 def test_frames_without_evidence_are_listed_and_keep_their_pose(subject, cli):
     (subject / "masks/000001.png").unlink()
     (subject / "normals/000002.png").unlink()
@@ -67,15 +51,6 @@ def test_normals_are_read_by_the_given_convention(subject, cli):
         assert ("silhouettes alone" in out) == (way == "none")
         found[way] = load_poses(subject / "poses_refined.npz")[0].rotations.numpy()
     assert not np.array_equal(found["none"], found["icon"])
-
-
-@pytest.mark.slow
-def test_a_report_is_written_on_request(subject, cli):
-    code, out, err = cli("refine", subject, *SHORT, "--report", "--workers", 2)
-    assert code == 0, err
-    page = (subject / "refinement.html").read_text()
-    assert "Eq. 8 as printed" in page and "no prior" in page
-    assert str(subject / "refinement.html") in out
 
 
 BAD = {

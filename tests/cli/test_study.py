@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from gva_mi.study import avatar_study, refine_study
-from gva_mi.study.cases import HELD_OUT, TUNING, StudyCase
+from gva_mi.study.cases import HELD_OUT, StudyCase
 from gva_mi.study.pose_figures import PoseFigures
 from gva_mi.study.variants import VARIANTS
 
@@ -81,16 +81,6 @@ def test_the_avatars_table_has_a_row_for_each_variant(done, tmp_path, cli):
     assert record["made_with"]["options"]["fit"]["steps"] == 600
     page = (tmp_path / "avatar.html").read_text()
     assert "Table 4" in page and "bruno: bursts 1000" in page and "held out" in page
-
-
-def test_cases_are_those_of_the_set_that_was_asked_for(done, tmp_path, cli):
-    for name, cases in (("tuning", TUNING), ("held-out", HELD_OUT), ("all", TUNING + HELD_OUT)):
-        done.clear()
-        assert cli("study", "refine", "--out", tmp_path / name, "--cases", name)[0] == 0
-        assert tuple(case for case, _ in done) == cases
-    done.clear()
-    assert cli("study", "refine", "--out", tmp_path / "8", "--held-out-set", 8)[0] == 0
-    assert done[0][0].take.seed == 800
 
 
 def test_a_study_is_resumed_and_keeps_other_results(done, tmp_path, cli):

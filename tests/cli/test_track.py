@@ -63,19 +63,6 @@ def test_a_video_without_ground_truth_is_tracked(person, avatar, cli):
     assert json.loads((person / "photometric.json").read_text())["errors_mm"] == {}
 
 
-@pytest.mark.slow
-def test_tracking_starts_from_the_poses_trained_with_the_avatar(person, avatar, cli):
-    shutil.copy(person / "truth/poses.npz", avatar.parent / "poses.npz")
-    starts = {}
-    for name, arguments in {"run": (avatar.parent,), "file": (avatar,)}.items():
-        run, *rest = arguments
-        code, _, err = cli("track", run, person, "--passes", 1, "--overwrite", *rest)
-        assert code == 0, err
-        record = json.loads((person / "photometric.json").read_text())
-        starts[name] = record["errors_mm"]["start"]["body"]
-    assert starts["run"] == 0 and starts["file"] > 20
-
-
 def test_trained_poses_of_another_video_are_not_used(person, avatar, cli):
     """Both videos have as many frames, so nothing else would stop it."""
     run = avatar.parent

@@ -29,7 +29,7 @@ from gva_mi.viewer.cameras import start
 from gva_mi.viewer.controls import FPS, Choices, Controls
 from gva_mi.viewer.drawing import Drawing
 from gva_mi.viewer.server import address, close_server, open_server, pages, when_moved
-from gva_mi.viewer.session import Session, SessionSetup
+from gva_mi.viewer.session import Session
 
 
 def view(
@@ -69,8 +69,8 @@ def view(
         changed = threading.Event()
         when_moved(server, changed.set)
         controls = Controls(server.gui, _choices(avatar, motion, video), changed.set)
-        setup = SessionSetup(len(motion), begin.up, video.cameras if video else [], out)
-        session = Session(Drawing(avatar, motion, video), controls, setup)
+        cameras = video.cameras if video else ()
+        session = Session(Drawing(avatar, motion, video), controls, begin.up, out, cameras)
         say(f"{address(server)}: open it in a browser; Ctrl-C ends it")
         sys.stdout.flush()  # a program may read the address from a pipe
         with one_torch_thread():

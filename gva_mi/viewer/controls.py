@@ -9,10 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 from gva_mi.body.pose import JOINTS
-from gva_mi.viewer.session import Action, Click
 from gva_mi.viewer.state import Angles, Mode, Playback, SeenFrom, State
 
 if TYPE_CHECKING:
@@ -22,7 +21,15 @@ FPS = 30  # frames a second, as films are exported
 FASTEST = 60
 WIDEST = 3.0  # expression coefficients, standard deviations
 ZERO: Angles = (0.0, 0.0, 0.0)
+Action = Literal["snapshot", "add keyframe", "remove keyframe", "save cameras"]
 RESETS = ("reset joint", "reset all joints", "reset expression")
+
+
+class Click(NamedTuple):
+    """A pressed button."""
+
+    action: Action
+    browser: int  # where it was pressed
 
 
 @dataclass(frozen=True)
@@ -43,13 +50,7 @@ class Controls:
     """
 
     def __init__(self, gui: viser.GuiApi, choices: Choices, changed: Callable[[], None]) -> None:
-        """Build the panel.
-
-        Args:
-            gui: where the panel is built.
-            choices: what can be chosen.
-            changed: called, in any thread, after a change.
-        """
+        """Build the panel in ``gui``; ``changed`` is called, in any thread, after a change."""
         self._gui, self._choices, self._changed = gui, choices, changed
         self._clicked: SimpleQueue[tuple[str, int]] = SimpleQueue()
         self._turned: dict[str, Angles] = {}

@@ -26,18 +26,10 @@ FAINT = 0.25  # of the avatar behind its skeleton
 
 
 class Drawing:
-    """Draws one avatar, driven by one motion."""
+    """Draws one avatar, driven by a motion of T frames, beside as many of a video."""
 
     def __init__(self, avatar: Avatar, motion: Pose, video: Video | None = None) -> None:
-        """Take what is drawn.
-
-        Args:
-            avatar: the avatar.
-            motion: T frames.
-            video: T frames to show beside it.
-        """
-        self._avatar, self._motion, self._video = avatar, motion, video
-        self._rig = avatar.rig
+        self._avatar, self.motion, self._video = avatar, motion, video
         self._surfaces: SurfaceRenderer | None = None  # made with Mitsuba, on first use
         self._kept: dict[str, tuple[Hashable, Any]] = {}
 
@@ -48,22 +40,21 @@ class Drawing:
     def layer(self, state: State, camera: Camera, fine: bool = True) -> np.ndarray:
         """Draw the avatar alone: (H, W, 4) float32, premultiplied colour and alpha.
 
-        Args:
-            state: what is shown.
-            camera: the view.
-            fine: whether a mesh has all its triangles and smooth edges.
+        A mesh has all its triangles and smooth edges if it is ``fine``.
         """
         if state.mode == "Gaussians":
             return layer_of(self._gaussians(state), camera)
         surface = self._surface(state)
         if state.mode == "skeleton":
-            bones = draw_skeleton(surface.joints, self._rig.parents, camera, state.joint, fine)
+            bones = draw_skeleton(
+                surface.joints, self._avatar.rig.parents, camera, state.joint, fine
+            )
             layer = layer_of(self._gaussians(state), camera)
             layer *= FAINT * (1 - bones[..., 3:])
             layer += bones
             return layer
         if self._surfaces is None:
-            self._surfaces = SurfaceRenderer(self._rig)
+            self._surfaces = SurfaceRenderer(self._avatar.rig)
         draw = self._surfaces.normals if state.mode == "normals" else self._surfaces.shaded
         return draw(surface, camera, fine)
 
@@ -84,11 +75,11 @@ class Drawing:
 
     @torch.no_grad()
     def _gaussians(self, state: State) -> Gaussians:
-        pose = lambda: posed(self._motion, state)
-        return self._keep("gaussians", _pose_key(state), lambda: self._avatar(pose()))
+        make = lambda: self._avatar(posed(self.motion, state))
+        return self._keep("gaussians", _pose_key(state), make)
 
     def _surface(self, state: State) -> PosedSurface:
-        make = lambda: posed_surface(self._avatar, self._rig, posed(self._motion, state))
+        make = lambda: posed_surface(self._avatar, posed(self.motion, state))
         return self._keep("surface", _pose_key(state), make)
 
     def _keep(self, name: str, key: Hashable, make: Callable[[], Any]) -> Any:  # noqa: ANN401

@@ -25,14 +25,9 @@ NEAREST = 1e-3  # metres
 def film(
     views: Sequence[ViewerCamera], up: np.ndarray, count: int, width: int, height: int
 ) -> list[Camera]:
-    """Return cameras that go from view to view in equal times.
+    """Return ``count`` cameras that go from the first view to the last in equal times.
 
-    Args:
-        views: at least one.
-        up: (3,) unit, the axis of the orbits.
-        count: number of cameras, from the first view to the last; a single view gives one camera
-            for all pictures.
-        width, height: pixels of each.
+    A single view gives one camera. ``up`` (3,) is the unit axis of the orbits.
     """
     across = _level(up)
     keys = np.stack([_orbit(view, up, across) for view in views])

@@ -24,13 +24,7 @@ NEAR = 0.01  # metres, the nearest that a browser shows
 
 
 def open_server(host: str, port: int, start: Start, title: str) -> viser.ViserServer:
-    """Open a server whose browsers start with a view.
-
-    Args:
-        host: the address that it listens to, such as 127.0.0.1 for this machine alone.
-        port: 0 picks a free one.
-        start: where browsers look from.
-        title: of the panel.
+    """Open a server whose browsers start with a view; port 0 picks a free one.
 
     Raises:
         InputError: viser is not installed, or nothing can listen there.

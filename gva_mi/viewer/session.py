@@ -7,10 +7,9 @@ render`` would, once nothing has changed for a moment.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 
@@ -22,59 +21,15 @@ from gva_mi.data.video import save_cameras
 from gva_mi.fit.renders import see_through
 from gva_mi.splat import Camera
 from gva_mi.viewer.cameras import ViewerCamera, coarser, fitted
+from gva_mi.viewer.controls import Action, Controls
 from gva_mi.viewer.drawing import Drawing
 from gva_mi.viewer.keyframes import film
+from gva_mi.viewer.server import Page
 from gva_mi.viewer.state import State
 
 COARSE = 640 * 360  # pixels while something changes
 REST = 0.2  # seconds without a change before all pixels are drawn
 TICK = 1 / 60  # seconds between two steps while a motion plays
-Action = Literal["snapshot", "add keyframe", "remove keyframe", "save cameras"]
-
-
-class Click(NamedTuple):
-    """A pressed button."""
-
-    action: Action
-    browser: int  # where it was pressed
-
-
-class Panel(Protocol):
-    """The controls that all browsers share."""
-
-    playing: bool
-
-    def state(self, now: float) -> State:
-        """Return what to show at a time, seconds."""
-
-    def clicks(self) -> Iterator[Click]:
-        """Yield the buttons pressed since the last call."""
-
-    def count_keyframes(self, count: int) -> None:
-        """Show the number of keyframes."""
-
-
-class Browser(Protocol):
-    """One page that shows pictures."""
-
-    def camera(self) -> ViewerCamera | None:
-        """Return its camera; None while it is unknown."""
-
-    def show(self, picture: np.ndarray, fine: bool) -> None:
-        """Show an 8-bit picture (H, W, 3), lossless if ``fine``."""
-
-    def tell(self, sentence: str) -> None:
-        """Show a sentence as a notification."""
-
-
-@dataclass(frozen=True)
-class SessionSetup:
-    """What a session needs beside the drawing."""
-
-    frames: int  # of the motion
-    up: np.ndarray  # (3,) unit, world
-    cameras: list[Camera]  # of the video's frames; none without a video
-    out: Path  # folder of snapshots and camera paths
 
 
 @dataclass(frozen=True)
@@ -87,23 +42,35 @@ class _LastPicture:
 
 
 class Session:
-    """Draws what the panel asks for, for every open browser."""
+    """Draws what the panel asks for, for every open page.
 
-    def __init__(self, drawing: Drawing, panel: Panel, setup: SessionSetup) -> None:
-        self._drawing, self._panel, self._setup = drawing, panel, setup
+    Args:
+        drawing: of the avatar and its motion.
+        panel: the controls that all pages share.
+        up: (3,) unit, world, the axis of the pages' orbits.
+        out: folder of snapshots and cameras.
+        cameras: of the video's frames; none without a video.
+    """
+
+    def __init__(
+        self,
+        drawing: Drawing,
+        panel: Controls,
+        up: np.ndarray,
+        out: Path,
+        cameras: Sequence[Camera] = (),
+    ) -> None:
+        self._drawing, self._panel = drawing, panel
+        self._up, self._out, self._cameras = up, out, cameras
         self._shown: dict[int, _LastPicture] = {}
         self._keyframes: list[ViewerCamera] = []
         self._changes = 0  # of the keyframes
 
-    def step(self, browsers: Mapping[int, Browser], now: float) -> float:
-        """Handle pressed buttons, then update every browser whose picture is out of date.
+    def step(self, browsers: Mapping[int, Page], now: float) -> float:
+        """Handle pressed buttons, then update every page whose picture is out of date.
 
-        Args:
-            browsers: the open ones.
-            now: seconds of a monotonic clock.
-
-        Returns:
-            Seconds until the next step is due even if nothing happens.
+        ``now`` is the time of a monotonic clock, seconds. Returns the seconds until the next step
+        is due even if nothing happens.
         """
         state = self._panel.state(now)
         for click in self._panel.clicks():
@@ -120,7 +87,7 @@ class Session:
         return TICK if self._panel.playing else REST if pending else 1.0
 
     def _serve(
-        self, k: int, browser: Browser, wanted: tuple[State, ViewerCamera, int], now: float
+        self, k: int, browser: Page, wanted: tuple[State, ViewerCamera, int], now: float
     ) -> bool:
         """Update one browser; return whether its fine picture is still to come."""
         shown = self._shown.get(k)
@@ -144,14 +111,14 @@ class Session:
         return np.concatenate([frame, picture], axis=1)
 
     def _beside(self, state: State) -> bool:
-        return state.beside and bool(self._setup.cameras)
+        return state.beside and bool(self._cameras)
 
     def _camera(self, state: State, view: ViewerCamera) -> Camera:
         """Return the camera that the avatar is drawn with."""
         if self._beside(state):
             view = replace(view, width=view.width // 2)
-        if state.seen_from == "video" and self._setup.cameras:
-            return fitted(self._setup.cameras[state.frame], view.width, view.height)
+        if state.seen_from == "video" and self._cameras:
+            return fitted(self._cameras[state.frame], view.width, view.height)
         if state.seen_from == "keyframes" and self._keyframes:
             cameras = self._film(view)
             return cameras[state.frame % len(cameras)]
@@ -159,8 +126,8 @@ class Session:
 
     def _film(self, view: ViewerCamera) -> list[Camera]:
         """Return cameras along the keyframes: one for each frame of the motion, or one for all."""
-        setup = self._setup
-        return film(self._keyframes, setup.up, setup.frames, view.width, view.height)
+        count = len(self._drawing.motion)
+        return film(self._keyframes, self._up, count, view.width, view.height)
 
     def _done(self, action: Action, state: State, view: ViewerCamera) -> str:
         """Do what a button asks for; return a sentence about the result."""
@@ -172,7 +139,7 @@ class Session:
         if action == "save cameras" and not self._keyframes:
             return "there is no keyframe yet: add some"
         name = "snapshot_{}.png" if action == "snapshot" else "cameras_{}.npz"
-        path = out = self._setup.out
+        path = out = self._out
         try:
             with folder_lock(out, "gva-mi view"):  # another viewer may want the same name
                 path = free_name(out, name)

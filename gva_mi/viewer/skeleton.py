@@ -19,14 +19,10 @@ SAMPLES = 2  # per pixel and axis of a fine picture
 def draw_skeleton(
     joints: np.ndarray, parents: Sequence[int], camera: Camera, marked: int, fine: bool = True
 ) -> np.ndarray:
-    """Draw a layer (H, W, 4) float32: premultiplied colour and alpha.
+    """Draw joints (J, 3), metres, world, as a layer (H, W, 4) float32: premultiplied colour, alpha.
 
-    Args:
-        joints: (J, 3) metres, world.
-        parents: J indices, -1 for the root.
-        camera: the view.
-        marked: the joint to draw in orange.
-        fine: whether lines have smooth edges.
+    The parent of the root is -1. The joint ``marked`` is drawn in orange; lines have smooth edges
+    if ``fine``.
     """
     from PIL import Image, ImageDraw
 

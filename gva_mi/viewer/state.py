@@ -41,12 +41,7 @@ class State:
 
 
 def posed(motion: Pose, state: State) -> Pose:
-    """Return the pose (of one frame) that a state asks for.
-
-    Args:
-        motion: T frames.
-        state: what is shown.
-    """
+    """Return the pose (of one frame of the motion) that a state asks for."""
     pose = motion[state.frame]
     rotations, expression = pose.rotations, pose.expression
     for joint, angles in state.turned:
@@ -69,13 +64,9 @@ class Playback:
         self._shown, self._then = -1, 0.0
 
     def advance(self, frame: int, now: float, fps: float, count: int) -> int:
-        """Return the frame to show now.
+        """Return the frame, of ``count``, to show at the time ``now`` (seconds of any clock).
 
-        Args:
-            frame: the frame shown; if it is not the last call's, the motion plays on from there.
-            now: seconds of any clock.
-            fps: frames a second.
-            count: frames of the motion.
+        If the ``frame`` shown is not the last call's, the motion plays on from there.
         """
         if frame != self._shown:
             self._at, self._then = float(frame), now

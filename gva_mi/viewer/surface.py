@@ -30,9 +30,9 @@ class PosedSurface:
 
 
 @torch.no_grad()
-def posed_surface(avatar: Avatar, rig: Rig, pose: Pose) -> PosedSurface:
+def posed_surface(avatar: Avatar, pose: Pose) -> PosedSurface:
     """Pose the rig's surface and joints (one frame) the way the Gaussians are."""
-    driven = avatar.driven(pose)
+    rig, driven = avatar.rig, avatar.driven(pose)
     vertices = rig.vertices + moved_by(driven.coefficients, rig.directions)
     T_world_rest = driven.T_world_rest.to(vertices.dtype)
     R, t = T_world_rest[:, :3, :3], T_world_rest[:, :3, 3]

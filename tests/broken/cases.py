@@ -89,12 +89,12 @@ def moved(path, to):
     return lambda folder: (folder / path).rename(folder / to)
 
 
-def picture(path, size=(48, 48), mode="RGB", value=128, form=None):
+def picture(path, size=(48, 48), mode="RGB", value=128):
     def change(folder):
         from PIL import Image
 
         (folder / path).parent.mkdir(exist_ok=True)
-        Image.new(mode, size, value).save(folder / path, form)
+        Image.new(mode, size, value).save(folder / path)
 
     return change
 
@@ -165,113 +165,65 @@ TAKEN = {
     "transl is behind the camera": poses(transl=lambda x: x + [0, 0, 9]),
     "transl is in millimetres": poses(transl=lambda x: 1000 * x + 700),
     "betas are a table": poses(betas=np.zeros((6, 10))),
-    "betas are none": poses(betas=np.zeros(0)),
-    "betas are 300": poses(betas=np.zeros(300)),
     "frame is grey": picture(FRAME, mode="L"),
-    "frame is of 16 bits": picture(FRAME, mode="I;16"),
     "frame has alpha": picture(FRAME, mode="RGBA", value=(9, 9, 9, 9)),
-    "frame has a palette": picture(FRAME, mode="P"),
     "frame is missing": gone(FRAME),
-    "mask is of 16 bits": picture(MASK, mode="I;16", value=65535),
-    "mask is of one bit": picture(MASK, mode="1", value=1),
     "mask is black": picture(MASK, mode="L", value=0),
     "mask is missing": gone(MASK),
     "masks are inverted": each_mask(lambda x: 255 - x),
-    "masks are of zero and one": each_mask(lambda x: x // 255),
     "masks are all white": each_mask(lambda x: 0 * x + 255),
-    "masks lie upside down": each_mask(lambda x: x[::-1].copy()),
     "normals are NaN": normal_map(NAN),
-    "normals are a thousand": normal_map(1000),
-    "normals are a file": text("normals", "x"),
 }
 SUBJECTS = TAKEN | {
     "width is an array": cameras(width=[48, 48]),
     "width is text": cameras(width="48"),
     "width is NaN": cameras(width=NAN),
-    "width is negative": cameras(width=-48),
-    "width is half a pixel": cameras(width=48.5),
-    "width is enormous": cameras(width=10**9),
     "width is another": cameras(width=47),
     "height is missing": cameras(height=None),
     "K is of no frame": cameras(K=np.zeros((0, 3, 3))),
     "K is of another count": cameras(K=lambda K: np.repeat(K[None], 4, 0)),
-    "K is complex": cameras(K=lambda K: K + 1j),
-    "K is NaN": cameras(K=at((0, 0), NAN)),
     "K has a focal length of zero": cameras(K=at((0, 0), 0)),
-    "K is transposed": cameras(K=lambda K: K.T),
-    "T has a bad last row": cameras(T_camera_world=at((3, 3), 2)),
     "T is mirrored": cameras(T_camera_world=lambda T: np.diag([-1.0, 1, 1, 1]) @ T),
-    "T is scaled": cameras(T_camera_world=lambda T: 2 * T),
-    "T is 3 x 4": cameras(T_camera_world=lambda T: T[:3]),
     "cameras are cut": cut("cameras.npz"),
-    "cameras are missing": gone("cameras.npz"),
     "cameras are a folder": a_folder("cameras.npz"),
-    "cameras are text": text("cameras.npz", "K = 3"),
     "cameras are a link to themselves": loop("cameras.npz"),
-    "body_pose is short": poses(body_pose=lambda x: x[:, :60]),
     "body_pose is of fewer frames": poses(body_pose=lambda x: x[:5]),
-    "body_pose is of text": poses(body_pose=lambda x: x.astype(str)),
     "body_pose has a NaN": poses(body_pose=at((2, 5), NAN)),
-    "body_pose is enormous": poses(body_pose=lambda x: x + 1e30),
-    "body_pose is missing": poses(body_pose=None),
     "body_pose is of objects": poses(body_pose=np.array([{}] * 6, object)),
-    "transl is flat": poses(transl=lambda x: x.ravel()),
-    "transl is far away": poses(transl=lambda x: x + 1e9),
     "betas are huge": poses(betas=np.full(10, 1e6)),
-    "betas have a NaN": poses(betas=np.full(10, NAN)),
-    "stage is text": poses(stage="one"),
     "focal is zero": poses(focal=0.0),
     "poses are of no frame": frames(0),
-    "poses are of one frame": frames(1),
     "poses are cut": cut("poses.npz"),
     "poses are missing": gone("poses.npz"),
-    "poses are a picture": copied(FRAME, "poses.npz"),
     "poses_refined.npz is cut": both(
         copied("poses.npz", "poses_refined.npz"), cut("poses_refined.npz")),
-    "poses_refined.npz is a folder": a_folder("poses_refined.npz"),
     "splits are a folder": a_folder("splits.json"),
-    "splits are cut": cut("splits.json"),
     "splits are no text": text("splits.json", b"\xff\xfe\x00"),
     "no train frame is left": lambda folder: [
         gone(f"masks/{k:06d}.png")(folder) for k in (0, 1, 2, 4, 5)],
     **{f"splits say {said[:30]}": text("splits.json", said) for said in (
         "[" * 100_000, '{"train": [NaN], "test": []}', '{"train": [], "test": [1]}',
-        '{"train": [99], "test": []}', '{"train": [-1], "test": []}',
-        '{"train": [0, 1], "test": [1]}', '{"train": [0, 0], "test": [3]}',
-        '{"train": [0.5], "test": []}', '{"train": "all", "test": []}', '{"train": [0]}', "null")},
+        '{"train": [99], "test": []}', '{"train": [0, 1], "test": [1]}',
+        '{"train": "all", "test": []}', "null")},
     "frame is cut": cut(FRAME),
-    "frame is empty": text(FRAME, ""),
     "frame is a folder": a_folder(FRAME),
     "frame is of another size": picture(FRAME, (50, 48)),
-    "frame is a .gif": picture(FRAME, form="GIF"),
     "frame claims 100,000 pixels a side": text(FRAME, claims(100_000, 100_000)),
-    "frame claims no pixel": text(FRAME, claims(0, 0)),
-    "frame is a link to itself": loop(FRAME),
     "frame is named otherwise": moved(FRAME, "frames/frame2.png"),
-    "frame has the last number of six digits": moved(FRAME, "frames/999999.png"),
     "frames are missing": gone("frames"),
     "film is text": both(gone("frames"), text("video.mp4", "x")),
-    "film is a folder": both(gone("frames"), a_folder("video.mp4")),
-    "mask is cut": cut(MASK),
     "mask is of another size": picture(MASK, (47, 48), "L"),
-    "mask claims 100,000 pixels a side": text(MASK, claims(100_000, 100_000)),
-    "mask is a .npy of text": mask_as_npy(lambda x: x.astype(str)),
     "mask is a .npy of NaN": mask_as_npy(lambda x: x * NAN),
     "mask is a .npy of objects": mask_as_npy(lambda x: np.array([{}], object)),
-    "mask is a .npy of 255": mask_as_npy(lambda x: 255 * x),
-    "mask is a .npy of three axes": mask_as_npy(lambda x: x[..., None]),
-    "mask is a .npy of none": mask_as_npy(lambda x: x[:0]),
     "masks are missing": gone("masks"),
     "masks are all black": each_mask(lambda x: 0 * x),
-    "normals are of another size": picture("normals/000000.png", (9, 9)),
     "normals are cut": both(picture("normals/000000.png"), cut("normals/000000.png")),
     **{f"normals.json says {said[:50]}": both(
         picture("normals/000000.png"), text("normals.json", said)) for said in (
-        "{", "[]", '{"convention": "mine"}', '{"convention": 3}',
-        '{"convention": "icon", "boxes": []}', '{"convention": "icon", "boxes": [[0, 0]]}',
+        "{", "[]", '{"convention": "mine"}', '{"convention": "icon", "boxes": []}',
         '{"convention": "icon", "boxes": [[0, 0, NaN, 48]]}')},
     **{f"prepare.json says {said[:24]}": text("prepare.json", said) for said in (
-        "", "{", "[]", "null", '{"body": {"vertices": "x"}}', "[" * 100_000)},
+        "{", "[]", '{"body": {"vertices": "x"}}')},
 }  # fmt: skip
 
 
@@ -284,9 +236,7 @@ RUNS = {  # what of a run is broken, by the part that the commands of COMMANDS r
         "avatar is missing": gone("avatar.npz"),
         "avatar is cut": cut("avatar.npz"),
         "avatar is a folder": a_folder("avatar.npz"),
-        "avatar is poses": copied("poses.npz", "avatar.npz"),
         "rest_faces are beyond the vertices": avatar(rest_faces=lambda x: x + 10**6),
-        "rest_weights are negative": avatar(rest_weights=lambda x: -x),
         **{f"{name} is {how}": avatar(**{name: change})
            for name in ("canonical.means", "canonical.weights", "rest_weights", "rest_joints",
                         "rest_vertices", "light")
@@ -297,30 +247,22 @@ RUNS = {  # what of a run is broken, by the part that the commands of COMMANDS r
     },
     "poses": {
         "poses are cut": cut("poses.npz"),
-        "poses are text": text("poses.npz", "x"),
         "poses have a NaN": poses(body_pose=not_a_number),
         "poses are of no frame": poses(transl=np.zeros((0, 3))),
-        "poses lack a key": poses(body_pose=None),
-        "poses are enormous": poses(transl=lambda x: x + 1e30),
     },
     "records": {
         "options.json is a folder": a_folder("options.json"),
         "options.json is cut": cut("options.json"),
-        "options.json is no text": text("options.json", b"\xff\xfe\x00"),
         **{f"{name} says {said[:20]}": text(name, said)
            for name in ("options.json", "metrics.json")
            for said in ("", "[]", "null", '{"options": 3}', '{"options": {}, "video": 3}',
                         '{"rows": "x"}', "[" * 100_000, "\ufeff{}", "NaN")},
     },
     "state": {
-        "history is cut": cut("history.npz"),
         "history is of text": with_arrays("history.npz", loss=np.array(["a"])),
         "checkpoint is cut": cut("checkpoint.pt"),
-        "checkpoint is empty": text("checkpoint.pt", ""),
         "checkpoint is a folder": a_folder("checkpoint.pt"),
-        "checkpoint is an avatar": copied("avatar.npz", "checkpoint.pt"),
         "snapshot is text": text("reinit/000002.npz", "x"),
-        "snapshot has no number": text("reinit/a.npz", "x"),
     },
 }  # fmt: skip
 
@@ -340,14 +282,11 @@ def motion(field, value):
 
 MOTIONS = {
     "poses are missing": motion("poses", None),
-    "poses are text": motion("poses", "x"),
     "poses are NaN": motion("poses", AMASS["poses"] * NAN),
     "poses are too wide": motion("poses", np.ones((4, 7))),
     "trans is one row shorter": motion("trans", AMASS["trans"][:-1]),
-    "trans is a table of text": motion("trans", np.array([["a", "b"]])),
     "the rate is missing": motion("mocap_framerate", None),
     "the rate is negative": motion("mocap_framerate", -1),
-    "the rate is NaN": motion("mocap_framerate", NAN),
     "betas are NaN": motion("betas", np.full(10, NAN)),
 }
 QUICK = {

@@ -123,15 +123,3 @@ def test_the_command_line_pins_libraries_before_they_are_imported():
     assert run(clean).endswith("set() True\n")
     if processor.cpu_settings():
         assert run(clean | {"OPENBLAS_CORETYPE": "Prescott"}).endswith("set() False\n")
-
-
-def test_older_and_other_processors_are_not_pinned(tmp_path, monkeypatch):
-    monkeypatch.setattr(platform, "machine", lambda: "x86_64")
-    for flags, asked in (("fpu avx avx2 fma", True), ("fpu avx fma", False), ("", False)):
-        (tmp_path / "cpuinfo").write_text(f"processor : 0\nflags\t\t: {flags}\n")
-        monkeypatch.setattr(processor, "_FLAGS", tmp_path / "cpuinfo")
-        assert bool(processor.cpu_settings()) == asked
-    monkeypatch.setattr(platform, "machine", lambda: "aarch64")
-    assert not processor.cpu_settings()
-    monkeypatch.setattr(processor, "_FLAGS", tmp_path / "nowhere")
-    assert not processor.cpu_settings()

@@ -68,9 +68,3 @@ def test_a_full_disk_and_a_file_system_without_locks_stop_nobody(
     monkeypatch.setattr(target, fails)
     with folder_lock(tmp_path / "run", "gva-mi fit") as found:
         assert found is locked
-
-
-def test_a_file_without_a_holder_is_no_lock(tmp_path):
-    (tmp_path / ".run.lock").write_text("{")
-    with folder_lock(tmp_path / "run", "gva-mi fit"):
-        pass

@@ -7,23 +7,23 @@ import numpy as np
 import pytest
 
 from gva_mi.body.pose import save_poses
-from gva_mi.core.lock import folder_lock
 from gva_mi.data.pictures import read_image
 from gva_mi.data.video import load_cameras
 from gva_mi.fit.renders import over, render_layer
+from gva_mi.viewer.controls import Click
 from gva_mi.viewer.drawing import Drawing
-from gva_mi.viewer.session import COARSE, REST, Click, Session, SessionSetup
+from gva_mi.viewer.session import COARSE, REST, Session
 from gva_mi.viewer.state import State
 
 
 @pytest.fixture
-def setup(motion, place, tmp_path):
-    return SessionSetup(len(motion), place.up, [], tmp_path / "out")
+def out(tmp_path):
+    return tmp_path / "out"
 
 
 @pytest.fixture
-def opened(drawing, panel, setup):
-    return Session(drawing, panel, setup)
+def opened(drawing, panel, place, out):
+    return Session(drawing, panel, place.up, out)
 
 
 def press(opened, panel, page, *actions):
@@ -48,14 +48,6 @@ def test_a_picture_is_coarse_first_and_then_as_rendered(known, motion, opened, p
     assert np.array_equal(whole, expected)
 
 
-def test_only_the_newest_state_is_drawn(opened, panel, page, drawing):
-    for frame in (1, 3, 0, 2):
-        panel.now = State(frame=frame)
-    opened.step({7: page}, 0.0)
-    assert len(page.shown) == 1
-    assert np.array_equal(page.shown[0][0], drawing.picture(State(frame=2), page.at.to_camera()))
-
-
 def test_a_moving_browser_waits_for_its_fine_picture(opened, page, place, looking):
     opened.step({7: page}, 0.0)
     page.at = looking(place.position + 0.2 * place.up)
@@ -77,14 +69,14 @@ def test_each_browser_has_its_own_view_and_may_leave(opened, panel, page, view):
     assert not hidden.shown
 
 
-def test_a_snapshot_is_the_picture_or_transparent(known, motion, opened, panel, page, setup):
+def test_a_snapshot_is_the_picture_or_transparent(known, motion, opened, panel, page, out):
     from PIL import Image
 
     panel.now = State(frame=1)
     press(opened, panel, page, "snapshot")
     panel.now = State(frame=1, transparent=True)
     told = press(opened, panel, page, "snapshot")
-    first, second = (setup.out / f"snapshot_00{k}.png" for k in (0, 1))
+    first, second = (out / f"snapshot_00{k}.png" for k in (0, 1))
     assert told == [f"saved: {first}", f"saved: {second}"]
     layer = render_layer(known, motion[1], page.at.to_camera())
     assert np.array_equal(read_image(first, 3), over(layer, np.ones(3, "f4")))
@@ -93,7 +85,7 @@ def test_a_snapshot_is_the_picture_or_transparent(known, motion, opened, panel, 
 
 
 def test_render_reads_the_saved_cameras_of_keyframes(
-    known, motion, turning, opened, panel, page, place, looking, setup, tmp_path, cli
+    known, motion, turning, opened, panel, page, place, looking, out, tmp_path, cli
 ):
     views = [page.at, looking(place.position + [2.0, 0.3, -1.0])]
     press(opened, panel, page, "add keyframe")
@@ -102,7 +94,7 @@ def test_render_reads_the_saved_cameras_of_keyframes(
     assert told == [f"keyframes: {k}" for k in (1, 2, 3, 2)]
     assert panel.keyframes == 2
     press(opened, panel, page, "save cameras")
-    path = setup.out / "cameras_000.npz"
+    path = out / "cameras_000.npz"
     cameras = load_cameras(path)
     assert len(cameras) == len(motion) and (cameras[0].width, cameras[0].height) == (80, 64)
     for camera, view in ((cameras[0], views[0]), (cameras[-1], views[1])):
@@ -119,10 +111,10 @@ def test_render_reads_the_saved_cameras_of_keyframes(
     assert np.array_equal(found, read_image(tmp_path / "renders/000002.png", 3))
 
 
-def test_after_a_full_disk_the_session_goes_on(opened, panel, page, setup):
+def test_after_a_full_disk_the_session_goes_on(opened, panel, page, out):
     action = "snapshot"
     told = press(opened, panel, page, action)
-    (first,) = setup.out.iterdir()
+    (first,) = out.iterdir()
     whole = first.read_bytes()
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100, before[1]))
@@ -132,23 +124,14 @@ def test_after_a_full_disk_the_session_goes_on(opened, panel, page, setup):
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     second = first.with_name(first.name.replace("000", "001"))
     assert told[-1] == f"{second}: cannot be written (File too large)"
-    assert list(setup.out.iterdir()) == [first] and first.read_bytes() == whole
+    assert list(out.iterdir()) == [first] and first.read_bytes() == whole
     press(opened, panel, page, action)
     assert told[-1] == f"saved: {second}" and second.read_bytes() == whole
 
 
-def test_two_viewers_do_not_take_the_same_name(opened, panel, page, setup):
-    with folder_lock(setup.out, "gva-mi view"):
-        told = press(opened, panel, page, "snapshot")
-    assert "gva-mi view (process" in told[-1] and not setup.out.exists()
-    press(opened, panel, page, "snapshot")
-    assert told[-1] == f"saved: {setup.out / 'snapshot_000.png'}"
-
-
-def test_beside_the_video_through_its_camera(known, video, panel, page, view, setup):
-    opened = Session(
-        Drawing(known, video.pose, video), panel, replace(setup, cameras=video.cameras)
-    )
+def test_beside_the_video_through_its_camera(known, video, panel, page, view, place, out):
+    drawing = Drawing(known, video.pose, video)
+    opened = Session(drawing, panel, place.up, out, video.cameras)
     page.at = replace(view, width=96, height=48)
     panel.now = State(frame=5, beside=True, seen_from="video", background=(77, 77, 77))
     opened.step({7: page}, 0.0)

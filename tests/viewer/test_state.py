@@ -45,13 +45,3 @@ def test_a_motion_plays_by_the_clock():
     for k in (1, 100):
         other = seldom.advance(other, 10 + k * 0.013, 30, 40)
     assert frame == other == (3 + int(99 * 0.013 * 30)) % 40
-
-
-def test_it_plays_on_from_the_slider():
-    playback = Playback()
-    assert playback.advance(0, 5.0, 10, 100) == 0
-    assert playback.advance(0, 5.31, 10, 100) == 3
-    assert playback.advance(50, 5.4, 10, 100) == 50
-    assert playback.advance(50, 5.61, 10, 100) == 52
-    playback.stop()
-    assert playback.advance(52, 100.0, 10, 100) == 52  # the pause was none of the motion's

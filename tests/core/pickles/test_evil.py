@@ -2,10 +2,8 @@
 
 import os
 import pickle
-import random
 import resource
 import struct
-import zipfile
 import zlib
 
 import numpy as np
@@ -22,21 +20,16 @@ def named(module, name, *args, op=b"R"):
     return b"c" + f"{module}\n{name}\n".encode() + pickle.dumps(args, 2)[2:-1] + op + b"."
 
 
-CALLS = {
-    "os.system": ("posix", "system", "touch ran"),
-    "exec": ("__builtin__", "exec", "open('ran', 'w')"),
-    "getattr": ("builtins", "getattr", "a", "upper"),
-    "import": ("builtins", "__import__", "os"),
-    "partial": ("functools", "partial", "a"),
-    "load": ("pickle", "loads", b"."),
-    "numpy exec": ("numpy.testing._private.utils", "runstring", "open('ran', 'w')", {}),
-    "numpy memmap": ("numpy", "memmap", "ran", "u1", "w+"),
-    "torch load": ("torch", "load", "x.pt"),
-    "joblib": ("joblib", "load", "x"),
-    "dotted": ("builtins", "object.__class__", "x"),
-    "type": ("builtins", "type", "x", (), {}),
-    "own": ("gva_mi.core.pickles.reader", "read_objects", "x", "y"),
-}
+CALLS = (
+    ("posix", "system", "touch ran"),
+    ("__builtin__", "exec", "open('ran', 'w')"),
+    ("builtins", "getattr", "a", "upper"),
+    ("numpy.testing._private.utils", "runstring", "open('ran', 'w')", {}),
+    ("numpy", "memmap", "ran", "u1", "w+"),
+    ("torch", "load", "x.pt"),
+    ("builtins", "object.__class__", "x"),
+    ("gva_mi.core.pickles.reader", "read_objects", "x", "y"),
+)
 
 
 @pytest.fixture
@@ -53,12 +46,12 @@ def refuse(tmp_path, monkeypatch):
     return check
 
 
-@pytest.mark.parametrize("name", CALLS)
-def test_a_name_that_is_not_allowed_is_refused(refuse, name):
-    module, function, *args = CALLS[name]
-    home = {"__builtin__": "builtins"}.get(module, module)
-    for op in (b"R", b"\x81"):  # REDUCE and NEWOBJ
-        refuse(named(module, function, *args, op=op), f"holds {home}.{function}, which is not read")
+def test_a_name_that_is_not_allowed_is_refused(refuse):
+    for module, function, *args in CALLS:
+        home = {"__builtin__": "builtins"}.get(module, module)
+        for op in (b"R", b"\x81"):  # REDUCE and NEWOBJ
+            evil = named(module, function, *args, op=op)
+            refuse(evil, f"holds {home}.{function}, which is not read")
 
 
 def test_every_protocol_and_every_opcode_that_calls_is_refused(refuse):
@@ -121,21 +114,13 @@ def little_memory():
     assert peak() - used < 1 << 18, "kB"
 
 
-def test_a_claim_of_100_gigabytes_allocates_nothing(refuse, little_memory, tmp_path):
+def test_a_claim_of_100_gigabytes_allocates_nothing(refuse, little_memory):
     size = 100 * 10**9
     refuse(array((size // 8,)), "an array claims 100,000,000,000 bytes, but holds 0")
     refuse(array((size // 8,), "O8", [None]), "an array claims 12,500,000,000 bytes, but holds 1")
     for opcode in (b"\x80\x04\x8e", b"\x80\x05\x96", b"\x80\x04\x8d"):
         refuse(opcode + struct.pack("<Q", size) + b"x", "damaged")
     refuse(b"]r\x00\x00\x00\x0f].", "damaged.*LONG_BINPUT")
-    header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (12500000000,), }"
-    header += b" " * (118 - len(header) - 1) + b"\n"
-    npy = b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header)) + header
-    refuse(npy, "claims 100,000,000,000 bytes, but holds 0", ".npy")
-    with zipfile.ZipFile(tmp_path / "evil.npz", "w") as file:
-        file.writestr("poses.npy", npy)
-    with pytest.raises(InputError, match="claims 100,000,000,000 bytes, but holds 0"):
-        read_objects(tmp_path / "evil.npz", "arrays")
 
 
 def test_tensors_and_sparse_matrices_that_claim_too_much(refuse, little_memory):
@@ -175,38 +160,3 @@ def test_what_would_take_forever(refuse):
     shared = b"\x80\x02)" + b"2\x86" * 60
     refuse(shared + b"}" + shared[2:] + b"I1\ns.", "damaged.*DUP")
     refuse(b"]" * 100_000 + b"a" * 99_999 + b".", "damaged.*recursion")
-
-
-def test_damaged_files_end_in_one_sentence(tmp_path, monkeypatch):
-    """Bytes flipped, cut and moved in files of every kind; those that still can be read, may be."""
-    import torch
-
-    monkeypatch.chdir(tmp_path)
-    value = {"a": np.arange(6.0), "t": torch.arange(3.0), "o": np.array([{"x": 1}], object)}
-    np.savez(tmp_path / "a.npz", **{k: np.asarray(v) for k, v in value.items()})
-    seeds = [pickle.dumps(value, protocol) for protocol in range(6)]
-    seeds += [zlib.compress(seeds[4]), (tmp_path / "a.npz").read_bytes()]
-    torch.save(value["t"], tmp_path / "t.pt")
-    seeds.append((tmp_path / "t.pt").read_bytes())
-    rng, refused, path = random.Random(0), 0, tmp_path / "fuzz.pkl"
-    for _ in range(500):
-        data = bytearray(rng.choice(seeds))
-        for _ in range(rng.randint(1, 6)):
-            k = rng.randrange(len(data))
-            way = rng.randrange(4)
-            if way == 0:
-                data[k] = rng.randrange(256)
-            elif way == 1:
-                del data[k : k + rng.randint(1, 9)]
-            elif way == 2:
-                data[k:k] = rng.randbytes(rng.randint(1, 5))
-            else:
-                data[k : k + 4] = b"\xff\xff\xff\x7f"
-            data = data or bytearray(b"x")
-        path.write_bytes(data)
-        try:
-            read_objects(path, "arrays")
-        except InputError as error:
-            refused += 1
-            assert "\n" not in str(error) and str(error).startswith(str(path))
-    assert refused > 250

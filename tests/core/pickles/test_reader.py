@@ -25,7 +25,7 @@ def reread(tmp_path, data):
     return read(path)
 
 
-@pytest.mark.parametrize("protocol", range(6))
+@pytest.mark.parametrize("protocol", (0, 2, 4, 5))
 def test_every_protocol(tmp_path, protocol):
     value = {
         "c": ARRAY, "f": np.asfortranarray(ARRAY), "big": ARRAY.astype(">f8"), "none": None,

@@ -6,7 +6,7 @@ import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from gva_mi.body.smplx import BodyModel, load_body
+from gva_mi.body.smplx import load_body
 from gva_mi.cli.arguments import Flat, Switch, poses_of
 from gva_mi.cli.evaluate import evaluate_run
 from gva_mi.cli.fit import fit_video
@@ -60,26 +60,15 @@ def demo(
     fit_options = FitOptions(seed=options.seed, steps=options.steps, poses=poses)
     with folder_lock(out, "gva-mi demo"):
         start_folder(out, MARKER, overwrite, {"options": asdict(options)})
-        _run(out, options, synth_options, fit_options, model)
+        subject = out / SUBJECT
+        with bar("synth") as progress:
+            make_subject(subject, synth_options, model, progress)
+        if not options.no_refine:
+            list(refine_videos([load_video(subject)], model, SequenceOptions(seed=options.seed)))
+        poses = poses_of(subject)
+        video = load_video(subject, poses)
+        avatar = fit_video(video, model, fit_options, out)
+        name = "no_refine" if options.no_refine else "full"
+        evaluate_run(out, avatar, video, model, poses, name=name, title="The demo subject")
     minutes = (time.perf_counter() - start) / 60
     say(f"{minutes:.1f} minutes; report: {out / run_folder.REPORT}")
-
-
-def _run(
-    out: Path,
-    options: DemoOptions,
-    synth_options: SynthOptions,
-    fit_options: FitOptions,
-    model: BodyModel,
-) -> None:
-    """All steps, one after the other."""
-    subject = out / SUBJECT
-    with bar("synth") as progress:
-        make_subject(subject, synth_options, model, progress)
-    if not options.no_refine:
-        list(refine_videos([load_video(subject)], model, SequenceOptions(seed=options.seed)))
-    poses = poses_of(subject)
-    video = load_video(subject, poses)
-    avatar = fit_video(video, model, fit_options, out)
-    name = "no_refine" if options.no_refine else "full"
-    evaluate_run(out, avatar, video, model, poses, name=name, title="The demo subject")

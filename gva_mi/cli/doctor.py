@@ -8,8 +8,8 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
 from importlib import metadata
+from typing import NamedTuple
 
 from gva_mi.core import llvm
 
@@ -29,8 +29,7 @@ PACKAGES = {
 }
 
 
-@dataclass(frozen=True)
-class Component:
+class Component(NamedTuple):
     """One line of the report."""
 
     name: str

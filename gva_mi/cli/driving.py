@@ -21,18 +21,9 @@ def motion_of(
 ) -> tuple[Pose, Shape]:
     """Return the motion that ``--poses`` names; without it the poses trained with the avatar.
 
-    Lines tell how a motion of another program was read, and that another person's bones are not
-    used.
-
-    Args:
-        run: folder of a run, or an avatar's file.
-        avatar: the avatar to be driven.
-        given: a file of poses, or any motion that ``gva-mi motion`` reads.
-        fps: frames a second that such a motion is resampled to; poses are played as they are.
-        body: the file of the avatar's body, for hands given as PCA components.
-
-    Raises:
-        InputError: there are no poses, or they cannot be read.
+    A motion that ``gva-mi motion`` reads is resampled to ``fps`` frames a second, and its notes are
+    printed; poses are played as they are. The file of the avatar's ``body`` is needed for hands
+    given as PCA components.
     """
     if given is None or is_pose_file(given):
         pose, shape, path = load_motion(run, given)

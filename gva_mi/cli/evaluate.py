@@ -72,15 +72,8 @@ def evaluate_run(
 ) -> None:
     """Measure the avatar of a run, write figures and report into its folder, and say the figures.
 
-    Args:
-        run: the folder of the finished fit.
-        avatar: what was fitted.
-        video: opened with the poses that the fit began with.
-        model: the body model that was fitted.
-        poses: the file of these poses.
-        name: of the run, for its rows.
-        title: of the report.
-        fit_poses: also measure test and novel frames under poses fitted to these very frames.
+    ``video`` was opened with the ``poses`` (their file) that the fit began with; ``name`` stands in
+    the rows.
     """
     trained = run_folder.under_trained_poses(video, run)
     with bar("evaluate") as progress:

@@ -60,21 +60,9 @@ def fit(
 
 
 def fit_video(
-    video: Video,
-    model: BodyModel,
-    options: FitOptions,
-    out: Path,
-    resume: bool = False,
+    video: Video, model: BodyModel, options: FitOptions, out: Path, resume: bool = False
 ) -> Avatar:
-    """Fit an avatar and say how long it took.
-
-    Args:
-        video: opened with the poses to fit under, whose file may hold offsets of the surface.
-        model: the body model.
-        options: of the fit.
-        out: the run's folder.
-        resume: continue a run that was stopped.
-    """
+    """Fit an avatar and say how long it took; poses and the surface's offsets are the video's."""
     offsets = video.offsets_of(len(model.v_template))
     start = time.perf_counter()
     with bar("fit") as progress:

@@ -30,10 +30,10 @@ from gva_mi.splat.scene import Scene, person_scene
 REPORT, PICTURE = "gradcheck.json", "gradcheck.png"
 What = Literal["splat", "avatar", "normals"]
 ONLY: dict[str, tuple[What, ...]] = {  # options that only some checks have
-    "seed": ("splat", "avatar"),
+    "seed": ("splat", "avatar"), "scene": ("splat",), "body": ("avatar",),
     **dict.fromkeys(("window", "camera_model", "antialiased", "channels", "images"), ("splat",)),
     **dict.fromkeys(("size", "spp", "lines", "points"), ("normals",)),
-}
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -62,17 +62,18 @@ class GradcheckOptions:
         if not self.images:
             raise InputError(f"gradcheck: images must be some of {', '.join(IMAGES)}")
 
-    def require_only(self, what: What) -> None:
-        """Raise an InputError for an option that another check has."""
+    def require_only(self, what: What, **files: Path | None) -> None:
+        """Raise an InputError for an option or a file that only another check has."""
         if what == "normals" and self.count is not None:
             Within(1, len(COORDINATES)).require("gradcheck normals", "count", self.count)
-        for field in fields(self):
-            checks = ONLY.get(field.name, (what,))
-            if what not in checks and getattr(self, field.name) != field.default:
-                option = field.name.replace("_", "-")
+        given = {f.name for f in fields(self) if getattr(self, f.name) != f.default}
+        given |= {name for name, path in files.items() if path is not None}
+        for name in sorted(given & ONLY.keys()):
+            if what not in ONLY[name]:
+                option = name.replace("_", "-")
                 raise InputError(
                     f"gradcheck {what}: there is no --{option}; it is an option of "
-                    f"`gva-mi gradcheck {checks[0]}`"
+                    f"`gva-mi gradcheck {ONLY[name][0]}`"
                 )
 
     def applied(self, scene: Scene) -> Scene:
@@ -108,13 +109,7 @@ def gradcheck(
         body: avatar: a body in SMPL-X's .npz format; without it the built-in body.
         out: a folder for gradcheck.json and, of splat, gradcheck.png.
     """
-    options.require_only(what)
-    for name, given, has in (("scene", scene, "splat"), ("body", body, "avatar")):
-        if given is not None and what != has:
-            raise InputError(
-                f"gradcheck {what}: there is no --{name}; it is an option of "
-                f"`gva-mi gradcheck {has}`"
-            )
+    options.require_only(what, scene=scene, body=body)
     if out is not None:
         require_writable(out)
     checks = {"splat": lambda: _windows(options, scene), "avatar": lambda: _poses(options, body)}

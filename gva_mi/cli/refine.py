@@ -81,9 +81,8 @@ def refine(
     )
     model = load_body(body)
     for subject in subjects:
-        poses = subject / REFINED_POSES
-        if poses.exists() and not overwrite:
-            raise InputError(f"{poses}: exists already; give --overwrite to replace it")
+        if (subject / REFINED_POSES).exists():  # a missing subject is named by load_video
+            require_room(subject / REFINED_POSES, overwrite)
         require_same_body(subject, model)
     videos = [load_video(subject, normals=normals) for subject in subjects]
     for video in videos:

@@ -6,24 +6,13 @@ from collections.abc import Sequence
 
 from gva_mi.core.errors import InputError
 
-# (verb, old option): the new option, or a sentence that says why there is none.
+# (verb, old option): the new option.
 RENAMED: dict[tuple[str, str], str] = {
     ("bench", "--calls"): "--repeats",
     ("study", "--edition"): "--held-out-set",
     ("study", "--people"): "--subjects",
     ("study", "--families"): "--error-models",
     ("study", "--told"): "--known",
-    **{
-        ("bench", f"--{name}"): "is gone: benchmarks/ of a checkout holds what is measured"
-        for name in (
-            "most-gaussians",
-            "most-pixels",
-            "no-gsplat",
-            "against",
-            "opensplat-sources",
-            "plot",
-        )
-    },
 }
 
 # Constants of the method that Python sets and the command line does not: by dataclass the name it
@@ -58,8 +47,7 @@ def require_current(verb: str, arguments: Sequence[str]) -> None:
         option = argument.split("=")[0].replace("_", "-")
         now = RENAMED.get((verb, option))
         if now is not None:
-            told = f"is called {now} now" if now.startswith("--") else now
-            raise InputError(f"{verb}: {option} {told}")
+            raise InputError(f"{verb}: {option} is called {now} now")
         kind = _REMOVED.get(".".join(option.lstrip("-").split(".")[-2:]))
         if kind is not None:
             raise InputError(

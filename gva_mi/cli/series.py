@@ -30,17 +30,10 @@ HASH = "recorded_options"  # its name in the marker
 def series(
     out: Path, marker: str, names: Sequence[str], overwrite: bool, about: dict[str, Any]
 ) -> Iterator[list[str]]:
-    """Lock a folder, then start it anew or continue it; yield the names that are missing.
+    """Lock a folder, then start it anew or continue it; yield those of ``names`` that are missing.
 
-    Args:
-        out: the folder.
-        marker: name of a file that every such folder holds.
-        names: all files to be written, in order.
-        overwrite: write all of them again.
-        about: what the marker says; under :data:`HASH` what all files depend on.
-
-    Raises:
-        InputError: the folder holds something else, or all files; or another process writes there.
+    ``about`` is the content of the ``marker`` file; under :data:`HASH` what all files depend on. An
+    InputError says that the folder holds something else, or all files already.
     """
     with folder_lock(out, f"gva-mi {Path(marker).stem}"):
         missing = [name for name in names if not (out / name).exists()]
@@ -57,11 +50,7 @@ def series(
 def hash_of(avatar: Avatar, motion: Pose, shots: Iterable[Shot], how: Iterable[object]) -> str:
     """Return a hash of everything that the files of a folder depend on, this program included.
 
-    Args:
-        avatar: the avatar.
-        motion: the poses that drive it.
-        shots: the pictures to be taken; empty for files without cameras.
-        how: other numbers, words and arrays that matter.
+    Without pictures there are no ``shots``; ``how`` holds other numbers, words and arrays.
     """
     lens = lambda camera: f"{camera.model}, {camera.width}x{camera.height}"
     cameras = (x for s in shots for x in (s.frame, s.camera.K, s.camera.T_camera_world,

@@ -9,7 +9,6 @@ from tyro.conf import Positional
 from gva_mi.body.smplx import load_body
 from gva_mi.cli.arguments import Flat, Switch, poses_of, warn_if_outside_masks
 from gva_mi.core.console import bar, say
-from gva_mi.core.errors import InputError
 from gva_mi.core.files import require_room
 from gva_mi.core.lock import folder_lock
 from gva_mi.data.fingerprint import require_same_body
@@ -44,8 +43,7 @@ def track(
         overwrite: replace poses that are there.
     """
     out = subject / TRACKED_POSES
-    if out.exists() and not overwrite:
-        raise InputError(f"{out}: exists already; give --overwrite to replace it")
+    require_room(out, overwrite)
     avatar = load_avatar(run)
     model = load_body(body)
     require_same_body(subject, model)

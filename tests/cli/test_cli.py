@@ -229,7 +229,7 @@ main(["--help"])
 print("imported", *sorted(x for x in sys.modules if x.startswith(("gva_mi.cli.", "torch"))))
 """
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert run.stdout.splitlines()[-1] == "imported gva_mi.cli.retired"
+    assert run.stdout.splitlines()[-1] == "imported gva_mi.cli.parse gva_mi.cli.retired"
 
 
 def test_a_missing_package_is_named_with_its_extra(monkeypatch, cli):

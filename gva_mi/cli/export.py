@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
 
-import numpy as np
 import torch
 from tyro.conf import Positional
 
@@ -20,7 +19,7 @@ from gva_mi.body.smplx import body_name, load_body
 from gva_mi.cli.arguments import Flat, Switch
 from gva_mi.cli.driving import motion_of
 from gva_mi.cli.series import HASH, hash_of, series
-from gva_mi.core.console import Progress, bar, say
+from gva_mi.core.console import bar, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import require_room
 from gva_mi.core.options import Within, require_ranges
@@ -35,7 +34,6 @@ from gva_mi.data.pictures import (
 from gva_mi.fit.camera_paths import CameraPath, Shot, shots
 from gva_mi.fit.renders import over, render_shots, see_through
 from gva_mi.fit.run_folder import load_avatar
-from gva_mi.splat import Gaussians
 from gva_mi.splat.formats import LOAD
 from gva_mi.splat.formats.compressed_ply_writer import save_compressed_ply
 from gva_mi.splat.formats.ply import save_ply
@@ -86,14 +84,12 @@ class _Export:
 
     def driving(self) -> tuple[Pose, Shape]:
         """Return the poses that were asked for, and the shape of their person."""
-        options = self.options
-        return motion_of(self.run, self.avatar, options.poses, options.fps, self.body)
+        return motion_of(self.run, self.avatar, self.options.poses, self.options.fps, self.body)
 
     def motion(self) -> Pose:
         """Return these poses; raise an InputError if --frame is not among them."""
-        motion, _ = self.driving()
-        if (self.options.frame or 0) >= len(motion):
-            frame = self.options.frame
+        (motion, _), frame = self.driving(), self.options.frame or 0
+        if frame >= len(motion):
             raise InputError(f"export: frame {frame} is not there, the poses have {len(motion)}")
         return motion
 
@@ -105,8 +101,7 @@ class _Export:
     @torch.no_grad()
     def save_gaussians(self, path: Path, pose: Pose) -> None:
         """Write the avatar's Gaussians in one pose."""
-        gaussians: Gaussians = self.avatar(pose)
-        SAVE[_suffix(path)](path, gaussians)
+        SAVE[_suffix(path)](path, self.avatar(pose))
 
 
 def export(
@@ -167,8 +162,8 @@ def _require_meant(suffix: str, options: ExportOptions, view: CameraPath) -> Non
     for field in fields(options):
         meant = [name or "a folder" for name, f in FORMATS.items() if field.name in f.options]
         if getattr(options, field.name) != field.default and kind not in meant:
-            name = field.name.replace("_", "-")
-            raise InputError(f"export: --{name} is for {' and '.join(meant)}, not for {kind}")
+            option, others = field.name.replace("_", "-"), " and ".join(meant)
+            raise InputError(f"export: --{option} is for {others}, not for {kind}")
     pictures = suffix in (".mp4", SEE_THROUGH) or (not suffix and options.each == "png")
     if view != CameraPath() and not pictures:
         raise InputError(f"export: cameras are for .mp4, .webm and --each png, not for {kind}")
@@ -209,29 +204,21 @@ def _poses(job: _Export) -> Work:
 
 
 def _film(job: _Export) -> Work:
+    transparent, fps = job.out.suffix.lower() == SEE_THROUGH, job.options.fps
+    if transparent:
+        require_see_through(job.out)
     background = read_background(job.options.background, *job.view.size)
-    write = lambda images: write_movie(job.out, images, fps=job.options.fps, lossless=False)
-    return _filmed(job, lambda layer: over(layer, background), write)
-
-
-def _transparent_film(job: _Export) -> Work:
-    require_see_through(job.out)
-    write = lambda images: write_see_through(job.out, images, fps=job.options.fps)
-    return _filmed(job, see_through, write)
-
-
-def _filmed(
-    job: _Export,
-    image_of: Callable[[np.ndarray], np.ndarray],
-    write: Callable[[Iterator[np.ndarray]], None],
-) -> Work:
-    """Prepare to render layers, turn each into a picture, and write these."""
     motion = job.motion()
     pictures = job.shots(motion)
 
     def work() -> None:
         with bar("render") as progress:
-            write(map(image_of, render_shots(job.avatar, motion, pictures, progress)))
+            layers = render_shots(job.avatar, motion, pictures, progress)
+            if transparent:
+                write_see_through(job.out, map(see_through, layers), fps=fps)
+            else:
+                images = (over(layer, background) for layer in layers)
+                write_movie(job.out, images, fps=fps, lossless=False)
 
     return work
 
@@ -244,21 +231,18 @@ def _folder(job: _Export) -> Work:
     recorded_options = hash_of(job.avatar, motion, pictures, (options.each, options.every))
     about = {"avatar": str(job.run), "poses": options.poses, HASH: recorded_options}
 
-    def write(missing: list[str], progress: Progress) -> None:
-        if options.each == "png":
-            taken = [pictures[frame_of[name]] for name in missing]
-            layers = render_shots(job.avatar, motion, taken, progress)
-            for name, layer in zip(missing, layers, strict=True):
-                write_image(job.out / name, see_through(layer))
-            return
-        for done, name in enumerate(missing, 1):
-            job.save_gaussians(job.out / name, motion[frame_of[name]])
-            progress(done, len(missing))
-
     def work() -> None:
         names = series(job.out, MARKER, list(frame_of), job.overwrite, about)
         with names as missing, bar("export") as progress:
-            write(missing, progress)
+            if options.each == "png":
+                taken = [pictures[frame_of[name]] for name in missing]
+                layers = render_shots(job.avatar, motion, taken, progress)
+                for name, layer in zip(missing, layers, strict=True):
+                    write_image(job.out / name, see_through(layer))
+                return
+            for done, name in enumerate(missing, 1):
+                job.save_gaussians(job.out / name, motion[frame_of[name]])
+                progress(done, len(missing))
 
     return work
 
@@ -285,6 +269,6 @@ FORMATS = {
         ("poses", "fps", "no_rig"),
     ),
     ".mp4": OutputFormat("a film", _film, ("poses", "frame", "fps", "background")),
-    SEE_THROUGH: OutputFormat("a transparent film", _transparent_film, ("poses", "frame", "fps")),
+    SEE_THROUGH: OutputFormat("a transparent film", _film, ("poses", "frame", "fps")),
     "": OutputFormat("a folder with one file a frame", _folder, ("poses", "every", "each")),
 }  # fmt: skip

@@ -57,8 +57,6 @@ def view(
     avatar = load_avatar(run, body)
     motion, _ = motion_of(run, avatar, poses, FPS, body)
     video = None if subject is None else _video_of(run, subject, poses)
-    if out.exists() and not out.is_dir():
-        raise InputError(f"{out}: is a file; expected a folder for snapshots and cameras")
     begin = start(avatar.rig, motion)
     title = f"{run.name}: {len(avatar.canonical):,} Gaussians"
     with ExitStack() as held:

@@ -19,7 +19,7 @@ BAD = {
     "no poses": (("run/avatar.npz",), "holds no poses.npz"),
     "no subject": (("run", "--subject", "nowhere"), "nowhere: no such folder"),
     "other frames": (("run", "--subject", "SUBJECT", "--poses", "few.npz"), "holds 3 frames, but"),
-    "a file": (("run", "--out", "few.npz"), "few.npz: is a file; expected a folder"),
+    "a file": (("run", "--out", "few.npz"), "few.npz: cannot be written to (File exists)"),
     "no address": (("run", "--host", "203.0.113.9"), "cannot listen at 203.0.113.9, port 8080"),
     "no port": (("run", "--port", "eighty"), "--port must be a whole number from 0"),
 }

@@ -14,11 +14,11 @@ import operator
 import os
 import shutil
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr
 from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin, get_type_hints
 
-from gva_mi.cli.retired import PYTHON_ONLY, require_current
+from gva_mi.cli.retired import OF_STUDY, PYTHON_ONLY, require_current
 from gva_mi.core.errors import InputError
 from gva_mi.core.options import Within
 
@@ -41,6 +41,7 @@ def parse(command: Callable[..., None], verb: str, arguments: list[str]) -> Call
     import tyro
 
     require_current(verb, arguments)
+    of_study = dict(OF_STUDY.values()) if [verb, *arguments[:1]] == ["study", "avatar"] else {}
 
     def call(*values: object, **options: object) -> Callable[[], None]:
         return functools.partial(command, *values, **options)
@@ -52,8 +53,8 @@ def parse(command: Callable[..., None], verb: str, arguments: list[str]) -> Call
     try:
         with redirect_stderr(told), _wide_enough():
             return tyro.cli(
-                call, prog=f"gva-mi {verb}", args=arguments, registry=_registry(refusals),
-                config=(tyro.conf.SuppressFixed,),
+                call, prog=f"gva-mi {verb}", args=arguments,
+                registry=_registry(refusals, of_study), config=(tyro.conf.SuppressFixed,),
             )  # fmt: skip
     except ValueError as error:  # from options without a prefix, which tyro does not catch
         raise InputError(str(error)) from None
@@ -79,8 +80,11 @@ def _wide_enough() -> Iterator[None]:
             os.environ["COLUMNS"] = before
 
 
-def _registry(refusals: Refusals) -> ConstructorRegistry:
-    """Return a rule for tyro: show ranges of a dataclass's numbers, hide what only Python sets."""
+def _registry(refusals: Refusals, only: Mapping[str, Sequence[str]]) -> ConstructorRegistry:
+    """Return a rule for tyro: show ranges of a dataclass's numbers, hide what only Python sets.
+
+    Of the dataclasses in ``only``, by name, no other fields are shown.
+    """
     from tyro.conf import Fixed
     from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructTypeInfo
 
@@ -96,10 +100,11 @@ def _registry(refusals: Refusals) -> ConstructorRegistry:
         finally:
             asked.clear()
         _, hidden = PYTHON_ONLY.get(info.type.__name__, ("", ()))
-        shown = lambda f: (
-            Annotated[f.type, Fixed] if f.name in hidden else _with_ranges(f.type, refusals)
+        shown = only.get(info.type.__name__, [f.name for f in spec.fields if f.name not in hidden])
+        type_of = lambda f: (
+            _with_ranges(f.type, refusals) if f.name in shown else Annotated[f.type, Fixed]
         )
-        fields = tuple(dataclasses.replace(f, type=shown(f)) for f in spec.fields)
+        fields = tuple(dataclasses.replace(f, type=type_of(f)) for f in spec.fields)
         return dataclasses.replace(spec, fields=fields)
 
     return registry

@@ -32,6 +32,9 @@ PYTHON_ONLY: dict[str, tuple[str, tuple[str, ...]]] = {
     "PoseOptions": ("poses", ("step", "largest_turn", "translation_lr", "decay", "part")),
 }  # fmt: skip
 
+# The options of its steps that `gva-mi study avatar` takes: step: dataclass and fields.
+OF_STUDY = {"fit": ("FitOptions", ("steps",)), "refine": ("SequenceOptions", ("passes", "size"))}
+
 _REMOVED = {
     f"{name}.{field.replace('_', '-')}": kind
     for kind, (name, fields) in PYTHON_ONLY.items()
@@ -48,6 +51,15 @@ def require_current(verb: str, arguments: Sequence[str]) -> None:
         now = RENAMED.get((verb, option))
         if now is not None:
             raise InputError(f"{verb}: {option} is called {now} now")
+        step, _, field = option.lstrip("-").partition(".")
+        if [verb, *arguments[:1]] == ["study", "avatar"] and step in OF_STUDY:
+            kind, shown = OF_STUDY[step]
+            if field.replace("-", "_") not in shown:
+                names = ", ".join(f"--{step}.{name}" for name in shown)
+                raise InputError(
+                    f"study avatar: has no {option}; it takes {names}, and Python sets all other "
+                    f"fields of {kind}"
+                )
         kind = _REMOVED.get(".".join(option.lstrip("-").split(".")[-2:]))
         if kind is not None:
             raise InputError(

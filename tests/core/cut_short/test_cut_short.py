@@ -12,7 +12,6 @@ import pytest
 
 SYNTH = "--frames 2 --size 32 --samples 4 --no-clothes --no-hair --novel-poses 1 --novel-views 1"
 SEEN = "--cases tuning --subjects 3 --size 48 --refine.passes 1 --refine.size 48"
-AVATAR = "--fit.steps 5 --fit.checkpoint-every 2 --fit.window 16 --fit.avatar.seed.count 300"
 FIT = "--steps 5 --checkpoint-every 2 --window 16 --avatar.seed.count 300"
 OVERWRITE, RESUME = ("--overwrite",), ("--resume", "--overwrite")
 
@@ -48,7 +47,7 @@ COMMANDS = {
         "refine {}/bare --passes 1 --size 48 --report", OVERWRITE, tries=2
     ),
     "a run": Command(
-        f"fit {{}}/subject --out {{}}/new {FIT}", RESUME, quick=True, tries=2
+        f"fit {{}}/subject --out {{}}/new {FIT}", RESUME, quick=True, tries=1
     ),
     "fit": Command(f"fit {{}}/subject --out {{}}/new {FIT}", RESUME),
     "evaluate": Command("evaluate {}/run {}/subject"),
@@ -75,7 +74,7 @@ COMMANDS = {
     "body": Command("body --out {}/new.npz", OVERWRITE),
     "study refine": Command(f"study refine --out {{}}/new --frames 2 {SEEN}"),
     "study avatar": Command(
-        f"study avatar --out {{}}/new --frames 8 --novel 1 {SEEN} {AVATAR} --rows full",
+        f"study avatar --out {{}}/new --frames 8 --novel 1 {SEEN} --fit.steps 5 --rows full",
     ),
 }  # fmt: skip
 MOMENTS = 6  # of a command, beside the first and the last
@@ -121,10 +120,10 @@ def test_results_of_a_killed_study_are_kept(stage):
     # The last three changes name the second result's file and remove its part and the lock.
     stage.run(command, last=undisturbed.changes - 3)
     figures = stage.folder / "new/refine.json"
-    (first,) = json.loads(figures.read_text())["cases"]
+    (first,) = json.loads(figures.read_text())["results"]
     ended = stage.run(command)
-    assert ended.code == 0 and "1 cases are in" in ended.out
-    cases = json.loads(figures.read_text())["cases"]
+    assert ended.code == 0 and "1 results are in" in ended.out
+    cases = json.loads(figures.read_text())["results"]
     assert len(cases) == 2 and first in cases  # also its seconds
 
 

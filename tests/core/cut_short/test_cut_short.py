@@ -117,8 +117,8 @@ def test_results_of_a_killed_study_are_kept(stage):
     command = f"{COMMANDS['study refine'].line} --noise 1 0.5"
     _, undisturbed = stage.whole(command)
     stage.set_up()
-    # The last three changes name the second result's file and remove its part and the lock.
-    stage.run(command, last=undisturbed.changes - 3)
+    # The last changes write the second result, then the page, and remove the lock.
+    stage.run(command, last=undisturbed.changes - 8)
     figures = stage.folder / "new/refine.json"
     (first,) = json.loads(figures.read_text())["results"]
     ended = stage.run(command)

@@ -27,7 +27,7 @@ from gva_mi.fit.losses import render_losses
 from gva_mi.fit.options import FitOptions
 from gva_mi.fit.perceptual import rand_vgg_loss
 from gva_mi.fit.renders import DRAWN, render_frame
-from gva_mi.fit.samples import Samples, Stream, torch_state
+from gva_mi.fit.samples import FrameSampler, RandomStream, torch_state
 from gva_mi.fit.train import Run
 from gva_mi.splat import Camera, Screen, look_at, render
 
@@ -43,7 +43,9 @@ def run(repeats: int, seed: int, gaussians: int = 20_000, size: int = 512) -> It
     with tempfile.TemporaryDirectory() as folder, one_torch_thread():
         video = _turning(Path(folder), body, seeds, size)
         fit = Run(video, body, options, None, None)
-        samples = Samples(video, video.splits.train, seed, True, options.window, options.mask_error)
+        samples = FrameSampler(
+            video, video.splits.train, seed, True, options.window, options.mask_error
+        )
         title = f"fit, {gaussians:,} Gaussians, {size} x {size} pixels"
         yield _stages(fit, samples, repeats).table(f"{title}: a step", WARM_UP)
         clock = Clock()
@@ -53,7 +55,7 @@ def run(repeats: int, seed: int, gaussians: int = 20_000, size: int = 512) -> It
             with clock("a frame of the driven avatar"), torch.no_grad():
                 render(fit.avatar(video.pose[frame]), video.cameras[frame], options.splat)
         for k in range(WARM_UP + min(repeats, 5)):  # one takes as long as dozens of steps
-            generator = torch_state(seed, Stream.REINIT, k)
+            generator = torch_state(seed, RandomStream.REINIT, k)
             with clock("a re-initialisation"):
                 reinitialise(fit.avatar, options.reinit, generator)
         table = clock.table(f"{title}: as a whole", WARM_UP)
@@ -83,7 +85,7 @@ def _turning(folder: Path, body: BodyModel, seeds: SeedOptions, size: int) -> Vi
     return load_video(folder)
 
 
-def _stages(fit: Run, samples: Samples, repeats: int) -> Clock:
+def _stages(fit: Run, samples: FrameSampler, repeats: int) -> Clock:
     """A step taken apart."""
     distance, clock = rand_vgg_loss(), Clock()
     weights = {"Eq. 9 and back, with VGG": fit.options.loss}
@@ -118,7 +120,7 @@ def _stages(fit: Run, samples: Samples, repeats: int) -> Clock:
     return clock
 
 
-def _mean_step(fit: Run, samples: Samples, repeats: int) -> Timing:
+def _mean_step(fit: Run, samples: FrameSampler, repeats: int) -> Timing:
     """Whole steps as a fit takes them: the mean over steps with and without the perceptual term."""
     distance, every, clock = rand_vgg_loss(), fit.options.perceptual_every, Clock()
     for _ in range(every * (WARM_UP + repeats)):

@@ -1,8 +1,9 @@
-"""What is learned: canonical Gaussians on a skeleton, and how they grow and keep to a surface."""
+"""Avatars: canonical Gaussians on a skeleton, their density control and re-initialisation."""
 
-from gva_mi.avatar.avatar import Animated, Avatar, AvatarOptions, Rig, seed_avatar
+from gva_mi.avatar.avatar import Animated, Avatar, AvatarOptions, seed_avatar
 from gva_mi.avatar.canonical import CanonicalGaussians, SeedOptions, seed_on_surface
 from gva_mi.avatar.residual import PoseResidual, ResidualOptions
+from gva_mi.avatar.rig import Rig
 
 __all__ = [
     "Animated",

@@ -1,4 +1,4 @@
-"""The canonical Gaussians: what is learned about the person's surface, in the rest pose.
+"""Canonical Gaussians: what is learned about the person's surface, in the rest pose.
 
 =========  ===================  ==========  =============================================
 symbol     code                 shape       meaning
@@ -13,8 +13,8 @@ dW(mu)     ``slopes``           (N, 3, 55)  their derivatives along x, y, z, 1/m
 D(mu)      ``directions``       (N, 3, K)   metres blend shapes move it by, not learned
 =========  ===================  ==========  =============================================
 
-W, dW and D are those of the outer skin around mu (:mod:`gva_mi.avatar.skin`). Nearly all of them
-is zero: an elbow's blend shapes move what is around the elbow. Seeding lays flat discs into the
+W, dW and D are those of the outer skin around mu (:mod:`gva_mi.avatar.skin_weights`) and nearly
+all zero: an elbow's blend shapes move only what is around it. Seeding lays flat discs into the
 surface of the body, so that the first image is a body and not a cloud.
 """
 
@@ -29,18 +29,18 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import pad
 
-from gva_mi.avatar.maps import FollowedJoints
-from gva_mi.avatar.skin import Skin
+from gva_mi.avatar.lbs_transforms import SparseWeights
+from gva_mi.avatar.skin_weights import Skin
 from gva_mi.core.options import InnerShare, Within, require_ranges
 from gva_mi.mesh.surface import vertex_normals
 from gva_mi.splat.kernels.sh import C0
 
 PARAMETERS = ("means", "quats", "log_scales", "logit_opacities", "sh")
-CARRIERS = ("weights", "slopes", "directions")  # what is looked up, and not learned
+BINDING = ("weights", "slopes", "directions")  # taken from the outer skin, not learned
 
 
 class CanonicalGaussians(nn.Module):
-    """N Gaussians in the rest pose: raw parameters, their activations, and what carries them.
+    """N Gaussians in the rest pose: raw parameters, their activations, and skinning weights.
 
     Args:
         means: (N, 3) metres.
@@ -49,8 +49,8 @@ class CanonicalGaussians(nn.Module):
         logit_opacities: (N,).
         sh: (N, K, 3), K = 1 or 4.
         weights: (N, 55), rows sum to one.
-        slopes: (N, 3, 55) 1/m, rows sum to zero; None where weights are the same all around.
-        directions: (N, 3, K) metres; None where no blend shapes move them.
+        slopes: (N, 3, 55) 1/m, rows sum to zero; None: constant weights.
+        directions: (N, 3, K) metres; None: no blend shapes.
     """
 
     def __init__(
@@ -65,38 +65,27 @@ class CanonicalGaussians(nn.Module):
         directions: Tensor | None = None,
     ) -> None:
         super().__init__()
-        N = means.shape[0]
-        given = {"means": means, "quats": quats, "log_scales": log_scales}
-        given |= {"logit_opacities": logit_opacities, "sh": sh}
-        shapes = {"means": (N, 3), "quats": (N, 4), "log_scales": (N, 3), "logit_opacities": (N,)}
+        N, J = means.shape[0], weights.shape[-1]
+        slopes = means.new_zeros(N, 3, J) if slopes is None else slopes
+        directions = means.new_zeros(N, 3, 0) if directions is None else directions
+        given = means, quats, log_scales, logit_opacities, sh, weights, slopes, directions
+        given = dict(zip((*PARAMETERS, *BINDING), given, strict=True))
+        shapes = {
+            "means": (N, 3), "quats": (N, 4), "log_scales": (N, 3), "logit_opacities": (N,),
+            "sh": (N, 4 if sh.shape[1:2] == (4,) else 1, 3), "weights": (N, J),
+            "slopes": (N, 3, J), "directions": (N, 3, directions.shape[-1]),
+        }  # fmt: skip
         for name, shape in shapes.items():
             if given[name].shape != shape:
                 raise ValueError(
                     f"CanonicalGaussians: {name} must be {shape}, got {tuple(given[name].shape)}"
                 )
-        if sh.shape not in ((N, 1, 3), (N, 4, 3)):
-            raise ValueError(
-                f"CanonicalGaussians: sh must be ({N}, 1 or 4, 3), got {tuple(sh.shape)}"
-            )
-        if weights.ndim != 2 or weights.shape[0] != N:
-            raise ValueError(
-                f"CanonicalGaussians: weights must be ({N}, J), got {tuple(weights.shape)}"
-            )
-        slopes = means.new_zeros(N, 3, weights.shape[1]) if slopes is None else slopes
-        if slopes.shape != (N, 3, weights.shape[1]):
-            raise ValueError(
-                f"CanonicalGaussians: slopes must be ({N}, 3, J), got {tuple(slopes.shape)}"
-            )
-        directions = means.new_zeros(N, 3, 0) if directions is None else directions
-        if directions.ndim != 3 or directions.shape[:2] != (N, 3):
-            raise ValueError(
-                f"CanonicalGaussians: directions must be ({N}, 3, K), got {tuple(directions.shape)}"
-            )
-        for name in PARAMETERS:
-            setattr(self, name, nn.Parameter(given[name].detach().clone().contiguous()))
-        carriers = {"weights": weights, "slopes": slopes, "directions": directions}
-        for name in CARRIERS:
-            self.register_buffer(name, carriers[name].detach().clone().contiguous())
+        for name, value in given.items():
+            value = value.detach().clone().contiguous()
+            if name in PARAMETERS:
+                setattr(self, name, nn.Parameter(value))
+            else:
+                self.register_buffer(name, value)
         self._sparse: dict[tuple[str, ...], tuple[list[Tensor], list[int], Any]] = {}
 
     def __len__(self) -> int:
@@ -114,33 +103,21 @@ class CanonicalGaussians(nn.Module):
 
     @torch.no_grad()
     def clamp_scales(self, least: float) -> None:
-        """Let no standard deviation be below so many metres."""
+        """Clamp all standard deviations to at least so many metres."""
         if least > 0:
             self.log_scales.clamp_(min=math.log(least))
 
     def moved_by(self, coefficients: Tensor) -> Tensor:
-        """D c: metres (N, 3) that coefficients (up to K,) of blend shapes move the means."""
-        return self._sparse_of(_Moves.of, "directions")(coefficients)
-
-    def blended(self, T_world_rest: Tensor, means: Tensor) -> tuple[Tensor, Tensor]:
-        """The joints' maps as each Gaussian is carried by them: :mod:`gva_mi.avatar.maps`.
-
-        Args:
-            T_world_rest: (J, 4, 4) float64.
-            means: (N, 3) metres, moved in the rest pose.
-
-        Returns:
-            A (N, 12), the blended maps (Eq. 5), and E (N, 9), how they change around the means.
-        """
-        return self.joints(T_world_rest, means)
+        """Return D c, metres (N, 3) by which blend shapes move the means; c is (up to K,)."""
+        return self._sparse_of(_SparseDirections.of, "directions")(coefficients)
 
     @property
-    def joints(self) -> FollowedJoints:
-        """Which joints the Gaussians follow."""
-        return self._sparse_of(FollowedJoints.of, "weights", "slopes")
+    def sparse_weights(self) -> SparseWeights:
+        """Skinning weights and their slopes without the zeros."""
+        return self._sparse_of(SparseWeights.of, "weights", "slopes")
 
     def _sparse_of(self, make: Callable[..., Any], *names: str) -> Any:  # noqa: ANN401
-        """Carriers without their zeros, made anew when one of them has changed."""
+        """Make a sparse form of some buffers, again when one of them has changed."""
         held = [getattr(self, name) for name in names]
         if any(x.is_inference() for x in held):  # such tensors do not tell whether they changed
             return make(*held)
@@ -152,8 +129,8 @@ class CanonicalGaussians(nn.Module):
 
 
 @dataclass(frozen=True)
-class _Moves:
-    """The entries of directions (N, 3, K) that are not zero; a sum of them takes no time."""
+class _SparseDirections:
+    """The non-zero entries of directions (N, 3, K), which are few."""
 
     count: int  # N
     entries: Tensor  # (E,) int64, which of 3 N coordinates
@@ -161,10 +138,10 @@ class _Moves:
     metres: Tensor  # (E,)
 
     @staticmethod
-    def of(directions: Tensor) -> _Moves:
+    def of(directions: Tensor) -> _SparseDirections:
         N, _, K = directions.shape
         entries, shapes = directions.view(3 * N, K).nonzero().unbind(1)
-        return _Moves(N, entries, shapes, directions.view(3 * N, K)[entries, shapes])
+        return _SparseDirections(N, entries, shapes, directions.view(3 * N, K)[entries, shapes])
 
     def __call__(self, coefficients: Tensor) -> Tensor:
         shapes = int(self.shapes.max()) + 1 if len(self.shapes) else 0
@@ -199,17 +176,17 @@ def seed_on_surface(
     options: SeedOptions = SeedOptions(),  # noqa: B008 (frozen)
     colors: Tensor | None = None,
 ) -> CanonicalGaussians:
-    """Cover a rest surface with flat discs; the same surface gives the same Gaussians.
+    """Cover a rest surface with flat discs, without random numbers.
 
-    One Gaussian sits on each vertex, and what is asked for beyond that is spread over the faces by
-    area. Where fewer Gaussians than vertices are asked for, all are spread over the faces.
+    One Gaussian sits on each vertex, and the rest are spread over the faces by area. If fewer
+    Gaussians than vertices are requested, all are spread over the faces.
 
     Args:
         vertices: (V, 3) metres, rest pose.
         faces: (F, 3) int64.
-        skin: what the Gaussians take their skinning weights and blend shapes from.
+        skin: gives the Gaussians their skinning weights and blend shapes.
         options: how many, and how large.
-        colors: (V, 3) linear, of the vertices; grey where missing.
+        colors: (V, 3) linear, of the vertices; None: grey.
     """
     V = vertices.shape[0]
     count = options.count or V
@@ -231,15 +208,15 @@ def seed_on_surface(
         log_scales=disc_log_scales(spacing, options),
         logit_opacities=torch.logit(points.new_full((count,), options.opacity)),
         sh=sh,
-        **skin.at(points).named(),
+        **skin.bind(points).named(),
     )
 
 
 def disc_quats(normals: Tensor) -> Tensor:
-    """Shortest rotation of the z axis onto the line of each normal (N, 3), (N, 4) wxyz.
+    """Return the shortest rotation of the z axis onto the line of each normal (N, 3), (N, 4) wxyz.
 
-    A Gaussian has no front: of n and -n the one with n_z >= 0 is taken, which keeps
-    q = (1 + n_z, z x n) away from its pole.
+    A Gaussian has no front: taking n or -n so that n_z >= 0 keeps q = (1 + n_z, z x n) away from
+    its pole.
     """
     n = torch.nn.functional.normalize(normals, dim=-1)
     n = torch.where(n[:, 2:] < 0, -n, n)
@@ -250,7 +227,7 @@ def disc_quats(normals: Tensor) -> Tensor:
 
 
 def disc_log_scales(spacing: Tensor, options: SeedOptions) -> Tensor:
-    """Log scales (N, 3) of flat discs whose neighbours lie ``spacing`` (N,) metres away."""
+    """Return log scales (N, 3) of flat discs whose neighbours lie ``spacing`` (N,) metres away."""
     radius = (spacing * options.overlap).clamp_min(1e-5).log()
     return torch.stack([radius, radius, radius + math.log(options.flatness)], -1)
 
@@ -258,8 +235,8 @@ def disc_log_scales(spacing: Tensor, options: SeedOptions) -> Tensor:
 def spread_over_faces(vertices: Tensor, faces: Tensor, count: int) -> tuple[Tensor, Tensor]:
     """Spread ``count`` points evenly over a surface, without random numbers.
 
-    Face k receives the points that fall into its stretch of the cumulated area; inside a face
-    they follow the golden-ratio sequence in two dimensions.
+    Face k receives the points that fall into its interval of the cumulated area; inside a face they
+    follow the golden-ratio sequence in two dimensions.
 
     Returns:
         Faces (count,) int64 and barycentric coordinates (count, 3).
@@ -277,7 +254,7 @@ def spread_over_faces(vertices: Tensor, faces: Tensor, count: int) -> tuple[Tens
 
 
 def neighbour_spacing(points: Tensor, neighbours: int = 3) -> Tensor:
-    """Mean distance of each point (N, 3) to its nearest neighbours, (N,) metres."""
+    """Return the mean distance of each point (N, 3) to its nearest neighbours, (N,) metres."""
     found = []
     for block in points.split(1024):  # the whole (N, N) table would not fit
         # The product form of squared lengths is off by more than the spacing on fingers, 1 mm.

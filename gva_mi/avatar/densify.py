@@ -1,14 +1,13 @@
 """Adaptive density control: clone, split and prune Gaussians, as 3DGS does, in the rest pose.
 
-1. g_i     mean, over the views that show Gaussian i, of |dL/d(u, v)|, with half the side of a
-           square as large as the person's box for unit, of however large a picture
+1. g_i     mean, over the views that show Gaussian i, of |dL/d(u, v)|; the unit is half the side of
+           a square as large as the person's box, whatever the size of the picture
 2. clone   where g_i > threshold and the Gaussian is small: something is missing beside it
 3. split   where g_i > threshold and the Gaussian is large: it covers too much
 4. prune   where it is nearly transparent, or larger than anything on a person
 
-New Gaussians inherit the skinning weights of the one they come from: they lie within its extent,
-and the fit looks weights up anew every so many steps. Adam's moments follow the rows they belong
-to; new rows start with none.
+New Gaussians inherit the skinning weights of their parent, since they lie within its extent and the
+fit binds them again from time to time. Adam's moments follow their rows; new rows start at zero.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ import torch
 from torch import Tensor
 
 from gva_mi.avatar.avatar import Avatar
-from gva_mi.avatar.canonical import CARRIERS, PARAMETERS, CanonicalGaussians
+from gva_mi.avatar.canonical import BINDING, PARAMETERS, CanonicalGaussians
 from gva_mi.core.errors import InputError
 from gva_mi.core.options import Metres, Share, Within, require_ranges
 from gva_mi.splat import Screen
@@ -29,7 +28,7 @@ from gva_mi.splat import Screen
 
 @dataclass(frozen=True)
 class DensifyOptions:
-    """When a Gaussian is multiplied or removed. Defaults are those of 3DGS and GART."""
+    """When Gaussians are cloned, split or removed. Defaults are those of 3DGS and GART."""
 
     # Of g: loss per half person, mean over the views that saw it.
     grad_threshold: Annotated[float, Within(0, 1e6)] = 2e-4
@@ -52,7 +51,7 @@ class DensifyOptions:
 
 @dataclass(frozen=True)
 class Densified:
-    """What one round of density control did, in Gaussians."""
+    """How many Gaussians one round of density control cloned, split and pruned."""
 
     cloned: int
     split: int
@@ -60,7 +59,7 @@ class Densified:
 
 
 class ScreenGradients:
-    """Sums, over many views, the length of the loss's gradient to each Gaussian's screen position.
+    """Sum over views of the length of the loss's gradient by each Gaussian's screen position.
 
     Attributes:
         total: (N,) the sum, per half person.
@@ -73,10 +72,10 @@ class ScreenGradients:
 
     @torch.no_grad()
     def add(self, screen: Screen, area: float) -> None:
-        """Add one view, after its backward pass.
+        """Add one view after its backward pass.
 
         Args:
-            screen: was given to ``render``.
+            screen: the one given to ``render``.
             area: of the person's box in that picture, pixels.
         """
         if screen.grad is None:
@@ -92,7 +91,7 @@ class ScreenGradients:
         self.views += screen.visible
 
     def mean(self) -> Tensor:
-        """g of eq. 1, (N,); zero for those that no view has seen."""
+        """Return g of eq. 1, (N,); zero for Gaussians that no view has seen."""
         return self.total / self.views.clamp_min(1)
 
 
@@ -103,14 +102,14 @@ def densify(
     options: DensifyOptions = DensifyOptions(),  # noqa: B008 (frozen)
     generator: torch.Generator | None = None,
 ) -> Densified:
-    """One round of density control; ``avatar.canonical`` and the optimiser's state are replaced.
+    """Run one round of density control; replaces ``avatar.canonical`` and the optimiser's state.
 
     Args:
         avatar: its Gaussians change; skeleton and residual do not.
         optimizer: holds the parameters of ``avatar.canonical`` in its groups.
         gradients: of all views since the last round; start new ones afterwards.
         options: thresholds.
-        generator: draws where the halves of a split lie.
+        generator: draws the places of the halves of a split.
     """
     G = avatar.canonical
     with torch.no_grad():
@@ -136,8 +135,8 @@ def densify(
             values["quats"][new], drawn * values["log_scales"][new].exp()
         )
         values["log_scales"][new] -= math.log(options.split_shrink)
-        carriers = {name: getattr(G, name)[parents] for name in CARRIERS}
-        canonical = CanonicalGaussians(**values, **carriers)
+        binding = {name: getattr(G, name)[parents] for name in BINDING}
+        canonical = CanonicalGaussians(**values, **binding)
     replace_gaussians(avatar, optimizer, canonical, parents, inherited=len(kept))
     return Densified(int(cloned.sum()), int(split.sum()), int(pruned.sum()))
 
@@ -153,9 +152,9 @@ def replace_gaussians(
 
     Args:
         avatar: its ``canonical`` is replaced.
-        optimizer: each old parameter is replaced in its group; one it does not hold is left out.
+        optimizer: each old parameter is replaced in its group, if it is there.
         canonical: the new Gaussians.
-        parents: (N,) which old row each new one comes from; None: Adam starts afresh on all rows.
+        parents: (N,) the old row of each new one; None: Adam starts afresh on all rows.
         inherited: how many rows, from the first, keep the moments of their parents; the others
             start with zero moments.
     """

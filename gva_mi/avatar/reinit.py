@@ -1,7 +1,7 @@
-"""Surface-guided re-initialisation (Sec. 4.3): the Gaussians are put back on the person's surface.
+"""Surface-guided re-initialisation (Sec. 4.3): put the Gaussians back on the person's surface.
 
-Cloning and splitting crowd Gaussians where texture is rich, and a start on the naked body leaves
-hair and loose clothes to a few large ones that come apart in new poses. So, 2-3 times in a fit:
+Cloning and splitting crowd Gaussians where texture is rich. A start on the naked body leaves hair
+and loose clothes to a few large Gaussians that come apart in new poses. So, 2-3 times in a fit:
 
 1. meshing       a closed surface around the opaque Gaussians           ``mesh_gaussians``
 2. smoothing     Taubin's low-pass filter of it                         ``mesh_gaussians``
@@ -9,17 +9,16 @@ hair and loose clothes to a few large ones that come apart in new poses. So, 2-3
 4. re-Gaussian   opacity and colour from the K nearest old ones,        ``regaussian``
                  rotation and scale anew, skinning from the new surface
 
-Where practice differs from the words of the paper:
+Differences from the paper:
 
-* The "spherical shell" around the outermost Gaussians is the surface of balls that have grown
-  together, not an alpha shape: always watertight, and without inner sheets. The rest body, shrunk,
-  is inside it, so that no hole lets the surface in (:mod:`gva_mi.avatar.envelope`).
-* Laplacian smoothing shrinks, arms most. Taubin's filter is a Laplacian step and a slightly larger
-  one back: smooth, and of the same volume.
-* What bridges holes would also bridge the gaps between fingers. Fingers are bare skin, which
-  the body model knows best: there, points are drawn on its own surface.
-* Points spread by curvature alone are a centimetre apart, and an eye is two or three of them: what
-  a viewer looks at first would be what is drawn worst. A face takes few points, so it gets more.
+* The "spherical shell" around the outermost Gaussians is an offset surface, not an alpha shape:
+  always watertight and without inner sheets (:mod:`gva_mi.avatar.offset_surface`). The shrunk rest
+  body inside it keeps the surface from entering through holes.
+* Laplacian smoothing shrinks, arms most. Taubin's filter keeps the volume.
+* What bridges holes would also bridge the gaps between fingers. Fingers are bare skin, which the
+  body model knows best: there, points are drawn on the body's own surface.
+* Points spread by curvature alone are a centimetre apart, which leaves an eye two or three of them.
+  Faces, which viewers look at first, get more.
 * Random rotations would begin as a cloud of needles. Discs lie in the surface, turned randomly
   about the normal; their sizes are the spacing of the points times a random factor.
 """
@@ -33,14 +32,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gva_mi.avatar.avatar import Avatar, Rig
-from gva_mi.avatar.canonical import (
-    CanonicalGaussians,
-    disc_log_scales,
-    disc_quats,
-)
-from gva_mi.avatar.envelope import SurfaceMesh, envelope
-from gva_mi.avatar.skin import Skin, diffused
+from gva_mi.avatar.avatar import Avatar
+from gva_mi.avatar.canonical import CanonicalGaussians, disc_log_scales, disc_quats
+from gva_mi.avatar.offset_surface import SurfaceMesh, offset_surface
+from gva_mi.avatar.rig import Rig
+from gva_mi.avatar.skin_weights import Skin, diffused
 from gva_mi.body.pose import EYES, LEFT_HAND, RIGHT_HAND
 from gva_mi.core.options import Share, Within, require_ranges
 from gva_mi.mesh.surface import vertex_normals
@@ -51,7 +47,7 @@ if TYPE_CHECKING:
 # In distances of the eyes: a face's radius, and how far below the eyes its middle lies.
 FACE_RADIUS, BELOW_EYES = 1.4, 0.6
 
-AT_ONCE = 2048  # darts whose neighbours are looked up together
+AT_ONCE = 2048  # darts whose neighbours are queried together
 
 Neighbours = Annotated[int, Within(1, 1000)]
 
@@ -85,12 +81,12 @@ class ReinitOptions:
 
 @dataclass(frozen=True)
 class Reinitialised:
-    """What a re-initialisation returns; the avatar itself has not changed yet."""
+    """Result of a re-initialisation; the avatar itself has not changed yet."""
 
     canonical: CanonicalGaussians  # see :func:`gva_mi.avatar.densify.replace_gaussians`
     surface: SurfaceMesh  # smooth and watertight
-    skin: Skin  # the same with fingers, to be worn by the avatar
-    floaters: int  # opaque Gaussians that were left out of it
+    skin: Skin  # the surface with fingers, the avatar's next outer skin
+    floaters: int  # opaque Gaussians that were left out
 
 
 def reinitialise(
@@ -98,12 +94,12 @@ def reinitialise(
     options: ReinitOptions = ReinitOptions(),  # noqa: B008 (frozen)
     generator: torch.Generator | None = None,
 ) -> Reinitialised:
-    """Meshing, resampling, re-Gaussian.
+    """Make new Gaussians on the surface of an avatar's opaque ones.
 
     Args:
         avatar: with at least a few hundred opaque Gaussians.
         options: sizes.
-        generator: draws samples, angles and sizes.
+        generator: draws points, angles and sizes.
 
     Returns:
         New Gaussians on the surface of the old ones, the surface, and the number of floaters.
@@ -134,20 +130,20 @@ def reinitialise(
 
 
 def find_floaters(points: np.ndarray, neighbours: int, sigmas: float) -> np.ndarray:
-    """Which points (N, 3) are far from all others, (N,) bool: a statistical outlier test."""
+    """Mark points (N, 3) that are far from all others, (N,) bool: a statistical outlier test."""
     distance = _mean_distance(points, neighbours)
     return distance > distance.mean() + sigmas * distance.std()
 
 
 def mesh_gaussians(points: np.ndarray, rig: Rig, options: ReinitOptions) -> SurfaceMesh:
-    """A closed, smooth surface around points (N, 3) and the rest body inside them."""
+    """Wrap points (N, 3), and the rest body inside them, in a closed and smooth surface."""
     # Between points that are further apart than alpha, the surface would sink onto the filler.
     alpha = max(options.alpha, np.percentile(_mean_distance(points, 6), 95))
-    return envelope(points, _filler(rig, options.filler_depth), alpha, options.smoothing)
+    return offset_surface(points, _filler(rig, options.filler_depth), alpha, options.smoothing)
 
 
 def with_fingers(surface: SurfaceMesh, rig: Rig) -> SurfaceMesh:
-    """The surface, with its fingers cut off and those of the rest body set in their place."""
+    """Replace the fingers of a surface by those of the rest body."""
     from scipy.spatial import cKDTree
 
     body, faces = rig.vertices.double().numpy(), rig.faces.numpy()
@@ -161,7 +157,7 @@ def with_fingers(surface: SurfaceMesh, rig: Rig) -> SurfaceMesh:
 
 
 @dataclass(frozen=True)
-class Samples:
+class SurfacePoints:
     """Points on a surface, no two too close."""
 
     points: np.ndarray  # (N, 3) metres
@@ -170,7 +166,7 @@ class Samples:
 
 
 def wanted_density(surface: SurfaceMesh, rig: Rig, options: ReinitOptions) -> np.ndarray:
-    """How densely points should lie at each vertex of a surface, (V,), 1 where it is flat.
+    """Return how densely points should lie at each vertex of a surface, (V,), 1 where it is flat.
 
     That is (1 + gain · c), with c the curvature between 0 (flat) and 1 (the 95th percentile), and
     (1 + face gain) times as much in the face: within :data:`FACE_RADIUS` times the
@@ -186,12 +182,12 @@ def wanted_density(surface: SurfaceMesh, rig: Rig, options: ReinitOptions) -> np
 
 def resample(
     surface: SurfaceMesh, count: int, density: np.ndarray, rng: np.random.Generator
-) -> Samples:
-    """About ``count`` points on a surface, as densely as is wanted at its vertices, (V,).
+) -> SurfacePoints:
+    """Draw about ``count`` points on a surface, with a density (V,) given at its vertices.
 
-    Many candidates are drawn with that density. In their random order each one that is left removes
-    all others within its radius, ~ density^(-1/2): darts of variable radius, corrected until the
-    count fits.
+    Many candidates are drawn with that density. In random order, each one that is left removes all
+    others within its radius, ~ density^(-1/2): darts of variable radius, corrected until the count
+    fits.
     """
     from scipy.spatial import cKDTree
 
@@ -211,27 +207,27 @@ def resample(
         radius *= np.sqrt(len(kept) / count)
     points, normals = points[kept], on_faces(surface.normals())[kept]
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    return Samples(points, normals, _mean_distance(points, 3))
+    return SurfacePoints(points, normals, _mean_distance(points, 3))
 
 
 def regaussian(
     avatar: Avatar,
     sources: Tensor,
-    samples: Samples,
+    samples: SurfacePoints,
     skin: Skin,
     options: ReinitOptions,
     rng: np.random.Generator,
 ) -> CanonicalGaussians:
-    """Gaussians on the samples, with opacity and colour of the old ones around them.
+    """Make Gaussians on the samples, with opacity and colour of the old ones around them.
 
     Opacity and colour are means over the K nearest sources, weighted by 1 / distance^2.
 
     Args:
-        avatar: its Gaussians so far; its ``seed`` options have the shape of a disc.
+        avatar: has the old Gaussians, and the shape of a disc in its ``seed`` options.
         sources: (M,) int64, which of its Gaussians lie on the surface.
         samples: where the new ones go.
-        skin: what they take their skinning weights from.
-        options: K, and how random a size is.
+        skin: gives skinning weights.
+        options: K, and the randomness of sizes.
         rng: draws angles and sizes.
     """
     from scipy.spatial import cKDTree
@@ -257,31 +253,31 @@ def regaussian(
         log_scales=disc_log_scales(tensor(samples.spacing), avatar.options.seed) + jitter,
         logit_opacities=torch.logit(opacities),
         sh=sh,
-        **skin.at(means).named(),
+        **skin.bind(means).named(),
     )
 
 
 def _mean_distance(points: np.ndarray, neighbours: int) -> np.ndarray:
-    """Mean distance of each point (N, 3) to its nearest neighbours, (N,)."""
+    """Return the mean distance of each point (N, 3) to its nearest neighbours, (N,)."""
     from scipy.spatial import cKDTree
 
     return cKDTree(points).query(points, k=neighbours + 1, workers=-1)[0][:, 1:].mean(1)
 
 
 def _filler(rig: Rig, depth: float) -> SurfaceMesh:
-    """The rest body, moved inside by ``depth``; fingers, which are thinner than that, by less."""
+    """Return the rest body moved inside by ``depth``; fingers, which are thinner, by less."""
     inwards = depth * (1 - 0.75 * _finger_weights(rig.weights))
     shrunk = rig.vertices - inwards[:, None] * vertex_normals(rig.vertices, rig.faces)
     return SurfaceMesh(shrunk.double().numpy(), rig.faces.numpy())
 
 
 def _finger_weights(weights: Tensor) -> Tensor:
-    """How much of each row (N, 55) belongs to fingers, (N,)."""
+    """Return the share of each row (N, 55) that belongs to fingers, (N,)."""
     return weights[:, LEFT_HAND].sum(1) + weights[:, RIGHT_HAND].sum(1)
 
 
 def _curvature(surface: SurfaceMesh) -> np.ndarray:
-    """Root mean square of the principal curvatures, (V,), scaled to [0, 1]."""
+    """Return the root mean square of the principal curvatures, (V,), scaled to [0, 1]."""
     import pymeshlab
 
     meshes = pymeshlab.MeshSet()
@@ -293,7 +289,7 @@ def _curvature(surface: SurfaceMesh) -> np.ndarray:
 
 
 def _throw_darts(tree: cKDTree, points: np.ndarray, radius: np.ndarray) -> list[int]:
-    """Indices of points of which each removes all later ones within its radius, in their order."""
+    """Return indices of points that remain if each removes all later ones within its radius."""
     alive = np.ones(len(points), dtype=bool)
     kept = []
     for first in range(0, len(points), AT_ONCE):

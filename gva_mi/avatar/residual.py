@@ -1,23 +1,22 @@
 """The pose-conditioned residual of Sec. 4.1, mu' = mu + MLP(theta): clothes crease and slide.
 
 The network is a function of *where* on the rest body and *which pose*, not of which Gaussian:
-densification and re-initialisation may change the Gaussians, and what was learned stays.
+density control and re-initialisation may change the Gaussians, and what was learned stays.
 
-1. z_j = tanh(A_j vec(R_j - I))                              a joint's code; nothing of the root
-2. c   = sum_p W_p(x) (z_p + sum of z_q over q that hang on p)     what bends around x: fingers, too
+1. z_j = tanh(A_j vec(R_j - I))                              a joint's code; none for the root
+2. c   = sum_p W_p(x) (z_p + sum of z_q over children q of p)      what bends around x: fingers, too
 3. e   = (x, sin(2^k pi x), cos(2^k pi x)), k < L     x: the rest mean scaled to [-1, 1]
 4. f(c) = O relu(H relu(E e + C c + b) + h)
 5. MLP(theta) = (f(c) - f(0)) · 1 cm                         O = 0 at the start: no residual
 
-The root is left out, for an avatar that turns around or walks away is the same avatar. The tanh
-bounds the residual of poses that no frame has shown. Where no joint bends there is none: what all
-poses share belongs to the canonical Gaussians. Eq. 9 keeps |MLP(theta)| small.
+The root is left out because turning around or walking does not change an avatar. The tanh bounds
+the residual in unseen poses. Where no joint bends it is zero: what all poses share belongs to the
+canonical Gaussians. Eq. 9 keeps |MLP(theta)| small.
 
-Not used by default. It follows what the video shows, and makes pictures of poses that no frame has
-shown worse, even where all poses are true, the more the less its weight in Eq. 9. A code of all
-joints together in the place of (1, 2) spoils test frames and novel views, too. A short video tells
-too little of how cloth depends on a pose.
-``gva-mi study avatar --rows full "with residual"`` measures it.
+Off by default. It fits the video but makes pictures of unseen poses worse, even under ground-truth
+poses, and the more the smaller its weight in Eq. 9: a short video says too little of how cloth
+depends on a pose. One code of all joints together instead of (1, 2) spoils test frames and novel
+views, too. ``gva-mi study avatar --rows full "with residual"`` measures it.
 """
 
 from __future__ import annotations
@@ -51,7 +50,7 @@ class ResidualOptions:
 
 
 class PoseResidual(nn.Module):
-    """MLP(theta): an offset in metres for every rest mean, zero at the start.
+    """The network MLP(theta): an offset in metres for every rest mean, zero at the start.
 
     Args:
         options: the size of the network.
@@ -88,7 +87,7 @@ class PoseResidual(nn.Module):
             self.offset.weight.zero_()
 
     def forward(self, means: Tensor, weights: Tensor, rotations: Tensor) -> Tensor:
-        """Offsets in the rest pose.
+        """Return offsets in the rest pose.
 
         Args:
             means: (N, 3) metres, rest pose.
@@ -99,7 +98,7 @@ class PoseResidual(nn.Module):
             (N, 3) metres.
 
         Note:
-            Not differentiable in ``means``: the pictures decide where a Gaussian lies, and not the
+            Not differentiable in ``means``: the pictures decide where a Gaussian lies, not the
             slope of the network.
         """
         turned = roma.rotvec_to_rotmat(rotations)
@@ -111,11 +110,11 @@ class PoseResidual(nn.Module):
         return self.offset(moved) * OUTPUT_UNIT
 
     def _last_hidden(self, x: Tensor) -> Tensor:
-        """What O of eq. 4 multiplies, of what enters the first relu."""
+        """Return the input of O in eq. 4, given the input of the first relu."""
         return torch.relu(self.hidden(torch.relu(x)))
 
     def _encode(self, means: Tensor) -> Tensor:
-        """e of eq. 2, (N, 3 + 6 L)."""
+        """Return e of eq. 3, (N, 3 + 6 L)."""
         x = (means - self.center) / self.extent
         sines, cosines = [torch.sin(math.pi * x)], [torch.cos(math.pi * x)]
         for _ in range(1, self.options.frequencies):  # double angles: cheaper than sines
@@ -126,7 +125,7 @@ class PoseResidual(nn.Module):
 
 
 def near_joints() -> Tensor:
-    """Which joints (55, 55) bend what follows a joint: itself and those that hang on it."""
+    """Return which joints (55, 55) bend what follows a joint: itself and its children."""
     near = torch.eye(len(PARENTS))
     for joint, parent in enumerate(PARENTS):
         if parent >= 0:

@@ -1,16 +1,16 @@
-"""Gaussians carried by the skin as it stretches: one Dr.Jit kernel each way.
+"""Gaussians that stretch with the skin: formulas and adjoint, on the numbers of one Gaussian.
 
-Between two joints that turn differently a skin is pulled apart. How a point moves is told by the
-blended map A, how its surroundings do by the derivative of x' = A(x) x. Beside A_rot, that has a
-part E, by which A itself changes from place to place (:mod:`gva_mi.avatar.maps`):
+Between two joints that turn differently, skin is pulled apart. The LBS transform A moves a point;
+the derivative of x' = A(x) x moves its surroundings. Beside A_rot it has a part E, by which A
+itself changes from place to place (:mod:`gva_mi.avatar.lbs_transforms`):
 
     1. J  = A_rot + β E,   β = (1 + |E|² / LARGEST²)^(-1/2)       no more than cloth would bear
     2. F  = J M S,   Σ' = F Fᵀ                                    M, S: the Gaussian at rest
     3. μ' = A_rot μ + A_trans                                     Eq. 5
 
-Eq. 6 of the paper turns a Gaussian by A_rot, and keeps its size: where a skirt is spread by a wide
-step, Gaussians come apart and show what is behind them. With eq. 2 they grow with the cloth and
-shear as it does. A rigid motion has no E, and is carried exactly.
+Eq. 6 of the paper turns a Gaussian by A_rot and keeps its size: where a wide step spreads a skirt,
+Gaussians come apart and show what is behind them. With eq. 2 they grow and shear as the cloth
+does. A rigid motion has no E and moves Gaussians exactly.
 
 The adjoint, for gradients g of μ' and G of Σ' (symmetric):
 
@@ -24,11 +24,7 @@ from __future__ import annotations
 from typing import Any
 
 import drjit as dr
-import torch
-from torch import Tensor
-from torch.autograd.function import FunctionCtx
 
-from gva_mi.jit.rowwise import launch
 from gva_mi.splat.kernels.ellipse import Rotation
 
 LARGEST = 3.0  # of |J - A_rot|: cloth that is pulled to four times its length would tear
@@ -36,25 +32,6 @@ AXES = range(3)
 PAIRS = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]  # of a covariance's six numbers
 
 Lane = list[Any]  # numbers of one Gaussian; a matrix row by row
-
-
-def carry_stretched(
-    A: Tensor, E: Tensor, means: Tensor, quats: Tensor, scales: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Apply eq. 1 to 3.
-
-    Args:
-        A: (N, 12) blended maps, row by row, each [A_rot | A_trans].
-        E: (N, 9) how they change around the means, row by row.
-        means: (N, 3) metres, at rest.
-        quats: (N, 4) wxyz, of any length.
-        scales: (N, 3) metres.
-
-    Returns:
-        Means (N, 3), and covariances (N, 6): xx, xy, xz, yy, yz, zz. Differentiable in everything,
-        both ways.
-    """
-    return _CarryStretched.apply(A, E, means, quats, scales)
 
 
 def _bound(E: Lane) -> Any:  # noqa: ANN401
@@ -68,7 +45,7 @@ def _gradient(A: Lane, E: Lane, beta: Any) -> Lane:  # noqa: ANN401
 
 
 def _times(X: Lane, Y: Lane) -> Lane:
-    """The product of two matrices."""
+    """Multiply two matrices."""
     return [sum(X[3 * i + k] * Y[3 * k + j] for k in AXES) for i in AXES for j in AXES]
 
 
@@ -77,28 +54,20 @@ def _transposed(X: Lane) -> Lane:
 
 
 def _scaled(X: Lane, scale: Lane) -> Lane:
-    """A matrix times a diagonal one."""
+    """Multiply a matrix by a diagonal one."""
     return [X[3 * i + j] * scale[j] for i in AXES for j in AXES]
-
-
-def _plus(X: Lane, Y: Lane) -> Lane:
-    return [a + b for a, b in zip(X, Y, strict=True)]
 
 
 def _dot(X: Lane, Y: Lane) -> Any:  # noqa: ANN401
     return sum(a * b for a, b in zip(X, Y, strict=True))
 
 
-def _moved(A: Lane, mean: Lane) -> Lane:
-    """Eq. 3."""
-    return [sum(A[4 * i + k] * mean[k] for k in AXES) + A[4 * i + 3] for i in AXES]
-
-
 def forward(A: Lane, E: Lane, mean: Lane, quat: Lane, scale: Lane) -> tuple[Lane, Lane]:
-    """Eq. 1 to 3."""
+    """Eq. 1 to 3: μ', and the six numbers of Σ' (xx, xy, xz, yy, yz, zz)."""
     JM = _times(_gradient(A, E, _bound(E)), Rotation.of(quat).M)
     F = _scaled(JM, scale)
-    return _moved(A, mean), [sum(F[3 * i + k] * F[3 * j + k] for k in AXES) for i, j in PAIRS]
+    moved = [sum(A[4 * i + k] * mean[k] for k in AXES) + A[4 * i + 3] for i in AXES]
+    return moved, [sum(F[3 * i + k] * F[3 * j + k] for k in AXES) for i, j in PAIRS]
 
 
 def adjoint(
@@ -121,45 +90,3 @@ def adjoint(
         grad_A += [grad_J[3 * i + k] + g[i] * mean[k] for k in AXES] + [g[i]]
     grad_mean = [sum(A[4 * i + k] * g[i] for i in AXES) for k in AXES]
     return grad_A, grad_E, grad_mean, rotation.adjoint(grad_M), grad_scale
-
-
-def tangent(
-    A: Lane, E: Lane, mean: Lane, quat: Lane, scale: Lane,
-    dA: Lane, dE: Lane, dmean: Lane, dquat: Lane, dscale: Lane,
-) -> tuple[Lane, Lane]:  # fmt: skip
-    """Eq. 1 to 3, differentiated."""
-    rotation, beta = Rotation.of(quat), _bound(E)
-    dbeta = -beta * beta * beta / LARGEST**2 * _dot(E, dE)
-    J, M = _gradient(A, E, beta), rotation.M
-    dJ = [a + dbeta * e for a, e in zip(_gradient(dA, dE, beta), E, strict=True)]
-    JM = _times(J, M)
-    dJM = _plus(_times(dJ, M), _times(J, rotation.tangent(dquat)))
-    F, dF = _scaled(JM, scale), _plus(_scaled(dJM, scale), _scaled(JM, dscale))
-    moved = _plus(_moved(dA, mean), [_dot(A[4 * i : 4 * i + 3], dmean) for i in AXES])
-    row = lambda X, i: X[3 * i : 3 * i + 3]
-    return moved, [_dot(row(dF, i), row(F, j)) + _dot(row(F, i), row(dF, j)) for i, j in PAIRS]
-
-
-class _CarryStretched(torch.autograd.Function):
-    @staticmethod
-    def forward(
-        ctx: FunctionCtx, A: Tensor, E: Tensor, means: Tensor, quats: Tensor, scales: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        ctx.save_for_backward(A, E, means, quats, scales)
-        ctx.save_for_forward(A, E, means, quats, scales)
-        if not len(means):
-            return means.clone(), means.new_zeros(0, 6)
-        return launch(forward, A, E, means, quats, scales)
-
-    @staticmethod
-    @torch.autograd.function.once_differentiable
-    def backward(ctx: FunctionCtx, g: Tensor, G: Tensor) -> tuple[Tensor, ...]:
-        saved = ctx.saved_tensors
-        return launch(adjoint, *saved, g, G) if len(g) else tuple(map(torch.zeros_like, saved))
-
-    @staticmethod
-    def jvp(ctx: FunctionCtx, *tangents: Tensor) -> tuple[Tensor, Tensor]:
-        saved = ctx.saved_tensors
-        if not len(saved[0]):
-            return saved[2].clone(), saved[2].new_zeros(0, 6)
-        return launch(tangent, *saved, *tangents)

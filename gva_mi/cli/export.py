@@ -31,8 +31,8 @@ from gva_mi.data.pictures import (
     write_movie,
     write_see_through,
 )
-from gva_mi.fit.camera_paths import CameraPath, Shot, shots
-from gva_mi.fit.renders import over, render_shots, see_through
+from gva_mi.fit.camera_paths import CameraPath, CameraShot, shots
+from gva_mi.fit.renders import over, render_shots, to_rgba
 from gva_mi.fit.run_folder import load_avatar
 from gva_mi.splat.formats import LOAD
 from gva_mi.splat.formats.compressed_ply_writer import save_compressed_ply
@@ -93,7 +93,7 @@ class _Export:
             raise InputError(f"export: frame {frame} is not there, the poses have {len(motion)}")
         return motion
 
-    def shots(self, motion: Pose) -> list[Shot]:
+    def shots(self, motion: Pose) -> list[CameraShot]:
         """Return the pictures to be taken of a motion."""
         view = self.view.or_usual(moving=self.options.poses is not None)
         return shots(view, self.avatar.rig, motion, self.options.frame or 0)
@@ -215,7 +215,7 @@ def _film(job: _Export) -> Work:
         with bar("render") as progress:
             layers = render_shots(job.avatar, motion, pictures, progress)
             if transparent:
-                write_see_through(job.out, map(see_through, layers), fps=fps)
+                write_see_through(job.out, map(to_rgba, layers), fps=fps)
             else:
                 images = (over(layer, background) for layer in layers)
                 write_movie(job.out, images, fps=fps, lossless=False)
@@ -238,7 +238,7 @@ def _folder(job: _Export) -> Work:
                 taken = [pictures[frame_of[name]] for name in missing]
                 layers = render_shots(job.avatar, motion, taken, progress)
                 for name, layer in zip(missing, layers, strict=True):
-                    write_image(job.out / name, see_through(layer))
+                    write_image(job.out / name, to_rgba(layer))
                 return
             for done, name in enumerate(missing, 1):
                 job.save_gaussians(job.out / name, motion[frame_of[name]])

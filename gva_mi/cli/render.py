@@ -25,8 +25,8 @@ from gva_mi.data.pictures import (
     write_see_through,
 )
 from gva_mi.data.video import load_cameras
-from gva_mi.fit.camera_paths import CameraPath, Shot, shots
-from gva_mi.fit.renders import over, render_shots, see_through
+from gva_mi.fit.camera_paths import CameraPath, CameraShot, shots
+from gva_mi.fit.renders import over, render_shots, to_rgba
 from gva_mi.fit.run_folder import load_avatar
 
 MARKER = "render.json"  # every folder of renders holds it
@@ -92,7 +92,7 @@ def render(
                 yield read_image(path, 4 if alpha else 3)
                 continue
             layer = next(layers)
-            image = see_through(layer) if alpha else over(layer, behind)
+            image = to_rgba(layer) if alpha else over(layer, behind)
             write_image(path, image)
             yield image
 
@@ -106,7 +106,7 @@ def render(
     say(f"{len(pictures)} pictures: {out}")
 
 
-def _given(cameras: Path, motion: Pose) -> list[Shot]:
+def _given(cameras: Path, motion: Pose) -> list[CameraShot]:
     """Return a shot of each frame of the motion by the cameras of a file."""
     views = load_cameras(cameras)
     if len(views) not in (1, len(motion)):
@@ -114,4 +114,4 @@ def _given(cameras: Path, motion: Pose) -> list[Shot]:
             f"{cameras}: holds {len(views)} cameras, expected one, or one for each of the "
             f"{len(motion)} frames of the poses"
         )
-    return [Shot(k, views[k % len(views)]) for k in range(len(motion))]
+    return [CameraShot(k, views[k % len(views)]) for k in range(len(motion))]

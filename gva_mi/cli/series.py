@@ -21,7 +21,7 @@ from gva_mi.core.errors import InputError
 from gva_mi.core.files import read_json, start_folder
 from gva_mi.core.lock import folder_lock
 from gva_mi.core.provenance import hash_arrays, program_digest, versions
-from gva_mi.fit.camera_paths import Shot
+from gva_mi.fit.camera_paths import CameraShot
 
 HASH = "recorded_options"  # its name in the marker
 
@@ -47,7 +47,9 @@ def series(
         yield missing
 
 
-def hash_of(avatar: Avatar, motion: Pose, shots: Iterable[Shot], how: Iterable[object]) -> str:
+def hash_of(
+    avatar: Avatar, motion: Pose, shots: Iterable[CameraShot], how: Iterable[object]
+) -> str:
     """Return a hash of everything that the files of a folder depend on, this program included.
 
     Without pictures there are no ``shots``; ``how`` holds other numbers, words and arrays.

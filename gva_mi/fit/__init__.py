@@ -1,5 +1,5 @@
-"""The loop around it all: Eq. 9 minimised, and how close the avatar comes to pictures.
+"""The fit: minimise Eq. 9, track poses, and evaluate avatars.
 
-Nothing is imported here: ``gva-mi doctor`` asks :mod:`gva_mi.fit.perceptual` for weights, also on
-machines where Dr.Jit cannot be imported yet.
+Nothing is imported here: ``gva-mi doctor`` uses :mod:`gva_mi.fit.perceptual` also on machines where
+Dr.Jit cannot be imported yet.
 """

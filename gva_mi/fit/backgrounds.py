@@ -1,7 +1,7 @@
-"""A person, and a render, on the same background: Dr.Jit kernels, a lane for each pixel.
+"""Compositing of a person and a render on the same background: Dr.Jit kernels, one lane per pixel.
 
 In a box of a picture, with P the picture, S the person's mask, B what is behind the person, b a
-colour, and U where the mask is unsure; beside the box there is b alone:
+colour, and U where the mask is uncertain; outside the box the background is b:
 
     1. background = B where U, else b
     2. target     = P where U, else S P + (1 - S) b
@@ -11,7 +11,7 @@ And the adjoint of 3, for a gradient g of the image:
 
     4. grad_C = g,    grad_A = -Σ_c g_c background_c
 
-A pixel is read at once, as a whole number of four bytes: P with S, and B with U.
+A pixel is read as one integer of four bytes: P with S, and B with U.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ from gva_mi.data.crop import Box
 from gva_mi.jit.rowwise import flat, in_rows, of_rows, tensors
 
 
-def lay(
+def composite_target(
     person: Tensor, behind: Tensor, color: Tensor, box: Box, part: Box
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Eq. 1 and 2 in a part of a picture.
+    """Composite a person on a background (eq. 1 and 2) in a part of a picture.
 
     Args:
         person: (h, w, 4) uint8, P and S.
-        behind: (h, w, 4) uint8, B and U: zero, or not.
+        behind: (h, w, 4) uint8, B and U (zero or not).
         color: (3,) in [0, 1], b.
-        box: where in the whole picture these lie.
-        part: where in it the results lie, with all of ``box``.
+        box: their place in the whole picture.
+        part: place of the results; contains ``box``.
 
     Returns:
         The target (H, W, 3), the background (H, W, 3), and the mask (H, W) in [0, 1].
@@ -55,21 +55,21 @@ def lay(
     return target, background, mask[..., 0]
 
 
-def before(color: Tensor, alpha: Tensor, background: Tensor) -> Tensor:
-    """Eq. 3.
+def composite_render(color: Tensor, alpha: Tensor, background: Tensor) -> Tensor:
+    """Composite a render on a background (eq. 3).
 
     Args:
         color: (H, W, 3) of a render on black, C.
-        alpha: (H, W) of it, A.
+        alpha: (H, W) of the render, A.
         background: (H, W, 3), constant.
 
     Returns:
         (H, W, 3), differentiable in the render both ways.
     """
-    return _Before.apply(color, alpha, background.detach())
+    return _CompositeRender.apply(color, alpha, background.detach())
 
 
-class _Before(torch.autograd.Function):
+class _CompositeRender(torch.autograd.Function):
     @staticmethod
     def forward(ctx: FunctionCtx, color: Tensor, alpha: Tensor, background: Tensor) -> Tensor:
         ctx.save_for_backward(background)
@@ -99,10 +99,10 @@ def _done(numbers: Array, shape: torch.Size) -> Tensor:
 
 
 def _in_box(box: Box, part: Box) -> tuple[UInt32, Array]:
-    """The pixel of ``box`` that is at each pixel of ``part``, and whether there is one."""
+    """Return the pixel of ``box`` at each pixel of ``part``, and whether there is one."""
     lane = dr.arange(UInt32, part.width * part.height)
-    # Sizes come as arrays: compiled into kernels they would make others for every box. Floats are
-    # divided in packets, whole numbers one by one.
+    # Sizes are opaque, or every box would compile kernels of its own. Floats are divided in
+    # packets, integers one by one.
     number = lambda value: dr.opaque(Int32, value)
     row = Int32(dr.floor((Float64(lane) + 0.5) * dr.opaque(Float64, 1 / part.width)))
     column = Int32(lane) - row * number(part.width) - number(box.left - part.left)
@@ -112,10 +112,10 @@ def _in_box(box: Box, part: Box) -> tuple[UInt32, Array]:
 
 
 def _pixels(image: Tensor) -> UInt32:
-    """An image (h, w, 4) uint8 as a whole number for each pixel."""
+    """View an image (h, w, 4) uint8 as one integer per pixel."""
     return UInt32(image.contiguous().view(torch.int32).view(-1).numpy().view("uint32"))
 
 
 def _bytes(pixel: UInt32) -> list[Float]:
-    """The four bytes of each pixel, in [0, 1]; the first is the lowest."""
+    """Return the four bytes of each pixel, in [0, 1], lowest first."""
     return [Float((pixel >> (8 * k)) & 255) / 255 for k in range(4)]

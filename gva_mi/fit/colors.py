@@ -1,12 +1,12 @@
-"""First colours: what the training frames show of the body's surface.
+"""First colours of the body's surface, as the training frames show it.
 
     c_v = Σ_k w_vk I_k(π_k(x_vk)) / Σ_k w_vk,        w_vk = S_k(π_k(x_vk)) · max(0, -n_vk · d_vk)²
 
-where vertex v of the body, posed as in frame k, stands at x and has the normal n, d is the
-direction from the camera to it, π the projection, I the picture and S the mask. Surfaces seen from
-the front count fully, and grazing ones hardly. A vertex that is hidden behind a limb in some frames
-takes its colour from the others, which outweigh them, and the fit corrects the rest. Starting from
-grey, Adam's steps of constant size would take hundreds of iterations to reach black or white.
+where vertex v of the body, posed as in frame k, stands at x with normal n, d is the direction from
+the camera to it, π the projection, I the picture and S the mask. Surfaces seen from the front count
+fully, grazing ones hardly. If a limb hides a vertex in some frames, the other frames outweigh them,
+and the fit corrects the rest. From grey, Adam's steps of constant size would take hundreds of
+iterations to reach black or white.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.data.video import Frame, Video
 from gva_mi.mesh.surface import vertex_normals
 
-GREY = 0.5  # of the whole person, where no frame shows anything
+GREY = 0.5  # of the whole person if no frame shows anything
 
 
 @torch.no_grad()
 def seen_colors(video: Video, body: BodyModel, offsets: Tensor | None = None) -> Tensor:
-    """Colours of the body's vertices, (V, 3), as the training frames show them.
+    """Return colours of the body's vertices, (V, 3), as the training frames show them.
 
     Args:
         video: opened with the poses to project under.
@@ -31,7 +31,7 @@ def seen_colors(video: Video, body: BodyModel, offsets: Tensor | None = None) ->
         offsets: (V, 3) displacement of the rest surface, metres.
 
     Returns:
-        The weighted means; a vertex that no frame shows has the mean colour of all.
+        The weighted means; unseen vertices have the mean colour of all.
     """
     total = torch.zeros(len(body.v_template), 3)
     weight = torch.zeros(len(body.v_template), 1)
@@ -45,7 +45,7 @@ def seen_colors(video: Video, body: BodyModel, offsets: Tensor | None = None) ->
 
 
 def _frame_colors(frame: Frame, vertices: Tensor, normals: Tensor) -> tuple[Tensor, Tensor]:
-    """One frame's colours (V, 3) of the vertices, and their weights (V, 1)."""
+    """Return one frame's colours (V, 3) of the vertices, and their weights (V, 1)."""
     camera, image = frame.camera, torch.from_numpy(frame.image)
     T = torch.tensor(camera.T_camera_world, dtype=vertices.dtype)
     x = vertices @ T[:3, :3].T + T[:3, 3]

@@ -1,17 +1,15 @@
-"""Jaw and expression of some frames, corrected along with their poses.
+"""Corrections of jaw and expression, fitted along with the poses.
 
-What the expression of a frame moves, pictures of a whole body show with a few pixels, and
-estimators of single frames see it anew, and differently, in each of them. So it is corrected as
-joints are (:mod:`gva_mi.pose.corrections`), without the camera's axes: a face is not deeper than it
-is wide.
+Expressions move only a few pixels of a whole body, and single-frame estimators err anew in each
+frame. So faces are corrected as joints are (:mod:`gva_mi.pose.corrections`), but without the
+camera's axes, because a face is as deep as it is wide.
 
 1. ``R_k = R_k^given exp(δ_k)``   of the jaw,   ``ψ_k = ψ_k^given + ε_k``
-2. ``δ_k = δ⁰_k + Σ_l M_kl u_l``,   ``ε`` the same way, each coefficient for itself
+2. ``δ_k = δ⁰_k + Σ_l M_kl u_l``,   and ``ε`` likewise, each coefficient for itself
 
-with an energy and coordinates ``u`` that come from what is believed of the errors and of the motion
-(:mod:`gva_mi.pose.prior.process`), at first from what was given alone, and then from the
-corrections in those frames in which the face looks toward the camera. A coefficient that is zero in
-all frames was not estimated, and stays; so does a jaw.
+The energy and the coordinates ``u`` come from a process prior of the errors and of the motion: at
+first from the given faces alone, later from the corrections in frames that show the face from the
+front. A jaw, or a coefficient, that is zero in all frames was not estimated, and stays.
 """
 
 from __future__ import annotations
@@ -32,8 +30,8 @@ from gva_mi.pose.prior.process import ProcessPrior
 from gva_mi.pose.stage1 import Stage1, turns_between
 
 JAW = JOINTS.index("jaw")
-# What is believed of errors that last before pictures have shown them. Much of what a jaw does
-# coefficients do, too: it would take up their errors, if a turn of a few degrees were as probable.
+# Prior of slow errors before pictures have shown them. Coefficients do much of what a jaw does: the
+# jaw would take up their errors if a turn of a few degrees were as probable.
 TURN = Noise(white=0.0, slow=0.02, memory=6.0)  # radians
 EXPRESSION = Noise(white=0.0, slow=0.25, memory=6.0)  # standard deviations of a coefficient
 
@@ -44,53 +42,54 @@ class FaceSteps:
 
     turn: float  # of the jaw in a first step, radians
     expression: float  # of a coefficient in a first step, standard deviations
-    nat: float  # what a nat of their energy counts
+    nat: float  # weight of their energy
 
     @staticmethod
     def of(arms: Tensor, options: Steps, expression: float, nat: float) -> FaceSteps:
-        """With jaws that turn as other joints do.
+        """Take the steps of the jaw from those of the other joints.
 
         Args:
             arms: (J,) lever arms of the person's joints, metres.
-            options: how far joints turn in a step.
-            expression, nat: as above.
+            options: steps of the joints.
+            expression, nat: as in the class.
         """
         turn = min(options.step / max(float(arms[JAW]), 1e-6), options.largest_turn)
         return FaceSteps(turn, expression, nat)
 
 
 class Face:
-    """``δ`` and ``ε`` of some frames.
+    """Corrections ``δ`` and ``ε`` of some frames.
 
     Attributes:
-        parts: what is corrected, none of them where nothing was estimated.
+        parts: the jaw and the expression, if they were estimated.
     """
 
-    def __init__(self, stage1: Stage1, parts: Sequence[Part]) -> None:
+    def __init__(self, stage1: Stage1, parts: Sequence[FacePart]) -> None:
         self._stage1, self.parts = stage1, parts
 
     @staticmethod
     def map_estimate(stage1: Stage1) -> Face:
-        """Where to start: what is most probable before any picture is looked at."""
+        """Return the MAP estimate before any picture is seen."""
         pose = stage1.pose
         moving = pose.expression.any(0).nonzero()[:, 0]
         jaw = pose.rotations[:, JAW : JAW + 1]
         parts = []
         if bool(jaw.any()):
             steps = turns_between(jaw[:-1], jaw[1:])
-            parts.append(Part.map_estimate("jaw", moving[:0], stage1.times, steps, TURN))
+            parts.append(FacePart.map_estimate("jaw", moving[:0], stage1.times, steps, TURN))
         if len(moving):
             steps = pose.expression[:, moving].diff(dim=0)[..., None]
-            parts.append(Part.map_estimate("expression", moving, stage1.times, steps, EXPRESSION))
+            parts.append(
+                FacePart.map_estimate("expression", moving, stage1.times, steps, EXPRESSION)
+            )
         return Face(stage1, parts)
 
     def zeroed(self) -> Face:
-        """The same beliefs, with nothing corrected: faces as they were given."""
-        same = [(p.name, p.coefficients, p.belief, torch.zeros_like(p.start)) for p in self.parts]
-        return Face(self._stage1, [Part(*part) for part in same])
+        """Return the same prior with zero corrections: faces as they were given."""
+        return Face(self._stage1, [p.with_prior(p.prior, 0 * p.start) for p in self.parts])
 
     def corrected(self, pose: Pose, which: Sequence[int]) -> Pose:
-        """Eq. 1 for poses of some of the frames, differentiable in the leaves.
+        """Correct the faces of some frames (eq. 1), differentiable in the leaves.
 
         Args:
             pose: r frames, whose bodies may have been corrected.
@@ -107,25 +106,25 @@ class Face:
         return Pose(rotations, pose.transl, expression)
 
     def energy(self) -> Tensor | float:
-        """What the corrections cost in nats, a mean over the frames."""
+        """Return the energy of the corrections, a mean over the frames."""
         return sum((part.energy() for part in self.parts), start=0.0)
 
     def leaves(self, steps: FaceSteps) -> list[tuple[Tensor, float]]:
-        """What an optimiser moves, and how far in a first step."""
+        """Return what an optimiser moves, and how far in a first step."""
         return [(p.u, steps.turn if p.name == "jaw" else steps.expression) for p in self.parts]
 
     def centre(self) -> None:
-        """Take away what is the same in all frames: the avatar's face at rest has it, too."""
+        """Remove the mean over the frames, which the avatar's face at rest can express, too."""
         for part in self.parts:
             part.centre()
 
     def found(self) -> list[Tensor]:
-        """The corrections of all frames, part by part, (n, C, d)."""
+        """Return the corrections of all frames, part by part, (n, C, d)."""
         return [part.found() for part in self.parts]
 
     def with_updated_prior(self, found: Sequence[Tensor]) -> Face:
-        """Corrections that pictures have :meth:`found`, under what they tell of the video."""
-        # Where the camera's axis comes out of the face, it looks at the person's front.
+        """Fit the prior again to corrections that :meth:`found` returned, and start from them."""
+        # The camera sees the front where its axis comes out of the face.
         seen = self._stage1.R_joint_camera[:, JAW, 2, 2] < 0
         parts = [
             part.with_updated_prior(corrections, seen, steps)
@@ -134,7 +133,7 @@ class Face:
         return Face(self._stage1, parts)
 
     def _steps(self, found: Sequence[Tensor]) -> list[Tensor]:
-        """From frame to frame, under corrections: (n - 1, C, d) for each part."""
+        """Return corrected changes from frame to frame, (n - 1, C, d) for each part."""
         given, steps = self._stage1.pose, []
         for part, corrections in zip(self.parts, found, strict=True):
             if part.name == "jaw":
@@ -146,62 +145,60 @@ class Face:
         return steps
 
 
-class Part:
-    """Corrections of the jaw, a vector of three, or of coefficients, each one number.
+class FacePart:
+    """Corrections of the jaw (d = 3), or of C coefficients of the expression (d = 1).
 
     Attributes:
         name: "jaw" or "expression".
-        coefficients: (C,) which of the expression's; none for the jaw.
+        coefficients: (C,) numbers of the expression's; none for the jaw.
         start: ``δ⁰`` (n, C, d).
-        belief: what their energy is made of.
+        prior: the process prior of their energy.
         u: (n, C, d), a leaf.
     """
 
-    def __init__(
-        self, name: str, coefficients: Tensor, belief: ProcessPrior, start: Tensor
-    ) -> None:
-        self.name, self.coefficients, self.belief, self.start = name, coefficients, belief, start
-        self._spread, self._precision = belief.spread(start), belief.precision()
+    def __init__(self, name: str, coefficients: Tensor, prior: ProcessPrior, start: Tensor) -> None:
+        self.name, self.coefficients, self.prior, self.start = name, coefficients, prior, start
+        self._spread, self._precision = prior.spread(start), prior.precision()
         self.u = torch.zeros_like(start).requires_grad_()
 
     @staticmethod
     def map_estimate(
         name: str, coefficients: Tensor, times: Tensor, steps: Tensor, guess: Noise
-    ) -> Part:
-        """What is most probable of values that change so (n - 1, C, d) from frame to frame."""
+    ) -> FacePart:
+        """Return the MAP estimate for values that change by ``steps`` (n - 1, C, d)."""
         noise = replace(guess, white=white_level(steps))
-        start, belief = ProcessPrior.of_stage1(
-            times, steps, [noise] * steps.shape[1]
-        ).map_estimate()
-        return Part(name, coefficients, belief, start)
+        start, prior = ProcessPrior.of_stage1(times, steps, [noise] * steps.shape[1]).map_estimate()
+        return FacePart(name, coefficients, prior, start)
+
+    def with_prior(self, prior: ProcessPrior, start: Tensor) -> FacePart:
+        """Return this part under another prior and start."""
+        return FacePart(self.name, self.coefficients, prior, start)
 
     def at(self, which: Sequence[int]) -> Tensor:
-        """Eq. 2 for r of the frames (r, C, d)."""
+        """Return the corrections of r frames (eq. 2), (r, C, d)."""
         which = list(which)
         return self.start[which] + torch.einsum("crl,lcd->rcd", self._spread[:, which], self.u)
 
     def energy(self) -> Tensor:
-        """In nats, a mean over the frames."""
+        """Return the energy, a mean over the frames."""
         found = self.at(range(len(self.start)))
-        return self.belief.energy(self._precision, found, found) / len(found)
+        return self.prior.energy(self._precision, found, found) / len(found)
 
     @torch.no_grad()
     def found(self) -> Tensor:
-        """The corrections of all frames as they are by now, (n, C, d)."""
+        """Return the current corrections of all frames, (n, C, d)."""
         return self.at(range(len(self.start)))
 
     @torch.no_grad()
     def centre(self) -> None:
-        """Take away the mean over the frames."""
+        """Remove the mean over the frames."""
         self.start = self.start - self.found().mean(0)
 
-    def with_updated_prior(self, found: Tensor, seen: Tensor, steps: Tensor) -> Part:
-        """The same under what corrections (n, C, d) tell, in the frames (n,) that show them."""
-        [noise] = set(self.belief.noises)
+    def with_updated_prior(self, found: Tensor, seen: Tensor, steps: Tensor) -> FacePart:
+        """Fit the prior again to corrections (n, C, d), by the frames (n,) that show the face."""
+        [noise] = set(self.prior.noises)
         if int(seen.sum()) > 1:
             errors = -found[seen].flatten(1)
-            noise = fit_slow_part(errors, self.belief.times[seen], noise.white, noise)
+            noise = fit_slow_part(errors, self.prior.times[seen], noise.white, noise)
         noises = [noise] * found.shape[1]
-        return Part(
-            self.name, self.coefficients, updated_process(self.belief, noises, found, steps), found
-        )
+        return self.with_prior(updated_process(self.prior, noises, found, steps), found)

@@ -1,4 +1,4 @@
-"""What the avatar's fit minimises: Eq. 9 of the paper, and two optional terms of other codes.
+"""The loss of an avatar's fit: Eq. 9 of the paper, and two optional terms of other codes.
 
     L_render = |C - I| + λ3 |VGG(C) - VGG(I)| + λ4 |MLP(θ)|                                    (9)
 
@@ -14,10 +14,9 @@ S (H, W)       ``mask``            [0, 1]    the person's mask
 MLP(θ) (N, 3)  ``residual``        m         the pose-conditioned shift of the Gaussians
 =============  ==================  ========  =============================================
 
-Every ``|·|`` is a mean of absolute values: a weight does not depend on the number of Gaussians, nor
-on the size of the picture, for the first mean is taken over the person's box. What differs outside
-of it, where a Gaussian strays, is added to the sum; but a person in a large room counts no less
-than one who fills the picture, and the other terms no more.
+Every ``|·|`` is a mean of absolute values, so weights depend neither on the number of Gaussians nor
+on the size of the picture: sums over pixels are divided by the area of the person's box, including
+differences outside of it. A person in a large room counts as much as one who fills the picture.
 """
 
 from __future__ import annotations
@@ -27,7 +26,6 @@ from dataclasses import dataclass, fields
 
 import torch
 from torch import Tensor
-from torch.autograd.function import FunctionCtx
 
 from gva_mi.core.options import Weight, require_ranges
 from gva_mi.fit.ssim import ssim
@@ -61,7 +59,7 @@ class Losses:
     ssim: Tensor  # 1 - SSIM(C, I)
 
     def total(self, options: LossOptions) -> Tensor:
-        """The weighted sum, Eq. 9."""
+        """Return the weighted sum, Eq. 9."""
         weighted = (getattr(options, f.name) * getattr(self, f.name) for f in fields(options))
         return self.recon + sum(weighted)
 
@@ -76,7 +74,7 @@ def render_losses(
     window: Window = (slice(None), slice(None)),
     area: int | None = None,
 ) -> Losses:
-    """The terms of Eq. 9 for one render.
+    """Compute the terms of Eq. 9 for one render.
 
     Args:
         image: the render, color (H, W, 3) and alpha (H, W).
@@ -85,9 +83,9 @@ def render_losses(
         residual: the residual MLP's shifts, (N, 3) in metres.
         options: a term of weight 0 is left out.
         distance: ``|VGG(C) - VGG(I)|``, see :mod:`gva_mi.fit.perceptual`.
-        window: the part of the image on which the perceptual and the SSIM term are computed. On
-            the whole image they cost more than the render; a random part a step costs little.
-        area: pixels of the person's box, which the sums of |C - I| and |A - S| are divided by;
+        window: the part of the image for the perceptual and the SSIM term, which cost more than
+            the render on the whole image.
+        area: pixels of the person's box, by which the sums of |C - I| and |A - S| are divided;
             None: those of the image.
 
     Returns:
@@ -97,31 +95,9 @@ def render_losses(
     color, seen = image.color[window], target[window]
     share = 1.0 if area is None else mask.numel() / area
     return Losses(
-        recon=_MeanDifference.apply(image.color, target) * share,
+        recon=(image.color - target).abs().mean() * share,
         perceptual=distance(color, seen) if options.perceptual else zero,
         residual=residual.abs().mean() if options.residual and residual.numel() else zero,
         alpha=(image.alpha - mask).abs().mean() * share if options.alpha else zero,
         ssim=1 - ssim(color, seen) if options.ssim else zero,
     )
-
-
-class _MeanDifference(torch.autograd.Function):
-    """mean |a - b|, differentiable in a; half the time of the same from torch's operations."""
-
-    @staticmethod
-    def forward(ctx: FunctionCtx, a: Tensor, b: Tensor) -> Tensor:
-        difference = a - b
-        ctx.save_for_backward(difference)
-        ctx.save_for_forward(difference)
-        return difference.abs().mean()
-
-    @staticmethod
-    @torch.autograd.function.once_differentiable
-    def backward(ctx: FunctionCtx, grad: Tensor) -> tuple[Tensor, None]:
-        (difference,) = ctx.saved_tensors
-        return torch.sgn(difference).mul_(grad / difference.numel()), None
-
-    @staticmethod
-    def jvp(ctx: FunctionCtx, da: Tensor, _: None) -> Tensor:
-        (difference,) = ctx.saved_tensors
-        return (torch.sgn(difference) * da).mean()

@@ -1,4 +1,4 @@
-"""The options of a fit: learning rates, schedule, and those of every part that it drives."""
+"""Options of a fit: learning rates, schedule, and the options of its parts."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ FromOne = Annotated[int, Within(1, 1_000_000)]
 
 @dataclass(frozen=True)
 class Rates:
-    """Learning rates of Adam: those of 3DGS (Kerbl et al. 2023), but for means and colours.
+    """Learning rates of Adam: those of 3DGS (Kerbl et al. 2023) except for means and colours.
 
-    For the means 3DGS takes 1.6e-4, and for colours 2.5e-3, which is enough for tens of thousands
-    of steps. In the two or three thousand that a CPU has time for, means would never reach hair and
-    skirts, and colours not the contrast of a pattern.
+    3DGS uses 1.6e-4 for means and 2.5e-3 for colours, enough for tens of thousands of steps. In the
+    two or three thousand that a CPU has time for, means would never reach hair and skirts, and
+    colours not the contrast of a pattern.
     """
 
     means: FallingRate = 4e-3  # metres, at the first step; falls exponentially to means_end
@@ -38,8 +38,8 @@ class Rates:
     quats: Rate = 1e-3
     log_scales: Rate = 5e-3
     logit_opacities: Rate = 5e-2
-    sh: Rate = 5e-3  # of colours; of their slopes less, see gva_mi.avatar.light
-    light: Rate = 2e-3  # of the direction that light comes from
+    sh: Rate = 5e-3  # of colours; slopes learn more slowly, see gva_mi.avatar.lighting
+    light: Rate = 2e-3  # of the direction of the light
     residual: Rate = 1e-3  # of the pose-conditioned MLP's weights
 
     def __post_init__(self) -> None:
@@ -54,7 +54,7 @@ class Schedule:
     densify_from: Share = 0.05  # share of all steps before the first round
     densify_until: Share = 0.5  # share of all steps after which there is no round, as in 3DGS
     reinit_at: tuple[InnerShare, ...] = (0.25, 0.5)  # shares of all steps; empty: never
-    look_up_every: Every = 100  # steps after which Gaussians follow what is around them; 0: never
+    look_up_every: Every = 100  # steps between bindings to the outer skin; 0: never
 
     def __post_init__(self) -> None:
         require_ranges("fit", self)
@@ -63,21 +63,20 @@ class Schedule:
             raise InputError(f"fit: densify_from <= densify_until is needed, got {found}")
 
     def densifies(self, step: int, steps: int) -> bool:
-        """Whether a round of density control follows a step, the first being 1.
+        """Return whether density control follows a step; the first step is 1.
 
-        None does where a re-initialisation follows: it replaces all Gaussians, and the room that a
-        round had just filled would be taken for the number that the person needs.
+        It does not before a re-initialisation, which replaces all Gaussians and keeps their number.
         """
         within = self.densify_from * steps <= step <= self.densify_until * steps
         due = self.densify_every > 0 and within and step % self.densify_every == 0
         return due and not self.reinitialises(step, steps)
 
     def reinitialises(self, step: int, steps: int) -> bool:
-        """Whether a re-initialisation follows a step."""
+        """Return whether a re-initialisation follows a step."""
         return step in {max(1, round(share * steps)) for share in self.reinit_at}
 
     def rebinds_weights(self, step: int) -> bool:
-        """Whether Gaussians look up, after a step, what of the outer skin they follow."""
+        """Return whether Gaussians are bound to the outer skin again after a step."""
         return self.look_up_every > 0 and step % self.look_up_every == 0
 
 
@@ -87,18 +86,18 @@ class FitOptions:
 
     steps: FromOne = 3000  # one frame each
     seed: Seed = 0  # of all random numbers in the run
-    # Seed on the naked body, as the paper does, and not on the surface that a refinement displaced.
+    # Seed on the naked body, as in the paper, instead of the displaced surface of a refinement.
     naked: bool = False
-    random_background: bool = True  # another colour each step, so that alpha is learned; else white
-    # Pixels of the training frames: the least standard deviation of a Gaussian.
+    random_background: bool = True  # a new colour each step teaches alpha; else white
+    # Smallest standard deviation of a Gaussian, in pixels of the training frames.
     finest: Annotated[float, Within(0, 100)] = 0.6
-    # Pixels, side of the random part seen by the perceptual and SSIM terms.
+    # Side of the random window of the perceptual and SSIM terms, pixels.
     window: Annotated[int, Within(11, 4096)] = 96
-    # Of the person's size: how far outlines of masks may be off; there the picture is believed.
+    # Possible error of mask outlines as a share of the person's size; there the picture is used.
     mask_error: Annotated[float, Within(0, 0.2)] = 0.01
-    # Steps with the perceptual term, which takes longer than the render.
+    # Steps between perceptual terms, which take longer than the render.
     perceptual_every: FromOne = 4
-    vgg16: Path | None = None  # the user's VGG16 weights for the perceptual term; none: rand_vgg
+    vgg16: Path | None = None  # the user's VGG16 weights for the perceptual term; None: rand_vgg
     checkpoint_every: FromOne = 500  # steps
     avatar: AvatarOptions = AvatarOptions()
     rates: Rates = Rates()
@@ -113,5 +112,5 @@ class FitOptions:
         require_ranges("fit", self)
 
     def plain(self) -> dict[str, Any]:
-        """The options as numbers, strings and dictionaries of them, for a file."""
+        """Return the options as numbers, strings and dictionaries, for a file."""
         return asdict(self) | {"vgg16": self.vgg16 and str(self.vgg16)}

@@ -1,12 +1,10 @@
-"""Distances of images in the features of a convolutional network.
-
-Three of them, each under its own name:
+"""Perceptual distances of images, in the features of a convolutional network.
 
 * ``VGG16``: the paper's perceptual term, features of the pre-trained network. Its weights are not
-  ours to ship: they are read from the user's state dict, with keys ``features.N.weight``.
-* ``rand_vgg``: a network of VGG16's layout with random weights from a fixed seed. Untrained
-  features see edges and textures at several scales too, so that blur and noise are ordered
-  sensibly. It stands in where there are no weights; its figures compare only with themselves.
+  shipped: they are read from the user's state dict, with keys ``features.N.weight``.
+* ``rand_vgg``: the layout of VGG16 with random weights from a fixed seed. Untrained features see
+  edges and textures at several scales too, so they order blur and noise sensibly. It replaces
+  missing weights; its values compare only with each other.
 * ``LPIPS`` (Zhang et al. 2018): a metric only; needs a trained network and its linear heads.
 
 For features ``f_l`` (D_l, H_l, W_l) of tap ``l`` = 1..L, and ``u_l = f_l / |f_l|`` along channels:
@@ -38,7 +36,7 @@ LOSS_TAPS = VGG16_TAPS[:3]  # deeper layers see more than a training window hold
 RAND_SEED = 0  # part of the definition of rand_vgg
 RAND_WIDTH = 0.25  # of VGG16's channels: a tenth of its time on a CPU
 
-# What the trained networks were fed with: ImageNet's mean and standard deviation per channel.
+# Input of the trained networks: ImageNet's mean and standard deviation per channel.
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 
@@ -48,14 +46,14 @@ class FeatureDistance(nn.Module):
     def __init__(self, layers: nn.Sequential, taps: Sequence[int]) -> None:
         super().__init__()
         self.layers = layers[: max(taps) + 1].requires_grad_(False).eval()
-        # As pictures lie in memory, channels last: a quarter less time on a CPU.
+        # Channels last, as in pictures: a quarter less time on a CPU.
         self.layers.to(memory_format=torch.channels_last)
         self.taps = tuple(taps)
         self.register_buffer("mean", torch.tensor(MEAN).view(1, 3, 1, 1))
         self.register_buffer("std", torch.tensor(STD).view(1, 3, 1, 1))
 
     def features(self, image: Tensor) -> list[Tensor]:
-        """Features of an image (H, W, 3) in [0, 1] at the taps, each (1, D, H', W')."""
+        """Return features of an image (H, W, 3) in [0, 1] at the taps, each (1, D, H', W')."""
         x = (image.permute(2, 0, 1)[None] - self.mean) / self.std
         found = []
         for k, layer in enumerate(self.layers):
@@ -65,11 +63,7 @@ class FeatureDistance(nn.Module):
         return found
 
     def forward(self, image: Tensor, target: Tensor) -> Tensor:
-        """The distance, a scalar.
-
-        Note:
-            Differentiable in ``image`` alone: the target's features are taken without gradients.
-        """
+        """Return the distance, a scalar, differentiable in ``image`` but not in ``target``."""
         with torch.no_grad():
             seen = self.features(target)
         pairs = zip(self.features(image), seen, strict=True)
@@ -80,7 +74,7 @@ class FeatureMetric(FeatureDistance):
     """Eq. P2: the distance of unit feature vectors, LPIPS with its heads or ``rand_vgg`` without.
 
     Args:
-        heads: one (D_l,) per tap; none: all weights 1/L.
+        heads: one (D_l,) per tap; None: all weights 1/L.
     """
 
     def __init__(
@@ -91,7 +85,7 @@ class FeatureMetric(FeatureDistance):
 
     @torch.no_grad()
     def forward(self, image: Tensor, target: Tensor) -> Tensor:
-        """The distance, a scalar without gradients."""
+        """Return the distance, a scalar without gradients."""
         total = torch.zeros(())
         pairs = zip(self.features(image), self.features(target), strict=True)
         for k, (f, g) in enumerate(pairs):
@@ -102,29 +96,29 @@ class FeatureMetric(FeatureDistance):
 
 
 def rand_vgg_loss(seed: int = RAND_SEED) -> FeatureDistance:
-    """The perceptual loss in random features."""
+    """Return the perceptual loss in random features."""
     return FeatureDistance(_random_vgg(seed), LOSS_TAPS)
 
 
 def vgg16_loss(weights: Path) -> FeatureDistance:
-    """The paper's perceptual loss, with the user's weights of VGG16.
+    """Return the paper's perceptual loss, with the user's weights of VGG16.
 
     Raises:
-        InputError: a file that does not hold them.
+        InputError: the file does not hold them.
     """
     return FeatureDistance(_load_layers(_vgg16(), weights, "VGG16"), LOSS_TAPS)
 
 
 def rand_vgg(seed: int = RAND_SEED) -> FeatureMetric:
-    """The metric ``rand_vgg``; its value is defined by the default seed."""
+    """Return the metric ``rand_vgg``, whose value is defined by the default seed."""
     return FeatureMetric(_random_vgg(seed), VGG16_TAPS)
 
 
 def lpips(weights: Weights) -> FeatureMetric | None:
-    """LPIPS where a network and its linear heads were found (AlexNet, else VGG16), else none.
+    """Return LPIPS if a network and its linear heads were found (AlexNet, else VGG16), else None.
 
     Raises:
-        InputError: a file that does not hold what its name says.
+        InputError: a file does not hold what its name says.
     """
     if weights.alexnet and weights.lpips_alex:
         layers, taps = _load_layers(_alexnet(), weights.alexnet, "AlexNet"), ALEXNET_TAPS
@@ -137,12 +131,12 @@ def lpips(weights: Weights) -> FeatureMetric | None:
 
 @dataclass(frozen=True)
 class Weights:
-    """Files of weights found on this machine; None where there is none."""
+    """Files of weights found on this machine, or None."""
 
     vgg16: Path | None = None  # state dict, features.N.weight and .bias
-    alexnet: Path | None = None  # the same
+    alexnet: Path | None = None  # state dict likewise
     lpips_vgg: Path | None = None  # linear heads, linK.model.1.weight
-    lpips_alex: Path | None = None  # the same
+    lpips_alex: Path | None = None  # linear heads likewise
 
     @property
     def lpips_network(self) -> str | None:
@@ -153,13 +147,13 @@ class Weights:
 
 
 def find_weights(folder: Path | None = None) -> Weights:
-    """Look for weights: in a folder of the user's, in torch's own cache, in an installed ``lpips``.
+    """Look for weights in a folder, in torch's cache, and in an installed ``lpips``.
 
     Args:
         folder: files ``vgg16*.pth``, ``alexnet*.pth``, ``lpips_vgg.pth``, ``lpips_alex.pth``.
 
     Raises:
-        InputError: where ``folder`` is given and does not exist.
+        InputError: ``folder`` does not exist.
     """
     if folder is not None and not folder.is_dir():
         raise InputError(
@@ -187,17 +181,17 @@ def find_weights(folder: Path | None = None) -> Weights:
 
 
 def _unit(features: Tensor) -> Tensor:
-    """Feature vectors (1, D, H, W) of length one along the channels."""
+    """Normalise feature vectors (1, D, H, W) along the channels."""
     return features / (features.square().sum(1, keepdim=True).sqrt() + 1e-10)
 
 
 def _conv(*arguments: int, **options: int) -> nn.Conv2d:
-    """A convolution without numbers in it: torch's own filling would draw from the global seed."""
+    """Make a convolution without weights; torch's default would draw from the global seed."""
     return skip_init(nn.Conv2d, *arguments, **options)
 
 
 def _vgg16(width: float = 1.0) -> nn.Sequential:
-    """VGG16's convolutions; the indices of the layers are those of the keys ``features.N``."""
+    """Make VGG16's convolutions, with layers indexed as in the keys ``features.N``."""
     layers, channels = [], 3
     for group in VGG16_WIDTHS:
         for full in group:
@@ -209,7 +203,7 @@ def _vgg16(width: float = 1.0) -> nn.Sequential:
 
 
 def _alexnet() -> nn.Sequential:
-    """AlexNet's convolutions, indexed likewise."""
+    """Make AlexNet's convolutions, with layers indexed as in the keys ``features.N``."""
     return nn.Sequential(
         *(_conv(3, 64, 11, stride=4, padding=2), nn.ReLU(), nn.MaxPool2d(3, 2)),
         *(_conv(64, 192, 5, padding=2), nn.ReLU(), nn.MaxPool2d(3, 2)),
@@ -220,7 +214,7 @@ def _alexnet() -> nn.Sequential:
 
 
 def _random_vgg(seed: int) -> nn.Sequential:
-    """A quarter of VGG16's width, with He et al.'s random weights: they keep the features' size."""
+    """Make a quarter of VGG16's width with He et al.'s random weights, which keep the scale."""
     layers = _vgg16(RAND_WIDTH)
     generator = torch.Generator().manual_seed(seed)
     for layer in layers:

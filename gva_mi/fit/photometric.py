@@ -1,21 +1,21 @@
-"""Poses fitted to the pictures themselves: the photometric pass through the splatted avatar.
+"""Photometric tracking: poses fitted to the pictures through the splatted avatar.
 
-An avatar that does not change is a better judge of poses than a bare body, for it wears the
-person's clothes and colours. All frames together descend (:mod:`gva_mi.pose.optimize`) on
+A fixed avatar is a better judge of poses than a bare body because it has the person's clothes and
+colours. All frames together descend (:mod:`gva_mi.pose.optimize`) on
 
     L = mean_k L_k(R_k exp(δ_k), t_k + τ_k) + E(δ, τ)
 
-where ``L_k`` compares frame ``k`` with the avatar that is laid over it
-(:mod:`gva_mi.fit.picture_evidence`), and ``E`` says how probable the turns δ of all joints and
-the shifts τ are (:mod:`gva_mi.pose.corrections`, with the poses that the pass starts from in the
-place of stage 1). Jaw and expression go along (:mod:`gva_mi.fit.faces`).
+where ``L_k`` compares frame ``k`` with the avatar in front of it
+(:mod:`gva_mi.fit.picture_evidence`), and ``E`` is the energy of the rotations δ of all joints and
+of the shifts τ under their prior (:mod:`gva_mi.pose.corrections`, with the initial poses as its
+stage 1). Jaw and expression are corrected along (:mod:`gva_mi.fit.faces`).
 
-The poses to start from are those the avatar was trained under, or others of the same person: an
-avatar made from one video tracks its person through another. Such poses have seen the pictures they
-are judged by, so figures of test frames under them stand in a row of their own, where asked for.
+Initial poses are those the avatar was trained under, or others of the same person: an avatar from
+one video tracks its person through another. The results have seen the pictures they are judged by,
+so scores of test frames under them stand in a row of their own.
 
-A long video is cut into overlapping clips (:mod:`gva_mi.pose.clips`), which can be fitted apart
-because frames far from each other have no unknowns in common.
+A long video is cut into overlapping clips (:mod:`gva_mi.pose.clips`), which are fitted separately
+because distant frames share no unknowns.
 """
 
 from __future__ import annotations
@@ -55,22 +55,20 @@ from gva_mi.pose.optimize import (
 from gva_mi.pose.optimizer import lever_arms
 from gva_mi.pose.stage1 import Stage1
 
-FITTED = "poses fitted to the pictures"  # the name of the row of figures under such poses
+FITTED = "poses fitted to the pictures"  # row of scores under such poses
 
 
 @dataclass(frozen=True)
 class PhotometricOptions(DescentOptions):
-    """How poses are fitted to the pictures."""
+    """Options of photometric tracking."""
 
     passes: Passes = 10  # how often every frame is visited
     batch: Batch = 4  # frames of a step
     alpha: Weight = 0.5  # λα, of the avatar's outline against the mask
     ssim: Weight = 0.1  # λs, of 1 - SSIM
-    learn: Learn = 3  # the first of them, after which it is inferred how the given poses err
-    nat: PriorWeight = (
-        0.001  # what a negative logarithm of a probability counts beside the pictures
-    )
-    step: Metres = 0.0005  # metres that a turned joint moves what hangs on it, in a first step
+    learn: Learn = 3  # passes before the prior is fitted to the corrections
+    nat: PriorWeight = 0.001  # weight of the prior beside the pictures
+    step: Metres = 0.0005  # metres that a joint moves its limb in a first step
     largest_turn: Turn = 0.03  # radians in such a step; it limits joints with short lever arms
     translation_lr: Metres = 0.0003  # metres in a step at the start
     # Standard deviations of an expression in such a step; 0: jaw and expression stay as given.
@@ -90,13 +88,13 @@ class PhotometricOptions(DescentOptions):
 
 @dataclass(frozen=True)
 class FittedPoses:
-    """Poses after the photometric pass, and what is known of how they came about."""
+    """Result of photometric tracking."""
 
     pose: Pose  # all frames of the video
-    losses_before: Tensor  # (T,) L_k at the poses the fit started from; NaN where not looked at
-    losses: Tensor  # (T,) the same at the fitted poses
-    kept: dict[int, str]  # frames that keep the pose they had, and why
-    seconds_per_frame: float  # of those that were looked at
+    losses_before: Tensor  # (T,) L_k at the initial poses; NaN: frame not used
+    losses: Tensor  # (T,) L_k at the fitted poses
+    kept: dict[int, str]  # frames that keep their initial pose, and why
+    seconds_per_frame: float  # of the frames used
 
 
 def fit_poses(
@@ -106,21 +104,20 @@ def fit_poses(
     frames: Sequence[int] | None = None,
     progress: Progress | None = None,
 ) -> FittedPoses:
-    """Fit the poses of some frames to their pictures, seen through an avatar that does not change.
+    """Fit the poses of some frames to their pictures, seen through a fixed avatar.
 
-    The same options give the same poses to the bit.
+    The result is reproducible to the bit.
 
     Args:
         avatar: of the person in the video.
         video: opened with the poses to start from.
         options: how.
-        frames: numbers of those to fit, looked at and smoothed among themselves; None: all. The
-            others are not looked at.
+        frames: numbers of the frames to fit; None: all. The others are not read.
         progress: called as ``progress(done, total, loss=...)`` after every step.
 
     Returns:
-        Poses of all frames. A frame that cannot be fitted keeps its pose and is listed in ``kept``:
-        an absent one, an empty mask, an avatar out of view, or a loss that grew.
+        Poses of all frames. Frames that cannot be fitted keep their pose and are in ``kept``:
+        absent ones, empty masks, an avatar out of view, or a loss that increased.
 
     Raises:
         ValueError: a frame that the video does not have.
@@ -160,7 +157,7 @@ def _fit_clips(
     options: PhotometricOptions,
     progress: Progress | None,
 ) -> Pose:
-    """The poses of all frames, clip by clip."""
+    """Fit the poses of all frames, clip by clip."""
     rig = avatar.rig
     arms = lever_arms(Rest(rig.vertices, rig.joints), rig.weights, rig.parents)
     clips = cut(len(pose), options.part, options.overlap)
@@ -171,8 +168,8 @@ def _fit_clips(
         part = poses_of_clip(clip, pose)
         if frames:
             evidence = _evidence(avatar, part, dict(frames), arms, options)
-            told = within(progress, sum(steps[:number]), steps[number], sum(steps))
-            part = descend(evidence, part, arms, options, told, try_uncorrected=True).pose
+            report = within(progress, sum(steps[:number]), steps[number], sum(steps))
+            part = descend(evidence, part, arms, options, report, try_uncorrected=True).pose
             with torch.no_grad():
                 turned = part[evidence.frames]
                 turned = evidence.face.corrected(turned, range(len(turned)))
@@ -189,8 +186,8 @@ def _evidence(
     arms: Tensor,
     options: PhotometricOptions,
 ) -> PictureEvidence:
-    """The frames of a clip, whose faces start from what their pictures agree with better: what was
-    given, or what is most probable of it, which takes all that is jerky for an error."""
+    """Return the evidence of a clip. Its faces start as given or at the smoother MAP estimate,
+    whichever fits the pictures better."""
     frames = sorted(seen)
     stage1 = Stage1.of(pose, frames, seen[frames[0]].camera)
     map_estimate = Face.map_estimate(stage1) if options.expression_lr > 0 else Face(stage1, [])
@@ -206,7 +203,7 @@ def _evidence(
 def _losses(
     avatar: Avatar, pose: Pose, seen: Mapping[int, PictureAndMask], options: PhotometricOptions
 ) -> Tensor:
-    """L_k of every frame, (T,); NaN where it was not looked at."""
+    """Return L_k of every frame, (T,); NaN where it was not used."""
     losses = torch.full((len(pose),), torch.nan)
     for k, picture in seen.items():
         losses[k] = picture.loss(avatar, pose[k], options.weights)

@@ -1,6 +1,6 @@
-"""What pictures say of poses, through an avatar that is laid over them.
+"""Picture evidence for poses: an avatar composited on a frame is compared with the frame.
 
-An avatar in a pose of one frame is compared with its picture:
+For an avatar in a pose of one frame:
 
     1. P = C + (1 - A) I
     2. L = (|P - I| + λα |A - S| + λs (1 - SSIM(P, I))) · H W / Σ S
@@ -11,16 +11,16 @@ symbol         code name           meaning
 C (H, W, 3)    ``image.color``     the render on black, which is what the avatar adds
 A (H, W)       ``image.alpha``     how much of the picture the avatar covers
 I (H, W, 3)    ``self.picture``    the picture, cut to the person's surroundings
-S (H, W)       ``self.mask``       the mask; divided by its sum, a weight means the same for any
-                                   size of the person
+S (H, W)       ``self.mask``       the mask; dividing by its sum makes weights independent of the
+                                   person's size
 =============  ==================  =============================================================
 
-with ``|·|`` a mean over the image. Where the picture is cut out by its mask instead, as in the
-paper's Eq. 9, outlines follow the mask's errors, and poses with them: the loss falls, and the
-avatar comes no closer to the person. Eq. 1 uses the mask only to say where an avatar should be.
+with ``|·|`` a mean over the image. If the picture were cut out by its mask instead, as in the
+paper's Eq. 9, outlines and poses would follow the mask's errors: the loss falls, but the avatar
+comes no closer to the person. Eq. 1 uses the mask only to say where an avatar should be.
 
-Pictures keep their resolution. In a smaller one the avatar has another outline than in those that
-it learned from, and poses make up for it in depth.
+Pictures keep their resolution. In smaller ones the avatar's outline differs from those it was
+trained on, and poses would compensate in depth.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ SMALLEST_SIDE = 16  # pixels of that box
 
 @dataclass(frozen=True)
 class PictureWeights:
-    """The weights of the terms of eq. 2; the picture's own term has weight 1."""
+    """Weights of the terms of eq. 2; the picture's own term has weight 1."""
 
     alpha: float  # λα
     ssim: float  # λs
@@ -56,9 +56,9 @@ class PictureWeights:
 
 @dataclass(frozen=True)
 class PictureAndMask:
-    """One frame, cut to the person. Kept as 8 bits, as it was read: videos are long."""
+    """One frame, cut to the person, kept as 8 bits to save memory."""
 
-    camera: Camera  # of the part that was cut out
+    camera: Camera  # of this part
     picture: Tensor  # (H, W, 3) uint8
     mask: Tensor  # (H, W) uint8
 
@@ -67,7 +67,7 @@ class PictureAndMask:
         """Cut a frame to the box around its mask and some points (N, 3) of the world.
 
         Raises:
-            NoEvidence: the mask is empty, or the points are not seen by the camera.
+            NoEvidence: the mask is empty, or the camera does not see the points.
         """
         box = person_box(frame.mask, frame.camera, points, MARGIN, "its avatar")
         if min(box.width, box.height) < SMALLEST_SIDE:
@@ -79,7 +79,7 @@ class PictureAndMask:
         )
 
     def loss(self, avatar: Avatar, pose: Pose, weights: PictureWeights) -> Tensor:
-        """Eq. 2 for a pose of one frame."""
+        """Return the loss of a pose of one frame (eq. 2)."""
         picture, mask = self.picture.float() / 255, self.mask.float() / 255
         image = render(avatar(pose), self.camera, DRAWN)
         over = image.color + (1 - image.alpha)[..., None] * picture
@@ -94,16 +94,15 @@ class PictureAndMask:
 class PictureEvidence:
     """Pictures of some frames under one avatar: a :class:`gva_mi.pose.optimize.Evidence`.
 
-    The avatar does not change, so the frames share no unknowns; the leaves beside their poses are
-    their faces.
+    The avatar is fixed, so frames share no unknowns; the leaves beside their poses are their faces.
 
     Attributes:
-        face: what jaw and expression of these frames are corrected by.
+        face: corrections of jaw and expression.
     """
 
     soles: None = None
     distance_shown: bool = True  # by the avatar's size
-    surface_known: bool = True  # likewise
+    surface_known: bool = True  # by the avatar
     unseen: Sequence[int] = ()
 
     def __init__(
@@ -118,10 +117,10 @@ class PictureEvidence:
 
         Args:
             avatar: of the person.
-            seen: the frames by number, one at least.
+            seen: at least one frame, by number.
             weights: of eq. 2.
             face: of the same frames, ascending.
-            face_steps: how it is corrected.
+            face_steps: steps of its corrections.
         """
         self._avatar, self._seen, self._weights = avatar, seen, weights
         self.face, self._face_steps = face, face_steps
@@ -130,7 +129,7 @@ class PictureEvidence:
         self.anatomy = Anatomy.of(avatar.rig.joints)
 
     def loss(self, frames: Sequence[int], pose: Pose) -> Tensor:
-        """Mean of eq. 2 over some frames in these poses, with their faces."""
+        """Return the mean of eq. 2 over some frames in these poses, with their faces."""
         pose = self.face.corrected(pose, [self.frames.index(k) for k in frames])
         losses = [
             self._seen[k].loss(self._avatar, pose[i], self._weights) for i, k in enumerate(frames)
@@ -143,11 +142,11 @@ class PictureEvidence:
         return self.face.leaves(self._face_steps)
 
     def enable_details(self) -> None:
-        """Pictures are whole from the start; faces have shown by now how they err."""
+        """Fit the prior of the faces to their corrections; pictures are complete from the start."""
         self.face = self.face.with_updated_prior(self.face.found())
 
     def energy(self) -> Tensor | float:
-        """What the faces cost."""
+        """Return the energy of the faces."""
         return self._face_steps.nat * self.face.energy()
 
 

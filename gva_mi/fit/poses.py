@@ -1,33 +1,30 @@
-"""The poses that a fit uses: as they were given, or trained along with the avatar.
+"""The poses of a fit: as they were given, or trained along with the avatar.
 
 Masks and normals leave errors in poses, and errors blur the avatar, which becomes the mean of
-frames that do not quite agree. So the gradient of each step (Eq. 9) also goes to the corrections of
-its frame's pose, the refinement's own (:mod:`gva_mi.pose.corrections`): turns by each joint's lever
-arm, shifts in the camera's axes, in coordinates in which neighbouring frames move together. With
-``every`` steps of the fit they take one of their own, on
+frames that do not quite agree. So the gradient of each step (Eq. 9) also updates the corrections of
+its frame's pose, as in the refinement (:mod:`gva_mi.pose.corrections`). After every ``every`` steps
+of the fit, poses take a step of their own on
 
     L = Σ_k [L_k(pose_k(δ, τ)) + ν E(δ, τ)]       k: the frames of these steps
 
-where ``E`` says how probable corrections are, of this motion, with joints that do what joints can
-do. After some shares of the fit the corrections tell how the given poses err, and ``E`` becomes
-what that says.
+where ``E`` is the energy of the corrections δ, τ under the prior of the motion, of joint limits and
+of errors. After some shares of the fit the prior is fitted again to the corrections.
 
-* Poses of stage 1 start smoothed, as what is most probable of them. Refined ones start as they
-  are: masks and normals of each frame have been looked at, but for the few that a refinement keeps.
-* A frame that is not trained on is not looked at. What is probable of it follows from the frames
-  around it: an error that lasts is corrected there too, one that is new in every frame is not.
-* Avatar and poses could drift together, such as all knees and the canonical legs, and no picture
-  would change. So nothing is corrected that is the same in all frames: no turn in the axes of its
-  joint, no shift in those of the camera, or of the body while it turns.
-* Jaw and expression are corrected in the same way (:mod:`gva_mi.fit.faces`); eyes stay.
+* Stage-1 poses start at their MAP estimate, which is smoothed. Refined poses start as they are,
+  because masks and normals of their frames have been used already.
+* Frames outside the training split are not looked at. Their corrections follow from neighbouring
+  frames: slow errors are corrected there too, errors that are new in every frame are not.
+* Avatar and poses could drift together, such as all knees and the canonical legs, without changing
+  a picture. So constant corrections are removed: turns in the axes of a joint, and shifts in the
+  axes of the camera, or of the body while it turns.
+* Jaw and expression are corrected likewise (:mod:`gva_mi.fit.faces`); eyes stay.
 
-Cubic splines in time in the place of the process fit the pictures as well, but leave the body
-farther from the truth. Soles that stand on one ground, which the refinement has seen to, change
-nothing here any more.
+Cubic splines in time instead of the process prior fit the pictures as well, but leave larger pose
+errors. Foot contacts, which the refinement has used, no longer change the result here.
 
-Others who close the loop between poses and an avatar: GART (Lei et al. 2023), ExAvatar (Moon et al.
-2024), *Better Together* (2503.09293), HumanSplatHMR (2605.02784). What holds poses together here is
-the prior of the refinement, a Gaussian process in time whose smoothness the video tells.
+Related work that alternates between poses and an avatar: GART (Lei et al. 2023), ExAvatar (Moon et
+al. 2024), *Better Together* (2503.09293), HumanSplatHMR (2605.02784). Here the prior is that of the
+refinement, a Gaussian process in time whose smoothness is estimated from the video.
 """
 
 from __future__ import annotations
@@ -39,7 +36,7 @@ from typing import Annotated, Any
 import torch
 from torch import Tensor
 
-from gva_mi.avatar.avatar import Rig
+from gva_mi.avatar.rig import Rig
 from gva_mi.body.pose import Pose
 from gva_mi.body.smplx import Rest
 from gva_mi.core.options import InnerShare, Metres, Turn, Within, require_ranges
@@ -57,26 +54,26 @@ from gva_mi.splat import Camera
 class PoseOptions:
     """How poses are trained along with an avatar."""
 
-    trained: bool = True  # False: the poses stay as they were given
-    # Steps of the fit, after which poses take one.
+    trained: bool = True  # False: poses stay as they were given
+    # Steps of the fit per step of the poses.
     every: Annotated[int, Within(1, 1_000_000)] = 8
-    nat: PriorWeight = 1e-5  # ν: what a negative logarithm of a probability counts beside Eq. 9
-    # Shares of all steps, when it is learned how they err.
+    nat: PriorWeight = 1e-5  # ν: weight of the prior beside Eq. 9
+    # Shares of all steps after which the prior is fitted again.
     learn_at: tuple[InnerShare, ...] = (0.3, 0.5)
-    step: Metres = 0.003  # metres that a turned joint moves what turns with it, in a first step
+    step: Metres = 0.003  # metres that a joint moves its limb in a first step
     largest_turn: Turn = 0.03  # radians in such a step; it limits joints with short lever arms
     translation_lr: Metres = 0.002  # metres in a first step
     # Standard deviations of an expression in a first step; 0: jaw and expression stay as given.
     expression_lr: Annotated[float, Within(0, 1)] = 0.03
     decay: Annotated[float, Within(0, 1, "low")] = 0.1  # what is left of these steps at the end
-    part: Annotated[int, Within(2, 10_000)] = 240  # frames of a video that know of each other
+    part: Annotated[int, Within(2, 10_000)] = 240  # frames that share a prior
 
     def __post_init__(self) -> None:
         require_ranges("fit", self)
 
 
 class TrainedPoses:
-    """The poses of all frames.
+    """The poses of all frames of a fit.
 
     Attributes:
         given: as they were given.
@@ -92,17 +89,16 @@ class TrainedPoses:
         *,
         as_given: bool = False,
     ) -> None:
-        """Start with what is most probable of the given poses, before any picture.
+        """Start from the MAP estimate of the given poses, before any picture.
 
         Args:
             given: T frames.
             cameras: of the T frames.
             rig: the person's rest body.
-            options: how.
+            options: how poses are trained.
             steps: of the whole fit.
-            as_given: start with the bodies as they are, which have been found to agree with
-                masks and normals. (Faces, which a refinement leaves alone, start with what is most
-                probable.)
+            as_given: start with refined bodies as they are. (Faces, which a refinement leaves
+                alone, start from the MAP estimate.)
         """
         self.given, self._options, self._steps = given, options, steps
         self._clips: list[_Clip] = []
@@ -119,22 +115,22 @@ class TrainedPoses:
 
     @property
     def trained(self) -> bool:
-        """Whether they are, or stay as they were given."""
+        """Whether poses are trained."""
         return bool(self._clips)
 
     def __call__(self, frame: int) -> Pose:
-        """The pose of one frame, differentiable in its corrections."""
+        """Return the pose of one frame, differentiable in its corrections."""
         for clip in self._clips:
             if frame in clip.frames:
                 return clip.pose([frame - clip.frames.start])
         return self.given[frame]
 
     def step(self, done: int, frame: int) -> None:
-        """Follow the gradient, once it is that of enough steps.
+        """Count a step of the fit, and step the poses when they are due.
 
         Args:
-            done: steps of the fit.
-            frame: that the last one of them was about.
+            done: number of steps of the fit so far.
+            frame: the frame of the last one.
         """
         options = self._options
         for clip in self._clips:
@@ -149,7 +145,7 @@ class TrainedPoses:
 
     @torch.no_grad()
     def all(self) -> Pose:
-        """The poses of all frames as they are by now."""
+        """Return the current poses of all frames."""
         if not self._clips:
             return self.given
         found = [clip.pose(range(len(clip.frames))) for clip in self._clips]
@@ -160,23 +156,23 @@ class TrainedPoses:
         return Pose(*parts)
 
     def state(self) -> list[dict[str, Any]]:
-        """What was trained, for a checkpoint."""
+        """Return the state for a checkpoint."""
         return [clip.state() for clip in self._clips]
 
     def load_state(self, state: list[dict[str, Any]]) -> None:
-        """Go on from a :meth:`state`, to the bit."""
-        for clip, held in zip(self._clips, state, strict=True):
-            clip.load_state(held, self._options)
+        """Restore a :meth:`state`, to the bit."""
+        for clip, saved in zip(self._clips, state, strict=True):
+            clip.load_state(saved, self._options)
 
 
 class _Clip:
-    """Frames that know of each other.
+    """Frames that share a prior.
 
     Attributes:
         frames: their numbers.
         corrections: of their poses.
-        face: of their jaw and expression.
-        waiting: how many of them steps of the fit looked at since the last step of the poses.
+        face: corrections of their jaw and expression.
+        waiting: steps of the fit on these frames since the last step of the poses.
     """
 
     def __init__(
@@ -189,11 +185,11 @@ class _Clip:
     ) -> None:
         self.frames, self.corrections, self.face, self.waiting = frames, corrections, face, 0
         self._arms = arms
-        self._told: list[tuple[Tensor, Tensor, list[Tensor]]] = []  # what each learning was from
+        self._learned: list[tuple[Tensor, Tensor, list[Tensor]]] = []  # corrections of each update
         self._adam = self._optimiser(options)
 
     def pose(self, which: Sequence[int]) -> Pose:
-        """Of some of the frames by their places, differentiable in the corrections."""
+        """Return poses of some frames by their places, differentiable in the corrections."""
         return self.face.corrected(self.corrections.pose(which), which)
 
     def step(self, nat: float, factor: float) -> None:
@@ -206,12 +202,12 @@ class _Clip:
             self.waiting = 0
 
     def learn(self, options: PoseOptions) -> None:
-        self._tell(*self.corrections.found(), self.face.found(), options)
+        self._update_prior(*self.corrections.found(), self.face.found(), options)
 
     def state(self) -> dict[str, Any]:
         leaves = self._leaves()
         return {
-            "told": self._told,
+            "told": self._learned,
             "start": self.corrections.start,
             "face": [part.start for part in self.face.parts],
             "leaves": [leaf.detach() for leaf in leaves],
@@ -222,7 +218,7 @@ class _Clip:
 
     def load_state(self, state: dict[str, Any], options: PoseOptions) -> None:
         for turns, moves, face in state["told"]:
-            self._tell(turns, moves, face, options)
+            self._update_prior(turns, moves, face, options)
         self.corrections.start = state["start"]
         for part, start in zip(self.face.parts, state["face"], strict=True):
             part.start = start
@@ -234,8 +230,10 @@ class _Clip:
         self.waiting = state["waiting"]
         self._adam.load_state(state["adam"])
 
-    def _tell(self, turns: Tensor, moves: Tensor, face: list[Tensor], options: PoseOptions) -> None:
-        self._told.append((turns, moves, face))
+    def _update_prior(
+        self, turns: Tensor, moves: Tensor, face: list[Tensor], options: PoseOptions
+    ) -> None:
+        self._learned.append((turns, moves, face))
         self.corrections = self.corrections.with_updated_prior(turns, moves)
         self.face = self.face.with_updated_prior(face)
         self._adam = self._optimiser(options)

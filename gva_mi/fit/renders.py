@@ -1,4 +1,4 @@
-"""Renders of an avatar as 8-bit pictures, and the pictures that they are compared with."""
+"""Renders of an avatar as 8-bit pictures, and the pictures they are compared with."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.pose import Pose
 from gva_mi.core.console import Progress
 from gva_mi.data.video import Frame
-from gva_mi.fit.camera_paths import Shot
+from gva_mi.fit.camera_paths import CameraShot
 from gva_mi.splat import Camera, Gaussians, SplatOptions, render
 
-# How avatars are drawn, in a fit and after it. The area of a pixel has a variance of 1/12; the 0.3
-# of 3DGS makes outlines wider than pictures show them.
+# Splat options of all avatars. The area of a pixel has a variance of 1/12; the 0.3 of 3DGS makes
+# outlines wider than in pictures.
 DRAWN = SplatOptions(blur=0.1, depth=False)
 WHITE, BLACK = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
 
@@ -28,7 +28,7 @@ def render_frame(
     background: tuple[float, float, float] = WHITE,
     options: SplatOptions | None = None,
 ) -> np.ndarray:
-    """The avatar in one pose (of one frame), seen by one camera: 8-bit (H, W, 3)."""
+    """Render an avatar in a pose of one frame on a colour: 8-bit (H, W, 3)."""
     image = render(avatar(pose), camera, options or DRAWN, torch.tensor(background))
     return to_8bit(image.color.numpy())
 
@@ -37,7 +37,7 @@ def render_frame(
 def render_layer(
     avatar: Avatar, pose: Pose, camera: Camera, options: SplatOptions | None = None
 ) -> np.ndarray:
-    """The avatar in one pose alone: (H, W, 4) float32, colour times alpha, and alpha."""
+    """Render an avatar without background: (H, W, 4) float32, colour times alpha, and alpha."""
     return layer_of(avatar(pose), camera, options)
 
 
@@ -45,22 +45,15 @@ def render_layer(
 def layer_of(
     gaussians: Gaussians, camera: Camera, options: SplatOptions | None = None
 ) -> np.ndarray:
-    """The same of Gaussians in the world."""
+    """Render Gaussians in the world without background, as :func:`render_layer` does."""
     image = render(gaussians, camera, options or DRAWN)
     return np.concatenate([image.color.numpy(), image.alpha.numpy()[..., None]], axis=2)
 
 
 def render_shots(
-    avatar: Avatar, motion: Pose, shots: Sequence[Shot], progress: Progress | None = None
+    avatar: Avatar, motion: Pose, shots: Sequence[CameraShot], progress: Progress | None = None
 ) -> Iterator[np.ndarray]:
-    """The avatar driven by a motion: :func:`render_layer` of each shot.
-
-    Args:
-        avatar: the avatar.
-        motion: T frames, those that the shots name among them.
-        shots: the pictures to be taken.
-        progress: called after each of them.
-    """
+    """Yield :func:`render_layer` of each shot, with the avatar driven by a motion."""
     for done, shot in enumerate(shots, 1):
         yield render_layer(avatar, motion[shot.frame], shot.camera)
         if progress:
@@ -68,18 +61,18 @@ def render_shots(
 
 
 def over(layer: np.ndarray, background: np.ndarray) -> np.ndarray:
-    """A layer (H, W, 4) before a colour (3,) or a picture (H, W, 3): 8-bit (H, W, 3)."""
+    """Composite a layer (H, W, 4) on a colour (3,) or a picture (H, W, 3): 8-bit (H, W, 3)."""
     return to_8bit(layer[..., :3] + (1 - layer[..., 3:]) * background)
 
 
-def see_through(layer: np.ndarray) -> np.ndarray:
-    """A layer (H, W, 4) as picture files hold it, colours not times alpha: 8-bit RGBA."""
+def to_rgba(layer: np.ndarray) -> np.ndarray:
+    """Convert a layer (H, W, 4) to 8-bit RGBA, with colours not multiplied by alpha."""
     color, alpha = layer[..., :3], layer[..., 3:]
     return to_8bit(np.concatenate([color / np.maximum(alpha, 1e-6), alpha], axis=2))
 
 
 def cut_out(frame: Frame, background: tuple[float, float, float] = WHITE) -> np.ndarray:
-    """The target of a frame: the person on a plain background, 8-bit (H, W, 3)."""
+    """Return the target of a frame: the person on a plain background, 8-bit (H, W, 3)."""
     return to_8bit(frame.on_background(np.array(background, dtype=np.float32)))
 
 

@@ -1,20 +1,19 @@
-"""A run's folder: what a fit and its evaluation write, and how it is resumed after a kill.
+"""The folder of a run: what a fit and its evaluation write, and how a fit is resumed.
 
 ::
 
     out/
-      options.json         options and versions that made it, and hashes of the video
+      options.json         options and versions of the run, and hashes of the video
       checkpoint.pt        the last saved state, until the run is finished
       history.npz          per step: loss and its terms, Gaussians, milliseconds by LAPS
       reinit/000900.npz    of each re-initialisation: the Gaussians before and after, the mesh
-      poses.npz            of all frames, where poses were trained; see gva_mi.fit.poses
-      avatar.npz           the fitted avatar; it is there when the run is finished
+      poses.npz            of all frames, if poses were trained; see gva_mi.fit.poses
+      avatar.npz           the fitted avatar, written when the run is finished
       metrics.json         of its evaluation: gva_mi.study.metrics
-      report.html          the same as a page with pictures: gva_mi.study.report
+      report.html          the evaluation as a page: gva_mi.study.report
       overview.png         the page's first picture on its own
 
-A file is written under another name and then renamed: after a kill it is the old one or the new
-one, whole.
+Every file is written atomically: after a kill it is the old one or the new one, whole.
 """
 
 from __future__ import annotations
@@ -46,24 +45,23 @@ from gva_mi.splat import Gaussians
 AVATAR, CHECKPOINT, HISTORY = "avatar.npz", "checkpoint.pt", "history.npz"
 OPTIONS, TRAINED_POSES, REINIT = "options.json", "poses.npz", "reinit"
 METRICS, REPORT, OVERVIEW = "metrics.json", "report.html", "overview.png"
-# Of the history: what its milliseconds went to. Upkeep is density control, re-initialisation, and
-# looking up what Gaussians follow.
+# Columns of the history: parts of its milliseconds. Upkeep is density control, re-initialisation,
+# and binding Gaussians to the outer skin.
 LAPS = ("milliseconds_frame", "milliseconds_descent", "milliseconds_upkeep")
 GAUSSIANS = ("means", "quats", "scales", "opacities", "sh")
 
 
 def prepare(out: Path, options: dict[str, Any], video: Video, resume: bool) -> None:
-    """Make a folder the home of a run, and write down what the run is.
+    """Prepare the folder of a run and write its options.
 
     Args:
-        out: the folder; made where it is missing.
+        out: the folder; created if missing.
         options: of the run, plain values.
-        video: that it is fitted to.
+        video: the video to fit.
         resume: whether a run of the same options and video may be there already.
 
     Raises:
-        InputError: a run is there and is not to be resumed, or was made with other options, or
-            from another video.
+        InputError: a run is there and is not to be resumed, or has other options or another video.
     """
     held = out / OPTIONS
     if not held.exists():
@@ -87,7 +85,7 @@ def prepare(out: Path, options: dict[str, Any], video: Video, resume: bool) -> N
 
 
 def require_none_begun(out: Path, overwrite: bool) -> None:
-    """Raise an InputError where a run was stopped that could go on, unless it may be replaced."""
+    """Raise an InputError if an unfinished run is there and may not be overwritten."""
     if not overwrite and (out / OPTIONS).exists() and not (out / AVATAR).exists():
         raise InputError(
             f"{out}: holds a run that was stopped; give --resume to go on with it, or --overwrite "
@@ -96,9 +94,9 @@ def require_none_begun(out: Path, overwrite: bool) -> None:
 
 
 def other_parts(run: Path, video: Video) -> list[str]:
-    """What of a video is not as in the one that a run was fitted to: some of ``identity.PARTS``.
+    """Return which of ``identity.PARTS`` differ between a video and the one of a run.
 
-    A run that kept no record of its video counts as fitted to any.
+    A run without a record of its video matches any.
     """
     if not (run / OPTIONS).exists():
         return []
@@ -106,11 +104,7 @@ def other_parts(run: Path, video: Video) -> list[str]:
 
 
 def require_own_video(run: Path, video: Video) -> None:
-    """Check that a video is the one a run was fitted to.
-
-    Raises:
-        InputError: it is another, or has other poses.
-    """
+    """Raise an InputError unless a video, with its poses, is the one a run was fitted to."""
     others = other_parts(run, video)
     if others:
         raise InputError(
@@ -120,11 +114,7 @@ def require_own_video(run: Path, video: Video) -> None:
 
 
 def load_options(out: Path) -> dict[str, Any]:
-    """Read what a run was made with: ``options``, ``versions``, and hashes of its ``video``.
-
-    Raises:
-        InputError: a file that is missing or cannot be read.
-    """
+    """Read a run's ``options`` and ``versions``, and the hashes of its ``video``."""
     path = out / OPTIONS
     found = read_json(path, "the options of a run")
     with expecting(path, "the options of a run"):
@@ -134,18 +124,14 @@ def load_options(out: Path) -> dict[str, Any]:
 
 def save_state(out: Path, state: dict[str, Any]) -> None:
     """Write the checkpoint: tensors, numbers, strings, and lists and dictionaries of them."""
-    whole = io.BytesIO()  # torch's own writer says nothing of a disk that is full
+    whole = io.BytesIO()  # torch's own writer hides a full disk
     torch.save(state, whole)
     with atomic_write(out / CHECKPOINT) as unfinished:
         unfinished.write_bytes(whole.getbuffer())
 
 
 def load_state(out: Path) -> dict[str, Any] | None:
-    """Read the checkpoint; None where there is none yet.
-
-    Raises:
-        InputError: one that cannot be read.
-    """
+    """Read the checkpoint; None if there is none yet; an InputError if it is damaged."""
     path = out / CHECKPOINT
     if not path.exists():
         return None
@@ -156,7 +142,7 @@ def load_state(out: Path) -> dict[str, Any] | None:
 
 
 def drop_state(out: Path) -> None:
-    """Remove the checkpoint of a run that is finished, and one that a kill left half-written."""
+    """Remove the checkpoint of a finished run, also one that a kill left half-written."""
     for path in (out / CHECKPOINT, part_of(out / CHECKPOINT)):
         path.unlink(missing_ok=True)
 
@@ -186,7 +172,7 @@ class Snapshot:
 
 
 def load_snapshots(out: Path) -> Iterator[Snapshot]:
-    """The Gaussians around each re-initialisation of a run, in the order of the steps."""
+    """Yield the Gaussians around each re-initialisation of a run, by step."""
     for path in sorted((out / REINIT).glob("*.npz")):
         expected = "the Gaussians around a re-initialisation"
         arrays = read_arrays(path, expected)
@@ -200,19 +186,19 @@ def load_snapshots(out: Path) -> Iterator[Snapshot]:
 
 
 def load_history(out: Path) -> dict[str, np.ndarray]:
-    """The history of a run by the names of its columns, each (steps,)."""
+    """Read the history of a run: columns (steps,) by name."""
     return read_arrays(out / HISTORY, "the history of a finished fit")
 
 
 def load_avatar(run: Path, body: Path | None = None) -> Avatar:
-    """The avatar of a finished run, given its folder; or any avatar, given its file.
+    """Load the avatar of a finished run, given its folder, or of a file.
 
     Args:
         run: folder or file.
-        body: the body file of an avatar that was written without its body; None: the puppet.
+        body: body file of an avatar without its body; None: the built-in body.
 
     Raises:
-        InputError: no such file, not an avatar, or the body is another one.
+        InputError: no such file, not an avatar, or another body.
     """
     path = run / AVATAR if run.is_dir() else run
     arrays = read_arrays(path, AVATAR_FILE)
@@ -222,29 +208,22 @@ def load_avatar(run: Path, body: Path | None = None) -> Avatar:
 
 
 def load_motion(run: Path, poses: Path | None) -> tuple[Pose, Shape, Path]:
-    """A motion, the shape of whose it is, and its file.
+    """Load a motion, the shape of its person, and the name of its file.
 
     Args:
         run: folder of a run, or an avatar's file.
-        poses: a file of poses; None: those that were trained with the avatar.
-
-    Raises:
-        InputError: there are none, or they cannot be read.
+        poses: a file of poses; None: those trained with the avatar.
     """
     path = poses or run / TRAINED_POSES
     if poses is None and not path.is_file():
         raise InputError(
-            f"{run}: holds no {TRAINED_POSES}, for no poses were trained there; give --poses"
+            f"{run}: holds no {TRAINED_POSES} because no poses were trained there; give --poses"
         )
     return *load_poses(path), path
 
 
 def under_trained_poses(video: Video, run: Path) -> Video:
-    """The video under the poses that were trained with the avatar; as it is where none were.
-
-    Raises:
-        InputError: the run was fitted to another video.
-    """
+    """Return the video under the poses that were trained with the avatar, if any were."""
     require_own_video(run, video)
     poses = run / TRAINED_POSES
     return replace(video, pose=load_poses(poses)[0]) if poses.exists() else video

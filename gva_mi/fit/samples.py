@@ -1,24 +1,23 @@
-"""The pictures that a fit is measured against, kept at hand and served one a step.
+"""Training frames of a fit: kept in memory, and served one per step on a changing background.
 
-Reading, decoding and cutting out a frame takes longer than rendering it: every training frame is
-read once, cut to the box around its mask, and kept as 8 bits, those of a long video on disk
-(:mod:`gva_mi.core.spill_cache`). When its turn comes, it is laid on a background of another colour
-than the last, so that alpha is learned (:mod:`gva_mi.fit.backgrounds`):
+Reading, decoding and cutting out a frame takes longer than rendering it. So every training frame is
+read once, cut to the box around its mask, and kept as 8 bits, on disk if the video is long
+(:mod:`gva_mi.core.spill_cache`). In its step it is composited on a background of a new colour,
+which teaches alpha (:mod:`gva_mi.fit.backgrounds`):
 
 1. ``I = S P + (1 - S) b``   on the background ``b``
-2. ``I = P``                 on the background ``B``, where the mask is unsure
+2. ``I = P``                 on the background ``B``, where the mask is uncertain
 
-of the picture P and the person's mask S. Masks are off by some pixels along the outline, by others
-in each frame, and who cuts by them blurs the avatar's edge. The picture itself shows where the
-person ends, to a share of a pixel, if the render is laid over what is behind them, B
-(:mod:`gva_mi.data.backdrop`). So eq. 1 holds for what is plainly inside or outside.
+of the picture P and the person's mask S. Outlines of masks are off by some pixels, differently in
+each frame, and cutting by them blurs the avatar's edge. The picture itself shows the outline to a
+fraction of a pixel if the render is composited on what is behind the person, B
+(:mod:`gva_mi.data.backdrop`). So eq. 1 is used only for what is plainly inside or outside.
 
-This is done in that part of the picture in which there is something to compare: the person, or a
-Gaussian that strays. Everywhere else render and target are the background, and equal. So a step
-takes as long as the person is large, and not as the room is.
+Only the part of the picture with the person, the window or a Gaussian is compared; elsewhere render
+and target are the same background. So a step takes time in proportion to the person, not the room.
 
-All random numbers of a step come from the run's seed and the step's number alone. A run that is
-resumed therefore draws what an uninterrupted one would have drawn, with no state to save.
+All random numbers of a step depend only on the run's seed and the step's number, so a resumed run
+draws the same ones, with no state to save.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ from gva_mi.core.spill_cache import SpillCache
 from gva_mi.data import backdrop
 from gva_mi.data.crop import Box, Extent
 from gva_mi.data.video import Video
-from gva_mi.fit.backgrounds import before, lay
+from gva_mi.fit.backgrounds import composite_render, composite_target
 from gva_mi.fit.losses import Window
 from gva_mi.splat import Camera, Gaussians, Image, SplatOptions
 from gva_mi.splat.geometry import largest_scales
@@ -47,8 +46,8 @@ REACH = 3.4  # standard deviations at which a Gaussian's alpha is below 1/255
 BORDER = 2  # pixels, for the blur that every Gaussian gets
 
 
-class Stream(IntEnum):
-    """The streams of random numbers in a run, one for each purpose."""
+class RandomStream(IntEnum):
+    """Streams of random numbers in a run, one per purpose."""
 
     ORDER = 0  # of the frames in a pass
     BACKGROUND = 1
@@ -58,66 +57,67 @@ class Stream(IntEnum):
     REINIT = 5
 
 
-def random_state(seed: int, stream: Stream, number: int = 0) -> np.random.Generator:
-    """The numpy generator of one stream at one step (or pass) of a run."""
+def random_state(seed: int, stream: RandomStream, number: int = 0) -> np.random.Generator:
+    """Return the numpy generator of one stream at one step (or pass) of a run."""
     return np.random.default_rng([seed, stream, number])
 
 
-def torch_state(seed: int, stream: Stream, number: int = 0) -> torch.Generator:
-    """The torch generator of one stream at one step of a run."""
+def torch_state(seed: int, stream: RandomStream, number: int = 0) -> torch.Generator:
+    """Return the torch generator of one stream at one step of a run."""
     drawn = random_state(seed, stream, number).integers(2**63)
     return torch.Generator().manual_seed(int(drawn))
 
 
 @dataclass(frozen=True)
-class Target:
+class SampleTarget:
     """A part of a picture as it should be rendered, on a background."""
 
     color: Tensor  # (H, W, 3) in [0, 1], the person on the background
     background: Tensor  # (H, W, 3) in [0, 1]
     mask: Tensor  # (H, W) in [0, 1]
-    camera: Camera  # that sees this part
+    camera: Camera  # of this part
     window: Window  # of this part
 
     def before_background(self, image: Image) -> Image:
-        """A render of this part without background, on this one."""
-        return replace(image, color=before(image.color, image.alpha, self.background))
+        """Composite a render of this part on its background."""
+        return replace(image, color=composite_render(image.color, image.alpha, self.background))
 
 
 @dataclass(frozen=True)
 class Sample:
-    """What one step of the fit is measured against: a training frame, cut to where its mask is."""
+    """The training frame of one step, cut to its mask."""
 
     frame: int  # its number in the video
     person: Tensor  # (h, w, 4) uint8, P and S
     behind: Tensor  # (h, w, 4) uint8, B, and 255 where eq. 2 holds
-    box: Box  # where in the whole picture they lie
+    box: Box  # their place in the whole picture
     area: int  # pixels of the person's box
     camera: Camera  # of the whole picture
     color: Tensor  # (3,) in [0, 1], b
     window: Box  # a random part of the whole picture, with some of the person in it
 
-    def target(self, gaussians: Gaussians) -> Target:
-        """The part in which person, window or Gaussians are; all else is background."""
+    def target(self, gaussians: Gaussians) -> SampleTarget:
+        """Return the part with the person, the window and the Gaussians."""
         part = joined(self.box, self.window, drawn(gaussians, self.camera))
-        color, background, mask = lay(self.person, self.behind, self.color, self.box, part)
+        color, background, mask = composite_target(
+            self.person, self.behind, self.color, self.box, part
+        )
         camera, window = part.cut_camera(self.camera), within(self.window, part)
-        return Target(color, background, mask, camera, window)
+        return SampleTarget(color, background, mask, camera, window)
 
 
-class Samples:
-    """The training frames of a video.
+class FrameSampler:
+    """Training frames of a video; ``sampler[step]`` is the sample of a step.
 
     Args:
         video: the video they are read from.
-        frames: numbers of the frames to hold.
+        frames: numbers of the frames.
         seed: seed of the run.
-        random_background: whether the background has another colour at each step, or is white.
-        window: side of the random part, pixels; a smaller image is taken whole.
-        mask_error: how far outlines of masks may be off, as a share of the person's size, which is
-            the root of the area of their box.
-        folder: where those of a long video are kept that memory has no room for; None: the
-            system's folder of temporary files.
+        random_background: a new colour at each step; else white.
+        window: side of the random window, pixels; a smaller image is taken whole.
+        mask_error: possible error of mask outlines, as a share of the root of the area of the
+            person's box.
+        folder: holds frames for which memory has no room; None: the system's temporary folder.
     """
 
     def __init__(
@@ -149,12 +149,14 @@ class Samples:
         return len(self.frames)
 
     def __getitem__(self, step: int) -> Sample:
-        """The sample of a step: every pass over the frames goes in another order."""
+        """Return the sample of a step; every pass over the frames has a new order."""
         which, position = divmod(step, len(self))
-        k = int(random_state(self.seed, Stream.ORDER, which).permutation(len(self))[position])
+        k = int(random_state(self.seed, RandomStream.ORDER, which).permutation(len(self))[position])
         color = torch.ones(3)
         if self.random_background:
-            drawn = random_state(self.seed, Stream.BACKGROUND, step).random(3, dtype=np.float32)
+            drawn = random_state(self.seed, RandomStream.BACKGROUND, step).random(
+                3, dtype=np.float32
+            )
             color = torch.from_numpy(drawn)
         box, window = self.boxes[k], self._window(k, step)
         return Sample(
@@ -167,7 +169,7 @@ class Samples:
         )
 
     def _window(self, k: int, step: int) -> Box:
-        random = random_state(self.seed, Stream.WINDOW, step)
+        random = random_state(self.seed, RandomStream.WINDOW, step)
         box, camera = self.boxes[k], self.cameras[k]
         top, height = self._span(random, box.top, box.bottom, camera.height)
         left, width = self._span(random, box.left, box.right, camera.width)
@@ -176,7 +178,7 @@ class Samples:
     def _span(
         self, random: np.random.Generator, first: int, last: int, size: int
     ) -> tuple[int, int]:
-        """Start and length of a side whose middle lies in [first, last)."""
+        """Draw start and length of a side whose middle lies in [first, last)."""
         side = min(self.window, size)
         start = int(random.integers(first, last)) - side // 2
         return min(max(start, 0), size - side), side
@@ -184,7 +186,7 @@ class Samples:
 
 @torch.no_grad()
 def drawn(gaussians: Gaussians, camera: Camera) -> Box | None:
-    """The part of a picture that Gaussians before the camera can reach; None: nothing."""
+    """Return the part of a picture that Gaussians can reach; None: none is visible."""
     T = torch.tensor(camera.T_camera_world, dtype=gaussians.means.dtype)
     x, radius = gaussians.means @ T[:3, :3].T + T[:3, 3], REACH * largest_scales(gaussians)
     before = x[:, 2] > SplatOptions.near
@@ -194,20 +196,20 @@ def drawn(gaussians: Gaussians, camera: Camera) -> Box | None:
         return None
     z = x[:, 2]
     x, y = x[:, 0] / z, x[:, 1] / z
-    # Off the middle of the picture a ball is seen longer by the secant of its angle.
+    # Off centre, a ball looks longer by the secant of its angle.
     reach = radius * (1 + x * x + y * y).sqrt() / z * max(camera.fx, camera.fy) + BORDER
     u, v = camera.fx * x + camera.cx, camera.fy * y + camera.cy
     low = np.array([float((u - reach).min()), float((v - reach).min())])
     high = np.array([float((u + reach).max()), float((v + reach).max())])
     size = np.array([camera.width, camera.height])
-    if not np.isfinite([low, high]).all():  # a fit that has diverged is seen whole
+    if not np.isfinite([low, high]).all():  # a diverged fit is compared on the whole picture
         return Box(0, 0, camera.width, camera.height)
     outside = (high <= 0).any() or (low >= size).any()
     return None if outside else Extent(low, high).box(0.0, size)
 
 
 def joined(*boxes: Box | None) -> Box:
-    """The least box that holds some others."""
+    """Return the smallest box that contains some others."""
     some = [box for box in boxes if box is not None]
     return Box(
         min(box.left for box in some),
@@ -218,19 +220,19 @@ def joined(*boxes: Box | None) -> Box:
 
 
 def within(box: Box, part: Box) -> Window:
-    """Rows and columns of a box in a larger one."""
+    """Return rows and columns of a box in a larger one."""
     top, left = box.top - part.top, box.left - part.left
     return slice(top, top + box.height), slice(left, left + box.width)
 
 
 def _to_8bit(image: np.ndarray, fourth: np.ndarray) -> Tensor:
-    """An image (H, W, 3) and a fourth channel (H, W), all in [0, 1]."""
+    """Pack an image (H, W, 3) and a fourth channel (H, W), all in [0, 1], as 8 bits."""
     four = np.concatenate([image, fourth[..., None]], axis=-1)
     return torch.from_numpy(np.round(four * 255).astype(np.uint8))
 
 
 def _box_of(mask: np.ndarray, margin: int = 0) -> Box:
-    """The box around a mask (H, W) bool, in the picture; the whole picture where it is empty."""
+    """Return the box around a mask (H, W) bool; the whole picture if it is empty."""
     H, W = mask.shape
     rows, columns = (np.flatnonzero(mask.any(axis)) for axis in (1, 0))
     if not len(rows):

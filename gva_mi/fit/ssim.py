@@ -1,7 +1,6 @@
-"""Structural similarity of two images and its exact gradient: two Dr.Jit kernels each way.
+"""Structural similarity (SSIM) of two images and its exact gradient, as Dr.Jit kernels.
 
-With m the mean over the 11 x 11 Gaussian window of Wang et al. (2004), which is separable and stays
-inside the image:
+With m the mean over the separable 11 x 11 Gaussian window of Wang et al. (2004), inside the image:
 
     1. a = m(x),  b = m(y),  u = m(x²),  v = m(y²),  w = m(x y)
     2. L = (2 a b + C1) / (a² + b² + C1)                          luminance
@@ -13,7 +12,7 @@ and the adjoint in x, with D1 and D2 the denominators of L and K, and mᵀ the t
     5. S_u = -L K / D2,   S_w = 2 L / D2,   S_a = 2 K (b - a L) / D1 + 2 L (a K - b) / D2
     6. dS/dx = mᵀ(S_a) + 2 x mᵀ(S_u) + y mᵀ(S_w)
 
-Products with banded matrices take some three times as long.
+Products with banded matrices take about three times as long.
 """
 
 from __future__ import annotations
@@ -40,15 +39,12 @@ Arrays = list[Any]  # of Dr.Jit, flat
 
 
 def ssim(image: Tensor, target: Tensor) -> Tensor:
-    """Structural similarity of two images (H, W, C) in [0, 1], averaged over pixels and channels.
+    """Return the SSIM of two images (H, W, C) in [0, 1], averaged over pixels and channels.
 
-    The mean is taken where the window lies inside the image: both sides must be at least 11 pixels.
+    The mean is over windows inside the image: both sides must be at least 11 pixels.
 
     Returns:
-        A scalar, differentiable in ``image`` both ways; ``target`` is a constant.
-
-    Raises:
-        ValueError: for a smaller image.
+        A scalar, differentiable in ``image`` both ways; ``target`` is constant.
     """
     if min(image.shape[:2]) < SIDE:
         raise ValueError(f"ssim(): images must be at least 11 x 11, got {tuple(image.shape[:2])}")
@@ -56,19 +52,19 @@ def ssim(image: Tensor, target: Tensor) -> Tensor:
 
 
 def _size(number: int) -> UInt32:
-    """A number that kernels read: compiled into them, it would make others for every image."""
+    """Make a number opaque, or every image size would compile kernels of its own."""
     return dr.opaque(UInt32, number)
 
 
 def _grid(height: int, width: int) -> tuple[UInt32, UInt32, UInt32]:
-    """Row and column of every lane, and how many columns there are."""
+    """Return row and column of every lane, and the number of columns."""
     columns, lane = _size(width), dr.arange(UInt32, height * width)
     row = lane // columns
     return row, lane - row * columns, columns
 
 
 def _window(source: Any, index: UInt32, step: UInt32 | int) -> Arrays:  # noqa: ANN401
-    """The numbers of a window that begins at ``index``."""
+    """Read the numbers of a window that begins at ``index``."""
     F = type(source)
     return [dr.gather(F, source, index + k * step) for k in range(SIDE)]
 
@@ -84,14 +80,14 @@ def _spread(
     index: UInt32,
     step: UInt32 | int,
 ) -> Any:  # noqa: ANN401
-    """mᵀ along one axis: the weighted sum over the windows that a number lies in.
+    """Apply mᵀ along one axis: sum over the windows that contain a number, with their weights.
 
     Args:
-        source: numbers of the windows, by their beginning.
-        place: of the number along the axis.
-        last: beginning of the last window.
-        index: where a window that begins at ``place`` lies in ``source``.
-        step: from there to the next.
+        source: numbers of the windows, by their start.
+        place: place of the number along the axis.
+        last: start of the last window.
+        index: index in ``source`` of the window that starts at ``place``.
+        step: distance to the next window.
     """
     F, total = type(source), 0
     for k, g in enumerate(WINDOW):
@@ -110,7 +106,7 @@ def _moments(x: Any, y: Any, height: int, width: int, channels: int) -> Arrays: 
 
 
 def _similarity(moments: Arrays, height: int, width: int) -> tuple[Any, Arrays]:
-    """Eq. 1 along columns, L K of eq. 2 to 4, and its derivatives of eq. 5."""
+    """Eq. 1 along columns, then L K of eq. 2 to 4 and its derivatives (eq. 5)."""
     row, at, columns = _grid(height - SIDE + 1, width)
     first = row * columns + at
     a, b, u, v, w = (_weighted(_window(source, first, columns)) for source in moments)
@@ -161,7 +157,7 @@ class _Ssim(torch.autograd.Function):
 
 
 def _gradient(ctx: FunctionCtx) -> Tensor:
-    """dS/dx of eq. 6, (H, W, C)."""
+    """Return dS/dx of eq. 6, (H, W, C)."""
     image, target = ctx.saved_tensors
     H, W, C = image.shape
     parts = _of_columns(ctx.parts, H, (W - SIDE + 1) * C)

@@ -1,4 +1,4 @@
-"""What a photometric pass leaves in the subject's folder.
+"""Files of photometric tracking in the subject's folder, and its scores.
 
 ::
 
@@ -32,21 +32,21 @@ REGIONS = {"vertices": "body", "hands": "hands", "feet": "feet", "aligned": "bod
 
 @dataclass(frozen=True)
 class Tracking:
-    """The figures of a photometric pass."""
+    """Figures of photometric tracking."""
 
-    loss_start: float  # mean over the frames, at the poses it started from
-    loss: float  # the same at the fitted poses
+    loss_start: float  # mean over the frames, at the initial poses
+    loss: float  # mean over the frames, at the fitted poses
     seconds_per_frame: float
-    errors_mm: dict[str, dict[str, float]]  # means by stage and region; empty without a truth
+    errors_mm: dict[str, dict[str, float]]  # means by stage and region; empty without ground truth
 
     def to_json(self) -> dict[str, Any]:
-        """The entries ``figures`` and ``errors_mm`` of ``photometric.json``."""
+        """Return the entries ``figures`` and ``errors_mm`` of ``photometric.json``."""
         figures = asdict(self)
         errors = figures.pop("errors_mm")
         return {"figures": figures, "errors_mm": errors}
 
     def lines(self) -> Iterator[str]:
-        """The main figures, a line each."""
+        """Yield the main figures, one per line."""
         for name, region in REGIONS.items() if self.errors_mm else ():
             lengths = (f"{stage} {mm[region]:.1f}" for stage, mm in self.errors_mm.items())
             yield f"{name:<11} {' → '.join(lengths)} mm"
@@ -54,12 +54,12 @@ class Tracking:
 
 
 def measure_tracking(video: Video, body: BodyModel, found: FittedPoses) -> Tracking:
-    """Compare poses with those they started from and, for a synthetic subject, with the truth.
+    """Compare tracked poses with the initial ones, and with ground truth if there is any.
 
     Args:
-        video: opened with the poses that the pass started from.
+        video: opened with the initial poses.
         body: the body model.
-        found: what the pass found.
+        found: the tracked poses.
     """
     return Tracking(
         loss_start=float(found.losses_before.nanmean()),
@@ -77,15 +77,15 @@ def write_tracking(
     offsets: Tensor | None,
     sources: dict[str, Path],
 ) -> None:
-    """Write both files, in the place of older ones: the record is there with its poses alone.
+    """Write both files atomically: the record is only there with its own poses.
 
     Args:
-        video: opened with the poses that the pass started from.
-        found: what the pass found.
-        tracking: its figures.
-        options: how it was done.
+        video: opened with the initial poses.
+        found: the tracked poses.
+        tracking: their figures.
+        options: of the tracking.
         offsets: (V, 3) displacement of the rest surface that goes with the poses, metres.
-        sources: the files it was made from: ``start``, the first poses, and ``avatar``.
+        sources: files used: ``start``, the initial poses, and ``avatar``.
     """
     record = tracking.to_json() | {
         "kept": found.kept,

@@ -1,16 +1,16 @@
-"""``fit``: a video becomes an avatar, by gradient descent on Eq. 9.
+"""The training loop: a video becomes an avatar by gradient descent on Eq. 9.
 
-Each step, with one training frame of the video:
+Each step uses one training frame of the video:
 
 1. lower the learning rate of the means
 2. avatar(pose) → Gaussians, MLP(θ)                                          Eq. 5, 6
 3. render them on a background of a random colour, and on the picture's own
    along the outline                                   Eq. 1-3, :mod:`gva_mi.fit.samples`
 4. compare with the person on the same background                            Eq. 9
-5. one step of Adam; after some of them, one of the poses          :mod:`gva_mi.fit.poses`;
-   no Gaussian becomes finer than the pictures are
+5. one step of Adam, and sometimes one of the poses (:mod:`gva_mi.fit.poses`);
+   clamp the scales to the resolution of the pictures
 6. by the schedule: clone, split, prune; put the Gaussians back on the surface      Sec. 4.3;
-   look up their skinning weights anew
+   bind them to the outer skin again
 """
 
 from __future__ import annotations
@@ -24,9 +24,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gva_mi.avatar.avatar import Avatar, Rig, seed_avatar
+from gva_mi.avatar.avatar import Avatar, seed_avatar
 from gva_mi.avatar.densify import ScreenGradients, densify, replace_gaussians
 from gva_mi.avatar.reinit import reinitialise
+from gva_mi.avatar.rig import Rig
 from gva_mi.body.pose import save_poses
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
@@ -40,7 +41,7 @@ from gva_mi.fit.losses import Distance, LossOptions, render_losses
 from gva_mi.fit.options import FitOptions, Rates
 from gva_mi.fit.perceptual import rand_vgg_loss, vgg16_loss
 from gva_mi.fit.poses import TrainedPoses
-from gva_mi.fit.samples import Sample, Samples, Stream, torch_state
+from gva_mi.fit.samples import FrameSampler, RandomStream, Sample, torch_state
 from gva_mi.splat import Screen, render
 
 
@@ -56,25 +57,23 @@ def fit(
 ) -> Avatar:
     """Fit an avatar to the training frames of a video.
 
-    The same seed gives the same avatar to the bit, also over a kill and a ``resume``.
+    The same seed gives the same avatar to the bit, also after a kill and a ``resume``.
 
     Args:
-        video: opened with the poses to train under, best the refined ones. Test frames are not
-            looked at.
-        body: the body whose skeleton and surface the avatar takes over.
-        options: how the avatar is fitted.
-        out: folder of the run, in the form of :mod:`gva_mi.fit.run_folder`.
-        offsets: (V, 3) displacement of the rest surface found by the refinement, metres; it is not
-            looked at where ``options.naked``.
-        resume: go on from the last checkpoint in ``out``, or start where there is none.
+        video: opened with the poses to train under, preferably refined. Test frames are not used.
+        body: the body model that gives the avatar its skeleton and surface.
+        options: of the fit.
+        out: folder of the run, see :mod:`gva_mi.fit.run_folder`.
+        offsets: (V, 3) displacement of the rest surface found by the refinement, metres; unused
+            with ``options.naked``.
+        resume: continue from the last checkpoint in ``out``, if there is one.
         progress: called after each step with its loss and the number of Gaussians.
 
     Returns:
         The avatar, which is also written to ``out/avatar.npz``.
 
     Raises:
-        InputError: ``out`` holds a run already, or one of other options or of another video; or
-            unreadable files.
+        InputError: ``out`` holds another run, or unreadable files.
     """
     distance = vgg16_loss(options.vgg16) if options.vgg16 else rand_vgg_loss()
     run_folder.prepare(out, options.plain(), video, resume)
@@ -86,7 +85,7 @@ def fit(
     with one_torch_thread():
         run = _run(video, body, options, offsets, state, out)
         chosen = options.seed, options.random_background, options.window, options.mask_error
-        samples = Samples(video, video.splits.train, *chosen, out)
+        samples = FrameSampler(video, video.splits.train, *chosen, out)
         while run.step < options.steps:
             figures = run.follow(samples, distance, out)
             if progress:
@@ -95,7 +94,7 @@ def fit(
                 )
             if run.step % options.checkpoint_every == 0 and run.step < options.steps:
                 run_folder.save_state(out, run.state())
-        run.clamp_scales()  # also what the last step has split
+        run.clamp_scales()  # also those that the last step split
     write_arrays(out / run_folder.HISTORY, **run.history)
     if run.poses.trained:
         poses = run.poses.all()
@@ -106,7 +105,7 @@ def fit(
 
 
 class Run:
-    """The state of a run: all that changes from step to step."""
+    """State of a run: all that changes from step to step."""
 
     def __init__(
         self,
@@ -118,7 +117,7 @@ class Run:
     ) -> None:
         self.options = options
         if state is None:
-            generator = torch_state(options.seed, Stream.SEED)
+            generator = torch_state(options.seed, RandomStream.SEED)
             colors = seen_colors(video, body, offsets)
             self.avatar = seed_avatar(body, video.shape, offsets, options.avatar, generator, colors)
             self.step, self.history = 0, {}
@@ -143,8 +142,8 @@ class Run:
             self.optimizer.load_state_dict(state["optimizer"])
             self.gradients.total, self.gradients.views = state["gradients"]
 
-    def follow(self, samples: Samples, distance: Distance, out: Path) -> dict[str, float]:
-        """One step and what the schedule says to follow it; returns its line of the history."""
+    def follow(self, samples: FrameSampler, distance: Distance, out: Path) -> dict[str, float]:
+        """Take one step with its upkeep by the schedule; return its line of the history."""
         times = [time.perf_counter()]
         sample = samples[self.step]
         times.append(time.perf_counter())
@@ -160,7 +159,7 @@ class Run:
         return figures
 
     def descend(self, sample: Sample, distance: Distance) -> dict[str, float]:
-        """One step of descent on one frame; returns its losses."""
+        """Take one step of descent on one frame; return its losses."""
         options = self.options
         self._lower_learning_rate()
         animated = self.avatar.animate(self.poses(sample.frame))
@@ -188,20 +187,20 @@ class Run:
         self.poses.step(self.step, sample.frame)
         figures = {"step": self.step, "loss": float(total.detach())}
         figures |= {f.name: float(getattr(losses, f.name).detach()) for f in fields(losses)}
-        if options.loss.perceptual and not weights.perceptual:  # as it was last seen
+        if options.loss.perceptual and not weights.perceptual:  # its last value
             figures["perceptual"] = self.history.get("perceptual", [0.0])[-1]
         figures["gaussians"] = len(self.avatar.canonical)
         return figures
 
     def add_and_remove_gaussians(self, out: Path) -> None:
-        """Do what the schedule says to follow this step: density control, re-initialisation."""
+        """Run density control or re-initialisation if the schedule says so."""
         options, schedule = self.options, self.options.schedule
         if schedule.densifies(self.step, options.steps):
-            generator = torch_state(options.seed, Stream.DENSIFY, self.step)
+            generator = torch_state(options.seed, RandomStream.DENSIFY, self.step)
             densify(self.avatar, self.optimizer, self.gradients, options.densify, generator)
             self.gradients = ScreenGradients(len(self.avatar.canonical))
         if schedule.reinitialises(self.step, options.steps):
-            generator = torch_state(options.seed, Stream.REINIT, self.step)
+            generator = torch_state(options.seed, RandomStream.REINIT, self.step)
             before = self.avatar.canonical
             new = reinitialise(self.avatar, options.reinit, generator)
             run_folder.save_snapshot(out, self.step, before, new.canonical, new.surface)
@@ -212,11 +211,11 @@ class Run:
             self.avatar.rebind_weights()
 
     def clamp_scales(self) -> None:
-        """Let no Gaussian be finer than the pictures are."""
+        """Clamp the scales of the Gaussians to the resolution of the pictures."""
         self.avatar.canonical.clamp_scales(self.options.finest * self._pixel)
 
     def state(self) -> dict[str, Any]:
-        """The whole state of the run, for its checkpoint."""
+        """Return the whole state of the run for its checkpoint."""
         return {
             "step": self.step,
             "avatar": self.avatar.record(),
@@ -227,14 +226,13 @@ class Run:
         }
 
     def _loss_of_this_step(self) -> LossOptions:
-        """The weights of this step: the perceptual term is left out of most, and counts for more in
-        the others."""
+        """Return the weights of this step: most omit the perceptual term, others weight it more."""
         loss, every = self.options.loss, self.options.perceptual_every
         due = self.step % every == 0
         return replace(loss, perceptual=loss.perceptual * every if due else 0.0)
 
     def _lower_learning_rate(self) -> None:
-        """Lower the learning rate of the means, which falls exponentially over the run."""
+        """Lower the learning rate of the means exponentially over the run."""
         rates = self.options.rates
         done = self.step / max(1, self.options.steps - 1)
         for group in self.optimizer.param_groups:
@@ -250,7 +248,7 @@ def _run(
     state: dict[str, Any] | None,
     out: Path,
 ) -> Run:
-    """The run at its beginning, or as its checkpoint has it."""
+    """Start a run, or restore it from its checkpoint."""
     if state is None:
         return Run(video, body, options, offsets, None)
     with expecting(out / run_folder.CHECKPOINT, "the state of this run"):
@@ -259,10 +257,10 @@ def _run(
 
 @torch.no_grad()
 def smallest_pixel(video: Video, rig: Rig) -> float:
-    """What a pixel of the training frames covers on the person, at least, metres.
+    """Return the smallest size on the person of a pixel of the training frames, metres.
 
-    Finer detail was never seen, and Gaussians that are finer leave cracks between them, which the
-    blur of a pixel hides until somebody looks closer (Yu et al., *Mip-Splatting*, 2024).
+    Finer detail was never seen, and finer Gaussians leave cracks between them, which the blur of a
+    pixel hides until a camera comes closer (Yu et al., *Mip-Splatting*, 2024).
     """
     train = list(video.splits.train)
     pelvis = (rig.joints[0] + video.pose.transl[train]).double().numpy()
@@ -273,7 +271,7 @@ def smallest_pixel(video: Video, rig: Rig) -> float:
 
 
 def _optimizer(avatar: Avatar, rates: Rates) -> torch.optim.Adam:
-    """Adam with one named group, and one learning rate, per kind of parameter."""
+    """Make Adam with one named group, and one learning rate, per kind of parameter."""
     groups = [
         {"name": name, "params": [parameter], "lr": getattr(rates, name)}
         for name, parameter in avatar.canonical.named_parameters()
@@ -283,5 +281,5 @@ def _optimizer(avatar: Avatar, rates: Rates) -> torch.optim.Adam:
             {"name": "residual", "params": list(avatar.residual.parameters()), "lr": rates.residual}
         )
     groups.append({"name": "light", "params": [avatar.light], "lr": rates.light})
-    # With 3DGS's tiny epsilon a Gaussian that is seldom seen moves as far as any other.
+    # With 3DGS's tiny epsilon, Gaussians that are seldom seen move as far as others.
     return torch.optim.Adam(groups, lr=0.0, eps=1e-15, fused=True)

@@ -44,7 +44,7 @@ STEPS = {  # times the step of a difference: inputs that move many pixels, or a 
     "rotations": 0.1, "transl": 0.1, "means": 0.1, "betas": 20.0, "expression": 60.0,
     "light": 30.0, "posed_means": 0.1, "covars": 0.01,
 }  # fmt: skip
-LINEAR = {"shape": 30.0, "blend shapes": 30.0, "blend": 30.0}  # links: times as long, still exact
+LINEAR = {"shape": 30.0, "blend shapes": 30.0}  # links: times as long, still exact
 NETWORK_STEP = 4.0  # the same for the network's weights; well within chain.py's KINK
 FEW = 4  # an input of so many times the entries asked for is differentiated by each of its own
 

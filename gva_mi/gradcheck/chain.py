@@ -7,10 +7,9 @@ shape          betas, expression                                        joints
 skeleton       rotations, joints, transl                                R, T_world_rest  Eq. 4
 blend shapes   means, R, expression                                     shaped_means
 residual       rotations, the network's weights                         residual     Sec. 4.1
-blend          T_world_rest, shaped_means, residual                     A, E             Eq. 5
 activations    log_scales, logit_opacities                              scales, opacities
-stretch        A, E, shaped_means, residual, quats, scales              posed_means, covars
-colours        sh, A, light                                             posed_sh
+skinning       T_world_rest, shaped_means, residual, quats, scales,     posed_means, covars,
+               sh, light                                                posed_sh         Eq. 5
 splatting      the posed Gaussians                                      image        Eq. 1-3
 =============  =======================================================  =======================
 
@@ -32,11 +31,11 @@ from torch import Generator, Tensor
 from torch.func import functional_call
 from torch.overrides import TorchFunctionMode
 
-from gva_mi.avatar.avatar import Avatar, AvatarOptions, moved_by, seed_avatar
-from gva_mi.avatar.canonical import CARRIERS, PARAMETERS, CanonicalGaussians, SeedOptions
-from gva_mi.avatar.light import lit
+from gva_mi.avatar.avatar import Avatar, AvatarOptions, seed_avatar
+from gva_mi.avatar.canonical import BINDING, PARAMETERS, CanonicalGaussians, SeedOptions
 from gva_mi.avatar.residual import ResidualOptions
-from gva_mi.avatar.stretch import carry_stretched
+from gva_mi.avatar.rig import moved_by
+from gva_mi.avatar.skin_gaussians import skin_gaussians
 from gva_mi.body.kinematics import turn_joints
 from gva_mi.body.pose import JAW, LEFT_HAND, RIGHT_HAND, Pose, Shape
 from gva_mi.body.smplx import BodyModel, load_body
@@ -153,15 +152,13 @@ class PosedAvatar:
             Link("residual", ("rotations", *network_inputs), ("residual",),
                  lambda v: (functional_call(network, _network(v), (v[STILL_MEANS], G.weights,
                                                                    v["rotations"])),)),
-            Link("blend", ("T_world_rest", "shaped_means", "residual"), ("A", "E"),
-                 lambda v: G.blended(v["T_world_rest"], means(v))),
             Link("activations", ("log_scales", "logit_opacities"), ("scales", "opacities"),
                  _activated),
-            Link("stretch", ("A", "E", "shaped_means", "residual", "quats", "scales"),
-                 ("posed_means", "covars"),
-                 lambda v: carry_stretched(v["A"], v["E"], means(v), v["quats"], v["scales"])),
-            Link("colours", ("sh", "A", "light"), ("posed_sh",),
-                 lambda v: (lit(v["sh"], v["A"], v["light"]),)),
+            Link("skinning",
+                 ("T_world_rest", "shaped_means", "residual", "quats", "scales", "sh", "light"),
+                 ("posed_means", "covars", "posed_sh"),
+                 lambda v: skin_gaussians(G.sparse_weights, v["T_world_rest"].double(), means(v),
+                                          v["quats"], v["scales"], v["sh"], v["light"])),
             Link("splatting", ("posed_means", "covars", "opacities", "posed_sh"),
                  ("color", "alpha", "depth"), self._splatted),
         )  # fmt: skip
@@ -224,7 +221,7 @@ def _away_from_kinks(avatar: Avatar, values: Tensors) -> tuple[Avatar, Tensors]:
     with _ReluInputs() as relus:
         functional_call(avatar.residual, _network(values), place)
     some = {name: values[name][relus.away] for name in PARAMETERS}
-    carriers = {name: getattr(avatar.canonical, name)[relus.away] for name in CARRIERS}
-    canonical = CanonicalGaussians(**some, **carriers)
+    binding = {name: getattr(avatar.canonical, name)[relus.away] for name in BINDING}
+    canonical = CanonicalGaussians(**some, **binding)
     few = Avatar(canonical, avatar.residual, avatar.rig, avatar.skin, avatar.options)
     return few, values | some

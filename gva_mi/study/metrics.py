@@ -21,7 +21,8 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
-from gva_mi.avatar.avatar import Avatar, Rig
+from gva_mi.avatar.avatar import Avatar
+from gva_mi.avatar.rig import Rig
 from gva_mi.body.pose import Pose
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress, within

@@ -35,7 +35,7 @@ import roma
 import torch
 from torch import Tensor
 
-from gva_mi.avatar.avatar import Rig
+from gva_mi.avatar.rig import Rig
 from gva_mi.body.kinematics import joint_transforms
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel

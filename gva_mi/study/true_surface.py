@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from gva_mi.avatar.avatar import Rig
 from gva_mi.avatar.canonical import spread_over_faces
+from gva_mi.avatar.rig import Rig
 from gva_mi.body.pose import Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.mesh.surface import vertex_normals

@@ -12,7 +12,7 @@ import numpy as np
 import roma
 import torch
 
-from gva_mi.avatar.avatar import Rig
+from gva_mi.avatar.rig import Rig
 from gva_mi.body.pose import Pose
 from gva_mi.data.pictures import MOST_PIXELS
 from gva_mi.fit.camera_paths import CameraPath, shots

@@ -18,7 +18,7 @@ from gva_mi.core.console import say
 from gva_mi.core.errors import InputError
 from gva_mi.core.lock import folder_lock
 from gva_mi.data.video import save_cameras
-from gva_mi.fit.renders import see_through
+from gva_mi.fit.renders import to_rgba
 from gva_mi.splat import Camera
 from gva_mi.viewer.cameras import ViewerCamera, coarser, fitted
 from gva_mi.viewer.controls import Action, Controls
@@ -159,7 +159,7 @@ class Session:
 
         if state.transparent:
             alone = replace(state, beside=False)
-            image = see_through(self._drawing.layer(alone, self._camera(alone, view)))
+            image = to_rgba(self._drawing.layer(alone, self._camera(alone, view)))
         else:
             image = self.picture(state, view)
         with atomic_write(path) as unfinished:

@@ -9,7 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gva_mi.avatar.avatar import Avatar, Rig, moved_by
+from gva_mi.avatar.avatar import Avatar
+from gva_mi.avatar.rig import Rig, moved_by
 from gva_mi.body.pose import Pose
 from gva_mi.body.skinning import skin_points
 from gva_mi.mesh.coarse_body import collapse
@@ -32,11 +33,11 @@ class PosedSurface:
 @torch.no_grad()
 def posed_surface(avatar: Avatar, pose: Pose) -> PosedSurface:
     """Pose the rig's surface and joints (one frame) the way the Gaussians are."""
-    rig, driven = avatar.rig, avatar.driven(pose)
-    vertices = rig.vertices + moved_by(driven.coefficients, rig.directions)
-    T_world_rest = driven.T_world_rest.to(vertices.dtype)
+    rig, skeleton = avatar.rig, avatar.posed_skeleton(pose)
+    vertices = rig.vertices + moved_by(skeleton.coefficients, rig.directions)
+    T_world_rest = skeleton.T_world_rest.to(vertices.dtype)
     R, t = T_world_rest[:, :3, :3], T_world_rest[:, :3, 3]
-    joints = (R @ driven.joints.unsqueeze(-1)).squeeze(-1) + t
+    joints = (R @ skeleton.joints.unsqueeze(-1)).squeeze(-1) + t
     skinned = skin_points(vertices, rig.weights, T_world_rest)
     return PosedSurface(skinned.float(), joints.double().numpy())
 

@@ -10,8 +10,9 @@ import torch
 
 from gva_mi import InputError
 from gva_mi.avatar import Avatar, AvatarOptions, ResidualOptions, SeedOptions, seed_avatar
-from gva_mi.avatar.light import SHARE
-from gva_mi.avatar.skin import JOINTS
+from gva_mi.avatar.lbs_reference import lbs_transforms
+from gva_mi.avatar.lighting import SHARE
+from gva_mi.avatar.skin_weights import JOINTS
 from gva_mi.body import Pose, Shape
 from gva_mi.body.pose import LEFT_HAND, RIGHT_HAND
 from gva_mi.body.skinning import strongest
@@ -74,7 +75,8 @@ def test_residual_is_added_in_the_rest_pose(make_avatar, random_pose):
     assert torch.allclose(avatar(rest).means, means, atol=1e-9)
     animated = avatar.animate(pose)
     assert animated.residual.abs().max() > 1e-3
-    A, _ = avatar.canonical.blended(avatar.driven(pose).T_world_rest, means)
+    T = avatar.posed_skeleton(pose).T_world_rest[:, :3].flatten(1)
+    A, _ = lbs_transforms(avatar.canonical.sparse_weights, T, means)
     with torch.no_grad():
         avatar.residual.offset.weight.zero_()
     carried = (A.view(-1, 3, 4)[:, :, :3] @ animated.residual[..., None])[..., 0]

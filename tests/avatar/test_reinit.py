@@ -10,7 +10,6 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from gva_mi.avatar import AvatarOptions, seed_avatar
-from gva_mi.avatar.avatar import Rig
 from gva_mi.avatar.canonical import CanonicalGaussians
 from gva_mi.avatar.densify import replace_gaussians
 from gva_mi.avatar.reinit import (
@@ -20,6 +19,7 @@ from gva_mi.avatar.reinit import (
     resample,
     wanted_density,
 )
+from gva_mi.avatar.rig import Rig
 from gva_mi.body import Shape, load_body
 from gva_mi.body.pose import JOINTS
 from gva_mi.splat.kernels.sh import C0
@@ -44,7 +44,7 @@ def avatar_of(body, points, colors, opacities=None):
         log_scales=tensor(rng.uniform(0.005, 0.05, (N, 3))).log(),
         logit_opacities=torch.logit(tensor(np.full(N, 0.8) if opacities is None else opacities)),
         sh=sh,
-        weights=avatar.skin.at(points).weights,
+        weights=avatar.skin.bind(points).weights,
     )
     return avatar
 
@@ -137,7 +137,7 @@ def test_discs_lie_in_the_surface_with_random_sizes(result):
 def test_skinning_is_looked_up_again(result):
     avatar, new = result
     G = new.canonical
-    found = new.skin.at(G.means)
+    found = new.skin.bind(G.means)
     for name, value in found.named().items():
         assert torch.equal(getattr(G, name), value), name
     assert len(new.skin.vertices) != len(avatar.skin.vertices)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.avatar.avatar import digest
+from gva_mi.avatar.rig import digest
 from gva_mi.body.pose import Pose, Shape, save_poses
 from gva_mi.data.film import Film
 from gva_mi.data.pictures import write_image

@@ -32,8 +32,8 @@ if len(sys.argv) > 1:
     set_target = getattr(ctypes.CDLL(core), name)
     set_target.argtypes = [ctypes.c_char_p, ctypes.c_char_p, ctypes.c_uint32]
     set_target(b"x86-64-v3", b"+avx2,+fma,+f16c", int(lanes))
-from gva_mi.avatar.maps import FollowedJoints
-from gva_mi.avatar.stretch import carry_stretched
+from gva_mi.avatar.lbs_transforms import SparseWeights
+from gva_mi.avatar.skin_gaussians import skin_gaussians
 from gva_mi.body.polar import carry_frames
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import load_body
@@ -60,15 +60,14 @@ add("normals and silhouette", MeshScene(body.faces, body.v_template).render(v, c
 generator = torch.Generator().manual_seed(0)
 random = lambda *shape: torch.randn(*shape, generator=generator)
 A = (torch.eye(3, 4).reshape(12) + 0.3 * random(300, 12)).requires_grad_()
-E, means, quats, scales = random(300, 9), random(300, 3), random(300, 4), random(300, 3).exp()
-inputs = [x.requires_grad_() for x in (random(9, 4, 4).double(), means.clone())]
-blend = FollowedJoints.of(random(300, 9).softmax(1), random(300, 3, 9))
-for name, out in zip(("maps", "changes"), blend(*inputs)):
-    add(f"blended {name}", out, inputs[: 1 if name == "maps" else 2])
+means, quats, scales = random(300, 3), random(300, 4), random(300, 3).exp()
+given = random(9, 4, 4).double(), means, quats, scales, random(300, 4, 3), random(3)
+inputs = [x.clone().requires_grad_() for x in given]
+weights = SparseWeights.of(random(300, 9).softmax(1), random(300, 3, 9))
+outs = skin_gaussians(weights, *inputs)
+add("skinned", torch.cat([x.flatten() for x in outs]), inputs)
 for name, out in zip(("means", "frames"), carry_frames(A, means, quats)):
     add(name, out, [A])
-for name, out in zip(("means", "covariances"), carry_stretched(A, E, means, quats, scales)):
-    add(f"stretched {name}", out, [A])
 bits = lambda x: hashlib.md5(x.detach().contiguous().numpy().tobytes()).hexdigest()
 print(json.dumps({name: bits(x) for name, x in found.items()}))
 """

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.fit.camera_paths import Shot
-from gva_mi.fit.renders import over, render_frame, render_layer, render_shots, see_through
+from gva_mi.fit.camera_paths import CameraShot
+from gva_mi.fit.renders import over, render_frame, render_layer, render_shots, to_rgba
 
 
 @pytest.fixture
@@ -15,7 +15,7 @@ def layer(known, turning, camera):
 
 def test_shots_are_renders_of_their_frames(known, turning, camera):
     motion, told = turning(3)[0], []
-    shots = [Shot(2, camera), Shot(0, camera.zoomed(0.5))]
+    shots = [CameraShot(2, camera), CameraShot(0, camera.zoomed(0.5))]
     found = list(render_shots(known, motion, shots, lambda done, total: told.append((done, total))))
     assert told == [(1, 2), (2, 2)]
     for layer, shot in zip(found, shots, strict=True):
@@ -37,7 +37,7 @@ def test_a_picture_is_seen_where_the_person_is_not(layer):
 
 
 def test_what_is_see_through_gives_the_same_over_a_background(layer):
-    rgba = see_through(layer).astype(float) / 255
+    rgba = to_rgba(layer).astype(float) / 255
     assert rgba.shape == (48, 48, 4)
     again = rgba[..., :3] * rgba[..., 3:] + (1 - rgba[..., 3:])
     assert np.abs(255 * again - over(layer, np.ones(3))).max() < 2.1

@@ -11,14 +11,14 @@ import torch
 from gva_mi.data.backdrop import behind, unsure
 from gva_mi.data.crop import Box
 from gva_mi.fit.losses import LossOptions, render_losses
-from gva_mi.fit.samples import Samples, Stream, drawn, random_state, torch_state
+from gva_mi.fit.samples import FrameSampler, RandomStream, drawn, random_state, torch_state
 from gva_mi.splat import Gaussians, Image, render
 
 TRAIN = [0, 1, 2, 4, 5]
 
 
 def samples(video, seed=0, random_background=True, window=16, mask_error=0.01):
-    return Samples(video, TRAIN, seed, random_background, window, mask_error)
+    return FrameSampler(video, TRAIN, seed, random_background, window, mask_error)
 
 
 def test_each_pass_shows_every_frame_once_in_another_order(video):
@@ -172,6 +172,9 @@ def test_windows_lie_in_the_image_and_in_the_person_s_box(window, video):
 
 
 def test_purposes_and_steps_have_streams_of_their_own():
-    drawn = {(p, k): random_state(0, p, k).random() for p in Stream for k in range(3)}
+    drawn = {(p, k): random_state(0, p, k).random() for p in RandomStream for k in range(3)}
     assert len(set(drawn.values())) == len(drawn)
-    assert torch_state(0, Stream.SEED).initial_seed() != torch_state(1, Stream.SEED).initial_seed()
+    assert (
+        torch_state(0, RandomStream.SEED).initial_seed()
+        != torch_state(1, RandomStream.SEED).initial_seed()
+    )

@@ -14,7 +14,7 @@ from gva_mi.fit.colors import seen_colors
 from gva_mi.fit.options import FitOptions, Schedule
 from gva_mi.fit.perceptual import Weights
 from gva_mi.fit.poses import PoseOptions
-from gva_mi.fit.samples import Stream, torch_state
+from gva_mi.fit.samples import RandomStream, torch_state
 from gva_mi.fit.train import fit, smallest_pixel
 from gva_mi.study.evaluate import evaluate
 
@@ -37,7 +37,7 @@ PARAMETERS = [
 
 
 def seed_of(body, video, options):
-    generator = torch_state(options.seed, Stream.SEED)
+    generator = torch_state(options.seed, RandomStream.SEED)
     colors = seen_colors(video, body)
     return seed_avatar(body, video.shape, None, options.avatar, generator, colors)
 
@@ -135,7 +135,7 @@ def three_steps(video, body, tmp_path_factory):
 def test_skinning_weights_follow_gaussians_that_moved(every, video, body, tmp_path):
     schedule = Schedule(densify_every=0, reinit_at=(), look_up_every=every)
     avatar = fit(video, body, replace(OPTIONS, steps=4, schedule=schedule), tmp_path)
-    here = avatar.skin.at(avatar.canonical.means).weights
+    here = avatar.skin.bind(avatar.canonical.means).weights
     assert torch.equal(avatar.canonical.weights, here) == (every > 0)
 
 

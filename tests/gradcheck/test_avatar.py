@@ -7,7 +7,7 @@ from dataclasses import replace  # isort: skip
 import pytest
 import torch
 
-from gva_mi.avatar import carry, stretch
+from gva_mi.avatar import skin_gaussians, stretch
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.canonical import CanonicalGaussians
 from gva_mi.body import kinematics
@@ -90,21 +90,15 @@ def _plant(monkeypatch, link):
         monkeypatch.setattr(Avatar, "coefficients", lambda self, R, psi: bend(found(self, R, psi)))
     elif link == "residual":
         monkeypatch.setattr(torch, "tanh", lambda x: bend(x.tanh()))
-    elif link == "blend":
-        blended = CanonicalGaussians.blended
-        bent = lambda self, T, means: blended(self, bend(T), means)
-        monkeypatch.setattr(CanonicalGaussians, "blended", bent)
-    elif link == "stretch":
+    elif link == "skinning":
         adjoint = stretch.adjoint
         bent = lambda *lane: [[1.001 * g for g in grads] for grads in adjoint(*lane)]
         monkeypatch.setattr(stretch, "adjoint", bent)
-        monkeypatch.setattr(carry, "_adjoint", Frozen(carry._adjoint.function))  # records it
+        again = Frozen(skin_gaussians._adjoint.function)  # records the planted one
+        monkeypatch.setattr(skin_gaussians, "_adjoint", again)
     elif link == "activations":
         scales = lambda self: torch.exp(bend(self.log_scales))
         monkeypatch.setattr(CanonicalGaussians, "scales", property(scales))
-    elif link == "colours":
-        lit = chain.lit
-        monkeypatch.setattr(chain, "lit", lambda sh, *args: lit(bend(sh), *args))
     else:
         render = chain.render
         monkeypatch.setattr(chain, "render", lambda g, *a, **k: render(
@@ -112,12 +106,11 @@ def _plant(monkeypatch, link):
 
 
 LINKS = (
-    "shape", "skeleton", "blend shapes", "residual", "blend", "activations", "stretch",
-    "colours", "splatting",
+    "shape", "skeleton", "blend shapes", "residual", "activations", "skinning", "splatting",
 )  # fmt: skip
 
 
-QUICK = ("skeleton", "stretch")  # whose adjoints are written by hand
+QUICK = ("skeleton", "skinning")  # whose adjoints are written by hand
 
 
 @pytest.mark.parametrize(

@@ -1,11 +1,11 @@
-"""Avatars for other programs, and an avatar without its body.
+"""Avatar files for other programs, and avatars without their body.
 
-Gaussians in one pose are written by :mod:`gva_mi.splat.formats`.
+:mod:`gva_mi.splat.formats` writes the Gaussians of one pose.
 
 =================  ===============================================================
 ``gltf``           the surface with skeleton, skin, colours, and a motion (.glb)
-``glb``            the container of that: numbers and their description
-``amass``          poses as AMASS has them
-``without_body``   the avatar without what it holds of a licensed body
+``glb``            the container of gltf: numbers and their description
+``amass``          poses in AMASS's format
+``without_body``   the avatar without the licensed body model
 =================  ===============================================================
 """

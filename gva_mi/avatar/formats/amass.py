@@ -1,4 +1,4 @@
-"""Poses as AMASS has them, in SMPL-X's joints, which most programs that know a body read.
+"""AMASS's format of poses in SMPL-X's joints, which most programs that know a body can read.
 
 ========================  ===========  =====================================================
 ``poses``                 (T, 165)     axis-angle: root, body 21, jaw, eyes, left, right hand
@@ -7,7 +7,7 @@
 ``gender``                ``str``      of the body model
 ``mocap_frame_rate``      number       frames a second
 ``surface_model_type``    ``"smplx"``
-``expression``            (T, E)       beside AMASS's own keys, for they are without a face
+``expression``            (T, E)       in addition to AMASS's own keys, which have no face
 ========================  ===========  =====================================================
 
 Hands are relative to the flat hand. The world stays the poses' own; AMASS's has z upward.
@@ -24,14 +24,14 @@ from gva_mi.core.files import write_arrays
 
 
 def save_amass(path: Path, pose: Pose, shape: Shape, fps: float, gender: str = "neutral") -> None:
-    """Write poses.
+    """Write poses in AMASS's format, atomically.
 
     Args:
-        path: of the .npz; an older one is replaced once the new one is whole.
+        path: of the .npz.
         pose: T frames.
         shape: the person's.
         fps: frames a second.
-        gender: of the body model that the shape belongs to.
+        gender: of the body model of the shape.
     """
     array = lambda tensor: tensor.detach().numpy()
     write_arrays(

@@ -1,7 +1,7 @@
-"""The .glb container of glTF 2.0: a description in JSON, and the numbers that it points to.
+"""The .glb container of glTF 2.0: a JSON description, and the numbers it points to.
 
-Arrays lie one after the other in one buffer. An *accessor* of the description says where one lies,
-what its elements are, and how many. https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
+Arrays lie one after the other in one buffer. An *accessor* of the description says where an array
+lies and what its elements are. https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from gva_mi.core.atomic import atomic_write
 
 _COMPONENTS = {"uint8": 5121, "uint16": 5123, "uint32": 5125, "float32": 5126}
 _KINDS = {(): "SCALAR", (2,): "VEC2", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
-VERTICES, TRIANGLES = 34962, 34963  # what a buffer is for, where a GPU is to know
+VERTICES, TRIANGLES = 34962, 34963  # uses of a buffer on a GPU
 _MAGIC, _JSON, _BINARY = 0x46546C67, 0x4E4F534A, 0x004E4942
 
 
 class Glb:
-    """A file that is being put together.
+    """Builder of one .glb file.
 
     Attributes:
-        description: the JSON, to which its maker adds scenes, nodes, meshes and so on.
+        description: the JSON; the caller adds scenes, nodes, meshes and so on.
     """
 
     def __init__(self) -> None:
@@ -41,9 +41,9 @@ class Glb:
 
         Args:
             array: (n,), (n, 2), (n, 3), (n, 4) or (n, 4, 4), of float32 or unsigned integers;
-                matrices as mathematics writes them.
+                matrices row by row.
             use: :data:`VERTICES` or :data:`TRIANGLES`.
-            normalized: integers stand for [0, 1].
+            normalized: integers represent [0, 1].
         """
         kind = _KINDS[array.shape[1:]]
         accessor = {
@@ -67,7 +67,7 @@ class Glb:
         return len(self.description["accessors"]) - 1
 
     def save(self, path: Path) -> None:
-        """Write the file; an older one is replaced once the new one is whole."""
+        """Write the file, atomically."""
         described = self.description | {"buffers": [{"byteLength": len(self._binary)}]}
         text = json.dumps(described, separators=(",", ":")).encode()
         text += b" " * (-len(text) % 4)

@@ -1,15 +1,15 @@
-"""The avatar's surface in glTF 2.0, for programs that know meshes and no Gaussians.
+"""Export of an avatar's surface to glTF 2.0, for programs that know meshes but no Gaussians.
 
-The surface of the rest body hangs on 55 nodes, one a joint, with
+The surface of the rest body hangs on 55 nodes, one per joint, with
 
-    1. node j      at J_j - J_parent(j) of its parent, unturned at rest     J: joints at rest
+    1. node j      at J_j - J_parent(j) of its parent, unrotated at rest     J: joints at rest
     2. inverse bind matrix of j = translation by -J_j
     3. x' = Σ_j w_j global_j inverse_bind_j x      so that global_j inverse_bind_j = T_world_rest[j]
 
-of :mod:`gva_mi.body.kinematics`. A motion turns the nodes, and moves the first one too. What glTF
-has no word for is left out: blend shapes of bent joints and of the face, and of a vertex's skinning
-weights all but the four strongest. Vertices take their colours from the Gaussians around them, as
-they are lit in the rest pose, and are shown as they are, without a lamp of the viewer.
+of :mod:`gva_mi.body.kinematics`. A motion turns the nodes, and moves the first one too. glTF cannot
+express the blend shapes of bent joints, so they are left out with those of the face, and so are all
+but the four largest skinning weights of a vertex. Vertices take their colours from the Gaussians
+around them, lit in the rest pose, and are shown unlit.
 """
 
 from __future__ import annotations
@@ -21,24 +21,25 @@ import roma
 import torch
 from torch import Tensor
 
-from gva_mi.avatar.avatar import Avatar, Rig
+from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.formats.glb import TRIANGLES, VERTICES, Glb
+from gva_mi.avatar.rig import Rig
 from gva_mi.body.pose import JOINTS, Pose
 from gva_mi.body.skinning import strongest
 from gva_mi.mesh.surface import vertex_normals
 from gva_mi.splat.formats.splat import plain_colors
 
-NEIGHBOURS = 8  # Gaussians that a vertex takes its colour from
-_NEAR = 0.003  # metres; nearer ones do not count for more
+NEIGHBOURS = 8  # Gaussians that colour a vertex
+_NEAR = 0.003  # metres: the smallest distance in the weights
 _UNLIT = "KHR_materials_unlit"
 
 
 @torch.no_grad()
 def save_gltf(path: Path, avatar: Avatar, motion: Pose | None = None, fps: float = 30) -> None:
-    """Write the surface with its skeleton, skin and colours, and a motion where one is given.
+    """Write the surface with skeleton, skin and colours, and optionally a motion, atomically.
 
     Args:
-        path: of the .glb; an older one is replaced once the new one is whole.
+        path: of the .glb.
         avatar: the avatar.
         motion: T frames.
         fps: frames a second of the motion.
@@ -74,7 +75,7 @@ def save_gltf(path: Path, avatar: Avatar, motion: Pose | None = None, fps: float
 
 
 def _skeleton(rig: Rig) -> list[dict]:
-    """The nodes of the joints (eq. 1)."""
+    """Describe the nodes of the joints (eq. 1)."""
     joints, nodes = rig.joints.double().numpy(), []
     for j, (name, parent) in enumerate(zip(JOINTS, rig.parents, strict=True)):
         away = joints[j] if parent < 0 else joints[j] - joints[parent]
@@ -85,11 +86,11 @@ def _skeleton(rig: Rig) -> list[dict]:
 
 
 def _surface(file: Glb, avatar: Avatar) -> dict:
-    """The primitive of the rest surface."""
+    """Describe the primitive of the rest surface."""
     rig = avatar.rig
     kept = strongest(rig.weights, 4)
     weights, joints = kept.topk(4, dim=1)
-    joints = joints.masked_fill(weights == 0, 0)  # as the format wants of those that do not count
+    joints = joints.masked_fill(weights == 0, 0)  # required by the format
     vertices = rig.vertices.float()
     colors = _as_light(surface_colors(avatar, rig.vertices))
     opaque = np.column_stack([colors, np.ones(len(colors))])
@@ -109,9 +110,9 @@ def _surface(file: Glb, avatar: Avatar) -> dict:
 
 @torch.no_grad()
 def surface_colors(avatar: Avatar, points: Tensor) -> np.ndarray:
-    """Colours (V, 3) in [0, 1] of points (V, 3) at rest, from the Gaussians around them.
+    """Return colours (V, 3) in [0, 1] of points (V, 3) at rest, from the Gaussians around them.
 
-    Each of the nearest counts by its opacity and by one over the square of its distance.
+    The nearest ones are weighted by opacity / distance².
     """
     from scipy.spatial import cKDTree
 
@@ -129,10 +130,10 @@ def surface_colors(avatar: Avatar, points: Tensor) -> np.ndarray:
 
 
 def _animation(file: Glb, avatar: Avatar, motion: Pose, fps: float) -> dict:
-    """A motion: all joints turn, and the first one moves."""
+    """Describe a motion: all joints turn, and the first one moves."""
     times = file.add((np.arange(len(motion)) / fps).astype(np.float32))
     quats = roma.rotvec_to_unitquat(avatar.followed(motion).double()).numpy()  # xyzw, as in glTF
-    for k in range(1, len(quats)):  # q and -q are one turn: the nearer one leads there directly
+    for k in range(1, len(quats)):  # of q and -q, take the one nearer to the last
         quats[k][(quats[k] * quats[k - 1]).sum(-1) < 0] *= -1
     places = (motion.transl.double() + avatar.rig.joints[0].double()).numpy()
     moved = [(0, "translation", places)]
@@ -145,5 +146,5 @@ def _animation(file: Glb, avatar: Avatar, motion: Pose, fps: float) -> dict:
 
 
 def _as_light(colors: np.ndarray) -> np.ndarray:
-    """Colours as pictures store them (sRGB) in linear light, as glTF has them at vertices."""
+    """Convert colours from sRGB to linear light, which glTF expects at vertices."""
     return np.where(colors <= 0.04045, colors / 12.92, ((colors + 0.055) / 1.055) ** 2.4)

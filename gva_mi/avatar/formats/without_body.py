@@ -1,13 +1,13 @@
-"""An avatar that can be given away: without what its file holds of a licensed body.
+"""An avatar file without the licensed body model, which may be given away.
 
-An avatar's file has the rest body in it: vertices, faces, skinning weights, joints, and the
-directions of its blend shapes. Here they are left out, and read from a body file that the reader
-has too. What stays is the person's own:
+A normal avatar file contains the rest body: vertices, faces, skinning weights, joints, and the
+directions of its blend shapes. This format leaves them out and reads them from the reader's own
+body file. It keeps what is the person's own:
 
-* the Gaussians: parameters, and each one's skinning weights;
-* ``beneath`` and ``shares``, (N, k): which of the body's vertices a Gaussian takes its blend
-  shapes from, and how much of each;
-* ``offsets`` (V, 3): how far clothes lie from the body, metres; and ``betas``;
+* the Gaussians: parameters, and their skinning weights;
+* ``beneath`` and ``shares``, (N, k): the body's vertices that a Gaussian takes its blend shapes
+  from, and their shares;
+* ``offsets`` (V, 3): distance of the clothes from the body, metres; and ``betas``;
 * the name of the body, and a fingerprint of all its numbers.
 """
 
@@ -21,8 +21,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from gva_mi.avatar.avatar import FORMAT, RIG, SKIN_ARRAYS, Avatar, Rig, digest
-from gva_mi.avatar.skin import mean_directions
+from gva_mi.avatar.avatar import FORMAT, SKIN_ARRAYS, Avatar
+from gva_mi.avatar.rig import RIG, Rig, digest
+from gva_mi.avatar.skin_weights import mean_directions
 from gva_mi.body.pose import Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.errors import InputError, expecting
@@ -30,11 +31,11 @@ from gva_mi.core.files import write_arrays
 
 WITHOUT_BODY = "gva_mi avatar without its body, version 1"
 DIRECTIONS = "canonical.directions"  # of the Gaussians' blend shapes: means of the body's
-_OF_BODY = ("rest_", "skin_")  # what names of the body's own numbers begin with
+_OF_BODY = ("rest_", "skin_")  # prefixes of the body's own numbers
 
 
 def fingerprint(body: BodyModel) -> str:
-    """A hash of all numbers of a body model."""
+    """Return a hash of all numbers of a body model."""
     found = hashlib.sha256()
     for name, value in sorted(body.named_buffers()):
         found.update(f"{name} {tuple(value.shape)}".encode())
@@ -43,11 +44,7 @@ def fingerprint(body: BodyModel) -> str:
 
 
 def require_body_of(avatar: Avatar, body: BodyModel, name: str) -> None:
-    """Check that an avatar was made with a body.
-
-    Raises:
-        InputError: it was another.
-    """
+    """Raise an InputError unless an avatar was made with this body."""
     rig = avatar.rig
     same = rig.body == digest(body) and torch.equal(rig.weights, body.weights)
     if not (same and torch.equal(rig.pose_features, body.pose_features)):
@@ -58,13 +55,13 @@ def require_body_of(avatar: Avatar, body: BodyModel, name: str) -> None:
 
 
 def save_without_body(path: Path, avatar: Avatar, body: BodyModel, name: str) -> None:
-    """Write an avatar without its body.
+    """Write an avatar without its body, atomically.
 
     Args:
-        path: of the .npz; an older one is replaced once the new one is whole.
-        avatar: whose blend shapes are looked up anew, where Gaussians moved since they last were.
+        path: of the .npz.
+        avatar: the avatar; blend shapes are taken from the skin around its Gaussians.
         body: the body model that it was made with.
-        name: of the body, for whoever looks for its file.
+        name: of the body, so that readers can find its file.
 
     Raises:
         InputError: it was made with another body.
@@ -93,7 +90,7 @@ def save_without_body(path: Path, avatar: Avatar, body: BodyModel, name: str) ->
 
 
 def with_body(path: Path, arrays: dict[str, np.ndarray], body: BodyModel, name: str) -> Avatar:
-    """The avatar of a file without a body. Its outer skin is the body's own, displaced.
+    """Restore the avatar of a file without a body; its outer skin is the displaced body.
 
     Args:
         path: of the file, for errors.

@@ -7,8 +7,8 @@ import pytest
 import torch
 from scipy.spatial import cKDTree
 
-from gva_mi.avatar import skin
-from gva_mi.avatar.skin import CLOSE, Skin, diffused
+from gva_mi.avatar import skin_weights
+from gva_mi.avatar.skin_weights import CLOSE, Skin, diffused
 from gva_mi.body import JOINTS, Pose, Shape, joint_transforms, load_body
 from gva_mi.body.skinning import skin_points
 from gva_mi.synthetic.clothes.dressing import dress
@@ -54,7 +54,7 @@ def test_bare_skin_keeps_the_weights_of_the_body(body):
     own, tight = still(body.v_template, body.weights), torch.full((642,), 0.9 * CLOSE)
     skin = diffused(body.v_template.double().numpy(), body.faces.numpy(), own, tight)
     assert torch.equal(skin.weights, body.weights)
-    torch.testing.assert_close(skin.at(body.v_template).weights.sum(1), torch.ones(642))
+    torch.testing.assert_close(skin.bind(body.v_template).weights.sum(1), torch.ones(642))
 
 
 def test_a_sheet_between_two_legs_goes_over_from_one_to_the_other():
@@ -74,7 +74,7 @@ def test_weights_are_shares(body):
     out = 1.15 * body.v_template.double().numpy()
     own = still(body.v_template, body.weights)
     skin = diffused(out, body.faces.numpy(), own, torch.zeros(642))
-    found = skin.at(1.1 * body.v_template).weights
+    found = skin.bind(1.1 * body.v_template).weights
     for weights in (skin.weights, found):
         assert weights.min() > -1e-6
         torch.testing.assert_close(weights.sum(1), torch.ones(642))
@@ -93,7 +93,7 @@ def test_weights_do_not_jump_between_vertices():
     skin = diffused(vertices, faces, legs(), torch.zeros(80))
     x = torch.linspace(-0.15, 0.15, 3001)
     points = torch.stack([x, torch.full_like(x, 0.123), torch.full_like(x, 0.004)], dim=1)
-    along = skin.at(points).weights
+    along = skin.bind(points).weights
     assert (along[1:, LEFT] - along[:-1, LEFT]).abs().max() < 2e-3  # 0.1 mm apart
     assert 0.4 < along[1500, LEFT] < 0.6
 
@@ -101,7 +101,7 @@ def test_weights_do_not_jump_between_vertices():
 def test_vertices_have_their_own_weights():
     vertices, faces = sheet()
     skin = diffused(vertices, faces, legs(), torch.zeros(80))
-    torch.testing.assert_close(skin.at(skin.vertices).weights, skin.weights)
+    torch.testing.assert_close(skin.bind(skin.vertices).weights, skin.weights)
 
 
 def test_a_face_moves_what_lies_on_it(body):
@@ -113,7 +113,7 @@ def test_a_face_moves_what_lies_on_it(body):
     out = diffused(
         1.01 * body.v_template.double().numpy(), body.faces.numpy(), own, torch.zeros(642)
     )
-    found = out.at(1.01 * body.v_template).directions
+    found = out.bind(1.01 * body.v_template).directions
     torch.testing.assert_close(found, directions)
 
 
@@ -124,7 +124,7 @@ def test_slopes_are_those_of_linear_weights_along_a_sheet_and_nothing_across():
     wanted[:, RIGHT] = -wanted[:, LEFT]
     weights[:, LEFT] = 0.5 + vertices @ wanted[:, LEFT]
     weights[:, RIGHT] = 1 - weights[:, LEFT]
-    slopes = still(vertices, weights).at(vertices).slopes
+    slopes = still(vertices, weights).bind(vertices).slopes
     # What keeps eq. 3 from making anything up across shortens it a little along, too.
     torch.testing.assert_close(slopes, wanted.expand_as(slopes), rtol=0.05, atol=0.02)
     assert (slopes[:, 2] == 0).all()
@@ -133,7 +133,7 @@ def test_slopes_are_those_of_linear_weights_along_a_sheet_and_nothing_across():
 
 def test_no_points_have_no_weights(body):
     skin = Skin(body.v_template, body.weights, torch.arange(642), torch.zeros(642, 3, 4))
-    found = skin.at(torch.zeros(0, 3))
+    found = skin.bind(torch.zeros(0, 3))
     weights, directions = found.weights, found.directions
     assert found.slopes.shape == (0, 3, 55)
     assert weights.shape == (0, 55) and directions.shape == (0, 3, 4)
@@ -192,7 +192,7 @@ def test_loose_cloth_stays_whole(wardrobe, puppet, name, material, actions, most
     nearest = of_nearest(x, own)
     for action in actions:
         torn = stretches(mesh, nearest, action, puppet, rest)
-        whole = stretches(mesh, skin.at(x).weights, action, puppet, rest)
+        whole = stretches(mesh, skin.bind(x).weights, action, puppet, rest)
         assert torn.max() > most > whole.max(), (action, torn.max(), whole.max())
         assert whole.quantile(0.999) < torn.quantile(0.999)
 
@@ -200,7 +200,7 @@ def test_loose_cloth_stays_whole(wardrobe, puppet, name, material, actions, most
 def test_an_inverse_by_cofactors_is_one_also_of_what_is_nearly_flat():
     X = np.random.default_rng(0).normal(size=(200, 16, 3)) * [1, 0.3, 1e-3]
     A = np.einsum("nki,nkj->nij", X, X)
-    A += skin.FLAT * np.trace(A, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+    A += skin_weights.FLAT * np.trace(A, axis1=1, axis2=2)[:, None, None] * np.eye(3)
     np.testing.assert_allclose(
-        skin._inverse(A) @ A, np.broadcast_to(np.eye(3), A.shape), atol=1e-12
+        skin_weights._inverse(A) @ A, np.broadcast_to(np.eye(3), A.shape), atol=1e-12
     )

@@ -1,17 +1,16 @@
-"""The closed surface around a person's Gaussians: balls grown together, and shrunk again.
+"""A closed surface around a person's Gaussians: an offset surface, shrunk back.
 
-Around every point lies a ball of radius α. Where points are less than 2 α apart the balls grow
-together, across holes and along seams; outside, they bound
+Around every point lies a ball of radius α. Balls of points less than 2 α apart overlap, across
+holes and along seams; the outer boundary of their union is
 
     1. S_α = {x : d(x) = α},   d(x) the distance from the nearest point
 
-which is smoothed, and brought back by α along its normals. What is closer than 2 α to itself, such
-as thighs, is closed as by an alpha shape; unlike one, S_α is always watertight. So is the paper's
+which is smoothed and moved back by α along its normals. What is closer than 2 α to itself, such as
+thighs, is closed as by an alpha shape; unlike one, S_α is always watertight, like the paper's
 "spherical shell" around the outermost Gaussians.
 
-d is exact, and known on a grid with cells of α as far as S_α can pass: ``marching_cubes`` finds S_α
-to a fraction of a millimetre. The rest body, shrunk, lends its points, so that no hole lets S_α
-inside.
+d is exact on a grid with cells of α, as far as S_α can pass; ``marching_cubes`` finds S_α to a
+fraction of a millimetre. Points of the shrunk rest body are added, so that no hole lets S_α inside.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ import torch
 from gva_mi.mesh.surface import vertex_normals
 
 REACH = 3  # cells around a point in which S_α, and the far corners of its cells, can lie
-LONE = 10  # a part of the person has at least so many times the surface of one ball
+LONE = 10  # smallest piece of the person, in surfaces of one ball
 
 
 @dataclass(frozen=True)
@@ -35,20 +34,20 @@ class SurfaceMesh:
     faces: np.ndarray  # (F, 3) int64, counter-clockwise seen from outside
 
     def areas(self) -> np.ndarray:
-        """Of its faces, (F,) m²."""
+        """Return the areas of the faces, (F,) m²."""
         return np.linalg.norm(self._crosses(), axis=1) / 2
 
     def normals(self) -> np.ndarray:
-        """Of its vertices, (V, 3), of length one."""
+        """Return the unit normals of the vertices, (V, 3)."""
         x, f = torch.from_numpy(self.vertices), torch.from_numpy(self.faces)
         return vertex_normals(x, f).numpy()
 
     def volumes(self) -> np.ndarray:
-        """What each face adds to the volume inside, (F,) m³."""
+        """Return what each face adds to the volume inside, (F,) m³."""
         return (self._crosses() * self.vertices[self.faces[:, 0]]).sum(1) / 6
 
     def part(self, kept: np.ndarray) -> SurfaceMesh:
-        """Some of the faces (F,) bool, and the vertices that they use."""
+        """Keep some of the faces (F,) bool, and the vertices that they use."""
         used, renumbered = np.unique(self.faces[kept], return_inverse=True)
         return SurfaceMesh(self.vertices[used], renumbered.reshape(-1, 3))
 
@@ -57,19 +56,23 @@ class SurfaceMesh:
         return np.cross(b - a, c - a)
 
 
-def envelope(points: np.ndarray, inner: SurfaceMesh, alpha: float, smoothing: int) -> SurfaceMesh:
-    """A closed, smooth surface around points and a surface inside them.
+def offset_surface(
+    points: np.ndarray, inner: SurfaceMesh, alpha: float, smoothing: int
+) -> SurfaceMesh:
+    """Wrap points, and a surface inside them, in a closed and smooth surface.
 
     Args:
         points: (N, 3) metres.
-        inner: what it does not sink beneath.
+        inner: the surface it does not sink beneath.
         alpha: α, metres.
         smoothing: steps of Taubin's filter.
     """
     import pymeshlab
 
     between = inner.vertices[inner.faces].mean(1)
-    shell = _person(_grown(np.vstack([points, inner.vertices, between]), alpha), alpha)
+    shell = _large_pieces(
+        _union_of_balls(np.vstack([points, inner.vertices, between]), alpha), alpha
+    )
     if smoothing:
         meshes = pymeshlab.MeshSet()
         meshes.add_mesh(pymeshlab.Mesh(shell.vertices, shell.faces))
@@ -78,8 +81,8 @@ def envelope(points: np.ndarray, inner: SurfaceMesh, alpha: float, smoothing: in
     return SurfaceMesh(shell.vertices - alpha * shell.normals(), shell.faces)
 
 
-def _grown(points: np.ndarray, alpha: float) -> SurfaceMesh:
-    """S_α of points (N, 3)."""
+def _union_of_balls(points: np.ndarray, alpha: float) -> SurfaceMesh:
+    """Return S_α of points (N, 3)."""
     from scipy.ndimage import maximum_filter1d
     from scipy.spatial import cKDTree
     from skimage.measure import marching_cubes
@@ -98,8 +101,8 @@ def _grown(points: np.ndarray, alpha: float) -> SurfaceMesh:
     return SurfaceMesh(vertices.astype(float) * alpha + low, faces.astype(np.int64))
 
 
-def _person(surface: SurfaceMesh, alpha: float) -> SurfaceMesh:
-    """Its pieces without those around few points, and without those that face inwards."""
+def _large_pieces(surface: SurfaceMesh, alpha: float) -> SurfaceMesh:
+    """Drop the pieces around few points, and those that face inwards."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

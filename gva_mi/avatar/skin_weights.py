@@ -1,30 +1,28 @@
-"""The outer skin: what clothes, hair and face of a person follow.
+"""Skinning weights of the outer skin: what clothes, hair and face of a person follow.
 
-A point that lies on the body follows the vertex beneath it. A point of a wide skirt or of a hem has
-no vertex beneath it, and those nearest to it belong now to one leg and now to the other: taken from
-the nearest vertex its weights jump, and in a wide step the cloth is torn there. So on the outer
-surface S of the person, which knows what hangs together, they are spread the farther the looser:
+A point on the body follows the vertex beneath it. A point of a wide skirt has no vertex beneath it,
+and the nearest ones belong sometimes to one leg and sometimes to the other: weights of the nearest
+vertex jump, and a wide step tears the cloth there. So weights are diffused on the outer surface S
+of the person, which knows what hangs together, and the more the looser the cloth:
 
     1. ℓ(x) = SPREAD · d(x), d the distance from the bare skin;  0 where d is below CLOSE
     2. W - ℓ² Δ_S W = W_near
 
 with W_near the weights of the body's nearest vertex. Eq. 2 is one implicit step of diffusion: W
-lies between the values of W_near around x, stays positive, and sums to one. Weights are smoothed
-where they cannot be trusted, as Abdrashitov et al. fill them in ("Robust Skin Weights Transfer via
-Weight Inpainting", 2023). Filled in from what lies close alone, a hem would hang from the waist
-and not follow the thighs.
+lies between the values of W_near around x, stays positive, and sums to one. Abdrashitov et al. fill
+in weights where they cannot be trusted ("Robust Skin Weights Transfer via Weight Inpainting",
+2023); a hem filled in from close points alone would hang from the waist and not follow the thighs.
 
-A body has blend shapes besides: it bulges where joints bend, and its face moves with the
-expression. Every point of S takes those of the body's vertex that is nearest to it.
+Blend shapes, which make joints bulge and the face move, are those of the body's nearest vertex.
 
-Gaussians look both up from the vertices of S around them, by Shepard's interpolation: it
-is continuous, and exact at the vertices. So they can be looked up anew as Gaussians move. How
-weights change from place to place, by which cloth is stretched, is told by a plane through those of
-some more vertices, of the least squares:
+Gaussians take both from the vertices of S around them by Shepard's interpolation, which is
+continuous and exact at the vertices, so they can be bound again as they move. The slopes of
+weights, by which cloth stretches, are those of a plane fitted by least squares to some more
+vertices:
 
     3. ∂W/∂x = (XᵀX + ε I)⁻¹ Xᵀ W,    X the vertices around, without their mean;  ε = FLAT tr XᵀX
 
-Where they lie in a plane, nothing is known across it, and nothing is made up.
+Where the vertices lie in a plane, the slope across it is zero.
 """
 
 from __future__ import annotations
@@ -41,7 +39,7 @@ from gva_mi.body.skinning import strongest
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-CLOSE = 0.02  # metres off the bare skin; what lies closer follows the vertex beneath it
+CLOSE = 0.02  # metres off the bare skin: closer points follow the vertex beneath
 SPREAD = 0.5  # of eq. 1; with twice as much a skirt lags behind the legs
 NEIGHBOURS = 6  # vertices that a point takes its weights from
 JOINTS = 8  # of a point; where legs and trunk share a hem there are more than the 4 of Eq. 5
@@ -51,49 +49,45 @@ FLAT = 0.005  # of eq. 3; a surface this thin has no slope across
 
 
 @dataclass(frozen=True)
-class Carriers:
-    """What moves some points."""
+class Binding:
+    """Skinning weights and blend shapes of some points."""
 
     weights: Tensor  # (N, 55) skinning weights of the strongest joints, rows sum to 1
     slopes: Tensor  # (N, 3, 55) their derivatives along x, y, z, 1/m; rows sum to 0
     directions: Tensor  # (N, 3, K) metres by which blend shapes move them
 
     def named(self) -> dict[str, Tensor]:
-        """The three by name."""
+        """Return the three by name."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
 
 @dataclass(frozen=True)
 class Skin:
-    """A surface with what moves it, at rest."""
+    """A surface at rest with its skinning weights and blend shapes."""
 
     vertices: Tensor  # (V, 3) metres
     weights: Tensor  # (V, 55) skinning weights, rows sum to 1
     beneath: Tensor  # (V,) int64, the nearest vertex of the body
     directions: Tensor  # (vertices of the body, 3, K) metres by which blend shapes move those
 
-    def at(self, points: Tensor) -> Carriers:
-        """What moves points (N, 3).
+    def bind(self, points: Tensor) -> Binding:
+        """Interpolate what moves points (N, 3).
 
         Note:
-            Not differentiable: the pictures decide where a Gaussian lies, and not the slope of
-            what is looked up.
+            Not differentiable: the pictures decide where a Gaussian lies, not the slope of its
+            weights.
         """
         if not len(points):
-            return Carriers(
-                self.weights[:0],
-                self.weights.new_zeros(0, 3, self.weights.shape[1]),
-                self.directions[:0],
-            )
+            slopes = self.weights.new_zeros(0, 3, self.weights.shape[1])
+            return Binding(self.weights[:0], slopes, self.directions[:0])
         distance, nearest = self._nearest(points, PLANE)
         share, few = self._shares(distance, nearest)
         weights = _means(share, few, self.weights)
         blend_shapes = mean_directions(share, self.beneath[few], self.directions)
-        return Carriers(strongest(weights, JOINTS), self._slopes(nearest), blend_shapes)
+        return Binding(strongest(weights, JOINTS), self._slopes(nearest), blend_shapes)
 
     def _slopes(self, nearest: np.ndarray) -> Tensor:
-        """Eq. 3 of N points by the vertices nearest to them (N, k): (N, 3, 55) 1/m, of the joints
-        with the largest."""
+        """Return slopes (N, 3, 55) 1/m by eq. 3, from the nearest vertices (N, k) of each point."""
         from scipy.sparse import csr_array
 
         vertices, weights = self.vertices.double().numpy(), self.weights.double().numpy()
@@ -108,10 +102,10 @@ class Skin:
         return _largest(torch.from_numpy(planes @ weights).unflatten(0, (-1, 3)), self.weights)
 
     def around(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """The vertices around points (N, 3), of which there is at least one.
+        """Return the vertices around points (N, 3), N > 0, and their shares.
 
-        Each of the nearest vertices counts by ((r - d) / (r d))², d its distance and r that of the
-        first one that does not count: nothing jumps where another vertex comes near.
+        Each of the nearest vertices has weight ((r - d) / (r d))², with d its distance and r that
+        of the first one left out: nothing jumps where another vertex comes near.
 
         Returns:
             Shares (N, k), whose rows sum to 1, and the vertices' numbers (N, k) int64.
@@ -119,7 +113,7 @@ class Skin:
         return self._shares(*self._nearest(points, NEIGHBOURS + 1))
 
     def _nearest(self, points: Tensor, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Distances and numbers (N, k) of the vertices nearest to points, up to so many."""
+        """Return distances and numbers (N, k) of up to ``count`` vertices nearest to points."""
         from scipy.spatial import cKDTree
 
         x, tree = points.detach().double().numpy(), cKDTree(self.vertices.double().numpy())
@@ -127,7 +121,7 @@ class Skin:
         return tuple(part.reshape(len(x), -1) for part in found)
 
     def _shares(self, distance: np.ndarray, nearest: np.ndarray) -> tuple[Tensor, Tensor]:
-        """What :meth:`around` returns, of points that know at least those vertices."""
+        """Return what :meth:`around` does, from at least those vertices."""
         distance, nearest = (x[:, : NEIGHBOURS + 1] for x in (distance, nearest))
         d = np.maximum(distance, 1e-9)
         share = np.square(1 / d - 1 / d[:, -1:])
@@ -137,14 +131,14 @@ class Skin:
 
 
 def _inverse(A: np.ndarray) -> np.ndarray:
-    """Of matrices (N, 3, 3), by cofactors: the bits of BLAS and LAPACK go by the processor."""
+    """Invert matrices (N, 3, 3) by cofactors: bits of LAPACK depend on the processor."""
     a, b, c = A[:, 0], A[:, 1], A[:, 2]
     columns = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=2)
     return columns / (a * columns[:, :, 0]).sum(1)[:, None, None]
 
 
 def _largest(slopes: Tensor, like: Tensor) -> Tensor:
-    """Slopes (N, 3, J) of the joints with the largest, whose sum is zero again, as ``like``."""
+    """Keep the joints with the largest slopes (N, 3, J), make their sum zero, typed as ``like``."""
     found = slopes.abs().amax(1).topk(min(JOINTS, slopes.shape[2]), dim=1)
     chosen = found.indices[:, None].expand(-1, 3, -1)
     steep = (found.values > STEEP)[:, None].to(slopes)
@@ -154,7 +148,7 @@ def _largest(slopes: Tensor, like: Tensor) -> Tensor:
 
 
 def mean_directions(share: Tensor, vertices: Tensor, directions: Tensor) -> Tensor:
-    """Means (N, 3, K) of what moves the body's vertices (N, k), by their shares (N, k).
+    """Average blend shapes of the body's vertices (N, k) by their shares (N, k), to (N, 3, K).
 
     Args:
         share: rows sum to 1.
@@ -165,7 +159,7 @@ def mean_directions(share: Tensor, vertices: Tensor, directions: Tensor) -> Tens
 
 
 def _means(share: Tensor, rows: Tensor, of: Tensor) -> Tensor:
-    """Means (N, K) of rows (N, k) of a matrix (V, K), by their shares (N, k)."""
+    """Average rows (N, k) of a matrix (V, K) by their shares (N, k), to (N, K)."""
     from scipy.sparse import csr_array
 
     N, k = share.shape
@@ -175,13 +169,13 @@ def _means(share: Tensor, rows: Tensor, of: Tensor) -> Tensor:
 
 
 def diffused(vertices: np.ndarray, faces: np.ndarray, body: Skin, looseness: Tensor) -> Skin:
-    """The skin of an outer surface (eq. 2).
+    """Make the skin of an outer surface by diffusing the body's weights on it (eq. 2).
 
     Args:
         vertices: (V, 3) of the outer surface at rest, metres.
         faces: (F, 3) its triangles.
         body: the rest body's surface, which clothes may have displaced.
-        looseness: (vertices of the body,) metres by which they did.
+        looseness: (vertices of the body,) metres by which clothes displaced it.
     """
     from scipy.sparse import diags_array
     from scipy.sparse.linalg import splu
@@ -203,10 +197,10 @@ def diffused(vertices: np.ndarray, faces: np.ndarray, body: Skin, looseness: Ten
 
 
 def _laplacian(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, csr_array]:
-    """Areas of vertices (V,) m², and the Laplacian of linear elements (V, V).
+    """Return areas of vertices (V,) m², and the Laplacian of linear elements (V, V).
 
-    Cotangents of obtuse angles are cut off at a little more than zero, without which weights could
-    leave the range of their neighbours.
+    Cotangents of obtuse angles are clipped above zero; otherwise weights could leave the range of
+    their neighbours.
     """
     from scipy.sparse import coo_array, diags_array
 

@@ -1,4 +1,4 @@
-"""What every avatar's numbers must be, whatever file they come from: finite, and of one body."""
+"""Validation of an avatar's numbers, whatever file they come from: finite, and of one body."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from torch import Tensor
 
 from gva_mi.body.pose import JOINTS
 
-SUM = 0.01  # by which a vertex's skinning weights may miss 1, and by which one may be below 0
+SUM = 0.01  # by which a vertex's skinning weights may miss 1, and one weight may be below 0
 
 
-def require_sound(state: Mapping[str, Tensor], parents: Sequence[int]) -> None:
-    """Refuse what would end in pictures of nothing, or in the middle of the work.
+def require_valid(state: Mapping[str, Tensor], parents: Sequence[int]) -> None:
+    """Refuse numbers that would fail later, or draw nothing.
 
     Args:
-        state: the avatar's tensors by name: gva_mi.avatar.avatar.Avatar.record.
+        state: the avatar's tensors by name, as in Avatar.record.
         parents: of the joints, -1 for the root.
 
     Raises:
-        ValueError: the first thing that is wrong, by name.
+        ValueError: names the first thing that is wrong.
     """
     for name, x in state.items():
         if x.is_floating_point() and not x.isfinite().all():
@@ -48,9 +48,6 @@ def require_sound(state: Mapping[str, Tensor], parents: Sequence[int]) -> None:
     weights = state["rest_weights"]
     if weights.min() < -SUM or ((weights.sum(1) - 1).abs() > SUM).any():
         raise ValueError("'rest_weights' must be shares that sum to 1 for each vertex")
-    if (
-        len(parents) != J
-        or parents[0] != -1
-        or any(type(p) is not int or not 0 <= p < k for k, p in enumerate(parents[1:], 1))
-    ):
-        raise ValueError("'parents' must be -1 for the root, and else a joint before the own one")
+    before = all(type(p) is int and 0 <= p < k for k, p in enumerate(parents[1:], 1))
+    if len(parents) != J or parents[0] != -1 or not before:
+        raise ValueError("'parents' must be -1 for the root, and an earlier joint for the others")

@@ -3,7 +3,7 @@
 import numpy as np
 import trimesh
 
-from gva_mi.avatar.envelope import SurfaceMesh, envelope
+from gva_mi.avatar.offset_surface import SurfaceMesh, offset_surface
 
 ALPHA = 0.03
 
@@ -23,7 +23,7 @@ def mesh_of(surface):
 
 
 def test_a_ball_comes_back_as_large_as_it_was():
-    mesh = mesh_of(envelope(ball(0.3), inner(0.25), ALPHA, 10))
+    mesh = mesh_of(offset_surface(ball(0.3), inner(0.25), ALPHA, 10))
     assert mesh.is_watertight and mesh.is_winding_consistent and mesh.body_count == 1
     away = np.linalg.norm(mesh.vertices, axis=1) - 0.3
     assert abs(np.median(away)) < 0.002 and np.abs(away).max() < 0.008
@@ -32,7 +32,7 @@ def test_a_ball_comes_back_as_large_as_it_was():
 def test_a_hole_is_closed_by_what_is_inside():
     points = ball(0.3)
     points = points[points[:, 2] < 0.2]  # a third of the height is open
-    mesh = mesh_of(envelope(points, inner(0.27), ALPHA, 10))
+    mesh = mesh_of(offset_surface(points, inner(0.27), ALPHA, 10))
     assert mesh.is_watertight and mesh.volume > 4 / 3 * np.pi * 0.26**3
 
 
@@ -40,12 +40,12 @@ def test_a_gap_narrower_than_twice_alpha_is_bridged_and_a_wider_one_is_not():
     small = 0.1
     for gap, pieces in ((0.7 * 2 * ALPHA, 1), (1.4 * 2 * ALPHA, 2)):
         points = np.vstack([ball(0.3), ball(small, (0.3 + small + gap, 0, 0))])
-        assert mesh_of(envelope(points, inner(0.25), ALPHA, 0)).body_count == pieces
+        assert mesh_of(offset_surface(points, inner(0.25), ALPHA, 0)).body_count == pieces
 
 
 def test_few_points_apart_from_all_others_are_left_out():
     points = np.vstack([ball(0.3), ball(0.005, (0.6, 0, 0), 20)])
-    mesh = mesh_of(envelope(points, inner(0.25), ALPHA, 10))
+    mesh = mesh_of(offset_surface(points, inner(0.25), ALPHA, 10))
     assert mesh.body_count == 1 and np.linalg.norm(mesh.vertices, axis=1).max() < 0.31
 
 
@@ -54,7 +54,7 @@ def test_a_thin_plate_beside_the_body_is_kept_with_both_its_sides():
     random = np.random.default_rng(0)
     plate = np.stack([random.uniform(0.28, 0.5, 3000), random.uniform(-0.1, 0.1, 3000)], 1)
     plate = np.column_stack([plate, np.zeros(3000)])
-    mesh = mesh_of(envelope(np.vstack([ball(0.3), plate]), inner(0.25), ALPHA, 4))
+    mesh = mesh_of(offset_surface(np.vstack([ball(0.3), plate]), inner(0.25), ALPHA, 4))
     outside = mesh.vertices[mesh.vertices[:, 0] > 0.36]
     assert np.percentile(np.abs(outside[:, 2]), 95) < 0.008
     normals = mesh.vertex_normals[mesh.vertices[:, 0] > 0.36]
@@ -64,5 +64,5 @@ def test_a_thin_plate_beside_the_body_is_kept_with_both_its_sides():
 
 def test_the_same_points_give_the_same_bits():
     points = ball(0.3)
-    once, again = (envelope(points, inner(0.25), ALPHA, 10) for _ in range(2))
+    once, again = (offset_surface(points, inner(0.25), ALPHA, 10) for _ in range(2))
     assert np.array_equal(once.vertices, again.vertices) and np.array_equal(once.faces, again.faces)

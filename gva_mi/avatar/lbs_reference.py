@@ -1,0 +1,63 @@
+"""Reference implementation of skinned Gaussians, in plain torch.
+
+It follows the equations of :mod:`gva_mi.avatar.lbs_transforms`, :mod:`gva_mi.avatar.stretch` and
+:mod:`gva_mi.avatar.lighting`. The fused kernel is checked against it and takes its tangents from
+it, and avatars that do not stretch (Eq. 6 of the paper) use its transforms and colours.
+"""
+
+from __future__ import annotations
+
+import roma
+import torch
+from torch import Tensor
+
+from gva_mi.avatar.lbs_transforms import SparseWeights
+from gva_mi.avatar.stretch import LARGEST
+
+
+def lbs_transforms(weights: SparseWeights, T: Tensor, means: Tensor) -> tuple[Tensor, Tensor]:
+    """Return A (N, 12) and E (N, 9), row by row, in the precision of the means.
+
+    Args:
+        weights: of N Gaussians.
+        T: (J, 12) float64, the joints' transforms row by row.
+        means: (N, 3) metres, at rest.
+    """
+    N, pairs, T = len(means), weights.gaussians, T.view(-1, 3, 4)[weights.joints]
+    W, dW = weights.four[:, 0].double(), weights.four[:, 1:].double()
+    x = (T[:, :, :3] * means.double()[pairs, None]).sum(2) + T[:, :, 3]
+    A = T.new_zeros(N, 12).index_add(0, pairs, W[:, None] * T.flatten(1))
+    E = T.new_zeros(N, 9).index_add(0, pairs, (x[:, :, None] * dW[:, None]).flatten(1))
+    return A.to(means), E.to(means)
+
+
+def stretched(
+    A: Tensor, E: Tensor, means: Tensor, quats: Tensor, scales: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Return means (N, 3) and covariances (N, 6) of Gaussians that stretch with the skin."""
+    A, E = A.view(-1, 3, 4), E.view(-1, 3, 3)
+    beta = (1 + E.square().sum((1, 2)) / LARGEST**2).rsqrt()
+    M = roma.unitquat_to_rotmat(torch.nn.functional.normalize(quats, dim=1)[:, [1, 2, 3, 0]])
+    F = (A[:, :, :3] + beta[:, None, None] * E) @ M * scales[:, None]
+    moved = (A[:, :, :3] @ means[..., None])[..., 0] + A[:, :, 3]
+    return moved, (F @ F.mT).flatten(1)[:, [0, 1, 2, 4, 5, 8]]
+
+
+def lit(sh: Tensor, A: Tensor, light: Tensor) -> Tensor:
+    """Return colours (N, 1, 3) of constant colours and slopes (N, 1 or 4, 3) in a light (1, 3)."""
+    t = (A.view(-1, 3, 4)[:, :, :3] * light[..., None]).sum(1)
+    return sh[:, :1] + (t[:, : sh.shape[1] - 1, None] * sh[:, 1:]).sum(1, keepdim=True)
+
+
+def skinned(
+    weights: SparseWeights,
+    T: Tensor,
+    means: Tensor,
+    quats: Tensor,
+    scales: Tensor,
+    sh: Tensor,
+    light: Tensor,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Return means (N, 3), covariances (N, 6) and colours (N, 3); ``sh`` is (N, 12)."""
+    A, E = lbs_transforms(weights, T, means)
+    return *stretched(A, E, means, quats, scales), lit(sh.unflatten(1, (4, 3)), A, light)[:, 0]

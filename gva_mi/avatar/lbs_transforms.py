@@ -1,0 +1,176 @@
+"""LBS transforms of Gaussians and their spatial derivatives, as Dr.Jit kernel functions.
+
+    1. A_n  = Σ_p W_np T_p                                       Eq. 5, row by row
+    2. E_nc = Σ_p ∂W_np/∂x_c T_p [μ_n; 1]                        column c of E
+
+A Gaussian follows at most eight of the 55 joints: one lane per Gaussian walks the list of its
+joints. The adjoint, for gradients of A and E:
+
+    3. h_np     = Σ_c ∂W_np/∂x_c grad_E_nc
+    4. grad_μ_n = Σ_p T_p,rotᵀ h_np
+    5. grad_T_p = Σ_n W_np grad_A_n + h_np [μ_n; 1]ᵀ
+
+In eq. 5 one lane adds up a piece of the list of a joint's Gaussians, and the pieces are added in
+their order, so the bits do not depend on the number of threads.
+
+Weights change by up to 100/m on fingers, and joints lie metres from the origin: E is a small
+difference of large numbers, so all sums are in float64.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import numpy as np
+import torch
+from drjit import ArrayBase as Array
+from drjit.llvm import Float64, UInt32
+from torch import Tensor
+
+from gva_mi.jit.rowwise import of_rows, tensors
+from gva_mi.jit.tensors import PRECISION
+
+PIECE = 64  # Gaussians of a joint whose contributions one lane adds up
+AXES = range(3)
+ENTRIES = [(i, k) for i in AXES for k in range(4)]  # of a transform, row by row
+
+Lane = list[Any]  # numbers of one Gaussian
+
+
+@dataclass(frozen=True)
+class PairLists:
+    """Pairs of a Gaussian and a joint that it follows, as one list per lane of a kernel.
+
+    Attributes:
+        begin: (L,) start of each lane's list in the next two.
+        end: (L,) its end.
+        others: (M,) the joint of each pair if lanes are Gaussians, else its Gaussian.
+        weights: (4 M,) W and its derivatives along x, y, z, in the precision of the model.
+    """
+
+    begin: UInt32
+    end: UInt32
+    others: UInt32
+    weights: Any
+
+    @staticmethod
+    def of(begin: Tensor, end: Tensor, others: Tensor, four: Tensor) -> PairLists:
+        """Convert the lists of M pairs with weights (M, 4)."""
+        whole = lambda numbers: UInt32(numbers.numpy().astype(np.uint32))
+        weights = PRECISION[four.dtype](four.flatten().numpy())
+        return PairLists(whole(begin), whole(end), whole(others), weights)
+
+
+@dataclass(frozen=True)
+class SparseWeights:
+    """Skinning weights of N Gaussians and their derivatives without the zeros, constant.
+
+    Attributes:
+        gaussians: (M,) int64, the Gaussian of each pair.
+        joints: (M,) int64, its joint.
+        four: (M, 4) W and its derivatives along x, y, z.
+        of_gaussians: one list per Gaussian.
+        of_pieces: lists of at most ``PIECE`` Gaussians of one joint.
+        piece_joints: (P,) int64, the joint of each piece.
+    """
+
+    gaussians: Tensor
+    joints: Tensor
+    four: Tensor
+    of_gaussians: PairLists
+    of_pieces: PairLists
+    piece_joints: Tensor
+
+    @staticmethod
+    def of(weights: Tensor, slopes: Tensor) -> SparseWeights:
+        """Collect the non-zero pairs of weights (N, J) and their derivatives (N, 3, J)."""
+        all_four = torch.cat([weights[:, None], slopes], dim=1)  # (N, 4, J)
+        gaussians, joints = (all_four != 0).any(1).nonzero().unbind(1)
+        four = all_four[gaussians, :, joints]
+        each = torch.bincount(gaussians, minlength=len(weights))
+        of_gaussians = PairLists.of(each.cumsum(0) - each, each.cumsum(0), joints, four)
+
+        order = torch.argsort(joints, stable=True)
+        within = torch.bincount(joints)
+        pieces = -(-within // PIECE)
+        of_piece = torch.repeat_interleave(torch.arange(len(pieces)), pieces)
+        number = torch.arange(len(of_piece)) - (pieces.cumsum(0) - pieces)[of_piece]
+        begin = (within.cumsum(0) - within)[of_piece] + PIECE * number
+        end = torch.minimum(begin + PIECE, within.cumsum(0)[of_piece])
+        of_pieces = PairLists.of(begin, end, gaussians[order], four[order])
+        return SparseWeights(gaussians, joints, four, of_gaussians, of_pieces, of_piece)
+
+
+def _sums(pairs: PairLists, count: int, add: Callable[[UInt32, Lane], Lane]) -> Lane:
+    """Walk the list of each lane, adding to ``count`` numbers, float64."""
+    zero = dr.zeros(Float64, dr.width(pairs.begin))
+
+    def body(k: UInt32, *sums: Float64) -> tuple[Any, ...]:
+        return (k + 1, *add(k, list(sums)))
+
+    state = (UInt32(pairs.begin), *(zero * 1 for _ in range(count)))
+    inside = lambda k, *_: k < pairs.end
+    return dr.while_loop(state, inside, body, mode="symbolic", compress=False)[1:]
+
+
+def _row(numbers: Array, width: int, index: UInt32) -> Lane:
+    """Read one row of a flat array of rows, as float64."""
+    return [Float64(x) for x in of_rows(numbers, width, index)]
+
+
+def _pulled(dW: Lane, grad_E: Lane) -> Lane:
+    """h of eq. 3."""
+    return [sum(dW[c] * grad_E[3 * i + c] for c in AXES) for i in AXES]
+
+
+def forward(pairs: PairLists, T: Float64, mean: Lane) -> tuple[Lane, Lane]:
+    """Eq. 1 and 2: A and E of each Gaussian, float64."""
+    mean = [Float64(x) for x in mean]
+
+    def add(k: UInt32, sums: Lane) -> Lane:
+        W, *dW = _row(pairs.weights, 4, k)
+        T_p = _row(T, 12, dr.gather(UInt32, pairs.others, k))
+        x = [sum(T_p[4 * i + k] * mean[k] for k in AXES) + T_p[4 * i + 3] for i in AXES]
+        A = [dr.fma(W, value, a) for value, a in zip(T_p, sums[:12], strict=True)]
+        E = [dr.fma(dW[c], x[i], sums[12 + 3 * i + c]) for i in AXES for c in AXES]
+        return A + E
+
+    sums = _sums(pairs, 21, add)
+    return sums[:12], sums[12:]
+
+
+def adjoint_of_means(pairs: PairLists, T: Float64, grad_E: Lane) -> Lane:
+    """Eq. 4."""
+    grad_E = [Float64(x) for x in grad_E]
+
+    def add(k: UInt32, sums: Lane) -> Lane:
+        _, *dW = _row(pairs.weights, 4, k)
+        T_p, h = _row(T, 12, dr.gather(UInt32, pairs.others, k)), _pulled(dW, grad_E)
+        return [sum((T_p[4 * i + k] * h[i] for i in AXES), sums[k]) for k in AXES]
+
+    return _sums(pairs, 3, add)
+
+
+def adjoint_of_joints(pieces: PairLists, of: Callable[[UInt32], tuple[Lane, Lane, Lane]]) -> Lane:
+    """Eq. 5, of each piece; ``of`` returns grad_A, grad_E and μ of a Gaussian."""
+
+    def add(k: UInt32, sums: Lane) -> Lane:
+        W, *dW = _row(pieces.weights, 4, k)
+        found = of(dr.gather(UInt32, pieces.others, k))
+        grad_A, grad_E, mean = ([Float64(x) for x in some] for some in found)
+        h, one = _pulled(dW, grad_E), [*mean, 1.0]
+        return [
+            s + dr.fma(W, grad_A[4 * i + k], h[i] * one[k])
+            for s, (i, k) in zip(sums, ENTRIES, strict=True)
+        ]
+
+    return _sums(pieces, 12, add)
+
+
+def add_pieces(weights: SparseWeights, sums: Array, T: Tensor) -> Tensor:
+    """Add up the gradient of T (J, 12) from the sums of all pieces."""
+    (pieces,) = tensors([sums], len(weights.piece_joints))
+    return pieces.new_zeros(T.shape).index_add(0, weights.piece_joints, pieces).to(T)

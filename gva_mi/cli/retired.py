@@ -9,6 +9,15 @@ from gva_mi.core.errors import InputError
 # (verb, old option): the new option.
 RENAMED: dict[tuple[str, str], str] = {
     ("bench", "--calls"): "--repeats",
+    ("fit", "--finest"): "--min-scale",
+    ("fit", "--poses.nat"): "--poses.prior-weight",
+    ("fit", "--schedule.look-up-every"): "--schedule.rebind-every",
+    ("refine", "--nat"): "--prior-weight",
+    ("track", "--nat"): "--prior-weight",
+    ("study", "--fit.finest"): "--fit.min-scale",
+    ("study", "--fit.poses.nat"): "--fit.poses.prior-weight",
+    ("study", "--fit.schedule.look-up-every"): "--fit.schedule.rebind-every",
+    ("study", "--refine.nat"): "--refine.prior-weight",
     ("study", "--edition"): "--held-out-set",
     ("study", "--people"): "--subjects",
     ("study", "--families"): "--error-models",

@@ -42,19 +42,19 @@ class FaceSteps:
 
     turn: float  # of the jaw in a first step, radians
     expression: float  # of a coefficient in a first step, standard deviations
-    nat: float  # weight of their energy
+    prior_weight: float  # weight of their energy
 
     @staticmethod
-    def of(arms: Tensor, options: Steps, expression: float, nat: float) -> FaceSteps:
+    def of(arms: Tensor, options: Steps, expression: float, prior_weight: float) -> FaceSteps:
         """Take the steps of the jaw from those of the other joints.
 
         Args:
             arms: (J,) lever arms of the person's joints, metres.
             options: steps of the joints.
-            expression, nat: as in the class.
+            expression, prior_weight: as in the class.
         """
         turn = min(options.step / max(float(arms[JAW]), 1e-6), options.largest_turn)
-        return FaceSteps(turn, expression, nat)
+        return FaceSteps(turn, expression, prior_weight)
 
 
 class Face:

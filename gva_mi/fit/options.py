@@ -54,7 +54,7 @@ class Schedule:
     densify_from: Share = 0.05  # share of all steps before the first round
     densify_until: Share = 0.5  # share of all steps after which there is no round, as in 3DGS
     reinit_at: tuple[InnerShare, ...] = (0.25, 0.5)  # shares of all steps; empty: never
-    look_up_every: Every = 100  # steps between bindings to the outer skin; 0: never
+    rebind_every: Every = 100  # steps between bindings to the outer skin; 0: never
 
     def __post_init__(self) -> None:
         require_ranges("fit", self)
@@ -77,7 +77,7 @@ class Schedule:
 
     def rebinds_weights(self, step: int) -> bool:
         """Return whether Gaussians are bound to the outer skin again after a step."""
-        return self.look_up_every > 0 and step % self.look_up_every == 0
+        return self.rebind_every > 0 and step % self.rebind_every == 0
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class FitOptions:
     naked: bool = False
     random_background: bool = True  # a new colour each step teaches alpha; else white
     # Smallest standard deviation of a Gaussian, in pixels of the training frames.
-    finest: Annotated[float, Within(0, 100)] = 0.6
+    min_scale: Annotated[float, Within(0, 100)] = 0.6
     # Side of the random window of the perceptual and SSIM terms, pixels.
     window: Annotated[int, Within(11, 4096)] = 96
     # Possible error of mask outlines as a share of the person's size; there the picture is used.

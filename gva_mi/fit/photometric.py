@@ -67,7 +67,7 @@ class PhotometricOptions(DescentOptions):
     alpha: Weight = 0.5  # λα, of the avatar's outline against the mask
     ssim: Weight = 0.1  # λs, of 1 - SSIM
     learn: Learn = 3  # passes before the prior is fitted to the corrections
-    nat: PriorWeight = 0.001  # weight of the prior beside the pictures
+    prior_weight: PriorWeight = 0.001  # weight of the prior beside the pictures
     step: Metres = 0.0005  # metres that a joint moves its limb in a first step
     largest_turn: Turn = 0.03  # radians in such a step; it limits joints with short lever arms
     translation_lr: Metres = 0.0003  # metres in a step at the start
@@ -191,7 +191,7 @@ def _evidence(
     frames = sorted(seen)
     stage1 = Stage1.of(pose, frames, seen[frames[0]].camera)
     map_estimate = Face.map_estimate(stage1) if options.expression_lr > 0 else Face(stage1, [])
-    steps = FaceSteps.of(arms, options, options.expression_lr, options.nat)
+    steps = FaceSteps.of(arms, options, options.expression_lr, options.prior_weight)
     starts = [
         PictureEvidence(avatar, seen, options.weights, face, steps)
         for face in (map_estimate, map_estimate.zeroed())

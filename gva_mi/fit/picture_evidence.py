@@ -147,7 +147,7 @@ class PictureEvidence:
 
     def energy(self) -> Tensor | float:
         """Return the energy of the faces."""
-        return self._face_steps.nat * self.face.energy()
+        return self._face_steps.prior_weight * self.face.energy()
 
 
 def _to_8bit(image: np.ndarray) -> Tensor:

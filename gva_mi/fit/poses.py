@@ -57,7 +57,7 @@ class PoseOptions:
     trained: bool = True  # False: poses stay as they were given
     # Steps of the fit per step of the poses.
     every: Annotated[int, Within(1, 1_000_000)] = 8
-    nat: PriorWeight = 1e-5  # ν: weight of the prior beside Eq. 9
+    prior_weight: PriorWeight = 1e-5  # ν: weight of the prior beside Eq. 9
     # Shares of all steps after which the prior is fitted again.
     learn_at: tuple[InnerShare, ...] = (0.3, 0.5)
     step: Metres = 0.003  # metres that a joint moves its limb in a first step
@@ -139,7 +139,7 @@ class TrainedPoses:
             return
         rounds = {round(at * self._steps / options.every) for at in options.learn_at}
         for clip in self._clips:
-            clip.step(options.nat, options.decay ** (done / self._steps))
+            clip.step(options.prior_weight, options.decay ** (done / self._steps))
             if done // options.every in rounds:
                 clip.learn(options)
 
@@ -192,10 +192,10 @@ class _Clip:
         """Return poses of some frames by their places, differentiable in the corrections."""
         return self.face.corrected(self.corrections.pose(which), which)
 
-    def step(self, nat: float, factor: float) -> None:
+    def step(self, prior_weight: float, factor: float) -> None:
         if self.waiting:
             energy = self.corrections.energy() + self.face.energy()
-            (nat * self.waiting * energy).backward()
+            (prior_weight * self.waiting * energy).backward()
             self._adam.step(factor)
             self.corrections.centre()
             self.face.centre()
@@ -242,5 +242,5 @@ class _Clip:
         return [self.corrections.turns, self.corrections.moves, *(p.u for p in self.face.parts)]
 
     def _optimiser(self, options: PoseOptions) -> VectorAdam:
-        steps = FaceSteps.of(self._arms, options, options.expression_lr, options.nat)
+        steps = FaceSteps.of(self._arms, options, options.expression_lr, options.prior_weight)
         return optimiser(self.corrections, self._arms, options, shared=self.face.leaves(steps))

@@ -212,7 +212,7 @@ class Run:
 
     def clamp_scales(self) -> None:
         """Clamp the scales of the Gaussians to the resolution of the pictures."""
-        self.avatar.canonical.clamp_scales(self.options.finest * self._pixel)
+        self.avatar.canonical.clamp_scales(self.options.min_scale * self._pixel)
 
     def state(self) -> dict[str, Any]:
         """Return the whole state of the run for its checkpoint."""

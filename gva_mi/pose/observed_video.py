@@ -136,7 +136,7 @@ class ObservedVideo:
             bare = Solution(pose, shape, torch.zeros_like(compared.body.v_template))
             losses = lambda p: _losses(compared.body, evidence, options.silhouette, p, bare)
             stage1 = Stage1.of(pose, range(len(pose)), video.cameras[0])
-            pose, swapped = fix_swaps(stage1, losses, options.nat)
+            pose, swapped = fix_swaps(stage1, losses, options.prior_weight)
         seconds = time.perf_counter() - begin
         gathered = evidence, pictures, kept, held_out, swapped, seconds
         return ObservedVideo(compared, pose, shape, video.cameras, options, *gathered)

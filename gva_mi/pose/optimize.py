@@ -104,7 +104,7 @@ class DescentOptions:
 
     passes: Passes  # how often every frame is visited
     learn: Learn  # passes after which the prior is inferred from corrections
-    nat: PriorWeight  # what a nat of the prior counts, in units of L_k
+    prior_weight: PriorWeight  # weight of the prior, in units of L_k per prior_weight
     batch: Batch  # frames of a step, at most
     step: Metres  # metres that a turned joint moves what turns with it, in a step at the start
     largest_turn: Turn  # radians in such a step; it limits joints with short lever arms
@@ -163,19 +163,22 @@ def descend(
     seen = [i for i, k in enumerate(frames) if k not in set(following)]
     batches = [[seen[i] for i in batch] for batch in _batches(len(seen), options)]
     learnt = options.learn * len(batches) // options.passes
-    weight, a_pass = GUESSED * options.nat, len(batches) // options.passes
+    weight, a_pass = GUESSED * options.prior_weight, len(batches) // options.passes
     for step, batch in enumerate(batches):
         if step in (learnt, int(AGAIN * learnt)):
             if step == learnt:
                 evidence.enable_details()
-            corrections, weight = corrections.with_updated_prior(*corrections.found()), options.nat
+            corrections, weight = (
+                corrections.with_updated_prior(*corrections.found()),
+                options.prior_weight,
+            )
             adam = optimiser(corrections, arms, options, evidence.unseen, evidence.shared)
         if step >= learnt and evidence.soles is not None and step % a_pass == learnt % a_pass:
             corrections.fit_ground(evidence.soles)
         loss = evidence.loss([frames[i] for i in batch], corrections.pose(batch))
         loss = loss + weight * corrections.energy(evidence.distance_shown) + evidence.energy()
         if step < int(HELD * learnt) and not evidence.surface_known:
-            loss = loss + options.nat * corrections.constant_turn_energy()
+            loss = loss + options.prior_weight * corrections.constant_turn_energy()
         loss.backward()
         adam.step(options.decay ** (step / len(batches)))
         if progress is not None:

@@ -68,7 +68,7 @@ class SequenceOptions(DescentOptions, RefineOptions):
     passes: Passes = 32  # how often every frame is visited, more often if there are very few
     batch: Batch = 4  # frames of a step, at most
     learn: Learn = 11  # passes after which stage 1's error model is inferred
-    nat: PriorWeight = 0.015  # ν: what a nat of the prior counts beside Eq. 8's data term
+    prior_weight: PriorWeight = 0.015  # ν: weight of the prior beside Eq. 8's data term
     unswap: bool = True  # first fix legs and arms whose left and right stage 1 swapped
     cloth_smooth: Weight = 1.6e-4  # a of the displacement's energy, for one (1/m)²
     cloth_small: Weight = 10.0  # b of the displacement's energy, for one square metre

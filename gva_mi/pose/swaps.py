@@ -6,7 +6,7 @@ in depth. So swaps are searched for before any optimisation. In each frame two l
 ``s_k = 0``, or exchanged, ``s_k = 1``: each has the rotations of the other, mirrored in the plane
 that halves the body at rest. The states minimise
 
-1. ``E(s) = w Σ_k (L_k(s_k) / nat + cost(Δ_k(s_k, s_k+1))) + Σ_k (a s_k + b [s_k-1 < s_k])``
+1. ``E(s) = w Σ_k (L_k(s_k) / ν + cost(Δ_k(s_k, s_k+1))) + Σ_k (a s_k + b [s_k-1 < s_k])``
 
 with ``L_k`` the data term of Eq. 8 at this pose of stage 1, and the cost of how the limbs' joints
 turn from frame to frame (:mod:`gva_mi.pose.prior.motion`, eq. 2), at the speed that stage 1 shows.
@@ -44,14 +44,14 @@ _MIRRORED = torch.tensor([1.0, -1.0, -1.0])  # of an axis-angle, in the plane x 
 
 
 def fix_swaps(
-    stage1: Stage1, losses: Callable[[Pose], Tensor], nat: float
+    stage1: Stage1, losses: Callable[[Pose], Tensor], prior_weight: float
 ) -> tuple[Pose, dict[str, list[int]]]:
     """Return stage-1 poses with swapped limbs exchanged, by eq. 1.
 
     Args:
         stage1: n frames of a video, in order.
         losses: returns the data term of Eq. 8 (n,) in poses of these frames; NaN: no evidence.
-        nat: what a nat counts beside the data term.
+        prior_weight: ν, weight of the prior beside the data term.
 
     Returns:
         The poses, and for each pair of limbs the indices among the n where it was exchanged.
@@ -63,7 +63,7 @@ def fix_swaps(
     for name in LIMBS:
         other = exchanged(pose, name)
         after = losses(other)
-        data = torch.stack([as_given, after], 1).nan_to_num(0.0) / nat
+        data = torch.stack([as_given, after], 1).nan_to_num(0.0) / prior_weight
         motion = _motion(stage1, name, (pose, other))
         swapped = least_states(TOGETHER * data, TOGETHER * motion)
         if swapped.any():

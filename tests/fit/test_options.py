@@ -29,11 +29,11 @@ def test_no_round_of_density_control_follows_where_a_reinitialisation_does():
 
 
 def test_weights_are_looked_up_every_so_many_steps():
-    found = [k for k in range(1, 301) if Schedule(look_up_every=100).rebinds_weights(k)]
+    found = [k for k in range(1, 301) if Schedule(rebind_every=100).rebinds_weights(k)]
     assert found == [100, 200, 300]
-    assert not any(Schedule(look_up_every=0).rebinds_weights(k) for k in range(1, 301))
-    with pytest.raises(InputError, match="look_up_every"):
-        Schedule(look_up_every=-1)
+    assert not any(Schedule(rebind_every=0).rebinds_weights(k) for k in range(1, 301))
+    with pytest.raises(InputError, match="rebind_every"):
+        Schedule(rebind_every=-1)
 
 
 def test_options_go_into_a_file(tmp_path):

@@ -18,7 +18,7 @@ from gva_mi.splat import Camera, look_at, render
 from gva_mi.study.evaluate import evaluate
 
 ELBOW, JAW = JOINTS.index("left_elbow"), JOINTS.index("jaw")
-OPTIONS = PhotometricOptions(passes=12, nat=1e-6, step=0.015, translation_lr=0.015)
+OPTIONS = PhotometricOptions(passes=12, prior_weight=1e-6, step=0.015, translation_lr=0.015)
 SHORT = replace(OPTIONS, passes=2)
 SHIFT = torch.tensor([0.04, -0.03, 0.0])
 
@@ -89,7 +89,7 @@ def test_faces_follow_the_pictures_too(known, talking):
     expression[:, :2] += errors
     wrong = replace(talking, pose=Pose(true.rotations, true.transl, expression))
     rms = lambda pose: float((pose.expression - true.expression).square().mean().sqrt())
-    options = PhotometricOptions(passes=30, learn=10, nat=1e-5, expression_lr=0.1)
+    options = PhotometricOptions(passes=30, learn=10, prior_weight=1e-5, expression_lr=0.1)
     found = fit_poses(known, wrong, options)
     assert rms(found.pose) < 0.5 * rms(wrong.pose)
     assert torch.equal(found.pose.expression[:, 2:], expression[:, 2:])  # never estimated
@@ -145,7 +145,8 @@ def test_a_pose_that_is_right_stays(known, video):
 
 def test_a_strong_prior_holds_the_poses_where_they_were(known, wrong):
     free, held = (
-        fit_poses(known, wrong, replace(OPTIONS, passes=5, nat=nat)).pose for nat in (1e-6, 10.0)
+        fit_poses(known, wrong, replace(OPTIONS, passes=5, prior_weight=prior_weight)).pose
+        for prior_weight in (1e-6, 10.0)
     )
     moved = lambda pose: (pose.transl - wrong.pose.transl).norm(dim=1).mean()
     assert moved(held) < 0.3 * moved(free)
@@ -193,7 +194,13 @@ def test_test_frames_come_closer_to_their_pictures(known, wrong, fitted):
 
 @pytest.mark.parametrize(
     "bad",
-    [{"passes": 0}, {"alpha": -1.0}, {"nat": float("nan")}, {"nat": 0}, {"overlap": 120}],
+    [
+        {"passes": 0},
+        {"alpha": -1.0},
+        {"prior_weight": float("nan")},
+        {"prior_weight": 0},
+        {"overlap": 120},
+    ],
 )
 def test_bad_options_are_refused(bad):
     with pytest.raises(InputError, match=f"track: {next(iter(bad))} must"):

@@ -218,7 +218,11 @@ def test_frames_of_a_long_video_know_of_those_of_their_part_only(truth, known, c
 
 @pytest.mark.parametrize(
     ("change", "match"),
-    [({"every": 0}, "every"), ({"nat": 0.0}, "nat"), ({"learn_at": (1.5,)}, "learn_at")],
+    [
+        ({"every": 0}, "every"),
+        ({"prior_weight": 0.0}, "prior_weight"),
+        ({"learn_at": (1.5,)}, "learn_at"),
+    ],
     ids=str,
 )
 def test_options_that_make_no_sense_are_refused(change, match):

@@ -133,7 +133,7 @@ def three_steps(video, body, tmp_path_factory):
 
 @pytest.mark.parametrize("every", [2, 0])
 def test_skinning_weights_follow_gaussians_that_moved(every, video, body, tmp_path):
-    schedule = Schedule(densify_every=0, reinit_at=(), look_up_every=every)
+    schedule = Schedule(densify_every=0, reinit_at=(), rebind_every=every)
     avatar = fit(video, body, replace(OPTIONS, steps=4, schedule=schedule), tmp_path)
     here = avatar.skin.bind(avatar.canonical.means).weights
     assert torch.equal(avatar.canonical.weights, here) == (every > 0)
@@ -229,7 +229,7 @@ def test_no_gaussian_is_finer_than_the_pictures(video, body, camera, tmp_path):
     in metres for each metre of distance."""
     to_the_end = replace(OPTIONS.schedule, densify_every=STEPS, densify_until=1.0)
     splits = replace(OPTIONS.densify, grad_threshold=0.0, split_scale=1e-6)
-    options = replace(OPTIONS, finest=0.7, schedule=to_the_end, densify=splits)
+    options = replace(OPTIONS, min_scale=0.7, schedule=to_the_end, densify=splits)
     rig = seed_of(body, video, options).rig
     pixel = smallest_pixel(video, rig)
     pelvis = (rig.joints[0] + video.pose.transl[video.splits.train]).numpy()
@@ -240,5 +240,5 @@ def test_no_gaussian_is_finer_than_the_pictures(video, body, camera, tmp_path):
     assert pixel == pytest.approx(min(depth) / camera.fx)
     scales = fit(video, body, options, tmp_path / "run").canonical.scales
     assert scales.min().item() == pytest.approx(0.7 * pixel)
-    finer = fit(video, body, replace(OPTIONS, finest=0.0), tmp_path / "finer").canonical.scales
+    finer = fit(video, body, replace(OPTIONS, min_scale=0.0), tmp_path / "finer").canonical.scales
     assert finer.min() < 0.7 * pixel

@@ -16,7 +16,7 @@ ELBOW = JOINTS.index("left_elbow")
 HIP = JOINTS.index("left_hip")
 FRAMES = 24
 FREE = SequenceOptions(
-    nat=1e-9, learn=0, passes=200, batch=2, step=0.01, translation_lr=0.01
+    prior_weight=1e-9, learn=0, passes=200, batch=2, step=0.01, translation_lr=0.01
 )  # nothing but the evidence counts
 PLACE = torch.tensor([0.1, -0.2, 0.05])  # where the person stands, apart from what is shared
 SHARED = torch.tensor([0.0, 0.3, 0.0])
@@ -100,7 +100,9 @@ def test_a_loss_that_grew_or_is_nan_is_worse():
 
 def test_held_out_frames_follow_the_motion(camera):
     evidence = Places(camera, frames=(0, 1, 2, 4, 5, 6))
-    found = descend(evidence, Pose.rest(7), ARMS, replace(FREE, nat=1e-6), following=[3]).pose
+    found = descend(
+        evidence, Pose.rest(7), ARMS, replace(FREE, prior_weight=1e-6), following=[3]
+    ).pose
     assert 3 not in sum(evidence.visited, [])
     torch.testing.assert_close(found.transl[3], PLACE, atol=4e-2, rtol=0)
     assert float(found.rotations[3, ELBOW, 1]) == pytest.approx(0.2, abs=0.03)
@@ -165,7 +167,7 @@ class TiltedLeg(Places):
 
 def test_constant_turns_wait_while_the_clothes_are_unknown(camera):
     """If a person turns round, a leg tilted from every side may be a skirt."""
-    options = replace(FREE, nat=1e-2, passes=40, learn=20, batch=4)
+    options = replace(FREE, prior_weight=1e-2, passes=40, learn=20, batch=4)
     half = options.learn // 2 * FRAMES // options.batch  # of the learning passes' steps
 
     def tilts(known):

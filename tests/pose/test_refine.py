@@ -109,8 +109,8 @@ def test_the_ground_truth_has_no_error(clip, body, true_pose, sequence):
     ("options", "field", "value"),
     [
         (SequenceOptions, "faces", 4), (SingleFrameOptions, "faces", 4),
-        (SequenceOptions, "passes", 0), (SequenceOptions, "skim", 0), (SequenceOptions, "nat", 0.0),
-        (SingleFrameOptions, "steps", 0),
+        (SequenceOptions, "passes", 0), (SequenceOptions, "skim", 0),
+        (SequenceOptions, "prior_weight", 0.0), (SingleFrameOptions, "steps", 0),
     ],
 )  # fmt: skip
 def test_wrong_options_are_refused(options, field, value):

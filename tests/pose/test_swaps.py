@@ -52,7 +52,7 @@ def no_evidence(pose):
 
 
 def found(pose, losses=no_evidence):
-    return fix_swaps(Stage1.of(pose, range(len(pose)), CAMERA), losses, nat=0.015)
+    return fix_swaps(Stage1.of(pose, range(len(pose)), CAMERA), losses, prior_weight=0.015)
 
 
 @pytest.mark.parametrize("name", LIMBS)

@@ -26,7 +26,7 @@ Differences from the paper:
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import numpy as np
 import torch
@@ -37,17 +37,13 @@ from gva_mi.avatar.canonical import CanonicalGaussians, disc_log_scales, disc_qu
 from gva_mi.avatar.offset_surface import SurfaceMesh, offset_surface
 from gva_mi.avatar.rig import Rig
 from gva_mi.avatar.skin_weights import Skin, diffused
+from gva_mi.avatar.surface_points import SurfacePoints, curvature, mean_distance, resample
 from gva_mi.body.pose import EYES, LEFT_HAND, RIGHT_HAND
 from gva_mi.core.options import Share, Within, require_ranges
 from gva_mi.mesh.surface import vertex_normals
 
-if TYPE_CHECKING:
-    from scipy.spatial import cKDTree
-
 # In distances of the eyes: a face's radius, and how far below the eyes its middle lies.
 FACE_RADIUS, BELOW_EYES = 1.4, 0.6
-
-AT_ONCE = 2048  # darts whose neighbours are queried together
 
 Neighbours = Annotated[int, Within(1, 1000)]
 
@@ -131,14 +127,14 @@ def reinitialise(
 
 def find_floaters(points: np.ndarray, neighbours: int, sigmas: float) -> np.ndarray:
     """Mark points (N, 3) that are far from all others, (N,) bool: a statistical outlier test."""
-    distance = _mean_distance(points, neighbours)
+    distance = mean_distance(points, neighbours)
     return distance > distance.mean() + sigmas * distance.std()
 
 
 def mesh_gaussians(points: np.ndarray, rig: Rig, options: ReinitOptions) -> SurfaceMesh:
     """Wrap points (N, 3), and the rest body inside them, in a closed and smooth surface."""
     # Between points that are further apart than alpha, the surface would sink onto the filler.
-    alpha = max(options.alpha, np.percentile(_mean_distance(points, 6), 95))
+    alpha = max(options.alpha, np.percentile(mean_distance(points, 6), 95))
     return offset_surface(points, _filler(rig, options.filler_depth), alpha, options.smoothing)
 
 
@@ -156,15 +152,6 @@ def with_fingers(surface: SurfaceMesh, rig: Rig) -> SurfaceMesh:
     return SurfaceMesh(*both).part(np.ones(len(both[1]), dtype=bool))
 
 
-@dataclass(frozen=True)
-class SurfacePoints:
-    """Points on a surface, no two too close."""
-
-    points: np.ndarray  # (N, 3) metres
-    normals: np.ndarray  # (N, 3)
-    spacing: np.ndarray  # (N,) metres, mean distance to the nearest others
-
-
 def wanted_density(surface: SurfaceMesh, rig: Rig, options: ReinitOptions) -> np.ndarray:
     """Return how densely points should lie at each vertex of a surface, (V,), 1 where it is flat.
 
@@ -176,38 +163,8 @@ def wanted_density(surface: SurfaceMesh, rig: Rig, options: ReinitOptions) -> np
     apart = np.linalg.norm(left - right)
     centre = (left + right) / 2 - (0, BELOW_EYES * apart, 0)
     face = np.linalg.norm(surface.vertices - centre, axis=1) < FACE_RADIUS * apart
-    curved = 1 + options.curvature_gain * _curvature(surface)
+    curved = 1 + options.curvature_gain * curvature(surface)
     return curved * (1 + options.face_gain * face)
-
-
-def resample(
-    surface: SurfaceMesh, count: int, density: np.ndarray, rng: np.random.Generator
-) -> SurfacePoints:
-    """Draw about ``count`` points on a surface, with a density (V,) given at its vertices.
-
-    Many candidates are drawn with that density. In random order, each one that is left removes all
-    others within its radius, ~ density^(-1/2): darts of variable radius, corrected until the count
-    fits.
-    """
-    from scipy.spatial import cKDTree
-
-    v, f = surface.vertices, surface.faces
-    mass = surface.areas() * density[f].mean(1)
-    oversampling = 6
-    chosen = rng.choice(len(f), oversampling * count, p=mass / mass.sum())
-    barycentric = rng.dirichlet([1, 1, 1], len(chosen))[:, :, None]
-    on_faces = lambda x: (x[f[chosen]] * barycentric).sum(1)
-    points, tree = on_faces(v), cKDTree(on_faces(v))
-    # The densest packing has count · r^2 · sqrt(3) / 2 = area; random darts reach 2/3 of that r.
-    radius = 0.665 * np.sqrt(2 / 3**0.5 * mass.sum() / count / on_faces(density[:, None])[:, 0])
-    for _ in range(3):
-        kept = _throw_darts(tree, points, radius)
-        if abs(len(kept) / count - 1) < 0.02:
-            break
-        radius *= np.sqrt(len(kept) / count)
-    points, normals = points[kept], on_faces(surface.normals())[kept]
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    return SurfacePoints(points, normals, _mean_distance(points, 3))
 
 
 def regaussian(
@@ -257,13 +214,6 @@ def regaussian(
     )
 
 
-def _mean_distance(points: np.ndarray, neighbours: int) -> np.ndarray:
-    """Return the mean distance of each point (N, 3) to its nearest neighbours, (N,)."""
-    from scipy.spatial import cKDTree
-
-    return cKDTree(points).query(points, k=neighbours + 1, workers=-1)[0][:, 1:].mean(1)
-
-
 def _filler(rig: Rig, depth: float) -> SurfaceMesh:
     """Return the rest body moved inside by ``depth``; fingers, which are thinner, by less."""
     inwards = depth * (1 - 0.75 * _finger_weights(rig.weights))
@@ -274,32 +224,6 @@ def _filler(rig: Rig, depth: float) -> SurfaceMesh:
 def _finger_weights(weights: Tensor) -> Tensor:
     """Return the share of each row (N, 55) that belongs to fingers, (N,)."""
     return weights[:, LEFT_HAND].sum(1) + weights[:, RIGHT_HAND].sum(1)
-
-
-def _curvature(surface: SurfaceMesh) -> np.ndarray:
-    """Return the root mean square of the principal curvatures, (V,), scaled to [0, 1]."""
-    import pymeshlab
-
-    meshes = pymeshlab.MeshSet()
-    meshes.add_mesh(pymeshlab.Mesh(surface.vertices, surface.faces))
-    meshes.compute_scalar_by_discrete_curvature_per_vertex(curvaturetype="RMS Curvature")
-    curvature = np.nan_to_num(meshes.current_mesh().vertex_scalar_array(), posinf=0, neginf=0)
-    largest = np.percentile(curvature, 95)
-    return np.clip(curvature / largest, 0, 1) if largest > 0 else np.zeros(len(curvature))
-
-
-def _throw_darts(tree: cKDTree, points: np.ndarray, radius: np.ndarray) -> list[int]:
-    """Return indices of points that remain if each removes all later ones within its radius."""
-    alive = np.ones(len(points), dtype=bool)
-    kept = []
-    for first in range(0, len(points), AT_ONCE):
-        some = first + np.flatnonzero(alive[first : first + AT_ONCE])  # most are gone by now
-        around = tree.query_ball_point(points[some], radius[some], return_sorted=False)
-        for i, close in zip(some, around, strict=True):
-            if alive[i]:
-                kept.append(i)
-                alive[close] = False
-    return kept
 
 
 def _spin(quats: Tensor, half: Tensor) -> Tensor:

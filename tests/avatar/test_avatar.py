@@ -1,4 +1,4 @@
-"""Avatar(pose): still at rest, rigid under the root, differentiable, and the same after a file."""
+"""Avatars: unmoved at rest, rigid under root motion, differentiable, and saved to the bit."""
 
 import copy
 import dataclasses
@@ -166,7 +166,7 @@ def test_double_precision_survives_a_record(make_avatar):
     assert torch.equal(again.residual.extent, avatar.residual.extent)
 
 
-def test_what_is_not_an_avatar_is_explained(make_avatar, tmp_path):
+def test_other_files_are_refused(make_avatar, tmp_path):
     with pytest.raises(InputError, match="no such file"):
         Avatar.load(tmp_path / "none.npz")
     (tmp_path / "text.npz").write_text("hello")
@@ -200,7 +200,7 @@ def test_gaussians_on_vertices_follow_the_body(body, random_pose):
     ).abs().max() > 0.005
 
 
-def test_coefficients_that_the_body_has_not_move_nothing(make_avatar, random_pose):
+def test_unknown_expression_coefficients_are_ignored(make_avatar, random_pose):
     avatar, pose = make_avatar(), random_pose(7)
     more = dataclasses.replace(pose, expression=torch.cat([pose.expression, torch.ones(1, 5)], 1))
     fewer = dataclasses.replace(pose, expression=pose.expression[:, :3])

@@ -1,4 +1,4 @@
-"""Density control: counts add up, and Adam goes on as if nothing had happened."""
+"""Density control: counts add up, and Adam's moments follow their rows."""
 
 import pytest
 import torch
@@ -53,7 +53,7 @@ def values(canonical):
     return {name: getattr(canonical, name).detach().clone() for name in (*PARAMETERS, "weights")}
 
 
-def test_clone_doubles_those_that_want_it(avatar, generator):
+def test_clone_doubles_the_rows_with_large_gradients(avatar, generator):
     optimizer, before = adam(avatar), None
     before = values(avatar.canonical)
     rows = torch.tensor([3, 10, 11])

@@ -1,4 +1,4 @@
-"""The surface around a person's Gaussians: closed, of its size, with all that belongs to it."""
+"""Offset surfaces are closed, of the right size, and complete."""
 
 import numpy as np
 import trimesh
@@ -29,7 +29,7 @@ def test_a_ball_comes_back_as_large_as_it_was():
     assert abs(np.median(away)) < 0.002 and np.abs(away).max() < 0.008
 
 
-def test_a_hole_is_closed_by_what_is_inside():
+def test_a_hole_is_closed_by_the_inner_surface():
     points = ball(0.3)
     points = points[points[:, 2] < 0.2]  # a third of the height is open
     mesh = mesh_of(offset_surface(points, inner(0.27), ALPHA, 10))

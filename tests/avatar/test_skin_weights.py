@@ -1,4 +1,4 @@
-"""Weights of the outer skin: the body's where it is bare, spread where it is loose, never torn."""
+"""Weights of the outer skin: the body's on bare skin, diffused on loose cloth, never torn."""
 
 import gva_mi  # noqa: F401  (chooses libLLVM before Dr.Jit is imported)
 
@@ -21,7 +21,7 @@ LEFT, RIGHT = JOINTS.index("left_hip"), JOINTS.index("right_hip")
 
 
 def of_nearest(points, skin):
-    """Weights that jump where another vertex is the nearest."""
+    """Weights of the nearest vertex, which jump."""
     _, nearest = cKDTree(skin.vertices.double().numpy()).query(points.double().numpy())
     return skin.weights[nearest]
 
@@ -57,7 +57,7 @@ def test_bare_skin_keeps_the_weights_of_the_body(body):
     torch.testing.assert_close(skin.bind(body.v_template).weights.sum(1), torch.ones(642))
 
 
-def test_a_sheet_between_two_legs_goes_over_from_one_to_the_other():
+def test_weights_on_a_sheet_between_two_legs_are_blended():
     vertices, faces = sheet()
     both = legs()
     skin = diffused(vertices, faces, both, torch.zeros(80))
@@ -81,7 +81,7 @@ def test_weights_are_shares(body):
     assert not torch.allclose(skin.weights, own.weights, atol=0.05)
 
 
-def test_what_the_offsets_displaced_counts_as_loose(body):
+def test_displaced_skin_counts_as_loose(body):
     own = still(body.v_template, body.weights)
     vertices, faces = body.v_template.double().numpy(), body.faces.numpy()
     loose = diffused(vertices, faces, own, torch.full((642,), 0.2))
@@ -104,7 +104,7 @@ def test_vertices_have_their_own_weights():
     torch.testing.assert_close(skin.bind(skin.vertices).weights, skin.weights)
 
 
-def test_a_face_moves_what_lies_on_it(body):
+def test_blend_shapes_are_those_of_the_vertex_beneath(body):
     """A hat on a ball: it takes the blend shapes of the vertices beneath."""
     directions = torch.zeros(642, 3, 2)
     face = body.v_template[:, 2] > 0.1
@@ -117,7 +117,7 @@ def test_a_face_moves_what_lies_on_it(body):
     torch.testing.assert_close(found, directions)
 
 
-def test_slopes_are_those_of_linear_weights_along_a_sheet_and_nothing_across():
+def test_slopes_of_linear_weights_on_a_sheet_are_exact_along_it_and_zero_across():
     vertices = torch.from_numpy(sheet()[0]).float()
     weights, wanted = torch.zeros(len(vertices), 55), torch.zeros(3, 55)
     wanted[:, LEFT] = torch.tensor([1.5, -0.5, 0])
@@ -139,35 +139,35 @@ def test_no_points_have_no_weights(body):
     assert weights.shape == (0, 55) and directions.shape == (0, 3, 4)
 
 
-# What real clothes do in the poses that tear them.
+# Real clothes, in the poses that tear them.
 
 
 @pytest.fixture(scope="module")
-def puppet():
+def built_in():
     return load_body()
 
 
 @pytest.fixture(scope="module")
-def wardrobe(puppet):
+def wardrobe(built_in):
     """A person's garment, thinned, and the rest body under it."""
 
     def garment(name, material):
         person = STUDY[name]
         shape = Shape(torch.tensor(person.betas))
-        rest = RestBody.of(puppet, shape)
+        rest = RestBody.of(built_in, shape)
         worn = dress(rest, person.outfit, np.random.default_rng(0), clothes=True, hair=False)
         mesh = next(p.mesh for p in worn.pieces if p.material is material)
-        return mesh, puppet.rest(shape)
+        return mesh, built_in.rest(shape)
 
     return garment
 
 
-def stretches(mesh, weights, action, puppet, rest):
+def stretches(mesh, weights, action, built_in, rest):
     """How much longer the edges of a garment are in a pose, those of 3 mm and more."""
     pose = Pose.rest()
     for joint, value in (ACTIONS | POSES)[action].joints.items():
         pose.rotations[0, JOINTS.index(joint)] = torch.tensor(value)
-    T = joint_transforms(pose.rotations, rest.joints, puppet.parents, pose.transl)[0]
+    T = joint_transforms(pose.rotations, rest.joints, built_in.parents, pose.transl)[0]
     x = torch.from_numpy(mesh.vertices).float()
     moved = skin_points(x, weights, T)
     a, b = torch.from_numpy(np.concatenate([mesh.faces[:, :2], mesh.faces[:, 1:]]).T).long()
@@ -175,6 +175,7 @@ def stretches(mesh, weights, action, puppet, rest):
     return (length(moved) / length(x))[length(x) > 0.003]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "material", "actions", "most"),
     [
@@ -183,21 +184,21 @@ def stretches(mesh, weights, action, puppet, rest):
     ],
     ids=["a skirt in a wide step", "a shirt's hem in a squat"],
 )
-def test_loose_cloth_stays_whole(wardrobe, puppet, name, material, actions, most):
+def test_loose_cloth_stays_whole(wardrobe, built_in, name, material, actions, most):
     mesh, rest = wardrobe(name, material)
-    own = still(rest.vertices, puppet.weights)
+    own = still(rest.vertices, built_in.weights)
     bare = torch.zeros(len(rest.vertices))
     skin = diffused(mesh.vertices.astype(np.float64), mesh.faces, own, bare)
     x = torch.from_numpy(mesh.vertices).float()
     nearest = of_nearest(x, own)
     for action in actions:
-        torn = stretches(mesh, nearest, action, puppet, rest)
-        whole = stretches(mesh, skin.bind(x).weights, action, puppet, rest)
+        torn = stretches(mesh, nearest, action, built_in, rest)
+        whole = stretches(mesh, skin.bind(x).weights, action, built_in, rest)
         assert torn.max() > most > whole.max(), (action, torn.max(), whole.max())
         assert whole.quantile(0.999) < torn.quantile(0.999)
 
 
-def test_an_inverse_by_cofactors_is_one_also_of_what_is_nearly_flat():
+def test_the_inverse_by_cofactors_holds_for_nearly_flat_matrices():
     X = np.random.default_rng(0).normal(size=(200, 16, 3)) * [1, 0.3, 1e-3]
     A = np.einsum("nki,nkj->nij", X, X)
     A += skin_weights.FLAT * np.trace(A, axis1=1, axis2=2)[:, None, None] * np.eye(3)

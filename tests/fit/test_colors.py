@@ -20,7 +20,7 @@ def test_a_side_that_is_never_seen_has_the_mean_color(video, body):
     assert len(torch.unique(colors[behind], dim=0)) < 0.1 * int(behind.sum())
 
 
-def test_test_frames_are_not_looked_at(video, body):
+def test_test_frames_are_not_used(video, body):
     before = seen_colors(video, body)
     fewer = type(video)(**{**vars(video), "splits": Splits(video.splits.train, [])})
     assert torch.equal(seen_colors(fewer, body), before)

@@ -1,4 +1,4 @@
-"""What a frame says of a pose, through an avatar laid over it."""
+"""Picture evidence prefers the right pose and gives gradients to all of it."""
 
 from dataclasses import replace
 
@@ -43,7 +43,7 @@ def seen(frame, points):
     + [{"elbow": 0.4}, {"elbow": -0.4}],
     ids=str,
 )
-def test_the_true_pose_has_the_least_loss(change, known, frame, seen):
+def test_the_right_pose_has_the_smallest_loss(change, known, frame, seen):
     with torch.no_grad():
         wrong = seen.loss(known, moved(frame.pose, **change), BOTH)
         assert seen.loss(known, frame.pose, BOTH) < wrong
@@ -65,7 +65,7 @@ def test_a_cut_frame_shows_the_same_from_the_same_camera(known, frame, seen):
 
 
 def test_outlines_do_not_follow_the_mask(known, frame, points, seen):
-    """Of the mask's bites only the alpha term knows; but for the area that all is divided by."""
+    """A damaged mask changes the alpha term only, apart from the area in the denominator."""
     bitten = frame.mask.copy()
     bitten[20:28, 20:24] = 0
     other = PictureAndMask.of(replace(frame, mask=bitten), points)
@@ -94,7 +94,7 @@ def test_every_joint_that_is_seen_and_the_place_receive_a_gradient(known, frame,
     ],
     ids=["mask", "view", "behind"],
 )
-def test_a_frame_that_says_nothing_tells_why(change, reason, frame, points):
+def test_a_frame_without_evidence_says_why(change, reason, frame, points):
     points = points + change.pop("shift", 0.0)
     with pytest.raises(NoEvidence, match=reason):
         PictureAndMask.of(replace(frame, **change), points)

@@ -1,4 +1,4 @@
-"""Renders of shots: layers before any background, and see-through."""
+"""Renders of camera shots: layers without background, and RGBA."""
 
 import numpy as np
 import pytest
@@ -36,7 +36,7 @@ def test_a_picture_is_seen_where_the_person_is_not(layer):
     assert np.array_equal(image[empty], np.round(255 * background[empty]))
 
 
-def test_what_is_see_through_gives_the_same_over_a_background(layer):
+def test_rgba_gives_the_same_picture_on_a_background(layer):
     rgba = to_rgba(layer).astype(float) / 255
     assert rgba.shape == (48, 48, 4)
     again = rgba[..., :3] * rgba[..., 3:] + (1 - rgba[..., 3:])

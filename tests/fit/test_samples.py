@@ -1,4 +1,4 @@
-"""What a step is compared with: the same whatever came before, and all that can differ."""
+"""Samples of a step are reproducible and show everything that a render can change."""
 
 import gva_mi  # noqa: F401  (chooses libLLVM before Dr.Jit is imported)
 
@@ -62,8 +62,8 @@ def test_away_from_the_outline_the_person_is_cut_out_onto_the_background(random_
 
 
 @pytest.mark.parametrize("pixels", [-2, 2])
-def test_the_truth_costs_nothing_where_masks_are_off(pixels, video, monkeypatch):
-    """Who cuts by a mask that is too small or too large pays for a render that is right."""
+def test_a_perfect_render_costs_nothing_where_masks_are_off(pixels, video, monkeypatch):
+    """Cutting by a mask that is too small or too large would penalise a perfect render."""
     y, x = np.mgrid[:48, :48] + 0.5
     alpha = (14.5 - np.hypot(x - 24, y - 24)).clip(0, 1).astype(np.float32)
     mask = (14.5 + pixels - np.hypot(x - 24, y - 24)).clip(0, 1).astype(np.float32)
@@ -159,7 +159,7 @@ def test_a_larger_room_changes_no_loss(video, known):
     torch.testing.assert_close(*found, rtol=1e-5, atol=0)
 
 
-@pytest.mark.parametrize("window", [11, 16, 48, 100])
+@pytest.mark.parametrize("window", [11, 100])
 def test_windows_lie_in_the_image_and_in_the_person_s_box(window, video):
     found = samples(video, window=window)
     for step in range(20):

@@ -27,11 +27,11 @@ def test_it_is_scikit_images(shape):
     np.testing.assert_allclose(float(ssim(a, b)), inside.mean(), rtol=1e-9)
 
 
-@pytest.mark.parametrize("shape", [(11, 11), (14, 12)])
+@pytest.mark.parametrize("shape", [(11, 11), (14, 13)])
 def test_gradients_and_tangents_by_differences(shape):
     a, b = pictures(*shape)
     assert torch.autograd.gradcheck(lambda a: ssim(a, b), [a.requires_grad_()],
-                                    check_forward_ad=True)  # fmt: skip
+                                    check_forward_ad=True, fast_mode=True)  # fmt: skip
 
 
 def test_an_image_with_itself_is_one_and_nothing_pulls_it():

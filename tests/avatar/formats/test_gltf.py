@@ -1,4 +1,4 @@
-"""A .glb: what it says of itself is so, and skinning by its own numbers is the avatar's."""
+"""A .glb file is consistent, and skinning by its own numbers gives the avatar's surface."""
 
 import json
 import struct
@@ -134,7 +134,7 @@ def test_it_has_a_surface_a_skeleton_and_a_motion(read, known):
     assert (surface["mesh"], surface["skin"]) == (0, 0)
 
 
-def test_at_rest_no_joint_moves_anything(read):
+def test_the_rest_pose_moves_no_vertex(read):
     maps = read.globals() @ read.inverse_bind()
     assert np.allclose(maps, np.eye(4), atol=1e-6)
     assert np.allclose(read.skinned(read.globals()), read.vertices("POSITION"), atol=1e-6)
@@ -160,7 +160,7 @@ def test_skinning_by_the_file_is_the_avatars(read, known, motion, frame):
     assert np.abs(ours - rig.vertices.numpy()).max() > 0.3  # and something moved
 
 
-def test_turns_of_a_joint_follow_each_other_by_the_near_way(known, tmp_path):
+def test_consecutive_rotations_take_the_short_way(known, tmp_path):
     from gva_mi.body import Pose
 
     rotations = torch.zeros(8, 55, 3)
@@ -181,7 +181,7 @@ def test_fingers_that_the_avatar_does_not_move_stay(make_avatar, random_pose, tm
     assert not np.allclose(moves[18, "rotation"], (0, 0, 0, 1))
 
 
-def test_colors_are_those_of_the_gaussians_there(known):
+def test_vertices_have_the_colors_of_nearby_gaussians(known):
     at = known.canonical.means.detach()
     own = known.canonical.sh.detach()[:, 0].numpy() * 0.28209479 + 0.5
     found = surface_colors(known, at)

@@ -1,4 +1,4 @@
-"""An avatar without its body: nothing of the body is in the file, and with it, it is as before."""
+"""An avatar file without its body holds nothing of the body, and is complete with it."""
 
 import numpy as np
 import pytest
@@ -39,7 +39,7 @@ def file(clothed, body, tmp_path):
     return tmp_path / "a.npz"
 
 
-def test_with_its_body_it_is_driven_as_before(file, clothed, body, random_pose):
+def test_with_its_body_it_moves_as_before(file, clothed, body, random_pose):
     again = with_body(file, read_arrays(file, ""), body, "ellipsoid")
     for seed in (0, 1):
         pose = random_pose(seed)
@@ -90,6 +90,6 @@ def test_a_damaged_file_is_explained(file, body):
             with_body(file, arrays, body, "ellipsoid")
 
 
-def test_the_plain_reader_says_what_it_is(file):
+def test_the_plain_reader_names_the_missing_body(file):
     with pytest.raises(InputError, match="without its body"):
         Avatar.load(file)

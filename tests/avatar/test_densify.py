@@ -131,25 +131,6 @@ def test_growth_stops_at_the_cap_with_the_largest_gradients(avatar, generator):
     assert torch.equal(chosen, before["means"][-8:].sort(dim=0).values)
 
 
-def test_the_same_seed_gives_the_same_bits(make_avatar):
-    results = []
-    for _ in range(2):
-        avatar = make_avatar()
-        optimizer = adam(avatar)
-        densify(
-            avatar, optimizer, wants(avatar, [1, 5]), generator=torch.Generator().manual_seed(4)
-        )
-        results.append(values(avatar.canonical))
-    assert all(torch.equal(results[0][name], results[1][name]) for name in results[0])
-
-
-def test_nothing_wanted_changes_nothing(avatar, generator):
-    optimizer, before = adam(avatar), values(avatar.canonical)
-    done = densify(avatar, optimizer, ScreenGradients(642), generator=generator)
-    assert (done.cloned, done.split, done.pruned) == (0, 0, 0)
-    assert all(torch.equal(before[n], v) for n, v in values(avatar.canonical).items())
-
-
 def test_screen_gradient_is_the_force_on_an_image_coordinate():
     """dL/du of a lone Gaussian, in halves of the person: move it sideways and measure."""
     T = look_at([0, 0, 3.0], [0, 0, 0])

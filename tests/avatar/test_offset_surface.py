@@ -60,9 +60,3 @@ def test_a_thin_plate_beside_the_body_is_kept_with_both_its_sides():
     normals = mesh.vertex_normals[mesh.vertices[:, 0] > 0.36]
     assert (normals[:, 2] > 0.5).any() and (normals[:, 2] < -0.5).any()
     assert mesh.vertices[:, 0].max() > 0.48
-
-
-def test_the_same_points_give_the_same_bits():
-    points = ball(0.3)
-    once, again = (offset_surface(points, inner(0.25), ALPHA, 10) for _ in range(2))
-    assert np.array_equal(once.vertices, again.vertices) and np.array_equal(once.faces, again.faces)

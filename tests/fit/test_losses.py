@@ -75,14 +75,6 @@ def test_gradients_are_finite_and_not_zero(input_, generator):
     assert x.grad.isfinite().all() and (x.grad != 0).any()
 
 
-def test_no_residual_at_all_is_no_cost(generator):
-    target, mask = picture(generator), torch.ones(H, W)
-    losses = render_losses(
-        render_of(target, mask), target, mask, torch.zeros(0, 3), ALL, mean_square
-    )
-    assert losses.residual == 0
-
-
 def test_the_window_confines_the_costly_terms(generator):
     target, mask = picture(generator), torch.ones(H, W)
     color = target.clone()

@@ -82,22 +82,6 @@ def talking(tmp_path_factory, known, turning):
     return load_video(folder)
 
 
-@pytest.mark.slow
-def test_faces_follow_the_pictures_too(known, talking):
-    true = talking.pose
-    errors = 0.4 * torch.randn(len(true), 2, generator=torch.Generator().manual_seed(0))
-    expression = true.expression.clone()
-    expression[:, :2] += errors
-    wrong = replace(talking, pose=Pose(true.rotations, true.transl, expression))
-    rms = lambda pose: float((pose.expression - true.expression).square().mean().sqrt())
-    options = PhotometricOptions(passes=30, learn=10, prior_weight=1e-5, expression_lr=0.1)
-    found = fit_poses(known, wrong, options)
-    assert rms(found.pose) < 0.5 * rms(wrong.pose)
-    assert torch.equal(found.pose.expression[:, 2:], expression[:, 2:])  # never estimated
-    held = fit_poses(known, wrong, replace(options, expression_lr=0.0, passes=2))
-    assert torch.equal(held.pose.expression, expression)
-
-
 def test_expressions_come_closer_to_the_pictures(known, talking):
     true = talking.pose
     expression = true.expression.clone()
@@ -108,6 +92,8 @@ def test_expressions_come_closer_to_the_pictures(known, talking):
     rms = lambda psi: float((psi - true.expression).square().mean().sqrt())
     assert rms(found) < 0.8 * rms(expression)
     assert torch.equal(found[:, 2:], expression[:, 2:])  # never estimated
+    held = fit_poses(known, wrong, replace(options, expression_lr=0.0, passes=1))
+    assert torch.equal(held.pose.expression, expression)
 
 
 def test_the_same_options_give_the_same_bits_on_any_number_of_threads(known, wrong):
@@ -121,12 +107,6 @@ def test_the_same_options_give_the_same_bits_on_any_number_of_threads(known, wro
     finally:
         torch.set_num_threads(of_torch)
         dr.set_thread_count(of_drjit)
-
-
-@pytest.mark.slow
-def test_another_seed_visits_the_frames_in_another_order(known, wrong):
-    one, other = (fit_poses(known, wrong, replace(SHORT, seed=k)).pose for k in (0, 1))
-    assert not same(one, other)
 
 
 def test_the_avatar_is_not_changed(known, wrong):

@@ -99,6 +99,7 @@ BAD = (
     (("render", "run", "--out", "new", "--size", "9", "1e9"), "--size must be a"),
     (("fit", "x", "--out", "new", "--splat.near=3"), "fit: --splat.near is no option any more"),
     (("study", "refine", "--people", "3"), "study: --people is called --subjects now"),
+    (("fit", "s", "--poses.nat", "3"), "fit: --poses.nat is called --poses.prior-weight now"),
     (("study", "avatar", "--out", "x", "--fit.window", "9"), "study avatar: has no --fit.window"),
     (("fitt", "nowhere"), "there is no command 'fitt'; expected one of demo, synth"),
     ((), "a command is missing; expected one of demo, synth"),

@@ -11,8 +11,7 @@ from contextlib import suppress
 from gva_mi import __version__
 from gva_mi.cli import RENAMED_VERBS, VERBS, load
 from gva_mi.cli.parse import parse
-from gva_mi.core import cpu as processor
-from gva_mi.core import llvm
+from gva_mi.core import cpu, llvm
 from gva_mi.core.errors import InputError
 
 BAD_INPUT = 2  # exit codes
@@ -34,7 +33,7 @@ def main(arguments: list[str] | None = None) -> None:
     arguments = sys.argv[1:] if arguments is None else arguments
     # Read when torch is imported: its idle threads must not spin on the cores that Dr.Jit needs.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-    processor.pin_cpu_features()
+    cpu.pin_cpu_features()
     try:
         try:
             _run(arguments)

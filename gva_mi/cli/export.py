@@ -228,8 +228,8 @@ def _folder(job: _Export) -> Work:
     pictures = job.shots(motion) if options.each == "png" else []
     frames = range(0, len(pictures or motion), options.every)
     frame_of = {f"{k:06d}.{options.each}": k for k in frames}
-    recorded_options = hash_of(job.avatar, motion, pictures, (options.each, options.every))
-    about = {"avatar": str(job.run), "poses": options.poses, HASH: recorded_options}
+    made_of = hash_of(job.avatar, motion, pictures, (options.each, options.every))
+    about = {"avatar": str(job.run), "poses": options.poses, HASH: made_of}
 
     def work() -> None:
         names = series(job.out, MARKER, list(frame_of), job.overwrite, about)

@@ -77,8 +77,8 @@ def render(
     movie = Path(MOVIE).stem + SEE_THROUGH if alpha else MOVIE
     if video and alpha:
         require_see_through(out / movie)
-    recorded_options = hash_of(avatar, motion, pictures, (behind, alpha, video))
-    about = {"avatar": str(run), "poses": poses, "cameras": cameras, HASH: recorded_options}
+    made_of = hash_of(avatar, motion, pictures, (behind, alpha, video))
+    about = {"avatar": str(run), "poses": poses, "cameras": cameras, HASH: made_of}
     files = [f"{k:06d}.png" for k in range(len(pictures))]
     names = [*files, movie] if video else files
 

@@ -23,7 +23,7 @@ from gva_mi.core.lock import folder_lock
 from gva_mi.core.provenance import hash_arrays, program_digest, versions
 from gva_mi.fit.camera_paths import CameraShot
 
-HASH = "recorded_options"  # its name in the marker
+HASH = "made_of"  # its name in the marker
 
 
 @contextmanager

@@ -12,7 +12,7 @@ from pathlib import Path
 import drjit as dr
 import pytest
 
-from gva_mi.core import cpu as processor
+from gva_mi.core import cpu
 
 ROOT = Path(__file__).parents[2]
 OURS = [path for folder in ("gva_mi", "plugins") for path in (ROOT / folder).rglob("*.py")]
@@ -90,7 +90,7 @@ def test_no_kernel_uses_an_estimate():
                 assert not asks, f"{path}:{node.lineno}: {node.attr}; divide by the norm"
 
 
-NARROW = platform.machine() == "x86_64" and processor.cpu_settings() and CORE.exists()
+NARROW = platform.machine() == "x86_64" and cpu.cpu_settings() and CORE.exists()
 
 
 @pytest.mark.skipif(not NARROW, reason="needs x86 with AVX2")
@@ -110,12 +110,12 @@ def test_the_command_line_pins_libraries_before_they_are_imported():
         "main(['--version']); "
         "print(before, all(os.environ[k] == v for k, v in cpu.cpu_settings().items()))"
     )
-    clean = {k: v for k, v in os.environ.items() if k not in processor.SETTINGS}
+    clean = {k: v for k, v in os.environ.items() if k not in cpu.SETTINGS}
     run = lambda env: (
         subprocess.run(
             [sys.executable, "-c", code], env=env, capture_output=True, text=True, cwd=ROOT
         ).stdout
     )
     assert run(clean).endswith("set() True\n")
-    if processor.cpu_settings():
+    if cpu.cpu_settings():
         assert run(clean | {"OPENBLAS_CORETYPE": "Prescott"}).endswith("set() False\n")

@@ -93,12 +93,9 @@ def test_unreadable_arrays_are_named(tmp_path):
     path = tmp_path / "a.npz"
     with pytest.raises(InputError, match=r"a\.npz: no such file; expected poses"):
         read_arrays(path, "poses")
-    path.write_bytes(b"no archive")
+    np.savez(path, a=np.array([{}], dtype=object))
     with pytest.raises(InputError, match=r"a\.npz: not a readable \.npz"):
         read_arrays(path, "poses")
-    np.savez(tmp_path / "objects.npz", a=np.array([{}], dtype=object))
-    with pytest.raises(InputError, match="not a readable"):
-        read_arrays(tmp_path / "objects.npz", "poses")
     write_arrays(path, b=np.arange(2))
     found = read_arrays(path, "poses")
     assert found["b"].tolist() == [0, 1]

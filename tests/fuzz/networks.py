@@ -8,11 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 from gva_mi.data.networks.normals import NormalNetwork, NormalsSpec
 from gva_mi.data.networks.sam_weights import load_network
-from gva_mi.fit.perceptual import Weights, find_weights, lpips
 
 THERE = Path(__file__).parents[1] / "data/networks"
 
@@ -30,7 +28,6 @@ def networks():
     return {
         "sam": (sam, lambda folder, _=None: load_network(folder)),
         "onnx": (onnx, read_onnx),
-        "perceptual": (perceptual, lambda folder, _=None: lpips(own_weights(folder))),
     }
 
 
@@ -61,21 +58,3 @@ def read_onnx(folder, _=None):
     mask[4:20, 8:24] = 1
     network = NormalNetwork(folder / "a.onnx", NormalsSpec("icon", (16, 16)))
     network.see(np.full((24, 32, 3), 99, np.uint8), mask, np.array([8.0, 4, 24, 20]))
-
-
-def perceptual(folder):
-    """AlexNet's sizes, without its numbers."""
-    sizes = {0: (64, 3, 11), 3: (192, 64, 5), 6: (384, 192, 3), 8: (256, 384, 3), 10: (256, 256, 3)}
-    state, heads = {}, {}
-    for k, (layer, (out, given, side)) in enumerate(sizes.items()):
-        state[f"features.{layer}.weight"] = torch.zeros(out, given, side, side)
-        state[f"features.{layer}.bias"] = torch.zeros(out)
-        heads[f"lin{k}.model.1.weight"] = torch.zeros(1, out, 1, 1)
-    torch.save(state, folder / "alexnet.pth")
-    torch.save(heads, folder / "lpips_alex.pth")
-
-
-def own_weights(folder):
-    """Those of a folder alone: this machine may have some, too."""
-    found = find_weights(folder)
-    return Weights(alexnet=found.alexnet, lpips_alex=found.lpips_alex)

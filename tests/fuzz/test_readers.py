@@ -28,7 +28,7 @@ ESTIMATORS = (
 )  # fmt: skip
 OF_DATASETS = ("snapshot", "instantavatar", "zju", "easymocap", "easymocap smplx", "avatarrex",
                "exavatar")  # fmt: skip
-NETWORKS = ("sam", "onnx", "perceptual")
+NETWORKS = ("sam", "onnx")
 READERS = OURS + ESTIMATORS + OF_DATASETS + NETWORKS
 MAIN = ("subject", "film", "run", "study", "gaussians", "body", "motion", "footage", "wham",
         "gvhmr", "romp", "osx", "zju")  # fmt: skip

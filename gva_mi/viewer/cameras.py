@@ -61,12 +61,7 @@ class Start:
 
 
 def start(rig: Rig, motion: Pose) -> Start:
-    """Return a view from in front of the person that shows all of the motion.
-
-    Args:
-        rig: the rest body.
-        motion: T frames.
-    """
+    """Return a view from in front of the person that shows all of the motion."""
     view, level = (
         shots(CameraPath("static", elevation=degrees), rig, motion[:])[0].camera
         for degrees in (CameraPath.elevation, 0.0)

@@ -91,7 +91,7 @@ class Page:
     def __init__(self, client: viser.ClientHandle) -> None:
         self._client = client
 
-    def camera(self) -> ViewerCamera | None:
+    def camera(self) -> ViewerCamera:
         """Return its camera."""
         camera = self._client.camera
         floats = lambda values: tuple(float(x) for x in values)

@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-from gva_mi.core.atomic import atomic_write
 from gva_mi.core.console import say
 from gva_mi.core.errors import InputError
 from gva_mi.core.lock import folder_lock
+from gva_mi.data.pictures import write_image
 from gva_mi.data.video import save_cameras
 from gva_mi.fit.renders import to_rgba
 from gva_mi.splat import Camera
@@ -32,11 +32,14 @@ REST = 0.2  # seconds without a change before all pixels are drawn
 TICK = 1 / 60  # seconds between two steps while a motion plays
 
 
+Wanted = tuple[State, ViewerCamera, tuple[ViewerCamera, ...]]  # with the keyframes
+
+
 @dataclass(frozen=True)
 class _LastPicture:
     """The last picture that a browser was sent."""
 
-    wanted: tuple[State, ViewerCamera, int]
+    wanted: Wanted
     since: float  # seconds
     fine: bool
 
@@ -64,7 +67,6 @@ class Session:
         self._up, self._out, self._cameras = up, out, cameras
         self._shown: dict[int, _LastPicture] = {}
         self._keyframes: list[ViewerCamera] = []
-        self._changes = 0  # of the keyframes
 
     def step(self, browsers: Mapping[int, Page], now: float) -> float:
         """Handle pressed buttons, then update every page whose picture is out of date.
@@ -75,20 +77,16 @@ class Session:
         state = self._panel.state(now)
         for click in self._panel.clicks():
             browser = browsers.get(click.browser)  # None if it was just closed
-            view = browser.camera() if browser is not None else None
-            if view is not None and view.usable():
+            if browser is not None and (view := browser.camera()).usable():
                 browser.tell(self._done(click.action, state, view))
         self._shown = {k: shown for k, shown in self._shown.items() if k in browsers}
         pending = False
         for k, browser in browsers.items():
-            view = browser.camera()
-            if view is not None and view.usable():
-                pending |= self._serve(k, browser, (state, view, self._changes), now)
+            if (view := browser.camera()).usable():
+                pending |= self._serve(k, browser, (state, view, tuple(self._keyframes)), now)
         return TICK if self._panel.playing else REST if pending else 1.0
 
-    def _serve(
-        self, k: int, browser: Page, wanted: tuple[State, ViewerCamera, int], now: float
-    ) -> bool:
+    def _serve(self, k: int, browser: Page, wanted: Wanted, now: float) -> bool:
         """Update one browser; return whether its fine picture is still to come."""
         shown = self._shown.get(k)
         if shown is None or shown.wanted != wanted:
@@ -133,7 +131,6 @@ class Session:
         """Do what a button asks for; return a sentence about the result."""
         if action in ("add keyframe", "remove keyframe"):
             self._keyframes = self._keyframes + [view] if "add" in action else self._keyframes[:-1]
-            self._changes += 1
             self._panel.count_keyframes(len(self._keyframes))
             return f"keyframes: {len(self._keyframes)}"
         if action == "save cameras" and not self._keyframes:
@@ -144,7 +141,7 @@ class Session:
             with folder_lock(out, "gva-mi view"):  # another viewer may want the same name
                 path = free_name(out, name)
                 if action == "snapshot":
-                    self._write_snapshot(path, state, view)
+                    write_image(path, self._snapshot(state, view))
                 else:
                     save_cameras(path, self._film(view))
         except InputError as error:
@@ -154,16 +151,12 @@ class Session:
         say(f"saved: {path}")
         return f"saved: {path}"
 
-    def _write_snapshot(self, path: Path, state: State, view: ViewerCamera) -> None:
-        from PIL import Image
-
-        if state.transparent:
-            alone = replace(state, beside=False)
-            image = to_rgba(self._drawing.layer(alone, self._camera(alone, view)))
-        else:
-            image = self.picture(state, view)
-        with atomic_write(path) as unfinished:
-            Image.fromarray(image).save(unfinished, "PNG")
+    def _snapshot(self, state: State, view: ViewerCamera) -> np.ndarray:
+        """Return what is seen in full resolution, or the avatar alone as RGBA."""
+        if not state.transparent:
+            return self.picture(state, view)
+        alone = replace(state, beside=False)
+        return to_rgba(self._drawing.layer(alone, self._camera(alone, view)))
 
 
 def free_name(folder: Path, name: str) -> Path:

@@ -1,4 +1,4 @@
-"""The renderer: stages, what changes cost, ways to call it, growth, and gsplat's reference.
+"""The renderer: stages, a moving camera, ways to call it, growth, and gsplat's reference.
 
 Without ``--scene`` it draws a person of 20,000 Gaussians at 512 px with harmonics of degree 3.
 """
@@ -6,8 +6,6 @@ Without ``--scene`` it draws a person of 20,000 Gaussians at 512 px with harmoni
 from __future__ import annotations
 
 import math
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -20,7 +18,7 @@ from torch import Tensor
 
 from benchmarks import gsplat_reference
 from benchmarks.timing import WARM_UP, Clock, Table, by_turns, timed
-from gva_mi.splat import Camera, Gaussians, rasterization, render
+from gva_mi.splat import rasterization, render
 from gva_mi.splat.kernels import composite, passes, tiles
 from gva_mi.splat.scene import Scene, person_scene
 
@@ -42,7 +40,6 @@ def run(
     growth: bool = True,
     gaussians: int = 20_000,
     size: int = 512,
-    processes: int = 3,
 ) -> Iterator[Table]:
     """Yield all tables.
 
@@ -52,33 +49,23 @@ def run(
         path: a scene's file instead.
         growth: whether to measure larger scenes.
         gaussians, size: of the person, and of the picture in pixels.
-        processes: fresh ones, to time their first picture.
     """
     person = lambda n, size: person_scene(np.random.default_rng(seed), n, size)
     work = Work.on(person(gaussians, size) if path is None else Scene.load(path))
     g, camera = work.scene.gaussians, work.scene.camera
-    title = (
-        f"{len(g):,} Gaussians, {camera.width} x {camera.height} px, {dr.thread_count()} threads"
-    )
+    size_of = f"{len(g):,} Gaussians, {camera.width} x {camera.height} px"
     clock = Clock()
     with _timed_stages(clock):
         for _ in range(WARM_UP + repeats):
             work.both()
-    table = clock.table(f"renderer, {title}", WARM_UP)
+    table = clock.table(f"renderer, {size_of}, {dr.thread_count()} threads", WARM_UP)
     for name, call in (("forward", work.forward), ("forward and backward", work.both)):
         table.rows.append({"": name} | timed(call, repeats).columns)
     yield table
-    yield _compiled(work)
     moving = iter(range(10**9))
     poses = lambda: _turned(work, 0.3 * math.sin(0.7 * next(moving))).both()
     yield by_turns("camera", {"fixed": work.both, "another pose each call": poses}, repeats)
     yield by_turns("entry points, no depth", _entry_points(work), repeats)
-    names = list(g.arrays())
-    some = {"all": names, "colours alone": names[-1:], "means and quats alone": ["means", "quats"]}
-    partial = {name: _by_some(work, wanted) for name, wanted in some.items()}
-    yield by_turns("gradients by some inputs", partial, repeats)
-    if processes:
-        yield _first_picture(processes)
     if gsplat_reference.installed() and g.sh is not None and camera.model == "pinhole":
         yield gsplat_reference.compare(work.scene, max(2, repeats // 5))
     if growth:
@@ -134,31 +121,6 @@ def _timed_stages(clock: Clock) -> Iterator[None]:
             setattr(*place, originals[name])
 
 
-def _compiled(work: Work) -> Table:
-    """How many kernels a call compiles after one thing changed.
-
-    A size is new once per process: where it was rendered before, nothing is compiled.
-    """
-    work.both()
-    s, c = work.scene, work.scene.camera
-    fewer = {k: v[: -max(1, len(v) // 7)] for k, v in s.gaussians.arrays().items()}
-    smaller = c.resized(max(1, 3 * c.width // 4 - 5), max(1, 2 * c.height // 3 + 3))
-    rows = []
-    for name, changed in (
-        ("nothing", work),
-        ("pose", _turned(work, 0.1)),
-        ("number of Gaussians", Work.on(replace(s, gaussians=Gaussians(**fewer)))),
-        ("size of the picture", Work.on(replace(s, camera=smaller))),
-    ):
-        dr.kernel_history_clear()
-        with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
-            changed.both()
-        kernels = dr.kernel_history((dr.KernelType.JIT,))
-        new = sum(not kernel["cache_hit"] for kernel in kernels)
-        rows.append({"changed": name, "compiled": new, "launched": len(kernels)})
-    return Table("kernels compiled by forward and backward", rows)
-
-
 def _turned(work: Work, angle: float) -> Work:
     """The scene from another side: its camera turned about the Gaussians' middle."""
     c, s, camera = math.cos(angle), math.sin(angle), work.scene.camera
@@ -194,52 +156,11 @@ def _entry_points(work: Work) -> dict[str, Callable[[], None]]:
     }
 
 
-def _by_some(work: Work, wanted: list[str]) -> Callable[[], None]:
-    """A forward and backward pass whose gradients are by the inputs named."""
-    scene, options = work.scene, replace(work.scene.options, depth=False)
-    arrays = {k: v.detach().clone() for k, v in scene.gaussians.arrays().items()}
-    leaves = [arrays[name].requires_grad_() for name in wanted]
-    gaussians, background = Gaussians(**arrays), scene.background.detach()
-
-    def both() -> None:
-        image = render(gaussians, scene.camera, options, background)
-        torch.autograd.grad(image.color, leaves, work.weights)
-
-    return both
-
-
-FIRST = """
-import time; a = time.perf_counter()
-import torch; b = time.perf_counter()
-import gva_mi.splat; c = time.perf_counter()
-import numpy as np
-from benchmarks.splatting import Work, person_scene
-work = Work.on(person_scene(np.random.default_rng(0), 20_000, 512)); d = time.perf_counter()
-work.both(); e = time.perf_counter()
-work.both(); f = time.perf_counter()
-print(b - a, c - b, e - d, f - e)
-"""
-
-
-def _first_picture(processes: int) -> Table:
-    """Seconds of a fresh process, its kernels compiled by the process before it."""
-    places = f"import sys; sys.path[:0] = {[p or '.' for p in sys.path]!r}\n"
-    command = [sys.executable, "-c", places + FIRST]
-    runs = []
-    for _ in range(processes):
-        done = subprocess.run(command, capture_output=True, text=True, check=True)
-        runs.append([float(word) for word in done.stdout.split()])
-    names = ("import torch", "import gva_mi.splat", "first picture", "second picture")
-    least = [min(times) for times in zip(*(runs[1:] or runs), strict=True)]
-    rows = [{"": name, "min s": seconds} for name, seconds in zip(names, least, strict=True)]
-    return Table("a fresh process, forward and backward", rows)
-
-
 def _growth(person: Callable[[int, int], Scene], repeats: int) -> Table:
     """Time and memory as the scene grows."""
     scenes = [("more Gaussians", lambda n=n: person(n, 512)) for n in COUNTS]
     scenes += [("more pixels", lambda w=w: person(20_000, w)) for w in WIDTHS]
-    scenes.append(("full HD", lambda: _full_hd(person(1_000_000, 1080))))
+    scenes.append(("full HD", lambda: _wide(person(1_000_000, 1080), 1920)))
     rows = []
     for name, make in scenes:
         work = Work.on(make())
@@ -255,8 +176,6 @@ def _growth(person: Callable[[int, int], Scene], repeats: int) -> Table:
     return Table("growth", rows)
 
 
-def _full_hd(scene: Scene) -> Scene:
-    """The same view on 1920 x 1080 pixels."""
-    c = scene.camera
-    camera = Camera(c.fx, c.fy, 960, c.cy, c.T_camera_world, 1920, c.height, c.model)
-    return replace(scene, camera=camera)
+def _wide(scene: Scene, width: int) -> Scene:
+    """Return the same view on a wider picture."""
+    return replace(scene, camera=replace(scene.camera, width=width, cx=width / 2))

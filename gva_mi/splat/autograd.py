@@ -20,7 +20,7 @@ from torch import Tensor
 from torch.autograd.function import FunctionCtx
 
 from gva_mi.jit.exclusive import exclusive
-from gva_mi.splat.tensors import not_compiled, to_drjit  # noqa: F401 (body/lanes.py
+from gva_mi.splat.tensors import not_compiled
 from gva_mi.splat.torch_passes import (
     IMAGES,
     Drawn,

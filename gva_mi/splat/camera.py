@@ -155,35 +155,28 @@ class Camera:
     def resized(self, width: int, height: int) -> Camera:
         """Return the same view on another grid of pixels."""
         x, y = width / self.width, height / self.height
-        K = self.tensors.K
-        if K is not None:
-            K = K * _like(K, [[x, x, x], [y, y, y], [1, 1, 1]])
-        return replace(
-            self,
-            fx=self.fx * x,
-            fy=self.fy * y,
-            cx=self.cx * x,
-            cy=self.cy * y,
-            width=width,
-            height=height,
-            tensors=self.tensors._replace(K=K),
-        )
+        return self._adapted([x, x, x, y, y, y], [0] * 6, width, height)
 
     def cropped(self, left: int, top: int, width: int, height: int) -> Camera:
         """Return the part of the view that starts at pixel (left, top)."""
-        K = self.tensors.K
-        if K is not None:
-            K = K - _like(K, [[0, 0, left], [0, 0, top], [0, 0, 0]])
-        cx, cy, tensors = self.cx - left, self.cy - top, self.tensors._replace(K=K)
-        return replace(self, cx=cx, cy=cy, width=width, height=height, tensors=tensors)
+        return self._adapted([1] * 6, [0, 0, -left, 0, 0, -top], width, height)
 
     def zoomed(self, factor: float) -> Camera:
         """Return the view through a lens with ``factor`` times the focal lengths."""
+        return self._adapted([factor, 1, 1, 1, factor, 1], [0] * 6, self.width, self.height)
+
+    def _adapted(self, scale: list[float], shift: list[float], width: int, height: int) -> Camera:
+        """Scale and shift the upper two rows of K, and set the size."""
         K = self.tensors.K
         if K is not None:
-            K = K * _like(K, [[factor, 1, 1], [1, factor, 1], [1, 1, 1]])
+            rows = lambda numbers, last: np.reshape([*numbers, *last], (3, 3)).tolist()
+            K = K * _like(K, rows(scale, [1] * 3)) + _like(K, rows(shift, [0] * 3))
+        fx, fy = self.fx * scale[0], self.fy * scale[4]
+        cx, cy = self.cx * scale[2] + shift[2], self.cy * scale[5] + shift[5]
         tensors = self.tensors._replace(K=K)
-        return replace(self, fx=self.fx * factor, fy=self.fy * factor, tensors=tensors)
+        return replace(
+            self, fx=fx, fy=fy, cx=cx, cy=cy, width=width, height=height, tensors=tensors
+        )
 
     def project(self, points: np.ndarray) -> np.ndarray:
         """Project world points (..., 3) to pixels (..., 2); meaningless behind the camera."""

@@ -12,7 +12,8 @@ to check the kernels (:mod:`gva_mi.gradcheck`), on small pictures.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -27,20 +28,16 @@ def render(
     camera: Camera,
     options: SplatOptions | None = None,
     background: Tensor | None = None,
-    *,
-    depth_limit: Tensor | None = None,
 ) -> Image:
-    """Draw ``gaussians`` as ``torch_op.render`` does, in float64.
+    """Draw ``gaussians`` as ``splat.render`` does, in float64.
 
     Args:
         gaussians: torch tensors of any precision; computed in float64, differentiable.
         camera: the view; differentiable if it is made from tensors.
         options: cut-offs.
         background: (D,); black if None.
-        depth_limit: (H, W), m along the camera's z; a pixel shows what is nearer.
     """
-    options = options or SplatOptions()
-    return _render(gaussians, camera, options, background, depth_limit)[0]
+    return _render(gaussians, camera, options or SplatOptions(), background)[0]
 
 
 def threshold_band(
@@ -68,41 +65,12 @@ def threshold_band(
     return (margins.alpha < alpha) | (margins.rest < transmittance) | (margins.depth < depth)
 
 
-@dataclass(frozen=True)
-class _Margins:
+class _Margins(NamedTuple):
     """Relative distances of each pixel to the nearest step of its picture, (H, W)."""
 
     alpha: Tensor  # of any alpha to alpha_min or alpha_max
     rest: Tensor  # of any T to transmittance_min
     depth: Tensor  # between neighbours in depth
-
-    def narrowed(
-        self,
-        options: SplatOptions,
-        free: Tensor,
-        rest: Tensor,
-        gap: Tensor,
-        stopped: Tensor,
-        seen: Tensor,
-    ) -> _Margins:
-        """Return the margins after one more Gaussian.
-
-        Args:
-            options: cut-offs.
-            free: its alpha before it is clamped, (H, W).
-            rest: T behind it, (H, W).
-            gap: its relative distance behind the Gaussian in front, (H, W).
-            stopped: pixels that stopped before it.
-            seen: pixels that show it.
-        """
-        off = lambda value, cut: (value / cut - 1).abs()
-        to_cut = torch.minimum(off(free, options.alpha_min), off(free, options.alpha_max))
-        to_stop = off(rest, options.transmittance_min)
-        return _Margins(
-            torch.minimum(self.alpha, torch.where(stopped, torch.inf, to_cut)),
-            torch.minimum(self.rest, torch.where(seen, to_stop, torch.inf)),
-            torch.minimum(self.depth, torch.where(seen & (gap > 0), gap, torch.inf)),
-        )
 
 
 def _matrices(camera: Camera) -> tuple[Tensor, Tensor]:
@@ -117,7 +85,6 @@ def _render(
     camera: Camera,
     options: SplatOptions,
     background: Tensor | None,
-    depth_limit: Tensor | None = None,
 ) -> tuple[Image, _Margins]:
     T_camera_world, K = _matrices(camera)
     to64 = lambda t: t.to(torch.float64)
@@ -125,9 +92,8 @@ def _render(
     covariances = _covariances(gaussians)
     R, t = T_camera_world[:3, :3], T_camera_world[:3, 3]
     H, W = camera.height, camera.width
-    pixels = torch.stack(
-        torch.meshgrid(torch.arange(W) + 0.5, torch.arange(H) + 0.5, indexing="xy"), dim=-1
-    ).to(torch.float64)  # (H, W, 2)
+    grid = torch.meshgrid(torch.arange(W) + 0.5, torch.arange(H) + 0.5, indexing="xy")
+    pixels = torch.stack(grid, dim=-1).to(torch.float64)  # (H, W, 2)
 
     colors = _colors(gaussians, means, position=-torch.linalg.solve(R, t))
     background = torch.zeros(colors.shape[1]) if background is None else background
@@ -142,15 +108,15 @@ def _render(
     color = torch.zeros(H, W, colors.shape[1], dtype=torch.float64)
     depth = torch.zeros(H, W, dtype=torch.float64)
     never = torch.full((H, W), torch.inf, dtype=torch.float64)
-    margins, last = _Margins(never, never, never), -never  # last: the depth in front, (H, W)
+    steps, last = _Margins(never, never, never), -never  # last: the depth in front, (H, W)
+    off = lambda value, cut: (value.detach() / cut - 1).abs()
+    nearer = lambda known, where, value: torch.minimum(known, torch.where(where, value, torch.inf))
     for i in order[visible[order]].tolist():
         mean2d, sharp = _project(x[i], covariances[i], R, camera, K)
         covariance = sharp + options.blur * torch.eye(2, dtype=torch.float64)
         opacity = opacities[i]
         if options.antialiased:
             opacity = opacity * torch.sqrt(torch.linalg.det(sharp) / torch.linalg.det(covariance))
-        if depth_limit is not None:
-            stopped = stopped | (depths[i].detach() >= depth_limit)
         d = pixels - mean2d
         exponent = -0.5 * torch.einsum("hwi,ij,hwj->hw", d, torch.linalg.inv(covariance), d)
         free = opacity * torch.exp(exponent)
@@ -161,7 +127,12 @@ def _render(
         rest = remaining * (1 - alpha)
 
         gap = 1 - last / depths[i].detach()
-        margins = margins.narrowed(options, free.detach(), rest.detach(), gap, stopped, seen)
+        to_cut = torch.minimum(off(free, options.alpha_min), off(free, options.alpha_max))
+        steps = _Margins(
+            nearer(steps.alpha, ~stopped, to_cut),
+            nearer(steps.rest, seen, off(rest, options.transmittance_min)),
+            nearer(steps.depth, seen & (gap > 0), gap),
+        )
         last = torch.where(seen, depths[i].detach(), last)
 
         stopped = stopped | (rest.detach() <= options.transmittance_min)
@@ -170,7 +141,7 @@ def _render(
         depth = depth + weight * depths[i]
         remaining = torch.where(stopped, remaining, rest)
     color = color + remaining[..., None] * background
-    return Image(color, 1 - remaining, depth if options.depth else None), margins
+    return Image(color, 1 - remaining, depth if options.depth else None), steps
 
 
 def _covariances(gaussians: Gaussians) -> list[Tensor]:
@@ -229,13 +200,7 @@ def rotation(quat: Tensor) -> Tensor:
         return torch.eye(3, dtype=quat.dtype)
     w, v = quat[0] / length, quat[1:] / length
     zero = torch.zeros((), dtype=quat.dtype)
-    K = torch.stack(
-        [
-            torch.stack([zero, -v[2], v[1]]),
-            torch.stack([v[2], zero, -v[0]]),
-            torch.stack([-v[1], v[0], zero]),
-        ]
-    )
+    K = torch.stack([zero, -v[2], v[1], v[2], zero, -v[0], -v[1], v[0], zero]).view(3, 3)
     return torch.eye(3, dtype=quat.dtype) + 2 * w * K + 2 * K @ K  # Rodrigues, with half angles
 
 
@@ -245,12 +210,8 @@ def harmonics(directions: Tensor, count: int) -> Tensor:
     Order and sign are those of 3DGS. The recurrences of the associated Legendre functions have
     nothing in common with the kernels' polynomials.
     """
-    x, y, z = directions.unbind(1)
-    out = []
-    for l in range(int(count**0.5)):
-        for m in range(-l, l + 1):
-            out.append(_harmonic(l, m, x, y, z))
-    return torch.stack(out, dim=1)
+    degrees = [(l, m) for l in range(int(count**0.5)) for m in range(-l, l + 1)]
+    return torch.stack([_harmonic(l, m, *directions.unbind(1)) for l, m in degrees], dim=1)
 
 
 def _harmonic(l: int, m: int, x: Tensor, y: Tensor, z: Tensor) -> Tensor:
@@ -260,16 +221,12 @@ def _harmonic(l: int, m: int, x: Tensor, y: Tensor, z: Tensor) -> Tensor:
     for _ in range(k):
         real, imaginary = real * x - imaginary * y, real * y + imaginary * x
     # P_k^k / sin^k with the Condon-Shortley sign (-1)^k, then upwards in the degree
-    double_factorial = 1.0
-    for odd in range(1, 2 * k, 2):
-        double_factorial *= -odd
+    double_factorial = float(math.prod(range(-1, -2 * k, -2)))
     previous, current = torch.zeros_like(z), torch.full_like(z, double_factorial)
     for degree in range(k + 1, l + 1):
         following = ((2 * degree - 1) * z * current - (degree + k - 1) * previous) / (degree - k)
         previous, current = current, following
-    factorials = 1.0
-    for i in range(l - k + 1, l + k + 1):
-        factorials *= i
+    factorials = math.perm(l + k, 2 * k)  # (l + k)! / (l - k)!
     norm = ((2 * l + 1) / (4 * torch.pi * factorials)) ** 0.5
     if m == 0:
         return norm * current

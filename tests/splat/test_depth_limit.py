@@ -8,12 +8,10 @@ from dataclasses import replace
 import drjit as dr
 import numpy as np
 import pytest
-import torch
 from drjit.llvm.ad import TensorXf, TensorXf64
 
-from gva_mi.splat import Camera, Gaussians, look_at, reference
+from gva_mi.splat import Camera, Gaussians, look_at
 from gva_mi.splat.drjit_render import render
-from gva_mi.splat.scene import random_scene
 
 WIDTH, HEIGHT = 37, 30
 CAMERA = Camera(40, 40, 18.5, 15, look_at((0, 0, 4), (0, 0, 0)), WIDTH, HEIGHT)
@@ -89,17 +87,3 @@ def test_a_limit_of_another_size_is_refused():
     camera = replace(CAMERA, width=WIDTH + 1)
     with pytest.raises(ValueError, match="depth_limit"):
         render(gaussians(TensorXf), camera, depth_limit=TensorXf(limit()))
-
-
-def test_the_reference_agrees():
-    s = random_scene(torch.Generator().manual_seed(0), degree=1, width=20, height=14)
-    limit = 2.2 + 1.4 * torch.rand(14, 20, generator=torch.Generator().manual_seed(1)).double()
-    limit[:, 10:] = torch.inf
-    image = reference.render(s.gaussians, s.camera, depth_limit=limit)
-    whole = reference.render(s.gaussians, s.camera)
-    assert torch.equal(image.color[:, 10:], whole.color[:, 10:])
-    assert (image.alpha[:, :10] < whole.alpha[:, :10]).double().mean() > 0.5
-    arrays = {k: TensorXf64(v.numpy()) for k, v in s.gaussians.arrays().items()}
-    found = render(Gaussians(**arrays), s.camera, depth_limit=TensorXf64(limit.numpy()))
-    for name in ("color", "alpha", "depth"):
-        np.testing.assert_allclose(getattr(found, name), getattr(image, name), atol=1e-12)

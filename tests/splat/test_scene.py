@@ -102,17 +102,6 @@ def test_rounded_is_what_float32_holds():
     assert (T == T.astype(np.float32)).all() and s.camera.fx == np.float32(s.camera.fx)
 
 
-def test_a_person_fills_the_picture_and_repeats():
-    s = person_scene(np.random.default_rng(3), 3000, 48)
-    alpha = draw(s).alpha
-    assert 0.08 < (alpha > 0.5).double().mean() < 0.5
-    assert alpha[0].max() < 0.5 and alpha[-1].max() < 0.5
-    again = person_scene(np.random.default_rng(3), 3000, 48)
-    assert torch.equal(s.gaussians.means, again.gaussians.means)
-    y = s.gaussians.means[:, 1]
-    assert y.min() > -0.1 and y.max() < 1.9
-
-
 @pytest.mark.parametrize("suffix", [".ply", ".splat"])
 def test_gaussians_of_another_program_are_seen_from_their_front(tmp_path, suffix):
     person = person_scene(np.random.default_rng(0), 500, 64).gaussians

@@ -17,7 +17,7 @@ PROGRAM = """
 import threading
 import torch
 from torch.autograd import forward_ad
-from gva_mi.splat import SplatOptions, drjit_op, exclusive, render
+from gva_mi.splat import SplatOptions, drjit_render, exclusive, render
 from gva_mi.splat.scene import random_scene
 from gva_mi.splat.gaussians import Gaussians
 import drjit as dr
@@ -45,7 +45,7 @@ def native(s, options):
     with exclusive:  # for Dr.Jit's own autodiff too
         arrays = {k: ad.TensorXf(v.detach().numpy()) for k, v in s.gaussians.arrays().items()}
         dr.enable_grad(arrays["means"])
-        color = drjit_op.render(Gaussians(**arrays), s.camera, options).color
+        color = drjit_render.render(Gaussians(**arrays), s.camera, options).color
         dr.backward(dr.sum(dr.square(color)))
         return [torch.tensor(x.numpy()) for x in (color, dr.grad(arrays["means"]))]
 

@@ -109,23 +109,3 @@ def test_the_kernels_own_gradients(splats):
         assert np.abs(expected).max() > 0
         error = np.linalg.norm(found[name] - expected) / np.linalg.norm(expected)
         assert error < 1e-5, name
-
-
-def test_a_fit_recovers_the_scene(splats):
-    """Gradient descent through mi.render recovers the colours."""
-    g = splats.arrays(20, 0)
-    target = splats.picture(splats.scene(g), splats.SENSORS["perspective"]())
-    scene = splats.scene(g | {"sh": np.zeros_like(g["sh"])})
-    view, method = splats.SENSORS["perspective"](), splats.integrator()
-    parameters = mi.traverse(scene)
-    optimizer = mi.ad.Adam(lr=0.05)
-    optimizer["splats.sh_coeffs"] = parameters["splats.sh_coeffs"]
-    losses = []
-    for _ in range(60):
-        parameters.update(optimizer)
-        image = mi.render(scene, parameters, view, method)
-        value = dr.mean(dr.square(image - mi.TensorXf(target)), axis=None)
-        dr.backward(value)
-        optimizer.step()
-        losses.append(value.array[0])
-    assert losses[-1] < 1e-2 * losses[0]

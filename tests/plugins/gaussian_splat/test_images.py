@@ -134,25 +134,6 @@ def test_clip_distances_are_the_sensors(splats):
     assert shown == [True, True, False, False]
 
 
-def test_the_same_call_gives_the_same_bits(splats):
-    """Images and gradients do not depend on the number of threads."""
-    view, runs, before = splats.sensor(fov=40.0), [], dr.thread_count()
-    for threads in (before, 1, before):
-        dr.set_thread_count(threads)
-        scene = splats.scene(splats.arrays(60, 2))
-        parameters = mi.traverse(scene)
-        dr.enable_grad([parameters[f"splats.{name}"] for name in PARAMETERS])
-        parameters.update()
-        image = mi.render(scene, parameters, view, splats.integrator())
-        dr.backward(dr.sum(image * image, axis=None))
-        grads = [np.array(dr.grad(parameters[f"splats.{name}"])) for name in PARAMETERS]
-        runs.append([np.array(image), *grads])
-    dr.set_thread_count(before)
-    for run in runs[1:]:
-        for got, expected in zip(run, runs[0], strict=True):
-            np.testing.assert_array_equal(got, expected)
-
-
 def test_unsupported_scenes_raise(splats):
     g = splats.arrays(4, 1)
     scene, shape = splats.scene(g), splats.ellipsoids(g)

@@ -109,17 +109,6 @@ def test_composition(splats, srgb):
     assert 0.1 < through.mean() < 0.9
 
 
-def test_ellipsoids_inside_a_surface_are_invisible(splats):
-    g, view = splats.arrays(20, 1), ahead(splats)
-    g["means"] *= 0.1
-    shell = {"ball": ball((0, 0, 0), 1.2), "sky": SKY}
-    scene = splats.scene(g, **shell)
-    image = np.array(mi.render(scene, sensor=view, integrator=among(splats), spp=4))
-    L, _ = shown_alone(splats, view, scene, **shell)
-    inside = np.hypot(*np.mgrid[-15.5:16, -15.5:16]) < 10
-    np.testing.assert_array_equal(image[inside], L[inside])
-
-
 def test_a_surface_may_move_and_the_scene_stays_unchanged(splats):
     g, view, method = splats.arrays(40, 1), ahead(splats), among(splats)
     g["means"][:, 2] *= 0.1

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi import InputError
 from gva_mi.splat.formats.compressed_ply import CHUNK
 from gva_mi.splat.formats.compressed_ply_writer import save_compressed_ply
 from gva_mi.splat.formats.ply import load_ply
@@ -77,36 +76,3 @@ def test_chunks_hold_neighbours(tmp_path):
     again = path.read_bytes()
     save_compressed_ply(path, given)
     assert path.read_bytes() == again
-
-
-def test_no_gaussians_one_and_equal_ones(tmp_path):
-    path = tmp_path / "a.ply"
-    one = cloud(1, 4).arrays()
-    for count in (0, 1, 300):
-        given = Gaussians(**{name: x.repeat(count, *[1] * (x.ndim - 1)) for name, x in one.items()})
-        save_compressed_ply(path, given)
-        found = load_ply(path)
-        assert found.means.shape == (count, 3)
-        assert torch.allclose(found.means, given.means)
-        assert torch.allclose(found.scales, given.scales, rtol=1e-5)
-        assert torch.allclose(found.sh[:, 0], given.sh[:, 0], atol=1e-5)
-
-
-def test_plain_colours_and_unsupported_gaussians(tmp_path):
-    given = cloud(5, 1)
-    plain = {**given.arrays(), "colors": given.sh[:, 0] * C0 + 0.5}
-    del plain["sh"]
-    save_compressed_ply(tmp_path / "a.ply", given)
-    save_compressed_ply(tmp_path / "b.ply", Gaussians(**plain))
-    first, second = (load_ply(tmp_path / name) for name in ("a.ply", "b.ply"))
-    assert torch.allclose(first.sh, second.sh, atol=1e-5)
-    for path in tmp_path.iterdir():
-        path.unlink()
-    given = cloud(5, 25)
-    with pytest.raises(InputError, match="harmonics up to degree 3"):
-        save_compressed_ply(tmp_path / "a.ply", given)
-    given = cloud(5, 1)
-    given.means[2, 1] = torch.inf
-    with pytest.raises(InputError, match="finite numbers alone"):
-        save_compressed_ply(tmp_path / "a.ply", given)
-    assert not list(tmp_path.iterdir())

@@ -6,7 +6,7 @@ import torch
 
 from gva_mi import InputError
 from gva_mi.splat import Gaussians
-from gva_mi.splat.formats.splat import ROW, load_splat, plain_colors, save_splat
+from gva_mi.splat.formats.splat import load_splat, plain_colors, save_splat
 
 
 def some_gaussians(coefficients=4, count=20):
@@ -30,31 +30,6 @@ def test_what_is_read_is_what_was_written_to_8_bits(tmp_path):
     unit = torch.nn.functional.normalize(g.quats[order], dim=1)
     assert (read.quats - unit).abs().max() <= 1 / 128
     assert [file.name for file in tmp_path.iterdir()] == ["a.splat"]
-
-
-def test_rows_are_of_32_bytes_the_largest_first(tmp_path):
-    save_splat(tmp_path / "a.splat", some_gaussians())
-    content = (tmp_path / "a.splat").read_bytes()
-    assert ROW.itemsize == 32 and len(content) == 20 * 32
-    scales = np.frombuffer(content, "<f4").reshape(20, 8)[:, 3:6].astype(float)
-    opacity = np.frombuffer(content, np.uint8).reshape(20, 32)[:, 27] / 255.0
-    weight = scales.prod(1) * opacity  # the opacity is rounded, by at most half of 1/255
-    slack = scales.prod(1) / 255
-    assert (weight[:-1] + slack[:-1] >= weight[1:] - slack[1:]).all() and weight[0] > weight[-1]
-
-
-def test_plain_colors_are_those_of_a_single_band(tmp_path):
-    g = some_gaussians()
-    colors = torch.rand(20, 3, generator=torch.Generator().manual_seed(1))
-    plain = Gaussians(g.means, g.quats, g.scales, g.opacities, colors=colors)
-    save_splat(tmp_path / "a.splat", plain)
-    found = load_splat(tmp_path / "a.splat").colors
-    assert torch.allclose(found, colors[in_order(g)], atol=0.5 / 255 + 1e-6)
-
-
-def test_no_gaussians_at_all(tmp_path):
-    save_splat(tmp_path / "a.splat", some_gaussians(count=0))
-    assert len(load_splat(tmp_path / "a.splat")) == 0
 
 
 def test_other_files_are_explained(tmp_path):

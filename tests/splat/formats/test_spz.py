@@ -10,7 +10,6 @@ import torch
 from gva_mi import InputError
 from gva_mi.splat import Gaussians
 from gva_mi.splat.formats.spz import load_spz, save_spz
-from gva_mi.splat.kernels.sh import C0
 
 ANGLE = 0.28  # degrees
 
@@ -82,16 +81,6 @@ def test_numbers_beyond_the_ranges_are_clipped(tmp_path):
     )
     assert torch.allclose(read.sh[0, 0, :2], torch.tensor([1, -1]) * 0.5 / 0.15)
     assert torch.allclose(read.sh[0, 1], torch.tensor([127 / 128, -1.0, 0.0]))
-
-
-def test_plain_colors_and_no_gaussians_at_all(tmp_path):
-    g = some_gaussians(0, 20)
-    colors = torch.rand(20, 3, generator=torch.Generator().manual_seed(1))
-    save_spz(tmp_path / "a.spz", Gaussians(g.means, g.quats, g.scales, g.opacities, colors=colors))
-    found = load_spz(tmp_path / "a.spz").sh[:, 0] * C0 + 0.5
-    assert (found - colors).abs().max() <= 0.5 / 38.25 * C0 + 1e-6
-    save_spz(tmp_path / "none.spz", some_gaussians(2, 0))
-    assert len(load_spz(tmp_path / "none.spz")) == 0
 
 
 def bytes_of(version, pack, quats):

@@ -145,32 +145,6 @@ def test_a_trainer_may_write_into_its_pictures(arguments, gradients):
         assert torch.equal(grad, found[1][name]), name
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("threads", [1, 2])
-def test_same_bits_with_any_torch_threads(arguments, threads):
-    def run():
-        a = arguments(torch.float32, degree=1)
-        copies = 200  # enough for torch to share work among threads
-        for name in ("means", "quats", "scales", "opacities", "colors"):
-            whole = a[name].detach().repeat(copies, *[1] * (a[name].dim() - 1))
-            a[name] = whole.requires_grad_()
-        with torch.no_grad():
-            noise = torch.randn(a["means"].shape, generator=torch.Generator().manual_seed(0))
-            a["means"] += 0.3 * noise
-        colors, alphas, _ = rasterization(**a, sh_degree=1, render_mode="RGB+ED", absgrad=True)
-        (colors.square().sum() + alphas.sum()).backward()
-        parts = [colors, alphas, *(leaf.grad for leaf in list(a.values())[:7])]
-        return [p.detach().numpy().tobytes() for p in parts]
-
-    before = torch.get_num_threads()
-    torch.set_num_threads(threads)
-    try:
-        found = run()
-    finally:
-        torch.set_num_threads(before)
-    assert found == run()
-
-
 def test_unsupported_arguments_raise(arguments):
     a = arguments()
     wrong = {"distributed": True, "with_ut": True}

@@ -1,9 +1,7 @@
 """Wide colours are composited in chunks to one picture."""
 
-import drjit as dr
 import pytest
 import torch
-from drjit.llvm import Float
 
 from gva_mi.splat import Screen, reference, render
 from gva_mi.splat.gaussians import Gaussians
@@ -26,18 +24,6 @@ def test_formats_hold_all_channels_and_the_depth_once():
         assert len(set(widths)) == 1  # one kernel for all, but for the depth
         assert [format.depth for format in formats] == [k == 0 for k in range(len(formats))]
         assert chunks.formats(channels, depth=False, whole=True) == (RecordFormat(channels, False),)
-
-
-def test_split_undoes_join():
-    channels, pixels = 2 * CHUNK + 3, 5
-    whole = dr.arange(Float, pixels * channels)
-    alpha = dr.zeros(Float, pixels)
-    memory = [dr.zeros(Float, pixels * CHUNK) for _ in range(3)]
-    dr.make_opaque(whole, alpha, memory)
-    parts = chunks.split(whole, alpha, memory, channels=channels)
-    assert dr.all(
-        chunks.join(parts, alpha, dr.zeros(Float, pixels * channels), channels=channels) == whole
-    )
 
 
 @pytest.mark.parametrize("channels", [CHUNK, 33])

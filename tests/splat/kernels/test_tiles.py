@@ -63,11 +63,6 @@ def test_equal_depths_keep_their_order():
         assert ids == sorted(ids)
 
 
-@pytest.mark.parametrize("pairs", [1, 2, 7, 8, 9, 1000, 123_456, 2**31 - 1])
-def test_capacity_is_enough_and_not_a_quarter_more(pairs):
-    assert pairs <= tiles.capacity(pairs) <= 1.25 * pairs
-
-
 def test_too_many_pairs_are_refused(monkeypatch):
     monkeypatch.setattr(tiles, "MAX_PAIRS", 10)
     with pytest.raises(ValueError, match="40 Gaussians touch"):

@@ -19,7 +19,7 @@ from gva_mi.core.options import Seed, Within, require_ranges
 from gva_mi.gradcheck.avatar import check_avatar
 from gva_mi.gradcheck.chain import PosedAvatar
 from gva_mi.gradcheck.engine import Report, write_reports
-from gva_mi.gradcheck.normals import COORDINATES, NormalsCheck, check_normals
+from gva_mi.gradcheck.normals import COORDINATES, check_normals
 from gva_mi.gradcheck.picture import write_picture
 from gva_mi.gradcheck.probes import IMAGES
 from gva_mi.gradcheck.splat import gradcheck as check_renderer
@@ -150,10 +150,9 @@ def _poses(options: GradcheckOptions, body: Path | None) -> Iterator[tuple[str, 
 def _normals(options: GradcheckOptions) -> Iterator[tuple[str, Report]]:
     """``mesh_normals`` by coordinates of the body's pose."""
     count = min(options.count or len(COORDINATES), len(COORDINATES))
-    check = NormalsCheck(options.size, options.spp, options.lines, options.points)
-    rows = []
+    fineness, rows = (options.size, options.spp, options.lines, options.points), []
     with bar("gradcheck") as progress:
-        for done, found in enumerate(check_normals(check, count), 1):
+        for done, found in enumerate(check_normals(count, *fineness), 1):
             rows += found
             progress(done, count)
     yield "mesh_normals", Report(tuple(rows), f"{count} coordinates of the pose, {options.size} px")

@@ -40,7 +40,8 @@ from gva_mi.splat import reference
 CHAIN = "chain"  # the group of the whole chain's comparisons
 F64, F32 = 1e-8, 1e-5  # the greatest relative L2 error allowed
 BAND = 1e-3  # relative distance of an alpha to its cut-off, beyond reach of a difference's steps
-STEPS = {  # times the step of a difference: inputs that move many pixels, or a small part of one
+STEP = 1e-5  # of a difference, in the input's units
+STEPS = {  # times it: inputs that move many pixels, or a small part of one
     "rotations": 0.1, "transl": 0.1, "means": 0.1, "betas": 20.0, "expression": 60.0,
     "light": 30.0, "posed_means": 0.1, "covars": 0.01,
 }  # fmt: skip
@@ -75,7 +76,6 @@ def check_avatar(
     *,
     tolerances: tuple[float, float] = (F64, F32),
     entries: int = 3,
-    step: float = 1e-5,
     seed: int = 0,
 ) -> AvatarReport:
     """Check the gradients of an avatar's picture.
@@ -85,11 +85,10 @@ def check_avatar(
         tolerances: the greatest relative L2 errors allowed in float64 and in float32.
         entries: how many entries of every input to differentiate one by one; of an input of few
             entries (at most 4 times as many) all.
-        step: of the differences, in the input's units.
         seed: of the loss's weights and of the choice of entries.
     """
     with one_torch_thread():
-        question = _Question.of(posed, entries, step, tolerances, Generator().manual_seed(seed))
+        question = _Question.of(posed, entries, tolerances, Generator().manual_seed(seed))
         rows = list(question.chain())
         for link, coarse in zip(question.links, posed.links(torch.float32), strict=True):
             rows += question.link(link, coarse)
@@ -109,16 +108,11 @@ class _Question:
     values: Tensors  # of the chain, detached
     gradients: Tensors  # by all of them
     probes: dict[str, Probe]
-    step: float
     tolerances: tuple[float, float]  # float64, float32
 
     @staticmethod
     def of(
-        posed: PosedAvatar,
-        entries: int,
-        step: float,
-        tolerances: tuple[float, float],
-        generator: Generator,
+        posed: PosedAvatar, entries: int, tolerances: tuple[float, float], generator: Generator
     ) -> _Question:
         links = posed.links()
         values = run(links, _leaves(posed.values))
@@ -133,7 +127,7 @@ class _Question:
         count = lambda g: g.numel() if g.numel() <= FEW * entries else entries
         probes = {k: Probe.among(g, count(g), generator) for k, g in found.items()}
         values = {k: v.detach() for k, v in values.items()}
-        return _Question(posed, links, band, weights, values, found, probes, step, tolerances)
+        return _Question(posed, links, band, weights, values, found, probes, tolerances)
 
     def chain(self) -> Iterator[Comparison]:
         """Compare the whole chain, and the avatar's own code with the composed links."""
@@ -191,7 +185,7 @@ class _Question:
 
     def _differences(self, fn, values, name, weights, group, truth=None) -> Comparison:  # noqa: ANN001
         share = NETWORK_STEP if name.startswith(NETWORK) else STEPS.get(name, 1.0)
-        step = share * LINEAR.get(group, 1.0) * self.step
+        step = share * LINEAR.get(group, 1.0) * STEP
         moves = lambda v: differences(fn, values, name, v, step)
         return self._along("differences", name, moves, weights, self.tolerances[0], group, truth)
 

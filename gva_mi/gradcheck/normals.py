@@ -20,7 +20,6 @@ coincide on the picture. With a step of 0.1 pixels the mask's difference for an 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -74,40 +73,35 @@ class PoseCoordinate(NamedTuple):
         return f"{self.pose}, {self.moves} {'xyz'[self.axis]}"
 
 
-COORDINATES = (
-    PoseCoordinate("free", "transl", 0),
-    PoseCoordinate("free", "transl", 1),
-    PoseCoordinate("free", "transl", 2),
-    PoseCoordinate("free", "left_shoulder", 2),
-    PoseCoordinate("free", "left_elbow", 1),
-    PoseCoordinate("free", "left_thumb1", 2),
-    PoseCoordinate("free", "left_index1", 2),
-    PoseCoordinate("free", "left_pinky1", 2),
-    PoseCoordinate("occluding", "left_shoulder", 1),
-    PoseCoordinate("occluding", "left_elbow", 1),
-    PoseCoordinate("occluding", "left_index1", 2),
-    PoseCoordinate("crossing", "left_shoulder", 1),
-    PoseCoordinate("crossing", "right_elbow", 1),
-    PoseCoordinate("crossing", "left_hip", 2),
-    PoseCoordinate("intersecting", "left_shoulder", 2),
-    PoseCoordinate("pressed", "left_hip", 2),
+_MOVES = {
+    "free": "transl x, transl y, transl z, left_shoulder z, left_elbow y, left_thumb1 z, "
+    "left_index1 z, left_pinky1 z",
+    "occluding": "left_shoulder y, left_elbow y, left_index1 z",
+    "crossing": "left_shoulder y, right_elbow y, left_hip z",
+    "intersecting": "left_shoulder z",
+    "pressed": "left_hip z",
+}
+COORDINATES = tuple(
+    PoseCoordinate(pose, move[:-2], "xyz".index(move[-1]))
+    for pose, moves in _MOVES.items()
+    for move in moves.split(", ")
 )
 
 
-@dataclass(frozen=True)
-class NormalsCheck:
-    """How finely to compare."""
+def check_normals(
+    count: int, size: int = 512, spp: int = 16, lines: int = 16000, points: int = 89
+) -> Iterator[list[Comparison]]:
+    """Yield the comparisons of the first coordinates in COORDINATES, one coordinate at a time.
 
-    size: int = 512  # pixels, width and height
-    spp: int = 16  # rays for a pixel of the gradient that is examined
-    lines: int = 16000  # across the rectangle that moves, for the true boundary term
-    points: int = 89  # on each face, for the true interior
-
-
-def check_normals(check: NormalsCheck, count: int) -> Iterator[list[Comparison]]:
-    """Yield the comparisons of the first coordinates in COORDINATES, one coordinate at a time."""
+    Args:
+        count: coordinates to compare.
+        size: width and height of the picture, pixels.
+        spp: rays for a pixel of the gradient that is examined.
+        lines: across the rectangle that moves, for the true boundary term.
+        points: on each face, for the true interior.
+    """
     load_plugins()
-    body, size = load_body(dtype=torch.float64), check.size
+    body = load_body(dtype=torch.float64)
     T_camera_world = look_at((0.25, 0.1, 2.4), (0, -0.05, 0))
     camera = Camera(1.15 * size, 1.15 * size, size / 2, size / 2, T_camera_world, size, size)
     weightings = _weightings(size)
@@ -115,10 +109,10 @@ def check_normals(check: NormalsCheck, count: int) -> Iterator[list[Comparison]]
         vertices = _posed(body, coordinate)
         motion = (vertices(TINY) - vertices(-TINY)) / (2 * TINY)
         mesh = MovingMesh(vertices(0.0), body.faces.numpy(), motion)
-        inside, jumps = _by_plugin(mesh, camera, check.spp)
+        inside, jumps = _by_plugin(mesh, camera, spp)
         lens = PinholeLens(camera)
-        true_inside = interior(mesh, lens, TINY, check.points)
-        true_jumps = boundary(mesh, lens, check.lines, np.random.default_rng(0))
+        true_inside = interior(mesh, lens, TINY, points)
+        true_jumps = boundary(mesh, lens, lines, np.random.default_rng(0))
         rows = []
         for name, found, truth, channels in (
             ("mask", jumps, true_jumps, slice(3, 4)),

@@ -137,7 +137,10 @@ class _FlatMesh:
         face, x, u, a, b = (v[long] for v in (face, x, u, a, b))
         if len(face) == 0:
             return None
-        at, left, right = _changes(*upper_envelope(x, u))
+        starts, owners = upper_envelope(x, u)
+        owners = np.concatenate([[-1], owners, [-1]])
+        changes = np.flatnonzero(np.diff(owners))
+        at, left, right = starts[changes], owners[changes], owners[changes + 1]
         ends = (left >= 0) & (x[left, 1] == at)
         begins = ~ends & (right >= 0) & (x[right, 0] == at)
         owner, end = np.where(ends, left, right), np.where(ends, 1, 0)
@@ -281,10 +284,3 @@ def _pairs_by_stretch(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     stretch = np.arange(len(over)) + np.repeat(places[:, 0] - np.cumsum(count) + count, count)
     by_stretch = np.argsort(stretch, kind="stable")
     return over[by_stretch], stretch[by_stretch]
-
-
-def _changes(starts: np.ndarray, owners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Where the owner of an envelope changes (B,), and who it was (B,) and is then (B,)."""
-    owners = np.concatenate([[-1], owners, [-1]])
-    changes = np.flatnonzero(np.diff(owners))
-    return starts[changes], owners[changes], owners[changes + 1]

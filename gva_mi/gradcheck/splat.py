@@ -54,6 +54,8 @@ NO_CAMERA = (
     "are missing"
 )
 
+ENTRIES = 6  # of every input, differentiated one by one
+STEP = 1e-6  # of the central differences, in the input's units
 # Inputs in metres move the picture by hundreds of pixels a unit. With a step so much shorter, the
 # alpha of a pixel outside the excluded band (1e-4 around its cut-off) does not reach the cut-off.
 METRES = {"means": 0.02, "scales": 0.02, "T_camera_world": 0.02}
@@ -130,8 +132,6 @@ def gradcheck(
     tolerances: Tolerances = _DEFAULTS,
     *,
     images: tuple[str, ...] = IMAGES,
-    entries: int = 6,
-    step: float = 1e-6,
     seed: int = 0,
 ) -> RendererReport:
     """Compare a renderer's image and gradients with those of the reference implementation.
@@ -143,8 +143,6 @@ def gradcheck(
         scene: what to render; some hundred Gaussians on some thousand pixels take seconds.
         tolerances: the greatest errors allowed.
         images: which of "color", "alpha" and "depth" are in the loss.
-        entries: how many entries of every input to differentiate one by one.
-        step: of the central differences, in the input's units; 0.02 of it for those in metres.
         seed: of the weights in the loss and of the choice of entries.
     """
     unknown = set(images) - set(IMAGES)
@@ -153,9 +151,9 @@ def gradcheck(
     with one_torch_thread():  # faster for the reference's thousands of small tensors
         generator = Generator().manual_seed(seed)
         by_camera = _differentiates_camera(fn, scene)
-        question = _Question.of(scene, by_camera, images, entries, generator)
+        question = _Question.of(scene, by_camera, images, generator)
         notes = [] if by_camera else [NO_CAMERA]
-        rows, found32 = _answers(fn, question, tolerances, step, notes)
+        rows, found32 = _answers(fn, question, tolerances, notes)
         moved = _last_digit(question.scene, generator)
         _, other = _by_adjoint(reference.render, moved, question.weights)
     rounding = {k: Comparison.of("", k, other[k], g, 0).error for k, g in question.truth.items()}
@@ -192,7 +190,7 @@ class _Question:
 
     @staticmethod
     def of(
-        scene: Scene, by_camera: bool, images: tuple[str, ...], entries: int, generator: Generator
+        scene: Scene, by_camera: bool, images: tuple[str, ...], generator: Generator
     ) -> _Question:
         scene = scene.rounded()
         if by_camera:
@@ -205,7 +203,7 @@ class _Question:
             if name not in images:
                 weights[..., columns] = 0
         image, truth = _by_adjoint(reference.render, scene, weights)
-        probes = {k: Probe.among(g, entries, generator) for k, g in truth.items()}
+        probes = {k: Probe.among(g, ENTRIES, generator) for k, g in truth.items()}
         return _Question(scene, band, weights, image, truth, probes)
 
     def along(
@@ -217,7 +215,7 @@ class _Question:
 
 
 def _answers(
-    fn: Renderer, question: _Question, tolerances: Tolerances, step: float, notes: list[str]
+    fn: Renderer, question: _Question, tolerances: Tolerances, notes: list[str]
 ) -> tuple[list[Comparison], Image]:
     """All comparisons of the renderer, and its float32 image."""
     rows, images = [], {}
@@ -247,7 +245,7 @@ def _answers(
             notes.append(f"this renderer has no tangent in {label}: {str(error).splitlines()[0]}")
         if label == "f64":
             for name, probe in question.probes.items():
-                h = step * METRES.get(name, 1.0)
+                h = STEP * METRES.get(name, 1.0)
                 moves = (difference_image(fn, scene, name, v, h) for v in probe.directions())
                 rows.append(question.along("differences", name, moves, tolerances.differences))
     return rows, images["f32"]

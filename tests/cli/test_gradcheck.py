@@ -47,7 +47,7 @@ def test_avatar_and_normals_write_one_table_each(monkeypatch, tmp_path, capsys):
     gradcheck("avatar", GradcheckOptions(2, seed=3), out=tmp_path)
     figures = json.loads((tmp_path / REPORT).read_text())
     assert figures["passed"] and list(figures["scenes"]) == ["pose 3", "pose 4"]
-    monkeypatch.setattr(command, "check_normals", lambda check, count: count * [[right, wrong]])
+    monkeypatch.setattr(command, "check_normals", lambda count, *fineness: count * [[right, wrong]])
     with pytest.raises(InputError, match="WRONG: tangent f32 of a limb: boundary"):
         gradcheck("normals", GradcheckOptions(2), out=tmp_path)
     figures = json.loads((tmp_path / REPORT).read_text())

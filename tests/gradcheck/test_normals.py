@@ -3,13 +3,13 @@
 import pytest
 
 from gva_mi.gradcheck import normals
-from gva_mi.gradcheck.normals import COORDINATES, NormalsCheck, check_normals
+from gva_mi.gradcheck.normals import COORDINATES, check_normals
 
-QUICK = NormalsCheck(size=96, spp=16, lines=2000, points=20)
+QUICK = {"size": 96, "lines": 2000, "points": 20}
 
 
 def test_one_coordinate_is_right_and_an_error_is_found(monkeypatch):
-    (rows,) = check_normals(QUICK, 1)
+    (rows,) = check_normals(1, **QUICK)
     assert [row.name for row in rows] == ["mask", "interior", "boundary"]
     assert all(row.passed for row in rows), rows
     by_plugin = normals._by_plugin
@@ -19,13 +19,13 @@ def test_one_coordinate_is_right_and_an_error_is_found(monkeypatch):
         return inside, 1.1 * jumps
 
     monkeypatch.setattr(normals, "_by_plugin", wrong)
-    (rows,) = check_normals(QUICK, 1)
+    (rows,) = check_normals(1, **QUICK)
     assert [row.name for row in rows if not row.passed] == ["mask", "boundary"]
 
 
 @pytest.mark.slow
 def test_gradients_by_the_pose_are_right():
-    found = list(check_normals(NormalsCheck(), len(COORDINATES)))
+    found = list(check_normals(len(COORDINATES)))
     assert len(found) == len(COORDINATES)
     assert all(row.passed for rows in found for row in rows), found
     without_mask = [rows for rows in found if rows[0].name != "mask"]

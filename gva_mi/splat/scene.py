@@ -31,16 +31,11 @@ class Scene:
     options: SplatOptions = SplatOptions()
 
     @staticmethod
-    def of(
-        gaussians: Gaussians,
-        camera: Camera,
-        background: np.ndarray,
-        options: SplatOptions | None = None,
-    ) -> Scene:
+    def of(gaussians: Gaussians, camera: Camera, background: np.ndarray) -> Scene:
         """Make a scene from Gaussians of numpy arrays."""
         to_torch = lambda array: torch.tensor(np.asarray(array, dtype=np.float64))
         tensors = Gaussians(**{k: to_torch(v) for k, v in gaussians.arrays().items()})
-        return Scene(tensors, camera, to_torch(background), options or SplatOptions())
+        return Scene(tensors, camera, to_torch(background))
 
     @staticmethod
     def load(path: Path) -> Scene:
@@ -162,7 +157,7 @@ class Scene:
             yield f"pixel {left}, {top}", self.window(left, top, width, height)
 
 
-def in_front(path: Path, gaussians: Gaussians, size: int = 512) -> Scene:
+def in_front(path: Path, gaussians: Gaussians) -> Scene:
     """Look at the Gaussians of a file without a camera from their front, +z, on black.
 
     Nine tenths of them fill the middle: the rest of a captured scene is far away.
@@ -170,7 +165,6 @@ def in_front(path: Path, gaussians: Gaussians, size: int = 512) -> Scene:
     Args:
         path: of the file, for errors.
         gaussians: torch tensors.
-        size: width and height of the picture, px.
 
     Raises:
         InputError: there are no Gaussians, or their numbers are not finite.
@@ -185,7 +179,7 @@ def in_front(path: Path, gaussians: Gaussians, size: int = 512) -> Scene:
     reach = float(np.quantile(np.linalg.norm(means - middle, axis=1), 0.9))
     reach = max(reach, 3 * float(gaussians.scales.median()), 1e-3)
     T = look_at(middle + [0, 0, 4.5 * reach], middle)
-    camera = Camera(1.4 * size, 1.4 * size, size / 2, size / 2, T, size, size)
+    camera = Camera(716.8, 716.8, 256.0, 256.0, T, 512, 512)
     return Scene.of(gaussians, camera, np.zeros(gaussians.channels))
 
 
@@ -222,10 +216,9 @@ def random_scene(
         **kwargs,
     )
     T_camera_world = look_at((0.6, 0.4, 2.9), (0.0, 0.0, 0.0))
-    focal = 1.7 * max(width, height)
-    camera = Camera(
-        focal, 1.05 * focal, width / 2 + 0.7, height / 2 - 0.4, T_camera_world, width, height
-    )
+    fx = 1.7 * max(width, height)
+    centre = width / 2 + 0.7, height / 2 - 0.4
+    camera = Camera(fx, 1.05 * fx, *centre, T_camera_world, width, height)
     return Scene(values, camera, uniform(0, 1, channels))
 
 
@@ -242,9 +235,7 @@ PERSON = (  # tapered capsules: end a, end b (m, y up), radius at a, radius at b
 )
 
 
-def person_scene(
-    generator: np.random.Generator, gaussians: int = 20_000, size: int = 512, degree: int = 3
-) -> Scene:
+def person_scene(generator: np.random.Generator, gaussians: int = 20_000, size: int = 512) -> Scene:
     """Cover a person made of capsules with Gaussians, seen from 3 m: like an avatar.
 
     Their size follows the spacing on the surface, so that there are no holes at any number.
@@ -253,13 +244,13 @@ def person_scene(
         generator: of all random numbers.
         gaussians: how many.
         size: width and height of the picture, px.
-        degree: of the spherical harmonics.
     """
     mirrored = [[*np.multiply(((a, b)), (-1, 1, 1)), *radii] for a, b, *radii in PERSON[3:]]
     limbs = [*PERSON, *mirrored]
-    areas = []
-    for a, b, ra, rb in limbs:
-        areas.append(math.pi * (ra + rb) * math.dist(a, b) + 2 * math.pi * (ra**2 + rb**2))
+    areas = [
+        math.pi * (ra + rb) * math.dist(a, b) + 2 * math.pi * (ra**2 + rb**2)
+        for a, b, ra, rb in limbs
+    ]
     n, area = gaussians, sum(areas)
     limb = generator.choice(len(limbs), n, p=np.array(areas) / area)
     a, b, ra, rb = (np.array([limb_[k] for limb_ in limbs], dtype=float)[limb] for k in range(4))
@@ -280,7 +271,7 @@ def person_scene(
     spacing = math.sqrt(area / n)
     scales = spacing * np.array([0.75, 0.75, 0.35]) * np.exp(0.35 * generator.normal(size=(n, 3)))
     opacities = 1 / (1 + np.exp(-0.7 - 1.5 * generator.normal(size=n)))
-    sh = 0.05 * generator.normal(size=(n, (degree + 1) ** 2, 3))
+    sh = 0.05 * generator.normal(size=(n, 16, 3))  # of degree 3
     sh[:, 0] = 1.4 * np.sin(means @ generator.normal(size=(3, 3)) * 4)
     quats = generator.normal(size=(n, 4))
     gaussians = Gaussians(means, quats, scales, opacities, sh=sh)

@@ -77,7 +77,7 @@ class Screen:
     @property
     def extents(self) -> Tensor:
         """Half extents in x and y where alpha >= alpha_min, (N, 2) px; 0 where culled."""
-        found = self.memory.footprint
+        found = Footprint.unpack(torch.from_numpy(self.memory.footprint_rows).unbind(1))
         return torch.where(found.ry >= 0, torch.stack([found.rx, found.ry]), 0).T
 
     @property
@@ -125,11 +125,6 @@ class KernelMemory:
         for part in self.projected.splats[0]:
             columns += tensor_of(part).view(n, -1).unbind(1)
         return Splat.unpack(columns, self.format)
-
-    @property
-    def footprint(self) -> Footprint:
-        """The footprints of all Gaussians, fields (N,)."""
-        return Footprint.unpack(torch.from_numpy(self.footprint_rows).unbind(1))
 
     @property
     @exclusive

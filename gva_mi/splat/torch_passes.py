@@ -124,11 +124,12 @@ def adjoint(
     )
     found = render_adjoint(saved, grad, requested)
     dr.sync_thread()
-    by_means2d = None if found.means2d is None else tensor_of(found.means2d).view(-1, 2)
+    by_u, by_absolute = found.gaussians.u, found.gaussians.absolute
+    by_means2d = None if by_u is None else tensor_of(by_u).view(-1, 2)
     if screen is not None:
         screen.grad = by_means2d
         if screen.absolute:
-            screen.absgrad = tensor_of(found.absolute).view(-1, 2)
+            screen.absgrad = tensor_of(by_absolute).view(-1, 2)
     by_gaussians = {
         name: tensor_of(flat).view(getattr(tensors, name).shape) for name, flat in found.named()
     }
@@ -156,8 +157,7 @@ def tangent(given: Tensors, drawn: Drawn) -> Images:
     flat = {}
     for name, array in saved.inputs.named():
         moved = getattr(given, name)
-        zeros = lambda array=array: dr.opaque(F, 0, dr.width(array))
-        flat[name] = zeros() if moved is None else to_drjit(moved, F)
+        flat[name] = dr.opaque(F, 0, dr.width(array)) if moved is None else to_drjit(moved, F)
     matrix = lambda moved, size: (
         np.zeros((size, size)) if moved is None else moved.detach().double().numpy()
     )

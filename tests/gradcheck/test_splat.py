@@ -156,12 +156,6 @@ def test_what_a_renderer_lacks_is_noted():
     assert report.passed, report.table()
 
 
-def test_threads_are_left_as_they_were(small):
-    before = torch.get_num_threads()
-    gradcheck(render, scene(gaussians=1, width=4, height=4))
-    assert torch.get_num_threads() == before
-
-
 def test_a_wrong_tangent_is_found():
     def wrong(gaussians, camera, options, background):
         opacities = _Stretched.apply(gaussians.opacities)

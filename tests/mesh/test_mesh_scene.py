@@ -5,32 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+import trimesh
 
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.splat import Camera
-
-
-def ball(center, radius=0.05, rings=12, segments=16):
-    theta = np.pi * np.arange(1, rings) / rings
-    phi = 2 * np.pi * np.arange(segments) / segments
-    ring = np.stack(
-        [
-            np.sin(theta)[:, None] * np.cos(phi),
-            np.broadcast_to(np.cos(theta)[:, None], (rings - 1, segments)),
-            np.sin(theta)[:, None] * np.sin(phi),
-        ],
-        axis=-1,
-    ).reshape(-1, 3)
-    at = lambda i, j: i * segments + j % segments
-    top, bottom, faces = len(ring), len(ring) + 1, []
-    for j in range(segments):
-        faces += [(top, at(0, j + 1), at(0, j)), (bottom, at(rings - 2, j), at(rings - 2, j + 1))]
-        for i in range(rings - 2):
-            a, b, c, d = at(i, j), at(i, j + 1), at(i + 1, j), at(i + 1, j + 1)
-            faces += [(a, b, d), (a, d, c)]
-    vertices = np.concatenate([ring, [[0, 1, 0], [0, -1, 0]]]) * radius + center
-    return torch.tensor(vertices, dtype=torch.float32), torch.tensor(faces)
 
 
 @pytest.mark.parametrize("fy", [150.0, 190.0])
@@ -38,7 +17,8 @@ def test_a_ball_is_seen_where_the_camera_projects_it(camera, fy):
     rotation = camera.T_camera_world
     view = Camera(150.0, fy, 37.0, 22.0, rotation, 80, 56)
     where = camera.position + rotation[:3, :3].T @ [0.1, 0.05, 2.0]
-    vertices, faces = ball(where)
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.05)
+    vertices, faces = torch.tensor(ball.vertices + where).float(), torch.tensor(ball.faces)
     mask = MeshScene(faces, vertices).render(vertices, view)[..., 3].numpy()
     rows, columns = np.nonzero(mask)
     seen = np.array([columns.mean() + 0.5, rows.mean() + 0.5])

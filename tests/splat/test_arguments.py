@@ -27,9 +27,9 @@ def draw_drjit(s):
     return native.render(Gaussians(**arrays), s.camera, s.options)
 
 
-@pytest.mark.parametrize("bad", [float("nan"), -float("inf")])
 @pytest.mark.parametrize("name", ["means", "quats", "scales", "opacities", "colors", "sh"])
-def test_numbers_that_are_not_finite_are_named(name, bad):
+def test_numbers_that_are_not_finite_are_named(name):
+    bad = float("nan") if name in ("means", "sh") else -float("inf")
     s = scene(degree=1 if name == "sh" else None)
     tensor = s.inputs()[name].clone()
     first = (7, *[1] * (tensor.ndim - 1))
@@ -49,8 +49,7 @@ def test_drjits_render_says_the_same():
         draw_drjit(s.with_inputs(s.inputs() | {"means": means}))
 
 
-def test_one_bad_number_among_many_gaussians_is_found():
-    """Even in the last SIMD packet, and with opacity 0, where it is not drawn."""
+def test_a_bad_number_in_the_last_packet_is_found_where_nothing_is_drawn():
     s = scene(gaussians=1003)
     means, opacities = s.gaussians.means.clone(), s.gaussians.opacities.clone()
     means[1002, 2] = float("nan")

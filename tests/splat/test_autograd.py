@@ -104,13 +104,10 @@ def test_adjoint_and_tangent_are_each_others_derivative():
 SECOND = {
     "functional.hvp": lambda v: functional.hvp(mean, MEANS, v),
     "func.hessian": lambda v: hessian(mean)(MEANS),
-    "jvp of grad": lambda v: jvp(grad(mean), (MEANS,), (v,)),
     "grad of jvp": lambda v: grad(lambda x: jvp(mean, (x,), (v,))[1])(MEANS),
     "jvp of jvp": lambda v: jvp(lambda x: jvp(mean, (x,), (v,))[1], (MEANS,), (v,)),
-    "of a batch": lambda v: vmap(hessian(mean))(torch.stack([MEANS, v])),
     "of dual numbers": lambda v: by_autograd(lambda x: by_dual_numbers(mean, x, v), MEANS),
     "gradgradcheck": lambda v: gradgradcheck(picture, MEANS.clone().requires_grad_()),
-    "by the camera": lambda v: grad(lambda T: grad(mean)(MEANS, T).sum())(POSE),
     "rasterization": lambda v: functional.hvp(lambda x: called(x, False)[0].mean(), MEANS, v),
     "packed": lambda v: hessian(lambda x: called(x, True)[0].mean())(MEANS),
 }
@@ -146,8 +143,6 @@ def test_second_derivatives_are_refused_by_every_input(name):
         return image.color.square().mean() + image.alpha.mean() + image.depth.mean()
 
     x = INPUTS[name].detach()
-    with pytest.raises(RuntimeError, match=REFUSED):
-        hessian(loss)(x)
     x = x.clone().requires_grad_()
     (by_x,) = torch.autograd.grad(loss(x), x, create_graph=True)
     with pytest.raises(RuntimeError, match=REFUSED):

@@ -18,6 +18,5 @@
 
 Below them: geometry.py, inputs.py and camera_arrays.py (the Gaussians and the camera as arrays),
 records.py (what the kernels pass to one another), saved.py (what a forward pass leaves), planes.py
-(pictures), packets.py (records in memory), frozen.py (kernels that are traced once), exclusive.py
-(one thread at a time).
+(pictures). ``gva_mi.jit`` has records in memory, kernels that are traced once, and the lock.
 """

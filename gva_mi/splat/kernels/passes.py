@@ -52,7 +52,6 @@ from gva_mi.splat.kernels.saved import Gradients, SavedState
 from gva_mi.splat.kernels.tiles import Grid, Layout, Lists
 from gva_mi.splat.options import SplatOptions
 
-DEFAULT_GRADIENTS = RequestedGradients()
 MANY = 65_536  # from so many Gaussians on the kernels allocate their memory themselves
 
 
@@ -119,9 +118,7 @@ def _project_checked(inputs: Inputs, plan: Plan, view: CameraArrays, grid: Grid)
     return projected
 
 
-def render_adjoint(
-    saved: SavedState, grad: Planes, requested: RequestedGradients = DEFAULT_GRADIENTS
-) -> Gradients:
+def render_adjoint(saved: SavedState, grad: Planes, requested: RequestedGradients) -> Gradients:
     """Reverse of :func:`render_forward`.
 
     Args:
@@ -158,8 +155,7 @@ def render_adjoint(
         columns = packets.widths(CameraGradient.columns())
         sums = [sum_rows(part, width) for part, width in zip(found.camera, columns, strict=True)]
         by_camera = camera_adjoint(saved.camera, CameraGradient.unpack(np.concatenate(sums)))
-    by_gaussians = (found.means, found.geometry, found.opacities, found.colors)
-    return Gradients(*by_gaussians, found.u, found.absolute, by_background, *by_camera)
+    return Gradients(found, by_background, *by_camera)
 
 
 def render_tangent(
@@ -278,10 +274,10 @@ def _gradients_of_nothing(
 ) -> Gradients:
     """Gradients of a picture without Gaussians: all zero but the background's."""
     inputs, D = saved.inputs, saved.plan.channels
-    by_u = dr.zeros(inputs.float_type, 2 * len(inputs))
+    by_u, by_absolute = (dr.zeros(inputs.float_type, 2 * len(inputs)) for _ in range(2))
     by_camera = (np.zeros((4, 4)), np.zeros((3, 3))) if requested.camera else (None, None)
     by_channel = grad.color.numpy().astype(np.float64).reshape(-1, D).sum(axis=0).tolist()
-    by_absolute = dr.zeros(inputs.float_type, 2 * len(inputs)) if requested.absolute else None
     zeros = inputs.zeros()
     by_gaussians = (zeros.means, zeros.geometry, zeros.opacities, zeros.colors)
-    return Gradients(*by_gaussians, by_u, by_absolute, by_channel, *by_camera)
+    found = GradientMemory(*by_gaussians, by_u, by_absolute, None)
+    return Gradients(found, by_channel, *by_camera)

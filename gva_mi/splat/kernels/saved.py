@@ -11,8 +11,7 @@ from drjit import ArrayBase as Array
 from gva_mi.splat.camera import Camera
 from gva_mi.splat.kernels import chunks
 from gva_mi.splat.kernels.camera_arrays import CameraArrays
-from gva_mi.splat.kernels.geometry import Geometry
-from gva_mi.splat.kernels.inputs import Inputs, Plan
+from gva_mi.splat.kernels.inputs import GradientMemory, Inputs, Plan
 from gva_mi.splat.kernels.planes import Planes, SavedPixels
 from gva_mi.splat.kernels.project import ProjectedMemory
 from gva_mi.splat.kernels.tiles import Grid, Layout, Lists
@@ -44,18 +43,14 @@ class SavedState:
 class Gradients:
     """What :func:`render_adjoint` returns; None for a gradient that was not requested."""
 
-    means: Array | None
-    geometry: Geometry | None
-    opacities: Array | None
-    colors: Array | None
-    means2d: Array | None  # 2 N, per px
-    absolute: Array | None  # 2 N, like means2d, with the absolute value of every pixel's share
+    gaussians: GradientMemory
     background: list[float]  # D
     T_camera_world: np.ndarray | None  # (4, 4)
     K: np.ndarray | None  # (3, 3)
 
     def named(self) -> Iterator[tuple[str, Array]]:
         """Yield the gradients by the Gaussians' arrays that were requested, by name."""
-        parts = {"means": self.means, "opacities": self.opacities, "colors": self.colors}
-        parts |= {} if self.geometry is None else vars(self.geometry)
+        g = self.gaussians
+        parts = {"means": g.means, "opacities": g.opacities, "colors": g.colors}
+        parts |= {} if g.geometry is None else vars(g.geometry)
         yield from ((name, array) for name, array in parts.items() if array is not None)

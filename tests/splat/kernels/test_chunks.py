@@ -6,7 +6,6 @@ import torch
 from gva_mi.splat import Screen, reference, render
 from gva_mi.splat.gaussians import Gaussians
 from gva_mi.splat.kernels import chunks
-from gva_mi.splat.kernels.records import RecordFormat
 from gva_mi.splat.scene import random_scene
 
 CHUNK = chunks.CHUNK
@@ -14,16 +13,6 @@ CHUNK = chunks.CHUNK
 
 def scene(channels):
     return random_scene(torch.Generator().manual_seed(0), channels=channels).to(torch.float64)
-
-
-def test_formats_hold_all_channels_and_the_depth_once():
-    for channels in range(1, 70):
-        formats = chunks.formats(channels, depth=True)
-        widths = [format.channels for format in formats]
-        assert channels <= sum(widths) < channels + CHUNK
-        assert len(set(widths)) == 1  # one kernel for all, but for the depth
-        assert [format.depth for format in formats] == [k == 0 for k in range(len(formats))]
-        assert chunks.formats(channels, depth=False, whole=True) == (RecordFormat(channels, False),)
 
 
 @pytest.mark.parametrize("channels", [CHUNK, 33])

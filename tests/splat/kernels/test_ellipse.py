@@ -8,7 +8,7 @@ import torch
 from drjit.llvm import Float64
 
 from gva_mi.splat import reference
-from gva_mi.splat.kernels.ellipse import Ellipse, Rotation
+from gva_mi.splat.kernels.ellipse import Ellipse
 from gva_mi.splat.kernels.geometry import QuatScale
 from gva_mi.splat.options import SplatOptions
 
@@ -37,13 +37,6 @@ def ellipse(parts, antialiased=False):
 
 def stack(values):
     return np.stack([v.numpy() for v in values])
-
-
-def test_rotation_is_the_quaternions():
-    quat = inputs()[2]
-    M = stack(Rotation.of([Float64(q) for q in quat]).M).T.reshape(N, 3, 3)
-    expected = torch.stack([reference.rotation(q) for q in torch.tensor(np.stack(quat, axis=1))])
-    np.testing.assert_allclose(M, expected, atol=1e-14)
 
 
 @pytest.mark.parametrize("antialiased", [False, True])

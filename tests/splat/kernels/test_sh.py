@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from gva_mi.splat import reference
-from gva_mi.splat.gaussians import MAX_DEGREE, degree_of
+from gva_mi.splat.gaussians import MAX_DEGREE
 from gva_mi.splat.kernels import sh
 
 
@@ -33,12 +33,6 @@ def test_adjoint_is_the_derivative(degree):
     expected = torch.zeros_like(d) if d.grad is None else d.grad
     found = torch.stack(sh.basis_adjoint(degree, *d.detach().unbind(1), list(g.unbind(1))), dim=1)
     torch.testing.assert_close(found, expected, atol=1e-13, rtol=0)
-
-
-def test_degree_of_a_count():
-    assert [degree_of(k) for k in (1, 4, 9, 16, 25)] == [0, 1, 2, 3, 4]
-    with pytest.raises(ValueError, match="1, 4, 9, 16 or 25 coefficients, got 5"):
-        degree_of(5)
 
 
 def test_harmonics_are_orthonormal():

@@ -9,10 +9,11 @@ from drjit import ArrayBase as Array
 from gva_mi.jit.packets import Packets
 from gva_mi.splat.kernels import chunks
 from gva_mi.splat.kernels.blend import Limit, blend, blend_adjoint
+from gva_mi.splat.kernels.inputs import Plan, RequestedGradients
 from gva_mi.splat.kernels.planes import Planes, SavedPixels
 from gva_mi.splat.kernels.records import RecordFormat
+from gva_mi.splat.kernels.saved import SavedState
 from gva_mi.splat.kernels.tiles import Grid, Lists, capacity
-from gva_mi.splat.options import SplatOptions
 
 
 def composite(
@@ -22,22 +23,22 @@ def composite(
     background: list[Array],
     limit: Limit | None,
     pixels: int,
-    formats: tuple[RecordFormat, ...],
-    options: SplatOptions,
+    plan: Plan,
 ) -> tuple[Planes, SavedPixels, Array]:
     """Return the picture, its ``SavedPixels``, and where in ``lists.ids`` each lane stopped.
 
     Planes hold the picture's pixels first; there may be unused memory behind them.
 
     Args:
-        splats: one entry per chunk, of ``formats``.
+        splats: one entry per chunk.
+        lists, grid, limit: as ``blend`` takes them.
         background: D arrays of size one.
         pixels: of the picture, padded to whole tiles.
-        lists, grid, limit, options: as ``blend`` takes them.
+        plan: formats of the chunks, and cut-offs.
     """
     pictures, size = [], capacity(pixels)  # few sizes for the boxes of a video: few recordings
-    parts = zip(splats, chunks.split_background(background, formats), formats, strict=True)
-    for part, colors, format in parts:
+    behind, options = chunks.split_background(background, plan.formats), plan.options
+    for part, colors, format in zip(splats, behind, plan.formats, strict=True):
         picture, saved_pixels, stop = blend(
             part, lists, grid, colors, limit, pixels=size, format=format, options=options
         )
@@ -46,53 +47,43 @@ def composite(
 
 
 def composite_adjoint(
-    splats: list[Packets],
-    lists: Lists,
-    grid: Grid,
-    background: list[Array],
-    saved_pixels: SavedPixels,
-    stop: Array,
-    grad: Planes,
-    formats: tuple[RecordFormat, ...],
-    options: SplatOptions,
-    absolute: bool,
-    moments: bool = True,
-    features: bool = True,
+    saved: SavedState, grad: Planes, requested: RequestedGradients
 ) -> tuple[list[Packets], tuple[RecordFormat, ...], list[float]]:
     """Return the slots of each chunk, their formats, and the gradient by the background.
 
     Args:
-        saved_pixels, stop: what :func:`composite` returned for the other arguments.
+        saved: the forward pass.
         grad: dL/dplanes, padded to whole tiles with zeros; alpha and depth may be None.
-        absolute: whether slots hold the absolute sums too.
-        moments: whether they hold the moments, which all gradients except the colours' need.
-        features: whether they hold the gradients of the colour's channels.
+        requested: what the slots must hold: the moments are for geometry.
     """
+    plan, D = saved.plan, len(saved.background)
+    colors = requested.colors or plan.harmonics  # harmonics reach the means too
     slots, slot_formats, sums = [], [], []
-    pictures = chunks.split_gradient(grad, len(background), len(formats))
-    backgrounds = chunks.split_background(background, formats)
-    for part, by_picture, behind, format in zip(
-        splats, pictures, backgrounds, formats, strict=True
-    ):
-        channels, depth = format.channels if features else 0, by_picture.depth is not None
-        slot_formats.append(RecordFormat(channels, depth and moments, absolute, moments))
+    pictures = chunks.split_gradient(grad, D, len(plan.formats))
+    parts = zip(saved.projected.splats, pictures, saved.backgrounds(), plan.formats, strict=True)
+    for part, by_picture, behind, format in parts:
+        depth = by_picture.depth is not None and requested.geometry
+        slot_format = RecordFormat(
+            format.channels if colors else 0, depth, requested.absolute, requested.geometry
+        )
         memory, shares = blend_adjoint(
             part,
-            lists,
-            stop,
-            grid,
+            saved.lists,
+            saved.stop,
+            saved.grid,
             behind,
-            saved_pixels,
+            saved.saved_pixels,
             by_picture,
-            pairs=dr.width(lists.ids),
-            lanes=dr.width(lists.tile),
+            pairs=dr.width(saved.lists.ids),
+            lanes=dr.width(saved.lists.tile),
             format=format,
-            slot_format=slot_formats[-1],
-            options=options,
+            slot_format=slot_format,
+            options=plan.options,
         )
         slots.append(memory)
+        slot_formats.append(slot_format)
         sums.append(sum_rows(shares, format.channels))
-    return slots, tuple(slot_formats), np.concatenate(sums)[: len(background)].tolist()
+    return slots, tuple(slot_formats), np.concatenate(sums)[:D].tolist()
 
 
 def sum_rows(flat: Array, width: int) -> np.ndarray:

@@ -100,7 +100,7 @@ def render_forward(
     else:
         far = None if limit is None else Limit(limit, projected.depths)
         planes, saved_pixels, stop = composite(
-            projected.splats, lists, grid, behind, far, layout.pixels, formats, options
+            projected.splats, lists, grid, behind, far, layout.pixels, plan
         )
     seen = (layout, grid, planes, projected, lists, saved_pixels, stop)
     return SavedState(inputs, plan, camera, view, behind, *seen)
@@ -129,20 +129,7 @@ def render_adjoint(saved: SavedState, grad: Planes, requested: RequestedGradient
     plan, n = saved.plan, len(saved.inputs)
     if saved.lists is None:
         return _gradients_of_nothing(saved, grad, requested)
-    slots, formats, by_background = composite_adjoint(
-        saved.projected.splats,
-        saved.lists,
-        saved.grid,
-        saved.background,
-        saved.saved_pixels,
-        saved.stop,
-        grad,
-        plan.formats,
-        plan.options,
-        requested.absolute,
-        moments=requested.geometry,
-        features=requested.colors or plan.harmonics,  # harmonics reach the means too
-    )
+    slots, formats, by_background = composite_adjoint(saved, grad, requested)
     target = None
     if n < MANY:
         target = GradientMemory.empty(saved.inputs, n, plan.color_width, requested)
@@ -181,23 +168,14 @@ def render_tangent(
     dview = camera_tangent(saved.camera, dT, dK)
     memory = splat_memory(F, len(saved.inputs), plan.formats)
     dsplats = _project_tangent(saved.inputs, saved.view, dinputs, dview, memory, plan=plan)
-    pictures, dbackgrounds = [], chunks.split_background(behind, plan.formats)
-    for k, (colors, format) in enumerate(zip(saved.backgrounds(), plan.formats, strict=True)):
-        pictures.append(
-            blend_tangent(
-                saved.projected.splats[k],
-                dsplats[k],
-                saved.lists,
-                saved.stop,
-                saved.saved_pixels,
-                saved.grid,
-                colors,
-                dbackgrounds[k],
-                Planes.empty(F, format, saved.layout.pixels),
-                format=format,
-                options=plan.options,
-            )
-        )
+    dbehind, pictures = chunks.split_background(behind, plan.formats), []
+    parts = zip(saved.projected.splats, dsplats, saved.backgrounds(), dbehind, strict=True)
+    of_all = (saved.lists, saved.stop, saved.saved_pixels, saved.grid)
+    for (splats, dpart, colors, dcolors), format in zip(parts, plan.formats, strict=True):
+        target = Planes.empty(F, format, saved.layout.pixels)
+        constants = {"format": format, "options": plan.options}
+        picture = blend_tangent(splats, dpart, *of_all, colors, dcolors, target, **constants)
+        pictures.append(picture)
     return chunks.join_planes(pictures, plan.channels)
 
 

@@ -6,7 +6,7 @@ segments, which float64 finds as it is: contours may lie as close to one another
 
 1. **Breakpoints**: the envelope passes from one triangle to another at the end of a segment, which
    lies on an edge, or where two segments cross, in the line where two triangles intersect.
-   Contours, creases and lines of intersection need not be told apart.
+   Contours, creases and lines of intersection are treated alike.
 2. **Speed**: a breakpoint is a zero of a function ``φ(q)`` affine on the image: the side of an edge
    on which a pixel lies, or the difference of two triangles' nearness. As things move by ``ε``, its
    curve moves along ``m = ∇φ / |∇φ|`` with the speed ``v = -∂φ/∂ε / |∇φ|``.

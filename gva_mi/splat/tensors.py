@@ -63,7 +63,7 @@ def not_compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     """Exclude a function from ``torch.compile``, which cannot trace Dr.Jit's kernels.
 
     ``torch.compiler.disable`` imports the compiler, which takes as long as importing torch. So it
-    is called only if somebody else imported the compiler.
+    is called only if the program has imported the compiler.
     """
     excluded = None
 

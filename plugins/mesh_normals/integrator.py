@@ -181,7 +181,7 @@ class MeshNormals(mi.ad.integrators.common.ADIntegrator):
         )
 
     def _topology_of(self, meshes: list[mi.Mesh]) -> Topology:
-        """Built anew only where the faces are other ones."""
+        """Return the topology; it is built again only when the faces changed."""
         faces = [mesh.faces_buffer() for mesh in meshes]
         known = None if self._topology is None else [x.index for x in self._topology[0]]
         if known != [x.index for x in faces]:

@@ -122,7 +122,7 @@ def test_an_error_is_found_in_its_link(scene, monkeypatch, link):
     assert f"WRONG in {link} (" in report.verdict, report.table()
 
 
-def test_links_that_are_composed_wrongly_are_told_from_wrong_links(scene, monkeypatch):
+def test_a_wrong_composition_of_right_links_is_named(scene, monkeypatch):
     animate = Avatar.animate
 
     def forgets(self, pose):

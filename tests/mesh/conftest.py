@@ -1,4 +1,4 @@
-"""The bare puppet before a camera, few pixels, in three poses: see the fixtures of all tests."""
+"""The built-in body before a camera: the fixtures of all tests under short names."""
 
 import pytest
 

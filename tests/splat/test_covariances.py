@@ -7,8 +7,7 @@ from dataclasses import replace  # isort: skip
 import pytest
 import torch
 
-from gva_mi.splat import Gaussians, rasterization, reference, render
-from gva_mi.splat import drjit_render as drjit_op
+from gva_mi.splat import Gaussians, drjit_render, rasterization, reference, render
 from gva_mi.splat.geometry import largest_scales, matrices, with_axes
 from gva_mi.splat.options import SplatOptions
 from gva_mi.splat.scene import random_scene
@@ -121,4 +120,4 @@ def test_gaussians_have_one_form_or_the_other(scene):
 
     tensors = {k: TensorXf64(v.detach().numpy()) for k, v in by_covars(g).arrays().items()}
     with pytest.raises(ValueError, match="covars are taken as torch tensors"):
-        drjit_op.render(Gaussians(**{"quats": None, "scales": None} | tensors), scene.camera)
+        drjit_render.render(Gaussians(**{"quats": None, "scales": None} | tensors), scene.camera)

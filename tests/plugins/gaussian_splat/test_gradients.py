@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.splat import Gaussians
-from gva_mi.splat import torch_render as torch_op
+from gva_mi.splat import Gaussians, torch_render
 
 PARAMETERS = ["data", "opacities", "sh_coeffs"]
 
@@ -94,7 +93,7 @@ def test_the_kernels_own_gradients(splats):
 
     g["quats"] = splats.unit(g["quats"])
     leaves = {n: torch.tensor(x, dtype=torch.float32, requires_grad=True) for n, x in g.items()}
-    image = torch_op.render(Gaussians(**leaves), splats.camera_of(view)).color
+    image = torch_render.render(Gaussians(**leaves), splats.camera_of(view)).color
     (image * torch.from_numpy(splats.weights(image.shape))).sum().backward()
     data = data.reshape(-1, 10)
     found = {

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.splat import Gaussians, SplatOptions
-from gva_mi.splat import torch_render as torch_op
+from gva_mi.splat import Gaussians, SplatOptions, torch_render
 from gva_mi.splat.drjit_render import render
 from gva_mi.splat.formats.ply import save_ply
 
@@ -89,7 +88,7 @@ def test_a_3dgs_file_loaded_by_mitsuba(splats, tmp_path):
     view = splats.sensor(fov=40.0)
     loaded = splats.picture(mi.load_dict({"type": "scene", "splats": file}), view)
     with torch.no_grad():
-        expected = torch_op.render(of_torch, splats.camera_of(view)).color.numpy()
+        expected = torch_render.render(of_torch, splats.camera_of(view)).color.numpy()
     np.testing.assert_allclose(loaded, expected, atol=2e-5)
 
 

@@ -83,8 +83,8 @@ def total(mesh, lens, step, rays):
         mesh: a MovingMesh.
         lens: a MeasuredLens.
         step: ε.
-        rays: for a pixel. They lie on a lattice that is shifted at random in each pixel, lest
-            edges run along its rows.
+        rays: for a pixel. They lie on a lattice that is shifted at random in each pixel, so that no
+            edge runs along its rows.
     """
     low, high = mesh.window(lens, step)
     y, x = np.mgrid[low[1] : high[1], low[0] : high[0]]

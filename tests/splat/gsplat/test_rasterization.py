@@ -162,6 +162,7 @@ def test_errors_use_the_names_of_the_callers_arguments(arguments):
     a = arguments()
     bad = a["means"].detach().clone()
     bad[7, 1] = float("nan")
+    coefficients = torch.zeros(N, 4, 3).double()
     wrong = {
         r"quats must be \(1, 30, 4\), got \(30, 4\)": {"means": a["means"][None]},
         r"viewmats must be \(..., C, 4, 4\)": {"viewmats": a["viewmats"][0, 0]},
@@ -169,27 +170,13 @@ def test_errors_use_the_names_of_the_callers_arguments(arguments):
         r"Ks must be \(2, 3, 3\), got \(1, 3, 3\)": {"Ks": a["Ks"][:1]},
         r"colors must be \(..., N, D\)": {"colors": a["colors"][1:]},
         r"got \(3, 30, 3\) where N is 30 and C 2": {"colors": a["colors"].expand(3, N, 3)},
-        r"sh_degree must be 0 to 4, got 5": {
-            "colors": torch.zeros(N, 36, 3).double(),
-            "sh_degree": 5,
-        },
-        r"colors must be \(..., N, K, 3\)": {
-            "colors": torch.zeros(N, 4, 2).double(),
-            "sh_degree": 1,
-        },
         r"backgrounds must be \(..., C, D\)": {"backgrounds": torch.zeros(3).double()},
-        "sh_degree 2 needs 9 coefficients": {
-            "colors": torch.zeros(N, 4, 3).double(),
-            "sh_degree": 2,
-        },
+        "sh_degree must be 0 to 4, got 5": {"colors": coefficients, "sh_degree": 5},
+        "sh_degree 2 needs 9 coefficients": {"colors": coefficients, "sh_degree": 2},
         "viewmats must be rigid": {"viewmats": 1.1 * a["viewmats"]},
         "Ks must be torch.float64, as means is, got torch.float32": {"Ks": a["Ks"].float()},
         "the numbers of Ks must be finite": {"Ks": a["Ks"] * float("inf")},
-        "focal lengths of Ks must be positive": {"Ks": -a["Ks"]},
         r"means\[7, 1\] is nan, must be finite": {"means": bad},
-        "viewmats must be float32 or float64 on the CPU, got .* on meta": {
-            "viewmats": a["viewmats"].to("meta")
-        },
         "width and height must be 1x1 to": {"width": 0},
         "scales must be a torch tensor, got ndarray": {"scales": a["scales"].detach().numpy()},
     }

@@ -9,7 +9,7 @@ import pytest
 import torch
 from drjit.llvm import TensorXf, ad
 
-from gva_mi.splat import torch_render as torch_op
+from gva_mi.splat import torch_render
 from gva_mi.splat.drjit_render import render
 from gva_mi.splat.gaussians import Gaussians
 from gva_mi.splat.scene import random_scene
@@ -23,7 +23,7 @@ def test_same_bits_as_torch(dtype, kind, degree):
     generator = torch.Generator().manual_seed(3)
     scene = random_scene(generator, width=21, height=18, degree=degree).to(dtype)
     weights = torch.randn(18, 21, 3, generator=generator).to(dtype)
-    image = torch_op.render(scene.gaussians, scene.camera, background=scene.background)
+    image = torch_render.render(scene.gaussians, scene.camera, background=scene.background)
     loss = (image.color * weights).sum() + image.alpha.square().sum() + image.depth.sum()
     loss.backward()
 

@@ -88,17 +88,17 @@ def check_avatar(
         seed: of the loss's weights and of the choice of entries.
     """
     with one_torch_thread():
-        question = _Question.of(posed, entries, tolerances, Generator().manual_seed(seed))
-        rows = list(question.chain())
-        for link, coarse in zip(question.links, posed.links(torch.float32), strict=True):
-            rows += question.link(link, coarse)
-    left_out = f"{int(question.band.sum())} at a step left out"
-    subject = f"{len(posed.values['means'])} Gaussians, {question.band.numel()} pixels, {left_out}"
+        check = _AvatarCheck.of(posed, entries, tolerances, Generator().manual_seed(seed))
+        rows = list(check.chain())
+        for link, coarse in zip(check.links, posed.links(torch.float32), strict=True):
+            rows += check.link(link, coarse)
+    left_out = f"{int(check.band.sum())} at a step left out"
+    subject = f"{len(posed.values['means'])} Gaussians, {check.band.numel()} pixels, {left_out}"
     return AvatarReport(tuple(rows), subject)
 
 
 @dataclass(frozen=True)
-class _Question:
+class _AvatarCheck:
     """An avatar and a loss, all values of its chain, and the loss's gradients by them."""
 
     posed: PosedAvatar
@@ -113,7 +113,7 @@ class _Question:
     @staticmethod
     def of(
         posed: PosedAvatar, entries: int, tolerances: tuple[float, float], generator: Generator
-    ) -> _Question:
+    ) -> _AvatarCheck:
         links = posed.links()
         values = run(links, _leaves(posed.values))
         band = reference.threshold_band(posed_gaussians(values), posed.camera, alpha=BAND)
@@ -127,7 +127,7 @@ class _Question:
         count = lambda g: g.numel() if g.numel() <= FEW * entries else entries
         probes = {k: Probe.among(g, count(g), generator) for k, g in found.items()}
         values = {k: v.detach() for k, v in values.items()}
-        return _Question(posed, links, band, weights, values, found, probes, tolerances)
+        return _AvatarCheck(posed, links, band, weights, values, found, probes, tolerances)
 
     def chain(self) -> Iterator[Comparison]:
         """Compare the whole chain, and the avatar's own code with the composed links."""

@@ -151,13 +151,13 @@ def gradcheck(
     with one_torch_thread():  # faster for the reference's thousands of small tensors
         generator = Generator().manual_seed(seed)
         by_camera = _differentiates_camera(fn, scene)
-        question = _Question.of(scene, by_camera, images, generator)
+        check = _RendererCheck.of(scene, by_camera, images, generator)
         notes = [] if by_camera else [NO_CAMERA]
-        rows, found32 = _answers(fn, question, tolerances, notes)
-        moved = _last_digit(question.scene, generator)
-        _, other = _by_adjoint(reference.render, moved, question.weights)
-    rounding = {k: Comparison.of("", k, other[k], g, 0).error for k, g in question.truth.items()}
-    off, band = _errors(found32, question.image), question.band
+        rows, found32 = _answers(fn, check, tolerances, notes)
+        moved = _last_digit(check.scene, generator)
+        _, other = _by_adjoint(reference.render, moved, check.weights)
+    rounding = {k: Comparison.of("", k, other[k], g, 0).error for k, g in check.truth.items()}
+    off, band = _errors(found32, check.image), check.band
     band_error = float(off[band].max()) if band.any() else 0.0
     count = len(scene.gaussians)
     subject = f"{count} Gaussians, {band.numel()} pixels"
@@ -173,12 +173,12 @@ def gradcheck(
         band_error=band_error,
         gaussians=count,
         rounding=rounding if count else {},
-        maps=Maps(question.image.color.detach().numpy(), (off * ~band).numpy(), band.numpy()),
+        maps=Maps(check.image.color.detach().numpy(), (off * ~band).numpy(), band.numpy()),
     )
 
 
 @dataclass(frozen=True)
-class _Question:
+class _RendererCheck:
     """A scene and a loss, and the reference's image and gradients."""
 
     scene: Scene  # float64, of numbers that float32 holds
@@ -191,7 +191,7 @@ class _Question:
     @staticmethod
     def of(
         scene: Scene, by_camera: bool, images: tuple[str, ...], generator: Generator
-    ) -> _Question:
+    ) -> _RendererCheck:
         scene = scene.rounded()
         if by_camera:
             scene = scene.with_camera_inputs().to(torch.float64)
@@ -204,7 +204,7 @@ class _Question:
                 weights[..., columns] = 0
         image, truth = _by_adjoint(reference.render, scene, weights)
         probes = {k: Probe.among(g, ENTRIES, generator) for k, g in truth.items()}
-        return _Question(scene, band, weights, image, truth, probes)
+        return _RendererCheck(scene, band, weights, image, truth, probes)
 
     def along(
         self, method: str, name: str, images: Iterator[Image], tolerance: float
@@ -215,15 +215,15 @@ class _Question:
 
 
 def _answers(
-    fn: Renderer, question: _Question, tolerances: Tolerances, notes: list[str]
+    fn: Renderer, check: _RendererCheck, tolerances: Tolerances, notes: list[str]
 ) -> tuple[list[Comparison], Image]:
     """All comparisons of the renderer, and its float32 image."""
     rows, images = [], {}
     for label, dtype in PRECISIONS.items():
         allowed = lambda of, label=label: getattr(tolerances, of + label[1:])
-        scene = question.scene.to(dtype)
+        scene = check.scene.to(dtype)
         try:
-            image, found = _by_adjoint(fn, scene, question.weights)
+            image, found = _by_adjoint(fn, scene, check.weights)
         except (TypeError, ValueError, RuntimeError) as error:
             if label == "f32":
                 raise
@@ -231,23 +231,23 @@ def _answers(
             break
         images[label], method = image, f"adjoint {label}"
         for name in images_of(scene):
-            a, b = (getattr(of, name).detach().double() for of in (image, question.image))
-            inside = ~question.band.view(*question.band.shape, *[1] * (a.ndim - 2))
+            a, b = (getattr(of, name).detach().double() for of in (image, check.image))
+            inside = ~check.band.view(*check.band.shape, *[1] * (a.ndim - 2))
             rows.append(Comparison.of(method, name, a * inside, b * inside, allowed("image")))
         for name, g in found.items():
-            truth = question.truth[name]
+            truth = check.truth[name]
             rows.append(Comparison.of(method, name, g.double(), truth, allowed("adjoint")))
         try:
-            for name, probe in question.probes.items():
+            for name, probe in check.probes.items():
                 moves = (tangent_image(fn, scene, name, v) for v in probe.directions())
-                rows.append(question.along(f"tangent {label}", name, moves, allowed("tangent")))
+                rows.append(check.along(f"tangent {label}", name, moves, allowed("tangent")))
         except NotImplementedError as error:
             notes.append(f"this renderer has no tangent in {label}: {str(error).splitlines()[0]}")
         if label == "f64":
-            for name, probe in question.probes.items():
+            for name, probe in check.probes.items():
                 h = STEP * METRES.get(name, 1.0)
                 moves = (difference_image(fn, scene, name, v, h) for v in probe.directions())
-                rows.append(question.along("differences", name, moves, tolerances.differences))
+                rows.append(check.along("differences", name, moves, tolerances.differences))
     return rows, images["f32"]
 
 

@@ -73,7 +73,7 @@ def _stacked(column: tuple) -> Any:  # noqa: ANN401
 
 
 class Render(torch.autograd.Function):
-    """``Tensors`` and a ``Call`` to color, alpha, depth if it is made, and what was ``Drawn``.
+    """``Tensors`` and a ``RenderCall`` to color, alpha, depth if made, and what was ``Drawn``.
 
     A ``Drawn`` in the place of the call is not drawn again (gsplat/means2d.py).
     """

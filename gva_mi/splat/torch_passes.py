@@ -55,7 +55,7 @@ class Tensors(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Call:
+class RenderCall:
     """The constants of one call of ``render``."""
 
     camera: Camera
@@ -77,7 +77,7 @@ class Call:
 class Drawn:
     """A finished forward pass: what its adjoint and tangent need."""
 
-    call: Call
+    call: RenderCall
     saved: SavedState | None = None  # None for a batch
     rows: Tensor | None = None  # the Gaussians in means2d's rows; None: all
     elements: tuple[Drawn, ...] = ()  # of a batch, under vmap
@@ -89,7 +89,7 @@ class Drawn:
 
 @exclusive
 @quiet_openmp()
-def draw(call: Call, given: Tensors) -> Drawn:
+def draw(call: RenderCall, given: Tensors) -> Drawn:
     """Run the forward pass, and fill the call's screen."""
     screen, F = call.screen, PRECISION[given.means.dtype]
     arrays = {k: to_drjit(x, F) for k, x in given.gaussians().items() if x is not None}

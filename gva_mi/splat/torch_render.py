@@ -17,7 +17,7 @@ from gva_mi.splat.gaussians import Gaussians, Image
 from gva_mi.splat.options import SplatOptions
 from gva_mi.splat.screen import Screen
 from gva_mi.splat.tensors import not_compiled
-from gva_mi.splat.torch_passes import Call, Tensors
+from gva_mi.splat.torch_passes import RenderCall, Tensors
 
 _DEFAULTS = SplatOptions()
 
@@ -57,7 +57,7 @@ def render(
     check(gaussians, background, camera)
     images = Render.apply(
         *tensors_of(gaussians, background, camera),
-        Call(camera, options, gaussians.sh is not None, screen),
+        RenderCall(camera, options, gaussians.sh is not None, screen),
     )
     return Image(*images[:-1])
 

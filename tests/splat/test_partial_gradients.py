@@ -8,7 +8,7 @@ import torch
 from gva_mi.splat import Camera, Gaussians, Screen, reference, render
 from gva_mi.splat.kernels.inputs import RequestedGradients
 from gva_mi.splat.scene import random_scene
-from gva_mi.splat.torch_passes import Call, Tensors
+from gva_mi.splat.torch_passes import RenderCall, Tensors
 
 SCENE = random_scene(torch.Generator().manual_seed(0), 40, 32, 24)
 IMAGES = {"all": ("color", "alpha", "depth"), "depth": ("depth",)}
@@ -56,7 +56,7 @@ def test_a_gradient_by_some_inputs_is_that_by_all_to_the_bit(channels, dtype, im
 
 def test_only_requested_gradients_are_computed():
     nothing = Tensors(*[False] * len(Tensors._fields))
-    call = Call(SCENE.camera, SCENE.options, False, None)
+    call = RenderCall(SCENE.camera, SCENE.options, False, None)
     asked = lambda call, **by: call.requested(nothing._replace(**by))
     colors, means = asked(call, colors=True), asked(call, means=True)
     assert colors == RequestedGradients(geometry=False) and means == RequestedGradients(

@@ -34,7 +34,7 @@ Values = tuple[Tensor | None, ...]
 
 
 class ProjectMeans(torch.autograd.Function):
-    """means, T_camera_world, K, an anchor, six other tensors, a ``Call``; returns as above.
+    """means, T_camera_world, K, an anchor, six other tensors, a ``RenderCall``; returns as above.
 
     The others, quats to background, are detached: they get their gradients from ``Render``. The
     anchor is one of them that needs a gradient, so that ``means2d`` has a gradient where means and

@@ -16,7 +16,7 @@ from gva_mi.splat.gsplat.means2d import ProjectMeans
 from gva_mi.splat.gsplat.meta import Meta
 from gva_mi.splat.options import SplatOptions
 from gva_mi.splat.screen import Screen
-from gva_mi.splat.torch_passes import Call, Drawn, Tensors
+from gva_mi.splat.torch_passes import Drawn, RenderCall, Tensors
 from gva_mi.splat.torch_render import tensors_of
 
 
@@ -39,7 +39,9 @@ class RenderedView:
         absgrad: bool,
     ) -> RenderedView:
         """Draw one picture."""
-        call = Call(camera, options, gaussians.sh is not None, Screen(absolute=absgrad), packed)
+        call = RenderCall(
+            camera, options, gaussians.sh is not None, Screen(absolute=absgrad), packed
+        )
         tensors = tensors_of(gaussians, background, camera)
         means, *others = *tensors.gaussians().values(), tensors.background
         anchor = next((x for x in others if x is not None and x.requires_grad), None)

@@ -37,14 +37,12 @@ def test_by_the_shapes_parameters(splats, smooth, view, name):
     start = np.array(parameters[key])
     along = np.random.default_rng(1).normal(size=start.shape).astype(np.float32)
     method = splats.integrator(srgb_primitives=True, depth=True)
-    backward, forward, difference = splats.three_ways(
+    splats.agree_three_ways(
         lambda p: mi.render(scene, p, view, method),
         lambda u: mi.Float(start) + u * mi.Float(along),
         parameters,
         key,
     )
-    assert forward == pytest.approx(backward, rel=1e-5)
-    assert difference == pytest.approx(backward, rel=3e-3)
 
 
 def test_by_the_sensors_pose(splats, smooth, view):
@@ -52,7 +50,7 @@ def test_by_the_sensors_pose(splats, smooth, view):
     parameters = mi.traverse(scene)
     start = mi.Transform4f(view.world_transform().matrix)
     method = splats.integrator(srgb_primitives=True)
-    backward, forward, difference = splats.three_ways(
+    splats.agree_three_ways(
         lambda p: mi.render(scene, p, view, method),
         lambda u: mi.AffineTransform4f(
             mi.Transform4f().translate([u, 0.5 * u, -0.7 * u]).rotate([0.2, 1, 0.3], 57 * u) @ start
@@ -60,8 +58,6 @@ def test_by_the_sensors_pose(splats, smooth, view):
         parameters,
         "view.to_world",
     )
-    assert forward == pytest.approx(backward, rel=1e-5)
-    assert difference == pytest.approx(backward, rel=3e-3)
 
 
 @pytest.mark.parametrize("name", ["x_fov", "principal_point_offset_y"])
@@ -71,14 +67,12 @@ def test_by_the_sensors_lens(splats, smooth, name):
     parameters = mi.traverse(scene)
     start, key = parameters[f"view.{name}"][0], f"view.{name}"
     method = splats.integrator()
-    backward, forward, difference = splats.three_ways(
+    splats.agree_three_ways(
         lambda p: mi.render(scene, p, view, method),
         lambda u: start + 10 * u,
         parameters,
         key,
     )
-    assert forward == pytest.approx(backward, rel=1e-5)
-    assert difference == pytest.approx(backward, rel=3e-3)
 
 
 def test_the_kernels_own_gradients(splats):

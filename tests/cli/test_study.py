@@ -115,6 +115,10 @@ def test_names_that_no_case_has_are_refused(done, tmp_path, cli):
     refine = ("study", "refine", "--out", tmp_path)
     assert cli(*refine, "--subjects", "bruno", "13")[0] == 0
     assert {case.take.person for case, _ in done} == {"bruno", "13"}
+    done.clear()
+    other = ("study", "refine", "--out", tmp_path / "8", "--held-out-set", 8)
+    assert cli(*other, "--error-models", "lean")[0] == 0
+    assert done and all(case.take.seed // 100 == 8 for case, _ in done)
     for argument, name in (("--subjects", "amira"), ("--error-models", "lost")):
         code, _, err = cli(*refine, argument, name)
         assert code == 2 and f"no '{name}'" in err and "these cases have:" in err

@@ -73,6 +73,8 @@ def test_trained_poses_of_another_video_are_not_used(person, avatar, cli):
         shutil.copy(run / name, run / "fit")
     code, out, err = cli("track", run / "fit", person, "--passes", 1)
     assert code == 0 and "another video" not in out, err
+    record = json.loads((person / "photometric.json").read_text())
+    assert record["start"] == str(run / "fit/poses.npz")
     shutil.copy(person / "frames/000001.png", person / "frames/000000.png")
     code, out, err = cli("track", run / "fit", person, "--passes", 1, "--overwrite")
     assert code == 0, err

@@ -119,3 +119,13 @@ def test_the_command_line_pins_libraries_before_they_are_imported():
     assert run(clean).endswith("set() True\n")
     if cpu.cpu_settings():
         assert run(clean | {"OPENBLAS_CORETYPE": "Prescott"}).endswith("set() False\n")
+
+
+def test_only_processors_with_avx2_are_pinned(tmp_path, monkeypatch):
+    monkeypatch.setattr(platform, "machine", lambda: "x86_64")
+    monkeypatch.setattr(cpu, "_FLAGS", tmp_path / "cpuinfo")
+    for flags, pinned in (("fpu avx avx2 fma", True), ("fpu avx fma", False)):
+        (tmp_path / "cpuinfo").write_text(f"processor : 0\nflags\t\t: {flags}\n")
+        assert bool(cpu.cpu_settings()) == pinned
+    monkeypatch.setattr(platform, "machine", lambda: "aarch64")
+    assert not cpu.cpu_settings()

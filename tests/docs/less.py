@@ -42,7 +42,7 @@ WRITTEN = {"--json": "figures.json"}  # where FILE is one that a command writes
 
 PUPPETS = "two minutes: tests/synthetic/test_portrait.py draws them smaller"
 SHEET = "pictures of seven people, minutes: tests/synthetic/test_contact_sheet.py"
-REPORTED = "refines once for each term of the loss: tests/cli/test_refine.py"
+REPORTED = "refines once for each term of the loss: tests/core/cut_short"
 NOT_RUN = {
     "gva-mi refine subject --report": REPORTED,
     "gva-mi refine subject --report --overwrite": REPORTED,

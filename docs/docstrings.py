@@ -1,4 +1,4 @@
-"""Docstrings of the house as Markdown, for the site's reference: an extension of griffe.
+"""Docstrings of the project as Markdown, for the site's reference: an extension of griffe.
 
 Tables and literal blocks are written as in reStructuredText, references as ``:func:`name```,
 arguments of one meaning in one line, and fields of a record in comments behind them. Readers of the
@@ -102,7 +102,7 @@ def comment_of(source: str) -> str | None:
     return words[-1] if words else None
 
 
-class HouseDocstrings(Extension):
+class ProjectDocstrings(Extension):
     """What is applied to every object that griffe has read."""
 
     def on_object(self, *, obj: Object, **_: object) -> None:

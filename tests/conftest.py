@@ -70,14 +70,14 @@ def joblib_dump():
 
 
 @pytest.fixture(scope="session")
-def puppet_scene(built_in_body):
+def body_scene(built_in_body):
     from gva_mi.mesh.mesh_scene import MeshScene
 
     return MeshScene(built_in_body.faces, built_in_body.v_template)
 
 
 @pytest.fixture(scope="session")
-def puppet_camera(built_in_body):
+def body_camera(built_in_body):
     from gva_mi.splat import Camera, look_at
 
     size = 96

@@ -28,7 +28,7 @@ class PinholeLens:
 
     @property
     def rotation(self) -> np.ndarray:
-        """(3, 3) columns: x right, y down, z forward in the world."""
+        """Return the (3, 3) matrix whose columns are right, down and forward in the world."""
         return self.camera.T_camera_world[:3, :3].T
 
     def project(self, x: np.ndarray) -> np.ndarray:

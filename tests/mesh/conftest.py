@@ -9,10 +9,10 @@ def quiet(one_thread):
 
 
 @pytest.fixture(scope="session")
-def scene(puppet_scene):
-    return puppet_scene
+def scene(body_scene):
+    return body_scene
 
 
 @pytest.fixture(scope="session")
-def camera(puppet_camera):
-    return puppet_camera
+def camera(body_camera):
+    return body_camera

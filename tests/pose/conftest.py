@@ -70,13 +70,13 @@ def coarse(body):
 
 
 @pytest.fixture(scope="session")
-def scene(puppet_scene):
-    return puppet_scene
+def scene(body_scene):
+    return body_scene
 
 
 @pytest.fixture(scope="session")
-def camera(puppet_camera):
-    return puppet_camera
+def camera(body_camera):
+    return body_camera
 
 
 @pytest.fixture(scope="session")

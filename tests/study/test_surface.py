@@ -49,8 +49,8 @@ def lattice(count, height=0.0):
 
 def test_spacing_is_zero_on_a_lattice_and_that_of_poisson_s_points_at_random(square):
     assert spacing(lattice(50), square) == pytest.approx(dict.fromkeys(("all", "skin", "hair"), 0))
-    strewn = np.random.default_rng(0).random((40_000, 3)) * (1, 1, 0)
-    assert spacing(strewn, square)["all"] == pytest.approx(0.523, abs=0.01)
+    spread_out = np.random.default_rng(0).random((40_000, 3)) * (1, 1, 0)
+    assert spacing(spread_out, square)["all"] == pytest.approx(0.523, abs=0.01)
 
 
 def test_spacing_is_measured_along_the_surface(square):

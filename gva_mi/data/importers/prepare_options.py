@@ -21,7 +21,7 @@ Spread = Annotated[float, Within(0, 1000, "low")]
 
 @dataclass(frozen=True)
 class PrepareOptions:
-    """What ``prepare`` is told beside the source."""
+    """Options of ``prepare`` beside the source."""
 
     # The body in SMPL-X's format that the poses are for, and that the other steps will be given; or
     # the word puppet for the built-in one, which keeps rotations and no shape.

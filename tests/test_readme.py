@@ -1,27 +1,23 @@
 """README and docs name commands, options, files and links that exist; tests/docs runs them."""
 
-import importlib.util
 import io
 import re
+import runpy
 import shlex
 import shutil
 import subprocess
 import sys
 from contextlib import redirect_stdout
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
-
-def module_at(path):
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 ROOT = Path(__file__).parents[1]
-pages, site_pages = map(module_at, (ROOT / "tests/docs/pages.py", ROOT / "docs/site_pages.py"))
+pages, site_pages = (
+    SimpleNamespace(**runpy.run_path(str(ROOT / name)))
+    for name in ("tests/docs/pages.py", "docs/site_pages.py")
+)
 PAGES, BLOCKS, commands = pages.PAGES, pages.BLOCKS, pages.commands
 
 

@@ -1,9 +1,10 @@
 """Whatever is broken is refused in one sentence with exit code 2, or taken; nothing is lost."""
 
-import importlib.util
 import json
+import runpy
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,9 +16,7 @@ from gva_mi.data.importers.motions import MotionOptions, read_motion
 from gva_mi.data.importers.target import TargetBody
 from gva_mi.fit import run_folder
 
-spec = importlib.util.spec_from_file_location("cases", Path(__file__).with_name("cases.py"))
-cases = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(cases)
+cases = SimpleNamespace(**runpy.run_path(str(Path(__file__).with_name("cases.py"))))
 
 NOT_IN_THE_MASKS = {
     "K looks far aside", "transl is behind the camera", "transl is in millimetres",

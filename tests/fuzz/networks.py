@@ -3,7 +3,7 @@
 TorchScript is left out, because such a file is a program that its user has to trust.
 """
 
-import importlib.util
+import runpy
 from pathlib import Path
 
 import numpy as np
@@ -13,14 +13,6 @@ from gva_mi.data.networks.normals import NormalNetwork, NormalsSpec
 from gva_mi.data.networks.sam_weights import load_network
 
 THERE = Path(__file__).parents[1] / "data/networks"
-
-
-def of_tests(name):
-    """A file of tests, for what it writes."""
-    spec = importlib.util.spec_from_file_location(name, THERE / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def networks():
@@ -50,7 +42,8 @@ def sam(folder):
 
 
 def onnx(folder):
-    of_tests("test_normal_networks").onnx_file(folder / "a.onnx", (16, 16))
+    tests = runpy.run_path(str(THERE / "test_normal_networks.py"))
+    tests["onnx_file"](folder / "a.onnx", (16, 16))
 
 
 def read_onnx(folder, _=None):

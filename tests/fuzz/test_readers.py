@@ -5,13 +5,14 @@ neighbours). The quick test takes 12 files of the main readers, ``pytest -m slow
 every reader.
 """
 
-import importlib.util
 import random
 import resource
+import runpy
 import shutil
 import signal
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -37,10 +38,7 @@ QUICK, THOROUGH = 12, 400  # files for each reader
 
 
 def module(name):
-    spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
-    found = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(found)
-    return found
+    return SimpleNamespace(**runpy.run_path(str(Path(__file__).with_name(f"{name}.py"))))
 
 
 mutated = module("mutations").mutated

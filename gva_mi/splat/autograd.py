@@ -39,30 +39,30 @@ NO_SECOND_DERIVATIVES = (
 )
 
 
-def one_by_one(
-    function: type[torch.autograd.Function],
-    info: Any,  # noqa: ANN401
-    dims: tuple,
-    arguments: tuple,
-) -> tuple[tuple, tuple]:
-    """Implement vmap: call ``function`` for each element of the batch and stack the results.
+def one_by_one(function: type[torch.autograd.Function]) -> type[torch.autograd.Function]:
+    """Give an operation its vmap: call it for each element of a batch and stack the results.
 
     Where only gradients or tangents are batched, as a Jacobian's rows are, all elements belong to
     the same picture.
     """
-    same_picture = all(dim is None for dim in dims[: len(Tensors._fields)])
 
-    def element(value: Any, dim: int | None, k: int) -> Any:  # noqa: ANN401
-        if isinstance(value, Drawn) and not same_picture:
-            return value.elements[k]
-        return value if dim is None else value.select(dim, k)
+    def vmap(info: Any, dims: tuple, *arguments: Any) -> tuple[tuple, tuple]:  # noqa: ANN401
+        same_picture = all(dim is None for dim in dims[: len(Tensors._fields)])
 
-    results = [
-        function.apply(*(element(v, dim, k) for v, dim in zip(arguments, dims, strict=True)))
-        for k in range(info.batch_size)
-    ]
-    stacked = tuple(_stacked(column) for column in zip(*results, strict=True))
-    return stacked, tuple(0 if isinstance(x, Tensor) else None for x in stacked)
+        def element(value: Any, dim: int | None, k: int) -> Any:  # noqa: ANN401
+            if isinstance(value, Drawn) and not same_picture:
+                return value.elements[k]
+            return value if dim is None else value.select(dim, k)
+
+        results = [
+            function.apply(*(element(v, dim, k) for v, dim in zip(arguments, dims, strict=True)))
+            for k in range(info.batch_size)
+        ]
+        stacked = tuple(_stacked(column) for column in zip(*results, strict=True))
+        return stacked, tuple(0 if isinstance(x, Tensor) else None for x in stacked)
+
+    function.vmap = staticmethod(vmap)
+    return function
 
 
 def _stacked(column: tuple) -> Any:  # noqa: ANN401
@@ -72,6 +72,7 @@ def _stacked(column: tuple) -> Any:  # noqa: ANN401
     return None if first is None else torch.stack(column)
 
 
+@one_by_one
 class Render(torch.autograd.Function):
     """``Tensors`` and a ``RenderCall`` to color, alpha, depth if made, and what was ``Drawn``.
 
@@ -109,11 +110,8 @@ class Render(torch.autograd.Function):
         tensors = FirstOrder.apply(*ctx.saved_tensors)
         return *Tangent.apply(*tensors, *tangents[:-1], ctx.drawn), None
 
-    @staticmethod
-    def vmap(info: Any, dims: tuple, *arguments: Any) -> tuple[tuple, tuple]:  # noqa: ANN401
-        return one_by_one(Render, info, dims, arguments)
 
-
+@one_by_one
 class Adjoint(torch.autograd.Function):
     """``Tensors``, the images' gradients, a ``Drawn`` and a request; to gradients ``Tensors``."""
 
@@ -142,11 +140,8 @@ class Adjoint(torch.autograd.Function):
         *_, color, alpha, depth, _, _ = tangents
         return Adjoint.apply(*ctx.saved_tensors, color, alpha, depth, ctx.drawn, ctx.requested)
 
-    @staticmethod
-    def vmap(info: Any, dims: tuple, *arguments: Any) -> tuple[tuple, tuple]:  # noqa: ANN401
-        return one_by_one(Adjoint, info, dims, arguments)
 
-
+@one_by_one
 class Tangent(torch.autograd.Function):
     """``Tensors``, their tangents and a ``Drawn``; to the tangents of the images."""
 
@@ -174,10 +169,6 @@ class Tangent(torch.autograd.Function):
     @staticmethod
     def jvp(ctx: FunctionCtx, *tangents: Tensor | None) -> Images:
         return Tangent.apply(*ctx.saved_tensors, *tangents[len(Tensors._fields) : -1], ctx.drawn)
-
-    @staticmethod
-    def vmap(info: Any, dims: tuple, *arguments: Any) -> tuple[tuple, tuple]:  # noqa: ANN401
-        return one_by_one(Tangent, info, dims, arguments)
 
 
 class FirstOrder(torch.autograd.Function):

@@ -33,6 +33,7 @@ ON_AXIS = 1e-6  # below this (r / z)^2 a fisheye's s is the start of its series
 Values = tuple[Tensor | None, ...]
 
 
+@one_by_one
 class ProjectMeans(torch.autograd.Function):
     """means, T_camera_world, K, an anchor, six other tensors, a ``RenderCall``; returns as above.
 
@@ -83,10 +84,6 @@ class ProjectMeans(torch.autograd.Function):
         _, push = vjp(pull, zeros)  # pull is linear: its own transpose is the tangent
         (found,) = push(_filled(tangents[:3], ctx.saved_tensors))
         return *found, _zeros(found[0]), None
-
-    @staticmethod
-    def vmap(info: Any, dims: tuple, *arguments: Any) -> tuple[tuple, tuple]:  # noqa: ANN401
-        return one_by_one(ProjectMeans, info, dims, arguments)
 
 
 def _equal(grad: Tensor, echo: Tensor) -> bool:

@@ -30,34 +30,19 @@ class CameraArrays:
     o: list[Array]  # 3, world
     low: list[Array]  # 2, least w of ``held``, px
     high: list[Array]  # 2, greatest
-    reach: list[Array]  # 4, cut-offs that may change from call to call: see the properties
+    near: Array  # least depth of a Gaussian that is drawn, m
+    far: Array  # greatest, m
+    blur: Array  # added to the diagonal of the covariances in the picture, px^2
+    radius: Array  # Gaussians that reach no further are not drawn, px; negative draws all
     model: CameraModel
-
-    @property
-    def near(self) -> Array:
-        """Least depth of a Gaussian that is drawn, m."""
-        return self.reach[0]
-
-    @property
-    def far(self) -> Array:
-        """Greatest depth of a Gaussian that is drawn, m."""
-        return self.reach[1]
-
-    @property
-    def blur(self) -> Array:
-        """Added to the diagonal of the covariances in the picture, px^2."""
-        return self.reach[2]
-
-    @property
-    def radius(self) -> Array:
-        """Gaussians that reach no further are not drawn, px; negative draws all."""
-        return self.reach[3]
 
     def to(self, F: type) -> CameraArrays:
         """Convert to another precision, inside a kernel."""
-        cast = lambda numbers: [F(x) for x in numbers]
-        parts = (self.R, self.t, self.f, self.c, self.o, self.low, self.high, self.reach)
-        return CameraArrays(*map(cast, parts), self.model)
+        lists = (self.R, self.t, self.f, self.c, self.o, self.low, self.high)
+        cut_offs = (self.near, self.far, self.blur, self.radius)
+        return CameraArrays(
+            *([F(x) for x in part] for part in lists), *map(F, cut_offs), self.model
+        )
 
 
 def camera_arrays(camera: Camera, options: SplatOptions) -> CameraArrays:
@@ -99,5 +84,5 @@ def _arrays(parts: list[np.ndarray], model: CameraModel) -> CameraArrays:
     x = [dr.gather(Float64, array, k) for k in range(numbers.size)]
     dr.eval(x)
     return CameraArrays(
-        x[:9], x[9:12], x[12:14], x[14:16], x[16:19], x[19:21], x[21:23], x[23:], model
+        x[:9], x[9:12], x[12:14], x[14:16], x[16:19], x[19:21], x[21:23], *x[23:], model
     )

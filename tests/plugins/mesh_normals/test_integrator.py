@@ -365,10 +365,3 @@ def test_an_edge_that_passes_the_sensor_is_cut_at_its_near_plane(scenes, integra
     difference = dot((images[0] - images[1]) / 8e-3, weight)
     assert abs(difference) > 1
     assert dot(g, np.tile(move, (4, 1))) == pytest.approx(difference, rel=0.03)
-
-
-def test_it_loads_from_xml(scenes):
-    text = """<integrator version="3.0.0" type="mesh_normals">
-                <string name="channels" value="mask, depth"/> <string name="space" value="world"/>
-              </integrator>"""
-    assert mi.load_string(text).aov_names() == ["mask", "depth"]

@@ -30,7 +30,7 @@ from drjit import ArrayBase as Array
 from drjit.llvm import Float64, UInt32
 from torch import Tensor
 
-from gva_mi.jit.rowwise import of_rows, tensors
+from gva_mi.jit.rowwise import load_columns, to_tensors
 from gva_mi.jit.tensors import PRECISION
 
 PIECE = 64  # Gaussians of a joint whose contributions one lane adds up
@@ -118,7 +118,7 @@ def _sums(pairs: PairLists, count: int, add: Callable[[UInt32, Lane], Lane]) -> 
 
 def _row(numbers: Array, width: int, index: UInt32) -> Lane:
     """Read one row of a flat array of rows, as float64."""
-    return [Float64(x) for x in of_rows(numbers, width, index)]
+    return [Float64(x) for x in load_columns(numbers, width, index)]
 
 
 def _pulled(dW: Lane, grad_E: Lane) -> Lane:
@@ -172,5 +172,5 @@ def adjoint_of_joints(pieces: PairLists, of: Callable[[UInt32], tuple[Lane, Lane
 
 def add_pieces(weights: SparseWeights, sums: Array, T: Tensor) -> Tensor:
     """Add up the gradient of T (J, 12) from the sums of all pieces."""
-    (pieces,) = tensors([sums], len(weights.piece_joints))
+    (pieces,) = to_tensors([sums], len(weights.piece_joints))
     return pieces.new_zeros(T.shape).index_add(0, weights.piece_joints, pieces).to(T)

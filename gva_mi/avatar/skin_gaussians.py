@@ -28,7 +28,7 @@ from gva_mi.avatar import lbs_reference, lbs_transforms, lighting, stretch
 from gva_mi.avatar.lbs_transforms import Lane, PairLists, SparseWeights
 from gva_mi.jit.exclusive import exclusive
 from gva_mi.jit.frozen import Frozen
-from gva_mi.jit.rowwise import flat, in_rows, of_rows, tensors
+from gva_mi.jit.rowwise import flat_array, load_columns, store_columns, to_tensors
 
 WIDTHS = (3, 4, 3, 12)  # of the rows of means, quats, scales and colours
 
@@ -75,7 +75,7 @@ def _forward(
     moved, covars = stretch.forward(A, E, mean, quat, scale)
     color = lighting.forward(A, sh, l)
     kept = [*A, *E]
-    found = [in_rows(some, n, F) for some in (moved, covars, color)]
+    found = [store_columns(some, n, F) for some in (moved, covars, color)]
     dr.eval(found, kept)
     return found + kept
 
@@ -95,7 +95,9 @@ def _adjoint(
     F = type(parts[0])
     mean, quat, scale, sh, l = _own(parts, light, n)
     A, E, lane = kept[:12], kept[12:], dr.arange(dr.uint32_array_t(F), n)
-    g, G, g_color = (of_rows(x, width, lane) for x, width in zip(grads, (3, 6, 3), strict=True))
+    g, G, g_color = (
+        load_columns(x, width, lane) for x, width in zip(grads, (3, 6, 3), strict=True)
+    )
     grad_A, grad_E, grad_mean, grad_quat, grad_scale = stretch.adjoint(
         A, E, mean, quat, scale, g, G
     )
@@ -104,7 +106,7 @@ def _adjoint(
     by_E = lbs_transforms.adjoint_of_means(pairs, T, grad_E)
     grad_mean = [a + F(b) for a, b in zip(grad_mean, by_E, strict=True)]
     columns = grad_mean, grad_quat, grad_scale, grad_sh, grad_light, [*grad_A, *grad_E, *mean]
-    found = [in_rows(some, n, F) for some in columns]
+    found = [store_columns(some, n, F) for some in columns]
     dr.eval(found)
     return found
 
@@ -114,11 +116,11 @@ def _adjoint_of_joints(pieces: PairLists, rows: Array, *, n: int) -> list[Array]
     """Return the sums of each piece, float64."""
 
     def of(gaussian: Array) -> tuple[Lane, Lane, Lane]:
-        row = of_rows(rows, 24, gaussian)
+        row = load_columns(rows, 24, gaussian)
         return row[:12], row[12:21], row[21:]
 
     sums = lbs_transforms.adjoint_of_joints(pieces, of)
-    found = [in_rows(sums, n, type(sums[0]))]
+    found = [store_columns(sums, n, type(sums[0]))]
     dr.eval(found)
     return found
 
@@ -126,8 +128,8 @@ def _adjoint_of_joints(pieces: PairLists, rows: Array, *, n: int) -> list[Array]
 def _own(parts: list[Array], light: Array, n: int) -> list[Lane]:
     """Read each lane's own rows, and the light, which all lanes share."""
     lane = dr.arange(dr.uint32_array_t(type(light)), n)
-    own = [of_rows(part, width, lane) for part, width in zip(parts, WIDTHS, strict=True)]
-    return [*own, of_rows(light, 3, lane * 0)]
+    own = [load_columns(part, width, lane) for part, width in zip(parts, WIDTHS, strict=True)]
+    return [*own, load_columns(light, 3, lane * 0)]
 
 
 class _Skinned(torch.autograd.Function):
@@ -144,10 +146,10 @@ class _Skinned(torch.autograd.Function):
         ctx.save_for_forward(*given)
         if not n:
             return parts[0].clone(), parts[0].new_zeros(0, 6), parts[0].clone()
-        numbers = [flat(part) for part in parts]
-        found = _forward(weights.of_gaussians, flat(T), numbers, flat(light), n=n)
+        numbers = [flat_array(part) for part in parts]
+        found = _forward(weights.of_gaussians, flat_array(T), numbers, flat_array(light), n=n)
         ctx.kept = found[3:]
-        return tensors(found[:3], n)
+        return to_tensors(found[:3], n)
 
     @staticmethod
     @torch.autograd.function.once_differentiable
@@ -157,13 +159,18 @@ class _Skinned(torch.autograd.Function):
         n, weights = len(parts[0]), ctx.weights
         if not n:
             return *(torch.zeros_like(x) for x in (T, *parts, light)), None
-        memory = [flat(part) for part in parts], flat(light), ctx.kept, [flat(g) for g in grads]
-        *by_parts, by_light, rows = _adjoint(weights.of_gaussians, flat(T), *memory, n=n)
+        memory = (
+            [flat_array(part) for part in parts],
+            flat_array(light),
+            ctx.kept,
+            [flat_array(g) for g in grads],
+        )
+        *by_parts, by_light, rows = _adjoint(weights.of_gaussians, flat_array(T), *memory, n=n)
         by_T = None
         if ctx.needs_input_grad[0]:
             (sums,) = _adjoint_of_joints(weights.of_pieces, rows, n=len(weights.piece_joints))
             by_T = lbs_transforms.add_pieces(weights, sums, T)
-        *by_parts, by_light = tensors([*by_parts, by_light], n)
+        *by_parts, by_light = to_tensors([*by_parts, by_light], n)
         return by_T, *by_parts, by_light.sum(0, keepdim=True), None
 
     @staticmethod

@@ -24,7 +24,7 @@ from torch import Tensor
 from torch.autograd.function import FunctionCtx
 
 from gva_mi.data.crop import Box
-from gva_mi.jit.rowwise import flat, in_rows, of_rows, tensors
+from gva_mi.jit.rowwise import flat_array, load_columns, store_columns, to_tensors
 
 
 def composite_target(
@@ -49,9 +49,15 @@ def composite_target(
     on_color = [dr.lerp(b_c, P_c, S) for b_c, P_c in zip(b, P, strict=True)]
     here = lambda unsure, sure: [dr.select(U > 0, u, s) for u, s in zip(unsure, sure, strict=True)]
     count = part.width * part.height
-    found = [in_rows(here(P, on_color), count, Float), in_rows(here(B, b), count, Float), S]
+    found = [
+        store_columns(here(P, on_color), count, Float),
+        store_columns(here(B, b), count, Float),
+        S,
+    ]
     dr.eval(found)
-    target, background, mask = (x.view(part.height, part.width, -1) for x in tensors(found, count))
+    target, background, mask = (
+        x.view(part.height, part.width, -1) for x in to_tensors(found, count)
+    )
     return target, background, mask[..., 0]
 
 
@@ -74,7 +80,7 @@ class _CompositeRender(torch.autograd.Function):
     def forward(ctx: FunctionCtx, color: Tensor, alpha: Tensor, background: Tensor) -> Tensor:
         ctx.save_for_backward(background)
         ctx.save_for_forward(background)
-        C, A, B = (flat(x) for x in (color, alpha, background))
+        C, A, B = (flat_array(x) for x in (color, alpha, background))
         through = 1 - dr.gather(type(A), A, dr.arange(UInt32, color.numel()) // 3)
         return _done(dr.fma(through, B, C), color.shape)
 
@@ -83,7 +89,7 @@ class _CompositeRender(torch.autograd.Function):
     def backward(ctx: FunctionCtx, grad: Tensor) -> tuple[Tensor, Tensor, None]:
         (background,) = ctx.saved_tensors
         pixel = dr.arange(UInt32, grad.shape[0] * grad.shape[1])
-        g, B = (of_rows(flat(x), 3, pixel) for x in (grad, background))
+        g, B = (load_columns(flat_array(x), 3, pixel) for x in (grad, background))
         grad_alpha = -sum(x * y for x, y in zip(g, B, strict=True))
         return grad, _done(grad_alpha, grad.shape[:2]), None
 
@@ -95,7 +101,7 @@ class _CompositeRender(torch.autograd.Function):
 
 def _done(numbers: Array, shape: torch.Size) -> Tensor:
     dr.eval(numbers)
-    return tensors([numbers], len(numbers))[0].view(shape)
+    return to_tensors([numbers], len(numbers))[0].view(shape)
 
 
 def _in_box(box: Box, part: Box) -> tuple[UInt32, Array]:

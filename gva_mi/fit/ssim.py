@@ -26,7 +26,7 @@ from drjit.llvm import UInt32
 from torch import Tensor
 from torch.autograd.function import FunctionCtx
 
-from gva_mi.jit.rowwise import flat
+from gva_mi.jit.rowwise import flat_array
 
 SIGMA, RADIUS = 1.5, 5  # pixels: of Wang et al.'s window
 SIDE = 2 * RADIUS + 1
@@ -134,7 +134,7 @@ class _Ssim(torch.autograd.Function):
     @staticmethod
     def forward(ctx: FunctionCtx, image: Tensor, target: Tensor) -> Tensor:
         H, W, C = image.shape
-        x, y = flat(image), flat(target)
+        x, y = flat_array(image), flat_array(target)
         moments = _moments(x, y, H, W, C)
         dr.eval(moments)
         windows = (W - SIDE + 1) * C
@@ -162,7 +162,7 @@ def _gradient(ctx: FunctionCtx) -> Tensor:
     H, W, C = image.shape
     parts = _of_columns(ctx.parts, H, (W - SIDE + 1) * C)
     dr.eval(parts)
-    x, y = flat(image), flat(target)
+    x, y = flat_array(image), flat_array(target)
     of_a, of_u, of_w = _of_rows(parts, H, W, C)
     found = (of_a + 2 * x * of_u + y * of_w) / ctx.count
     dr.eval(found)

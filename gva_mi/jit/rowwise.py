@@ -36,13 +36,13 @@ def launch(kernel: Callable[..., Iterable[Lane]], *inputs: Tensor) -> tuple[Tens
     """
     n = len(inputs[0])
     found = _launch(
-        [flat(x) for x in inputs],
+        [flat_array(x) for x in inputs],
         n=n,
         kernel=kernel,
         widths=tuple(x.shape[1] for x in inputs),
         shared=tuple(len(x) != n for x in inputs),
     )
-    return tensors(found, n)
+    return to_tensors(found, n)
 
 
 @Frozen
@@ -56,27 +56,27 @@ def _launch(
 ) -> list[Array]:
     lane = dr.arange(dr.uint32_array_t(inputs[0]), n)
     columns = [
-        of_rows(x, width, lane * 0 if same else lane)
+        load_columns(x, width, lane * 0 if same else lane)
         for x, width, same in zip(inputs, widths, shared, strict=True)
     ]
-    found = [in_rows(some, n, type(inputs[0])) for some in kernel(*columns)]
+    found = [store_columns(some, n, type(inputs[0])) for some in kernel(*columns)]
     dr.eval(found)
     return found
 
 
-def flat(tensor: Tensor) -> Array:
+def flat_array(tensor: Tensor) -> Array:
     """Return the memory of a contiguous tensor as a flat array, without a copy."""
     return to_drjit(tensor, PRECISION[tensor.dtype])
 
 
-def of_rows(numbers: Array, width: int, row: Array) -> Lane:
+def load_columns(numbers: Array, width: int, row: Array) -> Lane:
     """Load the columns of some rows from a flat array of rows."""
     part = _packet(width)
     packets = range(width // part)
     return [x for k in packets for x in load_rows(numbers, part, row * len(packets) + k)]
 
 
-def in_rows(columns: Sequence[Array], lanes: int, Float: type) -> Array:
+def store_columns(columns: Sequence[Array], lanes: int, Float: type) -> Array:
     """Store columns, one number per lane, as a flat array of rows."""
     width, lane = len(columns), dr.arange(dr.uint32_array_t(Float), lanes)
     part, out = _packet(width), dr.empty(Float, lanes * width)
@@ -86,7 +86,7 @@ def in_rows(columns: Sequence[Array], lanes: int, Float: type) -> Array:
     return out
 
 
-def tensors(arrays: Iterable[Array], rows: int) -> tuple[Tensor, ...]:
+def to_tensors(arrays: Iterable[Array], rows: int) -> tuple[Tensor, ...]:
     """Convert flat arrays of ``rows`` rows to tensors (N, K) when their kernels have finished."""
     dr.sync_thread()
     return tuple(tensor_of(x).view(rows, -1) for x in arrays)

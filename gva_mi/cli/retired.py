@@ -18,6 +18,11 @@ RENAMED: dict[tuple[str, str], str] = {
     ("study", "--people"): "--subjects",
     ("study", "--families"): "--error-models",
     ("study", "--told"): "--known",
+    ("synth", "--sheet"): "is gone: docs/people.md describes the subjects, check --sheet draws one",
+    **{
+        ("synth", f"--{name}"): "is gone: frames show the person on white"
+        for name in ("background", "blur", "sensor-noise")
+    },
 }
 
 # Constants of the method that Python sets and the command line does not: by dataclass the name it

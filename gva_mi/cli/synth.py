@@ -13,20 +13,16 @@ from gva_mi.core.atomic import require_writable
 from gva_mi.core.console import bar, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import require_replaceable
-from gva_mi.core.lock import folder_lock
-from gva_mi.data.pictures import require_picture
 from gva_mi.synthetic import SynthOptions, degrade, describe_errors, make_subject
-from gva_mi.synthetic.contact_sheet import contact_sheet as draw_sheet
 
 MARKER = "synth.json"  # every synthetic subject has it
 
 
 def synth(
-    out: Positional[Path | None] = None,
+    out: Positional[Path],
     options: Flat[SynthOptions] = SynthOptions(),  # noqa: B008 (frozen)
     *,
     like: Path | None = None,
-    sheet: Path | None = None,
     body: Path | None = None,
     overwrite: Switch = False,
 ) -> None:
@@ -36,28 +32,16 @@ def synth(
         out: the subject's folder.
         options: of the subject.
         like: an existing subject, whose recording gets the errors of --family, --seed and --noise.
-        sheet: write a picture (.png) of the study's seven subjects and of one's video.
         body: a body file in SMPL-X's .npz format; without it the built-in body.
-        overwrite: replace an existing subject and sheet.
+        overwrite: replace an existing subject.
     """
-    if out is None and sheet is None:
-        raise InputError("synth: give a folder for a subject, or --sheet FILE.png, or both")
     if like is not None:
         _require_noise_alone(options)
-        if out is not None and out.resolve() == like.resolve():
+        if out.resolve() == like.resolve():
             raise InputError(f"{out}: is the recording itself; expected another folder than --like")
     model = load_body(body)
-    if sheet is not None:
-        require_picture(sheet, overwrite)
-    if out is not None:
-        require_replaceable(out, MARKER, overwrite)
-        require_writable(out.absolute().parent)
-    if sheet is not None:
-        with folder_lock(sheet, "gva-mi synth"), bar("sheet") as progress:
-            draw_sheet(sheet, model, progress=progress)
-        say(f"sheet: {sheet}")
-    if out is None:
-        return
+    require_replaceable(out, MARKER, overwrite)
+    require_writable(out.absolute().parent)
     replaced = MARKER if overwrite else None
     with bar("synth") as progress:
         if like is None:

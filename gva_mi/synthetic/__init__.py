@@ -1,25 +1,24 @@
 """Synthetic subjects: a clothed person from a seed, its video, and their ground truth.
 
-==========================================  ====================================================
-People       ``people``, ``look``           who it is: shape, colours, cut of the clothes
-             ``rest_body``                  the body below the clothes
-             ``clothes/``                   clothes and hair, and how they follow the body
-             ``texture``                    colours of skin, cloth and hair
-             ``subject``                    all of it as one surface
-Bodies       ``stretched``                  a body of other proportions than the fitted one
-             ``closest``                    ground truth on the fitted body for such a person
-Motion       ``motion/``                    motions of the video, and held-out poses
-Pictures     ``framing``, ``render``        cameras, rays and light
-             ``camera_effects``             background, blur, sensor noise
-             ``shots``                      files of one picture, by one process or several
-Errors       ``noise/``                     error models of poses, masks and normals
-             ``estimates``                  estimates of a pipeline with such errors
-Folder       ``options``                    all options
-             ``dataset``                    writes a subject's folder
-             ``degrade``                    the same recording with other errors
-             ``recorded``                   options of a folder, and its person made again
-             ``contact_sheet``              a picture of all subjects and of one's folder
-==========================================  ====================================================
+==================  ================================================================
+``options``         all options
+``subject_folder``  writes a subject's folder
+``degrade``         the same recording with other errors
+``provenance``      options of a folder, and its person made again
+``people, look``    who it is: shape, colours, cut of the clothes
+``rest_body``       the body below the clothes
+``clothes/``        clothes and hair, and how they follow the body
+``texture``         colours of skin, cloth and hair
+``subject``         all of it as one surface
+``stretched``       a body of other proportions than the fitted one
+``closest``         ground truth on the fitted body for such a person
+``motion/``         motions of the video, and held-out poses
+``render``          rays and light; ``framing`` places cameras
+``pictures``        files of one picture, by one process or several
+``error_models/``   error models of poses, masks and normals
+``estimates``       estimates of a pipeline with such errors
+``portrait``        pictures of a bare body
+==================  ================================================================
 """
 
 from gva_mi.synthetic.degrade import degrade

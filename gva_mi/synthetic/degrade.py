@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from gva_mi.body.smplx import BodyModel
-from gva_mi.core.atomic import atomic_dir, atomic_write
+from gva_mi.core.atomic import atomic_dir
 from gva_mi.core.console import Progress
 from gva_mi.core.files import write_json
 from gva_mi.data.fingerprint import require_same_body
@@ -22,8 +22,6 @@ from gva_mi.data.ground_truth import load_ground_truth
 from gva_mi.synthetic.closest import closest
 from gva_mi.synthetic.estimates import Pipeline, write_estimates
 from gva_mi.synthetic.provenance import recorded_options
-
-KEPT = ("video.mp4", "frames", "truth", "splits.json")
 
 
 def degrade(
@@ -52,7 +50,7 @@ def degrade(
         InputError: ``out`` holds something else, ``subject`` was not made here or on another body,
             or there is no such error model.
     """
-    subject, out = Path(subject), Path(out)
+    subject = Path(subject)
     about, options = recorded_options(subject)
     require_same_body(subject, body)
     options = replace(
@@ -62,13 +60,12 @@ def degrade(
     truth = load_ground_truth(subject / "truth", body)
     near = closest(body, truth.body, truth.pose, truth.shape)
     pipeline = Pipeline(options, body, truth.cameras, near)
-    with atomic_dir(out, replaced) as folder:
-        for name in KEPT:
-            if (subject / name).exists():
+    with atomic_dir(Path(out), replaced) as folder:
+        for name in ("video.mp4", "frames", "truth", "splits.json"):
+            if (subject / name).is_dir():
+                shutil.copytree(subject / name, folder / name, copy_function=_link)
+            elif (subject / name).exists():
                 _link(subject / name, folder / name)
-        # Old subjects have none, because no error model changed the camera.
-        if not (folder / "truth" / "cameras.npz").exists():
-            _link(subject / "cameras.npz", folder / "truth" / "cameras.npz")
         statistics = []
         for k, errors in enumerate(pipeline.pictures()):
             statistics.append(write_estimates(folder, k, errors, options.samples))
@@ -78,16 +75,9 @@ def degrade(
         write_json(folder / "synth.json", about | {"options": options.recorded()})
 
 
-def _link(source: Path, target: Path) -> None:
-    """Hard-link a file or a folder's files, or copy them where links are not possible."""
-    if source.is_dir():
-        target.mkdir(parents=True, exist_ok=True)
-        for path in sorted(source.iterdir()):
-            _link(path, target / path.name)
-        return
-    target.parent.mkdir(parents=True, exist_ok=True)
+def _link(source: Path | str, target: Path | str) -> None:
+    """Hard-link a file, or copy it where links are not possible."""
     try:
         os.link(source, target)
     except OSError:
-        with atomic_write(target) as unfinished:
-            shutil.copy2(source, unfinished)
+        shutil.copy2(source, target)

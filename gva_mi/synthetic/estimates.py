@@ -25,7 +25,7 @@ from gva_mi.splat import Camera
 from gva_mi.synthetic.closest import Closest
 from gva_mi.synthetic.error_models.masks import Confusion, confusions, noisy_mask
 from gva_mi.synthetic.error_models.measure import mask_iou, normal_error, pose_error
-from gva_mi.synthetic.error_models.models import ErrorParameters, Levels, draw_errors
+from gva_mi.synthetic.error_models.models import EXACT, ErrorParameters, Levels, draw_errors
 from gva_mi.synthetic.error_models.normals import noisy_normals
 from gva_mi.synthetic.error_models.poses import estimated_camera, noisy_poses
 from gva_mi.synthetic.error_models.processes import runs
@@ -44,6 +44,7 @@ class PictureErrors:
     seed: tuple[int, ...]  # of everything random in them
     confusion: Confusion = Confusion()
     no_normals: bool = False  # the frame has none
+    as_rendered: bool = False  # start from the rendered pictures, not from the 8-bit files
 
     def apply(self, mask: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
         """Degrade a true mask (H, W) and true normals (H, W, 3) in camera space."""
@@ -99,10 +100,12 @@ class Pipeline:
         )  # fmt: skip
         share = min(levels.normal * errors.normal.missing, 0.9)
         missing = runs(options.random(MISSING, errors=True), len(confused), share, MISSING_FRAMES)
-        seed = (*options.entropy(RENDER, errors=True), MOTION)
+        seed, exact = (*options.entropy(RENDER, errors=True), MOTION), options.family == EXACT
         return [
-            PictureErrors(errors, levels, self.cameras[k], (*seed, k), confused[k], bool(gone))
-            for k, gone in enumerate(missing)
+            PictureErrors(errors, levels, camera, (*seed, k), seen, bool(gone), exact)
+            for k, (camera, seen, gone) in enumerate(
+                zip(self.cameras, confused, missing, strict=True)
+            )
         ]
 
     def write(self, folder: Path, pictures: Sequence[ErrorStatistics]) -> None:
@@ -149,9 +152,9 @@ def describe_errors(folder: Path) -> list[str]:
 def _in_words(found: dict[str, Any]) -> Iterator[str]:
     pose, levels, normal = found["pose"], found["levels"], found["normal"]
     lost = len(pose["lost_left_hand"]), len(pose["lost_right_hand"])
-    angle, missing = normal["angle_deg"], normal.get("missing", 0)
+    angle, missing = normal["angle_deg"], normal["missing"]
     known = "none" if angle is None else f"{angle:.1f} degrees off"
-    yield f"noise: family {found.get('family', 'bursts')}, seed {found.get('seed', 'unknown')}"
+    yield f"noise: family {found['family']}, seed {found['seed']}"
     yield (
         f"stage-1 poses (level {levels['pose']:g}): body {pose['vertex_mm']:.0f} mm, hands "
         f"{pose['hand_vertex_mm']:.0f}, feet {pose['foot_vertex_mm']:.0f}; sideways "
@@ -161,7 +164,7 @@ def _in_words(found: dict[str, Any]) -> Iterator[str]:
     yield f"masks (level {levels['mask']:g}): IoU {found['mask']['iou']:.3f} with the ground truth"
     also = f"; missing in {missing} frames" if missing else ""
     yield f"normals (level {levels['normal']:g}): {known}{also}"
-    if "floor" in found and found["floor"]["joint_mm"] > 0:
+    if found["floor"]["joint_mm"] > 0:
         limb_mm = found["floor"]["limb_mm"]
         yield f"the fitted body comes as near as {limb_mm:.1f} mm to the joints of the limbs"
 

@@ -16,8 +16,8 @@ from gva_mi.synthetic.people import STUDY, Person, foreign_outfit
 from gva_mi.synthetic.stretched import BodyStretch, stretched
 
 # Random number streams, one for each purpose.
-MOTION, NOISE, NOVEL_POSE, NOVEL_VIEW, RENDER, BACKGROUND, MISTAKEN, MISSING = range(1, 9)
-FIGURE, OUTFIT = 11, 12
+MOTION, NOISE, NOVEL_POSE, NOVEL_VIEW, RENDER = range(1, 6)
+MISTAKEN, MISSING, FIGURE, OUTFIT = 7, 8, 11, 12
 MOST_PIXELS = 1 << 31  # of a whole video, which is held in memory
 VideoFrames = Annotated[int, Within(2, 10_000)]
 NovelPictures = Annotated[int, Within(0, 1000)]
@@ -49,9 +49,6 @@ class SynthOptions:
     normal_noise: Level = 1.0  # of the normals; in bursts, 1 is about 9 degrees
     novel_poses: NovelPictures = 8  # held-out pictures of other poses
     novel_views: NovelPictures = 8  # held-out pictures of frames from other sides
-    background: bool = False  # a room behind the person in the video
-    blur: Level = 0.0  # of the video, pixels at 512
-    sensor_noise: Level = 0.0  # of the video; 1 is about 1.5 % of white
     workers: Workers = 1  # processes that render; any number gives the same bits
 
     def __post_init__(self) -> None:

@@ -19,7 +19,6 @@ import numpy as np
 from gva_mi.core.workers import worker_died, worker_processes
 from gva_mi.data.pictures import write_image
 from gva_mi.splat import Camera
-from gva_mi.synthetic.camera_effects import CameraEffects
 from gva_mi.synthetic.estimates import (
     ErrorStatistics,
     PictureErrors,
@@ -28,15 +27,6 @@ from gva_mi.synthetic.estimates import (
 )
 from gva_mi.synthetic.render import Renderer, Rendering
 from gva_mi.synthetic.subject import Subject
-
-
-@dataclass(frozen=True)
-class Degradation:
-    """How a video's picture differs from the ground truth, which is written beside it."""
-
-    effects: CameraEffects
-    errors: PictureErrors  # of its mask and normals
-    from_files: bool  # whether these start from the 8-bit files of the ground truth
 
 
 @dataclass(frozen=True)
@@ -49,18 +39,12 @@ class RenderJob:
     camera: Camera
     samples: int  # rays per pixel
     seed: tuple[int, ...]  # of everything random in it
-    degradation: Degradation | None = None  # None writes the ground truth alone
-    light: str = "usual"  # one of gva_mi.synthetic.render.LIGHTS
+    light: str  # one of gva_mi.synthetic.render.LIGHTS
+    errors: PictureErrors | None = None  # None writes the ground truth alone, else into truth/
 
 
-@dataclass(frozen=True)
-class RenderResult:
-    """What remains in memory of a picture whose files are written."""
-
-    color: np.ndarray  # (H, W, 3) 8-bit
-    error: ErrorStatistics | None  # of its mask and normals; None for the ground truth
-
-
+# 8-bit color (H, W, 3), and the errors of mask and normals; None for the ground truth.
+RenderResult = tuple[np.ndarray, ErrorStatistics | None]
 Render = Callable[[Iterable[RenderJob]], Iterator[RenderResult]]
 
 
@@ -107,23 +91,17 @@ def _in_order(pool: Executor, ahead: int, jobs: Iterable[RenderJob]) -> Iterator
 
 def render_job(renderer: Renderer, job: RenderJob) -> RenderResult:
     """Render one picture and write its files."""
-    light, errors = np.random.SeedSequence(job.seed).spawn(2)
+    light, _ = np.random.SeedSequence(job.seed).spawn(2)  # the second is for the errors
     seed = int(light.generate_state(1)[0])
     true = renderer(job.surface, job.camera, job.samples, seed, job.light)
-    color, error = true.color, None
-    if job.degradation is None:
-        _write_true(job.folder, job.index, true)
-    else:
-        sensor = np.random.default_rng(errors.spawn(3)[2])  # 0 and 1 are for mask and normals
-        color = job.degradation.effects.apply(color, true.mask, sensor)
-        _write_true(job.folder / "truth", job.index, true)
-        rendered = None if job.degradation.from_files else (true.mask, true.normals)
-        error = write_estimates(
-            job.folder, job.index, job.degradation.errors, job.samples, rendered
-        )
-    stored = np.round(color * 255).astype(np.uint8)
+    stored = np.round(true.color * 255).astype(np.uint8)
     write_image(job.folder / "frames" / f"{job.index:06d}.png", stored)
-    return RenderResult(stored, error)
+    if job.errors is None:
+        _write_true(job.folder, job.index, true)
+        return stored, None
+    _write_true(job.folder / "truth", job.index, true)
+    rendered = (true.mask, true.normals) if job.errors.as_rendered else None
+    return stored, write_estimates(job.folder, job.index, job.errors, job.samples, rendered)
 
 
 def _write_true(folder: Path, index: int, true: Rendering) -> None:

@@ -14,6 +14,7 @@ from gva_mi.data.fingerprint import ABOUT, require_same_body
 from gva_mi.synthetic.options import SynthOptions
 from gva_mi.synthetic.subject import Subject, draw_subject
 
+RETIRED = ("background", "blur", "sensor_noise")  # options of older folders, of frames alone
 SURFACE = "truth/surface.ply"  # in the subject's folder
 
 
@@ -27,7 +28,8 @@ def recorded_options(subject: Path) -> tuple[dict, SynthOptions]:
     expected = "a folder that gva-mi synth made"
     about = read_json(path, expected)
     with expecting(path, expected):
-        return about, SynthOptions(**about["options"])
+        kept = {k: v for k, v in about["options"].items() if k not in RETIRED}
+        return about, SynthOptions(**kept)
 
 
 def write_surface(path: Path, person: Subject) -> None:

@@ -1,7 +1,6 @@
 """Write a subject's folder: the video that a real pipeline would have, and its ground truth.
 
 Pictures are sRGB-encoded, the person on white, blended by the true mask (see ``render``).
-Background, blur and sensor noise are in ``frames`` alone, so that the masks matter.
 
 Outside ``truth`` lie the estimates of a pipeline (see ``estimates``), cameras included, whose focal
 length may be wrong. All in ``truth`` is exact:
@@ -38,21 +37,12 @@ from gva_mi.data.pictures import write_movie
 from gva_mi.data.video import TEST_EVERY, Splits, save_cameras
 from gva_mi.splat import Camera
 from gva_mi.synthetic import motion
-from gva_mi.synthetic.camera_effects import CameraEffects, room_background
 from gva_mi.synthetic.closest import Closest, closest
 from gva_mi.synthetic.clothes.folds import MEMORY
-from gva_mi.synthetic.error_models.models import EXACT
-from gva_mi.synthetic.estimates import Pipeline
+from gva_mi.synthetic.estimates import PictureErrors, Pipeline
 from gva_mi.synthetic.framing import camera_around
-from gva_mi.synthetic.options import (
-    BACKGROUND,
-    MOTION,
-    NOVEL_POSE,
-    NOVEL_VIEW,
-    RENDER,
-    SynthOptions,
-)
-from gva_mi.synthetic.pictures import Degradation, Render, RenderJob, rendering
+from gva_mi.synthetic.options import MOTION, NOVEL_POSE, NOVEL_VIEW, RENDER, SynthOptions
+from gva_mi.synthetic.pictures import Render, RenderJob, rendering
 from gva_mi.synthetic.provenance import SURFACE, write_surface
 from gva_mi.synthetic.subject import Subject, draw_subject
 
@@ -156,7 +146,7 @@ class _SubjectWriter:
         poses: Sequence[Pose],
         cameras: Sequence[Camera],
         stream: int,
-        degradations: Sequence[Degradation] = (),
+        errors: Sequence[PictureErrors] = (),
     ) -> Iterator[RenderJob]:
         """Yield the render job of each frame, which is random by stream and frame alone.
 
@@ -165,17 +155,17 @@ class _SubjectWriter:
             poses: of all frames, and those one step, two steps, ... before.
             cameras: one per frame.
             stream: of random numbers.
-            degradations: one per frame; without them, only the ground truth is written.
+            errors: of each frame; without them, only the ground truth is written.
         """
         options = self.options
         for k, camera in enumerate(cameras):
             now, *past = (p[k] for p in poses)
             surface = self.subject.posed(self.body, now, past, options.folds)[0]
             seed = (*options.entropy(RENDER), stream, k)
-            degradation = degradations[k] if degradations else None
             yield RenderJob(
-                folder, k, surface, camera, options.samples, seed, degradation, options.light
-            )
+                folder, k, surface, camera, options.samples, seed, options.light,
+                errors[k] if errors else None,
+            )  # fmt: skip
 
     def write_video(self, folder: Path, poses: list[Pose]) -> None:
         """Write frames, masks, normals, cameras and poses of the video, with ground truth."""
@@ -185,17 +175,11 @@ class _SubjectWriter:
         save_poses(folder / "truth" / "poses.npz", pose, subject.shape, stage=0)
         if self.body is not self.fitted:
             write_arrays(folder / "truth" / BODY, **self.body.arrays())
-        room = None
-        if options.background:
-            room = room_background(options.size, options.random(BACKGROUND))
-        effects = CameraEffects(options.blur * options.size / 512, options.sensor_noise, room)
         pipeline = Pipeline(options, self.fitted, cameras, self._closest(pose))
-        from_files = options.family != EXACT
-        degradations = [Degradation(effects, e, from_files) for e in pipeline.pictures()]
-        jobs = self._jobs(folder, poses, cameras, MOTION, degradations)
-        results = list(self.render(jobs))
-        write_movie(folder / "video.mp4", [result.color for result in results])
-        pipeline.write(folder, [result.error for result in results])
+        jobs = self._jobs(folder, poses, cameras, MOTION, pipeline.pictures())
+        colors, statistics = zip(*self.render(jobs), strict=True)
+        write_movie(folder / "video.mp4", list(colors))
+        pipeline.write(folder, statistics)
 
     def write_novel_poses(self, folder: Path) -> None:
         """Write poses that the video does not hold, with their pictures."""

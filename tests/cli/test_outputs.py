@@ -73,7 +73,6 @@ def test_a_full_disk_is_one_sentence(tmp_path, cli, known):
 COMMANDS = {  # {} is the folder that output goes to
     "demo": "demo --out {}/new",
     "synth": "synth {}/new",
-    "sheet": "synth --sheet {}/sheet.png",
     "refine": "refine {subject}",
     "fit": "fit {subject} --out {}/new",
     "evaluate": "evaluate {run} {subject}",
@@ -88,7 +87,7 @@ COMMANDS = {  # {} is the folder that output goes to
     "view": "view {run} --poses {subject}/poses.npz --port 0 --out {}/new",
     "prepare": "prepare auto {subject}/poses.npz {}/new --body puppet",
 }
-LOCKED = ("demo", "sheet", "refine", "fit", "evaluate", "track", "render", "pictures", "study")
+LOCKED = ("demo", "refine", "fit", "evaluate", "track", "render", "pictures", "study")
 
 
 @pytest.fixture
@@ -168,6 +167,6 @@ def test_ctrl_c_in_the_middle_of_the_work_is_one_sentence(command, subject, run,
 
 
 def test_a_picture_of_another_kind_is_refused_at_once(tmp_path, cli):
-    for command in ("synth --sheet {}.xyz", "body --sheet {}.jpg", "check nowhere --sheet {}.gif"):
+    for command in ("body --sheet {}.jpg", "check nowhere --sheet {}.gif"):
         code, _, err = cli(*command.format(tmp_path / "sheet").split())
         assert code == 2 and "a picture's name ends in .png" in err and not list(tmp_path.iterdir())

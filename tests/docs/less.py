@@ -41,14 +41,11 @@ NAMED = {
 WRITTEN = {"--json": "figures.json"}  # where FILE is one that a command writes
 
 PUPPETS = "two minutes: tests/synthetic/test_portrait.py draws them smaller"
-SHEET = "pictures of seven people, minutes: tests/synthetic/test_contact_sheet.py"
 REPORTED = "refines once for each term of the loss: tests/core/cut_short"
 NOT_RUN = {
     "gva-mi refine subject --report": REPORTED,
     "gva-mi refine subject --report --overwrite": REPORTED,
     "gva-mi body --sheet puppet.png": PUPPETS,
-    "gva-mi synth --sheet subjects.png": SHEET,
-    "gva-mi synth --sheet FILE.png": SHEET,
     "gva-mi body --source anny": "needs the package anny, 0.6 GB: tests/body/test_anny.py",
     "gva-mi refine A B --scheduler ADDRESS": "needs a cluster: tests/pose/test_parallel.py",
     "gva-mi COMMAND --help": "any: tests/cli",

@@ -145,17 +145,6 @@ def test_nothing_is_overwritten_and_nothing_partial_remains(noisy, body, tmp_pat
     assert list(tmp_path.iterdir()) == []
 
 
-def test_background_blur_and_sensor_noise_are_in_the_frames_alone(exact, body, tmp_path):
-    out = tmp_path / "room"
-    options = SynthOptions(noise=0.0, background=True, blur=1.0, sensor_noise=1.0, **BARE)
-    make_subject(out, options, body)
-    a, b = files(exact), files(out)
-    changed = {name for name in a if a[name] != b[name]}
-    assert changed == {"synth.json", "video.mp4", *(f"frames/{k:06d}.png" for k in range(3))}
-    outside = read_image(out / "masks/000000.png", 1) == 0
-    assert read_image(out / "frames/000000.png", 3)[outside].std() > 10
-
-
 @pytest.fixture(scope="module")
 def foreign(body, tmp_path_factory):
     """A person outside the span of the body, without noise."""

@@ -14,7 +14,6 @@ surface, so that the zero pose means the same as in SMPL-X.
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -69,21 +68,20 @@ def build_anny() -> dict[str, np.ndarray]:
             "pip install 'gva_mi[anny]' (0.6 GB), or use the built-in body: --source puppet"
         ) from None
     source = _Source(anny.Anny(rig="makehuman", topology="anny", facial_actions="all").float())
-    template = source.person(source.average)
-    people = [source.person(p) for p in source.people(_PEOPLE, _SEED)]
-    surfaces = np.stack([person.vertices for person in people])
-    joints = np.stack([person.joints for person in people])
-    expressions = source.expressions()
-    directions = [_components(surfaces - template.vertices), _components(expressions, centred=True)]
+    template, template_joints = source.person(source.average)
+    people = [source.person(phenotype) for phenotype in source.people()]
+    surfaces, joints = (np.stack(parts) for parts in zip(*people, strict=True))
+    directions = [
+        _components(surfaces - template), _components(source.expressions(), centred=True)
+    ]  # fmt: skip
     regressor = _regressor(
-        np.concatenate([template.vertices[None], surfaces]),
-        np.concatenate([template.joints[None], joints]),
+        np.concatenate([template[None], surfaces]), np.concatenate([template_joints[None], joints])
     )
     return {
-        "v_template": template.vertices.astype(np.float32),
+        "v_template": template.astype(np.float32),
         "f": source.faces,
         "shapedirs": np.concatenate(directions, axis=2).astype(np.float32),
-        "posedirs": np.zeros((len(template.vertices), 3, 486), np.float32),
+        "posedirs": np.zeros((len(template), 3, 486), np.float32),
         "J_regressor": regressor,
         "weights": source.weights_of_joints(),
         "kintree_table": kintree_table(),
@@ -93,14 +91,6 @@ def build_anny() -> dict[str, np.ndarray]:
         "hands_componentsr": np.eye(45, dtype=np.float32),
         "joint_names": np.array(JOINTS),
     }
-
-
-@dataclass(frozen=True)
-class _Person:
-    """A surface and SMPL-X's joints in the T-pose, the pelvis at the origin."""
-
-    vertices: np.ndarray  # (V, 3) metres
-    joints: np.ndarray  # (55, 3)
 
 
 class _Source:
@@ -116,23 +106,23 @@ class _Source:
         self.faces = model.get_triangular_faces().numpy().astype(np.uint32)
         self.average = dict.fromkeys(model.phenotype_labels, 0.5) | {"age": 2 / 3}  # an adult
 
-    def people(self, count: int, seed: int) -> list[dict[str, float]]:
-        """Draw the phenotypes of ``count`` adults."""
-        rng = np.random.default_rng(seed)
+    def people(self) -> list[dict[str, float]]:
+        """Draw the phenotypes of the adults of the shape space."""
+        rng = np.random.default_rng(_SEED)
         found = []
-        for _ in range(count):
+        for _ in range(_PEOPLE):
             person = {k: float(rng.uniform(0.15, 0.85)) for k in self._model.phenotype_labels}
             person["age"], person["gender"] = float(rng.uniform(0.6, 0.8)), float(rng.uniform(0, 1))
             found.append(person)
         return found
 
-    def person(self, phenotype: dict[str, float]) -> _Person:
-        """Return surface and joints of a phenotype in the T-pose."""
+    def person(self, phenotype: dict[str, float]) -> tuple[np.ndarray, np.ndarray]:
+        """Return surface (V, 3) and joints (55, 3) in the T-pose, the pelvis at the origin."""
         vertices, heads = self._t_pose(*self._rest(phenotype))
         joints = heads[[self._bones[bone] for bone in _bone_of_joint().values()]]
         # SMPL-X's pelvis lies a little above the middle of the hips, Anny's root far below.
         joints[0] = joints[[1, 2]].mean(0) + (0, 0.05, 0)
-        return _Person(vertices - joints[0], joints - joints[0])
+        return vertices - joints[0], joints - joints[0]
 
     def expressions(self) -> np.ndarray:
         """Return the displacement of the average person by each facial action, (A, V, 3)."""

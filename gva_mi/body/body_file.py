@@ -57,8 +57,7 @@ def read_body(path: Path) -> dict[str, np.ndarray]:
             f"{path}: no such file; expected a body in SMPL-X's format, .npz or .pkl. SMPL-X is "
             f"licensed at {LICENSED}; without a body file the built-in body is used"
         )
-    pickled = path.suffix.lower() in (".pkl", ".pickle")
-    arrays = _read_pickle(path) if pickled else _read(path)
+    arrays = _read(path)
     form = _check(path, arrays)
     betas, expressions = _split(arrays["shapedirs"].shape[2], form)
     counts = {"num_betas": np.array(betas), "num_expressions": np.array(expressions)}
@@ -70,39 +69,31 @@ def kintree_table() -> np.ndarray:
     return np.stack([np.array([_ROOT, *PARENTS[1:]], dtype=np.int64), np.arange(len(JOINTS))])
 
 
-def _read_pickle(path: Path) -> dict[str, np.ndarray]:
-    """Read the arrays from a pickle, including sparse regressors and chumpy's arrays."""
-    found = read_objects(path, f"a body in SMPL-X's format: {', '.join(_SKIN)}")
+def _read(path: Path) -> dict[str, np.ndarray]:
+    """Read the arrays of the format from a file; pickles may hold sparse and chumpy's arrays."""
+    expected, keys = f"a body in SMPL-X's format: {', '.join(_SKIN)}", (*_SKIN, *_HANDS, *_OPTIONAL)
+    if path.suffix.lower() not in (".pkl", ".pickle"):
+        arrays = read_arrays(path, expected, keys)
+        _require(path, arrays, _SKIN)
+        return arrays
+    found = read_objects(path, expected)
     if not isinstance(found, dict):
         raise InputError(f"{path}: holds no dictionary; expected one with {', '.join(_SKIN)}")
-    _require(path, found)
-    keys = (*_SKIN, *_HANDS, *_OPTIONAL)
+    _require(path, found, _SKIN)
     return {key: np.asarray(found[key]) for key in keys if key in found}
 
 
-def _require(path: Path, found: Collection[str]) -> None:
-    missing = [key for key in _SKIN if key not in found]
+def _require(path: Path, found: Collection[str], keys: Collection[str]) -> None:
+    missing = [key for key in keys if key not in found]
     if missing:
         names = ", ".join(sorted(map(str, found))) or "none"
         raise InputError(f"{path}: key '{missing[0]}' is missing; found: {names}")
 
 
-def _read(path: Path) -> dict[str, np.ndarray]:
-    """Read the arrays of the format from a .npz file."""
-    keys = (*_SKIN, *_HANDS, *_OPTIONAL)
-    arrays = read_arrays(path, f"a body in SMPL-X's format: {', '.join(_SKIN)}", keys)
-    _require(path, arrays)
-    return arrays
-
-
 def _check(path: Path, arrays: dict[str, np.ndarray]) -> BodyFormat:
     """Check shapes and values of all arrays, and return the format."""
     form = _format(path, arrays)
-    missing = [key for key in _HANDS if key not in arrays and form is not SMPL]
-    if missing:
-        raise InputError(
-            f"{path}: key '{missing[0]}' is missing; found: {', '.join(sorted(arrays))}"
-        )
+    _require(path, arrays, () if form is SMPL else _HANDS)
     vertices, joints = len(arrays["v_template"]), len(form.joints)
     shapes = {
         "v_template": (vertices, 3), "f": (None, 3), "shapedirs": (vertices, 3, None),

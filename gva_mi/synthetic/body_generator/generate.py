@@ -9,45 +9,27 @@ symmetric. Grid and triangles are finer at fingers, face and toes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from pathlib import Path
-
 import numpy as np
 
 from gva_mi.body.body_file import kintree_table
-from gva_mi.body.built_in import BUILT_IN_BODY
 from gva_mi.body.pose import JOINTS, LEFT_HAND
-from gva_mi.core.files import write_arrays
 from gva_mi.synthetic.body_generator.anatomy import EYE, EYE_RADIUS, left_half
 from gva_mi.synthetic.body_generator.mirror import border_of, mirrored, onto_border, without_chords
 from gva_mi.synthetic.body_generator.rig import joint_regressor, skinning_weights
 from gva_mi.synthetic.body_generator.shapes import correctives, expressions, shapes
 from gva_mi.synthetic.body_generator.solids import surface
 
+FACES = 22_000  # of the whole body
 _EYE_FACES = 350  # of the visible part of one eyeball
 
 
-@dataclass(frozen=True)
-class GeneratorOptions:
-    """Resolution of the body; other values make another body."""
-
-    faces: int = 22_000  # of the whole body
-    grid: float = 1.0  # factor on the spacing of the grid
-
-
-def write_body(out: Path = BUILT_IN_BODY) -> None:
-    """Write the file of the built-in body."""
-    write_arrays(out, **generate())
-
-
-def generate(options: GeneratorOptions | None = None) -> dict[str, np.ndarray]:
+def generate() -> dict[str, np.ndarray]:
     """Return the built-in body as the arrays of an SMPL-X file."""
     import trimesh
 
-    options = options or GeneratorOptions()
-    vertices, faces = _half_surface(options.grid)
+    vertices, faces = _half_surface()
     outline = vertices[border_of(faces)]
-    vertices, faces = without_chords(*_decimate(vertices, faces, options.faces // 2))
+    vertices, faces = without_chords(*_decimate(vertices, faces, FACES // 2))
     vertices, faces, image = mirrored(onto_border(vertices, faces, outline), faces)
     # The rest is exact on the float32 vertices of the file.
     vertices = vertices.astype(np.float32).astype(np.float64)
@@ -86,7 +68,7 @@ def _relaxed_hand() -> np.ndarray:
     return hand.ravel()
 
 
-def _half_surface(spacing: float) -> tuple[np.ndarray, np.ndarray]:
+def _half_surface() -> tuple[np.ndarray, np.ndarray]:
     """Return the left half at full resolution, open at x = 0."""
     axes = [
         [(0, 0.0010), (0.018, 0.0007), (0.048, 0.0013), (0.10, 0.0050), (0.69, 0.0015), (0.935, 0)],
@@ -95,7 +77,7 @@ def _half_surface(spacing: float) -> tuple[np.ndarray, np.ndarray]:
          (0.82, 0)],
         [(-0.18, 0.0050), (-0.065, 0.0014), (0.068, 0.0009), (0.092, 0.0014), (0.175, 0)],
     ]  # fmt: skip
-    return surface(left_half(), [_planes(knots, spacing) for knots in axes])
+    return surface(left_half(), [_planes(knots) for knots in axes])
 
 
 def _decimate(
@@ -132,10 +114,10 @@ def _decimate(
     return result.vertex_matrix(), result.face_matrix().astype(np.int64)
 
 
-def _planes(knots: list[tuple[float, float]], factor: float) -> np.ndarray:
+def _planes(knots: list[tuple[float, float]]) -> np.ndarray:
     """Return grid planes from (start, spacing) of consecutive stretches; the last is the end."""
     stretches = [
-        np.linspace(a, b, max(2, round((b - a) / (step * factor))), endpoint=False)
+        np.linspace(a, b, max(2, round((b - a) / step)), endpoint=False)
         for (a, step), (b, _) in zip(knots[:-1], knots[1:], strict=True)
     ]
     return np.concatenate([*stretches, [knots[-1][0]]])

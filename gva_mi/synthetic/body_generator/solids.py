@@ -1,6 +1,7 @@
 """Implicit solids, their smooth union, and its surface.
 
-Each solid has a signed ``distance``, about Euclidean near the surface, metres. A body is a list of
+Each solid has a signed ``distance`` at points, about Euclidean near the surface, metres, and a box
+``bounds`` that contains it. A body is a list of
 solids; each is joined to those before it (or carved out) with a fillet of k metres:
 
     union(a, b) = min(a, b) − k h³ / 6,    h = max(k − |a − b|, 0) / k
@@ -12,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -20,16 +20,6 @@ Coordinates = Sequence[np.ndarray]  # x, y, z, metres
 Box = tuple[np.ndarray, np.ndarray]  # the lowest and the highest corner, (3,) each
 
 _TINY = 1e-9
-
-
-class Solid(Protocol):
-    """A solid."""
-
-    def distance(self, at: Coordinates) -> np.ndarray:
-        """Return the signed distance, in the broadcast shape of the coordinates."""
-
-    def bounds(self) -> Box:
-        """Return a box that contains the solid."""
 
 
 @dataclass(frozen=True)
@@ -121,6 +111,9 @@ class Loft:
             low[axis] = (table[:, 1 + column] - table[:, 3 + 2 * column]).min()
             high[axis] = (table[:, 1 + column] + table[:, 4 + 2 * column]).max()
         return low, high
+
+
+Solid = Cone | Ball | Loft
 
 
 @dataclass(frozen=True)

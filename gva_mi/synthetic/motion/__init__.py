@@ -4,7 +4,7 @@ A motion is a periodic function of the time t in [0, 1), one round of the video.
 at any moments, such as those just before a frame.
 
 ==================  ================================================================
-``turning``         what all motions share; the turn, the everyday video, novel poses
+``turning``         what all motions share, and novel poses
 ``actions``         squats, steps, and gestures with the arms
 ``legs``            inverse kinematics of a leg: two bones, in closed form
 ``footwork``        steps along any path, with feet that do not slide
@@ -17,12 +17,14 @@ from __future__ import annotations
 import numpy as np
 
 from gva_mi.body.pose import Pose
-from gva_mi.synthetic.motion.on_foot import WITH_FOOTWORK
-from gva_mi.synthetic.motion.turning import everyday, novel, turn
+from gva_mi.synthetic.motion.actions import ACTIONS, act
+from gva_mi.synthetic.motion.footwork import follow
+from gva_mi.synthetic.motion.on_foot import ON_FOOT
+from gva_mi.synthetic.motion.turning import novel, turning, with_face
 
-__all__ = ["MOTIONS", "before", "everyday", "novel", "perform", "times", "turn"]
+__all__ = ["MOTIONS", "before", "novel", "perform", "times"]
 
-MOTIONS: tuple[str, ...] = ("turn", "everyday", *WITH_FOOTWORK)
+MOTIONS: tuple[str, ...] = ("turn", "everyday", *ON_FOOT)
 DURATION = 6.0  # s, one round
 STEP = 0.04  # s, time step of lagging cloth
 
@@ -31,6 +33,8 @@ def perform(
     name: str, t: np.ndarray, joints: np.ndarray, expressions: int, rng: np.random.Generator
 ) -> Pose:
     """Evaluate one of ``MOTIONS``.
+
+    All start from a turn in the A-pose, slightly swaying, while hands and face go through gestures.
 
     Args:
         name: of the motion.
@@ -42,9 +46,12 @@ def perform(
     Returns:
         T frames near the origin, at any height above the ground.
     """
-    if name in WITH_FOOTWORK:
-        return WITH_FOOTWORK[name](t, joints, expressions, rng)
-    return {"turn": turn, "everyday": everyday}[name](t, expressions, rng)
+    rotations, transl = turning(t, rng)
+    if name == "everyday":
+        act(rotations, t, ACTIONS, rng)
+    elif name in ON_FOOT:
+        transl = follow(ON_FOOT[name](t, rotations, joints, rng), rotations, t, joints)
+    return with_face(rotations, transl, t, expressions, rng)
 
 
 def times(frames: int) -> np.ndarray:

@@ -11,11 +11,11 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from gva_mi.body.pose import JOINTS, Pose
+from gva_mi.body.pose import JOINTS
 from gva_mi.synthetic.motion.actions import GESTURING, act
-from gva_mi.synthetic.motion.footwork import Path, follow
+from gva_mi.synthetic.motion.footwork import Path
 from gva_mi.synthetic.motion.legs import about, to_matrix, to_rotvec
-from gva_mi.synthetic.motion.turning import slow_wave, turning, with_face
+from gva_mi.synthetic.motion.turning import slow_wave
 
 CIRCLE = 2 * np.pi
 SIDES = (("left", 1.0), ("right", -1.0))
@@ -144,23 +144,13 @@ def _dance(
     )
 
 
-def _motion(
-    way: Callable[[np.ndarray, np.ndarray, np.ndarray, np.random.Generator], Path],
-) -> Callable[[np.ndarray, np.ndarray, int, np.random.Generator], Pose]:
-    def perform(
-        t: np.ndarray, joints: np.ndarray, expressions: int, rng: np.random.Generator
-    ) -> Pose:
-        rotations, _ = turning(t, rng)
-        transl = follow(way(t, rotations, joints, rng), rotations, t, joints)
-        return with_face(rotations, transl, t, expressions, rng)
-
-    return perform
-
-
-WITH_FOOTWORK: Mapping[str, Callable[[np.ndarray, np.ndarray, int, np.random.Generator], Pose]] = {
-    "still": _motion(_still), "half": _motion(_half), "walk": _motion(_walk), "sit": _motion(_sit),
-    "dance": _motion(_dance),
-}  # fmt: skip
+ON_FOOT: Mapping[str, Callable[[np.ndarray, np.ndarray, np.ndarray, np.random.Generator], Path]] = {
+    "still": _still,
+    "half": _half,
+    "walk": _walk,
+    "sit": _sit,
+    "dance": _dance,
+}
 
 
 def _waves(rng: np.random.Generator, count: int) -> Callable[[np.ndarray], np.ndarray]:

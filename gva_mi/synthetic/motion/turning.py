@@ -1,8 +1,6 @@
-"""A person who turns and sways in the A-pose, with gestures and a face; and held-out poses.
+"""Turning and swaying in the A-pose, with gestures and a face; and held-out poses.
 
-On the spot the person turns as on a turntable, feet included. Arguments of motions are the moments
-``t`` (T,) in rounds, the width ``expressions`` of the expression, and a generator whose draws do
-not depend on ``t``.
+The person turns as on a turntable, feet included. ``t`` are moments (T,) in rounds.
 """
 
 from __future__ import annotations
@@ -13,22 +11,9 @@ import torch
 
 from gva_mi.body.gestures import GESTURES, blend_between, put_hand
 from gva_mi.body.pose import JOINTS, Pose
-from gva_mi.synthetic.motion.actions import ACTIONS, POSES, act
+from gva_mi.synthetic.motion.actions import POSES
 
 A_POSE = 0.98  # rad, angle of the arms below the T-pose
-
-
-def turn(t: np.ndarray, expressions: int, rng: np.random.Generator) -> Pose:
-    """Turn once in the A-pose, slightly swaying, while hands and face go through gestures."""
-    rotations, transl = turning(t, rng)
-    return with_face(rotations, transl, t, expressions, rng)
-
-
-def everyday(t: np.ndarray, expressions: int, rng: np.random.Generator) -> Pose:
-    """Turn, interrupted by a squat, steps, and gestures with the arms."""
-    rotations, transl = turning(t, rng)
-    act(rotations, t, ACTIONS, rng)
-    return with_face(rotations, transl, t, expressions, rng)
 
 
 def novel(count: int, expressions: int, rng: np.random.Generator) -> Pose:

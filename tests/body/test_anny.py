@@ -13,14 +13,10 @@ from gva_mi.body.anny import FILE, _between, _regressor, anny_body
 from gva_mi.core.errors import InputError
 
 
-def test_a_missing_package_is_explained(tmp_path, monkeypatch):
+def test_a_missing_package_is_explained_and_a_cached_body_needs_none(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "anny", None)
     with pytest.raises(InputError, match=r"pip install 'gva_mi\[anny\]'.*--source puppet"):
         anny_body(tmp_path)
-
-
-def test_a_cached_body_needs_no_package(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "anny", None)
     (tmp_path / FILE).write_bytes(b"")
     assert anny_body(tmp_path) == tmp_path / FILE
 

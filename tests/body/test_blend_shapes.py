@@ -2,7 +2,6 @@
 
 import gva_mi  # noqa: F401, I001  (first: it chooses the libLLVM)
 
-import numpy as np
 import pytest
 import torch
 
@@ -58,10 +57,3 @@ def test_the_same_bits_on_one_thread_and_on_two(frames):
     finally:
         torch.set_num_threads(before)
     assert all(torch.equal(a, b) for a, b in zip(*found, strict=True))
-
-
-def test_rows_hold_x_then_y_then_z():
-    directions = np.arange(18.0).reshape(3, 3, 2)
-    rows = as_rows(directions)
-    assert rows.shape == (2, 10) and (rows[:, 9] == 0).all()
-    np.testing.assert_array_equal(rows[1, :9].reshape(3, 3).T, directions[..., 1])

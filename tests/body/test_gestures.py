@@ -38,11 +38,11 @@ def apart(a, b):
     return np.linalg.norm(a[:, None] - b[None], axis=-1).min()
 
 
-@pytest.mark.parametrize("name", GESTURES)
-def test_the_right_hand_mirrors_the_left(name):
-    left, right = rotations(name, "left")[0, 25:40], rotations(name, "right")[0, 40:55]
-    assert np.allclose(left * [1, -1, -1], right)
-    assert not rotations(name, "left")[0, 40:].any() and not rotations(name, "left")[0, :25].any()
+def test_the_right_hand_mirrors_the_left():
+    for name in GESTURES:
+        left, right = rotations(name, "left")[0], rotations(name, "right")[0]
+        assert np.allclose(left[25:40] * [1, -1, -1], right[40:55])
+        assert not left[40:].any() and not left[:25].any()
 
 
 def test_a_pinch_brings_thumb_and_index_together(hand):

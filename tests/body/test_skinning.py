@@ -66,13 +66,8 @@ def test_orientations_follow_the_polar_factor(angle):
 
 @pytest.mark.parametrize("name", ["means", "quats", "weights", "T_world_rest"])
 def test_gradients_against_differences(name):
-    values = dict(
-        zip(
-            ("means", "quats", "weights", "T_world_rest"),
-            scene(n=3, seed=6, parents=FEW),
-            strict=True,
-        )
-    )
+    names = ("means", "quats", "weights", "T_world_rest")
+    values = dict(zip(names, scene(n=3, seed=6, parents=FEW), strict=True))
     leaf = values[name].clone().requires_grad_()
     torch.autograd.gradcheck(
         lambda x: skin_gaussians(**(values | {name: x})), leaf, check_forward_ad=True

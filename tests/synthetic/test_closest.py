@@ -7,13 +7,13 @@ import torch
 from gva_mi.body.pose import Shape
 from gva_mi.body.smplx import load_body
 from gva_mi.synthetic.closest import LIMBS, closest
-from gva_mi.synthetic.motion import everyday
+from gva_mi.synthetic.motion import perform
 from gva_mi.synthetic.stretched import BodyStretch, stretched
 
 
 @pytest.fixture(scope="module")
 def truth():
-    pose = everyday(np.linspace(0, 0.9, 3), 10, np.random.default_rng(0))
+    pose = perform("everyday", np.linspace(0, 0.9, 3), None, 10, np.random.default_rng(0))
     betas = np.random.default_rng(1).normal(0, 0.7, 10)
     return pose, Shape(torch.from_numpy(betas).float())
 

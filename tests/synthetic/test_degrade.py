@@ -1,6 +1,5 @@
 """Degrading a recording gives the folder that these errors would have made."""
 
-import json
 import os
 from dataclasses import replace
 
@@ -49,10 +48,7 @@ def files(folder):
     }
 
 
-SLOW = [pytest.param(f, marks=pytest.mark.slow) for f in ("masks", "focal")]
-
-
-@pytest.mark.parametrize("family", ["normals", "anything", *SLOW])
+@pytest.mark.parametrize("family", ["normals", pytest.param("masks", marks=pytest.mark.slow)])
 def test_it_equals_make_subject(degraded, body, tmp_path, family):
     make_subject(tmp_path / "made", replace(PLAIN, family=family, noise_seed=7), body)
     assert files(tmp_path / "made") == files(degraded(family))
@@ -68,38 +64,30 @@ def test_bursts_too_up_to_a_grey_level_of_the_normals(degraded, body, tmp_path):
         assert np.abs(pair[0].astype(int) - pair[1]).max() <= 1
 
 
-@pytest.mark.parametrize("family", ["lean"])
-def test_earlier_errors_do_not_matter(degraded, body, tmp_path, family):
-    for before in ("focal", "normals"):
-        degrade(degraded(before), tmp_path / before, family, 7, body)
-        assert files(tmp_path / before) == files(degraded(family))
+def test_earlier_errors_do_not_matter(degraded, body, tmp_path):
+    degrade(degraded("focal"), tmp_path / "again", "lean", 7, body)
+    assert files(tmp_path / "again") == files(degraded("lean"))
 
 
 def test_frames_and_ground_truth_are_linked(recording, degraded):
     for path in sorted(recording.rglob("*")):
         name = path.relative_to(recording)
         if path.is_file() and name.parts[0] in ("frames", "truth", "video.mp4"):
-            assert os.path.samefile(path, degraded("white") / name), name
+            assert os.path.samefile(path, degraded("focal") / name), name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("family", ERROR_MODELS)
 def test_every_error_model_opens_as_a_video_and_is_described(degraded, family):
     video = load_video(degraded(family))
     assert len(video) == 3 and not video.absent
     assert describe_errors(degraded(family))[0] == f"noise: family {family}, seed 7"
-    found = json.loads((degraded(family) / "noise.json").read_text())
-    assert {"memory", "white", "lean"} <= found["parameters"]["pose"].keys()
 
 
 def test_the_estimated_and_the_true_camera_are_written(recording, degraded):
     factor = 1 + draw_errors("focal", 7).pose.focal
-    (true,), (estimated,), (before,) = (
-        load_cameras(path)
-        for path in (
-            degraded("focal") / "truth/cameras.npz", degraded("focal") / "cameras.npz",
-            recording / "cameras.npz",
-        )
-    )  # fmt: skip
+    paths = (degraded("focal") / "truth", degraded("focal"), recording)
+    (true,), (estimated,), (before,) = (load_cameras(path / "cameras.npz") for path in paths)
     assert (true.K == before.K).all() and factor != 1
     assert (true.T_camera_world == estimated.T_camera_world).all()
     assert estimated.fx == pytest.approx(factor * true.fx)
@@ -121,8 +109,6 @@ def test_level_zero_is_exact(recording, body, tmp_path):
 def test_other_folders_are_refused(recording, body, tmp_path):
     with pytest.raises(InputError, match="synth.json: no such file; expected a folder that gva-mi"):
         degrade(tmp_path, tmp_path / "out", "white", 0, body)
-    with pytest.raises(InputError, match="no family 'pink'"):
-        degrade(recording, tmp_path / "out", "pink", 0, body)
     with pytest.raises(InputError, match="already there"):
         degrade(recording, recording, "white", 0, body)
     (tmp_path / "synth.json").write_text('{"options": {"colour": 1}}')

@@ -5,9 +5,11 @@ import pytest
 import torch
 
 from gva_mi.body.pose import JOINTS, Pose
-from gva_mi.synthetic import STUDY
+from gva_mi.synthetic import STUDY, motion
 from gva_mi.synthetic.clothes.level_sets import BodySurface, vertex_normals
+from gva_mi.synthetic.framing import camera_around
 from gva_mi.synthetic.look import Material
+from gva_mi.synthetic.render import Renderer
 from gva_mi.synthetic.subject import draw_subject
 
 
@@ -16,57 +18,69 @@ def dressed(body):
     return draw_subject(body, 1)
 
 
-def test_a_bare_subject_is_the_body_itself(body):
-    bare = draw_subject(body, 0, clothes=False, hair=False)
-    rest = body.rest(bare.shape).vertices.numpy()
-    assert np.allclose(bare.vertices, rest, atol=1e-6)
+def part(subject, *materials):
+    """Return the faces of some materials."""
+    return subject.faces[np.isin(subject.material, [int(m) for m in materials])]
+
+
+def closed(subject, faces):
+    import trimesh
+
+    mesh = trimesh.Trimesh(subject.vertices, faces, process=False)
+    mesh.remove_unreferenced_vertices()
+    return mesh.is_watertight and mesh.volume > 0
+
+
+def test_a_bare_subject_is_the_body_itself_and_defined_by_its_seed(body):
+    bare, other, again = (draw_subject(body, k, clothes=False, hair=False) for k in (0, 1, 0))
+    assert np.allclose(bare.vertices, body.rest(bare.shape).vertices.numpy(), atol=1e-6)
     assert np.array_equal(bare.faces, body.faces.numpy())
     assert set(bare.material) == {int(Material.SKIN)}
+    assert not torch.allclose(bare.shape.betas, other.shape.betas) and bare.look != other.look
+    assert np.array_equal(bare.vertices, again.vertices) and bare.look == again.look
 
 
-def test_seeds_define_persons(body):
-    a, b, again = (draw_subject(body, k, clothes=False, hair=False) for k in (0, 1, 0))
-    assert not torch.allclose(a.shape.betas, b.shape.betas)
-    assert a.look != b.look
-    assert np.array_equal(a.vertices, again.vertices) and a.look == again.look
+def test_a_dressed_body_lies_in_its_mask_and_normals_match_the_depth(body):
+    from scipy.ndimage import maximum_filter, minimum_filter
+
+    subject = draw_subject(body, 1, hair=False)
+    pose = motion.perform("turn", np.array([0.1]), None, 10, np.random.default_rng(0))
+    surface = subject.posed(body, pose)[0]
+    camera = camera_around(surface, 96)
+    seen = Renderer(subject)(surface, camera, 4)
+    x, y = np.floor(camera.project(body(pose, subject.shape).vertices[0].double().numpy())).T
+    assert maximum_filter(seen.mask, 3)[y.astype(int), x.astype(int)].min() > 0
+    v, u = np.mgrid[:96, :96] + 0.5
+    points = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)])
+    along_y, along_x = np.gradient(points * seen.depth, axis=(1, 2))
+    normals = np.cross(along_y, along_x, axis=0)
+    cosine = (normals / np.linalg.norm(normals, axis=0)).transpose(1, 2, 0) * seen.normals
+    steep = maximum_filter(seen.depth, 3) - minimum_filter(seen.depth, 3) > 0.05  # m, an outline
+    inner = (minimum_filter(seen.mask, 3) == 1) & ~steep
+    assert inner.sum() > 500
+    assert np.median(cosine.sum(-1)[inner]) > 0.97 and (cosine.sum(-1)[inner] > 0.5).mean() > 0.97
 
 
 @pytest.mark.slow
-def test_clothes_lie_outside_the_body(body, dressed):
+def test_clothes_are_closed_and_skinned_and_lie_outside_the_body(body, dressed):
     rest = body.rest(dressed.shape).vertices.double().numpy()
     faces = body.faces.numpy()
     surface = BodySurface(rest, faces, vertex_normals(rest, faces))
     cloth = np.unique(dressed.faces[dressed.material != int(Material.SKIN)])
     lit = cloth[dressed.tint[cloth, 0] > 0.98]  # dark openings extend inwards
     distance = surface.distance(dressed.vertices[lit].astype(float))
-    assert (distance > -0.002).mean() > 0.99
-    assert np.median(distance) > 0.008
-
-
-@pytest.mark.slow
-def test_every_piece_is_closed_and_skinned(dressed):
-    import trimesh
-
-    assert set(dressed.material) >= {int(p) for p in Material} - {int(Material.ACCESSORY)}
-    for part in set(Material) - {Material.SKIN, Material.ACCESSORY}:
-        faces = dressed.faces[dressed.material == int(part)]
-        mesh = trimesh.Trimesh(dressed.vertices, faces, process=False)
-        mesh.remove_unreferenced_vertices()
-        assert mesh.is_watertight and mesh.volume > 0, part
+    assert (distance > -0.002).mean() > 0.99 and np.median(distance) > 0.008
+    for material in set(Material) - {Material.SKIN, Material.ACCESSORY}:
+        assert closed(dressed, part(dressed, material)), material
     assert torch.allclose(dressed.weights.sum(1), torch.ones(len(dressed.weights)), atol=1e-5)
     assert (dressed.weights >= 0).all()
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["bruno"])
-def test_accessories_are_closed_and_move_rigidly_with_the_head(body, name):
-    import trimesh
-
-    subject = draw_subject(body, STUDY[name])
-    faces = subject.faces[subject.material == int(Material.ACCESSORY)]
-    mesh = trimesh.Trimesh(subject.vertices, faces, process=False)
-    mesh.remove_unreferenced_vertices()
-    assert mesh.is_watertight and mesh.volume > 0
+def test_accessories_are_closed_and_move_rigidly_with_the_head(body):
+    subject = draw_subject(body, STUDY["bruno"])
+    faces = part(subject, Material.ACCESSORY)
+    assert closed(subject, faces)
     index = np.unique(faces)
     pose = Pose.rest(1)
     pose.expression[:] = 0.7
@@ -81,21 +95,17 @@ def test_accessories_are_closed_and_move_rigidly_with_the_head(body, name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["amira"])
-def test_long_hair_lies_on_the_shirt_behind_the_shoulders(body, name):
-    subject = draw_subject(body, STUDY[name])
-    hair, top = (
-        np.unique(subject.faces[subject.material == int(m)]) for m in (Material.HAIR, Material.TOP)
-    )
-    joints = dict(zip(JOINTS, body.rest(subject.shape).joints.numpy(), strict=True))
-    low = hair[subject.vertices[hair, 1] < joints["neck"][1]]
+def test_long_hair_lies_on_the_shirt_behind_the_shoulders(body):
+    subject = draw_subject(body, STUDY["amira"])
+    hair, top = (np.unique(part(subject, m)) for m in (Material.HAIR, Material.TOP))
+    neck = body.rest(subject.shape).joints.numpy()[JOINTS.index("neck")]
+    low = hair[subject.vertices[hair, 1] < neck[1]]
     points = subject.vertices[low].astype(float)
-    assert len(low) > 300 and points[:, 2].max() < joints["neck"][2] + 0.03
+    assert len(low) > 300 and points[:, 2].max() < neck[2] + 0.03
     # Outside the shirt wherever its own outside shows: nothing pokes through.
     shirt = subject.vertices[top].astype(float)
     normals = vertex_normals(subject.vertices.astype(float), subject.faces)
-    facing = normals[top]
     for p, n in zip(points[::7], normals[low][::7], strict=True):
         k = np.linalg.norm(shirt - p, axis=1).argmin()
         if n[2] < -0.7:  # seen from behind
-            assert (p - shirt[k]) @ facing[k] > 0
+            assert (p - shirt[k]) @ normals[top][k] > 0

@@ -6,25 +6,11 @@ import pytest
 
 from gva_mi import InputError
 from gva_mi.synthetic import SynthOptions
-from gva_mi.synthetic.error_models.masks import MaskErrors
-from gva_mi.synthetic.error_models.models import ErrorParameters, Levels, draw_errors
-from gva_mi.synthetic.error_models.normals import NormalErrors
+from gva_mi.synthetic.error_models.models import ERROR_MODELS, ErrorParameters, Levels, draw_errors
 from gva_mi.synthetic.error_models.poses import PoseErrors
 
 SEEDS = range(8)
-# Parameters that an error model fixes.
-SETTLED = {
-    "mixed": set(),
-    "white": {"pose.white"},
-    "slow": set(),
-    "lean": set(),
-    "shape": {"pose.depth_follows"},
-    "outliers": set(),
-    "focal": set(),
-    "masks": set(),
-    "normals": set(),
-}
-DRAWN = {  # parameters that only the error model of this name draws
+DRAWN = {  # parameters that only the error model of this name draws, and anything
     "lean": {"pose.lean.legs", "pose.lean.trunk", "pose.lean.arms"},
     "shape": {"pose.depth_follows"},
     "outliers": {f"pose.outliers.{name}" for name in ("swapped", "whole", "jumps", "jump")},
@@ -32,6 +18,7 @@ DRAWN = {  # parameters that only the error model of this name draws
     "masks": {"mask.grown", "mask.lost_feet", "mask.bag"},
     "normals": {"normal.flat", "normal.turn", "normal.convention", "normal.missing"},
 }
+FIXED = {"pose.depth_follows", "pose.white"}  # by the models that have them
 
 
 def flat(value, name=""):
@@ -47,36 +34,32 @@ def parameters(family):
 
 def test_bursts_are_always_the_same():
     assert all(draw_errors("bursts", seed) == ErrorParameters() for seed in SEEDS)
-    assert ErrorParameters() == ErrorParameters(PoseErrors(), MaskErrors(), NormalErrors())
     assert (PoseErrors().memory, PoseErrors().white, PoseErrors().outliers.lost) == (5.0, 0.0, 0.08)
 
 
-@pytest.mark.parametrize("family", SETTLED)
-def test_another_seed_draws_other_parameters(family):
-    settled = SETTLED[family].union(*(d for name, d in DRAWN.items() if name != family))
+@pytest.mark.parametrize("family", sorted(ERROR_MODELS.keys() - {"bursts", "anything"}))
+def test_another_seed_draws_other_parameters_and_those_of_other_models_stay(family):
+    usual = flat(asdict(ErrorParameters()))
+    of_others = set().union(*(names for model, names in DRAWN.items() if model != family))
     for name, values in parameters(family).items():
-        if name in settled:
-            assert len(set(values)) == 1, name
-        elif name in ("mask.notches", "normal.convention"):  # few values
+        if name in of_others:
+            assert set(values) == {usual[name]}, name
+        elif name not in FIXED:
             assert len(set(values)) > 1, name
-        else:
-            assert len(set(values)) == len(SEEDS), name
 
 
 def test_error_models_draw_in_their_ranges():
     assert set(parameters("white")["pose.white"]) == {1.0}
+    assert set(parameters("shape")["pose.depth_follows"]) == {True}
     assert all(15 <= m <= 20 for m in parameters("slow")["pose.memory"])
     assert all(0.034 < a < 0.105 for a in parameters("lean")["pose.lean.legs"])  # rad
     assert all(0.04 <= abs(f) <= 0.1 for f in parameters("focal")["pose.focal"])
     assert set(parameters("normals")["normal.convention"]) == {"perspective", "icon"}
 
 
-def test_an_unknown_error_model_is_refused():
+def test_options_of_errors_are_checked_and_levels_multiply():
     with pytest.raises(InputError, match="no family 'brown' of noise; there are: bursts, white"):
         SynthOptions(family="brown")
     with pytest.raises(InputError, match="noise_seed must be from 0 to .*, got -1"):
         SynthOptions(noise_seed=-1)
-
-
-def test_levels_multiply():
     assert SynthOptions(noise=0.5, mask_noise=3.0).levels == Levels(0.5, 1.5, 0.5)

@@ -81,10 +81,6 @@ def test_the_posed_body_lies_in_the_true_mask(exact, body, part):
         mask = read_image(folder / f"masks/{k:06d}.png", 1)
         pixels = camera.project(body(pose[k], shape).vertices[0].double().numpy())
         assert_overlay(mask, pixels)
-        filled = np.zeros(mask.shape, bool)
-        x, y = np.floor(pixels).astype(int).T
-        filled[y, x] = True
-        assert filled[mask == 255].mean() > 0.8  # the vertices fill it, too
 
 
 def test_level_zero_is_exact(exact):
@@ -108,6 +104,10 @@ def test_noise_does_not_touch_frames_or_truth(exact, noisy):
         a[name] != b[name] for name in ("poses.npz", "masks/000001.png", "normals/000001.png")
     )
     assert json.loads((noisy / "noise.json").read_text())["pose"]["vertex_mm"] > 10
+    lines = describe_errors(noisy)
+    assert len(lines) == 4 and lines[0] == "noise: family bursts, seed 0"
+    assert "hands" in lines[1] and "IoU" in lines[2] and "degrees" in lines[3]
+    assert "body 0 mm" in describe_errors(exact)[1]
 
 
 def test_same_seed_same_bits_and_another_seed_another_video(noisy, body, tmp_path):
@@ -120,10 +120,6 @@ def test_same_seed_same_bits_and_another_seed_another_video(noisy, body, tmp_pat
 
 def test_splits_do_not_overlap(noisy):
     splits = json.loads((noisy / "splits.json").read_text())
-    video, _ = load_poses(noisy / "truth/poses.npz")
-    novel, _ = load_poses(noisy / "truth/novel_pose/poses.npz")
-    away = (video.rotations[:, None, 1:22] - novel.rotations[None, :, 1:22]).norm(dim=-1)
-    assert away.amax(-1).min() > 0.2  # radians: no novel pose is in the video
     folders = (noisy, noisy / "truth/novel_view")
     (ours,), (other,) = (load_cameras(f / "cameras.npz") for f in folders)
     turned = ours.T_camera_world[:3, :3] @ other.T_camera_world[:3, :3].T
@@ -156,10 +152,8 @@ def foreign(body, tmp_path_factory):
 def test_a_foreign_person_has_poses_of_the_fitted_body_and_its_own_surface(foreign, body):
     require_same_body(foreign, body)
     (camera,) = load_cameras(foreign / "cameras.npz")
-    truth, (pose, shape) = (
-        load_ground_truth(foreign / "truth", body),
-        load_poses(foreign / "poses.npz"),
-    )
+    truth = load_ground_truth(foreign / "truth", body)
+    pose, shape = load_poses(foreign / "poses.npz")
     away = body(pose, shape).joints - truth.body(truth.pose, truth.shape).joints
     floor = json.loads((foreign / "noise.json").read_text())["floor"]
     assert 0 < 1000 * away.norm(dim=-1).mean() == pytest.approx(floor["joint_mm"], abs=0.01)
@@ -169,13 +163,6 @@ def test_a_foreign_person_has_poses_of_the_fitted_body_and_its_own_surface(forei
         vertices = truth.body(truth.pose[k], truth.shape).vertices[0]
         mask = read_image(foreign / f"truth/masks/{k:06d}.png", 1)
         assert_overlay(mask, camera.project(vertices.double().numpy()))
-
-
-def test_the_noise_is_described(noisy, exact):
-    lines = describe_errors(noisy)
-    assert len(lines) == 4 and lines[0] == "noise: family bursts, seed 0"
-    assert "hands" in lines[1] and "IoU" in lines[2] and "degrees" in lines[3]
-    assert "body 0 mm" in describe_errors(exact)[1]
 
 
 @pytest.mark.slow

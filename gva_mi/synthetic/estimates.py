@@ -7,10 +7,9 @@ truth, which have 8 bits per channel.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -73,19 +72,12 @@ class ErrorStatistics:
 
 @dataclass(frozen=True)
 class Pipeline:
-    """A pipeline that estimates poses, masks and normals of a recording.
+    """A pipeline that estimates poses, masks and normals of a recording."""
 
-    Attributes:
-        options: error model, levels and seed.
-        body: of the estimated poses.
-        cameras: the true ones, of all frames.
-        near: the ground truth on that body.
-    """
-
-    options: SynthOptions
-    body: BodyModel
-    cameras: Sequence[Camera]
-    near: Closest
+    options: SynthOptions  # error model, levels and seed
+    body: BodyModel  # of the estimated poses
+    cameras: Sequence[Camera]  # the true ones, of all frames
+    near: Closest  # the ground truth on that body
 
     @property
     def errors(self) -> ErrorParameters:
@@ -111,9 +103,7 @@ class Pipeline:
     def write(self, folder: Path, pictures: Sequence[ErrorStatistics]) -> None:
         """Write poses, cameras, the convention of normals, and ``noise.json``.
 
-        Args:
-            folder: of the subject.
-            pictures: errors of the masks and normals of all frames, whose files exist already.
+        ``pictures`` are the errors of all frames' masks and normals, whose files exist already.
         """
         options, errors, levels = self.options, self.errors, self.options.levels
         truth, rng = (self.near.pose, self.near.shape), options.random(NOISE, errors=True)
@@ -146,27 +136,25 @@ def describe_errors(folder: Path) -> list[str]:
     path, expected = Path(folder) / "noise.json", "what gva-mi synth writes"
     found = read_json(path, expected)
     with expecting(path, expected):
-        return list(_in_words(found))
-
-
-def _in_words(found: dict[str, Any]) -> Iterator[str]:
-    pose, levels, normal = found["pose"], found["levels"], found["normal"]
-    lost = len(pose["lost_left_hand"]), len(pose["lost_right_hand"])
-    angle, missing = normal["angle_deg"], normal["missing"]
-    known = "none" if angle is None else f"{angle:.1f} degrees off"
-    yield f"noise: family {found['family']}, seed {found['seed']}"
-    yield (
-        f"stage-1 poses (level {levels['pose']:g}): body {pose['vertex_mm']:.0f} mm, hands "
-        f"{pose['hand_vertex_mm']:.0f}, feet {pose['foot_vertex_mm']:.0f}; sideways "
-        f"{pose['sideways']:.1f} times the rotation error; left hand lost in {lost[0]} frames, "
-        f"right in {lost[1]}"
-    )
-    yield f"masks (level {levels['mask']:g}): IoU {found['mask']['iou']:.3f} with the ground truth"
-    also = f"; missing in {missing} frames" if missing else ""
-    yield f"normals (level {levels['normal']:g}): {known}{also}"
-    if found["floor"]["joint_mm"] > 0:
-        limb_mm = found["floor"]["limb_mm"]
-        yield f"the fitted body comes as near as {limb_mm:.1f} mm to the joints of the limbs"
+        pose, levels, normal = found["pose"], found["levels"], found["normal"]
+        angle, missing, iou = normal["angle_deg"], normal["missing"], found["mask"]["iou"]
+        known = "none" if angle is None else f"{angle:.1f} degrees off"
+        known += f"; missing in {missing} frames" if missing else ""
+        lines = [
+            f"noise: family {found['family']}, seed {found['seed']}",
+            f"stage-1 poses (level {levels['pose']:g}): body {pose['vertex_mm']:.0f} mm, hands "
+            f"{pose['hand_vertex_mm']:.0f}, feet {pose['foot_vertex_mm']:.0f}; sideways "
+            f"{pose['sideways']:.1f} times the rotation error; left hand lost in "
+            f"{len(pose['lost_left_hand'])} frames, right in {len(pose['lost_right_hand'])}",
+            f"masks (level {levels['mask']:g}): IoU {iou:.3f} with the ground truth",
+            f"normals (level {levels['normal']:g}): {known}",
+        ]
+        if found["floor"]["joint_mm"] > 0:
+            limb_mm = found["floor"]["limb_mm"]
+            lines.append(
+                f"the fitted body comes as near as {limb_mm:.1f} mm to the joints of the limbs"
+            )
+        return lines
 
 
 def write_estimates(

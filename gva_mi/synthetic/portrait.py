@@ -51,20 +51,20 @@ class Portrait:
     height: float = 1.0  # metres that a close-up spans
     azimuth: float = 0.0  # radians around the vertical; 0 is in front
     elevation: float = 0.0  # of a close-up, radians above the horizon
-    expression: str = ""  # of puppet.EXPRESSIONS
+    expression: str = ""  # one of EXPRESSIONS
     amount: float = 1.0  # of the expression
 
 
 def turntable(body: BodyModel, *, views: int = 8, size: int = 400, samples: int = 64) -> np.ndarray:
     """Render a body in the A-pose from all sides, (size, W, 3) in [0, 1], sRGB."""
     turns = [Portrait(A_POSE, azimuth=2 * np.pi * k / views) for k in range(views)]
-    return _row(_PortraitRenderer(body), turns, size, samples)
+    return _PortraitRenderer(body).row(turns, size, samples)
 
 
 def pose_sheet(body: BodyModel, *, size: int = 280, samples: int = 64) -> np.ndarray:
     """Render eight poses, hands and faces, each in a row, (H, W, 3) in [0, 1], sRGB."""
     joints = body.rest(Shape(body.v_template.new_zeros(1))).joints.double().numpy()
-    hand = joints[JOINTS.index("left_middle1")] - (0.005, 0.008, 0)
+    at = joints[JOINTS.index("left_middle1")] - (0.005, 0.008, 0)
     eyes = joints[[JOINTS.index(f"{side}_eye_smplhf") for side in ("left", "right")]]
     face = eyes.mean(0) - (0, 0.020, 0.04)
     whole = [Portrait(A_POSE, azimuth=0.5)]
@@ -72,20 +72,12 @@ def pose_sheet(body: BodyModel, *, size: int = 280, samples: int = 64) -> np.nda
         action = (ACTIONS | POSES)[name]
         hands = hand_rotations(action.left, "left") | hand_rotations(action.right, "right")
         whole.append(Portrait(A_POSE | action.joints | hands, azimuth=azimuth))
+    hands = [Portrait(hand_rotations(name, "left"), at, 0.24, *view) for name, *view in HANDS]
+    faces = [Portrait(rotations, face, 0.29, turn, 0.05, *e) for rotations, turn, *e in FACES]
     render = _PortraitRenderer(body)
-    rows = [
-        _row(render, whole, round(size / SHOWN), samples),
-        _row(render, [Portrait(hand_rotations(g, "left"), hand, 0.24, *v) for g, *v in HANDS],
-             size, samples),
-        _row(render, [Portrait(r, face, 0.29, a, 0.05, *e) for r, a, *e in FACES], size, samples),
-    ]  # fmt: skip
+    rows = [render.row(whole, round(size / SHOWN), samples)]
+    rows += [render.row(portraits, size, samples) for portraits in (hands, faces)]
     return np.concatenate([row[:, : rows[1].shape[1]] for row in rows])
-
-
-def _row(
-    render: _PortraitRenderer, portraits: list[Portrait], size: int, samples: int
-) -> np.ndarray:
-    return np.concatenate([render(portrait, size, samples) for portrait in portraits], axis=1)
 
 
 class _PortraitRenderer:
@@ -96,11 +88,19 @@ class _PortraitRenderer:
         self._subject = draw_subject(body, _PERSON, clothes=False, hair=False)
         self._renderer = Renderer(self._subject)
 
-    def __call__(self, portrait: Portrait, size: int, samples: int) -> np.ndarray:
-        surface = self._subject.posed(self._body, self._pose(portrait))[0]
+    def row(self, portraits: list[Portrait], size: int, samples: int) -> np.ndarray:
+        """Render pictures side by side, (size, W, 3)."""
+        return np.concatenate([self._picture(p, size, samples) for p in portraits], axis=1)
+
+    def _picture(self, portrait: Portrait, size: int, samples: int) -> np.ndarray:
+        pose = Pose.rest(1, self._body.num_expressions)
+        for name, rotation in portrait.rotations.items():
+            pose.rotations[0, JOINTS.index(name)] = torch.tensor(rotation, dtype=torch.float32)
+        if portrait.expression and self._body.num_expressions == len(EXPRESSIONS):
+            pose.expression[0, EXPRESSIONS.index(portrait.expression)] = portrait.amount
         sine, cosine = np.sin(portrait.azimuth), np.cos(portrait.azimuth)
         R = np.array([[cosine, 0, -sine], [0, 1, 0], [sine, 0, cosine]])  # turns the view to front
-        surface = surface @ R.T
+        surface = self._subject.posed(self._body, pose)[0] @ R.T
         if portrait.target is None:
             color = self._renderer(surface, camera_around(surface, size), samples).color
             width = 2 * (round(SHOWN * size) // 2)
@@ -110,11 +110,3 @@ class _PortraitRenderer:
         T_camera_world = look_at(target + DISTANCE * portrait.height * away, target)
         camera = Camera(focal, focal, centre, centre, T_camera_world, size, size)
         return self._renderer(surface, camera, samples).color
-
-    def _pose(self, portrait: Portrait) -> Pose:
-        pose = Pose.rest(1, self._body.num_expressions)
-        for name, rotation in portrait.rotations.items():
-            pose.rotations[0, JOINTS.index(name)] = torch.tensor(rotation, dtype=torch.float32)
-        if portrait.expression and self._body.num_expressions == len(EXPRESSIONS):
-            pose.expression[0, EXPRESSIONS.index(portrait.expression)] = portrait.amount
-        return pose

@@ -16,13 +16,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
 from gva_mi.body.pose import JOINTS, PARENTS
 from gva_mi.body.smplx import BodyModel
 
-SIDES = ("left", "right")
 ASYMMETRY = 0.005  # difference of the factors of left and right
 _FINGERS = ("index", "middle", "ring", "pinky", "thumb")
 
@@ -37,12 +37,11 @@ class BodySegment:
     paired: bool = True  # one on each side
 
     @property
-    def sides(self) -> tuple[str, ...]:
-        return SIDES if self.paired else ("",)
-
-    def names(self, side: str) -> list[str]:
-        """Return the names of its joints on one side."""
-        return [f"{side}_{name}" if side else name for name in self.joints]
+    def names(self) -> list[list[str]]:
+        """Names of its joints, on each side."""
+        if not self.paired:
+            return [list(self.joints)]
+        return [[f"{side}_{name}" for name in self.joints] for side in ("left", "right")]
 
 
 _Y, _Z = (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
@@ -78,43 +77,36 @@ class BodyStretch:
         length, thickness = {}, {}
         for segment in SEGMENTS.values():
             both = segment.spread * rng.uniform(-1, 1, 2)
-            for side in segment.sides:
-                own = rng.uniform(-1, 1, 2) * (ASYMMETRY if side else 0.0)
-                for joint in segment.names(side):
+            for names in segment.names:
+                own = rng.uniform(-1, 1, 2) * (ASYMMETRY if segment.paired else 0.0)
+                for joint in names:
                     length[joint], thickness[joint] = (1 + strength * (both + own)).tolist()
         return BodyStretch(length, thickness)
 
 
 def stretched(body: BodyModel, stretch: BodyStretch) -> BodyModel:
-    """BodyStretch a whole body; the result has at most ten betas and ten expressions."""
+    """Stretch a whole body; the result has at most ten betas and ten expressions."""
     arrays = {name: np.asarray(array) for name, array in body.arrays().items()}
     weights = arrays["weights"].astype(np.float64)
     regressor = arrays["J_regressor"].astype(np.float64)
     template = arrays["v_template"].astype(np.float64)
     maps = _maps(regressor @ template, stretch)
-    moved = lambda vertices, joints: _stretched(vertices, joints, maps, weights)
-    of_shape = [
-        moved(direction, regressor @ direction)
-        for direction in arrays["shapedirs"].astype(np.float64).transpose(2, 0, 1)
-    ]
+    moved = lambda vertices: _stretched(vertices, regressor @ vertices, maps, weights)
+    of_shape = [moved(d) for d in arrays["shapedirs"].astype(np.float64).transpose(2, 0, 1)]
     A = np.einsum("vj,jab->vab", weights, maps)
-    dtype = body.v_template.dtype
-    return BodyModel(
-        arrays
-        | {
-            "v_template": moved(template, regressor @ template),
-            "shapedirs": np.stack(of_shape, axis=2),
-            "posedirs": np.einsum("vab,vbk->vak", A, arrays["posedirs"]),
-        },
-        dtype,
-    )
+    changed = {
+        "v_template": moved(template),
+        "shapedirs": np.stack(of_shape, axis=2),
+        "posedirs": np.einsum("vab,vbk->vak", A, arrays["posedirs"]),
+    }
+    return BodyModel(arrays | changed, body.v_template.dtype)
 
 
 def _maps(joints: np.ndarray, stretch: BodyStretch) -> np.ndarray:
     """Return A of eq. 1, (55, 3, 3), for rest joints (55, 3)."""
     maps = np.zeros((len(JOINTS), 3, 3))
     for segment in SEGMENTS.values():
-        for joint in (name for side in segment.sides for name in segment.names(side)):
+        for joint in chain(*segment.names):
             a = np.array(segment.axis or _bone(joints, joint))
             length, thickness = stretch.length[joint], stretch.thickness[joint]
             along = (length - thickness) * np.outer(a, a)

@@ -18,19 +18,19 @@ length may be wrong. All in ``truth`` is exact:
 
 from __future__ import annotations
 
-import platform
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from importlib import metadata
 from pathlib import Path
 
 import numpy as np
 import torch
 
-import gva_mi
 from gva_mi.body.pose import Pose, save_poses
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.atomic import atomic_dir
 from gva_mi.core.files import write_arrays, write_json
+from gva_mi.core.provenance import versions
 from gva_mi.data.fingerprint import fingerprint
 from gva_mi.data.ground_truth import BODY
 from gva_mi.data.pictures import write_movie
@@ -90,9 +90,9 @@ def make_subject(
         splits |= {"novel_pose": list(range(options.novel_poses)), "novel_view": seen}
         write_json(folder / "splits.json", splits)
         write_surface(folder / SURFACE, subject)
-        about = {"options": options.recorded(), "seed": options.seed, "versions": _versions()}
-        about["body"] = fingerprint(body)
-        write_json(folder / "synth.json", about)
+        about = {"options": options.recorded(), "seed": options.seed, "body": fingerprint(body)}
+        made_by = versions() | {"mitsuba": metadata.version("mitsuba")}
+        write_json(folder / "synth.json", about | {"versions": made_by})
 
 
 @dataclass(frozen=True)
@@ -150,12 +150,8 @@ class _SubjectWriter:
     ) -> Iterator[RenderJob]:
         """Yield the render job of each frame, which is random by stream and frame alone.
 
-        Args:
-            folder: gets the files.
-            poses: of all frames, and those one step, two steps, ... before.
-            cameras: one per frame.
-            stream: of random numbers.
-            errors: of each frame; without them, only the ground truth is written.
+        ``poses`` are those of all frames, then those one step, two steps, ... before. Without
+        ``errors``, one per frame, only the ground truth is written.
         """
         options = self.options
         for k, camera in enumerate(cameras):
@@ -224,14 +220,3 @@ def _lowered(pose: Pose, drop: np.ndarray) -> Pose:
     transl = pose.transl.clone()
     transl[:, 1] -= torch.from_numpy(drop)
     return replace(pose, transl=transl)
-
-
-def _versions() -> dict[str, str]:
-    import drjit
-    import mitsuba
-
-    return {
-        "gva_mi": gva_mi.__version__, "python": platform.python_version(),
-        "mitsuba": mitsuba.__version__, "drjit": drjit.__version__,
-        "torch": torch.__version__, "numpy": np.__version__,
-    }  # fmt: skip

@@ -39,10 +39,7 @@ _SPREAD = 0.35  # fraction of the fingers' spread that is kept in the T-pose
 
 
 def anny_body(cache: Path | None = None) -> Path:
-    """Return the body's file; the first call builds it, in about a minute.
-
-    Args:
-        cache: folder; the user's own cache folder by default.
+    """Return the body's file in a cache folder; the first call builds it, in about a minute.
 
     Raises:
         InputError: it is not built yet and the package is missing.

@@ -108,7 +108,7 @@ def _check(path: Path, arrays: dict[str, np.ndarray]) -> BodyFormat:
     left, right = (len(arrays.get(key, ())) for key in _OPTIONAL[:2])
     if left != right:
         raise InputError(
-            f"{path}: 'hands_componentsl' has {left} rows, 'hands_componentsr' has {right}"
+            f"{path}: 'hands_componentsl' has {left} rows, 'hands_componentsr' {right}"
         )
     if arrays["f"].max() >= vertices or arrays["f"].min() < 0:
         raise InputError(f"{path}: 'f' names vertex {arrays['f'].max()}, but there are {vertices}")
@@ -119,10 +119,7 @@ def _check(path: Path, arrays: dict[str, np.ndarray]) -> BodyFormat:
 
 
 def _check_surface(path: Path, faces: np.ndarray) -> None:
-    """Refuse disconnected triangles, on which mesh decimation would not terminate.
-
-    Nearly all edges of a body belong to two triangles, and edges of a border to one.
-    """
+    """Refuse disconnected triangles, on which mesh decimation would not terminate."""
     sides = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     edges, count = np.unique(sides, axis=0, return_counts=True)
     shared = float(((count == 2) & (edges[:, 0] != edges[:, 1])).mean())

@@ -55,14 +55,9 @@ GESTURES: Mapping[str, Gesture] = {
 
 
 def blend_between(names: Sequence[str], at: np.ndarray) -> np.ndarray:
-    """Blend a cycle of gestures, each held for a while.
+    """Blend a cycle of gestures at moments (T,), to :attr:`Gesture.values` (T, 14).
 
-    Args:
-        names: of the gestures, in order.
-        at: (T,) moments; gesture k is held from k on for a third of a unit.
-
-    Returns:
-        (T, 14), see :attr:`Gesture.values`.
+    Gesture k is held from moment k on for a third of a unit.
     """
     keys = np.stack([GESTURES[name].values for name in names])
     index = np.floor(at).astype(int)

@@ -31,19 +31,15 @@ PARENTS: tuple[int, ...] = (
 
 # The fields of SMPL-X as slices of JOINTS.
 ROOT, BODY = slice(0, 1), slice(1, 22)
-JAW, LEFT_EYE, RIGHT_EYE = slice(22, 23), slice(23, 24), slice(24, 25)
-EYES, JAW_AND_EYES = slice(23, 25), slice(22, 25)
+JAW, EYES, JAW_AND_EYES = slice(22, 23), slice(23, 25), slice(22, 25)
+LEFT_HAND, RIGHT_HAND = slice(25, 40), slice(40, 55)  # joints of the fingers
+SMPLX_FIELDS: Mapping[str, slice] = {
+    "global_orient": ROOT, "body_pose": BODY, "jaw_pose": JAW, "leye_pose": slice(23, 24),
+    "reye_pose": slice(24, 25), "left_hand_pose": LEFT_HAND, "right_hand_pose": RIGHT_HAND,
+}  # fmt: skip
 # Generous bounds of valid files: metres, standard deviations, radians.
 LARGEST = {"transl": 1e6, "expression": 1e4, "betas": 1e4, "offsets": 10.0}
 LARGEST_ANGLE = 1e3
-
-LEFT_HAND, RIGHT_HAND = slice(25, 40), slice(40, 55)  # joints of the fingers
-SMPLX_FIELDS: Mapping[str, slice] = {
-    "global_orient": ROOT, "body_pose": BODY, "jaw_pose": JAW, "leye_pose": LEFT_EYE,
-    "reye_pose": RIGHT_EYE, "left_hand_pose": LEFT_HAND, "right_hand_pose": RIGHT_HAND,
-}  # fmt: skip
-
-
 _WIDTHS = {name: 3 * (part.stop - part.start) for name, part in SMPLX_FIELDS.items()}
 
 
@@ -75,10 +71,9 @@ class Pose:
     def from_smplx(named: Mapping[str, Tensor]) -> Pose:
         """Build a pose from tensors under SMPL-X's names, as of :meth:`to_smplx`.
 
-        Args:
-            named: ``global_orient`` (T, 3), ``body_pose`` (T, 63), ``jaw_pose``, ``leye_pose``,
-                ``reye_pose`` (T, 3), ``left_hand_pose``, ``right_hand_pose`` (T, 45), ``transl``
-                (T, 3) and ``expression`` (T, E).
+        They are ``global_orient`` (T, 3), ``body_pose`` (T, 63), ``jaw_pose``, ``leye_pose``,
+        ``reye_pose`` (T, 3), ``left_hand_pose``, ``right_hand_pose`` (T, 45), ``transl`` (T, 3)
+        and ``expression`` (T, E).
         """
         columns = torch.cat([named[name] for name in SMPLX_FIELDS], dim=1)
         return Pose(columns.unflatten(1, (-1, 3)), named["transl"], named["expression"])
@@ -152,9 +147,8 @@ def read_pose_file(path: Path) -> PoseFile:
     if betas.ndim == 2 and (betas == betas[:1]).all():
         betas = betas[0]  # repeated per frame, as some estimators write it
     if betas.ndim != 1:
-        raise InputError(
-            f"{path}: 'betas' must be (B,), one person for all frames; got {betas.shape}"
-        )
+        expected = "must be (B,), one person for all frames"
+        raise InputError(f"{path}: 'betas' {expected}; got {betas.shape}")
     shape = Shape(_tensor(path, "betas", betas, betas.shape))
     stage, focal = data.get("stage", np.array(1)), data.get("focal", np.array(1.0))
     if stage.shape != () or stage.dtype.kind not in "iuf" or stage.item() not in (0, 1, 2):
@@ -168,10 +162,9 @@ def read_pose_file(path: Path) -> PoseFile:
 
 
 def is_pose_file(path: Path) -> bool:
-    """Whether a file holds poses in this program's own form, and not another program's motion.
+    """Return whether a file holds poses for :func:`read_pose_file`, not another program's motion.
 
-    They have SMPL-X's names in the widths that :func:`read_pose_file` expects. A file that is
-    missing counts, too: that reader reports it.
+    A file that is missing counts, too: that reader reports it.
     """
     if not path.exists():
         return True
@@ -195,11 +188,7 @@ def load_poses(path: Path) -> tuple[Pose, Shape]:
 
 
 def load_offsets(path: Path, vertices: int) -> Tensor | None:
-    """Read the displacement (V, 3) of the rest surface in a file of poses; None without one.
-
-    Raises:
-        InputError: it is of another number of vertices.
-    """
+    """Read the displacement of the rest surface, (``vertices``, 3), of a file; None without one."""
     offsets = read_pose_file(path).offsets
     if offsets is not None and len(offsets) != vertices:
         raise InputError(f"{path}: 'offsets' must be {(vertices, 3)}, got {tuple(offsets.shape)}")
@@ -215,16 +204,7 @@ def save_poses(
     offsets: Tensor | None = None,
     focal: float = 1.0,
 ) -> None:
-    """Write ``poses.npz``.
-
-    Args:
-        path: the file.
-        pose: T frames.
-        shape: the person's.
-        stage: origin of the poses, see :class:`PoseFile`.
-        offsets: (V, 3) refined displacement of the rest surface, metres.
-        focal: factor on the focal lengths of the video's cameras for these poses.
-    """
+    """Write ``poses.npz``; the arguments are the fields of :class:`PoseFile`."""
     data = {name: value.detach().numpy() for name, value in pose.to_smplx().items()}
     if offsets is not None:
         data["offsets"] = offsets.detach().numpy()

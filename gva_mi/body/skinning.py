@@ -29,10 +29,7 @@ def skin_points(points: Tensor, weights: Tensor, T_world_rest: Tensor) -> Tensor
     Args:
         points: (N, 3), or (T, N, 3) if they differ between poses.
         weights: (N, J), rows sum to 1.
-        T_world_rest: (J, 4, 4) or (T, J, 4, 4).
-
-    Returns:
-        (N, 3) or (T, N, 3).
+        T_world_rest: (J, 4, 4) for a result (N, 3), or (T, J, 4, 4) for (T, N, 3).
     """
     many = T_world_rest.ndim == 4
     T = T_world_rest if many else T_world_rest.unsqueeze(0)
@@ -121,19 +118,14 @@ def skin_gaussians(
         means (N, 3) and quats (N, 4) in the world. Both are differentiable in all four arguments;
         the sign of a quaternion is arbitrary.
     """
-    n = means.shape[0]
+    n, joints = len(means), len(T_world_rest)
     for name, value, shape in (
-        ("means", means, (n, 3)),
-        ("quats", quats, (n, 4)),
-        ("weights", weights, (n, T_world_rest.shape[0])),
-        ("T_world_rest", T_world_rest, (T_world_rest.shape[0], 4, 4)),
-    ):
-        if tuple(value.shape) != shape:
-            raise ValueError(f"skin_gaussians(): {name} must be {shape}, got {tuple(value.shape)}")
-        if value.dtype != means.dtype:
-            raise ValueError(
-                f"skin_gaussians(): {name} is {value.dtype}, but means are {means.dtype}"
-            )
+        ("means", means, (n, 3)), ("quats", quats, (n, 4)), ("weights", weights, (n, joints)),
+        ("T_world_rest", T_world_rest, (joints, 4, 4)),
+    ):  # fmt: skip
+        if tuple(value.shape) != shape or value.dtype != means.dtype:
+            found = f"{tuple(value.shape)} {value.dtype}"
+            raise ValueError(f"skin_gaussians(): {name} must be {shape} {means.dtype}, got {found}")
     return carry_frames(blend(weights, T_world_rest), means, quats)
 
 

@@ -96,12 +96,10 @@ def pose_from_smpl(poses: Tensor, transl: Tensor, *, mittens: bool = False) -> P
 
 
 def pose_from_smplh(poses: Tensor, transl: Tensor) -> Pose:
-    """Convert SMPL+H poses, as AMASS stores them, to 55 joints.
+    """Convert SMPL+H poses (T, 156), as AMASS stores them, to 55 joints.
 
-    Args:
-        poses: (T, 156), global orientation, 21 body joints, left and right hand, axis-angle
-            relative to the flat hand, radians.
-        transl: (T, 3) metres.
+    They are global orientation, 21 body joints, left and right hand, axis-angle relative to the
+    flat hand, radians; ``transl`` (T, 3) in metres.
     """
     rotations = _rotations("pose_from_smplh", poses, transl, SMPLH)
     return Pose(rotations, transl, poses.new_zeros(len(poses), 0))

@@ -115,11 +115,9 @@ class BodyModel(nn.Module):
         return self.frame_directions[len(self.pose_features) :]
 
     def on(self, vertices: Tensor, faces: Tensor) -> BodyModel:
-        """Return the body restricted to some vertices, with the same joints.
+        """Return the body restricted to some vertices (n,), with the same joints.
 
-        Args:
-            vertices: (n,) indices.
-            faces: (F, 3) triangles of these, numbered from 0 to n - 1.
+        ``faces`` (F, 3) are triangles of these, numbered from 0 to n - 1.
         """
         some = copy.copy(self)
         some._buffers = dict(self._buffers)  # the others are shared
@@ -130,11 +128,7 @@ class BodyModel(nn.Module):
         return some
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Return the arrays of a file of version 1.0 with ten betas and at most ten expressions.
-
-        Raises:
-            ValueError: for a restricted body, which has no joint regressor.
-        """
+        """Return the arrays of a file of version 1.0 with ten betas and at most ten expressions."""
         if self.regressor is None:
             raise ValueError("BodyModel.arrays(): this is a part of a body, from BodyModel.on()")
         count = len(self.v_template)
@@ -157,12 +151,7 @@ class BodyModel(nn.Module):
         }
 
     def rest(self, shape: Shape, expression: Tensor | None = None) -> Rest:
-        """Return the person in the T-pose (eq. 1, 2).
-
-        Args:
-            shape: betas (B,), B up to ``num_betas``.
-            expression: (E,), or None for a neutral face.
-        """
+        """Return the person in the T-pose (eq. 1, 2), with an expression (E,) or a neutral face."""
         psi = shape.betas.new_zeros(1, 0) if expression is None else expression[None]
         psi = _coefficients("expression", psi, self.num_expressions)
         flat, joints = self._shaped(shape, psi, self.v_template)
@@ -178,10 +167,8 @@ class BodyModel(nn.Module):
             offsets: (V, 3) added in the rest pose, metres.
         """
         if offsets is not None and offsets.shape != self.v_template.shape:
-            raise ValueError(
-                f"BodyModel(): offsets must be {tuple(self.v_template.shape)}, "
-                f"got {tuple(offsets.shape)}"
-            )
+            expected, found = tuple(self.v_template.shape), tuple(offsets.shape)
+            raise ValueError(f"BodyModel(): offsets must be {expected}, got {found}")
         template = self.v_template if offsets is None else self.v_template + offsets
         psi = _coefficients("expression", pose.expression, self.num_expressions)
         flat, joints = self._shaped(shape, psi, template)

@@ -60,16 +60,10 @@ class Closest:
 
 
 def closest(body: BodyModel, true: BodyModel, pose: Pose, shape: Shape) -> Closest:
-    """Find poses and betas of one body that come closest to a person on another.
+    """Find poses and betas of the fitted ``body`` that come closest to a person on ``true``.
 
-    Args:
-        body: the fitted body.
-        true: the person's body, with SMPL-X's joints.
-        pose, shape: of the person on ``true``, T frames. The expression is kept if both bodies
-            have the same faces, and neutral otherwise.
-
-    Returns:
-        the given pose and shape if both bodies are the same object.
+    If both are the same object, they are the given pose and shape. The expression is kept if both
+    bodies have the same faces, and neutral otherwise.
     """
     if true is body:
         return Closest(pose, shape, 0.0, 0.0)

@@ -39,8 +39,7 @@ def degrade(
     Args:
         subject: a folder that :func:`make_subject` or this function made.
         out: the new folder, which must not exist or be empty.
-        family: the error model.
-        seed: of the errors.
+        family, seed: the error model, and the seed of its errors.
         body: the body that the subject was made on.
         level: factor on all errors; 0 is exact.
         progress: called as ``progress(done, total)`` after each frame.

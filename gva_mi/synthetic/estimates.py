@@ -166,12 +166,8 @@ def write_estimates(
 ) -> ErrorStatistics:
     """Write mask and normals with errors for a frame whose ground truth is in ``truth``.
 
-    Args:
-        folder: of the subject.
-        index: of the frame.
-        errors: of the frame.
-        samples: rays per pixel of the ground truth.
-        rendered: mask (H, W) and normals (H, W, 3) to degrade instead of the files.
+    ``samples`` are the rays per pixel of the ground truth; ``rendered`` are mask (H, W) and normals
+    (H, W, 3) to degrade instead of its files.
     """
     truth = rendered or _true_pictures(folder / "truth", index, errors.camera, samples)
     mask, normals = errors.apply(*truth)

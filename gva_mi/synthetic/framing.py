@@ -13,13 +13,10 @@ MARGIN = 0.06  # of the picture, kept free around the person
 def camera_around(
     surface: np.ndarray, size: int, azimuth: float = 0.0, elevation: float = 0.06
 ) -> Camera:
-    """Return a camera that sees all of a surface, its principal point off-centre as in crops.
+    """Return a camera that sees all points (..., 3) of a surface, metres.
 
-    Args:
-        surface: points (..., 3) in the world, metres.
-        size: pixels, width and height.
-        azimuth: around the vertical, radians; 0 is in front.
-        elevation: above the horizon, radians.
+    Its picture has ``size`` x ``size`` pixels and a principal point off-centre, as in crops. The
+    azimuth is around the vertical, 0 in front; both angles are in radians.
     """
     points = surface.reshape(-1, 3)
     # Points may be left out, because the margin has room for them.

@@ -52,10 +52,7 @@ Render = Callable[[Iterable[RenderJob]], Iterator[RenderResult]]
 def rendering(subject: Subject, workers: int, step: Callable[[], None]) -> Iterator[Render]:
     """Yield a function that renders jobs, writes their files and yields results in order.
 
-    Args:
-        subject: who is rendered.
-        workers: processes; 1 is this process.
-        step: called after each picture.
+    One of ``workers`` is this process. ``step`` is called after each picture.
 
     Raises:
         InputError: a worker process died.

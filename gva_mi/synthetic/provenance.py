@@ -42,16 +42,10 @@ def write_surface(path: Path, person: Subject) -> None:
 
 
 def remake_subject(subject: Path, body: BodyModel) -> tuple[Subject, BodyModel] | None:
-    """Make the person of a folder again, with materials and binding, and its body.
+    """Make the person of a folder again, with materials and binding, and the body drawn on.
 
-    The folder holds only the outer surface, :data:`SURFACE`, which is compared.
-
-    Args:
-        subject: the folder.
-        body: the body of its stage-1 poses.
-
-    Returns:
-        None if another version of this program made another surface.
+    The folder holds only the outer surface, which is compared; the result is None if another
+    version of this program made another one. ``body`` is that of its stage-1 poses.
 
     Raises:
         InputError: the folder was not made by ``gva-mi synth``, or on another body.

@@ -98,14 +98,9 @@ class Renderer:
         seed: int = 0,
         light: str = "usual",
     ) -> Rendering:
-        """Render the surface.
+        """Render the subject's vertices (N, 3) in the world, metres, under one of LIGHTS.
 
-        Args:
-            vertices: (N, 3) of the subject in the world, metres.
-            camera: the view.
-            samples: rays per pixel, a square number.
-            seed: of all random numbers.
-            light: one of LIGHTS.
+        ``samples`` are rays per pixel, a square number; ``seed`` is that of all random numbers.
         """
         import mitsuba as mi
 

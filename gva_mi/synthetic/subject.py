@@ -50,7 +50,7 @@ class Subject:
             body: the body that the subject is drawn on.
             pose: T frames.
             past: poses of T frames each, one step, two steps, ... before; empty for no lag.
-            folds: factor on creases and lags; 0 omits them.
+            folds: factor on creases and lags.
         """
         skinned = self.skinned(body, pose, np.arange(len(self.vertices)))
         if folds == 0:
@@ -90,13 +90,9 @@ class Subject:
 def draw_subject(
     body: BodyModel, who: int | Person, clothes: bool = True, hair: bool = True
 ) -> Subject:
-    """Make a person's surface.
+    """Make the surface of a person, or of a seed's, on a body.
 
-    Args:
-        body: the body below the clothes.
-        who: a person, or the seed of one.
-        clothes: dress the person; otherwise a swimsuit is painted on the skin.
-        hair: with hair; otherwise the head is bald.
+    Without clothes, a swimsuit is painted on the skin; without hair, the head is bald.
     """
     person = who if isinstance(who, Person) else Person.draw(who, body.num_betas)
     rng = np.random.default_rng([person.seed, 1])

@@ -13,15 +13,10 @@ from gva_mi.synthetic.look import Fabric, Look, Material, Point
 
 
 def albedo(look: Look, material: dr.ArrayBase, rest: dr.ArrayBase) -> dr.ArrayBase:
-    """Return the colour at points of the rest surface.
+    """Return the linear albedo, a Dr.Jit ``Array3f``, at points of the rest surface.
 
-    Args:
-        look: of the person.
-        material: values of :class:`Material`, a Dr.Jit integer array.
-        rest: positions in the rest pose, a Dr.Jit ``Array3f``, metres.
-
-    Returns:
-        linear albedo, an array like ``rest``.
+    ``material`` are values of :class:`Material`, a Dr.Jit integer array, and ``rest`` positions in
+    the rest pose, an ``Array3f``, metres.
     """
     color = _skin(look, rest)
     parts = {

@@ -54,19 +54,8 @@ class Worn:
 def dress(
     rest: RestBody, outfit: Outfit, rng: np.random.Generator, clothes: bool, hair: bool
 ) -> Worn:
-    """Dress a person.
-
-    Args:
-        rest: the body.
-        outfit: the cut of clothes and hair.
-        rng: draws folds, pleats and locks.
-        clothes: with clothes, shoes and accessories.
-        hair: with hair.
-    """
-    pieces: list[Piece] = []
-    cone = None
-    if clothes:
-        pieces, cone = _clothes(rest, outfit, rng)
+    """Dress a body in clothes with accessories, and in hair; ``rng`` draws folds and locks."""
+    pieces, cone = _clothes(rest, outfit, rng) if clothes else ([], None)
     if hair:
         pieces.append(_hair(rest, outfit, rng, pieces))
     if clothes:

@@ -62,13 +62,9 @@ def creases(
     joints: Mapping[str, np.ndarray],
     rng: np.random.Generator,
 ) -> tuple[Crease, ...]:
-    """Place the creases of all joints at random.
+    """Place the creases of all joints at random on vertices (N, 3), rest pose, metres.
 
-    Args:
-        vertices: (N, 3) rest pose, metres.
-        amplitude: (N,) metres, height of the creases; zero where there are none.
-        joints: rest positions by name.
-        rng: draws their positions.
+    Their height is ``amplitude`` (N,), metres; zero where there are none.
     """
     found = []
     cloth = np.flatnonzero(amplitude > 0)

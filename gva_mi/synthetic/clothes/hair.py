@@ -100,14 +100,8 @@ class _Locks:
 def hair_mesh(
     rest: RestBody, outfit: Outfit, rng: np.random.Generator, shirt: BodySurface | None = None
 ) -> ClosedMesh:
-    """Model the hair of a head.
-
-    Args:
-        rest: the body.
-        outfit: ``hair`` is "short" (follows the skull), "bob" (hangs to the jaw, centimetres off
-            the head) or "long" (to the shoulder blades); ``hair_thick`` is its thickness.
-        rng: draws the locks and the parting.
-        shirt: long hair falls over it.
+    """Model the hair of a head: "short" follows the skull, a "bob" hangs to the jaw, "long" hair
+    falls over the ``shirt`` to the shoulder blades. ``rng`` draws locks and parting.
     """
     head, style, thick = _Head.of(rest.surface, rest.joints), outfit.hair, outfit.hair_thick
     ends = head.ends(style)
@@ -168,11 +162,8 @@ def _ellipsoid(
 ) -> np.ndarray:
     """Return half an ellipsoid above the eyes that continues downward as a tube.
 
-    Args:
-        head, thick, at: the head, the thickness of its hair, and the space around it.
-        stand: distance of the hair from the skull at the height of the eyes, metres.
-        tuck: reduction of this distance further down, metres.
-        lean: how far the hair falls back, per metre below the eyes.
+    It stands ``stand`` metres off the skull at the height of the eyes, further down ``tuck`` metres
+    less, and falls back by ``lean`` per metre below the eyes.
     """
     half_x = head.half[0] + stand - tuck
     half_z = head.half[2] + np.where(at.z > 0, 0.45, 1.0) * stand - 0.3 * tuck

@@ -77,13 +77,8 @@ def placed(
 ) -> np.ndarray:
     """Move translations (T, 3) so that a misjudged size or focal length keeps the picture.
 
-    Args:
-        transl: metres, world.
-        camera: the true view.
-        pelvis: (3,) of the true shape at rest, metres; ``transl`` is added to it.
-        estimated_pelvis: (3,) of the estimated shape at rest.
-        growth: estimated over true size of the person.
-        focal: relative error of the focal length.
+    The person is estimated ``growth`` times as large, the focal length wrong by the fraction
+    ``focal``. The pelvises (3,) are those of the true and the estimated shape at rest, metres.
     """
     if growth == 1 and focal == 0:
         return transl

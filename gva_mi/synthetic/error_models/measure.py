@@ -34,13 +34,8 @@ def pose_error(
 ) -> PoseError:
     """Compare poses with the ground truth.
 
-    A hand is lost in the frames where all its fingers are those of the mean hand.
-
-    Args:
-        body: of both.
-        pose, shape: the estimate.
-        true, true_shape: the ground truth.
-        camera: decides which frames show the person from the side.
+    A hand is lost in the frames where all its fingers are those of the mean hand. The camera
+    decides which frames show the person from the side.
     """
     away = torch.cat([
         (body(a, shape).vertices - body(b, true_shape).vertices).norm(dim=-1)

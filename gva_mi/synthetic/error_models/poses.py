@@ -87,15 +87,10 @@ def noisy_poses(
     level: float,
     rng: np.random.Generator,
 ) -> tuple[Pose, Shape]:
-    """Draw stage-1 poses of a video.
+    """Draw stage-1 poses of a video from the ground truth.
 
-    Args:
-        body: of the poses.
-        pose, shape: the ground truth, T frames.
-        camera: the true view; it defines sideways and depth.
-        noise: sizes of the errors.
-        level: factor on all errors; 0 returns the ground truth itself.
-        rng: draws the errors.
+    The true ``camera`` defines sideways and depth. ``level`` is a factor on all errors; 0 returns
+    the ground truth itself.
     """
     if level == 0:
         return pose, shape

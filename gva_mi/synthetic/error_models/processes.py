@@ -8,11 +8,8 @@ import numpy as np
 def curve(rng: np.random.Generator, frames: int, memory: float, white: float = 0.0) -> np.ndarray:
     """Draw a random curve (T, 3) of root mean square length 1.
 
-    Args:
-        rng: draws both parts.
-        frames: T.
-        memory: frames, standard deviation of the window that smooths the slow part.
-        white: fraction of the variance that is independent from frame to frame.
+    ``memory`` is the standard deviation, in frames, of the window that smooths its slow part, and
+    ``white`` the fraction of the variance that is independent from frame to frame.
     """
     from scipy.ndimage import gaussian_filter1d
 
@@ -28,15 +25,9 @@ def curve(rng: np.random.Generator, frames: int, memory: float, white: float = 0
 def bumps(
     rng: np.random.Generator, frames: int, calm: float, top: float, every: float, length: float
 ) -> np.ndarray:
-    """Draw a curve (T,) that rises from ``calm`` at random moments.
+    """Draw a curve (T,) that rises from ``calm`` at least half of the way to ``top`` at random.
 
-    Args:
-        rng: draws moments and heights.
-        frames: T.
-        calm: value between bumps.
-        top: upper bound; each bump reaches at least half of the way there.
-        every: mean frames between bumps.
-        length: frames, half length of a bump.
+    Bumps are ``every`` frames apart on average, and ``length`` frames is half their length.
     """
     margin = int(3 * length)
     t = np.arange(frames)

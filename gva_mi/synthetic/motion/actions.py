@@ -91,13 +91,9 @@ GESTURING: Mapping[str, Action] = {  # of a standing person: arms and trunk alon
 def act(
     rotations: np.ndarray, t: np.ndarray, actions: Mapping[str, Action], rng: np.random.Generator
 ) -> None:
-    """Blend actions into a motion, one after the other.
+    """Blend actions into rotations (T, 55, 3) at moments (T,), in place.
 
-    Args:
-        rotations: (T, 55, 3), changed in place.
-        t: moments (T,), in rounds.
-        actions: each happens once a round, in random order.
-        rng: draws their order and amplitudes.
+    Each happens once a round, in random order and with random amplitudes.
     """
     names = [str(n) for n in rng.permutation(list(actions))]
     share, index = np.modf((t % 1.0) * len(names))

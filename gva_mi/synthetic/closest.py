@@ -59,6 +59,7 @@ class Closest:
     limb_mm: float  # mean over frames and the joints of the limbs
 
 
+@one_torch_thread()  # bit-identical for any number of threads
 def closest(body: BodyModel, true: BodyModel, pose: Pose, shape: Shape) -> Closest:
     """Find poses and betas of the fitted ``body`` that come closest to a person on ``true``.
 
@@ -67,11 +68,6 @@ def closest(body: BodyModel, true: BodyModel, pose: Pose, shape: Shape) -> Close
     """
     if true is body:
         return Closest(pose, shape, 0.0, 0.0)
-    with one_torch_thread():  # bit-identical for any number of threads
-        return _closest(body, true, pose, shape)
-
-
-def _closest(body: BodyModel, true: BodyModel, pose: Pose, shape: Shape) -> Closest:
     fitted, true = deepcopy(body).double(), deepcopy(true).double()
     pose, shape = pose.to(torch.float64), Shape(shape.betas.double())
     goal = true.rest(shape)

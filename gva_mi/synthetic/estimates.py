@@ -169,9 +169,13 @@ def write_estimates(
     ``samples`` are the rays per pixel of the ground truth; ``rendered`` are mask (H, W) and normals
     (H, W, 3) to degrade instead of its files.
     """
-    truth = rendered or _true_pictures(folder / "truth", index, errors.camera, samples)
+    name, truth = f"{index:06d}.png", rendered
+    if truth is None:  # 8 bits hold the mask, a fraction of the rays, exactly
+        hits = np.round(read_image(folder / "truth" / "masks" / name, 1) * (samples / 255))
+        maps = NormalMaps(folder / "truth" / "normals", "perspective", None)
+        truth = (hits / samples).astype(np.float32), maps.read(index, errors.camera)
     mask, normals = errors.apply(*truth)
-    write_image(folder / "masks" / f"{index:06d}.png", mask)
+    write_image(folder / "masks" / name, mask)
     if normals is None:
         (folder / "normals").mkdir(exist_ok=True)
         return ErrorStatistics(mask_iou(mask, truth[0]), None)
@@ -182,13 +186,3 @@ def write_estimates(
 def write_normals(folder: Path, index: int, normals: np.ndarray) -> None:
     """Write normals (H, W, 3) of a frame."""
     write_image(folder / "normals" / f"{index:06d}.png", (normals + 1) / 2)
-
-
-def _true_pictures(
-    truth: Path, index: int, camera: Camera, samples: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Read mask and normals of the ground truth; only normals lose precision in 8 bits."""
-    stored = read_image(truth / "masks" / f"{index:06d}.png", 1)
-    hits = np.round(stored * (samples / 255))  # a mask is a fraction of the rays
-    mask = (hits / samples).astype(np.float32)
-    return mask, NormalMaps(truth / "normals", "perspective", None).read(index, camera)

@@ -41,23 +41,6 @@ def test_agrees_with_the_reference_implementation():
         torch.testing.assert_close(x, y)
 
 
-def test_a_joint_rotates_its_descendants_about_itself_and_nothing_else():
-    g = torch.Generator().manual_seed(2)
-    joints = torch.randn(55, 3, generator=g, dtype=F64)
-    rotations = torch.zeros(1, 55, 3, dtype=F64)
-    elbow = 18
-    rotations[0, elbow] = torch.tensor([0.2, -0.9, 0.4])
-    T = joint_transforms(rotations, joints, PARENTS, torch.zeros(1, 3, dtype=F64))[0]
-    moved = torch.eye(4, dtype=F64)
-    moved[:3, :3] = roma.rotvec_to_rotmat(rotations[0, elbow])
-    moved[:3, 3] = joints[elbow] - moved[:3, :3] @ joints[elbow]
-    below = {elbow}
-    for joint, parent in enumerate(PARENTS):
-        if parent in below:
-            below.add(joint)
-        torch.testing.assert_close(T[joint], moved if joint in below else torch.eye(4, dtype=F64))
-
-
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-3, 0.5, 3.1, 40.0])
 def test_rotations_agree_with_roma(angle):
     rotations, joints, transl = moves(angle=angle)

@@ -57,16 +57,6 @@ def test_gradients_against_differences(body, person):
     assert torch.autograd.gradcheck(run, leaves, fast_mode=True)
 
 
-def test_float32_agrees_with_float64(random_file, body, person):
-    pose, shape, offsets = person
-    f32 = load_body(random_file)
-    posed = f32(pose.to(torch.float32), Shape(shape.betas.float()), offsets.float())
-    assert posed.vertices.dtype == torch.float32
-    torch.testing.assert_close(
-        posed.vertices.double(), body(pose, shape, offsets).vertices, rtol=0, atol=1e-5
-    )
-
-
 def test_the_zero_pose_is_the_rest_pose(body, person):
     _, shape, _ = person
     posed, rest = body(Pose.rest(2, dtype=F64), shape), body.rest(shape)

@@ -31,16 +31,6 @@ def test_unrolling_a_cone_keeps_lengths():
         assert np.allclose(np.linalg.norm(flat, axis=0), length, rtol=0.01)
 
 
-def test_the_share_is_one_on_the_cone_and_zero_on_the_axis():
-    from drjit.llvm import Array3f
-
-    random = np.random.default_rng(0)
-    points = on_cone(random.uniform(0.4, 0.9, 50), random.uniform(-3, 3, 50)).astype(np.float32)
-    assert np.allclose(CONE.share(Array3f(points)).numpy(), 1, atol=1e-4)
-    points[0], points[2] = CONE.apex[0], CONE.apex[2]
-    assert np.allclose(CONE.share(Array3f(points)).numpy(), 0, atol=1e-4)
-
-
 def test_colors_are_albedos_for_all_materials(ball):
     from drjit.llvm import Array3f, UInt32
 

@@ -23,9 +23,6 @@ from torch import Tensor
 from gva_mi.body.pose import JOINTS, PARENTS
 from gva_mi.splat import Camera
 
-HANGS = {"legs": ("left_hip", "right_hip"), "arms": ("left_shoulder", "right_shoulder")}
-STANDS = {"trunk": ("spine1",)}  # stands on its joint: what is above moves with it
-
 
 @dataclass(frozen=True)
 class CameraTilt:
@@ -41,9 +38,9 @@ class CameraTilt:
 
     def _angles(self) -> dict[int, float]:
         """Return angles about the x axis of the camera, by joint; below 0, limbs swing forward."""
-        down = {name: -getattr(self, part) for part, names in HANGS.items() for name in names}
-        up = {name: getattr(self, part) for part, names in STANDS.items() for name in names}
-        return {JOINTS.index(name): a for name, a in (down | up).items() if a != 0}
+        parts = {"hip": -self.legs, "shoulder": -self.arms, "spine1": self.trunk}
+        angles = {k: parts.get(name.split("_")[-1], 0) for k, name in enumerate(JOINTS)}
+        return {joint: angle for joint, angle in angles.items() if angle != 0}
 
 
 def tilted(rotations: np.ndarray, camera: Camera, lean: CameraTilt) -> np.ndarray:

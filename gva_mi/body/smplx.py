@@ -173,7 +173,10 @@ class BodyModel(nn.Module):
         psi = _coefficients("expression", pose.expression, self.num_expressions)
         flat, joints = self._shaped(shape, psi, template)
         R, T_world_rest = turn_joints(pose.rotations, joints, self.parents, pose.transl)
-        moves = torch.cat([self._bent(R), psi], dim=1)
+        bent = (R[:, 1:] - torch.eye(3, dtype=R.dtype)).flatten(1)  # R - I (eq. 3)
+        if len(self.pose_features) < bent.shape[1]:
+            bent = bent[:, self.pose_features]
+        moves = torch.cat([bent, psi], dim=1)
         flat = add_directions(flat, moves, self.frame_directions)
         skinned = skin_points(flat.unflatten(1, (3, -1)).mT, self.weights, T_world_rest)
         R_world, t = T_world_rest[..., :3, :3], T_world_rest[..., :3, 3]
@@ -187,13 +190,6 @@ class BodyModel(nn.Module):
         for values, moves in ((betas, self.shape_joints), (psi, self.expression_joints)):
             joints = torch.addmm(joints, values, moves[: values.shape[1]])
         return flat, joints.unflatten(1, (-1, 3))
-
-    def _bent(self, R: Tensor) -> Tensor:
-        """Return the entries of R − I that have pose directions, (T, P) (eq. 3)."""
-        features = (R[:, 1:] - torch.eye(3, dtype=R.dtype)).flatten(1)
-        if len(self.pose_features) == features.shape[1]:
-            return features
-        return features[:, self.pose_features]
 
 
 BUILT_IN_NAME = "puppet"  # the built-in body on the command line and in records

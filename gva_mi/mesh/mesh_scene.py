@@ -90,10 +90,14 @@ class MeshScene:
 
     def view(self, vertices: Tensor, camera: Camera, *others: Camera) -> MeshView:
         """Return the plugin's view of the mesh, in tiles if there are other cameras."""
+        import mitsuba as mi
+
         self.show(vertices)
         sensor, aspect = self._sensor(camera), pixel_aspect(camera)
         if aspect not in self._integrators:  # each keeps the mesh's topology
-            self._integrators[aspect] = _integrator(aspect)
+            # Searching for where a body intersects itself costs a fifth of a step, for few pixels.
+            kind = {"type": "mesh_normals", "pixel_aspect": aspect, "piercing": False}
+            self._integrators[aspect] = mi.load_dict(kind)
         tiles = [tile_of(other, camera) for other in (camera, *others)] if others else ()
         return self._integrators[aspect].view(self._scene, sensor, tiles=tiles)
 
@@ -146,13 +150,6 @@ def scene_of(faces: Tensor, vertices: Tensor) -> mi.Scene:
     parameters["faces"] = mi.UInt32(faces.to(torch.int32).flatten().numpy().astype(np.uint32))
     parameters.update()
     return mi.load_dict({"type": "scene", "mesh": mesh})
-
-
-def _integrator(pixel_aspect: float) -> MeshNormals:
-    import mitsuba as mi
-
-    # Searching for where a body intersects itself would cost a fifth of a step, for few pixels.
-    return mi.load_dict({"type": "mesh_normals", "pixel_aspect": pixel_aspect, "piercing": False})
 
 
 class _RenderNormals(torch.autograd.Function):

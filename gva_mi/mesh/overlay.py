@@ -35,7 +35,9 @@ def overlay(image: np.ndarray, camera: Camera, vertices: Tensor, faces: Tensor) 
 
 def outlined(image: np.ndarray, mask: np.ndarray, color: tuple[float, ...]) -> np.ndarray:
     """Draw the outline of a mask (H, W) bool on a picture (H, W, 3); float32."""
-    return np.where(_outline(mask)[..., None], color, image).astype(np.float32)
+    padded = np.pad(mask, 1)  # the outline is what touches a pixel outside, not diagonally
+    inner = padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
+    return np.where((mask & ~inner)[..., None], color, image).astype(np.float32)
 
 
 @torch.no_grad()
@@ -73,10 +75,3 @@ def strip(rows: list[list[np.ndarray]], gap: int = 4) -> np.ndarray:
             top, left = i * (height + gap), j * (width + gap)
             canvas[top : top + height, left : left + width] = picture
     return canvas
-
-
-def _outline(mask: np.ndarray) -> np.ndarray:
-    """Return the pixels of a mask (H, W) that touch one outside it, above, below or beside."""
-    padded = np.pad(mask, 1)
-    inner = padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
-    return mask & ~inner

@@ -50,18 +50,15 @@ def remake_subject(subject: Path, body: BodyModel) -> tuple[Subject, BodyModel] 
     Raises:
         InputError: the folder was not made by ``gva-mi synth``, or on another body.
     """
+    import trimesh
+
     require_same_body(subject, body)
     _, options = recorded_options(subject)
     drawn_on = options.drawn_on(body)
     person = draw_subject(drawn_on, options.person(drawn_on), options.clothes, options.hair)
-    return (person, drawn_on) if _same_surface(subject / SURFACE, person) else None
-
-
-def _same_surface(path: Path, person: Subject) -> bool:
-    import trimesh
-
-    if not path.is_file():
-        return False
-    filmed = trimesh.load(path, process=False)
-    same = filmed.faces.shape == person.faces.shape and np.array_equal(filmed.faces, person.faces)
-    return same and np.allclose(filmed.vertices, person.vertices, atol=1e-6)
+    if not (subject / SURFACE).is_file():
+        return None
+    filmed = trimesh.load(subject / SURFACE, process=False)
+    same = np.array_equal(filmed.faces, person.faces)
+    same = same and np.allclose(filmed.vertices, person.vertices, atol=1e-6)
+    return (person, drawn_on) if same else None

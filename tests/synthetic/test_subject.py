@@ -54,7 +54,8 @@ def test_a_dressed_body_lies_in_its_mask_and_normals_match_the_depth(body):
     points = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)])
     along_y, along_x = np.gradient(points * seen.depth, axis=(1, 2))
     normals = np.cross(along_y, along_x, axis=0)
-    cosine = (normals / np.linalg.norm(normals, axis=0)).transpose(1, 2, 0) * seen.normals
+    length = np.maximum(np.linalg.norm(normals, axis=0), 1e-12)
+    cosine = (normals / length).transpose(1, 2, 0) * seen.normals
     steep = maximum_filter(seen.depth, 3) - minimum_filter(seen.depth, 3) > 0.05  # m, an outline
     inner = (minimum_filter(seen.mask, 3) == 1) & ~steep
     assert inner.sum() > 500

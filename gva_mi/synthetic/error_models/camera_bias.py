@@ -36,16 +36,12 @@ class CameraTilt:
         """Scale all tilts."""
         return CameraTilt(factor * self.legs, factor * self.trunk, factor * self.arms)
 
-    def _angles(self) -> dict[int, float]:
-        """Return angles about the x axis of the camera, by joint; below 0, limbs swing forward."""
-        parts = {"hip": -self.legs, "shoulder": -self.arms, "spine1": self.trunk}
-        angles = {k: parts.get(name.split("_")[-1], 0) for k, name in enumerate(JOINTS)}
-        return {joint: angle for joint, angle in angles.items() if angle != 0}
-
 
 def tilted(rotations: np.ndarray, camera: Camera, lean: CameraTilt) -> np.ndarray:
     """Tilt rotations (T, 55, 3), axis-angle relative to the parent, toward the camera."""
-    angles = lean._angles()
+    parts = {"hip": -lean.legs, "shoulder": -lean.arms, "spine1": lean.trunk}
+    angles = {k: parts.get(name.split("_")[-1], 0) for k, name in enumerate(JOINTS)}
+    angles = {k: angle for k, angle in angles.items() if angle != 0}
     if not angles:
         return rotations
     R = matrices(rotations.reshape(-1, 3)).reshape(*rotations.shape, 3)
@@ -56,7 +52,7 @@ def tilted(rotations: np.ndarray, camera: Camera, lean: CameraTilt) -> np.ndarra
         before = np.eye(3) if parent < 0 else turned[parent]
         A.append(above @ R[:, joint])
         turned.append(before)
-        if joint in angles:
+        if joint in angles:  # about the x axis of the camera; below 0, limbs swing forward
             L = C.T @ matrices(np.array([[angles[joint], 0.0, 0.0]]))[0] @ C
             turned[joint] = L @ before
             local = (before @ above).swapaxes(1, 2) @ L @ before @ A[joint]

@@ -112,14 +112,6 @@ def _white(rng: np.random.Generator) -> ErrorParameters:
     )  # fmt: skip
 
 
-def _slow(rng: np.random.Generator) -> ErrorParameters:
-    return _with_pose(_mixed(rng), memory=rng.uniform(15, 20), white=rng.uniform(0, 0.05))
-
-
-def _lean(rng: np.random.Generator) -> ErrorParameters:
-    return _with_pose(_mixed(rng), lean=_draw_lean(rng))
-
-
 def _draw_lean(rng: np.random.Generator) -> CameraTilt:
     legs, trunk, arms = np.radians(rng.uniform((2, 0, 0), (6, 3, 4)))
     return CameraTilt(float(legs), float(trunk), float(arms))
@@ -183,7 +175,13 @@ def _anything(rng: np.random.Generator) -> ErrorParameters:
 
 
 ERROR_MODELS: Mapping[str, ErrorModel] = {
-    EXACT: lambda rng: ErrorParameters(), "white": _white, "slow": _slow, "mixed": _mixed,
-    "lean": _lean, "shape": _shape, "outliers": _outliers, "focal": _focal, "masks": _masks,
+    EXACT: lambda rng: ErrorParameters(),
+    "white": _white,
+    "slow": lambda rng: _with_pose(
+        _mixed(rng), memory=rng.uniform(15, 20), white=rng.uniform(0, 0.05)
+    ),
+    "mixed": _mixed,
+    "lean": lambda rng: _with_pose(_mixed(rng), lean=_draw_lean(rng)),
+    "shape": _shape, "outliers": _outliers, "focal": _focal, "masks": _masks,
     "normals": _normals, "anything": _anything,
 }  # fmt: skip

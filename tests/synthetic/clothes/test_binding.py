@@ -19,19 +19,13 @@ PLACES = {
 def legs():
     """A hip and two thighs made of points, as a rest body."""
     random = np.random.default_rng(0)
-    boxes = {
-        "pelvis": (0.0, 0.95, 0.12),
-        "left_hip": (0.1, 0.7, 0.2),
-        "right_hip": (-0.1, 0.7, 0.2),
-    }
-    vertices, weights = [], []
-    for joint, (x, y, tall) in boxes.items():
-        vertices.append([x, y, 0] + random.uniform(-1, 1, (400, 3)) * [0.08, tall, 0.08])
-        owner = np.zeros((400, 55))
-        owner[:, JOINTS.index(joint)] = 1
-        weights.append(owner)
+    vertices, weights = np.zeros((3, 400, 3)), np.zeros((3, 400, 55))
+    boxes = (("pelvis", 0, 0.95, 0.12), ("left_hip", 0.1, 0.7, 0.2), ("right_hip", -0.1, 0.7, 0.2))
+    for k, (joint, x, y, tall) in enumerate(boxes):
+        vertices[k] = [x, y, 0] + random.uniform(-1, 1, (400, 3)) * [0.08, tall, 0.08]
+        weights[k, :, JOINTS.index(joint)] = 1
     return SimpleNamespace(
-        vertices=np.concatenate(vertices), weights=np.concatenate(weights), joints=PLACES
+        vertices=vertices.reshape(-1, 3), weights=weights.reshape(-1, 55), joints=PLACES
     )
 
 

@@ -5,7 +5,7 @@
 ``smplx``           the parametric body: from shape and pose to vertices and joints
 ``body_file``       body files of SMPL-X, SMPL+H and SMPL
 ``smpl``            the older formats and their poses on SMPL-X's joints
-``puppet, anny``    the two bodies that need no licence
+``built_in, anny``  the two bodies that need no licence
 ``kinematics``      from joint rotations to rigid transforms
 ``so3``             composition of rotations
 ``blend_shapes``    a surface plus a weighted sum of directions

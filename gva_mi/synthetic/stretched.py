@@ -60,8 +60,6 @@ SEGMENTS: Mapping[str, BodySegment] = {
     "hand": BodySegment(("wrist",), 0.08, (1.0, 0.0, 0.0)),
     "fingers": BodySegment(tuple(f"{f}{k}" for f in _FINGERS for k in (1, 2, 3)), 0.08, None),
 }
-_NEXT = {"hip": "knee", "knee": "ankle", "collar": "shoulder", "shoulder": "elbow",
-         "elbow": "wrist", "neck": "head"}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -116,13 +114,10 @@ def _maps(joints: np.ndarray, stretch: BodyStretch) -> np.ndarray:
 
 def _bone(joints: np.ndarray, joint: str) -> np.ndarray:
     """Return the unit direction of the bone at a joint; at a fingertip, that of the bone before."""
-    begin, name = JOINTS.index(joint), joint.removeprefix("left_").removeprefix("right_")
-    if name.endswith("3"):
-        begin, end = PARENTS[begin], begin
-    elif name in _NEXT:
-        end = JOINTS.index(joint.removesuffix(name) + _NEXT[name])
-    else:
-        end = begin + 1  # the next joint of the same finger
+    end = JOINTS.index(joint)
+    begin = PARENTS[end]
+    if end in PARENTS:  # it has a child
+        begin, end = end, PARENTS.index(end)
     along = joints[end] - joints[begin]
     return along / np.linalg.norm(along)
 

@@ -39,7 +39,7 @@ _LID_SKIN = 0.0008  # metres between the eyeball and a sliding lid
 
 
 def shapes(vertices: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the directions of puppet.SHAPES on skin (V, 3, 10) and joints (55, 3, 10)."""
+    """Return the directions of SHAPES on skin (V, 3, 10) and joints (55, 3, 10)."""
     every = {_without_side(name) for name in JOINTS}
     all_of = lambda names, *strain: {name: strain for name in names}
     stretches: dict[str, Strains] = {
@@ -73,7 +73,7 @@ def shapes(vertices: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def expressions(vertices: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Return the directions of puppet.EXPRESSIONS (V, 3, 10), which leave the joints."""
+    """Return the directions of EXPRESSIONS (V, 3, 10), which leave the joints."""
     jaw = weights[:, JOINTS.index("jaw"), None]
     corner, wide = (0.024, 0.607, 0.086), (0.011, 0.010, 0.020)
     fields = [

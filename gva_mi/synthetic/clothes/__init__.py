@@ -1,1 +1,1 @@
-"""Clothes, hair and accessories as level sets (``level_sets``), bound to the body (``dressing``)."""
+"""Clothes, hair, accessories as level sets (``level_sets``), bound to a body (``dressing``)."""

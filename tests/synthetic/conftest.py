@@ -1,11 +1,10 @@
-"""The built-in body, and a ball as a subject, which has closed-form answers."""
+"""A ball as a subject, which has closed-form answers."""
 
 import numpy as np
 import pytest
 import torch
 
 from gva_mi.body.pose import Shape
-from gva_mi.body.smplx import load_body
 from gva_mi.synthetic.look import Fabric, FaceLandmarks, Look, Material
 from gva_mi.synthetic.subject import Subject
 
@@ -17,11 +16,6 @@ LOOK = Look(
     shoulder=(0.2, 9, 0), hip=(0.1, 8, 0), ground=-9.0,
 )  # fmt: skip
 RADIUS = 0.5  # m
-
-
-@pytest.fixture(scope="session")
-def body():
-    return load_body()
 
 
 @pytest.fixture(scope="session")

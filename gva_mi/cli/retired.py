@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from gva_mi.core.errors import InputError
 
-# (verb, old option): the new option.
+# (verb, old option): the new option, or a sentence that says why there is none.
 RENAMED: dict[tuple[str, str], str] = {
     ("bench", "--calls"): "--repeats",
     ("fit", "--finest"): "--min-scale",
@@ -60,7 +60,8 @@ def require_current(verb: str, arguments: Sequence[str]) -> None:
         option = argument.split("=")[0].replace("_", "-")
         now = RENAMED.get((verb, option))
         if now is not None:
-            raise InputError(f"{verb}: {option} is called {now} now")
+            said = f"is called {now} now" if now.startswith("--") else now
+            raise InputError(f"{verb}: {option} {said}")
         step, _, field = option.lstrip("-").partition(".")
         if [verb, *arguments[:1]] == ["study", "avatar"] and step in OF_STUDY:
             kind, shown = OF_STUDY[step]

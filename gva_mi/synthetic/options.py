@@ -12,7 +12,7 @@ from gva_mi.body.smplx import BodyModel, load_body
 from gva_mi.core.errors import InputError
 from gva_mi.core.options import PictureSide, Seed, Within, Workers, require_ranges
 from gva_mi.synthetic.error_models.models import Levels, require_family
-from gva_mi.synthetic.people import STUDY, Person, foreign_outfit
+from gva_mi.synthetic.people import STUDY, SyntheticPerson, foreign_outfit
 from gva_mi.synthetic.stretched import BodyStretch, stretched
 
 # Random number streams, one for each purpose.
@@ -81,10 +81,10 @@ class SynthOptions:
             return stretched(body, BodyStretch.draw(self.random(FIGURE)))
         return body
 
-    def person(self, body: BodyModel) -> Person:
+    def person(self, body: BodyModel) -> SyntheticPerson:
         """Return the person for a body."""
         named = self.subject is not None
-        person = STUDY[self.subject] if named else Person.draw(self.seed, body.num_betas)
+        person = STUDY[self.subject] if named else SyntheticPerson.draw(self.seed, body.num_betas)
         outfit = person.outfit
         if self.outfit == "foreign":
             outfit = foreign_outfit(outfit, self.random(OUTFIT))

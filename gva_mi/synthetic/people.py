@@ -48,7 +48,7 @@ class Outfit:
 
 
 @dataclass(frozen=True)
-class Person:
+class SyntheticPerson:
     """A synthetic subject's shape coefficients, colours and outfit."""
 
     seed: int  # of everything else that is random: folds, locks, motion, errors
@@ -63,7 +63,7 @@ class Person:
     accent: Color = CLOTHS[9]  # of cap, glasses and bag
 
     @staticmethod
-    def draw(seed: int, num_betas: int) -> Person:
+    def draw(seed: int, num_betas: int) -> SyntheticPerson:
         """Draw a person from a seed, for a body with ``num_betas`` shape coefficients."""
         rng = np.random.default_rng([seed, 0])
         betas = np.clip(rng.normal(0, 0.7, min(10, num_betas)), -1.4, 1.4)
@@ -84,7 +84,7 @@ class Person:
         )
         iris, shoes, accent = palette(rng, IRISES), palette(rng, CLOTHS), palette(rng, CLOTHS)
         betas = tuple(float(b) for b in betas)
-        return Person(seed, betas, skin, hair, iris, top, bottom, shoes, outfit, accent)
+        return SyntheticPerson(seed, betas, skin, hair, iris, top, bottom, shoes, outfit, accent)
 
 
 def _draw_outfit(rng: np.random.Generator) -> Outfit:
@@ -122,15 +122,15 @@ def _fabric(pattern: str, *colors: tuple[int, int, int], scale: float = 0.06) ->
 
 # Betas: height, weight, leg length, arm length, shoulder width, hip width, chest, belly, muscles,
 # size of the head.
-STUDY: Mapping[str, Person] = MappingProxyType({
-    "amira": Person(  # long hair, stripes
+STUDY: Mapping[str, SyntheticPerson] = MappingProxyType({
+    "amira": SyntheticPerson(  # long hair, stripes
         101, (-0.7, -0.4, 0.3, 0.0, -0.5, 0.7, 0.8, -0.5, -0.4, 0.1),
         SKINS[1], HAIRS[1], IRISES[3],
         _fabric("stripes", (238, 232, 222), (176, 44, 48), (40, 44, 70), scale=0.058),
         _fabric("plain", (58, 78, 118), (90, 110, 150)), linear(236, 232, 226),
         Outfit(1.75, 0.06, 0.016, "trousers", 1.92, 0.008, "long", 0.019),
     ),
-    "bruno": Person(  # glasses, plaid
+    "bruno": SyntheticPerson(  # glasses, plaid
         102, (1.1, 0.5, 0.2, 0.2, 0.9, -0.2, 0.2, 0.4, 0.9, 0.0),
         SKINS[0], HAIRS[2], IRISES[1],
         _fabric("plaid", (52, 104, 84), (24, 38, 48), (226, 178, 70), scale=0.075),
@@ -138,7 +138,7 @@ STUDY: Mapping[str, Person] = MappingProxyType({
         Outfit(0.62, 0.16, 0.020, "trousers", 1.93, 0.014, "short", 0.014, glasses=True),
         linear(24, 22, 24),
     ),
-    "chen": Person(  # bob, a print on chest and back
+    "chen": SyntheticPerson(  # bob, a print on chest and back
         103, (-0.2, -0.7, 0.0, 0.0, -0.4, 0.0, 0.2, -0.4, -0.3, 0.2),
         SKINS[1], HAIRS[0], IRISES[0],
         _fabric("print", (232, 176, 62), (34, 50, 92), (240, 236, 226)),
@@ -146,7 +146,7 @@ STUDY: Mapping[str, Person] = MappingProxyType({
         linear(176, 44, 48),
         Outfit(1.85, 0.13, 0.024, "trousers", 1.88, 0.018, "bob", 0.018),
     ),
-    "dalia": Person(  # a skirt, hair to the shoulder blades, a top of one colour
+    "dalia": SyntheticPerson(  # a skirt, hair to the shoulder blades, a top of one colour
         104, (0.3, -0.2, 0.6, 0.1, -0.6, 1.0, 1.0, -0.3, -0.5, 0.0),
         SKINS[0], HAIRS[3], IRISES[2],
         _fabric("smooth", (66, 140, 150)),
@@ -154,7 +154,7 @@ STUDY: Mapping[str, Person] = MappingProxyType({
         linear(60, 60, 68),
         Outfit(0.55, 0.035, 0.017, "skirt", 0.95, 0.26, "long", 0.019),
     ),
-    "edgar": Person(  # a cap, a heavy body, a white shirt without texture
+    "edgar": SyntheticPerson(  # a cap, a heavy body, a white shirt without texture
         105, (0.2, 1.3, -0.2, 0.0, 0.6, 0.4, 0.3, 1.3, 0.2, 0.0),
         SKINS[3], HAIRS[0], IRISES[3],
         _fabric("smooth", (226, 224, 218)),
@@ -162,14 +162,14 @@ STUDY: Mapping[str, Person] = MappingProxyType({
         Outfit(0.70, 0.17, 0.024, "shorts", 0.92, 0.022, "short", 0.012, cap=True),
         linear(176, 52, 46),
     ),
-    "fatou": Person(  # a wide bob, dots
+    "fatou": SyntheticPerson(  # a wide bob, dots
         106, (0.7, 0.1, 0.9, 0.5, 0.0, 0.5, 0.5, 0.0, 0.0, -0.2),
         SKINS[4], HAIRS[0], IRISES[3],
         _fabric("dots", (206, 96, 58), (244, 222, 176), (244, 222, 176), scale=0.052),
         _fabric("plain", (42, 46, 52), (70, 76, 84)), linear(232, 176, 62),
         Outfit(0.50, 0.09, 0.015, "trousers", 1.70, 0.024, "bob", 0.022),
     ),
-    "goran": Person(  # tall and thin, a loose pullover with a print, plaid shorts
+    "goran": SyntheticPerson(  # tall and thin, a loose pullover with a print, plaid shorts
         107, (1.3, -1.1, 0.4, 0.6, 0.3, -0.6, -0.4, -0.5, 0.2, 0.0),
         SKINS[2], HAIRS[4], IRISES[1],
         _fabric("print", (124, 150, 188), (236, 232, 224), (176, 44, 48)),

@@ -16,7 +16,7 @@ from gva_mi.synthetic.clothes.dressing import Worn, covered, dress
 from gva_mi.synthetic.clothes.folds import Crease, creases, lag
 from gva_mi.synthetic.clothes.level_sets import vertex_normals
 from gva_mi.synthetic.look import Look, Material
-from gva_mi.synthetic.people import Person
+from gva_mi.synthetic.people import SyntheticPerson
 from gva_mi.synthetic.rest_body import RestBody, face_landmarks, point
 
 if TYPE_CHECKING:
@@ -88,13 +88,13 @@ class Subject:
 
 
 def draw_subject(
-    body: BodyModel, who: int | Person, clothes: bool = True, hair: bool = True
+    body: BodyModel, who: int | SyntheticPerson, clothes: bool = True, hair: bool = True
 ) -> Subject:
     """Make the surface of a person, or of a seed's, on a body.
 
     Without clothes, a swimsuit is painted on the skin; without hair, the head is bald.
     """
-    person = who if isinstance(who, Person) else Person.draw(who, body.num_betas)
+    person = who if isinstance(who, SyntheticPerson) else SyntheticPerson.draw(who, body.num_betas)
     rng = np.random.default_rng([person.seed, 1])
     shape = Shape(torch.tensor(person.betas[: body.num_betas], dtype=torch.float32))
     rest = RestBody.of(body, shape)

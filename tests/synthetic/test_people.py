@@ -7,7 +7,7 @@ import pytest
 
 from gva_mi import InputError
 from gva_mi.synthetic import STUDY, SynthOptions
-from gva_mi.synthetic.people import Person
+from gva_mi.synthetic.people import SyntheticPerson
 
 
 def test_the_seven_subjects_differ_and_cover_the_hard_cases():
@@ -28,7 +28,7 @@ def test_a_foreign_outfit_differs_from_all_others(body):
         assert own.sole == 0 and own.bag == own.hood == "none"
         assert 0.01 <= worn.sole <= 0.05 and worn.flare <= 0.3
     again = SynthOptions(seed=9, outfit="foreign").person(body)
-    assert again.outfit == worn and again.betas == Person.draw(9, 10).betas
+    assert again.outfit == worn and again.betas == SyntheticPerson.draw(9, 10).betas
 
 
 def test_an_unknown_name_lists_the_known_ones():

@@ -14,11 +14,7 @@ from gva_mi.splat import Camera
 
 
 def load_cameras(path: Path) -> list[Camera]:
-    """Read ``cameras.npz``; one camera stands for all frames.
-
-    Raises:
-        InputError: a missing file or key, or a wrong shape.
-    """
+    """Read ``cameras.npz``; one camera stands for all frames."""
     data = read_arrays(path, "K, T_camera_world, width, height (.npz)")
     require_keys(path, data, ("K", "T_camera_world", "width", "height"))
     K, T = data["K"], data["T_camera_world"]

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from gva_mi.core.errors import MALFORMED, InputError, reason_of
-from gva_mi.data.pictures import require_size, size_of, turned
+from gva_mi.core.errors import InputError
+from gva_mi.data.pictures import decoding, open_film, require_size, size_of, turned
 
 KEPT = 1 << 27  # bytes of decoded pictures: 43 of 1920 x 1080 in 4:2:0
 
@@ -24,18 +25,14 @@ class Film(Sequence[np.ndarray]):
     """The pictures of a video file, each (H, W, 3) 8-bit, turned as its metadata say."""
 
     def __init__(self, path: Path, kept: int = KEPT) -> None:
-        """Decode all of it once; ``kept`` bytes of decoded pictures may stay in memory.
-
-        Raises:
-            InputError: it cannot be decoded, or holds no picture.
-        """
+        """Decode all of it once; ``kept`` bytes of decoded pictures may stay in memory."""
         self.path = Path(path)
         self.sizes: list[tuple[int, int]] = []  # (W, H) of each picture
         self._moments: list[int | None] = []
         self._keys: list[int] = []  # numbers of the key pictures
         self._at: tuple[int, Iterator[Any], Any] | None = None  # number of the next one
         self._near, self._kept = _Near(kept), kept
-        with self._open() as container:
+        with open_film(self.path) as container:
             for frame in self._decoded(container):
                 self._take(frame)
         if not self.sizes:
@@ -87,41 +84,21 @@ class Film(Sequence[np.ndarray]):
         known = {moment: k for k, moment in enumerate(self._moments)}
         moment = self._moments[index]
         if moment is not None and len(known) == len(self):
-            container = self._open()
+            container = open_film(self.path)
             container.seek(moment, stream=container.streams.video[0])
             frames = self._decoded(container)
             first = next(frames, None)
             number = None if first is None else known.get(first.pts)
             if number is not None and number <= index:
-                self._at = (number, _again(first, frames), container)
+                self._at = (number, chain([first], frames), container)
                 return
             container.close()
-        container = self._open()
+        container = open_film(self.path)
         self._at = (0, self._decoded(container), container)
 
-    def _open(self) -> Any:  # noqa: ANN401 (an import would cost everybody)
-        import av
-
-        try:
-            container = av.open(str(self.path))
-            stream = container.streams.video[0]
-            require_size(str(self.path), stream.width, stream.height)
-            return container
-        except InputError:
-            raise
-        except (*MALFORMED, av.FFmpegError, OSError, MemoryError) as error:
-            raise self._undecodable(error) from None
-
-    def _decoded(self, container: Any) -> Iterator[Any]:  # noqa: ANN401
-        import av
-
-        try:
+    def _decoded(self, container: Any) -> Iterator[Any]:  # noqa: ANN401 (an import costs everybody)
+        with decoding(self.path):
             yield from container.decode(video=0)
-        except (*MALFORMED, av.FFmpegError, OSError, MemoryError) as error:
-            raise self._undecodable(error) from None
-
-    def _undecodable(self, error: Exception) -> InputError:
-        return InputError(f"{self.path}: cannot be decoded as a video ({reason_of(error)})")
 
 
 class _Near:
@@ -136,7 +113,7 @@ class _Near:
     def __contains__(self, number: int) -> bool:
         return number in self._frames
 
-    def put(self, number: int, frame: Any) -> None:  # noqa: ANN401 (as _open)
+    def put(self, number: int, frame: Any) -> None:  # noqa: ANN401 (as _decoded)
         """Keep the next one, and drop the first ones where there is no room."""
         self._frames[number] = frame
         self._room -= _bytes_of(frame)
@@ -155,11 +132,5 @@ class _Near:
         return array.copy() if found is frame else array
 
 
-def _bytes_of(frame: Any) -> int:  # noqa: ANN401 (as _open)
+def _bytes_of(frame: Any) -> int:  # noqa: ANN401 (as _decoded)
     return sum(plane.buffer_size for plane in frame.planes)
-
-
-def _again(first: Any, frames: Iterator[Any]) -> Iterator[Any]:  # noqa: ANN401
-    """Put back the first of some frames."""
-    yield first
-    yield from frames

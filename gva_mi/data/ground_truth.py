@@ -43,9 +43,6 @@ def load_ground_truth(folder: Path, body: BodyModel) -> Truth:
     Args:
         folder: the video's folder ``truth``.
         body: the one that is fitted; also the one filmed where the folder holds no other.
-
-    Raises:
-        InputError: ``poses.npz`` is missing, or a file is not what it should be.
     """
     pose, shape = load_poses(Path(folder) / POSES)
     file = Path(folder) / BODY

@@ -21,11 +21,7 @@ from gva_mi.data.pictures import read_image
 
 
 def read_mask(folder: Path, index: int) -> np.ndarray | None:
-    """The mask of a frame, (H, W) float32 in [0, 1]; None where no file is there.
-
-    Raises:
-        InputError: it cannot be read, or holds something else.
-    """
+    """The mask of a frame, (H, W) float32 in [0, 1]; None where no file is there."""
     path = folder / f"{index:06d}.npy"
     if path.exists():
         mask = read_array(path)

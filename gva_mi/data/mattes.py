@@ -32,11 +32,7 @@ DARK = 64  # black, after JPEG
 
 
 def matte_of(where: str, image: Image.Image) -> np.ndarray:
-    """The mask (H, W) 8-bit, 255 inside, of an 8-bit picture; ``where`` names it in errors.
-
-    Raises:
-        InputError: it is in several colours.
-    """
+    """The mask (H, W) 8-bit, 255 inside, of an 8-bit picture; ``where`` names it in errors."""
     if image.mode in ("LA", "La", "RGBA", "RGBa", "PA") or (
         image.mode == "P" and "transparency" in image.info
     ):

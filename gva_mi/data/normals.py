@@ -63,9 +63,6 @@ class NormalMaps:
             folder: the subject's.
             frames: number of the video's frames.
             convention: how they were made; it overrides ``normals.json``.
-
-        Raises:
-            InputError: an unreadable ``normals.json``.
         """
         if not (folder / "normals").is_dir():
             return None
@@ -82,9 +79,6 @@ class NormalMaps:
             index: of the frame.
             camera: the frame's, for size and rays.
             part: rows and columns of the frame; all of them by default.
-
-        Raises:
-            InputError: the file cannot be read, or is not of the expected size.
         """
         stored, path = self._stored(index)
         if stored is None:

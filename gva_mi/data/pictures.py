@@ -40,9 +40,6 @@ def read_image(path: Path, channels: int) -> np.ndarray:
     Args:
         path: of the file.
         channels: 3 for RGB (H, W, 3), 4 for RGBA; 1 for a mask (H, W), 255 inside: :mod:`.mattes`.
-
-    Raises:
-        InputError: it cannot be read, or is no mask.
     """
     from PIL import ImageOps
 
@@ -65,11 +62,7 @@ def to_8_bits(image: Image.Image) -> Image.Image:
 
 @contextmanager
 def opened(path: Path) -> Iterator[Image.Image]:
-    """Open a picture of an acceptable size, whose pixels are not decoded yet.
-
-    Raises:
-        InputError: no such file, too large, or it cannot be decoded, here or within.
-    """
+    """Open a picture of an acceptable size, whose pixels are not decoded yet."""
     from PIL import Image
 
     if not Path(path).is_file():
@@ -110,11 +103,7 @@ def in_8_bits(image: np.ndarray) -> np.ndarray:
 
 
 def require_picture(path: Path, overwrite: bool) -> None:
-    """Check that a .png can be written, before the work whose result it shows.
-
-    Raises:
-        InputError: another suffix, a file that may not be replaced, or a read-only folder.
-    """
+    """Check that a .png can be written, before the work whose result it shows."""
     if path.suffix.lower() != ".png":
         raise InputError(f"{path}: a picture's name ends in .png")
     require_room(path, overwrite)
@@ -127,9 +116,6 @@ def read_background(name: str, width: int, height: int) -> np.ndarray:
         name: of a colour, such as "white" or "#ff8800"; or a picture file, which is scaled to cover
             the size, and cropped.
         width, height: pixels.
-
-    Raises:
-        InputError: it is neither.
     """
     from PIL import Image, ImageColor, ImageOps
 
@@ -145,28 +131,39 @@ def read_background(name: str, width: int, height: int) -> np.ndarray:
 
 
 def decoded(path: Path) -> Iterator[av.VideoFrame]:
-    """The frames of a film, one by one.
+    """The frames of a film, one by one."""
+    count = 0
+    with decoding(path), open_film(path) as container:
+        for frame in container.decode(video=0):
+            require_size(str(path), frame.width, frame.height)
+            yield frame
+            count += 1
+    if not count:
+        raise InputError(f"{path}: holds no picture")
 
-    Raises:
-        InputError: it cannot be decoded, holds no picture, or one that is too large.
-    """
+
+def open_film(path: Path) -> av.container.InputContainer:
+    """Open a film whose pictures have an acceptable size."""
     import av
 
-    count = 0
+    with decoding(path):
+        container = av.open(str(path))
+        stream = container.streams.video[0]
+        require_size(str(path), stream.width, stream.height)
+        return container
+
+
+@contextmanager
+def decoding(path: Path) -> Iterator[None]:
+    """Turn what goes wrong in decoding a film into one sentence."""
+    import av
+
     try:
-        with av.open(str(path)) as container:
-            stream = container.streams.video[0]
-            require_size(str(path), stream.width, stream.height)
-            for frame in container.decode(stream):
-                require_size(str(path), frame.width, frame.height)
-                yield frame
-                count += 1
+        yield
     except InputError:
         raise
     except (*MALFORMED, av.FFmpegError, OSError, MemoryError) as error:
         raise InputError(f"{path}: cannot be decoded as a video ({reason_of(error)})") from None
-    if not count:
-        raise InputError(f"{path}: holds no picture")
 
 
 def pixels_of(frame: av.VideoFrame, form: str) -> np.ndarray:
@@ -197,13 +194,10 @@ def steps_of(path: Path) -> tuple[np.ndarray, float]:
     """Seconds (T − 1,) between a film's pictures, and the length of one tick of its clock."""
     import av
 
-    try:
-        with av.open(str(path)) as container:
-            stream = container.streams.video[0]
-            moments = [packet.pts for packet in container.demux(stream) if packet.pts is not None]
-            tick = float(stream.time_base or 0)
-    except (*MALFORMED, av.FFmpegError, OSError, MemoryError) as error:
-        raise InputError(f"{path}: cannot be decoded as a video ({reason_of(error)})") from None
+    with decoding(path), av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        moments = [packet.pts for packet in container.demux(stream) if packet.pts is not None]
+        tick = float(stream.time_base or 0)
     return np.diff(np.sort(np.array(moments, np.float64))) * tick, tick
 
 

@@ -40,11 +40,7 @@ class Splits:
 
 
 def load_splits(folder: Path, frames: int) -> Splits:
-    """Read ``splits.json``; without it, every 8th frame is a test frame.
-
-    Raises:
-        InputError: unreadable, a frame that does not exist, or one in both lists.
-    """
+    """Read ``splits.json``; without it, every 8th frame is a test frame."""
     path = folder / "splits.json"
     if not path.exists():
         return Splits.every(TEST_EVERY, frames)

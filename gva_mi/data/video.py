@@ -141,11 +141,7 @@ class Video:
         return self.cameras[0].width, self.cameras[0].height
 
     def offsets_of(self, vertices: int) -> Tensor | None:
-        """The displacement of the rest surface of a body with so many vertices; None without one.
-
-        Raises:
-            InputError: it is of another number of vertices.
-        """
+        """The rest surface's displacement, for a body of so many vertices; None without one."""
         if self.offsets is not None and len(self.offsets) != vertices:
             raise InputError(
                 f"{self.folder}: its poses have 'offsets' {tuple(self.offsets.shape)}, expected "
@@ -189,9 +185,6 @@ def load_video(
         folder: in the format above.
         poses: another file of poses than ``folder/poses.npz``, such as the refined ones.
         normals: how the normals were made, overriding ``normals.json``; ``"none"`` ignores them.
-
-    Raises:
-        InputError: the first thing that cannot be used: file, key, frame, and the expected form.
     """
     folder = Path(folder)
     if not folder.is_dir():

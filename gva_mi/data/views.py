@@ -31,11 +31,7 @@ VIEWS, ABOUT = "views", "views.json"
 
 
 def held_out_views(video: Video) -> Video | None:
-    """What other cameras saw of a video, under its poses; None without such views.
-
-    Raises:
-        InputError: a file is missing, or is not what it should be.
-    """
+    """What other cameras saw of a video, under its poses; None without such views."""
     found = read_views(video.folder, len(video))
     if found is None:
         return None
@@ -52,9 +48,6 @@ def read_views(subject: Path, count: int) -> tuple[list[int], list[Camera]] | No
     Args:
         subject: its folder.
         count: number of the video's frames.
-
-    Raises:
-        InputError: a file is missing, or is not what it should be.
     """
     folder = subject / VIEWS
     if not folder.is_dir():

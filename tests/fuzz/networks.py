@@ -1,7 +1,4 @@
-"""Good files of networks that users bring, as in seeds.py.
-
-TorchScript is left out, because such a file is a program that its user has to trust.
-"""
+"""Good files of networks that users bring, as in seeds.py."""
 
 import runpy
 from pathlib import Path
@@ -10,9 +7,9 @@ import numpy as np
 import pytest
 
 from gva_mi.data.networks.normals import NormalNetwork, NormalsSpec
-from gva_mi.data.networks.sam_weights import load_network
+from gva_mi.data.networks.segment_anything import load_network
 
-THERE = Path(__file__).parents[1] / "data/networks"
+THERE = Path(__file__).parents[1] / "data"
 
 
 def networks():
@@ -42,8 +39,7 @@ def sam(folder):
 
 
 def onnx(folder):
-    tests = runpy.run_path(str(THERE / "test_normal_networks.py"))
-    tests["onnx_file"](folder / "a.onnx", (16, 16))
+    runpy.run_path(str(THERE / "conftest.py"))["onnx_file"](folder / "a.onnx", (16, 16))
 
 
 def read_onnx(folder, _=None):

@@ -21,7 +21,6 @@ from gva_mi.cli import series
 from gva_mi.core.files import json_equals, write_json
 from gva_mi.data.fingerprint import fingerprint, require_same_body
 from gva_mi.data.ground_truth import load_ground_truth
-from gva_mi.data.importers.capture import read_ranges
 from gva_mi.data.importers.footage import masks, pictures
 from gva_mi.data.importers.hdf5 import read_hdf5
 from gva_mi.data.importers.motions import MotionOptions, read_motion
@@ -217,10 +216,6 @@ def seeds(subject, avatar):
         each(folder, path, read)
         read_background(str(folder / "a.png"), 9, 9)
 
-    def ranges(folder):
-        text = "train:\n  start: 0\n  end: 2\n  skip: 1\ntest:\n  start: 3\n  end: 4\n"
-        (folder / "a.yaml").write_text(text)
-
     def hdf5(folder):
         import h5py
 
@@ -250,7 +245,6 @@ def seeds(subject, avatar):
         "body": (bodies, read_bodies),
         "motion": (motions, read_motions),
         "footage": (footage, read_footage),
-        "ranges": (ranges, lambda folder, _=None: read_ranges(folder / "a.yaml", 5)),
         "hdf5": (hdf5, read_arrays_of_hdf5),
     }  # fmt: skip
     return readers

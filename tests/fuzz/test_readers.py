@@ -22,7 +22,7 @@ from gva_mi.data.importers.estimators import KINDS
 from gva_mi.splat.formats import LOAD
 
 OURS = ("subject", "views", "film", "synth.json", "run", "study", "gaussians", "body", "motion",
-        "footage", "ranges", "hdf5")  # fmt: skip
+        "footage", "hdf5")  # fmt: skip
 ESTIMATORS = (
     "wham", "gvhmr", "4dhumans", "pymafx", "hybrik", "tram", "romp", "multihmr",
     "smplifyx", "smplerx", "osx", "smplestx", "parameters",

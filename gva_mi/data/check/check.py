@@ -30,9 +30,6 @@ def check_subject(
 
     Returns:
         The report, what was read, and what silhouettes show; None if no frame can be compared.
-
-    Raises:
-        InputError: there is no such folder, or nothing of a subject in it.
     """
     files = read_subject(Path(folder), poses, body, progress)
     report, shown = CheckReport(files.count, files.problems), None

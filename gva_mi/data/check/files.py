@@ -99,11 +99,7 @@ class SubjectFiles:
 def read_subject(
     folder: Path, poses: Path | None, body: BodyModel, progress: Progress | None
 ) -> SubjectFiles:
-    """Read a folder.
-
-    Raises:
-        InputError: there is no such folder, or nothing of a subject in it.
-    """
+    """Read a folder."""
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder; expected a subject's")
     parts = ("video.mp4", "frames", "masks", "cameras.npz", POSES)

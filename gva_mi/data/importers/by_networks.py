@@ -29,9 +29,6 @@ def write_masks(
     """Write ``masks/`` beside ``frames/``, each after the one before; return notes.
 
     A frame without a prompt gets no mask.
-
-    Raises:
-        InputError: no frame has a mask.
     """
     before: MaskGuess | None = None
     none, doubtful = [], []
@@ -66,9 +63,6 @@ def write_normals(
     """Write ``normals/`` and ``normals.json`` of a subject that has its masks; return notes.
 
     A map shows a part of the frame, which ``normals.json`` says, at the network's own resolution.
-
-    Raises:
-        InputError: the network fails, or its answer is of another form.
     """
     boxes, maps = [[0, 0, 1, 1]] * count, 0
     for k in range(count):

@@ -9,8 +9,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.data.importers import multi_view, one_camera
 from gva_mi.data.importers.capture import Capture
@@ -21,7 +19,7 @@ class DataSet:
     """How a data set's folder is recognised and read."""
 
     files: tuple[str, ...]  # all of them are there, each "a" or "a|b"
-    read: Callable[[str, Path, str | None, np.ndarray | None], Capture]
+    read: Callable[[str, Path, str | None], Capture]  # where, folder, camera
     expects: str  # for messages
 
     def recognises(self, folder: Path) -> bool:
@@ -61,16 +59,10 @@ def dataset_of(folder: Path) -> str | None:
     return next((kind for kind, record in DATASETS.items() if record.recognises(folder)), None)
 
 
-def read_dataset(
-    kind: str, folder: Path, camera: str | None, components: np.ndarray | None
-) -> Capture:
+def read_dataset(kind: str, folder: Path, camera: str | None) -> Capture:
     """A data set's people, pictures and masks, in the folder of one subject.
 
-    ``camera`` names the one that becomes the video; None: the first. ``components`` are the body
-    file's PCA of hands (2, K, 45).
-
-    Raises:
-        InputError: the folder is of another kind, or not of its form.
+    ``camera`` names the one that becomes the video; None: the first.
     """
     record = DATASETS[kind]
     if not record.recognises(folder):
@@ -78,4 +70,4 @@ def read_dataset(
             f"{folder}: not of the kind {kind}; expected a folder with {record.expects}"
         )
     with expecting(f"{folder} (of the kind {kind})", record.expects):
-        return record.read(str(folder), folder, camera, components)
+        return record.read(str(folder), folder, camera)

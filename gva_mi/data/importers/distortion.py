@@ -22,9 +22,6 @@ def undistort(
     """A function that undistorts a picture (H, W) or (H, W, C), 8-bit; None for a pinhole.
 
     ``coefficients`` are 4 or 5; all zero, or None: a pinhole. ``size`` is (W, H).
-
-    Raises:
-        InputError: another number of coefficients, or one that is not finite.
     """
     c = np.ravel(np.asarray(np.zeros(5) if coefficients is None else coefficients, np.float64))
     if len(c) not in (4, 5) or not np.isfinite(c).all():

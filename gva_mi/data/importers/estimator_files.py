@@ -37,11 +37,7 @@ Row = tuple[str, int, Mapping[str, Any]]  # person, frame, arrays of one frame
 
 
 def stacked(where: object, rows: Iterable[Row]) -> list[Person]:
-    """People of single frames; an array of one frame may have a leading axis of 1.
-
-    Raises:
-        InputError: an array is missing in some frames, or not of one shape.
-    """
+    """People of single frames; an array of one frame may have a leading axis of 1."""
     people: dict[str, list[tuple[int, Mapping[str, Any]]]] = {}
     for person, frame, arrays in rows:
         people.setdefault(person, []).append((frame, arrays))
@@ -99,11 +95,7 @@ def read_source(source: Path, expected: str = _EXPECTED) -> Any:  # noqa: ANN401
 
 
 def read_named(path: Path, expected: str) -> dict:
-    """What a file holds by name.
-
-    Raises:
-        InputError: nothing by name.
-    """
+    """What a file holds by name."""
     found = read_source(path, expected)
     if not isinstance(found, dict):
         raise InputError(f"{path}: holds nothing by name; expected {expected}")

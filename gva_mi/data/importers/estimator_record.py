@@ -56,8 +56,7 @@ class Estimator:
     world: World | None = None
     # Tracks of the camera in the world of its path; None where the file says no path.
     along_path: Callable[[Any, list[Track]], list[Track] | None] | None = None
-    far_size: Callable[[Any], Any] | None = None  # (W, H), where the assumed lens is far too long
-    needs_video: bool = False  # without the pictures' size nobody has a place
+    needs_video: bool = False  # places follow from an assumed lens: it is no motion on its own
 
     def tracks(self, where: str, found: Any, info: VideoInfo) -> list[Track]:  # noqa: ANN401
         """The people before the camera, frames ascending."""

@@ -36,11 +36,7 @@ _OF_MHR = {"mhr_model_params", "mhr_shape_params", "body_pose_params"}
 
 
 def read_estimator(kind: str, source: Path, info: VideoInfo) -> tuple[str, list[Track]]:
-    """The kind of a file or a folder (one of :data:`KINDS`, or "auto"), and a track a person.
-
-    Raises:
-        InputError: the source is of another kind, or of none that is known.
-    """
+    """The kind of a file or a folder (one of :data:`KINDS`, or "auto"), and a track a person."""
     found = files.read_source(source, "what a pose estimator wrote, a .pkl, .pt, .npy or .npz, or "
                               "its folder")  # fmt: skip
     if isinstance(found, np.ndarray) and not found.dtype.hasobject:
@@ -62,11 +58,7 @@ def kind_of(found: Any) -> str | None:  # noqa: ANN401
 
 
 def tracks_of(kind: str, source: Path, found: Any, info: VideoInfo) -> list[Track]:  # noqa: ANN401
-    """The people in what a file holds, or in a folder (its path), frames ascending.
-
-    Raises:
-        InputError: it is not of this kind, or not in its form.
-    """
+    """The people in what a file holds, or in a folder (its path), frames ascending."""
     record = KINDS[kind]
     if not record.recognises(found):
         raise InputError(f"{source}: not of the kind {kind}; expected {record.expects}")
@@ -75,11 +67,7 @@ def tracks_of(kind: str, source: Path, found: Any, info: VideoInfo) -> list[Trac
 
 
 def refuse_mhr(where: object, found: Any, deep: int = 4) -> None:  # noqa: ANN401
-    """Refuse by name the parameters of MHR, the body of SAM 3D Body, however deep they lie.
-
-    Raises:
-        InputError: they are of that body, which is not read.
-    """
+    """Refuse by name the parameters of MHR, the body of SAM 3D Body, however deep they lie."""
     if isinstance(found, np.ndarray):
         found = found.ravel()[:20].tolist() if found.dtype.hasobject else ()
     if isinstance(found, Mapping) and _OF_MHR & set(map(str, found)):
@@ -116,22 +104,6 @@ def _along_path(found: Path, tracks: list[Track]) -> list[Track] | None:
     return [track.seen_from(R[track.frames], T[track.frames]) for track in tracks]
 
 
-def _size_of_phalp(found: dict) -> Any:  # noqa: ANN401
-    sizes = (frame.get("size") for frame in found.values())
-    sizes = [np.reshape(size, (-1, 2))[0] for size in sizes if size is not None and np.size(size)]
-    return sizes[0][::-1] if sizes else None
-
-
-def _size_of_pymafx(found: dict) -> Any:  # noqa: ANN401
-    """Where a picture of width W is seen as s, PyMAF-X puts a person at z = 2 f / (s W)."""
-    if "orig_cam" not in found:
-        return None
-    seen = np.reshape(found["orig_cam"], (-1, 4))
-    depth = np.reshape(found["orig_cam_t"], (-1, 3))[:, 2]
-    width = float(np.median(2 * FAR_FOCAL / (seen[:, 0] * depth)))
-    return width, width * float(np.median(seen[:, 0] / seen[:, 1]))
-
-
 _MULTI_HMR_ANGLE = np.radians(60.0 / 2)  # half of what the longer side is seen under
 _PYMAFX = {  # the root stands before the body, and SMPL's mittens after it
     "global_orient": ("body_pose", slice(0, 1)), "body_pose": ("body_pose", slice(1, 22)),
@@ -165,18 +137,18 @@ KINDS: dict[str, Estimator] = {
         focal_of(lambda info: 5000 / 256 * max(info.size)),
         {"global_orient": "global_orient", "body_pose": "body_pose", "betas": "betas",
          "transl": "camera"},
-        far_size=_size_of_phalp,
+        needs_video=True,
     ),
     "pymafx": Estimator(
         "smplx_params, orig_cam_t and frame_ids",
         lambda x: holds(x, "smplx_params", "orig_cam_t", "frame_ids"), files.pymafx,
-        focal_of(lambda info: FAR_FOCAL), _PYMAFX, far_size=_size_of_pymafx,
+        focal_of(lambda info: FAR_FOCAL), _PYMAFX, needs_video=True,
     ),
     "hybrik": Estimator(
         "pred_thetas, pred_cam_root and bbox",
         lambda x: holds(x, "pred_thetas", "pred_cam_root", "bbox"), files.hybrik, lens_of_hybrik,
         {"pose": "pred_thetas", "transl": "pred_cam_root", "betas": "pred_betas"}, of_pelvis=True,
-        far_size=lambda x: [np.ravel(x[name])[0] for name in ("width", "height")],
+        needs_video=True,
     ),
     "tram": Estimator(
         "a folder with hps/hps_track_0.npy and camera.npy",

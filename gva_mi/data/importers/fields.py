@@ -58,9 +58,6 @@ def find_joints(
     """Find the joints of T frames, whatever their names.
 
     ``components`` are the body file's PCA of hands (2, K, 45), left before right.
-
-    Raises:
-        InputError: no known names; a shape that no body has; a latent code.
     """
     whole = next((name for name in WHOLE if name in found), None)
     if whole is not None:
@@ -117,11 +114,7 @@ def find_betas(where: str, found: Mapping[str, Any]) -> np.ndarray | None:
 
 
 def axis_angles(where: str, name: str, value: Any) -> np.ndarray:  # noqa: ANN401
-    """Rotations of any of the shapes above, as (T, J, 3) float64 axis-angle.
-
-    Raises:
-        InputError: another shape, or matrices that do not rotate.
-    """
+    """Rotations of any of the shapes above, as (T, J, 3) float64 axis-angle."""
     array = _numbers(where, name, value)
     if array.ndim < 2 or array.size == 0:
         raise InputError(f"{where}: '{name}' must be numbers (T, 3 J), got {array.shape}")
@@ -162,34 +155,20 @@ def _whole(where: str, name: str, value: Any) -> Joints:  # noqa: ANN401
 def _fingers(
     where: str, found: Mapping[str, Any], components: np.ndarray | None
 ) -> dict[str, np.ndarray]:
-    """The hands (T, 45) of those that are components of a PCA; nothing where none are."""
+    """Axis-angle (T, 45) of the hands that are components of a PCA (T, k), by their names."""
     fingers, rows = {}, np.shape(found["body_pose"])[:1]
     for side, name in enumerate(_HANDS):
         shape = np.shape(found.get(name))
-        if len(shape) == 2 and shape[:1] == rows and 0 < shape[1] < FINGERS:
-            fingers[name] = hand_angles(where, _numbers(where, name, found[name]), side, components)
+        if len(shape) != 2 or shape[:1] != rows or not 0 < shape[1] < FINGERS:
+            continue
+        if components is None or shape[1] > components.shape[1]:
+            raise InputError(
+                f"{where}: '{name}' must be (T, {FINGERS}), axis-angle; components of a PCA "
+                "need the body that they belong to: --body with the SMPL-X file whose "
+                f"hands_components they weigh; got {shape}"
+            )
+        fingers[name] = _numbers(where, name, found[name]) @ components[side, : shape[1]]
     return fingers
-
-
-def hand_angles(
-    where: str, hand: np.ndarray, side: int, components: np.ndarray | None
-) -> np.ndarray:
-    """Fingers (T, 45), axis-angle, of a hand that may be components of a PCA (T, k).
-
-    ``side`` is 0 for the left; ``components`` are (2, K, 45) of the body's file.
-
-    Raises:
-        InputError: no components are known, or fewer.
-    """
-    if hand.shape[1] == FINGERS:
-        return hand
-    if components is None or hand.shape[1] > components.shape[1]:
-        raise InputError(
-            f"{where}: '{_HANDS[side]}' must be (T, {FINGERS}), axis-angle; components of a PCA "
-            "need the body that they belong to: --body with the SMPL-X file whose "
-            f"hands_components they weigh; got {hand.shape}"
-        )
-    return hand @ components[side, : hand.shape[1]]
 
 
 def _parts(where: str, found: Mapping[str, Any], parts: Mapping[str, slice]) -> Joints:

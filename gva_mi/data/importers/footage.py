@@ -25,9 +25,6 @@ def pictures(source: Pictures, channels: int) -> Iterator[np.ndarray]:
     Args:
         source: files of a folder go by the last number in their names.
         channels: 3 for RGB (H, W, 3), 1 for masks (H, W), 8-bit: :mod:`gva_mi.data.mattes`.
-
-    Raises:
-        InputError: nothing is there, or it cannot be decoded.
     """
     files = files_of(source)
     if files is not None:
@@ -40,11 +37,7 @@ def pictures(source: Pictures, channels: int) -> Iterator[np.ndarray]:
 
 
 def files_of(source: Pictures) -> list[Path] | None:
-    """The files of pictures, by the last number in their names; None for a film.
-
-    Raises:
-        InputError: a folder holds none.
-    """
+    """The files of pictures, by the last number in their names; None for a film."""
     if isinstance(source, tuple):
         return list(source)
     if not source.is_dir():
@@ -65,9 +58,6 @@ def masks(source: Pictures) -> Iterator[np.ndarray]:
 
     A stack is a .npy, or ``masks`` in a .hdf5; a folder may hold a .npy (H, W) a frame. Values go
     from 0 to 1 where none is above 1; otherwise to 255, or to 65535 where an array has 16 bits.
-
-    Raises:
-        InputError: nothing is there, or it is of another form.
     """
     whole = isinstance(source, Path)
     if whole and source.suffix in SUFFIXES and source.is_file():

@@ -22,11 +22,7 @@ _LARGEST_CHUNK = 1 << 28  # bytes that one block may unfold to
 
 
 def read_hdf5(path: Path, name: str) -> np.ndarray:
-    """Read one array of numbers.
-
-    Raises:
-        InputError: no such file, no such array, or one that is refused.
-    """
+    """Read one array of numbers."""
     with _opened(path, name) as array:
         if array.size * array.dtype.itemsize > LARGEST:
             raise InputError(f"{path}: '{name}' {array.shape} is larger than {LARGEST >> 30} GiB")
@@ -34,11 +30,7 @@ def read_hdf5(path: Path, name: str) -> np.ndarray:
 
 
 def rows_of_hdf5(path: Path, name: str) -> Iterator[np.ndarray]:
-    """The rows of an array of three axes, one by one.
-
-    Raises:
-        InputError: as above; or the array has other axes.
-    """
+    """The rows of an array of three axes, one by one."""
     with _opened(path, name) as array:
         if array.ndim != 3:
             raise InputError(f"{path}: '{name}' must be (T, H, W), got {array.shape}")
@@ -75,13 +67,12 @@ def _array(path: Path, file: Any, name: str) -> Any:  # noqa: ANN401
     if name not in file.keys():
         names = ", ".join(sorted(file.keys())[:12]) or "nothing"
         raise InputError(f"{path}: has no array '{name}'; found: {names}")
-    if not isinstance(file.get(name, getlink=True), h5py.HardLink):
-        raise InputError(f"{path}: '{name}' is a link to somewhere else, which is not followed")
-    array = file[name]
-    if not isinstance(array, h5py.Dataset) or array.dtype.kind not in "biuf":
+    here = isinstance(file.get(name, getlink=True), h5py.HardLink)
+    array = file[name] if here else None
+    if here and (not isinstance(array, h5py.Dataset) or array.dtype.kind not in "biuf"):
         raise InputError(f"{path}: '{name}' must be an array of numbers")
-    if array.is_virtual or array.external:
-        raise InputError(f"{path}: '{name}' lies in other files, which are not read")
+    if not here or array.is_virtual or array.external:
+        raise InputError(f"{path}: '{name}' is a link, or lies in other files: these are not read")
     if array.compression not in _FILTERS:
         raise InputError(f"{path}: '{name}' is packed by a filter that is not known")
     block = np.prod(array.chunks or (0,), dtype=np.float64) * array.dtype.itemsize

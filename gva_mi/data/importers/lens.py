@@ -66,11 +66,7 @@ def centred(focal: float, size: tuple[int, int]) -> np.ndarray:
 
 
 def rescaled(where: str, K: np.ndarray, of: Sequence[float], size: tuple[int, int]) -> np.ndarray:
-    """K (..., 3, 3) of pictures of the size ``of`` (W, H), for pictures of ``size``.
-
-    Raises:
-        InputError: the two are of different proportions.
-    """
+    """K (..., 3, 3) of pictures of the size ``of`` (W, H), for pictures of ``size``."""
     factors = np.array(size, np.float64) / np.maximum(of, 1e-9)
     if not abs(factors[0] / factors[1] - 1) <= _SAME_SHAPE or min(of) < 1:
         raise InputError(
@@ -143,9 +139,6 @@ def asked_for(text: str, of_file: float | None, size: tuple[int, int]) -> float:
     """The focal length in pixels of a user's text: pixels, "26mm" of 35 mm film, or "recorded".
 
     ``of_file`` is what the video of ``size`` (W, H) records, in pixels.
-
-    Raises:
-        InputError: it is none of these, or the file records none.
     """
     if text == RECORDED and of_file is None:
         raise InputError(

@@ -23,11 +23,7 @@ def full_value(mask: np.ndarray) -> int:
 
 
 def to_8_bits(where: str, mask: np.ndarray, full: int) -> np.ndarray:
-    """A mask (H, W) of any numbers as 8 bits, 255 inside; ``full`` is the value fully inside.
-
-    Raises:
-        InputError: values beyond it, or NaN.
-    """
+    """A mask (H, W) of any numbers as 8 bits, 255 inside; ``full`` is the value fully inside."""
     low, high = (mask.min(), mask.max()) if mask.size else (0, 0)
     if not 0 <= low <= high <= full:  # NaN is neither
         raise InputError(
@@ -38,11 +34,7 @@ def to_8_bits(where: str, mask: np.ndarray, full: int) -> np.ndarray:
 
 
 def require_person(where: str, counts: np.ndarray) -> None:
-    """Refuse a video's masks if no pixel is inside, or all are; ``counts`` (256,) is of values.
-
-    Raises:
-        InputError: with the values, and what they may be.
-    """
+    """Refuse a video's masks if no pixel is inside, or all are; ``counts`` (256,) is of values."""
     values = np.flatnonzero(counts).tolist()
     if not values or values[0] <= BARELY < values[-1]:
         return

@@ -6,10 +6,8 @@ metres, or in centimetres with ``smpl_scaling``; a frame rate under several name
 were lost; angles of more than half a turn; and any axis may be up.
 
 What an estimator saw is a motion of the world where it found one, or where its camera's path is
-known; else of the camera's axes, and then the camera is taken to stand still. An estimator that
-assumes a lens far too long also makes depth, and steps toward the camera, too large by as much: a
-point (x, z) is seen at f x / z, so z f'/f before a lens f' shows the same. f' = √(W² + H²) is used,
-as WHAM does for an unknown lens.
+known; else of the camera's axes, and then the camera is taken to stand still. Estimators that
+assume a lens far too long are refused: their steps toward the camera are too large by as much.
 """
 
 from __future__ import annotations
@@ -81,9 +79,6 @@ def read_motion(path: Path, body: TargetBody, options: MotionOptions) -> Motion:
         body: whose pelvis stays in place when the world is turned upright, and whose hands
             components of a PCA weigh.
         options: as above.
-
-    Raises:
-        InputError: what the file lacks, or does not say.
     """
     where = str(path)
     track, rate, betas, notes = _read(path, body, options)
@@ -168,42 +163,19 @@ def _estimated(
     record = KINDS[kind]
     if record.needs_video:
         raise InputError(
-            f"{path}: written by {kind}, whose places follow from the size of the pictures, which "
-            f"it does not say; expected a motion in metres, or gva-mi prepare {kind} with its video"
+            f"{path}: written by {kind}, whose places follow from a lens that it assumed; expected "
+            f"a motion in metres, or gva-mi prepare {kind} with its video"
         )
     with expecting(f"{path} (of the kind {kind})", "a motion of one person at least"):
         tracks, axes = record.world_tracks(str(path), found, components), "in the axes of its world"
-        if not tracks:
-            size = record.far_size(found) if record.far_size else (1000, 1000)
-            if size is None or not all(0 < float(x) < 1e6 for x in size):
-                raise InputError(
-                    f"{path}: {kind} says no size of its pictures, which depth follows from"
-                )
-            size = round(float(size[0])), round(float(size[1]))
-            tracks = tracks_of(kind, path, found, VideoInfo(size, 1.0, components))
-            tracks, axes = _before_camera(kind, found, tracks, size)
+        if not tracks:  # the camera's K, and so the size of its pictures, says nothing of places
+            tracks = tracks_of(kind, path, found, VideoInfo((1000, 1000), 1.0, components))
+            placed = record.along_path(found, tracks) if record.along_path else None
+            standing = "in the axes of the camera, which is taken to stand still"
+            axes = standing if placed is None else "in the world of its camera's path"
+            tracks = tracks if placed is None else placed
         track, notes = choose(str(path), tracks, person, None)
     return track, [f"{kind}, {axes}", *notes]
-
-
-def _before_camera(
-    kind: str,
-    found: Any,  # noqa: ANN401
-    tracks: list[Track],
-    size: tuple[int, int],
-) -> tuple[list[Track], str]:
-    """Tracks along the camera's path, or at the depth of a usual lens, and what they are."""
-    record, stands = KINDS[kind], "in the axes of the camera, which is taken to stand still"
-    if record.along_path and (placed := record.along_path(found, tracks)) is not None:
-        return placed, "in the world of its camera's path"
-    if record.far_size is None:
-        return tracks, stands
-    focal, nearer = np.hypot(*size), []
-    for track in tracks:
-        scale = np.stack([np.ones(len(track.frames))] * 2 + [focal / track.K[:, 0, 0]], 1)
-        transl = (track.transl + track.pelvis) * scale - track.pelvis
-        nearer.append(replace(track, transl=transl))
-    return nearer, f"{stands}; depth as before a lens of {focal:.0f} px"
 
 
 def _timeline(where: str, track: Track) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -32,7 +32,6 @@ from gva_mi.core.errors import InputError
 from gva_mi.core.files import read_arrays, read_json
 from gva_mi.data.importers.capture import Capture, FixedCamera
 from gva_mi.data.importers.estimator_files import read_source
-from gva_mi.data.importers.fields import hand_angles
 from gva_mi.data.importers.footage import files_of
 from gva_mi.data.importers.numbering import number_in
 from gva_mi.data.importers.rotations import compose, to_matrices
@@ -47,11 +46,12 @@ _MATRIX = re.compile(
     r"data: *\[([^\]]*)\]",
     re.M,
 )
+_FORMS = {69: "SMPL", 72: "SMPL", 156: "SMPL+H", 165: "SMPL-X"}  # by the numbers of a pose
 _JSON = "what the data set holds there"
 Cameras = Mapping[str, Callable[[], FixedCamera]]
 
 
-def zju(where: str, folder: Path, camera: str | None, components: np.ndarray | None) -> Capture:
+def zju(where: str, folder: Path, camera: str | None) -> Capture:
     found = read_source(folder / "annots.npy", "cams and ims, as ZJU-MoCap has them")
     cameras = {
         str(k): partial(_zju_camera, folder, found, k) for k in range(len(found["cams"]["K"]))
@@ -62,7 +62,7 @@ def zju(where: str, folder: Path, camera: str | None, components: np.ndarray | N
         read_source(params / f"{_zju_number(path)}.npy", "poses, shapes, Rh and Th of a frame")
         for path in own.frames.values()
     ]
-    track = _turned_about_origin(where, "0", np.arange(len(people)), people, own, None)
+    track = _turned_about_origin(where, "0", np.arange(len(people)), people, own)
     numbers = list(own.frames)
     return replace(_among([track], name, own, cameras, numbers), labels=True)
 
@@ -107,9 +107,7 @@ def _inside(folder: Path, name: object) -> str:
     return str(path)
 
 
-def easymocap(
-    where: str, folder: Path, camera: str | None, components: np.ndarray | None
-) -> Capture:
+def easymocap(where: str, folder: Path, camera: str | None) -> Capture:
     inner, outer = (_yaml(folder / name) for name in ("intri.yml", "extri.yml"))
     names = [key[2:] for key in inner if key.startswith("K_")]
     cameras = {name: partial(_easymocap_camera, folder, inner, outer, name) for name in names}
@@ -128,7 +126,7 @@ def easymocap(
     tracks = [
         _turned_about_origin(
             f"{params}: person {person}", person, np.array([k for k, _ in seen]),
-            [found for _, found in seen], own, components,
+            [found for _, found in seen], own,
         )
         for person, seen in people.items()
         if seen
@@ -158,62 +156,26 @@ def _turned_about_origin(
     frames: np.ndarray,
     each: Sequence[Mapping[str, Any]],
     own: FixedCamera,
-    components: np.ndarray | None,
 ) -> Track:
     """EasyMocap's parameters, of SMPL, SMPL+H or SMPL-X, as the camera ``own`` sees them."""
     rows = lambda name: np.stack([np.ravel(np.asarray(p[name], np.float64)) for p in each])
     poses, turns, places = rows("poses"), rows("Rh"), rows("Th")
-    hands = [rows(name) for name in ("handl", "handr") if all(name in p for p in each)]
-    poses, form = _easymocaps_poses(where, poses, hands, "expression" in each[0], components)
+    form = _FORMS.get(poses.shape[1])
+    if form is None or "handl" in each[0]:
+        raise InputError(
+            f"{where}: 'poses' has {poses.shape[1]} numbers a frame; expected SMPL's 72 or 69, "
+            "SMPL+H's 156 or SMPL-X's 165, joint by joint and not hands as PCA"
+        )
+    if poses.shape[1] == 69:  # without the root
+        poses = np.concatenate([np.zeros((len(poses), 3)), poses], axis=1)
     poses[:, :3] = compose(turns, poses[:, :3])
     pelvis = np.array(PELVIS[form])
     transl = to_matrices(turns) @ pelvis + places - pelvis
     given = {"poses": poses, "transl": transl, "betas": rows("shapes")}
-    track = make_track(where, person, frames, given, own.K).seen_from(own.R, own.T)
-    return replace(track, from_mean_hand=bool(hands))
+    return make_track(where, person, frames, given, own.K).seen_from(own.R, own.T)
 
 
-def _easymocaps_poses(
-    where: str,
-    poses: np.ndarray,
-    hands: Sequence[np.ndarray],
-    has_face: bool,
-    components: np.ndarray | None,
-) -> tuple[np.ndarray, str]:
-    """Poses (n, 72, 156 or 165) and their body, by how many numbers the files hold.
-
-    ==============================  ==========================================================
-    69, 72                          SMPL without or with the root
-    78, 87: 66 + 6 + 6 (+ 9)        SMPL+H, SMPL-X: components of the hands, relative to the
-                                    flat one, and jaw and eyes
-    156, 165                        the same bodies, joint by joint
-    63, 66 with ``handl, handr``    SMPL+H, or SMPL-X where there is an ``expression``: hands
-                                    relative to the mean one
-    ==============================  ==========================================================
-    """
-    count = poses.shape[1]
-    if count in (63, 69):
-        poses = np.concatenate([np.zeros((len(poses), 3)), poses], axis=1)
-    body, face = poses[:, :66], np.zeros((len(poses), 9 if has_face or count in (87, 165) else 0))
-    if count in (69, 72):
-        return poses, "SMPL"
-    if count in (78, 87):
-        hands, face = (poses[:, 66:72], poses[:, 72:78]), poses[:, 78:]
-    elif count in (156, 165):
-        return poses, "SMPL-X" if count == 165 else "SMPL+H"
-    elif count not in (63, 66) or len(hands) != 2:
-        raise InputError(
-            f"{where}: 'poses' has {count} numbers a frame; expected SMPL's 72 or 69, SMPL+H's 78 "
-            "or 156, SMPL-X's 87 or 165, or 66 beside handl and handr"
-        )
-    fingers = [hand_angles(where, hand, side, components) for side, hand in enumerate(hands)]
-    whole = np.concatenate([body, face, *fingers], axis=1)
-    return whole, "SMPL-X" if face.shape[1] else "SMPL+H"
-
-
-def avatarrex(
-    where: str, folder: Path, camera: str | None, components: np.ndarray | None
-) -> Capture:
+def avatarrex(where: str, folder: Path, camera: str | None) -> Capture:
     about = read_json(folder / "calibration_full.json", _JSON)
     cameras = {key: partial(_avatarrex_camera, folder, key, lens) for key, lens in about.items()}
     name, own = _chosen(folder, cameras, camera)

@@ -29,9 +29,6 @@ def maps_of(folder: Path, frames: Pictures, count: int, loose: bool) -> dict[int
 
     The subject's frames are the first ``count`` of ``frames``; with ``loose``, maps of no frame are
     passed over.
-
-    Raises:
-        InputError: there is none, two are of one frame, or one is of none.
     """
     kinds = (*PICTURES, ".npy")
     paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in kinds)
@@ -69,10 +66,6 @@ def write_maps(
     """Write ``normals/`` and ``normals.json`` of a subject's folder with masks; return notes.
 
     ``straight`` takes the lens's distortion out of an 8-bit picture; None: a pinhole.
-
-    Raises:
-        InputError: one is unreadable or of another size; all inside the masks are no directions, or
-            look away from the camera.
     """
     for k, path in sorted(maps.items()):
         stored = _read(path, cameras[k])

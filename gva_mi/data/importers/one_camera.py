@@ -42,7 +42,7 @@ FILMS = (".mp4", ".mov", ".avi", ".mkv")
 _EXAVATAR = ("smplx_optimized/smplx_params_smoothed", "smplx_optimized/smplx_params")
 
 
-def snapshot(where: str, folder: Path, camera: str | None, components: None) -> Capture:
+def snapshot(where: str, folder: Path, camera: str | None) -> Capture:
     films = sorted(path for path in folder.iterdir() if path.suffix.lower() in FILMS)
     if len(films) != 1:
         raise InputError(f"{folder}: holds {len(films)} films; expected one, such as a .mp4")
@@ -55,7 +55,7 @@ def snapshot(where: str, folder: Path, camera: str | None, components: None) -> 
     return Capture([track], films[0], folder / "masks.hdf5", k, loose=True)
 
 
-def instantavatar(where: str, folder: Path, camera: str | None, components: None) -> Capture:
+def instantavatar(where: str, folder: Path, camera: str | None) -> Capture:
     path = folder / "cameras.npz"
     lens = read_arrays(path, "intrinsic and extrinsic")
     require_keys(path, lens, ("intrinsic", "extrinsic"))
@@ -69,7 +69,7 @@ def instantavatar(where: str, folder: Path, camera: str | None, components: None
     return Capture([track], images, folder / "masks", loose=True)
 
 
-def exavatar(where: str, folder: Path, camera: str | None, components: None) -> Capture:
+def exavatar(where: str, folder: Path, camera: str | None) -> Capture:
     poses = next((folder / name for name in _EXAVATAR if (folder / name).is_dir()), None)
     if poses is None:
         raise InputError(f"{folder}: has none of {', '.join(_EXAVATAR)}, with a .json a frame")

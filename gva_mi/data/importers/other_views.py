@@ -26,11 +26,7 @@ ALL = "all"  # in the place of names
 
 
 def known_names(where: str, capture: Capture, names: Sequence[str]) -> list[str]:
-    """The names of the cameras that ``names`` hold out; "all" is every other camera.
-
-    Raises:
-        InputError: there is no such camera.
-    """
+    """The names of the cameras that ``names`` hold out; "all" is every other camera."""
     there = capture.others
     names = list(there) if list(names) == [ALL] and there else list(names)
     for name in names:
@@ -59,9 +55,6 @@ def write_views(
         frames: of the video, that may be seen.
         each: at most so many of them by each camera, evenly spaced.
         upright: (4, 4) W.
-
-    Raises:
-        InputError: none has a picture and a mask of such a frame.
     """
     T_video = np.linalg.inv(_extrinsic(capture.own)) @ upright
     shown: list[tuple[int, str, Camera]] = []  # frame, name and camera of each picture

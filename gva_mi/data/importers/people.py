@@ -38,9 +38,6 @@ def choose(
         person: the estimator's name of one of them.
         votes: joints (n, 2) of each track inside the masks and outside, called only where masks
             decide. Where nobody lies in them, the person who is seen in most frames is taken.
-
-    Raises:
-        InputError: there is nobody, or nobody of that name.
     """
     if not tracks:
         raise InputError(f"{where}: holds nobody; expected one person at least")

@@ -25,7 +25,7 @@ from gva_mi.core.files import write_json
 from gva_mi.core.provenance import versions
 from gva_mi.data.fingerprint import PREPARED, fingerprint
 from gva_mi.data.importers.by_networks import write_masks, write_normals
-from gva_mi.data.importers.capture import Capture, read_ranges
+from gva_mi.data.importers.capture import Capture
 from gva_mi.data.importers.datasets import DATASETS, dataset_of, read_dataset
 from gva_mi.data.importers.distortion import undistort
 from gva_mi.data.importers.estimator_record import VideoInfo
@@ -65,9 +65,6 @@ def prepare_folder(
         options: as above.
         body: that the poses are for.
         progress: called after each picture.
-
-    Raises:
-        InputError: what does not fit together: counts, sizes, people.
     """
     where = str(source)
     mask_network, normal_network = options.networks()
@@ -86,9 +83,8 @@ def prepare_folder(
     if capture.loose and (track.frames >= count).any():
         notes.append(f"{len(track.frames)} poses, but {count} pictures with masks")
         track = track.where(track.frames < count)
-    splits = read_ranges(options.splits, count) if options.splits else capture.splits
-    if splits is not None:
-        write_json(out / "splits.json", vars(splits))
+    if capture.splits is not None:
+        write_json(out / "splits.json", vars(capture.splits))
     track, inside, more = every_frame(where, track, count)
     for k in np.flatnonzero(~inside):  # without a mask, a frame belongs to no split
         (out / "masks" / f"{k:06d}.png").unlink(missing_ok=True)
@@ -125,7 +121,7 @@ def _capture(
     if kind in DATASETS and options.lens is not None:
         raise InputError(f"prepare: --lens is for pose estimators; {kind} knows its cameras")
     if kind in DATASETS:
-        capture = read_dataset(kind, source, options.camera, components)
+        capture = read_dataset(kind, source, options.camera)
     else:
         capture = Capture([], options.frames, None)
     masks = None if options.sam_checkpoint else options.masks or capture.masks

@@ -9,8 +9,7 @@ from typing import Annotated, get_args
 from gva_mi.core.errors import InputError
 from gva_mi.core.options import Within, require_ranges
 from gva_mi.data.networks.normals import NormalNetwork, NormalsSpec
-from gva_mi.data.networks.sam_weights import GET
-from gva_mi.data.networks.segment_anything import SegmentAnything
+from gva_mi.data.networks.segment_anything import GET, SegmentAnything
 from gva_mi.data.normals import Convention
 
 SAM = Path("sam")  # in the place of masks
@@ -45,15 +44,13 @@ class PrepareOptions:
     views: tuple[str, ...] = ()
     # Of the video, by each of these cameras, evenly spaced.
     view_frames: Annotated[int, Within(1, 100_000)] = 8
-    # A file of train and test ranges, such as InstantAvatar's confs/dataset/*.yaml.
-    splits: Path | None = None
     sam_checkpoint: Path | None = None  # of Segment Anything or SAM 2, a folder; it makes the masks
-    # A folder of maps, one a frame by the last number in its name; or a network: .pt (TorchScript,
-    # a program that will run) or .onnx, that takes (1, 3, h, w) and answers likewise.
+    # A folder of maps, one a frame by the last number in its name; or a network, .onnx, that takes
+    # (1, 3, h, w) and answers likewise.
     normals: Path | None = None
     # Axes and view of the maps, or of the network's answer; icon: cut out.
     normals_convention: Convention | None = None
-    # Pixels that the network is shown, if an .onnx does not say.
+    # Pixels that the network is shown, if its file does not say.
     normals_size: tuple[Side, Side] = NormalsSpec.size
     normals_mean: tuple[Colour, Colour, Colour] = NormalsSpec.mean  # rgb in [0, 1], subtracted
     normals_std: tuple[Spread, Spread, Spread] = NormalsSpec.std  # then it is divided by this

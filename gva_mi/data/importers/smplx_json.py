@@ -59,11 +59,7 @@ def osx(where: str, found: Path) -> list[Person]:
 
 
 def parameters(where: Path, params: Mapping[str, Any] | None = None) -> dict[str, np.ndarray]:
-    """A frame's parameters by SMPL-X's names, each flat; of the file itself without ``params``.
-
-    Raises:
-        InputError: no place of the person, or numbers that are none.
-    """
+    """A frame's parameters by SMPL-X's names, each flat; of the file itself without ``params``."""
     params = read_json(where, _EXPECTED) if params is None else params
     row = {
         NAMES[key]: np.ravel(np.asarray(value, np.float64))

@@ -27,11 +27,7 @@ class TargetBody:
 
     @staticmethod
     def read(path: Path | None) -> TargetBody:
-        """Read a body's file; the built-in body for the word ``puppet``, or for None.
-
-        Raises:
-            InputError: as :func:`gva_mi.body.smplx.load_body`.
-        """
+        """Read a body's file; the built-in body for the word ``puppet``, or for None."""
         path = path or BUILT_IN_BODY
         arrays = read_body(body_file(path))
         hands = [arrays.get(f"hands_mean{side}", np.zeros(45)) for side in "lr"]

@@ -90,9 +90,6 @@ def make_track(
         K: (3, 3) or (n, 3, 3) pixels.
         components: (2, K, 45) PCA of hands of the body's file.
         of_pelvis: the translation is where the pelvis is, not the offset of the body's origin.
-
-    Raises:
-        InputError: arrays of another form, or of another number of frames.
     """
     joints = find_joints(where, found, components)
     frames = np.arange(len(joints.rotations)) if frames is None else frames
@@ -118,9 +115,6 @@ def every_frame(where: str, track: Track, count: int) -> tuple[Track, np.ndarray
     Returns:
         The track at frames 0 to ``count`` − 1, held before the first known frame and after the
         last; (count,) whether a frame lies between these; and notes.
-
-    Raises:
-        InputError: a frame that the video does not have, or no frame of finite numbers.
     """
     outside = track.frames[(track.frames < 0) | (track.frames >= count)]
     if len(outside):

@@ -10,6 +10,9 @@ makes a fourth guess. The guess with the largest sum of these scores is taken:
 * the overlap with the mask of the frame before, where there is one.
 
 By the first score alone, a sleeve or a face would often win.
+
+Weights are a folder as ``transformers`` saves it, such as ``facebook/sam2.1-hiera-tiny`` of the
+Hugging Face hub: ``config.json`` and ``model.safetensors``, which holds arrays alone.
 """
 
 from __future__ import annotations
@@ -20,8 +23,15 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from gva_mi.core.errors import InputError
+from gva_mi.core.files import read_json
 from gva_mi.data.networks.crop import CropBox
-from gva_mi.data.networks.sam_weights import load_network
+
+GET = (
+    "a folder as transformers saves it (config.json, model.safetensors), such as "
+    "facebook/sam-vit-base or facebook/sam2.1-hiera-tiny of the Hugging Face hub"
+)
+MODELS = {"sam": "SamModel", "sam2": "Sam2Model", "sam2_video": "Sam2Model"}  # by config.json
 
 MARGIN = 0.15  # of the box's longer side, on each side: shown to the network around the person
 _MEAN, _STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # of the pictures it was trained on
@@ -70,7 +80,7 @@ class SegmentAnything:
 
     @staticmethod
     def load(path: Path) -> SegmentAnything:
-        """Load a checkpoint: :mod:`.sam_weights`."""
+        """Load a checkpoint, a folder as the module's docstring says."""
         return SegmentAnything(load_network(path))
 
     @torch.inference_mode()
@@ -107,6 +117,34 @@ class SegmentAnything:
             multimask_output=last is None,
         )
         return found.pred_masks[0, 0], found.iou_scores[0, 0]
+
+
+def load_network(path: Path) -> torch.nn.Module:
+    """Read a checkpoint's network, ready to be called."""
+    if not path.is_dir():
+        what = "is a file" if path.exists() else "no such checkpoint of Segment Anything"
+        raise InputError(f"{path}: {what}; expected {GET}")
+    try:
+        import transformers
+    except ModuleNotFoundError:
+        raise InputError(
+            f"{path}: masks by Segment Anything need the package transformers; "
+            "pip install 'gva_mi[sam]'"
+        ) from None
+    transformers.utils.logging.set_verbosity_error()
+    transformers.utils.logging.disable_progress_bar()
+    about = read_json(path / "config.json", GET)
+    kind = about.get("model_type") if isinstance(about, dict) else None
+    if not isinstance(kind, str) or kind not in MODELS:
+        raise InputError(f"{path}: holds a network of the kind {kind}; expected {GET}")
+    try:
+        network = getattr(transformers, MODELS[kind]).from_pretrained(
+            path, local_files_only=True, use_safetensors=True, dtype=torch.float32
+        )
+    except Exception as error:  # noqa: BLE001 (safetensors and transformers have their own)
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{path}: cannot be read ({reason:.120}); expected {GET}") from None
+    return network.eval().requires_grad_(False)
 
 
 def _agreement(inside: torch.Tensor, crop: CropBox, prompt: Prompt) -> float:

@@ -13,10 +13,16 @@ from gva_mi.data.pictures import write_image
 from gva_mi.data.video import load_video
 
 spec = importlib.util.spec_from_file_location("filmed", Path(__file__).with_name("filmed.py"))
-filmed = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(filmed)
+data_sets = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(data_sets)
 
-WIDTH, HEIGHT, FRAMES = filmed.WIDTH, filmed.HEIGHT, filmed.FRAMES
+WIDTH, HEIGHT, FRAMES = data_sets.WIDTH, data_sets.HEIGHT, data_sets.FRAMES
+
+
+@pytest.fixture(scope="session")
+def filmed():
+    """The module filmed.py."""
+    return data_sets
 
 
 @pytest.fixture(scope="session")
@@ -46,7 +52,7 @@ def seen(walk):
 
 
 @pytest.fixture
-def world(seen):
+def world(seen, filmed):
     """In a world that TURN and MOVE take to the camera: roots (T, 3) and pelvises (T, 3)."""
     rotations, places = seen
     R = filmed.matrices(filmed.TURN)
@@ -61,7 +67,7 @@ def thetas(seen, world):
 
 
 @pytest.fixture
-def prepared(tmp_path, cli):
+def prepared(tmp_path, cli, filmed):
     """Prepare a data set for the puppet: the subject's folder, and what was said."""
 
     def run(source, *more, kind="auto"):

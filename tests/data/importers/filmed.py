@@ -1,14 +1,25 @@
-"""Where the camera of the data sets stood, and what it saw: numbers that several files of tests
-share."""
+"""Data sets of a few frames: where their cameras stood, and folders in their form.
+
+``thetas`` are SMPL's poses (T, 72) and ``pelvises`` (T, 3) the places, in a world that TURN and
+MOVE take to the camera.
+"""
+
+import json
+import pickle
 
 import numpy as np
 import roma
 import torch
 
+from gva_mi.data.pictures import write_image, write_movie
+
 WIDTH, HEIGHT, FRAMES = 64, 48, 5
 SMPL, SMPLX = np.array([-0.0018, -0.2233, 0.0282]), np.array([0.0031, -0.3514, 0.0120])  # pelvises
 K = np.array([[70.0, 0, 33], [0, 72, 23], [0, 0, 1]])
 TURN, MOVE = np.array([0.1, -0.4, 0.05]), np.array([0.2, 0.1, 0.5])  # x_cam = R(TURN) x + MOVE
+OTHER_K = np.array([[90.0, 0, 30], [0, 95, 27], [0, 0, 1]])  # of a second camera
+OTHER_TURN, OTHER_MOVE = np.array([-0.2, 1.1, 0.3]), np.array([-0.4, 0.2, 1.0])
+HALF = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])  # OpenCV's first pixel is centred at 0
 BUILT_IN_BODY = ("--body", "puppet")
 MASK = np.zeros((HEIGHT, WIDTH), np.uint8)
 MASK[10:40, 20:40] = 255
@@ -25,3 +36,80 @@ def vectors(R):
 def shots():
     random = np.random.default_rng(0)
     return [random.integers(0, 255, (HEIGHT, WIDTH, 3), dtype=np.uint8) for _ in range(FRAMES)]
+
+
+def about_origin(thetas, pelvises, pelvis=SMPL):
+    """EasyMocap's Rh and Th: the body turns about the origin and not about its pelvis."""
+    return thetas[:, :3], pelvises - np.einsum("nij,j->ni", matrices(thetas[:, :3]), pelvis)
+
+
+def snapshot(folder, thetas, pelvises):
+    """People-Snapshot: a film, masks and poses in HDF5, a pickle of Python 2 with the camera."""
+    import h5py
+
+    folder.mkdir()
+    write_movie(folder / "male-3-casual.mp4", shots())
+    with h5py.File(folder / "masks.hdf5", "w") as file:
+        masks = file.create_dataset(
+            "masks", (FRAMES, HEIGHT, WIDTH), "b", chunks=True, compression="lzf"
+        )
+        masks[:] = MASK > 0
+    with h5py.File(folder / "reconstructed_poses.hdf5", "w") as file:
+        for name, x in (("pose", thetas), ("trans", pelvises - SMPL), ("betas", np.zeros(10))):
+            file.create_dataset(name, data=x.astype("f4"), chunks=True, compression="lzf")
+    camera = {
+        "camera_t": MOVE, "camera_rt": TURN, "camera_f": K[[0, 1], [0, 1]], "camera_c": K[:2, 2],
+        "camera_k": np.zeros(5), "width": WIDTH, "height": HEIGHT,
+    }  # fmt: skip
+    (folder / "camera.pkl").write_bytes(pickle.dumps(camera, protocol=2))
+    return folder
+
+
+def zju(folder, thetas, pelvises, *, stem="{:06d}", first=0, cameras=(1,), D=0, images=None):
+    """ZJU-MoCap: camera B1 stands at TURN and MOVE, B2 elsewhere; masks are parts by number."""
+    Rh, Th = about_origin(thetas, pelvises)
+    (folder / "params").mkdir(parents=True)
+    ims = []
+    for k, shot in enumerate(images or shots()):
+        name = stem.format(k + first)
+        ims.append({"ims": [f"Camera_B{c}/{name}.png" for c in cameras]})
+        for c in cameras:
+            write_image(folder / f"Camera_B{c}/{name}.png", shot // c)
+            mask = np.roll(MASK // 255 * 13, 8 * (c == 2 and k > 0), 1)
+            write_image(folder / f"mask/Camera_B{c}/{name}.png", mask)
+        params = {"poses": np.concatenate([np.zeros(3), thetas[k, 3:]])[None], "Rh": Rh[k : k + 1],
+                  "Th": Th[k : k + 1], "shapes": np.zeros((1, 10))}  # fmt: skip
+        np.save(folder / f"params/{k + first}.npy", params)
+    of = {1: (K, TURN, MOVE), 2: (OTHER_K, OTHER_TURN, OTHER_MOVE)}
+    cams = {
+        "K": [of[c][0] - HALF for c in cameras], "D": [np.zeros((5, 1)) + D] * len(cameras),
+        "R": [matrices(of[c][1]) @ (np.eye(3) + 1e-4) for c in cameras],  # digits were lost
+        "T": [1000 * of[c][2][:, None] for c in cameras],
+    }  # fmt: skip
+    np.save(folder / "annots.npy", {"cams": cams, "ims": ims})
+    return folder
+
+
+def yaml(path, **matrices_):
+    text = '%YAML:1.0\r\n---\r\nnames:\r\n  - "2"\r\n  - "1"\r\n'
+    for name, x in matrices_.items():
+        x = np.atleast_2d(x)
+        text += f"{name}: !!opencv-matrix\r\n  rows: {x.shape[0]}\r\n  cols: {x.shape[1]}\r\n"
+        text += f"  dt: d\r\n  data: [{', '.join(f'{v:.9f}' for v in x.ravel())}]\r\n"
+    path.write_text(text)
+
+
+def easymocap(folder, people, *, under="smpl", wrap=lambda person: [person]):
+    """EasyMocap: camera 1, and a file of one person a frame; ``people`` are Rh, Th and poses."""
+    for k, (shot, (Rh, Th, poses)) in enumerate(
+        zip(shots(), zip(*people, strict=True), strict=True)
+    ):
+        write_image(folder / f"images/1/{k:06d}.jpg", shot)
+        write_image(folder / f"mask/1/{k:06d}.png", MASK)
+        person = {"id": 4, "Rh": [Rh.tolist()], "Th": [Th.tolist()], "shapes": [[0.0] * 10],
+                  "poses": [poses.tolist()]}  # fmt: skip
+        (folder / under).mkdir(parents=True, exist_ok=True)
+        (folder / under / f"{k:06d}.json").write_text(json.dumps(wrap(person)))
+    yaml(folder / "intri.yml", K_1=K - HALF, dist_1=np.zeros(5))
+    yaml(folder / "extri.yml", Rot_1=matrices(TURN), T_1=MOVE[:, None])
+    return folder

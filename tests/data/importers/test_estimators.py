@@ -1,7 +1,9 @@
 """Files in exactly the form of each estimator: the person stands where the file says."""
 
+import json
 import pickle
 import re
+from functools import partial
 
 import numpy as np
 import pytest
@@ -18,10 +20,18 @@ from gva_mi.data.importers.people import follow
 WIDTH, HEIGHT, FRAMES = 64, 48, 5
 SMPL, SMPLX = np.array([-0.0018, -0.2233, 0.0282]), np.array([0.0031, -0.3514, 0.0120])
 CENTRED = lambda f: np.array([[f, 0, WIDTH / 2], [0, f, HEIGHT / 2], [0, 0, 1]])
+LENSES = np.array([  # another one a frame, as of networks that look at a box
+    [[300.0 + 10 * k, 0, 30 + k], [0, 310 + 10 * k, 25 - k], [0, 0, 1]] for k in range(FRAMES)
+])  # fmt: skip
+VIDEO = VideoInfo((WIDTH, HEIGHT))
 
 
 def matrices(rotations):
     return roma.rotvec_to_rotmat(torch.as_tensor(rotations, dtype=torch.float64)).numpy()
+
+
+def tensor(x):
+    return torch.as_tensor(x, dtype=torch.float32)
 
 
 def of_smpl(rotations):
@@ -33,40 +43,66 @@ def flat(rotations, part):
     return rotations[:, part].reshape(len(rotations), -1)
 
 
-@pytest.fixture
-def prepared(tmp_path, cli, footage):
-    """Run the command on a source; returns the folder and what was said."""
-
-    def run(source, *more, kind="auto"):
-        given = [*footage[2:], *more] if "--body" in more else [*footage, *more]
-        code, said, err = cli("prepare", kind, source, tmp_path / "s", *given)
-        assert code == 0, err
-        return tmp_path / "s", said
-
-    return run
-
-
-@pytest.fixture
-def refused(tmp_path, cli, footage):
-    def run(words, source, *more, kind="auto"):
-        code, _, err = cli("prepare", kind, source, tmp_path / "s", *footage, *more)
-        assert code == 2 and re.search(words, err) and err.count("\n") <= 2, err
-        assert not (tmp_path / "s").exists()
-
-    return run
-
-
 def dumped(path, value):
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(pickle.dumps(value))
     return path
 
 
-def test_pymaf_x_writes_batches_of_matrices(tmp_path, seen, prepared, stands):
-    rotations, transl = seen
+def written(path, value):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(value))
+
+
+def with_mean_hands(rotations):
+    with np.load(BUILT_IN_BODY) as body:
+        mean = np.concatenate([body["hands_meanl"], body["hands_meanr"]]).reshape(30, 3)
+    rotations = rotations.copy()
+    rotations[:, 25:] += mean
+    rotations[:, 23:25] = 0  # no eyes
+    return rotations
+
+
+# Each writes a source, and returns it with what is reported, the lens, the pelvises of the person,
+# and, where they differ from 22 of ``seen``, rotations, the number of joints, and options.
+
+
+def wham(folder, rotations, transl):
+    person = {
+        "pose": of_smpl(rotations).reshape(-1, 72), "trans": transl,
+        "betas": np.zeros((FRAMES, 10)), "verts": np.zeros((FRAMES, 6890, 3), "f4"),
+        "frame_ids": np.arange(FRAMES),
+    }  # fmt: skip
+    source = dumped(folder / "wham_output.pkl", {np.int64(0): person})
+    return source, "wham, SMPL", CENTRED(np.hypot(WIDTH, HEIGHT)), SMPL + transl
+
+
+def gvhmr(folder, rotations, transl):
+    person = {"global_orient": tensor(rotations[:, 0]), "transl": tensor(transl),
+              "body_pose": tensor(flat(rotations, slice(1, 22))),
+              "betas": torch.linspace(0, 1, FRAMES)[:, None].repeat(1, 10)}  # fmt: skip
+    K = tensor(CENTRED(70)).repeat(FRAMES, 1, 1)
+    found = {"smpl_params_global": person, "smpl_params_incam": person, "K_fullimg": K}
+    torch.save(found, folder / "hmr4d_results.pt")
+    return folder / "hmr4d_results.pt", "gvhmr, SMPL-X", CENTRED(70), SMPLX + transl
+
+
+def four_d_humans(folder, rotations, transl):
+    R, found = matrices(rotations), {}
+    for k in range(FRAMES):
+        body = np.concatenate([R[k, 1:22], np.eye(3)[None].repeat(2, 0)])
+        smpl = {"global_orient": R[k, :1], "body_pose": body, "betas": np.zeros(10, "f4")}
+        found[f"img/{k:06d}.jpg"] = {
+            "tid": [2, 9], "tracked_ids": [2], "smpl": [smpl, smpl], "time": k,
+            "camera": [transl[k], transl[k]], "size": [[HEIGHT, WIDTH]] * 2, "mask": [],
+        }  # fmt: skip
+    source = dumped(folder / "PHALP.pkl", found)
+    return source, "4dhumans, SMPL", CENTRED(5000 / 256 * WIDTH), SMPL + transl
+
+
+def pymafx(folder, rotations, transl):
     R = matrices(rotations)
     body = np.concatenate([R[:, :22], np.eye(3) + np.zeros((FRAMES, 2, 3, 3))], axis=1)
-    tensor = lambda x: torch.as_tensor(x, dtype=torch.float32)
     batch = lambda rows: {
         "shape": torch.zeros(len(rows), 10), "body_pose": tensor(body[rows]),
         "left_hand_pose": tensor(R[rows, 25:40]), "right_hand_pose": tensor(R[rows, 40:]),
@@ -74,23 +110,17 @@ def test_pymaf_x_writes_batches_of_matrices(tmp_path, seen, prepared, stands):
         "reye_pose": tensor(R[rows, 24:25]), "expression": torch.zeros(len(rows), 10),
     }  # fmt: skip
     output = {
-        "pred_cam": np.ones((FRAMES, 3)), "orig_cam": np.ones((FRAMES, 4)), "orig_cam_t": transl,
-        "pose": np.zeros((FRAMES, 72)), "betas": np.zeros((FRAMES, 10)),
-        "bboxes": np.zeros((FRAMES, 4)), "frame_ids": np.arange(FRAMES),
+        "orig_cam": np.ones((FRAMES, 4)), "orig_cam_t": transl, "frame_ids": np.arange(FRAMES),
         "person_ids": ["p0"] * FRAMES, "smplx_params": [batch([0, 1, 2]), batch([3, 4])],
     }  # fmt: skip
-    folder, said = prepared(dumped(tmp_path / "output.pkl", output))
-    assert "pymafx, SMPL-X" in said and "no hands" not in said
-    stands(folder, rotations, SMPLX + transl, CENTRED(5000), joints=55)
-    output["smplx_params"] = output["smplx_params"][:1]
+    short = dumped(folder / "short.pkl", output | {"smplx_params": output["smplx_params"][:1]})
     with pytest.raises(InputError, match="'body_pose' has 3 rows for 5 frame_ids"):
-        path = dumped(tmp_path / "output.pkl", output)
-        read_estimator("pymafx", path, VideoInfo((WIDTH, HEIGHT)))
+        read_estimator("pymafx", short, VIDEO)
+    source = dumped(folder / "output.pkl", output)
+    return source, "pymafx, SMPL-X", CENTRED(5000), SMPLX + transl, rotations, 55
 
 
-@pytest.mark.parametrize("joints", [24, 55])
-def test_hybrik_has_a_lens_for_each_box(tmp_path, seen, prepared, stands, joints):
-    rotations, transl = seen
+def hybrik(folder, rotations, transl, joints=24):
     angles = of_smpl(rotations) if joints == 24 else rotations
     wide = np.array([20.0, 24, 28, 32, 36])
     res = {
@@ -100,34 +130,30 @@ def test_hybrik_has_a_lens_for_each_box(tmp_path, seen, prepared, stands, joints
         "height": np.full(FRAMES, 2 * HEIGHT), "width": np.full(FRAMES, 2 * WIDTH),
         "img_path": np.array([f"raw_images/walk-2_{k + 1:06d}.png" for k in range(FRAMES)]),
     }  # fmt: skip
-    folder, said = prepared(dumped(tmp_path / "res.pk", res), "--first", 1)
-    assert f"hybrik, {'SMPL' if joints == 24 else 'SMPL-X'}, 5 frames" in said
     K = np.stack([CENTRED(1000 / 256 * w / 2) for w in wide])
-    stands(folder, rotations, transl, K, joints=22 if joints == 24 else 55)
+    form, joints = ("SMPL", 22) if joints == 24 else ("SMPL-X", 55)
+    source = dumped(folder / "res.pk", res)
+    return source, f"hybrik, {form}, 5 frames", K, transl, rotations, joints, "--first", 1
 
 
-def test_tram_writes_tensors_and_its_camera_above(tmp_path, seen, prepared, refused, stands):
-    rotations, transl = seen
+def tram(folder, rotations, transl):
     track = {
         "pred_cam": torch.zeros(FRAMES, 3), "pred_pose": torch.zeros(FRAMES, 144),
         "pred_shape": torch.zeros(FRAMES, 10), "frame": torch.arange(FRAMES),
-        "pred_rotmat": torch.as_tensor(matrices(of_smpl(rotations)), dtype=torch.float32),
-        "pred_trans": torch.as_tensor(transl[:, None], dtype=torch.float32),
+        "pred_rotmat": tensor(matrices(of_smpl(rotations))), "pred_trans": tensor(transl[:, None]),
     }  # fmt: skip
-    (tmp_path / "run/hps").mkdir(parents=True)
-    np.save(tmp_path / "run/hps/hps_track_0.npy", track)
-    refused("camera.npy: no such file; expected img_focal", tmp_path / "run")
+    (folder / "run/hps").mkdir(parents=True)
+    np.save(folder / "run/hps/hps_track_0.npy", track)
+    with pytest.raises(InputError, match="camera.npy: no such file; expected img_focal"):
+        read_estimator("auto", folder / "run", VIDEO)
     camera = {"pred_cam_R": np.eye(3), "img_focal": 70.0, "img_center": np.array([30.0, 25.0])}
-    np.save(tmp_path / "run/camera.npy", camera)
-    folder, said = prepared(tmp_path / "run")
-    assert "tram, SMPL" in said
+    np.save(folder / "run/camera.npy", camera)
     K = np.array([[70, 0, 30], [0, 70, 25], [0, 0, 1.0]])
-    stands(folder, rotations, SMPL + transl, K)
+    return folder / "run", "tram, SMPL", K, SMPL + transl
 
 
-@pytest.mark.parametrize("form", ["frames", "video", "bev"])
-def test_romp_and_bev_write_objects_in_npz(tmp_path, seen, prepared, stands, form):
-    rotations, transl = seen
+def romp(folder, rotations, transl, form):
+    """ROMP's files a frame, its results of a video with tracks, or BEV's files."""
     thetas, results = of_smpl(rotations).reshape(FRAMES, 72), {}
     hips = np.array([0.0, -0.09, -0.01])
     for k in range(FRAMES):
@@ -138,49 +164,38 @@ def test_romp_and_bev_write_objects_in_npz(tmp_path, seen, prepared, stands, for
         results[f"{k:08d}"] = {
             "smpl_thetas": pick(np.stack([thetas[k], 0 * thetas[k]])).astype("f4"),
             "smpl_betas": np.zeros((2, 11 if form == "bev" else 10), "f4"),
-            "cam": np.ones((2, 3), "f4"), "cam_trans": pick(pair).astype("f4"),
-            "center_confs": np.ones(2, "f4"),
-        }  # fmt: skip
-        if form == "video":
-            results[f"{k:08d}"]["track_ids"] = pick(np.array([3, 8]))
-    (tmp_path / "out").mkdir()
-    for name, result in results.items():
+            "cam_trans": pick(pair).astype("f4"),
+        } | ({"track_ids": pick(np.array([3, 8]))} if form == "video" else {})  # fmt: skip
+    (folder / "out").mkdir()
+    for name, result in results.items() if form != "video" else ():
         name += "__2_0.1" if form == "bev" else ""
-        if form != "video":
-            np.savez(tmp_path / f"out/{name}.npz", results=result)
+        np.savez(folder / f"out/{name}.npz", results=result)
     if form == "video":
         named = {f"{name}.png": result for name, result in results.items()}
-        np.savez(tmp_path / "out/video_results.npz", results=named, sequence_results={})
-    person = "3" if form == "video" else "0"
-    folder, said = prepared(tmp_path / "out", "--person", person)
-    assert "romp, SMPL" in said
-    K = CENTRED(443.4 / 512 * WIDTH)
-    stands(folder, rotations, SMPL + transl, K)
+        np.savez(folder / "out/video_results.npz", results=named, sequence_results={})
+    K, person = CENTRED(443.4 / 512 * WIDTH), "3" if form == "video" else "0"
+    return folder / "out", "romp, SMPL", K, SMPL + transl, rotations, 22, "--person", person
 
 
-def test_multi_hmr_writes_lists_of_people(tmp_path, seen, prepared, stands):
-    rotations, places = seen
+def multihmr(folder, rotations, places):
     order = [*range(22), *range(25, 55), 22]
     for k in range(FRAMES):
-        tensor = lambda x: torch.as_tensor(x, dtype=torch.float32)
         person = {
-            "scores": torch.tensor(0.9), "loc": torch.zeros(2), "transl": torch.zeros(3),
+            "scores": torch.tensor(0.9), "transl": torch.zeros(3), "shape": torch.zeros(10),
             "transl_pelvis": tensor(places[k][None]), "rotvec": tensor(rotations[k, order]),
-            "expression": torch.zeros(10), "shape": torch.zeros(10),
         }  # fmt: skip
         far = person | {"transl_pelvis": tensor(places[k][None] + 3), "rotvec": torch.zeros(53, 3)}
-        people = [person] if k == 0 else [far, person]
-        dumped(tmp_path / f"out/frame_{k}.pkl", people)
-    folder, said = prepared(tmp_path / "out")
-    assert "multihmr, SMPL-X" in said and "person 0, " in said
+        dumped(folder / f"out/frame_{k}.pkl", [person] if k == 0 else [far, person])
     rotations = rotations.copy()
     rotations[:, 23:25] = 0  # it has no eyes
     K = CENTRED(WIDTH / 2 / np.tan(np.pi / 6))
-    stands(folder, rotations, places, K, joints=55)
+    return folder / "out", "multihmr, SMPL-X", K, places, rotations, 55, "--person", "0"
 
 
-def smplify_x(folder, seen, hands, body=None):
-    rotations, transl = seen
+def smplifyx(folder, rotations, transl, components=0, body=None):
+    """Fingers are axis-angle, or so many components of the PCA of a body's file."""
+    random = np.random.default_rng(0)
+    hands = [random.normal(0, 0.3, (FRAMES, components or 45)) for _ in "lr"]
     for k in range(FRAMES):
         row = lambda part, k=k: rotations[k, part].reshape(1, -1).astype("f4")
         result = {
@@ -191,135 +206,206 @@ def smplify_x(folder, seen, hands, body=None):
             "jaw_pose": row(slice(22, 23)), "leye_pose": row(slice(23, 24)),
             "reye_pose": row(slice(24, 25)), "expression": np.zeros((1, 10), "f4"),
         }  # fmt: skip
-        dumped(folder / f"results/img_{k:04d}/000.pkl", result)
-    return folder
-
-
-@pytest.mark.parametrize("count", [6, 12])
-def test_smplify_x_bends_fingers_by_components(tmp_path, seen, prepared, refused, stands, count):
-    rotations, transl = seen
-    random = np.random.default_rng(0)
-    hands = [random.normal(0, 0.3, (FRAMES, count)) for _ in "lr"]
-    out = smplify_x(tmp_path / "out", seen, hands)
-    refused(r"'left_hand_pose' must be \(T, 45\).*--body with the SMPL-X file.*\(5, ", out)
+        dumped(folder / f"out/results/img_{k:04d}/000.pkl", result)
+    if not components:
+        return folder / "out", "", CENTRED(90), SMPLX + transl, rotations, 22, "--focal", 90
+    with pytest.raises(InputError, match=r"must be \(T, 45\).*--body with the SMPL-X file.*\(5, "):
+        read_estimator("auto", folder / "out", VIDEO)
     with np.load(BUILT_IN_BODY) as file:
-        body = dict(file)
-    np.savez(tmp_path / "body.npz", **body)
-    folder, said = prepared(out, "--body", tmp_path / "body.npz")
-    assert "smplifyx, SMPL-X" in said
-    fingers = [c @ body[f"hands_components{s}"][:count] + body[f"hands_mean{s}"]
+        arrays = dict(file)
+    np.savez(folder / "body.npz", **arrays)
+    fingers = [c @ arrays[f"hands_components{s}"][:components] + arrays[f"hands_mean{s}"]
                for c, s in zip(hands, "lr", strict=True)]  # fmt: skip
     rotations = rotations.copy()
     rotations[:, 25:] = np.concatenate(fingers, axis=1).reshape(FRAMES, 30, 3)
-    stands(folder, rotations, SMPLX + transl, CENTRED(5000), joints=55)
+    given = (rotations, 55, "--body", folder / "body.npz")
+    return folder / "out", "smplifyx, SMPL-X", CENTRED(5000), SMPLX + transl, *given
 
 
-def test_smplify_x_takes_another_lens_and_no_latent_code(tmp_path, seen, prepared, refused, stands):
-    rotations, transl = seen
-    hands = [flat(rotations, slice(25, 40)), flat(rotations, slice(40, 55))]
-    out = smplify_x(tmp_path / "out", seen, hands)
-    refused("--focal must be a number above 0 .* pixels, got -1", out, "--focal", -1)
-    folder, _ = prepared(out, "--focal", 90)
-    stands(folder, rotations, SMPLX + transl, CENTRED(90))
-    latent = smplify_x(tmp_path / "latent", seen, hands, body=np.zeros((1, 32), "f4"))
-    with pytest.raises(InputError, match="latent code of VPoser"):
-        read_estimator("auto", latent, VideoInfo((WIDTH, HEIGHT)))
+def smplerx(folder, rotations, transl):
+    (folder / "run/smplx").mkdir(parents=True)
+    for k in range(FRAMES):
+        name, r = f"{k + 1:05}_0", rotations[k]
+        np.savez(
+            folder / f"run/smplx/{name}.npz", global_orient=r[:1], body_pose=r[1:22],
+            left_hand_pose=r[25:40], right_hand_pose=r[40:], jaw_pose=r[22:23],
+            leye_pose=np.zeros((1, 3)), reye_pose=np.zeros((1, 3)), betas=np.zeros((1, 10)),
+            expression=np.zeros((1, 10)), transl=transl[k : k + 1],
+        )  # fmt: skip
+        meta = {"focal": [80.0, 80.0], "princpt": [WIDTH / 2, HEIGHT / 2], "bbox": [0, 0, 9, 9]}
+        written(folder / f"run/meta/{name}.json", meta)
+    given = (with_mean_hands(rotations), 55, "--first", 1)
+    return folder / "run", "smplerx, SMPL-X", CENTRED(80), SMPLX + transl, *given
 
 
-def parameters(seen, **more):
-    rotations, transl = seen
+def frame_of_osx(rotations, transl, fork=False):
+    flat = lambda part: rotations[part].ravel().tolist()
+    left, right = ("left_hand_pose", "right_hand_pose") if fork else ("lhand_pose", "rhand_pose")
+    return {
+        "root_pose": flat(slice(0, 1)), "body_pose": flat(slice(1, 22)), left: flat(slice(25, 40)),
+        right: flat(slice(40, 55)), "jaw_pose": flat(slice(22, 23)),
+        "betas" if fork else "shape": [0.0] * 10, "expression" if fork else "expr": [0.0] * 10,
+        "translation" if fork else "trans": np.asarray(transl).tolist(),
+    }  # fmt: skip
+
+
+def osx(folder, rotations, transl):
+    """In every second frame somebody else comes first, who is farther away and aside."""
+    for k, K in enumerate(LENSES):
+        cam = {"focal": [K[0, 0], K[1, 1]], "princpt": [K[0, 2], K[1, 2]]}
+        people = [frame_of_osx(rotations[k], transl[k])]
+        if k % 2:
+            people.insert(0, frame_of_osx(rotations[k], transl[k] + (2.0, 0.0, 3.0)))
+        for i, person in enumerate(people):
+            written(folder / f"o/{k}_{i}.json", {"smplx_param": person, "cam_param": cam})
+    expected = SMPLX + transl, with_mean_hands(rotations), 55
+    return folder / "o", "osx, SMPL-X, 5 frames of 64x48", LENSES, *expected
+
+
+def fork_of_smplest_x(folder, rotations, transl):
+    """A run a picture, named by it, and a folder a person."""
+    for k, K in enumerate(LENSES):
+        run = folder / f"o/inference_output_20250604_20374{k}_frame{k}/person_0"
+        person = frame_of_osx(rotations[k], transl[k], fork=True)
+        written(run / "smplx_params_person_0.json", person | {"mesh": [[0.0, 0.0, 0.0]]})
+        written(run / "smplx_shapes_person_0.json", {"bbox_id": 0})
+        camera = {"focal_length": [K[0, 0], K[1, 1]], "principal_point": [K[0, 2], K[1, 2]]}
+        written(run / "camera_metadata.json", camera | {"camera_translation": [0, 0, 0]})
+    return folder / "o", "osx, SMPL-X", LENSES, SMPLX + transl, with_mean_hands(rotations), 55
+
+
+def named(rotations, transl, **more):
     return {
         "global_orient": flat(rotations, slice(0, 1)), "body_pose": flat(rotations, slice(1, 22)),
         "transl": transl, "betas": np.zeros((1, 10)),
     } | more  # fmt: skip
 
 
-def test_parameters_in_one_file(tmp_path, seen, prepared, refused, stands):
-    """smpl_params.npz of AnimatableGaussians has these names; the lens is in the file or given."""
-    rotations, transl = seen
+def parameters(folder, rotations, transl):
+    """smpl_params.npz of AnimatableGaussians has these names; the lens is given."""
     hands = {"left_hand_pose": flat(rotations, slice(25, 40)), "expression": np.zeros((FRAMES, 10)),
              "right_hand_pose": flat(rotations, slice(40, 55)),
              "jaw_pose": flat(rotations, slice(22, 23))}  # fmt: skip
-    np.savez(tmp_path / "smpl_params.npz", **parameters(seen, **hands))
-    refused("says no camera.*give --focal", tmp_path / "smpl_params.npz")
-    folder, said = prepared(tmp_path / "smpl_params.npz", "--focal", 70)
-    assert "parameters, SMPL-X" in said
-    stands(folder, rotations, SMPLX + transl, CENTRED(70), joints=23)
-    np.savez(tmp_path / "no.npz", **{k: x for k, x in parameters(seen).items() if k != "transl"})
-    with pytest.raises(InputError, match=r"no translation; expected transl \(T, 3\)"):
-        read_estimator("auto", tmp_path / "no.npz", VideoInfo((WIDTH, HEIGHT), 70))
+    np.savez(folder / "p.npz", **named(rotations, transl, **hands))
+    given = (rotations, 23, "--focal", 70)
+    return folder / "p.npz", "parameters, SMPL-X", CENTRED(70), SMPLX + transl, *given
 
 
-def test_parameters_a_file_a_frame_as_matrices(tmp_path, seen, prepared, stands):
+def parameters_a_frame(folder, rotations, transl):
     """AGORA's form: each (1, J, 3, 3)."""
-    rotations, transl = seen
     R = matrices(rotations)
     for k in range(FRAMES):
         frame = {
             "global_orient": R[k : k + 1, :1], "body_pose": R[k : k + 1, 1:22],
             "left_hand_pose": R[k : k + 1, 25:40], "right_hand_pose": R[k : k + 1, 40:],
             "transl": transl[k : k + 1], "betas": np.zeros((1, 10)), "gender": "neutral",
-            "K": CENTRED(60 + k),
+            "K": LENSES[k],
         }  # fmt: skip
-        dumped(tmp_path / f"agora/{k}.pkl", frame)
-    folder, _ = prepared(tmp_path / "agora")
+        dumped(folder / f"agora/{k}.pkl", frame)
     rotations = rotations.copy()
     rotations[:, 22:25] = 0
-    K = np.stack([CENTRED(60 + k) for k in range(FRAMES)])
-    stands(folder, rotations, SMPLX + transl, K, joints=55)
+    return folder / "agora", "parameters", LENSES, SMPLX + transl, rotations, 55
 
 
-def test_parameters_of_smpl_with_the_root_repeated(tmp_path, seen, prepared, stands):
-    rotations, transl = seen
+def parameters_of_smpl(folder, rotations, transl):
+    """The root is repeated in the body's pose."""
     body = of_smpl(rotations).reshape(FRAMES, 72)
-    np.savez(tmp_path / "p.npz", **parameters(seen, body_pose=body, focal=np.array(70.0)))
-    folder, said = prepared(tmp_path / "p.npz")
-    assert "parameters, SMPL, " in said
-    stands(folder, rotations, SMPL + transl, CENTRED(70))
+    np.savez(folder / "p.npz", **named(rotations, transl, body_pose=body, focal=np.array(70.0)))
+    return folder / "p.npz", "parameters, SMPL, ", CENTRED(70), SMPL + transl
 
 
-@pytest.mark.parametrize("name, key", [("transl", "body_scale"), ("translation", "scale")])
-def test_a_scaled_body_comes_nearer_instead(tmp_path, seen, prepared, stands, name, key):
+def scaled(folder, rotations, transl, name, key):
     """THuman's form, x = s b + t: it looks the same as b + t / s."""
-    rotations, transl = seen
-    given = parameters(seen, K=CENTRED(70))
+    given = named(rotations, transl, K=CENTRED(70))
     given.pop("transl")
-    np.savez(tmp_path / "p.npz", **given, **{name: transl * 1.25, key: np.array([1.25])})
-    folder, _ = prepared(tmp_path / "p.npz")
-    stands(folder, rotations, SMPLX + transl, CENTRED(70))
+    np.savez(folder / "p.npz", **given, **{name: transl * 1.25, key: np.array([1.25])})
+    return folder / "p.npz", "parameters", CENTRED(70), SMPLX + transl
 
 
-def test_arrays_without_names_and_other_bodies_are_refused(tmp_path, refused):
+WRITTEN = {f.__name__: f for f in (
+    wham, gvhmr, four_d_humans, pymafx, hybrik, tram, multihmr, smplifyx, smplerx, osx,
+    fork_of_smplest_x, parameters, parameters_a_frame, parameters_of_smpl,
+)} | {f"romp {form}": partial(romp, form=form) for form in ("frames", "video", "bev")} | {
+    "hybrik of SMPL-X": partial(hybrik, joints=55),
+    "smplifyx with PCA": partial(smplifyx, components=12),
+    "body_scale": partial(scaled, name="transl", key="body_scale"),
+    "scale": partial(scaled, name="translation", key="scale"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", WRITTEN)
+def test_the_person_stands_where_the_estimator_saw_them(name, tmp_path, cli, seen, footage, stands):
+    source, words, K, places, *more = WRITTEN[name](tmp_path, *seen)
+    rotations, joints, *given = more or (seen[0], 22)
+    footage = footage if "--body" not in given else footage[2:]
+    code, said, err = cli("prepare", "auto", source, tmp_path / "s", *footage, *given)
+    assert code == 0 and words in said, err
+    stands(tmp_path / "s", rotations, places, K, joints)
+
+
+@pytest.fixture
+def refused(tmp_path, cli, footage):
+    def run(words, source, *more):
+        code, _, err = cli("prepare", "auto", source, tmp_path / "s", *footage, *more)
+        assert code == 2 and re.search(words, err) and err.count("\n") <= 2, err
+        assert not (tmp_path / "s").exists()
+
+    return run
+
+
+def test_frames_that_start_at_one_need_first(tmp_path, seen, refused):
+    source, *_ = smplerx(tmp_path, *seen)
+    refused("has frame 5, but the video has frames 0 to 4; --first", source)
+
+
+def test_missing_or_encoded_parameters_are_named(tmp_path, seen):
+    def refused(words, source, kind="auto", **info):
+        with pytest.raises(InputError, match=words) as error:
+            read_estimator(kind, source, VideoInfo((WIDTH, HEIGHT), **info))
+        assert "\n" not in str(error.value)
+
+    rotations, transl = seen
+    np.savez(tmp_path / "p.npz", **named(*seen))
+    refused("says no camera.*give --focal", tmp_path / "p.npz")
+    np.savez(tmp_path / "no.npz", **{k: x for k, x in named(*seen).items() if k != "transl"})
+    refused(r"no translation; expected transl \(T, 3\)", tmp_path / "no.npz", focal=70)
+    latent, *_ = smplifyx(tmp_path / "latent", *seen, body=np.zeros((1, 32), "f4"))
+    refused("latent code of VPoser", latent)
+    bare = frame_of_osx(rotations[0], transl[0])
+    del bare["trans"]  # as some forks of SMPLest-X write
+    written(tmp_path / "bare/0.json", bare)
+    refused("says no place of the person; expected trans", tmp_path / "bare", "osx")
+    written(tmp_path / "blind/0.json", frame_of_osx(rotations[0], transl[0]))
+    refused("cam_params/0.json: no such file; expected a camera", tmp_path / "blind", "osx")
+    written(tmp_path / "odd/0.json", {"smplx_param": bare | {"trans": [0, 0, 3]}, "cam_param": {}})
+    refused(r"expected a camera such as \{\"focal\"", tmp_path / "odd", "osx")
+    written(tmp_path / "name/a.json", {"smplx_param": bare, "cam_param": {"focal": [1, 1]}})
+    refused("expected the number of a frame", tmp_path / "name", "osx")
+    short, *_ = osx(tmp_path / "short", *seen)
+    third = json.loads((short / "2_0.json").read_text())
+    third["smplx_param"]["body_pose"] = third["smplx_param"]["body_pose"][:30]
+    written(short / "2_0.json", third)
+    refused("'body_pose' is not of one shape in all frames", short, "osx")
+
+
+def test_arrays_without_names_other_bodies_and_damage_are_refused(tmp_path, refused):
     np.save(tmp_path / "flat.npy", np.zeros((5, 265)))
     refused(r"an array \(5, 265\) without names.*save them by name", tmp_path / "flat.npy")
     mhr = [{"pred_vertices": np.zeros((9, 3)), "pred_cam_t": np.zeros(3), "focal_length": 900.0,
             "body_pose_params": np.zeros(133), "shape_params": np.zeros(45)}]  # fmt: skip
     words = "parameters of MHR, as SAM 3D Body writes"
-    refused(words, dumped(tmp_path / "sam.pkl", mhr))
-    refused(words, dumped(tmp_path / "nested.pkl", {"outputs": mhr}))
     refused(words, dumped(tmp_path / "frames.pkl", {"0.jpg": {"people": mhr}}))
     (tmp_path / "out").mkdir()
-    for k in range(2):
-        np.savez(tmp_path / f"out/{k:04}.npz", **mhr[0])
-    refused("out: holds " + words, tmp_path / "out")
     np.savez(tmp_path / "out/0000.npz", data=np.array(mhr, object))
     refused("out: holds " + words, tmp_path / "out")
-
-
-def test_a_damaged_file_is_refused_in_one_sentence(tmp_path, refused):
     res = {"pred_thetas": np.zeros((1, 7)), "pred_cam_root": 0, "bbox": 0, "img_path": ["x"]}
     refused("\\(of the kind hybrik\\): of another form", dumped(tmp_path / "r.pk", res))
 
 
 def test_the_nearest_person_keeps_the_name():
     a, b = np.array([0.0, 0, 4]), np.array([0.6, 0, 4])
-    assert follow([[a], [b, a], [a, b], [], [b + 0.1]]) == [
-        ["0"],
-        ["1", "0"],
-        ["0", "1"],
-        [],
-        ["1"],
-    ]
+    named = follow([[a], [b, a], [a, b], [], [b + 0.1]])
+    assert named == [["0"], ["1", "0"], ["0", "1"], [], ["1"]]
     assert follow([[a], [a + 5]]) == [["0"], ["1"]]
 
 

@@ -54,9 +54,3 @@ def test_an_object_that_may_run_code_is_refused(tmp_path, capsys):
     with pytest.raises(InputError, match="which is not read because it may run code"):
         read_estimator("auto", tmp_path / "m.npz", VIEW)
     assert "this ran" not in capsys.readouterr().out
-
-
-def test_an_array_without_names_is_one_in_a_npz_too(tmp_path):
-    np.savez(tmp_path / "x.npz", np.zeros((5, 72)))
-    with pytest.raises(InputError, match=r"an array \(5, 72\) without names"):
-        read_estimator("auto", tmp_path / "x.npz", VIEW)

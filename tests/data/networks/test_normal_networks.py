@@ -1,67 +1,12 @@
 """Networks of normals in files that the tests write: their input and output."""
 
-import warnings
-
 import numpy as np
 import pytest
-import torch
 
 from gva_mi.core.errors import InputError
 from gva_mi.data.networks.normals import NormalNetwork, NormalsSpec
 
 SIZE = (24, 32)
-
-
-class FromColour(torch.nn.Module):
-    """Normals whose x and y are what it is given in red and green; z closes them to unit length."""
-
-    def __init__(self, encoded=False):
-        super().__init__()
-        self.encoded = encoded
-
-    def forward(self, seen: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        xy = seen[:, :2].clamp(-0.6, 0.6)
-        z = (1 - (xy * xy).sum(1, keepdim=True)).sqrt()
-        normals = torch.cat([xy, z], dim=1)
-        if self.encoded:
-            normals = (normals + 1) / 2
-        return normals, seen
-
-
-def torch_script(path, network):
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)
-        torch.jit.save(torch.jit.script(network), path)
-    return path
-
-
-def onnx_file(path, sides=("h", "w"), channels=3):
-    """The same arithmetic as an ONNX graph."""
-    onnx = pytest.importorskip("onnx")
-    pytest.importorskip("onnxruntime")
-    make, number = onnx.helper, onnx.TensorProto
-    constant = lambda name, values, kind=number.INT64: make.make_tensor(
-        name, kind, [len(values)], values
-    )
-    nodes = [
-        make.make_node("Slice", ["seen", "zero", "two", "one"], ["colour"]),
-        make.make_node("Clip", ["colour", "least", "most"], ["xy"]),
-        make.make_node("ReduceSumSquare", ["xy", "one"], ["square"], keepdims=1),
-        make.make_node("Sub", ["unit", "square"], ["rest"]),
-        make.make_node("Sqrt", ["rest"], ["z"]),
-        make.make_node("Concat", ["xy", "z"], ["normals"], axis=1),
-    ]
-    scalar = lambda name, x: make.make_tensor(name, number.FLOAT, [], [x])
-    graph = make.make_graph(
-        nodes, "normals",
-        [make.make_tensor_value_info("seen", number.FLOAT, [1, channels, *sides])],
-        [make.make_tensor_value_info("normals", number.FLOAT, [1, 3, *sides])],
-        [constant("zero", [0]), constant("two", [2]), constant("one", [1]),
-         scalar("least", -0.6), scalar("most", 0.6), scalar("unit", 1.0)],
-    )  # fmt: skip
-    opset = make.make_opsetid("", 18)
-    onnx.save(make.make_model(graph, opset_imports=[opset], ir_version=9), path)
-    return path
 
 
 @pytest.fixture
@@ -74,17 +19,15 @@ def person():
     return image, mask, np.array([30.0, 10, 50, 50])
 
 
-@pytest.mark.parametrize("form", ["script", "encoded", "onnx", "onnx of one size"])
-def test_the_network_s_input_and_output_are_in_its_convention(form, person, tmp_path):
+@pytest.mark.parametrize("kind", ["normals", "encoded"])
+@pytest.mark.parametrize("sides", [("h", "w"), SIZE[::-1]])
+def test_the_network_s_input_and_output_are_in_its_convention(
+    kind, sides, person, normal_network, tmp_path
+):
     """Red 170, as in the middle of the person, is (170/255 − 0.5) / 0.5 for the network."""
-    if form.startswith("onnx"):
-        sides = SIZE[::-1] if "size" in form else ("h", "w")
-        path = onnx_file(tmp_path / "normals.onnx", sides)
-    else:
-        path = torch_script(tmp_path / "normals.pt", FromColour(form == "encoded"))
-    asked = (64, 64) if "size" in form else SIZE  # the file's own size is what counts
-    network = NormalNetwork(path, NormalsSpec("perspective", asked))
-    crop, normals = network.see(*person)
+    path = normal_network(tmp_path / "normals.onnx", sides, kind=kind)
+    asked = SIZE if sides == ("h", "w") else (64, 64)  # the file's own size is what counts
+    crop, normals = NormalNetwork(path, NormalsSpec("perspective", asked)).see(*person)
     assert crop.width * SIZE[1] == pytest.approx(crop.height * SIZE[0], rel=0.05)
     assert crop.top <= 10 - 4 and crop.top + crop.height >= 50 + 4
     assert normals.shape == (SIZE[1], SIZE[0], 3)
@@ -94,8 +37,8 @@ def test_the_network_s_input_and_output_are_in_its_convention(form, person, tmp_
     assert np.abs(normals[place[1], place[0], :2] - (red, green)).max() < 0.04
 
 
-def test_with_icon_the_background_is_the_mean(person, tmp_path):
-    path = torch_script(tmp_path / "normals.pt", FromColour())
+def test_with_icon_the_background_is_the_mean(person, normal_network, tmp_path):
+    path = normal_network(tmp_path / "normals.onnx")
     _, whole = NormalNetwork(path, NormalsSpec("opengl", SIZE)).see(*person)
     _, alone = NormalNetwork(path, NormalsSpec("icon", SIZE)).see(*person)
     assert np.abs(whole[16, 1, 0]) > 0.3 and np.abs(alone[16, 1, :2]).max() < 0.01
@@ -106,46 +49,20 @@ def test_with_icon_the_background_is_the_mean(person, tmp_path):
     assert shifted[16, 12, 1] == pytest.approx(min(0.6, (green - 0.4) / 0.25), abs=0.05)
 
 
-class Wrong(torch.nn.Module):
-    def __init__(self, kind: str):
-        super().__init__()
-        self.kind = kind
-
-    def forward(self, seen: torch.Tensor) -> torch.Tensor:
-        if self.kind == "two":
-            return seen[:, :2]
-        if self.kind == "zero":
-            return seen * 0 - 0.01
-        if self.kind == "unknown":
-            return seen * float("nan")
-        return torch.cat([seen, seen], dim=2).reshape(7)
-
-
-def test_a_bad_network_is_refused_in_one_sentence(person, tmp_path):
+def test_a_bad_network_is_refused_in_one_sentence(person, normal_network, tmp_path):
     def refused(path, words):
         with pytest.raises(InputError, match=words) as error:
             NormalNetwork(path, NormalsSpec("icon", SIZE)).see(*person)
         assert "\n" not in str(error.value) and "expected" in str(error.value)
 
-    refused(tmp_path / "none.pt", "no such network of normals")
-    (tmp_path / "text.pt").write_text("hello")
-    refused(tmp_path / "text.pt", "no TorchScript")
-    torch.save({"weights": torch.zeros(3)}, tmp_path / "weights.pt")
-    refused(tmp_path / "weights.pt", "no TorchScript")
-    (tmp_path / "text.txt").write_text("hello")
-    refused(tmp_path / "text.txt", "expected a file .pt")
+    refused(tmp_path / "none.onnx", "no such network of normals")
+    for suffix, words in (("pt", "expected a file .onnx"), ("onnx", "no ONNX network ")):
+        (tmp_path / f"text.{suffix}").write_text("hello")
+        refused(tmp_path / f"text.{suffix}", words)
+    many = normal_network(tmp_path / "many.onnx", channels=5)
+    refused(many, "many.onnx: fails .*expected a network that takes")
     for kind, words in (
-        ("two", r"answers with float32 \(1, 2, 32, 24\)"), ("zero", "which are no normals"),
-        ("unknown", "which are no normals"), ("other", "fails"),
+        ("xy", r"answers with float32 \(1, 2, 32, 24\)"), ("nothing", "which are no normals"),
+        ("unknown", "which are no normals"),
     ):  # fmt: skip
-        refused(torch_script(tmp_path / f"{kind}.pt", Wrong(kind)), words)
-
-
-def test_a_bad_onnx_network_is_refused_in_one_sentence(person, tmp_path):
-    pytest.importorskip("onnxruntime")
-    (tmp_path / "text.onnx").write_text("hello")
-    with pytest.raises(InputError, match="no ONNX network .*expected a network that takes"):
-        NormalNetwork(tmp_path / "text.onnx", NormalsSpec("icon"))
-    many = NormalNetwork(onnx_file(tmp_path / "many.onnx", channels=5), NormalsSpec("icon", SIZE))
-    with pytest.raises(InputError, match="many.onnx: fails .*expected a network that takes"):
-        many.see(*person)
+        refused(normal_network(tmp_path / f"{kind}.onnx", kind=kind), words)

@@ -6,8 +6,7 @@ import torch
 
 from gva_mi.core.errors import InputError
 from gva_mi.data.networks.crop import CropBox, box_of_mask
-from gva_mi.data.networks.sam_weights import load_network
-from gva_mi.data.networks.segment_anything import MaskGuess, Prompt, SegmentAnything
+from gva_mi.data.networks.segment_anything import MaskGuess, Prompt, SegmentAnything, load_network
 
 transformers = pytest.importorskip("transformers")
 

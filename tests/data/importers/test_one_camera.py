@@ -1,0 +1,248 @@
+"""Data sets that one camera filmed: the person stands where it saw them; distorted lenses."""
+
+import json
+
+import numpy as np
+import pytest
+
+from gva_mi.body.built_in import BUILT_IN_BODY
+from gva_mi.body.smplx import load_body
+from gva_mi.core.errors import InputError
+from gva_mi.data.importers.datasets import dataset_of
+from gva_mi.data.importers.distortion import undistort
+from gva_mi.data.pictures import read_image, write_image, write_movie
+from gva_mi.data.video import load_video
+
+WIDTH, HEIGHT, FRAMES = 64, 48, 5
+
+
+@pytest.fixture
+def snapshot(tmp_path, filmed, thetas, world):
+    pytest.importorskip("h5py")
+    return filmed.snapshot(tmp_path / "male-3-casual", thetas, world[1])
+
+
+def test_people_snapshot(snapshot, filmed, seen, prepared, stands):
+    folder, said = prepared(snapshot)
+    assert "snapshot, SMPL, 5 frames of 64x48" in said
+    video = stands(folder, *seen, filmed.K)
+    assert np.array_equal(video[2].mask > 0.5, filmed.MASK > 0)
+    assert np.array_equal(read_image(folder / "frames/000003.png", 3), filmed.shots()[3])
+
+
+def test_poses_beyond_the_film_are_left_out(snapshot, filmed, prepared):
+    write_movie(snapshot / "male-3-casual.mp4", filmed.shots()[:4])
+    folder, said = prepared(snapshot)
+    assert "5 poses, but 4 pictures with masks" in said and len(load_video(folder)) == 4
+
+
+HOSTILE = {
+    "an external link": "is a link, or lies in other files",
+    "a virtual array": "is a link, or lies in other files",
+    "an external array": "is a link, or lies in other files",
+    "a giant block": "claims blocks of",
+    "text": "must be an array of numbers",
+    "other axes": r"must be (T, H, W), got (5,)",
+    "another name": "has no array 'masks'; found: other",
+    "no file": "damaged, or no HDF5 file",
+}
+
+
+@pytest.mark.parametrize("case", HOSTILE)
+def test_hdf5_that_leads_elsewhere_is_refused(snapshot, filmed, tmp_path, cli, case):
+    import h5py
+
+    path = snapshot / "masks.hdf5"
+    kept = path.rename(tmp_path / "kept.hdf5")
+    with h5py.File(path, "w") as file:
+        if case == "an external link":
+            file["masks"] = h5py.ExternalLink(str(kept), "/masks")
+        elif case == "a virtual array":
+            layout = h5py.VirtualLayout((FRAMES, HEIGHT, WIDTH), "b")
+            layout[:] = h5py.VirtualSource(str(kept), "masks", (FRAMES, HEIGHT, WIDTH))
+            file.create_virtual_dataset("masks", layout)
+        elif case == "an external array":
+            place = [(str(kept), 0, FRAMES * HEIGHT * WIDTH)]
+            file.create_dataset("masks", (FRAMES, HEIGHT, WIDTH), "b", external=place)
+        elif case == "a giant block":
+            size = (1 << 20, HEIGHT, WIDTH)
+            file.create_dataset("masks", size, "b", chunks=size, compression="gzip")
+        else:
+            shape = {"other axes": np.zeros(FRAMES), "text": "a"}.get(case, np.zeros((2, 2, 2)))
+            file["other" if case == "another name" else "masks"] = shape
+    if case == "no file":
+        path.write_bytes(b"\x89HDF\r\n\x1a\nand then nothing")
+    code, _, err = cli("prepare", "auto", snapshot, tmp_path / "s", *filmed.BUILT_IN_BODY)
+    assert code == 2 and HOSTILE[case] in err and err.count("\n") <= 2, err
+    assert not (tmp_path / "s").exists()
+
+
+def test_hdf5_needs_a_package(snapshot, filmed, tmp_path, cli, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "h5py", None)
+    code, _, err = cli("prepare", "snapshot", snapshot, tmp_path / "s", *filmed.BUILT_IN_BODY)
+    assert code == 2 and "needs the package h5py to be read; pip install 'gva_mi[hdf5]'" in err
+
+
+@pytest.mark.parametrize("form", ["thetas", "parts"])
+def test_instantavatar(tmp_path, filmed, seen, thetas, world, prepared, stands, form):
+    source = tmp_path / "male-3-casual"
+    for k, shot in enumerate(filmed.shots()):
+        write_image(source / f"images/image_{k:04d}.png", shot)
+        if form == "thetas":
+            (source / "masks").mkdir(exist_ok=True)
+            np.save(source / f"masks/mask_{k:04d}.npy", (filmed.MASK > 0).astype(np.uint8))
+        else:
+            write_image(source / f"masks/mask_{k:04d}.png", filmed.MASK)
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = filmed.matrices(filmed.TURN), filmed.MOVE
+    np.savez(source / "cameras.npz", intrinsic=filmed.K, extrinsic=T, height=HEIGHT, width=WIDTH)
+    poses = {"thetas": thetas} if form == "thetas" else {
+        "global_orient": thetas[:, :3], "body_pose": thetas[:, 3:]
+    }  # fmt: skip
+    name = "poses.npz" if form == "thetas" else "poses_optimized.npz"
+    np.savez(source / name, betas=np.zeros(10, "f4"), transl=world[1] - filmed.SMPL, **poses)
+    folder, said = prepared(source)
+    assert "instantavatar, SMPL" in said
+    video = stands(folder, *seen, filmed.K)
+    assert np.array_equal(video[1].mask > 0.5, filmed.MASK > 0)
+
+
+def lens_of(k):
+    return np.array([[300.0 + 10 * k, 0, 30 + k], [0, 310 + 10 * k, 25 - k], [0, 0, 1]])
+
+
+@pytest.fixture
+def exavatar(tmp_path, filmed, seen):
+    """Of frames 3, 4, 6, 7 and 9 of a video; 12 is not fitted."""
+    folder = tmp_path / "subject_1"
+    rotations, transl = seen
+
+    def written(name, value):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(json.dumps(value))
+
+    for k, (number, image) in enumerate(zip((3, 4, 6, 7, 9), filmed.shots(), strict=True)):
+        flat = lambda part, k=k: rotations[k, part].ravel().tolist()
+        write_image(folder / f"frames/{number}.png", image)
+        write_image(
+            folder / f"masks/{number}.png", filmed.MASK * (np.arange(HEIGHT) > 9 + k)[:, None]
+        )
+        written(f"smplx_optimized/smplx_params_smoothed/{number}.json", {
+            "root_pose": flat(slice(0, 1)), "body_pose": flat(slice(1, 22)),
+            "lhand_pose": flat(slice(25, 40)), "rhand_pose": flat(slice(40, 55)),
+            "jaw_pose": flat(slice(22, 23)), "expr": [0.0] * 10, "trans": transl[k].tolist(),
+        })  # fmt: skip
+        K = lens_of(k)
+        camera = {"R": np.eye(3).tolist(), "t": [0.0, 0.0, 0.5], "focal": [K[0, 0], K[1, 1]],
+                  "princpt": [K[0, 2], K[1, 2]]}  # fmt: skip
+        written(f"cam_params/{number}.json", camera)
+    write_image(folder / "frames/12.png", image)
+    written("smplx_optimized/shape_param.json", np.linspace(-1, 1, 100).tolist())
+    (folder / "frame_list_train.txt").write_text("3\n4\n6\n")
+    (folder / "frame_list_test.txt").write_text("9\n12\n")
+    return folder
+
+
+def test_exavatar(exavatar, tmp_path, prepared, seen, stands):
+    rotations, transl = seen
+    folder, said = prepared(exavatar)
+    assert "exavatar, SMPL-X, 5 frames of 64x48" in said and "are ExAvatar's own" in said
+    with np.load(BUILT_IN_BODY) as body:
+        mean = np.concatenate([body["hands_meanl"], body["hands_meanr"]]).reshape(30, 3)
+    rotations = np.concatenate(
+        [rotations[:, :23], 0 * rotations[:, 23:25], rotations[:, 25:] + mean], 1
+    )
+    K, there = np.stack([lens_of(k) for k in range(FRAMES)]), (0.0, 0.0, 0.5)
+    video = stands(folder, rotations, np.array([0.0031, -0.3514, 0.0120]) + transl + there, K, 55)
+    assert video[3].mask[:13].max() == 0 and video[3].mask[13, 25] == 1
+    assert (video.splits.train, video.splits.test) == ([0, 1, 2], [4])
+    seen_there = read_image(exavatar / "frames/7.png", 3)
+    assert np.array_equal(read_image(folder / "frames/000003.png", 3), seen_there)
+
+
+def test_betas_beyond_the_body_s_are_dropped(exavatar, tmp_path, cli):
+    """ExAvatar's shape has a hundred numbers, a file of SMPL-X's first version ten."""
+    path = tmp_path / "SMPLX_NEUTRAL.npz"
+    with np.load(BUILT_IN_BODY) as arrays:
+        np.savez(path, **arrays)
+    code, said, err = cli("prepare", "auto", exavatar, tmp_path / "s", "--body", path)
+    assert code == 0, err
+    kept = load_body(path).num_betas
+    assert f"the first {kept} betas are kept, which this body's file has" in said
+    found = load_video(tmp_path / "s").shape.betas.numpy()
+    assert np.allclose(found, np.linspace(-1, 1, 100)[:kept].astype(np.float32))
+
+
+def test_a_folder_that_is_no_data_set_is_refused(tmp_path, filmed, cli):
+    (tmp_path / "x").mkdir()
+    assert dataset_of(tmp_path / "x") is None
+    for kind, words in (
+        ("auto", "brings no frames of its own; give --frames"),
+        ("zju", "not of the kind zju; expected a folder with annots.npy"),
+    ):
+        code, _, err = cli("prepare", kind, tmp_path / "x", tmp_path / "s", *filmed.BUILT_IN_BODY)
+        assert code == 2 and words in err
+
+
+D = np.array([0.12, -0.05, 0.01, -0.008, 0.02])
+
+
+def ramp():
+    """A picture whose colours are its coordinates, also where it is interpolated."""
+    x, y = np.meshgrid(3.0 * np.arange(WIDTH) + 20, 4.0 * np.arange(HEIGHT) + 10)
+    return np.stack([x, y, 0 * x], axis=-1).round().astype(np.uint8)
+
+
+def straightened(K):
+    """Where in the ramp, in pixels, a pinhole's pixels are: Brown's model as OpenCV prints it."""
+    k1, k2, p1, p2, k3 = D
+    u, v = np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5)
+    x, y = (u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1]
+    r2 = x**2 + y**2
+    radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+    bent_x = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x**2)
+    bent_y = y * radial + p1 * (r2 + 2 * y**2) + 2 * p2 * x * y
+    return K[0, 0] * bent_x + K[0, 2] - 0.5, K[1, 1] * bent_y + K[1, 2] - 0.5
+
+
+def test_pictures_masks_and_normals_become_those_of_a_pinhole(
+    tmp_path, filmed, thetas, world, prepared
+):
+    """Also normals that are arrays: they become pictures."""
+    distorted = {"D": D[:, None], "images": [ramp()] * FRAMES}
+    source, maps = filmed.zju(tmp_path / "x", thetas, world[1], **distorted), tmp_path / "maps"
+    for k in range(FRAMES):
+        write_image(maps / f"{k}.png", ramp())
+    (maps / "2.png").unlink()
+    np.save(maps / "2.npy", ramp() / np.float32(127.5) - 1)
+    folder, said = prepared(source, "--normals", maps, "--normals-convention", "perspective")
+    assert "normals of 5 frames from maps" in said
+    u, v = straightened(filmed.K)
+    assert max(np.abs(u - np.arange(WIDTH)).max(), np.abs(v.T - np.arange(HEIGHT)).max()) > 1
+    seen = (u > 0) & (v > 0) & (u < WIDTH - 1) & (v < HEIGHT - 1)
+    assert seen.mean() > 0.7
+    for name in ("frames/000002.png", "normals/000001.png", "normals/000002.png"):
+        found = read_image(folder / name, 3).astype(float)
+        assert np.abs(found[..., 0] - (3 * u + 20))[seen].max() <= 1
+        assert np.abs(found[..., 1] - (4 * v + 10))[seen].max() <= 1
+    video = load_video(folder)
+    inside = (u > 19.5) & (u < 39.5) & (v > 9.5) & (v < 39.5)
+    assert ((video[2].mask > 0.5) != inside).mean() < 0.01
+    assert np.abs(video.cameras[2].K - filmed.K).max() < 1e-6
+    with pytest.raises(InputError, match="distortion must be"):
+        undistort("x", filmed.K, np.zeros(3), (WIDTH, HEIGHT))
+
+
+def test_links_in_a_data_set_are_followed(tmp_path, filmed, thetas, world, prepared, cli):
+    """A link is the user's own, such as to a larger disk."""
+    source = filmed.zju(tmp_path / "x", thetas, world[1])
+    (source / "Camera_B1").rename(tmp_path / "larger disk")
+    (source / "Camera_B1").symlink_to(tmp_path / "larger disk")
+    mask = source / "mask/Camera_B1/000001.png"
+    mask.rename(tmp_path / "mask.png")
+    mask.symlink_to(tmp_path / "mask.png")
+    folder, _ = prepared(source)
+    assert not any(path.is_symlink() for path in folder.rglob("*"))
+    (tmp_path / "mask.png").unlink()
+    code, _, err = cli("prepare", "zju", source, tmp_path / "b", *filmed.BUILT_IN_BODY)
+    assert code == 2 and f"{mask}: no such file" in err and err.count("\n") <= 2

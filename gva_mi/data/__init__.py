@@ -9,10 +9,12 @@
 ``normals``         normal maps as networks write them
 ``backdrop``        the person without the background
 ``views``           what other cameras saw, for evaluation
-``truth``           ground truth of a synthetic video
+``ground_truth``    ground truth of a synthetic video
 ``identity``        hashes of a video
 ``fingerprint``     whether a subject is used with its own body
 ``importers/``      reads what other programs wrote
-``synthetic/``      makes such folders
+``check/``          names what is wrong with a folder
 ==================  ================================================================
+
+Readers raise InputError, one sentence that names the file, the fault and the expected form.
 """

@@ -92,9 +92,7 @@ class ScaledCrop:
     def shrink(self, image: np.ndarray, part: tuple[slice, slice]) -> Tensor:
         """Return means (H, W, ...) over the areas of the grid's pixels (eq. 2).
 
-        Args:
-            image: (h, w) or (h, w, C) floating point, the part of the image that is covered.
-            part: as :meth:`cover` gives it.
+        ``image`` (h, w) or (h, w, C), floating point, is the part that :meth:`cover` gives.
         """
         shrunk = image
         if self.scale != 1:

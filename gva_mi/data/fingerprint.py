@@ -59,10 +59,6 @@ def require_same_body(folder: Path, body: BodyModel) -> None:
     """Raise an InputError if a subject was made on, or prepared for, another body.
 
     Folders without a fingerprint pass: those put together by hand, or older than this check.
-
-    Args:
-        folder: the subject.
-        body: the body that its poses are about to be used with.
     """
     for name, written_by in ((ABOUT, "gva-mi synth"), (PREPARED, "gva-mi prepare")):
         known = _body_of(Path(folder) / name, written_by)

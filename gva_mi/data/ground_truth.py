@@ -38,11 +38,9 @@ class Truth:
 
 
 def load_ground_truth(folder: Path, body: BodyModel) -> Truth:
-    """Read the ground truth of a synthetic video.
+    """Read the ground truth of a synthetic video, in its folder ``truth``.
 
-    Args:
-        folder: the video's folder ``truth``.
-        body: the one that is fitted; also the one filmed where the folder holds no other.
+    ``body`` is the fitted one; also the one filmed, where the folder holds no other.
     """
     pose, shape = load_poses(Path(folder) / POSES)
     file = Path(folder) / BODY

@@ -57,12 +57,9 @@ class NormalMaps:
 
     @staticmethod
     def open(folder: Path, frames: int, convention: Convention | None = None) -> NormalMaps | None:
-        """The normal maps of a subject's folder; None without a folder ``normals/``.
+        """The maps of a subject of so many frames; None without a folder ``normals/``.
 
-        Args:
-            folder: the subject's.
-            frames: number of the video's frames.
-            convention: how they were made; it overrides ``normals.json``.
+        ``convention`` overrides ``normals.json``.
         """
         if not (folder / "normals").is_dir():
             return None
@@ -75,10 +72,7 @@ class NormalMaps:
     ) -> np.ndarray | None:
         """Unit normals in camera space (h, w, 3) float32, zero where unknown; None: no file.
 
-        Args:
-            index: of the frame.
-            camera: the frame's, for size and rays.
-            part: rows and columns of the frame; all of them by default.
+        ``camera`` is the frame's, for size and rays; ``part`` is of the frame.
         """
         stored, path = self._stored(index)
         if stored is None:

@@ -37,9 +37,8 @@ _WITH_ALPHA = {  # with libvpx-vp9 and yuva420p
 def read_image(path: Path, channels: int) -> np.ndarray:
     """Read a picture as 8 bits, turned as its metadata say.
 
-    Args:
-        path: of the file.
-        channels: 3 for RGB (H, W, 3), 4 for RGBA; 1 for a mask (H, W), 255 inside: :mod:`.mattes`.
+    ``channels`` is 3 for RGB (H, W, 3), 4 for RGBA, or 1 for a mask (H, W), 255 inside:
+    :mod:`.mattes`.
     """
     from PIL import ImageOps
 
@@ -112,10 +111,8 @@ def require_picture(path: Path, overwrite: bool) -> None:
 def read_background(name: str, width: int, height: int) -> np.ndarray:
     """A render's background, float32 in [0, 1]: (3,) for a colour, (height, width, 3) otherwise.
 
-    Args:
-        name: of a colour, such as "white" or "#ff8800"; or a picture file, which is scaled to cover
-            the size, and cropped.
-        width, height: pixels.
+    ``name`` is of a colour, such as "white" or "#ff8800"; or of a picture, which is scaled to cover
+    the size, and cropped.
     """
     from PIL import Image, ImageColor, ImageOps
 
@@ -228,11 +225,8 @@ def require_see_through(path: Path) -> None:
 def write_see_through(path: Path, images: Iterable[np.ndarray], fps: int = 25) -> None:
     """Write a film with alpha, a .webm of VP9 in yuva420p.
 
-    Args:
-        path: of the .webm.
-        images: RGBA (H, W, 4), floats in [0, 1] or 8-bit, straight alpha; odd sizes lose their last
-            row or column.
-        fps: pictures a second.
+    Images are RGBA (H, W, 4), floats in [0, 1] or 8-bit, straight alpha; odd sizes lose their last
+    row or column.
     """
     import av
 

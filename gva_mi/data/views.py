@@ -43,12 +43,7 @@ def held_out_views(video: Video) -> Video | None:
 
 
 def read_views(subject: Path, count: int) -> tuple[list[int], list[Camera]] | None:
-    """The video's frame and the camera of each picture; None without such views.
-
-    Args:
-        subject: its folder.
-        count: number of the video's frames.
-    """
+    """The frame, of ``count``, and the camera of each picture; None without such views."""
     folder = subject / VIEWS
     if not folder.is_dir():
         return None

@@ -34,25 +34,18 @@ def see_through(image, transparency):
 
 BLACK, WHITE, RED = (0, 0, 0), (255, 255, 255), (128, 0, 0)
 FULL = np.full_like(HARD, 255)
-RAMP = [(k, k, k) for k in range(256)]
 SAME = {
     "opaque RGBA": (Image.fromarray(grey(HARD, FULL)), HARD),
-    "opaque LA": (Image.fromarray(np.stack([SOFT, FULL], axis=-1)), SOFT),
-    "a photograph cut out": (Image.fromarray(np.dstack([PHOTO, HARD])), HARD),
     "a photograph cut out, softly": (Image.fromarray(np.dstack([PHOTO, SOFT])), SOFT),
-    "LA cut out": (Image.fromarray(np.stack([255 - SOFT, HARD], axis=-1)), HARD),
     "one bit": (Image.fromarray(INSIDE), HARD),
     "16 bits": (Image.fromarray(HARD.astype(np.uint16) * 257), HARD),
     "RGB": (Image.fromarray(grey(SOFT)), SOFT),
-    "white first": (palette(~INSIDE, WHITE, BLACK), HARD),
     "black first": (palette(INSIDE, BLACK, WHITE), HARD),
     "black and white amid colours": (palette(INSIDE * 3, BLACK, RED, RED, WHITE), HARD),
     "labels in colours": (palette(INSIDE * 2, BLACK, RED, (0, 9, 0)), HARD),
-    "labels in grey": (palette(INSIDE * 7, *RAMP), HARD),
     "labels, 0 in colour": (palette(INSIDE, RED, (0, 0, 128)), HARD),
     "a palette cut out": (see_through(palette(INSIDE, RED, RED), bytes([0, 255])), HARD),
     "red": (Image.fromarray(np.dstack([HARD, 0 * HARD, 0 * HARD])), HARD),
-    "dull green": (Image.fromarray(np.dstack([0 * HARD, HARD // 2 + INSIDE, 0 * HARD])), HARD),
     "softly red": (Image.fromarray(np.dstack([SOFT, 0 * SOFT, 0 * SOFT])), None),
 }
 
@@ -87,9 +80,7 @@ COLORED = np.zeros((20, 30, 3), np.uint8)
 COLORED[5:16, 8:14], COLORED[5:16, 14:20] = (255, 0, 0), (0, 255, 0)
 DOUBTFUL = {
     "a photograph": PHOTO,
-    "a photograph before black": PHOTO * INSIDE[..., None],
     "labels drawn": COLORED,
-    "one colour alone": np.full((20, 30, 3), (0, 0, 200), np.uint8),
     "a colour before another": np.where(INSIDE[..., None], (255, 0, 0), (0, 0, 255)).astype("u1"),
 }
 

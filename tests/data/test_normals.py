@@ -95,12 +95,6 @@ def test_opengl_s_normals_are_those_of_opencv_with_y_and_z_turned_round(tmp_path
     assert angle(found.read(0, CAMERA), truth).max() < 0.05
 
 
-def test_on_the_axis_icon_s_normals_only_change_axes(tmp_path):
-    icon = np.tile(np.array([0.6, 0.48, 0.64]), (SIZE, SIZE, 1))
-    found = folder_with(tmp_path, [icon], {"convention": "icon"}).read(0, CAMERA)
-    np.testing.assert_allclose(found[52, 40], (0.6, -0.48, -0.64), atol=0.01)
-
-
 def test_a_map_of_a_box_lands_in_its_box(tmp_path):
     """Also one that reaches out of the picture, and is finer than the frame's pixels."""
     normals, hit = ball(np.array([-0.1, 0.02, 0.4]))
@@ -116,17 +110,11 @@ def test_a_map_of_a_box_lands_in_its_box(tmp_path):
     assert np.median(angle(found[inner], normals[inner])) < 2
 
 
-@pytest.mark.parametrize("colour", [0.0, 0.5, 1.0])
-def test_normals_on_a_plain_background_are_unknown(tmp_path, colour):
-    (tmp_path / "normals").mkdir()
-    write_image(tmp_path / "normals/000000.png", np.full((SIZE, SIZE, 3), colour))
-    assert not NormalMaps.open(tmp_path, 1).read(0, CAMERA).any()
-
-
-def test_no_folder_and_no_file_are_no_normals(tmp_path):
+def test_missing_maps_and_plain_backgrounds_are_no_normals(tmp_path):
     assert NormalMaps.open(tmp_path, 2) is None
-    maps = folder_with(tmp_path, [np.ones((SIZE, SIZE, 3))])
-    assert maps.read(1, CAMERA) is None
+    maps = folder_with(tmp_path, [np.full((SIZE, SIZE, 3), c) for c in (-1.0, 0, 1)], suffix="png")
+    assert not any(maps.read(k, CAMERA).any() for k in range(3))
+    assert maps.read(3, CAMERA) is None
 
 
 def test_the_caller_s_convention_overrides_the_file_s(tmp_path):

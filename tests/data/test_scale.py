@@ -3,8 +3,8 @@
     python -m pytest -m slow tests/data/test_scale.py -s
 
 prints the figures. Footage is drawn. What is read: somebody made of an ellipse before a pattern, as
-a film, with masks as one .npy, which used to be read whole. What is refined and fitted: the puppet,
-which turns again and again, so that the same pictures serve under many names.
+a film, with masks as one .npy. What is refined and fitted: the puppet, in one picture that serves
+under many names.
 """
 
 import os
@@ -24,7 +24,6 @@ from gva_mi.splat import Camera, look_at
 
 WIDTH, HEIGHT, FEW, MANY, LONG = 1920, 1080, 30, 90, 2000
 FEW_SOLVED, MANY_SOLVED = 125, 250  # refined and fitted: both are cut into clips
-TURN = 30  # frames after which the puppet's pictures come again
 MOST = 4 << 30  # bytes
 WORKERS = 2
 
@@ -113,33 +112,21 @@ def measured(work, *arguments):
 
 
 def draw_puppet(folder, frames, body):
-    """A subject's folder of the puppet that turns before a plain wall, with noisy poses."""
+    """A subject's folder of the puppet at rest before a plain wall, with noisy poses."""
     centre = (body.v_template.amin(0) + body.v_template.amax(0)).numpy() / 2
     view = look_at(centre + (0, 0, 3.4), centre)
     camera = Camera(1800, 1800, WIDTH / 2, HEIGHT / 2, view, WIDTH, HEIGHT)
-    rotations = torch.zeros(frames, 55, 3)
-    rotations[:, 0, 1] = 2 * torch.pi * (torch.arange(frames) % TURN) / TURN
-    rotations[:, 16, 2], rotations[:, 17, 2] = -0.6, 0.6
-    pose, shape = (
-        Pose(rotations, torch.zeros(frames, 3), torch.zeros(frames, 10)),
-        Shape(torch.zeros(10)),
-    )
-    scene = MeshScene(body.faces, body.v_template)
-    for k in range(frames):
-        if k < TURN:
-            with torch.no_grad():
-                seen = scene.render(body(pose[k], shape).vertices[0], camera).numpy()
-            inside = seen[..., 3:] > 0.5
-            picture = np.where(inside, (seen[..., :3] + 1) / 2, 0.4)
-            write_image(folder / f"frames/{k:06d}.png", picture)
-            write_image(folder / f"masks/{k:06d}.png", inside[..., 0] * 1.0)
-            continue
+    with torch.no_grad():
+        seen = MeshScene(body.faces, body.v_template).render(body.v_template, camera).numpy()
+    inside = seen[..., 3:] > 0.5
+    write_image(folder / "frames/000000.png", np.where(inside, (seen[..., :3] + 1) / 2, 0.4))
+    write_image(folder / "masks/000000.png", inside[..., 0] * 1.0)
+    for k in range(1, frames):
         for kind in ("frames", "masks"):
-            os.link(folder / kind / f"{k % TURN:06d}.png", folder / kind / f"{k:06d}.png")
-    pose.rotations[:] += 0.03 * torch.randn(
-        rotations.shape, generator=torch.Generator().manual_seed(0)
-    )
-    save_poses(folder / "poses.npz", pose, shape, stage=1)
+            os.link(folder / kind / "000000.png", folder / kind / f"{k:06d}.png")
+    noise = torch.randn((frames, 55, 3), generator=torch.Generator().manual_seed(0))
+    pose = Pose(0.03 * noise, torch.zeros(frames, 3), torch.zeros(frames, 10))
+    save_poses(folder / "poses.npz", pose, Shape(torch.zeros(10)), stage=1)
     save_cameras(folder / "cameras.npz", [camera])
 
 

@@ -4,17 +4,15 @@ Folders of several cameras hold out views, so that the files of all of their cam
 """
 
 import json
-import pickle
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-import pytest
 
 from gva_mi.data.importers.prepare import prepare_folder
 from gva_mi.data.importers.prepare_options import PrepareOptions
 from gva_mi.data.importers.target import TargetBody
-from gva_mi.data.pictures import write_image, write_movie
+from gva_mi.data.pictures import write_image
 
 W, H, T = 32, 24, 3
 IMAGE = np.random.default_rng(0).integers(0, 256, (H, W, 3), np.uint8)
@@ -40,7 +38,6 @@ def datasets():
         return read
 
     return {
-        "snapshot": (snapshot, prepared("snapshot")),
         "instantavatar": (instantavatar, prepared("instantavatar")),
         "zju": (zju, prepared("zju", "all")),
         "easymocap": (easymocap, prepared("easymocap", "all")),
@@ -48,21 +45,6 @@ def datasets():
         "avatarrex": (avatarrex, prepared("avatarrex", "all")),
         "exavatar": (exavatar, prepared("exavatar")),
     }
-
-
-def snapshot(folder):
-    h5py = pytest.importorskip("h5py")
-    write_movie(folder / "a.mp4", [IMAGE] * T)
-    with h5py.File(folder / "masks.hdf5", "w") as file:
-        file.create_dataset("masks", data=np.stack([MASK > 0] * T).astype("b"), chunks=True)
-    with h5py.File(folder / "reconstructed_poses.hdf5", "w") as file:
-        for name, x in (("pose", THETAS), ("trans", 0 * ROOT), ("betas", np.zeros(10))):
-            file.create_dataset(name, data=x.astype("f4"), chunks=True, compression="lzf")
-    camera = {
-        "camera_t": PLACE[0], "camera_rt": np.array([3.0, 0.1, 0]), "camera_f": K[[0, 1], [0, 1]],
-        "camera_c": K[:2, 2], "camera_k": np.full(5, 0.01), "width": W, "height": H,
-    }  # fmt: skip
-    (folder / "camera.pkl").write_bytes(pickle.dumps(camera, protocol=2))
 
 
 def instantavatar(folder):
@@ -110,7 +92,7 @@ def easymocap(folder, person=None, cameras=("1", "2"), where="smpl"):
 
 
 def easymocap_smplx(folder):
-    """87 numbers, six of each hand; the others are components, which want SMPL-X's own file."""
+    """SMPL-X, joint by joint."""
     person = {"poses": [[0.1] * 165], "shapes": [[0.0] * 10], "expression": [[0.0] * 10]}
     easymocap(folder, person, ("1",), "output/smplx/smpl")
 

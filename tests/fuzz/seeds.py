@@ -22,7 +22,6 @@ from gva_mi.core.files import json_equals, write_json
 from gva_mi.data.fingerprint import fingerprint, require_same_body
 from gva_mi.data.ground_truth import load_ground_truth
 from gva_mi.data.importers.footage import masks, pictures
-from gva_mi.data.importers.hdf5 import read_hdf5
 from gva_mi.data.importers.motions import MotionOptions, read_motion
 from gva_mi.data.importers.target import TargetBody
 from gva_mi.data.pictures import read_background, write_movie
@@ -216,20 +215,6 @@ def seeds(subject, avatar):
         each(folder, path, read)
         read_background(str(folder / "a.png"), 9, 9)
 
-    def hdf5(folder):
-        import h5py
-
-        with h5py.File(folder / "masks.hdf5", "w") as file:
-            file.create_dataset(
-                "masks", data=np.ones((T, H, W), "u1"), chunks=True, compression="lzf"
-            )
-            file.create_dataset("pose", data=np.ones((T, 72), "f4"))
-
-    def read_arrays_of_hdf5(folder, path=None):
-        each(
-            folder, path, {"masks.hdf5": lambda path: (list(masks(path)), read_hdf5(path, "pose"))}
-        )
-
     readers = {
         "subject": (copied, opened),
         "views": (seen_by_others, opened_by_others),
@@ -245,7 +230,6 @@ def seeds(subject, avatar):
         "body": (bodies, read_bodies),
         "motion": (motions, read_motions),
         "footage": (footage, read_footage),
-        "hdf5": (hdf5, read_arrays_of_hdf5),
     }  # fmt: skip
     return readers
 

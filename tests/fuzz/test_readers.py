@@ -22,12 +22,12 @@ from gva_mi.data.importers.estimators import KINDS
 from gva_mi.splat.formats import LOAD
 
 OURS = ("subject", "views", "film", "synth.json", "run", "study", "gaussians", "body", "motion",
-        "footage", "hdf5")  # fmt: skip
+        "footage")  # fmt: skip
 ESTIMATORS = (
     "wham", "gvhmr", "4dhumans", "pymafx", "hybrik", "tram", "romp", "multihmr",
     "smplifyx", "smplerx", "osx", "smplestx", "parameters",
 )  # fmt: skip
-OF_DATASETS = ("snapshot", "instantavatar", "zju", "easymocap", "easymocap smplx", "avatarrex",
+OF_DATASETS = ("instantavatar", "zju", "easymocap", "easymocap smplx", "avatarrex",
                "exavatar")  # fmt: skip
 NETWORKS = ("sam", "onnx")
 READERS = OURS + ESTIMATORS + OF_DATASETS + NETWORKS

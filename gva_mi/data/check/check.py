@@ -11,7 +11,7 @@ from gva_mi.core.console import Progress
 from gva_mi.data.check.files import SubjectFiles, read_subject
 from gva_mi.data.check.frames import SilhouetteRenderer, frames_of
 from gva_mi.data.check.normals import check_normals
-from gva_mi.data.check.poses import ABSURD, check_poses
+from gva_mi.data.check.numbers import ABSURD, check_poses
 from gva_mi.data.check.problems import CheckReport
 from gva_mi.data.check.silhouettes import SilhouetteCheck, check_silhouettes
 from gva_mi.data.video import load_video
@@ -20,16 +20,9 @@ from gva_mi.data.video import load_video
 def check_subject(
     folder: Path, body: BodyModel, poses: Path | None = None, progress: Progress | None = None
 ) -> tuple[CheckReport, SubjectFiles, SilhouetteCheck | None]:
-    """Check everything in a subject's folder.
+    """Check everything in a folder, whose poses are for ``body`` and in ``poses`` or ``poses.npz``.
 
-    Args:
-        folder: the subject's.
-        body: the one that its poses are for.
-        poses: another file of poses than ``folder/poses.npz``.
-        progress: told how many pictures are read.
-
-    Returns:
-        The report, what was read, and what silhouettes show; None if no frame can be compared.
+    Returns the report, what was read, and what silhouettes show; None if no frame can be compared.
     """
     files = read_subject(Path(folder), poses, body, progress)
     report, shown = CheckReport(files.count, files.problems), None

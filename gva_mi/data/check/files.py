@@ -17,7 +17,7 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
 from gva_mi.core.errors import InputError
 from gva_mi.data.cameras import load_cameras
-from gva_mi.data.check.cameras import check_intrinsics
+from gva_mi.data.check.numbers import check_intrinsics
 from gva_mi.data.check.problems import Problem, doubt, error
 from gva_mi.data.film import Film
 from gva_mi.data.fingerprint import require_same_body

@@ -20,8 +20,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gva_mi.data.check.cameras import centred
 from gva_mi.data.check.frames import CheckedFrames
+from gva_mi.data.check.numbers import centred
 from gva_mi.splat import Camera
 
 _F = np.diag([1.0, -1.0, -1.0, 1.0])

@@ -42,13 +42,9 @@ _NAMED = {
 def check_normals(
     maps: NormalMaps, frames: CheckedFrames, images: np.ndarray, cameras: dict[int, Camera]
 ) -> Iterator[Problem]:
-    """Yield problems of the maps.
+    """Yield problems of the maps, by the body's normals and silhouettes, images (n, h, w, 4).
 
-    Args:
-        maps: of the folder.
-        frames: n, small.
-        images: (n, h, w, 4) the body's normals and silhouette.
-        cameras: of the frames in full size, by number.
+    ``cameras`` are those of the frames in full size, by number.
     """
     found = []
     for i, number in enumerate(frames.numbers):

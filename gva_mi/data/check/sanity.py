@@ -21,12 +21,7 @@ FEWEST_SEEN = 0.2  # of all joints are in the picture; head and shoulders are a 
 
 @torch.no_grad()
 def sanity_check(video: Video, body: BodyModel) -> str | None:
-    """Return what is doubtful, with its figure; None if nothing is.
-
-    Args:
-        video: opened with the poses that the work begins with.
-        body: the one that its poses are for.
-    """
+    """Return what is doubtful of a video and the body of its poses; None if nothing is."""
     joints_seen, joints_inside, of = 0, 0, 0
     there = [k for k in range(len(video)) if k not in video.absent]
     for outline in video.outlines(spread(there, FRAMES)):

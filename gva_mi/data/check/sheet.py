@@ -20,13 +20,7 @@ MASK = (0.1, 0.75, 0.35)  # green, beside the body's orange
 
 
 def draw_sheet(files: SubjectFiles, shown: SilhouetteCheck, body: BodyModel) -> np.ndarray:
-    """Draw the sheet, (h, w, 3) float32: the folder as it is, and mended in a row below.
-
-    Args:
-        files: of the folder.
-        shown: what silhouettes show.
-        body: that is drawn.
-    """
+    """Draw the sheet, (h, w, 3) float32: the folder as it is, and mended in a row below."""
     renderer = SilhouetteRenderer(body)
     rows = [_captioned(_row(files, shown.frames, renderer), "as it is; orange: body, green: mask")]
     if shown.accepted:

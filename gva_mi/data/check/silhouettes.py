@@ -171,9 +171,8 @@ def _size_and_place(
 ) -> tuple[list[Problem], float, np.ndarray]:
     """Compare size and place of silhouettes and of masks that the picture's border does not cut.
 
-    Returns:
-        Problems, and what mends the cameras: a factor on the focal length, and pixels (2,) to the
-        right and down.
+    Returns problems, and what mends the cameras: a factor on the focal length, and pixels (2,) to
+    the right and down.
     """
     problems, factor, moved = [], 1.0, np.zeros(2)
     cut = lambda m: m[0].any() or m[-1].any() or m[:, 0].any() or m[:, -1].any()

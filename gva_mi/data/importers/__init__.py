@@ -16,7 +16,7 @@
 ``capture``             people with their pictures, masks and splits
 ``datasets``            one record for each data set (``one_camera``, ``multi_view``)
 ``other_views``         a data set's other cameras, held out
-``footage``             pictures and masks of films, folders and arrays (``hdf5``)
+``footage``             pictures and masks of films, folders and arrays
 ``mask_units``          what the numbers of masks mean
 ``normal_maps``         normals of another program
 ``prompts``             where the person is, for Segment Anything

@@ -28,10 +28,6 @@ class DataSet:
 
 
 DATASETS = {
-    "snapshot": DataSet(
-        ("camera.pkl", "reconstructed_poses.hdf5"), one_camera.snapshot,
-        "camera.pkl, masks.hdf5, reconstructed_poses.hdf5 and a film",
-    ),
     "instantavatar": DataSet(
         ("cameras.npz", "images", "masks", "poses.npz|poses_optimized.npz"),
         one_camera.instantavatar, "cameras.npz, images/, masks/ and poses.npz",

@@ -9,7 +9,6 @@ import numpy as np
 
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import read_array
-from gva_mi.data.importers.hdf5 import SUFFIXES, rows_of_hdf5
 from gva_mi.data.importers.mask_units import full_value, to_8_bits
 from gva_mi.data.importers.numbering import by_number
 from gva_mi.data.mattes import matte_of_pixels
@@ -22,9 +21,7 @@ PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 def pictures(source: Pictures, channels: int) -> Iterator[np.ndarray]:
     """The pictures of a film, a folder or files, one by one, turned as their metadata say.
 
-    Args:
-        source: files of a folder go by the last number in their names.
-        channels: 3 for RGB (H, W, 3), 1 for masks (H, W), 8-bit: :mod:`gva_mi.data.mattes`.
+    ``channels`` is 3 for RGB (H, W, 3), or 1 for masks (H, W), 8-bit: :mod:`gva_mi.data.mattes`.
     """
     files = files_of(source)
     if files is not None:
@@ -56,14 +53,11 @@ def folder_of(source: Pictures) -> Path:
 def masks(source: Pictures) -> Iterator[np.ndarray]:
     """The masks of a film, a folder, or a stack (T, H, W): each (H, W) 8-bit, 255 inside.
 
-    A stack is a .npy, or ``masks`` in a .hdf5; a folder may hold a .npy (H, W) a frame. Values go
-    from 0 to 1 where none is above 1; otherwise to 255, or to 65535 where an array has 16 bits.
+    A stack is a .npy; a folder may hold a .npy (H, W) a frame. Values go from 0 to 1 where none is
+    above 1; otherwise to 255, or to 65535 where an array has 16 bits.
     """
     whole = isinstance(source, Path)
-    if whole and source.suffix in SUFFIXES and source.is_file():
-        for k, mask in enumerate(rows_of_hdf5(source, "masks")):
-            yield to_8_bits(f"{source}: mask {k}", mask, full_value(mask))
-    elif whole and source.is_dir() and (files := sorted(source.glob("*.npy"), key=by_number)):
+    if whole and source.is_dir() and (files := sorted(source.glob("*.npy"), key=by_number)):
         for path in files:
             mask = _stack(path, read_array(path)[None])[0]
             yield to_8_bits(str(path), mask, full_value(mask))

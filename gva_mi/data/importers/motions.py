@@ -74,11 +74,8 @@ class Motion:
 def read_motion(path: Path, body: TargetBody, options: MotionOptions) -> Motion:
     """Read a motion; turn it upright, fill its gaps, resample it.
 
-    Args:
-        path: .npz, .npy, .pkl or .pt, or an estimator's folder; pickles run no code.
-        body: whose pelvis stays in place when the world is turned upright, and whose hands
-            components of a PCA weigh.
-        options: as above.
+    ``path`` is .npz, .npy, .pkl or .pt, or an estimator's folder; pickles run no code. The pelvis
+    of ``body`` stays in place when the world is turned, and components of a PCA weigh its hands.
     """
     where = str(path)
     track, rate, betas, notes = _read(path, body, options)

@@ -1,17 +1,8 @@
 """Data sets that many cameras filmed; one of them, ``--camera``, becomes the video.
 
-=============  ====================================================  ===========================
-Kind           Folder, by the public repository's own code           Cameras
-=============  ====================================================  ===========================
-``zju``        ``annots.npy``, ``new_params/`` or ``params/``,       ``K``, ``D``, ``R``, and
-               ``mask_cihp/`` or ``mask/`` (zju3dv/neuralbody)       ``T`` in millimetres
-``easymocap``  ``intri.yml``, ``extri.yml``, ``images/1/``,          ``K_1``, ``dist_1``,
-               ``mask/1/``, and ``smpl/000000.json`` of SMPL,        ``Rot_1``, ``T_1``
-               SMPL+H or SMPL-X (zju3dv/EasyMocap)
-``avatarrex``  ``calibration_full.json``, ``smpl_params.npz``,       ``K``, ``R``, ``T``
-               ``22010708/`` with ``mask/pha/``
-               (lizhe00/AnimatableGaussians)
-=============  ====================================================  ===========================
+Their forms are those of the public code of zju3dv/neuralbody, zju3dv/EasyMocap and
+lizhe00/AnimatableGaussians; ``docs/sources.md`` lists the files. ZJU-MoCap's ``T`` is in
+millimetres, the others' in metres.
 
 EasyMocap's body turns about the origin, x = R(Rh) b + Th, and not about its pelvis p: translation
 here is R(Rh) p + Th − p.

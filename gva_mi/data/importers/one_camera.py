@@ -1,21 +1,9 @@
-"""Data sets that one camera filmed: People-Snapshot, InstantAvatar's form of it, ExAvatar's folder.
+"""Data sets that one camera filmed: InstantAvatar's form of People-Snapshot, ExAvatar's folder.
 
-=================  =================================================  ========================
-Kind               Folder, by the public repository's own code        Camera
-=================  =================================================  ========================
-``snapshot``       ``masks.hdf5``, the film, and                      ``camera.pkl``
-                   ``reconstructed_poses.hdf5`` of SMPL
-                   (thmoa/videoavatars)
-``instantavatar``  ``images/``, ``masks/``, and ``poses.npz``, or     ``cameras.npz``, without
-                   ``poses_optimized.npz`` (tijiang13/InstantAvatar)  distortion
-``exavatar``       ``frames/12.png``, ``masks/12.png``, and           ``cam_params/12.json``:
-                   ``smplx_optimized/smplx_params_smoothed/12.json``  ``R``, ``t``, ``focal``,
-                   with ``shape_param.json`` (mks0601/ExAvatar)       ``princpt``
-=================  =================================================  ========================
-
-Poses are of a world, which the camera's pose takes to the camera. ExAvatar's is what is publicly
-known of the kind of folder that the paper calls GVA-Snapshot; its offsets of joints and face belong
-to its own body and are left out.
+Their forms are those of the public code of tijiang13/InstantAvatar and mks0601/ExAvatar;
+``docs/sources.md`` lists the files. Poses are of a world, which the camera's pose takes to the
+camera. ExAvatar's folder is what is publicly known of the kind that the paper calls GVA-Snapshot;
+its offsets of joints and face belong to its own body and are left out.
 """
 
 from __future__ import annotations
@@ -27,32 +15,15 @@ import numpy as np
 
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import read_arrays, read_json, require_keys
-from gva_mi.core.pickles.reader import read_objects
 from gva_mi.data.importers import smplx_json
 from gva_mi.data.importers.capture import Capture
 from gva_mi.data.importers.estimator_files import stacked
 from gva_mi.data.importers.footage import files_of
-from gva_mi.data.importers.hdf5 import read_hdf5
-from gva_mi.data.importers.lens import CAMERA, lens_in, pinhole_K
-from gva_mi.data.importers.rotations import to_matrices
+from gva_mi.data.importers.lens import CAMERA, lens_in
 from gva_mi.data.importers.tracks import make_track
 from gva_mi.data.video import Splits
 
-FILMS = (".mp4", ".mov", ".avi", ".mkv")
 _EXAVATAR = ("smplx_optimized/smplx_params_smoothed", "smplx_optimized/smplx_params")
-
-
-def snapshot(where: str, folder: Path, camera: str | None) -> Capture:
-    films = sorted(path for path in folder.iterdir() if path.suffix.lower() in FILMS)
-    if len(films) != 1:
-        raise InputError(f"{folder}: holds {len(films)} films; expected one, such as a .mp4")
-    lens = read_objects(folder / "camera.pkl", "camera_f, camera_c, camera_k, camera_rt, camera_t")
-    path = folder / "reconstructed_poses.hdf5"
-    poses = {name: read_hdf5(path, name) for name in ("pose", "trans", "betas")}
-    track = make_track(str(path), "0", None, poses, pinhole_K(lens["camera_f"], lens["camera_c"]))
-    R, T, k = (np.ravel(lens[f"camera_{x}"]).astype(np.float64) for x in ("rt", "t", "k"))
-    track = track.seen_from(to_matrices(R), T)
-    return Capture([track], films[0], folder / "masks.hdf5", k, loose=True)
 
 
 def instantavatar(where: str, folder: Path, camera: str | None) -> Capture:

@@ -45,16 +45,10 @@ def write_views(
     each: int,
     upright: np.ndarray,
 ) -> list[str]:
-    """Write ``views/`` of a subject's folder, and return notes.
+    """Write ``views/`` of the folder ``out``, and return notes.
 
-    Args:
-        out: the subject's folder.
-        where: the data set, for errors.
-        capture: with its other cameras.
-        names: of the cameras that are held out.
-        frames: of the video, that may be seen.
-        each: at most so many of them by each camera, evenly spaced.
-        upright: (4, 4) W.
+    Each camera of ``names`` sees at most ``each`` of ``frames``, evenly spaced; ``upright`` is W
+    (4, 4).
     """
     T_video = np.linalg.inv(_extrinsic(capture.own)) @ upright
     shown: list[tuple[int, str, Camera]] = []  # frame, name and camera of each picture

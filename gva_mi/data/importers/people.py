@@ -30,14 +30,11 @@ def choose(
     person: str | None,
     votes: Callable[[], np.ndarray] | None,
 ) -> tuple[Track, list[str]]:
-    """Choose the subject, and say how.
+    """Choose the subject among a track a person, and say how.
 
-    Args:
-        where: the source, for errors.
-        tracks: a person each.
-        person: the estimator's name of one of them.
-        votes: joints (n, 2) of each track inside the masks and outside, called only where masks
-            decide. Where nobody lies in them, the person who is seen in most frames is taken.
+    ``person`` is the estimator's name of one. ``votes`` are joints (n, 2) of each track inside the
+    masks and outside, called only where masks decide. Where nobody lies in them, the person who is
+    seen in most frames is taken.
     """
     if not tracks:
         raise InputError(f"{where}: holds nobody; expected one person at least")

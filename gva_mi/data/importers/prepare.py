@@ -58,13 +58,8 @@ def prepare_folder(
 ) -> list[str]:
     """Write a subject's folder, and return notes on what was found and done.
 
-    Args:
-        out: an empty folder.
-        kind: of the estimator or the data set, or "auto".
-        source: its file or folder.
-        options: as above.
-        body: that the poses are for.
-        progress: called after each picture.
+    ``out`` is empty; ``kind`` is that of the estimator or the data set ``source``, or "auto"; poses
+    are for ``body``.
     """
     where = str(source)
     mask_network, normal_network = options.networks()

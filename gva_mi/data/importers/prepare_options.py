@@ -26,8 +26,8 @@ class PrepareOptions:
     # the word puppet for the built-in one, which keeps rotations and no shape.
     body: Path
     frames: Path | None = None  # a film, or a folder of pictures; a data set has its own
-    # A film, a folder of pictures, a .npy (T, H, W), or a .hdf5 with masks; as many as frames; a
-    # data set has its own. Or the word sam, with --sam-checkpoint.
+    # A film, a folder of pictures, or a .npy (T, H, W); as many as frames; a data set has its own.
+    # Or the word sam, with --sam-checkpoint.
     masks: Path | None = None
     person: str | None = None  # the estimator's name of the person; without it, who is in the masks
     # The number that the estimator gave the first frame; SMPLer-X starts at 1.

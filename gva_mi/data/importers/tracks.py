@@ -62,9 +62,8 @@ class Track:
     def seen_from(self, R: np.ndarray, T: np.ndarray) -> Track:
         """A track of the world in a camera's axes, x_cam = R x + T; a body turns at its pelvis.
 
-        Args:
-            R: (3, 3), or (n, 3, 3) of a moving camera; made a rotation where digits were lost.
-            T: (3,) or (n, 3) metres.
+        R is (3, 3), or (n, 3, 3) of a moving camera, made a rotation where digits were lost; T is
+        (3,) or (n, 3) metres.
         """
         R = np.broadcast_to(nearest_rotations(R), (len(self.frames), 3, 3))
         places = np.einsum("nij,nj->ni", R, self.transl + self.pelvis) + np.reshape(T, (-1, 3))
@@ -80,13 +79,13 @@ def make_track(
     components: np.ndarray | None = None,
     of_pelvis: bool = False,
 ) -> Track:
-    """Make a track of arrays that hold all its frames.
+    """Make a track of arrays that hold all its frames, by the names of :mod:`fields`.
 
     Args:
         where: file and person, for errors.
         person: the estimator's name of them.
         frames: (n,) frame numbers; None: 0 to n − 1.
-        found: arrays by the names of :mod:`fields`.
+        found: the arrays.
         K: (3, 3) or (n, 3, 3) pixels.
         components: (2, K, 45) PCA of hands of the body's file.
         of_pelvis: the translation is where the pelvis is, not the offset of the body's origin.
@@ -110,11 +109,10 @@ def make_track(
 
 
 def every_frame(where: str, track: Track, count: int) -> tuple[Track, np.ndarray, list[str]]:
-    """Fill a track so that it has each of a video's frames.
+    """Fill a track so that it has each of a video's ``count`` frames.
 
-    Returns:
-        The track at frames 0 to ``count`` − 1, held before the first known frame and after the
-        last; (count,) whether a frame lies between these; and notes.
+    It is held before the first known frame and after the last. Returns the track, whether a frame
+    lies between these (count,), and notes.
     """
     outside = track.frames[(track.frames < 0) | (track.frames >= count)]
     if len(outside):

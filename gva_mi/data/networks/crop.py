@@ -18,12 +18,9 @@ class CropBox:
 
     @staticmethod
     def round_box(box: np.ndarray, margin: float, size: tuple[int, int] = (1, 1)) -> CropBox:
-        """The rectangle around a box, in the proportions of what a network sees.
+        """The rectangle around a box (4,) left, top, right, bottom, in the proportions of ``size``.
 
-        Args:
-            box: (4,) left, top, right, bottom in pixels.
-            margin: of the box's longer side, added on each side at least.
-            size: (w, h) in proportion; a square by default.
+        ``size`` is (w, h). ``margin`` of the box's longer side is added on each side at least.
         """
         low, high = np.asarray(box[:2], np.float64), np.asarray(box[2:], np.float64)
         needed = high - low + 2 * margin * (high - low).max()

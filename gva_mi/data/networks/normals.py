@@ -56,9 +56,8 @@ class NormalNetwork:
     ) -> tuple[CropBox, np.ndarray]:
         """Estimate normals of a picture (H, W, 3) 8-bit, of a mask (H, W) with a box (4,).
 
-        Returns:
-            The part of the picture that is shown, and (h, w, 3) unit normals in the convention's
-            axes, zero where unknown.
+        Returns the part that is shown, and (h, w, 3) unit normals in the convention's axes, zero
+        where unknown.
         """
         crop = CropBox.round_box(box, MARGIN, self.spec.size)
         mean, std = np.array(self.spec.mean), np.array(self.spec.std)

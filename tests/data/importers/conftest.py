@@ -1,6 +1,7 @@
 """A motion that is known: somebody who walks, in a world with y up; and how a camera sees it."""
 
 import importlib.util
+import pickle
 from pathlib import Path
 
 import numpy as np
@@ -76,6 +77,24 @@ def prepared(tmp_path, cli, filmed):
         return tmp_path / "s", said
 
     return run
+
+
+@pytest.fixture
+def wham(tmp_path):
+    """Write WHAM's file of people _0, _1, ...: rotations, translations, and frame numbers."""
+
+    def write(**people):
+        found = {}
+        for name, (rotations, transl, *frames) in people.items():
+            pose = np.concatenate([rotations[:, :22], np.ones((len(rotations), 2, 3))], axis=1)
+            found[np.int64(name[1:])] = {
+                "pose": pose.reshape(-1, 72), "trans": transl, "betas": np.zeros((len(pose), 10)),
+                "frame_ids": np.array(frames[0]) if frames else np.arange(len(pose)),
+            }  # fmt: skip
+        (tmp_path / "wham_output.pkl").write_bytes(pickle.dumps(found))
+        return tmp_path / "wham_output.pkl"
+
+    return write
 
 
 @pytest.fixture

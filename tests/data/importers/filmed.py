@@ -5,13 +5,12 @@ MOVE take to the camera.
 """
 
 import json
-import pickle
 
 import numpy as np
 import roma
 import torch
 
-from gva_mi.data.pictures import write_image, write_movie
+from gva_mi.data.pictures import write_image
 
 WIDTH, HEIGHT, FRAMES = 64, 48, 5
 SMPL, SMPLX = np.array([-0.0018, -0.2233, 0.0282]), np.array([0.0031, -0.3514, 0.0120])  # pelvises
@@ -41,28 +40,6 @@ def shots():
 def about_origin(thetas, pelvises, pelvis=SMPL):
     """EasyMocap's Rh and Th: the body turns about the origin and not about its pelvis."""
     return thetas[:, :3], pelvises - np.einsum("nij,j->ni", matrices(thetas[:, :3]), pelvis)
-
-
-def snapshot(folder, thetas, pelvises):
-    """People-Snapshot: a film, masks and poses in HDF5, a pickle of Python 2 with the camera."""
-    import h5py
-
-    folder.mkdir()
-    write_movie(folder / "male-3-casual.mp4", shots())
-    with h5py.File(folder / "masks.hdf5", "w") as file:
-        masks = file.create_dataset(
-            "masks", (FRAMES, HEIGHT, WIDTH), "b", chunks=True, compression="lzf"
-        )
-        masks[:] = MASK > 0
-    with h5py.File(folder / "reconstructed_poses.hdf5", "w") as file:
-        for name, x in (("pose", thetas), ("trans", pelvises - SMPL), ("betas", np.zeros(10))):
-            file.create_dataset(name, data=x.astype("f4"), chunks=True, compression="lzf")
-    camera = {
-        "camera_t": MOVE, "camera_rt": TURN, "camera_f": K[[0, 1], [0, 1]], "camera_c": K[:2, 2],
-        "camera_k": np.zeros(5), "width": WIDTH, "height": HEIGHT,
-    }  # fmt: skip
-    (folder / "camera.pkl").write_bytes(pickle.dumps(camera, protocol=2))
-    return folder
 
 
 def zju(folder, thetas, pelvises, *, stem="{:06d}", first=0, cameras=(1,), D=0, images=None):

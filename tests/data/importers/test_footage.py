@@ -1,6 +1,5 @@
 """Films as phones and cameras write them, and masks that are refused."""
 
-import pickle
 from fractions import Fraction
 
 import av
@@ -97,15 +96,9 @@ def test_a_varying_rate_is_reported_and_every_picture_is_a_frame(tmp_path):
 
 
 @pytest.fixture
-def estimate(tmp_path, seen):
-    """WHAM's file of one person, and what of ``prepare`` is always given."""
-    rotations, transl = seen
-    pose = np.concatenate([rotations[:, :22], np.zeros((len(rotations), 2, 3))], axis=1)
-    person = {"pose": pose.reshape(-1, 72), "trans": transl, "betas": np.zeros((len(pose), 10)),
-              "frame_ids": np.arange(len(pose))}  # fmt: skip
-    path = tmp_path / "wham_output.pkl"
-    path.write_bytes(pickle.dumps({np.int64(0): person}))
-    return ["prepare", "wham", path, tmp_path / "s", "--body", "puppet"]
+def estimate(tmp_path, wham, seen):
+    """What of ``prepare`` is always given."""
+    return ["prepare", "wham", wham(_0=seen), tmp_path / "s", "--body", "puppet"]
 
 
 def test_prepare_reports_a_varying_rate(tmp_path, cli, estimate):

@@ -231,7 +231,5 @@ def test_prepare_reports_no_lens_that_agrees_or_is_missing(tmp_path, cli, seen):
 
 
 def test_a_data_set_knows_its_cameras(tmp_path, cli):
-    code, _, err = cli(
-        "prepare", "snapshot", tmp_path, tmp_path / "s", "--body", "puppet", "--lens", 9
-    )
-    assert code == 2 and "--lens is for pose estimators; snapshot knows its cameras" in err
+    code, _, err = cli("prepare", "zju", tmp_path, tmp_path / "s", "--body", "puppet", "--lens", 9)
+    assert code == 2 and "--lens is for pose estimators; zju knows its cameras" in err

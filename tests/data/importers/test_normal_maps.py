@@ -1,7 +1,6 @@
 """``prepare --normals FOLDER``: maps of another program, by the last number in their names."""
 
 import json
-import pickle
 
 import numpy as np
 import pytest
@@ -51,14 +50,9 @@ def maps(tmp_path):
 
 
 @pytest.fixture
-def given(tmp_path, seen, footage):
+def given(tmp_path, wham, seen, footage):
     """``prepare`` of WHAM's file, with frames frame_8 to frame_12."""
-    rotations, transl = seen
-    pose = np.concatenate([rotations[:, :22], np.zeros((FRAMES, 2, 3))], axis=1)
-    person = {"pose": pose.reshape(-1, 72), "trans": transl, "betas": np.zeros((FRAMES, 10)),
-              "frame_ids": np.arange(FRAMES)}  # fmt: skip
-    (tmp_path / "wham_output.pkl").write_bytes(pickle.dumps({np.int64(0): person}))
-    return ["prepare", "wham", tmp_path / "wham_output.pkl", tmp_path / "s", *footage]
+    return ["prepare", "wham", wham(_0=seen), tmp_path / "s", *footage]
 
 
 def close(folder, frames, degrees):
@@ -72,8 +66,9 @@ def close(folder, frames, degrees):
         assert np.degrees(np.arccos(cosine.clip(-1, 1))).max() < degrees, k
 
 
-@pytest.mark.parametrize("kind", ["png", "npy"])
-@pytest.mark.parametrize("convention", ["perspective", "opengl", "icon"])
+@pytest.mark.parametrize(
+    "convention, kind", [("perspective", "png"), ("opengl", "npy"), ("icon", "png")]
+)
 def test_maps_of_every_convention(convention, kind, maps, given, cli, tmp_path):
     folder = maps(lambda k: f"shot2_normal_{k + 8}.{kind}", convention)
     more = ("--normals", folder, "--normals-convention", convention)

@@ -42,20 +42,13 @@ def cut_outs(count, left, right):
 
 
 def test_the_person_in_the_masks_wins_over_the_person_seen_longest(joints):
-    short, long = track("short", 0.6, range(3)), track("long", -0.6, range(9))
-    there = cut_outs(9, 32, 64)  # the right half of every picture
-    found = votes([long, short], there, joints)
-    assert share(found[1]) > 0.9 and share(found[0]) < 0.1
-    chosen, notes = choose("x.pkl", [long, short], None, lambda: found)
+    short, long = track("short", 0.6, range(6)), track("long", -0.6, range(9))
+    by = track("by", 0.0, range(9))  # inside some frames
+    found = votes([long, by, short], cut_outs(9, 32, 64), joints)  # the right half of each picture
+    assert share(found[2]) > 0.9 and share(found[0]) < 0.1 and 0.2 < share(found[1]) < 0.8
+    chosen, notes = choose("x.pkl", [long, by, short], None, lambda: found)
     assert chosen is short
     assert "person short, most inside the masks, of long (9 frames, " in notes[0]
-
-
-def test_a_passer_by_who_is_inside_some_frames_loses(joints):
-    right, by = track("right", 0.6, range(6)), track("by", 0.0, range(9))
-    found = votes([by, right], cut_outs(9, 32, 64), joints)
-    assert 0.2 < share(found[0]) < 0.8
-    assert choose("x.pkl", [by, right], None, lambda: found)[0] is right
 
 
 def test_with_nobody_in_the_masks_the_person_seen_longest_is_taken(joints):

@@ -4,7 +4,6 @@ import json
 import pickle
 
 import numpy as np
-import pytest
 import roma
 import torch
 
@@ -16,29 +15,10 @@ from gva_mi.data.video import load_video
 WIDTH, HEIGHT, FRAMES = 64, 48, 5
 
 
-def person(rotations, transl, frames=None):
-    pose = np.concatenate([rotations[:, :22], np.ones((len(rotations), 2, 3))], axis=1)
-    frames = np.arange(len(pose)) if frames is None else np.array(frames)
-    return {"pose": pose.reshape(-1, 72), "trans": transl, "betas": np.zeros((len(pose), 10)),
-            "frame_ids": frames}  # fmt: skip
-
-
-@pytest.fixture
-def wham(tmp_path):
-    """Write WHAM's file of people by name."""
-
-    def write(**people):
-        found = {np.int64(name[1:]): person for name, person in people.items()}
-        (tmp_path / "wham_output.pkl").write_bytes(pickle.dumps(found))
-        return tmp_path / "wham_output.pkl"
-
-    return write
-
-
 def test_the_folder_says_what_it_was_made_of_and_is_not_replaced(
     wham, tmp_path, cli, seen, footage
 ):
-    file = wham(_0=person(*seen))
+    file = wham(_0=seen)
     code, said, err = cli("prepare", "auto", file, tmp_path / "s", *footage)
     assert code == 0, err
     assert "wham, SMPL, 5 frames of 64x48" in said and "betas of SMPL do not carry over" in said
@@ -52,9 +32,7 @@ def test_the_folder_says_what_it_was_made_of_and_is_not_replaced(
 def test_the_longest_track_is_taken_and_gaps_are_filled(wham, tmp_path, cli, seen, footage):
     rotations, transl = seen
     part = [0, 1, 3]
-    file = wham(
-        _0=person(rotations[part], transl[part], part), _7=person(rotations[:2], transl[:2])
-    )
+    file = wham(_0=(rotations[part], transl[part], part), _7=(rotations[:2], transl[:2]))
     code, said, err = cli("prepare", "wham", file, tmp_path / "s", *footage)
     assert code == 0, err
     assert "person 0, seen longest of 0 (3 frames), 7 (2 frames)" in said
@@ -70,10 +48,10 @@ def test_the_longest_track_is_taken_and_gaps_are_filled(wham, tmp_path, cli, see
     assert code == 0 and "left out: 2-4" in said, err
 
 
-def test_the_masks_choose_the_person(wham, tmp_path, cli, seen, footage):
+def test_the_masks_choose_the_(wham, tmp_path, cli, seen, footage):
     rotations, transl = seen
     aside = transl + np.array([-1.0, 0.0, 0.0])  # farther left than the masks reach
-    file = wham(_0=person(rotations, aside), _7=person(rotations[:4], transl[:4]))
+    file = wham(_0=(rotations, aside), _7=(rotations[:4], transl[:4]))
     mask = np.zeros((FRAMES, HEIGHT, WIDTH), bool)
     mask[:, :, 22:48] = True
     np.save(tmp_path / "masks.npy", mask)
@@ -83,7 +61,7 @@ def test_the_masks_choose_the_person(wham, tmp_path, cli, seen, footage):
 
 
 def test_later_steps_expect_the_body_that_was_prepared_for(wham, tmp_path, cli, seen, footage):
-    file, subject = wham(_0=person(*seen)), tmp_path / "s"
+    file, subject = wham(_0=seen), tmp_path / "s"
     code, _, err = cli("prepare", "wham", file, subject, *footage[2:])
     assert code == 2 and "--body" in err and not subject.exists()
     with np.load(BUILT_IN_BODY) as arrays:
@@ -113,7 +91,7 @@ def test_bad_sources_are_refused_in_one_sentence(wham, tmp_path, cli, seen, foot
     refused("of no kind that is known; looked for wham: people with", "auto", file, out, *footage)
     refused("not of the kind gvhmr; expected smpl_params_incam", "gvhmr", file, out, *footage)
     refused("kind must be auto, wham", "mystery", file, out, *footage)
-    file = wham(_0=person(*seen))
+    file = wham(_0=seen)
     few = [*footage[:4], "--masks", tmp_path / "few.npy"]
     np.save(few[-1], np.ones((2, HEIGHT, WIDTH), bool))
     refused("holds 2 masks, but there are more pictures", "auto", file, out, *few)

@@ -11,9 +11,25 @@ from gva_mi.data.networks.segment_anything import MaskGuess, Prompt, SegmentAnyt
 transformers = pytest.importorskip("transformers")
 
 
-@pytest.fixture(autouse=True)
-def _threads(one_thread):
-    pass
+@pytest.fixture
+def tiny_sam(tmp_path, one_thread):
+    """Segment Anything of 64 x 64 pixels, with numbers drawn at random."""
+    torch.manual_seed(0)
+    vision = transformers.SamVisionConfig(
+        hidden_size=32, num_hidden_layers=1, num_attention_heads=2, image_size=64, patch_size=4,
+        window_size=0, global_attn_indexes=[0], output_channels=32, mlp_ratio=2.0, num_pos_feats=16,
+    )  # fmt: skip
+    prompts = transformers.SamPromptEncoderConfig(
+        hidden_size=32, image_size=64, patch_size=4, mask_input_channels=4
+    )
+    masks = transformers.SamMaskDecoderConfig(
+        hidden_size=32, num_hidden_layers=1, num_attention_heads=2, mlp_dim=32,
+        iou_head_hidden_dim=16,
+    )  # fmt: skip
+    transformers.SamModel(transformers.SamConfig(
+        vision_config=vision, prompt_encoder_config=prompts, mask_decoder_config=masks
+    )).save_pretrained(tmp_path)  # fmt: skip
+    return tmp_path
 
 
 def ellipse(size, centre, radii):
@@ -24,10 +40,6 @@ def ellipse(size, centre, radii):
     image = random.integers(60, 90, (size[1], size[0], 3)).astype(np.uint8)
     image[inside] = (230, 215, 240)
     return image, inside
-
-
-def overlap(a, b):
-    return (a & b).sum() / (a | b).sum()
 
 
 def prompt(inside, points):
@@ -65,7 +77,6 @@ def test_inputs_equal_those_of_the_processor_of_transformers(tiny_sam):
     points, box = np.array([[30.0, 33.0], [28.0, 25.0]]), box_of_mask(inside)
     sam = SegmentAnything.load(tiny_sam)
     told = Prompt(box, points, np.array([1, 1]))
-    logits, scores = None, None
     size = {"longest_edge": 64}, {"height": 64, "width": 64}
     processor = transformers.SamProcessor(
         transformers.models.sam.image_processing_pil_sam.SamImageProcessorPil(
@@ -90,18 +101,6 @@ def test_inputs_equal_those_of_the_processor_of_transformers(tiny_sam):
     assert torch.allclose(scores, wanted.iou_scores[0, 0], atol=1e-4)
 
 
-@pytest.mark.parametrize("size, centre, radii", [
-    ((200, 120), (60, 55), (14, 40)),  # a wide picture: the crop is finer than the whole
-    ((90, 160), (80, 90), (24, 50)),  # partly beyond the border
-])  # fmt: skip
-def test_the_prompted_ellipse_is_found(tiny_sam, size, centre, radii):
-    image, inside = ellipse(size, centre, radii)
-    place = (min(centre[0], size[0] - 4), centre[1])
-    found = SegmentAnything.load(tiny_sam).find(image, prompt(inside, [place]))
-    assert found.mask.shape == inside.shape
-    assert overlap(found.mask, inside) > 0.85
-
-
 class Guesses(SegmentAnything):
     """Guesses that a test gives, in the place of the network's."""
 
@@ -123,24 +122,37 @@ def drawn(left, top, right, bottom):
     return torch.from_numpy(np.where(inside, 5.0, -5.0).astype(np.float32))
 
 
+IMAGE = np.zeros((100, 100, 3), np.uint8)
+
+
 def test_the_guess_that_holds_the_points_and_stays_in_the_box_is_taken():
-    sleeve, person, all_of_it = (
-        drawn(0.4, 0.2, 0.6, 0.4),
-        drawn(0.2, 0.2, 0.8, 0.8),
-        drawn(0, 0, 1, 1),
-    )
+    sleeve, person = drawn(0.4, 0.2, 0.6, 0.4), drawn(0.2, 0.2, 0.8, 0.8)
+    all_of_it = drawn(0, 0, 1, 1)
     guesses = Guesses([(sleeve, 0.95), (person, 0.9), (all_of_it, 0.92)])
-    image = np.zeros((100, 100, 3), np.uint8)
     box = np.array([20.0, 20.0, 80.0, 80.0])
     told = Prompt(box, np.array([[50.0, 30.0], [50.0, 70.0], [30.0, 60.0]]), np.ones(3, int))
-    found = guesses.find(image, told)
+    found = guesses.find(IMAGE, told)
     assert torch.equal(found.logits, person)
     others = Prompt(box, np.array([[50.0, 30.0], [30.0, 60.0]]), np.array([1, 0]))
-    assert torch.equal(guesses.find(image, others).logits, sleeve)  # that point is somebody else
+    assert torch.equal(guesses.find(IMAGE, others).logits, sleeve)  # that point is somebody else
     last = MaskGuess(found.mask, found.crop, sleeve)
     after = Guesses([(person, 0.9), (all_of_it, 0.9)], [(sleeve, 0.99)])
     upper = Prompt(box, np.array([[50.0, 30.0]]), np.ones(1, int))
-    assert torch.equal(after.find(image, upper, last).logits, sleeve)  # as in the frame before
+    assert torch.equal(after.find(IMAGE, upper, last).logits, sleeve)  # as in the frame before
+
+
+@pytest.mark.parametrize("left", [20, -30])
+def test_the_mask_lies_in_the_picture_where_the_crop_does(left):
+    """Also of a crop that crosses the border."""
+    box = np.array([left, 20.0, left + 60, 80.0])
+    told = Prompt(box, np.array([[left + 40.0, 30.0]]), np.ones(1, int))
+    found = Guesses([(drawn(0.25, 0.25, 0.75, 0.5), 0.9)]).find(IMAGE, told)
+    side, corner = 78, (11, left - 9)  # a margin of 0.15 on each side
+    low, high = (np.round(corner + np.array(at) * side) for at in ((0.25, 0.25), (0.5, 0.75)))
+    wanted = np.zeros((100, 100), bool)
+    wanted[int(low[0]) : int(high[0]), max(0, int(low[1])) : int(high[1])] = True
+    assert found.mask.shape == (100, 100)
+    assert (found.mask & wanted).sum() / (found.mask | wanted).sum() > 0.9
 
 
 def test_a_bad_checkpoint_is_refused_in_one_sentence(tmp_path):

@@ -107,17 +107,23 @@ class NormalMaps:
 
     def _stored(self, index: int) -> tuple[np.ndarray | None, Path]:
         """The file's array (h, w, 3), 8-bit or floating point, and its path."""
-        path = self.folder / f"{index:06d}.npy"
-        if path.exists():
-            normals = read_array(path)
-            if normals.ndim != 3 or normals.shape[2] != 3 or normals.dtype.kind != "f":
-                raise InputError(
-                    f"{path}: normals must be floating point (H, W, 3), "
-                    f"got {normals.dtype} {normals.shape}"
-                )
-            return normals, path
-        path = path.with_suffix(".png")
-        return (read_image(path, 3) if path.exists() else None), path
+        for suffix in (".npy", ".png"):
+            path = self.folder / f"{index:06d}{suffix}"
+            if path.exists():
+                return read_map(path), path
+        return None, path
+
+
+def read_map(path: Path) -> np.ndarray:
+    """A map (h, w, 3) as it is stored, 8-bit or floating point."""
+    if path.suffix.lower() != ".npy":
+        return read_image(path, 3)
+    normals = read_array(path)
+    if normals.ndim != 3 or normals.shape[2] != 3 or normals.dtype.kind != "f":
+        raise InputError(
+            f"{path}: normals must be floating point (H, W, 3), got {normals.dtype} {normals.shape}"
+        )
+    return normals
 
 
 def _directions(stored: np.ndarray) -> np.ndarray:

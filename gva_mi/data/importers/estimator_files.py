@@ -1,6 +1,6 @@
 """Open what pose estimators write: how each kind is recognised, and the people that it holds.
 
-A reader yields a :class:`Person` each, with arrays under the file's own names (n, ...). What these
+A reader yields a :class:`SeenPerson` each, with arrays under the file's own names (n, ...). What these
 mean is said once for each estimator, in :mod:`.estimators`.
 """
 
@@ -25,7 +25,7 @@ _EXPECTED = "what a pose estimator wrote"
 
 
 @dataclass(frozen=True)
-class Person:
+class SeenPerson:
     """What a file says of one person, under the file's own names."""
 
     name: str  # the estimator's name of them
@@ -36,7 +36,7 @@ class Person:
 Row = tuple[str, int, Mapping[str, Any]]  # person, frame, arrays of one frame
 
 
-def stacked(where: object, rows: Iterable[Row]) -> list[Person]:
+def stacked(where: object, rows: Iterable[Row]) -> list[SeenPerson]:
     """People of single frames; an array of one frame may have a leading axis of 1."""
     people: dict[str, list[tuple[int, Mapping[str, Any]]]] = {}
     for person, frame, arrays in rows:
@@ -49,7 +49,7 @@ def stacked(where: object, rows: Iterable[Row]) -> list[Person]:
             if len(values) < len(seen) or len({x.shape for x in values}) > 1:
                 raise InputError(f"{where}: '{name}' is not of one shape in all frames")
         frames = np.array([frame for frame, _ in seen])
-        found.append(Person(person, frames, {k: np.stack(x) for k, x in arrays.items()}))
+        found.append(SeenPerson(person, frames, {k: np.stack(x) for k, x in arrays.items()}))
     return found
 
 
@@ -58,7 +58,7 @@ def _of_frame(value: Any) -> np.ndarray:  # noqa: ANN401
     return array[0] if array.ndim > 1 and len(array) == 1 else array
 
 
-def followed(where: object, frames: Iterable[tuple[int, list]], place: str) -> list[Person]:
+def followed(where: object, frames: Iterable[tuple[int, list]], place: str) -> list[SeenPerson]:
     """People whom a file does not name: who is nearest by ``place`` in the next frame goes on."""
     frames = list(frames)
     names = follow([[np.ravel(person[place]) for person in people] for _, people in frames])
@@ -133,20 +133,20 @@ def any_holds(found: Any, *names: str) -> bool:  # noqa: ANN401
     return whole and any(holds(person, *names) for person in found.values())
 
 
-def wham(where: str, found: dict) -> Iterator[Person]:
+def wham(where: str, found: dict) -> Iterator[SeenPerson]:
     """A dictionary a person."""
     for name, person in found.items():
         ids = person["frame_ids" if "frame_ids" in person else "frame_id"]
-        yield Person(str(name), frame_numbers(ids), person)
+        yield SeenPerson(str(name), frame_numbers(ids), person)
 
 
-def wham_world(where: str, found: dict) -> Iterator[Person]:
+def wham_world(where: str, found: dict) -> Iterator[SeenPerson]:
     """People whom WHAM placed in the world; without numbers, their frames follow each other."""
     for name, person in found.items():
         if _is_placed(person):
             every = np.arange(len(person["pose_world"]))
             ids = person.get("frame_ids", person.get("frame_id", every))
-            yield Person(str(name), frame_numbers(ids), person)
+            yield SeenPerson(str(name), frame_numbers(ids), person)
 
 
 def is_wham_world(found: Any) -> bool:  # noqa: ANN401
@@ -157,7 +157,7 @@ def _is_placed(person: Any) -> bool:  # noqa: ANN401
     return isinstance(person, Mapping) and person.get("pose_world") is not None
 
 
-def phalp(where: str, found: dict) -> list[Person]:
+def phalp(where: str, found: dict) -> list[SeenPerson]:
     """A dictionary a frame, with lists of people."""
     rows = []
     for k, name in enumerate(sorted(found)):
@@ -171,7 +171,7 @@ def phalp(where: str, found: dict) -> list[Person]:
     return stacked(where, rows)
 
 
-def pymafx(where: str, found: dict) -> Iterator[Person]:
+def pymafx(where: str, found: dict) -> Iterator[SeenPerson]:
     """Batches of parameters, of all people after one another."""
     frames = frame_numbers(found["frame_ids"])
     names = ("body_pose", "shape", "left_hand_pose", "right_hand_pose", "jaw_pose", "leye_pose",
@@ -187,17 +187,17 @@ def pymafx(where: str, found: dict) -> Iterator[Person]:
     people = np.array(people if len(people) == len(frames) else ["0"] * len(frames))
     for name in dict.fromkeys(people.tolist()):
         rows = np.flatnonzero(people == name)
-        yield Person(name, frames[rows], {key: x[rows] for key, x in arrays.items()})
+        yield SeenPerson(name, frames[rows], {key: x[rows] for key, x in arrays.items()})
 
 
-def hybrik(where: str, found: dict) -> Iterator[Person]:
+def hybrik(where: str, found: dict) -> Iterator[SeenPerson]:
     """One person: matrices of SMPL's 24 joints or SMPL-X's 55, and a box a frame."""
     frames = np.array([number_in(name) for name in np.ravel(found["img_path"])])
     n = len(frames)
     shapes = {"pred_thetas": (n, -1, 3, 3), "pred_betas": (n, -1), "bbox": (n, 4)}
     arrays = {name: np.reshape(found[name], shape) for name, shape in shapes.items()}
     arrays |= {name: np.broadcast_to(np.ravel(found[name]), n) for name in ("width", "height")}
-    yield Person("0", frames, arrays | {"pred_cam_root": found["pred_cam_root"]})
+    yield SeenPerson("0", frames, arrays | {"pred_cam_root": found["pred_cam_root"]})
 
 
 def tram_files(found: Any) -> list[Path]:  # noqa: ANN401
@@ -210,7 +210,7 @@ def tram_camera(found: Path) -> dict:
     return read_named(above / "camera.npy", "img_focal and img_center, as TRAM writes")
 
 
-def tram(where: str, found: Path) -> Iterator[Person]:
+def tram(where: str, found: Path) -> Iterator[SeenPerson]:
     """A file a person."""
     about = tram_camera(found)
     K = pinhole_K(np.ravel(about["img_focal"])[0], about["img_center"])
@@ -218,4 +218,4 @@ def tram(where: str, found: Path) -> Iterator[Person]:
         person = read_source(path, "pred_rotmat, pred_trans and frame, as TRAM writes")
         frames = frame_numbers(person["frame"])
         pose = np.reshape(person["pred_rotmat"], (len(frames), -1, 3, 3))
-        yield Person(str(number_in(path)), frames, {**person, "pred_rotmat": pose, "K": K})
+        yield SeenPerson(str(number_in(path)), frames, {**person, "pred_rotmat": pose, "K": K})

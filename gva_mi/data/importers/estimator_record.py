@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from gva_mi.core.errors import InputError
-from gva_mi.data.importers.estimator_files import Person
+from gva_mi.data.importers.estimator_files import SeenPerson
 from gva_mi.data.importers.fields import translation_name
 from gva_mi.data.importers.lens import centred, rescaled
 from gva_mi.data.importers.tracks import Track, make_track
@@ -34,26 +34,16 @@ Names = Mapping[str, "str | tuple[str, slice]"]
 
 
 @dataclass(frozen=True)
-class World:
-    """People whom an estimator places in a world of its own."""
-
-    recognises: Callable[[Any], bool]
-    people: Callable[[str, Any], Iterable[Person]]
-    names: Names = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
 class Estimator:
     """How one estimator's files are recognised, and what they mean."""
 
     expects: str  # for messages
     recognises: Callable[[Any], bool]  # of what a file holds, or of a folder's path
-    people: Callable[[str, Any], Iterable[Person]]
+    people: Callable[[str, Any], Iterable[SeenPerson]]
     lens: Lens
     names: Names = field(default_factory=dict)  # none: the names of fields.py
     of_pelvis: bool = False  # its translation is where the pelvis is
     mean_hand: bool = False  # fingers are relative to the mean hand
-    world: World | None = None
     # Tracks of the camera in the world of its path; None where the file says no path.
     along_path: Callable[[Any, list[Track]], list[Track] | None] | None = None
     needs_video: bool = False  # places follow from an assumed lens: it is no motion on its own
@@ -64,38 +54,27 @@ class Estimator:
         for person in self.people(where, found):
             at = f"{where}: person {person.name}"
             K = np.asarray(self.lens(at, person.arrays, info), np.float64)
-            track = _track(at, person, self.names, K, info.components, self.of_pelvis)
+            given = self._named(person.arrays)
+            track = make_track(
+                at, person.name, person.frames, given, K, info.components, self.of_pelvis
+            )
             mean = track.from_mean_hand or (self.mean_hand and track.has_hands)
             tracks.append(replace(track, from_mean_hand=mean).sorted())
         return tracks
 
-    def world_tracks(self, where: str, found: Any, components: np.ndarray | None) -> list[Track]:  # noqa: ANN401
-        """The people in the estimator's own world; none where it has none. K means nothing."""
-        if self.world is None or not self.world.recognises(found):
-            return []
-        names = self.world.names
-        return [
-            _track(f"{where}: person {p.name}", p, names, np.eye(3), components).sorted()
-            for p in self.world.people(where, found)
-        ]
+    def _named(self, arrays: Arrays) -> Arrays:
+        """The arrays under the names of fields.py."""
+        given = {} if self.names else dict(arrays)
+        for ours, theirs in self.names.items():
+            theirs, joints = theirs if isinstance(theirs, tuple) else (theirs, slice(None))
+            key = theirs.removesuffix("?")
+            if key in arrays or not theirs.endswith("?"):
+                given[ours] = arrays[key] if joints == slice(None) else arrays[key][:, joints]
+        return given
 
 
-def _track(
-    where: str,
-    person: Person,
-    names: Names,
-    K: np.ndarray,
-    components: np.ndarray | None,
-    of_pelvis: bool = False,
-) -> Track:
-    given = dict(person.arrays) if not names else {}
-    for ours, theirs in names.items():
-        theirs, joints = theirs if isinstance(theirs, tuple) else (theirs, slice(None))
-        key = theirs.removesuffix("?")
-        if key in person.arrays or not theirs.endswith("?"):
-            given[ours] = person.arrays[key]
-            given[ours] = given[ours] if joints == slice(None) else given[ours][:, joints]
-    return make_track(where, person.name, person.frames, given, K, components, of_pelvis)
+def no_lens(where: str, arrays: Arrays, info: VideoInfo) -> np.ndarray:
+    return np.eye(3)
 
 
 def own_K(where: str, arrays: Arrays, info: VideoInfo) -> np.ndarray:

@@ -17,16 +17,16 @@ from gva_mi.core.errors import InputError, expecting
 from gva_mi.data.importers import estimator_files as files
 from gva_mi.data.importers import frame_files as frames
 from gva_mi.data.importers import smplx_json
-from gva_mi.data.importers.estimator_files import Person, any_holds, holds
+from gva_mi.data.importers.estimator_files import SeenPerson, any_holds, holds
 from gva_mi.data.importers.estimator_record import (
     Estimator,
     VideoInfo,
-    World,
     focal_of,
     lens_by_name,
     lens_of_hybrik,
     lens_of_romp,
     lens_of_wham,
+    no_lens,
     own_K,
 )
 from gva_mi.data.importers.tracks import Track
@@ -81,12 +81,12 @@ def refuse_mhr(where: object, found: Any, deep: int = 4) -> None:  # noqa: ANN40
             refuse_mhr(where, value, deep - 1)
 
 
-def _gvhmr(name: str) -> Callable[[str, dict], Iterable[Person]]:
+def _gvhmr(name: str) -> Callable[[str, dict], Iterable[SeenPerson]]:
     """A reader of one of GVHMR's two sets of one person's parameters."""
 
-    def people(where: str, found: dict) -> Iterable[Person]:
+    def people(where: str, found: dict) -> Iterable[SeenPerson]:
         person = found[name]
-        yield Person(
+        yield SeenPerson(
             "0", np.arange(len(person["body_pose"])), {**person, "K": found.get("K_fullimg")}
         )
 
@@ -123,13 +123,10 @@ KINDS: dict[str, Estimator] = {
         "people with pose, trans and frame_ids",
         lambda x: any(any_holds(x, "pose", "trans", key) for key in ("frame_ids", "frame_id")),
         files.wham, lens_of_wham, {"pose": "pose", "transl": "trans", "betas": "betas?"},
-        world=World(files.is_wham_world, files.wham_world,
-                    {"pose": "pose_world", "transl": "trans_world?", "betas": "betas?"}),
     ),
     "gvhmr": Estimator(
         "smpl_params_incam and K_fullimg",
         lambda x: holds(x, "smpl_params_incam", "K_fullimg"), _gvhmr("smpl_params_incam"), own_K,
-        world=World(lambda x: holds(x, "smpl_params_global"), _gvhmr("smpl_params_global")),
     ),
     "4dhumans": Estimator(
         "frames with tid, smpl and camera",
@@ -182,5 +179,15 @@ KINDS: dict[str, Estimator] = {
     "parameters": Estimator(
         "global_orient, body_pose and transl by name, in a file or one a frame",
         frames.is_parameters, frames.parameters, lens_by_name,
+    ),
+}  # fmt: skip
+WORLDS = {  # of people in the estimator's own world
+    "wham": Estimator(
+        "people with pose_world", files.is_wham_world, files.wham_world, no_lens,
+        {"pose": "pose_world", "transl": "trans_world?", "betas": "betas?"},
+    ),
+    "gvhmr": Estimator(
+        "smpl_params_global", lambda x: holds(x, "smpl_params_global"),
+        _gvhmr("smpl_params_global"), no_lens,
     ),
 }  # fmt: skip

@@ -14,7 +14,7 @@ from gva_mi.core.errors import InputError
 from gva_mi.core.pickles.reader import read_objects
 from gva_mi.data.importers.estimator_files import (
     ROMP,
-    Person,
+    SeenPerson,
     files_in,
     first_of,
     followed,
@@ -35,7 +35,7 @@ _TO_HIPS = np.array([0.0, -0.09, -0.01])
 _NAME = re.compile(r"(\d+)_(\d+)\.npz")  # frame and person of SMPLer-X
 
 
-def romp(where: str, found: Any) -> list[Person]:  # noqa: ANN401
+def romp(where: str, found: Any) -> list[SeenPerson]:  # noqa: ANN401
     """ROMP's and BEV's people, by their track ids; without these, who is nearest goes on."""
     frames = [(number, r) for number, r in _romp_frames(found) if len(r["smpl_thetas"])]
     each = lambda r: [
@@ -93,7 +93,7 @@ def is_multihmr(found: Any) -> bool:  # noqa: ANN401
     return bool(people) and holds(people[0], "rotvec", "transl_pelvis")
 
 
-def multihmr(where: str, found: Path) -> list[Person]:
+def multihmr(where: str, found: Path) -> list[SeenPerson]:
     """A list of people a frame."""
     names = ("rotvec", "transl_pelvis", "shape")
     read = lambda path: [
@@ -113,7 +113,7 @@ def is_smplifyx(found: Any) -> bool:  # noqa: ANN401
     return bool(paths) and holds(read_source(paths[0]), "camera_translation")
 
 
-def smplifyx(where: str, found: Path) -> list[Person]:
+def smplifyx(where: str, found: Path) -> list[SeenPerson]:
     """A folder a picture and a file a person."""
     names = (*SMPLX_FIELDS, "betas", "camera_translation")
     return stacked(found, (
@@ -123,14 +123,14 @@ def smplifyx(where: str, found: Path) -> list[Person]:
 
 
 def smplerx_files(found: Any) -> list[tuple[str, int, Path]]:  # noqa: ANN401
-    """Person, frame and file of each ``smplx/00001_0.npz``."""
+    """SeenPerson, frame and file of each ``smplx/00001_0.npz``."""
     inner = isinstance(found, Path) and (found / "smplx").is_dir()
     files = files_in(found / "smplx" if inner else found, "*.npz")
     matches = ((path, _NAME.fullmatch(path.name)) for path in files)
     return [(match[2], int(match[1]), path) for path, match in matches if match]
 
 
-def smplerx(where: str, found: Path) -> list[Person]:
+def smplerx(where: str, found: Path) -> list[SeenPerson]:
     """A file a frame and person, and its lens in a file of the same name in ``meta/``."""
     lens = lambda path: path.parent.parent / "meta" / path.with_suffix(".json").name
     names = (*SMPLX_FIELDS, "transl", "betas")
@@ -150,12 +150,12 @@ def is_parameters(found: Any) -> bool:  # noqa: ANN401
     return any(holds(first, name) for name in ("body_pose", "poses", "thetas", "fullpose"))
 
 
-def parameters(where: str, found: Any) -> Iterator[Person]:  # noqa: ANN401
+def parameters(where: str, found: Any) -> Iterator[SeenPerson]:  # noqa: ANN401
     """One person in a file, or in a file a frame, by the names of :mod:`.fields`."""
     if isinstance(found, dict):
         if (name := translation_name(found)) is None:
             raise InputError(f"{where}: holds no translation; expected transl (T, 3) in the camera")
-        yield Person("0", np.arange(np.size(found[name]) // 3), found)
+        yield SeenPerson("0", np.arange(np.size(found[name]) // 3), found)
         return
     files = sorted(files_in(found), key=number_in)
     each = [read_named(path, "a body's parameters by name") for path in files]

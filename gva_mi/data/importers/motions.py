@@ -26,8 +26,8 @@ from gva_mi.core.console import listed
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.options import Within, require_ranges
 from gva_mi.data.importers.estimator_files import first_of, holds, read_source
-from gva_mi.data.importers.estimator_record import VideoInfo
-from gva_mi.data.importers.estimators import KINDS, kind_of, refuse_mhr, tracks_of
+from gva_mi.data.importers.estimator_record import Estimator, VideoInfo
+from gva_mi.data.importers.estimators import KINDS, WORLDS, kind_of, refuse_mhr
 from gva_mi.data.importers.fields import find_betas
 from gva_mi.data.importers.people import choose
 from gva_mi.data.importers.target import TargetBody
@@ -120,9 +120,11 @@ def _read(
     refuse_mhr(where, first_of(found))
     if not isinstance(found, dict | Path) or not found:
         raise InputError(f"{path}: holds no arrays by name; expected {EXPECTED}")
-    kind = _kind(found)
+    world = next((kind for kind, record in WORLDS.items() if record.recognises(found)), None)
+    kind = world or kind_of(found)
     if kind is not None and (kind != "parameters" or isinstance(found, Path)):
-        track, notes = _estimated(kind, path, found, options.person, body.components)
+        record = WORLDS[kind] if world else KINDS[kind]
+        track, notes = _estimated(kind, record, path, found, options.person, body.components)
         rate, betas = _rate(where, {}, options), track.betas
         # The target's pelvis is elsewhere at rest than that of the source's body.
         track = replace(track, transl=track.transl + track.pelvis - body.joints[0])
@@ -143,30 +145,25 @@ def _read(
     return track, rate, betas, [*notes, *varied]
 
 
-def _kind(found: Any) -> str | None:  # noqa: ANN401
-    """The estimator that wrote a motion; a file may hold its world and no camera."""
-    worlds = (k for k, record in KINDS.items() if record.world and record.world.recognises(found))
-    return next(worlds, None) or kind_of(found)
-
-
 def _estimated(
     kind: str,
+    record: Estimator,
     path: Path,
     found: Any,  # noqa: ANN401
     person: str | None,
     components: np.ndarray | None,
 ) -> tuple[Track, list[str]]:
     """One person of what an estimator wrote, in the axes that the module's docstring says."""
-    record = KINDS[kind]
     if record.needs_video:
         raise InputError(
             f"{path}: written by {kind}, whose places follow from a lens that it assumed; expected "
             f"a motion in metres, or gva-mi prepare {kind} with its video"
         )
     with expecting(f"{path} (of the kind {kind})", "a motion of one person at least"):
-        tracks, axes = record.world_tracks(str(path), found, components), "in the axes of its world"
-        if not tracks:  # the camera's K, and so the size of its pictures, says nothing of places
-            tracks = tracks_of(kind, path, found, VideoInfo((1000, 1000), 1.0, components))
+        # The camera's K, and so the size of its pictures, says nothing of places.
+        tracks = record.tracks(str(path), found, VideoInfo((1000, 1000), 1.0, components))
+        axes = "in the axes of its world"
+        if record is not WORLDS.get(kind):
             placed = record.along_path(found, tracks) if record.along_path else None
             standing = "in the axes of the camera, which is taken to stand still"
             axes = standing if placed is None else "in the world of its camera's path"

@@ -15,12 +15,12 @@ import numpy as np
 from gva_mi.core.atomic import atomic_write
 from gva_mi.core.console import listed
 from gva_mi.core.errors import InputError, expecting
-from gva_mi.core.files import read_array, write_json
+from gva_mi.core.files import write_json
 from gva_mi.data.importers.footage import PICTURES, Pictures, files_of
 from gva_mi.data.importers.numbering import number_in
 from gva_mi.data.masks import read_mask
-from gva_mi.data.normals import ABOUT, Convention, NormalMaps
-from gva_mi.data.pictures import in_8_bits, read_image, write_image
+from gva_mi.data.normals import ABOUT, Convention, NormalMaps, read_map
+from gva_mi.data.pictures import in_8_bits, write_image
 from gva_mi.splat import Camera
 
 
@@ -105,18 +105,11 @@ def _number(path: Path) -> int:
 
 def _read(path: Path, camera: Camera) -> np.ndarray:
     """A map as it is stored, (H, W, 3) 8-bit or float32."""
-    if path.suffix.lower() == ".npy":
-        stored = read_array(path)
-        if stored.dtype.kind != "f" or stored.ndim != 3 or stored.shape[2] != 3:
-            raise InputError(
-                f"{path}: normals must be floating point (H, W, 3), got {stored.dtype} "
-                f"{stored.shape}"
-            )
+    stored = read_map(path)
+    if stored.dtype.kind == "f":
         stored = np.nan_to_num(stored.astype(np.float32))
         if (stored > 0).any() and not (stored < 0).any():
             raise InputError(f"{path}: holds no number below 0, such as (n + 1) / 2; expected n")
-    else:
-        stored = read_image(path, 3)
     if stored.shape[:2] != (camera.height, camera.width):
         raise InputError(
             f"{path}: is {stored.shape[1]}x{stored.shape[0]}, expected the frame's "

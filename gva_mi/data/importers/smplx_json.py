@@ -26,7 +26,7 @@ import numpy as np
 
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import read_json
-from gva_mi.data.importers.estimator_files import Person, followed
+from gva_mi.data.importers.estimator_files import SeenPerson, followed
 from gva_mi.data.importers.lens import lens_in, lens_of
 from gva_mi.data.importers.numbering import number_in
 
@@ -48,7 +48,7 @@ def is_osx(found: Any) -> bool:  # noqa: ANN401
     return isinstance(params, dict) and {"root_pose", "body_pose"} <= set(params)
 
 
-def osx(where: str, found: Path) -> list[Person]:
+def osx(where: str, found: Path) -> list[SeenPerson]:
     """People numbered anew in each frame: who is nearest goes on."""
     frames: dict[int, list[dict[str, np.ndarray]]] = {}
     for path in _files(found):

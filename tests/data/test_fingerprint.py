@@ -55,15 +55,12 @@ def test_the_distance_is_how_far_vertices_are_apart(arrays, made_on):
     assert 0.7 < distance(made_on, fingerprint(other)) / 0.005 < 1.4
 
 
-def test_another_number_of_vertices_is_reported(made_on, tmp_path):
+def test_folders_without_a_fingerprint_pass_and_other_counts_do_not(made_on, tmp_path):
+    require_same_body(tmp_path, load_body())
+    require_same_body(written(tmp_path, {"seed": 0}), load_body())
     folder = written(tmp_path, {"body": made_on | {"vertices": 10475}})
     with pytest.raises(InputError, match="10475 vertices"):
         require_same_body(folder, load_body())
-
-
-def test_real_videos_and_older_subjects_pass(tmp_path):
-    require_same_body(tmp_path, load_body())
-    require_same_body(written(tmp_path, {"seed": 0}), load_body())
 
 
 def test_a_prepared_folder_names_its_body(made_on, tmp_path):
@@ -76,9 +73,8 @@ def test_a_prepared_folder_names_its_body(made_on, tmp_path):
         require_same_body(written(tmp_path, others, "prepare.json"), load_body())
 
 
-@pytest.mark.parametrize("name", ["synth.json", "prepare.json"])
-@pytest.mark.parametrize("text", ["[", "3", '{"body": {"vertices": 3}}'])
-def test_a_broken_file_is_named(tmp_path, name, text):
-    (tmp_path / name).write_text(text)
-    with pytest.raises(InputError, match=name):
+@pytest.mark.parametrize("text", ["[", '{"body": {"vertices": 3}}'])
+def test_a_broken_file_is_named(tmp_path, text):
+    (tmp_path / "prepare.json").write_text(text)
+    with pytest.raises(InputError, match="prepare.json"):
         require_same_body(tmp_path, load_body())

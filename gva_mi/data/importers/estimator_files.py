@@ -1,7 +1,7 @@
 """Open what pose estimators write: how each kind is recognised, and the people that it holds.
 
-A reader yields a :class:`SeenPerson` each, with arrays under the file's own names (n, ...). What these
-mean is said once for each estimator, in :mod:`.estimators`.
+A reader yields a :class:`SeenPerson` each, with arrays under the file's own names (n, ...). What
+these mean is said once for each estimator, in :mod:`.estimators`.
 """
 
 from __future__ import annotations

@@ -10,7 +10,6 @@ import torch
 from PIL import Image
 
 from gva_mi import InputError
-from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import load_body
 from gva_mi.data.importers.lens import asked_for, centred, in_pixels, recorded, through_lens
 from gva_mi.data.importers.quicktime import numbers
@@ -166,46 +165,28 @@ def test_another_lens_keeps_place_size_and_side_in_the_picture(track):
     assert np.array_equal(track.rotations[:, 1:], other.rotations[:, 1:])
 
 
-def test_another_lens_hardly_moves_the_joints(track):
-    """For half the focal length, joints move by about a hundredth of the person's height."""
-    body, shape = load_body(dtype=torch.float64), Shape(torch.zeros(10).double())
-    seen = []
-    for t in (track, through_lens(track, 450.0)):
-        transl = torch.from_numpy(pelvises(t)[:, 0]) - body.rest(shape).joints[0]
-        pose = Pose(torch.from_numpy(t.rotations), transl, torch.zeros(len(transl), 10).double())
-        seen.append(projected(t, body(pose, shape).joints[:, :22].numpy()))
-    moved = np.linalg.norm(seen[1] - seen[0], axis=-1).mean() / np.ptp(seen[0][..., 1])
-    assert 1e-3 < moved < 0.015
-
-
-def written(tmp_path, seen, **tags):
-    """An estimator's file and pictures that say what they were taken with."""
+def test_prepare_reports_the_recorded_lens_and_takes_it(tmp_path, cli, seen, footage):
     rotations, transl = seen
     body = rotations[:, 1:22].reshape(len(transl), -1)
     named = {"global_orient": rotations[:, 0], "body_pose": body, "transl": transl}
     np.savez(tmp_path / "poses.npz", **named, betas=np.zeros(10), focal=np.array(200.0))
+
+    def prepare(*more, **tags):
+        for k in range(len(transl)):
+            photograph(tmp_path / f"photos/{k}.jpg", **tags)
+        given = ("parameters", tmp_path / "poses.npz", tmp_path / "s", *footage, *more)
+        return cli("prepare", *given, "--frames", tmp_path / "photos", "--overwrite")
+
     (tmp_path / "photos").mkdir()
-    for k in range(len(transl)):
-        photograph(tmp_path / f"photos/{k}.jpg", **tags)
-    masks = np.zeros((len(transl), SIZE[1], SIZE[0]), bool)
-    masks[:, :, 20:44] = True
-    np.save(tmp_path / "masks.npy", masks)
-    return tmp_path / "poses.npz"
-
-
-def prepare(cli, tmp_path, file, *more):
-    where = ("--frames", tmp_path / "photos", "--masks", tmp_path / "masks.npy")
-    return cli("prepare", "parameters", file, tmp_path / "s", "--body", "puppet", *where, *more)
-
-
-def test_prepare_reports_the_recorded_lens_and_takes_it(tmp_path, cli, seen):
-    file = written(tmp_path, seen, _41989=26)
-    code, said, _ = prepare(cli, tmp_path, file)
-    assert code == 0
+    code, _, err = prepare("--lens", "recorded")
+    assert code == 2 and "no focal length is recorded" in err
+    for tags in ({}, {"_41989": 110}):  # none, and 203 pixels
+        code, said, _ = prepare(**tags)
+        assert code == 0 and "focal" not in said
+    code, said, _ = prepare(_41989=26)
     assert "the poses are for a focal length of 200 pixels; the recording says 48" in said
     far = load_video(tmp_path / "s")
-    code, said, _ = prepare(cli, tmp_path, file, "--lens", "recorded", "--overwrite")
-    assert code == 0
+    code, said, _ = prepare("--lens", "recorded", _41989=26)
     assert "the focal length is 48 pixels, where the estimator took 200" in said
     near = load_video(tmp_path / "s")
     focal = 26 / 43.27 * 80
@@ -216,18 +197,6 @@ def test_prepare_reports_the_recorded_lens_and_takes_it(tmp_path, cli, seen):
         a, b = far.cameras[k].project(places[0][k]), near.cameras[k].project(places[1][k])
         assert np.abs(a - b).max() < 1e-3
         assert places[1][k, 2] / places[0][k, 2] == pytest.approx(focal / 200, rel=1e-5)
-
-
-def test_prepare_reports_no_lens_that_agrees_or_is_missing(tmp_path, cli, seen):
-    file = written(tmp_path, seen)
-    code, said, _ = prepare(cli, tmp_path, file)
-    assert code == 0 and "focal" not in said
-    code, _, err = prepare(cli, tmp_path, file, "--lens", "recorded", "--overwrite")
-    assert code == 2 and "no focal length is recorded" in err
-    for k in range(len(seen[1])):
-        photograph(tmp_path / f"photos/{k}.jpg", _41989=110)  # 203 pixels
-    code, said, _ = prepare(cli, tmp_path, file, "--overwrite")
-    assert code == 0 and "focal" not in said
 
 
 def test_a_data_set_knows_its_cameras(tmp_path, cli):

@@ -19,7 +19,7 @@ spec.loader.exec_module(layers)
 MODULES = layers.MODULES
 TREES = {name: ast.parse(path.read_text()) for name, path in MODULES.items()}
 OPTIONAL = {"mitsuba", "pymeshlab", "trimesh", "skimage", "matplotlib", "av", "jinja2", "PIL",
-            "scipy", "viser", "h5py", "transformers", "onnxruntime"}  # fmt: skip
+            "scipy", "viser", "transformers", "onnxruntime"}  # fmt: skip
 HOMES = {  # packages that only some modules may import
     "mitsuba": ("gva_mi_plugins", "gva_mi.mesh", "gva_mi.synthetic", "gva_mi.gradcheck",
                 "gva_mi.cli.doctor"),

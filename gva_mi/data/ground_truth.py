@@ -27,7 +27,7 @@ POSES, BODY, CAMERAS = "poses.npz", "body.npz", "cameras.npz"
 
 
 @dataclass(frozen=True)
-class Truth:
+class GroundTruth:
     """The person that was filmed: ``body(pose, shape)`` is the ground-truth surface."""
 
     body: BodyModel
@@ -37,7 +37,7 @@ class Truth:
     foreign: bool = False  # the body is another one than the fitted one
 
 
-def load_ground_truth(folder: Path, body: BodyModel) -> Truth:
+def load_ground_truth(folder: Path, body: BodyModel) -> GroundTruth:
     """Read the ground truth of a synthetic video, in its folder ``truth``.
 
     ``body`` is the fitted one; also the one filmed, where the folder holds no other.
@@ -50,4 +50,4 @@ def load_ground_truth(folder: Path, body: BodyModel) -> Truth:
     cameras = load_cameras(own if own.is_file() else own.parents[1] / CAMERAS)
     if len(cameras) == 1:
         cameras = cameras * len(pose)
-    return Truth(true, pose, shape, cameras, foreign)
+    return GroundTruth(true, pose, shape, cameras, foreign)

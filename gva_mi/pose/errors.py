@@ -18,6 +18,12 @@ compared by the mean distance of the vertices of each from the other,
 
     5. s_R = (mean_i d(y_i, estimated) + mean_i d(x_i, true)) / 2
 
+The distance d of a point p from a surface is the minimum over the triangles whose centres are
+nearest to p: from a triangle's plane if the foot of the perpendicular lies inside, and otherwise
+from the nearest of its three sides,
+
+    6. d(p, side) = |p - a - s (b - a)|,    s = clamp((p - a) · (b - a) / |b - a|², 0, 1)
+
 All errors are taken on the bare body: the displacement for clothes is not part of a pose.
 """
 
@@ -32,9 +38,8 @@ from torch import Tensor
 from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, Pose, Shape
 from gva_mi.body.smplx import BodyModel, Posed
 from gva_mi.core.threads import one_torch_thread
-from gva_mi.data.ground_truth import Truth
+from gva_mi.data.ground_truth import GroundTruth
 from gva_mi.pose.displacement import hand_vertices
-from gva_mi.pose.surface_distance import surface_distances
 
 NAMES = (  # of errors, in the order of files
     "body", "hands", "feet", "body_aligned", "hands_aligned", "feet_aligned", "joints",
@@ -43,6 +48,7 @@ NAMES = (  # of errors, in the order of files
 )  # fmt: skip
 _BODY_JOINTS = 22
 _SAMPLES = 500  # vertices of a region that eq. 5 measures
+_NEAREST = 12  # triangles tried for each point of eq. 5
 
 
 def _pair(joint: str) -> list[int]:
@@ -55,7 +61,7 @@ _FEET = _ANKLES + _pair("foot")
 
 @torch.no_grad()
 def pose_errors(
-    body: BodyModel, found: tuple[Pose, Shape], truth: Truth, batch: int = 16
+    body: BodyModel, found: tuple[Pose, Shape], truth: GroundTruth, batch: int = 16
 ) -> dict[str, Tensor]:
     """Measure estimated poses of the fitted body, ``batch`` frames at a time.
 
@@ -167,3 +173,33 @@ def _samples(body: BodyModel) -> list[np.ndarray]:
     regions = _Points.of(body, foreign=False).regions > 0
     every = [region.nonzero()[:, 0].numpy() for region in regions]
     return [v[np.linspace(0, len(v) - 1, min(len(v), _SAMPLES)).astype(int)] for v in every]
+
+
+def surface_distances(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Return the distances (N,) of points (N, 3) from a surface of (V, 3) vertices, (F, 3) faces.
+
+    On bodies of some 20,000 triangles the error is at most 1 mm, and 1 µm on average.
+    """
+    from scipy.spatial import cKDTree
+
+    triangles = vertices[faces]
+    count = min(_NEAREST, len(faces))
+    _, near = cKDTree(triangles.mean(1)).query(points, count)
+    return _triangle_distances(points[:, None], triangles[near.reshape(len(points), count)]).min(1)
+
+
+def _triangle_distances(p: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Return the distances (N, K) of points (N, 1, 3) from triangles (N, K, 3, 3)."""
+    corners = [triangles[..., k, :] for k in range(3)]
+    normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+    squares, inside = [], True
+    for a, b in zip(corners, (*corners[1:], corners[0]), strict=True):
+        side, to_point = b - a, p - a
+        length = np.maximum((side * side).sum(-1), 1e-30)  # a side of no length is a point
+        s = np.clip((to_point * side).sum(-1) / length, 0, 1)
+        squares.append(np.square(to_point - s[..., None] * side).sum(-1))
+        inside = inside & ((np.cross(side, to_point) * normal).sum(-1) >= 0)
+    area = np.sqrt((normal * normal).sum(-1))
+    height = np.abs(((p - corners[0]) * normal).sum(-1)) / np.maximum(area, 1e-30)
+    on_plane = inside & (area > 1e-15)
+    return np.where(on_plane, height, np.sqrt(np.min(squares, axis=0)))

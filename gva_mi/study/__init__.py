@@ -1,10 +1,10 @@
 """Evaluation, reports and studies. No step that refines or fits reads anything from here.
 
-* ``scores.py``, ``regions.py``, ``defects.py``: metrics of one render, and the pixels they use;
+* ``scores.py``, ``regions.py``: metrics of one render, and the pixels they use;
 * ``evaluate.py``: their means over the splits of a video; ``similarity.py``: the alignment;
-* ``true_surface.py``, ``surface.py``: how Gaussians lie on the true surface;
+* ``surface.py``: how Gaussians lie on the true surface;
 * ``metrics.py``: ``metrics.json`` of a run; ``report.py``, ``report_pictures.py``: its page;
-* ``measure.py``, ``pose_figures.py``: pose errors before and after refinement;
+* ``measure.py``: pose errors before and after refinement;
 * ``refinement.py``: ``refinement.json`` of a subject; ``refinement_report.py``: its page;
 * ``cases.py``, ``subjects.py``: tuning and held-out cases, and their videos;
 * ``engine.py``: cases x variants -> figures, one resumable file; ``refine_study.py`` and

@@ -47,9 +47,8 @@ from gva_mi.data.video import Frame, Video, load_video, spread
 from gva_mi.data.views import held_out_views
 from gva_mi.fit.perceptual import Weights
 from gva_mi.fit.renders import BLACK, WHITE, cut_out, render_frame
-from gva_mi.study.defects import Defects, flicker
 from gva_mi.study.regions import Detail, Details, person_box
-from gva_mi.study.scores import ImageScores, Scorer
+from gva_mi.study.scores import Defects, ImageScores, Scorer, flicker
 
 Split = Literal["train", "test", "novel_pose", "novel_view"]
 SPLITS: tuple[Split, ...] = ("train", "test", "novel_pose", "novel_view")
@@ -70,7 +69,7 @@ class SplitScores:
     rand_vgg: float
     region: Region = "white"
     count: int = 0  # pictures, or boxes, in the mean; 0: not recorded
-    spill: float | None = None  # see defects.py; only of whole pictures on white
+    spill: float | None = None  # see scores.py; only of whole pictures on white
     holes: float | None = None
     flicker: float | None = None  # of test frames against the frames before them
 
@@ -212,19 +211,19 @@ def source_of(video: Video, split: Split) -> Video | None:
     Raises:
         InputError: a folder cannot be read.
     """
-    found = true_video(video, split)
+    found = ground_truth_video(video, split)
     return held_out_views(video) if found is None and split == "novel_view" else found
 
 
-def as_trained(view: SplitView, trained: Video) -> SplitView:
+def with_trained_poses(view: SplitView, trained: Video) -> SplitView:
     """Put a view under the poses trained with the avatar, unless its poses are ground truth."""
     if view.split in ("train", "test"):
         return view.through(lambda _: trained)
-    known = true_video(trained, view.split) is not None
+    known = ground_truth_video(trained, view.split) is not None
     return view if known else view.through(lambda _: source_of(trained, view.split))
 
 
-def true_video(video: Video, split: Split) -> Video | None:
+def ground_truth_video(video: Video, split: Split) -> Video | None:
     """Open the ground-truth folder of a split of a synthetic subject; None if there is none."""
     folder = video.truth / split if video.truth else None
     return load_video(folder) if folder is not None and folder.is_dir() else None

@@ -10,7 +10,7 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress, within
 from gva_mi.data.video import Video
 from gva_mi.fit.photometric import FITTED, PhotometricOptions, fit_poses
-from gva_mi.study.evaluate import as_trained, evaluate_views, views_of
+from gva_mi.study.evaluate import evaluate_views, views_of, with_trained_poses
 from gva_mi.study.metrics import Metrics, PoseFit, aligned_views
 from gva_mi.study.scores import Scorer
 from gva_mi.study.similarity import similarity_to_truth
@@ -40,7 +40,7 @@ def with_fitted_poses(
         body: the fitted body model.
         progress: called after each step of the pose fit.
     """
-    starts = [as_trained(view, trained) for view in views_of(video, ("test",), body)]
+    starts = [with_trained_poses(view, trained) for view in views_of(video, ("test",), body)]
     similarity = similarity_to_truth(avatar.rig, trained, body)
     if similarity is not None:
         novel = views_of(video, ("novel_pose", "novel_view"), body)

@@ -6,9 +6,9 @@ mask. Not even the ground-truth pose reaches an IoU of 1 under clothes: its IoU 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Literal
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -17,18 +17,106 @@ from torch import Tensor
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.threads import one_torch_thread
-from gva_mi.data.ground_truth import Truth
+from gva_mi.data.ground_truth import GroundTruth
 from gva_mi.data.video import Video
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.errors import pose_errors
 from gva_mi.pose.job import RefineOptions
 from gva_mi.pose.refine import Refined
 from gva_mi.splat import Camera
-from gva_mi.study.pose_figures import ERRORS, PoseFigures
+
+# Keys in JSON of the errors of gva_mi.pose.errors; the value of stage 1 has "_stage1" appended.
+ERRORS = {
+    "body": "vertex_mm",
+    "hands": "hand_vertex_mm",
+    "feet": "foot_vertex_mm",
+    "body_aligned": "aligned_vertex_mm",
+    "hands_aligned": "aligned_hand_vertex_mm",
+    "feet_aligned": "aligned_foot_vertex_mm",
+    "fingers": "finger_mm",
+    "joints": "joint_mm",
+    "joints_aligned": "aligned_joint_mm",
+    "pelvis_depth": "pelvis_depth_mm",
+    "ankles_depth": "ankle_depth_mm",
+    "wrists_depth": "wrist_depth_mm",
+    "surface": "surface_mm",
+    "hands_surface": "hand_surface_mm",
+    "feet_surface": "foot_surface_mm",
+}
+KEYS = (
+    *(name for key in ERRORS.values() for name in (f"{key}_stage1", key)),
+    "points", "frames_worse", "frames_worse_hands", "iou_stage1", "iou", "iou_truth",
+    "iou_true_masks", "focal_error_stage1", "focal_error", "seconds_per_frame",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
-class Measured:
+class PoseFigures:
+    """Figures by the keys of ``refinement.json``; a missing one is None.
+
+    ``*_mm`` are errors of :mod:`gva_mi.pose.errors`, taken on ``points`` ("vertices" or "joints");
+    ``frames_worse`` is the share of frames whose error increased; ``iou`` compares the bare body
+    with the masks, ``iou_truth`` the ground-truth body, ``iou_true_masks`` the refined body with
+    the true masks; ``focal_error`` is relative.
+    """
+
+    values: Mapping[str, Any] = field(default_factory=dict)
+
+    def __getitem__(self, key: str) -> Any:  # noqa: ANN401
+        return self.values.get(key)
+
+    def change(self, name: str) -> tuple[Any, Any] | None:
+        """Return a figure at stage 1 and after refinement; ``name`` of ERRORS, or a key."""
+        key = ERRORS.get(name, name)
+        both = self[f"{key}_stage1"], self[key]
+        return None if any(x is None for x in both) else both
+
+    def relative(self, name: str) -> float | None:
+        """Return the relative change of a figure, -0.5 if it was halved; None if it was 0."""
+        before, after = self.change(name) or (0, 0)
+        return after / before - 1 if before else None
+
+    def lines(self) -> Iterator[str]:
+        """Yield the main figures, a line each, for the console."""
+        titles = {"body": self["points"] or "vertices", "body_aligned": "aligned"}
+        for name in ("body", "hands", "feet", "body_aligned", "fingers", "surface"):
+            if both := self.change(name):
+                yield f"{titles.get(name, name):<11} {both[0]:.1f} → {both[1]:.1f} mm"
+        depths = {limb: self.change(f"{limb}_depth") for limb in ("ankles", "wrists")}
+        if all(depths.values()):
+            texts = (f"{limb} {a:+.0f} → {b:+.0f} mm" for limb, (a, b) in depths.items())
+            yield f"depth       {', '.join(texts)}"
+        if self["frames_worse"] is not None:
+            body, hands = self["frames_worse"], self["frames_worse_hands"]
+            yield f"increased   error in {body:.0%} of the frames, of the hands in {hands:.0%}"
+        focal, iou, limit = self.change("focal_error"), self.change("iou"), self["iou_truth"]
+        if focal and focal[0]:
+            yield f"focal       {focal[0]:+.1%} → {focal[1]:+.1%} off"
+        if iou:
+            best = "" if limit is None else f" (ground-truth pose {limit:.3f})"
+            yield f"silhouette  IoU {iou[0]:.3f} → {iou[1]:.3f}{best}"
+
+    def to_json(self) -> dict[str, float | str | None]:
+        """Return every key, in the order of the files."""
+        return {key: self[key] for key in KEYS}
+
+    @staticmethod
+    def from_json(record: Mapping[str, Any]) -> PoseFigures:
+        """Read what :meth:`to_json` wrote; missing figures are None.
+
+        Raises:
+            TypeError: a figure is not a number.
+        """
+        values = {key: record.get(key) for key in KEYS}
+        for key, value in values.items():
+            kind = str if key == "points" else int | float
+            if value is not None and (isinstance(value, bool) or not isinstance(value, kind)):
+                raise TypeError(f"'{key}' is {value!r:.40}")
+        return PoseFigures(values)
+
+
+@dataclass(frozen=True)
+class FrameFigures:
     """Figures of a refinement by the keys of :class:`PoseFigures`, each (T,), frame by frame.
 
     A figure that needs the ground truth is missing without it.
@@ -49,7 +137,7 @@ class Measured:
         known |= {"points": self.points, "seconds_per_frame": self.seconds_per_frame}
         return PoseFigures.from_json(known)
 
-    def of(self, frames: list[int]) -> Measured:
+    def of(self, frames: list[int]) -> FrameFigures:
         """Return the figures of some of the frames."""
         return replace(self, frames={key: x[frames] for key, x in self.frames.items()})
 
@@ -62,8 +150,8 @@ class Evaluation:
     body: BodyModel
     options: RefineOptions
     refined: Refined
-    truth: Truth | None  # of a synthetic subject
-    measured: Measured
+    truth: GroundTruth | None  # of a synthetic subject
+    measured: FrameFigures
 
     @staticmethod
     def of(
@@ -71,7 +159,7 @@ class Evaluation:
         body: BodyModel,
         options: RefineOptions,
         refined: Refined,
-        truth: Truth | None = None,
+        truth: GroundTruth | None = None,
     ) -> Evaluation:
         """Measure a refinement."""
         measured = measure(video, body, refined, truth)
@@ -82,9 +170,9 @@ def measure(
     video: Video,
     body: BodyModel,
     refined: Refined,
-    truth: Truth | None = None,
-    known: Measured | None = None,
-) -> Measured:
+    truth: GroundTruth | None = None,
+    known: FrameFigures | None = None,
+) -> FrameFigures:
     """Compare stage 1 and the refined poses with the masks and, if given, the ground truth.
 
     Args:
@@ -106,16 +194,16 @@ def measure(
     return replace(known, frames=frames, seconds_per_frame=refined.seconds_per_frame)
 
 
-def _measure_stage1(video: Video, body: BodyModel, truth: Truth | None) -> Measured:
+def _measure_stage1(video: Video, body: BodyModel, truth: GroundTruth | None) -> FrameFigures:
     """Measure stage 1 and the ground truth."""
     before = (video.pose, video.shape)
     frames = {"iou_stage1": silhouette_iou(video, body, *before)}
     if truth is None:
-        return Measured(frames)
+        return FrameFigures(frames)
     frames |= {f"{ERRORS[k]}_stage1": x for k, x in pose_errors(body, before, truth).items()}
     frames["iou_truth"] = silhouette_iou(video, truth.body, truth.pose, truth.shape, truth.cameras)
     frames["focal_error_stage1"] = _focal_errors(video.cameras, truth.cameras)
-    return Measured(frames, points="joints" if truth.foreign else "vertices")
+    return FrameFigures(frames, points="joints" if truth.foreign else "vertices")
 
 
 def _focal_errors(found: Sequence[Camera], true: Sequence[Camera]) -> Tensor:

@@ -34,8 +34,14 @@ from gva_mi.data.video import REFINED_POSES, Video
 from gva_mi.fit import run_folder
 from gva_mi.fit.tracking import TRACKED_POSES
 from gva_mi.pose.errors import means, pose_errors
-from gva_mi.study.evaluate import SplitScores, SplitView, as_trained, evaluate_views, views_of
-from gva_mi.study.pose_figures import PoseFigures
+from gva_mi.study.evaluate import (
+    SplitScores,
+    SplitView,
+    evaluate_views,
+    views_of,
+    with_trained_poses,
+)
+from gva_mi.study.measure import PoseFigures
 from gva_mi.study.refinement import load_refinement
 from gva_mi.study.scores import Scorer
 from gva_mi.study.similarity import Similarity, in_avatars_world, similarity_to_truth
@@ -182,7 +188,7 @@ def measure_run(
         view.through(lambda source: replace(source, pose=driven(source.pose)))
         for view in views_of(video, body=body)
     ]
-    views = [as_trained(view, trained) for view in given]
+    views = [with_trained_poses(view, trained) for view in given]
     similarity = similarity_to_truth(avatar.rig, trained, body)
     named = [(name, views)]
     if trained is not video:  # what training the poses is worth on frames it has not seen

@@ -15,15 +15,14 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
 from gva_mi.core.options import PictureSide, require_ranges
 from gva_mi.core.tasks import Task
-from gva_mi.data.ground_truth import Truth, load_ground_truth
+from gva_mi.data.ground_truth import GroundTruth, load_ground_truth
 from gva_mi.data.video import Video, load_video
 from gva_mi.pose.focal import follow
 from gva_mi.pose.refine import refine
 from gva_mi.pose.sequence import SequenceOptions
 from gva_mi.study.cases import StudyCase
 from gva_mi.study.engine import made_with
-from gva_mi.study.measure import Evaluation
-from gva_mi.study.pose_figures import PoseFigures
+from gva_mi.study.measure import Evaluation, PoseFigures
 from gva_mi.study.subjects import Filming, filming_work
 from gva_mi.synthetic.options import Level, VideoFrames
 
@@ -136,7 +135,7 @@ def refine_case(
     return Evaluation.of(video, body, options, refined, truth)
 
 
-def with_true_focal(truth: Truth, video: Video, body: BodyModel) -> Video:
+def with_true_focal(truth: GroundTruth, video: Video, body: BodyModel) -> Video:
     """Give a video the true focal length; its poses follow, as by ``prepare --lens``."""
     longer = truth.cameras[0].fx / video.cameras[0].fx
     pelvis = body.rest(video.shape).joints[0]
@@ -144,7 +143,7 @@ def with_true_focal(truth: Truth, video: Video, body: BodyModel) -> Video:
     return replace(video, cameras=cameras, pose=follow(video.pose, pelvis, video.cameras, longer))
 
 
-def height_of(truth: Truth) -> float:
+def height_of(truth: GroundTruth) -> float:
     """Return the subject's height at rest, from head to soles, metres."""
     y = truth.body.rest(truth.shape).vertices[:, 1]
     return float(y.max() - y.min())

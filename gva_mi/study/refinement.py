@@ -19,7 +19,7 @@ exchanged left and right before the refinement.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -36,10 +36,9 @@ from gva_mi.data.pictures import in_8_bits, write_image
 from gva_mi.data.video import REFINED_POSES, spread
 from gva_mi.mesh.overlay import overlay, strip
 from gva_mi.pose.job import RefineOptions
-from gva_mi.pose.refine import Refined, refine_all
-from gva_mi.study.measure import Evaluation, Measured, measure
+from gva_mi.pose.refine import refine_all
+from gva_mi.study.measure import Evaluation, PoseFigures, measure
 from gva_mi.study.page import around
-from gva_mi.study.pose_figures import PoseFigures
 
 REFINEMENT, OVERLAYS, PAGE = "refinement.json", "refinement.png", "refinement.html"
 SHOWN = 8  # frames in the picture
@@ -55,7 +54,7 @@ def write_record(evaluation: Evaluation, versions: dict[str, str]) -> None:
         "footing": None if refined.footing is None else asdict(refined.footing),
         "swapped": refined.swapped,
         "test_frames": "held out" if refined.held_out else "seen",
-        **_by_split(evaluation.measured, refined),
+        **({"figures_by_split": _by_split(evaluation)} if refined.held_out else {}),
         "kept": refined.kept,
         "without_normals": refined.without_normals,
         "normals": video.normals.convention if video.normals else None,
@@ -105,14 +104,12 @@ def ablate(
     Returns:
         The figures of each variant, by name.
     """
-    video, body, truth = evaluation.video, evaluation.body, evaluation.truth
+    video, body = evaluation.video, evaluation.body
     tasks = ablations(evaluation.options, others)
-    work = [
-        (video if normals else replace(video, normals=None), o) for o, normals in tasks.values()
-    ]
+    work = [(video if seen else replace(video, normals=None), o) for o, seen in tasks.values()]
     found = refine_all(work, body, progress, executor)
     return {
-        name: measure(video, body, refined, truth, evaluation.measured).means
+        name: measure(video, body, refined, evaluation.truth, evaluation.measured).means
         for name, refined in zip(tasks, found, strict=True)
     }
 
@@ -129,32 +126,48 @@ def ablations(
     }
 
 
-def _by_split(measured: Measured, refined: Refined) -> dict[str, dict]:
-    """Return figures of seen and of held-out frames; nothing if none was held out."""
-    if not refined.held_out:
-        return {}
-    seen = [k for k in range(len(refined.pose)) if k not in set(refined.held_out)]
-    splits = {"train": seen, "test": refined.held_out}
-    figures = {name: measured.of(frames).means.to_json() for name, frames in splits.items()}
-    return {"figures_by_split": figures}
+def _by_split(evaluation: Evaluation) -> dict[str, dict]:
+    """Return the figures of seen and of held-out frames."""
+    held_out = evaluation.refined.held_out
+    seen = [k for k in range(len(evaluation.video)) if k not in held_out]
+    splits = {"train": seen, "test": held_out}
+    return {name: evaluation.measured.of(some).means.to_json() for name, some in splits.items()}
 
 
 @torch.no_grad()
-def _overlays(evaluation: Evaluation) -> np.ndarray:
-    """Draw bodies over evenly spaced frames, stage 1 above, refined below, in 8 bits.
+def overlays(
+    evaluation: Evaluation, shown: Sequence[int], margin: float
+) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
+    """Yield frames, and pictures of each: as it is, and under every pose that is known.
 
-    Frames are cropped at once: eight whole frames of 1080p as floats take a gigabyte.
+    One frame at a time, because eight whole frames of 1080p as floats take a gigabyte.
+
+    Args:
+        evaluation: of a refinement.
+        shown: frames.
+        margin: around the person in all of them, a share of the picture's height.
     """
     video, body, refined = evaluation.video, evaluation.body, evaluation.refined
-    shown = spread([k for k in range(len(video)) if k not in video.absent], SHOWN)
+    poses = {
+        "stage 1": (body, video.pose, video.shape, video.cameras),
+        "refined": (body, refined.pose, refined.shape, refined.cameras or video.cameras),
+    }
+    if (truth := evaluation.truth) is not None:
+        poses["ground-truth pose"] = (truth.body, truth.pose, truth.shape, truth.cameras)
     seen = np.any([outline.mask > 0.5 for outline in video.outlines(shown)], axis=0)
-    part = around(seen, margin=len(seen) // 16)
-    stage1 = (video.pose, video.shape, video.cameras)
-    found = (refined.pose, refined.shape, refined.cameras or video.cameras)
-    rows = ([], [])
+    part = around(seen, margin=int(len(seen) * margin))
     for frame in video.frames(shown):
-        for row, (pose, shape, cameras) in zip(rows, (stage1, found), strict=True):
-            vertices = body(pose[frame.index], shape).vertices[0]
-            picture = overlay(frame.image, cameras[frame.index], vertices, body.faces)
-            row.append(in_8_bits(picture[part]))
-    return strip(rows)
+        k, pictures = frame.index, {"the picture": frame.image[part]}
+        for name, (model, pose, shape, cameras) in poses.items():
+            vertices = model(pose[k], shape).vertices[0]
+            pictures[name] = overlay(frame.image, cameras[k], vertices, model.faces)[part]
+        yield k, pictures
+
+
+def _overlays(evaluation: Evaluation) -> np.ndarray:
+    """Draw bodies over evenly spaced frames, stage 1 above, refined below, in 8 bits."""
+    video = evaluation.video
+    shown = spread([k for k in range(len(video)) if k not in video.absent], SHOWN)
+    pictures = overlays(evaluation, shown, margin=1 / 16)
+    columns = [[in_8_bits(own[name]) for name in ("stage 1", "refined")] for _, own in pictures]
+    return strip(list(zip(*columns, strict=True)))

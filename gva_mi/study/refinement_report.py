@@ -12,11 +12,11 @@ import torch
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import listed
 from gva_mi.data.video import Video, spread
-from gva_mi.mesh.overlay import overlay, shaded, strip
+from gva_mi.mesh.overlay import shaded, strip
 from gva_mi.pose.refine import Refined
-from gva_mi.study.measure import Evaluation, Measured
+from gva_mi.study.measure import ERRORS, Evaluation, FrameFigures, PoseFigures
 from gva_mi.study.page import Headline, Section, Table, around, number, picture, plot, write_page
-from gva_mi.study.pose_figures import ERRORS, PoseFigures
+from gva_mi.study.refinement import overlays
 
 SHOWN = 6  # frames of a strip
 BEFORE, AFTER, TRUTH = "#b3261e", "#2f6f5e", "#667085"  # colours of curves
@@ -86,11 +86,6 @@ _WORST = (
     "The frames with the largest error of the refined body or, without ground truth, with the "
     "smallest silhouette IoU."
 )
-_ABLATION = (
-    "The same video refined without one part, and by Eq. 8 as the paper prints it: every frame on "
-    "its own, the bare body, rotations only. A bare body cannot fill the mask of a clothed person: "
-    "what is closest to the mask is not what is closest to the ground truth."
-)
 
 
 def errors_table(figures: PoseFigures, trained: Mapping[str, float] | None = None) -> Table:
@@ -123,17 +118,20 @@ def errors_table(figures: PoseFigures, trained: Mapping[str, float] | None = Non
 
 
 def _headlines(means: PoseFigures, refined: Refined) -> list[Headline]:
-    headlines = []
-    for label, name in (("mean vertex error", "body"), ("error of the hands", "hands")):
-        if change := means.change(name):
-            value = f"{change[0]:.0f} → {change[1]:.0f} mm"
-            headlines.append(Headline(value, f"{label}, stage 1 → refined"))
+    lengths = (("mean vertex error", "body"), ("error of the hands", "hands"))
+    headlines = [
+        Headline(f"{change[0]:.0f} → {change[1]:.0f} mm", f"{label}, stage 1 → refined")
+        for label, name in lengths
+        if (change := means.change(name))
+    ]
     best, iou = means["iou_truth"], means.change("iou")
     limit = "" if best is None else f" ({best:.3f} at the ground-truth pose)"
-    headlines.append(Headline(f"{iou[0]:.3f} → {iou[1]:.3f}", f"silhouette IoU{limit}"))
-    headlines.append(Headline(f"{refined.seconds_per_frame:.2f} s", "of work for a frame"))
-    headlines.append(Headline(str(len(refined.kept)), "frames keep their stage-1 pose"))
-    return headlines
+    return [
+        *headlines,
+        Headline(f"{iou[0]:.3f} → {iou[1]:.3f}", f"silhouette IoU{limit}"),
+        Headline(f"{refined.seconds_per_frame:.2f} s", "of work for a frame"),
+        Headline(str(len(refined.kept)), "frames keep their stage-1 pose"),
+    ]
 
 
 def _means(means: PoseFigures) -> Section:
@@ -149,7 +147,7 @@ def _means(means: PoseFigures) -> Section:
     return Section("Figures", text, tables=[errors_table(means)])
 
 
-def _curves(refined: Refined, measured: Measured) -> Section:
+def _curves(refined: Refined, measured: FrameFigures) -> Section:
     """Plot errors, IoU and loss over the frames."""
     import matplotlib.pyplot as plt
 
@@ -180,43 +178,25 @@ def _curves(refined: Refined, measured: Measured) -> Section:
     return Section("Frame by frame", text, [plot("", fig)], columns=1)
 
 
-def _worst(video: Video, measured: Measured) -> list[int]:
+def _worst(video: Video, measured: FrameFigures) -> list[int]:
     """Return the frames with the largest errors, or else the smallest IoU, worst first."""
     badness = measured.frames.get("vertex_mm", -measured.frames["iou"])
     order = badness.nan_to_num(-torch.inf).argsort(descending=True, stable=True).tolist()
     return [k for k in order if k not in video.absent][:SHOWN]
 
 
-@torch.no_grad()
 def _frames(title: str, text: str, shown: Sequence[int], evaluation: Evaluation) -> Section:
     """Show overlays of some frames, all poses of a frame side by side."""
-    video, body, refined = evaluation.video, evaluation.body, evaluation.refined
-    cameras, truth, measured = (
-        refined.cameras or video.cameras,
-        evaluation.truth,
-        evaluation.measured,
-    )
-    bodies = {
-        "stage 1": (body, video.pose, video.shape, video.cameras),
-        "refined": (body, refined.pose, refined.shape, cameras),
-    }
-    if truth is not None:
-        bodies["ground-truth pose"] = (truth.body, truth.pose, truth.shape, truth.cameras)
-    pictures = []
-    seen = np.any([outline.mask > 0.5 for outline in video.outlines(shown)], axis=0)
-    part = around(seen, margin=len(seen) // 12)
-    for frame in video.frames(shown):
-        k, panels = frame.index, [frame.image[part]]
-        for model, pose, shape, views in bodies.values():
-            vertices = model(pose[k], shape).vertices[0]
-            panels.append(overlay(frame.image, views[k], vertices, model.faces)[part])
-        caption = f"frame {k}: {_caption(k, measured)}"
-        pictures.append(picture(caption, strip([panels])))
-    text = f"{text} From left to right: the picture, {', '.join(bodies)}.".strip()
+    pictures, names = [], ()
+    for k, panels in overlays(evaluation, shown, margin=1 / 12):
+        caption = f"frame {k}: {_caption(k, evaluation.measured)}"
+        pictures.append(picture(caption, strip([list(panels.values())])))
+        names = panels
+    text = f"{text} From left to right: {', '.join(names)}.".strip()
     return Section(title, text, pictures, columns=3)
 
 
-def _caption(frame: int, measured: Measured) -> str:
+def _caption(frame: int, measured: FrameFigures) -> str:
     """Write a frame's own figures."""
     known = {key: float(x[frame]) for key, x in measured.frames.items()}
     parts = [
@@ -229,18 +209,27 @@ def _caption(frame: int, measured: Measured) -> str:
 
 def _ablation(means: PoseFigures, ablation: Mapping[str, PoseFigures]) -> Section:
     rows = []
-    stage1 = {"stage 1": (means, "_stage1")}
-    later = {name: (figures, "") for name, figures in {"refined": means, **ablation}.items()}
     keys = ("vertex_mm", "hand_vertex_mm", "foot_vertex_mm", "aligned_vertex_mm")
-    for name, (figures, stage) in (stage1 | later).items():
-        cells = [number(figures[key + stage], 1) for key in keys]
-        share, seconds = figures["frames_worse"], figures["seconds_per_frame"]
-        cells.append("–" if stage or share is None else f"{100 * share:.0f} %")
-        rows.append([name, *cells, number(figures["iou" + stage], 3)])
-        rows[-1].append("–" if stage else number(seconds, 2))
+    for name, figures in {"stage 1": means, "refined": means, **ablation}.items():
+        stage = "_stage1" if name == "stage 1" else ""
+        share = None if stage else figures["frames_worse"]
+        rows.append(
+            [
+                name,
+                *(number(figures[key + stage], 1) for key in keys),
+                "–" if share is None else f"{100 * share:.0f} %",
+                number(figures["iou" + stage], 3),
+                number(None if stage else figures["seconds_per_frame"], 2),
+            ]
+        )
     head = ("", "vertices, mm", "hands, mm", "feet, mm", "pelvis-aligned, mm")
     head += ("frames whose error increased", "IoU", "s a frame")
-    return Section("What each term is worth", _ABLATION, tables=[Table(head, rows)])
+    text = (
+        "The same video refined without one part, and by Eq. 8 as the paper prints it: every frame "
+        "on its own, the bare body, rotations only. A bare body cannot fill the mask of a clothed "
+        "person: what is closest to the mask is not what is closest to the ground truth."
+    )
+    return Section("What each term is worth", text, tables=[Table(head, rows)])
 
 
 def _surface(body: BodyModel, refined: Refined) -> Section:

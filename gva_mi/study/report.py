@@ -25,8 +25,7 @@ from gva_mi.study.refinement import OVERLAYS
 from gva_mi.study.refinement_report import errors_table
 from gva_mi.study.regions import CLOSE_UPS
 from gva_mi.study.report_pictures import compared, dots, overview, same_size, turntable, zoomed
-from gva_mi.study.surface import SurfaceFigures
-from gva_mi.study.true_surface import PARTS, TEXTURES
+from gva_mi.study.surface import PARTS, TEXTURES, SurfaceFigures
 
 SHOWN = 5  # frames of a strip
 ENLARGED = 3  # novel poses that are shown enlarged

@@ -8,7 +8,7 @@ import pytest
 
 from gva_mi.study import avatar_study, refine_study
 from gva_mi.study.cases import HELD_OUT, StudyCase
-from gva_mi.study.pose_figures import PoseFigures
+from gva_mi.study.measure import PoseFigures
 from gva_mi.study.variants import VARIANTS
 
 FIGURES = PoseFigures.from_json({

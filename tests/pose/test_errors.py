@@ -9,7 +9,7 @@ import torch
 from gva_mi.body.built_in import BUILT_IN_BODY
 from gva_mi.body.pose import JOINTS, LEFT_HAND, Pose, Shape
 from gva_mi.body.smplx import load_body
-from gva_mi.data.ground_truth import Truth
+from gva_mi.data.ground_truth import GroundTruth
 from gva_mi.pose.errors import means, pose_errors
 
 SHAPE = Shape(torch.zeros(10))
@@ -17,7 +17,7 @@ SHAPE = Shape(torch.zeros(10))
 
 @pytest.fixture
 def truth(body, true_pose, camera):
-    return Truth(body, true_pose, SHAPE, [camera] * len(true_pose))
+    return GroundTruth(body, true_pose, SHAPE, [camera] * len(true_pose))
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +92,7 @@ def test_opposite_depths_of_both_sides_cancel(body, camera):
     """Arms stretched sideways, the whole person turned about the pelvis: one near, one far."""
     rest = Pose.rest(1)
     facing = replace(camera, T_camera_world=np.diag([1.0, -1, -1, 1]))
-    truth = Truth(body, rest, SHAPE, [facing])
+    truth = GroundTruth(body, rest, SHAPE, [facing])
     leaning = pose_errors(body, (turned(rest, "pelvis", (0, 0.2, 0)), SHAPE), truth)
     assert leaning["wrists_depth"].abs() < 0.2 * leaning["hands"]
     both = turned(turned(rest, "left_hip", (-0.2, 0, 0)), "right_hip", (-0.2, 0, 0))

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from gva_mi.body.pose import JAW_AND_EYES
-from gva_mi.data.ground_truth import Truth
+from gva_mi.data.ground_truth import GroundTruth
 from gva_mi.pose import SequenceOptions, SingleFrameOptions, refine
 from gva_mi.study.measure import measure
 
@@ -30,7 +30,9 @@ def paper(clip, body):
 @pytest.mark.parametrize(("way", "left"), [("sequence", 0.55), ("paper", 0.7)])
 def test_a_known_error_is_corrected(request, clip, body, true_pose, way, left):
     refined = request.getfixturevalue(way)
-    errors = measure(clip, body, refined, Truth(body, true_pose, clip.shape, clip.cameras)).means
+    errors = measure(
+        clip, body, refined, GroundTruth(body, true_pose, clip.shape, clip.cameras)
+    ).means
     assert errors.relative("body") < left - 1
     assert errors["iou"] > errors["iou_stage1"] and errors["iou_truth"] > 0.99
     assert (refined.losses < refined.losses_stage1).all() and not refined.kept
@@ -58,7 +60,9 @@ def test_without_normals_the_silhouette_suffices(clip, body, true_pose):
     blind = replace(clip, pictures=[(mask, None) for mask, _ in clip.pictures])
     refined = refine(blind, body, SEQUENCE)
     assert refined.without_normals == [0, 1, 2]
-    errors = measure(blind, body, refined, Truth(body, true_pose, clip.shape, clip.cameras)).means
+    errors = measure(
+        blind, body, refined, GroundTruth(body, true_pose, clip.shape, clip.cameras)
+    ).means
     assert errors.relative("body") < 0.55 - 1
 
 
@@ -98,7 +102,9 @@ def test_a_frame_whose_loss_grew_keeps_its_pose(clip, coarse):
 
 def test_the_ground_truth_has_no_error(clip, body, true_pose, sequence):
     perfect = replace(sequence, pose=true_pose, shape=clip.shape)
-    errors = measure(clip, body, perfect, Truth(body, true_pose, clip.shape, clip.cameras)).means
+    errors = measure(
+        clip, body, perfect, GroundTruth(body, true_pose, clip.shape, clip.cameras)
+    ).means
     assert errors["vertex_mm"] == errors["hand_vertex_mm"] == errors["aligned_vertex_mm"] == 0
     assert errors["iou"] == errors["iou_truth"] and errors["frames_worse"] == 0
     unknown = measure(clip, body, perfect).means

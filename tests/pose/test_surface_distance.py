@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from gva_mi.pose.surface_distance import surface_distances
+from gva_mi.pose.errors import surface_distances
 
 
 @pytest.fixture

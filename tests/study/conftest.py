@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from gva_mi.body.pose import JOINTS, save_poses
-from gva_mi.data.ground_truth import Truth
+from gva_mi.data.ground_truth import GroundTruth
 from gva_mi.data.pictures import write_image
 from gva_mi.data.video import load_video, save_cameras
 from gva_mi.fit.renders import render_frame
@@ -50,7 +50,7 @@ def estimated(video):
 @pytest.fixture(scope="session")
 def truth(video, body):
     """The ground truth of the tiny subject."""
-    return Truth(body, video.pose, video.shape, video.cameras)
+    return GroundTruth(body, video.pose, video.shape, video.cameras)
 
 
 @pytest.fixture(scope="session")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gva_mi.study.defects import EDGE, Defects, flicker
+from gva_mi.study.scores import EDGE, Defects, flicker
 
 SIZE = 40
 

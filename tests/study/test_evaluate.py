@@ -14,7 +14,7 @@ from gva_mi.data.views import save_views
 from gva_mi.fit.perceptual import Weights
 from gva_mi.fit.renders import render_frame, to_8bit
 from gva_mi.splat import look_at
-from gva_mi.study.evaluate import as_trained, evaluate, evaluate_views, views_of
+from gva_mi.study.evaluate import evaluate, evaluate_views, views_of, with_trained_poses
 from gva_mi.study.scores import PSNR_MAX, Scorer
 
 NONE = Weights()  # whatever this machine has
@@ -87,7 +87,7 @@ def test_they_are_seen_under_the_poses_trained_with_the_avatar(known, watched):
     off = replace(video, pose=Pose(video.pose.rotations, video.pose.transl + 0.01,
                                    video.pose.expression))  # fmt: skip
     given = {view.split: view for view in views_of(off)}
-    trained = [as_trained(view, video) for view in given.values()]
+    trained = [with_trained_poses(view, video) for view in given.values()]
     before, after = (
         {row.split: row.psnr for row in evaluate_views(known, views, "x", Scorer(NONE))
          if row.region == "white"}

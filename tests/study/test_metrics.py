@@ -14,6 +14,7 @@ from gva_mi.fit.perceptual import Weights
 from gva_mi.fit.run_folder import METRICS
 from gva_mi.study.evaluate import SplitScores
 from gva_mi.study.fitted_poses import _pose_fit_options
+from gva_mi.study.measure import PoseFigures
 from gva_mi.study.metrics import (
     Metrics,
     PoseFit,
@@ -23,7 +24,6 @@ from gva_mi.study.metrics import (
     load_metrics,
     save_metrics,
 )
-from gva_mi.study.pose_figures import PoseFigures
 from gva_mi.study.scores import Scorer
 from gva_mi.study.surface import SurfaceFigures
 

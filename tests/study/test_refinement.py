@@ -10,8 +10,7 @@ import torch
 
 from gva_mi.core.errors import InputError
 from gva_mi.pose import SequenceOptions, SingleFrameOptions
-from gva_mi.study.measure import Evaluation, measure
-from gva_mi.study.pose_figures import PoseFigures
+from gva_mi.study.measure import Evaluation, PoseFigures, measure
 from gva_mi.study.refinement import ablations, load_refinement, write_record
 from gva_mi.study.refinement_report import _worst, errors_table, write_refinement_report
 

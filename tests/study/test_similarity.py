@@ -13,13 +13,13 @@ from gva_mi.fit.perceptual import Weights
 from gva_mi.fit.photometric import FITTED
 from gva_mi.study.evaluate import evaluate_views, views_of
 from gva_mi.study.fitted_poses import with_fitted_poses
+from gva_mi.study.measure import PoseFigures
 from gva_mi.study.metrics import (
     Metrics,
     Protocol,
     Training,
     aligned_views,
 )
-from gva_mi.study.pose_figures import PoseFigures
 from gva_mi.study.scores import Scorer
 from gva_mi.study.similarity import (
     Similarity,

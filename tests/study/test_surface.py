@@ -12,16 +12,18 @@ from gva_mi.avatar.avatar import seed_avatar
 from gva_mi.body.pose import Shape
 from gva_mi.core.errors import InputError
 from gva_mi.data.fingerprint import ABOUT, fingerprint
-from gva_mi.pose.surface_distance import surface_distances
+from gva_mi.pose.errors import surface_distances
 from gva_mi.study.surface import (
     NEAR,
+    PARTS,
+    TEXTURES,
+    TrueSurface,
     bias_mm,
     elongation_and_largest,
     spacing,
     stray_mm,
     surface_figures,
 )
-from gva_mi.study.true_surface import PARTS, TEXTURES, TrueSurface
 from gva_mi.synthetic import SynthOptions, remake_subject
 from gva_mi.synthetic.provenance import SURFACE, write_surface
 from gva_mi.synthetic.subject import draw_subject

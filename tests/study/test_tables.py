@@ -6,7 +6,7 @@ import pytest
 
 from gva_mi.study.cases import HELD_OUT, TUNING, StudyCase, Take
 from gva_mi.study.engine import Outcome
-from gva_mi.study.pose_figures import PoseFigures
+from gva_mi.study.measure import PoseFigures
 from gva_mi.study.refine_study import columns
 from gva_mi.study.study_report import PAPER, tables
 from gva_mi.study.tables import avatar_cells, cell, refine_cells, text_table

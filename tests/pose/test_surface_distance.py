@@ -50,7 +50,7 @@ def test_a_triangle_without_area_counts_as_a_line():
     np.testing.assert_allclose(found, [5.0])
 
 
-def test_on_the_puppet_it_is_the_least_over_all_triangles(body, rng):
+def test_on_the_body_it_is_the_minimum_over_all_triangles(body, rng):
     vertices, faces = body.v_template.numpy().astype("f8"), body.faces.numpy()
     points = vertices[::400] + rng.normal(0, 0.04, vertices[::400].shape)
     triangles = np.tile(vertices[faces], (len(points), 1, 1))

@@ -14,18 +14,7 @@ BOTH = pytest.mark.parametrize(
 )
 
 
-def test_nobody_is_both_tuned_on_and_judged():
-    people = [{case.take.person for case in some} for some in (TUNING, HELD_OUT)]
-    assert not people[0] & people[1]
-    assert not {case.name for case in TUNING} & {case.name for case in HELD_OUT}
-
-
-def test_no_draw_of_a_noise_is_both_tuned_on_and_judged():
-    assert all(case.draw < 100 for case in TUNING)
-    assert all(case.draw >= 1000 for case in HELD_OUT)
-
-
-def test_editions_share_nobody_and_no_noise_and_are_alike_in_all_else():
+def test_held_out_sets_share_no_subject_and_no_draw_and_are_alike_in_all_else():
     editions = [TUNING, *(held_out(n) for n in (1, 2, 3, 1000))]
     for k, some in enumerate(editions):
         for others in editions[:k]:
@@ -37,20 +26,20 @@ def test_editions_share_nobody_and_no_noise_and_are_alike_in_all_else():
 
 
 @BOTH
-def test_every_case_is_another_one(some):
+def test_cases_are_distinct(some):
     assert len({case.name for case in some}) == len({case.draw for case in some}) == len(some)
     assert all(case.take.subject in (None, *STUDY) and case.noise in ERROR_MODELS for case in some)
 
 
 @BOTH
-def test_a_person_is_filmed_once(some):
+def test_a_subject_has_one_take(some):
     takes = {case.take.person: set() for case in some}
     for case in some:
         takes[case.take.person].add(case.take)
     assert all(len(several) == 1 for several in takes.values())
 
 
-def test_all_families_judge_and_some_of_them_tuned_nothing():
+def test_held_out_cases_cover_all_error_models_and_some_were_never_tuned_on():
     families = Counter(case.family for case in HELD_OUT)
     assert set(families) == {*ERROR_MODELS, NO_NORMALS}
     assert set(families) - {case.family for case in TUNING} == {"shape", "focal", "normals"}
@@ -61,7 +50,7 @@ def test_all_families_judge_and_some_of_them_tuned_nothing():
     assert any(take.bare for take in takes)
 
 
-def test_names_say_what_is_special():
+def test_names_list_what_differs_from_the_default():
     assert StudyCase(Take("bruno"), "white", 1000).name == "bruno: white 1000"
     walking = Take(seed=3, motion="walk", figure="stretched", bare=True)
     case = StudyCase(walking, "bursts", 4, normals=False)
@@ -77,7 +66,7 @@ def test_only_a_case_that_needs_a_package_lacks_it(monkeypatch):
 
 
 @BOTH
-def test_every_take_can_be_asked_for(some):
+def test_every_take_has_valid_options(some):
     """Its motion, figure and outfit are ones that subjects have; else the options refuse."""
     for case in some:
         options = case.take.synth(8, 64)

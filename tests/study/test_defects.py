@@ -20,7 +20,7 @@ def seen(alpha, color=0.3):
     return tuple(np.round(255 * on(ground)).astype(np.uint8) for ground in (1.0, 0.0))
 
 
-def test_the_person_itself_has_none():
+def test_a_perfect_render_has_no_defects():
     mask = square(10, 30)
     assert Defects.of(*seen(mask), mask) == Defects(0, 0)
 
@@ -49,17 +49,13 @@ def test_a_hole_counts_by_how_much_shows_through():
     assert found.holes == pytest.approx(0.75 * 16 / 400, rel=0.01) and found.spill == 0
 
 
-def test_whoever_stands_beside_the_person_has_both():
+def test_a_shifted_render_has_spill_and_holes():
     mask = square(10, 30)
     found = Defects.of(*seen(np.roll(mask, 6, axis=1)), mask)
     assert found.spill > 0.1 and found.holes > 0.1
 
 
-def test_means():
-    assert Defects.mean([Defects(0.0, 0.2), Defects(0.4, 0.0)]) == Defects(0.2, 0.1)
-
-
-def test_what_changes_in_the_avatar_and_not_in_the_person_flickers():
+def test_flicker_measures_change_that_the_person_does_not_show():
     mask = square(10, 30)
     person = (seen(mask)[0], seen(np.roll(mask, 1, axis=1))[0])
     assert flicker(person, person, mask) == 0
@@ -67,7 +63,7 @@ def test_what_changes_in_the_avatar_and_not_in_the_person_flickers():
     assert flicker(brighter, person, mask) == pytest.approx(0.2, abs=0.005)
 
 
-def test_what_is_always_wrong_does_not_flicker():
+def test_a_constant_error_does_not_flicker():
     mask = square(10, 30)
     wrong, right = seen(mask, color=0.9)[0], seen(mask)[0]
     assert flicker((wrong, wrong), (right, right), mask) == 0

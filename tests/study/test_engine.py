@@ -138,7 +138,7 @@ def test_a_foreign_body_is_measured_by_joints(tmp_path, body):
 
 
 @pytest.mark.slow
-def test_known_height_and_lens_put_subjects_in_their_place(tmp_path, body):
+def test_known_height_and_focal_length_fix_the_depth(tmp_path, body):
     refine = SequenceOptions(size=48, passes=1)
     options = RefineStudyOptions(frames=3, size=48, refine=refine, known=True)
     bare = next(case for case in TUNING if case.take.bare)

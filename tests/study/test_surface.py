@@ -10,7 +10,6 @@ from scipy.spatial import cKDTree
 
 from gva_mi.avatar.avatar import seed_avatar
 from gva_mi.body.pose import Shape
-from gva_mi.core.errors import InputError
 from gva_mi.data.fingerprint import ABOUT, fingerprint
 from gva_mi.pose.errors import surface_distances
 from gva_mi.study.surface import (
@@ -49,10 +48,10 @@ def lattice(count, height=0.0):
     return np.stack([x, y, np.full_like(x, height)], -1).reshape(-1, 3)
 
 
-def test_spacing_is_zero_on_a_lattice_and_that_of_poisson_s_points_at_random(square):
+def test_spacing_is_0_on_a_lattice_and_0_52_for_random_points(square):
     assert spacing(lattice(50), square) == pytest.approx(dict.fromkeys(("all", "skin", "hair"), 0))
-    spread_out = np.random.default_rng(0).random((40_000, 3)) * (1, 1, 0)
-    assert spacing(spread_out, square)["all"] == pytest.approx(0.523, abs=0.01)
+    scattered = np.random.default_rng(0).random((40_000, 3)) * (1, 1, 0)
+    assert spacing(scattered, square)["all"] == pytest.approx(0.523, abs=0.01)
 
 
 def test_spacing_is_measured_along_the_surface(square):
@@ -75,7 +74,7 @@ def test_floaters_do_not_count_and_few_gaussians_have_no_figure(square):
     assert "hair" not in spacing(few[few[:, 0] < 0.5], square)
 
 
-def test_bias_is_the_distance_that_was_not_reached(square):
+def test_bias_is_the_distance_to_a_surface_that_gaussians_do_not_reach(square):
     """Gaussians 30 mm below the hair: 30 mm but for the spacing, sqrt(30² + 5²) at most."""
     low = lattice(100)
     low[low[:, 0] > 0.5, 2] = -0.030
@@ -84,7 +83,7 @@ def test_bias_is_the_distance_that_was_not_reached(square):
     assert found["rest"] < 10 / np.sqrt(2) and 30 < found["hair"] < 31
 
 
-def test_strays_are_as_far_as_they_are(square):
+def test_stray_is_the_distance_of_floaters(square):
     lying = square.points[:300] + np.array([0, 0, 1e-4])
     assert stray_mm(lying, square) == pytest.approx(0.1, rel=1e-6)
     away = np.concatenate([lying, square.points[:10] + np.array([0, 0, 0.2])])
@@ -93,7 +92,7 @@ def test_strays_are_as_far_as_they_are(square):
     assert stray_mm(within, square) == pytest.approx(0.1, rel=1e-6)
 
 
-def test_needles_and_huge_gaussians_are_told_from_discs():
+def test_elongation_and_largest_detect_needles_and_huge_gaussians():
     discs = np.tile([0.002, 0.008, 0.008], (98, 1))
     needles = np.tile([0.002, 0.08, 0.002], (2, 1))
     assert elongation_and_largest(discs) == pytest.approx((1, 8))
@@ -121,7 +120,7 @@ def bare(tmp_path_factory, body):
     return drawn(tmp_path_factory.mktemp("bare"), body, options)
 
 
-def test_the_surface_of_a_bare_person_is_the_body_that_the_avatar_stands_on(bare, body):
+def test_the_surface_of_a_bare_subject_is_transferred_to_the_avatars_body(bare, body):
     """Carried over to an avatar of other betas, it lies on that avatar's own rest surface."""
     betas = torch.tensor([2.0, -1.5, *[0.0] * 8])
     avatar = seed_avatar(body, Shape(betas))
@@ -146,13 +145,8 @@ def test_a_cap_is_an_accessory_and_shorts_have_inner_sides(body, tmp_path):
     assert 0.02 < hidden.mean() < 0.5
 
 
-def test_a_person_that_is_drawn_otherwise_today_has_no_figures(bare, known, body, tmp_path):
+def test_a_subject_that_is_drawn_differently_today_has_no_figures(bare, known, body, tmp_path):
     folder = shutil.copytree(bare, tmp_path / "older")
     (folder / "truth/surface.ply").unlink()
     assert remake_subject(folder, body) is None
     assert TrueSurface.of(folder, body, known.rig) is None
-
-
-def test_a_folder_without_its_options_is_named(tmp_path, body):
-    with pytest.raises(InputError, match="synth.json: no such file"):
-        remake_subject(tmp_path, body)

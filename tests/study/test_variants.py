@@ -43,11 +43,11 @@ def test_full_and_rows_that_differ_in_their_input_change_no_option():
         ("true poses", {"poses.trained"}),
     ],
 )
-def test_a_row_leaves_one_part_out(name, options):
+def test_a_variant_leaves_one_part_out(name, options):
     assert changed(name) == options
 
 
-def test_gart_and_a_still_life_leave_most_out():
+def test_gart_like_and_static_leave_most_parts_out():
     assert changed("GART-like") == {
         "avatar.hands", "avatar.stretch", "naked", "schedule.reinit_at", "loss.perceptual",
         "loss.residual", "loss.alpha", "loss.ssim",

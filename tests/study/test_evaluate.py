@@ -20,7 +20,7 @@ from gva_mi.study.scores import PSNR_MAX, Scorer
 NONE = Weights()  # whatever this machine has
 
 
-def test_the_avatar_in_the_pictures_reaches_the_maximum(known, studio, body):
+def test_the_avatar_that_made_the_pictures_reaches_the_maximum(known, studio, body):
     rows = evaluate(known, studio, name="known", weights=NONE, body=body)
     whole = [row for row in rows if row.region == "white"]
     assert [(row.split, row.count) for row in whole] == [
@@ -73,7 +73,7 @@ def watched(studio, known, camera, tmp_path):
     return folder
 
 
-def test_what_other_cameras_saw_are_novel_views(known, watched, body):
+def test_pictures_of_other_cameras_are_novel_views(known, watched, body):
     video = load_video(watched)
     rows = {row.split: row for row in evaluate(known, video, weights=NONE, body=body)
             if row.region == "white"}  # fmt: skip
@@ -81,7 +81,7 @@ def test_what_other_cameras_saw_are_novel_views(known, watched, body):
     assert rows["novel_view"].psnr == PSNR_MAX
 
 
-def test_they_are_seen_under_the_poses_trained_with_the_avatar(known, watched):
+def test_views_of_other_cameras_use_the_trained_poses(known, watched):
     """Poses that are off by a centimetre before training: the trained ones count."""
     video = load_video(watched)
     off = replace(video, pose=Pose(video.pose.rotations, video.pose.transl + 0.01,
@@ -101,7 +101,6 @@ def test_a_worse_avatar_has_worse_figures(known, studio):
     damaged = type(known).from_record(known.record())
     with torch.no_grad():
         damaged.canonical.sh[:, 0] += 0.2
-    slightly, badly = [], []
     slightly = evaluate(damaged, studio, splits=["test"], weights=NONE)[0]
     with torch.no_grad():
         damaged.canonical.means += 0.03
@@ -112,7 +111,7 @@ def test_a_worse_avatar_has_worse_figures(known, studio):
     assert 0 < slightly.flicker < badly.flicker
 
 
-def test_white_around_the_person_raises_a_figure_and_the_box_does_not_know_it(known, subject):
+def test_background_raises_the_psnr_of_the_whole_picture_but_not_of_the_box(known, subject):
     damaged = type(known).from_record(known.record())
     with torch.no_grad():
         damaged.canonical.means += 0.03
@@ -125,7 +124,7 @@ def test_white_around_the_person_raises_a_figure_and_the_box_does_not_know_it(kn
     assert rows["black"].psnr != rows["white"].psnr
 
 
-def test_true_masks_win_where_there_are_some(known, subject, tmp_path):
+def test_ground_truth_masks_are_preferred(known, subject, tmp_path):
     folder = tmp_path / "subject"
     shutil.copytree(subject, folder)
     masks = folder / "masks"
@@ -137,14 +136,6 @@ def test_true_masks_win_where_there_are_some(known, subject, tmp_path):
     shutil.rmtree(folder / "truth")
     without = evaluate(known, load_video(folder), splits=["test"], weights=NONE)
     assert without[0].psnr < with_truth[0].psnr
-
-
-def test_progress_counts_the_frames(known, studio):
-    seen = []
-    evaluate(
-        known, studio, weights=NONE, progress=lambda done, total, **_: seen.append((done, total))
-    )
-    assert seen == [(1, 4), (2, 4), (3, 4), (4, 4)]
 
 
 def test_eight_bits_are_rounded_and_clamped():

@@ -142,10 +142,8 @@ def _pictures(made: RefineStudy | AvatarStudy, cases: Sequence[StudyCase]) -> li
     """Return the finished runs of the first cases, by variant."""
     if isinstance(made, RefineStudy):
         return []
-    runs = [
-        (case, [made.run(case, name) for name in made.variants]) for case in cases[:IN_PICTURES]
-    ]
-    return [(case, {r.variant.name: r for r in own if r.is_done}) for case, own in runs]
+    runs = {case: [made.run(case, name) for name in made.variants] for case in cases[:IN_PICTURES]}
+    return [(case, {r.variant.name: r for r in own if r.is_done}) for case, own in runs.items()]
 
 
 def _chosen(what: _Choice) -> list[StudyCase]:
@@ -160,16 +158,16 @@ def _chosen(what: _Choice) -> list[StudyCase]:
             if one not in there:
                 known = ", ".join(dict.fromkeys(there))
                 raise InputError(f"study: --{name} has no '{one}'; these cases have: {known}")
-    chosen = [
-        case
-        for case in cases
-        if (not what.error_models or case.family in what.error_models)
-        and (not what.subjects or case.take.person in what.subjects)
-    ]
-    for case in chosen:
-        if case.lacks is not None:
+    chosen = []
+    for case in cases:
+        if what.error_models and case.family not in what.error_models:
+            continue
+        if what.subjects and case.take.person not in what.subjects:
+            continue
+        if case.lacks is None:
+            chosen.append(case)
+        else:
             say(f"{case.name}: left out, because the package {case.lacks} is not installed")
-    chosen = [case for case in chosen if case.lacks is None]
     if not chosen:
         raise InputError("study: no case has both one of these error models and these subjects")
     return chosen

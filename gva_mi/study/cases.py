@@ -2,17 +2,8 @@
 
 Choices (weights, rates, what is inferred and how) may use :data:`TUNING`. They are judged on
 held-out cases, once, after the last choice: other subjects, and other draws of the error models.
-Some of the error models, and half a turn, do not occur in TUNING at all.
-
-=============  =========================================  ========================================
-..             TUNING                                     HELD_OUT (set 1)
-=============  =========================================  ========================================
-subjects       amira, dalia, seeds 0, 2, 3, 21-26         bruno, edgar, seeds 11-13, 16, 17, 31-35
-motions        turn, still, dance, everyday, walk         turn, everyday, half, walk
-bodies         own, stretched                             own, stretched, anny
-error models   all but shape, focal, normals              all; no normals
-draws          below 100                                  1000 to 1999
-=============  =========================================  ========================================
+Some of the error models, and half a turn, do not occur in TUNING at all. The draws of TUNING are
+below 100, those of held-out sets from 1000.
 
 Once you tune on these results they are no longer held out. So HELD_OUT is only set 1:
 :func:`held_out` draws other subjects and errors for each further set, with the same motions,

@@ -101,7 +101,7 @@ def _webp(caption: str, images: Sequence[np.ndarray], **options: int) -> Picture
         options |= {"save_all": True, "append_images": rest}
     buffer = io.BytesIO()
     first.save(buffer, "WEBP", **options)
-    return Picture(caption, _address(buffer.getvalue(), "webp"))
+    return _embedded(caption, buffer, "webp")
 
 
 def plot(caption: str, figure: Figure) -> Picture:
@@ -113,7 +113,7 @@ def plot(caption: str, figure: Figure) -> Picture:
     buffer = io.BytesIO()
     figure.savefig(buffer, format="svg")
     plt.close(figure)
-    return Picture(caption, _address(buffer.getvalue(), "svg+xml"))
+    return _embedded(caption, buffer, "svg+xml")
 
 
 def number(value: float | None, digits: int, sign: bool = False) -> str:
@@ -133,5 +133,6 @@ def around(inside: np.ndarray, margin: int) -> tuple[slice, slice]:
     return found[0], found[1]
 
 
-def _address(data: bytes, kind: str) -> str:
-    return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
+def _embedded(caption: str, data: io.BytesIO, kind: str) -> Picture:
+    text = base64.b64encode(data.getvalue()).decode()
+    return Picture(caption, f"data:image/{kind};base64,{text}")

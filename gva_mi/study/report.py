@@ -107,23 +107,23 @@ _LAPS = (
 
 
 def _headlines(metrics: Metrics) -> list[Headline]:
-    own = [r for r in metrics.rows if r.name == metrics.rows[0].name and r.region == "white"]
-    headlines = [
-        Headline(f"{row.psnr:.1f} dB", f"PSNR, {row.split.replace('_', ' ')}")
-        for row in own
-        if row.split != "train"
-    ]
-    training = metrics.training
-    if change := metrics.refinement.change("body"):
-        value = f"{change[0]:.0f} → {change[1]:.0f} mm"
-        headlines.append(Headline(value, "mean vertex error, stage 1 → refined"))
-    if change := metrics.refinement.change("iou"):
-        value = f"{change[0]:.3f} → {change[1]:.3f}"
-        headlines.append(Headline(value, "silhouette IoU, stage 1 → refined"))
-    headlines.append(Headline(f"{training.gaussians:,}", "Gaussians"))
+    training, first = metrics.training, metrics.rows[0].name
     minutes, seconds = divmod(round(training.seconds), 60)
-    headlines.append(Headline(f"{minutes} min {seconds:02d} s", f"for {training.steps:,} steps"))
-    return headlines
+    changes = (("body", "mean vertex error", ".0f", " mm"), ("iou", "silhouette IoU", ".3f", ""))
+    return [
+        *(
+            Headline(f"{row.psnr:.1f} dB", f"PSNR, {row.split.replace('_', ' ')}")
+            for row in metrics.rows
+            if row.name == first and row.region == "white" and row.split != "train"
+        ),
+        *(
+            Headline(f"{both[0]:{form}} → {both[1]:{form}}{unit}", f"{label}, stage 1 → refined")
+            for name, label, form, unit in changes
+            if (both := metrics.refinement.change(name))
+        ),
+        Headline(f"{training.gaussians:,}", "Gaussians"),
+        Headline(f"{minutes} min {seconds:02d} s", f"for {training.steps:,} steps"),
+    ]
 
 
 def _turning(avatar: Avatar, video: Video) -> Section:

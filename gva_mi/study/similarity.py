@@ -124,13 +124,10 @@ def similarity_to_truth(rig: Rig, video: Video, body: BodyModel) -> Similarity |
     true = truth.body(truth.pose[frames], truth.shape).joints
     x, y = (joints[:, :BODY_JOINTS].double().numpy() for joints in (found, true))
     given, real = ([cameras[k] for k in frames] for cameras in (video.cameras, truth.cameras))
-    static = all(_same_place(c, some[0]) for some in (given, real) for c in some)
-    flat = lambda joints: joints.reshape(-1, 3)
-    whole = (
-        _about_the_eye(flat(x), flat(y), given[0], real[0])
-        if static
-        else umeyama(*map(flat, (x, y)))
-    )
+    placed = [np.stack([c.T_camera_world for c in some]) for some in (given, real)]
+    static = all(np.allclose(T, T[0], atol=1e-9) for T in placed)
+    flat = x.reshape(-1, 3), y.reshape(-1, 3)
+    whole = _about_the_eye(*flat, given[0], real[0]) if static else umeyama(*flat)
     off = (x - (y - whole.translation) @ whole.rotation / whole.scale).mean(1)
     root = roma.rotvec_to_rotmat(video.pose.rotations[frames, 0].double()).numpy()
     z = np.stack([camera.T_camera_world[2, :3] for camera in given])
@@ -161,10 +158,6 @@ def _about_the_eye(x: np.ndarray, y: np.ndarray, given: Camera, real: Camera) ->
     a, b = x @ R.T + t, y @ R_real.T + t_real
     scale = float((a * b).sum() / np.square(a).sum())
     return Similarity(scale, R_real.T @ R, R_real.T @ (scale * t - t_real))
-
-
-def _same_place(a: Camera, b: Camera) -> bool:
-    return np.allclose(a.T_camera_world, b.T_camera_world, atol=1e-9)
 
 
 @torch.no_grad()

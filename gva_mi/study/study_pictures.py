@@ -71,10 +71,9 @@ def _views(run: VariantRun) -> dict[Split, SplitView]:
 
 def _of_split(case: str, fits: Mapping[str, tuple[VariantRun, SplitView]]) -> list[Picture]:
     """Show some frames of a split, whole and in close-ups, for every variant."""
-    pictures: list[Picture] = []
     if not fits:
-        return pictures
-    run, view = next(iter(fits.values()))
+        return []
+    pictures, (run, view) = [], next(iter(fits.values()))
     for k in spread(view.frames, SHOWN):
         frame, mask = view.video[k], view.video.true_mask(k)
         frame = frame if mask is None else replace(frame, mask=mask)

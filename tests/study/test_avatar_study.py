@@ -67,9 +67,6 @@ def test_a_rigid_body_turns_and_moves_as_a_whole(refined_subject, body):
 def test_only_variants_with_refined_poses_are_seeded_on_the_displaced_surface(
     refined_subject, body
 ):
-    offsets = torch.full((len(body.v_template), 3), 0.001)
-    pose, shape = load_poses(refined_subject / "poses_refined.npz")
-    save_poses(refined_subject / "poses_refined.npz", pose, shape, stage=2, offsets=offsets)
     naked = {
         variant.name
         for variant in VARIANTS

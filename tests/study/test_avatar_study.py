@@ -30,12 +30,12 @@ OPTIONS = FitOptions(
 
 
 @pytest.fixture
-def refined_subject(subject, tmp_path):
+def refined_subject(subject, tmp_path, body):
     """The tiny subject, refined to other poses than those of stage 1."""
     folder = shutil.copytree(subject, tmp_path / "subject")
     pose, shape = load_poses(folder / "poses.npz")
     pose.rotations[:, 3] += 0.05
-    offsets = torch.full((10_000, 3), 0.001)
+    offsets = torch.full((len(body.v_template), 3), 0.001)
     save_poses(folder / "poses_refined.npz", pose, shape, stage=2, offsets=offsets)
     return folder
 

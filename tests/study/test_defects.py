@@ -33,20 +33,20 @@ def test_the_border_does_not_count(grown):
     assert sum(Defects.of(*seen(alpha), mask).__dict__.values()) > 0.1
 
 
-def test_a_floater_spills_by_its_share_of_the_person():
+@pytest.mark.parametrize(
+    "where, alpha, spill, holes",
+    [
+        ((slice(2, 6), slice(34, 39)), 0.6, 0.6 * 20 / 400, 0),
+        ((slice(18, 22), slice(18, 22)), 0.25, 0, 0.75 * 16 / 400),
+    ],
+    ids=["floater", "hole"],
+)
+def test_floaters_and_holes_count_by_their_share_of_the_person(where, alpha, spill, holes):
     mask = square(10, 30)
-    alpha = mask.copy()
-    alpha[2:6, 34:39] = 0.6
-    found = Defects.of(*seen(alpha), mask)
-    assert found.spill == pytest.approx(0.6 * 20 / 400, rel=0.01) and found.holes == 0
-
-
-def test_a_hole_counts_by_how_much_shows_through():
-    mask = square(10, 30)
-    alpha = mask.copy()
-    alpha[18:22, 18:22] = 0.25
-    found = Defects.of(*seen(alpha), mask)
-    assert found.holes == pytest.approx(0.75 * 16 / 400, rel=0.01) and found.spill == 0
+    drawn = mask.copy()
+    drawn[where] = alpha
+    found = Defects.of(*seen(drawn), mask)
+    assert (found.spill, found.holes) == pytest.approx((spill, holes), rel=0.01)
 
 
 def test_a_shifted_render_has_spill_and_holes():

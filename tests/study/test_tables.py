@@ -75,15 +75,13 @@ def test_an_error_model_counts_once_however_many_cases_it_has():
     assert rows["white"]["change: body"].subjects == 3
 
 
-def test_depths_keep_their_sign_and_the_worst_is_the_farthest_off():
-    some = [refinement("white", 1, 1.0, ankles=10.0), refinement("lean", 2, 1.0, ankles=-30.0)]
+def test_the_worst_depth_is_the_farthest_off_and_the_worst_iou_the_lowest():
+    some = [
+        refinement("white", 1, 1.0, ankles=10.0, iou=0.7, iou_truth=0.8),
+        refinement("lean", 2, 1.0, ankles=-30.0, iou=0.85, iou_truth=0.8),
+    ]
     rows = refine_cells(some)["error models"]
     assert [row["depth: ankles, mm"].mean for row in rows.values()] == [10, -30, -10, -30]
-
-
-def test_the_worst_iou_is_the_lowest_against_its_limit():
-    some = [refinement(f, 1, 1.0, iou=iou, iou_truth=0.8) for f, iou in (("a", 0.7), ("b", 0.85))]
-    rows = refine_cells(some)["error models"]
     assert rows["worst"]["iou: IoU - limit"].mean == pytest.approx(-0.1)
 
 

@@ -58,7 +58,7 @@ _LIGHT = (0.6, 0.6, 0.6)  # at the start: along no axis that a person turns abou
 
 @dataclass(frozen=True)
 class AvatarOptions:
-    """How an avatar is made."""
+    """Options of a new avatar."""
 
     seed: SeedOptions = SeedOptions()
     residual: ResidualOptions = ResidualOptions()
@@ -87,10 +87,10 @@ class Avatar(nn.Module):
     """A drivable 3D Gaussian avatar, ``avatar(pose) -> Gaussians``.
 
     Attributes:
-        canonical: what the person looks like in the rest pose.
-        residual: how the rest pose deforms with the pose.
+        canonical: Gaussians of the person in the rest pose.
+        residual: deformation of the rest pose by the pose.
         light: (3,) direction of l of eq. 4, in the world, of any length.
-        options: how it was made.
+        options: those it was made with.
         rig: the rest body under it, constant.
         skin: the outer surface that Gaussians take their skinning weights from.
     """
@@ -187,7 +187,7 @@ class Avatar(nn.Module):
         return PosedSkeleton(bent, joints, T_world_rest[0])
 
     def followed(self, pose: Pose) -> Tensor:
-        """Return the rotations (T, 55, 3) that it follows; without hands, fingers stay at rest."""
+        """Return the rotations (T, 55, 3) to apply; without hands, fingers stay at rest."""
         return pose.rotations.masked_fill(self._held, 0)
 
     def coefficients(self, R: Tensor, psi: Tensor) -> Tensor:
@@ -232,7 +232,7 @@ class Avatar(nn.Module):
 
     @staticmethod
     def load(path: Path) -> Avatar:
-        """Read what :meth:`save` wrote; an InputError says what else is there."""
+        """Read a file of :meth:`save`; any other content is an InputError."""
         return Avatar.from_arrays(path, read_arrays(path, AVATAR_FILE))
 
     @staticmethod
@@ -258,7 +258,7 @@ def seed_avatar(
         body: the body model.
         shape: the person's shape.
         offsets: (V, 3) displacement of the rest surface (SMPL-X + D), metres; None: the naked body.
-        options: how to make it.
+        options: of the avatar.
         generator: draws the first weights of the residual.
         colors: (V, 3) linear, of the vertices; None: grey.
     """

@@ -1,4 +1,4 @@
-"""Canonical Gaussians: what is learned about the person's surface, in the rest pose.
+"""Canonical Gaussians: the learned surface of a person, in the rest pose.
 
 =========  ===================  ==========  =============================================
 symbol     code                 shape       meaning
@@ -119,7 +119,7 @@ class CanonicalGaussians(nn.Module):
     def _sparse_of(self, make: Callable[..., Any], *names: str) -> Any:  # noqa: ANN401
         """Make a sparse form of some buffers, again when one of them has changed."""
         held = [getattr(self, name) for name in names]
-        if any(x.is_inference() for x in held):  # such tensors do not tell whether they changed
+        if any(x.is_inference() for x in held):  # such tensors do not record changes
             return make(*held)
         versions = [x._version for x in held]
         known = self._sparse.get(names)
@@ -133,8 +133,8 @@ class _SparseDirections:
     """The non-zero entries of directions (N, 3, K), which are few."""
 
     count: int  # N
-    entries: Tensor  # (E,) int64, which of 3 N coordinates
-    shapes: Tensor  # (E,) int64, by which of K blend shapes
+    entries: Tensor  # (E,) int64, the coordinate among 3 N
+    shapes: Tensor  # (E,) int64, the blend shape among K
     metres: Tensor  # (E,)
 
     @staticmethod
@@ -153,13 +153,13 @@ class _SparseDirections:
 
 @dataclass(frozen=True)
 class SeedOptions:
-    """How the surface of the rest body is covered with Gaussians."""
+    """Options of the first Gaussians, which cover the rest body."""
 
     # Gaussians; 0: one on each vertex, as in the paper.
     count: Annotated[int, Within(0, 1_000_000)] = 0
     # 0: the same colour in any light; 1: linear in the light's direction.
     sh_degree: Annotated[int, Within(0, 1)] = 1
-    opacity: InnerShare = 0.9  # of every new Gaussian
+    opacity: InnerShare = 0.9  # opacity of every new Gaussian
     # Standard deviation in the tangent plane / distance of neighbours.
     overlap: Annotated[float, Within(0, 100, "low")] = 0.7
     # Standard deviation along the normal / in the tangent plane.
@@ -185,7 +185,7 @@ def seed_on_surface(
         vertices: (V, 3) metres, rest pose.
         faces: (F, 3) int64.
         skin: gives the Gaussians their skinning weights and blend shapes.
-        options: how many, and how large.
+        options: number and sizes.
         colors: (V, 3) linear, of the vertices; None: grey.
     """
     V = vertices.shape[0]

@@ -28,7 +28,7 @@ from gva_mi.splat import Screen
 
 @dataclass(frozen=True)
 class DensifyOptions:
-    """When Gaussians are cloned, split or removed. Defaults are those of 3DGS and GART."""
+    """Thresholds of density control. Defaults are those of 3DGS and GART."""
 
     # Of g: loss per half person, mean over the views that saw it.
     grad_threshold: Annotated[float, Within(0, 1e6)] = 2e-4
@@ -51,7 +51,7 @@ class DensifyOptions:
 
 @dataclass(frozen=True)
 class Densified:
-    """How many Gaussians one round of density control cloned, split and pruned."""
+    """Numbers of Gaussians that one round of density control cloned, split and pruned."""
 
     cloned: int
     split: int

@@ -122,12 +122,12 @@ def _row(numbers: Array, width: int, index: UInt32) -> Lane:
 
 
 def _pulled(dW: Lane, grad_E: Lane) -> Lane:
-    """h of eq. 3."""
+    """Return h of eq. 3."""
     return [sum(dW[c] * grad_E[3 * i + c] for c in AXES) for i in AXES]
 
 
 def forward(pairs: PairLists, T: Float64, mean: Lane) -> tuple[Lane, Lane]:
-    """Eq. 1 and 2: A and E of each Gaussian, float64."""
+    """Evaluate eq. 1 and 2: A and E of each Gaussian, float64."""
     mean = [Float64(x) for x in mean]
 
     def add(k: UInt32, sums: Lane) -> Lane:
@@ -143,7 +143,7 @@ def forward(pairs: PairLists, T: Float64, mean: Lane) -> tuple[Lane, Lane]:
 
 
 def adjoint_of_means(pairs: PairLists, T: Float64, grad_E: Lane) -> Lane:
-    """Eq. 4."""
+    """Evaluate eq. 4."""
     grad_E = [Float64(x) for x in grad_E]
 
     def add(k: UInt32, sums: Lane) -> Lane:
@@ -155,7 +155,7 @@ def adjoint_of_means(pairs: PairLists, T: Float64, grad_E: Lane) -> Lane:
 
 
 def adjoint_of_joints(pieces: PairLists, of: Callable[[UInt32], tuple[Lane, Lane, Lane]]) -> Lane:
-    """Eq. 5, of each piece; ``of`` returns grad_A, grad_E and μ of a Gaussian."""
+    """Evaluate eq. 5 for each piece; ``of`` returns grad_A, grad_E and μ of a Gaussian."""
 
     def add(k: UInt32, sums: Lane) -> Lane:
         W, *dW = _row(pieces.weights, 4, k)

@@ -35,18 +35,18 @@ def light_vector(light: Tensor) -> Tensor:
 
 
 def _at_rest(A: Lane, light: Lane) -> Lane:
-    """Eq. 1."""
+    """Evaluate eq. 1."""
     return [sum(A[4 * i + k] * light[i] for i in AXES) for k in AXES]
 
 
 def forward(A: Lane, sh: Lane, light: Lane) -> Lane:
-    """Eq. 1 and 2."""
+    """Evaluate eq. 1 and 2."""
     t = _at_rest(A, light)
     return [sh[c] + sum(t[k] * sh[3 * (1 + k) + c] for k in AXES) for c in AXES]
 
 
 def adjoint(A: Lane, sh: Lane, light: Lane, g: Lane) -> tuple[Lane, Lane, Lane]:
-    """Eq. 3 and 4: gradients of sh, A and the light."""
+    """Evaluate eq. 3 and 4: gradients of sh, A and the light."""
     t = _at_rest(A, light)
     grad_sh = [*g, *(t[k] * g[c] for k in AXES for c in AXES)]
     grad_t = [sum(sh[3 * (1 + k) + c] * g[c] for c in AXES) for k in AXES]

@@ -43,7 +43,7 @@ class SurfaceMesh:
         return vertex_normals(x, f).numpy()
 
     def volumes(self) -> np.ndarray:
-        """Return what each face adds to the volume inside, (F,) m³."""
+        """Return each face's part of the enclosed volume, (F,) m³."""
         return (self._crosses() * self.vertices[self.faces[:, 0]]).sum(1) / 6
 
     def part(self, kept: np.ndarray) -> SurfaceMesh:

@@ -153,7 +153,7 @@ def with_fingers(surface: SurfaceMesh, rig: Rig) -> SurfaceMesh:
 
 
 def wanted_density(surface: SurfaceMesh, rig: Rig, options: ReinitOptions) -> np.ndarray:
-    """Return how densely points should lie at each vertex of a surface, (V,), 1 where it is flat.
+    """Return the wanted density of points at the vertices of a surface, (V,), 1 where it is flat.
 
     That is (1 + gain · c), with c the curvature between 0 (flat) and 1 (the 95th percentile), and
     (1 + face gain) times as much in the face: within :data:`FACE_RADIUS` times the
@@ -182,7 +182,7 @@ def regaussian(
     Args:
         avatar: has the old Gaussians, and the shape of a disc in its ``seed`` options.
         sources: (M,) int64, which of its Gaussians lie on the surface.
-        samples: where the new ones go.
+        samples: places of the new ones.
         skin: gives skinning weights.
         options: K, and the randomness of sizes.
         rng: draws angles and sizes.

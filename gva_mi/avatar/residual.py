@@ -14,7 +14,7 @@ the residual in unseen poses. Where no joint bends it is zero: what all poses sh
 canonical Gaussians. Eq. 9 keeps |MLP(theta)| small.
 
 Off by default. It fits the video but makes pictures of unseen poses worse, even under ground-truth
-poses, and the more the smaller its weight in Eq. 9: a short video says too little of how cloth
+poses, and the more the smaller its weight in Eq. 9: a short video does not determine how cloth
 depends on a pose. One code of all joints together instead of (1, 2) spoils test frames and novel
 views, too. ``gva-mi study avatar --rows full "with residual"`` measures it.
 """
@@ -125,7 +125,7 @@ class PoseResidual(nn.Module):
 
 
 def near_joints() -> Tensor:
-    """Return which joints (55, 55) bend what follows a joint: itself and its children."""
+    """Return a matrix (55, 55): the joints that bend a joint's skin, itself and its children."""
     near = torch.eye(len(PARENTS))
     for joint, parent in enumerate(PARENTS):
         if parent >= 0:

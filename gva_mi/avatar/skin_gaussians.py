@@ -30,7 +30,7 @@ from gva_mi.jit.exclusive import exclusive
 from gva_mi.jit.frozen import Frozen
 from gva_mi.jit.rowwise import flat_array, load_columns, store_columns, to_tensors
 
-WIDTHS = (3, 4, 3, 12)  # of the rows of means, quats, scales and colours
+WIDTHS = (3, 4, 3, 12)  # widths of rows of means, quats, scales and colours
 
 
 def skin_gaussians(
@@ -133,7 +133,7 @@ def _own(parts: list[Array], light: Array, n: int) -> list[Lane]:
 
 
 class _Skinned(torch.autograd.Function):
-    """From T (J, 12) float64, means, quats, scales, sh (N, 12), light (1, 3)."""
+    """Autograd function of T (J, 12) float64, means, quats, scales, sh (N, 12), light (1, 3)."""
 
     @staticmethod
     @exclusive

@@ -1,9 +1,9 @@
-"""Skinning weights of the outer skin: what clothes, hair and face of a person follow.
+"""Skinning weights of the outer skin, which clothes, hair and face of a person follow.
 
 A point on the body follows the vertex beneath it. A point of a wide skirt has no vertex beneath it,
 and the nearest ones belong sometimes to one leg and sometimes to the other: weights of the nearest
 vertex jump, and a wide step tears the cloth there. So weights are diffused on the outer surface S
-of the person, which knows what hangs together, and the more the looser the cloth:
+of the person, which connects parts of one garment, and more where cloth is looser:
 
     1. ℓ(x) = SPREAD · d(x), d the distance from the bare skin;  0 where d is below CLOSE
     2. W - ℓ² Δ_S W = W_near
@@ -43,7 +43,7 @@ CLOSE = 0.02  # metres off the bare skin: closer points follow the vertex beneat
 SPREAD = 0.5  # of eq. 1; with twice as much a skirt lags behind the legs
 NEIGHBOURS = 6  # vertices that a point takes its weights from
 JOINTS = 8  # of a point; where legs and trunk share a hem there are more than the 4 of Eq. 5
-PLANE = 12  # vertices that eq. 3 is laid through
+PLANE = 12  # vertices that eq. 3 is fitted to
 STEEP = 0.1  # 1/m; where a joint's weight changes less, 10 cm apart stretch by 1 %: left out
 FLAT = 0.005  # of eq. 3; a surface this thin has no slope across
 
@@ -57,7 +57,7 @@ class Binding:
     directions: Tensor  # (N, 3, K) metres by which blend shapes move them
 
     def named(self) -> dict[str, Tensor]:
-        """Return the three by name."""
+        """Return the three tensors by name."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
 
@@ -71,7 +71,7 @@ class Skin:
     directions: Tensor  # (vertices of the body, 3, K) metres by which blend shapes move those
 
     def bind(self, points: Tensor) -> Binding:
-        """Interpolate what moves points (N, 3).
+        """Interpolate skinning weights and blend shapes of points (N, 3).
 
         Note:
             Not differentiable: the pictures decide where a Gaussian lies, not the slope of its
@@ -121,7 +121,7 @@ class Skin:
         return tuple(part.reshape(len(x), -1) for part in found)
 
     def _shares(self, distance: np.ndarray, nearest: np.ndarray) -> tuple[Tensor, Tensor]:
-        """Return what :meth:`around` does, from at least those vertices."""
+        """Return the result of :meth:`around`, from at least those vertices."""
         distance, nearest = (x[:, : NEIGHBOURS + 1] for x in (distance, nearest))
         d = np.maximum(distance, 1e-9)
         share = np.square(1 / d - 1 / d[:, -1:])

@@ -35,12 +35,12 @@ Lane = list[Any]  # numbers of one Gaussian; a matrix row by row
 
 
 def _bound(E: Lane) -> Any:  # noqa: ANN401
-    """β of eq. 1."""
+    """Return β of eq. 1."""
     return 1 / dr.sqrt(1 + _dot(E, E) / LARGEST**2)
 
 
 def _gradient(A: Lane, E: Lane, beta: Any) -> Lane:  # noqa: ANN401
-    """J of eq. 1."""
+    """Return J of eq. 1."""
     return [A[4 * i + c] + beta * E[3 * i + c] for i in AXES for c in AXES]
 
 
@@ -63,7 +63,7 @@ def _dot(X: Lane, Y: Lane) -> Any:  # noqa: ANN401
 
 
 def forward(A: Lane, E: Lane, mean: Lane, quat: Lane, scale: Lane) -> tuple[Lane, Lane]:
-    """Eq. 1 to 3: μ', and the six numbers of Σ' (xx, xy, xz, yy, yz, zz)."""
+    """Evaluate eq. 1 to 3: μ', and the six numbers of Σ' (xx, xy, xz, yy, yz, zz)."""
     JM = _times(_gradient(A, E, _bound(E)), Rotation.of(quat).M)
     F = _scaled(JM, scale)
     moved = [sum(A[4 * i + k] * mean[k] for k in AXES) + A[4 * i + 3] for i in AXES]
@@ -73,7 +73,7 @@ def forward(A: Lane, E: Lane, mean: Lane, quat: Lane, scale: Lane) -> tuple[Lane
 def adjoint(
     A: Lane, E: Lane, mean: Lane, quat: Lane, scale: Lane, g: Lane, G: Lane
 ) -> tuple[Lane, Lane, Lane, Lane, Lane]:
-    """Eq. 4 to 6."""
+    """Evaluate eq. 4 to 6."""
     rotation, beta = Rotation.of(quat), _bound(E)
     J, M = _gradient(A, E, beta), rotation.M
     JM = _times(J, M)

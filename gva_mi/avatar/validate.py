@@ -1,4 +1,4 @@
-"""Validation of an avatar's numbers, whatever file they come from: finite, and of one body."""
+"""Validation of an avatar's numbers from any file: finite, and of one body."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from torch import Tensor
 
 from gva_mi.body.pose import JOINTS
 
-SUM = 0.01  # by which a vertex's skinning weights may miss 1, and one weight may be below 0
+SUM = 0.01  # tolerance of a vertex's sum of skinning weights, and of a negative one
 
 
 def require_valid(state: Mapping[str, Tensor], parents: Sequence[int]) -> None:

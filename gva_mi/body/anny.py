@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 FILE = "anny_0.6_v1.npz"  # change the name when the result changes
 _PEOPLE, _SEED = 64, 0  # number of people in the shape space, and their seed
 _NEAREST = 120  # vertices that regress a joint
-_RIDGE = 1e-3  # of this regression
+_RIDGE = 1e-3  # ridge weight of this regression
 _Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 _DIGITS = {"thumb": 1, "index": 2, "middle": 3, "ring": 4, "pinky": 5}
 _SPREAD = 0.35  # fraction of the fingers' spread that is kept in the T-pose

@@ -3,8 +3,8 @@
     1. x = x₀ + Σ_k c_k D_k
     2. grad_c_k = ⟨grad_x, D_k⟩,    grad_x₀ = grad_x
 
-A body of 10,000 vertices has 58 MB of pose directions, so the time of one frame is that of reading
-them. Torch multiplies a vector by a matrix on one core. Halves of the surface as a batch of two
+A body of 10,000 vertices has 58 MB of pose directions, so reading them takes most of a frame's
+time. Torch multiplies a vector by a matrix on one core. Halves of the surface as a batch of two
 products use two cores, take half the time, and give the same bits on any number of cores.
 """
 

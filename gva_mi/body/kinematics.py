@@ -11,19 +11,19 @@ J           ``joints``              (T or 1, J, 3)   metres, rest pose
 T = [A|t]   ``T_world_rest``        (T, J, 4, 4)     metres
 ==========  ======================  ===============  ============================================
 
-The adjoint is statics. A gradient of t_d is a force f_d at t_d, a gradient of A_d a couple; to turn
-joint j by a small rotation ω moves all that hangs on it, and the loss changes by ω · torque about
-p_j, the joint's place in the world:
+The adjoint is statics. A gradient of t_d is a force f_d at t_d, a gradient of A_d a couple; a small
+rotation ω of joint j moves all d on j, and the loss changes by ω · torque about p_j, the joint's
+place in the world:
 
     3. F_j = Σ_{d on j} f_d,    M_j = Σ_{d on j} t_d × f_d + vee(grad_A_d A_dᵀ)
     4. grad_r_j = (I + b [r_j]× + c [r_j]×²)ᵀ [A_parentᵀ (M_j − p_j × F_j) + vee(grad_R_j R_jᵀ)]
     5. grad_J_j = (A_parent − A_j)ᵀ F_j,    grad_transl = F_root
 
-with c = (1 − a) / θ², vee(X) · ω = ⟨X, [ω]×⟩, and "d on j" for j and all its descendants. So
-neither direction walks along the tree: sums over subtrees are one product with a matrix of ones,
-products along ancestors double their length at every step.
+with c = (1 − a) / θ², vee(X) · ω = ⟨X, [ω]×⟩, and "d on j" for j and all its descendants. Neither
+direction walks along the tree: sums over subtrees are one product with a matrix of ones, products
+along ancestors double their length at every step.
 
-The tangent is the motion that these forces do work on. Each joint turns what hangs on it by Ω_j:
+The tangent is the motion that these forces do work on. Joint j rotates all d on j by Ω_j:
 
     6. Ω_j = A_parent (I + b [r_j]× + c [r_j]×²) dr_j,    m_j = p_j × Ω_j + (A_parent − A_j) dJ_j
     7. dA_d = [Σ_{j: d on j} Ω_j]× A_d,    dt_d = Σ_{j: d on j} (Ω_j × t_d + m_j) + dtransl
@@ -66,7 +66,7 @@ def joint_transforms(
 def turn_joints(
     rotations: Tensor, joints: Tensor, parents: Sequence[int], transl: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """:func:`joint_transforms` with the rotation matrices R (T, J, 3, 3) before it."""
+    """Return rotation matrices R (T, J, 3, 3), and the result of :func:`joint_transforms`."""
     joints = joints if joints.ndim == 3 else joints.unsqueeze(0)
     return _TurnJoints.apply(rotations, joints, transl, _tree(tuple(parents), rotations.dtype))
 
@@ -150,7 +150,7 @@ class _TurnJoints(torch.autograd.Function):
 
 
 def _rodrigues(rotations: Tensor, tree: _Tree) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """R of eq. 1, and a, b, θ² (T, J, 1). Sinc has no pole at 0."""
+    """Return R of eq. 1, and a, b, θ² (T, J, 1). Sinc has no pole at 0."""
     square = (rotations * rotations).sum(-1, keepdim=True)
     angle = square.sqrt() / math.pi
     a, b = torch.sinc(angle), torch.sinc(angle / 2).square() / 2
@@ -161,30 +161,29 @@ def _rodrigues(rotations: Tensor, tree: _Tree) -> tuple[Tensor, Tensor, Tensor, 
 
 
 def _c(a: Tensor, square: Tensor) -> Tensor:
-    """c of eq. 4 and 6, from a and θ²."""
+    """Return c of eq. 4 and 6, from a and θ²."""
     return torch.where(square > 0, (1 - a) / square, 1 / 6)
 
 
 def _cross_matrix(x: Tensor, tree: _Tree) -> Tensor:
-    """[x]×, (..., 3, 3), of vectors (..., 3)."""
+    """Return [x]×, (..., 3, 3), of vectors (..., 3)."""
     return (x @ tree.cross).unflatten(-1, (3, 3))
 
 
 def _vee(X: Tensor) -> Tensor:
-    """The vector (..., 3) with vee(X) · ω = ⟨X, [ω]×⟩ for all ω, from X (..., 3, 3)."""
+    """Return the vector (..., 3) with vee(X) · ω = ⟨X, [ω]×⟩ for all ω, from X (..., 3, 3)."""
     entries = X.flatten(-2)
     return entries[..., [7, 2, 3]] - entries[..., [5, 6, 1]]
 
 
 def _turned_back(A: Tensor, x: Tensor) -> Tensor:
-    """Aᵀ x, for A (..., 3, 3) and x (..., 3)."""
+    """Return Aᵀ x for A (..., 3, 3) and x (..., 3)."""
     return (x.unsqueeze(-2) @ A).squeeze(-2)
 
 
 @dataclass(frozen=True)
 class _Tree:
-    """What is known of a tree of J joints before any pose. Index J stands for what is above the
-    root."""
+    """Constants of a tree of J joints that depend on no pose. Index J is above the root."""
 
     parents: Tensor  # (J,)
     doubling: tuple[Tensor, ...]  # (J + 1,) the 1st, 2nd, 4th ... ancestor of each

@@ -48,7 +48,7 @@ _PAIRS = [(i, j) for i in range(4) for j in range(i, 4)]  # upper triangle of a 
 
 
 def carry_frames(A: Tensor, means: Tensor, quats: Tensor) -> tuple[Tensor, Tensor]:
-    """Apply blended maps to Gaussians: ``A_rot m + A_trans`` and ``polar(A_rot) ⊗ quat``.
+    """Apply LBS transforms to Gaussians: ``A_rot m + A_trans`` and ``polar(A_rot) ⊗ quat``.
 
     Args:
         A: (N, 12) blends of rigid maps, row by row.
@@ -67,8 +67,10 @@ def carry_frames(A: Tensor, means: Tensor, quats: Tensor) -> tuple[Tensor, Tenso
 
 
 def _davenport(A: list[Any], one: float = 1) -> dict[tuple[int, int], Any]:
-    """B(A) of eq. 1 from the nine entries of A_rot, as its upper triangle; with zero for ``one``
-    its linear part, K(A) / 4."""
+    """Return the upper triangle of B(A), eq. 1, from the nine entries of A_rot.
+
+    If ``one`` is zero, it is the linear part K(A) / 4.
+    """
     a, b, c, d, e, f, g, h, i = A
     return {
         (0, 0): 0.25 * (one + a + e + i), (1, 1): 0.25 * (one + a - e - i),
@@ -91,7 +93,7 @@ def _davenport_adjoint(G: list[list[Any]]) -> list[Any]:
 
 
 def _top_eigenvector(B: dict[tuple[int, int], Any]) -> list[Any]:
-    """q of eq. 3; its largest entry is positive."""
+    """Return q of eq. 3, with a positive largest entry."""
     at = lambda M, i, j: M[(i, j) if i <= j else (j, i)]
     for _ in range(SQUARINGS):
         scale = dr.rcp(B[0, 0] + B[1, 1] + B[2, 2] + B[3, 3])
@@ -107,7 +109,7 @@ def _top_eigenvector(B: dict[tuple[int, int], Any]) -> list[Any]:
 
 
 def _project_and_solve(B: dict[tuple[int, int], Any], q: list[Any], g: list[Any]) -> list[Any]:
-    """``(λ I − B)⁺ g`` of eq. 4 and 5, by LDLᵀ of ``λ I − B + q qᵀ``."""
+    """Return ``(λ I − B)⁺ g`` of eq. 4 and 5, by LDLᵀ of ``λ I − B + q qᵀ``."""
     at = lambda i, j: B[(i, j) if i <= j else (j, i)]
     Bq = [sum(at(i, k) * q[k] for k in range(4)) for i in range(4)]
     eigenvalue = sum(q[i] * Bq[i] for i in range(4))
@@ -136,7 +138,7 @@ def _project_and_solve(B: dict[tuple[int, int], Any], q: list[Any], g: list[Any]
 
 
 def _multiply(p: list[Any], q: list[Any]) -> list[Any]:
-    """Hamilton's product p ⊗ q."""
+    """Return Hamilton's product p ⊗ q."""
     return [
         p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3],
         p[0] * q[1] + p[1] * q[0] + p[2] * q[3] - p[3] * q[2],

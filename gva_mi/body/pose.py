@@ -63,7 +63,7 @@ class Pose:
 
     @staticmethod
     def rest(frames: int = 1, expressions: int = 10, dtype: torch.dtype = torch.float32) -> Pose:
-        """The T-pose."""
+        """Return the T-pose."""
         zero = lambda *shape: torch.zeros(frames, *shape, dtype=dtype)
         return Pose(zero(len(JOINTS), 3), zero(3), zero(expressions))
 
@@ -110,11 +110,11 @@ class Shape:
 
 @dataclass(frozen=True)
 class PoseFile:
-    """Everything that a file of poses holds."""
+    """Content of a file of poses."""
 
     pose: Pose
     shape: Shape
-    stage: int  # who made the poses: 0 ground truth, 1 an estimator, 2 refinement or training
+    stage: int  # source of the poses: 0 ground truth, 1 an estimator, 2 refinement or training
     focal: float  # factor on the focal lengths of the video's cameras that the poses belong to
     offsets: Tensor | None  # (V, 3) displacement of the rest surface that refinement found, metres
 
@@ -164,7 +164,7 @@ def read_pose_file(path: Path) -> PoseFile:
 def is_pose_file(path: Path) -> bool:
     """Return whether a file holds poses for :func:`read_pose_file`, not another program's motion.
 
-    A file that is missing counts, too: that reader reports it.
+    A missing file counts too, because that reader reports it.
     """
     if not path.exists():
         return True
@@ -172,7 +172,7 @@ def is_pose_file(path: Path) -> bool:
         found = read_arrays(path, _EXPECTED)
     except InputError:
         return False
-    if "stage" in found:  # written here, whatever happened to it since
+    if "stage" in found:  # written by this program, even if damaged since
         return True
     return set(_REQUIRED) <= set(found) and all(
         found[name].ndim == 2 and found[name].shape[1] == width

@@ -35,7 +35,7 @@ _EVERY = 16  # every 16th vertex measures the person
 
 @dataclass(frozen=True)
 class CameraPath:
-    """Cameras that see the person.
+    """Options of a path of cameras around the person.
 
     A turntable shows one pose from all around. An orbit goes round once while the motion plays. A
     static camera does not move.
@@ -44,11 +44,11 @@ class CameraPath:
     path: Kind | None = None  # none: static, or a turntable if no poses are given
     # Pictures; 0: 72 of a turntable, otherwise one per frame of the motion.
     frames: Annotated[int, Within(0, 100_000)] = 0
-    # Angle of the first camera from where the person faces.
+    # Angle of the first camera from the direction that the person faces.
     turn: Annotated[float, Within(-3600, 3600, unit="degrees")] = 0.0
     # Angle of the cameras above the middle of the person.
     elevation: Annotated[float, Within(-89, 89, unit="degrees")] = 5.0
-    distance: Annotated[float, Within(0, 100, "low")] = 1.0  # times the one from which all is seen
+    distance: Annotated[float, Within(0, 100, "low")] = 1.0  # factor; 1: the whole motion fits
     # Width and height, pixels.
     size: tuple[Annotated[int, Within(1, MOST_PIXELS)], Annotated[int, Within(1, MOST_PIXELS)]] = (
         512,

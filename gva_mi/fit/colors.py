@@ -18,7 +18,7 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.data.video import Frame, Video
 from gva_mi.mesh.surface import vertex_normals
 
-GREY = 0.5  # of the whole person if no frame shows anything
+GREY = 0.5  # colour of the whole person if no frame shows it
 
 
 @torch.no_grad()

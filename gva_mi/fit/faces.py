@@ -2,7 +2,7 @@
 
 Expressions move only a few pixels of a whole body, and single-frame estimators err anew in each
 frame. So faces are corrected as joints are (:mod:`gva_mi.pose.corrections`), but without the
-camera's axes, because a face is as deep as it is wide.
+camera's axes, because a face is as deep as wide.
 
 1. ``R_k = R_k^given exp(δ_k)``   of the jaw,   ``ψ_k = ψ_k^given + ε_k``
 2. ``δ_k = δ⁰_k + Σ_l M_kl u_l``,   and ``ε`` likewise, each coefficient for itself
@@ -38,7 +38,7 @@ EXPRESSION = Noise(white=0.0, slow=0.25, memory=6.0)  # standard deviations of a
 
 @dataclass(frozen=True)
 class FaceSteps:
-    """How faces are corrected."""
+    """Step sizes and prior weight of corrections of faces."""
 
     turn: float  # of the jaw in a first step, radians
     expression: float  # of a coefficient in a first step, standard deviations
@@ -93,7 +93,7 @@ class Face:
 
         Args:
             pose: r frames, whose bodies may have been corrected.
-            which: their places among the n.
+            which: their indices among the n.
         """
         rotations, expression = pose.rotations, pose.expression
         for part in self.parts:
@@ -110,7 +110,7 @@ class Face:
         return sum((part.energy() for part in self.parts), start=0.0)
 
     def leaves(self, steps: FaceSteps) -> list[tuple[Tensor, float]]:
-        """Return what an optimiser moves, and how far in a first step."""
+        """Return the leaves, each with the size of its first step."""
         return [(p.u, steps.turn if p.name == "jaw" else steps.expression) for p in self.parts]
 
     def centre(self) -> None:

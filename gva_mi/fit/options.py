@@ -38,9 +38,9 @@ class Rates:
     quats: Rate = 1e-3
     log_scales: Rate = 5e-3
     logit_opacities: Rate = 5e-2
-    sh: Rate = 5e-3  # of colours; slopes learn more slowly, see gva_mi.avatar.lighting
-    light: Rate = 2e-3  # of the direction of the light
-    residual: Rate = 1e-3  # of the pose-conditioned MLP's weights
+    sh: Rate = 5e-3  # colours; slopes learn more slowly, see gva_mi.avatar.lighting
+    light: Rate = 2e-3  # direction of the light
+    residual: Rate = 1e-3  # weights of the pose-conditioned MLP
 
     def __post_init__(self) -> None:
         require_ranges("fit", self)
@@ -48,7 +48,7 @@ class Rates:
 
 @dataclass(frozen=True)
 class Schedule:
-    """When Gaussians are added, removed, and put back on the surface."""
+    """Schedule of density control, re-initialisation and binding of weights."""
 
     densify_every: Every = 200  # steps; 0: never
     densify_from: Share = 0.05  # share of all steps before the first round
@@ -82,10 +82,10 @@ class Schedule:
 
 @dataclass(frozen=True)
 class FitOptions:
-    """How an avatar is fitted."""
+    """Options of the fit of an avatar."""
 
-    steps: FromOne = 3000  # one frame each
-    seed: Seed = 0  # of all random numbers in the run
+    steps: FromOne = 3000  # steps of one frame each
+    seed: Seed = 0  # seed of all random numbers in the run
     # Seed on the naked body, as in the paper, instead of the displaced surface of a refinement.
     naked: bool = False
     random_background: bool = True  # a new colour each step teaches alpha; else white

@@ -34,7 +34,7 @@ VGG16_TAPS = (3, 8, 15, 22, 29)  # the last ReLU of each group, as an index into
 ALEXNET_TAPS = (1, 4, 7, 9, 11)  # each of its ReLUs
 LOSS_TAPS = VGG16_TAPS[:3]  # deeper layers see more than a training window holds
 RAND_SEED = 0  # part of the definition of rand_vgg
-RAND_WIDTH = 0.25  # of VGG16's channels: a tenth of its time on a CPU
+RAND_WIDTH = 0.25  # share of VGG16's channels: a tenth of its time on a CPU
 
 # Input of the trained networks: ImageNet's mean and standard deviation per channel.
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
@@ -163,7 +163,7 @@ def find_weights(folder: Path | None = None) -> Weights:
     cache = os.environ.get("XDG_CACHE_HOME", str(Path.home() / ".cache"))
     torch_home = Path(os.environ.get("TORCH_HOME", str(Path(cache) / "torch")))
     folders = [f for f in (folder, torch_home / "hub" / "checkpoints") if f is not None]
-    package = importlib.util.find_spec("lpips")  # located, never imported: it wants torchvision
+    package = importlib.util.find_spec("lpips")  # importing it requires torchvision
     heads = Path(package.origin).parent / "weights" / "v0.1" if package else None
 
     def first(*paths: Path) -> Path | None:

@@ -11,8 +11,8 @@ of the shifts τ under their prior (:mod:`gva_mi.pose.corrections`, with the ini
 stage 1). Jaw and expression are corrected along (:mod:`gva_mi.fit.faces`).
 
 Initial poses are those the avatar was trained under, or others of the same person: an avatar from
-one video tracks its person through another. The results have seen the pictures they are judged by,
-so scores of test frames under them stand in a row of their own.
+one video tracks its person through another. Tracked poses are fitted to the pictures they are
+evaluated on, so scores of test frames under them have a separate row.
 
 A long video is cut into overlapping clips (:mod:`gva_mi.pose.clips`), which are fitted separately
 because distant frames share no unknowns.
@@ -64,18 +64,18 @@ class PhotometricOptions(DescentOptions):
 
     passes: Passes = 10  # how often every frame is visited
     batch: Batch = 4  # frames of a step
-    alpha: Weight = 0.5  # λα, of the avatar's outline against the mask
-    ssim: Weight = 0.1  # λs, of 1 - SSIM
+    alpha: Weight = 0.5  # λα, weight of the avatar's outline against the mask
+    ssim: Weight = 0.1  # λs, weight of 1 - SSIM
     learn: Learn = 3  # passes before the prior is fitted to the corrections
     prior_weight: PriorWeight = 0.001  # weight of the prior beside the pictures
-    step: Metres = 0.0005  # metres that a joint moves its limb in a first step
-    largest_turn: Turn = 0.03  # radians in such a step; it limits joints with short lever arms
-    translation_lr: Metres = 0.0003  # metres in a step at the start
+    step: Metres = 0.0005  # metres that a joint moves the skin beyond it, in a first step
+    largest_turn: Turn = 0.03  # radians in such a step; limits joints with short lever arms
+    translation_lr: Metres = 0.0003  # metres in a first step
     # Standard deviations of an expression in such a step; 0: jaw and expression stay as given.
     expression_lr: Annotated[float, Within(0, 1)] = 0.02
     part: PartFrames = 240  # frames fitted together; a longer video is cut into clips
     overlap: Overlap = 16  # frames that a clip shares with the next
-    seed: Seed = 0  # of the order in which frames are visited
+    seed: Seed = 0  # seed of the order of frames
 
     command: ClassVar[str] = "track"
     decay: ClassVar[float] = 0.1
@@ -111,7 +111,7 @@ def fit_poses(
     Args:
         avatar: of the person in the video.
         video: opened with the poses to start from.
-        options: how.
+        options: of the tracking.
         frames: numbers of the frames to fit; None: all. The others are not read.
         progress: called as ``progress(done, total, loss=...)`` after every step.
 

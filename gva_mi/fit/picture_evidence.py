@@ -42,7 +42,7 @@ from gva_mi.fit.ssim import ssim
 from gva_mi.pose.prior.anatomy import Anatomy
 from gva_mi.splat import Camera, render
 
-MARGIN = 0.1  # of the box around the person, added on each side
+MARGIN = 0.1  # share of the box around the person, added on each side
 SMALLEST_SIDE = 16  # pixels of that box
 
 
@@ -101,8 +101,8 @@ class PictureEvidence:
     """
 
     soles: None = None
-    distance_shown: bool = True  # by the avatar's size
-    surface_known: bool = True  # by the avatar
+    distance_shown: bool = True  # the avatar's size shows it
+    surface_known: bool = True  # the avatar is the surface
     unseen: Sequence[int] = ()
 
     def __init__(

@@ -12,7 +12,7 @@ of errors. After some shares of the fit the prior is fitted again to the correct
 
 * Stage-1 poses start at their MAP estimate, which is smoothed. Refined poses start as they are,
   because masks and normals of their frames have been used already.
-* Frames outside the training split are not looked at. Their corrections follow from neighbouring
+* Frames outside the training split are not used. Their corrections follow from neighbouring
   frames: slow errors are corrected there too, errors that are new in every frame are not.
 * Avatar and poses could drift together, such as all knees and the canonical legs, without changing
   a picture. So constant corrections are removed: turns in the axes of a joint, and shifts in the
@@ -52,7 +52,7 @@ from gva_mi.splat import Camera
 
 @dataclass(frozen=True)
 class PoseOptions:
-    """How poses are trained along with an avatar."""
+    """Options of poses trained along with an avatar."""
 
     trained: bool = True  # False: poses stay as they were given
     # Steps of the fit per step of the poses.
@@ -60,8 +60,8 @@ class PoseOptions:
     prior_weight: PriorWeight = 1e-5  # ν: weight of the prior beside Eq. 9
     # Shares of all steps after which the prior is fitted again.
     learn_at: tuple[InnerShare, ...] = (0.3, 0.5)
-    step: Metres = 0.003  # metres that a joint moves its limb in a first step
-    largest_turn: Turn = 0.03  # radians in such a step; it limits joints with short lever arms
+    step: Metres = 0.003  # metres that a joint moves the skin beyond it, in a first step
+    largest_turn: Turn = 0.03  # radians in such a step; limits joints with short lever arms
     translation_lr: Metres = 0.002  # metres in a first step
     # Standard deviations of an expression in a first step; 0: jaw and expression stay as given.
     expression_lr: Annotated[float, Within(0, 1)] = 0.03
@@ -95,7 +95,7 @@ class TrainedPoses:
             given: T frames.
             cameras: of the T frames.
             rig: the person's rest body.
-            options: how poses are trained.
+            options: of the training of poses.
             steps: of the whole fit.
             as_given: start with refined bodies as they are. (Faces, which a refinement leaves
                 alone, start from the MAP estimate.)

@@ -1,4 +1,4 @@
-"""The folder of a run: what a fit and its evaluation write, and how a fit is resumed.
+"""The folder of a run: files of a fit and of its evaluation, and how a fit resumes.
 
 ::
 
@@ -94,7 +94,7 @@ def require_none_begun(out: Path, overwrite: bool) -> None:
 
 
 def other_parts(run: Path, video: Video) -> list[str]:
-    """Return which of ``identity.PARTS`` differ between a video and the one of a run.
+    """Return which of ``identity.PARTS`` differ between a video and that of a run.
 
     A run without a record of its video matches any.
     """

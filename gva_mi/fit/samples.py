@@ -49,10 +49,10 @@ BORDER = 2  # pixels, for the blur that every Gaussian gets
 class RandomStream(IntEnum):
     """Streams of random numbers in a run, one per purpose."""
 
-    ORDER = 0  # of the frames in a pass
+    ORDER = 0  # order of the frames in a pass
     BACKGROUND = 1
     WINDOW = 2
-    SEED = 3  # of the avatar
+    SEED = 3  # seeding of the avatar
     DENSIFY = 4
     REINIT = 5
 

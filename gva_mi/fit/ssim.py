@@ -97,7 +97,7 @@ def _spread(
 
 
 def _moments(x: Any, y: Any, height: int, width: int, channels: int) -> Arrays:  # noqa: ANN401
-    """Eq. 1, along rows."""
+    """Evaluate eq. 1 along rows."""
     row, at, _ = _grid(height, (width - SIDE + 1) * channels)
     index = row * _size(width * channels) + at
     x, y = (_window(source, index, channels) for source in (x, y))
@@ -106,7 +106,7 @@ def _moments(x: Any, y: Any, height: int, width: int, channels: int) -> Arrays: 
 
 
 def _similarity(moments: Arrays, height: int, width: int) -> tuple[Any, Arrays]:
-    """Eq. 1 along columns, then L K of eq. 2 to 4 and its derivatives (eq. 5)."""
+    """Evaluate eq. 1 along columns, then L K of eq. 2 to 4 and its derivatives (eq. 5)."""
     row, at, columns = _grid(height - SIDE + 1, width)
     first = row * columns + at
     a, b, u, v, w = (_weighted(_window(source, first, columns)) for source in moments)
@@ -117,14 +117,14 @@ def _similarity(moments: Arrays, height: int, width: int) -> tuple[Any, Arrays]:
 
 
 def _of_columns(parts: Arrays, height: int, width: int) -> Arrays:
-    """mᵀ of eq. 6, along columns."""
+    """Apply mᵀ of eq. 6 along columns."""
     row, at, columns = _grid(height, width)
     index, last = row * columns + at, _size(height - SIDE)
     return [_spread(part, row, last, index, columns) for part in parts]
 
 
 def _of_rows(parts: Arrays, height: int, width: int, channels: int) -> Arrays:
-    """mᵀ of eq. 6, along rows."""
+    """Apply mᵀ of eq. 6 along rows."""
     row, at, _ = _grid(height, width * channels)
     index, last = row * _size((width - SIDE + 1) * channels) + at, _size(width - SIDE)
     return [_spread(part, at // channels, last, index, channels) for part in parts]

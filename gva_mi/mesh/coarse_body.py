@@ -1,4 +1,4 @@
-"""The body on fewer triangles, which more than halves the time of a step.
+"""A body with fewer triangles, which more than halves the time of a step.
 
 The time of a step grows with the number of triangles: Mitsuba rebuilds its ray-tracing tree for
 every pose, and every vertex is posed. At the compared size a pixel is 8 mm wide and holds several

@@ -1,4 +1,4 @@
-"""From a mesh and a camera to an image of normals and mask, differentiable in torch.
+"""Render normals and mask of a mesh through a camera, differentiable in torch.
 
 One mesh stands in a Mitsuba scene, and the plugin ``mesh_normals`` renders it through the sensor
 that ``sensor.py`` makes of a camera. The gradient by the vertices has both terms, interior and
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from gva_mi_plugins.mesh_normals.mesh_view import MeshView
 
 
-MOST_SENSORS = 1000  # kept by a scene
+MOST_SENSORS = 1000  # in the cache of a scene
 
 
 class MeshScene:
@@ -40,7 +40,7 @@ class MeshScene:
 
         Args:
             faces: (F, 3) integers, counter-clockwise seen from outside.
-            vertices: (V, 3) any positions; those of vertices that are one point must be equal here.
+            vertices: (V, 3) any positions; vertices that coincide must be equal here.
         """
         load_plugins()
         import mitsuba as mi
@@ -102,7 +102,7 @@ class MeshScene:
         return self._integrators[aspect].view(self._scene, sensor, tiles=tiles)
 
     def show(self, vertices: Tensor) -> None:
-        """Move the mesh to these vertices (V, 3), unless they are the ones it has.
+        """Move the mesh to these vertices (V, 3), unless it is there already.
 
         Rebuilding the ray tracer's tree is most of a rendering's time.
         """
@@ -112,8 +112,10 @@ class MeshScene:
             self._shown = vertices
 
     def _sensor(self, camera: Camera) -> mi.Sensor:
-        """Return the sensor of a camera, from a cache: a video has few cameras. A browser has many,
-        and the oldest are dropped."""
+        """Return the sensor of a camera, from a cache that drops the oldest.
+
+        A video has few cameras, a browser has many.
+        """
         import mitsuba as mi
 
         key = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
@@ -153,7 +155,7 @@ def scene_of(faces: Tensor, vertices: Tensor) -> mi.Scene:
 
 
 class _RenderNormals(torch.autograd.Function):
-    """Renders the pixels (N, 4) of all cameras."""
+    """Autograd function that renders the pixels (N, 4) of all cameras."""
 
     @staticmethod
     def forward(

@@ -1,4 +1,4 @@
-"""Which vertices of a mesh are visible from given places.
+"""Visibility of a mesh's vertices from given places.
 
 A vertex is visible if its surface faces the eye, ``n · (eye - x) > 0``, and the straight line to
 the eye meets no triangle. The line starts a little off the surface, so that the triangles around
@@ -23,7 +23,7 @@ def seen_vertices(vertices: Tensor, faces: Tensor, eyes: np.ndarray) -> Tensor:
     Args:
         vertices: (V, 3) world, metres.
         faces: (F, 3) integers, counter-clockwise seen from outside.
-        eyes: (E, 3) world, such as positions of cameras; where their pictures end plays no part.
+        eyes: (E, 3) world, such as positions of cameras; the edges of their pictures are ignored.
     """
     load_plugins()
     import mitsuba as mi

@@ -27,7 +27,7 @@ from torch import Tensor
 
 from gva_mi.body.pose import Pose
 
-RUNS = 8  # of the skim: a person who turns once is seen from eight sides
+RUNS = 8  # runs of a skim: a person who turns once is seen from eight sides
 
 
 def cut(frames: int, longest: int, overlap: int) -> list[range]:

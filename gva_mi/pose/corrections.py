@@ -95,7 +95,7 @@ class Corrections:
 
     @torch.no_grad()
     def centre(self) -> None:
-        """Remove what a person of another shape would show in the same images.
+        """Remove corrections that another body shape would explain equally well.
 
         These are turns of a joint that are constant in its own axes, and shifts that are constant
         in the camera's axes or in the pelvis's: a body a centimetre behind its pelvis looks the
@@ -146,7 +146,7 @@ class Corrections:
         return nats / len(moves) + held + prior.tilt.energy(*motion)
 
     def constant_turn_energy(self) -> Tensor:
-        """Return what turns that joints make in all frames would cost as independent errors, nats.
+        """Return the energy of turns that all frames share, taken as independent errors, nats.
 
         As :meth:`energy`, a mean over the frames. It is used while the clothes are unknown: a skirt
         that widens toward its hem, or a sole, looks like legs that tilt toward the camera from

@@ -11,8 +11,8 @@ world stretched across the line of sight. In camera space, with ``S = diag(s, s,
 3. ``z ← s z``: the pelvis of every frame moves along the optical axis, so that ``s`` leaves the
    person's size in the image as it is, and changes only the perspective of near and far limbs.
 
-So ``s`` is differentiated through vertices, and the renderer does not know of it. Poses are those
-for ``s = 1`` until :func:`follow` moves them. ``s`` is refined once poses are nearly right, from
+So ``s`` is differentiated through vertices, and the renderer needs no change. Poses are those for
+``s = 1`` until :func:`follow` moves them. ``s`` is refined once poses are nearly right, from
 silhouettes alone: wrong normals, blurred or those of clothes, bias it more than it changes them.
 
 It remains weakly determined, and some per cent too long if a person stays metres away.
@@ -51,7 +51,7 @@ def brought_back(rendered: Tensor, s: Tensor) -> Tensor:
 def follow(pose: Pose, pelvis: Tensor, cameras: Sequence[Camera], s: Tensor | float) -> Pose:
     """Return eq. 3: T poses whose pelvis, at rest at (3,), is ``s`` times as deep."""
     R, t = _world_to_camera(cameras, pose.transl.dtype)
-    axis = R[:, 2]  # of the lens, in the world
+    axis = R[:, 2]  # optical axis, in the world
     depth = ((pelvis + pose.transl) * axis).sum(1) + t[:, 2]
     moved = pose.transl + (s - 1) * depth[:, None] * axis
     return Pose(pose.rotations, moved, pose.expression)

@@ -1,4 +1,4 @@
-"""Records of a refinement: what both methods share in options, one job's input, its solution."""
+"""Records of a refinement: options of both methods, the input of one job, its solution."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class RefineOptions:
 
 @dataclass(frozen=True)
 class Solution:
-    """What a refinement finds."""
+    """Result of a refinement."""
 
     pose: Pose  # T frames
     shape: Shape
@@ -58,7 +58,7 @@ class Solution:
 
 @dataclass(frozen=True)
 class RefineJob:
-    """Frames to be refined together, with all that the result depends on but the options."""
+    """Frames to be refined together, and all other input except the options."""
 
     evidence: Mapping[int, MaskAndNormals]  # by number within ``pose``; perhaps still on disk
     body: BodyModel

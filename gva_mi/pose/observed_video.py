@@ -1,4 +1,4 @@
-"""A video on its way through refinement: gather evidence, make the tasks, join their results."""
+"""Refinement of one video: gather evidence, make the tasks, join their results."""
 
 from __future__ import annotations
 
@@ -42,16 +42,16 @@ from gva_mi.splat import Camera
 
 @dataclass(frozen=True)
 class Refined:
-    """Poses after stage 2, and how they were found."""
+    """Poses after stage 2, and figures of the refinement."""
 
     pose: Pose  # all frames
     shape: Shape
     offsets: Tensor  # (V, 3) displacement of the rest surface, shared by all frames, metres
     losses_stage1: Tensor  # (T,) the data term of Eq. 8 at stage 1; NaN where there is no evidence
-    losses: Tensor  # (T,) the same at the poses that were found, also those that were rejected
+    losses: Tensor  # (T,) the data term at the poses found, rejected ones included
     kept: dict[int, str]  # frames that keep their stage-1 pose, and why
     without_normals: list[int]  # frames that were fitted to their silhouette alone
-    seconds_per_frame: float  # of work, summed over all workers
+    seconds_per_frame: float  # summed over all workers
     cameras: list[Camera] | None = None  # of all frames if the focal length was refined
     held_out: list[int] = field(default_factory=list)  # test frames that were not used
     noise: Mapping[str, Noise] = field(default_factory=dict)  # stage 1's errors, if inferred
@@ -84,7 +84,7 @@ class RefineTask:
 
 @dataclass(frozen=True)
 class ObservedVideo:
-    """A video whose evidence has been gathered, on its way through the two rounds."""
+    """A video with its evidence, which is refined in two rounds."""
 
     coarse: CoarseBody
     pose: Pose  # stage 1 at the known height, with swapped limbs fixed
@@ -96,7 +96,7 @@ class ObservedVideo:
     kept: dict[int, str]  # frames without evidence, and why
     held_out: Sequence[int]  # test frames that are not used
     swapped: Mapping[str, Sequence[int]]  # limbs that were fixed, and in which frames
-    seconds: float  # to gather the evidence
+    seconds: float  # time to gather the evidence
 
     @staticmethod
     def of(
@@ -155,7 +155,7 @@ class ObservedVideo:
         return sum(_steps(self.options, len(self.evidence.part(clip))) for clip in self.clips)
 
     def first_task(self) -> RefineTask | None:
-        """Return what is solved before the clips, if anything is."""
+        """Return the task that precedes the clips; None if there is none."""
         if len(self.clips) == 1 or not isinstance(self.options, SequenceOptions):
             return None
         seen = sorted(self.evidence)

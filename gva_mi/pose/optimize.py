@@ -1,9 +1,9 @@
 """Optimise the poses of many frames together, on evidence and prior.
 
 Unknown are the corrections of the poses, turns ``δ`` and shifts ``τ`` of every frame
-(:mod:`gva_mi.pose.corrections`), and ``s``, whatever else the evidence leaves open and all frames
-share. A step takes a random batch of frames ``k``, so that a pass visits every frame once, and
-follows the gradient of
+(:mod:`gva_mi.pose.corrections`), and ``s``, other unknowns of the evidence that all frames share. A
+step takes a random batch of frames ``k``, so that a pass visits every frame once, and follows the
+gradient of
 
 1. ``L(δ, τ, s) = mean_k L_k(pose_k(δ, τ), s) + E(δ, τ) + E(s)``
 
@@ -43,7 +43,7 @@ from gva_mi.splat import Camera
 BETAS = (0.9, 0.99)  # Adam's
 GUESSED = 0.2  # weight of the prior before it is inferred from corrections
 AGAIN = 1.5  # the prior is inferred again after this many times the ``learn`` passes
-HELD = 0.5  # of the ``learn`` passes: how long turns that all frames share are penalised
+HELD = 0.5  # share of the ``learn`` passes that penalise turns shared by all frames
 
 # Ranges of the options that all fits of poses have.
 Passes = Annotated[int, Within(1, 10_000)]
@@ -55,7 +55,7 @@ Overlap = Annotated[int, Within(0, 5_000)]
 
 
 class Evidence(Protocol):
-    """Compares poses of a clip with what its frames show.
+    """Comparison of a clip's poses with its frames.
 
     Attributes:
         frames: numbers of the frames that have evidence.
@@ -91,7 +91,7 @@ class Evidence(Protocol):
 
 
 class Steps(Protocol):
-    """How far poses move in a step; fields as in :class:`DescentOptions`."""
+    """Step sizes of poses; fields as in :class:`DescentOptions`."""
 
     step: float
     largest_turn: float
@@ -106,14 +106,14 @@ class DescentOptions:
     learn: Learn  # passes after which the prior is inferred from corrections
     prior_weight: PriorWeight  # weight of the prior, in units of L_k per prior_weight
     batch: Batch  # frames of a step, at most
-    step: Metres  # metres that a turned joint moves what turns with it, in a step at the start
-    largest_turn: Turn  # radians in such a step; it limits joints with short lever arms
-    translation_lr: Metres  # metres in a step at the start
+    step: Metres  # metres that a joint moves the skin beyond it, in a first step
+    largest_turn: Turn  # radians in such a step; limits joints with short lever arms
+    translation_lr: Metres  # metres in a first step
     part: PartFrames  # frames fitted together; a longer video is cut into clips
     overlap: Overlap  # frames that a clip shares with the next
-    seed: Seed  # of the order in which frames are visited
+    seed: Seed  # seed of the order of frames
 
-    command: ClassVar[str]  # whose options they are, for errors
+    command: ClassVar[str]  # command of these options, for error messages
     decay: ClassVar[float]  # final learning rates, relative to the initial ones
 
     def __post_init__(self) -> None:
@@ -215,7 +215,7 @@ def with_frames(start: Pose, frames: Sequence[int], found: Pose) -> Pose:
 def worse_frames(
     frames: Iterable[int], before: Tensor, after: Tensor, digits: int = 3
 ) -> dict[int, str]:
-    """Return the frames whose loss grew, each with a sentence that says so.
+    """Return the frames whose loss grew, each with a message.
 
     Args:
         frames: that are compared.
@@ -242,7 +242,7 @@ def optimiser(
     Args:
         corrections: their leaves.
         arms: (J,) lever arms of the person's joints, metres.
-        options: how far in a step.
+        options: step sizes.
         unseen: joints that do not move.
         shared: the leaves ``s``, each with its learning rate.
     """

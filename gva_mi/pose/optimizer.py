@@ -1,4 +1,4 @@
-"""The optimiser: Adam with one step size per vector, and how far each joint turns in a step.
+"""The optimiser: Adam with one step size per vector, and learning rates of joints.
 
     m ← β1 m + (1 - β1) g,     v ← β2 v + (1 - β2) |g|²,     x ← x - lr m̂ / (√v̂ + ε)
 
@@ -28,7 +28,7 @@ EPSILON = 1e-12
 @dataclass
 class _Moments:
     steps: int
-    m: Tensor  # as the leaf
+    m: Tensor  # shape of the leaf
     v: Tensor  # (..., 1)
 
 

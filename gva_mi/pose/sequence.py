@@ -51,7 +51,7 @@ from gva_mi.pose.prior.error_model import GROUPS
 from gva_mi.pose.prior.ground import Soles
 from gva_mi.pose.stature import Stature
 
-STEPS_A_PASS = 16  # at least
+STEPS_A_PASS = 16  # smallest number
 FINGERS = GROUPS["fingers"]
 HOLD_HEIGHT = 1e3  # λh, for one square metre
 
@@ -62,7 +62,7 @@ class SequenceOptions(DescentOptions, RefineOptions):
 
     # Weight of each hand's close-up, where the loss of the whole person has weight 1.
     close_hands: Weight = 0.5
-    close_feet: Weight = 0.1  # the same of a foot's; lower because shoes differ from the body
+    close_feet: Weight = 0.1  # weight of each foot's close-up; shoes differ from the body
     # Pixels of a hand's length in close-ups, if the video has as many.
     hand_size: Annotated[int, Within(1, 1024)] = 44
     passes: Passes = 32  # how often every frame is visited, more often if there are very few
@@ -74,22 +74,22 @@ class SequenceOptions(DescentOptions, RefineOptions):
     cloth_small: Weight = 10.0  # b of the displacement's energy, for one square metre
     cloth_outward: Weight = 400.0  # c of the displacement's energy, for one square metre
     betas_prior: Weight = 0.01  # λβ, for one squared standard deviation
-    # Metres that a turned joint moves what hangs on it, in a step at the start.
+    # Metres that a joint moves the skin beyond it, in a first step.
     step: Metres = 0.012
-    largest_turn: Turn = 0.03  # radians in such a step; it limits joints with short lever arms
-    translation_lr: Rate = 0.006  # metres in a step at the start; depth is seen weakly
-    cloth_lr: Rate = 0.003  # metres in a step at the start
-    betas_lr: Rate = 0.05  # standard deviations in a step at the start
-    # Also refine the focal length. It comes out some per cent too long if the person stays far
-    # away, whatever the right one is.
+    largest_turn: Turn = 0.03  # radians in such a step; limits joints with short lever arms
+    translation_lr: Rate = 0.006  # metres in a first step; images show depth weakly
+    cloth_lr: Rate = 0.003  # metres in a first step
+    betas_lr: Rate = 0.05  # standard deviations in a first step
+    # Also refine the focal length. The result is some per cent too long if the person stays
+    # far away.
     refine_camera: bool = False
-    focal_lr: Rate = 0.003  # of its logarithm, in a step at the start
-    focal_prior: Weight = 0.02  # λs, of its logarithm's square
+    focal_lr: Rate = 0.003  # change of its logarithm in a first step
+    focal_prior: Weight = 0.02  # λs, weight of its squared logarithm
     part: PartFrames = 120  # frames refined together; a longer video is cut into clips
     overlap: Overlap = 16  # frames that a clip shares with the next
     # Frames of a longer video from which the unknowns that its clips share are found.
     skim: Annotated[int, Within(1, 10_000)] = 96
-    seed: Seed = 0  # of the order in which frames are visited
+    seed: Seed = 0  # seed of the order of frames
 
     name: ClassVar[str] = "sequence"
     command: ClassVar[str] = "refine"

@@ -35,11 +35,11 @@ FRAMES_A_JOB = 16  # each is refined on its own, but a job for each would be too
 class SingleFrameOptions(RefineOptions):
     """Options of the refinement frame by frame."""
 
-    steps: Steps = 80  # for each frame
+    steps: Steps = 80  # steps for each frame
     prior: Weight = 0.5  # λ2, for one square radian
-    # Metres that a turned joint moves what hangs on it, in a step at the start.
+    # Metres that a joint moves the skin beyond it, in a first step.
     step: Metres = 0.012
-    largest_turn: Turn = 0.03  # radians in such a step; it limits joints with short lever arms
+    largest_turn: Turn = 0.03  # radians in such a step; limits joints with short lever arms
 
     name: ClassVar[str] = "paper"
 

@@ -49,7 +49,7 @@ class Stage1:
 
     @property
     def turned(self) -> float:
-        """How far the person turns round: 1 for a full turn, 0.6 for half, 0 for none."""
+        """Amount by which the person turns: 1 for a full turn, 0.6 for half, 0 for none."""
         # Without a turn the mean rotation has square norm 3, after a full one a third of it.
         stays = self.R_joint_camera[:, 0].mean(0).square().sum() / 3
         return float((1.5 * (1 - stays)).clamp(0, 1))

@@ -74,7 +74,7 @@ def with_height(
     Rotations stay as they are, distances follow eq. 3.
 
     Raises:
-        InputError: nobody has that height.
+        InputError: no person has that height.
     """
     PEOPLE.require("with_height()", "height", height)
     stature = Stature.of(body)

@@ -40,7 +40,7 @@ LIMBS: Mapping[str, Sequence[str]] = MappingProxyType(  # the joints whose motio
         "arms": ("collar", "shoulder", "elbow", "wrist"),
     }
 )
-_MIRRORED = torch.tensor([1.0, -1.0, -1.0])  # of an axis-angle, in the plane x = 0
+_MIRRORED = torch.tensor([1.0, -1.0, -1.0])  # mirrors an axis-angle in the plane x = 0
 
 
 def fix_swaps(

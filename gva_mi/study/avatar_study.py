@@ -52,7 +52,7 @@ MADE_WITH = "made_with.json"  # in a run's folder
 class AvatarStudyOptions:
     """Size of the study."""
 
-    frames: VideoFrames = 80  # of each video
+    frames: VideoFrames = 80  # frames of each video
     size: PictureSide = 512  # pixels, width and height of the pictures
     novel: NovelPictures = 8  # pictures of novel poses, and as many of novel views
     refine: SequenceOptions = field(default_factory=SequenceOptions)
@@ -192,7 +192,7 @@ class VariantRun:
         return load_offsets(self._poses, len(self.body.v_template))
 
     def driven(self, video: Video) -> Callable[[Pose], Pose]:
-        """Return what is applied to every pose before it drives the avatar."""
+        """Return the function applied to every pose before it drives the avatar."""
         if not self.variant.rigid:
             return lambda pose: pose
         joints = video.pose.rotations[video.splits.train[0], 1:]
@@ -209,7 +209,7 @@ class VariantRun:
         return self.subject / (POSES if self.variant.poses == "stage 1" else REFINED_POSES)
 
     def _make_room(self) -> None:
-        """Remove a run that was made with something else."""
+        """Remove a run that was made with other inputs."""
         held = self.out / MADE_WITH
         if self.out.exists() and not json_equals(held, self.made_with):
             shutil.rmtree(self.out)

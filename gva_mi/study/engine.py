@@ -45,12 +45,12 @@ class Outcome:
 
     @property
     def key(self) -> tuple[StudyCase, str]:
-        """What tells it from other outcomes of a study."""
+        """Identity of the outcome in its study."""
         return self.case, self.variant
 
 
 class Study(Protocol):
-    """What is done for each case, and what the figures depend on."""
+    """The work for each case, and the inputs that the figures depend on."""
 
     kind: str  # names its files
     variants: Sequence[str]
@@ -87,7 +87,7 @@ def run_study(
     """Yield the outcome of every case and variant, case by case, computing what is not known.
 
     Args:
-        study: what is done.
+        study: gives the work.
         cases: such as HELD_OUT.
         known: outcomes that need not be computed.
         progress: called as ``progress(done, total)``.

@@ -54,7 +54,7 @@ Split = Literal["train", "test", "novel_pose", "novel_view"]
 SPLITS: tuple[Split, ...] = ("train", "test", "novel_pose", "novel_view")
 Region = Literal["white", "black", "person"] | Detail
 REGIONS: tuple[Region, ...] = ("white", "black", "person", "hands", "face")
-TRAIN_FRAMES = 16  # of the train split that are evaluated
+TRAIN_FRAMES = 16  # evaluated frames of the train split
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ class SplitView:
 def views_of(
     video: Video, splits: Sequence[Split] = SPLITS, body: BodyModel | None = None
 ) -> list[SplitView]:
-    """Return those of some splits that a video has.
+    """Return the views of the wanted splits that a video has.
 
     Args:
         video: opened with the poses to evaluate under, see the module's table.

@@ -3,7 +3,7 @@
 ::
 
     rows         scores of the renders, by split and region: gva_mi.study.evaluate
-    protocol     network and weights of each perceptual metric; who has seen test frames
+    protocol     network and weights of each perceptual metric; which steps saw test frames
     similarity   from the avatar's world to the true one; null if unknown
     surface      how the Gaussians lie on the true surface; empty if unknown
     refinement   pose errors before and after stage 2; null if unknown
@@ -66,7 +66,7 @@ class Training:
 
 @dataclass(frozen=True)
 class PoseFit:
-    """How poses were fitted to the pictures that they are measured on."""
+    """Record of a fit of poses to the pictures that they are measured on."""
 
     options: dict[str, Any]  # of each split
     kept: dict[str, str]  # frames that keep the pose they had, such as "test 3", and why
@@ -75,12 +75,12 @@ class PoseFit:
 
 @dataclass(frozen=True)
 class Protocol:
-    """Networks of the metrics, and who has seen the frames that are measured."""
+    """Networks of the metrics, and which steps have seen the measured frames."""
 
     networks: dict[str, Any]  # of each perceptual metric: see Scorer.networks
     training_loss: str  # the perceptual term of the training loss
     masks: str  # that cut out the targets: "true", or "the video's"
-    seen: dict[str, list[str]]  # what of test and novel frames was seen, and by whom
+    seen: dict[str, list[str]]  # steps that saw a kind of data, such as "test masks"
 
     @staticmethod
     def of(scorer: Scorer, video: Video, poses: Path, options: dict[str, Any]) -> Protocol:

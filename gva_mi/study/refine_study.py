@@ -1,7 +1,7 @@
-"""The refinement study: how well stage 2 does on subjects and errors it was not tuned on.
+"""The refinement study: accuracy of stage 2 on subjects and errors it was not tuned on.
 
-One camera hardly shows how large somebody is, how far away, and through which lens. The owner of a
-video knows: with :attr:`RefineStudyOptions.known`, height and focal length are the true ones.
+One camera hardly determines a person's size, distance and focal length. The owner of a video may
+know them: with :attr:`RefineStudyOptions.known`, height and focal length are the true ones.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class RefineStudyOptions:
     """Size of the study."""
 
     noise: tuple[Level, ...] = (1.0,)  # levels of the errors of poses, masks, normals; 1 is usual
-    frames: VideoFrames = 64  # of each video
+    frames: VideoFrames = 64  # frames of each video
     size: PictureSide = 512  # pixels, width and height of the pictures
     known: bool = False  # the subject's height and the focal length are given
     refine: SequenceOptions = field(default_factory=SequenceOptions)

@@ -8,9 +8,9 @@
       refinement.png      the body over some frames: stage 1 above, refined below
       refinement.html     a page, if asked for
 
-The other three always belong to the poses that are there. The paper refines test frames too, from
-their own masks and normals: ``"test_frames": "seen"``. If they were ``"held out"``, their poses
-follow from the other frames, and ``figures_by_split`` lists both. ``stage1_errors`` are the
+The other three files always belong to the poses in the folder. The paper refines test frames too,
+from their own masks and normals: ``"test_frames": "seen"``. If they were ``"held out"``, their
+poses follow from the other frames, and ``figures_by_split`` lists both. ``stage1_errors`` are the
 inferred standard deviations of stage 1's errors (radians for joints, metres for the place) and
 their duration in frames. ``footing``: deviation of standing soles from one plane, share of the time
 they stand, and their height otherwise, metres. ``swapped``: frames whose legs, or arms, were

@@ -251,7 +251,7 @@ def _surface(body: BodyModel, refined: Refined) -> Section:
 
 
 def _exceptions(refined: Refined) -> list[Section]:
-    """List frames that were not refined, or not like the others."""
+    """List frames that were not refined, or refined differently."""
     sections = []
     if refined.kept:
         rows = [(str(k), reason) for k, reason in refined.kept.items()]

@@ -29,7 +29,7 @@ from gva_mi.data.video import Video
 from gva_mi.mesh.visibility import seen_vertices
 from gva_mi.splat import Camera
 
-MARGIN = 0.03  # of the longer side of the mask's box
+MARGIN = 0.03  # share of the longer side of the mask's box
 HAND = 0.28  # metres, the side of a hand's box
 FACE = 0.26  # metres, the side of the face's box
 SMALLEST = 16  # pixels of a side, which the metrics' networks need
@@ -39,7 +39,7 @@ WRISTS = {side: JOINTS.index(f"{side}_wrist") for side in ("left", "right")}
 FINGERS = {"left": LEFT_HAND, "right": RIGHT_HAND}
 HEAD = JOINTS.index("head")
 
-# Close-ups of what fails first in a new pose: joints in the middle, side in metres.
+# Close-ups of parts that fail first in a new pose: joints in the middle, side in metres.
 CLOSE_UPS = {
     "head and hair": (("head", "jaw"), 0.44),
     "left armpit": (("left_shoulder",), 0.38),
@@ -105,7 +105,7 @@ def face_box(camera: Camera, joints: np.ndarray, pixels: int = 2) -> Box | None:
 
 @dataclass(frozen=True)
 class Details:
-    """Poses that say where hands and face of the person in a video are."""
+    """Poses that locate hands and face of the person in a video."""
 
     body: BodyModel
     pose: Pose

@@ -49,7 +49,7 @@ EDGE = 2  # pixels on either side of the outline
 
 @dataclass(frozen=True)
 class ImageScores:
-    """How close one render comes to its target."""
+    """Scores of one render against its target."""
 
     psnr: float  # dB, more is better
     ssim: float  # at most 1, more is better

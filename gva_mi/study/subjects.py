@@ -15,7 +15,7 @@ from gva_mi.synthetic import degrade, make_subject
 
 @dataclass(frozen=True)
 class Filming:
-    """How the videos of a study are made, and where they are."""
+    """Options of the videos of a study, and their folder."""
 
     folder: Path  # of the study
     frames: int  # of each video

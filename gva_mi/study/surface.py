@@ -11,7 +11,7 @@ points x spread evenly over a part of the true surface,
 
     3. bias = 95th percentile of min_i |x - μ_i|
 
-*Floaters* are what re-initialisation should remove. Needles come apart where skin bends, and huge
+Re-initialisation should remove *floaters*. Needles come apart where skin bends, and huge
 Gaussians hide their neighbours. With a Gaussian's standard deviations s_1 >= s_2 >= s_3,
 
     4. stray = 99th percentile of min_x |x - μ_i|          x: on the inner sides of cloth, too
@@ -68,7 +68,7 @@ PARTS = ("hair", "hem", "accessories", "rest")
 
 @dataclass(frozen=True)
 class SurfaceFigures:
-    """How the Gaussians lie on the true surface at one moment of a fit."""
+    """Measures of the Gaussians on the true surface at one moment of a fit."""
 
     step: int
     moment: str  # "before" or "after" a re-initialisation, or "end" of the fit
@@ -178,7 +178,7 @@ class TrueSurface:
         Raises:
             InputError: the folder was not made by ``gva-mi synth``, or on another body.
         """
-        if recorded_options(subject)[1].figure == "anny":  # has vertices of its own
+        if recorded_options(subject)[1].figure == "anny":  # this body has other vertices
             return None
         again = remake_subject(subject, body)
         if again is None:
@@ -211,7 +211,7 @@ def _spread(person: Subject, vertices: torch.Tensor, outside: np.ndarray) -> Tru
 
 
 def _outside(person: Subject) -> np.ndarray:
-    """Tell which faces (F,) some camera around the rest pose sees.
+    """Return the faces (F,) bool that a camera around the rest pose sees.
 
     Gaussians need not reach the inner sides of cloth and hair, or skin under a skirt.
     """

@@ -74,7 +74,7 @@ class Cell:
         return f"{mean} ± {self.std:.{digits}f}{worst}{against}"
 
 
-Cells = dict[str, dict[str, Cell]]  # by row and name
+Cells = dict[str, dict[str, Cell]]  # cells by row and name
 
 
 def cell(outcomes: Sequence[Outcome], name: str, full: Sequence[Outcome] = ()) -> Cell | None:

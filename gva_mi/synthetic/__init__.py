@@ -3,13 +3,13 @@
 ==================  ================================================================
 ``options``         all options
 ``subject_folder``  writes a subject's folder
-``degrade``         the same recording with other errors
-``provenance``      options of a folder, and its person made again
-``people, look``    who it is: shape, colours, cut of the clothes
+``degrade``         an existing recording with other errors
+``provenance``      read a folder's options, and make its person again
+``people, look``    the person: shape, colours, cut of the clothes
 ``rest_body``       the body below the clothes
 ``clothes/``        clothes and hair, and how they follow the body
 ``texture``         colours of skin, cloth and hair
-``subject``         all of it as one surface
+``subject``         body, clothes and hair as one surface
 ``stretched``       a body of other proportions than the fitted one
 ``closest``         ground truth on the fitted body for such a person
 ``motion/``         motions of the video, and held-out poses

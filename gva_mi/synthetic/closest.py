@@ -31,7 +31,7 @@ from gva_mi.core.threads import one_torch_thread
 from gva_mi.synthetic.clothes.level_sets import vertex_normals
 
 REACH, TURN = 0.01, 0.1  # m, rad: eq. 4
-STEPS, ROUNDS = 4, 8  # of eq. 4; of eq. 3, whose pairs of points change as the betas do
+STEPS, ROUNDS = 4, 8  # steps of eq. 4; rounds of eq. 3, each with new pairs of points
 THINNED = 5  # eq. 3 uses every fifth vertex
 PAIRED = 0.04  # m, largest distance of paired points
 LARGEST = 3.0  # standard deviations, bound of the betas
@@ -63,8 +63,8 @@ class Closest:
 def closest(body: BodyModel, true: BodyModel, pose: Pose, shape: Shape) -> Closest:
     """Find poses and betas of the fitted ``body`` that come closest to a person on ``true``.
 
-    If both are the same object, they are the given pose and shape. The expression is kept if both
-    bodies have the same faces, and neutral otherwise.
+    If both bodies are the same object, the given pose and shape are returned. The expression is
+    kept if both bodies have the same faces, and neutral otherwise.
     """
     if true is body:
         return Closest(pose, shape, 0.0, 0.0)

@@ -1,9 +1,9 @@
 """Degrade an existing recording with other errors, so that a study renders each person once.
 
 Frames and ground truth are hard-linked from the old folder if the disk allows it; estimates are
-drawn anew. The result is what :func:`make_subject` writes for that error model and seed, whatever
-errors the recording had before. Only ``bursts`` degrades normals as rendered, so over files its
-normals are up to one grey level off.
+drawn anew. The result equals that of :func:`make_subject` for this error model and seed; earlier
+errors of the recording have no effect. Only ``bursts`` degrades normals as rendered, so over files
+its normals are up to one grey level off.
 """
 
 from __future__ import annotations

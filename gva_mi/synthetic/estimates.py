@@ -40,9 +40,9 @@ class PictureErrors:
     parameters: ErrorParameters
     levels: Levels
     camera: Camera
-    seed: tuple[int, ...]  # of everything random in them
+    seed: tuple[int, ...]  # seed of their random numbers
     confusion: Confusion = Confusion()
-    no_normals: bool = False  # the frame has none
+    no_normals: bool = False  # drop the frame's normals
     as_rendered: bool = False  # start from the rendered pictures, not from the 8-bit files
 
     def apply(self, mask: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
@@ -64,7 +64,7 @@ class PictureErrors:
 
 @dataclass(frozen=True)
 class ErrorStatistics:
-    """How far one frame's mask and normals are from the ground truth."""
+    """Errors of one frame's mask and normals against the ground truth."""
 
     iou: float  # of the masks
     angle: float | None  # degrees, between the normals; None without normals
@@ -76,8 +76,8 @@ class Pipeline:
 
     options: SynthOptions  # error model, levels and seed
     body: BodyModel  # of the estimated poses
-    cameras: Sequence[Camera]  # the true ones, of all frames
-    near: Closest  # the ground truth on that body
+    cameras: Sequence[Camera]  # the true cameras of all frames
+    near: Closest  # ground truth on this body
 
     @property
     def errors(self) -> ErrorParameters:

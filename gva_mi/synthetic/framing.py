@@ -7,7 +7,7 @@ import numpy as np
 from gva_mi.splat import Camera, look_at
 
 FOCAL = 1.45  # focal length over the width of the picture
-MARGIN = 0.06  # of the picture, kept free around the person
+MARGIN = 0.06  # share of the picture kept free around the person
 
 
 def camera_around(

@@ -1,4 +1,4 @@
-"""Colours and patterns of a synthetic subject, and where on its rest surface they go.
+"""Colours and patterns of a synthetic subject, and their places on its rest surface.
 
 Colours are linear albedo with Rec. 709 primaries; points are in the rest pose, metres.
 """
@@ -40,7 +40,7 @@ class Fabric:
 
 @dataclass(frozen=True)
 class FaceLandmarks:
-    """Where the face is painted."""
+    """Landmarks of the painted face."""
 
     eyes: tuple[Point, Point]  # left, right
     mouth: Point
@@ -63,7 +63,7 @@ class SkirtCone:
         return -slant * dr.cos(angle), slant * dr.sin(angle)
 
     def share(self, p: dr.ArrayBase) -> dr.ArrayBase:
-        """Return how far out points lie, from 0 on the axis to 1 on the cone."""
+        """Return the relative distance of points from the axis, 0 on it and 1 on the cone."""
         depth = p.z - self.apex[2]
         out = dr.sqrt(dr.square((p.x - self.apex[0]) / self.aspect) + dr.square(depth))
         return 0.5 * (1 + self.aspect) * out / (self.slope * (self.apex[1] - p.y))

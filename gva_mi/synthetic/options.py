@@ -18,7 +18,7 @@ from gva_mi.synthetic.stretched import BodyStretch, stretched
 # Random number streams, one for each purpose.
 MOTION, NOISE, NOVEL_POSE, NOVEL_VIEW, RENDER = range(1, 6)
 MISTAKEN, MISSING, FIGURE, OUTFIT = 7, 8, 11, 12
-MOST_PIXELS = 1 << 31  # of a whole video, which is held in memory
+MOST_PIXELS = 1 << 31  # limit of a whole video, which is held in memory
 VideoFrames = Annotated[int, Within(2, 10_000)]
 NovelPictures = Annotated[int, Within(0, 1000)]
 Level = Annotated[float, Within(0, 10)]
@@ -28,12 +28,12 @@ Level = Annotated[float, Within(0, 10)]
 class SynthOptions:
     """A synthetic subject, its motion, its pictures, and the errors of its stage-1 data."""
 
-    seed: Seed = 0  # of the person, its motion and its errors
-    subject: str | None = None  # one of the seven by name; the seed varies motion, errors
-    figure: Literal["own", "stretched", "anny"] = "own"  # the body drawn
+    seed: Seed = 0  # seed of the person, its motion and its errors
+    subject: str | None = None  # one of the seven named subjects; seed varies the rest
+    figure: Literal["own", "stretched", "anny"] = "own"  # body of the person
     outfit: Literal["own", "foreign"] = "own"  # foreign: thick soles, wide trousers, bag, hood
     motion: Literal["turn", "everyday", "still", "half", "walk", "sit", "dance"] = "turn"
-    frames: VideoFrames = 80  # of the video, which is one full turn
+    frames: VideoFrames = 80  # frames of the video; a turn fills all of them
     size: PictureSide = 512  # pixels, width and height of the pictures
     samples: Annotated[int, Within(1, 4096)] = 16  # rays per pixel, a square number
     clothes: bool = True  # clothes and shoes; without them a swimsuit is painted on the skin
@@ -42,11 +42,11 @@ class SynthOptions:
     camera: Literal["stands", "circles"] = "stands"  # circles: once around the person, with noise 0
     folds: Level = 1.0  # factor on creases and lagging ends of cloth; 0: skinned only
     family: str = "bursts"  # error model of poses, masks and normals
-    noise_seed: Seed | None = None  # of the errors; without it, seed
+    noise_seed: Seed | None = None  # seed of the errors; without it, seed
     noise: Level = 1.0  # factor on the three levels below; 0: exact
-    pose_noise: Level = 1.0  # of the stage-1 poses; in bursts, 1 is about 66 mm vertex error
-    mask_noise: Level = 1.0  # of the masks; in bursts, 1 is about 1 pixel off at size 512
-    normal_noise: Level = 1.0  # of the normals; in bursts, 1 is about 9 degrees
+    pose_noise: Level = 1.0  # errors of stage-1 poses; in bursts, 1 is about 66 mm vertex error
+    mask_noise: Level = 1.0  # errors of masks; in bursts, 1 is about 1 pixel at size 512
+    normal_noise: Level = 1.0  # errors of normals; in bursts, 1 is about 9 degrees
     novel_poses: NovelPictures = 8  # held-out pictures of other poses
     novel_views: NovelPictures = 8  # held-out pictures of frames from other sides
     workers: Workers = 1  # processes that render; any number gives the same bits
@@ -93,7 +93,7 @@ class SynthOptions:
         return person if outfit is person.outfit else replace(person, outfit=outfit)
 
     def recorded(self) -> dict[str, object]:
-        """Return what is recorded: all but ``workers``, which changes no bit."""
+        """Return the recorded options: all but ``workers``, which does not change the result."""
         return {k: v for k, v in asdict(self).items() if k != "workers"}
 
     @property

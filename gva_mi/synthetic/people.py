@@ -51,7 +51,7 @@ class Outfit:
 class SyntheticPerson:
     """A synthetic subject's shape coefficients, colours and outfit."""
 
-    seed: int  # of everything else that is random: folds, locks, motion, errors
+    seed: int  # seed of everything else: folds, locks, motion, errors
     betas: tuple[float, ...]  # standard deviations
     skin: Color
     hair: Color

@@ -1,6 +1,6 @@
 """Render and write the pictures of a subject, in this process or in several.
 
-A picture depends on nothing but its :class:`RenderJob`: one process computes all surfaces, and
+A picture depends only on its :class:`RenderJob`: one process computes all surfaces, and
 every job has its own random numbers, so any number of workers writes the same bits.
 """
 
@@ -38,7 +38,7 @@ class RenderJob:
     surface: np.ndarray  # (N, 3) float32, world, metres
     camera: Camera
     samples: int  # rays per pixel
-    seed: tuple[int, ...]  # of everything random in it
+    seed: tuple[int, ...]  # seed of its random numbers
     light: str  # one of gva_mi.synthetic.render.LIGHTS
     errors: PictureErrors | None = None  # None writes the ground truth alone, else into truth/
 

@@ -20,7 +20,7 @@ from gva_mi.synthetic.people import STUDY
 from gva_mi.synthetic.render import Renderer
 from gva_mi.synthetic.subject import draw_subject
 
-DISTANCE = 5.0  # of the camera, in heights of a close-up
+DISTANCE = 5.0  # distance of the camera, in heights of a close-up
 SHOWN = 0.72  # width over height of a picture of the whole body
 A_POSE: Mapping[str, AxisAngle] = {"left_shoulder": (0, 0, -0.85), "right_shoulder": (0, 0, 0.85)}
 WHOLE = {  # actions, and the azimuth of their view

@@ -1,4 +1,4 @@
-"""The provenance of a subject's folder: its options, and its person made again."""
+"""Provenance of a subject's folder: read its options, and make its person again."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gva_mi.data.fingerprint import ABOUT, require_same_body
 from gva_mi.synthetic.options import SynthOptions
 from gva_mi.synthetic.subject import Subject, draw_subject
 
-RETIRED = ("background", "blur", "sensor_noise")  # options of older folders, of frames alone
+RETIRED = ("background", "blur", "sensor_noise")  # options of older folders; only frames differ
 SURFACE = "truth/surface.ply"  # in the subject's folder
 
 
@@ -44,8 +44,8 @@ def write_surface(path: Path, person: Subject) -> None:
 def remake_subject(subject: Path, body: BodyModel) -> tuple[Subject, BodyModel] | None:
     """Make the person of a folder again, with materials and binding, and the body drawn on.
 
-    The folder holds only the outer surface, which is compared; the result is None if another
-    version of this program made another one. ``body`` is that of its stage-1 poses.
+    The folder holds only the outer surface. If it differs, because another version of this program
+    made it, the result is None. ``body`` is that of its stage-1 poses.
 
     Raises:
         InputError: the folder was not made by ``gva-mi synth``, or on another body.

@@ -29,7 +29,7 @@ class RestBody:
 
     @staticmethod
     def of(body: BodyModel, shape: Shape) -> RestBody:
-        """Take a body model in one shape."""
+        """Build the rest body of a body model in one shape."""
         rest = body.rest(shape)
         vertices, faces = rest.vertices.detach().double().numpy(), body.faces.numpy()
         joints = dict(zip(JOINTS, rest.joints.detach().double().numpy(), strict=True))

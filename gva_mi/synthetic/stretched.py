@@ -2,7 +2,7 @@
 
 No shape space spans all people. A stretched body keeps joints, faces and skinning weights of the
 body that it is made from, but has lengths, girths, hands and feet that no betas of that body give.
-With the rest joints J and one linear map A_j for what hangs on joint j,
+With the rest joints J and one linear map A_j for all that is attached to joint j,
 
     1. A = t 1 + (l − t) a aᵀ                        l along the bone's direction a, t across it
     2. J'_j = J'_p + A_p (J_j − J_p)                 p the parent of j; the root stays
@@ -33,7 +33,7 @@ class BodySegment:
 
     joints: tuple[str, ...]  # without their side if the segment is paired
     spread: float  # at strength 1, factors lie within 1 ± spread
-    axis: tuple[float, float, float] | None  # of its length; None is from joint to joint
+    axis: tuple[float, float, float] | None  # direction of its length; None: joint to joint
     paired: bool = True  # one on each side
 
     @property

@@ -90,7 +90,7 @@ class Subject:
 def draw_subject(
     body: BodyModel, who: int | SyntheticPerson, clothes: bool = True, hair: bool = True
 ) -> Subject:
-    """Make the surface of a person, or of a seed's, on a body.
+    """Make the surface of a person, given or drawn from a seed, on a body.
 
     Without clothes, a swimsuit is painted on the skin; without hair, the head is bald.
     """

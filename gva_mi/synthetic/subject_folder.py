@@ -2,8 +2,8 @@
 
 Pictures are sRGB-encoded, the person on white, blended by the true mask (see ``render``).
 
-Outside ``truth`` lie the estimates of a pipeline (see ``estimates``), cameras included, whose focal
-length may be wrong. All in ``truth`` is exact:
+Files outside ``truth`` are estimates of a pipeline (see ``estimates``), cameras included, whose
+focal length may be wrong. All in ``truth`` is exact:
 
 ======================  ========================================================================
 ``surface.ply``         the outer surface in the rest pose, with clothes and hair

@@ -1,7 +1,7 @@
-"""The body model: stage by stage, for one frame and for a batch.
+"""Time the body model stage by stage, for one frame and for a batch.
 
-The body is random and as large as the licensed files are: 10,000 vertices, dense pose directions.
-Gradients are those of all vertices by poses, expression, translation and betas.
+The body is random and as large as licensed files: 10,000 vertices, dense pose directions.
+Gradients are of all vertices by poses, expression, translation and betas.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def run(
 
 
 def random_body(vertices: int, rng: np.random.Generator) -> BodyModel:
-    """A body of random numbers, in the shapes of a licensed file."""
+    """Make a body of random numbers with the array shapes of a licensed file."""
     normal = lambda *size: rng.standard_normal(size, dtype=np.float32)
     weights = rng.random((vertices, 55), dtype=np.float32) ** 12
     regressor = np.zeros((55, vertices), np.float32)

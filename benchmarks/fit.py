@@ -1,8 +1,8 @@
-"""A fit: a step stage by stage, a re-initialisation, and a driven avatar.
+"""Time a fit: a step stage by stage, a re-initialisation, and a driven avatar.
 
 The subject is the built-in body in stripes, 0.8 of the picture's height, and turns; the avatar lies
 on it already. One step in ``perceptual_every`` has the perceptual term: Eq. 9 is timed with and
-without it, and the mean step has its share.
+without it, and the mean step includes its share.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def run(repeats: int, seed: int, gaussians: int = 20_000, size: int = 512) -> It
 
 
 def _turning(folder: Path, body: BodyModel, seeds: SeedOptions, size: int) -> Video:
-    """The built-in body in stripes, turning once before the camera."""
+    """Make a video of the built-in body in stripes, turning once before the camera."""
     x = body.v_template
     stripes = 0.5 + 0.4 * torch.sin(torch.stack([19 * x[:, 0], 31 * x[:, 1], 17 * x.sum(1)], 1))
     shape, pose = Shape(torch.zeros(body.num_betas)), Pose.rest(FRAMES)
@@ -86,7 +86,7 @@ def _turning(folder: Path, body: BodyModel, seeds: SeedOptions, size: int) -> Vi
 
 
 def _stages(fit: Run, samples: FrameSampler, repeats: int) -> Clock:
-    """A step taken apart."""
+    """Time the stages of one step."""
     distance, clock = rand_vgg_loss(), Clock()
     weights = {"Eq. 9 and back, with VGG": fit.options.loss}
     weights["Eq. 9 and back, without"] = replace(fit.options.loss, perceptual=0.0)
@@ -121,7 +121,7 @@ def _stages(fit: Run, samples: FrameSampler, repeats: int) -> Clock:
 
 
 def _mean_step(fit: Run, samples: FrameSampler, repeats: int) -> Timing:
-    """Whole steps as a fit takes them: the mean over steps with and without the perceptual term."""
+    """Time whole steps of a fit: the mean over steps with and without the perceptual term."""
     distance, every, clock = rand_vgg_loss(), fit.options.perceptual_every, Clock()
     for _ in range(every * (WARM_UP + repeats)):
         with clock(str(fit.step % every)):

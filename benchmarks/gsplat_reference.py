@@ -1,10 +1,9 @@
-"""gsplat's own torch reference on the CPU, timed beside ours where the package is installed.
+"""Time gsplat's own torch reference on the CPU beside our renderer, if gsplat is installed.
 
-gsplat renders on CUDA alone. Its torch reference needs CUDA too, for two steps in the middle, and
-those two are supplied here: the list of (pixel, Gaussian) pairs, made once and not timed, and the
-products along a pixel's list, by a cumulative sum of logarithms. Timed are its projection, its
-spherical harmonics, its compositing and torch's backward through them: a lower bound of what a user
-of its reference would wait.
+gsplat renders on CUDA alone. Its torch reference also needs CUDA for two steps, which this module
+replaces: the list of (pixel, Gaussian) pairs, made once and not timed, and the products along a
+pixel's list, by a cumulative sum of logarithms. The time covers its projection, spherical
+harmonics, compositing and torch's backward through them: a lower bound for users of its reference.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ SAME = 40.0  # dB: a renderer whose image differs by more is not timed
 
 
 def installed() -> bool:
-    """Whether there is a gsplat."""
+    """Whether gsplat is installed."""
     return importlib.util.find_spec("gsplat") is not None
 
 
@@ -62,7 +61,7 @@ def compare(scene: Scene, repeats: int, theirs: Callable[[], Tensor] | None = No
 
 
 def _project(scene: Scene) -> tuple[Tensor, Tensor, Tensor]:
-    """gsplat's projection: means and conics in the picture, depths."""
+    """Call gsplat's projection; return means and conics in the picture, and depths."""
     from gsplat.cuda import _torch_impl as theirs
 
     g, camera = scene.gaussians, scene.camera
@@ -76,7 +75,7 @@ def _project(scene: Scene) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def _pairs(scene: Scene) -> tuple[Tensor, Tensor, Tensor]:
-    """Pixel and Gaussian of all pairs with alpha >= alpha_min, by pixel, front to back; starts."""
+    """List pixel and Gaussian of all pairs with alpha >= alpha_min, front to back; and starts."""
     with torch.no_grad():
         means2d, conics, depths = _project(scene)
     W, H = scene.camera.width, scene.camera.height
@@ -102,7 +101,7 @@ def _pairs(scene: Scene) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def render(scene: Scene, pixel: Tensor, ids: Tensor, start: Tensor) -> Tensor:
-    """The colour (H, W, 3)."""
+    """Render the colour (H, W, 3) by gsplat's reference."""
     from gsplat.cuda import _torch_impl as theirs
 
     g, camera = scene.gaussians, scene.camera

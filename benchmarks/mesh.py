@@ -1,7 +1,7 @@
-"""``mesh_normals``: one step of a refinement, stage by stage.
+"""Time ``mesh_normals`` in one step of a refinement, stage by stage.
 
-The built-in body (22,000 faces) fills the height of a square picture. At each step it stands a
-little elsewhere, as in a fit, so that nothing can be reused from the step before.
+The built-in body (22,000 faces) fills the height of a square picture. It moves a little at each
+step, as in a fit, so that nothing can be reused from the step before.
 """
 
 from __future__ import annotations

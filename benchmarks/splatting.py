@@ -1,4 +1,4 @@
-"""The renderer: stages, a moving camera, ways to call it, growth, and gsplat's reference.
+"""Time the renderer: stages, a moving camera, entry points, larger scenes, gsplat's reference.
 
 Without ``--scene`` it draws a person of 20,000 Gaussians at 512 px with harmonics of degree 3.
 """
@@ -45,8 +45,8 @@ def run(
 
     Args:
         repeats: calls per figure.
-        seed: of the scene.
-        path: a scene's file instead.
+        seed: seed of the random scene.
+        path: file of another scene to use instead.
         growth: whether to measure larger scenes.
         gaussians, size: of the person, and of the picture in pixels.
     """
@@ -74,14 +74,14 @@ def run(
 
 @dataclass(frozen=True)
 class Work:
-    """A scene in float32, and the gradient that its picture is given: no loss is timed."""
+    """A scene in float32, and its picture's gradient, so that no loss is timed."""
 
     scene: Scene
     weights: Tensor  # (H, W, D)
 
     @staticmethod
     def on(scene: Scene) -> Work:
-        """``scene`` in float32, with random weights."""
+        """Convert ``scene`` to float32, with random weights."""
         scene = scene.to(torch.float32)
         size = (scene.camera.height, scene.camera.width, len(scene.background))
         return Work(scene, torch.randn(size, generator=torch.Generator().manual_seed(0)))
@@ -101,7 +101,7 @@ class Work:
 
 @contextmanager
 def _timed_stages(clock: Clock) -> Iterator[None]:
-    """Within the context, every stage of a pass is timed."""
+    """Time every stage of a pass within this context."""
     originals = {name: getattr(*place) for name, place in STAGES.items()}
 
     def wrapped(name: str) -> Callable[..., object]:
@@ -122,7 +122,7 @@ def _timed_stages(clock: Clock) -> Iterator[None]:
 
 
 def _turned(work: Work, angle: float) -> Work:
-    """The scene from another side: its camera turned about the Gaussians' middle."""
+    """Return the scene with its camera turned about the Gaussians' middle."""
     c, s, camera = math.cos(angle), math.sin(angle), work.scene.camera
     middle = work.scene.gaussians.means.detach().double().mean(dim=0).numpy()
     T = np.eye(4)
@@ -133,7 +133,7 @@ def _turned(work: Work, angle: float) -> Work:
 
 
 def _entry_points(work: Work) -> dict[str, Callable[[], None]]:
-    """``render``, and gsplat's call as a densifier makes it, with ``means2d.grad`` kept."""
+    """Time ``render``, and ``rasterization`` called as by a densifier, keeping ``means2d.grad``."""
     scene = replace(work.scene, options=replace(work.scene.options, depth=False))
     g, camera, dtype = scene.gaussians, scene.camera, scene.gaussians.means.dtype
     matrices = [torch.tensor(m, dtype=dtype)[None] for m in (camera.T_camera_world, camera.K)]
@@ -157,7 +157,7 @@ def _entry_points(work: Work) -> dict[str, Callable[[], None]]:
 
 
 def _growth(person: Callable[[int, int], Scene], repeats: int) -> Table:
-    """Time and memory as the scene grows."""
+    """Measure time and memory as the scene grows."""
     scenes = [("more Gaussians", lambda n=n: person(n, 512)) for n in COUNTS]
     scenes += [("more pixels", lambda w=w: person(20_000, w)) for w in WIDTHS]
     scenes.append(("full HD", lambda: _wide(person(1_000_000, 1080), 1920)))

@@ -1,4 +1,4 @@
-"""Times of calls, calls that take turns, and tables of them."""
+"""Measure the times of calls, singly or in turn, and print them as tables."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ class Timing:
 
     @staticmethod
     def of(milliseconds: Sequence[float]) -> Timing:
-        """From the time of each call."""
+        """Summarise the time of each call."""
         return Timing(min(milliseconds), statistics.median(milliseconds))
 
     @property
     def columns(self) -> dict[str, float]:
-        """Cells of a table."""
+        """Return the cells of a table row."""
         return {"min ms": self.minimum, "median ms": self.median}
 
 
@@ -50,7 +50,7 @@ class Table:
 
 
 class Clock:
-    """Milliseconds of what is done within ``with clock(name)``, by name."""
+    """Measure the milliseconds of each block ``with clock(name)``, by name."""
 
     def __init__(self) -> None:
         self.times: dict[str, list[float]] = {}
@@ -64,13 +64,13 @@ class Clock:
         self.times.setdefault(name, []).append(1e3 * (time.perf_counter() - start))
 
     def table(self, title: str, warm_up: int = 0) -> Table:
-        """All names, without the first calls of each."""
+        """Return the times of all names, without the first calls of each."""
         rows = [{"": k} | Timing.of(t[warm_up:]).columns for k, t in self.times.items()]
         return Table(title, rows)
 
 
 def milliseconds(call: Callable[[], object]) -> float:
-    """Wall clock of one call until its last kernel has ended."""
+    """Measure the wall-clock time of one call until its last kernel has ended."""
     start = time.perf_counter()
     call()
     dr.sync_thread()

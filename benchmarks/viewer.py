@@ -1,8 +1,8 @@
-"""An update of the viewer's picture, from a change of pose or camera to the JPEG.
+"""Time an update of the viewer's picture, from a change of pose or camera to the JPEG.
 
-An update poses the avatar if its pose changed, draws it with the few pixels of a picture that
-changes, lays it over the background, and packs it by Pillow as it is sent. The way to the browser
-and the browser's own work are not in it.
+An update poses the avatar if its pose changed, draws it at the coarse resolution of a changing
+picture, composites it over the background, and encodes it by Pillow. Transfer to the browser and
+the browser's own work are not included.
 """
 
 from __future__ import annotations

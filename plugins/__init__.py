@@ -8,7 +8,7 @@
     integrator = mi.load_dict({"type": "mesh_normals"})
 
 ``mesh_normals/`` renders normals and silhouettes of meshes, ``gaussian_splat/`` the Gaussians of a
-scene; each package's docstring says what its files hold.
+scene; each package's docstring lists its files.
 
 Importing this package loads no plugin. Mitsuba's types exist only after a variant is set, therefore
 :func:`register` loads the plugin files.

@@ -1,4 +1,4 @@
-"""The command ``gva-mi bench``: the door to the benchmarks of a checkout."""
+"""The command ``gva-mi bench``: run the benchmarks of a checkout."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from gva_mi.core.files import require_room, write_json
 from gva_mi.core.options import Seed, Within
 
 CHECKOUT = Path(gva_mi.__file__).parents[1]
-MODULES = {"splat": "splatting"}  # of a benchmark, where its name is another one
+MODULES = {"splat": "splatting"}  # modules of benchmarks whose command has another name
 Repeats = Annotated[int, Within(1, 100_000)]
 
 
@@ -36,9 +36,9 @@ def bench(
     Args:
         what: the part to measure.
         repeats: calls per figure.
-        seed: of the scene.
-        scene: splat: a .ply, .splat, .spz or .npz file as for gradcheck; without it a person of
-            20,000 Gaussians at 512 px.
+        seed: seed of the random scene.
+        scene: splat: a .ply, .splat, .spz or .npz file as for gradcheck; without it a synthetic
+            person of 20,000 Gaussians at 512 px.
         no_growth: splat: leave larger scenes out.
         json_file: where to write all figures.
     """

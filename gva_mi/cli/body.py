@@ -25,7 +25,7 @@ def body(
     sheet: Path | None = None,
     overwrite: Switch = False,
 ) -> None:
-    """Write a body file and a picture of it from all around.
+    """Write a body file and a picture that shows it from several sides.
 
     To convert poses of SMPL, SMPL+H or hand components, use gva-mi motion, or with a video gva-mi
     prepare parameters.

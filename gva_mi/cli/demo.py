@@ -1,4 +1,4 @@
-"""The command ``gva-mi demo``: all steps on a synthetic subject."""
+"""The command ``gva-mi demo``: run all steps on a synthetic subject."""
 
 from __future__ import annotations
 
@@ -35,17 +35,17 @@ class DemoOptions:
     subject: str = "amira"  # one of the study's seven
     frames: VideoFrames = 64  # of the video
     size: PictureSide = 400  # pixels, width and height
-    steps: FromOne = 2000  # of the fit
-    no_refine: Switch = False  # stage-1 poses as they are, to see what refining them is worth
+    steps: FromOne = 2000  # steps of the fit
+    no_refine: Switch = False  # use stage-1 poses, for comparison
 
 
 def demo(
     options: Flat[DemoOptions], *, out: Path, body: Path | None = None, overwrite: Switch = False
 ) -> None:
-    """All of it on a synthetic subject: synth, refine, fit, evaluate, report.
+    """Run all steps on a synthetic subject: synth, refine, fit, evaluate, report.
 
     Args:
-        options: how large it is.
+        options: size of the demo.
         out: folder for the subject, the run and the report.
         body: a body in SMPL-X's .npz format; without it the built-in puppet.
         overwrite: replace a demo that is there.

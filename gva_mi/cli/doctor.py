@@ -1,4 +1,4 @@
-"""The command ``gva-mi doctor``: what this machine has, and what is missing for what."""
+"""The command ``gva-mi doctor``: report what this machine has, and what features lack."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from gva_mi.core import llvm
 
-# Packages beyond the bare install: what each is needed for, and the extra that brings it.
+# Optional packages: the feature that needs each, and the extra that installs it.
 PACKAGES = {
     "mitsuba": ("mesh normals and silhouettes, synthetic subjects", "mitsuba"),
     "pymeshlab": ("meshing in the re-initialisation, the built-in body's generator", "mesh"),
@@ -44,7 +44,7 @@ class Component(NamedTuple):
 
 
 def doctor() -> None:
-    """Say what this machine has, and what is missing for what.
+    """Report what this machine has, and which feature lacks which package.
 
     Ends with exit code 1 where something is missing.
     """
@@ -58,7 +58,7 @@ def doctor() -> None:
 
 
 def examine() -> Iterator[Component]:
-    """Look at everything that the program can use, the essential first."""
+    """Examine everything that the program can use, essential components first."""
     version = sys.version_info
     yield Component("python", platform.python_version(), version >= (3, 11), "everything")
     yield Component("system", f"{platform.platform()}, {os.cpu_count()} cores")
@@ -69,7 +69,7 @@ def examine() -> Iterator[Component]:
 
 
 def _dr_jit() -> Iterator[Component]:
-    """Run a kernel that aborts with an old libLLVM, and read its vector width from its code."""
+    """Run a kernel that aborts with an old libLLVM, and read the vector width from its code."""
     if llvm.problem:
         yield Component("libLLVM", llvm.problem, False, "every kernel")
         return
@@ -103,7 +103,7 @@ def _package(module: str, needed_for: str, extra: str) -> Component:
 
 
 def _weights() -> Iterator[Component]:
-    """Report network weights; they are never needed, so say what is used without them."""
+    """Report network weights; all are optional, so the line names what replaces missing ones."""
     from gva_mi.fit.perceptual import find_weights
 
     weights = find_weights()

@@ -1,4 +1,4 @@
-"""The command ``gva-mi evaluate``: how close an avatar comes to pictures, as figures and a page."""
+"""The command ``gva-mi evaluate``: measure an avatar against pictures; write metrics and a page."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def evaluate(
     body: Path | None = None,
     fit_poses: Switch = False,
 ) -> None:
-    """Measure an avatar on the splits of a subject; writes metrics.json and report.html.
+    """Measure an avatar on the splits of a subject; write metrics.json and report.html.
 
     Args:
         run: the folder of a finished fit.
@@ -38,8 +38,8 @@ def evaluate(
         poses: the poses it was fitted under; without it the refined ones, else those of stage 1.
         body: the body that it was fitted with, in SMPL-X's .npz format; without it the built-in
             puppet. Hands are measured where it has them.
-        fit_poses: also measure test frames, and novel ones of a truth, in rows of their own,
-            under poses that are fitted to these very frames.
+        fit_poses: also measure test frames, and novel poses of the ground truth, after fitting
+            poses to these same frames; reported in separate rows.
     """
     avatar = Avatar.load(run / run_folder.AVATAR)
     model = load_body(body)
@@ -70,7 +70,7 @@ def evaluate_run(
     title: str,
     fit_poses: bool = False,
 ) -> None:
-    """Measure the avatar of a run, write figures and report into its folder, and say the figures.
+    """Measure the avatar of a run, write metrics and report into its folder, print the metrics.
 
     ``video`` was opened with the ``poses`` (their file) that the fit began with; ``name`` stands in
     the rows.

@@ -1,4 +1,4 @@
-"""The command ``gva-mi export``: an avatar, its poses or a film of it, in other programs' files."""
+"""The command ``gva-mi export``: write an avatar, its poses or a film for other programs."""
 
 from __future__ import annotations
 
@@ -49,19 +49,19 @@ SAVE = {
 
 @dataclass(frozen=True)
 class ExportOptions:
-    """What of an avatar is written."""
+    """Options of what ``export`` writes."""
 
-    # A motion: SMPL-X's names, or whatever gva-mi motion reads; none: those trained with it.
+    # A motion: SMPL-X's names, or any that gva-mi motion reads; without it the trained poses.
     poses: Path | None = None
-    # Of the poses; Gaussians without it and --poses are at rest.
+    # Frame of the poses; without it and --poses, Gaussians are in the rest pose.
     frame: Annotated[int, Within(0, 1_000_000)] | None = None
-    # Into a folder: one file for every so many frames.
+    # Into a folder: write one file for every n-th frame.
     every: Annotated[int, Within(1, 1_000_000)] = 1
-    # Kind of these files; .png are transparent where the avatar is not.
+    # Kind of the files in a folder; .png are transparent outside the avatar.
     each: Literal["ply", "compressed.ply", "splat", "spz", "png"] = "ply"
     fps: Annotated[int, Within(1, 1000)] = 30  # frames a second
     background: str = "white"  # of a film: a colour, such as #ff8800, or a picture file
-    no_rig: Switch = False  # .npz: the avatar, without what it holds of a licensed body
+    no_rig: Switch = False  # .npz: the avatar without the data of a licensed body
 
     def __post_init__(self) -> None:
         require_ranges("export", self)
@@ -72,7 +72,7 @@ Work = Callable[[], None]  # writes to --out; everything it can fail on has been
 
 @dataclass(frozen=True)
 class _Export:
-    """One call of the command with its avatar."""
+    """State of one call of the command: the avatar and its options."""
 
     run: Path
     avatar: Avatar
@@ -83,7 +83,7 @@ class _Export:
     overwrite: bool
 
     def driving(self) -> tuple[Pose, Shape]:
-        """Return the poses that were asked for, and the shape of their person."""
+        """Return the poses that the options name, and the shape (betas) that belongs to them."""
         return motion_of(self.run, self.avatar, self.options.poses, self.options.fps, self.body)
 
     def motion(self) -> Pose:
@@ -94,7 +94,7 @@ class _Export:
         return motion
 
     def shots(self, motion: Pose) -> list[CameraShot]:
-        """Return the pictures to be taken of a motion."""
+        """Return the camera shots to render of a motion."""
         view = self.view.or_usual(moving=self.options.poses is not None)
         return shots(view, self.avatar.rig, motion, self.options.frame or 0)
 
@@ -120,8 +120,8 @@ def export(
     Args:
         run: the folder of a finished fit, or an avatar.npz; or a .ply, also a compressed one, a
             .splat or a .spz, which becomes another of these.
-        options: what is written.
-        view: of films and .png.
+        options: content of the file.
+        view: camera of films and .png files.
         out: the file, whose suffix says what it is: .ply, .compressed.ply (SuperSplat's), .splat,
             .spz (Gaussians in one pose), .glb (the surface with skeleton and skin), .npz (poses as
             AMASS has them, or with --no-rig the avatar), .mp4 (a film), .webm (a transparent one);
@@ -145,7 +145,7 @@ def export(
 
 
 def _suffix(out: Path) -> str:
-    """Return the key of :data:`FORMATS` that a name asks for."""
+    """Return the key of :data:`FORMATS` that a file name selects."""
     suffix = out.suffix.lower()
     suffix = COMPRESSED if suffix and out.name.lower().endswith(COMPRESSED) else suffix
     if suffix not in FORMATS:
@@ -248,7 +248,7 @@ def _folder(job: _Export) -> Work:
 
 
 class OutputFormat(NamedTuple):
-    """What a suffix of ``--out`` stands for."""
+    """Format that a suffix of ``--out`` selects."""
 
     what: str
     prepare: Callable[[_Export], Work]

@@ -1,4 +1,4 @@
-"""The command ``gva-mi fit``: a video becomes an avatar."""
+"""The command ``gva-mi fit``: fit an avatar to a video."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def fit(
 
     Args:
         subject: a folder with video, masks, cameras and poses.
-        options: of the fit.
+        options: options of the fit.
         out: the run's folder.
         poses: the poses to fit under; without it the refined ones, else those of stage 1.
         body: a body in SMPL-X's .npz format; without it the built-in puppet.
@@ -62,7 +62,7 @@ def fit(
 def fit_video(
     video: Video, model: BodyModel, options: FitOptions, out: Path, resume: bool = False
 ) -> Avatar:
-    """Fit an avatar and say how long it took; poses and the surface's offsets are the video's."""
+    """Fit an avatar with the video's poses and surface offsets, and print how long it took."""
     offsets = video.offsets_of(len(model.v_template))
     start = time.perf_counter()
     with bar("fit") as progress:

@@ -1,4 +1,4 @@
-"""The command ``gva-mi gradcheck``: are the gradients of renderer, avatar and normals right?"""
+"""The command ``gva-mi gradcheck``: check the gradients of renderer, avatar and normals."""
 
 from __future__ import annotations
 
@@ -38,24 +38,24 @@ ONLY: dict[str, tuple[What, ...]] = {  # options that only some checks have
 
 @dataclass(frozen=True)
 class GradcheckOptions:
-    """What to look at, and how finely."""
+    """Options of the checks: which inputs they cover, and how finely."""
 
-    # Windows, from the fullest to the emptiest (3); random poses of an avatar (3); coordinates of
-    # the body's pose, from the first (all 16).
+    # Number of windows, from fullest to emptiest (3); of random poses of an avatar (3); of
+    # coordinates of the body's pose, from the first (all 16).
     count: Annotated[int, Within(1, 1000)] | None = None
-    seed: Seed = 0  # of the loss, and of the choice of entries
+    seed: Seed = 0  # seed of the loss weights and of the choice of entries
     # splat: width and height of a window, px; the time grows with its square and more.
     window: Annotated[int, Within(1, 1024)] = 24
-    camera_model: CameraModel | None = None  # splat: another one than the scene's own
-    antialiased: Switch = False  # splat: opacities reduced by what the blur adds in area
+    camera_model: CameraModel | None = None  # splat: replaces the scene's own
+    antialiased: Switch = False  # splat: reduce opacities by the area that the blur adds
     # splat: random features of this width in the place of the colours; 0 keeps the colours.
     channels: Annotated[int, Within(0, 1024)] = 0
-    images: tuple[Literal["color", "alpha", "depth"], ...] = IMAGES  # splat: in the loss
+    images: tuple[Literal["color", "alpha", "depth"], ...] = IMAGES  # splat: images in the loss
     size: Annotated[int, Within(32, 4096)] = 512  # normals: width and height of the picture, px
     spp: Annotated[int, Within(1, 4096)] = 16  # normals: rays for a pixel of the gradient
-    # normals: lines across the rectangle that moves, for the true boundary term.
+    # normals: lines across the moving rectangle, for the reference boundary term.
     lines: Annotated[int, Within(1, 1_000_000)] = 16000
-    points: Annotated[int, Within(1, 10_000)] = 89  # normals: on each face, for the true interior
+    points: Annotated[int, Within(1, 10_000)] = 89  # normals: points per face, reference interior
 
     def __post_init__(self) -> None:
         require_ranges("gradcheck", self)
@@ -77,7 +77,7 @@ class GradcheckOptions:
                 )
 
     def applied(self, scene: Scene) -> Scene:
-        """The scene under these options."""
+        """Return the scene with these options applied."""
         if self.camera_model is not None:
             scene = scene.through(self.camera_model)
         if self.channels:
@@ -102,7 +102,7 @@ def gradcheck(
 
     Args:
         what: what to check.
-        options: what to look at, and how finely.
+        options: which inputs to check, and how finely.
         scene: splat: a .ply, .splat or .spz, or an .npz file with means, quats, scales, opacities,
             sh or colors, viewmat, K, width, height, background; without it a person of 20,000
             Gaussians.
@@ -134,7 +134,7 @@ def gradcheck(
 
 
 def _windows(options: GradcheckOptions, scene: Path | None) -> Iterator[tuple[str, Report]]:
-    """The renderer in windows of a picture."""
+    """Check the renderer in windows of a picture."""
     whole = person_scene(np.random.default_rng(0)) if scene is None else Scene.load(scene)
     for place, part in options.applied(whole).windows(options.window, options.count or 3):
         report = check_renderer(render, part, images=options.images, seed=options.seed)
@@ -142,13 +142,13 @@ def _windows(options: GradcheckOptions, scene: Path | None) -> Iterator[tuple[st
 
 
 def _poses(options: GradcheckOptions, body: Path | None) -> Iterator[tuple[str, Report]]:
-    """An avatar in random poses."""
+    """Check an avatar in random poses."""
     for seed in range(options.seed, options.seed + (options.count or 3)):
         yield f"pose {seed}", check_avatar(PosedAvatar.random(seed, body=body), seed=seed)
 
 
 def _normals(options: GradcheckOptions) -> Iterator[tuple[str, Report]]:
-    """``mesh_normals`` by coordinates of the body's pose."""
+    """Check the derivatives of ``mesh_normals`` by coordinates of the body's pose."""
     count = min(options.count or len(COORDINATES), len(COORDINATES))
     fineness, rows = (options.size, options.spp, options.lines, options.points), []
     with bar("gradcheck") as progress:

@@ -1,4 +1,4 @@
-"""The command ``gva-mi motion``: a motion of another program, as poses that drive an avatar."""
+"""The command ``gva-mi motion``: convert another program's motion to poses that drive an avatar."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ def motion(
     Args:
         source: .npz, .npy, .pkl or .pt, or an estimator's folder; pickles run no code.
         out: the poses, .npz.
-        options: of the conversion.
+        options: options of the conversion.
         body: the avatar's body, if it is not the built-in puppet: its pelvis stays in place when
             the world is turned upright, and hands that are components of a PCA are its own.
-        overwrite: replace a file that is there.
+        overwrite: replace an existing file.
     """
     if out.suffix != ".npz":
         raise InputError(f"{out}: a file of poses ends in .npz")

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 NARROWEST = 40  # columns: in a narrower terminal tyro never finishes a long --help
 
-Refusals = list[str]  # what a number must be and what was given, of each that was refused
+Refusals = list[str]  # expected range and given value of each refused number
 
 
 def parse(command: Callable[..., None], verb: str, arguments: list[str]) -> Callable[[], None]:
@@ -152,9 +152,8 @@ def _number(
 def _refusal(stop: SystemExit, refusals: Refusals) -> str | None:
     """Return the sentence for a refused value; None if tyro stopped for another reason.
 
-    Python keeps tyro's error and the error of the value as contexts of the exit; tyro's error
-    knows the argument. A number does not know the name of its option, and options that refuse a
-    value name it themselves.
+    Python keeps tyro's error and the value's error as contexts of the exit. Only tyro's error
+    knows which option a number belongs to; option classes name the option in their own errors.
     """
     error, option = stop.__context__, None
     while error is not None and not isinstance(error, ValueError):

@@ -36,11 +36,11 @@ def prepare(
     """Make a subject's folder of a video, masks, and what a pose estimator wrote; or a data set.
 
     Args:
-        kind: of the source.
+        kind: kind of the source.
         source: the estimator's file or folder, or the data set's folder of one subject; pickles
             run no code.
         out: the subject's folder.
-        options: what belongs to the source.
+        options: pictures, masks, lens and body that belong to the source.
         overwrite: replace a folder that was prepared here.
     """
     if kind != "auto" and kind not in (kinds := {**KINDS, **DATASETS}):

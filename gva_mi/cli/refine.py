@@ -1,4 +1,4 @@
-"""The command ``gva-mi refine``: stage 2, poses that agree with normals and silhouettes."""
+"""The command ``gva-mi refine``: fit poses to normals and silhouettes (stage 2)."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def refine(
 
     Args:
         subjects: folders with video, masks, cameras, stage-1 poses; normals where there are some.
-        options: of the refinement.
+        options: options of the refinement.
         loss: all frames together, or Eq. 8 as printed, frame by frame; the latter uses size, faces,
             silhouette, step and largest-turn of the options, and the next two.
         steps: for each frame; of --loss paper.
@@ -64,7 +64,7 @@ def refine(
         scheduler: address of a dask.distributed cluster that does the work instead.
         report: also write refinement.html, with an ablation of every term of the loss.
         body: a body in SMPL-X's .npz format; without it the built-in puppet.
-        overwrite: replace refined poses that are there.
+        overwrite: replace existing refined poses.
     """
     if not subjects:
         raise InputError("refine: give the folder of a subject, or of several")
@@ -123,7 +123,7 @@ def refine_videos(
 
 
 def _summary(evaluation: Evaluation, report: bool) -> Iterator[str]:
-    """Yield the lines that tell what a refinement found, and where its files are."""
+    """Yield the lines that summarise a refinement and name its files."""
     folder, refined = evaluation.video.folder, evaluation.refined
     for limbs, frames in refined.swapped.items():
         yield f"{limbs:11} left and right were exchanged in frames {listed(frames)}"

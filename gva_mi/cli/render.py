@@ -1,4 +1,4 @@
-"""The command ``gva-mi render``: an avatar driven by any poses, seen by any cameras."""
+"""The command ``gva-mi render``: render an avatar under any poses and cameras."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def render(
         alpha: pictures are transparent around the avatar, and so is a film, then a .webm.
         video: also write video.mp4 there; with --alpha video.webm.
         body: the body file of an avatar that was exported without its body; without it the puppet.
-        overwrite: replace renders that are there.
+        overwrite: replace existing renders.
     """
     if cameras is not None and view != CameraPath():
         raise InputError("render: give --cameras, or say where cameras stand; not both")

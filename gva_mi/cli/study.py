@@ -1,4 +1,4 @@
-"""The command ``gva-mi study``: how well a step does on subjects it was not tuned on."""
+"""The command ``gva-mi study``: measure a step on held-out synthetic subjects."""
 
 from __future__ import annotations
 
@@ -35,15 +35,15 @@ IN_PICTURES = 3  # cases that the avatar's page shows
 class _Choice:
     """Options of both studies."""
 
-    out: Path  # folder for figures, and for the subjects, which are made where they are missing
-    cases: Literal["held-out", "tuning", "all"] = "held-out"  # nothing was tuned on the held-out
+    out: Path  # folder for results and subjects; missing subjects are generated
+    cases: Literal["held-out", "tuning", "all"] = "held-out"  # held-out: never tuned on
     # Number of the held-out set; once you tune on its results, take the next.
     held_out_set: Annotated[int, Within(1, 1000)] = 1
     error_models: tuple[str, ...] = ()  # rows of the refinement's table; all without it
     subjects: tuple[str, ...] = ()  # names of the synthetic subjects, or seeds; all without it
     workers: Workers = 1  # processes on this machine; any number gives the same bits
     body: Path | None = None  # a body in SMPL-X's .npz format; without it the built-in body
-    overwrite: Switch = False  # compute again what the file of figures holds
+    overwrite: Switch = False  # recompute results that the file already holds
 
     def __post_init__(self) -> None:
         require_ranges("study", self)
@@ -127,7 +127,7 @@ def _run(what: _Choice, made: RefineStudy | AvatarStudy, cases: Sequence[StudyCa
 def _kept(
     what: _Choice, file: StudyFile, made: RefineStudy | AvatarStudy, cases: Sequence[StudyCase]
 ) -> tuple[list[Outcome], list[Outcome]]:
-    """Return results of the file that were asked for, and all others."""
+    """Return the file's results split in two: those of the selected cases, and all others."""
     try:
         kept = file.load()
     except InputError:
@@ -147,7 +147,7 @@ def _pictures(made: RefineStudy | AvatarStudy, cases: Sequence[StudyCase]) -> li
 
 
 def _chosen(what: _Choice) -> list[StudyCase]:
-    """Return the cases that were asked for, without those that lack a package."""
+    """Return the selected cases, without those that lack a package."""
     judging = held_out(what.held_out_set)
     cases = {"held-out": judging, "tuning": TUNING, "all": (*TUNING, *judging)}[what.cases]
     for name, asked, there in (
@@ -174,7 +174,7 @@ def _chosen(what: _Choice) -> list[StudyCase]:
 
 
 def _lines(table: Table) -> Iterator[str]:
-    """Write a table as aligned lines."""
+    """Format a table as aligned lines."""
     cells = [table.head, *table.rows]
     widths = [max(len(cell) for cell in column) for column in zip(*cells, strict=True)]
     for first, *others in cells:

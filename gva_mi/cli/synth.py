@@ -1,4 +1,4 @@
-"""The command ``gva-mi synth``: a synthetic subject."""
+"""The command ``gva-mi synth``: make a synthetic subject."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def synth(
 
     Args:
         out: the subject's folder.
-        options: of the subject.
+        options: options of the subject.
         like: an existing subject, whose recording gets the errors of --family, --seed and --noise.
         body: a body file in SMPL-X's .npz format; without it the built-in body.
         overwrite: replace an existing subject.
@@ -55,7 +55,7 @@ def synth(
 
 
 def _require_noise_alone(options: SynthOptions) -> None:
-    """Raise an InputError if options other than those of the errors are given."""
+    """Raise an InputError if options are given that do not belong to the error model."""
     ours = {name: getattr(options, name) for name in ("family", "seed", "noise_seed", "noise")}
     plain = asdict(SynthOptions(**ours))
     for name, value in asdict(options).items():

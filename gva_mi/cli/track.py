@@ -36,11 +36,11 @@ def track(
         run: the folder of a finished fit, or an avatar.npz, of this video or of another one of the
             same person.
         subject: a folder with video, masks, cameras and poses.
-        options: of the fit.
+        options: options of the fit.
         poses: the start; without it the poses trained with the avatar, if ``run`` is a folder that
             was fitted to this video; else the refined ones, else those of stage 1.
         body: a body in SMPL-X's .npz format; without it the built-in puppet.
-        overwrite: replace poses that are there.
+        overwrite: replace existing poses.
     """
     out = subject / TRACKED_POSES
     require_room(out, overwrite)

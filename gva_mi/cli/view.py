@@ -1,4 +1,4 @@
-"""The command ``gva-mi view``: an avatar in the browser."""
+"""The command ``gva-mi view``: show an avatar in the browser."""
 
 from __future__ import annotations
 
@@ -49,11 +49,11 @@ def view(
         run: the folder of a finished fit, or an avatar.npz.
         poses: SMPL-X's names, each (T, ...), or any motion that gva-mi motion reads; without it
             the poses trained with the avatar.
-        subject: the folder of the video that these poses belong to, to be shown beside.
+        subject: the folder of the video that these poses belong to, shown beside the avatar.
         out: folder for snapshots and cameras; what is there is never replaced.
         body: the body file of an avatar that was exported without its body; without it the puppet.
         host: address to listen on: this machine alone, or 0.0.0.0 for the whole network.
-        port: of the page; 0 picks a free one.
+        port: port of the page; 0 picks a free one.
     """
     avatar = load_avatar(run, body)
     motion, _ = motion_of(run, avatar, poses, FPS, body)

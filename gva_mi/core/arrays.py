@@ -43,7 +43,7 @@ class Budget:
 
 
 class Header(NamedTuple):
-    """The head of a ``.npy``: what it says of the array that follows."""
+    """Header of a ``.npy``: shape, dtype and order of the array that follows."""
 
     shape: tuple[int, ...]
     order: str  # "C" or "F"
@@ -51,7 +51,7 @@ class Header(NamedTuple):
 
 
 def read_header(file: BinaryIO) -> Header:
-    """Read a ``.npy`` up to its array; raise Refused or ValueError if it is none."""
+    """Read the header of a ``.npy``; raise Refused or ValueError if it has none."""
     version = np.lib.format.read_magic(file)
     read = {
         (1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0,
@@ -72,7 +72,7 @@ def read_npy(data: bytes) -> np.ndarray:
 
 
 def read_entry(file: zipfile.ZipFile, name: str, budget: Budget) -> bytes:
-    """Return the bytes of one zip entry; raise Damaged if its size is a lie."""
+    """Return the bytes of one zip entry; raise Damaged if its stated size is wrong."""
     info = file.getinfo(name)
     if info.file_size > _DENSEST * (info.compress_size + 1):
         raise Damaged(f"'{name}' claims {info.file_size:,} bytes")

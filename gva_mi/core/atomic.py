@@ -97,7 +97,7 @@ def atomic_dir(out: Path, replaced: str | None = None) -> Iterator[Path]:
             if replaced is None or not out.is_dir():
                 raise InputError(f"{out}: already there; expected a new or an empty folder")
             require_ours(out, replaced)
-        if unfinished.exists():  # without locks nobody knows whose it is
+        if unfinished.exists():  # without locks, another process may own it
             raise InputError(
                 f"{unfinished}: is there already: another process makes {out}, or one was killed "
                 "while it did; remove it where none does"

@@ -1,4 +1,4 @@
-"""Output for people: a progress bar with figures, lines above it, lists of frames."""
+"""Console output: a progress bar with figures, lines above it, lists of frames."""
 
 from __future__ import annotations
 

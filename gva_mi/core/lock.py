@@ -1,4 +1,4 @@
-"""Let one process at a time write into a folder, and tell a second one who does.
+"""Let only one process at a time write into a folder; a second one learns which process does.
 
 The lock is the system's (``flock``) on a small file beside the folder. It dies with its process,
 however that ends, so there is never a stale lock to remove.
@@ -25,9 +25,9 @@ _NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)  # on 
 def folder_lock(folder: Path, doing: str) -> Iterator[bool]:
     """Keep other processes from writing into a folder, which may be missing or replaced meanwhile.
 
-    A second process gets an InputError that says who writes there since when; ``doing`` is the
-    command, such as ``gva-mi fit``. Yields whether the file system has locks; without them nobody
-    is kept away.
+    A second process gets an InputError that names the writing process and its start; ``doing`` is
+    the command, such as ``gva-mi fit``. Yields whether the file system has locks; without them no
+    process is kept out.
     """
     folder = Path(folder).resolve()
     folder.parent.mkdir(parents=True, exist_ok=True)
@@ -69,7 +69,7 @@ def _acquire(path: Path, folder: Path) -> tuple[int, bool]:
 
 
 def _describe(holder: bytes) -> str:
-    """Return who holds a lock, according to the lock's file."""
+    """Return the process that holds a lock, as the lock's file describes it."""
     try:
         about = json.loads(holder)
         process = f"process {about['pid']} on {about['host']}, since {about['since']}"

@@ -30,7 +30,7 @@ class Within:
 
     low: float
     high: float
-    open: str = ""  # "low" or "low high": ends that are excluded
+    open: str = ""  # "low" or "low high": excluded ends
     unit: str = ""  # such as metres, for people
 
     def __contains__(self, number: object) -> bool:

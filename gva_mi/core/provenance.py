@@ -1,4 +1,4 @@
-"""What made a result: versions, a digest of this program, hashes of files and arrays."""
+"""Provenance of a result: versions, a digest of this program, hashes of files and arrays."""
 
 from __future__ import annotations
 

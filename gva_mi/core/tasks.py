@@ -42,7 +42,7 @@ class Task(Protocol[Result]):
         ...
 
     def solve(self, progress: Progress | None = None) -> Result:
-        """Do it in this process."""
+        """Do the work in this process."""
         ...
 
 

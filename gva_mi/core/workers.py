@@ -4,7 +4,7 @@
   next run of the same command writes. (loky's workers do not; that is why this is not loky.)
 * Ctrl-C reaches every process of a terminal. Workers ignore it; the parent tells them to stop, and
   kills one that has not cleaned up after :data:`GRACE` seconds.
-* If a worker dies, whoever waits for it gets ``BrokenExecutor``; :func:`worker_died` explains it.
+* If a worker dies, the waiting caller gets ``BrokenExecutor``; :func:`worker_died` explains it.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ A pixel of the outline mixes two colours, the person's F and the background's B,
 1. ``I = S F + (1 - S) B``
 
 On another background, ``S I`` would keep ``S (1 - S) B`` of the old one: a bright seam around a
-person filmed before a white wall. What has to be kept is
+person filmed before a white wall. The part to keep is
 
 2. ``S F = I - (1 - S) B``,   between 0 and ``S``
 
@@ -22,7 +22,7 @@ NOTHING = 0.5 / 255  # a mask below this is zero
 
 
 def alone(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """The person's colour times the mask (eq. 2), (H, W, 3), of a picture and a mask (H, W)."""
+    """Return the person's colour times the mask (eq. 2), (H, W, 3), for a mask (H, W)."""
     person = np.zeros_like(image)
     rows, columns = (np.flatnonzero((mask > NOTHING).any(axis)) for axis in (1, 0))
     if len(rows):
@@ -33,9 +33,9 @@ def alone(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
 
 
 def behind(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """The background B (H, W, 3) of a picture (H, W, 3) with a mask (H, W), both in [0, 1].
+    """Estimate the background B (H, W, 3) of a picture (H, W, 3) with a mask (H, W), in [0, 1].
 
-    It is the picture where the mask is zero, elsewhere the mean around the nearest such pixel;
+    B is the picture where the mask is zero, elsewhere the mean around the nearest such pixel;
     without any such pixel it is the picture itself.
     """
     from scipy.ndimage import distance_transform_edt, uniform_filter
@@ -52,7 +52,7 @@ def behind(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
 
 
 def unsure(mask: np.ndarray, width: float) -> np.ndarray:
-    """Pixels (H, W) where a mask (H, W) may be wrong: within ``width`` of soft pixels and edges."""
+    """Return where a mask (H, W) may be wrong: within ``width`` pixels of soft pixels and edges."""
     from scipy.ndimage import distance_transform_edt
 
     inside, both = mask > 0.5, (mask > NOTHING) & (mask < 1 - NOTHING)

@@ -46,7 +46,7 @@ def load_cameras(path: Path) -> list[Camera]:
 
 
 def _pixels(path: Path, name: str, value: np.ndarray) -> int:
-    """A number of pixels."""
+    """Read a width or height in pixels."""
     number = value.dtype.kind in "iuf" and value.size == 1
     if not number or not np.isfinite(value).all() or value.item() != int(value.item()):
         raise InputError(f"{path}: '{name}' must be a whole number of pixels, got {value}")

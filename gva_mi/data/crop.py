@@ -1,8 +1,8 @@
 """Crop a frame to the person's surroundings and shrink it, or say why it shows no person.
 
-Cropping comes first, so that the person's size decides the resolution, and not the room's.
-Shrinking lays a coarser grid over the image, with the upper left corners in one place. With the
-scale ``s``, pixels of the grid per pixel of the image:
+Cropping comes first, so that the person's size decides the resolution, and not the picture's.
+Shrinking lays a coarser grid over the image; both share the upper left corner. With the scale
+``s``, pixels of the grid per pixel of the image:
 
 1. Pixel ``(i, j)`` of the grid covers ``[i, i + 1) x [j, j + 1)``, divided by ``s``.
 2. It holds the mean over this area; pixels that lie in it partly count by that part.
@@ -29,7 +29,7 @@ Image = TypeVar("Image", np.ndarray, Tensor)
 
 
 class NoEvidence(Exception):
-    """Why a frame shows nothing of the pose: the frame keeps its pose, and the others go on."""
+    """Reason why a frame shows nothing of the pose; such a frame keeps its pose."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""``Film``: the pictures of a video file, in any order, without all of them in memory at once.
+"""``Film``: random access to the pictures of a video file, with few of them in memory.
 
 Opening a film decodes all of it once, because damage shows nowhere else, and notes the time stamps.
 The last pictures that were decoded in a row stay in memory as the decoder left them, most in half
@@ -25,7 +25,7 @@ class Film(Sequence[np.ndarray]):
     """The pictures of a video file, each (H, W, 3) 8-bit, turned as its metadata say."""
 
     def __init__(self, path: Path, kept: int = KEPT) -> None:
-        """Decode all of it once; ``kept`` bytes of decoded pictures may stay in memory."""
+        """Decode the whole film once; ``kept`` bytes of decoded pictures may stay in memory."""
         self.path = Path(path)
         self.sizes: list[tuple[int, int]] = []  # (W, H) of each picture
         self._moments: list[int | None] = []
@@ -59,7 +59,7 @@ class Film(Sequence[np.ndarray]):
         raise InputError(f"{self.path}: picture {index} was there, and cannot be decoded any more")
 
     def __getstate__(self) -> dict[str, Any]:
-        """The state without the open file: another process opens its own."""
+        """Return the state without the open file; another process opens its own."""
         return self.__dict__ | {"_at": None, "_near": _Near(self._kept)}
 
     def _take(self, frame: Any) -> None:  # noqa: ANN401
@@ -72,7 +72,7 @@ class Film(Sequence[np.ndarray]):
         self._moments.append(frame.pts)
 
     def _key_before(self, index: int) -> int:
-        """The key picture at or before a picture; the start without one."""
+        """Return the key picture at or before a picture; without one, the start."""
         return self._keys[max(0, bisect_right(self._keys, index) - 1)] if self._keys else 0
 
     def _seek(self, index: int) -> None:
@@ -102,10 +102,10 @@ class Film(Sequence[np.ndarray]):
 
 
 class _Near:
-    """The pictures that were decoded last, in a row, as the decoder left them."""
+    """Buffer of the pictures decoded last, consecutive, in the decoder's format."""
 
     def __init__(self, room: int) -> None:
-        """An empty store of ``room`` bytes; it keeps the last picture whatever its size."""
+        """Make an empty buffer of ``room`` bytes; it keeps the last picture whatever its size."""
         self._room = room
         self._frames: dict[int, Any] = {}  # by number, in their order
         self._converter: Any = None  # one for all: each would keep tables of its own
@@ -114,14 +114,14 @@ class _Near:
         return number in self._frames
 
     def put(self, number: int, frame: Any) -> None:  # noqa: ANN401 (as _decoded)
-        """Keep the next one, and drop the first ones where there is no room."""
+        """Add the next picture, and drop the oldest ones if there is no room."""
         self._frames[number] = frame
         self._room -= _bytes_of(frame)
         while self._room < 0 and len(self._frames) > 1:
             self._room += _bytes_of(self._frames.pop(next(iter(self._frames))))
 
     def rgb(self, number: int) -> np.ndarray:
-        """A picture (H, W, 3) 8-bit."""
+        """Return a picture, (H, W, 3) 8-bit."""
         from av.video.reformatter import VideoReformatter
 
         if self._converter is None:

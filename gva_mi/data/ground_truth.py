@@ -1,4 +1,4 @@
-"""Ground truth of a synthetic video: the body that was filmed, its poses, and the cameras.
+"""Ground truth of a synthetic video: the rendered body, its poses, and the cameras.
 
 The subject may be drawn on another body than the one that is fitted, because real people are not in
 the span of any body model. Then the folder ``truth`` holds that body beside its poses:
@@ -28,7 +28,7 @@ POSES, BODY, CAMERAS = "poses.npz", "body.npz", "cameras.npz"
 
 @dataclass(frozen=True)
 class GroundTruth:
-    """The person that was filmed: ``body(pose, shape)`` is the ground-truth surface."""
+    """The rendered synthetic subject: ``body(pose, shape)`` is the ground-truth surface."""
 
     body: BodyModel
     pose: Pose  # T frames
@@ -40,7 +40,7 @@ class GroundTruth:
 def load_ground_truth(folder: Path, body: BodyModel) -> GroundTruth:
     """Read the ground truth of a synthetic video, in its folder ``truth``.
 
-    ``body`` is the fitted one; also the one filmed, where the folder holds no other.
+    ``body`` is the fitted body; it is also the rendered one unless the folder holds another.
     """
     pose, shape = load_poses(Path(folder) / POSES)
     file = Path(folder) / BODY

@@ -1,4 +1,4 @@
-"""Masks as segmenters write them: hard or soft, pictures or arrays.
+"""Read masks as segmenters write them: hard or soft, pictures or arrays.
 
 ========================  ====================================================
 ``000000.png``            8-bit: 0 and 255, or soft in between; or 0 and 1. Of colours,
@@ -21,7 +21,7 @@ from gva_mi.data.pictures import read_image
 
 
 def read_mask(folder: Path, index: int) -> np.ndarray | None:
-    """The mask of a frame, (H, W) float32 in [0, 1]; None where no file is there."""
+    """Read the mask of a frame, (H, W) float32 in [0, 1]; None without a file."""
     path = folder / f"{index:06d}.npy"
     if path.exists():
         mask = read_array(path)

@@ -1,4 +1,4 @@
-"""Read a picture as a mask: which of its numbers says what is inside the person.
+"""Read a picture as a mask: choose the channel or colour that marks the person.
 
 =========================================  ====================================================
 Picture                                    Inside
@@ -32,7 +32,7 @@ DARK = 64  # black, after JPEG
 
 
 def matte_of(where: str, image: Image.Image) -> np.ndarray:
-    """The mask (H, W) 8-bit, 255 inside, of an 8-bit picture; ``where`` names it in errors."""
+    """Convert an 8-bit picture to a mask (H, W) 8-bit, 255 inside; ``where`` names it in errors."""
     if image.mode in ("LA", "La", "RGBA", "RGBa", "PA") or (
         image.mode == "P" and "transparency" in image.info
     ):
@@ -47,7 +47,7 @@ def matte_of(where: str, image: Image.Image) -> np.ndarray:
 
 
 def matte_of_pixels(where: str, pixels: np.ndarray) -> np.ndarray:
-    """The mask of pixels (H, W, 3) RGB or (H, W, 4) RGBA, 8-bit, such as a film's."""
+    """Convert 8-bit pixels (H, W, 3) RGB or (H, W, 4) RGBA, such as a film's, to a mask."""
     if pixels.shape[2] == 4 and pixels[..., 3].min(initial=255) < 255:
         return np.ascontiguousarray(pixels[..., 3])
     from PIL import Image
@@ -70,7 +70,7 @@ def matte_of_pixels(where: str, pixels: np.ndarray) -> np.ndarray:
 
 
 def _of_palette(image: Image.Image) -> np.ndarray:
-    """By colour where only black and white are used, otherwise by label."""
+    """Convert a palette picture: by colour if only black and white are used, else by label."""
     labels = np.asarray(image if image.mode == "P" else image.getchannel(0))
     colors = np.asarray(image.convert("RGB"))
     if np.isin(colors, (0, 255)).all() and (colors == colors[..., :1]).all():

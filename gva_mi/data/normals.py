@@ -57,7 +57,7 @@ class NormalMaps:
 
     @staticmethod
     def open(folder: Path, frames: int, convention: Convention | None = None) -> NormalMaps | None:
-        """The maps of a subject of so many frames; None without a folder ``normals/``.
+        """Open the maps of a subject with ``frames`` frames; None without a folder ``normals/``.
 
         ``convention`` overrides ``normals.json``.
         """
@@ -70,7 +70,7 @@ class NormalMaps:
     def read(
         self, index: int, camera: Camera, part: Part = (slice(None), slice(None))
     ) -> np.ndarray | None:
-        """Unit normals in camera space (h, w, 3) float32, zero where unknown; None: no file.
+        """Read unit normals in camera space (h, w, 3) float32, zero where unknown; None: no file.
 
         ``camera`` is the frame's, for size and rays; ``part`` is of the frame.
         """
@@ -102,11 +102,11 @@ class NormalMaps:
         return (normals * (long / np.sqrt(np.maximum(square, 1e-12)))).astype(np.float32)
 
     def check(self, index: int, camera: Camera) -> None:
-        """Raise what :meth:`read` would raise, and read hardly anything."""
+        """Raise the errors of :meth:`read` without decoding all of the file."""
         self.read(index, camera, (slice(0, 1), slice(0, 1)))
 
     def _stored(self, index: int) -> tuple[np.ndarray | None, Path]:
-        """The file's array (h, w, 3), 8-bit or floating point, and its path."""
+        """Return the file's array (h, w, 3), 8-bit or floating point, and its path."""
         for suffix in (".npy", ".png"):
             path = self.folder / f"{index:06d}{suffix}"
             if path.exists():
@@ -115,7 +115,7 @@ class NormalMaps:
 
 
 def read_map(path: Path) -> np.ndarray:
-    """A map (h, w, 3) as it is stored, 8-bit or floating point."""
+    """Read a map (h, w, 3) as it is stored, 8-bit or floating point."""
     if path.suffix.lower() != ".npy":
         return read_image(path, 3)
     normals = read_array(path)
@@ -127,7 +127,7 @@ def read_map(path: Path) -> np.ndarray:
 
 
 def _directions(stored: np.ndarray) -> np.ndarray:
-    """Stored vectors (h, w, 3) as float32, zero where they are no directions."""
+    """Convert stored vectors (h, w, 3) to float32, zero where they are no directions."""
     if stored.dtype == np.uint8:
         normals = stored.astype(np.float32)
         normals *= 1 / 127.5
@@ -139,7 +139,7 @@ def _directions(stored: np.ndarray) -> np.ndarray:
 
 
 def _square_lengths(normals: np.ndarray) -> np.ndarray:
-    """Squared lengths (h, w, 1) of vectors (h, w, 3)."""
+    """Return the squared lengths (h, w, 1) of vectors (h, w, 3)."""
     return np.einsum("hwc,hwc->hw", normals, normals)[..., None]
 
 
@@ -169,14 +169,14 @@ def _pasted(normals: np.ndarray, box: np.ndarray, size: tuple[int, int]) -> np.n
 
 
 def _along_rays(normals: np.ndarray, camera: Camera) -> np.ndarray:
-    """``R(d) n`` for the ray ``d`` of each pixel, by Rodrigues' formula with ``v = z × d``."""
+    """Compute ``R(d) n`` for each pixel's ray ``d``, by Rodrigues' formula with ``v = z × d``."""
     v, z = _turns_to_rays(camera)
     once = np.cross(v, normals)
     return normals + once + np.cross(v, once) / (1 + z)
 
 
 def _turns_to_rays(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """``v = z × d`` (H, W, 3) and ``z · d`` (H, W, 1) of each pixel's ray ``d``."""
+    """Compute ``v = z × d`` (H, W, 3) and ``z · d`` (H, W, 1) of each pixel's ray ``d``."""
     x = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
     y = (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy
     d = np.stack([*np.meshgrid(x, y), np.ones((camera.height, camera.width))], axis=-1)
@@ -185,7 +185,7 @@ def _turns_to_rays(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _read_about(path: Path, frames: int) -> dict:
-    """``convention`` and ``boxes`` (T, 4) of a ``normals.json``."""
+    """Read ``convention`` and ``boxes`` (T, 4) from a ``normals.json``."""
     expected = '{"convention": "icon", "boxes": [[left, top, right, bottom], ...]}'
     refuse = lambda why: InputError(f"{path}: {why}; expected such as {expected}")
     about = read_json(path, f"such as {expected}")

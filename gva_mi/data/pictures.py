@@ -109,7 +109,7 @@ def require_picture(path: Path, overwrite: bool) -> None:
 
 
 def read_background(name: str, width: int, height: int) -> np.ndarray:
-    """A render's background, float32 in [0, 1]: (3,) for a colour, (height, width, 3) otherwise.
+    """Read a background, float32 in [0, 1]: (3,) for a colour, (height, width, 3) otherwise.
 
     ``name`` is of a colour, such as "white" or "#ff8800"; or of a picture, which is scaled to cover
     the size, and cropped.
@@ -128,7 +128,7 @@ def read_background(name: str, width: int, height: int) -> np.ndarray:
 
 
 def decoded(path: Path) -> Iterator[av.VideoFrame]:
-    """The frames of a film, one by one."""
+    """Yield the frames of a film."""
     count = 0
     with decoding(path), open_film(path) as container:
         for frame in container.decode(video=0):
@@ -152,7 +152,7 @@ def open_film(path: Path) -> av.container.InputContainer:
 
 @contextmanager
 def decoding(path: Path) -> Iterator[None]:
-    """Turn what goes wrong in decoding a film into one sentence."""
+    """Convert any decoding error of a film to an InputError of one sentence."""
     import av
 
     try:
@@ -164,7 +164,7 @@ def decoding(path: Path) -> Iterator[None]:
 
 
 def pixels_of(frame: av.VideoFrame, form: str) -> np.ndarray:
-    """A decoded picture (H, W, C) 8-bit, turned as its metadata say.
+    """Return a decoded frame as a picture (H, W, C) 8-bit, turned as its metadata say.
 
     ``form`` is FFmpeg's name of the pixels' format, such as "rgb24".
     """
@@ -177,18 +177,18 @@ def turned(pixels: np.ndarray, frame: av.VideoFrame) -> np.ndarray:
 
 
 def size_of(frame: av.VideoFrame) -> tuple[int, int]:
-    """(W, H) of what :func:`pixels_of` returns."""
+    """Return the size (W, H) of the picture that :func:`pixels_of` returns."""
     size = frame.width, frame.height
     return size[::-1] if _quarter_turns(frame) % 2 else size
 
 
 def _quarter_turns(frame: av.VideoFrame) -> int:
-    """Counter-clockwise."""
+    """Return how many quarter turns counter-clockwise a frame's metadata ask for."""
     return round(frame.rotation / 90) % 4
 
 
 def steps_of(path: Path) -> tuple[np.ndarray, float]:
-    """Seconds (T − 1,) between a film's pictures, and the length of one tick of its clock."""
+    """Return the seconds (T − 1,) between a film's pictures, and one tick of its clock."""
     import av
 
     with decoding(path), av.open(str(path)) as container:

@@ -1,4 +1,4 @@
-"""Which frames of a video are trained on: ``splits.json``."""
+"""Train and test frames of a video: ``splits.json``."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ TEST_EVERY = 8  # without splits.json, every 8th frame is a test frame
 
 @dataclass(frozen=True)
 class Splits:
-    """Which frames are trained on, and which are never seen in training."""
+    """Train frames, and test frames that training never uses."""
 
     train: list[int]
     test: list[int]
 
     @staticmethod
     def every(step: int, frames: int) -> Splits:
-        """Every ``step``-th frame is a test frame."""
+        """Make every ``step``-th frame a test frame."""
         test = list(range(step // 2, frames, step))
         return Splits([k for k in range(frames) if k not in set(test)], test)
 
     @staticmethod
     def one_range(share: int, frames: int) -> Splits:
-        """One ``share``-th of the frames, in the middle and all in a row, are test frames."""
+        """Make one ``share``-th of the frames, consecutive and in the middle, test frames."""
         count = max(1, frames // share)
         test = list(range((frames - count) // 2, (frames + count) // 2))
         return Splits([k for k in range(frames) if k not in set(test)], test)
 
     def without(self, frames: Container[int]) -> Splits:
-        """The same lists without some frames."""
+        """Return the splits without some frames."""
         keep = lambda split: [k for k in split if k not in frames]
         return Splits(keep(self.train), keep(self.test))
 

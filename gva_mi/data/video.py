@@ -1,4 +1,4 @@
-"""``Video`` and ``Frame``: what every step reads, and the folder they are read from.
+"""``Video`` and ``Frame``, the input of every step, and the format of their folder.
 
 ::
 
@@ -13,7 +13,7 @@
       poses_refined.npz                   optional: poses after stage 2; focal, if it was refined:
                                           a factor on the fx and fy of cameras.npz
       splits.json                         optional: {"train": [...], "test": [...]} frame numbers
-      views/                              optional: what other cameras saw; gva_mi.data.views
+      views/                              optional: held-out other cameras; gva_mi.data.views
       truth/                              ground truth of synthetic subjects; read by evaluation
                                           only
 
@@ -53,7 +53,7 @@ REFINED_POSES = "poses_refined.npz"  # of stage 2, where it was run
 
 @dataclass(frozen=True)
 class Frame:
-    """One picture of the person and what is known about it."""
+    """One picture of the person with its mask, normals, camera and pose."""
 
     index: int
     image: np.ndarray  # (H, W, 3) float32 in [0, 1]
@@ -63,12 +63,12 @@ class Frame:
     pose: Pose  # of one frame
 
     def on_background(self, color: float | np.ndarray = 1.0) -> np.ndarray:
-        """The person alone on a plain background, (H, W, 3); ``color`` is a grey or (3,)."""
+        """Return the person on a plain background, (H, W, 3); ``color`` is a grey or (3,)."""
         return self.alone + color * (1 - self.mask[..., None])
 
     @cached_property
     def alone(self) -> np.ndarray:
-        """The person's colour times the mask, (H, W, 3), without what is behind them."""
+        """Return the person's colour times the mask, (H, W, 3), without the background's colour."""
         return alone(self.image, self.mask)
 
 
@@ -103,7 +103,7 @@ class Video:
         return len(self.cameras)
 
     def __getitem__(self, index: int) -> Frame:
-        """One frame; an absent one is white, under an empty mask."""
+        """Return one frame; an absent one is white, with an empty mask."""
         camera, pose = self.cameras[index], self.pose[index]
         if index in self.absent:
             size = (camera.height, camera.width)
@@ -117,17 +117,17 @@ class Video:
         return Frame(index, image.astype(np.float32) / 255, mask, normals, camera, pose)
 
     def frames(self, indices: Iterable[int] | None = None) -> Iterator[Frame]:
-        """The frames of some indices, or all of them, one by one."""
+        """Yield the frames of some indices, or all frames."""
         return (self[k] for k in (range(len(self)) if indices is None else indices))
 
     def outlines(self, indices: Iterable[int]) -> Iterator[Outline]:
-        """Some of the frames without their pictures, one by one; none of them may be absent."""
+        """Yield some frames without their pictures; none of them may be absent."""
         for k in indices:
             mask = read_mask(self.folder / "masks", k)
             yield Outline(k, mask, self._normals_of(k, mask), self.cameras[k], self.pose[k])
 
     def _normals_of(self, index: int, mask: np.ndarray) -> Callable[[Part], np.ndarray | None]:
-        """A function that reads a part of a frame's normals, zero outside its mask."""
+        """Return a function that reads a part of a frame's normals, zero outside its mask."""
 
         def normals(part: Part) -> np.ndarray | None:
             found = self.normals.read(index, self.cameras[index], part) if self.normals else None
@@ -137,11 +137,11 @@ class Video:
 
     @property
     def size(self) -> tuple[int, int]:
-        """(W, H) in pixels."""
+        """Width and height of the pictures, pixels."""
         return self.cameras[0].width, self.cameras[0].height
 
     def offsets_of(self, vertices: int) -> Tensor | None:
-        """The rest surface's displacement, for a body of so many vertices; None without one."""
+        """Return the rest surface's displacement for a body of ``vertices``; None without one."""
         if self.offsets is not None and len(self.offsets) != vertices:
             raise InputError(
                 f"{self.folder}: its poses have 'offsets' {tuple(self.offsets.shape)}, expected "
@@ -167,7 +167,7 @@ class Video:
         return folder if folder.is_dir() else None
 
     def true_mask(self, index: int) -> np.ndarray | None:
-        """The ground-truth mask (H, W) of a synthetic subject; for evaluation only."""
+        """Read the ground-truth mask (H, W) of a synthetic subject; for evaluation only."""
         path = self.truth / "masks" / f"{index:06d}.png" if self.truth else None
         if path is None or not path.exists():
             return None
@@ -228,7 +228,7 @@ def load_video(
 
 
 def best_poses(folder: Path) -> Path:
-    """The file of a subject's refined poses; without one, that of stage 1."""
+    """Return the file of a subject's refined poses; without one, that of stage 1."""
     refined = folder / REFINED_POSES
     return refined if refined.exists() else folder / POSES
 
@@ -243,7 +243,7 @@ def is_frame(path: Path) -> bool:
 
 
 def _open_pictures(folder: Path) -> tuple[Film | list[np.ndarray], Sequence[int]]:
-    """The film, or [] for frames, and the numbers of the frames that are there."""
+    """Open the film ([] for frame files), and return the numbers of the existing frames."""
     frames = sorted((folder / "frames").glob("*.png"))
     if frames:
         for path in frames:
@@ -268,7 +268,7 @@ def _check_picture(folder: Path, index: int, size: tuple[int, int] | None, camer
 
 
 def _why_absent(masks: Path, index: int, camera: Camera) -> str | None:
-    """Why a frame cannot be used; None where it can."""
+    """Return the reason why a frame cannot be used; None if it can."""
     mask = read_mask(masks, index)
     if mask is None:
         return "it has no mask"
@@ -284,7 +284,7 @@ def _why_absent(masks: Path, index: int, camera: Camera) -> str | None:
 
 
 def spread(indices: Iterable[int], count: int) -> list[int]:
-    """At most ``count`` of some frames' numbers, evenly spaced."""
+    """Return at most ``count`` of some frame numbers, evenly spaced."""
     indices = list(indices)
     chosen = np.linspace(0, len(indices) - 1, min(count, len(indices))).round().astype(int)
     return [indices[k] for k in chosen]

@@ -1,4 +1,4 @@
-"""Frames of a video as other cameras saw them at the same time: held out, for evaluation only.
+"""Held-out views: frames of a video from other cameras at the same time, for evaluation only.
 
 ::
 
@@ -31,7 +31,7 @@ VIEWS, ABOUT = "views", "views.json"
 
 
 def held_out_views(video: Video) -> Video | None:
-    """What other cameras saw of a video, under its poses; None without such views."""
+    """Read the held-out views of a video, with its poses; None without such views."""
     found = read_views(video.folder, len(video))
     if found is None:
         return None
@@ -43,7 +43,7 @@ def held_out_views(video: Video) -> Video | None:
 
 
 def read_views(subject: Path, count: int) -> tuple[list[int], list[Camera]] | None:
-    """The frame, of ``count``, and the camera of each picture; None without such views."""
+    """Read frame (of ``count``) and camera of each held-out picture; None without such views."""
     folder = subject / VIEWS
     if not folder.is_dir():
         return None
@@ -76,7 +76,7 @@ def save_views(
 
 
 def _frames(path: Path, count: int) -> list[int]:
-    """The video's frame of each picture; the video has ``count``."""
+    """Read the frame number of each picture; the video has ``count`` frames."""
     expected = '{"frames": [...]}, the video\'s frame of each picture'
     found = read_json(path, expected)
     with expecting(path, expected):

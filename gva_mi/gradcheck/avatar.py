@@ -1,4 +1,4 @@
-"""An avatar's gradients: the whole chain from pose to picture, and every link of it alone.
+"""Check an avatar's gradients: the whole chain from pose to picture, and every link alone.
 
 The loss is L = <w, image>, random weights w on colour, alpha and depth. Of each link alone, at the
 values and with the gradient that reach it in the chain,
@@ -7,11 +7,11 @@ values and with the gradient that reach it in the chain,
   and along single entries, are compared with its gradient by every input,
 * its float32 gradient is compared with its float64 gradient.
 
-So an error is found in the link where it is. Of the whole chain the same is done by every first
-input, and ``Avatar.forward`` with ``render``, as a fit calls them, is compared with the links
-composed: image, gradients and tangents in both precisions.
+So an error is found in the link where it is. The whole chain is checked likewise by every first
+input. ``Avatar.forward`` with ``render``, as a fit calls them, is compared with the composed links:
+image, gradients and tangents in both precisions.
 
-Every number that the chain begins with is one that float32 holds, so only arithmetic is judged.
+The chain's first inputs are float32 numbers, so the check measures only the arithmetic's error.
 Pixels at a step of the picture are left out as in :mod:`gva_mi.gradcheck.splat`; Gaussians at a
 kink of the relu too, see chain.py.
 """

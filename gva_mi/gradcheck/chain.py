@@ -58,7 +58,7 @@ class Link:
     function: Callable[[Tensors], tuple[Tensor, ...]]
 
     def extended(self, values: Tensors) -> Tensors:
-        """The values with this link's outputs."""
+        """Return the values with this link's outputs added."""
         return values | dict(zip(self.outputs, self.function(values), strict=True))
 
 
@@ -199,13 +199,13 @@ def _network(values: Tensors) -> Tensors:
 
 
 def _activated(values: Tensors) -> tuple[Tensor, Tensor]:
-    """Scales and opacities, by the properties of the canonical Gaussians themselves."""
+    """Return scales and opacities, computed by the canonical Gaussians' own properties."""
     raw = SimpleNamespace(**values)
     return CanonicalGaussians.scales.fget(raw), CanonicalGaussians.opacities.fget(raw)
 
 
 class _ReluInputs(TorchFunctionMode):
-    """Records for which rows all inputs of all relus are away from zero."""
+    """Recorder of the rows for which all inputs of all relus are away from zero."""
 
     away: Tensor | bool = True
 
@@ -216,7 +216,7 @@ class _ReluInputs(TorchFunctionMode):
 
 
 def _away_from_kinks(avatar: Avatar, values: Tensors) -> tuple[Avatar, Tensors]:
-    """An avatar and its values without the Gaussians at a kink of the network's relu."""
+    """Return an avatar and its values without the Gaussians at a kink of the network's relu."""
     place = values["means"], avatar.canonical.weights, values["rotations"]
     with _ReluInputs() as relus:
         functional_call(avatar.residual, _network(values), place)

@@ -17,7 +17,7 @@ COARSE = 1e-3  # a failing float32 comparison below this error has lost digits; 
 
 @dataclass(frozen=True)
 class Comparison:
-    """One result beside the one it should equal."""
+    """Comparison of one result with its reference."""
 
     method: str  # how the result was computed, such as "adjoint f32"
     name: str  # of the input whose gradient it is, or of the image
@@ -70,7 +70,7 @@ class Comparison:
 
     @property
     def coarse(self) -> bool:
-        """Whether float32 lost digits here and nothing is wrong otherwise."""
+        """Whether float32 lost digits here without any other error."""
         return not self.passed and self.method.endswith("f32") and self.error < COARSE
 
     @property

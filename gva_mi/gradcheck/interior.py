@@ -1,4 +1,4 @@
-"""The interior part of an image's derivative: every point keeps to its triangle.
+"""Reference for the interior part of an image's derivative: every point stays on its triangle.
 
 ``Σ_faces ∫ dI/dε |∂q/∂b| db`` over the points seen, ``b`` barycentric, ``dI/dε`` by central
 differences in float64. On the image the integrand grows without bound toward contours, where

@@ -1,4 +1,4 @@
-"""A mesh that moves, and a lens, in float64: what the references of ``mesh_normals`` work on.
+"""A moving mesh and a lens in float64, for the reference derivatives of ``mesh_normals``.
 
 Nothing here or in ``scanlines.py`` and ``interior.py`` is shared with the plugin they check.
 """
@@ -17,7 +17,7 @@ STILL = 1e-6  # of the greatest speed: a vertex slower than that counts as still
 
 @dataclass(frozen=True)
 class PinholeLens:
-    """Where a pinhole camera sees points of the world; pixel centres lie at +0.5."""
+    """Pinhole projection of world points; pixel centres lie at +0.5."""
 
     camera: Camera
 
@@ -40,7 +40,7 @@ class PinholeLens:
         return (x - self.camera.position) @ self.rotation[:, 2]
 
     def scale(self, x: np.ndarray) -> np.ndarray:
-        """Return what pixel positions are divided by, (N,)."""
+        """Return the divisors (N,) of the pixel positions."""
         return self.depth(x)
 
     def nearness(self, x: np.ndarray) -> np.ndarray:
@@ -65,7 +65,7 @@ class MovingMesh:
 
     @staticmethod
     def joined(parts: Sequence[MovingMesh]) -> MovingMesh:
-        """Several meshes as one; faces of different parts share no vertex."""
+        """Join several meshes; faces of different parts share no vertex."""
         before = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
         faces = [part.faces + n for part, n in zip(parts, before, strict=True)]
         facets = [np.broadcast_to(part.facets, len(part.faces)) for part in parts]

@@ -1,4 +1,4 @@
-"""The gradients that refine a pose: ``mesh_normals`` by single coordinates of the body's pose.
+"""Check the derivatives of ``mesh_normals`` by single coordinates of the body's pose.
 
 The built-in body stands 512 pixels high in poses in which limbs are free, lie before the body,
 cross, or are pressed into it or one another, and one coordinate of the pose moves: a translation,
@@ -130,7 +130,7 @@ def check_normals(
 
 
 def _by_plugin(mesh: MovingMesh, camera: Camera, spp: int) -> tuple[np.ndarray, np.ndarray]:
-    """Interior and boundary of the image's derivative by ``mesh_normals``, (H, W, 4) each."""
+    """Return interior and boundary derivative of ``mesh_normals``' image, (H, W, 4) each."""
     import mitsuba as mi
 
     vertices = torch.from_numpy(mesh.vertices.astype(np.float32))
@@ -142,7 +142,7 @@ def _by_plugin(mesh: MovingMesh, camera: Camera, spp: int) -> tuple[np.ndarray, 
 
 
 def _posed(body: BodyModel, coordinate: PoseCoordinate) -> Callable[[float], np.ndarray]:
-    """The body's vertices (V, 3) by the coordinate that moves, metres or radians."""
+    """Return the vertices (V, 3) as a function of the moving coordinate, metres or radians."""
     rotations = torch.zeros(1, 55, 3, dtype=torch.float64)
     for joint, angles in POSES[coordinate.pose].items():
         rotations[0, JOINTS.index(joint)] = torch.tensor(angles, dtype=torch.float64)
@@ -161,7 +161,7 @@ def _posed(body: BodyModel, coordinate: PoseCoordinate) -> Callable[[float], np.
 
 
 def _weightings(size: int) -> list[np.ndarray]:
-    """Smooth random images (H, W, 4), of structures about as wide as a limb."""
+    """Make smooth random images (H, W, 4) with structures about as wide as a limb."""
     generator = np.random.default_rng(0)
     frequency = np.hypot(np.fft.fftfreq(size)[:, None], np.fft.rfftfreq(size)[None])
     blur = np.exp(-2 * (np.pi * WIDTH * size * frequency) ** 2)[..., None]

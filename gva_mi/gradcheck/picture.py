@@ -1,4 +1,4 @@
-"""A picture of a renderer's gradient check: the image, float32's error, all errors per input."""
+"""Draw a renderer's gradient check: the image, float32's error, all errors per input."""
 
 from __future__ import annotations
 

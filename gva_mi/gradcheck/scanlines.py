@@ -1,8 +1,8 @@
-"""The boundary part of an image's derivative, exact on lines across the image: no ray, no step.
+"""Reference for the boundary part of an image's derivative, exact on lines across the image.
 
 On a line of the image a triangle is a segment. With a nearness that is affine on the image of a
-plane (one over the depth, for a pinhole) what is seen along the line is the upper envelope of these
-segments, which float64 finds as it is: contours may lie as close to one another as they like.
+plane (one over the depth, for a pinhole) the line shows the upper envelope of these segments. It is
+found in float64 without rays or steps: contours may lie arbitrarily close to one another.
 
 1. **Breakpoints**: the envelope passes from one triangle to another at the end of a segment, which
    lies on an edge, or where two segments cross, in the line where two triangles intersect.
@@ -36,7 +36,7 @@ AT_END = 1e-9  # share of a stretch within which two segments that cross do so i
 
 @dataclass(frozen=True)
 class Breakpoints:
-    """Where the envelopes of some lines pass from one triangle to another."""
+    """Points where the envelopes of some lines pass from one triangle to another."""
 
     q: np.ndarray  # (S, 2) pixels
     runs: np.ndarray  # (S,) the coordinate that runs along the line: 0 a row, 1 a column
@@ -83,7 +83,7 @@ def boundary(
 
 @dataclass(frozen=True)
 class _FlatMesh:
-    """A mesh on the image, as it stands and a tiny step before and after."""
+    """A mesh projected to the image: now, and a tiny step of its motion before and after."""
 
     faces: np.ndarray  # (F, 3)
     q: tuple[np.ndarray, np.ndarray, np.ndarray]  # (V, 2) pixels: now, after, before
@@ -107,7 +107,7 @@ class _FlatMesh:
         )
 
     def within(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-        """Numbers of the triangles whose box meets a rectangle."""
+        """Return the numbers of the triangles whose box meets a rectangle."""
         corners = self.q[0][self.faces]
         return np.flatnonzero(((corners.max(1) >= low) & (corners.min(1) <= high)).all(1))
 
@@ -206,13 +206,13 @@ class _Segments:
     slope: np.ndarray  # (N,)
 
     def height(self, k: np.ndarray, at: np.ndarray) -> np.ndarray:
-        """The heights of segments ``k`` at some places."""
+        """Return the heights of segments ``k`` at some places."""
         return self.u[k] + self.slope[k] * (at - self.x[k])
 
     def highest_between(
         self, candidates: np.ndarray, l: float, A: int, r: float, B: int, short: float
     ) -> Iterator[tuple[float, int]]:
-        """The highest of the candidates from ``l`` to ``r``: where each begins to be it, and which.
+        """Find the highest candidates from ``l`` to ``r``: where each begins, and which it is.
 
         ``A`` is the highest at ``l``, ``B`` at ``r``. Stretches below ``short`` are left out.
         """
@@ -235,7 +235,7 @@ class _Segments:
 
 
 def upper_envelope(x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Which of some segments lies highest.
+    """Find the highest of some segments at every place.
 
     Args:
         x: (N, 2) where each begins and ends, in rising order.
@@ -274,7 +274,7 @@ def upper_envelope(x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 
 def _pairs_by_stretch(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """All pairs of a segment and a stretch that it covers, by stretches: (P,) and (P,).
+    """Return all pairs of a segment and a stretch that it covers, by stretches: (P,) and (P,).
 
     Args:
         places: (N, 2) numbers of the ends at which each segment begins and ends.

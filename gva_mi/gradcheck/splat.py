@@ -1,4 +1,4 @@
-"""A renderer's image and gradients against the reference implementation.
+"""Compare a renderer's image and gradients with the reference implementation.
 
 The loss is L = <w, image> with random weights w on colour, alpha and depth. Its gradient by every
 input is computed
@@ -81,7 +81,7 @@ class Tolerances:
 
 @dataclass(frozen=True)
 class Maps:
-    """Pictures of the check; numpy."""
+    """Pictures of the check, as numpy arrays."""
 
     image: np.ndarray  # (H, W, D) by the reference
     error: np.ndarray  # (H, W) greatest error of the float32 image's channels; 0 in the band
@@ -90,7 +90,7 @@ class Maps:
 
 @dataclass(frozen=True)
 class RendererReport(Report):
-    """The comparisons of a renderer, and what was left out of them."""
+    """The comparisons of a renderer, and the pixels left out of them."""
 
     pixels: int = 0
     band: int = 0  # pixels at a step, left out
@@ -262,13 +262,13 @@ def _differentiates_camera(fn: Renderer, scene: Scene) -> bool:
 
 
 def _by_adjoint(fn: Renderer, scene: Scene, weights: Tensor) -> tuple[Image, Tensors]:
-    """The image, and the loss's gradient by every input."""
+    """Return the image, and the loss's gradient by every input."""
     image = draw(fn, scene)
     return image, gradients([loss(image, weights)], scene.inputs())
 
 
 def _last_digit(scene: Scene, generator: Generator) -> Scene:
-    """The scene with every number moved by up to half a unit of its last float32 digit."""
+    """Return the scene with every number moved by up to half a unit of its last float32 digit."""
     moved = {}
     for name, v in scene.inputs().items():
         noise = torch.rand(v.shape, generator=generator, dtype=torch.float64)
@@ -277,7 +277,7 @@ def _last_digit(scene: Scene, generator: Generator) -> Scene:
 
 
 def _errors(found: Image, truth: Image) -> Tensor:
-    """Each pixel's greatest error in colour, alpha and depth, (H, W)."""
+    """Return each pixel's greatest error in colour, alpha and depth, (H, W)."""
     names = [name for name in IMAGES if getattr(truth, name) is not None]
     off = [(getattr(found, k).detach().double() - getattr(truth, k).detach()).abs() for k in names]
     return torch.stack([off[0].amax(dim=-1), *off[1:]]).amax(dim=0)

@@ -1,4 +1,4 @@
-"""What joins Dr.Jit and torch.
+"""Bridge between Dr.Jit and torch.
 
 * ``exclusive.py``: the lock, because Dr.Jit's frozen functions are not made for threads;
 * ``frozen.py``: kernels that are traced once and replayed;

@@ -21,14 +21,14 @@ Allocate = Callable[[type, int], Array]  # memory for so many numbers of a type
 
 
 class PackedRecord(Protocol):
-    """Interface of what a kernel reads or writes as one row."""
+    """Interface of a record that a kernel reads or writes as one row."""
 
     @staticmethod
     def columns(format: Any) -> int:  # noqa: ANN401
         """Number of floats."""
 
     def pack(self) -> list[Array]:
-        """Return its columns."""
+        """Return the record's columns."""
 
     @staticmethod
     def unpack(columns: Sequence[Array], format: Any) -> PackedRecord:  # noqa: ANN401

@@ -1,4 +1,4 @@
-"""torch's tensors and Dr.Jit's arrays in the same memory."""
+"""Share memory between torch's tensors and Dr.Jit's arrays."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def to_drjit(tensor: Tensor, F: type) -> Array:
 
 
 def tensor_of(array: Array, count: int | None = None) -> Tensor:
-    """Return an array's own memory as a tensor (width,), or its first ``count`` numbers.
+    """Return an array's own memory as a tensor, (width,) or its first ``count`` numbers.
 
     It goes through numpy, because Dr.Jit's ``.torch()`` takes three times as long.
     """

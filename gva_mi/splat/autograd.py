@@ -74,7 +74,7 @@ def _stacked(column: tuple) -> Any:  # noqa: ANN401
 
 @one_by_one
 class Render(torch.autograd.Function):
-    """``Tensors`` and a ``RenderCall`` to color, alpha, depth if made, and what was ``Drawn``.
+    """Forward pass: from ``Tensors`` and a ``RenderCall`` to color, alpha, depth and ``Drawn``.
 
     A ``Drawn`` in the place of the call is not drawn again (gsplat/means2d.py).
     """
@@ -113,7 +113,7 @@ class Render(torch.autograd.Function):
 
 @one_by_one
 class Adjoint(torch.autograd.Function):
-    """``Tensors``, the images' gradients, a ``Drawn`` and a request; to gradients ``Tensors``."""
+    """Backward pass: from ``Tensors``, image gradients, ``Drawn`` and a request to gradients."""
 
     @staticmethod
     def forward(*arguments: Any) -> tuple[Tensor | None, ...]:  # noqa: ANN401
@@ -143,7 +143,7 @@ class Adjoint(torch.autograd.Function):
 
 @one_by_one
 class Tangent(torch.autograd.Function):
-    """``Tensors``, their tangents and a ``Drawn``; to the tangents of the images."""
+    """Tangent pass: from ``Tensors``, their tangents and ``Drawn`` to the images' tangents."""
 
     @staticmethod
     def forward(*arguments: Any) -> Images:  # noqa: ANN401

@@ -72,7 +72,7 @@ class Gaussians:
 
 @dataclass(frozen=True)
 class Image:
-    """What ``render`` returns; all images are differentiable."""
+    """Result of ``render``; all images are differentiable."""
 
     color: Any  # (H, W, D), background blended in
     alpha: Any  # (H, W) in [0, 1]

@@ -23,7 +23,7 @@ ARRAYS = ("means", "quats", "scales", "opacities")  # of a scene's file, beside 
 
 @dataclass(frozen=True)
 class Scene:
-    """Gaussians, a camera, a background and options: everything a picture is made of."""
+    """Gaussians, a camera, a background and options: the input of a picture."""
 
     gaussians: Gaussians  # float64 torch tensors
     camera: Camera  # made of float64 torch tensors if it is differentiated too
@@ -70,7 +70,7 @@ class Scene:
             return Scene.of(gaussians, camera, arrays.get("background", black))
 
     def inputs(self) -> dict[str, Tensor]:
-        """Return what is differentiated, by name."""
+        """Return the differentiable tensors, by name."""
         matrices = {k: v for k, v in self.camera.tensors._asdict().items() if v is not None}
         return self.gaussians.arrays() | {"background": self.background} | matrices
 

@@ -28,7 +28,7 @@ from gva_mi.splat.tensors import first_two_columns
 
 @dataclass
 class Screen:
-    """The Gaussians in one picture: filled by ``render``; gradients by ``backward``.
+    """The Gaussians in one picture; ``render`` fills it, ``backward`` adds the gradients.
 
     Every property is read from the kernels' memory when it is used; unused ones cost nothing.
     """

@@ -35,7 +35,7 @@ Images = tuple[Tensor | None, ...]  # color, alpha, depth; their gradients or ta
 
 
 class Tensors(NamedTuple):
-    """What is differentiated: the tensors of ``Render``, or their gradients or tangents."""
+    """Differentiable tensors of ``Render``, or their gradients or tangents."""
 
     means: Any
     quats: Any  # None, with scales, where covars are given
@@ -50,7 +50,7 @@ class Tensors(NamedTuple):
     echo: Any  # the same rows, which receive the same gradient
 
     def gaussians(self) -> dict[str, Any]:
-        """Return the six of the Gaussians, by name."""
+        """Return the Gaussians' six tensors, by name."""
         return dict(zip(self._fields[:6], self, strict=False))
 
 
@@ -65,7 +65,7 @@ class RenderCall:
     packed: bool = False  # whether means2d has rows only for the Gaussians in the picture
 
     def requested(self, by: Tensors) -> RequestedGradients:
-        """Return what the kernels must compute; ``by`` says which tensors need a gradient."""
+        """Return the gradients to compute; ``by`` flags the tensors that need one."""
         camera = bool(by.T_camera_world or by.K)
         gaussians = (by.means, by.quats, by.scales, by.covars, by.opacities, by.means2d, by.echo)
         geometry = any(gaussians) or camera or self.screen is not None
@@ -75,7 +75,7 @@ class RenderCall:
 
 @dataclass(frozen=True)
 class Drawn:
-    """A finished forward pass: what its adjoint and tangent need."""
+    """State of a finished forward pass, for its adjoint and tangent."""
 
     call: RenderCall
     saved: SavedState | None = None  # None for a batch

@@ -1,4 +1,4 @@
-"""The panel: sliders, switches and buttons of viser, and the state they stand for.
+"""The viewer's panel: sliders, switches and buttons of viser, and the state they define.
 
 All browsers share it. viser's threads keep the values. The thread that draws reads them, and writes
 them back while a motion plays or when another joint is chosen. Pressed buttons are queued.
@@ -34,7 +34,7 @@ class Click(NamedTuple):
 
 @dataclass(frozen=True)
 class Choices:
-    """What an avatar, its motion and its video let a user choose."""
+    """Choices that an avatar, its motion and its video offer in the panel."""
 
     frames: int
     joints: Sequence[str]  # some of JOINTS
@@ -110,7 +110,7 @@ class Controls:
         self._save = self._add_button("save cameras", "Save cameras.npz")
 
     def state(self, now: float) -> State:
-        """Return what to show at a time, seconds; a playing motion moves its slider."""
+        """Return the viewer's state at a time (seconds); a playing motion moves its slider."""
         last = self._choices.frames - 1
         frame = min(max(self._frame.value, 0), last)
         self.playing = self._play.value and last > 0
@@ -157,7 +157,7 @@ class Controls:
         self._save.label = f"Save cameras.npz (keyframes: {count})"
 
     def _read_joint(self) -> None:
-        """Keep the angles of the sliders; if another joint was chosen, show its angles."""
+        """Store the sliders' angles; if the user chose another joint, show its angles."""
         chosen = self._chosen.value
         angles = tuple(slider.value for slider in self._angles)
         self._turned.pop(self._joint, None)

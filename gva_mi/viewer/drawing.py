@@ -1,4 +1,4 @@
-"""From a state and a camera to a picture, for browsers and snapshots.
+"""Draw the picture of a viewer's state and camera, for browsers and snapshots.
 
 Gaussians are drawn with the same bits as by ``gva-mi render``. What does not change from picture to
 picture, above all the posed avatar, is cached.
@@ -26,7 +26,7 @@ FAINT = 0.25  # of the avatar behind its skeleton
 
 
 class Drawing:
-    """Draws one avatar, driven by a motion of T frames, beside as many of a video."""
+    """Draw one avatar, driven by a motion of T frames, beside the T frames of a video."""
 
     def __init__(self, avatar: Avatar, motion: Pose, video: Video | None = None) -> None:
         self._avatar, self.motion, self._video = avatar, motion, video

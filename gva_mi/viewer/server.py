@@ -1,4 +1,4 @@
-"""The browsers: a viser server on this machine, and what each of its pages shows."""
+"""The viser server on this machine, and its pages in browsers."""
 
 from __future__ import annotations
 
@@ -86,13 +86,13 @@ def when_moved(server: viser.ViserServer, changed: Callable[[], None]) -> None:
 
 
 class Page:
-    """One page in a browser."""
+    """One open page in a browser."""
 
     def __init__(self, client: viser.ClientHandle) -> None:
         self._client = client
 
     def camera(self) -> ViewerCamera:
-        """Return its camera."""
+        """Return the page's camera."""
         camera = self._client.camera
         floats = lambda values: tuple(float(x) for x in values)
         return ViewerCamera(

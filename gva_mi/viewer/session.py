@@ -45,7 +45,7 @@ class _LastPicture:
 
 
 class Session:
-    """Draws what the panel asks for, for every open page.
+    """Draw the panel's state for every open page.
 
     Args:
         drawing: of the avatar and its motion.
@@ -98,7 +98,7 @@ class Session:
         return not self._shown[k].fine
 
     def picture(self, state: State, view: ViewerCamera, fine: bool = True) -> np.ndarray:
-        """Draw what a browser shows, 8-bit (H, W, 3): ``fine``, or with few pixels."""
+        """Draw a browser's picture, 8-bit (H, W, 3): ``fine``, or with few pixels."""
         camera = self._camera(state, view)
         if not fine:
             camera = coarser(camera, COARSE // 2 if self._beside(state) else COARSE)
@@ -128,7 +128,7 @@ class Session:
         return film(self._keyframes, self._up, count, view.width, view.height)
 
     def _done(self, action: Action, state: State, view: ViewerCamera) -> str:
-        """Do what a button asks for; return a sentence about the result."""
+        """Carry out a button's action; return a sentence about the result."""
         if action in ("add keyframe", "remove keyframe"):
             self._keyframes = self._keyframes + [view] if "add" in action else self._keyframes[:-1]
             self._panel.count_keyframes(len(self._keyframes))
@@ -152,7 +152,7 @@ class Session:
         return f"saved: {path}"
 
     def _snapshot(self, state: State, view: ViewerCamera) -> np.ndarray:
-        """Return what is seen in full resolution, or the avatar alone as RGBA."""
+        """Return the current picture in full resolution, or the avatar alone as RGBA."""
         if not state.transparent:
             return self.picture(state, view)
         alone = replace(state, beside=False)

@@ -1,4 +1,4 @@
-"""What a viewer shows, as a value: equal states give equal pictures.
+"""The state of a viewer as a value: equal states give equal pictures.
 
 A state holds how an avatar differs from the motion that drives it:
 
@@ -27,7 +27,7 @@ Angles = tuple[float, float, float]  # degrees about x, y and z: a rotation vect
 
 @dataclass(frozen=True)
 class State:
-    """What is shown, except for the browser's camera."""
+    """Everything that defines a picture, except for the browser's camera."""
 
     frame: int = 0  # of the motion
     mode: Mode = "Gaussians"
@@ -41,7 +41,7 @@ class State:
 
 
 def posed(motion: Pose, state: State) -> Pose:
-    """Return the pose (of one frame of the motion) that a state asks for."""
+    """Return the motion's pose of one frame with the state's changes applied."""
     pose = motion[state.frame]
     rotations, expression = pose.rotations, pose.expression
     for joint, angles in state.turned:

@@ -43,7 +43,7 @@ def posed_surface(avatar: Avatar, pose: Pose) -> PosedSurface:
 
 
 class SurfaceRenderer:
-    """Draws one surface in any pose, from anywhere.
+    """Draw one surface in any pose from any camera.
 
     For each pose Mitsuba rebuilds its ray tracing tree, which takes most of the time. So a coarse
     mesh is drawn while something moves. A moving camera costs less.

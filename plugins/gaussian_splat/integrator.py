@@ -137,7 +137,7 @@ class GaussianSplat(mi.ad.integrators.common.ADIntegrator):
         return ["depth"] if self.depth else []
 
     def to_string(self) -> str:
-        """Text that Mitsuba prints."""
+        """Return the text that Mitsuba prints."""
         return f"GaussianSplat[meshes={self.meshes}, srgb_primitives={self.srgb_primitives}]"
 
     def _image(self, scene: mi.Scene, sensor: mi.Sensor | int, seed: int, spp: int) -> mi.TensorXf:

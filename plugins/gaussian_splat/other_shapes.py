@@ -1,4 +1,4 @@
-"""Picture and depth of a scene's other shapes, among which the ellipsoids lie.
+"""Picture and depth of all shapes of a scene except ellipsoids.
 
 A ray tracer cannot ignore the ellipsoids of a scene. So the other shapes become a scene of their
 own, which shares shapes, materials and emitters with the first. It is built again for every
@@ -40,7 +40,7 @@ class OtherShapes:
         return OtherShapes(others, sensor)
 
     def image(self, integrator: mi.Integrator, seed: int, spp: int) -> mi.TensorXf:
-        """Render them with an integrator, (H, W, 3) or (H, W, 4), with its own derivatives."""
+        """Render the shapes, (H, W, 3 or 4), with an integrator and its own derivatives."""
         params = mi.traverse(self.scene)
         image = mi.render(self.scene, params, self.sensor, integrator, seed=seed, spp=spp)
         if image.shape[2] not in (3, 4):

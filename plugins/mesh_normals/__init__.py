@@ -5,14 +5,14 @@ The files, in the order in which they build on one another:
 * ``segment_sums.py``: sums in a fixed order;
 * ``topology.py``: corners, points, normals and edges, which do not change as vertices move;
 * ``surface.py``: shading normals and depths from positions;
-* ``projection.py``: from a sensor to pixels and back;
+* ``projection.py``: projection of a sensor, from the world to pixels and back;
 * ``channels.py``: the channels of an image;
-* ``pixel_filter.py``: from samples to pixels; ``multi_crop.py``: to those of several crops;
+* ``pixel_filter.py``: samples to pixels; ``multi_crop.py``: to the pixels of several crops;
 * ``rays.py``: the faces that rays meet, and the channels there;
 * ``interior.py``, ``contours.py``, ``intersections.py`` (by ``triangle_cuts.py``): the three terms
   of the derivative;
 * ``sensor_motion.py``: the derivative by the sensor's pose;
-* ``mesh_view.py``: all of it, the image with its tangent and adjoint;
+* ``mesh_view.py``: the image with its tangent and adjoint, from all of these;
 * ``integrator.py``: the plugin.
 
 To understand the method, read ``mesh_view.py``, then ``contours.py``. ``gva-mi gradcheck normals``

@@ -30,14 +30,14 @@ SPACES = ("camera", "world")
 
 @dataclass(frozen=True)
 class Channels:
-    """Which channels an image has, in which order."""
+    """Channels of an image, in order."""
 
     kinds: tuple[str, ...]  # names in WIDTHS
     space: str  # of the normals
 
     @staticmethod
     def parse(channels: str, space: str) -> Channels:
-        """From a plugin's parameters, ``"normal, mask"`` and ``"camera"``.
+        """Parse a plugin's parameters, such as ``"normal, mask"`` and ``"camera"``.
 
         Raises:
             ValueError: a name that does not exist or comes twice.
@@ -65,7 +65,7 @@ class Channels:
         return "normal" in self.kinds or "depth" in self.kinds
 
     def first(self, kind: str) -> int | None:
-        """Number of the first channel of a kind; None where there is none."""
+        """Return the number of a kind's first channel; None if the image lacks it."""
         if kind not in self.kinds:
             return None
         return sum(WIDTHS[k] for k in self.kinds[: self.kinds.index(kind)])
@@ -73,7 +73,7 @@ class Channels:
     def values(
         self, n: mi.Vector3f, w: mi.Float, hit: mi.Bool, camera_world: mi.Matrix3f
     ) -> list[mi.Float]:
-        """What rays see: one entry for each channel, ``shape_index`` zero.
+        """Return the channels' values on rays; ``shape_index`` is zero.
 
         Args:
             n: (R,) unit normals, world; zero where nothing is hit.
@@ -91,7 +91,7 @@ class Channels:
         return [value for kind in self.kinds for value in of_kind[kind]]
 
     def tangent(self, dn: mi.Vector3f, dw: mi.Float, camera_world: mi.Matrix3f) -> list[mi.Float]:
-        """How the channels of rays change with what they see; the hits stay."""
+        """Return the tangents of the channels on rays whose hits stay on their faces."""
         dn = self._to_space(dn, camera_world)
         of_kind = {"normal": list(dn), "depth": [dw]}
         zeros = lambda kind: [mi.Float(0)] * WIDTHS[kind]
@@ -100,7 +100,7 @@ class Channels:
     def adjoint(
         self, grads: list[mi.Float], camera_world: mi.Matrix3f
     ) -> tuple[mi.Vector3f | None, mi.Float | None]:
-        """From gradients by the channels to those by normal (world) and depth; None for none."""
+        """Convert gradients by channels to those by normal (world) and depth; None if unused."""
         normal, depth = self.first("normal"), self.first("depth")
         grad_n = None
         if normal is not None:
@@ -110,5 +110,5 @@ class Channels:
         return grad_n, None if depth is None else grads[depth]
 
     def _to_space(self, n: mi.Vector3f, camera_world: mi.Matrix3f) -> mi.Vector3f:
-        """From world space to the space asked for."""
+        """Convert normals from world space to the image's space."""
         return n if self.space == "world" else camera_world @ n

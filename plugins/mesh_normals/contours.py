@@ -1,4 +1,4 @@
-"""The boundary term at edges: how an image changes where edges sweep over it.
+"""Boundary term of the derivative at edges: the image changes where edges sweep over it.
 
 Inside a region the image ``I`` of a surface changes smoothly with the vertices. Across an edge seen
 by the camera it jumps by ``ΔI = I_inside - I_outside``, and a moving edge carries the jump along:
@@ -75,14 +75,14 @@ class Contours:
         return Contours(topology, samples.edge, edges, start, samples.s, q, sweep, jump)
 
     def tangent(self, d_positions: mi.Vector3f) -> list[mi.Float]:
-        """Eq. 1 forward: what samples carry as the positions (V,) move, for each channel (S,)."""
+        """Eq. 1 forward: the samples' contributions, per channel (S,), as positions (V,) move."""
         ends = [dr.gather(mi.UInt32, end, self.edge) for end in self.topology.ends]
         da, db = (dr.gather(mi.Vector3f, d_positions, end) for end in ends)
         area = dr.dot(self.sweep, dr.lerp(da, db, self.s))
         return [jump * area for jump in self.jump]
 
     def adjoint(self, grads: list[mi.Float]) -> mi.Vector3f:
-        """Eq. 1 backward: from the gradients by what samples carry to that by positions (V,)."""
+        """Eq. 1 backward: from gradients by the contributions to that by positions (V,)."""
         grad_x = self.sweep * sum(g * jump for g, jump in zip(grads, self.jump, strict=True))
         by_end = (grad_x * (1 - self.s), grad_x * self.s)
         dr.eval(by_end)
@@ -96,7 +96,7 @@ class Contours:
 
 @dataclass(frozen=True)
 class _EdgesOnImage:
-    """Edges as the image shows them, from ``a`` to ``b``, cut at the near plane."""
+    """Edges projected to the image, from ``a`` to ``b``, cut at the near plane."""
 
     is_contour: mi.Bool  # (E,) all faces lie on one side of it
     inside_is_left: mi.Bool  # (E,) the first face lies to the left of the way from a to b
@@ -140,12 +140,12 @@ class _EdgesOnImage:
         return _EdgesOnImage(is_contour, on_left[0], can_jump, a, b, ha, hb, s0, s1, t0, t1, wa, wb)
 
     def take(self, edge: mi.UInt32) -> _EdgesOnImage:
-        """Some of them, (S,)."""
+        """Select some of the edges, (S,)."""
         arrays = (getattr(self, field.name) for field in fields(self))
         return _EdgesOnImage(*(dr.gather(type(x), x, edge) for x in arrays))
 
     def length(self, edge: mi.UInt32) -> mi.Float:
-        """Pixels of some edges on the image, (S,)."""
+        """Return the lengths of some edges on the image, pixels (S,)."""
         a, b = (dr.gather(mi.Point2f, point, edge) for point in (self.a, self.b))
         share = dr.gather(mi.Float, self.t1, edge) - dr.gather(mi.Float, self.t0, edge)
         return dr.norm(b - a) * share
@@ -153,7 +153,7 @@ class _EdgesOnImage:
 
 @dataclass(frozen=True)
 class _EdgeSamples:
-    """Places in the middle of equal parts of edges."""
+    """Samples in the middle of equal parts of edges."""
 
     edge: mi.UInt32  # (S,)
     is_contour: mi.Bool  # (S,) else a crease
@@ -192,7 +192,7 @@ def _sample(
 
 
 def _is_seen(caster: RayCaster, samples: _EdgeSamples, inner: RayHits, outer: RayHits) -> mi.Bool:
-    """Whether an edge is seen at its samples, by what the rays beside it meet."""
+    """Whether an edge is visible at its samples, judged by the hits of the rays beside it."""
     surface, projection, edge = caster.surface, caster.projection, samples.edge
     topology = surface.topology
     ray = projection.ray(samples.q)

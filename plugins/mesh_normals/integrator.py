@@ -173,7 +173,7 @@ class MeshNormals(mi.ad.integrators.common.ADIntegrator):
         return self.channels.names
 
     def to_string(self) -> str:
-        """As Mitsuba prints it."""
+        """Return the text that Mitsuba prints."""
         return (
             f"MeshNormals[channels={', '.join(self.channels.kinds)}, space={self.channels.space}, "
             f"edge_density={self.edge_density}, piercing={self.piercing}, "

@@ -1,4 +1,4 @@
-"""The interior term: how an image changes as surfaces move within their contours.
+"""Interior term of the derivative: the image changes as surfaces move within their contours.
 
 1. A point seen keeps to its triangle, and its normal and depth change: ``∂I/∂v = ∫ ∂v/∂x f dA``.
    Where a surface is seen flat the integrand grows as one over the cosine of the angle. The rays

@@ -1,4 +1,4 @@
-"""The boundary term where surfaces intersect: the image jumps without an edge.
+"""Boundary term of the derivative where surfaces intersect: the image jumps without an edge.
 
 An arm pressed into a belly meets it in a line; on its two sides one sees two surfaces, with
 different normals. The line is a chain of segments, one for each pair of faces ``f, g`` that cut one
@@ -79,7 +79,7 @@ class Intersections:
         return Intersections(surface.topology.vertex_count, vertices, sweeps, q, jump)
 
     def tangent(self, d_positions: mi.Vector3f) -> list[mi.Float]:
-        """Eq. 2 forward: what samples carry as the positions (V,) move, for each channel (S,)."""
+        """Eq. 2 forward: the samples' contributions, per channel (S,), as positions (V,) move."""
         area = sum(
             dr.dot(sweep, dr.gather(mi.Vector3f, d_positions, vertex))
             for vertex, sweep in zip(self.vertices, self.sweeps, strict=True)
@@ -87,7 +87,7 @@ class Intersections:
         return [jump * area for jump in self.jump]
 
     def adjoint(self, grads: list[mi.Float]) -> mi.Vector3f:
-        """Eq. 2 backward: from the gradients by what samples carry to that by positions (V,)."""
+        """Eq. 2 backward: from gradients by the contributions to that by positions (V,)."""
         grad = sum(g * jump for g, jump in zip(grads, self.jump, strict=True))
         count = dr.width(grad)
         by_corner = dr.zeros(mi.Vector3f, 6 * count)
@@ -105,7 +105,7 @@ class Intersections:
 
 @dataclass(frozen=True)
 class _LineSamples:
-    """Places in the middle of equal parts of segments."""
+    """Samples in the middle of equal parts of segments."""
 
     f: mi.UInt32  # (S,) the one face
     g: mi.UInt32  # (S,) the other

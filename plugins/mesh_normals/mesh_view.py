@@ -37,9 +37,9 @@ from gva_mi_plugins.mesh_normals.surface import MeshSurface
 
 @dataclass(frozen=True)
 class MeshView:
-    """An image of the meshes of a scene, kept to be differentiated.
+    """An image of a scene's meshes, with the state that its derivatives need.
 
-    It is valid for the scene as it was: after the vertices moved, make another one.
+    It is valid for the scene as it was: after vertices move, make a new one.
     """
 
     caster: RayCaster
@@ -52,18 +52,18 @@ class MeshView:
     def of(
         caster: RayCaster, filter: PixelFilter, edge_density: float, with_intersections: bool
     ) -> MeshView:
-        """Eq. 1: shoot the rays."""
+        """Shoot the rays of the image (eq. 1)."""
         seen = caster.cast(filter.positions(), coherent=True)
         dr.eval(seen.face, seen.hit)
         return MeshView(caster, filter, edge_density, with_intersections, seen)
 
     @property
     def surface(self) -> MeshSurface:
-        """The meshes that are seen."""
+        """The visible meshes."""
         return self.caster.surface
 
     def image(self) -> mi.TensorXf:
-        """The channels asked for, (H, W, C)."""
+        """Image of the view's channels, (H, W, C)."""
         pixels = self.filter.develop(self.caster.values(self.seen))
         channel = self.caster.channels.first("shape_index")
         if channel is not None:
@@ -93,7 +93,7 @@ class MeshView:
         return self._tensor(image)
 
     def tangent_parts(self, d_positions: mi.Vector3f) -> tuple[mi.TensorXf, mi.TensorXf]:
-        """The two terms of :meth:`tangent` apart: interior and boundary, each (H, W, C)."""
+        """Return the two terms of :meth:`tangent`: interior and boundary, each (H, W, C)."""
         interior, boundary = self._tangents(d_positions)
         return self._tensor(interior), self._tensor(boundary)
 
@@ -103,7 +103,7 @@ class MeshView:
         return interior + boundary
 
     def adjoint_parts(self, grad_image: mi.TensorXf) -> tuple[mi.Vector3f, mi.Vector3f]:
-        """The two terms of :meth:`adjoint` apart: interior and boundary, each (V,)."""
+        """Return the two terms of :meth:`adjoint`: interior and boundary, each (V,)."""
         grads = self._channels_of(grad_image)
         nothing = dr.zeros(mi.Vector3f, self.surface.topology.vertex_count)
         interior = self._interior_term()
@@ -114,7 +114,7 @@ class MeshView:
         return inside, jumps
 
     def adjoint_to_world(self, grad_image: mi.TensorXf, grad_positions: mi.Vector3f) -> mi.Matrix4f:
-        """The gradient by the sensor's ``to_world``.
+        """Return the gradient by the sensor's ``to_world``.
 
         Args:
             grad_image: (H, W, C) gradient by the image.
@@ -129,7 +129,7 @@ class MeshView:
         return grad
 
     def _tangents(self, d_positions: mi.Vector3f) -> tuple[list[mi.Float], list[mi.Float]]:
-        """Interior and boundary, for each channel (H W,)."""
+        """Return interior and boundary derivative, for each channel (H W,)."""
         size, names = self.filter.width * self.filter.height, self.caster.channels.names
         nothing = [dr.zeros(mi.Float, size) for _ in names]
         interior = self._interior_term()
@@ -170,7 +170,7 @@ class MeshView:
         return dr.select(hit, mi.Float(mesh + 1), 0)
 
     def _channels_of(self, image: mi.TensorXf) -> list[mi.Float]:
-        """An image (H, W, C) as C arrays (H W,)."""
+        """Split an image (H, W, C) into C arrays (H W,)."""
         count = len(self.caster.channels.names)
         if count == 4:
             return list(dr.unravel(mi.Vector4f, mi.Float(image.array)))
@@ -180,7 +180,7 @@ class MeshView:
         return channels
 
     def _tensor(self, channels: list[mi.Float]) -> mi.TensorXf:
-        """The reverse of :meth:`_channels_of`."""
+        """Join C arrays (H W,) to an image (H, W, C); the reverse of :meth:`_channels_of`."""
         count, size = len(channels), self.filter.width * self.filter.height
         index = count * dr.arange(mi.UInt32, size)
         image = dr.empty(mi.Float, size * count)

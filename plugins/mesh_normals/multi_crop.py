@@ -35,7 +35,7 @@ class Tile:
 
 @dataclass(frozen=True)
 class _Grid:
-    """A tile in Dr.Jit: its numbers differ from view to view, and are no constants of kernels."""
+    """A tile in Dr.Jit arrays: its numbers change between views and are no kernel constants."""
 
     corner: mi.Point2f  # pixels of the view
     scale: mi.Float
@@ -52,7 +52,7 @@ class MultiCrop(PixelFilter):
 
     @staticmethod
     def of(tiles: Sequence[Tile], film: mi.Film) -> MultiCrop:
-        """Crops of a film with a box filter, which is not sampled itself.
+        """Make the crops of a film with a box filter; the film itself is not sampled.
 
         Raises:
             ValueError: another filter.
@@ -71,7 +71,7 @@ class MultiCrop(PixelFilter):
         return MultiCrop(start, 1, 1, 0, film.rfilter(), one, one, one, tuple(grids))
 
     def positions(self, rays: mi.UInt32 | None = None) -> mi.Point2f:
-        """Eq. 1: where the rays of pixels lie in the view."""
+        """Return the positions of the pixels' rays in the view (eq. 1)."""
         if rays is None:
             rays = dr.arange(mi.UInt32, self.width)
         q = mi.Point2f(0)

@@ -1,4 +1,4 @@
-"""From samples to pixels: reconstruction filters and their adjoint.
+"""Reconstruction filters from samples to pixels, and their adjoint.
 
 With a filter ``f`` of radius ``r`` and pixel centres ``c_p``, and samples ``v_i`` at ``q_i``:
 
@@ -76,7 +76,7 @@ class PixelFilter:
         return PixelFilter(width, height, spp, steps, rfilter, result.table, N, result.continuous)
 
     def positions(self, rays: mi.UInt32 | None = None) -> mi.Point2f:
-        """Pixel positions of rays: pixel by pixel, and in each a lattice of ``spp`` points."""
+        """Return the rays' pixel positions: for each pixel in turn, a lattice of ``spp`` points."""
         if rays is None:
             rays = dr.arange(mi.UInt32, self.width * self.height * self.spp)
         pixel = rays // self.spp
@@ -121,7 +121,7 @@ class PixelFilter:
     def spread_to(
         self, grads: list[mi.Float], q: mi.Point2f, crowd: mi.Float | None = None
     ) -> list[mi.Float]:
-        """Eq. 4 backward: from gradients by pixels (H W,) to those by what points carry (S,).
+        """Eq. 4 backward: from gradients by pixels (H W,) to those by the contributions (S,).
 
         Args:
             grads: of each channel.
@@ -143,7 +143,7 @@ class PixelFilter:
         q: mi.Point2f,
         crowd: mi.Float | None = None,
     ) -> None:
-        """Eq. 4 forward: add what points carry (S,) to pixels (H W,)."""
+        """Eq. 4 forward: add the points' contributions (S,) to pixels (H W,)."""
         for pixel, weight, valid in self._around(q, crowd):
             carried = [dr.select(valid, weight * value, 0) for value in values]
             pixel = dr.select(valid, pixel, 0)
@@ -182,7 +182,7 @@ class PixelFilter:
 
     @property
     def _columns(self) -> mi.UInt32:
-        """The width, as no constant of a kernel: each size would have kernels of its own."""
+        """Return the width as an array: as a constant it would need new kernels for each size."""
         return dr.opaque(mi.UInt32, self.width)
 
     @property
@@ -237,7 +237,7 @@ def _around_pixels(
 def _add(
     total: list[mi.Float], f: mi.Float, values: list[mi.Float], item: mi.UInt32, valid: mi.Bool
 ) -> list[mi.Float]:
-    """Totals plus ``f`` times one entry of each array of values."""
+    """Add ``f`` times one entry of each array of values to the totals."""
     return [
         dr.fma(f, dr.gather(mi.Float, value, item, valid), sum_)
         for sum_, value in zip(total, values, strict=True)
@@ -251,7 +251,7 @@ def lattice(spp: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _total(mass: np.ndarray, count: int) -> np.ndarray:
-    """∫ f over the pixels on the image, for each of ``count`` pixels in a row.
+    """Return ∫ f over the pixels on the image, for each of ``count`` pixels in a row.
 
     Args:
         mass: (2 steps + 1,) ∫ f over a pixel, by the step from it to the one with the filter.

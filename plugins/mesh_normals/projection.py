@@ -1,4 +1,4 @@
-"""From a Mitsuba sensor to a projection matrix, and back from pixels to rays.
+"""Projection matrix of a Mitsuba sensor, and rays through its pixels.
 
 With the world point ``x`` and ``x̃ = (x, 1)``, a sensor is a matrix ``P`` (3, 4) with rows ``P_0,
 P_1, P_2``:
@@ -130,7 +130,7 @@ class SensorProjection:
         return ray
 
     def sideways(self, m: mi.Vector2f) -> mi.Vector3f:
-        """How the point seen at depth 1 moves with the pixel, by a step on the image."""
+        """Return the motion of the point seen at depth 1 for a step of the pixel on the image."""
         return self.pixel_to_world @ mi.Vector3f(m.x, m.y, 0)
 
     def pull_back(self, m: mi.Vector2f, q: mi.Point2f, h: mi.Float) -> mi.Vector3f:
@@ -139,7 +139,7 @@ class SensorProjection:
         return (m.x * (rows[0] - q.x * rows[2]) + m.y * (rows[1] - q.y * rows[2])) / h
 
     def density(self, c: mi.Vector3f, corner: mi.Point3f, ray: mi.Ray3f) -> mi.Float:
-        """One over the pixels that a parallelogram covers, were it small and where a ray meets it.
+        """Return one over the pixel area of a small parallelogram that a ray meets.
 
         Args:
             c: cross product of its sides, world.

@@ -17,26 +17,26 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Segments:
-    """Which entries each of S segments holds: ``items[start[i]:start[i + 1]]``."""
+    """Entries of S segments: segment ``i`` holds ``items[start[i]:start[i + 1]]``."""
 
     start: mi.UInt32  # (S + 1,)
     items: mi.UInt32  # (M,) positions in the array that is summed
 
     @staticmethod
     def by_owner(owner: np.ndarray, count: int) -> Segments:
-        """Entry ``k`` belongs to segment ``owner[k]``; entries keep their order."""
+        """Assign entry ``k`` to segment ``owner[k]``; entries keep their order."""
         start = np.zeros(count + 1, np.uint32)
         start[1:] = np.cumsum(np.bincount(owner, minlength=count))
         return Segments(mi.UInt32(start), mi.UInt32(np.argsort(owner, kind="stable")))
 
     def sum(self, values: mi.Vector3f) -> mi.Vector3f:
-        """Sum of each segment, (S,) from values (N,)."""
+        """Return the sum of each segment, (S,) from values (N,)."""
         count = dr.width(self.start) - 1
         return _sum(values, self.items, *_bounds(self.start, count))
 
 
 def sum_runs(values: mi.Vector3f, start: mi.UInt32, total: int) -> mi.Vector3f:
-    """Sums of neighbouring entries: run ``i`` goes from ``start[i]`` to where the next begins."""
+    """Sum runs of neighbouring entries: run ``i`` starts at ``start[i]`` and ends at the next."""
     i = dr.arange(mi.UInt32, dr.width(start))
     is_last = i + 1 == dr.opaque(mi.UInt32, dr.width(start))
     end = dr.select(
@@ -46,7 +46,7 @@ def sum_runs(values: mi.Vector3f, start: mi.UInt32, total: int) -> mi.Vector3f:
 
 
 def sum_by_key(values: list[mi.Vector3f], key: mi.UInt32) -> tuple[list[mi.Vector3f], mi.UInt32]:
-    """Sums of the entries that share a key, and those keys, each once, in rising order."""
+    """Sum the entries that share a key; return sums and keys, each once, in rising order."""
     order = dr.argsort(key)
     key = dr.gather(mi.UInt32, key, order)
     i = dr.arange(mi.UInt32, dr.width(key))
@@ -59,7 +59,7 @@ def sum_by_key(values: list[mi.Vector3f], key: mi.UInt32) -> tuple[list[mi.Vecto
 
 
 def concat(a: mi.Point2f, b: mi.Point2f) -> mi.Point2f:
-    """The entries of one array, then those of another; for arrays whose lengths vary, since
+    """Concatenate two arrays; for arrays whose lengths vary, because
     ``dr.concat`` compiles a kernel for each length."""
     dr.eval(a, b)
     count, shift = dr.width(a), dr.opaque(mi.UInt32, dr.width(a))

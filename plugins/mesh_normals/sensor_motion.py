@@ -1,4 +1,4 @@
-"""The derivative by the sensor's pose: its motion is the opposite motion of all it sees.
+"""Derivative by the sensor's pose: moving the sensor moves the whole scene the opposite way.
 
 With ``T`` the sensor's ``to_world`` and ``y = T^{-1} x̃`` a point in the sensor's frame:
 

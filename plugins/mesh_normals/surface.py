@@ -33,7 +33,7 @@ class MeshSurface:
 
     @staticmethod
     def of(topology: Topology, positions: mi.Vector3f) -> MeshSurface:
-        """Eq. 1 and 2."""
+        """Compute face and shading normals (eq. 1 and 2)."""
         p = [dr.gather(mi.Vector3f, positions, vertex) for vertex in topology.vertices]
         face_normals = dr.cross(p[1] - p[0], p[2] - p[0])
         dr.eval(face_normals)

@@ -1,4 +1,4 @@
-"""The parts of meshes that do not depend on positions: corners, normals, edges and faces.
+"""Topology of meshes, independent of positions: corners, normals, edges and faces.
 
 Built once for the meshes of a scene, with numpy; the arrays are Mitsuba's. Names and sizes: ``V``
 vertices of all meshes one after the other, ``F`` faces, ``E`` edges, ``N`` shading normals; corner
@@ -26,7 +26,7 @@ from gva_mi_plugins.mesh_normals.segment_sums import Segments
 
 @dataclass(frozen=True)
 class Topology:
-    """All of the meshes that does not change while their vertices move."""
+    """The part of the meshes that stays the same while their vertices move."""
 
     vertex_counts: tuple[int, ...]  # of each mesh
     first_face: mi.UInt32  # of the mesh with a given number in Mitsuba's registry of shapes
@@ -50,16 +50,16 @@ class Topology:
 
     @property
     def face_count(self) -> int:
-        """F."""
+        """Number of faces F."""
         return dr.width(self.vertices[0])
 
     @property
     def vertex_count(self) -> int:
-        """V."""
+        """Number of vertices V."""
         return sum(self.vertex_counts)
 
     def face_number(self, shape: mi.ShapePtr, primitive: mi.UInt32, active: mi.Bool) -> mi.UInt32:
-        """The numbers of faces (R,) that Mitsuba names by shape and primitive; 0 if not active."""
+        """Return face numbers (R,) from Mitsuba's shape and primitive numbers; 0 if not active."""
         shape = dr.reinterpret_array(mi.UInt32, shape)
         first = dr.gather(mi.UInt32, self.first_face, shape, active)
         return dr.select(active, first + primitive, 0)
@@ -97,7 +97,7 @@ class Topology:
 
 
 def meshes_of(scene: mi.Scene) -> list[mi.Mesh]:
-    """The shapes of a scene but its ellipsoids; all of them must be meshes.
+    """Return a scene's shapes except ellipsoids; all of them must be meshes.
 
     Raises:
         ValueError: a shape is no mesh, or there is none.
@@ -115,7 +115,7 @@ def meshes_of(scene: mi.Scene) -> list[mi.Mesh]:
 
 
 def without_ellipsoids(scene: mi.Scene) -> mi.Scene:
-    """A scene that rays can be traced through: itself, or one of its meshes alone.
+    """Return a scene for ray tracing: the scene itself, or a new one of its meshes alone.
 
     With ellipsoids, one scene can feed both plugins. A ray would end at them, so the meshes become
     a scene of their own, anew for every picture: only the first one is notified when they move.
@@ -127,7 +127,7 @@ def without_ellipsoids(scene: mi.Scene) -> mi.Scene:
 
 
 def _first_faces(meshes: Sequence[mi.Mesh]) -> mi.UInt32:
-    """The number of each mesh's first face, by the mesh's number in Mitsuba's registry."""
+    """Return the number of each mesh's first face, by its number in Mitsuba's registry."""
     registry = [dr.reinterpret_array(mi.UInt32, mi.ShapePtr(mesh))[0] for mesh in meshes]
     first = np.zeros(max(registry) + 1, np.uint32)
     counts = [mesh.face_count() for mesh in meshes]
@@ -192,7 +192,7 @@ class _Edges:
         counts = np.diff(begins, append=len(order))
 
         def at_ends(numbers: np.ndarray, side: np.ndarray) -> np.ndarray:
-            """A numbering of corners at both ends of some sides, the lower point first."""
+            """Return a numbering of corners at both ends of some sides, the lower point first."""
             face, k = side // 3, side % 3
             pair = np.stack([numbers[face, k], numbers[face, head[k]]], axis=1)
             return np.where(forward[side][:, None], pair, pair[:, ::-1])

@@ -1,4 +1,4 @@
-"""The segments in which triangles intersect.
+"""Find the segments in which triangles intersect.
 
 1. **Pairs**: of two triangles that cut one another, an edge of one passes through the other in
    either end of their segment, and a ray along that edge finds it. Where edges pass through edges,
@@ -93,7 +93,7 @@ def shared_segments(f: np.ndarray, g: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def _crossed(corners: np.ndarray, above: np.ndarray) -> np.ndarray:
-    """Where triangles (R, 3, 3) meet a plane: the points on two of their sides, (R, 2, 3).
+    """Return where triangles (R, 3, 3) meet a plane: points on two of their sides, (R, 2, 3).
 
     Args:
         corners: of the triangles.
@@ -108,7 +108,7 @@ def _crossed(corners: np.ndarray, above: np.ndarray) -> np.ndarray:
 
 
 def _crossings(scene: mi.Scene, surface: MeshSurface) -> tuple[np.ndarray, np.ndarray]:
-    """Edges that pass through a triangle (X,), and those triangles (X,)."""
+    """Find the edges (X,) that pass through a triangle, and those triangles (X,)."""
     topology = surface.topology
     A, B = (dr.gather(mi.Vector3f, surface.positions, end) for end in topology.ends)
     edge = dr.arange(mi.UInt32, dr.width(topology.crease))
@@ -147,7 +147,7 @@ def _touches(topology: Topology, face: mi.UInt32, edge: mi.UInt32) -> mi.Bool:
 def _pairs(
     topology: Topology, edges: np.ndarray, faces: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Eq. 1: triangles that may cut one another, each pair once, (C,) and (C,)."""
+    """Eq. 1: find triangles that may cut one another, each pair once, (C,) and (C,)."""
     points = np.stack([np.array(corner) for corner in topology.points], axis=1).astype(np.int64)
     start, items = (
         np.array(x).astype(np.int64)

@@ -1,4 +1,4 @@
-"""The names that a pickle may use, and what each makes: :data:`ALLOWED`. None can only be named."""
+"""Allow-list of the names in a pickle, each with a constructor or None (a name without a value)."""
 
 from __future__ import annotations
 

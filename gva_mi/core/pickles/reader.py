@@ -1,6 +1,6 @@
-"""``read_objects``: what a file of arrays and plain values holds, whatever its container.
+"""Read the arrays and plain values of a file in any common container: :func:`read_objects`.
 
-Read are pickles of protocols 0 to 5 and what ``joblib.dump`` writes, either packed by zlib, gzip,
+It reads pickles of protocols 0 to 5 and files of ``joblib.dump``, both also packed by zlib, gzip,
 bzip2 or xz; torch's files, old and new; ``.npy`` and ``.npz``, with or without objects.
 """
 
@@ -32,7 +32,7 @@ _ROW_OF_PICKLES = b"\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19."  # torch's magic number, p
 
 
 def read_objects(path: Path, expected: str) -> Any:  # noqa: ANN401
-    """Return what a file holds: dictionaries, lists, text, numbers and arrays.
+    """Read a file's dictionaries, lists, text, numbers and arrays.
 
     Tensors, sparse matrices and chumpy's arrays become plain arrays. No code of the file runs.
 

@@ -26,7 +26,7 @@ _STORAGES = {
 
 
 class Storage(Shell):
-    """A row of numbers that tensors look into."""
+    """Memory of numbers, of which tensors are views."""
 
     def value(self, budget: Budget, state: bytes, kind: str) -> np.ndarray:
         row = np.frombuffer(state, _STORAGES[kind])
@@ -53,7 +53,7 @@ class Tensor(Shell):
 
 
 def read_row_of_pickles(data: bytes) -> Any:  # noqa: ANN401
-    """Return what the older container holds, tensors as shells."""
+    """Read the content of the older container, with tensors as shells."""
     stream, found = BytesIO(data), {}
     load = lambda: Unpickler(stream, WITH_TENSORS, lambda pid: _storage(found, pid)).load()
     _magic, _protocol, _sizes, root, keys = (load() for _ in range(5))
@@ -65,7 +65,7 @@ def read_row_of_pickles(data: bytes) -> Any:  # noqa: ANN401
 
 
 def read_zip(file: zipfile.ZipFile, read: Callable[[str], bytes]) -> Any:  # noqa: ANN401
-    """Return what the newer container holds, tensors as shells; ``read`` returns an entry."""
+    """Read the content of the newer container, tensors as shells; ``read`` returns an entry."""
     pickled = next(name for name in file.namelist() if name.rsplit("/")[-1] == "data.pkl")
     folder = pickled[: -len("data.pkl")]
     if f"{folder}byteorder" in file.namelist() and read(f"{folder}byteorder") != b"little":

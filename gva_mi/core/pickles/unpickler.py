@@ -47,7 +47,7 @@ class Shell:
         self.state = state
 
     def value(self, budget: Budget, state: Any, *args: Any) -> Any:  # noqa: ANN401
-        """Return what it stands for; ``state`` and ``args`` are resolved."""
+        """Return the array or value of this shell; ``state`` and ``args`` are resolved."""
         raise NotImplementedError
 
 

@@ -1,8 +1,8 @@
 """Find what is wrong with a subject's folder: ``gva-mi check``.
 
-The other steps stop at the first thing that they cannot use, and believe numbers that have the
-right shape. Here every file is read for itself, and what the numbers mean is checked against masks
-and normal maps.
+The other steps stop at the first file that they cannot use, and trust numbers of the right shape.
+The check reads every file on its own, and tests the meaning of the numbers against masks and normal
+maps.
 """
 
 from gva_mi.data.check.check import check_subject

@@ -1,4 +1,4 @@
-"""``check_subject``: a folder in, a report out."""
+"""Check a subject's folder and return a report: :func:`check_subject`."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def check_subject(
             report.problems += check_normals(
                 files.maps, shown.final, shown.final_images, files.cameras
             )
-    if not report.errors:  # whatever the other steps refuse is an error
+    if not report.errors:  # everything that the other steps refuse is an error
         opened = lambda: load_video(files.folder, files.poses_file).require_train_frames()
         files.attempt("unreadable", opened)
     report.problems.sort(key=lambda problem: problem.severity != "error")

@@ -1,6 +1,6 @@
-"""Read everything in a subject's folder, each file for itself; what cannot be read is a problem.
+"""Read each file of a subject's folder on its own; an unreadable file becomes a problem.
 
-:func:`gva_mi.data.video.load_video` stops at the first thing that it cannot use.
+:func:`gva_mi.data.video.load_video` stops at the first file that it cannot use.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ AROUND = 0.5  # of the border
 
 @dataclass(frozen=True)
 class MaskSummary:
-    """A mask, as far as it is needed."""
+    """Small version of a mask, and the measurements of it that the checks need."""
 
     size: tuple[int, int]  # (W, H)
     small: np.ndarray  # (h, w) bool, at most SMALL pixels long
@@ -49,18 +49,18 @@ class MaskSummary:
 
     @property
     def inverted(self) -> bool:
-        """Whether it shows what is around the person."""
+        """Whether the mask shows the background instead of the person."""
         return AROUND < self.border and self.share < FULL
 
     @property
     def has_outline(self) -> bool:
-        """Whether it is neither empty nor full."""
+        """Whether the mask is neither empty nor full."""
         return 0 < self.share < FULL
 
 
 @dataclass
 class SubjectFiles:
-    """What can be read of a folder."""
+    """The readable content of a subject's folder."""
 
     folder: Path
     poses_file: Path
@@ -74,7 +74,7 @@ class SubjectFiles:
 
     @property
     def count(self) -> int:
-        """Frames of the video, with missing ones in between."""
+        """Number of frames of the video, missing ones included."""
         return max(self.pictures, default=-1) + 1
 
     def picture(self, index: int) -> np.ndarray:
@@ -88,7 +88,7 @@ class SubjectFiles:
         "form", remedy: str = "write it again in the form that docs/own_video.md describes",
         frames: Sequence[int] = (),
     ) -> T | None:  # fmt: skip
-        """Return what ``read`` returns; None, and a problem, if it cannot read."""
+        """Call ``read``; if it fails, record a problem and return None."""
         try:
             return read()
         except InputError as reason:
@@ -174,7 +174,7 @@ def _summary(mask: np.ndarray) -> MaskSummary:
 
 
 def small_size(width: int, height: int) -> tuple[int, int]:
-    """Return (w, h) of a picture at which it is compared."""
+    """Return the reduced size (w, h) at which the checks compare a picture."""
     scale = min(1.0, SMALL / max(width, height))
     return max(1, round(width * scale)), max(1, round(height * scale))
 

@@ -1,7 +1,7 @@
-"""Other things that the numbers of a folder may mean: axes, units, pictures turned or mirrored.
+"""Hypotheses about the numbers of a folder: other axes or units, pictures turned or mirrored.
 
-A hypothesis changes what is compared and nothing on disk. If it fits and the folder as it is does
-not, it says what is wrong. With T for ``T_camera_world``, F = diag(1, -1, -1) and Q a quarter turn
+A hypothesis changes the comparison and nothing on disk. If it fits and the folder as it is does
+not, it names the fault. With T for ``T_camera_world``, F = diag(1, -1, -1) and Q a quarter turn
 about x:
 
 =============================  ================================================================
@@ -31,7 +31,7 @@ Change = Callable[[CheckedFrames], CheckedFrames]
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """One other meaning of the numbers."""
+    """One alternative meaning of the folder's numbers."""
 
     what: str  # the fault, as a problem names it
     cause: str

@@ -1,4 +1,4 @@
-"""The axes of the normal maps: which of them, and with which sign, the body's own normals have.
+"""Check the axes of the normal maps: their order and signs, compared with the body's own normals.
 
 With n the normals of a map and b those of the body, in the camera's axes, over the N pixels that
 both show,

@@ -1,4 +1,4 @@
-"""Numbers that can be read, but are hardly those of these pictures, or of a person."""
+"""Check for readable but implausible numbers: lenses, pose angles, body sizes, speeds."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``Problem`` and ``CheckReport``: what is wrong with a subject's folder, in words and figures."""
+"""Problems found in a subject's folder, in words and figures: ``Problem`` and ``CheckReport``."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _LONGEST = 40  # characters of a list of frames in the table; all of them are in
 
 @dataclass(frozen=True)
 class Problem:
-    """One thing that is wrong, or may be."""
+    """One certain or possible fault of a subject's folder."""
 
     severity: Literal["error", "doubtful"]  # errors spoil the results; doubtful things may
     what: str  # the same few words for the same fault
@@ -51,7 +51,7 @@ class CheckReport:
         return [p for p in self.problems if p.severity == "error"]
 
     def to_json(self) -> dict[str, object]:
-        """Return all of it for a file."""
+        """Return the report as a dictionary for JSON."""
         return {
             "frames": self.frames, "findings": [asdict(p) for p in self.problems],
             "skipped": self.skipped, "figures": self.figures,

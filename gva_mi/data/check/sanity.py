@@ -1,7 +1,7 @@
 """A quick sanity check before hours of work: does the person stand where the masks are?
 
-``gva-mi check`` checks everything, and takes as long. This takes a moment, and sees what is far
-off: an inverted T_camera_world, a body in millimetres, masks of another place, inverted masks.
+``gva-mi check`` is thorough but slow. This check is quick and finds gross faults: an inverted
+T_camera_world, a body in millimetres, masks of another place, inverted masks.
 Joints beyond the picture's edge are ignored, because many videos end at the hips.
 """
 
@@ -21,7 +21,7 @@ FEWEST_SEEN = 0.2  # of all joints are in the picture; head and shoulders are a 
 
 @torch.no_grad()
 def sanity_check(video: Video, body: BodyModel) -> str | None:
-    """Return what is doubtful of a video and the body of its poses; None if nothing is."""
+    """Return a warning if the video's body does not stand where its masks are, else None."""
     joints_seen, joints_inside, of = 0, 0, 0
     there = [k for k in range(len(video)) if k not in video.absent]
     for outline in video.outlines(spread(there, FRAMES)):

@@ -20,7 +20,7 @@ MASK = (0.1, 0.75, 0.35)  # green, beside the body's orange
 
 
 def draw_sheet(files: SubjectFiles, shown: SilhouetteCheck, body: BodyModel) -> np.ndarray:
-    """Draw the sheet, (h, w, 3) float32: the folder as it is, and mended in a row below."""
+    """Draw the sheet, (h, w, 3) float32: the folder as it is, and a row with faults corrected."""
     renderer = SilhouetteRenderer(body)
     rows = [_captioned(_row(files, shown.frames, renderer), "as it is; orange: body, green: mask")]
     if shown.accepted:
@@ -37,7 +37,7 @@ def draw_sheet(files: SubjectFiles, shown: SilhouetteCheck, body: BodyModel) -> 
 def _row(
     files: SubjectFiles | None, frames: CheckedFrames, renderer: SilhouetteRenderer
 ) -> list[np.ndarray]:
-    """Return some frames, or white without files, with both outlines."""
+    """Return some frames (white if files are missing) with both outlines."""
     some = frames.of(spread(range(len(frames)), SHOWN))
     first = some.cameras[0]
     size = max(1, round(HEIGHT * first.width / first.height)), HEIGHT

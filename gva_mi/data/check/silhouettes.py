@@ -1,4 +1,4 @@
-"""The body's silhouettes against the masks, as the folder is and under other hypotheses.
+"""Compare the body's silhouettes with the masks, for the folder as it is and for hypotheses.
 
 A hypothesis is compared with the folder as it is by the IoU of silhouette and mask, frame by frame.
 With d its gain in IoU over n frames and I the IoU as it is, it is accepted if
@@ -46,7 +46,7 @@ LATEST = 30  # frames; whoever trims a video by more than a second sees it
 
 @dataclass
 class SilhouetteCheck:
-    """What silhouettes show; frames are those rendered, images (n, h, w, 4) normals and alpha."""
+    """Result of the silhouette check; images are (n, h, w, 4): normals and alpha of n frames."""
 
     frames: CheckedFrames  # as the folder is
     iou: float
@@ -58,7 +58,7 @@ class SilhouetteCheck:
 
 
 def check_silhouettes(frames: CheckedFrames, renderer: SilhouetteRenderer) -> SilhouetteCheck:
-    """Compare the body with the masks, and name what is wrong."""
+    """Compare the body with the masks, and name the faults."""
     some = frames.of(spread(range(len(frames)), RENDERED))
     iou = overlap(renderer.silhouettes(some), some.masks).mean()
     found = SilhouetteCheck(some, float(iou), float(frames.inside().mean()))
@@ -124,7 +124,7 @@ def accepts(gained: np.ndarray, plain: np.ndarray) -> bool:
 
 
 def sure(gained: np.ndarray, errors: float) -> bool:
-    """Return whether the mean of a gain (n,) is so many of its standard errors above zero."""
+    """Return whether the mean of a gain (n,) lies ``errors`` standard errors above zero."""
     means = np.array([x.mean() for x in np.array_split(gained, min(BLOCKS, len(gained)))])
     standard_error = means.std(ddof=1) / np.sqrt(len(means)) if len(means) > 1 else 0.0
     return bool(gained.mean() > errors * standard_error)
@@ -151,7 +151,7 @@ def _likely(some: CheckedFrames) -> list[Hypothesis]:
 def _late(
     frames: CheckedFrames, some: CheckedFrames, silhouettes: np.ndarray, offset: int
 ) -> np.ndarray | None:
-    """Return the IoU with the masks of ``offset`` frames later, (2, n): as is, and laid over them.
+    """Return the IoU (2, n) with the masks ``offset`` frames later: as is, and after alignment.
 
     It is NaN for a frame without one.
     """

@@ -3,7 +3,7 @@
 ======================  ============================================================
 ``fields``              joints under other programs' names and shapes
 ``tracks``              one person, frame by frame, in a camera's axes
-``people``              which of several people is the subject
+``people``              choice of the subject among several people
 ``numbering``           frame numbers
 ``timeline``            missing frames, other frame rates
 ``rotations``           rotations of numpy arrays
@@ -17,11 +17,11 @@
 ``datasets``            one record for each data set (``one_camera``, ``multi_view``)
 ``other_views``         a data set's other cameras, held out
 ``footage``             pictures and masks of films, folders and arrays
-``mask_units``          what the numbers of masks mean
+``mask_units``          value range of masks
 ``normal_maps``         normals of another program
-``prompts``             where the person is, for Segment Anything
+``prompts``             boxes and points on the person, for Segment Anything
 ``by_networks``         masks and normals by networks
 ``target``              the body that poses are converted to
-``prepare``             all of it as a subject's folder (``prepare_options``)
+``prepare``             writes a subject's folder from these (``prepare_options``)
 ======================  ============================================================
 """

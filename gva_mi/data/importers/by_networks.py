@@ -26,7 +26,7 @@ def write_masks(
     prompts: Sequence[Prompt | None],
     progress: Progress | None = None,
 ) -> list[str]:
-    """Write ``masks/`` beside ``frames/``, each after the one before; return notes.
+    """Write ``masks/`` beside ``frames/``, each guided by the mask before; return notes.
 
     A frame without a prompt gets no mask.
     """

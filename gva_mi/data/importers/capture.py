@@ -1,6 +1,6 @@
-"""``Capture``: people with the pictures and masks that they are seen in, and a split.
+"""``Capture``: a source's people, with its pictures, masks and split if it has them.
 
-An estimator's file gives the people alone, a data set all of it.
+An estimator's file holds people alone; a data set also has pictures, masks and a split.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class FixedCamera:
         T: object,
         distortion: object,
     ) -> FixedCamera:
-        """A camera by OpenCV, where the centre of the first pixel is at 0 and not at 0.5."""
+        """Make a camera from OpenCV's, whose first pixel has its centre at 0 and not at 0.5."""
         flat = lambda x: np.ravel(np.asarray(x, np.float64))
         half = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
         K, R = flat(K).reshape(3, 3) + half, flat(R).reshape(3, 3)
@@ -45,7 +45,7 @@ class FixedCamera:
 
 @dataclass(frozen=True)
 class Capture:
-    """People, and the pictures they are seen in."""
+    """People, and the pictures that show them."""
 
     tracks: list[Track]
     frames: Pictures
@@ -60,6 +60,6 @@ class Capture:
     numbers: Sequence[int] = ()  # the data set's, of the video's frames; where there are others
 
     def read_masks(self, source: Pictures | None = None) -> Iterator[np.ndarray]:
-        """The masks, or those of another source: 255 inside, whatever the data set's numbers."""
+        """Yield the data set's masks, or those of another source, with 255 inside."""
         for mask in masks(source or self.masks):
             yield (mask > 0) * np.uint8(255) if self.labels else mask

@@ -1,4 +1,4 @@
-"""Data sets that bring their own pictures and masks: one record for each.
+"""Data sets with pictures and masks of their own: one record for each.
 
 :mod:`.one_camera` and :mod:`.multi_view` hold the readers.
 """
@@ -16,14 +16,14 @@ from gva_mi.data.importers.capture import Capture
 
 @dataclass(frozen=True)
 class DataSet:
-    """How a data set's folder is recognised and read."""
+    """Rules that recognise and read a data set's folder."""
 
     files: tuple[str, ...]  # all of them are there, each "a" or "a|b"
     read: Callable[[str, Path, str | None], Capture]  # where, folder, camera
     expects: str  # for messages
 
     def recognises(self, folder: Path) -> bool:
-        """Whether a folder holds its files."""
+        """Whether a folder holds the files of this data set."""
         return all(any((folder / x).exists() for x in name.split("|")) for name in self.files)
 
 
@@ -51,12 +51,12 @@ DATASETS = {
 
 
 def dataset_of(folder: Path) -> str | None:
-    """The kind of a folder that is a data set; None of anything else."""
+    """Return the kind of data set in a folder; None for any other folder."""
     return next((kind for kind, record in DATASETS.items() if record.recognises(folder)), None)
 
 
 def read_dataset(kind: str, folder: Path, camera: str | None) -> Capture:
-    """A data set's people, pictures and masks, in the folder of one subject.
+    """Read people, pictures and masks from a data set's folder of one subject.
 
     ``camera`` names the one that becomes the video; None: the first.
     """

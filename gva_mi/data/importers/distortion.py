@@ -1,4 +1,4 @@
-"""Take a lens's distortion out of pictures, which then are those of a pinhole with the same K.
+"""Remove lens distortion from pictures; the result is a pinhole's picture with the same K.
 
 With x = (u − cx)/fx, y = (v − cy)/fy and r² = x² + y², the lens shows at (x', y') what a pinhole
 shows at (x, y), as OpenCV has it, with coefficients (k1, k2, p1, p2, k3):
@@ -19,7 +19,7 @@ from gva_mi.core.errors import InputError
 def undistort(
     where: object, K: np.ndarray, coefficients: np.ndarray | None, size: tuple[int, int]
 ) -> Callable[[np.ndarray], np.ndarray] | None:
-    """A function that undistorts a picture (H, W) or (H, W, C), 8-bit; None for a pinhole.
+    """Return a function that undistorts an 8-bit picture (H, W[, C]); None for a pinhole.
 
     ``coefficients`` are 4 or 5; all zero, or None: a pinhole. ``size`` is (W, H).
     """

@@ -1,7 +1,7 @@
-"""Open what pose estimators write: how each kind is recognised, and the people that it holds.
+"""Recognise and open the files of pose estimators, and yield the people in them.
 
-A reader yields a :class:`SeenPerson` each, with arrays under the file's own names (n, ...). What
-these mean is said once for each estimator, in :mod:`.estimators`.
+Each reader yields one :class:`SeenPerson` a person, with arrays (n, ...) under the file's own
+names. :mod:`.estimators` says what they mean.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _EXPECTED = "what a pose estimator wrote"
 
 @dataclass(frozen=True)
 class SeenPerson:
-    """What a file says of one person, under the file's own names."""
+    """One person's arrays in a file, under the file's own names."""
 
     name: str  # the estimator's name of them
     frames: np.ndarray  # (n,) frame numbers
@@ -37,7 +37,7 @@ Row = tuple[str, int, Mapping[str, Any]]  # person, frame, arrays of one frame
 
 
 def stacked(where: object, rows: Iterable[Row]) -> list[SeenPerson]:
-    """People of single frames; an array of one frame may have a leading axis of 1."""
+    """Stack single frames to people; an array of one frame may have a leading axis of 1."""
     people: dict[str, list[tuple[int, Mapping[str, Any]]]] = {}
     for person, frame, arrays in rows:
         people.setdefault(person, []).append((frame, arrays))
@@ -59,7 +59,7 @@ def _of_frame(value: Any) -> np.ndarray:  # noqa: ANN401
 
 
 def followed(where: object, frames: Iterable[tuple[int, list]], place: str) -> list[SeenPerson]:
-    """People whom a file does not name: who is nearest by ``place`` in the next frame goes on."""
+    """Track people without ids: each continues as the nearest, by ``place``, in the next frame."""
     frames = list(frames)
     names = follow([[np.ravel(person[place]) for person in people] for _, people in frames])
     return stacked(where, (
@@ -90,12 +90,12 @@ def _one_object(found: Any) -> Any:  # noqa: ANN401
 
 
 def read_source(source: Path, expected: str = _EXPECTED) -> Any:  # noqa: ANN401
-    """What a file holds; a folder as its path."""
+    """Read a file's content; for a folder, return its path."""
     return source if source.is_dir() else plain(read_objects(source, expected))
 
 
 def read_named(path: Path, expected: str) -> dict:
-    """What a file holds by name."""
+    """Read a file's content as a dictionary."""
     found = read_source(path, expected)
     if not isinstance(found, dict):
         raise InputError(f"{path}: holds nothing by name; expected {expected}")
@@ -103,7 +103,7 @@ def read_named(path: Path, expected: str) -> dict:
 
 
 def files_in(found: Any, *patterns: str) -> list[Path]:  # noqa: ANN401
-    """A folder's files by the first pattern that any fits, in the order of their names."""
+    """Return a folder's files, sorted by name, of the first pattern that matches any file."""
     if isinstance(found, Path):
         for pattern in patterns or ("*",):
             if files := sorted(p for p in found.glob(pattern) if p.suffix in _PICKLED):
@@ -112,7 +112,7 @@ def files_in(found: Any, *patterns: str) -> list[Path]:  # noqa: ANN401
 
 
 def first_of(found: Any) -> Any:  # noqa: ANN401
-    """What a folder's first file holds; of a file, what it holds."""
+    """Return the content of a folder's first file, or of a file that is already read."""
     if not isinstance(found, Path):
         return found
     files = files_in(found)
@@ -123,7 +123,7 @@ def first_of(found: Any) -> Any:  # noqa: ANN401
 
 
 def holds(found: Any, *names: str) -> bool:  # noqa: ANN401
-    """Whether a file holds all these names."""
+    """Whether a file's content has all these names."""
     return isinstance(found, Mapping) and set(names) <= set(found)
 
 
@@ -134,14 +134,14 @@ def any_holds(found: Any, *names: str) -> bool:  # noqa: ANN401
 
 
 def wham(where: str, found: dict) -> Iterator[SeenPerson]:
-    """A dictionary a person."""
+    """Read WHAM's file: one dictionary per person."""
     for name, person in found.items():
         ids = person["frame_ids" if "frame_ids" in person else "frame_id"]
         yield SeenPerson(str(name), frame_numbers(ids), person)
 
 
 def wham_world(where: str, found: dict) -> Iterator[SeenPerson]:
-    """People whom WHAM placed in the world; without numbers, their frames follow each other."""
+    """Read WHAM's people in world axes; frames without numbers are consecutive."""
     for name, person in found.items():
         if _is_placed(person):
             every = np.arange(len(person["pose_world"]))
@@ -158,7 +158,7 @@ def _is_placed(person: Any) -> bool:  # noqa: ANN401
 
 
 def phalp(where: str, found: dict) -> list[SeenPerson]:
-    """A dictionary a frame, with lists of people."""
+    """Read PHALP's (4D-Humans') file: one dictionary per frame, with lists of people."""
     rows = []
     for k, name in enumerate(sorted(found)):
         frame = found[name]
@@ -172,7 +172,7 @@ def phalp(where: str, found: dict) -> list[SeenPerson]:
 
 
 def pymafx(where: str, found: dict) -> Iterator[SeenPerson]:
-    """Batches of parameters, of all people after one another."""
+    """Read PyMAF-X's batches of parameters; all people follow one another."""
     frames = frame_numbers(found["frame_ids"])
     names = ("body_pose", "shape", "left_hand_pose", "right_hand_pose", "jaw_pose", "leye_pose",
              "reye_pose")  # fmt: skip
@@ -191,7 +191,7 @@ def pymafx(where: str, found: dict) -> Iterator[SeenPerson]:
 
 
 def hybrik(where: str, found: dict) -> Iterator[SeenPerson]:
-    """One person: matrices of SMPL's 24 joints or SMPL-X's 55, and a box a frame."""
+    """Read HybrIK's person: matrices of SMPL's 24 joints or SMPL-X's 55, and a box per frame."""
     frames = np.array([number_in(name) for name in np.ravel(found["img_path"])])
     n = len(frames)
     shapes = {"pred_thetas": (n, -1, 3, 3), "pred_betas": (n, -1), "bbox": (n, 4)}
@@ -205,13 +205,13 @@ def tram_files(found: Any) -> list[Path]:  # noqa: ANN401
 
 
 def tram_camera(found: Path) -> dict:
-    """TRAM's lens, and by ``pred_cam_R`` and ``pred_cam_T`` its path; it lies above ``hps/``."""
+    """Read TRAM's lens and camera path (``pred_cam_R``, ``pred_cam_T``) from above ``hps/``."""
     above = found if tram_files(found)[0].parent != found else found.parent
     return read_named(above / "camera.npy", "img_focal and img_center, as TRAM writes")
 
 
 def tram(where: str, found: Path) -> Iterator[SeenPerson]:
-    """A file a person."""
+    """Read TRAM's folder: one file per person."""
     about = tram_camera(found)
     K = pinhole_K(np.ravel(about["img_focal"])[0], about["img_center"])
     for path in tram_files(found):

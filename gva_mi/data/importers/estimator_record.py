@@ -1,4 +1,4 @@
-"""``Estimator``: how one estimator's files are recognised, read, and meant.
+"""``Estimator``: rules that recognise, read and interpret one estimator's files.
 
 The table of all of them is in :mod:`.estimators`.
 """
@@ -20,7 +20,7 @@ from gva_mi.data.importers.tracks import Track, make_track
 
 @dataclass(frozen=True)
 class VideoInfo:
-    """What a reader needs to know beside the file."""
+    """Facts about the video that a reader needs besides the file."""
 
     size: tuple[int, int]  # (W, H) of the video, pixels
     focal: float | None = None  # pixels, where the file says none
@@ -29,27 +29,27 @@ class VideoInfo:
 
 Arrays = Mapping[str, Any]  # (n, ...) each
 Lens = Callable[[str, Arrays, VideoInfo], np.ndarray]  # where, arrays → K (3, 3) or (n, 3, 3)
-# Ours: theirs, or theirs and which joints of it. "betas?" may be missing.
+# Our name: the file's name, or that name and a slice of joints. "betas?" may be missing.
 Names = Mapping[str, "str | tuple[str, slice]"]
 
 
 @dataclass(frozen=True)
 class Estimator:
-    """How one estimator's files are recognised, and what they mean."""
+    """Rules that recognise one estimator's files, and the meaning of their arrays."""
 
     expects: str  # for messages
     recognises: Callable[[Any], bool]  # of what a file holds, or of a folder's path
     people: Callable[[str, Any], Iterable[SeenPerson]]
     lens: Lens
     names: Names = field(default_factory=dict)  # none: the names of fields.py
-    of_pelvis: bool = False  # its translation is where the pelvis is
+    of_pelvis: bool = False  # its translation is the pelvis's position
     mean_hand: bool = False  # fingers are relative to the mean hand
     # Tracks of the camera in the world of its path; None where the file says no path.
     along_path: Callable[[Any, list[Track]], list[Track] | None] | None = None
     needs_video: bool = False  # places follow from an assumed lens: it is no motion on its own
 
     def tracks(self, where: str, found: Any, info: VideoInfo) -> list[Track]:  # noqa: ANN401
-        """The people before the camera, frames ascending."""
+        """Return the people in the camera's axes, one track each, frames ascending."""
         tracks = []
         for person in self.people(where, found):
             at = f"{where}: person {person.name}"
@@ -63,7 +63,7 @@ class Estimator:
         return tracks
 
     def _named(self, arrays: Arrays) -> Arrays:
-        """The arrays under the names of fields.py."""
+        """Return the arrays under the names of fields.py."""
         given = {} if self.names else dict(arrays)
         for ours, theirs in self.names.items():
             theirs, joints = theirs if isinstance(theirs, tuple) else (theirs, slice(None))
@@ -82,7 +82,7 @@ def own_K(where: str, arrays: Arrays, info: VideoInfo) -> np.ndarray:
 
 
 def focal_of(rule: Callable[[VideoInfo], float]) -> Lens:
-    """A lens that an estimator assumed, centred, whose focal length follows from the video."""
+    """Return the centred lens that an estimator assumed; its focal length depends on the video."""
     return lambda where, arrays, info: centred(rule(info), info.size)
 
 
@@ -91,7 +91,7 @@ def lens_of_wham(where: str, arrays: Arrays, info: VideoInfo) -> np.ndarray:
 
 
 def lens_of_hybrik(where: str, arrays: Arrays, info: VideoInfo) -> np.ndarray:
-    """A lens for each person's box, of pictures of the estimator's size."""
+    """Return HybrIK's lens for each person's box, rescaled from its picture size to the video's."""
     box, sizes = arrays["bbox"], zip(arrays["width"], arrays["height"], strict=True)
     widths = 1000 / 256 * (box[:, 2] - box[:, 0])
     return np.stack([
@@ -101,7 +101,7 @@ def lens_of_hybrik(where: str, arrays: Arrays, info: VideoInfo) -> np.ndarray:
 
 
 def lens_of_romp(where: str, arrays: Arrays, info: VideoInfo) -> np.ndarray:
-    """ROMP pads pictures to a square; the centre is that of the square in whole pixels."""
+    """Return ROMP's lens: it pads pictures to a square, whose centre is rounded to whole pixels."""
     side = max(info.size)
     K = centred(443.4 / 512 * side, info.size)
     K[:2, 2] = [side / 2 - (side - length) // 2 for length in info.size]
@@ -109,7 +109,7 @@ def lens_of_romp(where: str, arrays: Arrays, info: VideoInfo) -> np.ndarray:
 
 
 def lens_by_name(where: str, arrays: Arrays, info: VideoInfo) -> np.ndarray:
-    """The camera that a file says, or the focal length that a user gives."""
+    """Return the camera in a file, or one of the focal length that a user gives."""
     count = len(np.ravel(arrays[translation_name(arrays)])) // 3
     for name in ("K", "cam_K", "intrinsic", "intrinsics"):
         if arrays.get(name) is not None:

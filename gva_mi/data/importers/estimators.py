@@ -1,4 +1,4 @@
-"""What pose estimators write, as tracks: one record for each estimator.
+"""Convert the files of pose estimators to tracks: one record for each estimator.
 
 ``docs/sources.md`` lists their files. Root rotation and translation are in the camera's axes. The
 focal length that an estimator assumed is kept, because its translations hold with that one only.
@@ -36,7 +36,7 @@ _OF_MHR = {"mhr_model_params", "mhr_shape_params", "body_pose_params"}
 
 
 def read_estimator(kind: str, source: Path, info: VideoInfo) -> tuple[str, list[Track]]:
-    """The kind of a file or a folder (one of :data:`KINDS`, or "auto"), and a track a person."""
+    """Read a file or folder of ``kind`` (or "auto"); return the kind and a track per person."""
     found = files.read_source(source, "what a pose estimator wrote, a .pkl, .pt, .npy or .npz, or "
                               "its folder")  # fmt: skip
     if isinstance(found, np.ndarray) and not found.dtype.hasobject:
@@ -53,12 +53,12 @@ def read_estimator(kind: str, source: Path, info: VideoInfo) -> tuple[str, list[
 
 
 def kind_of(found: Any) -> str | None:  # noqa: ANN401
-    """Which of :data:`KINDS` wrote what a file holds, or a folder (its path), if any did."""
+    """Return which of :data:`KINDS` wrote a file (its content) or folder (its path), or None."""
     return next((name for name, record in KINDS.items() if record.recognises(found)), None)
 
 
 def tracks_of(kind: str, source: Path, found: Any, info: VideoInfo) -> list[Track]:  # noqa: ANN401
-    """The people in what a file holds, or in a folder (its path), frames ascending."""
+    """Return a track per person of a file's content or a folder (its path), frames ascending."""
     record = KINDS[kind]
     if not record.recognises(found):
         raise InputError(f"{source}: not of the kind {kind}; expected {record.expects}")
@@ -82,7 +82,7 @@ def refuse_mhr(where: object, found: Any, deep: int = 4) -> None:  # noqa: ANN40
 
 
 def _gvhmr(name: str) -> Callable[[str, dict], Iterable[SeenPerson]]:
-    """A reader of one of GVHMR's two sets of one person's parameters."""
+    """Return a reader of one of GVHMR's two parameter sets (camera or world) of one person."""
 
     def people(where: str, found: dict) -> Iterable[SeenPerson]:
         person = found[name]
@@ -94,7 +94,7 @@ def _gvhmr(name: str) -> Callable[[str, dict], Iterable[SeenPerson]]:
 
 
 def _along_path(found: Path, tracks: list[Track]) -> list[Track] | None:
-    """TRAM's people in the world of its camera's path."""
+    """Transform TRAM's people to the world of its camera path."""
     about = files.tram_camera(found)
     if not holds(about, "pred_cam_R", "pred_cam_T"):
         return None

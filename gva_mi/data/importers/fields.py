@@ -1,4 +1,4 @@
-"""Joint rotations under the names and shapes of other programs, as those of SMPL-X's 55 joints.
+"""Convert joint rotations from other programs' names and shapes to SMPL-X's 55 joints.
 
 =================================================  ==========================================
 Names                                              Written by
@@ -44,7 +44,7 @@ _HANDS = ("left_hand_pose", "right_hand_pose")
 
 @dataclass(frozen=True)
 class Joints:
-    """Rotations as a file has them, in the file's own world."""
+    """Joint rotations of a file, in the file's own world."""
 
     rotations: np.ndarray  # (T, 55, 3) axis-angle, radians; may hold NaN
     form: str  # "SMPL", "SMPL+H" or "SMPL-X": whose betas they go with
@@ -76,12 +76,12 @@ def find_joints(
 
 
 def translation_name(found: Mapping[str, Any]) -> str | None:
-    """The name under which a file holds the translation; None without one."""
+    """Return the name under which a file holds the translation; None without one."""
     return next((name for name in TRANSLATIONS if found.get(name) is not None), None)
 
 
 def find_translation(where: str, found: Mapping[str, Any], frames: int) -> np.ndarray:
-    """The root's translation (T, 3), metres, of a body that is not scaled.
+    """Return the root's translation (T, 3), metres, of a body that is not scaled.
 
     Where a body is scaled by s, as in AIST++ and THuman, all is divided by s: x = s b + t looks
     the same as b + t / s.
@@ -101,7 +101,7 @@ def find_translation(where: str, found: Mapping[str, Any], frames: int) -> np.nd
 
 
 def find_betas(where: str, found: Mapping[str, Any]) -> np.ndarray | None:
-    """The person's betas (B,), or (T, B) where they differ from frame to frame; None without."""
+    """Return the person's betas (B,), or (T, B) if they differ between frames; None without."""
     if found.get("betas") is None:
         return None
     given = betas = _numbers(where, "betas", found["betas"])
@@ -114,7 +114,7 @@ def find_betas(where: str, found: Mapping[str, Any]) -> np.ndarray | None:
 
 
 def axis_angles(where: str, name: str, value: Any) -> np.ndarray:  # noqa: ANN401
-    """Rotations of any of the shapes above, as (T, J, 3) float64 axis-angle."""
+    """Convert rotations of any shape in the module's docstring to (T, J, 3) float64 axis-angle."""
     array = _numbers(where, name, value)
     if array.ndim < 2 or array.size == 0:
         raise InputError(f"{where}: '{name}' must be numbers (T, 3 J), got {array.shape}")
@@ -128,7 +128,7 @@ def axis_angles(where: str, name: str, value: Any) -> np.ndarray:  # noqa: ANN40
 
 
 def _of_matrices(where: str, name: str, matrices: np.ndarray) -> np.ndarray:
-    """Axis-angle (T, J, 3) of matrices that a network made orthogonal to a few digits."""
+    """Convert matrices that are orthogonal to a few digits to axis-angle (T, J, 3)."""
     known = np.isfinite(matrices).all((-1, -2), keepdims=True)
     matrices = np.where(known, matrices, np.eye(3))
     product = matrices @ matrices.swapaxes(-1, -2)
@@ -155,7 +155,7 @@ def _whole(where: str, name: str, value: Any) -> Joints:  # noqa: ANN401
 def _fingers(
     where: str, found: Mapping[str, Any], components: np.ndarray | None
 ) -> dict[str, np.ndarray]:
-    """Axis-angle (T, 45) of the hands that are components of a PCA (T, k), by their names."""
+    """Convert hands given as PCA components (T, k) to axis-angle (T, 45), by their names."""
     fingers, rows = {}, np.shape(found["body_pose"])[:1]
     for side, name in enumerate(_HANDS):
         shape = np.shape(found.get(name))
@@ -205,7 +205,7 @@ def _parts(where: str, found: Mapping[str, Any], parts: Mapping[str, slice]) -> 
 
 
 def _numbers(where: str, name: str, value: Any) -> np.ndarray:  # noqa: ANN401
-    """An array of numbers as float64, of one dimension at least."""
+    """Convert an array of numbers to float64, with at least one dimension."""
     try:
         return np.atleast_1d(np.asarray(value, np.float64))
     except (ValueError, TypeError):

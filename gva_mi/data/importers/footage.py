@@ -1,4 +1,4 @@
-"""Pictures and masks as people keep them: a film, a folder in any numbering, an array."""
+"""Read pictures and masks from a film, a folder in any numbering, or an array."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 
 
 def pictures(source: Pictures, channels: int) -> Iterator[np.ndarray]:
-    """The pictures of a film, a folder or files, one by one, turned as their metadata say.
+    """Yield the pictures of a film, a folder or files, turned as their metadata say.
 
     ``channels`` is 3 for RGB (H, W, 3), or 1 for masks (H, W), 8-bit: :mod:`gva_mi.data.mattes`.
     """
@@ -34,7 +34,7 @@ def pictures(source: Pictures, channels: int) -> Iterator[np.ndarray]:
 
 
 def files_of(source: Pictures) -> list[Path] | None:
-    """The files of pictures, by the last number in their names; None for a film."""
+    """Return the picture files, sorted by the last number in their names; None for a film."""
     if isinstance(source, tuple):
         return list(source)
     if not source.is_dir():
@@ -46,12 +46,12 @@ def files_of(source: Pictures) -> list[Path] | None:
 
 
 def folder_of(source: Pictures) -> Path:
-    """The film or folder of a source of pictures, for messages."""
+    """Return the film or folder of a source of pictures, for messages."""
     return source[0].parent if isinstance(source, tuple) else source
 
 
 def masks(source: Pictures) -> Iterator[np.ndarray]:
-    """The masks of a film, a folder, or a stack (T, H, W): each (H, W) 8-bit, 255 inside.
+    """Yield the masks of a film, a folder, or a stack (T, H, W): each (H, W) 8-bit, 255 inside.
 
     A stack is a .npy; a folder may hold a .npy (H, W) a frame. Values go from 0 to 1 where none is
     above 1; otherwise to 255, or to 65535 where an array has 16 bits.
@@ -72,7 +72,7 @@ def masks(source: Pictures) -> Iterator[np.ndarray]:
 
 
 def _stack(path: Path, stack: np.ndarray) -> np.ndarray:
-    """Masks (T, H, W) of any numbers."""
+    """Open a stack of masks (T, H, W) of any number type."""
     stack = stack[..., 0] if stack.ndim == 4 and stack.shape[-1] == 1 else stack
     if stack.ndim != 3 or stack.dtype.kind not in "bufi":
         raise InputError(f"{path}: masks must be (T, H, W), got {stack.dtype} {stack.shape}")
@@ -80,7 +80,7 @@ def _stack(path: Path, stack: np.ndarray) -> np.ndarray:
 
 
 def _rows_of_npy(path: Path) -> Callable[[], Iterator[np.ndarray]]:
-    """The masks of a stack, from the first on, of which one at a time is in memory."""
+    """Yield the masks of a stack in order, with one at a time in memory."""
     whole = _stack(path, read_array(path, mapped=True))
 
     def rows() -> Iterator[np.ndarray]:
@@ -102,7 +102,7 @@ def _film(path: Path, channels: int) -> Iterator[np.ndarray]:
 
 
 def uneven_rate(source: Pictures) -> str | None:
-    """A note where a film's pictures do not come at one rate; each is one frame all the same."""
+    """Return a note if a film's frame rate varies; each picture still counts as one frame."""
     if isinstance(source, tuple) or not source.is_file():
         return None
     steps, tick = steps_of(source)

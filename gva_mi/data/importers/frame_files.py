@@ -36,7 +36,7 @@ _NAME = re.compile(r"(\d+)_(\d+)\.npz")  # frame and person of SMPLer-X
 
 
 def romp(where: str, found: Any) -> list[SeenPerson]:  # noqa: ANN401
-    """ROMP's and BEV's people, by their track ids; without these, who is nearest goes on."""
+    """Read ROMP's and BEV's people by track id; without ids, track the nearest person."""
     frames = [(number, r) for number, r in _romp_frames(found) if len(r["smpl_thetas"])]
     each = lambda r: [
         {key: r[key][k] for key in ("smpl_thetas", "smpl_betas", "cam_trans")}
@@ -60,7 +60,7 @@ def romp(where: str, found: Any) -> list[SeenPerson]:  # noqa: ANN401
 
 
 def _romp_frames(found: Any) -> list[tuple[int, dict]]:  # noqa: ANN401
-    """Number and result of each frame, by the first number of a picture's name."""
+    """Return number and result of each frame; the number is the first one in a picture's name."""
     if isinstance(found, dict):
         results = plain(found[ROMP])
         if "smpl_thetas" in results:
@@ -80,7 +80,7 @@ def is_romp(found: Any) -> bool:  # noqa: ANN401
 
 
 def _humans(found: Any) -> list[dict]:  # noqa: ANN401
-    """The people of a frame: a list of dictionaries, or one of them."""
+    """Return the people of a frame, given as a list of dictionaries or a single one."""
     if isinstance(found, np.ndarray) and found.dtype.hasobject:
         found = found.ravel().tolist()
     found = [found] if isinstance(found, dict) else found
@@ -94,7 +94,7 @@ def is_multihmr(found: Any) -> bool:  # noqa: ANN401
 
 
 def multihmr(where: str, found: Path) -> list[SeenPerson]:
-    """A list of people a frame."""
+    """Read Multi-HMR's files: a list of people per frame."""
     names = ("rotvec", "transl_pelvis", "shape")
     read = lambda path: [
         {name: person[name] for name in names}
@@ -114,7 +114,7 @@ def is_smplifyx(found: Any) -> bool:  # noqa: ANN401
 
 
 def smplifyx(where: str, found: Path) -> list[SeenPerson]:
-    """A folder a picture and a file a person."""
+    """Read SMPLify-X's output: a folder per picture and a file per person."""
     names = (*SMPLX_FIELDS, "betas", "camera_translation")
     return stacked(found, (
         (path.stem, number_in(path.parent.name), _some(path, names))
@@ -123,7 +123,7 @@ def smplifyx(where: str, found: Path) -> list[SeenPerson]:
 
 
 def smplerx_files(found: Any) -> list[tuple[str, int, Path]]:  # noqa: ANN401
-    """SeenPerson, frame and file of each ``smplx/00001_0.npz``."""
+    """Return person, frame and file of each ``smplx/00001_0.npz``."""
     inner = isinstance(found, Path) and (found / "smplx").is_dir()
     files = files_in(found / "smplx" if inner else found, "*.npz")
     matches = ((path, _NAME.fullmatch(path.name)) for path in files)
@@ -131,7 +131,7 @@ def smplerx_files(found: Any) -> list[tuple[str, int, Path]]:  # noqa: ANN401
 
 
 def smplerx(where: str, found: Path) -> list[SeenPerson]:
-    """A file a frame and person, and its lens in a file of the same name in ``meta/``."""
+    """Read SMPLer-X's files: one per frame and person, the lens under that name in ``meta/``."""
     lens = lambda path: path.parent.parent / "meta" / path.with_suffix(".json").name
     names = (*SMPLX_FIELDS, "transl", "betas")
     return stacked(found, (
@@ -151,7 +151,7 @@ def is_parameters(found: Any) -> bool:  # noqa: ANN401
 
 
 def parameters(where: str, found: Any) -> Iterator[SeenPerson]:  # noqa: ANN401
-    """One person in a file, or in a file a frame, by the names of :mod:`.fields`."""
+    """Read one person from a file, or from one file per frame, by the names of :mod:`.fields`."""
     if isinstance(found, dict):
         if (name := translation_name(found)) is None:
             raise InputError(f"{where}: holds no translation; expected transl (T, 3) in the camera")

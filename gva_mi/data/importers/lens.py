@@ -1,7 +1,7 @@
-"""The lens of a video: what an estimator assumed, what the recording says, what a user gives.
+"""The lens of a video: assumed by an estimator, recorded in the file, or given by the user.
 
-Photographs by EXIF, and films of some phones by a key of QuickTime, say which lens of 35 mm film
-shows as much. Diagonals are compared; that film's is 43.27 mm:
+Photographs (EXIF) and films of some phones (a QuickTime key) record the equivalent focal length on
+35 mm film. It refers to equal diagonals; that film's is 43.27 mm:
 
 1. ``f = millimetres · diagonal / 43.27``,   ``diagonal = √(W² + H²)`` pixels
 
@@ -41,18 +41,18 @@ _EXIF, _IN_35MM = 0x8769, 41989  # the photograph's tags among the file's, and t
 
 
 def pinhole_K(focal: object, centre: object) -> np.ndarray:
-    """K (3, 3) of a focal length, or two (fx, fy), and a principal point (cx, cy), pixels."""
+    """Return K (3, 3) of a focal length, or two (fx, fy), and a principal point, pixels."""
     (fx, fy), (cx, cy) = np.broadcast_to(np.ravel(focal), 2), np.ravel(centre)
     return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64)
 
 
 def lens_of(path: Path) -> np.ndarray:
-    """K (3, 3) of a JSON file."""
+    """Read K (3, 3) from a JSON file."""
     return lens_in(path, read_json(path, CAMERA))
 
 
 def lens_in(where: object, about: Mapping[str, Any]) -> np.ndarray:
-    """K (3, 3) of a camera's ``focal`` and ``princpt``, or as a fork of SMPLest-X names them."""
+    """Return K (3, 3) of ``focal`` and ``princpt``, or of the names in a fork of SMPLest-X."""
     try:
         named = (("focal", "focal_length"), ("princpt", "principal_point"))
         return pinhole_K(*(np.reshape(about.get(a, about.get(b)), 2) for a, b in named))
@@ -61,12 +61,12 @@ def lens_in(where: object, about: Mapping[str, Any]) -> np.ndarray:
 
 
 def centred(focal: float, size: tuple[int, int]) -> np.ndarray:
-    """K (3, 3) of a lens whose axis meets the middle of a picture of ``size`` (W, H)."""
+    """Return K (3, 3) of a lens whose axis meets the middle of a picture of ``size`` (W, H)."""
     return pinhole_K(focal, (size[0] / 2, size[1] / 2))
 
 
 def rescaled(where: str, K: np.ndarray, of: Sequence[float], size: tuple[int, int]) -> np.ndarray:
-    """K (..., 3, 3) of pictures of the size ``of`` (W, H), for pictures of ``size``."""
+    """Rescale K (..., 3, 3) from pictures of the size ``of`` (W, H) to pictures of ``size``."""
     factors = np.array(size, np.float64) / np.maximum(of, 1e-9)
     if not abs(factors[0] / factors[1] - 1) <= _SAME_SHAPE or min(of) < 1:
         raise InputError(
@@ -79,7 +79,7 @@ def rescaled(where: str, K: np.ndarray, of: Sequence[float], size: tuple[int, in
 def filmed_with(
     track: Track, given: str | None, frames: Pictures, size: tuple[int, int]
 ) -> tuple[Track, list[str]]:
-    """A person through the lens that the video of ``size`` (W, H) was filmed with, and notes.
+    """Return a track adapted to the lens of the video of ``size`` (W, H), and notes.
 
     ``given`` is the user's focal length, as :func:`asked_for` reads it; None keeps the one that the
     estimator assumed.
@@ -101,7 +101,7 @@ def filmed_with(
 
 
 def through_lens(track: Track, focal: float) -> Track:
-    """A track as a lens of ``focal`` pixels sees it, of an estimator that assumed another one.
+    """Adapt a track to a lens of ``focal`` pixels if the estimator assumed another one.
 
     The person keeps place and size in the picture: the pelvis moves along the camera's axis, as
     many times as far away as the lens is longer. The person turns with the ray on which the pelvis
@@ -118,7 +118,7 @@ def through_lens(track: Track, focal: float) -> Track:
 
 
 def in_pixels(millimetres: float, size: tuple[int, int]) -> float:
-    """Eq. 1, for pictures of ``size`` (W, H)."""
+    """Convert a 35 mm focal length to pixels (eq. 1), for pictures of ``size`` (W, H)."""
     longer, shorter = max(size), min(size)
     whole = longer <= _WIDEST * shorter
     diagonal = np.hypot(longer, shorter) if whole else 1.25 * longer
@@ -126,7 +126,7 @@ def in_pixels(millimetres: float, size: tuple[int, int]) -> float:
 
 
 def recorded(source: Pictures, size: tuple[int, int]) -> float | None:
-    """Focal length in pixels that a film's file, or the first picture's, records; None: none."""
+    """Return the focal length (pixels) recorded in the film or first picture; None without one."""
     files = files_of(source)
     if files is None:
         found = in_pixels(numbers(source).get(_QUICKTIME, 0), size)
@@ -136,7 +136,7 @@ def recorded(source: Pictures, size: tuple[int, int]) -> float | None:
 
 
 def asked_for(text: str, of_file: float | None, size: tuple[int, int]) -> float:
-    """The focal length in pixels of a user's text: pixels, "26mm" of 35 mm film, or "recorded".
+    """Parse a user's focal length to pixels: pixels, "26mm" of 35 mm film, or "recorded".
 
     ``of_file`` is what the video of ``size`` (W, H) records, in pixels.
     """
@@ -158,7 +158,7 @@ def asked_for(text: str, of_file: float | None, size: tuple[int, int]) -> float:
 
 
 def _of_photograph(path: Path, size: tuple[int, int]) -> float:
-    """The focal length that EXIF records, in pixels; 0: none."""
+    """Return the focal length that EXIF records, in pixels; 0 without one."""
     with opened(path) as image:
         try:
             tags = image.getexif().get_ifd(_EXIF)

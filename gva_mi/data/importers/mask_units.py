@@ -1,4 +1,4 @@
-"""What the numbers of masks mean: 0 to 1, 0 to 255, 16 bits, or labels that are no masks.
+"""Value range of masks: 0 to 1, 0 to 255, 16 bits, or labels that are no masks.
 
 One mask alone says little: a person who has left the picture has an empty one. Over all masks of a
 video, some pixel must be inside and some outside.
@@ -15,7 +15,7 @@ _FEW = 6  # values that are named
 
 
 def full_value(mask: np.ndarray) -> int:
-    """What is fully inside in a mask: 1, 255, or 65535 where it has 16 bits."""
+    """Return the value that is fully inside: 1, 255, or 65535 if a mask has 16 bits."""
     most = mask.max(initial=0)
     if mask.dtype.kind == "b" or most <= 1:
         return 1
@@ -23,7 +23,7 @@ def full_value(mask: np.ndarray) -> int:
 
 
 def to_8_bits(where: str, mask: np.ndarray, full: int) -> np.ndarray:
-    """A mask (H, W) of any numbers as 8 bits, 255 inside; ``full`` is the value fully inside."""
+    """Convert a mask (H, W) to 8 bits, 255 inside; ``full`` is its value for fully inside."""
     low, high = (mask.min(), mask.max()) if mask.size else (0, 0)
     if not 0 <= low <= high <= full:  # NaN is neither
         raise InputError(
@@ -34,7 +34,7 @@ def to_8_bits(where: str, mask: np.ndarray, full: int) -> np.ndarray:
 
 
 def require_person(where: str, counts: np.ndarray) -> None:
-    """Refuse a video's masks if no pixel is inside, or all are; ``counts`` (256,) is of values."""
+    """Refuse a video's masks if no pixel or every pixel is inside; ``counts`` (256,) per value."""
     values = np.flatnonzero(counts).tolist()
     if not values or values[0] <= BARELY < values[-1]:
         return

@@ -1,13 +1,13 @@
-"""Motions of AMASS, AIST++, pose estimators and the like, as poses that drive an avatar.
+"""Convert motions of AMASS, AIST++, pose estimators and others to poses that drive an avatar.
 
 Facts about the files are from the public descriptions of AMASS (nghorbani/amass) and AIST++
 (google/aistplusplus_api). A file may hold ``poses`` of any body, or parts of them; translations in
 metres, or in centimetres with ``smpl_scaling``; a frame rate under several names; NaN where markers
 were lost; angles of more than half a turn; and any axis may be up.
 
-What an estimator saw is a motion of the world where it found one, or where its camera's path is
-known; else of the camera's axes, and then the camera is taken to stand still. Estimators that
-assume a lens far too long are refused: their steps toward the camera are too large by as much.
+An estimator's motion is in world axes if the estimator gives them or the camera's path; else in
+camera axes, and then the camera is assumed to stand still. Estimators that assume a far too long
+lens are refused, because their motion toward the camera is too large by the same factor.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ FrameRate = Annotated[float, Within(0, FASTEST, "low")]
 
 @dataclass(frozen=True)
 class MotionOptions:
-    """How a motion is brought to this program's conventions."""
+    """Options of the conversion of a motion to this program's conventions."""
 
     fps: FrameRate = 25.0  # frames a second of the poses; gva-mi render plays 25
     # Frames a second of the source; without it, what its file says.
@@ -115,7 +115,7 @@ def read_motion(path: Path, body: TargetBody, options: MotionOptions) -> Motion:
 def _read(
     path: Path, body: TargetBody, options: MotionOptions
 ) -> tuple[Track, float, np.ndarray, list[str]]:
-    """One person's track, frames a second, betas (B,), and notes."""
+    """Read one person's track, frames per second, betas (B,), and notes."""
     where, found = str(path), read_source(path, EXPECTED)
     refuse_mhr(where, first_of(found))
     if not isinstance(found, dict | Path) or not found:
@@ -153,7 +153,7 @@ def _estimated(
     person: str | None,
     components: np.ndarray | None,
 ) -> tuple[Track, list[str]]:
-    """One person of what an estimator wrote, in the axes that the module's docstring says."""
+    """Return one person of an estimator's output, in world or camera axes (module docstring)."""
     if record.needs_video:
         raise InputError(
             f"{path}: written by {kind}, whose places follow from a lens that it assumed; expected "
@@ -173,7 +173,7 @@ def _estimated(
 
 
 def _timeline(where: str, track: Track) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rotations (T, 55, 3), translations (T, 3) and whether they are known (T,), first to last.
+    """Return rotations (T, 55, 3), translations (T, 3) and known (T,), first to last frame.
 
     Frames that an estimator left out are NaN.
     """
@@ -202,7 +202,7 @@ def _check_gaps(where: str, known: np.ndarray, rate: float, options: MotionOptio
 
 
 def _rate(where: str, found: Mapping[str, Any], options: MotionOptions) -> float:
-    """Frames a second of the source; 120.00004 is 120."""
+    """Return the source's frames per second; 120.00004 becomes 120."""
     if options.source_fps is not None:
         return options.source_fps
     name = next((name for name in RATES if name in found), None)
@@ -223,7 +223,7 @@ def _rate(where: str, found: Mapping[str, Any], options: MotionOptions) -> float
 
 
 def _refuse_folder(path: Path) -> None:
-    """Say what a folder holds, and which motions are read."""
+    """Raise an InputError that says what a folder holds, and which motions can be read."""
     names = sorted(x.name + "/" * x.is_dir() for x in path.iterdir())
     held = f"{', '.join(names[:5])}{', ...' if len(names) > 5 else ''}" if names else "nothing"
     poses = [name for name in ("poses_refined.npz", "poses.npz") if name in names]

@@ -1,4 +1,4 @@
-"""Data sets that many cameras filmed; one of them, ``--camera``, becomes the video.
+"""Readers of multi-camera data sets; one camera, ``--camera``, becomes the video.
 
 Their forms are those of the public code of zju3dv/neuralbody, zju3dv/EasyMocap and
 lizhe00/AnimatableGaussians; ``docs/sources.md`` lists the files. ZJU-MoCap's ``T`` is in
@@ -59,7 +59,7 @@ def zju(where: str, folder: Path, camera: str | None) -> Capture:
 
 
 def _zju_camera(folder: Path, found: Mapping[str, Any], k: int) -> FixedCamera:
-    """The k-th camera; frames go by their place in the list."""
+    """Read ZJU-MoCap's k-th camera; frames are numbered by their place in the list."""
     K, D, R, T = (np.asarray(found["cams"][key][k], np.float64) for key in "KDRT")
     names = [_inside(folder, frame["ims"][k]) for frame in found["ims"]]
     masks = folder / ("mask_cihp" if (folder / "mask_cihp").is_dir() else "mask")
@@ -71,7 +71,7 @@ def _zju_camera(folder: Path, found: Mapping[str, Any], k: int) -> FixedCamera:
 
 
 def _zju_number(path: Path) -> int:
-    """The number of a frame: of ``000010.jpg``, or of ``CoreView_313_Camera_(1)_0010_...jpg``."""
+    """Return the frame number in ``000010.jpg`` or ``CoreView_313_Camera_(1)_0010_...jpg``."""
     parts = path.stem.split("_")
     return int(parts[4]) if len(parts) > 4 else int(path.stem)
 
@@ -79,7 +79,7 @@ def _zju_number(path: Path) -> int:
 def _among(
     tracks: list[Track], name: str, own: FixedCamera, cameras: Cameras, numbers: Sequence[int]
 ) -> Capture:
-    """What one camera saw in frames of these numbers, with the others beside it."""
+    """Return the capture of one camera in frames of these numbers, with the other cameras."""
     note = f"camera {name} of {len(cameras)}; --camera takes another, --views holds others out"
     images, masks = (tuple(paths[k] for k in numbers if k in paths)
                      for paths in (own.frames, own.masks))  # fmt: skip
@@ -91,7 +91,7 @@ def _among(
 
 
 def _inside(folder: Path, name: object) -> str:
-    """A path that a file names, if it stays in the folder."""
+    """Return a path that a file names, if it stays in the folder."""
     path = PurePosixPath(str(name))
     if path.is_absolute() or ".." in path.parts:
         raise InputError(f"{folder}: names the picture '{path}', which is outside of the folder")
@@ -148,7 +148,7 @@ def _turned_about_origin(
     each: Sequence[Mapping[str, Any]],
     own: FixedCamera,
 ) -> Track:
-    """EasyMocap's parameters, of SMPL, SMPL+H or SMPL-X, as the camera ``own`` sees them."""
+    """Convert EasyMocap's parameters (SMPL, SMPL+H or SMPL-X) to the axes of the camera ``own``."""
     rows = lambda name: np.stack([np.ravel(np.asarray(p[name], np.float64)) for p in each])
     poses, turns, places = rows("poses"), rows("Rh"), rows("Th")
     form = _FORMS.get(poses.shape[1])
@@ -189,7 +189,7 @@ def _avatarrex_camera(folder: Path, name: str, lens: Mapping[str, Any]) -> Fixed
 
 
 def _chosen(folder: Path, cameras: Cameras, name: str | None) -> tuple[str, FixedCamera]:
-    """The camera of a name, or the first."""
+    """Return the camera of a name; without a name, the first."""
     if not cameras:
         raise InputError(f"{folder}: names no camera")
     name = next(iter(cameras)) if name is None else name
@@ -200,14 +200,14 @@ def _chosen(folder: Path, cameras: Cameras, name: str | None) -> tuple[str, Fixe
 
 
 def _numbered(folder: Path) -> dict[int, Path]:
-    """A camera's pictures, by the number in their names."""
+    """Return a camera's pictures by the number in their names."""
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder of pictures")
     return {number_in(path): path for path in files_of(folder)}
 
 
 def _yaml(path: Path) -> dict[str, np.ndarray]:
-    """The matrices of a file of OpenCV's, by name."""
+    """Read the matrices of an OpenCV file, by name."""
     found = {}
     for name, rows, cols, data in _MATRIX.findall(path.read_text(errors="replace")):
         found[name] = np.array([float(x) for x in data.split(",")]).reshape(int(rows), int(cols))

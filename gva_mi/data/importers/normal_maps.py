@@ -1,4 +1,4 @@
-"""Normal maps that another program left in a folder: one of a whole frame each.
+"""Read another program's normal maps from a folder: each shows a whole frame.
 
 Maps belong to frames by the last number in their names: that of the frame's own file where frames
 are files; of a film, the first is 0, or 1 where the maps count from 1 to the last.
@@ -25,10 +25,10 @@ from gva_mi.splat import Camera
 
 
 def maps_of(folder: Path, frames: Pictures, count: int, loose: bool) -> dict[int, Path]:
-    """The map of each frame that has one.
+    """Return the map file of each frame that has one.
 
-    The subject's frames are the first ``count`` of ``frames``; with ``loose``, maps of no frame are
-    passed over.
+    The subject's frames are the first ``count`` of ``frames``; with ``loose``, maps without a frame
+    are ignored.
     """
     kinds = (*PICTURES, ".npy")
     paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in kinds)
@@ -104,7 +104,7 @@ def _number(path: Path) -> int:
 
 
 def _read(path: Path, camera: Camera) -> np.ndarray:
-    """A map as it is stored, (H, W, 3) 8-bit or float32."""
+    """Read a map as it is stored, (H, W, 3) 8-bit or float32."""
     stored = read_map(path)
     if stored.dtype.kind == "f":
         stored = np.nan_to_num(stored.astype(np.float32))

@@ -10,7 +10,7 @@ import numpy as np
 
 
 def number_in(name: object, which: int = -1) -> int:
-    """The last number in a file's name, by which most programs number frames; ``which`` 0: first.
+    """Return the last number in a file's name, usually the frame number; ``which`` 0: first.
 
     Raises:
         ValueError: there is none.
@@ -22,13 +22,13 @@ def number_in(name: object, which: int = -1) -> int:
 
 
 def by_number(path: Path) -> tuple[int, str]:
-    """A sort key: frame_2 comes before frame_10, names without a number come first."""
+    """Return a sort key: frame_2 before frame_10, names without a number first."""
     numbers = re.findall(r"\d+", path.stem)
     return (int(numbers[-1]) if numbers else -1, path.name)
 
 
 def frame_numbers(value: Any) -> np.ndarray:  # noqa: ANN401
-    """Frame numbers (n,) of an array in a file.
+    """Convert an array in a file to frame numbers (n,).
 
     Raises:
         ValueError: they are not whole numbers.

@@ -1,4 +1,4 @@
-"""Data sets that one camera filmed: InstantAvatar's form of People-Snapshot, ExAvatar's folder.
+"""Readers of one-camera data sets: InstantAvatar's form of People-Snapshot, ExAvatar's folder.
 
 Their forms are those of the public code of tijiang13/InstantAvatar and mks0601/ExAvatar;
 ``docs/sources.md`` lists the files. Poses are of a world, which the camera's pose takes to the
@@ -67,7 +67,7 @@ def exavatar(where: str, folder: Path, camera: str | None) -> Capture:
 
 
 def _splits(folder: Path, numbers: list[int]) -> Splits | None:
-    """ExAvatar's two lists of frames, where both are there."""
+    """Read ExAvatar's lists of train and test frames, if both exist."""
     paths = [folder / f"frame_list_{name}.txt" for name in ("train", "test")]
     if not all(path.is_file() for path in paths):
         return None

@@ -1,4 +1,4 @@
-"""A data set's other cameras, as views of the subject that are held out: :mod:`gva_mi.data.views`.
+"""Write a data set's other cameras as held-out views of the subject: :mod:`gva_mi.data.views`.
 
 With E = [R T] of a camera in the data set's world, and the video's camera turned upright by W,
 
@@ -26,7 +26,7 @@ ALL = "all"  # in the place of names
 
 
 def known_names(where: str, capture: Capture, names: Sequence[str]) -> list[str]:
-    """The names of the cameras that ``names`` hold out; "all" is every other camera."""
+    """Return the names of the held-out cameras; "all" in ``names`` means every other camera."""
     there = capture.others
     names = list(there) if list(names) == [ALL] and there else list(names)
     for name in names:
@@ -91,7 +91,7 @@ def _is_there(other: FixedCamera, number: int) -> bool:
 
 
 def _pair(other: FixedCamera, number: int, capture: Capture) -> tuple[np.ndarray, np.ndarray]:
-    """A picture and its mask, 255 inside."""
+    """Read a picture and its mask, 255 inside."""
     image = next(pictures((other.frames[number],), 3))
     mask = next(capture.read_masks((other.masks[number],)))
     if mask.shape != image.shape[:2]:

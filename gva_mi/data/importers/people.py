@@ -1,8 +1,8 @@
-"""Which of an estimator's people is the subject: by name, by the masks, or by how long it is seen.
+"""Choose the subject among an estimator's people: by name, by masks, or by number of frames.
 
-A person's joints lie inside the person's mask. Each joint in each frame votes: for, where it is
-inside the mask, against, where it is outside. So a passer-by who is seen for long collects votes
-against, and does not win by length.
+A person's joints lie inside the person's mask. In each frame a joint inside the mask is a vote for
+its person, and a joint outside a vote against. So a passer-by in many frames collects votes
+against, and does not win by number of frames.
 
 A joint of a track is seen at ``K (t + p + place of the joint relative to the pelvis)``, with t the
 track's translation and p the pelvis at rest of the estimator's body. Places relative to the pelvis
@@ -30,11 +30,11 @@ def choose(
     person: str | None,
     votes: Callable[[], np.ndarray] | None,
 ) -> tuple[Track, list[str]]:
-    """Choose the subject among a track a person, and say how.
+    """Choose the subject among the tracks, and return it with a note that says how.
 
     ``person`` is the estimator's name of one. ``votes`` are joints (n, 2) of each track inside the
-    masks and outside, called only where masks decide. Where nobody lies in them, the person who is
-    seen in most frames is taken.
+    masks and outside, called only if masks decide. If no track lies in them, the one with most
+    frames is chosen.
     """
     if not tracks:
         raise InputError(f"{where}: holds nobody; expected one person at least")
@@ -84,7 +84,7 @@ def joints_in_masks(
 
 
 def _votes(pixels: np.ndarray, inside: np.ndarray) -> tuple[int, int]:
-    """How many of (J, 2) pixels are inside a mask (H, W), and how many outside."""
+    """Count the pixels (J, 2) inside and outside of a mask (H, W)."""
     height, width = inside.shape
     # A joint that is not finite, or behind the camera, is beyond the border.
     u, v = np.floor(np.nan_to_num(pixels, nan=-1.0, posinf=-1.0, neginf=-1.0).clip(-1, 1e6)).T
@@ -94,7 +94,7 @@ def _votes(pixels: np.ndarray, inside: np.ndarray) -> tuple[int, int]:
 
 
 def joint_pixels(track: Track, joints: np.ndarray, count: int = BODY.stop) -> np.ndarray:
-    """Pixels (n, count, 2) of a track's first joints, by default root and body.
+    """Project a track's first joints, by default root and body, to pixels (n, count, 2).
 
     They are not finite behind the camera. ``joints`` are (55, 3) of a body at rest, metres.
     """
@@ -107,7 +107,7 @@ def joint_pixels(track: Track, joints: np.ndarray, count: int = BODY.stop) -> np
 
 
 def follow(places: Sequence[Sequence[np.ndarray]]) -> list[list[str]]:
-    """Name people whom an estimator does not track: the nearest one of the frames before goes on.
+    """Track people without ids: each continues the nearest person of earlier frames.
 
     ``places`` are those of each frame's people, (3,) metres each. Names begin with "0".
     """

@@ -110,7 +110,7 @@ def prepare_folder(
 def _capture(
     kind: str, source: Path, options: PrepareOptions, components: np.ndarray | None
 ) -> tuple[str, Capture, tuple[int, int]]:
-    """The kind of a source, the people and pictures it comes with, and the pictures' size."""
+    """Return the kind of a source, its people and pictures, and the pictures' size."""
     if kind == "auto" and source.is_dir():
         kind = dataset_of(source) or kind
     if kind in DATASETS and options.lens is not None:
@@ -142,7 +142,7 @@ def _write_pictures(
     progress: Progress | None,
     expected: int,
 ) -> int:
-    """Write frames and masks, side by side; returns how many there are."""
+    """Write frames and masks into their folders; return the number of frames."""
     count, values = 0, np.zeros(256, np.int64)
     straight = straight or (lambda image: image)
     for image, mask in _pairs(capture):
@@ -166,7 +166,7 @@ def _write_pictures(
 
 
 def _pairs(capture: Capture) -> Iterator[tuple[np.ndarray, np.ndarray | None]]:
-    """Each picture with its mask; None where there are no masks."""
+    """Yield each picture with its mask; None without masks."""
     images = pictures(capture.frames, 3)
     if capture.masks is None:
         yield from ((image, None) for image in images)
@@ -184,7 +184,7 @@ def _pairs(capture: Capture) -> Iterator[tuple[np.ndarray, np.ndarray | None]]:
 
 
 def _write_poses(out: Path, track: Track, body: TargetBody) -> list[str]:
-    """Write ``poses.npz`` of a body in the world, its pelvis where the source's is; notes."""
+    """Write ``poses.npz`` of a body in the world, its pelvis at the source's; return notes."""
     betas, notes = median_betas(track.betas)
     if not body.keeps_betas(track.form):
         betas = np.zeros(10)

@@ -22,38 +22,38 @@ Spread = Annotated[float, Within(0, 1000, "low")]
 class PrepareOptions:
     """Options of ``prepare`` beside the source."""
 
-    # The body in SMPL-X's format that the poses are for, and that the other steps will be given; or
-    # the word puppet for the built-in one, which keeps rotations and no shape.
+    # The body of the poses and of all later steps, in SMPL-X's format; or the word puppet for the
+    # built-in one, which keeps rotations and no shape.
     body: Path
     frames: Path | None = None  # a film, or a folder of pictures; a data set has its own
-    # A film, a folder of pictures, or a .npy (T, H, W); as many as frames; a data set has its own.
+    # A film, a folder of pictures, or a .npy (T, H, W), one mask per frame; a data set has its own.
     # Or the word sam, with --sam-checkpoint.
     masks: Path | None = None
-    person: str | None = None  # the estimator's name of the person; without it, who is in the masks
+    person: str | None = None  # the estimator's name of the person; without it, chosen by the masks
     # The number that the estimator gave the first frame; SMPLer-X starts at 1.
     first: Annotated[int, Within(0, 1_000_000_000)] = 0
-    # Focal length in pixels, where the estimator's file says none.
+    # Focal length in pixels, for an estimator's file without one.
     focal: Annotated[float, Within(0, 1e6, "low", "pixels")] | None = None
-    # Focal length that it was filmed with, where the estimator assumed another: in pixels, as of
-    # 35 mm film, such as 26mm, or recorded, what the file of the video says; the person moves to
-    # where the picture stays the same.
+    # True focal length, if the estimator assumed another: in pixels; of 35 mm film, such as 26mm;
+    # or recorded, the value in the video's file. The person moves so that the picture stays the
+    # same.
     lens: str | None = None
     camera: str | None = None  # the name of a data set's camera; without it, the first
     # Names of a data set's other cameras, whose pictures are held out as novel views for evaluate;
     # or all.
     views: tuple[str, ...] = ()
-    # Of the video, by each of these cameras, evenly spaced.
+    # Frames that each of these cameras contributes, evenly spaced.
     view_frames: Annotated[int, Within(1, 100_000)] = 8
-    sam_checkpoint: Path | None = None  # of Segment Anything or SAM 2, a folder; it makes the masks
-    # A folder of maps, one a frame by the last number in its name; or a network, .onnx, that takes
-    # (1, 3, h, w) and answers likewise.
+    sam_checkpoint: Path | None = None  # folder of Segment Anything or SAM 2, which makes the masks
+    # A folder of maps, one per frame by the last number in its name; or a network, .onnx, whose
+    # input and output are (1, 3, h, w).
     normals: Path | None = None
-    # Axes and view of the maps, or of the network's answer; icon: cut out.
+    # Axes and view of the maps, or of the network's output; icon: a square crop.
     normals_convention: Convention | None = None
-    # Pixels that the network is shown, if its file does not say.
+    # Width and height of the network's input, if its file does not say.
     normals_size: tuple[Side, Side] = NormalsSpec.size
-    normals_mean: tuple[Colour, Colour, Colour] = NormalsSpec.mean  # rgb in [0, 1], subtracted
-    normals_std: tuple[Spread, Spread, Spread] = NormalsSpec.std  # then it is divided by this
+    normals_mean: tuple[Colour, Colour, Colour] = NormalsSpec.mean  # subtracted from rgb in [0, 1]
+    normals_std: tuple[Spread, Spread, Spread] = NormalsSpec.std  # divisor after the subtraction
 
     def __post_init__(self) -> None:
         if self.normals is not None and self.normals_convention is None:

@@ -1,10 +1,10 @@
-"""Where the person is in each frame, for a network that segments what boxes and points are on.
+"""Make box and point prompts on the person in each frame, for a segmentation network.
 
 * The box holds all joints and the top of the head, with room for clothes and hair.
 * The points lie in the middle of thick parts of the body, where an estimate that is off by
   centimetres still meets the person: pelvis, chest, throat, head, and both thighs.
 * The same points of other people are marked as not the person, unless they lie near one of the
-  person's joints: who stands in front is not known.
+  person's joints, because it is unknown which person stands in front.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _PAIRS = [  # points are in the middle of these joints
 def prompts_of(
     track: Track, others: Sequence[Track], joints: np.ndarray, size: tuple[int, int]
 ) -> list[Prompt | None]:
-    """A prompt for each frame of a track; None where nothing of the person is in the picture.
+    """Return a prompt for each frame of a track; None if the person is outside the picture.
 
     Frames are the video's; ``joints`` are (55, 3) of a body at rest, metres; ``size`` is (W, H).
     """
@@ -49,7 +49,7 @@ def prompts_of(
 def _prompt(
     pixels: np.ndarray, others: Sequence[np.ndarray], size: tuple[int, int]
 ) -> Prompt | None:
-    """Of the joints (55, 2) of a person, and of others, in a picture of (W, H)."""
+    """Make a prompt from the joints (55, 2) of the person and of others; picture size (W, H)."""
     with np.errstate(invalid="ignore"):  # behind the camera
         top = pixels[_HEAD] + HEAD * (pixels[_HEAD] - pixels[_NECK])
     known = np.concatenate([pixels, top[None]])
@@ -70,7 +70,7 @@ def _prompt(
 
 
 def _points(pixels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """The points (n, 2) of a person's joints (55, 2) that are in the picture."""
+    """Return the prompt points (n, 2) of a person's joints (55, 2) that are in the picture."""
     with np.errstate(invalid="ignore"):
         places = np.stack([(pixels[a] + pixels[b]) / 2 for a, b in _PAIRS])
         return places[((places >= 0) & (places < size)).all(1)]

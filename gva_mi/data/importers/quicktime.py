@@ -1,4 +1,4 @@
-"""Numbers among a QuickTime film's metadata, of the film and of its tracks.
+"""Read the numbers in a QuickTime film's metadata, of the film and of its tracks.
 
 FFmpeg reads the keys of the film, but not those of its tracks, where phones record the lens. A film
 is boxes in boxes, each its size, four letters, and contents. ``moov``, and each ``trak`` in it, may
@@ -19,7 +19,7 @@ _TEXT, _FLOATS = 1, {23: ">f", 24: ">d"}
 
 
 def numbers(path: Path) -> dict[str, float]:
-    """The keys whose values are numbers; none for a file that is no QuickTime film.
+    """Return the keys whose values are numbers; none for a file that is no QuickTime film.
 
     The film's own keys win over those of its tracks, and the first track's over the others'.
     """
@@ -36,7 +36,7 @@ def numbers(path: Path) -> dict[str, float]:
 
 
 def _boxes(held: bytes | memoryview) -> Iterator[tuple[bytes, bytes | memoryview]]:
-    """Letters and contents of the boxes in a box, up to one that is damaged."""
+    """Yield letters and contents of the boxes in a box, up to the first damaged one."""
     at = 0
     while at + 8 <= len(held):
         size, kind = struct.unpack_from(">I4s", held, at)
@@ -50,7 +50,7 @@ def _boxes(held: bytes | memoryview) -> Iterator[tuple[bytes, bytes | memoryview
 
 
 def _numbers(meta: bytes) -> dict[str, float]:
-    """The numbers of one ``meta``, by their keys."""
+    """Return the numbers of one ``meta`` box by their keys."""
     if meta[4:8] != b"hdlr":  # as in MPEG-4, where four bytes come before
         meta = meta[4:]
     lists = dict(_boxes(meta))
@@ -65,7 +65,7 @@ def _numbers(meta: bytes) -> dict[str, float]:
 
 
 def _value(data: bytes) -> float | None:
-    """The number in a ``data`` box, after its type and its language; None: there is none."""
+    """Return the number in a ``data`` box, after type and language; None without one."""
     kind, value = int.from_bytes(data[:4], "big"), data[8:]
     if kind in _SIGNED or kind in _UNSIGNED:
         return float(int.from_bytes(value[:8], "big", signed=kind in _SIGNED))

@@ -1,4 +1,4 @@
-"""Rotations of numpy arrays: axis-angle to matrices and back, one after another, a to b."""
+"""Rotations as numpy arrays: axis-angle to matrices and back, composition, shortest rotations."""
 
 from __future__ import annotations
 
@@ -8,29 +8,29 @@ import torch
 
 
 def to_matrices(rotvecs: np.ndarray) -> np.ndarray:
-    """Rotation matrices (..., 3, 3) of axis-angle vectors (..., 3), radians."""
+    """Convert axis-angle vectors (..., 3), radians, to rotation matrices (..., 3, 3)."""
     return roma.rotvec_to_rotmat(torch.from_numpy(np.array(rotvecs, np.float64))).numpy()
 
 
 def to_rotvecs(matrices: np.ndarray) -> np.ndarray:
-    """Axis-angle vectors (..., 3) of rotation matrices (..., 3, 3)."""
+    """Convert rotation matrices (..., 3, 3) to axis-angle vectors (..., 3)."""
     return roma.rotmat_to_rotvec(torch.from_numpy(np.array(matrices, np.float64))).numpy()
 
 
 def nearest_rotations(matrices: np.ndarray) -> np.ndarray:
-    """Rotation matrices (..., 3, 3) nearest to matrices that lost digits."""
+    """Return the rotation matrices (..., 3, 3) nearest to matrices that lost digits."""
     return roma.special_procrustes(torch.from_numpy(np.array(matrices, np.float64))).numpy()
 
 
 def compose(first: np.ndarray, then: np.ndarray) -> np.ndarray:
-    """Axis-angle vectors (n, 3) of ``first`` after ``then``, each (3,) or (n, 3)."""
+    """Return the rotation R(first) R(then), axis-angle (n, 3); each is (3,) or (n, 3)."""
     a, b = np.broadcast_arrays(first, then)
     vectors = [torch.from_numpy(np.array(x, np.float64)) for x in (a, b)]
     return roma.rotvec_composition(vectors).numpy()
 
 
 def shortest(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Shortest rotations (n, 3), axis-angle, from directions a (n, 3) to directions b (n, 3)."""
+    """Return the shortest rotations, axis-angle (n, 3), from directions a (n, 3) to b (n, 3)."""
     axis = np.cross(a, b)
     sine = np.linalg.norm(axis, axis=1, keepdims=True)
     angle = np.arctan2(sine, (a * b).sum(1, keepdims=True))

@@ -1,4 +1,4 @@
-"""SMPL-X's parameters in JSON, a file a frame: OSX, NeuralAnnot, ExAvatar, forks of SMPLest-X.
+"""Read SMPL-X parameters in JSON, one file per frame: OSX, NeuralAnnot, ExAvatar, SMPLest-X forks.
 
 ===================  =================================================  =======================
 Written by           Names                                              Camera
@@ -49,7 +49,7 @@ def is_osx(found: Any) -> bool:  # noqa: ANN401
 
 
 def osx(where: str, found: Path) -> list[SeenPerson]:
-    """People numbered anew in each frame: who is nearest goes on."""
+    """Read OSX's people, which are renumbered in each frame; track the nearest person."""
     frames: dict[int, list[dict[str, np.ndarray]]] = {}
     for path in _files(found):
         content, people = read_json(path, _EXPECTED), frames.setdefault(_frame_of(path), [])
@@ -59,7 +59,7 @@ def osx(where: str, found: Path) -> list[SeenPerson]:
 
 
 def parameters(where: Path, params: Mapping[str, Any] | None = None) -> dict[str, np.ndarray]:
-    """A frame's parameters by SMPL-X's names, each flat; of the file itself without ``params``."""
+    """Return a frame's parameters, flat, by SMPL-X's names; without ``params``, the file's own."""
     params = read_json(where, _EXPECTED) if params is None else params
     row = {
         NAMES[key]: np.ravel(np.asarray(value, np.float64))
@@ -74,7 +74,7 @@ def parameters(where: Path, params: Mapping[str, Any] | None = None) -> dict[str
 
 
 def _files(found: Any) -> list[Path]:  # noqa: ANN401
-    """A folder's files of people: a fork's, those in ``smplx_param/``, or all."""
+    """Return a folder's files of people: a fork's, those in ``smplx_param/``, or all."""
     if not isinstance(found, Path):
         return []
     forks = sorted(found.glob("**/person_*/smplx_params_person_*.json"))
@@ -83,7 +83,7 @@ def _files(found: Any) -> list[Path]:  # noqa: ANN401
 
 
 def _frame_of(path: Path) -> int:
-    """The frame of a file: of a fork's folder of a run, or of the name without the person."""
+    """Return the frame number in a fork's run folder, or in a file name without the person."""
     if path.name.startswith("smplx_params_person"):
         return number_in(path.parent.parent)
     match = _FRAME_PERSON.search(path.stem)
@@ -96,7 +96,7 @@ def _frame_of(path: Path) -> int:
 
 
 def _lens(path: Path, content: Mapping[str, Any]) -> np.ndarray:
-    """K (3, 3) of a file, or of the file beside it."""
+    """Return K (3, 3) in a file, or in the file beside it."""
     if "cam_param" in content:
         return lens_in(path, content["cam_param"])
     beside = path.parent / "camera_metadata.json"

@@ -1,4 +1,4 @@
-"""``TargetBody``: the body that poses are converted to, and what it takes over from another."""
+"""``TargetBody``: the body that poses are converted to, and what it keeps of a source's poses."""
 
 from __future__ import annotations
 
@@ -42,11 +42,11 @@ class TargetBody:
         return TargetBody(body_name(path), model, joints, hands, own_betas, components)
 
     def keeps_betas(self, form: str) -> bool:
-        """Whether betas of a source of this form mean the same person here."""
+        """Whether this body can use the betas of a source with this body model."""
         return self.own_betas and form == "SMPL-X"
 
     def takes_over(self, form: str) -> str:
-        """A note: what is kept of a source of this form."""
+        """Return a note on what this body keeps of a source with this body model."""
         if self.keeps_betas(form):
             return f"for the body {self.name}: rotations, place and betas are the source's own"
         return (

@@ -36,6 +36,6 @@ def interpolate(
 
 
 def longest_gap(known: np.ndarray) -> int:
-    """The most frames in a row (T,) that are not known."""
+    """Return the length of the longest run of unknown frames; ``known`` is (T,)."""
     edges = np.flatnonzero(np.diff(np.concatenate([[True], known, [True]]).astype(int)))
     return int((edges[1::2] - edges[::2]).max(initial=0))

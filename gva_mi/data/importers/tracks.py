@@ -1,4 +1,4 @@
-"""``Track``: one person as a pose estimator saw them, frame by frame, in the camera's axes."""
+"""``Track``: a pose estimator's result for one person, frame by frame, in camera axes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ BETAS_VARY = 0.1  # standard deviation of betas over frames from which a note is
 
 @dataclass(frozen=True)
 class Track:
-    """What an estimator says of one person; frames ascend and may have gaps."""
+    """An estimator's result for one person; frames ascend and may have gaps."""
 
     person: str  # the estimator's name of them
     frames: np.ndarray  # (n,) int
@@ -38,15 +38,15 @@ class Track:
 
     @property
     def pelvis(self) -> np.ndarray:
-        """(3,) where the source's body has its pelvis at rest, metres."""
+        """Pelvis (3,) of the source's body at rest, metres."""
         return np.array(PELVIS[self.form])
 
     def sorted(self) -> Track:
-        """The track with ascending frames, each once."""
+        """Return the track with ascending frames, each once."""
         return self.where(np.unique(self.frames, return_index=True)[1])
 
     def where(self, rows: np.ndarray) -> Track:
-        """Some of its rows: a mask (n,), or row numbers."""
+        """Select rows of the track by a mask (n,) or by row numbers."""
         betas = None if self.betas is None else self.betas[rows]
         arrays = {
             name: getattr(self, name)[rows] for name in ("frames", "rotations", "transl", "K")
@@ -54,13 +54,13 @@ class Track:
         return replace(self, betas=betas, **arrays)
 
     def turned(self, turn: np.ndarray, places: np.ndarray) -> Track:
-        """The track with its root turned by ``turn`` (n, 3) and its pelvis at ``places`` (n, 3)."""
+        """Turn the track's root by ``turn`` (n, 3), and put its pelvis at ``places`` (n, 3)."""
         rotations = self.rotations.copy()
         rotations[:, 0] = compose(turn, rotations[:, 0])
         return replace(self, rotations=rotations, transl=places - self.pelvis)
 
     def seen_from(self, R: np.ndarray, T: np.ndarray) -> Track:
-        """A track of the world in a camera's axes, x_cam = R x + T; a body turns at its pelvis.
+        """Transform a track from world to camera axes, x_cam = R x + T, about its pelvis.
 
         R is (3, 3), or (n, 3, 3) of a moving camera, made a rotation where digits were lost; T is
         (3,) or (n, 3) metres.
@@ -145,7 +145,7 @@ def every_frame(where: str, track: Track, count: int) -> tuple[Track, np.ndarray
 
 
 def median_betas(betas: np.ndarray | None) -> tuple[np.ndarray, list[str]]:
-    """One person's betas (B,) of those of all frames (T, B); a note where these differ.
+    """Return one person's median betas (B,) over frames (T, B), and a note if these differ.
 
     The median is taken: a few frames that an estimator got wrong do not move it.
     """

@@ -1,4 +1,4 @@
-"""Which axis of a motion is up, and turning the motion so that y is."""
+"""Find the up axis of a motion, and turn the motion so that y is up."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _TO_Y = {  # axis-angle in quarter turns that takes an axis to y
 
 
 def joint_places(rotations: np.ndarray, transl: np.ndarray, joints: np.ndarray) -> np.ndarray:
-    """Places (T, 55, 3) of the joints of a body in ``rotations`` (T, 55, 3) axis-angle, metres.
+    """Return joint positions (T, 55, 3), metres, under ``rotations`` (T, 55, 3) axis-angle.
 
     ``transl`` is (T, 3); ``joints`` are (55, 3) of the body at rest.
     """
@@ -30,9 +30,9 @@ def joint_places(rotations: np.ndarray, transl: np.ndarray, joints: np.ndarray) 
 
 
 def up_axis(rotations: np.ndarray, transl: np.ndarray, joints: np.ndarray) -> str | None:
-    """The axis of :data:`UP` along which the head is above the feet, in the mean of all frames.
+    """Return the axis of :data:`UP` along which the head is above the feet, averaged over frames.
 
-    None where no axis is clearly up, as for a person who lies down. Arguments are those of
+    None if no axis is clearly up, as for a person who lies down. Arguments are those of
     :func:`joint_places`, with the joints of any body.
     """
     places = joint_places(rotations, transl, joints)

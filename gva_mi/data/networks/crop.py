@@ -18,7 +18,7 @@ class CropBox:
 
     @staticmethod
     def round_box(box: np.ndarray, margin: float, size: tuple[int, int] = (1, 1)) -> CropBox:
-        """The rectangle around a box (4,) left, top, right, bottom, in the proportions of ``size``.
+        """Return the rectangle around a box (4,) left, top, right, bottom, with ``size``'s aspect.
 
         ``size`` is (w, h). ``margin`` of the box's longer side is added on each side at least.
         """
@@ -31,13 +31,13 @@ class CropBox:
 
     @property
     def box(self) -> tuple[int, int, int, int]:
-        """Left, top, right, bottom."""
+        """Left, top, right, bottom, in pixels."""
         return self.left, self.top, self.left + self.width, self.top + self.height
 
     def cut(
         self, image: np.ndarray, size: tuple[int, int], fill: tuple[int, int, int]
     ) -> np.ndarray:
-        """The rectangle of a picture (H, W, 3) 8-bit, resized to ``size`` (w, h) pixels.
+        """Cut the rectangle from a picture (H, W, 3) 8-bit, and resize it to ``size`` (w, h).
 
         What lies outside of the picture gets the colour ``fill``.
         """
@@ -48,13 +48,13 @@ class CropBox:
         return np.asarray(canvas.resize(size, Image.Resampling.BILINEAR))
 
     def to_network(self, pixels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-        """Pixels (..., 2) of the picture in the resized rectangle of ``size`` (w, h)."""
+        """Convert picture pixels (..., 2) to pixels of the resized rectangle of ``size`` (w, h)."""
         scale = np.array(size) / (self.width, self.height)
         return (np.asarray(pixels, np.float64) - (self.left, self.top)) * scale
 
 
 def box_of_mask(mask: np.ndarray) -> np.ndarray | None:
-    """Left, top, right, bottom (4,) around a mask (H, W) bool; None where it is empty."""
+    """Return left, top, right, bottom (4,) of a mask (H, W) bool; None if it is empty."""
     rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
     if not len(rows):
         return None

@@ -28,7 +28,7 @@ _ASKED = "a network that takes (1, 3, h, w) and answers with normals (1, 3, h, w
 
 @dataclass(frozen=True)
 class NormalsSpec:
-    """What a network of normals takes, and what its output means."""
+    """Input and output conventions of a normal network."""
 
     convention: Convention  # axes, and the kind of view: gva_mi.data.normals
     size: tuple[int, int] = (512, 512)  # (w, h) pixels, where an ONNX file does not say it itself
@@ -37,7 +37,7 @@ class NormalsSpec:
 
 
 class NormalNetwork:
-    """A network in a file, and what it takes."""
+    """A normal network in an ONNX file, with its conventions."""
 
     def __init__(self, path: Path, spec: NormalsSpec) -> None:
         """Read the file."""
@@ -74,7 +74,7 @@ class NormalNetwork:
         return crop, self._unit_normals(answer)
 
     def _unit_normals(self, answer: np.ndarray) -> np.ndarray:
-        """Unit normals (h, w, 3) of the network's output."""
+        """Convert the network's output to unit normals (h, w, 3)."""
         if answer.ndim != 4 or answer.shape[:2] != (1, 3) or answer.dtype.kind != "f":
             raise InputError(
                 f"{self.path}: answers with {answer.dtype} {answer.shape}; expected {_ASKED}"
@@ -94,7 +94,7 @@ class NormalNetwork:
 
 
 def _from_unit(normals: np.ndarray) -> float:
-    """Median distance of the vectors (h, w, 3) from unit length."""
+    """Return the median deviation of the vectors (h, w, 3) from unit length."""
     return float(np.median(np.abs(np.linalg.norm(normals, axis=-1) - 1)))
 
 

@@ -41,7 +41,7 @@ _NOTHING = 32.0  # a logit of certainty: beyond the last frame's crop, all is ou
 
 @dataclass(frozen=True)
 class Prompt:
-    """Where the person is, in the pixels of a picture; the first one's centre is at 0.5."""
+    """Box and points on the person, in picture pixels; the first pixel's centre is at 0.5."""
 
     box: np.ndarray  # (4,) left, top, right, bottom
     points: np.ndarray  # (n, 2) on the person, or on others
@@ -50,14 +50,14 @@ class Prompt:
 
 @dataclass(frozen=True)
 class MaskGuess:
-    """A mask that was found in a picture."""
+    """A mask that the network found in a picture."""
 
     mask: np.ndarray  # (H, W) bool
     crop: CropBox
     logits: torch.Tensor  # (h, w) of the crop, above zero inside
 
     def seen_in(self, crop: CropBox) -> torch.Tensor:
-        """The logits (h, w) resampled to another crop; beyond this one all is outside."""
+        """Resample the logits (h, w) to another crop; beyond this one all is outside."""
         size = self.logits.shape[0]
         centres = (np.arange(size) + 0.5) / size * crop.width
         x, y = centres + crop.left - self.crop.left, centres + crop.top - self.crop.top
@@ -71,7 +71,7 @@ class MaskGuess:
 
 
 class SegmentAnything:
-    """A network that segments what boxes and points are on."""
+    """A segmentation network that box and point prompts guide."""
 
     def __init__(self, network: torch.nn.Module) -> None:
         self.network = network
@@ -105,7 +105,7 @@ class SegmentAnything:
     def _guess(
         self, embeddings: object, crop: CropBox, prompt: Prompt, last: torch.Tensor | None
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Logits (n, h, w) of the crop, and the overlaps (n,) that the network predicts."""
+        """Return logits (n, h, w) of the crop, and the overlaps (n,) that the network predicts."""
         # The network itself adds half a pixel to its input.
         place = lambda x: torch.from_numpy(crop.to_network(x, self.size).astype(np.float32) - 0.5)
         found = self.network(
@@ -148,7 +148,7 @@ def load_network(path: Path) -> torch.nn.Module:
 
 
 def _agreement(inside: torch.Tensor, crop: CropBox, prompt: Prompt) -> float:
-    """How well a guess (h, w) agrees with a prompt, in [−1, 2]."""
+    """Score how well a guess (h, w) agrees with a prompt, in [−1, 2]."""
     side = inside.shape[0]
     place = np.floor(crop.to_network(prompt.points, (side, side))).astype(int).clip(0, side - 1)
     hits, own = inside.numpy()[place[:, 1], place[:, 0]], prompt.labels == 1
@@ -161,7 +161,7 @@ def _agreement(inside: torch.Tensor, crop: CropBox, prompt: Prompt) -> float:
 
 
 def _overlap(guess: torch.Tensor, last: torch.Tensor | None) -> float:
-    """Intersection over union of two guesses; 0 without a last one."""
+    """Return the IoU of two guesses; 0 without an earlier one."""
     if last is None:
         return 0.0
     both, either = (guess > 0) & (last > 0), (guess > 0) | (last > 0)
@@ -169,7 +169,7 @@ def _overlap(guess: torch.Tensor, last: torch.Tensor | None) -> float:
 
 
 def _in_picture(logits: torch.Tensor, crop: CropBox, shape: tuple[int, int]) -> np.ndarray:
-    """The mask (H, W) bool of a crop's logits."""
+    """Convert a crop's logits to the picture's mask (H, W) bool."""
     whole = torch.nn.functional.interpolate(
         logits[None, None], (crop.height, crop.width), mode="bilinear", align_corners=False
     )[0, 0]

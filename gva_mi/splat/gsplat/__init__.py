@@ -1,7 +1,7 @@
 """gsplat's ``rasterization`` on a CPU, with the ``meta`` that gsplat's strategies read.
 
 ==================  ==========================================================
-``rasterization``   the function: change one import, keep the program
+``rasterization``   the function, a drop-in replacement for gsplat's
 ``arguments``       checks of its arguments, by the names the caller used
 ``views``           all pictures of one call, and their ``meta``
 ``means2d``         ``meta["means2d"]`` as a node of torch's graph

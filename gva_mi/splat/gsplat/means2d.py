@@ -6,10 +6,10 @@ losses on it. Therefore it lies between the means and the images:
     means, T_camera_world, K            -> ProjectMeans -> means2d, depths, echo, drawn
     means2d, echo, and all the tensors  -> Render       -> images
 
-The kernels run once, in ProjectMeans. In backward they carry the images' gradient to the means and
-the camera themselves, and also tell ``means2d`` its share. That share must not be counted twice, so
-``echo`` receives the same share: ProjectMeans carries on only the difference between the two, which
-is what hooks and other losses changed.
+The kernels run once, in ProjectMeans. In backward they propagate the images' gradient to the means
+and the camera themselves, and also give ``means2d`` its share. To count that share only once,
+``echo`` receives it too: ProjectMeans propagates only the difference between the two, which hooks
+and other losses caused.
 """
 
 from __future__ import annotations
@@ -35,7 +35,9 @@ Values = tuple[Tensor | None, ...]
 
 @one_by_one
 class ProjectMeans(torch.autograd.Function):
-    """means, T_camera_world, K, an anchor, six other tensors, a ``RenderCall``; returns as above.
+    """Autograd node from means and camera to means2d, depths, echo and the ``Drawn`` picture.
+
+    Its inputs are means, T_camera_world, K, an anchor, six other tensors and a ``RenderCall``.
 
     The others, quats to background, are detached: they get their gradients from ``Render``. The
     anchor is one of them that needs a gradient, so that ``means2d`` has a gradient where means and
@@ -100,7 +102,7 @@ def _equal(grad: Tensor, echo: Tensor) -> bool:
 
 
 def _zeros(like: Tensor) -> Tensor:
-    """Zeros of the same shape, a single number in memory: only their gradient is used."""
+    """Return zeros of the same shape, a single number in memory: only their gradient is used."""
     return like.new_zeros(()).expand_as(like)
 
 

@@ -1,7 +1,8 @@
-"""gsplat's call, ``rasterization(...)``, on a CPU: change one import, keep the program.
+"""gsplat's function ``rasterization(...)`` on a CPU: a drop-in replacement.
 
 Signature and meaning are those of gsplat 1.5.3. Arguments that only tell a GPU how to work
-(``tile_size``, ...) are accepted and change no picture. Unsupported arguments that would raise.
+(``tile_size``, ...) are accepted and change no picture. Unsupported arguments that would change it
+raise.
 """
 
 from __future__ import annotations

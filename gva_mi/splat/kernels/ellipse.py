@@ -143,7 +143,7 @@ class Rotation:
 
 @dataclass(frozen=True)
 class EllipseGradient:
-    """Gradients by what an ellipse is made of."""
+    """Gradients by the inputs of an ellipse."""
 
     J: Matrix
     R: list[Array]

@@ -23,7 +23,7 @@ from gva_mi.splat.options import SplatOptions
 
 @dataclass(frozen=True)
 class Inputs:
-    """What is differentiated, as flat Dr.Jit arrays of one precision; also gradients, tangents."""
+    """Differentiable inputs, or their gradients or tangents, as flat arrays of one precision."""
 
     means: Array  # 3 N
     geometry: Geometry
@@ -95,7 +95,7 @@ class Inputs:
 
 @dataclass(frozen=True)
 class Plan:
-    """What is the same for all kernels of a picture: constants of their code."""
+    """Constants in the code of all kernels of a picture."""
 
     options: SplatOptions  # kernel_constants()
     harmonics: bool  # whether inputs.colors holds coefficients

@@ -50,7 +50,7 @@ class Planes:
 
 @dataclass(frozen=True)
 class SavedPixels:
-    """What compositing saves for its adjoint: one number per pixel each."""
+    """State that compositing saves for its adjoint: one number per pixel each."""
 
     T: Array  # the last transmittance of eq. 13
     end: Array  # index in ``ids`` where the pixel stopped: one past the last Gaussian that it shows

@@ -1,4 +1,4 @@
-"""What a forward pass leaves for its adjoint and tangent, and what the adjoint returns."""
+"""State that a forward pass saves for its adjoint and tangent, and the adjoint's result."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from gva_mi.splat.kernels.tiles import Grid, Layout, Lists
 
 @dataclass(frozen=True)
 class SavedState:
-    """A picture, and what its adjoint and tangent need from the forward pass."""
+    """A picture, with the forward pass's state that its adjoint and tangent need."""
 
     inputs: Inputs
     plan: Plan
@@ -41,7 +41,7 @@ class SavedState:
 
 @dataclass(frozen=True)
 class Gradients:
-    """What :func:`render_adjoint` returns; None for a gradient that was not requested."""
+    """Result of :func:`render_adjoint`; None for a gradient that was not requested."""
 
     gaussians: GradientMemory
     background: list[float]  # D

@@ -1,4 +1,4 @@
-"""Colour by spherical harmonics: what a Gaussian looks like from a direction.
+"""Colour by spherical harmonics: a Gaussian's colour as seen from a direction.
 
 (8)  d   = (m - o) / |m - o|                  from the camera's position o to the mean m
 (9)  b_i = real spherical harmonics of d, i < K = (degree + 1)^2, in the sign and order of 3DGS

@@ -58,7 +58,7 @@ def test_what_is_not_refined_stays(sequence, paper, clip):
 @pytest.mark.slow
 def test_without_normals_the_silhouette_suffices(clip, body, true_pose):
     blind = replace(clip, pictures=[(mask, None) for mask, _ in clip.pictures])
-    refined = refine(blind, body, SEQUENCE)
+    refined = refine(blind, body, SequenceOptions(size=96))
     assert refined.without_normals == [0, 1, 2]
     errors = measure(
         blind, body, refined, GroundTruth(body, true_pose, clip.shape, clip.cameras)

@@ -114,7 +114,7 @@ def _overview() -> str:
         "usage: gva-mi [-h] [--version] COMMAND [OPTIONS]\n\n"
         "A monocular video of a person becomes a drivable 3D Gaussian avatar.\n\n"
         f"{verbs}\n\n"
-        "gva-mi COMMAND --help tells all options of a command."
+        "gva-mi COMMAND --help lists all options of a command."
     )
 
 

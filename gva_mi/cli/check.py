@@ -36,7 +36,7 @@ def check(
     Args:
         subject: the folder.
         poses: another file of poses than its poses.npz, such as the refined ones.
-        body: the body that its poses are for, in SMPL-X's format; without it the built-in puppet.
+        body: the body that its poses are for, in SMPL-X's format; without it the built-in body.
         json: also write all findings with all their frames to this file.
         sheet: also write a picture (.png) of some frames with the outlines of mask and body.
         overwrite: replace these files.

@@ -47,7 +47,7 @@ def demo(
     Args:
         options: size of the demo.
         out: folder for the subject, the run and the report.
-        body: a body in SMPL-X's .npz format; without it the built-in puppet.
+        body: a body in SMPL-X's .npz format; without it the built-in body.
         overwrite: replace a demo that is there.
     """
     start = time.perf_counter()

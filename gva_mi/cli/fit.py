@@ -38,7 +38,7 @@ def fit(
         options: options of the fit.
         out: the run's folder.
         poses: the poses to fit under; without it the refined ones, else those of stage 1.
-        body: a body in SMPL-X's .npz format; without it the built-in puppet.
+        body: a body in SMPL-X's .npz format; without it the built-in body.
         overwrite: replace a run that is there.
         resume: continue a run that was stopped.
     """

@@ -29,7 +29,7 @@ def motion(
         source: .npz, .npy, .pkl or .pt, or an estimator's folder; pickles run no code.
         out: the poses, .npz.
         options: options of the conversion.
-        body: the avatar's body, if it is not the built-in puppet: its pelvis stays in place when
+        body: the avatar's body, if it is not the built-in body: its pelvis stays in place when
             the world is turned upright, and hands that are components of a PCA are its own.
         overwrite: replace an existing file.
     """

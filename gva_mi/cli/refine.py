@@ -63,7 +63,7 @@ def refine(
         workers: processes on this machine; any number gives the same bits.
         scheduler: address of a dask.distributed cluster that does the work instead.
         report: also write refinement.html, with an ablation of every term of the loss.
-        body: a body in SMPL-X's .npz format; without it the built-in puppet.
+        body: a body in SMPL-X's .npz format; without it the built-in body.
         overwrite: replace existing refined poses.
     """
     if not subjects:

@@ -39,7 +39,7 @@ def track(
         options: options of the fit.
         poses: the start; without it the poses trained with the avatar, if ``run`` is a folder that
             was fitted to this video; else the refined ones, else those of stage 1.
-        body: a body in SMPL-X's .npz format; without it the built-in puppet.
+        body: a body in SMPL-X's .npz format; without it the built-in body.
         overwrite: replace existing poses.
     """
     out = subject / TRACKED_POSES

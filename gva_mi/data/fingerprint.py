@@ -80,7 +80,7 @@ def require_same_body(folder: Path, body: BodyModel) -> None:
             )
         theirs = known.get("name")
         given = f"--body with that body's file ({theirs})"
-        expected = "the built-in puppet, that is no --body" if theirs == BUILT_IN_NAME else given
+        expected = "the built-in body, that is no --body" if theirs == BUILT_IN_NAME else given
         raise InputError(
             f"{folder}: its poses were prepared for another body, {theirs} ({how}); "
             f"expected {expected}, or prepare it again for this body"

@@ -24,7 +24,7 @@ from torch import Tensor
 from gva_mi.body.pose import JOINTS, Pose
 from gva_mi.body.so3 import compose
 from gva_mi.pose.optimize import Steps
-from gva_mi.pose.prior.error_model import Noise, fit_slow_part, white_level
+from gva_mi.pose.prior.error_model import Stage1ErrorModel, fit_slow_part, white_level
 from gva_mi.pose.prior.inference import updated_process
 from gva_mi.pose.prior.process import ProcessPrior
 from gva_mi.pose.stage1 import Stage1, turns_between
@@ -32,8 +32,10 @@ from gva_mi.pose.stage1 import Stage1, turns_between
 JAW = JOINTS.index("jaw")
 # Prior of slow errors before pictures have shown them. Coefficients do much of what a jaw does: the
 # jaw would take up their errors if a turn of a few degrees were as probable.
-TURN = Noise(white=0.0, slow=0.02, memory=6.0)  # radians
-EXPRESSION = Noise(white=0.0, slow=0.25, memory=6.0)  # standard deviations of a coefficient
+TURN = Stage1ErrorModel(white=0.0, slow=0.02, memory=6.0)  # radians
+EXPRESSION = Stage1ErrorModel(
+    white=0.0, slow=0.25, memory=6.0
+)  # standard deviations of a coefficient
 
 
 @dataclass(frozen=True)
@@ -163,7 +165,7 @@ class FacePart:
 
     @staticmethod
     def map_estimate(
-        name: str, coefficients: Tensor, times: Tensor, steps: Tensor, guess: Noise
+        name: str, coefficients: Tensor, times: Tensor, steps: Tensor, guess: Stage1ErrorModel
     ) -> FacePart:
         """Return the MAP estimate for values that change by ``steps`` (n - 1, C, d)."""
         noise = replace(guess, white=white_level(steps))
@@ -196,9 +198,9 @@ class FacePart:
 
     def with_updated_prior(self, found: Tensor, seen: Tensor, steps: Tensor) -> FacePart:
         """Fit the prior again to corrections (n, C, d), by the frames (n,) that show the face."""
-        [noise] = set(self.prior.noises)
+        [noise] = set(self.prior.error_models)
         if int(seen.sum()) > 1:
             errors = -found[seen].flatten(1)
             noise = fit_slow_part(errors, self.prior.times[seen], noise.white, noise)
-        noises = [noise] * found.shape[1]
-        return self.with_prior(updated_process(self.prior, noises, found, steps), found)
+        error_models = [noise] * found.shape[1]
+        return self.with_prior(updated_process(self.prior, error_models, found, steps), found)

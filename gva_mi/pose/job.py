@@ -13,7 +13,7 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.core.options import Weight, Within, require_ranges
 from gva_mi.pose.evidence.close_ups import FinePicture
 from gva_mi.pose.evidence.masks_normals import MaskAndNormals
-from gva_mi.pose.prior.error_model import Noise
+from gva_mi.pose.prior.error_model import Stage1ErrorModel
 from gva_mi.pose.prior.ground import ContactStats
 from gva_mi.pose.stature import PEOPLE
 
@@ -51,7 +51,9 @@ class Solution:
     pose: Pose  # T frames
     shape: Shape
     offsets: Tensor  # (V, 3) displacement of the rest surface, metres
-    noise: Mapping[str, Noise] = field(default_factory=dict)  # stage 1's errors, if inferred
+    noise: Mapping[str, Stage1ErrorModel] = field(
+        default_factory=dict
+    )  # stage 1's errors, if inferred
     footing: ContactStats | None = None  # how the feet touch the ground, if inferred
     focal: float = 1.0  # factor on the focal length (gva_mi.pose.focal); not yet in the pose
 

@@ -30,7 +30,7 @@ from gva_mi.pose.evidence.masks_normals import (
 from gva_mi.pose.focal import follow
 from gva_mi.pose.job import RefineJob, RefineOptions, Solution
 from gva_mi.pose.optimize import with_frames, worse_frames
-from gva_mi.pose.prior.error_model import Noise
+from gva_mi.pose.prior.error_model import Stage1ErrorModel
 from gva_mi.pose.prior.ground import ContactStats
 from gva_mi.pose.sequence import SequenceOptions, refine_sequence, repeats
 from gva_mi.pose.single_frame import FRAMES_A_JOB, refine_single_frames
@@ -54,7 +54,9 @@ class Refined:
     seconds_per_frame: float  # summed over all workers
     cameras: list[Camera] | None = None  # of all frames if the focal length was refined
     held_out: list[int] = field(default_factory=list)  # test frames that were not used
-    noise: Mapping[str, Noise] = field(default_factory=dict)  # stage 1's errors, if inferred
+    noise: Mapping[str, Stage1ErrorModel] = field(
+        default_factory=dict
+    )  # stage 1's errors, if inferred
     footing: ContactStats | None = None  # how the feet touch the ground, if inferred
     focal: float = 1.0  # factor on the focal lengths of the video's cameras
     # Pairs of limbs that stage 1 had swapped, and in which frames.

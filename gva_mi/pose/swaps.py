@@ -110,7 +110,7 @@ def _motion(stage1: Stage1, name: str, poses: Sequence[Pose]) -> Tensor:
     left, right = _limbs(name)
     joints, process = left + right, prior_from_stage1(stage1).joints
     # A step contains the white errors of both frames.
-    white = torch.tensor([noise.white for noise in process.noises]).square()
+    white = torch.tensor([noise.white for noise in process.error_models]).square()
     square = (process.square_speed + 2 * white)[:, [CORRECTED.index(i) for i in joints]]
     rotations = [pose.rotations[:, joints] for pose in poses]
     steps = [[turns_between(a[:-1], b[1:]) for b in rotations] for a in rotations]

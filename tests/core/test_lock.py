@@ -1,4 +1,4 @@
-"""One process writes into a folder; a second one is told which; no lock outlives its process."""
+"""One process writes into a folder; a second one reports which; no lock outlives its process."""
 
 import errno
 import os

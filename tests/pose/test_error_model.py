@@ -7,7 +7,7 @@ import torch
 from gva_mi.body.pose import JAW_AND_EYES, JOINTS
 from gva_mi.pose.prior.error_model import (
     GROUPS,
-    Noise,
+    Stage1ErrorModel,
     covariance,
     fit_slow_part,
     outlier_factors,
@@ -15,7 +15,7 @@ from gva_mi.pose.prior.error_model import (
 )
 
 TIMES = torch.arange(120)
-GUESS = Noise(0.0, 0.3, 6.0)
+GUESS = Stage1ErrorModel(0.0, 0.3, 6.0)
 
 
 def draw(noise, joints=8, seed=0):
@@ -39,13 +39,13 @@ def test_every_joint_but_those_of_the_face_is_in_one_group():
 
 @pytest.mark.parametrize("white", [0.02, 0.2])
 def test_white_errors_are_separated_from_motion_and_lasting_errors(white):
-    errors = vectors(Noise(white, 0.1, 12.0))
+    errors = vectors(Stage1ErrorModel(white, 0.1, 12.0))
     errors[..., 0] += 0.05 * TIMES[:, None]  # the joint turns
     assert white_level(errors.diff(dim=0)) == pytest.approx(white, rel=0.15)
 
 
 def test_a_few_outliers_do_not_change_the_white_level():
-    errors = vectors(Noise(0.02, 0.0, 6.0))
+    errors = vectors(Stage1ErrorModel(0.02, 0.0, 6.0))
     lost = errors.clone()
     lost[40:44] += 1.0
     assert white_level(lost.diff(dim=0)) == pytest.approx(white_level(errors.diff(dim=0)), rel=0.1)
@@ -53,7 +53,7 @@ def test_a_few_outliers_do_not_change_the_white_level():
 
 @pytest.mark.parametrize("memory", [1.5, 6.0, 12.0])
 def test_size_and_memory_of_lasting_errors_are_found(memory):
-    found = fit_slow_part(draw(Noise(0.05, 0.2, memory), joints=40), TIMES, 0.05, GUESS)
+    found = fit_slow_part(draw(Stage1ErrorModel(0.05, 0.2, memory), joints=40), TIMES, 0.05, GUESS)
     assert found.slow == pytest.approx(0.2, rel=0.25)
     assert memory / 2 <= found.memory <= 2 * memory
 
@@ -64,7 +64,7 @@ def test_few_frames_keep_the_guess():
 
 
 def test_outliers_get_large_factors():
-    noise, n = Noise(0.05, 0.1, 6.0), len(TIMES)
+    noise, n = Stage1ErrorModel(0.05, 0.1, 6.0), len(TIMES)
     errors = torch.stack([draw(noise, joints=1, seed=s) for s in range(3)], -1).transpose(0, 1)
     errors[0, 50] += 0.6
     factors = torch.ones(1, n)
@@ -75,6 +75,6 @@ def test_outliers_get_large_factors():
 
 
 def test_the_covariance_is_the_sum_of_its_parts():
-    noise = Noise(0.1, 0.3, 5.0)
+    noise = Stage1ErrorModel(0.1, 0.3, 5.0)
     K = covariance([noise], torch.tensor([0, 1000]), torch.tensor([[1.0, 4.0]]))[0].numpy()
     np.testing.assert_allclose(K, [[0.01 + 2 * 0.09, 0.09], [0.09, 0.04 + 2 * 0.09]], atol=1e-8)

@@ -6,7 +6,7 @@ import roma
 import torch
 
 from gva_mi.body.pose import JOINTS, Pose, Shape
-from gva_mi.pose.prior.error_model import GROUPS, Noise
+from gva_mi.pose.prior.error_model import GROUPS, Stage1ErrorModel
 from gva_mi.pose.prior.ground import ContactStats, Ground, Soles
 from gva_mi.pose.prior.inference import AXES, describe_prior
 from gva_mi.synthetic.motion import perform, times
@@ -146,7 +146,7 @@ def test_the_gradient_is_right(soles, moving):
 
 def test_the_user_is_told_what_was_inferred():
     assert not list(describe_prior({}, ContactStats(0.004, 0.6, 0.05)))
-    noise = {name: Noise(0.01, 0.02, 6.0) for name in (*GROUPS, *AXES)}
+    noise = {name: Stage1ErrorModel(0.01, 0.02, 6.0) for name in (*GROUPS, *AXES)}
     assert len(list(describe_prior(noise, None))) == 2
     *_, ground = describe_prior(noise, ContactStats(spread=0.0072, share=0.613, lift=0.05))
     assert ground == "ground      soles stand 61% of the time, within 7 mm of one plane"

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from gva_mi.pose.prior.error_model import Noise
+from gva_mi.pose.prior.error_model import Stage1ErrorModel
 from gva_mi.pose.prior.process import ProcessPrior
 
 N = 90
@@ -15,8 +15,8 @@ def noisy(truth, white):
 
 
 def process_of(y, white, steady=False):
-    noises = [Noise(white, 0.02, 6.0)] * y.shape[1]
-    return ProcessPrior.of_stage1(TIMES, y.diff(dim=0), noises, steady)
+    error_models = [Stage1ErrorModel(white, 0.02, 6.0)] * y.shape[1]
+    return ProcessPrior.of_stage1(TIMES, y.diff(dim=0), error_models, steady)
 
 
 def estimate(y, white, steady=False):
@@ -95,7 +95,7 @@ def test_the_preconditioner_passes_lasting_errors_and_damps_tremor():
 def test_short_videos_are_no_special_case(n, steady):
     y = torch.zeros(n, 2, 3)
     process = ProcessPrior.of_stage1(
-        torch.arange(n), y.diff(dim=0), [Noise(0, 0.1, 6.0)] * 2, steady
+        torch.arange(n), y.diff(dim=0), [Stage1ErrorModel(0, 0.1, 6.0)] * 2, steady
     )
     corrections, process = process.map_estimate()
     assert torch.equal(corrections, torch.zeros_like(y))

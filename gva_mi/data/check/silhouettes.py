@@ -41,7 +41,7 @@ WORTH = 0.2
 DOUBTFUL_SIZE, WRONG_SIZE = 1.2, 1.35
 ASIDE = 0.5  # radii; an eighth of a person's height is wider than a limb
 OUTSIDE = 0.5  # of a frame's joints: a joint is in the body, so half of them outside is no chance
-LATEST = 30  # frames; whoever trims a video by more than a second sees it
+LATEST = 30  # frames; a cut of more than a second is seen without a check
 
 
 @dataclass

@@ -54,7 +54,7 @@ LEAST_WHITE = 0.1  # relative to the slow part; keeps eq. 2 from being singular
 
 
 @dataclass(frozen=True)
-class Noise:
+class Stage1ErrorModel:
     """The errors of one group of joints, or of the person's position (eq. 2)."""
 
     white: float  # standard deviation of a coordinate; radians, or metres for the position
@@ -77,12 +77,12 @@ class Noise:
         return self.slow**2 * ((1 + x) * torch.exp(-x) + 1)
 
 
-def covariance(noises: Sequence[Noise], times: Tensor, factors: Tensor) -> Tensor:
+def covariance(error_models: Sequence[Stage1ErrorModel], times: Tensor, factors: Tensor) -> Tensor:
     """Return eq. 2 (C, n, n) float64 of C models at times (n,), with factors (C, n)."""
-    lasting = {noise: noise.lasting(times) for noise in set(noises)}
-    white = torch.tensor([noise.white_variance for noise in noises], dtype=torch.float64)
+    lasting = {noise: noise.lasting(times) for noise in set(error_models)}
+    white = torch.tensor([noise.white_variance for noise in error_models], dtype=torch.float64)
     diagonal = torch.diag_embed(white[:, None] * factors.double())
-    return torch.stack([lasting[noise] for noise in noises]) + diagonal
+    return torch.stack([lasting[noise] for noise in error_models]) + diagonal
 
 
 def median_of_square(dimension: int) -> float:
@@ -99,7 +99,9 @@ def white_level(steps: Tensor) -> float:
     return float((square / 20).sqrt())
 
 
-def fit_slow_part(errors: Tensor, times: Tensor, white: float, guess: Noise) -> Noise:
+def fit_slow_part(
+    errors: Tensor, times: Tensor, white: float, guess: Stage1ErrorModel
+) -> Stage1ErrorModel:
     """Fit eq. 4.
 
     Args:
@@ -126,19 +128,21 @@ def fit_slow_part(errors: Tensor, times: Tensor, white: float, guess: Noise) -> 
     _, memory, slow = min(fits)
     trust = len(times) / (len(times) + LAGS)
     slow = trust * slow + (1 - trust) * guess.slow**2
-    return Noise(white, float(slow**0.5), memory)
+    return Stage1ErrorModel(white, float(slow**0.5), memory)
 
 
-def outlier_factors(errors: Tensor, K: Tensor, noises: Sequence[Noise], factors: Tensor) -> Tensor:
+def outlier_factors(
+    errors: Tensor, K: Tensor, error_models: Sequence[Stage1ErrorModel], factors: Tensor
+) -> Tensor:
     """Update the factors (C, n) of eq. 5.
 
     Args:
         errors: (C, n, d).
         K: (C, n, n) eq. 2 with the present factors, float64.
-        noises: C models.
+        error_models: C models.
         factors: (C, n), the present ones.
     """
-    variance = torch.tensor([noise.white_variance for noise in noises])[:, None, None]
+    variance = torch.tensor([noise.white_variance for noise in error_models])[:, None, None]
     # The expectation of the white part, given all errors.
     white = (
         variance

@@ -18,15 +18,18 @@ from torch import Tensor
 
 from gva_mi.pose.prior import motion
 from gva_mi.pose.prior.camera_tilt import TiltPrior
-from gva_mi.pose.prior.error_model import GROUPS, Noise, fit_slow_part, white_level
+from gva_mi.pose.prior.error_model import GROUPS, Stage1ErrorModel, fit_slow_part, white_level
 from gva_mi.pose.prior.ground import ContactStats, Ground
 from gva_mi.pose.prior.process import ProcessPrior
 from gva_mi.pose.stage1 import Stage1
 
 # Lasting errors before images have shown them. They are small, because a motion of a few degrees
 # must not be taken for an error. Only videos too short to infer anything keep them.
-TURN = Noise(white=0.0, slow=0.05, memory=6.0)  # radians
-PLACE = {"aside": Noise(0.0, 0.02, 6.0), "depth": Noise(0.0, 0.05, 6.0)}  # metres
+TURN = Stage1ErrorModel(white=0.0, slow=0.05, memory=6.0)  # radians
+PLACE = {
+    "aside": Stage1ErrorModel(0.0, 0.02, 6.0),
+    "depth": Stage1ErrorModel(0.0, 0.05, 6.0),
+}  # metres
 
 AXES: Mapping[str, tuple[int, ...]] = {"aside": (0, 1), "depth": (2,)}  # the camera's
 PELVIS = GROUPS["pelvis"]
@@ -61,7 +64,7 @@ class PosePrior:
         ground: a :class:`PriorTerm`, whose nats are of the whole clip; None before it is fitted.
     """
 
-    noise: Mapping[str, Noise]
+    noise: Mapping[str, Stage1ErrorModel]
     pelvis: ProcessPrior
     joints: ProcessPrior
     place: ProcessPrior
@@ -69,7 +72,9 @@ class PosePrior:
     ground: Ground | None = None
 
 
-def describe_prior(noise: Mapping[str, Noise], contact: ContactStats | None) -> Iterator[str]:
+def describe_prior(
+    noise: Mapping[str, Stage1ErrorModel], contact: ContactStats | None
+) -> Iterator[str]:
     """Yield lines for the user on stage 1's errors and foot contact, if they were inferred."""
     if not noise:
         return
@@ -129,26 +134,28 @@ def prior_from_corrections(
 
 
 def updated_process(
-    before: ProcessPrior, noises: list[Noise], corrections: Tensor, steps: Tensor
+    before: ProcessPrior, error_models: list[Stage1ErrorModel], corrections: Tensor, steps: Tensor
 ) -> ProcessPrior:
     """Update a process after corrections have shown more.
 
     Args:
         before: the process so far.
-        noises: the C updated error models.
+        error_models: the C updated error models.
         corrections: (n, C, d).
         steps: (n - 1, C, ...) from frame to frame, of the coordinates that images show.
     """
     changes = before.changes(steps)
     times = before.times[: len(changes)].float()
     square = motion.excursions(changes, motion.SPAN).square().mean(-1)
-    updated = replace(before, noises=noises).with_speeds(motion.mean_square(square, times))
+    updated = replace(before, error_models=error_models).with_speeds(
+        motion.mean_square(square, times)
+    )
     return updated.with_outlier_factors(corrections)
 
 
 def _noise(
-    before: Mapping[str, Noise], times: Tensor, turns: Tensor, moves: Tensor
-) -> dict[str, Noise]:
+    before: Mapping[str, Stage1ErrorModel], times: Tensor, turns: Tensor, moves: Tensor
+) -> dict[str, Stage1ErrorModel]:
     """Infer stage 1's error models, group by group, from corrections in the camera's axes."""
     seen = {name: turns[:, list(group), 2] for name, group in GROUPS.items()}  # line of sight
     seen |= {name: moves[:, list(axes)] for name, axes in AXES.items()}
@@ -163,10 +170,12 @@ def _noise(
     return found
 
 
-def _by_joint(noise: Mapping[str, Noise], joints: tuple[int, ...]) -> list[Noise]:
+def _by_joint(
+    noise: Mapping[str, Stage1ErrorModel], joints: tuple[int, ...]
+) -> list[Stage1ErrorModel]:
     kind = {i: name for name, group in GROUPS.items() for i in group}
     return [noise[kind[i]] for i in joints]
 
 
-def _by_axis(noise: Mapping[str, Noise]) -> list[Noise]:
+def _by_axis(noise: Mapping[str, Stage1ErrorModel]) -> list[Stage1ErrorModel]:
     return [noise[name] for name, axes in AXES.items() for _ in axes]

@@ -32,7 +32,7 @@ import torch
 from torch import Tensor
 
 from gva_mi.pose.prior import motion
-from gva_mi.pose.prior.error_model import Noise, covariance, outlier_factors
+from gva_mi.pose.prior.error_model import Stage1ErrorModel, covariance, outlier_factors
 
 ROUNDS = 8  # of eq. 2
 LEAST_SPEED = 0.02  # least speed of a joint in a frame, relative to its error
@@ -45,7 +45,7 @@ class ProcessPrior:
     Attributes:
         times: (n,) numbers of the frames.
         steps: (n - 1, C, d) ``m``; if steady, its changes (n - 2, C, d).
-        noises: C error models.
+        error_models: C error models.
         factors: (C, n) ``f``.
         square_speed: (n - 1 or n - 2, C) ``s²`` of each step.
         steady: whether constant speed is as probable as rest.
@@ -53,27 +53,27 @@ class ProcessPrior:
 
     times: Tensor
     steps: Tensor
-    noises: Sequence[Noise]
+    error_models: Sequence[Stage1ErrorModel]
     factors: Tensor
     square_speed: Tensor
     steady: bool
 
     @staticmethod
     def of_stage1(
-        times: Tensor, steps: Tensor, noises: Sequence[Noise], steady: bool = False
+        times: Tensor, steps: Tensor, error_models: Sequence[Stage1ErrorModel], steady: bool = False
     ) -> ProcessPrior:
         """Estimate the speeds from stage 1 alone.
 
         Args:
             times: (n,) numbers of the frames.
             steps: (n - 1, C, d) from frame to frame.
-            noises: C error models.
+            error_models: C error models.
             steady: whether constant speed is as probable as rest.
         """
         factors = torch.ones(steps.shape[1], len(times))
-        process = ProcessPrior(times, steps, noises, factors, steps[..., 0], steady)
+        process = ProcessPrior(times, steps, error_models, factors, steps[..., 0], steady)
         process = replace(process, steps=process.changes(steps))
-        white = torch.tensor([noise.white for noise in noises]).square()
+        white = torch.tensor([noise.white for noise in error_models]).square()
         of_white = 4 if steady else 2  # the variance of a change, for white errors of variance 1
         seen = [
             motion.usual_square(motion.excursions(process.steps, span)) - of_white * white / span
@@ -90,14 +90,14 @@ class ProcessPrior:
 
     def with_speeds(self, square_speed: Tensor) -> ProcessPrior:
         """Return the process with other speeds, one for each step."""
-        sizes = torch.tensor([noise.size for noise in self.noises])
+        sizes = torch.tensor([noise.size for noise in self.error_models])
         return replace(self, square_speed=square_speed + (LEAST_SPEED * sizes).square())
 
     def with_outlier_factors(self, corrections: Tensor) -> ProcessPrior:
         """Return the process with the outlier factors of corrections (n, C, d)."""
-        K = covariance(self.noises, self.times, self.factors)
+        K = covariance(self.error_models, self.times, self.factors)
         errors = -corrections.transpose(0, 1)
-        return replace(self, factors=outlier_factors(errors, K, self.noises, self.factors))
+        return replace(self, factors=outlier_factors(errors, K, self.error_models, self.factors))
 
     def map_estimate(self) -> tuple[Tensor, ProcessPrior]:
         """Return the MAP estimate (n, C, d), and the process with its outlier factors."""
@@ -127,8 +127,8 @@ class ProcessPrior:
 
     def variance_of_mean(self, bias: bool) -> Tensor:
         """Return the variance (C,) of stage 1's mean error, with or without its bias."""
-        K = covariance(self.noises, self.times, self.factors).mean((1, 2))
-        without = torch.tensor([noise.slow**2 for noise in self.noises])
+        K = covariance(self.error_models, self.times, self.factors).mean((1, 2))
+        without = torch.tensor([noise.slow**2 for noise in self.error_models])
         return (K if bias else K - without).float()
 
     def precision(self) -> Tensor:
@@ -154,7 +154,7 @@ class ProcessPrior:
 
     def _precision(self) -> Tensor:
         # Cholesky, because torch's batched LU fails after its number of threads was changed.
-        K = covariance(self.noises, self.times, self.factors)
+        K = covariance(self.error_models, self.times, self.factors)
         return torch.cholesky_inverse(torch.linalg.cholesky(K))
 
     def _changed(self, corrections: Tensor) -> Tensor:

@@ -1,0 +1,1 @@
+"""Stage 1 of a film: poses, shape and camera from a network's landmarks."""

@@ -1,0 +1,147 @@
+"""How far off a network's landmarks are: standard deviations in pixels, and of depths in metres.
+
+In the picture a landmark is off by a share of the person's size, because networks see people scaled
+to one size. The spread between passes adds to it, and a low confidence widens it:
+
+1. ``σ² = ((share · S)² + spread²) / confidence``,   ``S``: pixels of a person of 1.7 m
+
+Depths are guesses. Along a bone from ``i`` to ``j`` they are a damped copy of the truth: a network
+that is trained to be right on average answers less than it suspects. With the scale ``s`` of
+:meth:`gva_mi.pose.film.rig.LandmarkRig.scale`,
+
+2. ``s (m_j - m_i) = gain (z_j - z_i) + e``,   ``e``: of standard deviation ``σ_z``
+
+``gain`` and ``σ_z`` (:data:`BONES`) are rounded from BlazePose's and the hand network's answers on
+rendered people who turn, walk and sit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gva_mi.core.errors import InputError
+from gva_mi.data.landmarks import Landmarks
+
+FREEDOM = 3.0  # ν of the Student's t distribution of errors: some are far off
+PERSON = 1.7  # metres, whose pixels are S
+SHARE, HAND_SHARE = 0.012, 0.004  # of S: a point of the body, of a hand
+LEAST_CONFIDENCE = 0.05  # a landmark of less is not used
+HAND_FOUND = 0.5  # a hand of less is not used
+
+
+class BoneDepth(NamedTuple):
+    """What a network knows of the depth along a bone (eq. 2)."""
+
+    gain: float
+    sigma: float  # σ_z, metres
+
+
+# From and to; both of one side unless the names say otherwise.
+BONES = {
+    ("shoulder", "elbow"): BoneDepth(0.6, 0.04), ("elbow", "wrist"): BoneDepth(0.5, 0.07),
+    ("hip", "knee"): BoneDepth(0.6, 0.04), ("knee", "ankle"): BoneDepth(0.6, 0.05),
+    ("ankle", "foot_index"): BoneDepth(0.3, 0.05), ("shoulder", "hip"): BoneDepth(0.8, 0.05),
+    ("left_shoulder", "right_shoulder"): BoneDepth(1.0, 0.04),
+    ("left_hip", "right_hip"): BoneDepth(1.0, 0.05), ("nose", "ear"): BoneDepth(1.0, 0.03),
+    ("left_ear", "right_ear"): BoneDepth(1.0, 0.03), ("shoulder", "ear"): BoneDepth(1.0, 0.07),
+    ("wrist", "index"): BoneDepth(0.4, 0.03), ("wrist", "pinky"): BoneDepth(0.4, 0.03),
+    ("index", "pinky"): BoneDepth(0.4, 0.02),
+    ("hand_wrist", "hand_middle_mcp"): BoneDepth(0.5, 0.03),
+    ("hand_index_mcp", "hand_pinky_mcp"): BoneDepth(0.6, 0.025),
+}  # fmt: skip
+PHALANX = BoneDepth(0.5, 0.012)  # every bone of a finger
+_FINGERS = {
+    "thumb": ("cmc", "mcp", "ip", "tip"),
+    **{name: ("mcp", "pip", "dip", "tip") for name in ("index", "middle", "ring", "pinky")},
+}
+
+
+@dataclass(frozen=True)
+class LandmarkNoise:
+    """Errors of P landmarks in T frames, and of K bones' depths.
+
+    Attributes:
+        pixels: (T, P) standard deviation of x and of y, pixels; infinite without a landmark.
+        bones: (K, 2) from and to, indices of the P landmarks.
+        gain: (K,) of eq. 2.
+        depth: (T, K) ``σ_z``, metres; infinite without both landmarks.
+        size: S, pixels of a person of 1.7 m; its median over the frames.
+    """
+
+    pixels: Tensor
+    bones: Tensor
+    gain: Tensor
+    depth: Tensor
+    size: float
+
+    @staticmethod
+    def of(landmarks: Landmarks, names: Sequence[str]) -> LandmarkNoise:
+        """Say how far off the landmarks with some names are; the order is that of ``names``.
+
+        Raises:
+            InputError: no frame has a person.
+        """
+        at = landmarks.indices(names)
+        confidence = np.nan_to_num(landmarks.confidence[:, at])
+        of_hand = np.array(["_hand_" in name for name in names], bool)
+        found = np.isfinite(landmarks.pixels[:, at]).all(2)
+        found &= confidence >= np.where(of_hand, HAND_FOUND, LEAST_CONFIDENCE)
+        sizes = person_sizes(landmarks)
+        share = np.where(of_hand, HAND_SHARE, SHARE) * sizes[:, None]
+        square = share**2 + np.nan_to_num(landmarks.spread[:, at]) ** 2
+        pixels = np.sqrt(square / np.clip(confidence, LEAST_CONFIDENCE, 1))
+        known = list(_bones(names))
+        bones = np.array([pair for pair, _ in known], int).reshape(-1, 2)
+        has_depth = found & np.isfinite(landmarks.metric[:, at]).all(2)
+        both = has_depth[:, bones].all(2)
+        depth = np.where(both, [bone.sigma for _, bone in known], np.inf)
+        tensor = lambda x: torch.from_numpy(np.asarray(x, np.float32))
+        return LandmarkNoise(
+            tensor(np.where(found, pixels, np.inf)),
+            torch.from_numpy(bones),
+            tensor([bone.gain for _, bone in known]),
+            tensor(depth),
+            float(np.median(sizes)),
+        )
+
+
+def person_sizes(landmarks: Landmarks) -> np.ndarray:
+    """Return S (T,) of every frame: pixels of 1.7 m; frames without a person take the median.
+
+    S is the scale between pixels and the network's metres, by least squares over the body.
+
+    Raises:
+        InputError: no frame has a person.
+    """
+    body = [k for k, name in enumerate(landmarks.names) if "_hand_" not in name]
+    x, m = landmarks.pixels[:, body].astype(float), landmarks.metric[:, body, :2].astype(float)
+    seen = np.isfinite(x).all(2) & np.isfinite(m).all(2)
+    weights = (seen / np.maximum(seen.sum(1, keepdims=True), 1))[..., None]
+    x, m = np.where(seen[..., None], x, 0), np.where(seen[..., None], m, 0)
+    x, m = x - (weights * x).sum(1, keepdims=True), m - (weights * m).sum(1, keepdims=True)
+    along, square = (weights * x * m).sum((1, 2)), (weights * m * m).sum((1, 2))
+    usable = (seen.sum(1) >= 4) & (along > 0)
+    if not usable.any():
+        raise InputError("landmarks: no frame has a person; expected at least four points of one")
+    sizes = PERSON * along / np.maximum(square, 1e-9)
+    return np.where(usable, sizes, np.median(sizes[usable]))
+
+
+def _bones(names: Sequence[str]) -> Iterator[tuple[tuple[int, int], BoneDepth]]:
+    """Yield the bones between some landmarks, as indices, and what is known of each."""
+    at = {name: k for k, name in enumerate(names)}
+    every = dict(BONES)
+    for finger, parts in _FINGERS.items():
+        points = [f"hand_{finger}_{part}" for part in parts]
+        every |= {pair: PHALANX for pair in zip(points, points[1:], strict=False)}
+    for pair, bone in every.items():
+        for side in ("left", "right"):
+            one, other = (name if name in at else f"{side}_{name}" for name in pair)
+            if one in at and other in at and (side == "left" or {one, other} != set(pair)):
+                yield (at[one], at[other]), bone

@@ -1,0 +1,60 @@
+"""Standard deviations of landmarks: sizes in pixels scale with the picture, gaps are infinite."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from gva_mi.core.errors import InputError
+from gva_mi.data.landmarks import Landmarks
+from gva_mi.pose.film.landmark_noise import PERSON, LandmarkNoise, person_sizes
+from gva_mi.pose.film.rig import LandmarkRig
+
+
+@pytest.fixture(scope="module")
+def standing(built_in_body):
+    """The built-in body from the front, 200 pixels a metre, in three frames."""
+    rig = LandmarkRig.of(built_in_body)
+    metric = (rig.rest * torch.tensor([1.0, -1, -1])).numpy()[None].repeat(3, 0)
+    ones = np.ones(metric.shape[:2])
+    return Landmarks(rig.names, 200 * metric[..., :2] + 300, ones, 0 * ones, metric)
+
+
+def test_size_of_the_person_is_found_in_any_frame(standing):
+    assert person_sizes(standing) == pytest.approx([200 * PERSON] * 3)
+    lost = replace(standing, pixels=standing.pixels.copy())
+    lost.pixels[1] = np.nan
+    assert person_sizes(lost) == pytest.approx([200 * PERSON] * 3)
+
+
+def test_a_film_without_a_person_is_refused(standing):
+    with pytest.raises(InputError, match="no frame has a person"):
+        person_sizes(replace(standing, pixels=standing.pixels * np.nan))
+
+
+def test_noise_scales_with_the_picture_and_grows_with_doubt(standing):
+    names = standing.names
+    usual = LandmarkNoise.of(standing, names)
+    larger = LandmarkNoise.of(replace(standing, pixels=2 * standing.pixels), names)
+    assert torch.allclose(larger.pixels, 2 * usual.pixels)
+    assert torch.equal(larger.depth, usual.depth)
+    for field, value in (("confidence", 0.6), ("spread", 3.0)):
+        doubted = replace(standing, **{field: np.full_like(standing.confidence, value)})
+        assert (LandmarkNoise.of(doubted, names).pixels > usual.pixels).all()
+
+
+def test_a_missing_landmark_is_infinitely_uncertain_and_so_are_its_bones(standing):
+    k = standing.names.index("left_wrist")
+    lost = replace(standing, pixels=standing.pixels.copy())
+    lost.pixels[1, k] = np.nan
+    noise = LandmarkNoise.of(lost, standing.names)
+    assert noise.pixels[1, k].isinf() and noise.pixels.isfinite().sum() == 3 * 75 - 1
+    touching = (noise.bones == k).any(1)
+    assert touching.sum() == 3
+    assert torch.equal(noise.depth[1].isinf(), touching) and noise.depth[[0, 2]].isfinite().all()
+
+
+def test_names_may_be_few(standing):
+    noise = LandmarkNoise.of(standing, ["left_hip", "nose"])
+    assert noise.pixels.shape == (3, 2) and noise.bones.shape == (0, 2)

@@ -1,0 +1,91 @@
+"""Find the people of a picture: MediaPipe's pose detector, a single-shot network with anchors.
+
+For each of 2254 anchors the network gives a score and, relative to the anchor, a box around the
+head and four points. Two of these count here: the middle of the hips, and the top of a circle
+around the whole person, whose centre is the middle of the hips.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gva_mi.data.networks.tflite import TfliteNetwork, sigmoid
+from gva_mi.data.networks.turned_square import TurnedSquare
+from gva_mi.data.networks.weights import weights_file
+
+CERTAIN = 0.5  # least score of a person
+_SAME = 0.3  # overlap of boxes (IoU) of one person
+_GRIDS = ((8, 2), (16, 2), (32, 6))  # stride of a grid of anchors, pixels; anchors a cell
+MARGIN = 1.25  # side of the landmark network's square, relative to the circle's diameter
+
+
+@dataclass(frozen=True)
+class DetectedPerson:
+    """A person of a picture, in its pixels."""
+
+    score: float  # in [0, 1]
+    hips: np.ndarray  # (2,) the middle of the hips
+    top: np.ndarray  # (2,) of the circle around the whole person
+
+    @property
+    def radius(self) -> float:
+        """Radius of the circle around the whole person, pixels."""
+        return float(np.linalg.norm(self.top - self.hips))
+
+    @property
+    def square(self) -> TurnedSquare:
+        """What the landmark network should see of the person."""
+        return TurnedSquare.upright(self.hips, self.top, 2 * MARGIN * self.radius)
+
+
+class PersonDetector:
+    """MediaPipe's pose detector."""
+
+    def __init__(self, folder: Path | None = None) -> None:
+        """Open the network; ``folder`` holds the weights."""
+        self._network = TfliteNetwork(weights_file("pose_detection.tflite", folder))
+        self._anchors = _anchors(self._network.size)  # (2254, 2) in [0, 1]
+
+    def find(self, image: np.ndarray) -> list[DetectedPerson]:
+        """Return the people of a picture (H, W, 3) 8-bit, the most certain first."""
+        height, width = image.shape[:2]
+        whole = TurnedSquare((width / 2, height / 2), max(height, width))
+        out = self._network(2 * whole.cut(image, self._network.size, edge=False) - 1)
+        scores = sigmoid(out["Identity_1"][:, 0])
+        order = np.argsort(-scores, kind="stable")
+        order = order[scores[order] >= CERTAIN]
+        values = out["Identity"].astype(np.float64) / self._network.size
+        centres, sizes = values[:, :2] + self._anchors, values[:, 2:4]
+        boxes = np.concatenate([centres - sizes / 2, centres + sizes / 2], axis=1)
+        people = []
+        while len(order):  # the mean of overlapping boxes, weighted by their scores, is a person
+            same = _overlap(boxes[order[0]], boxes[order]) > _SAME
+            same[0] = True
+            group, order = order[same], order[~same]
+            points = values[group, 4:8].reshape(-1, 2, 2) + self._anchors[group, None]
+            mean = np.average(points, axis=0, weights=scores[group])
+            hips, top = whole.to_picture(mean)
+            people.append(DetectedPerson(float(scores[group[0]]), hips, top))
+        return people
+
+
+def _anchors(size: int) -> np.ndarray:
+    """Return the centres of the anchors (n, 2) in [0, 1], in the network's order."""
+    grids = []
+    for stride, each in _GRIDS:
+        places = (np.arange(size // stride) + 0.5) * stride / size
+        cells = np.stack(np.meshgrid(places, places), axis=-1).reshape(-1, 2)
+        grids.append(np.repeat(cells, each, axis=0))
+    return np.concatenate(grids)
+
+
+def _overlap(box: np.ndarray, boxes: np.ndarray) -> np.ndarray:
+    """Return the IoU (n,) of a box (4,) with others (n, 4): left, top, right, bottom."""
+    low, high = np.maximum(box[:2], boxes[:, :2]), np.minimum(box[2:], boxes[:, 2:])
+    inside = (high - low).clip(0).prod(-1)
+    areas = (boxes[:, 2:] - boxes[:, :2]).clip(0).prod(-1)
+    union = areas + (box[2:] - box[:2]).clip(0).prod() - inside
+    return inside / np.maximum(union, 1e-12)

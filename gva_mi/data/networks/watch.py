@@ -1,0 +1,120 @@
+"""Watch a film: one person's landmarks and silhouette in every picture, by MediaPipe's networks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+
+from gva_mi.core.console import Progress, listed
+from gva_mi.core.errors import InputError
+from gva_mi.core.options import Within, require_ranges
+from gva_mi.data.landmarks import BODY, Landmarks, hand_names
+from gva_mi.data.networks.body_landmarks import BodyNetwork, BodyNetworkName, SeenBody
+from gva_mi.data.networks.hand_landmarks import SIDES, HandNetwork, SeenHand
+from gva_mi.data.networks.person_detector import PersonDetector
+from gva_mi.data.networks.person_tracker import PersonTracker
+
+NAMES = (*BODY, *hand_names("left"), *hand_names("right"))
+
+
+@dataclass(frozen=True)
+class WatchOptions:
+    """How a film is watched."""
+
+    person: Annotated[int, Within(1, 20)] | None = None  # N-th from the left; else the largest
+    model: BodyNetworkName = "full"  # of the body; heavy is a file of your own
+    passes: Annotated[int, Within(1, 4)] = 2  # of the body: plain, mirrored, wider, wider mirrored
+    hand_passes: Annotated[int, Within(0, 2)] = 2  # 0: no hands
+    weights: Path | None = None  # folder of the networks' files; else GVA_MI_WEIGHTS or the cache
+
+
+@dataclass(frozen=True)
+class WatchedFilm:
+    """What the networks see in T pictures of a film."""
+
+    landmarks: Landmarks  # NaN where the person, or a hand, is not found
+    notes: Sequence[str]  # sentences on what went wrong
+
+
+def watch_film(
+    pictures: Sequence[np.ndarray],
+    on_silhouette: Callable[[int, np.ndarray], None] | None = None,
+    options: WatchOptions | None = None,
+    progress: Progress | None = None,
+) -> WatchedFilm:
+    """Find one person's landmarks in all pictures of a film, in their order.
+
+    Args:
+        pictures: T pictures (H, W, 3) 8-bit; each is read once.
+        on_silhouette: called with each picture's number and the probability (H, W) float32 that
+            a pixel is of the person; zero where the person is not found.
+        options: how.
+        progress: called after every picture.
+
+    Raises:
+        InputError: nobody is found, weights are missing, or an option is out of its range.
+    """
+    options = options or WatchOptions()
+    require_ranges("watch_film", options)
+    detector = PersonDetector(options.weights)
+    body_network = BodyNetwork(options.model, options.weights)
+    hand_network = HandNetwork(options.weights) if options.hand_passes else None
+    tracker = PersonTracker(detector, body_network, options.person)
+    rows, hands = [], {}
+    for k in range(len(pictures)):
+        image = pictures[k]
+        body, hands_before = tracker.follow(image), hands
+        if body is not None:
+            body = body_network.see_again(image, body, options.passes)
+        hands = {}
+        if body is not None and hand_network is not None:
+            hands = hand_network.find(image, body, hands_before, options.hand_passes)
+        rows.append(_row(body, hands))
+        if on_silhouette is not None:
+            nobody = np.zeros(image.shape[:2], np.float32)
+            on_silhouette(k, nobody if body is None else body.probability(nobody.shape))
+        if progress:
+            progress(k + 1, len(pictures))
+    if not tracker.begun:
+        several = f"{options.person} people" if (options.person or 1) > 1 else "anybody"
+        raise InputError(
+            f"no picture of the film shows {several} whom the network recognises; film one person "
+            "from head to feet"
+        )
+    landmarks = Landmarks(NAMES, *(np.stack(parts) for parts in zip(*rows, strict=True)))
+    return WatchedFilm(landmarks, _notes(tracker, landmarks))
+
+
+def _row(body: SeenBody | None, hands: dict[str, SeenHand]) -> tuple[np.ndarray, ...]:
+    """Return pixels, confidence, spread and metric of one picture, as :class:`Landmarks` has."""
+    pixels, metric = np.full((len(NAMES), 2), np.nan), np.full((len(NAMES), 3), np.nan)
+    confidence, spread = np.zeros(len(NAMES)), np.zeros(len(NAMES))
+    if body is not None:
+        n = len(BODY)
+        pixels[:n], metric[:n] = body.points[:n], body.metric[:n]
+        confidence[:n], spread[:n] = body.visibility[:n], body.spread[:n]
+    for side, hand in hands.items():
+        first = NAMES.index(hand_names(side)[0])
+        at = slice(first, first + len(hand.points))
+        pixels[at], metric[at] = hand.points, hand.metric
+        confidence[at], spread[at] = hand.presence, hand.spread
+    return pixels, confidence, spread, metric
+
+
+def _notes(tracker: PersonTracker, landmarks: Landmarks) -> list[str]:
+    """Say in which pictures something went wrong."""
+    notes = []
+    if tracker.crowded:
+        notes.append(f"frames with several people: {listed(tracker.crowded)}")
+    if tracker.lost:
+        notes.append(f"frames where the person was not found: {listed(tracker.lost)}")
+    for side in SIDES:
+        wrist = landmarks.indices([f"{side}_hand_wrist"])
+        seen = np.isfinite(landmarks.pixels[:, wrist, 0]).mean()
+        if seen < 0.5:
+            notes.append(f"the {side} hand was recognised in {seen:.0%} of the frames")
+    return notes

@@ -1,0 +1,161 @@
+"""The weights of MediaPipe's landmark networks: pinned, fetched once by pip, kept in a cache.
+
+The networks are files of the wheel ``mediapipe`` 0.10.21 (Apache-2.0) on the Python Package Index.
+pip downloads the wheel (36 MB), so that the user's index, proxy and offline settings hold. It is
+unpacked and never installed. Its licence is kept beside the files. Every file that is opened must
+have the SHA-256 that is written here.
+
+The files lie in, and missing ones are fetched into, the first of
+
+1. the folder that a command's option names;
+2. the folder that the environment variable ``GVA_MI_WEIGHTS`` names;
+3. ``gva_mi/mediapipe-0.10.21`` in the user's cache folder.
+
+A machine without a network gets a folder that another machine has filled.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import os
+import subprocess
+import sys
+import tempfile
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from gva_mi.core.atomic import require_writable
+from gva_mi.core.console import say
+from gva_mi.core.errors import InputError, reason_of
+
+VERSION = "0.10.21"
+FOLDER = "GVA_MI_WEIGHTS"  # environment variable
+_IN_WHEEL = {  # file: its folder in the wheel, its SHA-256
+    "pose_detection.tflite": (
+        "mediapipe/modules/pose_detection",
+        "9ba9dd3d42efaaba86b4ff0122b06f29c4122e756b329d89dca1e297fd8f866c",
+    ),
+    "pose_landmark_full.tflite": (
+        "mediapipe/modules/pose_landmark",
+        "e9a5c5cb17f736fafd4c2ec1da3b3d331d6edbe8a0d32395855aeb2cdfd64b9f",
+    ),
+    "hand_landmark_full.tflite": (
+        "mediapipe/modules/hand_landmark",
+        "11c272b891e1a99ab034208e23937a8008388cf11ed2a9d776ed3d01d0ba00e3",
+    ),
+    "face_landmark.tflite": (
+        "mediapipe/modules/face_landmark",
+        "1055cb9d4a9ca8b8c688902a3a5194311138ba256bcc94e336d8373a5f30c814",
+    ),
+}
+_BY_HAND = {  # files that pip does not reach
+    "pose_landmark_heavy.tflite": (
+        "59e42d71bcd44cbdbabc419f0ff76686595fd265419566bd4009ef703ea8e1fe"
+    ),
+}
+_LICENCE = f"mediapipe-{VERSION}.dist-info/LICENSE"
+_NOTICE = f"""\
+The .tflite files of this folder are networks of MediaPipe {VERSION}, Copyright The MediaPipe
+Authors, under the Apache License 2.0: see LICENSE. They are unchanged files of the package
+mediapipe on the Python Package Index, which gva_mi has downloaded by pip.
+"""
+_PIP = (
+    "download", "--quiet", "--disable-pip-version-check", "--no-input", "--no-deps",
+    "--only-binary", ":all:", "--python-version", "3.11", "--platform", "manylinux_2_28_x86_64",
+    f"mediapipe=={VERSION}",
+)  # fmt: skip
+
+
+def weights_file(name: str, folder: Path | None = None) -> Path:
+    """Return a file of weights, checked; if it is missing, all of the wheel are fetched first.
+
+    Args:
+        name: such as ``pose_detection.tflite``.
+        folder: where the files lie; see the module for the default.
+
+    Raises:
+        InputError: the file can neither be found nor fetched, or is another one than expected.
+    """
+    path = _place(folder) / name
+    if not path.is_file() and name in _IN_WHEEL:
+        require_writable(path.parent)
+        with _lock(path.parent):
+            if not path.is_file():  # another process may have fetched it meanwhile
+                _fetch(path.parent)
+    if not path.is_file():
+        raise InputError(
+            f"{path}: no such file, and pip does not reach it; `npm pack @mediapipe/holistic` "
+            f"downloads an archive that holds package/{name}, or use the model 'full'"
+        )
+    _require_hash(path, _BY_HAND.get(name) or _IN_WHEEL[name][1])
+    return path
+
+
+def _place(folder: Path | None) -> Path:
+    """Return the folder of the weights."""
+    if folder is not None:
+        return Path(folder)
+    if os.environ.get(FOLDER):
+        return Path(os.environ[FOLDER]).expanduser()
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
+    return cache / "gva_mi" / f"mediapipe-{VERSION}"
+
+
+def _fetch(folder: Path) -> None:
+    """Download the wheel, and move its networks and its licence into the folder."""
+    say(f"fetching MediaPipe's landmark networks by pip (36 MB, once) into {folder}")
+    with tempfile.TemporaryDirectory(dir=folder, prefix=".fetching-") as scratch:
+        wheel = _download(Path(scratch), folder)
+        try:
+            with zipfile.ZipFile(wheel) as archive:
+                files = {name: f"{inside}/{name}" for name, (inside, _) in _IN_WHEEL.items()}
+                for name, inside in (files | {"LICENSE": _LICENCE}).items():
+                    (Path(scratch) / name).write_bytes(archive.read(inside))
+        except (zipfile.BadZipFile, KeyError) as error:
+            raise InputError(
+                f"{wheel.name}: is not the wheel of mediapipe {VERSION} ({reason_of(error)}); "
+                "check the package index that pip uses"
+            ) from None
+        (Path(scratch) / "NOTICE").write_text(_NOTICE)
+        for name, (_, expected) in _IN_WHEEL.items():
+            _require_hash(Path(scratch) / name, expected)
+        for name in ("LICENSE", "NOTICE", *files):
+            (Path(scratch) / name).replace(folder / name)
+
+
+def _download(scratch: Path, folder: Path) -> Path:
+    """Download the wheel into ``scratch`` by this Python's own pip."""
+    command = [sys.executable, "-m", "pip", *_PIP, "--dest", str(scratch)]
+    run = subprocess.run(command, capture_output=True, text=True)
+    wheels = sorted(scratch.glob("*.whl"))
+    if run.returncode == 0 and wheels:
+        return wheels[0]
+    errors = [line for line in run.stderr.splitlines() if line.strip()]
+    reason = errors[-1].strip() if errors else f"pip ended with {run.returncode}"
+    raise InputError(
+        f"{folder}: the landmark networks are missing, and pip cannot fetch them ({reason:.200}); "
+        f"go online once, or set {FOLDER} to a folder with {', '.join(_IN_WHEEL)} "
+        f"of the wheel mediapipe {VERSION}"
+    )
+
+
+def _require_hash(path: Path, expected: str) -> None:
+    """Raise an InputError if a file has another SHA-256 than expected."""
+    found = hashlib.sha256(path.read_bytes()).hexdigest()
+    if found != expected:
+        raise InputError(
+            f"{path}: is another file than MediaPipe's (SHA-256 {found[:12]}..., expected "
+            f"{expected[:12]}...); remove it, so that it can be fetched again"
+        )
+
+
+@contextmanager
+def _lock(folder: Path) -> Iterator[None]:
+    """Wait until no other process fetches into the folder; without file locks, do not wait."""
+    with (folder / ".lock").open("w") as file:
+        with suppress(OSError):
+            fcntl.flock(file, fcntl.LOCK_EX)
+        yield

@@ -9,7 +9,9 @@ from tyro.conf import FlagCreatePairsOff, arg
 
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import say
+from gva_mi.core.errors import InputError
 from gva_mi.data.check.sanity import sanity_check
+from gva_mi.data.fingerprint import prepared_body
 from gva_mi.data.video import REFINED_POSES, Video, best_poses
 
 T = TypeVar("T")
@@ -26,6 +28,22 @@ def poses_of(subject: Path, given: Path | None = None) -> Path:
     if given is None and poses.name != REFINED_POSES:
         say(f"{subject}: no {REFINED_POSES}, the stage-1 poses are used as they are")
     return poses
+
+
+def body_of(subject: Path, given: Path | None = None) -> Path | None:
+    """Return the file that ``--body`` names; without it the one that a subject was prepared for.
+
+    None is the built-in body.
+
+    Raises:
+        InputError: the file is gone.
+    """
+    found = given or prepared_body(subject)
+    if given is None and found is not None and not found.exists():
+        raise InputError(
+            f"{subject}: was prepared for the body {found}, which is gone; give it with --body"
+        )
+    return found
 
 
 def warn_if_outside_masks(video: Video, model: BodyModel) -> None:

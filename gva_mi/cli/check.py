@@ -9,7 +9,7 @@ from pathlib import Path
 from tyro.conf import Positional
 
 from gva_mi.body.smplx import load_body
-from gva_mi.cli.arguments import Switch
+from gva_mi.cli.arguments import Switch, body_of
 from gva_mi.core.console import bar, say
 from gva_mi.core.files import require_room, write_json
 from gva_mi.data.check import check_subject
@@ -36,12 +36,13 @@ def check(
     Args:
         subject: the folder.
         poses: another file of poses than its poses.npz, such as the refined ones.
-        body: the body that its poses are for, in SMPL-X's format; without it the built-in body.
+        body: the body that its poses are for, in SMPL-X's format; without it the one that it was
+            prepared for, else the built-in body.
         json: also write all findings with all their frames to this file.
         sheet: also write a picture (.png) of some frames with the outlines of mask and body.
         overwrite: replace these files.
     """
-    model = load_body(body)
+    model = load_body(body_of(subject, body))
     if json is not None:
         require_room(json, overwrite)
     if sheet is not None:

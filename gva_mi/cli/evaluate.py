@@ -9,7 +9,7 @@ from tyro.conf import Positional
 
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.smplx import BodyModel, load_body
-from gva_mi.cli.arguments import Switch, poses_of, warn_if_outside_masks
+from gva_mi.cli.arguments import Switch, body_of, poses_of, warn_if_outside_masks
 from gva_mi.core.console import bar, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import require_room
@@ -35,18 +35,19 @@ def evaluate(
     Args:
         run: the folder of a finished fit.
         subject: the folder it was fitted to.
-        poses: the poses it was fitted under; without it the refined ones, else those of stage 1.
-        body: the body that it was fitted with, in SMPL-X's .npz format; without it the built-in
-            puppet. Hands are measured where it has them.
+        poses: the poses it was fitted under; without it as the run's record says.
+        body: the body that it was fitted with, in SMPL-X's .npz format; without it as the run's
+            record says. Hands are measured where it has them.
         fit_poses: also measure test frames, and novel poses of the ground truth, after fitting
             poses to these same frames; reported in separate rows.
     """
     avatar = Avatar.load(run / run_folder.AVATAR)
+    body = body or run_folder.source_of(run, "body", subject) or body_of(subject)
     model = load_body(body)
     require_same_body(subject, model)
     if not torch.equal(avatar.rig.weights, model.weights):
         raise InputError(f"{run}: its avatar was fitted with another body; give that one's --body")
-    poses = poses_of(subject, poses)
+    poses = poses_of(subject, poses or run_folder.source_of(run, "poses", subject))
     video = load_video(subject, poses)
     video.require_train_frames()
     warn_if_outside_masks(video, model)

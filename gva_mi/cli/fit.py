@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from pathlib import Path
 
 from tyro.conf import Positional
 
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.smplx import BodyModel, load_body
-from gva_mi.cli.arguments import Flat, Switch, poses_of, warn_if_outside_masks
+from gva_mi.cli.arguments import Flat, Switch, body_of, poses_of, warn_if_outside_masks
 from gva_mi.core.atomic import require_writable
 from gva_mi.core.console import bar, say
 from gva_mi.core.files import make_room
@@ -38,10 +39,12 @@ def fit(
         options: options of the fit.
         out: the run's folder.
         poses: the poses to fit under; without it the refined ones, else those of stage 1.
-        body: a body in SMPL-X's .npz format; without it the built-in body.
+        body: a body in SMPL-X's .npz format; without it the one the subject was prepared for, else
+            the built-in body.
         overwrite: replace a run that is there.
         resume: continue a run that was stopped.
     """
+    body = body_of(subject, body)
     model = load_body(body)
     require_same_body(subject, model)
     poses = poses_of(subject, poses)
@@ -55,19 +58,32 @@ def fit(
             run_folder.require_none_begun(out, overwrite)
             make_room(out, run_folder.OPTIONS, overwrite)
         require_writable(out)
-        fit_video(video, model, options, out, resume)
+        sources = run_folder.sources_of(poses, body, subject)
+        fit_video(video, model, options, out, resume, sources)
     say(f"avatar: {out / run_folder.AVATAR}")
 
 
 def fit_video(
-    video: Video, model: BodyModel, options: FitOptions, out: Path, resume: bool = False
+    video: Video,
+    model: BodyModel,
+    options: FitOptions,
+    out: Path,
+    resume: bool = False,
+    sources: Mapping[str, str | None] | None = None,
 ) -> Avatar:
     """Fit an avatar with the video's poses and surface offsets, and print how long it took."""
     offsets = video.offsets_of(len(model.v_template))
     start = time.perf_counter()
     with bar("fit") as progress:
         avatar = fit_avatar(
-            video, model, options, out, offsets=offsets, resume=resume, progress=progress
+            video,
+            model,
+            options,
+            out,
+            offsets=offsets,
+            sources=sources,
+            resume=resume,
+            progress=progress,
         )
     say(f"{options.steps} steps in {time.perf_counter() - start:.0f} s")
     return avatar

@@ -7,7 +7,6 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from gva_mi.body.smplx import BUILT_IN_NAME
 from gva_mi.cli.arguments import Flat, Switch
 from gva_mi.core.atomic import atomic_dir
 from gva_mi.core.console import bar, say
@@ -52,6 +51,4 @@ def prepare(
         notes = prepare_folder(folder, kind, source, options, body, progress)
     for note in notes:
         say(f"{source}: {note}")
-    if body.name != BUILT_IN_NAME:
-        say(f"{out}: the other steps expect --body {options.body}, too")
     say(f"subject: {out}")

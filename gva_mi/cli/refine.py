@@ -11,7 +11,7 @@ from typing import Literal
 from tyro.conf import Positional
 
 from gva_mi.body.smplx import BodyModel, load_body
-from gva_mi.cli.arguments import Flat, Switch, warn_if_outside_masks
+from gva_mi.cli.arguments import Flat, Switch, body_of, warn_if_outside_masks
 from gva_mi.core.console import bar, listed, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import require_room
@@ -63,7 +63,8 @@ def refine(
         workers: processes on this machine; any number gives the same bits.
         scheduler: address of a dask.distributed cluster that does the work instead.
         report: also write refinement.html, with an ablation of every term of the loss.
-        body: a body in SMPL-X's .npz format; without it the built-in body.
+        body: a body in SMPL-X's .npz format; without it the one that the first subject was
+            prepared for, else the built-in body.
         overwrite: replace existing refined poses.
     """
     if not subjects:
@@ -79,7 +80,7 @@ def refine(
     printed = SingleFrameOptions(
         **{name: getattr(options, name) for name in shared}, steps=steps, prior=paper_prior
     )
-    model = load_body(body)
+    model = load_body(body_of(subjects[0], body))
     for subject in subjects:
         if (subject / REFINED_POSES).exists():  # a missing subject is named by load_video
             require_room(subject / REFINED_POSES, overwrite)

@@ -7,14 +7,14 @@ from pathlib import Path
 from tyro.conf import Positional
 
 from gva_mi.body.smplx import load_body
-from gva_mi.cli.arguments import Flat, Switch, poses_of, warn_if_outside_masks
+from gva_mi.cli.arguments import Flat, Switch, body_of, poses_of, warn_if_outside_masks
 from gva_mi.core.console import bar, say
 from gva_mi.core.files import require_room
 from gva_mi.core.lock import folder_lock
 from gva_mi.data.fingerprint import require_same_body
 from gva_mi.data.video import load_video
 from gva_mi.fit.photometric import PhotometricOptions, fit_poses
-from gva_mi.fit.run_folder import TRAINED_POSES, load_avatar, other_parts
+from gva_mi.fit.run_folder import TRAINED_POSES, load_avatar, other_parts, source_of
 from gva_mi.fit.tracking import TRACKED_POSES, measure_tracking, write_tracking
 
 
@@ -39,13 +39,14 @@ def track(
         options: options of the fit.
         poses: the start; without it the poses trained with the avatar, if ``run`` is a folder that
             was fitted to this video; else the refined ones, else those of stage 1.
-        body: a body in SMPL-X's .npz format; without it the built-in body.
+        body: a body in SMPL-X's .npz format; without it the one of the run, or of the subject,
+            else the built-in body.
         overwrite: replace existing poses.
     """
     out = subject / TRACKED_POSES
     require_room(out, overwrite)
     avatar = load_avatar(run)
-    model = load_body(body)
+    model = load_body(body or source_of(run, "body", subject) or body_of(subject))
     require_same_body(subject, model)
     refined = poses_of(subject, poses)
     video, start = load_video(subject, refined), refined

@@ -26,7 +26,7 @@ from gva_mi.core.files import read_json
 SUMS = 32  # K: their root mean square is right to one part in √(2 K), 12 %
 SAME = 3e-6  # m, root mean square; float32 rounding is a tenth of it
 # Files of a subject; each holds {"body": {"vertices": V, "sketch": [...]}}, the second also a
-# "name" there.
+# "name" there, and the "file" of a body that is not built in.
 ABOUT, PREPARED = "synth.json", "prepare.json"
 
 
@@ -85,6 +85,12 @@ def require_same_body(folder: Path, body: BodyModel) -> None:
             f"{folder}: its poses were prepared for another body, {theirs} ({how}); "
             f"expected {expected}, or prepare it again for this body"
         )
+
+
+def prepared_body(folder: Path) -> Path | None:
+    """Return the body file that a subject was prepared for; None if there is none on record."""
+    known = _body_of(Path(folder) / PREPARED, "gva-mi prepare") or {}
+    return Path(known["file"]) if known.get("file") else None
 
 
 def _body_of(file: Path, written_by: str) -> dict | None:

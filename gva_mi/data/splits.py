@@ -1,10 +1,18 @@
-"""Train and test frames of a video: ``splits.json``."""
+"""Train and test frames of a video: ``splits.json``.
+
+::
+
+    {"train": [...], "test": [...], "held_out_range": [...]}    frame numbers; the last is optional
+
+A held-out range is a stretch of consecutive test frames. Poses and looks there are new, while the
+neighbours of any other test frame were seen in training.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Container
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from gva_mi.core.errors import InputError, expecting
@@ -19,6 +27,7 @@ class Splits:
 
     train: list[int]
     test: list[int]
+    held_out_range: list[int] = field(default_factory=list)  # part of ``test``
 
     @staticmethod
     def every(step: int, frames: int) -> Splits:
@@ -33,10 +42,29 @@ class Splits:
         test = list(range((frames - count) // 2, (frames + count) // 2))
         return Splits([k for k in range(frames) if k not in set(test)], test)
 
+    @staticmethod
+    def of_film(step: int, share: int, frames: int) -> Splits:
+        """Make every ``step``-th frame a test frame, and one ``share``-th a held-out range.
+
+        The range lies in the middle of the second half, where a person who turns once shows a side
+        that the first half has shown.
+        """
+        count = max(1, frames // share)
+        first = min(frames - count, 3 * frames // 4 - count // 2)
+        held_out = list(range(first, first + count))
+        test = sorted({*range(step // 2, frames, step), *held_out})
+        train = [k for k in range(frames) if k not in set(test)]
+        return Splits(train, test, held_out)
+
+    def to_json(self) -> dict[str, list[int]]:
+        """Return what ``splits.json`` holds; no range where there is none."""
+        record = asdict(self)
+        return record if self.held_out_range else {n: record[n] for n in ("train", "test")}
+
     def without(self, frames: Container[int]) -> Splits:
         """Return the splits without some frames."""
         keep = lambda split: [k for k in split if k not in frames]
-        return Splits(keep(self.train), keep(self.test))
+        return Splits(keep(self.train), keep(self.test), keep(self.held_out_range))
 
 
 def load_splits(folder: Path, frames: int) -> Splits:
@@ -48,15 +76,19 @@ def load_splits(folder: Path, frames: int) -> Splits:
     data = read_json(path, expected)
     with expecting(path, expected):
         train, test = (list(data[name]) for name in ("train", "test"))
-        if odd := [k for k in (*train, *test) if type(k) is not int]:
+        held_out = list(data.get("held_out_range", []))
+        if odd := [k for k in (*train, *test, *held_out) if type(k) is not int]:
             raise InputError(f"{path}: frames must be whole numbers, got {str(odd[0]):.40}")
     outside = [k for k in (*train, *test) if not 0 <= k < frames]
     both = sorted(set(train) & set(test))
     twice = [k for split in (train, test) for k, times in Counter(split).items() if times > 1]
-    if outside or both or twice or not train:
+    strange = sorted(set(held_out) - set(test))
+    if outside or both or twice or strange or not train:
         reason = (
             f"frame {outside[0]} does not exist"
             if outside
+            else f"frame {strange[0]} of the held-out range is no test frame"
+            if strange
             else f"frame {both[0]} is in both"
             if both
             else f"frame {twice[0]} is there twice"
@@ -64,4 +96,4 @@ def load_splits(folder: Path, frames: int) -> Splits:
             else "no train frame"
         )
         raise InputError(f"{path}: {reason}; the video has frames 0 to {frames - 1}")
-    return Splits(train, test)
+    return Splits(train, test, held_out)

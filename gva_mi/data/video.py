@@ -12,7 +12,7 @@
       poses.npz                           SMPL-X names, each (T, ...); betas (B,); stage
       poses_refined.npz                   optional: poses after stage 2; focal, if it was refined:
                                           a factor on the fx and fy of cameras.npz
-      splits.json                         optional: {"train": [...], "test": [...]} frame numbers
+      splits.json                         optional: train and test frames; gva_mi.data.splits
       views/                              optional: held-out other cameras; gva_mi.data.views
       truth/                              ground truth of synthetic subjects; read by evaluation
                                           only

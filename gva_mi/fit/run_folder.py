@@ -3,7 +3,8 @@
 ::
 
     out/
-      options.json         options and versions of the run, and hashes of the video
+      options.json         options and versions of the run, hashes of the video, and the files of
+                           its poses and body
       checkpoint.pt        the last saved state, until the run is finished
       history.npz          per step: loss and its terms, Gaussians, milliseconds by LAPS
       reinit/000900.npz    of each re-initialisation: the Gaussians before and after, the mesh
@@ -20,10 +21,10 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -33,7 +34,7 @@ from gva_mi.avatar.canonical import CanonicalGaussians
 from gva_mi.avatar.formats.without_body import WITHOUT_BODY, with_body
 from gva_mi.avatar.reinit import SurfaceMesh
 from gva_mi.body.pose import Pose, Shape, load_poses
-from gva_mi.body.smplx import body_name, load_body
+from gva_mi.body.smplx import BUILT_IN_NAME, body_name, load_body
 from gva_mi.core.atomic import atomic_write, part_of
 from gva_mi.core.errors import InputError, expecting, reason_of
 from gva_mi.core.files import read_arrays, read_json, write_arrays, write_json
@@ -51,7 +52,13 @@ LAPS = ("milliseconds_frame", "milliseconds_descent", "milliseconds_upkeep")
 GAUSSIANS = ("means", "quats", "scales", "opacities", "sh")
 
 
-def prepare(out: Path, options: dict[str, Any], video: Video, resume: bool) -> None:
+def prepare(
+    out: Path,
+    options: dict[str, Any],
+    video: Video,
+    resume: bool,
+    sources: Mapping[str, str | None] | None = None,
+) -> None:
     """Prepare the folder of a run and write its options.
 
     Args:
@@ -59,6 +66,7 @@ def prepare(out: Path, options: dict[str, Any], video: Video, resume: bool) -> N
         options: of the run, plain values.
         video: the video to fit.
         resume: whether a run of the same options and video may be there already.
+        sources: files that later commands look for: see :func:`sources_of`.
 
     Raises:
         InputError: a run is there and is not to be resumed, or has other options or another video.
@@ -69,7 +77,7 @@ def prepare(out: Path, options: dict[str, Any], video: Video, resume: bool) -> N
             raise InputError(f"{out}: holds a run, but not its {OPTIONS}; choose another folder")
         out.mkdir(parents=True, exist_ok=True)
         about = {"options": options, "versions": versions(), "video": identity(video)}
-        write_json(held, about)
+        write_json(held, about | {"sources": dict(sources or {})})
         return
     if not resume:
         raise InputError(f"{out}: already holds a run; resume it, overwrite it, or choose another")
@@ -114,12 +122,40 @@ def require_own_video(run: Path, video: Video) -> None:
 
 
 def load_options(out: Path) -> dict[str, Any]:
-    """Read a run's ``options`` and ``versions``, and the hashes of its ``video``."""
+    """Read a run's ``options``, ``versions``, ``sources``, and the hashes of its ``video``."""
     path = out / OPTIONS
     found = read_json(path, "the options of a run")
     with expecting(path, "the options of a run"):
-        rest = {name: dict(found.get(name, {})) for name in ("versions", "video")}
+        rest = {name: dict(found.get(name, {})) for name in ("versions", "video", "sources")}
         return {"options": dict(found["options"]), **rest}
+
+
+def sources_of(poses: Path, body: Path | None, subject: Path) -> dict[str, str | None]:
+    """Return the files of a run's poses and body as ``options.json`` names them.
+
+    Poses of the subject's own folder have a name only, so that the folder may be moved.
+    """
+    own = poses.resolve().parent == subject.resolve()
+    built_in = body is None or str(body) == BUILT_IN_NAME
+    return {
+        "poses": poses.name if own else str(poses.resolve()),
+        "body": None if built_in else str(Path(body).resolve()),
+    }
+
+
+def source_of(run: Path, what: Literal["poses", "body"], subject: Path) -> Path | None:
+    """Return the file of a run's poses or body; None if it was fitted with the usual one.
+
+    Raises:
+        InputError: the file is gone.
+    """
+    known = load_options(run)["sources"] if (run / OPTIONS).exists() else {}
+    if (name := known.get(what)) is None:
+        return None
+    path = subject / name  # an absolute name stays as it is
+    if not path.exists():
+        raise InputError(f"{run}: was fitted with {path}, which is gone; give it with --{what}")
+    return path
 
 
 def save_state(out: Path, state: dict[str, Any]) -> None:

@@ -16,6 +16,7 @@ Each step uses one training frame of the video:
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -52,6 +53,7 @@ def fit(
     out: Path,
     *,
     offsets: Tensor | None = None,
+    sources: Mapping[str, str | None] | None = None,
     resume: bool = False,
     progress: Progress | None = None,
 ) -> Avatar:
@@ -66,6 +68,7 @@ def fit(
         out: folder of the run, see :mod:`gva_mi.fit.run_folder`.
         offsets: (V, 3) displacement of the rest surface found by the refinement, metres; unused
             with ``options.naked``.
+        sources: files of poses and body, for the run's record: :func:`run_folder.sources_of`.
         resume: continue from the last checkpoint in ``out``, if there is one.
         progress: called after each step with its loss and the number of Gaussians.
 
@@ -76,7 +79,7 @@ def fit(
         InputError: ``out`` holds another run, or unreadable files.
     """
     distance = vgg16_loss(options.vgg16) if options.vgg16 else rand_vgg_loss()
-    run_folder.prepare(out, options.plain(), video, resume)
+    run_folder.prepare(out, options.plain(), video, resume, sources)
     if (out / run_folder.AVATAR).exists():
         run_folder.drop_state(out)
         return Avatar.load(out / run_folder.AVATAR)

@@ -9,6 +9,8 @@ split          frames                                                    poses
 =============  ========================================================  ====================
 train          of the video, seen in training, evenly spaced             the video's
 test           of the video, never seen in training                      the video's
+held_out_range a stretch of consecutive test frames, which are not in    the video's
+               ``test`` then (:mod:`gva_mi.data.splits`)
 novel_pose     of another motion, synthetic subjects only                ground truth
 novel_view     of the video's motion from other cameras: synthetic       ground truth, or the
                subjects, or a data set's (:mod:`gva_mi.data.views`)      video's
@@ -35,7 +37,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, astuple, dataclass, replace
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -50,8 +52,9 @@ from gva_mi.fit.renders import BLACK, WHITE, cut_out, render_frame
 from gva_mi.study.regions import Detail, Details, person_box
 from gva_mi.study.scores import Defects, ImageScores, Scorer, flicker
 
-Split = Literal["train", "test", "novel_pose", "novel_view"]
-SPLITS: tuple[Split, ...] = ("train", "test", "novel_pose", "novel_view")
+Split = Literal["train", "test", "held_out_range", "novel_pose", "novel_view"]
+SPLITS: tuple[Split, ...] = get_args(Split)
+OF_VIDEO: tuple[Split, ...] = ("train", "test", "held_out_range")  # frames of the video itself
 Region = Literal["white", "black", "person"] | Detail
 REGIONS: tuple[Region, ...] = ("white", "black", "person", "hands", "face")
 TRAIN_FRAMES = 16  # evaluated frames of the train split
@@ -118,7 +121,10 @@ def views_of(
             frames = spread(video.splits.train, TRAIN_FRAMES)
             views.append(SplitView(split, video, frames, details))
         elif split == "test":
-            views.append(SplitView(split, video, video.splits.test, details))
+            alone = [k for k in video.splits.test if k not in set(video.splits.held_out_range)]
+            views.append(SplitView(split, video, alone, details))
+        elif split == "held_out_range":
+            views.append(SplitView(split, video, video.splits.held_out_range, details))
         elif (source := source_of(video, split)) is not None:
             theirs = None if body is None else Details.of(source, body)
             views.append(SplitView(split, source, range(len(source)), theirs))
@@ -161,7 +167,7 @@ def evaluate_views(
                 scores[region].append(found)
             defects.append(Defects.of(*pair.renders, pair.frame.mask))
             before = frame.index - 1
-            if view.split == "test" and before >= 0 and before not in view.video.absent:
+            if view.split in OF_VIDEO[1:] and before >= 0 and before not in view.video.absent:
                 flickers.append(pair.flicker(_Compared.of(avatar, view.video[before], view)))
             done += 1
             if progress:
@@ -217,7 +223,7 @@ def source_of(video: Video, split: Split) -> Video | None:
 
 def with_trained_poses(view: SplitView, trained: Video) -> SplitView:
     """Put a view under the poses trained with the avatar, unless its poses are ground truth."""
-    if view.split in ("train", "test"):
+    if view.split in OF_VIDEO:
         return view.through(lambda _: trained)
     known = ground_truth_video(trained, view.split) is not None
     return view if known else view.through(lambda _: source_of(trained, view.split))

@@ -10,7 +10,7 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress, within
 from gva_mi.data.video import Video
 from gva_mi.fit.photometric import FITTED, PhotometricOptions, fit_poses
-from gva_mi.study.evaluate import evaluate_views, views_of, with_trained_poses
+from gva_mi.study.evaluate import OF_VIDEO, evaluate_views, views_of, with_trained_poses
 from gva_mi.study.metrics import Metrics, PoseFit, aligned_views
 from gva_mi.study.scores import Scorer
 from gva_mi.study.similarity import similarity_to_truth
@@ -40,7 +40,7 @@ def with_fitted_poses(
         body: the fitted body model.
         progress: called after each step of the pose fit.
     """
-    starts = [with_trained_poses(view, trained) for view in views_of(video, ("test",), body)]
+    starts = [with_trained_poses(view, trained) for view in views_of(video, OF_VIDEO[1:], body)]
     similarity = similarity_to_truth(avatar.rig, trained, body)
     if similarity is not None:
         novel = views_of(video, ("novel_pose", "novel_view"), body)
@@ -58,8 +58,8 @@ def with_fitted_poses(
         fitted += len(view.frames)
     protocol = metrics.protocol
     if protocol is not None:
-        splits = sorted({view.split.split("_")[0] for view in starts})  # test, novel
-        names = (f"{split} {what}" for split in splits for what in SEEN_BY_FIT)
+        kinds = {"test" if view.split in OF_VIDEO else "novel" for view in starts}
+        names = (f"{kind} {what}" for kind in sorted(kinds) for what in SEEN_BY_FIT)
         by_fit = {name: [*protocol.seen.get(name, []), FITTED] for name in names}
         protocol = replace(protocol, seen=protocol.seen | by_fit)
     made_with = {split: asdict(some) for split, some in options.items()}

@@ -35,6 +35,7 @@ from gva_mi.fit import run_folder
 from gva_mi.fit.tracking import TRACKED_POSES
 from gva_mi.pose.errors import means, pose_errors
 from gva_mi.study.evaluate import (
+    OF_VIDEO,
     SplitScores,
     SplitView,
     evaluate_views,
@@ -192,7 +193,7 @@ def measure_run(
     similarity = similarity_to_truth(avatar.rig, trained, body)
     named = [(name, views)]
     if trained is not video:  # what training the poses is worth on frames it has not seen
-        named.append((AS_REFINED, [view for view in given if view.split == "test"]))
+        named.append((AS_REFINED, [view for view in given if view.split in OF_VIDEO[1:]]))
     if similarity is not None:
         named.append((ALIGNED, aligned_views(views, similarity, avatar.rig, body)))
     total, done = sum(len(view.frames) for _, some in named for view in some), 0

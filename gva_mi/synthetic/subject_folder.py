@@ -19,7 +19,7 @@ focal length may be wrong. All in ``truth`` is exact:
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
 
@@ -86,7 +86,7 @@ def make_subject(
         writer.write_video(folder, poses)
         writer.write_novel_poses(folder / "truth" / "novel_pose")
         seen = writer.write_novel_views(folder / "truth" / "novel_view", poses, views)
-        splits = asdict(Splits.every(TEST_EVERY, options.frames))
+        splits = Splits.every(TEST_EVERY, options.frames).to_json()
         splits |= {"novel_pose": list(range(options.novel_poses)), "novel_view": seen}
         write_json(folder / "splits.json", splits)
         write_surface(folder / SURFACE, subject)

@@ -52,6 +52,20 @@ def test_a_run_without_a_record_fits_any_video(video, tmp_path):
     assert run_folder.other_parts(tmp_path, video) == []
 
 
+def test_a_run_names_the_files_of_its_poses_and_body(video, tmp_path):
+    """Poses of the subject's folder are named without it, so that it may be moved."""
+    body, run = tmp_path / "b.npz", tmp_path / "run"
+    sources = run_folder.sources_of(video.folder / "poses.npz", body, video.folder)
+    run_folder.prepare(run, {}, video, resume=False, sources=sources)
+    assert run_folder.load_options(run)["sources"]["poses"] == "poses.npz"
+    found = run_folder.source_of(run, "poses", video.folder)
+    assert found == video.folder / "poses.npz"
+    with pytest.raises(InputError, match=r"b.npz, which is gone; give it with --body$"):
+        run_folder.source_of(run, "body", video.folder)
+    assert run_folder.sources_of(body, None, video.folder) == {"poses": str(body), "body": None}
+    assert run_folder.source_of(tmp_path, "poses", video.folder) is None  # an older run
+
+
 def test_a_state_comes_back_to_the_bit(tmp_path):
     state = {"step": 7, "avatar": {"x": torch.randn(4)}, "history": {"loss": [0.1, 0.2]}}
     assert run_folder.load_state(tmp_path) is None

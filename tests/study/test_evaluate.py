@@ -33,6 +33,12 @@ def test_the_avatar_that_made_the_pictures_reaches_the_maximum(known, studio, bo
         assert row.flicker == (0 if row.split == "test" else None)
 
 
+def test_a_held_out_range_has_rows_of_its_own(studio):
+    splits = replace(studio.splits, held_out_range=studio.splits.test)
+    views = {view.split: list(view.frames) for view in views_of(replace(studio, splits=splits))}
+    assert views["held_out_range"] == splits.test and "test" not in views
+
+
 def test_figures_are_taken_in_the_boxes_of_hands_and_face(known, studio):
     """Of a picture that is wrong in the face's box alone, no other detail has a worse figure."""
     hand, face = Box(0, 0, 16, 16), Box(24, 24, 40, 40)

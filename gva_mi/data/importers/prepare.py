@@ -19,6 +19,7 @@ import numpy as np
 import torch
 
 from gva_mi.body.pose import LEFT_HAND, Pose, Shape, save_poses
+from gva_mi.body.smplx import BUILT_IN_NAME
 from gva_mi.core.console import Progress
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import write_json
@@ -79,7 +80,7 @@ def prepare_folder(
         notes.append(f"{len(track.frames)} poses, but {count} pictures with masks")
         track = track.where(track.frames < count)
     if capture.splits is not None:
-        write_json(out / "splits.json", vars(capture.splits))
+        write_json(out / "splits.json", capture.splits.to_json())
     track, inside, more = every_frame(where, track, count)
     for k in np.flatnonzero(~inside):  # without a mask, a frame belongs to no split
         (out / "masks" / f"{k:06d}.png").unlink(missing_ok=True)
@@ -101,7 +102,8 @@ def prepare_folder(
     notes = [about, *notes, *of_lens, *more, *_write_poses(out, track, body)]
     notes += [note for note in (capture.note, uneven_rate(capture.frames)) if note]
     record = {"kind": kind, "person": track.person, "form": track.form, "notes": notes}
-    record["body"] = {"name": body.name} | fingerprint(body.model)
+    file = None if body.name == BUILT_IN_NAME else str(options.body.resolve())
+    record["body"] = {"name": body.name, "file": file} | fingerprint(body.model)
     record["source"] = {"kind": kind, "estimate": source} | vars(options)
     write_json(out / PREPARED, record | {"versions": versions()})
     return notes

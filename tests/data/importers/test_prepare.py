@@ -9,6 +9,7 @@ import torch
 
 from gva_mi.body.built_in import BUILT_IN_BODY
 from gva_mi.body.smplx import load_body
+from gva_mi.cli.arguments import body_of
 from gva_mi.data.fingerprint import require_same_body
 from gva_mi.data.video import load_video
 
@@ -60,7 +61,7 @@ def test_the_masks_choose_the_(wham, tmp_path, cli, seen, footage):
     assert json.loads((tmp_path / "s/prepare.json").read_text())["person"] == "7"
 
 
-def test_later_steps_expect_the_body_that_was_prepared_for(wham, tmp_path, cli, seen, footage):
+def test_later_steps_take_the_body_that_was_prepared_for(wham, tmp_path, cli, seen, footage):
     file, subject = wham(_0=seen), tmp_path / "s"
     code, _, err = cli("prepare", "wham", file, subject, *footage[2:])
     assert code == 2 and "--body" in err and not subject.exists()
@@ -71,12 +72,15 @@ def test_later_steps_expect_the_body_that_was_prepared_for(wham, tmp_path, cli, 
     code, said, err = cli("prepare", "wham", file, subject, *taller, *footage[2:])
     assert code == 0, err
     assert "retargeted to the body taller: rotations and the pelvis's place" in said
-    assert f"the other steps expect --body {tmp_path}/taller.npz" in said
     before = sorted(subject.rglob("*"))
-    code, _, err = cli("refine", subject)
+    require_same_body(subject, load_body(body_of(subject)))
+    code, _, err = cli("refine", subject, "--body", "puppet")
     assert code == 2 and err.count("\n") == 1
     assert "prepared for another body, taller (" in err and "expected --body with" in err
-    require_same_body(subject, load_body(tmp_path / "taller.npz"))
+    (tmp_path / "taller.npz").unlink()
+    code, _, err = cli("refine", subject)
+    assert code == 2 and err.count("\n") == 1
+    assert f"was prepared for the body {tmp_path}/taller.npz, which is gone" in err
     assert sorted(subject.rglob("*")) == before
 
 

@@ -1,0 +1,69 @@
+"""The background without the person: the median of what is seen of each pixel in a whole film.
+
+A pixel that the person nearly always hides has no median. There the plate continues the nearest
+pixel that has one, and says by a larger spread how little it knows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+SEEN = 3  # pictures that have to show a pixel of the background
+LEAST = 0.012  # smallest spread, of colours in [0, 1]: noise and compression
+GUESSED = 0.06  # spread of a colour that is continued from the nearest pixel, and per further
+FARTHER = 0.003  # pixel of distance this much more
+ROWS = 64  # computed at once
+
+
+@dataclass(frozen=True)
+class Plate:
+    """Colours of the background on a grid."""
+
+    color: np.ndarray  # (h, w, 3) float32 in [0, 1]
+    spread: np.ndarray  # (h, w) float32, standard deviation of a colour
+    seen: np.ndarray  # (h, w) bool: where the background was seen; elsewhere the colour is a guess
+
+    @staticmethod
+    def gather(pictures: np.ndarray, bare: np.ndarray) -> Plate | None:
+        """Return the plate of pictures (N, h, w, 3) 8-bit where ``bare`` (N, h, w) of the person.
+
+        None if no pixel was seen often enough.
+        """
+        count = bare.sum(0)
+        color = np.zeros(pictures.shape[1:], np.float32)
+        spread = np.full(count.shape, LEAST, np.float32)
+        for top in range(0, len(count), ROWS):
+            part = np.s_[top : top + ROWS]
+            values, shown = pictures[:, part].astype(np.int16), bare[:, part, :, None]
+            middle = _median(values, shown)
+            color[part] = middle / 255
+            away = _median(np.abs(values - middle), shown).mean(-1)
+            spread[part] = np.maximum(LEAST, 1.4826 / 255 * away)
+        seen = count >= min(SEEN, len(pictures))
+        return None if not seen.any() else Plate(*_continued(color, spread, seen), seen)
+
+
+def _median(values: np.ndarray, shown: np.ndarray) -> np.ndarray:
+    """Return the lower median over the first axis of values (N, ...) int16 that are shown."""
+    count = shown.sum(0)
+    ordered = np.sort(np.where(shown, values, np.int16(1000)), axis=0)
+    index = np.broadcast_to(np.maximum(count - 1, 0) // 2, ordered.shape[1:])
+    return np.take_along_axis(ordered, index[None], 0)[0]
+
+
+def _continued(
+    color: np.ndarray, spread: np.ndarray, seen: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Give unseen pixels the mean colour around the nearest seen one, and a larger spread."""
+    from scipy.ndimage import distance_transform_edt, uniform_filter
+
+    if seen.all():
+        return color, spread
+    away, nearest = distance_transform_edt(~seen, return_indices=True)
+    share = uniform_filter(seen.astype(np.float32), 7, mode="constant").clip(1e-6)
+    total = uniform_filter(color * seen[..., None], (7, 7, 1), mode="constant")
+    mean = (total / share[..., None])[tuple(nearest)]
+    color = np.where(seen[..., None], color, mean)
+    return color, np.where(seen, spread, GUESSED + FARTHER * away).astype(np.float32)

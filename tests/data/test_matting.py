@@ -1,0 +1,74 @@
+"""Masks of a film hold at the outline, where a network's probabilities are rough."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter, shift
+
+from gva_mi.data.matting.film import film_masks
+from gva_mi.data.pictures import read_image
+
+H, W, T = 96, 80, 10
+
+
+@pytest.fixture(scope="module")
+def film():
+    """Return pictures, true masks and probabilities of a striped figure that walks past a wall.
+
+    A shadow darkens the floor beside its feet.
+    """
+    random = np.random.default_rng(0)
+    wall = gaussian_filter(random.uniform(0, 1, (H, W, 3)), (1, 1, 0))
+    wall = 0.55 + 0.5 * (wall - wall.mean())
+    wall[76:] *= [0.8, 0.6, 0.4]
+    y, x = np.mgrid[:H, :W] + 0.5
+    pictures, masks, probabilities = [], [], []
+    for k in range(T):
+        middle = 24 + 3.3 * k
+        head = 8 - np.hypot(x - middle, y - 18)
+        body = np.minimum(9 - np.abs(x - middle), np.minimum(y - 24, 84 - y))
+        mask = np.clip(np.maximum(head, body) + 0.5, 0, 1)
+        shadow = 1 - 0.5 * np.exp(-(((x - middle - 12) / 9) ** 2) - ((y - 85) / 5) ** 2)
+        shirt = np.stack([0.7 + 0.1 * np.sin(y), 0.15 + 0 * y, 0.2 + 0.1 * np.sin(x)], -1)
+        picture = mask[..., None] * shirt + (1 - mask[..., None]) * wall * shadow[..., None]
+        picture = picture + random.normal(0, 0.01, picture.shape)
+        pictures.append(np.round(picture.clip(0, 1) * 255).astype(np.uint8))
+        masks.append(mask)
+        rough = shift(gaussian_filter(mask, 2), (1.5, -2), order=1)
+        probabilities.append(np.round(rough * 255).astype(np.uint8))
+    return pictures, np.array(masks), probabilities
+
+
+def iou(a, b):
+    return (a & b).sum() / (a | b).sum()
+
+
+def found(folder):
+    return np.array([read_image(folder / f"{k:06d}.png", 1) for k in range(T)]) / 255
+
+
+def test_masks_hold_at_the_outline_and_leave_the_shadow_out(film, tmp_path):
+    pictures, truth, rough = film
+    assert film_masks(pictures, rough, tmp_path) == []
+    masks = found(tmp_path)
+    before = iou(np.array(rough) > 127, truth > 0.5)
+    assert before < 0.87
+    assert iou(masks > 0.5, truth > 0.5) > 0.985
+    assert np.minimum(masks, truth).sum() / np.maximum(masks, truth).sum() > 0.96
+
+
+def test_frames_without_a_person_get_empty_masks_and_a_note(film, tmp_path):
+    pictures, _, rough = film
+    rough = [0 * P if k in (2, 3) else P for k, P in enumerate(rough)]
+    (note,) = film_masks(pictures, rough, tmp_path / "some")
+    assert "2-3" in note
+    masks = found(tmp_path / "some")
+    assert [k for k in range(T) if not masks[k].any()] == [2, 3]
+    (note,) = film_masks(pictures, [0 * P for P in rough], tmp_path / "none")
+    assert "0-9" in note and not found(tmp_path / "none").any()
+
+
+def test_the_same_film_gives_the_same_bits(film, tmp_path):
+    pictures, _, rough = film
+    for name in ("a", "b"):
+        film_masks(pictures, rough, tmp_path / name)
+    assert (found(tmp_path / "a") == found(tmp_path / "b")).all()

@@ -5,14 +5,14 @@ to one size. The spread between passes adds to it, and a low confidence widens i
 
 1. ``σ² = ((share · S)² + spread²) / confidence``,   ``S``: pixels of a person of 1.7 m
 
-Depths are guesses. Along a bone from ``i`` to ``j`` they are a damped copy of the truth: a network
-that is trained to be right on average answers less than it suspects. With the scale ``s`` of
-:meth:`gva_mi.pose.film.rig.LandmarkRig.scale`,
+Depths are guesses. A network that is trained to be right on average mixes what it sees with the
+average photograph, of somebody who faces the camera. Along a bone from ``i`` to ``j``, and with the
+scale ``s`` of :meth:`gva_mi.pose.film.rig.LandmarkRig.scale`,
 
-2. ``s (m_j - m_i) = gain (z_j - z_i) + e``,   ``e``: of standard deviation ``σ_z``
+2. ``s (m_j - m_i) = gain (z_j - z_i) + bias + e``,   ``e``: of standard deviation ``σ_z``
 
-``gain`` and ``σ_z`` (:data:`BONES`) are rounded from BlazePose's and the hand network's answers on
-rendered people who turn, walk and sit.
+``gain``, ``bias`` and ``σ_z`` (:data:`BONES`) are rounded from the answers of BlazePose and of the
+hand network on rendered people who turn, walk and sit.
 """
 
 from __future__ import annotations
@@ -39,23 +39,29 @@ class BoneDepth(NamedTuple):
     """What a network knows of the depth along a bone (eq. 2)."""
 
     gain: float
+    bias: float  # metres
     sigma: float  # σ_z, metres
 
 
 # From and to; both of one side unless the names say otherwise.
 BONES = {
-    ("shoulder", "elbow"): BoneDepth(0.6, 0.04), ("elbow", "wrist"): BoneDepth(0.5, 0.07),
-    ("hip", "knee"): BoneDepth(0.6, 0.04), ("knee", "ankle"): BoneDepth(0.6, 0.05),
-    ("ankle", "foot_index"): BoneDepth(0.3, 0.05), ("shoulder", "hip"): BoneDepth(0.8, 0.05),
-    ("left_shoulder", "right_shoulder"): BoneDepth(1.0, 0.04),
-    ("left_hip", "right_hip"): BoneDepth(1.0, 0.05), ("nose", "ear"): BoneDepth(1.0, 0.03),
-    ("left_ear", "right_ear"): BoneDepth(1.0, 0.03), ("shoulder", "ear"): BoneDepth(1.0, 0.07),
-    ("wrist", "index"): BoneDepth(0.4, 0.03), ("wrist", "pinky"): BoneDepth(0.4, 0.03),
-    ("index", "pinky"): BoneDepth(0.4, 0.02),
-    ("hand_wrist", "hand_middle_mcp"): BoneDepth(0.5, 0.03),
-    ("hand_index_mcp", "hand_pinky_mcp"): BoneDepth(0.6, 0.025),
-}  # fmt: skip
-PHALANX = BoneDepth(0.5, 0.012)  # every bone of a finger
+    ("shoulder", "elbow"): BoneDepth(0.6, 0.0, 0.04),
+    ("elbow", "wrist"): BoneDepth(0.45, -0.03, 0.07),
+    ("hip", "knee"): BoneDepth(0.6, 0.02, 0.04),
+    ("knee", "ankle"): BoneDepth(0.4, 0.05, 0.035),
+    ("ankle", "foot_index"): BoneDepth(0.25, -0.06, 0.03),
+    ("shoulder", "hip"): BoneDepth(0.7, 0.02, 0.04),
+    ("left_shoulder", "right_shoulder"): BoneDepth(1.0, 0.0, 0.04),
+    ("left_hip", "right_hip"): BoneDepth(1.4, 0.0, 0.04),
+    ("nose", "ear"): BoneDepth(1.0, 0.0, 0.03),
+    ("left_ear", "right_ear"): BoneDepth(0.9, 0.0, 0.03),
+    ("wrist", "index"): BoneDepth(0.4, -0.025, 0.02),
+    ("wrist", "pinky"): BoneDepth(0.3, -0.01, 0.02),
+    ("index", "pinky"): BoneDepth(0.35, 0.015, 0.012),
+    ("hand_wrist", "hand_middle_mcp"): BoneDepth(0.4, -0.03, 0.03),
+    ("hand_index_mcp", "hand_pinky_mcp"): BoneDepth(0.5, 0.0, 0.025),
+}
+PHALANX = BoneDepth(0.3, 0.0, 0.01)  # every bone of a finger
 _FINGERS = {
     "thumb": ("cmc", "mcp", "ip", "tip"),
     **{name: ("mcp", "pip", "dip", "tip") for name in ("index", "middle", "ring", "pinky")},
@@ -69,7 +75,7 @@ class LandmarkNoise:
     Attributes:
         pixels: (T, P) standard deviation of x and of y, pixels; infinite without a landmark.
         bones: (K, 2) from and to, indices of the P landmarks.
-        gain: (K,) of eq. 2.
+        gain, bias: (K,) of eq. 2, ``bias`` in metres.
         depth: (T, K) ``σ_z``, metres; infinite without both landmarks.
         size: S, pixels of a person of 1.7 m; its median over the frames.
     """
@@ -77,6 +83,7 @@ class LandmarkNoise:
     pixels: Tensor
     bones: Tensor
     gain: Tensor
+    bias: Tensor
     depth: Tensor
     size: float
 
@@ -106,6 +113,7 @@ class LandmarkNoise:
             tensor(np.where(found, pixels, np.inf)),
             torch.from_numpy(bones),
             tensor([bone.gain for _, bone in known]),
+            tensor([bone.bias for _, bone in known]),
             tensor(depth),
             float(np.median(sizes)),
         )

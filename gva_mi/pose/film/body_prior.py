@@ -1,0 +1,189 @@
+"""What is known of poses and people without a picture, as weighted squares.
+
+1. Every joint is near a relaxed pose, arms down and fingers half bent, within ``SPREAD``.
+2. Hinges bend about one axis and within a range (:mod:`gva_mi.pose.prior.anatomy`). The constant
+   offsets of their angles are unknowns of the film, ``habits``.
+3. Landmarks' constant offsets are near zero, betas too, and the height is the given one.
+4. A phone is held nearly level, and looks down a little.
+
+``m`` frames count as one in (1) and (2), as in the evidence: errors of successive frames are almost
+the same.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from gva_mi.body.pose import JOINTS, LEFT_HAND
+from gva_mi.pose.film.film_state import FilmState, Free
+from gva_mi.pose.film.normal_equations import NormalEquations
+from gva_mi.pose.prior.anatomy import PAST_LIMIT, Anatomy
+from gva_mi.pose.stature import Stature
+
+# Standard deviations about the relaxed pose, radians; others as the fingers' joints.
+SPREAD = {
+    "pelvis": None, "spine1": 0.2, "spine2": 0.2, "spine3": 0.2, "neck": 0.3, "head": 0.3,
+    "collar": 0.15, "shoulder": 1.2, "elbow": 1.2, "wrist": 0.4, "hip": 0.7, "knee": 1.0,
+    "ankle": 0.35, "foot": 0.2, "jaw": None, "eye_smplhf": None,
+}  # fmt: skip
+FINGER = 0.5
+WRIST_TWIST = 0.15  # radians; forearms twist instead
+RELAXED = {"shoulder": 0.9, "elbow": 0.2}  # radians down, and bent
+CURL = {1: 0.25, 2: 0.4, 3: 0.27}  # of a finger's joints, radians
+BETA = 0.7  # standard deviation of betas; landmarks know lengths, not girths
+HEIGHT, HEIGHT_KNOWN = (1.70, 0.09), 0.005  # metres
+FOCAL = 0.15  # of its logarithm
+UP, LOOKS_DOWN = (0.04, 0.15), 0.07  # of the upward direction aside and in depth; radians
+
+
+class Rows(NamedTuple):
+    """Weighted residuals, ``E = Σ w r² / 2`` around the current unknowns."""
+
+    residuals: Tensor  # (n, N)
+    weights: Tensor  # (n, N)
+    by_frame: Tensor  # (N, F), their derivatives
+    by_shared: Tensor  # (N, S)
+
+
+@dataclass(frozen=True)
+class BodyPrior:
+    """The terms above, for some unknowns."""
+
+    free: Free
+    anatomy: Anatomy
+    relaxed: Tensor  # (55, 3) radians
+    precision: Tensor  # (55, 3) of (1)
+    memory: float  # m
+
+    @staticmethod
+    def of(free: Free, joints: Tensor, memory: float) -> BodyPrior:
+        """Derive it from joints (55, 3) at rest."""
+        anatomy = Anatomy.of(joints)
+        relaxed = torch.zeros(len(JOINTS), 3, dtype=torch.float64)
+        spread = torch.full((len(JOINTS), 3), FINGER, dtype=torch.float64)
+        for k, name in enumerate(JOINTS[: LEFT_HAND.start]):
+            part = name.removeprefix("left_").removeprefix("right_")
+            spread[k] = SPREAD[part] or 1.0
+            if part == "wrist":
+                spread[k, 0] = WRIST_TWIST  # the forearm lies along x at rest
+        for sign, side in ((-1, "left"), (1, "right")):
+            relaxed[JOINTS.index(f"{side}_shoulder"), 2] = sign * RELAXED["shoulder"]
+            relaxed[JOINTS.index(f"{side}_elbow"), 1] = sign * RELAXED["elbow"]
+        for bend in anatomy.bends:
+            (joint,) = bend.any(1).nonzero()[:, 0].tolist()
+            if joint >= LEFT_HAND.start:
+                relaxed[joint] = CURL[int(JOINTS[joint][-1])] * bend[joint]
+        return BodyPrior(free, anatomy, relaxed, spread**-2, memory)
+
+    def energy(self, state: FilmState) -> Tensor:
+        """Return (1) and (2), nats."""
+        return sum((rows.weights * rows.residuals.square()).sum() / 2 for rows in self.rows(state))
+
+    def rows(self, state: FilmState) -> Iterator[Rows]:
+        """Yield (1) and (2)."""
+        joints = [j for j in self.free.joints if j]
+        first = self.free.per_frame - 3 * len(joints)
+        shared = self.free.shared
+        count = len(state.place)
+        r = state.rotations[:, joints]
+        some = lambda N: state.place.new_zeros(N, self.free.per_frame)
+        own = some(3 * len(joints))
+        own[:, first:] = torch.eye(3 * len(joints))
+        weights = (self.precision[joints] / self.memory).flatten().expand(count, -1)
+        yield Rows(
+            (r - self.relaxed[joints]).flatten(1), weights, own, own.new_zeros(len(own), shared)
+        )
+
+        angles = [q for q in self.habits(self.free.joints)]
+        A = self.anatomy.A[angles][:, joints].double().flatten(1)
+        by_frame, by_shared = some(len(A)), state.place.new_zeros(len(A), shared)
+        by_frame[:, first:] = A
+        if self.free.habits:
+            by_shared[:, self.free.starts[3] :] = -torch.eye(len(A))
+        varying = torch.tensor([self.anatomy.freedoms[q].varying for q in angles]).double()
+        weights = (torch.deg2rad(varying) ** -2 / self.memory).expand(count, -1)
+        yield Rows(r.flatten(1) @ A.T - state.habits[angles], weights, by_frame, by_shared)
+
+        mine = self.anatomy.bends[:, joints].flatten(1).any(1)
+        bends = self.anatomy.bends[mine][:, joints].double().flatten(1)
+        low, high = self.anatomy.limits[mine].double().unbind(1)
+        bend = r.flatten(1) @ bends.T
+        past = (bend - high).clamp_min(0) - (low - bend).clamp_min(0)
+        by_frame = some(len(bends))
+        by_frame[:, first:] = bends
+        weights = (past != 0) / (self.memory * math.radians(PAST_LIMIT) ** 2)
+        yield Rows(past, weights, by_frame, by_frame.new_zeros(len(bends), shared))
+
+    def habits(self, joints: list[int]) -> list[int]:
+        """Return the angles of the anatomy that only some joints form."""
+        others = [j for j in range(len(JOINTS)) if j not in joints or j == 0]
+        return [q for q, row in enumerate(self.anatomy.A) if not bool(row[others].any())]
+
+
+@dataclass(frozen=True)
+class SharedPrior:
+    """Term (3) and (4): diagonal, but for the height.
+
+    Attributes:
+        free: the unknowns.
+        loose: (P,) standard deviation of landmarks' offsets, metres.
+        always: (Q,) of habits, radians.
+        stature: of the body.
+        height: and its standard deviation, metres.
+        focal: standard deviation of the focal length's logarithm.
+    """
+
+    free: Free
+    loose: Tensor
+    always: Tensor
+    stature: Stature
+    height: tuple[float, float]
+    focal: float
+
+    def parts(self, state: FilmState) -> tuple[Tensor, Tensor]:
+        """Return residuals and standard deviations (S,) of the shared unknowns."""
+        found = [state.betas[: self.free.betas]]
+        spread = [torch.full_like(found[0], BETA)]
+        if self.free.camera:
+            aside, deep = UP
+            apart = torch.stack([state.up[0], state.up[1] + LOOKS_DOWN])
+            found += [state.focal[None], apart, 0 * state.floor[None]]
+            spread += [state.up.new_tensor([self.focal, aside, deep, 10.0])]
+        offsets, habits = list(self.free.offsets), list(self.free.habits)
+        found += [state.offsets[offsets].flatten(), state.habits[habits]]
+        spread += [self.loose[offsets].double().repeat_interleave(3), self.always[habits]]
+        return torch.cat(found), torch.cat(spread)
+
+    def taller(self, state: FilmState) -> tuple[Tensor, Tensor, float]:
+        """Return how much too tall the person is, its slope (B,), and its standard deviation."""
+        slope = self.stature.slope.double()[: self.free.betas]
+        height = self.stature.mean + slope @ state.betas[: len(slope)]
+        return height - self.height[0], slope, self.height[1]
+
+    def energy(self, state: FilmState) -> Tensor:
+        """Return (3) and (4), nats."""
+        apart, spread = self.parts(state)
+        total = (apart / spread).square().sum() / 2
+        if self.free.betas:
+            taller, _, sigma = self.taller(state)
+            total = total + (taller / sigma).square() / 2
+        return total
+
+    def add(self, state: FilmState, equations: NormalEquations) -> None:
+        """Add (3) and (4) to the equations."""
+        if not self.free.shared:
+            return
+        apart, spread = self.parts(state)
+        equations.shared.diagonal().add_(spread**-2)
+        equations.shared_pull -= apart / spread**2
+        if self.free.betas:
+            taller, slope, sigma = self.taller(state)
+            some = slice(0, len(slope))
+            equations.shared[some, some] += slope[:, None] * slope / sigma**2
+            equations.shared_pull[some] -= taller * slope / sigma**2

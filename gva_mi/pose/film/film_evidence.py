@@ -1,0 +1,260 @@
+"""What a film says of poses: landmarks, their depths, standing feet and upright people.
+
+With points ``X`` in the camera's axes (:mod:`gva_mi.pose.film.posed_points`) and errors in units of
+their standard deviations (:mod:`gva_mi.pose.film.landmark_noise`), a frame costs
+
+1. ``t_2((π(X_p) - x_p) / σ_p)``                                 pixels, of every landmark
+2. ``t_1((gain (z_j - z_i) + bias - s (m_j - m_i)) / σ_z)``             depths, of every bone
+3. ``-log p(up · X_q + floor)``                                  soles stand or swing
+4. ``t_2(across(X_neck - X_pelvis) / σ_u)``                      the trunk is upright, on average
+
+divided by ``m``, the frames that count as one, because a network's errors last. ``t_d`` is that of
+Student's t distribution in d dimensions, ``(ν + d)/2 log(1 + |r|²/ν)``, and ``p`` that of eq. 2 of
+:mod:`gva_mi.pose.prior.ground`.
+
+To start with, landmarks in metres take the place of (1) and (2), because 3D points leave no doubt
+which way a limb points:
+
+5. ``|X_p - X_pelvis - s m_p|² / 2 σ_m²``
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from gva_mi.body.pose import JOINTS
+from gva_mi.body.smplx import BodyModel
+from gva_mi.pose.film.film_state import FilmState, Free
+from gva_mi.pose.film.landmark_noise import FREEDOM, LandmarkNoise
+from gva_mi.pose.film.posed_points import PointSet, PosedPoints
+from gva_mi.pose.film.rig import LandmarkRig
+
+METRIC = 0.1  # σ_m, metres
+UPRIGHT = 0.12  # σ_u, radians
+LEAST_DEPTH = 0.2  # metres; nearer points count as if they were there
+STAND, UNEVEN, LIFT = 0.7, 0.02, 0.12  # w, σ, λ of (3); share, metres, metres
+T_PEAK = 0.3676  # of Student's t with that freedom
+SOLES, TRUNK = 4, 2  # points after the landmarks: soles, then pelvis and neck
+
+
+class EvidenceRows(NamedTuple):
+    """Errors of n frames: energy in nats, and weighted squares with the same slope."""
+
+    energy: Tensor  # ()
+    residuals: Tensor  # (n, N)
+    weights: Tensor  # (n, N)
+    jacobian: Tensor | None  # (n, N, F + S), if asked for
+
+
+@dataclass(frozen=True)
+class FilmEvidence:
+    """Evidence of T frames for some unknowns.
+
+    Attributes:
+        free: the unknowns.
+        points: P landmarks, then the soles, pelvis and neck if the person travels.
+        K: (3, 3) the camera, pixels.
+        pixels: (T, P, 2) landmarks.
+        precision: (T, P) ``1 / σ²``; zero without a landmark.
+        bones: (K, 2) and ``gain`` (K,).
+        deep: (T, K) ``s (m_j - m_i) - bias``, and ``deep_precision`` (T, K).
+        metric: (T, P, 3) ``s m``, of the body alone; NaN elsewhere.
+        memory: m.
+        starting: whether (5) takes the place of (1) and (2).
+    """
+
+    free: Free
+    points: PointSet
+    K: Tensor
+    pixels: Tensor
+    precision: Tensor
+    bones: Tensor
+    gain: Tensor
+    deep: Tensor
+    deep_precision: Tensor
+    metric: Tensor
+    memory: float
+    starting: bool = False
+
+    def of(self, some: slice) -> FilmEvidence:
+        """Select frames."""
+        names = ("pixels", "precision", "deep", "deep_precision", "metric")
+        return replace(self, **{name: getattr(self, name)[some] for name in names})
+
+    def rows(self, state: FilmState, derive: bool) -> Iterator[EvidenceRows]:
+        """Yield the terms for the frames of a state."""
+        P = self.pixels.shape[1]
+        offsets = torch.nn.functional.pad(state.offsets, (0, 0, 0, len(self.points.rest) - P))
+        posed = PosedPoints.of(self.points, state.rotations, state.place, state.betas, offsets)
+        D = self._derivatives(posed) if derive else None
+        if self.starting:
+            yield self._metric(posed, D)
+        else:
+            yield self._pixels(posed, D, state)
+            yield self._depths(posed, D)
+        if self.free.travels and not self.starting:
+            yield self._ground(posed, D, state)
+            yield self._upright(posed, D, state)
+
+    def _derivatives(self, posed: PosedPoints) -> Tensor:
+        """Return those of all points by all columns, (n, P, 3, F + S)."""
+        free, F = self.free, self.free.per_frame
+        n, P = posed.X.shape[:2]
+        D = posed.X.new_zeros(n, P, 3, F + free.shared)
+        first = 3 * free.travels
+        if free.travels:
+            D[..., :3] = torch.eye(3, dtype=D.dtype)
+        D[..., first:F] = posed.by_joints(free.joints).flatten(3)
+        betas, _, offsets, _ = (F + start for start in free.starts)
+        if free.betas:
+            D[..., betas : betas + free.betas] = posed.by_betas()[..., : free.betas]
+        A = posed.by_offsets()
+        for k, p in enumerate(free.offsets):
+            D[:, p, :, offsets + 3 * k : offsets + 3 * k + 3] = A[:, p]
+        return D
+
+    def _t(self, r: Tensor, precision: Tensor, d: int) -> tuple[Tensor, Tensor]:
+        """Return energy and weights of errors (n, N, d) with precision (n, N)."""
+        square = r.square().sum(-1) * precision / FREEDOM
+        energy = (FREEDOM + d) / 2 * torch.log1p(square).sum() / self.memory
+        weights = (FREEDOM + d) / (FREEDOM * (1 + square)) * precision / self.memory
+        return energy, weights
+
+    def _pixels(self, posed: PosedPoints, D: Tensor | None, state: FilmState) -> EvidenceRows:
+        P = self.pixels.shape[1]
+        X, z = posed.X[:, :P], posed.X[:, :P, 2:].clamp_min(LEAST_DEPTH)
+        f = torch.stack([self.K[0, 0], self.K[1, 1]]) * state.focal.exp()
+        rays = X[..., :2] / z
+        r = torch.where(self.precision[..., None] > 0, f * rays + self.K[:2, 2] - self.pixels, 0)
+        energy, weights = self._t(r, self.precision, 2)
+        weights = weights[..., None].expand(-1, -1, 2).flatten(1)
+        if D is None:
+            return EvidenceRows(energy, r.flatten(1), weights, None)
+        own = D[:, :P]
+        J = (own[:, :, :2] - rays[..., None] * own[:, :, 2:]) * (f / z)[..., None]
+        if self.free.camera:
+            J[..., self.free.per_frame + self.free.starts[1]] = f * rays
+        return EvidenceRows(energy, r.flatten(1), weights, J.flatten(1, 2))
+
+    def _depths(self, posed: PosedPoints, D: Tensor | None) -> EvidenceRows:
+        i, j = self.bones.unbind(1)
+        z = posed.X[..., 2]
+        r = torch.where(self.deep_precision > 0, self.gain * (z[:, j] - z[:, i]) - self.deep, 0)
+        energy, weights = self._t(r[..., None], self.deep_precision, 1)
+        J = None if D is None else self.gain[:, None] * (D[:, j, 2] - D[:, i, 2])
+        return EvidenceRows(energy, r, weights, J)
+
+    def _metric(self, posed: PosedPoints, D: Tensor | None) -> EvidenceRows:
+        P = self.pixels.shape[1]
+        known = self.metric.isfinite()
+        r = torch.where(known, posed.X[:, :P] - posed.places[:, :1] - self.metric, 0).flatten(1)
+        weights = known.to(r).flatten(1) / (METRIC**2 * self.memory)
+        energy = (weights * r.square()).sum() / 2
+        if D is None:
+            return EvidenceRows(energy, r, weights, None)
+        D = D[:, :P].clone()
+        D[..., :3] = 0
+        return EvidenceRows(energy, r, weights, D.flatten(1, 2))
+
+    def _ground(self, posed: PosedPoints, D: Tensor | None, state: FilmState) -> EvidenceRows:
+        P = self.pixels.shape[1]
+        X, (up, by_up) = posed.X[:, P : P + SOLES], state.upward()
+        h = X @ up + state.floor
+        x = h / UNEVEN
+        on = STAND * T_PEAK / UNEVEN * (1 + x.square() / FREEDOM) ** (-(FREEDOM + 1) / 2)
+        below = torch.sigmoid(-x)
+        off = (1 - STAND) / LIFT * (1 - below) * torch.exp(-h.clamp_min(0) / LIFT)
+        stands = on / (on + off)
+        energy = -(on + off).log().sum() / self.memory
+        curve = stands * (FREEDOM + 1) / (FREEDOM + x.square()) / UNEVEN**2
+        slope = curve * h + (1 - stands) * ((h > 0) / LIFT - below / UNEVEN)
+        curve = curve + (1 - stands) * (below * (1 - below)) / UNEVEN**2 + 1.0
+        rows = EvidenceRows(energy, slope / curve, curve / self.memory, None)
+        if D is None:
+            return rows
+        J = torch.einsum("nqcu,c->nqu", D[:, P : P + SOLES], up)
+        if self.free.camera:
+            first = self.free.per_frame + self.free.starts[1] + 1
+            J[..., first : first + 2] += X @ by_up
+            J[..., first + 2] += 1
+        return rows._replace(jacobian=J)
+
+    def _upright(self, posed: PosedPoints, D: Tensor | None, state: FilmState) -> EvidenceRows:
+        pelvis, neck = self.pixels.shape[1] + SOLES, self.pixels.shape[1] + SOLES + 1
+        trunk, (up, by_up) = posed.X[:, neck] - posed.X[:, pelvis], state.upward()
+        length = trunk.norm(dim=1, keepdim=True)
+        r = trunk / length - up
+        precision = r.new_full((len(r), 1), UPRIGHT**-2)
+        energy, weights = self._t(r[:, None], precision, 2)
+        rows = EvidenceRows(energy, r, weights.expand(-1, 3), None)
+        if D is None:
+            return rows
+        J = (D[:, neck] - D[:, pelvis]) / length[..., None]
+        if self.free.camera:
+            first = self.free.per_frame + self.free.starts[1] + 1
+            J[..., first : first + 2] -= by_up
+        return rows._replace(jacobian=J)
+
+
+def film_points(body: BodyModel, rig: LandmarkRig, more: bool) -> PointSet:
+    """Return the points of a rig on its body; with ``more`` also soles, pelvis and neck."""
+    joints, rest, directions = rig.joints, rig.rest, rig.directions
+    if more:
+        v = body.v_template
+        moves = body.shape_directions[:, : 3 * len(v)].view(-1, 3, len(v))
+        growth = body.shape_joints.view(len(moves), -1, 3)
+        for side in ("left", "right"):
+            for kind in ("ankle", "foot"):
+                joint = JOINTS.index(f"{side}_{kind}")
+                own = body.weights[:, joint] > 0.5
+                lowest = int(torch.where(own, v[:, 1], torch.inf).argmin())
+                joints = torch.cat([joints, torch.tensor([joint])])
+                rest = torch.cat([rest, v[[lowest]]])
+                directions = torch.cat([directions, moves[:, None, :, lowest]], 1)
+        trunk = [JOINTS.index("pelvis"), JOINTS.index("neck")]
+        joints = torch.cat([joints, torch.tensor(trunk)])
+        rest = torch.cat([rest, body.j_template[trunk]])
+        directions = torch.cat([directions, growth[:, trunk]], 1)
+    return PointSet.of(body, joints, rest, directions)
+
+
+def film_evidence(
+    body: BodyModel,
+    rig: LandmarkRig,
+    free: Free,
+    data: tuple[Tensor, Tensor, LandmarkNoise],
+    K: Tensor,
+    memory: float,
+) -> FilmEvidence:
+    """Collect the evidence of landmarks.
+
+    Args:
+        body, rig: P landmarks on a body.
+        free: the unknowns.
+        data: pixels (T, P, 2), scaled metres (T, P, 3), and their noise.
+        K: (3, 3) of the camera.
+        memory: m.
+    """
+    pixels, metric, noise = data
+    i, j = noise.bones.unbind(1)
+    deep = metric[:, j, 2] - metric[:, i, 2] - noise.bias
+    of_hand = torch.tensor(["_hand_" in name for name in rig.names])
+    double = lambda x: x.double()
+    return FilmEvidence(
+        free,
+        film_points(body, rig, free.travels),
+        double(K),
+        double(pixels),
+        double(noise.pixels) ** -2,
+        noise.bones,
+        double(noise.gain),
+        double(deep),
+        double(noise.depth) ** -2,
+        double(metric).where(~of_hand[None, :, None], torch.nan),
+        memory,
+    )

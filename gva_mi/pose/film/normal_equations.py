@@ -1,0 +1,168 @@
+"""Normal equations of a film: frames that neighbours couple, and unknowns that all frames share.
+
+Of F unknowns a frame and S shared ones, a Gauss-Newton step solves
+
+1. ``[ H_ff  H_fs ] [x]   [g_f]``
+   ``[ H_sf  H_ss ] [y] = [g_s]``
+
+``H_ff`` couples a frame with the next two only. Two frames make a block, blocks are tridiagonal,
+and their Cholesky factors take time and memory in proportion to the number of frames:
+
+2. ``L_i L_iᵀ = D_i - W_i-1 W_i-1ᵀ``,   ``W_i = E_i L_i⁻ᵀ``     ``E_i``: block ``(i + 1, i)``
+
+The shared unknowns follow from the Schur complement ``H_ss - H_sf H_ff⁻¹ H_fs``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+
+@dataclass
+class NormalEquations:
+    """A sum of squares around the current unknowns; float64.
+
+    Attributes:
+        frames: (T, F, F) diagonal blocks of ``H_ff``.
+        next, second: (T, F) diagonals of the blocks that couple frame ``t`` with ``t + 1``, and
+            with ``t + 2``; zero where there is none.
+        mixed: (T, F, S) ``H_fs``.
+        shared: (S, S) ``H_ss``.
+        pull, shared_pull: (T, F) and (S,), the negative gradient.
+    """
+
+    frames: Tensor
+    next: Tensor
+    second: Tensor
+    mixed: Tensor
+    shared: Tensor
+    pull: Tensor
+    shared_pull: Tensor
+
+    @staticmethod
+    def zero(frames: int, free: int, shared: int) -> NormalEquations:
+        """Start an empty sum."""
+        z = lambda *shape: torch.zeros(*shape, dtype=torch.float64)
+        return NormalEquations(
+            z(frames, free, free), z(frames, free), z(frames, free), z(frames, free, shared),
+            z(shared, shared), z(frames, free), z(shared),
+        )  # fmt: skip
+
+    def add(
+        self, some: slice, r: Tensor, weights: Tensor, by_frame: Tensor, by_shared: Tensor
+    ) -> None:
+        """Add weighted squares ``Σ w r² / 2`` of n frames.
+
+        Args:
+            some: the frames.
+            r, weights: (n, N).
+            by_frame, by_shared: (n, N, F) and (n, N, S), derivatives of r.
+        """
+        weighted = weights[..., None] * by_frame
+        self.frames[some] += weighted.mT @ by_frame
+        self.pull[some] -= torch.einsum("nkf,nk->nf", weighted, r)
+        if len(self.shared_pull):
+            self.mixed[some] += weighted.mT @ by_shared
+            flat = by_shared.flatten(0, 1)
+            weighted = weights.flatten()[:, None] * flat
+            self.shared += weighted.T @ flat
+            self.shared_pull -= weighted.T @ r.flatten()
+
+    def solve(self, damping: float) -> tuple[Tensor, Tensor]:
+        """Return the step (T, F) and (S,), with the diagonal ``1 + damping`` times as large."""
+        count, free = self.pull.shape
+        more = 1 + damping
+        frames = self.frames.clone()
+        frames.diagonal(dim1=1, dim2=2).mul_(more)
+        known = torch.cat([self.mixed, self.pull[..., None]], -1)
+        factors = _Factors.of(*_in_pairs(frames, self.next, self.second))
+        padded = torch.nn.functional.pad(known, (0, 0, 0, 0, 0, count % 2))
+        solved = factors.solve(padded.reshape(-1, 2 * free, known.shape[-1]))
+        solved = solved.reshape(-1, free, known.shape[-1])[:count]
+        by_shared, alone = solved[..., :-1], solved[..., -1]
+        if not len(self.shared_pull):
+            return alone, self.shared_pull
+        schur = self.shared.clone()
+        schur.diagonal().mul_(more)
+        schur -= torch.einsum("tfs,tfr->sr", self.mixed, by_shared)
+        pull = self.shared_pull - torch.einsum("tfs,tf->s", self.mixed, alone)
+        y = torch.cholesky_solve(pull[:, None], torch.linalg.cholesky(schur))[:, 0]
+        return alone - by_shared @ y, y
+
+    def spread(self) -> Tensor:
+        """Return the posterior standard deviations (T, F) of the frames' unknowns.
+
+        The shared unknowns are taken as known.
+        """
+        count, free = self.pull.shape
+        factors = _Factors.of(*_in_pairs(self.frames, self.next, self.second))
+        return factors.variances().reshape(-1, free)[:count].sqrt()
+
+
+@dataclass(frozen=True)
+class _Factors:
+    """Eq. 2: N lower factors (b, b), and N - 1 of ``W``."""
+
+    lower: list[Tensor]
+    across: list[Tensor]
+
+    @staticmethod
+    def of(diagonal: Tensor, below: Tensor) -> _Factors:
+        lower, across = [], []
+        for i, block in enumerate(diagonal):
+            if i:
+                W = torch.linalg.solve_triangular(lower[-1], below[i - 1].mT, upper=False).mT
+                across.append(W)
+                block = block - W @ W.mT
+            lower.append(torch.linalg.cholesky(block))
+        return _Factors(lower, across)
+
+    def solve(self, known: Tensor) -> Tensor:
+        """Solve for (N, b, k)."""
+        solve = torch.linalg.solve_triangular
+        found = list(known)
+        for i, L in enumerate(self.lower):
+            right = found[i] if not i else found[i] - self.across[i - 1] @ found[i - 1]
+            found[i] = solve(L, right, upper=False)
+        for i in reversed(range(len(found))):
+            later = i + 1 < len(found)
+            right = found[i] - self.across[i].mT @ found[i + 1] if later else found[i]
+            found[i] = solve(self.lower[i].mT, right, upper=True)
+        return torch.stack(found)
+
+    def variances(self) -> Tensor:
+        """Return the diagonal of the inverse, (N, b)."""
+        found: list[Tensor] = []
+        inverse: Tensor | None = None
+        for i in reversed(range(len(self.lower))):
+            L = self.lower[i]
+            own = torch.cholesky_inverse(L)
+            if inverse is not None:
+                G = torch.linalg.solve_triangular(L.mT, self.across[i].mT, upper=True)
+                own = own + G @ inverse @ G.mT
+            inverse = own
+            found.append(own.diagonal())
+        return torch.stack(found[::-1])
+
+
+def _in_pairs(frames: Tensor, following: Tensor, second: Tensor) -> tuple[Tensor, Tensor]:
+    """Return diagonal blocks (N, 2F, 2F) of pairs of frames, and those below (N - 1, 2F, 2F)."""
+    count, free = following.shape
+    if count % 2:  # a frame that nothing couples
+        one = torch.eye(free, dtype=frames.dtype)
+        frames = torch.cat([frames, one[None]])
+        following, second = (torch.cat([x, 0 * x[:1]]) for x in (following, second))
+    pairs = len(frames) // 2
+    diagonal = frames.new_zeros(pairs, 2 * free, 2 * free)
+    first, other = slice(None, free), slice(free, None)
+    diagonal[:, first, first], diagonal[:, other, other] = frames[::2], frames[1::2]
+    diagonal[:, other, first] = torch.diag_embed(following[::2])
+    diagonal[:, first, other] = diagonal[:, other, first]
+    below = frames.new_zeros(max(pairs - 1, 0), 2 * free, 2 * free)
+    below[:, first, first] = torch.diag_embed(second[:-2:2])
+    below[:, other, other] = torch.diag_embed(second[1:-2:2])
+    below[:, first, other] = torch.diag_embed(following[1:-1:2])
+    return diagonal, below

@@ -1,0 +1,251 @@
+"""Stage 1 of a film: poses, shape and camera from a network's landmarks.
+
+:func:`solve_film` minimises ``evidence + prior``, in nats, over all frames together. Evidence is
+:mod:`gva_mi.pose.film.film_evidence`; the prior is :mod:`gva_mi.pose.film.body_prior` and
+:mod:`gva_mi.pose.film.smoothness`. Errors have heavy tails: each is a square whose weight follows
+the error (iteratively reweighted least squares).
+
+Body and palms are solved first, then the fingers of each hand. Frames without landmarks, and hands
+that were not found, follow from their neighbours and the prior.
+
+Landmarks do not show how stout a person is: betas stay near the mean except for lengths.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import roma
+import torch
+from torch import Tensor
+
+from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, Pose, Shape
+from gva_mi.body.smplx import BodyModel
+from gva_mi.core.console import Progress
+from gva_mi.core.errors import InputError
+from gva_mi.core.threads import one_torch_thread
+from gva_mi.data.landmarks import Landmarks
+from gva_mi.pose.film.body_prior import FOCAL, HEIGHT, HEIGHT_KNOWN, BodyPrior, SharedPrior
+from gva_mi.pose.film.film_evidence import film_evidence
+from gva_mi.pose.film.film_problem import FilmProblem
+from gva_mi.pose.film.film_start import first_place, first_root
+from gva_mi.pose.film.film_state import FilmState, Free
+from gva_mi.pose.film.landmark_noise import LandmarkNoise
+from gva_mi.pose.film.normal_equations import NormalEquations
+from gva_mi.pose.film.rig import LandmarkRig
+from gva_mi.pose.film.smoothness import Smoothness
+from gva_mi.pose.stature import PEOPLE, Stature
+from gva_mi.splat import Camera
+
+MEMORY = 0.2  # seconds for which a network's errors last: these frames count as one
+FIELD = 60.0  # degrees, horizontal field of view of an unknown camera
+FOCAL_KNOWN = 1e-4  # of its logarithm
+START, BODY, HAND = 8, 30, 15  # steps, at most
+_PALM = ("hand_wrist", "thumb_cmc", "index_mcp", "middle_mcp", "ring_mcp", "pinky_mcp")
+_FACE = ("jaw", "left_eye_smplhf", "right_eye_smplhf")
+_BODY = [k for k, name in enumerate(JOINTS[: LEFT_HAND.start]) if name not in _FACE]
+_HANDS = {"left": LEFT_HAND, "right": RIGHT_HAND}
+
+
+@dataclass(frozen=True)
+class SolvedFilm:
+    """Stage 1 of a film of T frames, in a world with y up and the floor at y = 0."""
+
+    pose: Pose
+    shape: Shape
+    camera: Camera
+    names: tuple[str, ...]  # P landmarks that were used
+    offsets: Tensor  # (P, 3) their constant offsets on the resting body, metres
+    spread: Tensor  # (T, 55) posterior standard deviation of each joint's rotation, radians
+    lost: list[int]  # frames without the person
+    hands_seen: tuple[float, float]  # share of the frames, left and right
+    tilt: float  # degrees that the camera looks down
+
+
+def solve_film(
+    landmarks: Landmarks,
+    body: BodyModel,
+    size: tuple[int, int],
+    fps: float,
+    height: float | None = None,
+    focal: float | None = None,
+    progress: Progress | None = None,
+) -> SolvedFilm:
+    """Find poses, shape and camera of one person before a camera that stands still.
+
+    Args:
+        landmarks: T frames.
+        body: SMPL-X's or the built-in one.
+        size: width and height of the pictures, pixels.
+        fps: frames a second.
+        height: of the person, metres; None: a prior of people's heights, which leaves size and
+            distance uncertain by 5 %.
+        focal: focal length, pixels; None: a prior around a field of view of 60°.
+        progress: called as ``progress(done, total)``.
+
+    Raises:
+        InputError: no frame has a person, or a number is out of range.
+    """
+    if height is not None:
+        PEOPLE.require("solve_film()", "height", height)
+    if not (np.isfinite(fps) and fps > 0):
+        raise InputError(f"solve_film(): fps must be positive, got {fps}")
+    if focal is not None and not (np.isfinite(focal) and focal > 0):
+        raise InputError(f"solve_film(): focal must be positive, got {focal}")
+    report = progress or (lambda done, total, **figures: None)
+    with one_torch_thread(), torch.no_grad():
+        film = _Film.of(landmarks, body, size, fps, height, focal)
+        state = film.first()
+        state, _ = film.body_problem(state, starting=True).minimised(state, START)
+        report(1, 4)
+        state, equations = film.body_problem(state).minimised(state, BODY)
+        spread = _per_joint(equations, _BODY)
+        report(2, 4)
+        for k, (side, fingers) in enumerate(_HANDS.items()):
+            joints = list(range(len(JOINTS)))[fingers]
+            state, equations = film.hand_problem(state, side).minimised(state, HAND)
+            spread = spread + _per_joint(equations, joints)
+            report(3 + k, 4)
+        return film.result(state, spread)
+
+
+@dataclass(frozen=True)
+class _Film:
+    """A film to solve."""
+
+    landmarks: Landmarks
+    body: BodyModel
+    size: tuple[int, int]
+    dt: float
+    height: float | None
+    focal: float | None
+    rig: LandmarkRig
+    noise: LandmarkNoise
+    K: np.ndarray
+
+    @staticmethod
+    def of(
+        landmarks: Landmarks,
+        body: BodyModel,
+        size: tuple[int, int],
+        fps: float,
+        height: float | None,
+        focal: float | None,
+    ) -> _Film:
+        rig = LandmarkRig.of(body, sorted(landmarks.names))
+        noise = LandmarkNoise.of(landmarks, rig.names)
+        f = focal or size[0] / 2 / np.tan(np.radians(FIELD) / 2)
+        K = np.array([[f, 0, size[0] / 2], [0, f, size[1] / 2], [0, 0, 1]])
+        return _Film(landmarks, body, size, 1 / fps, height, focal, rig, noise, K)
+
+    def first(self) -> FilmState:
+        """Return the first guess: relaxed joints, the body at its place."""
+        free = Free(_BODY)
+        prior = BodyPrior.of(free, self.body.j_template, 1.0)
+        mean = Shape(self.body.v_template.new_zeros(self.body.num_betas))
+        shape = Stature.of(self.body).nearest(mean, self.height or HEIGHT[0])
+        count = len(self.landmarks)
+        rotations = prior.relaxed.expand(count, -1, -1).clone()
+        rotations[:, 0] = roma.rotmat_to_rotvec(first_root(self.landmarks))
+        scale = self.rig.scale(self.landmarks, shape.betas)
+        place = first_place(self.landmarks, self.K, scale)
+        zero = lambda *shape: torch.zeros(shape, dtype=torch.float64)
+        up = zero(2)
+        floor = place[:, 1].median() + 0.5 * (self.height or HEIGHT[0])
+        habits = zero(len(prior.anatomy.freedoms))
+        offsets = zero(len(self.rig.names), 3)
+        return FilmState(rotations, place, shape.betas.double(), zero(), up, floor, offsets, habits)
+
+    def body_problem(self, state: FilmState, starting: bool = False) -> FilmProblem:
+        """Return the problem of body and palms; the starting one has no shared unknowns."""
+        names = self.rig.names
+        which = [p for p, name in enumerate(names) if "_hand_" not in name or name.endswith(_PALM)]
+        if starting:
+            problem = self._problem(Free(_BODY), which, state)
+            return replace(problem, evidence=replace(problem.evidence, starting=True))
+        prior = BodyPrior.of(Free(_BODY), self.body.j_template, 1.0)
+        offsets = list(range(len(which)))
+        free = Free(_BODY, len(state.betas), True, offsets, prior.habits(_BODY))
+        return self._problem(free, which, state)
+
+    def hand_problem(self, state: FilmState, side: str) -> FilmProblem:
+        """Return the problem of one hand's fingers."""
+        joints = list(range(len(JOINTS)))[_HANDS[side]]
+        which = [p for p, name in enumerate(self.rig.names) if f"{side}_hand_" in name]
+        prior = BodyPrior.of(Free(joints), self.body.j_template, 1.0)
+        of_fingers = [k for k, p in enumerate(which) if not self.rig.names[p].endswith(_PALM)]
+        free = Free(joints, 0, False, of_fingers, prior.habits(joints))
+        return self._problem(free, which, state)
+
+    def _problem(self, free: Free, which: Sequence[int], state: FilmState) -> FilmProblem:
+        memory = max(1.0, MEMORY / self.dt)
+        rig = LandmarkRig.of(self.body, [self.rig.names[p] for p in which])
+        noise = LandmarkNoise.of(self.landmarks, rig.names)
+        at = self.landmarks.indices(rig.names)
+        pixels = torch.from_numpy(self.landmarks.pixels[:, at])
+        scale = self.rig.scale(self.landmarks, state.betas.float())
+        metric = scale * torch.from_numpy(self.landmarks.metric[:, at])
+        K = torch.from_numpy(self.K)
+        evidence = film_evidence(self.body, rig, free, (pixels, metric, noise), K, memory)
+        prior = BodyPrior.of(free, self.body.j_template, memory)
+        always = torch.tensor([f.always for f in prior.anatomy.freedoms]).double()
+        height = (self.height, HEIGHT_KNOWN) if self.height else HEIGHT
+        focal = FOCAL_KNOWN if self.focal else FOCAL
+        shared = SharedPrior(
+            free, rig.loose, torch.deg2rad(always), Stature.of(self.body), height, focal
+        )
+        return FilmProblem(free, which, evidence, prior, shared, Smoothness(free, self.dt))
+
+    def result(self, state: FilmState, spread: Tensor) -> SolvedFilm:
+        """Turn the world upright, with the floor at zero below the person."""
+        up, _ = state.upward()
+        x = torch.tensor([1.0, 0, 0], dtype=up.dtype)
+        x = torch.nn.functional.normalize(x - (x @ up) * up, dim=0)
+        R_camera_world = torch.stack([x, up, torch.linalg.cross(x, up)], 1)
+        middle = state.place.mean(0)
+        origin = middle - (up @ middle + state.floor) * up
+        rotations = state.rotations.clone()
+        root = R_camera_world.T @ roma.rotvec_to_rotmat(rotations[:, 0])
+        rotations[:, 0] = roma.rotmat_to_rotvec(root)
+        shape = Shape(state.betas.float())
+        place = (state.place - origin) @ R_camera_world
+        transl = place - self.body.rest(shape).joints[0].double()
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = R_camera_world.numpy(), origin.numpy()
+        camera = Camera.from_matrices(self.K, T, *self.size).zoomed(float(state.focal.exp()))
+        pose = Pose(rotations.float(), transl.float(), torch.zeros(len(transl), 10))
+        found = self.noise.pixels.isfinite()
+        names = self.rig.names
+        of_body = [p for p, name in enumerate(names) if "_hand_" not in name]
+        lost = (~found[:, of_body].any(1)).nonzero()[:, 0].tolist()
+        seen = [
+            float(
+                found[:, [p for p, name in enumerate(names) if f"{side}_hand_" in name]]
+                .any(1)
+                .float()
+                .mean()
+            )
+            for side in _HANDS
+        ]
+        tilt = float(torch.rad2deg(-torch.asin(up[2])))
+        return SolvedFilm(
+            pose,
+            shape,
+            camera,
+            names,
+            state.offsets.float(),
+            spread.float(),
+            lost,
+            tuple(seen),
+            tilt,
+        )
+
+
+def _per_joint(equations: NormalEquations, joints: Sequence[int]) -> Tensor:
+    """Return the spread (T, 55) of joints, the last columns of a frame; zero elsewhere."""
+    each = equations.spread().unflatten(1, (-1, 3))[:, -len(joints) :]
+    whole = each.new_zeros(len(each), len(JOINTS))
+    whole[:, list(joints)] = each.square().mean(2).sqrt()
+    return whole

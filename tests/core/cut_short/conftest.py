@@ -17,7 +17,7 @@ from gva_mi.fit.options import FitOptions
 from gva_mi.fit.train import fit
 from gva_mi.synthetic import SynthOptions, make_subject
 
-TIMES = re.compile(r"seconds|^s a frame$")  # keys of measured times
+TIMES = re.compile(r"seconds|s a frame$")  # keys of measured times
 GROWING = ("new/refine.json", "new/avatar.json")  # grow case by case
 ABOUT = {  # files, and the poses beside them that they describe
     **dict.fromkeys(("refinement.json", "refinement.png", "refinement.html"), "poses_refined.npz"),

@@ -13,7 +13,10 @@
 ``stretched``       a body of other proportions than the fitted one
 ``closest``         ground truth on the fitted body for such a person
 ``motion/``         motions of the video, and held-out poses
-``render``          rays and light; ``framing`` places cameras
+``staging``         poses, cameras and exposures of the video
+``rooms/``          rooms, and the film of a phone
+``render``          rays and light; ``framing`` places cameras on white
+``lamps, rays``     lamps and the sky; rays of a picture's samples
 ``pictures``        files of one picture, by one process or several
 ``error_models/``   error models of poses, masks and normals
 ``estimates``       estimates of a pipeline with such errors

@@ -10,14 +10,15 @@ import numpy as np
 from gva_mi.body.anny import anny_body
 from gva_mi.body.smplx import BodyModel, load_body
 from gva_mi.core.errors import InputError
-from gva_mi.core.options import PictureSide, Seed, Within, Workers, require_ranges
+from gva_mi.core.options import PictureSide, Seed, Share, Within, Workers, require_ranges
 from gva_mi.synthetic.error_models.models import Levels, require_family
 from gva_mi.synthetic.people import STUDY, SyntheticPerson, foreign_outfit
 from gva_mi.synthetic.stretched import BodyStretch, stretched
 
 # Random number streams, one for each purpose.
 MOTION, NOISE, NOVEL_POSE, NOVEL_VIEW, RENDER = range(1, 6)
-MISTAKEN, MISSING, FIGURE, OUTFIT = 7, 8, 11, 12
+MISTAKEN, MISSING, FIGURE, OUTFIT, CAMERA, ROOM, FILM = 7, 8, 11, 12, 13, 14, 15
+BLUR = 4  # moments while the shutter is open, which share the samples
 MOST_PIXELS = 1 << 31  # limit of a whole video, which is held in memory
 VideoFrames = Annotated[int, Within(2, 10_000)]
 NovelPictures = Annotated[int, Within(0, 1000)]
@@ -39,7 +40,10 @@ class SynthOptions:
     clothes: bool = True  # clothes and shoes; without them a swimsuit is painted on the skin
     hair: bool = True  # without it the head is bald
     light: Literal["usual", "side", "ambient"] = "usual"  # lamps besides the sky
-    camera: Literal["stands", "circles"] = "stands"  # circles: once around the person, with noise 0
+    # A phone held by hand, in a room, or one that circles once around the person: with noise 0.
+    camera: Literal["stands", "held", "circles"] = "stands"
+    scene: Literal["white", "room"] = "white"  # what is behind the person; a room also has film.mp4
+    shutter: Share = 0.0  # of the time between frames that the shutter is open: motion blur
     folds: Level = 1.0  # factor on creases and lagging ends of cloth; 0: skinned only
     family: str = "bursts"  # error model of poses, masks and normals
     noise_seed: Seed | None = None  # seed of the errors; without it, seed
@@ -70,8 +74,17 @@ class SynthOptions:
             if getattr(self, name) not in known:
                 names = ", ".join(str(k) for k in known if k)
                 raise InputError(f"synth: no {name} '{getattr(self, name)}'; there are: {names}")
-        if self.camera == "circles" and any(asdict(self.levels).values()):
-            raise InputError("synth: errors need a fixed camera; --camera circles needs --noise 0")
+        if self.camera != "stands" and any(asdict(self.levels).values()):
+            raise InputError(
+                f"synth: errors need a fixed camera; --camera {self.camera} needs --noise 0"
+            )
+        if self.camera == "held" and self.scene == "white":
+            raise InputError("synth: --camera held needs --scene room")
+        if self.shutter > 0 and round((self.samples / BLUR) ** 0.5) ** 2 * BLUR != self.samples:
+            raise InputError(
+                f"synth: samples must be {BLUR} times a square number with --shutter, "
+                f"got {self.samples}"
+            )
 
     def drawn_on(self, body: BodyModel) -> BodyModel:
         """Return the body that the subject is drawn on, given the fitted ``body``."""

@@ -18,14 +18,14 @@ import numpy as np
 
 from gva_mi.core.workers import worker_died, worker_processes
 from gva_mi.data.pictures import write_image
-from gva_mi.splat import Camera
 from gva_mi.synthetic.estimates import (
     ErrorStatistics,
     PictureErrors,
     write_estimates,
     write_normals,
 )
-from gva_mi.synthetic.render import Renderer, Rendering
+from gva_mi.synthetic.render import Moment, Renderer, Rendering
+from gva_mi.synthetic.rooms.room import Room
 from gva_mi.synthetic.subject import Subject
 
 
@@ -35,11 +35,11 @@ class RenderJob:
 
     folder: Path  # gets frames/, masks/, normals/
     index: int
-    surface: np.ndarray  # (N, 3) float32, world, metres
-    camera: Camera
+    moments: tuple[Moment, ...]  # of the exposure
     samples: int  # rays per pixel
     seed: tuple[int, ...]  # seed of its random numbers
-    light: str  # one of gva_mi.synthetic.render.LIGHTS
+    light: str  # one of gva_mi.synthetic.lamps.LIGHTS
+    in_room: bool  # show the room, if there is one
     errors: PictureErrors | None = None  # None writes the ground truth alone, else into truth/
 
 
@@ -49,7 +49,9 @@ Render = Callable[[Iterable[RenderJob]], Iterator[RenderResult]]
 
 
 @contextmanager
-def rendering(subject: Subject, workers: int, step: Callable[[], None]) -> Iterator[Render]:
+def rendering(
+    subject: Subject, room: Room | None, workers: int, step: Callable[[], None]
+) -> Iterator[Render]:
     """Yield a function that renders jobs, writes their files and yields results in order.
 
     One of ``workers`` is this process. ``step`` is called after each picture.
@@ -59,9 +61,9 @@ def rendering(subject: Subject, workers: int, step: Callable[[], None]) -> Itera
     """
     with ExitStack() as stack:
         if workers == 1:
-            results = partial(map, partial(render_job, Renderer(subject)))
+            results = partial(map, partial(render_job, Renderer(subject, room)))
         else:
-            pool = stack.enter_context(worker_processes(workers, _start_worker, subject))
+            pool = stack.enter_context(worker_processes(workers, _start_worker, subject, room))
             results = partial(_in_order, pool, 2 * workers)
 
         def render(jobs: Iterable[RenderJob]) -> Iterator[RenderResult]:
@@ -90,7 +92,8 @@ def render_job(renderer: Renderer, job: RenderJob) -> RenderResult:
     """Render one picture and write its files."""
     light, _ = np.random.SeedSequence(job.seed).spawn(2)  # the second is for the errors
     seed = int(light.generate_state(1)[0])
-    true = renderer(job.surface, job.camera, job.samples, seed, job.light)
+    samples = job.samples // len(job.moments)
+    true = renderer.expose(job.moments, samples, seed, job.light, job.in_room)
     stored = np.round(true.color * 255).astype(np.uint8)
     write_image(job.folder / "frames" / f"{job.index:06d}.png", stored)
     if job.errors is None:
@@ -109,9 +112,9 @@ def _write_true(folder: Path, index: int, true: Rendering) -> None:
 _renderer: Renderer | None = None  # of a worker process
 
 
-def _start_worker(subject: Subject) -> None:
+def _start_worker(subject: Subject, room: Room | None) -> None:
     global _renderer
-    _renderer = Renderer(subject)
+    _renderer = Renderer(subject, room)
 
 
 def _render_in_worker(job: RenderJob) -> RenderResult:

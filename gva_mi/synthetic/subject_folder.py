@@ -1,6 +1,7 @@
 """Write a subject's folder: the video that a real pipeline would have, and its ground truth.
 
-Pictures are sRGB-encoded, the person on white, blended by the true mask (see ``render``).
+Pictures are sRGB-encoded, the person on white or in a room (see ``render``); held-out ones are on
+white, in the light of the room. ``film.mp4`` is the film that a phone would make in a room.
 
 Files outside ``truth`` are estimates of a pipeline (see ``estimates``), cameras included, whose
 focal length may be wrong. All in ``truth`` is exact:
@@ -13,18 +14,17 @@ focal length may be wrong. All in ``truth`` is exact:
 ``masks``, ``normals``  of the video
 ``novel_view``          frames of the video from other sides; ``splits.json`` lists them
 ``novel_pose``          poses that the video does not hold
+``film.json``           height of the person, placing of the phone, of a video in a room
 ======================  ========================================================================
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
 from importlib import metadata
 from pathlib import Path
-
-import numpy as np
-import torch
 
 from gva_mi.body.pose import Pose, save_poses
 from gva_mi.body.smplx import BodyModel
@@ -38,15 +38,15 @@ from gva_mi.data.video import TEST_EVERY, Splits, save_cameras
 from gva_mi.splat import Camera
 from gva_mi.synthetic import motion
 from gva_mi.synthetic.closest import Closest, closest
-from gva_mi.synthetic.clothes.folds import MEMORY
 from gva_mi.synthetic.estimates import PictureErrors, Pipeline
 from gva_mi.synthetic.framing import camera_around
-from gva_mi.synthetic.options import MOTION, NOVEL_POSE, NOVEL_VIEW, RENDER, SynthOptions
+from gva_mi.synthetic.options import FILM, MOTION, NOVEL_POSE, NOVEL_VIEW, RENDER, SynthOptions
 from gva_mi.synthetic.pictures import Render, RenderJob, rendering
 from gva_mi.synthetic.provenance import SURFACE, write_surface
-from gva_mi.synthetic.subject import Subject, draw_subject
-
-THINNED = 11  # every 11th vertex is enough to find the ground and to place a camera
+from gva_mi.synthetic.render import Moment
+from gva_mi.synthetic.rooms.phone import write_phone_film
+from gva_mi.synthetic.staging import Staging, lowered
+from gva_mi.synthetic.subject import draw_subject
 
 
 def make_subject(
@@ -80,12 +80,15 @@ def make_subject(
 
     drawn_on = options.drawn_on(body)
     subject = draw_subject(drawn_on, options.person(drawn_on), options.clothes, options.hair)
-    with atomic_dir(out, replaced) as folder, rendering(subject, options.workers, step) as render:
-        writer = _SubjectWriter(options, drawn_on, body, subject, render)
-        poses = writer.video_poses()
-        writer.write_video(folder, poses)
+    staging = Staging(options, drawn_on, subject)
+    with (
+        atomic_dir(out, replaced) as folder,
+        rendering(subject, staging.room(), options.workers, step) as render,
+    ):
+        writer = _SubjectWriter(staging, body, render)
+        writer.write_video(folder)
         writer.write_novel_poses(folder / "truth" / "novel_pose")
-        seen = writer.write_novel_views(folder / "truth" / "novel_view", poses, views)
+        seen = writer.write_novel_views(folder / "truth" / "novel_view", views)
         splits = Splits.every(TEST_EVERY, options.frames).to_json()
         splits |= {"novel_pose": list(range(options.novel_poses)), "novel_view": seen}
         write_json(folder / "splits.json", splits)
@@ -97,107 +100,76 @@ def make_subject(
 
 @dataclass(frozen=True)
 class _SubjectWriter:
-    options: SynthOptions
-    body: BodyModel  # that the subject is drawn on
+    staging: Staging
     fitted: BodyModel  # of the estimated poses
-    subject: Subject
     render: Render
 
-    def _points(self, pose: Pose) -> np.ndarray:
-        """Return some points of the surface without folds, (T, n, 3), metres."""
-        index = np.arange(0, len(self.subject.vertices), THINNED)
-        return self.subject.skinned(self.body, pose, index)
-
-    def video_poses(self) -> list[Pose]:
-        """Return the video's poses, and those one step, two steps, ... before its frames."""
-        options = self.options
-        joints = self.body.rest(self.subject.shape).joints.numpy()
-        t = motion.times(options.frames)
-        back = range(MEMORY + 1 if options.folds > 0 else 1)
-        expressions = self.body.num_expressions
-        poses = [
-            motion.perform(
-                options.motion, motion.before(t, k), joints, expressions, options.random(MOTION)
-            )
-            for k in back
-        ]
-        # The lowest point stands on the ground, in each frame or for a turn in all frames.
-        lowest = self._points(poses[0])[..., 1].min(1)
-        if options.motion == "turn":
-            lowest = np.full_like(lowest, lowest.min())
-        drops = [np.interp(motion.before(t, k), t, lowest, period=1) for k in back]
-        return [_lowered(p, drop.astype("f4")) for p, drop in zip(poses, drops, strict=True)]
-
-    def _video_cameras(self, pose: Pose) -> list[Camera]:
-        """Return a camera per frame: all the same, or on a circle around all poses."""
-        points, count = self._points(pose), len(pose)
-        turns = np.zeros(count) if self.options.camera == "stands" else np.arange(count) / count
-        of_turn = {turn: camera_around(points, self.options.size, 2 * np.pi * turn)
-                   for turn in dict.fromkeys(turns.tolist())}  # fmt: skip
-        return [of_turn[turn] for turn in turns.tolist()]
+    @property
+    def _options(self) -> SynthOptions:
+        return self.staging.options
 
     def _closest(self, pose: Pose) -> Closest:
         """Return the ground truth on the fitted body."""
-        return closest(self.fitted, self.body, pose, self.subject.shape)
+        return closest(self.fitted, self.staging.body, pose, self.staging.subject.shape)
 
     def _jobs(
         self,
         folder: Path,
-        poses: Sequence[Pose],
-        cameras: Sequence[Camera],
+        exposures: Iterable[tuple[Moment, ...]],
         stream: int,
         errors: Sequence[PictureErrors] = (),
     ) -> Iterator[RenderJob]:
         """Yield the render job of each frame, which is random by stream and frame alone.
 
-        ``poses`` are those of all frames, then those one step, two steps, ... before. Without
-        ``errors``, one per frame, only the ground truth is written.
+        Without ``errors``, one per frame, only the ground truth is written, without the room.
         """
-        options = self.options
-        for k, camera in enumerate(cameras):
-            now, *past = (p[k] for p in poses)
-            surface = self.subject.posed(self.body, now, past, options.folds)[0]
+        options = self._options
+        for k, moments in enumerate(exposures):
             seed = (*options.entropy(RENDER), stream, k)
             yield RenderJob(
-                folder, k, surface, camera, options.samples, seed, options.light,
+                folder, k, moments, options.samples, seed, options.light, bool(errors),
                 errors[k] if errors else None,
             )  # fmt: skip
 
-    def write_video(self, folder: Path, poses: list[Pose]) -> None:
+    def write_video(self, folder: Path) -> None:
         """Write frames, masks, normals, cameras and poses of the video, with ground truth."""
-        options, subject, pose = self.options, self.subject, poses[0]
-        cameras = self._video_cameras(pose)
+        options, staging = self._options, self.staging
+        pose, cameras = staging.poses[0], staging.cameras
         save_cameras(folder / "truth" / "cameras.npz", cameras)
-        save_poses(folder / "truth" / "poses.npz", pose, subject.shape, stage=0)
-        if self.body is not self.fitted:
-            write_arrays(folder / "truth" / BODY, **self.body.arrays())
+        save_poses(folder / "truth" / "poses.npz", pose, staging.subject.shape, stage=0)
+        if staging.body is not self.fitted:
+            write_arrays(folder / "truth" / BODY, **staging.body.arrays())
         pipeline = Pipeline(options, self.fitted, cameras, self._closest(pose))
-        jobs = self._jobs(folder, poses, cameras, MOTION, pipeline.pictures())
+        jobs = self._jobs(folder, staging.exposures(), MOTION, pipeline.pictures())
         colors, statistics = zip(*self.render(jobs), strict=True)
         write_movie(folder / "video.mp4", list(colors))
+        if options.scene == "room":
+            fps = Fraction(options.frames) / Fraction(motion.DURATION)
+            write_phone_film(folder / "film.mp4", colors, fps, options.random(FILM))
+            write_json(folder / "truth" / "film.json", staging.about_film())
         pipeline.write(folder, statistics)
 
     def write_novel_poses(self, folder: Path) -> None:
         """Write poses that the video does not hold, with their pictures."""
-        options = self.options
+        options, staging = self._options, self.staging
         count, rng = options.novel_poses, options.random(NOVEL_POSE)
         if count == 0:
             return
-        pose = motion.novel(count, self.body.num_expressions, rng)  # static: nothing lags behind
-        pose = _lowered(pose, self._points(pose)[..., 1].min(1))
-        cameras = [camera_around(points, options.size) for points in self._points(pose)]
+        pose = motion.novel(count, staging.body.num_expressions, rng)  # static: nothing lags behind
+        pose = lowered(pose, staging.points(pose)[..., 1].min(1))
+        cameras = [camera_around(points, options.size) for points in staging.points(pose)]
         self._write_truth(folder, [pose], cameras, NOVEL_POSE)
 
-    def write_novel_views(self, folder: Path, poses: list[Pose], count: int) -> list[int]:
+    def write_novel_views(self, folder: Path, count: int) -> list[int]:
         """Write ``count`` frames of the video from other sides and heights; return which."""
         if count == 0:
             return []
-        options = self.options
+        options, staging = self._options, self.staging
         rng = options.random(NOVEL_VIEW)
-        seen = [k * len(poses[0]) // count for k in range(count)]
-        poses = [pose[seen] for pose in poses]
+        seen = [k * options.frames // count for k in range(count)]
+        poses = [pose[seen] for pose in staging.poses]
         cameras = []
-        for points in self._points(poses[0]):
+        for points in staging.points(poses[0]):
             azimuth = rng.choice([-1, 1]) * rng.uniform(0.4, 2.6)
             elevation = rng.uniform(-0.05, 0.45)
             cameras.append(camera_around(points, options.size, azimuth, elevation))
@@ -208,15 +180,8 @@ class _SubjectWriter:
         self, folder: Path, poses: list[Pose], cameras: list[Camera], stream: int
     ) -> None:
         """Write exact pictures, masks, normals, cameras and poses."""
-        for _ in self.render(self._jobs(folder, poses, cameras, stream)):
+        for _ in self.render(self._jobs(folder, self.staging.still(poses, cameras), stream)):
             pass
         save_cameras(folder / "cameras.npz", cameras)
         near = self._closest(poses[0])  # on the fitted body, like an avatar
         save_poses(folder / "poses.npz", near.pose, near.shape, stage=0)
-
-
-def _lowered(pose: Pose, drop: np.ndarray) -> Pose:
-    """Move poses down by ``drop`` (T,), metres."""
-    transl = pose.transl.clone()
-    transl[:, 1] -= torch.from_numpy(drop)
-    return replace(pose, transl=transl)

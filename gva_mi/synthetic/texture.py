@@ -31,7 +31,7 @@ def _skin(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
     """Skin with cheeks, brows, eyes, lips, nails and, without clothes, a swimsuit."""
     face = look.face
     base = type(p)(*look.skin)
-    blotches = _noise(p * 35) * 0.10 + _noise(p * 140) * 0.05
+    blotches = value_noise(p * 35) * 0.10 + value_noise(p * 140) * 0.05
     color = base * (1 + blotches)
 
     front = p.z > face.mouth[2] - 0.75 * face.unit
@@ -134,7 +134,7 @@ def _bottom(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
 def _shoes(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
     """Shoes with laces and a pale sole."""
     like = type(p)
-    color = like(*look.shoes) * (1 + 0.15 * _noise(p * 90))
+    color = like(*look.shoes) * (1 + 0.15 * value_noise(p * 90))
     height = p.y - look.ground
     toe = p.z - look.hip[2]
     laces = _inside(0.0035 - dr.abs(dr.abs((toe * 45) - dr.round(toe * 45)) / 45 - 0.004), 0.001)
@@ -150,8 +150,8 @@ def _hair(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
     x, y, z = p.x, p.y - eye_y - 0.14, p.z - eye_z + 0.11
     around = dr.atan2(z, x)
     polar = dr.atan2(dr.sqrt(dr.square(x) + dr.square(z)), y)
-    strands = _noise(type(p)(around * 40, polar * 6, 0.5)) * 0.55
-    strands += _noise(type(p)(around * 130, polar * 12, 7.5)) * 0.45
+    strands = value_noise(type(p)(around * 40, polar * 6, 0.5)) * 0.55
+    strands += value_noise(type(p)(around * 130, polar * 12, 7.5)) * 0.45
     return type(p)(*look.hair) * dr.maximum(1 + 0.75 * strands, 0.1)
 
 
@@ -177,7 +177,7 @@ def _cloth(
         color = dr.lerp(color, figure, _inside(0.27 - distance, 0.02))
     if fabric.pattern == "smooth":
         return color
-    weave = 0.10 * _noise(p * 260) + 0.06 * _noise(p * 25)
+    weave = 0.10 * value_noise(p * 260) + 0.06 * value_noise(p * 25)
     return color * (1 + weave)
 
 
@@ -199,12 +199,12 @@ def _inside(x: dr.ArrayBase, width: float) -> dr.ArrayBase:
     return dr.clip(x / width + 0.5, 0, 1)
 
 
-def _noise(p: dr.ArrayBase) -> dr.ArrayBase:
+def value_noise(p: dr.ArrayBase) -> dr.ArrayBase:
     """Value noise in [-1, 1] on the integer lattice."""
     cell = dr.floor(p)
     f = p - cell
     f = f * f * (3 - 2 * f)
-    corner = lambda dx, dy, dz: _hash(cell.x + dx, cell.y + dy, cell.z + dz)
+    corner = lambda dx, dy, dz: hash01(cell.x + dx, cell.y + dy, cell.z + dz)
     plane = lambda dz: dr.lerp(
         dr.lerp(corner(0, 0, dz), corner(1, 0, dz), f.x),
         dr.lerp(corner(0, 1, dz), corner(1, 1, dz), f.x),
@@ -213,7 +213,7 @@ def _noise(p: dr.ArrayBase) -> dr.ArrayBase:
     return dr.lerp(plane(0), plane(1), f.z) * 2 - 1
 
 
-def _hash(*lattice: dr.ArrayBase) -> dr.ArrayBase:
+def hash01(*lattice: dr.ArrayBase) -> dr.ArrayBase:
     """Hash an integer lattice point to a number in [0, 1)."""
     Int = dr.int32_array_t(type(lattice[0]))
     UInt = dr.uint32_array_t(Int)

@@ -1,0 +1,92 @@
+"""The cameras of a phone's film: at eye height, tilted down, with the whole person in view.
+
+One tilt and one focal length hold for a film. A phone that is held by hand sways slowly and
+trembles; one that walks around the person keeps its height and distance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gva_mi.splat import Camera, look_at
+
+HEIGHT = (1.2, 1.7)  # m above the floor
+FOCAL = (1.1, 1.5)  # focal length over the width of the picture
+TALL = (0.60, 0.86)  # height of the person over that of the picture, at most
+MARGIN = 0.03  # share of the picture that is free around all places of the person
+TILT = np.radians(15)  # most that the phone looks down
+# Held by hand: slow sway of position (m) and direction (rad), and a tremor of 4 to 9 Hz (rad).
+SWAY, DRIFT, TREMOR = 0.015, 0.008, 0.0007
+
+
+@dataclass(frozen=True)
+class PhoneCamera:
+    """The placing of a phone around the middle of a person's path."""
+
+    middle: np.ndarray  # (3,) metres, on the floor
+    height: float  # m
+    distance: float  # m, along the floor
+    tilt: float  # rad, down
+    focal: float  # over the width of the picture
+    size: int  # pixels, width and height
+
+    def camera(
+        self,
+        azimuth: float = 0.0,
+        moved: np.ndarray | float = 0.0,
+        turned: Sequence[float] = (0.0, 0.0, 0.0),
+    ) -> Camera:
+        """Return the camera at an azimuth about the vertical, rad, 0 in front of the person.
+
+        ``moved`` (3,), m, and ``turned`` (3,), rad to the right, upwards and clockwise, are those
+        of the hand that holds it.
+        """
+        away = np.array([np.sin(azimuth), 0, np.cos(azimuth)])
+        right = np.array([np.cos(azimuth), 0, -np.sin(azimuth)])
+        above = np.array([0, 1.0, 0])
+        eye = self.middle + self.distance * away + self.height * above + moved
+        ahead = -np.cos(self.tilt) * away - np.sin(self.tilt) * above
+        target = eye + ahead + turned[0] * right + turned[1] * above
+        focal, half = self.focal * self.size, self.size / 2
+        T = look_at(eye, target, above + turned[2] * right)
+        return Camera(focal, focal, half, half, T, self.size, self.size)
+
+    @staticmethod
+    def draw(rng: np.random.Generator, points: np.ndarray, size: int, around: bool) -> PhoneCamera:
+        """Draw a phone that sees all points (T, n, 3) of a person, from all sides if ``around``."""
+        flat = points.reshape(-1, 3)
+        middle = (flat.min(0) + flat.max(0)) / 2 * [1, 0, 1]
+        height, focal, tall = (float(rng.uniform(*ends)) for ends in (HEIGHT, FOCAL, TALL))
+        aim = float(rng.uniform(-0.03, 0.03))  # share of the picture, below its middle
+        sides = np.linspace(0, 2 * np.pi, 8, endpoint=False).tolist() if around else [0.0]
+        placed = PhoneCamera(middle, height, 3.0, 0.1, focal, size)
+        for _ in range(40):  # until the person fits; converges geometrically
+            seen = np.stack([placed.camera(a).project(points) for a in sides]) / size
+            rows = seen[..., 1]
+            tallest = np.ptp(rows, axis=-1).max() / tall
+            widest = 2 * np.abs(seen - 0.5).max() / (1 - 2 * MARGIN)
+            distance = placed.distance * max(tallest, widest, 0.3) ** 0.8
+            tilt = placed.tilt + 0.8 * ((rows.min() + rows.max()) / 2 - 0.5 - aim) / focal
+            tilt = float(np.clip(tilt, 0, TILT))
+            placed = PhoneCamera(middle, height, float(distance), tilt, focal, size)
+        return placed
+
+
+def held_by_hand(
+    rng: np.random.Generator,
+) -> Callable[[float], tuple[np.ndarray, np.ndarray]]:
+    """Draw how a hand moves (3,), m, and turns (3,), rad, a phone: functions of a moment, s."""
+
+    def waves(size: float, *hertz: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        return (
+            rng.normal(0, size / 2, (3, 4)),
+            rng.uniform(*hertz, (3, 4)),
+            rng.uniform(size=(3, 4)),
+        )
+
+    sway, drift, tremor = waves(SWAY, 0.1, 0.6), waves(DRIFT, 0.1, 0.7), waves(TREMOR, 4, 9)
+    at = lambda wave, t: (wave[0] * np.sin(2 * np.pi * (wave[1] * t + wave[2]))).sum(1)
+    return lambda t: (at(sway, t), at(drift, t) + at(tremor, t))

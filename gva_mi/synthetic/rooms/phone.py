@@ -18,6 +18,7 @@ from gva_mi.core.atomic import atomic_write
 
 NOISE = (1.0, 3.5)  # grey levels of 255: σ₀ of a film
 BITS = 0.27  # a pixel, as of 17 Mbit/s for 1920 x 1080 at 30 a second
+LEAST = 10_000  # bits a second that the encoder accepts
 # Always one thread; mbtree reads uninitialised memory: see gva_mi.data.pictures.
 OPTIONS = {"threads": "1", "mbtree": "0", "preset": "veryfast"}
 
@@ -39,7 +40,8 @@ def write_phone_film(
         for k, picture in enumerate(pictures):
             if k == 0:
                 stream.height, stream.width = picture.shape[:2]
-                stream.bit_rate = int(BITS * picture.shape[0] * picture.shape[1] * fps)
+                bits = int(BITS * picture.shape[0] * picture.shape[1] * fps)
+                stream.bit_rate = max(bits, LEAST)
             value = picture.astype(np.float32)
             noise = rng.standard_normal(picture.shape, dtype=np.float32)
             value += strength * (1 - value / 510) * noise

@@ -15,7 +15,7 @@ from gva_mi.synthetic import SynthOptions, make_subject
 pytest.importorskip("mitsuba")
 OPTIONS = dict(
     frames=3, size=64, samples=16, clothes=False, hair=False, novel_poses=1, novel_views=0,
-    noise=0.0, scene="room", camera="held", shutter=0.05, motion="dance",
+    noise=0.0, scene="room", camera="held", shutter=0.05,
 )  # fmt: skip
 
 

@@ -93,6 +93,16 @@ def prepared_body(folder: Path) -> Path | None:
     return Path(known["file"]) if known.get("file") else None
 
 
+def prepared_kind(folder: Path) -> str | None:
+    """Return what a subject's poses were prepared from; None if it was not prepared."""
+    file, expected = folder / PREPARED, "what gva-mi prepare writes"
+    if not file.is_file():
+        return None
+    about = read_json(file, expected)
+    with expecting(file, expected):
+        return about.get("kind")
+
+
 def _body_of(file: Path, written_by: str) -> dict | None:
     """Return the body that a subject's file describes; None if it describes none."""
     if not file.is_file():

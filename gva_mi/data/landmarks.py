@@ -80,5 +80,16 @@ class Landmarks:
         return Landmarks(names, *(arrays[name] for name in _SHAPES))
 
 
+def open_landmarks(folder: Path, count: int) -> Landmarks | None:
+    """Read the landmarks of a subject of ``count`` frames; None if it has none."""
+    path = folder / LANDMARKS
+    if not path.is_file():
+        return None
+    landmarks = Landmarks.load(path)
+    if len(landmarks) != count:
+        raise InputError(f"{path}: holds {len(landmarks)} frames, but the video has {count}")
+    return landmarks
+
+
 # What follows (T, P) in the shape of each array.
 _SHAPES = {"pixels": (2,), "confidence": (), "spread": (), "metric": (3,)}

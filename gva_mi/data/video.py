@@ -9,6 +9,7 @@
       normals.json                        optional: how the normals were made
       cameras.npz                         K (3,3) or (T,3,3); T_camera_world (4,4) or (T,4,4);
                                           width, height
+      landmarks.npz                       optional; gva_mi.data.landmarks
       poses.npz                           SMPL-X names, each (T, ...); betas (B,); stage
       poses_refined.npz                   optional: poses after stage 2; focal, if it was refined:
                                           a factor on the fx and fy of cameras.npz
@@ -40,6 +41,8 @@ from gva_mi.data.backdrop import alone
 from gva_mi.data.cameras import load_cameras
 from gva_mi.data.cameras import save_cameras as save_cameras
 from gva_mi.data.film import Film
+from gva_mi.data.fingerprint import prepared_kind
+from gva_mi.data.landmarks import Landmarks, open_landmarks
 from gva_mi.data.masks import read_mask
 from gva_mi.data.normals import Convention, NormalMaps, Part
 from gva_mi.data.pictures import read_image
@@ -98,6 +101,8 @@ class Video:
     focal: float = 1.0  # factor on the focal lengths of cameras.npz, which the poses belong to
     stage: int = 1  # who made the poses: gva_mi.body.pose.PoseFile
     offsets: Tensor | None = None  # (V, 3) of the rest surface, which the file of poses holds
+    landmarks: Landmarks | None = None  # of all frames, where a network found them
+    kind: str | None = None  # what stage 1 was prepared from, such as "film", if it is known
 
     def __len__(self) -> int:
         return len(self.cameras)
@@ -108,10 +113,8 @@ class Video:
         if index in self.absent:
             size = (camera.height, camera.width)
             return Frame(index, np.ones((*size, 3), "f4"), np.zeros(size, "f4"), None, camera, pose)
-        if self._images:
-            image = self._images[index]
-        else:
-            image = read_image(_picture(self.folder / "frames", index), 3)
+        path = self.folder / "frames" / f"{index:06d}.png"
+        image = self._images[index] if self._images else read_image(path, 3)
         mask = read_mask(self.folder / "masks", index)
         normals = self._normals_of(index, mask)((slice(None), slice(None)))
         return Frame(index, image.astype(np.float32) / 255, mask, normals, camera, pose)
@@ -220,10 +223,11 @@ def load_video(
     if len(absent) == count:
         raise InputError(f"{folder}: no frame can be used; frame 0: {absent[0]}")
     splits = load_splits(folder, count).without(absent)
-    absent = dict(sorted(absent.items()))
+    kind = prepared_kind(folder) if poses == folder / POSES else None
+    landmarks, absent = open_landmarks(folder, count), dict(sorted(absent.items()))
     return Video(
         folder, cameras, found.pose, found.shape, splits, images, maps, absent, found.focal,
-        found.stage, found.offsets,
+        found.stage, found.offsets, landmarks, kind,
     )  # fmt: skip
 
 
@@ -231,10 +235,6 @@ def best_poses(folder: Path) -> Path:
     """Return the file of a subject's refined poses; without one, that of stage 1."""
     refined = folder / REFINED_POSES
     return refined if refined.exists() else folder / POSES
-
-
-def _picture(folder: Path, index: int) -> Path:
-    return folder / f"{index:06d}.png"
 
 
 def is_frame(path: Path) -> bool:
@@ -258,7 +258,7 @@ def _open_pictures(folder: Path) -> tuple[Film | list[np.ndarray], Sequence[int]
 
 def _check_picture(folder: Path, index: int, size: tuple[int, int] | None, camera: Camera) -> None:
     if size is None:
-        size = read_image(_picture(folder / "frames", index), 3).shape[1::-1]
+        size = read_image(folder / "frames" / f"{index:06d}.png", 3).shape[1::-1]
     width, height = size
     if (width, height) != (camera.width, camera.height):
         raise InputError(

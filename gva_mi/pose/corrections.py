@@ -17,7 +17,7 @@ updated.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import roma
@@ -27,6 +27,7 @@ from torch import Tensor
 from gva_mi.body.pose import Pose
 from gva_mi.body.so3 import compose
 from gva_mi.pose.prior.anatomy import Anatomy
+from gva_mi.pose.prior.error_model import Stage1ErrorModel
 from gva_mi.pose.prior.ground import Ground, Soles
 from gva_mi.pose.prior.inference import (
     JOINTS,
@@ -67,9 +68,11 @@ class Corrections:
         self.moves = torch.zeros(n, 3, 1).requires_grad_()
 
     @staticmethod
-    def map_estimate(stage1: Stage1, anatomy: Anatomy) -> Corrections:
-        """Start from the MAP estimate, without any image."""
-        prior = prior_from_stage1(stage1)
+    def map_estimate(
+        stage1: Stage1, anatomy: Anatomy, known: Mapping[str, Stage1ErrorModel] | None = None
+    ) -> Corrections:
+        """Start from the MAP estimate, without any image; ``known`` is of the estimator."""
+        prior = prior_from_stage1(stage1, known)
         given = stage1.pose.rotations
         own = torch.zeros(given.shape)
         own[:, list(PELVIS)], pelvis = prior.pelvis.map_estimate()
@@ -163,12 +166,14 @@ class Corrections:
         Many images determine them no better than one: a larger person farther away looks the same
         in all of them, and trousers that widen toward their hems look like feet nearer than the
         head. So the mean over stage 1's frames is a prior in every frame. Other joints are treated
-        by the camera-locked tilt instead.
+        by the camera-locked tilt instead. The bias of a position counts if it is known, and not
+        guessed.
         """
         pelvis, place = self.prior.pelvis, self.prior.place
         nats = (turn.square() / pelvis.variance_of_mean(bias=True)).sum() / 2
         if shift is not None:
-            nats = nats + (shift.square() / place.variance_of_mean(bias=False)).sum() / 2
+            variance = place.variance_of_mean(bias=self.prior.errors_known)
+            nats = nats + (shift.square() / variance).sum() / 2
         return nats
 
     def _at(self, which: Sequence[int]) -> tuple[Tensor, Tensor]:

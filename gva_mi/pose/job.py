@@ -12,6 +12,7 @@ from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.options import Weight, Within, require_ranges
 from gva_mi.pose.evidence.close_ups import FinePicture
+from gva_mi.pose.evidence.landmarks import SeenLandmarks
 from gva_mi.pose.evidence.masks_normals import MaskAndNormals
 from gva_mi.pose.prior.error_model import Stage1ErrorModel
 from gva_mi.pose.prior.ground import ContactStats
@@ -56,6 +57,7 @@ class Solution:
     )  # stage 1's errors, if inferred
     footing: ContactStats | None = None  # how the feet touch the ground, if inferred
     focal: float = 1.0  # factor on the focal length (gva_mi.pose.focal); not yet in the pose
+    landmark_offsets: Tensor | None = None  # (P, 3) metres, of gva_mi.pose.evidence.landmarks
 
 
 @dataclass(frozen=True)
@@ -69,3 +71,5 @@ class RefineJob:
     known: Solution | None = None  # of the first round: the shared unknowns are taken from it
     fine: Mapping[int, FinePicture] = field(default_factory=dict)  # for close-ups, by number
     following: Sequence[int] = ()  # frames without evidence that the motion prior fills in
+    landmarks: SeenLandmarks | None = None  # of all frames of ``pose``
+    errors: Mapping[str, Stage1ErrorModel] | None = None  # of the estimator; None: inferred

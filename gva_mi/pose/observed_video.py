@@ -20,6 +20,7 @@ from gva_mi.mesh.coarse_body import CoarseBody
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.clips import cut, join, poses_of_clip, skim
 from gva_mi.pose.evidence.close_ups import FinePicture, close_up_scale, parts_of
+from gva_mi.pose.evidence.landmarks import SeenLandmarks
 from gva_mi.pose.evidence.masks_normals import (
     MaskAndNormals,
     common_scale,
@@ -31,6 +32,7 @@ from gva_mi.pose.focal import follow
 from gva_mi.pose.job import RefineJob, RefineOptions, Solution
 from gva_mi.pose.optimize import with_frames, worse_frames
 from gva_mi.pose.prior.error_model import Stage1ErrorModel
+from gva_mi.pose.prior.film_errors import FILM_ERRORS
 from gva_mi.pose.prior.ground import ContactStats
 from gva_mi.pose.sequence import SequenceOptions, refine_sequence, repeats
 from gva_mi.pose.single_frame import FRAMES_A_JOB, refine_single_frames
@@ -97,6 +99,8 @@ class ObservedVideo:
     pictures: SpillCache[FinePicture]  # of the frames that have evidence, if there are close-ups
     kept: dict[int, str]  # frames without evidence, and why
     held_out: Sequence[int]  # test frames that are not used
+    landmarks: SeenLandmarks | None
+    errors: Mapping[str, Stage1ErrorModel] | None  # of the estimator, if they are known
     swapped: Mapping[str, Sequence[int]]  # limbs that were fixed, and in which frames
     seconds: float  # time to gather the evidence
 
@@ -140,8 +144,12 @@ class ObservedVideo:
             stage1 = Stage1.of(pose, range(len(pose)), video.cameras[0])
             pose, swapped = fix_swaps(stage1, losses, options.prior_weight)
         seconds = time.perf_counter() - begin
-        gathered = evidence, pictures, kept, held_out, swapped, seconds
-        return ObservedVideo(compared, pose, shape, video.cameras, options, *gathered)
+        errors = known_errors(video, options) if in_sequence else None
+        landmarks = None
+        if in_sequence and options.landmarks > 0 and video.landmarks is not None:
+            landmarks = SeenLandmarks.of(video.landmarks, compared.body, video.cameras)
+        known = evidence, pictures, kept, held_out, landmarks, errors, swapped, seconds
+        return ObservedVideo(compared, pose, shape, video.cameras, options, *known)
 
     @property
     def clips(self) -> list[range]:
@@ -165,7 +173,15 @@ class ObservedVideo:
         evidence, pictures = self.evidence.part(frames), self.pictures.part(frames)
         if not evidence:
             return None
-        job = RefineJob(evidence, self.coarse.body, self.pose, self.shape, fine=pictures)
+        job = RefineJob(
+            evidence,
+            self.coarse.body,
+            self.pose,
+            self.shape,
+            fine=pictures,
+            landmarks=self.landmarks,
+            errors=self.errors,
+        )
         return RefineTask(job, self.options)
 
     def clip_tasks(self, known: Done[Solution] | None) -> list[RefineTask]:
@@ -179,6 +195,8 @@ class ObservedVideo:
                 None if known is None else known.result,
                 self.pictures.part(clip, clip.start),
                 [k - clip.start for k in clip if k in self.held_out],
+                None if self.landmarks is None else self.landmarks.part(clip),
+                self.errors,
             )
             for clip in self.clips
         ]
@@ -216,6 +234,12 @@ class ObservedVideo:
             footing=shared.footing,
             swapped=self.swapped,
         )
+
+
+def known_errors(video: Video, options: SequenceOptions) -> Mapping[str, Stage1ErrorModel] | None:
+    """Return the error model of the estimator that made the poses; None: it is inferred."""
+    by_solver = options.errors == "film" or (options.errors == "auto" and video.kind == "film")
+    return FILM_ERRORS if by_solver else None
 
 
 def _steps(options: RefineOptions, frames: int) -> int:

@@ -21,7 +21,7 @@ half of the ``learn`` passes. Otherwise the clothes' surface would adapt to them
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Protocol
 
@@ -35,6 +35,7 @@ from gva_mi.core.options import Metres, Seed, Turn, Within, require_ranges
 from gva_mi.pose.corrections import Corrections
 from gva_mi.pose.optimizer import VectorAdam, turn_rates
 from gva_mi.pose.prior.anatomy import Anatomy
+from gva_mi.pose.prior.error_model import Stage1ErrorModel
 from gva_mi.pose.prior.ground import Soles
 from gva_mi.pose.prior.inference import PosePrior
 from gva_mi.pose.stage1 import Stage1
@@ -141,6 +142,7 @@ def descend(
     progress: Progress | None = None,
     following: Sequence[int] = (),
     try_uncorrected: bool = False,
+    errors: Mapping[str, Stage1ErrorModel] | None = None,
 ) -> Descent:
     """Minimise eq. 1; the leaves ``evidence.shared`` are moved in place.
 
@@ -153,10 +155,11 @@ def descend(
         following: frames without evidence, whose poses follow from the prior.
         try_uncorrected: start from ``start`` itself if it has a lower loss than the MAP estimate,
             which takes all jerky motion for errors.
+        errors: of the estimator that made ``start``, by group of joints; None: inferred.
     """
     frames = sorted({*evidence.frames, *following})
     stage1 = Stage1.of(start, frames, evidence.camera)
-    corrections = Corrections.map_estimate(stage1, evidence.anatomy)
+    corrections = Corrections.map_estimate(stage1, evidence.anatomy, errors)
     if try_uncorrected:
         corrections = _better(evidence, frames, corrections, corrections.zeroed())
     adam = optimiser(corrections, arms, options, evidence.unseen, evidence.shared)

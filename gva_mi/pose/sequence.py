@@ -22,12 +22,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Literal
 
 import torch
 from torch import Tensor
 
-from gva_mi.body.pose import Pose, Shape
+from gva_mi.body.kinematics import turn_joints
+from gva_mi.body.pose import PARENTS, Pose, Shape
 from gva_mi.core.console import Progress
 from gva_mi.core.options import Metres, Rate, Seed, Turn, Weight, Within
 from gva_mi.mesh.mesh_scene import MeshScene
@@ -54,6 +55,7 @@ from gva_mi.pose.stature import Stature
 STEPS_A_PASS = 16  # smallest number
 FINGERS = GROUPS["fingers"]
 HOLD_HEIGHT = 1e3  # λh, for one square metre
+LANDMARK_STEP = 0.001  # metres in a first step, of the landmarks' offsets
 
 
 @dataclass(frozen=True)
@@ -80,6 +82,10 @@ class SequenceOptions(DescentOptions, RefineOptions):
     translation_lr: Rate = 0.006  # metres in a first step; images show depth weakly
     cloth_lr: Rate = 0.003  # metres in a first step
     betas_lr: Rate = 0.05  # standard deviations in a first step
+    landmarks: Weight = 0.015  # weight of one nat of the landmarks, where the video has them
+    # Stage 1's error model: inferred from the video, or that of the film solver. "auto": that of
+    # the film solver if it made the poses.
+    errors: Literal["auto", "inferred", "film"] = "auto"
     # Also refine the focal length. The result is some per cent too long if the person stays
     # far away.
     refine_camera: bool = False
@@ -131,12 +137,15 @@ def refine_sequence(
         passes=repeats(frames) * options.passes,
         learn=repeats(frames) * options.learn,
     )
-    found = descend(person, job.pose, person.arms, options, progress, job.following)
+    found = descend(
+        person, job.pose, person.arms, options, progress, job.following, errors=job.errors
+    )
     shape, offsets = Shape(person.shape.betas.detach()), person.offsets.detach()
     focal = float(person.focal.detach())
     ground = found.prior.ground
     contact = None if ground is None else ground.contact
-    return Solution(found.pose, shape, offsets, found.prior.noise, contact, focal)
+    points = None if job.landmarks is None else person.landmark_offsets.detach()
+    return Solution(found.pose, shape, offsets, found.prior.noise, contact, focal, points)
 
 
 def repeats(frames: int) -> int:
@@ -170,7 +179,11 @@ class ClothedPerson:
             self.shared = [(self._cloth.raw, options.cloth_lr), (self._betas, options.betas_lr)]
             if options.refine_camera:
                 self.shared.append((self._log_focal, options.focal_lr))
+            if job.landmarks is not None:
+                self._points = torch.zeros_like(job.landmarks.rig.rest).requires_grad_()
+                self.shared.append((self._points, LANDMARK_STEP))
         else:
+            self._points = job.known.landmark_offsets
             self._log_focal = torch.full((1, 1), job.known.focal).log()
             self._cloth.raw, self._betas = job.known.offsets, job.known.shape.betas[:, None]
             self.shared = []
@@ -183,6 +196,11 @@ class ClothedPerson:
     def offsets(self) -> Tensor:
         """``D`` (V, 3), metres."""
         return self._cloth.offsets
+
+    @property
+    def landmark_offsets(self) -> Tensor:
+        """``o`` (P, 3) of the landmarks, metres."""
+        return self._points
 
     @property
     def shape(self) -> Shape:
@@ -220,7 +238,15 @@ class ClothedPerson:
         if self._close and self._job.fine:
             bodies = zip(frames, vertices.detach(), seen, strict=True)
             closer = [close_ups(self._job.fine[k], self._parts, *body) for k, *body in bodies]
-        return mean_loss(self._scene, vertices, seen, o.silhouette, closer, focal, outlines)
+        loss = mean_loss(self._scene, vertices, seen, o.silhouette, closer, focal, outlines)
+        return loss + o.landmarks * self._landmark_loss(frames, pose)
+
+    def _landmark_loss(self, frames: Sequence[int], pose: Pose) -> Tensor | float:
+        if self._job.landmarks is None:
+            return 0.0
+        joints = self._job.body.rest(self.shape).joints
+        T_world_rest = turn_joints(pose.rotations, joints, PARENTS, pose.transl)[1]
+        return self._job.landmarks.loss(frames, T_world_rest, self.shape, self._points)
 
     def enable_details(self) -> None:
         """Start to use close-ups and refine the focal length: both need nearly right poses."""
@@ -244,4 +270,7 @@ class ClothedPerson:
             energy = energy + o.focal_prior * self._log_focal.square().sum()
         if o.height is not None:
             energy = energy + HOLD_HEIGHT * self._stature.energy(self.shape, o.height)
+        if self._job.landmarks is not None:
+            off = self._job.landmarks.energy(self._points) / len(self.frames)
+            energy = energy + o.landmarks * off
         return energy

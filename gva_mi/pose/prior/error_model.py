@@ -4,8 +4,8 @@ An estimator's error in frame ``k`` is the negative of its correction. It has a 
 every frame, one that lasts for some frames, and a constant one:
 
 1. ``e_k = white_k + slow_k + bias``
-2. ``K_kl = white² f_k [k = l] + slow² (κ(|t_k - t_l| / memory) + 1)``
-   with ``κ(x) = (1 + √3 x) e^(-√3 x)``
+2. ``K_kl = white² f_k [k = l] + slow² κ(|t_k - t_l| / memory) + bias²``
+   with ``κ(x) = (1 + √3 x) e^(-√3 x)``; an inferred model has ``bias = slow``
 
 ``K`` is the covariance of each of its coordinates. The parts' sizes and the memory differ between
 estimators, and between hips and fingers, so they are inferred for each group of joints
@@ -60,6 +60,7 @@ class Stage1ErrorModel:
     white: float  # standard deviation of a coordinate; radians, or metres for the position
     slow: float  # the same of the part that lasts
     memory: float  # frames that it lasts
+    bias: float | None = None  # of the constant part; None: the same as ``slow``
 
     @property
     def size(self) -> float:
@@ -71,10 +72,17 @@ class Stage1ErrorModel:
         """``white²``, but large enough that eq. 2 is not singular."""
         return max(self.white, LEAST_WHITE * self.slow) ** 2
 
+    @property
+    def constant(self) -> float:
+        """Standard deviation of the constant part."""
+        return self.slow if self.bias is None else self.bias
+
     def lasting(self, times: Tensor) -> Tensor:
         """Return eq. 2 (n, n) float64 at times (n,), without the white part."""
         x = 3**0.5 * (times[:, None] - times).abs().double() / self.memory
-        return self.slow**2 * ((1 + x) * torch.exp(-x) + 1)
+        if self.bias is None:
+            return self.slow**2 * ((1 + x) * torch.exp(-x) + 1)
+        return self.slow**2 * (1 + x) * torch.exp(-x) + self.bias**2
 
 
 def covariance(error_models: Sequence[Stage1ErrorModel], times: Tensor, factors: Tensor) -> Tensor:

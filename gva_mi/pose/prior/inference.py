@@ -62,6 +62,7 @@ class PosePrior:
         place: process of the person's position in the camera's axes; it may change steadily.
         tilt: a :class:`PriorTerm`, whose nats are a mean over the frames.
         ground: a :class:`PriorTerm`, whose nats are of the whole clip; None before it is fitted.
+        errors_known: whether ``noise`` is knowledge about the estimator, and not inferred.
     """
 
     noise: Mapping[str, Stage1ErrorModel]
@@ -70,6 +71,7 @@ class PosePrior:
     place: ProcessPrior
     tilt: TiltPrior
     ground: Ground | None = None
+    errors_known: bool = False
 
 
 def describe_prior(
@@ -89,8 +91,15 @@ def describe_prior(
         yield f"ground      {stands}, within {1000 * contact.spread:.0f} mm of one plane"
 
 
-def prior_from_stage1(stage1: Stage1) -> PosePrior:
-    """Infer white errors and the speed of the motion from stage 1 alone."""
+def prior_from_stage1(
+    stage1: Stage1, known: Mapping[str, Stage1ErrorModel] | None = None
+) -> PosePrior:
+    """Infer white errors and the speed of the motion from stage 1 alone.
+
+    Args:
+        stage1: what will be corrected.
+        known: the error model of the estimator that made it, by group; None: it is inferred.
+    """
     turns, shifts = stage1.steps(stage1.pose)
     noise = {
         name: replace(TURN, white=white_level(turns[:, list(group)]))
@@ -98,6 +107,9 @@ def prior_from_stage1(stage1: Stage1) -> PosePrior:
     }
     for name, axes in AXES.items():
         noise[name] = replace(PLACE[name], white=white_level(shifts[:, list(axes), None]))
+    if known is not None:
+        largest = lambda name: max(known[name].white, noise[name].white)
+        noise = {name: replace(known[name], white=largest(name)) for name in noise}
     return PosePrior(
         noise,
         ProcessPrior.of_stage1(
@@ -106,6 +118,7 @@ def prior_from_stage1(stage1: Stage1) -> PosePrior:
         ProcessPrior.of_stage1(stage1.times, turns[:, list(JOINTS)], _by_joint(noise, JOINTS)),
         ProcessPrior.of_stage1(stage1.times, shifts[..., None], _by_axis(noise), True),
         TiltPrior.of(stage1, stage1.pose.rotations),
+        errors_known=known is not None,
     )
 
 
@@ -120,7 +133,9 @@ def prior_from_corrections(
         turns: (n, J, 3) in the camera's axes, radians.
         moves: (n, 3) in the camera's axes, metres.
     """
-    noise = _noise(before.noise, stage1.times, turns, moves)
+    noise = before.noise
+    if not before.errors_known:
+        noise = _noise(noise, stage1.times, turns, moves)
     pose = stage1.corrected(range(len(moves)), turns, moves)
     steps, shifts = stage1.steps(pose)
     root, sideways = list(PELVIS), stage1.in_camera(steps, slice(0, -1))[:, list(JOINTS), 2:]
@@ -130,6 +145,7 @@ def prior_from_corrections(
         updated_process(before.joints, _by_joint(noise, JOINTS), turns[:, list(JOINTS)], sideways),
         updated_process(before.place, _by_axis(noise), moves[..., None], shifts[..., None]),
         TiltPrior.of(stage1, pose.rotations),
+        errors_known=before.errors_known,
     )
 
 

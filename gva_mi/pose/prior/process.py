@@ -128,7 +128,7 @@ class ProcessPrior:
     def variance_of_mean(self, bias: bool) -> Tensor:
         """Return the variance (C,) of stage 1's mean error, with or without its bias."""
         K = covariance(self.error_models, self.times, self.factors).mean((1, 2))
-        without = torch.tensor([noise.slow**2 for noise in self.error_models])
+        without = torch.tensor([noise.constant**2 for noise in self.error_models])
         return (K if bias else K - without).float()
 
     def precision(self) -> Tensor:

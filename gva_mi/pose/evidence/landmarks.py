@@ -1,0 +1,117 @@
+"""Landmarks of a network as evidence: where the body's points lie in the picture.
+
+1. ``r_kp = (π_k(y_kp) - u_kp) / σ_kp``,   ``y_kp = T_k,joint(p) (x_p(β) + o_p)``
+2. ``L_k = Σ_p n_p (ν + 2) / 2m · log(1 + |r_kp|² / ν)``
+3. ``E(o) = Σ_p |o_p|² / 2 loose_p²``
+
+with the landmark ``u`` in pixels and its standard deviation ``σ``, the camera's projection ``π``,
+and the point ``x`` of the body at rest (:mod:`gva_mi.pose.film.rig`). Offsets ``o`` are unknown and
+the same in all frames: a network's hip or shoulder is not the joint of the body. A landmark's error
+lasts, so ``m`` frames count as one, and the points of a hand, or of the face, err together, so
+they count as few: each as ``n`` of a point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gva_mi.body.pose import Shape
+from gva_mi.body.smplx import BodyModel
+from gva_mi.data.landmarks import BODY, Landmarks
+from gva_mi.pose.film.landmark_noise import FREEDOM, LandmarkNoise
+from gva_mi.pose.film.rig import LandmarkRig
+from gva_mi.splat import Camera
+
+MEMORY = 12.0  # m, frames for which a landmark's error lasts
+TOGETHER = 3.0  # as many points count all those of a hand, or of the face
+NEAREST = 0.1  # metres in front of the camera, below which nothing is projected
+
+
+@dataclass(frozen=True)
+class SeenLandmarks:
+    """P landmarks in T frames, on the body's rig.
+
+    Attributes:
+        rig: of the P landmarks.
+        pixels: (T, P, 2), zero where there is none.
+        precision: (T, P) 1 / σ, zero where there is none.
+        count: (P,) ``n``.
+        K: (T, 3, 3) of the cameras.
+        T_camera_world: (T, 4, 4).
+    """
+
+    rig: LandmarkRig
+    pixels: Tensor
+    precision: Tensor
+    count: Tensor
+    K: Tensor
+    T_camera_world: Tensor
+
+    @staticmethod
+    def of(landmarks: Landmarks, body: BodyModel, cameras: Sequence[Camera]) -> SeenLandmarks:
+        """Take the landmarks that are known on a body, seen by T cameras."""
+        rig = LandmarkRig.of(body, landmarks.names)
+        sigma = LandmarkNoise.of(landmarks, rig.names).pixels
+        pixels = torch.from_numpy(landmarks.pixels[:, landmarks.indices(rig.names)]).float()
+        return SeenLandmarks(
+            rig,
+            torch.where(sigma.isfinite()[..., None], pixels, 0),
+            1 / sigma,
+            _counts(rig.names),
+            torch.from_numpy(np.stack([c.K for c in cameras])).float(),
+            torch.from_numpy(np.stack([c.T_camera_world for c in cameras])).float(),
+        )
+
+    def part(self, frames: range) -> SeenLandmarks:
+        """Return the landmarks of some consecutive frames."""
+        some = slice(frames.start, frames.stop)
+        cut = {name: getattr(self, name)[some] for name in _OF_FRAMES}
+        return replace(self, **cut)
+
+    def loss(
+        self, frames: Sequence[int], T_world_rest: Tensor, shape: Shape, offsets: Tensor
+    ) -> Tensor:
+        """Return eq. 2, nats, a mean over some frames; differentiable.
+
+        Args:
+            frames: B numbers.
+            T_world_rest: (B, 55, 4, 4) of the body in these frames.
+            shape: of the body.
+            offsets: ``o`` (P, 3) metres.
+        """
+        frames = list(frames)
+        T, y = self.T_camera_world[frames], self.rig.places(T_world_rest, shape.betas, offsets)
+        seen = y @ T[:, :3, :3].mT + T[:, None, :3, 3]
+        image = seen @ self.K[frames].mT
+        found = image[..., :2] / image[..., 2:].clamp_min(NEAREST)
+        off = (found - self.pixels[frames]).square().sum(-1) * self.precision[frames].square()
+        nats = (FREEDOM + 2) / (2 * MEMORY) * torch.log1p(off / FREEDOM)
+        return (self.count * nats).sum() / len(frames)
+
+    def energy(self, offsets: Tensor) -> Tensor:
+        """Return eq. 3 of offsets (P, 3), nats."""
+        return (offsets / self.rig.loose[:, None]).square().sum() / 2
+
+
+_FACE = BODY[: BODY.index("left_shoulder")]
+
+
+def _counts(names: Sequence[str]) -> Tensor:
+    """Return ``n`` (P,) of the landmarks with some names."""
+    parts = [_part(name) for name in names]
+    return torch.tensor([min(1.0, TOGETHER / parts.count(part)) if part else 1.0 for part in parts])
+
+
+def _part(name: str) -> str | None:
+    """Return the part of the body whose points err together, if it is one."""
+    if name in _FACE:
+        return "face"
+    return name[: name.index("_hand_")] if "_hand_" in name else None
+
+
+_OF_FRAMES = ("pixels", "precision", "K", "T_camera_world")

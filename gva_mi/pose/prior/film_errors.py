@@ -1,0 +1,41 @@
+"""How the film solver errs: an error model that is known before any video.
+
+A constant error does not show in a track, and a smooth one looks like motion: how large they are is
+knowledge about the estimator, and not about this video. The table is what
+``python -m gva_mi.study.film_errors`` prints, of the solver of :mod:`gva_mi.pose.film` on rendered
+films with ground truth, in the form of :mod:`gva_mi.pose.prior.error_model`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+import numpy as np
+
+from gva_mi.pose.prior.error_model import Stage1ErrorModel
+
+# Standard deviations of the slow part and of the constant one, and frames that the slow one lasts.
+_DEGREES = {
+    "pelvis": (2.5, 1.0, 12.0),
+    "spine": (2.0, 1.0, 12.0),
+    "head": (5.0, 3.0, 12.0),
+    "shoulders": (7.0, 4.0, 12.0),
+    "elbows": (7.0, 4.0, 12.0),
+    "wrists": (12.0, 6.0, 12.0),
+    "hips": (5.0, 2.5, 12.0),
+    "knees": (3.5, 2.5, 12.0),
+    "feet": (4.0, 3.0, 12.0),
+    "fingers": (18.0, 15.0, 12.0),
+}
+_METRES = {"aside": (0.012, 0.025, 12.0), "depth": (0.03, 0.05, 12.0)}
+
+
+def _model(slow: float, bias: float, memory: float) -> Stage1ErrorModel:
+    return Stage1ErrorModel(white=0.0, slow=slow, memory=memory, bias=bias)
+
+
+FILM_ERRORS: Mapping[str, Stage1ErrorModel] = MappingProxyType(
+    {name: _model(*np.radians(row[:2]).tolist(), row[2]) for name, row in _DEGREES.items()}
+    | {name: _model(*row) for name, row in _METRES.items()}
+)

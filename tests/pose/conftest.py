@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from gva_mi.body.pose import JOINTS, Pose, Shape
+from gva_mi.data.landmarks import Landmarks
 from gva_mi.data.video import Frame, Outline
 from gva_mi.mesh.coarse_body import CoarseBody
 from gva_mi.splat import Camera
@@ -24,6 +25,8 @@ class Clip:
     camera: Camera
     absent: dict = field(default_factory=dict)
     folder: Path = Path()  # of a disk cache
+    landmarks: Landmarks | None = None
+    kind: str | None = None
     splits: SimpleNamespace = field(default_factory=lambda: SimpleNamespace(test=[]))
 
     def true_mask(self, index):

@@ -10,6 +10,7 @@ from gva_mi.body.pose import JAW_AND_EYES, JOINTS, PARENTS, Pose
 from gva_mi.pose.corrections import Corrections, constant_shifts
 from gva_mi.pose.prior.anatomy import Anatomy
 from gva_mi.pose.prior.error_model import GROUPS
+from gva_mi.pose.prior.film_errors import FILM_ERRORS
 from gva_mi.pose.stage1 import Stage1
 
 ELBOW = JOINTS.index("left_elbow")
@@ -181,6 +182,23 @@ def test_the_error_model_is_inferred_from_corrections(make):
     assert noise["knees"].slow < 0.5 * noise["elbows"].slow
     before, after = (c.pose(range(frames)) for c in (corrections, updated))
     torch.testing.assert_close(matrices(after), matrices(before))
+
+
+def test_known_errors_are_kept_and_let_the_whole_person_move(camera, body, true_pose):
+    anatomy = Anatomy.of(body.j_template)
+    stage1 = Stage1.of(true_pose, range(len(true_pose)), camera)
+    costs = []
+    for known in (None, FILM_ERRORS):
+        prior = Corrections.map_estimate(stage1, anatomy, known).prior
+        moves = torch.zeros(len(true_pose), 3)
+        turns = torch.zeros(len(true_pose), len(JOINTS), 3)
+        still = Corrections(stage1, anatomy, prior, turns, moves)
+        aside = Corrections(stage1, anatomy, prior, turns, moves + torch.tensor([0, 0.03, 0.05]))
+        costs.append(float(aside.energy().detach() - still.energy().detach()))
+        after = aside.with_updated_prior(turns, moves + 0.05).prior.noise
+        assert (after == prior.noise) == (known is not None)
+    assert costs[1] < 0.7 * costs[0]
+    assert prior.noise["elbows"].bias == FILM_ERRORS["elbows"].bias
 
 
 def turning(frames=12):

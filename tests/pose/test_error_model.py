@@ -78,3 +78,12 @@ def test_the_covariance_is_the_sum_of_its_parts():
     noise = Stage1ErrorModel(0.1, 0.3, 5.0)
     K = covariance([noise], torch.tensor([0, 1000]), torch.tensor([[1.0, 4.0]]))[0].numpy()
     np.testing.assert_allclose(K, [[0.01 + 2 * 0.09, 0.09], [0.09, 0.04 + 2 * 0.09]], atol=1e-8)
+
+
+def test_a_known_bias_takes_the_place_of_the_slow_part():
+    times, factors = torch.tensor([0, 1000]), torch.ones(1, 2)
+    noise = Stage1ErrorModel(0.1, 0.3, 5.0, bias=0.2)
+    K = covariance([noise], times, factors)[0].numpy()
+    np.testing.assert_allclose(K, [[0.01 + 0.09 + 0.04, 0.04], [0.04, 0.14]], atol=1e-8)
+    same = covariance([Stage1ErrorModel(0.1, 0.3, 5.0, bias=0.3)], times, factors)
+    assert torch.equal(same, covariance([Stage1ErrorModel(0.1, 0.3, 5.0)], times, factors))

@@ -1,0 +1,79 @@
+"""Landmarks as evidence: projected from known poses, they hold the body where it is seen."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from gva_mi.body.pose import JOINTS, Pose, Shape
+from gva_mi.data.landmarks import BODY, Landmarks, hand_names
+from gva_mi.pose.evidence.landmarks import SeenLandmarks
+from gva_mi.pose.film.rig import LandmarkRig
+
+NAMES = (*BODY, *hand_names("left"), *hand_names("right"))
+SHAPE = Shape(torch.zeros(10))
+
+
+def seen_of(body, pose, camera, names=NAMES):
+    """Landmarks without errors, of a body in T poses."""
+    rig = LandmarkRig.of(body, names)
+    places = rig.places(body(pose, SHAPE).T_world_rest, SHAPE.betas).double()
+    T = torch.tensor(camera.T_camera_world)
+    metric = (places @ T[:3, :3].T + T[:3, 3]).numpy()
+    pixels = np.stack([camera.project(points) for points in places.numpy()])
+    ones = np.ones(pixels.shape[:2])
+    return Landmarks(names, pixels, ones, 0 * ones, metric - metric[:, :1])
+
+
+def loss_of(landmarks, body, pose, camera, offsets=None):
+    seen = SeenLandmarks.of(landmarks, body, [camera] * len(pose))
+    offsets = torch.zeros_like(seen.rig.rest) if offsets is None else offsets
+    return seen.loss(range(len(pose)), body(pose, SHAPE).T_world_rest, SHAPE, offsets)
+
+
+@pytest.fixture(scope="module")
+def landmarks(body, true_pose, camera):
+    return seen_of(body, true_pose, camera)
+
+
+def test_the_true_pose_costs_nothing_and_a_turned_arm_does(body, true_pose, camera, landmarks):
+    assert float(loss_of(landmarks, body, true_pose, camera)) == pytest.approx(0, abs=1e-4)
+    turned = true_pose.rotations.clone()
+    turned[:, JOINTS.index("left_elbow"), 1] += 0.3
+    turned.requires_grad_()
+    loss = loss_of(landmarks, body, replace(true_pose, rotations=turned), camera)
+    loss.backward()
+    assert float(loss.detach()) > 0.02
+    assert (turned.grad[:, JOINTS.index("left_elbow"), 1] > 0).all()  # back
+
+
+def test_offsets_explain_what_is_off_in_all_frames_at_a_cost(body, true_pose, camera, landmarks):
+    seen = SeenLandmarks.of(landmarks, body, [camera] * len(true_pose))
+    offsets = torch.zeros_like(seen.rig.rest)
+    offsets[seen.rig.names.index("left_hip")] = torch.tensor([0.0, 0.04, 0.0])
+    assert float(loss_of(landmarks, body, true_pose, camera, offsets)) > 0.01
+    loose = float(seen.rig.loose[seen.rig.names.index("left_hip")])
+    assert float(seen.energy(offsets)) == pytest.approx((0.04 / loose) ** 2 / 2)
+
+
+def test_a_landmark_that_is_not_known_pulls_at_nothing(body, true_pose, camera, landmarks):
+    lost, at = replace(landmarks, pixels=landmarks.pixels.copy()), NAMES.index("left_wrist")
+    lost.pixels[:, at] += 200
+    far = float(loss_of(lost, body, true_pose, camera))
+    lost.pixels[:, at] = np.nan
+    assert far > 0.1 > 1e-4 > float(loss_of(lost, body, true_pose, camera))
+
+
+def test_the_order_of_names_does_not_matter(body, true_pose, camera, landmarks):
+    away = Pose(true_pose.rotations, true_pose.transl + 0.02, true_pose.expression)
+    other = seen_of(body, true_pose, camera, NAMES[::-1])
+    expected = loss_of(landmarks, body, away, camera)
+    torch.testing.assert_close(loss_of(other, body, away, camera), expected)
+
+
+def test_points_of_a_hand_count_as_few(body, true_pose, camera, landmarks):
+    seen = SeenLandmarks.of(landmarks, body, [camera] * len(true_pose))
+    of_hand = torch.tensor([name.startswith("left_hand") for name in seen.rig.names])
+    assert float(seen.count[of_hand].sum()) == pytest.approx(3)
+    assert float(seen.count[seen.rig.names.index("left_knee")]) == 1

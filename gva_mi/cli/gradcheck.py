@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from torch import Generator
 from tyro.conf import Positional
 
 from gva_mi.cli.arguments import Flat, Switch
@@ -21,7 +20,6 @@ from gva_mi.gradcheck.chain import PosedAvatar
 from gva_mi.gradcheck.engine import Report, write_reports
 from gva_mi.gradcheck.normals import COORDINATES, check_normals
 from gva_mi.gradcheck.picture import write_picture
-from gva_mi.gradcheck.probes import IMAGES
 from gva_mi.gradcheck.splat import gradcheck as check_renderer
 from gva_mi.splat import render
 from gva_mi.splat.camera import CameraModel
@@ -31,7 +29,7 @@ REPORT, PICTURE = "gradcheck.json", "gradcheck.png"
 What = Literal["splat", "avatar", "normals"]
 ONLY: dict[str, tuple[What, ...]] = {  # options that only some checks have
     "seed": ("splat", "avatar"), "scene": ("splat",), "body": ("avatar",),
-    **dict.fromkeys(("window", "camera_model", "antialiased", "channels", "images"), ("splat",)),
+    **dict.fromkeys(("window", "camera_model", "antialiased"), ("splat",)),
     **dict.fromkeys(("size", "spp", "lines", "points"), ("normals",)),
 }  # fmt: skip
 
@@ -48,9 +46,6 @@ class GradcheckOptions:
     window: Annotated[int, Within(1, 1024)] = 24
     camera_model: CameraModel | None = None  # splat: replaces the scene's own
     antialiased: Switch = False  # splat: reduce opacities by the area that the blur adds
-    # splat: random features of this width in the place of the colours; 0 keeps the colours.
-    channels: Annotated[int, Within(0, 1024)] = 0
-    images: tuple[Literal["color", "alpha", "depth"], ...] = IMAGES  # splat: images in the loss
     size: Annotated[int, Within(32, 4096)] = 512  # normals: width and height of the picture, px
     spp: Annotated[int, Within(1, 4096)] = 16  # normals: rays for a pixel of the gradient
     # normals: lines across the moving rectangle, for the reference boundary term.
@@ -59,8 +54,6 @@ class GradcheckOptions:
 
     def __post_init__(self) -> None:
         require_ranges("gradcheck", self)
-        if not self.images:
-            raise InputError(f"gradcheck: images must be some of {', '.join(IMAGES)}")
 
     def require_only(self, what: What, **files: Path | None) -> None:
         """Raise an InputError for an option or a file that only another check has."""
@@ -80,8 +73,6 @@ class GradcheckOptions:
         """Return the scene with these options applied."""
         if self.camera_model is not None:
             scene = scene.through(self.camera_model)
-        if self.channels:
-            scene = scene.featured(self.channels, Generator().manual_seed(self.seed))
         return replace(scene, options=replace(scene.options, antialiased=self.antialiased))
 
 
@@ -137,7 +128,7 @@ def _windows(options: GradcheckOptions, scene: Path | None) -> Iterator[tuple[st
     """Check the renderer in windows of a picture."""
     whole = person_scene(np.random.default_rng(0)) if scene is None else Scene.load(scene)
     for place, part in options.applied(whole).windows(options.window, options.count or 3):
-        report = check_renderer(render, part, images=options.images, seed=options.seed)
+        report = check_renderer(render, part, seed=options.seed)
         yield f"window at {place}", report
 
 

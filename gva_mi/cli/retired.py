@@ -23,6 +23,10 @@ RENAMED: dict[tuple[str, str], str] = {
         ("synth", f"--{name}"): "is gone: frames show the person on white"
         for name in ("background", "blur", "sensor-noise")
     },
+    **{
+        ("gradcheck", f"--{name}"): "is gone: give Python's gradcheck() a scene of your own"
+        for name in ("channels", "images")
+    },
 }
 
 # Constants of the method that Python sets and the command line does not: by dataclass the name it

@@ -131,7 +131,6 @@ def gradcheck(
     scene: Scene,
     tolerances: Tolerances = _DEFAULTS,
     *,
-    images: tuple[str, ...] = IMAGES,
     seed: int = 0,
 ) -> RendererReport:
     """Compare a renderer's image and gradients with those of the reference implementation.
@@ -142,16 +141,12 @@ def gradcheck(
             differentiate by the camera's tensors, the report notes it and omits those comparisons.
         scene: what to render; some hundred Gaussians on some thousand pixels take seconds.
         tolerances: the greatest errors allowed.
-        images: which of "color", "alpha" and "depth" are in the loss.
         seed: of the weights in the loss and of the choice of entries.
     """
-    unknown = set(images) - set(IMAGES)
-    if unknown or not images:
-        raise ValueError(f"gradcheck(): images must be some of {', '.join(IMAGES)}, got {images}")
     with one_torch_thread():  # faster for the reference's thousands of small tensors
         generator = Generator().manual_seed(seed)
         by_camera = _differentiates_camera(fn, scene)
-        check = _RendererCheck.of(scene, by_camera, images, generator)
+        check = _RendererCheck.of(scene, by_camera, generator)
         notes = [] if by_camera else [NO_CAMERA]
         rows, found32 = _answers(fn, check, tolerances, notes)
         moved = _last_digit(check.scene, generator)
@@ -189,9 +184,7 @@ class _RendererCheck:
     probes: dict[str, Probe]
 
     @staticmethod
-    def of(
-        scene: Scene, by_camera: bool, images: tuple[str, ...], generator: Generator
-    ) -> _RendererCheck:
+    def of(scene: Scene, by_camera: bool, generator: Generator) -> _RendererCheck:
         scene = scene.rounded()
         if by_camera:
             scene = scene.with_camera_inputs().to(torch.float64)
@@ -199,9 +192,6 @@ class _RendererCheck:
         band = reference.threshold_band(scene.gaussians, camera, scene.options)
         weights = torch.randn(camera.height, camera.width, D + 2, generator=generator).double()
         weights[band] = 0
-        for columns, name in ((slice(D), "color"), (D, "alpha"), (D + 1, "depth")):
-            if name not in images:
-                weights[..., columns] = 0
         image, truth = _by_adjoint(reference.render, scene, weights)
         probes = {k: Probe.among(g, ENTRIES, generator) for k, g in truth.items()}
         return _RendererCheck(scene, band, weights, image, truth, probes)

@@ -132,13 +132,6 @@ class Scene:
             size = 1 / middle if model == "ortho" else middle
         return replace(self, camera=replace(c, model=model, fx=c.fx * size, fy=c.fy * size))
 
-    def featured(self, channels: int, generator: Generator) -> Scene:
-        """Replace the colours by random features of any width."""
-        draw = lambda *shape: torch.rand(*shape, generator=generator, dtype=torch.float64)
-        kept = {k: v for k, v in self.gaussians.arrays().items() if k not in ("sh", "colors")}
-        gaussians = Gaussians(**kept, colors=draw(len(self.gaussians), channels))
-        return replace(self, gaussians=gaussians, background=draw(channels))
-
     def windows(self, size: int, count: int) -> Iterator[tuple[str, Scene]]:
         """Yield ``count`` windows of ``size`` pixels, fullest to emptiest, named by place."""
         means, T = self.gaussians.means.detach().numpy(), self.camera.T_camera_world

@@ -1,8 +1,6 @@
 """A body small enough for tests: an ellipsoid of 642 vertices on SMPL-X's 55 joints."""
 
-import gva_mi  # noqa: F401  (chooses libLLVM before Dr.Jit is imported)
-
-import numpy as np  # isort: skip
+import numpy as np
 import pytest
 import torch
 import trimesh

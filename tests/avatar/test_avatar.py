@@ -10,7 +10,6 @@ import torch
 
 from gva_mi import InputError
 from gva_mi.avatar import Avatar, AvatarOptions, ResidualOptions, SeedOptions, seed_avatar
-from gva_mi.avatar.lbs_reference import lbs_transforms
 from gva_mi.avatar.lighting import SHARE
 from gva_mi.avatar.skin_weights import JOINTS
 from gva_mi.body import Pose, Shape
@@ -61,24 +60,6 @@ def test_root_motion_is_rigid(make_avatar, random_pose):
     assert torch.allclose(after.sh, before.sh, atol=1e-9)
 
 
-def test_residual_is_added_in_the_rest_pose(make_avatar, random_pose):
-    """It is carried by the maps of the pose, and there is none where nothing bends."""
-    avatar, pose = make_avatar(dtype=torch.float64), random_pose(0, dtype=torch.float64)
-    rest = Pose.rest().to(torch.float64)
-    assert (avatar.animate(rest).residual == 0).all()
-    means = avatar.canonical.means
-    assert torch.allclose(avatar(rest).means, means, atol=1e-9)
-    animated = avatar.animate(pose)
-    assert animated.residual.abs().max() > 1e-3
-    T = avatar.posed_skeleton(pose).T_world_rest[:, :3].flatten(1)
-    A, _ = lbs_transforms(avatar.canonical.sparse_weights, T, means)
-    with torch.no_grad():
-        avatar.residual.offset.weight.zero_()
-    carried = (A.view(-1, 3, 4)[:, :, :3] @ animated.residual[..., None])[..., 0]
-    moved = animated.gaussians.means - avatar(pose).means
-    assert torch.allclose(moved, carried, atol=1e-9)
-
-
 def test_without_hand_skeleton_fingers_do_not_move(make_avatar, random_pose):
     pose = random_pose(2)
     rotations = pose.rotations.clone()
@@ -118,14 +99,6 @@ def test_every_parameter_receives_a_gradient(make_avatar, random_pose):
         assert parameter.grad is not None and parameter.grad.abs().max() > 0, name
 
 
-def test_every_pose_parameter_receives_a_gradient(make_avatar, random_pose):
-    pose = random_pose(3).map(lambda x: x.requires_grad_())
-    loss_of(make_avatar(), pose).backward()
-    for field in dataclasses.fields(pose):
-        grad = getattr(pose, field.name).grad
-        assert grad is not None and grad.abs().max() > 0, field.name
-
-
 def test_a_saved_avatar_is_the_same_to_the_bit(make_avatar, random_pose, tmp_path):
     avatar = make_avatar(AvatarOptions(seed=SeedOptions(count=700, sh_degree=1), hands=False))
     avatar.save(tmp_path / "avatar.npz")
@@ -139,13 +112,6 @@ def test_a_saved_avatar_is_the_same_to_the_bit(make_avatar, random_pose, tmp_pat
     for (name, here), there in zip(ours.arrays().items(), theirs.arrays().values(), strict=True):
         assert torch.equal(here, there), name
     assert [file.name for file in tmp_path.iterdir()] == ["avatar.npz"]
-
-
-def test_double_precision_survives_a_record(make_avatar):
-    avatar = make_avatar(dtype=torch.float64)
-    again = Avatar.from_record(avatar.record())
-    assert again.canonical.means.dtype == torch.float64
-    assert torch.equal(again.residual.extent, avatar.residual.extent)
 
 
 def test_other_files_are_refused(make_avatar, tmp_path):

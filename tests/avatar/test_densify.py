@@ -8,7 +8,6 @@ from gva_mi.avatar.densify import (
     DensifyOptions,
     ScreenGradients,
     densify,
-    replace_gaussians,
 )
 from gva_mi.body import Pose
 from gva_mi.splat import Camera, Gaussians, Screen, SplatOptions, look_at, render
@@ -154,14 +153,6 @@ def test_screen_gradient_is_the_force_on_an_image_coordinate():
     expected = per_metre.abs() * 3 / 40 * 5
     assert gradients.mean()[0] == pytest.approx(expected.item(), rel=2e-2)
     assert gradients.mean()[1] == 0 and gradients.views.tolist() == [1, 0]  # behind the camera
-
-
-def test_fresh_gaussians_start_adam_afresh(avatar, make_avatar):
-    optimizer, other = adam(avatar), make_avatar().canonical
-    replace_gaussians(avatar, optimizer, other)
-    assert avatar.canonical is other
-    assert all(getattr(other, name) not in optimizer.state for name in PARAMETERS)
-    assert avatar.residual.offset.weight in optimizer.state
 
 
 def test_misuse_is_explained(avatar):

@@ -1,21 +1,12 @@
 """Weights of the outer skin: the body's on bare skin, diffused on loose cloth, never torn."""
 
-import gva_mi  # noqa: F401  (chooses libLLVM before Dr.Jit is imported)
-
-import numpy as np  # isort: skip
-import pytest
+import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
 from gva_mi.avatar import skin_weights
 from gva_mi.avatar.skin_weights import CLOSE, Skin, diffused
-from gva_mi.body import JOINTS, Pose, Shape, joint_transforms, load_body
-from gva_mi.body.skinning import skin_points
-from gva_mi.synthetic.clothes.dressing import dress
-from gva_mi.synthetic.motion.actions import ACTIONS, POSES
-from gva_mi.synthetic.people import STUDY
-from gva_mi.synthetic.rest_body import RestBody
-from gva_mi.synthetic.texture import Material
+from gva_mi.body import JOINTS
 
 LEFT, RIGHT = JOINTS.index("left_hip"), JOINTS.index("right_hip")
 
@@ -81,13 +72,6 @@ def test_weights_are_shares(body):
     assert not torch.allclose(skin.weights, own.weights, atol=0.05)
 
 
-def test_displaced_skin_counts_as_loose(body):
-    own = still(body.v_template, body.weights)
-    vertices, faces = body.v_template.double().numpy(), body.faces.numpy()
-    loose = diffused(vertices, faces, own, torch.full((642,), 0.2))
-    assert not torch.allclose(loose.weights, own.weights, atol=0.05)
-
-
 def test_weights_do_not_jump_between_vertices():
     vertices, faces = sheet()
     skin = diffused(vertices, faces, legs(), torch.zeros(80))
@@ -96,12 +80,6 @@ def test_weights_do_not_jump_between_vertices():
     along = skin.bind(points).weights
     assert (along[1:, LEFT] - along[:-1, LEFT]).abs().max() < 2e-3  # 0.1 mm apart
     assert 0.4 < along[1500, LEFT] < 0.6
-
-
-def test_vertices_have_their_own_weights():
-    vertices, faces = sheet()
-    skin = diffused(vertices, faces, legs(), torch.zeros(80))
-    torch.testing.assert_close(skin.bind(skin.vertices).weights, skin.weights)
 
 
 def test_blend_shapes_are_those_of_the_vertex_beneath(body):
@@ -140,62 +118,6 @@ def test_no_points_have_no_weights(body):
 
 
 # Real clothes, in the poses that tear them.
-
-
-@pytest.fixture(scope="module")
-def built_in():
-    return load_body()
-
-
-@pytest.fixture(scope="module")
-def wardrobe(built_in):
-    """A person's garment, thinned, and the rest body under it."""
-
-    def garment(name, material):
-        person = STUDY[name]
-        shape = Shape(torch.tensor(person.betas))
-        rest = RestBody.of(built_in, shape)
-        worn = dress(rest, person.outfit, np.random.default_rng(0), clothes=True, hair=False)
-        mesh = next(p.mesh for p in worn.pieces if p.material is material)
-        return mesh, built_in.rest(shape)
-
-    return garment
-
-
-def stretches(mesh, weights, action, built_in, rest):
-    """How much longer the edges of a garment are in a pose, those of 3 mm and more."""
-    pose = Pose.rest()
-    for joint, value in (ACTIONS | POSES)[action].joints.items():
-        pose.rotations[0, JOINTS.index(joint)] = torch.tensor(value)
-    T = joint_transforms(pose.rotations, rest.joints, built_in.parents, pose.transl)[0]
-    x = torch.from_numpy(mesh.vertices).float()
-    moved = skin_points(x, weights, T)
-    a, b = torch.from_numpy(np.concatenate([mesh.faces[:, :2], mesh.faces[:, 1:]]).T).long()
-    length = lambda v: (v[a] - v[b]).norm(dim=1)
-    return (length(moved) / length(x))[length(x) > 0.003]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "material", "actions", "most"),
-    [
-        ("dalia", Material.BOTTOM, ("step", "lunge"), 16),
-        ("goran", Material.TOP, ("squat",), 3),
-    ],
-    ids=["a skirt in a wide step", "a shirt's hem in a squat"],
-)
-def test_loose_cloth_stays_whole(wardrobe, built_in, name, material, actions, most):
-    mesh, rest = wardrobe(name, material)
-    own = still(rest.vertices, built_in.weights)
-    bare = torch.zeros(len(rest.vertices))
-    skin = diffused(mesh.vertices.astype(np.float64), mesh.faces, own, bare)
-    x = torch.from_numpy(mesh.vertices).float()
-    nearest = of_nearest(x, own)
-    for action in actions:
-        torn = stretches(mesh, nearest, action, built_in, rest)
-        whole = stretches(mesh, skin.bind(x).weights, action, built_in, rest)
-        assert torn.max() > most > whole.max(), (action, torn.max(), whole.max())
-        assert whole.quantile(0.999) < torn.quantile(0.999)
 
 
 def test_the_inverse_by_cofactors_holds_for_nearly_flat_matrices():

@@ -3,8 +3,6 @@
 Its licence is non-commercial, so nothing depends on it. The body file is random.
 """
 
-import gva_mi  # noqa: F401, I001  (first: it chooses the libLLVM)
-
 import numpy as np
 import pytest
 import roma

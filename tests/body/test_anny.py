@@ -1,7 +1,5 @@
 """Anny in SMPL-X's format."""
 
-import gva_mi  # noqa: F401, I001  (first: it chooses the libLLVM)
-
 import sys
 
 import numpy as np

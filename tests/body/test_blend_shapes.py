@@ -1,7 +1,5 @@
 """Blend shapes: weighted sums, exact derivatives, the same bits on any number of cores."""
 
-import gva_mi  # noqa: F401, I001  (first: it chooses the libLLVM)
-
 import pytest
 import torch
 

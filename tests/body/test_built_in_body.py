@@ -1,7 +1,5 @@
 """The built-in body: a closed symmetric surface whose coefficients mean what they say."""
 
-import gva_mi  # noqa: F401, I001  (first: it chooses the libLLVM)
-
 from copy import deepcopy
 
 import numpy as np
@@ -12,7 +10,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from gva_mi.body import JOINTS, Pose, Shape, load_body
-from gva_mi.body.built_in import EXPRESSIONS, BUILT_IN_BODY
+from gva_mi.body.built_in import BUILT_IN_BODY, EXPRESSIONS
 from gva_mi.synthetic.body_generator.anatomy import joint_positions
 from gva_mi.synthetic.body_generator.generate import generate
 from gva_mi.synthetic.body_generator.rig import MIRRORED

@@ -52,14 +52,3 @@ def test_counting_gestures_stretch_that_many_fingers(hand, name, count):
     tips, flat = hand(name), hand("open")
     stretched = [tips[f"{f}3"][:, 0].max() > flat[f"{f}3"][:, 0].max() - 0.02 for f in FINGERS]
     assert stretched == [True] * count + [False] * (4 - count)
-
-
-def test_gestures_are_held_and_blend_smoothly_in_a_cycle():
-    names = ["open", "fist", "point"]
-    at = np.linspace(0, 3, 301)
-    values = gestures.blend_between(names, at)
-    for k, name in enumerate(names):
-        held = (at >= k) & (at < k + 0.34)
-        assert np.allclose(values[held], GESTURES[name].values)
-    assert np.allclose(values[0], values[-1])
-    assert np.abs(np.diff(values, axis=0)).max() < 0.03

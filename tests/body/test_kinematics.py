@@ -1,7 +1,5 @@
 """Forward kinematics against a step-by-step reference, with exact derivatives."""
 
-import gva_mi  # noqa: F401, I001  (first: it chooses the libLLVM)
-
 import pytest
 import roma
 import torch

@@ -1,7 +1,5 @@
 """SMPL and SMPL+H lifted to SMPL-X's joints."""
 
-import gva_mi  # noqa: F401, I001  (first: it chooses the libLLVM)
-
 import numpy as np
 import pytest
 import torch
@@ -58,14 +56,6 @@ def test_joints_missing_in_smpl_have_no_effect(random_body, tmp_path):
     shape = Shape(torch.zeros(16, dtype=F64))
     surfaces = [body(Pose(r, zero, zero[:, :0]), shape).vertices for r in (still, turned)]
     torch.testing.assert_close(*surfaces, rtol=0, atol=1e-14)
-
-
-def test_smpl_keeps_the_body_and_loses_the_hands():
-    poses = torch.randn(3, 72, generator=torch.Generator().manual_seed(0), dtype=F64)
-    pose = pose_from_smpl(poses, poses[:, :3])
-    assert torch.equal(pose.rotations[:, :22].flatten(1), poses[:, :66])
-    assert (pose.rotations[:, 22:] == 0).all()
-    assert torch.equal(pose.transl, poses[:, :3]) and pose.expression.shape == (3, 0)
 
 
 def test_the_pelvis_stays_where_it_was(random_body, random_file, tmp_path):

@@ -22,10 +22,10 @@ def test_splat_writes_figures_and_a_picture(scene, tmp_path, capsys):
 
 
 def test_splat_looks_through_other_cameras(scene, capsys):
-    changes = {"camera_model": "fisheye", "antialiased": True, "channels": 5, "images": ("depth",)}
+    changes = {"camera_model": "fisheye", "antialiased": True}
     gradcheck("splat", GradcheckOptions(1, window=8, **changes), scene=scene)
     out = capsys.readouterr().out
-    assert "all gradients are right" in out and " colors " in out
+    assert "all gradients are right" in out
 
 
 def test_it_fails_where_a_gradient_is_wrong(scene, monkeypatch):

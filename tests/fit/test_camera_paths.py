@@ -9,7 +9,7 @@ from gva_mi import InputError
 from gva_mi.body.kinematics import joint_transforms
 from gva_mi.body.pose import Pose
 from gva_mi.body.skinning import skin_points
-from gva_mi.fit.camera_paths import CameraPath, circle, shots
+from gva_mi.fit.camera_paths import CameraPath, shots
 
 WORLDS = {"z up": (np.pi / 2, 0, 0), "askew": (0.4, -1.1, 0.7)}
 
@@ -86,13 +86,6 @@ def test_a_static_camera_stands_before_the_person(known, walk):
     assert behind[2] < joints[:, 2].min()
     high = shots(CameraPath("static", elevation=45), known.rig, walk)[0].camera.position
     assert high[1] > found[0].camera.position[1] + 1 > joints[0, 1] + 1
-
-
-def test_a_circle_looks_at_its_middle():
-    centre, toward, up = np.array([1.0, 2, 3]), np.array([0, 0, 4.0]), np.array([0, 1.0, 0])
-    for T in circle(centre, toward, up, 0.5, np.linspace(0, 6, 5)):
-        x = T[:3, :3] @ centre + T[:3, 3]
-        assert np.allclose(x, (0, 0, np.hypot(4, 2)))
 
 
 def test_without_a_path_a_motion_is_seen_from_one_side():

@@ -11,11 +11,9 @@ from gva_mi.body.pose import JOINTS, Pose, save_poses
 from gva_mi.core.errors import InputError
 from gva_mi.data.pictures import write_image
 from gva_mi.data.video import load_video, save_cameras
-from gva_mi.fit.perceptual import Weights
 from gva_mi.fit.photometric import PhotometricOptions, fit_poses
 from gva_mi.fit.renders import DRAWN, to_8bit
 from gva_mi.splat import Camera, look_at, render
-from gva_mi.study.evaluate import evaluate
 
 ELBOW, JAW = JOINTS.index("left_elbow"), JOINTS.index("jaw")
 OPTIONS = PhotometricOptions(passes=12, prior_weight=1e-6, step=0.015, translation_lr=0.015)
@@ -176,14 +174,6 @@ def test_a_long_video_is_fitted_in_clips(known, wrong):
     )
     assert not same(found.pose, fit_poses(known, wrong, SHORT).pose)
     assert (found.losses < found.losses_before).all()
-
-
-def test_test_frames_come_closer_to_their_pictures(known, wrong, fitted):
-    rows = [
-        evaluate(known, replace(wrong, pose=pose), splits=["test"], weights=Weights())[0]
-        for pose in (wrong.pose, fitted.pose)
-    ]
-    assert rows[1].psnr > rows[0].psnr + 3 and rows[1].ssim > rows[0].ssim
 
 
 @pytest.mark.parametrize(

@@ -29,13 +29,6 @@ def test_a_layer_lies_over_a_colour_as_the_renderer_does_it(layer, known, turnin
     assert np.abs(over(layer, np.array(colour)).astype(int) - image).max() <= 1
 
 
-def test_a_picture_is_seen_where_the_person_is_not(layer):
-    background = np.random.default_rng(0).random((48, 48, 3))
-    image, empty = over(layer, background), layer[..., 3] == 0
-    assert empty.any() and (layer[..., 3] > 0.9).any()
-    assert np.array_equal(image[empty], np.round(255 * background[empty]))
-
-
 def test_rgba_gives_the_same_picture_on_a_background(layer):
     rgba = to_rgba(layer).astype(float) / 255
     assert rgba.shape == (48, 48, 4)

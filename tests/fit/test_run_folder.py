@@ -46,12 +46,6 @@ def test_trained_poses_stay_with_their_video(video, tmp_path):
         run_folder.under_trained_poses(other, tmp_path)
 
 
-def test_a_run_without_a_record_fits_any_video(video, tmp_path):
-    assert run_folder.other_parts(tmp_path, video) == []
-    (tmp_path / run_folder.OPTIONS).write_text('{"options": {}}')
-    assert run_folder.other_parts(tmp_path, video) == []
-
-
 def test_a_run_names_the_files_of_its_poses_and_body(video, tmp_path):
     """Poses of the subject's folder are named without it, so that it may be moved."""
     body, run = tmp_path / "b.npz", tmp_path / "run"

@@ -8,7 +8,6 @@ from gva_mi.avatar.avatar import Avatar, AvatarOptions, seed_avatar
 from gva_mi.avatar.canonical import SeedOptions
 from gva_mi.avatar.residual import ResidualOptions
 from gva_mi.body.pose import Pose, load_poses
-from gva_mi.core.errors import InputError
 from gva_mi.fit import run_folder
 from gva_mi.fit.colors import seen_colors
 from gva_mi.fit.options import FitOptions, Schedule
@@ -147,10 +146,6 @@ def test_the_number_of_torch_threads_changes_no_bit(fitted, video, body, tmp_pat
         torch.set_num_threads(before)
 
 
-def test_another_seed_gives_another_avatar(fitted, video, body, tmp_path):
-    assert not same(fit(video, body, replace(OPTIONS, seed=1), tmp_path), fitted[0])
-
-
 @pytest.mark.parametrize(
     "step", [pytest.param(4, marks=pytest.mark.slow), 17]
 )  # before and after the first checkpoint
@@ -172,13 +167,6 @@ def test_a_finished_run_is_returned_by_resume(fitted, video, body):
     assert same(fit(video, body, OPTIONS, fitted[1], resume=True), fitted[0])
 
 
-def test_a_run_that_is_there_is_not_overwritten(fitted, video, body):
-    with pytest.raises(InputError, match="already holds a run"):
-        fit(video, body, OPTIONS, fitted[1])
-    with pytest.raises(InputError, match="steps = 24, not 30"):
-        fit(video, body, replace(OPTIONS, steps=30), fitted[1], resume=True)
-
-
 def test_refined_poses_are_trained_from_where_they_are(video, body, tmp_path):
     """Before their first step, also of a run that goes on; those of stage 1 have been smoothed."""
     few = replace(OPTIONS, steps=2, poses=PoseOptions(every=8))
@@ -195,11 +183,6 @@ def test_refined_poses_are_trained_from_where_they_are(video, body, tmp_path):
     for name in ("refined", "resumed"):
         torch.testing.assert_close(saved(name), shaky.transl, atol=1e-6, rtol=0)
     assert (saved("stage1") - shaky.transl).abs().max() > 1e-3
-
-
-def test_poses_that_are_not_trained_are_not_written(video, body, tmp_path):
-    fit(video, body, replace(OPTIONS, steps=2, poses=PoseOptions(trained=False)), tmp_path)
-    assert not (tmp_path / run_folder.TRAINED_POSES).exists()
 
 
 @pytest.mark.slow

@@ -1,8 +1,6 @@
 """The avatar's gradients are right, and an error planted in any link is found in that link."""
 
-import gva_mi  # noqa: F401  (chooses libLLVM before Dr.Jit is imported)
-
-from dataclasses import replace  # isort: skip
+from dataclasses import replace
 
 import pytest
 import torch

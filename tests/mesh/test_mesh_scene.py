@@ -7,7 +7,7 @@ import pytest
 import torch
 import trimesh
 
-from gva_mi.body.pose import Pose, Shape
+from gva_mi.body.pose import Shape
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.splat import Camera
 
@@ -54,19 +54,6 @@ def test_gradient_is_that_of_the_pose_it_was_rendered_in(scene, body, camera, tr
 
     assert gradient(False).abs().sum() > 0
     assert torch.equal(gradient(False), gradient(True))
-
-
-def test_moving_body_and_camera_together_changes_nothing(scene, body, camera):
-    vertices = body(Pose.rest(1), Shape(torch.zeros(10))).vertices[0].detach()
-    angle = 0.4
-    R = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = R, [0.3, -0.2, 0.5]
-    moved = vertices @ torch.tensor(R.T, dtype=torch.float32) + torch.tensor([0.3, -0.2, 0.5])
-    view = replace(camera, T_camera_world=camera.T_camera_world @ np.linalg.inv(T))
-    before, after = scene.render(vertices, camera), scene.render(moved, view)
-    differs = (before - after).abs().amax(-1) > 1e-2
-    assert differs.float().mean() < 5e-3  # rays that graze an edge may fall to its other side
 
 
 def test_wrong_vertices_are_refused(scene, body, camera):

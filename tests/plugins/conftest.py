@@ -1,8 +1,5 @@
 """Small closed meshes with shared vertices, and scenes of them: the fixture ``scenes``."""
 
-import gva_mi  # noqa: F401  chooses libLLVM before Dr.Jit is imported
-
-# isort: split
 from types import SimpleNamespace
 
 import gva_mi_plugins

@@ -1,8 +1,5 @@
 """The page about the plugins: its picture is what they show, its examples run."""
 
-import gva_mi  # noqa: F401  chooses libLLVM before Dr.Jit is imported
-
-# isort: split
 import re
 from pathlib import Path
 

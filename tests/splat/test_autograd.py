@@ -119,14 +119,6 @@ def test_second_derivatives_are_refused(name):
         SECOND[name](like(MEANS))
 
 
-def test_a_penalty_on_a_gradient_is_refused():
-    """For a loss whose gradient by the picture is constant, and among other losses."""
-    x = MEANS.clone().requires_grad_()
-    (by_x,) = torch.autograd.grad(mean(x), x, create_graph=True)
-    with pytest.raises(RuntimeError, match=REFUSED):
-        (by_x.norm() + x.sum()).backward()
-
-
 INPUTS = {"K": torch.tensor(SCENE.camera.K), "T": POSE, "background": SCENE.background}
 INPUTS |= SCENE.gaussians.arrays()
 

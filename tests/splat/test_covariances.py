@@ -1,8 +1,6 @@
 """Gaussians given by covariances, against the reference and against quaternions and scales."""
 
-import gva_mi  # noqa: F401  (chooses libLLVM before Dr.Jit is imported)
-
-from dataclasses import replace  # isort: skip
+from dataclasses import replace
 
 import pytest
 import torch

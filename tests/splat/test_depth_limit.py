@@ -1,8 +1,5 @@
 """A depth limit per pixel hides the Gaussians behind an opaque surface."""
 
-import gva_mi  # noqa: F401  chooses libLLVM before Dr.Jit is imported
-
-# isort: split
 from dataclasses import replace
 
 import drjit as dr

@@ -57,6 +57,36 @@ def test_kinds_must_agree():
         render(scene.gaussians, scene.camera)
 
 
+def test_drjits_forward_mode_transposes_its_reverse_mode():
+    s = random_scene(torch.Generator().manual_seed(1), degree=1)
+    kind, rng = ad.TensorXf64, np.random.default_rng(0)
+    values = {k: v.detach().numpy() for k, v in s.inputs().items()}
+    values |= {"T_camera_world": s.camera.T_camera_world.copy(), "K": s.camera.K}
+
+    def draw(tensors):
+        matrices = {k: tensors.pop(k) for k in ("T_camera_world", "K")}
+        background = tensors.pop("background")
+        view = s.camera.with_matrices(**matrices)
+        image = render(Gaussians(**tensors), view, background=background)
+        return image.color, image.alpha, image.depth
+
+    leaves = {k: kind(v) for k, v in values.items()}
+    dr.enable_grad(leaves)
+    out = draw(dict(leaves))
+    w = [rng.normal(size=o.shape) for o in out]
+    dr.backward(sum(dr.sum(o * kind(d)) for o, d in zip(out, w, strict=True)))
+    v = {k: rng.normal(size=x.shape) for k, x in values.items()}
+    right = sum((dr.grad(leaves[k]).numpy() * v[k]).sum() for k in v)
+
+    leaves = {k: kind(x) for k, x in values.items()}
+    dr.enable_grad(leaves)
+    for k, leaf in leaves.items():
+        dr.set_grad(leaf, kind(v[k]))
+    tangents = dr.forward_to(*draw(dict(leaves)))
+    left = sum((t.numpy() * d).sum() for t, d in zip(tangents, w, strict=True))
+    np.testing.assert_allclose(left, right, rtol=1e-12)
+
+
 FREEZE = """
 import numpy as np
 from gva_mi.splat import Camera, Gaussians

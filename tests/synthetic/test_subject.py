@@ -93,20 +93,3 @@ def test_accessories_are_closed_and_move_rigidly_with_the_head(body):
     length = lambda x: np.linalg.norm(x[pairs[0]] - x[pairs[1]], axis=1)
     assert np.abs(length(moved) - length(rest)).max() < 0.001
     assert np.linalg.norm(moved - rest, axis=1).max() > 0.01
-
-
-@pytest.mark.slow
-def test_long_hair_lies_on_the_shirt_behind_the_shoulders(body):
-    subject = draw_subject(body, STUDY["amira"])
-    hair, top = (np.unique(part(subject, m)) for m in (Material.HAIR, Material.TOP))
-    neck = body.rest(subject.shape).joints.numpy()[JOINTS.index("neck")]
-    low = hair[subject.vertices[hair, 1] < neck[1]]
-    points = subject.vertices[low].astype(float)
-    assert len(low) > 300 and points[:, 2].max() < neck[2] + 0.03
-    # Outside the shirt wherever its own outside shows: nothing pokes through.
-    shirt = subject.vertices[top].astype(float)
-    normals = vertex_normals(subject.vertices.astype(float), subject.faces)
-    for p, n in zip(points[::7], normals[low][::7], strict=True):
-        k = np.linalg.norm(shirt - p, axis=1).argmin()
-        if n[2] < -0.7:  # seen from behind
-            assert (p - shirt[k]) @ normals[top][k] > 0

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from gva_mi.synthetic.look import SkirtCone
-from gva_mi.synthetic.texture import albedo
 
 pytest.importorskip("mitsuba")
 CONE = SkirtCone(apex=(0.0, 1.2, 0.05), slope=0.35, aspect=1.0)
@@ -29,12 +28,3 @@ def test_unrolling_a_cone_keeps_lengths():
         flat = unrolled(on[1]) - unrolled(on[0])
         length = np.linalg.norm(on[1] - on[0], axis=0)
         assert np.allclose(np.linalg.norm(flat, axis=0), length, rtol=0.01)
-
-
-def test_colors_are_albedos_for_all_materials(ball):
-    from drjit.llvm import Array3f, UInt32
-
-    points = np.random.default_rng(0).uniform(-1, 1, (3, 600)).astype(np.float32)
-    parts = np.repeat(np.arange(6, dtype=np.uint32), 100)
-    color = np.stack([c.numpy() for c in albedo(ball.look, UInt32(parts), Array3f(points))])
-    assert np.isfinite(color).all() and (color >= 0).all() and (color < 1).all()

@@ -12,7 +12,7 @@ from gva_mi.fit.renders import over, render_layer
 from gva_mi.mesh.overlay import OUTLINE
 from gva_mi.mesh.surface import vertex_normals
 from gva_mi.mesh.visibility import seen_vertices
-from gva_mi.viewer.drawing import Drawing, flattened
+from gva_mi.viewer.drawing import Drawing
 from gva_mi.viewer.skeleton import draw_skeleton
 from gva_mi.viewer.state import Mode, State
 from gva_mi.viewer.surface import SurfaceRenderer, posed_surface
@@ -80,11 +80,3 @@ def test_a_frame_of_the_video_is_centred(known, video):
     image = np.round(255 * video[4].image).astype(np.uint8)
     assert np.array_equal(found[:, 76:124], image)
     assert (found[:, :76] == 9).all() and (found[:, 124:] == 9).all()
-
-
-def test_compositing_only_the_box_changes_nothing():
-    layer = np.zeros((20, 30, 4), np.float32)
-    assert (flattened(layer, (1, 2, 3)) == (1, 2, 3)).all()
-    layer[3:9, 20:] = np.random.default_rng(0).random((6, 10, 4)).astype(np.float32)
-    colour = np.array((1, 2, 3), np.float32) / 255
-    assert np.array_equal(flattened(layer, (1, 2, 3)), over(layer, colour))

@@ -171,16 +171,6 @@ def test_consecutive_rotations_take_the_short_way(known, tmp_path):
     assert all(a @ b > 0 for a, b in zip(turns, turns[1:], strict=False))
 
 
-def test_fingers_that_the_avatar_does_not_move_stay(make_avatar, random_pose, tmp_path):
-    from gva_mi.avatar import AvatarOptions
-
-    avatar = make_avatar(AvatarOptions(hands=False), trained=False)
-    save_gltf(tmp_path / "a.glb", avatar, random_pose(0))
-    moves = {(n, p): v for n, p, v in Read(tmp_path / "a.glb").moves(0)}
-    assert np.allclose(moves[30, "rotation"], (0, 0, 0, 1))
-    assert not np.allclose(moves[18, "rotation"], (0, 0, 0, 1))
-
-
 def test_vertices_have_the_colors_of_nearby_gaussians(known):
     at = known.canonical.means.detach()
     own = known.canonical.sh.detach()[:, 0].numpy() * 0.28209479 + 0.5

@@ -82,14 +82,6 @@ def test_a_body_that_differs_in_its_blend_shapes_alone_is_refused(file, body):
         with_body(file, read_arrays(file, ""), BodyModel(arrays), "other")
 
 
-def test_a_damaged_file_is_explained(file, body):
-    for key in ("shares", "canonical.sh", "betas"):
-        arrays = read_arrays(file, "")
-        del arrays[key]
-        with pytest.raises(InputError, match="expected an avatar of this version"):
-            with_body(file, arrays, body, "ellipsoid")
-
-
 def test_the_plain_reader_names_the_missing_body(file):
     with pytest.raises(InputError, match="without its body"):
         Avatar.load(file)

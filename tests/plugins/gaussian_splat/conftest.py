@@ -1,8 +1,5 @@
 """The fixture ``splats``: small scenes of ellipsoids, sensors, and the same Gaussians."""
 
-import gva_mi  # noqa: F401  chooses libLLVM before Dr.Jit is imported
-
-# isort: split
 from types import SimpleNamespace
 
 import drjit as dr

@@ -1,8 +1,5 @@
 """The examples of docs/plugins.md run."""
 
-import gva_mi  # noqa: F401  chooses libLLVM before Dr.Jit is imported
-
-# isort: split
 import re
 from pathlib import Path
 

@@ -1,15 +1,8 @@
 """Derivatives of ``gaussian_splat`` agree: backward, forward, differences, and the kernels."""
 
-import gva_mi  # noqa: F401  chooses libLLVM before Dr.Jit is imported
-
-# isort: split
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-import torch
-
-from gva_mi.splat import Gaussians, torch_render
 
 PARAMETERS = ["data", "opacities", "sh_coeffs"]
 
@@ -73,32 +66,3 @@ def test_by_the_sensors_lens(splats, smooth, name):
         parameters,
         key,
     )
-
-
-def test_the_kernels_own_gradients(splats):
-    """mi.render's gradients equal those of ``gva_mi.splat.render``, parameter by parameter."""
-    g = splats.arrays(40, 2)
-    scene, view = splats.scene(g), splats.SENSORS["perspective"]()
-    parameters = mi.traverse(scene)
-    dr.enable_grad([parameters[f"splats.{name}"] for name in PARAMETERS])
-    parameters.update()
-    dr.backward(splats.loss(mi.render(scene, parameters, view, splats.integrator())))
-    data, opacities, sh = (np.array(dr.grad(parameters[f"splats.{n}"])) for n in PARAMETERS)
-
-    g["quats"] = splats.unit(g["quats"])
-    leaves = {n: torch.tensor(x, dtype=torch.float32, requires_grad=True) for n, x in g.items()}
-    image = torch_render.render(Gaussians(**leaves), splats.camera_of(view)).color
-    (image * torch.from_numpy(splats.weights(image.shape))).sum().backward()
-    data = data.reshape(-1, 10)
-    found = {
-        "means": data[:, :3],
-        "scales": data[:, 3:6],
-        "quats": data[:, [9, 6, 7, 8]],
-        "opacities": opacities,
-        "sh": sh.reshape(g["sh"].shape),
-    }
-    for name, leaf in leaves.items():
-        expected = leaf.grad.numpy()
-        assert np.abs(expected).max() > 0
-        error = np.linalg.norm(found[name] - expected) / np.linalg.norm(expected)
-        assert error < 1e-5, name

@@ -1,8 +1,5 @@
 """Images of ``gaussian_splat``: those of the kernels and of a ray tracer, and the film's laws."""
 
-import gva_mi  # noqa: F401  chooses libLLVM before Dr.Jit is imported
-
-# isort: split
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -14,7 +11,6 @@ from gva_mi.splat.drjit_render import render
 from gva_mi.splat.formats.ply import save_ply
 
 SENSORS = ["perspective", "window", "orthographic"]
-PARAMETERS = ["data", "opacities", "sh_coeffs"]
 
 
 @pytest.mark.parametrize("name", SENSORS)
@@ -111,14 +107,6 @@ def test_channels_background_and_colour_space(splats):
     linear = splats.picture(scene, view, background=behind, srgb_primitives=True)[..., :3]
     mixed = color + (1 - alpha) * to_srgb(np.array(behind))
     np.testing.assert_allclose(to_srgb(linear), mixed, atol=2e-6)
-
-
-def test_the_film_holds_what_render_returns(splats):
-    """The film can be written to a file, as with any other integrator."""
-    scene = splats.scene(splats.arrays(15, 1))
-    view = splats.sensor(fov=40.0, film=splats.CROP)
-    image = splats.picture(scene, view)
-    np.testing.assert_array_equal(np.array(view.film().develop()), image)
 
 
 def test_clip_distances_are_the_sensors(splats):

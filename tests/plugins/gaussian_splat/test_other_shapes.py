@@ -1,8 +1,5 @@
 """``gaussian_splat`` with ``meshes`` = ``depth``: ellipsoids among surfaces."""
 
-import gva_mi  # noqa: F401  chooses libLLVM before Dr.Jit is imported
-
-# isort: split
 import mitsuba as mi
 import numpy as np
 import pytest

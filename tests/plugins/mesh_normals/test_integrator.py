@@ -1,8 +1,5 @@
 """Images and derivatives of ``mesh_normals``: primal, forward and backward over small scenes."""
 
-import gva_mi  # noqa: F401  chooses libLLVM before Dr.Jit is imported
-
-# isort: split
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -131,30 +128,6 @@ def test_gradients_match_differences_closely_on_many_pixels(scenes, references, 
     sensor = scenes.camera(192, kind)
     found = errors(scenes, references, name, sensor, 16, 2e-3, 987, 144)
     assert max(found.values()) < 0.03, found
-
-
-@pytest.mark.parametrize("name", ["intersecting", "mirrored"])
-def test_lines_of_intersection_carry_a_gradient(scenes, references, name):
-    mesh, sensor = scenes.moving(name), scenes.camera(48)
-    weightings = scenes.weightings(48, channels=3)
-    functions = lambda image: (weightings * np.array(image)[..., :3]).sum((1, 2, 3))
-    lens, generator = references.lens(sensor), np.random.default_rng(0)
-    truth = functions(references.boundary(mesh, lens, 1000, generator))
-    motion = mi.Vector3f(mesh.motion.T.astype(np.float32))
-    scene, *_ = scenes.load(name)
-    found = []
-    for piercing in (True, False):
-        view = mi.load_dict({"type": "mesh_normals", "piercing": piercing}).view(scene, sensor, 4)
-        jumps = functions(view.tangent_parts(motion)[1])
-        found.append(np.linalg.norm(jumps - truth) / np.linalg.norm(truth))
-    assert found[0] < 0.03 and found[1] > 5 * found[0]
-
-
-def test_without_the_boundary_the_mask_has_no_gradient(scenes, integrator):
-    scene, *_ = scenes.load("torus")
-    view = integrator.view(scene, scenes.camera(), 1)
-    interior, boundary = view.adjoint_parts(mi.TensorXf(scenes.weights(48, MASK)))
-    assert not np.array(interior).any() and np.array(boundary).any()
 
 
 def test_split_vertices_are_no_border(scenes, integrator):

@@ -1,8 +1,5 @@
 """The segments in which triangles cut one another hold to their laws."""
 
-import gva_mi  # noqa: F401  chooses libLLVM before Dr.Jit is imported
-
-# isort: split
 import numpy as np
 import pytest
 
@@ -63,23 +60,6 @@ def test_neither_order_nor_orientation_matter(cut):
         same = np.linalg.norm(ends[0] - start, axis=1) < 1e-9
         ends = np.where(same[:, None, None], np.stack(ends, 1), np.stack(ends[::-1], 1))
         np.testing.assert_allclose(ends, np.stack([start, end], 1), atol=1e-9)
-
-
-def test_a_triangle_and_its_mirror_image_share_what_lies_in_the_mirror(cut):
-    f = pairs()[0]
-    f = f[(f[..., 0] < 0).any(1) & (f[..., 0] > 0).any(1)]
-    yes, start, end = cut(f, f * [-1, 1, 1])
-    assert yes.all()
-    assert max(np.abs(start[:, 0]).max(), np.abs(end[:, 0]).max()) < 1e-9
-
-
-def test_a_corner_in_common_is_an_end_of_the_segment_or_all_of_it(cut):
-    f, g = pairs()
-    g[:, 2] = f[:, 0]
-    yes, start, end = cut(f, g)
-    corner = f[yes, 0]
-    nearest = np.minimum(*(np.linalg.norm(x - corner, axis=1) for x in (start, end)))
-    assert 20 < yes.sum() < len(yes) and nearest.max() < 1e-9
 
 
 def test_what_does_not_reach_or_only_touches_is_no_cut(cut):

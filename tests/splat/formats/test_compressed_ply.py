@@ -90,34 +90,6 @@ def test_higher_coefficients_are_a_byte_each_channel_by_channel(tmp_path, count)
     )
 
 
-def test_random_gaussians_come_back_within_the_rounding(tmp_path):
-    """Packed here as splat-transform does: round(share * (2^bits - 1))."""
-    random, n = np.random.default_rng(1), 40
-    means, logs = random.normal(size=(n, 3)), random.normal(size=(n, 3)) - 3
-    quats = random.normal(size=(n, 4))
-    quats /= np.linalg.norm(quats, axis=1, keepdims=True)
-    low, high = means.min(0), means.max(0)
-    low_s, high_s = logs.min(0), logs.max(0)
-    packed = np.zeros((n, 4), dtype=np.uint32)
-    for column, shares in (
-        (0, (means - low) / (high - low)),
-        (2, (logs - low_s) / (high_s - low_s)),
-    ):
-        x, y, z = np.round(shares * [2047, 1023, 2047]).astype(np.uint32).T
-        packed[:, column] = x << 21 | y << 11 | z
-    for i, quat in enumerate(quats):
-        k = np.abs(quat).argmax()
-        rest = np.delete(quat * np.sign(quat[k]), k)
-        a, b, c = np.round((rest * 0.5**0.5 + 0.5) * 1023).astype(int)
-        packed[i, 1] = int(k) << 30 | int(a) << 20 | int(b) << 10 | int(c)
-    chunk = np.concatenate([low, high, low_s, high_s])[None]
-    g = load_ply(write(tmp_path / "a.ply", chunk, packed))
-    half = lambda low, high: torch.tensor(0.5 * (high - low) / [2047, 1023, 2047] + 1e-5)
-    assert ((g.means - torch.tensor(means)).abs() <= half(low, high)).all()
-    assert ((g.scales.log() - torch.tensor(logs)).abs() <= half(low_s, high_s)).all()
-    assert ((g.quats * torch.tensor(quats)).sum(1).abs() > 1 - 1e-5).all()
-
-
 def test_damaged_files_are_explained(tmp_path):
     path = tmp_path / "a.ply"
 

@@ -1,7 +1,5 @@
 """Implicit solids and their surface."""
 
-import gva_mi  # noqa: F401, I001  (first: it chooses the libLLVM)
-
 import numpy as np
 import pytest
 import trimesh

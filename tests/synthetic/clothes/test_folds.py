@@ -45,13 +45,3 @@ def test_loose_ends_lag_behind_motion_and_not_at_rest():
     assert (moved[:, 0] < 0).all() and np.abs(moved[:, 1:]).max() < 1e-12
     assert (np.linalg.norm(moved, axis=1) <= slack).all()
     assert (np.diff(-moved[:, 0]) > 0).all()  # the looser, the farther
-
-
-def test_a_lag_into_the_body_is_reduced():
-    now, slack = np.zeros((1, 3)), np.full(1, 0.03)
-    away = np.array([[0.0, 0, 1]])
-    steps = np.arange(1, folds.MEMORY + 1)[:, None, None]
-    into, off = (
-        folds.lag(now, steps * np.array([0, 0, z]), slack, away)[0, 2] for z in (-0.01, 0.01)
-    )
-    assert into < 0 < off and -into < 0.5 * off

@@ -57,18 +57,6 @@ def test_feet_are_lost_in_runs_of_the_given_share(body, camera, rng):
     assert (np.diff(lost) != 0).mean() < 0.25
 
 
-def test_a_bag_turns_with_the_person(body, camera, rng):
-    pose, shape = standing(41)
-    bags = [m.bag for m in confusions(body, pose, shape, camera, MaskErrors(bag=0.1), 1.0, rng)]
-    u, _, radius = np.array(bags).T
-    hip = camera.project(body(pose, shape).joints.double().numpy()[:, 0])[:, 0]
-    side = u - hip
-    assert side.max() > 3 and side.min() < -3  # on either side of the pelvis, by turns
-    assert np.abs(np.diff(side)).max() < 2  # and it goes there step by step
-    depth = 80 * 0.1 / radius
-    assert (2 < depth).all() and (depth < 4).all()  # m: its size is that of a ball of 0.1 m
-
-
 def test_level_zero_is_exact(disc, body, camera, rng):
     assert noisy_mask(disc[0], USUAL, 0.0, rng) is disc[0]
     noise = MaskErrors(lost_feet=0.3, bag=0.1)

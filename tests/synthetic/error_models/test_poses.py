@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from gva_mi.body.pose import BODY, JOINTS, LEFT_HAND, Pose, Shape
+from gva_mi.body.pose import BODY, JOINTS, Pose, Shape
 from gva_mi.synthetic.error_models.measure import pose_error
-from gva_mi.synthetic.error_models.outliers import mean_hand
 from gva_mi.synthetic.error_models.poses import PoseErrors, noisy_poses
 
 USUAL = PoseErrors()
@@ -54,14 +53,6 @@ def test_rotation_errors_double_sideways(body, camera):
     assert 1.8 < ratio < 2.2
 
 
-def test_lost_hands_are_counted(body, camera):
-    pose, shape = Pose.rest(60), Shape(torch.zeros(10))
-    noisy, _ = noisy_poses(body, pose, shape, camera, USUAL, 1.0, seeded())
-    noisy.rotations[[3, 7], LEFT_HAND] = torch.tensor(mean_hand("left")).float()
-    error = pose_error(body, noisy, shape, pose, shape, camera)
-    assert {3, 7} <= set(error.lost_left_hand) and len(error.lost_left_hand) < 20
-
-
 def error_of(noise, body, camera, frames=400):
     """Return rotation errors (T, 21, 3) of a standing person."""
     pose, shape = Pose.rest(frames), Shape(torch.zeros(10))
@@ -76,12 +67,3 @@ def test_white_noise_is_independent_from_frame_to_frame(body, camera):
     white = replace(USUAL, white=1.0, outliers=replace(USUAL.outliers, lost=0.0))
     for lag in (1, 3, 10):
         assert abs(correlation(error_of(white, body, camera), lag)) < 0.03
-
-
-def test_slow_noise_persists_over_its_memory(body, camera):
-    """The autocorrelation of a curve smoothed over σ frames is exp(-lag² / 4σ²)."""
-    noise = replace(USUAL, memory=18.0, calm=1.0, burst=1.0)
-    noise = replace(noise, outliers=replace(USUAL.outliers, lost=0.0))
-    error = error_of(noise, body, camera, 1500)
-    for lag in (5, 18, 36):
-        assert abs(correlation(error, lag) - np.exp(-(lag**2) / (4 * 18**2))) < 0.08

@@ -43,7 +43,7 @@ from gva_mi.avatar.skin_gaussians import skin_gaussians
 from gva_mi.avatar.skin_weights import Skin
 from gva_mi.avatar.validate import require_valid
 from gva_mi.body.kinematics import turn_joints
-from gva_mi.body.polar import carry_frames
+from gva_mi.body.polar import apply_lbs
 from gva_mi.body.pose import LEFT_HAND, RIGHT_HAND, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.errors import expecting
@@ -160,7 +160,7 @@ class Avatar(nn.Module):
         if not self.options.stretch:
             A, _ = lbs_transforms(G.sparse_weights, T[:, :3].flatten(1), means)
             sh = lit(G.sh, A, light_vector(self.light))
-            means, quats = carry_frames(A, means, G.quats)
+            means, quats = apply_lbs(A, means, G.quats)
             return Animated(Gaussians(means, quats, G.scales, G.opacities, sh=sh), residual)
         own = means, G.quats, G.scales, G.sh, self.light
         means, covars, sh = skin_gaussians(G.sparse_weights, T, *own)

@@ -17,7 +17,7 @@
 
 from gva_mi.body.kinematics import joint_transforms
 from gva_mi.body.pose import JOINTS, PARENTS, Pose, Shape, load_poses, save_poses
-from gva_mi.body.skinning import skin_gaussians, skin_points
+from gva_mi.body.skinning import skin_points
 from gva_mi.body.smpl import keep_pelvis, pose_from_smpl, pose_from_smplh
 from gva_mi.body.smplx import BodyModel, Posed, Rest, load_body
 
@@ -36,6 +36,5 @@ __all__ = [
     "pose_from_smpl",
     "pose_from_smplh",
     "save_poses",
-    "skin_gaussians",
     "skin_points",
 ]

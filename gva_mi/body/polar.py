@@ -1,5 +1,11 @@
 """The rotation nearest to a blend of rotations, with exact gradients: one Dr.Jit kernel each way.
 
+Eq. 6 of the paper multiplies a Gaussian's rotation by A_rot, the linear part of its LBS transform,
+as if it were a rotation. It is a blend of rotations, which shears and shrinks wherever its joints
+turn differently. Here means follow the whole transform and stay on the skinned mesh, while
+orientations follow the rotation nearest to A_rot, its polar factor. Gaussians keep their learned
+scales, and rigid motions are exact.
+
 For a rotation R with quaternion r (wxyz), ``r rᵀ`` is *linear* in R (Davenport's matrix):
 
     1. B(A) = (I + K(A)) / 4,    K linear,    B(R) = r rᵀ
@@ -47,11 +53,11 @@ MIN_GAP = 1e-4  # smallest pivot of the adjoint's system
 _PAIRS = [(i, j) for i in range(4) for j in range(i, 4)]  # upper triangle of a symmetric 4x4
 
 
-def carry_frames(A: Tensor, means: Tensor, quats: Tensor) -> tuple[Tensor, Tensor]:
+def apply_lbs(A: Tensor, means: Tensor, quats: Tensor) -> tuple[Tensor, Tensor]:
     """Apply LBS transforms to Gaussians: ``A_rot m + A_trans`` and ``polar(A_rot) ⊗ quat``.
 
     Args:
-        A: (N, 12) blends of rigid maps, row by row.
+        A: (N, 12) LBS transforms [A_rot | A_trans] (skinning.py, eq. 2), row by row.
         means: (N, 3).
         quats: (N, 4) wxyz; their lengths are kept.
 
@@ -59,8 +65,8 @@ def carry_frames(A: Tensor, means: Tensor, quats: Tensor) -> tuple[Tensor, Tenso
         means (N, 3) and quats (N, 4), differentiable in everything.
     """
     if A.dtype not in PRECISION:
-        raise ValueError(f"carry_frames(): expected float32 or float64, got {A.dtype}")
-    return _CarryFrames.apply(A, means, quats)
+        raise ValueError(f"apply_lbs(): expected float32 or float64, got {A.dtype}")
+    return _ApplyLbs.apply(A, means, quats)
 
 
 # --- formulas, one lane per Gaussian ---
@@ -202,7 +208,7 @@ def _rotation(A: list[Any]) -> list[Any]:
 # --- torch ---
 
 
-class _CarryFrames(torch.autograd.Function):
+class _ApplyLbs(torch.autograd.Function):
     @staticmethod
     def forward(ctx: FunctionCtx, A: Tensor, means: Tensor, quats: Tensor) -> tuple[Tensor, Tensor]:
         ctx.save_for_backward(A, means, quats)

@@ -1,15 +1,8 @@
-"""Linear blend skinning: of points (Eq. 4, 5) and of the frames of Gaussians (Eq. 6).
+"""Linear blend skinning of points (Eq. 4, 5); of the frames of Gaussians: :mod:`gva_mi.body.polar`.
 
-    1. T_world_rest[j]                    one rigid map per joint: see gva_mi.body.kinematics
-    2. A = Σ_j w_j T_world_rest[j]        one affine map per point; a row of weights sums to 1
-    3. x' = A_rot x + A_trans                                                         (Eq. 5)
-    4. q' = polar(A_rot) ⊗ q                                                          (Eq. 6)
-
-Eq. 6 of the paper multiplies a Gaussian's rotation by A_rot as if it were one. It is a blend of
-rotations, which shears and shrinks wherever its joints turn differently. Here means follow the
-whole affine map, so that they stay on the skinned mesh, while orientations follow the rotation
-nearest to A_rot, its polar factor: Gaussians keep their learned scales, and rigid motions are
-exact. See :mod:`gva_mi.body.polar`.
+1. T_world_rest[j]                    one rigid map per joint: see gva_mi.body.kinematics
+2. A = Σ_j w_j T_world_rest[j]        one affine map per point; a row of weights sums to 1
+3. x' = A_rot x + A_trans                                                         (Eq. 5)
 """
 
 from __future__ import annotations
@@ -17,8 +10,6 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 from torch.autograd.function import FunctionCtx
-
-from gva_mi.body.polar import carry_frames
 
 _FRAMES = 4  # frames per block of skin_points; 10k blended transforms take 0.5 MB
 
@@ -101,37 +92,6 @@ def _parts(frames: int) -> list[slice]:
 def _of(x: Tensor, part: slice) -> Tensor:
     """Select frames of points, which may be shared by all frames."""
     return x if len(x) == 1 else x[part]
-
-
-def skin_gaussians(
-    means: Tensor, quats: Tensor, weights: Tensor, T_world_rest: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Move Gaussians from the rest pose to the world (eq. 2-4).
-
-    Args:
-        means: (N, 3) metres, rest pose.
-        quats: (N, 4) wxyz, of any nonzero length, which is kept.
-        weights: (N, J), rows sum to 1.
-        T_world_rest: (J, 4, 4), its upper left 3x3 blocks rotations.
-
-    Returns:
-        means (N, 3) and quats (N, 4) in the world. Both are differentiable in all four arguments;
-        the sign of a quaternion is arbitrary.
-    """
-    n, joints = len(means), len(T_world_rest)
-    for name, value, shape in (
-        ("means", means, (n, 3)), ("quats", quats, (n, 4)), ("weights", weights, (n, joints)),
-        ("T_world_rest", T_world_rest, (joints, 4, 4)),
-    ):  # fmt: skip
-        if tuple(value.shape) != shape or value.dtype != means.dtype:
-            found = f"{tuple(value.shape)} {value.dtype}"
-            raise ValueError(f"skin_gaussians(): {name} must be {shape} {means.dtype}, got {found}")
-    return carry_frames(blend(weights, T_world_rest), means, quats)
-
-
-def blend(weights: Tensor, T_world_rest: Tensor) -> Tensor:
-    """Return the blended affine map of each point, row by row (eq. 2), (..., N, 12)."""
-    return weights @ T_world_rest[..., :3, :].flatten(-2)
 
 
 def strongest(weights: Tensor, joints: int = 4) -> Tensor:

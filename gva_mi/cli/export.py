@@ -26,10 +26,10 @@ from gva_mi.core.options import Within, require_ranges
 from gva_mi.data.pictures import (
     SEE_THROUGH,
     read_background,
-    require_see_through,
+    require_alpha_codec,
+    write_alpha_film,
     write_image,
     write_movie,
-    write_see_through,
 )
 from gva_mi.fit.camera_paths import CameraPath, CameraShot, shots
 from gva_mi.fit.renders import over, render_shots, to_rgba
@@ -206,7 +206,7 @@ def _poses(job: _Export) -> Work:
 def _film(job: _Export) -> Work:
     transparent, fps = job.out.suffix.lower() == SEE_THROUGH, job.options.fps
     if transparent:
-        require_see_through(job.out)
+        require_alpha_codec(job.out)
     background = read_background(job.options.background, *job.view.size)
     motion = job.motion()
     pictures = job.shots(motion)
@@ -215,7 +215,7 @@ def _film(job: _Export) -> Work:
         with bar("render") as progress:
             layers = render_shots(job.avatar, motion, pictures, progress)
             if transparent:
-                write_see_through(job.out, map(to_rgba, layers), fps=fps)
+                write_alpha_film(job.out, map(to_rgba, layers), fps=fps)
             else:
                 images = (over(layer, background) for layer in layers)
                 write_movie(job.out, images, fps=fps, lossless=False)

@@ -19,10 +19,10 @@ from gva_mi.data.pictures import (
     SEE_THROUGH,
     read_background,
     read_image,
-    require_see_through,
+    require_alpha_codec,
+    write_alpha_film,
     write_image,
     write_movie,
-    write_see_through,
 )
 from gva_mi.data.video import load_cameras
 from gva_mi.fit.camera_paths import CameraPath, CameraShot, shots
@@ -76,7 +76,7 @@ def render(
     behind = read_background(background, *size)
     movie = Path(MOVIE).stem + SEE_THROUGH if alpha else MOVIE
     if video and alpha:
-        require_see_through(out / movie)
+        require_alpha_codec(out / movie)
     made_of = hash_of(avatar, motion, pictures, (behind, alpha, video))
     about = {"avatar": str(run), "poses": poses, "cameras": cameras, HASH: made_of}
     files = [f"{k:06d}.png" for k in range(len(pictures))]
@@ -98,7 +98,7 @@ def render(
 
     with series(out, MARKER, names, overwrite, about) as missing, bar("render") as progress:
         if movie in missing and alpha:
-            write_see_through(out / movie, images(missing))
+            write_alpha_film(out / movie, images(missing))
         elif movie in missing:
             write_movie(out / movie, images(missing), lossless=False)
         else:

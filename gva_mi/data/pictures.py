@@ -211,7 +211,7 @@ def write_movie(
         _write_film(container, stream, images, "rgb24", halved=not lossless)
 
 
-def require_see_through(path: Path) -> None:
+def require_alpha_codec(path: Path) -> None:
     """Raise an InputError where films with alpha cannot be written."""
     import av
 
@@ -222,7 +222,7 @@ def require_see_through(path: Path) -> None:
         )
 
 
-def write_see_through(path: Path, images: Iterable[np.ndarray], fps: int = 25) -> None:
+def write_alpha_film(path: Path, images: Iterable[np.ndarray], fps: int = 25) -> None:
     """Write a film with alpha, a .webm of VP9 in yuva420p.
 
     Images are RGBA (H, W, 4), floats in [0, 1] or 8-bit, straight alpha; odd sizes lose their last

@@ -14,7 +14,7 @@
    - |float|
    - Boundary samples for a pixel of an edge's length, at one sample for each pixel; they grow with
      the root of ``spp``. (Default: 4)
- * - piercing
+ * - intersections
    - |bool|
    - Whether lines in which surfaces intersect carry a gradient, too. (Default: true)
  * - pixel_aspect
@@ -63,7 +63,7 @@ class MeshNormals(mi.ad.integrators.common.ADIntegrator):
             str(props.get("channels", "normal, mask")), str(props.get("space", "camera"))
         )
         self.edge_density = float(props.get("edge_density", 4.0))
-        self.piercing = bool(props.get("piercing", True))
+        self.intersections = bool(props.get("intersections", True))
         self.pixel_aspect = float(props.get("pixel_aspect", 1.0))
         for name in ("edge_density", "pixel_aspect"):
             if not getattr(self, name) > 0:
@@ -99,7 +99,7 @@ class MeshNormals(mi.ad.integrators.common.ADIntegrator):
             traced = without_ellipsoids(scene)
             caster = RayCaster(traced, surface, projection, self.channels)
             density = self.edge_density * max((tile.scale for tile in tiles), default=1.0)
-            return MeshView.of(caster, filter, density, self.piercing)
+            return MeshView.of(caster, filter, density, self.intersections)
 
     def render(
         self,
@@ -176,7 +176,7 @@ class MeshNormals(mi.ad.integrators.common.ADIntegrator):
         """Return the text that Mitsuba prints."""
         return (
             f"MeshNormals[channels={', '.join(self.channels.kinds)}, space={self.channels.space}, "
-            f"edge_density={self.edge_density}, piercing={self.piercing}, "
+            f"edge_density={self.edge_density}, intersections={self.intersections}, "
             f"pixel_aspect={self.pixel_aspect}]"
         )
 

@@ -98,8 +98,12 @@ def test_correctives_keep_volume_where_a_joint_bends(body, joint, rotation):
 
 @pytest.mark.slow
 def test_the_generator_makes_the_file():
+    """To the bit, but for the regressor: its pseudo-inverse rounds as LAPACK does on a machine."""
     made = generate()
     with np.load(BUILT_IN_BODY) as file:
         assert set(file.files) == set(made)
-        for key in file.files:
+        for key in set(made) - {"J_regressor"}:
             np.testing.assert_array_equal(file[key], made[key], err_msg=key)
+        found, stored = made["J_regressor"], file["J_regressor"]
+    np.testing.assert_array_equal(found != 0, stored != 0)
+    np.testing.assert_allclose(found, stored, rtol=0, atol=np.finfo(np.float32).eps)

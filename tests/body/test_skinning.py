@@ -5,8 +5,9 @@ import roma
 import torch
 
 from gva_mi.body.kinematics import joint_transforms
+from gva_mi.body.polar import apply_lbs
 from gva_mi.body.pose import PARENTS
-from gva_mi.body.skinning import blend, skin_gaussians, skin_points, strongest
+from gva_mi.body.skinning import skin_points, strongest
 
 F64 = torch.float64
 
@@ -18,6 +19,15 @@ def rotation(quats):
 
 
 FEW = (-1, 0, 0, 1, 3)  # a small tree, for what is checked entry by entry
+
+
+def blend(weights, T_world_rest):
+    """LBS transforms (N, 12)."""
+    return weights @ T_world_rest[:, :3].flatten(1)
+
+
+def skin_gaussians(means, quats, weights, T_world_rest):
+    return apply_lbs(blend(weights, T_world_rest), means, quats)
 
 
 def scene(n=40, angle=0.3, dtype=F64, seed=0, parents=PARENTS):

@@ -34,7 +34,7 @@ if len(sys.argv) > 1:
     set_target(b"x86-64-v3", b"+avx2,+fma,+f16c", int(lanes))
 from gva_mi.avatar.lbs_transforms import SparseWeights
 from gva_mi.avatar.skin_gaussians import skin_gaussians
-from gva_mi.body.polar import carry_frames
+from gva_mi.body.polar import apply_lbs
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import load_body
 from gva_mi.mesh.mesh_scene import MeshScene
@@ -66,7 +66,7 @@ inputs = [x.clone().requires_grad_() for x in given]
 weights = SparseWeights.of(random(300, 9).softmax(1), random(300, 3, 9))
 outs = skin_gaussians(weights, *inputs)
 add("skinned", torch.cat([x.flatten() for x in outs]), inputs)
-for name, out in zip(("means", "frames"), carry_frames(A, means, quats)):
+for name, out in zip(("means", "frames"), apply_lbs(A, means, quats)):
     add(name, out, [A])
 bits = lambda x: hashlib.md5(x.detach().contiguous().numpy().tobytes()).hexdigest()
 print(json.dumps({name: bits(x) for name, x in found.items()}))

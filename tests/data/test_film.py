@@ -8,7 +8,7 @@ import pytest
 
 from gva_mi.core.errors import InputError
 from gva_mi.data.film import Film
-from gva_mi.data.pictures import write_movie, write_see_through
+from gva_mi.data.pictures import write_alpha_film, write_movie
 
 COUNT, SIZE = 40, (24, 32)
 SOME = 1 << 15  # bytes: of some pictures, not of all
@@ -144,7 +144,7 @@ def test_equal_pictures_give_equal_films_to_the_bit(kind, tmp_path):
     for seed in range(12):
         kept = litter(seed)
         if kind == "see-through":
-            write_see_through(tmp_path / "film.webm", pictures)
+            write_alpha_film(tmp_path / "film.webm", pictures)
             films.add((tmp_path / "film.webm").read_bytes())
         else:
             write_movie(tmp_path / "film.mp4", pictures[..., :3], lossless=kind == "lossless")

@@ -20,7 +20,7 @@ def networks():
     }
 
 
-def tiny_sam():
+def sam(folder):
     transformers = pytest.importorskip("transformers")
     vision = transformers.SamVisionConfig(
         hidden_size=16, num_hidden_layers=3, num_attention_heads=2, image_size=32, patch_size=8,
@@ -31,11 +31,8 @@ def tiny_sam():
     )
     masks = transformers.SamMaskDecoderConfig(hidden_size=16, mlp_dim=32, iou_head_hidden_dim=12)
     parts = {"vision_config": vision, "prompt_encoder_config": prompts}
-    return transformers.SamModel(transformers.SamConfig(**parts, mask_decoder_config=masks))
-
-
-def sam(folder):
-    tiny_sam().save_pretrained(folder)
+    config = transformers.SamConfig(**parts, mask_decoder_config=masks)
+    transformers.SamModel(config).save_pretrained(folder)
 
 
 def onnx(folder):

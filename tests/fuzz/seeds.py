@@ -28,6 +28,7 @@ from gva_mi.data.pictures import read_background, write_movie
 from gva_mi.data.video import load_video
 from gva_mi.data.views import held_out_views, save_views
 from gva_mi.fit import run_folder
+from gva_mi.splat.formats.compressed_ply_writer import save_compressed_ply
 from gva_mi.splat.formats.ply import load_ply, save_ply
 from gva_mi.splat.formats.splat import load_splat, save_splat
 from gva_mi.splat.formats.spz import load_spz, save_spz
@@ -166,7 +167,7 @@ def seeds(subject, avatar):
         camera = {"viewmat": c.T_camera_world, "K": c.K, "width": c.width, "height": c.height}
         arrays = {k: v.numpy() for k, v in scene.inputs().items()}
         np.savez(folder / "a.npz", **arrays, **camera)
-        (folder / "compressed.ply").write_bytes(compressed_ply())
+        save_compressed_ply(folder / "compressed.ply", scene.gaussians)
 
     def read_gaussians(folder, path=None):
         each(folder, path, {
@@ -253,16 +254,3 @@ def body_of_few_vertices():
     regressor = np.zeros((55, n))
     regressor[:, 0] = 1
     return arrays | {"J_regressor": regressor}
-
-
-def compressed_ply():
-    """SuperSplat's form: one chunk of 8 Gaussians."""
-    bounds = [
-        f"{e}_{a}" for e in ("min", "max") for a in ("x", "y", "z", "scale_x", "scale_y", "scale_z")
-    ]
-    packed = [f"packed_{name}" for name in ("position", "rotation", "scale", "color")]
-    head = ["ply", "format binary_little_endian 1.0", "element chunk 1"]
-    head += [f"property float {name}" for name in bounds] + ["element vertex 8"]
-    head += [f"property uint {name}" for name in packed] + ["end_header\n"]
-    table = np.arange(12, dtype="<f4").tobytes() + np.arange(32, dtype="<u4").tobytes()
-    return "\n".join(head).encode() + table

@@ -23,16 +23,9 @@ from gva_mi.splat.formats import LOAD
 
 OURS = ("subject", "views", "film", "synth.json", "run", "study", "gaussians", "body", "motion",
         "footage")  # fmt: skip
-ESTIMATORS = (
-    "wham", "gvhmr", "4dhumans", "pymafx", "hybrik", "tram", "romp", "multihmr",
-    "smplifyx", "smplerx", "osx", "smplestx", "parameters",
-)  # fmt: skip
-OF_DATASETS = ("instantavatar", "zju", "easymocap", "easymocap smplx", "avatarrex",
-               "exavatar")  # fmt: skip
-NETWORKS = ("sam", "onnx")
-READERS = OURS + ESTIMATORS + OF_DATASETS + NETWORKS
-MAIN = ("subject", "film", "run", "study", "gaussians", "body", "motion", "footage", "wham",
-        "gvhmr", "romp", "osx", "zju")  # fmt: skip
+IMPORTERS = ("wham", "gvhmr", "romp", "smplerx", "tram", "osx", "zju", "easymocap", "avatarrex")
+READERS = (*OURS, *IMPORTERS, "sam", "onnx")
+NIGHTLY = {"views", "synth.json", "tram", "smplerx", "easymocap", "avatarrex", "sam", "onnx"}
 SECONDS, MEMORY = 20, 3 << 30  # that one file may take
 QUICK, THOROUGH = 12, 400  # files for each reader
 
@@ -48,8 +41,7 @@ mutated = module("mutations").mutated
 def seeds(subject, known):
     """For each reader, a function that writes its good files and one that reads them."""
     ours = module("seeds").seeds(subject, known)
-    others = module("datasets").datasets() | module("networks").networks()
-    return ours | module("estimators").estimators() | others
+    return ours | module("importers").importers() | module("networks").networks()
 
 
 @contextmanager
@@ -102,7 +94,7 @@ def attack(name, seeds, tmp_path, count, first=0):
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(x, marks=() if x in MAIN else pytest.mark.slow) for x in READERS]
+    "name", [pytest.param(x, marks=pytest.mark.slow if x in NIGHTLY else ()) for x in READERS]
 )
 def test_some_bad_files(name, seeds, tmp_path):
     assert attack(name, seeds, tmp_path, QUICK) > 0 or name == "run"
@@ -115,6 +107,6 @@ def test_hundreds_of_bad_files(name, seeds, tmp_path):
 
 
 def test_every_format_has_good_files(seeds, tmp_path):
-    assert set(KINDS) | set(DATASETS) <= set(seeds) == set(READERS)
+    assert set(seeds) == set(READERS) and set(IMPORTERS) <= {*KINDS, *DATASETS}
     seeds["gaussians"][0](tmp_path)
     assert {path.suffix for path in tmp_path.iterdir()} >= set(LOAD)

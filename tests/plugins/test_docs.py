@@ -1,4 +1,4 @@
-"""The page about the plugins: its picture is what they show, its examples run."""
+"""docs/plugins.md: its pictures are what the plugins show, its examples run, its table is whole."""
 
 import re
 from pathlib import Path
@@ -6,8 +6,14 @@ from pathlib import Path
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+import pytest
 
 DOCS = Path(__file__).parents[2] / "docs"
+PAGE = (DOCS / "plugins.md").read_text()
+SPLATS, NORMALS = (
+    PAGE.partition(f"## `{name}`")[2].partition("\n## ")[0]
+    for name in ("gaussian_splat", "mesh_normals")
+)
 SIZE = 160
 
 
@@ -55,13 +61,38 @@ def test_the_picture_is_what_the_plugin_shows(scenes):
     assert off.mean() < 2e-3  # a ray that grazes an edge may fall to its other side elsewhere
 
 
-def test_the_examples_run(scenes):
-    text = (DOCS / "plugins.md").read_text()
-    text = text[text.index("## `mesh_normals`") :]
+def test_the_examples_of_mesh_normals_run(scenes):
     names = {}
-    for block in re.findall(r"```python\n(.*?)```", text, re.DOTALL):
+    for block in re.findall(r"```python\n(.*?)```", NORMALS, re.DOTALL):
         exec(block, names)
     assert names["image"].shape == (64, 64, 5)
     assert np.array(names["grad"]).any()
-    for block in re.findall(r"```xml\n(.*?)```", text, re.DOTALL):
+    for block in re.findall(r"```xml\n(.*?)```", NORMALS, re.DOTALL):
         mi.load_string(block.replace("<integrator ", '<integrator version="3.0.0" ', 1))
+
+
+@pytest.mark.parametrize("samples", [1, pytest.param(64, marks=pytest.mark.slow)])
+def test_the_example_of_gaussian_splat_makes_its_picture_and_its_figure(
+    samples, scenes, tmp_path, monkeypatch
+):
+    """With one sample the part that has no noise."""
+    monkeypatch.chdir(tmp_path)
+    (program,) = re.findall(r"```python\n(.*?)```", SPLATS, re.DOTALL)
+    assert '"sample_count": 64' in program
+    names, few = {}, program.replace('"sample_count": 64', f'"sample_count": {samples}')
+    exec(compile(few, "plugins.md", "exec"), names)
+    made, shown = (np.array(mi.Bitmap(str(p / "gaussian_splat.png"))) for p in (tmp_path, DOCS))
+    off = made.astype(float) - shown
+    assert np.abs(off[:, 320:640]).max() <= 1
+    if samples == 64:
+        assert np.sqrt(np.mean(off**2)) < 1
+        error = np.array(names["traced"]) - np.array(names["splatted"])
+        assert f"agree to {-10 * np.log10(np.mean(error**2)):.0f} dB" in SPLATS
+
+
+def test_every_parameter_of_gaussian_splat_is_documented(scenes):
+    """Mitsuba refuses unknown properties, so the table lists all."""
+    table = re.findall(r"^\| `(\w+)` \|", SPLATS, re.MULTILINE)
+    assert table == ["meshes", "background", "srgb_primitives", "depth", "blur", "antialiased"]
+    given = {"srgb_primitives": False, "depth": True, "blur": 0.1, "antialiased": True}
+    mi.load_dict({"type": "gaussian_splat", "meshes": "none", "background": 0.5} | given)

@@ -62,37 +62,24 @@ def test_other_files_are_explained(tmp_path):
     path = tmp_path / "a.ply"
     with pytest.raises(InputError, match="no such file"):
         load_ply(path)
-    path.write_text("hello")
-    with pytest.raises(InputError, match="not a .ply"):
-        load_ply(path)
-    save_ply(path, some_gaussians())
-    whole = path.read_bytes()
-    path.write_bytes(whole[:-8])
-    with pytest.raises(InputError, match="cut short"):
-        load_ply(path)
-    path.write_bytes(whole.replace(b"scale_1", b"scale_x"))
-    with pytest.raises(InputError, match="'scale_1' is missing"):
-        load_ply(path)
-    path.write_bytes(whole.replace(b"binary_little_endian", b"ascii"))
-    with pytest.raises(InputError, match="binary_little_endian"):
-        load_ply(path)
-
-
-def test_wrong_headers_are_explained(tmp_path):
-    path = tmp_path / "a.ply"
-    save_ply(path, some_gaussians())
-    whole = path.read_bytes()
-    for change, match in (
-        (lambda x: x.replace(b"element vertex 20", b"element vertex many"), "vertex many"),
-        (lambda x: x.replace(b"element vertex", b"element points"), "'vertex' is missing"),
-        (lambda x: x.replace(b"float f_rest_8", b"float f_past_8"), "8 properties f_rest"),
-        (lambda x: x.replace(b"property float nx", b"property nx"), "'property nx'"),
-    ):
-        path.write_bytes(change(whole))
-        with pytest.raises(InputError, match=match):
-            load_ply(path)
     with pytest.raises(InputError, match="cannot be read"):
         load_ply(tmp_path)
+    save_ply(path, some_gaussians())
+    whole = path.read_bytes()
+    change = whole.replace
+    for content, match in (
+        (b"hello", "not a .ply"),
+        (whole[:-8], "cut short"),
+        (change(b"scale_1", b"scale_x"), "'scale_1' is missing"),
+        (change(b"binary_little_endian", b"ascii"), "binary_little_endian"),
+        (change(b"element vertex 20", b"element vertex many"), "vertex many"),
+        (change(b"element vertex", b"element points"), "'vertex' is missing"),
+        (change(b"float f_rest_8", b"float f_past_8"), "8 properties f_rest"),
+        (change(b"property float nx", b"property nx"), "'property nx'"),
+    ):
+        path.write_bytes(content)
+        with pytest.raises(InputError, match=match):
+            load_ply(path)
 
 
 def test_other_properties_types_and_elements_are_ignored(tmp_path):

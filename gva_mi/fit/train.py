@@ -130,12 +130,7 @@ class Run:
             self.history = {name: list(values) for name, values in state["history"].items()}
         rig = self.avatar.rig
         self.poses = TrainedPoses(
-            video.pose,
-            video.cameras,
-            rig,
-            options.poses,
-            options.steps,
-            as_given=video.stage != 1,
+            video.pose, video.cameras, rig, options.poses, options.steps, as_given=video.stage != 1
         )
         self.optimizer = _optimizer(self.avatar, options.rates)
         self._pixel = smallest_pixel(video, rig)

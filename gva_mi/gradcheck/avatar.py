@@ -25,14 +25,7 @@ import torch
 from torch import Generator, Tensor
 
 from gva_mi.core.threads import one_torch_thread
-from gva_mi.gradcheck.chain import (
-    NETWORK,
-    STILL_MEANS,
-    Link,
-    PosedAvatar,
-    posed_gaussians,
-    run,
-)
+from gva_mi.gradcheck.chain import NETWORK, STILL_MEANS, Link, PosedAvatar, posed_gaussians, run
 from gva_mi.gradcheck.engine import Comparison, Report
 from gva_mi.gradcheck.probes import IMAGES, Probe, Tensors, differences, gradients, tangents
 from gva_mi.splat import reference

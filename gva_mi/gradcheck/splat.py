@@ -127,11 +127,7 @@ _DEFAULTS = Tolerances()
 
 
 def gradcheck(
-    fn: Renderer,
-    scene: Scene,
-    tolerances: Tolerances = _DEFAULTS,
-    *,
-    seed: int = 0,
+    fn: Renderer, scene: Scene, tolerances: Tolerances = _DEFAULTS, *, seed: int = 0
 ) -> RendererReport:
     """Compare a renderer's image and gradients with those of the reference implementation.
 

@@ -50,12 +50,7 @@ def sensor_of(camera: Camera) -> dict[str, Any]:
         "near_clip": NEAR,
         "far_clip": FAR,
         "to_world": mi.ScalarTransform4f(to_world),
-        "film": {
-            "type": "hdrfilm",
-            "width": width,
-            "height": height,
-            "rfilter": {"type": "box"},
-        },
+        "film": {"type": "hdrfilm", "width": width, "height": height, "rfilter": {"type": "box"}},
     }
 
 

@@ -21,16 +21,7 @@ from torch.autograd.function import FunctionCtx
 
 from gva_mi.jit.exclusive import exclusive
 from gva_mi.splat.tensors import not_compiled
-from gva_mi.splat.torch_passes import (
-    IMAGES,
-    Drawn,
-    Images,
-    Tensors,
-    adjoint,
-    draw,
-    images,
-    tangent,
-)
+from gva_mi.splat.torch_passes import IMAGES, Drawn, Images, Tensors, adjoint, draw, images, tangent
 
 NO_SECOND_DERIVATIVES = (
     "render(): its gradients and tangents cannot be differentiated again by the Gaussians, the "

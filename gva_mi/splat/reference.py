@@ -81,10 +81,7 @@ def _matrices(camera: Camera) -> tuple[Tensor, Tensor]:
 
 
 def _render(
-    gaussians: Gaussians,
-    camera: Camera,
-    options: SplatOptions,
-    background: Tensor | None,
+    gaussians: Gaussians, camera: Camera, options: SplatOptions, background: Tensor | None
 ) -> tuple[Image, _Margins]:
     T_camera_world, K = _matrices(camera)
     to64 = lambda t: t.to(torch.float64)

@@ -4,11 +4,7 @@ import pytest
 import torch
 
 from gva_mi.avatar.canonical import PARAMETERS
-from gva_mi.avatar.densify import (
-    DensifyOptions,
-    ScreenGradients,
-    densify,
-)
+from gva_mi.avatar.densify import DensifyOptions, ScreenGradients, densify
 from gva_mi.body import Pose
 from gva_mi.splat import Camera, Gaussians, Screen, SplatOptions, look_at, render
 

@@ -11,13 +11,7 @@ from scipy.spatial import cKDTree
 from gva_mi.avatar import AvatarOptions, seed_avatar
 from gva_mi.avatar.canonical import CanonicalGaussians
 from gva_mi.avatar.densify import replace_gaussians
-from gva_mi.avatar.reinit import (
-    ReinitOptions,
-    SurfaceMesh,
-    reinitialise,
-    resample,
-    wanted_density,
-)
+from gva_mi.avatar.reinit import ReinitOptions, SurfaceMesh, reinitialise, resample, wanted_density
 from gva_mi.avatar.rig import Rig
 from gva_mi.body import Shape, load_body
 from gva_mi.body.pose import JOINTS

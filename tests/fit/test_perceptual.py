@@ -4,14 +4,7 @@ from scipy.ndimage import gaussian_filter
 
 from gva_mi.core.errors import InputError
 from gva_mi.fit import perceptual
-from gva_mi.fit.perceptual import (
-    Weights,
-    find_weights,
-    lpips,
-    rand_vgg,
-    rand_vgg_loss,
-    vgg16_loss,
-)
+from gva_mi.fit.perceptual import Weights, find_weights, lpips, rand_vgg, rand_vgg_loss, vgg16_loss
 
 SIZE = 48
 

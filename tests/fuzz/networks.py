@@ -14,10 +14,7 @@ THERE = Path(__file__).parents[1] / "data"
 
 def networks():
     """All of them by name."""
-    return {
-        "sam": (sam, lambda folder, _=None: load_network(folder)),
-        "onnx": (onnx, read_onnx),
-    }
+    return {"sam": (sam, lambda folder, _=None: load_network(folder)), "onnx": (onnx, read_onnx)}
 
 
 def sam(folder):

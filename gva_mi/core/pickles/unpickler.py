@@ -58,10 +58,7 @@ class Unpickler(pickle.Unpickler):
     """Read one pickle from ``stream``; ``persistent_load`` resolves references out of it."""
 
     def __init__(
-        self,
-        stream: BytesIO,
-        allowed: Allowed,
-        persistent_load: Callable[[Any], Any] | None = None,
+        self, stream: BytesIO, allowed: Allowed, persistent_load: Callable[[Any], Any] | None = None
     ) -> None:
         super().__init__(stream, encoding="latin1")
         self.stream, self.allowed, self.outside = stream, allowed, persistent_load

@@ -61,8 +61,5 @@ def test_by_the_sensors_lens(splats, smooth, name):
     start, key = parameters[f"view.{name}"][0], f"view.{name}"
     method = splats.integrator()
     splats.agree_three_ways(
-        lambda p: mi.render(scene, p, view, method),
-        lambda u: start + 10 * u,
-        parameters,
-        key,
+        lambda p: mi.render(scene, p, view, method), lambda u: start + 10 * u, parameters, key
     )

@@ -1,7 +1,7 @@
-"""Visibility of a mesh's vertices from given places.
+"""Find the vertices of a mesh that are visible from given viewpoints.
 
-A vertex is visible if its surface faces the eye, ``n · (eye - x) > 0``, and the straight line to
-the eye meets no triangle. The line starts a little off the surface, so that the triangles around
+A vertex is visible if its surface faces the viewpoint, ``n · (viewpoint - x) > 0``, and the straight line to
+it meets no triangle. The line starts a little off the surface, so that the triangles around
 the point do not hide it.
 """
 
@@ -17,13 +17,13 @@ from gva_mi.mesh.surface import vertex_normals
 OFF = 0.002  # metres off the surface
 
 
-def seen_vertices(vertices: Tensor, faces: Tensor, eyes: np.ndarray) -> Tensor:
-    """Return which vertices are visible from each of E places, (E, V) bool.
+def seen_vertices(vertices: Tensor, faces: Tensor, viewpoints: np.ndarray) -> Tensor:
+    """Return which vertices are visible from each of E viewpoints, (E, V) bool.
 
     Args:
         vertices: (V, 3) world, metres.
         faces: (F, 3) integers, counter-clockwise seen from outside.
-        eyes: (E, 3) world, such as positions of cameras; the edges of their pictures are ignored.
+        viewpoints: (E, 3) world, such as positions of cameras; the edges of their pictures are ignored.
     """
     load_plugins()
     import mitsuba as mi
@@ -33,8 +33,8 @@ def seen_vertices(vertices: Tensor, faces: Tensor, eyes: np.ndarray) -> Tensor:
     start, scene = vertices + OFF * normals, scene_of(faces, vertices)
     columns = lambda x: [mi.Float(column.contiguous().numpy()) for column in x.unbind(1)]
     found = []
-    for eye in torch.from_numpy(np.asarray(eyes, dtype=np.float32)):
-        toward = eye - start
+    for viewpoint in torch.from_numpy(np.asarray(viewpoints, dtype=np.float32)):
+        toward = viewpoint - start
         distance = toward.norm(dim=1, keepdim=True)
         ray = mi.Ray3f(mi.Point3f(*columns(start)), mi.Vector3f(*columns(toward / distance)))
         ray.maxt = mi.Float((0.999 * distance[:, 0]).numpy())

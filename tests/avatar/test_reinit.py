@@ -199,7 +199,7 @@ def test_a_face_gets_more_points_and_the_rest_of_the_head_does_not():
     behind = surface.vertices[:, 2] < rig.joints[JOINTS.index("head"), 2].item()
     assert more[eyes.sum(1) > 0.5] == pytest.approx(6 * usual[eyes.sum(1) > 0.5])
     assert (head & behind).any() and (more == usual)[head & behind].all()
-    share = (more > usual).mean()  # of the vertices, which lie more densely in a face anyhow
+    share = (more > usual).mean()  # of the vertices, which are denser in a face
     assert 0.02 < share < 0.2
     hands = np.abs(surface.vertices[:, 0]) > 0.5
     assert hands.any() and (more == usual)[hands].all()

@@ -56,9 +56,9 @@ def test_the_surface_is_closed_connected_and_without_handles(body):
 
 def test_left_and_right_are_mirror_images(body):
     vertices, weights = body.v_template.numpy(), body.weights.numpy()
-    distance, twin = cKDTree(vertices).query(vertices * (-1, 1, 1))
+    distance, mirror = cKDTree(vertices).query(vertices * (-1, 1, 1))
     assert distance.max() == 0
-    np.testing.assert_allclose(weights[twin][:, MIRRORED], weights, atol=1 / 4096)
+    np.testing.assert_allclose(weights[mirror][:, MIRRORED], weights, atol=1 / 4096)
     assert ((weights > 0).sum(1) <= 4).all() and (weights.sum(1) == 1).all()
     joints = body.rest(neutral()).joints.numpy()
     np.testing.assert_allclose(joints, joint_positions(), atol=1e-6)

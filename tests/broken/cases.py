@@ -157,7 +157,7 @@ def frames(count):
     })  # fmt: skip
 
 
-# What the commands take: other numbers than were meant, of which check says what it sees.
+# What the commands accept: plausible numbers that are not the intended ones; `check` warns.
 TAKEN = {
     "K has skew": cameras(K=at((0, 1), 3.0)),
     "K looks far aside": cameras(K=at((0, 2), 1e9)),

@@ -40,12 +40,12 @@ NAMED = {
 }  # fmt: skip
 WRITTEN = {"--json": "figures.json"}  # where FILE is one that a command writes
 
-PUPPETS = "two minutes: tests/synthetic/test_portrait.py draws them smaller"
+SHEET = "two minutes: tests/synthetic/test_portrait.py draws them smaller"
 REPORTED = "refines once for each term of the loss: tests/core/cut_short"
 NOT_RUN = {
     "gva-mi refine subject --report": REPORTED,
     "gva-mi refine subject --report --overwrite": REPORTED,
-    "gva-mi body --sheet puppet.png": PUPPETS,
+    "gva-mi body --sheet puppet.png": SHEET,
     "gva-mi body --source anny": "needs the package anny, 0.6 GB: tests/body/test_anny.py",
     "gva-mi refine A B --scheduler ADDRESS": "needs a cluster: tests/pose/test_parallel.py",
     "gva-mi COMMAND --help": "any: tests/cli",

@@ -1,3 +1,5 @@
+"""Colours of the body from the pictures of a video."""
+
 import torch
 
 from gva_mi.data.video import Splits

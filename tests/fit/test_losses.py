@@ -1,3 +1,5 @@
+"""The rendering loss: Eq. 9, its weights and its window."""
+
 import pytest
 import torch
 

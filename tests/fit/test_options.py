@@ -1,3 +1,5 @@
+"""Options of a fit: ranges, schedule and record."""
+
 import json
 from pathlib import Path
 

@@ -1,3 +1,5 @@
+"""Perceptual distances: of a random network, and of the user's weights."""
+
 import pytest
 import torch
 from scipy.ndimage import gaussian_filter

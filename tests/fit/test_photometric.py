@@ -57,7 +57,7 @@ def test_a_known_error_is_found(fitted, known, wrong, video, camera):
 
 @pytest.fixture(scope="module")
 def talking(tmp_path_factory, known, turning):
-    """12 frames of somebody's head, from half a metre before it."""
+    """12 frames of a head, from half a metre in front of it."""
     folder, frames = tmp_path_factory.mktemp("talking"), 12
     pose, shape = turning(frames)
     t = torch.arange(frames) / frames

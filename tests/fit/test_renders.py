@@ -14,10 +14,12 @@ def layer(known, turning, camera):
 
 
 def test_shots_are_renders_of_their_frames(known, turning, camera):
-    motion, told = turning(3)[0], []
+    motion, calls = turning(3)[0], []
     shots = [CameraShot(2, camera), CameraShot(0, camera.zoomed(0.5))]
-    found = list(render_shots(known, motion, shots, lambda done, total: told.append((done, total))))
-    assert told == [(1, 2), (2, 2)]
+    found = list(
+        render_shots(known, motion, shots, lambda done, total: calls.append((done, total)))
+    )
+    assert calls == [(1, 2), (2, 2)]
     for layer, shot in zip(found, shots, strict=True):
         image = render_frame(known, motion[shot.frame], shot.camera)
         assert np.abs(over(layer, np.ones(3)).astype(int) - image).max() <= 1

@@ -1,3 +1,5 @@
+"""The folder of a run: options, video, checkpoints and trained poses."""
+
 from dataclasses import replace
 
 import pytest

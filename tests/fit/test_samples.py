@@ -128,29 +128,6 @@ def test_the_part_that_is_drawn_holds_every_pixel_that_is(known, video):
     assert drawn(wide, camera) == Box(0, 0, 48, 48)
 
 
-def test_a_larger_room_changes_no_loss(video, known):
-    """The picture is a part of larger ones: the same person, box and cost."""
-    sample = samples(video, random_background=False)[1]
-
-    def within_a_room(left, top):
-        moved = lambda b: Box(b.left + left, b.top + top, b.right + left, b.bottom + top)
-        camera = sample.camera.cropped(-left, -top, 100 + 2 * left, 60 + 2 * top)
-        return dataclasses.replace(
-            sample, camera=camera, box=moved(sample.box), window=moved(sample.window)
-        )
-
-    g, found = known(video.pose[sample.frame]), []
-    for each in (within_a_room(20, 20), within_a_room(200, 100)):
-        target = each.target(g)
-        image = target.before_background(render(g, target.camera))
-        losses = render_losses(
-            image, target.color, target.mask, torch.zeros(0, 3), LossOptions(),
-            lambda a, b: (a - b).square().mean(), target.window, each.area,
-        )  # fmt: skip
-        found.append(losses.total(LossOptions()))
-    torch.testing.assert_close(*found, rtol=1e-5, atol=0)
-
-
 @pytest.mark.parametrize("window", [11, 100])
 def test_windows_lie_in_the_image_and_in_the_person_s_box(window, video):
     found = samples(video, window=window)

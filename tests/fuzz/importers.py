@@ -28,7 +28,7 @@ CAMERAS = ("1", "2")
 
 def importers():
     """All of them by name."""
-    puppet = TargetBody.read(None)
+    built_in = TargetBody.read(None)
 
     def estimated(where):
         return lambda folder, _=None: read_estimator(
@@ -39,7 +39,7 @@ def importers():
         def read(folder, _=None):
             options = PrepareOptions(Path("puppet"), views=("all",))
             with TemporaryDirectory() as out:
-                prepare_folder(Path(out), kind, folder, options, puppet)
+                prepare_folder(Path(out), kind, folder, options, built_in)
 
         return read
 

@@ -211,7 +211,7 @@ def png(rng, data):
 
 
 def spz(rng, data):
-    """The bytes below the compression, of which a header of 16 says most."""
+    """Bytes below the compression; most of it depends on a header of 16 bytes."""
     if data[:2] != b"\x1f\x8b":
         return widen(rng, data)
     way = rng.choice((flip, widen, cut, delete, insert))

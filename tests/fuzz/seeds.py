@@ -236,14 +236,14 @@ def seeds(subject, avatar):
 
 
 def each(folder, path, readers):
-    """Read one file, if somebody reads it apart; else all of them."""
+    """Read one file if it has a reader of its own, else all of them."""
     alone = {name: read for name, read in readers.items() if name == str(path)}
     for name, read in (alone or readers).items():
         read(folder / name)
 
 
 def body_of_few_vertices():
-    """SMPL-X's arrays of the puppet's first triangles."""
+    """SMPL-X's arrays of the first triangles of the built-in body."""
     with np.load(BUILT_IN_BODY) as file:
         arrays = {key: file[key] for key in file.files}
     n, corner = 60, np.arange(6)[:, None] * 10 + np.arange(9)  # of a grid of 6 x 10

@@ -1,4 +1,4 @@
-"""An eye sees what faces it and is not hidden."""
+"""Vertices that face a viewpoint and are not hidden are seen."""
 
 import numpy as np
 import torch
@@ -16,7 +16,7 @@ def ball(centre, radius):
 
 
 def test_the_near_cap_of_a_ball_is_seen():
-    """Up to the horizon, where a line from the eye touches the ball: z = r² / distance."""
+    """Up to the horizon, where a line from the viewpoint touches the ball: z = r² / distance."""
     vertices, faces = ball((0, 0, 0), 1.0)
     near, far = seen_vertices(vertices, faces, np.concatenate([EYE, -EYE]))
     for seen, side in ((near, 1), (far, -1)):

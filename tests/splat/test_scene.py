@@ -94,14 +94,6 @@ def test_windows_go_from_full_to_empty():
     assert counts == sorted(counts, reverse=True) and len(counts) == 3
 
 
-def test_rounded_is_what_float32_holds():
-    s = random_scene(torch.Generator().manual_seed(0)).rounded()
-    for tensor in s.inputs().values():
-        assert torch.equal(tensor, tensor.float().double())
-    T = s.camera.T_camera_world
-    assert (T == T.astype(np.float32)).all() and s.camera.fx == np.float32(s.camera.fx)
-
-
 @pytest.mark.parametrize("suffix", [".ply", ".splat"])
 def test_gaussians_of_another_program_are_seen_from_their_front(tmp_path, suffix):
     person = person_scene(np.random.default_rng(0), 500, 64).gaussians

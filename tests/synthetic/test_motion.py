@@ -65,12 +65,12 @@ def test_a_standing_foot_does_not_slide_and_knees_bend_forward(name):
     assert (knees[..., 0] > 0).all() and knees.norm(dim=-1).max() < 2.3  # radians
     ground = places[:, BALLS, 1].min()
     assert places[:, BALLS, 1].min(1).max() < ground + 0.002
-    carries = places[:, BALLS, 1] < ground + 0.0005  # metres
-    assert carries.mean() > 0.4
-    assert carries.any(1).mean() > 0.9
+    loaded = places[:, BALLS, 1] < ground + 0.0005  # metres
+    assert loaded.mean() > 0.4
+    assert loaded.any(1).mean() > 0.9
     for k in range(2):
-        stands = np.split(places[:, BALLS[k]], np.flatnonzero(np.diff(carries[:, k])) + 1)
-        for stand, on in zip(stands, carries[np.r_[0, np.cumsum([len(s) for s in stands])[:-1]], k],
+        stands = np.split(places[:, BALLS[k]], np.flatnonzero(np.diff(loaded[:, k])) + 1)
+        for stand, on in zip(stands, loaded[np.r_[0, np.cumsum([len(s) for s in stands])[:-1]], k],
                              strict=True):  # fmt: skip
             if on:
                 assert np.ptp(stand[:, [0, 2]], axis=0).max() < 0.01

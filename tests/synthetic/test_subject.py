@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.body.pose import JOINTS, Pose
-from gva_mi.synthetic import STUDY, motion
+from gva_mi.synthetic import motion
 from gva_mi.synthetic.clothes.level_sets import BodySurface, vertex_normals
 from gva_mi.synthetic.framing import camera_around
 from gva_mi.synthetic.look import Material
@@ -75,21 +74,3 @@ def test_clothes_are_closed_and_skinned_and_lie_outside_the_body(body, dressed):
         assert closed(dressed, part(dressed, material)), material
     assert torch.allclose(dressed.weights.sum(1), torch.ones(len(dressed.weights)), atol=1e-5)
     assert (dressed.weights >= 0).all()
-
-
-@pytest.mark.slow
-def test_accessories_are_closed_and_move_rigidly_with_the_head(body):
-    subject = draw_subject(body, STUDY["bruno"])
-    faces = part(subject, Material.ACCESSORY)
-    assert closed(subject, faces)
-    index = np.unique(faces)
-    pose = Pose.rest(1)
-    pose.expression[:] = 0.7
-    pose.rotations[:, JOINTS.index("jaw"), 0] = 0.2
-    pose.rotations[:, JOINTS.index("head"), 1] = 0.4
-    moved = subject.posed(body, pose, folds=1.0)[0][index].astype(float)
-    rest = subject.vertices[index].astype(float)
-    pairs = np.random.default_rng(0).integers(len(index), size=(200, 2)).T
-    length = lambda x: np.linalg.norm(x[pairs[0]] - x[pairs[1]], axis=1)
-    assert np.abs(length(moved) - length(rest)).max() < 0.001
-    assert np.linalg.norm(moved - rest, axis=1).max() > 0.01

@@ -76,7 +76,7 @@ class PlainPage:
     """A page that records what it is sent."""
 
     def __init__(self, view):
-        self.at, self.shown, self.told = view, [], []
+        self.at, self.shown, self.messages = view, [], []
 
     def camera(self):
         return self.at
@@ -85,4 +85,4 @@ class PlainPage:
         self.shown.append((picture, fine))
 
     def tell(self, sentence):
-        self.told.append(sentence)
+        self.messages.append(sentence)

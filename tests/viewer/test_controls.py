@@ -24,14 +24,14 @@ def server():
 
 
 @pytest.fixture
-def told():
+def changes():
     return []
 
 
 @pytest.fixture
-def controls(server, told):
+def controls(server, changes):
     choices = Choices(9, ("pelvis", "left_shoulder", "left_elbow"), ("smile", "blink"), False)
-    yield Controls(server.gui, choices, lambda: told.append(1))
+    yield Controls(server.gui, choices, lambda: changes.append(1))
     server.gui.reset()
 
 
@@ -49,7 +49,7 @@ def press(server, label):
         pressed(GuiEvent(None, 7, button))
 
 
-def test_sliders_belong_to_the_chosen_joint(server, controls, told):
+def test_sliders_belong_to_the_chosen_joint(server, controls, changes):
     panel = inputs(server)
     panel["joint"].value = "left_shoulder"
     assert controls.state(0.0).joint == SHOULDER
@@ -63,7 +63,7 @@ def test_sliders_belong_to_the_chosen_joint(server, controls, told):
     assert controls.state(0.0).turned == both
     panel["joint"].value = "left_shoulder"
     controls.state(0.0)
-    assert panel["z"].value == 40.0 and len(told) >= 5
+    assert panel["z"].value == 40.0 and len(changes) >= 5
     press(server, "Reset joint")
     assert not list(controls.clicks())
     assert controls.state(0.0).turned == both[1:]

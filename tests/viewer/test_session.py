@@ -28,11 +28,11 @@ def opened(drawing, panel, place, out):
 
 
 def press(opened, panel, page, *actions):
-    """Press buttons of a page, one a step; what it was told."""
+    """Press buttons of a page, one a step; return its messages."""
     for action in actions:
         panel.pressed = [Click(action, 7)]
         opened.step({7: page}, 0.0)
-    return page.told
+    return page.messages
 
 
 def test_a_picture_is_coarse_first_and_then_as_rendered(known, motion, opened, panel, page, view):
@@ -76,9 +76,9 @@ def test_a_snapshot_is_the_picture_or_transparent(known, motion, opened, panel, 
     panel.now = State(frame=1)
     press(opened, panel, page, "snapshot")
     panel.now = State(frame=1, transparent=True)
-    told = press(opened, panel, page, "snapshot")
+    messages = press(opened, panel, page, "snapshot")
     first, second = (out / f"snapshot_00{k}.png" for k in (0, 1))
-    assert told == [f"saved: {first}", f"saved: {second}"]
+    assert messages == [f"saved: {first}", f"saved: {second}"]
     layer = render_layer(known, motion[1], page.at.to_camera())
     assert np.array_equal(read_image(first, 3), over(layer, np.ones(3, "f4")))
     rgba = np.asarray(Image.open(second))
@@ -91,8 +91,8 @@ def test_render_reads_the_saved_cameras_of_keyframes(
     views = [page.at, looking(place.position + [2.0, 0.3, -1.0])]
     press(opened, panel, page, "add keyframe")
     page.at = views[1]
-    told = press(opened, panel, page, "add keyframe", "add keyframe", "remove keyframe")
-    assert told == [f"keyframes: {k}" for k in (1, 2, 3, 2)]
+    messages = press(opened, panel, page, "add keyframe", "add keyframe", "remove keyframe")
+    assert messages == [f"keyframes: {k}" for k in (1, 2, 3, 2)]
     assert panel.keyframes == 2
     press(opened, panel, page, "save cameras")
     path = out / "cameras_000.npz"
@@ -114,7 +114,7 @@ def test_render_reads_the_saved_cameras_of_keyframes(
 
 def test_after_a_full_disk_the_session_goes_on(opened, panel, page, out):
     action = "snapshot"
-    told = press(opened, panel, page, action)
+    messages = press(opened, panel, page, action)
     (first,) = out.iterdir()
     whole = first.read_bytes()
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -124,10 +124,10 @@ def test_after_a_full_disk_the_session_goes_on(opened, panel, page, out):
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     second = first.with_name(first.name.replace("000", "001"))
-    assert told[-1] == f"{second}: cannot be written (File too large)"
+    assert messages[-1] == f"{second}: cannot be written (File too large)"
     assert list(out.iterdir()) == [first] and first.read_bytes() == whole
     press(opened, panel, page, action)
-    assert told[-1] == f"saved: {second}" and second.read_bytes() == whole
+    assert messages[-1] == f"saved: {second}" and second.read_bytes() == whole
 
 
 def test_beside_the_video_through_its_camera(known, video, panel, page, view, place, out):
@@ -138,12 +138,12 @@ def test_beside_the_video_through_its_camera(known, video, panel, page, view, pl
     opened.step({7: page}, 0.0)
     opened.step({7: page}, 1.0)
     left, right = np.split(page.shown[-1][0].astype(int), 2, axis=1)
-    # The subject's pictures were made by this avatar, before a grey of 0.3, and so must these be.
+    # The subject's pictures show this avatar in front of a grey of 0.3.
     assert np.abs(left - right).max() <= 2
     assert page.shown[0][0].shape == (48, 96, 3)
 
 
 def test_two_viewers_do_not_take_the_same_name(opened, panel, page, out):
     with folder_lock(out, "gva-mi view"):
-        told = press(opened, panel, page, "snapshot")
-    assert "gva-mi view (process" in told[-1] and not out.exists()
+        messages = press(opened, panel, page, "snapshot")
+    assert "gva-mi view (process" in messages[-1] and not out.exists()

@@ -30,31 +30,6 @@ def among(splats, **parameters):
     return splats.integrator(meshes="depth", nested={"type": "direct"}, **parameters)
 
 
-def test_each_pixel_shows_the_ellipsoids_before_its_surface(splats):
-    """With unlit strips at different depths, to the last bit."""
-    g, view = splats.arrays(60, 1), ahead(splats)
-    strips = [(-9, -0.4, 1.3), (-0.5, 0.1, -0.2), (0.0, 0.6, 0.4)]  # left, right, z; two overlap
-    parts = {f"strip{k}": strip(*edges) for k, edges in enumerate(strips)}
-    image = np.array(mi.render(splats.scene(g, **parts), None, view, among(splats)))
-
-    camera = splats.camera_of(view)
-    slope = (np.arange(splats.SIZE) + 0.5 - camera.cx) / camera.fx
-    depth = np.full(splats.SIZE, np.inf)  # of each column's surface
-    for left, right, z in strips:
-        x = slope * (4 - z)
-        depth = np.minimum(depth, np.where((x > left) & (x < right), 4 - z, np.inf))
-    assert len(np.unique(depth)) == 4
-    distance = 4 - g["means"][:, 2]
-    for z in np.unique(depth):
-        nearer = {name: values[distance < z] for name, values in g.items()}
-        if not len(nearer["means"]):
-            assert not image[:, depth == z].any()
-            continue
-        alone = splats.picture(splats.scene(nearer), view)
-        np.testing.assert_array_equal(image[:, depth == z], alone[:, depth == z])
-        assert alone[:, depth == z].any()
-
-
 @pytest.mark.parametrize("name", ["window", "orthographic"])
 def test_depth_is_along_the_sensors_axis(splats, name):
     from gva_mi_plugins.gaussian_splat.other_shapes import OtherShapes

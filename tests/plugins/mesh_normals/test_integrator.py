@@ -302,10 +302,10 @@ def test_reconstruction_filters(scenes, integrator, name):
     """The image is Mitsuba's own, and the gradient that of differences."""
     scene, parameters, parts = scenes.load("torus")
     sensor = scenes.camera(32, rfilter={"type": name})
-    peer = mi.load_dict({"type": "aov", "aovs": "d:depth"})
+    builtin = mi.load_dict({"type": "aov", "aovs": "d:depth"})
     mine = mi.load_dict({"type": "mesh_normals", "channels": "depth, mask"})
     image = np.array(mi.render(scene, sensor=sensor, integrator=mine, spp=256))
-    theirs = np.array(mi.render(scene, sensor=sensor, integrator=peer, spp=4096))[..., -1]
+    theirs = np.array(mi.render(scene, sensor=sensor, integrator=builtin, spp=4096))[..., -1]
     eye = np.array(sensor.world_transform().matrix).reshape(4, 4)[:3, 3]
     assert np.abs(image[..., 0] - theirs).max() < 0.06 * np.linalg.norm(eye)
 

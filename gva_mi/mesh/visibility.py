@@ -1,8 +1,8 @@
 """Find the vertices of a mesh that are visible from given viewpoints.
 
-A vertex is visible if its surface faces the viewpoint, ``n · (viewpoint - x) > 0``, and the straight line to
-it meets no triangle. The line starts a little off the surface, so that the triangles around
-the point do not hide it.
+A vertex is visible if its surface faces the viewpoint, ``n · (viewpoint - x) > 0``, and the
+straight line to it meets no triangle. The line starts a little off the surface, so that the
+triangles around the point do not hide it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def seen_vertices(vertices: Tensor, faces: Tensor, viewpoints: np.ndarray) -> Te
     Args:
         vertices: (V, 3) world, metres.
         faces: (F, 3) integers, counter-clockwise seen from outside.
-        viewpoints: (E, 3) world, such as positions of cameras; the edges of their pictures are ignored.
+        viewpoints: (E, 3) world, such as camera positions; the edges of pictures are ignored.
     """
     load_plugins()
     import mitsuba as mi

@@ -20,14 +20,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import torch
 from torch import Generator, Tensor
 
 from gva_mi.core.threads import one_torch_thread
 from gva_mi.gradcheck.chain import NETWORK, STILL_MEANS, Link, PosedAvatar, posed_gaussians, run
-from gva_mi.gradcheck.engine import Comparison, Report
-from gva_mi.gradcheck.probes import IMAGES, Probe, Tensors, differences, gradients, tangents
+from gva_mi.gradcheck.engine import Check, Comparison, Report
+from gva_mi.gradcheck.probes import IMAGES, Probe, Tensors, differences, gradients, leaves, tangents
 from gva_mi.splat import reference
 
 CHAIN = "chain"  # the group of the whole chain's comparisons
@@ -85,8 +86,9 @@ def check_avatar(
         rows = list(check.chain())
         for link, coarse in zip(check.links, posed.links(torch.float32), strict=True):
             rows += check.link(link, coarse)
-    left_out = f"{int(check.band.sum())} at a step left out"
-    subject = f"{len(posed.values['means'])} Gaussians, {check.band.numel()} pixels, {left_out}"
+    band = check.whole.band
+    left_out = f"{int(band.sum())} at a step left out"
+    subject = f"{len(posed.values['means'])} Gaussians, {band.numel()} pixels, {left_out}"
     return AvatarReport(tuple(rows), subject)
 
 
@@ -96,11 +98,8 @@ class _AvatarCheck:
 
     posed: PosedAvatar
     links: tuple[Link, ...]  # float64
-    band: Tensor  # (H, W) bool, pixels at a step
-    weights: tuple[Tensor, ...]  # of colour, alpha and depth; 0 in the band
     values: Tensors  # of the chain, detached
-    gradients: Tensors  # by all of them
-    probes: dict[str, Probe]
+    whole: Check  # of the chain; its gradients and probes are those of all values
     tolerances: tuple[float, float]  # float64, float32
 
     @staticmethod
@@ -108,62 +107,58 @@ class _AvatarCheck:
         posed: PosedAvatar, entries: int, tolerances: tuple[float, float], generator: Generator
     ) -> _AvatarCheck:
         links = posed.links()
-        values = run(links, _leaves(posed.values))
+        values = run(links, leaves(posed.values))
         band = reference.threshold_band(posed_gaussians(values), posed.camera, alpha=BAND)
         # Not about zero: a gradient whose terms cancel to a thousandth loses three digits, and
         # no code is to blame.
-        weights = 1 + torch.randn(*band.shape, 5, generator=generator).double()
-        weights[band] = 0
-        weights = weights[..., :3], weights[..., 3], weights[..., 4]
+        w = 1 + torch.randn(*band.shape, 5, generator=generator).double()
+        w[band] = 0
+        weights = dict(zip(IMAGES, (w[..., :3], w[..., 3], w[..., 4]), strict=True))
         seen = {k: v for k, v in values.items() if v.requires_grad}
-        found = gradients([values[name] for name in IMAGES], seen, weights)
+        found = gradients([values[name] for name in IMAGES], seen, weights.values())
         count = lambda g: g.numel() if g.numel() <= FEW * entries else entries
         probes = {k: Probe.among(g, count(g), generator) for k, g in found.items()}
         values = {k: v.detach() for k, v in values.items()}
-        return _AvatarCheck(posed, links, band, weights, values, found, probes, tolerances)
+        images = {name: values[name] for name in IMAGES}
+        whole = Check(posed.values, images, weights, found, probes, band, CHAIN)
+        return _AvatarCheck(posed, links, values, whole, tolerances)
 
     def chain(self) -> Iterator[Comparison]:
         """Compare the whole chain, and the avatar's own code with the composed links."""
-        names = list(self.posed.values)
-        for label, dtype, allowed in zip(
-            ("f64", "f32"), (torch.float64, torch.float32), self.tolerances, strict=True
-        ):
-            add = lambda *row, allowed=allowed: Comparison.of(*row, allowed, CHAIN)
-            leaves = _leaves(self.posed.values, dtype)
-            images = self._images(leaves)
-            for name, image in zip(IMAGES, images, strict=True):
-                found, truth = self._shown(image.detach().double()), self._shown(self.values[name])
-                yield add(f"adjoint {label}", name, found, truth)
-            found = gradients(images, leaves, [w.to(dtype) for w in self.weights])
-            for name in names:
-                yield add(f"adjoint {label}", name, found[name].double(), self.gradients[name])
-            for name in names:
-                moves = lambda v, name=name, x=leaves: tangents(self._images, x, name, v)
-                yield self._along(f"tangent {label}", name, moves, self.weights, allowed, CHAIN)
-        for name in names:
-            composed = lambda values, name=name: [
-                run(self.links, values, name)[image] for image in IMAGES
-            ]
-            yield self._differences(composed, self.values, name, self.weights, CHAIN)
+        f64, f32 = self.tolerances
+        yield from self.whole.methods(self._images, "f64", f64, f64, f64)
+        yield from self.whole.methods(self._images, "f32", f32, f32, f32)
+        for name in self.posed.values:
+            yield self.whole.along("differences", name, partial(self._composed, name), f64)
+
+    def _composed(self, name: str, direction: Tensor) -> list[Tensor]:
+        """Return J v of the composed links' images as one input moves."""
+        images = lambda values: [run(self.links, values, name)[image] for image in IMAGES]
+        return differences(images, self.values, name, direction, _step(name, CHAIN))
 
     def link(self, link: Link, coarse: Link) -> Iterator[Comparison]:
         """Check one link alone, and its float32 form against its float64 form."""
         f64, f32 = self.tolerances
         inputs = {name: self.values[name] for name in link.inputs}
         still = {STILL_MEANS: self.values[STILL_MEANS]}
-        grads = [self._output_gradient(name) for name in link.outputs]
-        whole = lambda values: link.function(still | values)
-        rounded = {name: v.float() for name, v in inputs.items()}
-        leaves = _leaves(inputs), _leaves(rounded), _leaves(rounded, torch.float32)
-        own = gradients(whole(leaves[0]), leaves[0], grads)
-        exact = gradients(whole(leaves[1]), leaves[1], grads)
-        few = coarse.function({STILL_MEANS: still[STILL_MEANS].float()} | leaves[2])
-        lost = gradients(few, leaves[2], [g.float() for g in grads])
+        grads = [(self.whole.truth | self.whole.weights)[name] for name in link.outputs]
+        alone = lambda values: link.function(still | values)
+        exact_at = leaves({name: v.float() for name, v in inputs.items()})
+        lost_at = leaves(inputs, torch.float32)
+        own_at = leaves(inputs)
+        own = gradients(alone(own_at), own_at, grads)
+        exact = gradients(alone(exact_at), exact_at, grads)
+        few = coarse.function({STILL_MEANS: still[STILL_MEANS].float()} | lost_at)
+        lost = gradients(few, lost_at, [g.float() for g in grads])
         for name in link.inputs:
-            short = name.removeprefix(NETWORK)
-            moves = lambda v, name=name: tangents(whole, inputs, name, v)
-            yield self._along("tangent f64", name, moves, grads, f64, link.name, own[name])
-            yield self._differences(whole, inputs, name, grads, link.name, own[name])
+            probe, short = self.whole.probes[name], name.removeprefix(NETWORK)
+            step = _step(name, link.name)
+            for method, moves in (
+                ("tangent f64", partial(tangents, alone, inputs, name)),
+                ("differences", partial(differences, alone, inputs, name, step=step)),
+            ):
+                row = method, short, probe, moves, grads, own[name], f64, link.name
+                yield Comparison.along(*row)
             found = lost[name].double()
             yield Comparison.of("adjoint f32", short, found, exact[name], f32, link.name)
 
@@ -171,32 +166,8 @@ class _AvatarCheck:
         image = self.posed.render(values)
         return [image.color, image.alpha, image.depth]
 
-    def _output_gradient(self, name: str) -> Tensor:
-        """The gradient by a link's output: the loss's weights where that is an image."""
-        weights = dict(zip(IMAGES, self.weights, strict=True))
-        return weights[name] if name in weights else self.gradients[name]
 
-    def _differences(self, fn, values, name, weights, group, truth=None) -> Comparison:  # noqa: ANN001
-        share = NETWORK_STEP if name.startswith(NETWORK) else STEPS.get(name, 1.0)
-        step = share * LINEAR.get(group, 1.0) * STEP
-        moves = lambda v: differences(fn, values, name, v, step)
-        return self._along("differences", name, moves, weights, self.tolerances[0], group, truth)
-
-    def _along(self, method, name, moves, weights, allowed, group, truth=None) -> Comparison:  # noqa: ANN001
-        """Compare <w, J v> with <J^T w, v> for every direction v of an input's probe."""
-        probe = self.probes[name]
-        found = [
-            sum(float((w * d.double()).sum()) for w, d in zip(weights, moves(v), strict=True))
-            for v in probe.directions()
-        ]
-        truth = self.gradients[name] if truth is None else truth
-        short = name.removeprefix(NETWORK)
-        return Comparison.along(method, short, probe, found, truth, allowed, group)
-
-    def _shown(self, x: Tensor) -> Tensor:
-        """An image with zeros at the picture's steps."""
-        return x * ~self.band.view(*self.band.shape, *[1] * (x.ndim - 2))
-
-
-def _leaves(values: Tensors, dtype: torch.dtype = torch.float64) -> Tensors:
-    return {k: v.detach().to(dtype).clone().requires_grad_() for k, v in values.items()}
+def _step(name: str, group: str) -> float:
+    """Return the step of an input's differences in a link, or in the chain."""
+    share = NETWORK_STEP if name.startswith(NETWORK) else STEPS.get(name, 1.0)
+    return share * LINEAR.get(group, 1.0) * STEP

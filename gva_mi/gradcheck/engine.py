@@ -1,17 +1,20 @@
-"""The record that every gradient check fills: comparisons, a verdict, a table, JSON."""
+"""The engine of every gradient check: comparisons by all methods, a verdict, a table, JSON."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
 from gva_mi.core.files import write_json
-from gva_mi.gradcheck.probes import Probe
+from gva_mi.gradcheck.probes import Probe, Tensors, gradients, leaves, tangents
 
+Images = Callable[[Tensors], Sequence[Tensor]]
+PRECISIONS = {"f32": torch.float32, "f64": torch.float64}
 COARSE = 1e-3  # a failing float32 comparison below this error has lost digits; above, it is wrong
 
 
@@ -46,7 +49,8 @@ class Comparison:
         method: str,
         name: str,
         probe: Probe,
-        found: Sequence[float],
+        moves: Callable[[Tensor], Sequence[Tensor]],
+        weights: Iterable[Tensor],
         gradient: Tensor,
         tolerance: float,
         group: str = "",
@@ -56,9 +60,14 @@ class Comparison:
         Args:
             method, name, tolerance, group: as in the fields.
             probe: the directions.
-            found: <w, J v> of each.
+            moves: from a direction v to J v, output by output.
+            weights: w of each output.
             gradient: J^T w, of the input's shape.
         """
+        found = [
+            sum(float((w * d.double()).sum()) for w, d in zip(weights, moves(v), strict=True))
+            for v in probe.directions()
+        ]
         values = torch.tensor(found, dtype=torch.float64)
         row = Comparison.of(method, name, values, probe.along(gradient), tolerance, group)
         return replace(row, where=((), *probe.entries)[row.where[0]])
@@ -77,6 +86,51 @@ class Comparison:
     def label(self) -> str:
         """Group and name."""
         return f"{self.group}: {self.name}" if self.group else self.name
+
+
+@dataclass(frozen=True)
+class Check:
+    """A loss L = <w, images> of named inputs, with its true images and gradients."""
+
+    values: Tensors  # the inputs, float64, of numbers that float32 holds
+    images: Tensors  # the true images (H, W, ...), by name
+    weights: Tensors  # w of each image; 0 in the band
+    truth: Tensors  # the true gradients by the inputs
+    probes: dict[str, Probe]  # directions of each input
+    band: Tensor  # (H, W) bool, pixels at a step of the picture, which are left out
+    group: str = ""  # of the comparisons
+
+    def methods(
+        self, function: Images, label: str, image: float, adjoint: float, tangent: float
+    ) -> Iterator[Comparison]:
+        """Compare images, adjoints and tangents of a function in one precision.
+
+        Args:
+            function: from the inputs to the images.
+            label: of PRECISIONS.
+            image, adjoint, tangent: the greatest errors allowed.
+        """
+        method, dtype = f"adjoint {label}", PRECISIONS[label]
+        inputs = leaves(self.values, dtype)
+        images = function(inputs)
+        for (name, true), found in zip(self.images.items(), images, strict=True):
+            inside = ~self.band.view(*self.band.shape, *[1] * (true.ndim - 2))
+            shown = found.detach().double() * inside, true * inside
+            yield Comparison.of(method, name, *shown, image, self.group)
+        found = gradients(images, inputs, [w.to(dtype) for w in self.weights.values()])
+        for name, gradient in found.items():
+            true = self.truth[name]
+            yield Comparison.of(method, name, gradient.double(), true, adjoint, self.group)
+        for name in inputs:
+            moves = partial(tangents, function, inputs, name)
+            yield self.along(f"tangent {label}", name, moves, tangent)
+
+    def along(
+        self, method: str, name: str, moves: Callable[[Tensor], Sequence[Tensor]], allowed: float
+    ) -> Comparison:
+        """Compare the derivatives of the images along the directions of an input."""
+        probe, w, gradient = self.probes[name], self.weights.values(), self.truth[name]
+        return Comparison.along(method, name, probe, moves, w, gradient, allowed, self.group)
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ direction v to the gradient J^T w.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -29,30 +29,31 @@ def images_of(scene: Scene) -> tuple[str, ...]:
     return IMAGES if scene.options.depth else IMAGES[:2]
 
 
-def draw(fn: Renderer, scene: Scene) -> Image:
-    """Render the scene."""
-    return fn(scene.gaussians, scene.camera, scene.options, scene.background)
+def drawn(fn: Renderer, scene: Scene, inputs: Tensors) -> list[Tensor]:
+    """Render the scene with other inputs; return its images."""
+    moved = scene.with_inputs(inputs)
+    image = fn(moved.gaussians, moved.camera, moved.options, moved.background)
+    return [getattr(image, name) for name in images_of(scene)]
 
 
-def loss(image: Image, weights: Tensor) -> Tensor:
-    """Return <w, image>, summed in float64 so that the sum adds no error of its own.
+def leaves(values: Tensors, dtype: torch.dtype = torch.float64) -> Tensors:
+    """Return copies of tensors in one precision, to differentiate by."""
+    return {k: v.detach().to(dtype).clone().requires_grad_() for k, v in values.items()}
+
+
+def gradients(made: Iterable[Tensor], leaves: Tensors, grads: Iterable[Tensor]) -> Tensors:
+    """Return the gradients by leaves, by their names; zero where a leaf was not used.
 
     Args:
-        image: of any precision.
-        weights: (H, W, D + 2), for the colour's channels, alpha and depth.
+        made: outputs; those that depend on no leaf count as constants.
+        leaves: inputs that need gradients.
+        grads: the loss's gradient by each output.
     """
-    color = (image.color.double() * weights[..., :-2]).sum()
-    total = color + (image.alpha.double() * weights[..., -2]).sum()
-    if image.depth is None:
-        return total
-    return total + (image.depth.double() * weights[..., -1]).sum()
-
-
-def gradients(
-    made: Sequence[Tensor], leaves: Tensors, grads: Sequence[Tensor] | None = None
-) -> Tensors:
-    """Return the gradients by leaves, by their names; zero where a leaf was not used."""
-    found = torch.autograd.grad(made, list(leaves.values()), grads, allow_unused=True)
+    pairs = [(x, g) for x, g in zip(made, grads, strict=True) if x.requires_grad]
+    if not pairs:
+        raise ValueError("gradcheck(): no image has a gradient; is the renderer differentiable?")
+    outputs, weights = zip(*pairs, strict=True)
+    found = torch.autograd.grad(outputs, list(leaves.values()), weights, allow_unused=True)
     zero = lambda g, v: torch.zeros_like(v) if g is None else g
     return {k: zero(g, v) for (k, v), g in zip(leaves.items(), found, strict=True)}
 
@@ -83,27 +84,32 @@ def differences(
     return [(8 * (a - b) - (c - d)) / (12 * step) for a, b, c, d in zip(*ends, strict=True)]
 
 
+@torch.no_grad()
+def central_differences(
+    fn: Callable[[Tensors], Sequence[Tensor]],
+    values: Tensors,
+    name: str,
+    direction: Tensor,
+    step: float,
+) -> list[Tensor]:
+    """Return J v of every output, (f(h) - f(-h)) / 2 h: second order, with the shorter reach."""
+    still = {k: v.detach() for k, v in values.items()}
+    ahead, behind = (fn(still | {name: still[name] + sign * step * direction}) for sign in (1, -1))
+    return [(a - b) / (2 * step) for a, b in zip(ahead, behind, strict=True)]
+
+
 def tangent_image(fn: Renderer, scene: Scene, name: str, direction: Tensor) -> Image:
     """Return J v of the image as one input moves along ``direction``, by forward-mode AD."""
 
-    def images(inputs: Tensors) -> list[Tensor]:
-        image = draw(fn, scene.with_inputs(inputs))
-        return [getattr(image, k) for k in images_of(scene)]
-
-    return Image(*tangents(images, scene.inputs(), name, direction))
+    return Image(*tangents(lambda x: drawn(fn, scene, x), scene.inputs(), name, direction))
 
 
 def difference_image(
     fn: Renderer, scene: Scene, name: str, direction: Tensor, step: float = 1e-6
 ) -> Image:
     """Return J v of the image by a central difference of ``step`` times ``direction``."""
-    inputs = {k: v.detach() for k, v in scene.inputs().items()}
-    ends = []
-    for sign in (1, -1):
-        moved = inputs | {name: inputs[name] + sign * step * direction}
-        ends.append(draw(fn, scene.with_inputs(moved)))
-    slope = lambda k: (getattr(ends[0], k) - getattr(ends[1], k)) / (2 * step)
-    return Image(*(slope(k) for k in images_of(scene)))
+    images = lambda inputs: drawn(fn, scene, inputs)
+    return Image(*central_differences(images, scene.inputs(), name, direction, step))
 
 
 @dataclass(frozen=True)

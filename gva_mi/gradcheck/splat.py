@@ -23,32 +23,30 @@ pixels that are that close to a step; they have weight 0 in all comparisons, and
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 import torch
-from torch import Generator, Tensor
+from torch import Generator
 
 from gva_mi.core.threads import one_torch_thread
-from gva_mi.gradcheck.engine import Comparison, Report
+from gva_mi.gradcheck.engine import PRECISIONS, Check, Comparison, Report
 from gva_mi.gradcheck.probes import (
     IMAGES,
     Probe,
     Renderer,
     Tensors,
-    difference_image,
-    draw,
+    central_differences,
+    drawn,
     gradients,
     images_of,
-    loss,
-    tangent_image,
+    leaves,
 )
 from gva_mi.splat import reference
-from gva_mi.splat.gaussians import Image
+from gva_mi.splat.camera import CameraTensors
 from gva_mi.splat.scene import Scene
 
-PRECISIONS = {"f32": torch.float32, "f64": torch.float64}
 NO_CAMERA = (
     "this renderer does not differentiate by the camera's T_camera_world and K: their gradients "
     "are missing"
@@ -141,14 +139,21 @@ def gradcheck(
     """
     with one_torch_thread():  # faster for the reference's thousands of small tensors
         generator = Generator().manual_seed(seed)
-        by_camera = _differentiates_camera(fn, scene)
-        check = _RendererCheck.of(scene, by_camera, generator)
+        by_camera, scene = _differentiates_camera(fn, scene), scene.rounded()
+        if by_camera:
+            scene = scene.with_camera_inputs().to(torch.float64)
+        check = _check_of(scene, generator)
         notes = [] if by_camera else [NO_CAMERA]
-        rows, found32 = _answers(fn, check, tolerances, notes)
-        moved = _last_digit(check.scene, generator)
-        _, other = _by_adjoint(reference.render, moved, check.weights)
+        rows = _answers(fn, scene, check, tolerances, notes)
+        images = drawn(fn, scene, leaves(scene.inputs(), torch.float32))
+        moved = leaves(_last_digit(scene.inputs(), generator))
+        other = gradients(drawn(reference.render, scene, moved), moved, check.weights.values())
     rounding = {k: Comparison.of("", k, other[k], g, 0).error for k, g in check.truth.items()}
-    off, band = _errors(found32, check.image), check.band
+    off = [
+        (image.detach().double() - true).abs()
+        for image, true in zip(images, check.images.values(), strict=True)
+    ]
+    off, band = torch.stack([off[0].amax(dim=-1), *off[1:]]).amax(dim=0), check.band
     band_error = float(off[band].max()) if band.any() else 0.0
     count = len(scene.gaussians)
     subject = f"{count} Gaussians, {band.numel()} pixels"
@@ -164,106 +169,65 @@ def gradcheck(
         band_error=band_error,
         gaussians=count,
         rounding=rounding if count else {},
-        maps=Maps(check.image.color.detach().numpy(), (off * ~band).numpy(), band.numpy()),
+        maps=Maps(check.images["color"].numpy(), (off * ~band).numpy(), band.numpy()),
     )
 
 
-@dataclass(frozen=True)
-class _RendererCheck:
-    """A scene and a loss, and the reference's image and gradients."""
-
-    scene: Scene  # float64, of numbers that float32 holds
-    band: Tensor  # (H, W) bool, pixels at a step
-    weights: Tensor  # (H, W, D + 2), for colour, alpha and depth; 0 in the band
-    image: Image
-    truth: Tensors  # gradients
-    probes: dict[str, Probe]
-
-    @staticmethod
-    def of(scene: Scene, by_camera: bool, generator: Generator) -> _RendererCheck:
-        scene = scene.rounded()
-        if by_camera:
-            scene = scene.with_camera_inputs().to(torch.float64)
-        camera, D = scene.camera, len(scene.background)
-        band = reference.threshold_band(scene.gaussians, camera, scene.options)
-        weights = torch.randn(camera.height, camera.width, D + 2, generator=generator).double()
-        weights[band] = 0
-        image, truth = _by_adjoint(reference.render, scene, weights)
-        probes = {k: Probe.among(g, ENTRIES, generator) for k, g in truth.items()}
-        return _RendererCheck(scene, band, weights, image, truth, probes)
-
-    def along(
-        self, method: str, name: str, images: Iterator[Image], tolerance: float
-    ) -> Comparison:
-        """Compare the derivative images along a probe's directions with the true gradient."""
-        found = [float(loss(image, self.weights)) for image in images]
-        return Comparison.along(method, name, self.probes[name], found, self.truth[name], tolerance)
+def _check_of(scene: Scene, generator: Generator) -> Check:
+    """Draw a loss; return it with the reference's images and gradients."""
+    camera, D = scene.camera, len(scene.background)
+    band = reference.threshold_band(scene.gaussians, camera, scene.options)
+    w = torch.randn(camera.height, camera.width, D + 2, generator=generator).double()
+    w[band] = 0
+    names, inputs = images_of(scene), leaves(scene.inputs())
+    weights = dict(zip(names, (w[..., :D], w[..., D], w[..., D + 1]), strict=False))
+    images = drawn(reference.render, scene, inputs)
+    truth = gradients(images, inputs, weights.values())
+    probes = {k: Probe.among(g, ENTRIES, generator) for k, g in truth.items()}
+    images = {name: image.detach() for name, image in zip(names, images, strict=True)}
+    return Check(scene.inputs(), images, weights, truth, probes, band)
 
 
 def _answers(
-    fn: Renderer, check: _RendererCheck, tolerances: Tolerances, notes: list[str]
-) -> tuple[list[Comparison], Image]:
-    """All comparisons of the renderer, and its float32 image."""
-    rows, images = [], {}
-    for label, dtype in PRECISIONS.items():
-        allowed = lambda of, label=label: getattr(tolerances, of + label[1:])
-        scene = check.scene.to(dtype)
+    fn: Renderer, scene: Scene, check: Check, tolerances: Tolerances, notes: list[str]
+) -> list[Comparison]:
+    """Return all comparisons of the renderer; ``notes`` receives what it lacks."""
+    rows, images = [], lambda inputs: drawn(fn, scene, inputs)
+    for label in PRECISIONS:
+        allowed = (getattr(tolerances, f"{k}{label[1:]}") for k in ("image", "adjoint", "tangent"))
+        begun = len(rows)
         try:
-            image, found = _by_adjoint(fn, scene, check.weights)
+            for row in check.methods(images, label, *allowed):
+                rows.append(row)
         except (TypeError, ValueError, RuntimeError) as error:
-            if label == "f32":
+            if len(rows) > begun and isinstance(error, NotImplementedError):
+                reason = str(error).splitlines()[0]
+                notes.append(f"this renderer has no tangent in {label}: {reason}")
+            elif label == "f32":
                 raise
-            notes.append(f"this renderer has no float64: {error}")
-            break
-        images[label], method = image, f"adjoint {label}"
-        for name in images_of(scene):
-            a, b = (getattr(of, name).detach().double() for of in (image, check.image))
-            inside = ~check.band.view(*check.band.shape, *[1] * (a.ndim - 2))
-            rows.append(Comparison.of(method, name, a * inside, b * inside, allowed("image")))
-        for name, g in found.items():
-            truth = check.truth[name]
-            rows.append(Comparison.of(method, name, g.double(), truth, allowed("adjoint")))
-        try:
-            for name, probe in check.probes.items():
-                moves = (tangent_image(fn, scene, name, v) for v in probe.directions())
-                rows.append(check.along(f"tangent {label}", name, moves, allowed("tangent")))
-        except NotImplementedError as error:
-            notes.append(f"this renderer has no tangent in {label}: {str(error).splitlines()[0]}")
-        if label == "f64":
-            for name, probe in check.probes.items():
-                h = STEP * METRES.get(name, 1.0)
-                moves = (difference_image(fn, scene, name, v, h) for v in probe.directions())
-                rows.append(check.along("differences", name, moves, tolerances.differences))
-    return rows, images["f32"]
+            else:
+                notes.append(f"this renderer has no float64: {error}")
+                return rows
+    for name in check.truth:
+        step = STEP * METRES.get(name, 1.0)
+        moves = partial(central_differences, images, check.values, name, step=step)
+        rows.append(check.along("differences", name, moves, tolerances.differences))
+    return rows
 
 
 def _differentiates_camera(fn: Renderer, scene: Scene) -> bool:
     """Whether the picture depends on the camera's tensors."""
-    seen = scene.with_camera_inputs().to(torch.float32)
-    color = draw(fn, seen).color
+    seen = scene.with_camera_inputs()
+    inputs = leaves(seen.inputs(), torch.float32)
+    color = drawn(fn, seen, inputs)[0]
     if not color.requires_grad:
         return False
-    found = torch.autograd.grad(color.sum(), list(seen.camera.tensors), allow_unused=True)
+    matrices = [inputs[name] for name in CameraTensors._fields]
+    found = torch.autograd.grad(color.sum(), matrices, allow_unused=True)
     return any(gradient is not None for gradient in found)
 
 
-def _by_adjoint(fn: Renderer, scene: Scene, weights: Tensor) -> tuple[Image, Tensors]:
-    """Return the image, and the loss's gradient by every input."""
-    image = draw(fn, scene)
-    return image, gradients([loss(image, weights)], scene.inputs())
-
-
-def _last_digit(scene: Scene, generator: Generator) -> Scene:
-    """Return the scene with every number moved by up to half a unit of its last float32 digit."""
-    moved = {}
-    for name, v in scene.inputs().items():
-        noise = torch.rand(v.shape, generator=generator, dtype=torch.float64)
-        moved[name] = v.detach() * (1 + 2**-24 * (2 * noise - 1))
-    return scene.with_inputs(moved).to(torch.float64)
-
-
-def _errors(found: Image, truth: Image) -> Tensor:
-    """Return each pixel's greatest error in colour, alpha and depth, (H, W)."""
-    names = [name for name in IMAGES if getattr(truth, name) is not None]
-    off = [(getattr(found, k).detach().double() - getattr(truth, k).detach()).abs() for k in names]
-    return torch.stack([off[0].amax(dim=-1), *off[1:]]).amax(dim=0)
+def _last_digit(inputs: Tensors, generator: Generator) -> Tensors:
+    """Return the inputs with every number moved by up to half a unit of its last float32 digit."""
+    noise = lambda v: torch.rand(v.shape, generator=generator, dtype=torch.float64)
+    return {k: v.detach() * (1 + 2**-24 * (2 * noise(v) - 1)) for k, v in inputs.items()}

@@ -114,15 +114,12 @@ def test_what_is_taken_is_refined_to_its_end(name, copied, refused_or_taken):
     refused_or_taken("refine", copied, "--passes", 1, "--size", 32, "--faces", 1000)
 
 
-@pytest.mark.parametrize(
-    "verb, part, name",
-    [
-        marked(verb, part, name)
-        for verb, (_, parts) in COMMANDS.items()
-        for part in parts
-        for name in cases.RUNS[part]
-    ],
-)
+@pytest.mark.parametrize("verb, part, name", [
+    marked(verb, part, name)
+    for verb, (_, parts) in COMMANDS.items()
+    for part in parts
+    for name in cases.RUNS[part]
+])  # fmt: skip
 def test_commands_take_a_broken_run_or_say_why(
     verb, part, name, run, subject, refused_or_taken, tmp_path
 ):

@@ -85,15 +85,11 @@ def test_every_joint_that_is_seen_and_the_place_receive_a_gradient(known, frame,
         assert found[name].isfinite().all() and (found[name] != 0).any(), name
 
 
-@pytest.mark.parametrize(
-    ("change", "reason"),
-    [
-        ({"mask": np.zeros((48, 48), "f4")}, "its mask is empty"),
-        ({"shift": (50.0, 0, 0)}, "out of view"),
-        ({"shift": (0, 0, 50.0)}, "behind the camera"),
-    ],
-    ids=["mask", "view", "behind"],
-)
+@pytest.mark.parametrize("change, reason", [
+    ({"mask": np.zeros((48, 48), "f4")}, "its mask is empty"),
+    ({"shift": (50.0, 0, 0)}, "out of view"),
+    ({"shift": (0, 0, 50.0)}, "behind the camera"),
+], ids=["mask", "view", "behind"])  # fmt: skip
 def test_a_frame_without_evidence_says_why(change, reason, frame, points):
     points = points + change.pop("shift", 0.0)
     with pytest.raises(NoEvidence, match=reason):

@@ -201,15 +201,10 @@ def test_a_long_video_is_trained_in_parts(truth, known, camera):
         torch.testing.assert_close(poses(k).transl, poses.all().transl[k : k + 1])
 
 
-@pytest.mark.parametrize(
-    ("change", "match"),
-    [
-        ({"every": 0}, "every"),
-        ({"prior_weight": 0.0}, "prior_weight"),
-        ({"learn_at": (1.5,)}, "learn_at"),
-    ],
-    ids=str,
-)
+@pytest.mark.parametrize("change, match", [
+    ({"every": 0}, "every"), ({"prior_weight": 0.0}, "prior_weight"),
+    ({"learn_at": (1.5,)}, "learn_at"),
+], ids=str)  # fmt: skip
 def test_options_that_make_no_sense_are_refused(change, match):
     with pytest.raises(InputError, match=match):
         PoseOptions(**change)

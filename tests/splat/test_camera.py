@@ -54,18 +54,15 @@ def test_position_is_what_the_pose_takes_to_the_origin():
     np.testing.assert_allclose(camera().position, (1, 2, 3), rtol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("message", "change"),
-    [
-        ("model must be one of pinhole, ortho, fisheye, got 'ftheta'", {"model": "ftheta"}),
-        ("focal lengths must be positive", {"fx": 0.0}),
-        ("must be finite", {"cx": float("nan")}),
-        ("must be rigid", {"T_camera_world": 2 * np.eye(4)}),
-        (r"T_camera_world must be \(4, 4\)", {"T_camera_world": np.eye(3)}),
-        ("size must be 1x1 to 268,435,456 pixels, got 64x0", {"height": 0}),
-        ("pixels, got 1000000000x48", {"width": 10**9}),  # 200 GB
-    ],
-)
+@pytest.mark.parametrize("message, change", [
+    ("model must be one of pinhole, ortho, fisheye, got 'ftheta'", {"model": "ftheta"}),
+    ("focal lengths must be positive", {"fx": 0.0}),
+    ("must be finite", {"cx": float("nan")}),
+    ("must be rigid", {"T_camera_world": 2 * np.eye(4)}),
+    (r"T_camera_world must be \(4, 4\)", {"T_camera_world": np.eye(3)}),
+    ("size must be 1x1 to 268,435,456 pixels, got 64x0", {"height": 0}),
+    ("pixels, got 1000000000x48", {"width": 10**9}),  # 200 GB
+])  # fmt: skip
 def test_wrong_arguments_are_named(message, change):
     with pytest.raises(ValueError, match=message):
         camera(**change)

@@ -26,15 +26,10 @@ def test_parameters_are_gsplats():
     assert list(inspect.signature(rasterization).parameters) == expected.split()
 
 
-@pytest.mark.parametrize(
-    ("sh_degree", "camera_model", "rasterize_mode"),
-    [
-        (None, "pinhole", "classic"),
-        (1, "pinhole", "antialiased"),
-        (1, "ortho", "classic"),
-        (None, "fisheye", "antialiased"),
-    ],
-)
+@pytest.mark.parametrize("sh_degree, camera_model, rasterize_mode", [
+    (None, "pinhole", "classic"), (1, "pinhole", "antialiased"), (1, "ortho", "classic"),
+    (None, "fisheye", "antialiased"),
+])  # fmt: skip
 def test_pictures_and_gradients_match_the_reference(
     arguments, gradients, sh_degree, camera_model, rasterize_mode
 ):

@@ -20,14 +20,11 @@ def test_a_round_solid_measures_the_distance_to_its_ball(solid):
     np.testing.assert_allclose(solid.distance(points), exact, atol=1e-5)
 
 
-@pytest.mark.parametrize(
-    "solid",
-    [
-        Ball((0, 0.1, 0), (0.3, 0.1, 0.2), (0.3, 0.5, -0.4)),
-        Cone((-0.2, 0, 0), (0.2, 0.1, 0), 0.1, 0.05),
-        Loft(2, [(-0.2, 0, 0, 0.1, 0.2, 0.1, 0.1), (0.2, 0, 0.1, 0.1, 0.1, 0.2, 0.1)], power=3),
-    ],
-)
+@pytest.mark.parametrize("solid", [
+    Ball((0, 0.1, 0), (0.3, 0.1, 0.2), (0.3, 0.5, -0.4)),
+    Cone((-0.2, 0, 0), (0.2, 0.1, 0), 0.1, 0.05),
+    Loft(2, [(-0.2, 0, 0, 0.1, 0.2, 0.1, 0.1), (0.2, 0, 0.1, 0.1, 0.1, 0.2, 0.1)], power=3),
+])  # fmt: skip
 def test_a_solid_lies_in_its_bounds(solid):
     points = np.random.default_rng(1).uniform(-0.5, 0.5, (3, 5000))
     inside = points[:, solid.distance(points) < 0]

@@ -1,10 +1,11 @@
-"""Good files of pose estimators and data sets, one of each form of file, as in seeds.py.
+"""Good files of estimators, data sets and networks, one of each form of file, as in seeds.py.
 
 Folders of several cameras hold out views, so that the files of all of their cameras are read.
 """
 
 import json
 import pickle
+import runpy
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -16,6 +17,7 @@ from gva_mi.data.importers.estimators import read_estimator
 from gva_mi.data.importers.prepare import prepare_folder
 from gva_mi.data.importers.prepare_options import PrepareOptions
 from gva_mi.data.importers.target import TargetBody
+from gva_mi.data.networks.normals import NormalNetwork, NormalsSpec
 from gva_mi.data.pictures import write_image
 
 W, H, T = 32, 24, 3
@@ -24,6 +26,7 @@ THETAS, ROOT, PLACE = np.full((T, 72), 0.1), np.full((T, 3), 0.1), np.tile([0.0,
 SMPLX = {"global_orient": 3, "body_pose": 63, "transl": 3, "jaw_pose": 3, "expression": 10,
          "left_hand_pose": 45, "right_hand_pose": 45, "betas": 10}  # fmt: skip
 CAMERAS = ("1", "2")
+DATA = Path(__file__).parents[1] / "data"
 
 
 def importers():
@@ -48,7 +51,7 @@ def importers():
         "romp": (romp, estimated(".")), "smplerx": (smplerx, estimated(".")),
         "tram": (tram, estimated(".")), "osx": (osx, estimated(".")),
         "zju": (zju, prepared("zju")), "easymocap": (easymocap, prepared("easymocap")),
-        "avatarrex": (avatarrex, prepared("avatarrex")),
+        "avatarrex": (avatarrex, prepared("avatarrex")), "onnx": (onnx, read_onnx),
     }  # fmt: skip
 
 
@@ -166,3 +169,15 @@ def avatarrex(folder):
     (folder / "calibration_full.json").write_text(about)
     found = arrays(T) | {"transl": PLACE, "betas": np.zeros((1, 10))}
     np.savez(folder / "smpl_params.npz", **found)
+
+
+def onnx(folder):
+    """A network of normals."""
+    runpy.run_path(str(DATA / "conftest.py"))["onnx_file"](folder / "a.onnx", (16, 16))
+
+
+def read_onnx(folder, _=None):
+    mask = np.zeros((24, 32), np.float32)
+    mask[4:20, 8:24] = 1
+    network = NormalNetwork(folder / "a.onnx", NormalsSpec("icon", (16, 16)))
+    network.see(np.full((24, 32, 3), 99, np.uint8), mask, np.array([8.0, 4, 24, 20]))

@@ -24,8 +24,8 @@ from gva_mi.splat.formats import LOAD
 OURS = ("subject", "views", "film", "synth.json", "run", "study", "gaussians", "body", "motion",
         "footage")  # fmt: skip
 IMPORTERS = ("wham", "gvhmr", "romp", "smplerx", "tram", "osx", "zju", "easymocap", "avatarrex")
-READERS = (*OURS, *IMPORTERS, "sam", "onnx")
-NIGHTLY = {"views", "synth.json", "tram", "smplerx", "easymocap", "avatarrex", "sam", "onnx"}
+READERS = (*OURS, *IMPORTERS, "onnx")
+NIGHTLY = {"views", "synth.json", "tram", "smplerx", "easymocap", "avatarrex", "onnx"}
 SECONDS, MEMORY = 20, 3 << 30  # that one file may take
 QUICK, THOROUGH = 12, 400  # files for each reader
 
@@ -41,7 +41,7 @@ mutated = module("mutations").mutated
 def seeds(subject, known):
     """For each reader, a function that writes its good files and one that reads them."""
     ours = module("seeds").seeds(subject, known)
-    return ours | module("importers").importers() | module("networks").networks()
+    return ours | module("importers").importers()
 
 
 @contextmanager

@@ -101,33 +101,3 @@ def test_a_killed_worker_is_one_sentence(sign):
         list(run([Waits(sign)], pool))
     assert "a worker process, or the scheduler, is gone" in str(error.value)
     assert "\n" not in str(error.value)
-
-
-@pytest.mark.slow
-def test_ctrl_c_does_not_wait_for_running_work(tmp_path):
-    words = f"synth {tmp_path}/new --frames 600 --workers 2".split()
-    program = [sys.executable, "-m", "gva_mi", *words]
-    with subprocess.Popen(
-        program, stderr=subprocess.PIPE, text=True, start_new_session=True
-    ) as process:
-        until = time.monotonic() + 120
-        while not (found := at_work(process.pid)) and time.monotonic() < until:
-            time.sleep(0.1)
-        os.killpg(process.pid, signal.SIGINT)
-        _, err = process.communicate(timeout=60)
-    assert found, err
-    assert process.returncode == 130 and none_is_left(found), err
-    _, told = err.rsplit("\ngva-mi: stopped; ", 1)
-    assert "Traceback" not in err and told.count("\n") == 1, err
-    assert not list(tmp_path.glob(".*"))
-
-
-def at_work(pid):
-    """Return the worker processes of a process."""
-    found = []
-    for task in Path(f"/proc/{pid}/task").glob("*/children"):
-        for child in task.read_text().split():
-            command = Path(f"/proc/{child}/cmdline")
-            if command.exists() and b"spawn_main" in command.read_bytes():
-                found.append(int(child))
-    return found

@@ -8,7 +8,7 @@ Every check returns a :class:`Report`, a list of comparisons with errors and tol
     assert report.passed, report.table()
 
 ==========================  ===========================================================
-``engine.py``               one comparison, a report, its table and JSON
+``engine.py``               comparisons by all methods, a report, its table and JSON
 ``probes.py``               directions, tangents and finite differences
 ``splat.py``                a renderer against the reference implementation
 ``avatar.py``, ``chain.py`` an avatar, link by link from pose to picture

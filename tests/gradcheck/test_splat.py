@@ -64,6 +64,7 @@ def test_every_gradient_is_right(name):
     assert report.passed and not report.notes, report.table()
     assert report.band < 0.02 * report.pixels
     assert ("depth" in {row.name for row in report.rows}) == s.options.depth
+    assert (report.maps.image.std(axis=(0, 1)).max() > 0.05) == (name != "nothing in view")
 
 
 def test_an_empty_scene():

@@ -37,7 +37,7 @@ def test_a_folder_of_a_room(body, tmp_path):
         camera = load_cameras(room / "truth/cameras.npz")[k]
         column, row = camera.project(body(pose[k], shape).vertices[0].double().numpy()).T
         seen = frame.mask[row.astype(int), column.astype(int)]
-        assert (seen > 0).mean() > 0.97 and seen.mean() > 0.8
+        assert (seen > 0).mean() > 0.97
     held_out = read_image(room / "truth/novel_pose/frames/000000.png", 3)
     mask = read_image(room / "truth/novel_pose/masks/000000.png", 1)
     assert (held_out[mask == 0] == 255).all()

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from gva_mi.core.errors import InputError
+from gva_mi.data.film_colors import HDR, rgb_of
 from gva_mi.data.pictures import decoding, open_film, require_size, size_of, turned
 
 KEPT = 1 << 27  # bytes of decoded pictures: 43 of 1920 x 1080 in 4:2:0
@@ -33,10 +34,19 @@ class Film(Sequence[np.ndarray]):
         self._at: tuple[int, Iterator[Any], Any] | None = None  # number of the next one
         self._near, self._kept = _Near(kept), kept
         with open_film(self.path) as container:
+            self._tick = float(container.streams.video[0].time_base or 0)
+            self.hdr: str | None = None  # the name of its transfer of high dynamic range
             for frame in self._decoded(container):
                 self._take(frame)
         if not self.sizes:
             raise InputError(f"{path}: holds no picture")
+
+    @property
+    def times(self) -> np.ndarray | None:
+        """Seconds at which the pictures are shown, (T,); None if the film does not say."""
+        if self._tick == 0 or None in self._moments:
+            return None
+        return (np.array(self._moments, np.float64) - self._moments[0]) * self._tick
 
     def __len__(self) -> int:
         return len(self.sizes)
@@ -68,6 +78,7 @@ class Film(Sequence[np.ndarray]):
         if frame.key_frame:
             self._keys.append(len(self))
         self._near.put(len(self), frame)
+        self.hdr = HDR.get(frame.color_trc, self.hdr)
         self.sizes.append(size_of(frame))
         self._moments.append(frame.pts)
 
@@ -127,9 +138,8 @@ class _Near:
         if self._converter is None:
             self._converter = VideoReformatter()
         frame = self._frames[number]
-        found = self._converter.reformat(frame, format="rgb24")
-        array = turned(found.to_ndarray(), frame)  # may share the frame's memory
-        return array.copy() if found is frame else array
+        array = turned(rgb_of(frame, self._converter), frame)  # may share the frame's memory
+        return array.copy() if frame.format.name == "rgb24" else array
 
 
 def _bytes_of(frame: Any) -> int:  # noqa: ANN401 (as _decoded)

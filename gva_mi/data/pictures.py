@@ -13,6 +13,7 @@ import numpy as np
 from gva_mi.core.atomic import atomic_write
 from gva_mi.core.errors import MALFORMED, InputError, reason_of
 from gva_mi.core.files import require_room
+from gva_mi.data.film_colors import rgb_of
 from gva_mi.data.mattes import matte_of
 
 if TYPE_CHECKING:
@@ -145,6 +146,8 @@ def open_film(path: Path) -> av.container.InputContainer:
 
     with decoding(path):
         container = av.open(str(path))
+        if not container.streams.video:
+            raise InputError(f"{path}: holds no picture, only sound; expected a film")
         stream = container.streams.video[0]
         require_size(str(path), stream.width, stream.height)
         return container
@@ -166,9 +169,9 @@ def decoding(path: Path) -> Iterator[None]:
 def pixels_of(frame: av.VideoFrame, form: str) -> np.ndarray:
     """Return a decoded frame as a picture (H, W, C) 8-bit, turned as its metadata say.
 
-    ``form`` is FFmpeg's name of the pixels' format, such as "rgb24".
+    ``form`` is FFmpeg's name of the pixels' format: "rgb24", or "rgba" for masks.
     """
-    return turned(frame.to_ndarray(format=form), frame)
+    return turned(rgb_of(frame) if form == "rgb24" else frame.to_ndarray(format=form), frame)
 
 
 def turned(pixels: np.ndarray, frame: av.VideoFrame) -> np.ndarray:

@@ -30,6 +30,7 @@ from gva_mi.data.pictures import opened
 
 RECORDED = "recorded"  # in the place of a focal length: what the file says
 PIXELS = Within(0, 1e6, "low", "pixels")
+MILLIMETRES = Within(1, 2000, unit="mm")  # of 35 mm film: from fisheye lenses to telescopes
 EXPECTED = f"a focal length in pixels, such as 1450, as of 35 mm film, such as 26mm, or {RECORDED}"
 CAMERA = 'a camera such as {"focal": [fx, fy], "princpt": [cx, cy]}'
 NEARLY = 0.1  # of a focal length's logarithm: a smaller difference is not worth a note
@@ -127,12 +128,15 @@ def in_pixels(millimetres: float, size: tuple[int, int]) -> float:
 
 def recorded(source: Pictures, size: tuple[int, int]) -> float | None:
     """Return the focal length (pixels) recorded in the film or first picture; None without one."""
-    files = files_of(source)
-    if files is None:
-        found = in_pixels(numbers(source).get(_QUICKTIME, 0), size)
-    else:
-        found = _of_photograph(files[0], size)
+    found = in_pixels(recorded_35mm(source) or 0.0, size)
     return found if found in PIXELS else None
+
+
+def recorded_35mm(source: Pictures) -> float | None:
+    """Return the 35 mm focal length (mm) that the film or first picture records, if it does."""
+    files = files_of(source)
+    found = numbers(source).get(_QUICKTIME, 0) if files is None else _of_photograph(files[0])
+    return found if found in MILLIMETRES else None
 
 
 def asked_for(text: str, of_file: float | None, size: tuple[int, int]) -> float:
@@ -157,14 +161,10 @@ def asked_for(text: str, of_file: float | None, size: tuple[int, int]) -> float:
     return found
 
 
-def _of_photograph(path: Path, size: tuple[int, int]) -> float:
-    """Return the focal length that EXIF records, in pixels; 0 without one."""
+def _of_photograph(path: Path) -> float:
+    """Return the 35 mm focal length (mm) that EXIF records; 0 without one."""
     with opened(path) as image:
         try:
-            tags = image.getexif().get_ifd(_EXIF)
-        except MALFORMED:  # the picture is readable without its tags
+            return float(image.getexif().get_ifd(_EXIF).get(_IN_35MM, 0))
+        except (*MALFORMED, ZeroDivisionError):  # the picture is readable without its tags
             return 0.0
-    try:
-        return in_pixels(float(tags.get(_IN_35MM, 0)), size)
-    except (TypeError, ValueError, ZeroDivisionError):
-        return 0.0

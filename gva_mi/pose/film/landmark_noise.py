@@ -45,23 +45,23 @@ class BoneDepth(NamedTuple):
 
 # From and to; both of one side unless the names say otherwise.
 BONES = {
-    ("shoulder", "elbow"): BoneDepth(0.6, 0.0, 0.04),
-    ("elbow", "wrist"): BoneDepth(0.45, -0.03, 0.07),
-    ("hip", "knee"): BoneDepth(0.6, 0.02, 0.04),
-    ("knee", "ankle"): BoneDepth(0.4, 0.05, 0.035),
-    ("ankle", "foot_index"): BoneDepth(0.25, -0.06, 0.03),
-    ("shoulder", "hip"): BoneDepth(0.7, 0.02, 0.04),
-    ("left_shoulder", "right_shoulder"): BoneDepth(1.0, 0.0, 0.04),
-    ("left_hip", "right_hip"): BoneDepth(1.4, 0.0, 0.04),
-    ("nose", "ear"): BoneDepth(1.0, 0.0, 0.03),
-    ("left_ear", "right_ear"): BoneDepth(0.9, 0.0, 0.03),
-    ("wrist", "index"): BoneDepth(0.4, -0.025, 0.02),
-    ("wrist", "pinky"): BoneDepth(0.3, -0.01, 0.02),
-    ("index", "pinky"): BoneDepth(0.35, 0.015, 0.012),
-    ("hand_wrist", "hand_middle_mcp"): BoneDepth(0.4, -0.03, 0.03),
-    ("hand_index_mcp", "hand_pinky_mcp"): BoneDepth(0.5, 0.0, 0.025),
+    ("shoulder", "elbow"): BoneDepth(0.6, 0.0, 0.08),
+    ("elbow", "wrist"): BoneDepth(0.45, -0.03, 0.14),
+    ("hip", "knee"): BoneDepth(0.6, 0.02, 0.08),
+    ("knee", "ankle"): BoneDepth(0.4, 0.05, 0.07),
+    ("ankle", "foot_index"): BoneDepth(0.25, -0.06, 0.06),
+    ("shoulder", "hip"): BoneDepth(0.7, 0.02, 0.08),
+    ("left_shoulder", "right_shoulder"): BoneDepth(1.0, 0.0, 0.08),
+    ("left_hip", "right_hip"): BoneDepth(1.4, 0.0, 0.08),
+    ("nose", "ear"): BoneDepth(1.0, 0.0, 0.06),
+    ("left_ear", "right_ear"): BoneDepth(0.9, 0.0, 0.06),
+    ("wrist", "index"): BoneDepth(0.4, -0.025, 0.04),
+    ("wrist", "pinky"): BoneDepth(0.3, -0.01, 0.04),
+    ("index", "pinky"): BoneDepth(0.35, 0.015, 0.024),
+    ("hand_wrist", "hand_middle_mcp"): BoneDepth(0.4, -0.03, 0.06),
+    ("hand_index_mcp", "hand_pinky_mcp"): BoneDepth(0.5, 0.0, 0.05),
 }
-PHALANX = BoneDepth(0.3, 0.0, 0.01)  # every bone of a finger
+PHALANX = BoneDepth(0.3, 0.0, 0.015)  # every bone of a finger
 _FINGERS = {
     "thumb": ("cmc", "mcp", "ip", "tip"),
     **{name: ("mcp", "pip", "dip", "tip") for name in ("index", "middle", "ring", "pinky")},

@@ -24,7 +24,7 @@ from gva_mi.pose.film.normal_equations import NormalEquations
 from gva_mi.pose.stage1 import turns_between
 
 PLACE = (8.0, 1.5)  # a, v of the person: m/s², m/s
-JOINT = (40.0, 6.0)  # rad/s², rad/s
+JOINT = (120.0, 10.0)  # rad/s², rad/s
 FINGER = (40.0, 6.0)
 
 

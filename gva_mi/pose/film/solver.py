@@ -71,6 +71,7 @@ def solve_film(
     fps: float,
     height: float | None = None,
     focal: float | None = None,
+    centre: tuple[float, float] | None = None,
     progress: Progress | None = None,
 ) -> SolvedFilm:
     """Find poses, shape and camera of one person before a camera that stands still.
@@ -83,6 +84,7 @@ def solve_film(
         height: of the person, metres; None: a prior of people's heights, which leaves size and
             distance uncertain by 5 %.
         focal: focal length, pixels; None: a prior around a field of view of 60°.
+        centre: principal point, pixels; None: the middle of the picture.
         progress: called as ``progress(done, total)``.
 
     Raises:
@@ -96,7 +98,7 @@ def solve_film(
         raise InputError(f"solve_film(): focal must be positive, got {focal}")
     report = progress or (lambda done, total, **figures: None)
     with one_torch_thread(), torch.no_grad():
-        film = _Film.of(landmarks, body, size, fps, height, focal)
+        film = _Film.of(landmarks, body, size, fps, height, focal, centre)
         state = film.first()
         state, _ = film.body_problem(state, starting=True).minimised(state, START)
         report(1, 4)
@@ -133,11 +135,13 @@ class _Film:
         fps: float,
         height: float | None,
         focal: float | None,
+        centre: tuple[float, float] | None,
     ) -> _Film:
         rig = LandmarkRig.of(body, sorted(landmarks.names))
         noise = LandmarkNoise.of(landmarks, rig.names)
         f = focal or size[0] / 2 / np.tan(np.radians(FIELD) / 2)
-        K = np.array([[f, 0, size[0] / 2], [0, f, size[1] / 2], [0, 0, 1]])
+        cx, cy = centre or (size[0] / 2, size[1] / 2)
+        K = np.array([[f, 0, cx], [0, f, cy], [0, 0, 1]])
         return _Film(landmarks, body, size, 1 / fps, height, focal, rig, noise, K)
 
     def first(self) -> FilmState:

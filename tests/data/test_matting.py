@@ -72,3 +72,12 @@ def test_the_same_film_gives_the_same_bits(film, tmp_path):
     for name in ("a", "b"):
         film_masks(pictures, rough, tmp_path / name)
     assert (found(tmp_path / "a") == found(tmp_path / "b")).all()
+
+
+def test_a_hand_held_camera_is_followed(film, tmp_path):
+    pictures, truth, rough = film
+    ways = [(round(3 * np.sin(k)), round(2 * np.cos(2 * k))) for k in range(T)]
+    shaken = lambda images: [np.roll(x, way, (0, 1)) for x, way in zip(images, ways, strict=True)]
+    (note,) = film_masks(shaken(pictures), shaken(rough), tmp_path)
+    assert "the camera moves" in note
+    assert iou(found(tmp_path) > 0.5, np.array(shaken(truth)) > 0.5) > 0.975

@@ -10,6 +10,7 @@ A network knows roughly where the person is; the pictures know exactly where the
 :mod:`.odds`      evidence of each pixel: person or background
 :mod:`.cut`       the smoothest outline that agrees with the evidence
 :mod:`.alpha`     how much of each outline pixel is the person
+:mod:`.scene`     what a film shows as a whole, and the mask of one picture
 :mod:`.film`      all of it for a film: start here
 ================  ==========================================================================
 """

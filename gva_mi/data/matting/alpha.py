@@ -8,7 +8,8 @@ A pixel there mixes the person's colour F and the background's B:
 with the noise n of a colour and the variance V of the person's colours around. F is their mean
 just inside. B is the plate, times the shade s that is seen just outside; where the plate is a guess
 it is the mean colour just outside. The cut says something, too: blurred a little, it is another
-estimate of a, of variance w. The result is the mean of both, weighted by the inverse variances.
+estimate of a, whose variance w falls with the distance from the cut. The result is the mean of
+both, weighted by the inverse variances.
 """
 
 from __future__ import annotations
@@ -18,9 +19,9 @@ import numpy as np
 from gva_mi.data.matting.plate import Plate
 
 BAND = 3  # pixels on each side of the cut whose share is open
-REACH = 9  # pixels, side of the squares whose means are F, s and the colour outside
-BLUR = 0.7  # pixels, of the step b
-STEP_DOUBT = 0.15  # square root of w
+REACH = 7  # pixels, side of the squares whose means are F, s and the colour outside
+BLUR = 0.6  # pixels, of the cut
+DOUBT, FADES = 0.2, 1.2  # square root of w at the cut; pixels in which it falls to a share 1 / e
 NOISE = 0.02  # n
 
 
@@ -31,12 +32,12 @@ def outline_alpha(image: np.ndarray, inside: np.ndarray, plate: Plate) -> np.nda
     """
     from scipy.ndimage import distance_transform_edt, gaussian_filter
 
-    away = np.where(inside, distance_transform_edt(inside), distance_transform_edt(~inside)) - 0.5
+    away = distance_transform_edt(inside) + distance_transform_edt(~inside) - 0.5
     open_ = away < BAND
     alpha = inside.astype(np.float32)
     if not open_.any() or inside.all():
         return alpha
-    step = gaussian_filter(alpha, BLUR)
+    blurred = gaussian_filter(alpha, BLUR)
     sure, bare = inside & ~open_, ~inside & ~open_
     F, V = _mean_around(image, sure)
     outside, _ = _mean_around(image, bare)
@@ -47,8 +48,8 @@ def outline_alpha(image: np.ndarray, inside: np.ndarray, plate: Plate) -> np.nda
     span = np.einsum("ijk,ijk->ij", F - B, F - B) + 1e-6
     share = (np.einsum("ijk,ijk->ij", image - B, F - B) / span).clip(0, 1)
     doubt = (NOISE**2 + share**2 * V) / span
-    w = STEP_DOUBT**2
-    mixed = (share * w + step * doubt) / (w + doubt)
+    w = (DOUBT * np.exp(-away / FADES)) ** 2
+    mixed = (share * w + blurred * doubt) / (w + doubt)
     return np.where(open_, mixed, alpha).astype(np.float32)
 
 

@@ -32,7 +32,7 @@ def smoothest_cut(
         start: u to start from (H, W).
         steps: iterations.
     """
-    right, below = price
+    right, below = (x.astype(np.float32) for x in price)
     u = start.astype(np.float32)
     v = u.copy()
     p, q = np.zeros_like(right), np.zeros_like(below)

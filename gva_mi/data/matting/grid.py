@@ -34,13 +34,31 @@ class WorkGrid:
         """Pixels of the grid per pixel of the picture."""
         return self.size[0] / (self.box[3] - self.box[1])
 
+    def heights(self, extent: np.ndarray) -> np.ndarray:
+        """Return each row's height (h,): 0 at the top of an extent (4,) of pixels, 1 at its end."""
+        rows = self.box[1] + (np.arange(self.size[0]) + 0.5) / self.scale
+        return (rows - extent[1]) / (extent[3] - extent[1])
+
+    def in_shares(self, A: np.ndarray) -> np.ndarray:
+        """Convert an affine map (3, 3) of shares of the picture to one of shares of the grid.
+
+        Shares go from -1 to 1 over the width and the height.
+        """
+        left, top, right, bottom = self.box
+        pixels = lambda x0, y0, w, h: np.array(
+            [[w / 2, 0, x0 + w / 2], [0, h / 2, y0 + h / 2], [0, 0, 1]]
+        )
+        whole = pixels(0, 0, *self.picture[::-1])
+        part = np.linalg.inv(whole) @ pixels(left, top, right - left, bottom - top)
+        return np.linalg.inv(part) @ A @ part
+
     def cut(self, image: np.ndarray) -> np.ndarray:
         """Return an image (H, W) or (H, W, C) of the whole picture, 8-bit, on the grid."""
         from PIL import Image
 
         left, top, right, bottom = self.box
         if self.size == (bottom - top, right - left):
-            return image[top:bottom, left:right]
+            return np.ascontiguousarray(image[top:bottom, left:right])
         part = Image.fromarray(np.ascontiguousarray(image[top:bottom, left:right]))
         return np.asarray(part.resize(self.size[::-1], Image.Resampling.BILINEAR))
 

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gva_mi.data.matting.camera import moved
+
 SEEN = 3  # pictures that have to show a pixel of the background
 LEAST = 0.012  # smallest spread, of colours in [0, 1]: noise and compression
 GUESSED = 0.06  # spread of a colour that is continued from the nearest pixel, and per further
@@ -26,10 +28,10 @@ class Plate:
     seen: np.ndarray  # (h, w) bool: where the background was seen; elsewhere the colour is a guess
 
     @staticmethod
-    def gather(pictures: np.ndarray, bare: np.ndarray) -> Plate | None:
-        """Return the plate of pictures (N, h, w, 3) 8-bit where ``bare`` (N, h, w) of the person.
+    def gather(pictures: np.ndarray, bare: np.ndarray) -> Plate:
+        """Return the plate of pictures (N, h, w, 3) 8-bit, where ``bare`` (N, h, w) of the person.
 
-        None if no pixel was seen often enough.
+        It says nothing if no pixel was seen often enough.
         """
         count = bare.sum(0)
         color = np.zeros(pictures.shape[1:], np.float32)
@@ -42,7 +44,27 @@ class Plate:
             away = _median(np.abs(values - middle), shown).mean(-1)
             spread[part] = np.maximum(LEAST, 1.4826 / 255 * away)
         seen = count >= min(SEEN, len(pictures))
-        return None if not seen.any() else Plate(*_continued(color, spread, seen), seen)
+        if not seen.any():
+            return Plate.unknown(seen.shape)
+        return Plate(*_continued(color, spread, seen), seen)
+
+    @staticmethod
+    def unknown(shape: tuple[int, int]) -> Plate:
+        """Return a plate (h, w) that says nothing."""
+        h, w = shape
+        grey, wide = np.full((h, w, 3), 0.5, np.float32), np.ones((h, w), np.float32)
+        return Plate(grey, wide, np.zeros((h, w), bool))
+
+    def part(self, part: tuple[slice, slice]) -> Plate:
+        """Return some rows and columns."""
+        return Plate(self.color[part], self.spread[part], self.seen[part])
+
+    def moved(self, A: np.ndarray) -> Plate:
+        """Return the plate (A x), as in :func:`.camera.moved`; what it lacks is a guess."""
+        both = moved(np.concatenate([self.color, self.spread[..., None]], -1), A)
+        seen = moved(self.seen[..., None], A, outside=0)[..., 0] > 0.99
+        spread = np.where(seen, both[..., 3], np.maximum(both[..., 3], np.float32(GUESSED)))
+        return Plate(both[..., :3], spread, seen)
 
 
 def _median(values: np.ndarray, shown: np.ndarray) -> np.ndarray:

@@ -1,0 +1,157 @@
+"""What a film shows as a whole, and the mask of one picture that follows from it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gva_mi.data.matting.alpha import outline_alpha
+from gva_mi.data.matting.camera import moved
+from gva_mi.data.matting.colors import ColorsByHeight
+from gva_mi.data.matting.cut import smoothest_cut
+from gva_mi.data.matting.odds import log_odds
+from gva_mi.data.matting.plate import Plate
+
+POSSIBLE, CERTAIN = 0.05, 0.95  # probabilities: below the one is background, above the other person
+NEAR = 4, 3  # pixels around what is possible that count as possible, too: by the network, the cut
+INNER = 2  # pixels inside of the outline whose colours are not counted
+AROUND = 0.12  # of the person's longer side: where a picture is looked at beyond what is possible
+PRICE, FLAT_PRICE, EDGE = 1.5, 4.0, 0.1  # of an outline: anywhere; more where colours differ less
+# than EDGE
+STEPS = 50  # of the cut
+ISLAND = 0.002  # share of the largest piece's area: smaller ones are dropped
+HOLE = 0.01  # share of the person's area: smaller holes are filled where the plate is a guess
+
+
+@dataclass(frozen=True)
+class GridPicture:
+    """One picture on the working grid."""
+
+    image: np.ndarray  # (h, w, 3) 8-bit
+    probability: np.ndarray  # (h, w) float32 in [0, 1], of the person
+    height: np.ndarray  # (h,) of each row: 0 at the person's highest pixel, 1 at the lowest
+    motion: np.ndarray | None  # (3, 3) from the plate to this picture, as in camera.py; None: lost
+
+
+@dataclass(frozen=True)
+class FilmScene:
+    """The background, and the colours of person and background."""
+
+    plate: Plate
+    person: ColorsByHeight
+    background: ColorsByHeight
+
+    @staticmethod
+    def gather(views: Sequence[GridPicture]) -> FilmScene:
+        """Gather the scene: by the probabilities, then by the masks found with these."""
+        from scipy.ndimage import binary_dilation, binary_erosion
+
+        inside = [view.probability > CERTAIN for view in views]
+        possible = [view.probability > POSSIBLE for view in views]
+        for near in NEAR:
+            outside = [~binary_dilation(x, iterations=near) for x in possible]
+            person, background = ColorsByHeight(), ColorsByHeight()
+            for k, view in enumerate(views):
+                person.add(view.image, binary_erosion(inside[k], iterations=INNER), view.height)
+                background.add(view.image, outside[k], np.linspace(0, 1, len(view.image)))
+            scene = FilmScene(_plate(views, outside), person, background)
+            if near == NEAR[0]:
+                inside = [scene.inside(view) for view in views]
+                possible = [
+                    x | (view.probability > CERTAIN) for x, view in zip(inside, views, strict=True)
+                ]
+        return scene
+
+    def mask(self, view: GridPicture) -> np.ndarray:
+        """Return the mask (h, w) float32 in [0, 1] of a picture."""
+        part, plate = _looked_at(view), self._plate_in(view)
+        mask = np.zeros(view.probability.shape, np.float32)
+        image = view.image[part].astype(np.float32) / 255
+        mask[part] = outline_alpha(image, self.inside(view)[part], plate.part(part))
+        return mask
+
+    def inside(self, view: GridPicture) -> np.ndarray:
+        """Return where the person is in a picture (h, w) bool."""
+        part = _looked_at(view)
+        image, P = view.image[part], view.probability[part]
+        plate, rows = self._plate_in(view).part(part), view.height[part[0]]
+        grid_rows = np.linspace(0, 1, len(view.image))[part[0]]
+        person, background = (
+            self.person.density(image, rows),
+            self.background.density(image, grid_rows),
+        )
+        image = image.astype(np.float32) / 255
+        odds = log_odds(image, P, rows, plate, person, background)
+        prices = [
+            PRICE + FLAT_PRICE * np.exp(-((np.abs(np.diff(image, axis=k)).max(-1) / EDGE) ** 2))
+            for k in (1, 0)
+        ]
+        cut = smoothest_cut(odds, (prices[0], prices[1]), odds > 0, STEPS) > 0.5
+        whole = np.zeros(view.probability.shape, bool)
+        whole[part] = _filled(_person_alone(cut, P), P, plate)
+        return whole
+
+    def _plate_in(self, view: GridPicture) -> Plate:
+        """Return the plate as a picture's camera sees it."""
+        if view.motion is None:
+            return Plate.unknown(view.probability.shape)
+        if (view.motion == np.eye(3)).all():
+            return self.plate
+        return self.plate.moved(np.linalg.inv(view.motion))
+
+
+def _plate(views: Sequence[GridPicture], outside: Sequence[np.ndarray]) -> Plate:
+    """Gather the plate of pictures, as the reference's camera sees them."""
+    images, bare = [], []
+    for view, out in zip(views, outside, strict=True):
+        if view.motion is None:
+            continue
+        image = view.image
+        if not (view.motion == np.eye(3)).all():
+            image = np.round(moved(image, view.motion)).astype(np.uint8)
+            out = moved(out[..., None], view.motion, outside=0)[..., 0] > 0.99
+        images.append(image)
+        bare.append(out)
+    return Plate.gather(np.stack(images), np.stack(bare))
+
+
+def _looked_at(view: GridPicture) -> tuple[slice, slice]:
+    """Return rows and columns of a picture that may show the person."""
+    possible = view.probability > POSSIBLE
+    rows, columns = (np.flatnonzero(possible.any(axis)) for axis in (1, 0))
+    if not len(rows):
+        return slice(0, 1), slice(0, 1)
+    border = round(AROUND * max(np.ptp(rows), np.ptp(columns)) + 2)
+    return tuple(slice(max(0, x[0] - border), x[-1] + 1 + border) for x in (rows, columns))
+
+
+def _person_alone(inside: np.ndarray, probability: np.ndarray) -> np.ndarray:
+    """Drop pieces (h, w) bool that are small, or that the network holds for background."""
+    from scipy.ndimage import label
+
+    pieces, count = label(inside)
+    if count < 2:
+        return inside
+    area = np.bincount(pieces.ravel())[1:]
+    likely = np.bincount(pieces.ravel(), probability.ravel())[1:] / area
+    kept = (area >= ISLAND * area.max()) & ((likely > 0.3) | (area == area.max()))
+    return np.concatenate([[False], kept])[pieces]
+
+
+def _filled(inside: np.ndarray, probability: np.ndarray, plate: Plate) -> np.ndarray:
+    """Fill small holes (h, w) bool that the network does not see, where the plate is a guess.
+
+    There a hole may be skin before a wall of its colour. Where the plate was seen, it is a hole.
+    """
+    from scipy.ndimage import label
+
+    pieces, count = label(~inside)
+    if not count:
+        return inside
+    mean = lambda x: np.bincount(pieces.ravel(), x.ravel(), count + 1) / area
+    area = np.maximum(np.bincount(pieces.ravel(), minlength=count + 1), 1)
+    fill = (area < HOLE * inside.sum()) & (mean(probability) > 0.9) & (mean(plate.seen) < 0.5)
+    fill[0] = True
+    return fill[pieces]

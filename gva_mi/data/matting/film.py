@@ -51,7 +51,7 @@ def film_masks(
     shown = np.flatnonzero(extents[:, 2] > 0)
     notes: list[str] = []
     if len(shown):
-        film = _Film(pictures, probabilities, extents, shown)
+        film = _FilmOnGrid(pictures, probabilities, extents, shown)
         scene = FilmScene.gather([film.view(k) for k in _spread(shown, GATHERED)])
         notes = film.notes()
         if scene.plate.seen.any() and np.median(scene.plate.spread[scene.plate.seen]) > UNSTEADY:
@@ -80,7 +80,7 @@ def extent(probability: np.ndarray) -> np.ndarray:
 
 
 @dataclass
-class _Film:
+class _FilmOnGrid:
     """A film's pictures on their working grid, and its camera's motion."""
 
     pictures: Sequence[np.ndarray]

@@ -19,6 +19,7 @@ INTERRUPTED, BROKEN_PIPE = 130, 141  # a shell's for SIGINT and SIGPIPE
 WHOLE = "every file that is there is whole"
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # full disk, quota, largest file
 AFTER_STOP = {  # how to continue after Ctrl-C
+    "avatar": "the same command goes on with it",
     "fit": "--resume goes on with it",
     "render": "the same command goes on with it",
     "study": "the same command goes on with it",

@@ -1,18 +1,24 @@
-"""The command ``gva-mi motion``: convert another program's motion to poses that drive an avatar."""
+"""The command ``gva-mi motion``: make poses that drive an avatar, of a motion file or a film."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Annotated
 
 from tyro.conf import Positional
 
 from gva_mi.body.pose import save_poses
 from gva_mi.cli.arguments import Flat, Switch
-from gva_mi.core.console import say
+from gva_mi.core.console import bar, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import require_room
-from gva_mi.data.importers.motions import MotionOptions, read_motion
+from gva_mi.data.importers.motions import Motion, MotionOptions, motion_of_poses, read_motion
 from gva_mi.data.importers.target import TargetBody
+from gva_mi.pose.film.prepare_film import FilmOptions, motion_of_film, nth_person
+from gva_mi.pose.stature import PEOPLE
+
+FILMS = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".gif")
 
 
 def motion(
@@ -20,15 +26,19 @@ def motion(
     out: Positional[Path],
     options: Flat[MotionOptions] = MotionOptions(),  # noqa: B008 (frozen)
     *,
+    height: Annotated[float, PEOPLE] | None = None,
     body: Path | None = None,
     overwrite: Switch = False,
 ) -> None:
-    """Convert a motion of AMASS, AIST++, a pose estimator, or the like into poses.
+    """Make poses of a motion of AMASS, AIST++, a pose estimator or the like, or of a film.
 
     Args:
-        source: .npz, .npy, .pkl or .pt, or an estimator's folder; pickles run no code.
+        source: .npz, .npy, .pkl or .pt, or an estimator's folder; pickles run no code. Or a film,
+            whose largest person moves, or the --person of this number from the left.
         out: the poses, .npz.
         options: options of the conversion.
+        height: of a film's person, metres; without it an average one, so that steps may be too
+            long or too short.
         body: the avatar's body, if it is not the built-in body: its pelvis stays in place when
             the world is turned upright, and hands that are components of a PCA are its own.
         overwrite: replace an existing file.
@@ -36,8 +46,26 @@ def motion(
     if out.suffix != ".npz":
         raise InputError(f"{out}: a file of poses ends in .npz")
     require_room(out, overwrite)
-    found = read_motion(source, TargetBody.read(body), options)
+    target = TargetBody.read(body)
+    if source.suffix.lower() in FILMS:
+        found = _of_film(source, target, options, height)
+    elif height is not None:
+        raise InputError(f"motion: --height is for films ({', '.join(FILMS)}); got {source}")
+    else:
+        found = read_motion(source, target, options)
     save_poses(out, found.pose, found.shape, stage=1)
     for note in found.notes:
         say(f"{source}: {note}")
     say(f"{len(found.pose)} poses: {out}")
+
+
+def _of_film(film: Path, body: TargetBody, options: MotionOptions, height: float | None) -> Motion:
+    """Return the motion of one person in a film."""
+    with bar("motion") as progress:
+        found = motion_of_film(
+            film, FilmOptions(height=height), body.model, person=nth_person(options.person),
+            progress=progress,
+        )  # fmt: skip
+    solved, fps = found.solved, found.pictures.fps
+    motion = motion_of_poses(str(film), solved.pose, solved.shape, fps, body, options)
+    return replace(motion, notes=(*motion.notes, *found.notes))

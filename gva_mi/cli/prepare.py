@@ -1,4 +1,4 @@
-"""The command ``gva-mi prepare``: a video and a pose estimator's output, as a subject's folder."""
+"""The command ``gva-mi prepare``: a film, or a video and an estimator's output, as a subject."""
 
 from __future__ import annotations
 
@@ -17,9 +17,12 @@ from gva_mi.data.importers.estimators import KINDS
 from gva_mi.data.importers.prepare import prepare_folder
 from gva_mi.data.importers.prepare_options import PrepareOptions
 from gva_mi.data.importers.target import TargetBody
+from gva_mi.pose.film.prepare_film import FilmOptions, nth_person, prepare_film
 
+FILM = "film"
 _HELP = (
-    f"of the estimator: {', '.join(KINDS)}; or of the data set: {', '.join(DATASETS)}; "
+    f"{FILM}, of which everything is estimated here; or the estimator: {', '.join(KINDS)}; or the "
+    f"data set: {', '.join(DATASETS)}; "
     '"auto" recognises it by its keys and files'
 )
 
@@ -28,27 +31,55 @@ def prepare(
     kind: Annotated[Positional[str], arg(help=_HELP)],
     source: Positional[Path],
     out: Positional[Path],
-    options: Flat[PrepareOptions],
+    options: Flat[PrepareOptions] = PrepareOptions(),  # noqa: B008 (frozen)
+    film: Flat[FilmOptions] = FilmOptions(),  # noqa: B008 (frozen)
     *,
     overwrite: Switch = False,
 ) -> None:
-    """Make a subject's folder of a video, masks, and what a pose estimator wrote; or a data set.
+    """Make a subject's folder of a film; of a video, masks and an estimator's file; or a data set.
 
     Args:
         kind: kind of the source.
-        source: the estimator's file or folder, or the data set's folder of one subject; pickles
-            run no code.
+        source: the film, or a folder of its pictures; the estimator's file or folder; or the data
+            set's folder of one subject; pickles run no code.
         out: the subject's folder.
         options: pictures, masks, lens and body that belong to the source.
+        film: of a film.
         overwrite: replace a folder that was prepared here.
     """
-    if kind != "auto" and kind not in (kinds := {**KINDS, **DATASETS}):
-        raise InputError(f"prepare: kind must be auto, {', '.join(kinds)}; got {kind}")
-    body = TargetBody.read(options.body)
+    if kind not in ("auto", FILM) and kind not in (kinds := {**KINDS, **DATASETS}):
+        raise InputError(f"prepare: kind must be auto, {FILM}, {', '.join(kinds)}; got {kind}")
+    if kind == FILM:
+        _require_of_film(options)
+    elif film != FilmOptions():
+        raise InputError(f"prepare: {_given(film, FilmOptions())} is for a {FILM}; got {kind}")
+    elif options.body is None:
+        raise InputError("prepare: give --body, the body of the poses; puppet is the built-in one")
+    body = None if kind == FILM else TargetBody.read(options.body)
     if not overwrite and (out / PREPARED).exists():
         raise InputError(f"{out}: was prepared already; give --overwrite to replace it")
     with atomic_dir(out, PREPARED if overwrite else None) as folder, bar("prepare") as progress:
-        notes = prepare_folder(folder, kind, source, options, body, progress)
+        if kind == FILM:
+            notes = prepare_film(
+                folder, source, film, options.body, person=nth_person(options.person),
+                lens=options.lens, progress=progress,
+            )  # fmt: skip
+        else:
+            notes = prepare_folder(folder, kind, source, options, body, progress)
     for note in notes:
         say(f"{source}: {note}")
     say(f"subject: {out}")
+
+
+def _require_of_film(options: PrepareOptions) -> None:
+    """Raise an InputError for an option that is not for films."""
+    allowed = ("body", "person", "lens")
+    plain = PrepareOptions(**{name: getattr(options, name) for name in allowed})
+    if options != plain:
+        raise InputError(f"prepare: {_given(options, plain)} is not for a {FILM}")
+
+
+def _given(options: object, plain: object) -> str:
+    """Return the first option that differs, as on the command line."""
+    changed = (name for name, value in vars(options).items() if value != vars(plain)[name])
+    return f"--{next(changed).replace('_', '-')}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Protocol
 
 
@@ -19,12 +20,27 @@ _FORM = (
 )
 
 
+_number: ContextVar[str] = ContextVar("number", default="")
+
+
+@contextmanager
+def numbered(number: str) -> Iterator[None]:
+    """Let bars show which step of a command they belong to, such as 2/6."""
+    token = _number.set(f"{number} ")
+    try:
+        yield
+    finally:
+        _number.reset(token)
+
+
 @contextmanager
 def bar(step: str) -> Iterator[Progress]:
     """Show a progress bar: the step, its share, the time left, and its latest figures."""
     from tqdm import tqdm
 
-    with tqdm(desc=step, bar_format=_FORM, dynamic_ncols=True, mininterval=0.5) as shown:
+    with tqdm(
+        desc=_number.get() + step, bar_format=_FORM, dynamic_ncols=True, mininterval=0.5
+    ) as shown:
 
         def progress(done: int, total: int, **figures: float) -> None:
             shown.total = total

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 
 from gva_mi.avatar.avatar import Avatar
@@ -10,7 +11,7 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress, within
 from gva_mi.data.video import Video
 from gva_mi.fit.photometric import FITTED, PhotometricOptions, fit_poses
-from gva_mi.study.evaluate import OF_VIDEO, evaluate_views, views_of, with_trained_poses
+from gva_mi.study.evaluate import OF_VIDEO, SplitView, evaluate_views, views_of, with_trained_poses
 from gva_mi.study.metrics import Metrics, PoseFit, aligned_views
 from gva_mi.study.scores import Scorer
 from gva_mi.study.similarity import similarity_to_truth
@@ -45,17 +46,21 @@ def with_fitted_poses(
     if similarity is not None:
         novel = views_of(video, ("novel_pose", "novel_view"), body)
         starts += aligned_views(novel, similarity, avatar.rig, body)
-    options = {view.split: _pose_fit_options(len(view.frames)) for view in starts}
-    steps = [len(view.frames) * options[view.split].passes for view in starts]
+    groups = _groups(starts)
+    counts = [sum(len(view.frames) for view in group) for group in groups]
+    options = {g[0].split: _pose_fit_options(n) for g, n in zip(groups, counts, strict=True)}
+    steps = [n * options[g[0].split].passes for g, n in zip(groups, counts, strict=True)]
     rows, kept, seconds, fitted = [], {}, 0.0, 0
-    for done, view in enumerate(starts):
+    for done, group in enumerate(groups):
+        name = group[0].split
         part = within(progress, sum(steps[:done]), steps[done], sum(steps))
-        found = fit_poses(avatar, view.video, options[view.split], view.frames, part)
-        posed = view.through(lambda source, pose=found.pose: replace(source, pose=pose))
-        rows += evaluate_views(avatar, [posed], FITTED, Scorer())
-        kept |= {f"{view.split} {frame}": reason for frame, reason in found.kept.items()}
-        seconds += found.seconds_per_frame * len(view.frames)
-        fitted += len(view.frames)
+        frames = sorted(frame for view in group for frame in view.frames)
+        found = fit_poses(avatar, group[0].video, options[name], frames, part)
+        posed = [v.through(lambda source, p=found.pose: replace(source, pose=p)) for v in group]
+        rows += evaluate_views(avatar, posed, FITTED, Scorer())
+        kept |= {f"{name} {frame}": reason for frame, reason in found.kept.items()}
+        seconds += found.seconds_per_frame * len(frames)
+        fitted += len(frames)
     protocol = metrics.protocol
     if protocol is not None:
         kinds = {"test" if view.split in OF_VIDEO else "novel" for view in starts}
@@ -69,6 +74,12 @@ def with_fitted_poses(
         protocol=protocol,
         pose_fit=PoseFit(made_with, kept, seconds / max(1, fitted)),
     )
+
+
+def _groups(views: Sequence[SplitView]) -> list[list[SplitView]]:
+    """Group views whose poses are fitted together: those of the video's own frames."""
+    own = [view for view in views if view.split in OF_VIDEO]
+    return [group for group in (own, *([v] for v in views if v.split not in OF_VIDEO)) if group]
 
 
 def _pose_fit_options(frames: int) -> PhotometricOptions:

@@ -71,6 +71,7 @@ def test_a_full_disk_is_one_sentence(tmp_path, cli, known):
 
 
 COMMANDS = {  # {} is the folder that output goes to
+    "avatar": "avatar {subject}/frames --out {}/new",
     "demo": "demo --out {}/new",
     "synth": "synth {}/new",
     "refine": "refine {subject}",
@@ -87,7 +88,7 @@ COMMANDS = {  # {} is the folder that output goes to
     "view": "view {run} --poses {subject}/poses.npz --port 0 --out {}/new",
     "prepare": "prepare auto {subject}/poses.npz {}/new --body puppet",
 }
-LOCKED = ("demo", "refine", "fit", "evaluate", "track", "render", "pictures", "study")
+LOCKED = ("avatar", "demo", "refine", "fit", "evaluate", "track", "render", "pictures", "study")
 
 
 @pytest.fixture

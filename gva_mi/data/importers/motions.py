@@ -77,8 +77,28 @@ def read_motion(path: Path, body: TargetBody, options: MotionOptions) -> Motion:
     ``path`` is .npz, .npy, .pkl or .pt, or an estimator's folder; pickles run no code. The pelvis
     of ``body`` stays in place when the world is turned, and components of a PCA weigh its hands.
     """
-    where = str(path)
-    track, rate, betas, notes = _read(path, body, options)
+    return _resampled(str(path), *_read(path, body, options), body, options)
+
+
+def motion_of_poses(
+    where: str, pose: Pose, shape: Shape, fps: float, body: TargetBody, options: MotionOptions
+) -> Motion:
+    """Resample poses of ``fps`` frames a second, and put them where :func:`read_motion` does."""
+    named = {name: x.double().numpy() for name, x in pose.to_smplx().items()}
+    track = make_track(where, "0", None, named, np.eye(3), body.components)
+    return _resampled(where, track, fps, shape.betas.double().numpy(), [], body, options)
+
+
+def _resampled(
+    where: str,
+    track: Track,
+    rate: float,
+    betas: np.ndarray,
+    notes: list[str],
+    body: TargetBody,
+    options: MotionOptions,
+) -> Motion:
+    """Turn a track upright, fill its gaps, and resample it."""
     rotations, transl, known = _timeline(where, track)
     if not known.all():
         _check_gaps(where, known, rate, options)

@@ -23,13 +23,15 @@ class PrepareOptions:
     """Options of ``prepare`` beside the source."""
 
     # The body of the poses and of all later steps, in SMPL-X's format; or the word puppet for the
-    # built-in one, which keeps rotations and no shape.
-    body: Path
+    # built-in one, which keeps rotations and no shape, and is a film's default.
+    body: Path | None = None
     frames: Path | None = None  # a film, or a folder of pictures; a data set has its own
     # A film, a folder of pictures, or a .npy (T, H, W), one mask per frame; a data set has its own.
     # Or the word sam, with --sam-checkpoint.
     masks: Path | None = None
-    person: str | None = None  # the estimator's name of the person; without it, chosen by the masks
+    # The estimator's name of the person; without it, chosen by the masks. In a film the number from
+    # the left; without it, the largest.
+    person: str | None = None
     # The number that the estimator gave the first frame; SMPLer-X starts at 1.
     first: Annotated[int, Within(0, 1_000_000_000)] = 0
     # Focal length in pixels, for an estimator's file without one.

@@ -38,6 +38,7 @@ class WatchedFilm:
 
     landmarks: Landmarks  # NaN where the person, or a hand, is not found
     notes: Sequence[str]  # sentences on what went wrong
+    crowded: Sequence[int] = ()  # pictures with several people
 
 
 def watch_film(
@@ -86,7 +87,7 @@ def watch_film(
             "from head to feet"
         )
     landmarks = Landmarks(NAMES, *(np.stack(parts) for parts in zip(*rows, strict=True)))
-    return WatchedFilm(landmarks, _notes(tracker, landmarks))
+    return WatchedFilm(landmarks, _notes(tracker, landmarks), tuple(tracker.crowded))
 
 
 def _row(body: SeenBody | None, hands: dict[str, SeenHand]) -> tuple[np.ndarray, ...]:

@@ -1,0 +1,216 @@
+"""The command ``gva-mi avatar``: a film of one person becomes an avatar, and a page about it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import Positional
+
+from gva_mi.avatar.avatar import Avatar
+from gva_mi.body.smplx import load_body
+from gva_mi.cli.arguments import Flat, Switch
+from gva_mi.cli.evaluate import evaluate_run
+from gva_mi.cli.fit import fit_video
+from gva_mi.cli.refine import refine_videos
+from gva_mi.cli.steps import Step, StepFolder
+from gva_mi.core.atomic import atomic_dir
+from gva_mi.core.console import bar, say
+from gva_mi.core.errors import InputError
+from gva_mi.core.files import make_room, write_json
+from gva_mi.core.lock import folder_lock
+from gva_mi.core.options import Seed, Within, require_ranges
+from gva_mi.core.provenance import hash_files
+from gva_mi.data.check import check_subject
+from gva_mi.data.check.problems import CheckReport
+from gva_mi.data.fingerprint import PREPARED
+from gva_mi.data.importers.footage import files_of
+from gva_mi.data.landmarks import LANDMARKS, Landmarks
+from gva_mi.data.video import POSES, REFINED_POSES, Video, load_video
+from gva_mi.fit import run_folder
+from gva_mi.fit.options import FitOptions, FromOne
+from gva_mi.pose.film.film_check import check_film
+from gva_mi.pose.film.prepare_film import FilmOptions, FilmRecord, prepare_film
+from gva_mi.pose.sequence import SequenceOptions
+from gva_mi.study.film_report import FILM_REPORT, write_film_report
+
+MARKER = "avatar.json"
+SUBJECT, RUN = "subject", "run"  # folders in the command's folder
+FINDINGS = "film_check.json"  # in the subject's folder
+
+
+QUALITY = {  # passes of the refinement, passes before its prior is inferred, steps of the fit
+    "draft": (8, 4, 500),
+    "usual": (SequenceOptions.passes, SequenceOptions.learn, 2000),
+    "fine": (SequenceOptions.passes, SequenceOptions.learn, 5000),
+}
+
+
+@dataclass(frozen=True)
+class AvatarEffort:
+    """How much work an avatar is worth."""
+
+    quality: Literal["draft", "usual", "fine"] = "usual"  # draft: to see whether a film will do
+    steps: FromOne | None = None  # of the fit; without it, by the quality
+    seed: Seed = 0  # of the refinement and the fit
+
+    def __post_init__(self) -> None:
+        require_ranges("avatar", self)
+
+
+def avatar(
+    film: Positional[Path],
+    film_options: Flat[FilmOptions] = FilmOptions(),  # noqa: B008 (frozen)
+    choice: Flat[AvatarEffort] = AvatarEffort(),  # noqa: B008 (frozen)
+    *,
+    out: Path,
+    person: Annotated[int, Within(1, 20)] | None = None,
+    lens: str | None = None,
+    body: Path | None = None,
+    overwrite: Switch = False,
+) -> None:
+    """Make an avatar of a film: prepare, check, refine, fit, evaluate, report.
+
+    If it was interrupted, the same command goes on; with other options it repeats only the steps
+    that depend on them. Each step is also a command of its own.
+
+    Args:
+        film: a film of one person who turns round once, or a folder of its pictures.
+        film_options: of the film.
+        choice: how much work the avatar is worth.
+        out: folder for the subject (out/subject), the run (out/run), films and the page
+            (out/report.html).
+        person: where there are several, the number from the left; without it, the largest.
+        lens: focal length, as 26mm of 35 mm film or in pixels; without it, what the film records,
+            else a fitted one.
+        body: a body in SMPL-X's format; without it the built-in body.
+        overwrite: replace an avatar that is there.
+    """
+    if not film.exists():
+        raise InputError(f"{film}: no such film or folder of pictures")
+    load_body(body)  # a bad file is refused before any work
+    work = _Work(film, film_options, choice, out, person, lens, body)
+    with folder_lock(out, "gva-mi avatar"):
+        source = hash_files(files_of(film) or [film])
+        StepFolder(out, MARKER, source, overwrite).follow(work.steps())
+    say(f"avatar: {work.run / run_folder.AVATAR}")
+    say(f"report: {out / FILM_REPORT}")
+
+
+@dataclass(frozen=True)
+class _Work:
+    """The steps from a film to its report."""
+
+    film: Path
+    options: FilmOptions
+    choice: AvatarEffort
+    out: Path
+    person: int | None
+    lens: str | None
+    body: Path | None
+
+    @property
+    def subject(self) -> Path:
+        return self.out / SUBJECT
+
+    @property
+    def run(self) -> Path:
+        return self.out / RUN
+
+    def steps(self) -> Iterator[Step]:
+        """Yield all steps in order."""
+        subject, run = self.subject, self.run
+        body = [self.body] if self.body else []
+        names = ("frames", "masks", "cameras.npz", "splits.json", LANDMARKS, POSES, PREPARED)
+        prepared = [subject / name for name in names]
+        refined, findings = subject / REFINED_POSES, subject / FINDINGS
+        fitted = [run / run_folder.AVATAR, run / run_folder.TRAINED_POSES]
+        measured = [run / run_folder.METRICS, run / run_folder.REPORT]
+        film = [asdict(self.options), self.person, self.lens]
+        yield Step("prepare", film, [self.film, *body], [subject / PREPARED], self.prepare)
+        yield Step("check", None, [*prepared, *body], [findings], self.check)
+        yield Step("refine", self.refine_options, [*prepared, *body], [refined], self.refine)
+        yield Step("fit", self.fit_options.plain(), [*prepared, refined, *body], fitted, self.fit)
+        known = [*prepared, refined, *fitted, *body]
+        yield Step("evaluate", None, known, measured, self.evaluate)
+        page = [self.out / FILM_REPORT]
+        yield Step("report", None, [*known, findings, *measured], page, self.report)
+
+    @property
+    def refine_options(self) -> SequenceOptions:
+        """The options of the refinement."""
+        passes, learn, _ = QUALITY[self.choice.quality]
+        height = self.options.height
+        return SequenceOptions(seed=self.choice.seed, passes=passes, learn=learn, height=height)
+
+    @property
+    def fit_options(self) -> FitOptions:
+        """The options of the fit."""
+        steps = self.choice.steps or QUALITY[self.choice.quality][-1]
+        return FitOptions(seed=self.choice.seed, steps=steps)
+
+    def prepare(self, again: bool) -> None:
+        """Make the subject's folder."""
+        with atomic_dir(self.subject, PREPARED) as folder, bar("prepare") as progress:
+            notes = prepare_film(
+                folder, self.film, self.options, self.body, person=self.person, lens=self.lens,
+                progress=progress,
+            )  # fmt: skip
+        for note in notes:
+            say(f"{self.film}: {note}")
+
+    def check(self, again: bool) -> None:
+        """Compare the folder with itself, and the film with a good one."""
+        model, record = load_body(self.body), FilmRecord.load(self.subject)
+        with bar("check") as progress:
+            report, _, _ = check_subject(self.subject, model, None, progress)
+            landmarks = Landmarks.load(self.subject / LANDMARKS)
+            found = check_film(
+                load_video(self.subject), model, landmarks, record.fps, record.crowded, progress
+            )
+        whole = CheckReport(report.frames, [*found, *report.problems], [], report.figures)
+        for line in whole.lines(110):
+            say(line)
+        write_json(self.subject / FINDINGS, whole.to_json())
+
+    def refine(self, again: bool) -> None:
+        """Refine the poses."""
+        model, video = load_body(self.body), load_video(self.subject)
+        list(refine_videos([video], model, self.refine_options))
+
+    def fit(self, again: bool) -> None:
+        """Fit the avatar; go on from its last checkpoint if this very fit was begun before."""
+        again = again and (self.run / run_folder.OPTIONS).exists()
+        if not again:
+            make_room(self.run, run_folder.OPTIONS, overwrite=True)
+        video, poses = self.refined()
+        sources = run_folder.sources_of(poses, self.body, self.subject)
+        fit_video(video, load_body(self.body), self.fit_options, self.run, again, sources)
+
+    def evaluate(self, again: bool) -> None:
+        """Measure the avatar, also under poses that are fitted to the test frames."""
+        video, poses = self.refined()
+        found = Avatar.load(self.run / run_folder.AVATAR)
+        about = {"name": "full", "title": self.title, "fit_poses": True}
+        evaluate_run(self.run, found, video, load_body(self.body), poses, **about)
+
+    def report(self, again: bool) -> None:
+        """Write films of the avatar, and the page."""
+        video, _ = self.refined()
+        trained = run_folder.under_trained_poses(video, self.run)
+        with bar("report") as progress:
+            write_film_report(self.out, self.run, trained, self.title, FINDINGS, progress)
+
+    def refined(self) -> tuple[Video, Path]:
+        """Open the video under its refined poses; return also their file."""
+        poses = self.subject / REFINED_POSES
+        video = load_video(self.subject, poses)
+        video.require_train_frames()
+        return video, poses
+
+    @property
+    def title(self) -> str:
+        """Heading of the pages."""
+        return f"An avatar of {self.film.name}"

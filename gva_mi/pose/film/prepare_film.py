@@ -1,0 +1,232 @@
+"""Make a subject's folder of a film and nothing else: pictures, masks, landmarks, poses, camera.
+
+Beside the files of every subject (:mod:`gva_mi.data.video`) it holds
+
+::
+
+    landmarks.npz      what the networks saw: gva_mi.data.landmarks
+    prepare.json       kind "film", and the fields of FilmRecord under "film"
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+
+from gva_mi.body.pose import save_poses
+from gva_mi.body.smplx import BUILT_IN_NAME, BodyModel, load_body
+from gva_mi.core.console import Progress, within
+from gva_mi.core.errors import InputError, expecting
+from gva_mi.core.files import read_array, read_json, write_json
+from gva_mi.core.options import Within, from_json, require_ranges
+from gva_mi.core.provenance import versions
+from gva_mi.data.film_pictures import FilmPictures, read_film
+from gva_mi.data.fingerprint import PREPARED, fingerprint
+from gva_mi.data.importers.lens import asked_for, in_pixels
+from gva_mi.data.landmarks import LANDMARKS
+from gva_mi.data.matting.film import film_masks
+from gva_mi.data.networks.watch import WatchedFilm, WatchOptions, watch_film
+from gva_mi.data.pictures import in_8_bits, read_image, write_image
+from gva_mi.data.splits import Splits
+from gva_mi.data.video import POSES, save_cameras
+from gva_mi.pose.film.solver import SolvedFilm, solve_film
+from gva_mi.pose.stature import PEOPLE
+
+TEST_EVERY, HELD_OUT_SHARE = 8, 10  # test frames: every 8th, and a tenth of the film in one piece
+_LENS = (
+    "the film does not say its focal length: a field of view is assumed and fitted, so distances "
+    "and depth may be off by a tenth; --lens 26mm gives what the phone's data sheet says"
+)
+
+
+@dataclass(frozen=True)
+class FilmOptions:
+    """Options of a film."""
+
+    # The person's height, metres; without it, that of an average person, uncertain by 5 percent,
+    # and so are all distances.
+    height: Annotated[float, PEOPLE] | None = None
+    # Frames a second that are used, at most; 30 without it. Of a folder of pictures, their rate.
+    fps: Annotated[float, Within(1, 240)] | None = None
+    # The shorter side of the pictures, to which larger ones are scaled down.
+    side: Annotated[int, Within(64, 4320, unit="pixels")] = 1080
+    # Where the used part of the film starts.
+    start: Annotated[float, Within(0, 86_400, unit="seconds")] = 0.0
+    # Where it ends; without it, with the film.
+    end: Annotated[float, Within(0, 86_400, "low", "seconds")] | None = None
+    # Folder of the networks' files; without it GVA_MI_WEIGHTS or the cache, which pip fills.
+    weights: Path | None = None
+
+    def __post_init__(self) -> None:
+        require_ranges("film", self)
+
+
+@dataclass(frozen=True)
+class FilmRecord:
+    """What later steps and the report know of a film."""
+
+    frames: int
+    fps: float
+    height: float | None  # as given, metres
+    focal_known: bool  # by the user or the film
+    tilt: float  # degrees that the camera looks down
+    crowded: list[int]  # frames with several people
+    notes: list[str]
+
+    @staticmethod
+    def load(subject: Path) -> FilmRecord:
+        """Read the record of a prepared film.
+
+        Raises:
+            InputError: the subject was not prepared from a film.
+        """
+        path = subject / PREPARED
+        expected = "what `gva-mi prepare film` writes"
+        record = read_json(path, expected)
+        with expecting(path, expected):
+            return from_json(FilmRecord, record["film"])
+
+
+def prepare_film(
+    out: Path,
+    film: Path,
+    options: FilmOptions,
+    body: Path | None = None,
+    *,
+    person: int | None = None,
+    lens: str | None = None,
+    progress: Progress | None = None,
+) -> list[str]:
+    """Write a subject's folder of a film; return notes on what was found and done.
+
+    Args:
+        out: an empty folder.
+        film: a film, or a folder of pictures.
+        options: of the film.
+        body: file of the body that poses are for; None: the built-in body.
+        person: the N-th from the left where there are several; None: the largest.
+        lens: a focal length as ``--lens`` takes it; None: what the film records, else fitted.
+        progress: called as the work goes on.
+    """
+    model = load_body(body)
+    with tempfile.TemporaryDirectory(dir=out, prefix=".") as folder:
+        rough = _Stored(Path(folder), ".npy", read_array)
+        keep = lambda k, probability: np.save(rough.path(k), in_8_bits(probability))
+        motion = motion_of_film(
+            film, options, model, person=person, lens=lens, on_silhouette=keep,
+            progress=within(progress, 0, 6, 10),
+        )  # fmt: skip
+        pictures = motion.pictures.pictures
+        stored = _Stored(out / "frames", ".png", lambda path: read_image(path, 3))
+        for k in range(len(pictures)):
+            write_image(stored.path(k), pictures[k])
+        rough.count = stored.count = len(pictures)
+        notes = film_masks(stored, rough, out / "masks", within(progress, 6, 4, 10))
+    solved, watched = motion.solved, motion.watched
+    save_poses(out / POSES, solved.pose, solved.shape, stage=1)
+    save_cameras(out / "cameras.npz", [solved.camera] * len(pictures))
+    watched.landmarks.save(out / LANDMARKS)
+    splits = Splits.of_film(TEST_EVERY, HELD_OUT_SHARE, len(pictures))
+    write_json(out / "splits.json", splits.to_json())
+    record = FilmRecord(
+        frames=len(pictures),
+        fps=motion.pictures.fps,
+        height=options.height,
+        focal_known=motion.focal_known,
+        tilt=float(solved.tilt),
+        crowded=list(watched.crowded),
+        notes=[*motion.notes, *notes],
+    )
+    file = None if body is None else str(body.resolve())
+    name = BUILT_IN_NAME if body is None else body.stem
+    about = {"kind": "film", "film": asdict(record), "versions": versions()}
+    about["body"] = {"name": name, "file": file} | fingerprint(model)
+    write_json(out / PREPARED, about)
+    return record.notes
+
+
+def nth_person(text: str | None) -> int | None:
+    """Return the person of a film that ``--person`` names, from the left; None: the largest."""
+    if text is not None and not (text.isdecimal() and int(text) > 0):
+        raise InputError(
+            f"--person of a film must be a number from 1 on, from the left; got {text}"
+        )
+    return None if text is None else int(text)
+
+
+class _Stored(Sequence[np.ndarray]):
+    """Pictures in the files of a folder, 000000.png and so on, read one by one."""
+
+    def __init__(self, folder: Path, suffix: str, read: Callable[[Path], np.ndarray]) -> None:
+        self._folder, self._suffix, self._read, self.count = folder, suffix, read, 0
+
+    def __len__(self) -> int:
+        return self.count
+
+    def __getitem__(self, index: int) -> np.ndarray:
+        return self._read(self.path(index))
+
+    def path(self, index: int) -> Path:
+        """Return a picture's file."""
+        return self._folder / f"{index:06d}{self._suffix}"
+
+
+@dataclass(frozen=True)
+class SolvedMotion:
+    """The person's motion in a film, and what it was solved from."""
+
+    pictures: FilmPictures
+    watched: WatchedFilm
+    solved: SolvedFilm
+    focal_known: bool
+
+    @property
+    def notes(self) -> list[str]:
+        """What a user should know."""
+        notes = [*self.pictures.notes, *self.watched.notes]
+        if not self.focal_known:
+            notes.append(_LENS)
+        return notes
+
+
+def motion_of_film(
+    film: Path,
+    options: FilmOptions,
+    body: BodyModel,
+    *,
+    person: int | None = None,
+    lens: str | None = None,
+    on_silhouette: Callable[[int, np.ndarray], None] | None = None,
+    progress: Progress | None = None,
+) -> SolvedMotion:
+    """Find the motion of one person in a film: networks, then stage 1.
+
+    Args:
+        film: a film, or a folder of pictures.
+        options: of the film.
+        body: of the poses.
+        person: the N-th from the left where there are several; None: the largest.
+        lens: a focal length as ``--lens`` takes it; None: what the film records, else fitted.
+        on_silhouette: see :func:`watch_film`.
+        progress: called as the work goes on.
+    """
+    pictures = read_film(film, options.fps, options.side, options.start, options.end)
+    size = pictures.pictures[0].shape[1::-1]
+    recorded = in_pixels(pictures.focal35, size) if pictures.focal35 else None
+    focal = recorded if lens is None else asked_for(lens, recorded, size)
+    watched = watch_film(
+        pictures.pictures,
+        on_silhouette,
+        WatchOptions(person=person, weights=options.weights),
+        within(progress, 0, 4, 5),
+    )
+    solved = solve_film(
+        watched.landmarks, body, size, pictures.fps, options.height, focal,
+        within(progress, 4, 1, 5),
+    )  # fmt: skip
+    return SolvedMotion(pictures, watched, solved, focal is not None)

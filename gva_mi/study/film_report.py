@@ -1,0 +1,247 @@
+"""The report of a film's avatar: what it looks like, how good it is, and what to film better.
+
+There is no ground truth of a real film. So the page shows the avatar from all around and in two
+motions that the film does not have, renders beside frames that training left out, and findings on
+the film (:mod:`gva_mi.pose.film.film_check`). The moving pictures are also written as .mp4 files.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from gva_mi.avatar.avatar import Avatar
+from gva_mi.body.pose import Pose
+from gva_mi.core.console import Progress
+from gva_mi.core.errors import expecting
+from gva_mi.core.files import read_json
+from gva_mi.core.options import from_json
+from gva_mi.data.check.problems import Problem
+from gva_mi.data.pictures import read_image, write_movie
+from gva_mi.data.video import Video, spread
+from gva_mi.fit import run_folder
+from gva_mi.fit.camera_paths import CameraPath, shots
+from gva_mi.fit.renders import WHITE, over, render_shots
+from gva_mi.pose.film.prepare_film import FilmRecord
+from gva_mi.study import page
+from gva_mi.study.metrics import Metrics, load_metrics
+from gva_mi.study.page import Headline, Section, Table, animation, number, picture
+from gva_mi.study.refinement import OVERLAYS
+from gva_mi.study.report_pictures import compared, same_size, zoomed
+from gva_mi.synthetic.motion import perform
+
+FILM_REPORT = "report.html"
+TURNTABLE = "turntable"
+DRIVEN = ("walk", "dance")  # motions of gva_mi.synthetic.motion
+FPS = 20  # frames a second of the films
+SECONDS = 6.0  # of a motion's round
+SIZE = (384, 512)  # pixels
+IN_PAGE = 3  # every 3rd picture of a film is in the page
+SHOWN = 6  # frames beside renders
+SEED = 0  # of the motions
+_RANGE = "held_out_range"
+
+
+def write_film_report(
+    out: Path,
+    run: Path,
+    video: Video,
+    title: str,
+    findings: str,
+    progress: Progress | None = None,
+) -> None:
+    """Write the page ``out/report.html``, and films of the avatar beside it.
+
+    Args:
+        out: folder.
+        run: the folder of a run that was evaluated.
+        video: opened with the poses that the avatar was trained under.
+        title: heading of the page.
+        findings: name of the file of the film's findings in the video's folder.
+        progress: called after each rendered picture.
+    """
+    avatar = run_folder.load_avatar(run)
+    metrics, record = load_metrics(run), FilmRecord.load(video.folder)
+    problems = _problems(video.folder / findings)
+    page.write_page(
+        out / FILM_REPORT,
+        title=title,
+        subtitle=(
+            f"{record.frames} frames at {record.fps:.3g} a second, {video.size[0]} x "
+            f"{video.size[1]} pixels. {_height(record)}"
+        ),
+        headlines=_headlines(metrics),
+        sections=[
+            Section("The avatar", _MOVES, list(_films(out, avatar, video, progress)), columns=3),
+            _better(problems, record.notes),
+            *_beside(avatar, video),
+            *_close(avatar, video),
+            *_poses(video.folder / OVERLAYS),
+            Section("Figures", _FIGURES, tables=[_scores(metrics)]),
+        ],
+        settings={"film": vars(record), "options": metrics.options, "versions": metrics.versions},
+    )
+
+
+_MOVES = (
+    "From all around in a pose of the film, and in two motions that the film does not have: "
+    f"{TURNTABLE}.mp4, {', '.join(f'{name}.mp4' for name in DRIVEN)}. What no frame shows is a "
+    "guess."
+)
+_BESIDE = "The picture, cut out by its mask, and the render under the pose that followed from the "
+_FRAMES = {
+    "Test frames": _BESIDE + "frames around it. Training did not see these frames.",
+    "The held-out range": _BESIDE
+    + "frames before and after this stretch, which training left out.",
+}
+_CLOSE = "The picture's own pixels above; the avatar below, rendered at the enlarged resolution."
+_POSES = "The body over the frames, before the refinement (above) and after it (below)."
+_FIGURES = (
+    "PSNR of frames that training left out: single test frames, whose neighbours were seen, and a "
+    "held-out range. ‘Poses fitted to the pictures’: each pose is first fitted to the very picture "
+    "that it is measured on. The person's box does not depend on the picture's size. Masks are the "
+    "film's own, so an error in them counts as an error of the avatar."
+)
+_BETTER = "What the film does not show, and how to film it better."
+_GOOD = "The film shows the person from all sides, whole, sharp and alone, before a still camera."
+
+
+def _height(record: FilmRecord) -> str:
+    """Say what is known of the person's size."""
+    if record.height is not None:
+        return f"The person is {record.height:.2f} m tall."
+    return (
+        "The person's height was not given, and an average one is assumed: size and distances are "
+        "uncertain by 5 %. --height 1.75 gives it."
+    )
+
+
+def _headlines(metrics: Metrics) -> list[Headline]:
+    """Return the main figures."""
+    names = {"test": "test frames", _RANGE: "held-out range"}
+    minutes, seconds = divmod(round(metrics.training.seconds), 60)
+    return [
+        *(
+            Headline(
+                f"{row.psnr:.1f} dB",
+                f"PSNR, {names[row.split]}, {row.name.replace('full', 'trained poses')}",
+            )
+            for row in metrics.rows
+            if row.region == "white" and row.split in names
+        ),
+        Headline(f"{metrics.training.gaussians:,}", "Gaussians"),
+        Headline(f"{minutes} min {seconds:02d} s", f"for {metrics.training.steps:,} steps"),
+    ]
+
+
+def _films(
+    out: Path, avatar: Avatar, video: Video, progress: Progress | None
+) -> Iterator[page.Picture]:
+    """Write the films of the avatar, and yield each as an animation."""
+    front = _frame_from_front(avatar, video)
+    motions = {TURNTABLE: (video.pose[front], "turntable")}
+    motions |= {name: (driven_motion(avatar, name), "static") for name in DRIVEN}
+    plans = {
+        name: (motion, shots(CameraPath(path=path, size=SIZE), avatar.rig, motion))
+        for name, (motion, path) in motions.items()
+    }
+    done, total = 0, sum(len(plan) for _, plan in plans.values())
+    for name, (motion, plan) in plans.items():
+        images = []
+        for layer in render_shots(avatar, motion, plan):
+            images.append(over(layer, np.array(WHITE)))
+            done += 1
+            if progress:
+                progress(done, total)
+        write_movie(out / f"{name}.mp4", images, FPS, lossless=False)
+        yield animation(name, images[::IN_PAGE])
+
+
+def driven_motion(avatar: Avatar, name: str) -> Pose:
+    """Return one round of a motion of :data:`DRIVEN` for an avatar."""
+    joints = avatar.rig.joints.double().numpy()
+    expressions = avatar.rig.expression_joints.shape[2]
+    t = np.arange(round(FPS * SECONDS)) / (FPS * SECONDS)
+    pose = perform(name, t, joints, expressions, np.random.default_rng(SEED))
+    return pose.map(lambda x: torch.as_tensor(x, dtype=torch.float32))
+
+
+def _frame_from_front(avatar: Avatar, video: Video) -> int:
+    """Return the frame in which the person faces the camera most."""
+    import roma
+
+    there = [k for k in range(len(video)) if k not in video.absent]
+    ahead = roma.rotvec_to_rotmat(video.pose.rotations[there, 0])[:, :, 2].double().numpy()
+    axes = np.stack([video.cameras[k].T_camera_world[2, :3] for k in there])
+    return there[int(np.argmin((ahead * axes).sum(1)))]
+
+
+def _problems(path: Path) -> list[Problem]:
+    """Read the findings of ``gva-mi avatar``'s check."""
+    expected = "the findings on a film"
+    record = read_json(path, expected)
+    with expecting(path, expected):
+        return [from_json(Problem, one) for one in record["findings"]]
+
+
+def _better(problems: Sequence[Problem], notes: Sequence[str]) -> Section:
+    """List what went wrong with the film, and what to do about it."""
+    tables = []
+    if problems:
+        rows = [(p.what, p.figure, p.cause, p.remedy) for p in problems]
+        tables.append(Table(("what", "measured", "likely cause", "what to do"), rows))
+    if notes:
+        tables.append(Table(("notes",), [(note,) for note in notes]))
+    return Section("What to film better", _BETTER if problems else _GOOD, tables=tables)
+
+
+def _beside(avatar: Avatar, video: Video) -> Iterator[Section]:
+    """Show renders beside frames that training left out."""
+    held_out = video.splits.held_out_range
+    alone = [k for k in video.splits.test if k not in set(held_out)]
+    for (title, text), frames in zip(_FRAMES.items(), (alone, held_out), strict=True):
+        if frames:
+            shown = spread(frames, SHOWN)
+            images = same_size([compared(avatar, f, difference=False) for f in video.frames(shown)])
+            pictures = [picture(f"frame {k}", i) for k, i in zip(shown, images, strict=True)]
+            yield Section(title, text, pictures, columns=3)
+
+
+def _close(avatar: Avatar, video: Video) -> Iterator[Section]:
+    """Enlarge faces and hands of test frames."""
+    for what, title in (("face", "Faces"), ("hands", "Hands")):
+        frames = video.frames(spread(video.splits.test, SHOWN))
+        pictures = [
+            picture(f"frame {frame.index}, {name}", image)
+            for frame in frames
+            for name, image in zoomed(avatar, frame, what)
+        ]
+        if pictures:
+            yield Section(title, _CLOSE, pictures, columns=6)
+
+
+def _poses(overlays: Path) -> Iterator[Section]:
+    """Show the refinement's picture."""
+    if overlays.exists():
+        shown = [picture("stage 1 above, refined below", read_image(overlays, 3))]
+        yield Section("Poses", _POSES, shown, columns=1)
+
+
+def _scores(metrics: Metrics) -> Table:
+    """List the scores of the film's frames, by poses and split."""
+    regions = ("white", "person", "hands", "face")
+    found = {(row.name, row.split, row.region): row for row in metrics.rows}
+    rows = []
+    for name, split in dict.fromkeys((row.name, row.split) for row in metrics.rows):
+        scores = [found.get((name, split, region)) for region in regions]
+        whole = scores[0]
+        rows.append((
+            name.replace("full", "trained poses"), split.replace("_", " "), str(whole.count),
+            *(number(score and score.psnr, 2) for score in scores), number(whole.ssim, 4),
+            number(whole.spill, 4), number(whole.holes, 4), number(whole.flicker, 4),
+        ))  # fmt: skip
+    head = ("poses", "split", "frames", "PSNR, dB", "person's box", "hands", "face", "SSIM")
+    return Table((*head, "spill", "holes", "flicker"), rows)

@@ -20,14 +20,14 @@ from gva_mi.data.networks.turned_square import TurnedSquare
 from gva_mi.data.networks.weights import weights_file
 
 SIDES = ("left", "right")
-FOUND = 0.5  # least probability of a hand
+FOUND = 0.3  # least probability of a hand
 _POINTS = 21
 _WRIST, _MIDDLE = 0, 9  # the wrist, the root of the middle finger
 _PALM = tuple(k for k, name in enumerate(hand_names("left")) if not name.endswith(("dip", "tip")))
 _AROUND_PALM = 2.0  # side of the next square, relative to the palm's extent
-_AROUND_WRIST = 2.7  # likewise of a square from the body, relative to the hand's length
+_AROUND_WRIST = 2.0  # likewise of a square from the body, relative to the hand's length
 _FORWARD = 0.1  # shift of both towards the fingers
-_LOOKS = 3  # at a hand that is found anew: each look centres the next
+_LOOKS = 2  # at a hand that is found anew: each look centres the next
 _FAR = 0.15  # of the person's circle's diameter: a hand farther from its wrist is another thing
 
 

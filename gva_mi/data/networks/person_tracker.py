@@ -1,53 +1,33 @@
 """Follow one person through a film, though others may walk past.
 
-In each picture the body network looks where the person was in the picture before. The detector is
-asked again when that finds nobody, in every picture while several people are around, and now and
-then to learn whether they are. Every person around is remembered by place, size and the colours of
-the torso. A person found in a picture is ours only if it resembles ours more than any other.
+In each picture the body network looks where the person was in the picture before. The detector
+searches the rest of the picture when that finds nobody, in every picture while several people are
+around, and now and then to learn whether they are. A person found in a picture is ours only if it
+resembles ours more than any other that is known.
+
+The detector sees one person at a time, the most prominent: those who are known are painted over.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
-from gva_mi.data.landmarks import BODY
 from gva_mi.data.networks.body_landmarks import BodyNetwork, SeenBody
+from gva_mi.data.networks.known_person import KnownPerson, torso_colours
 from gva_mi.data.networks.person_detector import DetectedPerson, PersonDetector
 
 FOUND = 0.5  # least presence of a person
+MOST = 6  # people of a picture
 _EVERY = 10  # pictures between two that are searched for other people
+_FORGOTTEN = 60  # pictures after which another person is no longer expected
 _SCALES = (1.0, 1.7)  # of a detected square: the detector may take a torso for a whole person
 _LOOKS = 3  # at a detected person: each look centres the next
-_BINS = 4  # of each colour channel
-_MEMORY = 0.9  # share of the colours that stays in each picture
-_STEP = 0.5  # of the radius: more between two pictures is unlikely
-_SAME = 0.5  # of the radius: detections closer than this are one person
-_LEAST = -0.5  # least resemblance to the person who was lost
-_TORSO = [BODY.index(f"{s}_{part}") for part in ("shoulder", "hip") for s in ("left", "right")]
-
-
-@dataclass
-class KnownPerson:
-    """A person who was seen before."""
-
-    body: SeenBody
-    colours: np.ndarray  # (bins,) of the torso, of sum 1
-    unseen: int = 0  # pictures since then
-
-    def resemblance(self, body: SeenBody, colours: np.ndarray) -> float:
-        """Return how much somebody looks like this person: 1 is the same place and colours."""
-        moved = np.linalg.norm(body.hips - self.body.hips) / self.body.radius
-        grown = abs(np.log(body.radius / self.body.radius))
-        alike = float(np.minimum(colours, self.colours).sum())
-        return alike - float(moved + grown) / (2 * _STEP * (1 + self.unseen))
-
-    def update(self, body: SeenBody, colours: np.ndarray) -> None:
-        """Remember a new sight of this person."""
-        self.body, self.unseen = body, 0
-        self.colours = _MEMORY * self.colours + (1 - _MEMORY) * colours
+_SAME = 0.4  # of the radius: bodies closer than this are one person
+_AROUND = 0.1  # of the radius: painted over around the landmarks
+_CLEAR = 0.3  # difference of resemblance that tells two people apart
+_LEAST = -0.5  # least resemblance to a known person
 
 
 class PersonTracker:
@@ -76,11 +56,12 @@ class PersonTracker:
         """Return the body in the next picture (H, W, 3) 8-bit; None if it is not found."""
         self._number += 1
         ours = self._ours
-        searched = ours is None or ours.unseen or self._others or self._number % _EVERY == 0
-        seen = [] if ours is None or ours.unseen else [self._network.see(image, ours.body.square)]
-        seen = [body for body in seen if body.presence >= FOUND]
-        if searched or not seen:
-            seen = self._with_detected(image, seen)
+        seen = []
+        if ours is not None and not ours.unseen:
+            body = self._network.see(image, ours.body.square)
+            seen = [body] if body.presence >= FOUND else []
+        if not seen or self._others or self._number % _EVERY == 0:
+            seen = self._search(image, seen)
         if len(seen) > 1:
             self.crowded.append(self._number)
         found = self._begin(image, seen) if ours is None else self._assign(image, seen)
@@ -88,12 +69,19 @@ class PersonTracker:
             self.lost.append(self._number)
         return found
 
-    def _with_detected(self, image: np.ndarray, seen: list[SeenBody]) -> list[SeenBody]:
-        """Add the people that the detector finds and that are not among the seen."""
-        for person in self._detector.find(image):
-            body = self._look(image, person)
-            if body is not None and not any(_same(body, other) for other in seen):
-                seen = [*seen, body]
+    def _search(self, image: np.ndarray, seen: list[SeenBody]) -> list[SeenBody]:
+        """Add the people who are not among the seen."""
+        rest = image.copy()
+        grey = np.full(3, 128, np.uint8)
+        for body in seen:
+            _paint_over(rest, body, grey)
+        while len(seen) < MOST:
+            people = self._detector.find(rest)
+            body = self._look(rest, people[0]) if people else None
+            if body is None or any(_same(body, other) for other in seen):
+                break
+            seen = [*seen, body]
+            _paint_over(rest, body, grey)
         return seen
 
     def _look(self, image: np.ndarray, person: DetectedPerson) -> SeenBody | None:
@@ -118,44 +106,59 @@ class PersonTracker:
             middle = np.array(image.shape[1::-1]) / 2
             off = lambda body: float(np.linalg.norm((body.hips - middle) / middle))
             chosen = max(seen, key=lambda body: body.radius / (1 + off(body)))
-        self._ours = KnownPerson(chosen, torso_colours(image, chosen))
-        rest = [body for body in seen if body is not chosen]
-        self._others = [KnownPerson(body, torso_colours(image, body)) for body in rest]
+        known = [KnownPerson(body, torso_colours(image, body)) for body in seen]
+        self._ours = next(person for person in known if person.body is chosen)
+        self._others = [person for person in known if person is not self._ours]
         return chosen
 
     def _assign(self, image: np.ndarray, seen: Sequence[SeenBody]) -> SeenBody | None:
         """Say who is who; return our person."""
-        ours, found = self._ours, None
         colours = [torso_colours(image, body) for body in seen]
-        known = [ours, *self._others]
+        known = [self._ours, *self._others]
         for person in known:
             person.unseen += 1
-        score = np.array([[p.resemblance(*it) for it in zip(seen, colours, strict=True)]
-                          for p in known]).reshape(len(known), len(seen))  # fmt: skip
-        free = set(range(len(seen)))
+        score = np.full((len(known), len(seen)), -np.inf)
+        for p, person in enumerate(known):
+            hidden = any(person.is_near(other) for other in known if other is not person)
+            for b, body in enumerate(seen):
+                if not (hidden and person.is_doubtful(colours[b])):
+                    score[p, b] = person.resemblance(body, colours[b])
+        found, free = None, set(range(len(seen)))
+        for b in range(len(seen)):
+            if _is_ambiguous(score, b):
+                score[:, b] = -np.inf
+                free.remove(b)
         while score.size and score.max() > _LEAST:  # the best pair first
             p, b = np.unravel_index(score.argmax(), score.shape)
+            hidden = any(known[p].is_near(other) for other in known if other is not known[p])
+            known[p].update(seen[b], colours[b], hidden)
             score[p], score[:, b] = -np.inf, -np.inf
-            known[p].update(seen[b], colours[b])
             free.remove(b)
             found = seen[b] if p == 0 else found
         self._others += [KnownPerson(seen[b], colours[b]) for b in sorted(free)]
-        self._others = [p for p in self._others if p.unseen < 10 * _EVERY]
+        self._others = [person for person in self._others if person.unseen < _FORGOTTEN]
         return found
+
+
+def _is_ambiguous(score: np.ndarray, b: int) -> bool:
+    """Return whether a body may be either of two known people, of whom the other is not seen.
+
+    ``score`` is (known people, seen bodies). It happens while one person hides another.
+    """
+    order = np.argsort(-score[:, b], kind="stable")
+    if len(order) < 2 or score[order[1], b] < max(_LEAST, score[order[0], b] - _CLEAR):
+        return False
+    elsewhere = np.delete(score[order[:2]], b, axis=1)
+    return not elsewhere.size or elsewhere.max() < _LEAST
 
 
 def _same(one: SeenBody, other: SeenBody) -> bool:
     return bool(np.linalg.norm(one.hips - other.hips) < _SAME * min(one.radius, other.radius))
 
 
-def torso_colours(image: np.ndarray, body: SeenBody) -> np.ndarray:
-    """Return the histogram of colours (64,) of sum 1 between shoulders and hips."""
-    corners = body.points[_TORSO]
-    low, high = np.floor(corners.min(0)).astype(int), np.ceil(corners.max(0)).astype(int)
-    limit = np.array(image.shape[1::-1])
-    low = low.clip(0, limit - 1)
-    right, bottom = np.maximum(high.clip(0, limit), low + 1)
-    step = max(1, (bottom - low[1]) // 32)
-    pixels = image[low[1] : bottom : step, low[0] : right : step].reshape(-1, 3) // (256 // _BINS)
-    codes = pixels.astype(int) @ (_BINS * _BINS, _BINS, 1)
-    return np.bincount(codes, minlength=_BINS**3) / len(codes)
+def _paint_over(image: np.ndarray, body: SeenBody, colour: np.ndarray) -> None:
+    """Hide a person of a picture (H, W, 3)."""
+    margin = _AROUND * body.radius
+    left, top = np.floor(body.points.min(0) - margin).astype(int).clip(0)
+    right, bottom = np.ceil(body.points.max(0) + margin).astype(int).clip(0)
+    image[top:bottom, left:right] = colour

@@ -20,7 +20,7 @@ from gva_mi.data.networks.person_detector import DetectedPerson, PersonDetector
 
 FOUND = 0.5  # least presence of a person
 MOST = 6  # people of a picture
-_EVERY = 10  # pictures between two that are searched for other people
+_EVERY = 5  # pictures between two that are searched for other people
 _FORGOTTEN = 60  # pictures after which another person is no longer expected
 _SCALES = (1.0, 1.7)  # of a detected square: the detector may take a torso for a whole person
 _LOOKS = 3  # at a detected person: each look centres the next

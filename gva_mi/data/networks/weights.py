@@ -19,6 +19,7 @@ from __future__ import annotations
 import fcntl
 import hashlib
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -56,6 +57,7 @@ _BY_HAND = {  # files that pip does not reach
         "59e42d71bcd44cbdbabc419f0ff76686595fd265419566bd4009ef703ea8e1fe"
     ),
 }
+_SCRATCH = ".fetching-"  # folders to download into
 _LICENCE = f"mediapipe-{VERSION}.dist-info/LICENSE"
 _NOTICE = f"""\
 The .tflite files of this folder are networks of MediaPipe {VERSION}, Copyright The MediaPipe
@@ -106,8 +108,10 @@ def _place(folder: Path | None) -> Path:
 
 def _fetch(folder: Path) -> None:
     """Download the wheel, and move its networks and its licence into the folder."""
+    for left in folder.glob(f"{_SCRATCH}*"):  # by a killed process
+        shutil.rmtree(left, ignore_errors=True)
     say(f"fetching MediaPipe's landmark networks by pip (36 MB, once) into {folder}")
-    with tempfile.TemporaryDirectory(dir=folder, prefix=".fetching-") as scratch:
+    with tempfile.TemporaryDirectory(dir=folder, prefix=_SCRATCH) as scratch:
         wheel = _download(Path(scratch), folder)
         try:
             with zipfile.ZipFile(wheel) as archive:
@@ -134,7 +138,9 @@ def _download(scratch: Path, folder: Path) -> Path:
     if run.returncode == 0 and wheels:
         return wheels[0]
     errors = [line for line in run.stderr.splitlines() if line.strip()]
-    reason = errors[-1].strip() if errors else f"pip ended with {run.returncode}"
+    reason = (
+        errors[-1].strip().removeprefix("ERROR: ") if errors else f"pip ended with {run.returncode}"
+    )
     raise InputError(
         f"{folder}: the landmark networks are missing, and pip cannot fetch them ({reason:.200}); "
         f"go online once, or set {FOLDER} to a folder with {', '.join(_IN_WHEEL)} "

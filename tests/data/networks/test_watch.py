@@ -1,0 +1,129 @@
+"""The real landmark networks on a rendered person."""
+
+import numpy as np
+import pytest
+
+from gva_mi.core.errors import InputError
+from gva_mi.data.landmarks import BODY
+from gva_mi.data.networks.watch import NAMES, WatchOptions, watch_film
+
+pytest.importorskip("ai_edge_litert")
+JOINTS = ("shoulder", "elbow", "wrist", "knee", "ankle")
+SWAP = {"left": "right", "right": "left"}
+OTHER = [NAMES.index("_".join(SWAP.get(word, word) for word in name.split("_"))) for name in NAMES]
+GREY = np.full((600, 1000, 3), 180, np.uint8)
+
+
+@pytest.fixture(scope="module")
+def watched(rendered_person):
+    """Landmarks and silhouettes of two equal pictures of the person."""
+    silhouettes = []
+    keep = lambda k, inside: silhouettes.append(inside)
+    return watch_film([rendered_person.picture] * 2, keep), silhouettes
+
+
+def at(watched, name, frame=1):
+    return watched.landmarks.pixels[frame, NAMES.index(name)]
+
+
+def test_landmarks_are_near_the_joints_and_hands_hang_on_their_wrists(watched, rendered_person):
+    film, _ = watched
+    height = np.ptp(np.flatnonzero(rendered_person.mask.any(1)))
+    for side in ("left", "right"):
+        for part in JOINTS:
+            error = at(film, f"{side}_{part}") - rendered_person.joints[f"{side}_{part}"]
+            assert np.linalg.norm(error) < 0.025 * height, (side, part)
+        for point, joint in (("wrist", "wrist"), ("index_mcp", "index1"), ("pinky_mcp", "pinky1")):
+            error = at(film, f"{side}_hand_{point}") - rendered_person.joints[f"{side}_{joint}"]
+            assert np.linalg.norm(error) < 0.025 * height, (side, point)
+    assert np.isfinite(film.landmarks.metric).all() and not film.notes
+    assert (film.landmarks.confidence > 0.5).mean() > 0.95
+    assert (film.landmarks.spread > 0).all() and film.landmarks.spread.mean() < 0.02 * height
+
+
+def test_metric_landmarks_have_the_camera_s_axes(watched):
+    """The person looks at the camera: the nose is nearer than the ears, toes than heels."""
+    of = lambda name: watched[0].landmarks.metric[1, NAMES.index(name)]
+    for side, sign in (("left", 1), ("right", -1)):
+        assert sign * of(f"{side}_wrist")[0] > 0.2
+        assert of(f"{side}_ankle")[1] > 0.5 > -0.2 > of("nose")[1]
+        assert of(f"{side}_ear")[2] - of("nose")[2] > 0.05
+        assert of(f"{side}_heel")[2] - of(f"{side}_foot_index")[2] > 0.05
+
+
+def test_silhouettes_overlap_the_mask(watched, rendered_person):
+    true = rendered_person.mask > 0.5
+    for inside in watched[1]:
+        assert inside.shape == true.shape and 0 <= inside.min() and inside.max() <= 1
+        found = inside > 0.5
+        assert (found & true).sum() / (found | true).sum() > 0.9
+
+
+def test_a_mirrored_picture_has_mirrored_landmarks(watched, rendered_person):
+    mirrored = watch_film([rendered_person.picture[:, ::-1]] * 2).landmarks
+    plain, width = watched[0].landmarks, rendered_person.picture.shape[1]
+    moved = mirrored.pixels[1][OTHER] * (-1, 1) + (width, 0) - plain.pixels[1]
+    assert np.median(np.abs(moved)) < 2 and np.linalg.norm(moved, axis=-1).max() < 12
+    metric = mirrored.metric[1][OTHER] * (-1, 1, 1) - plain.metric[1]
+    assert np.median(np.abs(metric)) < 0.02
+
+
+def test_a_turned_and_scaled_picture_has_turned_landmarks(watched, rendered_person):
+    from PIL import Image
+
+    turned = np.rot90(np.asarray(Image.fromarray(rendered_person.picture).resize((960, 1200))))
+    found = watch_film([turned] * 2, options=WatchOptions(hand_passes=0)).landmarks.pixels[1]
+    expected = 2 * watched[0].landmarks.pixels[1, :, ::-1] * (1, -1) + (0, 960)
+    moved = np.linalg.norm(found - expected, axis=-1)[: len(BODY)]
+    assert np.median(moved) < 8 and moved.max() < 40
+
+
+def test_same_pictures_same_bits(watched, rendered_person):
+    silhouettes = []
+    again = watch_film([rendered_person.picture] * 2, lambda k, inside: silhouettes.append(inside))
+    for name in ("pixels", "confidence", "spread", "metric"):
+        one, other = (getattr(film.landmarks, name) for film in (again, watched[0]))
+        assert np.array_equal(one, other, equal_nan=True), name
+    assert np.array_equal(silhouettes, watched[1])
+
+
+def test_the_person_is_kept_while_another_one_walks_past_in_front(rendered_person):
+    """The other one comes from the right and leaves to the left; both are 240 pixels wide."""
+    lefts = [1000 - 80 * k for k in range(19)]
+    film = [rendered_person.on(rendered_person.on(GREY, 260), left, (2, 0, 1)) for left in lefts]
+    found = watch_film(film, options=WatchOptions(passes=1, hand_passes=0))
+    hips = found.landmarks.pixels[:, [NAMES.index(f"{s}_hip") for s in SWAP], 0].mean(1)
+    off = np.abs(hips - 260 - rendered_person.joints["pelvis"][0])
+    assert np.nanmax(off) < 50 and np.isfinite(off).sum() >= 12
+    assert np.isfinite(off[[0, 1, 2, -3, -2, -1]]).all()
+    assert any("several people" in note for note in found.notes)
+    lost = np.flatnonzero(np.isnan(off))
+    assert bool(len(lost)) == any("was not found" in note for note in found.notes)
+
+
+def test_people_are_numbered_from_the_left(rendered_person):
+    both = rendered_person.on(rendered_person.on(GREY, -20), 540, (2, 0, 1))
+    alone = rendered_person.on(GREY, 100)
+    x = []
+    for person in (1, 2):
+        options = WatchOptions(person=person, passes=1, hand_passes=0)
+        found = watch_film([alone, both], options=options)
+        x.append(found.landmarks.pixels[:, 0, 0])
+    assert np.isnan(x[1][0]) and np.isfinite(x[0]).all()  # one person is no second one
+    assert x[1][1] - x[0][1] > 400
+
+
+def test_a_lost_person_is_found_again(rendered_person):
+    film = [rendered_person.picture, np.full_like(rendered_person.picture, 255)] * 2
+    silhouettes = []
+    found = watch_film(film, lambda k, inside: silhouettes.append(inside.max()))
+    assert np.isfinite(found.landmarks.pixels[:, 0, 0]).tolist() == [True, False] * 2
+    assert (found.landmarks.confidence[1] == 0).all() and silhouettes[1] == 0 < silhouettes[2]
+    assert "frames where the person was not found: 1, 3" in found.notes
+
+
+def test_a_film_without_anybody_is_refused():
+    with pytest.raises(InputError, match="no picture of the film shows anybody"):
+        watch_film([GREY] * 2)
+    with pytest.raises(InputError, match="passes must be from 1 to 4"):
+        watch_film([GREY], options=WatchOptions(passes=9))

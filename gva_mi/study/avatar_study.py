@@ -37,6 +37,7 @@ from gva_mi.study.cases import StudyCase
 from gva_mi.study.engine import made_with
 from gva_mi.study.fitted_poses import with_fitted_poses
 from gva_mi.study.metrics import ALIGNED, AS_REFINED, Metrics, measure_run, save_metrics
+from gva_mi.study.pictures import ShownAvatar
 from gva_mi.study.refine_study import refine_case
 from gva_mi.study.refinement import write_record
 from gva_mi.study.subjects import Filming, filming_work
@@ -172,6 +173,12 @@ class VariantRun:
     def avatar(self) -> Avatar:
         """Load the finished avatar."""
         return run_folder.load_avatar(self.out)
+
+    def shown(self) -> ShownAvatar:
+        """Open the finished avatar and its splits for pictures."""
+        video = self.video()
+        trained = run_folder.under_trained_poses(video, self.out)
+        return ShownAvatar.of(self.avatar(), trained, self.body, self.driven(video))
 
     def video(self) -> Video:
         """Open the case's video under the poses that this variant is fitted with."""

@@ -5,34 +5,33 @@ It is made from the run's folder (:mod:`gva_mi.fit.run_folder`) and the subject'
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 
 from gva_mi.avatar.avatar import Avatar
+from gva_mi.body.smplx import BodyModel
 from gva_mi.data.pictures import read_image, write_image
-from gva_mi.data.video import Video, spread
+from gva_mi.data.video import Video
 from gva_mi.fit import run_folder
 from gva_mi.fit.photometric import FITTED
 from gva_mi.fit.run_folder import Snapshot
 from gva_mi.study import page
-from gva_mi.study.evaluate import REGIONS, Split, source_of
+from gva_mi.study.evaluate import REGIONS
 from gva_mi.study.metrics import ALIGNED, AS_REFINED, TRAINED, Metrics, load_metrics
 from gva_mi.study.page import Headline, Section, Table, animation, number, picture, plot
+from gva_mi.study.pictures import ShownAvatar, dots, overview, picture_sections, turntable
 from gva_mi.study.refinement import OVERLAYS
 from gva_mi.study.refinement_report import errors_table
-from gva_mi.study.regions import CLOSE_UPS
-from gva_mi.study.report_pictures import compared, dots, overview, same_size, turntable, zoomed
 from gva_mi.study.surface import PARTS, TEXTURES, SurfaceFigures
 
-SHOWN = 5  # frames of a strip
-ENLARGED = 3  # novel poses that are shown enlarged
+SHOWN = 4  # frames of a split
 TURN_FRAMES = 24  # pictures of the turning avatar
 
 
-def write_report(run: Path, avatar: Avatar, video: Video, title: str) -> None:
+def write_report(run: Path, avatar: Avatar, video: Video, title: str, body: BodyModel) -> None:
     """Write the page, and its first picture as a file of its own.
 
     Args:
@@ -40,6 +39,7 @@ def write_report(run: Path, avatar: Avatar, video: Video, title: str) -> None:
         avatar: the fitted avatar.
         video: opened with the poses that the avatar was trained under.
         title: heading of the page.
+        body: the fitted body model.
     """
     metrics, history = load_metrics(run), run_folder.load_history(run)
     write_image(run / run_folder.OVERVIEW, overview(avatar, video))
@@ -54,12 +54,9 @@ def write_report(run: Path, avatar: Avatar, video: Video, title: str) -> None:
         headlines=_headlines(metrics),
         sections=[
             _turning(avatar, video),
-            _test_frames(avatar, video),
+            *picture_sections([("", {"render": ShownAvatar.of(avatar, video, body)})], SHOWN),
             *_refinement(metrics, video.folder / OVERLAYS),
-            *_novel(avatar, video, "novel_pose", "Novel poses", _NOVEL_POSE),
-            *_novel(avatar, video, "novel_view", "Novel views", _NOVEL_VIEW),
-            *_details(avatar, video),
-            *_reinitialisation(list(run_folder.load_snapshots(run)), metrics.surface),
+            *_reinitialisation(run_folder.load_snapshots(run), metrics.surface),
             _curves(history),
             _tables(metrics),
         ],
@@ -73,11 +70,6 @@ def write_report(run: Path, avatar: Avatar, video: Video, title: str) -> None:
     )
 
 
-_NOVEL_POSE = (
-    "A motion that is not in the video, under its true poses: ground truth left, render right."
-)
-_NOVEL_VIEW = "Poses of the video from cameras that never saw it: ground truth left, render right."
-_DETAILS = "The picture's own pixels above; the avatar below, rendered at the enlarged resolution."
 _SURFACE = (
     "Spacing is the coefficient of variation of the distance to the nearest Gaussian on the true "
     "surface: 0 on a lattice, 0.52 for random points. Bias is the 95th percentile of the distance "
@@ -133,17 +125,6 @@ def _turning(avatar: Avatar, video: Video) -> Section:
     return Section("The avatar", text, [animation(caption, pictures)], columns=3)
 
 
-def _test_frames(avatar: Avatar, video: Video) -> Section:
-    shown = spread(video.splits.test or video.splits.train, SHOWN + 1)
-    images = same_size([compared(avatar, frame) for frame in video.frames(shown)])
-    pictures = [picture(f"frame {k}", image) for k, image in zip(shown, images, strict=True)]
-    text = (
-        "Frames of the video that training left out: the picture cut out by its mask, the render, "
-        "and the largest difference of the three channels (white 0, red 64 of 255 and more)."
-    )
-    return Section("Test frames", text, pictures, columns=3)
-
-
 def _refinement(metrics: Metrics, overlays: Path) -> list[Section]:
     """Show the refinement's picture and errors, if the subject's folder has the picture."""
     if not overlays.exists():
@@ -156,53 +137,22 @@ def _refinement(metrics: Metrics, overlays: Path) -> list[Section]:
     return [Section("Pose refinement", text, pictures, columns=1, tables=[table])]
 
 
-def _novel(avatar: Avatar, video: Video, split: Split, title: str, text: str) -> list[Section]:
-    """Show ground truth beside render, if the subject has the split."""
-    source = source_of(video, split)
-    if source is None:
-        return []
-    shown = source.frames(spread(range(len(source)), SHOWN))
-    images = same_size([compared(avatar, frame, difference=False) for frame in shown])
-    return [Section(title, text, [picture("", image) for image in images])]
-
-
-def _details(avatar: Avatar, video: Video) -> list[Section]:
-    """Enlarge parts for which the whole body leaves few pixels."""
-    novel, test = source_of(video, "novel_pose"), video.splits.test or video.splits.train
-    close = [] if novel is None else spread(range(len(novel)), ENLARGED)
-    sections = []
-    for title, source, frames, what, columns in (
-        ("Close-ups of novel poses", novel, close, "close-ups", len(CLOSE_UPS)),
-        ("Faces in test frames", video, spread(test, 2 * SHOWN), "face", SHOWN),
-        ("Hands in test frames", video, spread(test, SHOWN), "hands", 2 * SHOWN),
-    ):
-        pictures = [
-            picture(f"frame {frame.index}, {name}", image)
-            for frame in (source.frames(frames) if frames else ())
-            for name, image in zoomed(avatar, frame, what)
-        ]
-        if pictures:
-            sections.append(Section(title, _DETAILS, pictures, columns=columns))
-    return sections
-
-
 def _reinitialisation(
-    snapshots: Sequence[Snapshot], surface: Sequence[SurfaceFigures]
-) -> list[Section]:
-    if not snapshots:
-        return []
-    pictures = []
-    for snapshot in snapshots:
-        for name, gaussians in (("before", snapshot.before), ("after", snapshot.after)):
-            caption = f"step {snapshot.step}, {name}: {len(gaussians):,} Gaussians"
-            pictures.append(picture(caption, dots(gaussians)))
-    text = (
-        "Surface-guided re-initialisation: every Gaussian as a dot of its own colour, in the rest "
-        "pose. Clumps in textured regions spread, and floaters return to the surface."
-    )
-    tables = [surface_table(surface)] if surface else []
-    text = f"{text} {_SURFACE}" if surface else text
-    return [Section("Re-initialisation", text, pictures, columns=2, tables=tables)]
+    snapshots: Iterable[Snapshot], surface: Sequence[SurfaceFigures]
+) -> Iterator[Section]:
+    """Show the Gaussians before and after each re-initialisation, and how they lie."""
+    pictures = [
+        dots(f"step {snapshot.step}, {name}", gaussians)
+        for snapshot in snapshots
+        for name, gaussians in (("before", snapshot.before), ("after", snapshot.after))
+    ]
+    if pictures or surface:
+        text = (
+            "Surface-guided re-initialisation: clumps of Gaussians in textured regions spread, and "
+            f"floaters return to the surface. {_SURFACE if surface else ''}"
+        )
+        tables = [surface_table(surface)] if surface else []
+        yield Section("Re-initialisation", text, pictures, columns=2, tables=tables)
 
 
 def surface_table(surface: Sequence[SurfaceFigures]) -> Table:

@@ -1,4 +1,4 @@
-"""Tables of both studies.
+"""Tables and pages of both studies.
 
 Figures of an outcome are named ``GROUP: TITLE``, and a name is a column: :data:`STYLES` says how
 the figures of a group are written, and which of several is the worst. Others are kept in the file
@@ -13,15 +13,34 @@ variant "full" of the same cases, because subjects differ more than variants do.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from gva_mi.study.engine import Outcome
-from gva_mi.study.page import Table
+from gva_mi.study.page import Headline, Section, Table, write_page
+from gva_mi.study.pictures import ShownAvatar, picture_sections
 from gva_mi.study.variants import FULL
 
+SHOWN = 2  # frames of a split of a case in pictures
+REFINE_TEXT = (
+    "Changes of errors are relative: -50 % is half the error of stage 1. ‘Aligned’ errors are "
+    "pelvis-aligned, those of fingers wrist-aligned. Depths of ankles and wrists are those after "
+    "refinement, above zero if too far away. ‘Increased’ is the share of frames whose error "
+    "increased. ‘IoU - limit’ compares with the ground-truth pose. Every error model counts once."
+)
+AVATAR_TEXT = (
+    "Mean ± standard deviation over subjects, the worst subject, and in brackets the difference to "
+    "full. ‘As given’: test frames without the poses that were trained. ‘Poses fitted’: to these "
+    "very pictures, as GART reports. ‘Aligned’: after one similarity transform for the whole "
+    "video, because one camera shows neither the scale nor the place of the world. Spacing is the "
+    "coefficient of variation of the distance between Gaussians on the true surface (0 on a "
+    "lattice, 0.52 for random points), bias the 95th percentile of the distance from the surface "
+    "to the nearest Gaussian."
+)
 Worst = Callable[[Iterable[float]], float]
 
 
@@ -150,7 +169,21 @@ def avatar_cells(outcomes: Sequence[Outcome]) -> dict[str, Cells]:
     return tables
 
 
-def text_table(title: str, cells: Cells, groups: Sequence[str], spread: bool = False) -> Table:
+def to_json(cells: Cells) -> dict[str, dict[str, dict]]:
+    """Return the cells as a study's file holds them."""
+    return {row: {name: asdict(c) for name, c in own.items()} for row, own in cells.items()}
+
+
+def tables(kind: str, cells: Cells) -> list[Table]:
+    """Write the tables of a study: one for all columns of refinement, one a group for avatars."""
+    there = {group_of(name) for row in cells.values() for name in row}
+    groups = [group for group in STYLES if group in there]
+    if kind == "refine":
+        return [_text_table("error model", cells, groups)]
+    return [_text_table(group, cells, (group,), spread=True) for group in groups]
+
+
+def _text_table(title: str, cells: Cells, groups: Sequence[str], spread: bool = False) -> Table:
     """Write the cells of some groups as text, under a head that begins with ``title``."""
     names = dict.fromkeys(name for row in cells.values() for name in row)
     shown = [name for name in names if group_of(name) in groups]
@@ -161,6 +194,56 @@ def text_table(title: str, cells: Cells, groups: Sequence[str], spread: bool = F
     return Table((title, *(name.rpartition(": ")[2] for name in shown)), rows)
 
 
-def to_json(cells: Cells) -> dict[str, dict[str, dict]]:
-    """Return the cells as a study's file holds them."""
-    return {row: {name: asdict(c) for name, c in own.items()} for row, own in cells.items()}
+def write_study_report(
+    path: Path,
+    kind: str,
+    outcomes: Sequence[Outcome],
+    cells: Mapping[str, Cells],
+    settings: dict[str, Any],
+    pictures: Iterable[tuple[str, Mapping[str, ShownAvatar]]] = (),
+) -> None:
+    """Write the page of a study.
+
+    Args:
+        path: the ``.html`` file.
+        kind: "refine" or "avatar".
+        outcomes: all that were asked for.
+        cells: their summary, by the title of each table.
+        settings: options and versions.
+        pictures: names of some cases, and the avatars of their variants.
+    """
+    text, first = (REFINE_TEXT if kind == "refine" else AVATAR_TEXT), next(iter(cells.values()))
+    top = first.get("mean", next(iter(first.values()))) if first else {}
+    shown = "change: aligned" if kind == "refine" else "psnr: "
+    sections = [
+        Section(title.capitalize(), text, tables=tables(kind, own)) for title, own in cells.items()
+    ]
+    sections += picture_sections(pictures, SHOWN)
+    sections.append(_cases(outcomes, "change" if kind == "refine" else "psnr"))
+    subjects = len({outcome.case.take.name for outcome in outcomes})
+    variants = dict.fromkeys(outcome.variant for outcome in outcomes)
+    write_page(
+        path,
+        title=f"Study: {kind}",
+        subtitle=f"Synthetic subjects: {subjects}. Variants: {', '.join(variants)}.",
+        headlines=[
+            Headline(found.text(name), name)
+            for name, found in top.items()
+            if name.startswith(shown)
+        ],
+        sections=sections,
+        settings=settings,
+    )
+
+
+def _cases(outcomes: Sequence[Outcome], group: str) -> Section:
+    """List every case and variant."""
+    names = dict.fromkeys(n for o in outcomes for n in o.figures if group_of(n) == group)
+    rows = []
+    for outcome in outcomes:
+        values = {name: cell([outcome], name) for name in names}
+        texts = ("–" if x is None else x.text(name) for name, x in values.items())
+        kind = "held out" if outcome.case.held_out else "tuning"
+        rows.append([outcome.case.name, kind, outcome.variant, *texts])
+    head = ("case", "", "variant", *(name.rpartition(": ")[2] for name in names))
+    return Section("Each case", f"{group.capitalize()} of each case.", tables=[Table(head, rows)])

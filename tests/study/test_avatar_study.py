@@ -20,7 +20,7 @@ from gva_mi.study.avatar_study import MADE_WITH, AvatarStudy, AvatarStudyOptions
 from gva_mi.study.cases import TUNING
 from gva_mi.study.engine import run_study
 from gva_mi.study.metrics import load_metrics
-from gva_mi.study.study_pictures import sections_of_pictures
+from gva_mi.study.pictures import picture_sections
 from gva_mi.study.variants import FULL, NO_HANDS, VARIANTS, variants_named
 
 OPTIONS = FitOptions(
@@ -138,15 +138,15 @@ def test_a_finished_variant_is_not_fitted_again(runs):
 
 
 def test_pictures_show_every_variant_beside_the_ground_truth(runs):
-    case = (TUNING[0], {name: run for name, (run, _) in runs.items()})
-    found = {section.title: section for section in sections_of_pictures([case])}
-    assert list(found) == ["Test frames", "Novel poses", "Novel views", "Where the Gaussians lie"]
-    assert "ground truth, full, without hand skeleton" in found["Novel poses"].text
+    shown = {name: run.shown() for name, (run, _) in runs.items()}
+    found = {section.title: section for section in picture_sections([("bruno", shown)], 2)}
+    assert list(found) == ["Test frames", "Novel poses", "Novel views", "The Gaussians"]
+    assert "ground truth, full, without hand skeleton." in found["Novel poses"].text
     captions = [picture.caption for picture in found["Test frames"].pictures]
-    assert captions[0] == f"{TUNING[0].name}, frame 3" and f"{captions[0]}, hands" in captions
-    assert len(found["Novel views"].pictures) == 2
+    assert captions[0] == "bruno, frame 3" and f"{captions[0]}, hands" in captions
+    assert len(found["Novel views"].pictures) == len(found["The Gaussians"].pictures) == 2
     assert any("head and hair" in picture.caption for picture in found["Novel poses"].pictures)
-    assert list(sections_of_pictures([(TUNING[0], {})])) == []
+    assert picture_sections([("bruno", {})], 2) == []
 
 
 @pytest.mark.slow

@@ -1,16 +1,18 @@
 """The report's tables say what the run's files hold, and its pictures what they are named after."""
 
+import base64
+import io
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import roma
 import torch
+from PIL import Image
 
 from gva_mi.fit.run_folder import LAPS
 from gva_mi.study import report
-from gva_mi.study.regions import CLOSE_UPS, close_ups
-from gva_mi.study.report_pictures import _joints, compared, turntable, zoomed
+from gva_mi.study.pictures import ShownAvatar, difference, picture_sections, turntable
 from gva_mi.study.surface import SurfaceFigures
 
 
@@ -37,31 +39,17 @@ def test_a_moment_of_the_surface_is_a_row():
     assert table.rows[1][-2:] == ("–", "–")
 
 
-def test_close_ups_show_the_picture_above_the_render(known, video):
-    frame = video[0]
-    boxes = dict(close_ups(frame.camera, _joints(known, frame)))
-    found = dict(zoomed(known, frame, "close-ups"))
-    assert {"head and hair", "left armpit"} <= set(found) == set(boxes) <= set(CLOSE_UPS)
-    for name, image in found.items():
-        box, (height, width) = boxes[name], image.shape[:2]
-        assert height == 2 * width and width % box.width == 0
-        above = image[: height // 2 : width // box.width, :: width // box.width]
-        cut = frame.on_background()[box.top : box.bottom, box.left : box.right]
-        assert np.abs(above / 255 - cut).mean() < 0.02
+def test_details_are_rendered_as_large_as_they_are_shown(known, video, body):
+    test, *_, rest = picture_sections([("", {"render": ShownAvatar.of(known, video, body)})], 1)
+    hand = next(p for p in test.pictures if p.caption == "frame 3, hands")
+    image = Image.open(io.BytesIO(base64.b64decode(hand.data.partition(",")[2])))
+    assert image.width == 3 * image.height >= 600
+    assert "ground truth, render, difference" in test.text and rest.title == "The Gaussians"
 
 
-def test_a_face_is_shown_if_it_faces_the_camera(known, video):
-    """The subject turns: it faces the camera in its first frame, and not in its fourth."""
-    ((_, image),) = zoomed(known, video[0], "face")
-    assert image.shape[0] == 2 * image.shape[1] >= 200 and (image < 200).any()
-    assert not list(zoomed(known, video[3], "face"))
-
-
-def test_differences_are_red(known, video):
-    frame = video[0]
-    dark = replace(frame, image=np.zeros_like(frame.image))
-    same, other = (compared(known, f)[:, -20:].astype(int) for f in (frame, dark))
-    assert (other[..., 0] - other[..., 1]).max() > 150 > (same[..., 0] - same[..., 1]).max()
+def test_differences_are_red():
+    target, image = np.zeros((1, 2, 3), np.uint8), np.array([[[0, 0, 0], [9, 64, 0]]], np.uint8)
+    assert difference(target, image).tolist() == [[[255, 255, 255], [190, 20, 40]]]
 
 
 WORLDS = {"z up": (np.pi / 2, 0, 0), "askew": (0.4, -1.1, 0.7)}

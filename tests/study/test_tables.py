@@ -8,9 +8,7 @@ from gva_mi.study.cases import HELD_OUT, TUNING, StudyCase, Take
 from gva_mi.study.engine import Outcome
 from gva_mi.study.measure import PoseFigures
 from gva_mi.study.refine_study import columns
-from gva_mi.study.study_report import PAPER, tables
-from gva_mi.study.tables import avatar_cells, cell, refine_cells, text_table
-from gva_mi.study.variants import VARIANTS
+from gva_mi.study.tables import avatar_cells, cell, refine_cells, tables
 
 BRUNO = [case for case in HELD_OUT if case.take.person == "bruno"]
 EDGAR = [case for case in HELD_OUT if case.take.person == "edgar"]
@@ -94,11 +92,7 @@ def test_unknown_figures_are_left_out():
 def test_levels_of_noise_are_apart_and_cells_are_readable():
     some = [refinement("white", 1, 31.0, ankles=-7.6, variant=v) for v in ("noise 1", "noise 2")]
     cells = refine_cells(some)["error models"]
-    table = text_table("error model", cells, ("change", "depth"))
+    (table,) = tables("refine", cells)
     assert table.head == ("error model", "body", "ankles, mm")
     assert table.rows[0] == ["white, noise 1", "-69 %", "-8"]
     assert asdict(cells["white, noise 2"]["change: body"])["mean"] == pytest.approx(-0.69)
-
-
-def test_the_papers_ablation_names_variants_that_exist():
-    assert all(set(row[-1].split("; ")) <= {v.name for v in VARIANTS} for row in PAPER.rows)

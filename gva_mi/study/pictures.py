@@ -1,0 +1,210 @@
+"""Pictures of avatars beside the ground truth, for the page of a run and of the avatar study.
+
+Novel poses and views are shown after the similarity transform (:mod:`gva_mi.study.similarity`), so
+that a picture shows the avatar and not how far away the subject was assumed to be. All pictures are
+8-bit (H, W, 3), on white.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from gva_mi.avatar.avatar import Avatar
+from gva_mi.body.pose import Pose
+from gva_mi.body.smplx import BodyModel
+from gva_mi.data.crop import Box
+from gva_mi.data.video import Frame, Video, spread
+from gva_mi.fit.camera_paths import circle
+from gva_mi.fit.renders import cut_out, render_frame, to_8bit
+from gva_mi.splat import Camera, Gaussians, look_at, render
+from gva_mi.splat.geometry import with_axes
+from gva_mi.study.evaluate import Split, SplitView, views_of
+from gva_mi.study.metrics import aligned_views
+from gva_mi.study.page import Picture, Section, around, picture
+from gva_mi.study.regions import close_ups, person_box
+from gva_mi.study.similarity import posed_joints, similarity_to_truth
+
+ZOOMED_PIXELS = 220  # about the side of an enlarged box
+DOT = 0.0015  # metres, standard deviation of a Gaussian drawn as a dot
+RED_AT = 64  # levels of 255 at which a difference is fully red
+SECTIONS: dict[Split, tuple[str, str]] = {
+    "test": ("Test frames", "Frames that training left out, visible hands, and visible faces."),
+    "novel_pose": ("Novel poses", "A motion that is not in the video, and close-ups."),
+    "novel_view": ("Novel views", "Frames of the video from cameras that never saw it."),
+}
+
+
+@dataclass(frozen=True)
+class ShownAvatar:
+    """An avatar, and the splits it is shown on."""
+
+    avatar: Avatar
+    views: Mapping[Split, SplitView]
+
+    @staticmethod
+    def of(
+        avatar: Avatar,
+        trained: Video,
+        body: BodyModel,
+        driven: Callable[[Pose], Pose] = lambda pose: pose,
+    ) -> ShownAvatar:
+        """Open the splits of a video, with novel ones in the avatar's world.
+
+        Args:
+            avatar: to show.
+            trained: opened with the poses that the avatar was trained under.
+            body: the fitted body model.
+            driven: applied to every pose before it drives the avatar.
+        """
+        views = views_of(trained, tuple(SECTIONS), body)
+        similarity = similarity_to_truth(avatar.rig, trained, body)
+        if similarity is not None:
+            test = [view for view in views if view.split == "test"]
+            views = test + aligned_views(views, similarity, avatar.rig, body)
+        change = lambda source: replace(source, pose=driven(source.pose))
+        return ShownAvatar(avatar, {view.split: view.through(change) for view in views})
+
+
+def picture_sections(
+    cases: Iterable[tuple[str, Mapping[str, ShownAvatar]]], count: int
+) -> list[Section]:
+    """Make a section for each split (ground truth, and every avatar beside it), one of Gaussians.
+
+    Args:
+        cases: name of each video, and its avatars by their names. A single avatar is followed by
+            its difference from the ground truth.
+        count: frames of a split of a video.
+    """
+    pictures, at_rest, names = {split: [] for split in SECTIONS}, [], []
+    for case, avatars in cases:
+        names = list(avatars)
+        for split, own in pictures.items():
+            there = [shown for shown in avatars.values() if split in shown.views]
+            own += _of_split(case, there, split, count) if there else []
+        at_rest += [
+            dots(f"{case} {name}", shown.avatar.canonical) for name, shown in avatars.items()
+        ]
+    order = f" From left to right: ground truth, {', '.join(names)}"
+    order += ", difference (white 0, red 64 of 255 and more)." if len(names) == 1 else "."
+    sections = [
+        Section(title, text + order, pictures[split], columns=3 if len(names) == 1 else 1)
+        for split, (title, text) in SECTIONS.items()
+        if pictures[split]
+    ]
+    text = "Every Gaussian as a dot of its own colour, in the rest pose, from two sides."
+    return [*sections, *([Section("The Gaussians", text, at_rest, columns=3)] if at_rest else [])]
+
+
+def _of_split(
+    case: str, avatars: Sequence[ShownAvatar], split: Split, count: int
+) -> Iterator[Picture]:
+    """Show some frames, whole and in close-ups, which are rendered at their enlarged resolution."""
+    view = avatars[0].views[split]
+    for k in spread(view.frames, count):
+        frame, mask = view.video[k], view.video.true_mask(k)
+        frame = frame if mask is None else replace(frame, mask=mask)
+        for what, box in _boxes(view, frame, avatars[0].avatar):
+            times = max(1, round(ZOOMED_PIXELS / box.width)) if what else 1
+            row = [box.cut(cut_out(frame)).repeat(times, 0).repeat(times, 1)]
+            for shown in avatars:
+                own = shown.views[split].video[k]
+                camera = box.cut_camera(own.camera).resized(times * box.width, times * box.height)
+                row.append(render_frame(shown.avatar, own.pose, camera))
+            if len(avatars) == 1:
+                row.append(difference(*row))
+            yield picture(f"{case}, frame {k}{what}".strip(", "), np.concatenate(row, axis=1))
+
+
+def _boxes(view: SplitView, frame: Frame, avatar: Avatar) -> Iterator[tuple[str, Box]]:
+    """Yield the person's box, and boxes of details: hands and face in test frames."""
+    yield "", person_box(frame.mask)
+    if view.split == "test" and view.details is not None:
+        yield from ((f", {what}", box) for what, box in view.details.boxes(frame.index))
+    elif view.split == "novel_pose":
+        joints = joints_of(avatar, frame)
+        yield from ((f", {part}", box) for part, box in close_ups(frame.camera, joints))
+
+
+def difference(target: np.ndarray, image: np.ndarray) -> np.ndarray:
+    """Show the largest difference of the three channels in red."""
+    share = np.abs(image.astype(int) - target).max(-1)[..., None] / RED_AT
+    white, red = np.array([255, 255, 255]), np.array([190, 20, 40])
+    return np.round(white + np.minimum(share, 1) * (red - white)).astype(np.uint8)
+
+
+def turntable(avatar: Avatar, frame: Frame, count: int) -> Iterator[np.ndarray]:
+    """Render the avatar in a frame's pose from ``count`` cameras on a circle around it.
+
+    The circle begins at the frame's camera and is horizontal in its picture, because a video does
+    not say which way is up in the world.
+    """
+    R = frame.camera.T_camera_world[:3, :3]
+    seen = joints_of(avatar, frame) @ R.T
+    # The centre of the joints' extent along the camera's axes; their mean is biased by the fingers.
+    centre = (seen.min(0) + seen.max(0)) / 2 @ R
+    up = -frame.camera.T_camera_world[1, :3]  # y of a camera points down
+    toward = frame.camera.position - centre
+    toward -= up * (up @ toward)
+    width, height = frame.camera.width, frame.camera.height
+    lens = (frame.camera.fx, frame.camera.fy, width / 2, height / 2)
+    angles = np.linspace(0, 2 * np.pi, count, endpoint=False)
+    for T_camera_world in circle(centre, toward, up, 0.1, angles):
+        camera = Camera(*lens, T_camera_world, width, height)
+        yield render_frame(avatar, frame.pose, camera)
+
+
+def dots(caption: str, gaussians: Gaussians, height: int = 560) -> Picture:
+    """Draw every Gaussian as a dot of its own colour, from the front and from the side."""
+    means = gaussians.means.detach()
+    small = Gaussians(
+        means,
+        means.new_zeros(len(gaussians), 4),  # round, so any rotation will do
+        torch.full_like(means, DOT),
+        torch.full_like(gaussians.opacities.detach(), 0.99),
+        sh=gaussians.sh.detach()[:, :1],
+    )
+    low, high = np.quantile(means.numpy(), [0.001, 0.999], axis=0)
+    centre, size = (low + high) / 2, (high - low) * 1.1
+    scale, views = height / size[1], []
+    for axis, across in (((0, 0, 1), 0), ((1, 0, 0), 2)):
+        distance = 8.0  # far away, for a nearly parallel view
+        width = round(size[across] * scale)
+        T_camera_world = look_at(centre + distance * np.array(axis), centre)
+        focal = distance * scale
+        camera = Camera(focal, focal, width / 2, height / 2, T_camera_world, width, height)
+        with torch.no_grad():
+            views.append(to_8bit(render(small, camera, background=torch.ones(3)).color.numpy()))
+    return picture(f"{caption}: {len(gaussians):,} Gaussians", np.concatenate(views, axis=1))
+
+
+def overview(avatar: Avatar, video: Video, turned: int = 3) -> np.ndarray:
+    """Show the method in one picture: a frame, its normals, the Gaussians, and new views."""
+    from PIL import Image
+
+    frame = video[(video.splits.test or video.splits.train)[0]]
+    parts = [cut_out(frame)]
+    if frame.normals is not None:
+        shown = np.where(frame.mask[..., None] > 0.5, (frame.normals + 1) / 2, 1)
+        parts.append(to_8bit(shown))
+    with torch.no_grad():
+        whole = with_axes(avatar(frame.pose))
+        thin = replace(whole, scales=whole.scales / 3)
+        image = render(thin, frame.camera, background=torch.ones(3))
+    parts.append(to_8bit(image.color.numpy()))
+    parts += list(turntable(avatar, frame, turned + 1))[1:]
+    scaled, height = [], 480
+    for part in parts:
+        cut = part[around(part.min(-1) < 250, len(parts[0]) // 50)]
+        width = max(1, round(cut.shape[1] * height / cut.shape[0]))
+        resized = Image.fromarray(cut).resize((width, height), Image.Resampling.LANCZOS)
+        scaled.append(np.asarray(resized))
+    return np.concatenate(scaled, axis=1)
+
+
+def joints_of(avatar: Avatar, frame: Frame) -> np.ndarray:
+    """Return the avatar's joints in a frame's pose, (55, 3) metres, world."""
+    return posed_joints(avatar.rig, frame.pose)[0].detach().double().numpy()

@@ -18,11 +18,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import roma
 import torch
 
 from gva_mi.body.body_file import kintree_table
 from gva_mi.body.pose import JOINTS
+from gva_mi.body.rotations import to_matrices
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import write_arrays
 
@@ -184,7 +184,7 @@ class _Source:
         palm = _about_x(twist) @ hand
         raised = np.arccos(np.clip(np.trace(upper) / 2 - 0.5, -1, 1))
         turned = {
-            "shoulder01": _axis_angle(np.array([0, 0, 0.2 * side[0] * raised])),
+            "shoulder01": to_matrices(np.array([0, 0, 0.2 * side[0] * raised])),
             "upperarm01": upper,
             # The twist is spread over the forearm.
             "lowerarm01": _about_x(0.25 * twist) @ lower,
@@ -250,12 +250,8 @@ def _between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
     axis = np.cross(a, b)
     sine = np.linalg.norm(axis)
-    return _axis_angle(axis / max(sine, 1e-12) * np.arctan2(sine, a @ b))
+    return to_matrices(axis / max(sine, 1e-12) * np.arctan2(sine, a @ b))
 
 
 def _about_x(angle: float) -> np.ndarray:
-    return _axis_angle(np.array([angle, 0, 0]))
-
-
-def _axis_angle(vector: np.ndarray) -> np.ndarray:
-    return roma.rotvec_to_rotmat(torch.from_numpy(np.asarray(vector, np.float64))).numpy()
+    return to_matrices(np.array([angle, 0, 0]))

@@ -16,7 +16,6 @@ from gva_mi.data.check import check_subject
 from gva_mi.data.check.sheet import draw_sheet
 from gva_mi.data.pictures import require_picture, write_image
 
-NARROWEST = 110  # characters of a table that can be read
 WRONG = 1  # exit code
 
 
@@ -49,7 +48,7 @@ def check(
         require_picture(sheet, overwrite)
     with bar("check") as progress:
         report, files, shown = check_subject(subject, model, poses, progress)
-    for line in report.lines(max(NARROWEST, shutil.get_terminal_size().columns)):
+    for line in report.lines(max(60, shutil.get_terminal_size().columns)):
         say(line)
     for line in report.skipped:
         say(f"{subject}: {line}")

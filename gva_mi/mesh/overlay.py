@@ -1,4 +1,4 @@
-"""Pictures of a mesh: over a photograph, with its outline, or alone."""
+"""Pictures of a mesh over a photograph, with its outline."""
 
 from __future__ import annotations
 
@@ -7,11 +7,10 @@ import torch
 from torch import Tensor
 
 from gva_mi.mesh.mesh_scene import MeshScene
-from gva_mi.splat import Camera, look_at
+from gva_mi.splat import Camera
 
 OUTLINE = (1.0, 0.25, 0.1)  # orange: neither skin nor cloth
 BLUE = (0.35, 0.65, 1.0)
-CLAY = (0.72, 0.76, 0.80)
 OPACITY = 0.45  # of the shaded mesh over the picture
 
 
@@ -38,26 +37,6 @@ def outlined(image: np.ndarray, mask: np.ndarray, color: tuple[float, ...]) -> n
     padded = np.pad(mask, 1)  # the outline is what touches a pixel outside, not diagonally
     inner = padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
     return np.where((mask & ~inner)[..., None], color, image).astype(np.float32)
-
-
-@torch.no_grad()
-def shaded(vertices: Tensor, faces: Tensor, angle: float, size: int = 300) -> np.ndarray:
-    """Draw a surface on white, lit by a lamp on the camera, (size, size, 3) float32 in [0, 1].
-
-    Args:
-        vertices: (V, 3) float32, world, metres; the picture is as wide as their largest extent.
-        faces: (F, 3).
-        angle: where the camera stands around the vertical, radians; 0 is in front.
-        size: pixels.
-    """
-    low, high = vertices.amin(0), vertices.amax(0)
-    centre = ((low + high) / 2).double().numpy()
-    distance = 3 * float((high - low).max())
-    eye = centre + distance * np.array([np.sin(angle), 0.0, np.cos(angle)])
-    camera = Camera(2.7 * size, 2.7 * size, size / 2, size / 2, look_at(eye, centre), size, size)
-    image = MeshScene(faces, vertices).render(vertices, camera).numpy()
-    light = 0.2 + 0.75 * np.clip(-image[..., 2:3], 0, 1)
-    return np.where(image[..., 3:] > 0.5, light * np.array(CLAY), 1).astype(np.float32)
 
 
 def strip(rows: list[list[np.ndarray]], gap: int = 4) -> np.ndarray:

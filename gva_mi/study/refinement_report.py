@@ -6,16 +6,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-import numpy as np
 import torch
 
-from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import listed
 from gva_mi.data.video import Video, spread
-from gva_mi.mesh.overlay import shaded, strip
+from gva_mi.mesh.overlay import strip
 from gva_mi.pose.refine import Refined
 from gva_mi.study.measure import ERRORS, Evaluation, FrameFigures, PoseFigures
-from gva_mi.study.page import Headline, Section, Table, around, number, picture, plot, write_page
+from gva_mi.study.page import Headline, Section, Table, number, picture, plot, write_page
 from gva_mi.study.refinement import overlays
 
 SHOWN = 6  # frames of a strip
@@ -72,20 +70,13 @@ def write_refinement_report(
         sections=[
             _means(measured.means),
             _curves(refined, measured),
-            _frames("Worst frames", _WORST, _worst(video, measured), evaluation),
+            _frames("Worst frames", "Worst first.", _worst(video, measured), evaluation),
             _frames("Evenly spaced frames", "", spread(there, SHOWN), evaluation),
             *([_ablation(measured.means, ablation)] if ablation else []),
-            *([_surface(evaluation.body, refined)] if refined.offsets.any() else []),
             *_exceptions(refined),
         ],
         settings={"options": asdict(evaluation.options), "versions": dict(versions)},
     )
-
-
-_WORST = (
-    "The frames with the largest error of the refined body or, without ground truth, with the "
-    "smallest silhouette IoU."
-)
 
 
 def errors_table(figures: PoseFigures, trained: Mapping[str, float] | None = None) -> Table:
@@ -179,7 +170,7 @@ def _curves(refined: Refined, measured: FrameFigures) -> Section:
 
 
 def _worst(video: Video, measured: FrameFigures) -> list[int]:
-    """Return the frames with the largest errors, or else the smallest IoU, worst first."""
+    """Return the frames with the largest body errors, or else the smallest IoU, worst first."""
     badness = measured.frames.get("vertex_mm", -measured.frames["iou"])
     order = badness.nan_to_num(-torch.inf).argsort(descending=True, stable=True).tolist()
     return [k for k in order if k not in video.absent][:SHOWN]
@@ -232,38 +223,14 @@ def _ablation(means: PoseFigures, ablation: Mapping[str, PoseFigures]) -> Sectio
     return Section("What each term is worth", text, tables=[Table(head, rows)])
 
 
-def _surface(body: BodyModel, refined: Refined) -> Section:
-    """Show the rest surface, bare and displaced."""
-    bare = body.rest(refined.shape).vertices
-    rows = [
-        [shaded(x, body.faces, angle) for angle in (0.0, np.pi / 2, np.pi)]
-        for x in (bare, bare + refined.offsets)
-    ]
-    part = around(np.any([image.min(-1) < 1 for row in rows for image in row], axis=0), 4)
-    length = 1e3 * refined.offsets.norm(dim=1)
-    text = (
-        "The rest surface of the body (above) and with the displacement that stands for clothes "
-        f"and hair (below): {length.mean():.0f} mm on average, {length.max():.0f} mm at most. All "
-        "frames share it, and it is stored with the poses."
-    )
-    pictures = [picture("", strip([[image[part] for image in row] for row in rows]))]
-    return Section("Displaced surface", text, pictures, columns=2)
-
-
 def _exceptions(refined: Refined) -> list[Section]:
     """List frames that were not refined, or refined differently."""
-    sections = []
-    if refined.kept:
-        rows = [(str(k), reason) for k, reason in refined.kept.items()]
-        text = "These frames keep the pose of stage 1."
-        sections.append(Section("Kept frames", text, tables=[Table(("frame", "why"), rows)]))
-    for limbs, frames in refined.swapped.items():
-        text = f"Stage 1 exchanged left and right in frames {listed(frames)}."
-        sections.append(Section(f"Exchanged {limbs}", text))
-    if refined.held_out:
-        text = f"Poses follow from the other frames: {listed(refined.held_out)}."
-        sections.append(Section("Held-out test frames", text))
-    if refined.without_normals:
-        text = f"Fitted to silhouettes alone: {listed(refined.without_normals)}."
-        sections.append(Section("Frames without normals", text))
-    return sections
+    rows = [(str(k), f"keeps the pose of stage 1: {why}") for k, why in refined.kept.items()]
+    rows += [(listed(k), f"{x}: left and right exchanged") for x, k in refined.swapped.items()]
+    for frames, what in (
+        (refined.held_out, "held-out test frames: poses follow from the other frames"),
+        (refined.without_normals, "no normals: fitted to silhouettes alone"),
+    ):
+        rows += [(listed(frames), what)] if frames else []
+    table = Table(("frames", "what differs"), rows)
+    return [Section("Frames that differ", "", tables=[table])] if rows else []

@@ -1,27 +1,6 @@
 """Variants of the avatar study: the whole method, and the method without one part in turn.
 
-================================  ==================================================================
-variant                           what differs
-================================  ==================================================================
-full                              nothing: refined poses, trained further, all parts
-without refinement                stage-1 poses, trained further; no displaced surface is known
-without trained poses             refined poses as they are
-without either                    stage-1 poses as they are: the paper's "w/o Pose Refinement"
-without hand skeleton             fingers stay as in the rest pose
-without re-initialisation         seeded on the displaced surface, as in full
-without re-initialisation, naked  seeded on the naked body, as in the paper
-seeded on the naked body          re-initialised as in full: what the paper calls full
-without stretching                Gaussians rotate and keep their size, as in Eq. 6
-with residual                     the pose moves Gaussians further, at a weight that allows it
-GART-like                         GART's parts in this program (Lei et al. 2023): stage-1 poses
-                                  trained further, the naked body, no fingers, no
-                                  re-initialisation, its loss. Not GART: skinning weights are not
-                                  learned, there are no latent bones, and rates are ours
-static 3DGS                       one rigid body: root and place follow the poses, all other joints
-                                  stay as in the first training frame
-true poses                        ground-truth poses, not trained: the limit of better poses
-one held-out range                as full, but test frames are one range in the middle of the video
-================================  ==================================================================
+``docs/studies.md`` says what differs in each.
 """
 
 from __future__ import annotations

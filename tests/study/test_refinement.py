@@ -113,7 +113,7 @@ def test_the_report_is_complete(tmp_path, estimated, body, refined, truth, given
     )
     page = (tmp_path / "page.html").read_text()
     assert "its loss grew from 0.100 to &lt;0.200&gt;" in page  # escaped
-    for text in ("Worst frames", "no prior", "silhouettes alone: 1.", "1.2.3", "passes"):
+    for text in ("Worst frames", "no prior", "fitted to silhouettes alone", "1.2.3", "passes"):
         assert text in page, text
     assert ("Errors are distances" in page) is ("hands, pelvis-aligned" in page) is given
     assert page.count("data:image/webp") >= 12

@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from gva_mi.body.kinematics import joint_transforms
-from gva_mi.body.pose import BODY, PARENTS, Pose, Shape
+from gva_mi.body.pose import BODY, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.threads import one_torch_thread
 from gva_mi.data.check.files import SubjectFiles, small_size
+from gva_mi.data.joints import count_in_mask, joint_places, joints_seen
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.splat import Camera
 
@@ -52,24 +52,13 @@ class CheckedFrames:
 
     def pixels(self) -> np.ndarray:
         """Project root and body joints, (n, 22, 2) px; infinite behind the camera."""
-        rest, some = torch.from_numpy(self.joints), slice(0, BODY.stop)
-        pose = self.pose.to(torch.float64)
-        T = joint_transforms(pose.rotations, rest, PARENTS, pose.transl).numpy()[:, some]
-        world = np.einsum("tjab,jb->tja", T[..., :3, :3], self.joints[some]) + T[..., :3, 3]
-        with np.errstate(all="ignore"):
-            seen = [c.project(x) for c, x in zip(self.cameras, world, strict=True)]
-        R = np.stack([c.T_camera_world for c in self.cameras])
-        depth = np.einsum("tb,tjb->tj", R[:, 2, :3], world) + R[:, 2, 3, None]
-        return np.where(depth[..., None] > 0, np.stack(seen), np.inf)
+        places = joint_places(self.pose.rotations, self.pose.transl, self.joints)[:, : BODY.stop]
+        return np.stack([joints_seen(*one) for one in zip(self.cameras, places, strict=True)])
 
     def inside(self) -> np.ndarray:
         """Return the share (n,) of these joints that lie in the mask."""
-        pixels, (height, width) = self.pixels(), self.masks.shape[1:]
-        u, v = np.floor(pixels.clip(-1, 1e6)).astype(int).transpose(2, 0, 1)
-        there = (u >= 0) & (v >= 0) & (u < width) & (v < height)
-        rows = np.arange(len(self))[:, None]
-        hits = self.masks[rows, v.clip(0, height - 1), u.clip(0, width - 1)] & there
-        return hits.mean(1)
+        both = zip(self.pixels(), self.masks, strict=True)
+        return np.array([count_in_mask(*one)[0] for one in both]) / BODY.stop
 
 
 def frames_of(files: SubjectFiles, body: BodyModel) -> CheckedFrames | None:

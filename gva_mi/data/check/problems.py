@@ -9,9 +9,7 @@ from typing import Literal
 
 from gva_mi.core.console import listed
 
-HEAD = ("", "what", "frames", "figure", "likely cause", "what to do")
-_SHARES = (0, 2, 1, 2, 4, 4)  # of a table's width beyond the first column
-_LONGEST = 40  # characters of a list of frames in the table; all of them are in the JSON
+LONGEST = 40  # characters of a list of frames
 
 
 @dataclass(frozen=True)
@@ -57,31 +55,17 @@ class CheckReport:
             "skipped": self.skipped, "figures": self.figures,
         }  # fmt: skip
 
-    def lines(self, width: int) -> list[str]:
-        """Return a table of ``width`` characters; nothing if there are no problems."""
-        if not self.problems:
-            return []
-        first = max(len(p.severity) for p in self.problems)
-        left = width - first - 2 * (len(HEAD) - 1)
-        widths = [first, *(max(8, left * s // sum(_SHARES)) for s in _SHARES[1:])]
-        lines = [*_row(HEAD, widths), "  ".join("-" * w for w in widths)]
+    def lines(self, width: int) -> Iterator[str]:
+        """Yield the problems for people, in lines of at most ``width`` characters."""
         for p in self.problems:
-            cells = (p.severity, p.what, self._short(p.frames), p.figure, p.cause, p.remedy)
-            lines += _row(cells, widths)
-        return lines
+            frames = f" in {self._listed(p.frames)}" if p.frames else ""
+            yield from textwrap.wrap(f"{p.severity}: {p.what}{frames}: {p.figure}", width)
+            why = f"likely cause: {p.cause}; what to do: {p.remedy}"
+            yield from textwrap.wrap(why, width, initial_indent="  ", subsequent_indent="  ")
 
-    def _short(self, frames: tuple[int, ...]) -> str:
-        """Return frame numbers as the table shows them."""
-        if frames and len(frames) == self.frames:
-            return "all"
-        text = listed(sorted(frames))
-        many = f"{len(frames)} of {self.frames}, from {frames[0]} on" if frames else ""
-        return text if len(text) <= _LONGEST else many
-
-
-def _row(cells: Iterable[str], widths: list[int]) -> Iterator[str]:
-    """Yield the lines of one row, its cells wrapped."""
-    wrapped = [textwrap.wrap(c, w) or [""] for c, w in zip(cells, widths, strict=True)]
-    for k in range(max(map(len, wrapped))):
-        parts = (cell[k] if k < len(cell) else "" for cell in wrapped)
-        yield "  ".join(x.ljust(w) for x, w in zip(parts, widths, strict=True)).rstrip()
+    def _listed(self, frames: tuple[int, ...]) -> str:
+        """Return frame numbers in a few words; all of them are in the JSON."""
+        if len(frames) == self.frames:
+            return "all frames"
+        text = f"frames {listed(sorted(frames))}"
+        return text if len(text) <= LONGEST else f"{len(frames)} frames from {frames[0]} on"

@@ -7,13 +7,13 @@ Joints beyond the picture's edge are ignored, because many videos end at the hip
 
 from __future__ import annotations
 
-import numpy as np
 import torch
 
+from gva_mi.body.pose import BODY
 from gva_mi.body.smplx import BodyModel
+from gva_mi.data.joints import count_in_mask, joints_seen
 from gva_mi.data.video import Video, spread
 
-BODY = 22  # joints without face and fingers, which are within a pixel of each other
 FRAMES = 8  # that are read
 FEWEST_INSIDE = 0.5  # of those in the picture; noise and loose clothes leave most in the masks
 FEWEST_SEEN = 0.2  # of all joints are in the picture; head and shoulders are a third of them
@@ -22,22 +22,15 @@ FEWEST_SEEN = 0.2  # of all joints are in the picture; head and shoulders are a 
 @torch.no_grad()
 def sanity_check(video: Video, body: BodyModel) -> str | None:
     """Return a warning if the video's body does not stand where its masks are, else None."""
-    joints_seen, joints_inside, of = 0, 0, 0
-    there = [k for k in range(len(video)) if k not in video.absent]
-    for outline in video.outlines(spread(there, FRAMES)):
-        joints = body(outline.pose, video.shape).joints[0, :BODY].double().numpy()
-        camera, mask = outline.camera, outline.mask > 0.5
-        before = joints @ camera.T_camera_world[2, :3] + camera.T_camera_world[2, 3] > 0
-        with np.errstate(all="ignore"):
-            u, v = np.floor(camera.project(joints)).T
-        seen = before & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
-        at = v[seen].astype(int), u[seen].astype(int)
-        of += len(joints)
-        joints_seen += int(seen.sum())
-        joints_inside += int(mask[at].sum())
-    share, where = joints_seen / max(1, of), "picture"
+    inside, seen, of = 0, 0, 0
+    frames = [k for k in range(len(video)) if k not in video.absent]
+    for outline in video.outlines(spread(frames, FRAMES)):
+        joints = body(outline.pose, video.shape).joints[0, : BODY.stop].double().numpy()
+        hits, there = count_in_mask(joints_seen(outline.camera, joints), outline.mask > 0.5)
+        inside, seen, of = inside + hits, seen + there, of + len(joints)
+    share, where = seen / max(1, of), "picture"
     if share >= FEWEST_SEEN:
-        share, where = joints_inside / joints_seen, "masks"
+        share, where = inside / seen, "masks"
         if share >= FEWEST_INSIDE:
             return None
     return (

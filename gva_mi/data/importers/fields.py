@@ -26,9 +26,9 @@ from typing import Any
 import numpy as np
 
 from gva_mi.body.pose import BODY, JOINTS, LEFT_HAND, RIGHT_HAND, SMPLX_FIELDS
+from gva_mi.body.rotations import nearest_rotations, to_rotvecs
 from gva_mi.body.smpl import FORMATS, SMPL, SMPLH, SMPLX
 from gva_mi.core.errors import InputError
-from gva_mi.data.importers.rotations import nearest_rotations, to_rotvecs
 
 WHOLE = ("poses", "pose", "fullpose", "full_pose", "smpl_poses", "thetas", "smpl_thetas")
 TRANSLATIONS = ("trans", "transl", "smpl_trans", "translation")

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from gva_mi.body.pose import SMPLX_FIELDS
+from gva_mi.body.rotations import to_matrices
 from gva_mi.core.errors import InputError
 from gva_mi.core.pickles.reader import read_objects
 from gva_mi.data.importers.estimator_files import (
@@ -27,7 +28,6 @@ from gva_mi.data.importers.estimator_files import (
 from gva_mi.data.importers.fields import translation_name
 from gva_mi.data.importers.lens import lens_of
 from gva_mi.data.importers.numbering import number_in
-from gva_mi.data.importers.rotations import to_matrices
 from gva_mi.data.importers.tracks import PELVIS
 
 # From the pelvis to the middle of the hips at rest, metres: BEV's translations are of the latter.

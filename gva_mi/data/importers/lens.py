@@ -19,12 +19,12 @@ from typing import Any
 
 import numpy as np
 
+from gva_mi.body.rotations import shortest
 from gva_mi.core.errors import MALFORMED, InputError
 from gva_mi.core.files import read_json
 from gva_mi.core.options import Within
 from gva_mi.data.importers.footage import Pictures, files_of
 from gva_mi.data.importers.quicktime import numbers
-from gva_mi.data.importers.rotations import shortest
 from gva_mi.data.importers.tracks import Track
 from gva_mi.data.pictures import opened
 

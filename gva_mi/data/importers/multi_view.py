@@ -19,13 +19,13 @@ from typing import Any
 
 import numpy as np
 
+from gva_mi.body.rotations import composed, to_matrices
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import read_arrays, read_json
 from gva_mi.data.importers.capture import Capture, FixedCamera
 from gva_mi.data.importers.estimator_files import read_source
 from gva_mi.data.importers.footage import files_of
 from gva_mi.data.importers.numbering import number_in
-from gva_mi.data.importers.rotations import compose, to_matrices
 from gva_mi.data.importers.tracks import PELVIS, Track, make_track
 
 _SMPL = (
@@ -159,7 +159,7 @@ def _turned_about_origin(
         )
     if poses.shape[1] == 69:  # without the root
         poses = np.concatenate([np.zeros((len(poses), 3)), poses], axis=1)
-    poses[:, :3] = compose(turns, poses[:, :3])
+    poses[:, :3] = composed(turns, poses[:, :3])
     pelvis = np.array(PELVIS[form])
     transl = to_matrices(turns) @ pelvis + places - pelvis
     given = {"poses": poses, "transl": transl, "betas": rows("shapes")}

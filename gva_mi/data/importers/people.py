@@ -19,7 +19,7 @@ from gva_mi.body.pose import BODY
 from gva_mi.core.errors import InputError
 from gva_mi.data.importers.mask_units import BARELY
 from gva_mi.data.importers.tracks import Track
-from gva_mi.data.importers.world import joint_places
+from gva_mi.data.joints import count_in_mask, joint_places
 
 _REACH = 1.0  # metres that a person moves from frame to frame at most
 
@@ -79,18 +79,9 @@ def joints_in_masks(
             continue
         for person, row in enumerate(rows):
             if k in row:
-                votes[person] += _votes(seen[person][row[k]], inside)
+                hits, there = count_in_mask(seen[person][row[k]], inside)
+                votes[person] += hits, there - hits
     return votes
-
-
-def _votes(pixels: np.ndarray, inside: np.ndarray) -> tuple[int, int]:
-    """Count the pixels (J, 2) inside and outside of a mask (H, W)."""
-    height, width = inside.shape
-    # A joint that is not finite, or behind the camera, is beyond the border.
-    u, v = np.floor(np.nan_to_num(pixels, nan=-1.0, posinf=-1.0, neginf=-1.0).clip(-1, 1e6)).T
-    there = (u >= 0) & (v >= 0) & (u < width) & (v < height)
-    hits = int(inside[v[there].astype(int), u[there].astype(int)].sum())
-    return hits, int(there.sum()) - hits
 
 
 def joint_pixels(track: Track, joints: np.ndarray, count: int = BODY.stop) -> np.ndarray:

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from gva_mi.body.rotations import composed, nearest_rotations, to_rotvecs
 from gva_mi.core.console import listed
 from gva_mi.core.errors import InputError
 from gva_mi.data.importers.fields import find_betas, find_joints, find_translation
-from gva_mi.data.importers.rotations import compose, nearest_rotations, to_rotvecs
 from gva_mi.data.importers.timeline import interpolate
 
 # The pelvis of the neutral mean person at rest, metres, as the public models regress it.
@@ -56,7 +56,7 @@ class Track:
     def turned(self, turn: np.ndarray, places: np.ndarray) -> Track:
         """Turn the track's root by ``turn`` (n, 3), and put its pelvis at ``places`` (n, 3)."""
         rotations = self.rotations.copy()
-        rotations[:, 0] = compose(turn, rotations[:, 0])
+        rotations[:, 0] = composed(turn, rotations[:, 0])
         return replace(self, rotations=rotations, transl=places - self.pelvis)
 
     def seen_from(self, R: np.ndarray, T: np.ndarray) -> Track:

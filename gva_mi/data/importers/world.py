@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import torch
 
-from gva_mi.body.kinematics import joint_transforms
-from gva_mi.body.pose import JOINTS, PARENTS
-from gva_mi.data.importers.rotations import compose, to_matrices
+from gva_mi.body.pose import JOINTS
+from gva_mi.body.rotations import composed, to_matrices
+from gva_mi.data.joints import joint_places
 
 UP = ("x", "-x", "y", "-y", "z", "-z")
 _CLEAR = 0.7  # share of the way from feet to head that must lie along one axis
@@ -15,18 +14,6 @@ _TO_Y = {  # axis-angle in quarter turns that takes an axis to y
     "x": (0, 0, 1), "-x": (0, 0, -1), "y": (0, 0, 0), "-y": (2, 0, 0), "z": (-1, 0, 0),
     "-z": (1, 0, 0),
 }  # fmt: skip
-
-
-def joint_places(rotations: np.ndarray, transl: np.ndarray, joints: np.ndarray) -> np.ndarray:
-    """Return joint positions (T, 55, 3), metres, under ``rotations`` (T, 55, 3) axis-angle.
-
-    ``transl`` is (T, 3); ``joints`` are (55, 3) of the body at rest.
-    """
-    rotations, rest, transl = (
-        torch.from_numpy(np.array(x, np.float64)) for x in (rotations, joints, transl)
-    )
-    T = joint_transforms(rotations, rest, PARENTS, transl).numpy()
-    return np.einsum("tjab,jb->tja", T[..., :3, :3], joints) + T[..., :3, 3]
 
 
 def up_axis(rotations: np.ndarray, transl: np.ndarray, joints: np.ndarray) -> str | None:
@@ -54,5 +41,5 @@ def upright(
     """
     turn = np.array(_TO_Y[up], np.float64) * np.pi / 2
     rotations = rotations.copy()
-    rotations[:, 0] = compose(turn, rotations[:, 0])
+    rotations[:, 0] = composed(turn, rotations[:, 0])
     return rotations, (pelvis + transl) @ to_matrices(turn).T - pelvis

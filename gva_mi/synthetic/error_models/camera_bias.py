@@ -16,11 +16,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import roma
-import torch
 from torch import Tensor
 
 from gva_mi.body.pose import JOINTS, PARENTS
+from gva_mi.body.rotations import to_matrices, to_rotvecs
 from gva_mi.splat import Camera
 
 
@@ -44,7 +43,7 @@ def tilted(rotations: np.ndarray, camera: Camera, lean: CameraTilt) -> np.ndarra
     angles = {k: angle for k, angle in angles.items() if angle != 0}
     if not angles:
         return rotations
-    R = matrices(rotations.reshape(-1, 3)).reshape(*rotations.shape, 3)
+    R = to_matrices(rotations)
     C = camera.T_camera_world[:3, :3]
     rotations, A, turned = rotations.copy(), [], []  # A: global; turned: tilt in front of it
     for joint, parent in enumerate(PARENTS):
@@ -53,10 +52,10 @@ def tilted(rotations: np.ndarray, camera: Camera, lean: CameraTilt) -> np.ndarra
         A.append(above @ R[:, joint])
         turned.append(before)
         if joint in angles:  # about the x axis of the camera; below 0, limbs swing forward
-            L = C.T @ matrices(np.array([[angles[joint], 0.0, 0.0]]))[0] @ C
+            L = C.T @ to_matrices([angles[joint], 0.0, 0.0]) @ C
             turned[joint] = L @ before
             local = (before @ above).swapaxes(1, 2) @ L @ before @ A[joint]
-            rotations[:, joint] = roma.rotmat_to_rotvec(torch.from_numpy(local)).numpy()
+            rotations[:, joint] = to_rotvecs(local)
     return rotations
 
 
@@ -79,8 +78,3 @@ def placed(
     P = (transl + pelvis.double().numpy()) @ R.T + t
     P = P * (growth * np.array([1, 1, 1 + focal]))
     return (P - t) @ R - estimated_pelvis.double().numpy()
-
-
-def matrices(rotvecs: np.ndarray) -> np.ndarray:
-    """Convert axis-angle vectors (N, 3) to rotation matrices (N, 3, 3)."""
-    return roma.rotvec_to_rotmat(torch.from_numpy(rotvecs)).numpy()

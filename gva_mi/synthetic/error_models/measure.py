@@ -8,9 +8,9 @@ import numpy as np
 import torch
 
 from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, Pose, Shape
+from gva_mi.body.rotations import to_matrices
 from gva_mi.body.smplx import BodyModel
 from gva_mi.splat import Camera
-from gva_mi.synthetic.error_models.camera_bias import matrices
 from gva_mi.synthetic.error_models.outliers import SIDES, mean_hand
 from gva_mi.synthetic.error_models.poses import sideways
 
@@ -45,7 +45,7 @@ def pose_error(
     of = lambda *names: [JOINTS.index(f"{side}_{name}") for name in names for side in SIDES]
     hand = weights[:, LEFT_HAND.start :].sum(1) + weights[:, of("wrist")].sum(1) > 0.5
     foot = weights[:, of("ankle", "foot")].sum(1) > 0.5
-    A, B = (matrices(p.rotations.double().numpy().reshape(-1, 3)) for p in (pose, true))
+    A, B = (to_matrices(p.rotations.reshape(-1, 3)) for p in (pose, true))
     cosine = (np.einsum("nij,nij->n", A, B) - 1) / 2
     degrees = np.degrees(np.arccos(np.clip(cosine, -1, 1))).reshape(len(pose), -1)
     turned = sideways(true, camera)

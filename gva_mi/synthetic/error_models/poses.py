@@ -15,9 +15,10 @@ import numpy as np
 import torch
 
 from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, Pose, Shape
+from gva_mi.body.rotations import to_matrices
 from gva_mi.body.smplx import BodyModel
 from gva_mi.splat import Camera
-from gva_mi.synthetic.error_models.camera_bias import CameraTilt, matrices, placed, tilted
+from gva_mi.synthetic.error_models.camera_bias import CameraTilt, placed, tilted
 from gva_mi.synthetic.error_models.outliers import (
     LEG,
     SIDES,
@@ -126,7 +127,7 @@ def noisy_poses(
 
 def sideways(pose: Pose, camera: Camera) -> np.ndarray:
     """Return (T,): 0 if a person is seen from front or back, 1 from the side."""
-    facing = matrices(pose.rotations[:, 0].double().numpy())[:, :, 2]
+    facing = to_matrices(pose.rotations[:, 0])[:, :, 2]
     return np.abs(facing @ camera.T_camera_world[0, :3])
 
 

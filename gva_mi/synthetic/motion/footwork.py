@@ -19,7 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gva_mi.body.pose import JOINTS
-from gva_mi.synthetic.motion.legs import Leg, about, to_matrix, to_rotvec
+from gva_mi.body.rotations import to_matrices, to_rotvecs
+from gva_mi.synthetic.motion.legs import Leg, about
 
 DUTY = 0.6  # of a cycle, stance of a foot
 LIFT = 0.07  # m, lift of a swinging foot
@@ -61,7 +62,7 @@ def follow(path: Path, rotations: np.ndarray, t: np.ndarray, joints: np.ndarray)
     dense = np.arange(DENSE) / DENSE
     height = np.interp(t % 1.0, dense, _height(path, legs, pelvis, dense), period=1.0)
     R_root = _root(path, t)
-    rotations[:, 0] = to_rotvec(R_root)
+    rotations[:, 0] = to_rotvecs(R_root)
     place = path.place(t)
     root = np.stack([place[:, 0], height, place[:, 1]], axis=1)
     for leg, foot in zip(legs, _feet(path, legs, t), strict=True):
@@ -77,7 +78,7 @@ def follow(path: Path, rotations: np.ndarray, t: np.ndarray, joints: np.ndarray)
 
 def _root(path: Path, t: np.ndarray) -> np.ndarray:
     lean = path.lean(t)
-    return about(1, path.yaw(t)) @ to_matrix(
+    return about(1, path.yaw(t)) @ to_matrices(
         np.stack([lean[:, 0], np.zeros(len(t)), lean[:, 1]], axis=1)
     )
 

@@ -14,10 +14,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import roma
-import torch
 
 from gva_mi.body.pose import JOINTS
+from gva_mi.body.rotations import to_matrices, to_rotvecs
 
 LONGEST = 0.999  # of its length, the largest extension of a leg
 
@@ -68,24 +67,14 @@ class Leg:
         R_shin = _frames(d[:, None] * u - knee, side) @ _frames(shin[None], np.eye(3)[:1]).mT
         above, world = [R_root, R_thigh, R_shin], [R_thigh, R_shin, R_foot]
         return {
-            f"{self.side}_{joint}": to_rotvec(a.mT @ b)
+            f"{self.side}_{joint}": to_rotvecs(a.mT @ b)
             for joint, a, b in zip(("hip", "knee", "ankle"), above, world, strict=True)
         }
 
 
-def to_matrix(rotvec: np.ndarray) -> np.ndarray:
-    """Convert axis-angles (T, 3) to matrices (T, 3, 3)."""
-    return roma.rotvec_to_rotmat(torch.from_numpy(rotvec)).numpy()
-
-
-def to_rotvec(R: np.ndarray) -> np.ndarray:
-    """Convert matrices (T, 3, 3) to axis-angles (T, 3)."""
-    return roma.rotmat_to_rotvec(torch.from_numpy(R)).numpy()
-
-
 def about(axis: int, angle: np.ndarray) -> np.ndarray:
     """Return matrices (T, 3, 3) that rotate by angles (T,) about one axis."""
-    return to_matrix(angle[:, None] * np.eye(3)[axis])
+    return to_matrices(angle[:, None] * np.eye(3)[axis])
 
 
 def _frames(bone: np.ndarray, side: np.ndarray) -> np.ndarray:

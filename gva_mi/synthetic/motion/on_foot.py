@@ -12,9 +12,10 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from gva_mi.body.pose import JOINTS
+from gva_mi.body.rotations import to_matrices, to_rotvecs
 from gva_mi.synthetic.motion.actions import GESTURING, act
 from gva_mi.synthetic.motion.footwork import Path
-from gva_mi.synthetic.motion.legs import about, to_matrix, to_rotvec
+from gva_mi.synthetic.motion.legs import about
 from gva_mi.synthetic.motion.turning import slow_wave
 
 CIRCLE = 2 * np.pi
@@ -129,7 +130,7 @@ def _dance(
         rotations[:, at("collar")] = 0
         rotations[:, at("collar"), 2] = -sign * 0.12 * lower
         R = about(1, -sign * ahead) @ about(2, -sign * 0.88 * lower)
-        rotations[:, at("shoulder")] = to_rotvec(R)
+        rotations[:, at("shoulder")] = to_rotvecs(R)
         rotations[:, at("elbow")] = 0
         rotations[:, at("elbow"), 1] = -sign * bent
     return Path(
@@ -173,6 +174,10 @@ def _swing_arm(
     rotations[:, at("collar")] = 0
     rotations[:, at("collar"), 2] = -sign * 0.1 * lower
     down = np.full(len(swing), -sign * 0.9 * lower)
-    R = about(0, swing) @ about(2, down) @ to_matrix(0.3 * rotations[:, at("shoulder")] * [0, 1, 0])
-    rotations[:, at("shoulder")] = to_rotvec(R)
+    R = (
+        about(0, swing)
+        @ about(2, down)
+        @ to_matrices(0.3 * rotations[:, at("shoulder")] * [0, 1, 0])
+    )
+    rotations[:, at("shoulder")] = to_rotvecs(R)
     rotations[:, at("elbow"), 1] = -sign * bent

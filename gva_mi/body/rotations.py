@@ -1,4 +1,7 @@
-"""Rotations as numpy arrays: axis-angle to matrices and back, composition, shortest rotations."""
+"""Rotations as numpy arrays: axis-angle to matrices and back, composition, shortest rotations.
+
+All are float64. Torch tensors are composed, with gradients, by :mod:`gva_mi.body.so3`.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,7 @@ def nearest_rotations(matrices: np.ndarray) -> np.ndarray:
     return roma.special_procrustes(torch.from_numpy(np.array(matrices, np.float64))).numpy()
 
 
-def compose(first: np.ndarray, then: np.ndarray) -> np.ndarray:
+def composed(first: np.ndarray, then: np.ndarray) -> np.ndarray:
     """Return the rotation R(first) R(then), axis-angle (n, 3); each is (3,) or (n, 3)."""
     a, b = np.broadcast_arrays(first, then)
     vectors = [torch.from_numpy(np.array(x, np.float64)) for x in (a, b)]

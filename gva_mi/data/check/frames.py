@@ -52,7 +52,8 @@ class CheckedFrames:
 
     def pixels(self) -> np.ndarray:
         """Project root and body joints, (n, 22, 2) px; infinite behind the camera."""
-        places = joint_places(self.pose.rotations, self.pose.transl, self.joints)[:, : BODY.stop]
+        turns, transl = self.pose.rotations.numpy(), self.pose.transl.numpy()
+        places = joint_places(turns, transl, self.joints)[:, : BODY.stop]
         return np.stack([joints_seen(*one) for one in zip(self.cameras, places, strict=True)])
 
     def inside(self) -> np.ndarray:

@@ -45,7 +45,7 @@ def pose_error(
     of = lambda *names: [JOINTS.index(f"{side}_{name}") for name in names for side in SIDES]
     hand = weights[:, LEFT_HAND.start :].sum(1) + weights[:, of("wrist")].sum(1) > 0.5
     foot = weights[:, of("ankle", "foot")].sum(1) > 0.5
-    A, B = (to_matrices(p.rotations.reshape(-1, 3)) for p in (pose, true))
+    A, B = (to_matrices(p.rotations.reshape(-1, 3).numpy()) for p in (pose, true))
     cosine = (np.einsum("nij,nij->n", A, B) - 1) / 2
     degrees = np.degrees(np.arccos(np.clip(cosine, -1, 1))).reshape(len(pose), -1)
     turned = sideways(true, camera)

@@ -127,7 +127,7 @@ def noisy_poses(
 
 def sideways(pose: Pose, camera: Camera) -> np.ndarray:
     """Return (T,): 0 if a person is seen from front or back, 1 from the side."""
-    facing = to_matrices(pose.rotations[:, 0])[:, :, 2]
+    facing = to_matrices(pose.rotations[:, 0].numpy())[:, :, 2]
     return np.abs(facing @ camera.T_camera_world[0, :3])
 
 

@@ -29,7 +29,7 @@ from gva_mi.pose.refine import refine_all
 from gva_mi.pose.sequence import SequenceOptions
 from gva_mi.pose.single_frame import SingleFrameOptions, Steps
 from gva_mi.study.measure import Evaluation
-from gva_mi.study.refinement import OVERLAYS, PAGE, ablate, write_record
+from gva_mi.study.refinement import OVERLAYS, PAGE, write_record
 from gva_mi.study.refinement_report import write_refinement_report
 
 
@@ -62,7 +62,7 @@ def refine(
             (orthographic, y up); none: they are not used. Without it as normals.json says.
         workers: processes on this machine; any number gives the same bits.
         scheduler: address of a dask.distributed cluster that does the work instead.
-        report: also write refinement.html, with an ablation of every term of the loss.
+        report: also write refinement.html, with the errors of every frame.
         body: a body in SMPL-X's .npz format; without it the one that the first subject was
             prepared for, else the built-in body.
         overwrite: replace existing refined poses.
@@ -97,7 +97,7 @@ def refine(
         way = printed if loss == "paper" else options
         for evaluation in refine_videos(videos, model, way, executor):
             if report:
-                _write_report(evaluation, printed, executor)
+                write_refinement_report(evaluation, versions())
             for line in _summary(evaluation, report):
                 say(line)
 
@@ -133,19 +133,3 @@ def _summary(evaluation: Evaluation, report: bool) -> Iterator[str]:
     yield f"poses: {folder / REFINED_POSES}; overlays: {folder / OVERLAYS}"
     if report:
         yield f"report: {folder / PAGE}"
-
-
-def _write_report(
-    evaluation: Evaluation, printed: SingleFrameOptions, executor: Executor | None
-) -> None:
-    """Refine the video again without each term of the loss, and write the page."""
-    others = {} if evaluation.options is printed else {printed.description: printed}
-    with bar("ablation") as progress:
-        ablation = ablate(evaluation, others, progress, executor)
-    write_refinement_report(
-        evaluation.video.folder / PAGE,
-        evaluation,
-        title=f"Poses of {evaluation.video.folder.name}",
-        versions=versions(),
-        ablation=ablation,
-    )

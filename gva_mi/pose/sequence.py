@@ -114,14 +114,6 @@ class SequenceOptions(DescentOptions, RefineOptions):
     def description(self) -> str:
         return f"all frames together, seed {self.seed}"
 
-    def variants(self) -> dict[str, RefineOptions]:
-        return {
-            "nothing inferred, no close-ups": replace(self, learn=self.passes),
-            "no close-ups": replace(self, close_hands=0.0, close_feet=0.0),
-            "no displacement for clothes": replace(self, cloth_lr=0.0),
-            "shape of stage 1": replace(self, betas_lr=0.0),
-        }
-
 
 def refine_sequence(
     job: RefineJob, options: SequenceOptions, progress: Progress | None = None

@@ -11,7 +11,7 @@ optimises ``θ`` alone.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import torch
@@ -46,9 +46,6 @@ class SingleFrameOptions(RefineOptions):
     @property
     def description(self) -> str:
         return "Eq. 8 as printed"
-
-    def variants(self) -> dict[str, RefineOptions]:
-        return {"no prior": replace(self, prior=0.0)}
 
 
 def refine_single_frames(

@@ -167,11 +167,7 @@ class Evaluation:
 
 
 def measure(
-    video: Video,
-    body: BodyModel,
-    refined: Refined,
-    truth: GroundTruth | None = None,
-    known: FrameFigures | None = None,
+    video: Video, body: BodyModel, refined: Refined, truth: GroundTruth | None = None
 ) -> FrameFigures:
     """Compare stage 1 and the refined poses with the masks and, if given, the ground truth.
 
@@ -180,30 +176,27 @@ def measure(
         body: the fitted body.
         refined: the refined poses.
         truth: of a synthetic subject.
-        known: figures of another refinement of the same video; saves measuring stage 1 again.
     """
-    known = _measure_stage1(video, body, truth) if known is None else known
-    after, cameras = (refined.pose, refined.shape), refined.cameras
-    frames = {**known.frames, "iou": silhouette_iou(video, body, *after, cameras)}
-    if truth is not None:
-        frames |= {ERRORS[k]: x for k, x in pose_errors(body, after, truth).items()}
-        for name, key in (("frames_worse", "vertex_mm"), ("frames_worse_hands", "hand_vertex_mm")):
-            frames[name] = (frames[key] > frames[f"{key}_stage1"]).float()
-        frames["iou_true_masks"] = silhouette_iou(video, body, *after, cameras, true_masks=True)
-        frames["focal_error"] = _focal_errors(cameras or video.cameras, truth.cameras)
-    return replace(known, frames=frames, seconds_per_frame=refined.seconds_per_frame)
-
-
-def _measure_stage1(video: Video, body: BodyModel, truth: GroundTruth | None) -> FrameFigures:
-    """Measure stage 1 and the ground truth."""
-    before = (video.pose, video.shape)
-    frames = {"iou_stage1": silhouette_iou(video, body, *before)}
+    before, after = (video.pose, video.shape), (refined.pose, refined.shape)
+    cameras, seconds = refined.cameras, refined.seconds_per_frame
+    frames = {
+        "iou_stage1": silhouette_iou(video, body, *before),
+        "iou": silhouette_iou(video, body, *after, cameras),
+    }
     if truth is None:
-        return FrameFigures(frames)
-    frames |= {f"{ERRORS[k]}_stage1": x for k, x in pose_errors(body, before, truth).items()}
-    frames["iou_truth"] = silhouette_iou(video, truth.body, truth.pose, truth.shape, truth.cameras)
-    frames["focal_error_stage1"] = _focal_errors(video.cameras, truth.cameras)
-    return FrameFigures(frames, points="joints" if truth.foreign else "vertices")
+        return FrameFigures(frames, seconds)
+    for suffix, some in (("_stage1", before), ("", after)):
+        frames |= {f"{ERRORS[k]}{suffix}": x for k, x in pose_errors(body, some, truth).items()}
+    for name, key in (("frames_worse", "vertex_mm"), ("frames_worse_hands", "hand_vertex_mm")):
+        frames[name] = (frames[key] > frames[f"{key}_stage1"]).float()
+    true = truth.pose, truth.shape, truth.cameras
+    frames |= {
+        "iou_truth": silhouette_iou(video, truth.body, *true),
+        "iou_true_masks": silhouette_iou(video, body, *after, cameras, true_masks=True),
+        "focal_error_stage1": _focal_errors(video.cameras, truth.cameras),
+        "focal_error": _focal_errors(cameras or video.cameras, truth.cameras),
+    }
+    return FrameFigures(frames, seconds, points="joints" if truth.foreign else "vertices")
 
 
 def _focal_errors(found: Sequence[Camera], true: Sequence[Camera]) -> Tensor:

@@ -1,4 +1,4 @@
-"""Files that a refinement leaves in the subject's folder, and the ablation of its loss.
+"""Files that a refinement leaves in the subject's folder.
 
 ::
 
@@ -19,9 +19,8 @@ exchanged left and right before the refinement.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import Executor
-from dataclasses import asdict, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -29,15 +28,12 @@ import torch
 
 from gva_mi.body.pose import save_poses
 from gva_mi.core.atomic import atomic_files
-from gva_mi.core.console import Progress
 from gva_mi.core.errors import expecting
 from gva_mi.core.files import read_json, write_json
 from gva_mi.data.pictures import in_8_bits, write_image
 from gva_mi.data.video import REFINED_POSES, spread
 from gva_mi.mesh.overlay import overlay, strip
-from gva_mi.pose.job import RefineOptions
-from gva_mi.pose.refine import refine_all
-from gva_mi.study.measure import Evaluation, PoseFigures, measure
+from gva_mi.study.measure import Evaluation, PoseFigures
 from gva_mi.study.page import around
 
 REFINEMENT, OVERLAYS, PAGE = "refinement.json", "refinement.png", "refinement.html"
@@ -85,45 +81,6 @@ def load_refinement(subject: Path) -> tuple[PoseFigures, bool]:
     with expecting(path, expected):
         figures = PoseFigures.from_json(record["figures"])
         return figures, record.get("test_frames", "seen") == "seen"
-
-
-def ablate(
-    evaluation: Evaluation,
-    others: Mapping[str, RefineOptions],
-    progress: Progress | None = None,
-    executor: Executor | None = None,
-) -> dict[str, PoseFigures]:
-    """Refine a video again without each term of the loss in turn, and with other options.
-
-    Args:
-        evaluation: of the refinement that is varied.
-        others: further options, by name.
-        progress: called as ``progress(done, total, **figures)``.
-        executor: runs the work; None: this process.
-
-    Returns:
-        The figures of each variant, by name.
-    """
-    video, body = evaluation.video, evaluation.body
-    tasks = ablations(evaluation.options, others)
-    work = [(video if seen else replace(video, normals=None), o) for o, seen in tasks.values()]
-    found = refine_all(work, body, progress, executor)
-    return {
-        name: measure(video, body, refined, evaluation.truth, evaluation.measured).means
-        for name, refined in zip(tasks, found, strict=True)
-    }
-
-
-def ablations(
-    options: RefineOptions, others: Mapping[str, RefineOptions]
-) -> dict[str, tuple[RefineOptions, bool]]:
-    """Return the options of each variant by name, and whether it uses normals."""
-    changed = options.variants() | dict(others)
-    return {
-        "normals only": (replace(options, silhouette=0.0), True),
-        "silhouettes only": (options, False),
-        **{name: (changed, True) for name, changed in changed.items()},
-    }
 
 
 def _by_split(evaluation: Evaluation) -> dict[str, dict]:

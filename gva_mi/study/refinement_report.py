@@ -1,10 +1,9 @@
-"""The report of a refinement: pose errors frame by frame, overlays, and the ablation."""
+"""The report of a refinement: pose errors frame by frame, and overlays."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from pathlib import Path
 
 import torch
 
@@ -14,7 +13,7 @@ from gva_mi.mesh.overlay import strip
 from gva_mi.pose.refine import Refined
 from gva_mi.study.measure import ERRORS, Evaluation, FrameFigures, PoseFigures
 from gva_mi.study.page import Headline, Section, Table, number, picture, plot, write_page
-from gva_mi.study.refinement import overlays
+from gva_mi.study.refinement import PAGE, overlays
 
 SHOWN = 6  # frames of a strip
 BEFORE, AFTER, TRUTH = "#b3261e", "#2f6f5e", "#667085"  # colours of curves
@@ -39,29 +38,14 @@ DEPTHS = {
 }
 
 
-def write_refinement_report(
-    path: Path,
-    evaluation: Evaluation,
-    *,
-    title: str,
-    versions: Mapping[str, str],
-    ablation: Mapping[str, PoseFigures] | None = None,
-) -> None:
-    """Write the page.
-
-    Args:
-        path: the ``.html`` file.
-        evaluation: of the refinement.
-        title: its heading.
-        versions: of what may change the figures.
-        ablation: figures of variants of the refinement, by name.
-    """
+def write_refinement_report(evaluation: Evaluation, versions: Mapping[str, str]) -> None:
+    """Write the page into the subject's folder; ``versions``: of what may change the figures."""
     video, refined, measured = evaluation.video, evaluation.refined, evaluation.measured
     there = [k for k in range(len(video)) if k not in video.absent]
     width, height = video.size
     write_page(
-        path,
-        title=title,
+        video.folder / PAGE,
+        title=f"Poses of {video.folder.name}",
         subtitle=(
             f"Poses of {len(video)} frames of {width} x {height} pixels, refined to agree with "
             f"normals and silhouettes: {evaluation.options.description}."
@@ -72,7 +56,6 @@ def write_refinement_report(
             _curves(refined, measured),
             _frames("Worst frames", "Worst first.", _worst(video, measured), evaluation),
             _frames("Evenly spaced frames", "", spread(there, SHOWN), evaluation),
-            *([_ablation(measured.means, ablation)] if ablation else []),
             *_exceptions(refined),
         ],
         settings={"options": asdict(evaluation.options), "versions": dict(versions)},
@@ -196,31 +179,6 @@ def _caption(frame: int, measured: FrameFigures) -> str:
         if key in known
     ]
     return ", ".join([*parts, f"IoU {known['iou_stage1']:.2f} → {known['iou']:.2f}"])
-
-
-def _ablation(means: PoseFigures, ablation: Mapping[str, PoseFigures]) -> Section:
-    rows = []
-    keys = ("vertex_mm", "hand_vertex_mm", "foot_vertex_mm", "aligned_vertex_mm")
-    for name, figures in {"stage 1": means, "refined": means, **ablation}.items():
-        stage = "_stage1" if name == "stage 1" else ""
-        share = None if stage else figures["frames_worse"]
-        rows.append(
-            [
-                name,
-                *(number(figures[key + stage], 1) for key in keys),
-                "–" if share is None else f"{100 * share:.0f} %",
-                number(figures["iou" + stage], 3),
-                number(None if stage else figures["seconds_per_frame"], 2),
-            ]
-        )
-    head = ("", "vertices, mm", "hands, mm", "feet, mm", "pelvis-aligned, mm")
-    head += ("frames whose error increased", "IoU", "s a frame")
-    text = (
-        "The same video refined without one part, and by Eq. 8 as the paper prints it: every frame "
-        "on its own, the bare body, rotations only. A bare body cannot fill the mask of a clothed "
-        "person: what is closest to the mask is not what is closest to the ground truth."
-    )
-    return Section("What each term is worth", text, tables=[Table(head, rows)])
 
 
 def _exceptions(refined: Refined) -> list[Section]:

@@ -9,9 +9,9 @@ import pytest
 import torch
 
 from gva_mi.core.errors import InputError
-from gva_mi.pose import SequenceOptions, SingleFrameOptions
+from gva_mi.pose import SequenceOptions
 from gva_mi.study.measure import Evaluation, PoseFigures, measure
-from gva_mi.study.refinement import ablations, load_refinement, write_record
+from gva_mi.study.refinement import load_refinement, write_record
 from gva_mi.study.refinement_report import _worst, errors_table, write_refinement_report
 
 
@@ -102,18 +102,13 @@ def test_the_worst_frames_come_first(estimated, measured):
 
 @pytest.mark.parametrize("given", [True, False], ids=["ground truth", "none"])
 def test_the_report_is_complete(tmp_path, estimated, body, refined, truth, given):
-    args = (estimated, body, SequenceOptions(), refined, truth if given else None)
-    evaluation = Evaluation.of(*args)
-    write_refinement_report(
-        tmp_path / "page.html",
-        evaluation,
-        title="Poses of somebody",
-        versions={"gva_mi": "1.2.3"},
-        ablation={"no prior": evaluation.measured.means},
-    )
-    page = (tmp_path / "page.html").read_text()
+    folder = shutil.copytree(estimated.folder, tmp_path / "subject")
+    video = replace(estimated, folder=folder)
+    evaluation = Evaluation.of(video, body, SequenceOptions(), refined, truth if given else None)
+    write_refinement_report(evaluation, {"gva_mi": "1.2.3"})
+    page = (folder / "refinement.html").read_text()
     assert "its loss grew from 0.100 to &lt;0.200&gt;" in page  # escaped
-    for text in ("Worst frames", "no prior", "fitted to silhouettes alone", "1.2.3", "passes"):
+    for text in ("Worst frames", "fitted to silhouettes alone", "1.2.3", "passes"):
         assert text in page, text
     assert ("Errors are distances" in page) is ("hands, pelvis-aligned" in page) is given
     assert page.count("data:image/webp") >= 12
@@ -128,9 +123,3 @@ def test_trained_poses_have_a_column_beside_refined_ones():
     assert rows["depth of the ankles, mm"] == ["-5.0", "+4.0", "+9.0", "–", "–"]
     assert rows["feet, pelvis-aligned, mm"] == ["–", "–", "–", "5.0", "–"]
     assert len(errors_table(figures).head) == len(table.head) - 1
-
-
-def test_every_ablation_changes_something():
-    for options in (SequenceOptions(), SingleFrameOptions()):
-        for changed, normals in ablations(options, {"other": SingleFrameOptions(steps=3)}).values():
-            assert changed != options or not normals

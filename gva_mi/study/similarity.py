@@ -91,23 +91,6 @@ class Similarity:
         return found | {"stance_m": float(np.linalg.norm(self.stance))}
 
 
-def umeyama(x: np.ndarray, y: np.ndarray) -> Similarity:
-    """Return the least-squares similarity from points x to points y, both (N, 3).
-
-    Raises:
-        ValueError: fewer than three points, or all on one line, which determine no rotation.
-    """
-    mean_x, mean_y = x.mean(0), y.mean(0)
-    a, b = x - mean_x, y - mean_y
-    U, S, Vt = np.linalg.svd(b.T @ a / len(x))
-    if len(x) < 3 or S[1] <= 1e-9 * max(S[0], 1e-30):
-        raise ValueError("umeyama(): needs three points at least that are not on one line")
-    mirrored = np.array([1.0, 1.0, np.sign(np.linalg.det(U) * np.linalg.det(Vt))])
-    R = U @ np.diag(mirrored) @ Vt
-    scale = float((S * mirrored).sum() / np.square(a).sum(1).mean())
-    return Similarity(scale, R, mean_y - scale * R @ mean_x)
-
-
 @torch.no_grad()
 def similarity_to_truth(rig: Rig, video: Video, body: BodyModel) -> Similarity | None:
     """Return the similarity from an avatar's world to the true one; None without ground truth.
@@ -127,7 +110,7 @@ def similarity_to_truth(rig: Rig, video: Video, body: BodyModel) -> Similarity |
     placed = [np.stack([c.T_camera_world for c in some]) for some in (given, real)]
     static = all(np.allclose(T, T[0], atol=1e-9) for T in placed)
     flat = x.reshape(-1, 3), y.reshape(-1, 3)
-    whole = _about_the_eye(*flat, given[0], real[0]) if static else umeyama(*flat)
+    whole = _about_the_eye(*flat, given[0], real[0]) if static else _of_moving_camera(*flat)
     off = (x - (y - whole.translation) @ whole.rotation / whole.scale).mean(1)
     root = roma.rotvec_to_rotmat(video.pose.rotations[frames, 0].double()).numpy()
     z = np.stack([camera.T_camera_world[2, :3] for camera in given])
@@ -158,6 +141,13 @@ def _about_the_eye(x: np.ndarray, y: np.ndarray, given: Camera, real: Camera) ->
     a, b = x @ R.T + t, y @ R_real.T + t_real
     scale = float((a * b).sum() / np.square(a).sum())
     return Similarity(scale, R_real.T @ R, R_real.T @ (scale * t - t_real))
+
+
+def _of_moving_camera(x: np.ndarray, y: np.ndarray) -> Similarity:
+    """Return the least-squares similarity from points x to points y, both (N, 3)."""
+    points = (torch.from_numpy(some) for some in (x, y))
+    R, t, scale = roma.rigid_points_registration(*points, compute_scaling=True)
+    return Similarity(float(scale), R.numpy(), t.numpy())
 
 
 @torch.no_grad()

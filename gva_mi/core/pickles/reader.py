@@ -1,13 +1,11 @@
 """Read the arrays and plain values of a file in any common container: :func:`read_objects`.
 
-It reads pickles of protocols 0 to 5 and files of ``joblib.dump``, both also packed by zlib, gzip,
-bzip2 or xz; torch's files, old and new; ``.npy`` and ``.npz``, with or without objects.
+It reads pickles of protocols 0 to 5 and files of ``joblib.dump``, both also packed by zlib or gzip;
+torch's files, old and new; ``.npy`` and ``.npz``, with or without objects.
 """
 
 from __future__ import annotations
 
-import bz2
-import lzma
 import zipfile
 import zlib
 from io import BytesIO
@@ -76,10 +74,6 @@ def _load(path: Path) -> Any:  # noqa: ANN401
     data = path.read_bytes()
     if data[:1] == b"\x78" or data[:2] == b"\x1f\x8b":
         data = _unpacked(zlib.decompressobj(wbits=47), data)
-    elif data[:3] == b"BZh":
-        data = _unpacked(bz2.BZ2Decompressor(), data)
-    elif data[:6] == b"\xfd7zXZ\x00" or data[:3] == b"\x5d\x00\x00":
-        data = _unpacked(lzma.LZMADecompressor(memlimit=1 << 28), data)
     if data[:6] == b"\x93NUMPY":
         return _npy(data)
     if _ROW_OF_PICKLES in data[:32]:

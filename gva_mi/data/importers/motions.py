@@ -149,7 +149,12 @@ def _read(
         # The target's pelvis is elsewhere at rest than that of the source's body.
         track = replace(track, transl=track.transl + track.pelvis - body.joints[0])
     elif isinstance(found, Path):
-        _refuse_folder(path)
+        poses = [n for n in ("poses_refined.npz", "poses.npz") if (path / n).is_file()]
+        hint = f"; its motion is {path / poses[0]}" if poses else ""
+        raise InputError(
+            f"{path}: a folder of no motion that is known; expected a file such as AMASS's .npz or "
+            "AIST++'s .pkl, or the folder of TRAM, ROMP, BEV, Multi-HMR, SMPLer-X or OSX" + hint
+        )
     elif holds(found, "pred_rotmat", "pred_trans"):
         raise InputError(
             f"{path}: one person of TRAM without its camera; give the folder with hps/ and "
@@ -240,16 +245,3 @@ def _rate(where: str, found: Mapping[str, Any], options: MotionOptions) -> float
     if not 0 < rate <= FASTEST:
         raise InputError(f"{where}: '{name}' must be frames a second, got {found[name]!s:.40}")
     return float(round(rate)) if abs(rate - round(rate)) < 1e-3 * rate and rate > 1 else rate
-
-
-def _refuse_folder(path: Path) -> None:
-    """Raise an InputError that says what a folder holds, and which motions can be read."""
-    names = sorted(x.name + "/" * x.is_dir() for x in path.iterdir())
-    held = f"{', '.join(names[:5])}{', ...' if len(names) > 5 else ''}" if names else "nothing"
-    poses = [name for name in ("poses_refined.npz", "poses.npz") if name in names]
-    hint = f"; its motion is {path / poses[0]}" if poses else ""
-    raise InputError(
-        f"{path}: a folder that holds {held}, and no motion that is known; expected a file such as "
-        f"AMASS's .npz or AIST++'s .pkl, or the folder of TRAM, ROMP, BEV, Multi-HMR, SMPLer-X or "
-        f"OSX{hint}"
-    )

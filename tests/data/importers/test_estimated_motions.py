@@ -153,8 +153,11 @@ def test_an_unknown_folder_is_described(tmp_path):
     (tmp_path / "x/frames").mkdir(parents=True)
     (tmp_path / "x/poses.npz").write_text("")
     for folder, words in (
-        (tmp_path / "x/frames", "frames: a folder that holds nothing, and no motion that is known"),
-        (tmp_path / "x", "x: a folder that holds frames/, poses.npz.*its motion is .*poses.npz"),
+        (
+            tmp_path / "x/frames",
+            "frames: a folder of no motion that is known; expected a file",
+        ),
+        (tmp_path / "x", "x: a folder of no motion.*its motion is .*poses.npz"),
         (tmp_path / "nowhere", "nowhere: no such file; expected a motion such as"),
     ):
         with pytest.raises(InputError, match=words):

@@ -90,7 +90,7 @@ class AvatarStudy:
     def rounds(self, missing: Sequence[tuple[StudyCase, str]]) -> list[Sequence[Task]]:
         """Film the takes, refine each case, then fit each variant."""
         cases, filming = dict.fromkeys(case for case, _ in missing), self._filming
-        films = filming_work(filming, [(case, 1.0) for case in cases], self.body)
+        films = filming_work(filming, cases, self.body)
         prepare = [
             PrepareCase(filming.subject(case), case, self.body, self.options.refine, self.made_with)
             for case in cases

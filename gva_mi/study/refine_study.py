@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -24,14 +25,13 @@ from gva_mi.study.cases import StudyCase
 from gva_mi.study.engine import made_with
 from gva_mi.study.measure import Evaluation, PoseFigures
 from gva_mi.study.subjects import Filming, filming_work
-from gva_mi.synthetic.options import Level, VideoFrames
+from gva_mi.synthetic.options import VideoFrames
 
 
 @dataclass(frozen=True)
 class RefineStudyOptions:
     """Size of the study."""
 
-    noise: tuple[Level, ...] = (1.0,)  # levels of the errors of poses, masks, normals; 1 is usual
     frames: VideoFrames = 64  # frames of each video
     size: PictureSide = 512  # pixels, width and height of the pictures
     known: bool = False  # the subject's height and the focal length are given
@@ -43,37 +43,25 @@ class RefineStudyOptions:
 
 @dataclass(frozen=True)
 class RefineStudy:
-    """A study whose variants are levels of noise."""
+    """A study of one variant: the refinement."""
 
     folder: Path
     body: BodyModel
     options: RefineStudyOptions
     kind: str = "refine"
+    variants: tuple[str, ...] = ("refined",)
 
-    @property
-    def variants(self) -> tuple[str, ...]:
-        """One for each level of noise."""
-        return tuple(self._levels)
-
-    @property
+    @cached_property
     def made_with(self) -> dict[str, Any]:
         """Everything that results depend on."""
-        made = made_with(self.kind, self.options, self.body)
-        del made["options"]["noise"]  # each result has its own
-        return made
-
-    @property
-    def _levels(self) -> dict[str, float]:
-        return {f"noise {level:g}": level for level in self.options.noise}
+        return made_with(self.kind, self.options, self.body)
 
     def rounds(self, missing: Sequence[tuple[StudyCase, str]]) -> list[Sequence[Task]]:
         """Film the takes, then refine each case."""
         filming = Filming(self.folder, self.options.frames, self.options.size)
-        pairs = [(case, self._levels[variant]) for case, variant in missing]
-        work = [
-            RefineCase(filming.subject(*pair), pair[0], self.body, self.options) for pair in pairs
-        ]
-        return [filming_work(filming, pairs, self.body), work]
+        cases = [case for case, _ in missing]
+        work = [RefineCase(filming.subject(x), x, self.body, self.options) for x in cases]
+        return [filming_work(filming, cases, self.body), work]
 
 
 @dataclass(frozen=True)

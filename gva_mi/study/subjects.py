@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,18 +22,17 @@ class Filming:
     size: int  # pixels, width and height of the pictures
     novel: int = 0  # pictures of novel poses, and as many of novel views
 
-    def subject(self, case: StudyCase, noise: float = 1.0) -> Path:
+    def subject(self, case: StudyCase) -> Path:
         """Return the folder of a case's video, existing or not."""
-        name = f"{self._name(case.take)}-{case.noise}-{case.draw}-{noise:g}"
-        return self.folder / "videos" / name
+        return self.folder / "videos" / f"{self._name(case.take)}-{case.noise}-{case.draw}"
 
-    def film(self, case: StudyCase, body: BodyModel, noise: float = 1.0) -> Path:
-        """Make a case's video if it is missing; ``noise`` scales the errors, 1 is usual."""
-        take, subject = self.folder / "takes" / self._name(case.take), self.subject(case, noise)
+    def film(self, case: StudyCase, body: BodyModel) -> Path:
+        """Make a case's video if it is missing."""
+        take, subject = self.folder / "takes" / self._name(case.take), self.subject(case)
         if not take.exists():
             make_subject(take, case.take.synth(self.frames, self.size, self.novel), body)
         if not subject.exists():
-            degrade(take, subject, case.noise, case.draw, body, noise)
+            degrade(take, subject, case.noise, case.draw, body)
         require_same_body(subject, body)
         return subject
 
@@ -47,7 +46,7 @@ class FilmTake:
     """Film a take and all its cases, so that no two workers render the same subject: a Task."""
 
     filming: Filming
-    cases: tuple[tuple[StudyCase, float], ...]  # with the noise level of each
+    cases: tuple[StudyCase, ...]
     body: BodyModel
 
     @property
@@ -57,15 +56,13 @@ class FilmTake:
 
     def solve(self, progress: Progress | None = None) -> None:
         """Make the videos that are missing."""
-        for case, noise in self.cases:
-            self.filming.film(case, self.body, noise)
+        for case in self.cases:
+            self.filming.film(case, self.body)
 
 
-def filming_work(
-    filming: Filming, cases: Sequence[tuple[StudyCase, float]], body: BodyModel
-) -> list[FilmTake]:
+def filming_work(filming: Filming, cases: Iterable[StudyCase], body: BodyModel) -> list[FilmTake]:
     """Return the work of filming some cases, a piece for each take."""
-    by_take: dict[Take, dict[tuple[StudyCase, float], None]] = {}
-    for case, noise in cases:
-        by_take.setdefault(case.take, {})[case, noise] = None
+    by_take: dict[Take, dict[StudyCase, None]] = {}
+    for case in cases:
+        by_take.setdefault(case.take, {})[case] = None
     return [FilmTake(filming, tuple(several), body) for several in by_take.values()]

@@ -144,9 +144,8 @@ def _row(group: Sequence[Outcome], full: Sequence[Outcome] = ()) -> dict[str, Ce
 
 def refine_cells(outcomes: Sequence[Outcome]) -> dict[str, Cells]:
     """Summarise the refinement study: a row for each error model, then "mean" and "worst"."""
-    several = len({outcome.variant for outcome in outcomes}) > 1
-    name = lambda o: o.case.family + (f", {o.variant}" if several else "")
-    cells = {row: _row(group) for row, group in grouped(outcomes, name).items()}
+    families = grouped(outcomes, lambda outcome: outcome.case.family)
+    cells = {row: _row(group) for row, group in families.items()}
     mean, worst = {}, {}
     for column in dict.fromkeys(column for row in cells.values() for column in row):
         means = [row[column].mean for row in cells.values() if column in row]

@@ -147,7 +147,7 @@ def seeds(subject, avatar):
         })  # fmt: skip
 
     def study(folder):
-        outcome = Outcome(HELD_OUT[0], "noise 1", {"change: body": -0.5, "points": "vertices"})
+        outcome = Outcome(HELD_OUT[0], "refined", {"change: body": -0.5, "points": "vertices"})
         StudyFile(folder / "refine.json", "refine", MADE_WITH).save([outcome], {})
         write_json(folder / "marker.json", MADE_WITH)
 

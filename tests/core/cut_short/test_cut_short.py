@@ -108,7 +108,7 @@ def test_after_kill_9_or_a_full_disk_the_next_run_ends_with_the_same_bits(name, 
 
 @pytest.mark.slow
 def test_results_of_a_killed_study_are_kept(stage):
-    command = f"{COMMANDS['study refine'].line} --noise 1 0.5"
+    command = COMMANDS["study refine"].line.replace("--subjects 3", "--subjects 3 23")
     _, undisturbed = stage.whole(command)
     stage.set_up()
     # The last changes write the second result, then the page, and remove the lock.

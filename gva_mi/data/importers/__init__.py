@@ -6,7 +6,6 @@
 ``people``              choice of the subject among several people
 ``numbering``           frame numbers
 ``timeline``            missing frames, other frame rates
-``rotations``           rotations of numpy arrays
 ``world``               which axis is up
 ``lens``                focal lengths: assumed, recorded (``quicktime``), or given
 ``distortion``          pictures without their lens's distortion

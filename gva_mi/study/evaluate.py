@@ -36,7 +36,7 @@ a synthetic subject, so that scores measure the avatar and not the segmenter.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, astuple, dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -50,7 +50,7 @@ from gva_mi.data.views import held_out_views
 from gva_mi.fit.perceptual import Weights
 from gva_mi.fit.renders import BLACK, WHITE, cut_out, render_frame
 from gva_mi.study.regions import Detail, Details, person_box
-from gva_mi.study.scores import Defects, ImageScores, Scorer, flicker
+from gva_mi.study.scores import ImageScores, Scorer, flicker, spill_and_holes
 
 Split = Literal["train", "test", "held_out_range", "novel_pose", "novel_view"]
 SPLITS: tuple[Split, ...] = get_args(Split)
@@ -159,13 +159,13 @@ def evaluate_views(
     rows, done, total = [], 0, sum(len(view.frames) for view in views)
     for view in views:
         scores: dict[Region, list[ImageScores]] = {region: [] for region in REGIONS}
-        defects: list[Defects] = []
+        defects: list[tuple[float, float]] = []
         flickers: list[float] = []
         for frame in view.video.frames(view.frames):
             pair = _Compared.of(avatar, frame, view)
             for region, found in pair.scores(view, scorer):
                 scores[region].append(found)
-            defects.append(Defects.of(*pair.renders, pair.frame.mask))
+            defects.append(spill_and_holes(*pair.renders, pair.frame.mask))
             before = frame.index - 1
             if view.split in OF_VIDEO[1:] and before >= 0 and before not in view.video.absent:
                 flickers.append(pair.flicker(_Compared.of(avatar, view.video[before], view)))
@@ -175,8 +175,9 @@ def evaluate_views(
         whole, *parts = (
             SplitScores.mean(name, view.split, s, region) for region, s in scores.items() if s
         )
-        whole = replace(whole, **asdict(Defects.mean(defects)))
-        rows += [replace(whole, flicker=float(np.mean(flickers)) if flickers else None), *parts]
+        spill, holes = (float(np.mean(some)) for some in zip(*defects, strict=True))
+        unsteady = float(np.mean(flickers)) if flickers else None
+        rows += [replace(whole, spill=spill, holes=holes, flicker=unsteady), *parts]
     return rows
 
 

@@ -24,7 +24,6 @@ person does not; an error that stays in its place does not flicker:
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -113,31 +112,17 @@ def ssim(render: np.ndarray, target: np.ndarray) -> float:
     return float(structural_similarity(target, render, channel_axis=-1, **options))
 
 
-@dataclass(frozen=True)
-class Defects:
-    """Defects of one picture, or their means over several."""
+def spill_and_holes(
+    on_white: np.ndarray, on_black: np.ndarray, mask: np.ndarray
+) -> tuple[float, float]:
+    """Evaluate eq. 2 and 3 on 8-bit renders (H, W, 3) and the person's mask (H, W)."""
+    from scipy.ndimage import maximum_filter, minimum_filter
 
-    spill: float
-    holes: float
-
-    @staticmethod
-    def of(on_white: np.ndarray, on_black: np.ndarray, mask: np.ndarray) -> Defects:
-        """Evaluate eq. 2 and 3 on 8-bit renders (H, W, 3) and the person's mask (H, W)."""
-        from scipy.ndimage import maximum_filter, minimum_filter
-
-        side = 2 * EDGE + 1
-        alpha = 1 - (on_white.astype(np.float64) - on_black).mean(2) / 255
-        away, inside = maximum_filter(mask, side) == 0, minimum_filter(mask, side) > 0.99
-        person = mask.sum()
-        return Defects(
-            spill=float(alpha[away].sum() / person),
-            holes=float((1 - alpha[inside]).sum() / person),
-        )
-
-    @staticmethod
-    def mean(each: Sequence[Defects]) -> Defects:
-        """Return the means over some pictures."""
-        return Defects(*(float(np.mean([getattr(d, n) for d in each])) for n in ("spill", "holes")))
+    side = 2 * EDGE + 1
+    alpha = 1 - (on_white.astype(np.float64) - on_black).mean(2) / 255
+    away, inside = maximum_filter(mask, side) == 0, minimum_filter(mask, side) > 0.99
+    person = mask.sum()
+    return float(alpha[away].sum() / person), float((1 - alpha[inside]).sum() / person)
 
 
 def flicker(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gva_mi.study.scores import EDGE, Defects, flicker
+from gva_mi.study.scores import EDGE, flicker, spill_and_holes
 
 SIZE = 40
 
@@ -22,15 +22,15 @@ def seen(alpha, color=0.3):
 
 def test_a_perfect_render_has_no_defects():
     mask = square(10, 30)
-    assert Defects.of(*seen(mask), mask) == Defects(0, 0)
+    assert spill_and_holes(*seen(mask), mask) == (0, 0)
 
 
 @pytest.mark.parametrize("grown", [EDGE, -EDGE])
 def test_the_border_does_not_count(grown):
     mask, alpha = square(10, 30), square(10 - grown, 30 + grown)
-    assert Defects.of(*seen(alpha), mask) == Defects(0, 0)
+    assert spill_and_holes(*seen(alpha), mask) == (0, 0)
     alpha = square(10 - 2 * grown, 30 + 2 * grown)
-    assert sum(Defects.of(*seen(alpha), mask).__dict__.values()) > 0.1
+    assert sum(spill_and_holes(*seen(alpha), mask)) > 0.1
 
 
 @pytest.mark.parametrize(
@@ -45,14 +45,14 @@ def test_floaters_and_holes_count_by_their_share_of_the_person(where, alpha, spi
     mask = square(10, 30)
     drawn = mask.copy()
     drawn[where] = alpha
-    found = Defects.of(*seen(drawn), mask)
-    assert (found.spill, found.holes) == pytest.approx((spill, holes), rel=0.01)
+    found = spill_and_holes(*seen(drawn), mask)
+    assert found == pytest.approx((spill, holes), rel=0.01)
 
 
 def test_a_shifted_render_has_spill_and_holes():
     mask = square(10, 30)
-    found = Defects.of(*seen(np.roll(mask, 6, axis=1)), mask)
-    assert found.spill > 0.1 and found.holes > 0.1
+    found = spill_and_holes(*seen(np.roll(mask, 6, axis=1)), mask)
+    assert min(found) > 0.1
 
 
 def test_flicker_measures_change_that_the_person_does_not_show():

@@ -86,7 +86,8 @@ def picture_sections(
             there = [shown for shown in avatars.values() if split in shown.views]
             own += _of_split(case, there, split, count) if there else []
         at_rest += [
-            dots(f"{case} {name}", shown.avatar.canonical) for name, shown in avatars.items()
+            dots(f"{case} {name}".strip(), shown.avatar.canonical)
+            for name, shown in avatars.items()
         ]
     order = f" From left to right: ground truth, {', '.join(names)}"
     order += ", difference (white 0, red 64 of 255 and more)." if len(names) == 1 else "."

@@ -41,7 +41,7 @@ NAMED = {
 WRITTEN = {"--json": "figures.json"}  # where FILE is one that a command writes
 
 SHEET = "two minutes: tests/synthetic/test_portrait.py draws them smaller"
-REPORTED = "refines once for each term of the loss: tests/core/cut_short"
+REPORTED = "needs a folder that is not refined, or --overwrite: tests/core/cut_short"
 NOT_RUN = {
     "gva-mi refine subject --report": REPORTED,
     "gva-mi refine subject --report --overwrite": REPORTED,

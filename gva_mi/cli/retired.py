@@ -18,6 +18,7 @@ RENAMED: dict[tuple[str, str], str] = {
     ("study", "--people"): "--subjects",
     ("study", "--families"): "--error-models",
     ("study", "--told"): "--known",
+    ("study", "--noise"): "is gone: errors have their usual size; synth --noise scales them",
     ("synth", "--sheet"): "is gone: docs/people.md describes the subjects, check --sheet draws one",
     **{
         ("synth", f"--{name}"): "is gone: frames show the person on white"

@@ -11,6 +11,7 @@ from gva_mi.splat import Camera
 
 OUTLINE = (1.0, 0.25, 0.1)  # orange: neither skin nor cloth
 BLUE = (0.35, 0.65, 1.0)
+CLAY = (0.72, 0.76, 0.80)
 OPACITY = 0.45  # of the shaded mesh over the picture
 
 

@@ -8,6 +8,7 @@ the film (:mod:`gva_mi.pose.film.film_check`). The moving pictures are also writ
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -161,12 +162,13 @@ def _films(
 
 
 def driven_motion(avatar: Avatar, name: str) -> Pose:
-    """Return one round of a motion of :data:`DRIVEN` for an avatar."""
+    """Return one round of a motion of :data:`DRIVEN` for an avatar, as if the camera went along."""
     joints = avatar.rig.joints.double().numpy()
     expressions = avatar.rig.expression_joints.shape[2]
     t = np.arange(round(FPS * SECONDS)) / (FPS * SECONDS)
     pose = perform(name, t, joints, expressions, np.random.default_rng(SEED))
-    return pose.map(lambda x: torch.as_tensor(x, dtype=torch.float32))
+    pose = pose.map(lambda x: torch.as_tensor(x, dtype=torch.float32))
+    return replace(pose, transl=pose.transl * torch.tensor([0.0, 1.0, 0.0]))
 
 
 def _frame_from_front(avatar: Avatar, video: Video) -> int:

@@ -1,0 +1,100 @@
+"""``gva-mi avatar``, ``prepare film`` and ``motion`` of a film, by the real networks."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from gva_mi.body.pose import load_poses
+from gva_mi.data.pictures import write_movie
+from gva_mi.data.video import load_video
+
+FRAMES = 12
+
+
+@pytest.fixture(scope="module")
+def filmed(tmp_path_factory):
+    """A folder with a short film of a synthetic subject, and its height."""
+    from gva_mi.body.smplx import load_body
+    from gva_mi.pose.stature import Stature
+    from gva_mi.synthetic import SynthOptions, make_subject
+
+    folder, body = tmp_path_factory.mktemp("filmed") / "subject", load_body()
+    make_subject(folder, SynthOptions(seed=150, frames=FRAMES, size=256, samples=4), body)
+    video = load_video(folder)
+    images = [np.round(frame.image * 255).astype(np.uint8) for frame in video.frames()]
+    write_movie(folder / "film.mp4", images, fps=10, lossless=False)
+    shape = load_poses(folder / "truth/poses.npz")[1]
+    return folder / "film.mp4", round(float(Stature.of(body).height(shape)), 2)
+
+
+@pytest.mark.slow
+def test_a_film_becomes_an_avatar_once(filmed, tmp_path, cli):
+    """All steps, then none of them; and the same film twice is the same folder, to the bit."""
+    film, height = filmed
+    command = ("avatar", film, "--height", height, "--quality", "draft", "--steps", 40)
+    command += ("--out", tmp_path / "me")
+    code, said, err = cli(*command)
+    assert code == 0, err
+    me = tmp_path / "me"
+    assert all((me / name).stat().st_size > 1000 for name in ("turntable.mp4", "walk.mp4"))
+    found = json.loads((me / "subject/film_check.json").read_text())
+    assert "short" in {finding["what"] for finding in found["findings"]}
+    page = (me / "report.html").read_text()
+    assert "What to film better" in page and f"{height:.2f} m tall" in page
+    rows = json.loads((me / "run/metrics.json").read_text())["rows"]
+    whole = {(row["name"], row["split"]): row["psnr"] for row in rows if row["region"] == "white"}
+    for name in ("full", "poses as refined", "poses fitted to the pictures"):
+        assert whole[name, "held_out_range"] > 15 and whole[name, "test"] > 15
+
+    code, said, err = cli(*command)
+    assert code == 0 and said.count("was finished before") == 6, err
+    (me / "report.html").unlink()
+    shutil.rmtree(me / "run")
+    code, said, err = cli(*command[:-2], "--out", me, "--steps", 20)
+    assert code == 0 and said.count("was finished before") == 3, err
+
+    given = ("prepare", "film", film, tmp_path / "again", "--height", height)
+    assert cli(*given)[0] == 0
+    for path in sorted((tmp_path / "again").rglob("*.*")):
+        assert path.read_bytes() == (me / "subject" / path.relative_to(given[3])).read_bytes(), path
+
+
+@pytest.mark.slow
+def test_a_film_drives_an_avatar(filmed, tmp_path, cli):
+    film, height = filmed
+    code, said, err = cli("motion", film, tmp_path / "m.npz", "--height", height, "--fps", 20)
+    assert code == 0, err
+    pose, _ = load_poses(tmp_path / "m.npz")
+    assert 2 * FRAMES - 3 <= len(pose) <= 2 * FRAMES
+    assert np.abs(pose.transl[0].numpy()).max() < 1e-5  # at rest's place
+
+
+SENTENCES = {
+    "no film": (("avatar", "x.mp4", "--out", "me"), "x.mp4: no such film or folder of pictures"),
+    "no body": (("avatar", "{film}", "--out", "me", "--body", "b.npz"), "b.npz: no such file"),
+    "height": (("avatar", "{film}", "--out", "me", "--height", 175), "from 0.4 to 2.6 metres"),
+    "not of films": (
+        ("prepare", "film", "{film}", "me", "--masks", "m"), "--masks is not for a film",
+    ),
+    "of films": (
+        ("prepare", "wham", "w.pkl", "me", "--height", 1.7), "--height is for a film; got wham",
+    ),
+    "person": (("prepare", "film", "{film}", "me", "--person", "left"), "a number from 1 on"),
+    "lens": (("prepare", "film", "{film}", "me", "--lens", "wide"), "--lens must be a focal"),
+    "no body of poses": (("prepare", "wham", "w.pkl", "me"), "give --body"),
+    "of a motion": (("motion", "m.npz", "o.npz", "--height", 1.7), "--height is for films"),
+    "no picture": (("avatar", "{film}", "--out", "me", "--start", 9), "leave no picture"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SENTENCES)
+def test_what_cannot_be_done_is_one_sentence(name, tmp_path, cli, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_movie(tmp_path / "f.mp4", np.zeros((2, 32, 32, 3), np.uint8))
+    arguments, sentence = SENTENCES[name]
+    code, _, err = cli(*(str(a).format(film="f.mp4") for a in arguments))
+    lines = [line for line in err.splitlines() if "gva-mi: " in line]
+    assert code == 2 and len(lines) == 1 and sentence in lines[0], err
+    assert not (tmp_path / "me/subject").exists() and not (tmp_path / "o.npz").exists()

@@ -226,7 +226,12 @@ def motion_of_film(
         within(progress, 0, 4, 5),
     )
     solved = solve_film(
-        watched.landmarks, body, size, pictures.fps, options.height, focal,
-        within(progress, 4, 1, 5),
-    )  # fmt: skip
+        watched.landmarks,
+        body,
+        size,
+        pictures.fps,
+        height=options.height,
+        focal=focal,
+        progress=within(progress, 4, 1, 5),
+    )
     return SolvedMotion(pictures, watched, solved, focal is not None)

@@ -201,7 +201,8 @@ class _Work:
         video, _ = self.refined()
         trained = run_folder.under_trained_poses(video, self.run)
         with bar("report") as progress:
-            write_film_report(self.out, self.run, trained, self.title, FINDINGS, progress)
+            model, title = load_body(self.body), self.title
+            write_film_report(self.out, self.run, trained, model, title, FINDINGS, progress)
 
     def refined(self) -> tuple[Video, Path]:
         """Open the video under its refined poses; return also their file."""

@@ -16,13 +16,14 @@ import torch
 
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.pose import Pose
+from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
 from gva_mi.core.errors import expecting
 from gva_mi.core.files import read_json
 from gva_mi.core.options import from_json
 from gva_mi.data.check.problems import Problem
 from gva_mi.data.pictures import read_image, write_movie
-from gva_mi.data.video import Video, spread
+from gva_mi.data.video import Video
 from gva_mi.fit import run_folder
 from gva_mi.fit.camera_paths import CameraPath, shots
 from gva_mi.fit.renders import WHITE, over, render_shots
@@ -30,8 +31,8 @@ from gva_mi.pose.film.prepare_film import FilmRecord
 from gva_mi.study import page
 from gva_mi.study.metrics import Metrics, load_metrics
 from gva_mi.study.page import Headline, Section, Table, animation, number, picture
+from gva_mi.study.pictures import ShownAvatar, picture_sections
 from gva_mi.study.refinement import OVERLAYS
-from gva_mi.study.report_pictures import compared, same_size, zoomed
 from gva_mi.synthetic.motion import perform
 
 FILM_REPORT = "report.html"
@@ -50,6 +51,7 @@ def write_film_report(
     out: Path,
     run: Path,
     video: Video,
+    body: BodyModel,
     title: str,
     findings: str,
     progress: Progress | None = None,
@@ -60,6 +62,7 @@ def write_film_report(
         out: folder.
         run: the folder of a run that was evaluated.
         video: opened with the poses that the avatar was trained under.
+        body: the fitted body model.
         title: heading of the page.
         findings: name of the file of the film's findings in the video's folder.
         progress: called after each rendered picture.
@@ -78,8 +81,7 @@ def write_film_report(
         sections=[
             Section("The avatar", _MOVES, list(_films(out, avatar, video, progress)), columns=3),
             _better(problems, record.notes),
-            *_beside(avatar, video),
-            *_close(avatar, video),
+            *picture_sections([("", {"render": ShownAvatar.of(avatar, video, body)})], SHOWN),
             *_poses(video.folder / OVERLAYS),
             Section("Figures", _FIGURES, tables=[_scores(metrics)]),
         ],
@@ -92,13 +94,6 @@ _MOVES = (
     f"{TURNTABLE}.mp4, {', '.join(f'{name}.mp4' for name in DRIVEN)}. What no frame shows is a "
     "guess."
 )
-_BESIDE = "The picture, cut out by its mask, and the render under the pose that followed from the "
-_FRAMES = {
-    "Test frames": _BESIDE + "frames around it. Training did not see these frames.",
-    "The held-out range": _BESIDE
-    + "frames before and after this stretch, which training left out.",
-}
-_CLOSE = "The picture's own pixels above; the avatar below, rendered at the enlarged resolution."
 _POSES = "The body over the frames, before the refinement (above) and after it (below)."
 _FIGURES = (
     "PSNR of frames that training left out: single test frames, whose neighbours were seen, and a "
@@ -198,31 +193,6 @@ def _better(problems: Sequence[Problem], notes: Sequence[str]) -> Section:
     if notes:
         tables.append(Table(("notes",), [(note,) for note in notes]))
     return Section("What to film better", _BETTER if problems else _GOOD, tables=tables)
-
-
-def _beside(avatar: Avatar, video: Video) -> Iterator[Section]:
-    """Show renders beside frames that training left out."""
-    held_out = video.splits.held_out_range
-    alone = [k for k in video.splits.test if k not in set(held_out)]
-    for (title, text), frames in zip(_FRAMES.items(), (alone, held_out), strict=True):
-        if frames:
-            shown = spread(frames, SHOWN)
-            images = same_size([compared(avatar, f, difference=False) for f in video.frames(shown)])
-            pictures = [picture(f"frame {k}", i) for k, i in zip(shown, images, strict=True)]
-            yield Section(title, text, pictures, columns=3)
-
-
-def _close(avatar: Avatar, video: Video) -> Iterator[Section]:
-    """Enlarge faces and hands of test frames."""
-    for what, title in (("face", "Faces"), ("hands", "Hands")):
-        frames = video.frames(spread(video.splits.test, SHOWN))
-        pictures = [
-            picture(f"frame {frame.index}, {name}", image)
-            for frame in frames
-            for name, image in zoomed(avatar, frame, what)
-        ]
-        if pictures:
-            yield Section(title, _CLOSE, pictures, columns=6)
 
 
 def _poses(overlays: Path) -> Iterator[Section]:

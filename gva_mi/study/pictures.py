@@ -22,7 +22,7 @@ from gva_mi.fit.camera_paths import circle
 from gva_mi.fit.renders import cut_out, render_frame, to_8bit
 from gva_mi.splat import Camera, Gaussians, look_at, render
 from gva_mi.splat.geometry import with_axes
-from gva_mi.study.evaluate import Split, SplitView, views_of
+from gva_mi.study.evaluate import OF_VIDEO, Split, SplitView, views_of
 from gva_mi.study.metrics import aligned_views
 from gva_mi.study.page import Picture, Section, around, picture
 from gva_mi.study.regions import close_ups, person_box
@@ -33,6 +33,7 @@ DOT = 0.0015  # metres, standard deviation of a Gaussian drawn as a dot
 RED_AT = 64  # levels of 255 at which a difference is fully red
 SECTIONS: dict[Split, tuple[str, str]] = {
     "test": ("Test frames", "Frames that training left out, visible hands, and visible faces."),
+    "held_out_range": ("The held-out range", "A stretch of frames that training left out."),
     "novel_pose": ("Novel poses", "A motion that is not in the video, and close-ups."),
     "novel_view": ("Novel views", "Frames of the video from cameras that never saw it."),
 }
@@ -63,8 +64,8 @@ class ShownAvatar:
         views = views_of(trained, tuple(SECTIONS), body)
         similarity = similarity_to_truth(avatar.rig, trained, body)
         if similarity is not None:
-            test = [view for view in views if view.split == "test"]
-            views = test + aligned_views(views, similarity, avatar.rig, body)
+            own = [view for view in views if view.split in OF_VIDEO]
+            views = own + aligned_views(views, similarity, avatar.rig, body)
         change = lambda source: replace(source, pose=driven(source.pose))
         return ShownAvatar(avatar, {view.split: view.through(change) for view in views})
 
@@ -72,11 +73,11 @@ class ShownAvatar:
 def picture_sections(
     cases: Iterable[tuple[str, Mapping[str, ShownAvatar]]], count: int
 ) -> list[Section]:
-    """Make a section for each split (ground truth, and every avatar beside it), one of Gaussians.
+    """Make a section for each split (its pictures, every avatar beside them), one of Gaussians.
 
     Args:
         cases: name of each video, and its avatars by their names. A single avatar is followed by
-            its difference from the ground truth.
+            its difference from the picture.
         count: frames of a split of a video.
     """
     pictures, at_rest, names = {split: [] for split in SECTIONS}, [], []
@@ -89,7 +90,7 @@ def picture_sections(
             dots(f"{case} {name}".strip(), shown.avatar.canonical)
             for name, shown in avatars.items()
         ]
-    order = f" From left to right: ground truth, {', '.join(names)}"
+    order = f" From left to right: the picture, {', '.join(names)}"
     order += ", difference (white 0, red 64 of 255 and more)." if len(names) == 1 else "."
     sections = [
         Section(title, text + order, pictures[split], columns=3 if len(names) == 1 else 1)
@@ -121,9 +122,9 @@ def _of_split(
 
 
 def _boxes(view: SplitView, frame: Frame, avatar: Avatar) -> Iterator[tuple[str, Box]]:
-    """Yield the person's box, and boxes of details: hands and face in test frames."""
+    """Yield the person's box, and boxes of details: hands and face in frames of the video."""
     yield "", person_box(frame.mask)
-    if view.split == "test" and view.details is not None:
+    if view.split in OF_VIDEO and view.details is not None:
         yield from ((f", {what}", box) for what, box in view.details.boxes(frame.index))
     elif view.split == "novel_pose":
         joints = joints_of(avatar, frame)

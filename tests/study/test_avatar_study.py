@@ -141,7 +141,7 @@ def test_pictures_show_every_variant_beside_the_ground_truth(runs):
     shown = {name: run.shown() for name, (run, _) in runs.items()}
     found = {section.title: section for section in picture_sections([("bruno", shown)], 2)}
     assert list(found) == ["Test frames", "Novel poses", "Novel views", "The Gaussians"]
-    assert "ground truth, full, without hand skeleton." in found["Novel poses"].text
+    assert "the picture, full, without hand skeleton." in found["Novel poses"].text
     captions = [picture.caption for picture in found["Test frames"].pictures]
     assert captions[0] == "bruno, frame 3" and f"{captions[0]}, hands" in captions
     assert len(found["Novel views"].pictures) == len(found["The Gaussians"].pictures) == 2

@@ -44,7 +44,7 @@ def test_details_are_rendered_as_large_as_they_are_shown(known, video, body):
     hand = next(p for p in test.pictures if p.caption == "frame 3, hands")
     image = Image.open(io.BytesIO(base64.b64decode(hand.data.partition(",")[2])))
     assert image.width == 3 * image.height >= 600
-    assert "ground truth, render, difference" in test.text and rest.title == "The Gaussians"
+    assert "the picture, render, difference" in test.text and rest.title == "The Gaussians"
 
 
 def test_differences_are_red():

@@ -3,7 +3,8 @@
 1. Every joint is near a relaxed pose, arms down and fingers half bent, within ``SPREAD``.
 2. Hinges bend about one axis and within a range (:mod:`gva_mi.pose.prior.anatomy`). The constant
    offsets of their angles are unknowns of the film, ``habits``.
-3. Landmarks' constant offsets are near zero, betas too, and the height is the given one.
+3. Landmarks' constant offsets are near zero, and nearly those of the other side, mirrored. Betas
+   are near the mean person's of the given height, which they keep.
 4. A phone is held nearly level, and looks down a little.
 
 ``m`` frames count as one in (1) and (2), as in the evidence: errors of successive frames are almost
@@ -13,7 +14,7 @@ the same.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -26,18 +27,20 @@ from gva_mi.pose.film.normal_equations import NormalEquations
 from gva_mi.pose.prior.anatomy import PAST_LIMIT, Anatomy
 from gva_mi.pose.stature import Stature
 
-# Standard deviations about the relaxed pose, radians; others as the fingers' joints.
+# Standard deviations about the relaxed pose, radians, of all axes or of x, y and z of the T-pose:
+# wrists hardly twist, which is what forearms do; hips bend more than they spread or turn.
+WRIST, HIP = (0.15, 0.4, 0.4), (0.7, 0.3, 0.3)
 SPREAD = {
     "pelvis": None, "spine1": 0.2, "spine2": 0.2, "spine3": 0.2, "neck": 0.3, "head": 0.3,
-    "collar": 0.15, "shoulder": 1.2, "elbow": 1.2, "wrist": 0.4, "hip": 0.7, "knee": 1.0,
+    "collar": 0.15, "shoulder": 1.2, "elbow": 1.2, "wrist": WRIST, "hip": HIP, "knee": 1.0,
     "ankle": 0.35, "foot": 0.2, "jaw": None, "eye_smplhf": None,
 }  # fmt: skip
 FINGER = 0.5
-WRIST_TWIST = 0.15  # radians; forearms twist instead
 RELAXED = {"shoulder": 0.9, "elbow": 0.2}  # radians down, and bent
 CURL = {1: 0.25, 2: 0.4, 3: 0.27}  # of a finger's joints, radians
 BETA = 0.35  # standard deviation of betas: landmarks know lengths, not girths
 HEIGHT, HEIGHT_KNOWN = (1.70, 0.09), 0.005  # metres
+UNLIKE = 0.3  # of the offset of a landmark, the share in which left and right differ
 FOCAL = 0.15  # of its logarithm
 UP, LOOKS_DOWN = (0.04, 0.15), 0.07  # of the upward direction aside and in depth; radians
 
@@ -69,9 +72,7 @@ class BodyPrior:
         spread = torch.full((len(JOINTS), 3), FINGER, dtype=torch.float64)
         for k, name in enumerate(JOINTS[: LEFT_HAND.start]):
             part = name.removeprefix("left_").removeprefix("right_")
-            spread[k] = SPREAD[part] or 1.0
-            if part == "wrist":
-                spread[k, 0] = WRIST_TWIST  # the forearm lies along x at rest
+            spread[k] = torch.tensor(SPREAD[part] or 1.0)
         for sign, side in ((-1, "left"), (1, "right")):
             relaxed[JOINTS.index(f"{side}_shoulder"), 2] = sign * RELAXED["shoulder"]
             relaxed[JOINTS.index(f"{side}_elbow"), 1] = sign * RELAXED["elbow"]
@@ -128,27 +129,34 @@ class BodyPrior:
 
 @dataclass(frozen=True)
 class SharedPrior:
-    """Term (3) and (4): diagonal, but for the height.
+    """Term (3) and (4): diagonal, but for the height and for the offsets of both sides.
 
     Attributes:
         free: the unknowns.
-        loose: (P,) standard deviation of landmarks' offsets, metres.
+        names: P landmarks.
+        loose: (P,) standard deviation of their offsets, metres.
         always: (Q,) of habits, radians.
+        betas: (B,) the mean person of the given height.
         stature: of the body.
         height: and its standard deviation, metres.
         focal: standard deviation of the focal length's logarithm.
     """
 
     free: Free
+    names: Sequence[str]
     loose: Tensor
     always: Tensor
+    betas: Tensor
     stature: Stature
     height: tuple[float, float]
     focal: float
 
     def parts(self, state: FilmState) -> tuple[Tensor, Tensor]:
-        """Return residuals and standard deviations (S,) of the shared unknowns."""
-        found = [state.betas[: self.free.betas]]
+        """Return residuals and standard deviations (S,) of the shared unknowns.
+
+        Offsets are replaced by what both sides have in common, and by how they differ.
+        """
+        found = [(state.betas - self.betas)[: self.free.betas]]
         spread = [torch.full_like(found[0], BETA)]
         if self.free.camera:
             aside, deep = UP
@@ -156,9 +164,32 @@ class SharedPrior:
             found += [state.focal[None], apart, 0 * state.floor[None]]
             spread += [state.up.new_tensor([self.focal, aside, deep, 10.0])]
         offsets, habits = list(self.free.offsets), list(self.free.habits)
-        found += [state.offsets[offsets].flatten(), state.habits[habits]]
-        spread += [self.loose[offsets].double().repeat_interleave(3), self.always[habits]]
+        found += [(self._sides() @ state.offsets[offsets].flatten()), state.habits[habits]]
+        likely = self.loose[offsets].double()
+        at = {self.names[p]: k for k, p in enumerate(offsets)}
+        for name, k in at.items():
+            if "right" in name and _left(name) in at:
+                likely[k] = UNLIKE * likely[k]
+        spread += [likely.repeat_interleave(3), self.always[habits]]
         return torch.cat(found), torch.cat(spread)
+
+    def _sides(self) -> Tensor:
+        """Return the rotation of offsets (3 n, 3 n): of a left and a right one, sum and difference.
+
+        The right one is mirrored first; landmarks of neither side stay.
+        """
+        names = [self.names[p] for p in self.free.offsets]
+        turn = torch.eye(3 * len(names), dtype=torch.float64)
+        mirror = torch.diag(torch.tensor([-1.0, 1, 1], dtype=torch.float64)) / 2**0.5
+        for k, name in enumerate(names):
+            if "right" in name and _left(name) in names:
+                left = names.index(_left(name))
+                one, other = slice(3 * left, 3 * left + 3), slice(3 * k, 3 * k + 3)
+                turn[one, one] /= 2**0.5
+                turn[one, other] = mirror
+                turn[other, one] = turn[one, one]
+                turn[other, other] = -mirror
+        return turn
 
     def taller(self, state: FilmState) -> tuple[Tensor, Tensor, float]:
         """Return how much too tall the person is, its slope (B,), and its standard deviation."""
@@ -180,10 +211,17 @@ class SharedPrior:
         if not self.free.shared:
             return
         apart, spread = self.parts(state)
-        equations.shared.diagonal().add_(spread**-2)
-        equations.shared_pull -= apart / spread**2
+        turn = torch.eye(len(apart), dtype=apart.dtype)
+        some = slice(self.free.starts[2], self.free.starts[3])
+        turn[some, some] = self._sides()
+        equations.shared += turn.T @ (turn * spread[:, None] ** -2)
+        equations.shared_pull -= turn.T @ (apart / spread**2)
         if self.free.betas:
             taller, slope, sigma = self.taller(state)
             some = slice(0, len(slope))
             equations.shared[some, some] += slope[:, None] * slope / sigma**2
             equations.shared_pull[some] -= taller * slope / sigma**2
+
+
+def _left(name: str) -> str:
+    return name.replace("right", "left")

@@ -20,7 +20,7 @@ which way a limb points:
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -29,6 +29,7 @@ from torch import Tensor
 
 from gva_mi.body.pose import JOINTS
 from gva_mi.body.smplx import BodyModel
+from gva_mi.data.landmarks import BODY
 from gva_mi.pose.film.film_state import FilmState, Free
 from gva_mi.pose.film.landmark_noise import FREEDOM, LandmarkNoise
 from gva_mi.pose.film.posed_points import PointSet, PosedPoints
@@ -39,6 +40,8 @@ UPRIGHT = 0.12  # σ_u, radians
 LEAST_DEPTH = 0.2  # metres; nearer points count as if they were there
 STAND, UNEVEN, LIFT = 0.7, 0.02, 0.12  # w, σ, λ of (3); share, metres, metres
 T_PEAK = 0.3676  # of Student's t with that freedom
+TOGETHER = 3  # as many points count all those of the face
+_FACE = BODY[: BODY.index("left_shoulder")]
 SOLES, TRUNK = 4, 2  # points after the landmarks: soles, then pelvis and neck
 
 
@@ -201,6 +204,12 @@ class FilmEvidence:
         return rows._replace(jacobian=J)
 
 
+def _counts(names: Sequence[str]) -> Tensor:
+    """Return as how many independent points each landmark counts: those of a face err together."""
+    of_face = torch.tensor([name in _FACE for name in names])
+    return torch.where(of_face, TOGETHER / of_face.sum().clamp_min(TOGETHER), 1).double()
+
+
 def film_points(body: BodyModel, rig: LandmarkRig, more: bool) -> PointSet:
     """Return the points of a rig on its body; with ``more`` also soles, pelvis and neck."""
     joints, rest, directions = rig.joints, rig.rest, rig.directions
@@ -250,7 +259,7 @@ def film_evidence(
         film_points(body, rig, free.travels),
         double(K),
         double(pixels),
-        double(noise.pixels) ** -2,
+        double(noise.pixels) ** -2 * _counts(rig.names),
         noise.bones,
         double(noise.gain),
         double(deep),

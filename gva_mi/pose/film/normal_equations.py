@@ -21,6 +21,9 @@ import torch
 from torch import Tensor
 
 
+UNDETERMINED = 1e-6  # added to the diagonal
+
+
 @dataclass
 class NormalEquations:
     """A sum of squares around the current unknowns; float64.
@@ -76,7 +79,8 @@ class NormalEquations:
         count, free = self.pull.shape
         more = 1 + damping
         frames = self.frames.clone()
-        frames.diagonal(dim1=1, dim2=2).mul_(more)
+        # What nothing determines, such as the place of a single frame without pictures, stays.
+        frames.diagonal(dim1=1, dim2=2).mul_(more).add_(UNDETERMINED)
         known = torch.cat([self.mixed, self.pull[..., None]], -1)
         factors = _Factors.of(*_in_pairs(frames, self.next, self.second))
         padded = torch.nn.functional.pad(known, (0, 0, 0, 0, 0, count % 2))

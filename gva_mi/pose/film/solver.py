@@ -39,7 +39,7 @@ from gva_mi.pose.film.smoothness import Smoothness
 from gva_mi.pose.stature import PEOPLE, Stature
 from gva_mi.splat import Camera
 
-MEMORY = 0.2  # seconds for which a network's errors last: these frames count as one
+MEMORY = 0.1  # seconds for which a network's errors last: these frames count as one
 FIELD = 60.0  # degrees, horizontal field of view of an unknown camera
 FOCAL_KNOWN = 1e-4  # of its logarithm
 START, BODY, HAND = 8, 30, 15  # steps, at most
@@ -138,6 +138,9 @@ class _Film:
         centre: tuple[float, float] | None,
     ) -> _Film:
         rig = LandmarkRig.of(body, sorted(landmarks.names))
+        at, names = landmarks.indices(rig.names), ("pixels", "confidence", "spread", "metric")
+        known = {name: getattr(landmarks, name)[:, at] for name in names}
+        landmarks = Landmarks(rig.names, **known)
         noise = LandmarkNoise.of(landmarks, rig.names)
         f = focal or size[0] / 2 / np.tan(np.radians(FIELD) / 2)
         cx, cy = centre or (size[0] / 2, size[1] / 2)
@@ -148,8 +151,7 @@ class _Film:
         """Return the first guess: relaxed joints, the body at its place."""
         free = Free(_BODY)
         prior = BodyPrior.of(free, self.body.j_template, 1.0)
-        mean = Shape(self.body.v_template.new_zeros(self.body.num_betas))
-        shape = Stature.of(self.body).nearest(mean, self.height or HEIGHT[0])
+        shape = self.mean_shape()
         count = len(self.landmarks)
         rotations = prior.relaxed.expand(count, -1, -1).clone()
         rotations[:, 0] = roma.rotmat_to_rotvec(first_root(self.landmarks))
@@ -161,6 +163,11 @@ class _Film:
         habits = zero(len(prior.anatomy.freedoms))
         offsets = zero(len(self.rig.names), 3)
         return FilmState(rotations, place, shape.betas.double(), zero(), up, floor, offsets, habits)
+
+    def mean_shape(self) -> Shape:
+        """Return the mean person of the given height."""
+        mean = Shape(self.body.v_template.new_zeros(self.body.num_betas))
+        return Stature.of(self.body).nearest(mean, self.height or HEIGHT[0])
 
     def body_problem(self, state: FilmState, starting: bool = False) -> FilmProblem:
         """Return the problem of body and palms; the starting one has no shared unknowns."""
@@ -198,7 +205,14 @@ class _Film:
         height = (self.height, HEIGHT_KNOWN) if self.height else HEIGHT
         focal = FOCAL_KNOWN if self.focal else FOCAL
         shared = SharedPrior(
-            free, rig.loose, torch.deg2rad(always), Stature.of(self.body), height, focal
+            free,
+            rig.names,
+            rig.loose,
+            torch.deg2rad(always),
+            self.mean_shape().betas.double(),
+            Stature.of(self.body),
+            height,
+            focal,
         )
         return FilmProblem(free, which, evidence, prior, shared, Smoothness(free, self.dt))
 

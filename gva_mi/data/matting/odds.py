@@ -22,11 +22,12 @@ from gva_mi.data.matting.plate import Plate
 TRUST = 0.7  # a: the network's errors are alike in whole patches
 CERTAIN = 5.0  # largest |logit| that is believed
 MOST = 6.0  # largest log ratio of the two densities
-SHADOW, CONTACT = 0.1, 0.4  # mean of |1 - s|: anywhere, and below this height:
+SHADOW, CONTACT = 0.1, 0.4  # mean of 1 - s: anywhere, and below this height:
 FEET = 0.92  # of the person, from the top
 SURE = 0.95  # probability of certainty, for b
 DEEP, DEEPEST, MIDDLE = 0.02, 0.05, 4.0  # b is 0 at the first distance, shares of the person's
 # height, and the last number at the second
+BRIGHT = 0.02  # likewise above 1: nothing shines on the background but what lights it anyway
 DARKEST, BRIGHTEST = 0.25, 1.15  # range of s
 SEEN_ELSE, GUESS_ELSE = 0.01, 0.5  # e: share of colours that the plate does not explain
 NU = 4.0  # degrees of freedom of t
@@ -65,12 +66,12 @@ def log_odds(
 def _of_background(
     image: np.ndarray, plate: Plate, background: np.ndarray, shadow: np.ndarray
 ) -> np.ndarray:
-    """Return p(I | background) (h, w), eq. 2; ``shadow`` (h, 1) is the mean of |1 - s|."""
+    """Return p(I | background) (h, w), eq. 2; ``shadow`` (h, 1) is the mean of 1 - s."""
     B, variance = plate.color, plate.spread**2
     dot = lambda x, y: np.einsum("ijk,ijk->ij", x, y)
     s = ((dot(image, B) + variance) / (dot(B, B) + variance)).clip(DARKEST, BRIGHTEST)
     rest = image - s[..., None] * B
     t = T3 / plate.spread**3 * (1 + dot(rest, rest) / (NU * variance)) ** (-(NU + 3) / 2)
-    known = t * np.exp(-np.abs(1 - s) / shadow)
+    known = t * np.exp(np.minimum(s - 1, 0) / shadow - np.maximum(s - 1, 0) / BRIGHT)
     e = np.where(plate.seen, np.float32(SEEN_ELSE), np.float32(GUESS_ELSE))
     return (1 - e) * known + e * np.where(plate.seen, 1, background)

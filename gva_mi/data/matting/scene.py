@@ -94,12 +94,12 @@ class FilmScene:
         return whole
 
     def _plate_in(self, view: GridPicture) -> Plate:
-        """Return the plate as a picture's camera sees it."""
+        """Return the plate as a picture's camera sees and exposes it."""
         if view.motion is None:
             return Plate.unknown(view.probability.shape)
-        if (view.motion == np.eye(3)).all():
-            return self.plate
-        return self.plate.moved(np.linalg.inv(view.motion))
+        still = (view.motion == np.eye(3)).all()
+        plate = self.plate if still else self.plate.moved(np.linalg.inv(view.motion))
+        return plate.exposed_as(view.image, view.probability < POSSIBLE)
 
 
 def _plate(views: Sequence[GridPicture], outside: Sequence[np.ndarray]) -> Plate:

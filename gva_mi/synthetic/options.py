@@ -14,6 +14,7 @@ from gva_mi.core.options import PictureSide, Seed, Share, Within, Workers, requi
 from gva_mi.synthetic.error_models.models import Levels, require_family
 from gva_mi.synthetic.people import STUDY, SyntheticPerson, foreign_outfit
 from gva_mi.synthetic.stretched import BodyStretch, stretched
+from gva_mi.synthetic.subject import Subject, draw_subject
 
 # Random number streams, one for each purpose.
 MOTION, NOISE, NOVEL_POSE, NOVEL_VIEW, RENDER = range(1, 6)
@@ -39,6 +40,7 @@ class SynthOptions:
     samples: Annotated[int, Within(1, 4096)] = 16  # rays per pixel, a square number
     clothes: bool = True  # clothes and shoes; without them a swimsuit is painted on the skin
     hair: bool = True  # without it the head is bald
+    strands: bool = False  # fly-away strands around the hair, a soft outline
     light: Literal["usual", "side", "ambient"] = "usual"  # lamps besides the sky
     # A phone held by hand, in a room, or one that circles once around the person: with noise 0.
     camera: Literal["stands", "held", "circles"] = "stands"
@@ -104,6 +106,11 @@ class SynthOptions:
         if self.figure == "anny" and outfit.bottom == "skirt":  # its legs would come through
             outfit = replace(outfit, bottom="trousers", length=1.9, flare=0.015)
         return person if outfit is person.outfit else replace(person, outfit=outfit)
+
+    def subject_on(self, drawn_on: BodyModel) -> Subject:
+        """Return the person's surface on the body of :meth:`drawn_on`."""
+        person = self.person(drawn_on)
+        return draw_subject(drawn_on, person, self.clothes, self.hair, self.strands)
 
     def recorded(self) -> dict[str, object]:
         """Return the recorded options: all but ``workers``, which does not change the result."""

@@ -12,7 +12,7 @@ from gva_mi.core.errors import expecting
 from gva_mi.core.files import read_json
 from gva_mi.data.fingerprint import ABOUT, require_same_body
 from gva_mi.synthetic.options import SynthOptions
-from gva_mi.synthetic.subject import Subject, draw_subject
+from gva_mi.synthetic.subject import Subject
 
 RETIRED = ("background", "blur", "sensor_noise")  # options of older folders; only frames differ
 SURFACE = "truth/surface.ply"  # in the subject's folder
@@ -55,7 +55,7 @@ def remake_subject(subject: Path, body: BodyModel) -> tuple[Subject, BodyModel] 
     require_same_body(subject, body)
     _, options = recorded_options(subject)
     drawn_on = options.drawn_on(body)
-    person = draw_subject(drawn_on, options.person(drawn_on), options.clothes, options.hair)
+    person = options.subject_on(drawn_on)
     if not (subject / SURFACE).is_file():
         return None
     filmed = trimesh.load(subject / SURFACE, process=False)

@@ -8,10 +8,11 @@ albedo a:
     3. L(ω)     = sky(ω) where nothing is hit, else the average colour of the surface there
     4. mask     = fraction of samples that hit the person;  normal = their mean, normalised
     5. color    = mask · sRGB( mean radiance of these ) + (1 − mask) · white,  or in a room
-       color    = sRGB( mean radiance of all samples )
+       color    = sRGB( mask · mean radiance of these + Σ a of others / S · light of the room )
+    6. light    = Σ radiance / Σ a  of the samples that miss the person, over 5 × 5 pixels
 
 On white, eq. 5 blends encoded values, so color and mask agree as a renderer of 8-bit pictures
-expects. In a room light is blended, as in a camera, and pixels beside the person get fewer samples.
+expects; in a room light is blended, as in a camera. By eq. 6 few samples beside the person do.
 Lights and directions are stratified over the S samples and every sample uses all lights, because
 Mitsuba's path tracer, which picks one at random, is noisier. All sums have a fixed order: a seed
 always gives the same bits.
@@ -31,7 +32,7 @@ from gva_mi.synthetic.lamps import EARTH, LIGHTS, SKY, AreaLight
 from gva_mi.synthetic.look import Material, encode
 from gva_mi.synthetic.rays import Strata, beside, primary_rays, window_of
 from gva_mi.synthetic.rooms.finishes import finish_color
-from gva_mi.synthetic.rooms.room import INDIRECT, Room
+from gva_mi.synthetic.rooms.room import INDIRECT, Room, smoothly_lit
 from gva_mi.synthetic.subject import Subject
 from gva_mi.synthetic.texture import albedo
 
@@ -101,7 +102,7 @@ class Renderer:
         seed: int = 0,
         light: str = "usual",
     ) -> Rendering:
-        """Render the subject's vertices (N, 3) in the world, metres: see :meth:`expose`."""
+        """Render the subject's vertices (N, 3), metres: see :meth:`expose`."""
         return self.expose([Moment(vertices, camera)], samples, seed, light)
 
     def expose(
@@ -123,7 +124,7 @@ class Renderer:
         """
         camera, shown = moments[0].camera, shown and self._room is not None
         shape, lights = (camera.height, camera.width), LIGHTS[light]
-        total, count, everything = (np.zeros((*shape, n)) for n in (7, 1, 3))
+        total, count, room = (np.zeros((*shape, n)) for n in (7, 1, 6))
         fewer = max(1, round((samples / FEWER) ** 0.5)) ** 2
         for k, moment in enumerate(moments):
             self._place(moment.surface, shown)
@@ -133,24 +134,24 @@ class Renderer:
                 rays, person = (samples, True) if number == 0 else (fewer, False)
                 part = moment.camera.cropped(left, top, width, height)
                 values = self._trace(part, rays, seed + 7 * k + number, lights, person, shown)
-                values = values.reshape(height, width, rays, 8).astype(np.float64)
+                values = values.reshape(height, width, rays, -1).astype(np.float64)
                 at = (slice(top, top + height), slice(left, left + width))
-                if shown:
-                    everything[at] += values[..., :3].mean(2)
+                hit = values[..., 7:8]
                 if person:
-                    hit = values[..., 7:]
                     count[at] += hit.sum(2)
                     total[at] += (values[..., :7] * hit).sum(2)
-        mean = total / np.maximum(count, 1)
-        mask = count / (samples * len(moments))
+                if shown:
+                    room[at] += (values[..., [0, 1, 2, 8, 9, 10]] * (1 - hit)).mean(2)
+        mean, most = total / np.maximum(count, 1), samples * len(moments)
+        mask = count / most
         color = mask * encode(mean[..., :3]) + (1 - mask)
         if shown:
-            color = encode(everything / len(moments))
+            color = encode(total[..., :3] / most + smoothly_lit(room) / len(moments))
         normal = mean[..., 3:6] @ camera.T_camera_world[:3, :3].T
         length = np.linalg.norm(normal, axis=-1, keepdims=True)
         normal = np.where(length > 1e-3, normal / np.maximum(length, 1e-3), 0)
-        images = color, mask[..., 0], normal, mean[..., 6]
-        return Rendering(*(image.astype(np.float32) for image in images))
+        found = color, mask[..., 0], normal, mean[..., 6]
+        return Rendering(*(image.astype(np.float32) for image in found))
 
     def _place(self, surface: np.ndarray, shown: bool) -> None:
         """Move the subject's vertices (N, 3); furniture that is not shown shrinks to nothing."""
@@ -171,7 +172,8 @@ class Renderer:
     ) -> np.ndarray:  # fmt: skip
         """Trace all samples of a view, (H W S, 8): radiance, world normal, depth, hit the person.
 
-        Without ``person`` no ray meets the person. Where the room is ``shown`` all rays meet it.
+        Without ``person`` no ray meets the person. Where the room is ``shown`` the others meet it,
+        and the albedo follows, (H W S, 11).
         """
         import mitsuba as mi
 
@@ -184,12 +186,9 @@ class Renderer:
         stratum = Strata(random, pixel, sample, n)
         column = pixel % dr.opaque(mi.UInt32, camera.width)
         row = pixel // dr.opaque(mi.UInt32, camera.width)
-
-        jitter = mi.Point2f(
-            (mi.Float(sample % n) + random.next_float32()) / n,
-            (mi.Float(sample // n) + random.next_float32()) / n,
-        )
-        ray, per_depth = primary_rays(camera, mi.Float(column) + jitter.x, mi.Float(row) + jitter.y)
+        x = mi.Float(column) + (mi.Float(sample % n) + random.next_float32()) / n
+        y = mi.Float(row) + (mi.Float(sample // n) + random.next_float32()) / n
+        ray, per_depth = primary_rays(camera, x, y)
         at = self._scene.ray_intersect_preliminary(ray, coherent=True)
         t, hit = at.t, at.is_valid()
         material, rest, tint, n_shading = self._surface(at.prim_index, at.prim_uv, hit)
@@ -209,6 +208,7 @@ class Renderer:
             radiance *= mi.Color3f(*self._room.gain)
         values = [dr.select(lit, value, 0.0) for value in radiance]
         values += [dr.select(hit, value, 0.0) for value in (*n_shading, t / per_depth, 1.0)]
+        values += [*color] if shown else []
         dr.eval(values)  # together, as one kernel
         return np.stack([value.numpy() for value in values], axis=-1)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +15,7 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.synthetic.clothes.dressing import Worn, covered, dress
 from gva_mi.synthetic.clothes.folds import Crease, creases, lag
 from gva_mi.synthetic.clothes.level_sets import vertex_normals
+from gva_mi.synthetic.clothes.strands import strands
 from gva_mi.synthetic.look import Look, Material
 from gva_mi.synthetic.people import SyntheticPerson
 from gva_mi.synthetic.rest_body import RestBody, face_landmarks, point
@@ -88,11 +89,16 @@ class Subject:
 
 
 def draw_subject(
-    body: BodyModel, who: int | SyntheticPerson, clothes: bool = True, hair: bool = True
+    body: BodyModel,
+    who: int | SyntheticPerson,
+    clothes: bool = True,
+    hair: bool = True,
+    loose_strands: bool = False,
 ) -> Subject:
     """Make the surface of a person, given or drawn from a seed, on a body.
 
-    Without clothes, a swimsuit is painted on the skin; without hair, the head is bald.
+    Without clothes, a swimsuit is painted on the skin; without hair, the head is bald. Loose
+    strands soften the outline of the hair.
     """
     person = who if isinstance(who, SyntheticPerson) else SyntheticPerson.draw(who, body.num_betas)
     rng = np.random.default_rng([person.seed, 1])
@@ -108,7 +114,29 @@ def draw_subject(
         shoulder=point(rest.joints["left_shoulder"]), hip=point(rest.joints["left_hip"]),
         ground=float(rest.vertices[:, 1].min()), accessory=person.accent, cone=worn.cone,
     )  # fmt: skip
-    return _joined(rest, worn, look, shape, rng)
+    whole = _joined(rest, worn, look, shape, rng)
+    if hair and loose_strands:
+        return with_strands(whole, np.random.default_rng([person.seed, 2]))
+    return whole
+
+
+def with_strands(subject: Subject, rng: np.random.Generator) -> Subject:
+    """Add fly-away strands, which follow the hair."""
+    from scipy.sparse import vstack
+
+    hair = subject.faces[subject.material == int(Material.HAIR)]
+    points, triangles, roots = strands(subject.vertices, hair, rng)
+    join = lambda a, b: np.concatenate([a, b.astype(a.dtype)])
+    return replace(
+        subject,
+        vertices=join(subject.vertices, points),
+        faces=join(subject.faces, triangles + len(subject.vertices)),
+        binding=vstack([subject.binding, subject.binding[roots]]).tocsr(),
+        weights=torch.cat([subject.weights, subject.weights[torch.from_numpy(roots)]]),
+        tint=join(subject.tint, subject.tint[roots]),
+        material=join(subject.material, np.full(len(triangles), int(Material.HAIR))),
+        slack=join(subject.slack, subject.slack[roots]),
+    )
 
 
 def _joined(

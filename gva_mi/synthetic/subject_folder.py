@@ -46,7 +46,6 @@ from gva_mi.synthetic.provenance import SURFACE, write_surface
 from gva_mi.synthetic.render import Moment
 from gva_mi.synthetic.rooms.phone import write_phone_film
 from gva_mi.synthetic.staging import Staging, lowered
-from gva_mi.synthetic.subject import draw_subject
 
 
 def make_subject(
@@ -79,7 +78,7 @@ def make_subject(
             progress(done, total)
 
     drawn_on = options.drawn_on(body)
-    subject = draw_subject(drawn_on, options.person(drawn_on), options.clothes, options.hair)
+    subject = options.subject_on(drawn_on)
     staging = Staging(options, drawn_on, subject)
     with (
         atomic_dir(out, replaced) as folder,

@@ -20,8 +20,10 @@ from gva_mi.synthetic.rooms.furniture import PIECES, Solid, picture
 
 INDIRECT = 0.55  # light that a wall sends back, over its albedo, as of other surfaces
 CEILING = 1.25 * np.array(SKY)  # radiance: it is lit by all that falls on the floor
-EXPOSED = {"usual": 0.95, "side": 0.95, "ambient": 1.7}  # a camera's gain by the light
+EXPOSED = {"usual": 0.95, "side": 0.95, "ambient": 1.5}  # a camera's gain by the light
+FAIR = 0.7  # albedo that is not overexposed at this gain
 SIDES = 6  # of the box: the first finishes, in the order -x, +x, -y, +y, -z, +z
+AROUND = 5  # pixels, side of the squares in which light is smooth
 DEEPEST = 0.8  # m, of all furniture
 
 
@@ -90,7 +92,7 @@ def draw_room(
     join = lambda parts: np.concatenate([*parts])
     bright = np.mean([papered.mean_color(), finishes[2].mean_color()])
     gain = EXPOSED[light] * np.clip(0.35 / bright, 0.5, 2.5) ** 0.5 * rng.uniform(0.85, 1.15)
-    gain = gain * (1 + rng.normal(0, 0.03, 3))
+    gain = min(gain, EXPOSED[light] * FAIR / max(look.skin)) * (1 + rng.normal(0, 0.03, 3))
     return Room(
         low, high,
         join(solid.vertices for solid in solids).astype(np.float32),
@@ -146,3 +148,14 @@ def _furnished(
 def _moved(solid: Solid, turn: np.ndarray, shift: np.ndarray) -> Solid:
     """Turn a solid, then shift it."""
     return Solid(solid.vertices @ turn.T + shift, solid.uv, solid.faces, solid.finish)
+
+
+def smoothly_lit(room: np.ndarray) -> np.ndarray:
+    """Return the radiance (H, W, 3) of a room from its noisy radiance and albedo (H, W, 6).
+
+    See eq. 6 of :mod:`gva_mi.synthetic.render`.
+    """
+    from scipy.ndimage import uniform_filter
+
+    light, albedo = (uniform_filter(x, (AROUND, AROUND, 1)) for x in np.split(room, 2, axis=-1))
+    return room[..., 3:] * light / np.maximum(albedo, 1e-6)

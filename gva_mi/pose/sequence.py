@@ -8,6 +8,7 @@ optimised (:mod:`gva_mi.pose.optimize`) on
                                                feet (gva_mi.pose.evidence)
         + ν E(δ, τ)                            prior: stage 1, motion, anatomy, ground
                                                (gva_mi.pose.corrections)
+        + λl L_landmarks                       gva_mi.pose.evidence.landmarks
         + E(D)                                 gva_mi.pose.displacement
         + λβ |β - β^stage1|²
         + λh (h(β) - H)²                       if the height H is known: gva_mi.pose.stature
@@ -82,7 +83,7 @@ class SequenceOptions(DescentOptions, RefineOptions):
     translation_lr: Rate = 0.006  # metres in a first step; images show depth weakly
     cloth_lr: Rate = 0.003  # metres in a first step
     betas_lr: Rate = 0.05  # standard deviations in a first step
-    landmarks: Weight = 0.015  # weight of one nat of the landmarks, where the video has them
+    landmarks: Weight = 0.015  # λl: weight of one nat of landmarks, where the video has them
     # Stage 1's error model: inferred from the video, or that of the film solver. "auto": that of
     # the film solver if it made the poses.
     errors: Literal["auto", "inferred", "film"] = "auto"
@@ -234,6 +235,7 @@ class ClothedPerson:
         return loss + o.landmarks * self._landmark_loss(frames, pose)
 
     def _landmark_loss(self, frames: Sequence[int], pose: Pose) -> Tensor | float:
+        """Return the landmarks' nats; a refined focal length leaves sizes in the picture alone."""
         if self._job.landmarks is None:
             return 0.0
         joints = self._job.body.rest(self.shape).joints

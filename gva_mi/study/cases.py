@@ -31,6 +31,7 @@ class Take:
     figure: str = "own"  # or a body that the fitted one does not span
     outfit: str = "own"  # or clothes that nothing was tuned on
     bare: bool = False  # without clothes and hair
+    scene: str = "white"  # or a room, filmed by a phone
 
     @property
     def person(self) -> str:
@@ -45,6 +46,7 @@ class Take:
             self.figure if self.figure != "own" else None,
             f"{self.outfit} clothes" if self.outfit != "own" else None,
             "bare" if self.bare else None,
+            self.scene if self.scene != "white" else None,
         ]
         return ", ".join([self.subject or f"seed {self.seed}", *filter(None, what)])
 
@@ -53,7 +55,7 @@ class Take:
         return SynthOptions(
             seed=self.seed, subject=self.subject, motion=self.motion, figure=self.figure,
             outfit=self.outfit, frames=frames, size=size, clothes=not self.bare,
-            hair=not self.bare, novel_poses=novel, novel_views=novel,
+            hair=not self.bare, novel_poses=novel, novel_views=novel, scene=self.scene,
         )  # fmt: skip
 
 
@@ -100,6 +102,9 @@ _TUNED = {
     "dance": Take(seed=24, motion="dance"),
     "walk": Take(seed=25, motion="walk"),
     "everyday": Take(seed=26, motion="everyday"),
+    "filmed": Take(seed=27, scene="room"),
+    "filmed everyday": Take(seed=28, motion="everyday", outfit="foreign", scene="room"),
+    "filmed half": Take(seed=29, motion="half", scene="room"),
 }
 TUNING = (
     StudyCase(_TUNED["amira"], "bursts", 1),
@@ -121,6 +126,9 @@ TUNING = (
     StudyCase(_TUNED["outfit"], "anything", 17),
     StudyCase(_TUNED["walk"], "outliers", 18),
     StudyCase(_TUNED["everyday"], "outliers", 19),
+    StudyCase(_TUNED["filmed"], "film", 20),
+    StudyCase(_TUNED["filmed everyday"], "film", 21),
+    StudyCase(_TUNED["filmed half"], "film", 22),
 )
 
 _JUDGED = {
@@ -136,6 +144,9 @@ _JUDGED = {
     "anny": Take(seed=33, figure="anny"),
     "half": Take(seed=34, motion="half"),
     "walk": Take(seed=35, motion="walk"),
+    "filmed": Take(seed=36, scene="room"),
+    "filmed everyday": Take(seed=37, motion="everyday", outfit="foreign", scene="room"),
+    "filmed half": Take(seed=38, motion="half", figure="stretched", scene="room"),
 }
 HELD_OUT = (
     StudyCase(_JUDGED["bruno"], "bursts", 1000),
@@ -156,6 +167,9 @@ HELD_OUT = (
     StudyCase(_JUDGED["13"], "anything", 1015),
     StudyCase(_JUDGED["outfit"], "anything", 1016),
     StudyCase(_JUDGED["edgar"], "bursts", 1017, normals=False),
+    StudyCase(_JUDGED["filmed"], "film", 1018),
+    StudyCase(_JUDGED["filmed everyday"], "film", 1019),
+    StudyCase(_JUDGED["filmed half"], "film", 1020),
 )
 
 

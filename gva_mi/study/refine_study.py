@@ -23,6 +23,7 @@ from gva_mi.pose.refine import refine
 from gva_mi.pose.sequence import SequenceOptions
 from gva_mi.study.cases import StudyCase
 from gva_mi.study.engine import made_with
+from gva_mi.study.filmed import FILM, height_of
 from gva_mi.study.measure import Evaluation, PoseFigures
 from gva_mi.study.subjects import Filming, filming_work
 from gva_mi.synthetic.options import VideoFrames
@@ -114,6 +115,8 @@ def refine_case(
     """Refine and measure a case's video; ``known``: with the true height and focal length."""
     video = load_video(subject, normals=None if case.normals else "none")
     truth, options = load_ground_truth(video.truth, body), replace(options, seed=case.draw)
+    if case.noise == FILM:  # its stage 1 was given the height, too
+        options = replace(options, height=height_of(truth))
     if not known:
         refined = refine(video, body, options, progress)
     else:
@@ -129,9 +132,3 @@ def with_true_focal(truth: GroundTruth, video: Video, body: BodyModel) -> Video:
     pelvis = body.rest(video.shape).joints[0]
     cameras = [camera.zoomed(longer) for camera in video.cameras]
     return replace(video, cameras=cameras, pose=follow(video.pose, pelvis, video.cameras, longer))
-
-
-def height_of(truth: GroundTruth) -> float:
-    """Return the subject's height at rest, from head to soles, metres."""
-    y = truth.body.rest(truth.shape).vertices[:, 1]
-    return float(y.max() - y.min())

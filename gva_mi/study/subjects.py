@@ -1,4 +1,7 @@
-"""The videos of a study: a subject is rendered once, and each error model degrades a copy."""
+"""The videos of a study: a subject is rendered once, and each error model degrades a copy.
+
+The error model "film" is the real one: networks and solver see the pictures.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
 from gva_mi.data.fingerprint import require_same_body
 from gva_mi.study.cases import StudyCase, Take
+from gva_mi.study.filmed import FILM, watch_take
 from gva_mi.synthetic import degrade, make_subject
 
 
@@ -31,7 +35,9 @@ class Filming:
         take, subject = self.folder / "takes" / self._name(case.take), self.subject(case)
         if not take.exists():
             make_subject(take, case.take.synth(self.frames, self.size, self.novel), body)
-        if not subject.exists():
+        if not subject.exists() and case.noise == FILM:
+            watch_take(take, subject, body)
+        elif not subject.exists():
             degrade(take, subject, case.noise, case.draw, body)
         require_same_body(subject, body)
         return subject

@@ -6,6 +6,7 @@ import pytest
 
 from gva_mi.study import cases
 from gva_mi.study.cases import HELD_OUT, NO_NORMALS, TUNING, StudyCase, Take, held_out
+from gva_mi.study.filmed import FILM
 from gva_mi.synthetic import STUDY
 from gva_mi.synthetic.error_models.models import ERROR_MODELS
 
@@ -28,7 +29,8 @@ def test_held_out_sets_share_no_subject_and_no_draw_and_are_alike_in_all_else():
 @BOTH
 def test_cases_are_distinct(some):
     assert len({case.name for case in some}) == len({case.draw for case in some}) == len(some)
-    assert all(case.take.subject in (None, *STUDY) and case.noise in ERROR_MODELS for case in some)
+    known = {*ERROR_MODELS, FILM}
+    assert all(case.take.subject in (None, *STUDY) and case.noise in known for case in some)
 
 
 @BOTH
@@ -41,13 +43,14 @@ def test_a_subject_has_one_take(some):
 
 def test_held_out_cases_cover_all_error_models_and_some_were_never_tuned_on():
     families = Counter(case.family for case in HELD_OUT)
-    assert set(families) == {*ERROR_MODELS, NO_NORMALS}
+    assert set(families) == {*ERROR_MODELS, NO_NORMALS, FILM}
     assert set(families) - {case.family for case in TUNING} == {"shape", "focal", "normals"}
     takes = {case.take for case in HELD_OUT}
     assert {take.figure for take in takes} == {"own", "stretched", "anny"}
     assert {take.motion for take in takes} == {"turn", "everyday", "half", "walk"}
     assert {take.outfit for take in takes} == {"own", "foreign"}
     assert any(take.bare for take in takes)
+    assert all(case.take.scene == "room" for case in HELD_OUT if case.noise == FILM)
 
 
 def test_names_list_what_differs_from_the_default():

@@ -17,18 +17,18 @@ from gva_mi.pose.prior.error_model import Stage1ErrorModel
 
 # Standard deviations of the slow part and of the constant one, and frames that the slow one lasts.
 _DEGREES = {
-    "pelvis": (2.5, 1.0, 12.0),
-    "spine": (2.0, 1.0, 12.0),
-    "head": (5.0, 3.0, 12.0),
-    "shoulders": (7.0, 4.0, 12.0),
-    "elbows": (7.0, 4.0, 12.0),
-    "wrists": (12.0, 6.0, 12.0),
-    "hips": (5.0, 2.5, 12.0),
-    "knees": (3.5, 2.5, 12.0),
-    "feet": (4.0, 3.0, 12.0),
-    "fingers": (18.0, 15.0, 12.0),
+    "pelvis": (4.0, 0.0, 6.0),
+    "spine": (2.1, 0.9, 3.0),
+    "head": (3.8, 1.5, 12.0),
+    "shoulders": (8.1, 2.3, 6.0),
+    "elbows": (8.4, 1.9, 6.0),
+    "wrists": (6.1, 0.6, 6.0),
+    "hips": (5.4, 2.3, 6.0),
+    "knees": (4.0, 0.0, 12.0),
+    "feet": (4.4, 1.8, 3.0),
+    "fingers": (17.0, 0.6, 6.0),
 }
-_METRES = {"aside": (0.012, 0.025, 12.0), "depth": (0.03, 0.05, 12.0)}
+_METRES = {"aside": (0.026, 0.008, 12.0), "depth": (0.065, 0.028, 12.0)}
 
 
 def _model(slow: float, bias: float, memory: float) -> Stage1ErrorModel:

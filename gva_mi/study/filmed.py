@@ -1,0 +1,95 @@
+"""The error model "film": nothing is invented, real networks and the film solver see the pictures.
+
+The poses of :mod:`gva_mi.pose.film` stand in a world of their own, before a camera whose principal
+point is the middle of the picture. So landmarks are shifted to such a camera, and poses are brought
+to the world of the ground truth: the camera sees the same, and errors can be measured.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import roma
+import torch
+
+from gva_mi.body.pose import Pose, Shape, save_poses
+from gva_mi.body.smplx import BodyModel
+from gva_mi.core.atomic import atomic_dir
+from gva_mi.core.files import write_json
+from gva_mi.data.fingerprint import ABOUT, PREPARED
+from gva_mi.data.ground_truth import GroundTruth, load_ground_truth
+from gva_mi.data.landmarks import LANDMARKS
+from gva_mi.data.matting.film import film_masks
+from gva_mi.data.networks.watch import watch_film
+from gva_mi.data.pictures import in_8_bits
+from gva_mi.data.video import POSES, Video, load_video, save_cameras
+from gva_mi.pose.film.solver import solve_film
+from gva_mi.splat import Camera
+
+FILM = "film"
+FPS = 30.0  # frames a second of a synthetic subject's video
+
+
+def watch_take(take: Path, out: Path, body: BodyModel) -> None:
+    """Write a copy of a synthetic subject whose masks, landmarks and poses come from its pictures.
+
+    The height and the focal length are known.
+
+    Args:
+        take: a folder that ``gva-mi synth`` made.
+        out: the new folder, which must not exist; it appears when it is complete.
+        body: the body that the poses move.
+    """
+    video, truth = load_video(take, normals="none"), load_ground_truth(take / "truth", body)
+    camera, pictures = truth.cameras[0], _Pictures(video)
+    with atomic_dir(out) as folder:
+        for name in ("frames", "truth", "video.mp4", "splits.json", ABOUT):
+            if (take / name).is_dir():
+                shutil.copytree(take / name, folder / name)
+            elif (take / name).exists():
+                shutil.copy2(take / name, folder / name)
+        seen: dict[int, np.ndarray] = {}
+        keep = lambda k, silhouette: seen.update({k: in_8_bits(silhouette)})
+        landmarks = watch_film(pictures, keep).landmarks
+        film_masks(pictures, [seen[k] for k in range(len(video))], folder / "masks")
+        landmarks.save(folder / LANDMARKS)
+        middle = np.array([camera.width / 2 - camera.cx, camera.height / 2 - camera.cy])
+        centred = replace(landmarks, pixels=landmarks.pixels + middle)
+        solved = solve_film(centred, body, video.size, FPS, height_of(truth), camera.fx)
+        pose = moved(solved.pose, solved.shape, body, solved.camera, camera)
+        save_poses(folder / POSES, pose, solved.shape, stage=1)
+        save_cameras(folder / "cameras.npz", truth.cameras)
+        write_json(folder / PREPARED, {"kind": FILM})
+
+
+def moved(pose: Pose, shape: Shape, body: BodyModel, before: Camera, after: Camera) -> Pose:
+    """Return poses that one camera sees where another one saw the given poses."""
+    T = torch.from_numpy(np.linalg.inv(after.T_camera_world) @ before.T_camera_world)
+    R, t = T[:3, :3].to(pose.transl), T[:3, 3].to(pose.transl)
+    pelvis, rotations = body.rest(shape).joints[0], pose.rotations.clone()
+    turned = R @ roma.rotvec_to_rotmat(rotations[:, 0])
+    rotations[:, 0] = roma.rotmat_to_rotvec(turned)
+    return Pose(rotations, (pelvis + pose.transl) @ R.T + t - pelvis, pose.expression)
+
+
+def height_of(truth: GroundTruth) -> float:
+    """Return the subject's height at rest, from head to soles, metres."""
+    y = truth.body.rest(truth.shape).vertices[:, 1]
+    return float(y.max() - y.min())
+
+
+class _Pictures(Sequence[np.ndarray]):
+    """The pictures of a video in 8 bits, read one by one."""
+
+    def __init__(self, video: Video) -> None:
+        self._video = video
+
+    def __len__(self) -> int:
+        return len(self._video)
+
+    def __getitem__(self, k: int) -> np.ndarray:
+        return in_8_bits(self._video[k].image)

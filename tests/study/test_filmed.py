@@ -1,0 +1,39 @@
+"""The error model "film": networks and solver see a rendered subject, in the true world."""
+
+import numpy as np
+import pytest
+import torch
+
+from gva_mi.body.pose import Pose, Shape
+from gva_mi.data.ground_truth import load_ground_truth
+from gva_mi.data.video import load_video
+from gva_mi.pose.errors import means, pose_errors
+from gva_mi.splat.camera import Camera, look_at
+from gva_mi.study.filmed import moved, watch_take
+from gva_mi.synthetic import SynthOptions, make_subject
+
+
+def test_moved_poses_look_the_same_to_the_other_camera(built_in_body):
+    shape, pose = Shape(torch.tensor([1.0, -1.0])), Pose.rest(2)
+    pose.rotations[:, 0] = torch.tensor([[0.1, 0.5, 0.0], [0.0, 2.0, 0.2]])
+    pose.transl[1] = torch.tensor([0.3, 0.1, -0.2])
+    views = [look_at((0.0, 1.6, 3.0), (0.0, 0.9, 0.0)), look_at((2.0, 0.5, 1.0), (0.0, 1.0, 0.0))]
+    before, after = (Camera(500.0, 500.0, 128.0, 128.0, T, 256, 256) for T in views)
+    other = moved(pose, shape, built_in_body, before, after)
+    seen = [
+        camera.project(built_in_body(some, shape).joints.reshape(-1, 3).double().numpy())
+        for camera, some in ((before, pose), (after, other))
+    ]
+    np.testing.assert_allclose(*seen, atol=1e-2)
+
+
+@pytest.mark.slow
+def test_a_watched_subject_stands_where_the_true_one_does(tmp_path, built_in_body):
+    options = SynthOptions(seed=101, frames=12, size=256, samples=4, novel_poses=0, novel_views=0)
+    make_subject(tmp_path / "take", options, built_in_body)
+    watch_take(tmp_path / "take", tmp_path / "filmed", built_in_body)
+    video = load_video(tmp_path / "filmed")
+    truth = load_ground_truth(video.truth, built_in_body)
+    errors = means(pose_errors(built_in_body, (video.pose, video.shape), truth))
+    assert video.kind == "film" and len(video.landmarks) == 12 and not video.has_normals
+    assert errors["body"] < 150 and abs(errors["pelvis_depth"]) < 120

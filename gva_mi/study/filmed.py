@@ -92,4 +92,4 @@ class _Pictures(Sequence[np.ndarray]):
         return len(self._video)
 
     def __getitem__(self, k: int) -> np.ndarray:
-        return in_8_bits(self._video[k].image)
+        return in_8_bits(self._video[int(k)].image)

@@ -196,7 +196,8 @@ def test_known_errors_are_kept_and_let_the_whole_person_move(camera, body, true_
         aside = Corrections(stage1, anatomy, prior, turns, moves + torch.tensor([0, 0.03, 0.05]))
         costs.append(float(aside.energy().detach() - still.energy().detach()))
         after = aside.with_updated_prior(turns, moves + 0.05).prior.noise
-        assert (after == prior.noise) == (known is not None)
+        kept = {name for name in after if after[name] == prior.noise[name]}
+        assert kept == set(known or ())
     assert costs[1] < 0.7 * costs[0]
     assert prior.noise["elbows"].bias == FILM_ERRORS["elbows"].bias
 

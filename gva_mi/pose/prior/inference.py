@@ -62,7 +62,8 @@ class PosePrior:
         place: process of the person's position in the camera's axes; it may change steadily.
         tilt: a :class:`PriorTerm`, whose nats are a mean over the frames.
         ground: a :class:`PriorTerm`, whose nats are of the whole clip; None before it is fitted.
-        errors_known: whether ``noise`` is knowledge about the estimator, and not inferred.
+        known: names of the models of ``noise`` that are knowledge about the estimator, and are not
+            inferred.
     """
 
     noise: Mapping[str, Stage1ErrorModel]
@@ -71,7 +72,7 @@ class PosePrior:
     place: ProcessPrior
     tilt: TiltPrior
     ground: Ground | None = None
-    errors_known: bool = False
+    known: frozenset[str] = frozenset()
 
 
 def describe_prior(
@@ -98,7 +99,8 @@ def prior_from_stage1(
 
     Args:
         stage1: what will be corrected.
-        known: the error model of the estimator that made it, by group; None: it is inferred.
+        known: the error model of the estimator that made it, by group; other groups, or None: it
+            is inferred.
     """
     turns, shifts = stage1.steps(stage1.pose)
     noise = {
@@ -109,7 +111,7 @@ def prior_from_stage1(
         noise[name] = replace(PLACE[name], white=white_level(shifts[:, list(axes), None]))
     if known is not None:
         largest = lambda name: max(known[name].white, noise[name].white)
-        noise = {name: replace(known[name], white=largest(name)) for name in noise}
+        noise |= {name: replace(known[name], white=largest(name)) for name in known}
     return PosePrior(
         noise,
         ProcessPrior.of_stage1(
@@ -118,7 +120,7 @@ def prior_from_stage1(
         ProcessPrior.of_stage1(stage1.times, turns[:, list(JOINTS)], _by_joint(noise, JOINTS)),
         ProcessPrior.of_stage1(stage1.times, shifts[..., None], _by_axis(noise), True),
         TiltPrior.of(stage1, stage1.pose.rotations),
-        errors_known=known is not None,
+        known=frozenset(known or ()),
     )
 
 
@@ -133,9 +135,8 @@ def prior_from_corrections(
         turns: (n, J, 3) in the camera's axes, radians.
         moves: (n, 3) in the camera's axes, metres.
     """
-    noise = before.noise
-    if not before.errors_known:
-        noise = _noise(noise, stage1.times, turns, moves)
+    noise = _noise(before.noise, stage1.times, turns, moves)
+    noise |= {name: before.noise[name] for name in before.known}
     pose = stage1.corrected(range(len(moves)), turns, moves)
     steps, shifts = stage1.steps(pose)
     root, sideways = list(PELVIS), stage1.in_camera(steps, slice(0, -1))[:, list(JOINTS), 2:]
@@ -145,7 +146,7 @@ def prior_from_corrections(
         updated_process(before.joints, _by_joint(noise, JOINTS), turns[:, list(JOINTS)], sideways),
         updated_process(before.place, _by_axis(noise), moves[..., None], shifts[..., None]),
         TiltPrior.of(stage1, pose.rotations),
-        errors_known=before.errors_known,
+        known=before.known,
     )
 
 

@@ -1,15 +1,13 @@
 """The error model "film": nothing is invented, real networks and the film solver see the pictures.
 
-The poses of :mod:`gva_mi.pose.film` stand in a world of their own, before a camera whose principal
-point is the middle of the picture. So landmarks are shifted to such a camera, and poses are brought
-to the world of the ground truth: the camera sees the same, and errors can be measured.
+The poses of :mod:`gva_mi.pose.film` stand in a world of their own. They are brought to the world of
+the ground truth: the camera sees the same, and errors can be measured.
 """
 
 from __future__ import annotations
 
 import shutil
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -57,9 +55,9 @@ def watch_take(take: Path, out: Path, body: BodyModel) -> None:
         landmarks = watch_film(pictures, keep).landmarks
         film_masks(pictures, [seen[k] for k in range(len(video))], folder / "masks")
         landmarks.save(folder / LANDMARKS)
-        middle = np.array([camera.width / 2 - camera.cx, camera.height / 2 - camera.cy])
-        centred = replace(landmarks, pixels=landmarks.pixels + middle)
-        solved = solve_film(centred, body, video.size, FPS, height_of(truth), camera.fx)
+        solved = solve_film(
+            landmarks, body, video.size, FPS, height_of(truth), camera.fx, (camera.cx, camera.cy)
+        )
         pose = moved(solved.pose, solved.shape, body, solved.camera, camera)
         save_poses(folder / POSES, pose, solved.shape, stage=1)
         save_cameras(folder / "cameras.npz", truth.cameras)

@@ -20,7 +20,6 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-
 UNDETERMINED = 1e-6  # added to the diagonal
 
 

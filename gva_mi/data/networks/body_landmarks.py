@@ -8,11 +8,14 @@ BlazePose sees a square around the person and gives
 * the probability that a pixel is of the person.
 
 A second pass sees the square mirrored, further passes see a wider one. Their mean is better than
-each of them, and their standard deviation shows where the network is unsure.
+each of them, and their standard deviation shows where the network is unsure. Where one pass takes
+the left arm or leg for the right one, the mean would lie between both. There the pass counts that
+is closest to the picture before.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -31,6 +34,15 @@ _POINTS = 39
 _HIPS, _TOP = 33, 34  # the middle of the hips, the top of the circle around the person
 _WINDOW = 3  # cells of the heat map on each side of a landmark that refine it
 _PEAK = 0.5  # least probability in the window for this
+
+
+_LIMBS = [
+    [BODY.index(f"{side}_{part}") for part in parts]
+    for parts in (("elbow", "wrist", "pinky", "index", "thumb"),
+                  ("knee", "ankle", "heel", "foot_index"))
+    for side in ("left", "right")
+]  # fmt: skip
+_APART = 0.1  # of the radius: passes that see a limb farther apart see two different ones
 
 
 def _mirrored() -> np.ndarray:
@@ -99,22 +111,40 @@ class BodyNetwork:
             float(out["Identity_1"][0]), ((square, inside),),
         )  # fmt: skip
 
-    def see_again(self, image: np.ndarray, first: SeenBody, passes: int) -> SeenBody:
-        """Return the mean of a first pass and of more of them, up to ``passes`` in all."""
+    def see_again(
+        self, image: np.ndarray, first: SeenBody, passes: int, before: SeenBody | None = None
+    ) -> SeenBody:
+        """Return the mean of a first pass and of more of them, up to ``passes`` in all.
+
+        ``before`` is the body in the picture before; it decides where passes contradict.
+        """
         seen = [first]
         for scale, mirrored in PASSES[1:passes]:
             seen.append(self.see(image, first.square.scaled(scale), mirrored))
-        if len(seen) == 1:
-            return first
-        points = np.stack([one.points for one in seen])
-        return SeenBody(
-            points.mean(0),
-            np.mean([one.visibility for one in seen], axis=0),
-            points.std(0, ddof=1).max(-1),
-            np.mean([one.metric for one in seen], axis=0),
-            float(np.mean([one.presence for one in seen])),
-            tuple(part for one in seen for part in one.silhouettes),
-        )
+        return mean_of_passes(seen, before)
+
+
+def mean_of_passes(seen: Sequence[SeenBody], before: SeenBody | None) -> SeenBody:
+    """Return the mean of passes over one picture; ``before`` decides where they contradict."""
+    if len(seen) == 1:
+        return seen[0]
+    points = np.stack([one.points for one in seen])
+    metric = np.stack([one.metric for one in seen])
+    mean_points, mean_metric = points.mean(0), metric.mean(0)
+    for limb in _LIMBS if before is not None else ():
+        off = np.linalg.norm(points[:, limb] - mean_points[limb], axis=-1).mean(1)
+        if 2 * off.max() > _APART * before.radius:
+            moved = np.linalg.norm(points[:, limb] - before.points[limb], axis=-1).mean(1)
+            chosen = int(moved.argmin())
+            mean_points[limb], mean_metric[limb] = points[chosen, limb], metric[chosen, limb]
+    return SeenBody(
+        mean_points,
+        np.mean([one.visibility for one in seen], axis=0),
+        points.std(0, ddof=1).max(-1),
+        mean_metric,
+        float(np.mean([one.presence for one in seen])),
+        tuple(part for one in seen for part in one.silhouettes),
+    )
 
 
 def _refined(places: np.ndarray, heat: np.ndarray) -> np.ndarray:

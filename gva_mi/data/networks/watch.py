@@ -65,12 +65,13 @@ def watch_film(
     body_network = BodyNetwork(options.model, options.weights)
     hand_network = HandNetwork(options.weights) if options.hand_passes else None
     tracker = PersonTracker(detector, body_network, options.person)
-    rows, hands = [], {}
+    rows, body, hands = [], None, {}
     for k in range(len(pictures)):
         image = pictures[k]
-        body, hands_before = tracker.follow(image), hands
+        before, hands_before = body, hands
+        body = tracker.follow(image)
         if body is not None:
-            body = body_network.see_again(image, body, options.passes)
+            body = body_network.see_again(image, body, options.passes, before)
         hands = {}
         if body is not None and hand_network is not None:
             hands = hand_network.find(image, body, hands_before, options.hand_passes)

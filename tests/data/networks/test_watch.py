@@ -5,12 +5,15 @@ import pytest
 
 from gva_mi.core.errors import InputError
 from gva_mi.data.landmarks import BODY
+from gva_mi.data.networks.body_landmarks import SeenBody, mean_of_passes
 from gva_mi.data.networks.watch import NAMES, WatchOptions, watch_film
 
 pytest.importorskip("ai_edge_litert")
 JOINTS = ("shoulder", "elbow", "wrist", "knee", "ankle")
 SWAP = {"left": "right", "right": "left"}
 OTHER = [NAMES.index("_".join(SWAP.get(word, word) for word in name.split("_"))) for name in NAMES]
+_LEG = ("knee", "ankle", "heel", "foot_index")
+LEGS = [BODY.index(f"{side}_{part}") for part in _LEG for side in SWAP]
 GREY = np.full((600, 1000, 3), 180, np.uint8)
 
 
@@ -76,6 +79,23 @@ def test_a_turned_and_scaled_picture_has_turned_landmarks(watched, rendered_pers
     expected = 2 * watched[0].landmarks.pixels[1, :, ::-1] * (1, -1) + (0, 960)
     moved = np.linalg.norm(found - expected, axis=-1)[: len(BODY)]
     assert np.median(moved) < 8 and moved.max() < 40
+
+
+def test_a_leg_that_one_pass_takes_for_the_other_is_not_averaged():
+    """The pass counts that is near the picture before; elsewhere the mean does."""
+    points = np.random.default_rng(0).uniform(0, 100, (39, 2))
+    swapped, metric = points + 1, np.zeros((39, 3))
+    for left, right in np.reshape(LEGS, (-1, 2)):
+        swapped[[left, right]] = points[[right, left]]
+    body = lambda places, z: SeenBody(places, np.ones(39), np.zeros(39), metric + z, 1.0, ())
+    for passes in ([body(points, 0), body(swapped, 1)], [body(swapped, 1), body(points, 0)]):
+        merged = mean_of_passes(passes, body(points + 2, 0))
+        assert np.array_equal(merged.points[LEGS], points[LEGS])
+        assert (merged.metric[LEGS] == 0).all() and (merged.spread[LEGS] > 1).all()
+        rest = np.setdiff1d(np.arange(39), LEGS)
+        assert np.allclose(merged.points[rest], points[rest] + 0.5)
+    alone = mean_of_passes(passes, None)
+    assert np.allclose(alone.points[LEGS], (points + swapped)[LEGS] / 2)
 
 
 def test_same_pictures_same_bits(watched, rendered_person):

@@ -44,7 +44,8 @@ def read_film(
 
     Args:
         path: the film or the folder.
-        fps: pictures a second, at most; None: at most :data:`MOST`. Of a folder, its rate.
+        fps: pictures a second, of which an even film comes as near as every n-th picture does;
+            None: :data:`MOST`, or fewer if there are fewer. Of a folder, its rate.
         side: pixels, at most, of the shorter side of the pictures; None: as they are.
         start: seconds; earlier pictures are left out.
         end: seconds; later pictures are left out; None: the end of the film.
@@ -89,7 +90,7 @@ def _evenly(
     """Choose pictures at even times from those at ``times`` (n,), seconds, ascending.
 
     Returns:
-        the numbers of the chosen pictures (T,), their rate, at most ``fps``, and notes.
+        the numbers of the chosen pictures (T,), their rate, and notes.
     """
     end = np.inf if end is None else end
     within = np.flatnonzero((times >= start - 1e-6) & (times <= end + 1e-6))
@@ -103,7 +104,7 @@ def _evenly(
     own = (len(times) - 1) / float(times[-1] - times[0])
     # Moments are whole ticks: of a clock of 1 ms, 30 a second are 33 or 34 ms apart.
     if np.abs(steps - usual).max() <= max(EVEN * usual, 0.0015):
-        every = max(1, int(np.ceil(own / fps - 0.05)))
+        every = max(1, round(own / fps))
         notes = [f"of {own:.3g} pictures a second one in {every} is used"] * (every > 1)
         return within[::every], own / every, notes
     rate = min(fps, 1 / usual)

@@ -60,7 +60,7 @@ def degrade(
     near = closest(body, truth.body, truth.pose, truth.shape)
     pipeline = Pipeline(options, body, truth.cameras, near)
     with atomic_dir(Path(out), replaced) as folder:
-        for name in ("video.mp4", "frames", "truth", "splits.json"):
+        for name in ("video.mp4", "film.mp4", "frames", "truth", "splits.json"):
             if (subject / name).is_dir():
                 shutil.copytree(subject / name, folder / name, copy_function=_link)
             elif (subject / name).exists():

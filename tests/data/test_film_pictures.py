@@ -1,5 +1,6 @@
 """The pictures of a film at an even rate: which, how many, how large, in which order."""
 
+import struct
 from fractions import Fraction
 
 import av
@@ -9,6 +10,7 @@ from PIL import Image
 
 from gva_mi.core.errors import InputError
 from gva_mi.data.film_pictures import read_film
+from gva_mi.data.pictures import write_movie
 
 HEIGHT, WIDTH = 48, 64
 
@@ -74,6 +76,13 @@ def test_a_fast_film_is_thinned(tmp_path):
     assert numbers(read_film(path, fps=60, start=0.25, end=0.5)) == list(range(15, 31))
 
 
+@pytest.mark.parametrize("own, every", [(100 / 3, 1), (50, 2), (120, 4)])
+def test_a_film_keeps_about_thirty_pictures_a_second(own, every, tmp_path):
+    found = read_film(film(tmp_path / "a.mp4", np.arange(24) / own, tick=600))
+    assert numbers(found) == list(range(0, 24, every))
+    assert found.fps == pytest.approx(own / every)
+
+
 def test_a_varying_rate_becomes_even(tmp_path):
     """30 a second in good light, 15 in the dark: the time of a picture counts, not its number."""
     moments = [*(np.arange(30) / 30), *(1 + np.arange(15) / 15)]
@@ -85,6 +94,21 @@ def test_a_varying_rate_becomes_even(tmp_path):
     # Moments in whole milliseconds are not a rate that varies.
     even = read_film(film(tmp_path / "b.mp4", np.round(np.arange(30) / 30, 3)))
     assert even.notes == () and len(even.pictures) == 30
+
+
+def test_a_film_held_upright_is_turned(tmp_path):
+    """As phones record it: pictures on their side, and the turn in the track's header."""
+    path = tmp_path / "a.mp4"
+    sideways = np.full((HEIGHT, WIDTH, 3), 40, np.uint8)
+    sideways[:, :16] = 220  # the left is to be the top
+    write_movie(path, [sideways] * 3)
+    held = bytearray(path.read_bytes())
+    at = held.index(b"tkhd") + 44  # its matrix, in 16.16, here a quarter turn clockwise
+    held[at : at + 20] = struct.pack(">5i", 0, 1 << 16, 0, -1 << 16, 0)
+    path.write_bytes(held)
+    found = read_film(path)
+    assert found.pictures[1].shape == (WIDTH, HEIGHT, 3)
+    assert found.pictures[1][:12].min() > 200 and found.pictures[1][20:].max() < 60
 
 
 def test_a_large_film_is_scaled_down(tmp_path):

@@ -14,7 +14,7 @@ from gva_mi.pose.film.normal_equations import NormalEquations
 from gva_mi.pose.film.smoothness import Smoothness
 
 CHUNK = 32  # frames whose derivatives are in memory at once
-ENOUGH = 2e-5  # of the energy; a smaller gain ends the steps
+ENOUGH = 1e-4  # of the energy; a smaller gain ends the steps
 DAMPING, LEAST, LARGEST = 1e-3, 1e-8, 1e6
 EASIER, HARDER = 0.2, 6.0  # factors on the damping after a step that succeeds, and one that fails
 

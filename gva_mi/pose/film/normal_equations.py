@@ -66,7 +66,7 @@ class NormalEquations:
         weighted = weights[..., None] * by_frame
         self.frames[some] += weighted.mT @ by_frame
         self.pull[some] -= torch.einsum("nkf,nk->nf", weighted, r)
-        if len(self.shared_pull):
+        if by_shared.any():
             self.mixed[some] += weighted.mT @ by_shared
             flat = by_shared.flatten(0, 1)
             weighted = weights.flatten()[:, None] * flat

@@ -19,7 +19,7 @@ spec.loader.exec_module(layers)
 MODULES = layers.MODULES
 TREES = {name: ast.parse(path.read_text()) for name, path in MODULES.items()}
 OPTIONAL = {"mitsuba", "pymeshlab", "trimesh", "skimage", "matplotlib", "av", "jinja2", "PIL",
-            "scipy", "viser", "transformers", "onnxruntime"}  # fmt: skip
+            "scipy", "viser", "transformers", "onnxruntime", "ai_edge_litert"}  # fmt: skip
 HOMES = {  # packages that only some modules may import
     "mitsuba": ("gva_mi_plugins", "gva_mi.mesh", "gva_mi.synthetic", "gva_mi.gradcheck",
                 "gva_mi.cli.doctor"),
@@ -28,6 +28,7 @@ HOMES = {  # packages that only some modules may import
     "viser": ("gva_mi.viewer",),
     "transformers": ("gva_mi.data.networks",),
     "onnxruntime": ("gva_mi.data.networks",),
+    "ai_edge_litert": ("gva_mi.data.networks",),
     "tyro": ("gva_mi.cli", "gva_mi.core.options", "gva_mi.__main__"),
 }  # fmt: skip
 CALLED_FROM_OUTSIDE = {  # by torch's autograd, Dr.Jit's, torch.nn, Mitsuba, pickle, argparse

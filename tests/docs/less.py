@@ -42,7 +42,9 @@ WRITTEN = {"--json": "figures.json"}  # where FILE is one that a command writes
 
 SHEET = "two minutes: tests/synthetic/test_portrait.py draws them smaller"
 REPORTED = "needs a folder that is not refined, or --overwrite: tests/core/cut_short"
+FILMED = "needs a film of a person, and minutes: tests/cli/test_avatar.py makes one"
 NOT_RUN = {
+    "gva-mi avatar film.mp4 --height 1.75 --out me": FILMED,
     "gva-mi refine subject --report": REPORTED,
     "gva-mi refine subject --report --overwrite": REPORTED,
     "gva-mi body --sheet puppet.png": SHEET,

@@ -21,7 +21,19 @@ def filmed(tmp_path_factory):
     from gva_mi.synthetic import SynthOptions, make_subject
 
     folder, body = tmp_path_factory.mktemp("filmed") / "subject", load_body()
-    make_subject(folder, SynthOptions(seed=150, frames=FRAMES, size=256, samples=4), body)
+    make_subject(
+        folder,
+        SynthOptions(
+            seed=150,
+            frames=FRAMES,
+            size=256,
+            samples=4,
+            novel_poses=0,
+            novel_views=0,
+            pose_noise=0.0,
+        ),
+        body,
+    )
     video = load_video(folder)
     images = [np.round(frame.image * 255).astype(np.uint8) for frame in video.frames()]
     write_movie(folder / "film.mp4", images, fps=10, lossless=False)

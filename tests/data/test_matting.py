@@ -5,7 +5,6 @@ import pytest
 from scipy.ndimage import gaussian_filter, shift
 
 from gva_mi.data.matting.film import film_masks
-from gva_mi.data.matting.from_avatar import mask_from_avatar
 from gva_mi.data.pictures import read_image
 
 H, W, T = 96, 80, 10
@@ -66,21 +65,6 @@ def test_frames_without_a_person_get_empty_masks_and_a_note(film, tmp_path):
     assert [k for k in range(T) if not masks[k].any()] == [2, 3]
     (note,) = film_masks(pictures, [0 * P for P in rough], tmp_path / "none")
     assert "0-9" in note and not found(tmp_path / "none").any()
-
-
-def test_an_avatar_s_alpha_mends_a_mask(film):
-    pictures, truth, _ = film
-    picture, whole = pictures[4], np.round(255 * truth[4]).astype(np.uint8)
-    alpha = np.round(shift(gaussian_filter(255 * truth[4], 0.7), (0.5, -0.5), order=1))
-    alpha = alpha.astype(np.uint8)
-    np.testing.assert_array_equal(mask_from_avatar(picture, whole, alpha), whole)
-    broken = whole.copy()
-    broken[48:56, 34:42] = 0  # a hole in the shirt
-    broken[82:92, 48:58] = 255  # a shadow
-    mended = mask_from_avatar(picture, broken, alpha)
-    assert iou(broken > 127, truth[4] > 0.5) < 0.9
-    assert iou(mended > 127, truth[4] > 0.5) > 0.985
-    assert not mask_from_avatar(picture, 0 * whole, 0 * alpha).any()
 
 
 def test_the_same_film_gives_the_same_bits(film, tmp_path):

@@ -47,7 +47,7 @@ def film_masks(
         progress: told about each picture.
     """
     total = len(pictures)
-    extents = np.array([extent(probabilities[k]) for k in range(total)]).reshape(total, 4)
+    extents = np.array([_extent(probabilities[k]) for k in range(total)]).reshape(total, 4)
     shown = np.flatnonzero(extents[:, 2] > 0)
     notes: list[str] = []
     if len(shown):
@@ -70,7 +70,7 @@ def film_masks(
     return notes
 
 
-def extent(probability: np.ndarray) -> np.ndarray:
+def _extent(probability: np.ndarray) -> np.ndarray:
     """Return left, top, right, bottom (4,) of a probability (H, W) 8-bit; zeros without anybody."""
     inside = probability > 255 * PERSON
     if inside.sum() < SMALLEST:

@@ -93,14 +93,18 @@ def prepared_body(folder: Path) -> Path | None:
     return Path(known["file"]) if known.get("file") else None
 
 
-def prepared_kind(folder: Path) -> str | None:
-    """Return what a subject's poses were prepared from; None if it was not prepared."""
+def prepared_from(folder: Path) -> tuple[str | None, float | None]:
+    """Return what a subject's poses were prepared from, and the frames a second of a film.
+
+    Either is None if it is not known, both if the subject was not prepared.
+    """
     file, expected = folder / PREPARED, "what gva-mi prepare writes"
     if not file.is_file():
-        return None
+        return None, None
     about = read_json(file, expected)
     with expecting(file, expected):
-        return about.get("kind")
+        fps = about.get("film", {}).get("fps")
+        return about.get("kind"), None if fps is None else float(fps)
 
 
 def _body_of(file: Path, written_by: str) -> dict | None:

@@ -15,8 +15,7 @@
                                           a factor on the fx and fy of cameras.npz
       splits.json                         optional: train and test frames; gva_mi.data.splits
       views/                              optional: held-out other cameras; gva_mi.data.views
-      truth/                              ground truth of synthetic subjects; read by evaluation
-                                          only
+      truth/                              ground truth of synthetic subjects, for evaluation
 
 Pictures, masks and normals of single frames may be missing. A frame without a picture, or whose
 mask is missing or empty, is *absent*: it belongs to no split, and its pose stays as it is.
@@ -41,7 +40,7 @@ from gva_mi.data.backdrop import alone
 from gva_mi.data.cameras import load_cameras
 from gva_mi.data.cameras import save_cameras as save_cameras
 from gva_mi.data.film import Film
-from gva_mi.data.fingerprint import prepared_kind
+from gva_mi.data.fingerprint import prepared_from
 from gva_mi.data.landmarks import Landmarks, open_landmarks
 from gva_mi.data.masks import read_mask
 from gva_mi.data.normals import Convention, NormalMaps, Part
@@ -103,6 +102,7 @@ class Video:
     offsets: Tensor | None = None  # (V, 3) of the rest surface, which the file of poses holds
     landmarks: Landmarks | None = None  # of all frames, where a network found them
     kind: str | None = None  # what stage 1 was prepared from, such as "film", if it is known
+    fps: float | None = None  # frames a second of a prepared film, if they are known
 
     def __len__(self) -> int:
         return len(self.cameras)
@@ -223,11 +223,11 @@ def load_video(
     if len(absent) == count:
         raise InputError(f"{folder}: no frame can be used; frame 0: {absent[0]}")
     splits = load_splits(folder, count).without(absent)
-    kind = prepared_kind(folder) if poses == folder / POSES else None
+    kind, fps = prepared_from(folder) if poses == folder / POSES else (None, None)
     landmarks, absent = open_landmarks(folder, count), dict(sorted(absent.items()))
     return Video(
         folder, cameras, found.pose, found.shape, splits, images, maps, absent, found.focal,
-        found.stage, found.offsets, landmarks, kind,
+        found.stage, found.offsets, landmarks, kind, fps,
     )  # fmt: skip
 
 

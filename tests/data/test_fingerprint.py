@@ -9,7 +9,7 @@ import torch
 from gva_mi import InputError
 from gva_mi.body.built_in import BUILT_IN_BODY
 from gva_mi.body.smplx import BodyModel, load_body
-from gva_mi.data.fingerprint import distance, fingerprint, require_same_body
+from gva_mi.data.fingerprint import distance, fingerprint, prepared_from, require_same_body
 
 
 @pytest.fixture(scope="module")
@@ -78,3 +78,13 @@ def test_a_broken_file_is_named(tmp_path, text):
     (tmp_path / "prepare.json").write_text(text)
     with pytest.raises(InputError, match="prepare.json"):
         require_same_body(tmp_path, load_body())
+
+
+def test_a_prepared_film_knows_its_frame_rate(tmp_path):
+    assert prepared_from(tmp_path) == (None, None)
+    for about, expected in (
+        ({"kind": "film", "film": {"fps": 12.5}}, ("film", 12.5)),
+        ({"kind": "film"}, ("film", None)),
+    ):
+        (tmp_path / "prepare.json").write_text(json.dumps(about))
+        assert prepared_from(tmp_path) == expected

@@ -10,7 +10,7 @@ from gva_mi.body.pose import JAW_AND_EYES, JOINTS, PARENTS, Pose
 from gva_mi.pose.corrections import Corrections, constant_shifts
 from gva_mi.pose.prior.anatomy import Anatomy
 from gva_mi.pose.prior.error_model import GROUPS
-from gva_mi.pose.prior.film_errors import FILM_ERRORS
+from gva_mi.pose.prior.film_errors import FILM_ERRORS, FPS, errors_at
 from gva_mi.pose.stage1 import Stage1
 
 ELBOW = JOINTS.index("left_elbow")
@@ -200,6 +200,13 @@ def test_known_errors_are_kept_and_let_the_whole_person_move(camera, body, true_
         assert kept == set(known or ())
     assert costs[1] < 0.7 * costs[0]
     assert prior.noise["elbows"].bias == FILM_ERRORS["elbows"].bias
+
+
+def test_the_film_solvers_errors_last_as_many_seconds_at_any_frame_rate():
+    assert errors_at(FPS) == FILM_ERRORS
+    slower = errors_at(FPS / 2)
+    assert all(2 * slower[name].memory == FILM_ERRORS[name].memory for name in FILM_ERRORS)
+    assert slower["elbows"].slow == FILM_ERRORS["elbows"].slow
 
 
 def turning(frames=12):

@@ -10,11 +10,14 @@ they err by 17°, but images of this size cannot bend them better, and their err
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
 
 from gva_mi.pose.prior.error_model import Stage1ErrorModel
+
+FPS = 30.0  # frames a second of the films of the table
 
 # Standard deviations of the slow part and of the constant one, and frames that the slow one lasts.
 _DEGREES = {
@@ -39,3 +42,8 @@ FILM_ERRORS: Mapping[str, Stage1ErrorModel] = MappingProxyType(
     {name: _model(*np.radians(row[:2]).tolist(), row[2]) for name, row in _DEGREES.items()}
     | {name: _model(*row) for name, row in _METRES.items()}
 )
+
+
+def errors_at(fps: float) -> dict[str, Stage1ErrorModel]:
+    """Return the table for another frame rate: errors last as many seconds, not frames."""
+    return {n: replace(e, memory=e.memory * fps / FPS) for n, e in FILM_ERRORS.items()}

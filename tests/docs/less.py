@@ -45,6 +45,9 @@ REPORTED = "needs a folder that is not refined, or --overwrite: tests/core/cut_s
 FILMED = "needs a film of a person, and minutes: tests/cli/test_avatar.py makes one"
 NOT_RUN = {
     "gva-mi avatar film.mp4 --height 1.75 --out me": FILMED,
+    "gva-mi study refine --held-out-set 6 --error-models film --out films": (
+        "renders and watches films: tests/study/test_filmed.py"
+    ),
     "gva-mi refine subject --report": REPORTED,
     "gva-mi refine subject --report --overwrite": REPORTED,
     "gva-mi body --sheet puppet.png": SHEET,

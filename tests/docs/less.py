@@ -7,6 +7,7 @@ SMALLER = {
     "synth": "--size 48 --frames 4 --samples 1 --novel-poses 1 --novel-views 1 --no-clothes "
     "--no-hair",
     "synth --like": "",
+    "synth --shutter": "--size 48 --frames 4 --samples 4 --novel-poses 0 --novel-views 0",
     "refine": "--passes 1 --steps 1 --size 32 --faces 500 --overwrite",
     "fit": "--steps 20 --checkpoint-every 8",
     "track": "--passes 1",
@@ -25,6 +26,7 @@ SMALLER = {
     "bench splat": "--repeats 1 --no-growth --scene scene.npz",
     # Seed 16 wears nothing and is bald, which is quick.
     "study refine": "--subjects 16 --frames 3 --size 48 --refine.passes 1",
+    "study refine --cases": "--subjects dalia --frames 3 --size 48 --refine.passes 1",
     "study refine --held-out-set": "--subjects 609 --error-models lean --frames 3 --size 48 "
     "--refine.passes 1",
     "study avatar": "--subjects 16 --error-models lean --rows full --frames 3 --size 48 --novel 1 "
@@ -45,6 +47,13 @@ REPORTED = "needs a folder that is not refined, or --overwrite: tests/core/cut_s
 FILMED = "needs a film of a person, and minutes: tests/cli/test_avatar.py makes one"
 NOT_RUN = {
     "gva-mi avatar film.mp4 --height 1.75 --out me": FILMED,
+    "gva-mi prepare film film.mp4 me/subject --height 1.75": FILMED,
+    "gva-mi check me/subject": FILMED,
+    "gva-mi refine me/subject --height 1.75": FILMED,
+    "gva-mi fit me/subject --out me/run": FILMED,
+    "gva-mi evaluate me/run me/subject --fit-poses": FILMED,
+    "gva-mi motion dance.mp4 dance.npz": FILMED,
+    "gva-mi render me/run --poses dance.npz --video --out dance": FILMED,
     "gva-mi study refine --held-out-set 6 --error-models film --out films": (
         "renders and watches films: tests/study/test_filmed.py"
     ),

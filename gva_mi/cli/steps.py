@@ -28,7 +28,7 @@ class Step:
     options: Any  # all that it depends on beside files; anything with a text
     reads: Sequence[Path]  # files and folders of files
     writes: Sequence[Path]  # by which its results are known to be there
-    run: Callable[[bool], None]  # told whether the same step was begun before, and not finished
+    run: Callable[[bool], None]  # with: was the same step begun before?
 
     def made_of(self) -> str:
         """Return a hash of all that the step depends on."""

@@ -2,7 +2,7 @@
 
 * A film whose rate varies, as phones' do, is sampled at even times: the nearest picture of each.
 * A film of an even rate keeps every picture, or every n-th one where fewer are wanted.
-* A folder's pictures come in the order of the last numbers in their names, at a rate that is told.
+* A folder's pictures come in the order of the last numbers in their names, at a given rate.
 """
 
 from __future__ import annotations

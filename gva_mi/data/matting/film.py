@@ -23,7 +23,7 @@ from gva_mi.data.matting.scene import FilmScene, GridPicture
 from gva_mi.data.pictures import write_image
 
 GATHERED = 48  # pictures that the plate and the colours are gathered from
-COMPARED = 6  # pictures that tell whether the camera moves at all
+COMPARED = 6  # pictures that show whether the camera moves at all
 STILL = 0.5  # pixels of the grid: the camera stands if the picture's corners move less
 PERSON = 0.5  # probability from which a pixel counts to the person's extent
 SMALLEST = 64  # pixels of that kind: with fewer there is no person
@@ -44,7 +44,7 @@ def film_masks(
         probabilities: T probabilities of the person (H, W) 8-bit, 255 for certain; all zero where
             there is nobody.
         out: folder of the masks. A picture without a person gets an empty one.
-        progress: told about each picture.
+        progress: called after each picture.
     """
     total = len(pictures)
     extents = np.array([_extent(probabilities[k]) for k in range(total)]).reshape(total, 4)

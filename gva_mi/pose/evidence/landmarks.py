@@ -22,13 +22,12 @@ from torch import Tensor
 
 from gva_mi.body.pose import Shape
 from gva_mi.body.smplx import BodyModel
-from gva_mi.data.landmarks import BODY, Landmarks
-from gva_mi.pose.film.landmark_noise import FREEDOM, LandmarkNoise
+from gva_mi.data.landmarks import Landmarks
+from gva_mi.pose.film.landmark_noise import FREEDOM, LandmarkNoise, independent_points
 from gva_mi.pose.film.rig import LandmarkRig
 from gva_mi.splat import Camera
 
 MEMORY = 12.0  # m, frames for which a landmark's error lasts
-TOGETHER = 3.0  # as many points count all those of a hand, or of the face
 NEAREST = 0.1  # metres in front of the camera, below which nothing is projected
 
 
@@ -62,7 +61,7 @@ class SeenLandmarks:
             rig,
             torch.where(sigma.isfinite()[..., None], pixels, 0),
             1 / sigma,
-            _counts(rig.names),
+            independent_points(rig.names, hands_together=True),
             torch.from_numpy(np.stack([c.K for c in cameras])).float(),
             torch.from_numpy(np.stack([c.T_camera_world for c in cameras])).float(),
         )
@@ -96,22 +95,6 @@ class SeenLandmarks:
     def energy(self, offsets: Tensor) -> Tensor:
         """Return eq. 3 of offsets (P, 3), nats."""
         return (offsets / self.rig.loose[:, None]).square().sum() / 2
-
-
-_FACE = BODY[: BODY.index("left_shoulder")]
-
-
-def _counts(names: Sequence[str]) -> Tensor:
-    """Return ``n`` (P,) of the landmarks with some names."""
-    parts = [_part(name) for name in names]
-    return torch.tensor([min(1.0, TOGETHER / parts.count(part)) if part else 1.0 for part in parts])
-
-
-def _part(name: str) -> str | None:
-    """Return the part of the body whose points err together, if it is one."""
-    if name in _FACE:
-        return "face"
-    return name[: name.index("_hand_")] if "_hand_" in name else None
 
 
 _OF_FRAMES = ("pixels", "precision", "K", "T_camera_world")

@@ -101,7 +101,7 @@ class BodyPrior:
             (r - self.relaxed[joints]).flatten(1), weights, own, own.new_zeros(len(own), shared)
         )
 
-        angles = [q for q in self.habits(self.free.joints)]
+        angles = self.habits(self.free.joints)
         A = self.anatomy.A[angles][:, joints].double().flatten(1)
         by_frame, by_shared = some(len(A)), state.place.new_zeros(len(A), shared)
         by_frame[:, first:] = A

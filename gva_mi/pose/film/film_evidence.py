@@ -20,7 +20,7 @@ which way a limb points:
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -29,9 +29,8 @@ from torch import Tensor
 
 from gva_mi.body.pose import JOINTS
 from gva_mi.body.smplx import BodyModel
-from gva_mi.data.landmarks import BODY
 from gva_mi.pose.film.film_state import FilmState, Free
-from gva_mi.pose.film.landmark_noise import FREEDOM, LandmarkNoise
+from gva_mi.pose.film.landmark_noise import FREEDOM, LandmarkNoise, independent_points
 from gva_mi.pose.film.posed_points import PointSet, PosedPoints
 from gva_mi.pose.film.rig import LandmarkRig
 
@@ -40,8 +39,6 @@ UPRIGHT = 0.12  # σ_u, radians
 LEAST_DEPTH = 0.2  # metres; nearer points count as if they were there
 STAND, UNEVEN, LIFT = 0.7, 0.02, 0.12  # w, σ, λ of (3); share, metres, metres
 T_PEAK = 0.3676  # of Student's t with that freedom
-TOGETHER = 3  # as many points count all those of the face
-_FACE = BODY[: BODY.index("left_shoulder")]
 SOLES, TRUNK = 4, 2  # points after the landmarks: soles, then pelvis and neck
 
 
@@ -204,12 +201,6 @@ class FilmEvidence:
         return rows._replace(jacobian=J)
 
 
-def _counts(names: Sequence[str]) -> Tensor:
-    """Return as how many independent points each landmark counts: those of a face err together."""
-    of_face = torch.tensor([name in _FACE for name in names])
-    return torch.where(of_face, TOGETHER / of_face.sum().clamp_min(TOGETHER), 1).double()
-
-
 def film_points(body: BodyModel, rig: LandmarkRig, more: bool) -> PointSet:
     """Return the points of a rig on its body; with ``more`` also soles, pelvis and neck."""
     joints, rest, directions = rig.joints, rig.rest, rig.directions
@@ -259,7 +250,7 @@ def film_evidence(
         film_points(body, rig, free.travels),
         double(K),
         double(pixels),
-        double(noise.pixels) ** -2 * _counts(rig.names),
+        double(noise.pixels) ** -2 * independent_points(rig.names, hands_together=False).double(),
         noise.bones,
         double(noise.gain),
         double(deep),

@@ -26,12 +26,13 @@ import torch
 from torch import Tensor
 
 from gva_mi.core.errors import InputError
-from gva_mi.data.landmarks import Landmarks
+from gva_mi.data.landmarks import BODY, Landmarks
 
 FREEDOM = 3.0  # ν of the Student's t distribution of errors: some are far off
 PERSON = 1.7  # metres, whose pixels are S
 SHARE, HAND_SHARE = 0.012, 0.004  # of S: a point of the body, of a hand
 LEAST_CONFIDENCE = 0.05  # a landmark of less is not used
+TOGETHER = 3.0  # as many independent points count all those of the face, or of a hand
 HAND_FOUND = 0.5  # a hand of less is not used
 
 
@@ -62,6 +63,7 @@ BONES = {
     ("hand_index_mcp", "hand_pinky_mcp"): BoneDepth(0.5, 0.0, 0.05),
 }
 PHALANX = BoneDepth(0.3, 0.0, 0.015)  # every bone of a finger
+_FACE = BODY[: BODY.index("left_shoulder")]
 _FINGERS = {
     "thumb": ("cmc", "mcp", "ip", "tip"),
     **{name: ("mcp", "pip", "dip", "tip") for name in ("index", "middle", "ring", "pinky")},
@@ -139,6 +141,23 @@ def person_sizes(landmarks: Landmarks) -> np.ndarray:
         raise InputError("landmarks: no frame has a person; expected at least four points of one")
     sizes = PERSON * along / np.maximum(square, 1e-9)
     return np.where(usable, sizes, np.median(sizes[usable]))
+
+
+def independent_points(names: Sequence[str], hands_together: bool) -> Tensor:
+    """Return as how many independent points each landmark counts (P,).
+
+    Points of the face err together, and with ``hands_together`` those of a hand, too: all of them
+    count as few.
+    """
+    parts = [_part(name, hands_together) for name in names]
+    return torch.tensor([min(1.0, TOGETHER / parts.count(part)) if part else 1.0 for part in parts])
+
+
+def _part(name: str, hands_together: bool) -> str | None:
+    """Return the part of the body whose points err together, if the landmark is of one."""
+    if name in _FACE:
+        return "face"
+    return name[: name.index("_hand_")] if hands_together and "_hand_" in name else None
 
 
 def _bones(names: Sequence[str]) -> Iterator[tuple[tuple[int, int], BoneDepth]]:

@@ -40,7 +40,7 @@ from gva_mi.pose.stature import PEOPLE
 TEST_EVERY, HELD_OUT_SHARE = 8, 10  # test frames: every 8th, and a tenth of the film in one piece
 _LENS = (
     "the film does not say its focal length: a field of view is assumed and fitted, so distances "
-    "and depth may be off by a tenth; --lens 26mm gives what the phone's data sheet says"
+    "and depth may be off by a fifth; --lens 26mm gives what the phone's data sheet says"
 )
 
 
@@ -51,7 +51,8 @@ class FilmOptions:
     # The person's height, metres; without it, that of an average person, uncertain by 5 percent,
     # and so are all distances.
     height: Annotated[float, PEOPLE] | None = None
-    # Frames a second that are used, at most; 30 without it. Of a folder of pictures, their rate.
+    # Frames a second that are used, as near as every n-th one comes; about 30 without it. Of a
+    # folder of pictures, their rate.
     fps: Annotated[float, Within(1, 240)] | None = None
     # The shorter side of the pictures, to which larger ones are scaled down.
     side: Annotated[int, Within(64, 4320, unit="pixels")] = 1080

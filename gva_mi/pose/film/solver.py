@@ -238,15 +238,8 @@ class _Film:
         names = self.rig.names
         of_body = [p for p, name in enumerate(names) if "_hand_" not in name]
         lost = (~found[:, of_body].any(1)).nonzero()[:, 0].tolist()
-        seen = [
-            float(
-                found[:, [p for p, name in enumerate(names) if f"{side}_hand_" in name]]
-                .any(1)
-                .float()
-                .mean()
-            )
-            for side in _HANDS
-        ]
+        of_hand = lambda side: [p for p, name in enumerate(names) if f"{side}_hand_" in name]
+        seen = tuple(float(found[:, of_hand(side)].any(1).float().mean()) for side in _HANDS)
         tilt = float(torch.rad2deg(-torch.asin(up[2])))
         return SolvedFilm(
             pose,
@@ -256,7 +249,7 @@ class _Film:
             state.offsets.float(),
             spread.float(),
             lost,
-            tuple(seen),
+            seen,
             tilt,
         )
 

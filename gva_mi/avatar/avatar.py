@@ -11,7 +11,7 @@
 In 3D Gaussian splatting colour depends on the viewing direction. If a person turns before one
 camera, a light that turns along explains the pictures as well; only other views tell the two
 apart. Here the light stays (4), in one direction l of the world that is learned with the Gaussians.
-Gloss, which moves with the camera, is left out.
+Gloss, which moves with the camera, is left out; ``color="view"`` is as in 3D Gaussian splatting.
 
 An avatar file holds all that is needed to drive it: skeleton and surface of the rest body are
 copied from the body model. :mod:`gva_mi.avatar.formats.without_body` writes one without them.
@@ -22,7 +22,7 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -40,7 +40,7 @@ from gva_mi.avatar.lighting import light_vector
 from gva_mi.avatar.residual import PoseResidual, ResidualOptions
 from gva_mi.avatar.rig import RIG, Rig, moved_by
 from gva_mi.avatar.skin_gaussians import skin_gaussians
-from gva_mi.avatar.skin_weights import Skin
+from gva_mi.avatar.skin_weights import Skin, SkinningOptions
 from gva_mi.avatar.validate import require_valid
 from gva_mi.body.kinematics import turn_joints
 from gva_mi.body.polar import apply_lbs
@@ -64,6 +64,17 @@ class AvatarOptions:
     residual: ResidualOptions = ResidualOptions()
     hands: bool = True  # False: fingers stay as in the rest pose (an ablation of the paper)
     stretch: bool = True  # False: Gaussians turn and keep their size, as in Eq. 6
+    # What colour depends on: the light's direction, or the view's (harmonics of degree 1).
+    color: Literal["light", "view"] = "light"
+    skinning: SkinningOptions = SkinningOptions()
+
+    @staticmethod
+    def from_plain(options: dict[str, Any]) -> AvatarOptions:
+        """Restore options from ``asdict``; what an older file lacks has its default."""
+        kinds = {"seed": SeedOptions, "residual": ResidualOptions, "skinning": SkinningOptions}
+        return AvatarOptions(
+            **{k: kinds[k](**value) if k in kinds else value for k, value in options.items()}
+        )
 
 
 @dataclass(frozen=True)
@@ -124,7 +135,7 @@ class Avatar(nn.Module):
     def skin(self) -> Skin:
         """The outer skin, in the precision of the avatar."""
         own = (getattr(self, f"skin_{name}") for name in SKIN_ARRAYS)
-        return Skin(*own, self.rest_directions)
+        return Skin(*own, self.rest_directions, self.options.skinning)
 
     def set_skin_weights(self, skin: Skin) -> None:
         """Replace the outer skin; Gaussians follow it once their weights are bound again."""
@@ -159,13 +170,17 @@ class Avatar(nn.Module):
         T = skeleton.T_world_rest
         if not self.options.stretch:
             A, _ = lbs_transforms(G.sparse_weights, T[:, :3].flatten(1), means)
-            sh = lit(G.sh, A, light_vector(self.light))
+            sh = self._color(lit(G.sh, A, light_vector(self.light)))
             means, quats = apply_lbs(A, means, G.quats)
             return Animated(Gaussians(means, quats, G.scales, G.opacities, sh=sh), residual)
         own = means, G.quats, G.scales, G.sh, self.light
         means, covars, sh = skin_gaussians(G.sparse_weights, T, *own)
-        gaussians = Gaussians(means, None, None, G.opacities, sh=sh, covars=covars)
+        gaussians = Gaussians(means, None, None, G.opacities, sh=self._color(sh), covars=covars)
         return Animated(gaussians, residual)
+
+    def _color(self, lit: Tensor) -> Tensor:
+        """Return the harmonics to render: of the colours in the light, or those of the view."""
+        return lit if self.options.color == "light" else self.canonical.sh
 
     def posed_skeleton(self, pose: Pose) -> PosedSkeleton:
         """Pose blend shapes and skeleton, for the Gaussians and for the rig's surface.
@@ -207,17 +222,13 @@ class Avatar(nn.Module):
         if record.get("format") != FORMAT:
             raise ValueError(f"Avatar: 'format' must be '{FORMAT}', got {record.get('format')!r}")
         described = json.loads(record["description"])
-        options = AvatarOptions(
-            seed=SeedOptions(**described["options"]["seed"]),
-            residual=ResidualOptions(**described["options"]["residual"]),
-            hands=described["options"]["hands"],
-            stretch=described["options"]["stretch"],
-        )
+        options = AvatarOptions.from_plain(described["options"])
         state = {k: v for k, v in record.items() if k not in ("format", "description")}
         require_valid(state, described["parents"])
         tensors = {name: state[f"rest_{name}"] for name in RIG}
         rig = Rig(parents=tuple(described["parents"]), body=described["body"], **tensors)
-        skin = Skin(*(state[f"skin_{name}"] for name in SKIN_ARRAYS), rig.directions)
+        arrays = (state[f"skin_{name}"] for name in SKIN_ARRAYS)
+        skin = Skin(*arrays, rig.directions, options.skinning)
         canonical = CanonicalGaussians(
             **{name: state[f"canonical.{name}"] for name in (*PARAMETERS, *BINDING)}
         )
@@ -265,7 +276,7 @@ def seed_avatar(
     with torch.no_grad():
         rig = Rig.of(body, shape, offsets)
         vertices = rig.vertices
-        skin = rig.outer_skin()
+        skin = rig.outer_skin(options.skinning)
         canonical = seed_on_surface(vertices, body.faces, skin, options.seed, colors)
         low, high = vertices.amin(0), vertices.amax(0)
         center, extent = (low + high) / 2, float((high - low).max() / 2)

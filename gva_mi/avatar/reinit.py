@@ -9,7 +9,7 @@ and loose clothes to a few large Gaussians that come apart in new poses. So, 2-3
 4. re-Gaussian   opacity and colour from the K nearest old ones,        ``regaussian``
                  rotation and scale anew, skinning from the new surface
 
-Differences from the paper:
+Differences from the paper (``surface="alpha"`` and ``random`` of the options are as printed):
 
 * The "spherical shell" around the outermost Gaussians is an offset surface, not an alpha shape:
   always watertight and without inner sheets (:mod:`gva_mi.avatar.offset_surface`). The shrunk rest
@@ -25,13 +25,14 @@ Differences from the paper:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated
+from dataclasses import dataclass, replace
+from typing import Annotated, Literal
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from gva_mi.avatar.alpha_shape import alpha_shape
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.canonical import CanonicalGaussians, disc_log_scales, disc_quats
 from gva_mi.avatar.offset_surface import SurfaceMesh, offset_surface
@@ -54,6 +55,8 @@ class ReinitOptions:
 
     # Gaussians afterwards, within a few percent; 0: as many as before.
     count: Annotated[int, Within(0, 1_000_000)] = 0
+    # The offset surface, or the outer boundary of an alpha shape with Laplacian smoothing.
+    surface: Literal["offset", "alpha"] = "offset"
     opaque: Share = 0.5  # only Gaussians above this opacity carry the surface
     floater_neighbours: Neighbours = 16  # a floater's mean distance to so many neighbours ...
     # ... exceeds the mean of all by so many standard deviations.
@@ -62,7 +65,7 @@ class ReinitOptions:
     alpha: Annotated[float, Within(0.004, 1)] = 0.015
     # The body inside lies so far below its surface.
     filler_depth: Annotated[float, Within(0, 1)] = 0.012
-    smoothing: Annotated[int, Within(0, 1000)] = 10  # steps of Taubin's filter
+    smoothing: Annotated[int, Within(0, 1000)] = 10  # steps of Taubin's, or Laplace's filter
     # Density at the most curved places / in flat ones, minus 1.
     curvature_gain: Annotated[float, Within(0, 1000)] = 2.0
     # Density in the face / elsewhere, minus 1.
@@ -70,6 +73,7 @@ class ReinitOptions:
     neighbours: Neighbours = 4  # K old Gaussians that opacity and colour are taken from
     # Standard deviation of the logarithm of a size.
     scale_jitter: Annotated[float, Within(0, 5)] = 0.1
+    random: bool = False  # any orientation, and no flat side, instead of discs in the surface
 
     def __post_init__(self) -> None:
         require_ranges("ReinitOptions", self)
@@ -116,11 +120,12 @@ def reinitialise(
     floats = find_floaters(means, options.floater_neighbours, options.floater_sigmas)
     rig = avatar.rig
     surface = mesh_gaussians(means[~floats], rig, options)
-    whole = with_fingers(surface, rig)
+    whole = with_fingers(surface, rig) if options.surface == "offset" else surface
     density = wanted_density(whole, rig, options)
     samples = resample(whole, options.count or len(G), density, rng)
     on_surface = solid[torch.from_numpy(~floats)]
-    skin = diffused(whole.vertices, whole.faces, rig.skin, rig.looseness)
+    body = rig.skin(avatar.options.skinning)
+    skin = diffused(whole.vertices, whole.faces, body, rig.looseness)
     canonical = regaussian(avatar, on_surface, samples, skin, options, rng)
     return Reinitialised(canonical, surface, skin, int(floats.sum()))
 
@@ -132,9 +137,11 @@ def find_floaters(points: np.ndarray, neighbours: int, sigmas: float) -> np.ndar
 
 
 def mesh_gaussians(points: np.ndarray, rig: Rig, options: ReinitOptions) -> SurfaceMesh:
-    """Wrap points (N, 3), and the rest body inside them, in a closed and smooth surface."""
+    """Wrap points (N, 3), and the rest body inside them, in a smooth surface."""
     # Between points that are further apart than alpha, the surface would sink onto the filler.
     alpha = max(options.alpha, np.percentile(mean_distance(points, 6), 95))
+    if options.surface == "alpha":
+        return alpha_shape(points, alpha, options.smoothing)
     return offset_surface(points, _filler(rig, options.filler_depth), alpha, options.smoothing)
 
 
@@ -189,7 +196,7 @@ def regaussian(
     """
     from scipy.spatial import cKDTree
 
-    old = avatar.canonical
+    old, shape = avatar.canonical, avatar.options.seed
     N, dtype = len(samples.points), old.means.dtype
     tensor = lambda array: torch.from_numpy(np.ascontiguousarray(array)).to(dtype)
     K = min(options.neighbours, len(sources))
@@ -202,12 +209,16 @@ def regaussian(
     opacities = (share * old.opacities.detach()[nearest]).sum(1).clamp(0.01, 0.99)
     sh = (share[:, :, None, None] * old.sh.detach()[nearest]).sum(1)
     jitter = options.scale_jitter * tensor(rng.standard_normal((N, 3)))
-    half = tensor(rng.uniform(0, np.pi, N))  # half the angle about the normal
+    if options.random:
+        quats, shape = tensor(rng.standard_normal((N, 4))), replace(shape, flatness=1.0)
+    else:
+        half = tensor(rng.uniform(0, np.pi, N))  # half the angle about the normal
+        quats = _spin(disc_quats(tensor(samples.normals)), half)
     means = tensor(samples.points)
     return CanonicalGaussians(
         means=means,
-        quats=_spin(disc_quats(tensor(samples.normals)), half),
-        log_scales=disc_log_scales(tensor(samples.spacing), avatar.options.seed) + jitter,
+        quats=quats,
+        log_scales=disc_log_scales(tensor(samples.spacing), shape) + jitter,
         logit_opacities=torch.logit(opacities),
         sh=sh,
         **skin.bind(means).named(),

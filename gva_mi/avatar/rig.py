@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from gva_mi.avatar.skin_weights import Skin, diffused
+from gva_mi.avatar.skin_weights import Skin, SkinningOptions, diffused
 from gva_mi.body.pose import Shape
 from gva_mi.body.smplx import BodyModel
 
@@ -34,16 +34,15 @@ class Rig:
     betas: Tensor  # (B,) the shape it was made with
     body: str  # the digest of the body model it came from
 
-    @property
-    def skin(self) -> Skin:
-        """The surface itself, as a skin that points can follow."""
+    def skin(self, options: SkinningOptions) -> Skin:
+        """Return the surface itself, as a skin that points can follow."""
         itself = torch.arange(len(self.vertices))
-        return Skin(self.vertices, self.weights, itself, self.directions)
+        return Skin(self.vertices, self.weights, itself, self.directions, options)
 
-    def outer_skin(self) -> Skin:
+    def outer_skin(self, options: SkinningOptions) -> Skin:
         """Return the surface as an outer skin: weights spread where clothes are loose."""
         vertices, faces = self.vertices.double().numpy(), self.faces.numpy()
-        return diffused(vertices, faces, self.skin, self.looseness)
+        return diffused(vertices, faces, self.skin(options), self.looseness)
 
     @staticmethod
     @torch.no_grad()

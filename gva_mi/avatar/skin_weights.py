@@ -5,7 +5,7 @@ and the nearest ones belong sometimes to one leg and sometimes to the other: wei
 vertex jump, and a wide step tears the cloth there. So weights are diffused on the outer surface S
 of the person, which connects parts of one garment, and more where cloth is looser:
 
-    1. ℓ(x) = SPREAD · d(x), d the distance from the bare skin;  0 where d is below CLOSE
+    1. ℓ(x) = spread · d(x), d the distance from the bare skin;  0 where d is below CLOSE
     2. W - ℓ² Δ_S W = W_near
 
 with W_near the weights of the body's nearest vertex. Eq. 2 is one implicit step of diffusion: W
@@ -23,29 +23,43 @@ vertices:
     3. ∂W/∂x = (XᵀX + ε I)⁻¹ Xᵀ W,    X the vertices around, without their mean;  ε = FLAT tr XᵀX
 
 Where the vertices lie in a plane, the slope across it is zero.
+
+The paper takes the weights of the nearest vertex (Sec. 4.1): ``spread`` 0, ``neighbours`` 1.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from gva_mi.body.skinning import strongest
+from gva_mi.core.options import Within, require_ranges
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 CLOSE = 0.02  # metres off the bare skin: closer points follow the vertex beneath
-SPREAD = 0.5  # of eq. 1; with twice as much a skirt lags behind the legs
-NEIGHBOURS = 6  # vertices that a point takes its weights from
-JOINTS = 8  # of a point; where legs and trunk share a hem there are more than the 4 of Eq. 5
 PLANE = 12  # vertices that eq. 3 is fitted to
 STEEP = 0.1  # 1/m; where a joint's weight changes less, 10 cm apart stretch by 1 %: left out
 FLAT = 0.005  # of eq. 3; a surface this thin has no slope across
+
+
+@dataclass(frozen=True)
+class SkinningOptions:
+    """How Gaussians take their skinning weights from the outer skin."""
+
+    # Of eq. 1; with 1 a skirt lags behind the legs; 0: weights are not diffused.
+    spread: Annotated[float, Within(0, 4)] = 0.5
+    neighbours: Annotated[int, Within(1, 11)] = 6  # vertices that a point takes its weights from
+    # P of Eq. 5, joints of a point; where legs and trunk share a hem, 4 are too few.
+    joints: Annotated[int, Within(1, 55)] = 8
+
+    def __post_init__(self) -> None:
+        require_ranges("SkinningOptions", self)
 
 
 @dataclass(frozen=True)
@@ -69,6 +83,7 @@ class Skin:
     weights: Tensor  # (V, 55) skinning weights, rows sum to 1
     beneath: Tensor  # (V,) int64, the nearest vertex of the body
     directions: Tensor  # (vertices of the body, 3, K) metres by which blend shapes move those
+    options: SkinningOptions = SkinningOptions()
 
     def bind(self, points: Tensor) -> Binding:
         """Interpolate skinning weights and blend shapes of points (N, 3).
@@ -84,7 +99,8 @@ class Skin:
         share, few = self._shares(distance, nearest)
         weights = _means(share, few, self.weights)
         blend_shapes = mean_directions(share, self.beneath[few], self.directions)
-        return Binding(strongest(weights, JOINTS), self._slopes(nearest), blend_shapes)
+        weights = strongest(weights, self.options.joints)
+        return Binding(weights, self._slopes(nearest), blend_shapes)
 
     def _slopes(self, nearest: np.ndarray) -> Tensor:
         """Return slopes (N, 3, 55) 1/m by eq. 3, from the nearest vertices (N, k) of each point."""
@@ -99,7 +115,8 @@ class Skin:
         rows = np.arange(0, shares.size + 1, count)
         columns = np.repeat(nearest, 3, axis=0).ravel()
         planes = csr_array((shares.ravel(), columns, rows), (3 * len(nearest), len(vertices)))
-        return _largest(torch.from_numpy(planes @ weights).unflatten(0, (-1, 3)), self.weights)
+        slopes = torch.from_numpy(planes @ weights).unflatten(0, (-1, 3))
+        return _largest(slopes, self.options.joints, self.weights)
 
     def around(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Return the vertices around points (N, 3), N > 0, and their shares.
@@ -110,7 +127,7 @@ class Skin:
         Returns:
             Shares (N, k), whose rows sum to 1, and the vertices' numbers (N, k) int64.
         """
-        return self._shares(*self._nearest(points, NEIGHBOURS + 1))
+        return self._shares(*self._nearest(points, self.options.neighbours + 1))
 
     def _nearest(self, points: Tensor, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Return distances and numbers (N, k) of up to ``count`` vertices nearest to points."""
@@ -122,7 +139,7 @@ class Skin:
 
     def _shares(self, distance: np.ndarray, nearest: np.ndarray) -> tuple[Tensor, Tensor]:
         """Return the result of :meth:`around`, from at least those vertices."""
-        distance, nearest = (x[:, : NEIGHBOURS + 1] for x in (distance, nearest))
+        distance, nearest = (x[:, : self.options.neighbours + 1] for x in (distance, nearest))
         d = np.maximum(distance, 1e-9)
         share = np.square(1 / d - 1 / d[:, -1:])
         share[share.sum(1) == 0, 0] = 1  # all equally far
@@ -137,9 +154,9 @@ def _inverse(A: np.ndarray) -> np.ndarray:
     return columns / (a * columns[:, :, 0]).sum(1)[:, None, None]
 
 
-def _largest(slopes: Tensor, like: Tensor) -> Tensor:
+def _largest(slopes: Tensor, joints: int, like: Tensor) -> Tensor:
     """Keep the joints with the largest slopes (N, 3, J), make their sum zero, typed as ``like``."""
-    found = slopes.abs().amax(1).topk(min(JOINTS, slopes.shape[2]), dim=1)
+    found = slopes.abs().amax(1).topk(min(joints, slopes.shape[2]), dim=1)
     chosen = found.indices[:, None].expand(-1, 3, -1)
     steep = (found.values > STEEP)[:, None].to(slopes)
     kept = slopes.gather(2, chosen) * steep
@@ -174,26 +191,29 @@ def diffused(vertices: np.ndarray, faces: np.ndarray, body: Skin, looseness: Ten
     Args:
         vertices: (V, 3) of the outer surface at rest, metres.
         faces: (F, 3) its triangles.
-        body: the rest body's surface, which clothes may have displaced.
+        body: the rest body's surface, which clothes may have displaced; without spread the result.
         looseness: (vertices of the body,) metres by which clothes displaced it.
     """
     from scipy.sparse import diags_array
     from scipy.sparse.linalg import splu
     from scipy.spatial import cKDTree
 
+    spread = body.options.spread
+    if not spread:
+        return body
     distance, nearest = cKDTree(body.vertices.double().numpy()).query(vertices)
     off = distance + looseness.double().numpy()[nearest]
     weights = body.weights.double().numpy()[nearest]
     loose = off > CLOSE
     if loose.any():
         area, laplacian = _laplacian(vertices, faces)
-        width = SPREAD * np.where(loose, off, 1e-3 * CLOSE)  # eq. 1
+        width = spread * np.where(loose, off, 1e-3 * CLOSE)  # eq. 1
         pull = diags_array(area / width**2)
         used = weights.any(0)
         weights[:, used] = splu((pull + laplacian).tocsc()).solve(pull @ weights[:, used])
     as_tensor = lambda x: torch.from_numpy(np.ascontiguousarray(x)).to(body.weights)
     beneath = body.beneath[torch.from_numpy(nearest)]
-    return Skin(as_tensor(vertices), as_tensor(weights), beneath, body.directions)
+    return Skin(as_tensor(vertices), as_tensor(weights), beneath, body.directions, body.options)
 
 
 def _laplacian(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, csr_array]:

@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr
 from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin, get_type_hints
 
+from gva_mi.cli.presets import with_preset
 from gva_mi.cli.retired import OF_STUDY, PYTHON_ONLY, require_current
 from gva_mi.core.errors import InputError
 from gva_mi.core.options import Within
@@ -49,7 +50,8 @@ def parse(command: Callable[..., None], verb: str, arguments: list[str]) -> Call
     told, refusals = io.StringIO(), Refusals()
     hints = get_type_hints(command, include_extras=True)
     call.__annotations__ = {name: _with_ranges(hint, refusals) for name, hint in hints.items()}
-    call.__signature__, call.__doc__ = inspect.signature(command), command.__doc__
+    call.__signature__ = with_preset(inspect.signature(command), verb, arguments)
+    call.__doc__ = command.__doc__
     try:
         with redirect_stderr(told), _wide_enough():
             return tyro.cli(

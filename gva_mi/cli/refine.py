@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -12,6 +13,7 @@ from tyro.conf import Positional
 
 from gva_mi.body.smplx import BodyModel, load_body
 from gva_mi.cli.arguments import Flat, Switch, body_of, warn_if_outside_masks
+from gva_mi.cli.presets import Preset
 from gva_mi.core.console import bar, listed, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import require_room
@@ -23,11 +25,12 @@ from gva_mi.core.tasks import workers as local_workers
 from gva_mi.data.fingerprint import require_same_body
 from gva_mi.data.ground_truth import load_ground_truth
 from gva_mi.data.video import REFINED_POSES, Video, load_video
+from gva_mi.fit.paper import REFINE
 from gva_mi.pose.job import RefineOptions
 from gva_mi.pose.prior.inference import describe_prior
 from gva_mi.pose.refine import refine_all
 from gva_mi.pose.sequence import SequenceOptions
-from gva_mi.pose.single_frame import SingleFrameOptions, Steps
+from gva_mi.pose.single_frame import Steps
 from gva_mi.study.measure import Evaluation
 from gva_mi.study.refinement import OVERLAYS, PAGE, write_record
 from gva_mi.study.refinement_report import write_refinement_report
@@ -37,9 +40,9 @@ def refine(
     subjects: Positional[tuple[Path, ...]],
     options: Flat[SequenceOptions],
     *,
-    loss: Literal["sequence", "paper"] = "sequence",
-    steps: Steps = SingleFrameOptions.steps,
-    paper_prior: Weight = SingleFrameOptions.prior,
+    preset: Preset = "default",
+    steps: Steps = REFINE.steps,
+    paper_prior: Weight = REFINE.prior,
     normals: Literal["perspective", "opengl", "icon", "none"] | None = None,
     workers: Workers = 1,
     scheduler: str | None = None,
@@ -54,10 +57,10 @@ def refine(
     Args:
         subjects: folders with video, masks, cameras, stage-1 poses; normals where there are some.
         options: options of the refinement.
-        loss: all frames together, or Eq. 8 as printed, frame by frame; the latter uses size, faces,
-            silhouette, step and largest-turn of the options, and the next two.
-        steps: for each frame; of --loss paper.
-        paper_prior: λ2, for one square radian; of --loss paper.
+        preset: paper: Eq. 8 as printed, frame by frame. It uses size, faces, silhouette (λ1, here
+            5), step and largest-turn of the options, and the next two.
+        steps: for each frame; of --preset paper.
+        paper_prior: λ2, for one square radian; of --preset paper.
         normals: how the normals were made: as the video's camera sees them, or as ICON writes them
             (orthographic, y up); none: they are not used. Without it as normals.json says.
         workers: processes on this machine; any number gives the same bits.
@@ -71,15 +74,14 @@ def refine(
         raise InputError("refine: give the folder of a subject, or of several")
     if scheduler is not None and workers != 1:
         raise InputError("refine: give --workers or --scheduler, not both")
-    if loss == "paper" and (options.hold_out_test or options.refine_camera):
+    if preset == "paper" and (options.hold_out_test or options.refine_camera):
         name = "--hold-out-test" if options.hold_out_test else "--refine-camera"
         raise InputError(
-            f"refine: {name} needs all frames together, and --loss paper takes each for itself"
+            f"refine: {name} needs all frames together, and --preset paper takes each alone"
         )
     shared = ("size", "faces", "silhouette", "height", "step", "largest_turn")
-    printed = SingleFrameOptions(
-        **{name: getattr(options, name) for name in shared}, steps=steps, prior=paper_prior
-    )
+    own = {name: getattr(options, name) for name in shared}
+    printed = replace(REFINE, **own, steps=steps, prior=paper_prior)
     model = load_body(body_of(subjects[0], body))
     for subject in subjects:
         if (subject / REFINED_POSES).exists():  # a missing subject is named by load_video
@@ -94,7 +96,7 @@ def refine(
             require_room(subject / REFINED_POSES, overwrite)
         made = cluster(scheduler) if scheduler is not None else local_workers(workers)
         executor = held.enter_context(made)
-        way = printed if loss == "paper" else options
+        way = printed if preset == "paper" else options
         for evaluation in refine_videos(videos, model, way, executor):
             if report:
                 write_refinement_report(evaluation, versions())

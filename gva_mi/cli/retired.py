@@ -12,6 +12,7 @@ RENAMED: dict[tuple[str, str], str] = {
     ("fit", "--finest"): "--min-scale",
     ("fit", "--poses.nat"): "--poses.prior-weight",
     ("fit", "--schedule.look-up-every"): "--schedule.rebind-every",
+    ("refine", "--loss"): "is gone: --preset paper is Eq. 8 as printed",
     ("refine", "--nat"): "--prior-weight",
     ("track", "--nat"): "--prior-weight",
     ("study", "--edition"): "--held-out-set",
@@ -36,13 +37,14 @@ PYTHON_ONLY: dict[str, tuple[str, tuple[str, ...]]] = {
     "SplatOptions": ("splat", (
         "alpha_min", "alpha_max", "transmittance_min", "near", "far", "radius_min", "depth",
     )),
+    "SkinningOptions": ("skinning", ("spread", "neighbours", "joints")),
     "SeedOptions": ("seed", ("opacity", "overlap", "flatness")),
     "ResidualOptions": ("residual", ("code", "frequencies", "width")),
     "Rates": ("rates", ("means_end", "quats", "log_scales", "logit_opacities", "light")),
     "DensifyOptions": ("densify", ("split_shrink", "min_opacity", "max_scale")),
     "ReinitOptions": ("reinit", (
         "opaque", "floater_neighbours", "floater_sigmas", "alpha", "filler_depth", "smoothing",
-        "curvature_gain", "neighbours", "scale_jitter",
+        "curvature_gain", "neighbours", "scale_jitter", "surface", "random",
     )),
     "PoseOptions": ("poses", ("step", "largest_turn", "translation_lr", "decay", "part")),
 }  # fmt: skip

@@ -19,7 +19,7 @@ from typing import Any
 from torch import Tensor
 
 from gva_mi.avatar.avatar import Avatar
-from gva_mi.body.pose import Pose, load_offsets
+from gva_mi.body.pose import Pose, load_offsets, save_poses
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
 from gva_mi.core.files import json_equals, write_json
@@ -30,8 +30,10 @@ from gva_mi.data.ground_truth import load_ground_truth
 from gva_mi.data.video import POSES, REFINED_POSES, TEST_EVERY, Splits, Video, load_video
 from gva_mi.fit import run_folder
 from gva_mi.fit.options import FitOptions
+from gva_mi.fit.paper import REFINE
 from gva_mi.fit.photometric import FITTED
 from gva_mi.fit.train import fit
+from gva_mi.pose.refine import refine
 from gva_mi.pose.sequence import SequenceOptions
 from gva_mi.study.cases import StudyCase
 from gva_mi.study.engine import made_with
@@ -45,6 +47,7 @@ from gva_mi.study.variants import AvatarVariant
 from gva_mi.synthetic.closest import closest
 from gva_mi.synthetic.options import NovelPictures, VideoFrames
 
+PRINTED_POSES = "poses_printed.npz"  # in a case's folder, refined by Eq. 8 as printed
 PREPARED = "prepared.json"  # in a case's folder: what its refined poses were made with
 MADE_WITH = "made_with.json"  # in a run's folder
 
@@ -92,7 +95,14 @@ class AvatarStudy:
         cases, filming = dict.fromkeys(case for case, _ in missing), self._filming
         films = filming_work(filming, cases, self.body)
         prepare = [
-            PrepareCase(filming.subject(case), case, self.body, self.options.refine, self.made_with)
+            PrepareCase(
+                filming.subject(case),
+                case,
+                self.body,
+                self.options.refine,
+                self.made_with,
+                any(row.poses == "printed" for row in self.rows),
+            )
             for case in cases
         ]
         return [films, prepare, [self.run(*pair) for pair in missing]]
@@ -119,6 +129,7 @@ class PrepareCase:
     body: BodyModel
     options: SequenceOptions
     made_with: dict[str, Any]
+    printed: bool = False  # also by Eq. 8 as printed
 
     @property
     def steps(self) -> int:
@@ -130,7 +141,12 @@ class PrepareCase:
         if not json_equals(self.subject / PREPARED, self.made_with):
             args = (self.subject, self.case, self.body, self.options)
             write_record(refine_case(*args, progress=progress), versions())
+            (self.subject / PRINTED_POSES).unlink(missing_ok=True)
             write_json(self.subject / PREPARED, self.made_with)
+        if self.printed and not (self.subject / PRINTED_POSES).exists():
+            video = load_video(self.subject)
+            found = refine(video, self.body, REFINE)
+            save_poses(self.subject / PRINTED_POSES, found.pose, found.shape, stage=2)
 
 
 @dataclass(frozen=True)
@@ -213,7 +229,8 @@ class VariantRun:
 
     @property
     def _poses(self) -> Path:
-        return self.subject / (POSES if self.variant.poses == "stage 1" else REFINED_POSES)
+        others = {"stage 1": POSES, "printed": PRINTED_POSES}
+        return self.subject / others.get(self.variant.poses, REFINED_POSES)
 
     def _make_room(self) -> None:
         """Remove a run that was made with other inputs."""

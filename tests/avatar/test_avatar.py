@@ -11,7 +11,7 @@ import torch
 from gva_mi import InputError
 from gva_mi.avatar import Avatar, AvatarOptions, ResidualOptions, SeedOptions, seed_avatar
 from gva_mi.avatar.lighting import SHARE
-from gva_mi.avatar.skin_weights import JOINTS
+from gva_mi.avatar.skin_weights import SkinningOptions
 from gva_mi.body import Pose, Shape
 from gva_mi.body.pose import LEFT_HAND, RIGHT_HAND
 from gva_mi.body.skinning import strongest
@@ -92,6 +92,16 @@ def test_without_stretching_gaussians_turn_and_keep_their_size(make_avatar, rand
     assert torch.allclose(at_rest(still), at_rest(avatar.canonical), rtol=1e-4, atol=1e-9)
 
 
+def test_colour_of_the_view_is_what_3dgs_evaluates(make_avatar, random_pose):
+    """Harmonics of degree 1 in the world's axes, whatever the pose; the light changes nothing."""
+    avatar, lit = make_avatar(AvatarOptions(color="view")), make_avatar()
+    with torch.no_grad():
+        avatar.light.copy_(torch.tensor([0.0, 1.0, 0.0]))
+    posed = avatar(random_pose(0))
+    assert torch.equal(posed.sh, avatar.canonical.sh) and posed.sh.shape[1] == 4
+    assert lit(random_pose(0)).sh.shape[1] == 1
+
+
 def test_every_parameter_receives_a_gradient(make_avatar, random_pose):
     avatar = make_avatar()
     loss_of(avatar, random_pose(3)).backward()
@@ -133,7 +143,7 @@ def test_other_files_are_refused(make_avatar, tmp_path):
 def test_gaussians_on_vertices_follow_the_body(body, random_pose):
     """In all that Eq. 4 does: skeleton, expression, and bulges where joints bend."""
     body, shape = copy.deepcopy(body), Shape(torch.linspace(-1, 1, 10))
-    body.weights = strongest(body.weights, JOINTS)
+    body.weights = strongest(body.weights, SkinningOptions().joints)
     avatar = seed_avatar(body, shape, None, PLAIN)
     pose = random_pose(7)
     psi = torch.randn(1, 10, generator=torch.Generator().manual_seed(2))

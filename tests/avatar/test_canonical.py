@@ -15,7 +15,7 @@ from gva_mi.avatar.canonical import (
     seed_on_surface,
     spread_over_faces,
 )
-from gva_mi.avatar.skin_weights import JOINTS, Skin
+from gva_mi.avatar.skin_weights import Skin, SkinningOptions
 from gva_mi.mesh.surface import vertex_normals
 from gva_mi.splat.kernels.sh import C0
 
@@ -92,7 +92,7 @@ def test_activations_and_weights(body):
     G = seed(body, count=1000, opacity=0.8)
     assert torch.allclose(G.opacities, torch.tensor(0.8))
     assert torch.allclose(G.weights.sum(1), torch.ones(1000))
-    assert ((G.weights > 0).sum(1) <= JOINTS).all()
+    assert ((G.weights > 0).sum(1) <= SkinningOptions().joints).all()
 
 
 def test_shapes_are_checked_at_the_door(body):

@@ -1,11 +1,13 @@
 """Weights of the outer skin: the body's on bare skin, diffused on loose cloth, never torn."""
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
 from gva_mi.avatar import skin_weights
-from gva_mi.avatar.skin_weights import CLOSE, Skin, diffused
+from gva_mi.avatar.skin_weights import CLOSE, Skin, SkinningOptions, diffused
 from gva_mi.body import JOINTS
 
 LEFT, RIGHT = JOINTS.index("left_hip"), JOINTS.index("right_hip")
@@ -39,6 +41,19 @@ def legs(height=0.3, apart=0.4):
     weights = torch.zeros(80, 55)
     weights[:40, LEFT] = weights[40:, RIGHT] = 1
     return still(torch.from_numpy(np.concatenate(lines)).float(), weights)
+
+
+def test_as_printed_a_point_has_the_four_joints_of_the_nearest_vertex(body):
+    """Eq. 5, P = 4; also on cloth."""
+    options = SkinningOptions(spread=0.0, neighbours=1, joints=4)
+    own = replace(still(body.v_template, body.weights), options=options)
+    vertices, faces = sheet()
+    assert diffused(vertices, faces, own, torch.full((642,), 0.1)) is own
+    points = 1.1 * body.v_template[::7] + 0.003
+    found, near = own.bind(points).weights, of_nearest(points, own)
+    four = near.topk(4, dim=1)
+    expected = torch.zeros_like(near).scatter(1, four.indices, four.values)
+    torch.testing.assert_close(found, expected / expected.sum(1, keepdim=True))
 
 
 def test_bare_skin_keeps_the_weights_of_the_body(body):

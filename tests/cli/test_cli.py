@@ -7,6 +7,7 @@ import os
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from typing import Annotated, ClassVar, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -124,9 +125,20 @@ def test_options_set_only_in_python_keep_their_defaults():
     assert call.keywords["options"] == FitOptions(steps=7)
 
 
+def test_a_preset_sets_the_defaults_and_options_beside_it_win():
+    from gva_mi.fit import paper
+
+    words = ["subject", "--out", "run", "--steps", "7", "--avatar.stretch", "--preset"]
+    of = lambda *last: parse(load("fit"), "fit", [*words, *last]).keywords["options"]
+    assert of("paper") == replace(paper.FIT, steps=7, avatar=replace(paper.AVATAR, stretch=True))
+    assert of("default").rates != of("paper").rates
+    refined = parse(load("refine"), "refine", ["subject", "--preset=paper", "--step", "0.01"])
+    assert refined.keywords["options"].silhouette == 5 and refined.keywords["paper_prior"] == 0.5
+
+
 def test_unknown_and_missing_arguments_are_answered_with_the_known_ones(cli):
     for command, there in (
-        ("fit nowhere --out new --step 3", "--steps"), ("refine nowhere --loss all", "paper"),
+        ("fit nowhere --out new --step 3", "--steps"), ("refine nowhere --preset all", "paper"),
         ("fit nowhere", "--out"),
     ):  # fmt: skip
         code, out, err = cli(*command.split())
@@ -231,7 +243,10 @@ main(["--help"])
 print("imported", *sorted(x for x in sys.modules if x.startswith(("gva_mi.cli.", "torch"))))
 """
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert run.stdout.splitlines()[-1] == "imported gva_mi.cli.parse gva_mi.cli.retired"
+    assert (
+        run.stdout.splitlines()[-1]
+        == "imported gva_mi.cli.parse gva_mi.cli.presets gva_mi.cli.retired"
+    )
 
 
 def test_a_missing_package_is_named_with_its_extra(monkeypatch, cli):

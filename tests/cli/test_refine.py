@@ -61,11 +61,11 @@ BAD = {
     ),
     "overlap": (("nowhere", "--overlap", "200"), "overlap must be less than half a part"),
     "paper, held out": (
-        ("nowhere", "--loss", "paper", "--hold-out-test"),
+        ("nowhere", "--preset", "paper", "--hold-out-test"),
         "--hold-out-test needs all frames together",
     ),
     "paper, camera": (
-        ("nowhere", "--loss", "paper", "--refine-camera"),
+        ("nowhere", "--preset", "paper", "--refine-camera"),
         "--refine-camera needs all frames together",
     ),
 }

@@ -1,12 +1,13 @@
 """Each row changes what its name says, and nothing else."""
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import pytest
 
 from gva_mi.core.errors import InputError
+from gva_mi.fit import paper
 from gva_mi.fit.options import FitOptions
-from gva_mi.study.variants import FULL, VARIANTS, variants_named
+from gva_mi.study.variants import CHANGES, FULL, LADDER, VARIANTS, variants_named
 
 
 def changed(name):
@@ -57,11 +58,23 @@ def test_gart_like_and_static_leave_most_parts_out():
     }  # fmt: skip
 
 
+def test_the_ladder_leads_from_the_paper_to_the_whole_method():
+    """Its first row is the preset; without its residual, the last one is the default."""
+    options = FitOptions(steps=700, seed=3)
+    first, last = (LADDER[k].of(options) for k in (0, -1))
+    assert first == replace(paper.FIT, steps=700, seed=3) and LADDER[0].poses == "printed"
+    assert replace(last, avatar=options.avatar) == options
+    assert replace(last.avatar, residual=options.avatar.residual) == options.avatar
+    for (name, _), before, after in zip(CHANGES[2:], LADDER[1:-1], LADDER[2:], strict=True):
+        assert before.of(options) != after.of(options), name
+    assert variants_named(("full", "ladder")) == [*LADDER, FULL]
+
+
 def test_rows_are_chosen_by_name_and_keep_their_order():
     assert variants_named(()) == list(VARIANTS)
     names = [v.name for v in variants_named(("true poses", "full"))]
     assert names == ["full", "true poses"]
-    with pytest.raises(InputError, match="--rows has no 'best'; there are: full, "):
+    with pytest.raises(InputError, match="--rows has no 'best'; there are: as printed, "):
         variants_named(("best",))
 
 

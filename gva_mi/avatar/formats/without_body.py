@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from gva_mi.avatar.avatar import FORMAT, SKIN_ARRAYS, Avatar
+from gva_mi.avatar.avatar import FORMAT, SKIN_ARRAYS, Avatar, AvatarOptions
 from gva_mi.avatar.rig import RIG, Rig, digest
 from gva_mi.avatar.skin_weights import mean_directions
 from gva_mi.body.pose import Shape
@@ -116,7 +116,7 @@ def with_body(path: Path, arrays: dict[str, np.ndarray], body: BodyModel, name: 
         rig = Rig.of(body, Shape(record.pop("betas")), record.pop("offsets"))
         record[DIRECTIONS] = mean_directions(shares, beneath, rig.directions)
         record |= {f"rest_{key}": getattr(rig, key) for key in RIG}
-        skin = rig.outer_skin()
+        skin = rig.outer_skin(AvatarOptions.from_plain(described["options"]).skinning)
         record |= {f"skin_{key}": getattr(skin, key) for key in SKIN_ARRAYS}
         described["body"] = rig.body
         return Avatar.from_record(record | {"format": FORMAT, "description": json.dumps(described)})

@@ -1,0 +1,58 @@
+"""The outer boundary of an alpha shape, against the ball that rolls around it."""
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial import cKDTree
+
+from gva_mi.avatar.alpha_shape import alpha_shape
+
+ALPHA = 0.04
+
+
+def shell(count=3000, radius=0.3, noise=0.02, seed=0):
+    """Points near a sphere, metres."""
+    rng = np.random.default_rng(seed)
+    points = rng.normal(size=(count, 3))
+    points *= radius / np.linalg.norm(points, axis=1, keepdims=True)
+    return points * (1 + noise * rng.normal(size=(count, 1)))
+
+
+def as_trimesh(surface):
+    return trimesh.Trimesh(surface.vertices, surface.faces, process=False)
+
+
+def test_an_empty_ball_rests_on_every_triangle_from_outside():
+    points = shell(noise=0.05)
+    surface = alpha_shape(points, ALPHA, smoothing=0)
+    corners = surface.vertices[surface.faces]
+    mesh = as_trimesh(surface)
+    # The ball's centre is where its three corners are ALPHA away, on the side of the normal.
+    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    normal = np.cross(a, b)
+    square = lambda v: (v**2).sum(1, keepdims=True)
+    across = np.cross(square(a) * b - square(b) * a, normal) / (2 * square(normal))
+    height = np.sqrt(np.maximum(ALPHA**2 - square(across), 0))
+    centres = corners[:, 0] + across + height * mesh.face_normals
+    nearest = cKDTree(points).query(centres)[0]
+    assert nearest == pytest.approx(np.full(len(nearest), ALPHA), abs=1e-9)
+
+
+def test_a_hollow_shell_has_one_closed_surface_around_it():
+    mesh = as_trimesh(alpha_shape(shell(), ALPHA, smoothing=0))
+    assert mesh.is_watertight and mesh.body_count == 1
+    assert mesh.volume == pytest.approx(4 / 3 * np.pi * 0.3**3, rel=0.04)
+
+
+@pytest.mark.parametrize(("gap", "pieces"), [(0.06, 1), (0.10, 2)])
+def test_gaps_narrower_than_the_ball_are_closed(gap, pieces):
+    one = shell(1500, 0.15, noise=0.0)
+    mesh = as_trimesh(alpha_shape(np.vstack([one, one + [0.3 + gap, 0, 0]]), ALPHA, 0))
+    assert mesh.body_count == pieces
+
+
+def test_laplacian_smoothing_shrinks_a_sphere():
+    raw, smooth = (as_trimesh(alpha_shape(shell(), ALPHA, steps)) for steps in (0, 3))
+    rough = lambda mesh: np.linalg.norm(mesh.vertices, axis=1).std()
+    assert rough(smooth) < 0.7 * rough(raw)
+    assert smooth.volume < raw.volume

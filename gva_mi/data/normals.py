@@ -150,6 +150,13 @@ def to_icon(normals: np.ndarray, camera: Camera) -> np.ndarray:
     return (normals + once + np.cross(-v, once) / (1 + z)) * (1, -1, -1)
 
 
+def in_convention(normals: np.ndarray, camera: Camera, convention: Convention) -> np.ndarray:
+    """Convert normals (H, W, 3) from camera space, zero where unknown."""
+    if convention == "icon":
+        return to_icon(normals, camera)
+    return normals * ((1, -1, -1) if convention == "opengl" else 1)
+
+
 def _pasted(normals: np.ndarray, box: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """Resample a map (h, w, 3) of a box to the frame's pixels (H, W, 3), zero outside."""
     from PIL import Image

@@ -34,33 +34,51 @@ def onnx_file(path, sides=("h", "w"), channels=3, kind="normals"):
 
     Other kinds write (n + 1) / 2, x and y alone, vectors of length 0, or NaN.
     """
+    nodes = [
+        ("Slice", ["seen", "zero", "two", "one"], ["colour"], {}),
+        ("Clip", ["colour", "least", "most"], ["xy"], {}),
+        ("ReduceSumSquare", ["xy", "one"], ["square"], {"keepdims": 1}),
+        ("Sub", ["unit", "square"], ["rest"], {}),
+        ("Sqrt", ["rest"], ["z"], {}),
+        ("Concat", ["xy", "z"], ["normals"], {"axis": 1}),
+        ("Add", ["normals", "unit"], ["raised"], {}),
+        ("Mul", ["raised", "half"], ["encoded"], {}),
+        ("Sub", ["seen", "seen"], ["nothing"], {}),
+        ("Div", ["nothing", "nothing"], ["unknown"], {}),
+    ]
+    number = np.float32
+    constants = {
+        "zero": [0], "two": [2], "one": [1], "least": number(-0.6), "most": number(0.6),
+        "unit": number(1), "half": number(0.5),
+    }  # fmt: skip
+    return onnx_graph(path, nodes, {"seen": ("FLOAT", [1, channels, *sides])}, [kind], constants)
+
+
+def onnx_graph(path, nodes, inputs, outputs, constants=()):
+    """Write a network of nodes ``(operator, inputs, outputs, attributes)``.
+
+    Inputs are ``name: (type, shape)``; outputs are names; constants are ``name: numbers``.
+    """
     onnx = pytest.importorskip("onnx")
     pytest.importorskip("onnxruntime")
     make, number = onnx.helper, onnx.TensorProto
-    whole = lambda name, x: make.make_tensor(name, number.INT64, [1], [x])
-    scalar = lambda name, x: make.make_tensor(name, number.FLOAT, [], [x])
-    nodes = [
-        make.make_node("Slice", ["seen", "zero", "two", "one"], ["colour"]),
-        make.make_node("Clip", ["colour", "least", "most"], ["xy"]),
-        make.make_node("ReduceSumSquare", ["xy", "one"], ["square"], keepdims=1),
-        make.make_node("Sub", ["unit", "square"], ["rest"]),
-        make.make_node("Sqrt", ["rest"], ["z"]),
-        make.make_node("Concat", ["xy", "z"], ["normals"], axis=1),
-        make.make_node("Add", ["normals", "unit"], ["raised"]),
-        make.make_node("Mul", ["raised", "half"], ["encoded"]),
-        make.make_node("Sub", ["seen", "seen"], ["nothing"]),
-        make.make_node("Div", ["nothing", "nothing"], ["unknown"]),
-    ]
+    known = lambda name, x: onnx.numpy_helper.from_array(np.array(x), name)
     graph = make.make_graph(
-        nodes, "normals",
-        [make.make_tensor_value_info("seen", number.FLOAT, [1, channels, *sides])],
-        [make.make_tensor_value_info(kind, number.FLOAT, None)],
-        [whole("zero", 0), whole("two", 2), whole("one", 1), scalar("least", -0.6),
-         scalar("most", 0.6), scalar("unit", 1.0), scalar("half", 0.5)],
+        [make.make_node(kind, given, made, **more) for kind, given, made, more in nodes], "normals",
+        [make.make_tensor_value_info(name, getattr(number, kind), shape)
+         for name, (kind, shape) in inputs.items()],
+        [make.make_tensor_value_info(name, number.FLOAT, None) for name in outputs],
+        [known(name, x) for name, x in dict(constants).items()],
     )  # fmt: skip
     opset = make.make_opsetid("", 18)
     onnx.save(make.make_model(graph, opset_imports=[opset], ir_version=9), path)
     return path
+
+
+@pytest.fixture(scope="session")
+def network_file():
+    """The function :func:`onnx_graph`."""
+    return onnx_graph
 
 
 @pytest.fixture(scope="session")

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
+from torch import Tensor
 
 from gva_mi.core.console import Progress, listed
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import write_json
 from gva_mi.data.masks import read_mask
-from gva_mi.data.networks.crop import box_of_mask
-from gva_mi.data.networks.normals import NormalNetwork
+from gva_mi.data.networks.crop import CropBox, box_of_mask
+from gva_mi.data.networks.normals import BodyNormals, NormalNetwork
 from gva_mi.data.networks.segment_anything import MaskGuess, Prompt, SegmentAnything
-from gva_mi.data.normals import ABOUT
+from gva_mi.data.normals import ABOUT, in_convention
 from gva_mi.data.pictures import read_image, write_image
+from gva_mi.mesh.both_sides import normals_of_both_sides
+from gva_mi.splat import Camera
 
 HELD = 0.5  # of the person's points: a mask with fewer is doubtful
 
@@ -58,23 +61,52 @@ def write_masks(
 
 
 def write_normals(
-    folder: Path, network: NormalNetwork, count: int, progress: Progress | None = None
+    folder: Path,
+    network: NormalNetwork,
+    cameras: Sequence[Camera],
+    posed: Callable[[int], Tensor],
+    faces: Tensor,
+    progress: Progress | None = None,
 ) -> list[str]:
     """Write ``normals/`` and ``normals.json`` of a subject that has its masks; return notes.
 
     A map shows a part of the frame, which ``normals.json`` says, at the network's own resolution.
+
+    Args:
+        folder: of the subject.
+        network: that sees the pictures.
+        cameras: of the T frames.
+        posed: gives a frame's vertices (V, 3) of the body, world, for a network that needs it.
+        faces: (F, 3) of the body.
+        progress: called after every frame.
     """
-    boxes, maps = [[0, 0, 1, 1]] * count, 0
-    for k in range(count):
+    boxes, maps = [[0, 0, 1, 1]] * len(cameras), 0
+    for k, camera in enumerate(cameras):
         mask = read_mask(folder / "masks", k)
         box = None if mask is None else box_of_mask(mask > 0.5)
         if box is not None:
             image = read_image(folder / "frames" / f"{k:06d}.png", 3)
-            crop, normals = network.see(image, mask, box)
+            body = _body_normals(network, camera, posed(k), faces) if network.needs_body else None
+            crop, normals = network.see(image, mask, box, body)
             boxes[k] = list(crop.box)
             write_image(folder / "normals" / f"{k:06d}.png", (normals + 1) / 2)
             maps += 1
         if progress:
-            progress(k + 1, count)
+            progress(k + 1, len(cameras))
     write_json(folder / ABOUT, {"convention": network.spec.convention, "boxes": boxes})
     return [f"normals of {maps} frames by {network.path.name}, {network.spec.convention}"]
+
+
+def _body_normals(
+    network: NormalNetwork, camera: Camera, vertices: Tensor, faces: Tensor
+) -> BodyNormals:
+    """Return what gives a network the normals of the body in a part of a camera's frame."""
+
+    def normals(crop: CropBox) -> tuple[np.ndarray, np.ndarray]:
+        seen = camera.cropped(crop.left, crop.top, crop.width, crop.height)
+        seen = seen.resized(*network.spec.size)
+        front, back = normals_of_both_sides(vertices, faces, seen)
+        axes = network.spec.convention
+        return in_convention(front, seen, axes), in_convention(back, seen, axes)
+
+    return normals

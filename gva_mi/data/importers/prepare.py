@@ -90,8 +90,10 @@ def prepare_folder(
         more += write_masks(out, mask_network, seen, progress)
     cameras = [Camera.from_matrices(K, _T_CAMERA_WORLD, *size) for K in track.K]
     save_cameras(out / "cameras.npz", cameras)
+    pose, shape, of_body = _poses(track, body)
     if normal_network:
-        more += write_normals(out, normal_network, count, progress)
+        posed = lambda k: body.model(pose[k], shape).vertices[0]
+        more += write_normals(out, normal_network, cameras, posed, body.model.faces, progress)
     elif options.normals:
         maps = maps_of(options.normals, capture.frames, count, capture.loose)
         more += write_maps(out, maps, options.normals_convention, cameras, straight)
@@ -99,7 +101,8 @@ def prepare_folder(
         asked = (views, np.flatnonzero(inside).tolist(), options.view_frames)
         more += write_views(out, where, capture, *asked, _T_CAMERA_WORLD)
     about = f"{kind}, {track.form}, {count} frames of {size[0]}x{size[1]}"
-    notes = [about, *notes, *of_lens, *more, *_write_poses(out, track, body)]
+    save_poses(out / POSES, pose, shape, stage=1)
+    notes = [about, *notes, *of_lens, *more, *of_body]
     notes += [note for note in (capture.note, uneven_rate(capture.frames)) if note]
     record = {"kind": kind, "person": track.person, "form": track.form, "notes": notes}
     file = None if body.name == BUILT_IN_NAME else str(options.body.resolve())
@@ -185,8 +188,8 @@ def _pairs(capture: Capture) -> Iterator[tuple[np.ndarray, np.ndarray | None]]:
         raise InputError(f"{where}: holds more masks than there are pictures")
 
 
-def _write_poses(out: Path, track: Track, body: TargetBody) -> list[str]:
-    """Write ``poses.npz`` of a body in the world, its pelvis at the source's; return notes."""
+def _poses(track: Track, body: TargetBody) -> tuple[Pose, Shape, list[str]]:
+    """Return poses and shape of a body in the world, its pelvis at the source's, and notes."""
     betas, notes = median_betas(track.betas)
     if not body.keeps_betas(track.form):
         betas = np.zeros(10)
@@ -204,5 +207,4 @@ def _write_poses(out: Path, track: Track, body: TargetBody) -> list[str]:
     tensor = lambda x: torch.from_numpy(np.ascontiguousarray(x, np.float32))
     transl = tensor(transl + track.pelvis - pelvis)
     pose = Pose(tensor(rotations), transl, torch.zeros(len(rotations), 10))
-    save_poses(out / POSES, pose, shape, stage=1)
-    return [*notes, body.takes_over(track.form)]
+    return pose, shape, [*notes, body.takes_over(track.form)]

@@ -47,8 +47,8 @@ class PrepareOptions:
     # Frames that each of these cameras contributes, evenly spaced.
     view_frames: Annotated[int, Within(1, 100_000)] = 8
     sam_checkpoint: Path | None = None  # folder of Segment Anything or SAM 2, which makes the masks
-    # A folder of maps, one per frame by the last number in its name; or a network, .onnx, whose
-    # input and output are (1, 3, h, w).
+    # A folder of maps, one per frame by the last number in its name; or a network, .onnx, that
+    # takes pictures (1, 3, h, w), and perhaps normals of the posed body, as ICON's does.
     normals: Path | None = None
     # Axes and view of the maps, or of the network's output; icon: a square crop.
     normals_convention: Convention | None = None
@@ -56,6 +56,7 @@ class PrepareOptions:
     normals_size: tuple[Side, Side] = NormalsSpec.size
     normals_mean: tuple[Colour, Colour, Colour] = NormalsSpec.mean  # subtracted from rgb in [0, 1]
     normals_std: tuple[Spread, Spread, Spread] = NormalsSpec.std  # divisor after the subtraction
+    normals_output: str | None = NormalsSpec.output  # the network's output, if it has several
 
     def __post_init__(self) -> None:
         if self.normals is not None and self.normals_convention is None:
@@ -63,7 +64,7 @@ class PrepareOptions:
                 "prepare: --normals needs --normals-convention, what its normals mean: "
                 f"{', '.join(get_args(Convention))}"
             )
-        for name in ("size", "mean", "std") if self.has_maps else ():
+        for name in ("size", "mean", "std", "output") if self.has_maps else ():
             if getattr(self, f"normals_{name}") != getattr(NormalsSpec, name):
                 raise InputError(
                     f"prepare: --normals-{name} is for a network, and {self.normals} is a folder"
@@ -85,6 +86,7 @@ class PrepareOptions:
         if self.normals is None or self.has_maps:
             return masks, None
         spec = NormalsSpec(
-            self.normals_convention, self.normals_size, self.normals_mean, self.normals_std
-        )
+            self.normals_convention, self.normals_size, self.normals_mean, self.normals_std,
+            self.normals_output,
+        )  # fmt: skip
         return masks, NormalNetwork(self.normals, spec)

@@ -1,14 +1,26 @@
 """Estimate the person's normals by a network in an ONNX file.
 
-Input: (1, 3, h, w) float32, the person cut out, (rgb/255 − mean) / std. Output: normals
-(1, 3, h', w') of unit length, or (n + 1) / 2; the first array where there are several.
+=====================  ==========================================================================
+input                  what it is given
+=====================  ==========================================================================
+(1, 3, h, w)           the person cut out, (rgb/255 − mean) / std; its name is free
+``T_normal_F``, (…)    normals of the posed body where rays meet it first, as ICON's network takes
+``T_normal_B``         likewise where they leave it, in the same axes and on the same pixels
+(1, 6, h, w)           the picture, then ``T_normal_F``: the half of ICON's that sees the front
+an integer             patches of 14 by 14 pixels in the picture: the ``num_tokens`` of MoGe-2
+=====================  ==========================================================================
+
+Output: normals (1, 3, h', w') or (1, h', w', 3) of unit length, or (n + 1) / 2. A network with
+several outputs needs the name of one.
 
 With the convention ``icon`` the background becomes the mean first, as ICON, ECON and PIFuHD are
-trained. With the other conventions it stays.
+trained. With the other conventions it stays. The body's normals are in the network's convention,
+zero beside the body.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,10 +32,18 @@ from gva_mi.data.networks.crop import CropBox
 from gva_mi.data.normals import LONGEST, SHORTEST, Convention
 
 MARGIN = 0.1  # of the longer side of the mask's box, around it: shown to the network
+FRONT, BACK = "T_normal_F", "T_normal_B"
+PATCH = 14  # pixels
 if TYPE_CHECKING:
-    from onnxruntime import InferenceSession
+    from onnxruntime import InferenceSession, NodeArg
 
-_ASKED = "a network that takes (1, 3, h, w) and answers with normals (1, 3, h, w)"
+_ASKED = (
+    f"a network that takes a picture (1, 3, h, w), and perhaps ICON's {FRONT} and {BACK}, and "
+    "answers with normals (1, 3, h, w) or (1, h, w, 3)"
+)
+# Gives of a part of the frame the normals (h, w, 3) of the posed body, in the network's convention
+# and size: where rays meet the body, and where they leave it.
+BodyNormals = Callable[[CropBox], tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
@@ -34,6 +54,7 @@ class NormalsSpec:
     size: tuple[int, int] = (512, 512)  # (w, h) pixels, where an ONNX file does not say it itself
     mean: tuple[float, float, float] = (0.5, 0.5, 0.5)  # of red, green, blue in [0, 1]
     std: tuple[float, float, float] = (0.5, 0.5, 0.5)  # likewise; so that all lies in [−1, 1]
+    output: str | None = None  # its name, if the network has several
 
 
 class NormalNetwork:
@@ -46,18 +67,34 @@ class NormalNetwork:
                 f"{path}: no such network of normals; expected a file .onnx of {_ASKED}"
             )
         self.path, self._session = path, _session(path)
-        (given,) = self._session.get_inputs()
-        fixed = given.shape[:1:-1]  # (w, h), where the file says them
+        self._picture = _picture_of(path, self._session.get_inputs())
+        self._output = _output_of(path, self._session, spec.output)
+        fixed = self._picture.shape[:1:-1]  # (w, h), where the file says them
         sides = all(isinstance(side, int) for side in fixed)
-        self._name, self.spec = given.name, replace(spec, size=tuple(fixed) if sides else spec.size)
+        self.spec = replace(spec, size=tuple(fixed) if sides else spec.size)
+
+    @property
+    def needs_body(self) -> bool:
+        """Whether it takes normals of the posed body."""
+        names = {given.name for given in self._session.get_inputs()}
+        return bool(names & {FRONT, BACK}) or self._picture.shape[1] == 6
 
     def see(
-        self, image: np.ndarray, mask: np.ndarray, box: np.ndarray
+        self,
+        image: np.ndarray,
+        mask: np.ndarray,
+        box: np.ndarray,
+        body: BodyNormals | None = None,
     ) -> tuple[CropBox, np.ndarray]:
         """Estimate normals of a picture (H, W, 3) 8-bit, of a mask (H, W) with a box (4,).
 
-        Returns the part that is shown, and (h, w, 3) unit normals in the convention's axes, zero
-        where unknown.
+        Args:
+            image, mask, box: the picture, and where the person is.
+            body: gives the normals of the posed body, if the network needs them.
+
+        Returns:
+            the part that is shown, and (h, w, 3) unit normals in the convention's axes, zero where
+            unknown.
         """
         crop = CropBox.round_box(box, MARGIN, self.spec.size)
         mean, std = np.array(self.spec.mean), np.array(self.spec.std)
@@ -65,9 +102,21 @@ class NormalNetwork:
         if self.spec.convention == "icon":
             image = np.round(image * mask[..., None] + fill * (1 - mask[..., None]))
         shown = crop.cut(image.astype(np.uint8), self.spec.size, tuple(fill.astype(int).tolist()))
-        given = ((shown / 255 - mean) / std).astype(np.float32).transpose(2, 0, 1)[None]
+        planes = lambda x: x.astype(np.float32).transpose(2, 0, 1)[None]
+        given = {self._picture.name: planes((shown / 255 - mean) / std)}
+        if body is not None:
+            given |= dict(zip((FRONT, BACK), map(planes, body(crop)), strict=True))
+            if self._picture.shape[1] == 6:
+                both = [given[self._picture.name], given[FRONT]]
+                given[self._picture.name] = np.concatenate(both, axis=1)
+        width, height = self.spec.size
+        inputs = {
+            x.name: given[x.name] if x.name in given
+            else np.array(round(width * height / PATCH**2)).reshape([1] * len(x.shape))
+            for x in self._session.get_inputs()
+        }  # fmt: skip
         try:
-            answer = np.asarray(self._session.run(None, {self._name: given})[0])
+            answer = np.asarray(self._session.run([self._output], inputs)[0])
         except Exception as error:  # noqa: BLE001 (each of its errors is a class of its own)
             reason = f"fails ({_first_line(error)})"
             raise InputError(f"{self.path}: {reason}; expected {_ASKED}") from None
@@ -75,11 +124,13 @@ class NormalNetwork:
 
     def _unit_normals(self, answer: np.ndarray) -> np.ndarray:
         """Convert the network's output to unit normals (h, w, 3)."""
-        if answer.ndim != 4 or answer.shape[:2] != (1, 3) or answer.dtype.kind != "f":
+        planes = answer.ndim == 4 and answer.shape[:2] == (1, 3)
+        rows = answer.ndim == 4 and (answer.shape[0], answer.shape[3]) == (1, 3)
+        if not (planes or rows) or answer.dtype.kind != "f":
             raise InputError(
                 f"{self.path}: answers with {answer.dtype} {answer.shape}; expected {_ASKED}"
             )
-        normals = answer[0].transpose(1, 2, 0).astype(np.float32)
+        normals = (answer[0].transpose(1, 2, 0) if planes else answer[0]).astype(np.float32)
         normals = np.where(np.isfinite(normals).all(-1, keepdims=True), normals, 0)
         if normals.min() >= 0 and _from_unit(2 * normals - 1) < _from_unit(normals):
             normals = 2 * normals - 1
@@ -99,7 +150,7 @@ def _from_unit(normals: np.ndarray) -> float:
 
 
 def _session(path: Path) -> InferenceSession:
-    """Open a network of one input (1, 3, h, w)."""
+    """Open a file."""
     try:
         import onnxruntime
     except ModuleNotFoundError:
@@ -115,11 +166,31 @@ def _session(path: Path) -> InferenceSession:
     except Exception as error:  # noqa: BLE001 (as above)
         reason = f"no ONNX network ({_first_line(error)})"
         raise InputError(f"{path}: {reason}; expected {_ASKED}") from None
-    inputs = session.get_inputs()
-    if len(inputs) != 1 or len(inputs[0].shape) != 4 or inputs[0].type != "tensor(float)":
+    return session
+
+
+def _picture_of(path: Path, inputs: list[NodeArg]) -> NodeArg:
+    """Return the input that takes the picture; refuse a file that takes what is not known here."""
+    pictures = [x for x in inputs if len(x.shape) == 4 and x.type == "tensor(float)"]
+    others = [x for x in pictures if x.name not in (FRONT, BACK)]
+    numbers = [x for x in inputs if x.type == "tensor(int64)" and x.shape in ([], [1])]
+    if len(others) != 1 or len(pictures) + len(numbers) != len(inputs) or len(numbers) > 1:
         found = ", ".join(f"{x.name} {x.type} {x.shape}" for x in inputs)
         raise InputError(f"{path}: takes {found}; expected {_ASKED}")
-    return session
+    return others[0]
+
+
+def _output_of(path: Path, session: InferenceSession, name: str | None) -> str:
+    """Return the output of this name; without a name, the only one."""
+    names = [output.name for output in session.get_outputs()]
+    if name is None and len(names) == 1:
+        return names[0]
+    if name not in names:
+        problem = "has several outputs" if name is None else f"has no output {name}"
+        raise InputError(
+            f"{path}: {problem}; expected --normals-output with one of {', '.join(names)}"
+        )
+    return name
 
 
 def _first_line(error: Exception) -> str:

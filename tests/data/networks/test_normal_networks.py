@@ -49,6 +49,55 @@ def test_with_icon_the_background_is_the_mean(person, normal_network, tmp_path):
     assert shifted[16, 12, 1] == pytest.approx(min(0.6, (green - 0.4) / 0.25), abs=0.05)
 
 
+def test_one_of_several_outputs_is_chosen_by_its_name(person, network_file, tmp_path):
+    """A file of MoGe-2's form: numbers of patches in, normals (1, h, w, 3) beside other arrays.
+
+    24 by 32 pixels hold 3.9 patches of 14 by 14: it is told 4, and answers x = 0.4, y = 0.
+    """
+    nodes = [
+        ("Cast", ["num_tokens"], ["tokens"], {"to": 1}),
+        ("Mul", ["tokens", "tenth"], ["x"], {}),
+        ("Mul", ["image", "nothing"], ["zero"], {}),
+        ("Split", ["zero"], ["r", "g", "b"], {"axis": 1, "num_outputs": 3}),
+        ("Add", ["r", "x"], ["x_map"], {}),
+        ("Sub", ["b", "height"], ["z_map"], {}),
+        ("Concat", ["x_map", "g", "z_map"], ["planes"], {"axis": 1}),
+        ("Transpose", ["planes"], ["normal"], {"perm": [0, 2, 3, 1]}),
+        ("Transpose", ["image"], ["points"], {"perm": [0, 2, 3, 1]}),
+    ]
+    path = network_file(
+        tmp_path / "scene.onnx", nodes,
+        {"image": ("FLOAT", [1, 3, "h", "w"]), "num_tokens": ("INT64", [])}, ["points", "normal"],
+        {"tenth": np.float32(0.1), "nothing": np.float32(0), "height": np.float32(0.84**0.5)},
+    )  # fmt: skip
+    _, normals = NormalNetwork(path, NormalsSpec("perspective", SIZE, output="normal")).see(*person)
+    assert np.allclose(normals, (0.4, 0, -(0.84**0.5)), atol=1e-6)
+    for name, words in ((None, "has several outputs"), ("normals", "has no output normals")):
+        with pytest.raises(InputError, match=f"{words}; expected .* one of points, normal$"):
+            NormalNetwork(path, NormalsSpec("perspective", SIZE, output=name))
+
+
+@pytest.mark.parametrize("inputs", ["T_normal_F", "T_normal_F T_normal_B", "six channels"])
+def test_normals_of_the_body_are_given_by_icon_s_names(inputs, person, network_file, tmp_path):
+    """Networks that answer with what they are given of the body's front, or its back."""
+    front, back = (np.zeros((SIZE[1], SIZE[0], 3)) for _ in range(2))
+    front[..., 2], back[..., 0] = 1, np.linspace(-1, -0.9, SIZE[0])
+    picture = {"image": ("FLOAT", [1, 3, "h", "w"])}
+    names, cut = inputs.split(), []
+    if inputs == "six channels":
+        names, picture = ["front"], {"image": ("FLOAT", [1, 6, "h", "w"])}
+        cut = [("Slice", ["image", "three", "six", "one"], ["front"], {})]
+    given = picture | {name: ("FLOAT", [1, 3, "h", "w"]) for name in names if not cut}
+    nodes = [*cut, ("Identity", [names[-1]], ["answer"], {})]
+    constants = {"three": [3], "six": [6], "one": [1]}
+    path = network_file(tmp_path / "icon.onnx", nodes, given, ["answer"], constants)
+    network = NormalNetwork(path, NormalsSpec("icon", SIZE))
+    assert network.needs_body
+    _, normals = network.see(*person, lambda crop: (front, back))
+    expected = back / -back[..., :1] if len(names) == 2 else front
+    assert np.allclose(normals, expected, atol=1e-6)
+
+
 def test_a_bad_network_is_refused_in_one_sentence(person, normal_network, tmp_path):
     def refused(path, words):
         with pytest.raises(InputError, match=words) as error:

@@ -1,0 +1,58 @@
+"""The normals of a mesh where a camera's rays enter it, and where they leave it.
+
+1. ``front(d) = n`` at the first point of the mesh on the ray ``c + s d``, ``s > 0``,
+2. ``back(d) = n`` at its last point: the first one that is met from far away, along ``-d``,
+
+with the smooth normals of the mesh, outward, in the camera's axes. Networks such as ICON's see both
+of a posed body.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from torch import Tensor
+
+from gva_mi.mesh.mesh_scene import load_plugins, scene_of
+from gva_mi.mesh.surface import vertex_normals
+from gva_mi.splat import Camera
+
+
+def normals_of_both_sides(
+    vertices: Tensor, faces: Tensor, camera: Camera
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return ``front`` and ``back`` at the centres of the pixels.
+
+    Args:
+        vertices: (V, 3) float32, world, metres.
+        faces: (F, 3) integers, counter-clockwise seen from outside.
+        camera: a pinhole.
+
+    Returns:
+        (H, W, 3) float32 each, camera space (x right, y down, z forward), zero beside the mesh.
+    """
+    load_plugins()
+    import mitsuba as mi
+
+    x, R = vertices.detach().float(), camera.T_camera_world[:3, :3]
+    column = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
+    row = (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy
+    d = np.stack([*np.meshgrid(column, row), np.ones((camera.height, camera.width))], axis=-1)
+    d = (d / np.linalg.norm(d, axis=-1, keepdims=True) @ R).reshape(-1, 3)
+    eye = np.broadcast_to(camera.position, d.shape)
+    far = eye + d * (1 + np.linalg.norm(x.numpy() - camera.position, axis=1).max())
+    scene = scene_of(faces, x)
+    normals = vertex_normals(x, faces).numpy() @ R.T.astype(np.float32)
+    corners = normals[faces.numpy()]  # (F, 3, 3)
+    vector = lambda of, v: of(*(mi.Float(np.ascontiguousarray(c, np.float32)) for c in v.T))
+
+    def first(origin: np.ndarray, along: np.ndarray) -> np.ndarray:
+        ray = mi.Ray3f(vector(mi.Point3f, origin), vector(mi.Vector3f, along))
+        found = scene.ray_intersect_preliminary(ray, coherent=True)
+        hit = np.array(found.is_valid())
+        of = np.where(hit, np.array(found.prim_index), 0)
+        u, v = np.where(hit, np.array(found.prim_uv), 0)[:, :, None]
+        n = (1 - u - v) * corners[of, 0] + u * corners[of, 1] + v * corners[of, 2]
+        n = n / np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-12) * hit[:, None]
+        return n.reshape(camera.height, camera.width, 3).astype(np.float32)
+
+    return first(eye, d), first(far, -d)

@@ -33,7 +33,7 @@ def motion(
     """Make poses of a motion of AMASS, AIST++, a pose estimator or the like, or of a film.
 
     Args:
-        source: .npz, .npy, .pkl or .pt, or an estimator's folder; pickles run no code. Or a film,
+        source: .bvh, .npz, .npy, .pkl or .pt, or an estimator's folder; pickles run no code. Or a film,
             whose largest person moves, or the --person of this number from the left.
         out: the poses, .npz.
         options: options of the conversion.

@@ -1,0 +1,211 @@
+"""Retarget a skeleton of another rest pose and other bones to SMPL-X's joints.
+
+In one reference pose, the joints J of the source and the body's, B, stand alike. There the body is
+given rotations A_ref so that its limbs point as the source's do, each limb turned the shortest way
+from where its parent took it. From then on a body's joint turns with the source's, G:
+
+    A(t) = G(t) G_refᵀ A_ref,    R_joint = A_parentᵀ A_joint
+
+so limbs keep their directions and their twist. Trunk, neck and head have no directions of their
+own: skeletons place these joints differently, so in the reference pose they follow the pelvis.
+Soles stand on the ground.
+
+The reference pose is that of zero angles, if somebody stands in it (a T-pose or an A-pose). Some
+skeletons have no such pose; then it is the frame in which the person stands straightest.
+
+Lengths are scaled so that the legs are as long as the body's: the files say no unit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gva_mi.body.pose import JOINTS, PARENTS
+from gva_mi.body.rotations import nearest_rotations, shortest, to_matrices, to_rotvecs
+from gva_mi.core.errors import InputError
+from gva_mi.data.importers.bvh import BvhClip
+from gva_mi.data.importers.humanoid import FINGERS, SIDES, Humanoid, find_humanoid
+
+_STANDS = np.radians(60)  # a limb farther off the line of the body's axis does not stand
+_UPRIGHT = np.cos(np.radians(25))  # between the axis of the trunk and an axis of coordinates
+_LIMBS = {
+    f"{side}_{joint}": f"{side}_{child}"
+    for side in SIDES
+    for joint, child in (
+        ("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"),
+        *((f"{finger}{k}", f"{finger}{k + 1}") for finger in FINGERS for k in (1, 2)),
+    )
+}  # fmt: skip
+Places = dict[str, np.ndarray]  # joint → (..., 3)
+
+
+@dataclass(frozen=True)
+class Retargeted:
+    """A motion of SMPL-X's joints, in the axes of its source."""
+
+    rotations: np.ndarray  # (T, 55, 3) axis-angle
+    pelvis: np.ndarray  # (T, 3) metres
+    has_hands: bool
+    notes: list[str]
+
+
+def retarget(where: object, clip: BvhClip, body: np.ndarray) -> Retargeted:
+    """Convert a clip to poses of a body whose joints at rest are ``body`` (55, 3), metres.
+
+    Raises:
+        InputError: it is no person, or the person stands nowhere.
+    """
+    human = find_humanoid(where, clip.names, clip.parents)
+    turns, places = clip.in_world()
+    ref, ref_turns, notes = _stance(where, human, clip, turns, places)
+    if _faces_back(ref):
+        notes.append("left and right are those of left-handed axes; x is mirrored")
+        mirror = np.array([-1.0, 1.0, 1.0])
+        turns, ref_turns = (mirror[:, None] * x * mirror for x in (turns, ref_turns))
+        places, ref = places * mirror, {name: x * mirror for name, x in ref.items()}
+    at, own = _named(human, places), dict(zip(JOINTS, body, strict=True))
+    A_ref = _reference(ref, own)
+    A: dict[str, np.ndarray] = {}
+    for name, parent in zip(JOINTS, PARENTS, strict=True):
+        if name not in human.joints:
+            A[name] = A[JOINTS[parent]]
+            continue
+        first, second, weight = human.joints[name]
+        one, two = (turns[:, k] @ ref_turns[k].T @ A_ref[name] for k in (first, second))
+        A[name] = one if not weight else one @ to_matrices(
+            weight * to_rotvecs(one.swapaxes(1, 2) @ two)
+        )  # fmt: skip
+    relative = [A[name] if parent < 0 else A[JOINTS[parent]].swapaxes(1, 2) @ A[name]
+                for name, parent in zip(JOINTS, PARENTS, strict=True)]  # fmt: skip
+    scale = _leg(own) / _leg(ref)
+    notes.append(f"its unit is taken as {scale:.4g} m, by which its legs are as long as the body's")
+    hips = (own["left_hip"] + own["right_hip"]) / 2 - own["pelvis"]
+    pelvis = scale * (at["left_hip"] + at["right_hip"]) / 2 - A["pelvis"] @ hips
+    return Retargeted(to_rotvecs(np.stack(relative, 1)), pelvis, human.has_hands, notes)
+
+
+def _stance(
+    where: object, human: Humanoid, clip: BvhClip, turns: np.ndarray, places: np.ndarray
+) -> tuple[Places, np.ndarray, list[str]]:
+    """Return places and rotations (J, 3, 3) of the reference pose, and notes."""
+    zero_turns, zero_places = clip.at_zero().in_world()
+    at = _named(human, zero_places)
+    if _doubt(at)[0, :2].max() < _STANDS:
+        return {name: x[0] for name, x in at.items()}, zero_turns[0], []
+    at = _named(human, places)
+    doubt = np.nan_to_num(_doubt(at), nan=np.pi)
+    best = int(doubt.sum(1).argmin())
+    if doubt[best, :2].max() > _STANDS:
+        raise InputError(
+            f"{where}: nobody stands in its pose of zero angles nor in any frame, so its joints "
+            "cannot be compared with a body's; expected a T-pose or an A-pose in one of them"
+        )
+    ref_turns = turns[best].copy()
+    if "head" in human.points:  # a single frame may look anywhere
+        straight = doubt.sum(1) < 2 * doubt[best].sum() + np.radians(5)
+        chest, head = human.joints["spine3"][0], human.points["head"]
+        ahead = (turns[straight, chest].swapaxes(1, 2) @ turns[straight, head]).mean(0)
+        ref_turns[head] = ref_turns[chest] @ nearest_rotations(ahead)
+    note = f"its pose of zero angles is nobody's; joints are compared in frame {best}"
+    return {name: x[best] for name, x in at.items()}, ref_turns, [note]
+
+
+def _named(human: Humanoid, places: np.ndarray) -> Places:
+    return {name: places[:, k] for name, k in human.points.items()}
+
+
+def _unit(x: np.ndarray) -> np.ndarray:
+    return x / np.maximum(np.linalg.norm(x, axis=-1, keepdims=True), 1e-300)
+
+
+def _angle(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.arccos(np.clip((_unit(a) * _unit(b)).sum(-1), -1, 1))
+
+
+def _trunk(at: Places) -> tuple[np.ndarray, np.ndarray]:
+    """Return the vectors from right hip to left, and from hips to shoulders."""
+    hips, shoulders = ((at[f"left_{x}"] + at[f"right_{x}"]) / 2 for x in ("hip", "shoulder"))
+    return at["left_hip"] - at["right_hip"], shoulders - hips
+
+
+def _doubt(at: Places) -> np.ndarray:
+    """Return how far a person is from standing (T, 3): legs, elbows, arms; radians."""
+    left, up = _trunk(at)
+    legs = [_angle(at[child] - at[joint], -up) for joint, child in _LIMBS.items()
+            if joint.endswith(("hip", "knee"))]  # fmt: skip
+    bends, aside = [np.zeros(len(up))], []
+    for side in SIDES:
+        upper = at[f"{side}_elbow"] - at[f"{side}_shoulder"]
+        aside.append(abs(np.pi / 2 - _angle(upper, np.cross(left, up))))
+        if f"{side}_wrist" in at:
+            bends.append(_angle(at[f"{side}_wrist"] - at[f"{side}_elbow"], upper))
+    return np.stack([np.max(legs, 0), np.max(bends, 0), np.max(aside, 0)], 1)
+
+
+def _frame(at: Places) -> np.ndarray:
+    """Return the axes of somebody who stands, in columns (3, 3): to the left, up, forward."""
+    left, up = _trunk(at)
+    axis = np.eye(3)[np.abs(up).argmax()] * np.sign(up[np.abs(up).argmax()])
+    up = axis if _unit(up) @ axis > _UPRIGHT else _unit(up)
+    left = _unit(left - up * (left @ up))
+    return np.stack([left, up, np.cross(left, up)], 1)
+
+
+def _faces_back(at: Places) -> bool:
+    """Return whether both feet point backward, which no names of left and right explain."""
+    forward = _frame(at)[:, 2]
+    feet = [at[f"{side}_toe"] - at[f"{side}_ankle"] for side in SIDES if f"{side}_toe" in at]
+    return bool(feet) and all(_unit(foot) @ forward < -0.3 for foot in feet)
+
+
+def _reference(ref: Places, body: Places) -> dict[str, np.ndarray]:
+    """Return A_ref (3, 3) of every joint."""
+    frame = _frame(ref) @ _frame(body).T
+    A: dict[str, np.ndarray] = {}
+    for name, parent in zip(JOINTS, PARENTS, strict=True):
+        A[name] = A[JOINTS[parent]] if parent >= 0 else frame
+        side = name.split("_")[0]
+        toe = f"{side}_toe"
+        if name.endswith("ankle") and toe in ref:
+            A[name] = _foot(frame, body[f"{side}_foot"] - body[name], ref[toe] - ref[name])
+        elif name.endswith("wrist") and f"{side}_pinky1" in ref:
+            A[name] = _palm(ref, side) @ _palm(body, side).T
+        elif (child := _LIMBS.get(name)) in ref and name in ref:
+            A[name] = _swung(A[name], body[child] - body[name], ref[child] - ref[name])
+    return A
+
+
+def _swung(A: np.ndarray, ours: np.ndarray, theirs: np.ndarray) -> np.ndarray:
+    """Return A turned the shortest way by which ``ours`` points as ``theirs``."""
+    return to_matrices(shortest(_unit(A @ ours)[None], _unit(theirs)[None]))[0] @ A
+
+
+def _foot(frame: np.ndarray, ours: np.ndarray, theirs: np.ndarray) -> np.ndarray:
+    """Return A of a foot, turned about the vertical; its slope is the skeleton's, not the pose's.
+
+    A foot that points down stands on no ground, and its direction is kept.
+    """
+    up = frame[:, 1]
+    flat = lambda x: x - up * (x @ up)
+    if np.linalg.norm(flat(theirs)) < 0.5 * np.linalg.norm(theirs):
+        return _swung(frame, ours, theirs)
+    return _swung(frame, frame.T @ flat(frame @ ours), flat(theirs))
+
+
+def _palm(at: Places, side: str) -> np.ndarray:
+    """Return the axes of a hand, in columns (3, 3): along it, across it, out of it."""
+    knuckles = [at[f"{side}_{finger}1"] for finger in FINGERS
+                if finger != "thumb" and f"{side}_{finger}1" in at]  # fmt: skip
+    along = _unit(np.mean(knuckles, 0) - at[f"{side}_wrist"])
+    across = knuckles[0] - at[f"{side}_pinky1"]
+    across = _unit(across - along * (along @ across))
+    return np.stack([along, across, np.cross(along, across)], 1)
+
+
+def _leg(at: Places) -> float:
+    """Return the mean length of the two legs."""
+    bones = [np.linalg.norm(at[child] - at[joint]) for joint, child in _LIMBS.items()
+             if joint.endswith(("hip", "knee"))]  # fmt: skip
+    return float(np.sum(bones)) / 2

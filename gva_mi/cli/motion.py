@@ -33,8 +33,8 @@ def motion(
     """Make poses of a motion of AMASS, AIST++, a pose estimator or the like, or of a film.
 
     Args:
-        source: .bvh, .npz, .npy, .pkl or .pt, or an estimator's folder; pickles run no code. Or a film,
-            whose largest person moves, or the --person of this number from the left.
+        source: .bvh, .npz, .npy, .pkl or .pt, or an estimator's folder; pickles run no code. Or a
+            film, whose largest person moves, or the --person of this number from the left.
         out: the poses, .npz.
         options: options of the conversion.
         height: of a film's person, metres; without it an average one, so that steps may be too

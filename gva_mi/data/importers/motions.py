@@ -76,8 +76,9 @@ class Motion:
 def read_motion(path: Path, body: TargetBody, options: MotionOptions) -> Motion:
     """Read a motion; turn it upright, fill its gaps, resample it.
 
-    ``path`` is .bvh, .npz, .npy, .pkl or .pt, or an estimator's folder; pickles run no code. The pelvis
-    of ``body`` stays in place when the world is turned, and components of a PCA weigh its hands.
+    ``path`` is .bvh, .npz, .npy, .pkl or .pt, or an estimator's folder; pickles run no code. The
+    pelvis of ``body`` stays in place when the world is turned, and components of a PCA weigh its
+    hands.
     """
     return _resampled(str(path), *_read(path, body, options), body, options)
 

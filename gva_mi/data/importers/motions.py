@@ -30,6 +30,7 @@ from gva_mi.data.importers.estimator_files import first_of, holds, read_source
 from gva_mi.data.importers.estimator_record import Estimator, VideoInfo
 from gva_mi.data.importers.estimators import KINDS, WORLDS, kind_of, refuse_mhr
 from gva_mi.data.importers.fields import find_betas
+from gva_mi.data.importers.hand_merge import merge_hands
 from gva_mi.data.importers.people import choose
 from gva_mi.data.importers.retarget import retarget
 from gva_mi.data.importers.target import TargetBody
@@ -37,6 +38,7 @@ from gva_mi.data.importers.timeline import interpolate, longest_gap
 from gva_mi.data.importers.tracks import Track, make_track, median_betas
 from gva_mi.data.importers.world import UP, up_axis, upright
 
+HANDS = ("relaxed", "flat")
 EXPECTED = "a motion such as AMASS's .npz or AIST++'s .pkl"
 RATES = ("mocap_framerate", "mocap_frame_rate", "fps", "framerate", "frame_rate")
 AIST_RATE = 60.0  # frames a second of AIST++, whose files do not say so
@@ -53,7 +55,9 @@ class MotionOptions:
     # Frames a second of the source; without it, what its file says.
     source_fps: FrameRate | None = None
     up: Literal["auto", "x", "-x", "y", "-y", "z", "-z"] = "auto"  # the source's axis that is up
-    hands: Literal["relaxed", "flat"] = "relaxed"  # where the source has none
+    # Where the source has none, relaxed or flat; or a file or folder of a hand estimator, such as
+    # HaMeR or WiLoR.
+    hands: str = "relaxed"
     place: Literal["start", "source"] = "start"  # the pelvis in the first frame: at rest's place
     # Seconds in a row without numbers that are still interpolated.
     gap: Annotated[float, Within(0, 3600, "low")] = 1.0
@@ -62,6 +66,11 @@ class MotionOptions:
 
     def __post_init__(self) -> None:
         require_ranges("motion", self)
+        if self.hands not in HANDS and not Path(self.hands).exists():
+            raise InputError(
+                f"motion: --hands must be {' or '.join(HANDS)}, or hands found by another "
+                f"program; got {self.hands}, which is no file"
+            )
 
 
 @dataclass(frozen=True)
@@ -87,6 +96,8 @@ def motion_of_poses(
     where: str, pose: Pose, shape: Shape, fps: float, body: TargetBody, options: MotionOptions
 ) -> Motion:
     """Resample poses of ``fps`` frames a second, and put them where :func:`read_motion` does."""
+    if options.hands not in HANDS:
+        raise InputError(f"{where}: --hands of a file are for motions of files; films have hands")
     named = {name: x.double().numpy() for name, x in pose.to_smplx().items()}
     track = make_track(where, "0", None, named, np.eye(3), body.components)
     return _resampled(where, track, fps, shape.betas.double().numpy(), [], body, options)
@@ -102,6 +113,11 @@ def _resampled(
     options: MotionOptions,
 ) -> Motion:
     """Turn a track upright, fill its gaps, and resample it."""
+    if options.hands not in HANDS:
+        start = int(track.frames.min() == 1)  # of SMPLer-X
+        counted = replace(track, frames=track.frames - start)
+        track, more = merge_hands(counted, Path(options.hands), body.mean_hands)
+        notes = [*notes, *more]
     rotations, transl, known = _timeline(where, track)
     if not known.all():
         _check_gaps(where, known, rate, options)

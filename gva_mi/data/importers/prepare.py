@@ -32,6 +32,7 @@ from gva_mi.data.importers.distortion import undistort
 from gva_mi.data.importers.estimator_record import VideoInfo
 from gva_mi.data.importers.estimators import read_estimator
 from gva_mi.data.importers.footage import folder_of, pictures, uneven_rate
+from gva_mi.data.importers.hand_merge import merge_hands
 from gva_mi.data.importers.lens import filmed_with
 from gva_mi.data.importers.mask_units import require_person
 from gva_mi.data.importers.normal_maps import maps_of, write_maps
@@ -79,6 +80,12 @@ def prepare_folder(
     if capture.loose and (track.frames >= count).any():
         notes.append(f"{len(track.frames)} poses, but {count} pictures with masks")
         track = track.where(track.frames < count)
+    if options.hands is not None:
+        track, of_hands = merge_hands(
+            track, options.hands, body.mean_hands, wrists=options.wrists == "hands",
+            from_mean=options.hands_zero == "mean", first=options.first, body=body.joints,
+        )  # fmt: skip
+        notes += of_hands
     if capture.splits is not None:
         write_json(out / "splits.json", capture.splits.to_json())
     track, inside, more = every_frame(where, track, count)

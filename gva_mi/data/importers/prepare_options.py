@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, get_args
+from typing import Annotated, Literal, get_args
 
 from gva_mi.core.errors import InputError
 from gva_mi.core.options import Within, require_ranges
@@ -32,6 +32,12 @@ class PrepareOptions:
     # The estimator's name of the person; without it, chosen by the masks. In a film the number from
     # the left; without it, the largest.
     person: str | None = None
+    # A file or folder of a hand estimator, such as HaMeR or WiLoR, whose hands take the place of
+    # the source's.
+    hands: Path | None = None
+    # What rotations of its fingers are relative to: the flat hand, or MANO's mean hand.
+    hands_zero: Literal["flat", "mean"] = "flat"
+    wrists: Literal["body", "hands"] = "body"  # whose wrists are taken
     # The number that the estimator gave the first frame; SMPLer-X starts at 1.
     first: Annotated[int, Within(0, 1_000_000_000)] = 0
     # Focal length in pixels, for an estimator's file without one.
@@ -59,6 +65,8 @@ class PrepareOptions:
     normals_output: str | None = NormalsSpec.output  # the network's output, if it has several
 
     def __post_init__(self) -> None:
+        if self.hands is None and (self.hands_zero, self.wrists) != ("flat", "body"):
+            raise InputError("prepare: --hands-zero and --wrists need --hands")
         if self.normals is not None and self.normals_convention is None:
             raise InputError(
                 "prepare: --normals needs --normals-convention, what its normals mean: "

@@ -18,7 +18,7 @@ from gva_mi.body.gestures import GESTURES, put_hand
 from gva_mi.body.pose import JOINTS, LEFT_HAND, PARENTS, RIGHT_HAND
 from gva_mi.body.rotations import to_matrices, to_rotvecs
 from gva_mi.core.errors import InputError
-from gva_mi.data.importers.hands import SIDES, SeenHand, read_hands
+from gva_mi.data.importers.hands import SIDES, ForeignHand, read_hands
 from gva_mi.data.importers.people import joint_pixels
 from gva_mi.data.importers.timeline import interpolate
 from gva_mi.data.importers.tracks import Track
@@ -82,10 +82,10 @@ def merge_hands(
 
 
 def _one_each(
-    hands: Sequence[SeenHand], side: str, frames: set[int], at: dict[int, np.ndarray] | None
-) -> dict[int, SeenHand]:
+    hands: Sequence[ForeignHand], side: str, frames: set[int], at: dict[int, np.ndarray] | None
+) -> dict[int, ForeignHand]:
     """Return one hand for each frame: the first, or of several the one nearest to the wrist."""
-    found: dict[int, SeenHand] = {}
+    found: dict[int, ForeignHand] = {}
     for hand in hands:
         if hand.side != side or hand.frame not in frames or not np.isfinite(hand.fingers).all():
             continue
@@ -103,7 +103,7 @@ def _put(
     path: Path,
     rotations: np.ndarray,
     frames: np.ndarray,
-    hands: dict[int, SeenHand],
+    hands: dict[int, ForeignHand],
     side: str,
     wrists: bool,
     mean: np.ndarray | float,

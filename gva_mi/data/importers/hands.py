@@ -48,7 +48,7 @@ _FINGERS = slice(0, 12)  # joints that bend about one axis; the thumb has others
 
 
 @dataclass(frozen=True)
-class SeenHand:
+class ForeignHand:
     """A hand in a frame."""
 
     side: str
@@ -58,7 +58,7 @@ class SeenHand:
     centre: np.ndarray | None  # (2,) pixels
 
 
-def read_hands(path: Path, first: int = 0) -> tuple[list[SeenHand], list[str]]:
+def read_hands(path: Path, first: int = 0) -> tuple[list[ForeignHand], list[str]]:
     """Read the hands of a file or folder; return them as their sides have them, and notes.
 
     Their frames count from 0. Numbers in names count from 0 or 1 if one of them is that, and else
@@ -73,7 +73,7 @@ def read_hands(path: Path, first: int = 0) -> tuple[list[SeenHand], list[str]]:
     if bend <= 0:
         return found, []
     mirrored = [
-        SeenHand(h.side, h.frame, h.fingers * MIRROR,
+        ForeignHand(h.side, h.frame, h.fingers * MIRROR,
                  None if h.wrist is None else h.wrist * MIRROR, h.centre)
         if h.side == "left" else h
         for h in found
@@ -93,7 +93,7 @@ def _found(
     frame: int | None,
     about: Mapping[str, Any],
     first: int,
-) -> Iterator[SeenHand]:
+) -> Iterator[ForeignHand]:
     """Yield the hands in a value of a file; ``about`` is what is said around it."""
     if isinstance(value, np.ndarray) and value.dtype.hasobject:
         value = value.tolist()
@@ -130,7 +130,7 @@ def _counted(names: Iterable[object], first: int) -> list[int]:
 
 def _hands_of(
     where: Path, name: str, value: Mapping, frame: int | None, about: Mapping[str, Any]
-) -> Iterator[SeenHand]:
+) -> Iterator[ForeignHand]:
     """Yield the hands of one array of fingers, with what is said of them."""
     fingers = _rotations(where, name, value[name], 15)
     count = len(fingers)
@@ -145,7 +145,7 @@ def _hands_of(
     # Several videos' worth of rows, (hands, frames, ...): frames run in the last axis.
     rows = np.shape(value[name])[1] if _leading(value[name]) == 2 else count
     for k in range(count):
-        yield SeenHand(
+        yield ForeignHand(
             SIDES[int(rights[k])], k % rows if frame is None else frame, fingers[k],
             None if wrists[k] is None else wrists[k][0],
             None if boxes[k] is None else (boxes[k][:2] + boxes[k][2:]) / 2,

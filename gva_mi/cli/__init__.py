@@ -29,6 +29,7 @@ VERBS = {  # shown by `gva-mi --help`, which imports none of them
     "refine": "refine poses with normals and masks: stage 2 of the paper, Eq. 8",
     "fit": "fit an avatar to a video: Eq. 9, densification, re-initialisation",
     "evaluate": "measure an avatar on the splits of a subject",
+    "score": "score the renders of any method by every usual protocol",
     "track": "fit the poses of a video to its pictures, seen through an avatar",
     "render": "drive an avatar by any poses, seen by any cameras",
     "view": "turn, pose and play an avatar in the browser",

@@ -44,6 +44,9 @@ from gva_mi.fit.perceptual import (
 PSNR_MAX = float(20 * np.log10(255) + 10 * np.log10(12))
 NETWORK_SIDE = 64  # pixels, the smallest side that the networks see
 EDGE = 2  # pixels on either side of the outline
+_SSIM = {
+    "channel_axis": -1, "gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False,
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -108,8 +111,14 @@ def ssim(render: np.ndarray, target: np.ndarray) -> float:
     """Return the structural similarity of two 8-bit images (H, W, 3), sides at least 11 pixels."""
     from skimage.metrics import structural_similarity
 
-    options = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
-    return float(structural_similarity(target, render, channel_axis=-1, **options))
+    return float(structural_similarity(target, render, **_SSIM))
+
+
+def ssim_map(render: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Return the structural similarity around each pixel, (H, W), the mean over the colours."""
+    from skimage.metrics import structural_similarity
+
+    return structural_similarity(target, render, full=True, **_SSIM)[1].mean(2)
 
 
 def spill_and_holes(

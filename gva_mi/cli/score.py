@@ -1,0 +1,76 @@
+"""The command ``gva-mi score``: score any method's renders by every usual protocol."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from tyro.conf import Positional
+
+from gva_mi.body.smplx import load_body
+from gva_mi.cli.arguments import Switch, body_of
+from gva_mi.core.console import bar, say
+from gva_mi.core.errors import InputError
+from gva_mi.core.files import require_room, write_json
+from gva_mi.data.pictures import read_background
+from gva_mi.data.video import load_video
+from gva_mi.study.picture_pairs import pairs_of_pictures, pairs_of_subject
+from gva_mi.study.score_pictures import RegionScores, score_pictures
+from gva_mi.study.scores import Scorer
+
+CAMERAS = "cameras.npz"  # a folder with it is a subject's
+
+
+def score(
+    renders: Positional[Path],
+    truth: Positional[Path],
+    *,
+    masks: Path | None = None,
+    background: str = "white",
+    body: Path | None = None,
+    out: Path | None = None,
+    overwrite: Switch = False,
+) -> None:
+    """Score renders of any method: whole picture, box, mask, hands, face; strict and shifted.
+
+    Files are paired by the last number in their names, films in their order.
+
+    Args:
+        renders: a film or a folder of pictures; with alpha, they are put on the background.
+        truth: a film or a folder of pictures, or a subject's folder, whose masks and poses give
+            box, mask, hands and face.
+        masks: of the person in the pictures of truth: a film, a folder, or a .npy (T, H, W).
+        background: the colour behind the renders, on which masked pictures are put; none: pictures
+            stay as they are.
+        body: of the subject's poses, in SMPL-X's .npz format; without it the one that the subject
+            was prepared for, else the built-in body.
+        out: also write the table to this .json file.
+        overwrite: replace that file.
+    """
+    if out is not None:
+        require_room(out, overwrite)
+    color = None if background == "none" else read_background(background, 1, 1).reshape(-1)[:3]
+    if not (truth / CAMERAS).is_file():
+        pairs = pairs_of_pictures(renders, truth, masks, color)
+    elif masks is None:
+        pairs = pairs_of_subject(renders, load_video(truth), load_body(body_of(truth, body)), color)
+    else:
+        raise InputError(f"{truth}: has its own masks; give it without --masks")
+    scorer = Scorer()
+    with bar("score") as progress:
+        rows = score_pictures(pairs, scorer, progress)
+    for line in _lines(rows):
+        say(line)
+    if out is not None:
+        table = [row.to_json() for row in rows]
+        write_json(out, {"background": background, "rows": table, "networks": scorer.networks()})
+        say(f"figures: {out}")
+
+
+def _lines(rows: Sequence[RegionScores]) -> Iterator[str]:
+    """Yield the table, a line a region and protocol."""
+    yield f"{'':8}{'':9}{'PSNR, dB':>9}{'SSIM':>8}{'LPIPS':>8}{'rand_vgg':>10}  pictures"
+    for row in rows:
+        lpips, vgg = ("" if x is None else f"{x:.4f}" for x in (row.lpips, row.rand_vgg))
+        figures = f"{row.psnr:9.2f}{row.ssim:8.4f}{lpips:>8}{vgg:>10}"
+        yield f"{row.region:8}{row.protocol:9}{figures}  {row.count}"

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import errno
 import os
-import select
 import sys
 from contextlib import suppress
+from typing import NoReturn
 
 from gva_mi import __version__
 from gva_mi.cli import RENAMED_VERBS, VERBS, load
 from gva_mi.cli.parse import parse
 from gva_mi.core import cpu, llvm
-from gva_mi.core.errors import InputError
+from gva_mi.core.console import complete_streams, discard_what_is_unread, reader_is_gone
+from gva_mi.core.errors import InputError, is_memory
 
 BAD_INPUT = 2  # exit codes
 INTERRUPTED, BROKEN_PIPE = 130, 141  # a shell's for SIGINT and SIGPIPE
@@ -32,6 +33,7 @@ OF_COMMANDS = (
 def main(arguments: list[str] | None = None) -> None:
     """Run a command; bad input ends with one sentence and exit code 2."""
     arguments = sys.argv[1:] if arguments is None else arguments
+    complete_streams()
     # Read when torch is imported: its idle threads must not spin on the cores that Dr.Jit needs.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     cpu.pin_cpu_features()
@@ -40,25 +42,34 @@ def main(arguments: list[str] | None = None) -> None:
             _run(arguments)
         finally:
             sys.stdout.flush()  # here, where a closed pipe can still be handled
-    except (InputError, ImportError) as error:
-        print(f"gva-mi: {_explained(error)}", file=sys.stderr)
-        sys.exit(BAD_INPUT)
+    except InputError as error:
+        _end(BAD_INPUT, str(error))
     except KeyboardInterrupt:
         verb = arguments[0] if arguments else ""
-        print(f"\ngva-mi: stopped; {AFTER_STOP.get(verb, WHOLE)}", file=sys.stderr)
-        sys.exit(INTERRUPTED)
+        _end(INTERRUPTED, f"stopped; {AFTER_STOP.get(verb, WHOLE)}", "\n")
     except BrokenPipeError:
-        if not _reader_is_gone():
+        if not any(map(reader_is_gone, (sys.stdout, sys.stderr))):
             raise  # another pipe broke, such as one to a worker
-        _write_no_more()
-        sys.exit(BROKEN_PIPE)
+        _end(BROKEN_PIPE)
     except OSError as error:  # a full disk, an unreadable folder
         if error.strerror is None or (error.filename is None and error.errno not in FULL):
             raise
-        where = error.filename or "the output"
-        print(f"gva-mi: {where}: {error.strerror}; {WHOLE}", file=sys.stderr)
-        _write_no_more()
-        sys.exit(BAD_INPUT)
+        _end(BAD_INPUT, f"{error.filename or 'the output'}: {error.strerror}; {WHOLE}")
+    except (MemoryError, RuntimeError, ImportError) as error:
+        if is_memory(error):
+            _end(BAD_INPUT, f"there is not enough memory ({error!s:.200}); {WHOLE}")
+        if not isinstance(error, ImportError):
+            raise
+        _end(BAD_INPUT, _explained(error))
+
+
+def _end(code: int, sentence: str = "", before: str = "") -> NoReturn:
+    """Exit with a sentence, also where nobody reads it."""
+    with suppress(OSError):
+        if sentence:
+            print(f"{before}gva-mi: {sentence}", file=sys.stderr)
+    discard_what_is_unread()
+    sys.exit(code)
 
 
 def run() -> None:
@@ -78,9 +89,9 @@ def run() -> None:
         raise
 
 
-def _explained(error: InputError | ImportError) -> str:
+def _explained(error: ImportError) -> str:
     """Return the error's sentence; for a missing package, how to install it."""
-    package = (getattr(error, "name", None) or "").split(".")[0]
+    package = (error.name or "").split(".")[0]
     if not isinstance(error, ModuleNotFoundError) or package not in OF_COMMANDS:
         return str(error)
     return f"{package} is not installed; the commands need: pip install 'gva_mi[avatar]'"
@@ -125,21 +136,6 @@ def _write_completion(arguments: list[str]) -> None:
 
     commands = {verb: load(verb) for verb in VERBS}
     tyro.extras.subcommand_cli_from_dict(commands, prog="gva-mi", args=arguments)
-
-
-def _write_no_more() -> None:
-    """Send further output nowhere, so that Python's last flush does not fail."""
-    try:
-        sys.stdout.flush()
-    except OSError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-
-def _reader_is_gone() -> bool:
-    """Return whether the reader of our output has gone, as after ``gva-mi ... | head``."""
-    poll = select.poll()
-    poll.register(sys.stdout.fileno(), 0)
-    return any(event & select.POLLERR for _, event in poll.poll(0))
 
 
 if __name__ == "__main__":

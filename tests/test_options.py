@@ -52,13 +52,13 @@ WRONG = [
 
 def test_a_value_of_another_type_is_an_error():
     for name, value in WRONG:
-        with pytest.raises(TypeError):
+        with pytest.raises(ValueError):
             from_json(Outer, asdict(WHOLE) | {name: value})
 
     for found in (None, [], 3, "text"):
-        with pytest.raises(TypeError, match="in the place of a Outer"):
+        with pytest.raises(ValueError, match="in the place of a Outer"):
             from_json(Outer, found)
-    with pytest.raises(TypeError, match="count"):
+    with pytest.raises(ValueError, match="count"):
         from_json(Outer, {"kind": "a", "inner": {"share": 1}})
 
 

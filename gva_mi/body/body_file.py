@@ -31,17 +31,20 @@ import numpy as np
 from gva_mi.body.pose import JOINTS, PARENTS
 from gva_mi.body.smpl import FORMATS, SMPL, SMPLX, BodyFormat, lift
 from gva_mi.core.errors import InputError
-from gva_mi.core.files import read_arrays
+from gva_mi.core.files import read_arrays, require_array
+from gva_mi.core.options import Within
 from gva_mi.core.pickles.reader import read_objects
 
 LICENSED = "https://smpl-x.is.tue.mpg.de"
 LARGEST = 1e9  # absolute value of any number in a body file
+SIDES = Within(0.01, 100)  # metres, of the box around the mean person
 FEWEST_SHARED = 0.8  # fraction of edges that belong to two triangles
 _ROOT = 4294967295  # the root's parent in the files: -1 as an unsigned integer
 _SKIN = (
     "v_template", "f", "shapedirs", "posedirs", "J_regressor", "weights", "kintree_table",
 )  # fmt: skip
 _HANDS = ("hands_meanl", "hands_meanr")
+_WHOLE = ("f", "kintree_table")
 _OPTIONAL = ("hands_componentsl", "hands_componentsr", "joint_names")
 
 
@@ -94,7 +97,8 @@ def _check(path: Path, arrays: dict[str, np.ndarray]) -> BodyFormat:
     """Check shapes and values of all arrays, and return the format."""
     form = _format(path, arrays)
     _require(path, arrays, () if form is SMPL else _HANDS)
-    vertices, joints = len(arrays["v_template"]), len(form.joints)
+    template = require_array(path, "v_template", arrays["v_template"], (None, 3), largest=LARGEST)
+    vertices, joints = len(template), len(form.joints)
     shapes = {
         "v_template": (vertices, 3), "f": (None, 3), "shapedirs": (vertices, 3, None),
         "posedirs": (vertices, 3, 9 * (joints - 1)), "J_regressor": (joints, vertices),
@@ -104,7 +108,14 @@ def _check(path: Path, arrays: dict[str, np.ndarray]) -> BodyFormat:
     }  # fmt: skip
     for key, shape in shapes.items():
         if key in arrays:
-            _check_array(path, key, arrays[key], shape)
+            numbers = {"kind": "iu"} if key in _WHOLE else {"largest": LARGEST}
+            arrays[key] = require_array(path, key, arrays[key], shape, **numbers)
+            if arrays[key].size == 0:
+                raise InputError(f"{path}: '{key}' is empty")
+    sides = np.ptp(arrays["v_template"], axis=0)
+    if not all(side in SIDES for side in sides):
+        found = " x ".join(f"{side:.3g}" for side in sides)
+        raise InputError(f"{path}: 'v_template' is {found} metres in size; expected a person")
     left, right = (len(arrays.get(key, ())) for key in _OPTIONAL[:2])
     if left != right:
         raise InputError(
@@ -128,22 +139,6 @@ def _check_surface(path: Path, faces: np.ndarray) -> None:
             f"{path}: 'f' is no surface, {shared:.0%} of its edges belong to two triangles; "
             f"expected {FEWEST_SHARED:.0%} or more"
         )
-
-
-def _check_array(path: Path, key: str, array: np.ndarray, shape: tuple[int | None, ...]) -> None:
-    fits = array.ndim == len(shape) and all(
-        want in (None, got) for want, got in zip(shape, array.shape, strict=True)
-    )
-    if not fits or array.size == 0:
-        wanted = "(" + ", ".join("*" if n is None else str(n) for n in shape) + ")"
-        raise InputError(f"{path}: '{key}' must be {wanted}, found {array.shape}")
-    if key in ("f", "kintree_table"):
-        if not np.issubdtype(array.dtype, np.integer):
-            raise InputError(f"{path}: '{key}' must hold integers, found {array.dtype}")
-    elif not np.issubdtype(array.dtype, np.floating):
-        raise InputError(f"{path}: '{key}' must be floating point, found {array.dtype}")
-    elif not float(np.abs(array).max()) < LARGEST:
-        raise InputError(f"{path}: '{key}' holds a number that is not finite, or absurd")
 
 
 def _format(path: Path, arrays: dict[str, np.ndarray]) -> BodyFormat:

@@ -10,8 +10,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from gva_mi.core.arrays import Form
 from gva_mi.core.errors import InputError
-from gva_mi.core.files import read_arrays, require_keys, write_arrays
+from gva_mi.core.files import read_arrays, require_array, require_keys, write_arrays
+from gva_mi.core.options import Within
 
 _FINGERS = ("index", "middle", "pinky", "ring", "thumb")
 _HAND = lambda side: [f"{side}_{finger}{k}" for finger in _FINGERS for k in (1, 2, 3)]
@@ -40,6 +42,7 @@ SMPLX_FIELDS: Mapping[str, slice] = {
 # Generous bounds of valid files: metres, standard deviations, radians.
 LARGEST = {"transl": 1e6, "expression": 1e4, "betas": 1e4, "offsets": 10.0}
 LARGEST_ANGLE = 1e3
+FOCAL = Within(0.01, 100)  # factor on a focal length
 _WIDTHS = {name: 3 * (part.stop - part.start) for name, part in SMPLX_FIELDS.items()}
 
 
@@ -134,31 +137,30 @@ def read_pose_file(path: Path) -> PoseFile:
     """
     data = read_arrays(path, _EXPECTED)
     require_keys(path, data, _REQUIRED)
-    frames = len(data["transl"])
+    frames = len(_numbers(path, "transl", data["transl"], (None, 3)))
     if frames == 0:
         raise InputError(f"{path}: 'transl' holds no frame; expected (T, 3) with T of at least 1")
-    expression = data.get("expression", np.zeros((frames, 10)))
-    widths = _WIDTHS | {"transl": 3, "expression": np.shape(expression)[-1]}
+    data.setdefault("expression", np.zeros((frames, 10)))
+    widths = _WIDTHS | {"transl": 3, "expression": None}
     named = {
-        name: _tensor(path, name, data.get(name, np.zeros((frames, width))), (frames, width))
+        name: _numbers(path, name, data.get(name, np.zeros((frames, width or 0))), (frames, width))
         for name, width in widths.items()
     }
-    betas = data["betas"]
-    if betas.ndim == 2 and (betas == betas[:1]).all():
+    betas = _numbers(path, "betas", data["betas"], (None,), (None, None))
+    if betas.ndim == 2 and len(betas) and (betas == betas[:1]).all():
         betas = betas[0]  # repeated per frame, as some estimators write it
     if betas.ndim != 1:
         expected = "must be (B,), one person for all frames"
-        raise InputError(f"{path}: 'betas' {expected}; got {betas.shape}")
-    shape = Shape(_tensor(path, "betas", betas, betas.shape))
+        raise InputError(f"{path}: 'betas' {expected}; got {tuple(betas.shape)}")
     stage, focal = data.get("stage", np.array(1)), data.get("focal", np.array(1.0))
     if stage.shape != () or stage.dtype.kind not in "iuf" or stage.item() not in (0, 1, 2):
         raise InputError(f"{path}: 'stage' must be 0, 1 or 2, got {stage}")
-    if focal.shape != () or focal.dtype.kind not in "fiu" or not 0 < float(focal) < np.inf:
-        raise InputError(f"{path}: 'focal' must be a positive number, got {focal}")
+    focal = float(require_array(path, "focal", focal, (), kind="iuf"))
+    FOCAL.require(str(path), "'focal'", focal)
     offsets = data.get("offsets")
     if offsets is not None:
-        offsets = _tensor(path, "offsets", offsets, (*offsets.shape[:1], 3))
-    return PoseFile(Pose.from_smplx(named), shape, int(stage), float(focal), offsets)
+        offsets = _numbers(path, "offsets", offsets, (None, 3))
+    return PoseFile(Pose.from_smplx(named), Shape(betas), int(stage), focal, offsets)
 
 
 def is_pose_file(path: Path) -> bool:
@@ -213,19 +215,7 @@ def save_poses(
     write_arrays(path, **data, betas=shape.betas.detach().numpy(), stage=np.array(stage))
 
 
-def _tensor(path: Path, name: str, value: np.ndarray, shape: tuple[int, ...]) -> Tensor:
-    """Check an array of a file and convert it."""
-    if not np.issubdtype(value.dtype, np.floating):
-        raise InputError(f"{path}: '{name}' must be floating point, got {value.dtype}")
-    if value.shape != shape:
-        raise InputError(f"{path}: '{name}' must be {shape}, got {value.shape}")
-    with np.errstate(over="ignore"):  # 1e308 becomes infinite
-        value = np.ascontiguousarray(value, dtype=np.float32)
-    if not np.isfinite(value).all():
-        where = np.argwhere(~np.isfinite(value))[0]
-        frame = f" in frame {where[0]}" if value.ndim > 1 else f" at index {where[0]}"
-        raise InputError(f"{path}: '{name}' holds a number that is not finite{frame}")
-    largest, found = LARGEST.get(name, LARGEST_ANGLE), np.abs(value).max(initial=0)
-    if found > largest:
-        raise InputError(f"{path}: '{name}' holds {found:.3g}, expected at most {largest:,.10g}")
-    return torch.from_numpy(value)
+def _numbers(path: Path, name: str, value: np.ndarray, *forms: Form) -> Tensor:
+    """Check an array of a file and convert it to float32."""
+    value = require_array(path, name, value, *forms, largest=LARGEST.get(name, LARGEST_ANGLE))
+    return torch.from_numpy(np.ascontiguousarray(value, dtype=np.float32))

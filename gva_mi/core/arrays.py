@@ -10,15 +10,28 @@ from __future__ import annotations
 import io
 import math
 import zipfile
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
 from gva_mi.core.errors import reason_of
 
+Form = tuple[int | None, ...]  # of an array: the length of each axis, None for any
 LARGEST = 4 << 30  # bytes that one file may unfold to
 _DENSEST = 1100  # deflate packs at most 1032 bytes into one
+
+
+def shape_fault(shape: Sequence[int], *forms: Form) -> str | None:
+    """Say that a shape has none of some forms; None if it has one."""
+    fits = lambda form: (
+        len(form) == len(shape)
+        and all(want in (None, got) for want, got in zip(form, shape, strict=True))
+    )
+    if any(map(fits, forms)):
+        return None
+    said = lambda form: str(tuple("*" if n is None else n for n in form)).replace("'", "")
+    return f"must be {' or '.join(map(said, forms))}, got {tuple(shape)}"
 
 
 class Refused(Exception):  # noqa: N818 (a verdict, which the reader turns into an InputError)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -16,9 +17,10 @@ from gva_mi.core.lock import folder_lock
 def atomic_write(path: Path) -> Iterator[Path]:
     """Yield a temporary path to write to, which replaces ``path`` once it is written whole.
 
-    Every OSError, such as a full disk, gets the file's name.
+    A symbolic link stays, and the file that it leads to is replaced. Every OSError, such as a full
+    disk, gets the file's name.
     """
-    path = Path(path)
+    path = behind_links(path)
     unfinished = part_of(path)
     try:
         with with_filename(path, always=True):
@@ -84,7 +86,7 @@ def atomic_dir(out: Path, replaced: str | None = None) -> Iterator[Path]:
     An ``out`` that holds something is replaced only if it has the file ``replaced``, by which this
     program knows its own folders.
     """
-    out = Path(out).absolute()
+    out = behind_links(out).absolute()
     unfinished, old = (out.with_name(f".{out.name}.gva-mi-{what}") for what in ("part", "old"))
     require_writable(out.parent)
     with folder_lock(out, "gva-mi") as locked:
@@ -118,10 +120,15 @@ def atomic_dir(out: Path, replaced: str | None = None) -> Iterator[Path]:
                 shutil.rmtree(left, ignore_errors=True)
 
 
+def behind_links(path: Path) -> Path:
+    """Return where an output is written: a symbolic link stays, and what it leads to changes."""
+    return Path(os.path.realpath(path)) if Path(path).is_symlink() else Path(path)
+
+
 def require_writable(folder: Path) -> None:
     """Create a folder if it is missing, and raise an InputError if it takes no file."""
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        behind_links(folder).mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:

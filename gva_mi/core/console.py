@@ -1,11 +1,46 @@
-"""Console output: a progress bar with figures, lines above it, lists of frames."""
+"""Console output: its streams, a progress bar with figures, lines above it, lists of frames."""
 
 from __future__ import annotations
 
+import os
+import select
+import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
-from typing import Protocol
+from typing import Protocol, TextIO
+
+
+def complete_streams() -> None:
+    """Make the streams of this process take any text, and open those that are closed.
+
+    A process that was started with ``>&-`` has no ``sys.stdout``, and the first file that it opens
+    gets that number: what a library prints would be written into that file.
+    """
+    while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
+        pass
+    os.close(number)
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115 (as long as the process)
+        with suppress(OSError, AttributeError):  # a notebook's stream, or one that began elsewhere
+            getattr(sys, name).reconfigure(errors="backslashreplace")
+
+
+def reader_is_gone(stream: TextIO) -> bool:
+    """Return whether the reader of a stream has gone, as after ``gva-mi ... | head``."""
+    poll = select.poll()
+    poll.register(stream.fileno(), 0)
+    return any(event & select.POLLERR for _, event in poll.poll(0))
+
+
+def discard_what_is_unread() -> None:
+    """Send what a stream's reader does not take nowhere, so that Python's last flush succeeds."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 class Progress(Protocol):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -44,8 +46,43 @@ def expecting(where: Path | str, expected: str) -> Iterator[None]:
         raise InputError(f"{where}: of another form ({reason}); expected {expected}") from None
 
 
+# What Python's own messages stand for, which describe a program and not a file.
+_PLAIN_WORDS = (
+    (KeyError, "'{}' is missing"),
+    (UnicodeError, "it is no text in UTF-8"),
+    (RecursionError, "it is nested too deeply"),
+    (ArithmeticError, "a number in it is zero, or too large"),
+    ((LookupError, StopIteration, EOFError, struct.error), "something is missing in it"),
+    ((AttributeError, TypeError, AssertionError), "something in it is of another kind"),
+)
+_LENGTHS = re.compile(
+    "values to unpack|inhomogeneous|ambiguous|broadcast|reshape|invalid for input|must match|"
+    "zero-size|empty (sequence|iterable)|at least one array|[Dd]imension"
+)
+_NO_MEMORY = re.compile("allocate memory|out of memory|failed to map segment|start new thread")
+
+
 def reason_of(error: BaseException) -> str:
-    """Return the first line of an error's message, or its class if it has none."""
-    line = next(iter(str(error).splitlines()), "")[:160]
-    name = type(error).__name__
-    return f"{name}: {line}" if line and isinstance(error, KeyError) else line or name
+    """Return in one line of plain words why a reader failed.
+
+    Messages of our own, of file systems and of decoders are kept as they are.
+
+    Raises:
+        MemoryError: the machine had too little memory, which is no fault of a file.
+    """
+    if is_memory(error):
+        raise error
+    for kind, words in _PLAIN_WORDS:
+        if isinstance(error, kind):
+            return words.format(*error.args[:1] or ("",))
+    line = " ".join(str(error).split())[:160]
+    if isinstance(error, ValueError | RuntimeError) and _LENGTHS.search(line):
+        return "a list or an array in it is of another length"
+    return line or type(error).__name__
+
+
+def is_memory(error: BaseException) -> bool:
+    """Return whether an error means that memory ran out; torch and the system have their own."""
+    if isinstance(error, MemoryError):
+        return not hasattr(error, "errno")  # FFmpeg says so of damaged films
+    return isinstance(error, RuntimeError | ImportError) and bool(_NO_MEMORY.search(str(error)))

@@ -15,13 +15,21 @@ import numpy as np
 from gva_mi.core.arrays import (
     Budget,
     Damaged,
+    Form,
     Refused,
     arrays_in,
     read_header,
     read_npy,
     require_bytes,
+    shape_fault,
 )
-from gva_mi.core.atomic import atomic_write, holds_something, require_ours, require_writable
+from gva_mi.core.atomic import (
+    atomic_write,
+    behind_links,
+    holds_something,
+    require_ours,
+    require_writable,
+)
 from gva_mi.core.errors import InputError, reason_of
 from gva_mi.core.provenance import versions
 
@@ -81,7 +89,7 @@ def read_json(path: Path, expected: str) -> Any:  # noqa: ANN401
     try:
         if path.stat().st_size > LARGEST_TEXT:
             raise ValueError(f"{path.stat().st_size:,} bytes")
-        return json.loads(path.read_text())
+        return json.loads(path.read_text("utf-8-sig"))  # also with a mark of Windows
     except (OSError, ValueError, RecursionError) as error:
         reason = reason_of(error)
         raise InputError(f"{path}: not readable as JSON ({reason}); expected {expected}") from None
@@ -103,10 +111,51 @@ def require_keys(path: Path, arrays: dict[str, np.ndarray], keys: tuple[str, ...
             raise InputError(f"{path}: key '{key}' is missing; found: {found}")
 
 
+_KINDS = {"f": "floating point", "iu": "whole numbers", "iuf": "numbers"}  # of a dtype
+
+
+def require_array(
+    path: Path,
+    name: str,
+    array: np.ndarray,
+    *forms: Form,
+    kind: str = "f",
+    largest: float | None = None,
+) -> np.ndarray:
+    """Return an array of a file, or raise an InputError that says what it should be.
+
+    Args:
+        path: of the file.
+        name: of the array.
+        array: as it was read. Floating point other than 32 or 64 bits becomes 64 bits, because
+            linear algebra knows no other.
+        forms: its possible shapes.
+        kind: of its dtype: a key of ``_KINDS``.
+        largest: absolute value of any number in it, which is then finite; None: any.
+    """
+    if array.dtype.kind not in kind:
+        raise InputError(f"{path}: '{name}' must be {_KINDS[kind]}, got {array.dtype}")
+    if fault := shape_fault(array.shape, *forms):
+        raise InputError(f"{path}: '{name}' {fault}")
+    if array.dtype.kind == "f" and array.dtype.itemsize not in (4, 8):
+        array = array.astype(np.float64)
+    if largest is not None and not (fine := np.abs(array) <= largest).all():
+        at = np.argwhere(~fine)[0].tolist()
+        where = f" at {at}" if at else ""
+        raise InputError(
+            f"{path}: '{name}' holds {array[tuple(at)]:.3g}{where}, expected finite numbers of at "
+            f"most {largest:,.10g}"
+        )
+    return array
+
+
 def require_room(path: Path, overwrite: bool) -> None:
     """Raise an InputError if a file cannot be written; called before the work starts."""
+    path = behind_links(path)
     if path.is_dir():
         raise InputError(f"{path}: is a folder; expected the name of a file")
+    if path.exists() and not path.is_file():
+        raise InputError(f"{path}: is a device or a pipe; expected the name of a file")
     if path.exists() and not overwrite:
         raise InputError(f"{path}: exists already; give --overwrite to replace it")
     require_writable(path.parent)
@@ -118,6 +167,7 @@ def make_room(folder: Path, marker: str, overwrite: bool) -> None:
     A folder that holds something else than a run of ours lacks the file ``marker``.
     """
     require_replaceable(folder, marker, overwrite)
+    folder = behind_links(folder)
     if not holds_something(folder, marker):
         return
     for path in folder.iterdir():  # the marker last, so that a killed process leaves our folder

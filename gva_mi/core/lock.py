@@ -29,7 +29,7 @@ def folder_lock(folder: Path, doing: str) -> Iterator[bool]:
     the command, such as ``gva-mi fit``. Yields whether the file system has locks; without them no
     process is kept out.
     """
-    folder = Path(folder).resolve()
+    folder = Path(os.path.realpath(folder))
     folder.parent.mkdir(parents=True, exist_ok=True)
     path = folder.with_name(f".{folder.name}.lock")
     file, locked = _acquire(path, folder)

@@ -102,13 +102,19 @@ def from_json(kind: type[T], record: Any) -> T:  # noqa: ANN401
     """Make a dataclass from parsed JSON; missing names take the field's default.
 
     Raises:
-        TypeError, ValueError: a value has another type, or a name is missing or unknown. Readers
-            turn these into a sentence with :func:`gva_mi.core.errors.expecting`.
+        ValueError: a value has another type, or a name is missing or unknown. Readers turn it into
+            a sentence with :func:`gva_mi.core.errors.expecting`.
     """
     if not isinstance(record, dict):
-        raise TypeError(f"{_short(record)} in the place of a {kind.__name__}")
+        raise ValueError(f"{_short(record)} in the place of a {kind.__name__}")
+    names = {field.name: field for field in dataclasses.fields(kind)}
+    if unknown := record.keys() - names.keys():
+        raise ValueError(f"'{min(unknown)}' is unknown")
+    for name, field in names.items():
+        if name not in record and {field.default, field.default_factory} == {dataclasses.MISSING}:
+            raise ValueError(f"'{name}' is missing")
     hints = _hints(kind)
-    return kind(**{k: _checked(hints.get(k, Any), value, k) for k, value in record.items()})
+    return kind(**{k: _checked(hints[k], value, k) for k, value in record.items()})
 
 
 def _checked(hint: Any, value: Any, name: str) -> Any:  # noqa: ANN401
@@ -118,7 +124,7 @@ def _checked(hint: Any, value: Any, name: str) -> Any:  # noqa: ANN401
         return _checked(parts[0], value, name)
     if origin in (Union, types.UnionType):
         for kind in parts:
-            with suppress(TypeError):
+            with suppress(ValueError):
                 return _checked(kind, value, name)
     elif dataclasses.is_dataclass(hint):
         return value if isinstance(value, hint) else from_json(hint, value)
@@ -132,7 +138,7 @@ def _checked(hint: Any, value: Any, name: str) -> Any:  # noqa: ANN401
         return {key: _checked(parts[1], x, f"{name}.{key}") for key, x in value.items()}
     elif hint is Any or _is_plain(origin or hint, value, parts):
         return value
-    raise TypeError(f"'{name}' is {_short(value)}")
+    raise ValueError(f"'{name}' is {_short(value)}")
 
 
 def _is_plain(kind: Any, value: Any, choices: tuple) -> bool:  # noqa: ANN401

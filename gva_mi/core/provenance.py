@@ -33,7 +33,7 @@ def program_digest() -> str:
     for package in ("gva_mi", "gva_mi_plugins"):
         for root in find_spec(package).submodule_search_locations:
             for file in sorted(Path(root).rglob("*.py")):
-                digest.update(code_of(file.read_text()).encode())
+                digest.update(code_of(file.read_text("utf-8")).encode())
     return digest.hexdigest()[:16]
 
 

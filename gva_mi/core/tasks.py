@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
 from gva_mi.core.console import Progress, within
-from gva_mi.core.errors import InputError
+from gva_mi.core.errors import InputError, reason_of
 from gva_mi.core.threads import one_torch_thread
 from gva_mi.core.workers import worker_died, worker_processes
 
@@ -128,8 +128,9 @@ def cluster(address: str) -> Iterator[Executor]:
     try:
         client = Client(address, timeout=CONNECT, set_as_default=False)
     except (OSError, ValueError) as error:
-        reason = str(error).splitlines()[0]
-        raise InputError(f"refine: no scheduler answers at {address} ({reason})") from None
+        raise InputError(
+            f"refine: no scheduler answers at {address} ({reason_of(error)})"
+        ) from None
     # Tasks hold images and the body; dask's warning above 10 MB is no help here.
     large = {"distributed.admin.large-graph-warning-threshold": "1GB"}
     with client, dask.config.set(large):

@@ -8,41 +8,53 @@ from pathlib import Path
 import numpy as np
 
 from gva_mi.core.errors import InputError, expecting
-from gva_mi.core.files import read_arrays, require_keys, write_arrays
+from gva_mi.core.files import read_arrays, require_array, require_keys, write_arrays
+from gva_mi.core.options import Within
 from gva_mi.data.pictures import require_size
 from gva_mi.splat import Camera
+
+FOCAL = Within(0.01, 1e6, unit="times the picture's longer side")  # of any lens, generously
+_SIDE_AND_LARGEST = {"K": (3, 1e9), "T_camera_world": (4, 1e6)}  # pixels; metres
 
 
 def load_cameras(path: Path) -> list[Camera]:
     """Read ``cameras.npz``; one camera stands for all frames."""
     data = read_arrays(path, "K, T_camera_world, width, height (.npz)")
     require_keys(path, data, ("K", "T_camera_world", "width", "height"))
-    K, T = data["K"], data["T_camera_world"]
-    for name, value, shape in (("K", K, (3, 3)), ("T_camera_world", T, (4, 4))):
-        if value.shape[-2:] != shape or value.ndim not in (2, 3):
-            raise InputError(
-                f"{path}: '{name}' must be {shape} or (T, *{shape}), got {value.shape}"
-            )
-        if value.dtype.kind not in "iuf" or not np.isfinite(value).all():
-            raise InputError(f"{path}: '{name}' must hold finite numbers")
-        # A K that is not normalised, or a transposed one, would be a camera that nobody meant.
-        last = [0] * (shape[0] - 1) + [1]
-        if bad := [row for row in value[..., -1, :].reshape(-1, shape[0]) if any(row != last)]:
-            raise InputError(
-                f"{path}: the last row of '{name}' must be {last}, got {bad[0].tolist()}"
-            )
+    K, T = (_matrices(path, name, data[name]) for name in ("K", "T_camera_world"))
     width, height = (_pixels(path, name, data[name]) for name in ("width", "height"))
     require_size(str(path), width, height)
-    mirrored = [k for k, R in enumerate(T.reshape(-1, 4, 4)[:, :3, :3]) if np.linalg.det(R) < 0]
+    mirrored = [k for k, R in enumerate(T[:, :3, :3]) if np.linalg.det(R) < 0]
     if mirrored:
         raise InputError(
             f"{path}: 'T_camera_world' of camera {mirrored[0]} is mirrored (its determinant is "
             "below 0); expected x right, y down, z forward"
         )
+    count = max(len(K), len(T))
+    if not {len(K), len(T)} <= {1, count}:
+        raise InputError(f"{path}: holds {len(K)} 'K', but {len(T)} 'T_camera_world'")
+    K, T = np.broadcast_to(K, (count, 3, 3)), np.broadcast_to(T, (count, 4, 4))
     with expecting(path, "cameras that see something"):
-        count = max(len(x) if x.ndim == 3 else 1 for x in (K, T))
-        K, T = np.broadcast_to(K, (count, 3, 3)), np.broadcast_to(T, (count, 4, 4))
-        return [Camera.from_matrices(K[k], T[k], width, height) for k in range(count)]
+        cameras = [Camera.from_matrices(K[k], T[k], width, height) for k in range(count)]
+    for k, camera in enumerate(cameras):
+        for focal in (camera.fx, camera.fy):
+            share = focal / max(width, height)
+            FOCAL.require(str(path), f"the focal length of camera {k} in 'K'", share)
+    return cameras
+
+
+def _matrices(path: Path, name: str, value: np.ndarray) -> np.ndarray:
+    """Check K (3, 3) or T_camera_world (4, 4), of one camera or of several, and return several."""
+    n, largest = _SIDE_AND_LARGEST[name]
+    value = require_array(path, name, value, (n, n), (None, n, n), kind="iuf", largest=largest)
+    value = value.reshape(-1, n, n)
+    # A K that is not normalised, or a transposed one, would be a camera that nobody meant.
+    last = [0] * (n - 1) + [1]
+    if bad := [row for row in value[:, -1] if any(row != last)]:
+        raise InputError(f"{path}: the last row of '{name}' must be {last}, got {bad[0].tolist()}")
+    if not len(value):
+        raise InputError(f"{path}: '{name}' is empty")
+    return value
 
 
 def _pixels(path: Path, name: str, value: np.ndarray) -> int:

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from gva_mi.core.errors import InputError
-from gva_mi.core.files import read_arrays, require_keys, write_arrays
+from gva_mi.core.files import read_arrays, require_array, require_keys, write_arrays
 
 LANDMARKS = "landmarks.npz"  # in a subject's folder
 
@@ -72,12 +72,12 @@ class Landmarks:
         """
         arrays = read_arrays(path, "landmarks of a film")
         require_keys(path, arrays, ("names", *_SHAPES))
-        names, count = tuple(str(name) for name in arrays["names"]), len(arrays["pixels"])
+        names = tuple(map(str, np.atleast_1d(arrays["names"])))
+        found, count = [], None
         for name, more in _SHAPES.items():
-            expected = (count, len(names), *more)
-            if arrays[name].shape != expected:
-                raise InputError(f"{path}: {name} is {arrays[name].shape}, expected {expected}")
-        return Landmarks(names, *(arrays[name] for name in _SHAPES))
+            found.append(require_array(path, name, arrays[name], (count, len(names), *more)))
+            count = len(found[0])
+        return Landmarks(names, *found)
 
 
 def open_landmarks(folder: Path, count: int) -> Landmarks | None:

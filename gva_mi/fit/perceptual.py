@@ -27,7 +27,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.utils import skip_init
 
-from gva_mi.core.errors import InputError
+from gva_mi.core.errors import InputError, reason_of
 
 VGG16_WIDTHS = ((64, 64), (128, 128), (256,) * 3, (512,) * 3, (512,) * 3)  # a pool after each group
 VGG16_TAPS = (3, 8, 15, 22, 29)  # the last ReLU of each group, as an index into the layers
@@ -254,8 +254,7 @@ def _load_state(path: Path) -> dict[str, Tensor]:
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; expected a torch state dict") from None
     except Exception as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(f"{path}: not a torch state dict of tensors ({reason})") from None
+        raise InputError(f"{path}: not a torch state dict ({reason_of(error)})") from None
     if not isinstance(state, dict) or not all(isinstance(x, Tensor) for x in state.values()):
         raise InputError(f"{path}: not a torch state dict of tensors")
     return state

@@ -105,13 +105,13 @@ class PoseFigures:
         """Read what :meth:`to_json` wrote; missing figures are None.
 
         Raises:
-            TypeError: a figure is not a number.
+            ValueError: a figure is not a number.
         """
         values = {key: record.get(key) for key in KEYS}
         for key, value in values.items():
             kind = str if key == "points" else int | float
             if value is not None and (isinstance(value, bool) or not isinstance(value, kind)):
-                raise TypeError(f"'{key}' is {value!r:.40}")
+                raise ValueError(f"'{key}' is {value!r:.40}")
         return PoseFigures(values)
 
 

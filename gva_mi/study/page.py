@@ -78,7 +78,7 @@ def write_page(
         settings=json.dumps(settings, indent=2, default=str),
     )
     with atomic_write(path) as unfinished:
-        unfinished.write_text(text)
+        unfinished.write_text(text, "utf-8", "xmlcharrefreplace")  # of odd file names
 
 
 def picture(caption: str, image: np.ndarray) -> Picture:

@@ -68,7 +68,7 @@ def test_figures_come_back_from_json(measured, estimated, body, refined):
     for means in (measured.means, measure(estimated, body, refined).means, PoseFigures()):
         record = json.loads(json.dumps(means.to_json()))
         assert PoseFigures.from_json(record).to_json() == means.to_json()
-    with pytest.raises(TypeError, match="'iou' is 'high'"):
+    with pytest.raises(ValueError, match="'iou' is 'high'"):
         PoseFigures.from_json({"iou": "high"})
 
 

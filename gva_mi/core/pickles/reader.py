@@ -101,4 +101,7 @@ def _npy(data: bytes) -> Any:  # noqa: ANN401
 def _pickle(data: bytes) -> Any:  # noqa: ANN401
     if b"NumpyArrayWrapper" not in data:  # joblib has the bytes of arrays between opcodes
         require_modest(data)
-    return Unpickler(BytesIO(data), WITH_TENSORS).load()
+    try:
+        return Unpickler(BytesIO(data), WITH_TENSORS).load()
+    except MemoryError:  # which it takes for whatever a damaged length claims
+        raise Damaged("it claims more bytes than there is memory") from None

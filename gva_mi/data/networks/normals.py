@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gva_mi.core.errors import InputError
+from gva_mi.core.errors import InputError, reason_of
 from gva_mi.data.networks.crop import CropBox
 from gva_mi.data.normals import LONGEST, SHORTEST, Convention
 
@@ -118,7 +118,7 @@ class NormalNetwork:
         try:
             answer = np.asarray(self._session.run([self._output], inputs)[0])
         except Exception as error:  # noqa: BLE001 (each of its errors is a class of its own)
-            reason = f"fails ({_first_line(error)})"
+            reason = f"fails ({reason_of(error)})"
             raise InputError(f"{self.path}: {reason}; expected {_ASKED}") from None
         return crop, self._unit_normals(answer)
 
@@ -164,7 +164,7 @@ def _session(path: Path) -> InferenceSession:
             str(path), options, providers=["CPUExecutionProvider"]
         )
     except Exception as error:  # noqa: BLE001 (as above)
-        reason = f"no ONNX network ({_first_line(error)})"
+        reason = f"no ONNX network ({reason_of(error)})"
         raise InputError(f"{path}: {reason}; expected {_ASKED}") from None
     return session
 
@@ -191,8 +191,3 @@ def _output_of(path: Path, session: InferenceSession, name: str | None) -> str:
             f"{path}: {problem}; expected --normals-output with one of {', '.join(names)}"
         )
     return name
-
-
-def _first_line(error: Exception) -> str:
-    lines = str(error).strip().splitlines()
-    return f"{lines[0] if lines else type(error).__name__:.120}"

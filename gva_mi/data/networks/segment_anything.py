@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from gva_mi.core.errors import InputError
+from gva_mi.core.errors import InputError, reason_of
 from gva_mi.core.files import read_json
 from gva_mi.data.networks.crop import CropBox
 
@@ -142,8 +142,7 @@ def load_network(path: Path) -> torch.nn.Module:
             path, local_files_only=True, use_safetensors=True, dtype=torch.float32
         )
     except Exception as error:  # noqa: BLE001 (safetensors and transformers have their own)
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"{path}: cannot be read ({reason:.120}); expected {GET}") from None
+        raise InputError(f"{path}: cannot be read ({reason_of(error)}); expected {GET}") from None
     return network.eval().requires_grad_(False)
 
 

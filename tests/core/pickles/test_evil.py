@@ -79,7 +79,7 @@ def test_allowed_names_cannot_be_misused(refuse):
     refuse(b"c_codecs\nencode\n}S'x'\nI1\nsb.", "holds a state for _codecs.encode")
     refuse(b"cnumpy\nndarray\n(I9\ntR.", "holds a call of numpy.ndarray")
     refuse(b"]cbuiltins\nlist\n(tR.", "holds a call of builtins.list")
-    refuse(b"](I1\ntR.", "not callable")
+    refuse(b"](I1\ntR.", r"damaged.*\(something in it is of another kind\)")
     refuse(b"]}S'x'\nI1\nsb.", "damaged")
     refuse(dtype + b"(S'V8'\ntR.", "holds an array of dtype 'V8'")
     refuse(pickle.dumps(np.zeros(2, [("a", "f4")])), "holds (a structured|an array of dtype 'V4')")
@@ -159,4 +159,4 @@ def test_what_would_take_forever(refuse):
     """Tuples that share their parts, whose hash takes 2⁶⁰ steps; lists nested 100,000 deep."""
     shared = b"\x80\x02)" + b"2\x86" * 60
     refuse(shared + b"}" + shared[2:] + b"I1\ns.", "damaged.*DUP")
-    refuse(b"]" * 100_000 + b"a" * 99_999 + b".", "damaged.*recursion")
+    refuse(b"]" * 100_000 + b"a" * 99_999 + b".", "damaged.*nested too deeply")

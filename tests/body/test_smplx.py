@@ -110,7 +110,7 @@ def test_a_pickle_without_a_body_is_named(tmp_path):
     ("J_regressor", np.zeros((24, 90)), r"'J_regressor' must be \(55, 90\), got \(24, 90\)"),
     ("f", np.zeros((9, 3)), "'f' must be whole numbers, got float64"),
     ("f", np.full((9, 3), 90), "'f' names vertex 90, but there are 90"),
-    ("shapedirs", np.full((90, 3, 18), 1e308), r"'shapedirs' holds 1e\+308 at \[0, 0, 0\], expected finite"),
+    ("shapedirs", np.full((90, 3, 18), 1e308), r"'shapedirs' holds 1e\+308 at \[0, 0, 0\]"),
     ("f", np.arange(90).reshape(30, 3), "'f' is no surface, 0% of its edges belong to two"),
     ("weights", np.full((90, 55), 0.5), "'weights' must have rows that sum to 1"),
     ("kintree_table", np.zeros((2, 55), int), "'kintree_table' is not the tree"),

@@ -45,6 +45,7 @@ from gva_mi.mesh.surface import vertex_normals
 
 # In distances of the eyes: a face's radius, and how far below the eyes its middle lies.
 FACE_RADIUS, BELOW_EYES = 1.4, 0.6
+FEWEST_OPAQUE = 100  # Gaussians, of which more are needed
 
 Neighbours = Annotated[int, Within(1, 1000)]
 
@@ -110,12 +111,9 @@ def reinitialise(
     # One draw starts a numpy generator: the geometry below lives in numpy and float64.
     rng = np.random.default_rng(int(torch.randint(2**62, (), generator=generator)))
     G = avatar.canonical
-    solid = torch.nonzero(G.opacities.detach() > options.opaque).flatten()
-    if len(solid) <= max(options.floater_neighbours, 100):  # fewer points are no surface
-        raise ValueError(
-            f"reinitialise(): only {len(solid)} of {len(G)} Gaussians have an opacity above "
-            f"{options.opaque}; the fit has diverged or has only just begun"
-        )
+    solid = opaque_gaussians(avatar, options)
+    if solid is None:
+        raise ValueError("reinitialise(): too few opaque Gaussians to be a surface")
     means = G.means.detach()[solid].double().numpy()
     floats = find_floaters(means, options.floater_neighbours, options.floater_sigmas)
     rig = avatar.rig
@@ -128,6 +126,15 @@ def reinitialise(
     skin = diffused(whole.vertices, whole.faces, body, rig.looseness)
     canonical = regaussian(avatar, on_surface, samples, skin, options, rng)
     return Reinitialised(canonical, surface, skin, int(floats.sum()))
+
+
+def opaque_gaussians(avatar: Avatar, options: ReinitOptions) -> Tensor | None:
+    """Return which Gaussians carry the surface, (M,) int64; None if they are too few for one.
+
+    So it is in a fit that has diverged, or that has only just begun.
+    """
+    solid = torch.nonzero(avatar.canonical.opacities.detach() > options.opaque).flatten()
+    return solid if len(solid) > max(options.floater_neighbours, FEWEST_OPAQUE) else None
 
 
 def find_floaters(points: np.ndarray, neighbours: int, sigmas: float) -> np.ndarray:

@@ -7,7 +7,9 @@ from collections.abc import Mapping, Sequence
 from torch import Tensor
 
 from gva_mi.body.pose import JOINTS
+from gva_mi.core.arrays import shape_fault
 
+LARGEST, LARGEST_LOG = 1e6, 20  # of any number; of the logarithm of metres
 SUM = 0.01  # tolerance of a vertex's sum of skinning weights, and of a negative one
 
 
@@ -22,8 +24,9 @@ def require_valid(state: Mapping[str, Tensor], parents: Sequence[int]) -> None:
         ValueError: names the first thing that is wrong.
     """
     for name, x in state.items():
-        if x.is_floating_point() and not x.isfinite().all():
-            raise ValueError(f"'{name}' holds a number that is not finite")
+        largest = LARGEST_LOG if name == "canonical.log_scales" else LARGEST
+        if x.is_complex() or x.is_floating_point() and not (x.abs() <= largest).all():
+            raise ValueError(f"'{name}' must hold finite numbers of at most {largest:,}")
     J, V, N = len(JOINTS), len(state["rest_vertices"]), len(state["canonical.means"])
     shapes = {  # None: any number
         "rest_joints": (J, 3), "rest_vertices": (V, 3), "rest_weights": (V, J),
@@ -33,13 +36,8 @@ def require_valid(state: Mapping[str, Tensor], parents: Sequence[int]) -> None:
         "canonical.weights": (N, J), "light": (3,),
     }  # fmt: skip
     for name, shape in shapes.items():
-        found = tuple(state[name].shape)
-        fits = len(found) == len(shape) and all(
-            wanted in (None, there) for wanted, there in zip(shape, found, strict=True)
-        )
-        if not fits:
-            wanted = ", ".join("n" if side is None else str(side) for side in shape)
-            raise ValueError(f"'{name}' must be ({wanted}), got {found}")
+        if fault := shape_fault(state[name].shape, shape):
+            raise ValueError(f"'{name}' {fault}")
     for name, end in (("rest_faces", V), ("rest_pose_features", 9 * (J - 1))):
         numbers = state[name]
         outside = numbers.numel() and not 0 <= int(numbers.min()) <= int(numbers.max()) < end

@@ -126,11 +126,15 @@ _EXPECTED = "poses under SMPL-X's names (.npz)"
 _REQUIRED = ("global_orient", "body_pose", "transl", "betas")
 
 
-def read_pose_file(path: Path) -> PoseFile:
+def read_pose_file(path: Path, count: int | None = None) -> PoseFile:
     """Read ``poses.npz``: SMPL-X's names, each (T, ...), and ``betas`` (B,).
 
     Face and hands may be missing: they are then zero. So may ``stage`` (1), ``focal`` (1) and
     ``offsets``. Other keys are ignored.
+
+    Args:
+        path: of the file.
+        count: frames of the video that the poses are of; None: any number.
 
     Raises:
         InputError: a missing key, a wrong shape or dtype, or a number that is not finite.
@@ -140,6 +144,8 @@ def read_pose_file(path: Path) -> PoseFile:
     frames = len(_numbers(path, "transl", data["transl"], (None, 3)))
     if frames == 0:
         raise InputError(f"{path}: 'transl' holds no frame; expected (T, 3) with T of at least 1")
+    if count not in (None, frames):
+        raise InputError(f"{path}: holds {frames} frames, but the video has {count}")
     data.setdefault("expression", np.zeros((frames, 10)))
     widths = _WIDTHS | {"transl": 3, "expression": None}
     named = {
@@ -183,9 +189,9 @@ def is_pose_file(path: Path) -> bool:
     )
 
 
-def load_poses(path: Path) -> tuple[Pose, Shape]:
+def load_poses(path: Path, count: int | None = None) -> tuple[Pose, Shape]:
     """Read the poses and the shape of a file: :func:`read_pose_file`."""
-    found = read_pose_file(path)
+    found = read_pose_file(path, count)
     return found.pose, found.shape
 
 

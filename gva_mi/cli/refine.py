@@ -23,7 +23,7 @@ from gva_mi.core.provenance import versions
 from gva_mi.core.tasks import cluster
 from gva_mi.core.tasks import workers as local_workers
 from gva_mi.data.fingerprint import require_same_body
-from gva_mi.data.ground_truth import load_ground_truth
+from gva_mi.data.ground_truth import truth_of
 from gva_mi.data.video import REFINED_POSES, Video, load_video
 from gva_mi.fit.paper import REFINE
 from gva_mi.pose.job import RefineOptions
@@ -111,15 +111,15 @@ def refine_videos(
     executor: Executor | None = None,
 ) -> Iterator[Evaluation]:
     """Refine videos and write each result into its subject's folder as soon as it is ready."""
+    truths = [truth_of(video, model) for video in videos]
     for video in videos:
         if not video.has_normals:
             say(f"{video.folder}: no normals, the refinement uses the silhouettes alone")
     with bar("refine") as progress:
         found = refine_all([(video, options) for video in videos], model, progress, executor)
-        for video, refined in zip(videos, found, strict=True):
+        for video, truth, refined in zip(videos, truths, found, strict=True):
             for frame, reason in refined.kept.items():
                 say(f"{video.folder}: frame {frame} keeps its stage-1 pose: {reason}")
-            truth = load_ground_truth(video.truth, model) if video.truth else None
             evaluation = Evaluation.of(video, model, options, refined, truth)
             write_record(evaluation, versions())
             yield evaluation

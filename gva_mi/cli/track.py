@@ -15,7 +15,7 @@ from gva_mi.data.fingerprint import require_same_body
 from gva_mi.data.video import load_video
 from gva_mi.fit.photometric import PhotometricOptions, fit_poses
 from gva_mi.fit.run_folder import TRAINED_POSES, load_avatar, other_parts, source_of
-from gva_mi.fit.tracking import TRACKED_POSES, measure_tracking, write_tracking
+from gva_mi.fit.tracking import TRACKED_POSES, known_poses, measure_tracking, write_tracking
 
 
 def track(
@@ -58,13 +58,14 @@ def track(
         else:
             video, start = load_video(subject, trained), trained
     warn_if_outside_masks(video, model)
+    known = known_poses(video, model)
     with folder_lock(subject, "gva-mi track"):
         require_room(out, overwrite)
         with bar("track") as progress:
             found = fit_poses(avatar, video, options, progress=progress)
         for frame, reason in found.kept.items():
             say(f"{subject}: frame {frame} keeps its pose: {reason}")
-        tracking = measure_tracking(video, model, found)
+        tracking = measure_tracking(video, model, found, known)
         sources = {"start": start, "avatar": run}
         write_tracking(video, found, tracking, options, offsets, sources)
     for line in tracking.lines():

@@ -20,7 +20,8 @@ from pathlib import Path
 
 from gva_mi.body.pose import Pose, Shape, load_poses
 from gva_mi.body.smplx import BodyModel, load_body
-from gva_mi.data.video import load_cameras
+from gva_mi.core.errors import InputError
+from gva_mi.data.video import Video, load_cameras
 from gva_mi.splat import Camera
 
 POSES, BODY, CAMERAS = "poses.npz", "body.npz", "cameras.npz"
@@ -37,12 +38,12 @@ class GroundTruth:
     foreign: bool = False  # the body is another one than the fitted one
 
 
-def load_ground_truth(folder: Path, body: BodyModel) -> GroundTruth:
-    """Read the ground truth of a synthetic video, in its folder ``truth``.
+def load_ground_truth(folder: Path, body: BodyModel, count: int | None = None) -> GroundTruth:
+    """Read the ground truth of a synthetic video of ``count`` frames, in its folder ``truth``.
 
     ``body`` is the fitted body; it is also the rendered one unless the folder holds another.
     """
-    pose, shape = load_poses(Path(folder) / POSES)
+    pose, shape = load_poses(Path(folder) / POSES, count)
     file = Path(folder) / BODY
     foreign = file.is_file()
     true = load_body(file, body.v_template.dtype) if foreign else body
@@ -50,4 +51,16 @@ def load_ground_truth(folder: Path, body: BodyModel) -> GroundTruth:
     cameras = load_cameras(own if own.is_file() else own.parents[1] / CAMERAS)
     if len(cameras) == 1:
         cameras = cameras * len(pose)
+    if len(cameras) != len(pose):
+        raise InputError(f"{folder}: holds {len(cameras)} cameras for {len(pose)} poses")
     return GroundTruth(true, pose, shape, cameras, foreign)
+
+
+def truth_of(video: Video, body: BodyModel) -> GroundTruth | None:
+    """Read the ground truth of a video; None without one.
+
+    Commands call it before their work, so that a bad file does not cost the result.
+    """
+    if video.truth is None or not (video.truth / POSES).is_file():
+        return None
+    return load_ground_truth(video.truth, body, len(video))

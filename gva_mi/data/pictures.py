@@ -87,6 +87,12 @@ def require_size(where: str, width: int, height: int) -> None:
         )
 
 
+def require_sides(where: str, image: np.ndarray, width: int, height: int) -> None:
+    """Refuse a picture (H, W, ...) of another size than its camera's."""
+    if image.shape[:2] != (height, width):
+        raise InputError(f"{where} is {image.shape[1]}x{image.shape[0]}, expected {width}x{height}")
+
+
 def write_image(path: Path, image: np.ndarray) -> None:
     """Write a picture, floats in [0, 1] or 8-bit, grey (H, W), RGB (H, W, 3) or RGBA (H, W, 4)."""
     from PIL import Image

@@ -44,7 +44,7 @@ from gva_mi.data.fingerprint import prepared_from
 from gva_mi.data.landmarks import Landmarks, open_landmarks
 from gva_mi.data.masks import read_mask
 from gva_mi.data.normals import Convention, NormalMaps, Part
-from gva_mi.data.pictures import read_image
+from gva_mi.data.pictures import read_image, require_sides
 from gva_mi.data.splits import TEST_EVERY as TEST_EVERY
 from gva_mi.data.splits import Splits, load_splits
 from gva_mi.splat import Camera
@@ -174,7 +174,9 @@ class Video:
         path = self.truth / "masks" / f"{index:06d}.png" if self.truth else None
         if path is None or not path.exists():
             return None
-        return read_image(path, 1).astype(np.float32) / 255
+        mask = read_image(path, 1).astype(np.float32) / 255
+        require_sides(f"{path}:", mask, *self.size)
+        return mask
 
 
 def load_video(
@@ -199,9 +201,7 @@ def load_video(
     images, numbers = _open_pictures(folder)
     count = numbers[-1] + 1
     poses = poses or folder / POSES
-    found = read_pose_file(poses)
-    if len(found.pose) != count:
-        raise InputError(f"{poses}: holds {len(found.pose)} frames, but the video has {count}")
+    found = read_pose_file(poses, count)
     # Where the refinement moved the focal length too, its poses hold for that one only.
     if found.focal != 1:
         cameras = [camera.zoomed(found.focal) for camera in cameras]
@@ -272,11 +272,7 @@ def _why_absent(masks: Path, index: int, camera: Camera) -> str | None:
     mask = read_mask(masks, index)
     if mask is None:
         return "it has no mask"
-    if mask.shape != (camera.height, camera.width):
-        raise InputError(
-            f"{masks}: mask of frame {index} is {mask.shape[1]}x{mask.shape[0]}, "
-            f"expected {camera.width}x{camera.height}"
-        )
+    require_sides(f"{masks}: mask of frame {index}", mask, camera.width, camera.height)
     if not mask.any():
         return "its mask is empty"
     faint = f"no pixel of its mask is above a half, the greatest is {mask.max():.2g}"

@@ -22,7 +22,7 @@ differences outside of it. A person in a large room counts as much as one who fi
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass
 
 import torch
 from torch import Tensor
@@ -58,10 +58,11 @@ class Losses:
     alpha: Tensor  # |A - S|
     ssim: Tensor  # 1 - SSIM(C, I)
 
-    def total(self, options: LossOptions) -> Tensor:
-        """Return the weighted sum, Eq. 9."""
-        weighted = (getattr(options, f.name) * getattr(self, f.name) for f in fields(options))
-        return self.recon + sum(weighted)
+    def total(self, options: LossOptions, perceptual_every: int = 1) -> Tensor:
+        """Return the weighted sum, Eq. 9; steps between two perceptual terms are made up for."""
+        weights = asdict(options)
+        weights["perceptual"] *= perceptual_every
+        return self.recon + sum(weight * getattr(self, name) for name, weight in weights.items())
 
 
 def render_losses(

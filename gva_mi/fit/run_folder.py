@@ -177,6 +177,18 @@ def load_state(out: Path) -> dict[str, Any] | None:
         raise InputError(f"{path}: not a readable checkpoint ({reason_of(error)})") from None
 
 
+def require_state(state: dict[str, Any], steps: int) -> None:
+    """Raise a ValueError for a state that no run of so many steps has saved."""
+    step, history = state["step"], state["history"]
+    if type(step) is not int or not 0 < step < steps:
+        raise ValueError(f"the step is {step} of {steps}")
+    if odd := [name for name, values in history.items() if len(values) != step]:
+        raise ValueError(f"the history of '{odd[0]}' has {len(history[odd[0]])} of {step} steps")
+    count = len(state["avatar"]["canonical.means"])
+    if any(x.shape != (count,) for x in state["gradients"]):
+        raise ValueError(f"'gradients' must be ({count},)")
+
+
 def drop_state(out: Path) -> None:
     """Remove the checkpoint of a finished run, also one that a kill left half-written."""
     for path in (out / CHECKPOINT, part_of(out / CHECKPOINT)):
@@ -262,4 +274,4 @@ def under_trained_poses(video: Video, run: Path) -> Video:
     """Return the video under the poses that were trained with the avatar, if any were."""
     require_own_video(run, video)
     poses = run / TRAINED_POSES
-    return replace(video, pose=load_poses(poses)[0]) if poses.exists() else video
+    return replace(video, pose=load_poses(poses, len(video))[0]) if poses.exists() else video

@@ -16,12 +16,12 @@ from typing import Any
 
 from torch import Tensor
 
-from gva_mi.body.pose import load_poses, save_poses
+from gva_mi.body.pose import Pose, Shape, load_poses, save_poses
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.atomic import atomic_files
 from gva_mi.core.files import write_json
 from gva_mi.core.provenance import versions
-from gva_mi.data.ground_truth import load_ground_truth
+from gva_mi.data.ground_truth import GroundTruth, truth_of
 from gva_mi.data.video import POSES, Video
 from gva_mi.fit.photometric import FittedPoses, PhotometricOptions
 from gva_mi.pose.errors import means, pose_errors
@@ -53,19 +53,36 @@ class Tracking:
         yield f"loss        {self.loss_start:.4f} → {self.loss:.4f}"
 
 
-def measure_tracking(video: Video, body: BodyModel, found: FittedPoses) -> Tracking:
+def known_poses(video: Video, body: BodyModel) -> tuple[GroundTruth, tuple[Pose, Shape]] | None:
+    """Return ground truth and stage-1 poses of a video, before the work; None without truth."""
+    truth = truth_of(video, body)
+    return None if truth is None else (truth, load_poses(video.folder / POSES, len(video)))
+
+
+def measure_tracking(
+    video: Video,
+    body: BodyModel,
+    found: FittedPoses,
+    known: tuple[GroundTruth, tuple[Pose, Shape]] | None,
+) -> Tracking:
     """Compare tracked poses with the initial ones, and with ground truth if there is any.
 
     Args:
         video: opened with the initial poses.
         body: the body model.
         found: the tracked poses.
+        known: of :func:`known_poses`.
     """
+    stages: dict[str, tuple[Pose, Shape]] = {}
+    if known is not None:
+        truth, stage_1 = known
+        start, tracked = ((pose, video.shape) for pose in (video.pose, found.pose))
+        stages = {"stage 1": stage_1, "start": start, "tracked": tracked}
     return Tracking(
         loss_start=float(found.losses_before.nanmean()),
         loss=float(found.losses.nanmean()),
         seconds_per_frame=found.seconds_per_frame,
-        errors_mm=_errors(video, body, found),
+        errors_mm={k: means(pose_errors(body, poses, truth)) for k, poses in stages.items()},
     )
 
 
@@ -103,15 +120,3 @@ def write_tracking(
             focal=video.focal,
         )
         write_json(unfinished / TRACKING, record)
-
-
-def _errors(video: Video, body: BodyModel, found: FittedPoses) -> dict[str, dict[str, float]]:
-    if video.truth is None:
-        return {}
-    truth = load_ground_truth(video.truth, body)
-    stages = {
-        "stage 1": load_poses(video.folder / POSES),
-        "start": (video.pose, video.shape),
-        "tracked": (found.pose, video.shape),
-    }
-    return {stage: means(pose_errors(body, poses, truth)) for stage, poses in stages.items()}

@@ -27,18 +27,18 @@ from torch import Tensor
 
 from gva_mi.avatar.avatar import Avatar, seed_avatar
 from gva_mi.avatar.densify import ScreenGradients, densify, replace_gaussians
-from gva_mi.avatar.reinit import reinitialise
+from gva_mi.avatar.reinit import opaque_gaussians, reinitialise
 from gva_mi.avatar.rig import Rig
 from gva_mi.body.pose import save_poses
 from gva_mi.body.smplx import BodyModel
-from gva_mi.core.console import Progress
+from gva_mi.core.console import Progress, say
 from gva_mi.core.errors import expecting
 from gva_mi.core.files import write_arrays
 from gva_mi.core.threads import one_torch_thread
 from gva_mi.data.video import Video
 from gva_mi.fit import run_folder
 from gva_mi.fit.colors import seen_colors
-from gva_mi.fit.losses import Distance, LossOptions, render_losses
+from gva_mi.fit.losses import Distance, render_losses
 from gva_mi.fit.options import FitOptions, Rates
 from gva_mi.fit.perceptual import rand_vgg_loss, vgg16_loss
 from gva_mi.fit.poses import TrainedPoses
@@ -125,6 +125,7 @@ class Run:
             self.avatar = seed_avatar(body, video.shape, offsets, options.avatar, generator, colors)
             self.step, self.history = 0, {}
         else:
+            run_folder.require_state(state, options.steps)
             self.avatar = Avatar.from_record(state["avatar"])
             self.step = state["step"]
             self.history = {name: list(values) for name, values in state["history"].items()}
@@ -138,6 +139,11 @@ class Run:
         if state is not None:
             self.poses.load_state(state["poses"])
             self.optimizer.load_state_dict(state["optimizer"])
+            for x, moments in self.optimizer.state.items():
+                if any(moment.shape not in ((), x.shape) for moment in moments.values()):
+                    raise ValueError(
+                        f"'optimizer' is of others than the {len(self.avatar.canonical)}"
+                    )
             self.gradients.total, self.gradients.views = state["gradients"]
 
     def follow(self, samples: FrameSampler, distance: Distance, out: Path) -> dict[str, float]:
@@ -164,7 +170,9 @@ class Run:
         target, screen = sample.target(animated.gaussians), Screen()
         image = render(animated.gaussians, target.camera, options.splat, screen=screen)
         image = target.before_background(image)
-        weights = self._loss_of_this_step()
+        weights = options.loss
+        if self.step % options.perceptual_every:  # most steps omit it, and others weight it more
+            weights = replace(weights, perceptual=0.0)
         losses = render_losses(
             image,
             target.color,
@@ -175,7 +183,7 @@ class Run:
             target.window,
             sample.area,
         )
-        total = losses.total(weights)
+        total = losses.total(weights, options.perceptual_every)
         self.optimizer.zero_grad(set_to_none=True)
         total.backward()
         self.optimizer.step()
@@ -198,15 +206,22 @@ class Run:
             densify(self.avatar, self.optimizer, self.gradients, options.densify, generator)
             self.gradients = ScreenGradients(len(self.avatar.canonical))
         if schedule.reinitialises(self.step, options.steps):
-            generator = torch_state(options.seed, RandomStream.REINIT, self.step)
-            before = self.avatar.canonical
-            new = reinitialise(self.avatar, options.reinit, generator)
-            run_folder.save_snapshot(out, self.step, before, new.canonical, new.surface)
-            replace_gaussians(self.avatar, self.optimizer, new.canonical)
-            self.avatar.set_skin_weights(new.skin)
-            self.gradients = ScreenGradients(len(self.avatar.canonical))
+            self._reinitialise(out)
         elif schedule.rebinds_weights(self.step):
             self.avatar.rebind_weights()
+
+    def _reinitialise(self, out: Path) -> None:
+        """Put the Gaussians back on the surface, where enough of them are opaque to show one."""
+        if opaque_gaussians(self.avatar, self.options.reinit) is None:
+            say(f"{out}: step {self.step}: too few opaque Gaussians, no re-initialisation")
+            return
+        generator = torch_state(self.options.seed, RandomStream.REINIT, self.step)
+        before = self.avatar.canonical
+        new = reinitialise(self.avatar, self.options.reinit, generator)
+        run_folder.save_snapshot(out, self.step, before, new.canonical, new.surface)
+        replace_gaussians(self.avatar, self.optimizer, new.canonical)
+        self.avatar.set_skin_weights(new.skin)
+        self.gradients = ScreenGradients(len(self.avatar.canonical))
 
     def clamp_scales(self) -> None:
         """Clamp the scales of the Gaussians to the resolution of the pictures."""
@@ -222,12 +237,6 @@ class Run:
             "gradients": [self.gradients.total, self.gradients.views],
             "history": self.history,
         }
-
-    def _loss_of_this_step(self) -> LossOptions:
-        """Return the weights of this step: most omit the perceptual term, others weight it more."""
-        loss, every = self.options.loss, self.options.perceptual_every
-        due = self.step % every == 0
-        return replace(loss, perceptual=loss.perceptual * every if due else 0.0)
 
     def _lower_learning_rate(self) -> None:
         """Lower the learning rate of the means exponentially over the run."""

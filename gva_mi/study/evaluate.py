@@ -128,7 +128,8 @@ def views_of(
             views.append(SplitView(split, video, video.splits.held_out_range, details))
         elif (source := source_of(video, split)) is not None:
             theirs = None if body is None else Details.of(source, body)
-            views.append(SplitView(split, source, range(len(source)), theirs))
+            seen = [k for k in range(len(source)) if k not in source.absent]
+            views.append(SplitView(split, source, seen, theirs))
     return [view for view in views if len(view.frames)]
 
 

@@ -29,7 +29,7 @@ from gva_mi.core.console import Progress, within
 from gva_mi.core.errors import expecting
 from gva_mi.core.files import read_json, write_json
 from gva_mi.core.options import from_json
-from gva_mi.data.ground_truth import POSES, load_ground_truth
+from gva_mi.data.ground_truth import truth_of
 from gva_mi.data.video import REFINED_POSES, Video
 from gva_mi.fit import run_folder
 from gva_mi.fit.tracking import TRACKED_POSES
@@ -184,6 +184,7 @@ def measure_run(
         progress: called after each frame.
         driven: applied to every pose before it drives the avatar.
     """
+    made_with, history = run_folder.load_options(run), run_folder.load_history(run)
     trained, scorer = run_folder.under_trained_poses(video, run), Scorer()
     given = [
         view.through(lambda source: replace(source, pose=driven(source.pose)))
@@ -202,7 +203,6 @@ def measure_run(
         frames = sum(len(view.frames) for view in some)
         rows += evaluate_views(avatar, some, title, scorer, within(progress, done, frames, total))
         done += frames
-    made_with, history = run_folder.load_options(run), run_folder.load_history(run)
     return Metrics(
         rows=tuple(rows),
         refinement=load_refinement(video.folder)[0],
@@ -223,9 +223,9 @@ def measure_run(
 
 def _pose_errors(video: Video, trained: Video, body: BodyModel) -> dict[str, dict[str, float]]:
     """Measure the poses of a video before and after they were trained."""
-    if trained is video or video.truth is None or not (video.truth / POSES).is_file():
+    truth = truth_of(video, body)
+    if trained is video or truth is None:
         return {}
-    truth = load_ground_truth(video.truth, body)
     both = {GIVEN: video, TRAINED: trained}
     return {name: means(pose_errors(body, (v.pose, v.shape), truth)) for name, v in both.items()}
 

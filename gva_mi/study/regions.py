@@ -24,7 +24,7 @@ import torch
 from gva_mi.body.pose import EYES, JAW_AND_EYES, JOINTS, LEFT_HAND, RIGHT_HAND, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.crop import Box
-from gva_mi.data.ground_truth import POSES, load_ground_truth
+from gva_mi.data.ground_truth import truth_of
 from gva_mi.data.video import Video
 from gva_mi.mesh.visibility import seen_vertices
 from gva_mi.splat import Camera
@@ -115,8 +115,7 @@ class Details:
     @staticmethod
     def of(video: Video, body: BodyModel) -> Details:
         """Use the ground truth of a synthetic video, else the poses the video was opened with."""
-        if video.truth is not None and (video.truth / POSES).is_file():
-            truth = load_ground_truth(video.truth, body)
+        if (truth := truth_of(video, body)) is not None:
             return Details(truth.body, truth.pose, truth.shape, truth.cameras)
         return Details(body, video.pose, video.shape, video.cameras)
 

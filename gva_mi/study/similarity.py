@@ -39,7 +39,7 @@ from gva_mi.avatar.rig import Rig
 from gva_mi.body.kinematics import joint_transforms
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
-from gva_mi.data.ground_truth import POSES, load_ground_truth
+from gva_mi.data.ground_truth import truth_of
 from gva_mi.data.video import Video
 from gva_mi.splat import Camera
 
@@ -100,9 +100,9 @@ def similarity_to_truth(rig: Rig, video: Video, body: BodyModel) -> Similarity |
         video: opened with the poses that the avatar was trained under.
         body: the fitted body model.
     """
-    if video.truth is None or not (video.truth / POSES).is_file():
+    truth, frames = truth_of(video, body), video.splits.train
+    if truth is None:
         return None
-    truth, frames = load_ground_truth(video.truth, body), video.splits.train
     found = posed_joints(rig, video.pose[frames])
     true = truth.body(truth.pose[frames], truth.shape).joints
     x, y = (joints[:, :BODY_JOINTS].double().numpy() for joints in (found, true))

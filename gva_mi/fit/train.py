@@ -141,9 +141,7 @@ class Run:
             self.optimizer.load_state_dict(state["optimizer"])
             for x, moments in self.optimizer.state.items():
                 if any(moment.shape not in ((), x.shape) for moment in moments.values()):
-                    raise ValueError(
-                        f"'optimizer' is of others than the {len(self.avatar.canonical)}"
-                    )
+                    raise ValueError(f"'optimizer' must hold {tuple(x.shape)} of each kind")
             self.gradients.total, self.gradients.views = state["gradients"]
 
     def follow(self, samples: FrameSampler, distance: Distance, out: Path) -> dict[str, float]:

@@ -60,6 +60,8 @@ def test_a_value_of_another_type_is_an_error():
             from_json(Outer, found)
     with pytest.raises(ValueError, match="count"):
         from_json(Outer, {"kind": "a", "inner": {"share": 1}})
+    with pytest.raises(ValueError, match="^'unknown' is unknown$"):
+        from_json(Outer, asdict(WHOLE) | {"unknown": 1})
 
 
 def test_ranges_hold_for_options_made_in_python():

@@ -41,7 +41,7 @@ from gva_mi.avatar.residual import PoseResidual, ResidualOptions
 from gva_mi.avatar.rig import RIG, Rig, moved_by
 from gva_mi.avatar.skin_gaussians import skin_gaussians
 from gva_mi.avatar.skin_weights import Skin, SkinningOptions
-from gva_mi.avatar.validate import require_valid
+from gva_mi.avatar.validate import require_same_form, require_valid, tensors_of
 from gva_mi.body.kinematics import turn_joints
 from gva_mi.body.polar import apply_lbs
 from gva_mi.body.pose import LEFT_HAND, RIGHT_HAND, Pose, Shape
@@ -234,6 +234,7 @@ class Avatar(nn.Module):
         )
         residual = PoseResidual(options.residual, torch.zeros(3), 1.0)
         avatar = Avatar(canonical, residual, rig, skin, options).to(rig.joints.dtype)
+        require_same_form(state, avatar.state_dict())
         avatar.load_state_dict(state)
         return avatar
 
@@ -251,8 +252,7 @@ class Avatar(nn.Module):
         """Restore the avatar in the arrays of a file; ``path`` is for the InputError."""
         texts = {key: str(arrays.get(key, "")) for key in ("format", "description")}
         with expecting(path, AVATAR_FILE):
-            tensors = {k: torch.from_numpy(v) for k, v in arrays.items() if k not in texts}
-            return Avatar.from_record({**texts, **tensors})
+            return Avatar.from_record({**tensors_of(path, arrays), **texts})
 
 
 def seed_avatar(

@@ -1,16 +1,42 @@
-"""Validation of an avatar's numbers from any file: finite, and of one body."""
+"""Validation of an avatar's arrays from any file: of the right form, finite, and of one body."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
+import numpy as np
+import torch
 from torch import Tensor
 
 from gva_mi.body.pose import JOINTS
 from gva_mi.core.arrays import shape_fault
+from gva_mi.core.files import require_array
 
+TEXTS = {"format", "description"}  # arrays of an avatar's file
+WHOLE = {"rest_faces", "rest_pose_features", "skin_beneath", "beneath"}
 LARGEST, LARGEST_LOG = 1e6, 20  # of any number; of the logarithm of metres
 SUM = 0.01  # tolerance of a vertex's sum of skinning weights, and of a negative one
+
+
+def tensors_of(path: Path, arrays: Mapping[str, np.ndarray]) -> dict[str, Tensor]:
+    """Return the arrays of a file as float32, or as whole numbers, without its texts."""
+    tensors = {}
+    for name, array in arrays.items():
+        if name not in TEXTS:
+            kind, dtype = ("iu", np.int64) if name in WHOLE else ("f", np.float32)
+            array = require_array(path, name, array, kind=kind).astype(dtype, copy=False)
+            tensors[name] = torch.from_numpy(array)
+    return tensors
+
+
+def require_same_form(state: Mapping[str, Tensor], own: Mapping[str, Tensor]) -> None:
+    """Raise a ValueError unless a state has the names and shapes of an avatar's ``own``."""
+    for name in sorted(state.keys() ^ own.keys()):
+        raise ValueError(f"'{name}' is {'missing' if name in own else 'unknown'}")
+    for name, x in own.items():
+        if fault := shape_fault(state[name].shape, tuple(x.shape)):
+            raise ValueError(f"'{name}' {fault}")
 
 
 def require_valid(state: Mapping[str, Tensor], parents: Sequence[int]) -> None:
@@ -38,7 +64,8 @@ def require_valid(state: Mapping[str, Tensor], parents: Sequence[int]) -> None:
     for name, shape in shapes.items():
         if fault := shape_fault(state[name].shape, shape):
             raise ValueError(f"'{name}' {fault}")
-    for name, end in (("rest_faces", V), ("rest_pose_features", 9 * (J - 1))):
+    ends = {"rest_faces": V, "skin_beneath": V, "rest_pose_features": 9 * (J - 1)}
+    for name, end in ends.items():
         numbers = state[name]
         outside = numbers.numel() and not 0 <= int(numbers.min()) <= int(numbers.max()) < end
         if numbers.is_floating_point() or outside:

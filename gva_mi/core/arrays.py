@@ -23,12 +23,12 @@ _DENSEST = 1100  # deflate packs at most 1032 bytes into one
 
 
 def shape_fault(shape: Sequence[int], *forms: Form) -> str | None:
-    """Say that a shape has none of some forms; None if it has one."""
+    """Say that a shape has none of some forms; None if it has one, or where none are given."""
     fits = lambda form: (
         len(form) == len(shape)
         and all(want in (None, got) for want, got in zip(form, shape, strict=True))
     )
-    if any(map(fits, forms)):
+    if not forms or any(map(fits, forms)):
         return None
     said = lambda form: str(tuple("*" if n is None else n for n in form)).replace("'", "")
     return f"must be {' or '.join(map(said, forms))}, got {tuple(shape)}"

@@ -129,7 +129,7 @@ def require_array(
         name: of the array.
         array: as it was read. Floating point other than 32 or 64 bits becomes 64 bits, because
             linear algebra knows no other.
-        forms: its possible shapes.
+        forms: its possible shapes; none: any.
         kind: of its dtype: a key of ``_KINDS``.
         largest: absolute value of any number in it, which is then finite; None: any.
     """

@@ -109,6 +109,8 @@ def test_a_pickle_without_a_body_is_named(tmp_path):
     ("hands_meanr", None, "body.npz: key 'hands_meanr' is missing; found: .*weights"),
     ("J_regressor", np.zeros((24, 90)), r"'J_regressor' must be \(55, 90\), got \(24, 90\)"),
     ("f", np.zeros((9, 3)), "'f' must be whole numbers, got float64"),
+    ("v_template", np.zeros((90, 3)), "'v_template' is 0 x 0 x 0 metres in size"),
+    ("v_template", np.array(1.0), r"'v_template' must be \(\*, 3\), got \(\)"),
     ("f", np.full((9, 3), 90), "'f' names vertex 90, but there are 90"),
     ("shapedirs", np.full((90, 3, 18), 1e308), r"'shapedirs' holds 1e\+308 at \[0, 0, 0\]"),
     ("f", np.arange(90).reshape(30, 3), "'f' is no surface, 0% of its edges belong to two"),

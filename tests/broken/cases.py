@@ -162,7 +162,9 @@ TAKEN = {
     "K has skew": cameras(K=at((0, 1), 3.0)),
     "K looks far aside": cameras(K=at((0, 2), 1e9)),
     "T is inverted": cameras(T_camera_world=np.linalg.inv),
+    "T is of 16 bits": cameras(T_camera_world=lambda T: T.astype(np.float16)),
     "transl is behind the camera": poses(transl=lambda x: x + [0, 0, 9]),
+    "camera is a kilometre away": cameras(T_camera_world=at((2, 3), 1000)),
     "transl is in millimetres": poses(transl=lambda x: 1000 * x + 700),
     "betas are a table": poses(betas=np.zeros((6, 10))),
     "frame is grey": picture(FRAME, mode="L"),
@@ -187,6 +189,10 @@ SUBJECTS = TAKEN | {
     "cameras are cut": cut("cameras.npz"),
     "cameras are a folder": a_folder("cameras.npz"),
     "cameras are a link to themselves": loop("cameras.npz"),
+    "K has a focal length of 1e-30": cameras(K=lambda K: at((1, 1), 1e-30)(at((0, 0), 1e-30)(K))),
+    "transl is one number": poses(transl=1.0),
+    "expression is one number": poses(expression=np.float32(0)),
+    "betas are of nobody": poses(betas=np.zeros((0, 10))),
     "body_pose is of fewer frames": poses(body_pose=lambda x: x[:5]),
     "body_pose has a NaN": poses(body_pose=at((2, 5), NAN)),
     "body_pose is of objects": poses(body_pose=np.array([{}] * 6, object)),
@@ -242,6 +248,10 @@ RUNS = {  # what of a run is broken, by the part that the commands of COMMANDS r
                         "rest_vertices", "light")
            for how, change in (("NaN", not_a_number), ("shorter", lambda x: x[:-1]),
                                ("missing", None), ("text", lambda x: x.astype(str)))},
+        "an array is unknown": avatar(more=np.zeros(3)),
+        "log_scales are huge": avatar(**{"canonical.log_scales": lambda x: 0 * x + 50}),
+        "rest_expression_joints are whole": avatar(
+            rest_expression_joints=lambda x: x.astype(int)),
         **{f"description is {said[:20]}": avatar(description=said)
            for said in ("", "{", "[]", "null", "{}", '{"options": "many"}', "[" * 9999)},
     },
@@ -290,6 +300,9 @@ MOTIONS = {
     "betas are NaN": motion("betas", np.full(10, NAN)),
 }
 QUICK = {
+    "camera is a kilometre away", "T is of 16 bits", "K has a focal length of 1e-30",
+    "transl is one number", "expression is one number", "betas are of nobody",
+    "an array is unknown", "log_scales are huge", "rest_expression_joints are whole",
     "transl is in millimetres", "frame is missing", "mask is missing", "masks are inverted",
     "width is an array", "width is NaN", "width is another", "height is missing",
     "K is of another count", "K has a focal length of zero", "T is mirrored", "cameras are cut",

@@ -2,6 +2,7 @@
 
 import dataclasses
 import inspect
+import io
 import json
 import os
 import re
@@ -16,6 +17,8 @@ import pytest
 from gva_mi import InputError, __version__
 from gva_mi.cli import VERBS, load
 from gva_mi.cli.parse import parse
+from gva_mi.core.console import complete_streams, say
+from gva_mi.core.errors import expecting
 from gva_mi.core.options import ranges
 from gva_mi.study.metrics import ALIGNED
 
@@ -223,16 +226,60 @@ def test_shell_completion_knows_every_command(cli):
     assert not code and not err and all(f"'{verb}'" in out for verb in VERBS)
 
 
-@pytest.mark.parametrize("unbuffered", ["", "1"])
-def test_a_closed_pipe_ends_quietly(unbuffered):
+@pytest.mark.parametrize("stream, words, unbuffered, code", [
+    ("stdout", "--help", "", 141),
+    ("stdout", "--help", "1", 141),
+    ("stderr", "no-command", "", 2),
+])  # fmt: skip
+def test_a_closed_pipe_ends_quietly(stream, words, unbuffered, code):
     """As after ``gva-mi ... | head -3``, when head has ended before the first word."""
     reader, writer = os.pipe()
     os.close(reader)
-    program = [sys.executable, "-m", "gva_mi", "--help"]
+    program = [sys.executable, "-m", "gva_mi", words]
     environment = os.environ | {"PYTHONUNBUFFERED": unbuffered}
-    run = subprocess.run(program, env=environment, stdout=writer, stderr=subprocess.PIPE)
+    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, stream: writer}
+    run = subprocess.run(program, env=environment, **streams)
     os.close(writer)
-    assert run.stderr == b"" and run.returncode == 141
+    assert not run.stdout and not run.stderr and run.returncode == code
+
+
+def test_a_command_without_stdout_writes_into_no_file_of_its_own(tmp_path):
+    """The first file that is opened would get the number of the stream that is missing."""
+    program = """
+import os, sys
+from gva_mi.__main__ import main
+main(["--version"])
+with open(sys.argv[1], "w") as file:
+    os.write(1, b"printed by a library")
+"""
+    line = f"{sys.executable} -c '{program}' {tmp_path / 'a'} >&-"
+    run = subprocess.run(["sh", "-c", line], capture_output=True, text=True)
+    assert run.returncode == 0 and not run.stderr and (tmp_path / "a").read_text() == ""
+
+
+def test_any_name_can_be_printed_in_ascii(monkeypatch):
+    written = io.BytesIO()
+    monkeypatch.setattr("sys.stdout", io.TextIOWrapper(written, "ascii"))
+    complete_streams()
+    say("\u00fc and a byte \udcff of no text")
+    sys.stdout.flush()
+    assert written.getvalue() == b"\\xfc and a byte \\udcff of no text\n"
+
+
+@pytest.mark.parametrize("error", [
+    MemoryError("Unable to allocate 9 GiB"),
+    RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried to allocate 8 bytes"),
+    ImportError("lib.so: failed to map segment from shared object"),
+])  # fmt: skip
+def test_missing_memory_is_no_fault_of_a_file(error, monkeypatch, cli):
+    def command(verb):
+        with expecting("body.npz", "a body"):
+            raise error
+
+    monkeypatch.setattr("gva_mi.__main__.load", command)
+    code, _, complaint = cli("check", "subject")
+    assert code == 2 and complaint.startswith("gva-mi: there is not enough memory (")
+    assert "body.npz" not in complaint
 
 
 def test_help_imports_no_command():

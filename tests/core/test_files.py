@@ -21,7 +21,9 @@ from gva_mi.core.files import (
     read_array,
     read_arrays,
     read_json,
+    require_array,
     require_keys,
+    require_room,
     start_folder,
     write_arrays,
     write_json,
@@ -101,6 +103,46 @@ def test_unreadable_arrays_are_named(tmp_path):
     assert found["b"].tolist() == [0, 1]
     with pytest.raises(InputError, match="key 'c' is missing; found: b"):
         require_keys(path, found, ("b", "c"))
+
+
+def test_an_array_of_another_form_is_named():
+    path, good = Path("a.npz"), np.zeros((4, 3), np.float32)
+    assert require_array(path, "x", good, (3, 3), (None, 3), largest=1) is good
+    half = require_array(path, "x", good.astype(np.float16), (4, 3))
+    assert half.dtype == np.float64  # which linear algebra knows
+    for array, options, sentence in (
+        (np.array(1.0), {}, r"must be \(\*, 3\), got \(\)"),
+        (good[:, :2], {}, r"must be \(\*, 3\), got \(4, 2\)"),
+        (good.astype(int), {}, "must be floating point, got int64"),
+        (good, {"kind": "iu"}, "must be whole numbers, got float32"),
+        (good + 2, {"largest": 1}, r"holds 2 at \[0, 0\], expected finite numbers of at most 1$"),
+        (good * np.nan, {"largest": 1}, r"holds nan at \[0, 0\]"),
+    ):
+        with pytest.raises(InputError, match=f"^a.npz: 'x' {sentence}"):
+            require_array(path, "x", array, (None, 3), **options)
+
+
+def test_a_link_stays_and_what_it_leads_to_is_written(tmp_path):
+    file, run = tmp_path / "there/a.json", tmp_path / "there/run"
+    run.mkdir(parents=True)
+    (tmp_path / "link.json").symlink_to(file)
+    (tmp_path / "run").symlink_to(run)
+    require_room(tmp_path / "link.json", overwrite=False)
+    write_json(tmp_path / "link.json", 1)
+    assert (tmp_path / "link.json").is_symlink() and file.read_text() == "1\n"
+    with pytest.raises(InputError, match="link.json: exists already|there/a.json: exists already"):
+        require_room(tmp_path / "link.json", overwrite=False)
+    for _ in range(2):
+        start_folder(tmp_path / "run", "ours.json", overwrite=True, about={})
+        assert (tmp_path / "run").is_symlink() and [p.name for p in run.iterdir()] == ["ours.json"]
+    with atomic_dir(tmp_path / "run", replaced="ours.json") as folder:
+        (folder / "new").write_text("")
+    assert (tmp_path / "run").is_symlink() and [p.name for p in run.iterdir()] == ["new"]
+
+
+def test_a_device_is_no_output():
+    with pytest.raises(InputError, match="/dev/null: is a device or a pipe"):
+        require_room(Path("/dev/null"), overwrite=True)
 
 
 def test_only_a_folder_with_the_marker_is_removed(tmp_path, monkeypatch):
@@ -234,9 +276,19 @@ def test_malformed_json_is_one_sentence(tmp_path):
 def test_malformed_content_is_one_short_sentence():
     assert str(InputError("a\x1b[2J\nb")) == "a [2J b"
     assert len(str(InputError("x" * 10**6))) < 2000
-    for fails in (lambda: {}["a"], lambda: None.a, lambda: 1 / 0, lambda: next(iter(()))):
-        with pytest.raises(InputError, match=r"^a: of another form \(.+\); expected b$"):
-            with expecting("a", "b"):
-                fails()
+    for fails, reason in {
+        (lambda: {}["x"]): "'x' is missing",
+        (lambda: [][0]): "something is missing in it",
+        (lambda: next(iter(()))): "something is missing in it",
+        (lambda: None.a): "something in it is of another kind",
+        (lambda: len(3)): "something in it is of another kind",
+        (lambda: 1 / 0): "a number in it is zero, or too large",
+        (lambda: b"\xff".decode()): "it is no text in UTF-8",
+        (lambda: np.zeros(3) + np.zeros(4)): "a list or an array in it is of another length",
+        (lambda: np.zeros(3).reshape(2, 2)): "a list or an array in it is of another length",
+    }.items():
+        with pytest.raises(InputError) as error, expecting("a", "b"):
+            fails()
+        assert str(error.value) == f"a: of another form ({reason}); expected b"
     with pytest.raises(InputError, match="^mine$"), expecting("a", "b"):
         raise InputError("mine")

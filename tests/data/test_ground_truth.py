@@ -1,5 +1,7 @@
 """Ground truth is on the body that was filmed."""
 
+from unittest.mock import MagicMock
+
 import numpy as np
 import pytest
 import torch
@@ -8,7 +10,7 @@ from gva_mi import InputError
 from gva_mi.body.built_in import BUILT_IN_BODY
 from gva_mi.body.pose import Pose, Shape, save_poses
 from gva_mi.body.smplx import load_body
-from gva_mi.data.ground_truth import load_ground_truth
+from gva_mi.data.ground_truth import load_ground_truth, truth_of
 from gva_mi.data.video import save_cameras
 from gva_mi.splat import Camera
 
@@ -45,6 +47,15 @@ def test_without_cameras_of_its_own_the_video_s_are_ground_truth(folder):
     assert [c.fx for c in load_ground_truth(folder, load_body()).cameras] == [60.0, 60.0]
     save_cameras(folder / "cameras.npz", [camera(54.0)])
     assert [c.fx for c in load_ground_truth(folder, load_body()).cameras] == [54.0, 54.0]
+
+
+def test_ground_truth_of_another_length_is_named(folder):
+    body, video = load_body(), MagicMock(truth=folder)
+    video.__len__.return_value = 3
+    with pytest.raises(InputError, match=r"poses.npz: holds 2 frames, but the video has 3"):
+        truth_of(video, body)
+    (folder / "poses.npz").unlink()
+    assert truth_of(video, body) is None
 
 
 def test_ground_truth_without_poses_is_named(tmp_path):

@@ -47,6 +47,8 @@ def test_the_default_is_equation_9(generator):
         + 0.5 * residual.abs().mean()
     )
     assert torch.allclose(losses.total(LossOptions()), expected)
+    often = expected + 3 * LossOptions().perceptual * losses.perceptual
+    assert torch.allclose(losses.total(LossOptions(), perceptual_every=4), often)
 
 
 @pytest.mark.parametrize("term", ["perceptual", "residual", "alpha", "ssim"])

@@ -79,6 +79,18 @@ def test_a_fit_comes_closer_to_frames_it_has_not_seen(video, body, tmp_path):
     assert loss[-20:].mean() < 0.8 * loss[:20].mean()
 
 
+def test_a_fit_goes_on_where_too_few_gaussians_are_opaque_for_a_surface(
+    video, body, tmp_path, monkeypatch
+):
+    said = []
+    monkeypatch.setattr("gva_mi.fit.train.say", said.append)
+    faint = replace(OPTIONS.avatar, seed=SeedOptions(count=400, opacity=1e-3))
+    schedule = Schedule(densify_every=0, reinit_at=(0.5,))
+    options = replace(OPTIONS, steps=2, avatar=faint, schedule=schedule)
+    assert len(fit(video, body, options, tmp_path).canonical) >= 300
+    assert said == [f"{tmp_path}: step 1: too few opaque Gaussians, no re-initialisation"]
+
+
 def test_the_naked_option_ignores_offsets(video, body, tmp_path):
     """The paper's way: what the refinement displaced is not looked at."""
     offsets = 0.02 * body.v_template / body.v_template.norm(dim=1, keepdim=True)

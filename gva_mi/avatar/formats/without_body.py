@@ -24,6 +24,7 @@ import torch
 from gva_mi.avatar.avatar import FORMAT, SKIN_ARRAYS, Avatar, AvatarOptions
 from gva_mi.avatar.rig import RIG, Rig, digest
 from gva_mi.avatar.skin_weights import mean_directions
+from gva_mi.avatar.validate import tensors_of
 from gva_mi.body.pose import Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.errors import InputError, expecting
@@ -109,10 +110,8 @@ def with_body(path: Path, arrays: dict[str, np.ndarray], body: BodyModel, name: 
                 f"{path}: holds no body and belongs to '{wanted['name']}' "
                 f"({wanted['fingerprint']}), not to '{name}' ({found}); give that one's --body"
             )
-        record: dict[str, Any] = {
-            key: torch.from_numpy(value) for key, value in arrays.items() if key != "format"
-        }
-        shares, beneath = record.pop("shares"), record.pop("beneath").long()
+        record: dict[str, Any] = dict(tensors_of(path, arrays))
+        shares, beneath = record.pop("shares"), record.pop("beneath")
         rig = Rig.of(body, Shape(record.pop("betas")), record.pop("offsets"))
         record[DIRECTIONS] = mean_directions(shares, beneath, rig.directions)
         record |= {f"rest_{key}": getattr(rig, key) for key in RIG}

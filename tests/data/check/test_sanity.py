@@ -33,6 +33,18 @@ def test_a_person_hardly_in_the_picture_is_doubtful(subject, built_in_body):
     assert "of the body's joints lie in the picture, expected most of them" in doubt
 
 
+def test_a_person_far_away_in_the_middle_of_the_masks_is_doubtful(subject, built_in_body):
+    """All joints of a person a kilometre away lie in the masks, in one pixel of them."""
+    with np.load(subject / "cameras.npz") as stored:
+        cameras = dict(stored)
+    rows, columns = np.nonzero(np.asarray(Image.open(subject / "masks/000000.png")))
+    cameras["K"][..., :2, 2] = columns.mean(), rows.mean()
+    cameras["T_camera_world"][..., 2, 3] += 1000
+    np.savez(subject / "cameras.npz", **cameras)
+    doubt = sanity_check(load_video(subject, normals="none"), built_in_body)
+    assert "the body's joints span" in doubt and str(subject) in doubt
+
+
 def test_inverted_masks_are_doubtful(subject, built_in_body):
     for path in subject.glob("masks/*.png"):
         Image.fromarray(255 - np.asarray(Image.open(path))).save(path)

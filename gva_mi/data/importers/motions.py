@@ -25,14 +25,14 @@ from gva_mi.body.pose import LEFT_HAND, Pose, Shape
 from gva_mi.core.console import listed
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.options import Within, require_ranges
-from gva_mi.data.importers.bvh import read_bvh
 from gva_mi.data.importers.estimator_files import first_of, holds, read_source
 from gva_mi.data.importers.estimator_record import Estimator, VideoInfo
 from gva_mi.data.importers.estimators import KINDS, WORLDS, kind_of, refuse_mhr
 from gva_mi.data.importers.fields import find_betas
 from gva_mi.data.importers.hand_merge import merge_hands
+from gva_mi.data.importers.joint_motion import RATE, joints_in
 from gva_mi.data.importers.people import choose
-from gva_mi.data.importers.retarget import retarget
+from gva_mi.data.importers.skeleton_tracks import bvh_track, joints_track
 from gva_mi.data.importers.target import TargetBody
 from gva_mi.data.importers.timeline import interpolate, longest_gap
 from gva_mi.data.importers.tracks import Track, make_track, median_betas
@@ -157,8 +157,13 @@ def _read(
     """Read one person's track, frames per second, betas (B,), and notes."""
     where = str(path)
     if path.suffix.lower() == ".bvh":
-        return _of_skeleton(path, body, options)
+        track, fps, notes = bvh_track(path, body)
+        return track, _rate(where, {"fps": fps}, options), np.zeros(10), notes
     found = read_source(path, EXPECTED)
+    if (places := joints_in(path, found, options.person)) is not None:
+        rate = options.source_fps or RATE
+        track, notes = joints_track(places, rate, body)
+        return track, rate, np.zeros(10), notes
     refuse_mhr(where, first_of(found))
     if not isinstance(found, dict | Path) or not found:
         raise InputError(f"{path}: holds no arrays by name; expected {EXPECTED}")
@@ -190,27 +195,6 @@ def _read(
         return track, rate, np.zeros(10), notes  # the shape spaces differ, and avatars have one
     betas, varied = median_betas(np.atleast_2d(betas))
     return track, rate, betas, [*notes, *varied]
-
-
-def _of_skeleton(
-    path: Path, body: TargetBody, options: MotionOptions
-) -> tuple[Track, float, np.ndarray, list[str]]:
-    """Return a BVH's motion as :func:`_read` does; its pelvis is where the hips lead it."""
-    clip, notes = read_bvh(path), []
-    if clip.announced != str(len(clip)):
-        notes.append(f"says that it has {clip.announced} frames, and has {len(clip)}")
-    # Programs put the pose by which they calibrate before the motion.
-    if len(clip) > 2 and not clip.turns_in(0) and clip.turns_in(1):
-        clip = clip.since(1)
-        notes.append("the pose of zero angles before the motion is left out")
-    motion = retarget(path, clip, body.joints)
-    frames = np.arange(len(motion.rotations))
-    track = Track(
-        "0", frames, motion.rotations, motion.pelvis - body.joints[0], None,
-        np.tile(np.eye(3), (len(frames), 1, 1)), "BVH", motion.has_hands,
-    )  # fmt: skip
-    rate = _rate(str(path), {"fps": 1 / clip.frame_time}, options)
-    return track, rate, np.zeros(10), [*notes, *motion.notes]
 
 
 def _estimated(

@@ -77,13 +77,27 @@ def retarget(where: object, clip: BvhClip, body: np.ndarray) -> Retargeted:
         A[name] = one if not weight else one @ to_matrices(
             weight * to_rotvecs(one.swapaxes(1, 2) @ two)
         )  # fmt: skip
+    scale = leg_length(own) / leg_length(ref)
+    notes.append(f"its unit is taken as {scale:.4g} m, by which its legs are as long as the body's")
+    return Retargeted(*on_body(A, at, own, scale), human.has_hands, notes)
+
+
+def on_body(
+    A: dict[str, np.ndarray], at: Places, own: Places, scale: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return rotations (T, 55, 3) relative to the parents, and places of the pelvis (T, 3).
+
+    Args:
+        A: rotation (T, 3, 3) of each joint in the world.
+        at: (T, 3) of the source's joints, whose hips the body's come to lie between.
+        own: (3,) of the body's joints at rest, metres.
+        scale: metres in a unit of ``at``.
+    """
     relative = [A[name] if parent < 0 else A[JOINTS[parent]].swapaxes(1, 2) @ A[name]
                 for name, parent in zip(JOINTS, PARENTS, strict=True)]  # fmt: skip
-    scale = _leg(own) / _leg(ref)
-    notes.append(f"its unit is taken as {scale:.4g} m, by which its legs are as long as the body's")
     hips = (own["left_hip"] + own["right_hip"]) / 2 - own["pelvis"]
     pelvis = scale * (at["left_hip"] + at["right_hip"]) / 2 - A["pelvis"] @ hips
-    return Retargeted(to_rotvecs(np.stack(relative, 1)), pelvis, human.has_hands, notes)
+    return to_rotvecs(np.stack(relative, 1)), pelvis
 
 
 def _stance(
@@ -204,8 +218,8 @@ def _palm(at: Places, side: str) -> np.ndarray:
     return np.stack([along, across, np.cross(along, across)], 1)
 
 
-def _leg(at: Places) -> float:
-    """Return the mean length of the two legs."""
-    bones = [np.linalg.norm(at[child] - at[joint]) for joint, child in _LIMBS.items()
-             if joint.endswith(("hip", "knee"))]  # fmt: skip
+def leg_length(at: Places) -> float:
+    """Return the mean length of the two legs, of joints (3,) or (T, 3)."""
+    bones = [np.linalg.norm(at[child] - at[joint], axis=-1).mean()
+             for joint, child in _LIMBS.items() if joint.endswith(("hip", "knee"))]  # fmt: skip
     return float(np.sum(bones)) / 2

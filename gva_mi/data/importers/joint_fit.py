@@ -1,0 +1,121 @@
+"""Find poses from where a person's 22 joints are, without their rotations.
+
+Each limb of the body points as the source's does, and the chest lies where it does. What turns
+about a bone is seen elsewhere or not at all:
+
+1. pelvis and chest: by the directions to three joints that are fixed to them;
+2. upper arms: an elbow bends about one axis, so the plane of upper arm and forearm shows it;
+3. thighs: by the knee likewise, and a little by the direction of the foot;
+4. head, hands, feet: not seen. They follow the bone before them.
+
+The straighter a limb, the less its plane says, so (2) and (3) are averaged over a quarter of a
+second, weighted by the sine of the bend, with the shortest rotation from the parent as a prior.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gva_mi.body.pose import JOINTS, PARENTS
+from gva_mi.body.rotations import nearest_rotations, shortest, to_matrices, to_rotvecs
+from gva_mi.data.importers.retarget import Retargeted, leg_length, on_body
+
+COUNT = 22  # joints above hands and face
+_PRIOR = 0.08  # weight of the shortest rotation, where a limb bent by 90 degrees weighs 1
+_FOOT = 0.2  # weight of the foot's direction
+_AVERAGED = 0.12  # seconds, standard deviation
+_FIXED = {"pelvis": ("left_hip", "right_hip", "spine1"),
+          "spine3": ("neck", "left_collar", "right_collar")}  # fmt: skip
+_BONES = {
+    "neck": "head",
+    **{f"{side}_{joint}": f"{side}_{child}" for side in ("left", "right") for joint, child in (
+        ("hip", "knee"), ("knee", "ankle"), ("ankle", "foot"), ("collar", "shoulder"),
+        ("shoulder", "elbow"), ("elbow", "wrist"))},
+}  # fmt: skip
+_HINGES = {  # limb: its lower part, and the axis about which that bends, in the T-pose
+    "left_shoulder": ("left_elbow", (0.0, -1.0, 0.0)),
+    "right_shoulder": ("right_elbow", (0.0, 1.0, 0.0)),
+    "left_hip": ("left_knee", (1.0, 0.0, 0.0)), "right_hip": ("right_knee", (1.0, 0.0, 0.0)),
+}  # fmt: skip
+
+
+def poses_from_joints(places: np.ndarray, body: np.ndarray, fps: float) -> Retargeted:
+    """Return poses of a body whose joints lie as ``places``.
+
+    Args:
+        places: (T, 22, 3) of SMPL-X's first joints, finite, in any unit.
+        body: (55, 3) joints at rest.
+        fps: frames a second.
+    """
+    at = {name: places[:, k] for k, name in enumerate(JOINTS[:COUNT])}
+    own = dict(zip(JOINTS, body, strict=True))
+    A = {}
+    for name, around in _FIXED.items():
+        ours = np.stack([_unit(own[other] - own[name]) for other in around])
+        theirs = np.stack([_unit(at[other] - at[name]) for other in around], 1)
+        A[name] = nearest_rotations(np.einsum("tka,kb->tab", theirs, ours))
+    A |= _spine(A["pelvis"], A["spine3"], own, at)
+    for name, parent in zip(JOINTS, PARENTS, strict=True):
+        if name in A:
+            continue
+        A[name] = A[JOINTS[parent]]
+        if name in _BONES:
+            A[name] = _pointed(A[name], own, at, name)
+        if name in _HINGES:
+            A[name] = _turned_by_hinge(A[name], at, name, fps)
+    scale = leg_length(own) / leg_length(at)
+    notes = [
+        "what turns about bones is inferred; head, hands and feet follow the bone before them",
+        f"places are scaled by {scale:.3g}, by which its legs are as long as the body's",
+    ]
+    return Retargeted(*on_body(A, at, own, scale), False, notes)
+
+
+def _unit(x: np.ndarray) -> np.ndarray:
+    return x / np.maximum(np.linalg.norm(x, axis=-1, keepdims=True), 1e-12)
+
+
+def _spine(
+    pelvis: np.ndarray, chest: np.ndarray, own: dict[str, np.ndarray], at: dict[str, np.ndarray]
+) -> dict[str, np.ndarray]:
+    """Return the rotations of the two joints between pelvis and chest.
+
+    They lie between both, turned alike so that the chest is where it is seen from the first. Each
+    on its own would not do: its bone is short, and programs place it differently.
+    """
+    between = to_rotvecs(pelvis.swapaxes(1, 2) @ chest)
+    first, second = (pelvis @ to_matrices(share * between) for share in (1 / 3, 2 / 3))
+    ours = first @ (own["spine2"] - own["spine1"]) + second @ (own["spine3"] - own["spine2"])
+    turn = to_matrices(shortest(_unit(ours), _unit(at["spine3"] - at["spine1"])))
+    return {"spine1": turn @ first, "spine2": turn @ second}
+
+
+def _pointed(
+    A: np.ndarray, own: dict[str, np.ndarray], at: dict[str, np.ndarray], name: str
+) -> np.ndarray:
+    """Return A (T, 3, 3) turned the shortest way by which the bone of ``name`` points as seen."""
+    child = _BONES[name]
+    ours, theirs = _unit(A @ (own[child] - own[name])), _unit(at[child] - at[name])
+    return to_matrices(shortest(ours, theirs)) @ A
+
+
+def _turned_by_hinge(A: np.ndarray, at: dict[str, np.ndarray], name: str, fps: float) -> np.ndarray:
+    """Return A (T, 3, 3) turned about its bone so that the next joint bends about its hinge."""
+    joint, axis = _HINGES[name]
+    bone, lower = _unit(at[joint] - at[name]), _unit(at[_BONES[joint]] - at[joint])
+    seen = np.cross(bone, lower)  # as long as the sine of the bend
+    if "knee" in joint:
+        ankle, foot = at[_BONES[joint]], at[_BONES[_BONES[joint]]]
+        seen = seen + _FOOT * np.cross(_unit(foot - ankle), bone)
+    hinge = _unit(np.cross(np.cross(bone, A @ np.array(axis)), bone))
+    phase = (seen * hinge).sum(1) + 1j * (seen * np.cross(bone, hinge)).sum(1)
+    angle = np.angle(_smoothed(phase, fps) + _PRIOR)
+    return to_matrices(angle[:, None] * bone) @ A
+
+
+def _smoothed(values: np.ndarray, fps: float) -> np.ndarray:
+    """Return values (T,) averaged over time by a Gaussian, without those beyond the ends."""
+    reach = max(1, round(3 * _AVERAGED * fps))
+    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / (_AVERAGED * fps)) ** 2)
+    mean = lambda x: np.convolve(x, kernel)[reach : reach + len(values)]
+    return mean(values) / mean(np.ones(len(values)))
